@@ -1,0 +1,369 @@
+"""Filters for colored measurement noise ``V' = Phi V + zeta``, ``zeta ~ N(0, R)``: whiten by differencing, then decorrelate.
+
+The difference ``z* = z' - Phi z`` of consecutive measurements has white noise, correlated with the process noise. `colored`
+conditions on it in one transform; `decorrelated` has the structure of [Sun2015]: a decorrelated system, an update that
+gives the *lagged* estimate ``E[x_k | z_0..z_k+1]`` and a prediction that gives the estimate without latency
+``E[x_k+1 | z_0..z_k+1]``. `augmented` carries V in the state: the exact reference. All take any rule and both forms, and a
+``Phi`` that may be full, differ from run to run, or be a function of the epoch.
+
+A missing sample costs two differences, the one that ends and the one that begins with it: conservative, unbiased, and counted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from celnav.filters.driver import Epoch, Filter, State, sequential
+from celnav.filters.step import Hook, Info, Model, condition, evaluate, explain, images, noise_columns, predict, update
+from celnav.gaussian import Gaussian, finite
+from celnav.linalg import Array, block, matvec, solve_upper_transposed, tria
+from celnav.points import KEEP, Image, Outputs, Transform
+from celnav.spaces import EUCLIDEAN
+
+Coloring = ArrayLike | Callable[[Any], Array]
+"""``Phi (..., m, m)`` or ``epoch -> Phi``."""
+
+
+class Colored(NamedTuple):
+    """State of a colored-noise filter: the estimate without latency, the last measurement, and the lagged estimate.
+
+    ``lagged`` is the estimate of the *previous* state given the present measurement (the prior at the first epoch, and where
+    a filter does not compute it).
+    """
+
+    belief: Gaussian
+    z: Any
+    lagged: Gaussian
+    memory: Any = None
+
+
+def coloring(Phi: Coloring, m: int | None = None) -> Callable[[Any], Array]:
+    """Checked ``epoch -> Phi (..., m, m)``.
+
+    Raises
+    ------
+    ValueError: if Phi is not finite, not ``(..., m, m)``, or has a spectral radius above 1. Radius 1, a random walk, is
+        allowed: differences then say nothing about position, only about its changes.
+    """
+    if callable(Phi):
+        return Phi
+    matrix = finite("Phi", Phi)
+    if matrix.ndim < 2 or matrix.shape[-1] != matrix.shape[-2] or (m is not None and matrix.shape[-1] != m):
+        size = "m, m" if m is None else f"{m}, {m}"
+        raise ValueError(f"Phi: expected shape (..., {size}), got {matrix.shape}")
+    radius = np.abs(np.linalg.eigvals(matrix)).max()
+    if radius > 1.0 + 1e-9:
+        raise ValueError(f"Phi: expected a spectral radius of at most 1, got {radius:.6g}")
+    return lambda epoch: matrix
+
+
+def difference(Phi: Array, z: Array, z_next: Array) -> Array:
+    """``z_next - Phi z (..., m)``. A missing component spoils those differences that it enters, not the others."""
+    absent = np.isnan(z)
+    if not absent.any():
+        return np.asarray(z_next - matvec(Phi, z))
+    spoiled = matvec((Phi != 0.0).astype(float), absent.astype(float)) > 0.0
+    return np.asarray(np.where(spoiled, np.nan, z_next - matvec(Phi, np.where(absent, 0.0, z))))
+
+
+class Decorrelation(NamedTuple):
+    """Gain ``J (..., n, m)`` and the roots of ``Q* (..., n, n)`` and ``R* (..., m, m)`` [Sun2015, Eqs. 10-20]."""
+
+    J: Array
+    sqrt_Q: Array
+    sqrt_R: Array
+
+
+def decorrelation(H: Array, sqrt_Q: Array, sqrt_R: Array) -> Decorrelation:
+    """Decorrelate process noise and differenced measurement noise by one QR, without subtraction.
+
+    The lower root of ``[[R^1/2, H Q^1/2], [0, Q^1/2]]`` is ``[[R*^1/2, 0], [J R*^1/2, Q*^1/2]]``. Subtracting covariances
+    instead, ``Q* = Q - Q H' R*^-1 H Q``, loses every digit once the process noise is 1e8 times the measurement noise.
+    """
+    m = H.shape[-2]
+    L = tria(block([[sqrt_R, H @ sqrt_Q], [0, sqrt_Q]]))
+    sqrt_R_star = L[..., :m, :m]
+    J = solve_upper_transposed(sqrt_R_star, L[..., m:, :m].mT).mT
+    return Decorrelation(J, L[..., m:, m:], sqrt_R_star)
+
+
+def _first(h: Any, rule: Transform, Sigma0: ArrayLike | None) -> Callable[[Gaussian, Epoch], tuple[Gaussian, Info]]:
+    """The update of the prior by the first sample; without ``Sigma0`` that sample only anchors the first difference."""
+    if Sigma0 is None:
+        return lambda prior, epoch: (prior, Info())
+    part = update(h, rule, Sigma0)
+
+    def absolute(prior: Gaussian, epoch: Epoch) -> tuple[Gaussian, Info]:
+        posterior, info, _ = part(prior, epoch.z, epoch)
+        return posterior, info
+
+    return absolute
+
+
+def _measured(z: Any, m: int) -> Array:
+    return np.full(m, np.nan) if z is None else np.asarray(z, dtype=np.float64)
+
+
+def colored(
+    f: Model,
+    h: Model | ArrayLike,
+    rule: Transform,
+    Phi: Coloring,
+    *,
+    Q: Any = None,
+    R: Any = None,
+    sqrt_Q: Any = None,
+    sqrt_R: Any = None,
+    Sigma0: ArrayLike | None = None,
+    first_rule: Transform | None = None,
+    hooks: Sequence[Hook] = (),
+) -> Filter:
+    """Single-transform filter: condition ``x' = f(x) + w`` on ``z' - Phi z = h(x') - Phi h(x) + zeta`` directly.
+
+    Parameters
+    ----------
+    f: dynamics.
+    h: measurement matrix ``(m, n)``, or a function. With a function the process noise enters the measurement nonlinearly, so
+        it goes through the points: ``rule`` then has the dimension of state and noise together and ``sqrt_Q`` is constant.
+    Phi: see `Coloring`; checked by `coloring`.
+    Q, R: covariances of ``w`` and of the increments ``zeta`` (not of V), or their roots.
+    Sigma0: covariance of the first noise sample ``V_0``. None: the first sample only anchors the first difference, as in
+        the paper, which is the limit of a large ``Sigma0``.
+    first_rule: rule of dimension n for the update with ``Sigma0``; needed where ``h`` is a function.
+    hooks: see `celnav.filters.step.Hook`.
+    """
+    process = noise_columns(Q, sqrt_Q, "Q")
+    increments = noise_columns(R, sqrt_R, "R")
+    if process is None or increments is None:
+        raise ValueError("colored: expected process noise (Q or sqrt_Q) and increments (R or sqrt_R)")
+    if callable(h):
+        if callable(process):
+            raise ValueError("sqrt_Q: expected constant columns where the measurement is a function")
+        if Sigma0 is not None and first_rule is None:
+            raise ValueError("first_rule: expected a rule of the state's dimension where the measurement is a function")
+        conditioned = _through_points(f, h, rule, process, increments, hooks)
+        m = None
+    else:
+        H = finite("h", h)
+        m = H.shape[-2]
+        conditioned = _linear(f, H, rule, process, increments, hooks)
+    phi = coloring(Phi, m)
+    first = _first(h, rule if first_rule is None else first_rule, Sigma0)
+
+    def step(state: Colored, epoch: Epoch) -> tuple[Colored, Info]:
+        z = _measured(epoch.z, 1 if m is None else m)
+        if state.z is None:
+            belief, info = first(state.belief, epoch._replace(z=z))
+            return Colored(belief, z, state.lagged, state.memory), info
+        coefficient = phi(epoch)
+        belief, info, memory = conditioned(state, coefficient, difference(coefficient, state.z, z), epoch)
+        return Colored(belief, z, state.lagged, memory), info
+
+    return Filter(lambda prior: Colored(prior, None, prior), step)
+
+
+class _Lifted(NamedTuple):
+    """A belief pushed through ``f``: the images of ``f(x)`` and of ``x``, from which every linear row here is made."""
+
+    y: Image
+    x: Image
+    root: Array
+    rule: Transform
+    belief: Gaussian
+    g: Callable[..., Outputs]
+
+    def rows(self, after: Array, before: Array) -> Image:
+        """Image of ``after @ f(x) + before @ x``; centers are combined before the small shift is added."""
+        center = matvec(after, self.y.center) + matvec(before, self.x.center)
+        shift = matvec(after, np.broadcast_to(self.y.shift, self.y.center.shape))
+        return Image(center, shift, after @ self.y.columns + before @ self.x.columns)
+
+    def slope(self) -> Array:
+        return self.rule.slope(self.y, self.root)
+
+    def failure(self, after: Gaussian, z: Array | None) -> str:
+        return explain(self.belief, after, ("f",), self.rule, self.g, EUCLIDEAN, (), z)
+
+
+def _lift(f: Model, rule: Transform, belief: Gaussian, epoch: Epoch) -> _Lifted:
+    root = belief.form.root(belief.spread)
+
+    def g(points: Array) -> Outputs:
+        return images("f", f, points, epoch, (), points.shape[-1]), KEEP
+
+    (y, x), _ = rule.transform(g, belief.mean, root, EUCLIDEAN, (EUCLIDEAN, EUCLIDEAN))
+    return _Lifted(y, x, root, rule, belief, g)
+
+
+def _linear(f: Model, H: Array, rule: Transform, process: Any, increments: Any, hooks: Sequence[Hook]) -> Callable[..., Any]:
+    """Condition with a measurement matrix: ``A = [[D_z, H Q^1/2, R^1/2], [D_y, Q^1/2, 0]]``."""
+
+    def conditioned(state: Colored, Phi: Array, z: Array, epoch: Epoch) -> tuple[Gaussian, Info, Any]:
+        belief = state.belief
+        W, Z = evaluate(process, belief.mean, epoch), evaluate(increments, belief.mean, epoch)
+        lifted = _lift(f, rule, belief, epoch)
+        measured = lifted.rows(H, -Phi @ H)
+        A = block([[measured.columns, H @ W, Z], [lifted.y.columns, W, 0]])
+
+        def slopes() -> tuple[Array, ...]:
+            F = lifted.slope()
+            return H @ F - Phi @ H, F
+
+        after, info, memory = condition(
+            belief, lifted.y, A, rule.sign, z - measured.center - measured.shift,
+            noise=(W.shape[-1], Z.shape[-1]), slopes=slopes, hooks=hooks, memory=state.memory, epoch=epoch,
+        )  # fmt: skip
+        return after, info._replace(failure=lifted.failure(after, z)), memory
+
+    return conditioned
+
+
+def _through_points(f: Model, h: Model, rule: Transform, process: Array, increments: Any, hooks: Sequence[Hook]) -> Callable[..., Any]:
+    """Condition with a measurement function: the process noise goes through the points."""
+
+    def conditioned(state: Colored, Phi: Array, z: Array, epoch: Epoch) -> tuple[Gaussian, Info, Any]:
+        belief = state.belief
+        root = belief.form.root(belief.spread)
+        Z = evaluate(increments, belief.mean, epoch)
+        m, s = Z.shape[-2:]
+
+        def g(points: Array, w: Array) -> Outputs:
+            y = images("f", f, points, epoch, (), points.shape[-1]) + w
+            now = images("h", h, y, epoch, (), m)
+            before = images("h", h, points, epoch, (), m)
+            return now - matvec(Phi, before), y
+
+        (measured, y), A = rule.transform(g, belief.mean, root, EUCLIDEAN, (EUCLIDEAN, EUCLIDEAN), (process,), s)
+        A[..., :m, A.shape[-1] - s :] = Z
+        A[..., m:, A.shape[-1] - s :] = 0.0
+
+        def slopes() -> tuple[Array, ...]:
+            return rule.slope(measured, root), rule.slope(y, root)
+
+        after, info, memory = condition(
+            belief, y, A, rule.sign, z - measured.center - measured.shift,
+            noise=(0, s), slopes=slopes, hooks=hooks, memory=state.memory, epoch=epoch,
+        )  # fmt: skip
+        return after, info._replace(failure=explain(belief, after, ("h", "f"), rule, g, EUCLIDEAN, (process,), z)), memory
+
+    return conditioned
+
+
+def decorrelated(
+    f: Model,
+    H: ArrayLike,
+    rule: Transform,
+    Phi: Coloring,
+    *,
+    Q: Any = None,
+    R: Any = None,
+    sqrt_Q: Any = None,
+    sqrt_R: Any = None,
+    Sigma0: ArrayLike | None = None,
+    hooks: Sequence[Hook] = (),
+) -> Filter:
+    """The filter of [Sun2015] with its errata corrected: update the past state, then predict with ``J``, ``Q*`` and ``R*``.
+
+    ``x* = f(x) + J (z* - h(x))`` and ``h(x) = H f(x) - Phi H x`` [Sun2015, Eqs. 8, 14]. The state after an epoch holds both
+    estimates: ``belief`` of the present state, ``lagged`` of the previous one, each given all measurements so far.
+    Parameters as in `colored`; ``H`` is a matrix.
+    """
+    process = noise_columns(Q, sqrt_Q, "Q")
+    increments = noise_columns(R, sqrt_R, "R")
+    if process is None or increments is None:
+        raise ValueError("decorrelated: expected process noise (Q or sqrt_Q) and increments (R or sqrt_R)")
+    matrix = finite("H", H)
+    m = matrix.shape[-2]
+    phi = coloring(Phi, m)
+    first = _first(matrix, rule, Sigma0)
+    constant = None if callable(process) or callable(increments) else decorrelation(matrix, process, increments)
+
+    def system(mean: Array, epoch: Epoch, used: Array) -> Decorrelation:
+        """The decorrelated system; a row that was not measured has no part in ``J`` (its noise is its own)."""
+        if used.all() and constant is not None:
+            return constant
+        W, Z = evaluate(process, mean, epoch), evaluate(increments, mean, epoch)
+        if used.all():
+            return decorrelation(matrix, W, Z)
+        unit = used[..., None] * 1.0
+        return decorrelation(matrix * unit, W, np.concatenate([Z * unit, np.eye(m) * (1.0 - unit)], -1))
+
+    def past(belief: Gaussian, Phi: Array, z: Array, epoch: Epoch, memory: Any) -> tuple[Gaussian, Info, Any]:
+        lifted = _lift(f, rule, belief, epoch)
+        h = lifted.rows(matrix, -Phi @ matrix)
+        noise = system(belief.mean, epoch, np.ones(m, bool)).sqrt_R
+        A = block([[h.columns, noise], [lifted.x.columns, 0]])
+
+        def slopes() -> tuple[Array, ...]:
+            return (matrix @ lifted.slope() - Phi @ matrix,)
+
+        lagged, info, kept = condition(
+            belief, lifted.x, A, rule.sign, z - h.center - h.shift,
+            noise=(0, m), slopes=slopes, hooks=hooks, memory=memory, epoch=epoch,
+        )  # fmt: skip
+        return lagged, info._replace(failure=lifted.failure(lagged, z)), kept
+
+    def forward(lagged: Gaussian, Phi: Array, z: Array, epoch: Epoch, used: Array) -> tuple[Gaussian, str]:
+        star = system(lagged.mean, epoch, used)
+        lifted = _lift(f, rule, lagged, epoch)
+        JH = star.J @ matrix
+        y = lifted.rows(np.eye(JH.shape[-1]) - JH, star.J @ Phi @ matrix)
+        mean = y.center + y.shift + matvec(star.J, np.where(used, z, 0.0))
+        ahead = Gaussian(mean, lagged.form.marginal(block([[y.columns, star.sqrt_Q]]), rule.sign), lagged.form)
+        return ahead, lifted.failure(ahead, None)
+
+    def step(state: Colored, epoch: Epoch) -> tuple[Colored, Info]:
+        z = _measured(epoch.z, m)
+        if state.z is None:
+            belief, info = first(state.belief, epoch._replace(z=z))
+            return Colored(belief, z, state.lagged, state.memory), info
+        Phi_k = phi(epoch)
+        z_star = difference(Phi_k, state.z, z)
+        lagged, info, memory = past(state.belief, Phi_k, z_star, epoch, state.memory)
+        belief, failure = forward(lagged, Phi_k, z_star, epoch, np.asarray(info.used))
+        return Colored(belief, z, lagged, memory), info._replace(failure=info.failure or failure)
+
+    return Filter(lambda prior: Colored(prior, None, prior), step)
+
+
+def augmented(
+    f: Model,
+    H: ArrayLike,
+    rule: Transform,
+    Phi: Coloring,
+    *,
+    Q: ArrayLike,
+    R: ArrayLike,
+    Sigma0: ArrayLike,
+) -> Filter:
+    """The exact reference: a filter on ``[x; V] (n + m)`` with no measurement noise of its own.
+
+    ``rule`` has dimension n + m. The state's belief is that of ``[x; V]``; start it from a prior of ``x`` alone. Its
+    covariance is singular after each measurement. A missing sample costs nothing but itself.
+    """
+    matrix = finite("H", H)
+    m, n = matrix.shape[-2:]
+    phi = coloring(Phi, m)
+    process, increments, first = (noise_columns(c, None, name) for c, name in ((Q, "Q"), (R, "R"), (Sigma0, "Sigma0")))
+
+    def move(x: Array, epoch: Any) -> Array:
+        return np.concatenate([images("f", f, x[..., :n], epoch, (), n), matvec(phi(epoch), x[..., n:])], -1)
+
+    both = sequential(
+        predict(move, rule, sqrt_Q=block([[process, 0], [0, increments]])),
+        update(np.concatenate([matrix, np.eye(m)], -1), rule),
+    )
+
+    def start(prior: Gaussian) -> State:
+        batch = prior.mean.shape[:-1]
+        mean = np.concatenate([prior.mean, np.zeros((*batch, m))], -1)
+        noise = np.broadcast_to(np.asarray(first), (*batch, m, m))
+        spread = noise if prior.form.name == "square root" else noise @ noise.mT
+        state: State = both.start(Gaussian(mean, block([[prior.spread, 0], [0, spread]]), prior.form))
+        return state
+
+    return Filter(start, both.step)

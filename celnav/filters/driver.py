@@ -1,0 +1,229 @@
+"""The one driver: epochs in, a stream of states or a `Track` out.
+
+A filter is two functions, ``start(prior) -> state`` and ``step(state, epoch) -> (state, info)``. The state is any record with
+a ``belief``; all memory of the filter lives in it, so states can be kept, copied and resumed. `sequential` makes a filter
+of a predict part and update parts; `steps` streams any filter over epochs; `run` collects.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from celnav.filters.step import Info, Predict, Update
+from celnav.filters.track import Collector, Track
+from celnav.gaussian import Gaussian, finite
+from celnav.linalg import Array
+
+
+class Epoch(NamedTuple):
+    """What is known about the interval ``(t - dt, t]`` and the sample at its end.
+
+    ``z`` is one measurement ``(..., m)`` or a tuple of them, one for each sensor; nan or None where there is none. ``u`` is
+    the input that acts over the interval, ``truth`` whatever a simulation wants to hand on.
+    """
+
+    k: int = 0
+    t: Any = 0.0
+    dt: Any = 0.0
+    u: Any = None
+    z: Any = None
+    truth: Any = None
+
+
+class State(NamedTuple):
+    """State of a plain filter: the belief and one memory for each update."""
+
+    belief: Gaussian
+    memory: tuple[Any, ...] = ()
+
+
+class Filter(NamedTuple):
+    """``start(prior) -> state``; ``step(state, epoch) -> (state, info)``. ``state.belief`` is the estimate."""
+
+    start: Callable[[Gaussian], Any]
+    step: Callable[[Any, Epoch], tuple[Any, Any]]
+
+
+class FilterError(ArithmeticError):
+    """A run lost definiteness or met numbers that are not finite; the message says which run, when and why."""
+
+
+def sequential(predict: Predict, *updates: Update) -> Filter:
+    """A filter that predicts over the interval, then takes each update with its own part of ``epoch.z``.
+
+    An epoch with ``dt == 0`` does not predict: the first one is an update of the prior. Each sensor has its own measurement
+    (``z`` is a tuple when there are several), so sensors of different rates need nothing but nan where they are silent.
+    """
+
+    def step(state: State, epoch: Epoch) -> tuple[State, Any]:
+        belief, memory = state.belief, list(state.memory)
+        predicted = Info()
+        if np.any(epoch.dt):
+            belief, predicted = predict(belief, epoch)
+        z = epoch.z if isinstance(epoch.z, tuple) else (epoch.z,)
+        if len(z) != len(updates) and epoch.z is not None:
+            raise ValueError(f"z: expected {len(updates)} measurements, got {len(z)}")
+        infos = []
+        for i, (update, measured) in enumerate(zip(updates, z, strict=False)):
+            if measured is None or _nothing(measured):
+                infos.append(_skipped(belief, measured))
+                continue
+            belief, info, memory[i] = update(belief, measured, epoch, memory[i])
+            infos.append(info)
+        infos = [i._replace(slopes=predicted.slopes + i.slopes[1:]) for i in infos] or [predicted]
+        if predicted.failure or predicted.redone is not None:
+            infos[0] = infos[0]._replace(failure=predicted.failure or infos[0].failure, redone=predicted.redone)
+        return State(belief, tuple(memory)), infos[0] if len(infos) == 1 else tuple(infos)
+
+    return Filter(lambda prior: State(prior, (None,) * len(updates)), step)
+
+
+def _nothing(z: Any) -> bool:
+    missing = np.isnan(z)
+    return bool(missing.any() and missing.all())
+
+
+def _skipped(belief: Gaussian, z: Any) -> Info:
+    """The record of a measurement that is wholly missing."""
+    if z is None:
+        return Info()
+    shape = np.broadcast_shapes(np.shape(z), (*belief.mean.shape[:-1], 1))
+    return Info(np.full(shape, np.nan), np.zeros(shape), np.zeros(shape, bool))
+
+
+class Epochs(Sequence[Epoch]):
+    """Epochs made from arrays, one at a time; nothing is copied. See `epochs`."""
+
+    def __init__(self, times: Array, z: Any, u: Any, truth: Any):
+        self._times, self._z, self._u, self._truth = times, z, u, truth
+
+    def __len__(self) -> int:
+        return len(self._times)
+
+    def __getitem__(self, k: Any) -> Any:
+        if isinstance(k, slice):
+            return [self[i] for i in range(*k.indices(len(self)))]
+        k = range(len(self))[k]
+        t = self._times
+        dt = t[k] - t[k - 1] if k else t[k] * 0.0
+        return Epoch(k, t[k], dt, _at(self._u, k - 1) if k else None, _at(self._z, k), _at(self._truth, k))
+
+
+def _at(values: Any, k: int) -> Any:
+    if values is None:
+        return None
+    return tuple(_at(v, k) for v in values) if isinstance(values, tuple) else values[k]
+
+
+def epochs(times: ArrayLike, z: Any = None, u: Any = None, truth: Any = None) -> Epochs:
+    """Epochs at ``times (T,)``, which may be irregular.
+
+    Parameters
+    ----------
+    times: s, not decreasing. The first epoch has ``dt = 0``: it updates the prior.
+    z: measurements ``(T, ..., m)``, time-major, nan where missing; a tuple of such arrays for several sensors.
+    u: inputs; ``u[k]`` acts from ``times[k]`` to ``times[k + 1]``. A tuple is taken apart.
+    truth: anything indexed by the epoch.
+
+    Raises
+    ------
+    ValueError: if times are not finite or run back, if ``z`` is not numeric, infinite, or of another length.
+    """
+    t = finite("times", times)
+    if t.ndim != 1 or len(t) == 0:
+        raise ValueError(f"times: expected shape (T,) with T > 0, got {t.shape}")
+    if (np.diff(t) < 0.0).any():
+        k = int(np.argmax(np.diff(t) < 0.0)) + 1
+        raise ValueError(f"times: expected them not to decrease, got {t[k]} after {t[k - 1]} at index {k}")
+    if z is not None:
+        z = tuple(_checked(v, len(t)) for v in z) if isinstance(z, tuple) else _checked(z, len(t))
+    for name, values, least in (("u", u, len(t) - 1), ("truth", truth, len(t))):
+        for part in values if isinstance(values, tuple) else (values,):
+            if part is not None and len(part) < least:
+                raise ValueError(f"{name}: expected at least {least} rows for {len(t)} times, got {len(part)}")
+    return Epochs(t, z, u, truth)
+
+
+def _checked(z: ArrayLike, length: int) -> Array:
+    try:
+        measured = np.asarray(z, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError("z: expected numbers (nan where missing), got something else") from None
+    if measured.ndim < 2 or len(measured) != length:
+        raise ValueError(f"z: expected shape ({length}, ..., m) to go with the times, got {measured.shape}")
+    if np.isinf(measured).any():
+        k = int(np.argwhere(np.isinf(measured))[0, 0])
+        raise ValueError(f"z: expected finite numbers or nan, got an infinite one at index {k}")
+    return measured
+
+
+def steps(filter: Filter, prior: Gaussian, epochs: Iterable[Epoch]) -> Iterator[tuple[Epoch, Any, Any]]:
+    """Stream a filter over epochs: yields ``(epoch, state, info)``. Nothing is stored.
+
+    Raises
+    ------
+    ValueError: if an interval is negative or not finite. An exception of the model carries the step as a note.
+    """
+    state = filter.start(prior)
+    for epoch in epochs:
+        if not np.all(np.asarray(epoch.dt) >= 0.0) or not np.all(np.isfinite(epoch.dt)):
+            raise ValueError(f"dt: expected a non-negative number, got {epoch.dt!r} at step {epoch.k}")
+        try:
+            state, info = filter.step(state, epoch)
+        except Exception as error:
+            error.add_note(f"in step {epoch.k}, t = {epoch.t}")
+            raise
+        yield epoch, state, info
+
+
+def run(
+    filter: Filter,
+    prior: Gaussian,
+    epochs: Iterable[Epoch],
+    *,
+    every: int = 1,
+    keep: str = "std",
+    also: Callable[[Epoch, Any, Any], dict[str, Any]] | None = None,
+    reduce: Callable[[Any, Epoch, Any, Any], Any] | None = None,
+    on_failure: str = "raise",
+) -> Track:
+    """Run a filter over epochs and collect a `Track`.
+
+    Parameters
+    ----------
+    filter, prior, epochs: any filter, a `Gaussian` of any batch shape, any iterable of `Epoch`.
+    every: store each ``every``-th epoch (sums, likelihood and reduction take all of them).
+    keep: what to store: "std" (mean and standard deviations), "spread" (also roots or covariances, for smoothing), "mean",
+        or "nothing" (sums and the reduction only).
+    also: ``(epoch, state, info) -> dict`` of further arrays to store, as ``Track.extra``.
+    reduce: ``(accumulated, epoch, state, info) -> accumulated``, from None; the end is ``Track.reduced``. With it a study
+        of any length runs in the memory of one step.
+    on_failure: "raise" a `FilterError` for the first run that is lost, or "flag" it: it becomes nan from there
+        (``Track.failed_at``), the other runs go on.
+
+    Raises
+    ------
+    ValueError: for a bad option, measurement or time. FilterError: see ``on_failure``.
+    """
+    if int(every) != every or every < 1:
+        raise ValueError(f"every: expected a positive integer, got {every!r}")
+    if keep not in ("std", "spread", "mean", "nothing"):
+        raise ValueError(f"keep: expected 'std', 'spread', 'mean' or 'nothing', got {keep!r}")
+    if on_failure not in ("raise", "flag"):
+        raise ValueError(f"on_failure: expected 'raise' or 'flag', got {on_failure!r}")
+    collector = Collector(int(every), keep, prior.form)
+    reduced = None
+    for epoch, state, info in steps(filter, prior, epochs):
+        infos = info if isinstance(info, tuple) and not isinstance(info, Info) else (info,)
+        lost = collector.add(epoch, state, infos, {} if also is None else also(epoch, state, info))
+        if lost is not None and on_failure == "raise":
+            why = next((i.failure for i in infos if i.failure), "the state is not finite")
+            where = f", run {tuple(int(i) for i in lost)}" if lost else ""
+            raise FilterError(f"step {epoch.k}, t = {epoch.t}{where}: {why} (on_failure='flag' lets the other runs go on)")
+        if reduce is not None:
+            reduced = reduce(reduced, epoch, state, info)
+    return collector.track(reduced)

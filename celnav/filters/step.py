@@ -1,0 +1,361 @@
+"""The one conditioning step, and the parts that every filter is made of: predict and update.
+
+Push a belief through a function, write the deviation columns down, set the noise columns beside them, condition on the first
+m rows::
+
+    A = [ D_z  N_z ]   m rows       predict: m = 0, g = f          update:   g = (h, identity)
+        [ D_x  N_x ]   n rows       fused:   g = (h(f), f)         smoother: g = (f, identity), data = next state
+
+Functions of a model take points ``(p, ..., N)`` (the point axis leads, so inputs per run broadcast by themselves) and the
+`Epoch` at hand; noise that goes through the points follows as further arguments.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from celnav.gaussian import Gaussian, finite, sqrt_cov
+from celnav.linalg import Array, matvec, solve_lower, solve_upper_transposed, tria
+from celnav.points import KEEP, Image, Outputs, Taylor, Transform
+from celnav.spaces import EUCLIDEAN, Space
+
+Model = Callable[..., Any]
+"""``(points (p, ..., N), epoch, *noise points) -> (p, ..., M)``."""
+Noise = Array | Callable[[Array, Any], Array] | None
+"""Columns ``(..., n, r)`` of a noise, constant or ``(mean, epoch) -> columns``; None: no noise."""
+
+
+class Joint(NamedTuple):
+    """The joint of a measurement (first m rows) and a state (other n rows): what a hook sees and may replace.
+
+    Attributes
+    ----------
+    innovation: ``(..., m)``; set a component to nan to leave it out.
+    columns: ``(..., m + n, q)`` from the prior; ``sign (q,)`` is -1 where a weight is negative.
+    process, sensor: ``(..., m + n, r)`` and ``(..., m + n, s)``, additive noise of the dynamics and of the measurement.
+    slopes: ``() -> tuple`` of statistical Jacobians, ``dz/dx`` first.
+    """
+
+    innovation: Array
+    columns: Array
+    sign: Array
+    process: Array
+    sensor: Array
+    slopes: Callable[[], tuple[Array, ...]]
+
+
+Hook = Callable[[Any, Joint, Any], tuple[Any, Joint]]
+"""``(memory, joint, epoch) -> (memory, joint)``; the memory is None at the start."""
+Gain = Array | Callable[[Array, Array, int], Array]
+"""A prescribed gain ``(..., n, m)``, or a function of the pre-array ``A``, its ``sign`` and ``m`` that gives it."""
+
+
+class Info(NamedTuple):
+    """What one predict or update did.
+
+    Attributes
+    ----------
+    innovation: ``(..., m)`` measurement minus its prediction, before hooks; nan where nothing was measured.
+    white: ``(..., m)`` ``S^-1 innovation`` with the lower root S of the innovation covariance; 0 where not used.
+    used: ``(..., m)`` bool, the components that took part.
+    innovation_root: ``(..., m, m)`` S, with unit rows for components not used.
+    gain: ``() -> (..., n, m)``.
+    slopes: functions ``() -> tuple`` of statistical Jacobians, of the prediction and of the update.
+    failure: why a run of this step is no longer finite; empty if none newly failed.
+    redone: ``(...)`` bool, the runs that `fallback` did again; None if there was none.
+    """
+
+    innovation: Array | None = None
+    white: Array | None = None
+    used: Array | None = None
+    innovation_root: Array | None = None
+    gain: Callable[[], Array] | None = None
+    slopes: tuple[Callable[[], tuple[Array, ...]] | None, ...] = ()
+    failure: str = ""
+    redone: Array | None = None
+
+    @property
+    def nis(self) -> Array | None:
+        """Normalized innovation squared, ``(...)``: chi-square with ``used.sum(-1)`` degrees of freedom."""
+        return None if self.white is None else np.einsum("...i,...i->...", self.white, self.white)
+
+    @property
+    def log_likelihood(self) -> Array | None:
+        """Logarithm of the density of the components used, ``(...)``."""
+        if self.white is None or self.used is None:
+            return None
+        dof = self.used.sum(-1)
+        value: Array = -0.5 * (self.nis + dof * _LOG_2PI)
+        if self.innovation_root is not None:
+            value = value - np.log(self.innovation_root.diagonal(0, -2, -1)).sum(-1)
+        return value
+
+
+_LOG_2PI = float(np.log(2.0 * np.pi))
+
+Predict = Callable[[Gaussian, Any], tuple[Gaussian, Info]]
+Update = Callable[..., tuple[Gaussian, Info, Any]]
+
+
+def noise_columns(cov: Any, sqrt: Any, name: str) -> Noise:
+    """Noise columns from a covariance (checked) or from a root; either may be a function ``(mean, epoch)``."""
+    if cov is not None and sqrt is not None:
+        raise ValueError(f"{name}: expected one of {name} and sqrt_{name}, got both")
+    if sqrt is not None:
+        if callable(sqrt):
+            return sqrt
+        columns = finite(f"sqrt_{name}", sqrt)
+        if columns.ndim < 2:
+            raise ValueError(f"sqrt_{name}: expected columns of shape (..., n, r), got {columns.shape}")
+        return columns
+    if cov is None:
+        return None
+    if callable(cov):
+        return lambda mean, epoch: sqrt_cov(cov(mean, epoch), name)
+    return sqrt_cov(cov, name)
+
+
+def evaluate(noise: Any, mean: Array, epoch: Any) -> Any:
+    """A constant as it is, a function evaluated."""
+    return noise(mean, epoch) if callable(noise) else noise
+
+
+def images(name: str, function: Model, points: Array, epoch: Any, noise: Sequence[Array], dimension: int | None = None) -> Array:
+    """Values of a model function at the points, as floats of the shape they must have.
+
+    The function gets a copy of the points: what it does to its argument stays its own affair.
+    """
+    y = np.asarray(function(points.copy(), epoch, *noise), dtype=np.float64)
+    if y.ndim != points.ndim or y.shape[:-1] != points.shape[:-1] or (dimension is not None and y.shape[-1] != dimension):
+        last = "m" if dimension is None else dimension
+        expected = "(" + ", ".join(str(s) for s in (*points.shape[:-1], last)) + ")"
+        raise ValueError(f"{name} returned shape {y.shape}, expected {expected}")
+    return y
+
+
+def condition(
+    belief: Gaussian,
+    state: Image,
+    A: Array,
+    sign: Array,
+    innovation: Array,
+    *,
+    noise: tuple[int, int] = (0, 0),
+    space: Space = EUCLIDEAN,
+    slopes: Callable[[], tuple[Array, ...]] = tuple,
+    hooks: Sequence[Hook] = (),
+    memory: Any = None,
+    gain: Gain | None = None,
+    epoch: Any = None,
+) -> tuple[Gaussian, Info, Any]:
+    """Condition a state on an innovation, given the pre-array of both.
+
+    Parameters
+    ----------
+    belief: gives the form.
+    state: image of the state; its rows are the last n of ``A``.
+    A: pre-array ``(..., m + n, q + r + s)``: columns of the prior, of the process noise and of the measurement noise.
+    sign: ``(q,)``.
+    innovation: ``(..., m)``, nan where not measured: those rows are marginalized exactly, in each run by itself.
+    noise: ``(r, s)``.
+    """
+    m = innovation.shape[-1]
+    measured = innovation
+    kept = memory
+    if hooks:
+        r, s = noise
+        q = A.shape[-1] - r - s
+        joint = Joint(innovation, A[..., :q], sign, A[..., q : q + r], A[..., q + r :], slopes)
+        memories = []
+        for hook, own in zip(hooks, (None,) * len(hooks) if memory is None else memory, strict=True):
+            own, joint = hook(own, joint, epoch)
+            memories.append(own)
+        kept, innovation, sign = tuple(memories), joint.innovation, joint.sign
+        A = np.concatenate([joint.columns, joint.process, joint.sensor], -1)
+    used = innovation == innovation
+    if not used.all():
+        A, innovation = _left_out(A, innovation, used)
+    K = gain(A, sign, m) if callable(gain) else gain  # after the mask: a prescribed gain must see what is missing
+    S, U, spread = belief.form.condition(A, sign, m, K)
+    white = solve_lower(S, innovation[..., None])[..., 0]
+    step = state.shift + (matvec(U, white) if K is None else matvec(K, innovation))
+    if space.transport is not None:
+        spread = _transported(belief, space.transport(step), spread)
+    posterior = Gaussian(space.plus(state.center, step), spread, belief.form)
+
+    def optimal() -> Array:
+        return solve_upper_transposed(S, U.mT).mT if K is None else K
+
+    return posterior, Info(measured, white, used, S, optimal, (None, slopes)), kept
+
+
+def _left_out(A: Array, innovation: Array, used: Array) -> tuple[Array, Array]:
+    """Rows that were not measured: no columns from the prior, a unit noise of their own and a zero innovation."""
+    m, rows = used.shape[-1], A.shape[-2]
+    batch = np.broadcast_shapes(A.shape[:-2], used.shape[:-1])
+    keep = np.ones((*batch, rows, 1))
+    keep[..., :m, 0] = used
+    unit = np.zeros((*batch, rows, m))
+    unit[..., np.arange(m), np.arange(m)] = ~used
+    return np.concatenate([A * keep, unit], -1), np.where(used, innovation, 0.0)
+
+
+def _transported(belief: Gaussian, matrix: Array, spread: Array) -> Array:
+    if belief.form.name == "covariance":
+        return matrix @ spread @ matrix.mT
+    return tria(matrix @ spread)
+
+
+def predict(
+    f: Model,
+    rule: Transform,
+    Q: Any = None,
+    *,
+    sqrt_Q: Any = None,
+    extra: Sequence[Array] = (),
+    space: Space = EUCLIDEAN,
+) -> Predict:
+    """The part that moves a belief through the dynamics ``x' = f(x, epoch) + w``, ``w ~ N(0, Q)``.
+
+    Parameters
+    ----------
+    f: model function; see `Model`.
+    rule: any `Transform`, of dimension n plus that of ``extra``.
+    Q, sqrt_Q: process noise as a covariance ``(..., n, n)`` or as columns ``(..., n, r)`` (one of them, or neither).
+    extra: roots ``(k, k)`` of noises that go *through* the points (augmentation): ``f(x, epoch, *noise)``.
+    space: the state's space.
+
+    Returns
+    -------
+    ``(belief, epoch) -> (belief, info)``.
+    """
+    columns = noise_columns(Q, sqrt_Q, "Q")
+
+    def part(belief: Gaussian, epoch: Any = None) -> tuple[Gaussian, Info]:
+        noise = evaluate(columns, belief.mean, epoch)
+        r = 0 if noise is None else noise.shape[-1]
+        root = belief.form.root(belief.spread)
+
+        def g(points: Array, *w: Array) -> Outputs:
+            return (images("f", f, points, epoch, w, belief.mean.shape[-1]),)
+
+        (state,), A = rule.transform(g, belief.mean, root, space, (space,), extra, r)
+        if r:
+            _set_noise("Q", A, noise, A.shape[-1] - r, 0)
+        predicted = Gaussian(space.plus(state.center, state.shift), belief.form.marginal(A, rule.sign), belief.form)
+        failure = explain(belief, predicted, ("f",), rule, g, space, extra)
+        return predicted, Info(slopes=(lambda: (rule.slope(state, root),),), failure=failure)
+
+    return part
+
+
+def update(
+    h: Model | ArrayLike,
+    rule: Transform,
+    R: Any = None,
+    *,
+    sqrt_R: Any = None,
+    extra: Sequence[Array] = (),
+    space: Space = EUCLIDEAN,
+    measurement_space: Space = EUCLIDEAN,
+    hooks: Sequence[Hook] = (),
+    gain: Gain | None = None,
+) -> Update:
+    """The part that conditions a belief on a measurement ``z = h(x, epoch) + v``, ``v ~ N(0, R)``.
+
+    Parameters
+    ----------
+    h: model function, or a matrix ``(..., m, n)``: a linear measurement is exact and cheap under any rule.
+    rule: any `Transform`, of dimension n plus that of ``extra``.
+    R, sqrt_R: measurement noise as a covariance ``(..., m, m)`` or as columns ``(..., m, s)`` (one of them, or neither).
+    extra: roots of noises that go through the points: ``h(x, epoch, *noise)``.
+    space, measurement_space: the spaces of state and measurement.
+    hooks: each sees the joint and may replace it; see `Hook`.
+    gain: a prescribed gain instead of the optimal one; see `Gain`.
+
+    Returns
+    -------
+    ``(belief, z, epoch=None, memory=None) -> (belief, info, memory)``. ``z (..., m)``: nan components are left out.
+    """
+    columns = noise_columns(R, sqrt_R, "R")
+    through: Transform = rule
+    if callable(h):
+        model: Model = h
+    else:
+        H = finite("h", h)
+        if H.ndim < 2:
+            raise ValueError(f"h: expected a function or a matrix (..., m, n), got shape {H.shape}")
+        through = Taylor(lambda mean: (H, np.eye(H.shape[-1])))
+
+        def model(x: Array, epoch: Any) -> Array:
+            return matvec(H, x)
+
+    def part(belief: Gaussian, z: Any, epoch: Any = None, memory: Any = None) -> tuple[Gaussian, Info, Any]:
+        z = np.asarray(z, dtype=np.float64)
+        noise = evaluate(columns, belief.mean, epoch)
+        s = 0 if noise is None else noise.shape[-1]
+        root = belief.form.root(belief.spread)
+        M = z.shape[-1] if z.ndim else 0
+
+        def g(points: Array, *v: Array) -> Outputs:
+            return images("h", model, points, epoch, v, M), KEEP
+
+        (measured, state), A = through.transform(g, belief.mean, root, space, (measurement_space, space), extra, s)
+        m = measured.columns.shape[-2]
+        if s:
+            _set_noise("R", A[..., :m, :], noise, A.shape[-1] - s, 0)
+            A[..., m:, A.shape[-1] - s :] = 0.0
+        innovation = measurement_space.minus(z, measured.center) - measured.shift
+
+        def slopes() -> tuple[Array, ...]:
+            return (through.slope(measured, root),)
+
+        posterior, info, kept = condition(
+            belief, state, A, through.sign, innovation,
+            noise=(0, s), space=space, slopes=slopes, hooks=hooks, memory=memory, gain=gain, epoch=epoch,
+        )  # fmt: skip
+        failure = explain(belief, posterior, ("h",), through, g, space, extra, z)
+        return posterior, info._replace(failure=failure) if failure else info, kept
+
+    return part
+
+
+def _set_noise(name: str, A: Array, noise: Array, left: int, top: int) -> None:
+    """Write noise columns into a pre-array; the error names the noise, not the array."""
+    rows = A.shape[-2] - top
+    if noise.shape[-2] != rows:
+        raise ValueError(f"{name}: expected {rows} rows to go with the model, got {noise.shape[-2]}")
+    A[..., top:, left : left + noise.shape[-1]] = noise
+
+
+def explain(
+    before: Gaussian,
+    after: Gaussian,
+    names: Sequence[str],
+    rule: Transform,
+    g: Callable[..., Outputs],
+    space: Space,
+    extra: Sequence[Array] = (),
+    z: Array | None = None,
+) -> str:
+    """Why a run that was finite before a step is not so after it; empty if there is none."""
+    if np.isfinite(after.mean).all() and np.isfinite(after.spread).all():
+        return ""
+    was = np.isfinite(before.mean).all(-1) & np.isfinite(before.spread).all((-2, -1))
+    lost = was & ~(np.isfinite(after.mean).all(-1) & np.isfinite(after.spread).all((-2, -1)))
+    if not lost.any():
+        return ""
+    if z is not None and np.isinf(z).any():
+        return "z is infinite"
+    points = rule.points(before.mean, before.form.root(before.spread), space, extra)
+    for name, y in zip(names, g(*points), strict=False):
+        if y is KEEP:
+            continue
+        bad = ~np.isfinite(y).all(-1) & lost
+        if bad.any():
+            return f"{name} is not finite at sigma point {int(np.argwhere(bad)[0, 0])}"
+    return "the covariance lost positive definiteness" if z is None else "the innovation covariance is not positive definite"

@@ -1,0 +1,217 @@
+"""What a run leaves behind: the `Track`, and the collector that fills it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from celnav.gaussian import Form, Gaussian
+from celnav.linalg import Array
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True)
+class Track:
+    """The record of a run, time-major: ``(T, ..., n)`` with the batch axes of the prior between time and component.
+
+    Attributes
+    ----------
+    times: ``(T,)`` s, the epochs stored.
+    mean: ``(T, ..., N)``; ``std``: ``(T, ..., n)``; ``spread``: ``(T, ..., n, n)``. None where the policy did not keep them.
+    innovation, white: ``(T, ..., m)`` innovations (nan where not measured) and whitened ones (0 where not used), of all
+        sensors side by side.
+    used: ``(T, ..., m)`` bool, the components that took part.
+    log_likelihood: ``(...)`` of all measurements of all epochs, also those not stored.
+    events: counts ``(...)`` over all epochs: "missing" and "rejected" components, "redone" steps.
+    failed_at: ``(...)`` index of the first epoch at which a run is not finite, -1 for none.
+    form: the form of ``spread``.
+    extra: what ``run(also=...)`` gave. ``reduced``: what ``run(reduce=...)`` ended with.
+    """
+
+    times: Array
+    mean: Array | None
+    std: Array | None
+    spread: Array | None
+    innovation: Array | None
+    white: Array | None
+    used: Array | None
+    log_likelihood: Array
+    events: dict[str, Array]
+    failed_at: Array
+    form: Form
+    extra: dict[str, Array] = field(default_factory=dict)
+    reduced: Any = None
+
+    @property
+    def nis(self) -> Array:
+        """Normalized innovation squared ``(T, ...)``, chi-square with `dof` degrees of freedom."""
+        if self.white is None:
+            raise ValueError("nis: this track stored no innovations")
+        return np.einsum("...i,...i->...", self.white, self.white)
+
+    @property
+    def dof(self) -> Array:
+        """Number of measured components used, ``(T, ...)``."""
+        if self.used is None:
+            raise ValueError("dof: this track stored no innovations")
+        dof: Array = self.used.sum(-1)
+        return dof
+
+    @property
+    def root(self) -> Array:
+        """Lower roots ``(T, ..., n, n)``; needs ``run(keep="spread")``."""
+        if self.spread is None:
+            raise ValueError("root: this track stored no spreads; run with keep='spread'")
+        return self.form.root(self.spread)
+
+    @property
+    def cov(self) -> Array:
+        """Covariances ``(T, ..., n, n)``; needs ``run(keep="spread")``."""
+        if self.spread is None:
+            raise ValueError("cov: this track stored no spreads; run with keep='spread'")
+        return self.form.covariance(self.spread)
+
+    def beliefs(self) -> list[Gaussian]:
+        """The belief at each stored epoch; needs ``run(keep="spread")``."""
+        if self.mean is None or self.spread is None:
+            raise ValueError("beliefs: this track stored no spreads; run with keep='spread'")
+        return [Gaussian(m, s, self.form) for m, s in zip(self.mean, self.spread, strict=True)]
+
+    def to_dataframe(self, names: list[str] | None = None) -> pd.DataFrame:
+        """One row per stored epoch and run: time, run, means, standard deviations, NIS. Needs pandas.
+
+        ``names``: of the state's components; default ``x0, x1, ...``. Several batch axes are counted as one.
+        """
+        import pandas as pd
+
+        return pd.DataFrame(self._columns(names))
+
+    def to_csv(self, path: str | Path, names: list[str] | None = None) -> None:
+        """Write what `to_dataframe` would hold, with 17 significant digits, without needing pandas."""
+        from celnav.files import write_text
+
+        columns = self._columns(names)
+        lines = [",".join(columns)]
+        lines += [",".join(f"{v:.17g}" for v in row) for row in zip(*columns.values(), strict=True)]
+        write_text(Path(path), "\n".join(lines) + "\n")
+
+    def _columns(self, names: list[str] | None) -> dict[str, Array]:
+        if self.mean is None:
+            raise ValueError("to_dataframe: this track stored no means")
+        T, N = len(self.times), self.mean.shape[-1]
+        runs = int(np.prod(self.mean.shape[1:-1]))
+        if names is None:
+            names = [f"x{i}" for i in range(N)]
+        if len(names) != N:
+            raise ValueError(f"names: expected {N}, got {len(names)}")
+        columns = {"t": np.repeat(self.times, runs), "run": np.tile(np.arange(runs), T)}
+        columns |= dict(zip(names, self.mean.reshape(T * runs, N).T, strict=True))
+        if self.std is not None:
+            std = self.std.reshape(T * runs, -1)
+            labels = names if std.shape[-1] == N else [f"d{i}" for i in range(std.shape[-1])]
+            columns |= {f"std_{label}": column for label, column in zip(labels, std.T, strict=True)}
+        if self.white is not None:
+            columns["nis"] = self.nis.ravel()
+        return columns
+
+
+class Collector:
+    """Gathers the rows of a `Track` by a storage policy; sums go over every epoch."""
+
+    def __init__(self, every: int, keep: str, form: Form):
+        self._every, self._keep, self._form = every, keep, form
+        self._rows: dict[str, list[Any]] = {}
+        self._extra: dict[str, list[Any]] = {}
+        self._times: list[Any] = []
+        self._count = 0
+        self._failed_at: Array | None = None
+        self._lost = False
+        self._sums: dict[str, Any] = {"log_likelihood": 0.0, "missing": 0, "rejected": 0, "redone": 0}
+
+    def add(self, epoch: Any, state: Any, infos: tuple[Any, ...], extra: dict[str, Any]) -> tuple[int, ...] | None:
+        """Take one step in. Returns the index of the first run that it newly lost, or None."""
+        belief: Gaussian = state.belief
+        for info in infos:
+            self._sum(info)
+        if self._count % self._every == 0:
+            self._times.append(epoch.t)
+            self._store(belief, infos)
+            for name, value in extra.items():
+                self._extra.setdefault(name, []).append(value)
+        self._count += 1
+        return self._watch(epoch.k, belief.mean)
+
+    def _sum(self, info: Any) -> None:
+        likelihood = info.log_likelihood
+        if likelihood is not None:
+            self._sums["log_likelihood"] = self._sums["log_likelihood"] + likelihood
+            if not info.used.all():
+                missing = np.isnan(info.innovation)
+                self._sums["missing"] = self._sums["missing"] + missing.sum(-1)
+                self._sums["rejected"] = self._sums["rejected"] + (~info.used & ~missing).sum(-1)
+        if info.redone is not None:
+            self._sums["redone"] = self._sums["redone"] + info.redone
+
+    def _store(self, belief: Gaussian, infos: tuple[Any, ...]) -> None:
+        if self._keep == "nothing":
+            return
+        row: dict[str, Any] = {"mean": belief.mean}
+        if self._keep != "mean":
+            row["std"] = belief.std
+        if self._keep == "spread":
+            row["spread"] = belief.spread
+        for name in ("innovation", "white", "used"):
+            parts = [getattr(info, name) for info in infos]
+            row[name] = None if any(p is None for p in parts) else parts[0] if len(parts) == 1 else np.concatenate(parts, -1)
+        for name, value in row.items():
+            self._rows.setdefault(name, []).append(value)
+
+    def _watch(self, k: int, mean: Array) -> tuple[int, ...] | None:
+        bad = ~np.isfinite(mean).all(-1)
+        if self._failed_at is None or self._failed_at.shape != bad.shape:
+            before = -1 if self._failed_at is None else self._failed_at
+            self._failed_at = np.broadcast_to(before, bad.shape).copy()
+        if not bad.any():
+            return None
+        new = bad & (self._failed_at < 0)
+        self._failed_at[new] = k
+        return tuple(np.argwhere(new)[0]) if new.any() else None
+
+    def track(self, reduced: Any) -> Track:
+        """Everything gathered, stacked over time."""
+        if self._failed_at is None:
+            raise ValueError("epochs: expected at least one, got none")
+        batch = self._failed_at.shape
+        stored = {name: _stack(name, self._rows.pop(name), batch) for name in list(self._rows)}
+        events = {name: np.broadcast_to(self._sums[name], batch) for name in ("missing", "rejected", "redone")}
+        return Track(
+            times=np.array(self._times),
+            **{name: stored.get(name) for name in ("mean", "std", "spread", "innovation", "white", "used")},  # type: ignore[arg-type]
+            log_likelihood=np.broadcast_to(self._sums["log_likelihood"], batch),
+            events=events,
+            failed_at=self._failed_at,
+            form=self._form,
+            extra={name: np.stack(rows) for name, rows in self._extra.items()},
+            reduced=reduced,
+        )
+
+
+_BLANK = {"innovation": np.nan, "white": 0.0, "used": False}
+
+
+def _stack(name: str, rows: list[Any], batch: tuple[int, ...]) -> Array | None:
+    """Stack rows over time, broadcast to the batch of the last; a step that had nothing to store leaves a blank."""
+    known = next((row for row in rows if row is not None), None)
+    if known is None:
+        return None
+    tail_rank = 2 if name == "spread" else 1
+    out = np.empty((len(rows), *batch, *known.shape[-tail_rank:]), known.dtype)
+    for k, row in enumerate(rows):
+        out[k] = _BLANK[name] if row is None else row
+        rows[k] = None  # one copy at a time, not two of everything
+    return out

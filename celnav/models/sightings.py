@@ -1,0 +1,136 @@
+"""Celestial sightings: angles between the Earth's center and stars, and the Earth's angular diameter. Units: km, rad.
+
+Three angles ``(A1, A2, A3)`` fix a position up to the side of the plane of the two stars [Sun2015, Eqs. 39-42, corrected]::
+
+    A1, A2: between the satellite's position vector and the stars     A3 = 2 arcsin(R_e / r): the Earth's diameter
+
+The stars lie in the equatorial plane, the first along x, the second ``separation`` away, so the side is the hemisphere.
+"""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from celnav.gaussian import finite
+from celnav.linalg import Array
+from celnav.models.orbit import EARTH, UnitWarning
+
+
+def star_directions(separation: float) -> Array:
+    """Unit vectors ``(2, 3)`` of the two stars, ``separation`` rad apart.
+
+    Raises
+    ------
+    ValueError: if they are parallel, ``sin(separation) = 0``.
+    """
+    theta = float(finite("separation", separation, ()))
+    if abs(np.sin(theta)) < 1e-6:
+        raise ValueError(f"separation: expected two directions, got parallel stars at {separation!r} rad")
+    if abs(theta) > 2.0 * np.pi:
+        warnings.warn(f"separation: {theta:.6g} rad is more than a full turn; angles are in radians", UnitWarning, stacklevel=2)
+    return np.array([[1.0, 0.0, 0.0], [np.cos(theta), np.sin(theta), 0.0]])
+
+
+def unit_vectors(stars: ArrayLike) -> Array:
+    """Star directions ``(k, 3)`` made unit vectors; warns (`UnitWarning`) if they were not, raises ValueError for zero."""
+    directions = finite("stars", stars)
+    if directions.ndim != 2 or directions.shape[-1] != 3:
+        raise ValueError(f"stars: expected shape (k, 3), got {directions.shape}")
+    norms = np.linalg.norm(directions, axis=-1, keepdims=True)
+    if (norms == 0.0).any():
+        raise ValueError("stars: expected directions, got a zero vector")
+    if (np.abs(norms - 1.0) > 1e-6).any():
+        warnings.warn(f"stars: normalized; a length was {norms.ravel()[np.abs(norms - 1).argmax()]:.6g}", UnitWarning, stacklevel=2)
+    return directions / norms
+
+
+def angles(position: Array, stars: Array, radius_km: float = EARTH.radius_km) -> Array:
+    """Angles ``(..., k + 1)`` of positions ``(..., 3)``: to each star ``(k, 3)`` of unit length, then the Earth's diameter.
+
+    nan inside the Earth, where there is nothing to see.
+    """
+    r = np.sqrt(np.einsum("...i,...i->...", position, position))[..., None]
+    u = position / r
+    cosines = np.clip(u @ stars.T, -1.0, 1.0)
+    ratio = radius_km / r
+    diameter = 2.0 * np.arcsin(np.where(ratio <= 1.0, ratio, np.nan))
+    return np.concatenate([np.arccos(cosines), diameter], -1)
+
+
+def visible(position: Array, stars: Array, radius_km: float = EARTH.radius_km) -> Array:
+    """Which stars ``(..., k)`` the Earth does not hide from positions ``(..., 3)``; True where in view."""
+    A = angles(position, stars, radius_km)
+    # Seen from the satellite the Earth's center lies opposite to the position vector.
+    return np.asarray(np.pi - A[..., :-1] > 0.5 * A[..., -1:])
+
+
+def observe(position: Array, stars: Array, radius_km: float = EARTH.radius_km) -> Array:
+    """`angles`, with nan for each star that the Earth hides: a filter skips those components by itself."""
+    A = angles(position, stars, radius_km)
+    A[..., :-1] = np.where(visible(position, stars, radius_km), A[..., :-1], np.nan)
+    return A
+
+
+def position(
+    A: ArrayLike, separation: float, hemisphere: ArrayLike = 1.0, *, radius_km: float = EARTH.radius_km, strict: bool = True
+) -> Array:
+    """Pseudo-position ``(..., 3)`` from three angles ``(..., 3)`` [Sun2015, Eqs. 41-42, corrected].
+
+    Parameters
+    ----------
+    A: angles, see `angles`. nan components give nan.
+    separation: between the stars, rad.
+    hemisphere: +1 or -1, the sign of z ``(...)``: the angles cannot tell.
+    strict: raise where noise has left no real position; otherwise nan stands there.
+
+    Raises
+    ------
+    ValueError: for parallel stars, ``A3`` outside (0, pi), a hemisphere of another value, and, if ``strict``, angles that
+        no position has.
+    """
+    measured = np.asarray(A, dtype=np.float64)
+    if measured.ndim == 0 or measured.shape[-1] != 3:
+        raise ValueError(f"A: expected shape (..., 3), got {measured.shape}")
+    star_directions(separation)
+    side = finite("hemisphere", hemisphere)
+    if (np.abs(side) != 1.0).any():
+        raise ValueError("hemisphere: expected +1 or -1")
+    diameter = measured[..., 2]
+    if ((diameter <= 0.0) | (diameter >= np.pi)).any():
+        raise ValueError(f"A: expected an angular diameter between 0 and pi, got {diameter.min():.6g} to {diameter.max():.6g}")
+    c1, c2 = np.cos(measured[..., 0]), np.cos(measured[..., 1])
+    uy = (c2 - c1 * np.cos(separation)) / np.sin(separation)
+    square = 1.0 - c1 * c1 - uy * uy
+    impossible = square < 0.0
+    if strict and impossible.any():
+        raise ValueError(f"A: {np.count_nonzero(impossible)} sets of angles belong to no position (z^2 < 0); strict=False gives nan")
+    uz = side * np.sqrt(np.where(impossible, np.nan, square))
+    r = radius_km / np.sin(0.5 * diameter)
+    return np.stack([r * c1, r * uy, r * uz], -1)
+
+
+def jacobian(A: Array, separation: float, hemisphere: ArrayLike = 1.0, radius_km: float = EARTH.radius_km) -> Array:
+    """Jacobian ``(..., 3, 3)`` of `position` with respect to the angles, km/rad."""
+    u = position(A, separation, hemisphere, radius_km=radius_km)
+    r = np.linalg.norm(u, axis=-1)
+    u = u / r[..., None]
+    A1, A2, A3 = np.moveaxis(A, -1, 0)
+    zero = np.zeros_like(r)
+
+    def column(dux: Array, duy: Array) -> Array:
+        return r[..., None] * np.stack([dux, duy, -(u[..., 0] * dux + u[..., 1] * duy) / u[..., 2]], -1)
+
+    first = column(-np.sin(A1), np.sin(A1) / np.tan(separation))
+    second = column(zero, -np.sin(A2) / np.sin(separation))
+    third = -0.5 * (r / np.tan(0.5 * A3))[..., None] * u
+    return np.stack([first, second, third], -1)
+
+
+def pseudo_position_covariance(position_km: Array, separation: float, sigma: ArrayLike) -> Array:
+    """Covariance ``(..., 3, 3)`` km^2 of the pseudo-position for angle deviations ``sigma (3,)`` rad."""
+    G = jacobian(angles(position_km, star_directions(separation)), separation, np.sign(position_km[..., 2]))
+    half = G * np.asarray(sigma)
+    return half @ half.mT

@@ -1,0 +1,412 @@
+"""Rules: how a function of a Gaussian becomes a mean and columns.
+
+A *rule is data*: nodes and weights for a unit Gaussian. `unscented`, `simplex`, `cubature` and `gauss_hermite` make rules,
+`from_filterpy` turns filterpy's sigma-point classes into rules, and a `Rule` answers filterpy's own interface, so that it
+works as ``points=`` of ``filterpy.kalman.UnscentedKalmanFilter``. `Taylor`, the extended Kalman filter's linearization,
+follows the same protocol (`Transform`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import combinations, product
+from typing import Any, Final, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from celnav.gaussian import finite
+from celnav.linalg import Array, semidefinite_root
+from celnav.spaces import Space
+
+MAX_POINTS = 1_000_000
+
+
+class _Keep:
+    def __repr__(self) -> str:
+        return "KEEP"
+
+
+KEEP: Final = _Keep()
+"""Stands for "the state itself" among the outputs of a function: its columns are then exact, on any space."""
+
+Outputs = tuple[Any, ...]
+
+
+class Image(NamedTuple):
+    """One output of a transformed belief: the image of the center, the shift of the mean from there, and columns."""
+
+    center: Array
+    shift: Array | float
+    columns: Array
+
+
+class Transform(Protocol):
+    """What a filter asks of a rule.
+
+    ``transform`` pushes ``N(mean, root @ root.mT)`` through ``g``, which maps points ``(p, ..., N)`` and one array
+    ``(p, ..., k)`` of noise points for each root in ``extra`` to a tuple of outputs, one for each of ``spaces``. It returns
+    an `Image` of each output and the pre-array ``(..., sum of dimensions, q + room)`` that holds their columns above each
+    other; the last ``room`` columns are for the caller. ``sign`` belongs to the first q columns. ``slope`` is the
+    statistical Jacobian ``(..., k, n)`` of an image.
+    """
+
+    sign: Array
+
+    def transform(
+        self,
+        g: Callable[..., Outputs],
+        mean: Array,
+        root: Array,
+        space: Space,
+        spaces: Sequence[Space],
+        extra: Sequence[Array] = (),
+        room: int = 0,
+    ) -> tuple[list[Image], Array]: ...
+
+    def points(self, mean: Array, root: Array, space: Space, extra: Sequence[Array] = ()) -> list[Array]: ...
+
+    def slope(self, image: Image, root: Array) -> Array: ...
+
+
+# numpy transposes with a tuple are several times cheaper than moveaxis; keyed by the number of axes.
+_POINTS_FIRST = {d: (1, *range(2, d), 0) for d in range(2, 10)}  # (k, p, ...) -> (p, ..., k)
+_POINTS_LAST = {d: (*range(1, d), 0) for d in range(2, 10)}  # (p, ..., k) -> (..., k, p)
+_RUNS_FIRST = {d: (*range(2, d), 0, 1) for d in range(2, 10)}  # (k, p, ...) -> (..., k, p)
+
+
+class Rule:
+    """Nodes and weights for expectations under ``N(0, I)``.
+
+    Parameters
+    ----------
+    nodes: ``(p, n)``; node 0 is the center (its weights may be 0).
+    wm: ``(p,)`` weights of the mean; they sum to 1.
+    wc: ``(p,)`` weights of the covariance (None: ``wm``); ``sum wc nodes nodes' = I``. They may be negative.
+
+    Raises
+    ------
+    ValueError: if a shape is wrong, a number not finite, or the moments above do not hold.
+    """
+
+    def __init__(self, nodes: ArrayLike, wm: ArrayLike, wc: ArrayLike | None = None):
+        self.nodes = finite("nodes", nodes)
+        if self.nodes.ndim != 2 or 0 in self.nodes.shape:
+            raise ValueError(f"nodes: expected shape (p, n), got {self.nodes.shape}")
+        p, self.n = self.nodes.shape
+        self.wm = finite("wm", wm, (p,))
+        self.wc = self.wm if wc is None else finite("wc", wc, (p,))
+        if self.nodes[0].any():
+            raise ValueError(f"nodes: expected the center first, got {self.nodes[0]}")
+        if not np.isclose(self.wm.sum(), 1.0, rtol=0.0, atol=1e-9):
+            raise ValueError(f"wm: expected a sum of 1, got {self.wm.sum()!r}")
+        second = self.nodes.T @ (self.wc[:, None] * self.nodes)
+        if not np.allclose(second, np.eye(self.n), rtol=0.0, atol=1e-6):
+            raise ValueError("wc: expected sum wc nodes nodes' = I")
+        for array in (self.nodes, self.wm, self.wc):
+            array.flags.writeable = False
+        # Means and columns are taken relative to the image of the center, so its mean weight never plays a part.
+        used = (self.wm != 0.0) | (self.wc != 0.0)
+        used[0] = self.wc[0] != 0.0
+        self._used: Any = slice(None) if used.all() else slice(1, None) if used[1:].all() else np.flatnonzero(used)
+        self._wm, self._scale = self.wm[used], np.sqrt(np.abs(self.wc[used]))
+        self._transposed = np.ascontiguousarray(self.nodes.T)
+        self.sign = np.where(self.wc[used] < 0.0, -1.0, 1.0)
+        self.unit = self.nodes[used] * self._scale[:, None]  # (q, n): the columns of the unit Gaussian itself
+
+    def __repr__(self) -> str:
+        return f"Rule(n={self.n}, points={self.num_sigmas()}, negative weights={int((self.wc < 0).sum())})"
+
+    # -- filterpy's interface ------------------------------------------------------------------------------------------
+    @property
+    def _filterpy(self) -> slice:
+        return slice(1, None) if self.wm[0] == self.wc[0] == 0.0 else slice(None)
+
+    @property
+    def Wm(self) -> Array:
+        """Mean weights of the points that `sigma_points` gives."""
+        return self.wm[self._filterpy]
+
+    @property
+    def Wc(self) -> Array:
+        """Covariance weights of the points that `sigma_points` gives."""
+        return self.wc[self._filterpy]
+
+    def num_sigmas(self) -> int:
+        """Number of points, without a center of weight 0."""
+        return len(self.wm[self._filterpy])
+
+    def sigma_points(self, x: ArrayLike, P: ArrayLike) -> Array:
+        """Points ``(num_sigmas, n)`` of ``N(x, P)``; ``P`` may be a scalar, as in filterpy."""
+        mean = np.atleast_1d(finite("x", x)).ravel()
+        if len(mean) != self.n:
+            raise ValueError(f"x: expected {self.n} components, got {len(mean)}")
+        cov = finite("P", P)
+        root = semidefinite_root(cov * np.eye(self.n) if cov.ndim == 0 else np.atleast_2d(cov))
+        if not np.isfinite(root).all():
+            raise ValueError("P: expected a positive semidefinite covariance")
+        return mean + self.nodes[self._filterpy] @ root.T
+
+    # -- the protocol of the filters -----------------------------------------------------------------------------------
+    def points(self, mean: Array, root: Array, space: Space, extra: Sequence[Array] = ()) -> list[Array]:
+        """State points ``(p, ..., N)`` and noise points ``(p, ..., k)``, one array for each root in ``extra``."""
+        batch = mean.shape[:-1]
+        for E in (root, *extra):
+            if E.ndim > 2 and E.shape[:-2] != batch:
+                batch = np.broadcast_shapes(batch, E.shape[:-2])
+        channels = root.shape[-1] + sum(E.shape[-1] for E in extra)
+        if channels != self.n:
+            raise ValueError(f"rule: expected {channels} dimensions (state and noise through the points), got {self.n}")
+        spread, first = [], 0
+        for E in (root, *extra):
+            last = first + E.shape[-1]
+            # Component-first in memory, so that models may unpack contiguous components; points first to the eye.
+            D = np.empty((E.shape[-2], len(self.wm), *batch))
+            np.copyto(D.transpose(_RUNS_FIRST[D.ndim]), E @ self._transposed[first:last])
+            spread.append(D.transpose(_POINTS_FIRST[D.ndim]))
+            first = last
+        return [space.plus(mean, spread[0]), *spread[1:]]
+
+    def transform(
+        self,
+        g: Callable[..., Outputs],
+        mean: Array,
+        root: Array,
+        space: Space,
+        spaces: Sequence[Space],
+        extra: Sequence[Array] = (),
+        room: int = 0,
+    ) -> tuple[list[Image], Array]:
+        """See `Transform`."""
+        X = self.points(mean, root, space, extra)
+        outputs = g(*X)
+        centers: list[Array] = []
+        differences: list[Array | None] = []
+        dimensions: list[int] = []
+        for y, sp in zip(outputs, spaces, strict=True):
+            if y is KEEP:
+                centers.append(mean)
+                differences.append(None)
+                dimensions.append(root.shape[-1])
+            else:
+                center = y[0] if sp.mean is None else sp.mean(y, self.wm)
+                d = sp.minus(y, center)
+                centers.append(center)
+                differences.append(d)
+                dimensions.append(d.shape[-1])
+        q = len(self._scale)
+        A = np.empty((*X[0].shape[1:-1], sum(dimensions), q + room))
+        images, top = [], 0
+        for center, d, k, sp in zip(centers, differences, dimensions, spaces, strict=True):
+            columns = A[..., top : top + k, :q]
+            shift: Array | float = 0.0
+            if d is None:
+                np.matmul(root, self.unit[:, :k].T, out=columns)
+            else:
+                D = np.empty((*d.shape[1:], q))
+                np.copyto(D, d[self._used].transpose(_POINTS_LAST[d.ndim]))
+                if sp.mean is None:
+                    shift = D @ self._wm
+                    D -= shift[..., None]
+                np.multiply(D, self._scale, out=columns)
+            images.append(Image(center, shift, columns))
+            top += k
+        return images, A
+
+    def slope(self, image: Image, root: Array) -> Array:
+        """Statistical Jacobian ``cov(y, x) P^-1`` of an image, ``(..., k, n)``."""
+        cross = (image.columns * self.sign) @ self.unit[:, : root.shape[-1]]
+        slope: Array = np.linalg.solve(root.mT, cross.mT).mT
+        return slope
+
+
+class Taylor:
+    """First-order expansion about the mean: with it every filter here is an extended Kalman filter.
+
+    Parameters
+    ----------
+    jacobians: ``mean (..., N) -> tuple`` of Jacobians ``(..., k, n)``, one for each output of the function. None: central
+        differences along the columns of the root.
+    step: length of the difference, in standard deviations.
+    """
+
+    def __init__(self, jacobians: Callable[[Array], tuple[Array, ...]] | None = None, step: float = 1e-3):
+        if not (np.isfinite(step) and step > 0.0):
+            raise ValueError(f"step: expected a positive number, got {step!r}")
+        self.jacobians = jacobians
+        self.step = float(step)
+        self.sign = np.ones(1)
+
+    def __repr__(self) -> str:
+        return f"Taylor({'differences' if self.jacobians is None else 'Jacobians'})"
+
+    def points(self, mean: Array, root: Array, space: Space, extra: Sequence[Array] = ()) -> list[Array]:
+        """The mean alone, or the mean and its neighbors; noise points vary in their own directions only."""
+        roots = [root, *extra]
+        total = sum(E.shape[-1] for E in roots)
+        directions = np.zeros((1, total))
+        if self.jacobians is None:
+            directions = self.step * np.vstack([directions, np.eye(total), -np.eye(total)])
+        batch = np.broadcast_shapes(mean.shape[:-1], *(E.shape[:-2] for E in roots))
+        spread, first = [], 0
+        for E in roots:
+            D = E @ directions[:, first : first + E.shape[-1]].T
+            D = np.broadcast_to(D, (*batch, *D.shape[-2:]))
+            spread.append(np.moveaxis(D, -1, 0))
+            first += E.shape[-1]
+        return [space.plus(mean, spread[0]), *spread[1:]]
+
+    def transform(
+        self,
+        g: Callable[..., Outputs],
+        mean: Array,
+        root: Array,
+        space: Space,
+        spaces: Sequence[Space],
+        extra: Sequence[Array] = (),
+        room: int = 0,
+    ) -> tuple[list[Image], Array]:
+        """See `Transform`. Jacobians cover the state, then each of the noises in ``extra``."""
+        X = self.points(mean, root, space, extra)
+        outputs = g(*X)
+        batch = X[0].shape[1:-1]
+        roots = [root, *extra]
+        total = sum(E.shape[-1] for E in roots)
+        given = None if self.jacobians is None else self.jacobians(mean)
+        if given is not None and len(given) != len(outputs):
+            raise ValueError(f"jacobians: expected {len(outputs)} matrices, got {len(given)}")
+        images = []
+        for i, (y, sp) in enumerate(zip(outputs, spaces, strict=True)):
+            center = mean if y is KEEP else y[0]
+            if y is KEEP:
+                blocks = [root, *(np.zeros((root.shape[-2], E.shape[-1])) for E in extra)]
+                columns = np.concatenate([np.broadcast_to(b, (*batch, *b.shape[-2:])) for b in blocks], -1)
+            elif given is not None:
+                J, first, parts = given[i], 0, []
+                for E in roots:
+                    parts.append(J[..., first : first + E.shape[-2]] @ E)
+                    first += E.shape[-2]
+                columns = np.concatenate([np.broadcast_to(b, (*batch, *b.shape[-2:])) for b in parts], -1)
+            else:
+                d = sp.minus(y, center)
+                columns = np.moveaxis(d[1 : total + 1] - d[total + 1 :], 0, -1) / (2.0 * self.step)
+            images.append(Image(center, 0.0, columns))
+        A = np.empty((*batch, sum(im.columns.shape[-2] for im in images), total + room))
+        top = 0
+        for i, im in enumerate(images):
+            k = im.columns.shape[-2]
+            A[..., top : top + k, :total] = im.columns
+            images[i] = im._replace(columns=A[..., top : top + k, :total])
+            top += k
+        return images, A
+
+    def slope(self, image: Image, root: Array) -> Array:
+        """Jacobian of an image, ``(..., k, n)``."""
+        slope: Array = np.linalg.solve(root.mT, image.columns[..., : root.shape[-1]].mT).mT
+        return slope
+
+
+def _dimension(n: int) -> int:
+    if isinstance(n, bool) or int(n) != n or n < 1:
+        raise ValueError(f"n: expected a positive integer, got {n!r}")
+    return int(n)
+
+
+def _axes(n: int, radius: float) -> Array:
+    """The center and two points on each axis, ``(2n + 1, n)``, in filterpy's order."""
+    return radius * np.vstack([np.zeros(n), np.eye(n), -np.eye(n)])
+
+
+def unscented(n: int, alpha: float = 1.0, beta: float = 0.0, kappa: float = 0.0) -> Rule:
+    """Scaled unscented rule of ``2n + 1`` points [van der Merwe 2004]; the defaults have no negative weight.
+
+    Raises
+    ------
+    ValueError: for ``n < 1``, ``alpha <= 0``, ``n + kappa <= 0`` or a number that is not finite.
+    """
+    n = _dimension(n)
+    if not (np.isfinite(alpha) and alpha > 0.0):
+        raise ValueError(f"alpha: expected a positive number, got {alpha!r}")
+    if not np.isfinite(beta):
+        raise ValueError(f"beta: expected a finite number, got {beta!r}")
+    if not (np.isfinite(kappa) and n + kappa > 0.0):
+        raise ValueError(f"kappa: expected n + kappa > 0, got {kappa!r} with n = {n}")
+    c = alpha**2 * (n + kappa)
+    wm = np.full(2 * n + 1, 0.5 / c)
+    wm[0] = 1.0 - n / c
+    wc = wm.copy()
+    wc[0] += 1.0 - alpha**2 + beta
+    return Rule(_axes(n, float(np.sqrt(c))), wm, wc)
+
+
+def simplex(n: int) -> Rule:
+    """Spherical simplex: ``n + 1`` points of equal weight [Moireau & Chapelle 2011], by filterpy."""
+    from filterpy.kalman import SimplexSigmaPoints
+
+    return from_filterpy(SimplexSigmaPoints(_dimension(n)))
+
+
+def cubature(n: int, degree: int = 3) -> Rule:
+    """Spherical-radial cubature rule: degree 3 with ``2n`` points, degree 5 with ``2n^2 + 1`` [Jia, Xin & Cheng 2013].
+
+    The degree-5 rule has ``2n`` negative weights for ``n > 4``.
+
+    Raises
+    ------
+    ValueError: for ``n < 1`` or another degree.
+    """
+    n = _dimension(n)
+    if degree == 3:
+        return Rule(_axes(n, float(np.sqrt(n))), np.r_[0.0, np.full(2 * n, 0.5 / n)])
+    if degree != 5:
+        raise ValueError(f"degree: expected 3 or 5, got {degree!r}")
+    pairs = np.zeros((2 * n * (n - 1), n))
+    signs = product(combinations(range(n), 2), product((1.0, -1.0), repeat=2))
+    for row, ((i, j), (s, t)) in zip(pairs, signs, strict=True):
+        row[i], row[j] = s, t
+    nodes = np.vstack([_axes(n, float(np.sqrt(n + 2))), np.sqrt((n + 2) / 2) * pairs])
+    weights = np.full(len(nodes), 1.0 / (n + 2) ** 2)
+    weights[0] = 2.0 / (n + 2)
+    weights[1 : 2 * n + 1] = (4.0 - n) / (2.0 * (n + 2) ** 2)
+    return Rule(nodes, weights)
+
+
+def gauss_hermite(n: int, order: int = 3) -> Rule:
+    """Tensor product of Gauss-Hermite rules of ``order`` points, ``order ** n`` in all (odd orders have a center).
+
+    Raises
+    ------
+    ValueError: for ``n < 1``, ``order < 2`` or more than `MAX_POINTS` points, before anything is allocated.
+    """
+    n = _dimension(n)
+    if int(order) != order or not 2 <= order <= 100:
+        raise ValueError(f"order: expected an integer between 2 and 100, got {order!r}")
+    if order**n > MAX_POINTS:
+        raise ValueError(f"order: {order}**{n} = {order**n} points exceed the limit of {MAX_POINTS}")
+    x, w = np.polynomial.hermite_e.hermegauss(int(order))
+    x[np.abs(x) < 1e-12] = 0.0
+    nodes = np.stack(np.meshgrid(*[x] * n, indexing="ij"), -1).reshape(-1, n)
+    weights = np.prod(np.stack(np.meshgrid(*[w / w.sum()] * n, indexing="ij"), -1).reshape(-1, n), -1)
+    return _centered(nodes, weights, weights)
+
+
+def from_filterpy(points: Any) -> Rule:
+    """Rule of a filterpy sigma-point object (Merwe, Julier, Simplex, or any of that interface).
+
+    Raises
+    ------
+    ValueError: if its weights do not have the moments that a `Rule` needs.
+    """
+    nodes = points.sigma_points(np.zeros(points.n), np.eye(points.n))
+    return _centered(nodes, np.ravel(points.Wm), np.ravel(points.Wc))
+
+
+def _centered(nodes: Array, wm: Array, wc: Array) -> Rule:
+    """Rule with its center first: moved there, or added with weight 0."""
+    nearest = int(np.argmin(np.abs(nodes).sum(-1)))
+    if np.abs(nodes[nearest]).max() > 1e-12:
+        return Rule(np.vstack([np.zeros(nodes.shape[-1]), nodes]), np.r_[0.0, wm], np.r_[0.0, wc])
+    order = np.r_[nearest, np.delete(np.arange(len(wm)), nearest)]
+    nodes = nodes[order]
+    nodes[0] = 0.0
+    return Rule(nodes, wm[order], wc[order])

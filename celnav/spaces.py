@@ -1,0 +1,90 @@
+"""State and measurement spaces: what a sum, a difference and a mean are.
+
+A filter does its algebra on differences (tangent vectors of dimension ``n``); a space says how they relate to points
+(arrays whose last axis has length ``N``, which need not equal ``n``). Vectors need nothing; angles wrap; attitudes retract.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from celnav.linalg import Array
+
+
+def _add(point: Array, tangent: Array) -> Array:
+    return np.add(tangent, point)  # this order keeps the memory layout of the tangents, the larger operand
+
+
+class Space(NamedTuple):
+    """How points and differences relate. Every function broadcasts over leading axes.
+
+    Attributes
+    ----------
+    plus: ``(point (..., N), tangent (..., n)) -> point``.
+    minus: ``(b, a) -> tangent`` at ``a`` that leads to ``b``: ``plus(a, minus(b, a)) == b``.
+    transport: optional ``tangent -> (..., n, n)``, the matrix that carries deviations at a point to the point moved by
+        ``tangent``. None: the identity.
+    mean: optional ``(points (p, ..., N), weights (p,)) -> point``. None: the mean of the differences to the first point,
+        which neither cancels digits nor notices where an angle wraps.
+    """
+
+    plus: Callable[[Array, Array], Array] = _add
+    minus: Callable[[Array, Array], Array] = np.subtract
+    transport: Callable[[Array], Array] | None = None
+    mean: Callable[[Array, Array], Array] | None = None
+
+
+EUCLIDEAN = Space()
+
+
+def wrap(angle: Any) -> Any:
+    """Angle in radians, wrapped to ``[-pi, pi)``."""
+    return (np.asarray(angle) + np.pi) % (2.0 * np.pi) - np.pi
+
+
+def angles(components: Iterable[int] | None = None) -> Space:
+    """Vectors of which some ``components`` (None: all) are angles in radians, wrapped to ``[-pi, pi)``."""
+    wrapped: Any = slice(None) if components is None else list(components)
+
+    def wrapping(vector: Array) -> Array:
+        vector[..., wrapped] = wrap(vector[..., wrapped])
+        return vector
+
+    return Space(lambda point, tangent: wrapping(np.add(tangent, point)), lambda b, a: wrapping(np.subtract(b, a)))
+
+
+def product(*factors: tuple[Space, int, int]) -> Space:
+    """Product of spaces, each given as ``(space, N, n)``: the lengths of its points and of its tangents."""
+    points = np.cumsum([0, *(N for _, N, _ in factors)])
+    tangents = np.cumsum([0, *(n for _, _, n in factors)])
+    parts = [
+        (space, slice(points[i], points[i + 1]), slice(tangents[i], tangents[i + 1])) for i, (space, _, _) in enumerate(factors)
+    ]
+    for space, _, _ in factors:
+        if space.mean is not None:
+            raise ValueError("factors: a space with its own mean cannot be part of a product")
+
+    def plus(point: Array, tangent: Array) -> Array:
+        return _join([space.plus(point[..., at], tangent[..., by]) for space, at, by in parts])
+
+    def minus(b: Array, a: Array) -> Array:
+        return _join([space.minus(b[..., at], a[..., at]) for space, at, _ in parts])
+
+    def transport(tangent: Array) -> Array:
+        n = tangents[-1]
+        matrix = np.zeros((*tangent.shape[:-1], n, n))
+        for space, _, by in parts:
+            width = by.stop - by.start
+            matrix[..., by, by] = np.eye(width) if space.transport is None else space.transport(tangent[..., by])
+        return matrix
+
+    curved = any(space.transport is not None for space, _, _ in factors)
+    return Space(plus, minus, transport if curved else None)
+
+
+def _join(arrays: list[Array]) -> Array:
+    batch = np.broadcast_shapes(*(a.shape[:-1] for a in arrays))
+    return np.concatenate([np.broadcast_to(a, (*batch, a.shape[-1])) for a in arrays], -1)
