@@ -9,6 +9,7 @@ triangular with a non-negative diagonal, ``P = L @ L.mT``; "columns" means any `
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -33,9 +34,15 @@ def tria(A: Array) -> Array:
     n, q = A.shape[-2:]
     if q < n:
         A = np.concatenate([A, np.zeros((*A.shape[:-1], n - q))], -1)
-    L: Array = np.linalg.qr(A.mT, mode="r").mT
+    # "raw" leaves R' in the lower triangle, Householder vectors above it: one product masks them and fixes the signs.
+    L: Array = np.linalg.qr(A.mT, mode="raw")[0][..., :n]
     signs = np.copysign(1.0, L.diagonal(0, -2, -1))
-    return L * signs[..., None, :]
+    return L * (signs[..., None, :] * _lower(n))
+
+
+@cache
+def _lower(n: int) -> Array:
+    return np.tri(n)
 
 
 def solve_lower(L: Array, B: Array) -> Array:

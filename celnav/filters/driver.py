@@ -62,7 +62,7 @@ def sequential(predict: Predict, *updates: Update) -> Filter:
     def step(state: State, epoch: Epoch) -> tuple[State, Any]:
         belief, memory = state.belief, list(state.memory)
         predicted = Info()
-        if np.any(epoch.dt):
+        if epoch.dt if isinstance(epoch.dt, float) else np.any(epoch.dt):
             belief, predicted = predict(belief, epoch)
         z = epoch.z if isinstance(epoch.z, tuple) else (epoch.z,)
         if len(z) != len(updates) and epoch.z is not None:
@@ -83,8 +83,7 @@ def sequential(predict: Predict, *updates: Update) -> Filter:
 
 
 def _nothing(z: Any) -> bool:
-    missing = np.isnan(z)
-    return bool(missing.any() and missing.all())
+    return bool(np.isnan(z).all())
 
 
 def _skipped(belief: Gaussian, z: Any) -> Info:
@@ -170,14 +169,21 @@ def steps(filter: Filter, prior: Gaussian, epochs: Iterable[Epoch]) -> Iterator[
     """
     state = filter.start(prior)
     for epoch in epochs:
-        if not np.all(np.asarray(epoch.dt) >= 0.0) or not np.all(np.isfinite(epoch.dt)):
-            raise ValueError(f"dt: expected a non-negative number, got {epoch.dt!r} at step {epoch.k}")
+        _check_interval(epoch)
         try:
             state, info = filter.step(state, epoch)
         except Exception as error:
             error.add_note(f"in step {epoch.k}, t = {epoch.t}")
             raise
         yield epoch, state, info
+
+
+def _check_interval(epoch: Epoch) -> None:
+    dt = epoch.dt
+    if isinstance(dt, float) and 0.0 <= dt < np.inf:
+        return
+    if not (np.isfinite(dt) & (np.asarray(dt) >= 0.0)).all():
+        raise ValueError(f"dt: expected a non-negative number, got {dt!r} at step {epoch.k}")
 
 
 def run(

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from celnav.gaussian import Gaussian, finite, sqrt_cov
 from celnav.linalg import Array, matvec, solve_lower, solve_upper_transposed, tria
-from celnav.points import KEEP, Image, Outputs, Taylor, Transform
+from celnav.points import KEEP, Image, Outputs, Transform
 from celnav.spaces import EUCLIDEAN, Space
 
 Model = Callable[..., Any]
@@ -245,7 +245,7 @@ def predict(
 
         (state,), A = rule.transform(g, belief.mean, root, space, (space,), extra, r)
         if r:
-            _set_noise("Q", A, noise, A.shape[-1] - r, 0)
+            _set_noise("Q", A, noise)
         predicted = Gaussian(space.plus(state.center, state.shift), belief.form.marginal(A, rule.sign), belief.form)
         failure = explain(belief, predicted, ("f",), rule, g, space, extra)
         return predicted, Info(slopes=(lambda: (rule.slope(state, root),),), failure=failure)
@@ -282,54 +282,80 @@ def update(
     ``(belief, z, epoch=None, memory=None) -> (belief, info, memory)``. ``z (..., m)``: nan components are left out.
     """
     columns = noise_columns(R, sqrt_R, "R")
-    through: Transform = rule
-    if callable(h):
-        model: Model = h
-    else:
-        H = finite("h", h)
-        if H.ndim < 2:
-            raise ValueError(f"h: expected a function or a matrix (..., m, n), got shape {H.shape}")
-        through = Taylor(lambda mean: (H, np.eye(H.shape[-1])))
-
-        def model(x: Array, epoch: Any) -> Array:
-            return matvec(H, x)
+    lift = _through_rule(h, rule, extra, space, measurement_space) if callable(h) else _through_matrix(h)
 
     def part(belief: Gaussian, z: Any, epoch: Any = None, memory: Any = None) -> tuple[Gaussian, Info, Any]:
         z = np.asarray(z, dtype=np.float64)
         noise = evaluate(columns, belief.mean, epoch)
         s = 0 if noise is None else noise.shape[-1]
-        root = belief.form.root(belief.spread)
-        M = z.shape[-1] if z.ndim else 0
-
-        def g(points: Array, *v: Array) -> Outputs:
-            return images("h", model, points, epoch, v, M), KEEP
-
-        (measured, state), A = through.transform(g, belief.mean, root, space, (measurement_space, space), extra, s)
-        m = measured.columns.shape[-2]
+        lifted = lift(belief, z.shape[-1] if z.ndim else 0, epoch, s)
+        A, measured = lifted.A, lifted.measured
         if s:
-            _set_noise("R", A[..., :m, :], noise, A.shape[-1] - s, 0)
+            m = z.shape[-1]
+            _set_noise("R", A[..., :m, :], noise)
             A[..., m:, A.shape[-1] - s :] = 0.0
         innovation = measurement_space.minus(z, measured.center) - measured.shift
-
-        def slopes() -> tuple[Array, ...]:
-            return (through.slope(measured, root),)
-
         posterior, info, kept = condition(
-            belief, state, A, through.sign, innovation,
-            noise=(0, s), space=space, slopes=slopes, hooks=hooks, memory=memory, gain=gain, epoch=epoch,
+            belief, lifted.state, A, lifted.sign, innovation,
+            noise=(0, s), space=space, slopes=lifted.slopes, hooks=hooks, memory=memory, gain=gain, epoch=epoch,
         )  # fmt: skip
-        failure = explain(belief, posterior, ("h",), through, g, space, extra, z)
+        failure = explain(belief, posterior, ("h",), rule, lifted.g, space, extra, z)
         return posterior, info._replace(failure=failure) if failure else info, kept
 
     return part
 
 
-def _set_noise(name: str, A: Array, noise: Array, left: int, top: int) -> None:
-    """Write noise columns into a pre-array; the error names the noise, not the array."""
-    rows = A.shape[-2] - top
-    if noise.shape[-2] != rows:
-        raise ValueError(f"{name}: expected {rows} rows to go with the model, got {noise.shape[-2]}")
-    A[..., top:, left : left + noise.shape[-1]] = noise
+class _Lifted(NamedTuple):
+    """A belief seen through a measurement: both images, the pre-array with room for noise, and how it came about."""
+
+    measured: Image
+    state: Image
+    A: Array
+    sign: Array
+    slopes: Callable[[], tuple[Array, ...]]
+    g: Callable[..., Outputs]
+
+
+def _through_rule(h: Model, rule: Transform, extra: Sequence[Array], space: Space, measurement_space: Space) -> Callable[..., _Lifted]:
+    def lift(belief: Gaussian, m: int, epoch: Any, room: int) -> _Lifted:
+        root = belief.form.root(belief.spread)
+
+        def g(points: Array, *v: Array) -> Outputs:
+            return images("h", h, points, epoch, v, m), KEEP
+
+        (measured, state), A = rule.transform(g, belief.mean, root, space, (measurement_space, space), extra, room)
+        return _Lifted(measured, state, A, rule.sign, lambda: (rule.slope(measured, root),), g)
+
+    return lift
+
+
+def _through_matrix(h: ArrayLike) -> Callable[..., _Lifted]:
+    """A linear measurement needs no points: its columns are exactly ``H @ root``."""
+    H = finite("h", h)
+    if H.ndim < 2:
+        raise ValueError(f"h: expected a function or a matrix (..., m, n), got shape {H.shape}")
+    rows, n = H.shape[-2:]
+    positive = np.ones(n)
+
+    def lift(belief: Gaussian, m: int, epoch: Any, room: int) -> _Lifted:
+        if m != rows or belief.spread.shape[-1] != n:
+            raise ValueError(f"h: expected a matrix ({m}, {belief.spread.shape[-1]}), got ({rows}, {n})")
+        root = belief.form.root(belief.spread)
+        batch = root.shape[:-2] if H.ndim == 2 else np.broadcast_shapes(root.shape[:-2], H.shape[:-2])
+        A = np.empty((*batch, m + n, n + room))
+        np.matmul(H, root, out=A[..., :m, :n])
+        A[..., m:, :n] = root
+        measured = Image(matvec(H, belief.mean), 0.0, A[..., :m, :n])
+        return _Lifted(measured, Image(belief.mean, 0.0, A[..., m:, :n]), A, positive, lambda: (H,), lambda *points: ())
+
+    return lift
+
+
+def _set_noise(name: str, A: Array, noise: Array) -> None:
+    """Write noise into the last columns of a pre-array; an error names the noise, not the array."""
+    if noise.shape[-2] != A.shape[-2]:
+        raise ValueError(f"{name}: expected {A.shape[-2]} rows to go with the model, got {noise.shape[-2]}")
+    A[..., A.shape[-1] - noise.shape[-1] :] = noise
 
 
 def explain(

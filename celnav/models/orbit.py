@@ -33,17 +33,13 @@ EARTH = Earth()
 
 def acceleration(position: Array, earth: Earth = EARTH) -> Array:
     """Gravity of two bodies and J2, km/s^2, for positions with the *component axis first*, ``(3, ...)`` [Sun2015, Eq. 38]."""
-    x, y, z = position
-    r2 = x * x + y * y + z * z
-    inverse = 1.0 / r2
-    k = -earth.mu * inverse * np.sqrt(inverse)
-    c = (earth.j2 * earth.radius_km**2) * inverse
-    s = 7.5 * (z * z) * inverse
-    a = np.empty_like(position)
-    factor = k - k * c * (s - 1.5)
-    np.multiply(position[:2], factor, out=a[:2, ...])
-    np.multiply(z, factor + 3.0 * (k * c), out=a[2, ...])
-    return a
+    squares = position * position
+    inverse = 1.0 / np.add.reduce(squares)
+    k = (-earth.mu * inverse) * np.sqrt(inverse)
+    oblate = ((earth.j2 * earth.radius_km**2) * k) * inverse
+    out = position * (k - oblate * ((7.5 * squares[2]) * inverse - 1.5))
+    out[2] += (3.0 * oblate) * position[2]
+    return out
 
 
 def step(state: Array, dt: float, earth: Earth = EARTH) -> Array:
@@ -51,19 +47,22 @@ def step(state: Array, dt: float, earth: Earth = EARTH) -> Array:
 
     Over 600 steps of 1 s in a low orbit it agrees with an integration to round-off within 5e-8 m.
     """
-    components = np.ascontiguousarray(np.moveaxis(state, -1, 0))
+    # Components first and contiguous: three times faster than slices of the last axis. (moveaxis costs more than it says.)
+    last = state.ndim - 1
+    components = np.ascontiguousarray(state.transpose((last, *range(last))))
     r, v = components[:3], components[3:]
     half = 0.5 * dt
     ahead = r + half * v
     a1 = acceleration(r, earth)
     a2 = acceleration(ahead, earth)
     a3 = acceleration(ahead + (half * half) * a1, earth)
-    a4 = acceleration(r + dt * v + (half * dt) * a2, earth)
+    end = r + dt * v
+    a4 = acceleration(end + (half * dt) * a2, earth)
     out = np.empty_like(components)
     middle = a2 + a3
-    out[:3] = r + dt * v + (dt * dt / 6.0) * (a1 + middle)
-    out[3:] = v + (dt / 6.0) * (a1 + 2.0 * middle + a4)
-    return np.moveaxis(out, 0, -1)
+    np.add(end, (dt * dt / 6.0) * (a1 + middle), out=out[:3])
+    np.add(v, (dt / 6.0) * (a1 + 2.0 * middle + a4), out=out[3:])
+    return out.transpose((*range(1, state.ndim), 0))
 
 
 def check_orbit(state: ArrayLike, name: str = "state", earth: Earth = EARTH) -> Array:
