@@ -178,7 +178,9 @@ def _prior(mean: Array, spread: Array, form: Form) -> Gaussian:
     try:
         batch = np.broadcast_shapes(mean.shape[:-1], spread.shape[:-2])
     except ValueError:
-        raise ValueError(f"mean: batch axes {mean.shape[:-1]} do not go with those of the covariance, {spread.shape[:-2]}") from None
+        raise ValueError(
+            f"mean: batch axes {mean.shape[:-1]} do not go with those of the covariance, {spread.shape[:-2]}"
+        ) from None
     return Gaussian(np.broadcast_to(mean, (*batch, mean.shape[-1])), np.broadcast_to(spread, (*batch, *spread.shape[-2:])), form)
 
 

@@ -222,7 +222,9 @@ def _linear(f: Model, H: Array, rule: Transform, process: Any, increments: Any, 
     return conditioned
 
 
-def _through_points(f: Model, h: Model, rule: Transform, process: Array, increments: Any, hooks: Sequence[Hook]) -> Callable[..., Any]:
+def _through_points(
+    f: Model, h: Model, rule: Transform, process: Array, increments: Any, hooks: Sequence[Hook]
+) -> Callable[..., Any]:
     """Condition with a measurement function: the process noise goes through the points."""
 
     def conditioned(state: Colored, Phi: Array, z: Array, epoch: Epoch) -> tuple[Gaussian, Info, Any]:

@@ -316,7 +316,9 @@ class _Lifted(NamedTuple):
     g: Callable[..., Outputs]
 
 
-def _through_rule(h: Model, rule: Transform, extra: Sequence[Array], space: Space, measurement_space: Space) -> Callable[..., _Lifted]:
+def _through_rule(
+    h: Model, rule: Transform, extra: Sequence[Array], space: Space, measurement_space: Space
+) -> Callable[..., _Lifted]:
     def lift(belief: Gaussian, m: int, epoch: Any, room: int) -> _Lifted:
         root = belief.form.root(belief.spread)
 

@@ -104,9 +104,7 @@ def transition(state: Array, dt: float, earth: Earth = EARTH) -> Array:
     return (y[..., :6, :] - y[..., 6:, :]).mT / (2.0 * h)
 
 
-def from_elements(
-    a: float, e: float, i: float, raan: float, argp: float, true_anomaly: float, earth: Earth = EARTH
-) -> Array:
+def from_elements(a: float, e: float, i: float, raan: float, argp: float, true_anomaly: float, earth: Earth = EARTH) -> Array:
     """State ``(6,)`` from Kepler elements: semi-major axis ``a`` km, eccentricity, and angles in rad.
 
     Raises

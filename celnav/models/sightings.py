@@ -106,7 +106,9 @@ def position(
     square = 1.0 - c1 * c1 - uy * uy
     impossible = square < 0.0
     if strict and impossible.any():
-        raise ValueError(f"A: {np.count_nonzero(impossible)} sets of angles belong to no position (z^2 < 0); strict=False gives nan")
+        raise ValueError(
+            f"A: {np.count_nonzero(impossible)} sets of angles belong to no position (z^2 < 0); strict=False gives nan"
+        )
     uz = side * np.sqrt(np.where(impossible, np.nan, square))
     r = radius_km / np.sin(0.5 * diameter)
     return np.stack([r * c1, r * uy, r * uz], -1)
