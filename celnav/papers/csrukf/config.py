@@ -1,0 +1,143 @@
+"""The paper's parameters, and those it does not give."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from celnav.gaussian import Gaussian, finite, square_root
+from celnav.linalg import Array
+from celnav.models import orbit
+from celnav.models.noise import initial_covariance
+from celnav.points import Rule, unscented
+
+TITLE = "Square-root unscented Kalman filter for colored measurement noise"
+CITATION = """\
+@article{Sun2015,
+  author  = {Sun, Huimin and Zhuang, Chunqing and Xu, Shengzhong},
+  title   = {Square-Root Unscented Kalman Filter for Satellite Autonomous Celestial Navigation System
+             with Colored Measurement Noise},
+  year    = {2015},
+  note    = {in Chinese}
+}"""
+
+
+@dataclass(frozen=True)
+class Config:
+    """Everything that a run of the study depends on; angles in degrees, as the paper prints them.
+
+    Raises
+    ------
+    ValueError: naming the parameter that cannot be.
+    """
+
+    semi_major_axis_km: float = 7136.635  # paper
+    eccentricity: float = 0.001  # paper
+    inclination_deg: float = 65.0  # paper
+    raan_deg: float = 30.0  # paper
+    argument_of_perigee_deg: float = 30.0  # paper
+    true_anomaly_deg: float = 0.0  # chosen: keeps z > 0 for 2499 s
+    step_s: float = 1.0  # paper
+    steps: int = 600  # paper
+    runs: int = 100  # paper
+    camera_deg: float = 0.005  # paper; whether 1 or 3 sigma is not stated
+    star_arcsec: float = 3.0  # paper; ditto
+    separation_deg: float = 90.0  # chosen: the angle between the stars
+    accuracy_sigmas: float = 3.0  # inferred: the accuracies are 3-sigma values
+    sigma_km: float = 0.2  # inferred: root of the increments' covariance R, each axis
+    prior_position_km: float = 0.15  # inferred by a fit to Tables 1 and 2
+    prior_velocity_m_per_s: float = 0.035  # inferred by a fit to Tables 1 and 2
+    noise_position_km: float = 7.5e-3  # inferred: root of Q, per step
+    noise_velocity_km_per_s: float = 1e-8  # inferred
+    phi: float = 0.0  # paper: 0 (case 1), 1 and 0.8 (cases 2 and 3), times the identity
+    first_noise: str = "R"  # chosen: covariance of V_0, "R", "stationary" or "zero"
+    alpha: float = 1.0  # chosen, with beta and kappa: no negative weight
+    beta: float = 0.0
+    kappa: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            if name != "first_noise":
+                finite(name, getattr(self, name), ())
+        if self.steps < 1 or self.steps != int(self.steps):
+            raise ValueError(f"steps: expected at least 1 (two samples), got {self.steps!r}")
+        if self.runs < 1 or self.runs != int(self.runs):
+            raise ValueError(f"runs: expected a positive integer, got {self.runs!r}")
+        if abs(self.phi) > 1.0:
+            raise ValueError(f"phi: expected a magnitude of at most 1, got {self.phi!r}")
+        if self.sigma_km <= 0.0:
+            raise ValueError(f"sigma_km: expected a positive number, got {self.sigma_km!r}")
+        for name in ("prior_position_km", "prior_velocity_m_per_s", "noise_position_km", "noise_velocity_km_per_s", "step_s"):
+            if getattr(self, name) < 0.0:
+                raise ValueError(f"{name}: expected a number that is not negative, got {getattr(self, name)!r}")
+        initial_covariance(self.first_noise, self.Phi, self.R)
+        unscented(6, self.alpha, self.beta, self.kappa)
+
+    @property
+    def Phi(self) -> Array:
+        """Coefficient matrix of the colored noise, ``(3, 3)``."""
+        return self.phi * np.eye(3)
+
+    @property
+    def R(self) -> Array:
+        """Covariance of the noise increments, ``(3, 3)`` km^2."""
+        return self.sigma_km**2 * np.eye(3)
+
+    @property
+    def Sigma0(self) -> Array:
+        """Covariance of the first noise sample, ``(3, 3)`` km^2."""
+        return initial_covariance(self.first_noise, self.Phi, self.R)
+
+    @property
+    def sqrt_Q(self) -> Array:
+        """Root of the process noise of one step, ``(6, 6)`` km, km/s."""
+        return np.diag(np.repeat([self.noise_position_km, self.noise_velocity_km_per_s], 3))
+
+    @property
+    def sqrt_P0(self) -> Array:
+        """Root of the prior's covariance, ``(6, 6)`` km, km/s."""
+        return np.diag(np.repeat([self.prior_position_km, 1e-3 * self.prior_velocity_m_per_s], 3))
+
+    @property
+    def sigma_angles(self) -> Array:
+        """Standard deviations ``(3,)`` rad of the angles to the stars and of the Earth's diameter."""
+        camera, star = np.radians(self.camera_deg), np.radians(self.star_arcsec / 3600.0)
+        return np.array([np.hypot(camera, star)] * 2 + [camera]) / self.accuracy_sigmas
+
+    @property
+    def separation(self) -> float:
+        """Angle between the stars, rad."""
+        return float(np.radians(self.separation_deg))
+
+    @property
+    def times(self) -> Array:
+        """Epochs ``(steps + 1,)`` s."""
+        return self.step_s * np.arange(self.steps + 1)
+
+    @property
+    def rule(self) -> Rule:
+        """Sigma points of the state."""
+        return unscented(6, self.alpha, self.beta, self.kappa)
+
+    def initial_state(self) -> Array:
+        """True state at the start, ``(6,)`` km, km/s, from the elements."""
+        angles = (self.inclination_deg, self.raan_deg, self.argument_of_perigee_deg, self.true_anomaly_deg)
+        return orbit.from_elements(self.semi_major_axis_km, self.eccentricity, *np.radians(angles))
+
+    def nominal(self, steps: int | None = None) -> Array:
+        """Orbit without process noise, ``(steps + 1, 6)``."""
+        return orbit.propagate(self.initial_state(), self.step_s, self.steps if steps is None else steps)
+
+    def prior(self, mean: Array) -> Gaussian:
+        """Belief at the start about ``mean (..., 6)``."""
+        return square_root(mean, root=self.sqrt_P0)
+
+
+P = Config()
+D = replace(P, prior_position_km=10.0, prior_velocity_m_per_s=10.0, noise_position_km=1e-5, noise_velocity_km_per_s=1e-9)
+B = replace(
+    P, sigma_km=0.38, prior_position_km=0.37, prior_velocity_m_per_s=0.035, noise_position_km=0.0, noise_velocity_km_per_s=5e-9
+)
+STRESS = replace(P, steps=200, runs=200, noise_position_km=0.2, noise_velocity_km_per_s=1e-6)
+PRESETS = {"P": P, "D": D, "S": P, "S-D": D, "B": B, "stress": STRESS}
