@@ -65,7 +65,7 @@ def sequential(predict: Predict, *updates: Update) -> Filter:
         if epoch.dt if isinstance(epoch.dt, float) else np.any(epoch.dt):
             belief, predicted = predict(belief, epoch)
         z = epoch.z if isinstance(epoch.z, tuple) else (epoch.z,)
-        if len(z) != len(updates) and epoch.z is not None:
+        if updates and len(z) != len(updates) and epoch.z is not None:
             raise ValueError(f"z: expected {len(updates)} measurements, got {len(z)}")
         infos = []
         for i, (update, measured) in enumerate(zip(updates, z, strict=False)):

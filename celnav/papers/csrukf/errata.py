@@ -1,0 +1,113 @@
+"""What the paper prints where it is wrong, as running code, so that its consequences can be shown.
+
+Every variant here is a filter or a formula that should *not* be used; numbers are those of the errata in the README.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from celnav.filters.colored import Colored, decorrelation, difference
+from celnav.filters.driver import Epoch, Filter, State
+from celnav.filters.step import Info, Model, condition, images, predict, update
+from celnav.gaussian import Gaussian
+from celnav.linalg import Array, block, matvec
+from celnav.models.orbit import EARTH
+from celnav.papers.csrukf.config import Config
+from celnav.papers.csrukf.scenario import H, dynamics
+from celnav.points import Outputs, Rule
+from celnav.spaces import EUCLIDEAN
+
+
+def printed_radius(diameter: ArrayLike) -> Array:
+    """Radius from the Earth's angular diameter as printed in Eq. 41, ``(R_e / 2) sin(A3 / 2)``, km; see `sightings.position`."""
+    return np.asarray(0.5 * EARTH.radius_km * np.sin(0.5 * np.asarray(diameter)))
+
+
+def no_redraw(f: Model, rule: Rule, sqrt_Q: Array, sqrt_R: Array) -> Filter:
+    """SRUKF that measures the propagated points without drawing them anew, Eqs. 29-32: process noise misses the cross terms."""
+    m, n, r, s = 3, sqrt_Q.shape[-2], sqrt_Q.shape[-1], sqrt_R.shape[-1]
+
+    def step(state: State, epoch: Epoch) -> tuple[State, Info]:
+        if not epoch.dt:
+            return state, Info()
+        belief = state.belief
+
+        def g(points: Array) -> Outputs:
+            y = images("f", f, points, epoch, (), n)
+            return y[..., :m], y
+
+        root = belief.form.root(belief.spread)
+        (z, x), lifted = rule.transform(g, belief.mean, root, EUCLIDEAN, (EUCLIDEAN, EUCLIDEAN), (), r + s)
+        lifted[..., -(r + s) :] = block([[np.zeros((m, r)), sqrt_R], [sqrt_Q, np.zeros((n, s))]])
+        posterior, info, _ = condition(belief, x, lifted, rule.sign, epoch.z - z.center - z.shift, noise=(r, s))
+        return State(posterior), info
+
+    return Filter(lambda prior: State(prior), step)
+
+
+def _two_step(config: Config, J: Array, sqrt_Q: Array, sqrt_R: Array, *, from_start: bool = True) -> Filter:
+    """The paper's loop with any gain and any "roots": update with ``z*``, then predict."""
+    f, Phi = dynamics(config), config.Phi
+
+    def h_star(x: Array, epoch: Epoch) -> Array:
+        return f(x, epoch)[..., :3] - config.phi * x[..., :3]  # type: ignore[no-any-return]
+
+    def f_star(x: Array, epoch: Epoch) -> Array:
+        y = f(x, epoch)
+        return y + matvec(J, epoch.z - (y[..., :3] - config.phi * x[..., :3]))  # type: ignore[no-any-return]
+
+    past, forward = update(h_star, config.rule, sqrt_R=sqrt_R), predict(f_star, config.rule, sqrt_Q=sqrt_Q)
+
+    def step(state: Colored, epoch: Epoch) -> tuple[Colored, Info]:
+        if state.z is None:
+            return Colored(state.belief, epoch.z, state.lagged), Info()
+        star = epoch._replace(z=difference(Phi, state.z, epoch.z))
+        lagged, info = state.belief, Info()
+        if epoch.k > 1 or from_start:
+            lagged, info, _ = past(state.belief, star.z, star)
+        return Colored(forward(lagged, star)[0], epoch.z, lagged), info
+
+    return Filter(lambda prior: Colored(prior, None, prior), step)
+
+
+def printed_roots(config: Config) -> Filter:
+    """Eqs. 27 and 32 as printed: ``Q*`` and ``R*`` themselves in the QR, not their roots (units: km)."""
+    star = decorrelation(H, config.sqrt_Q, config.sigma_km * np.eye(3))
+    return _two_step(config, star.J, star.sqrt_Q @ star.sqrt_Q.T, star.sqrt_R @ star.sqrt_R.T)
+
+
+def without_correlation(config: Config) -> Filter:
+    """Whitened but not decorrelated: ``J = 0`` with ``Q`` and ``R*``."""
+    star = decorrelation(H, config.sqrt_Q, config.sigma_km * np.eye(3))
+    return _two_step(config, np.zeros((6, 3)), config.sqrt_Q, star.sqrt_R)
+
+
+def without_first_update(config: Config) -> Filter:
+    """The loop as printed, from k = 1: the first difference enters through ``J`` only."""
+    star = decorrelation(H, config.sqrt_Q, config.sigma_km * np.eye(3))
+    return _two_step(config, star.J, star.sqrt_Q, star.sqrt_R, from_start=False)
+
+
+def redraw_defect(rng: np.random.Generator) -> tuple[float, float]:
+    """Largest difference to the Kalman filter in one linear step, without and with redrawn points (means and covariances)."""
+    from celnav.filters.driver import sequential
+    from celnav.points import unscented
+
+    F, z = np.eye(6) + 0.1 * rng.standard_normal((6, 6)), rng.standard_normal(3)
+    eye, rule = np.eye(6), unscented(6)
+
+    def f(x: Array, epoch: object) -> Array:  # noqa: ARG001
+        return matvec(F, x)
+
+    prior = Gaussian(np.zeros(6), eye)
+    P = F @ F.T + eye
+    S = H @ P @ H.T + np.eye(3)
+    K = np.linalg.solve(S, H @ P).T
+    mean, cov = K @ z, P - K @ S @ K.T
+    differences = []
+    for filter in (no_redraw(f, rule, eye, np.eye(3)), sequential(predict(f, rule, eye), update(H, rule, np.eye(3)))):
+        state, _ = filter.step(filter.start(prior), Epoch(1, 1.0, 1.0, None, z))
+        differences.append(max(np.abs(state.belief.mean - mean).max(), np.abs(state.belief.cov - cov).max()))
+    return float(differences[0]), float(differences[1])

@@ -1,0 +1,146 @@
+"""Truth and measurements of the satellite, and the filters that the paper and this study compare."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from celnav.filters.colored import augmented, colored, decorrelated
+from celnav.filters.driver import Epochs, Filter, epochs, sequential
+from celnav.filters.step import Model, predict, update
+from celnav.gaussian import Gaussian
+from celnav.linalg import Array, semidefinite_root
+from celnav.models import orbit, sightings
+from celnav.models.noise import ar1, effective_covariance
+from celnav.montecarlo import normals
+from celnav.papers.csrukf.config import Config
+from celnav.points import unscented
+
+H = np.eye(3, 6)
+
+
+class Scenario(NamedTuple):
+    """Simulated runs, time-major; without a run axis if one generator was given.
+
+    ``truth (T, ..., 6)`` km, km/s; ``z (T, ..., 3)`` km, pseudo-positions; ``noise (T, ..., 3)``, the colored noise V in the
+    units of what was measured; ``angles (T, ..., 3)`` rad where angles were measured, else None.
+    """
+
+    times: Array
+    truth: Array
+    z: Array
+    noise: Array
+    prior: Gaussian
+    angles: Array | None = None
+
+    def epochs(self, *, first: bool = True) -> Epochs:
+        """Epochs with pseudo-positions; ``first=False`` withholds the sample at the start."""
+        return epochs(self.times, self.z if first else _without_first(self.z), truth=self.truth)
+
+    def angle_epochs(self, *, first: bool = True) -> Epochs:
+        """Epochs with angles."""
+        if self.angles is None:
+            raise ValueError("angle_epochs: this scenario measured positions")
+        return epochs(self.times, self.angles if first else _without_first(self.angles), truth=self.truth)
+
+
+def _without_first(z: Array) -> Array:
+    out = z.copy()
+    out[0] = np.nan
+    return out
+
+
+def dynamics(config: Config) -> Model:
+    """Model function of one step of the orbit."""
+
+    def f(x: Array, epoch: object) -> Array:  # noqa: ARG001
+        return orbit.step(x, config.step_s)
+
+    return f
+
+
+def simulate(config: Config, rng: np.random.Generator | Sequence[np.random.Generator], *, angles: bool = False) -> Scenario:
+    """Simulate one run, or one run for each generator: orbit with process noise, colored noise, an initial estimate.
+
+    With ``angles`` the noise lives on the three angles, and the pseudo-positions are computed from them.
+    """
+    single = isinstance(rng, np.random.Generator)
+    rngs = [rng] if isinstance(rng, np.random.Generator) else list(rng)
+    initial, disturbance, first, zeta = normals(rngs, (6,), (config.steps, 6), (3,), (config.steps, 3))
+    truth = np.empty((config.steps + 1, len(rngs), 6))
+    truth[0] = config.initial_state()
+    w = disturbance * config.sqrt_Q.diagonal()
+    for k in range(config.steps):
+        truth[k + 1] = orbit.step(truth[k], config.step_s) + w[k]
+    mean = truth[0] + initial * config.sqrt_P0.diagonal()
+    measured = None
+    if angles:
+        noise = ar1(config.Phi, zeta * config.sigma_angles, first * config.sigma_angles)
+        measured = sightings.angles(truth[..., :3], sightings.star_directions(config.separation)) + noise
+        z = sightings.position(measured, config.separation, np.sign(truth[..., 2]), strict=False)
+    else:
+        noise = ar1(config.Phi, zeta * config.sigma_km, first * semidefinite_root(config.Sigma0).diagonal())
+        z = truth[..., :3] + noise
+    if single:
+        truth, z, noise, mean = truth[:, 0], z[:, 0], noise[:, 0], mean[0]
+        measured = None if measured is None else measured[:, 0]
+    return Scenario(config.times, truth, z, noise, config.prior(mean), measured)
+
+
+def filters(config: Config) -> dict[str, Filter]:
+    """The filters, by the names that figures and tables use.
+
+    srukf: white noise assumed. csrukf: the paper's structure, corrected; its state also holds the lagged estimate.
+    csrukf+z0: uses the first sample, in one transform. augmented: the exact reference. srukf-reff: white noise of the same
+    spectrum at zero frequency, where there is one. openloop: no measurement at all.
+    """
+    f, rule, Q, R = dynamics(config), config.rule, config.sqrt_Q, config.R
+    out = {
+        "srukf": white(config, R),
+        "csrukf": decorrelated(f, H, rule, config.Phi, sqrt_Q=Q, R=R),
+        "csrukf+z0": colored(f, H, rule, config.Phi, sqrt_Q=Q, R=R, Sigma0=config.Sigma0),
+        "augmented": augmented(f, H, unscented(9), config.Phi, Q=Q @ Q.T, R=R, Sigma0=config.Sigma0),
+        "openloop": sequential(predict(f, rule, sqrt_Q=Q)),
+    }
+    if abs(config.phi) < 1.0:
+        out["srukf-reff"] = white(config, effective_covariance(config.Phi, R))
+    return out
+
+
+def white(config: Config, R: Array) -> Filter:
+    """SRUKF that takes the noise for white, of covariance ``R (3, 3)`` or a table ``(T, 3, 3)`` of them."""
+    f, rule = dynamics(config), config.rule
+    if R.ndim == 2:
+        return sequential(predict(f, rule, sqrt_Q=config.sqrt_Q), update(H, rule, R))
+    roots = semidefinite_root(R)
+    return sequential(predict(f, rule, sqrt_Q=config.sqrt_Q), update(H, rule, sqrt_R=lambda _, epoch: roots[epoch.k]))
+
+
+def single_transform(config: Config, R: Array, filter_phi: Array | None = None) -> Filter:
+    """CSRUKF in one transform with covariances of increments ``R (3, 3)`` or ``(T, 3, 3)``, and any assumed coefficient."""
+    Phi = config.Phi if filter_phi is None else filter_phi
+    if R.ndim == 2:
+        return colored(dynamics(config), H, config.rule, Phi, sqrt_Q=config.sqrt_Q, R=R)
+    roots = semidefinite_root(R)
+    return colored(dynamics(config), H, config.rule, Phi, sqrt_Q=config.sqrt_Q, sqrt_R=lambda _, epoch: roots[epoch.k])
+
+
+def jacobian_covariance(config: Config) -> Array:
+    """Covariances ``(T, 3, 3)`` km^2 of the pseudo-position along the nominal orbit, from the angles' accuracy."""
+    return sightings.pseudo_position_covariance(config.nominal()[:, :3], config.separation, config.sigma_angles)
+
+
+def angle_filters(config: Config) -> dict[str, Filter]:
+    """Filters on the angles themselves: "white" takes their noise for white, "colored" whitens it in angle space."""
+    f, stars = dynamics(config), sightings.star_directions(config.separation)
+    root = np.diag(config.sigma_angles)
+
+    def h(x: Array, epoch: object) -> Array:  # noqa: ARG001
+        return sightings.angles(x[..., :3], stars)
+
+    return {
+        "white": sequential(predict(f, config.rule, sqrt_Q=config.sqrt_Q), update(h, config.rule, sqrt_R=root)),
+        "colored": colored(f, h, unscented(12), config.Phi, sqrt_Q=config.sqrt_Q, sqrt_R=root),
+    }
