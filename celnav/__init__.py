@@ -1,1 +1,47 @@
-"""x"""
+"""celnav: navigation filters, batched and in square-root form, and the papers they come from.
+
+Conventions, stated once
+------------------------
+Arrays    The last axis is the component, ``(..., n)``; a matrix is ``(..., n, n)``; everything before is batch: runs of a Monte
+          Carlo, or nothing. Sigma points lead, ``(p, ..., n)``, so inputs of each run broadcast by themselves in a model. Time
+          leads in a record: a `Track` is ``(T, ..., n)``. Floats are float64.
+Roots     Lower triangular, diagonal >= 0, ``P = L @ L.T``. Noise may be given as a covariance (``Q``) or as columns (``sqrt_Q``).
+Errors    Estimate minus truth. The innovation is measurement minus prediction.
+Missing   nan. A missing component costs nothing but itself, in each run by itself.
+Failure   A run that loses definiteness becomes nan while its neighbors go on; ``Track.failed_at`` says when. Bad arguments raise
+          ValueError naming the argument, what was expected and what came.
+Units     SI and radians, except orbits: km and km/s. A name says its unit where it is another: ``sigma_km``.
+Frames    Earth-centered inertial, equatorial (J2000), for orbits.
+Time      s since the start of a study.
+Chance    One generator for each run: ``(seed, study, run)`` determines its numbers, whatever the block or the process.
+Sources   ``[Sun2015, Eq. 27]`` in a docstring; citations are in ``celnav.papers.<id>.CITATION``.
+"""
+
+from celnav.filters import Epoch, Filter, FilterError, Track, epochs, predict, run, sequential, steps, update
+from celnav.gaussian import Gaussian, covariance, square_root
+from celnav.points import Rule, Taylor, cubature, from_filterpy, gauss_hermite, simplex, unscented
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "Epoch",
+    "Filter",
+    "FilterError",
+    "Gaussian",
+    "Rule",
+    "Taylor",
+    "Track",
+    "covariance",
+    "cubature",
+    "epochs",
+    "from_filterpy",
+    "gauss_hermite",
+    "predict",
+    "run",
+    "sequential",
+    "simplex",
+    "square_root",
+    "steps",
+    "unscented",
+    "update",
+]

@@ -1,0 +1,1 @@
+"""Physics without filters: orbits, sightings, noise."""
