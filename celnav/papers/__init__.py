@@ -1,0 +1,50 @@
+"""The papers: one module each, all with the same names.
+
+``CITATION``, ``TITLE``, ``Config``, ``PRESETS``, ``simulate``, ``filters``, ``reproduce``, ``figure_N``, ``table_N``, ``claims``,
+``record``: see `celnav.papers.csrukf`.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Callable
+from importlib import import_module
+from types import ModuleType
+from typing import Any
+
+PAPERS = {"csrukf": "celnav.papers.csrukf"}
+"""Identifier -> module."""
+
+
+def load(paper: str) -> ModuleType:
+    """The module of a paper.
+
+    Raises
+    ------
+    ValueError: for an unknown identifier; the message lists the known ones.
+    """
+    if paper not in PAPERS:
+        close = difflib.get_close_matches(paper, PAPERS, 1)
+        hint = f"; did you mean {close[0]}?" if close else ""
+        raise ValueError(f"unknown paper {paper!r}: expected one of {', '.join(PAPERS)}{hint}")
+    return import_module(PAPERS[paper])
+
+
+def figures(module: ModuleType) -> dict[str, Callable[[Any], Any]]:
+    """File stem ("figure_01", "figure_02b") -> function, in order."""
+    return _numbered(module, "figure", 2)
+
+
+def tables(module: ModuleType) -> dict[str, Callable[[Any], Any]]:
+    """File stem ("table_1") -> function, in order."""
+    return _numbered(module, "table", 1)
+
+
+def _numbered(module: ModuleType, kind: str, digits: int) -> dict[str, Callable[[Any], Any]]:
+    found = []
+    for name in dir(module):
+        match = re.fullmatch(rf"{kind}_(\d+)([a-z]?)", name)
+        if match:
+            found.append((int(match[1]), match[2], name))
+    return {f"{kind}_{number:0{digits}d}{letter}": getattr(module, name) for number, letter, name in sorted(found)}

@@ -38,7 +38,7 @@ from celnav.papers.csrukf.figures import (
     figure_17,
     figure_18,
 )
-from celnav.papers.csrukf.record import record
+from celnav.papers.csrukf.record import RECORDINGS, record
 from celnav.papers.csrukf.scenario import Scenario, filters, simulate
 from celnav.papers.csrukf.study import Result, reproduce
 from celnav.papers.csrukf.tables import table_1, table_2, table_3
@@ -46,6 +46,7 @@ from celnav.papers.csrukf.tables import table_1, table_2, table_3
 __all__ = [
     "CITATION",
     "PRESETS",
+    "RECORDINGS",
     "TITLE",
     "Config",
     "Result",

@@ -25,39 +25,51 @@ def printed_radius(diameter: ArrayLike) -> Array:
     return np.asarray(0.5 * EARTH.radius_km * np.sin(0.5 * np.asarray(diameter)))
 
 
-def no_redraw(f: Model, rule: Rule, sqrt_Q: Array, sqrt_R: Array) -> Filter:
+def reused_points(f: Model, rule: Rule, sqrt_Q: Array, sqrt_R: Array) -> Filter:
     """SRUKF that measures the propagated points without drawing them anew, Eqs. 29-32: process noise misses the cross terms."""
-    m, n, r, s = 3, sqrt_Q.shape[-2], sqrt_Q.shape[-1], sqrt_R.shape[-1]
 
     def step(state: State, epoch: Epoch) -> tuple[State, Info]:
         if not epoch.dt:
             return state, Info()
-        belief = state.belief
 
         def g(points: Array) -> Outputs:
-            y = images("f", f, points, epoch, (), n)
-            return y[..., :m], y
+            y = images("f", f, points, epoch, (), 6)
+            return y[..., :3], y
 
-        root = belief.form.root(belief.spread)
-        (z, x), lifted = rule.transform(g, belief.mean, root, EUCLIDEAN, (EUCLIDEAN, EUCLIDEAN), (), r + s)
-        lifted[..., -(r + s) :] = block([[np.zeros((m, r)), sqrt_R], [sqrt_Q, np.zeros((n, s))]])
-        posterior, info, _ = condition(belief, x, lifted, rule.sign, epoch.z - z.center - z.shift, noise=(r, s))
+        posterior, info = _reused(state.belief, rule, g, epoch.z, sqrt_Q, sqrt_R)
         return State(posterior), info
 
     return Filter(lambda prior: State(prior), step)
 
 
-def _two_step(config: Config, J: Array, sqrt_Q: Array, sqrt_R: Array, *, from_start: bool = True) -> Filter:
-    """The paper's loop with any gain and any "roots": update with ``z*``, then predict."""
-    f, Phi = dynamics(config), config.Phi
+def _reused(belief: Gaussian, rule: Rule, g: Model, z: Array, sqrt_Q: Array, sqrt_R: Array) -> tuple[Gaussian, Info]:
+    """Condition on points that went through ``g`` together: the process noise is added to the state rows only."""
+    (n, r), (m, s) = sqrt_Q.shape, sqrt_R.shape
+    root = belief.form.root(belief.spread)
+    (measured, x), A = rule.transform(g, belief.mean, root, EUCLIDEAN, (EUCLIDEAN, EUCLIDEAN), (), r + s)
+    A[..., -(r + s) :] = block([[np.zeros((m, r)), sqrt_R], [sqrt_Q, np.zeros((n, s))]])
+    posterior, info, _ = condition(belief, x, A, rule.sign, z - measured.center - measured.shift, noise=(r, s))
+    return posterior, info
+
+
+def _transformed(config: Config, J: Array) -> tuple[Model, Model]:
+    """The system ``f*``, ``h*`` of Eqs. 8 and 14; the epoch's ``z`` is the difference ``z*``."""
+    f = dynamics(config)
 
     def h_star(x: Array, epoch: Epoch) -> Array:
-        return f(x, epoch)[..., :3] - config.phi * x[..., :3]  # type: ignore[no-any-return]
+        return np.asarray(f(x, epoch)[..., :3] - config.phi * x[..., :3])
 
     def f_star(x: Array, epoch: Epoch) -> Array:
         y = f(x, epoch)
-        return y + matvec(J, epoch.z - (y[..., :3] - config.phi * x[..., :3]))  # type: ignore[no-any-return]
+        return np.asarray(y + matvec(J, epoch.z - (y[..., :3] - config.phi * x[..., :3])))
 
+    return f_star, h_star
+
+
+def _two_step(config: Config, J: Array, sqrt_Q: Array, sqrt_R: Array, *, from_start: bool = True) -> Filter:
+    """The paper's loop with any gain and any "roots": update with ``z*``, then predict."""
+    Phi = config.Phi
+    f_star, h_star = _transformed(config, J)
     past, forward = update(h_star, config.rule, sqrt_R=sqrt_R), predict(f_star, config.rule, sqrt_Q=sqrt_Q)
 
     def step(state: Colored, epoch: Epoch) -> tuple[Colored, Info]:
@@ -90,6 +102,31 @@ def without_first_update(config: Config) -> Filter:
     return _two_step(config, star.J, star.sqrt_Q, star.sqrt_R, from_start=False)
 
 
+def no_redraw(config: Config) -> Filter:
+    """CSRUKF that updates with the points of the previous prediction, Eqs. 29-32."""
+    star = decorrelation(H, config.sqrt_Q, config.sigma_km * np.eye(3))
+    f_star, h_star = _transformed(config, star.J)
+    past, forward = update(h_star, config.rule, sqrt_R=star.sqrt_R), predict(f_star, config.rule, sqrt_Q=star.sqrt_Q)
+
+    def step(state: Colored, epoch: Epoch) -> tuple[Colored, Info]:
+        if state.z is None:
+            return Colored(state.belief, epoch.z, state.lagged), Info()
+        now = epoch._replace(z=difference(config.Phi, state.z, epoch.z))
+        before = state.memory
+        if before is None:
+            lagged, info, _ = past(state.belief, now.z, now)
+        else:
+
+            def g(points: Array) -> Outputs:
+                y = f_star(points, before)
+                return h_star(y, now), y
+
+            lagged, info = _reused(state.lagged, config.rule, g, now.z, star.sqrt_Q, star.sqrt_R)
+        return Colored(forward(lagged, now)[0], epoch.z, lagged, now), info
+
+    return Filter(lambda prior: Colored(prior, None, prior), step)
+
+
 def redraw_defect(rng: np.random.Generator) -> tuple[float, float]:
     """Largest difference to the Kalman filter in one linear step, without and with redrawn points (means and covariances)."""
     from celnav.filters.driver import sequential
@@ -107,7 +144,7 @@ def redraw_defect(rng: np.random.Generator) -> tuple[float, float]:
     K = np.linalg.solve(S, H @ P).T
     mean, cov = K @ z, P - K @ S @ K.T
     differences = []
-    for filter in (no_redraw(f, rule, eye, np.eye(3)), sequential(predict(f, rule, eye), update(H, rule, np.eye(3)))):
+    for filter in (reused_points(f, rule, eye, np.eye(3)), sequential(predict(f, rule, eye), update(H, rule, np.eye(3)))):
         state, _ = filter.step(filter.start(prior), Epoch(1, 1.0, 1.0, None, z))
         differences.append(max(np.abs(state.belief.mean - mean).max(), np.abs(state.belief.cov - cov).max()))
     return float(differences[0]), float(differences[1])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -22,8 +20,7 @@ AXES = ("x", "y", "z", "v_x", "v_y", "v_z")
 
 def figure_1(result: Result) -> Figure:
     """Geometry of the measurement: two stars, the Earth's limb, and the three angles."""
-    fig = figure(6.0, 5.2)
-    ax: Any = fig.add_subplot(projection="3d")
+    fig, ax = figure(6.0, 5.2, subplot_kw={"projection": "3d"})
     path = result.config.nominal()[:, :3]
     r = path[0]
     u, v = np.mgrid[0 : 2 * np.pi : 25j, 0 : np.pi : 13j]  # type: ignore[misc]
@@ -60,8 +57,7 @@ def _white(result: Result, i: int) -> Figure:
     """An error under white noise: SRUKF and CSRUKF coincide; the lagged curve is what the paper draws."""
     data, t, unit = result.data["P/0"], result.times, "km" if i < 3 else "m/s"
     kind = "absolute position error" if i < 3 else "velocity error"
-    fig = figure(7.0, 3.2)
-    ax = fig.subplots()
+    fig, ax = figure(7.0, 3.2)
     sign = np.abs if i < 3 else np.asarray
     ax.plot(t, sign(data["srukf/error"][:, 0, i]), color=SRUKF, linewidth=2.2, label="SRUKF, run 1")
     ax.plot(t, sign(data["csrukf/error"][:, 0, i]), color=CSRUKF, linestyle="--", label="CSRUKF without latency, run 1")
@@ -90,8 +86,7 @@ def _walk(result: Result, i: int) -> Figure:
     """An error under random-walk noise: SRUKF follows the noise, CSRUKF the open loop."""
     data, t, unit = result.data["P/I"], result.times, "km" if i < 3 else "m/s"
     kind = "absolute position error" if i < 3 else "velocity error"
-    fig = figure(7.0, 3.4)
-    left, right = fig.subplots(1, 2, width_ratios=(1, 1))
+    fig, (left, right) = figure(7.0, 3.4, 1, 2)
     sign = np.abs if i < 3 else np.asarray
     for ax, names in ((left, ("srukf", "csrukf")), (right, ("csrukf", "openloop"))):
         for name, color, title in (("srukf", SRUKF, "SRUKF"), ("csrukf", CSRUKF, "CSRUKF"), ("openloop", OPEN, "open loop")):
@@ -174,8 +169,7 @@ def figure_13(result: Result) -> Figure:
 
 def figure_14(result: Result) -> Figure:
     """Beyond the paper: consistency, NEES and NIS averaged over the runs with their 95 % bands."""
-    fig = figure(7.0, 4.6)
-    axes = fig.subplots(2, 3, sharex=True)
+    fig, axes = figure(7.0, 4.6, 2, 3, sharex=True)
     t = result.times
     for column, name in enumerate(("0", "0.8", "I")):
         for row, (key, dof) in enumerate((("nees", 6), ("nis", 3))):
@@ -195,8 +189,7 @@ def figure_14(result: Result) -> Figure:
 
 def figure_15(result: Result) -> Figure:
     """Beyond the paper: RMSE of the Monte Carlo against the exact linear theory and the posterior Cramer-Rao bound."""
-    fig = figure(7.0, 3.0)
-    axes = fig.subplots(1, 3)
+    fig, axes = figure(7.0, 3.0, 1, 3)
     expected = result.theory["P"]
     for i, (ax, name) in enumerate(zip(axes, ("0", "0.8", "I"), strict=True)):
         for filter, std, color in (("srukf", expected.srukf, SRUKF), ("csrukf", expected.csrukf, CSRUKF)):
@@ -211,8 +204,7 @@ def figure_15(result: Result) -> Figure:
 
 def figure_16(result: Result) -> Figure:
     """Beyond the paper: final position error over Phi, for the fitted prior and a poor one (linear theory)."""
-    fig = figure(7.0, 3.2)
-    axes = fig.subplots(1, 2, sharex=True)
+    fig, axes = figure(7.0, 3.2, 1, 2, sharex=True)
     away = 1.0 - np.array(theory.SWEEP)
     place = np.arange(len(away))
     for ax, preset, title in zip(axes, ("P", "D"), ("prior 0.15 km, 0.035 m/s", "prior 10 km, 10 m/s"), strict=True):
@@ -232,8 +224,7 @@ def figure_16(result: Result) -> Figure:
 
 def figure_17(result: Result) -> Figure:
     """Beyond the paper: long arcs from a poor prior, SRUKF against the bound."""
-    fig = figure(5.5, 3.4)
-    ax = fig.subplots()
+    fig, ax = figure(5.5, 3.4)
     long = result.theory["long"]
     t = np.arange(1, len(long["srukf"])) * result.config.step_s
     for i, (name, style) in enumerate((("I", "-"), ("0.8 I", "--"))):
@@ -246,8 +237,7 @@ def figure_17(result: Result) -> Figure:
 
 def figure_18(result: Result) -> Figure:
     """Beyond the paper: a wrong coefficient in the filter."""
-    fig = figure(7.0, 3.0)
-    axes = fig.subplots(1, 2)
+    fig, axes = figure(7.0, 3.0, 1, 2)
     for true, color in ((1.0, SRUKF), (0.8, CSRUKF)):
         data = result.data[f"wrong/{'I' if true == 1.0 else '0.8'}"]
         phis = sorted(WRONG[true])

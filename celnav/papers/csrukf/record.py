@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from celnav.papers.csrukf.recording import Showcase
 
 CASES = {"P/0": "csrukf_P_0.rrd", "P/0.8": "csrukf_P_08.rrd", "P/I": "csrukf_P_I.rrd", "D/I": "csrukf_D_I.rrd"}
+RECORDINGS = list(CASES.values())
 CONCLUSIONS = {
     "P/0": "White noise: both filters are the same filter; 3σ holds.",
     "P/0.8": "SRUKF looks well but its covariance is far too small; CSRUKF is consistent and a third better in position.",
@@ -33,7 +34,7 @@ def record(result: Result, outputs: Outputs) -> list[str]:
     for case, name in CASES.items():
         with outputs.path_for(name) as path:
             record_showcase(showcase(result, case), path)
-    return list(CASES.values())
+    return RECORDINGS
 
 
 def showcase(result: Result, case: str) -> Showcase:

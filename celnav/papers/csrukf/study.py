@@ -15,7 +15,7 @@ from celnav.gaussian import nees
 from celnav.linalg import Array
 from celnav.montecarlo import Progress, Unit, blocks, generator, work
 from celnav.papers.csrukf import errata, scenario, theory
-from celnav.papers.csrukf.config import STRESS, Config, D, P
+from celnav.papers.csrukf.config import STRESS, B, Config, D, P
 from celnav.papers.csrukf.theory import UNITS
 
 PHIS = (0.0, 0.8, 1.0)
@@ -89,10 +89,7 @@ def _cases(config: Config, seed: int, study: int, runs: range, names: tuple[str,
         else:
             out.pop(f"{name}/lagged", None)
     for name in wrong:
-        if name == "no_redraw":
-            filter = errata.no_redraw(scenario.dynamics(config), config.rule, config.sqrt_Q, config.sigma_km * np.eye(3))
-        else:
-            filter = getattr(errata, name)(config)
+        filter = getattr(errata, name)(config)
         _errors(name, filter, sim, sim.epochs(), out)
         out.pop(f"{name}/lagged", None)
     return out
@@ -231,6 +228,7 @@ def reproduce(
         "P": theory.expected(config, PHIS),
         "sweep/P": theory.expected(config, theory.SWEEP),
         "sweep/D": theory.expected(replace(D, steps=config.steps), theory.SWEEP),
+        "B": theory.expected(replace(B, steps=config.steps), PHIS),
         "long": theory.long_arc(config, long_steps),
         "settings": theory.random_settings(config, max(50, round(300 * effort)), generator(seed, 20, 0)),
     }

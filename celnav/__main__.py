@@ -1,0 +1,7 @@
+"""``python -m celnav``."""
+
+import sys
+
+from celnav.cli import main
+
+sys.exit(main())

@@ -1,0 +1,234 @@
+"""The command line: ``celnav list | reproduce | view``."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import io
+import json
+import os
+import platform
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Callable, Sequence
+from importlib import metadata
+from pathlib import Path
+from time import process_time
+from types import ModuleType
+from typing import Any
+
+import celnav
+from celnav.effort import effort
+from celnav.papers import PAPERS, figures, load, tables
+
+
+class UsageError(Exception):
+    """The command was given something it cannot use: one line, exit 2."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command; returns the exit status."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
+    try:
+        options = _parser().parse_args(arguments)
+        status: int = options.command(options)
+        sys.stdout.flush()
+        return status
+    except UsageError as error:
+        print(f"celnav: {error}", file=sys.stderr)
+        return 2
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except (OSError, ImportError) as error:
+        print(f"celnav: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("celnav: interrupted", file=sys.stderr)
+        return 130
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="celnav", description=(celnav.__doc__ or "").partition("\n")[0])
+    parser.add_argument("--version", action="version", version=f"celnav {celnav.__version__}")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    lists = commands.add_parser("list", help="papers, figures, filters and rules")
+    lists.set_defaults(command=_list)
+
+    reproduce = commands.add_parser("reproduce", help="run papers; write figures, tables, claims and recordings")
+    reproduce.add_argument("papers", nargs="*", metavar="PAPER", help="which papers (none: all)")
+    reproduce.add_argument("--effort", metavar="F", help="fraction of the Monte-Carlo runs, 0 < F <= 1 (default: CELNAV_EFFORT, or 1)")
+    reproduce.add_argument("--seed", default="0", metavar="S", help="seed, a whole number that is not negative (default: 0)")
+    reproduce.add_argument("--out", default="out", metavar="DIR", help="where to write (default: out)")
+    reproduce.add_argument("--jobs", default="1", metavar="N", help="processes (default: 1)")
+    reproduce.add_argument("--strict", action="store_true", help="exit 1 if a claim is not as expected")
+    reproduce.set_defaults(command=_reproduce)
+
+    view = commands.add_parser("view", help="open a paper's recording in the Rerun viewer, offline")
+    view.add_argument("paper", metavar="PAPER")
+    view.add_argument("--out", default="out", metavar="DIR", help="where reproduce wrote (default: out)")
+    view.add_argument("--recording", metavar="NAME", help="which recording (default: the first)")
+    view.set_defaults(command=_view)
+    return parser
+
+
+def _module(paper: str) -> ModuleType:
+    try:
+        return load(paper)
+    except ValueError as error:
+        raise UsageError(error) from None
+
+
+def _whole(name: str, text: str, least: int) -> int:
+    try:
+        value = int(text)
+    except ValueError:
+        value = least - 1
+    if value < least:
+        raise UsageError(f"{name}: expected a whole number of at least {least}, got {text!r}")
+    return value
+
+
+def _list(options: argparse.Namespace) -> int:  # noqa: ARG001
+    for paper in PAPERS:
+        module = load(paper)
+        print(f"{paper}: {module.TITLE}\n")
+        for stem, function in {**figures(module), **tables(module)}.items():
+            print(f"  {stem:12} {(function.__doc__ or '').partition(chr(10))[0]}")
+        print(f"\n  filters: {', '.join(module.filters(next(iter(module.PRESETS.values()))))}")
+        print(f"  presets: {', '.join(module.PRESETS)}\n")
+    print("rules: unscented, simplex, cubature (degree 3 and 5), gauss_hermite, from_filterpy, Taylor (EKF)")
+    return 0
+
+
+def _reproduce(options: argparse.Namespace) -> int:
+    from celnav.files import Outputs
+
+    papers = list(dict.fromkeys(options.papers)) or list(PAPERS)
+    modules = {paper: _module(paper) for paper in papers}
+    try:
+        fraction = effort(options.effort)
+    except ValueError as error:
+        raise UsageError(error) from None
+    seed, jobs = _whole("seed", options.seed, 0), _whole("jobs", options.jobs, 1)
+    out = Path(options.out)
+    if out.exists() and not out.is_dir():
+        raise NotADirectoryError(f"{out}: expected a folder to write to")
+    top = Outputs(out)
+    top.check(["index.html"])
+    surprises = 0
+    for paper, module in modules.items():
+        surprises += _one(paper, module, Outputs(out / paper), fraction, seed, jobs)
+    _index(top)
+    print(f"wrote {out / 'index.html'}")
+    return 1 if options.strict and surprises else 0
+
+
+def _index(top: Any) -> None:
+    from celnav.report import index
+
+    top.text("index.html", index(top.directory))
+
+
+def _one(paper: str, module: ModuleType, outputs: Any, fraction: float, seed: int, jobs: int) -> int:
+    """Reproduce one paper; returns the number of claims that are not as expected."""
+    from celnav.claims import dumps
+    from celnav.figures import render
+
+    drawings, listings = figures(module), tables(module)
+    outputs.check(f"figures/{stem}.{kind}" for stem in drawings for kind in ("png", "svg"))
+    outputs.check(f"tables/{stem}.csv" for stem in listings)
+    outputs.check(["claims.json", "timings.json", "result.npz", *module.RECORDINGS])
+    timings: dict[str, float] = {}
+    report = _Progress(paper)
+
+    def stage(name: str, work: Callable[[], Any]) -> Any:
+        report.stage(name)
+        start = process_time()
+        value = work()
+        timings[f"cpu_s {name}"] = process_time() - start
+        return value
+
+    result = stage("runs", lambda: module.reproduce(effort=fraction, seed=seed, jobs=jobs, progress=report))
+    claims = stage("claims", lambda: module.claims(result))
+    outputs.text("claims.json", dumps(claims))
+    outputs.npz("result.npz", result.arrays())
+    for stem, function in listings.items():
+        outputs.text(f"tables/{stem}.csv", _csv(function(result)))
+
+    def draw() -> None:
+        for stem, function in drawings.items():
+            drawing = function(result)
+            for kind in ("png", "svg"):
+                outputs.bytes(f"figures/{stem}.{kind}", render(drawing, kind))
+
+    stage("figures", draw)
+    try:
+        stage("recordings", lambda: module.record(result, outputs))
+    except (ImportError, OSError, RuntimeError) as error:
+        print(f"celnav: {paper}: no recordings ({error}); everything else is written", file=sys.stderr)
+    report.close()
+    versions = {name: metadata.version(name) for name in ("numpy", "scipy", "filterpy", "matplotlib")}
+    about = {"python": platform.python_version(), "machine": platform.machine(), **versions}
+    outputs.text("timings.json", json.dumps({"about": about, "effort": fraction, "timings": {**timings, **result.timings}}, indent=1) + "\n")
+    for verdict, count in sorted(Counter(claim.verdict for claim in claims).items()):
+        print(f"{paper}: {count:4} {verdict}")
+    failures = [claim for claim in claims if claim.failure]
+    for claim in failures:
+        print(f"{paper}: not as expected: {claim.id} = {claim.value:.4g}, accepted {claim.accept}: {claim.statement}")
+    return len(failures)
+
+
+def _csv(rows: list[dict[str, Any]]) -> str:
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in line.items()} for line in rows)
+    return text.getvalue()
+
+
+class _Progress:
+    """A bar on a terminal, plain lines otherwise."""
+
+    def __init__(self, paper: str):
+        self._paper, self._bar = paper, None
+        self._terminal = sys.stderr.isatty()
+
+    def stage(self, name: str) -> None:
+        if not self._terminal:
+            print(f"{self._paper}: {name}", flush=True)
+        elif self._bar is not None:
+            self._bar.set_description(f"{self._paper}: {name}")
+
+    def __call__(self, done: int, total: int, label: str) -> None:
+        if not self._terminal:
+            print(f"{self._paper}: {done}/{total} {label}", flush=True)
+            return
+        if self._bar is None:
+            from tqdm import tqdm
+
+            self._bar = tqdm(total=total, file=sys.stderr)
+        self._bar.set_description(f"{self._paper}: {label}")
+        self._bar.update(done - self._bar.n)
+
+    def close(self) -> None:
+        if self._bar is not None:
+            self._bar.close()
+
+
+def _view(options: argparse.Namespace) -> int:
+    _module(options.paper)
+    folder = Path(options.out) / options.paper
+    recordings = sorted(path.name for path in folder.glob("*.rrd")) if folder.is_dir() else []
+    if not recordings:
+        raise FileNotFoundError(f"{folder}: no recording; make it with: celnav reproduce {options.paper} --out {options.out}")
+    name = options.recording or recordings[0]
+    if name not in recordings:
+        raise UsageError(f"unknown recording {name!r}: expected one of {', '.join(recordings)}")
+    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise OSError(f"no display to open a window on; copy {folder / name} to a machine that has one and run: rerun {name}")
+    return subprocess.run([sys.executable, "-m", "rerun", str(folder / name)], check=False).returncode

@@ -1,0 +1,61 @@
+"""One style for all figures, with colors of fixed meaning; drawing aids without knowledge of any paper."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+import matplotlib.pyplot as plt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from celnav.linalg import Array
+
+COLORS = {
+    "truth": "#009E73",
+    "estimate": "#E69F00",
+    "sigma": "#888888",
+    "measurement": "#56B4E9",
+    "paper": "#D55E00",
+    "comparison": "#0072B2",
+    "openloop": "#CC79A7",
+}
+"""Okabe-Ito colors by meaning, the same in figures and recordings; "comparison" is the method compared with."""
+
+STYLE: dict[str, Any] = {
+    "figure.constrained_layout.use": True,
+    "figure.dpi": 100,
+    "savefig.dpi": 150,
+    "font.size": 8.0,
+    "axes.titlesize": 9.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.alpha": 0.3,
+    "grid.linewidth": 0.5,
+    "lines.linewidth": 1.1,
+    "legend.fontsize": 7.0,
+    "legend.framealpha": 0.85,
+    "svg.hashsalt": "celnav",
+    "svg.fonttype": "path",
+}
+
+
+def figure(width: float, height: float, rows: int = 1, columns: int = 1, **axes: Any) -> tuple[Figure, Any]:
+    """An empty figure (inches) and its axes in celnav's style, outside pyplot's list of open figures."""
+    with plt.rc_context(STYLE):
+        fig = Figure(figsize=(width, height))
+        return fig, fig.subplots(rows, columns, **axes)
+
+
+def band(ax: Axes, t: Array, low: Array, high: Array, *, color: str, label: str | None = None) -> None:
+    """A translucent band, for quantiles of a Monte Carlo."""
+    ax.fill_between(t, low, high, color=color, alpha=0.22, linewidth=0.0, label=label)
+
+
+def render(fig: Figure, kind: str) -> bytes:
+    """The figure as "png" or "svg"; the same figure gives the same bytes."""
+    buffer = io.BytesIO()
+    with plt.rc_context(STYLE):
+        fig.savefig(buffer, format=kind, metadata={"Date": None} if kind == "svg" else {"Software": None})
+    return buffer.getvalue()

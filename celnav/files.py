@@ -1,0 +1,135 @@
+"""Files: written whole or not at all, and never over somebody else's.
+
+`Outputs` is a folder of celnav's own files. A small manifest remembers the contents that celnav wrote, so that a file which it
+did not make, or which was changed since, is refused instead of replaced.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import os
+import tempfile
+import zipfile
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from celnav.linalg import Array
+
+MANIFEST = ".celnav.json"
+
+
+class ForeignFileError(OSError):
+    """A file is in the way that celnav did not make."""
+
+
+@contextmanager
+def replacing(path: str | Path) -> Iterator[Path]:
+    """A temporary path beside ``path``, with the same ending; it takes the place of ``path`` at the end, or is removed."""
+    target = Path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(prefix=".", suffix=target.suffix, dir=target.parent)
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        yield temporary
+        with temporary.open("rb+") as file:
+            os.fsync(file.fileno())
+        temporary.chmod(0o644)
+        os.replace(temporary, target)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_bytes(path: str | Path, content: bytes) -> None:
+    """Write a file atomically."""
+    with replacing(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write a UTF-8 file atomically."""
+    write_bytes(path, text.encode("utf-8"))
+
+
+def read_npz(path: str | Path) -> dict[str, Array]:
+    """Arrays of an npz file. Objects are refused: nothing in the file is ever run.
+
+    Raises
+    ------
+    ValueError: naming the file, if it is damaged or holds objects.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            return {name: stored[name] for name in stored.files}
+    except (ValueError, EOFError, zipfile.BadZipFile, KeyError, AttributeError) as error:
+        raise ValueError(f"{path}: expected an npz file of plain arrays ({error})") from None
+
+
+class Outputs:
+    """A folder of files that celnav made.
+
+    Raises
+    ------
+    OSError: if the folder cannot be made or written. ForeignFileError: see `check`.
+    """
+
+    def __init__(self, directory: str | Path):
+        self.directory = Path(directory)
+        self.directory.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=self.directory):
+            pass  # fails here, before anything is computed, where nothing can be written
+        self._manifest: dict[str, list[str]] = {}
+        manifest = self.directory / MANIFEST
+        if manifest.exists():
+            try:
+                self._manifest = {str(k): [str(h) for h in v] for k, v in json.loads(manifest.read_text("utf-8")).items()}
+            except (ValueError, AttributeError, TypeError):
+                raise ForeignFileError(f"{manifest}: not a manifest of celnav") from None
+
+    def check(self, names: Iterable[str]) -> None:
+        """Raise `ForeignFileError` if one of the files exists and is not as celnav wrote it."""
+        for name in names:
+            self._owned(name)
+
+    def _owned(self, name: str) -> Path:
+        path = self.directory / name
+        if Path(name).is_absolute() or ".." in Path(name).parts:
+            raise ValueError(f"name: expected a path inside the folder, got {name!r}")
+        if path.is_symlink() or (path.exists() and _sha256(path) not in self._manifest.get(name, [])):
+            raise ForeignFileError(f"{path}: exists and was not made, or was changed since, by celnav; move it away first")
+        return path
+
+    @contextmanager
+    def path_for(self, name: str) -> Iterator[Path]:
+        """A temporary path to write; at the end it becomes the file ``name``."""
+        path = self._owned(name)
+        with replacing(path) as temporary:
+            yield temporary
+            # Both contents are owned before the old one is replaced: a crash in between leaves no foreign file.
+            self._manifest[name] = [*self._manifest.get(name, [])[-1:], _sha256(temporary)]
+            write_text(self.directory / MANIFEST, json.dumps(self._manifest, indent=1, sort_keys=True) + "\n")
+
+    def bytes(self, name: str, content: bytes) -> None:
+        """Write a file."""
+        with self.path_for(name) as path:
+            path.write_bytes(content)
+
+    def text(self, name: str, text: str) -> None:
+        """Write a UTF-8 file."""
+        self.bytes(name, text.encode("utf-8"))
+
+    def npz(self, name: str, arrays: Mapping[str, Array]) -> None:
+        """Write arrays."""
+        buffer = io.BytesIO()
+        np.savez(buffer, allow_pickle=False, **dict(arrays))
+        self.bytes(name, buffer.getvalue())
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
