@@ -2,15 +2,6 @@
 
 from __future__ import annotations
 
-import os
-
-# Before anything imports numpy: one thread each, so that CPU time is the cost of the algorithm.
-for _name in ("OMP", "OPENBLAS", "MKL", "NUMEXPR", "NUMBA", "VECLIB_MAXIMUM"):
-    os.environ[f"{_name}_NUM_THREADS"] = "1"
-os.environ["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
-os.environ["JAX_PLATFORMS"] = "cpu"
-os.environ["JAX_ENABLE_X64"] = "1"
-
 import argparse
 import sys
 from pathlib import Path

@@ -31,7 +31,7 @@ class Engine(NamedTuple):
 def celnav_engines(counts: Sequence[int]) -> Iterator[Engine]:
     """Both forms, the measurement as a matrix (the normal way) and as a function, and the floor."""
     forms: tuple[tuple[str, Callable[..., Gaussian]], ...] = (("square root", square_root), ("covariance", covariance))
-    measurements: tuple[tuple[str, Any], ...] = (("H matrix", H), ("h function", lambda x, epoch: x[..., :3]))
+    measurements: tuple[tuple[str, Any], ...] = (("H matrix", H), ("h function", lambda x, _epoch: x[..., :3]))
     for runs in counts:
         for form, make in forms:
             for kind, h in measurements:
@@ -39,7 +39,7 @@ def celnav_engines(counts: Sequence[int]) -> Iterator[Engine]:
         yield Engine("model floor", runs, _floor)
 
 
-def dynamics(x: Array, epoch: Any) -> Array:
+def dynamics(x: Array, _epoch: Any) -> Array:
     """The model of every numpy engine."""
     return orbit.step(x, 1.0)
 

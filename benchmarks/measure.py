@@ -32,7 +32,7 @@ class Row(NamedTuple):
 
 
 def measure(
-    engines: Sequence[Engine], workload: Workload, rounds: int, say: Callable[[str], None] = lambda text: None
+    engines: Sequence[Engine], workload: Workload, rounds: int, say: Callable[[str], None]
 ) -> tuple[list[Row], dict[str, str]]:
     """Rows of all engines that are installed, and why the others are absent.
 

@@ -95,11 +95,11 @@ def _stonesoup(z: Array) -> Work:
         def ndim_state(self) -> int:
             return 6
 
-        def function(self, state: Any, noise: Any = None, **kwargs: Any) -> Any:
+        def function(self, state: Any, _noise: Any = None, **_: Any) -> Any:
             """All points at once: Stone Soup's columns are the model's rows."""
             return arrays.StateVectors(orbit.step(np.asarray(state.state_vector, dtype=float).T, 1.0).T)
 
-        def covar(self, **kwargs: Any) -> Any:
+        def covar(self, **_: Any) -> Any:
             return Q
 
         def rvs(self, *args: Any, **kwargs: Any) -> Any:
