@@ -54,7 +54,8 @@ class SquareRootForm:
         return spread @ spread.mT
 
     def std(self, spread: Array) -> Array:
-        return np.sqrt(np.einsum("...ij,...ij->...i", spread, spread))
+        std: Array = np.sqrt(np.vecdot(spread, spread))
+        return std
 
     def marginal(self, A: Array, sign: Array) -> Array:
         negative = _negative(sign, A.shape[-1])
@@ -109,9 +110,9 @@ class CovarianceForm:
 
 def _negative(sign: Array, q: int) -> Array | None:
     """Mask ``(q,)`` of the columns of negative sign, or None if there are none."""
-    negative = sign < 0
-    if not negative.any():
+    if sign.min() > 0.0:
         return None
+    negative = sign < 0.0
     return np.concatenate([negative, np.zeros(q - len(sign), bool)])
 
 

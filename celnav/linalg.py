@@ -3,7 +3,8 @@
 Every function accepts leading batch axes (a Monte-Carlo block of runs) and treats the last two as a matrix. Roots are *lower*
 triangular with a non-negative diagonal, ``P = L @ L.mT``; "columns" means any ``(..., n, q)`` array ``A`` that stands for
 ``P = A @ A.mT``. A matrix of a batch that has no root becomes nan, its neighbors are untouched. `tria`, `cholesky` and
-`solve_lower` carry nearly all of the arithmetic of a filter: they are the seam for a compiled kernel.
+`solve_lower` carry nearly all of the arithmetic of a filter: they are the seam for a compiled kernel. A single matrix goes to
+LAPACK directly, since numpy's batched functions spend most of a small one's time on preparations.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import lapack
 
 Array = NDArray[Any]
 
@@ -34,8 +36,12 @@ def tria(A: Array) -> Array:
     n, q = A.shape[-2:]
     if q < n:
         A = np.concatenate([A, np.zeros((*A.shape[:-1], n - q))], -1)
+    L: Array
+    if A.ndim == 2:
+        L = lapack.dgeqrfp(A.T)[0][:n].T  # its diagonal is not negative
+        return L * _lower(n)
     # "raw" leaves R' in the lower triangle, Householder vectors above it: one product masks them and fixes the signs.
-    L: Array = np.linalg.qr(A.mT, mode="raw")[0][..., :n]
+    L = np.linalg.qr(A.mT, mode="raw")[0][..., :n]
     signs = np.copysign(1.0, L.diagonal(0, -2, -1))
     return L * (signs[..., None, :] * _lower(n))
 
@@ -47,13 +53,11 @@ def _lower(n: int) -> Array:
 
 def solve_lower(L: Array, B: Array) -> Array:
     """Solve ``L @ X = B`` for lower triangular ``L (..., n, n)`` and ``B (..., n, k)``; a zero on the diagonal gives nan."""
-    if L.ndim == B.ndim == 2:  # one run: a LAPACK call beats n Python steps
-        try:
-            return np.linalg.solve(L, B)
-        except np.linalg.LinAlgError:
-            return np.full_like(B, np.nan)
+    if L.ndim == B.ndim == 2:
+        X, singular = lapack.dtrtrs(L, B, lower=1)
+        return np.full(B.shape, np.nan) if singular else X
     batch = np.broadcast_shapes(L.shape[:-2], B.shape[:-2])
-    X = np.empty(batch + B.shape[-2:])
+    X: Array = np.empty(batch + B.shape[-2:])
     diagonal = L.diagonal(0, -2, -1)
     if not diagonal.all():
         diagonal = np.where(diagonal == 0.0, np.nan, diagonal)

@@ -81,7 +81,7 @@ class Info(NamedTuple):
     @property
     def nis(self) -> Array | None:
         """Normalized innovation squared, ``(...)``: chi-square with ``used.sum(-1)`` degrees of freedom."""
-        return None if self.white is None else np.einsum("...i,...i->...", self.white, self.white)
+        return None if self.white is None else np.vecdot(self.white, self.white)
 
     @property
     def log_likelihood(self) -> Array | None:
@@ -371,7 +371,7 @@ def explain(
     z: Array | None = None,
 ) -> str:
     """Why a run that was finite before a step is not so after it; empty if there is none."""
-    if np.isfinite(after.mean).all() and np.isfinite(after.spread).all():
+    if np.isfinite(after.mean.sum() + after.spread.sum()):  # a cheap test; what overflows is looked at below
         return ""
     was = np.isfinite(before.mean).all(-1) & np.isfinite(before.spread).all((-2, -1))
     lost = was & ~(np.isfinite(after.mean).all(-1) & np.isfinite(after.spread).all((-2, -1)))

@@ -1,0 +1,93 @@
+"""celnav's filters as engines, and the floor under them: the model evaluations alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from benchmarks.workload import BLOCK, P0, SQRT_Q, X0, H, R
+from celnav.filters.driver import epochs, run, sequential
+from celnav.filters.step import predict, update
+from celnav.gaussian import Gaussian, covariance, square_root
+from celnav.linalg import Array
+from celnav.models import orbit
+from celnav.points import unscented
+from celnav.spaces import EUCLIDEAN
+
+Work = Callable[[], Array | None]
+"""One timed pass; returns the means ``(steps + 1, runs, 6)``, or None where there is no estimate."""
+
+
+class Engine(NamedTuple):
+    """``prepare(z)`` makes the work for measurements ``z (steps + 1, runs, 3)``; ImportError: the peer is not installed."""
+
+    name: str
+    runs: int
+    prepare: Callable[[Array], Work]
+
+
+def celnav_engines(counts: Sequence[int]) -> Iterator[Engine]:
+    """Both forms, the measurement as a matrix (the normal way) and as a function, and the floor."""
+    forms: tuple[tuple[str, Callable[..., Gaussian]], ...] = (("square root", square_root), ("covariance", covariance))
+    measurements: tuple[tuple[str, Any], ...] = (("H matrix", H), ("h function", lambda x, _epoch: x[..., :3]))
+    for runs in counts:
+        for form, make in forms:
+            for kind, h in measurements:
+                yield Engine(f"celnav {form}, {kind}", runs, _filter(make, h))
+        yield Engine("model floor", runs, _floor)
+
+
+def dynamics(x: Array, _epoch: Any) -> Array:
+    """The model of every numpy engine."""
+    return orbit.step(x, 1.0)
+
+
+def _filter(make: Callable[..., Gaussian], h: Any) -> Callable[[Array], Work]:
+    def prepare(z: Array) -> Work:
+        rule = unscented(6)
+        filter = sequential(predict(dynamics, rule, sqrt_Q=SQRT_Q), update(h, rule, R))
+        times, runs = np.arange(len(z)), z.shape[1]
+
+        def work() -> Array:
+            if runs == 1:
+                return _means(run(filter, make(X0, P0), epochs(times, z[:, 0])).mean)[:, None]
+            tracks = []
+            for first in range(0, runs, BLOCK):
+                part = z[:, first : first + BLOCK]
+                prior = make(np.broadcast_to(X0, (part.shape[1], 6)), P0)
+                tracks.append(_means(run(filter, prior, epochs(times, part)).mean))
+            return tracks[0] if len(tracks) == 1 else np.concatenate(tracks, 1)
+
+        return work
+
+    return prepare
+
+
+def _means(mean: Array | None) -> Array:
+    if mean is None:
+        raise RuntimeError("the track stored no means")
+    return mean
+
+
+def estimate(z: Array) -> Array:
+    """The estimate that all are compared with: celnav's square-root filter, ``(steps + 1, runs, 6)``."""
+    means = _filter(square_root, H)(z)()
+    return _means(means)
+
+
+def _floor(z: Array) -> Work:
+    """13 sigma points through the model, steps times, in blocks, in the memory layout that the filter gives them."""
+    steps, runs = len(z) - 1, z.shape[1]
+    root = np.sqrt(P0)
+
+    def work() -> None:
+        for first in range(0, runs, BLOCK):
+            size = min(BLOCK, runs - first)
+            mean = X0 if runs == 1 else np.tile(X0, (size, 1))
+            (points,) = unscented(6).points(mean, root, EUCLIDEAN)
+            for _ in range(steps):
+                orbit.step(points, 1.0)
+
+    return work
