@@ -158,7 +158,7 @@ def test_equals_filterpy(points, prior):
         ukf.update(measured)
         means.append(ukf.x.copy())
         covs.append(ukf.P.copy())
-    expected, expected_cov, gains = ukf.rts_smoother(np.array(means), np.array(covs), dts=np.diff(times)[1:].tolist() + [0.0])
+    expected, expected_cov, gains = ukf.rts_smoother(np.array(means), np.array(covs), dts=[*np.diff(times)[1:], 0.0])
 
     rule = from_filterpy(theirs)
     z[0] = np.nan  # filterpy has no update of the prior
@@ -427,7 +427,7 @@ def test_bad_input_is_refused_by_name():
         smooth(run(filter, prior, when), when, linear, rule, sqrt_Q=SQRT_Q)
     with pytest.raises(ValueError, match=r"epochs: expected the 4 of the track \(run with every=1\), got 12"):
         smooth(run(filter, prior, when, keep="spread", every=3), when, linear, rule, sqrt_Q=SQRT_Q)
-    with pytest.raises(ValueError, match="epochs: expected the times of the track, got 0.5 instead of 1.0 at index 1"):
+    with pytest.raises(ValueError, match=r"epochs: expected the times of the track, got 0\.5 instead of 1\.0 at index 1"):
         smooth(good, epochs(0.5 * np.arange(T), z), linear, rule, sqrt_Q=SQRT_Q)
     with pytest.raises(ValueError, match="Q: expected 3 rows"):
         smooth(good, when, linear, rule, np.eye(2))
