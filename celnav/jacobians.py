@@ -101,7 +101,8 @@ def _differences(
 ) -> tuple[Array, Array]:
     """Jacobian ``(..., M, N)`` and an estimate of its error: order 8 and what order 6 says otherwise, at the better scale."""
     n = x.shape[-1]
-    best, doubt = np.full((*x.shape[:-1], center.shape[-1], n), np.nan), np.inf
+    best = np.full((*x.shape[:-1], center.shape[-1], n), np.nan)
+    doubt = np.full_like(best, np.inf)
     for scale in (1.0, 1.0 / 8.0):
         reach = scale * np.arange(1, 5) / 4.0
         moves = np.einsum("k,ij->kij", np.concatenate([reach, -reach]), np.eye(n)).reshape(8 * n, *(1,) * (x.ndim - 1), n)
