@@ -106,6 +106,9 @@ def semidefinite_root(P: Array) -> Array:
         eigenvalues, vectors = np.linalg.eigh(np.where(finite[..., None, None], C, -np.eye(C.shape[-1])))
         indefinite = eigenvalues[..., 0] < -64 * C.shape[-1] * _EPS * np.maximum(eigenvalues[..., -1], 1.0)
         root = tria(scale[..., None] * vectors * np.sqrt(np.maximum(eigenvalues, 0.0))[..., None, :])
+        singular = eigenvalues[..., :1, None] <= 4 * C.shape[-1] * _EPS
+        if not singular.all():  # the neighbors get what they would get alone
+            root = np.where(singular, root, scale[..., None] * np.linalg.cholesky(np.where(singular, np.eye(C.shape[-1]), C)))
         return np.where(indefinite[..., None, None], np.nan, root)
 
 

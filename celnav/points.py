@@ -226,7 +226,7 @@ class Taylor:
     Parameters
     ----------
     jacobians: ``mean (..., N) -> tuple`` of Jacobians ``(..., k, n)``, one for each output of the function. None: central
-        differences along the columns of the root.
+        differences along the columns of the root. `KEEP`, the state itself, needs none.
     step: length of the difference, in standard deviations.
     """
 
@@ -274,7 +274,11 @@ class Taylor:
         total = sum(E.shape[-1] for E in roots)
         given = None if self.jacobians is None else self.jacobians(mean)
         if given is not None and len(given) != len(outputs):
-            raise ValueError(f"jacobians: expected {len(outputs)} matrices, got {len(given)}")
+            moved = [i for i, y in enumerate(outputs) if y is not KEEP]  # the state itself needs none
+            if len(given) != len(moved):
+                raise ValueError(f"jacobians: expected {len(moved)} matrices, got {len(given)}")
+            by_output = dict(zip(moved, given, strict=True))
+            given = tuple(by_output.get(i, mean) for i in range(len(outputs)))
         images = []
         for i, (y, sp) in enumerate(zip(outputs, spaces, strict=True)):
             center = mean if y is KEEP else y[0]

@@ -75,8 +75,11 @@ def sequential(predict: Predict, *updates: Update) -> Filter:
             belief, info, memory[i] = update(belief, measured, epoch, memory[i])
             infos.append(info)
         infos = [i._replace(slopes=predicted.slopes + i.slopes[1:]) for i in infos] or [predicted]
-        if predicted.failure or predicted.redone is not None:
-            infos[0] = infos[0]._replace(failure=predicted.failure or infos[0].failure, redone=predicted.redone)
+        if infos[0] is not predicted and (predicted.failure or predicted.redone is not None):
+            redone = [r for r in (predicted.redone, infos[0].redone) if r is not None]
+            infos[0] = infos[0]._replace(
+                failure=predicted.failure or infos[0].failure, redone=np.logical_or(redone[0], redone[-1]) if redone else None
+            )
         return State(belief, tuple(memory)), infos[0] if len(infos) == 1 else tuple(infos)
 
     return Filter(lambda prior: State(prior, (None,) * len(updates)), step)

@@ -1,0 +1,410 @@
+"""Gates reject what they should and count it, the window follows its formula, considered states stay uncertain."""
+
+import numpy as np
+import pytest
+from scipy.stats import chi2, norm
+
+from celnav.filters.adaptive import chi_square_gate, consider, fallback, gate, innovation_window
+from celnav.filters.driver import Epoch, FilterError, epochs, run, sequential, steps
+from celnav.filters.step import predict, update
+from celnav.gaussian import Gaussian, covariance, square_root
+from celnav.points import Taylor, cubature, unscented
+
+A = np.array([[1.0, 0.2], [-0.1, 0.9]])
+H = np.array([[1.0, 0.0], [0.5, 1.0], [0.0, 2.0]])
+Q = np.array([[0.1, 0.02], [0.02, 0.05]])
+R = np.array([[0.5, 0.1, 0.0], [0.1, 0.4, 0.1], [0.0, 0.1, 0.3]])
+P0 = np.array([[1.0, 0.3], [0.3, 0.6]])
+FORMS = pytest.mark.parametrize("form", [square_root, covariance], ids=["root", "cov"])
+RULES = pytest.mark.parametrize("rule", [unscented(2), unscented(2, 1.0, 0.0, -0.5), Taylor()], ids=repr)
+
+
+def f(x, epoch):
+    return x @ A.T
+
+
+def h(x, epoch):
+    return x @ H.T
+
+
+def make(hooks=(), rule=None, gain=None):
+    rule = unscented(2) if rule is None else rule
+    return sequential(predict(f, rule, Q), update(h, rule, R, hooks=hooks, gain=gain))
+
+
+def simulate(rng, steps, *batch):
+    x = rng.normal(size=(*batch, 2)) @ np.linalg.cholesky(P0).T
+    z = []
+    for k in range(steps):
+        if k:
+            x = x @ A.T + rng.normal(size=(*batch, 2)) @ np.linalg.cholesky(Q).T
+        z.append(x @ H.T + rng.normal(size=(*batch, 3)) @ np.linalg.cholesky(R).T)
+    return np.array(z)
+
+
+def kalman(z, inflate=None, rejects=None):
+    """The textbook filter of one run: ``inflate(k, e, S0) -> A``, ``rejects(e, S) -> bool (m,)``."""
+    x, P, means = np.zeros(2), P0, []
+    for k, measured in enumerate(z):
+        if k:
+            x, P = A @ x, A @ P @ A.T + Q
+        e, S0 = measured - H @ x, H @ P @ H.T
+        root = np.sqrt(np.ones(3) if inflate is None else inflate(k, e, S0))
+        S = S0 + root[:, None] * R * root
+        used = ~np.isnan(e)
+        if rejects is not None:
+            used &= ~rejects(e, S)
+        K = np.linalg.solve(S[np.ix_(used, used)], (H @ P)[used]).T
+        x, P = x + K @ e[used], P - K @ (H @ P)[used]
+        means.append(x)
+    return np.array(means)
+
+
+@RULES
+@FORMS
+def test_gate_leaves_out_components(form, rule):
+    """The textbook filter without those components, and the count of them in the track."""
+    z = simulate(np.random.default_rng(1), 30, 3)
+    z[5, 0, 1] += 50.0
+    z[9, 1] += [40.0, 0.0, -40.0]
+    z[9, 0, 2] = np.nan
+    rejected = np.zeros(3, int)
+
+    def rejects(e, S):
+        beyond = np.abs(e) > 4.0 * np.sqrt(np.diag(S))
+        rejected[i] += beyond.sum()
+        return beyond
+
+    expected = []
+    for i in range(3):
+        expected.append(kalman(z[:, i], rejects=rejects))
+    track = run(make((gate(4.0),), rule), form(np.zeros((3, 2)), P0), epochs(np.arange(30), z))
+    np.testing.assert_allclose(track.mean, np.stack(expected, 1), rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(track.events["rejected"], rejected)
+    np.testing.assert_array_equal(track.events["missing"], [1, 0, 0])
+    assert rejected[0] >= 1
+    assert rejected[1] >= 2
+    assert track.innovation[5, 0, 1] > 40.0  # told, though not used
+    assert not track.used[5, 0, 1]
+
+
+def test_gate_rejects_as_often_as_it_should():
+    """Of good data, one component alone, the share that lies beyond 1.5 standard deviations of a Gaussian."""
+    gamma, runs = 1.5, 4000
+    part = update(h, unscented(2), R, hooks=(gate(gamma),))
+    z = simulate(np.random.default_rng(2), 1, runs)[0]
+    _, info, _ = part(square_root(np.zeros((runs, 2)), P0), z)
+    share = 2.0 * norm.sf(gamma)
+    assert abs((~info.used).mean(0) - share).max() < 4.0 * np.sqrt(share * (1.0 - share) / runs)
+
+
+@RULES
+@FORMS
+def test_chi_square_gate_leaves_out_runs(form, rule):
+    """The whole vector of a run is left out by its own number of measured components."""
+    z = simulate(np.random.default_rng(3), 30, 3)
+    z[5, 0] += [8.0, -6.0, 0.0]
+    z[6, 1] = [np.nan, np.nan, 60.0]
+    z[7, 2] = np.nan
+    rejected = np.zeros(3, int)
+
+    def rejects(e, S):
+        used = ~np.isnan(e)
+        if not used.any():
+            return ~used
+        d2 = e[used] @ np.linalg.solve(S[np.ix_(used, used)], e[used])
+        beyond = d2 > chi2.ppf(0.99, used.sum())
+        rejected[i] += beyond * used.sum()
+        return np.full(3, beyond)
+
+    expected = []
+    for i in range(3):
+        expected.append(kalman(z[:, i], rejects=rejects))
+    track = run(make((chi_square_gate(0.99),), rule), form(np.zeros((3, 2)), P0), epochs(np.arange(30), z))
+    np.testing.assert_allclose(track.mean, np.stack(expected, 1), rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(track.events["rejected"], rejected)
+    assert not track.used[5, 0].any()
+    assert not track.used[6, 1].any()
+    np.testing.assert_array_equal(track.events["missing"], [0, 2, 3])
+
+
+def test_chi_square_gate_sees_correlation():
+    """Two components that contradict each other by less than a component gate would mind."""
+    prior = square_root([0.0], [[100.0]])
+    opposed, agreeing = np.array([8.0, -8.0]), np.array([8.0, 8.0])
+    for hook, bad in ((gate(3.0), True), (chi_square_gate(0.999), False)):
+        part = update([[1.0], [1.0]], unscented(1), np.eye(2), hooks=(hook,))
+        assert part(prior, opposed)[1].used.all() == bad
+        assert part(prior, agreeing)[1].used.all()
+
+
+@FORMS
+@RULES
+def test_a_window_never_filled_changes_no_bit(form, rule):
+    z = simulate(np.random.default_rng(4), 20, 4)
+    z[3, 1, 0] = np.nan
+    prior, when = form(np.zeros((4, 2)), P0), epochs(np.arange(20), z)
+    plain = run(make((), rule), prior, when, keep="spread")
+    hooked = run(make((innovation_window(21),), rule), prior, when, keep="spread")
+    np.testing.assert_array_equal(hooked.mean, plain.mean)
+    np.testing.assert_array_equal(hooked.spread, plain.spread)
+    np.testing.assert_array_equal(hooked.log_likelihood, plain.log_likelihood)
+
+
+@FORMS
+@RULES
+@pytest.mark.parametrize("gaps", ["restart", "skip"])
+def test_window_follows_its_formula(form, rule, gaps):
+    """``A = max(1, (C - S0) / R)`` by congruence, per component, with full R; gaps restart or are skipped."""
+    M, z = 4, simulate(np.random.default_rng(5), 40)
+    z[15:25] *= 6.0
+    z[18, 1] = np.nan
+    z[30, 0] = np.nan
+    past = [[], [], []]
+    largest = 0.0
+
+    def inflate(k, e, S0):
+        nonlocal largest
+        factor = np.ones(3)
+        for i in range(3):
+            if np.isnan(e[i]):
+                past[i] = [] if gaps == "restart" else past[i]
+            else:
+                past[i].append(e[i])
+            if len(past[i]) >= M:
+                factor[i] = max(1.0, (np.mean(np.square(past[i][-M:])) - S0[i, i]) / R[i, i])
+        largest = max(largest, factor.max())
+        return factor
+
+    expected = kalman(z, inflate)
+    assert largest > 10.0
+    track = run(make((innovation_window(M, gaps),), rule), form(np.zeros(2), P0), epochs(np.arange(40), z))
+    np.testing.assert_allclose(track.mean, expected, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("hooks", [(innovation_window(3),), (innovation_window(3, "skip"),), (gate(2.0), innovation_window(2))])
+def test_runs_do_not_know_each_other(hooks):
+    """A run in a batch adapts as it would alone, also where the whole block or only this run has no measurement."""
+    z = simulate(np.random.default_rng(6), 30, 3)
+    z[10:20, 1] *= 8.0
+    z[12, 1] = np.nan  # alone, this epoch is skipped altogether; in the batch the hook sees nan
+    z[16] = np.nan
+    z[22, 0, 1] = np.nan
+    batch = run(make(hooks), square_root(np.zeros((3, 2)), P0), epochs(np.arange(30), z))
+    plain = run(make(), square_root(np.zeros((3, 2)), P0), epochs(np.arange(30), z))
+    assert np.abs(batch.mean - plain.mean)[:, 1].max() > 0.1
+    for i in range(3):
+        alone = run(make(hooks), square_root(np.zeros(2), P0), epochs(np.arange(30), z[:, i]))
+        np.testing.assert_allclose(alone.mean, batch.mean[:, i], rtol=0, atol=1e-11)
+
+
+def test_hooks_act_in_order_with_their_own_memory():
+    """A gate before the window keeps outliers from it; their states can be resumed midway."""
+    z = simulate(np.random.default_rng(7), 12)
+    z[4, 0] = 500.0
+    filter, prior = make((gate(5.0), innovation_window(3))), square_root(np.zeros(2), P0)
+    states = [state for _, state, _ in steps(filter, prior, epochs(np.arange(12), z))]
+    gated, window = states[4].memory[0]
+    assert gated is None
+    assert np.isnan(window.innovations[-1, 0])
+    state = states[5]
+    for epoch in epochs(np.arange(12), z)[6:]:
+        state, _ = filter.step(state, epoch)
+    np.testing.assert_array_equal(state.belief.mean, states[-1].belief.mean)
+
+
+def test_adaptation_helps_in_a_burst():
+    """Ten times the noise for a while: the window's error there is below that of the plain filter."""
+    rng = np.random.default_rng(8)
+    runs, steps_ = 30, 80
+    x, truth, z = np.zeros((runs, 2)), [], []
+    for k in range(steps_):
+        x = x @ A.T + rng.normal(size=(runs, 2)) @ np.linalg.cholesky(Q).T
+        truth.append(x)
+        scale = 10.0 if 30 <= k < 60 else 1.0
+        z.append(x @ H.T + scale * rng.normal(size=(runs, 3)) @ np.linalg.cholesky(R).T)
+    when, prior = epochs(np.arange(steps_), np.array(z)), square_root(np.zeros((runs, 2)), P0)
+    burst = slice(36, 60)
+    error = [
+        np.sqrt(np.mean((run(make(hooks), prior, when).mean - np.array(truth))[burst] ** 2))
+        for hooks in ((), (innovation_window(5),))
+    ]
+    assert error[1] < 0.7 * error[0]
+
+
+@RULES
+@FORMS
+@pytest.mark.parametrize("missing", [False, True])
+def test_consider_is_schmidt_kalman(form, rule, missing):
+    """The Schmidt-Kalman equations in blocks: states x with P_x, considered p with P_p, and their cross-covariance C."""
+    rng = np.random.default_rng(9)
+    F, Hp = 0.8, np.array([[0.3], [-0.5], [0.2]])
+    B = np.array([[0.4], [-0.2]])
+    z = rng.normal(size=(25, 3))
+    if missing:
+        z[4, 1] = np.nan
+        z[8:10, [0, 2]] = np.nan
+        z[13] = np.nan
+    three = {"Rule": unscented(3, 1.0, 0.0, -0.5 if "negative weights=1" in repr(rule) else 0.0)}.get(type(rule).__name__, rule)
+
+    def dynamics(x, epoch):
+        return np.concatenate([x[..., :2] @ A.T + x[..., 2:] @ B.T, F * x[..., 2:]], -1)
+
+    def measure(x, epoch):
+        return x[..., :2] @ H.T + x[..., 2:] @ Hp.T
+
+    noise = np.zeros((3, 3))
+    noise[:2, :2], noise[2, 2] = Q, 0.05
+    start = np.zeros((3, 3))
+    start[:2, :2], start[2, 2] = P0, 0.7
+    filter = sequential(predict(dynamics, three, noise), update(measure, three, R, gain=consider(2, 1)))
+    track = run(filter, form([0.0, 0.0, 0.4], start), epochs(np.arange(25), z), keep="spread")
+
+    x, p, P, C, Pp = np.zeros(2), np.array([0.4]), P0, np.zeros((2, 1)), np.array([[0.7]])
+    for k in range(25):
+        if k:
+            x, p = A @ x + B @ p, F * p
+            P = A @ P @ A.T + A @ C @ B.T + B @ C.T @ A.T + B @ Pp @ B.T + Q
+            C = A @ C * F + B @ Pp * F
+            Pp = F * Pp * F + 0.05
+        there = ~np.isnan(z[k])
+        if there.any():
+            Hx, Hc, Rk = H[there], Hp[there], R[np.ix_(there, there)]
+            S = Hx @ P @ Hx.T + Hx @ C @ Hc.T + Hc @ C.T @ Hx.T + Hc @ Pp @ Hc.T + Rk
+            K = (P @ Hx.T + C @ Hc.T) @ np.linalg.inv(S)
+            x = x + K @ (z[k][there] - Hx @ x - Hc @ p)
+            P = P - K @ S @ K.T
+            C = C - K @ (Hx @ C + Hc @ Pp)
+        np.testing.assert_allclose(track.mean[k], [*x, *p], rtol=0, atol=1e-10)
+        np.testing.assert_allclose(track.cov[k], np.block([[P, C], [C.T, Pp]]), rtol=0, atol=1e-10)
+
+
+@FORMS
+def test_fixed_gain(form):
+    """The covariance of a filter with a gain of its own is Joseph's, whatever the gain."""
+    K = np.array([[0.3, 0.1, 0.0], [0.0, 0.1, 0.2]])
+    z = simulate(np.random.default_rng(10), 15)
+    track = run(make(gain=K), form(np.zeros(2), P0), epochs(np.arange(15), z), keep="spread")
+    x, P = np.zeros(2), P0
+    for k in range(15):
+        if k:
+            x, P = A @ x, A @ P @ A.T + Q
+        J = np.eye(2) - K @ H
+        x, P = x + K @ (z[k] - H @ x), J @ P @ J.T + K @ R @ K.T
+    np.testing.assert_allclose(track.mean[-1], x, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(track.cov[-1], P, rtol=0, atol=1e-11)
+
+
+N = 13
+FIFTH, THIRD = cubature(N, degree=5), cubature(N)
+
+
+def steep(x, epoch):
+    return np.cos(3.0 * x[..., :6])
+
+
+def wide_prior(form):
+    return form(np.zeros((3, N)), np.array([0.2, 3.0, 0.2])[:, None, None] ** 2 * np.eye(N))
+
+
+@FORMS
+def test_fallback_of_an_update(form):
+    """Negative weights lose the middle run's innovation covariance; a positive rule does it again, neighbors bit for bit."""
+    noise = 0.0025 * np.eye(6)
+    first, second = update(steep, FIFTH, noise), update(steep, THIRD, noise)
+    prior, z = wide_prior(form), np.ones((3, 6))
+    alone, lone_info, _ = first(prior, z)
+    assert np.isnan(alone.mean[1]).all()
+    assert lone_info.failure
+    after, info, _ = fallback(first, second)(prior, z)
+    np.testing.assert_array_equal(info.redone, [False, True, False])
+    assert info.failure == ""
+    again, other, _ = second(prior, z)
+    for name in ("mean", "spread"):
+        np.testing.assert_array_equal(getattr(after, name)[[0, 2]], getattr(alone, name)[[0, 2]])
+        np.testing.assert_array_equal(getattr(after, name)[1], getattr(again, name)[1])
+    for name in ("innovation", "white", "innovation_root"):
+        np.testing.assert_array_equal(getattr(info, name)[[0, 2]], getattr(lone_info, name)[[0, 2]])
+        np.testing.assert_array_equal(getattr(info, name)[1], getattr(other, name)[1])
+    np.testing.assert_array_equal(info.gain()[1], other.gain()[1])
+    np.testing.assert_array_equal(info.gain()[0], lone_info.gain()[0])
+    np.testing.assert_array_equal(info.slopes[1]()[0][1], other.slopes[1]()[0][1])
+    assert np.isfinite(info.log_likelihood).all()
+
+
+@FORMS
+def test_fallback_of_a_prediction_is_counted(form):
+    """In covariance form, too, where an indefinite prediction is finite and would only fail later."""
+
+    def f(x, epoch):
+        return np.cos(3.0 * x)
+
+    first, second = predict(f, FIFTH, 0.0025 * np.eye(N)), predict(f, THIRD, 0.0025 * np.eye(N))
+    measure = update(np.eye(2, N), FIFTH, np.eye(2))
+    prior = wide_prior(form)
+    when = epochs(np.arange(2), np.array([np.full((3, 2), np.nan), np.ones((3, 2))]))
+    with pytest.raises(FilterError, match=r"run \(1,\)"):
+        run(sequential(first, measure), prior, when)
+    track = run(sequential(fallback(first, second), measure), prior, when, keep="spread")
+    np.testing.assert_array_equal(track.events["redone"], [0, 1, 0])
+    np.testing.assert_array_equal(track.failed_at, [-1, -1, -1])
+    flagged = run(sequential(first, measure), prior, when, keep="spread", on_failure="flag")
+    np.testing.assert_array_equal(track.mean[:, [0, 2]], flagged.mean[:, [0, 2]])
+    np.testing.assert_array_equal(track.spread[:, [0, 2]], flagged.spread[:, [0, 2]])
+    other = run(sequential(second, measure), prior, when)
+    np.testing.assert_array_equal(track.mean[1, 1], other.mean[1, 1])
+
+
+def test_fallbacks_of_both_parts_are_told():
+    """A step redone in its update is counted also where the filter has a prediction with nothing to redo."""
+
+    def still(x, epoch):
+        return x
+
+    noise = 0.0025 * np.eye(6)
+    predicts = fallback(predict(still, FIFTH), predict(still, THIRD))
+    updates = fallback(update(steep, FIFTH, noise), update(steep, THIRD, noise))
+    track = run(sequential(predicts, updates), wide_prior(square_root), [Epoch(0, 0.0, 0.0, None, np.ones((3, 6)))])
+    np.testing.assert_array_equal(track.events["redone"], [0, 1, 0])
+
+
+def test_fallback_gives_up_where_both_fail():
+    """A run that both lose stays lost and says why; one that was lost before is not redone; nothing lost costs nothing."""
+    noise = 0.0025 * np.eye(6)
+    first = update(steep, FIFTH, noise)
+    prior, z = wide_prior(square_root), np.ones((3, 6))
+    both, info, _ = fallback(first, first)(prior, z)
+    assert np.isnan(both.mean[1]).all()
+    assert "not positive definite" in info.failure
+    before = Gaussian(np.where(np.arange(3)[:, None] == 1, np.nan, prior.mean), prior.spread)
+    _, info, _ = fallback(first, update(steep, THIRD, noise))(before, z)
+    assert info.redone is None
+    calls = []
+
+    def counted(*arguments):
+        calls.append(arguments)
+        return first(*arguments)
+
+    tame = square_root(np.zeros((2, N)), 0.04 * np.eye(N))
+    _, info, _ = fallback(first, counted)(tame, z[:2])
+    assert info.redone is None
+    assert not calls
+
+
+@pytest.mark.parametrize(
+    ("bad", "name"),
+    [
+        (lambda: gate(0.0), "gamma"),
+        (lambda: gate(np.nan), "gamma"),
+        (lambda: chi_square_gate(1.0), "probability"),
+        (lambda: innovation_window(0), "M"),
+        (lambda: innovation_window(2.5), "M"),
+        (lambda: innovation_window(3, "ignore"), "gaps"),
+        (lambda: consider(0, 2), "n"),
+        (lambda: consider(2, -1), "k"),
+        (lambda: update(h, unscented(2), R, gain=consider(2, 2))(square_root(np.zeros(2), P0), np.zeros(3)), "consider"),
+    ],
+)
+def test_bad_input_is_refused_by_name(bad, name):
+    with pytest.raises(ValueError, match=f"^{name}: expected"):
+        bad()

@@ -1,0 +1,453 @@
+"""The smoother gives the marginals of the joint Gaussian of all states, and what filterpy's smoother gives."""
+
+import numpy as np
+import pytest
+from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
+from scipy.stats import chi2
+
+from celnav.filters.colored import augmented
+from celnav.filters.driver import FilterError, epochs, run, sequential
+from celnav.filters.smoother import smooth
+from celnav.filters.step import predict, update
+from celnav.gaussian import Gaussian, covariance, nees, square_root
+from celnav.linalg import block
+from celnav.points import Rule, Taylor, cubature, from_filterpy, gauss_hermite, simplex, unscented
+from celnav.spaces import EUCLIDEAN, Space, angles
+
+A_ = np.array([[1.0, 0.1, 0.0], [-0.2, 0.9, 0.1], [0.0, 0.3, 0.8]])
+H_ = np.array([[1.0, 0.5, 0.0], [0.0, 1.0, -1.0]])
+SQRT_Q = np.array([[0.3, 0.0], [0.1, 0.2], [0.0, 0.4]])
+R = np.array([[0.5, 0.1], [0.1, 0.4]])
+P0 = np.array([[1.0, 0.2, 0.0], [0.2, 0.8, 0.1], [0.0, 0.1, 0.5]])
+T = 12
+
+RULES = {
+    "unscented": unscented(3),
+    "negative center": unscented(3, alpha=1.0, beta=0.0, kappa=-1.0),
+    "simplex": simplex(3),
+    "cubature": cubature(3),
+    "fifth degree": cubature(3, degree=5),
+    "gauss-hermite": gauss_hermite(3),
+    "differences": Taylor(),
+    "jacobian": Taylor(lambda mean: (A_,)),
+}
+
+
+def linear(x, epoch):
+    return x @ A_.T
+
+
+def measurements(rng, *batch):
+    z = rng.normal(size=(T, *batch, 2))
+    z[3, ..., 0] = np.nan
+    z[7] = np.nan
+    return z
+
+
+def joint(z, prior_cov, transitions, noises, H=H_, R=R):
+    """Mean and covariance of all states given all that was measured, from their joint Gaussian; written out."""
+    n, steps = len(prior_cov), len(z)
+    sources = [np.linalg.cholesky(prior_cov + 0.0), *noises]
+    rows = []
+    for k in range(steps):
+        row = []
+        for j in range(steps):
+            if j > k:
+                row.append(np.zeros((n, sources[j].shape[1])))
+                continue
+            M = sources[j]
+            for i in range(j, k):
+                M = transitions[i] @ M
+            row.append(M)
+        rows.append(np.hstack(row))
+    X = np.vstack(rows)
+    P = X @ X.T
+    Hall = np.kron(np.eye(steps), H)
+    there = ~np.isnan(z.ravel())
+    Hall, data = Hall[there], z.ravel()[there]
+    noise = np.kron(np.eye(steps), R)[np.ix_(there, there)]
+    K = np.linalg.solve(Hall @ P @ Hall.T + noise, Hall @ P).T
+    cov = P - K @ Hall @ P
+    at = [slice(n * k, n * k + n) for k in range(steps)]
+    return (K @ data).reshape(steps, n), np.array([cov[i, i] for i in at])
+
+
+@pytest.mark.parametrize("name", RULES)
+@pytest.mark.parametrize("prior", [square_root, covariance], ids=["root", "cov"])
+def test_equals_the_joint_gaussian(name, prior):
+    """With a linear model every rule is exact; the process noise has rank 2, so the joint of two states is singular."""
+    rule = RULES[name]
+    z = measurements(np.random.default_rng(1))
+    when = epochs(np.arange(T), z)
+    track = run(sequential(predict(linear, rule, sqrt_Q=SQRT_Q), update(H_, rule, R)), prior(np.zeros(3), P0), when, keep="spread")
+    smoothed = smooth(track, when, linear, rule, sqrt_Q=SQRT_Q, gains=True)
+    mean, cov = joint(z, P0, [A_] * (T - 1), [SQRT_Q] * (T - 1))
+    np.testing.assert_allclose(smoothed.mean, mean, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(smoothed.cov, cov, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(smoothed.std, np.sqrt(cov.diagonal(0, -2, -1)), rtol=0, atol=1e-9)
+    # the textbook gain P F' (F P F' + Q)^-1
+    P = track.cov[4]
+    G = P @ A_.T @ np.linalg.inv(A_ @ P @ A_.T + SQRT_Q @ SQRT_Q.T)
+    np.testing.assert_allclose(smoothed.extra["gain"][4], G, rtol=0, atol=1e-9)
+    assert not smoothed.extra["gain"][-1].any()
+    assert (track.mean[:-1] != smoothed.mean[:-1]).any()
+    np.testing.assert_array_equal(track.mean[-1], smoothed.mean[-1])
+
+
+@pytest.mark.parametrize("prior", [square_root, covariance], ids=["root", "cov"])
+def test_irregular_times_inputs_and_noise_functions(prior):
+    """Intervals, inputs and noise belong to the epoch that ends them; an interval of 0 shares its state."""
+    rng = np.random.default_rng(2)
+    times = np.array([0.0, 1.0, 1.5, 1.5, 4.0, 4.25])
+    z, u = rng.normal(size=(6, 2)), rng.normal(size=(5, 3))
+    dts = np.diff(times)
+
+    def matrix(dt):
+        return np.eye(3) + dt * (A_ - np.eye(3))
+
+    def f(x, epoch):
+        return x @ matrix(epoch.dt).T + epoch.dt * epoch.u
+
+    def noise(mean, epoch):
+        return np.sqrt(epoch.dt) * SQRT_Q
+
+    rule, when = unscented(3), epochs(times, z, u)
+    part = predict(f, rule, sqrt_Q=noise)
+    track = run(sequential(part, update(H_, rule, R)), prior(np.zeros(3), P0), when, keep="spread")
+    smoothed = smooth(track, when, f, rule, sqrt_Q=noise)
+    # the input is a known offset of the states: take its effect out of the data, then put it back
+    offset = np.zeros((6, 3))
+    for k in range(5):
+        offset[k + 1] = matrix(dts[k]) @ offset[k] + dts[k] * u[k]
+    mean, cov = joint(z - offset @ H_.T, P0, [matrix(dt) for dt in dts], [np.sqrt(dt) * SQRT_Q for dt in dts])
+    np.testing.assert_allclose(smoothed.mean, mean + offset, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(smoothed.cov, cov, rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(smoothed.mean[2], smoothed.mean[3])
+
+
+def pendulum(x, epoch):
+    angle, rate = x[..., 0] + epoch.dt * x[..., 1], x[..., 1] - epoch.dt * np.sin(x[..., 0])
+    return np.stack([angle, rate], -1)
+
+
+def sine(x, epoch):
+    return np.sin(x[..., :1])
+
+
+@pytest.mark.parametrize("points", [(1.0, 0.0, 1.0), (0.5, 2.0, 1.0)], ids=["positive", "negative weight"])
+@pytest.mark.parametrize("prior", [square_root, covariance], ids=["root", "cov"])
+def test_equals_filterpy(points, prior):
+    """filterpy smooths with the interval and the noise at the earlier index; our epochs end intervals."""
+    rng = np.random.default_rng(3)
+    times = np.array([0.0, 0.3, 0.5, 1.1, 1.3, 2.0, 2.2, 2.9])
+    z = np.sin(0.6 + times)[:, None] + 0.1 * rng.normal(size=(len(times), 1))
+    Q, cov, mean = np.diag([0.01, 0.02]), np.diag([0.3, 0.2]), np.array([0.5, 0.4])
+    theirs = MerweScaledSigmaPoints(2, *points)
+
+    class At:
+        def __init__(self, dt):
+            self.dt = dt
+
+    ukf = UnscentedKalmanFilter(
+        2, 1, 0.1, hx=lambda x: np.sin(x[:1]), fx=lambda x, dt: pendulum(x, At(dt)), points=theirs
+    )  # fmt: skip
+    ukf.x, ukf.P, ukf.Q, ukf.R = mean.copy(), cov.copy(), Q, np.array([[0.01]])
+    means, covs = [], []
+    for dt, measured in zip(np.diff(times), z[1:], strict=True):
+        ukf.predict(dt=dt)
+        ukf.update(measured)
+        means.append(ukf.x.copy())
+        covs.append(ukf.P.copy())
+    expected, expected_cov, gains = ukf.rts_smoother(np.array(means), np.array(covs), dts=[*np.diff(times)[1:], 0.0])
+
+    rule = from_filterpy(theirs)
+    z[0] = np.nan  # filterpy has no update of the prior
+    when = epochs(times, z)
+    track = run(
+        sequential(predict(pendulum, rule, Q), update(sine, rule, [[0.01]])), prior(mean, cov), when, keep="spread"
+    )  # fmt: skip
+    smoothed = smooth(track, when, pendulum, rule, Q, gains=True)
+    np.testing.assert_allclose(smoothed.mean[1:], expected, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(smoothed.cov[1:], expected_cov, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(smoothed.extra["gain"][1:-1], gains[:-1], rtol=0, atol=1e-9)
+
+
+def simulate_pendulum(rng, runs, steps=60):
+    Q, R = np.diag([1e-4, 4e-3]), np.array([[0.04]])
+    times = 0.2 * np.arange(steps)
+    x = np.array([0.5, 0.0]) + rng.normal(size=(runs, 2)) * [0.3, 0.3]
+    when = epochs(times)
+    truth, z = [x], [sine(x, None)]
+    for epoch in when[1:]:
+        x = pendulum(x, epoch) + rng.normal(size=(runs, 2)) @ np.sqrt(Q)
+        truth.append(x)
+        z.append(sine(x, epoch))
+    z = np.array(z) + 0.2 * rng.normal(size=(steps, runs, 1))
+    return np.array(truth), z, times, Q, R
+
+
+def test_better_than_the_filter():
+    """On average the smoother's error is smaller, its covariance says so, and it is consistent."""
+    truth, z, times, Q, R = simulate_pendulum(np.random.default_rng(4), 40)
+    rule, when = unscented(2), epochs(times, z)
+    prior = square_root(np.tile([0.5, 0.0], (40, 1)), np.diag([0.09, 0.09]))
+    track = run(sequential(predict(pendulum, rule, Q), update(sine, rule, R)), prior, when, keep="spread")
+    smoothed = smooth(track, when, pendulum, rule, Q)
+    inner = slice(5, -5)
+    filter_error = np.sqrt(np.mean((track.mean - truth)[inner] ** 2))
+    smoother_error = np.sqrt(np.mean((smoothed.mean - truth)[inner] ** 2))
+    assert smoother_error < 0.9 * filter_error
+    assert (smoothed.std[inner] < track.std[inner]).all()
+    total = nees(smoothed.mean[30] - truth[30], smoothed.root[30]).sum()
+    low, high = chi2.ppf([0.001, 0.999], 80)
+    assert low < total < high
+
+
+@pytest.mark.parametrize("rule", [unscented(2), unscented(2, 0.5, 2.0), Taylor()], ids=repr)
+@pytest.mark.parametrize("form", [square_root, covariance], ids=["root", "cov"])
+def test_batch_is_singles(rule, form):
+    """Runs do not know each other, on any number of batch axes; forms agree."""
+    _, z, times, Q, R = simulate_pendulum(np.random.default_rng(5), 6, 15)
+    z[4, 2] = np.nan
+    z = z.reshape(15, 2, 3, 1)
+    filter = sequential(predict(pendulum, rule, Q), update(sine, rule, R))
+    P = np.diag([0.09, 0.09])
+    when = epochs(times, z)
+    many = smooth(run(filter, form(np.tile([0.5, 0.0], (2, 3, 1)), P), when, keep="spread"), when, pendulum, rule, Q)
+    assert many.mean.shape == (15, 2, 3, 2)
+    for i, j in np.ndindex(2, 3):
+        when = epochs(times, z[:, i, j])
+        one = smooth(run(filter, form([0.5, 0.0], P), when, keep="spread"), when, pendulum, rule, Q)
+        np.testing.assert_allclose(one.mean, many.mean[:, i, j], rtol=0, atol=1e-11)
+        np.testing.assert_allclose(one.cov, many.cov[:, i, j], rtol=0, atol=1e-11)
+
+
+def test_noise_through_the_points():
+    """Noise that goes through the points is noise all the same: with an additive model, exactly."""
+    z = measurements(np.random.default_rng(6))
+    rule, when = unscented(5), epochs(np.arange(T), z)
+
+    def f(x, epoch, w):
+        return x @ A_.T + w @ SQRT_Q.T
+
+    track = run(
+        sequential(predict(f, rule, extra=(np.eye(2),)), update(H_, rule, R)), square_root(np.zeros(3), P0), when, keep="spread"
+    )
+    smoothed = smooth(track, when, f, rule, extra=(np.eye(2),))
+    mean, cov = joint(z, P0, [A_] * (T - 1), [SQRT_Q] * (T - 1))
+    np.testing.assert_allclose(smoothed.mean, mean, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(smoothed.cov, cov, rtol=0, atol=1e-9)
+
+
+def test_a_turn_more_changes_nothing():
+    """A heading on the circle: start it half a turn away so that it wraps, and the smoother does not notice."""
+    rng = np.random.default_rng(7)
+    times, turn = np.arange(15.0), 0.3
+    space = angles([0])
+
+    def f(x, epoch):
+        return np.stack([x[..., 0] + x[..., 1] * epoch.dt, x[..., 1]], -1)
+
+    Q, R, P = np.diag([1e-3, 1e-4]), np.array([[0.01]]), np.diag([0.1, 0.01])
+    z = (turn * times + 0.1 * rng.normal(size=15))[:, None]
+    rule = unscented(2)
+
+    def estimate(start, sp, zsp):
+        when = epochs(times, zsp.plus(np.array([start]), z))
+        filter = sequential(
+            predict(f, rule, Q, space=sp), update(lambda x, e: x[..., :1], rule, R, space=sp, measurement_space=zsp)
+        )
+        track = run(filter, square_root([start, turn], P), when, keep="spread")
+        return smooth(track, when, f, rule, Q, space=sp)
+
+    wrapped = estimate(1.0, space, angles())
+    plain = estimate(0.0, EUCLIDEAN, EUCLIDEAN)
+    assert plain.mean[-1, 0] + 1.0 > np.pi  # it did wrap
+    assert (np.abs(wrapped.mean[:, 0]) <= np.pi).all()
+    np.testing.assert_allclose(space.minus(wrapped.mean, plain.mean), np.tile([1.0, 0.0], (15, 1)), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(wrapped.cov, plain.cov, rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("prior", [square_root, covariance], ids=["root", "cov"])
+def test_deviations_are_carried_to_where_they_belong(prior):
+    """A position with deviations in body axes: a moving frame of a flat space must give what the fixed one gives."""
+
+    def turned(heading, vector):
+        c, s = np.cos(heading), np.sin(heading)
+        x, y = vector[..., 0], vector[..., 1]
+        return np.stack([c * x - s * y, s * x + c * y], -1)
+
+    def plus(p, d):
+        return np.concatenate([p[..., :2] + turned(p[..., 2], d[..., :2]), p[..., 2:] + d[..., 2:]], -1)
+
+    def minus(b, a):
+        return np.concatenate([turned(-a[..., 2], b[..., :2] - a[..., :2]), b[..., 2:] - a[..., 2:]], -1)
+
+    def frame(heading):
+        out = np.zeros((*np.shape(heading), 3, 3))
+        out[..., 0, 0] = out[..., 1, 1] = np.cos(heading)
+        out[..., 1, 0] = np.sin(heading)
+        out[..., 0, 1] = -out[..., 1, 0]
+        out[..., 2, 2] = 1.0
+        return out
+
+    body = Space(plus, minus, transport=lambda d: frame(-d[..., 2]))
+    Q, start = np.diag([0.2, 0.1, 0.05]), np.array([1.0, -1.0, 0.4])
+    z = np.random.default_rng(8).normal(size=(8, 2))
+    rule, when = unscented(3), epochs(np.arange(8), z)
+
+    def estimate(space, axes):
+        def noise(mean, epoch):
+            return axes(mean @ A_[2]).mT @ np.sqrt(Q)
+
+        track = run(
+            sequential(predict(linear, rule, sqrt_Q=noise, space=space), update(lambda x, e: x @ H_.T, rule, R, space=space)),
+            prior(start, axes(start[2]).T @ P0 @ axes(start[2])), when, keep="spread",
+        )  # fmt: skip
+        return smooth(track, when, linear, rule, sqrt_Q=noise, space=space)
+
+    flat = estimate(EUCLIDEAN, lambda heading: frame(0.0 * heading))
+    moving = estimate(body, frame)
+    np.testing.assert_allclose(moving.mean, flat.mean, rtol=0, atol=1e-10)
+    axes = frame(moving.mean[:, 2])
+    np.testing.assert_allclose(axes @ moving.cov @ axes.mT, flat.cov, rtol=0, atol=1e-10)
+    assert np.abs(moving.cov - flat.cov).max() > 0.01
+
+
+def test_colored_noise():
+    """The augmented filter's track smooths states and colored noise together, as the joint Gaussian of both has it."""
+    Phi, increments, first = np.diag([0.9, 0.6]), np.diag([0.02, 0.05]), np.diag([0.3, 0.2])
+    Q = SQRT_Q @ SQRT_Q.T + 0.01 * np.eye(3)
+    z = np.random.default_rng(9).normal(size=(T, 2))
+    z[4, 1] = np.nan
+    rule, when = unscented(5), epochs(np.arange(T), z)
+    filter = augmented(linear, H_, rule, Phi, Q=Q, R=increments, Sigma0=first)
+
+    def move(x, epoch):
+        return np.concatenate([x[..., :3] @ A_.T, x[..., 3:] @ Phi.T], -1)
+
+    track = run(filter, square_root(np.zeros(3), P0), when, keep="spread")
+    both = block([[Q, 0], [0, increments]])
+    smoothed = smooth(track, when, move, rule, both)
+    transition, H = block([[A_, 0], [0, Phi]]), np.hstack([H_, np.eye(2)])
+    mean, cov = joint(
+        z, block([[P0, 0], [0, first]]), [transition] * (T - 1), [np.linalg.cholesky(both)] * (T - 1), H, np.zeros((2, 2))
+    )
+    np.testing.assert_allclose(smoothed.mean, mean, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(smoothed.cov, cov, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("form", [square_root, covariance], ids=["root", "cov"])
+def test_known_directions(form):
+    """A known constant, and a known combination of two states: as if they were not part of the state."""
+    z = measurements(np.random.default_rng(10))
+    rule, when = unscented(5), epochs(np.arange(T), z)
+    turn = np.linalg.qr(np.random.default_rng(11).normal(size=(5, 5)))[0]
+    F = block([[A_, np.full((3, 2), 0.1)], [0, np.diag([1.0, 0.5])]])
+    mean, P = np.array([0.0, 0.0, 0.0, 2.0, -1.0]), block([[P0, 0], [0, np.zeros((2, 2))]])
+    noise = block([[SQRT_Q], [np.zeros((2, 2))]])
+    H = np.hstack([H_, np.zeros((2, 2))])
+    offset = np.zeros((T, 5))
+    offset[0] = mean
+    for k in range(T - 1):
+        offset[k + 1] = F @ offset[k]
+    expected, cov = joint(z - offset @ H.T, P0, [A_] * (T - 1), [SQRT_Q] * (T - 1))
+    for M in (np.eye(5), turn):
+
+        def f(x, epoch, M=M):
+            return x @ (M @ F @ M.T).T
+
+        filter = sequential(predict(f, rule, sqrt_Q=M @ noise), update(H @ M.T, rule, R))
+        track = run(filter, form(M @ mean, M @ P @ M.T), when, keep="spread")
+        smoothed = smooth(track, when, f, rule, sqrt_Q=M @ noise)
+        straight = smoothed.mean @ M - offset
+        np.testing.assert_allclose(straight[:, :3], expected, rtol=0, atol=1e-6)
+        np.testing.assert_allclose(straight[:, 3:], 0.0, rtol=0, atol=1e-6)
+        full = M.T @ smoothed.cov @ M
+        np.testing.assert_allclose(full[:, :3, :3], cov, rtol=0, atol=1e-6)
+        np.testing.assert_allclose(full[:, 3:, 3:], 0.0, rtol=0, atol=1e-6)
+
+
+def test_a_lost_run_is_smoothed_up_to_its_loss():
+    """Up to there it is the smoother of the shorter run; the neighbor does not notice."""
+    z = measurements(np.random.default_rng(12), 2)
+    rule, when = unscented(3), epochs(np.arange(T), z)
+
+    def breaks(x, epoch):
+        y = x @ A_.T
+        if epoch.k == 6:
+            y[:, 1] = np.nan
+        return y
+
+    def estimate(f, prior, when):
+        filter = sequential(predict(f, rule, sqrt_Q=SQRT_Q), update(H_, rule, R))
+        return smooth(run(filter, prior, when, keep="spread", on_failure="flag"), when, f, rule, sqrt_Q=SQRT_Q)
+
+    both = estimate(breaks, square_root(np.zeros((2, 3)), P0), when)
+    np.testing.assert_array_equal(both.failed_at, [-1, 6])
+    assert np.isnan(both.mean[6:, 1]).all()
+    shorter = estimate(linear, square_root(np.zeros(3), P0), epochs(np.arange(6), z[:6, 1]))
+    np.testing.assert_allclose(both.mean[:6, 1], shorter.mean, rtol=0, atol=1e-12)
+    whole = estimate(linear, square_root(np.zeros(3), P0), epochs(np.arange(T), z[:, 0]))
+    np.testing.assert_allclose(both.mean[:, 0], whole.mean, rtol=0, atol=1e-12)
+
+
+def test_a_run_that_the_smoother_loses_is_told():
+    """The dynamics fail going back only: raised with the step, or flagged where it happened."""
+    z = measurements(np.random.default_rng(13), 2)
+    rule, when = unscented(3), epochs(np.arange(T), z)
+    track = run(
+        sequential(predict(linear, rule, sqrt_Q=SQRT_Q), update(H_, rule, R)),
+        square_root(np.zeros((2, 3)), P0), when, keep="spread",
+    )  # fmt: skip
+
+    def breaks(x, epoch):
+        y = x @ A_.T
+        if epoch.k == 6:
+            y[:, 1] = np.nan
+        return y
+
+    with pytest.raises(FilterError, match=r"from step 6, t = 6.0, run \(1,\)"):
+        smooth(track, when, breaks, rule, sqrt_Q=SQRT_Q)
+    flagged = smooth(track, when, breaks, rule, sqrt_Q=SQRT_Q, on_failure="flag")
+    np.testing.assert_array_equal(flagged.failed_at, [-1, 5])
+    assert np.isnan(flagged.mean[:6, 1]).all()
+    assert np.isfinite(flagged.mean[6:]).all()
+    good = smooth(track, when, linear, rule, sqrt_Q=SQRT_Q)
+    np.testing.assert_array_equal(flagged.mean[:, 0], good.mean[:, 0])
+
+
+def test_bad_input_is_refused_by_name():
+    z = measurements(np.random.default_rng(14))
+    rule, when = unscented(3), epochs(np.arange(T), z)
+    filter = sequential(predict(linear, rule, sqrt_Q=SQRT_Q), update(H_, rule, R))
+    prior = square_root(np.zeros(3), P0)
+    good = run(filter, prior, when, keep="spread")
+    with pytest.raises(ValueError, match="track: expected stored spreads"):
+        smooth(run(filter, prior, when), when, linear, rule, sqrt_Q=SQRT_Q)
+    with pytest.raises(ValueError, match=r"epochs: expected the 4 of the track \(run with every=1\), got 12"):
+        smooth(run(filter, prior, when, keep="spread", every=3), when, linear, rule, sqrt_Q=SQRT_Q)
+    with pytest.raises(ValueError, match=r"epochs: expected the times of the track, got 0\.5 instead of 1\.0 at index 1"):
+        smooth(good, epochs(0.5 * np.arange(T), z), linear, rule, sqrt_Q=SQRT_Q)
+    with pytest.raises(ValueError, match="Q: expected 3 rows"):
+        smooth(good, when, linear, rule, np.eye(2))
+    with pytest.raises(ValueError, match="f returned shape"):
+        smooth(good, when, lambda x, e: x[..., :2], rule, sqrt_Q=SQRT_Q)
+    with pytest.raises(ValueError, match="on_failure"):
+        smooth(good, when, linear, rule, sqrt_Q=SQRT_Q, on_failure="ignore")
+
+
+def test_one_epoch_and_a_stream_of_epochs():
+    """With one epoch there is nothing to do; epochs may come from a generator."""
+    z = measurements(np.random.default_rng(15))
+    rule, prior = unscented(3), square_root(np.zeros(3), P0)
+    filter = sequential(predict(linear, rule, sqrt_Q=SQRT_Q), update(H_, rule, R))
+    one = epochs([0.0], z[:1])
+    track = run(filter, prior, one, keep="spread")
+    np.testing.assert_array_equal(smooth(track, one, linear, rule, sqrt_Q=SQRT_Q).mean, track.mean)
+    when = epochs(np.arange(T), z)
+    track = run(filter, prior, when, keep="spread")
+    streamed = smooth(track, (e for e in when), linear, rule, sqrt_Q=SQRT_Q)
+    np.testing.assert_array_equal(streamed.mean, smooth(track, when, linear, rule, sqrt_Q=SQRT_Q).mean)
+    assert isinstance(rule, Rule)
+    assert isinstance(streamed.beliefs()[0], Gaussian)
