@@ -1,0 +1,274 @@
+"""Recording of one run: the scene about the Earth, the errors in a space of their own, the plots [Sun2015]."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from celnav.linalg import Array
+from celnav.models.sightings import star_directions
+
+if TYPE_CHECKING:
+    from celnav.recording import Recorder
+
+FILTERS = {"srukf": "SRUKF", "csrukf": "CSRUKF", "openloop": "open loop"}
+AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What one filter made of the run: ``mean (T, 6)`` km, km/s, ``cov (T, 6, 6)``, ``nees (T,)``, ``nis (T,)`` (nan where none)."""
+
+    mean: Array
+    cov: Array
+    nees: Array
+    nis: Array
+
+
+@dataclass(frozen=True)
+class Showcase:
+    """One run in full and the Monte Carlo behind it.
+
+    Attributes
+    ----------
+    title, notes: heading and Markdown of the text panel.
+    times: ``(T,)`` s.
+    truth: ``(T, 6)`` km, km/s.
+    measurements: pseudo-positions ``(T, 3)`` km, nan where none.
+    noise: the true colored noise ``(T, 3)`` km; noise_mean, noise_std: its estimate by the augmented filter.
+    estimates: of the filters "srukf", "csrukf" and "openloop".
+    ensemble: position errors ``(T, runs, 3)`` km of some runs of each filter.
+    rmse: 3-D position RMSE ``(T,)`` km of the Monte Carlo; bound: the posterior Cramér-Rao bound ``(T,)`` km.
+    separation: of the two stars, rad. radius_km: of the Earth.
+    nees_band, nis_band: within which a consistent filter stays.
+    """
+
+    title: str
+    notes: str
+    times: Array
+    truth: Array
+    measurements: Array
+    noise: Array
+    noise_mean: Array
+    noise_std: Array
+    estimates: dict[str, Estimate]
+    ensemble: dict[str, Array]
+    rmse: dict[str, Array]
+    bound: Array
+    separation: float
+    radius_km: float
+    nees_band: tuple[float, float]
+    nis_band: tuple[float, float]
+
+
+def record_showcase(showcase: Showcase, path: str | Path) -> Path:
+    """Write the recording to ``path`` and return it; see `celnav.recording.recording` for what is replaced and raised.
+
+    Raises
+    ------
+    ValueError: if an array does not go with the times or a filter is missing; it names the entity or the field.
+    OSError: if ``path`` cannot be written.
+    """
+    from celnav import recording  # late: reproducing the paper needs no viewer
+
+    _check(showcase)
+    colors = {"srukf": recording.BASELINE, "csrukf": recording.ESTIMATE, "openloop": recording.OPEN_LOOP}
+    facts = {"paper": "csrukf", "nees_band": list(showcase.nees_band), "nis_band": list(showcase.nis_band)}
+    name = f"csrukf: {showcase.title}"
+    with recording.recording(path, showcase.times, name=name, layout=_layout(showcase), properties=facts) as out:
+        out.text("info", f"# {showcase.title}\n\n{showcase.notes}\n\n{_LEGEND}")
+        _scene(out, showcase, colors)
+        _errors(out, showcase, colors)
+        _plots(out, showcase, colors)
+        for key, estimate in showcase.estimates.items():
+            out.exact(f"state/{key}", mean=estimate.mean, covariance=estimate.cov, nees=estimate.nees, nis=estimate.nis)
+        out.exact("state/truth", mean=showcase.truth)
+    return Path(path)
+
+
+_LEGEND = """
+**Colors.** green: truth · orange: CSRUKF · blue: SRUKF · purple: open loop · sky blue: measured pseudo-positions · gray: ±3σ of
+a filter · yellow: posterior Cramér–Rao bound.
+
+**Scene** (km). The satellite over the Earth, the directions of the two stars with the angles A1, A2 to its position vector, and
+the two sight lines at the Earth's limb, the angle A3 apart. Estimates and truth differ by less than a line's width.
+
+**Errors** (km). Estimate minus truth: the origin is the truth. A consistent filter keeps the origin within its 3σ ellipsoid.
+Small points: other runs of the Monte Carlo.
+
+Press the space bar to play. Tabs hold the other axes; double-click a plot to see all of its range.
+"""
+
+
+def _check(showcase: Showcase) -> None:
+    for name, given in (("estimates", showcase.estimates), ("ensemble", showcase.ensemble), ("rmse", showcase.rmse)):
+        if set(given) != set(FILTERS):
+            raise ValueError(f"{name}: expected the filters {sorted(FILTERS)}, got {sorted(given)}")
+    for name, array, shape in (
+        ("truth", showcase.truth, (6,)),
+        *((f"estimates {key} mean", e.mean, (6,)) for key, e in showcase.estimates.items()),
+        *((f"estimates {key} cov", e.cov, (6, 6)) for key, e in showcase.estimates.items()),
+    ):
+        if array.shape != (len(showcase.times), *shape):
+            raise ValueError(f"{name}: expected shape {(len(showcase.times), *shape)}, got {array.shape}")
+    if not np.isfinite(showcase.truth).all():
+        raise ValueError("truth: expected finite positions and velocities")
+
+
+def _scene(out: Recorder, showcase: Showcase, colors: dict[str, str]) -> None:
+    """`world`: the Earth, the satellite, what it sees, and the lines that truth and estimates draw."""
+    from celnav import recording
+
+    position = showcase.truth[:, :3]
+    out.globe("world/earth", showcase.radius_km)
+    out.path("world/arc", [position], recording.FAINT)
+    out.trail("world/truth", position, recording.TRUTH, radius=3.0)
+    for key, estimate in showcase.estimates.items():
+        out.trail(f"world/{key}", estimate.mean[:, :3], colors[key], radius=1.2)
+    out.points("world/z", showcase.measurements, recording.MEASUREMENT, radius=2.0)
+    out.points("world/satellite", position, "#FFFFFF", radius=5.0, label="satellite")
+    stars = star_directions(showcase.separation)
+    length = 0.6 * showcase.radius_km
+    for label, star in zip(("i1", "i2"), stars, strict=True):
+        out.arrow(f"world/stars/{label}", position, np.broadcast_to(length * star, position.shape), "#FFF3C4", f"star {label}")
+    limb = _limb(position, showcase.truth[:, 3:], showcase.radius_km)
+    sight = np.stack([np.broadcast_to(position[:, None], limb.shape), limb], 2)
+    out.strips("world/sight/earth_limb", sight, [recording.MEASUREMENT] * 2)
+    up = position / np.linalg.norm(position, axis=1, keepdims=True)
+    arcs = [_arc(up, np.broadcast_to(star, up.shape)) for star in stars]
+    lines = (limb - position[:, None]) / np.linalg.norm(limb - position[:, None], axis=-1, keepdims=True)
+    arcs.append(_arc(lines[:, 0], lines[:, 1]))
+    around = position[:, None, None] + 0.25 * showcase.radius_km * np.stack(arcs, 1)
+    out.strips("world/angles", around, ["#FFF3C4", "#FFF3C4", recording.MEASUREMENT], labels=["A1", "A2", "A3"])
+    zenith = position[:, None, None] * np.array([1.0, 1.3])[:, None]
+    out.strips("world/zenith", zenith, [recording.FAINT])
+
+
+def _limb(position: Array, velocity: Array, radius: float) -> Array:
+    """Points ``(T, 2, 3)`` where the sight lines in the orbit's plane touch the Earth: p'p = R^2 and p'(p - r) = 0."""
+    r = np.linalg.norm(position, axis=1, keepdims=True)
+    up = position / r
+    along = velocity - np.sum(velocity * up, 1, keepdims=True) * up
+    along = along / np.linalg.norm(along, axis=1, keepdims=True)
+    sine = radius / r
+    return radius * np.stack([sine * up + sign * np.sqrt(1.0 - sine * sine) * along for sign in (1.0, -1.0)], 1)
+
+
+def _arc(start: Array, end: Array, points: int = 25) -> Array:
+    """Great-circle arcs ``(T, points, 3)`` between unit vectors ``(T, 3)``."""
+    angle = np.arccos(np.clip(np.sum(start * end, 1), -1.0, 1.0))[:, None, None]
+    part = np.linspace(0.0, 1.0, points)[:, None]
+    across = end - np.cos(angle[:, 0]) * start
+    across = across / np.linalg.norm(across, axis=1, keepdims=True)
+    return np.cos(part * angle) * start[:, None] + np.sin(part * angle) * across[:, None]
+
+
+def _errors(out: Recorder, showcase: Showcase, colors: dict[str, str]) -> None:
+    """`error`: estimates minus truth in km about the origin, which single precision on the scale of the orbit would hide."""
+    from celnav import recording
+
+    position = showcase.truth[:, :3]
+    length = 10.0 ** np.floor(np.log10(_extent(showcase)))
+    out.path("error/axes", list(length * np.stack([np.zeros((3, 3)), np.eye(3)], 1)), recording.SIGMA)
+    out.points("error/truth", np.zeros_like(position), recording.TRUTH, radius=6.0)
+    out.trail("error/z", showcase.measurements - position, recording.MEASUREMENT, radius=0.6)
+    for key, estimate in showcase.estimates.items():
+        error = estimate.mean[:, :3] - position
+        out.trail(f"error/{key}/trail", error, colors[key], radius=1.0)
+        out.points(f"error/{key}/estimate", error, colors[key], radius=4.0)
+        out.ellipsoids(f"error/{key}/ellipsoid", error, estimate.cov[:, :3, :3], colors[key])
+        out.points(f"error/{key}/ensemble", showcase.ensemble[key], colors[key], alpha=0.6, radius=1.5)
+
+
+def _plots(out: Recorder, showcase: Showcase, colors: dict[str, str]) -> None:
+    """`plots`: errors with bounds, the colored noise, consistency and the Monte Carlo."""
+    from celnav import recording
+
+    for key, estimate in showcase.estimates.items():
+        error, sigma = _error_and_sigma(showcase, estimate)
+        shown = key != "openloop"
+        for i, axis in enumerate(AXES):
+            for quantity, j in (("pos_err", i), ("vel_err", i + 3)):
+                entity = f"plots/{quantity}/{axis}/{key}"
+                out.curve(entity, error[:, j], colors[key], FILTERS[key])
+                out.bounds(entity, sigma[:, j], FILTERS[key], shown=shown)
+        out.curve(f"plots/nees/{key}", _log10(estimate.nees), colors[key], FILTERS[key])
+        out.curve(f"plots/nis/{key}", _log10(estimate.nis), colors[key], FILTERS[key])
+        out.curve(f"plots/rmse/{key}", _log10(showcase.rmse[key]), colors[key], FILTERS[key])
+    out.curve("plots/rmse/bound", _log10(showcase.bound), recording.BOUND, "Cramér–Rao bound")
+    for name, band in (("nees", showcase.nees_band), ("nis", showcase.nis_band)):
+        for end, value in zip(("low", "high"), band, strict=True):
+            out.level(f"plots/{name}/band/{end}", float(np.log10(value)), f"95 % band, {end}")
+    for i, axis in enumerate(AXES):
+        out.curve(f"plots/V/{axis}/truth", showcase.noise[:, i], recording.TRUTH, "true V")
+        entity = f"plots/V/{axis}/augmented"
+        out.curve(entity, showcase.noise_mean[:, i], recording.ESTIMATE, "augmented filter")
+        out.bounds(entity, showcase.noise_std[:, i], "augmented filter", center=showcase.noise_mean[:, i])
+
+
+def _error_and_sigma(showcase: Showcase, estimate: Estimate) -> tuple[Array, Array]:
+    """Errors and deviations ``(T, 6)``, km and m/s."""
+    units = np.repeat([1.0, 1e3], 3)
+    return units * (estimate.mean - showcase.truth), units * np.sqrt(estimate.cov.diagonal(0, -2, -1))
+
+
+def _log10(values: Array) -> Array:
+    """Decimal logarithm, nan where there is none: the viewer has no logarithmic axis."""
+    return np.log10(values, out=np.full(np.shape(values), np.nan), where=np.asarray(values) > 0.0)
+
+
+def _extent(showcase: Showcase) -> float:
+    """Size of the picture of the errors, km: the ellipsoid of the CSRUKF at its largest and most of the other runs."""
+    size = 3.0 * np.sqrt(np.nanmax(showcase.estimates["csrukf"].cov.diagonal(0, -2, -1)[:, :3]))
+    cloud = np.linalg.norm(showcase.ensemble["srukf"], axis=-1)
+    return float(np.nanmax([size, min(np.nanquantile(cloud, 0.9), 4.0 * size)]))
+
+
+def _layout(showcase: Showcase) -> Any:
+    """Scene and errors at the left, plots at the right."""
+    from celnav.recording import columns, plot, rows, space, tabs, text
+
+    times = showcase.times
+    size = _extent(showcase)
+    middle = showcase.truth[len(times) // 2]
+    up, ahead = middle[:3] / np.linalg.norm(middle[:3]), middle[3:] / np.linalg.norm(middle[3:])
+    side = np.cross(up, ahead) * np.copysign(1.0, np.cross(up, ahead)[2])
+    scene = space(
+        "world",
+        "scene, km",
+        eye=showcase.radius_km * (0.5 * up + 2.6 * side - 0.4 * ahead),
+        target=0.55 * showcase.radius_km * up,
+        growing=["world/truth", "world/z", *(f"world/{key}" for key in FILTERS)],
+    )
+    errors = space(
+        "error",
+        "errors, km (origin: truth)",
+        eye=size * np.array([1.7, -1.5, 1.1]),
+        growing=["error/z", *(f"error/{key}/trail" for key in FILTERS)],
+    )
+    errors_of = [_error_and_sigma(showcase, estimate) for estimate in showcase.estimates.values()]
+
+    def limits(columns_: slice) -> tuple[float, float]:
+        """Symmetric, room for all errors but never so much that the widest bounds shrink to a line."""
+        error = max(np.nanmax(np.abs(e[:, columns_])) for e, _ in errors_of)
+        bound = 3.0 * max(np.nanmax(s[:, columns_]) for _, s in errors_of)
+        size = 1.05 * max(bound, min(error, 3.0 * bound))
+        return -size, size
+
+    position, velocity = limits(slice(0, 3)), limits(slice(3, 6))
+    return columns(
+        rows(scene, columns(errors, text("info", "about"), shares=[3, 2]), shares=[5, 4]),
+        rows(
+            tabs(*(plot(f"plots/pos_err/{i}", f"position error {i}, km", times, limits=position, legend=False) for i in AXES)),
+            tabs(*(plot(f"plots/vel_err/{i}", f"velocity error {i}, m/s", times, limits=velocity, legend=False) for i in AXES)),
+            tabs(*(plot(f"plots/V/{i}", f"colored noise V {i}, km", times) for i in AXES)),
+            columns(
+                tabs(plot("plots/nees", "log10 NEES", times), plot("plots/nis", "log10 NIS", times)),
+                plot("plots/rmse", "log10 of 3-D position RMSE, km", times),
+            ),
+        ),
+        shares=[11, 10],
+    )

@@ -1,0 +1,340 @@
+"""Recordings for the Rerun viewer: whole columns on one timeline, the layout inside the file, files that are whole or not there.
+
+The only module that imports rerun; import it late, inside the function that records, so that filters run without it. A study
+opens a file with `recording`, gives whole arrays to the `Recorder` (time first, nan where there is nothing) and lays out views
+with `space`, `plot`, `text`, `rows`, `columns` and `tabs`. Two recordings of the same arrays hold the same contents: ids are
+given and no wall clock is logged. Geometry is single precision in the viewer; `Recorder.exact` keeps double.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import secrets
+import unicodedata
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from numpy.typing import ArrayLike
+from rerun.error_utils import strict_mode
+from scipy.spatial.transform import Rotation
+
+from celnav.linalg import Array
+
+TIMELINE = "t"
+APPLICATION = "celnav"
+
+# Okabe-Ito colors with the meaning that they have in the figures.
+TRUTH, ESTIMATE, BASELINE, OPEN_LOOP = "#009E73", "#E69F00", "#0072B2", "#CC79A7"
+MEASUREMENT, SIGMA, BOUND, FAINT = "#56B4E9", "#999999", "#F0E442", "#5A6478"
+_SPACE = [13, 16, 24]
+
+
+def rgba(color: str, alpha: float = 1.0) -> list[int]:
+    """``#RRGGBB`` as four integers."""
+    return [*bytes.fromhex(color.lstrip("#")), round(255 * alpha)]
+
+
+def ellipsoid_axes(covariance: Array, sigmas: float = 3.0) -> tuple[Array, Array]:
+    """Half sizes ``(..., 3)`` and rotations ``(..., 4)`` (quaternions x, y, z, w) of the ellipsoids of covariances ``(..., 3, 3)``.
+
+    Raises
+    ------
+    ValueError: if a covariance is not positive semidefinite beyond round-off.
+    """
+    eigenvalues, axes = np.linalg.eigh(covariance)
+    if (eigenvalues[..., 0] < -1e-9 * np.abs(eigenvalues).max(-1, initial=0.0)).any():
+        raise ValueError(f"covariance: expected positive semidefinite matrices, smallest eigenvalue {eigenvalues.min():.3g}")
+    # The eigenvectors may be those of a reflection; the direction of an axis is free.
+    axes[..., 0] *= np.where(np.linalg.det(axes) < 0.0, -1.0, 1.0)[..., None]
+    quaternions = Rotation.from_matrix(axes.reshape(-1, 3, 3)).as_quat().reshape(*axes.shape[:-2], 4)
+    return sigmas * np.sqrt(np.maximum(eigenvalues, 0.0)), quaternions
+
+
+class Recorder:
+    """An open recording over ``times (T,)`` s; every method logs the whole run of one entity. Lengths are in the unit of the view.
+
+    Radii and line widths are in points of the screen, whatever the zoom.
+    """
+
+    def __init__(self, stream: rr.RecordingStream, times: Array) -> None:
+        self.stream = stream
+        self.times = times
+        self._index = [rr.TimeColumn(TIMELINE, duration=times)]
+
+    def _send(self, entity: str, columns: Any) -> None:
+        self.stream.send_columns(entity, self._index, columns)
+
+    def _style(self, entity: str, style: Any) -> None:
+        self.stream.log(entity, style, static=True)
+
+    def _array(self, entity: str, values: ArrayLike, shape: tuple[int | None, ...]) -> Array:
+        """``values`` as float64 of shape ``(T, *shape)``, None for any length; ValueError names the entity."""
+        array = np.asarray(values, dtype=np.float64)
+        expected = (len(self.times), *shape)
+        if array.ndim != len(expected) or any(want not in (None, got) for want, got in zip(expected, array.shape)):
+            sizes = ", ".join("any" if size is None else str(size) for size in expected)
+            raise ValueError(f"{entity}: expected shape ({sizes}), got {array.shape}")
+        return array
+
+    def text(self, entity: str, markdown: str) -> None:
+        """A text panel."""
+        self._style(entity, rr.TextDocument(markdown, media_type="text/markdown"))
+
+    def curve(self, entity: str, values: ArrayLike, color: str, name: str, *, width: float = 1.5, shown: bool = True) -> None:
+        """A curve ``(T,)`` in a plot, with gaps at nan; hidden until clicked in the legend unless ``shown``."""
+        scalars = self._array(entity, values, ())
+        self._style(entity, rr.SeriesLines(colors=rgba(color), widths=width, names=name, visible_series=shown))
+        self._send(entity, rr.Scalars.columns(scalars=np.where(np.isfinite(scalars), scalars, np.nan)))
+
+    def bounds(self, entity: str, sigma: ArrayLike, name: str, *, center: ArrayLike = 0.0, shown: bool = True, color: str = SIGMA) -> None:
+        """Curves ``entity/+3s`` and ``entity/-3s``: three deviations ``(T,)`` about ``center``."""
+        deviation = self._array(entity, sigma, ())
+        for sign, factor in (("+", 3.0), ("-", -3.0)):
+            self.curve(f"{entity}/{sign}3s", center + factor * deviation, color, f"{sign}3σ {name}", width=1.0, shown=shown)
+
+    def level(self, entity: str, value: float, name: str, color: str = SIGMA) -> None:
+        """A horizontal line in a plot."""
+        ends = self.times[[0, -1]]
+        self._style(entity, rr.SeriesLines(colors=rgba(color), widths=1.0, names=name))
+        self.stream.send_columns(entity, [rr.TimeColumn(TIMELINE, duration=ends)], rr.Scalars.columns(scalars=[value, value]))
+
+    def trail(self, entity: str, points: ArrayLike, color: str, *, radius: float = 1.0) -> None:
+        """A line through ``points (T, 3)`` that grows with time: a segment per step. The view must list it as ``growing``."""
+        p = self._array(entity, points, (3,))
+        segments = np.stack([p[:-1], p[1:]], 1)
+        there = np.isfinite(segments).all((1, 2))
+        self._style(entity, rr.LineStrips3D.from_fields(colors=rgba(color), radii=rr.Radius.ui_points(radius)))
+        counts = np.concatenate([[0], there.astype(int)])
+        self._send(entity, rr.LineStrips3D.columns(strips=segments[there]).partition(counts))
+
+    def path(self, entity: str, strips: Sequence[Array], color: str, *, radius: float = 0.5) -> None:
+        """Lines ``(points, 3)`` that stay for the whole run."""
+        self._style(entity, rr.LineStrips3D(strips, colors=rgba(color), radii=rr.Radius.ui_points(radius)))
+
+    def strips(self, entity: str, strips: ArrayLike, colors: Sequence[str], *, labels: Sequence[str] = (), radius: float = 1.0) -> None:
+        """``k`` lines ``(T, k, points, 3)`` that move; lines that are partly nan are left out."""
+        lines = self._array(entity, strips, (len(colors), None, 3))
+        there = np.isfinite(lines).all((2, 3))
+        self._style(entity, rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(radius)))
+        palette = np.array([rgba(color) for color in colors], np.uint8)[np.nonzero(there)[1]]
+        names = {"labels": np.array(labels)[np.nonzero(there)[1]].tolist()} if labels else {}
+        self._send(entity, rr.LineStrips3D.columns(strips=lines[there], colors=palette, **names).partition(there.sum(1)))
+
+    def arrow(self, entity: str, origins: ArrayLike, vectors: ArrayLike, color: str, label: str, *, radius: float = 1.5) -> None:
+        """An arrow from ``origins (T, 3)`` along ``vectors (T, 3)``."""
+        start, vector = self._array(entity, origins, (3,)), self._array(entity, vectors, (3,))
+        there = np.isfinite(start + vector).all(1)
+        self._style(entity, rr.Arrows3D.from_fields(colors=rgba(color), radii=rr.Radius.ui_points(radius), labels=label))
+        self._send(entity, rr.Arrows3D.columns(origins=start[there], vectors=vector[there]).partition(there.astype(int)))
+
+    def points(self, entity: str, points: ArrayLike, color: str, *, alpha: float = 1.0, radius: float = 2.0, label: str = "") -> None:
+        """Points ``(T, 3)`` or, ``k`` at a time, ``(T, k, 3)``; those that are partly nan are left out."""
+        p = np.asarray(points, dtype=np.float64)
+        p = self._array(entity, p[:, None] if p.ndim == 2 else p, (None, 3))
+        there = np.isfinite(p).all(2)
+        style = {"colors": rgba(color, alpha), "radii": rr.Radius.ui_points(radius), "point_shading": "flat"}
+        self._style(entity, rr.Points3D.from_fields(**style, **({"labels": label} if label else {})))
+        self._send(entity, rr.Points3D.columns(positions=p[there]).partition(there.sum(1)))
+
+    def ellipsoids(
+        self, entity: str, centers: ArrayLike, covariance: ArrayLike, color: str, *, sigmas: float = 3.0, alpha: float = 0.35
+    ) -> None:
+        """Ellipsoids of covariances ``(T, 3, 3)`` about ``centers (T, 3)``; none where either is nan.
+
+        Raises
+        ------
+        ValueError: if a covariance is not positive semidefinite.
+        """
+        c, P = self._array(entity, centers, (3,)), self._array(entity, covariance, (3, 3))
+        there = np.isfinite(c).all(1) & np.isfinite(P).all((1, 2))
+        half, quaternions = ellipsoid_axes(P[there], sigmas)
+        mode = rr.components.FillMode.TransparentFillMajorWireframe
+        style = rr.Ellipsoids3D.from_fields(colors=rgba(color, alpha), fill_mode=mode, line_radii=rr.Radius.ui_points(0.7))
+        self._style(entity, style)
+        columns = rr.Ellipsoids3D.columns(centers=c[there], half_sizes=half, quaternions=quaternions)
+        self._send(entity, columns.partition(there.astype(int)))
+
+    def globe(self, entity: str, radius: float, *, color: str = "#16324F", grid: str = "#3C6E9F") -> None:
+        """A sphere about the origin, with circles of latitude and half circles of longitude every 15 degrees."""
+        self._style(entity, rr.Ellipsoids3D(radii=[radius], colors=rgba(color), fill_mode="solid"))
+        around, up = np.linspace(-np.pi, np.pi, 121), np.linspace(-0.5 * np.pi, 0.5 * np.pi, 61)
+        step = np.deg2rad(15.0)
+        parallels = [_sphere(latitude, around) for latitude in step * np.arange(-5, 6)]
+        meridians = [_sphere(up, longitude) for longitude in step * np.arange(24)]
+        # A little above the ground, or the two surfaces fight for the same pixels.
+        self.path(f"{entity}/grid", [1.003 * radius * line for line in parallels + meridians], grid, radius=0.4)
+
+    def exact(self, entity: str, **values: ArrayLike) -> None:
+        """Arrays ``(T, ...)`` in double precision, flattened row by row, for reading back."""
+        columns: list[Any] = []
+        for name, value in values.items():
+            rows = np.asarray(value, dtype=np.float64)
+            if rows.ndim == 0 or len(rows) != len(self.times):
+                raise ValueError(f"{entity} {name}: expected {len(self.times)} rows, got shape {rows.shape}")
+            rows = rows.reshape(len(rows), -1)
+            columns += rr.AnyValues.columns(**{name: rows.ravel()}).partition(np.full(len(rows), rows.shape[1]))
+        self._send(entity, columns)
+
+
+def _sphere(latitude: ArrayLike, longitude: ArrayLike) -> Array:
+    """Points ``(..., 3)`` of the unit sphere."""
+    lat, lon = np.broadcast_arrays(latitude, longitude)
+    return np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], -1)
+
+
+@contextlib.contextmanager
+def recording(
+    path: str | os.PathLike[str], times: ArrayLike, *, name: str, layout: Any, properties: Mapping[str, Any] | None = None
+) -> Iterator[Recorder]:
+    """Write a recording: a temporary file beside ``path`` takes its place when all is written, and vanishes if anything fails.
+
+    Parameters
+    ----------
+    path: of the file. One that celnav recorded before is replaced, any other is left alone.
+    times: ``(T,)`` s, increasing.
+    name: what the viewer calls it, and its id.
+    layout: a view or container, see `rows`.
+    properties: facts about the whole recording, such as parameters and seed.
+
+    Raises
+    ------
+    ValueError: if ``times`` are not finite, increasing seconds, or ``path`` is a file that celnav did not make.
+    OSError: naming ``path``, if it cannot be written.
+    """
+    t = np.asarray(times, dtype=np.float64)
+    if t.ndim != 1 or len(t) < 2 or not np.isfinite(t).all() or not (np.diff(t) > 0.0).all():
+        raise ValueError(f"times: expected two or more finite, increasing seconds, got shape {t.shape}")
+    target = Path(path)
+    _check_ours(target)
+    temporary = target.with_name(f".{target.name}.{secrets.token_hex(4)}.tmp")
+    strict = strict_mode()
+    try:
+        with _named(target):
+            temporary.touch(exist_ok=False)
+        # Otherwise a wrong call is only a warning and its data are missing.
+        rr.set_strict_mode(True)
+        stream = rr.RecordingStream(_slug(f"{APPLICATION} {name}"), recording_id=_slug(name), send_properties=False)
+        try:
+            stream.set_log_time_enabled(False)
+            with stream:
+                stream.save(temporary, default_blueprint=_blueprint(layout, t))
+                stream.send_recording_name(name)
+                if properties:
+                    stream.send_property("study", rr.AnyValues(**properties))
+                yield Recorder(stream, t)
+        finally:
+            stream.disconnect()
+        with _named(target):
+            _check_whole(temporary)
+            os.replace(temporary, target)
+    finally:
+        rr.set_strict_mode(strict)
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+
+
+def _slug(name: str) -> str:
+    """An identifier out of a title: the layout belongs to it, so that two recordings do not share one."""
+    return re.sub(r"\W+", "-", unicodedata.normalize("NFKD", name.replace("Φ", "Phi")), flags=re.ASCII).strip("-")
+
+
+@contextlib.contextmanager
+def _named(target: Path) -> Iterator[None]:
+    """Errors of the file system, told of the file that was asked for and not of the temporary one."""
+    try:
+        yield
+    except OSError as error:
+        raise OSError(error.errno, f"cannot write the recording: {error.strerror or error}", str(target)) from error
+
+
+def _check_ours(target: Path) -> None:
+    with _named(target):
+        if target.is_dir():
+            raise IsADirectoryError(21, "it is a folder")
+        if not target.exists():
+            return
+    try:
+        makers = [entry.application_id for entry in rr.chunk.RrdReader(target).recordings()]
+    except Exception:  # whatever the reader says of a file that is no recording
+        makers = []
+    if not makers or not all(maker.startswith(APPLICATION) for maker in makers):
+        raise ValueError(f"path: expected a new file or a recording of celnav, got another file, which is left alone: {target}")
+
+
+def _check_whole(written: Path) -> None:
+    """The writer works in the background and keeps a full disk to itself; a file without its last part cannot be read."""
+    try:
+        entries = rr.chunk.RrdReader(written).recordings()
+    except Exception as error:
+        raise OSError(5, f"the file is not whole ({error})") from error
+    if not entries:
+        raise OSError(5, "the file is not whole")
+
+
+def space(
+    origin: str,
+    name: str,
+    *,
+    eye: ArrayLike,
+    target: ArrayLike = (0.0, 0.0, 0.0),
+    up: ArrayLike = (0.0, 0.0, 1.0),
+    growing: Sequence[str] = (),
+    grid: bool = False,
+) -> Any:
+    """A view of the space below ``origin`` from ``eye (3,)`` towards ``target (3,)``; entities in ``growing`` keep their past."""
+    past = rrb.VisibleTimeRanges(
+        timeline=TIMELINE, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative(seconds=0.0)
+    )
+    return rrb.Spatial3DView(
+        origin=origin,
+        name=name,
+        background=_SPACE,
+        line_grid=rrb.LineGrid3D(visible=grid),
+        eye_controls=rrb.EyeControls3D(position=eye, look_target=target, eye_up=up),
+        overrides=dict.fromkeys(growing, past),
+    )
+
+
+def plot(origin: str, name: str, times: Array, *, limits: tuple[float, float] | None = None, legend: bool = True) -> Any:
+    """A plot of the curves below ``origin`` over the whole run (by default the viewer scrolls), with ``limits`` of its y axis."""
+    start, end = (rrb.TimeRangeBoundary.absolute(seconds=float(t)) for t in (times[0], times[-1]))
+    return rrb.TimeSeriesView(
+        origin=origin,
+        name=name,
+        axis_x=rrb.TimeAxis(view_range=rr.TimeRange(start=start, end=end)),
+        axis_y=None if limits is None else rrb.ScalarAxis(range=limits),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=legend),
+    )
+
+
+def text(origin: str, name: str) -> Any:
+    """A panel for the text at ``origin``."""
+    return rrb.TextDocumentView(origin=origin, name=name)
+
+
+def rows(*views: Any, shares: Sequence[float] | None = None) -> Any:
+    """Views one below the other."""
+    return rrb.Vertical(*views, row_shares=shares)
+
+
+def columns(*views: Any, shares: Sequence[float] | None = None) -> Any:
+    """Views side by side."""
+    return rrb.Horizontal(*views, column_shares=shares)
+
+
+def tabs(*views: Any, name: str | None = None) -> Any:
+    """Views one behind the other, the first in front."""
+    return rrb.Tabs(*views, active_tab=0, name=name)
+
+
+def _blueprint(layout: Any, times: Array) -> rrb.Blueprint:
+    """The layout, the time panel paused and small, and the run played in about twenty seconds."""
+    speed = max(float(times[-1] - times[0]) / 20.0, 1e-3)
+    panel = rrb.TimePanel(state="collapsed", timeline=TIMELINE, playback_speed=speed, play_state="paused")
+    return rrb.Blueprint(layout, panel, collapse_panels=True)
