@@ -77,7 +77,7 @@ def maximize_likelihood(
     likelihood = _Likelihood(build, epochs if isinstance(epochs, Sequence) else list(epochs), np.log(x0))
     reach = np.log(factor)
     found = minimize(
-        lambda s: -likelihood(s), np.zeros(len(x0)), jac=lambda s: -likelihood.gradient(s), method="L-BFGS-B",
+        likelihood.cost, np.zeros(len(x0)), jac=likelihood.slope, method="L-BFGS-B",
         bounds=[(-reach, reach)] * len(x0), options={"maxiter": max_iterations, "gtol": tolerance, "ftol": 1e-12},
     )  # fmt: skip
     s = np.asarray(found.x)
@@ -86,16 +86,14 @@ def maximize_likelihood(
     converged, message = bool(found.success), str(found.message)
     at_bound = np.abs(s) > 0.999 * reach
     eigenvalues, vectors = np.linalg.eigh(curvature)
+    peaked = bool((eigenvalues < 0.0).all())
     if at_bound.any():
         i = int(np.argmax(at_bound))
         converged, message = False, f"parameter {i} ran to the end of its range, {parameters[i]:.6g}"
-    elif not (eigenvalues < 0.0).all():
+    elif not peaked:
         i = int(np.argmax(np.abs(vectors[:, -1])))
         converged, message = False, f"the data do not determine parameter {i}: the likelihood has no maximum in it"
-    if (eigenvalues < 0.0).all():
-        covariance = (vectors / -eigenvalues) @ vectors.T
-    else:
-        covariance = np.full(curvature.shape, np.inf)
+    covariance = (vectors / -eigenvalues) @ vectors.T if peaked else np.full(curvature.shape, np.inf)
     errors = parameters * np.sqrt(covariance.diagonal())
     return Tuned(parameters, best, errors, covariance, likelihood.evaluations, converged, message)
 
@@ -142,9 +140,14 @@ class _Likelihood:
             self._known[key] = value if np.isfinite(value) else improbable
         return self._known[key]
 
-    def gradient(self, s: Array, h: float = 1e-4) -> Array:
-        """By central differences: the likelihood is smooth in the logarithms."""
-        return np.array([self(s + h * e) - self(s - h * e) for e in np.eye(len(s))]) / (2.0 * h)
+    def cost(self, s: Array) -> float:
+        """What an optimizer minimizes."""
+        return -self(s)
+
+    def slope(self, s: Array) -> Array:
+        """Gradient of the cost, by central differences: the likelihood is smooth in the logarithms."""
+        h = 1e-4
+        return np.array([self(s - h * e) - self(s + h * e) for e in np.eye(len(s))]) / (2.0 * h)
 
     def curvature(self, s: Array, h: float = 1e-2) -> Array:
         """Second derivatives ``(d, d)``."""

@@ -5,8 +5,8 @@ import pytest
 from scipy.stats import chi2, norm
 
 from celnav.filters.adaptive import chi_square_gate, consider, fallback, gate, innovation_window
-from celnav.filters.driver import Epoch, FilterError, epochs, run, sequential, steps
-from celnav.filters.step import predict, update
+from celnav.filters.driver import FilterError, epochs, run, sequential, steps
+from celnav.filters.step import Info, predict, update
 from celnav.gaussian import Gaussian, covariance, square_root
 from celnav.points import Taylor, cubature, unscented
 
@@ -136,6 +136,16 @@ def test_chi_square_gate_sees_correlation():
         part = update([[1.0], [1.0]], unscented(1), np.eye(2), hooks=(hook,))
         assert part(prior, opposed)[1].used.all() == bad
         assert part(prior, agreeing)[1].used.all()
+
+
+def test_chi_square_gate_counts_what_was_measured():
+    """Three standard deviations of one component are too much for it alone (0.99: 2.6), not among three (3.4)."""
+    part = update(h, unscented(2), R, hooks=(chi_square_gate(0.99),))
+    S = H @ P0 @ H.T + R
+    alone = np.array([np.nan, np.nan, 3.0 * np.sqrt(S[2, 2])])
+    among = 3.0 * np.linalg.cholesky(S)[:, 0]
+    _, info, _ = part(square_root(np.zeros((2, 2)), P0), np.array([alone, among]))
+    np.testing.assert_array_equal(info.used, [[False] * 3, [True] * 3])
 
 
 @FORMS
@@ -355,17 +365,19 @@ def test_fallback_of_a_prediction_is_counted(form):
     np.testing.assert_array_equal(track.mean[1, 1], other.mean[1, 1])
 
 
-def test_fallbacks_of_both_parts_are_told():
-    """A step redone in its update is counted also where the filter has a prediction with nothing to redo."""
+def test_redone_in_both_parts_of_a_step():
+    """A run redone in the prediction and another one in the update: both are counted, whichever failed."""
+    moved, measured = np.array([True, False, False]), np.array([False, True, False])
 
-    def still(x, epoch):
-        return x
+    def predicts(belief, epoch):
+        return belief, Info(redone=moved if epoch.k < 2 else None, failure="" if epoch.k < 2 else "lost")
 
-    noise = 0.0025 * np.eye(6)
-    predicts = fallback(predict(still, FIFTH), predict(still, THIRD))
-    updates = fallback(update(steep, FIFTH, noise), update(steep, THIRD, noise))
-    track = run(sequential(predicts, updates), wide_prior(square_root), [Epoch(0, 0.0, 0.0, None, np.ones((3, 6)))])
-    np.testing.assert_array_equal(track.events["redone"], [0, 1, 0])
+    def updates(belief, z, epoch, memory):
+        return belief, Info(redone=measured), memory
+
+    when = epochs(np.arange(3), np.ones((3, 3, 1)))
+    track = run(sequential(predicts, updates), square_root(np.zeros((3, 1)), [[1.0]]), when)
+    np.testing.assert_array_equal(track.events["redone"], [1, 3, 0])  # the first epoch does not predict
 
 
 def test_fallback_gives_up_where_both_fail():
