@@ -61,7 +61,9 @@ def _parser() -> argparse.ArgumentParser:
 
     reproduce = commands.add_parser("reproduce", help="run papers; write figures, tables, claims and recordings")
     reproduce.add_argument("papers", nargs="*", metavar="PAPER", help="which papers (none: all)")
-    reproduce.add_argument("--effort", metavar="F", help="fraction of the Monte-Carlo runs, 0 < F <= 1 (default: CELNAV_EFFORT, or 1)")
+    reproduce.add_argument(
+        "--effort", metavar="F", help="fraction of the Monte-Carlo runs, 0 < F <= 1 (default: CELNAV_EFFORT, or 1)"
+    )
     reproduce.add_argument("--seed", default="0", metavar="S", help="seed, a whole number that is not negative (default: 0)")
     reproduce.add_argument("--out", default="out", metavar="DIR", help="where to write (default: out)")
     reproduce.add_argument("--jobs", default="1", metavar="N", help="processes (default: 1)")
@@ -174,7 +176,9 @@ def _one(paper: str, module: ModuleType, outputs: Any, fraction: float, seed: in
     report.close()
     versions = {name: metadata.version(name) for name in ("numpy", "scipy", "filterpy", "matplotlib")}
     about = {"python": platform.python_version(), "machine": platform.machine(), **versions}
-    outputs.text("timings.json", json.dumps({"about": about, "effort": fraction, "timings": {**timings, **result.timings}}, indent=1) + "\n")
+    outputs.text(
+        "timings.json", json.dumps({"about": about, "effort": fraction, "timings": {**timings, **result.timings}}, indent=1) + "\n"
+    )
     for verdict, count in sorted(Counter(claim.verdict for claim in claims).items()):
         print(f"{paper}: {count:4} {verdict}")
     failures = [claim for claim in claims if claim.failure]
@@ -195,7 +199,8 @@ class _Progress:
     """A bar on a terminal, plain lines otherwise."""
 
     def __init__(self, paper: str):
-        self._paper, self._bar = paper, None
+        self._paper = paper
+        self._bar: Any = None
         self._terminal = sys.stderr.isatty()
 
     def stage(self, name: str) -> None:

@@ -22,7 +22,7 @@ COLORS = {
 }
 """Okabe-Ito colors by meaning, the same in figures and recordings; "comparison" is the method compared with."""
 
-STYLE: dict[str, Any] = {
+STYLE: Any = {
     "figure.constrained_layout.use": True,
     "figure.dpi": 100,
     "savefig.dpi": 150,

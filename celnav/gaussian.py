@@ -105,7 +105,7 @@ class CovarianceForm:
         return S, gain @ S, 0.5 * (joseph + joseph.mT)
 
     def sum(self, spread: Array, columns: Array) -> Array:
-        return spread + columns @ columns.mT
+        return np.asarray(spread + columns @ columns.mT)
 
 
 def _negative(sign: Array, q: int) -> Array | None:
@@ -228,4 +228,4 @@ def sqrt_cov(cov: ArrayLike, name: str = "cov", n: int | None = None) -> Array:
 def nees(error: Array, root: Array) -> Array:
     """Normalized estimation error squared ``e' P^-1 e``, shape ``(...)``, from ``error (..., n)`` and a root of P."""
     white = solve_lower(root, error[..., None])[..., 0]
-    return np.einsum("...i,...i->...", white, white)
+    return np.asarray(np.einsum("...i,...i->...", white, white))

@@ -43,7 +43,7 @@ def tria(A: Array) -> Array:
     # "raw" leaves R' in the lower triangle, Householder vectors above it: one product masks them and fixes the signs.
     L = np.linalg.qr(A.mT, mode="raw")[0][..., :n]
     signs = np.copysign(1.0, L.diagonal(0, -2, -1))
-    return L * (signs[..., None, :] * _lower(n))
+    return np.asarray(L * (signs[..., None, :] * _lower(n)))
 
 
 @cache
@@ -66,7 +66,7 @@ def solve_lower(L: Array, B: Array) -> Array:
         if i:
             row = row - (L[..., i, None, :i] @ X[..., :i, :])[..., 0, :]
         X[..., i, :] = row / diagonal[..., i, None]
-    return X
+    return np.asarray(X)
 
 
 def solve_upper_transposed(L: Array, B: Array) -> Array:

@@ -23,7 +23,7 @@ def rmse_interval(error: Array, level: float = 0.95, axis: int = 1) -> tuple[Arr
     """Confidence interval of `rmse` for Gaussian errors of mean zero, independent from run to run."""
     runs = error.shape[axis]
     value = rmse(error, axis)
-    low, high = chi2.ppf([0.5 - level / 2, 0.5 + level / 2], runs)
+    low, high = _chi_square(level, runs)
     return value * np.sqrt(runs / high), value * np.sqrt(runs / low)
 
 
@@ -32,8 +32,13 @@ def chi_square_band(dof: float, runs: int, level: float = 0.95) -> tuple[float, 
 
     For the NEES of a consistent filter ``dof`` is the dimension of the state, for the NIS that of the measurement.
     """
-    low, high = chi2.ppf([0.5 - level / 2, 0.5 + level / 2], dof * runs) / runs
-    return float(low), float(high)
+    low, high = _chi_square(level, dof * runs)
+    return low / runs, high / runs
+
+
+def _chi_square(level: float, dof: float) -> tuple[float, float]:
+    """Central interval of a chi-square variable."""
+    return float(chi2.ppf(0.5 - level / 2, dof)), float(chi2.ppf(0.5 + level / 2, dof))
 
 
 def bootstrap(
@@ -52,9 +57,9 @@ def bootstrap(
 
 
 class Moments(NamedTuple):
-    """Sums over epochs and runs of a stream: see `error_moments`."""
+    """Sums over the epochs of a stream, for each run: see `error_moments`."""
 
-    count: int
+    epochs: int
     error: Array
     square: Array
     nees: Array
@@ -62,7 +67,7 @@ class Moments(NamedTuple):
     @property
     def rmse(self) -> Array:
         """Root mean square error over all epochs, ``(..., n)``."""
-        return np.asarray(np.sqrt(self.square / self.count))
+        return np.asarray(np.sqrt(self.square / self.epochs))
 
 
 def error_moments(space: Space = EUCLIDEAN) -> Callable[[Any, Any, Any, Any], Moments]:
@@ -73,7 +78,9 @@ def error_moments(space: Space = EUCLIDEAN) -> Callable[[Any, Any, Any, Any], Mo
         error = space.minus(epoch.truth, belief.mean)
         white = solve_lower(belief.root, error[..., None])[..., 0]
         new = Moments(1, error, error * error, np.einsum("...i,...i->...", white, white))
-        return new if total is None else Moments(*(a + b for a, b in zip(total, new, strict=True)))
+        if total is None:
+            return new
+        return Moments(total.epochs + 1, total.error + new.error, total.square + new.square, total.nees + new.nees)
 
     return add
 

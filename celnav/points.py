@@ -145,7 +145,7 @@ class Rule:
         root = semidefinite_root(cov * np.eye(self.n) if cov.ndim == 0 else np.atleast_2d(cov))
         if not np.isfinite(root).all():
             raise ValueError("P: expected a positive semidefinite covariance")
-        return mean + self.nodes[self._filterpy] @ root.T
+        return np.asarray(mean + self.nodes[self._filterpy] @ root.T)
 
     # -- the protocol of the filters -----------------------------------------------------------------------------------
     def points(self, mean: Array, root: Array, space: Space, extra: Sequence[Array] = ()) -> list[Array]:
@@ -199,7 +199,7 @@ class Rule:
         images, top = [], 0
         for center, d, k, sp in zip(centers, differences, dimensions, spaces, strict=True):
             columns = A[..., top : top + k, :q]
-            shift: Array | float = 0.0
+            shift: Any = 0.0
             if d is None:
                 np.matmul(root, self.unit[:, :k].T, out=columns)
             else:

@@ -36,7 +36,9 @@ def _paper(out: Path, paper: str) -> str:
     module, folder = load(paper), out / paper
     claims = read_claims(folder / "claims.json")
     surprises = sum(_surprise(c) for c in claims)
-    links = " · ".join(_link(f"{paper}/{p.name}", p.name) for p in sorted(folder.iterdir()) if p.suffix in (".rrd", ".json", ".npz"))
+    links = " · ".join(
+        _link(f"{paper}/{p.name}", p.name) for p in sorted(folder.iterdir()) if p.suffix in (".rrd", ".json", ".npz")
+    )
     return "\n".join(
         [
             f"<section><h2>{html.escape(module.TITLE)}</h2><pre>{html.escape(module.CITATION)}</pre>",

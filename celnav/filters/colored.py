@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from celnav.filters.driver import Epoch, Filter, State, sequential
 from celnav.filters.step import Hook, Info, Model, condition, evaluate, explain, images, noise_columns, predict, update
-from celnav.gaussian import Gaussian, finite
+from celnav.gaussian import Gaussian, finite, sqrt_cov
 from celnav.linalg import Array, block, matvec, solve_upper_transposed, tria
 from celnav.points import KEEP, Image, Outputs, Transform
 from celnav.spaces import EUCLIDEAN
@@ -350,7 +350,7 @@ def augmented(
     matrix = finite("H", H)
     m, n = matrix.shape[-2:]
     phi = coloring(Phi, m)
-    process, increments, first = (noise_columns(c, None, name) for c, name in ((Q, "Q"), (R, "R"), (Sigma0, "Sigma0")))
+    process, increments, first = sqrt_cov(Q, "Q", n), sqrt_cov(R, "R", m), sqrt_cov(Sigma0, "Sigma0", m)
 
     def move(x: Array, epoch: Any) -> Array:
         return np.concatenate([images("f", f, x[..., :n], epoch, (), n), matvec(phi(epoch), x[..., n:])], -1)
@@ -363,7 +363,7 @@ def augmented(
     def start(prior: Gaussian) -> State:
         batch = prior.mean.shape[:-1]
         mean = np.concatenate([prior.mean, np.zeros((*batch, m))], -1)
-        noise = np.broadcast_to(np.asarray(first), (*batch, m, m))
+        noise = np.broadcast_to(first, (*batch, m, m))
         spread = noise if prior.form.name == "square root" else noise @ noise.mT
         state: State = both.start(Gaussian(mean, block([[prior.spread, 0], [0, spread]]), prior.form))
         return state

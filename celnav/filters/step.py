@@ -107,7 +107,7 @@ def noise_columns(cov: Any, sqrt: Any, name: str) -> Noise:
         raise ValueError(f"{name}: expected one of {name} and sqrt_{name}, got both")
     if sqrt is not None:
         if callable(sqrt):
-            return sqrt
+            return np.asarray(sqrt)
         columns = finite(f"sqrt_{name}", sqrt)
         if columns.ndim < 2:
             raise ValueError(f"sqrt_{name}: expected columns of shape (..., n, r), got {columns.shape}")
@@ -339,7 +339,7 @@ def _through_matrix(h: ArrayLike) -> Callable[..., _Lifted]:
     rows, n = H.shape[-2:]
     positive = np.ones(n)
 
-    def lift(belief: Gaussian, m: int, epoch: Any, room: int) -> _Lifted:
+    def lift(belief: Gaussian, m: int, _: Any, room: int) -> _Lifted:
         if m != rows or belief.spread.shape[-1] != n:
             raise ValueError(f"h: expected a matrix ({m}, {belief.spread.shape[-1]}), got ({rows}, {n})")
         root = belief.form.root(belief.spread)

@@ -52,7 +52,7 @@ class Track:
         """Normalized innovation squared ``(T, ...)``, chi-square with `dof` degrees of freedom."""
         if self.white is None:
             raise ValueError("nis: this track stored no innovations")
-        return np.einsum("...i,...i->...", self.white, self.white)
+        return np.asarray(np.einsum("...i,...i->...", self.white, self.white))
 
     @property
     def dof(self) -> Array:

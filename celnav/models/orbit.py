@@ -39,7 +39,7 @@ def acceleration(position: Array, earth: Earth = EARTH) -> Array:
     oblate = ((earth.j2 * earth.radius_km**2) * k) * inverse
     out = position * (k - oblate * ((7.5 * squares[2]) * inverse - 1.5))
     out[2] += (3.0 * oblate) * position[2]
-    return out
+    return np.asarray(out)
 
 
 def step(state: Array, dt: float, earth: Earth = EARTH) -> Array:

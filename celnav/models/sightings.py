@@ -44,7 +44,7 @@ def unit_vectors(stars: ArrayLike) -> Array:
         raise ValueError("stars: expected directions, got a zero vector")
     if (np.abs(norms - 1.0) > 1e-6).any():
         warnings.warn(f"stars: normalized; a length was {norms.ravel()[np.abs(norms - 1).argmax()]:.6g}", UnitWarning, stacklevel=2)
-    return directions / norms
+    return np.asarray(directions / norms)
 
 
 def angles(position: Array, stars: Array, radius_km: float = EARTH.radius_km) -> Array:
@@ -123,7 +123,7 @@ def jacobian(A: Array, separation: float, hemisphere: ArrayLike = 1.0, radius_km
     zero = np.zeros_like(r)
 
     def column(dux: Array, duy: Array) -> Array:
-        return r[..., None] * np.stack([dux, duy, -(u[..., 0] * dux + u[..., 1] * duy) / u[..., 2]], -1)
+        return np.asarray(r[..., None] * np.stack([dux, duy, -(u[..., 0] * dux + u[..., 1] * duy) / u[..., 2]], -1))
 
     first = column(-np.sin(A1), np.sin(A1) / np.tan(separation))
     second = column(zero, -np.sin(A2) / np.sin(separation))
@@ -135,4 +135,4 @@ def pseudo_position_covariance(position_km: Array, separation: float, sigma: Arr
     """Covariance ``(..., 3, 3)`` km^2 of the pseudo-position for angle deviations ``sigma (3,)`` rad."""
     G = jacobian(angles(position_km, star_directions(separation)), separation, np.sign(position_km[..., 2]))
     half = G * np.asarray(sigma)
-    return half @ half.mT
+    return np.asarray(half @ half.mT)

@@ -160,7 +160,7 @@ def _stress(j: Judge) -> list[Claim]:
     half = len(j.get("stress/I", "srukf/error")) // 2
 
     def later(name: str, filter: str) -> Array:
-        return np.sqrt(np.square(j.get(f"stress/{name}", f"{filter}/error")[half:, :, :3]).sum(-1).mean(0))
+        return np.asarray(np.sqrt(np.square(j.get(f"stress/{name}", f"{filter}/error")[half:, :, :3]).sum(-1).mean(0)))
 
     def ratio(a: Array, b: Array) -> float:
         return float(np.sqrt(np.mean(a**2) / np.mean(b**2)))

@@ -80,7 +80,7 @@ class Judge:
 
     def final(self, study: str, name: str) -> Array:
         """Errors at the end, ``(runs, 6)`` km, m/s."""
-        return self.get(study, f"{name}/error")[-1]
+        return np.asarray(self.get(study, f"{name}/error")[-1])
 
 
 def rms3(error: Array) -> float:

@@ -14,6 +14,7 @@ from celnav.filters.driver import Epochs, Filter, run
 from celnav.gaussian import nees
 from celnav.linalg import Array
 from celnav.montecarlo import Progress, Unit, blocks, generator, work
+from celnav.models import orbit
 from celnav.papers.csrukf import errata, scenario, theory
 from celnav.papers.csrukf.config import STRESS, B, Config, D, P
 from celnav.papers.csrukf.theory import UNITS
@@ -48,9 +49,13 @@ class Result:
         return self.config.times
 
     def arrays(self) -> dict[str, Array]:
-        """Arrays to store: everything of the paper's own cases."""
-        kept = {f"{s}/{n}": a for s, d in self.data.items() if s.startswith("P/") for n, a in d.items() if "root" not in n}
-        return {"times": self.times, **kept}
+        """Arrays to store: errors, NEES and NIS of the two filters that the paper compares, and the first run's deviations."""
+        out = {"times": self.times}
+        for study in ("P/0", "P/0.8", "P/I"):
+            for name in ("srukf", "csrukf"):
+                out |= {f"{study}/{name}/{key}": self.data[study][f"{name}/{key}"] for key in ("error", "nees", "nis")}
+                out[f"{study}/{name}/std"] = self.data[study][f"{name}/std"][:, 0]
+        return out
 
 
 def _errors(name: str, filter: Filter, sim: scenario.Scenario, epochs: Epochs, out: dict[str, Array]) -> None:
@@ -97,7 +102,8 @@ def _cases(config: Config, seed: int, study: int, runs: range, names: tuple[str,
 
 def _assumed(config: Config, seed: int, study: int, runs: range, phis: tuple[float, ...]) -> dict[str, Array]:
     """CSRUKF with a coefficient that need not be the true one."""
-    sim, out = _simulated(config, seed, study, runs), {}
+    sim = _simulated(config, seed, study, runs)
+    out: dict[str, Array] = {}
     for phi in phis:
         _errors(f"{phi:g}", scenario.single_transform(config, config.R, phi * np.eye(3)), sim, sim.epochs(), out)
         out.pop(f"{phi:g}/lagged")
@@ -106,7 +112,8 @@ def _assumed(config: Config, seed: int, study: int, runs: range, phis: tuple[flo
 
 def _sensors(config: Config, seed: int, study: int, runs: range) -> dict[str, Array]:
     """Filters on measured angles, converted to pseudo-positions or used as they are."""
-    sim, out = _simulated(config, seed, study, runs, angles=True), {}
+    sim = _simulated(config, seed, study, runs, angles=True)
+    out: dict[str, Array] = {}
     table = scenario.jacobian_covariance(config)
     isotropic = np.trace(table, axis1=-2, axis2=-1).mean() / 3.0 * np.eye(3)
     on_angles = scenario.angle_filters(config)
@@ -124,7 +131,7 @@ def _peer(config: Config, seed: int) -> dict[str, Array]:
 
     sim = _simulated(config, seed, 0, range(100))
     points = MerweScaledSigmaPoints(6, config.alpha, config.beta, config.kappa)
-    ukf = UnscentedKalmanFilter(6, 3, config.step_s, lambda x: x[:3], lambda x, dt: scenario.orbit.step(x, dt), points)
+    ukf = UnscentedKalmanFilter(6, 3, config.step_s, lambda x: x[:3], lambda x, dt: orbit.step(x, dt), points)
     ukf.x, ukf.P = np.array(sim.prior.mean[0]), np.array(sim.prior.cov[0])
     ukf.Q, ukf.R = config.sqrt_Q @ config.sqrt_Q.T, config.R
     start, means = process_time(), [ukf.x]
@@ -146,9 +153,9 @@ def _hemisphere(config: Config) -> dict[str, float]:
     from celnav.models import sightings
 
     stars = sightings.star_directions(config.separation)
-    orbit = config.nominal(2900)[:, :3]
-    south = int(np.argmax(orbit[:, 2] < 0.0))
-    first, later = orbit[0], orbit[south + 300]
+    path = config.nominal(2900)[:, :3]
+    south = int(np.argmax(path[:, 2] < 0.0))
+    first, later = path[0], path[south + 300]
     angles = sightings.angles(np.stack([first, later]), stars)
     wrong = sightings.position(angles[1], config.separation, 1.0)
     right = sightings.position(angles, config.separation, np.sign([first[2], later[2]]))

@@ -22,7 +22,7 @@ def _rows(result: Result, study: str, printed: dict[str, Array]) -> list[Row]:
             ("ours, final RMSE", np.sqrt(np.square(error[-1]).mean(0))),
             ("ours, time-averaged RMSE", average),
         ):
-            rows.append({"filter": filter, "source": source} | dict(zip(COLUMNS, map(float, values), strict=True)))
+            rows.append({"filter": filter, "source": source, **dict(zip(COLUMNS, map(float, values), strict=True))})
     return rows
 
 

@@ -119,7 +119,7 @@ def random_settings(config: Config, count: int, rng: np.random.Generator) -> Set
     s0 = 10.0 ** rng.uniform(-0.5, 0.5, count)
 
     def diagonal(a: Array, b: Array) -> Array:
-        return np.eye(6) * np.repeat(np.stack([a, b], -1) ** 2, 3, -1)[:, None, :]
+        return np.asarray(np.eye(6) * np.repeat(np.stack([a, b], -1) ** 2, 3, -1)[:, None, :])
 
     P0, Q = diagonal(p_r, p_v), diagonal(q_r, q_v)
     R = sigma[:, None, None] ** 2 * np.eye(3)
