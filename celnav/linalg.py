@@ -54,8 +54,8 @@ def _lower(n: int) -> Array:
 def solve_lower(L: Array, B: Array) -> Array:
     """Solve ``L @ X = B`` for lower triangular ``L (..., n, n)`` and ``B (..., n, k)``; a zero on the diagonal gives nan."""
     if L.ndim == B.ndim == 2:
-        X, singular = lapack.dtrtrs(L, B, lower=1)
-        return np.full(B.shape, np.nan) if singular else X
+        solution, singular = lapack.dtrtrs(L, B, lower=1)
+        return np.full(B.shape, np.nan) if singular else solution
     batch = np.broadcast_shapes(L.shape[:-2], B.shape[:-2])
     X: Array = np.empty(batch + B.shape[-2:])
     diagonal = L.diagonal(0, -2, -1)
@@ -89,7 +89,7 @@ def cholesky(P: Array) -> Array:
         L = np.linalg.cholesky(C)
     except np.linalg.LinAlgError:  # numpy gives up on the whole block: find the culprits, keep the rest
         eye = np.eye(C.shape[-1])
-        finite = np.isfinite(C).all((-2, -1))[..., None, None]
+        finite = np.asarray(np.isfinite(C).all((-2, -1)))[..., None, None]
         smallest = np.linalg.eigvalsh(np.where(finite, C, -eye))[..., :1, None]
         bad = smallest <= 4 * len(eye) * _EPS
         L = np.where(bad, np.nan, np.linalg.cholesky(np.where(bad, eye, C)))
@@ -102,7 +102,7 @@ def semidefinite_root(P: Array) -> Array:
     try:
         return scale[..., None] * np.linalg.cholesky(C)
     except np.linalg.LinAlgError:
-        finite = np.isfinite(C).all((-2, -1))
+        finite = np.asarray(np.isfinite(C).all((-2, -1)))
         eigenvalues, vectors = np.linalg.eigh(np.where(finite[..., None, None], C, -np.eye(C.shape[-1])))
         indefinite = eigenvalues[..., 0] < -64 * C.shape[-1] * _EPS * np.maximum(eigenvalues[..., -1], 1.0)
         root = tria(scale[..., None] * vectors * np.sqrt(np.maximum(eigenvalues, 0.0))[..., None, :])

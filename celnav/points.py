@@ -37,7 +37,7 @@ class Image(NamedTuple):
     """One output of a transformed belief: the image of the center, the shift of the mean from there, and columns."""
 
     center: Array
-    shift: Array | float
+    shift: Any
     columns: Array
 
 
@@ -190,10 +190,10 @@ class Rule:
                 dimensions.append(root.shape[-1])
             else:
                 center = y[0] if sp.mean is None else sp.mean(y, self.wm)
-                d = sp.minus(y, center)
+                difference = sp.minus(y, center)
                 centers.append(center)
-                differences.append(d)
-                dimensions.append(d.shape[-1])
+                differences.append(difference)
+                dimensions.append(difference.shape[-1])
         q = len(self._scale)
         A = np.empty((*X[0].shape[1:-1], sum(dimensions), q + room))
         images, top = [], 0

@@ -28,7 +28,7 @@ def index(out: Path) -> str:
     body = "\n".join(sections) or "<p>Nothing reproduced yet.</p>"
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
-        f"<title>celnav: what holds</title><style>{_STYLE}</style></head><body><h1>celnav: what holds</h1>\n{body}\n</body></html>\n"
+        f"<title>celnav: what holds</title><style>{_STYLE}</style></head><body><h1>celnav</h1>\n{body}\n</body></html>\n"
     )
 
 

@@ -191,7 +191,7 @@ class Collector:
         events = {name: np.broadcast_to(self._sums[name], batch) for name in ("missing", "rejected", "redone")}
         return Track(
             times=np.array(self._times),
-            **{name: stored.get(name) for name in ("mean", "std", "spread", "innovation", "white", "used")},  # type: ignore[arg-type]
+            **{name: stored.get(name) for name in ("mean", "std", "spread", "innovation", "white", "used")},
             log_likelihood=np.broadcast_to(self._sums["log_likelihood"], batch),
             events=events,
             failed_at=self._failed_at,

@@ -247,8 +247,8 @@ def _tables(j: Judge) -> list[Claim]:
         )
     )
     walk = {n: j.final("P/I", n) for n in ("srukf", "csrukf")}
-    for part, at, accept in (("position", slice(0, 3), 0.08), ("velocity", slice(3, 6), 0.12)):
-        printedratio3 = float(np.linalg.norm(TABLE_2["CSRUKF"][at]) / np.linalg.norm(TABLE_2["SRUKF"][at]))
+    for part, at, most in (("position", slice(0, 3), 0.08), ("velocity", slice(3, 6), 0.12)):
+        printed_ratio = float(np.linalg.norm(TABLE_2["CSRUKF"][at]) / np.linalg.norm(TABLE_2["SRUKF"][at]))
         out.append(
             j.sampled(
                 f"table-2-{part}-ratio",
@@ -256,8 +256,8 @@ def _tables(j: Judge) -> list[Claim]:
                 f"Table 2, {part}: CSRUKF against SRUKF, 3-D",
                 ratio3,
                 [walk["csrukf"][:, at], walk["srukf"][:, at]],
-                (None, accept),
-                paper=round(printedratio3, 3),
+                (None, most),
+                paper=round(printed_ratio, 3),
             )
         )
         for filter in ("srukf", "csrukf"):

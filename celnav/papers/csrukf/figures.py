@@ -23,7 +23,7 @@ def figure_1(result: Result) -> Figure:
     fig, ax = figure(6.0, 5.2, subplot_kw={"projection": "3d"})
     path = result.config.nominal()[:, :3]
     r = path[0]
-    u, v = np.mgrid[0 : 2 * np.pi : 25j, 0 : np.pi : 13j]  # type: ignore[misc]
+    u, v = np.mgrid[0 : 2 * np.pi : 25j, 0 : np.pi : 13j]
     globe = EARTH.radius_km * np.stack([np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)])
     ax.plot_wireframe(*globe, color=COLORS["measurement"], linewidth=0.4, alpha=0.6)
     ax.plot(*path.T, color=COLORS["truth"], label="orbit, 600 s")

@@ -20,7 +20,7 @@ AXES = ("x", "y", "z")
 
 @dataclass(frozen=True)
 class Estimate:
-    """What one filter made of the run: ``mean (T, 6)`` km, km/s, ``cov (T, 6, 6)``, ``nees (T,)``, ``nis (T,)`` (nan where none)."""
+    """What one filter made of it: ``mean (T, 6)`` km, km/s, ``cov (T, 6, 6)``, ``nees (T,)``, ``nis (T,)`` (nan where none)."""
 
     mean: Array
     cov: Array

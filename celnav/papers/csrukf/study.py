@@ -13,8 +13,8 @@ import numpy as np
 from celnav.filters.driver import Epochs, Filter, run
 from celnav.gaussian import nees
 from celnav.linalg import Array
-from celnav.montecarlo import Progress, Unit, blocks, generator, work
 from celnav.models import orbit
+from celnav.montecarlo import Progress, Unit, blocks, generator, work
 from celnav.papers.csrukf import errata, scenario, theory
 from celnav.papers.csrukf.config import STRESS, B, Config, D, P
 from celnav.papers.csrukf.theory import UNITS

@@ -39,7 +39,7 @@ def table_2(result: Result) -> list[Row]:
 def table_3(result: Result) -> list[Row]:
     """Table 3: RMSE under Phi = 0.8 I and Phi = I."""
     return [
-        {"Phi": name} | row
+        {"Phi": name, **row}
         for name, study in (("0.8 I", "P/0.8"), ("I", "P/I"))
         for row in _rows(result, study, TABLE_3[study[2:]])
     ]
