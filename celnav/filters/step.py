@@ -107,7 +107,8 @@ def noise_columns(cov: Any, sqrt: Any, name: str) -> Noise:
         raise ValueError(f"{name}: expected one of {name} and sqrt_{name}, got both")
     if sqrt is not None:
         if callable(sqrt):
-            return np.asarray(sqrt)
+            function: Callable[[Array, Any], Array] = sqrt
+            return function
         columns = finite(f"sqrt_{name}", sqrt)
         if columns.ndim < 2:
             raise ValueError(f"sqrt_{name}: expected columns of shape (..., n, r), got {columns.shape}")

@@ -2,7 +2,8 @@
 
 The contract of a paper: `Config` and `PRESETS`, `simulate`, `filters`, `reproduce`, ``figure_N``, ``table_N``, `claims`, `record`.
 Modules: `config` (parameters), `scenario` (truth, measurements, filters), `errata` (what is printed wrongly, as code),
-`theory` (linear analysis), `study` (all runs), `published` (the paper's numbers), `tables`, `figures`, `claims`, `recording`.
+`theory` (linear analysis), `study` (all runs), `published` (the paper's numbers),
+`tune` (noise tuning), `tables`, `figures`, `claims`, `recording`.
 
 =============  ======================================================  ===========================================
 equation       content                                                 here
@@ -16,6 +17,7 @@ equation       content                                                 here
 =============  ======================================================  ===========================================
 """
 
+from celnav.papers.csrukf import tune
 from celnav.papers.csrukf.claims import claims
 from celnav.papers.csrukf.config import CITATION, PRESETS, TITLE, Config
 from celnav.papers.csrukf.figures import (
@@ -77,4 +79,5 @@ __all__ = [
     "table_1",
     "table_2",
     "table_3",
+    "tune",
 ]

@@ -6,12 +6,15 @@ import numpy as np
 
 from celnav.claims import Claim
 from celnav.linalg import Array
+from celnav.metrics import rmse_interval
 from celnav.papers.csrukf import theory
 from celnav.papers.csrukf.beyond import beyond_claims
 from celnav.papers.csrukf.judge import Judge, ratio3, rms3
 from celnav.papers.csrukf.published import TABLE_1, TABLE_2, TABLE_3
 from celnav.papers.csrukf.study import Result
 
+SIX_AXES = 1.0 - 0.05 / 6.0
+"""Level of an interval for the worst of six axes."""
 FIT = "sigma, P0 and Q are not in the paper; they were fitted to Tables 1 and 2"
 
 
@@ -200,16 +203,18 @@ def _tables(j: Judge) -> list[Claim]:
         for filter, std in (("srukf", expected.srukf), ("csrukf", expected.csrukf)):
             error = j.final(f"P/{name}", filter)
             logs = _log_ratios(error, std[-1, phi])
-            scatter = 2.0 / np.sqrt(2.0 * len(error))  # two standard deviations of the logarithm of an RMSE
-            worst, rms = float(logs[np.argmax(np.abs(logs))]), float(np.sqrt(np.mean(logs**2)))
+            worst, rms = int(np.argmax(np.abs(logs))), float(np.sqrt(np.mean(logs**2)))
+            ratios = error / std[-1, phi]
+            low, high = (float(v[worst]) for v in rmse_interval(ratios, SIX_AXES, axis=0))
+            scatter = max(np.log(high) - logs[worst], logs[worst] - np.log(low))
             out += [
                 j.fixed(
                     f"table-{table}-{filter}-theory-axes",
                     "beyond",
                     f"Phi = {name}: the worst axis of {filter.upper()} against exact linear theory (RMSE ratio, final)",
-                    np.exp(worst),
+                    float(np.exp(logs[worst])),
                     (0.70, 1.35),
-                    ci=(float(np.exp(worst - scatter)), float(np.exp(worst + scatter))),
+                    ci=(low, high),
                 ),
                 j.fixed(
                     f"table-{table}-{filter}-theory-rms",
