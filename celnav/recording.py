@@ -95,7 +95,9 @@ class Recorder:
         there = np.isfinite(scalars)
         self._send(entity, rr.Scalars.columns(scalars=scalars[there]).partition(there.astype(int)))
 
-    def bounds(self, entity: str, sigma: ArrayLike, name: str, *, center: ArrayLike = 0.0, shown: bool = True, color: str = SIGMA) -> None:
+    def bounds(
+        self, entity: str, sigma: ArrayLike, name: str, *, center: ArrayLike = 0.0, shown: bool = True, color: str = SIGMA
+    ) -> None:
         """Curves ``entity/+3s`` and ``entity/-3s``: three deviations ``(T,)`` about ``center``."""
         deviation = self._array(entity, sigma, ())
         for sign, factor in (("+", 3.0), ("-", -3.0)):
@@ -120,7 +122,9 @@ class Recorder:
         """Lines ``(points, 3)`` that stay for the whole run."""
         self._style(entity, rr.LineStrips3D(strips, colors=rgba(color), radii=rr.Radius.ui_points(radius)))
 
-    def strips(self, entity: str, strips: ArrayLike, colors: Sequence[str], *, labels: Sequence[str] = (), radius: float = 1.0) -> None:
+    def strips(
+        self, entity: str, strips: ArrayLike, colors: Sequence[str], *, labels: Sequence[str] = (), radius: float = 1.0
+    ) -> None:
         """``k`` lines ``(T, k, points, 3)`` that move; lines that are partly nan are left out."""
         lines = self._array(entity, strips, (len(colors), None, 3))
         there = np.isfinite(lines).all((2, 3))
@@ -136,7 +140,9 @@ class Recorder:
         self._style(entity, rr.Arrows3D.from_fields(colors=rgba(color), radii=rr.Radius.ui_points(radius), labels=label))
         self._send(entity, rr.Arrows3D.columns(origins=start[there], vectors=vector[there]).partition(there.astype(int)))
 
-    def points(self, entity: str, points: ArrayLike, color: str, *, alpha: float = 1.0, radius: float = 2.0, label: str = "") -> None:
+    def points(
+        self, entity: str, points: ArrayLike, color: str, *, alpha: float = 1.0, radius: float = 2.0, label: str = ""
+    ) -> None:
         """Points ``(T, 3)`` or, ``k`` at a time, ``(T, k, 3)``; those that are partly nan are left out."""
         p = np.asarray(points, dtype=np.float64)
         p = self._array(entity, p[:, None] if p.ndim == 2 else p, (None, 3))

@@ -91,17 +91,16 @@ def record_showcase(showcase: Showcase, path: str | Path) -> Path:
 
 
 _LEGEND = """
-**Colors.** green: truth · orange: CSRUKF · blue: SRUKF · purple: open loop · sky blue: measured pseudo-positions · gray: ±3σ of
-a filter · yellow: posterior Cramér–Rao bound.
+**Colors.** green: truth · orange: CSRUKF · blue: SRUKF · purple: open loop · sky blue: measured pseudo-positions · gray: ±3σ ·
+yellow: posterior Cramér–Rao bound.
 
-**Scene** (km). The satellite over the Earth, the directions of the two stars with the angles A1, A2 to its position vector, and
-the two sight lines at the Earth's limb, the angle A3 apart. Estimates and truth differ by less than a line's width.
+**Scene.** The directions i1, i2 of two stars, their angles A1, A2 to the position vector, and the sight lines to the Earth's limb,
+A3 apart. Estimates and truth differ by less than a line's width; hence the second view:
 
-**Errors** (km). Estimate minus truth: the origin is the truth. A consistent filter keeps the origin within its 3σ ellipsoid.
-Lines: the last
-120 s, of the measurement 30 s. Small points: other runs of the Monte Carlo.
+**Errors.** Estimate minus truth. A consistent filter keeps the origin in its 3σ ellipsoid. Points: other runs. Sky blue: the last
+30 s of the measurement's error.
 
-Press the space bar to play. Tabs hold the other axes; double-click a plot to see all of its range.
+Space bar: play. Tabs: other axes. Double-click in a plot: all of its range.
 """
 
 
@@ -109,15 +108,27 @@ def _check(showcase: Showcase) -> None:
     for name, given in (("estimates", showcase.estimates), ("ensemble", showcase.ensemble), ("rmse", showcase.rmse)):
         if set(given) != set(FILTERS):
             raise ValueError(f"{name}: expected the filters {sorted(FILTERS)}, got {sorted(given)}")
+    count = len(showcase.times)
     for name, array, shape in (
         ("truth", showcase.truth, (6,)),
+        *((name, getattr(showcase, name), (3,)) for name in ("measurements", "noise", "noise_mean", "noise_std")),
+        ("bound", showcase.bound, ()),
+        *((f"rmse {key}", rmse, ()) for key, rmse in showcase.rmse.items()),
         *((f"estimates {key} mean", e.mean, (6,)) for key, e in showcase.estimates.items()),
         *((f"estimates {key} cov", e.cov, (6, 6)) for key, e in showcase.estimates.items()),
+        *((f"estimates {key} nees", e.nees, ()) for key, e in showcase.estimates.items()),
+        *((f"estimates {key} nis", e.nis, ()) for key, e in showcase.estimates.items()),
     ):
-        if array.shape != (len(showcase.times), *shape):
-            raise ValueError(f"{name}: expected shape {(len(showcase.times), *shape)}, got {array.shape}")
+        if array.shape != (count, *shape):
+            raise ValueError(f"{name}: expected shape {(count, *shape)}, got {array.shape}")
     if not np.isfinite(showcase.truth).all():
         raise ValueError("truth: expected finite positions and velocities")
+    lowest = np.linalg.norm(showcase.truth[:, :3], axis=1).min()
+    if not 0.0 < showcase.radius_km < lowest:
+        raise ValueError(f"radius_km: expected less than the satellite's radius {lowest:.6g} km, got {showcase.radius_km!r}")
+    for name, (low, high) in (("nees_band", showcase.nees_band), ("nis_band", showcase.nis_band)):
+        if not 0.0 < low < high < np.inf:
+            raise ValueError(f"{name}: expected 0 < low < high, got {(low, high)}")
 
 
 def _scene(out: Recorder, showcase: Showcase, colors: dict[str, str]) -> None:
@@ -179,7 +190,7 @@ def _errors(out: Recorder, showcase: Showcase, colors: dict[str, str]) -> None:
     out.trail("error/z", showcase.measurements - position, recording.MEASUREMENT, radius=0.4)
     for key, estimate in showcase.estimates.items():
         error = estimate.mean[:, :3] - position
-        out.trail(f"error/{key}/trail", error, colors[key], radius=0.8)
+        out.trail(f"error/{key}/trail", error, colors[key], radius=0.6)
         out.points(f"error/{key}/estimate", error, colors[key], radius=3.0)
         out.ellipsoids(f"error/{key}/ellipsoid", error, estimate.cov[:, :3, :3], colors[key])
         out.points(f"error/{key}/ensemble", showcase.ensemble[key], colors[key], radius=1.5)
@@ -227,7 +238,7 @@ def _extent(showcase: Showcase) -> float:
     """Size of the picture of the errors, km: the ellipsoid of the CSRUKF at its largest and most of the other runs."""
     size = 3.0 * np.sqrt(np.nanmax(showcase.estimates["csrukf"].cov.diagonal(0, -2, -1)[:, :3]))
     cloud = np.linalg.norm(showcase.ensemble["srukf"], axis=-1)
-    return float(np.nanmax([size, min(np.nanquantile(cloud, 0.9), 2.5 * size)]))
+    return float(np.nanmax([size, min(np.nanquantile(cloud, 0.9), 3.2 * size)]))
 
 
 def _layout(showcase: Showcase) -> Any:
@@ -253,7 +264,7 @@ def _layout(showcase: Showcase) -> Any:
         "error",
         "errors, km (origin: truth)",
         eye=size * np.array([1.7, -1.5, 1.1]),
-        growing={"error/z": 30.0, **dict.fromkeys((f"error/{key}/trail" for key in FILTERS), 120.0)},
+        growing={"error/z": 30.0, **dict.fromkeys((f"error/{key}/trail" for key in FILTERS), np.inf)},
     )
     errors_of = [_error_and_sigma(showcase, showcase.estimates[key]) for key in BOUNDED]
 
