@@ -9,6 +9,7 @@ given and no wall clock is logged. Geometry is single precision in the viewer; `
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import re
 import secrets
@@ -90,17 +91,17 @@ class Recorder:
         """A curve ``(T,)`` in a plot, with gaps at nan; hidden until clicked in the legend unless ``shown``."""
         scalars = self._array(entity, values, ())
         self._style(entity, rr.SeriesLines(colors=rgba(color), widths=width, names=name, visible_series=shown))
-        self._send(entity, rr.Scalars.columns(scalars=np.where(np.isfinite(scalars), scalars, np.nan)))
+        # An empty row is a gap too, and two files with a nan never compare equal.
+        there = np.isfinite(scalars)
+        self._send(entity, rr.Scalars.columns(scalars=scalars[there]).partition(there.astype(int)))
 
     def bounds(
         self, entity: str, sigma: ArrayLike, name: str, *, center: ArrayLike = 0.0, shown: bool = True, color: str = SIGMA
     ) -> None:
         """Curves ``entity/+3s`` and ``entity/-3s``: three deviations ``(T,)`` about ``center``."""
-        deviation: Any = self._array(entity, sigma, ())
+        deviation = self._array(entity, sigma, ())
         for sign, factor in (("+", 3.0), ("-", -3.0)):
-            self.curve(
-                f"{entity}/{sign}3s", np.asarray(center) + factor * deviation, color, f"{sign}3σ {name}", width=1.0, shown=shown
-            )
+            self.curve(f"{entity}/{sign}3s", center + factor * deviation, color, f"±3σ {name}", width=1.0, shown=shown)
 
     def level(self, entity: str, value: float, name: str, color: str = SIGMA) -> None:
         """A horizontal line in a plot."""
@@ -200,7 +201,7 @@ def _sphere(latitude: ArrayLike, longitude: ArrayLike) -> Array:
 def recording(
     path: str | os.PathLike[str], times: ArrayLike, *, name: str, layout: Any, properties: Mapping[str, Any] | None = None
 ) -> Iterator[Recorder]:
-    """Write a recording: a temporary file beside ``path`` takes its place when all is written, and vanishes if anything fails.
+    """Write a recording when the block ends: to a temporary file beside ``path`` that then takes its place, or not at all.
 
     Parameters
     ----------
@@ -220,31 +221,41 @@ def recording(
         raise ValueError(f"times: expected two or more finite, increasing seconds, got shape {t.shape}")
     target = Path(path)
     _check_ours(target)
-    temporary = target.with_name(f".{target.name}.{secrets.token_hex(4)}.tmp")
     strict = strict_mode()
+    # Otherwise a wrong call is only a warning and its data are missing.
+    rr.set_strict_mode(True)
     try:
-        with _named(target):
-            temporary.touch(exist_ok=False)
-        # Otherwise a wrong call is only a warning and its data are missing.
-        rr.set_strict_mode(True)
         stream = rr.RecordingStream(_slug(f"{APPLICATION} {name}"), recording_id=_slug(name), send_properties=False)
+        # Not to a file: its writer works in the background, keeps a full disk to itself and then waits for ever.
+        memory = stream.memory_recording()
         try:
             stream.set_log_time_enabled(False)
             with stream:
-                stream.save(temporary, default_blueprint=_blueprint(layout, t))
+                stream.send_blueprint(_blueprint(layout, t), make_active=False, make_default=True)
                 stream.send_recording_name(name)
                 if properties:
                     stream.send_property("study", rr.AnyValues(**properties))
                 yield Recorder(stream, t)
+            _replace(target, memory.drain_as_bytes())
         finally:
             stream.disconnect()
-        with _named(target):
-            _check_whole(temporary)
-            os.replace(temporary, target)
     finally:
         rr.set_strict_mode(strict)
-        with contextlib.suppress(OSError):
-            temporary.unlink()
+
+
+def _replace(target: Path, content: bytes) -> None:
+    """Write a file whole or not at all."""
+    temporary = target.with_name(f".{target.name}.{secrets.token_hex(4)}.tmp")
+    with _named(target):
+        try:
+            with temporary.open("xb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(temporary, target)
+        finally:
+            with contextlib.suppress(OSError):
+                temporary.unlink()
 
 
 def _slug(name: str) -> str:
@@ -264,7 +275,9 @@ def _named(target: Path) -> Iterator[None]:
 def _check_ours(target: Path) -> None:
     with _named(target):
         if target.is_dir():
-            raise IsADirectoryError(21, "it is a folder")
+            raise IsADirectoryError(errno.EISDIR, "it is a folder")
+        if not target.parent.is_dir():
+            raise FileNotFoundError(errno.ENOENT, "its folder does not exist")
         if not target.exists():
             return
     try:
@@ -275,16 +288,6 @@ def _check_ours(target: Path) -> None:
         raise ValueError(f"path: expected a new file or a recording of celnav, got another file, which is left alone: {target}")
 
 
-def _check_whole(written: Path) -> None:
-    """The writer works in the background and keeps a full disk to itself; a file without its last part cannot be read."""
-    try:
-        entries = rr.chunk.RrdReader(written).recordings()
-    except Exception as error:
-        raise OSError(5, f"the file is not whole ({error})") from error
-    if not entries:
-        raise OSError(5, "the file is not whole")
-
-
 def space(
     origin: str,
     name: str,
@@ -292,32 +295,42 @@ def space(
     eye: ArrayLike,
     target: ArrayLike = (0.0, 0.0, 0.0),
     up: ArrayLike = (0.0, 0.0, 1.0),
-    growing: Sequence[str] = (),
-    grid: bool = False,
+    growing: Mapping[str, float] | None = None,
 ) -> Any:
-    """A view of the space below ``origin`` from ``eye (3,)`` towards ``target (3,)``; entities in ``growing`` keep their past."""
-    past = rrb.VisibleTimeRanges(
-        timeline=TIMELINE, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative(seconds=0.0)
-    )
+    """A view of the space below ``origin`` from ``eye (3,)`` towards ``target (3,)``.
+
+    ``growing`` says of which entities the past is seen too, and how much of it in s (``inf``: all).
+    """
+
+    def past(seconds: float) -> Any:
+        boundary = rrb.TimeRangeBoundary
+        start = boundary.cursor_relative(seconds=-seconds) if np.isfinite(seconds) else boundary.infinite()
+        return rrb.VisibleTimeRanges(timeline=TIMELINE, start=start, end=boundary.cursor_relative(seconds=0.0))
+
     return rrb.Spatial3DView(
         origin=origin,
         name=name,
         background=_SPACE,
-        line_grid=rrb.LineGrid3D(visible=grid),
+        line_grid=rrb.LineGrid3D(visible=False),
         eye_controls=rrb.EyeControls3D(position=eye, look_target=target, eye_up=up),
-        overrides=dict.fromkeys(growing, past),
+        overrides={entity: past(seconds) for entity, seconds in (growing or {}).items()},
     )
 
 
 def plot(origin: str, name: str, times: Array, *, limits: tuple[float, float] | None = None, legend: bool = True) -> Any:
-    """A plot of the curves below ``origin`` over the whole run (by default the viewer scrolls), with ``limits`` of its y axis."""
-    start, end = (rrb.TimeRangeBoundary.absolute(seconds=float(t)) for t in (times[0], times[-1]))
+    """A plot of the curves below ``origin`` over the whole run (by default the viewer scrolls), with ``limits`` of its y axis.
+
+    The legend takes a part of the time axis after the run, where it hides nothing.
+    """
+    span = float(times[-1] - times[0])
+    ends = times[0] - 0.02 * span, times[-1] + (0.24 if legend else 0.06) * span
+    start, end = (rrb.TimeRangeBoundary.absolute(seconds=float(t)) for t in ends)
     return rrb.TimeSeriesView(
         origin=origin,
         name=name,
         axis_x=rrb.TimeAxis(view_range=rr.TimeRange(start=start, end=end)),
         axis_y=None if limits is None else rrb.ScalarAxis(range=limits),
-        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=legend),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=legend),
     )
 
 

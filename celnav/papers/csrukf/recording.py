@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from celnav.recording import Recorder
 
 FILTERS = {"srukf": "SRUKF", "csrukf": "CSRUKF", "openloop": "open loop"}
+BOUNDED = ("csrukf", "srukf")  # whose bounds are seen at first
 AXES = ("x", "y", "z")
 
 
@@ -84,22 +85,22 @@ def record_showcase(showcase: Showcase, path: str | Path) -> Path:
         _errors(out, showcase, colors)
         _plots(out, showcase, colors)
         for key, estimate in showcase.estimates.items():
-            out.exact(f"state/{key}", mean=estimate.mean, covariance=estimate.cov, nees=estimate.nees, nis=estimate.nis)
+            out.exact(f"state/{key}", mean=estimate.mean, covariance=estimate.cov)
         out.exact("state/truth", mean=showcase.truth)
     return Path(path)
 
 
 _LEGEND = """
-**Colors.** green: truth · orange: CSRUKF · blue: SRUKF · purple: open loop · sky blue: measured pseudo-positions · gray: ±3σ of
-a filter · yellow: posterior Cramér–Rao bound.
+**Colors.** green: truth · orange: CSRUKF · blue: SRUKF · purple: open loop · sky blue: measured pseudo-positions · gray: ±3σ ·
+yellow: posterior Cramér–Rao bound.
 
-**Scene** (km). The satellite over the Earth, the directions of the two stars with the angles A1, A2 to its position vector, and
-the two sight lines at the Earth's limb, the angle A3 apart. Estimates and truth differ by less than a line's width.
+**Scene.** The directions i1, i2 of two stars, their angles A1, A2 to the position vector, and the sight lines to the Earth's limb,
+A3 apart. Estimates and truth differ by less than a line's width; hence the second view:
 
-**Errors** (km). Estimate minus truth: the origin is the truth. A consistent filter keeps the origin within its 3σ ellipsoid.
-Small points: other runs of the Monte Carlo.
+**Errors.** Estimate minus truth. A consistent filter keeps the origin in its 3σ ellipsoid. Points: other runs. Sky blue: the last
+30 s of the measurement's error.
 
-Press the space bar to play. Tabs hold the other axes; double-click a plot to see all of its range.
+Space bar: play. Tabs: other axes. Double-click in a plot: all of its range.
 """
 
 
@@ -107,15 +108,27 @@ def _check(showcase: Showcase) -> None:
     for name, given in (("estimates", showcase.estimates), ("ensemble", showcase.ensemble), ("rmse", showcase.rmse)):
         if set(given) != set(FILTERS):
             raise ValueError(f"{name}: expected the filters {sorted(FILTERS)}, got {sorted(given)}")
+    count = len(showcase.times)
     for name, array, shape in (
         ("truth", showcase.truth, (6,)),
+        *((name, getattr(showcase, name), (3,)) for name in ("measurements", "noise", "noise_mean", "noise_std")),
+        ("bound", showcase.bound, ()),
+        *((f"rmse {key}", rmse, ()) for key, rmse in showcase.rmse.items()),
         *((f"estimates {key} mean", e.mean, (6,)) for key, e in showcase.estimates.items()),
         *((f"estimates {key} cov", e.cov, (6, 6)) for key, e in showcase.estimates.items()),
+        *((f"estimates {key} nees", e.nees, ()) for key, e in showcase.estimates.items()),
+        *((f"estimates {key} nis", e.nis, ()) for key, e in showcase.estimates.items()),
     ):
-        if array.shape != (len(showcase.times), *shape):
-            raise ValueError(f"{name}: expected shape {(len(showcase.times), *shape)}, got {array.shape}")
+        if array.shape != (count, *shape):
+            raise ValueError(f"{name}: expected shape {(count, *shape)}, got {array.shape}")
     if not np.isfinite(showcase.truth).all():
         raise ValueError("truth: expected finite positions and velocities")
+    lowest = np.linalg.norm(showcase.truth[:, :3], axis=1).min()
+    if not 0.0 < showcase.radius_km < lowest:
+        raise ValueError(f"radius_km: expected less than the satellite's radius {lowest:.6g} km, got {showcase.radius_km!r}")
+    for name, (low, high) in (("nees_band", showcase.nees_band), ("nis_band", showcase.nis_band)):
+        if not 0.0 < low < high < np.inf:
+            raise ValueError(f"{name}: expected 0 < low < high, got {(low, high)}")
 
 
 def _scene(out: Recorder, showcase: Showcase, colors: dict[str, str]) -> None:
@@ -125,23 +138,23 @@ def _scene(out: Recorder, showcase: Showcase, colors: dict[str, str]) -> None:
     position = showcase.truth[:, :3]
     out.globe("world/earth", showcase.radius_km)
     out.path("world/arc", [position], recording.FAINT)
-    out.trail("world/truth", position, recording.TRUTH, radius=3.0)
+    out.trail("world/truth", position, recording.TRUTH, radius=3.5)
     for key, estimate in showcase.estimates.items():
         out.trail(f"world/{key}", estimate.mean[:, :3], colors[key], radius=1.2)
-    out.points("world/z", showcase.measurements, recording.MEASUREMENT, radius=2.0)
+    out.points("world/z", showcase.measurements, recording.MEASUREMENT, radius=1.0)
     out.points("world/satellite", position, "#FFFFFF", radius=5.0, label="satellite")
     stars = star_directions(showcase.separation)
-    length = 0.6 * showcase.radius_km
+    length = 0.9 * showcase.radius_km
     for label, star in zip(("i1", "i2"), stars, strict=True):
-        out.arrow(f"world/stars/{label}", position, np.broadcast_to(length * star, position.shape), "#FFF3C4", f"star {label}")
+        out.arrow(f"world/stars/{label}", position, np.broadcast_to(length * star, position.shape), "#FFF3C4", label)
     limb = _limb(position, showcase.truth[:, 3:], showcase.radius_km)
     sight = np.stack([np.broadcast_to(position[:, None], limb.shape), limb], 2)
-    out.strips("world/sight/earth_limb", sight, [recording.MEASUREMENT] * 2)
+    out.strips("world/sight/earth_limb", sight, [recording.MEASUREMENT] * 2, radius=1.5)
     up = position / np.linalg.norm(position, axis=1, keepdims=True)
     arcs = [_arc(up, np.broadcast_to(star, up.shape)) for star in stars]
     lines = (limb - position[:, None]) / np.linalg.norm(limb - position[:, None], axis=-1, keepdims=True)
     arcs.append(_arc(lines[:, 0], lines[:, 1]))
-    around = position[:, None, None] + 0.25 * showcase.radius_km * np.stack(arcs, 1)
+    around = position[:, None, None] + 0.2 * showcase.radius_km * np.stack(arcs, 1)
     out.strips("world/angles", around, ["#FFF3C4", "#FFF3C4", recording.MEASUREMENT], labels=["A1", "A2", "A3"])
     zenith = position[:, None, None] * np.array([1.0, 1.3])[:, None]
     out.strips("world/zenith", zenith, [recording.FAINT])
@@ -157,7 +170,7 @@ def _limb(position: Array, velocity: Array, radius: float) -> Array:
     return radius * np.stack([sine * up + sign * np.sqrt(1.0 - sine * sine) * along for sign in (1.0, -1.0)], 1)
 
 
-def _arc(start: Array, end: Array, points: int = 25) -> Array:
+def _arc(start: Array, end: Array, points: int = 13) -> Array:
     """Great-circle arcs ``(T, points, 3)`` between unit vectors ``(T, 3)``."""
     angle = np.arccos(np.clip(np.sum(start * end, 1), -1.0, 1.0))[:, None, None]
     part = np.linspace(0.0, 1.0, points)[:, None]
@@ -174,13 +187,13 @@ def _errors(out: Recorder, showcase: Showcase, colors: dict[str, str]) -> None:
     length = 10.0 ** np.floor(np.log10(_extent(showcase)))
     out.path("error/axes", list(length * np.stack([np.zeros((3, 3)), np.eye(3)], 1)), recording.SIGMA)
     out.points("error/truth", np.zeros_like(position), recording.TRUTH, radius=6.0)
-    out.trail("error/z", showcase.measurements - position, recording.MEASUREMENT, radius=0.6)
+    out.trail("error/z", showcase.measurements - position, recording.MEASUREMENT, radius=0.4)
     for key, estimate in showcase.estimates.items():
         error = estimate.mean[:, :3] - position
-        out.trail(f"error/{key}/trail", error, colors[key], radius=1.0)
-        out.points(f"error/{key}/estimate", error, colors[key], radius=4.0)
+        out.trail(f"error/{key}/trail", error, colors[key], radius=0.6)
+        out.points(f"error/{key}/estimate", error, colors[key], radius=3.0)
         out.ellipsoids(f"error/{key}/ellipsoid", error, estimate.cov[:, :3, :3], colors[key])
-        out.points(f"error/{key}/ensemble", showcase.ensemble[key], colors[key], alpha=0.6, radius=1.5)
+        out.points(f"error/{key}/ensemble", showcase.ensemble[key], colors[key], radius=1.5)
 
 
 def _plots(out: Recorder, showcase: Showcase, colors: dict[str, str]) -> None:
@@ -189,16 +202,17 @@ def _plots(out: Recorder, showcase: Showcase, colors: dict[str, str]) -> None:
 
     for key, estimate in showcase.estimates.items():
         error, sigma = _error_and_sigma(showcase, estimate)
-        shown = key != "openloop"
+        shown = key in BOUNDED
+        width = 3.0 if key == "csrukf" else 1.2  # where it coincides with another, both are seen
         for i, axis in enumerate(AXES):
             for quantity, j in (("pos_err", i), ("vel_err", i + 3)):
                 entity = f"plots/{quantity}/{axis}/{key}"
-                out.curve(entity, error[:, j], colors[key], FILTERS[key])
+                out.curve(entity, error[:, j], colors[key], FILTERS[key], width=width)
                 out.bounds(entity, sigma[:, j], FILTERS[key], shown=shown)
-        out.curve(f"plots/nees/{key}", _log10(estimate.nees), colors[key], FILTERS[key])
-        out.curve(f"plots/nis/{key}", _log10(estimate.nis), colors[key], FILTERS[key])
-        out.curve(f"plots/rmse/{key}", _log10(showcase.rmse[key]), colors[key], FILTERS[key])
-    out.curve("plots/rmse/bound", _log10(showcase.bound), recording.BOUND, "Cramér–Rao bound")
+        out.curve(f"plots/nees/{key}", _log10(estimate.nees), colors[key], FILTERS[key], width=width)
+        out.curve(f"plots/nis/{key}", _log10(estimate.nis), colors[key], FILTERS[key], width=width)
+        out.curve(f"plots/rmse/{key}", _log10(showcase.rmse[key]), colors[key], FILTERS[key], width=width)
+    out.curve("plots/rmse/pcrb", _log10(showcase.bound), recording.BOUND, "Cramér–Rao bound", width=1.2)
     for name, band in (("nees", showcase.nees_band), ("nis", showcase.nis_band)):
         for end, value in zip(("low", "high"), band, strict=True):
             out.level(f"plots/{name}/band/{end}", float(np.log10(value)), f"95 % band, {end}")
@@ -224,7 +238,7 @@ def _extent(showcase: Showcase) -> float:
     """Size of the picture of the errors, km: the ellipsoid of the CSRUKF at its largest and most of the other runs."""
     size = 3.0 * np.sqrt(np.nanmax(showcase.estimates["csrukf"].cov.diagonal(0, -2, -1)[:, :3]))
     cloud = np.linalg.norm(showcase.ensemble["srukf"], axis=-1)
-    return float(np.nanmax([size, min(np.nanquantile(cloud, 0.9), 4.0 * size)]))
+    return float(np.nanmax([size, min(np.nanquantile(cloud, 0.9), 3.2 * size)]))
 
 
 def _layout(showcase: Showcase) -> Any:
@@ -234,40 +248,46 @@ def _layout(showcase: Showcase) -> Any:
     times = showcase.times
     size = _extent(showcase)
     middle = showcase.truth[len(times) // 2]
-    up, ahead = middle[:3] / np.linalg.norm(middle[:3]), middle[3:] / np.linalg.norm(middle[3:])
-    side = np.cross(up, ahead) * np.copysign(1.0, np.cross(up, ahead)[2])
+    up = middle[:3] / np.linalg.norm(middle[:3])
+    side = np.cross(up, middle[3:] / np.linalg.norm(middle[3:]))
+    side *= np.copysign(1.0, side[2])
+    target = showcase.radius_km * 0.8 * up
+    toward = side + np.array([0.0, 0.0, 0.8])  # the orbit's plane seen from its side, and the stars' plane from above
     scene = space(
         "world",
         "scene, km",
-        eye=showcase.radius_km * (0.5 * up + 2.6 * side - 0.4 * ahead),
-        target=0.55 * showcase.radius_km * up,
-        growing=["world/truth", "world/z", *(f"world/{key}" for key in FILTERS)],
+        eye=target + 1.7 * showcase.radius_km * toward / np.linalg.norm(toward),
+        target=target,
+        growing=dict.fromkeys(["world/truth", "world/z", *(f"world/{key}" for key in FILTERS)], np.inf),
     )
     errors = space(
         "error",
         "errors, km (origin: truth)",
         eye=size * np.array([1.7, -1.5, 1.1]),
-        growing=["error/z", *(f"error/{key}/trail" for key in FILTERS)],
+        growing={"error/z": 30.0, **dict.fromkeys((f"error/{key}/trail" for key in FILTERS), np.inf)},
     )
-    errors_of = [_error_and_sigma(showcase, estimate) for estimate in showcase.estimates.values()]
+    errors_of = [_error_and_sigma(showcase, showcase.estimates[key]) for key in BOUNDED]
 
-    def limits(columns_: slice) -> tuple[float, float]:
-        """Symmetric, room for all errors but never so much that the widest bounds shrink to a line."""
-        error = max(np.nanmax(np.abs(e[:, columns_])) for e, _ in errors_of)
-        bound = 3.0 * max(np.nanmax(s[:, columns_]) for _, s in errors_of)
-        size = 1.05 * max(bound, min(error, 3.0 * bound))
-        return -size, size
+    def limits(part: slice) -> tuple[float, float]:
+        """Symmetric, room for the errors but never so much that the widest bounds shrink to a line."""
+        error = max(np.nanmax(np.abs(e[:, part])) for e, _ in errors_of)
+        bound = 3.0 * max(np.nanmax(s[:, part]) for _, s in errors_of)
+        most = 1.05 * max(bound, min(error, 3.0 * bound))
+        return -most, most
 
     position, velocity = limits(slice(0, 3)), limits(slice(3, 6))
     return columns(
         rows(scene, columns(errors, text("info", "about"), shares=[3, 2]), shares=[5, 4]),
         rows(
-            tabs(*(plot(f"plots/pos_err/{i}", f"position error {i}, km", times, limits=position, legend=False) for i in AXES)),
-            tabs(*(plot(f"plots/vel_err/{i}", f"velocity error {i}, m/s", times, limits=velocity, legend=False) for i in AXES)),
+            tabs(*(plot(f"plots/pos_err/{i}", f"position error {i}, km", times, limits=position) for i in AXES)),
+            tabs(*(plot(f"plots/vel_err/{i}", f"velocity error {i}, m/s", times, limits=velocity) for i in AXES)),
             tabs(*(plot(f"plots/V/{i}", f"colored noise V {i}, km", times) for i in AXES)),
             columns(
-                tabs(plot("plots/nees", "log10 NEES", times), plot("plots/nis", "log10 NIS", times)),
-                plot("plots/rmse", "log10 of 3-D position RMSE, km", times),
+                tabs(
+                    plot("plots/nees", "log10 NEES (gray: band)", times, legend=False),
+                    plot("plots/nis", "log10 NIS", times, legend=False),
+                ),
+                plot("plots/rmse", "log10 RMSE in km (yellow: bound)", times, legend=False),
             ),
         ),
         shares=[11, 10],
