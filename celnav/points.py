@@ -81,7 +81,7 @@ class Rule:
     Parameters
     ----------
     nodes: ``(p, n)``; node 0 is the center (its weights may be 0).
-    wm: ``(p,)`` weights of the mean; they sum to 1.
+    wm: ``(p,)`` weights of the mean; they sum to 1, and ``sum wm nodes = 0``.
     wc: ``(p,)`` weights of the covariance (None: ``wm``); ``sum wc nodes nodes' = I``. They may be negative.
 
     Raises
@@ -98,8 +98,11 @@ class Rule:
         self.wc = self.wm if wc is None else finite("wc", wc, (p,))
         if self.nodes[0].any():
             raise ValueError(f"nodes: expected the center first, got {self.nodes[0]}")
-        if not np.isclose(self.wm.sum(), 1.0, rtol=0.0, atol=1e-9):
+        rounding = 8.0 * np.finfo(np.float64).eps * np.abs(self.wm).sum()  # weights of size 1e8 come with a small alpha
+        if abs(self.wm.sum() - 1.0) > max(1e-9, rounding):
             raise ValueError(f"wm: expected a sum of 1, got {self.wm.sum()!r}")
+        if np.abs(self.wm @ self.nodes).max() > 1e-6:
+            raise ValueError(f"wm: expected sum wm nodes = 0, got {self.wm @ self.nodes}")
         second = self.nodes.T @ (self.wc[:, None] * self.nodes)
         if not np.allclose(second, np.eye(self.n), rtol=0.0, atol=1e-6):
             raise ValueError("wc: expected sum wc nodes nodes' = I")
@@ -310,10 +313,17 @@ class Taylor:
         return slope
 
 
+def _integer(value: Any) -> int | None:
+    """An integer that may have come as a float; None if it is none."""
+    whole = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+    return int(value) if whole and np.isfinite(value) and int(value) == value else None
+
+
 def _dimension(n: int) -> int:
-    if isinstance(n, bool) or int(n) != n or n < 1:
+    number = _integer(n)
+    if number is None or number < 1:
         raise ValueError(f"n: expected a positive integer, got {n!r}")
-    return int(n)
+    return number
 
 
 def _axes(n: int, radius: float) -> Array:
@@ -383,11 +393,12 @@ def gauss_hermite(n: int, order: int = 3) -> Rule:
     ValueError: for ``n < 1``, ``order < 2`` or more than `MAX_POINTS` points, before anything is allocated.
     """
     n = _dimension(n)
-    if int(order) != order or not 2 <= order <= 100:
+    size = _integer(order)
+    if size is None or not 2 <= size <= 100:
         raise ValueError(f"order: expected an integer between 2 and 100, got {order!r}")
-    if order**n > MAX_POINTS:
-        raise ValueError(f"order: {order}**{n} = {order**n} points exceed the limit of {MAX_POINTS}")
-    x, w = np.polynomial.hermite_e.hermegauss(int(order))
+    if size**n > MAX_POINTS:
+        raise ValueError(f"order: {size}**{n} = {size**n} points exceed the limit of {MAX_POINTS}")
+    x, w = np.polynomial.hermite_e.hermegauss(size)
     x[np.abs(x) < 1e-12] = 0.0
     nodes = np.stack(np.meshgrid(*[x] * n, indexing="ij"), -1).reshape(-1, n)
     weights = np.prod(np.stack(np.meshgrid(*[w / w.sum()] * n, indexing="ij"), -1).reshape(-1, n), -1)

@@ -42,7 +42,8 @@ EUCLIDEAN = Space()
 
 def wrap(angle: Any) -> Any:
     """Angle in radians, wrapped to ``[-pi, pi)``."""
-    return (np.asarray(angle) + np.pi) % (2.0 * np.pi) - np.pi
+    wrapped = (np.asarray(angle) + np.pi) % (2.0 * np.pi) - np.pi
+    return np.where(wrapped == np.pi, -np.pi, wrapped)[()]  # just below -pi the remainder rounds up to a full turn
 
 
 def angles(components: Iterable[int] | None = None) -> Space:
