@@ -20,7 +20,9 @@ def stationary_covariance(Phi: ArrayLike, R: ArrayLike) -> Array:
     ValueError: if the spectral radius of Phi is not below 1, or R is not a covariance.
     """
     phi = finite("Phi", Phi)
-    sqrt_cov(R, "R", phi.shape[-1])
+    if phi.ndim != 2 or len(phi) != phi.shape[-1]:
+        raise ValueError(f"Phi: expected shape (m, m), got {phi.shape}")
+    sqrt_cov(R, "R", len(phi))
     radius = np.abs(np.linalg.eigvals(phi)).max()
     if radius >= 1.0:
         raise ValueError(f"Phi: expected a spectral radius below 1 for a stationary covariance, got {radius:.6g}")
@@ -29,8 +31,14 @@ def stationary_covariance(Phi: ArrayLike, R: ArrayLike) -> Array:
 
 
 def initial_covariance(initial: str | ArrayLike, Phi: ArrayLike, R: ArrayLike) -> Array:
-    """Covariance of ``V_0``: "R", "stationary", "zero" or a matrix."""
+    """Covariance ``(m, m)`` of ``V_0``: "R", "stationary", "zero" or a matrix.
+
+    Raises
+    ------
+    ValueError: for another word, if R or the matrix is no covariance, and where Phi has no stationary one.
+    """
     increments = finite("R", R)
+    sqrt_cov(increments, "R")
     if not isinstance(initial, str):
         sqrt_cov(initial, "Sigma0", len(increments))
         return finite("Sigma0", initial)
@@ -72,9 +80,13 @@ def van_loan(F: ArrayLike, G: ArrayLike, spectral_density: ArrayLike, dt: float)
     ----------
     F: ``(n, n)``, 1/s. G: ``(n, k)``. spectral_density: ``(k, k)``, two-sided, of ``w``.
     dt: s, not negative.
+
+    Raises
+    ------
+    ValueError: if a shape is wrong, a number not finite, the density no covariance or ``dt`` negative.
     """
     f, g = finite("F", F), finite("G", G)
-    n = len(f)
+    n = f.shape[0] if f.ndim else 0
     if f.shape != (n, n) or g.ndim != 2 or len(g) != n:
         raise ValueError(f"F: expected shapes F (n, n) and G (n, k), got {f.shape} and {g.shape}")
     if not (np.isfinite(dt) and dt >= 0.0):

@@ -112,7 +112,7 @@ def from_elements(a: float, e: float, i: float, raan: float, argp: float, true_a
     ValueError: unless ``a > 0`` and ``0 <= e < 1``. Warns (`UnitWarning`) of an angle beyond two turns.
     """
     for name, value in (("a", a), ("e", e), ("i", i), ("raan", raan), ("argp", argp), ("true_anomaly", true_anomaly)):
-        finite(name, value)
+        finite(name, value, ())
     if not a > 0.0:
         raise ValueError(f"a: expected a positive semi-major axis, got {a!r}")
     if not 0.0 <= e < 1.0:

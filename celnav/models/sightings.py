@@ -88,12 +88,16 @@ def position(
 
     Raises
     ------
-    ValueError: for parallel stars, ``A3`` outside (0, pi), a hemisphere of another value, and, if ``strict``, angles that
-        no position has.
+    ValueError: for parallel stars, infinite angles, ``A3`` outside (0, pi), a hemisphere of another value, and, if
+        ``strict``, angles that no position has. Warns (`UnitWarning`) of angles beyond a full turn.
     """
     measured = np.asarray(A, dtype=np.float64)
     if measured.ndim == 0 or measured.shape[-1] != 3:
         raise ValueError(f"A: expected shape (..., 3), got {measured.shape}")
+    if np.isinf(measured).any():
+        raise ValueError(f"A: expected finite numbers or nan, got {np.count_nonzero(np.isinf(measured))} infinite ones")
+    if (np.abs(measured[..., :2]) > 2.0 * np.pi).any():
+        warnings.warn("A: an angle is more than a full turn; angles are in radians", UnitWarning, stacklevel=2)
     star_directions(separation)
     side = finite("hemisphere", hemisphere)
     if (np.abs(side) != 1.0).any():
@@ -115,10 +119,17 @@ def position(
 
 
 def jacobian(A: Array, separation: float, hemisphere: ArrayLike = 1.0, radius_km: float = EARTH.radius_km) -> Array:
-    """Jacobian ``(..., 3, 3)`` of `position` with respect to the angles, km/rad."""
+    """Jacobian ``(..., 3, 3)`` of `position` with respect to the angles, km/rad.
+
+    Raises
+    ------
+    ValueError: as `position`, and in the plane of the stars, z = 0, where there is none.
+    """
     u = position(A, separation, hemisphere, radius_km=radius_km)
     r = np.linalg.norm(u, axis=-1)
     u = u / r[..., None]
+    if (np.abs(u[..., 2]) < 1e-7).any():  # z comes of a root: nearer than that there is only rounding
+        raise ValueError("A: expected a position off the plane of the stars, got z = 0")
     A1, A2, A3 = np.moveaxis(A, -1, 0)
     zero = np.zeros_like(r)
 
@@ -132,7 +143,14 @@ def jacobian(A: Array, separation: float, hemisphere: ArrayLike = 1.0, radius_km
 
 
 def pseudo_position_covariance(position_km: Array, separation: float, sigma: ArrayLike) -> Array:
-    """Covariance ``(..., 3, 3)`` km^2 of the pseudo-position for angle deviations ``sigma (3,)`` rad."""
+    """Covariance ``(..., 3, 3)`` km^2 of the pseudo-position for angle deviations ``sigma (3,)`` rad.
+
+    Warns (`UnitWarning`) of deviations beyond 1 rad.
+    """
+    deviations = finite("sigma", sigma, (3,))
+    if (np.abs(deviations) > 1.0).any():
+        text = f"sigma: a deviation of {np.abs(deviations).max():.6g} rad tells nothing; angles are in radians"
+        warnings.warn(text, UnitWarning, stacklevel=2)
     G = jacobian(angles(position_km, star_directions(separation)), separation, np.sign(position_km[..., 2]))
-    half = G * np.asarray(sigma)
+    half = G * deviations
     return np.asarray(half @ half.mT)
