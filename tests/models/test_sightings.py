@@ -99,7 +99,7 @@ def test_pseudo_position_covariance_is_that_of_samples():
 
 
 def test_pseudo_position_covariance_of_the_specified_sensor():
-    """Standard deviations along the principal axes at the start of the reference orbit, 0.005 deg on all angles: 0.155, 0.49, 1.08 km."""
+    """0.005 deg on all angles: 0.155, 0.49, 1.08 km along the principal axes at the start of the reference orbit."""
     camera = np.deg2rad(0.005)
     star = np.hypot(camera, np.deg2rad(3.0 / 3600.0))
     P = pseudo_position_covariance(R0, SEPARATION, [star, star, camera])
@@ -159,7 +159,7 @@ A0 = angles(R0, star_directions(SEPARATION))
         (lambda: position([*A0[:2], np.pi], SEPARATION), "A: expected an angular diameter"),
         (lambda: position([np.inf, *A0[1:]], SEPARATION), "A: expected finite numbers or nan"),
         (lambda: position(A0, SEPARATION, 0.5), "hemisphere"),
-        (lambda: jacobian(angles(R0 * [1.0, 1.0, 0.0], star_directions(SEPARATION)), SEPARATION), "A: .*plane of the stars"),
+        (lambda: jacobian(angles(R0 * [1.2, 1.2, 0.0], star_directions(SEPARATION)), SEPARATION), "A: .*plane of the stars"),
         (lambda: unit_vectors([1.0, 0.0, 0.0]), r"stars: expected shape \(k, 3\)"),
         (lambda: unit_vectors([[0.0, 0.0, 0.0]]), "stars: expected directions, got a zero vector"),
         (lambda: unit_vectors([[np.nan, 0.0, 0.0]]), "stars: expected finite"),
