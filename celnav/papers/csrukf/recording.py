@@ -176,7 +176,8 @@ def _arc(start: Array, end: Array, points: int = 13) -> Array:
     part = np.linspace(0.0, 1.0, points)[:, None]
     across = end - np.cos(angle[:, 0]) * start
     across = across / np.linalg.norm(across, axis=1, keepdims=True)
-    return np.cos(part * angle) * start[:, None] + np.sin(part * angle) * across[:, None]
+    arcs: Array = np.cos(part * angle) * start[:, None] + np.sin(part * angle) * across[:, None]
+    return arcs
 
 
 def _errors(out: Recorder, showcase: Showcase, colors: dict[str, str]) -> None:
