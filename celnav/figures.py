@@ -45,7 +45,7 @@ class Drawing(Figure):
     """A figure that notebooks show by itself, whatever their backend."""
 
     def _repr_png_(self) -> bytes:
-        return render(self, "png", dpi=75)
+        return render(self, "png", dpi=64)
 
 
 def figure(width: float, height: float, rows: int = 1, columns: int = 1, **axes: Any) -> tuple[Figure, Any]:
