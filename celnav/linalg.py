@@ -43,7 +43,7 @@ def tria(A: Array) -> Array:
     # "raw" leaves R' in the lower triangle, Householder vectors above it: one product masks them and fixes the signs.
     L = np.linalg.qr(A.mT, mode="raw")[0][..., :n]
     signs = np.copysign(1.0, L.diagonal(0, -2, -1))
-    return L * (signs[..., None, :] * _lower(n))
+    return L * signs[..., None, :] * _lower(n)
 
 
 @cache
