@@ -82,26 +82,36 @@ def _scaled(P: Array) -> tuple[Array, Array]:
     return scale, P / (scale[..., :, None] * scale[..., None, :])
 
 
+def _factored(P: Array) -> Array:
+    """Cholesky factor. LinAlgError: one matrix at least has none."""
+    if P.ndim > 2:
+        return np.linalg.cholesky(P)
+    L: Array
+    L, failed = lapack.dpotrf(P, lower=1)
+    if failed:
+        raise np.linalg.LinAlgError
+    return L
+
+
 def cholesky(P: Array) -> Array:
     """Lower root of positive definite ``P (..., n, n)``; nan for each matrix that is not positive definite."""
-    scale, C = _scaled(P)
     try:
-        L = np.linalg.cholesky(C)
+        return _factored(P)
     except np.linalg.LinAlgError:  # numpy gives up on the whole block: find the culprits, keep the rest
+        C = _scaled(P)[1]
         eye = np.eye(C.shape[-1])
         finite = np.isfinite(C).all((-2, -1))[..., None, None]
         smallest = np.linalg.eigvalsh(np.where(finite, C, -eye))[..., :1, None]
         bad = smallest <= 4 * len(eye) * _EPS
-        L = np.where(bad, np.nan, np.linalg.cholesky(np.where(bad, eye, C)))
-    return scale[..., None] * L
+        return np.where(bad, np.nan, np.linalg.cholesky(np.where(bad, eye, P)))
 
 
 def semidefinite_root(P: Array) -> Array:
     """Lower root of a covariance ``P (..., n, n)`` that may be singular; nan where it is indefinite beyond round-off."""
-    scale, C = _scaled(P)
     try:
-        return scale[..., None] * np.linalg.cholesky(C)
+        return _factored(P)
     except np.linalg.LinAlgError:
+        scale, C = _scaled(P)
         finite = np.isfinite(C).all((-2, -1))
         eigenvalues, vectors = np.linalg.eigh(np.where(finite[..., None, None], C, -np.eye(C.shape[-1])))
         indefinite = eigenvalues[..., 0] < -64 * C.shape[-1] * _EPS * np.maximum(eigenvalues[..., -1], 1.0)
