@@ -206,8 +206,7 @@ class Rule:
             if d is None:
                 np.matmul(root, self.unit[:, :k].T, out=columns)
             else:
-                D = np.empty((*d.shape[1:], q))
-                np.copyto(D, d[self._used].transpose(_POINTS_LAST[d.ndim]))
+                D = np.ascontiguousarray(d[self._used].transpose(_POINTS_LAST[d.ndim]))
                 if sp.mean is None:
                     shift = D @ self._wm
                     D -= shift[..., None]

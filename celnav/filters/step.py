@@ -13,6 +13,7 @@ Functions of a model take points ``(p, ..., N)`` (the point axis leads, so input
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from math import isfinite
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -378,7 +379,7 @@ def explain(
     z: Array | None = None,
 ) -> str:
     """Why a run that was finite before a step is not so after it; empty if there is none."""
-    if np.isfinite(after.mean.sum() + after.spread.sum()):  # a cheap test; what overflows is looked at below
+    if isfinite(after.mean.sum() + after.spread.sum()):  # a cheap test; what overflows is looked at below
         return ""
     was = np.isfinite(before.mean).all(-1) & np.isfinite(before.spread).all((-2, -1))
     lost = was & ~(np.isfinite(after.mean).all(-1) & np.isfinite(after.spread).all((-2, -1)))
