@@ -93,7 +93,7 @@ class SigmaPointUKF:
         belief, process = self._belief(), sqrt_cov(self.Q, "Q", self._dim_x)
         function = self._model("fx", self.fx if fx is None else fx, self._dim_x, (step,), fx_args)
         if UT is None:
-            belief, info = predict(function, self.rule, sqrt_Q=process, space=self._space())(belief)  # type: ignore[call-arg]
+            belief, info = predict(function, self.rule, sqrt_Q=process, space=self._space())(belief, None)
             self._check(belief, info.failure)
         else:
             images = function(self._points(belief), None)
