@@ -41,10 +41,17 @@ STYLE: Any = {
 }
 
 
+class Drawing(Figure):
+    """A figure that notebooks show by itself, whatever their backend."""
+
+    def _repr_png_(self) -> bytes:
+        return render(self, "png", dpi=64)
+
+
 def figure(width: float, height: float, rows: int = 1, columns: int = 1, **axes: Any) -> tuple[Figure, Any]:
     """An empty figure (inches) and its axes in celnav's style, outside pyplot's list of open figures."""
     with plt.rc_context(STYLE):
-        fig = Figure(figsize=(width, height))
+        fig = Drawing(figsize=(width, height))
         return fig, fig.subplots(rows, columns, **axes)
 
 
@@ -53,9 +60,9 @@ def band(ax: Axes, t: Array, low: Array, high: Array, *, color: str, label: str 
     ax.fill_between(t, low, high, color=color, alpha=0.22, linewidth=0.0, label=label)
 
 
-def render(fig: Figure, kind: str) -> bytes:
+def render(fig: Figure, kind: str, dpi: float = 150) -> bytes:
     """The figure as "png" or "svg"; the same figure gives the same bytes."""
     buffer = io.BytesIO()
     with plt.rc_context(STYLE):
-        fig.savefig(buffer, format=kind, metadata={"Date": None} if kind == "svg" else {"Software": None})
+        fig.savefig(buffer, format=kind, dpi=dpi, metadata={"Date": None} if kind == "svg" else {"Software": None})
     return buffer.getvalue()

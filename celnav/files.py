@@ -59,6 +59,8 @@ def read_npz(path: str | Path) -> dict[str, Array]:
     ValueError: naming the file, if it is damaged or holds objects.
     """
     try:
+        if not zipfile.is_zipfile(path):
+            raise ValueError("not a zip archive")
         with np.load(path, allow_pickle=False) as stored:
             return {name: stored[name] for name in stored.files}
     except (ValueError, EOFError, zipfile.BadZipFile, KeyError, AttributeError) as error:

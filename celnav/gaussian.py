@@ -110,7 +110,7 @@ class CovarianceForm:
 
 def _negative(sign: Array, q: int) -> Array | None:
     """Mask ``(q,)`` of the columns of negative sign, or None if there are none."""
-    if sign.min() > 0.0:
+    if -1.0 not in sign.tolist():
         return None
     negative = sign < 0.0
     return np.concatenate([negative, np.zeros(q - len(sign), bool)])

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import lapack
+from scipy.linalg import blas, lapack
 
 Array = NDArray[Any]
 
@@ -43,7 +43,7 @@ def tria(A: Array) -> Array:
     # "raw" leaves R' in the lower triangle, Householder vectors above it: one product masks them and fixes the signs.
     L = np.linalg.qr(A.mT, mode="raw")[0][..., :n]
     signs = np.copysign(1.0, L.diagonal(0, -2, -1))
-    return np.asarray(L * (signs[..., None, :] * _lower(n)))
+    return np.asarray(L * signs[..., None, :] * _lower(n))
 
 
 @cache
@@ -53,20 +53,20 @@ def _lower(n: int) -> Array:
 
 def solve_lower(L: Array, B: Array) -> Array:
     """Solve ``L @ X = B`` for lower triangular ``L (..., n, n)`` and ``B (..., n, k)``; a zero on the diagonal gives nan."""
-    if L.ndim == B.ndim == 2:
-        solution, singular = lapack.dtrtrs(L, B, lower=1)
-        return np.full(B.shape, np.nan) if singular else solution
-    batch = np.broadcast_shapes(L.shape[:-2], B.shape[:-2])
-    X: Array = np.empty(batch + B.shape[-2:])
     diagonal = L.diagonal(0, -2, -1)
     if not diagonal.all():
         diagonal = np.where(diagonal == 0.0, np.nan, diagonal)
+    elif L.ndim == B.ndim == 2:
+        solution: Array = blas.dtrsm(1.0, L, B, lower=1)  # LAPACK's dtrtrs would start threads, however small the matrix
+        return solution
+    batch = np.broadcast_shapes(L.shape[:-2], B.shape[:-2])
+    X = np.empty(batch + B.shape[-2:])
     for i in range(L.shape[-1]):
         row = B[..., i, :]
         if i:
             row = row - (L[..., i, None, :i] @ X[..., :i, :])[..., 0, :]
         X[..., i, :] = row / diagonal[..., i, None]
-    return np.asarray(X)
+    return X
 
 
 def solve_upper_transposed(L: Array, B: Array) -> Array:

@@ -72,7 +72,7 @@ class Transform(Protocol):
 # numpy transposes with a tuple are several times cheaper than moveaxis; keyed by the number of axes.
 _POINTS_FIRST = {d: (1, *range(2, d), 0) for d in range(2, 10)}  # (k, p, ...) -> (p, ..., k)
 _POINTS_LAST = {d: (*range(1, d), 0) for d in range(2, 10)}  # (p, ..., k) -> (..., k, p)
-_RUNS_FIRST = {d: (*range(2, d), 0, 1) for d in range(2, 10)}  # (k, p, ...) -> (..., k, p)
+_RUNS_LAST = {d: (d - 2, d - 1, *range(d - 2)) for d in range(2, 10)}  # (..., k, p) -> (k, p, ...)
 
 
 class Rule:
@@ -153,22 +153,25 @@ class Rule:
     # -- the protocol of the filters -----------------------------------------------------------------------------------
     def points(self, mean: Array, root: Array, space: Space, extra: Sequence[Array] = ()) -> list[Array]:
         """State points ``(p, ..., N)`` and noise points ``(p, ..., k)``, one array for each root in ``extra``."""
-        batch = mean.shape[:-1]
-        for E in (root, *extra):
+        roots = (root, *extra)
+        batch, channels = mean.shape[:-1], 0
+        for E in roots:
+            channels += E.shape[-1]
             if E.ndim > 2 and E.shape[:-2] != batch:
                 batch = np.broadcast_shapes(batch, E.shape[:-2])
-        channels = root.shape[-1] + sum(E.shape[-1] for E in extra)
         if channels != self.n:
             raise ValueError(f"rule: expected {channels} dimensions (state and noise through the points), got {self.n}")
         spread, first = [], 0
-        for E in (root, *extra):
+        for E in roots:
             last = first + E.shape[-1]
+            D = E @ self._transposed[first:last]
+            if D.shape[:-2] != batch:
+                D = np.broadcast_to(D, (*batch, *D.shape[-2:]))
             # Component-first in memory, so that models may unpack contiguous components; points first to the eye.
-            D = np.empty((E.shape[-2], len(self.wm), *batch))
-            np.copyto(D.transpose(_RUNS_FIRST[D.ndim]), E @ self._transposed[first:last])
+            D = np.ascontiguousarray(D.transpose(_RUNS_LAST[D.ndim]))
             spread.append(D.transpose(_POINTS_FIRST[D.ndim]))
             first = last
-        return [space.plus(mean, spread[0]), *spread[1:]]
+        return [space.plus(np.asfortranarray(mean), spread[0]), *spread[1:]]
 
     def transform(
         self,
@@ -206,8 +209,7 @@ class Rule:
             if d is None:
                 np.matmul(root, self.unit[:, :k].T, out=columns)
             else:
-                D = np.empty((*d.shape[1:], q))
-                np.copyto(D, d[self._used].transpose(_POINTS_LAST[d.ndim]))
+                D = np.ascontiguousarray(d[self._used].transpose(_POINTS_LAST[d.ndim]))
                 if sp.mean is None:
                     shift = D @ self._wm
                     D -= shift[..., None]

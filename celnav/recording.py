@@ -99,9 +99,9 @@ class Recorder:
         self, entity: str, sigma: ArrayLike, name: str, *, center: ArrayLike = 0.0, shown: bool = True, color: str = SIGMA
     ) -> None:
         """Curves ``entity/+3s`` and ``entity/-3s``: three deviations ``(T,)`` about ``center``."""
-        deviation = self._array(entity, sigma, ())
+        deviation, middle = self._array(entity, sigma, ()), np.asarray(center, dtype=np.float64)
         for sign, factor in (("+", 3.0), ("-", -3.0)):
-            self.curve(f"{entity}/{sign}3s", center + factor * deviation, color, f"±3σ {name}", width=1.0, shown=shown)
+            self.curve(f"{entity}/{sign}3s", middle + factor * deviation, color, f"±3σ {name}", width=1.0, shown=shown)
 
     def level(self, entity: str, value: float, name: str, color: str = SIGMA) -> None:
         """A horizontal line in a plot."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass, field
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -125,7 +127,7 @@ class Collector:
 
     def __init__(self, every: int, keep: str, form: Form):
         self._every, self._keep, self._form = every, keep, form
-        self._rows: dict[str, list[Any]] = {}
+        self._rows: defaultdict[str, list[Any]] = defaultdict(list)
         self._extra: dict[str, list[Any]] = {}
         self._times: list[Any] = []
         self._count = 0
@@ -160,18 +162,17 @@ class Collector:
     def _store(self, belief: Gaussian, infos: tuple[Any, ...]) -> None:
         if self._keep == "nothing":
             return
-        row: dict[str, Any] = {"mean": belief.mean}
+        self._rows["mean"].append(belief.mean)
         if self._keep != "mean":
-            row["std"] = belief.std
+            self._rows["std"].append(belief.std)
         if self._keep == "spread":
-            row["spread"] = belief.spread
+            self._rows["spread"].append(belief.spread)
         for name in ("innovation", "white", "used"):
-            parts = [getattr(info, name) for info in infos]
-            row[name] = None if any(p is None for p in parts) else parts[0] if len(parts) == 1 else np.concatenate(parts, -1)
-        for name, value in row.items():
-            self._rows.setdefault(name, []).append(value)
+            self._rows[name].append(_side_by_side([getattr(info, name) for info in infos]))
 
     def _watch(self, k: int, mean: Array) -> tuple[int, ...] | None:
+        if self._failed_at is not None and self._failed_at.shape == mean.shape[:-1] and isfinite(mean.sum()):
+            return None
         bad = ~np.isfinite(mean).all(-1)
         if self._failed_at is None or self._failed_at.shape != bad.shape:
             before = -1 if self._failed_at is None else self._failed_at
@@ -199,6 +200,12 @@ class Collector:
             extra={name: np.stack(rows) for name, rows in self._extra.items()},
             reduced=reduced,
         )
+
+
+def _side_by_side(parts: list[Any]) -> Any:
+    if len(parts) == 1:
+        return parts[0]
+    return None if any(part is None for part in parts) else np.concatenate(parts, -1)
 
 
 _BLANK = {"innovation": np.nan, "white": 0.0, "used": False}

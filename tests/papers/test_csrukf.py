@@ -90,7 +90,11 @@ def test_monte_carlo_follows_linear_theory_within_its_scatter():
     many = replace(csrukf.PRESETS["P"], steps=60, phi=1.0)
     sim = scenario.simulate(many, [generator(0, 0, r) for r in range(300)])
     expected = theory.expected(many, (1.0,))
-    for name, std, first in (("srukf", expected.srukf, False), ("csrukf", expected.csrukf, True), ("csrukf+z0", expected.first, True)):
+    for name, std, first in (
+        ("srukf", expected.srukf, False),
+        ("csrukf", expected.csrukf, True),
+        ("csrukf+z0", expected.first, True),
+    ):
         track = study.run(scenario.filters(many)[name], sim.prior, sim.epochs(first=first))
         rmse = np.sqrt(np.square((track.mean[-1] - sim.truth[-1]) * theory.UNITS).mean(0))
         np.testing.assert_allclose(rmse / std[-1, 0], 1.0, atol=5.0 / np.sqrt(600))
@@ -99,7 +103,11 @@ def test_monte_carlo_follows_linear_theory_within_its_scatter():
 def test_filters_coincide_where_they_must():
     config = replace(SHORT, phi=0.8)
     sim = scenario.simulate(config, [generator(1, 1, r) for r in range(4)])
-    tracks = {n: study.run(f, sim.prior, sim.epochs()).mean[..., :6] for n, f in scenario.filters(config).items() if "+" in n or "aug" in n}
+    tracks = {
+        n: study.run(f, sim.prior, sim.epochs()).mean[..., :6]
+        for n, f in scenario.filters(config).items()
+        if "+" in n or "aug" in n
+    }
     assert np.abs(tracks["csrukf+z0"] - tracks["augmented"]).max() < 1e-7
     paper = study.run(scenario.filters(config)["csrukf"], sim.prior, sim.epochs()).mean
     single = study.run(scenario.single_transform(config, config.R), sim.prior, sim.epochs()).mean

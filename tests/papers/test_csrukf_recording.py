@@ -181,6 +181,23 @@ def test_a_failed_filter_leaves_gaps(case, tmp_path):
     assert [len(row.as_py() or []) for row in sizes] == [1] * 40 + [0] * 21
 
 
+def test_filters_that_failed_from_the_start(case, tmp_path):
+    nothing = {
+        key: Estimate(*(np.full_like(array, np.nan) for array in dataclasses.astuple(e))) for key, e in case.estimates.items()
+    }
+    clouds = {key: np.full_like(cloud, np.nan) for key, cloud in case.ensemble.items()}
+    path = record_showcase(dataclasses.replace(case, estimates=nothing, ensemble=clouds), tmp_path / "a.rrd")
+    assert len(rr.chunk.RrdReader(path).recordings()) == 1
+
+
+def test_an_indefinite_covariance_is_told(case, tmp_path):
+    estimate = case.estimates["csrukf"]
+    wrong = {**case.estimates, "csrukf": dataclasses.replace(estimate, cov=-estimate.cov)}
+    with pytest.raises(ValueError, match="positive semidefinite"):
+        record_showcase(dataclasses.replace(case, estimates=wrong), tmp_path / "a.rrd")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_full_run_stays_small(tmp_path):
     assert record_showcase(showcase(600), tmp_path / "a.rrd").stat().st_size < 6_000_000
 

@@ -21,7 +21,7 @@ AXES = ("x", "y", "z")
 
 @dataclass(frozen=True)
 class Estimate:
-    """What one filter made of it: ``mean (T, 6)`` km, km/s, ``cov (T, 6, 6)``, ``nees (T,)``, ``nis (T,)`` (nan where none)."""
+    """What a filter made of the run: ``mean (T, 6)`` km, km/s, ``cov (T, 6, 6)``, ``nees (T,)`` and ``nis (T,)`` (nan: none)."""
 
     mean: Array
     cov: Array
@@ -176,7 +176,8 @@ def _arc(start: Array, end: Array, points: int = 13) -> Array:
     part = np.linspace(0.0, 1.0, points)[:, None]
     across = end - np.cos(angle[:, 0]) * start
     across = across / np.linalg.norm(across, axis=1, keepdims=True)
-    return np.asarray(np.cos(part * angle) * start[:, None] + np.sin(part * angle) * across[:, None])
+    arcs: Array = np.cos(part * angle) * start[:, None] + np.sin(part * angle) * across[:, None]
+    return arcs
 
 
 def _errors(out: Recorder, showcase: Showcase, colors: dict[str, str]) -> None:
@@ -226,19 +227,27 @@ def _plots(out: Recorder, showcase: Showcase, colors: dict[str, str]) -> None:
 def _error_and_sigma(showcase: Showcase, estimate: Estimate) -> tuple[Array, Array]:
     """Errors and deviations ``(T, 6)``, km and m/s."""
     units = np.repeat([1.0, 1e3], 3)
-    return units * (estimate.mean - showcase.truth), units * np.sqrt(estimate.cov.diagonal(0, -2, -1))
+    variance = estimate.cov.diagonal(0, -2, -1)
+    return units * (estimate.mean - showcase.truth), units * np.sqrt(np.where(variance >= 0.0, variance, np.nan))
 
 
 def _log10(values: Array) -> Array:
     """Decimal logarithm, nan where there is none: the viewer has no logarithmic axis."""
-    return np.log10(values, out=np.full(np.shape(values), np.nan), where=np.asarray(values) > 0.0)
+    logarithm: Array = np.log10(values, out=np.full(np.shape(values), np.nan), where=np.asarray(values) > 0.0)
+    return logarithm
+
+
+def _largest(values: Array, quantile: float = 1.0) -> float:
+    """Largest magnitude of the finite values, or a quantile of them; 0 if there are none."""
+    magnitudes = np.abs(values[np.isfinite(values)])
+    return float(np.quantile(magnitudes, quantile)) if magnitudes.size else 0.0
 
 
 def _extent(showcase: Showcase) -> float:
     """Size of the picture of the errors, km: the ellipsoid of the CSRUKF at its largest and most of the other runs."""
-    size = 3.0 * np.sqrt(np.nanmax(showcase.estimates["csrukf"].cov.diagonal(0, -2, -1)[:, :3]))
-    cloud = np.linalg.norm(showcase.ensemble["srukf"], axis=-1)
-    return float(np.nanmax([size, min(np.nanquantile(cloud, 0.9), 3.2 * size)]))
+    size = 3.0 * _largest(_error_and_sigma(showcase, showcase.estimates["csrukf"])[1][:, :3])
+    cloud = _largest(np.linalg.norm(showcase.ensemble["srukf"], axis=-1), 0.9)
+    return max(size, min(cloud, 3.2 * size)) or 1.0
 
 
 def _layout(showcase: Showcase) -> Any:
@@ -270,9 +279,9 @@ def _layout(showcase: Showcase) -> Any:
 
     def limits(part: slice) -> tuple[float, float]:
         """Symmetric, room for the errors but never so much that the widest bounds shrink to a line."""
-        error = max(np.nanmax(np.abs(e[:, part])) for e, _ in errors_of)
-        bound = 3.0 * max(np.nanmax(s[:, part]) for _, s in errors_of)
-        most = 1.05 * max(bound, min(error, 3.0 * bound))
+        error = max(_largest(e[:, part]) for e, _ in errors_of)
+        bound = 3.0 * max(_largest(s[:, part]) for _, s in errors_of)
+        most = 1.05 * max(bound, min(error, 3.0 * bound)) or 1.0
         return -most, most
 
     position, velocity = limits(slice(0, 3)), limits(slice(3, 6))

@@ -1,0 +1,185 @@
+"""The command line as a user meets it: exit codes, one clear line, files that are celnav's own."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import celnav
+from celnav import cli, papers
+from celnav.claims import Claim
+from celnav.figures import figure
+from celnav.papers import load
+
+
+def tiny(failing=False):
+    """A paper that takes no time."""
+
+    def reproduce(*, effort, seed, jobs, progress):
+        progress(1, 1, "all")
+        return SimpleNamespace(arrays=lambda: {"x": np.arange(3.0) + seed}, timings={"cpu_s": effort})
+
+    def draw(result):
+        fig, ax = figure(2.0, 2.0)
+        ax.plot([0, 1])
+        return fig
+
+    def record(result, outputs):
+        with outputs.path_for("tiny.rrd") as path:
+            path.write_bytes(b"RRF2")
+
+    return SimpleNamespace(
+        TITLE="Tiny <study>", CITATION="@tiny", PRESETS={"P": None}, RECORDINGS=["tiny.rrd"], reproduce=reproduce, figure_1=draw,
+        figure_2b=draw, table_1=lambda result: [{"a": 1.0, "b": "x"}], record=record, filters=lambda config: {"kf": None},
+        claims=lambda result: [Claim("one", "paper", "It is so", 2.0 if failing else 1.0, (0.0, 1.5), True)],
+    )  # fmt: skip
+
+
+@pytest.fixture
+def study(monkeypatch):
+    def use(**options):
+        module = tiny(**options)
+        monkeypatch.setattr(papers, "PAPERS", {"tiny": "tiny"})
+        monkeypatch.setattr(cli, "PAPERS", {"tiny": "tiny"})
+        monkeypatch.setattr("celnav.report.PAPERS", {"tiny": "tiny"})
+        monkeypatch.setattr("celnav.papers.import_module", lambda name: module)
+
+    use()
+    return use
+
+
+def test_reproduce_writes_everything_and_replaces_its_own(study, tmp_path, capsys):
+    out = tmp_path / "a folder"
+    for _ in range(2):
+        assert cli.main(["reproduce", "--out", str(out)]) == 0
+    written = {str(p.relative_to(out)) for p in out.rglob("*") if p.is_file() and not p.name.startswith(".")}
+    assert written == {
+        "index.html", "tiny/claims.json", "tiny/timings.json", "tiny/result.npz", "tiny/tiny.rrd", "tiny/tables/table_1.csv",
+        "tiny/figures/figure_01.png", "tiny/figures/figure_01.svg", "tiny/figures/figure_02b.png", "tiny/figures/figure_02b.svg",
+    }  # fmt: skip
+    assert json.loads((out / "tiny/claims.json").read_text())[0]["verdict"] == "reproduced"
+    page = (out / "index.html").read_text()
+    assert "Tiny &lt;study&gt;" in page
+    assert "http" not in page
+    assert {p.name for p in tmp_path.iterdir()} == {"a folder"}
+
+
+def test_strict_fails_where_a_claim_is_not_as_expected(study, tmp_path, capsys):
+    study(failing=True)
+    assert cli.main(["reproduce", "tiny", "--out", str(tmp_path)]) == 0
+    assert cli.main(["reproduce", "tiny", "--out", str(tmp_path), "--strict"]) == 1
+    assert "not as expected: one" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "text"),
+    [
+        (["reproduce", "tinny"], 2, "did you mean tiny"),
+        (["reproduce", "--effort", "0"], 2, "effort"),
+        (["reproduce", "--effort", "2"], 2, "effort"),
+        (["reproduce", "--effort", "much"], 2, "effort"),
+        (["reproduce", "--seed", "-1"], 2, "seed"),
+        (["reproduce", "--jobs", "0"], 2, "jobs"),
+        (["view", "tinny"], 2, "unknown paper"),
+        (["view", "tiny"], 1, "celnav reproduce tiny"),
+    ],
+)
+def test_a_mistake_is_one_line_and_an_exit_code(study, tmp_path, monkeypatch, capsys, arguments, status, text):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(arguments) == status
+    error = capsys.readouterr().err
+    assert text in error
+    assert error.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_foreign_file_is_refused_before_computing(study, tmp_path, capsys):
+    (tmp_path / "tiny").mkdir()
+    (tmp_path / "tiny" / "claims.json").write_text("mine")
+    assert cli.main(["reproduce", "--out", str(tmp_path)]) == 1
+    assert "claims.json" in capsys.readouterr().err
+    assert (tmp_path / "tiny" / "claims.json").read_text() == "mine"
+    assert not (tmp_path / "tiny" / "result.npz").exists()
+
+
+def test_an_output_that_is_a_file_is_refused(study, tmp_path, capsys):
+    (tmp_path / "out").write_text("mine")
+    assert cli.main(["reproduce", "--out", str(tmp_path / "out")]) == 1
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_the_environment_sets_the_effort_and_is_checked(study, tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("CELNAV_EFFORT", "lots")
+    assert cli.main(["reproduce", "--out", str(tmp_path)]) == 2
+    assert "CELNAV_EFFORT" in capsys.readouterr().err
+    assert cli.main(["reproduce", "--out", str(tmp_path), "--effort", "0.5"]) == 0
+    assert json.loads((tmp_path / "tiny/timings.json").read_text())["effort"] == 0.5
+
+
+def test_recordings_that_fail_leave_the_rest(study, tmp_path, monkeypatch, capsys):
+    module = load("tiny")
+
+    def broken(result, outputs):
+        raise RuntimeError("no viewer library")
+
+    monkeypatch.setattr(module, "record", broken)
+    assert cli.main(["reproduce", "--out", str(tmp_path)]) == 0
+    assert "no recordings (no viewer library)" in capsys.readouterr().err
+    assert (tmp_path / "tiny/claims.json").exists()
+
+
+def test_view_without_a_display_says_what_to_do(study, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "platform", "linux")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    cli.main(["reproduce", "--out", str(tmp_path)])
+    capsys.readouterr()
+    assert cli.main(["view", "tiny", "--out", str(tmp_path)]) == 1
+    assert "no display" in capsys.readouterr().err
+    assert cli.main(["view", "tiny", "--out", str(tmp_path), "--recording", "other"]) == 2
+
+
+def test_list_names_papers_figures_filters_and_rules(capsys):
+    assert cli.main(["list"]) == 0
+    text = capsys.readouterr().out
+    for part in ("csrukf", "figure_13", "table_3", "augmented", "cubature"):
+        assert part in text
+
+
+def call(*arguments, **options):
+    return subprocess.run([sys.executable, "-m", "celnav", *arguments], capture_output=True, text=True, check=False, **options)
+
+
+def test_version_help_and_an_unknown_command(tmp_path):
+    assert call("--version", cwd=tmp_path).stdout.strip() == f"celnav {celnav.__version__}"
+    assert "reproduce" in call("--help", cwd=tmp_path).stdout
+    wrong = call("reproduse", cwd=tmp_path)
+    assert wrong.returncode == 2
+    assert "Traceback" not in wrong.stderr
+
+
+def test_an_ascii_locale_does_not_stop_the_listing(tmp_path):
+    import os
+
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii", "LC_ALL": "C", "PYTHONUTF8": "0"}
+    assert call("list", cwd=tmp_path, env=environment).returncode == 0
+
+
+def test_importing_celnav_pulls_in_neither_rerun_nor_matplotlib():
+    code = "import celnav, celnav.filters.colored, sys; assert not {'rerun', 'matplotlib'} & set(sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_nothing_in_the_package_reads_pickles_or_names_a_host():
+    for path in Path(celnav.__file__).parent.rglob("*.py"):
+        text = path.read_text(encoding="utf-8")
+        assert "allow_pickle=True" not in text
+        assert "import pickle" not in text
+        assert "urlopen" not in text
+        assert "shell=True" not in text

@@ -1,0 +1,128 @@
+"""Files are whole, celnav's own, and never run."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from celnav.claims import Claim, ClaimsTable, dumps, read_claims
+from celnav.files import ForeignFileError, Outputs, read_npz, write_text
+
+
+class Payload:
+    def __reduce__(self):
+        return (exec, ("raise SystemExit('run')",))
+
+
+def test_an_npz_with_a_payload_raises_and_does_not_run(tmp_path):
+    np.savez(tmp_path / "bad.npz", x=np.array([Payload()], dtype=object))
+    with pytest.raises(ValueError, match=r"bad\.npz"):
+        read_npz(tmp_path / "bad.npz")
+
+
+def test_a_truncated_npz_is_named(tmp_path):
+    outputs = Outputs(tmp_path)
+    outputs.npz("good.npz", {"x": np.arange(1000.0)})
+    np.testing.assert_array_equal(read_npz(tmp_path / "good.npz")["x"], np.arange(1000.0))
+    (tmp_path / "cut.npz").write_bytes((tmp_path / "good.npz").read_bytes()[:200])
+    with pytest.raises(ValueError, match=r"cut\.npz"):
+        read_npz(tmp_path / "cut.npz")
+
+
+def test_a_file_changed_by_somebody_is_refused(tmp_path):
+    outputs = Outputs(tmp_path)
+    outputs.text("a.txt", "one")
+    outputs.text("a.txt", "two")
+    assert Outputs(tmp_path).directory == tmp_path
+    Outputs(tmp_path).text("a.txt", "three")
+    (tmp_path / "a.txt").write_text("mine")
+    with pytest.raises(ForeignFileError, match=r"a\.txt"):
+        Outputs(tmp_path).check(["a.txt"])
+
+
+@pytest.mark.parametrize("name", ["../x", "a/../../x", "/x"])
+def test_names_do_not_leave_the_folder(tmp_path, name):
+    with pytest.raises(ValueError, match=r"^name"):
+        Outputs(tmp_path).text(name, "")
+
+
+def test_an_interrupted_write_leaves_the_old_file_and_nothing_else(tmp_path):
+    outputs = Outputs(tmp_path)
+    outputs.text("a.txt", "old")
+
+    def interrupted():
+        with outputs.path_for("a.txt") as path:
+            path.write_text("half")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert (tmp_path / "a.txt").read_text() == "old"
+    assert {p.name for p in tmp_path.iterdir()} == {"a.txt", ".celnav.json"}
+    outputs.text("a.txt", "new")
+
+
+def test_text_is_written_in_utf8(tmp_path):
+    write_text(tmp_path / "σ.txt", "±3σ")
+    assert (tmp_path / "σ.txt").read_bytes().decode() == "±3σ"
+
+
+def claim(value=1.0, accept=(0.5, 1.5), ci=None, full=True, expected=True, kind="paper"):
+    return Claim("id", kind, "says", value, accept, expected, ci=ci, full=full)
+
+
+@pytest.mark.parametrize(
+    ("given", "holds", "verdict"),
+    [
+        (claim(), True, "reproduced"),
+        (claim(2.0), False, "not reproduced"),
+        (claim(1.5), True, "reproduced"),
+        (claim(ci=(0.0, 9.0)), True, "reproduced"),
+        (claim(ci=(0.6, 1.4), full=False), True, "reproduced"),
+        (claim(ci=(0.4, 1.4), full=False), None, "undecided"),
+        (claim(ci=(1.6, 1.9), full=False), False, "not reproduced"),
+        (claim(full=False), True, "reproduced"),
+        (claim(None), None, "input absent"),
+        (claim(float("nan")), None, "input absent"),
+        (claim(accept=(None, 2.0), kind="erratum"), True, "paper in error"),
+        (claim(accept=(2.0, None), kind="erratum"), False, "not shown"),
+        (claim(kind="calibrated"), True, "reproduced (calibrated)"),
+        (claim(kind="beyond"), True, "shown"),
+    ],
+)
+def test_one_rule_decides(given, holds, verdict):
+    assert given.holds is holds
+    assert given.verdict == verdict
+
+
+def test_a_failure_is_any_outcome_that_was_not_expected():
+    assert claim(2.0).failure
+    assert claim(expected=False).failure
+    assert not claim(2.0, expected=False).failure
+    assert not claim(None).failure
+
+
+def test_claims_json_has_the_agreed_keys_and_no_bare_nan(tmp_path):
+    text = dumps([claim(float("inf")), Claim("other", "beyond", "s", 1 / 3, (None, 1.0), True, ci=(0.0, 1.0))])
+    assert list(json.loads(text)[1]) == [
+        "id", "kind", "statement", "paper", "value", "ci", "accept", "expected", "holds", "verdict", "note",
+    ]  # fmt: skip
+    assert json.loads(text)[1]["value"] == 0.333333
+    write_text(tmp_path / "claims.json", text)
+    assert read_claims(tmp_path / "claims.json")[0]["value"] is None
+    with pytest.raises(ValueError, match="id"):
+        dumps([claim(), claim()])
+    with pytest.raises(ValueError, match=r"^kind"):
+        claim(kind="guess")
+    write_text(tmp_path / "bad.json", "{}")
+    with pytest.raises(ValueError, match=r"bad\.json"):
+        read_claims(tmp_path / "bad.json")
+
+
+def test_a_table_of_claims_shows_itself_everywhere():
+    table = ClaimsTable([Claim("a", "paper", "x < y", 1.0, (0.0, 2.0), True)])
+    assert "x &lt; y" in table._repr_html_()
+    assert "reproduced" in str(table)
+    assert table._repr_markdown_().count("\n") == 2
