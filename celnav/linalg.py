@@ -40,10 +40,12 @@ def tria(A: Array) -> Array:
     if A.ndim == 2:
         L = lapack.dgeqrfp(A.T)[0][:n].T  # its diagonal is not negative
         return L * _lower(n)
-    # "raw" leaves R' in the lower triangle, Householder vectors above it: one product masks them and fixes the signs.
+    # "raw" leaves R' in the lower triangle and Householder vectors above it.
     L = np.linalg.qr(A.mT, mode="raw")[0][..., :n]
-    signs = np.copysign(1.0, L.diagonal(0, -2, -1))
-    return np.asarray(L * signs[..., None, :] * _lower(n))
+    # In C order whatever the order of A: products with L then take the same path for every number of runs.
+    L = np.multiply(L, np.copysign(1.0, L.diagonal(0, -2, -1))[..., None, :], order="C")
+    L *= _lower(n)
+    return L
 
 
 @cache

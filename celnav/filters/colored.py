@@ -234,7 +234,7 @@ def _through_points(
         m, s = Z.shape[-2:]
 
         def g(points: Array, w: Array) -> Outputs:
-            y = images("f", f, points, epoch, (), points.shape[-1]) + w
+            y = images("f", f, points.copy(), epoch, (), points.shape[-1]) + w
             now = images("h", h, y, epoch, (), m)
             before = images("h", h, points, epoch, (), m)
             return now - matvec(Phi, before), y
