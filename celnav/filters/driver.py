@@ -110,9 +110,16 @@ class Epochs(Sequence[Epoch]):
         if isinstance(k, slice):
             return [self[i] for i in range(*k.indices(len(self)))]
         k = range(len(self))[k]
-        t = self._times
-        dt = t[k] - t[k - 1] if k else t[k] * 0.0
-        return Epoch(k, t[k], dt, _at(self._u, k - 1) if k else None, _at(self._z, k), _at(self._truth, k))
+        t = float(self._times[k])
+        return self._epoch(k, t, t - float(self._times[k - 1]) if k else 0.0)
+
+    def __iter__(self) -> Iterator[Epoch]:
+        intervals = np.diff(self._times, prepend=self._times[:1])
+        for k, (t, dt) in enumerate(zip(self._times.tolist(), intervals.tolist(), strict=True)):
+            yield self._epoch(k, t, dt)
+
+    def _epoch(self, k: int, t: float, dt: float) -> Epoch:
+        return Epoch(k, t, dt, _at(self._u, k - 1) if k else None, _at(self._z, k), _at(self._truth, k))
 
 
 def _at(values: Any, k: int) -> Any:

@@ -89,10 +89,9 @@ class Info(NamedTuple):
         """Logarithm of the density of the components used, ``(...)``."""
         if self.white is None or self.used is None:
             return None
-        dof = self.used.sum(-1)
-        value: Array = -0.5 * (self.nis + dof * _LOG_2PI)
+        value: Array = -0.5 * (self.nis + np.add.reduce(self.used, -1, int) * _LOG_2PI)
         if self.innovation_root is not None:
-            value = value - np.log(self.innovation_root.diagonal(0, -2, -1)).sum(-1)
+            value = value - np.add.reduce(np.log(self.innovation_root.diagonal(0, -2, -1)), -1)
         return value
 
 
@@ -380,7 +379,7 @@ def explain(
     z: Array | None = None,
 ) -> str:
     """Why a run that was finite before a step is not so after it; empty if there is none."""
-    if isfinite(after.mean.sum() + after.spread.sum()):  # a cheap test; what overflows is looked at below
+    if isfinite(np.add.reduce(after.mean, None) + np.add.reduce(after.spread, None)):  # a cheap test; what overflows is looked at below
         return ""
     was = np.isfinite(before.mean).all(-1) & np.isfinite(before.spread).all((-2, -1))
     lost = was & ~(np.isfinite(after.mean).all(-1) & np.isfinite(after.spread).all((-2, -1)))

@@ -171,7 +171,7 @@ class Collector:
             self._rows[name].append(_side_by_side([getattr(info, name) for info in infos]))
 
     def _watch(self, k: int, mean: Array) -> tuple[int, ...] | None:
-        if self._failed_at is not None and self._failed_at.shape == mean.shape[:-1] and isfinite(mean.sum()):
+        if self._failed_at is not None and self._failed_at.shape == mean.shape[:-1] and isfinite(np.add.reduce(mean, None)):
             return None
         bad = ~np.isfinite(mean).all(-1)
         if self._failed_at is None or self._failed_at.shape != bad.shape:
