@@ -9,6 +9,7 @@ follows the same protocol (`Transform`).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import cached_property
 from itertools import combinations, product
 from typing import Any, Final, NamedTuple, Protocol
 
@@ -82,7 +83,8 @@ class Rule:
     ----------
     nodes: ``(p, n)``; node 0 is the center (its weights may be 0).
     wm: ``(p,)`` weights of the mean; they sum to 1, and ``sum wm nodes = 0``.
-    wc: ``(p,)`` weights of the covariance (None: ``wm``); ``sum wc nodes nodes' = I``. They may be negative.
+    wc: ``(p,)`` weights of the covariance (None: ``wm``); ``sum wc nodes nodes' = I``. They may be negative. A rule without
+        nodes in some dimension is a quadrature, but no filter takes it: it would lose that variance.
 
     Raises
     ------
@@ -103,9 +105,11 @@ class Rule:
             raise ValueError(f"wm: expected a sum of 1, got {self.wm.sum()!r}")
         if np.abs(self.wm @ self.nodes).max() > 1e-6:
             raise ValueError(f"wm: expected sum wm nodes = 0, got {self.wm @ self.nodes}")
+        covered = self.nodes.any(0)
         second = self.nodes.T @ (self.wc[:, None] * self.nodes)
-        if not np.allclose(second, np.eye(self.n), rtol=0.0, atol=1e-6):
+        if not np.allclose(second, np.diag(covered.astype(float)), rtol=0.0, atol=1e-6):
             raise ValueError("wc: expected sum wc nodes nodes' = I")
+        self._idle = np.flatnonzero(~covered)
         for array in (self.nodes, self.wm, self.wc):
             array.flags.writeable = False
         # Means and columns are taken relative to the image of the center, so its mean weight never plays a part.
@@ -113,9 +117,16 @@ class Rule:
         used[0] = self.wc[0] != 0.0
         self._used: Any = slice(None) if used.all() else slice(1, None) if used[1:].all() else np.flatnonzero(used)
         self._wm, self._scale = self.wm[used], np.sqrt(np.abs(self.wc[used]))
-        self._transposed = np.ascontiguousarray(self.nodes.T)
         self.sign = np.where(self.wc[used] < 0.0, -1.0, 1.0)
-        self.unit = self.nodes[used] * self._scale[:, None]  # (q, n): the columns of the unit Gaussian itself
+
+    @cached_property
+    def _transposed(self) -> Array:
+        return np.ascontiguousarray(self.nodes.T)
+
+    @cached_property
+    def unit(self) -> Array:
+        """The columns of the unit Gaussian itself, ``(q, n)``."""
+        return np.asarray(self.nodes[self._used] * self._scale[:, None])
 
     def __repr__(self) -> str:
         return f"Rule(n={self.n}, points={self.num_sigmas()}, negative weights={int((self.wc < 0).sum())})"
@@ -144,6 +155,8 @@ class Rule:
         mean = np.atleast_1d(finite("x", x)).ravel()
         if len(mean) != self.n:
             raise ValueError(f"x: expected {self.n} components, got {len(mean)}")
+        if self._idle.size:
+            raise ValueError(f"rule: expected points in every dimension, got none in {', '.join(map(str, self._idle))}")
         cov = finite("P", P)
         root = semidefinite_root(cov * np.eye(self.n) if cov.ndim == 0 else np.atleast_2d(cov))
         if not np.isfinite(root).all():
@@ -161,6 +174,8 @@ class Rule:
                 batch = np.broadcast_shapes(batch, E.shape[:-2])
         if channels != self.n:
             raise ValueError(f"rule: expected {channels} dimensions (state and noise through the points), got {self.n}")
+        if self._idle.size:
+            raise ValueError(f"rule: expected points in every dimension, got none in {', '.join(map(str, self._idle))}")
         spread, first = [], 0
         for E in roots:
             last = first + E.shape[-1]
@@ -315,14 +330,14 @@ class Taylor:
         return slope
 
 
-def _integer(value: Any) -> int | None:
-    """An integer that may have come as a float; None if it is none."""
+def integer(value: Any) -> int | None:
+    """An integer that may have come as a float; None for anything else."""
     whole = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
     return int(value) if whole and np.isfinite(value) and int(value) == value else None
 
 
 def _dimension(n: int) -> int:
-    number = _integer(n)
+    number = integer(n)
     if number is None or number < 1:
         raise ValueError(f"n: expected a positive integer, got {n!r}")
     return number
@@ -395,7 +410,7 @@ def gauss_hermite(n: int, order: int = 3) -> Rule:
     ValueError: for ``n < 1``, ``order < 2`` or more than `MAX_POINTS` points, before anything is allocated.
     """
     n = _dimension(n)
-    size = _integer(order)
+    size = integer(order)
     if size is None or not 2 <= size <= 100:
         raise ValueError(f"order: expected an integer between 2 and 100, got {order!r}")
     if size**n > MAX_POINTS:

@@ -379,7 +379,7 @@ def explain(
     z: Array | None = None,
 ) -> str:
     """Why a run that was finite before a step is not so after it; empty if there is none."""
-    if isfinite(np.add.reduce(after.mean, None) + np.add.reduce(after.spread, None)):  # a cheap test; what overflows is looked at below
+    if isfinite(np.add.reduce(after.mean, None) + np.add.reduce(after.spread, None)):  # cheap; what overflows is seen below
         return ""
     was = np.isfinite(before.mean).all(-1) & np.isfinite(before.spread).all((-2, -1))
     lost = was & ~(np.isfinite(after.mean).all(-1) & np.isfinite(after.spread).all((-2, -1)))
