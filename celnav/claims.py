@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import html
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from celnav.linalg import Array
+from celnav.metrics import bootstrap
 
 KINDS = ("paper", "calibrated", "erratum", "beyond")
 _VERDICTS = {
@@ -18,6 +21,9 @@ _VERDICTS = {
     "erratum": ("paper in error", "not shown"),
     "beyond": ("shown", "not shown"),
 }
+
+
+Bounds = tuple[float | None, float | None]
 
 
 @dataclass(frozen=True)
@@ -43,7 +49,7 @@ class Claim:
     kind: str
     statement: str
     value: float | None
-    accept: tuple[float | None, float | None]
+    accept: Bounds
     expected: bool
     paper: Any = None
     ci: tuple[float, float] | None = None
@@ -103,6 +109,46 @@ class Claim:
             "verdict": self.verdict,
             "note": self.note,
         }
+
+
+class Judge:
+    """Makes the claims of one run of a study; ``full``: whether it had the full number of runs."""
+
+    def __init__(self, full: bool):
+        self.full = full
+
+    def number(
+        self,
+        id: str,
+        kind: str,
+        statement: str,
+        value: float,
+        accept: Bounds,
+        *,
+        paper: Any = None,
+        ci: tuple[float, float] | None = None,
+        note: str = "",
+        expected: bool = True,
+    ) -> Claim:
+        """A claim on a number without sampling error, or with an interval known otherwise."""
+        return Claim(id, kind, statement, float(value), accept, expected, paper, ci, self.full, note)
+
+    def statistic(
+        self,
+        id: str,
+        kind: str,
+        statement: str,
+        statistic: Callable[..., Any],
+        samples: Sequence[Array],
+        accept: Bounds,
+        *,
+        paper: Any = None,
+        note: str = "",
+        expected: bool = True,
+    ) -> Claim:
+        """A claim on a statistic of runs (the first axis of each sample), with its bootstrap interval."""
+        value, ci = float(statistic(*samples)), bootstrap(statistic, *samples)
+        return Claim(id, kind, statement, value, accept, expected, paper, ci, self.full, note)
 
 
 def _plain(value: Any) -> Any:

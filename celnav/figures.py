@@ -1,4 +1,4 @@
-"""One style for all figures, with colors of fixed meaning; drawing aids without knowledge of any paper."""
+"""One style for all figures, and drawing aids without knowledge of any paper; the colors are in `celnav.colors`."""
 
 from __future__ import annotations
 
@@ -10,17 +10,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from celnav.linalg import Array
-
-COLORS = {
-    "truth": "#009E73",
-    "estimate": "#E69F00",
-    "sigma": "#888888",
-    "measurement": "#56B4E9",
-    "paper": "#D55E00",
-    "comparison": "#0072B2",
-    "openloop": "#CC79A7",
-}
-"""Okabe-Ito colors by meaning, the same in figures and recordings; "comparison" is the method compared with."""
 
 STYLE: Any = {
     "figure.constrained_layout.use": True,

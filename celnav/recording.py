@@ -25,14 +25,12 @@ from numpy.typing import ArrayLike
 from rerun.error_utils import strict_mode
 from scipy.spatial.transform import Rotation
 
+from celnav import colors
 from celnav.linalg import Array
 
 TIMELINE = "t"
 APPLICATION = "celnav"
 
-# Okabe-Ito colors with the meaning that they have in the figures.
-TRUTH, ESTIMATE, BASELINE, OPEN_LOOP = "#009E73", "#E69F00", "#0072B2", "#CC79A7"
-MEASUREMENT, SIGMA, BOUND, FAINT = "#56B4E9", "#999999", "#F0E442", "#5A6478"
 _SPACE = [13, 16, 24]
 
 
@@ -96,14 +94,14 @@ class Recorder:
         self._send(entity, rr.Scalars.columns(scalars=scalars[there]).partition(there.astype(int)))
 
     def bounds(
-        self, entity: str, sigma: ArrayLike, name: str, *, center: ArrayLike = 0.0, shown: bool = True, color: str = SIGMA
+        self, entity: str, sigma: ArrayLike, name: str, *, center: ArrayLike = 0.0, shown: bool = True, color: str = colors.SIGMA
     ) -> None:
         """Curves ``entity/+3s`` and ``entity/-3s``: three deviations ``(T,)`` about ``center``."""
         deviation, middle = self._array(entity, sigma, ()), np.asarray(center, dtype=np.float64)
         for sign, factor in (("+", 3.0), ("-", -3.0)):
             self.curve(f"{entity}/{sign}3s", middle + factor * deviation, color, f"±3σ {name}", width=1.0, shown=shown)
 
-    def level(self, entity: str, value: float, name: str, color: str = SIGMA) -> None:
+    def level(self, entity: str, value: float, name: str, color: str = colors.SIGMA) -> None:
         """A horizontal line in a plot."""
         ends = self.times[[0, -1]]
         self._style(entity, rr.SeriesLines(colors=rgba(color), widths=1.0, names=name))

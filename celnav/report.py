@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import csv
 import html
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +46,7 @@ def _paper(out: Path, paper: str) -> str:
             f"<p>{len(claims)} claims, {surprises} not as expected. Files: {links}. Recordings open with "
             f"<code>celnav view {paper}</code>.</p>",
             _claims(claims),
+            f"<h3>Errata of the paper</h3>{_errata(module.ERRATA)}",
             *(_table(path) for path in sorted((folder / "tables").glob("*.csv"))),
             '<div class="grid">',
             *(_figure(path, paper) for path in sorted((folder / "figures").glob("*.png"))),
@@ -72,6 +74,11 @@ def _claims(claims: list[dict[str, Any]]) -> str:
         surprise = " (not as expected)" if _surprise(claim) else ""
         lines.append("<tr>" + "".join(f"<td>{c}</td>" for c in cells) + f'<td class="{style}">{verdict}{surprise}</td></tr>')
     return f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
+
+
+def _errata(errata: Sequence[tuple[str, str]]) -> str:
+    rows = "".join(f"<li>{html.escape(printed)}: <em>{html.escape(right)}</em></li>" for printed, right in errata)
+    return f"<ol>{rows}</ol>"
 
 
 def _table(path: Path) -> str:

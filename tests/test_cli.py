@@ -35,7 +35,8 @@ def tiny(failing=False):
             path.write_bytes(b"RRF2")
 
     return SimpleNamespace(
-        TITLE="Tiny <study>", CITATION="@tiny", PRESETS={"P": None}, RECORDINGS=["tiny.rrd"], reproduce=reproduce, figure_1=draw,
+        TITLE="Tiny <study>", CITATION="@tiny", ERRATA=(("1 < 0", "0 < 1"),), PRESETS={"P": None},
+        RECORDINGS=["tiny.rrd"], reproduce=reproduce, figure_1=draw,
         figure_2b=draw, table_1=lambda result: [{"a": 1.0, "b": "x"}], record=record, filters=lambda config: {"kf": None},
         claims=lambda result: [Claim("one", "paper", "It is so", 2.0 if failing else 1.0, (0.0, 1.5), True)],
     )  # fmt: skip

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import rerun as rr
 
-from celnav import recording
+from celnav import colors, recording
 
 TIMES = np.arange(20.0) * 0.5
 RERUN = Path(sys.executable).with_name("rerun")
@@ -78,12 +78,12 @@ def test_columns_come_back(tmp_path):
     curve[[0, 9]] = np.nan, np.inf
 
     def draw(out):
-        out.trail("world/line", line, recording.TRUTH)
-        out.points("world/cloud", cloud, recording.ESTIMATE)
-        out.ellipsoids("world/ellipsoid", line, P, recording.ESTIMATE)
-        out.arrow("world/arrow", line, 2.0 * line, recording.TRUTH, "arrow")
-        out.strips("world/strips", np.stack([cloud, cloud], 1), [recording.TRUTH, recording.ESTIMATE], labels=["a", "b"])
-        out.curve("plots/curve", curve, recording.TRUTH, "curve")
+        out.trail("world/line", line, colors.TRUTH)
+        out.points("world/cloud", cloud, colors.ESTIMATE)
+        out.ellipsoids("world/ellipsoid", line, P, colors.ESTIMATE)
+        out.arrow("world/arrow", line, 2.0 * line, colors.TRUTH, "arrow")
+        out.strips("world/strips", np.stack([cloud, cloud], 1), [colors.TRUTH, colors.ESTIMATE], labels=["a", "b"])
+        out.curve("plots/curve", curve, colors.TRUTH, "curve")
         out.bounds("plots/curve", np.abs(curve), "curve", center=1.0)
         out.level("plots/level", 2.0, "level")
         out.globe("world/earth", 3.0)
@@ -129,8 +129,8 @@ def test_columns_come_back(tmp_path):
 
 def test_the_file_is_verified_says_the_same_twice_and_holds_its_layout(tmp_path):
     def draw(out):
-        out.curve("plots/a", np.where(TIMES < 1.0, np.nan, TIMES), recording.TRUTH, "a")
-        out.ellipsoids("world/p", np.zeros((20, 3)), covariances(np.random.default_rng(0)), recording.TRUTH)
+        out.curve("plots/a", np.where(TIMES < 1.0, np.nan, TIMES), colors.TRUTH, "a")
+        out.ellipsoids("world/p", np.zeros((20, 3)), covariances(np.random.default_rng(0)), colors.TRUTH)
 
     space = recording.space("/world", "world", eye=(5.0, 0.0, 0.0), growing={"world/p": 3.0, "world/q": np.inf})
     layout = recording.columns(
@@ -149,39 +149,39 @@ def test_the_file_is_verified_says_the_same_twice_and_holds_its_layout(tmp_path)
 
 
 def test_a_truncated_file_is_told(tmp_path):
-    path = write(tmp_path / "a.rrd", lambda out: out.curve("plots/a", TIMES, recording.TRUTH, "a"))
+    path = write(tmp_path / "a.rrd", lambda out: out.curve("plots/a", TIMES, colors.TRUTH, "a"))
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     assert verify(path) != 0
 
 
 def test_an_own_file_is_replaced_and_a_failure_leaves_it(tmp_path):
-    path = write(tmp_path / "a.rrd", lambda out: out.curve("plots/a", TIMES, recording.TRUTH, "a"))
+    path = write(tmp_path / "a.rrd", lambda out: out.curve("plots/a", TIMES, colors.TRUTH, "a"))
     old = path.read_bytes()
 
     class Stop(BaseException):
         pass
 
     def fail(out):
-        out.curve("plots/a", TIMES, recording.TRUTH, "a")
+        out.curve("plots/a", TIMES, colors.TRUTH, "a")
         raise Stop
 
     with pytest.raises(Stop):
         write(path, fail)
     assert path.read_bytes() == old
     with pytest.raises(ValueError, match=r"plots/a: expected shape \(20\), got \(3,\)"):
-        write(path, lambda out: out.curve("plots/a", np.zeros(3), recording.TRUTH, "a"))
+        write(path, lambda out: out.curve("plots/a", np.zeros(3), colors.TRUTH, "a"))
     assert path.read_bytes() == old
     with pytest.raises(Stop):
         write(tmp_path / "new.rrd", fail)
     assert [p.name for p in tmp_path.iterdir()] == ["a.rrd"]
-    write(path, lambda out: out.curve("plots/b", TIMES, recording.TRUTH, "b"))
+    write(path, lambda out: out.curve("plots/b", TIMES, colors.TRUTH, "b"))
     assert path.read_bytes() != old
     assert "/plots/b" in rr.chunk.RrdReader(path).store().summary()
     assert [p.name for p in tmp_path.iterdir()] == ["a.rrd"]
 
 
 def test_a_failing_replacement_leaves_the_old_file(tmp_path, monkeypatch):
-    path = write(tmp_path / "a.rrd", lambda out: out.curve("plots/a", TIMES, recording.TRUTH, "a"))
+    path = write(tmp_path / "a.rrd", lambda out: out.curve("plots/a", TIMES, colors.TRUTH, "a"))
     old = path.read_bytes()
 
     def full(descriptor):
@@ -189,7 +189,7 @@ def test_a_failing_replacement_leaves_the_old_file(tmp_path, monkeypatch):
 
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(OSError, match="cannot write the recording: No space left") as caught:
-        write(path, lambda out: out.curve("plots/b", TIMES, recording.TRUTH, "b"))
+        write(path, lambda out: out.curve("plots/b", TIMES, colors.TRUTH, "b"))
     assert caught.value.filename == str(path)
     assert path.read_bytes() == old
     assert [p.name for p in tmp_path.iterdir()] == ["a.rrd"]

@@ -1,6 +1,7 @@
 """[Sun2015]: a square-root unscented Kalman filter for colored measurement noise, satellite navigation by star sensor and camera.
 
-The contract of a paper: `Config` and `PRESETS`, `simulate`, `filters`, `reproduce`, ``figure_N``, ``table_N``, `claims`, `record`.
+The contract of a paper: `Config` and `PRESETS`, `simulate`, `filters`, `reproduce`, ``figure_N``, ``table_N``, `claims`,
+`record`, and `ERRATA`.
 Modules: `config` (parameters), `scenario` (truth, measurements, filters), `errata` (what is printed wrongly, as code),
 `theory` (linear analysis), `study` (all runs), `published` (the paper's numbers),
 `tune` (noise tuning), `tables`, `figures`, `claims`, `recording`.
@@ -20,6 +21,7 @@ equation       content                                                 here
 from celnav.papers.csrukf import tune
 from celnav.papers.csrukf.claims import claims
 from celnav.papers.csrukf.config import CITATION, PRESETS, TITLE, Config
+from celnav.papers.csrukf.errata import ERRATA
 from celnav.papers.csrukf.figures import (
     figure_1,
     figure_2,
@@ -47,6 +49,7 @@ from celnav.papers.csrukf.tables import table_1, table_2, table_3
 
 __all__ = [
     "CITATION",
+    "ERRATA",
     "PRESETS",
     "RECORDINGS",
     "TITLE",

@@ -1,6 +1,6 @@
-"""What the paper prints where it is wrong, as running code, so that its consequences can be shown.
+"""What the paper prints where it is wrong: the list, and the variants as running code, so that their consequences can be shown.
 
-Every variant here is a filter or a formula that should *not* be used; numbers are those of the errata in the README.
+Every filter and formula here should *not* be used.
 """
 
 from __future__ import annotations
@@ -9,15 +9,43 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from celnav.filters.colored import Colored, decorrelation, difference
-from celnav.filters.driver import Epoch, Filter, State
+from celnav.filters.driver import Epoch, Filter, State, sequential
 from celnav.filters.step import Info, Model, condition, images, predict, update
 from celnav.gaussian import Gaussian
 from celnav.linalg import Array, block, matvec
 from celnav.models.orbit import EARTH
 from celnav.papers.csrukf.config import Config
 from celnav.papers.csrukf.scenario import H, dynamics
-from celnav.points import Outputs, Rule
+from celnav.points import Outputs, Rule, unscented
 from celnav.spaces import EUCLIDEAN
+
+ERRATA = (
+    ("Eq. 41: r = (R_e / 2) sin(A3 / 2)", "r = R_e / sin(A3 / 2)"),
+    ("Eq. 42: positive root for z", "the angles do not give its sign; the hemisphere must be known, and z near 0 is weak"),
+    ("Eqs. 4-6: H Phi x", "Phi H x; the printed product is undefined"),
+    ("Eq. 14, first line", "J (z* - h - V*): the bracket closes too early"),
+    ("Eqs. 16, 18, 19", "V* for V; E[w] - J E[V*]; w for w*. The results, Eqs. 17 and 20, are right"),
+    ("Eqs. 2, 10, 11: indices of R, no delta_kj", "zeta_k enters V_k+1 and has covariance R_k+1; white: delta_kj"),
+    ("Eq. 5 occurs twice", "references in the text are one too high"),
+    ("Eqs. 24, 25: column i for i > n; xi_k,i", "column i - n; xi_k-1,i"),
+    ("Eqs. 27, 32: Q*, R* inside the QR", "their square roots"),
+    ("Eqs. 28, 33: cholupdate(S, v, W0c)", "sqrt(|W0c|) v and the sign; a negative W0c is a downdate, which can fail"),
+    ("Eqs. 29-32 reuse the propagated points", "draw them anew from the prediction, or Q* is missing from the cross covariance"),
+    ("the loop starts at k = 1", "the first update, with z*_0, belongs at k = 0"),
+    ("the absolute information of z_0 is never used", "update with z_0 once"),
+    ("x_k is compared with SRUKF at time k", "x_k has seen z_k+1; the prediction is the fair one"),
+    ("Eqs. 35-37", "valid for lower roots only, a downdate for each column of U; common routines return upper roots"),
+    ("all measurement noise is white (text)", "zeta is white, V is not"),
+    ("RMSE of a 6-vector with mixed units", "for each axis; at which instant is not said"),
+    ("SRUKF diverges", "its error follows the noise; it is overconfident"),
+    ("CSRUKF changes little from Table 1 to 2", "its error grows 4 to 12 times in position, 5 to 8 times in velocity"),
+    ("Tables 2 and 3, both Phi = I", "they differ by a factor 6 to 15 for SRUKF"),
+    ("Table 3: SRUKF doubles from Phi = 0.8 I to I", "more than tenfold with any parameters that allow Table 1"),
+    ("Tables as statistics of 100 runs", "their axes differ as those of a single run do"),
+    ("AR(1) noise on pseudo-positions", "sensors measure angles: V = G a has the coefficient G_k+1 Phi G_k^-1"),
+    ("Table 1: CSUKF; references 2 and 6 are the same; reference 9 is about visual tracking", "editorial"),
+)
+"""What is printed and what is right, in the order of their numbers (from 1)."""
 
 
 def printed_radius(diameter: ArrayLike) -> Array:
@@ -129,9 +157,6 @@ def no_redraw(config: Config) -> Filter:
 
 def redraw_defect(rng: np.random.Generator) -> tuple[float, float]:
     """Largest difference to the Kalman filter in one linear step, without and with redrawn points (means and covariances)."""
-    from celnav.filters.driver import sequential
-    from celnav.points import unscented
-
     F, z = np.eye(6) + 0.1 * rng.standard_normal((6, 6)), rng.standard_normal(3)
     eye, rule = np.eye(6), unscented(6)
 
@@ -148,3 +173,18 @@ def redraw_defect(rng: np.random.Generator) -> tuple[float, float]:
         state, _ = filter.step(filter.start(prior), Epoch(1, 1.0, 1.0, None, z))
         differences.append(max(np.abs(state.belief.mean - mean).max(), np.abs(state.belief.cov - cov).max()))
     return float(differences[0]), float(differences[1])
+
+
+def variance_by_negative_center() -> float:
+    """Variance of ``|x|^2`` of six unit Gaussians (12) by the rule of ``kappa = -3``, whose center is a downdate."""
+    rule = unscented(6, kappa=-3.0)
+    y = np.square(rule.nodes).sum(-1)
+    return float(rule.wc @ np.square(y - rule.wm @ y))
+
+
+def root_defect(rng: np.random.Generator) -> tuple[float, float]:
+    """Relative error of the covariance ``S S'`` of sigma points drawn with an upper and with the lower root (erratum 15)."""
+    A = rng.standard_normal((6, 6))
+    P = A @ A.T + np.eye(6)
+    upper, lower = np.linalg.cholesky(P).T, np.linalg.cholesky(P)
+    return tuple(float(np.linalg.norm(S @ S.T - P) / np.linalg.norm(P)) for S in (upper, lower))  # type: ignore[return-value]

@@ -6,7 +6,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from celnav.figures import COLORS, band, figure
+from celnav import colors
+from celnav.figures import band, figure
 from celnav.linalg import Array
 from celnav.metrics import chi_square_band
 from celnav.models import sightings
@@ -14,7 +15,7 @@ from celnav.models.orbit import EARTH
 from celnav.papers.csrukf import theory
 from celnav.papers.csrukf.study import WRONG, Result
 
-SRUKF, CSRUKF, OPEN = COLORS["comparison"], COLORS["estimate"], COLORS["openloop"]
+SRUKF, CSRUKF, OPEN = colors.COMPARISON, colors.ESTIMATE, colors.OPEN_LOOP
 AXES = ("x", "y", "z", "v_x", "v_y", "v_z")
 
 
@@ -25,9 +26,9 @@ def figure_1(result: Result) -> Figure:
     r = path[0]
     u, v = np.mgrid[0 : 2 * np.pi : 25j, 0 : np.pi : 13j]
     globe = EARTH.radius_km * np.stack([np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)])
-    ax.plot_wireframe(*globe, color=COLORS["measurement"], linewidth=0.4, alpha=0.6)
-    ax.plot(*path.T, color=COLORS["truth"], label="orbit, 600 s")
-    ax.plot(*np.stack([np.zeros(3), r]).T, color=COLORS["sigma"], linestyle="--", linewidth=1)
+    ax.plot_wireframe(*globe, color=colors.MEASUREMENT, linewidth=0.4, alpha=0.6)
+    ax.plot(*path.T, color=colors.TRUTH, label="orbit, 600 s")
+    ax.plot(*np.stack([np.zeros(3), r]).T, color=colors.SIGMA, linestyle="--", linewidth=1)
     stars = sightings.star_directions(result.config.separation)
     A = np.degrees(sightings.angles(r, stars))
     for i, star in enumerate(stars):
@@ -64,7 +65,7 @@ def _white(result: Result, i: int) -> Figure:
     ax.plot(
         t[:-1],
         sign(data["lagged/error"][:, 0, i]),
-        color=COLORS["truth"],
+        color=colors.TRUTH,
         linewidth=0.7,
         label="CSRUKF lagged (uses the next sample)",
     )
@@ -77,9 +78,9 @@ def _white(result: Result, i: int) -> Figure:
 
 
 def _sigma(ax: Axes, t: Array, std: Array, *, both: bool, label: str = "±3σ of CSRUKF") -> None:
-    ax.plot(t, 3.0 * std, color=COLORS["sigma"], linestyle=":", label=label if both else label.replace("±", ""))
+    ax.plot(t, 3.0 * std, color=colors.SIGMA, linestyle=":", label=label if both else label.replace("±", ""))
     if both:
-        ax.plot(t, -3.0 * std, color=COLORS["sigma"], linestyle=":")
+        ax.plot(t, -3.0 * std, color=colors.SIGMA, linestyle=":")
 
 
 def _walk(result: Result, i: int) -> Figure:
@@ -178,7 +179,7 @@ def figure_14(result: Result) -> Figure:
                 mean = result.data[f"P/{name}"][f"{filter}/{key}"][1:].mean(1)
                 ax.semilogy(t[1:], mean, color=color, label=filter.upper(), linewidth=0.9)
             low, high = chi_square_band(dof, result.runs)
-            ax.axhspan(low, high, color=COLORS["sigma"], alpha=0.4, label="95 % band")
+            ax.axhspan(low, high, color=colors.SIGMA, alpha=0.4, label="95 % band")
             ax.set_title(f"$\\Phi = {name}$" if row == 0 else "")
         axes[1, column].set_xlabel("time (s)")
     axes[0, 0].set_ylabel("mean NEES (-)")
@@ -212,7 +213,7 @@ def figure_16(result: Result) -> Figure:
         for std, color, marker, label in (
             (sweep.srukf, SRUKF, "o", "SRUKF"),
             (sweep.csrukf, CSRUKF, "s", "CSRUKF"),
-            (sweep.first, COLORS["truth"], "^", "CSRUKF with the first sample"),
+            (sweep.first, colors.TRUTH, "^", "CSRUKF with the first sample"),
         ):
             ax.semilogy(place, theory.position(std[-1]), color=color, marker=marker, markersize=4, label=label)
         ax.set_xticks(place, [f"{phi:g}" for phi in theory.SWEEP])
@@ -251,6 +252,6 @@ def figure_18(result: Result) -> Figure:
             ax.set_xlabel("coefficient assumed by the filter (label)")
     axes[0].set_ylabel("final 3-D position RMSE (km)")
     axes[1].set_ylabel("time-mean NEES (-)")
-    axes[1].axhline(6.0, color=COLORS["sigma"], linestyle=":", label="consistent")
+    axes[1].axhline(6.0, color=colors.SIGMA, linestyle=":", label="consistent")
     axes[1].legend()
     return fig

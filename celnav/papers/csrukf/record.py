@@ -9,6 +9,7 @@ import numpy as np
 from celnav.metrics import chi_square_band
 from celnav.models.orbit import EARTH
 from celnav.papers.csrukf import theory
+from celnav.papers.csrukf.config import D
 from celnav.papers.csrukf.study import Result
 from celnav.papers.csrukf.theory import UNITS
 
@@ -52,7 +53,7 @@ def showcase(result: Result, case: str) -> Showcase:
         estimates[name] = Estimate(mean, root @ root.mT, data[f"{name}/nees"][:, 0], data[f"{name}/nis"][:, 0])
     ensemble = {name: data[f"{name}/error"][:, :20, :3] for name in estimates}
     rmse = {name: np.sqrt(np.square(data[f"{name}/error"][..., :3]).sum(-1).mean(1)) for name in estimates}
-    c = result.config
+    c = {"P": result.config, "D": D}[case[0]]
     notes = f"""# Sun, Zhuang & Xu (2015), Φ = {case[2:]}, preset {case[0]}
 
 **{CONCLUSIONS[case]}**
@@ -63,7 +64,8 @@ Left above: Earth, orbit, sight lines. Left below: errors about the truth, with 
 | | |
 |---|---|
 | increments ζ | σ = {c.sigma_km:g} km per axis |
-| prior | {0.15 if case[0] == "P" else 10:g} km, {0.035 if case[0] == "P" else 10:g} m/s |
+| prior | {c.prior_position_km:g} km, {c.prior_velocity_m_per_s:g} m/s |
+| process noise | {c.noise_position_km:g} km, {c.noise_velocity_km_per_s:g} km/s per step |
 | runs, seed | {result.runs}, {result.seed} |
 """
     return Showcase(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from celnav import colors
 from celnav.linalg import Array
 from celnav.models.sightings import star_directions
 
@@ -76,14 +77,14 @@ def record_showcase(showcase: Showcase, path: str | Path) -> Path:
     from celnav import recording  # late: reproducing the paper needs no viewer
 
     _check(showcase)
-    colors = {"srukf": recording.BASELINE, "csrukf": recording.ESTIMATE, "openloop": recording.OPEN_LOOP}
+    color = {"srukf": colors.COMPARISON, "csrukf": colors.ESTIMATE, "openloop": colors.OPEN_LOOP}
     facts = {"paper": "csrukf", "nees_band": list(showcase.nees_band), "nis_band": list(showcase.nis_band)}
     name = f"csrukf: {showcase.title}"
     with recording.recording(path, showcase.times, name=name, layout=_layout(showcase), properties=facts) as out:
         out.text("info", f"# {showcase.title}\n\n{showcase.notes}\n\n{_LEGEND}")
-        _scene(out, showcase, colors)
-        _errors(out, showcase, colors)
-        _plots(out, showcase, colors)
+        _scene(out, showcase, color)
+        _errors(out, showcase, color)
+        _plots(out, showcase, color)
         for key, estimate in showcase.estimates.items():
             out.exact(f"state/{key}", mean=estimate.mean, covariance=estimate.cov)
         out.exact("state/truth", mean=showcase.truth)
@@ -131,17 +132,16 @@ def _check(showcase: Showcase) -> None:
             raise ValueError(f"{name}: expected 0 < low < high, got {(low, high)}")
 
 
-def _scene(out: Recorder, showcase: Showcase, colors: dict[str, str]) -> None:
+def _scene(out: Recorder, showcase: Showcase, color: dict[str, str]) -> None:
     """`world`: the Earth, the satellite, what it sees, and the lines that truth and estimates draw."""
-    from celnav import recording
 
     position = showcase.truth[:, :3]
     out.globe("world/earth", showcase.radius_km)
-    out.path("world/arc", [position], recording.FAINT)
-    out.trail("world/truth", position, recording.TRUTH, radius=3.5)
+    out.path("world/arc", [position], colors.FAINT)
+    out.trail("world/truth", position, colors.TRUTH, radius=3.5)
     for key, estimate in showcase.estimates.items():
-        out.trail(f"world/{key}", estimate.mean[:, :3], colors[key], radius=1.2)
-    out.points("world/z", showcase.measurements, recording.MEASUREMENT, radius=1.0)
+        out.trail(f"world/{key}", estimate.mean[:, :3], color[key], radius=1.2)
+    out.points("world/z", showcase.measurements, colors.MEASUREMENT, radius=1.0)
     out.points("world/satellite", position, "#FFFFFF", radius=5.0, label="satellite")
     stars = star_directions(showcase.separation)
     length = 0.9 * showcase.radius_km
@@ -149,15 +149,15 @@ def _scene(out: Recorder, showcase: Showcase, colors: dict[str, str]) -> None:
         out.arrow(f"world/stars/{label}", position, np.broadcast_to(length * star, position.shape), "#FFF3C4", label)
     limb = _limb(position, showcase.truth[:, 3:], showcase.radius_km)
     sight = np.stack([np.broadcast_to(position[:, None], limb.shape), limb], 2)
-    out.strips("world/sight/earth_limb", sight, [recording.MEASUREMENT] * 2, radius=1.5)
+    out.strips("world/sight/earth_limb", sight, [colors.MEASUREMENT] * 2, radius=1.5)
     up = position / np.linalg.norm(position, axis=1, keepdims=True)
     arcs = [_arc(up, np.broadcast_to(star, up.shape)) for star in stars]
     lines = (limb - position[:, None]) / np.linalg.norm(limb - position[:, None], axis=-1, keepdims=True)
     arcs.append(_arc(lines[:, 0], lines[:, 1]))
     around = position[:, None, None] + 0.2 * showcase.radius_km * np.stack(arcs, 1)
-    out.strips("world/angles", around, ["#FFF3C4", "#FFF3C4", recording.MEASUREMENT], labels=["A1", "A2", "A3"])
+    out.strips("world/angles", around, ["#FFF3C4", "#FFF3C4", colors.MEASUREMENT], labels=["A1", "A2", "A3"])
     zenith = position[:, None, None] * np.array([1.0, 1.3])[:, None]
-    out.strips("world/zenith", zenith, [recording.FAINT])
+    out.strips("world/zenith", zenith, [colors.FAINT])
 
 
 def _limb(position: Array, velocity: Array, radius: float) -> Array:
@@ -180,26 +180,24 @@ def _arc(start: Array, end: Array, points: int = 13) -> Array:
     return arcs
 
 
-def _errors(out: Recorder, showcase: Showcase, colors: dict[str, str]) -> None:
+def _errors(out: Recorder, showcase: Showcase, color: dict[str, str]) -> None:
     """`error`: estimates minus truth in km about the origin, which single precision on the scale of the orbit would hide."""
-    from celnav import recording
 
     position = showcase.truth[:, :3]
     length = 10.0 ** np.floor(np.log10(_extent(showcase)))
-    out.path("error/axes", list(length * np.stack([np.zeros((3, 3)), np.eye(3)], 1)), recording.SIGMA)
-    out.points("error/truth", np.zeros_like(position), recording.TRUTH, radius=6.0)
-    out.trail("error/z", showcase.measurements - position, recording.MEASUREMENT, radius=0.4)
+    out.path("error/axes", list(length * np.stack([np.zeros((3, 3)), np.eye(3)], 1)), colors.SIGMA)
+    out.points("error/truth", np.zeros_like(position), colors.TRUTH, radius=6.0)
+    out.trail("error/z", showcase.measurements - position, colors.MEASUREMENT, radius=0.4)
     for key, estimate in showcase.estimates.items():
         error = estimate.mean[:, :3] - position
-        out.trail(f"error/{key}/trail", error, colors[key], radius=0.6)
-        out.points(f"error/{key}/estimate", error, colors[key], radius=3.0)
-        out.ellipsoids(f"error/{key}/ellipsoid", error, estimate.cov[:, :3, :3], colors[key])
-        out.points(f"error/{key}/ensemble", showcase.ensemble[key], colors[key], radius=1.5)
+        out.trail(f"error/{key}/trail", error, color[key], radius=0.6)
+        out.points(f"error/{key}/estimate", error, color[key], radius=3.0)
+        out.ellipsoids(f"error/{key}/ellipsoid", error, estimate.cov[:, :3, :3], color[key])
+        out.points(f"error/{key}/ensemble", showcase.ensemble[key], color[key], radius=1.5)
 
 
-def _plots(out: Recorder, showcase: Showcase, colors: dict[str, str]) -> None:
+def _plots(out: Recorder, showcase: Showcase, color: dict[str, str]) -> None:
     """`plots`: errors with bounds, the colored noise, consistency and the Monte Carlo."""
-    from celnav import recording
 
     for key, estimate in showcase.estimates.items():
         error, sigma = _error_and_sigma(showcase, estimate)
@@ -208,19 +206,19 @@ def _plots(out: Recorder, showcase: Showcase, colors: dict[str, str]) -> None:
         for i, axis in enumerate(AXES):
             for quantity, j in (("pos_err", i), ("vel_err", i + 3)):
                 entity = f"plots/{quantity}/{axis}/{key}"
-                out.curve(entity, error[:, j], colors[key], FILTERS[key], width=width)
+                out.curve(entity, error[:, j], color[key], FILTERS[key], width=width)
                 out.bounds(entity, sigma[:, j], FILTERS[key], shown=shown)
-        out.curve(f"plots/nees/{key}", _log10(estimate.nees), colors[key], FILTERS[key], width=width)
-        out.curve(f"plots/nis/{key}", _log10(estimate.nis), colors[key], FILTERS[key], width=width)
-        out.curve(f"plots/rmse/{key}", _log10(showcase.rmse[key]), colors[key], FILTERS[key], width=width)
-    out.curve("plots/rmse/pcrb", _log10(showcase.bound), recording.BOUND, "Cramér–Rao bound", width=1.2)
+        out.curve(f"plots/nees/{key}", _log10(estimate.nees), color[key], FILTERS[key], width=width)
+        out.curve(f"plots/nis/{key}", _log10(estimate.nis), color[key], FILTERS[key], width=width)
+        out.curve(f"plots/rmse/{key}", _log10(showcase.rmse[key]), color[key], FILTERS[key], width=width)
+    out.curve("plots/rmse/pcrb", _log10(showcase.bound), colors.BOUND, "Cramér–Rao bound", width=1.2)
     for name, band in (("nees", showcase.nees_band), ("nis", showcase.nis_band)):
         for end, value in zip(("low", "high"), band, strict=True):
             out.level(f"plots/{name}/band/{end}", float(np.log10(value)), f"95 % band, {end}")
     for i, axis in enumerate(AXES):
-        out.curve(f"plots/V/{axis}/truth", showcase.noise[:, i], recording.TRUTH, "true V")
+        out.curve(f"plots/V/{axis}/truth", showcase.noise[:, i], colors.TRUTH, "true V")
         entity = f"plots/V/{axis}/augmented"
-        out.curve(entity, showcase.noise_mean[:, i], recording.ESTIMATE, "augmented filter")
+        out.curve(entity, showcase.noise_mean[:, i], colors.ESTIMATE, "augmented filter")
         out.bounds(entity, showcase.noise_std[:, i], "augmented filter", center=showcase.noise_mean[:, i])
 
 

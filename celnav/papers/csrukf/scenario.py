@@ -94,7 +94,8 @@ def filters(config: Config) -> dict[str, Filter]:
 
     srukf: white noise assumed. csrukf: the paper's structure, corrected; its state also holds the lagged estimate.
     csrukf+z0: uses the first sample, in one transform. augmented: the exact reference. srukf-reff: white noise of the same
-    spectrum at zero frequency, where there is one. openloop: no measurement at all.
+    spectrum at zero frequency, where there is one, else srukf-inflated: of half the walk's final variance. openloop: no
+    measurement at all.
     """
     f, rule, Q, R = dynamics(config), config.rule, config.sqrt_Q, config.R
     out = {
@@ -106,6 +107,8 @@ def filters(config: Config) -> dict[str, Filter]:
     }
     if abs(config.phi) < 1.0:
         out["srukf-reff"] = white(config, effective_covariance(config.Phi, R))
+    else:
+        out["srukf-inflated"] = white(config, 0.5 * config.steps * R)
     return out
 
 

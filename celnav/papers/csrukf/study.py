@@ -29,7 +29,7 @@ NAMES = {0.0: "0", 0.8: "0.8", 1.0: "I"}
 class Result:
     """Everything that figures, tables, claims and recordings read.
 
-    ``data[study][name]`` are arrays ``(T, runs, ...)``; studies are "P/0", "P/0.8", "P/I", "D/I", "stress/...",
+    ``data[study][name]`` are arrays ``(T, runs, ...)``; studies are "P/0", "P/0.8", "P/I", "D/0.8", "D/I", "stress/...",
     "wrong/...", "sensor/...". Errors (estimate minus truth) and deviations are in km and m/s. ``theory`` holds linear
     analysis, ``facts`` single numbers, ``timings`` CPU seconds.
     """
@@ -176,11 +176,13 @@ def _units(config: Config, seed: int, runs: int, block: int) -> list[Unit]:
 
     study = {"P": config, "D": replace(D, steps=config.steps)}
     basic = ("srukf", "csrukf", "csrukf+z0", "augmented", "openloop")
+    inflated = {0.8: ("srukf-reff",), 1.0: ("srukf-inflated",)}
     for i, phi in enumerate(PHIS):
-        names = (*basic, "srukf-reff") if phi == 0.8 else basic
+        names = (*basic, *inflated.get(phi, ()))
         wrong = ("printed_roots", "without_first_update") if phi == 0.0 else ()
         add(f"P/{NAMES[phi]}", _cases, runs, replace(config, phi=phi), seed, i, names, wrong)
     add("D/I", _cases, runs, replace(study["D"], phi=1.0), seed, 3, basic, ())
+    add("D/0.8", _cases, runs, replace(study["D"], phi=0.8), seed, 12, ("srukf",), ())
     stress = replace(STRESS, steps=min(STRESS.steps, config.steps))
     stress_runs = max(2, round(STRESS.runs * runs / config.runs))
     for i, phi in enumerate(PHIS):
@@ -241,7 +243,9 @@ def reproduce(
     }
     facts = _hemisphere(config)
     without, redrawn = errata.redraw_defect(generator(seed, 21, 0))
-    facts |= {"redraw_without": without, "redraw_with": redrawn}
+    upper, lower = errata.root_defect(generator(seed, 22, 0))
+    facts |= {"redraw_without": without, "redraw_with": redrawn, "upper_root": upper, "lower_root": lower}
+    facts["variance_by_negative_center"] = errata.variance_by_negative_center()
     data = {label: outcome.arrays for label, outcome in outcomes.items()}
     peer = data.pop("peer")
     facts["filterpy_m"] = float(peer["filterpy_m"][0, 0])

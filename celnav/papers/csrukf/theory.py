@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -65,9 +66,10 @@ def position(std: Array) -> Array:
 
 
 def long_arc(config: Config, steps: int) -> dict[str, Array]:
-    """3-D position (km) of the bound and of SRUKF for Phi = I and 0.8 I, ``(T, 2)``, from a poor prior without process noise."""
-    from dataclasses import replace
+    """3-D position (km) for Phi = I and 0.8 I, ``(T, 2)``, from a poor prior without process noise.
 
+    The bound uses the first sample, SRUKF does not.
+    """
     poor = replace(
         config, prior_position_km=100.0, prior_velocity_m_per_s=100.0, noise_position_km=0.0, noise_velocity_km_per_s=1e-15
     )
@@ -75,29 +77,8 @@ def long_arc(config: Config, steps: int) -> dict[str, Array]:
     Phi = np.array([1.0, 0.8])[:, None, None] * np.eye(3)
     Q, P0, R = poor.sqrt_Q @ poor.sqrt_Q.T, poor.sqrt_P0 @ poor.sqrt_P0.T, poor.R
     bound = colored_bound(F, H, Phi, Q, R, P0, R)
-    K0 = np.linalg.solve(H @ P0 @ H.T + R, H @ P0).T
-    rest = np.eye(6) - K0 @ H
-    start = rest @ P0 @ rest.T + K0 @ R @ K0.T
-    gains = riccati(F, H, Q, R, start).gains
-    # The first sample is used: the joint of error and noise after it is the start.
-    actual = _after_first(F, gains, Q, Phi, R, start, K0)
-    return {name: position(np.sqrt(P.diagonal(0, -2, -1))) for name, P in (("bound", bound), ("srukf", actual))}
-
-
-def _after_first(F: Array, gains: Array, Q: Array, Phi: Array, R: Array, P: Array, K0: Array) -> Array:
-    """As `actual_covariance`, started after an update with the first sample (gain ``K0``), whose noise goes on."""
-    eye = np.eye(6)
-    batch = Phi.shape[:-2]
-    P = np.broadcast_to(P, (*batch, 6, 6))
-    C, V = np.broadcast_to(K0 @ R, (*batch, 6, 3)), np.broadcast_to(R, (*batch, 3, 3))
-    out = [P]
-    for f, K in zip(F, gains, strict=True):
-        P, C, V = f @ P @ f.T + Q, f @ C @ Phi.mT, Phi @ V @ Phi.mT + R
-        A = eye - K @ H
-        cross = A @ C @ K.mT
-        P, C = A @ P @ A.mT + cross + cross.mT + K @ V @ K.mT, A @ C + K @ V
-        out.append(P)
-    return np.stack(out)
+    srukf = actual_covariance(F, H, riccati(F, H, Q, R, P0).gains, Q, Phi, R, P0, R)
+    return {name: position(np.sqrt(P.diagonal(0, -2, -1))) for name, P in (("bound", bound), ("srukf", srukf))}
 
 
 class Settings(NamedTuple):

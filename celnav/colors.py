@@ -1,0 +1,13 @@
+"""Okabe-Ito colors by meaning, the same in figures and recordings."""
+
+TRUTH = "#009E73"
+ESTIMATE = "#E69F00"
+COMPARISON = "#0072B2"
+"""The method compared with."""
+OPEN_LOOP = "#CC79A7"
+MEASUREMENT = "#56B4E9"
+PAPER = "#D55E00"
+"""The paper's value."""
+BOUND = "#F0E442"
+SIGMA = "#888888"
+FAINT = "#5A6478"
