@@ -165,6 +165,13 @@ def test_version_help_and_an_unknown_command(tmp_path):
     assert "Traceback" not in wrong.stderr
 
 
+def test_a_closed_pipe_is_quiet(tmp_path):
+    shell = f"{sys.executable} -m celnav list | head -1"
+    piped = subprocess.run(["bash", "-c", f"set -o pipefail; {shell}"], capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert piped.stdout.count("\n") == 1
+    assert piped.stderr == ""
+
+
 def test_an_ascii_locale_does_not_stop_the_listing(tmp_path):
     import os
 

@@ -36,7 +36,12 @@ def test_a_missing_measurement_leaves_the_prediction(z):
     [
         (lambda: run(np.full((3, 2), np.inf)), "z"),
         (lambda: run([["a", "b"]] * 3), "z"),
-        (lambda: run(np.zeros((3, 3))), "h"),
+        (lambda: run(np.zeros((3, 3))), "z: expected 2 components to go with h, got 3"),
+        (lambda: run(np.zeros((3, 2, 1))), "z: expected 2 components"),
+        (lambda: run(np.zeros((3, 2)), h=np.eye(3)), "h: expected a matrix"),
+        (lambda: run(np.zeros((3, 2)), h=lambda x, epoch: x[..., :1]), r"h returned shape \(5, 1\), expected \(5, 2\)"),
+        (lambda: filtered(Q=0.5), "Q: expected .* got shape"),
+        (lambda: filtered(R=0.5), "R: expected .* got shape"),
         (lambda: run(np.zeros((3, 2)), times=[0.0, 2.0, 1.0]), "times"),
         (lambda: run(np.zeros((3, 2)), times=[0.0, np.nan, 1.0]), "times"),
         (lambda: run(np.zeros((3, 2)), times=[0.0, 1.0]), "z"),
@@ -123,6 +128,74 @@ def test_a_list_from_h_is_accepted_and_callers_arrays_are_not_written_to():
     run(z, celnav.square_root(mean, cov), h=lambda x, epoch: x.tolist())
     for a, b in zip((mean, cov, z), kept, strict=True):
         np.testing.assert_array_equal(a, b)
+
+
+def test_covariances_that_are_asymmetric_by_round_off_are_symmetrized():
+    P = np.array([[2.0, 0.5], [0.5 * (1.0 + 1e-15), 1.0]])
+    cov = celnav.covariance(np.zeros(2), P).cov
+    np.testing.assert_array_equal(cov, cov.T)
+
+
+def test_an_infinite_measurement_in_a_stream_is_told_and_the_state_is_kept():
+    filter = filtered()
+    state, _ = filter.step(filter.start(PRIOR), celnav.Epoch(0, 0.0, 0.0, None, np.ones(2)))
+    bad = celnav.Epoch(1, 1.0, 1.0, None, np.array([np.inf, 0.0]))
+    with pytest.raises(celnav.FilterError, match=r"step 1.*z is infinite"):
+        celnav.run(celnav.Filter(lambda _: state, filter.step), PRIOR, [bad])
+    good = celnav.Epoch(1, 1.0, 1.0, None, np.ones(2))
+    again = filter.step(state, good)[0].belief
+    fresh = celnav.run(filter, PRIOR, celnav.epochs([0.0, 1.0], np.ones((2, 2))))
+    np.testing.assert_array_equal(again.mean, fresh.mean[-1])
+
+
+def test_a_model_that_is_not_finite_at_a_point_is_named_with_step_and_point():
+    def f(x, epoch):
+        y = x.copy()
+        y[3] = np.nan
+        return y
+
+    with pytest.raises(celnav.FilterError, match=r"step 1, t = 1.0: f is not finite at sigma point 3"):
+        run(np.zeros((3, 2)), f=f)
+
+
+@pytest.mark.parametrize("form", [celnav.square_root, celnav.covariance])
+def test_a_singular_innovation_is_told_not_divided_by(form):
+    with pytest.raises(celnav.FilterError, match="innovation covariance is not positive definite"):
+        run(np.ones((2, 2)), form(np.zeros(2), np.diag([1.0, 0.0])), R=np.zeros((2, 2)))
+
+
+@pytest.mark.parametrize("form", [celnav.square_root, celnav.covariance])
+def test_no_process_noise_works(form):
+    track = run(
+        np.ones((50, 2)),
+        form(np.zeros(2), EYE),
+        Q=np.zeros((2, 2)),
+    )
+    np.testing.assert_allclose(track.std[-1], 1.0 / np.sqrt(51.0), rtol=1e-12)
+
+
+@pytest.mark.parametrize("form", [celnav.square_root, celnav.covariance])
+def test_badly_conditioned_innovations_need_no_inverse(form):
+    """cond(S) = 1e14: the same measurement in mixed components gives the same posterior."""
+    R, T = np.diag([1e14, 1.0]), np.array([[1.0, 0.0], [1.0, 1.0]])
+    track = run(np.array([[1.0, 1.0]]) @ T.T, form(np.zeros(2), EYE), h=T, R=T @ R @ T.T)
+    np.testing.assert_allclose(track.mean[0], [1.0 / (1.0 + 1e14), 0.5], atol=2e-2 * 0.5)
+    plain = run(np.array([[1.0, 1.0]]), form(np.zeros(2), EYE), R=R)
+    np.testing.assert_allclose(plain.mean[0], [1.0 / (1.0 + 1e14), 0.5], rtol=1e-14)
+    np.testing.assert_allclose(plain.std[0], [1.0, np.sqrt(0.5)], rtol=1e-12)
+
+
+def test_a_covariance_stays_symmetric_over_many_steps():
+    F = np.array([[1.0, 0.1, 0.0], [0.0, 1.0, 0.1], [-0.01, 0.0, 0.99]])
+    rule = celnav.unscented(3)
+    filter = celnav.sequential(
+        celnav.predict(lambda x, epoch: x @ F.T, rule, 1e-3 * np.eye(3)), celnav.update(np.eye(1, 3), rule, np.eye(1))
+    )
+    state, z = filter.start(celnav.covariance(np.zeros(3), np.eye(3))), np.zeros(1)
+    for k in range(10_000):
+        state, _ = filter.step(state, celnav.Epoch(k, float(k), 1.0, None, z))
+    P = state.belief.cov
+    assert np.linalg.norm(P - P.T) <= 1e-12 * np.linalg.norm(P)
 
 
 def test_integers_and_single_precision_are_computed_in_double():

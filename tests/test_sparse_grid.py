@@ -114,6 +114,7 @@ def test_equals_the_combination_technique(grid):
     expected = combination(n, level, g)
     rule = smolyak(n, level, g)
     assert rule.num_sigmas() == point_count(n, level, g) == len(expected)
+    assert abs(rule.wm.sum() - 1.0) <= 1e-12 * np.abs(rule.wm).sum()
     want = np.array([v[0] for v in expected.values()])
     weights, scale = (np.array([v[k] for v in expected.values()]) for k in (1, 2))
     got, got_weights = rule.nodes[rule.wm != 0.0], rule.wm[rule.wm != 0.0]

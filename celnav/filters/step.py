@@ -91,7 +91,8 @@ class Info(NamedTuple):
             return None
         value: Array = -0.5 * (self.nis + np.add.reduce(self.used, -1, int) * _LOG_2PI)
         if self.innovation_root is not None:
-            value = value - np.add.reduce(np.log(self.innovation_root.diagonal(0, -2, -1)), -1)
+            with np.errstate(divide="ignore"):  # a lost run has a nan in `white`
+                value = value - np.add.reduce(np.log(self.innovation_root.diagonal(0, -2, -1)), -1)
         return value
 
 
@@ -346,8 +347,10 @@ def _through_matrix(h: ArrayLike, noise_first: bool) -> Callable[..., _Lifted]:
     positive = np.ones(n)
 
     def lift(belief: Gaussian, m: int, _: Any, room: int) -> _Lifted:
-        if m != rows or belief.spread.shape[-1] != n:
-            raise ValueError(f"h: expected a matrix ({m}, {belief.spread.shape[-1]}), got ({rows}, {n})")
+        if belief.spread.shape[-1] != n:
+            raise ValueError(f"h: expected a matrix (m, {belief.spread.shape[-1]}), got ({rows}, {n})")
+        if m != rows:
+            raise ValueError(f"z: expected {rows} components to go with h, got {m}")
         root = belief.form.root(belief.spread)
         batch = root.shape[:-2] if H.ndim == 2 else np.broadcast_shapes(root.shape[:-2], H.shape[:-2])
         A = np.empty((*batch, m + n, n + room))
