@@ -19,7 +19,9 @@ Sources   ``[Sun2015, Eq. 27]`` in a docstring; citations are in ``celnav.papers
 
 from celnav.filters import Epoch, Filter, FilterError, Track, epochs, predict, run, sequential, steps, update
 from celnav.gaussian import Gaussian, covariance, square_root
-from celnav.points import Rule, Taylor, cubature, from_filterpy, gauss_hermite, simplex, unscented
+from celnav.points import Rule, cubature, from_filterpy, gauss_hermite, simplex, unscented
+from celnav.sparse_grid import smolyak
+from celnav.taylor import Taylor
 
 __version__ = "0.1.0"
 
@@ -40,6 +42,7 @@ __all__ = [
     "run",
     "sequential",
     "simplex",
+    "smolyak",
     "square_root",
     "steps",
     "unscented",

@@ -103,7 +103,7 @@ def _list(options: argparse.Namespace) -> int:  # noqa: ARG001
             print(f"  {stem:12} {(function.__doc__ or '').partition(chr(10))[0]}")
         print(f"\n  filters: {', '.join(module.filters(next(iter(module.PRESETS.values()))))}")
         print(f"  presets: {', '.join(module.PRESETS)}\n")
-    print("rules: unscented, simplex, cubature (degree 3 and 5), gauss_hermite, from_filterpy, Taylor (EKF)")
+    print("rules: unscented, simplex, cubature (degree 3 and 5), gauss_hermite, smolyak, from_filterpy, Taylor (EKF)")
     return 0
 
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import minimize
 
 from celnav.filters.driver import Epoch, Filter, FilterError, run
-from celnav.filters.step import Info
+from celnav.filters.info import Info
 from celnav.gaussian import Gaussian, finite
 from celnav.linalg import Array
 

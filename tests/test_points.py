@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from celnav.filters.driver import epochs, run, sequential
 from celnav.filters.step import predict, update
 from celnav.gaussian import covariance, square_root
-from celnav.points import KEEP, MAX_POINTS, Rule, Taylor, cubature, from_filterpy, gauss_hermite, simplex, unscented
+from celnav.points import KEEP, MAX_POINTS, Rule, cubature, from_filterpy, gauss_hermite, simplex, unscented
 from celnav.spaces import EUCLIDEAN
+from celnav.taylor import Taylor
 
 BATCHES = [(), (3,), (2, 3)]
 

@@ -1,11 +1,13 @@
 """Filters: parts (`predict`, `update`), the driver (`sequential`, `steps`, `run`), and what is built of them.
 
-`step` the one conditioning step · `driver` epochs, filters, run · `track` records · `colored` colored measurement noise ·
-`smoother` fixed interval · `adaptive` gates, windows, prescribed gains, fallback · `dropin` filterpy's interface.
+`step` the one conditioning step · `info` what hooks see and steps record · `driver` epochs, filters, run · `track` records ·
+`colored` colored measurement noise · `smoother` fixed interval · `adaptive` gates, windows, prescribed gains, fallback ·
+`dropin` filterpy's interface.
 """
 
 from celnav.filters.driver import Epoch, Epochs, Filter, FilterError, State, epochs, run, sequential, steps
-from celnav.filters.step import Info, Joint, predict, update
+from celnav.filters.info import Info, Joint
+from celnav.filters.step import predict, update
 from celnav.filters.track import Track
 
 __all__ = [

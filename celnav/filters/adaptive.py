@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
-from celnav.filters.step import Gain, Hook, Info, Joint
+from celnav.filters.info import Gain, Hook, Info, Joint
 from celnav.gaussian import Gaussian
 from celnav.linalg import Array, cholesky, solve_lower, solve_upper_transposed
 

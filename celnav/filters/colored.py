@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from celnav.filters.driver import Epoch, Filter, State, sequential
-from celnav.filters.step import Hook, Info, Model, condition, evaluate, explain, images, noise_columns, predict, update
+from celnav.filters.info import Hook, Info
+from celnav.filters.step import Model, condition, evaluate, explain, images, noise_columns, predict, update
 from celnav.gaussian import Gaussian, finite, sqrt_cov
 from celnav.linalg import Array, block, matvec, solve_upper_transposed, tria
 from celnav.points import KEEP, Image, Outputs, Transform

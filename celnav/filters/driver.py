@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.filters.step import Info, Predict, Update
+from celnav.filters.info import Info
+from celnav.filters.step import Predict, Update
 from celnav.filters.track import Collector, Track
 from celnav.gaussian import Gaussian, finite
 from celnav.linalg import Array

@@ -6,9 +6,11 @@ from scipy.stats import chi2, norm
 
 from celnav.filters.adaptive import chi_square_gate, consider, fallback, gate, innovation_window
 from celnav.filters.driver import FilterError, epochs, run, sequential, steps
-from celnav.filters.step import Info, predict, update
+from celnav.filters.info import Info
+from celnav.filters.step import predict, update
 from celnav.gaussian import Gaussian, covariance, square_root
-from celnav.points import Taylor, cubature, unscented
+from celnav.points import cubature, unscented
+from celnav.taylor import Taylor
 
 A = np.array([[1.0, 0.2], [-0.1, 0.9]])
 H = np.array([[1.0, 0.0], [0.5, 1.0], [0.0, 2.0]])

@@ -11,8 +11,9 @@ from celnav.filters.smoother import smooth
 from celnav.filters.step import predict, update
 from celnav.gaussian import Gaussian, covariance, nees, square_root
 from celnav.linalg import block
-from celnav.points import Rule, Taylor, cubature, from_filterpy, gauss_hermite, simplex, unscented
+from celnav.points import Rule, cubature, from_filterpy, gauss_hermite, simplex, unscented
 from celnav.spaces import EUCLIDEAN, Space, angles
+from celnav.taylor import Taylor
 
 A_ = np.array([[1.0, 0.1, 0.0], [-0.2, 0.9, 0.1], [0.0, 0.3, 0.8]])
 H_ = np.array([[1.0, 0.5, 0.0], [0.0, 1.0, -1.0]])

@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike
 
 from celnav.filters.colored import Colored, decorrelation, difference
 from celnav.filters.driver import Epoch, Filter, State, sequential
-from celnav.filters.step import Info, Model, condition, images, predict, update
+from celnav.filters.info import Info
+from celnav.filters.step import Model, condition, images, predict, update
 from celnav.gaussian import Gaussian
 from celnav.linalg import Array, block, matvec
 from celnav.models.orbit import EARTH

@@ -1,0 +1,101 @@
+"""Linearization: the extended Kalman filter's way from a function of a Gaussian to a mean and columns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from celnav.linalg import Array
+from celnav.points import KEEP, Image, Outputs
+from celnav.spaces import Space
+
+
+class Taylor:
+    """First-order expansion about the mean: with it every filter here is an extended Kalman filter.
+
+    Parameters
+    ----------
+    jacobians: ``mean (..., N) -> tuple`` of Jacobians ``(..., k, n)``, one for each output of the function. None: central
+        differences along the columns of the root. `KEEP`, the state itself, needs none.
+    step: length of the difference, in standard deviations.
+    """
+
+    def __init__(self, jacobians: Callable[[Array], tuple[Array, ...]] | None = None, step: float = 1e-3):
+        if not (np.isfinite(step) and step > 0.0):
+            raise ValueError(f"step: expected a positive number, got {step!r}")
+        self.jacobians = jacobians
+        self.step = float(step)
+        self.sign = np.ones(1)
+
+    def __repr__(self) -> str:
+        return f"Taylor({'differences' if self.jacobians is None else 'Jacobians'})"
+
+    def points(self, mean: Array, root: Array, space: Space, extra: Sequence[Array] = ()) -> list[Array]:
+        """The mean alone, or the mean and its neighbors; noise points vary in their own directions only."""
+        roots = [root, *extra]
+        total = sum(E.shape[-1] for E in roots)
+        directions = np.zeros((1, total))
+        if self.jacobians is None:
+            directions = self.step * np.vstack([directions, np.eye(total), -np.eye(total)])
+        batch = np.broadcast_shapes(mean.shape[:-1], *(E.shape[:-2] for E in roots))
+        spread, first = [], 0
+        for E in roots:
+            D = E @ directions[:, first : first + E.shape[-1]].T
+            D = np.broadcast_to(D, (*batch, *D.shape[-2:]))
+            spread.append(np.moveaxis(D, -1, 0))
+            first += E.shape[-1]
+        return [space.plus(mean, spread[0]), *spread[1:]]
+
+    def transform(
+        self,
+        g: Callable[..., Outputs],
+        mean: Array,
+        root: Array,
+        space: Space,
+        spaces: Sequence[Space],
+        extra: Sequence[Array] = (),
+        room: int = 0,
+    ) -> tuple[list[Image], Array]:
+        """See `Transform`. Jacobians cover the state, then each of the noises in ``extra``."""
+        X = self.points(mean, root, space, extra)
+        outputs = g(*X)
+        batch = X[0].shape[1:-1]
+        roots = [root, *extra]
+        total = sum(E.shape[-1] for E in roots)
+        given = None if self.jacobians is None else self.jacobians(mean)
+        if given is not None and len(given) != len(outputs):
+            moved = [i for i, y in enumerate(outputs) if y is not KEEP]  # the state itself needs none
+            if len(given) != len(moved):
+                raise ValueError(f"jacobians: expected {len(moved)} matrices, got {len(given)}")
+            by_output = dict(zip(moved, given, strict=True))
+            given = tuple(by_output.get(i, mean) for i in range(len(outputs)))
+        images = []
+        for i, (y, sp) in enumerate(zip(outputs, spaces, strict=True)):
+            center = mean if y is KEEP else y[0]
+            if y is KEEP:
+                blocks = [root, *(np.zeros((root.shape[-2], E.shape[-1])) for E in extra)]
+                columns = np.concatenate([np.broadcast_to(b, (*batch, *b.shape[-2:])) for b in blocks], -1)
+            elif given is not None:
+                J, first, parts = given[i], 0, []
+                for E in roots:
+                    parts.append(J[..., first : first + E.shape[-2]] @ E)
+                    first += E.shape[-2]
+                columns = np.concatenate([np.broadcast_to(b, (*batch, *b.shape[-2:])) for b in parts], -1)
+            else:
+                d = sp.minus(y, center)
+                columns = np.moveaxis(d[1 : total + 1] - d[total + 1 :], 0, -1) / (2.0 * self.step)
+            images.append(Image(center, 0.0, columns))
+        A = np.empty((*batch, sum(im.columns.shape[-2] for im in images), total + room))
+        top = 0
+        for i, im in enumerate(images):
+            k = im.columns.shape[-2]
+            A[..., top : top + k, :total] = im.columns
+            images[i] = im._replace(columns=A[..., top : top + k, :total])
+            top += k
+        return images, A
+
+    def slope(self, image: Image, root: Array) -> Array:
+        """Jacobian of an image, ``(..., k, n)``."""
+        slope: Array = np.linalg.solve(root.mT, image.columns[..., : root.shape[-1]].mT).mT
+        return slope
