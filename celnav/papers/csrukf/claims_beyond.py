@@ -102,7 +102,7 @@ def _sweeps(j: Evidence) -> list[Claim]:
     ):
         nees = j.mean_nees(f"wrong/{name}", phi)
         out.append(j.statistic(f"wrong-phi-{name}-{phi}", "beyond", f"Time-mean NEES, {text}", np.mean, [nees], accept))
-    right = j.final("wrong/0.8", "0.8")[:, :3]
+    right = j.final("P/0.8", "csrukf")[:, :3]
     for id, phi, accept in (("wrong-phi-small-cost", "0.9", (1.0, 1.3)), ("wrong-phi-cost", "1", (2.0, 4.0))):
         text = f"True 0.8, assumed {phi}: what overestimating costs in position (3-D ratio)"
         out.append(j.statistic(id, "beyond", text, ratio3, [j.final("wrong/0.8", phi)[:, :3], right], accept))

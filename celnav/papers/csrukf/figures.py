@@ -13,7 +13,7 @@ from celnav.metrics import chi_square_band
 from celnav.models import sightings
 from celnav.models.orbit import EARTH
 from celnav.papers.csrukf import theory
-from celnav.papers.csrukf.study import WRONG, Result
+from celnav.papers.csrukf.study import NAMES, WRONG, Result
 
 SRUKF, CSRUKF, OPEN = colors.COMPARISON, colors.ESTIMATE, colors.OPEN_LOOP
 AXES = ("x", "y", "z", "v_x", "v_y", "v_z")
@@ -239,17 +239,18 @@ def figure_17(result: Result) -> Figure:
 def figure_18(result: Result) -> Figure:
     """Beyond the paper: a wrong coefficient in the filter."""
     fig, axes = figure(7.0, 3.0, 1, 2)
+    assumed = sorted({phi for true, others in WRONG.items() for phi in (true, *others)})
     for true, color in ((1.0, SRUKF), (0.8, CSRUKF)):
-        data = result.data[f"wrong/{'I' if true == 1.0 else '0.8'}"]
-        phis = sorted(WRONG[true])
-        finals = [np.sqrt(np.square(data[f"{phi:g}/error"][-1, :, :3]).sum(-1).mean()) for phi in phis]
-        means = [data[f"{phi:g}/nees"][1:].mean() for phi in phis]
+        name = NAMES[true]
+        phis = sorted((true, *WRONG[true]))
+        runs = [(f"P/{name}", "csrukf") if phi == true else (f"wrong/{name}", f"{phi:g}") for phi in phis]
+        finals = [np.sqrt(np.square(result.data[a][f"{b}/error"][-1, :, :3]).sum(-1).mean()) for a, b in runs]
+        means = [result.data[a][f"{b}/nees"][1:].mean() for a, b in runs]
         for ax, values in zip(axes, (finals, means), strict=True):
-            ax.semilogy(range(3), values, color=color, marker="o", label=f"true φ = {true:g}")
-            for at, (phi, value) in enumerate(zip(phis, values, strict=True)):
-                ax.annotate(f"{phi:g}", (at, value), textcoords="offset points", xytext=(4, 4), fontsize=7)
-            ax.set_xticks(range(3), ["lowest", "middle", "highest"])
-            ax.set_xlabel("coefficient assumed by the filter (label)")
+            ax.semilogy([assumed.index(phi) for phi in phis], values, color=color, marker="o", label=f"true φ = {true:g}")
+            ax.semilogy(assumed.index(true), values[phis.index(true)], color=color, marker="o", markersize=9, fillstyle="none")
+            ax.set_xticks(range(len(assumed)), [f"{phi:g}" for phi in assumed])
+            ax.set_xlabel("φ assumed by the filter (circle: the true one)")
     axes[0].set_ylabel("final 3-D position RMSE (km)")
     axes[1].set_ylabel("time-mean NEES (-)")
     axes[1].axhline(6.0, color=colors.SIGMA, linestyle=":", label="consistent")

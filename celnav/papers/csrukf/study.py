@@ -20,8 +20,8 @@ from celnav.papers.csrukf.config import STRESS, B, Config, D, P
 from celnav.papers.csrukf.theory import UNITS
 
 PHIS = (0.0, 0.8, 1.0)
-WRONG = {1.0: (0.95, 0.99, 1.0), 0.8: (1.0, 0.9, 0.8)}
-"""True coefficient -> coefficients assumed by the filter."""
+WRONG = {1.0: (0.95, 0.99), 0.8: (0.9, 1.0)}
+"""True coefficient -> wrong ones assumed by the filter."""
 NAMES = {0.0: "0", 0.8: "0.8", 1.0: "I"}
 
 
@@ -101,7 +101,7 @@ def _cases(config: Config, seed: int, study: int, runs: range, names: tuple[str,
 
 
 def _assumed(config: Config, seed: int, study: int, runs: range, phis: tuple[float, ...]) -> dict[str, Array]:
-    """CSRUKF with a coefficient that need not be the true one."""
+    """CSRUKF with a coefficient that is not the true one."""
     sim = _simulated(config, seed, study, runs)
     out: dict[str, Array] = {}
     for phi in phis:
@@ -110,18 +110,22 @@ def _assumed(config: Config, seed: int, study: int, runs: range, phis: tuple[flo
     return out
 
 
-def _sensors(config: Config, seed: int, study: int, runs: range) -> dict[str, Array]:
-    """Filters on measured angles, converted to pseudo-positions or used as they are."""
+def _sensors(config: Config, seed: int, study: int, runs: range, names: tuple[str, ...]) -> dict[str, Array]:
+    """Filters on measured angles, converted to pseudo-positions or ("angles") used as they are."""
     sim = _simulated(config, seed, study, runs, angles=True)
     out: dict[str, Array] = {}
     table = scenario.jacobian_covariance(config)
     isotropic = np.trace(table, axis1=-2, axis2=-1).mean() / 3.0 * np.eye(3)
-    on_angles = scenario.angle_filters(config)
-    _errors("srukf-isotropic", scenario.white(config, isotropic), sim, sim.epochs(first=False), out)
-    _errors("csrukf-isotropic", scenario.single_transform(config, isotropic), sim, sim.epochs(), out)
-    _errors("csrukf-jacobian", scenario.single_transform(config, table), sim, sim.epochs(), out)
-    name = "colored" if config.phi else "white"
-    _errors("angles", on_angles[name], sim, sim.angle_epochs(first=bool(config.phi)), out)
+    filters = {
+        "srukf-isotropic": scenario.white(config, isotropic),
+        "csrukf-isotropic": scenario.single_transform(config, isotropic),
+        "csrukf-jacobian": scenario.single_transform(config, table),
+        "angles": scenario.angle_filters(config)["colored" if config.phi else "white"],
+    }
+    for name in names:
+        colored = config.phi != 0.0 if name == "angles" else not name.startswith("srukf")
+        epochs = sim.angle_epochs if name == "angles" else sim.epochs
+        _errors(name, filters[name], sim, epochs(first=colored), out)
     return {key: value for key, value in out.items() if not key.endswith("lagged")}
 
 
@@ -191,9 +195,11 @@ def _units(config: Config, seed: int, runs: int, block: int) -> list[Unit]:
     for phi, assumed in WRONG.items():
         add(f"wrong/{NAMES[phi]}", _assumed, runs, replace(config, phi=phi), seed, PHIS.index(phi), assumed)
     for i, phi in enumerate(PHIS):
-        add(f"sensor/P/{NAMES[phi]}", _sensors, runs, replace(config, phi=phi), seed, 7 + i)
+        names = ("csrukf-isotropic", "csrukf-jacobian", *(("srukf-isotropic",) if phi == 1.0 else ()))
+        add(f"sensor/P/{NAMES[phi]}", _sensors, runs, replace(config, phi=phi), seed, 7 + i, names)
     for i, phi in enumerate((0.0, 1.0)):
-        add(f"sensor/D/{NAMES[phi]}", _sensors, runs, replace(study["D"], phi=phi), seed, 10 + i)
+        names = ("csrukf-isotropic", "csrukf-jacobian", "angles")
+        add(f"sensor/D/{NAMES[phi]}", _sensors, runs, replace(study["D"], phi=phi), seed, 10 + i, names)
     units.append(Unit("peer", _peer, (config, seed)))
     return units
 
