@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import cached_property
 from itertools import combinations, product
+from math import prod
 from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
@@ -330,6 +331,30 @@ def gauss_hermite(n: int, order: int = 3) -> Rule:
     nodes = np.stack(np.meshgrid(*[x] * n, indexing="ij"), -1).reshape(-1, n)
     weights = np.prod(np.stack(np.meshgrid(*[w / w.sum()] * n, indexing="ij"), -1).reshape(-1, n), -1)
     return _centered(nodes, weights, weights)
+
+
+def tensor_product(*rules: Rule) -> Rule:
+    """Rule of the joint of independent parts: every node of each rule with every node of the others.
+
+    For a model that is nonlinear in the first k states only and, given these, linear in the other n - k, the product
+    ``tensor_product(gauss_hermite(k, m), simplex(n - k))`` has ``m**k (n - k + 1)`` points and gives exactly what the full
+    tensor rule of ``m**n`` points gives (the marginalized rule; with lower roots and the nonlinear states first).
+
+    Raises
+    ------
+    ValueError: for more than `MAX_POINTS` points, before anything is allocated.
+    """
+    count = prod(rule.num_sigmas() for rule in rules)
+    if not rules or count > MAX_POINTS:
+        raise ValueError(f"rules: expected a product of at most {MAX_POINTS} points, got {count} of {len(rules)} rules")
+    nodes: Array = np.zeros((1, 0))
+    wm: Array = np.ones(1)
+    wc: Array = np.ones(1)
+    for rule in rules:
+        at = rule.nodes[rule._filterpy]
+        nodes = np.concatenate([np.repeat(nodes, len(at), 0), np.tile(at, (len(nodes), 1))], 1)
+        wm, wc = np.kron(wm, rule.Wm), np.kron(wc, rule.Wc)
+    return _centered(nodes, wm, wc)
 
 
 def from_filterpy(points: Any) -> Rule:

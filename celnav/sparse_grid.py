@@ -26,7 +26,8 @@ ORDERS = (1, 3, 7, 15, 31, 63)
 DELAYED = (1, 3, 3, 7, 7, 7, 15)
 """Orders that rise only when the total degree of the isotropic rule asks for it: fewer points, nested in parts."""
 
-_CANCELED = 1e-12
+CANCELED = 1e-12
+"""A merged weight is nothing if it is this small against the sum of its absolute terms."""
 Polynomial = dict[int, float]
 """Coefficients by power."""
 
@@ -198,7 +199,7 @@ def _patterns(level: int, g: tuple[int, ...], sizes: tuple[int, ...]) -> tuple[t
                 count *= comb(left, chosen.count(i)) * 2 ** chosen.count(i)
                 left -= chosen.count(i)
         weight, scale = sum(total[False].values()), sum(total[True].values())
-        canceled = abs(weight) <= _CANCELED * scale
+        canceled = abs(weight) <= CANCELED * scale
         if not canceled or not any(chosen for _, chosen in choice):  # a rule has its center first, be its weight 0
             found.append(_Pattern(tuple(chosen for _, chosen in choice), 0.0 if canceled else weight, count))
     found.sort(key=lambda p: sum(map(len, p.nodes)))

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from celnav.linalg import Array
+from celnav.linalg import Array, matvec
 from celnav.points import KEEP, Image, Outputs
 from celnav.spaces import Space
 
@@ -19,20 +21,33 @@ class Taylor:
     jacobians: ``mean (..., N) -> tuple`` of Jacobians ``(..., k, n)``, one for each output of the function. None: central
         differences along the columns of the root. `KEEP`, the state itself, needs none.
     step: length of the difference, in standard deviations.
+    about: ``(..., N)``, the point to expand about instead of the mean, as an iterated filter does. The belief stays where it
+        is: its mean is mapped by the linear function.
     """
 
-    def __init__(self, jacobians: Callable[[Array], tuple[Array, ...]] | None = None, step: float = 1e-3):
+    def __init__(
+        self,
+        jacobians: Callable[[Array], tuple[Array, ...]] | None = None,
+        step: float = 1e-3,
+        *,
+        about: ArrayLike | None = None,
+    ):
         if not (np.isfinite(step) and step > 0.0):
             raise ValueError(f"step: expected a positive number, got {step!r}")
         self.jacobians = jacobians
         self.step = float(step)
+        self.about = None if about is None else np.asarray(about, dtype=np.float64)
         self.sign = np.ones(1)
 
     def __repr__(self) -> str:
         return f"Taylor({'differences' if self.jacobians is None else 'Jacobians'})"
 
     def points(self, mean: Array, root: Array, space: Space, extra: Sequence[Array] = ()) -> list[Array]:
-        """The mean alone, or the mean and its neighbors; noise points vary in their own directions only."""
+        """The center alone, or the center and its neighbors; noise points vary in their own directions only.
+
+        With a center of its own, the last two points lie on the way from there to the mean, a step to either side.
+        """
+        center = mean if self.about is None else self.about
         roots = [root, *extra]
         total = sum(E.shape[-1] for E in roots)
         directions = np.zeros((1, total))
@@ -45,7 +60,11 @@ class Taylor:
             D = np.broadcast_to(D, (*batch, *D.shape[-2:]))
             spread.append(np.moveaxis(D, -1, 0))
             first += E.shape[-1]
-        return [space.plus(mean, spread[0]), *spread[1:]]
+        if self.about is not None and self.jacobians is None:
+            way: list[Any] = [self.step * space.minus(mean, center), *(0.0 for _ in extra)]
+            ways = [np.broadcast_to(w, D.shape[1:]) for w, D in zip(way, spread, strict=True)]
+            spread = [np.concatenate([D, [w, -w]]) for D, w in zip(spread, ways, strict=True)]
+        return [space.plus(center, spread[0]), *spread[1:]]
 
     def transform(
         self,
@@ -63,7 +82,8 @@ class Taylor:
         batch = X[0].shape[1:-1]
         roots = [root, *extra]
         total = sum(E.shape[-1] for E in roots)
-        given = None if self.jacobians is None else self.jacobians(mean)
+        at = mean if self.about is None else self.about
+        given = None if self.jacobians is None else self.jacobians(at)
         if given is not None and len(given) != len(outputs):
             moved = [i for i, y in enumerate(outputs) if y is not KEEP]  # the state itself needs none
             if len(given) != len(moved):
@@ -73,6 +93,7 @@ class Taylor:
         images = []
         for i, (y, sp) in enumerate(zip(outputs, spaces, strict=True)):
             center = mean if y is KEEP else y[0]
+            shift: Any = 0.0
             if y is KEEP:
                 blocks = [root, *(np.zeros((root.shape[-2], E.shape[-1])) for E in extra)]
                 columns = np.concatenate([np.broadcast_to(b, (*batch, *b.shape[-2:])) for b in blocks], -1)
@@ -82,10 +103,14 @@ class Taylor:
                     parts.append(J[..., first : first + E.shape[-2]] @ E)
                     first += E.shape[-2]
                 columns = np.concatenate([np.broadcast_to(b, (*batch, *b.shape[-2:])) for b in parts], -1)
+                if self.about is not None:
+                    shift = matvec(J[..., : root.shape[-2]], space.minus(mean, at))
             else:
                 d = sp.minus(y, center)
-                columns = np.moveaxis(d[1 : total + 1] - d[total + 1 :], 0, -1) / (2.0 * self.step)
-            images.append(Image(center, 0.0, columns))
+                columns = np.moveaxis(d[1 : total + 1] - d[total + 1 : 2 * total + 1], 0, -1) / (2.0 * self.step)
+                if self.about is not None:
+                    shift = (d[-2] - d[-1]) / (2.0 * self.step)
+            images.append(Image(center, shift, columns))
         A = np.empty((*batch, sum(im.columns.shape[-2] for im in images), total + room))
         top = 0
         for i, im in enumerate(images):

@@ -1,0 +1,59 @@
+"""Iterated updates: linearize again where the update has led."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from celnav.filters.info import Info
+from celnav.filters.step import Model, Update, noise_columns, update
+from celnav.gaussian import Gaussian
+from celnav.linalg import Array
+from celnav.spaces import EUCLIDEAN, Space
+from celnav.taylor import Taylor
+
+Start = Callable[[Gaussian, Array, Any], Array]
+"""``(belief, z, epoch) -> (..., N)``: the first point to linearize about."""
+
+
+def iterated(
+    h: Model,
+    R: Any = None,
+    *,
+    sqrt_R: Any = None,
+    iterations: int = 6,
+    start: Start | None = None,
+    jacobians: Callable[[Array], tuple[Array, ...]] | None = None,
+    space: Space = EUCLIDEAN,
+    measurement_space: Space = EUCLIDEAN,
+) -> Update:
+    """Update part of the iterated extended Kalman filter: Gauss-Newton steps to the mode of the posterior [Bell1993].
+
+    Parameters
+    ----------
+    h, R, sqrt_R, space, measurement_space: as in `celnav.filters.step.update`.
+    iterations: linearizations. One with a ``start`` is an update linearized about a point known otherwise, from a closed
+        solution of the measurements, say; the prior counts in full all the same.
+    start: the first point; None: the prior's mean.
+    jacobians: as in `Taylor`; None: differences.
+
+    Raises
+    ------
+    ValueError: for a number of iterations below 1; otherwise as `update`.
+    """
+    if isinstance(iterations, bool) or int(iterations) != iterations or iterations < 1:
+        raise ValueError(f"iterations: expected a positive integer, got {iterations!r}")
+    columns = noise_columns(R, sqrt_R, "R")
+
+    def part(belief: Gaussian, z: Any, epoch: Any = None, memory: Any = None) -> tuple[Gaussian, Info, Any]:
+        at = belief.mean if start is None else start(belief, np.asarray(z, dtype=np.float64), epoch)
+        for _ in range(iterations):
+            rule = Taylor(jacobians, about=at)
+            once = update(h, rule, sqrt_R=columns, space=space, measurement_space=measurement_space)
+            posterior, info, memory = once(belief, z, epoch, memory)
+            at = posterior.mean
+        return posterior, info, memory
+
+    return part
