@@ -87,16 +87,21 @@ def derivative(x: Array, nav: Navigation) -> Array:
 def step(x: Array, nav: Navigation, dt: float) -> Array:
     """State ``(..., 13)`` after ``dt`` seconds, inputs at the middle of the interval; conditionally linear given phi.
 
-    The position moves with the mean velocity error of the interval.
-
     Raises
     ------
     ValueError: if a misalignment phi_x is within a degree of +-90 degrees, where the Euler angles end.
     """
+    worst = np.abs(x[..., 0]).max(initial=0.0)
+    if worst >= SINGULAR:
+        raise ValueError(
+            f"phi_x: expected less than 89 degrees at every sigma point, got {np.degrees(worst):.1f} (take a star fix first)"
+        )
+    return advance(x, nav, dt)
+
+
+def advance(x: Array, nav: Navigation, dt: float) -> Array:
+    """As `step`, without the check: for the truth, which is no average of points, and for callers that look themselves."""
     X = _components(x)
-    if np.abs(X[0]).max(initial=0.0) >= SINGULAR:
-        worst = np.degrees(np.abs(X[0]).max())
-        raise ValueError(f"phi_x: expected less than 89 degrees at every sigma point, got {worst:.1f} (take a star fix first)")
     rate = _derivative(X, nav)
     # The position moves with the velocity error in the middle of the interval.
     half = 0.5 * dt
