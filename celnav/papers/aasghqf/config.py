@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -82,7 +83,7 @@ class Config:
         """Epochs ``(steps + 1,)`` s."""
         return self.step_s * np.arange(self.steps + 1)
 
-    @property
+    @cached_property
     def flight(self) -> Flight:
         """Truth at the epochs and in the middles between them, ``2 steps + 1`` epochs."""
         return turning_flight(
@@ -119,7 +120,7 @@ class Config:
         """Columns ``(13, 5)`` of the process noise of one step: misalignment and velocity walk."""
         angle = np.radians(self.angle_walk_deg_per_sqrt_h) / 60.0
         velocity = self.velocity_walk_ug_per_sqrt_hz * MICRO_G
-        return np.eye(13, 5) * (np.repeat([angle, velocity], [3, 2]) * np.sqrt(self.step_s))
+        return np.asarray(np.eye(13, 5) * (np.repeat([angle, velocity], [3, 2]) * np.sqrt(self.step_s)))
 
     @property
     def sigma_star(self) -> float:
