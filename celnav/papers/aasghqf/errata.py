@@ -99,7 +99,7 @@ def printed_advance(x: Array, nav: Navigation, dt: float) -> Array:
 def against_mechanization(config: Config, misalignment_deg: Sequence[float], duration: int = 60) -> dict[str, float]:
     """Largest difference of the error model, corrected and printed, to a whole navigation system after ``duration`` s.
 
-    Steps of 0.05 s; keys "attitude_arcsec", "velocity", "position_m" and "printed_velocity" (m/s).
+    Steps of 0.05 s; keys "attitude_arcsec", "velocity_m_per_s", "position_m" and "printed_velocity_m_per_s".
     """
     dt = 0.05
     flight = turning_flight(
@@ -130,7 +130,7 @@ def against_mechanization(config: Config, misalignment_deg: Sequence[float], dur
     apart = np.abs(corrected[:7] - error)
     return {
         "attitude_arcsec": float(np.degrees(apart[:3].max()) * 3600.0),
-        "velocity": float(apart[3:5].max()),
+        "velocity_m_per_s": float(apart[3:5].max()),
         "position_m": float((apart[5:7] * config.meters).max()),
-        "printed_velocity": float(np.abs(printed[3:5] - error[3:5]).max()),
+        "printed_velocity_m_per_s": float(np.abs(printed[3:5] - error[3:5]).max()),
     }

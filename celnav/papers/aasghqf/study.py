@@ -151,18 +151,20 @@ def _coarse(config: Config, seed: int, study: int, runs: range) -> dict[str, Arr
 
 
 def _block(rule: Any, block: int) -> int:
-    """Runs whose sigma points stay in cache together."""
-    points = len(rule.nodes) if isinstance(rule, Rule) else 27
-    return max(1, min(block, 65536 // (points * 13)))
+    """Runs at once: few of them for rules of many points, which then stay in cache."""
+    return min(block, 12) if isinstance(rule, Rule) and len(rule.nodes) > 100 else block
 
 
 def _units(config: Config, seed: int, runs: int, block: int) -> list[Unit]:
     out: list[Unit] = []
     presets = {name: replace(preset, steps=min(preset.steps, config.steps)) for name, preset in PRESETS.items()}
     for study, (name, names) in enumerate(CASES.items()):
-        size = min(_block(scenario.rules().get(n), block) for n in names)
-        for part in blocks(runs, size):
-            out.append(Unit(name, _case, (presets[name], seed, study, part, names, name == "A")))
+        sizes = {n: _block(scenario.rules().get(n), block) for n in names}
+        for size in sorted(set(sizes.values())):
+            group = tuple(n for n in names if sizes[n] == size)
+            for part in blocks(runs, size):
+                arguments = (presets[name], seed, study, part, group, name == "A" and group[0] == names[0])
+                out.append(Unit(f"{name}/{size}", _case, arguments))
     for i, degrees in enumerate(analysis.MISALIGNMENTS_DEG):
         preset = replace(A, misalignment_deg=(degrees,) * 3)
         for part in blocks(runs, block):
@@ -231,10 +233,13 @@ def reproduce(
         "first_fixes": analysis.first_fixes(config),
         "growth": analysis.growth(),
         "adapted": analysis.adapted(A),
-        "small": analysis.small_misalignment(config),
+        "small": analysis.small_misalignment(A),
         "mechanization": {d: errata.against_mechanization(config, d) for d in ((20.0, -15.0, 40.0), (2.0, -1.5, 4.0))},
     }
     timings = {f"cpu_s {label}": outcome.cpu_s for label, outcome in outcomes.items()}
     timings |= {"cpu_s analysis": process_time() - start, **cycle_times(A)}
-    data = {label: outcome.arrays for label, outcome in outcomes.items()}
+    data: dict[str, dict[str, Array]] = {}
+    for label, outcome in outcomes.items():
+        name = label if label.startswith("start") else label.split("/")[0]
+        data[name] = data.get(name, {}) | outcome.arrays
     return Result(config, seed, int(count), count >= config.runs, data, facts, timings)
