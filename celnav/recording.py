@@ -177,6 +177,10 @@ class Recorder:
         # A little above the ground, or the two surfaces fight for the same pixels.
         self.path(f"{entity}/grid", [1.003 * radius * line for line in parallels + meridians], grid, radius=0.4)
 
+    def bars(self, entity: str, values: ArrayLike, color: str) -> None:
+        """Bars ``(k,)`` that stay for the whole run."""
+        self._style(entity, rr.BarChart(np.asarray(values, dtype=np.float64), color=rgba(color)))
+
     def exact(self, entity: str, **values: ArrayLike) -> None:
         """Arrays ``(T, ...)`` in double precision, flattened row by row, for reading back."""
         columns: list[Any] = []
@@ -330,6 +334,11 @@ def plot(origin: str, name: str, times: Array, *, limits: tuple[float, float] | 
         axis_y=None if limits is None else rrb.ScalarAxis(range=limits),
         plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=legend),
     )
+
+
+def bar_chart(origin: str, name: str) -> Any:
+    """The bars at ``origin``."""
+    return rrb.BarChartView(origin=origin, name=name)
 
 
 def text(origin: str, name: str) -> Any:

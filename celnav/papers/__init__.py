@@ -13,7 +13,7 @@ from importlib import import_module
 from types import ModuleType
 from typing import Any
 
-PAPERS = {"csrukf": "celnav.papers.csrukf"}
+PAPERS = {"csrukf": "celnav.papers.csrukf", "aasghqf": "celnav.papers.aasghqf"}
 """Identifier -> module."""
 
 

@@ -68,7 +68,7 @@ def observe(config: Config, window: int = 60) -> Observability:
 
     in_degrees = np.concatenate([np.full(3, np.radians(1.0)), units[3:]])
     svd, svd_degrees = degree(units), degree(in_degrees)
-    information = _information(config, window)
+    information = _information(config, min(window, config.steps))
 
     def step(x: Array) -> Array:
         return inertial.advance(x, epoch.u.interval, config.step_s)

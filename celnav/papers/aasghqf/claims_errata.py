@@ -48,12 +48,11 @@ def _grids(j: Evidence) -> list[Claim]:
 def _model(j: Evidence) -> list[Claim]:
     out = []
     large, small = (j.result.facts["mechanization"][a] for a in ((20.0, -15.0, 40.0), (2.0, -1.5, 4.0)))
+    units = {"attitude": "arcsec", "velocity": "m_per_s", "position": "m"}
     for size, found, limits in (("large", large, (0.3, 0.1, 5.0)), ("small", small, (0.03, 2e-3, 0.1))):
-        for (key, unit), limit in zip(
-            (("attitude_arcsec", "arcsec"), ("velocity", "m/s"), ("position_m", "m")), limits, strict=True
-        ):
-            text = f"The corrected error model against a whole navigation system, 60 s, {size} misalignment: {key.split('_')[0]} ({unit})"
-            out.append(j.number(f"model-{size}-{key.split('_')[0]}", "beyond", text, found[key], (None, limit)))
+        for (key, unit), limit in zip(units.items(), limits, strict=True):
+            text = f"The corrected error model against a whole navigation system, 60 s, {size} misalignment: {key} ({unit})"
+            out.append(j.number(f"model-{size}-{key}", "beyond", text, found[f"{key}_{unit}"], (None, limit)))
     text = "Eq. 22 as printed is further from the navigation system than corrected (velocity, small misalignment, ratio)"
     value = small["printed_velocity_m_per_s"] / small["velocity_m_per_s"]
     out.append(j.number("erratum-7-velocity", "erratum", text, value, (3.0, None), paper=1.0))

@@ -79,7 +79,7 @@ def _errors(result: Result, first: int, names: tuple[str, ...], unit: str) -> Fi
                 ax.set_title(f"{preset}, {'first minute' if zoom else 'whole flight'}")
             if row == len(names) - 1:
                 ax.set_xlabel("time (s)")
-    axes[0, 0].legend()
+    fig.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=4)
     return fig
 
 
@@ -135,7 +135,10 @@ def figure_7(result: Result) -> Figure:
 
 
 def figure_8(result: Result) -> Figure:
-    """Beyond the paper: the first star fix over the size of the misalignment."""
+    """Beyond the paper: the first star fix over the size of the misalignment.
+
+    From 45 degrees on a part of the draws lies beyond the chart of the Euler angles, where Wahba's solution takes another branch.
+    """
     fig, axes = figure(9.0, 3.4, 1, 2)
     x = np.array(MISALIGNMENTS_DEG)
     for filter in ("ukf", "ckf", "ekf", "ghqf3", "ghqf5", "aasghqf", "sghqf", "nonlinear", "triad-ekf"):
@@ -155,7 +158,7 @@ def figure_8(result: Result) -> Figure:
         xlabel="misalignment, 1σ of each angle (deg)",
         ylabel="least eigenvalue of the misalignment\ncovariance, posterior to prior (-)",
     )
-    axes[0].legend(ncols=2)
+    fig.legend(*axes[0].get_legend_handles_labels(), loc="outside right center")
     axes[1].legend()
     return fig
 
