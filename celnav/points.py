@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from celnav.gaussian import finite
 from celnav.linalg import Array, semidefinite_root
-from celnav.spaces import Space
+from celnav.spaces import EUCLIDEAN, Space
 
 MAX_POINTS = 1_000_000
 
@@ -74,6 +74,7 @@ class Transform(Protocol):
 # numpy transposes with a tuple are several times cheaper than moveaxis; keyed by the number of axes.
 _POINTS_FIRST = {d: (1, *range(2, d), 0) for d in range(2, 10)}  # (k, p, ...) -> (p, ..., k)
 _POINTS_LAST = {d: (*range(1, d), 0) for d in range(2, 10)}  # (p, ..., k) -> (..., k, p)
+_LAST_FIRST = {d: (d - 1, *range(d - 1)) for d in range(1, 10)}  # (..., k) -> (k, ...)
 _RUNS_LAST = {d: (d - 2, d - 1, *range(d - 2)) for d in range(2, 10)}  # (..., k, p) -> (k, p, ...)
 
 
@@ -177,17 +178,22 @@ class Rule:
             raise ValueError(f"rule: expected {channels} dimensions (state and noise through the points), got {self.n}")
         if self._idle.size:
             raise ValueError(f"rule: expected points in every dimension, got none in {', '.join(map(str, self._idle))}")
-        spread, first = [], 0
+        # Component-first in memory, so that models may unpack contiguous components; points first to the eye.
+        points, first = [], 0
         for E in roots:
             last = first + E.shape[-1]
             D = E @ self._transposed[first:last]
             if D.shape[:-2] != batch:
                 D = np.broadcast_to(D, (*batch, *D.shape[-2:]))
-            # Component-first in memory, so that models may unpack contiguous components; points first to the eye.
-            D = np.ascontiguousarray(D.transpose(_RUNS_LAST[D.ndim]))
-            spread.append(D.transpose(_POINTS_FIRST[D.ndim]))
+            D = D.transpose(_RUNS_LAST[D.ndim])
+            if first == 0 and space is EUCLIDEAN:  # copied and moved in one pass
+                X = np.add(D, mean.transpose(_LAST_FIRST[mean.ndim])[:, None], order="C")
+                points.append(X.transpose(_POINTS_FIRST[D.ndim]))
+            else:
+                spread = np.ascontiguousarray(D).transpose(_POINTS_FIRST[D.ndim])
+                points.append(spread if first else space.plus(np.asfortranarray(mean), spread))
             first = last
-        return [space.plus(np.asfortranarray(mean), spread[0]), *spread[1:]]
+        return points
 
     def transform(
         self,
@@ -212,20 +218,24 @@ class Rule:
                 dimensions.append(root.shape[-1])
             else:
                 center = y[0] if sp.mean is None else sp.mean(y, self.wm)
-                difference = sp.minus(y, center)
+                if sp is EUCLIDEAN:  # moved and copied in one pass
+                    points_last = y[self._used].transpose(_POINTS_LAST[y.ndim])
+                    difference = np.subtract(points_last, center[..., None], order="C")
+                else:
+                    d = sp.minus(y, center)
+                    difference = np.ascontiguousarray(d[self._used].transpose(_POINTS_LAST[d.ndim]))
                 centers.append(center)
                 differences.append(difference)
-                dimensions.append(difference.shape[-1])
+                dimensions.append(difference.shape[-2])
         q = len(self._scale)
         A = np.empty((*X[0].shape[1:-1], sum(dimensions), q + room))
         images, top = [], 0
-        for center, d, k, sp in zip(centers, differences, dimensions, spaces, strict=True):
+        for center, D, k, sp in zip(centers, differences, dimensions, spaces, strict=True):
             columns = A[..., top : top + k, :q]
             shift: Any = 0.0
-            if d is None:
+            if D is None:
                 np.matmul(root, self.unit[:, :k].T, out=columns)
             else:
-                D = np.ascontiguousarray(d[self._used].transpose(_POINTS_LAST[d.ndim]))
                 if sp.mean is None:
                     shift = D @ self._wm
                     D -= shift[..., None]
