@@ -31,11 +31,14 @@ class Form(Protocol):
     def marginal(self, A: Array, sign: Array) -> Array:
         """Spread of the columns ``A (..., n, q)``; column ``j`` counts with ``sign[j]``, those beyond ``sign`` with +1."""
 
-    def condition(self, A: Array, sign: Array, m: int, gain: Array | None = None) -> tuple[Array, Array, Array]:
+    def condition(
+        self, A: Array, sign: Array, m: int, gain: Array | None = None, known: Array | None = None
+    ) -> tuple[Array, Array, Array]:
         """Condition the last rows of ``A (..., m + n, q)`` on the first ``m``.
 
         Returns the root ``S (..., m, m)`` of the first rows, ``U = K @ S (..., n, m)`` and the spread of the rest. With a
-        prescribed ``gain`` K ``(..., n, m)`` the spread is that of ``rest - K @ first`` (Joseph form).
+        prescribed ``gain`` K ``(..., n, m)`` the spread is that of ``rest - K @ first`` (Joseph form). ``known``: the spread of
+        the last rows, if it is at hand.
         """
 
     def sum(self, spread: Array, columns: Array) -> Array:
@@ -61,7 +64,14 @@ class SquareRootForm:
         negative = _negative(sign, A.shape[-1])
         return tria(A) if negative is None else downdate(tria(A[..., ~negative]), A[..., negative])
 
-    def condition(self, A: Array, sign: Array, m: int, gain: Array | None = None) -> tuple[Array, Array, Array]:
+    def condition(
+        self,
+        A: Array,
+        sign: Array,
+        m: int,
+        gain: Array | None = None,
+        known: Array | None = None,  # noqa: ARG002
+    ) -> tuple[Array, Array, Array]:
         if gain is not None:
             S = self.marginal(A[..., :m, :], sign)
             return S, gain @ S, self.marginal(A[..., m:, :] - gain @ A[..., :m, :], sign)
@@ -94,7 +104,16 @@ class CovarianceForm:
             P = P - 2.0 * (V @ V.mT)
         return P
 
-    def condition(self, A: Array, sign: Array, m: int, gain: Array | None = None) -> tuple[Array, Array, Array]:
+    def condition(
+        self, A: Array, sign: Array, m: int, gain: Array | None = None, known: Array | None = None
+    ) -> tuple[Array, Array, Array]:
+        if gain is None and known is not None:
+            negative = _negative(sign, A.shape[-1])
+            first = A[..., :m, :] if negative is None else A[..., :m, :] * np.where(negative, -1.0, 1.0)
+            C = first @ A.mT
+            S = cholesky(C[..., :m])
+            U = solve_lower(S, C[..., m:]).mT
+            return S, U, known - U @ U.mT
         P = self.marginal(A, sign)
         S = cholesky(P[..., :m, :m])
         if gain is None:

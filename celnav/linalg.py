@@ -28,6 +28,17 @@ def matvec(A: Array, x: Array) -> Array:
     return product
 
 
+def components(x: Array) -> Array:
+    """``(..., n)`` with the component axis first, each component in one piece of memory (in any order): models are fast on those.
+
+    Sigma points lie so already; what does not is copied.
+    """
+    last = x.ndim - 1
+    first = x.transpose((last, *range(last)))
+    part = first[0].flags
+    return first if part.c_contiguous or part.f_contiguous else np.ascontiguousarray(first)
+
+
 def tria(A: Array) -> Array:
     """Lower root ``L (..., n, n)``, diagonal >= 0, of the columns ``A (..., n, q)``: ``L @ L.mT == A @ A.mT``, by QR.
 

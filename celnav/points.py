@@ -72,10 +72,11 @@ class Transform(Protocol):
 
 
 # numpy transposes with a tuple are several times cheaper than moveaxis; keyed by the number of axes.
-_POINTS_FIRST = {d: (1, *range(2, d), 0) for d in range(2, 10)}  # (k, p, ...) -> (p, ..., k)
 _POINTS_LAST = {d: (*range(1, d), 0) for d in range(2, 10)}  # (p, ..., k) -> (..., k, p)
-_LAST_FIRST = {d: (d - 1, *range(d - 1)) for d in range(1, 10)}  # (..., k) -> (k, ...)
 _RUNS_LAST = {d: (d - 2, d - 1, *range(d - 2)) for d in range(2, 10)}  # (..., k, p) -> (k, p, ...)
+_RUNS_LAST_POINTS = {d: (1, *range(2, d), 0) for d in range(2, 10)}  # (k, p, ...) -> (p, ..., k)
+_POINTS_LAST_IN = {d: (d - 2, *range(d - 2), d - 1) for d in range(2, 10)}  # (..., k, p) -> (k, ..., p)
+_POINTS_LAST_POINTS = {d: (d - 1, *range(1, d - 1), 0) for d in range(2, 10)}  # (k, ..., p) -> (p, ..., k)
 
 
 class Rule:
@@ -178,19 +179,20 @@ class Rule:
             raise ValueError(f"rule: expected {channels} dimensions (state and noise through the points), got {self.n}")
         if self._idle.size:
             raise ValueError(f"rule: expected points in every dimension, got none in {', '.join(map(str, self._idle))}")
-        # Component-first in memory, so that models may unpack contiguous components; points first to the eye.
+        # Components first in memory, which models are fast on; then points or runs, the longer axis last.
+        runs_last = len(self.nodes) < (batch[-1] if batch else 0)
+        forth, back = (_RUNS_LAST, _RUNS_LAST_POINTS) if runs_last else (_POINTS_LAST_IN, _POINTS_LAST_POINTS)
         points, first = [], 0
         for E in roots:
             last = first + E.shape[-1]
             D = E @ self._transposed[first:last]
             if D.shape[:-2] != batch:
                 D = np.broadcast_to(D, (*batch, *D.shape[-2:]))
-            D = D.transpose(_RUNS_LAST[D.ndim])
-            if first == 0 and space is EUCLIDEAN:  # copied and moved in one pass
-                X = np.add(D, mean.transpose(_LAST_FIRST[mean.ndim])[:, None], order="C")
-                points.append(X.transpose(_POINTS_FIRST[D.ndim]))
+            if first == 0 and space is EUCLIDEAN:  # moved and copied in one pass
+                X = np.add(D.transpose(forth[D.ndim]), mean[..., None].transpose(forth[mean.ndim + 1]), order="C")
+                points.append(X.transpose(back[D.ndim]))
             else:
-                spread = np.ascontiguousarray(D).transpose(_POINTS_FIRST[D.ndim])
+                spread = np.ascontiguousarray(D.transpose(forth[D.ndim])).transpose(back[D.ndim])
                 points.append(spread if first else space.plus(np.asfortranarray(mean), spread))
             first = last
         return points
@@ -208,38 +210,32 @@ class Rule:
         """See `Transform`."""
         X = self.points(mean, root, space, extra)
         outputs = g(*X)
-        centers: list[Array] = []
-        differences: list[Array | None] = []
-        dimensions: list[int] = []
+        parts: list[tuple[Array, Array | None, int]] = []
         for y, sp in zip(outputs, spaces, strict=True):
             if y is KEEP:
-                centers.append(mean)
-                differences.append(None)
-                dimensions.append(root.shape[-1])
+                parts.append((mean, None, root.shape[-1]))
             else:
                 center = y[0] if sp.mean is None else sp.mean(y, self.wm)
-                if sp is EUCLIDEAN:  # moved and copied in one pass
-                    points_last = y[self._used].transpose(_POINTS_LAST[y.ndim])
-                    difference = np.subtract(points_last, center[..., None], order="C")
-                else:
-                    d = sp.minus(y, center)
-                    difference = np.ascontiguousarray(d[self._used].transpose(_POINTS_LAST[d.ndim]))
-                centers.append(center)
-                differences.append(difference)
-                dimensions.append(difference.shape[-2])
+                values = y if sp is EUCLIDEAN else sp.minus(y, center)
+                parts.append((center, values, values.shape[-1]))
         q = len(self._scale)
-        A = np.empty((*X[0].shape[1:-1], sum(dimensions), q + room))
+        A = np.empty((*X[0].shape[1:-1], sum(k for _, _, k in parts), q + room))
         images, top = [], 0
-        for center, D, k, sp in zip(centers, differences, dimensions, spaces, strict=True):
+        for (center, values, k), sp in zip(parts, spaces, strict=True):
             columns = A[..., top : top + k, :q]
             shift: Any = 0.0
-            if D is None:
+            if values is None:
                 np.matmul(root, self.unit[:, :k].T, out=columns)
             else:
+                moved = values[self._used].transpose(_POINTS_LAST[values.ndim])
+                if sp is EUCLIDEAN:
+                    np.subtract(moved, center[..., None], out=columns)
+                else:
+                    columns[...] = moved
                 if sp.mean is None:
-                    shift = D @ self._wm
-                    D -= shift[..., None]
-                np.multiply(D, self._scale, out=columns)
+                    shift = columns @ self._wm
+                    columns -= shift[..., None]
+                columns *= self._scale
             images.append(Image(center, shift, columns))
             top += k
         return images, A

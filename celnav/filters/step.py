@@ -86,6 +86,7 @@ def condition(
     memory: Any = None,
     gain: Gain | None = None,
     epoch: Any = None,
+    known: Array | None = None,
 ) -> tuple[Gaussian, Info, Any]:
     """Condition a state on an innovation, given the pre-array of both.
 
@@ -97,6 +98,7 @@ def condition(
     sign: ``(q,)``.
     innovation: ``(..., m)``, nan where not measured: those rows are marginalized exactly, in each run by itself.
     noise: ``(r, s)``.
+    known: spread of the state's rows, if it is at hand; not used where a hook replaces columns.
     """
     m = innovation.shape[-1]
     measured = innovation
@@ -104,18 +106,20 @@ def condition(
     if hooks:
         r, s = noise
         q = A.shape[-1] - r - s
-        joint = Joint(innovation, A[..., :q], sign, A[..., q : q + r], A[..., q + r :], slopes)
+        joint = given = Joint(innovation, A[..., :q], sign, A[..., q : q + r], A[..., q + r :], slopes)
         memories = []
         for hook, own in zip(hooks, (None,) * len(hooks) if memory is None else memory, strict=True):
             own, joint = hook(own, joint, epoch)
             memories.append(own)
         kept, innovation, sign = tuple(memories), joint.innovation, joint.sign
+        if any(a is not b for a, b in zip(joint[1:5], given[1:5], strict=True)):
+            known = None
         A = np.concatenate([joint.columns, joint.process, joint.sensor], -1)
     used = innovation == innovation
     if not used.all():
         A, innovation = _left_out(A, innovation, used)
     K = gain(A, sign, m) if callable(gain) else gain  # after the mask: a prescribed gain must see what is missing
-    S, U, spread = belief.form.condition(A, sign, m, K)
+    S, U, spread = belief.form.condition(A, sign, m, K, known)
     white = solve_lower(S, innovation[..., None])[..., 0]
     step = state.shift + (matvec(U, white) if K is None else matvec(K, innovation))
     if space.transport is not None:
@@ -233,6 +237,7 @@ def update(
         posterior, info, kept = condition(
             belief, lifted.state, A, lifted.sign, innovation,
             noise=(0, s), space=space, slopes=lifted.slopes, hooks=hooks, memory=memory, gain=gain, epoch=epoch,
+            known=belief.spread,
         )  # fmt: skip
         failure = explain(belief, posterior, ("h",), rule, lifted.g, space, extra, z)
         return posterior, info._replace(failure=failure) if failure else info, kept

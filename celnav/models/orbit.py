@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from celnav.gaussian import finite
-from celnav.linalg import Array
+from celnav.linalg import Array, components
 
 
 class UnitWarning(UserWarning):
@@ -47,10 +47,8 @@ def step(state: Array, dt: float, earth: Earth = EARTH) -> Array:
 
     Over 600 steps of 1 s in a low orbit it agrees with an integration to round-off within 5e-8 m.
     """
-    # Components first and contiguous: three times faster than slices of the last axis. (moveaxis costs more than it says.)
-    last = state.ndim - 1
-    components = np.ascontiguousarray(state.transpose((last, *range(last))))
-    r, v = components[:3], components[3:]
+    x = components(state)
+    r, v = x[:3], x[3:]
     half = 0.5 * dt
     ahead = r + half * v
     a1 = acceleration(r, earth)
@@ -58,7 +56,7 @@ def step(state: Array, dt: float, earth: Earth = EARTH) -> Array:
     a3 = acceleration(ahead + (half * half) * a1, earth)
     end = r + dt * v
     a4 = acceleration(end + (half * dt) * a2, earth)
-    out = np.empty_like(components)
+    out = np.empty_like(x)
     middle = a2 + a3
     np.add(end, (dt * dt / 6.0) * (a1 + middle), out=out[:3])
     np.add(v, (dt / 6.0) * (a1 + 2.0 * middle + a4), out=out[3:])

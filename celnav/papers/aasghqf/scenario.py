@@ -109,8 +109,10 @@ def dynamics(x: Array, epoch: Epoch) -> Array:
 
 def measurement(x: Array, epoch: Epoch) -> Array:
     """Two star residuals and the position, ``(..., 8)``."""
-    seen = inertial.star_residuals(x, epoch.u.attitude, epoch.u.stars)
-    return np.concatenate([seen, x[..., inertial.POSITION]], -1)
+    out = np.empty_like(x, shape=(*x.shape[:-1], 8))  # in the order of x in memory
+    out[..., :6] = inertial.star_residuals(x, epoch.u.attitude, epoch.u.stars)
+    out[..., 6:] = x[..., inertial.POSITION]
+    return out
 
 
 def sqrt_R(_: Array, epoch: Epoch) -> Array:
