@@ -10,8 +10,10 @@ from filterpy.kalman import UnscentedKalmanFilter
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from celnav.filters.colored import colored
+from celnav.filters.driver import epochs, run
 from celnav.filters.step import predict
-from celnav.gaussian import square_root
+from celnav.gaussian import covariance, square_root
 from celnav.points import unscented
 from celnav.sparse_grid import DELAYED, ORDERS, integrates, point_count, smolyak
 
@@ -223,6 +225,20 @@ def test_inside_filterpy():
     K = P @ H.T / (H @ P @ H.T + 1.0)
     np.testing.assert_allclose(ukf.x, np.array([3.0, 2.0]) + K @ [1.0], atol=1e-12)
     np.testing.assert_allclose(ukf.P, P - K @ H @ P, atol=1e-12)
+
+
+@pytest.mark.parametrize("form", [square_root, covariance])
+def test_in_the_filter_for_colored_noise(form):
+    """Linear model: any exact rule gives the same estimates; negative weights are taken away by a downdate."""
+    F, Phi = np.array([[1.0, 0.1, 0.0], [0.0, 1.0, 0.1], [0.0, -0.1, 1.0]]), np.array([[0.7, 0.2], [-0.1, 0.9]])
+    z = np.random.default_rng(0).standard_normal((12, 4, 2))
+    prior = form(np.zeros((4, 3)), np.eye(3))
+    means = []
+    for rule in (smolyak(3, 3), smolyak(3, 3, [1, 2, 2]), unscented(3)):
+        filter = colored(lambda x, _: x @ F.T, np.eye(2, 3), rule, Phi, Q=0.1 * np.eye(3), R=np.eye(2), Sigma0=np.eye(2))
+        means.append(run(filter, prior, epochs(np.arange(12.0), z)).mean)
+    np.testing.assert_allclose(means[0], means[2], atol=1e-10)
+    np.testing.assert_allclose(means[1], means[2], atol=1e-10)
 
 
 def test_mean_of_a_nonlinear_function():

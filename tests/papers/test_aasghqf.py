@@ -155,6 +155,10 @@ def test_the_bound_keeps_to_the_truth_and_is_the_kalman_covariance():
     np.testing.assert_allclose(triad.std[-1], track.std[-1], rtol=0.05)
 
 
+def test_small_misalignment_is_the_kalman_filter():
+    assert analysis.small_misalignment(A) < 1e-6
+
+
 def test_closed_mean_of_the_rotation():
     sigma = np.radians([10.0, 20.0, 5.0])
     rule = gauss_hermite(3, 12)

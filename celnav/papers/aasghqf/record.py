@@ -64,7 +64,7 @@ def _layout(recording: Any, times: Array) -> Any:
     r = recording
     scene = r.space("world", "flight, m (east, north, up)", eye=(60e3, -70e3, 70e3), target=(90e3, 20e3, 0.0),
                     growing={"world/aircraft/trail": np.inf, "world/sins/trail": np.inf})  # fmt: skip
-    errors = r.space("error", "position errors, m (origin: truth)", eye=(0.0, -60.0, 160.0), growing={"error/sar_fix": 60.0})
+    errors = r.space("error", "position errors, m (origin: truth)", eye=(0.0, -90.0, 240.0), growing={"error/sar_fix": 60.0})
     cloud = r.tabs(*(r.space(f"points/{f}", f"sigma points of {LABELS[f]}, σ of SGHQF", eye=(9.0, -9.0, 6.0)) for f in COMPARED))
     plots = r.rows(
         r.tabs(*(r.plot(f"att/{a}", f"log10 |φ{a}| error, deg", times) for a in AXES)),
