@@ -45,6 +45,21 @@ def blocks(runs: int, size: int) -> list[range]:
     return [range(first, min(first + size, runs)) for first in range(0, runs, size)]
 
 
+def run_count(full: int, runs: int | None, effort: float) -> int:
+    """Number of runs of a study: ``runs``, or the full number times the effort, at least 2.
+
+    Raises
+    ------
+    ValueError: unless ``0 < effort <= 1`` and ``runs`` is an integer of at least 2 or None.
+    """
+    if not 0.0 < effort <= 1.0:
+        raise ValueError(f"effort: expected a number in (0, 1], got {effort!r}")
+    count = max(2, round(full * effort)) if runs is None else runs
+    if int(count) != count or count < 2:
+        raise ValueError(f"runs: expected an integer of at least 2, got {runs!r}")
+    return int(count)
+
+
 class Unit(NamedTuple):
     """One piece of work: ``function(*arguments)`` gives a dict of arrays. Units of one ``label`` are joined over runs."""
 

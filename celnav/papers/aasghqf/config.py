@@ -86,8 +86,12 @@ class Config:
     @cached_property
     def flight(self) -> Flight:
         """Truth at the epochs and in the middles between them, ``2 steps + 1`` epochs."""
+        return self.flight_at(0.5 * self.step_s * np.arange(2 * self.steps + 1))
+
+    def flight_at(self, times: Array) -> Flight:
+        """Truth at ``times (T,)`` s, the start first."""
         return turning_flight(
-            0.5 * self.step_s * np.arange(2 * self.steps + 1),
+            times,
             longitude=float(np.radians(self.longitude_deg)),
             latitude=float(np.radians(self.latitude_deg)),
             height_m=self.height_m,

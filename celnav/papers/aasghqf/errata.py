@@ -11,7 +11,6 @@ from celnav.linalg import Array, matvec
 from celnav.models import earth, inertial
 from celnav.models.inertial import Navigation
 from celnav.models.mechanization import mechanize
-from celnav.models.trajectory import turning_flight
 from celnav.papers.aasghqf.config import Config
 from celnav.sparse_grid import ORDERS
 
@@ -102,16 +101,7 @@ def against_mechanization(config: Config, misalignment_deg: Sequence[float], dur
     Steps of 0.05 s; keys "attitude_arcsec", "velocity_m_per_s", "position_m" and "printed_velocity_m_per_s".
     """
     dt = 0.05
-    flight = turning_flight(
-        0.5 * dt * np.arange(2 * round(duration / dt) + 1),
-        longitude=float(np.radians(config.longitude_deg)),
-        latitude=float(np.radians(config.latitude_deg)),
-        height_m=config.height_m,
-        speed=config.speed_m_per_s,
-        heading=float(np.radians(config.heading_deg)),
-        acceleration=config.acceleration_m_per_s2,
-        turn_rate=float(np.radians(config.turn_rate_deg_per_s)),
-    )
+    flight = config.flight_at(0.5 * dt * np.arange(2 * round(duration / dt) + 1))
     phi, sigma = np.radians(np.asarray(misalignment_deg, dtype=np.float64)), config.sigma0
     drift, bias = sigma[inertial.DRIFT], sigma[inertial.BIAS]
     solved = mechanize(flight, inertial.misalignment_matrix(phi) @ flight.attitude[0], drift, bias)

@@ -13,7 +13,7 @@ from celnav.filters.driver import Epoch, Filter, run, sequential
 from celnav.filters.step import predict, update
 from celnav.gaussian import nees
 from celnav.linalg import Array
-from celnav.montecarlo import Progress, Unit, blocks, generator, work
+from celnav.montecarlo import Progress, Unit, blocks, generator, run_count, work
 from celnav.papers.aasghqf import analysis, errata, scenario
 from celnav.papers.aasghqf.config import MICRO_G, PRESETS, T3, A, Config
 from celnav.points import Rule
@@ -217,11 +217,7 @@ def reproduce(
     ------
     ValueError: naming an argument that cannot be.
     """
-    if not 0.0 < effort <= 1.0:
-        raise ValueError(f"effort: expected a number in (0, 1], got {effort!r}")
-    count = max(2, round(config.runs * effort)) if runs is None else runs
-    if int(count) != count or count < 2:
-        raise ValueError(f"runs: expected an integer of at least 2, got {runs!r}")
+    count = run_count(config.runs, runs, effort)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         outcomes = work(_units(config, seed, count, block), jobs=jobs, progress=progress)
@@ -242,4 +238,4 @@ def reproduce(
     for label, outcome in outcomes.items():
         name = label if label.startswith("start") else label.split("/")[0]
         data[name] = data.get(name, {}) | outcome.arrays
-    return Result(config, seed, int(count), count >= config.runs, data, facts, timings)
+    return Result(config, seed, count, count >= config.runs, data, facts, timings)

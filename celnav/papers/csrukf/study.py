@@ -14,7 +14,7 @@ from celnav.filters.driver import Epochs, Filter, run
 from celnav.gaussian import nees
 from celnav.linalg import Array
 from celnav.models import orbit
-from celnav.montecarlo import Progress, Unit, blocks, generator, work
+from celnav.montecarlo import Progress, Unit, blocks, generator, run_count, work
 from celnav.papers.csrukf import errata, scenario, theory
 from celnav.papers.csrukf.config import STRESS, B, Config, D, P
 from celnav.papers.csrukf.theory import UNITS
@@ -229,11 +229,7 @@ def reproduce(
     ------
     ValueError: naming an argument that cannot be.
     """
-    if not 0.0 < effort <= 1.0:
-        raise ValueError(f"effort: expected a number in (0, 1], got {effort!r}")
-    count = max(2, round(config.runs * effort)) if runs is None else runs
-    if int(count) != count or count < 2:
-        raise ValueError(f"runs: expected an integer of at least 2, got {runs!r}")
+    count = run_count(config.runs, runs, effort)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         outcomes = work(_units(config, seed, count, block), jobs=jobs, progress=progress)
@@ -259,4 +255,4 @@ def reproduce(
     timings |= {"cpu_s theory": process_time() - start}
     timings |= {"filterpy one run, s": float(peer["filterpy_s"][0, 0]), "srukf 100 runs, s": float(peer["srukf_100_s"][0, 0])}
     timings["srukf 100 runs / filterpy one run"] = timings["srukf 100 runs, s"] / timings["filterpy one run, s"]
-    return Result(config, seed, int(count), count >= config.runs, data, analysis, facts, timings)
+    return Result(config, seed, count, count >= config.runs, data, analysis, facts, timings)
