@@ -1,0 +1,210 @@
+"""Attitudes: unit quaternions, scalar last, and the Rodrigues parameters that filters take their differences in.
+
+Conventions. ``q = [rho, q4]``; ``matrix(q)`` takes inertial components to body components; ``matrix(multiply(q, p)) ==
+matrix(q) @ matrix(p)``; an error is ``multiply(q, inverse(q_hat))``, in body axes. These are the inverse of scipy's rotations:
+``Rotation.from_quat(q).as_matrix()`` is the transpose of ``matrix(q)``. All functions take leading batch axes and are smooth at
+the identity; batches of quaternions are several times faster here than through scipy's objects.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from celnav.gaussian import finite
+from celnav.linalg import Array, components
+from celnav.spaces import Space
+
+IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
+UNIT_TOLERANCE = 1e-6
+
+
+def _last(rows: Array) -> Array:
+    """From components first to components last."""
+    return rows.transpose((*range(1, rows.ndim), 0))
+
+
+def unit(q: ArrayLike, name: str = "q") -> Array:
+    """Checked quaternions ``(..., 4)``, normalized at round-off; rows of nan (nothing measured) are left as they are.
+
+    Raises
+    ------
+    ValueError: if the last axis is not 4, a number is infinite or partly missing, or a norm differs from 1 by more than 1e-6.
+    """
+    array = np.array(q, dtype=np.float64)
+    if array.ndim == 0 or array.shape[-1] != 4:
+        raise ValueError(f"{name}: expected quaternions (..., 4), got shape {array.shape}")
+    missing = np.isnan(array)
+    if np.isinf(array).any() or (missing.any(-1) != missing.all(-1)).any():
+        raise ValueError(f"{name}: expected finite quaternions (or rows of nan), got {array[~np.isfinite(array).all(-1)][:1]}")
+    norm = np.linalg.norm(array, axis=-1, keepdims=True)
+    wrong = np.abs(norm - 1.0) > UNIT_TOLERANCE
+    if wrong.any():
+        raise ValueError(f"{name}: expected unit quaternions, got a norm of {norm[wrong][0]:.6g}")
+    return np.asarray(array / norm)
+
+
+def multiply(q: Array, p: Array) -> Array:
+    """Product ``(..., 4)``: first p, then q."""
+    (a, b, c, d), (x, y, z, w) = components(q), components(p)
+    rows = (
+        d * x + w * a - (b * z - c * y),
+        d * y + w * b - (c * x - a * z),
+        d * z + w * c - (a * y - b * x),
+        d * w - (a * x + b * y + c * z),
+    )
+    return _last(np.stack(rows))
+
+
+def inverse(q: Array) -> Array:
+    """The opposite rotation."""
+    return np.asarray(q * np.array([-1.0, -1.0, -1.0, 1.0]))
+
+
+def positive(q: Array) -> Array:
+    """The one of q and -q, which are the same attitude, whose scalar is not negative."""
+    return np.asarray(q * np.where(q[..., 3:] < 0.0, -1.0, 1.0))
+
+
+def matrix(q: Array) -> Array:
+    """Direction cosines ``A(q) (..., 3, 3)``, inertial to body."""
+    a, b, c, d = components(q)
+    rows = (
+        (d * d + a * a - b * b - c * c, 2.0 * (a * b + c * d), 2.0 * (a * c - b * d)),
+        (2.0 * (a * b - c * d), d * d - a * a + b * b - c * c, 2.0 * (b * c + a * d)),
+        (2.0 * (a * c + b * d), 2.0 * (b * c - a * d), d * d - a * a - b * b + c * c),
+    )
+    return np.stack([np.stack(row, -1) for row in rows], -2)
+
+
+def exp(phi: Array) -> Array:
+    """Quaternion ``(..., 4)`` of a rotation vector ``(..., 3)`` rad."""
+    angle = np.linalg.norm(phi, axis=-1, keepdims=True)
+    return np.concatenate([0.5 * np.sinc(angle / (2.0 * np.pi)) * phi, np.cos(0.5 * angle)], -1)
+
+
+def log(q: Array) -> Array:
+    """Rotation vector ``(..., 3)`` rad, of at most pi."""
+    p = positive(q)
+    sine = np.linalg.norm(p[..., :3], axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, p[..., 3:])
+    small = sine < 1e-9
+    factor = np.where(small, 2.0, angle / np.where(small, 1.0, sine))
+    return np.asarray(factor * p[..., :3])
+
+
+def angle(q: Array) -> Array:
+    """Rotation angle ``(...)`` rad, between 0 and pi."""
+    return np.asarray(np.linalg.norm(log(q), axis=-1))
+
+
+def from_euler(angles: ArrayLike) -> Array:
+    """Quaternion of roll, pitch, yaw ``(..., 3)`` rad, ``A = R1(roll) R2(pitch) R3(yaw)``."""
+    half = 0.5 * np.moveaxis(np.asarray(angles, dtype=np.float64), -1, 0)
+    zero = np.zeros_like(half[0])
+    roll, pitch, yaw = (np.stack([np.sin(half[i]) if j == i else zero for j in range(3)] + [np.cos(half[i])], -1) for i in range(3))
+    return multiply(roll, multiply(pitch, yaw))
+
+
+def to_euler(q: Array) -> Array:
+    """Roll, pitch, yaw ``(..., 3)`` rad; the pitch is between -pi/2 and pi/2."""
+    A = matrix(q)
+    pitch = np.arcsin(np.clip(-A[..., 0, 2], -1.0, 1.0))
+    return np.stack([np.arctan2(A[..., 1, 2], A[..., 2, 2]), pitch, np.arctan2(A[..., 0, 1], A[..., 0, 0])], -1)
+
+
+def _check(a: float, b: float) -> None:
+    if not 0.0 <= a <= 1.0:
+        raise ValueError(f"a: expected a number between 0 and 1, got {a!r}")
+    if not (np.isfinite(b) and b > 0.0):
+        raise ValueError(f"b: expected a positive number, got {b!r}")
+
+
+def to_rodrigues(q: Array, a: float = 1.0, b: float = 4.0) -> Array:
+    """Generalized Rodrigues parameters ``b rho / (a + q4)``, ``(..., 3)``, of the shorter rotation [Crassidis & Markley 2003].
+
+    ``a = 0`` is the Gibbs vector, ``a = 1`` the modified Rodrigues parameters; with ``b = 2 (a + 1)`` they are the rotation vector
+    to first order. The defaults are ``4 tan(angle / 4)`` along the axis.
+    """
+    p = positive(q)
+    return np.asarray(p[..., :3] * (b / (a + p[..., 3:])))
+
+
+def from_rodrigues(p: Array, a: float = 1.0, b: float = 4.0) -> Array:
+    """Unit quaternion ``(..., 4)`` of generalized Rodrigues parameters ``(..., 3)``."""
+    square = np.square(p).sum(-1, keepdims=True)
+    if a == 1.0:
+        scalar = (b * b - square) / (b * b + square)
+    else:
+        scalar = (b * np.sqrt(b * b + (1.0 - a * a) * square) - a * square) / (b * b + square)
+    return np.concatenate([p * ((a + scalar) / b), scalar], -1)
+
+
+def shadow(sigma: Array) -> Array:
+    """The same attitude in modified Rodrigues parameters ``(..., 3)`` (``a = b = 1``) of norm at most 1 [Schaub & Junkins 1996]."""
+    square = np.square(sigma).sum(-1, keepdims=True)
+    return np.where(square > 1.0, -sigma / np.where(square > 0.0, square, 1.0), sigma)
+
+
+def shadow_jacobian(sigma: Array) -> Array:
+    """Derivative ``(..., 3, 3)`` of the switch of `shadow` at parameters of norm above 1; the identity elsewhere."""
+    square = np.square(sigma).sum(-1)[..., None, None]
+    safe = np.where(square > 0.0, square, 1.0)
+    switched = (2.0 * sigma[..., :, None] * sigma[..., None, :] / safe - np.eye(3)) / safe
+    return np.where(square > 1.0, switched, np.eye(3))
+
+
+def cross(v: Array) -> Array:
+    """Matrix ``[v x] (..., 3, 3)``."""
+    x, y, z = components(v)
+    o = np.zeros_like(x)
+    return np.stack([np.stack(row, -1) for row in ((o, -z, y), (z, o, -x), (-y, x, o))], -2)
+
+
+def transport(p: Array, a: float = 1.0, b: float = 4.0) -> Array:
+    """Matrix ``(..., 3, 3)`` that carries deviations about the reference to the reference moved by ``p``, a = 1 or 0.
+
+    The derivative of ``to_rodrigues(from_rodrigues(p + d) (x) from_rodrigues(p)^-1)`` with respect to d at 0.
+
+    Raises
+    ------
+    ValueError: for other parameters.
+    """
+    if a not in (0.0, 1.0):
+        raise ValueError(f"a: expected 0 (Gibbs vector) or 1 (modified Rodrigues parameters), got {a!r}")
+    if a == 1.0:
+        s = p / b
+        square = np.square(s).sum(-1)[..., None, None]
+        B = (1.0 - square) * np.eye(3) + 2.0 * cross(s) + 2.0 * s[..., :, None] * s[..., None, :]
+        return np.asarray(B.mT / (1.0 + square) ** 2)
+    g = p / b
+    return np.asarray((np.eye(3) - cross(g)) / (1.0 + np.square(g).sum(-1))[..., None, None])
+
+
+def attitude(a: float = 1.0, b: float = 4.0, *, transported: bool = False) -> Space:
+    """Space of attitudes: points are quaternions ``(..., 4)``, tangents Rodrigues parameters ``(..., 3)`` in body axes.
+
+    The sign of a quaternion never matters. ``transported``: the covariance follows the reference after an update.
+
+    Raises
+    ------
+    ValueError: unless ``0 <= a <= 1`` and ``b > 0``.
+    """
+    _check(a, b)
+
+    def plus(point: Array, tangent: Array) -> Array:
+        q = multiply(from_rodrigues(tangent, a, b), point)
+        return np.asarray(q * (1.5 - 0.5 * np.square(q).sum(-1, keepdims=True)))  # back to norm 1, to round-off
+
+    def minus(later: Array, earlier: Array) -> Array:
+        return to_rodrigues(multiply(later, inverse(earlier)), a, b)
+
+    moved: Callable[[Array], Array] | None = (lambda p: transport(p, a, b)) if transported else None
+    return Space(plus, minus, moved)
+
+
+def checked(q: ArrayLike, name: str = "q") -> Array:
+    """`unit` quaternions none of which is missing."""
+    return unit(finite(name, q), name)
