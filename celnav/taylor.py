@@ -93,7 +93,7 @@ class Taylor:
         images = []
         for i, (y, sp) in enumerate(zip(outputs, spaces, strict=True)):
             center = mean if y is KEEP else y[0]
-            shift: Any = 0.0
+            shift: Any = None
             if y is KEEP:
                 blocks = [root, *(np.zeros((root.shape[-2], E.shape[-1])) for E in extra)]
                 columns = np.concatenate([np.broadcast_to(b, (*batch, *b.shape[-2:])) for b in blocks], -1)
@@ -110,7 +110,7 @@ class Taylor:
                 columns = np.moveaxis(d[1 : total + 1] - d[total + 1 : 2 * total + 1], 0, -1) / (2.0 * self.step)
                 if self.about is not None:
                     shift = (d[-2] - d[-1]) / (2.0 * self.step)
-            images.append(Image(center, shift, columns))
+            images.append(Image(center, np.zeros(columns.shape[-2]) if shift is None else shift, columns))
         A = np.empty((*batch, sum(im.columns.shape[-2] for im in images), total + room))
         top = 0
         for i, im in enumerate(images):

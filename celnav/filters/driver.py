@@ -70,8 +70,8 @@ def sequential(predict: Predict, *updates: Update) -> Filter:
             raise ValueError(f"z: expected {len(updates)} measurements, got {len(z)}")
         infos = []
         for i, (update, measured) in enumerate(zip(updates, z, strict=False)):
-            if measured is None or _nothing(measured):
-                infos.append(_skipped(belief, measured))
+            if measured is None:
+                infos.append(Info())
                 continue
             belief, info, memory[i] = update(belief, measured, epoch, memory[i])
             infos.append(info)
@@ -84,18 +84,6 @@ def sequential(predict: Predict, *updates: Update) -> Filter:
         return State(belief, tuple(memory)), infos[0] if len(infos) == 1 else tuple(infos)
 
     return Filter(lambda prior: State(prior, (None,) * len(updates)), step)
-
-
-def _nothing(z: Any) -> bool:
-    return bool(np.isnan(z).all())
-
-
-def _skipped(belief: Gaussian, z: Any) -> Info:
-    """The record of a measurement that is wholly missing."""
-    if z is None:
-        return Info()
-    shape = np.broadcast_shapes(np.shape(z), (*belief.mean.shape[:-1], 1))
-    return Info(np.full(shape, np.nan), np.zeros(shape), np.zeros(shape, bool))
 
 
 class Epochs(Sequence[Epoch]):

@@ -225,12 +225,14 @@ def update(
 
     def part(belief: Gaussian, z: Any, epoch: Any = None, memory: Any = None) -> tuple[Gaussian, Info, Any]:
         z = np.asarray(z, dtype=np.float64)
+        if np.isnan(z).all():
+            return belief, _skipped(belief, measurement_space.minus(z, z)), memory
         noise = evaluate(columns, belief.mean, epoch)
         s = 0 if noise is None else noise.shape[-1]
         lifted = lift(belief, z.shape[-1] if z.ndim else 0, epoch, s)
         A, measured = lifted.A, lifted.measured
         if s:
-            m = z.shape[-1]
+            m = measured.columns.shape[-2]
             _set_noise("R", A[..., :m, lifted.room], noise)
             A[..., m:, lifted.room] = 0.0
         innovation = measurement_space.minus(z, measured.center) - measured.shift
@@ -243,6 +245,12 @@ def update(
         return posterior, info._replace(failure=failure) if failure else info, kept
 
     return part
+
+
+def _skipped(belief: Gaussian, nothing: Array) -> Info:
+    """The record of a measurement that is wholly missing."""
+    shape = np.broadcast_shapes(nothing.shape, (*belief.mean.shape[:-1], 1))
+    return Info(np.full(shape, np.nan), np.zeros(shape), np.zeros(shape, bool))
 
 
 class _Lifted(NamedTuple):

@@ -1,0 +1,118 @@
+"""Rate gyros with drift [Farrenkopf 1978]: what they measure, how an attitude is propagated with them, what accuracy settles.
+
+A gyro gives the mean rate of an interval plus drift plus white noise, ``measured = rate + beta + eta_v``; the drift is a
+Gauss-Markov process or a random walk. States are ``(..., 7)``: quaternion (see `celnav.attitude`) and drift in rad/s; their
+errors ``(..., 6)``: rotation vector in body axes, and drift.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from celnav.attitude import exp, inverse, log, multiply
+from celnav.linalg import Array
+
+
+@dataclass(frozen=True)
+class Gyro:
+    """Noise of a gyro triad.
+
+    Attributes
+    ----------
+    sigma_v: angle random walk, rad/s^(1/2). sigma_u: drift random walk, rad/s^(3/2).
+    tau: correlation time of the drift, s; infinite: a random walk.
+
+    Raises
+    ------
+    ValueError: naming a number that is negative or no number, or a ``tau`` that is not positive.
+    """
+
+    sigma_v: float
+    sigma_u: float
+    tau: float = np.inf
+
+    def __post_init__(self) -> None:
+        for name in ("sigma_v", "sigma_u"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0.0):
+                raise ValueError(f"{name}: expected a number that is not negative, got {value!r}")
+        if not self.tau > 0.0:
+            raise ValueError(f"tau: expected a positive time (inf for a random walk), got {self.tau!r}")
+
+    def factor(self, dt: float) -> float:
+        """What is left of the drift after ``dt`` seconds."""
+        return float(np.exp(-dt / self.tau))
+
+    def rate_std(self, dt: float) -> float:
+        """Deviation of the white noise of a sample over ``dt`` seconds, rad/s."""
+        return self.sigma_v / float(np.sqrt(dt))
+
+    def drift_std(self, dt: float) -> float:
+        """Deviation of the drift's change over ``dt`` seconds, rad/s; of the stationary drift, ``sigma_u sqrt(tau / 2)``."""
+        if np.isinf(self.tau):
+            return self.sigma_u * float(np.sqrt(dt))
+        return self.sigma_u * float(np.sqrt(-0.5 * self.tau * np.expm1(-2.0 * dt / self.tau)))
+
+    def process_noise(self, dt: float) -> Array:
+        """Covariance ``(6, 6)`` of the errors of rotation vector and drift over ``dt`` seconds [Crassidis & Markley 2003]."""
+        eye, u2 = np.eye(3), self.sigma_u**2
+        cross = -0.5 * u2 * dt**2 * eye
+        angle = (self.sigma_v**2 * dt + u2 * dt**3 / 3.0) * eye
+        return np.block([[angle, cross], [cross, self.drift_std(dt) ** 2 * eye]])
+
+    def measure(self, q: Array, drift: Array, noise: Array, dt: float) -> Array:
+        """Samples ``(T - 1, ..., 3)`` rad/s of attitudes ``q (T, ..., 4)`` with ``drift`` and standard normal ``noise``."""
+        turns = log(multiply(q[1:], inverse(q[:-1])))
+        return np.asarray(turns / dt + drift[: len(turns)] + self.rate_std(dt) * noise)
+
+    def propagate(self, x: Array, measured: Array, dt: float, rate_noise: Array | float = 0.0) -> Array:
+        """State ``(..., 7)`` after an interval with the sample ``measured (..., 3)``, less drift and ``rate_noise``."""
+        drift = x[..., 4:]
+        q = multiply(exp((measured - drift - rate_noise) * dt), x[..., :4])
+        return np.concatenate([q, np.broadcast_to(self.factor(dt) * drift, (*q.shape[:-1], 3))], -1)
+
+
+def preintegrate(measured: Array, drift: Array, dt: float) -> Array:
+    """One sample ``(..., 3)`` rad/s that turns as far as samples ``(k, ..., 3)`` do together, given the drift ``(..., 3)``."""
+    turned = exp((measured[0] - drift) * dt)
+    for sample in measured[1:]:
+        turned = multiply(exp((sample - drift) * dt), turned)
+    return np.asarray(log(turned) / (len(measured) * dt) + drift)
+
+
+class SteadyState(NamedTuple):
+    """Standard deviations of attitude (rad) and drift (rad/s) before and after a star update, on each axis."""
+
+    attitude_before: float
+    attitude_after: float
+    drift_before: float
+    drift_after: float
+
+
+def steady_state(sigma_n: float, gyro: Gyro, interval: float) -> SteadyState:
+    """What a filter settles at: attitude measured to ``sigma_n`` rad each ``interval`` s, drift a random walk [Farrenkopf 1978].
+
+    Raises
+    ------
+    ValueError: unless ``sigma_n`` and ``interval`` are positive and the gyro's ``tau`` infinite.
+    """
+    for name, value in (("sigma_n", sigma_n), ("interval", interval)):
+        if not (np.isfinite(value) and value > 0.0):
+            raise ValueError(f"{name}: expected a positive number, got {value!r}")
+    if np.isfinite(gyro.tau):
+        raise ValueError(f"gyro: expected a drift that walks at random (tau = inf), got tau = {gyro.tau!r}")
+    T, u, v = interval, gyro.sigma_u, gyro.sigma_v
+    Su, Sv = u * T**1.5 / sigma_n, v * np.sqrt(T) / sigma_n
+    g = np.sqrt(1.0 + Sv**2 / 4.0 + Su**2 / 48.0)
+    # zeta - 1 without its 1: the difference of squares would lose the digits that a good gyro is about.
+    excess = (Sv**2 / 4.0 + Su**2 / 48.0) / (g + 1.0) + Su / 4.0 + 0.5 * np.sqrt(2.0 * g * Su + Sv**2 + Su**2 / 3.0)
+    zeta = 1.0 + excess
+    spread = excess * (zeta + 1.0)
+    before, after = sigma_n * np.sqrt(spread), sigma_n * np.sqrt(spread) / zeta
+    cross_before = -u * np.sqrt(T) * sigma_n * zeta
+    cross_after = cross_before / zeta**2
+    variance = (cross_after - cross_before) / T - 0.5 * u**2 * T
+    return SteadyState(float(before), float(after), float(np.sqrt(variance + u**2 * T)), float(np.sqrt(variance)))

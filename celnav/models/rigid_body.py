@@ -1,0 +1,73 @@
+"""Rotation of a rigid satellite with momentum wheels under gravity gradient. Units: kg m^2, N m s, N m, rad, s."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from celnav.attitude import matrix, multiply
+from celnav.gaussian import finite
+from celnav.linalg import Array, matvec
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A satellite on a circular orbit.
+
+    Attributes
+    ----------
+    inertia: ``(3, 3)``, body axes. wheels: ``(3,)``, angular momentum of the wheels. torque: ``(3,)``, constant.
+    orbit_rate: rad/s; the inertial frame is the orbital one at t = 0 (x along the velocity, z to nadir).
+
+    Raises
+    ------
+    ValueError: if the inertia is not symmetric positive definite, or a number not finite.
+    """
+
+    inertia: Any
+    wheels: Any = (0.0, 0.0, 0.0)
+    torque: Any = (0.0, 0.0, 0.0)
+    orbit_rate: float = 0.0
+
+    def __post_init__(self) -> None:
+        J = finite("inertia", self.inertia, (3, 3))
+        if not np.allclose(J, J.T) or np.linalg.eigvalsh(J)[0] <= 0.0:
+            raise ValueError("inertia: expected a symmetric positive definite (3, 3)")
+        for name, value in (
+            ("inertia", J),
+            ("wheels", finite("wheels", self.wheels, (3,))),
+            ("torque", finite("torque", self.torque, (3,))),
+        ):
+            object.__setattr__(self, name, value)
+        finite("orbit_rate", self.orbit_rate, ())
+
+    def nadir(self, q: Array, t: float) -> Array:
+        """Direction of the Earth's center ``(..., 3)`` on body axes."""
+        at = self.orbit_rate * t
+        return matvec(matrix(q), np.array([-np.sin(at), 0.0, np.cos(at)]))
+
+    def rates(self, x: Array, t: float) -> Array:
+        """Rate of the state ``(..., 7)``: quaternion and angular velocity (rad/s, body axes)."""
+        q, w = x[..., :4], x[..., 4:]
+        turning = 0.5 * multiply(np.concatenate([w, np.zeros_like(w[..., :1])], -1), q)
+        c = self.nadir(q, t)
+        gradient = 3.0 * self.orbit_rate**2 * np.cross(c, matvec(self.inertia, c))
+        momentum = matvec(self.inertia, w) + self.wheels
+        change = np.linalg.solve(self.inertia, (gradient + self.torque - np.cross(w, momentum))[..., None])[..., 0]
+        return np.concatenate([turning, change], -1)
+
+    def propagate(self, x: Array, dt: float, steps: int) -> Array:
+        """States ``(steps + 1, ..., 7)`` from the first at equal intervals, by Runge-Kutta steps of order 4."""
+        out = [np.asarray(x, dtype=np.float64)]
+        for k in range(steps):
+            t, now = k * dt, out[-1]
+            k1 = self.rates(now, t)
+            k2 = self.rates(now + 0.5 * dt * k1, t + 0.5 * dt)
+            k3 = self.rates(now + 0.5 * dt * k2, t + 0.5 * dt)
+            k4 = self.rates(now + dt * k3, t + dt)
+            later = now + dt / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
+            later[..., :4] /= np.linalg.norm(later[..., :4], axis=-1, keepdims=True)
+            out.append(later)
+        return np.stack(out)

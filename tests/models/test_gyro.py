@@ -1,0 +1,230 @@
+"""Gyros, and attitude filters made of the common parts: exact cases."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import solve_discrete_are
+
+from celnav import attitude as at
+from celnav.filters.driver import Epoch, run, sequential
+from celnav.filters.step import predict, update
+from celnav.gaussian import covariance, square_root
+from celnav.models.gyro import Gyro, preintegrate, steady_state
+from celnav.models.noise import van_loan
+from celnav.models.rigid_body import Body
+from celnav.points import unscented
+from celnav.spaces import EUCLIDEAN, product
+from celnav.taylor import Taylor
+
+ARCSEC, DEG_H = np.pi / 648000.0, np.pi / 648000.0
+GYRO = Gyro(sigma_v=2.424e-7, sigma_u=2.285e-9, tau=3600.0)
+WALK = Gyro(sigma_v=2.424e-7, sigma_u=2.285e-9)
+J = np.array([[52.0, 1.2, -0.8], [1.2, 47.0, 0.6], [-0.8, 0.6, 61.0]])
+SPACE = product((at.attitude(), 4, 3), (EUCLIDEAN, 3, 3))
+STAR = at.attitude()
+SIGMA_N = 20.0 * ARCSEC
+
+
+def test_process_noise_is_the_integral_of_a_random_walk():
+    A, G = np.block([[np.zeros((3, 3)), -np.eye(3)], [np.zeros((3, 6))]]), np.eye(6)
+    Q = np.diag(np.repeat([WALK.sigma_v**2, WALK.sigma_u**2], 3))
+    _, expected = van_loan(A, G, Q, 0.25)
+    np.testing.assert_allclose(WALK.process_noise(0.25), expected, rtol=1e-9, atol=1e-30)
+
+
+def test_drift_is_stationary():
+    stationary = GYRO.sigma_u * np.sqrt(GYRO.tau / 2.0)
+    after = GYRO.factor(50.0) ** 2 * stationary**2 + GYRO.drift_std(50.0) ** 2
+    np.testing.assert_allclose(after, stationary**2, rtol=1e-12)
+    np.testing.assert_allclose(Gyro(0.0, 1.0, 1e12).drift_std(1.0), 1.0, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("v", "u", "T"),
+    [(2.424e-7, 2.285e-9, 0.25), (2.424e-7, 9.7e-7, 0.25), (1.45e-4, 1.6e-9, 1.0), (1e-6, 1e-10, 10.0), (1e-7, 1e-8, 60.0)],
+)
+def test_steady_state_is_the_riccati_solution(v, u, T):
+    gyro = Gyro(v, u)
+    F, H, R = np.array([[1.0, -T], [0.0, 1.0]]), np.array([[1.0, 0.0]]), np.array([[SIGMA_N**2]])
+    Q = gyro.process_noise(T)[np.ix_([0, 3], [0, 3])]
+    scale = np.diag([SIGMA_N, SIGMA_N / T])
+    back = np.diag(1.0 / scale.diagonal())
+    P = scale @ solve_discrete_are((back @ F @ scale).T, (H @ scale).T, back @ Q @ back, R) @ scale
+    after = P - P @ H.T @ H @ P / (P[0, 0] + R[0, 0])
+    expected = np.sqrt([P[0, 0], after[0, 0], P[1, 1], after[1, 1]])
+    np.testing.assert_allclose(steady_state(SIGMA_N, gyro, T), expected, rtol=1e-6)
+
+
+def test_the_published_base_case():
+    settled = steady_state(SIGMA_N, WALK, 0.25)
+    np.testing.assert_allclose(np.array(settled[:2]) / ARCSEC, [1.04578, 1.04435], rtol=2e-4)
+    np.testing.assert_allclose(np.array(settled[2:]) / DEG_H, [0.0071772, 0.0071734], rtol=3e-4)
+
+
+def test_a_gyro_without_noise_gives_the_attitude_back():
+    path = Body(J, (0.0, -2.0, 0.0), orbit_rate=1e-3).propagate(
+        np.append(at.from_euler([0.1, -0.2, 0.3]), [1e-3, 2e-3, -1e-3]), 0.05, 40
+    )
+    drift = np.full((41, 3), 5e-6)
+    samples = Gyro(0.0, 0.0).measure(path[:, :4], drift, np.zeros((40, 3)), 0.05)
+    x = np.append(path[0, :4], drift[0])
+    for sample in samples:
+        x = Gyro(0.0, 0.0).propagate(x, sample, 0.05)
+    np.testing.assert_allclose(at.positive(x[:4]), at.positive(path[-1, :4]), atol=1e-13)
+    whole = preintegrate(samples, drift[0], 0.05)
+    once = Gyro(0.0, 0.0).propagate(np.append(path[0, :4], drift[0]), whole, 2.0)
+    np.testing.assert_allclose(at.positive(once[:4]), at.positive(path[-1, :4]), atol=1e-13)
+
+
+def test_rotation_is_eulers_equation_and_keeps_momentum():
+    body = Body(J, (0.0, -2.0, 0.0))
+    start = np.append(at.from_euler([0.1, -0.2, 0.3]), [0.02, -0.01, 0.03])
+    path = body.propagate(start, 0.05, 400)
+
+    def rate(_, x):
+        q, w = x[:4], x[4:]
+        W = np.array([[0, w[2], -w[1], w[0]], [-w[2], 0, w[0], w[1]], [w[1], -w[0], 0, w[2]], [-w[0], -w[1], -w[2], 0]])
+        return np.append(0.5 * W @ q, np.linalg.solve(J, -np.cross(w, J @ w + body.wheels)))
+
+    known = solve_ivp(rate, (0.0, 20.0), start, rtol=1e-12, atol=1e-14).y[:, -1]
+    np.testing.assert_allclose(path[-1], known, atol=1e-8)
+    momentum = np.einsum("tji,tj->ti", at.matrix(path[:, :4]), path[:, 4:] @ J + body.wheels)
+    np.testing.assert_allclose(momentum, np.broadcast_to(momentum[0], momentum.shape), atol=1e-7)
+
+
+def test_gravity_gradient_vanishes_on_a_principal_axis():
+    body = Body(np.diag([1.0, 2.0, 3.0]), orbit_rate=1e-3)
+    still = body.rates(np.append(at.IDENTITY, np.zeros(3)), 0.0)
+    np.testing.assert_array_equal(still[4:], 0.0)
+    np.testing.assert_allclose(body.nadir(at.IDENTITY, np.pi / 2 * 1e3), [-1.0, 0.0, 0.0], atol=1e-12)
+
+
+def simulated(runs=5, epochs=40, dt=0.25):
+    rng = np.random.default_rng(1)
+    path = Body(J, (0.0, -2.0, 0.0), orbit_rate=1e-3).propagate(
+        np.append(at.from_euler(np.radians([1, 2, 10])), np.radians([0.01, 0.01, 0.05])), dt, epochs
+    )
+    q = np.broadcast_to(path[:, None, :4], (epochs + 1, runs, 4))
+    drift = np.broadcast_to(np.full(3, DEG_H), (epochs + 1, runs, 3))
+    gyro = GYRO.measure(q, drift, rng.standard_normal((epochs, runs, 3)), dt)
+    sign = np.where(rng.random((epochs + 1, runs, 1)) < 0.5, -1.0, 1.0)
+    z = sign * at.multiply(at.exp(SIGMA_N * rng.standard_normal((epochs + 1, runs, 3))), q)
+    z[0] = np.nan
+    return q, gyro, z
+
+
+def attitude_filter(rule_f, rule_h, extra_f=(), extra_h=(), Q=None, R=None):
+    def f(x, epoch, w=None):
+        if w is None:
+            return GYRO.propagate(x, epoch.u, epoch.dt)
+        y = GYRO.propagate(x, epoch.u, epoch.dt, w[..., :3])
+        y[..., 4:] += w[..., 3:6]
+        return y
+
+    def h(x, _epoch, v=None):
+        return x[..., :4] if v is None else at.multiply(at.exp(v[..., -3:]), x[..., :4])
+
+    return sequential(
+        predict(f, rule_f, Q, extra=extra_f, space=SPACE),
+        update(h, rule_h, R, extra=extra_h, space=SPACE, measurement_space=STAR),
+    )
+
+
+def filtered(filter, z, gyro, form=covariance, dt=0.25):
+    prior = form(np.append(at.IDENTITY, np.zeros(3)), np.diag(np.radians([1, 2, 10, 1 / 3600, 1 / 3600, 1 / 3600]) ** 2))
+    prior = prior._replace(
+        mean=np.broadcast_to(prior.mean, (z.shape[1], 7)), spread=np.broadcast_to(prior.spread, (z.shape[1], 6, 6))
+    )
+    return run(filter, prior, [Epoch(k, k * dt, dt if k else 0.0, gyro[k - 1] if k else None, z[k]) for k in range(len(z))])
+
+
+def noise_roots(dt=0.25):
+    return np.diag(np.repeat([GYRO.rate_std(dt), GYRO.drift_std(dt)], 3)), SIGMA_N * np.eye(3)
+
+
+def spread(L, c):
+    return unscented(L, 1.0, 0.0, c - L)
+
+
+def test_switching_augmentation_is_full_augmentation_at_equal_spread():
+    _, gyro, z = simulated()
+    W, V = noise_roots()
+    c = 15.0
+    switching = attitude_filter(spread(12, c), spread(9, c), (W,), (V,))
+
+    def full_f(x, epoch, w, _v):
+        y = GYRO.propagate(x, epoch.u, epoch.dt, w[..., :3])
+        y[..., 4:] += w[..., 3:6]
+        return y
+
+    def full_h(x, _epoch, _w, v):
+        return at.multiply(at.exp(v), x[..., :4])
+
+    full = sequential(
+        predict(full_f, spread(15, c), extra=(W, V), space=SPACE),
+        update(full_h, spread(15, c), extra=(W, V), space=SPACE, measurement_space=STAR),
+    )
+    a, b = filtered(full, z, gyro), filtered(switching, z, gyro)
+    apart = at.angle(at.multiply(a.mean[..., :4], at.inverse(b.mean[..., :4])))
+    assert apart.max() < 1e-7 * ARCSEC  # the same filter up to the order of sums
+    np.testing.assert_allclose(a.std, b.std, rtol=1e-9)
+
+
+@pytest.mark.parametrize("form", [covariance, square_root])
+def test_every_rule_and_form_agrees_on_this_nearly_linear_problem(form):
+    q, gyro, z = simulated()
+    Q, R = GYRO.process_noise(0.25), SIGMA_N**2 * np.eye(3)
+    W, V = noise_roots()
+    switching = filtered(attitude_filter(spread(12, 1.2), spread(9, 0.9), (W,), (V,)), z, gyro, form)
+    additive = filtered(attitude_filter(unscented(6), unscented(6), Q=Q, R=R), z, gyro, form)
+    mekf = filtered(attitude_filter(Taylor(), Taylor(), Q=Q, R=R), z, gyro, form)
+    for other in (additive, mekf):
+        apart = at.angle(at.multiply(switching.mean[..., :4], at.inverse(other.mean[..., :4])))[1:]
+        assert apart.max() < 0.01 * ARCSEC
+    error = at.log(at.multiply(q, at.inverse(switching.mean[..., :4])))
+    assert np.sqrt(np.square(error[-1]).mean()) < 12.0 * ARCSEC
+    np.testing.assert_allclose(np.linalg.norm(switching.mean[..., :4], axis=-1), 1.0, atol=1e-12)
+
+
+def test_the_sign_of_a_star_quaternion_changes_no_bit():
+    _, gyro, z = simulated()
+    W, V = noise_roots()
+    filter = attitude_filter(spread(12, 1.2), spread(9, 0.9), (W,), (V,))
+    a, b = filtered(filter, z, gyro), filtered(filter, -z, gyro)
+    np.testing.assert_array_equal(a.mean, b.mean)
+    np.testing.assert_array_equal(a.std, b.std)
+
+
+def test_a_half_turn_of_initial_error_is_finite_and_converges():
+    _, gyro, z = simulated()
+    far = at.exp(np.radians(179.0) * np.array([0.6, 0.0, 0.8]))
+    turned = at.multiply(z, np.broadcast_to(at.inverse(far), z.shape))
+    Q, R = GYRO.process_noise(0.25), SIGMA_N**2 * np.eye(3)
+    filter = attitude_filter(unscented(6), unscented(6), Q=Q, R=R)
+    prior = covariance(np.append(at.IDENTITY, np.zeros(3)), np.diag(np.repeat([np.pi, np.radians(1 / 3600)], 3) ** 2))
+    epochs = [Epoch(k, k * 0.25, 0.25 if k else 0.0, gyro[k - 1, 0] if k else None, turned[k, 0]) for k in range(len(z))]
+    track = run(filter, prior, epochs)
+    assert np.isfinite(track.mean).all()
+    seen = at.angle(at.multiply(turned[-1, 0], at.inverse(track.mean[-1, :4])))
+    assert seen < 100.0 * ARCSEC
+
+
+@pytest.mark.parametrize(
+    ("make", "name"),
+    [
+        (lambda: Gyro(-1.0, 0.0), "sigma_v"),
+        (lambda: Gyro(0.0, np.nan), "sigma_u"),
+        (lambda: Gyro(0.0, 0.0, 0.0), "tau"),
+        (lambda: steady_state(0.0, WALK, 1.0), "sigma_n"),
+        (lambda: steady_state(1.0, WALK, -1.0), "interval"),
+        (lambda: steady_state(1.0, GYRO, 1.0), "gyro"),
+        (lambda: Body(-np.eye(3)), "inertia"),
+        (lambda: Body(np.eye(3), wheels=(1.0, 2.0)), "wheels"),
+        (lambda: Body(np.eye(3), orbit_rate=np.inf), "orbit_rate"),
+    ],
+)
+def test_bad_input_is_refused_by_name(make, name):
+    with pytest.raises(ValueError, match=f"^{name}"):
+        make()
