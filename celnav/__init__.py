@@ -11,7 +11,9 @@ Missing   nan. A missing component costs nothing but itself, in each run by itse
 Failure   A run that loses definiteness becomes nan while its neighbors go on; ``Track.failed_at`` says when. Bad arguments raise
           ValueError naming the argument, what was expected and what came.
 Units     SI and radians, except orbits: km and km/s. A name says its unit where it is another: ``sigma_km``.
-Frames    Earth-centered inertial, equatorial (J2000), for orbits.
+Frames    Earth-centered inertial, equatorial (J2000), for orbits; east, north, up and right, front, up for aircraft.
+Attitude  Unit quaternions, scalar last; they take inertial components to body components, and the product composes such
+          matrices. Errors are in body axes. The sign of a quaternion never matters (`celnav.attitude`).
 Time      s since the start of a study.
 Chance    One generator for each run: ``(seed, study, run)`` determines its numbers, whatever the block or the process.
 Sources   ``[Sun2015, Eq. 27]`` in a docstring; citations are in ``celnav.papers.<id>.CITATION``.

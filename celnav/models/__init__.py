@@ -1,1 +1,1 @@
-"""Physics without filters: orbits, sightings, noise."""
+"""Physics without filters: orbits, sightings, noise, aircraft and inertial systems, gyros, rigid bodies."""

@@ -1,0 +1,54 @@
+"""The order of imports: lower rooms know nothing of higher ones, filters and models nothing of each other."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import celnav
+
+ROOT = Path(celnav.__file__).parent
+ROOMS = [
+    {"linalg", "colors", "effort"},
+    {"spaces", "gaussian", "files"},
+    {"points"},
+    {"taylor", "sparse_grid", "attitude"},
+    {"adaptive_grid", "filters", "models"},
+    {"montecarlo", "metrics", "observability", "jacobians", "tuning"},
+    {"claims", "figures", "recording"},
+    {"papers"},
+    {"report"},
+    {"cli"},
+]
+LEVEL = {room: level for level, rooms in enumerate(ROOMS) for room in rooms}
+MODULES = sorted(p for p in ROOT.rglob("*.py") if p.name not in ("__main__.py",) and p != ROOT / "__init__.py")
+
+
+def imports(path):
+    """Names of the modules that a file imports, wherever it does so."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            yield node.module
+            yield from (f"{node.module}.{name.name}" for name in node.names)
+        elif isinstance(node, ast.Import):
+            yield from (name.name for name in node.names)
+
+
+def room(name):
+    return name.split(".")[1]
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_a_room_imports_lower_ones_only(path):
+    own = path.relative_to(ROOT).with_suffix("").parts[0]
+    assert own in LEVEL, f"{own} has no place in the order of rooms"
+    for name in imports(path):
+        if name.startswith("celnav.") and room(name) in LEVEL and room(name) != own:
+            assert LEVEL[room(name)] < LEVEL[own], f"{own} imports {name}"
+
+
+def test_only_the_recorder_imports_rerun():
+    found = {p for p in ROOT.rglob("*.py") if any(name.split(".")[0] == "rerun" for name in imports(p))}
+    assert found == {ROOT / "recording.py"}
