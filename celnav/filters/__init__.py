@@ -1,8 +1,8 @@
 """Filters: parts (`predict`, `update`), the driver (`sequential`, `steps`, `run`), and what is built of them.
 
 `step` the one conditioning step · `info` what hooks see and steps record · `driver` epochs, filters, run · `track` records ·
-`colored` colored measurement noise · `smoother` fixed interval · `adaptive` gates, windows, prescribed gains, fallback ·
-`dropin` filterpy's interface.
+`iterated` updates linearized again · `single_draw` predict and update on one set of points · `colored` colored measurement
+noise · `smoother` fixed interval · `adaptive` gates, windows, prescribed gains, fallback · `dropin` filterpy's interface.
 """
 
 from celnav.filters.driver import Epoch, Epochs, Filter, FilterError, State, epochs, run, sequential, steps

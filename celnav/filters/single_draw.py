@@ -1,0 +1,90 @@
+"""Predict and update on one set of sigma points: the augmented form of [van der Merwe 2004], without drawing anew in between."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from celnav.filters.driver import Epoch, Filter, State
+from celnav.filters.info import Hook, Info
+from celnav.filters.step import Model, Update, condition, evaluate, explain, images, noise_columns, predict
+from celnav.gaussian import Gaussian
+from celnav.linalg import Array
+from celnav.points import Outputs, Transform
+from celnav.spaces import EUCLIDEAN, Space
+
+
+def single_draw(
+    f: Model,
+    h: Model,
+    rule: Transform,
+    *,
+    extra: Sequence[Array],
+    R: Any = None,
+    sqrt_R: Any = None,
+    space: Space = EUCLIDEAN,
+    measurement_space: Space = EUCLIDEAN,
+    hooks: Sequence[Hook] = (),
+) -> Update:
+    """The part that moves a belief through the dynamics and conditions it on a measurement in one transform.
+
+    Noise that goes through the points reaches both functions, so noise of the process and of the measurement may be
+    correlated: give their joint root. Additive process noise would not reach the measurement, and is not offered.
+
+    Parameters
+    ----------
+    f, h: model functions ``f(x, epoch, *noise)`` and ``h(f(x), epoch, *noise)``, with all noises of ``extra``.
+    rule: of dimension n plus that of ``extra``. extra: roots ``(k, k)``. Others as in `celnav.filters.step.update`.
+
+    Returns
+    -------
+    ``(belief, z, epoch=None, memory=None) -> (belief, info, memory)``, with a wholly missing ``z`` a prediction.
+    """
+    columns = noise_columns(R, sqrt_R, "R")
+    forward = predict(f, rule, extra=extra, space=space)
+
+    def part(belief: Gaussian, z: Any, epoch: Any = None, memory: Any = None) -> tuple[Gaussian, Info, Any]:
+        z = np.asarray(z, dtype=np.float64)
+        if np.isnan(z).all():
+            after, info = forward(belief, epoch)
+            return after, info, memory
+        noise = evaluate(columns, belief.mean, epoch)
+        s = 0 if noise is None else noise.shape[-1]
+        root = belief.form.root(belief.spread)
+
+        def g(points: Array, *w: Array) -> Outputs:
+            y = images("f", f, points, epoch, w, belief.mean.shape[-1])
+            return images("h", h, y.copy(order="K"), epoch, w, z.shape[-1]), y
+
+        (measured, state), A = rule.transform(g, belief.mean, root, space, (measurement_space, space), extra, s)
+        m = measured.columns.shape[-2]
+        if s:
+            if noise.shape[-2] != m:
+                raise ValueError(f"R: expected {m} rows to go with the model, got {noise.shape[-2]}")
+            A[..., -s:] = 0.0
+            A[..., :m, -s:] = noise
+        innovation = measurement_space.minus(z, measured.center) - measured.shift
+        posterior, info, kept = condition(
+            belief, state, A, rule.sign, innovation, noise=(0, s), space=space,
+            slopes=lambda: (rule.slope(measured, root), rule.slope(state, root)), hooks=hooks, memory=memory, epoch=epoch,
+        )  # fmt: skip
+        failure = explain(belief, posterior, ("h", "f"), rule, g, space, extra, z)
+        return posterior, info._replace(failure=failure) if failure else info, kept
+
+    return part
+
+
+def drawn_once(part: Update, first: Update) -> Filter:
+    """A filter of such a part; an epoch with ``dt == 0``, which has no dynamics, is left to the update ``first``."""
+
+    def step(state: State, epoch: Epoch) -> tuple[State, Info]:
+        if epoch.z is None:
+            raise ValueError("z: expected a measurement or nan at every epoch, got None")
+        moving = bool(np.any(epoch.dt))
+        chosen, memory = (part, state.memory[1]) if moving else (first, state.memory[0])
+        belief, info, kept = chosen(state.belief, epoch.z, epoch, memory)
+        return State(belief, (state.memory[0], kept) if moving else (kept, state.memory[1])), info
+
+    return Filter(lambda prior: State(prior, (None, None)), step)
