@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.integrate import solve_ivp
 
 from celnav.attitude import matrix, multiply
 from celnav.gaussian import finite
@@ -59,15 +60,14 @@ class Body:
         return np.concatenate([turning, change], -1)
 
     def propagate(self, x: Array, dt: float, steps: int) -> Array:
-        """States ``(steps + 1, ..., 7)`` from the first at equal intervals, by Runge-Kutta steps of order 4."""
-        out = [np.asarray(x, dtype=np.float64)]
-        for k in range(steps):
-            t, now = k * dt, out[-1]
-            k1 = self.rates(now, t)
-            k2 = self.rates(now + 0.5 * dt * k1, t + 0.5 * dt)
-            k3 = self.rates(now + 0.5 * dt * k2, t + 0.5 * dt)
-            k4 = self.rates(now + dt * k3, t + dt)
-            later = now + dt / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
-            later[..., :4] /= np.linalg.norm(later[..., :4], axis=-1, keepdims=True)
-            out.append(later)
-        return np.stack(out)
+        """States ``(steps + 1, ..., 7)`` from the first at equal intervals, integrated to a relative 1e-12."""
+        start = finite("x", x)
+
+        def rates(t: float, flat: Array) -> Array:
+            return self.rates(flat.reshape(start.shape), t).ravel()
+
+        times = dt * np.arange(steps + 1)
+        solved = solve_ivp(rates, (0.0, times[-1]), start.ravel(), method="DOP853", t_eval=times, rtol=1e-12, atol=1e-14)
+        out = solved.y.T.reshape(steps + 1, *start.shape)
+        out[..., :4] /= np.linalg.norm(out[..., :4], axis=-1, keepdims=True)
+        return np.asarray(out)
