@@ -9,7 +9,9 @@ import numpy as np
 
 from celnav import attitude
 from celnav.filters.driver import Epoch, Filter, sequential
-from celnav.filters.step import predict, update
+from celnav.filters.info import Info
+from celnav.filters.single_draw import drawn_once, single_draw
+from celnav.filters.step import Model, Predict, Update, predict, update
 from celnav.gaussian import Gaussian, covariance
 from celnav.linalg import Array
 from celnav.models.gyro import preintegrate
@@ -121,28 +123,48 @@ def star(x: Array, _epoch: Any, *noise: Array) -> Array:
     return attitude.multiply(attitude.exp(noise[-1]), q) if noise else q
 
 
-def filters(config: Config, *, c: float | None = None) -> dict[str, Filter]:
+def filters(config: Config, *, c: float | None = None, transported: bool = False) -> dict[str, Filter]:
     """The filters by name.
 
-    aukf: process and measurement noise through the points of both parts (15 dimensions, 31 points). ssukf: each where it acts
-    (12 and 9 dimensions, 25 and 19 points). additive: neither (6 dimensions, 13 points). mekf: linearized.
-    ``c``: one spread for all rules instead of ``alpha^2 L``.
+    aukf: process and measurement noise through the points of both parts (15 dimensions, 31 points). aukf-1: the same, drawn
+    once for both parts. ssukf: each noise where it acts (12 and 9 dimensions, 25 and 19 points). additive: neither
+    (6 dimensions, 13 points). usque: half of the process noise before the prediction, half after it. mekf: linearized, in the
+    Gibbs vector. ``c``: one spread for all rules instead of ``alpha^2 L``. ``transported``: the covariance follows the
+    reference after an update.
     """
-    dt, space, sky = config.step_s, state_space(), attitude.attitude()
-    W = np.diag(np.repeat([config.gyro.rate_std(dt), config.gyro.drift_std(dt)], 3))
+    dt, gyro, space, sky = config.step_s, config.gyro, state_space(transported=transported), attitude.attitude()
+    gibbs, gibbs_sky = state_space(transported=transported, a=0.0, b=2.0), attitude.attitude(0.0, 2.0)
+    W = np.diag(np.repeat([gyro.rate_std(dt), gyro.drift_std(dt)], 3))
     V = config.sigma_n * np.eye(3)
-    Q = config.gyro.process_noise(dt)
+    Q = gyro.process_noise(dt)
     through, plain = dynamics(config, slice(0, 6)), dynamics(config)
 
-    def by(rule_f: Any, rule_h: Any, extra_f: tuple[Array, ...], extra_h: tuple[Array, ...]) -> Filter:
-        f, added_f = (through, None) if extra_f else (plain, Q)
-        forward = predict(f, rule_f, added_f, extra=extra_f, space=space)
-        added = None if extra_h else V
-        return sequential(forward, update(star, rule_h, sqrt_R=added, extra=extra_h, space=space, measurement_space=sky))
+    def rule(dimension: int) -> Rule:
+        return spread(dimension, config, c=c)
 
+    def measure(rule: Any, extra: tuple[Array, ...] = (), space: Space = space, sky: Space = sky) -> Update:
+        return update(star, rule, sqrt_R=None if extra else V, extra=extra, space=space, measurement_space=sky)
+
+    once = single_draw(through, star, rule(15), extra=(W, V), space=space, measurement_space=sky)
+    crassidis = unscented(6, 1.0, 0.0, 1.0)
     return {
-        "aukf": by(spread(15, config, c=c), spread(15, config, c=c), (W, V), (W, V)),
-        "ssukf": by(spread(12, config, c=c), spread(9, config, c=c), (W,), (V,)),
-        "additive": by(spread(6, config, c=c), spread(6, config, c=c), (), ()),
-        "mekf": by(Taylor(), Taylor(), (), ()),
+        "aukf": sequential(predict(through, rule(15), extra=(W, V), space=space), measure(rule(15), (W, V))),
+        "aukf-1": drawn_once(once, measure(rule(9), (V,))),
+        "ssukf": sequential(predict(through, rule(12), extra=(W,), space=space), measure(rule(9), (V,))),
+        "additive": sequential(predict(plain, rule(6), Q, space=space), measure(rule(6))),
+        "usque": sequential(_halved(plain, crassidis, config, space), measure(crassidis)),
+        "mekf": sequential(predict(plain, Taylor(), Q, space=gibbs), measure(Taylor(), space=gibbs, sky=gibbs_sky)),
     }
+
+
+def _halved(f: Model, rule: Rule, config: Config, space: Space) -> Predict:
+    """Half of the process noise before and half after the propagation [Crassidis & Markley 2003]."""
+    gyro, dt = config.gyro, config.step_s
+    u2 = gyro.sigma_u**2
+    half = 0.5 * np.diag(np.repeat([gyro.sigma_v**2 * dt - u2 * dt**3 / 6.0, u2 * dt], 3))
+    forward, columns = predict(f, rule, half, space=space), np.sqrt(half)
+
+    def part(belief: Gaussian, epoch: Any = None) -> tuple[Gaussian, Info]:
+        return forward(belief._replace(spread=belief.form.sum(belief.spread, columns)), epoch)
+
+    return part
