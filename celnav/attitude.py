@@ -13,7 +13,6 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.gaussian import finite
 from celnav.linalg import Array, components
 from celnav.spaces import Space
 
@@ -203,8 +202,3 @@ def attitude(a: float = 1.0, b: float = 4.0, *, transported: bool = False) -> Sp
 
     moved: Callable[[Array], Array] | None = (lambda p: transport(p, a, b)) if transported else None
     return Space(plus, minus, moved)
-
-
-def checked(q: ArrayLike, name: str = "q") -> Array:
-    """`unit` quaternions none of which is missing."""
-    return unit(finite(name, q), name)
