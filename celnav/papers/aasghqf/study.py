@@ -152,7 +152,7 @@ def _coarse(config: Config, seed: int, study: int, runs: range) -> dict[str, Arr
 
 def _block(rule: Any, block: int) -> int:
     """Runs at once: few of them for rules of many points, which then stay in cache."""
-    return min(block, 12) if isinstance(rule, Rule) and len(rule.nodes) > 100 else block
+    return min(block, 25) if isinstance(rule, Rule) and len(rule.nodes) > 100 else block
 
 
 def _units(config: Config, seed: int, runs: int, block: int) -> list[Unit]:
