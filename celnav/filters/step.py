@@ -226,7 +226,7 @@ def update(
     def part(belief: Gaussian, z: Any, epoch: Any = None, memory: Any = None) -> tuple[Gaussian, Info, Any]:
         z = np.asarray(z, dtype=np.float64)
         if np.isnan(z).all():
-            return belief, _skipped(belief, measurement_space.minus(z, z)), memory
+            return belief, _skipped(belief, z, measurement_space), memory
         noise = evaluate(columns, belief.mean, epoch)
         s = 0 if noise is None else noise.shape[-1]
         lifted = lift(belief, z.shape[-1] if z.ndim else 0, epoch, s)
@@ -247,9 +247,10 @@ def update(
     return part
 
 
-def _skipped(belief: Gaussian, nothing: Array) -> Info:
+def _skipped(belief: Gaussian, z: Array, space: Space) -> Info:
     """The record of a measurement that is wholly missing."""
-    shape = np.broadcast_shapes(nothing.shape, (*belief.mean.shape[:-1], 1))
+    one = z.reshape(-1, z.shape[-1])[0]
+    shape = (*np.broadcast_shapes(z.shape[:-1], belief.mean.shape[:-1]), space.minus(one, one).shape[-1])
     return Info(np.full(shape, np.nan), np.zeros(shape), np.zeros(shape, bool))
 
 

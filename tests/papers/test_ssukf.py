@@ -9,9 +9,10 @@ import pytest
 
 from celnav import attitude
 from celnav.filters.driver import run
+from celnav.models.gyro import preintegrate
 from celnav.montecarlo import generator
 from celnav.papers.ssukf import PRESETS, filters, simulate
-from celnav.papers.ssukf.config import ARCSEC, STANDARD
+from celnav.papers.ssukf.config import ARCSEC, DEG_PER_H, STANDARD
 
 SHORT = replace(STANDARD, duration_s=10.0)
 
@@ -54,13 +55,20 @@ def test_transport_hardly_matters_where_attitude_is_measured_whole(sim):
 
 
 def test_preintegrated_samples_do_what_single_ones_do():
-    config = replace(SHORT, duration_s=4.0)
-    sim = simulate(config, [generator(0, 0, r) for r in range(3)])
-    full = sim._replace(config=replace(config, preintegrated=False))
-    few = run(filters(config)["ssukf"], sim.prior, sim.epochs())
+    full = simulate(replace(SHORT, duration_s=4.0, preintegrated=False), [generator(0, 0, r) for r in range(3)])
+    sim = full.integrated()
+    few = run(filters(sim.config)["ssukf"], sim.prior, sim.epochs())
     many = run(filters(full.config)["ssukf"], full.prior, full.epochs())
     turned = attitude.multiply(few.mean[1:, ..., :4], attitude.inverse(many.mean[25::25, ..., :4]))
     assert attitude.angle(turned).max() < 2e-3 * ARCSEC
+
+
+def test_samples_may_be_integrated_about_any_drift():
+    full = simulate(replace(SHORT, preintegrated=False), [generator(0, 0, r) for r in range(3)])
+    each = full.gyro.reshape(-1, 25, 3, 3).swapaxes(0, 1)
+    drifts = (np.zeros(3), np.full(3, DEG_PER_H), np.array([1.0, -2.0, 3.0]) * DEG_PER_H)
+    rates = [preintegrate(each, drift, full.config.gyro_dt) for drift in drifts]
+    assert max(np.abs(rate - rates[0]).max() for rate in rates) * 0.25 < 1e-12
 
 
 def test_the_error_is_the_sensors_after_the_first_star(sim):
