@@ -53,23 +53,30 @@ def unit(q: ArrayLike, name: str = "q") -> Array:
     return np.asarray(array / norm)
 
 
+_PRODUCT = np.zeros((4, 4, 4))
+"""Component k of a product is the sum over i, j of ``_PRODUCT[k, i, j] q_i p_j``."""
+for _k, _i, _j, _sign in (
+    (0, 3, 0, 1), (0, 0, 3, 1), (0, 1, 2, -1), (0, 2, 1, 1),
+    (1, 3, 1, 1), (1, 1, 3, 1), (1, 2, 0, -1), (1, 0, 2, 1),
+    (2, 3, 2, 1), (2, 2, 3, 1), (2, 0, 1, -1), (2, 1, 0, 1),
+    (3, 3, 3, 1), (3, 0, 0, -1), (3, 1, 1, -1), (3, 2, 2, -1),
+):  # fmt: skip
+    _PRODUCT[_k, _i, _j] = _sign
+
+
 def multiply(q: Array, p: Array) -> Array:
     """Product ``(..., 4)``: first p, then q."""
-    (a, b, c, d), (x, y, z, w) = components(q), components(p)
-    rows = _rows(4, np.asarray(d * w))
-    term = np.empty_like(rows[0, ...])
-    for row, first, added, taken in (
-        (rows[0, ...], (d, x), ((w, a), (c, y)), ((b, z),)),
-        (rows[1, ...], (d, y), ((w, b), (a, z)), ((c, x),)),
-        (rows[2, ...], (d, z), ((w, c), (b, x)), ((a, y),)),
-        (rows[3, ...], (d, w), (), ((a, x), (b, y), (c, z))),
-    ):
-        np.multiply(*first, out=row)
-        for u, v in added:
-            np.add(row, np.multiply(u, v, out=term), out=row)
-        for u, v in taken:
-            np.subtract(row, np.multiply(u, v, out=term), out=row)
-    return _last(rows)
+    a, b = components(q), components(p)
+    if a.ndim != b.ndim:
+        ndim = max(a.ndim, b.ndim)
+        a, b = (c.reshape(4, *(1,) * (ndim - c.ndim), *c.shape[1:]) for c in (a, b))
+    pairs = a[:, None] * b[None]
+    # One matrix product for all components: an order of magnitude fewer calls than sixteen products and their sums.
+    backwards = not pairs.flags.c_contiguous
+    if backwards:
+        pairs = pairs.transpose((0, 1, *range(pairs.ndim - 1, 1, -1)))
+    rows = (_PRODUCT.reshape(4, 16) @ pairs.reshape(16, -1)).reshape(4, *pairs.shape[2:])
+    return rows.T if backwards else _last(rows)
 
 
 def inverse(q: Array) -> Array:
@@ -91,6 +98,15 @@ def matrix(q: Array) -> Array:
         (2.0 * (a * c + b * d), 2.0 * (b * c - a * d), d * d - a * a - b * b + c * c),
     )
     return np.stack([np.stack(row, -1) for row in rows], -2)
+
+
+def rotate(q: Array, v: ArrayLike) -> Array:
+    """Components ``(..., 3)`` on body axes of vectors ``v (..., 3)`` given on inertial ones: ``matrix(q) @ v``."""
+    (a, b, c, d), (x, y, z) = components(q), components(np.asarray(v, dtype=np.float64))
+    # t = 2 v x rho, then v + q4 t + t x rho.
+    tx, ty, tz = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
+    rows = (x + d * tx + ty * c - tz * b, y + d * ty + tz * a - tx * c, z + d * tz + tx * b - ty * a)
+    return _last(np.stack(rows))
 
 
 def exp(phi: Array) -> Array:
@@ -231,3 +247,23 @@ def attitude(a: float = 1.0, b: float = 4.0, *, transported: bool = False) -> Sp
 
     moved: Callable[[Array], Array] | None = (lambda p: transport(p, a, b)) if transported else None
     return Space(plus, minus, moved)
+
+
+def total_attitude() -> Space:
+    """Space of attitudes whose tangents are differences of modified Rodrigues parameters of the attitudes themselves.
+
+    The sign of the point decides between its two sets of parameters: a model that hands on `positive` quaternions switches to
+    the shadow set in time, and the covariance follows by itself, since every other point is taken on the side of the center.
+    """
+
+    def parameters(q: Array) -> Array:
+        return np.asarray(q[..., :3] / (1.0 + q[..., 3:]))
+
+    def plus(point: Array, tangent: Array) -> Array:
+        return from_rodrigues(parameters(point) + tangent, 1.0, 1.0)
+
+    def minus(later: Array, earlier: Array) -> Array:
+        side = np.copysign(1.0, (later * earlier).sum(-1, keepdims=True))
+        return parameters(later * side) - parameters(earlier)
+
+    return Space(plus, minus)

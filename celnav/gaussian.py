@@ -11,7 +11,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.linalg import Array, cholesky, downdate, matvec, semidefinite_root, solve_lower, tria
+from celnav.linalg import Array, block, cholesky, downdate, matvec, semidefinite_root, solve_lower, tria
 
 
 class Form(Protocol):
@@ -79,7 +79,7 @@ class SquareRootForm:
         return L[..., :m, :m], L[..., m:, :m], L[..., m:, m:]
 
     def sum(self, spread: Array, columns: Array) -> Array:
-        return tria(np.concatenate([spread, columns], -1))
+        return tria(block([[spread, columns]]))
 
 
 class CovarianceForm:

@@ -39,6 +39,15 @@ def components(x: Array) -> Array:
     return first if part.c_contiguous or part.f_contiguous else np.ascontiguousarray(first)
 
 
+def side_by_side(parts: Sequence[Array]) -> Array:
+    """Arrays ``(..., k)`` joined along their last axis; their batch axes broadcast."""
+    batch = parts[0].shape[:-1]
+    if any(part.shape[:-1] != batch for part in parts):
+        batch = np.broadcast_shapes(*(part.shape[:-1] for part in parts))
+        parts = [np.broadcast_to(part, (*batch, part.shape[-1])) for part in parts]
+    return np.concatenate(parts, -1)
+
+
 def tria(A: Array) -> Array:
     """Lower root ``L (..., n, n)``, diagonal >= 0, of the columns ``A (..., n, q)``: ``L @ L.mT == A @ A.mT``, by QR.
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.linalg import Array
+from celnav.linalg import Array, side_by_side
 
 
 def _add(point: Array, tangent: Array) -> Array:
@@ -69,10 +69,10 @@ def product(*factors: tuple[Space, int, int]) -> Space:
             raise ValueError("factors: a space with its own mean cannot be part of a product")
 
     def plus(point: Array, tangent: Array) -> Array:
-        return _join([space.plus(point[..., at], tangent[..., by]) for space, at, by in parts])
+        return side_by_side([space.plus(point[..., at], tangent[..., by]) for space, at, by in parts])
 
     def minus(b: Array, a: Array) -> Array:
-        return _join([space.minus(b[..., at], a[..., at]) for space, at, _ in parts])
+        return side_by_side([space.minus(b[..., at], a[..., at]) for space, at, _ in parts])
 
     def transport(tangent: Array) -> Array:
         n = tangents[-1]
@@ -84,8 +84,3 @@ def product(*factors: tuple[Space, int, int]) -> Space:
 
     curved = any(space.transport is not None for space, _, _ in factors)
     return Space(plus, minus, transport if curved else None)
-
-
-def _join(arrays: list[Array]) -> Array:
-    batch = np.broadcast_shapes(*(a.shape[:-1] for a in arrays))
-    return np.concatenate([np.broadcast_to(a, (*batch, a.shape[-1])) for a in arrays], -1)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from celnav.attitude import exp, inverse, log, multiply
-from celnav.linalg import Array
+from celnav.linalg import Array, side_by_side
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Gyro:
         """State ``(..., 7)`` after an interval with the sample ``measured (..., 3)``, less drift and ``rate_noise``."""
         drift = x[..., 4:]
         q = multiply(exp((measured - drift - rate_noise) * dt), x[..., :4])
-        return np.concatenate([q, np.broadcast_to(self.factor(dt) * drift, (*q.shape[:-1], 3))], -1)
+        return side_by_side([q, self.factor(dt) * drift])
 
 
 def preintegrate(measured: Array, drift: Array, dt: float) -> Array:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from celnav.attitude import matrix, multiply
+from celnav.attitude import multiply, rotate
 from celnav.gaussian import finite
 from celnav.linalg import Array, matvec
 
@@ -47,7 +47,7 @@ class Body:
     def nadir(self, q: Array, t: float) -> Array:
         """Direction of the Earth's center ``(..., 3)`` on body axes."""
         at = self.orbit_rate * t
-        return matvec(matrix(q), np.array([-np.sin(at), 0.0, np.cos(at)]))
+        return rotate(q, [-np.sin(at), 0.0, np.cos(at)])
 
     def rates(self, x: Array, t: float) -> Array:
         """Rate of the state ``(..., 7)``: quaternion and angular velocity (rad/s, body axes)."""

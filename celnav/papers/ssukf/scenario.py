@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -15,11 +15,11 @@ from celnav.filters.single_draw import drawn_once, single_draw
 from celnav.filters.step import Model, Predict, Update, predict, update
 from celnav.gaussian import Gaussian, covariance
 from celnav.linalg import Array
-from celnav.models.gyro import preintegrate
+from celnav.models.gyro import Gyro, preintegrate
 from celnav.montecarlo import normals
 from celnav.papers.ssukf.config import DEG_PER_H, Config
 from celnav.points import Rule, unscented
-from celnav.spaces import EUCLIDEAN, Space, product
+from celnav.spaces import EUCLIDEAN, Space, product, wrap
 from celnav.taylor import Taylor
 
 
@@ -70,7 +70,7 @@ def simulate(config: Config, rng: np.random.Generator | Sequence[np.random.Gener
     c, samples = config, config.star_epochs * config.ratio
     T = c.star_epochs + 1
     initial, white, walk, star, sign = normals(rngs, (6,), (samples, 3), (samples, 3), (T, 3), (T, 1))
-    q = c.body.propagate(_start(c), c.gyro_dt, samples)[:, None, :4]
+    q = c.body.propagate(start(c), c.gyro_dt, samples)[:, None, :4]
     drift = np.empty((samples + 1, len(rngs), 3))
     drift[0] = np.asarray(c.bias_deg_per_h) * DEG_PER_H
     factor, deviation = c.gyro.factor(c.gyro_dt), c.gyro.drift_std(c.gyro_dt)
@@ -94,8 +94,20 @@ def simulate(config: Config, rng: np.random.Generator | Sequence[np.random.Gener
     return every.integrated() if c.preintegrated else every
 
 
-def _start(config: Config) -> Array:
+def start(config: Config) -> Array:
+    """True quaternion and angular velocity (rad/s) at the start, ``(7,)``."""
     return np.append(attitude.from_euler(np.radians(config.attitude_deg)), np.radians(config.rate_deg_per_s))
+
+
+def errors(truth: Array, mean: Array) -> Array:
+    """Rotation vector (rad, body axes) and drift error (rad/s) of estimates, ``(..., 6)``."""
+    turned = attitude.log(attitude.multiply(truth[..., :4], attitude.inverse(mean[..., :4])))
+    return np.concatenate([turned, truth[..., 4:] - mean[..., 4:]], -1)
+
+
+def euler_errors(truth: Array, mean: Array) -> Array:
+    """Errors ``(..., 3)`` rad of roll, pitch and yaw with respect to the orbital frame at the start, as the paper draws them."""
+    return np.asarray(wrap(attitude.to_euler(truth[..., :4]) - attitude.to_euler(mean[..., :4])))
 
 
 def spread(dimension: int, config: Config, *, c: float | None = None) -> Rule:
@@ -110,9 +122,8 @@ def state_space(*, transported: bool = False, a: float = 1.0, b: float = 4.0) ->
     return product((attitude.attitude(a, b, transported=transported), 4, 3), (EUCLIDEAN, 3, 3))
 
 
-def dynamics(config: Config, parts: slice | None = None) -> Any:
+def dynamics(gyro: Gyro, parts: slice | None = None) -> Any:
     """Model function; ``parts``: where the process noise (6) stands among noises that go through the points."""
-    gyro = config.gyro
 
     def f(x: Array, epoch: Epoch, *noise: Array) -> Array:
         if parts is None:
@@ -125,49 +136,75 @@ def dynamics(config: Config, parts: slice | None = None) -> Any:
     return f
 
 
+class Sensor(NamedTuple):
+    """What is measured: ``h(x, epoch, *noise)``, whose last noise is the sensor's, of the root given.
+
+    The spaces of the measurement are those of filters in modified Rodrigues parameters and in the Gibbs vector.
+    """
+
+    h: Model
+    root: Array
+    space: Space
+    gibbs: Space
+
+
 def star(x: Array, _epoch: Any, *noise: Array) -> Array:
     """Measured quaternion; the last three noise components turn it, about body axes."""
     q = x[..., :4]
     return attitude.multiply(attitude.exp(noise[-1]), q) if noise else q
 
 
+def star_sensor(config: Config) -> Sensor:
+    """The paper's: a whole attitude."""
+    return Sensor(star, config.sigma_n * np.eye(3), attitude.attitude(), attitude.attitude(0.0, 2.0))
+
+
+def noise_root(gyro: Gyro, dt: float) -> Array:
+    """Root ``(6, 6)`` of the noise of a gyro sample and of the drift over ``dt`` seconds."""
+    return np.diag(np.repeat([gyro.rate_std(dt), gyro.drift_std(dt)], 3))
+
+
 def filters(config: Config, *, c: float | None = None, transported: bool = False) -> dict[str, Filter]:
-    """The filters by name.
+    """The paper's filters and those it is compared with, by name; see `family`.
+
+    ``c``: one spread for all rules instead of ``alpha^2 (L + kappa)``.
+    """
+    return family(config.gyro, config.step_s, star_sensor(config), lambda L: spread(L, config, c=c), transported=transported)
+
+
+def family(gyro: Gyro, dt: float, sensor: Sensor, rule: Callable[[int], Rule], *, transported: bool = False) -> dict[str, Filter]:
+    """Filters of attitude and drift for any sensor, by name.
 
     aukf: process and measurement noise through the points of both parts (15 dimensions, 31 points). aukf-1: the same, drawn
     once for both parts. ssukf: each noise where it acts (12 and 9 dimensions, 25 and 19 points). additive: neither
     (6 dimensions, 13 points). usque: half of the process noise before the prediction, half after it. mekf: linearized, in the
-    Gibbs vector. ``c``: one spread for all rules instead of ``alpha^2 L``. ``transported``: the covariance follows the
-    reference after an update.
+    Gibbs vector.
+
+    Parameters
+    ----------
+    rule: the rule of a dimension. transported: the covariance follows the reference after an update.
     """
-    dt, gyro, space, sky = config.step_s, config.gyro, state_space(transported=transported), attitude.attitude()
-    gibbs, gibbs_sky = state_space(transported=transported, a=0.0, b=2.0), attitude.attitude(0.0, 2.0)
-    W = np.diag(np.repeat([gyro.rate_std(dt), gyro.drift_std(dt)], 3))
-    V = config.sigma_n * np.eye(3)
-    Q = gyro.process_noise(dt)
-    through, plain = dynamics(config, slice(0, 6)), dynamics(config)
+    space, gibbs = state_space(transported=transported), state_space(transported=transported, a=0.0, b=2.0)
+    W, V, Q = noise_root(gyro, dt), sensor.root, gyro.process_noise(dt)
+    through, plain = dynamics(gyro, slice(0, 6)), dynamics(gyro)
 
-    def rule(dimension: int) -> Rule:
-        return spread(dimension, config, c=c)
+    def measure(rule: Any, extra: tuple[Array, ...] = (), space: Space = space, seen: Space = sensor.space) -> Update:
+        return update(sensor.h, rule, sqrt_R=None if extra else V, extra=extra, space=space, measurement_space=seen)
 
-    def measure(rule: Any, extra: tuple[Array, ...] = (), space: Space = space, sky: Space = sky) -> Update:
-        return update(star, rule, sqrt_R=None if extra else V, extra=extra, space=space, measurement_space=sky)
-
-    once = single_draw(through, star, rule(15), extra=(W, V), space=space, measurement_space=sky)
+    once = single_draw(through, sensor.h, rule(15), extra=(W, V), space=space, measurement_space=sensor.space)
     crassidis = unscented(6, 1.0, 0.0, 1.0)
     return {
         "aukf": sequential(predict(through, rule(15), extra=(W, V), space=space), measure(rule(15), (W, V))),
         "aukf-1": drawn_once(once, measure(rule(9), (V,))),
         "ssukf": sequential(predict(through, rule(12), extra=(W,), space=space), measure(rule(9), (V,))),
         "additive": sequential(predict(plain, rule(6), Q, space=space), measure(rule(6))),
-        "usque": sequential(_halved(plain, crassidis, config, space), measure(crassidis)),
-        "mekf": sequential(predict(plain, Taylor(), Q, space=gibbs), measure(Taylor(), space=gibbs, sky=gibbs_sky)),
+        "usque": sequential(_halved(plain, crassidis, gyro, dt, space), measure(crassidis)),
+        "mekf": sequential(predict(plain, Taylor(), Q, space=gibbs), measure(Taylor(), space=gibbs, seen=sensor.gibbs)),
     }
 
 
-def _halved(f: Model, rule: Rule, config: Config, space: Space) -> Predict:
+def _halved(f: Model, rule: Rule, gyro: Gyro, dt: float, space: Space) -> Predict:
     """Half of the process noise before and half after the propagation [Crassidis & Markley 2003]."""
-    gyro, dt = config.gyro, config.step_s
     u2 = gyro.sigma_u**2
     half = 0.5 * np.diag(np.repeat([gyro.sigma_v**2 * dt - u2 * dt**3 / 6.0, u2 * dt], 3))
     forward, columns = predict(f, rule, half, space=space), np.sqrt(half)

@@ -1,0 +1,125 @@
+"""What the SSUKF gives up: noise common to dynamics and sensor, and what one draw of points keeps. Two small examples."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from celnav.filters.driver import Epoch, Filter, run, sequential
+from celnav.filters.single_draw import drawn_once, single_draw
+from celnav.filters.step import predict, update
+from celnav.filters.track import Track
+from celnav.gaussian import covariance, nees
+from celnav.linalg import Array
+from celnav.points import Rule, unscented
+
+CORRELATIONS = (0.5, 0.8, -0.8)
+DECAY = 0.98
+
+
+class Correlated(NamedTuple):
+    """The scalar example at one correlation: deviation of the exact filter, and what each filter reaches."""
+
+    exact: float
+    once: float
+    switching: float
+    redrawn: float
+    nees: float
+    apart: float
+
+
+def correlated(correlation: float, rng: np.random.Generator, *, runs: int = 400, steps: int = 350, burn: int = 50) -> Correlated:
+    """``x' = 0.98 x + w``, ``z = x' + v``, unit variances, ``w`` and ``v`` correlated.
+
+    ``apart`` is the largest difference of the single-draw covariance from the exact one; ``nees`` that of the SSUKF.
+    """
+    both = np.linalg.cholesky(np.array([[1.0, correlation], [correlation, 1.0]]))
+    noise = rng.standard_normal((steps, runs, 2)) @ both.T
+    truth = np.empty((steps + 1, runs, 1))
+    truth[0] = rng.standard_normal((runs, 1))
+    for k in range(steps):
+        truth[k + 1] = DECAY * truth[k] + noise[k, :, :1]
+    z = truth[1:] + noise[:, :, 1:]
+    epochs = [Epoch(k + 1, k + 1.0, 1.0, None, z[k], truth[k + 1]) for k in range(steps)]
+    prior = covariance(np.zeros((runs, 1)), np.eye(1))
+
+    def f(x: Array, _epoch: Any, *w: Array) -> Array:
+        return np.asarray(DECAY * x + w[0][..., :1])
+
+    def h(x: Array, _epoch: Any, *v: Array) -> Array:
+        return np.asarray(x + v[-1][..., -1:])
+
+    one = np.eye(1)
+    known = {
+        "once": drawn_once(single_draw(f, h, unscented(3), extra=(both,)), update(h, unscented(2), extra=(one,))),
+        "switching": sequential(predict(f, unscented(2), extra=(one,)), update(h, unscented(2), extra=(one,))),
+        "redrawn": sequential(predict(f, unscented(3), extra=(one, one)), update(h, unscented(3), extra=(one, one))),
+    }
+    deviations = exact(correlation, steps)
+    tracks = {name: run(filter, prior, epochs, keep="spread") for name, filter in known.items()}
+    error = {name: truth[1:] - _mean(track) for name, track in tracks.items()}
+    rms = {name: float(np.sqrt(np.square(e[burn:]).mean())) for name, e in error.items()}
+    ratio = nees(error["switching"], tracks["switching"].root)[burn:].mean()
+    once = tracks["once"].std
+    assert once is not None
+    apart = np.abs(once[..., 0] - deviations[:, None]).max()
+    return Correlated(float(deviations[-1]), rms["once"], rms["switching"], rms["redrawn"], float(ratio), float(apart))
+
+
+def exact(correlation: float, steps: int) -> Array:
+    """Posterior deviations ``(steps,)`` of the Kalman filter of correlated noise."""
+    P, out = 1.0, []
+    for _ in range(steps):
+        before = DECAY**2 * P + 1.0
+        P = before - (before + correlation) ** 2 / (before + 1.0 + 2.0 * correlation)
+        out.append(np.sqrt(P))
+    return np.array(out)
+
+
+def multiplied(rng: np.random.Generator, *, runs: int = 2000, steps: int = 60) -> tuple[dict[str, float], float]:
+    """``x1' = x1 + exp(x2 + w1)``, ``x2' = 0.95 x2 + w2``, ``z = x1 exp(v)``: RMSE of x1, and how far AUKF and SSUKF are apart."""
+    sigma, sensor = np.array([0.4, 0.2]), np.array([[0.15]])
+    start, P = np.array([1.0, 0.0]), np.diag([0.1**2, 0.2**2])
+    truth = np.empty((steps + 1, runs, 2))
+    truth[0] = start + rng.standard_normal((runs, 2)) @ np.sqrt(P)
+    w, v = sigma * rng.standard_normal((steps, runs, 2)), rng.standard_normal((steps, runs, 1)) * sensor
+
+    def f(x: Array, _epoch: Any, *noise: Array) -> Array:
+        by = np.concatenate(noise, -1)[..., :2] if noise else np.zeros(2)
+        return np.stack([x[..., 0] + np.exp(x[..., 1] + by[..., 0]), 0.95 * x[..., 1] + by[..., 1]], -1)
+
+    def h(x: Array, _epoch: Any, *noise: Array) -> Array:
+        return x[..., :1] * np.exp(noise[-1]) if noise else x[..., :1]
+
+    for k in range(steps):
+        truth[k + 1] = f(truth[k], None, w[k])
+    z = h(truth[1:], None, v)
+    epochs = [Epoch(k + 1, k + 1.0, 1.0, None, z[k], truth[k + 1]) for k in range(steps)]
+
+    def rule(L: int) -> Rule:
+        return unscented(L, kappa=6.0 - L)
+
+    def process(mean: Array, _epoch: Any) -> Array:
+        slope = np.stack([np.exp(mean[..., 1]), np.ones_like(mean[..., 1])], -1)
+        return np.asarray((slope * sigma)[..., None] * np.eye(2))
+
+    def measured(mean: Array, _epoch: Any) -> Array:
+        return np.asarray(mean[..., :1, None] * sensor)
+
+    W = np.diag(sigma)
+    known: dict[str, Filter] = {
+        "aukf": sequential(predict(f, rule(5), extra=(W, sensor)), update(h, rule(5), extra=(W, sensor))),
+        "ssukf": sequential(predict(f, rule(4), extra=(W,)), update(h, rule(3), extra=(sensor,))),
+        "aukf-1": drawn_once(single_draw(f, h, rule(5), extra=(W, sensor)), update(h, rule(3), extra=(sensor,))),
+        "additive": sequential(predict(f, rule(2), sqrt_Q=process), update(h, rule(2), sqrt_R=measured)),
+    }
+    prior = covariance(np.tile(start, (runs, 1)), P)
+    means = {name: _mean(run(filter, prior, epochs, keep="mean")) for name, filter in known.items()}
+    rms = {name: float(np.sqrt(np.square(mean - truth[1:])[..., 0].mean())) for name, mean in means.items()}
+    return rms, float(np.abs(means["aukf"] - means["ssukf"]).max())
+
+
+def _mean(track: Track) -> Array:
+    assert track.mean is not None
+    return track.mean

@@ -1,0 +1,222 @@
+"""The study: every run behind the figures, tables and claims, from a configuration and a seed."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from time import process_time
+from typing import Any
+
+import numpy as np
+
+from celnav.filters.driver import Filter, run
+from celnav.gaussian import nees
+from celnav.linalg import Array
+from celnav.montecarlo import Progress, Unit, blocks, generator, run_count, work
+from celnav.papers.ssukf import checks, draws, scenario, theory, vector
+from celnav.papers.ssukf.config import ARCSEC, DEG_PER_H, PRESETS, STANDARD, Config
+from celnav.papers.ssukf.variants import dense_filters, spin
+
+PAPER = ("aukf", "ssukf", "mekf")
+"""Filters run from the paper's initial error."""
+DRAWN = ("aukf", "ssukf", "usque", "mekf")
+"""Filters run from initial errors drawn from the prior."""
+TIMED = ("aukf", "ssukf", "additive", "mekf")
+UNITS = np.repeat([ARCSEC, DEG_PER_H], 3)
+"""What errors are divided by: arcsec and deg/h, ``(6,)``."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """Everything that figures, tables, claims and recordings read.
+
+    ``data["paper"]`` and ``data["drawn"]`` (initial errors of the paper, or drawn from the prior) hold for each filter what
+    `follow` returns. The other entries are what the functions of `celnav.papers.ssukf.checks` and `celnav.papers.ssukf.vector`
+    return. ``facts`` hold what needs no Monte Carlo, ``timings`` CPU seconds.
+    """
+
+    config: Config
+    seed: int
+    runs: int
+    full: bool
+    data: dict[str, dict[str, Array]]
+    facts: dict[str, Any]
+    timings: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def times(self) -> Array:
+        """Star epochs ``(T,)`` s, the start first."""
+        return np.asarray(np.arange(len(self.data["paper"]["aukf/nees"])) / self.config.star_hz)
+
+    def arrays(self) -> dict[str, Array]:
+        """Arrays to store: RMSE over the runs, mean NEES and NIS, and the first run's errors and deviations."""
+        out = {"times": self.times}
+        for kind, names in (("paper", PAPER), ("drawn", DRAWN)):
+            data = self.data[kind]
+            for name in names:
+                key = f"{kind}/{name}"
+                out[f"{key}/rmse"] = np.sqrt(np.square(data[f"{name}/error"]).mean(1))
+                out[f"{key}/nees"], out[f"{key}/nis"] = data[f"{name}/nees"].mean(1), data[f"{name}/nis"].mean(1)
+                out[f"{key}/first/error"], out[f"{key}/first/std"] = data[f"{name}/error"][:, 0], data[f"{name}/std"][:, 0]
+        for name in vector.FILTERS:
+            for degrees in vector.PRIORS_DEG:
+                error = self.data["vector"][f"{name}/{degrees:g}/error"]
+                out[f"vector/{name}/{degrees:g}/rmse"] = np.sqrt(np.square(error).mean(1))
+        return out
+
+
+def follow(name: str, filter: Filter, sim: scenario.Scenario) -> dict[str, Array]:
+    """Run a filter over a batch; arrays ``(T, runs, ...)`` at the star epochs, named ``<filter>/...``.
+
+    ``error`` (6: rotation vector in arcsec, drift in deg/h), ``euler`` (3: roll, pitch, yaw in arcsec), ``nees``, ``nis``, and of
+    the first run alone ``std`` (6, as the errors), ``mean`` and ``cov``.
+    """
+    every = len(sim.gyro) // (len(sim.truth) - 1)
+    track = run(filter, sim.prior, sim.epochs(), keep="spread", every=every)
+    assert track.mean is not None
+    assert track.std is not None
+    error = scenario.errors(sim.truth, track.mean)
+    out = {
+        "error": error / UNITS,
+        "euler": scenario.euler_errors(sim.truth, track.mean) / ARCSEC,
+        "nees": nees(error, track.root),
+        "nis": track.nis,
+        "std": track.std[:, :1] / UNITS,
+        "mean": track.mean[:, :1],
+        "cov": track.cov[:, :1],
+    }
+    return {f"{name}/{key}": value for key, value in out.items()}
+
+
+def compare(config: Config, rngs: Sequence[np.random.Generator], names: Sequence[str] = ("aukf", "ssukf")) -> dict[str, Array]:
+    """Filters on simulated runs of a configuration, from the paper's initial error; see `follow`.
+
+    ``PRESETS["100 Hz"]`` with 200 generators is the paper's own rate in full: 60,000 time updates of 200 runs for each filter.
+    """
+    sim = scenario.simulate(config, rngs)
+    known, out = scenario.filters(config), {"truth": sim.truth[:, :1], "stars": sim.stars[:, :1]}
+    for name in names:
+        out |= follow(name, known[name], sim)
+    return out
+
+
+def _drawn(config: Config, rngs: Sequence[np.random.Generator]) -> dict[str, Array]:
+    sim = scenario.simulate(config, rngs, drawn=True)
+    known = scenario.filters(config)
+    out: dict[str, Array] = {}
+    for name in DRAWN:
+        out |= follow(name, known[name], sim)
+    return out
+
+
+def _block(what: str, config: Config, seed: int, study: int, runs: range) -> dict[str, Array]:
+    """One piece of work, by name."""
+    rngs = [generator(seed, study, r) for r in runs]
+    functions: dict[str, Any] = {
+        "paper": lambda: compare(config, rngs, PAPER),
+        "drawn": lambda: _drawn(config, rngs),
+        "vector": lambda: vector.compare(config, rngs),
+        "vector, short": lambda: vector.compare(config, rngs, ("aukf", "ssukf, c = 15", "usque", "ssukf, c = 7"), 100),
+        "identities": lambda: checks.identities(config, rngs),
+        "rates": lambda: checks.rates(config, rngs),
+        "variants": lambda: checks.variants(config, rngs),
+        "alphas": lambda: checks.alphas(config, rngs),
+        "priors": lambda: checks.priors(config, rngs),
+        "turns": lambda: checks.turns(config, rngs),
+        "linear": lambda: checks.linear(config, rngs),
+    }
+    return dict(functions[what]())
+
+
+SHORT: dict[str, tuple[float, int]] = {
+    "identities": (5.0, 20),
+    "rates": (30.0, 20),
+    "variants": (60.0, 50),
+    "alphas": (60.0, 20),
+    "priors": (60.0, 20),
+    "turns": (10.0, 20),
+    "linear": (300.0, 5),
+    "vector": (0.0, vector.RUNS),
+    "vector, short": (0.0, 20),
+}
+"""Seconds and runs at most of the smaller studies; those of `vector` have their own length."""
+
+
+def _units(config: Config, seed: int, runs: int, block: int, effort: float) -> list[Unit]:
+    out = [Unit(what, _block, (what, config, seed, 0, part)) for what in ("paper", "drawn") for part in blocks(runs, block)]
+    for study, (what, (seconds, most)) in enumerate(SHORT.items(), start=1):
+        few = replace(config, duration_s=min(seconds, config.duration_s)) if seconds else config
+        count = max(2, round(most * effort))
+        out += [Unit(what, _block, (what, few, seed, study, part)) for part in blocks(count, block)]
+    return out
+
+
+def time_filters(config: Config, rounds: int = 5) -> dict[str, float]:
+    """CPU seconds from one star sample to the next, by filter, rates and runs; the smallest of interleaved rounds."""
+    out: dict[str, float] = {}
+    for rate, per in ((PRESETS["standard"], 1), (PRESETS["100 Hz"], config.ratio)):
+        for runs in (1, 500):
+            short = replace(
+                config, preintegrated=rate.preintegrated, duration_s=max(1, 20 // (per * (1 if runs == 1 else 10))) * 0.25
+            )
+            sim = scenario.simulate(short, [generator(0, 99, r) for r in range(runs)])
+            epochs = list(sim.epochs())
+            known = {name: scenario.filters(short)[name] for name in TIMED}
+            known |= {f"{name}, dense": filter for name, filter in dense_filters(short).items()}
+            best = dict.fromkeys(known, np.inf)
+            for _ in range(rounds):
+                for name, filter in known.items():
+                    start = process_time()
+                    run(filter, sim.prior, epochs, keep="nothing")
+                    best[name] = min(best[name], (process_time() - start) / short.star_epochs)
+            out |= {f"{name}, {per}:1, {runs} run{'s' if runs > 1 else ''}, s": value for name, value in best.items()}
+    return out
+
+
+def reproduce(
+    config: Config = STANDARD,
+    *,
+    runs: int | None = None,
+    seed: int = 0,
+    effort: float = 1.0,
+    block: int = 100,
+    jobs: int = 1,
+    progress: Progress | None = None,
+) -> Result:
+    """Run the whole study. Pure: reads and writes no files.
+
+    Parameters
+    ----------
+    config: of the runs; the smaller studies take from it what they do not set themselves.
+    runs: Monte-Carlo runs; None: those of the configuration, times ``effort``.
+    seed: see `celnav.montecarlo`.
+    effort: in (0, 1].
+    block: runs computed together at most. It changes no result.
+    jobs: processes.
+
+    Raises
+    ------
+    ValueError: naming an argument that cannot be.
+    """
+    count = run_count(config.runs, runs, effort)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        outcomes = work(_units(config, seed, count, block, effort), jobs=jobs, progress=progress)
+    start = process_time()
+    minute = replace(config, duration_s=min(60.0, config.duration_s))
+    facts: dict[str, Any] = {
+        "exact": theory.exact_deviations(config),
+        "readings": [(r, theory.limit(r.gyro, config.sigma_n, 1.0 / config.star_hz)) for r in theory.readings(config)],
+        "correlated": {rho: draws.correlated(rho, generator(seed, 20, i)) for i, rho in enumerate(draws.CORRELATIONS)},
+        "multiplied": draws.multiplied(generator(seed, 21, 0)),
+        "spin": spin(config, [generator(seed, 22, r) for r in range(20)]),
+        "total covariance": checks.total_covariance(minute, generator(seed, 23, 0)),
+        "dead": checks.dead_points(config),
+        "evaluations": {1: checks.evaluations(STANDARD), 25: checks.evaluations(PRESETS["100 Hz"])},
+    }
+    timings = {f"cpu_s {label}": outcome.cpu_s for label, outcome in outcomes.items()}
+    timings["cpu_s facts"] = process_time() - start
+    timings |= time_filters(config)
+    data = {label: outcome.arrays for label, outcome in outcomes.items()}
+    return Result(config, seed, count, count >= config.runs, data, facts, timings)

@@ -1,0 +1,159 @@
+"""Other forms of the same filters: the total attitude as the state, and roots that are not taken block by block."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from celnav import attitude
+from celnav.filters.driver import Epoch, Filter, run, sequential
+from celnav.filters.info import Info
+from celnav.filters.step import Predict, predict, update
+from celnav.gaussian import Gaussian, covariance
+from celnav.linalg import Array, block, cholesky
+from celnav.montecarlo import normals
+from celnav.papers.ssukf.config import ARCSEC, Config
+from celnav.papers.ssukf.scenario import Scenario, dynamics, filters, noise_root, spread, star, state_space
+from celnav.points import Rule
+from celnav.spaces import EUCLIDEAN, Space, product
+
+
+# -- the total attitude in modified Rodrigues parameters: the paper's words taken literally ----------------------------------
+def to_tangent(q: Array) -> Array:
+    """From deviations of total parameters and drift to those of rotation vector and drift, ``(..., 6, 6)``."""
+    p = q[..., :3] / (1.0 + q[..., 3:])
+    return block([[4.0 * attitude.transport(p, 1.0, 1.0), 0], [0, np.eye(3)]])
+
+
+def total_prior(prior: Gaussian) -> Gaussian:
+    """The prior with its covariance in total parameters."""
+    G = to_tangent(prior.mean[..., :4])
+    half = np.linalg.solve(G, prior.cov)
+    P = np.linalg.solve(G, half.mT)
+    return prior._replace(spread=0.5 * (P + P.mT))
+
+
+def total_filters(config: Config, *, c: float | None = None, switched: bool = True) -> dict[str, Filter]:
+    """AUKF and SSUKF on the total attitude. Without the switch to the shadow set (``switched``) they meet its singularity."""
+    W, V = noise_root(config.gyro, config.step_s), config.sigma_n * np.eye(3)
+    sky = attitude.total_attitude()
+    space = product((sky, 4, 3), (EUCLIDEAN, 3, 3))
+    moving = dynamics(config.gyro, slice(0, 6))
+
+    def f(x: Array, epoch: Epoch, *noise: Array) -> Array:
+        y = moving(x, epoch, *noise)
+        if switched:
+            y[..., :4] = attitude.positive(y[..., :4])
+        return np.asarray(y)
+
+    def parts(time: Rule, noise: tuple[Array, ...], measured: Rule, sensor: tuple[Array, ...]) -> Filter:
+        see = update(star, measured, extra=sensor, space=space, measurement_space=sky)
+        return sequential(predict(f, time, extra=noise, space=space), see)
+
+    return {
+        "aukf-total": parts(spread(15, config, c=c), (W, V), spread(15, config, c=c), (W, V)),
+        "ssukf-total": parts(spread(12, config, c=c), (W,), spread(9, config, c=c), (V,)),
+    }
+
+
+class Spin(NamedTuple):
+    """A spin through more than a whole turn.
+
+    Attributes
+    ----------
+    times: ``(T,)`` s. errors: filter -> ``(T,)`` largest error of the runs, arcsec. switches: how often, in a run, the total form
+        changed its parameters.
+    """
+
+    times: Array
+    errors: dict[str, Array]
+    switches: float
+
+    def settled(self, filter: str) -> float:
+        """Largest error after the first minute, arcsec."""
+        return float(np.nanmax(self.errors[filter][self.times > 60.0]))
+
+
+def spin(config: Config, rngs: Sequence[np.random.Generator], *, rate_deg_per_s: float = 1.0) -> Spin:
+    """Local and total form of the SSUKF while the satellite spins from 150 to 390 deg, past the singularity at 360 deg."""
+    c = config
+    T = round(240.0 / rate_deg_per_s * c.star_hz) + 1
+    short = replace(c, duration_s=(T - 1) / c.star_hz)
+    axis = np.array([0.6, 0.0, 0.8])
+    turned = np.radians(150.0 + rate_deg_per_s * np.arange(T) / c.star_hz)
+    q = attitude.exp(turned[:, None, None] * axis)
+    white, walk, star = normals(rngs, (T - 1, 3), (T - 1, 3), (T, 3))
+    drift = np.concatenate([np.zeros((1, len(rngs), 3)), np.cumsum(c.gyro.drift_std(c.step_s) * walk, 0)])
+    gyro = c.gyro.measure(q, drift, white, c.step_s)
+    stars = attitude.multiply(attitude.exp(c.sigma_n * star), q)
+    truth = np.concatenate([np.broadcast_to(q, stars.shape), drift], -1)
+    mean = np.tile(np.append(q[0], np.zeros(3)), (len(rngs), 1))
+    deviation = np.concatenate([np.full(3, c.sigma_n), np.full(3, c.gyro.drift_std(1.0) + 1e-9)])
+    scenario = Scenario(short, truth, gyro, stars, covariance(mean, np.diag(deviation**2)))
+
+    def track(filter: Filter, prior: Gaussian) -> Array:
+        mean = run(filter, prior, scenario.epochs(), keep="mean", on_failure="flag").mean
+        assert mean is not None
+        return mean[..., :4]
+
+    tracks = {
+        "local": track(filters(short)["ssukf"], scenario.prior),
+        **{
+            name: track(total_filters(short, switched=name == "switched")["ssukf-total"], total_prior(scenario.prior))
+            for name in ("switched", "unswitched")
+        },
+    }
+    errors = {n: attitude.angle(attitude.multiply(q, attitude.inverse(p))).max(1) / ARCSEC for n, p in tracks.items()}
+    sides = (tracks["switched"][1:] * tracks["switched"][:-1]).sum(-1)
+    return Spin(np.arange(T) / c.star_hz, errors, float((sides < 0.0).sum(0).mean()))
+
+
+# -- dense roots: the joint covariance of state and noise is factored as a whole ---------------------------------------------
+def dense_filters(config: Config, *, c: float | None = None) -> dict[str, Filter]:
+    """AUKF and SSUKF that factor the whole augmented covariance, as the paper writes them."""
+    w, v = noise_root(config.gyro, config.step_s).diagonal(), np.full(3, config.sigma_n)
+    time = {"aukf": np.concatenate([w, v]), "ssukf": w}
+    measured = {"aukf": np.concatenate([w, v]), "ssukf": v}
+    return {name: sequential(_dense_predict(config, time[name], c), _dense_update(config, measured[name], c)) for name in time}
+
+
+def _augmented(belief: Gaussian, noise: Array) -> Gaussian:
+    mean = np.concatenate([belief.mean, np.zeros((*belief.mean.shape[:-1], len(noise)))], -1)
+    joint = block([[belief.cov, 0], [0, np.diag(noise**2)]])
+    root = cholesky(joint)
+    return Gaussian(mean, root @ root.mT, belief.form)
+
+
+def _space(noise: Array) -> Space:
+    return product((state_space(), 7, 6), (EUCLIDEAN, len(noise), len(noise)))
+
+
+def _dense_predict(config: Config, noise: Array, c: float | None) -> Predict:
+    through = dynamics(config.gyro, slice(0, 6))
+
+    def f(x: Array, epoch: Epoch) -> Array:
+        return np.concatenate([through(x[..., :7], epoch, x[..., 7:]), x[..., 7:]], -1)
+
+    part = predict(f, spread(6 + len(noise), config, c=c), space=_space(noise))
+
+    def dense(belief: Gaussian, epoch: Any = None) -> tuple[Gaussian, Info]:
+        after, info = part(_augmented(belief, noise), epoch)
+        return Gaussian(after.mean[..., :7], after.cov[..., :6, :6], belief.form), info
+
+    return dense
+
+
+def _dense_update(config: Config, noise: Array, c: float | None) -> Any:
+    def h(x: Array, epoch: Epoch) -> Array:
+        return star(x[..., :7], epoch, x[..., 7:][..., -3:])
+
+    part = update(h, spread(6 + len(noise), config, c=c), space=_space(noise), measurement_space=attitude.attitude())
+
+    def dense(belief: Gaussian, z: Any, epoch: Any = None, memory: Any = None) -> tuple[Gaussian, Info, Any]:
+        after, info, memory = part(_augmented(belief, noise), z, epoch, memory)
+        return Gaussian(after.mean[..., :7], after.cov[..., :6, :6], belief.form), info, memory
+
+    return dense
