@@ -50,7 +50,7 @@ class Transform(Protocol):
     ``(p, ..., k)`` of noise points for each root in ``extra`` to a tuple of outputs, one for each of ``spaces``. It returns
     an `Image` of each output and the pre-array ``(..., sum of dimensions, q + room)`` that holds their columns above each
     other; the last ``room`` columns are for the caller. ``sign`` belongs to the first q columns. ``slope`` is the
-    statistical Jacobian ``(..., k, n)`` of an image.
+    statistical Jacobian ``(..., k, n)`` of an image. ``epoch`` is for rules that know derivatives.
     """
 
     sign: Array
@@ -64,6 +64,7 @@ class Transform(Protocol):
         spaces: Sequence[Space],
         extra: Sequence[Array] = (),
         room: int = 0,
+        epoch: Any = None,
     ) -> tuple[list[Image], Array]: ...
 
     def points(self, mean: Array, root: Array, space: Space, extra: Sequence[Array] = ()) -> list[Array]: ...
@@ -186,6 +187,11 @@ class Rule:
         for E in roots:
             last = first + E.shape[-1]
             D = E @ self._transposed[first:last]
+            if first and D.ndim == 2:  # the noise of every run: nothing to copy
+                same = D.T.reshape(-1, *(1,) * len(batch), D.shape[0])
+                points.append(np.broadcast_to(same, (same.shape[0], *batch, D.shape[0])))
+                first = last
+                continue
             if D.shape[:-2] != batch:
                 D = np.broadcast_to(D, (*batch, *D.shape[-2:]))
             if first == 0 and space is EUCLIDEAN:  # moved and copied in one pass
@@ -206,6 +212,7 @@ class Rule:
         spaces: Sequence[Space],
         extra: Sequence[Array] = (),
         room: int = 0,
+        epoch: Any = None,  # noqa: ARG002
     ) -> tuple[list[Image], Array]:
         """See `Transform`."""
         X = self.points(mean, root, space, extra)

@@ -61,10 +61,12 @@ class Recorder:
     Radii and line widths are in points of the screen, whatever the zoom.
     """
 
-    def __init__(self, stream: rr.RecordingStream, times: Array) -> None:
+    def __init__(self, stream: rr.RecordingStream, times: Array, counter: str = "") -> None:
         self.stream = stream
         self.times = times
         self._index = [rr.TimeColumn(TIMELINE, duration=times)]
+        if counter:
+            self._index.append(rr.TimeColumn(counter, sequence=np.arange(len(times))))
 
     def _send(self, entity: str, columns: Any) -> None:
         self.stream.send_columns(entity, self._index, columns)
@@ -138,6 +140,17 @@ class Recorder:
         self._style(entity, rr.Arrows3D.from_fields(colors=rgba(color), radii=rr.Radius.ui_points(radius), labels=label))
         self._send(entity, rr.Arrows3D.columns(origins=start[there], vectors=vector[there]).partition(there.astype(int)))
 
+    def pose(self, entity: str, origins: ArrayLike, quaternions: ArrayLike) -> None:
+        """Where everything below ``entity`` is: origins ``(T, 3)`` and attitudes ``(T, 4)`` (see `celnav.attitude`)."""
+        start, q = self._array(entity, origins, (3,)), self._array(entity, quaternions, (4,))
+        self._send(entity, rr.Transform3D.columns(translation=start, quaternion=q))
+
+    def axes(self, entity: str, length: float, colors: Sequence[str], labels: Sequence[str] = (), *, radius: float = 1.5) -> None:
+        """Three arrows along the axes of ``entity``, as long as the run."""
+        names = {"labels": list(labels)} if labels else {}
+        vectors, palette = length * np.eye(3), [rgba(color) for color in colors]
+        self._style(entity, rr.Arrows3D(vectors=vectors, colors=palette, radii=rr.Radius.ui_points(radius), **names))
+
     def points(
         self, entity: str, points: ArrayLike, color: str, *, alpha: float = 1.0, radius: float = 2.0, label: str = ""
     ) -> None:
@@ -201,7 +214,13 @@ def _sphere(latitude: ArrayLike, longitude: ArrayLike) -> Array:
 
 @contextlib.contextmanager
 def recording(
-    path: str | os.PathLike[str], times: ArrayLike, *, name: str, layout: Any, properties: Mapping[str, Any] | None = None
+    path: str | os.PathLike[str],
+    times: ArrayLike,
+    *,
+    name: str,
+    layout: Any,
+    properties: Mapping[str, Any] | None = None,
+    counter: str = "",
 ) -> Iterator[Recorder]:
     """Write a recording when the block ends: to a temporary file beside ``path`` that then takes its place, or not at all.
 
@@ -212,6 +231,7 @@ def recording(
     name: what the viewer calls it, and its id.
     layout: a view or container, see `rows`.
     properties: facts about the whole recording, such as parameters and seed.
+    counter: name of a second timeline that counts the rows; none if empty.
 
     Raises
     ------
@@ -237,7 +257,7 @@ def recording(
                 stream.send_recording_name(name)
                 if properties:
                     stream.send_property("study", rr.AnyValues(**properties))
-                yield Recorder(stream, t)
+                yield Recorder(stream, t, counter)
             _replace(target, memory.drain_as_bytes())
         finally:
             stream.disconnect()

@@ -18,7 +18,7 @@ class Taylor:
 
     Parameters
     ----------
-    jacobians: ``mean (..., N) -> tuple`` of Jacobians ``(..., k, n)``, one for each output of the function. None: central
+    jacobians: ``(mean (..., N), epoch) -> tuple`` of Jacobians ``(..., k, n)``, one for each output of the function. None: central
         differences along the columns of the root. `KEEP`, the state itself, needs none.
     step: length of the difference, in standard deviations.
     about: ``(..., N)``, the point to expand about instead of the mean, as an iterated filter does. The belief stays where it
@@ -27,7 +27,7 @@ class Taylor:
 
     def __init__(
         self,
-        jacobians: Callable[[Array], tuple[Array, ...]] | None = None,
+        jacobians: Callable[[Array, Any], tuple[Array, ...]] | None = None,
         step: float = 1e-3,
         *,
         about: ArrayLike | None = None,
@@ -50,17 +50,18 @@ class Taylor:
         center = mean if self.about is None else self.about
         roots = [root, *extra]
         total = sum(E.shape[-1] for E in roots)
-        directions = np.zeros((1, total))
-        if self.jacobians is None:
-            directions = self.step * np.vstack([directions, np.eye(total), -np.eye(total)])
         batch = np.broadcast_shapes(mean.shape[:-1], *(E.shape[:-2] for E in roots))
+        if self.jacobians is not None:
+            alone = np.broadcast_to(center, (1, *batch, center.shape[-1])).copy()
+            return [alone, *(np.zeros((1, *batch, E.shape[-2])) for E in extra)]
+        directions = self.step * np.vstack([np.zeros((1, total)), np.eye(total), -np.eye(total)])
         spread, first = [], 0
         for E in roots:
             D = E @ directions[:, first : first + E.shape[-1]].T
             D = np.broadcast_to(D, (*batch, *D.shape[-2:]))
             spread.append(np.moveaxis(D, -1, 0))
             first += E.shape[-1]
-        if self.about is not None and self.jacobians is None:
+        if self.about is not None:
             way: list[Any] = [self.step * space.minus(mean, center), *(0.0 for _ in extra)]
             ways = [np.broadcast_to(w, D.shape[1:]) for w, D in zip(way, spread, strict=True)]
             spread = [np.concatenate([D, [w, -w]]) for D, w in zip(spread, ways, strict=True)]
@@ -75,6 +76,7 @@ class Taylor:
         spaces: Sequence[Space],
         extra: Sequence[Array] = (),
         room: int = 0,
+        epoch: Any = None,
     ) -> tuple[list[Image], Array]:
         """See `Transform`. Jacobians cover the state, then each of the noises in ``extra``."""
         X = self.points(mean, root, space, extra)
@@ -83,7 +85,7 @@ class Taylor:
         roots = [root, *extra]
         total = sum(E.shape[-1] for E in roots)
         at = mean if self.about is None else self.about
-        given = None if self.jacobians is None else self.jacobians(at)
+        given = None if self.jacobians is None else self.jacobians(at, epoch)
         if given is not None and len(given) != len(outputs):
             moved = [i for i, y in enumerate(outputs) if y is not KEEP]  # the state itself needs none
             if len(given) != len(moved):

@@ -217,7 +217,7 @@ def test_a_transform_is_the_weighted_sum_written_out(rule, batch):
 JACOBIAN = np.array([[1.0, 0.2, 0.0], [0.0, 1.0, -0.3]])
 
 
-@pytest.mark.parametrize("taylor", [Taylor(), Taylor(lambda mean: (JACOBIAN,))], ids=repr)
+@pytest.mark.parametrize("taylor", [Taylor(), Taylor(lambda _mean, _epoch: (JACOBIAN,))], ids=repr)
 @pytest.mark.parametrize("batch", BATCHES)
 def test_taylor_has_the_jacobian_for_its_slope(taylor, batch):
     rng = np.random.default_rng(4)
@@ -228,7 +228,7 @@ def test_taylor_has_the_jacobian_for_its_slope(taylor, batch):
 
 
 def test_taylor_by_differences_is_taylor_by_jacobian():
-    def jacobian(mean):
+    def jacobian(mean, _epoch):
         c, s, speed = np.cos(mean[3]), np.sin(mean[3]), mean[2]
         return (np.array([[1.0, 0.0, c, -speed * s], [0.0, 1.0, s, speed * c], [0.0, 0.0, 0.99, 0.0], [0.0, 0.0, 0.0, 1.0]]),)
 
@@ -241,7 +241,7 @@ def test_taylor_by_differences_is_taylor_by_jacobian():
 
 
 def test_taylor_asks_for_one_jacobian_for_each_output():
-    taylor = Taylor(lambda mean: (np.eye(2),))
+    taylor = Taylor(lambda _mean, _epoch: (np.eye(2),))
     with pytest.raises(ValueError, match="jacobians: expected 2 matrices, got 1"):
         taylor.transform(lambda x: (x + 0.0, x + 0.0), np.zeros(2), np.eye(2), EUCLIDEAN, (EUCLIDEAN, EUCLIDEAN))
 

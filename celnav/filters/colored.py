@@ -196,7 +196,7 @@ def _lift(f: Model, rule: Transform, belief: Gaussian, epoch: Epoch) -> _Lifted:
     def g(points: Array) -> Outputs:
         return images("f", f, points, epoch, (), points.shape[-1]), KEEP
 
-    (y, x), _ = rule.transform(g, belief.mean, root, EUCLIDEAN, (EUCLIDEAN, EUCLIDEAN))
+    (y, x), _ = rule.transform(g, belief.mean, root, EUCLIDEAN, (EUCLIDEAN, EUCLIDEAN), epoch=epoch)
     return _Lifted(y, x, root, rule, belief, g)
 
 
@@ -240,7 +240,7 @@ def _through_points(
             before = images("h", h, points, epoch, (), m)
             return now - matvec(Phi, before), y
 
-        (measured, y), A = rule.transform(g, belief.mean, root, EUCLIDEAN, (EUCLIDEAN, EUCLIDEAN), (process,), s)
+        (measured, y), A = rule.transform(g, belief.mean, root, EUCLIDEAN, (EUCLIDEAN, EUCLIDEAN), (process,), s, epoch)
         A[..., :m, A.shape[-1] - s :] = Z
         A[..., m:, A.shape[-1] - s :] = 0.0
 

@@ -25,7 +25,7 @@ def iterated(
     sqrt_R: Any = None,
     iterations: int = 6,
     start: Start | None = None,
-    jacobians: Callable[[Array], tuple[Array, ...]] | None = None,
+    jacobians: Callable[[Array, Any], tuple[Array, ...]] | None = None,
     space: Space = EUCLIDEAN,
     measurement_space: Space = EUCLIDEAN,
 ) -> Update:

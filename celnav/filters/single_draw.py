@@ -58,7 +58,7 @@ def single_draw(
             y = images("f", f, points, epoch, w, belief.mean.shape[-1])
             return images("h", h, y.copy(order="K"), epoch, w, z.shape[-1]), y
 
-        (measured, state), A = rule.transform(g, belief.mean, root, space, (measurement_space, space), extra, s)
+        (measured, state), A = rule.transform(g, belief.mean, root, space, (measurement_space, space), extra, s, epoch)
         m = measured.columns.shape[-2]
         if s:
             if noise.shape[-2] != m:

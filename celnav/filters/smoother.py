@@ -133,7 +133,7 @@ def _back(
     def g(points: Array, *w: Array) -> Outputs:
         return images("f", f, points, epoch, w, filtered.mean.shape[-1]), KEEP
 
-    (y, x), A = rule.transform(g, filtered.mean, root, space, (space, space), extra, r)
+    (y, x), A = rule.transform(g, filtered.mean, root, space, (space, space), extra, r, epoch)
     if r:
         A[..., :n, A.shape[-1] - r :] = W
         A[..., n:, A.shape[-1] - r :] = 0.0

@@ -182,7 +182,7 @@ def predict(
         def g(points: Array, *w: Array) -> Outputs:
             return (images("f", f, points, epoch, w, belief.mean.shape[-1]),)
 
-        (state,), A = rule.transform(g, belief.mean, root, space, (space,), extra, r)
+        (state,), A = rule.transform(g, belief.mean, root, space, (space,), extra, r, epoch)
         if r:
             _set_noise("Q", A[..., A.shape[-1] - r :], noise)
         predicted = Gaussian(space.plus(state.center, state.shift), belief.form.marginal(A, rule.sign), belief.form)
@@ -275,7 +275,7 @@ def _through_rule(
         def g(points: Array, *v: Array) -> Outputs:
             return images("h", h, points, epoch, v, m), KEEP
 
-        (measured, state), A = rule.transform(g, belief.mean, root, space, (measurement_space, space), extra, room)
+        (measured, state), A = rule.transform(g, belief.mean, root, space, (measurement_space, space), extra, room, epoch)
         noise = slice(A.shape[-1] - room, None)
         return _Lifted(measured, state, A, noise, rule.sign, lambda: (rule.slope(measured, root),), g)
 

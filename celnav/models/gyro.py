@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from celnav.attitude import exp, inverse, log, multiply
+from celnav.attitude import cross, exp, inverse, log, multiply
 from celnav.linalg import Array, side_by_side
 
 
@@ -73,6 +73,23 @@ class Gyro:
         drift = x[..., 4:]
         q = multiply(exp((measured - drift - rate_noise) * dt), x[..., :4])
         return side_by_side([q, self.factor(dt) * drift])
+
+    def transition(self, x: Array, measured: Array, dt: float) -> Array:
+        """Jacobian ``(..., 6, 6)`` of `propagate` for the errors of rotation vector and drift."""
+        turn = (measured - x[..., 4:]) * dt
+        angle = np.linalg.norm(turn, axis=-1)[..., None, None]
+        small = angle < 1e-3
+        safe = np.where(small, 1.0, angle)
+        first = np.where(small, 0.5 - angle**2 / 24.0, (1.0 - np.cos(angle)) / safe**2)
+        second = np.where(small, 1.0 / 6.0 - angle**2 / 120.0, (safe - np.sin(safe)) / safe**3)
+        T, eye = cross(turn), np.eye(3)
+        matrix = np.zeros((*turn.shape[:-1], 6, 6))
+        square = T @ T
+        # The matrix of a rotation vector, and its integral over the interval.
+        matrix[..., :3, :3] = eye - np.sinc(angle / np.pi) * T + first * square
+        matrix[..., :3, 3:] = -dt * (eye - first * T + second * square)
+        matrix[..., 3:, 3:] = self.factor(dt) * eye
+        return matrix
 
 
 def preintegrate(measured: Array, drift: Array, dt: float) -> Array:

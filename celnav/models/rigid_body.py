@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from celnav.attitude import multiply, rotate
+from celnav.attitude import cross, multiply, rotate
 from celnav.gaussian import finite
 from celnav.linalg import Array, matvec
 
@@ -54,9 +54,9 @@ class Body:
         q, w = x[..., :4], x[..., 4:]
         turning = 0.5 * multiply(np.concatenate([w, np.zeros_like(w[..., :1])], -1), q)
         c = self.nadir(q, t)
-        gradient = 3.0 * self.orbit_rate**2 * np.cross(c, matvec(self.inertia, c))
+        gradient = 3.0 * self.orbit_rate**2 * matvec(cross(c), matvec(self.inertia, c))
         momentum = matvec(self.inertia, w) + self.wheels
-        change = np.linalg.solve(self.inertia, (gradient + self.torque - np.cross(w, momentum))[..., None])[..., 0]
+        change = np.linalg.solve(self.inertia, (gradient + self.torque - matvec(cross(w), momentum))[..., None])[..., 0]
         return np.concatenate([turning, change], -1)
 
     def propagate(self, x: Array, dt: float, steps: int) -> Array:

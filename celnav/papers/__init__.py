@@ -13,7 +13,7 @@ from importlib import import_module
 from types import ModuleType
 from typing import Any
 
-PAPERS = {"csrukf": "celnav.papers.csrukf", "aasghqf": "celnav.papers.aasghqf"}
+PAPERS = {name: f"celnav.papers.{name}" for name in ("csrukf", "ssukf", "aasghqf")}
 """Identifier -> module."""
 
 

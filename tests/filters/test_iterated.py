@@ -19,7 +19,7 @@ def h(x, epoch=None):
     return np.stack([np.hypot(x[..., 0], x[..., 1]), np.arctan2(x[..., 1], x[..., 0])], -1)
 
 
-def jacobian(x):
+def jacobian(x, _epoch=None):
     r = np.hypot(x[..., 0], x[..., 1])
     rows = [np.stack([x[..., 0] / r, x[..., 1] / r], -1), np.stack([-x[..., 1] / r**2, x[..., 0] / r**2], -1)]
     return (np.stack(rows, -2),)
@@ -72,7 +72,7 @@ def test_a_linear_function_does_not_care_where_it_is_expanded(given):
     def g(x, w):
         return x @ F.T + w, KEEP
 
-    J = (lambda x: (np.concatenate([F, np.ones((3, 1))], -1),)) if given else None
+    J = (lambda _x, _epoch: (np.concatenate([F, np.ones((3, 1))], -1),)) if given else None
     plain, moved = (
         Taylor(J, about=a).transform(g, mean, root, EUCLIDEAN, (EUCLIDEAN, EUCLIDEAN), [noise], 2) for a in (None, about)
     )

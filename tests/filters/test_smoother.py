@@ -30,7 +30,7 @@ RULES = {
     "fifth degree": cubature(3, degree=5),
     "gauss-hermite": gauss_hermite(3),
     "differences": Taylor(),
-    "jacobian": Taylor(lambda mean: (A_,)),
+    "jacobian": Taylor(lambda _mean, _epoch: (A_,)),
 }
 
 

@@ -80,10 +80,10 @@ def test_the_error_is_the_sensors_after_the_first_star(sim):
 
 
 def test_drawn_errors_are_those_of_the_prior():
-    sim = simulate(replace(SHORT, duration_s=0.25), [generator(1, 0, r) for r in range(400)], drawn=True)
-    error = attitude.log(attitude.multiply(sim.truth[0][:, :4], attitude.inverse(sim.prior.mean[:, :4])))
+    sim = simulate(replace(SHORT, duration_s=0.25), [generator(1, 0, r) for r in range(400)])
+    error = attitude.log(attitude.multiply(sim.truth[0][:, :4], attitude.inverse(sim.drawn.mean[:, :4])))
     np.testing.assert_allclose(error.std(0), SHORT.sigma0[:3], rtol=0.15)
-    np.testing.assert_allclose((sim.truth[0] - sim.prior.mean)[:, 4:].std(0), SHORT.sigma0[3:], rtol=0.15)
+    np.testing.assert_allclose((sim.truth[0] - sim.drawn.mean)[:, 4:].std(0), SHORT.sigma0[3:], rtol=0.15)
 
 
 @pytest.mark.parametrize(

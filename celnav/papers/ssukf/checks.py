@@ -16,6 +16,7 @@ from celnav.linalg import Array
 from celnav.models.gyro import Gyro
 from celnav.montecarlo import generator, normals
 from celnav.papers.ssukf.config import ARCSEC, DEG_PER_H, Config
+from celnav.papers.ssukf.errata import printed_spread
 from celnav.papers.ssukf.scenario import (
     Scenario,
     dynamics,
@@ -23,6 +24,7 @@ from celnav.papers.ssukf.scenario import (
     family,
     filters,
     noise_root,
+    repeated,
     simulate,
     spread,
     star,
@@ -128,11 +130,6 @@ def alphas(config: Config, rngs: Runs) -> dict[str, Array]:
     return {f"{alpha:g}": apart(means[config.alpha], mean) for alpha, mean in means.items() if alpha != config.alpha}
 
 
-def printed_spread(L: int, alpha: float, n: int = 6) -> float:
-    """``c = L + lambda`` with the printed ``lambda = alpha^2 n - n`` (kappa = 0), which should have L where it has n."""
-    return L - n + alpha**2 * n
-
-
 def _as_printed(config: Config) -> Filter:
     """AUKF whose scaling is that of the paper."""
     return filters(config, c=printed_spread(15, config.alpha))["aukf"]
@@ -157,25 +154,16 @@ def priors(config: Config, rngs: Runs) -> dict[str, Array]:
     sigma = np.repeat(np.radians(PRIORS_DEG), len(rngs))
     deviation = np.stack([*[sigma] * 3, *[np.full_like(sigma, config.sigma0[3])] * 3], -1)
     count = len(PRIORS_DEG)
-    wide = _repeated(sim, count)
+    wide = repeated(sim, count)
     prior = covariance(wide.prior.mean, np.square(deviation)[..., None] * np.eye(6))
     error = _scaled(errors(wide.truth, _means(filters(config)["ssukf"], prior, wide)))
     return {f"{s:g}": part for s, part in zip(PRIORS_DEG, np.split(error, count, 1), strict=True)}
 
 
-def _repeated(sim: Scenario, count: int) -> Scenario:
-    """The same runs several times, one after the other."""
-    prior = covariance(np.tile(sim.prior.mean, (count, 1)), np.tile(sim.prior.cov, (count, 1, 1)))
-    return sim._replace(
-        truth=np.tile(sim.truth, (1, count, 1)), gyro=np.tile(sim.gyro, (1, count, 1)), stars=np.tile(sim.stars, (1, count, 1)),
-        prior=prior,
-    )  # fmt: skip
-
-
 def turns(config: Config, rngs: Runs) -> dict[str, Array]:
     """Initial errors of `TURNS_DEG`, told to the prior: errors ``(T, runs, 3)`` arcsec, ``<filter>/<deg>``."""
     sim, count = simulate(config, rngs), len(TURNS_DEG)
-    wide = _repeated(sim, count)
+    wide = repeated(sim, count)
     axis = np.array([0.48, 0.6, 0.64])
     turn = np.radians(np.repeat(TURNS_DEG, len(rngs)))[:, None] * axis
     mean = np.concatenate(
@@ -210,7 +198,7 @@ def linear(config: Config, rngs: Runs) -> dict[str, Array]:
     truth = np.concatenate([q, drift], -1)
     start = -deviation[:3] * initial[:, :3]
     prior = covariance(np.concatenate([attitude.exp(start), np.zeros_like(start)], -1), np.diag(deviation**2))
-    sim = Scenario(replace(c, preintegrated=True), truth, samples, stars, prior)
+    sim = Scenario(replace(c, preintegrated=True), truth, samples, stars, prior, prior)
 
     def f(x: Array, epoch: Epoch) -> Array:
         return np.concatenate([x[..., :3] + (epoch.u - x[..., 3:]) * epoch.dt, gyro.factor(dt) * x[..., 3:]], -1)
@@ -228,13 +216,14 @@ def linear(config: Config, rngs: Runs) -> dict[str, Array]:
 
 
 def dead_points(config: Config) -> tuple[int, int]:
-    """Points of the AUKF that do not differ from the center, of 31: in the prediction and in the update."""
+    """Points of the AUKF that are the center over again, of 31: in the prediction and in the update."""
     sim = simulate(replace(config, duration_s=1.0 / config.star_hz), generator(0, 0, 0))
     epoch = list(sim.epochs())[-1]
     extra = (noise_root(config.gyro, config.step_s), config.sigma_n * np.eye(3))
     x, *noise = spread(15, config).points(sim.prior.mean, sim.prior.root, state_space(), extra)
-    images = (dynamics(config.gyro, slice(0, 6))(x, epoch, *noise), star(x, epoch, *noise))
-    time, measured = (int((y[1:] == y[0]).all(-1).sum()) for y in images)
+    moved = dynamics(config.gyro)(x, epoch, *noise)
+    seen = np.concatenate([star(x, epoch, *noise), x], -1)
+    time, measured = (int((y[1:] == y[0]).all(-1).sum()) for y in (moved, seen))
     return time, measured
 
 
@@ -257,7 +246,7 @@ def evaluations(config: Config) -> dict[str, tuple[int, int]]:
     known = family(gyro, config.step_s, sensor._replace(h=h), lambda L: spread(L, config))
     sim = simulate(replace(config, duration_s=1.0 / config.star_hz), generator(0, 0, 0))
     out = {}
-    for name in ("aukf", "ssukf", "additive"):
+    for name in ("aukf", "ssukf", "additive", "mekf"):
         count.update(f=0, h=0)
         run(known[name], sim.prior, sim.epochs(), keep="nothing")
         out[name] = count["f"], count["h"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,6 +32,7 @@ class Scenario(NamedTuple):
     truth: ``(T, runs, 7)`` at the star epochs, the start first: quaternion and drift (rad/s).
     gyro: ``(time updates, runs, 3)`` rad/s, samples of the gyro or what they are integrated to from star to star.
     stars: ``(T, runs, 4)``, of random sign; nan at the start.
+    prior: with the paper's initial error. drawn: with one that is drawn from the prior, as consistency asks for.
     """
 
     config: Config
@@ -38,6 +40,7 @@ class Scenario(NamedTuple):
     gyro: Array
     stars: Array
     prior: Gaussian
+    drawn: Gaussian
 
     def epochs(self) -> Iterator[Epoch]:
         """Epochs of the filters: a time update for each row of ``gyro``, a star sample after every ``updates``-th."""
@@ -48,6 +51,16 @@ class Scenario(NamedTuple):
             k, rest = divmod(n, per)
             seen, truth = (nothing, None) if rest else (self.stars[k], self.truth[k])
             yield Epoch(n, n * c.step_s, c.step_s, sample, seen, truth)
+
+    def shortened(self, seconds: float) -> Scenario:
+        """The first part of the same runs."""
+        c = self.config
+        if seconds >= c.duration_s:
+            return self
+        T = round(seconds * c.star_hz) + 1
+        samples = (T - 1) * (len(self.gyro) // (len(self.truth) - 1))
+        config = replace(c, duration_s=seconds)
+        return self._replace(config=config, truth=self.truth[:T], gyro=self.gyro[:samples], stars=self.stars[:T])
 
     def integrated(self) -> Scenario:
         """The same runs with one gyro sample from star to star, integrated from those in between.
@@ -60,17 +73,14 @@ class Scenario(NamedTuple):
         return self._replace(config=replace(c, preintegrated=True), gyro=preintegrate(each, np.zeros(3), c.gyro_dt))
 
 
-def simulate(config: Config, rng: np.random.Generator | Sequence[np.random.Generator], *, drawn: bool = False) -> Scenario:
-    """Simulate one run, or one for each generator.
-
-    The initial error is that of the paper; ``drawn``: it is drawn from the prior, as consistency asks for, by moving the estimate.
-    """
+def simulate(config: Config, rng: np.random.Generator | Sequence[np.random.Generator]) -> Scenario:
+    """Simulate one run, or one for each generator."""
     single = isinstance(rng, np.random.Generator)
     rngs = [rng] if isinstance(rng, np.random.Generator) else list(rng)
     c, samples = config, config.star_epochs * config.ratio
     T = c.star_epochs + 1
     initial, white, walk, star, sign = normals(rngs, (6,), (samples, 3), (samples, 3), (T, 3), (T, 1))
-    q = c.body.propagate(start(c), c.gyro_dt, samples)[:, None, :4]
+    q = _path(c)[:, None]
     drift = np.empty((samples + 1, len(rngs), 3))
     drift[0] = np.asarray(c.bias_deg_per_h) * DEG_PER_H
     factor, deviation = c.gyro.factor(c.gyro_dt), c.gyro.drift_std(c.gyro_dt)
@@ -81,17 +91,30 @@ def simulate(config: Config, rng: np.random.Generator | Sequence[np.random.Gener
     stars = np.where(sign < 0.0, -1.0, 1.0) * attitude.multiply(attitude.exp(c.sigma_n * star), q[at])
     stars[0] = np.nan
     truth = np.concatenate([np.broadcast_to(q[at], (T, len(rngs), 4)), drift[at]], -1)
+    P = np.diag(c.sigma0**2)
+    error = initial * c.sigma0
+    turned = attitude.multiply(attitude.inverse(attitude.exp(error[:, :3])), truth[0][:, :4])
+    moved = np.concatenate([turned, truth[0][:, 4:] - error[:, 3:]], -1)
     mean = np.tile(np.append(attitude.IDENTITY, np.zeros(3)), (len(rngs), 1))
-    if drawn:
-        error = initial * c.sigma0
-        turned = attitude.multiply(attitude.inverse(attitude.exp(error[:, :3])), truth[0][:, :4])
-        mean = np.concatenate([turned, truth[0][:, 4:] - error[:, 3:]], -1)
-    prior = covariance(mean, np.diag(c.sigma0**2))
     if single:
-        truth, gyro, stars = truth[:, 0], gyro[:, 0], stars[:, 0]
-        prior = covariance(mean[0], np.diag(c.sigma0**2))
-    every = Scenario(replace(c, preintegrated=False), truth, gyro, stars, prior)
+        truth, gyro, stars, mean, moved = truth[:, 0], gyro[:, 0], stars[:, 0], mean[0], moved[0]
+    every = Scenario(replace(c, preintegrated=False), truth, gyro, stars, covariance(mean, P), covariance(moved, P))
     return every.integrated() if c.preintegrated else every
+
+
+def repeated(sim: Scenario, count: int) -> Scenario:
+    """The same runs several times, one after the other."""
+    truth, gyro, stars = (np.tile(array, (1, count, 1)) for array in (sim.truth, sim.gyro, sim.stars))
+    prior, drawn = (covariance(np.tile(b.mean, (count, 1)), np.tile(b.cov, (count, 1, 1))) for b in (sim.prior, sim.drawn))
+    return Scenario(sim.config, truth, gyro, stars, prior, drawn)
+
+
+@lru_cache(4)
+def _path(config: Config) -> Array:
+    """True attitudes ``(samples + 1, 4)`` at the gyro's rate, the same in every run."""
+    path = config.body.propagate(start(config), config.gyro_dt, config.star_epochs * config.ratio)[:, :4]
+    path.flags.writeable = False
+    return path
 
 
 def start(config: Config) -> Array:
@@ -122,15 +145,14 @@ def state_space(*, transported: bool = False, a: float = 1.0, b: float = 4.0) ->
     return product((attitude.attitude(a, b, transported=transported), 4, 3), (EUCLIDEAN, 3, 3))
 
 
-def dynamics(gyro: Gyro, parts: slice | None = None) -> Any:
-    """Model function; ``parts``: where the process noise (6) stands among noises that go through the points."""
+def dynamics(gyro: Gyro) -> Model:
+    """Model function; the first noise that goes through the points, if any, begins with that of gyro and drift (6)."""
 
     def f(x: Array, epoch: Epoch, *noise: Array) -> Array:
-        if parts is None:
+        if not noise:
             return gyro.propagate(x, epoch.u, epoch.dt)
-        w = np.concatenate(noise, -1)[..., parts]
-        y = gyro.propagate(x, epoch.u, epoch.dt, w[..., :3])
-        y[..., 4:] += w[..., 3:6]
+        y = gyro.propagate(x, epoch.u, epoch.dt, noise[0][..., :3])
+        y[..., 4:] += noise[0][..., 3:6]
         return y
 
     return f
@@ -139,10 +161,12 @@ def dynamics(gyro: Gyro, parts: slice | None = None) -> Any:
 class Sensor(NamedTuple):
     """What is measured: ``h(x, epoch, *noise)``, whose last noise is the sensor's, of the root given.
 
-    The spaces of the measurement are those of filters in modified Rodrigues parameters and in the Gibbs vector.
+    ``slope(x, epoch)`` is its Jacobian ``(..., m, 6)``. The spaces of the measurement are those of filters in modified Rodrigues
+    parameters and in the Gibbs vector.
     """
 
     h: Model
+    slope: Callable[[Array, Epoch], Array]
     root: Array
     space: Space
     gibbs: Space
@@ -156,7 +180,8 @@ def star(x: Array, _epoch: Any, *noise: Array) -> Array:
 
 def star_sensor(config: Config) -> Sensor:
     """The paper's: a whole attitude."""
-    return Sensor(star, config.sigma_n * np.eye(3), attitude.attitude(), attitude.attitude(0.0, 2.0))
+    H = np.eye(3, 6)
+    return Sensor(star, lambda _x, _epoch: H, config.sigma_n * np.eye(3), attitude.attitude(), attitude.attitude(0.0, 2.0))
 
 
 def noise_root(gyro: Gyro, dt: float) -> Array:
@@ -186,20 +211,22 @@ def family(gyro: Gyro, dt: float, sensor: Sensor, rule: Callable[[int], Rule], *
     """
     space, gibbs = state_space(transported=transported), state_space(transported=transported, a=0.0, b=2.0)
     W, V, Q = noise_root(gyro, dt), sensor.root, gyro.process_noise(dt)
-    through, plain = dynamics(gyro, slice(0, 6)), dynamics(gyro)
+    f = dynamics(gyro)
 
-    def measure(rule: Any, extra: tuple[Array, ...] = (), space: Space = space, seen: Space = sensor.space) -> Update:
-        return update(sensor.h, rule, sqrt_R=None if extra else V, extra=extra, space=space, measurement_space=seen)
+    def measure(rule: Any, extra: tuple[Array, ...] = (), space: Space = space, sky: Space = sensor.space) -> Update:
+        return update(sensor.h, rule, sqrt_R=None if extra else V, extra=extra, space=space, measurement_space=sky)
 
-    once = single_draw(through, sensor.h, rule(15), extra=(W, V), space=space, measurement_space=sensor.space)
+    moved = Taylor(lambda x, epoch: (gyro.transition(x, epoch.u, epoch.dt),))
+    seen = Taylor(lambda x, epoch: (sensor.slope(x, epoch),))
+    once = single_draw(f, sensor.h, rule(15), extra=(W, V), space=space, measurement_space=sensor.space)
     crassidis = unscented(6, 1.0, 0.0, 1.0)
     return {
-        "aukf": sequential(predict(through, rule(15), extra=(W, V), space=space), measure(rule(15), (W, V))),
+        "aukf": sequential(predict(f, rule(15), extra=(W, V), space=space), measure(rule(15), (W, V))),
         "aukf-1": drawn_once(once, measure(rule(9), (V,))),
-        "ssukf": sequential(predict(through, rule(12), extra=(W,), space=space), measure(rule(9), (V,))),
-        "additive": sequential(predict(plain, rule(6), Q, space=space), measure(rule(6))),
-        "usque": sequential(_halved(plain, crassidis, gyro, dt, space), measure(crassidis)),
-        "mekf": sequential(predict(plain, Taylor(), Q, space=gibbs), measure(Taylor(), space=gibbs, seen=sensor.gibbs)),
+        "ssukf": sequential(predict(f, rule(12), extra=(W,), space=space), measure(rule(9), (V,))),
+        "additive": sequential(predict(f, rule(6), Q, space=space), measure(rule(6))),
+        "usque": sequential(_halved(f, crassidis, gyro, dt, space), measure(crassidis)),
+        "mekf": sequential(predict(f, moved, Q, space=gibbs), measure(seen, space=gibbs, sky=sensor.gibbs)),
     }
 
 

@@ -11,17 +11,17 @@ from typing import Any
 import numpy as np
 
 from celnav.filters.driver import Filter, run
-from celnav.gaussian import nees
+from celnav.gaussian import Gaussian, covariance, nees
 from celnav.linalg import Array
 from celnav.montecarlo import Progress, Unit, blocks, generator, run_count, work
 from celnav.papers.ssukf import checks, draws, scenario, theory, vector
 from celnav.papers.ssukf.config import ARCSEC, DEG_PER_H, PRESETS, STANDARD, Config
-from celnav.papers.ssukf.variants import dense_filters, spin
+from celnav.papers.ssukf.variants import spin
 
 PAPER = ("aukf", "ssukf", "mekf")
 """Filters run from the paper's initial error."""
-DRAWN = ("aukf", "ssukf", "usque", "mekf")
-"""Filters run from initial errors drawn from the prior."""
+DRAWN = ("ssukf", "usque", "mekf")
+"""Filters run from initial errors drawn from the prior; the AUKF, which is the SSUKF, for a minute."""
 TIMED = ("aukf", "ssukf", "additive", "mekf")
 UNITS = np.repeat([ARCSEC, DEG_PER_H], 3)
 """What errors are divided by: arcsec and deg/h, ``(6,)``."""
@@ -31,9 +31,11 @@ UNITS = np.repeat([ARCSEC, DEG_PER_H], 3)
 class Result:
     """Everything that figures, tables, claims and recordings read.
 
-    ``data["paper"]`` and ``data["drawn"]`` (initial errors of the paper, or drawn from the prior) hold for each filter what
-    `follow` returns. The other entries are what the functions of `celnav.papers.ssukf.checks` and `celnav.papers.ssukf.vector`
-    return. ``facts`` hold what needs no Monte Carlo, ``timings`` CPU seconds.
+    ``data["paper"]`` and ``data["drawn"]`` (initial errors of the paper, or drawn from the prior) hold arrays ``(T, runs, ...)``
+    at the star epochs, ``<filter>/...``: ``error`` (6: rotation vector in arcsec, drift in deg/h), ``euler`` (3: roll, pitch, yaw
+    in arcsec), ``nees``, ``nis``, and of the first run ``std`` (6, as the errors), ``mean`` and ``cov``. The other entries are what
+    the functions of `celnav.papers.ssukf.checks` and `celnav.papers.ssukf.vector` return. ``facts`` hold what needs no Monte
+    Carlo, ``timings`` CPU seconds.
     """
 
     config: Config
@@ -52,13 +54,14 @@ class Result:
     def arrays(self) -> dict[str, Array]:
         """Arrays to store: RMSE over the runs, mean NEES and NIS, and the first run's errors and deviations."""
         out = {"times": self.times}
-        for kind, names in (("paper", PAPER), ("drawn", DRAWN)):
+        for kind, names in (("paper", PAPER), ("drawn", ("aukf", *DRAWN))):
             data = self.data[kind]
             for name in names:
                 key = f"{kind}/{name}"
                 out[f"{key}/rmse"] = np.sqrt(np.square(data[f"{name}/error"]).mean(1))
                 out[f"{key}/nees"], out[f"{key}/nis"] = data[f"{name}/nees"].mean(1), data[f"{name}/nis"].mean(1)
-                out[f"{key}/first/error"], out[f"{key}/first/std"] = data[f"{name}/error"][:, 0], data[f"{name}/std"][:, 0]
+                if kind == "paper":
+                    out[f"{key}/first/error"], out[f"{key}/first/std"] = data[f"{name}/error"][:, 0], data[f"{name}/std"][:, 0]
         for name in vector.FILTERS:
             for degrees in vector.PRIORS_DEG:
                 error = self.data["vector"][f"{name}/{degrees:g}/error"]
@@ -66,14 +69,23 @@ class Result:
         return out
 
 
-def follow(name: str, filter: Filter, sim: scenario.Scenario) -> dict[str, Array]:
-    """Run a filter over a batch; arrays ``(T, runs, ...)`` at the star epochs, named ``<filter>/...``.
+def compare(
+    config: Config, rngs: Sequence[np.random.Generator], names: Sequence[str] = ("aukf", "ssukf"), *, drawn: bool = False
+) -> dict[str, Array]:
+    """Filters on simulated runs of a configuration, from the paper's initial error or from drawn ones; see `Result`.
 
-    ``error`` (6: rotation vector in arcsec, drift in deg/h), ``euler`` (3: roll, pitch, yaw in arcsec), ``nees``, ``nis``, and of
-    the first run alone ``std`` (6, as the errors), ``mean`` and ``cov``.
+    ``PRESETS["100 Hz"]`` with 200 generators is the paper's own rate in full: 60,000 time updates of 200 runs for each filter.
     """
+    sim = scenario.simulate(config, rngs)
+    known, out = scenario.filters(config), {"truth": sim.truth[:, :1], "stars": sim.stars[:, :1]}
+    for name in names:
+        out |= _follow(name, known[name], sim, sim.drawn if drawn else sim.prior)
+    return out
+
+
+def _follow(name: str, filter: Filter, sim: scenario.Scenario, prior: Gaussian) -> dict[str, Array]:
     every = len(sim.gyro) // (len(sim.truth) - 1)
-    track = run(filter, sim.prior, sim.epochs(), keep="spread", every=every)
+    track = run(filter, prior, sim.epochs(), keep="spread", every=every)
     assert track.mean is not None
     assert track.std is not None
     error = scenario.errors(sim.truth, track.mean)
@@ -89,24 +101,22 @@ def follow(name: str, filter: Filter, sim: scenario.Scenario) -> dict[str, Array
     return {f"{name}/{key}": value for key, value in out.items()}
 
 
-def compare(config: Config, rngs: Sequence[np.random.Generator], names: Sequence[str] = ("aukf", "ssukf")) -> dict[str, Array]:
-    """Filters on simulated runs of a configuration, from the paper's initial error; see `follow`.
-
-    ``PRESETS["100 Hz"]`` with 200 generators is the paper's own rate in full: 60,000 time updates of 200 runs for each filter.
-    """
+def _main(config: Config, rngs: Sequence[np.random.Generator]) -> dict[str, Array]:
+    """Both kinds of initial errors as one batch, on the same noise: ``paper/...`` and ``drawn/...``."""
     sim = scenario.simulate(config, rngs)
-    known, out = scenario.filters(config), {"truth": sim.truth[:, :1], "stars": sim.stars[:, :1]}
-    for name in names:
-        out |= follow(name, known[name], sim)
-    return out
-
-
-def _drawn(config: Config, rngs: Sequence[np.random.Generator]) -> dict[str, Array]:
-    sim = scenario.simulate(config, rngs, drawn=True)
-    known = scenario.filters(config)
-    out: dict[str, Array] = {}
-    for name in DRAWN:
-        out |= follow(name, known[name], sim)
+    both, known = scenario.repeated(sim, 2), scenario.filters(config)
+    prior = covariance(np.concatenate([sim.prior.mean, sim.drawn.mean]), both.prior.cov)
+    out = {"paper/truth": sim.truth[:, :1], "paper/stars": sim.stars[:, :1]}
+    for name in dict.fromkeys([*PAPER, *DRAWN]):
+        if name in PAPER and name in DRAWN:
+            for key, value in _follow(name, known[name], both, prior).items():
+                parts = (value, value) if value.shape[1] == 1 else np.split(value, 2, 1)
+                out[f"paper/{key}"], out[f"drawn/{key}"] = parts
+        else:
+            kind, belief = ("paper", sim.prior) if name in PAPER else ("drawn", sim.drawn)
+            out |= {f"{kind}/{key}": value for key, value in _follow(name, known[name], sim, belief).items()}
+    minute = sim.shortened(60.0)
+    out |= {f"drawn/{key}": value for key, value in _follow("aukf", known["aukf"], minute, sim.drawn).items()}
     return out
 
 
@@ -114,8 +124,7 @@ def _block(what: str, config: Config, seed: int, study: int, runs: range) -> dic
     """One piece of work, by name."""
     rngs = [generator(seed, study, r) for r in runs]
     functions: dict[str, Any] = {
-        "paper": lambda: compare(config, rngs, PAPER),
-        "drawn": lambda: _drawn(config, rngs),
+        "runs": lambda: _main(config, rngs),
         "vector": lambda: vector.compare(config, rngs),
         "vector, short": lambda: vector.compare(config, rngs, ("aukf", "ssukf, c = 15", "usque", "ssukf, c = 7"), 100),
         "identities": lambda: checks.identities(config, rngs),
@@ -130,13 +139,13 @@ def _block(what: str, config: Config, seed: int, study: int, runs: range) -> dic
 
 
 SHORT: dict[str, tuple[float, int]] = {
-    "identities": (5.0, 20),
-    "rates": (30.0, 20),
+    "identities": (3.0, 20),
+    "rates": (20.0, 20),
     "variants": (60.0, 50),
-    "alphas": (60.0, 20),
+    "alphas": (60.0, 10),
     "priors": (60.0, 20),
     "turns": (10.0, 20),
-    "linear": (300.0, 5),
+    "linear": (150.0, 5),
     "vector": (0.0, vector.RUNS),
     "vector, short": (0.0, 20),
 }
@@ -144,7 +153,7 @@ SHORT: dict[str, tuple[float, int]] = {
 
 
 def _units(config: Config, seed: int, runs: int, block: int, effort: float) -> list[Unit]:
-    out = [Unit(what, _block, (what, config, seed, 0, part)) for what in ("paper", "drawn") for part in blocks(runs, block)]
+    out = [Unit("runs", _block, ("runs", config, seed, 0, part)) for part in blocks(runs, block)]
     for study, (what, (seconds, most)) in enumerate(SHORT.items(), start=1):
         few = replace(config, duration_s=min(seconds, config.duration_s)) if seconds else config
         count = max(2, round(most * effort))
@@ -152,25 +161,20 @@ def _units(config: Config, seed: int, runs: int, block: int, effort: float) -> l
     return out
 
 
-def time_filters(config: Config, rounds: int = 5) -> dict[str, float]:
+def time_filters(config: Config, rounds: int = 3) -> dict[str, float]:
     """CPU seconds from one star sample to the next, by filter, rates and runs; the smallest of interleaved rounds."""
     out: dict[str, float] = {}
-    for rate, per in ((PRESETS["standard"], 1), (PRESETS["100 Hz"], config.ratio)):
-        for runs in (1, 500):
-            short = replace(
-                config, preintegrated=rate.preintegrated, duration_s=max(1, 20 // (per * (1 if runs == 1 else 10))) * 0.25
-            )
-            sim = scenario.simulate(short, [generator(0, 99, r) for r in range(runs)])
-            epochs = list(sim.epochs())
-            known = {name: scenario.filters(short)[name] for name in TIMED}
-            known |= {f"{name}, dense": filter for name, filter in dense_filters(short).items()}
-            best = dict.fromkeys(known, np.inf)
-            for _ in range(rounds):
-                for name, filter in known.items():
-                    start = process_time()
-                    run(filter, sim.prior, epochs, keep="nothing")
-                    best[name] = min(best[name], (process_time() - start) / short.star_epochs)
-            out |= {f"{name}, {per}:1, {runs} run{'s' if runs > 1 else ''}, s": value for name, value in best.items()}
+    for per, runs, stars in ((1, 1, 20), (1, 500, 2), (config.ratio, 1, 1)):
+        short = replace(config, preintegrated=per == 1, duration_s=stars / config.star_hz)
+        sim = scenario.simulate(short, [generator(0, 99, r) for r in range(runs)])
+        epochs, known = list(sim.epochs()), scenario.filters(short)
+        best = dict.fromkeys(TIMED, np.inf)
+        for _ in range(rounds):
+            for name in TIMED:
+                start = process_time()
+                run(known[name], sim.prior, epochs, keep="nothing")
+                best[name] = min(best[name], (process_time() - start) / stars)
+        out |= {f"{name}, {per}:1, {runs} run{'s' if runs > 1 else ''}, s": value for name, value in best.items()}
     return out
 
 
@@ -219,4 +223,7 @@ def reproduce(
     timings["cpu_s facts"] = process_time() - start
     timings |= time_filters(config)
     data = {label: outcome.arrays for label, outcome in outcomes.items()}
+    for key, value in data.pop("runs").items():
+        kind, _, name = key.partition("/")
+        data.setdefault(kind, {})[name] = value
     return Result(config, seed, count, count >= config.runs, data, facts, timings)

@@ -41,7 +41,7 @@ def total_filters(config: Config, *, c: float | None = None, switched: bool = Tr
     W, V = noise_root(config.gyro, config.step_s), config.sigma_n * np.eye(3)
     sky = attitude.total_attitude()
     space = product((sky, 4, 3), (EUCLIDEAN, 3, 3))
-    moving = dynamics(config.gyro, slice(0, 6))
+    moving = dynamics(config.gyro)
 
     def f(x: Array, epoch: Epoch, *noise: Array) -> Array:
         y = moving(x, epoch, *noise)
@@ -77,13 +77,19 @@ class Spin(NamedTuple):
         return float(np.nanmax(self.errors[filter][self.times > 60.0]))
 
 
-def spin(config: Config, rngs: Sequence[np.random.Generator], *, rate_deg_per_s: float = 1.0) -> Spin:
-    """Local and total form of the SSUKF while the satellite spins from 150 to 390 deg, past the singularity at 360 deg."""
+def spin(
+    config: Config,
+    rngs: Sequence[np.random.Generator],
+    *,
+    rate_deg_per_s: float = 1.0,
+    range_deg: tuple[float, float] = (270.0, 370.0),
+) -> Spin:
+    """Local and total form of the SSUKF while the satellite spins past the singularity at 360 deg."""
     c = config
-    T = round(240.0 / rate_deg_per_s * c.star_hz) + 1
+    T = round((range_deg[1] - range_deg[0]) / rate_deg_per_s * c.star_hz) + 1
     short = replace(c, duration_s=(T - 1) / c.star_hz)
     axis = np.array([0.6, 0.0, 0.8])
-    turned = np.radians(150.0 + rate_deg_per_s * np.arange(T) / c.star_hz)
+    turned = np.radians(range_deg[0] + rate_deg_per_s * np.arange(T) / c.star_hz)
     q = attitude.exp(turned[:, None, None] * axis)
     white, walk, star = normals(rngs, (T - 1, 3), (T - 1, 3), (T, 3))
     drift = np.concatenate([np.zeros((1, len(rngs), 3)), np.cumsum(c.gyro.drift_std(c.step_s) * walk, 0)])
@@ -92,7 +98,8 @@ def spin(config: Config, rngs: Sequence[np.random.Generator], *, rate_deg_per_s:
     truth = np.concatenate([np.broadcast_to(q, stars.shape), drift], -1)
     mean = np.tile(np.append(q[0], np.zeros(3)), (len(rngs), 1))
     deviation = np.concatenate([np.full(3, c.sigma_n), np.full(3, c.gyro.drift_std(1.0) + 1e-9)])
-    scenario = Scenario(short, truth, gyro, stars, covariance(mean, np.diag(deviation**2)))
+    prior = covariance(mean, np.diag(deviation**2))
+    scenario = Scenario(short, truth, gyro, stars, prior, prior)
 
     def track(filter: Filter, prior: Gaussian) -> Array:
         mean = run(filter, prior, scenario.epochs(), keep="mean", on_failure="flag").mean
@@ -132,7 +139,7 @@ def _space(noise: Array) -> Space:
 
 
 def _dense_predict(config: Config, noise: Array, c: float | None) -> Predict:
-    through = dynamics(config.gyro, slice(0, 6))
+    through = dynamics(config.gyro)
 
     def f(x: Array, epoch: Epoch) -> Array:
         return np.concatenate([through(x[..., :7], epoch, x[..., 7:]), x[..., 7:]], -1)

@@ -23,7 +23,7 @@ STEP_S, STEPS, RUNS = 1.0, 1000, 40
 NOISE = np.radians(0.2)
 """rad, on each axis of the measured unit vector."""
 INCLINATION = np.radians(60.0)
-FILTERS = ("mekf", "mekf, transported", "usque", "usque, transported", "ssukf", "ssukf, c = 15", "aukf")
+FILTERS = ("mekf", "mekf, transported", "usque", "usque, transported", "ssukf", "aukf")
 Run = dict[str, Array]
 
 
@@ -42,7 +42,11 @@ def sensor(config: Config) -> Sensor:
         seen = attitude.rotate(x[..., :4], field(epoch.t, config.orbit_rate_rad_per_s))
         return seen + noise[-1] if noise else seen
 
-    return Sensor(h, NOISE * np.eye(3), EUCLIDEAN, EUCLIDEAN)
+    def slope(x: Array, epoch: Epoch) -> Array:
+        seen = attitude.rotate(x[..., :4], field(epoch.t, config.orbit_rate_rad_per_s))
+        return np.concatenate([attitude.cross(seen), np.zeros((*seen.shape, 3))], -1)
+
+    return Sensor(h, slope, NOISE * np.eye(3), EUCLIDEAN, EUCLIDEAN)
 
 
 def filters(config: Config) -> dict[str, Filter]:
