@@ -8,12 +8,14 @@ the identity; batches of quaternions are several times faster here than through 
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from celnav.linalg import Array, components
+from celnav.points import Rule
 from celnav.spaces import Space
 
 IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
@@ -232,21 +234,38 @@ def attitude(a: float = 1.0, b: float = 4.0, *, transported: bool = False) -> Sp
 
     The sign of a quaternion never matters. ``transported``: the covariance follows the reference after an update.
 
+    A measurement, and the point of a belief, must be of norm 1 within 1e-6.
+
     Raises
     ------
-    ValueError: unless ``0 <= a <= 1`` and ``b > 0``.
+    ValueError: unless ``0 <= a <= 1`` and ``b > 0``; from the space, for a quaternion that is not a unit one.
     """
     _check(a, b)
 
     def plus(point: Array, tangent: Array) -> Array:
-        normalized = point * (1.5 - 0.5 * np.square(point).sum(-1, keepdims=True))  # of norm 1 but for round-off before
-        return multiply(from_rodrigues(tangent, a, b), normalized)
+        square = np.square(point).sum(-1, keepdims=True)
+        if np.abs(square - 1.0).max(initial=0.0) > 2.0 * UNIT_TOLERANCE:
+            raise ValueError(f"state: expected unit quaternions, got a norm of {np.sqrt(square.max()):.6g}")
+        return multiply(from_rodrigues(tangent, a, b), point * (1.5 - 0.5 * square))  # round-off does not add up
 
     def minus(later: Array, earlier: Array) -> Array:
         return to_rodrigues(multiply(later, inverse(earlier)), a, b)
 
     moved: Callable[[Array], Array] | None = (lambda p: transport(p, a, b)) if transported else None
-    return Space(plus, minus, moved)
+    return Space(plus, minus, moved, check=unit)
+
+
+def warn_of_wrapping(rule: Rule, sigma: float) -> None:
+    """Warn if points of a rule lie half a turn or more from a mean known to ``sigma`` rad: they would be other, shorter rotations.
+
+    Such a rule still runs; its covariance is then no longer that of the attitude.
+    """
+    reach = float(np.abs(rule.nodes).max()) * sigma
+    if reach > np.pi:
+        text = (
+            f"sigma points reach {np.degrees(reach):.0f} deg from the mean, and wrap at 180: take a smaller spread (alpha, kappa)"
+        )
+        warnings.warn(text, RuntimeWarning, stacklevel=3)
 
 
 def total_attitude() -> Space:
@@ -266,4 +285,4 @@ def total_attitude() -> Space:
         side = np.copysign(1.0, (later * earlier).sum(-1, keepdims=True))
         return parameters(later * side) - parameters(earlier)
 
-    return Space(plus, minus)
+    return Space(plus, minus, check=unit)

@@ -29,12 +29,14 @@ class Space(NamedTuple):
         ``tangent``. None: the identity.
     mean: optional ``(points (p, ..., N), weights (p,)) -> point``. None: the mean of the differences to the first point,
         which neither cancels digits nor notices where an angle wraps.
+    check: optional ``(point, name) -> point``, what a point from outside (a measurement) must be; ValueError names it.
     """
 
     plus: Callable[[Array, Array], Array] = _add
     minus: Callable[[Array, Array], Array] = np.subtract
     transport: Callable[[Array], Array] | None = None
     mean: Callable[[Array, Array], Array] | None = None
+    check: Callable[[Array, str], Array] | None = None
 
 
 EUCLIDEAN = Space()
@@ -82,5 +84,11 @@ def product(*factors: tuple[Space, int, int]) -> Space:
             matrix[..., by, by] = np.eye(width) if space.transport is None else space.transport(tangent[..., by])
         return matrix
 
+    def check(point: Array, name: str) -> Array:
+        return side_by_side(
+            [point[..., at] if space.check is None else space.check(point[..., at], name) for space, at, _ in parts]
+        )
+
+    particular = any(space.check is not None for space, _, _ in factors)
     curved = any(space.transport is not None for space, _, _ in factors)
-    return Space(plus, minus, transport if curved else None)
+    return Space(plus, minus, transport if curved else None, check=check if particular else None)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,6 +11,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from celnav import attitude as at
+from celnav.filters.step import update
+from celnav.gaussian import square_root
+from celnav.points import unscented
 
 RNG = np.random.default_rng(0)
 VECTORS = st.lists(st.floats(-3.0, 3.0), min_size=3, max_size=3).map(np.array)
@@ -153,3 +158,62 @@ def test_checks():
         at.attitude(1.0, 0.0)
     with pytest.raises(ValueError, match=r"^a: expected 0"):
         at.transport(np.zeros(3), 0.5, 3.0)
+
+
+def test_the_total_form_switches_its_parameters_with_the_covariance():
+    total, local = at.total_attitude(), at.attitude()
+    q = at.exp(np.radians([179.0, 0.0, 0.0]))
+    step = at.exp(np.radians([2.0, 0.0, 0.0]))
+    deviations = 1e-5 * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
+    points = total.plus(q, deviations)
+    moved = at.positive(at.multiply(step, points))
+    # The center has switched: its parameters are those of -179 deg. Differences are taken on its side.
+    assert moved[0] @ at.multiply(step, points)[0] < 0.0
+    differences = total.minus(moved, moved[0])
+    assert np.abs(differences).max() < 2e-5
+    tangents = differences @ (4.0 * at.transport(moved[0, :3] / (1.0 + moved[0, 3]), 1.0, 1.0)).T
+    np.testing.assert_allclose(tangents, local.minus(moved, moved[0]), atol=1e-9)
+    covariance = tangents.T @ tangents
+    assert np.linalg.eigvalsh(covariance).min() > 0.0
+
+
+def test_a_total_form_leads_back():
+    total = at.total_attitude()
+    q = at.exp(np.array([[0.5, -1.0, 2.0], [0.0, 0.0, 0.0]]))
+    t = 1e-3 * np.array([[1.0, 2.0, 3.0], [-1.0, 0.5, 0.0]])
+    np.testing.assert_allclose(total.minus(total.plus(q, t), q), t, atol=1e-14)
+    np.testing.assert_allclose(total.minus(-total.plus(q, t), q), t, atol=1e-14)
+
+
+def test_vectors_turn_as_the_matrix_turns_them():
+    q = at.exp(np.random.default_rng(3).normal(size=(4, 5, 3)))
+    v = np.random.default_rng(4).normal(size=3)
+    np.testing.assert_allclose(at.rotate(q, v), at.matrix(q) @ v, atol=1e-15)
+
+
+@pytest.mark.parametrize("bad", [[0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 2.0], [np.nan, 0.0, 0.0, 1.0], [np.inf, 0.0, 0.0, 1.0]])
+def test_a_filter_refuses_what_is_no_attitude(bad):
+    space = at.attitude()
+    part = update(lambda x, _epoch: x, unscented(3), R=1e-6 * np.eye(3), space=space, measurement_space=space)
+    belief = square_root(at.IDENTITY, 0.01 * np.eye(3))
+    with pytest.raises(ValueError, match=r"^z: expected"):
+        part(belief, np.array(bad))
+    if np.isfinite(bad).all():
+        with pytest.raises(ValueError, match=r"^state: expected unit quaternions"):
+            part(square_root(np.array(bad), 0.01 * np.eye(3)), at.IDENTITY)
+
+
+def test_a_quaternion_that_is_off_by_round_off_is_normalized():
+    space = at.attitude()
+    part = update(lambda x, _epoch: x, unscented(3), R=1e-6 * np.eye(3), space=space, measurement_space=space)
+    belief, z = square_root(at.IDENTITY, 0.01 * np.eye(3)), at.exp(np.array([0.1, 0.0, 0.0]))
+    a, b = (part(belief, factor * z)[0].mean for factor in (1.0, 1.0 + 5e-7))
+    np.testing.assert_allclose(a, b, atol=1e-15)
+
+
+def test_points_that_wrap_are_warned_of():
+    with pytest.warns(RuntimeWarning, match="232 deg"):
+        at.warn_of_wrapping(unscented(15), np.radians(60.0))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        at.warn_of_wrapping(unscented(15), np.radians(40.0))

@@ -50,6 +50,8 @@ def single_draw(
         if np.isnan(z).all():
             after, info = forward(belief, epoch)
             return after, info, memory
+        if measurement_space.check is not None:
+            z = measurement_space.check(z, "z")
         noise = evaluate(columns, belief.mean, epoch)
         s = 0 if noise is None else noise.shape[-1]
         root = belief.form.root(belief.spread)

@@ -227,6 +227,8 @@ def update(
         z = np.asarray(z, dtype=np.float64)
         if np.isnan(z).all():
             return belief, _skipped(belief, z, measurement_space), memory
+        if measurement_space.check is not None:
+            z = measurement_space.check(z, "z")
         noise = evaluate(columns, belief.mean, epoch)
         s = 0 if noise is None else noise.shape[-1]
         lifted = lift(belief, z.shape[-1] if z.ndim else 0, epoch, s)

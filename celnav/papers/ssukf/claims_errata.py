@@ -8,7 +8,7 @@ from celnav.claims import Claim
 from celnav.papers.ssukf.checks import LARGE, TURNS_DEG
 from celnav.papers.ssukf.config import ARCSEC
 from celnav.papers.ssukf.errata import orbit_rate, printed_spread, rotation_vector
-from celnav.papers.ssukf.evidence import Evidence
+from celnav.papers.ssukf.evidence import Evidence, order, rms
 from celnav.papers.ssukf.scenario import spread
 
 
@@ -22,7 +22,7 @@ def _formulas(j: Evidence) -> list[Claim]:
     text = "The printed lambda, with n for L: spread c of the AUKF's points instead of alpha^2 L (ratio)"
     c = 15.0 * config.alpha**2
     out.append(j.number("erratum-1-spread", "erratum", text, printed_spread(15, config.alpha) / c, (2.0, None), paper=1.0))
-    text = "It breaks nothing: largest change of the AUKF's attitude over a minute (arcsec)"
+    text = "It breaks nothing: largest change of the AUKF's attitude over a minute (power of ten, arcsec)"
     out.append(j.number("erratum-1-change", "beyond", text, j.worst("variants", "as printed")[0], (None, 1e-6)))
     for name, L in (("AUKF", 15), ("SSUKF, prediction", 12), ("SSUKF, update", 9), ("additive", 6)):
         text, points = f"2 (n + n_w + m) + 1 points: {name}", 2 * L + 1
@@ -40,26 +40,23 @@ def _comparison(j: Evidence) -> list[Claim]:
     text = "An ordinary UKF is cheaper than the SSUKF (points at 1:1, ratio)"
     out.append(j.number("erratum-3-ordinary", "erratum", text, totals[1]["additive"] / totals[1]["ssukf"], (None, 0.6)))
     both = [j.result.data["paper"][f"{name}/error"] for name in ("aukf", "ssukf")]
-    text = 'Fig. 3, "converges faster": largest difference of the attitudes over all runs and samples (arcsec)'
-    apart = float(np.abs(both[0] - both[1])[1:, :, :3].max())
+    text = 'Fig. 3, "converges faster": largest difference of the attitudes over all runs and samples (power of ten, arcsec)'
+    apart = order(float(np.abs(both[0] - both[1])[1:, :, :3].max()))
     out.append(j.number("erratum-4-identical", "erratum", text, apart, (None, 1e-6)))
     for name in LARGE:
-        first = [_first(j, name, degrees) for degrees in TURNS_DEG]
-        text = f"Error after the first star sample, largest over initial errors of 10 to 179 deg, {name.upper()} (arcsec)"
-        out.append(j.number(f"erratum-5-{name}", "erratum", text, max(first), (17.0, 25.0)))
-        text = f"The same, largest to smallest, {name.upper()}: no initial error is large (ratio)"
-        out.append(j.number(f"erratum-5-ratio-{name}", "erratum", text, max(first) / min(first), (None, 1.001)))
+        turned = {degrees: np.square(j.result.data["turns"][f"{name}/{degrees:g}"][1]) for degrees in TURNS_DEG}
+        text = f"Error of {name.upper()} after the first star sample from an initial error of 179 deg (arcsec)"
+        out.append(j.statistic(f"erratum-5-{name}", "erratum", text, rms, [turned[179.0]], (18.0, 23.0)))
+        sizes = [rms(squares) for squares in turned.values()]
+        text = f"The same from 10 to 179 deg, largest to smallest: none of them is large (ratio of {name.upper()})"
+        out.append(j.number(f"erratum-5-ratio-{name}", "erratum", text, max(sizes) / min(sizes), (None, 1.001)))
     dead = j.result.facts["dead"]
     for name, count, wanted in (("prediction", dead[0], 6), ("update", dead[1], 12)):
         text = f"Of the AUKF's 31 points in the {name}, copies of the center"
         out.append(j.number(f"erratum-6-{name}", "erratum", text, count, (wanted, wanted)))
-    text = "A UKF that adds Q and R instead of augmenting: largest difference at equal spread, 100 Hz (arcsec)"
+    text = "A UKF that adds Q and R instead of augmenting: largest difference at equal spread, 100 Hz (power of ten, arcsec)"
     out.append(j.number("erratum-7-additive", "erratum", text, j.worst("identities", "additive, c = 15")[0], (None, 1e-6)))
     return out
-
-
-def _first(j: Evidence, name: str, degrees: float) -> float:
-    return float(np.sqrt(np.square(j.result.data["turns"][f"{name}/{degrees:g}"][1]).mean()))
 
 
 def _model(j: Evidence) -> list[Claim]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,20 +30,23 @@ class Correlated(NamedTuple):
     apart: float
 
 
-def correlated(correlation: float, rng: np.random.Generator, *, runs: int = 400, steps: int = 350, burn: int = 50) -> Correlated:
-    """``x' = 0.98 x + w``, ``z = x' + v``, unit variances, ``w`` and ``v`` correlated.
+def correlated(
+    rngs: Sequence[np.random.Generator], *, runs: int = 400, steps: int = 350, burn: int = 50
+) -> dict[float, Correlated]:
+    """``x' = 0.98 x + w``, ``z = x' + v``, unit variances, ``w`` and ``v`` correlated; one generator for each of `CORRELATIONS`.
 
     ``apart`` is the largest difference of the single-draw covariance from the exact one; ``nees`` that of the SSUKF.
     """
-    both = np.linalg.cholesky(np.array([[1.0, correlation], [correlation, 1.0]]))
-    noise = rng.standard_normal((steps, runs, 2)) @ both.T
-    truth = np.empty((steps + 1, runs, 1))
-    truth[0] = rng.standard_normal((runs, 1))
+    roots = np.linalg.cholesky([[[1.0, rho], [rho, 1.0]] for rho in CORRELATIONS])
+    count = len(CORRELATIONS)
+    noise = np.concatenate([r.standard_normal((steps, runs, 2)) @ root.T for r, root in zip(rngs, roots, strict=True)], 1)
+    truth = np.empty((steps + 1, count * runs, 1))
+    truth[0] = np.concatenate([r.standard_normal((runs, 1)) for r in rngs])
     for k in range(steps):
         truth[k + 1] = DECAY * truth[k] + noise[k, :, :1]
     z = truth[1:] + noise[:, :, 1:]
     epochs = [Epoch(k + 1, k + 1.0, 1.0, None, z[k], truth[k + 1]) for k in range(steps)]
-    prior = covariance(np.zeros((runs, 1)), np.eye(1))
+    prior = covariance(np.zeros((count * runs, 1)), np.eye(1))
 
     def f(x: Array, _epoch: Any, *w: Array) -> Array:
         return np.asarray(DECAY * x + w[0][..., :1])
@@ -50,21 +54,24 @@ def correlated(correlation: float, rng: np.random.Generator, *, runs: int = 400,
     def h(x: Array, _epoch: Any, *v: Array) -> Array:
         return np.asarray(x + v[-1][..., -1:])
 
-    one = np.eye(1)
+    one, both = np.eye(1), np.repeat(roots, runs, 0)
     known = {
         "once": drawn_once(single_draw(f, h, unscented(3), extra=(both,)), update(h, unscented(2), extra=(one,))),
         "switching": sequential(predict(f, unscented(2), extra=(one,)), update(h, unscented(2), extra=(one,))),
         "redrawn": sequential(predict(f, unscented(3), extra=(one, one)), update(h, unscented(3), extra=(one, one))),
     }
-    deviations = exact(correlation, steps)
     tracks = {name: run(filter, prior, epochs, keep="spread") for name, filter in known.items()}
     error = {name: truth[1:] - _mean(track) for name, track in tracks.items()}
-    rms = {name: float(np.sqrt(np.square(e[burn:]).mean())) for name, e in error.items()}
-    ratio = nees(error["switching"], tracks["switching"].root)[burn:].mean()
-    once = tracks["once"].std
-    assert once is not None
-    apart = np.abs(once[..., 0] - deviations[:, None]).max()
-    return Correlated(float(deviations[-1]), rms["once"], rms["switching"], rms["redrawn"], float(ratio), float(apart))
+    squares = {name: np.split(np.square(e[burn:]), count, 1) for name, e in error.items()}
+    ratios = np.split(nees(error["switching"], tracks["switching"].root)[burn:], count, 1)
+    stds = np.split(tracks["once"].root[..., 0, 0], count, 1)
+    out = {}
+    for i, rho in enumerate(CORRELATIONS):
+        deviations = exact(rho, steps)
+        once, switching, redrawn = (float(np.sqrt(squares[name][i].mean())) for name in known)
+        apart = float(np.abs(stds[i] - deviations[:, None]).max())
+        out[rho] = Correlated(float(deviations[-1]), once, switching, redrawn, float(ratios[i].mean()), apart)
+    return out
 
 
 def exact(correlation: float, steps: int) -> Array:

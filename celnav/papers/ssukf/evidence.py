@@ -26,19 +26,20 @@ class Evidence(Judge):
         shown = (self.times >= first) & (self.times <= last)
         return np.asarray(np.square(self.result.data[kind][f"{filter}/error"][shown][..., chosen]).mean(-1).T)
 
-    def at(self, seconds: float) -> int:
-        """The star epoch at a time, or the last one of a shorter study."""
-        return min(round(seconds * self.result.config.star_hz), len(self.times) - 1)
-
     def worst(self, study: str, name: str) -> tuple[float, float]:
-        """Largest differences of a check over its runs: arcsec and deg/h."""
+        """Largest differences of a check over its runs: arcsec and deg/h; their `order`."""
         attitude, drift = self.result.data[study][name].max(1).tolist()
-        return attitude, drift
+        return order(attitude), order(drift)
 
     def settles(self, squares: Array, level: float) -> float:
-        """Time (s) at which the RMSE over the runs of squares ``(runs, T)`` is first below a level; infinite if it never is."""
+        """Time (s) at which the RMSE over the runs of squares ``(runs, T)`` is first below a level; the end if it never is."""
         below = np.flatnonzero(np.sqrt(squares.mean(0)) < level)
-        return float(self.times[below[0]]) if below.size else np.inf
+        return float(self.times[below[0] if below.size else squares.shape[1] - 1])
+
+
+def order(value: float) -> float:
+    """The power of ten at or above a size of which only that means anything: the digits of round-off differ between machines."""
+    return 10.0 ** float(np.ceil(np.log10(value))) if value > 0.0 else 0.0
 
 
 def rms(squares: Array) -> float:

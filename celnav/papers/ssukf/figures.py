@@ -155,7 +155,7 @@ def figure_9(result: Result) -> Figure:
     fig, axes = figure(10.0, 3.2, 1, 3)
     shown = sorted(PRIORS_DEG)
     for seconds, color in ((0.25, colors.COMPARISON), (10.0, colors.ESTIMATE), (60.0, colors.TRUTH)):
-        k = round(seconds * result.config.star_hz)
+        k = result.at(seconds)
         values = [np.sqrt(np.square(result.data["priors"][f"{s:g}"][k, :, :3]).mean()) for s in shown]
         axes[0].loglog(shown, values, color=color, marker="o", label=f"after {seconds:g} s")
     axes[0].set(xlabel="prior, each axis (deg); the error is 1, 2, 10 deg", ylabel="attitude, RMSE (arcsec)")

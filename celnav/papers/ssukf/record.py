@@ -49,7 +49,7 @@ def record(result: Result, outputs: Outputs) -> list[str]:
 
 def _layout(recording: Any, times: Array) -> Any:
     r = recording
-    scene = r.space("world", "orbit, km (inertial axes)", eye=(14e3, -9e3, -4e3), target=(0.0, 0.0, 0.0), up=(0.0, -1.0, 0.0))
+    scene = r.space("world", "orbit, km (inertial axes)", eye=(11e3, -9e3, -15e3), target=(1e3, 0.0, -2e3), up=(0.0, -1.0, 0.0))
     body = r.space("body", "axes: truth, and estimates with errors x1000", eye=(3.0, -2.0, 2.0), up=(0.0, 0.0, -1.0))
     errors = r.space("error_view", "attitude error (arcsec) with 3σ ellipsoid, truth in the middle", eye=(22.0, -22.0, 16.0))
     plots = r.rows(

@@ -192,8 +192,9 @@ def noise_root(gyro: Gyro, dt: float) -> Array:
 def filters(config: Config, *, c: float | None = None, transported: bool = False) -> dict[str, Filter]:
     """The paper's filters and those it is compared with, by name; see `family`.
 
-    ``c``: one spread for all rules instead of ``alpha^2 (L + kappa)``.
+    ``c``: one spread for all rules instead of ``alpha^2 (L + kappa)``. Warns if points of the prior wrap at 180 deg.
     """
+    attitude.warn_of_wrapping(spread(15, config, c=c), float(config.sigma0[:3].max()))
     return family(config.gyro, config.step_s, star_sensor(config), lambda L: spread(L, config, c=c), transported=transported)
 
 

@@ -51,6 +51,10 @@ class Result:
         """Star epochs ``(T,)`` s, the start first."""
         return np.asarray(np.arange(len(self.data["paper"]["aukf/nees"])) / self.config.star_hz)
 
+    def at(self, seconds: float) -> int:
+        """The star epoch at a time, or the last one of a shorter study."""
+        return min(round(seconds * self.config.star_hz), len(self.times) - 1)
+
     def arrays(self) -> dict[str, Array]:
         """Arrays to store: RMSE over the runs, mean NEES and NIS, and the first run's errors and deviations."""
         out = {"times": self.times}
@@ -120,12 +124,17 @@ def _main(config: Config, rngs: Sequence[np.random.Generator]) -> dict[str, Arra
     return out
 
 
+def _vector_steps(config: Config) -> int:
+    """As much of the 1000 s as the study has of its 600 s."""
+    return max(101, round(vector.STEPS * min(1.0, config.duration_s / STANDARD.duration_s)))
+
+
 def _block(what: str, config: Config, seed: int, study: int, runs: range) -> dict[str, Array]:
     """One piece of work, by name."""
     rngs = [generator(seed, study, r) for r in runs]
     functions: dict[str, Any] = {
         "runs": lambda: _main(config, rngs),
-        "vector": lambda: vector.compare(config, rngs),
+        "vector": lambda: vector.compare(config, rngs, steps=_vector_steps(config)),
         "vector, short": lambda: vector.compare(config, rngs, ("aukf", "ssukf, c = 15", "usque", "ssukf, c = 7"), 100),
         "identities": lambda: checks.identities(config, rngs),
         "rates": lambda: checks.rates(config, rngs),
@@ -144,7 +153,7 @@ SHORT: dict[str, tuple[float, int]] = {
     "variants": (60.0, 50),
     "alphas": (60.0, 10),
     "priors": (60.0, 20),
-    "turns": (10.0, 20),
+    "turns": (1.0, 100),
     "linear": (150.0, 5),
     "vector": (0.0, vector.RUNS),
     "vector, short": (0.0, 20),
@@ -157,7 +166,7 @@ def _units(config: Config, seed: int, runs: int, block: int, effort: float) -> l
     for study, (what, (seconds, most)) in enumerate(SHORT.items(), start=1):
         few = replace(config, duration_s=min(seconds, config.duration_s)) if seconds else config
         count = max(2, round(most * effort))
-        out += [Unit(what, _block, (what, few, seed, study, part)) for part in blocks(count, block)]
+        out.append(Unit(what, _block, (what, few, seed, study, range(count))))
     return out
 
 
@@ -212,7 +221,7 @@ def reproduce(
     facts: dict[str, Any] = {
         "exact": theory.exact_deviations(config),
         "readings": [(r, theory.limit(r.gyro, config.sigma_n, 1.0 / config.star_hz)) for r in theory.readings(config)],
-        "correlated": {rho: draws.correlated(rho, generator(seed, 20, i)) for i, rho in enumerate(draws.CORRELATIONS)},
+        "correlated": draws.correlated([generator(seed, 20, i) for i in range(len(draws.CORRELATIONS))]),
         "multiplied": draws.multiplied(generator(seed, 21, 0)),
         "spin": spin(config, [generator(seed, 22, r) for r in range(20)]),
         "total covariance": checks.total_covariance(minute, generator(seed, 23, 0)),
