@@ -8,13 +8,14 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import solve_discrete_are
 
 from celnav import attitude as at
+from celnav.filters.adaptive import chi_square_gate, innovation_window
 from celnav.filters.driver import Epoch, run, sequential
 from celnav.filters.step import predict, update
 from celnav.gaussian import covariance, square_root
 from celnav.models.gyro import Gyro, preintegrate, steady_state
 from celnav.models.noise import van_loan
 from celnav.models.rigid_body import Body
-from celnav.points import unscented
+from celnav.points import cubature, unscented
 from celnav.spaces import EUCLIDEAN, product
 from celnav.taylor import Taylor
 
@@ -228,3 +229,28 @@ def test_a_half_turn_of_initial_error_is_finite_and_converges():
 def test_bad_input_is_refused_by_name(make, name):
     with pytest.raises(ValueError, match=f"^{name}"):
         make()
+
+
+@pytest.mark.parametrize("form", [square_root, covariance])
+@pytest.mark.parametrize("rule", [unscented(6), cubature(6, degree=5), Taylor()], ids=repr)
+def test_gates_and_windows_work_on_attitudes(form, rule):
+    q, gyro, z = simulated()
+    far = z.copy()
+    far[20, 2] = at.multiply(at.exp(np.array([0.0, 0.01, 0.0])), z[20, 2])
+    kept = z.copy()
+    kept[20, 2] = np.nan
+
+    def filter(*hooks):
+        h = update(lambda x, _epoch: x[..., :4], rule, SIGMA_N**2 * np.eye(3), space=SPACE, measurement_space=STAR, hooks=hooks)
+        f = predict(lambda x, epoch: GYRO.propagate(x, epoch.u, epoch.dt), rule, GYRO.process_noise(0.25), space=SPACE)
+        return sequential(f, h)
+
+    gated, without = filtered(filter(chi_square_gate(1.0 - 1e-9)), far, gyro, form), filtered(filter(), kept, gyro, form)
+    assert gated.events["rejected"].tolist() == [0, 0, 3, 0, 0]
+    np.testing.assert_allclose(gated.mean, without.mean, atol=1e-12)
+    fooled = filtered(filter(), far, gyro, form)
+    error = [at.angle(at.multiply(t.mean[20, 2, :4], at.inverse(q[20, 2]))) for t in (gated, fooled)]
+    assert error[1] > 20.0 * error[0]
+    wide = filtered(filter(innovation_window(5)), far, gyro, form)
+    assert np.isfinite(wide.mean).all()
+    assert at.angle(at.multiply(wide.mean[20, 2, :4], at.inverse(q[20, 2]))) < error[1]

@@ -123,7 +123,7 @@ def _errors(out: Recorder, result: Result) -> None:
     out.points("error_view/truth", origin, colors.TRUTH, radius=5.0)
     for filter in SHOWN:
         data = result.data["paper"]
-        error = -data[f"{filter}/error"][:, 0, :3]
+        error = data[f"{filter}/error"][:, 0, :3]
         near = (np.abs(error) < 60.0).all(1, keepdims=True)
         shown = np.where(near, error, np.nan)
         covariance = data[f"{filter}/cov"][:, 0, :3, :3] / ARCSEC**2

@@ -123,14 +123,14 @@ def start(config: Config) -> Array:
 
 
 def errors(truth: Array, mean: Array) -> Array:
-    """Rotation vector (rad, body axes) and drift error (rad/s) of estimates, ``(..., 6)``."""
-    turned = attitude.log(attitude.multiply(truth[..., :4], attitude.inverse(mean[..., :4])))
-    return np.concatenate([turned, truth[..., 4:] - mean[..., 4:]], -1)
+    """Rotation vector (rad, body axes) and drift (rad/s) of estimates, less those of the truth, ``(..., 6)``."""
+    turned = attitude.log(attitude.multiply(mean[..., :4], attitude.inverse(truth[..., :4])))
+    return np.concatenate([turned, mean[..., 4:] - truth[..., 4:]], -1)
 
 
 def euler_errors(truth: Array, mean: Array) -> Array:
     """Errors ``(..., 3)`` rad of roll, pitch and yaw with respect to the orbital frame at the start, as the paper draws them."""
-    return np.asarray(wrap(attitude.to_euler(truth[..., :4]) - attitude.to_euler(mean[..., :4])))
+    return np.asarray(wrap(attitude.to_euler(mean[..., :4]) - attitude.to_euler(truth[..., :4])))
 
 
 def spread(dimension: int, config: Config, *, c: float | None = None) -> Rule:
