@@ -253,7 +253,7 @@ def table(rounds: int) -> dict[str, dict[str, float]]:
 def full_rate(runs: int = 200) -> dict[str, float]:
     """The paper's 100 Hz over 600 s: CPU and wall seconds, and how far AUKF and SSUKF are apart (arcsec)."""
     cpu, wall, apart, first = process_time(), perf_counter(), 0.0, 0.0
-    for part in blocks(runs, 100):
+    for part in blocks(runs, 200):
         found = compare(PRESETS["100 Hz"], [generator(0, 0, r) for r in part])
         difference = np.abs(found["aukf/error"] - found["ssukf/error"])[1:, :, :3]
         apart = max(apart, float(difference.max()))

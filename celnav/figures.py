@@ -8,6 +8,7 @@ from typing import Any
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
 
 from celnav.linalg import Array
 
@@ -49,9 +50,18 @@ def band(ax: Axes, t: Array, low: Array, high: Array, *, color: str, label: str 
     ax.fill_between(t, low, high, color=color, alpha=0.22, linewidth=0.0, label=label)
 
 
+def _sparse_ticks(fig: Figure) -> None:
+    """No minor ticks on logarithmic axes of many decades: nobody reads them, and they take half of the time of a drawing."""
+    for axis in (axis for ax in fig.axes for axis in (ax.xaxis, ax.yaxis)):
+        low, high = axis.get_view_interval()
+        if axis.get_scale() == "log" and high > 100.0 * low > 0.0:
+            axis.set_minor_locator(NullLocator())
+
+
 def render(fig: Figure, kind: str, dpi: float = 150) -> bytes:
     """The figure as "png" or "svg"; the same figure gives the same bytes."""
     buffer = io.BytesIO()
+    _sparse_ticks(fig)
     with plt.rc_context(STYLE):
         fig.savefig(buffer, format=kind, dpi=dpi, metadata={"Date": None} if kind == "svg" else {"Software": None})
     fig.set_layout_engine("none")  # arranged once, for every kind: it takes as long as the drawing

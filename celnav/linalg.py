@@ -101,7 +101,9 @@ def _scaled(P: Array) -> tuple[Array, Array]:
     """Scales ``(..., n)`` and ``P`` in units of them: kilometers and radians in one matrix then weigh alike."""
     diagonal = P.diagonal(0, -2, -1)
     scale = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
-    return scale, P / (scale[..., :, None] * scale[..., None, :])
+    C = P / scale[..., :, None]
+    C /= scale[..., None, :]
+    return scale, C
 
 
 def cholesky(P: Array) -> Array:

@@ -89,7 +89,9 @@ def figure_5(result: Result) -> Figure:
     for ax, kind, dof in ((axes[0], "nees", 6), (axes[1], "nis", 3)):
         for filter in DRAWN:
             mean = result.data["drawn"][f"{filter}/{kind}"][1:].mean(1)
-            ax.plot(t[1:], mean, color=COLORS[filter], label=LABELS[filter], **STYLES.get(filter, {"linewidth": 0.6}))
+            ax.plot(
+                t[1 : len(mean) + 1], mean, color=COLORS[filter], label=LABELS[filter], **STYLES.get(filter, {"linewidth": 0.6})
+            )
         low, high = chi_square_band(dof, result.runs)
         ax.axhspan(low, high, color=colors.SIGMA, alpha=0.3, label="95 % band")
         ax.set(xlabel="time (s)", ylabel=f"{kind.upper()}, mean of {result.runs} runs (-)")

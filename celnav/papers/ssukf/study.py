@@ -20,8 +20,8 @@ from celnav.papers.ssukf.variants import spin
 
 PAPER = ("aukf", "ssukf", "mekf")
 """Filters run from the paper's initial error."""
-DRAWN = ("ssukf", "usque", "mekf")
-"""Filters run from initial errors drawn from the prior; the AUKF, which is the SSUKF, for a minute."""
+DRAWN = {"ssukf": np.inf, "aukf": 60.0, "usque": 60.0, "mekf": 60.0}
+"""Filters run from initial errors drawn from the prior, and for how long (s): in the end all of them are one filter."""
 TIMED = ("aukf", "ssukf", "additive", "mekf")
 UNITS = np.repeat([ARCSEC, DEG_PER_H], 3)
 """What errors are divided by: arcsec and deg/h, ``(6,)``."""
@@ -58,7 +58,7 @@ class Result:
     def arrays(self) -> dict[str, Array]:
         """Arrays to store: RMSE over the runs, mean NEES and NIS, and the first run's errors and deviations."""
         out = {"times": self.times}
-        for kind, names in (("paper", PAPER), ("drawn", ("aukf", *DRAWN))):
+        for kind, names in (("paper", PAPER), ("drawn", DRAWN)):
             data = self.data[kind]
             for name in names:
                 key = f"{kind}/{name}"
@@ -106,21 +106,22 @@ def _follow(name: str, filter: Filter, sim: scenario.Scenario, prior: Gaussian) 
 
 
 def _main(config: Config, rngs: Sequence[np.random.Generator]) -> dict[str, Array]:
-    """Both kinds of initial errors as one batch, on the same noise: ``paper/...`` and ``drawn/...``."""
-    sim = scenario.simulate(config, rngs)
-    both, known = scenario.repeated(sim, 2), scenario.filters(config)
+    """The paper's initial errors and drawn ones on the same noise: ``paper/...`` and ``drawn/...``; one batch where it can be."""
+    sim, known = scenario.simulate(config, rngs), scenario.filters(config)
+    both = scenario.repeated(sim, 2)
     prior = covariance(np.concatenate([sim.prior.mean, sim.drawn.mean]), both.prior.cov)
     out = {"paper/truth": sim.truth[:, :1], "paper/stars": sim.stars[:, :1]}
     for name in dict.fromkeys([*PAPER, *DRAWN]):
-        if name in PAPER and name in DRAWN:
+        whole = DRAWN[name] >= config.duration_s
+        if name in PAPER and whole:
             for key, value in _follow(name, known[name], both, prior).items():
                 parts = (value, value) if value.shape[1] == 1 else np.split(value, 2, 1)
                 out[f"paper/{key}"], out[f"drawn/{key}"] = parts
-        else:
-            kind, belief = ("paper", sim.prior) if name in PAPER else ("drawn", sim.drawn)
-            out |= {f"{kind}/{key}": value for key, value in _follow(name, known[name], sim, belief).items()}
-    minute = sim.shortened(60.0)
-    out |= {f"drawn/{key}": value for key, value in _follow("aukf", known["aukf"], minute, sim.drawn).items()}
+            continue
+        if name in PAPER:
+            out |= {f"paper/{key}": value for key, value in _follow(name, known[name], sim, sim.prior).items()}
+        part = sim.shortened(DRAWN[name])
+        out |= {f"drawn/{key}": value for key, value in _follow(name, known[name], part, sim.drawn).items()}
     return out
 
 
@@ -150,11 +151,11 @@ def _block(what: str, config: Config, seed: int, study: int, runs: range) -> dic
 SHORT: dict[str, tuple[float, int]] = {
     "identities": (3.0, 20),
     "rates": (20.0, 20),
-    "variants": (60.0, 50),
+    "variants": (30.0, 50),
     "alphas": (60.0, 10),
     "priors": (60.0, 20),
     "turns": (1.0, 100),
-    "linear": (150.0, 5),
+    "linear": (100.0, 5),
     "vector": (0.0, vector.RUNS),
     "vector, short": (0.0, 20),
 }
