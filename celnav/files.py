@@ -130,3 +130,17 @@ class Outputs:
 def _sha256(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def data(name: str) -> Path:
+    """A file of the package's data: ``data/`` of the repository, or its copy inside an installed package.
+
+    Raises
+    ------
+    FileNotFoundError: naming it.
+    """
+    inside = Path(__file__).parent / "data" / name
+    path = inside if inside.exists() else Path(__file__).parents[1] / "data" / name
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: no such data file of celnav")
+    return path

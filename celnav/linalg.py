@@ -123,17 +123,22 @@ def cholesky(P: Array) -> Array:
 def semidefinite_root(P: Array) -> Array:
     """Lower root of a covariance ``P (..., n, n)`` that may be singular; nan where it is indefinite beyond round-off."""
     scale, C = _scaled(P)
+    nothing = 4 * C.shape[-1] * _EPS  # what is left of a variance that is none
     try:
-        return scale[..., None] * np.linalg.cholesky(C)
+        L = np.linalg.cholesky(C)
+        if L.diagonal(0, -2, -1).min(initial=1.0) > 1e-5:  # below, a singular matrix may have slipped through on a rounding error
+            return scale[..., None] * L
     except np.linalg.LinAlgError:
-        finite = np.asarray(np.isfinite(C).all((-2, -1)))
-        eigenvalues, vectors = np.linalg.eigh(np.where(finite[..., None, None], C, -np.eye(C.shape[-1])))
-        indefinite = eigenvalues[..., 0] < -64 * C.shape[-1] * _EPS * np.maximum(eigenvalues[..., -1], 1.0)
-        root = tria(scale[..., None] * vectors * np.sqrt(np.maximum(eigenvalues, 0.0))[..., None, :])
-        singular = eigenvalues[..., :1, None] <= 4 * C.shape[-1] * _EPS
-        if not singular.all():  # the neighbors get what they would get alone
-            root = np.where(singular, root, scale[..., None] * np.linalg.cholesky(np.where(singular, np.eye(C.shape[-1]), C)))
-        return np.where(indefinite[..., None, None], np.nan, root)
+        pass
+    finite = np.asarray(np.isfinite(C).all((-2, -1)))
+    eigenvalues, vectors = np.linalg.eigh(np.where(finite[..., None, None], C, -np.eye(C.shape[-1])))
+    indefinite = eigenvalues[..., 0] < -64 * C.shape[-1] * _EPS * np.maximum(eigenvalues[..., -1], 1.0)
+    kept = np.where(eigenvalues > nothing, eigenvalues, 0.0)
+    root = tria(scale[..., None] * vectors * np.sqrt(kept)[..., None, :])
+    singular = eigenvalues[..., :1, None] <= nothing
+    if not singular.all():  # the neighbors get what they would get alone
+        root = np.where(singular, root, scale[..., None] * np.linalg.cholesky(np.where(singular, np.eye(C.shape[-1]), C)))
+    return np.where(indefinite[..., None, None], np.nan, root)
 
 
 def downdate(L: Array, V: Array) -> Array:

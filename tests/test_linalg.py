@@ -168,3 +168,16 @@ def test_block_sizes_zeros_by_their_neighbors_and_broadcasts():
     M = block([[A, B], [0, C]])
     expected = np.array([[1, 1, 2, 2, 2], [0, 0, 3, 3, 3], [0, 0, 3, 3, 3]])
     np.testing.assert_array_equal(M, np.broadcast_to(expected, (2, 3, 5)))
+
+
+@pytest.mark.parametrize("n", [2, 5, 8])
+def test_the_root_of_a_singular_covariance_leaves_out_what_it_does_not_have(n):
+    """In any position of the null space, whether or not Cholesky notices."""
+    rng = np.random.default_rng(n)
+    for _ in range(50):
+        turn = np.linalg.qr(rng.normal(size=(n, n)))[0]
+        values = np.append(rng.uniform(0.1, 10.0, n - 1), 0.0)
+        P = (turn * values) @ turn.T
+        root = semidefinite_root(0.5 * (P + P.T))
+        assert np.abs(turn[:, -1] @ root).max() < 1e-11
+        np.testing.assert_allclose(root @ root.T, P, atol=1e-13)

@@ -1,0 +1,165 @@
+"""X-ray pulsars: where they are, how well their pulses are timed, and what a timing says of a position. Units: km, s.
+
+The measurement of a pulsar is the delay of a pulse between spacecraft and solar-system barycenter, times the speed of light:
+km. Positions are barycentric, ICRS axes.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+
+import numpy as np
+
+from celnav.files import data
+from celnav.linalg import Array
+
+LIGHT_KM_S = 299792.458
+GM_SUN = 1.32712440041e11
+"""km^3/s^2."""
+KPC_KM = 3.0856775814913673e16
+BACKGROUND = 0.005
+"""X-ray background, photons / cm^2 / s."""
+AREA_CM2 = 1e4
+
+
+@dataclass(frozen=True)
+class Pulsar:
+    """A pulsar.
+
+    Attributes
+    ----------
+    right_ascension_deg, declination_deg: J2000. distance_kpc: from the Sun.
+    period_s: of the pulses. width_s: of a pulse. flux: photons / cm^2 / s. pulsed_fraction: of the flux.
+
+    Raises
+    ------
+    ValueError: naming a number that cannot be.
+    """
+
+    name: str
+    right_ascension_deg: float
+    declination_deg: float
+    distance_kpc: float
+    period_s: float
+    width_s: float
+    flux: float
+    pulsed_fraction: float
+
+    def __post_init__(self) -> None:
+        for field in fields(self)[1:]:
+            value = getattr(self, field.name)
+            if not np.isfinite(value):
+                raise ValueError(f"{field.name}: expected a finite number for {self.name}, got {value!r}")
+        for name in ("distance_kpc", "period_s", "width_s", "flux"):
+            if getattr(self, name) <= 0.0:
+                raise ValueError(f"{name}: expected a positive number for {self.name}, got {getattr(self, name)!r}")
+        if not 0.0 < self.pulsed_fraction <= 1.0:
+            raise ValueError(f"pulsed_fraction: expected a number in (0, 1] for {self.name}, got {self.pulsed_fraction!r}")
+        if not -90.0 <= self.declination_deg <= 90.0:
+            raise ValueError(f"declination_deg: expected an angle from -90 to 90 for {self.name}, got {self.declination_deg!r}")
+
+    @cached_property
+    def direction(self) -> Array:
+        """Unit vector ``(3,)`` from the solar system to the pulsar."""
+        ra, dec = np.radians(self.right_ascension_deg), np.radians(self.declination_deg)
+        return np.array([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
+
+    @property
+    def distance_km(self) -> float:
+        """Distance in km."""
+        return self.distance_kpc * KPC_KM
+
+    def timing_std(self, seconds: float, area_cm2: float = AREA_CM2, background: float = BACKGROUND) -> float:
+        """Deviation (s) of a pulse's time of arrival after so many seconds of observation.
+
+        ``W / (2 SNR)`` with the signal-to-noise ratio of the pulsed photons among all others [Sheikh2006].
+
+        Raises
+        ------
+        ValueError: unless the numbers are positive (``background``: not negative).
+        """
+        for name, value in (("seconds", seconds), ("area_cm2", area_cm2)):
+            if not (np.isfinite(value) and value > 0.0):
+                raise ValueError(f"{name}: expected a positive number, got {value!r}")
+        if not (np.isfinite(background) and background >= 0.0):
+            raise ValueError(f"background: expected a number that is not negative, got {background!r}")
+        pulsed = self.flux * area_cm2 * self.pulsed_fraction * seconds
+        others = (background + self.flux * (1.0 - self.pulsed_fraction)) * area_cm2 * seconds * self.width_s / self.period_s
+        return float(0.5 * self.width_s * np.sqrt(others + pulsed) / pulsed)
+
+
+def known() -> dict[str, Pulsar]:
+    """The pulsars of ``data/pulsars.toml`` by name."""
+    with data("pulsars.toml").open("rb") as file:
+        return {name: Pulsar(name, **values) for name, values in tomllib.load(file).items()}
+
+
+def pulsars(names: Sequence[str]) -> list[Pulsar]:
+    """Pulsars by name.
+
+    Raises
+    ------
+    ValueError: for an unknown name; the message lists the known ones.
+    """
+    table = known()
+    for name in names:
+        if name not in table:
+            raise ValueError(f"pulsar: expected one of {', '.join(table)}, got {name!r}")
+    return [table[name] for name in names]
+
+
+class Timing:
+    """The delays of several pulsars, as functions of a barycentric position [Sheikh2006]: Roemer, parallax and Shapiro terms.
+
+    Raises
+    ------
+    ValueError: if directions of three pulsars or more do not span space (condition above 1e6).
+    """
+
+    def __init__(self, pulsars: Sequence[Pulsar]):
+        self.pulsars = tuple(pulsars)
+        self.directions = np.stack([p.direction for p in self.pulsars])
+        self.distances = np.array([p.distance_km for p in self.pulsars])
+        if len(self.pulsars) >= 3 and np.linalg.cond(self.directions) > 1e6:
+            raise ValueError("pulsars: expected directions that span space, got directions in one plane")
+
+    def delay(self, position: Array, sun: Array) -> Array:
+        """Delays ``(..., m)`` km of positions ``(..., 3)``; ``sun (..., 3)`` is the Sun's position.
+
+        The Shapiro term is the printed one; `shapiro_exact` is what it stands for.
+        """
+        n, b = self.directions, -np.asarray(sun)
+        along, of_b = position @ n.T, b @ n.T
+        square = np.square(position).sum(-1)[..., None]
+        cross = (b * position).sum(-1)[..., None]
+        parallax = (along * along - square + 2.0 * of_b * along - 2.0 * cross) / (2.0 * self.distances)
+        return np.asarray(along + parallax + self.shapiro(position, sun))
+
+    def shapiro(self, position: Array, sun: Array) -> Array:
+        """Shapiro delay ``(..., m)`` km in the form usually printed, which takes ``|r + b|`` for ``|r| + |b|``."""
+        n, b = self.directions, -np.asarray(sun)
+        numerator = position @ n.T + np.linalg.norm(position, axis=-1, keepdims=True)
+        denominator = b @ n.T + np.linalg.norm(b, axis=-1, keepdims=True)
+        return np.asarray(2.0 * GM_SUN / LIGHT_KM_S**2 * np.log(np.abs(numerator / denominator + 1.0)))
+
+    def shapiro_exact(self, position: Array, sun: Array) -> Array:
+        """Shapiro delay ``(..., m)`` km between the barycenter and the position, with the distance from the Sun as it is."""
+        n, b = self.directions, -np.asarray(sun)
+        p = position + b
+        numerator = p @ n.T + np.linalg.norm(p, axis=-1, keepdims=True)
+        denominator = b @ n.T + np.linalg.norm(b, axis=-1, keepdims=True)
+        return np.asarray(2.0 * GM_SUN / LIGHT_KM_S**2 * np.log(numerator / denominator))
+
+    def gradient(self, position: Array, sun: Array) -> Array:
+        """Jacobian ``(..., m, 3)`` of `delay` with respect to the position."""
+        n, b = self.directions, -np.asarray(sun)
+        along, of_b = (position @ n.T)[..., None], (b @ n.T)[..., None]
+        radius = np.linalg.norm(position, axis=-1)[..., None, None]
+        far = np.linalg.norm(b, axis=-1)[..., None, None]
+        parallax = (along * n - position[..., None, :] + of_b * n - b[..., None, :]) / self.distances[:, None]
+        unit = position[..., None, :] / radius
+        shapiro = 2.0 * GM_SUN / LIGHT_KM_S**2 * (n + unit) / (along + radius + of_b + far)
+        return np.asarray(n + parallax + shapiro)
