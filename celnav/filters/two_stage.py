@@ -1,0 +1,218 @@
+"""Two-stage filters: a filter that knows of no bias, a second one that estimates the bias from what the first leaves over.
+
+The first stage runs as if the bias were zero. A sensitivity ``Lambda`` says what a unit of bias does to its estimate; its
+innovation, less what the sensitivity explains, is the measurement of the second stage [Friedland 1969]. For a constant bias, or
+one that walks at random [Hsieh & Chen 1999], both together are the augmented Kalman filter.
+
+Any first stage will do that hands on a `Stage` with each step: `plain` makes one of a predict and an update part.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from celnav.filters.driver import Epoch, Filter
+from celnav.filters.info import Info
+from celnav.filters.step import Predict, Update, evaluate
+from celnav.gaussian import Gaussian, finite, sqrt_cov
+from celnav.linalg import Array, block, cholesky, matvec, semidefinite_root, solve_lower, tria
+
+Slope = Array | Callable[[Array, Epoch], Array]
+"""``Gamma (..., m, p)``: derivative of the measurement with respect to the bias; constant or ``(mean, epoch) -> matrix``."""
+
+
+class Stage(NamedTuple):
+    """What a first stage did in a step.
+
+    Attributes
+    ----------
+    innovation: ``(..., m)``. root: ``(..., m, m)``, of its covariance.
+    gain: ``(..., n, m)``. H: ``(..., m, n)``, Jacobian of the measurement. used: ``(..., m)``, the components that took part.
+    Omega: ``(..., n, m)``, how the measurement itself enters the prediction; None if it does not.
+    lag: ``(m, m)``, what of the last measurement is taken off this one, and before: ``(..., m, n)``, that one's H; None without.
+    """
+
+    innovation: Array
+    root: Array
+    gain: Array
+    H: Array
+    used: Array
+    Omega: Array | None = None
+    lag: Array | None = None
+    before: Array | None = None
+
+
+class First(NamedTuple):
+    """A first stage: ``start(prior) -> state`` with a ``belief``; ``predict(state, epoch) -> (state, Phi)``, None where it does
+    not move; ``update(state, epoch, Phi) -> (state, stage, info)``, no stage where nothing was measured.
+    """
+
+    start: Callable[[Gaussian], Any]
+    predict: Callable[[Any, Epoch], tuple[Any, Array | None]]
+    update: Callable[[Any, Epoch, Array | None], tuple[Any, Stage | None, Info]]
+
+
+class PlainState(NamedTuple):
+    """Belief without the bias, and the memory of the update part."""
+
+    belief: Gaussian
+    memory: Any = None
+
+
+def plain(predict: Predict, update: Update) -> First:
+    """A first stage of the common parts: any rule, either form, hooks included. Vector states only."""
+
+    def move(state: PlainState, epoch: Epoch) -> tuple[PlainState, Array | None]:
+        if not np.any(epoch.dt):
+            return state, None
+        belief, info = predict(state.belief, epoch)
+        slopes = info.slopes[0]
+        assert slopes is not None
+        return state._replace(belief=belief), slopes()[0]
+
+    def see(state: PlainState, epoch: Epoch, _Phi: Array | None) -> tuple[PlainState, Stage | None, Info]:
+        belief, info, memory = update(state.belief, epoch.z, epoch, state.memory)
+        after = PlainState(belief, memory)
+        slopes = info.slopes[-1] if info.slopes else None
+        if info.innovation_root is None or info.gain is None or slopes is None or info.innovation is None:
+            return after, None, info
+        used = np.ones(info.innovation.shape, bool) if info.used is None else info.used
+        H = np.where(used[..., None], slopes()[0], 0.0)
+        return after, Stage(np.where(used, info.innovation, 0.0), info.innovation_root, info.gain(), H, used), info
+
+    return First(lambda prior: PlainState(prior), move, see)
+
+
+class TwoStageState(NamedTuple):
+    """State of a two-stage filter.
+
+    Attributes
+    ----------
+    first: of the first stage. bias: belief about the bias ``(..., p)``. Lambda: ``(..., n, p)``.
+    Gamma: ``(..., m, p)`` of the last measurement; None before it. memory: of ``boost``.
+    """
+
+    first: Any
+    bias: Gaussian
+    Lambda: Array
+    Gamma: Array | None = None
+    memory: Any = None
+
+    @property
+    def belief(self) -> Gaussian:
+        """State and bias ``(..., n + p)``, corrected: what the augmented filter would have."""
+        free, own, Lambda = self.first.belief, self.bias, self.Lambda
+        mean = np.concatenate([free.mean + matvec(Lambda, own.mean), own.mean], -1)
+        if free.form.name == "covariance":
+            cross = Lambda @ own.spread
+            return Gaussian(mean, block([[free.spread + cross @ Lambda.mT, cross], [cross.mT, own.spread]]), free.form)
+        return Gaussian(mean, tria(block([[free.spread, Lambda @ own.spread], [0, own.spread]])), free.form)
+
+
+class Boost(NamedTuple):
+    """What a boost sees of the bias stage.
+
+    Attributes
+    ----------
+    residual: ``(..., m)``, the innovation less what the estimated bias explains. total: ``(..., m, m)``, its covariance.
+    innovation, own: the same of the first stage alone.
+    """
+
+    residual: Array
+    total: Array
+    innovation: Array
+    own: Array
+
+
+def two_stage(
+    first: First,
+    Gamma: Slope | ArrayLike,
+    bias: Gaussian,
+    *,
+    Qb: ArrayLike | None = None,
+    boost: Callable[[Any, Boost], tuple[Any, Array]] | None = None,
+) -> Filter:
+    """A filter of two stages.
+
+    Parameters
+    ----------
+    first: see `First`. Gamma: see `Slope`.
+    bias: belief about the bias ``(p,)`` at the start.
+    Qb: covariance ``(p, p)`` of the steps of a bias that walks at random; None: it is constant. With a `plain` first stage only.
+    boost: ``(memory, Boost) -> (memory, factors (..., p))``: the gain of the bias stage is that of a covariance inflated by the
+        factors, while the covariance itself is not; see `celnav.filters.strong_tracking`.
+
+    Returns
+    -------
+    A `Filter` whose belief is about state and bias, ``(..., n + p)``. The prior is about the state alone.
+
+    Raises
+    ------
+    ValueError: if ``Gamma`` or ``Qb`` is not what it should be.
+    """
+    slope: Any = Gamma if callable(Gamma) else finite("Gamma", Gamma)
+    p = bias.mean.shape[-1]
+    walk = None if Qb is None else sqrt_cov(Qb, "Qb", p)
+
+    def start(prior: Gaussian) -> TwoStageState:
+        batch, n = prior.mean.shape[:-1], prior.mean.shape[-1]
+        spread = prior.form.marginal(bias.root, np.ones(p))
+        own = Gaussian(np.broadcast_to(bias.mean, (*batch, p)), np.broadcast_to(spread, (*batch, p, p)), prior.form)
+        return TwoStageState(first.start(prior), own, np.zeros((*batch, n, p)))
+
+    def step(state: TwoStageState, epoch: Epoch) -> tuple[TwoStageState, Info]:
+        known, Phi = first.predict(state.first, epoch)
+        own, Lambda = state.bias, state.Lambda
+        if Phi is not None:
+            Lambda = Phi @ Lambda
+            if walk is not None:
+                known, own, Lambda = _walked(known, own, Lambda, walk)
+        known, stage, info = first.update(known, epoch, Phi)
+        if stage is None:
+            return TwoStageState(known, own, Lambda, state.Gamma, state.memory), info
+        here = np.asarray(evaluate(slope, known.belief.mean, epoch))
+        seen = here
+        if state.Gamma is not None and stage.lag is not None:
+            seen = here - stage.lag @ (state.Gamma + stage.before @ state.Lambda)
+        if stage.Omega is not None:
+            Lambda = Lambda - stage.Omega @ (seen + stage.H @ Lambda)
+        S = np.where(stage.used[..., None], stage.H @ Lambda + seen, 0.0)
+        own, memory = _estimate(own, S, stage, boost, state.memory)
+        return TwoStageState(known, own, Lambda - stage.gain @ S, here, memory), info
+
+    return Filter(start, step)
+
+
+def _walked(known: Any, own: Gaussian, Lambda: Array, walk: Array) -> tuple[Any, Gaussian, Array]:
+    """Sensitivity and first stage before an update when the bias has moved [Hsieh & Chen 1999]."""
+    M = own.cov
+    after = Gaussian(own.mean, own.form.sum(own.spread, walk), own.form)
+    share = np.linalg.solve(after.cov, M)  # (M^-)^-1 M
+    less = Lambda @ share.mT
+    lost = M - M @ share
+    columns = Lambda @ semidefinite_root(0.5 * (lost + lost.mT))
+    belief = known.belief
+    mean = belief.mean + matvec(Lambda - less, own.mean)
+    return known._replace(belief=belief._replace(mean=mean, spread=belief.form.sum(belief.spread, columns))), after, less
+
+
+def _estimate(own: Gaussian, S: Array, stage: Stage, boost: Any, memory: Any) -> tuple[Gaussian, Any]:
+    """The bias stage: condition on the residual; the boosted gain moves the mean only."""
+    m, p = S.shape[-2:]
+    root = own.root
+    residual = stage.innovation - matvec(S, own.mean)
+    A = block([[S @ root, stage.root], [root, np.zeros((p, m))]])
+    total_root, U, spread = own.form.condition(A, np.ones(p + m), m)
+    if boost is None:
+        return Gaussian(own.mean + matvec(U, solve_lower(total_root, residual[..., None])[..., 0]), spread, own.form), memory
+    own_cov, total = stage.root @ stage.root.mT, total_root @ total_root.mT
+    memory, factors = boost(memory, Boost(residual, total, stage.innovation, own_cov))
+    columns = np.sqrt(factors)[..., :, None] * root
+    wide = cholesky(S @ columns @ columns.mT @ S.mT + own_cov)
+    white = solve_lower(wide, np.concatenate([residual[..., None], S @ columns @ columns.mT], -1))
+    moved = (white[..., 1:].mT @ white[..., :1])[..., 0]
+    return Gaussian(own.mean + moved, spread, own.form), memory

@@ -1,0 +1,175 @@
+"""Two stages against the augmented Kalman filter, and the strong-tracking boost."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from celnav.filters.driver import epochs, run, sequential
+from celnav.filters.step import predict, update
+from celnav.filters.strong_tracking import LARGEST, excess, proportional, strong_tracking
+from celnav.filters.two_stage import Boost, plain, two_stage
+from celnav.gaussian import covariance, square_root
+from celnav.linalg import block
+from celnav.points import unscented
+
+RNG = np.random.default_rng(0)
+T, N, M, B = 40, 4, 3, 2
+F = 0.9 * np.linalg.qr(RNG.normal(size=(N, N)))[0]
+H, GAMMA = RNG.normal(size=(M, N)), RNG.normal(size=(M, B))
+Q, R = 0.1 * np.diag([1.0, 0.5, 2.0, 0.3]), np.diag([0.5, 1.0, 0.2])
+P0, M0, B0 = 2.0 * np.eye(N), np.diag([4.0, 1.0]), np.array([0.3, -0.2])
+FORMS = pytest.mark.parametrize("form", [square_root, covariance], ids=["root", "cov"])
+
+
+def first(rule=None):
+    rule = rule or unscented(N)
+    return plain(predict(lambda x, _epoch: x @ F.T, rule, Q), update(H, rule, R))
+
+
+def measured(runs=3, seed=1):
+    return np.random.default_rng(seed).normal(size=(T, runs, M)) * 2.0
+
+
+def augmented(form, z, Qb=None):
+    transition = block([[F, 0], [0, np.eye(B)]])
+    noise = block([[Q, 0], [0, np.zeros((B, B)) if Qb is None else Qb]])
+    rule = unscented(N + B)
+    filter = sequential(predict(lambda x, _epoch: x @ transition.T, rule, noise), update(np.hstack([H, GAMMA]), rule, R))
+    prior = form(np.concatenate([np.zeros(N), B0]), block([[P0, 0], [0, M0]]))
+    return run(filter, batched(prior, z), epochs(np.arange(float(T)), z), keep="spread")
+
+
+def batched(prior, z):
+    runs = z.shape[1]
+    mean, spread = np.tile(prior.mean, (runs, 1)), np.tile(prior.spread, (runs, 1, 1))
+    return prior._replace(mean=mean, spread=spread)
+
+
+def staged(form, z, **options):
+    filter = two_stage(first(), GAMMA, form(B0, M0), **options)
+    return run(filter, batched(form(np.zeros(N), P0), z), epochs(np.arange(float(T)), z), keep="spread")
+
+
+@FORMS
+@pytest.mark.parametrize("Qb", [None, np.diag([0.05, 0.02])], ids=["constant", "walk"])
+def test_two_stages_are_the_augmented_filter(form, Qb):
+    z = measured()
+    two, one = staged(form, z, Qb=Qb), augmented(form, z, Qb)
+    np.testing.assert_allclose(two.mean, one.mean, atol=1e-10)
+    np.testing.assert_allclose(two.cov, one.cov, atol=1e-10)
+
+
+@FORMS
+def test_missing_measurements_are_left_out_of_both_stages(form):
+    z = measured()
+    z[5, 0, 1] = z[6, 1] = z[9] = np.nan
+    two, one = staged(form, z, Qb=np.diag([0.05, 0.02])), augmented(form, z, np.diag([0.05, 0.02]))
+    np.testing.assert_allclose(two.mean, one.mean, atol=1e-10)
+    np.testing.assert_allclose(two.cov, one.cov, atol=1e-10)
+
+
+@FORMS
+def test_a_bias_known_to_be_zero_leaves_the_first_stage_alone(form):
+    z = measured()
+    filter = two_stage(first(), GAMMA, form(np.zeros(B), np.zeros((B, B))))
+    two = run(filter, batched(form(np.zeros(N), P0), z), epochs(np.arange(float(T)), z))
+    parts = sequential(predict(lambda x, _epoch: x @ F.T, unscented(N), Q), update(H, unscented(N), R))
+    one = run(parts, batched(form(np.zeros(N), P0), z), epochs(np.arange(float(T)), z))
+    np.testing.assert_allclose(two.mean[..., :N], one.mean, atol=1e-12)
+    np.testing.assert_array_equal(two.mean[..., N:], 0.0)
+
+
+def test_the_sensitivity_is_the_derivative():
+    z = measured(runs=1)
+    filter = two_stage(first(), GAMMA, square_root(B0, M0))
+    state = filter.start(square_root(np.zeros((1, N)), np.tile(P0, (1, 1, 1))))
+    moved = filter.start(square_root(np.zeros((1, N)), np.tile(P0, (1, 1, 1))))
+    unit = np.array([0.7, -1.3])
+    when = epochs(np.arange(float(T)), z)
+    for epoch in when:
+        state, _ = filter.step(state, epoch)
+        moved, _ = filter.step(moved, epoch._replace(z=epoch.z + GAMMA @ unit))
+    np.testing.assert_allclose(moved.first.belief.mean - state.first.belief.mean, -(state.Lambda @ unit), atol=1e-12)
+
+
+def test_batches_are_singles():
+    z = measured()
+    many, one = staged(square_root, z), staged(square_root, z[:, 1:2])
+    np.testing.assert_allclose(many.mean[:, 1], one.mean[:, 0], rtol=1e-12, atol=1e-12)
+
+
+@FORMS
+def test_a_boost_of_one_is_none_and_inflates_the_gain_only(form):
+    z = measured()
+
+    def constant(value):
+        return lambda memory, seen: (memory, np.full((*seen.residual.shape[:-1], B), value))
+
+    none, one, four = (staged(form, z, boost=boost) for boost in (None, constant(1.0), constant(4.0)))
+    np.testing.assert_allclose(one.mean, none.mean, atol=1e-10)
+    np.testing.assert_allclose(four.cov, none.cov, atol=1e-12)
+    assert np.abs(four.mean[..., N:] - none.mean[..., N:]).max() > 0.1
+    # The gain of an inflated covariance, written out.
+    filter = two_stage(first(), GAMMA, form(B0, M0), boost=constant(4.0))
+    state = filter.start(batched(form(np.zeros(N), P0), z))
+    state, _ = filter.step(state, next(iter(epochs(np.arange(float(T)), z))))
+    innovation, S = z[0], GAMMA - H @ np.zeros((N, B))
+    total = S @ (4.0 * M0) @ S.T + H @ P0 @ H.T + R
+    K = np.linalg.solve(total, S @ (4.0 * M0)).T
+    np.testing.assert_allclose(state.bias.mean, B0 + (innovation - B0 @ S.T) @ K.T, atol=1e-12)
+
+
+def seen(residual, covariance):
+    return Boost(np.asarray(residual), np.asarray(covariance), 2.0 * np.asarray(residual), 0.5 * np.asarray(covariance))
+
+
+def test_factors_compare_a_window_of_residuals_with_their_variances():
+    boost = strong_tracking([8.0, 15.0], 2.0)
+    residuals = np.array([[1.0, 2.0], [3.0, 0.0], [0.0, 4.0]])
+    S = np.diag([2.0, 4.0])
+    memory, squares = None, np.zeros(2)
+    for k, residual in enumerate(residuals, start=1):
+        memory, factors = boost(memory, seen(residual, S))
+        squares = squares + (residual**2 - squares) / min(k, 2)
+        expected = np.maximum(1.0, 1.0 + np.array([8.0, 15.0]) * (squares / [2.0, 4.0] - 1.0))
+        np.testing.assert_allclose(factors, expected)
+    assert memory.length == 3
+
+
+def test_forms_of_the_factor():
+    S, residual = np.diag([1.0, 1.0]), np.array([2.0, 0.5])
+    _, c = strong_tracking([8.0, 15.0], 100.0)(None, seen(residual, S))
+    _, b = strong_tracking([8.0, 15.0], 100.0, factor=proportional)(None, seen(residual, S))
+    _, a = strong_tracking([8.0, 15.0], 100.0, factor=proportional, corrected=False)(None, seen(residual, S))
+    np.testing.assert_allclose(c, [25.0, 1.0])
+    np.testing.assert_allclose(b, [32.0, 3.75])
+    np.testing.assert_allclose(a, [256.0, 30.0])
+    _, off = strong_tracking([0.0, 0.0], 1.0, factor=proportional)(None, seen(residual, S))
+    np.testing.assert_array_equal(off, 1.0)
+    assert excess(np.array([1.0]), np.array([8.0])) == 1.0
+
+
+@pytest.mark.parametrize("residual", [0.0, np.nan, np.inf, 1e200])
+def test_factors_stay_between_one_and_the_largest(residual):
+    with np.errstate(over="ignore", invalid="ignore"):
+        _, factors = strong_tracking([8.0], 10.0)(None, seen([residual], [[1.0]]))
+    assert 1.0 <= factors[0] <= LARGEST
+
+
+@pytest.mark.parametrize(
+    ("make", "name"),
+    [
+        (lambda: strong_tracking([-1.0], 10.0), "rho"),
+        (lambda: strong_tracking(3.0, 10.0), "rho"),
+        (lambda: strong_tracking([np.nan], 10.0), "rho"),
+        (lambda: strong_tracking([1.0], 0.5), "tau"),
+        (lambda: strong_tracking([1.0], np.inf), "tau"),
+        (lambda: two_stage(first(), [[np.nan]], square_root(B0, M0)), "Gamma"),
+        (lambda: two_stage(first(), GAMMA, square_root(B0, M0), Qb=-np.eye(B)), "Qb"),
+        (lambda: strong_tracking([1.0], 5.0)(None, seen([1.0, 2.0], np.eye(2))), "rho"),
+    ],
+)
+def test_bad_input_is_refused_by_name(make, name):
+    with pytest.raises(ValueError, match=f"^{name}: expected"):
+        make()
