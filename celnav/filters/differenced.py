@@ -1,0 +1,161 @@
+"""A first stage for AR(1) noise of measurement and process that are correlated, by differencing measurements.
+
+    V_k = F V_k-1 + xi_k,   Q_k = L Q_k-1 + e_k,   x_k = f(x_k-1) + G_k (J V_k + Q_k),   z_k = h(x_k) + V_k
+
+The colored part of the last measurement's noise is taken off this one, ``Z' = z_k - F (z_k-1 - h(x_k-1))``, with the last
+*estimate* in place of the state. What then correlates process and measurement is removed by taking ``Z'`` into the prediction
+as an input, and the correlations of the estimate with the AR(1) noises are carried along. Exact for ``F = L = 0``, whatever J.
+With ``F`` the error of the last estimate is overlooked: the filter is then overconfident, the more the nearer ``F`` is to 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from celnav.filters.driver import Epoch
+from celnav.filters.info import Info
+from celnav.filters.two_stage import First, Stage
+from celnav.gaussian import Gaussian, finite, sqrt_cov
+from celnav.linalg import Array, cholesky, matvec, solve_lower
+
+Moved = tuple[Array, Array, Array]
+"""State ``(..., n)`` after the interval, its Jacobian ``Phi (..., n, n)`` and the effect ``G (..., n, q)`` of the process noise."""
+
+
+class Noise(NamedTuple):
+    """AR(1) noises and how they are connected; see the module.
+
+    Attributes
+    ----------
+    F: ``(m, m)``. L: ``(q, q)``. J: ``(q, m)``. Xi: ``(m, m)``, covariance of ``xi``. E: ``(q, q)``, covariance of ``e``.
+    V, Q: stationary covariances ``(m, m)`` and ``(q, q)``.
+    """
+
+    F: Array
+    L: Array
+    J: Array
+    Xi: Array
+    E: Array
+    V: Array
+    Q: Array
+
+
+def ar1_noise(F: ArrayLike, L: ArrayLike, J: ArrayLike, Xi: ArrayLike, E: ArrayLike) -> Noise:
+    """Checked noises, with their stationary covariances.
+
+    Raises
+    ------
+    ValueError: if F or L is not diagonal with magnitudes below 1, a shape is wrong, ``Xi`` not positive definite, or ``E`` no
+        covariance.
+    """
+    xi, e = finite("Xi", Xi), finite("E", E)
+    m, q = len(xi), len(e)
+    if not np.isfinite(sqrt_cov(xi, "Xi", m)).all() or np.linalg.eigvalsh(xi)[0] <= 0.0:
+        raise ValueError("Xi: expected a positive definite covariance")
+    sqrt_cov(e, "E", q)
+    matrices = {}
+    for name, value, size in (("F", F, m), ("L", L, q)):
+        matrix = finite(name, value, (size, size))
+        if np.any(matrix - np.diag(matrix.diagonal())) or np.abs(matrix).max() >= 1.0:
+            raise ValueError(f"{name}: expected a diagonal matrix of magnitudes below 1, got {value!r:.80}")
+        matrices[name] = matrix
+    stationary = [c / (1.0 - np.outer(a.diagonal(), a.diagonal())) for c, a in ((xi, matrices["F"]), (e, matrices["L"]))]
+    return Noise(matrices["F"], matrices["L"], finite("J", J, (q, m)), xi, e, *stationary)
+
+
+class DifferencedState(NamedTuple):
+    """State of the stage.
+
+    Attributes
+    ----------
+    belief: about x, in covariance form. DV: ``(..., n, m)`` and DQ: ``(..., n, q)``, covariances of its error with V and Q.
+    V: ``(..., m)``, the last measurement's noise as estimated; nan before the first. H: ``(..., m, n)``, its Jacobian.
+    moved: what the model said of the interval, until the update.
+    """
+
+    belief: Gaussian
+    DV: Array
+    DQ: Array
+    V: Array
+    H: Array
+    moved: Moved | None = None
+
+
+def differenced(
+    move: Callable[[Array, Epoch], Moved],
+    h: Callable[[Array, Epoch], Array],
+    slope: Callable[[Array, Epoch], Array],
+    noise: Noise,
+) -> First:
+    """The stage; priors in covariance form.
+
+    Parameters
+    ----------
+    move: ``(mean, epoch) -> (state, Phi, G)``; see `Moved`.
+    h, slope: ``(mean, epoch) ->`` measurement ``(..., m)`` and its Jacobian ``(..., m, n)``. noise: see `ar1_noise`.
+
+    Returns
+    -------
+    A `First` for `celnav.filters.two_stage.two_stage`. Each epoch moves and is measured in full, or not at all.
+
+    Raises
+    ------
+    ValueError: from the stage, for a prior in another form, a measurement that is missing in part, or where ``I + H G J`` is
+        singular (determinant below 1e-12).
+    """
+    F, L, J, Xi, V, Q = noise.F, noise.L, noise.J, noise.Xi, noise.V, noise.Q
+    m, JF = len(F), J @ F
+    driven = Q + JF @ V @ JF.T
+
+    def start(prior: Gaussian) -> DifferencedState:
+        if prior.form.name != "covariance":
+            raise ValueError(f"prior: expected one in covariance form, got {prior.form.name} form")
+        batch, n = prior.mean.shape[:-1], prior.mean.shape[-1]
+        zeros = (np.zeros((*batch, n, m)), np.zeros((*batch, n, len(L))))
+        return DifferencedState(prior, *zeros, np.full((*batch, m), np.nan), np.zeros((*batch, m, n)))
+
+    def predict(state: DifferencedState, epoch: Epoch) -> tuple[DifferencedState, Array | None]:
+        moved = move(state.belief.mean, epoch)
+        return state._replace(moved=moved), moved[1]
+
+    def update(state: DifferencedState, epoch: Epoch, _Phi: Array | None) -> tuple[DifferencedState, Stage | None, Info]:
+        assert state.moved is not None
+        x, Phi, G = state.moved
+        z = np.asarray(epoch.z, dtype=np.float64)
+        if np.isnan(z).any():
+            raise ValueError("z: expected a whole measurement at every epoch: what was missed cannot be differenced")
+        first = bool(np.isnan(state.V).any())
+        Z = z if first else z - matvec(F, state.V)
+        sensor = V if first else Xi
+        H = slope(x, epoch)
+        coupled = np.eye(m) + H @ G @ J
+        if np.abs(np.linalg.det(coupled)).min() < 1e-12:
+            raise ValueError("J: expected I + H G J to have an inverse, got a singular matrix")
+        Omega = np.linalg.solve(coupled.mT, (G @ J).mT).mT
+        B = np.eye(x.shape[-1]) - Omega @ H
+        Phi1, G1 = B @ Phi, B @ G
+        y = Z - h(x, epoch)
+        mean = x + matvec(Omega, y)
+        innovation = y - matvec(H, matvec(Omega, y))
+        cross = Phi1 @ (state.DQ @ L.T + state.DV @ JF.T) @ G1.mT
+        P = Phi1 @ state.belief.spread @ Phi1.mT + cross + cross.mT + G1 @ driven @ G1.mT
+        root = cholesky(H @ P @ H.mT + sensor)
+        half = solve_lower(root, H @ P)
+        K = np.linalg.solve(root.mT, half).mT
+        left = np.eye(x.shape[-1]) - K @ H
+        spread = left @ P @ left.mT + K @ sensor @ K.mT
+        DQ = left @ (Phi1 @ state.DQ @ L.T + G1 @ Q)
+        DV = left @ (Phi1 @ state.DV @ F.T + G1 @ JF @ V @ F.T) - K @ sensor
+        belief = Gaussian(mean + matvec(K, innovation), 0.5 * (spread + spread.mT), state.belief.form)
+        after = DifferencedState(belief, DV, DQ, z - h(belief.mean, epoch), H)
+        used = np.ones(innovation.shape, bool)
+        lag = None if first else F
+        stage = Stage(innovation, root, K, H, used, Omega, lag, None if first else state.H)
+        white = solve_lower(root, innovation[..., None])[..., 0]
+        return after, stage, Info(innovation, white, used, root, lambda: K)
+
+    return First(start, predict, update)

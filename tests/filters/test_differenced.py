@@ -1,0 +1,191 @@
+"""The differenced stage: the cases in which it is exact, its own algebra in joint form, and the bias's way through it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from celnav.filters.differenced import ar1_noise, differenced
+from celnav.filters.driver import Epoch, sequential
+from celnav.filters.single_draw import drawn_once, single_draw
+from celnav.filters.step import predict, update
+from celnav.filters.two_stage import plain, two_stage
+from celnav.gaussian import covariance, square_root
+from celnav.points import unscented
+
+RNG = np.random.default_rng(0)
+T, N, M, B = 30, 4, 2, 3
+PHI = 0.95 * np.linalg.qr(RNG.normal(size=(N, N)))[0]
+G, H = RNG.normal(size=(N, N)), RNG.normal(size=(M, N))
+XI, E = np.diag([0.5, 1.0]), 0.1 * np.diag([1.0, 0.5, 2.0, 0.3])
+J = 0.2 * RNG.normal(size=(N, M))
+GAMMA = RNG.normal(size=(M, B))
+P0 = 2.0 * np.eye(N)
+
+
+def stage(F=0.0, L=0.0, coupling=0.0):
+    noise = ar1_noise(F * np.eye(M), L * np.eye(N), coupling * J, XI, E)
+    return noise, differenced(lambda x, _epoch: (x @ PHI.T, PHI, G), lambda x, _epoch: x @ H.T, lambda _x, _epoch: H, noise)
+
+
+def measured(runs=2, seed=1):
+    return 2.0 * np.random.default_rng(seed).normal(size=(T, runs, M))
+
+
+def prior(form=covariance, runs=2):
+    one = form(np.zeros(N), P0)
+    return one._replace(mean=np.tile(one.mean, (runs, 1)), spread=np.tile(one.spread, (runs, 1, 1)))
+
+
+def alone(first, z):
+    """Means and covariances of a first stage without a second."""
+    state, out = first.start(prior(runs=z.shape[1])), []
+    for k in range(T):
+        epoch = Epoch(k, k + 1.0, 1.0, None, z[k])
+        state, Phi = first.predict(state, epoch)
+        state, _, _ = first.update(state, epoch, Phi)
+        out.append((state.belief.mean, state.belief.cov))
+    return tuple(np.stack(values) for values in zip(*out, strict=True))
+
+
+def followed(filter, z):
+    state, out = filter.start(prior(runs=z.shape[1])), []
+    for k in range(T):
+        state, _ = filter.step(state, Epoch(k, k + 1.0, 1.0, None, z[k]))
+        out.append((state.belief.mean, state.belief.cov))
+    return tuple(np.stack(values) for values in zip(*out, strict=True))
+
+
+def test_without_color_it_is_the_kalman_filter():
+    z = measured()
+    exact = sequential(predict(lambda x, _epoch: x @ PHI.T, unscented(N), G @ E @ G.T), update(H, unscented(N), XI))
+    for a, b in zip(alone(stage()[1], z), followed(exact, z), strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-11)
+
+
+@pytest.mark.parametrize("coupling", [0.1, 1.0, 10.0])
+def test_white_noise_that_is_correlated_is_exact(coupling):
+    z = measured()
+    noise, first = stage(coupling=coupling)
+    # w = G (J v + e) and v, from one draw of (v, e).
+    both = np.block([[np.sqrt(XI), np.zeros((M, N))], [np.zeros((N, M)), np.sqrt(E)]])
+
+    def f(x, _epoch, w):
+        return x @ PHI.T + (w[..., :M] @ noise.J.T + w[..., M:]) @ G.T
+
+    def h(x, _epoch, w):
+        return x @ H.T + w[..., :M]
+
+    rule = unscented(N + N + M)
+    never = update(H, unscented(N), XI)
+    for a, b in zip(alone(first, z), followed(drawn_once(single_draw(f, h, rule, extra=(both,)), never), z), strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-9)
+
+
+@pytest.mark.parametrize(("F", "L", "coupling"), [(0.5, 0.5, 1.0), (0.8, 0.0, 0.5), (0.0, 0.9, 0.0), (0.5, 0.5, 0.0)])
+def test_its_covariances_are_those_of_a_consider_filter(F, L, coupling):
+    """Joint covariance of (x, V, Q), with a gain that leaves V and Q alone: the same numbers without any of the algebra."""
+    noise, first = stage(F, L, coupling)
+    n, m, q = N, M, N
+    joint = np.zeros((n + m + q, n + m + q))
+    joint[:n, :n], joint[n : n + m, n : n + m], joint[n + m :, n + m :] = P0, noise.V, noise.Q
+    JF, z = noise.J @ noise.F, measured(runs=1)
+    state = first.start(prior(runs=1))
+    for k in range(8):
+        epoch = Epoch(k, k + 1.0, 1.0, None, z[k])
+        state, Phi = first.predict(state, epoch)
+        state, seen, _ = first.update(state, epoch, Phi)
+        Omega, K = seen.Omega, seen.gain[0]
+        D = np.eye(n) - Omega @ H
+        sensor = noise.V if k == 0 else noise.Xi
+        # (x, V, Q)' = A (x, V, Q) + noise (xi, e); V' and Q' as the model has them.
+        A = np.block([[D @ PHI, D @ G @ JF, D @ G @ noise.L], [np.zeros((m, n)), noise.F, np.zeros((m, q))],
+                      [np.zeros((q, n + m)), noise.L]])  # fmt: skip
+        W = np.block([[np.zeros((n, m)), D @ G], [np.eye(m), np.zeros((m, q))], [np.zeros((q, m)), np.eye(q)]])
+        S = np.block([[noise.Xi, np.zeros((m, q))], [np.zeros((q, m)), noise.E]])
+        moved = A @ joint @ A.T + W @ S @ W.T
+        # The residual is H x + xi (k = 0: + V), and xi is part of V'.
+        with_xi = np.vstack([np.zeros((n, m)), sensor, np.zeros((q, m))])
+        gain = np.vstack([K, np.zeros((m + q, m))])
+        R = np.hstack([H, np.zeros((m, m + q))])
+        left = np.eye(n + m + q) - gain @ R
+        joint = left @ moved @ left.T + gain @ sensor @ gain.T - left @ with_xi @ gain.T - gain @ with_xi.T @ left.T
+        np.testing.assert_allclose(state.belief.cov[0], joint[:n, :n], atol=1e-10)
+        np.testing.assert_allclose(state.DQ[0], joint[:n, n + m :], atol=1e-10)
+        np.testing.assert_allclose(state.DV[0], joint[:n, n : n + m], atol=1e-10)
+
+
+def test_process_noise_of_one_color_is_nearly_exact():
+    """Against the filter that has Q among its states; dropping the correlation loses much more."""
+    z, L = measured(runs=1), 0.9
+    noise, first = stage(L=L)
+    A = np.block([[PHI, G * L], [np.zeros((N, N)), L * np.eye(N)]])
+    columns = np.vstack([G, np.eye(N)]) @ np.sqrt(noise.E)
+    exact = sequential(
+        predict(lambda x, _epoch: x @ A.T, unscented(2 * N), sqrt_Q=columns),
+        update(np.hstack([H, np.zeros((M, N))]), unscented(2 * N), XI),
+    )
+    start = covariance(np.zeros(2 * N), np.block([[P0, np.zeros((N, N))], [np.zeros((N, N)), noise.Q]]))
+    state = exact.start(start._replace(mean=start.mean[None], spread=start.spread[None]))
+    for k in range(T):
+        state, _ = exact.step(state, Epoch(k, k + 1.0, 1.0, None, z[k]))
+    _, P = alone(first, z)
+    ratio = np.trace(P[-1, 0]) / np.trace(state.belief.cov[0, :N, :N])
+    assert 1.0 - 1e-9 < ratio < 1.2
+
+
+def test_the_sensitivity_to_a_bias_is_the_derivative():
+    _, first = stage(0.5, 0.5, 1.0)
+    filter = two_stage(first, GAMMA, covariance(np.zeros(B), np.eye(B)))
+    z, unit = measured(runs=1), np.array([0.7, -1.3, 0.4])
+    one, two = filter.start(prior(runs=1)), filter.start(prior(runs=1))
+    for k in range(T):
+        one, _ = filter.step(one, Epoch(k, k + 1.0, 1.0, None, z[k]))
+        two, _ = filter.step(two, Epoch(k, k + 1.0, 1.0, None, z[k] + GAMMA @ unit))
+        np.testing.assert_allclose(two.first.belief.mean - one.first.belief.mean, -(one.Lambda @ unit), atol=1e-12)
+
+
+def test_two_stages_on_white_noise_are_those_on_the_plain_stage():
+    z, bias = measured(), covariance(np.zeros(B), np.eye(B))
+    ordinary = plain(predict(lambda x, _epoch: x @ PHI.T, unscented(N), G @ E @ G.T), update(H, unscented(N), XI))
+    one, two = (followed(two_stage(first, GAMMA, bias), z) for first in (ordinary, stage()[1]))
+    for a, b in zip(one, two, strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-10)
+
+
+def test_batches_are_singles():
+    z, (_, first) = measured(), stage(0.5, 0.5, 1.0)
+    many, one = alone(first, z), alone(first, z[:, 1:])
+    np.testing.assert_allclose(many[0][:, 1], one[0][:, 0], rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("make", "name"),
+    [
+        (lambda: ar1_noise(np.eye(M), np.zeros((N, N)), J, XI, E), "F"),
+        (lambda: ar1_noise(np.zeros((M, M)), 1.5 * np.eye(N), J, XI, E), "L"),
+        (lambda: ar1_noise(np.full((M, M), 0.1), np.zeros((N, N)), J, XI, E), "F"),
+        (lambda: ar1_noise(np.zeros((M, M)), np.zeros((N, N)), J.T, XI, E), "J"),
+        (lambda: ar1_noise(np.zeros((M, M)), np.zeros((N, N)), J, 0.0 * XI, E), "Xi"),
+        (lambda: ar1_noise(np.zeros((M, M)), np.zeros((N, N)), J, XI, -E), "E"),
+        (lambda: stage()[1].start(prior(square_root)), "prior"),
+    ],
+)
+def test_bad_input_is_refused_by_name(make, name):
+    with pytest.raises(ValueError, match=f"^{name}: expected"):
+        make()
+
+
+def test_a_measurement_missing_in_part_and_a_singular_coupling_are_refused():
+    _, first = stage(0.5)
+    epoch = Epoch(0, 1.0, 1.0, None, np.array([[np.nan, 1.0], [1.0, 1.0]]))
+    state, Phi = first.predict(first.start(prior()), epoch)
+    with pytest.raises(ValueError, match=r"^z: expected a whole measurement"):
+        first.update(state, epoch, Phi)
+    singular = -np.linalg.pinv(H @ G)
+    noise = ar1_noise(np.zeros((M, M)), np.zeros((N, N)), singular, XI, E)
+    bad = differenced(lambda x, _epoch: (x @ PHI.T, PHI, G), lambda x, _epoch: x @ H.T, lambda _x, _epoch: H, noise)
+    epoch = epoch._replace(z=np.zeros((2, M)))
+    state, Phi = bad.predict(bad.start(prior()), epoch)
+    with pytest.raises(ValueError, match=r"^J: expected"):
+        bad.update(state, epoch, Phi)
