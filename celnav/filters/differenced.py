@@ -108,14 +108,14 @@ def differenced(
         singular (determinant below 1e-12).
     """
     F, L, J, Xi, V, Q = noise.F, noise.L, noise.J, noise.Xi, noise.V, noise.Q
-    m, JF = len(F), J @ F
-    driven = Q + JF @ V @ JF.T
+    m, JF = F.shape[-1], J @ F
+    driven = Q + JF @ V @ JF.mT
 
     def start(prior: Gaussian) -> DifferencedState:
         if prior.form.name != "covariance":
             raise ValueError(f"prior: expected one in covariance form, got {prior.form.name} form")
         batch, n = prior.mean.shape[:-1], prior.mean.shape[-1]
-        zeros = (np.zeros((*batch, n, m)), np.zeros((*batch, n, len(L))))
+        zeros = (np.zeros((*batch, n, m)), np.zeros((*batch, n, L.shape[-1])))
         return DifferencedState(prior, *zeros, np.full((*batch, m), np.nan), np.zeros((*batch, m, n)))
 
     def predict(state: DifferencedState, epoch: Epoch) -> tuple[DifferencedState, Array | None]:
@@ -141,15 +141,15 @@ def differenced(
         y = Z - h(x, epoch)
         mean = x + matvec(Omega, y)
         innovation = y - matvec(H, matvec(Omega, y))
-        cross = Phi1 @ (state.DQ @ L.T + state.DV @ JF.T) @ G1.mT
+        cross = Phi1 @ (state.DQ @ L.mT + state.DV @ JF.mT) @ G1.mT
         P = Phi1 @ state.belief.spread @ Phi1.mT + cross + cross.mT + G1 @ driven @ G1.mT
         root = cholesky(H @ P @ H.mT + sensor)
         half = solve_lower(root, H @ P)
         K = np.linalg.solve(root.mT, half).mT
         left = np.eye(x.shape[-1]) - K @ H
         spread = left @ P @ left.mT + K @ sensor @ K.mT
-        DQ = left @ (Phi1 @ state.DQ @ L.T + G1 @ Q)
-        DV = left @ (Phi1 @ state.DV @ F.T + G1 @ JF @ V @ F.T) - K @ sensor
+        DQ = left @ (Phi1 @ state.DQ @ L.mT + G1 @ Q)
+        DV = left @ (Phi1 @ state.DV @ F.mT + G1 @ JF @ V @ F.mT) - K @ sensor
         belief = Gaussian(mean + matvec(K, innovation), 0.5 * (spread + spread.mT), state.belief.form)
         after = DifferencedState(belief, DV, DQ, z - h(belief.mean, epoch), H)
         used = np.ones(innovation.shape, bool)

@@ -45,7 +45,7 @@ def strong_tracking(rho: ArrayLike, tau: float, *, factor: Factor = excess, corr
 
     Parameters
     ----------
-    rho: ``(m,)``, not negative; 0 switches a component off. tau: length of the window, in measurements, at least 1.
+    rho: ``(..., m)``, not negative; 0 switches a component off. tau: length of the window, in measurements, at least 1.
     factor: `excess` or `proportional`. corrected: of the residuals of the bias stage; else of the innovations of the first stage.
 
     Raises
@@ -53,16 +53,16 @@ def strong_tracking(rho: ArrayLike, tau: float, *, factor: Factor = excess, corr
     ValueError: for other numbers.
     """
     weights = finite("rho", rho)
-    if weights.ndim != 1 or (weights < 0.0).any():
-        raise ValueError(f"rho: expected numbers (m,) that are not negative, got {rho!r}")
+    if weights.ndim == 0 or (weights < 0.0).any():
+        raise ValueError(f"rho: expected numbers (..., m) that are not negative, got {rho!r}")
     if not (np.isfinite(tau) and tau >= 1.0):
         raise ValueError(f"tau: expected a number of at least 1, got {tau!r}")
 
     def boost(memory: Window | None, seen: Boost) -> tuple[Window, Array]:
         residual, covariance = (seen.residual, seen.total) if corrected else (seen.innovation, seen.own)
         square = residual * residual
-        if square.shape[-1] != len(weights):
-            raise ValueError(f"rho: expected {square.shape[-1]} numbers to go with the measurement, got {len(weights)}")
+        if square.shape[-1] != weights.shape[-1]:
+            raise ValueError(f"rho: expected {square.shape[-1]} numbers to go with the measurement, got {weights.shape[-1]}")
         count = 1 if memory is None else memory.length + 1
         before = np.zeros_like(square) if memory is None else memory.squares
         squares = before + (square - before) / min(count, tau)

@@ -19,7 +19,7 @@ from celnav.filters.driver import Epoch, Filter
 from celnav.filters.info import Info
 from celnav.filters.step import Predict, Update, evaluate
 from celnav.gaussian import Gaussian, finite, sqrt_cov
-from celnav.linalg import Array, block, cholesky, matvec, semidefinite_root, solve_lower, tria
+from celnav.linalg import Array, block, cholesky, matvec, semidefinite_root, side_by_side, solve_lower, tria
 
 Slope = Array | Callable[[Array, Epoch], Array]
 """``Gamma (..., m, p)``: derivative of the measurement with respect to the bias; constant or ``(mean, epoch) -> matrix``."""
@@ -106,7 +106,7 @@ class TwoStageState(NamedTuple):
     def belief(self) -> Gaussian:
         """State and bias ``(..., n + p)``, corrected: what the augmented filter would have."""
         free, own, Lambda = self.first.belief, self.bias, self.Lambda
-        mean = np.concatenate([free.mean + matvec(Lambda, own.mean), own.mean], -1)
+        mean = side_by_side([free.mean + matvec(Lambda, own.mean), own.mean])
         if free.form.name == "covariance":
             cross = Lambda @ own.spread
             return Gaussian(mean, block([[free.spread + cross @ Lambda.mT, cross], [cross.mT, own.spread]]), free.form)
@@ -213,6 +213,6 @@ def _estimate(own: Gaussian, S: Array, stage: Stage, boost: Any, memory: Any) ->
     memory, factors = boost(memory, Boost(residual, total, stage.innovation, own_cov))
     columns = np.sqrt(factors)[..., :, None] * root
     wide = cholesky(S @ columns @ columns.mT @ S.mT + own_cov)
-    white = solve_lower(wide, np.concatenate([residual[..., None], S @ columns @ columns.mT], -1))
+    white = solve_lower(wide, side_by_side([residual[..., None], S @ columns @ columns.mT]))
     moved = (white[..., 1:].mT @ white[..., :1])[..., 0]
     return Gaussian(own.mean + moved, spread, own.form), memory
