@@ -1,0 +1,198 @@
+"""The pulsar paper: its ephemerides, its noises, and filters that are the same where they must be."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from celnav.files import data
+from celnav.filters.driver import Epoch
+from celnav.models.variational import flow
+from celnav.montecarlo import generator
+from celnav.papers.tstdkf import PRESETS, SETTINGS, Setting, filters, simulate
+from celnav.papers.tstdkf.config import TABLE_5
+from celnav.papers.tstdkf.ephemerides import table
+
+SHORT = replace(TABLE_5, days=0.5)
+
+
+def runs(count, study=0):
+    return [generator(0, study, r) for r in range(count)]
+
+
+# -- ephemerides -------------------------------------------------------------------------------------------------------------
+def test_the_table_is_the_one_that_the_readme_names():
+    digest = hashlib.sha256(data("ephemeris_2015.npz").read_bytes()).hexdigest()
+    assert digest in (data("README.md")).read_text(encoding="utf-8")
+
+
+def test_figure_2s_extremes():
+    earth = table().less_de421["de405"]["earth"]
+    assert earth.shape == (1753, 3)
+    np.testing.assert_allclose(earth.min(0), [-0.5606, -0.3954, -0.8366], atol=5e-4)
+    np.testing.assert_allclose(earth.max(0), [0.8037, 1.6712, 1.4104], atol=5e-4)
+    np.testing.assert_allclose(earth[0], [-0.1004, 1.6063, -0.4490], atol=5e-4)
+    np.testing.assert_allclose(earth[-1], [-0.2636, 1.6712, -0.3754], atol=5e-4)
+    norm = np.linalg.norm(earth, axis=1)
+    np.testing.assert_allclose([norm.min(), norm.max()], [0.1819, 1.7419], atol=5e-4)
+
+
+def test_other_ephemerides():
+    differences = table().less_de421
+    norm = np.linalg.norm(differences["de423"]["earth"], axis=1)
+    np.testing.assert_allclose([norm.min(), norm.max()], [0.3027, 0.4316], atol=5e-4)
+    assert np.linalg.norm(differences["de405"]["earth"] - differences["de406"]["earth"], axis=1).max() <= 0.0186
+    sun = differences["de405"]["sun"]
+    np.testing.assert_allclose([sun[:, 1].min(), sun[:, 1].max()], [0.593, 0.649], atol=1e-3)
+    heliocentric = np.linalg.norm(differences["de405"]["earth"] - sun, axis=1)
+    np.testing.assert_allclose([heliocentric.min(), heliocentric.max()], [0.712, 1.511], atol=1e-3)
+
+
+# -- the scenario ------------------------------------------------------------------------------------------------------------
+@pytest.fixture(scope="module")
+def sim():
+    return simulate(SHORT, runs(6), [SETTINGS[1], SETTINGS[5]])
+
+
+def test_the_orbit_has_twenty_samples_a_turn():
+    a = TABLE_5.elements[0]
+    assert 2.0 * np.pi * np.sqrt(a**3 / 398600.4418) == pytest.approx(6000.0, abs=0.01)
+    np.testing.assert_allclose(TABLE_5.sigma_km * 1e3, [140.7, 420.6, 444.8], atol=0.5)
+
+
+def test_noises_are_stationary_and_correlated_as_the_model_has_them():
+    config = replace(TABLE_5, days=0.2)
+    sim = simulate(config, runs(300), [SETTINGS[1]])
+    timing, sky = config.timing, sim.sky
+    for k in (1, len(sim.z) - 1):
+        V = sim.z[k] - timing.delay(sky.earth[k] + sim.bias[k] + sim.truth[k][:, :3], sky.sun[k])
+        np.testing.assert_allclose(V.std(0), config.sigma_km / np.sqrt(0.75), rtol=0.15)
+    # W = J V + Q: what is left of the flow, in units of its deviation, goes with V.
+    k = len(sim.z) - 1
+    x = sim.truth[k - 1]
+    moved = flow(x, config.step_s)
+    W = np.linalg.solve(moved.G, (sim.truth[k] - moved.state)[..., None])[..., 0]
+    expected = config.coupling(4.8) @ (V * V).mean(0)[:, None] * np.ones((1, 3))
+    correlation = (W.T @ V) / len(V)
+    np.testing.assert_allclose(np.diag(correlation[:3]), np.diag(config.coupling(4.8)[:3]) * (V * V).mean(0), rtol=0.35)
+    assert expected.shape == (6, 3)
+
+
+def test_settings_see_the_same_numbers(sim):
+    alone = simulate(SHORT, runs(6), [SETTINGS[5]])
+    np.testing.assert_allclose(sim.z[1:, 6:], alone.z[1:], rtol=0, atol=1e-9)
+    one = simulate(SHORT, runs(3)[2:], [SETTINGS[5]])
+    np.testing.assert_allclose(one.z[1:, 0], alone.z[1:, 2], rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("trend", ["sine", "growing", "triangle"])
+def test_the_ephemeris_error_is_of_its_amplitude(trend):
+    t = np.linspace(0.0, 365.25 * 86400.0, 1001)
+    bias = replace(TABLE_5, trend=trend).bias(t)
+    bound = np.asarray(TABLE_5.amplitude_km) * (1.25 if trend == "growing" else 1.0)
+    assert (np.abs(bias).max(0) <= bound + 1e-12).all()
+    assert (np.abs(bias).max(0) > 0.7 * np.asarray(TABLE_5.amplitude_km)).all()
+
+
+def follow(sim, names=("tkf", "tkf-fair", "tstdkf", "aug")):
+    """Errors ``(T, ..., runs, 6)`` of each filter, TDKF and TSTDKF by themselves, EKF: the first stage of TKF."""
+    out = {}
+    for name in names:
+        filter = filters(sim.config, sim.noise)[name]
+        state, errors, first = filter.start(sim.prior), [], []
+        for epoch in sim.epochs():
+            state, _ = filter.step(state, epoch)
+            errors.append(state.belief.mean[..., :6] - epoch.truth)
+            if name == "tkf":
+                first.append(state.first.belief.mean - epoch.truth)
+        stacked = np.stack(errors)
+        if name == "tstdkf":
+            out["tdkf"], out["tstdkf"] = stacked[:, 0], stacked[:, 1]
+        else:
+            out[name] = stacked
+        if name == "tkf":
+            out["ekf"] = np.stack(first)
+    return out
+
+
+@pytest.fixture(scope="module")
+def errors(sim):
+    return follow(sim)
+
+
+def test_where_all_noise_is_white_the_filters_are_one(errors):
+    white = {name: e[:, 6:] for name, e in errors.items()}
+    # A delay of an astronomical unit in km has seven digits behind the point.
+    np.testing.assert_allclose(white["tdkf"], white["tkf"], rtol=0, atol=1e-7)
+    np.testing.assert_allclose(white["tkf-fair"], white["tkf"], rtol=0, atol=1e-7)
+
+
+def test_the_exact_filter_is_the_two_stages_where_the_bias_is_constant():
+    config = replace(SHORT, walk_km=0.0, setting=SETTINGS[5])
+    e = follow(simulate(config, runs(4), [SETTINGS[5]]), ("tkf", "aug"))
+    # Each is linearized about its own estimate, the first stage's and the corrected one: a kilometer apart at the start.
+    np.testing.assert_allclose(e["aug"][..., :3], e["tkf"][..., :3], rtol=0, atol=2e-3)
+
+
+def test_the_exact_filter_is_the_best_of_colored_noise(errors):
+    colored = {name: np.sqrt(np.square(e[len(e) // 2 :, :6, :3]).sum(-1).mean()) for name, e in errors.items()}
+    assert colored["aug"] < colored["tdkf"] < colored["tkf"] < colored["ekf"]
+
+
+def test_the_exact_filter_is_the_differenced_one_where_only_the_coupling_is():
+    """F = L = 0: differencing is exact."""
+    config = replace(SHORT, walk_km=0.0)
+    setting = Setting(0.0, 0.0, 4.8)
+    e = follow(simulate(config, runs(4), [setting]), ("tstdkf", "aug"))
+    np.testing.assert_allclose(e["tdkf"][..., :3], e["aug"][..., :3], atol=1e-3)
+
+
+def test_a_known_bias_leaves_the_ekf():
+    config = replace(SHORT, bias_prior_km=1e-12)
+    e = follow(simulate(config, runs(3), [SETTINGS[2]]), ("tkf",))
+    np.testing.assert_allclose(e["tkf"], e["ekf"], atol=1e-9)
+
+
+def test_batches_are_singles(sim, errors):
+    one = sim._replace(
+        truth=sim.truth[:, 2:3], z=sim.z[:, 2:3], noise=type(sim.noise)(*(m[2:3] for m in sim.noise)),
+        prior=sim.prior._replace(mean=sim.prior.mean[2:3], spread=sim.prior.spread[2:3]),
+    )  # fmt: skip
+    for name, e in follow(one, ("tkf", "tstdkf", "aug")).items():
+        np.testing.assert_allclose(e[:, 0], errors[name][:, 2], rtol=0, atol=1e-7, err_msg=name)
+
+
+@pytest.mark.parametrize(
+    ("change", "name"),
+    [
+        ({"step_s": 0.0}, "step_s"), ({"runs": 2.5}, "runs"), ({"trend": "linear"}, "trend"), ({"factor": "A"}, "factor"),
+        ({"walk_km": -1.0}, "walk_km"), ({"error_km": (0.0, 1.0, 1.0)}, "error_km"), ({"elements": (1.0, 2.0)}, "elements"),
+        ({"amplitude_km": (1.0, np.nan, 0.0)}, "amplitude_km"),
+    ],
+)  # fmt: skip
+def test_a_configuration_that_cannot_be_is_refused_by_name(change, name):
+    with pytest.raises(ValueError, match=f"^{name}"):
+        replace(PRESETS["table5"], **change)
+
+
+def test_dates_outside_the_ephemeris_and_unknown_pulsars_are_refused():
+    with pytest.warns(UserWarning, match="dubious year"), pytest.raises(ValueError, match=r"^date: expected JD TDB between"):
+        simulate(replace(SHORT, start_utc="2060-01-01"), runs(1))
+    with pytest.raises(ValueError, match=r"^pulsar: expected one of"):
+        simulate(replace(SHORT, pulsars=("B0531+21", "B1821-24", "Vela")), runs(1))
+    with pytest.raises(ValueError, match=r"^F: expected a diagonal matrix of magnitudes below 1"):
+        simulate(SHORT, runs(1), [Setting(1.0, 0.0, 0.0)])
+
+
+def test_a_missing_timing_is_a_prediction_for_the_plain_stage(sim):
+    filter = filters(sim.config, sim.noise)["tkf"]
+    state = filter.start(sim.prior)
+    epochs = list(sim.epochs())
+    state, _ = filter.step(state, epochs[0])
+    lost, info = filter.step(state, Epoch(*epochs[1][:4], np.full_like(epochs[1].z, np.nan), None))
+    assert info.used is not None
+    assert not info.used.any()
+    np.testing.assert_array_equal(lost.bias.mean, state.bias.mean)
