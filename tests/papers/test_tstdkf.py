@@ -15,6 +15,7 @@ from celnav.montecarlo import generator
 from celnav.papers.tstdkf import PRESETS, SETTINGS, Setting, filters, simulate
 from celnav.papers.tstdkf.config import TABLE_5
 from celnav.papers.tstdkf.ephemerides import table
+from celnav.papers.tstdkf.forces import accelerations, spectrum
 
 SHORT = replace(TABLE_5, days=0.5)
 
@@ -49,6 +50,31 @@ def test_other_ephemerides():
     np.testing.assert_allclose([sun[:, 1].min(), sun[:, 1].max()], [0.593, 0.649], atol=1e-3)
     heliocentric = np.linalg.norm(differences["de405"]["earth"] - sun, axis=1)
     np.testing.assert_allclose([heliocentric.min(), heliocentric.max()], [0.712, 1.511], atol=1e-3)
+
+
+# -- what the dynamics leave out ---------------------------------------------------------------------------------------------
+def test_figures_7_and_8():
+    pulls = accelerations(TABLE_5)
+    total = np.sum(list(pulls.values()), 0)
+    np.testing.assert_allclose(np.sqrt(np.square(total).mean(0)), [6.92e-10, 6.82e-10, 4.20e-10], rtol=0.01)
+    np.testing.assert_allclose(np.abs(total).max(0), [19.5e-10, 15.4e-10, 9.2e-10], rtol=0.01)
+    largest = {"moon": 1.55e-9, "sun": 5.69e-10, "venus": 4.7e-15, "jupiter": 2.6e-15, "saturn": 1.3e-16, "mercury": 8.8e-17,
+               "mars": 1.7e-17, "uranus": 3.6e-18, "neptune": 1.1e-18, "pluto": 1.1e-22}  # fmt: skip
+    assert set(pulls) == set(largest)
+    for body, value in largest.items():
+        assert np.linalg.norm(pulls[body], axis=1).max() == pytest.approx(value, rel=0.04), body
+    lines = spectrum(total, TABLE_5.step_s)
+    assert all(14.33 <= lines.strongest(axis) <= 14.40 for axis in range(3))
+    assert (lines.concentrated() > 0.9999).all()
+    np.testing.assert_allclose(lines.correlation, 0.951, atol=0.002)
+
+
+def test_a_spectrum_has_its_line_and_its_correlation():
+    t = 300.0 * np.arange(2000)
+    values = np.stack([np.cos(2.0 * np.pi * n * t / 86400.0) for n in (3.0, 10.0, 14.4)], -1)
+    found = spectrum(values, 300.0)
+    assert [found.strongest(i) for i in range(3)] == [pytest.approx(n, abs=0.15) for n in (3.0, 10.0, 14.4)]
+    assert found.correlation[2] == pytest.approx(np.cos(np.radians(18.0)), abs=2e-3)
 
 
 # -- the scenario ------------------------------------------------------------------------------------------------------------

@@ -1,0 +1,56 @@
+"""What the dynamics leave out: the accelerations of the satellite by other bodies, and their spectrum (Figs 7 and 8)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from celnav.linalg import Array
+from celnav.models import third_body
+from celnav.models.ephemeris import BODIES, GM, de421
+from celnav.models.variational import advance
+from celnav.papers.tstdkf.config import DAY_S, Config
+
+PULLING = tuple(body for body in BODIES if body != "earth")
+
+
+def nominal_orbit(config: Config) -> Array:
+    """States ``(T, 6)`` of the undisturbed orbit."""
+    out = [config.orbit]
+    for _ in range(config.steps):
+        out.append(advance(out[-1], config.step_s))
+    return np.stack(out)
+
+
+def accelerations(config: Config) -> dict[str, Array]:
+    """Acceleration ``(T, 3)`` km/s^2 of the satellite on its nominal orbit by each body, relative to the Earth's."""
+    dates = config.start.after(config.step_s * np.arange(config.steps + 1))
+    position, earth = nominal_orbit(config)[:, :3], de421().state("earth", dates).position
+    return {body: third_body.acceleration(position, de421().state(body, dates).position - earth, GM[body]) for body in PULLING}
+
+
+class Spectrum(NamedTuple):
+    """Frequencies ``(K,)`` (cycles a day) and power ``(K, 3)`` of a sequence, and its correlation ``(3,)`` with the next sample."""
+
+    cycles: Array
+    power: Array
+    correlation: Array
+
+    def strongest(self, axis: int) -> float:
+        """Frequency of the largest line, cycles a day."""
+        return float(self.cycles[int(np.argmax(self.power[:, axis]))])
+
+    def concentrated(self, part: float = 0.01) -> Array:
+        """Share ``(3,)`` of the power that lies in the strongest part of the bins."""
+        ordered = np.sort(self.power, 0)[::-1]
+        return np.asarray(ordered[: max(1, round(part * len(ordered)))].sum(0) / ordered.sum(0))
+
+
+def spectrum(values: Array, step_s: float) -> Spectrum:
+    """Power by frequency (mean removed, Hann window)."""
+    less = values - values.mean(0)
+    window = np.hanning(len(less))[:, None]
+    power = np.square(np.abs(np.fft.rfft(window * less, axis=0)))
+    correlation = (less[1:] * less[:-1]).sum(0) / np.square(less).sum(0)
+    return Spectrum(np.fft.rfftfreq(len(less), step_s) * DAY_S, power, correlation)
