@@ -125,6 +125,15 @@ def _main(config: Config, rngs: Sequence[np.random.Generator]) -> dict[str, Arra
     return out
 
 
+def by_kind(arrays: dict[str, Array]) -> dict[str, dict[str, Array]]:
+    """``paper/...`` and ``drawn/...`` taken apart."""
+    out: dict[str, dict[str, Array]] = {}
+    for key, value in arrays.items():
+        kind, _, name = key.partition("/")
+        out.setdefault(kind, {})[name] = value
+    return out
+
+
 def _vector_steps(config: Config) -> int:
     """As much of the 1000 s as the study has of its 600 s."""
     return max(101, round(vector.STEPS * min(1.0, config.duration_s / STANDARD.duration_s)))
@@ -232,8 +241,5 @@ def reproduce(
     timings = {f"cpu_s {label}": outcome.cpu_s for label, outcome in outcomes.items()}
     timings["cpu_s facts"] = process_time() - start
     timings |= time_filters(config)
-    data = {label: outcome.arrays for label, outcome in outcomes.items()}
-    for key, value in data.pop("runs").items():
-        kind, _, name = key.partition("/")
-        data.setdefault(kind, {})[name] = value
+    data = {label: outcome.arrays for label, outcome in outcomes.items() if label != "runs"} | by_kind(outcomes["runs"].arrays)
     return Result(config, seed, count, count >= config.runs, data, facts, timings)
