@@ -47,14 +47,17 @@ def _figures(j: Evidence) -> list[Claim]:
             settled = [j.settles(s, level) for s in both]
             text = f"{fig} of SSUKF below {level:g} arcsec from (s)"
             samples = [both[1]]
-            out.append(j.statistic(f"{id}-below-{level:g}", "calibrated", text, _settling(j, level), samples, accept, note=GYRO))
+            if j.full or level > 2.0:  # the RMSE of few runs dips below a level long before it stays there
+                id_level = f"{id}-below-{level:g}"
+                out.append(j.statistic(id_level, "calibrated", text, _settling(j, level), samples, accept, note=GYRO))
             text = f"{fig} falls below {level:g} arcsec at the same star sample in both filters (difference, s)"
             out.append(j.number(f"{id}-same-{level:g}", "paper", text, settled[1] - settled[0], (0.0, 0.0)))
         apart = order(float(np.abs(euler["ssukf"] - euler["aukf"])[1:].max()))
         text = f"{fig}: equal accuracy of SSUKF and AUKF (largest difference, power of ten, arcsec)"
         out.append(j.number(f"{id}-equal", "paper", text, apart, (None, 1e-5)))
     text, samples = "Figs 1-3: errors of SSUKF below 2 arcsec from (s), three axes", [j.squares("ssukf", ATTITUDE, last=SOON_S)]
-    out.append(j.statistic("figures-below-2", "calibrated", text, _settling(j, 2.0), samples, (80.0, 115.0), note=GYRO))
+    if j.full:
+        out.append(j.statistic("figures-below-2", "calibrated", text, _settling(j, 2.0), samples, (80.0, 115.0), note=GYRO))
     text = "Fig. 3: SSUKF converges faster in yaw than AUKF: below 5 arcsec earlier by (s)"
     earlier = j.settles(j.squares("aukf", 2), 5.0) - j.settles(j.squares("ssukf", 2), 5.0)
     note = "in filter time it cannot be: the two filters are one"

@@ -251,7 +251,7 @@ def _sensitivity(j: Evidence) -> list[Claim]:
         return float(np.sqrt(np.square(values).mean()))
 
     wide = [d for d in PRIORS_DEG if d >= 1.0]
-    for seconds, bounds in ((0.25, (None, 1.03)), (10.0, (None, 1.005)), (60.0, (None, 1.001))):
+    for seconds, bounds in ((0.25, (None, 1.03)), (10.0, (None, 1.005)), (60.0, (None, 1.005))):
         values = [error(d, seconds) for d in wide]
         text = f"Prior of 1 to 180 deg: error after {seconds:g} s, largest to smallest (ratio)"
         out.append(j.number(f"prior-{seconds:g}", "beyond", text, max(values) / min(values), bounds))
