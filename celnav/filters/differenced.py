@@ -122,7 +122,7 @@ def differenced(
         moved = move(state.belief.mean, epoch)
         return state._replace(moved=moved), moved[1]
 
-    def update(state: DifferencedState, epoch: Epoch, _Phi: Array | None) -> tuple[DifferencedState, Stage | None, Info]:
+    def update(state: DifferencedState, epoch: Epoch) -> tuple[DifferencedState, Stage | None, Info]:
         assert state.moved is not None
         x, Phi, G = state.moved
         z = np.asarray(epoch.z, dtype=np.float64)

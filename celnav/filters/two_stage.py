@@ -48,12 +48,12 @@ class Stage(NamedTuple):
 
 class First(NamedTuple):
     """A first stage: ``start(prior) -> state`` with a ``belief``; ``predict(state, epoch) -> (state, Phi)``, None where it does
-    not move; ``update(state, epoch, Phi) -> (state, stage, info)``, no stage where nothing was measured.
+    not move; ``update(state, epoch) -> (state, stage, info)``, no stage where nothing was measured.
     """
 
     start: Callable[[Gaussian], Any]
     predict: Callable[[Any, Epoch], tuple[Any, Array | None]]
-    update: Callable[[Any, Epoch, Array | None], tuple[Any, Stage | None, Info]]
+    update: Callable[[Any, Epoch], tuple[Any, Stage | None, Info]]
 
 
 class PlainState(NamedTuple):
@@ -74,7 +74,7 @@ def plain(predict: Predict, update: Update) -> First:
         assert slopes is not None
         return state._replace(belief=belief), slopes()[0]
 
-    def see(state: PlainState, epoch: Epoch, _Phi: Array | None) -> tuple[PlainState, Stage | None, Info]:
+    def see(state: PlainState, epoch: Epoch) -> tuple[PlainState, Stage | None, Info]:
         belief, info, memory = update(state.belief, epoch.z, epoch, state.memory)
         after = PlainState(belief, memory)
         slopes = info.slopes[-1] if info.slopes else None
@@ -171,7 +171,7 @@ def two_stage(
             Lambda = Phi @ Lambda
             if walk is not None:
                 known, own, Lambda = _walked(known, own, Lambda, walk)
-        known, stage, info = first.update(known, epoch, Phi)
+        known, stage, info = first.update(known, epoch)
         if stage is None:
             return TwoStageState(known, own, Lambda, state.Gamma, state.memory), info
         here = np.asarray(evaluate(slope, known.belief.mean, epoch))

@@ -48,19 +48,22 @@ def step(state: Array, dt: float, earth: Earth = EARTH) -> Array:
     Over 600 steps of 1 s in a low orbit it agrees with an integration to round-off within 5e-8 m.
     """
     x = components(state)
-    r, v = x[:3], x[3:]
+    out = np.empty_like(x)
+    out[:3], out[3:] = runge_kutta(x[:3], x[3:], dt, earth)
+    return out.transpose((*range(1, state.ndim), 0))
+
+
+def runge_kutta(position: Array, velocity: Array, dt: float, earth: Earth = EARTH) -> tuple[Array, Array]:
+    """Position and velocity after one step of order 4, with the component axis first, ``(3, ...)``."""
     half = 0.5 * dt
-    ahead = r + half * v
-    a1 = acceleration(r, earth)
+    ahead = position + half * velocity
+    a1 = acceleration(position, earth)
     a2 = acceleration(ahead, earth)
     a3 = acceleration(ahead + (half * half) * a1, earth)
-    end = r + dt * v
+    end = position + dt * velocity
     a4 = acceleration(end + (half * dt) * a2, earth)
-    out = np.empty_like(x)
     middle = a2 + a3
-    np.add(end, (dt * dt / 6.0) * (a1 + middle), out=out[:3])
-    np.add(v, (dt / 6.0) * (a1 + 2.0 * middle + a4), out=out[3:])
-    return out.transpose((*range(1, state.ndim), 0))
+    return end + (dt * dt / 6.0) * (a1 + middle), velocity + (dt / 6.0) * (a1 + 2.0 * middle + a4)
 
 
 def check_orbit(state: ArrayLike, name: str = "state", earth: Earth = EARTH) -> Array:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from celnav.linalg import Array, components
-from celnav.models.orbit import EARTH, Earth, acceleration
+from celnav.models.orbit import EARTH, Earth, runge_kutta
 
 _CLOSED = np.array([19.0, 75.0, 50.0, 50.0, 75.0, 19.0]) / 288.0
 """Newton-Cotes weights of six equally spaced points, exact for polynomials of degree 5."""
@@ -46,25 +46,12 @@ def gradient(position: Array, earth: Earth = EARTH) -> Array:
     return out
 
 
-def substep(position: Array, velocity: Array, h: float, earth: Earth = EARTH) -> tuple[Array, Array]:
-    """One Runge-Kutta step of order 4, component axis first."""
-    half = 0.5 * h
-    ahead = position + half * velocity
-    a1 = acceleration(position, earth)
-    a2 = acceleration(ahead, earth)
-    a3 = acceleration(ahead + (half * half) * a1, earth)
-    end = position + h * velocity
-    a4 = acceleration(end + (half * h) * a2, earth)
-    middle = a2 + a3
-    return end + (h * h / 6.0) * (a1 + middle), velocity + (h / 6.0) * (a1 + 2.0 * middle + a4)
-
-
 def advance(state: Array, dt: float, earth: Earth = EARTH) -> Array:
     """State ``(..., 6)`` after ``dt`` seconds, in ten substeps: 300 s in a low orbit to 0.2 m."""
     x = components(state)
     r, v = x[:3], x[3:]
     for _ in range(2 * INTERVALS):
-        r, v = substep(r, v, dt / (2 * INTERVALS), earth)
+        r, v = runge_kutta(r, v, dt / (2 * INTERVALS), earth)
     return np.moveaxis(np.concatenate([r, v]), 0, -1)
 
 
@@ -81,9 +68,9 @@ def flow(state: Array, dt: float, earth: Earth = EARTH) -> Flow:
     A = gradient(r, earth)
     inverses = _CLOSED[0] * _inverse(Y, Z)
     for k in range(INTERVALS):
-        r, v = substep(r, v, 0.5 * h, earth)
+        r, v = runge_kutta(r, v, 0.5 * h, earth)
         middle = gradient(r, earth)
-        r, v = substep(r, v, 0.5 * h, earth)
+        r, v = runge_kutta(r, v, 0.5 * h, earth)
         last = gradient(r, earth)
         a1 = _times(A, Y)
         ahead = Y + (0.5 * h) * Z

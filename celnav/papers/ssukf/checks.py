@@ -15,7 +15,7 @@ from celnav.gaussian import Gaussian, covariance, square_root
 from celnav.linalg import Array
 from celnav.models.gyro import Gyro
 from celnav.montecarlo import generator, normals
-from celnav.papers.ssukf.config import ARCSEC, DEG_PER_H, Config
+from celnav.papers.ssukf.config import ARCSEC, UNITS, Config
 from celnav.papers.ssukf.errata import printed_spread
 from celnav.papers.ssukf.scenario import (
     Scenario,
@@ -57,8 +57,8 @@ def _means(filter: Filter, prior: Gaussian, scenario: Scenario) -> Array:
 
 def apart(a: Array, b: Array) -> Array:
     """Largest differences of each run after the first star sample, ``(2, runs)``: of attitude (arcsec) and of drift (deg/h)."""
-    difference = np.abs(errors(a[1:], b[1:]))
-    return np.stack([difference[..., :3].max((0, 2)) / ARCSEC, difference[..., 3:].max((0, 2)) / DEG_PER_H])
+    difference = np.abs(errors(a[1:], b[1:])) / UNITS
+    return np.stack([difference[..., :3].max((0, 2)), difference[..., 3:].max((0, 2))])
 
 
 def identities(config: Config, rngs: Runs) -> dict[str, Array]:
@@ -96,12 +96,8 @@ def rates(config: Config, rngs: Runs) -> dict[str, Array]:
     for name in ("aukf", "ssukf"):
         many = _means(filters(full.config)[name], full.prior, full)
         out[f"{name}/apart"] = apart(many, _means(filters(few.config)[name], few.prior, few))
-        out[f"{name}/error"] = _scaled(errors(full.truth, many))
+        out[f"{name}/error"] = errors(full.truth, many) / UNITS
     return out
-
-
-def _scaled(error: Array) -> Array:
-    return np.asarray(error / np.repeat([ARCSEC, DEG_PER_H], 3))
 
 
 def variants(config: Config, rngs: Runs) -> dict[str, Array]:
@@ -136,7 +132,7 @@ def _as_printed(config: Config) -> Filter:
 
 
 def total_covariance(config: Config, rng: np.random.Generator) -> float:
-    """How far the total form's covariance, carried to the tangent space, is from the local one after a minute (ratio - 1)."""
+    """Largest difference, in deviations, of the total form's covariance in the tangent space from the local one at the end."""
     sim = simulate(config, [rng])
     every = [run(filter, prior, sim.epochs(), keep="spread") for filter, prior in (
         (filters(config)["ssukf"], sim.prior), (total_filters(config)["ssukf-total"], total_prior(sim.prior)),
@@ -156,7 +152,7 @@ def priors(config: Config, rngs: Runs) -> dict[str, Array]:
     count = len(PRIORS_DEG)
     wide = repeated(sim, count)
     prior = covariance(wide.prior.mean, np.square(deviation)[..., None] * np.eye(6))
-    error = _scaled(errors(wide.truth, _means(filters(config)["ssukf"], prior, wide)))
+    error = errors(wide.truth, _means(filters(config)["ssukf"], prior, wide)) / UNITS
     return {f"{s:g}": part for s, part in zip(PRIORS_DEG, np.split(error, count, 1), strict=True)}
 
 
@@ -164,14 +160,10 @@ def turns(config: Config, rngs: Runs) -> dict[str, Array]:
     """Initial errors of `TURNS_DEG`, told to the prior: errors ``(T, runs, 3)`` arcsec, ``<filter>/<deg>``."""
     sim, count = simulate(config, rngs), len(TURNS_DEG)
     wide = repeated(sim, count)
-    axis = np.array([0.48, 0.6, 0.64])
-    turn = np.radians(np.repeat(TURNS_DEG, len(rngs)))[:, None] * axis
-    mean = np.concatenate(
-        [attitude.multiply(attitude.inverse(attitude.exp(turn)), wide.truth[0][:, :4]), wide.prior.mean[:, 4:]], -1
-    )
-    deviation = np.concatenate(
-        [np.repeat(np.radians(TURNS_DEG), len(rngs))[:, None] * np.ones(3), np.full_like(turn, config.sigma0[3])], -1
-    )
+    size = np.radians(np.repeat(TURNS_DEG, len(rngs)))[:, None]
+    turned = attitude.exp(-size * np.array([0.48, 0.6, 0.64]))
+    mean = np.concatenate([attitude.multiply(turned, wide.truth[0][:, :4]), wide.prior.mean[:, 4:]], -1)
+    deviation = np.concatenate([np.tile(size, 3), np.full((len(size), 3), config.sigma0[3])], -1)
     prior = covariance(mean, np.square(deviation)[..., None] * np.eye(6))
     known, out = filters(config), {}
     for name in LARGE:
@@ -206,9 +198,8 @@ def linear(config: Config, rngs: Runs) -> dict[str, Array]:
     H = np.hstack([np.eye(3), np.zeros((3, 3))])
     exact = sequential(predict(f, unscented(6), gyro.process_noise(dt)), update(H, unscented(6), sqrt_R=c.sigma_n * np.eye(3)))
     epochs = [Epoch(k, k * dt, dt if k else 0.0, samples[k - 1] if k else None, turned[k] if k else None) for k in range(T)]
-    flat = run(
-        exact, covariance(np.concatenate([start, np.zeros_like(start)], -1), np.diag(deviation**2)), epochs, keep="mean"
-    ).mean
+    belief = covariance(np.concatenate([start, np.zeros_like(start)], -1), np.diag(deviation**2))
+    flat = run(exact, belief, epochs, keep="mean").mean
     assert flat is not None
     reference = np.concatenate([attitude.exp(flat[..., :3]), flat[..., 3:]], -1)
     known = filters(sim.config)

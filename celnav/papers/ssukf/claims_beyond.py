@@ -41,9 +41,9 @@ def _identities(j: Evidence) -> list[Claim]:
     )
     for name, text, attitude, drift in pairs:
         id = "identity-" + name.replace(", ", "-").replace(" = ", "-").replace(" ", "-")
-        values = j.worst("identities", name)
-        out.append(j.number(f"{id}-attitude", "beyond", f"{text} (largest difference, power of ten, arcsec)", values[0], attitude))
-        out.append(j.number(f"{id}-drift", "beyond", f"{text} (largest difference, power of ten, deg/h)", values[1], drift))
+        first, second = (order(value) for value in j.worst("identities", name))
+        out.append(j.number(f"{id}-attitude", "beyond", f"{text} (largest difference, power of ten, arcsec)", first, attitude))
+        out.append(j.number(f"{id}-drift", "beyond", f"{text} (largest difference, power of ten, deg/h)", second, drift))
     error = [j.result.data["paper"][f"{name}/error"][1:] for name in ("aukf", "mekf")]
     apart = np.abs(error[0] - error[1]).max((0, 1))
     text = "MEKF and AUKF, 4 Hz, all runs (largest difference, power of ten"
@@ -51,7 +51,9 @@ def _identities(j: Evidence) -> list[Claim]:
     out.append(j.number("identity-mekf-drift", "beyond", f"{text}, deg/h)", order(apart[3:].max()), (None, 1e-5)))
     for name in COMPARED:
         values = j.worst("linear", name)
-        text = f"A satellite at rest: {name.upper()} and the exact linear Kalman filter, 100 s (largest difference, power of ten"
+        text = (
+            f"A satellite at rest: {name.upper()} and the exact linear Kalman filter, {j.seconds('linear'):g} s (largest difference"
+        )
         out.append(j.number(f"linear-{name}-attitude", "beyond", f"{text}, arcsec)", values[0], (None, 1e-3)))
         out.append(j.number(f"linear-{name}-drift", "beyond", f"{text}, deg/h)", values[1], (None, 2e-4)))
     return out
@@ -62,9 +64,7 @@ def _rates(j: Evidence) -> list[Claim]:
     out = []
     for name in ("aukf", "ssukf"):
         attitude, drift = j.worst("rates", f"{name}/apart")
-        text = (
-            f"{name.upper()} at 100 Hz and with gyro samples integrated to 4 Hz, the same samples (largest difference, power of ten"
-        )
+        text = f"{name.upper()} at 100 Hz and with gyro samples integrated to 4 Hz, the same samples (largest difference"
         out.append(j.number(f"rates-{name}-attitude", "beyond", f"{text}, arcsec)", attitude, (None, 2e-3)))
         out.append(j.number(f"rates-{name}-drift", "beyond", f"{text}, deg/h)", drift, (None, 5e-4)))
         error = np.square(j.result.data["rates"][f"{name}/error"][1][:, ATTITUDE])
@@ -75,17 +75,22 @@ def _rates(j: Evidence) -> list[Claim]:
 
 def _variants(j: Evidence) -> list[Claim]:
     out = []
-    rows: tuple[tuple[str, str, str, Bounds], ...] = (
-        ("dense-ssukf", "dense ssukf", "SSUKF with the augmented covariance factored whole and block by block", (None, 1e-6)),
-        ("dense-aukf", "dense aukf", "AUKF with the augmented covariance factored whole and block by block", (None, 1e-6)),
-        ("total-pair", "total", "AUKF and SSUKF on the total MRP", (None, 1e-6)),
-        ("total-local", "total to local", "SSUKF on the total MRP and in local form: transients differ", (1e-3, 0.1)),
-        ("total-local-first", "total to local, first", "The same at the first star sample: they do not", (None, 1e-6)),
-        ("transport-star", "transported", "Transport of the covariance where whole attitudes are measured", (1e-3, 0.1)),
+    same: tuple[tuple[str, str, str], ...] = (
+        ("dense-ssukf", "dense ssukf", "SSUKF with the augmented covariance factored whole and block by block"),
+        ("dense-aukf", "dense aukf", "AUKF with the augmented covariance factored whole and block by block"),
+        ("total-pair", "total", "AUKF and SSUKF on the total MRP"),
+        ("total-local-first", "total to local, first", "SSUKF on the total MRP and in local form at the first star sample"),
     )
-    for id, name, text, bounds in rows:
-        value = j.worst("variants", name)[0]
-        out.append(j.number(id, "beyond", f"{text} (largest difference over half a minute, power of ten, arcsec)", value, bounds))
+    for id, name, text in same:
+        value = order(j.worst("variants", name)[0])
+        out.append(j.number(id, "beyond", f"{text} (largest difference, power of ten, arcsec)", value, (None, 1e-6)))
+    apart: tuple[tuple[str, str, str], ...] = (
+        ("total-local", "total to local", "The same afterwards: transients differ, a little"),
+        ("transport-star", "transported", "Transport of the covariance where whole attitudes are measured"),
+    )
+    for id, name, text in apart:
+        text = f"{text}, {j.seconds('variants'):g} s (largest difference, arcsec)"
+        out.append(j.number(id, "beyond", text, j.worst("variants", name)[0], (1e-3, 0.09)))
     return out
 
 
@@ -251,18 +256,20 @@ def _sensitivity(j: Evidence) -> list[Claim]:
         return float(np.sqrt(np.square(values).mean()))
 
     wide = [d for d in PRIORS_DEG if d >= 1.0]
-    for seconds, bounds in ((0.25, (None, 1.03)), (10.0, (None, 1.005)), (60.0, (None, 1.005))):
+    for seconds, bounds in ((0.25, (None, 1.03)), (10.0, (None, 1.005)), (60.0, (None, 1.001))):
         values = [error(d, seconds) for d in wide]
         text = f"Prior of 1 to 180 deg: error after {seconds:g} s, largest to smallest (ratio)"
-        out.append(j.number(f"prior-{seconds:g}", "beyond", text, max(values) / min(values), bounds))
+        if j.full:  # of few runs the ratio scatters, and it has no interval
+            out.append(j.number(f"prior-{seconds:g}", "beyond", text, max(values) / min(values), bounds))
     tight = PRIORS_DEG[-1]
-    text = "A prior of 20 arcsec for an error of 10 deg: error after a minute against that of a wide one (ratio)"
+    text = "A prior of 20 arcsec for an error of 10 deg: error at the end against that of a wide one (ratio)"
     out.append(j.number("prior-overconfident", "beyond", text, error(tight, 60.0) / error(10.0, 60.0), (20.0, None)))
-    limits = {1.0: 1e-6, 0.01: 1e-5, 1e-3: 1e-3, 1e-4: 0.1}
+    limits = {1.0: 5e-6, 0.01: 5e-6, 1e-3: 1e-3, 1e-4: 0.1}
     for alpha in ALPHAS:
         if alpha != j.result.config.alpha:
-            text = f"alpha = {alpha:g} instead of 0.1: change over a minute (largest, power of ten, arcsec)"
-            out.append(j.number(f"alpha-{alpha:g}", "beyond", text, j.worst("alphas", f"{alpha:g}")[0], (None, limits[alpha])))
+            text = f"alpha = {alpha:g} instead of 0.1: change over {j.seconds('alphas'):g} s (largest, power of ten, arcsec)"
+            value = order(j.worst("alphas", f"{alpha:g}")[0])
+            out.append(j.number(f"alpha-{alpha:g}", "beyond", text, value, (None, limits[alpha])))
     return out
 
 
@@ -272,6 +279,6 @@ def _total(j: Evidence) -> list[Claim]:
     out.append(j.number("spin-switched", "beyond", text, spin.settled("switched") / spin.settled("local"), (0.99, 1.01)))
     text = "Switches of the total form to its shadow set, in a run that starts beyond 180 deg and turns to 370 deg"
     out.append(j.number("spin-switches", "beyond", text, spin.switches, (1.0, 1.0)))
-    text = "Covariance of the total form in the tangent space against the local one after a minute (largest, in deviations)"
+    text = "Covariance of the total form in the tangent space against the local one (largest difference, in deviations)"
     out.append(j.number("total-covariance", "beyond", text, j.result.facts["total covariance"], (None, 1e-3)))
     return out

@@ -23,6 +23,8 @@ ARCSEC = np.pi / 648000.0
 """rad."""
 DEG_PER_H = np.pi / 648000.0
 """rad/s."""
+UNITS = np.repeat([ARCSEC, DEG_PER_H], 3)
+"""What errors of rotation vector and drift are divided by, ``(6,)``: arcsec and deg/h."""
 
 
 @dataclass(frozen=True)

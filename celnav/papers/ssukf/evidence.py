@@ -6,7 +6,7 @@ import numpy as np
 
 from celnav.claims import Judge
 from celnav.linalg import Array
-from celnav.papers.ssukf.study import Result
+from celnav.papers.ssukf.study import SHORT, Result
 
 AXES = ("roll", "pitch", "yaw")
 ATTITUDE, DRIFT = slice(0, 3), slice(3, 6)
@@ -27,9 +27,13 @@ class Evidence(Judge):
         return np.asarray(np.square(self.result.data[kind][f"{filter}/error"][shown][..., chosen]).mean(-1).T)
 
     def worst(self, study: str, name: str) -> tuple[float, float]:
-        """Largest differences of a check over its runs: arcsec and deg/h; their `order`."""
+        """Largest differences of a check over its runs: arcsec and deg/h."""
         attitude, drift = self.result.data[study][name].max(1).tolist()
-        return order(attitude), order(drift)
+        return attitude, drift
+
+    def seconds(self, study: str) -> float:
+        """Length of a smaller study."""
+        return min(SHORT[study][0], self.result.config.duration_s)
 
     def settles(self, squares: Array, level: float) -> float:
         """Time (s) at which the RMSE over the runs of squares ``(runs, T)`` is first below a level; the end if it never is."""

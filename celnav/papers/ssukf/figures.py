@@ -203,7 +203,7 @@ def figure_11(result: Result) -> Figure:
     }
     for name, (label, style) in styles.items():
         ax.semilogy(spin.times, _positive(spin.errors[name]), label=label, **style)
-    ax.set(xlabel="time (s); 360 deg at 90 s", ylabel="largest error of the runs (arcsec)")
+    ax.set(xlabel=f"time (s); 360 deg at {spin.crossing:g} s", ylabel="largest error of the runs (arcsec)")
     ax.legend()
     return fig
 

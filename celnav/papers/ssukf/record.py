@@ -9,11 +9,11 @@ import numpy as np
 from celnav import attitude, colors
 from celnav.linalg import Array
 from celnav.metrics import chi_square_band
-from celnav.papers.ssukf.config import ARCSEC
+from celnav.papers.ssukf.config import ARCSEC, UNITS
 from celnav.papers.ssukf.errata import RADIUS_M
 from celnav.papers.ssukf.evidence import AXES
 from celnav.papers.ssukf.figures import COLORS, LABELS
-from celnav.papers.ssukf.study import UNITS, Result
+from celnav.papers.ssukf.study import Result
 
 if TYPE_CHECKING:
     from celnav.files import Outputs
@@ -64,16 +64,19 @@ def _layout(recording: Any, times: Array) -> Any:
 
 
 def _notes(result: Result) -> str:
-    c = result.config
+    c, counted = result.config, result.facts["evaluations"]
+    one, many = (1.0 - sum(counted[per]["ssukf"]) / sum(counted[per]["aukf"]) for per in (1, c.ratio))
     return f"""# Wu et al. (2012): state-switching UKF for attitude
 
 * **Equal accuracy of SSUKF and AUKF: true, and an identity.** At equal spread they are one filter to round-off.
-* **A third less time: counted in points 29 % at 1:1, 20 % at the paper's 25:1.** In arrays a single run gains nothing.
+* **A third less time: counted in points {one:.0%} at 1:1, {many:.0%} at the paper's {c.ratio}:1.** In arrays one run
+  gains hardly anything.
 * **Faster convergence: not so.** In filter time both converge alike, to the sample.
 
 A satellite turns freely at 800 km. Gyros and a star sensor give attitude (left above: axes red, green, blue are roll, pitch, yaw;
-white: the two sight lines of the star sensor; blue: nadir). The first star sample takes an error of 10 deg to 20 arcsec, so
-everything after it is shown under a microscope: errors in arcsec with their 3σ ellipsoids, or exaggerated
+white: the two sight lines of the star sensor; blue: nadir). The first star sample takes an error of
+{max(c.attitude_deg):g} deg to {c.star_arcsec:g} arcsec, so everything after it
+is shown under a microscope: errors in arcsec with their 3σ ellipsoids, or exaggerated
 {EXAGGERATION:g} times. Blue: AUKF. Orange: SSUKF. Purple: MEKF.
 
 | | |

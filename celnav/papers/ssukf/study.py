@@ -15,7 +15,7 @@ from celnav.gaussian import Gaussian, covariance, nees
 from celnav.linalg import Array
 from celnav.montecarlo import Progress, Unit, blocks, generator, run_count, work
 from celnav.papers.ssukf import checks, draws, scenario, theory, vector
-from celnav.papers.ssukf.config import ARCSEC, DEG_PER_H, PRESETS, STANDARD, Config
+from celnav.papers.ssukf.config import ARCSEC, PRESETS, STANDARD, UNITS, Config
 from celnav.papers.ssukf.variants import spin
 
 PAPER = ("aukf", "ssukf", "mekf")
@@ -23,8 +23,6 @@ PAPER = ("aukf", "ssukf", "mekf")
 DRAWN = {"ssukf": np.inf, "aukf": 60.0, "usque": 60.0, "mekf": 60.0}
 """Filters run from initial errors drawn from the prior, and for how long (s): in the end all of them are one filter."""
 TIMED = ("aukf", "ssukf", "additive", "mekf")
-UNITS = np.repeat([ARCSEC, DEG_PER_H], 3)
-"""What errors are divided by: arcsec and deg/h, ``(6,)``."""
 
 
 @dataclass(frozen=True)
@@ -73,17 +71,15 @@ class Result:
         return out
 
 
-def compare(
-    config: Config, rngs: Sequence[np.random.Generator], names: Sequence[str] = ("aukf", "ssukf"), *, drawn: bool = False
-) -> dict[str, Array]:
-    """Filters on simulated runs of a configuration, from the paper's initial error or from drawn ones; see `Result`.
+def compare(config: Config, rngs: Sequence[np.random.Generator], names: Sequence[str] = ("aukf", "ssukf")) -> dict[str, Array]:
+    """Filters on simulated runs of a configuration, from the paper's initial error; see `Result`.
 
     ``PRESETS["100 Hz"]`` with 200 generators is the paper's own rate in full: 60,000 time updates of 200 runs for each filter.
     """
     sim = scenario.simulate(config, rngs)
     known, out = scenario.filters(config), {"truth": sim.truth[:, :1], "stars": sim.stars[:, :1]}
     for name in names:
-        out |= _follow(name, known[name], sim, sim.drawn if drawn else sim.prior)
+        out |= _follow(name, known[name], sim, sim.prior)
     return out
 
 

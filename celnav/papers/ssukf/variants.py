@@ -13,7 +13,7 @@ from celnav.filters.driver import Epoch, Filter, run, sequential
 from celnav.filters.info import Info
 from celnav.filters.step import Predict, predict, update
 from celnav.gaussian import Gaussian, covariance
-from celnav.linalg import Array, block, cholesky
+from celnav.linalg import Array, block
 from celnav.montecarlo import normals
 from celnav.papers.ssukf.config import ARCSEC, Config
 from celnav.papers.ssukf.scenario import Scenario, dynamics, filters, noise_root, spread, star, state_space
@@ -65,12 +65,13 @@ class Spin(NamedTuple):
     Attributes
     ----------
     times: ``(T,)`` s. errors: filter -> ``(T,)`` largest error of the runs, arcsec. switches: how often, in a run, the total form
-        changed its parameters.
+        changed its parameters. crossing: when the turn is whole, s.
     """
 
     times: Array
     errors: dict[str, Array]
     switches: float
+    crossing: float
 
     def settled(self, filter: str) -> float:
         """Largest error after the first minute, arcsec."""
@@ -115,7 +116,7 @@ def spin(
     }
     errors = {n: attitude.angle(attitude.multiply(q, attitude.inverse(p))).max(1) / ARCSEC for n, p in tracks.items()}
     sides = (tracks["switched"][1:] * tracks["switched"][:-1]).sum(-1)
-    return Spin(np.arange(T) / c.star_hz, errors, float((sides < 0.0).sum(0).mean()))
+    return Spin(np.arange(T) / c.star_hz, errors, float((sides < 0.0).sum(0).mean()), (360.0 - range_deg[0]) / rate_deg_per_s)
 
 
 # -- dense roots: the joint covariance of state and noise is factored as a whole ---------------------------------------------
@@ -129,9 +130,7 @@ def dense_filters(config: Config, *, c: float | None = None) -> dict[str, Filter
 
 def _augmented(belief: Gaussian, noise: Array) -> Gaussian:
     mean = np.concatenate([belief.mean, np.zeros((*belief.mean.shape[:-1], len(noise)))], -1)
-    joint = block([[belief.cov, 0], [0, np.diag(noise**2)]])
-    root = cholesky(joint)
-    return Gaussian(mean, root @ root.mT, belief.form)
+    return Gaussian(mean, block([[belief.cov, 0], [0, np.diag(noise**2)]]), belief.form)
 
 
 def _space(noise: Array) -> Space:

@@ -95,11 +95,6 @@ def simulate(config: Config, rngs: Sequence[np.random.Generator], settings: Sequ
     return Scenario(c, truth, bias, z, seen, covariance(start, np.diag(c.deviation**2)), noise)
 
 
-def dynamics(x: Array, epoch: Epoch) -> Array:
-    """Model function: the orbit."""
-    return advance(x, epoch.dt)
-
-
 class Orbit:
     """The orbit's flow about the last state asked for: what follows, Jacobian and noise input come from one integration."""
 
