@@ -29,7 +29,10 @@ class Form(Protocol):
         """Standard deviations ``(..., n)`` of a spread."""
 
     def marginal(self, A: Array, sign: Array) -> Array:
-        """Spread of the columns ``A (..., n, q)``; column ``j`` counts with ``sign[j]``, those beyond ``sign`` with +1."""
+        """Spread of the columns ``A (..., n, q)``; column ``j`` counts with ``sign[j]``, those beyond ``sign`` with +1.
+
+        In covariance form ``sign`` may be a covariance ``(..., k, k)`` that the first k columns count with.
+        """
 
     def condition(
         self, A: Array, sign: Array, m: int, gain: Array | None = None, known: Array | None = None
@@ -97,20 +100,14 @@ class CovarianceForm:
         return np.sqrt(spread.diagonal(0, -2, -1))
 
     def marginal(self, A: Array, sign: Array) -> Array:
-        P: Array = A @ A.mT
-        negative = _negative(sign, A.shape[-1])
-        if negative is not None:
-            V = A[..., negative]
-            P = P - 2.0 * (V @ V.mT)
+        P: Array = _counted(A, sign) @ A.mT
         return P
 
     def condition(
         self, A: Array, sign: Array, m: int, gain: Array | None = None, known: Array | None = None
     ) -> tuple[Array, Array, Array]:
         if gain is None and known is not None:
-            negative = _negative(sign, A.shape[-1])
-            first = A[..., :m, :] if negative is None else A[..., :m, :] * np.where(negative, -1.0, 1.0)
-            C = first @ A.mT
+            C = _counted(A[..., :m, :], sign) @ A.mT
             S = cholesky(C[..., :m])
             U = solve_lower(S, C[..., m:]).mT
             return S, U, known - U @ U.mT
@@ -125,6 +122,16 @@ class CovarianceForm:
 
     def sum(self, spread: Array, columns: Array) -> Array:
         return np.asarray(spread + columns @ columns.mT)
+
+
+def _counted(A: Array, sign: Array) -> Array:
+    """Columns times what they count with."""
+    if sign.ndim > 1:
+        k = sign.shape[-1]
+        weighed = A[..., :k] @ sign
+        return weighed if k == A.shape[-1] else np.concatenate([weighed, A[..., k:]], -1)
+    negative = _negative(sign, A.shape[-1])
+    return A if negative is None else A * np.where(negative, -1.0, 1.0)
 
 
 def _negative(sign: Array, q: int) -> Array | None:

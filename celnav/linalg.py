@@ -73,6 +73,19 @@ def _lower(n: int) -> Array:
     return np.tri(n)
 
 
+@cache
+def unit(n: int) -> Array:
+    """The unit matrix, one and the same for each n: what is multiplied by it need not be."""
+    eye = np.eye(n)
+    eye.flags.writeable = False
+    return eye
+
+
+def is_unit(A: Array) -> bool:
+    """Whether this is what `unit` gives."""
+    return A.ndim == 2 and A is unit(len(A))
+
+
 def solve_lower(L: Array, B: Array) -> Array:
     """Solve ``L @ X = B`` for lower triangular ``L (..., n, n)`` and ``B (..., n, k)``; a zero on the diagonal gives nan."""
     diagonal = L.diagonal(0, -2, -1)

@@ -50,10 +50,12 @@ class Transform(Protocol):
     ``(p, ..., k)`` of noise points for each root in ``extra`` to a tuple of outputs, one for each of ``spaces``. It returns
     an `Image` of each output and the pre-array ``(..., sum of dimensions, q + room)`` that holds their columns above each
     other; the last ``room`` columns are for the caller. ``sign`` belongs to the first q columns. ``slope`` is the
-    statistical Jacobian ``(..., k, n)`` of an image. ``epoch`` is for rules that know derivatives.
+    statistical Jacobian ``(..., k, n)`` of an image. ``epoch`` is for rules that know derivatives. ``linear``: whether columns
+    are a matrix times the root, whatever the root.
     """
 
     sign: Array
+    linear: bool
 
     def transform(
         self,
@@ -122,6 +124,7 @@ class Rule:
         self._used: Any = slice(None) if used.all() else slice(1, None) if used[1:].all() else np.flatnonzero(used)
         self._wm, self._scale = self.wm[used], np.sqrt(np.abs(self.wc[used]))
         self.sign = np.where(self.wc[used] < 0.0, -1.0, 1.0)
+        self.linear = False
 
     @cached_property
     def _transposed(self) -> Array:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.linalg import Array, matvec
+from celnav.linalg import Array, is_unit, matvec
 from celnav.points import KEEP, Image, Outputs
 from celnav.spaces import Space
 
@@ -38,6 +38,7 @@ class Taylor:
         self.step = float(step)
         self.about = None if about is None else np.asarray(about, dtype=np.float64)
         self.sign = np.ones(1)
+        self.linear = jacobians is not None
 
     def __repr__(self) -> str:
         return f"Taylor({'differences' if self.jacobians is None else 'Jacobians'})"
@@ -102,7 +103,8 @@ class Taylor:
             elif given is not None:
                 J, first, parts = given[i], 0, []
                 for E in roots:
-                    parts.append(J[..., first : first + E.shape[-2]] @ E)
+                    own = J[..., first : first + E.shape[-2]]
+                    parts.append(own if is_unit(E) else own @ E)
                     first += E.shape[-2]
                 columns = np.concatenate([np.broadcast_to(b, (*batch, *b.shape[-2:])) for b in parts], -1)
                 if self.about is not None:
@@ -124,5 +126,7 @@ class Taylor:
 
     def slope(self, image: Image, root: Array) -> Array:
         """Jacobian of an image, ``(..., k, n)``."""
+        if is_unit(root):
+            return image.columns[..., : len(root)]
         slope: Array = np.linalg.solve(root.mT, image.columns[..., : root.shape[-1]].mT).mT
         return slope

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from celnav.filters.info import Gain, Hook, Info, Joint
 from celnav.gaussian import Gaussian, finite, sqrt_cov
-from celnav.linalg import Array, matvec, solve_lower, solve_upper_transposed, tria
+from celnav.linalg import Array, matvec, solve_lower, solve_upper_transposed, tria, unit
 from celnav.points import KEEP, Image, Outputs, Transform
 from celnav.spaces import EUCLIDEAN, Space
 
@@ -29,6 +29,13 @@ Model = Callable[..., Any]
 """``(points (p, ..., N), epoch, *noise points) -> (p, ..., M)``."""
 Noise = Array | Callable[[Array, Any], Array] | None
 """Columns ``(..., n, r)`` of a noise, constant or ``(mean, epoch) -> columns``; None: no noise."""
+
+
+def _prior(belief: Gaussian, rule: Transform) -> tuple[Array, Array]:
+    """A root, and what its columns count with: what only Jacobians act on need not be factored."""
+    if rule.linear and belief.form.name == "covariance":
+        return unit(belief.spread.shape[-1]), belief.spread
+    return belief.form.root(belief.spread), rule.sign
 
 
 Predict = Callable[[Gaussian, Any], tuple[Gaussian, Info]]
@@ -177,7 +184,7 @@ def predict(
     def part(belief: Gaussian, epoch: Any = None) -> tuple[Gaussian, Info]:
         noise = evaluate(columns, belief.mean, epoch)
         r = 0 if noise is None else noise.shape[-1]
-        root = belief.form.root(belief.spread)
+        root, sign = _prior(belief, rule)
 
         def g(points: Array, *w: Array) -> Outputs:
             return (images("f", f, points, epoch, w, belief.mean.shape[-1]),)
@@ -185,7 +192,7 @@ def predict(
         (state,), A = rule.transform(g, belief.mean, root, space, (space,), extra, r, epoch)
         if r:
             _set_noise("Q", A[..., A.shape[-1] - r :], noise)
-        predicted = Gaussian(space.plus(state.center, state.shift), belief.form.marginal(A, rule.sign), belief.form)
+        predicted = Gaussian(space.plus(state.center, state.shift), belief.form.marginal(A, sign), belief.form)
         failure = explain(belief, predicted, ("f",), rule, g, space, extra)
         return predicted, Info(slopes=(lambda: (rule.slope(state, root),),), failure=failure)
 
@@ -221,7 +228,11 @@ def update(
     ``(belief, z, epoch=None, memory=None) -> (belief, info, memory)``. ``z (..., m)``: nan components are left out.
     """
     columns = noise_columns(R, sqrt_R, "R")
-    lift = _through_rule(h, rule, extra, space, measurement_space) if callable(h) else _through_matrix(h, noise_first=not hooks)
+    plain = not hooks and gain is None
+    if callable(h):
+        lift = _through_rule(h, rule, extra, space, measurement_space, plain)
+    else:
+        lift = _through_matrix(h, noise_first=not hooks)
 
     def part(belief: Gaussian, z: Any, epoch: Any = None, memory: Any = None) -> tuple[Gaussian, Info, Any]:
         z = np.asarray(z, dtype=np.float64)
@@ -269,17 +280,17 @@ class _Lifted(NamedTuple):
 
 
 def _through_rule(
-    h: Model, rule: Transform, extra: Sequence[Array], space: Space, measurement_space: Space
+    h: Model, rule: Transform, extra: Sequence[Array], space: Space, measurement_space: Space, plain: bool
 ) -> Callable[..., _Lifted]:
     def lift(belief: Gaussian, m: int, epoch: Any, room: int) -> _Lifted:
-        root = belief.form.root(belief.spread)
+        root, sign = _prior(belief, rule) if plain else (belief.form.root(belief.spread), rule.sign)
 
         def g(points: Array, *v: Array) -> Outputs:
             return images("h", h, points, epoch, v, m), KEEP
 
         (measured, state), A = rule.transform(g, belief.mean, root, space, (measurement_space, space), extra, room, epoch)
         noise = slice(A.shape[-1] - room, None)
-        return _Lifted(measured, state, A, noise, rule.sign, lambda: (rule.slope(measured, root),), g)
+        return _Lifted(measured, state, A, noise, sign, lambda: (rule.slope(measured, root),), g)
 
     return lift
 

@@ -30,16 +30,30 @@ def test_the_gradient_is_the_difference():
 def test_a_long_step_is_the_orbit(dt):
     exact = solve_ivp(rates, (0.0, dt), X0, method="DOP853", rtol=1e-13, atol=1e-13).y[:, -1]
     apart = advance(X0, dt) - exact
-    assert np.linalg.norm(apart[:3]) < 2e-4 * (dt / 300.0) ** 5 + 1e-9
+    assert np.linalg.norm(apart[:3]) < 1e-9
+    assert np.linalg.norm(apart[3:]) < 1e-12
     np.testing.assert_array_equal(flow(X0, dt).state, advance(X0, dt))
 
 
-def test_a_day_of_long_steps_drifts_by_tens_of_meters():
+def test_a_day_of_long_steps_is_the_orbit():
     x = X0
     for _ in range(288):
         x = advance(x, 300.0)
-    exact = solve_ivp(rates, (0.0, 86400.0), X0, method="DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
-    assert np.linalg.norm(x[:3] - exact[:3]) == pytest.approx(0.047, abs=0.01)  # km
+    exact = solve_ivp(rates, (0.0, 86400.0), X0, method="DOP853", rtol=1e-13, atol=1e-13).y[:, -1]
+    assert np.linalg.norm(x[:3] - exact[:3]) < 1e-5  # km
+
+
+def test_further_accelerations_are_those_of_the_place_and_the_time():
+    def pull(r, t):
+        return 1e-7 * np.sin(1e-2 * t)[:, None] * r / 7000.0
+
+    def rates_pulled(t, x):
+        return rates(t, x) + np.concatenate([np.zeros(3), pull(x[:3, None, None], np.array([t]))[:, 0, 0]])
+
+    exact = solve_ivp(rates_pulled, (0.0, 300.0), X0, method="DOP853", rtol=1e-13, atol=1e-13).y[:, -1]
+    np.testing.assert_allclose(advance(X0, 300.0, extra=pull), exact, rtol=0, atol=1e-8)
+    assert np.abs(advance(X0, 300.0) - exact).max() > 1e-4
+    np.testing.assert_array_equal(flow(X0, 300.0, extra=pull).state, advance(X0, 300.0, extra=pull))
 
 
 def test_the_transition_and_the_held_disturbance_are_the_derivatives():
@@ -53,10 +67,10 @@ def test_the_transition_and_the_held_disturbance_are_the_derivatives():
     for i, s in enumerate(scale):
         e = s * np.eye(6)[i]
         column = (ended(X0 + e, 0.0) - ended(X0 - e, 0.0)) / (2.0 * s)
-        np.testing.assert_allclose(found.Phi[:, i], column, rtol=0, atol=1e-6 * np.abs(column).max())
+        np.testing.assert_allclose(found.Phi[:, i], column, rtol=0, atol=1e-7 * np.abs(column).max())
         w = e / dt
         column = (ended(X0, w) - ended(X0, -w)) / (2.0 * s / dt)
-        np.testing.assert_allclose(found.G[:, i], column, rtol=0, atol=1e-6 * np.abs(column).max())
+        np.testing.assert_allclose(found.G[:, i], column, rtol=0, atol=1e-7 * np.abs(column).max())
 
 
 def test_batches_are_singles():
@@ -72,7 +86,7 @@ def test_the_transition_is_symplectic():
     J = np.block([[np.zeros((3, 3)), np.eye(3)], [-np.eye(3), np.zeros((3, 3))]])
     units = np.repeat([1.0, 1.0 / 300.0], 3)  # km and km / step
     scaled = Phi / units[:, None] * units
-    np.testing.assert_allclose(scaled.T @ J @ scaled, J, atol=1e-6)
+    np.testing.assert_allclose(scaled.T @ J @ scaled, J, atol=1e-7)
 
 
 def test_third_bodies_pull_by_the_difference_of_attractions():

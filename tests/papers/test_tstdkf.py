@@ -110,7 +110,7 @@ def test_noises_are_stationary_and_correlated_as_the_model_has_them():
 
 def test_settings_see_the_same_numbers(sim):
     alone = simulate(SHORT, runs(6), [SETTINGS[5]])
-    np.testing.assert_allclose(sim.z[1:, 6:], alone.z[1:], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(sim.z[1:, 6:], alone.z[1:], rtol=0, atol=1e-7)  # two of the last digits of 1.5e8 km
     one = simulate(SHORT, runs(3)[2:], [SETTINGS[5]])
     np.testing.assert_allclose(one.z[1:, 0], alone.z[1:, 2], rtol=0, atol=1e-6)
 
@@ -189,7 +189,8 @@ def test_batches_are_singles(sim, errors):
         prior=sim.prior._replace(mean=sim.prior.mean[2:3], spread=sim.prior.spread[2:3]),
     )  # fmt: skip
     for name, e in follow(one, ("tkf", "tstdkf", "aug")).items():
-        np.testing.assert_allclose(e[:, 0], errors[name][:, 2], rtol=0, atol=1e-7, err_msg=name)
+        # A prediction may differ in the last digit of a delay of 1.5e8 km: 3e-8 km, which the gains of the start multiply.
+        np.testing.assert_allclose(e[:, 0], errors[name][:, 2], rtol=0, atol=1e-6, err_msg=name)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from celnav.filters.driver import Epoch, Filter, sequential
 from celnav.filters.step import predict, update
 from celnav.filters.strong_tracking import excess, proportional, strong_tracking
 from celnav.filters.two_stage import plain, two_stage
-from celnav.gaussian import Gaussian, covariance, square_root
+from celnav.gaussian import Gaussian, covariance
 from celnav.linalg import Array, block, matvec
 from celnav.models.ephemeris import de421
 from celnav.models.pulsar import Timing
@@ -207,6 +207,6 @@ def augmented(config: Config, noise: Noise) -> Filter:
         runs = prior.mean.shape[:-1]
         mean = np.concatenate([prior.mean, np.zeros((*runs, 12))], -1)
         P = block([[prior.cov, 0, 0, 0], [0, n.V, 0, 0], [0, 0, n.Q, 0], [0, 0, 0, c.bias_prior_km**2 * np.eye(3)]])
-        return parts.start(square_root(mean, np.broadcast_to(P, (*batch, 18, 18))))
+        return parts.start(covariance(mean, np.broadcast_to(P, (*batch, 18, 18))))
 
     return Filter(start, parts.step)
