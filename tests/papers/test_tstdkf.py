@@ -9,15 +9,17 @@ import numpy as np
 import pytest
 
 from celnav.files import data
-from celnav.filters.driver import Epoch
+from celnav.filters.driver import Epoch, run
 from celnav.models.variational import flow
 from celnav.montecarlo import generator
 from celnav.papers.tstdkf import PRESETS, SETTINGS, Setting, filters, simulate
 from celnav.papers.tstdkf.config import TABLE_5
 from celnav.papers.tstdkf.ephemerides import table
 from celnav.papers.tstdkf.forces import accelerations, spectrum
+from celnav.papers.tstdkf.scenario import noise_of
 
 SHORT = replace(TABLE_5, days=0.5)
+WHITE = replace(SHORT, setting=SETTINGS[5])
 
 
 def runs(count, study=0):
@@ -80,7 +82,7 @@ def test_a_spectrum_has_its_line_and_its_correlation():
 # -- the scenario ------------------------------------------------------------------------------------------------------------
 @pytest.fixture(scope="module")
 def sim():
-    return simulate(SHORT, runs(6), [SETTINGS[1], SETTINGS[5]])
+    return simulate([replace(SHORT, setting=SETTINGS[i]) for i in (1, 5)], runs(6))
 
 
 def test_the_orbit_has_twenty_samples_a_turn():
@@ -91,7 +93,7 @@ def test_the_orbit_has_twenty_samples_a_turn():
 
 def test_noises_are_stationary_and_correlated_as_the_model_has_them():
     config = replace(TABLE_5, days=0.2)
-    sim = simulate(config, runs(300), [SETTINGS[1]])
+    sim, noise = simulate(config, runs(300)), noise_of(config)
     timing, sky = config.timing, sim.sky
     for k in (1, len(sim.z) - 1):
         V = sim.z[k] - timing.delay(sky.earth[k] + sim.bias[k] + sim.truth[k][:, :3], sky.sun[k])
@@ -103,15 +105,15 @@ def test_noises_are_stationary_and_correlated_as_the_model_has_them():
     W = np.linalg.solve(moved.G, (sim.truth[k] - moved.state)[..., None])[..., 0]
     for i, axis in ((0, 0), (1, 1), (2, 2)):
         sample = np.corrcoef(W[:, i], V[:, axis])[0, 1]
-        through = config.coupling(4.8)[i, axis] * np.sqrt(sim.noise.V[0, axis, axis])
-        exact = through / np.sqrt(through**2 + sim.noise.Q[0, i, i])
+        through = config.coupling(4.8)[i, axis] * np.sqrt(noise.V[axis, axis])
+        exact = through / np.sqrt(through**2 + noise.Q[i, i])
         assert np.arctanh(sample) == pytest.approx(np.arctanh(exact), abs=4.0 / np.sqrt(300.0))  # Fisher's interval
 
 
 def test_settings_see_the_same_numbers(sim):
-    alone = simulate(SHORT, runs(6), [SETTINGS[5]])
+    alone = simulate(WHITE, runs(6))
     np.testing.assert_allclose(sim.z[1:, 6:], alone.z[1:], rtol=0, atol=1e-7)  # two of the last digits of 1.5e8 km
-    one = simulate(SHORT, runs(3)[2:], [SETTINGS[5]])
+    one = simulate(WHITE, runs(3)[2:])
     np.testing.assert_allclose(one.z[1:, 0], alone.z[1:, 2], rtol=0, atol=1e-6)
 
 
@@ -124,25 +126,10 @@ def test_the_ephemeris_error_is_of_its_amplitude(trend):
     assert (np.abs(bias).max(0) > 0.7 * np.asarray(TABLE_5.amplitude_km)).all()
 
 
-def follow(sim, names=("tkf", "tkf-fair", "tstdkf", "aug")):
-    """Errors ``(T, ..., runs, 6)`` of each filter, TDKF and TSTDKF by themselves, EKF: the first stage of TKF."""
-    out = {}
-    for name in names:
-        filter = filters(sim.config, sim.noise)[name]
-        state, errors, first = filter.start(sim.prior), [], []
-        for epoch in sim.epochs():
-            state, _ = filter.step(state, epoch)
-            errors.append(state.belief.mean[..., :6] - epoch.truth)
-            if name == "tkf":
-                first.append(state.first.belief.mean - epoch.truth)
-        stacked = np.stack(errors)
-        if name == "tstdkf":
-            out["tdkf"], out["tstdkf"] = stacked[:, 0], stacked[:, 1]
-        else:
-            out[name] = stacked
-        if name == "tkf":
-            out["ekf"] = np.stack(first)
-    return out
+def follow(sim, names=("ekf", "tkf", "tkf-fair", "tdkf", "tstdkf", "aug")):
+    """Errors ``(T, runs, 6)`` of each filter."""
+    known = filters(sim.cases, sim.runs)
+    return {n: run(known[n], sim.prior, sim.epochs(), keep="mean").mean[..., :6] - sim.truth[1:] for n in names}
 
 
 @pytest.fixture(scope="module")
@@ -158,8 +145,7 @@ def test_where_all_noise_is_white_the_filters_are_one(errors):
 
 
 def test_the_exact_filter_is_the_two_stages_where_the_bias_is_constant():
-    config = replace(SHORT, walk_km=0.0, setting=SETTINGS[5])
-    e = follow(simulate(config, runs(4), [SETTINGS[5]]), ("tkf", "aug"))
+    e = follow(simulate(replace(WHITE, walk_km=0.0), runs(4)), ("tkf", "aug"))
     # Each is linearized about its own estimate, the first stage's and the corrected one: a kilometer apart at the start.
     np.testing.assert_allclose(e["aug"][..., :3], e["tkf"][..., :3], rtol=0, atol=2e-3)
 
@@ -171,23 +157,20 @@ def test_the_exact_filter_is_the_best_of_colored_noise(errors):
 
 def test_the_exact_filter_is_the_differenced_one_where_only_the_coupling_is():
     """F = L = 0: differencing is exact."""
-    config = replace(SHORT, walk_km=0.0)
-    setting = Setting(0.0, 0.0, 4.8)
-    e = follow(simulate(config, runs(4), [setting]), ("tstdkf", "aug"))
+    config = replace(SHORT, walk_km=0.0, setting=Setting(0.0, 0.0, 4.8))
+    e = follow(simulate(config, runs(4)), ("tdkf", "aug"))
     np.testing.assert_allclose(e["tdkf"][..., :3], e["aug"][..., :3], atol=1e-3)
 
 
 def test_a_known_bias_leaves_the_ekf():
-    config = replace(SHORT, bias_prior_km=1e-12)
-    e = follow(simulate(config, runs(3), [SETTINGS[2]]), ("tkf",))
+    e = follow(simulate(replace(SHORT, bias_prior_km=1e-12), runs(3)), ("ekf", "tkf"))
     np.testing.assert_allclose(e["tkf"], e["ekf"], atol=1e-9)
 
 
 def test_batches_are_singles(sim, errors):
-    one = sim._replace(
-        truth=sim.truth[:, 2:3], z=sim.z[:, 2:3], noise=type(sim.noise)(*(m[2:3] for m in sim.noise)),
-        prior=sim.prior._replace(mean=sim.prior.mean[2:3], spread=sim.prior.spread[2:3]),
-    )  # fmt: skip
+    first = sim.case(0)
+    prior = first.prior._replace(mean=first.prior.mean[2:3], spread=first.prior.spread[2:3])
+    one = first._replace(truth=first.truth[:, 2:3], bias=first.bias[:, 2:3], z=first.z[:, 2:3], prior=prior)
     for name, e in follow(one, ("tkf", "tstdkf", "aug")).items():
         # A prediction may differ in the last digit of a delay of 1.5e8 km: 3e-8 km, which the gains of the start multiply.
         np.testing.assert_allclose(e[:, 0], errors[name][:, 2], rtol=0, atol=1e-6, err_msg=name)
@@ -212,11 +195,11 @@ def test_dates_outside_the_ephemeris_and_unknown_pulsars_are_refused():
     with pytest.raises(ValueError, match=r"^pulsar: expected one of"):
         simulate(replace(SHORT, pulsars=("B0531+21", "B1821-24", "Vela")), runs(1))
     with pytest.raises(ValueError, match=r"^F: expected a diagonal matrix of magnitudes below 1"):
-        simulate(SHORT, runs(1), [Setting(1.0, 0.0, 0.0)])
+        simulate(replace(SHORT, setting=Setting(1.0, 0.0, 0.0)), runs(1))
 
 
 def test_a_missing_timing_is_a_prediction_for_the_plain_stage(sim):
-    filter = filters(sim.config, sim.noise)["tkf"]
+    filter = filters(sim.cases, sim.runs)["tkf"]
     state = filter.start(sim.prior)
     epochs = list(sim.epochs())
     state, _ = filter.step(state, epochs[0])

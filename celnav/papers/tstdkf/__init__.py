@@ -4,6 +4,7 @@ Modules: `config` (parameters, settings, presets), `scenario` (truth, timings, f
 """
 
 from celnav.papers.tstdkf.config import CITATION, PRESETS, SETTINGS, TITLE, Config, Setting
-from celnav.papers.tstdkf.scenario import Scenario, filters, simulate
+from celnav.papers.tstdkf.estimators import filters
+from celnav.papers.tstdkf.scenario import Scenario, simulate
 
 __all__ = ["CITATION", "PRESETS", "SETTINGS", "TITLE", "Config", "Scenario", "Setting", "filters", "simulate"]

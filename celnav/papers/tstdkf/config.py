@@ -45,6 +45,14 @@ SETTINGS = {
 """Table 4, as inferred: everything, ..., all noise white."""
 
 
+CHOICES = {
+    "trend": ("sine", "growing", "triangle", "constant"),
+    "initial": ("paper", "drawn"),
+    "pulled": (False, True),
+    "factor": ("excess", "proportional"),
+}
+
+
 @dataclass(frozen=True)
 class Config:
     """Everything that a run of the study depends on.
@@ -67,7 +75,9 @@ class Config:
     setting: Setting = SETTINGS[1]
     amplitude_km: tuple[float, float, float] = (0.09, 0.12, 0.075)  # chosen, tuned with kappa: "sub-km"
     phase: tuple[float, float, float] = (0.0, 0.5 * np.pi, 0.25 * np.pi)  # chosen
-    trend: str = "sine"  # Eqs 17, 69, 70: "sine", "growing", "triangle"
+    trend: str = "sine"  # Eqs 17, 69, 70: "sine", "growing", "triangle"; or "constant": drawn from its prior
+    initial: str = "paper"  # error at the start: the paper's, or "drawn" from the prior
+    pulled: bool = False  # whether Sun and Moon pull at the satellite
     bias_prior_km: float = 0.3  # chosen
     walk_km: float = 5e-5  # chosen: of the exact filter's bias, each step
     rho: tuple[float, float, float] = (8.0, 15.0, 9.0)  # paper
@@ -76,7 +86,7 @@ class Config:
 
     def __post_init__(self) -> None:
         vectors = ("error_km", "error_m_per_s", "amplitude_km", "phase", "rho")
-        words = ("start_utc", "pulsars", "setting", "trend", "factor")
+        words = ("start_utc", "pulsars", "setting", *CHOICES)
         shapes: dict[str, tuple[int, ...]] = {"elements": (6,), **dict.fromkeys(vectors, (3,))}
         for name in self.__dataclass_fields__:
             if name not in words:
@@ -88,9 +98,9 @@ class Config:
             raise ValueError(f"runs: expected a positive integer, got {self.runs!r}")
         if self.walk_km < 0.0:
             raise ValueError(f"walk_km: expected a number that is not negative, got {self.walk_km!r}")
-        for name, known in (("trend", ("sine", "growing", "triangle")), ("factor", ("excess", "proportional"))):
+        for name, known in CHOICES.items():
             if getattr(self, name) not in known:
-                raise ValueError(f"{name}: expected one of {', '.join(known)}, got {getattr(self, name)!r}")
+                raise ValueError(f"{name}: expected one of {', '.join(map(str, known))}, got {getattr(self, name)!r}")
         if min(self.error_km + self.error_m_per_s) <= 0.0:
             raise ValueError("error_km, error_m_per_s: expected positive numbers, which are the prior's deviations too")
 
@@ -136,7 +146,10 @@ class Config:
         return kappa * self.process_std[:, None] * unit
 
     def bias(self, t: Array) -> Array:
-        """Error ``(..., 3)`` km of the Earth's ephemeris, ``t`` seconds after the start [Xu2024, Eqs 17, 69, 70; inferred]."""
+        """Error ``(..., 3)`` km of the Earth's ephemeris, ``t`` seconds after the start [Xu2024, Eqs 17, 69, 70; inferred].
+
+        Of a trend that is a function of time.
+        """
         angle = 2.0 * np.pi / YEAR_S * np.asarray(t)[..., None]
         A, phase = np.asarray(self.amplitude_km), np.asarray(self.phase)
         if self.trend == "sine":

@@ -9,18 +9,10 @@ import numpy as np
 from celnav.linalg import Array
 from celnav.models import third_body
 from celnav.models.ephemeris import BODIES, GM, de421
-from celnav.models.variational import advance
 from celnav.papers.tstdkf.config import DAY_S, Config
+from celnav.papers.tstdkf.scenario import nominal_orbit
 
 PULLING = tuple(body for body in BODIES if body != "earth")
-
-
-def nominal_orbit(config: Config) -> Array:
-    """States ``(T, 6)`` of the undisturbed orbit."""
-    out = [config.orbit]
-    for _ in range(config.steps):
-        out.append(advance(out[-1], config.step_s))
-    return np.stack(out)
 
 
 def accelerations(config: Config) -> dict[str, Array]:

@@ -1,0 +1,195 @@
+"""The filters that the paper and this study compare, for several cases at once (see `scenario`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from celnav.filters.differenced import Noise, differenced
+from celnav.filters.driver import Epoch, Filter, sequential
+from celnav.filters.step import predict, update
+from celnav.filters.strong_tracking import excess, proportional, strong_tracking
+from celnav.filters.two_stage import First, plain, two_stage
+from celnav.gaussian import Gaussian, covariance
+from celnav.linalg import Array, block, matvec
+from celnav.models.variational import Flow, flow
+from celnav.papers.tstdkf.config import Config
+from celnav.papers.tstdkf.scenario import as_cases, noise_of, pull
+from celnav.taylor import Taylor
+
+FORMS = {"excess": excess, "proportional": proportional}
+
+
+class Orbit:
+    """The orbit's flow about the last state asked for: what follows, Jacobian and noise input come from one integration.
+
+    ``pulled``: whether Sun and Moon are part of it.
+    """
+
+    def __init__(self, pulled: bool = False) -> None:
+        self._pulled = pulled
+        self._last: tuple[Array, int, Flow] | None = None
+
+    def __call__(self, mean: Array, epoch: Epoch) -> Flow:
+        """Flow of an interval from the orbit in ``mean (..., 6 or more)``."""
+        x = mean[..., :6]
+        if self._last is None or self._last[1] != epoch.k or not np.array_equal(self._last[0], x):
+            self._last = x.copy(), epoch.k, flow(x, epoch.dt, extra=pull(epoch.u[2] if self._pulled else None))
+        return self._last[2]
+
+
+class Sensor(NamedTuple):
+    """The timings as filters see them, km, with the Earth where they believe it: ``(mean (..., 6 or more), epoch) -> array``."""
+
+    measure: Callable[[Array, Epoch], Array]
+    Gamma: Callable[[Array, Epoch], Array]
+
+    def H(self, mean: Array, epoch: Epoch) -> Array:
+        """``[Gamma 0]``."""
+        Gamma = self.Gamma(mean, epoch)
+        return np.concatenate([Gamma, np.zeros_like(Gamma)], -1)
+
+
+def sensor(config: Config) -> Sensor:
+    """``Gamma (..., m, 3)`` is the slope with respect to the position, and to an error of the Earth's."""
+    timing = config.timing
+    return Sensor(
+        lambda x, epoch: timing.delay(epoch.u[0] + x[..., :3], epoch.u[1]),
+        lambda x, epoch: timing.gradient(epoch.u[0] + x[..., :3], epoch.u[1]),
+    )
+
+
+def noises(cases: Sequence[Config], runs: int) -> Noise:
+    """Noises of several cases, ``(cases * runs, ...)``; of one case without that axis."""
+    if len(cases) == 1:
+        return noise_of(cases[0])
+    return Noise(*(np.repeat(np.stack(same), runs, 0) for same in zip(*map(noise_of, cases), strict=True)))
+
+
+def _each(cases: Sequence[Config], runs: int, name: str) -> Array:
+    """A parameter of each case: ``(..., 1)`` or ``(..., 3)``, with an axis of all runs if there are several cases."""
+    values = np.stack([np.atleast_1d(getattr(case, name)) for case in cases])
+    return values[0] if len(cases) == 1 else np.repeat(values, runs, 0)
+
+
+def bias_prior(cases: Sequence[Config], runs: int) -> Gaussian:
+    """Belief about the ephemeris error at the start."""
+    std = _each(cases, runs, "bias_prior_km")
+    return covariance(np.zeros((*std.shape[:-1], 3)), std[..., None] ** 2 * np.eye(3))
+
+
+def kalman(config: Config, Q: Array, R: Array, pulled: bool = False) -> tuple[Any, Any]:
+    """Predict and update of an EKF that takes all noise for white, with process noise ``Q (..., 6, 6)`` of the rates."""
+    motion, root, seen = Orbit(pulled), np.linalg.cholesky(Q), sensor(config)
+
+    def f(x: Array, epoch: Epoch) -> Array:
+        return motion(x[0], epoch).state[None]
+
+    moved = Taylor(lambda x, epoch: (motion(x, epoch).Phi,))
+    slope = Taylor(lambda x, epoch: (seen.H(x, epoch),))
+    noise = lambda mean, epoch: motion(mean, epoch).G @ root  # noqa: E731
+    return predict(f, moved, sqrt_Q=noise), update(seen.measure, slope, R=R)
+
+
+def driving(config: Config, pulled: bool = False) -> tuple[Any, Any]:
+    """`kalman` with the covariances of the driving noise, the paper's (inferred) choice."""
+    return kalman(config, np.diag(config.process_std**2), np.diag(config.sigma_km**2), pulled)
+
+
+def stationary(config: Config, noise: Noise) -> tuple[Any, Any]:
+    """`kalman` with the covariances that the noises really have."""
+    return kalman(config, noise.Q + noise.J @ noise.V @ noise.J.mT, noise.V)
+
+
+def differencing(config: Config, noise: Noise) -> First:
+    """The first stage of TDKF and TSTDKF."""
+    seen = sensor(config)
+    return differenced(lambda mean, epoch: flow(mean, epoch.dt), seen.measure, seen.H, noise)
+
+
+def boosted(cases: Config | Sequence[Config], runs: int = 1, *, also_plain: bool = False, first: First | None = None) -> Filter:
+    """TSTDKF. With ``also_plain`` TDKF too: the filters lie along a leading axis, TDKF first. ``first``: another first stage."""
+    together = as_cases(cases)
+    c = together[0]
+    rho = _each(together, runs, "rho")
+    if also_plain:
+        rho = np.stack([np.zeros_like(rho), rho]).reshape(2, -1, 3)
+    forms = np.array([case.factor == "proportional" for case in together])
+    chosen = forms[:1] if len(together) == 1 else np.repeat(forms, runs)
+
+    def factor(ratios: Array, weights: Array) -> Array:
+        return np.where(chosen[:, None], proportional(ratios, weights), excess(ratios, weights))
+
+    form = FORMS[c.factor] if (forms == forms[0]).all() else factor
+    stage = first or differencing(c, noises(together, runs))
+    return two_stage(stage, sensor(c).Gamma, bias_prior(together, runs), boost=strong_tracking(rho, c.tau, factor=form))
+
+
+def filters(cases: Config | Sequence[Config], runs: int = 1) -> dict[str, Filter]:
+    """The filters by name, for priors ``(cases * runs, 6)`` in covariance form; for one case of any batch shape.
+
+    ekf, tkf: ignorance and two stages, with the covariances of the driving noise; the first stage of tkf is ekf. ekf-fair,
+    tkf-fair: the same with the stationary covariances. tdkf, tstdkf: two stages on differenced measurements, without and with
+    strong tracking. aug: all noises and the bias among the states, exact. Beliefs of ekf are about ``(r, v)``, of aug about
+    ``(r, v, V, Q, b)``, of the others about ``(r, v, b)``.
+    """
+    together = as_cases(cases)
+    c, noise, bias = together[0], noises(together, runs), bias_prior(together, runs)
+    own, fair, Gamma = driving(c), stationary(c, noise), sensor(c).Gamma
+    return {
+        "ekf": sequential(*own),
+        "ekf-fair": sequential(*fair),
+        "tkf": two_stage(plain(*own), Gamma, bias),
+        "tkf-fair": two_stage(plain(*fair), Gamma, bias),
+        "tdkf": two_stage(differencing(c, noise), Gamma, bias),
+        "tstdkf": boosted(together, runs),
+        "aug": augmented(together, runs),
+    }
+
+
+def augmented(cases: Config | Sequence[Config], runs: int = 1) -> Filter:
+    """The exact filter: 18 states ``(x, V, Q, b)``, the bias a random walk, and no noise left in the measurement.
+
+    In covariance form: after an update V is known from the rest, so the covariance is singular, and no root of it is ever taken.
+    """
+    together = as_cases(cases)
+    n, seen = noises(together, runs), sensor(together[0])
+    motion, JF, bias = Orbit(), n.J @ n.F, bias_prior(together, runs)
+
+    def f(x: Array, epoch: Epoch) -> Array:
+        mean = x[0]
+        moved = motion(mean, epoch)
+        V, Q, b = mean[..., 6:9], mean[..., 9:15], mean[..., 15:]
+        rates = matvec(JF, V) + matvec(n.L, Q)
+        return np.concatenate([moved.state + matvec(moved.G, rates), matvec(n.F, V), matvec(n.L, Q), b], -1)[None]
+
+    def transition(x: Array, epoch: Epoch) -> tuple[Array, ...]:
+        Phi, G = motion(x, epoch)[1:]
+        return (block([[Phi, G @ JF, G @ n.L, 0], [0, n.F, 0, np.zeros((3, 3))], [np.zeros((6, 6)), 0, n.L, 0],
+                       [0, 0, 0, np.eye(3)]]),)  # fmt: skip
+
+    xi, e, walk = np.sqrt(n.Xi), np.sqrt(n.E), _each(together, runs, "walk_km")[..., None] * np.eye(3)
+
+    def columns(mean: Array, epoch: Epoch) -> Array:
+        G = motion(mean, epoch).G
+        return block([[G @ n.J @ xi, G @ e, 0], [xi, 0, 0], [0, e, 0], [0, 0, walk]])
+
+    def h(x: Array, epoch: Epoch) -> Array:
+        return np.asarray(seen.measure(x, epoch) + x[..., 6:9] + matvec(seen.Gamma(x, epoch), x[..., 15:]))
+
+    def jacobian(x: Array, epoch: Epoch) -> tuple[Array, ...]:
+        Gamma = seen.Gamma(x, epoch)
+        rest = np.broadcast_to(np.hstack([np.zeros((3, 3)), np.eye(3), np.zeros((3, 6))]), (*Gamma.shape[:-1], 12))
+        return (np.concatenate([Gamma, rest, Gamma], -1),)
+
+    parts = sequential(predict(f, Taylor(transition), sqrt_Q=columns), update(h, Taylor(jacobian), sqrt_R=np.zeros((3, 1))))
+
+    def start(prior: Gaussian) -> Any:
+        batch = prior.mean.shape[:-1]
+        mean = np.concatenate([prior.mean, np.zeros((*batch, 12))], -1)
+        P = block([[prior.cov, 0, 0, 0], [0, n.V, 0, 0], [0, 0, n.Q, 0], [0, 0, 0, bias.cov]])
+        return parts.start(covariance(mean, np.broadcast_to(P, (*batch, 18, 18))))
+
+    return Filter(start, parts.step)
