@@ -149,13 +149,15 @@ def filters(cases: Config | Sequence[Config], runs: int = 1) -> dict[str, Filter
     }
 
 
-def augmented(cases: Config | Sequence[Config], runs: int = 1) -> Filter:
+def augmented(cases: Config | Sequence[Config], runs: int = 1, *, noise: Noise | None = None) -> Filter:
     """The exact filter: 18 states ``(x, V, Q, b)``, the bias a random walk, and no noise left in the measurement.
+
+    ``noise``: other noises than those of the cases.
 
     In covariance form: after an update V is known from the rest, so the covariance is singular, and no root of it is ever taken.
     """
     together = as_cases(cases)
-    n, seen = noises(together, runs), sensor(together[0])
+    n, seen = noise or noises(together, runs), sensor(together[0])
     motion, JF, bias = Orbit(), n.J @ n.F, bias_prior(together, runs)
 
     def f(x: Array, epoch: Epoch) -> Array:
