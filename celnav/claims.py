@@ -196,7 +196,7 @@ def row(claim: dict[str, Any]) -> tuple[str, ...]:
     """The cells of one claim (as a dictionary) under `COLUMNS`."""
     low, high = claim["accept"]
     accepted = f"≥ {low:g}" if high is None and low is not None else f"≤ {high:g}" if low is None else f"{low:g} … {high:g}"
-    interval = "" if claim["ci"] is None else f"{claim['ci'][0]:.3g} … {claim['ci'][1]:.3g}"
+    interval = "" if claim["ci"] is None or None in claim["ci"] else f"{claim['ci'][0]:.3g} … {claim['ci'][1]:.3g}"
     number = "" if claim["value"] is None else f"{claim['value']:.4g}"
     paper = "" if claim["paper"] is None else f"{claim['paper']:g}" if isinstance(claim["paper"], float | int) else claim["paper"]
     return claim["statement"], paper, number, interval, accepted, claim["verdict"]

@@ -11,7 +11,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.linalg import Array, block, cholesky, downdate, matvec, semidefinite_root, solve_lower, tria
+from celnav.linalg import Array, block, cholesky, downdate, matvec, semidefinite_root, solve_lower, tria, unit
 
 
 class Form(Protocol):
@@ -157,6 +157,13 @@ class Gaussian(NamedTuple):
     def root(self) -> Array:
         """Lower root of the covariance, ``(..., n, n)``."""
         return self.form.root(self.spread)
+
+    @property
+    def columns(self) -> tuple[Array, Array]:
+        """Columns that need no factoring, and the ``sign`` that `Form` takes for them: a root, or unit columns and a covariance."""
+        if self.form.name == "covariance":
+            return unit(self.spread.shape[-1]), self.spread
+        return self.spread, np.ones(1)
 
     @property
     def cov(self) -> Array:

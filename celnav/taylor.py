@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.linalg import Array, is_unit, matvec
+from celnav.linalg import Array, is_unit, matvec, side_by_side
 from celnav.points import KEEP, Image, Outputs
 from celnav.spaces import Space
 
@@ -99,14 +99,15 @@ class Taylor:
             shift: Any = None
             if y is KEEP:
                 blocks = [root, *(np.zeros((root.shape[-2], E.shape[-1])) for E in extra)]
-                columns = np.concatenate([np.broadcast_to(b, (*batch, *b.shape[-2:])) for b in blocks], -1)
+                columns = np.broadcast_to(side_by_side(blocks), (*batch, root.shape[-2], total))
             elif given is not None:
                 J, first, parts = given[i], 0, []
                 for E in roots:
                     own = J[..., first : first + E.shape[-2]]
                     parts.append(own if is_unit(E) else own @ E)
                     first += E.shape[-2]
-                columns = np.concatenate([np.broadcast_to(b, (*batch, *b.shape[-2:])) for b in parts], -1)
+                columns = side_by_side(parts) if len(parts) > 1 else parts[0]
+                columns = np.broadcast_to(columns, (*batch, *columns.shape[-2:]))
                 if self.about is not None:
                     shift = matvec(J[..., : root.shape[-2]], space.minus(mean, at))
             else:

@@ -20,7 +20,7 @@ from celnav.filters.driver import Epoch
 from celnav.filters.info import Info
 from celnav.filters.two_stage import First, Stage
 from celnav.gaussian import Gaussian, finite, sqrt_cov
-from celnav.linalg import Array, cholesky, matvec, solve_lower
+from celnav.linalg import Array, cholesky, matvec, side_by_side, solve_lower
 
 Moved = tuple[Array, Array, Array]
 """State ``(..., n)`` after the interval, its Jacobian ``Phi (..., n, n)`` and the effect ``G (..., n, q)`` of the process noise."""
@@ -108,8 +108,9 @@ def differenced(
         singular (determinant below 1e-12).
     """
     F, L, J, Xi, V, Q = noise.F, noise.L, noise.J, noise.Xi, noise.V, noise.Q
-    m, JF = F.shape[-1], J @ F
-    driven = Q + JF @ V @ JF.mT
+    m, n_q, JF = F.shape[-1], L.shape[-1], J @ F
+    f_V, f_Q = (matrix.diagonal(0, -2, -1)[..., None, :] for matrix in (F, L))
+    fresh = side_by_side([0.5 * (Q + JF @ V @ JF.mT), Q, JF @ V * f_V])
 
     def start(prior: Gaussian) -> DifferencedState:
         if prior.form.name != "covariance":
@@ -136,20 +137,25 @@ def differenced(
         if np.abs(np.linalg.det(coupled)).min() < 1e-12:
             raise ValueError("J: expected I + H G J to have an inverse, got a singular matrix")
         Omega = np.linalg.solve(coupled.mT, (G @ J).mT).mT
-        B = np.eye(x.shape[-1]) - Omega @ H
-        Phi1, G1 = B @ Phi, B @ G
+        n = x.shape[-1]
+        both = side_by_side([Phi, G])
+        both = both - Omega @ (H @ both)
+        Phi1, G1 = both[..., :n], both[..., n:]
         y = Z - h(x, epoch)
-        mean = x + matvec(Omega, y)
-        innovation = y - matvec(H, matvec(Omega, y))
-        cross = Phi1 @ (state.DQ @ L.mT + state.DV @ JF.mT) @ G1.mT
-        P = Phi1 @ state.belief.spread @ Phi1.mT + cross + cross.mT + G1 @ driven @ G1.mT
-        root = cholesky(H @ P @ H.mT + sensor)
-        half = solve_lower(root, H @ P)
-        K = np.linalg.solve(root.mT, half).mT
-        left = np.eye(x.shape[-1]) - K @ H
-        spread = left @ P @ left.mT + K @ sensor @ K.mT
-        DQ = left @ (Phi1 @ state.DQ @ L.mT + G1 @ Q)
-        DV = left @ (Phi1 @ state.DV @ F.mT + G1 @ JF @ V @ F.mT) - K @ sensor
+        into = matvec(Omega, y)
+        mean, innovation = x + into, y - matvec(H, into)
+        ahead = Phi1 @ side_by_side([state.belief.spread, state.DQ, state.DV])
+        ahead_Q, ahead_V = ahead[..., n : n + n_q] * f_Q, ahead[..., n + n_q :]
+        driven = G1 @ fresh
+        cross = (ahead_Q + ahead_V @ JF.mT + driven[..., :n_q]) @ G1.mT
+        P = ahead[..., :n] @ Phi1.mT + cross + cross.mT
+        HP = H @ P
+        root = cholesky(HP @ H.mT + sensor)
+        K = np.linalg.solve(root.mT, solve_lower(root, HP)).mT
+        spread = P - K @ HP
+        kept = side_by_side([ahead_Q, ahead_V * f_V]) + driven[..., n_q:]
+        kept = kept - K @ (H @ kept)
+        DQ, DV = kept[..., :n_q], kept[..., n_q:] - K @ sensor
         belief = Gaussian(mean + matvec(K, innovation), 0.5 * (spread + spread.mT), state.belief.form)
         after = DifferencedState(belief, DV, DQ, z - h(belief.mean, epoch), H)
         used = np.ones(innovation.shape, bool)

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from celnav.filters.info import Gain, Hook, Info, Joint
 from celnav.gaussian import Gaussian, finite, sqrt_cov
-from celnav.linalg import Array, matvec, solve_lower, solve_upper_transposed, tria, unit
+from celnav.linalg import Array, matvec, solve_lower, solve_upper_transposed, tria
 from celnav.points import KEEP, Image, Outputs, Transform
 from celnav.spaces import EUCLIDEAN, Space
 
@@ -33,9 +33,7 @@ Noise = Array | Callable[[Array, Any], Array] | None
 
 def _prior(belief: Gaussian, rule: Transform) -> tuple[Array, Array]:
     """A root, and what its columns count with: what only Jacobians act on need not be factored."""
-    if rule.linear and belief.form.name == "covariance":
-        return unit(belief.spread.shape[-1]), belief.spread
-    return belief.form.root(belief.spread), rule.sign
+    return belief.columns if rule.linear else (belief.root, rule.sign)
 
 
 Predict = Callable[[Gaussian, Any], tuple[Gaussian, Info]]
@@ -283,7 +281,7 @@ def _through_rule(
     h: Model, rule: Transform, extra: Sequence[Array], space: Space, measurement_space: Space, plain: bool
 ) -> Callable[..., _Lifted]:
     def lift(belief: Gaussian, m: int, epoch: Any, room: int) -> _Lifted:
-        root, sign = _prior(belief, rule) if plain else (belief.form.root(belief.spread), rule.sign)
+        root, sign = _prior(belief, rule) if plain else (belief.root, rule.sign)
 
         def g(points: Array, *v: Array) -> Outputs:
             return images("h", h, points, epoch, v, m), KEEP

@@ -19,7 +19,7 @@ from celnav.filters.driver import Epoch, Filter
 from celnav.filters.info import Info
 from celnav.filters.step import Predict, Update, evaluate
 from celnav.gaussian import Gaussian, finite, sqrt_cov
-from celnav.linalg import Array, block, cholesky, matvec, semidefinite_root, side_by_side, solve_lower, tria
+from celnav.linalg import Array, block, matvec, semidefinite_root, side_by_side, solve_lower, tria
 
 Slope = Array | Callable[[Array, Epoch], Array]
 """``Gamma (..., m, p)``: derivative of the measurement with respect to the bias; constant or ``(mean, epoch) -> matrix``."""
@@ -203,16 +203,15 @@ def _walked(known: Any, own: Gaussian, Lambda: Array, walk: Array) -> tuple[Any,
 def _estimate(own: Gaussian, S: Array, stage: Stage, boost: Any, memory: Any) -> tuple[Gaussian, Any]:
     """The bias stage: condition on the residual; the boosted gain moves the mean only."""
     m, p = S.shape[-2:]
-    root = own.root
+    root, sign = own.columns
     residual = stage.innovation - matvec(S, own.mean)
     A = block([[S @ root, stage.root], [root, np.zeros((p, m))]])
-    total_root, U, spread = own.form.condition(A, np.ones(p + m), m)
+    total_root, U, spread = own.form.condition(A, sign, m)
     if boost is None:
         return Gaussian(own.mean + matvec(U, solve_lower(total_root, residual[..., None])[..., 0]), spread, own.form), memory
     own_cov, total = stage.root @ stage.root.mT, total_root @ total_root.mT
     memory, factors = boost(memory, Boost(residual, total, stage.innovation, own_cov))
-    columns = np.sqrt(factors)[..., :, None] * root
-    wide = cholesky(S @ columns @ columns.mT @ S.mT + own_cov)
-    white = solve_lower(wide, side_by_side([residual[..., None], S @ columns @ columns.mT]))
-    moved = (white[..., 1:].mT @ white[..., :1])[..., 0]
-    return Gaussian(own.mean + moved, spread, own.form), memory
+    scale = np.sqrt(factors)
+    cross = S @ (scale[..., :, None] * own.cov * scale[..., None, :])
+    moved = np.linalg.solve(cross @ S.mT + own_cov, residual[..., None])[..., 0]
+    return Gaussian(own.mean + matvec(cross.mT, moved), spread, own.form), memory

@@ -13,7 +13,7 @@ from celnav.papers.tstdkf import errata
 from celnav.papers.tstdkf.config import DAY_S, SETTINGS, YEAR_S, Config, Setting
 from celnav.papers.tstdkf.ephemerides import table
 from celnav.papers.tstdkf.forces import accelerations, spectrum
-from celnav.papers.tstdkf.linear import differenced, exact, plain, start_differenced, start_exact, start_plain, steps
+from celnav.papers.tstdkf.linear import differenced, exact, gain, plain, start_differenced, start_exact, start_plain, steps
 from celnav.papers.tstdkf.scenario import noise_of, nominal_orbit, sky
 
 COLORS = (0.3, 0.5, 0.8, 0.9)
@@ -29,12 +29,12 @@ def facts(config: Config) -> dict[str, Any]:
         "fit": fit_residual(),
         "model error": model_error(config),
         "pulls": pulls,
-        "spectrum": spectrum(np.asarray(sum(pulls.values())), config.step_s),
+        "spectrum": spectrum(np.asarray(sum(pulls.values()))[:-1], config.step_s),  # a whole month of samples
         "conjunctions": errata.conjunctions(config),
         "parallax": errata.parallax(config),
         "bounds": {i: bounds(replace(config, setting=setting)) for i, setting in SETTINGS.items()},
         "bias deviations": bias_deviations(replace(month, setting=SETTINGS[5])),
-        "overconfidence": {F: overconfidence(replace(config, days=min(config.days, 3.0)), F) for F in COLORS},
+        "overconfidence": {F: overconfidence(replace(config, days=min(config.days, 10.0)), F) for F in COLORS},
         "lost correlation": lost_correlation(replace(config, days=min(config.days, 3.0))),
         "sensitivity": sensitivity(replace(config, days=min(config.days, 1.0), setting=SETTINGS[1])),
     }
@@ -64,15 +64,15 @@ def geometry(config: Config) -> Geometry:
     return Geometry(config.orbit[:3], earth, n, float(delay), float(n @ place), float(parallax), float(shapiro))
 
 
-def fit_residual() -> float:
-    """RMS (km) of what a constant, a drift, a yearly and a half-yearly wave leave of DE405 - DE421 of the Earth."""
+def fit_residual() -> Array:
+    """RMS ``(3,)`` km of what a constant, a drift, a yearly and a half-yearly wave leave of DE405 - DE421 of the Earth."""
     days = np.asarray(table().dates.rest)
     t = (days - days[0]) * DAY_S / YEAR_S
     waves = [f(2.0 * np.pi * k * t) for k in (1, 2) for f in (np.sin, np.cos)]
     basis = np.stack([np.ones_like(t), t, *waves], 1)
     values = table().less_de421["de405"]["earth"]
     left = values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0]
-    return float(np.sqrt(np.square(left).sum(1).mean()))
+    return np.asarray(np.sqrt(np.square(left).mean(0)))
 
 
 class ModelError(NamedTuple):
@@ -160,7 +160,7 @@ def lost_correlation(config: Config, L: float = 0.9) -> Lost:
 
 
 class Sensitivity(NamedTuple):
-    """Largest error of the sensitivity to the bias (km per km), as it should be and with Gamma of undifferenced measurements."""
+    """Largest error of the sensitivity to the bias (km per km), as it should be and as the prose has it."""
 
     right: float
     plain: float
@@ -168,14 +168,14 @@ class Sensitivity(NamedTuple):
 
 def sensitivity(config: Config) -> Sensitivity:
     """Against what a bias of 1 km on each axis does to the differenced filter."""
-    noise, errors = noise_of(config), []
-    for plain_Gamma in (False, True):
-        s, worst = start_differenced(config, 3, 1), 0.0
-        s = s._replace(x=np.zeros((3, 6)))
-        for k, at in enumerate(steps(config)):
-            if plain_Gamma:
-                s = s._replace(before=np.zeros((3, 3)))
-            s = differenced(s, at, at.Gamma.T, noise, _unboosted, k == 0)
-            worst = max(worst, float(np.abs(s.x.T + s.Lambda)[:3].max()))
-        errors.append(worst)
-    return Sensitivity(*errors)
+    noise, s = noise_of(config), start_differenced(config, 3, 1)
+    s, prose, right, wrong = s._replace(x=np.zeros((3, 6))), np.zeros((6, 3)), 0.0, 0.0
+    for k, at in enumerate(steps(config)):
+        ahead = s
+        s = differenced(s, at, at.Gamma.T, noise, _unboosted, k == 0)
+        # Both sensitivities go through the same gain, which takes U - K (H U + Gamma') to what it became.
+        K = gain(ahead, at, noise, first=k == 0)
+        U = at.Phi1 @ prose
+        prose = U - K @ (at.H @ U + at.Gamma)
+        right, wrong = (max(worst, float(np.abs(s.x.T + L)[:3].max())) for worst, L in ((right, s.Lambda), (wrong, prose)))
+    return Sensitivity(right, wrong)

@@ -20,11 +20,13 @@ class Table:
     Attributes
     ----------
     dates: the instants. de421: body -> ``(T, 3)`` of "earth" and "sun". less_de421: ephemeris -> body -> its difference.
+    apart: km, how far the installed DE421 is from this one at most.
     """
 
     dates: Tdb
     de421: dict[str, Array]
     less_de421: dict[str, dict[str, Array]]
+    apart: float
 
 
 @cache
@@ -40,9 +42,8 @@ def table() -> Table:
     dates = Tdb(float(stored["day"]), stored["rest"])
     bodies = ("earth", "sun")
     ours = {body: stored[f"de421/{body}"] for body in bodies}
-    for body in bodies:
-        apart = np.abs(de421().state(body, dates).position - ours[body]).max()
-        if apart > 1e-6:
-            raise ValueError(f"{path}: expected the DE421 that is installed, got one that differs by {apart:.3g} km for the {body}")
+    apart = float(max(np.abs(de421().state(body, dates).position - ours[body]).max() for body in bodies))
+    if apart > 1e-6:
+        raise ValueError(f"{path}: expected the DE421 that is installed, got one that differs by {apart:.3g} km")
     names = ("de405", "de406", "de423")
-    return Table(dates, ours, {name: {body: stored[f"{name}-de421/{body}"] for body in bodies} for name in names})
+    return Table(dates, ours, {name: {body: stored[f"{name}-de421/{body}"] for body in bodies} for name in names}, apart)

@@ -13,7 +13,7 @@ from celnav.filters.step import predict, update
 from celnav.filters.strong_tracking import excess, proportional, strong_tracking
 from celnav.filters.two_stage import First, plain, two_stage
 from celnav.gaussian import Gaussian, covariance
-from celnav.linalg import Array, block, matvec
+from celnav.linalg import Array, block, matvec, side_by_side
 from celnav.models.variational import Flow, flow
 from celnav.papers.tstdkf.config import Config
 from celnav.papers.tstdkf.scenario import as_cases, noise_of, pull
@@ -167,16 +167,22 @@ def augmented(cases: Config | Sequence[Config], runs: int = 1, *, noise: Noise |
         rates = matvec(JF, V) + matvec(n.L, Q)
         return np.concatenate([moved.state + matvec(moved.G, rates), matvec(n.F, V), matvec(n.L, Q), b], -1)[None]
 
+    walk = _each(together, runs, "walk_km")[..., None] * np.eye(3)
+    fixed = block([[np.eye(6), 0, 0, 0], [0, n.F, 0, 0], [0, 0, n.L, 0], [0, 0, 0, np.eye(3)]])
+    driving = block([[np.zeros((6, 3)), 0, 0], [np.sqrt(n.Xi), 0, 0], [0, np.sqrt(n.E), 0], [0, 0, walk]])
+    into, through = side_by_side([JF, n.L]), side_by_side([n.J @ np.sqrt(n.Xi), np.sqrt(n.E)])
+
     def transition(x: Array, epoch: Epoch) -> tuple[Array, ...]:
         Phi, G = motion(x, epoch)[1:]
-        return (block([[Phi, G @ JF, G @ n.L, 0], [0, n.F, 0, np.zeros((3, 3))], [np.zeros((6, 6)), 0, n.L, 0],
-                       [0, 0, 0, np.eye(3)]]),)  # fmt: skip
-
-    xi, e, walk = np.sqrt(n.Xi), np.sqrt(n.E), _each(together, runs, "walk_km")[..., None] * np.eye(3)
+        A = np.broadcast_to(fixed, (*Phi.shape[:-2], 18, 18)).copy()
+        A[..., :6, :6], A[..., :6, 6:15] = Phi, G @ into
+        return (A,)
 
     def columns(mean: Array, epoch: Epoch) -> Array:
         G = motion(mean, epoch).G
-        return block([[G @ n.J @ xi, G @ e, 0], [xi, 0, 0], [0, e, 0], [0, 0, walk]])
+        B = np.broadcast_to(driving, (*G.shape[:-2], 18, 12)).copy()
+        B[..., :6, :9] = G @ through
+        return B
 
     def h(x: Array, epoch: Epoch) -> Array:
         return np.asarray(seen.measure(x, epoch) + x[..., 6:9] + matvec(seen.Gamma(x, epoch), x[..., 15:]))

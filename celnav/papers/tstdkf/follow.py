@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.filters.driver import Epoch, Filter, run
+from celnav.filters.driver import Filter, FilterError, steps
 from celnav.gaussian import nees
-from celnav.linalg import Array, cholesky, matvec
+from celnav.linalg import Array, block, cholesky, matvec
 from celnav.papers.tstdkf.config import Config
 from celnav.papers.tstdkf.estimators import boosted, filters
 from celnav.papers.tstdkf.scenario import Scenario
@@ -19,27 +20,31 @@ Found = dict[str, Array]
 
 
 class View(NamedTuple):
-    """What a filter says: orbit and bias ``mean (runs, 6 or 9)``, and the covariance of that."""
+    """What a filter says: orbit and bias ``mean (runs, 6 or 9)``, and ``cov(part)``, the covariance of a part of the runs."""
 
     label: str
     mean: Array
-    cov: Callable[[], Array]
+    cov: Callable[[slice], Array]
 
 
 def views(name: str, state: Any) -> Iterator[View]:
     """The filters that are inside of a filter's state: EKF is the first stage of TKF, TDKF lies beside TSTDKF."""
     if name == "aug":
         chosen = np.r_[0:6, 15:18]
-        yield View("aug", state.belief.mean[..., chosen], lambda: state.belief.cov[..., chosen[:, None], chosen])
+        yield View("aug", state.belief.mean[..., chosen], lambda part: state.belief.spread[part, chosen[:, None], chosen])
         return
-    free, own = state.first.belief, state.bias
+    free, own, Lambda = state.first.belief, state.bias, state.Lambda
+
+    def both(part: slice) -> Array:
+        cross = Lambda[part] @ own.spread[part]
+        return block([[free.spread[part] + cross @ Lambda[part].mT, cross], [cross.mT, own.spread[part]]])
+
     if name != "tstdkf":
-        yield View(name.replace("tkf", "ekf"), free.mean, lambda: free.cov)
+        yield View(name.replace("tkf", "ekf"), free.mean, lambda part: np.asarray(free.spread[part]))
     labels = ("tdkf", "tstdkf") if name == "tstdkf" else (name,)
     means = own.mean if name == "tstdkf" else own.mean[None]
     for label, bias in zip(labels, means, strict=True):
-        mean = np.concatenate([free.mean + matvec(state.Lambda, bias), bias], -1)
-        yield View(label, mean, lambda: state.belief.cov)
+        yield View(label, np.concatenate([free.mean + matvec(Lambda, bias), bias], -1), both)
 
 
 def follow(
@@ -57,42 +62,48 @@ def follow(
     ----------
     name: "tkf", "tkf-fair" (these give "ekf", "ekf-fair" too), "tstdkf" (gives "tdkf" too) or "aug".
     believed: the cases as the filter takes them, if not as they are. filter: a variant, run in place of that name.
-    showcase: whether ``mean (9)``, ``cov (9, 9)``, ``nis``, ``residual (3)`` with ``residual std``, and ``lambda (3)`` are kept of
+    showcase: whether ``first/mean (9)``, ``cov (9, 9)``, ``nis``, ``residual (3)``, ``residual std``, ``lambda (3)`` are kept of
         the first run of the first case.
     consistency: the filters whose ``nees`` is kept (of orbit and bias for aug, of the orbit for the others), and ``nis``.
 
     Returns
     -------
     Squared errors ``position``, ``velocity`` (km^2, km^2/s^2) and, where it is estimated, ``bias`` (km^2), and what is asked for.
+
+    Raises
+    ------
+    FilterError: if a run is lost.
     """
     cases = tuple(believed) or sim.cases
     if filter is None:
         filter = boosted(cases, sim.runs, also_plain=True) if name == "tstdkf" else filters(cases, sim.runs)[name]
 
-    def also(epoch: Epoch, state: Any, info: Any) -> dict[str, Array]:
-        out: dict[str, Array] = {}
+    rows: defaultdict[str, list[Array]] = defaultdict(list)
+    for epoch, state, info in steps(filter, sim.prior, sim.epochs()):
         for view in views(name, state):
             error = view.mean - epoch.truth[..., : view.mean.shape[-1]]
-            squares = error * error
-            parts = {"position": slice(3), "velocity": slice(3, 6), "bias": slice(6, 9)}
-            for what in list(parts)[: error.shape[-1] // 3]:
-                out[f"{view.label}/{what}"] = squares[..., parts[what]].sum(-1)
+            squares = np.square(error).reshape(*error.shape[:-1], -1, 3).sum(-1)
+            for i, what in zip(range(squares.shape[-1]), ("position", "velocity", "bias"), strict=False):
+                rows[f"{view.label}/{what}"].append(squares[..., i])
             if view.label in consistency:
                 n = error.shape[-1] if name == "aug" else 6
-                out[f"{view.label}/nees"] = nees(error[..., :n], cholesky(view.cov()[..., :n, :n]))
-                out[f"{view.label}/nis"] = np.square(info.white).sum(-1)
+                rows[f"{view.label}/nees"].append(nees(error[..., :n], cholesky(view.cov(slice(None))[..., :n, :n])))
+                rows[f"{view.label}/nis"].append(np.square(info.white).sum(-1))
             if showcase:
-                out[f"{view.label}/mean"], out[f"{view.label}/cov"] = view.mean[:1], view.cov()[:1]
+                rows[f"{view.label}/first/mean"].append(view.mean[:1])
+                rows[f"{view.label}/first/cov"].append(view.cov(slice(1)))
         if showcase:
-            out |= _inside(name, state, info)
-        return out
-
+            for what, value in _inside(name, state, info).items():
+                rows[what].append(value)
     found: Found = {}
-    for key, values in run(filter, sim.prior, sim.epochs(), keep="nothing", also=also).extra.items():
-        if values.shape[1] == sim.runs * len(sim.cases):
-            found |= {f"{i}/{key}": values[:, i * sim.runs : (i + 1) * sim.runs] for i in range(len(sim.cases))}
+    for key, values in rows.items():
+        track = np.stack(values)
+        if not np.isfinite(track).all():
+            raise FilterError(f"{key}: lost a run at step {1 + int(np.argmax(~np.isfinite(track).reshape(len(track), -1).all(1)))}")
+        if track.shape[1] == sim.runs * len(sim.cases):
+            found |= {f"{i}/{key}": track[:, i * sim.runs : (i + 1) * sim.runs] for i in range(len(sim.cases))}
         else:
-            found[f"0/{key}"] = values
+            found[f"0/{key}"] = track
     return found
 
 
@@ -104,7 +115,7 @@ def _inside(name: str, state: Any, info: Any) -> dict[str, Array]:
         "residual std": np.sqrt(np.square(root).sum(-1)),
         "nis": np.square(info.white[:1]).sum(-1),
     }
-    out = {f"{name}/{what}": value for what, value in out.items()}
+    out = {f"{name}/first/{what}": value for what, value in out.items()}
     if name == "tstdkf":
-        out["tstdkf/lambda"] = state.memory.factors[1, :1]
+        out["tstdkf/first/lambda"] = state.memory.factors[1, :1]
     return out

@@ -29,9 +29,14 @@ class Spectrum(NamedTuple):
     power: Array
     correlation: Array
 
-    def strongest(self, axis: int) -> float:
-        """Frequency of the largest line, cycles a day."""
-        return float(self.cycles[int(np.argmax(self.power[:, axis]))])
+    def strongest(self, axis: int, above: float = 0.0) -> float:
+        """Frequency of the largest line above another one, cycles a day."""
+        return float(self.cycles[int(np.argmax(np.where(self.cycles > above, self.power[:, axis], 0.0)))])
+
+    @property
+    def flatness(self) -> Array:
+        """Geometric to arithmetic mean of the power ``(3,)``: 1 for white noise."""
+        return np.asarray(np.exp(np.log(self.power).mean(0)) / self.power.mean(0))
 
     def concentrated(self, part: float = 0.01) -> Array:
         """Share ``(3,)`` of the power that lies in the strongest part of the bins."""

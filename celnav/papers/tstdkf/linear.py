@@ -122,8 +122,7 @@ def differenced(s: Differenced, at: Linear, z: Array, noise: Noise, boost: Any, 
     into = y @ Omega.T
     x, innovation = x + into, y - into @ H.T
     ahead_V, ahead_Q = at.Phi1 @ s.DV, at.Phi1 @ s.DQ
-    cross = ahead_Q @ at.lagged.T + ahead_V @ at.through.T
-    P = at.Phi1 @ s.P @ at.Phi1.T + cross + cross.T + at.fresh
+    P = _ahead(s, at, ahead_V, ahead_Q)
     HP = H @ P
     Sigma = HP @ H.T + sensor
     K = _solve(Sigma, HP).T
@@ -143,6 +142,18 @@ def differenced(s: Differenced, at: Linear, z: Array, noise: Noise, boost: Any, 
         left @ (ahead_V + at.through @ noise.V) @ F - K @ sensor, left @ (ahead_Q @ noise.L + at.G1 @ noise.Q),
         z - x @ H.T, at.Gamma + H @ Lambda, memory,
     )  # fmt: skip
+
+
+def _ahead(s: Differenced, at: Linear, ahead_V: Array, ahead_Q: Array) -> Array:
+    """Covariance before the measurement."""
+    cross = ahead_Q @ at.lagged.T + ahead_V @ at.through.T
+    return np.asarray(at.Phi1 @ s.P @ at.Phi1.T + cross + cross.T + at.fresh)
+
+
+def gain(s: Differenced, at: Linear, noise: Noise, first: bool) -> Array:
+    """The gain ``(6, 3)`` of the next step."""
+    P = _ahead(s, at, at.Phi1 @ s.DV, at.Phi1 @ s.DQ)
+    return _solve(at.H @ P @ at.H.T + (noise.V if first else noise.Xi), at.H @ P).T
 
 
 class Exact(NamedTuple):

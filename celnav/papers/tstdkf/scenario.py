@@ -7,6 +7,7 @@ of one case lie after those of another.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -124,11 +125,17 @@ def pull(bodies: Array | None) -> Extra | None:
 
 
 def nominal_orbit(config: Config) -> Array:
-    """States ``(T, 6)`` of the undisturbed orbit."""
-    out = np.empty((config.steps + 1, 6))
-    out[0] = config.orbit
-    for k in range(config.steps):
-        out[k + 1] = advance(out[k], config.step_s)
+    """States ``(T, 6)`` of the undisturbed orbit; not to be written to."""
+    return _undisturbed(config.elements, config.step_s, config.steps)
+
+
+@lru_cache(maxsize=4)
+def _undisturbed(elements: tuple[float, ...], step_s: float, steps: int) -> Array:
+    out = np.empty((steps + 1, 6))
+    out[0] = Config(elements=elements).orbit
+    for k in range(steps):
+        out[k + 1] = advance(out[k], step_s)
+    out.flags.writeable = False
     return out
 
 

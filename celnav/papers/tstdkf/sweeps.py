@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import deepcopy
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -25,19 +26,12 @@ LARGER = 20.0 / 3.0
 """By how much larger the ephemeris error is in a study of its amplitude."""
 
 
-def amplitudes(config: Config, rngs: Rngs) -> Found:
-    """White noise: ``0``: a larger ephemeris error, ``1``: none (Figs 3 and 4)."""
-    white = replace(config, setting=SETTINGS[5])
-    sim = simulate([_scaled(white, factor) for factor in (LARGER, 0.0)], rngs)
-    return follow("tkf", sim)
-
-
 def _scaled(config: Config, factor: float) -> Config:
     x, y, z = (factor * a for a in config.amplitude_km)
     return replace(config, amplitude_km=(x, y, z))
 
 
-PARAMETERS: dict[str, dict[str, object]] = {
+PARAMETERS: dict[str, dict[str, Any]] = {
     "as it is": {},
     "M0 = (0.03 km)²": {"bias_prior_km": 0.03},
     "M0 = (1 km)²": {"bias_prior_km": 1.0},
@@ -50,10 +44,12 @@ PARAMETERS: dict[str, dict[str, object]] = {
     "F = 0.9, L = 0.8, κ = 0.5, form B": {"setting": Setting(0.9, 0.8, 0.5), "factor": "proportional"},
     "form B": {"factor": "proportional"},
     "white, form B": {"setting": SETTINGS[5], "factor": "proportional"},
+    "white, ephemeris error × 6.67": {"setting": SETTINGS[5], "amplitude": LARGER},
+    "white, no ephemeris error": {"setting": SETTINGS[5], "amplitude": 0.0},
 }
 """Variants of setting 1: what is changed."""
-EXACT_TOO = tuple(label for label in PARAMETERS if label.startswith("F"))
-"""Those that the exact filter follows too."""
+WHITE_LARGER, WHITE_NONE = len(PARAMETERS) - 2, len(PARAMETERS) - 1
+"""The last two of them, for Figs 3 and 4."""
 
 
 def parameter_cases(config: Config) -> list[Config]:
@@ -61,35 +57,52 @@ def parameter_cases(config: Config) -> list[Config]:
     out = []
     for changes in PARAMETERS.values():
         rest = {name: value for name, value in changes.items() if name != "amplitude"}
-        case = replace(replace(config, setting=SETTINGS[1]), **rest)  # type: ignore[arg-type]
-        out.append(_scaled(case, LARGER) if "amplitude" in changes else case)
+        case = replace(replace(config, setting=SETTINGS[1]), **rest)
+        out.append(_scaled(case, float(changes.get("amplitude", 1.0))))
     return out
 
 
 def parameters(config: Config, rngs: Rngs) -> Found:
-    """`PARAMETERS`, in their order; and TSTDKF with the bias observation matrix of measurements that are not differenced."""
+    """`PARAMETERS`, in their order."""
     sim = simulate(parameter_cases(config), rngs)
-    out: Found = {}
-    for name in ("tkf", "tstdkf"):
-        out |= follow(name, sim)
-    for label in EXACT_TOO:
-        i = list(PARAMETERS).index(label)
-        out |= {key.replace("0/", f"{i}/", 1): value for key, value in follow("aug", sim.case(i)).items()}
-    first = sim.case(0)
-    variant = boosted(first.cases, first.runs, also_plain=True, first=undifferenced(first.cases[0]))
-    found = follow("tstdkf", first, filter=variant)
-    return out | {key.replace("0/", "plain Gamma/"): value for key, value in found.items()}
+    return follow("tkf", sim) | follow("tstdkf", sim)
+
+
+STRONG = {"F = 0.8": Setting(0.8, 0.5, KAPPA), "F = L = 0.8": Setting(0.8, 0.8, 0.5), "F = 0.9, L = 0.8": Setting(0.9, 0.8, 0.5)}
+"""Settings of strong color."""
+
+
+def strong_color(config: Config, rngs: Rngs) -> Found:
+    """`STRONG`, with form B, which suffers most, and the exact filter."""
+    sim = simulate([replace(config, setting=setting, factor="proportional") for setting in STRONG.values()], rngs)
+    return follow("tkf", sim) | follow("tstdkf", sim) | follow("aug", sim)
 
 
 def undifferenced(config: Config) -> First:
-    """The differenced stage, but the second is not told: its sensitivity is that of measurements as they are."""
-    stage = differencing(config, noise_of(config))
+    """The differenced stage, but the second is told nothing of it: the bias as in measurements as they are, Gamma for Gamma'."""
+    noise, seen = noise_of(config), sensor(config)
+    stage = differencing(config, noise)
+
+    def predict(state: Any, epoch: Epoch) -> tuple[Any, Array | None]:
+        state, Phi = stage.predict(state, epoch)
+        x, _, G = state.moved
+        H, GJ = seen.H(x, epoch), G @ noise.J
+        Omega = np.linalg.solve((np.eye(3) + H @ GJ).mT, GJ.mT).mT
+        return state, Phi - Omega @ (H @ Phi)
 
     def update(state: Any, epoch: Epoch) -> tuple[Any, Stage | None, Info]:
-        after, seen, info = stage.update(state, epoch)
-        return after, None if seen is None else seen._replace(lag=None, before=None), info
+        after, done, info = stage.update(state, epoch)
+        return after, None if done is None else done._replace(Omega=None, lag=None, before=None), info
 
-    return stage._replace(update=update)
+    return stage._replace(predict=predict, update=update)
+
+
+def plain_slope(config: Config, rngs: Rngs) -> Found:
+    """TDKF and TSTDKF in setting 1 as they should be, ``0``, and with the bias observation matrix of the prose, ``1``."""
+    c = replace(config, setting=SETTINGS[1])
+    sim = simulate(c, rngs)
+    variant = follow("tstdkf", sim, filter=boosted(c, also_plain=True, first=undifferenced(c)))
+    return follow("tstdkf", sim) | {key.replace("0/", "1/", 1): value for key, value in variant.items()}
 
 
 COUPLINGS = ((0.0, 0.0), (0.0, KAPPA), (KAPPA, 0.0), (KAPPA, 0.5 * KAPPA), (KAPPA, KAPPA), (KAPPA, -KAPPA))
@@ -156,7 +169,7 @@ def _year(config: Config, rngs: Rngs) -> dict[str, Array]:
 def drivers(config: Config, rngs: Rngs) -> dict[str, Array]:
     """The beginning of the year by both drivers: ``linear/<filter>/...`` and ``nonlinear/<filter>/...``, squared errors."""
     cases = [replace(config, trend=trend) for trend in year.TRENDS]
-    sim, both = simulate(cases, rngs), year.track(config, rngs)
+    sim, both = simulate(cases, deepcopy(rngs)), year.track(config, rngs)
     stronger = boosted([replace(case, factor="proportional") for case in cases], sim.runs, also_plain=True)
     found: Found = {}
     for name in ("tkf", "tstdkf", "aug"):
@@ -179,8 +192,9 @@ class Study(NamedTuple):
 
 
 STUDIES = {
-    "amplitudes": Study(amplitudes, 30.0, 20),
     "parameters": Study(parameters, 30.0, 8),
+    "strong color": Study(strong_color, 10.0, 8),
+    "plain slope": Study(plain_slope, 10.0, 8),
     "couplings": Study(couplings, 10.0, 12),
     "consistency": Study(consistency, 3.0, 40),
     "forces": Study(forces, 10.0, 20),
