@@ -13,7 +13,7 @@ from importlib import import_module
 from types import ModuleType
 from typing import Any
 
-PAPERS = {name: f"celnav.papers.{name}" for name in ("csrukf", "ssukf", "aasghqf")}
+PAPERS = {name: f"celnav.papers.{name}" for name in ("csrukf", "ssukf", "tstdkf", "aasghqf")}
 """Identifier -> module."""
 
 

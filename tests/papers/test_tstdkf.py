@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import rerun as rr
 
-from celnav.files import data
-from celnav.filters.driver import Epoch, run
+from celnav.claims import dumps
+from celnav.effort import effort
+from celnav.files import Outputs, data
+from celnav.filters.driver import Epoch, FilterError, run, sequential
 from celnav.models.variational import flow
 from celnav.montecarlo import generator
-from celnav.papers.tstdkf import PRESETS, SETTINGS, Setting, filters, simulate
+from celnav.papers import figures, tables, tstdkf
+from celnav.papers.tstdkf import PRESETS, SETTINGS, Setting, analysis, filters, simulate, study, sweeps
 from celnav.papers.tstdkf.config import TABLE_5
 from celnav.papers.tstdkf.ephemerides import table
+from celnav.papers.tstdkf.estimators import driving
+from celnav.papers.tstdkf.follow import follow as follow_all
 from celnav.papers.tstdkf.forces import accelerations, spectrum
 from celnav.papers.tstdkf.scenario import noise_of
 
@@ -207,3 +214,111 @@ def test_a_missing_timing_is_a_prediction_for_the_plain_stage(sim):
     assert info.used is not None
     assert not info.used.any()
     np.testing.assert_array_equal(lost.bias.mean, state.bias.mean)
+
+
+# -- the linear driver ---------------------------------------------------------------------------------------------------------
+def test_the_linear_driver_is_the_nonlinear_one():
+    found = sweeps.drivers(replace(PRESETS["year"], days=0.5), runs(2))
+    for name in sweeps.NONLINEAR:
+        linear, other = (np.sqrt(found[f"{driver}/{name}/position"]) for driver in ("linear", "nonlinear"))
+        # A kilometer off the nominal orbit, curvature makes some meters in the first turns.
+        np.testing.assert_allclose(linear[20:], other[20:], atol=0.02, err_msg=name)
+
+
+def test_the_bound_is_the_exact_filters_covariance():
+    config = replace(SHORT, days=0.25)
+    sim = simulate(config, runs(1))
+    track = run(filters(config)["aug"], sim.prior, sim.epochs())
+    bounds = analysis.bounds(config)
+    # The filter begins 1.7 km off the nominal orbit, where gravity's gradient is another by 3 * 1.7 / 7136.
+    np.testing.assert_allclose(np.linalg.norm(track.std[:, 0, :3], axis=1), bounds[:, 0], rtol=5e-3)
+    np.testing.assert_allclose(np.linalg.norm(track.std[:, 0, 15:], axis=1), bounds[:, 2], rtol=5e-3)
+
+
+def test_color_of_the_process_noise_alone_is_nearly_exact_if_its_correlation_is_kept():
+    lost = analysis.lost_correlation(replace(SHORT, days=3.0))
+    assert abs(lost.kept - 1.0) < 5e-5
+    assert lost.dropped < 0.9
+
+
+def test_the_sensitivity_of_the_differenced_filter_is_the_derivative():
+    found = analysis.sensitivity(SHORT)
+    assert found.right < 1e-12
+    assert found.plain > 0.1
+
+
+def test_what_pulls_in_the_truth_is_what_the_filter_may_model():
+    """A filter that models Sun and Moon sees the same residuals as one without them of a truth without them."""
+    config = replace(WHITE, days=0.25)
+    with_them, without = (simulate(replace(config, pulled=pulled), runs(2)) for pulled in (True, False))
+    assert np.abs(with_them.truth - without.truth)[-1, :, :3].max() > 0.01  # km
+    c = with_them.cases[0]
+    knowing = sequential(*driving(c, pulled=True))
+    one = run(knowing, with_them.prior, with_them.epochs(), keep="mean").mean - with_them.truth[1:]
+    two = run(filters(config)["ekf"], without.prior, without.epochs(), keep="mean").mean - without.truth[1:]
+    np.testing.assert_allclose(one[..., :3], two[..., :3], atol=1e-5)
+
+
+# -- the study -----------------------------------------------------------------------------------------------------------------
+@pytest.fixture(scope="module")
+def result():
+    return tstdkf.reproduce(effort=effort())
+
+
+def test_every_figure_draws(result):
+    drawn = {name: function(result) for name, function in figures(tstdkf).items()}
+    assert list(drawn)[:3] == ["figure_01", "figure_02", "figure_02b"]
+    assert len(drawn) == 16
+    for fig in drawn.values():
+        assert all(ax.get_xlabel() or ax.get_ylabel() or ax.get_title() for ax in fig.axes)
+
+
+def test_tables(result):
+    found = tables(tstdkf)
+    assert len(found) == 8
+    rows = {name: function(result) for name, function in found.items()}
+    assert [row["setting"] for row in rows["table_5"]] == list(SETTINGS)
+    one = rows["table_5"][0]
+    assert one["position, below TKF (%)"] == pytest.approx(100.0 * (1.0 - one["TSTDKF (km)"] / one["TKF (km)"]))
+    assert {row["filter"] for row in rows["table_6"]} == {"EKF", "EKF-FAIR", "TKF", "TKF-FAIR", "TDKF", "TSTDKF", "AUG"}
+
+
+LENGTHY = ("figure-7", "figure-8", "erratum-4-trace", "bias-", "table-5-best", "table-5-aug", "erratum-8", "identity-dropped")
+
+
+def test_claims_are_plain_json_and_exact_ones_hold_at_any_effort(result):
+    listed = json.loads(dumps(tstdkf.claims(result)))
+    assert {c["kind"] for c in listed} == {"paper", "calibrated", "erratum", "beyond"}
+    found = {c["id"]: c for c in listed}
+    for id, c in found.items():
+        if c["ci"] is None and not id.startswith(LENGTHY):
+            assert c["holds"] == c["expected"], (id, c["value"], c["accept"])
+    assert found["table-5-position-below-ekf"]["verdict"] == "undecided"  # half a day is no month
+    assert found["erratum-1-size"]["verdict"] == "paper in error"
+    assert found["table-5-same"]["value"] < 1e-6
+
+
+def test_every_erratum_has_its_number(result):
+    numbers = {int(c.id.split("-")[1]) for c in tstdkf.claims(result) if c.id.startswith("erratum-")}
+    assert numbers == set(range(1, len(tstdkf.ERRATA) + 1))
+
+
+def test_blocks_of_runs_make_no_difference(result):
+    config = replace(result.config, days=0.1)
+    whole = study._table_5(config, runs(2))
+    alone = study._table_5(config, runs(2)[1:])
+    for key in ("1/aug/position", "3/tstdkf/bias", "1/tkf-fair/position", "5/ekf/velocity"):
+        np.testing.assert_allclose(alone[key][:, 0], whole[key][:, 1], rtol=1e-5, err_msg=key)
+
+
+def test_recordings_hold_what_the_filters_gave(result, tmp_path):
+    assert tstdkf.record(result, Outputs(tmp_path)) == tstdkf.RECORDINGS
+    for name, id in zip(tstdkf.RECORDINGS, ("celnav-tstdkf", "celnav-tstdkf-year"), strict=True):
+        (found,) = rr.chunk.RrdReader(tmp_path / name).recordings()
+        assert found.application_id == id
+
+
+def test_a_run_that_is_lost_is_told(sim):
+    broken = sim._replace(z=np.where(np.arange(len(sim.z))[:, None, None] == 5, np.inf, sim.z))
+    with pytest.raises((FilterError, ValueError), match=r"step 5|not finite|infinite|lost a run"), np.errstate(all="ignore"):
+        follow_all("tkf", broken)

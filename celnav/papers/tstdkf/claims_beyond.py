@@ -65,7 +65,7 @@ def _identities(j: Evidence) -> list[Claim]:
     text = "Color of the process noise alone (L = 0.9): trace of the position's covariance to the exact one, less 1"
     out.append(j.number("identity-colored-process", "beyond", text, abs(lost.kept - 1.0), (None, 5e-5)))
     text = "The same without the correlation of estimate and noise: it is understated (ratio)"
-    out.append(j.number("identity-dropped", "beyond", text, lost.dropped, (None, 0.9)))
+    out.append(j.whole(j.number("identity-dropped", "beyond", text, lost.dropped, (None, 0.9))))
     return out
 
 

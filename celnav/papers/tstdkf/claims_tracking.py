@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -35,9 +36,13 @@ def figure_9(j: Evidence) -> list[Claim]:
     both = [_soon(j, "table 5", f"1/{filter}/bias") for filter in ("tstdkf", "tkf")]
     out.append(j.statistic("figure-9-faster", "paper", text, ratio, both, (None, 0.95), note=note, expected=False))
     i = list(PARAMETERS).index("M0 = (0.03 km)²")
+    text = "Fig. 9: with a prior of 0.03 km the bias of TSTDKF converges faster (the same ratio)"
     both = [_soon(j, "parameters", f"{i}/{filter}/bias") for filter in ("tstdkf", "tkf")]
-    text = "Fig. 9: with a prior of 0.03 km it does (ratio)"
-    out.append(j.statistic("figure-9-faster-sure", "beyond", text, ratio, both, (None, 0.95)))
+    note = "a tight prior keeps TKF near it; strong tracking takes noise in"
+    out.append(j.statistic("figure-9-faster-sure", "beyond", text, ratio, both, (None, 0.95), note=note, expected=False))
+    text = "Fig. 9: but its position does: RMSE of the first days to that of TKF, prior of 0.03 km (ratio)"
+    both = [_soon(j, "parameters", f"{i}/{filter}/position") for filter in ("tstdkf", "tkf")]
+    out.append(j.lengthy("figure-9-faster-position", "beyond", text, ratio, both, (None, 0.95)))
     return out
 
 
@@ -47,30 +52,30 @@ def _soon(j: Evidence, study: str, key: str) -> Array:
 
 
 def figure_10(j: Evidence) -> list[Claim]:
-    """A year, after its first month."""
+    """A year, after its first month. Realizations are few: a claim is decided where its interval is clear of the bar."""
     data, out = j.result.data["year"], []
     late = data["times"][:, 0] > min(MONTH_S, 0.1 * data["times"][-1, 0])
     runs = data["bias"].shape[1] // len(TRENDS)
     for k, trend in enumerate(TRENDS):
         part = slice(k * runs, (k + 1) * runs)
         truth = data["bias"][late, part]
-        size = float(np.sqrt(np.square(truth).sum(2).mean()))
-        bias, place = (
-            {f: np.square(data[f"{f}/bias"][late, part] - truth).sum(2).mean(0) for f in ("tkf", "A", "B", "C", "aug")},
-            {f: data[f"{f}/position"][late, part].mean(0) for f in ("tkf", "A", "B", "aug")},
-        )
+        size = np.square(truth).sum(2).mean(0)
+        bias = {f: np.square(data[f"{f}/bias"][late, part] - truth).sum(2).mean(0) for f in ("tkf", "A", "B", "C", "aug")}
+        place = {f: data[f"{f}/position"][late, part].mean(0) for f in ("tkf", "A", "B", "aug")}
         rows = (
-            ("tkf", "paper", "TKF does not track: RMSE of its bias to the bias", rms(bias["tkf"]) / size, (0.9, None)),
-            ("B", "calibrated", "TSTDKF (form B) tracks: RMSE of its bias to the bias", rms(bias["B"]) / size, (None, 0.85)),
-            ("B-tkf", "calibrated", "RMSE of the bias, TSTDKF (form B) to TKF", ratio(bias["B"], bias["tkf"]), (None, 0.8)),
-            ("B-position", "calibrated", "Position RMSE, TSTDKF (form B) to TKF", ratio(place["B"], place["tkf"]), (None, 0.62)),
-            ("aug", "beyond", "RMSE of the bias, AUG to TSTDKF (form B)", ratio(bias["aug"], bias["B"]), (None, 1.0)),
-            ("aug-position", "beyond", "Position RMSE, AUG to TSTDKF (form B)", ratio(place["aug"], place["B"]), (None, 1.0)),
-            ("A", "beyond", "RMSE of the bias, form A to form B", ratio(bias["A"], bias["B"]), (0.97, 1.03)),
-            ("C", "beyond", "Form C, which makes Table 5 come out, does not", rms(bias["C"]) / size, (0.9, None)),
-        )  # fmt: skip
-        for id, kind, text, value, accept in rows:
-            out.append(j.whole(j.number(f"figure-10-{trend}-{id}", kind, f"Fig. 10, {trend}: {text} (ratio)", value, accept)))
+            ("tkf", "paper", "TKF does not track: RMSE of its bias to the bias", bias["tkf"], size, (0.9, None)),
+            ("B", "calibrated", "TSTDKF (form B) tracks: RMSE of its bias to the bias", bias["B"], size, (None, 0.85)),
+            ("B-tkf", "calibrated", "RMSE of the bias, TSTDKF (form B) to TKF", bias["B"], bias["tkf"], (None, 0.8)),
+            ("B-position", "calibrated", "Position RMSE, TSTDKF (form B) to TKF", place["B"], place["tkf"], (None, 0.62)),
+            ("aug", "beyond", "RMSE of the bias, AUG to TSTDKF (form B)", bias["aug"], bias["B"], (None, 1.0)),
+            ("aug-position", "beyond", "Position RMSE, AUG to TSTDKF (form B)", place["aug"], place["B"], (None, 1.0)),
+            ("A", "beyond", "RMSE of the bias, form A to form B", bias["A"], bias["B"], (0.97, 1.03)),
+            ("C", "beyond", "Form C, which makes Table 5 come out, does not", bias["C"], size, (0.9, None)),
+        )
+        for id, kind, text, above, below, accept in rows:
+            statement = f"Fig. 10, {trend}: {text} (ratio)"
+            found = j.lengthy(f"figure-10-{trend}-{id}", kind, statement, ratio, [above, below], accept)
+            out.append(replace(found, full=False))
     return out + _fading(j) + _drivers(j)
 
 

@@ -67,7 +67,9 @@ def figure_1(result: Result) -> Figure:
         ax.plot(*at, "o", color="black", markersize=4)
         ax.annotate(name, at, xytext=(-4, 6), textcoords="offset points", ha="right")
     ax.annotate(f"to {result.config.pulsars[0]}", satellite + ahead, xytext=(-10, 6), textcoords="offset points")
-    ax.set(xlim=(-0.45, 1.2), ylim=(-0.45, max(earth[1], satellite[1]) + 0.2), title="Figure 1: the delay of a pulse")
+    ax.set(
+        xlim=(-0.45, satellite[0] + 0.7), ylim=(-0.45, max(earth[1], satellite[1]) + 0.2), title="Figure 1: the delay of a pulse"
+    )
     ax.set_axis_off()
     return fig
 

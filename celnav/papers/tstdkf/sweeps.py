@@ -198,7 +198,7 @@ STUDIES = {
     "couplings": Study(couplings, 10.0, 12),
     "consistency": Study(consistency, 3.0, 40),
     "forces": Study(forces, 10.0, 20),
-    "year": Study(_year, 365.0, 3, year=True),
+    "year": Study(_year, 365.0, 6, year=True),
     "drivers": Study(drivers, 3.0, 3, year=True),
 }
 """In the order of their random numbers."""
