@@ -56,7 +56,9 @@ def _bounds(j: Evidence) -> list[Claim]:
         bound = np.sqrt(np.square(j.result.facts["bounds"][i][:, 0]).mean())
         text = f"Setting {i}: position RMSE of AUG to the posterior Cramér-Rao bound of a walking bias (ratio)"
         samples = [j.squares("aug", setting=i)]
-        out.append(j.lengthy(f"bound-{i}", "beyond", text, lambda s, bound=bound: rms(s) / bound, samples, (0.85, 1.25)))
+        note = "the bound is a mean over the prior; the true bias is smaller and smoother than the prior expects"
+        statistic = lambda s, bound=bound: rms(s) / bound  # noqa: E731
+        out.append(j.lengthy(f"bound-{i}", "beyond", text, statistic, samples, (0.85, 1.25), note=note))
     return out
 
 
@@ -82,7 +84,9 @@ IMPROVEMENTS = {
     "form B": (52.1, 27.9),
     "white, form B": (None, -51.0),
 }
-"""Position RMSE of TSTDKF below that of EKF and TKF (%), as an independent linear study has it."""
+"""Position RMSE of TSTDKF below that of EKF and TKF (%), as an independent linear study of 50 runs has it."""
+SCATTER = 8.0
+"""Percents; that study found 54 and 43 with eight nonlinear runs where 50 have 57 and 35."""
 
 
 def _parameters(j: Evidence) -> list[Claim]:
@@ -95,7 +99,7 @@ def _parameters(j: Evidence) -> list[Claim]:
                 continue
             text = f"{label}: position RMSE of TSTDKF below {filter.upper()} (%)"
             both = [ours, j.of("parameters", f"{i}/{filter}/position")]
-            size = 5.0 if near > 0.0 else 0.15 * (100.0 - near)
+            size = SCATTER if near > 0.0 else 0.15 * (100.0 - near)
             out.append(j.lengthy(f"parameters-{i}-{filter}", "beyond", text, below, both, within(near, size)))
     for k, label in enumerate(STRONG):
         both = [j.of("strong color", f"{k}/{filter}/position") for filter in ("aug", "tkf")]

@@ -20,11 +20,12 @@ from celnav.papers.tstdkf.sweeps import COUPLINGS, PARAMETERS, WHITE_LARGER, WHI
 from celnav.papers.tstdkf.year import TRENDS
 
 COLORS = {
-    "ekf": colors.SIGMA, "tkf": colors.COMPARISON, "tkf-fair": colors.MEASUREMENT, "tdkf": colors.OPEN_LOOP,
+    "ekf": colors.OPEN_LOOP, "tkf": colors.COMPARISON, "tkf-fair": colors.MEASUREMENT, "tdkf": colors.FAINT,
     "tstdkf": colors.ESTIMATE, "aug": colors.TRUTH, "B": colors.PAPER, "C": colors.ESTIMATE,
 }  # fmt: skip
 SHADES = (colors.COMPARISON, colors.ESTIMATE, colors.TRUTH)
 """Of axes and of pulsars."""
+BESIDE: Any = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0)}
 
 
 def _smooth(values: Array, steps: int = 20) -> Array:
@@ -103,12 +104,12 @@ def figure_2b(_result: Result) -> Figure:
         ax.set(xlabel="days since 2015-10-17 04:00 UTC")
     for ax in axes[:, 0]:
         ax.set(ylabel="difference (km)")
-    axes[0, 0].legend(ncols=4)
+    axes[1, 0].legend(loc="center right")
     return fig
 
 
 def _ekf(result: Result, what: str, number: int, unit: str, scale: float) -> Figure:
-    fig, ax = figure(6.5, 3.2)
+    fig, ax = figure(8.0, 3.2)
     _over_time(ax, result, "ekf", what, 5, scale=scale, label="EKF, ephemeris error", color=colors.COMPARISON)
     for case, label, color in (
         (WHITE_LARGER, "error 6.67 times as large", colors.PAPER),
@@ -123,7 +124,7 @@ def _ekf(result: Result, what: str, number: int, unit: str, scale: float) -> Fig
     ax.set(
         xlabel="time (days)", ylabel=f"{what} RMSE ({unit})", title=f"Figure {number}: what an ephemeris error does (white noise)"
     )
-    ax.legend()
+    ax.legend(**BESIDE)
     return fig
 
 
@@ -170,7 +171,7 @@ def figure_7(result: Result) -> Figure:
     total = np.asarray(sum(pulls.values()))
     t = result.config.step_s * np.arange(len(total)) / DAY_S
     for i, (axis, color) in enumerate(zip(AXES, SHADES, strict=True)):
-        axes[0].plot(t, 1e9 * total[:, i], color=color, linewidth=0.5, label=axis)
+        axes[0].plot(t, 1e9 * total[:, i], color=color, linewidth=0.4, alpha=0.7, label=axis)
     axes[0].set(xlabel="time (days)", ylabel="acceleration (10⁻⁹ km/s²)", title="Figure 7: third bodies")
     axes[0].legend(ncols=3, loc="upper right")
     largest = sorted((float(np.linalg.norm(a, axis=1).max()), body) for body, a in pulls.items())
@@ -239,13 +240,13 @@ def figure_10(result: Result) -> Figure:
         axes[k, 0].set_ylabel("ephemeris error (km)")
     for ax in axes[-1]:
         ax.set(xlabel="time (days)", xlim=(0.0, min(t[-1], YEAR_S / DAY_S)))
-    axes[0, 0].legend(ncols=2)
+    axes[0, 1].legend(loc="lower center", bbox_to_anchor=(0.5, 1.15), ncols=5)
     return fig
 
 
 def figure_11(result: Result) -> Figure:
     """Beyond the paper: Table 5 as bars: position RMSE of the month in the five settings."""
-    fig, ax = figure(7.5, 3.2)
+    fig, ax = figure(9.5, 3.2)
     x = np.arange(len(SETTINGS))
     for k, filter in enumerate(COMPARED):
         heights = [rms(result.squares(filter, "position", i)) for i in SETTINGS]
@@ -253,7 +254,7 @@ def figure_11(result: Result) -> Figure:
     ax.bar(-0.49, rms(result.squares("tkf-fair", "position")), 0.15, color=COLORS["tkf-fair"], label="TKF, stationary covariances")
     ax.set_xticks(x, [f"{i}: F {s.F:g}, L {s.L:g}, κ {s.kappa:g}" for i, s in SETTINGS.items()])
     ax.set(ylabel="position RMSE (km)", title="Table 5")
-    ax.legend()
+    ax.legend(**BESIDE)
     return fig
 
 
@@ -269,7 +270,7 @@ def figure_12(result: Result) -> Figure:
         ax.axhline(1.0, color="black", linestyle=":", label="consistent")
         ax.set(xlabel="time (days)", title=title)
     axes[0].set_ylabel("NEES to its dimension (-)")
-    axes[0].legend()
+    axes[1].legend(**BESIDE)
     return fig
 
 
@@ -299,7 +300,7 @@ def figure_14(result: Result) -> Figure:
     fig, ax = figure(6.5, 3.2)
     rows = (
         ("white/tkf", "TKF, left to white noise", colors.COMPARISON),
-        ("colored/tdkf", "TDKF, AR(1) noise that matches", colors.OPEN_LOOP),
+        ("colored/tdkf", "TDKF, AR(1) noise that matches", colors.FAINT),
         ("colored/aug", "AUG, AR(1) noise that matches", colors.TRUTH),
         ("modeled/tkf", "TKF, modeled", colors.ESTIMATE),
     )

@@ -24,7 +24,10 @@ if TYPE_CHECKING:
 
 RECORDINGS = ["tstdkf.rrd", "tstdkf_year.rrd"]
 SHOWN = (*PAPER, "aug")
-EVERY, EVERY_YEAR = 10, 72
+EVERY, EVERY_YEAR = 9, 72
+"""Steps from one row to the next. An orbit has 20: every tenth would show two of its places only."""
+ORBIT = 20
+"""Steps of an orbit."""
 EXAGGERATION = 1000.0
 """By how much errors of a position are drawn larger than they are."""
 ARROW_KM, AU_KM = 4000.0, 1.495978707e8
@@ -61,10 +64,16 @@ def _layout(recording: Any, times: Array) -> Any:
     sun = r.space("sun", "around the Sun, AU", eye=(0.5, -2.2, 1.6), target=(0.0, 0.0, 0.0), up=(0.0, 0.0, 1.0))
     errors = r.space("error_view", "position error (km) with 3σ ellipsoid of AUG", eye=(0.9, -0.9, 0.6), up=(0.0, 0.0, 1.0))
     plots = r.rows(
-        r.tabs(r.plot("err/pos", "position error, km", times), r.plot("err/vel", "velocity error, m/s", times)),
+        r.tabs(
+            r.plot("err/pos", "position error, km", times, limits=(0.0, 0.8)),
+            r.plot("err/vel", "velocity error, m/s", times, limits=(0.0, 0.8)),
+        ),
         r.tabs(*(r.plot(f"bias/{a}", f"ephemeris error {a}, km", times, limits=(-0.4, 0.4)) for a in AXES)),
-        r.tabs(r.plot("lambda", "factors of strong tracking", times), r.plot("nis", "NIS", times, limits=(0.0, 20.0))),
-        r.tabs(*(r.plot(f"residual/{i}", f"residual of pulsar {i + 1}, km", times) for i in range(3))),
+        r.tabs(
+            r.plot("lambda", "factors of strong tracking", times, limits=(0.0, 12.0)),
+            r.plot("nis", "NIS", times, limits=(0.0, 20.0)),
+        ),
+        r.tabs(*(r.plot(f"residual/{i}", f"residual of pulsar {i + 1}, km", times, limits=(-2.0, 2.0)) for i in range(3))),
         r.tabs(
             r.plot("accel", "log10 of third bodies' pull, km/s²", times),
             r.plot("ephem", "DE405 - DE421 of the Earth, km", times),
@@ -87,8 +96,9 @@ def _notes(result: Result) -> str:
 
 A satellite times three pulsars every {c.step_s:g} s for {c.days:g} days. The Earth's ephemeris is wrong by some hundred
 meters (plots: ephemeris error), the noise is colored and correlated: setting 1, F = {s.F:g}, L = {s.L:g}, κ = {s.kappa:g}.
-Errors are drawn {EXAGGERATION:g} times as large as they are. Gray: EKF. Blue: TKF. Orange: TSTDKF. Green: AUG. Arrows: white to the
-pulsars, yellow and gray the pulls of Sun and Moon, as long as they are strong.
+Lines: the last orbit (white) and what the filters made of it, with
+errors {EXAGGERATION:g} times as large as they are. Pink: EKF. Blue: TKF. Orange: TSTDKF. Green: AUG. Arrows: white to the pulsars,
+yellow and gray the pulls of Sun and Moon, as long as they are strong.
 
 Occultation by the Earth, exclusion near the Sun and one detector for three pulsars are left out, as in the paper.
 """
@@ -98,13 +108,14 @@ def _about_the_earth(out: Recorder, result: Result, every: int) -> None:
     data = result.data["table 5"]
     truth = data["1/truth"][::every, 0, :3]
     out.globe("world/earth", EARTH_KM)
-    out.path("world/sat/orbit", [data["1/truth"][:21, 0, :3]], colors.FAINT)
-    out.points("world/sat/truth", truth, colors.TRUTH, radius=5.0)
-    origin = np.zeros_like(truth)
+    out.points("world/sat/truth", truth, "#FFFFFF", radius=5.0)
+    origin, lines = np.zeros_like(truth), [_last_orbit(data["1/truth"][:, 0, :3], every)]
     for filter in SHOWN:
-        error = data[f"1/{filter}/first/mean"][::every, 0, :3] - truth
-        out.arrow(f"world/sat/{filter}", truth, EXAGGERATION * error, COLORS[filter], filter.upper())
-        out.arrow(f"error_view/{filter}", origin, error, COLORS[filter], filter.upper())
+        error = data[f"1/{filter}/first/mean"][:, 0, :3] - data["1/truth"][:, 0, :3]
+        lines.append(_last_orbit(data["1/truth"][:, 0, :3] + EXAGGERATION * error, every))
+        out.arrow(f"error_view/{filter}", origin, error[::every], COLORS[filter], filter.upper())
+    shades, names = ["#FFFFFF", *(COLORS[f] for f in SHOWN)], ["truth", *(f.upper() for f in SHOWN)]
+    out.strips("world/sat/orbits", np.stack(lines, 1), shades, labels=names)
     covariance = data["1/aug/first/cov"][::every, 0, :3, :3]
     out.ellipsoids("world/sat/aug/cov", truth, EXAGGERATION**2 * covariance, COLORS["aug"], alpha=0.1)
     out.ellipsoids("error_view/aug/cov", origin, covariance, COLORS["aug"], alpha=0.2)
@@ -115,6 +126,12 @@ def _about_the_earth(out: Recorder, result: Result, every: int) -> None:
     for body, color in zip(PULLING, (colors.BOUND, "#BBBBBB"), strict=True):
         pull = pulls[body][1::every]
         out.arrow(f"world/sun_moon/{body}", truth, ARROW_KM * pull / largest, color, body)
+
+
+def _last_orbit(positions: Array, every: int) -> Array:
+    """The orbit behind each row, ``(T, 21, 3)``; at the beginning as much as there is."""
+    rows = np.arange(0, len(positions), every)[:, None] + np.arange(-ORBIT, 1)
+    return np.asarray(positions[np.maximum(rows, 0)])
 
 
 def _around_the_sun(out: Recorder, result: Result, times: Array) -> None:
