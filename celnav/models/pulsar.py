@@ -15,6 +15,7 @@ import numpy as np
 
 from celnav.files import data
 from celnav.linalg import Array
+from celnav.spaces import Space
 
 LIGHT_KM_S = 299792.458
 GM_SUN = 1.32712440041e11
@@ -114,6 +115,9 @@ def pulsars(names: Sequence[str]) -> list[Pulsar]:
 class Timing:
     """The delays of several pulsars, as functions of a barycentric position [Sheikh2006]: Roemer, parallax and Shapiro terms.
 
+    Delays have their whole number of periods. Who measures a phase only knows the rest, which is a position within half a period
+    (234 km for B1937+21) at best: see `uncounted`.
+
     Raises
     ------
     ValueError: if directions of three pulsars or more do not span space (condition above 1e6).
@@ -125,6 +129,17 @@ class Timing:
         self.distances = np.array([p.distance_km for p in self.pulsars])
         if len(self.pulsars) >= 3 and np.linalg.cond(self.directions) > 1e6:
             raise ValueError("pulsars: expected directions that span space, got directions in one plane")
+
+    @property
+    def uncounted(self) -> Space:
+        """Measurement space (``measurement_space=``) of pulses that nobody counted: innovations are folded into half a period."""
+        periods = LIGHT_KM_S * np.array([p.period_s for p in self.pulsars])
+
+        def minus(b: Array, a: Array) -> Array:
+            difference = np.subtract(b, a)
+            return np.asarray(difference - periods * np.round(difference / periods))
+
+        return Space(minus=minus)
 
     def delay(self, position: Array, sun: Array) -> Array:
         """Delays ``(..., m)`` km of positions ``(..., 3)``; ``sun (..., 3)`` is the Sun's position.

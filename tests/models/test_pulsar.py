@@ -67,6 +67,18 @@ def test_the_pulsars_span_space_badly():
     assert np.linalg.cond(Timing(pulsars(NAMES)).directions) == pytest.approx(11.3, abs=0.05)
 
 
+def test_pulses_that_nobody_counted_are_folded_into_half_a_period():
+    timing = Timing(pulsars(NAMES))
+    here, sun = np.array([1.4e8, 5e7, 2e7]), np.array([5e5, 1e5, 0.0])
+    there = here + np.array([30.0, -20.0, 10.0])
+    periods = LIGHT_KM_S * np.array([p.period_s for p in timing.pulsars])
+    measured = timing.delay(there, sun) + periods * np.array([3.0, -2.0, 170.0])
+    plain = timing.delay(there, sun) - timing.delay(here, sun)
+    np.testing.assert_allclose(timing.uncounted.minus(measured, timing.delay(here, sun)), plain, atol=1e-6)
+    far = timing.uncounted.minus(np.array([0.0, 0.0, 0.6 * periods[2]]), np.zeros(3))  # beyond, another pulse is taken for it
+    np.testing.assert_allclose(far, [0.0, 0.0, -0.4 * periods[2]], atol=1e-9)
+
+
 def test_bad_pulsars_are_refused_by_name():
     crab = known()["B0531+21"]
     for change, name in (
