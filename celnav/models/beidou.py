@@ -1,0 +1,185 @@
+"""BeiDou's broadcast orbits and clocks (B1I): medium (MEO), inclined (IGSO) and geostationary (GEO) satellites [BDS-SIS-ICD].
+
+Positions are CGCS2000, Earth-fixed at their own time, m. Times are seconds of BDT since its beginning, 2006-01-01 (week times
+604,800 plus seconds of week); GPS time is ahead by 14 s. Satellites lie along the last axis of every element.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import NamedTuple
+
+import numpy as np
+
+from celnav.gaussian import finite
+from celnav.linalg import Array
+
+GRAVITY_PARAMETER = 3.986004418e14
+"""m^3/s^2."""
+ROTATION_RATE = 7.2921150e-5
+"""rad/s."""
+LIGHT = 299792458.0
+"""m/s."""
+RELATIVITY = -2.0 * np.sqrt(GRAVITY_PARAMETER) / LIGHT**2
+"""s/m^0.5, of the clock's periodic term."""
+B1I_HZ = 1561.098e6
+WEEK_S = 604800.0
+GPS_AHEAD_S = 14.0
+GEO_NUMBERS = frozenset({*range(1, 6), *range(59, 64)})
+TILT = np.radians(5.0)
+"""Of the plane that a geostationary orbit's elements refer to: without it their node would be lost."""
+
+
+@dataclass(frozen=True)
+class Broadcast:
+    """Broadcast elements of satellites, each field ``(S,)``; angles in rad, lengths in m, times in s.
+
+    Attributes
+    ----------
+    number: of the satellite, C01 is 1. toe, toc: reference times of orbit and clock, BDT since its beginning.
+    sqrt_a, e, i0, Omega0, omega, M0, delta_n, Omega_dot, i_dot, cuc, cus, crc, crs, cic, cis: of the orbit.
+    a0, a1, a2: of the clock. tgd: group delay of B1I. health: 0 if well.
+
+    Raises
+    ------
+    ValueError: naming a field that is not finite, of another length, or an orbit that is none.
+    """
+
+    number: Array
+    toe: Array
+    sqrt_a: Array
+    e: Array
+    i0: Array
+    Omega0: Array
+    omega: Array
+    M0: Array
+    delta_n: Array
+    Omega_dot: Array
+    i_dot: Array
+    cuc: Array
+    cus: Array
+    crc: Array
+    crs: Array
+    cic: Array
+    cis: Array
+    toc: Array
+    a0: Array
+    a1: Array
+    a2: Array
+    tgd: Array
+    health: Array
+
+    def __post_init__(self) -> None:
+        count = np.size(self.number)
+        for field in fields(self):
+            object.__setattr__(self, field.name, finite(field.name, getattr(self, field.name), (count,)))
+        if count and (self.e.max() >= 1.0 or self.e.min() < 0.0):
+            raise ValueError(f"e: expected eccentricities from 0 to below 1, got {self.e}")
+        if count and self.sqrt_a.min() <= 0.0:
+            raise ValueError(f"sqrt_a: expected positive roots of semi-major axes, got {self.sqrt_a}")
+
+    def __len__(self) -> int:
+        return len(self.number)
+
+    @property
+    def names(self) -> list[str]:
+        """C01, C02, ..."""
+        return [f"C{int(n):02d}" for n in self.number]
+
+    @property
+    def geostationary(self) -> Array:
+        """Mask ``(S,)`` of the satellites whose elements refer to the tilted plane."""
+        return np.isin(self.number.astype(int), sorted(GEO_NUMBERS))
+
+    def chosen(self, which: Array) -> Broadcast:
+        """Some of the satellites, by index or mask."""
+        return Broadcast(*(getattr(self, field.name)[which] for field in fields(self)))
+
+
+class SatelliteState(NamedTuple):
+    """Positions (m) and velocities (m/s) ``(..., S, 3)``, Earth-fixed; clocks (s, ahead of BDT) and their rates ``(..., S)``."""
+
+    position: Array
+    velocity: Array
+    clock: Array
+    drift: Array
+
+
+def wrapped(seconds: Array) -> Array:
+    """Seconds within half a week of now."""
+    return np.asarray(seconds - WEEK_S * np.round(seconds / WEEK_S))
+
+
+def eccentric_anomaly(mean: Array, e: Array) -> Array:
+    """Kepler's equation by Newton's method, to round-off for any e below 0.9."""
+    E = mean + e * np.sin(mean)
+    for _ in range(8):
+        E = E - (E - e * np.sin(E) - mean) / (1.0 - e * np.cos(E))
+    return np.asarray(E)
+
+
+def satellites(broadcast: Broadcast, t: Array | float) -> SatelliteState:
+    """States of all satellites at times ``t (..., S)`` or one time; velocities are exact derivatives."""
+    b = broadcast
+    tk = wrapped(np.asarray(t, dtype=np.float64) - b.toe)
+    n = np.sqrt(GRAVITY_PARAMETER) / b.sqrt_a**3 + b.delta_n
+    E = eccentric_anomaly(b.M0 + n * tk, b.e)
+    sin_E, cos_E = np.sin(E), np.cos(E)
+    shrunk = 1.0 - b.e * cos_E
+    E_dot = n / shrunk
+    root = np.sqrt(1.0 - b.e**2)
+    phi, phi_dot = np.arctan2(root * sin_E, cos_E - b.e) + b.omega, root * E_dot / shrunk
+    s, c = np.sin(2.0 * phi), np.cos(2.0 * phi)
+    u, u_dot = phi + b.cus * s + b.cuc * c, phi_dot * (1.0 + 2.0 * (b.cus * c - b.cuc * s))
+    A = b.sqrt_a**2
+    r, r_dot = A * shrunk + b.crs * s + b.crc * c, A * b.e * sin_E * E_dot + 2.0 * phi_dot * (b.crs * c - b.crc * s)
+    i, i_dot = b.i0 + b.i_dot * tk + b.cis * s + b.cic * c, b.i_dot + 2.0 * phi_dot * (b.cis * c - b.cic * s)
+    x, y = r * np.cos(u), r * np.sin(u)
+    x_dot, y_dot = r_dot * np.cos(u) - y * u_dot, r_dot * np.sin(u) + x * u_dot
+    geo = b.geostationary
+    turning = b.Omega_dot - np.where(geo, 0.0, ROTATION_RATE)
+    node = b.Omega0 + turning * tk - ROTATION_RATE * wrapped_week(b.toe)
+    cos_O, sin_O, cos_i, sin_i = np.cos(node), np.sin(node), np.cos(i), np.sin(i)
+    across, across_dot = y * cos_i, y_dot * cos_i - y * sin_i * i_dot
+    P = np.stack([x * cos_O - across * sin_O, x * sin_O + across * cos_O, y * sin_i], -1)
+    V = np.stack(
+        [
+            x_dot * cos_O - across_dot * sin_O - turning * P[..., 1],
+            x_dot * sin_O + across_dot * cos_O + turning * P[..., 0],
+            y_dot * sin_i + y * cos_i * i_dot,
+        ],
+        -1,
+    )
+    if geo.any():
+        fixed = _from_tilted(P, V, tk)
+        P, V = (np.where(geo[:, None], a, b) for a, b in zip(fixed, (P, V), strict=True))
+    dt = wrapped(np.asarray(t, dtype=np.float64) - b.toc)
+    periodic = RELATIVITY * b.e * b.sqrt_a
+    clock = b.a0 + dt * (b.a1 + dt * b.a2) + periodic * sin_E - b.tgd
+    return SatelliteState(P, V, clock, b.a1 + 2.0 * b.a2 * dt + periodic * cos_E * E_dot)
+
+
+def wrapped_week(t: Array) -> Array:
+    """Seconds of the week."""
+    return np.asarray(t - WEEK_S * np.floor(t / WEEK_S))
+
+
+def tilted(vectors: Array, angle: float) -> Array:
+    """``R_x(angle)`` times vectors ``(..., 3)``."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    return np.stack([x, np.cos(angle) * y + np.sin(angle) * z, np.cos(angle) * z - np.sin(angle) * y], -1)
+
+
+def turned(vectors: Array, angle: Array) -> Array:
+    """``R_z(angle)`` times vectors ``(..., 3)``: into a frame that has turned by the angle ``(...)``."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    return np.stack([np.cos(angle) * x + np.sin(angle) * y, np.cos(angle) * y - np.sin(angle) * x, z], -1)
+
+
+def _from_tilted(P: Array, V: Array, tk: Array) -> tuple[Array, Array]:
+    """Earth-fixed position and velocity from those in the tilted inertial frame of geostationary elements."""
+    angle = ROTATION_RATE * tk
+    position = turned(tilted(P, -TILT), angle)
+    velocity = turned(tilted(V, -TILT), angle)
+    spin = np.stack([position[..., 1], -position[..., 0], np.zeros_like(position[..., 2])], -1)
+    return position, velocity + ROTATION_RATE * spin

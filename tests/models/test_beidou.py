@@ -1,0 +1,221 @@
+"""Broadcast orbits: against two-body motion, finite differences, and forms written down anew."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from celnav.models import beidou, pseudorange
+from celnav.models.beidou import GRAVITY_PARAMETER, LIGHT, ROTATION_RATE, Broadcast, satellites
+from celnav.models.constellation import elements, synthetic
+
+TOE = 345600.0
+
+
+def broadcast(**changes):
+    """One MEO, one IGSO and one GEO with every correction switched on."""
+    S = 3
+    values = {f.name: np.zeros(S) for f in fields(Broadcast)}
+    values |= {
+        "number": np.array([21.0, 38.0, 3.0]), "toe": np.full(S, TOE), "toc": np.full(S, TOE),
+        "sqrt_a": np.sqrt([27906100.0, 42164000.0, 42164000.0]), "e": np.array([5e-4, 2e-3, 3e-4]),
+        "i0": np.radians([55.0, 55.0, 6.3]), "Omega0": np.array([0.5, 1.5, 2.5]), "omega": np.array([0.7, 3.3, 0.5]),
+        "M0": np.array([0.3, 1.2, 2.1]), "delta_n": np.full(S, 4e-9), "Omega_dot": np.full(S, -7e-9), "i_dot": np.full(S, 3e-10),
+        "cuc": np.full(S, 5e-6), "cus": np.full(S, 8e-6), "crc": np.full(S, 200.0), "crs": np.full(S, -90.0),
+        "cic": np.full(S, 7e-8), "cis": np.full(S, -4e-8), "a0": np.array([1e-4, -2e-4, 3e-4]),
+        "a1": np.array([1e-11, 2e-11, -3e-11]), "a2": np.full(S, 1e-18), "tgd": np.array([1e-8, 5e-9, 1.4e-8]),
+    }  # fmt: skip
+    return Broadcast(**(values | changes))
+
+
+def test_velocities_and_drifts_are_derivatives():
+    b, h = broadcast(), 0.5
+    for t in (TOE - 3000.0, TOE, TOE + 1234.5):
+        steps = [satellites(b, t + k * h) for k in (-2, -1, 1, 2)]
+        for value, rate, size in (("position", "velocity", 1e-5), ("clock", "drift", 1e-17)):
+            a, c, d, e = (getattr(s, value) for s in steps)
+            difference = (a - 8.0 * c + 8.0 * d - e) / (12.0 * h)
+            np.testing.assert_allclose(getattr(satellites(b, t), rate), difference, rtol=0, atol=size)
+
+
+def textbook(b, s, t):
+    """The interface document's table, for one satellite."""
+    A = b.sqrt_a[s] ** 2
+    tk = t - b.toe[s]
+    M = b.M0[s] + (np.sqrt(GRAVITY_PARAMETER / A**3) + b.delta_n[s]) * tk
+    E = M
+    for _ in range(30):
+        E = M + b.e[s] * np.sin(E)
+    nu = np.arctan2(np.sqrt(1.0 - b.e[s] ** 2) * np.sin(E), np.cos(E) - b.e[s])
+    phi = nu + b.omega[s]
+    u = phi + b.cus[s] * np.sin(2 * phi) + b.cuc[s] * np.cos(2 * phi)
+    r = A * (1.0 - b.e[s] * np.cos(E)) + b.crs[s] * np.sin(2 * phi) + b.crc[s] * np.cos(2 * phi)
+    i = b.i0[s] + b.i_dot[s] * tk + b.cis[s] * np.sin(2 * phi) + b.cic[s] * np.cos(2 * phi)
+    x, y = r * np.cos(u), r * np.sin(u)
+    geo = b.number[s] < 6
+    node = b.Omega0[s] + (b.Omega_dot[s] - (0.0 if geo else ROTATION_RATE)) * tk - ROTATION_RATE * (b.toe[s] % 604800.0)
+    P = np.array([x * np.cos(node) - y * np.cos(i) * np.sin(node), x * np.sin(node) + y * np.cos(i) * np.cos(node), y * np.sin(i)])
+    if geo:
+        a, w = np.radians(-5.0), ROTATION_RATE * tk
+        Rx = np.array([[1, 0, 0], [0, np.cos(a), np.sin(a)], [0, -np.sin(a), np.cos(a)]])
+        Rz = np.array([[np.cos(w), np.sin(w), 0], [-np.sin(w), np.cos(w), 0], [0, 0, 1]])
+        P = Rz @ Rx @ P
+    return P
+
+
+@pytest.mark.parametrize("week", [0, 756])
+def test_positions_are_those_of_the_interface_document(week):
+    shift = 604800.0 * week
+    b = broadcast(toe=np.full(3, shift + TOE), toc=np.full(3, shift + TOE))
+    t = TOE + 2500.0
+    found = satellites(b, shift + t).position
+    for s in range(3):
+        np.testing.assert_allclose(found[s], textbook(broadcast(), s, t), rtol=0, atol=1e-5)
+
+
+def test_a_reference_time_in_the_other_week_is_near():
+    late = broadcast(toe=np.full(3, 604800.0 - 100.0), toc=np.full(3, 604800.0 - 100.0))
+    before, after = (satellites(late, t).position for t in (604800.0 + 500.0, 500.0))
+    np.testing.assert_allclose(before, after, rtol=0, atol=1e-5)
+
+
+def test_a_geostationary_satellite_by_the_other_formula_is_far_off():
+    b = broadcast()
+    wrong = replace(b, number=np.array([21.0, 38.0, 21.0]))
+    apart = np.linalg.norm(satellites(b, TOE + 1800.0).position - satellites(wrong, TOE + 1800.0).position, axis=-1)
+    assert apart[:2].max() == 0.0
+    assert apart[2] > 1e5
+
+
+def two_body(r, v, dt):
+    """Kepler motion by universal variables."""
+    r0, mu = np.linalg.norm(r), GRAVITY_PARAMETER
+    alpha, along = 2.0 / r0 - v @ v / mu, r @ v / np.sqrt(mu)
+    x = np.sqrt(mu) * dt * alpha
+    for _ in range(50):
+        z = alpha * x * x
+        C, S = (1 - np.cos(np.sqrt(z))) / z, (np.sqrt(z) - np.sin(np.sqrt(z))) / z**1.5
+        F = along * x * x * C + (1 - alpha * r0) * x**3 * S + r0 * x - np.sqrt(mu) * dt
+        x = x - F / (along * x * (1 - z * S) + (1 - alpha * r0) * x * x * C + r0)
+    z = alpha * x * x
+    C, S = (1 - np.cos(np.sqrt(z))) / z, (np.sqrt(z) - np.sin(np.sqrt(z))) / z**1.5
+    return (1 - x * x / r0 * C) * r + (dt - x**3 / np.sqrt(mu) * S) * v
+
+
+def test_synthetic_satellites_move_as_two_bodies():
+    """Elements made from a place and a velocity give that motion again, the geostationary ones too."""
+    b = synthetic(TOE)
+    start = satellites(b, TOE)
+    spin = ROTATION_RATE * np.stack([-start.position[:, 1], start.position[:, 0], 0.0 * start.position[:, 2]], -1)
+    for dt in (-900.0, 1800.0, 5400.0):
+        later = satellites(b, TOE + dt).position
+        for s in range(len(b)):
+            inertial = two_body(start.position[s], start.velocity[s] + spin[s], dt)
+            c, n = np.cos(ROTATION_RATE * dt), np.sin(ROTATION_RATE * dt)
+            fixed = np.array([c * inertial[0] + n * inertial[1], c * inertial[1] - n * inertial[0], inertial[2]])
+            np.testing.assert_allclose(later[s], fixed, rtol=0, atol=1e-6, err_msg=b.names[s])
+
+
+def test_geostationary_satellites_stand_over_their_longitudes():
+    b = synthetic(TOE)
+    at = {name: satellites(b, TOE).position[k] for k, name in enumerate(b.names)}
+    for name, longitude in (("C01", 140.0), ("C02", 80.0), ("C03", 110.5), ("C04", 160.0), ("C05", 58.75)):
+        assert np.degrees(np.arctan2(at[name][1], at[name][0])) == pytest.approx(longitude, abs=0.2)
+    assert len(b) == 5 + 3 + 24
+    assert {"C38", "C39", "C40"} <= set(at)
+
+
+def test_elements_of_a_place_and_a_velocity_are_those_it_was_made_from():
+    from celnav.models.constellation import kepler
+
+    found = elements(*kepler(a=2.8e7, e=0.01, i=0.96, Omega=1.1, omega=0.4, M=2.2))
+    np.testing.assert_allclose(found, [2.8e7, 0.01, 0.96, 1.1, 0.4, 2.2], rtol=1e-12)
+
+
+# -- what a receiver sees ------------------------------------------------------------------------------------------------------
+PLACE = np.array([-2613000.0, 4739000.0, 3365000.0])
+
+
+def light_time_range(b, s, t, place):
+    """Distance that light travels in an inertial frame, by plain iteration."""
+    delay = 0.08
+    for _ in range(8):
+        p = satellites(b, t - delay).position[s]
+        c, n = np.cos(ROTATION_RATE * delay), np.sin(ROTATION_RATE * delay)
+        delay = np.linalg.norm(np.array([c * p[0] + n * p[1], c * p[1] - n * p[0], p[2]]) - place) / LIGHT
+    return LIGHT * delay
+
+
+def test_range_and_rate_are_those_of_light_time():
+    b, t, v = synthetic(TOE), TOE + 1800.0, np.array([120.0, -300.0, 200.0])
+    seen = pseudorange.sources(b, t, PLACE, v)
+    found = pseudorange.measure(np.concatenate([PLACE, v, [30.0, 3.0]]), seen.q, seen.w)
+    S = len(b)
+    for s in range(0, S, 3):
+        assert found[s] - 30.0 == pytest.approx(light_time_range(b, s, t, PLACE), abs=1e-6)
+        h = 0.5
+        ahead, back = (light_time_range(b, s, t + k * h, PLACE + k * h * v) for k in (1, -1))
+        far, farther = (light_time_range(b, s, t + 2 * k * h, PLACE + 2 * k * h * v) for k in (1, -1))
+        rate = (8.0 * (ahead - back) - (far - farther)) / (12.0 * h)
+        assert found[S + s] - 3.0 == pytest.approx(rate, abs=5e-6)
+
+
+def test_the_jacobian_is_the_difference():
+    seen = pseudorange.sources(synthetic(TOE), TOE + 1800.0, PLACE)
+    x = np.concatenate([PLACE, [100.0, 50.0, -20.0, 3e4, 30.0]])
+    H = pseudorange.jacobian(x, seen.q, seen.w)
+    for i, size in enumerate(np.array([100.0] * 3 + [1.0] * 3 + [10.0, 1.0])):
+        e = size * np.eye(8)[i]
+        column = (pseudorange.measure(x + e, seen.q, seen.w) - pseudorange.measure(x - e, seen.q, seen.w)) / (2.0 * size)
+        np.testing.assert_allclose(H[:, i], column, rtol=0, atol=1e-8)
+
+
+def test_from_pseudoranges_the_clock_of_the_receiver_cancels():
+    b, t, bias = synthetic(TOE), TOE + 1800.0, 3e5  # a millisecond
+    seen = pseudorange.sources(b, t, PLACE)
+    ranges = np.linalg.norm(seen.q - PLACE, axis=-1) + bias - seen.clock
+    again = pseudorange.emitted(b, t + bias / LIGHT, ranges, PLACE + 10.0)
+    np.testing.assert_allclose(again.q, seen.q, rtol=0, atol=1e-3)
+    np.testing.assert_allclose(again.clock, seen.clock, rtol=0, atol=1e-6)
+
+
+def test_the_sky_and_its_dilution():
+    axes = pseudorange.local_axes(0.0, 0.0)
+    place = np.array([6378137.0, 0.0, 0.0])
+    seen = pseudorange.look(
+        place + 1e7 * np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 1.0]]), place, axes
+    )
+    np.testing.assert_allclose(np.degrees(seen.elevation), [90.0, 0.0, 0.0, 45.0], atol=1e-9)
+    np.testing.assert_allclose(np.degrees(seen.azimuth[1:3]), [0.0, 90.0], atol=1e-9)
+    rng = np.random.default_rng(3)
+    q = place + 2e7 * rng.normal(size=(5, 7, 3))
+    e = (q - place) / np.linalg.norm(q - place, axis=-1, keepdims=True)
+    G = np.concatenate([-e, np.ones((5, 7, 1))], -1)
+    C = np.linalg.pinv(np.swapaxes(G, 1, 2) @ G)
+    found = pseudorange.dilution(q, place, axes)
+    np.testing.assert_allclose(found.geometric, np.sqrt(np.trace(C, axis1=1, axis2=2)))
+    np.testing.assert_allclose(found.position, np.sqrt(np.trace(C[:, :3, :3], axis1=1, axis2=2)))
+    np.testing.assert_allclose(found.vertical, np.sqrt(C[:, 0, 0]))  # up is x here
+    np.testing.assert_allclose(found.time, np.sqrt(C[:, 3, 3]))
+    few = pseudorange.dilution(q, place, axes, np.arange(7) < 3)
+    assert np.isnan(few.position).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "name"), [({"e": np.array([0.0, 1.0, 0.0])}, "e"), ({"sqrt_a": np.zeros(3)}, "sqrt_a"), ({"M0": np.zeros(2)}, "M0"),
+                          ({"crs": np.array([0.0, np.nan, 0.0])}, "crs")]
+)  # fmt: skip
+def test_elements_that_cannot_be_are_refused_by_name(changes, name):
+    with pytest.raises(ValueError, match=f"^{name}"):
+        broadcast(**changes)
+
+
+def test_names_and_kinds():
+    b = broadcast()
+    assert b.names == ["C21", "C38", "C03"]
+    np.testing.assert_array_equal(b.geostationary, [False, False, True])
+    assert b.chosen(b.geostationary).names == ["C03"]
+    assert {1, 5, 59, 63} <= beidou.GEO_NUMBERS
+    assert 6 not in beidou.GEO_NUMBERS
