@@ -2,7 +2,8 @@
 
 A hook sees the joint of measurement and state before the update and may replace it (`celnav.filters.step.Hook`); hooks act
 one after the other, each with its own memory, and run by run: a run in a batch gets what it would get alone. A gain leaves
-the joint alone and says what to do with the innovation (`celnav.filters.step.Gain`).
+the joint alone and says what to do with the innovation (`celnav.filters.step.Gain`). More hooks: `celnav.filters.robust` (one
+measurement at a time), `celnav.filters.parity` (what no state explains).
 """
 
 from __future__ import annotations
@@ -23,7 +24,14 @@ def _signs(sign: Array, q: int) -> Array:
     return np.concatenate([sign, np.ones(q - len(sign))])
 
 
-def _variances(joint: Joint) -> tuple[Array, Array]:
+def counted(joint: Joint) -> Array:
+    """Columns ``(..., m + n, q + r)`` without those of the measurement noise, each times its sign."""
+    D = joint.columns * _signs(joint.sign, joint.columns.shape[-1])
+    batch = np.broadcast_shapes(D.shape[:-1], joint.process.shape[:-1])
+    return np.concatenate([np.broadcast_to(part, (*batch, part.shape[-1])) for part in (D, joint.process)], -1)
+
+
+def variances(joint: Joint) -> tuple[Array, Array]:
     """Variances ``(..., m)`` of the innovation: without the measurement noise, and those of that noise."""
     m = joint.innovation.shape[-1]
     D, W, N = (part[..., :m, :] for part in (joint.columns, joint.process, joint.sensor))
@@ -45,7 +53,7 @@ def gate(gamma: float) -> Hook:
         raise ValueError(f"gamma: expected a positive number of standard deviations, got {gamma!r}")
 
     def hook(memory: Any, joint: Joint, _epoch: Any) -> tuple[Any, Joint]:
-        prior, noise = _variances(joint)
+        prior, noise = variances(joint)
         beyond = joint.innovation**2 > gamma**2 * (prior + noise)
         return memory, joint._replace(innovation=np.where(beyond, np.nan, joint.innovation))
 
@@ -127,18 +135,18 @@ def innovation_window(M: int, gaps: str = "restart") -> Hook:
             ring = np.where(np.isnan(e), ring, np.concatenate([ring[1:], e[None]]))
         full = ~np.isnan(ring).any(0)
         if full.any():
-            prior, noise = _variances(joint)
+            prior, noise = variances(joint)
             full = full & (noise > 0.0)
             C = np.where(full, ring, 0.0)
             A = ((C * C).mean(0) - prior) / np.where(full, noise, 1.0)
             factor = np.sqrt(np.where(full, np.maximum(1.0, A), 1.0))
-            joint = joint._replace(sensor=_scaled(joint.sensor, factor))
+            joint = joint._replace(sensor=scaled(joint.sensor, factor))
         return Window(ring, k), joint
 
     return hook
 
 
-def _scaled(sensor: Array, factor: Array) -> Array:
+def scaled(sensor: Array, factor: Array) -> Array:
     """Measurement noise columns ``(..., m + n, s)`` with their first m rows scaled by ``factor (..., m)``."""
     m = factor.shape[-1]
     batch = np.broadcast_shapes(sensor.shape[:-2], factor.shape[:-1])

@@ -1,0 +1,119 @@
+"""Hooks that inflate measurement noise by what no error of the state can explain: the innovation less its least-squares fit.
+
+A maneuver, or any other error of the prediction, lies in the range of the measurement matrix and leaves such a residual alone;
+it takes more measurements than unknowns. The matrix is that of statistical linearization (see `celnav.filters.robust`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from celnav.filters.adaptive import scaled, variances
+from celnav.filters.info import Hook, Joint
+from celnav.linalg import Array, matvec
+
+
+class Residual(NamedTuple):
+    """Residuals ``(..., m)`` of the fit (0 where not measured), their variances, the noise's, and which were measured."""
+
+    values: Array
+    variances: Array
+    noise: Array
+    used: Array
+
+
+def residual(joint: Joint) -> Residual:
+    """The part of an innovation that no state error explains, by weighted least squares over all states."""
+    e = joint.innovation
+    _, noise = variances(joint)
+    used = ~np.isnan(e) & (noise > 0.0)
+    H = joint.slopes()[0]
+    weight = np.where(used, 1.0 / np.where(noise > 0.0, noise, 1.0), 0.0)
+    # States in units of what the measurements say of them; one that they say nothing of has no part in the fit.
+    scale = np.sqrt((weight[..., None] * H * H).sum(-2))
+    known = scale > 0.0
+    G = np.sqrt(weight)[..., None] * H / np.where(known, scale, 1.0)[..., None, :]
+    y = np.sqrt(weight) * np.where(used, e, 0.0)
+    fit = np.linalg.pinv(G, rcond=1e-10)
+    left = y - matvec(G, matvec(fit, y))
+    share = 1.0 - np.einsum("...ij,...ji->...i", G, fit)
+    size = np.sqrt(np.where(used, noise, 0.0))
+    return Residual(left * size, np.where(used, np.maximum(share, 0.0) * noise, 0.0), noise, used)
+
+
+def group_parity(groups: Sequence[ArrayLike], unknowns: int, *, deviations: float = 3.0) -> Hook:
+    """Inflate the noise of a whole group of components to what the group's residuals show, at once and without a window.
+
+    ``s = sum r^2 / R / (N - unknowns)`` over the N measured components of a group; its noise is inflated by s where that exceeds
+    ``1 + deviations sqrt(2 / (N - unknowns))``. Groups with fewer than ``unknowns + 2`` measured components are left alone.
+
+    Parameters
+    ----------
+    groups: index arrays of the components, such as ranges and rates. unknowns: that a group determines.
+
+    Raises
+    ------
+    ValueError: for groups that are empty or overlap, or numbers that cannot be.
+    """
+    members = [np.asarray(group, dtype=int) for group in groups]
+    together = np.concatenate(members) if members else np.empty(0, int)
+    if not together.size or any(not g.size for g in members) or len(set(together.tolist())) != together.size:
+        raise ValueError("groups: expected groups of components that do not overlap")
+    if isinstance(unknowns, bool) or int(unknowns) != unknowns or unknowns < 1:
+        raise ValueError(f"unknowns: expected a positive integer, got {unknowns!r}")
+    if not deviations >= 0.0:
+        raise ValueError(f"deviations: expected a number that is not negative, got {deviations!r}")
+
+    def hook(memory: Any, joint: Joint, _epoch: Any) -> tuple[Any, Joint]:
+        r = residual(joint)
+        if together.max() >= r.values.shape[-1]:
+            raise ValueError(f"groups: expected components below {r.values.shape[-1]}, got {together.max()}")
+        factor = np.ones(r.values.shape)
+        squares = np.where(r.used, r.values**2 / np.where(r.used, r.noise, 1.0), 0.0)
+        for group in members:
+            spare = r.used[..., group].sum(-1) - unknowns
+            enough = spare >= 2
+            s = squares[..., group].sum(-1) / np.where(enough, spare, 1)
+            bound = 1.0 + deviations * np.sqrt(2.0 / np.where(enough, spare, 1))
+            factor[..., group] = np.where(enough & (s > bound), s, 1.0)[..., None]
+        return memory, joint._replace(sensor=scaled(joint.sensor, np.sqrt(factor)))
+
+    return hook
+
+
+class ParityWindow(NamedTuple):
+    """Memory of `channel_parity`: the last normalized squares ``(M, ..., m)``, nan before there were any, and when."""
+
+    squares: Array
+    k: Any
+
+
+def channel_parity(M: int) -> Hook:
+    """Inflate the noise of each component to what its last ``M`` residuals show, in their own deviations: ``max(1, mean r^2 / C)``.
+
+    A component has factor 1 until it has M samples of consecutive epochs.
+
+    Raises
+    ------
+    ValueError: unless ``M`` is a positive integer.
+    """
+    if isinstance(M, bool) or int(M) != M or M < 1:
+        raise ValueError(f"M: expected a positive integer, got {M!r}")
+
+    def hook(memory: ParityWindow | None, joint: Joint, epoch: Any) -> tuple[ParityWindow, Joint]:
+        r, k = residual(joint), getattr(epoch, "k", None)
+        spare = r.used & (r.variances > 1e-6 * r.noise)  # a component that the fit cannot do without has no residual
+        squares = np.where(spare, r.values**2 / np.where(spare, r.variances, 1.0), np.nan)
+        ring = np.full((int(M), *squares.shape), np.nan) if memory is None else memory.squares
+        if memory is not None and k is not None and memory.k is not None and k > memory.k + 1:
+            ring = np.full_like(ring, np.nan)
+        ring = np.concatenate([np.broadcast_to(ring, (int(M), *squares.shape))[1:], squares[None]])
+        full = ~np.isnan(ring).any(0)
+        factor = np.where(full, np.maximum(1.0, np.where(full, ring, 0.0).mean(0)), 1.0)
+        return ParityWindow(ring, k), joint._replace(sensor=scaled(joint.sensor, np.sqrt(factor)))
+
+    return hook

@@ -1,0 +1,193 @@
+"""Robust and parity hooks follow their formulas in every rule and form, run by run, with what is missing left out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from celnav.filters.driver import epochs, run, sequential
+from celnav.filters.parity import channel_parity, group_parity
+from celnav.filters.robust import huber, sage_husa, student_t
+from celnav.filters.step import predict, update
+from celnav.gaussian import covariance, square_root
+from celnav.points import cubature, unscented
+from celnav.taylor import Taylor
+
+A = np.array([[1.0, 0.2], [-0.1, 0.9]])
+H = np.array([[1.0, 0.0], [0.5, 1.0], [0.0, 2.0], [1.0, -1.0], [2.0, 0.5], [0.3, 1.0]])
+Q = np.array([[0.1, 0.02], [0.02, 0.05]])
+R = np.diag([0.5, 0.4, 0.3, 0.2, 0.6, 0.7])
+P0 = np.array([[1.0, 0.3], [0.3, 0.6]])
+m, T = 6, 40
+FORMS = pytest.mark.parametrize("form", [square_root, covariance], ids=["root", "cov"])
+RULES = pytest.mark.parametrize("rule", [unscented(2), cubature(2), Taylor(), Taylor(lambda x, _e: (H,))], ids=repr)
+GROUPS = (range(3), range(3, 6))
+HOOKS = {
+    "huber": huber(), "student": student_t(4.0), "sage-husa": sage_husa(0.9), "group": group_parity(GROUPS, 1, deviations=1.0),
+    "channel": channel_parity(4),
+}  # fmt: skip
+ALL = pytest.mark.parametrize("name", HOOKS)
+
+
+def filter_of(hook, rule):
+    move = Taylor(lambda x, _e: (A,)) if getattr(rule, "jacobians", None) else rule
+    return sequential(predict(lambda x, _e: x @ A.T, move, Q), update(lambda x, _e: x @ H.T, rule, R, hooks=(hook,)))
+
+
+def measured(*batch, seed=1):
+    rng = np.random.default_rng(seed)
+    x, z = rng.normal(size=(*batch, 2)) @ np.linalg.cholesky(P0).T, []
+    for k in range(T):
+        if k:
+            x = x @ A.T + rng.normal(size=(*batch, 2)) @ np.linalg.cholesky(Q).T
+        noise = rng.normal(size=(*batch, m)) * np.sqrt(R.diagonal())
+        z.append(x @ H.T + noise * np.where((15 <= k < 25) & (np.arange(m) < 3), 12.0, 1.0))
+    return np.array(z)
+
+
+def kalman(z, inflate):
+    """The textbook filter of one run; ``inflate(k, e, P, used) -> factors (m,)`` of the noise's variances."""
+    x, P, means = np.zeros(2), P0, []
+    for k, row in enumerate(z):
+        if k:
+            x, P = A @ x, A @ P @ A.T + Q
+        e = row - H @ x
+        used = ~np.isnan(e)
+        if used.any():
+            S = (H @ P @ H.T + R * inflate(k, e, P, used))[np.ix_(used, used)]
+            K = np.linalg.solve(S, (H @ P)[used]).T
+            x, P = x + K @ e[used], P - K @ (H @ P)[used]
+        means.append(x)
+    return np.array(means)
+
+
+def reweighted(weight):
+    def inflate(_k, e, P, used):
+        factor = np.ones(m)
+        Hu, eu, r = H[used], e[used], R.diagonal()[used]
+        W = np.ones(used.sum())
+        for _ in range(6):
+            S = Hu @ P @ Hu.T + np.diag(r / W)
+            fitted = Hu @ P @ Hu.T @ np.linalg.solve(S, eu)
+            W = weight(np.abs(eu - fitted) / np.sqrt(r))
+        factor[used] = 1.0 / W
+        return factor
+
+    return inflate
+
+
+class Husa:
+    def __init__(self, b=0.9):
+        self.b, self.R, self.count = b, R.diagonal().copy(), np.zeros(m)
+
+    def __call__(self, _k, e, P, used):
+        for i in np.flatnonzero(used):
+            d = (1 - self.b) / (1 - self.b ** (self.count[i] + 1))
+            self.R[i] = (1 - d) * self.R[i] + d * max(e[i] ** 2 - H[i] @ P @ H[i], 0.01 * R[i, i])
+            self.count[i] += 1
+        return np.maximum(self.R, 0.25 * R.diagonal()) / R.diagonal()
+
+
+def residuals(e, used):
+    Hu, W = H[used], np.diag(1.0 / R.diagonal()[used])
+    fit = np.linalg.solve(Hu.T @ W @ Hu, Hu.T @ W)
+    C = R[np.ix_(used, used)] - Hu @ np.linalg.inv(Hu.T @ W @ Hu) @ Hu.T
+    return e[used] - Hu @ fit @ e[used], C.diagonal()
+
+
+def grouped(_k, e, _P, used):
+    factor, r = np.ones(m), np.zeros(m)
+    r[used] = residuals(e, used)[0]
+    for group in GROUPS:
+        members = [i for i in group if used[i]]
+        spare = len(members) - 1
+        if spare >= 2:
+            s = sum(r[i] ** 2 / R[i, i] for i in members) / spare
+            if s > 1.0 + np.sqrt(2.0 / spare):
+                factor[list(group)] = s
+    return factor
+
+
+class Channels:
+    def __init__(self, M=4):
+        self.M, self.past = M, [[] for _ in range(m)]
+
+    def __call__(self, _k, e, _P, used):
+        r, C = residuals(e, used)
+        squares = dict(zip(np.flatnonzero(used), r**2 / C, strict=True))
+        factor = np.ones(m)
+        for i in range(m):
+            self.past[i] = [*self.past[i], squares[i]] if i in squares else []
+            if len(self.past[i]) >= self.M:
+                factor[i] = max(1.0, np.mean(self.past[i][-self.M :]))
+        return factor
+
+
+PLAIN = {
+    "huber": lambda: reweighted(lambda u: np.minimum(1.0, 1.345 / u)), "student": lambda: reweighted(lambda u: 5.0 / (4.0 + u * u)),
+    "sage-husa": Husa, "group": lambda: grouped, "channel": Channels,
+}  # fmt: skip
+
+
+@ALL
+@RULES
+@FORMS
+def test_hooks_follow_their_formulas(form, rule, name):
+    z = measured()
+    z[8, 2] = np.nan
+    z[18, 0] = np.nan
+    z[30, 3:5] = np.nan
+    track = run(filter_of(HOOKS[name], rule), form(np.zeros(2), P0), epochs(np.arange(T), z))
+    np.testing.assert_allclose(track.mean, kalman(z, PLAIN[name]()), rtol=0, atol=1e-7)
+
+
+@ALL
+def test_runs_do_not_know_each_other(name):
+    z = measured(3)
+    z[12, 1] = np.nan
+    z[22, 0, 1] = np.nan
+    z[28] = np.nan
+    batch = run(filter_of(HOOKS[name], unscented(2)), square_root(np.zeros((3, 2)), P0), epochs(np.arange(T), z))
+    for i in range(3):
+        alone = run(filter_of(HOOKS[name], unscented(2)), square_root(np.zeros(2), P0), epochs(np.arange(T), z[:, i]))
+        np.testing.assert_allclose(alone.mean, batch.mean[:, i], rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("hook", [group_parity(GROUPS, 1), channel_parity(2)], ids=["group", "channel"])
+def test_parity_does_not_see_what_a_state_explains(hook):
+    """A jump of the state, a thousand deviations large, changes no weight: the same gain, so the estimates differ by its image."""
+    z, jump = measured(), np.array([300.0, -200.0])
+    jumped = z.copy()
+    jumped[10:] += H @ jump
+    prior = square_root(np.zeros(2), P0)
+    one, two = (run(filter_of(hook, unscented(2)), prior, epochs(np.arange(T), data), keep="spread") for data in (z, jumped))
+    np.testing.assert_allclose(two.cov, one.cov, rtol=1e-6)
+
+
+@ALL
+def test_hooks_help_in_a_burst(name):
+    z, prior = measured(200), square_root(np.zeros((200, 2)), P0)
+    left = []
+    for hook in (lambda memory, joint, _epoch: (memory, joint), HOOKS[name]):
+        mean = run(filter_of(hook, unscented(2)), prior, epochs(np.arange(T), z)).mean
+        left.append(np.square(z[19:25, :, 3:] - mean[19:25] @ H[3:].T).mean())  # sound components, once the windows are full
+    assert left[1] < 0.8 * left[0]
+
+
+@pytest.mark.parametrize(
+    ("make", "name"),
+    [
+        (lambda: huber(0.0), "threshold"), (lambda: huber(1.0, 0), "rounds"), (lambda: student_t(np.nan), "dof"),
+        (lambda: sage_husa(1.0), "forgetting"), (lambda: sage_husa(0.9, 0.0), "least"), (lambda: group_parity((), 4), "groups"),
+        (lambda: group_parity(([0, 1], [1, 2]), 4), "groups"), (lambda: group_parity(([0, 1],), 0), "unknowns"),
+        (lambda: group_parity(([0, 1],), 1, deviations=-1.0), "deviations"), (lambda: channel_parity(0), "M"),
+    ],
+)  # fmt: skip
+def test_bad_input_is_refused_by_name(make, name):
+    with pytest.raises(ValueError, match=f"^{name}: expected"):
+        make()
+
+
+def test_groups_beyond_the_measurement_are_refused():
+    with pytest.raises(ValueError, match=r"^groups: expected components below 6, got 7"):
+        run(filter_of(group_parity(([0, 7],), 1), unscented(2)), square_root(np.zeros(2), P0), epochs(np.arange(T), measured()))
