@@ -1,0 +1,73 @@
+"""A state from one measurement alone, by weighted least squares: no memory but the point to start from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from celnav.filters.driver import Epoch, Filter, State
+from celnav.filters.info import Info
+from celnav.filters.step import evaluate
+from celnav.gaussian import COVARIANCE, Gaussian, finite
+from celnav.linalg import Array, matvec
+
+RANK = 1e-10
+"""Smallest to largest singular value, in units of what measurements say, below which a state is not determined."""
+
+
+def least_squares(
+    h: Callable[[Array, Epoch], Array],
+    jacobian: Callable[[Array, Epoch], Array],
+    sigma: ArrayLike | Callable[[Array, Epoch], Array],
+    *,
+    rounds: int = 10,
+) -> Filter:
+    """A filter that makes a fix of every measurement by Gauss and Newton, from the last fix, or from the prior's mean.
+
+    Components that are nan are left out. A run whose measurement does not determine the state, or is missing, becomes nan for this
+    epoch and starts from its last fix at the next.
+
+    Parameters
+    ----------
+    h, jacobian: ``(mean (..., n), epoch) ->`` ``(..., m)`` and ``(..., m, n)``.
+    sigma: deviations ``(..., m)`` of the noise, which is of independent components; constant or ``(mean, epoch) -> deviations``.
+    rounds: of Gauss and Newton.
+
+    Returns
+    -------
+    A filter in covariance form. Its innovations are the residuals of the fix, its ``white`` those in deviations.
+
+    Raises
+    ------
+    ValueError: unless ``sigma`` is positive and ``rounds`` a positive integer.
+    """
+    if isinstance(rounds, bool) or int(rounds) != rounds or rounds < 1:
+        raise ValueError(f"rounds: expected a positive integer, got {rounds!r}")
+    deviations: Any = sigma if callable(sigma) else finite("sigma", sigma)
+    if not callable(sigma) and not (deviations > 0.0).all():
+        raise ValueError(f"sigma: expected positive deviations, got {sigma!r:.80}")
+
+    def step(state: State, epoch: Epoch) -> tuple[State, Info]:
+        z = np.asarray(epoch.z, dtype=np.float64)
+        x = state.memory[0]
+        used = np.broadcast_to(~np.isnan(z), (*x.shape[:-1], z.shape[-1]))
+        weight = np.where(used, 1.0 / evaluate(deviations, x, epoch), 0.0)
+        for _ in range(int(rounds)):
+            G = weight[..., None] * jacobian(x, epoch)
+            unit = np.sqrt(np.square(G).sum(-2))
+            unit = np.where(unit > 0.0, unit, 1.0)
+            U, s, Vt = np.linalg.svd(G / unit[..., None, :], full_matrices=False)
+            known = (s[..., -1] > RANK * s[..., 0]) & (used.sum(-1) >= x.shape[-1])
+            inverse = np.where(known[..., None], 1.0 / np.where(s > 0.0, s, 1.0), 0.0)
+            V = Vt.mT / unit[..., :, None] * inverse[..., None, :]
+            x = x + matvec(V, matvec(U.mT, weight * np.where(used, z - h(x, epoch), 0.0)))
+        left = np.where(used, z - h(x, epoch), np.nan)
+        fix = np.where(known[..., None], x, np.nan)
+        belief = Gaussian(fix, np.where(known[..., None, None], V @ V.mT, np.nan), COVARIANCE)
+        info = Info(left, np.where(used, weight * left, 0.0), used)
+        return State(belief, (x,)), info
+
+    return Filter(lambda prior: State(prior, (prior.mean,)), step)

@@ -1,0 +1,62 @@
+"""Fixes from single measurements: against a linear solution, a known position, and what cannot be fixed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from celnav.filters.driver import epochs, run
+from celnav.filters.least_squares import least_squares
+from celnav.gaussian import covariance
+from celnav.models import pseudorange
+from celnav.models.constellation import synthetic
+
+H = np.array([[1.0, 0.0], [0.5, 1.0], [0.0, 2.0], [1.0, -1.0]])
+SIGMA = np.array([0.5, 1.0, 2.0, 0.7])
+
+
+def linear():
+    return least_squares(lambda x, _e: x @ H.T, lambda x, _e: np.broadcast_to(H, (*x.shape[:-1], 4, 2)), SIGMA)
+
+
+def test_a_linear_fix_is_the_weighted_solution():
+    z = np.random.default_rng(0).normal(size=(5, 3, 4))
+    z[2, 1, 0] = np.nan
+    track = run(linear(), covariance(np.zeros((3, 2)), np.eye(2)), epochs(np.arange(5), z), keep="spread")
+    for k in range(5):
+        for r in range(3):
+            used = ~np.isnan(z[k, r])
+            G = (H / SIGMA[:, None])[used]
+            expected = np.linalg.lstsq(G, (z[k, r] / SIGMA)[used], rcond=None)[0]
+            np.testing.assert_allclose(track.mean[k, r], expected, atol=1e-12)
+            np.testing.assert_allclose(track.cov[k, r], np.linalg.inv(G.T @ G), atol=1e-12)
+
+
+def test_what_is_not_determined_is_nan_for_that_epoch_only():
+    z = np.random.default_rng(1).normal(size=(4, 2, 4))
+    z[1, 0] = np.nan
+    z[2, 1, 1:] = np.nan
+    track = run(linear(), covariance(np.zeros((2, 2)), np.eye(2)), epochs(np.arange(4), z), on_failure="flag")
+    assert np.isnan(track.mean[1, 0]).all()
+    assert np.isnan(track.mean[2, 1]).all()
+    assert np.isfinite(track.mean[3]).all()
+    assert np.isfinite(track.mean[1, 1]).all()
+
+
+def test_a_receiver_is_found_from_the_middle_of_the_earth():
+    truth = np.array([-2613e3, 4739e3, 3365e3, 120.0, -300.0, 200.0, 3e4, 30.0])
+    seen = pseudorange.sources(synthetic(), 347400.0, truth[:3], truth[3:6])
+    z = pseudorange.measure(truth, seen.q, seen.w)
+    fix = least_squares(
+        lambda x, _e: pseudorange.measure(x, seen.q, seen.w),
+        lambda x, _e: pseudorange.jacobian(x, seen.q, seen.w),
+        np.repeat([3.0, 0.1], 32),
+    )
+    track = run(fix, covariance(np.zeros(8), np.eye(8)), epochs([0.0], z[None]))
+    np.testing.assert_allclose(track.mean[0], truth, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize(("changes", "name"), [({"sigma": np.zeros(4)}, "sigma"), ({"rounds": 0}, "rounds")])
+def test_bad_input_is_refused_by_name(changes, name):
+    with pytest.raises(ValueError, match=f"^{name}"):
+        least_squares(lambda x, _e: x, lambda x, _e: x, **({"sigma": SIGMA} | changes))
