@@ -10,6 +10,7 @@ from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
+from pymap3d import Ellipsoid
 
 from celnav.gaussian import finite
 from celnav.linalg import Array
@@ -25,6 +26,8 @@ RELATIVITY = -2.0 * np.sqrt(GRAVITY_PARAMETER) / LIGHT**2
 B1I_HZ = 1561.098e6
 WEEK_S = 604800.0
 GPS_AHEAD_S = 14.0
+ELLIPSOID = Ellipsoid(6378137.0, 6378137.0 * (1.0 - 1.0 / 298.257222101))
+"""Of CGCS2000."""
 GEO_NUMBERS = frozenset({*range(1, 6), *range(59, 64)})
 TILT = np.radians(5.0)
 """Of the plane that a geostationary orbit's elements refer to: without it their node would be lost."""

@@ -1,0 +1,133 @@
+"""The paper's parameters, and those it does not give."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from celnav.gaussian import finite
+from celnav.linalg import Array
+
+TITLE = "Adaptive unscented Kalman filter for BeiDou positioning"
+CITATION = """\
+@article{Fan2015,
+  author  = {Fan, L. and Chen, A. and Chen, S. and Han, L.},
+  title   = {An adaptive unscented {Kalman} filter for {BeiDou} receiver positioning},
+  note    = {in Chinese; year and journal are not in the text available, which has lost its display equations and Table 1}
+}"""
+STANDARD_GRAVITY = 9.80665
+LIGHT = 299792458.0
+CHANNELS = ("none", "ranges", "both", "one")
+
+
+@dataclass(frozen=True)
+class Config:
+    """Everything that a run of the study depends on.
+
+    Raises
+    ------
+    ValueError: naming the parameter that cannot be.
+    """
+
+    speed_m_per_s: float = 400.0  # paper
+    acceleration_g: float = 4.0  # paper
+    height_m: float = 800.0  # paper
+    latitude_deg: float = 32.03  # inferred
+    longitude_deg: float = 118.85  # inferred
+    interval_s: float = 0.1  # chosen: at 10 Hz the paper's result in the burst appears
+    duration_s: float = 90.0  # chosen
+    mask_deg: float = 10.0  # chosen
+    sigma_range_m: float = 3.0  # chosen: what the filters take the noise for
+    sigma_rate_m_per_s: float = 0.1  # chosen
+    true_sigma_range_m: float = 3.0  # chosen: what it is
+    burst: str = "ranges"  # chosen: the paper does not say which channels: "none", "ranges", "both", "one" satellite
+    burst_s: tuple[float, float] = (60.0, 70.0)  # paper
+    burst_sigma: float = 50.0  # paper; m and m/s
+    burst_satellite: int = 2  # chosen: its place among the visible ones
+    acceleration_noise_m2_per_s3: float = 0.0  # chosen: 0 stands for a^2 T
+    clock_white_m2_per_s: float = LIGHT**2 * 2e-19 / 2.0  # chosen: a crystal, h0 = 2e-19
+    clock_walk_m2_per_s3: float = 2.0 * np.pi**2 * LIGHT**2 * 2e-20  # chosen: h-2 = 2e-20
+    bias_m: float = 3e4  # chosen
+    drift_m_per_s: float = 30.0  # chosen
+    deviation: tuple[float, float, float, float] = (10.0, 1.0, 10.0, 1.0)  # chosen: m, m/s, m, m/s
+    window: int = 10  # chosen: the paper says M
+    alpha: float = 1.0  # chosen
+    beta: float = 2.0  # paper
+    runs: int = 100
+
+    def __post_init__(self) -> None:
+        shapes: dict[str, tuple[int, ...]] = {"burst_s": (2,), "deviation": (4,)}
+        for name in self.__dataclass_fields__:
+            if name != "burst":
+                finite(name, getattr(self, name), shapes.get(name, ()))
+        positive = ("speed_m_per_s", "acceleration_g", "interval_s", "duration_s", "sigma_range_m", "sigma_rate_m_per_s",
+                    "true_sigma_range_m", "burst_sigma", "alpha")  # fmt: skip
+        for name in positive:
+            if getattr(self, name) <= 0.0:
+                raise ValueError(f"{name}: expected a positive number, got {getattr(self, name)!r}")
+        for name in ("acceleration_noise_m2_per_s3", "clock_white_m2_per_s", "clock_walk_m2_per_s3"):
+            if getattr(self, name) < 0.0:
+                raise ValueError(f"{name}: expected a number that is not negative, got {getattr(self, name)!r}")
+        if min(self.deviation) <= 0.0:
+            raise ValueError(f"deviation: expected positive numbers, got {self.deviation!r}")
+        if self.burst not in CHANNELS:
+            raise ValueError(f"burst: expected one of {', '.join(CHANNELS)}, got {self.burst!r}")
+        for name in ("window", "runs"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or int(value) != value or value < 1:
+                raise ValueError(f"{name}: expected a positive integer, got {value!r}")
+
+    @property
+    def times(self) -> Array:
+        """Epochs ``(T,)`` s."""
+        return self.interval_s * np.arange(round(self.duration_s / self.interval_s) + 1)
+
+    @property
+    def radius_m(self) -> float:
+        """Of the circle."""
+        return self.speed_m_per_s**2 / (self.acceleration_g * STANDARD_GRAVITY)
+
+    @property
+    def turn_rate(self) -> float:
+        """rad/s."""
+        return self.acceleration_g * STANDARD_GRAVITY / self.speed_m_per_s
+
+    @property
+    def F(self) -> Array:
+        """Constant velocity and clock drift over an interval, ``(8, 8)``."""
+        F, T = np.eye(8), self.interval_s
+        F[:3, 3:6] = T * np.eye(3)
+        F[6, 7] = T
+        return F
+
+    @property
+    def acceleration_noise(self) -> float:
+        """Density of the white acceleration, m^2/s^3: ``a^2 T``, if it is not given, makes up for a constant one."""
+        given = self.acceleration_noise_m2_per_s3
+        return given or (self.acceleration_g * STANDARD_GRAVITY) ** 2 * self.interval_s
+
+    @property
+    def Q(self) -> Array:
+        """Process noise of an interval, ``(8, 8)``."""
+        T, Q = self.interval_s, np.zeros((8, 8))
+        block = np.array([[T**3 / 3.0, T**2 / 2.0], [T**2 / 2.0, T]])
+        Q[:6, :6] = self.acceleration_noise * np.kron(block, np.eye(3))
+        Q[6:, 6:] = self.clock_walk_m2_per_s3 * block
+        Q[6, 6] += self.clock_white_m2_per_s * T
+        return Q
+
+    @property
+    def P0(self) -> Array:
+        """Covariance of the prior, ``(8, 8)``."""
+        position, velocity, bias, drift = self.deviation
+        return np.diag(np.square([position] * 3 + [velocity] * 3 + [bias, drift]))
+
+
+STANDARD = Config()
+PRESETS = {
+    "burst": STANDARD,
+    "quiet": replace(STANDARD, burst="none"),
+    "mistuned": replace(STANDARD, burst="none", true_sigma_range_m=10.0),
+    "1 Hz": replace(STANDARD, interval_s=1.0),
+}

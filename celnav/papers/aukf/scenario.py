@@ -1,0 +1,161 @@
+"""Truth, satellites, measurements, and the filters that the paper and this study compare."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from pymap3d import geodetic2ecef
+
+from celnav.filters.adaptive import gate, innovation_window
+from celnav.filters.driver import Epoch, Filter, sequential
+from celnav.filters.info import Hook
+from celnav.filters.least_squares import least_squares
+from celnav.filters.parity import channel_parity, group_parity
+from celnav.filters.robust import huber, sage_husa, student_t
+from celnav.filters.step import predict, update
+from celnav.gaussian import Gaussian, covariance
+from celnav.linalg import Array
+from celnav.models import pseudorange
+from celnav.models.beidou import ELLIPSOID
+from celnav.models.constellation import synthetic
+from celnav.montecarlo import normals
+from celnav.papers.aukf.config import Config
+from celnav.points import Transform, unscented
+from celnav.taylor import Taylor
+
+TOE_S = 345600.0
+START_S = TOE_S + 1800.0
+"""First epoch, BDT seconds of its first week."""
+
+
+class Satellites(NamedTuple):
+    """The visible satellites along the track: names, ``q, w (T, S, 3)``, elevations ``(T, S)`` rad; see `pseudorange.Sources`."""
+
+    names: list[str]
+    q: Array
+    w: Array
+    elevation: Array
+
+
+class Scenario(NamedTuple):
+    """Simulated runs, time-major.
+
+    Attributes
+    ----------
+    truth: ``(T, runs, 8)``. z: ``(T, runs, 2 S)``, ranges then rates, nan below the mask.
+    """
+
+    config: Config
+    truth: Array
+    z: Array
+    satellites: Satellites
+    prior: Gaussian
+
+    def epochs(self) -> Iterator[Epoch]:
+        """Epochs; ``u`` is ``(q, w)`` at the epoch's time."""
+        times, dt = self.config.times.tolist(), self.config.interval_s
+        for k, (t, z, truth) in enumerate(zip(times, self.z, self.truth, strict=True)):
+            yield Epoch(k, t, dt if k else 0.0, (self.satellites.q[k], self.satellites.w[k]), z, truth)
+
+
+def axes(config: Config) -> Array:
+    """East, north, up at the middle of the circle, the rows of ``(3, 3)``."""
+    latitude, longitude = np.radians([config.latitude_deg, config.longitude_deg]).tolist()
+    return pseudorange.local_axes(latitude, longitude)
+
+
+def circle(config: Config) -> tuple[Array, Array]:
+    """Positions and velocities ``(T, 3)`` on the track, Earth-fixed."""
+    east, north, _ = axes(config)
+    angle = (config.turn_rate * config.times)[:, None]
+    middle = np.array(geodetic2ecef(config.latitude_deg, config.longitude_deg, config.height_m, ell=ELLIPSOID))
+    position = middle + config.radius_m * (np.cos(angle) * east + np.sin(angle) * north)
+    return position, config.speed_m_per_s * (np.cos(angle) * north - np.sin(angle) * east)
+
+
+def visible(config: Config) -> Satellites:
+    """The synthetic constellation along the track, those that are above the mask at some time."""
+    broadcast, (position, velocity) = synthetic(TOE_S), circle(config)
+    seen = pseudorange.sources(broadcast, START_S + config.times, position, velocity)
+    up = pseudorange.look(seen.q, position, axes(config)).elevation
+    chosen = (up >= np.radians(config.mask_deg)).any(0)
+    return Satellites(broadcast.chosen(chosen).names, seen.q[:, chosen], seen.w[:, chosen], up[:, chosen])
+
+
+def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
+    """Simulate one run with each generator: the track is the same, clock, noise and initial error are its own."""
+    c, satellites, (position, velocity) = config, visible(config), circle(config)
+    T, S, runs = len(c.times), len(satellites.names), len(rngs)
+    first, walk, noise, extra = normals(rngs, (8,), (T, 2), (T, 2 * S), (T, 2 * S))
+    F, root = c.F[6:, 6:], np.linalg.cholesky(c.Q[6:, 6:])
+    truth = np.empty((T, runs, 8))
+    truth[..., :3], truth[..., 3:6] = position[:, None], velocity[:, None]
+    clock = np.tile([c.bias_m, c.drift_m_per_s], (runs, 1))
+    for k in range(T):
+        if k:
+            clock = clock @ F.T + walk[k] @ root.T
+        truth[k, :, 6:] = clock
+    z = pseudorange.measure(truth, satellites.q[:, None], satellites.w[:, None])
+    z += np.repeat([c.true_sigma_range_m, c.sigma_rate_m_per_s], S) * noise + burst(c, S)[:, None] * extra
+    z[np.tile(satellites.elevation < np.radians(c.mask_deg), 2)[:, None].repeat(runs, 1)] = np.nan
+    prior = truth[0] + first * np.sqrt(c.P0.diagonal())
+    return Scenario(c, truth, z, satellites, covariance(prior, np.broadcast_to(c.P0, (runs, 8, 8))))
+
+
+def burst(config: Config, S: int) -> Array:
+    """Deviations ``(T, 2 S)`` of the noise that the burst adds."""
+    during = (config.times >= config.burst_s[0]) & (config.times < config.burst_s[1])
+    hit = np.zeros(2 * S)
+    if config.burst == "one":
+        hit[config.burst_satellite] = 1.0
+    elif config.burst != "none":
+        hit[: S if config.burst == "ranges" else 2 * S] = 1.0
+    return np.asarray(config.burst_sigma * during[:, None] * hit)
+
+
+def _measured(x: Array, epoch: Epoch) -> Array:
+    return pseudorange.measure(x, *epoch.u)
+
+
+def _slope(x: Array, epoch: Epoch) -> Array:
+    return pseudorange.jacobian(x, *epoch.u)
+
+
+EKF = Taylor(lambda x, epoch: (_slope(x, epoch),))
+
+
+def hooks(config: Config, S: int) -> dict[str, tuple[Hook, ...]]:
+    """What each filter does to the noise of a measurement before it uses it; of the ukf nothing."""
+    return {
+        "ukf": (),
+        "aukf": (innovation_window(config.window),),
+        "group": (group_parity((range(S), range(S, 2 * S)), 4),),
+        "channel": (channel_parity(config.window),),
+        "gate": (gate(4.0),),
+        "huber": (huber(),),
+        "student": (student_t(4.0),),
+        "sage-husa": (sage_husa(0.95),),
+    }
+
+
+def adapted(config: Config, S: int, rule: Transform, hook: tuple[Hook, ...] = ()) -> Filter:
+    """A filter of the paper's model: constant velocity, which every rule moves alike, and the measurement by a rule."""
+    F, sigma = config.F, np.repeat([config.sigma_range_m, config.sigma_rate_m_per_s], S)
+    move = Taylor(lambda _x, _epoch: (F,))
+    forward = predict(lambda x, _epoch: x @ F.T, move, config.Q)
+    return sequential(forward, update(_measured, rule, np.diag(sigma**2), hooks=hook))
+
+
+def filters(config: Config) -> dict[str, Filter]:
+    """The filters by name, for the satellites that are visible in this configuration, and priors in either form.
+
+    ls: every epoch by itself. ekf, ukf. aukf: the paper's, adapted by a window of innovations. group, channel: adapted by what no
+    state explains. gate, huber, student, sage-husa: baselines. Those after ukf are unscented too.
+    """
+    S = len(visible(config).names)
+    rule: Any = unscented(8, config.alpha, config.beta, 0.0)
+    sigma = np.repeat([config.sigma_range_m, config.sigma_rate_m_per_s], S)
+    out = {"ls": least_squares(_measured, _slope, sigma, rounds=4), "ekf": adapted(config, S, EKF)}
+    return out | {name: adapted(config, S, rule, hook) for name, hook in hooks(config, S).items()}
