@@ -16,7 +16,7 @@ ROOMS = [
     {"points"},
     {"taylor", "sparse_grid", "attitude"},
     {"adaptive_grid", "filters", "models"},
-    {"montecarlo", "metrics", "observability", "jacobians", "tuning"},
+    {"montecarlo", "metrics", "observability", "jacobians", "tuning", "rinex"},
     {"claims", "figures", "recording"},
     {"papers"},
     {"report"},
