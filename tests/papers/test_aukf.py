@@ -7,11 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from celnav.filters.adaptive import innovation_window
 from celnav.filters.driver import run, sequential
 from celnav.filters.step import predict, update
 from celnav.models import pseudorange
 from celnav.montecarlo import generator
-from celnav.papers.aukf import PRESETS, filters, simulate
+from celnav.papers.aukf import PRESETS, errata, filters, simulate
+from celnav.papers.aukf.follow import follow as follow_all
+from celnav.papers.aukf.follow import watched
 from celnav.papers.aukf.scenario import EKF, adapted, axes, circle, visible
 from celnav.points import unscented
 
@@ -101,3 +104,35 @@ def test_every_rule_moves_a_linear_model_alike():
 def test_a_configuration_that_cannot_be_is_refused_by_name(change, name):
     with pytest.raises(ValueError, match=f"^{name}"):
         replace(PRESETS["burst"], **change)
+
+
+def test_a_clipped_mean_of_squares_exceeds_one():
+    for M, exact in ((5, 0.244), (10, 0.176), (30, 0.102)):
+        assert errata.clipped_mean(M) == pytest.approx(exact, abs=6e-4)
+    draws = np.maximum(1.0, np.square(np.random.default_rng(0).normal(size=(200_000, 10))).mean(1))
+    assert errata.clipped_mean(10) == pytest.approx(draws.mean() - 1.0, abs=3e-3)
+
+
+def test_without_drawing_anew_the_gain_lacks_the_process_noise():
+    sim, S = simulate(PRESETS["quiet"], runs(3)), len(visible(SHORT).names)
+    rule = unscented(8, 1.0, 2.0, 0.0)
+    found = follow_all({"without": errata.without_redraw(SHORT, S, rule), "with": adapted(SHORT, S, rule)}, sim)
+    sizes = {n: np.sqrt(np.square(found[f"{n}/error"][100:600, :, :3]).sum(-1).mean()) for n in ("without", "with")}
+    assert sizes["without"] > 3.0 * sizes["with"]
+    # Without process noise there is nothing to lack.
+    still = replace(SHORT, acceleration_noise_m2_per_s3=1e-12, clock_white_m2_per_s=0.0, clock_walk_m2_per_s3=1e-12)
+    sim = simulate(still, runs(2))
+    found = follow_all({"without": errata.without_redraw(still, S, rule), "with": adapted(still, S, rule)}, sim)
+    np.testing.assert_allclose(found["without/error"], found["with/error"], rtol=0, atol=1e-3)
+
+
+def test_factors_are_watched():
+    sim, S = simulate(SHORT, runs(4)), len(visible(SHORT).names)
+    hook = watched(innovation_window(10))
+    found = follow_all({"aukf": adapted(SHORT, S, unscented(8), (hook,))}, sim, factors=("aukf",), consistency=("aukf",))
+    factor = found["aukf/factor"]
+    assert factor.shape == (41, 4, 2 * S)
+    np.testing.assert_array_equal(factor[:9], 1.0)
+    assert factor.min() >= 1.0 - 1e-12
+    assert factor[29, :, :S].mean() > 50.0 * factor[15, :, :S].mean()
+    assert found["aukf/nees"].shape == found["aukf/nis"].shape == (41, 4)

@@ -1,0 +1,68 @@
+"""What the paper prints or says where it is wrong: the list, and as code what is needed to show it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from celnav.filters.driver import Epoch, Filter, State
+from celnav.filters.step import condition
+from celnav.gaussian import Gaussian, sqrt_cov
+from celnav.linalg import Array
+from celnav.models import pseudorange
+from celnav.papers.aukf.config import Config
+from celnav.papers.aukf.scenario import adapted
+from celnav.points import Transform
+from celnav.spaces import EUCLIDEAN
+
+ERRATA = (
+    ('"adaptive fading"', "fading inflates the prediction; this inflates the noise of the measurement"),
+    ("A = I when the noise is normal", "clipped at 1 it is 1 + S / R / sqrt(pi M) on average"),
+    ("the UKF is better than the EKF", "they are the same to a micrometer; it takes an initial error of 10 km to tell them apart"),
+    (
+        "it weakens the effect of errors of the system noise",
+        "it takes a maneuver for noise, and diverges where the process noise is small",
+    ),
+    ("faster convergence", "large innovations at the start inflate A: from 1000 km it is slower"),
+    ("measurement points without drawing anew", "the gain then knows nothing of the process noise"),
+    ("without extra computation", "17 evaluations of the measurement; the prediction is linear and needs none"),
+    ("standard deviation 50", "has no unit and no channel: on ranges alone the rates carry the filter, on both nothing does"),
+    ("geostationary satellites: the others' formula, rotated", "R_z(w t) R_x(-5 deg) P, and the node without the Earth's rate"),
+    ("orbits of no inclination are unsolvable", "they are for a user; it is the fit of the node that is ill-conditioned"),
+)
+"""What is printed and what is right, in the order of their numbers (from 1)."""
+
+
+def clipped_mean(M: int) -> float:
+    """By how much a clipped mean of M squares of unit normals exceeds 1: ``E max(1, chi2_M / M) - 1``."""
+    at = chi2.cdf(M, M)
+    return float(at + 1.0 - chi2.cdf(M, M + 2) - 1.0)
+
+
+def without_redraw(config: Config, S: int, rule: Transform) -> Filter:
+    """The UKF whose measurement uses the points of the prediction, which have no process noise in them."""
+    F, sqrt_Q = config.F, sqrt_cov(config.Q, "Q")
+    noise = np.diag(np.repeat([config.sigma_range_m, config.sigma_rate_m_per_s], S))
+    ordinary = adapted(config, S, rule)
+    r, m = sqrt_Q.shape[-1], 2 * S
+
+    def step(state: State, epoch: Epoch) -> tuple[State, Any]:
+        if not epoch.dt:
+            return ordinary.step(state, epoch)
+        belief: Gaussian = state.belief
+
+        def g(points: Array) -> tuple[Any, ...]:
+            moved = points @ F.T
+            return pseudorange.measure(moved, *epoch.u), moved
+
+        (measured, moved), A = rule.transform(g, belief.mean, belief.root, EUCLIDEAN, (EUCLIDEAN, EUCLIDEAN), (), r + m)
+        A[..., -(r + m) :] = 0.0
+        A[..., m:, -(r + m) : -m] = sqrt_Q
+        A[..., :m, -m:] = noise
+        innovation = np.asarray(epoch.z) - measured.center - measured.shift
+        posterior, info, _ = condition(belief, moved, A, rule.sign, innovation, noise=(r, m))
+        return State(posterior, state.memory), info
+
+    return Filter(ordinary.start, step)

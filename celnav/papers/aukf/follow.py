@@ -1,0 +1,54 @@
+"""Filters on simulated runs, and what is kept of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from celnav.filters.driver import Epoch, Filter, run
+from celnav.filters.info import Hook, Joint
+from celnav.gaussian import nees
+from celnav.linalg import Array, cholesky
+from celnav.papers.aukf.scenario import Scenario
+
+Found = dict[str, Array]
+"""``<filter>/<what>`` -> ``(T, runs, ...)``."""
+
+
+def watched(hook: Hook) -> Hook:
+    """The hook, with what it multiplies the variances of the noise by, ``(..., m)``, beside its memory."""
+
+    def watching(memory: Any, joint: Joint, epoch: Any) -> tuple[Any, Joint]:
+        own, after = hook(None if memory is None else memory[0], joint, epoch)
+        m = joint.innovation.shape[-1]
+        before, now = (np.square(j.sensor[..., :m, :]).sum(-1) for j in (joint, after))
+        return (own, np.broadcast_to(now / before, np.broadcast_shapes(now.shape, joint.innovation.shape))), after
+
+    return watching
+
+
+def follow(filters: dict[str, Filter], sim: Scenario, *, consistency: Sequence[str] = (), factors: Sequence[str] = ()) -> Found:
+    """Run filters by name; a filter that loses a run keeps it as nan.
+
+    Returns
+    -------
+    ``error (T, runs, 8)``; of those in ``consistency`` ``nees (T, runs)`` and ``nis``; of those in ``factors``, whose first hook is
+    `watched`, ``factor (T, runs, 2 S)``.
+    """
+    out: Found = {}
+    for name, filter in filters.items():
+
+        def also(epoch: Epoch, state: Any, info: Any, name: str = name) -> dict[str, Array]:
+            error = state.belief.mean - epoch.truth
+            found = {"error": error}
+            if name in consistency:
+                found |= {"nees": nees(error, cholesky(state.belief.cov)), "nis": np.square(info.white).sum(-1)}
+            if name in factors:
+                found["factor"] = state.memory[0][0][1]
+            return found
+
+        track = run(filter, sim.prior, sim.epochs(), keep="nothing", also=also, on_failure="flag")
+        out |= {f"{name}/{what}": values for what, values in track.extra.items()}
+    return out
