@@ -12,7 +12,7 @@ from celnav.filters.driver import run, sequential
 from celnav.filters.step import predict, update
 from celnav.models import pseudorange
 from celnav.montecarlo import generator
-from celnav.papers.aukf import PRESETS, errata, filters, simulate
+from celnav.papers.aukf import PRESETS, errata, filters, simulate, sweeps
 from celnav.papers.aukf.follow import follow as follow_all
 from celnav.papers.aukf.follow import watched
 from celnav.papers.aukf.scenario import EKF, adapted, axes, circle, visible
@@ -136,3 +136,23 @@ def test_factors_are_watched():
     assert factor.min() >= 1.0 - 1e-12
     assert factor[29, :, :S].mean() > 50.0 * factor[15, :, :S].mean()
     assert found["aukf/nees"].shape == found["aukf/nis"].shape == (41, 4)
+
+
+def test_the_bound_is_what_a_linear_filter_reaches():
+    """Along one track the bound is the covariance of the extended filter at the truth."""
+    config = replace(SHORT, burst="none")
+    sim = simulate(config, runs(1))
+    sim = sim._replace(prior=sim.prior._replace(mean=sim.truth[0]))
+    track = run(filters(config)["ekf"], sim.prior, sim.epochs())
+    np.testing.assert_allclose(track.std[:, 0], np.sqrt(sweeps.bound(sim)), rtol=1e-4)
+
+
+def test_every_study_gives_its_filters():
+    """Half a minute of each, two runs: what is promised is there and finite, but for filters that are lost."""
+    short = replace(PRESETS["burst"], duration_s=3.0, burst_s=(1.0, 2.0))
+    for name in ("quiet", "matched", "initial errors", "redraw"):
+        found = sweeps.STUDIES[name].function(short, runs(2))
+        assert found
+        for key, values in found.items():
+            assert values.shape[1] in (1, 2), (name, key)
+            assert np.isfinite(values).all() or key.startswith("ls"), (name, key)
