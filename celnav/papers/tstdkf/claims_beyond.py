@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from celnav.claims import Claim
+from celnav.linalg import Array
 from celnav.papers.tstdkf import analysis
 from celnav.papers.tstdkf.config import SETTINGS
 from celnav.papers.tstdkf.evidence import AXES, Evidence, about, above, below, ratio, rms, within
@@ -53,13 +56,16 @@ def _consistency(j: Evidence) -> list[Claim]:
 def _bounds(j: Evidence) -> list[Claim]:
     out = []
     for i in SETTINGS:
-        bound = np.sqrt(np.square(j.result.facts["bounds"][i][:, 0]).mean())
+        bound = float(np.sqrt(np.square(j.result.facts["bounds"][i][:, 0]).mean()))
         text = f"Setting {i}: position RMSE of AUG to the posterior Cramér-Rao bound of a walking bias (ratio)"
         samples = [j.squares("aug", setting=i)]
         note = "the bound is a mean over the prior; the true bias is smaller and smoother than the prior expects"
-        statistic = lambda s, bound=bound: rms(s) / bound  # noqa: E731
-        out.append(j.lengthy(f"bound-{i}", "beyond", text, statistic, samples, (0.85, 1.25), note=note))
+        out.append(j.lengthy(f"bound-{i}", "beyond", text, _relative(bound), samples, (0.85, 1.25), note=note))
     return out
+
+
+def _relative(size: float) -> Callable[[Array], float]:
+    return lambda squares: rms(squares) / size
 
 
 def _identities(j: Evidence) -> list[Claim]:

@@ -89,7 +89,10 @@ def kalman(config: Config, Q: Array, R: Array, pulled: bool = False) -> tuple[An
 
     moved = Taylor(lambda x, epoch: (motion(x, epoch).Phi,))
     slope = Taylor(lambda x, epoch: (seen.H(x, epoch),))
-    noise = lambda mean, epoch: motion(mean, epoch).G @ root  # noqa: E731
+
+    def noise(mean: Array, epoch: Epoch) -> Array:
+        return motion(mean, epoch).G @ root
+
     return predict(f, moved, sqrt_Q=noise), update(seen.measure, slope, R=R)
 
 

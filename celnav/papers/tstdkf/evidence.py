@@ -56,7 +56,7 @@ class Evidence(Judge):
 
 def about(value: float, part: float) -> Bounds:
     """A value within a part of itself."""
-    return tuple(sorted((value * (1.0 - part), value * (1.0 + part))))  # type: ignore[return-value]
+    return value - abs(value) * part, value + abs(value) * part
 
 
 def within(value: float, size: float) -> Bounds:
