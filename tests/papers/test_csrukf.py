@@ -18,7 +18,7 @@ SHORT = replace(csrukf.PRESETS["P"], steps=40, runs=6)
 
 @pytest.fixture(scope="module")
 def result():
-    return csrukf.reproduce(effort=0.04, seed=3)
+    return csrukf.reproduce(replace(csrukf.PRESETS["P"], steps=200), effort=0.04, seed=3)
 
 
 @pytest.fixture(scope="module")
