@@ -37,8 +37,7 @@ ERRATA = (
 
 def clipped_mean(M: int) -> float:
     """By how much a clipped mean of M squares of unit normals exceeds 1: ``E max(1, chi2_M / M) - 1``."""
-    at = chi2.cdf(M, M)
-    return float(at + 1.0 - chi2.cdf(M, M + 2) - 1.0)
+    return float(chi2.cdf(M, M) - chi2.cdf(M, M + 2))
 
 
 def without_redraw(config: Config, S: int, rule: Transform) -> Filter:

@@ -11,7 +11,7 @@ from celnav.linalg import Array
 from celnav.papers.tstdkf import analysis
 from celnav.papers.tstdkf.config import SETTINGS
 from celnav.papers.tstdkf.evidence import AXES, Evidence, about, above, below, ratio, rms, within
-from celnav.papers.tstdkf.sweeps import COUPLINGS, PARAMETERS, STRONG
+from celnav.papers.tstdkf.sweeps import COUPLINGS, LARGER, PARAMETERS, STRONG
 
 
 def beyond_claims(j: Evidence) -> list[Claim]:
@@ -81,7 +81,7 @@ IMPROVEMENTS = {
     "M0 = (0.03 km)²": (61.8, 41.8),
     "M0 = (1 km)²": (56.7, 33.7),
     "F = 0.8": (37.8, 21.7),
-    "ephemeris error × 6.67": (91.1, 34.0),
+    f"ephemeris error × {LARGER:.3g}": (91.1, 34.0),
     "κ = 0.5, M0 = (1 km)²": (None, -7.0),
     "κ = 5, M0 = (1 km)²": (None, 39.0),
     "κ = 8, M0 = (1 km)²": (None, 55.0),

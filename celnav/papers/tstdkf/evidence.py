@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -31,23 +30,9 @@ class Evidence(Judge):
         values = self.result.data[study][key]
         return np.asarray(values[len(values) // 2 if half else 0 :].mean(0))
 
-    def lengthy(
-        self,
-        id: str,
-        kind: str,
-        statement: str,
-        statistic: Callable[..., Any],
-        samples: Sequence[Array],
-        accept: Bounds,
-        *,
-        paper: Any = None,
-        note: str = "",
-        expected: bool = True,
-    ) -> Claim:
-        """A statistic that depends on how long the runs are: undecided where they are shortened."""
-        return self.whole(
-            self.statistic(id, kind, statement, statistic, samples, accept, paper=paper, note=note, expected=expected)
-        )
+    def lengthy(self, *arguments: Any, **named: Any) -> Claim:
+        """A `Judge.statistic` that depends on how long the runs are: undecided where they are shortened."""
+        return self.whole(self.statistic(*arguments, **named))
 
     def whole(self, claim: Claim) -> Claim:
         """The claim, undecided unless runs have their whole length."""

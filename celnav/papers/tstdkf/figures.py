@@ -16,7 +16,7 @@ from celnav.papers.tstdkf.config import DAY_S, SETTINGS, YEAR_S
 from celnav.papers.tstdkf.ephemerides import table
 from celnav.papers.tstdkf.evidence import AXES, rms
 from celnav.papers.tstdkf.study import COMPARED, Result
-from celnav.papers.tstdkf.sweeps import COUPLINGS, PARAMETERS, WHITE_LARGER, WHITE_NONE
+from celnav.papers.tstdkf.sweeps import COUPLINGS, LARGER, PARAMETERS, WHITE_LARGER, WHITE_NONE
 from celnav.papers.tstdkf.year import TRENDS
 
 COLORS = {
@@ -112,7 +112,7 @@ def _ekf(result: Result, what: str, number: int, unit: str, scale: float) -> Fig
     fig, ax = figure(8.0, 3.2)
     _over_time(ax, result, "ekf", what, 5, scale=scale, label="EKF, ephemeris error", color=colors.COMPARISON)
     for case, label, color in (
-        (WHITE_LARGER, "error 6.67 times as large", colors.PAPER),
+        (WHITE_LARGER, f"error {LARGER:.3g} times as large", colors.PAPER),
         (WHITE_NONE, "no ephemeris error", colors.TRUTH),
     ):
         values = scale * _smooth(result.data["parameters"][f"{case}/ekf/{what}"])

@@ -1,7 +1,7 @@
 """The filters written out for errors that are linear about the nominal orbit: covariances and gains are those of all runs at once.
 
-They are those of `celnav.papers.tstdkf.estimators`; how far both are apart is a claim of the study. What covariances say along the
-orbit needs no data at all: `covariances`.
+They are those of `celnav.papers.tstdkf.estimators`; how far both are apart is a claim of the study. Covariances need no data at
+all: `celnav.papers.tstdkf.analysis` follows them along the orbit.
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ PARAMETERS: dict[str, dict[str, Any]] = {
     "M0 = (0.03 km)²": {"bias_prior_km": 0.03},
     "M0 = (1 km)²": {"bias_prior_km": 1.0},
     "F = 0.8": {"setting": Setting(0.8, 0.5, KAPPA)},
-    "ephemeris error × 6.67": {"amplitude": LARGER},
+    f"ephemeris error × {LARGER:.3g}": {"amplitude": LARGER},
     "κ = 0.5, M0 = (1 km)²": {"setting": Setting(0.5, 0.5, 0.5), "bias_prior_km": 1.0},
     "κ = 5, M0 = (1 km)²": {"setting": Setting(0.5, 0.5, 5.0), "bias_prior_km": 1.0},
     "κ = 8, M0 = (1 km)²": {"setting": Setting(0.5, 0.5, 8.0), "bias_prior_km": 1.0},
@@ -44,7 +44,7 @@ PARAMETERS: dict[str, dict[str, Any]] = {
     "F = 0.9, L = 0.8, κ = 0.5, form B": {"setting": Setting(0.9, 0.8, 0.5), "factor": "proportional"},
     "form B": {"factor": "proportional"},
     "white, form B": {"setting": SETTINGS[5], "factor": "proportional"},
-    "white, ephemeris error × 6.67": {"setting": SETTINGS[5], "amplitude": LARGER},
+    f"white, ephemeris error × {LARGER:.3g}": {"setting": SETTINGS[5], "amplitude": LARGER},
     "white, no ephemeris error": {"setting": SETTINGS[5], "amplitude": 0.0},
 }
 """Variants of setting 1: what is changed."""
