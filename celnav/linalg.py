@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -152,6 +152,25 @@ def semidefinite_root(P: Array) -> Array:
     if not singular.all():  # the neighbors get what they would get alone
         root = np.where(singular, root, scale[..., None] * np.linalg.cholesky(np.where(singular, np.eye(C.shape[-1]), C)))
     return np.where(indefinite[..., None, None], np.nan, root)
+
+
+class Orthonormal(NamedTuple):
+    """``A = Q R`` scaled by columns: ``Q (..., m, n)``, upper ``R (..., n, n)``, and which columns say something of their own."""
+
+    Q: Array
+    R: Array
+    independent: Array
+
+
+def orthonormal(A: Array, least: float = 1e-10) -> Orthonormal:
+    """QR of tall matrices ``(..., m, n)``; a column within ``least`` of its length of those before it counts as dependent.
+
+    Columns of Q that belong to dependent ones are 0: ``Q @ Q.mT`` projects on the range of A.
+    """
+    length = np.sqrt(np.square(A).sum(-2))
+    Q, R = np.linalg.qr(A / np.where(length > 0.0, length, 1.0)[..., None, :])
+    independent = np.abs(R.diagonal(0, -2, -1)) > least
+    return Orthonormal(np.where(independent[..., None, :], Q, 0.0), R * length[..., None, :], independent)
 
 
 def downdate(L: Array, V: Array) -> Array:

@@ -12,10 +12,12 @@ from celnav.filters.driver import Epoch, Filter, State
 from celnav.filters.info import Info
 from celnav.filters.step import evaluate
 from celnav.gaussian import COVARIANCE, Gaussian, finite
-from celnav.linalg import Array, matvec
+from celnav.linalg import Array, matvec, orthonormal, unit
 
 RANK = 1e-10
-"""Smallest to largest singular value, in units of what measurements say, below which a state is not determined."""
+"""Part of a column of the Jacobian that must be its own, or its state is not determined."""
+AT_REST = 1e-4
+"""Deviations: the round after a step this small would move nothing that matters."""
 
 
 def least_squares(
@@ -34,7 +36,7 @@ def least_squares(
     ----------
     h, jacobian: ``(mean (..., n), epoch) ->`` ``(..., m)`` and ``(..., m, n)``.
     sigma: deviations ``(..., m)`` of the noise, which is of independent components; constant or ``(mean, epoch) -> deviations``.
-    rounds: of Gauss and Newton.
+    rounds: of Gauss and Newton at most; a run stops when a step is below a ten-thousandth of its deviations.
 
     Returns
     -------
@@ -55,15 +57,19 @@ def least_squares(
         x = state.memory[0]
         used = np.broadcast_to(~np.isnan(z), (*x.shape[:-1], z.shape[-1]))
         weight = np.where(used, 1.0 / evaluate(deviations, x, epoch), 0.0)
+        enough, moving = used.sum(-1) >= x.shape[-1], np.ones(x.shape[:-1], bool)
+        V, known = np.zeros((*x.shape, x.shape[-1])), moving
         for _ in range(int(rounds)):
-            G = weight[..., None] * jacobian(x, epoch)
-            unit = np.sqrt(np.square(G).sum(-2))
-            unit = np.where(unit > 0.0, unit, 1.0)
-            U, s, Vt = np.linalg.svd(G / unit[..., None, :], full_matrices=False)
-            known = (s[..., -1] > RANK * s[..., 0]) & (used.sum(-1) >= x.shape[-1])
-            inverse = np.where(known[..., None], 1.0 / np.where(s > 0.0, s, 1.0), 0.0)
-            V = Vt.mT / unit[..., :, None] * inverse[..., None, :]
-            x = x + matvec(V, matvec(U.mT, weight * np.where(used, z - h(x, epoch), 0.0)))
+            Q, R, independent = orthonormal(weight[..., None] * jacobian(x, epoch), RANK)
+            found = independent.all(-1) & enough
+            root = np.linalg.solve(np.where(found[..., None, None], R, unit(x.shape[-1])), unit(x.shape[-1]))
+            white = np.where(found[..., None], matvec(Q.mT, weight * np.where(used, z - h(x, epoch), 0.0)), 0.0)
+            # A run that has come to rest stays as it is while others of its block still move.
+            x = np.where(moving[..., None], x + matvec(root, white), x)
+            V, known = np.where(moving[..., None, None], root, V), np.where(moving, found, known)
+            moving = moving & (np.abs(white).max(-1) > AT_REST)
+            if not moving.any():
+                break
         left = np.where(used, z - h(x, epoch), np.nan)
         fix = np.where(known[..., None], x, np.nan)
         belief = Gaussian(fix, np.where(known[..., None, None], V @ V.mT, np.nan), COVARIANCE)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from celnav.filters.adaptive import scaled, variances
 from celnav.filters.info import Hook, Joint
-from celnav.linalg import Array, matvec
+from celnav.linalg import Array, matvec, orthonormal
 
 
 class Residual(NamedTuple):
@@ -33,14 +33,10 @@ def residual(joint: Joint) -> Residual:
     used = ~np.isnan(e) & (noise > 0.0)
     H = joint.slopes()[0]
     weight = np.where(used, 1.0 / np.where(noise > 0.0, noise, 1.0), 0.0)
-    # States in units of what the measurements say of them; one that they say nothing of has no part in the fit.
-    scale = np.sqrt((weight[..., None] * H * H).sum(-2))
-    known = scale > 0.0
-    G = np.sqrt(weight)[..., None] * H / np.where(known, scale, 1.0)[..., None, :]
     y = np.sqrt(weight) * np.where(used, e, 0.0)
-    fit = np.linalg.pinv(G, rcond=1e-10)
-    left = y - matvec(G, matvec(fit, y))
-    share = 1.0 - np.einsum("...ij,...ji->...i", G, fit)
+    Q = orthonormal(np.sqrt(weight)[..., None] * H).Q
+    left = y - matvec(Q, matvec(Q.mT, y))
+    share = 1.0 - np.square(Q).sum(-1)
     size = np.sqrt(np.where(used, noise, 0.0))
     return Residual(left * size, np.where(used, np.maximum(share, 0.0) * noise, 0.0), noise, used)
 

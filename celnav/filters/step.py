@@ -103,7 +103,7 @@ def condition(
     sign: ``(q,)``.
     innovation: ``(..., m)``, nan where not measured: those rows are marginalized exactly, in each run by itself.
     noise: ``(r, s)``.
-    known: spread of the state's rows, if it is at hand; not used where a hook replaces columns.
+    known: spread of the state's rows, if it is at hand; not used where a hook replaces columns of these.
     """
     m = innovation.shape[-1]
     measured = innovation
@@ -117,7 +117,8 @@ def condition(
             own, joint = hook(own, joint, epoch)
             memories.append(own)
         kept, innovation, sign = tuple(memories), joint.innovation, joint.sign
-        if any(a is not b for a, b in zip(joint[1:5], given[1:5], strict=True)):
+        same = joint.columns is given.columns and joint.sign is given.sign and joint.process is given.process
+        if not same or (joint.sensor is not given.sensor and joint.sensor[..., m:, :].any()):
             known = None
         A = np.concatenate([joint.columns, joint.process, joint.sensor], -1)
     used = innovation == innovation

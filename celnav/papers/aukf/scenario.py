@@ -157,5 +157,5 @@ def filters(config: Config) -> dict[str, Filter]:
     S = len(visible(config).names)
     rule: Any = unscented(8, config.alpha, config.beta, 0.0)
     sigma = np.repeat([config.sigma_range_m, config.sigma_rate_m_per_s], S)
-    out = {"ls": least_squares(_measured, _slope, sigma, rounds=4), "ekf": adapted(config, S, EKF)}
+    out = {"ls": least_squares(_measured, _slope, sigma), "ekf": adapted(config, S, EKF)}
     return out | {name: adapted(config, S, rule, hook) for name, hook in hooks(config, S).items()}
