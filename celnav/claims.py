@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import json
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -149,6 +149,29 @@ class Judge:
         """A claim on a statistic of runs (the first axis of each sample), with its bootstrap interval."""
         value, ci = float(statistic(*samples)), bootstrap(statistic, *samples)
         return Claim(id, kind, statement, value, accept, expected, paper, ci, self.full, note)
+
+    def lengthy(self, *arguments: Any, **named: Any) -> Claim:
+        """A `statistic` that depends on how long the runs are: undecided where they are shortened."""
+        return self.whole(self.statistic(*arguments, **named))
+
+    def whole(self, claim: Claim) -> Claim:
+        """The claim, undecided unless runs have their whole length."""
+        return claim if self.full else replace(claim, ci=(-np.inf, np.inf))
+
+
+def about(value: float, part: float) -> Bounds:
+    """A value within a part of itself."""
+    return value - abs(value) * part, value + abs(value) * part
+
+
+def within(value: float, size: float) -> Bounds:
+    """A value within a size."""
+    return value - size, value + size
+
+
+def order(value: float) -> float:
+    """The power of ten at or above a size of which only that means anything: the digits of round-off differ between machines."""
+    return 10.0 ** float(np.ceil(np.log10(value))) if value > 0.0 else 0.0
 
 
 def _plain(value: Any) -> Any:

@@ -1,4 +1,4 @@
-"""The command line: ``celnav list | reproduce | view``."""
+"""The command line: ``celnav list | reproduce | view | position``."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from typing import Any
 
 import celnav
 from celnav.effort import effort
+from celnav.files import InputError
 from celnav.papers import PAPERS, figures, load, tables
 
 
@@ -43,7 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
-    except (OSError, ImportError) as error:
+    except (OSError, ImportError, InputError) as error:
         print(f"celnav: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
@@ -68,6 +69,7 @@ def _parser() -> argparse.ArgumentParser:
     reproduce.add_argument("--out", default="out", metavar="DIR", help="where to write (default: out)")
     reproduce.add_argument("--jobs", default="1", metavar="N", help="processes (default: 1)")
     reproduce.add_argument("--strict", action="store_true", help="exit 1 if a claim is not as expected")
+    reproduce.add_argument("--rinex", metavar="DIR", help="folder of a receiver's RINEX files, for aukf (default: rinex, if there)")
     reproduce.set_defaults(command=_reproduce)
 
     view = commands.add_parser("view", help="open a paper's recording in the Rerun viewer, offline")
@@ -75,6 +77,20 @@ def _parser() -> argparse.ArgumentParser:
     view.add_argument("--out", default="out", metavar="DIR", help="where reproduce wrote (default: out)")
     view.add_argument("--recording", metavar="NAME", help="which recording (default: the first)")
     view.set_defaults(command=_view)
+
+    position = commands.add_parser("position", help="position a BeiDou receiver from its RINEX 3 files")
+    position.add_argument("observations", metavar="OBS", help="observation file, plain, .gz or .crx")
+    position.add_argument("navigation", metavar="NAV", help="navigation file of the same day")
+    position.add_argument("--filter", default="aukf", metavar="NAME", help="ls, ekf, ukf, aukf, group, ... (default: aukf)")
+    position.add_argument(
+        "--position", nargs=3, metavar=("X", "Y", "Z"), help="known position, m, Earth-fixed (default: the header's)"
+    )
+    position.add_argument("--mask", default="10", metavar="DEG", help="least elevation of satellites (default: 10)")
+    position.add_argument(
+        "--acceleration-noise", default="0.01", metavar="Q", help="m^2/s^3; a^2 T for accelerations a each T s (default: 0.01)"
+    )
+    position.add_argument("--out", default="out/position", metavar="DIR", help="where to write (default: out/position)")
+    position.set_defaults(command=_position)
     return parser
 
 
@@ -124,7 +140,8 @@ def _reproduce(options: argparse.Namespace) -> int:
     top.check(["index.html"])
     surprises = 0
     for paper, module in modules.items():
-        surprises += _one(paper, module, Outputs(out / paper), fraction, seed, jobs)
+        inputs = {name: Path(given) for name in getattr(module, "INPUTS", ()) if (given := getattr(options, name)) is not None}
+        surprises += _one(paper, module, Outputs(out / paper), effort=fraction, seed=seed, jobs=jobs, **inputs)
     _index(top)
     print(f"wrote {out / 'index.html'}")
     return 1 if options.strict and surprises else 0
@@ -136,7 +153,7 @@ def _index(top: Any) -> None:
     top.text("index.html", index(top.directory))
 
 
-def _one(paper: str, module: ModuleType, outputs: Any, fraction: float, seed: int, jobs: int) -> int:
+def _one(paper: str, module: ModuleType, outputs: Any, **chosen: Any) -> int:
     """Reproduce one paper; returns the number of claims that are not as expected."""
     from celnav.claims import dumps
     from celnav.figures import render
@@ -155,7 +172,7 @@ def _one(paper: str, module: ModuleType, outputs: Any, fraction: float, seed: in
         timings[f"cpu_s {name}"] = process_time() - start
         return value
 
-    result = stage("runs", lambda: module.reproduce(effort=fraction, seed=seed, jobs=jobs, progress=report))
+    result = stage("runs", lambda: module.reproduce(**chosen, progress=report))
     claims = stage("claims", lambda: module.claims(result))
     outputs.text("claims.json", dumps(claims))
     outputs.npz("result.npz", result.arrays())
@@ -177,7 +194,8 @@ def _one(paper: str, module: ModuleType, outputs: Any, fraction: float, seed: in
     versions = {name: metadata.version(name) for name in ("numpy", "scipy", "filterpy", "matplotlib")}
     about = {"python": platform.python_version(), "machine": platform.machine(), **versions}
     outputs.text(
-        "timings.json", json.dumps({"about": about, "effort": fraction, "timings": {**timings, **result.timings}}, indent=1) + "\n"
+        "timings.json",
+        json.dumps({"about": about, "effort": chosen["effort"], "timings": {**timings, **result.timings}}, indent=1) + "\n",
     )
     for verdict, count in sorted(Counter(claim.verdict for claim in claims).items()):
         print(f"{paper}: {count:4} {verdict}")
@@ -223,6 +241,50 @@ class _Progress:
     def close(self) -> None:
         if self._bar is not None:
             self._bar.close()
+
+
+def _number(name: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise UsageError(f"{name}: expected a number, got {text!r}") from None
+
+
+def _position(options: argparse.Namespace) -> int:
+    """Everything is computed before anything is written."""
+    import numpy as np
+
+    from celnav import positioned, positioning, rinex
+    from celnav.files import Outputs
+    from celnav.filters.driver import FilterError
+
+    mask, noise = _number("mask", options.mask), _number("acceleration-noise", options.acceleration_noise)
+    known = None if options.position is None else np.array([_number("position", text) for text in options.position])
+    names = ["ls", *positioning.filters(4)]
+    if options.filter not in names:
+        raise UsageError(f"unknown filter {options.filter!r}: expected one of {', '.join(names)}")
+    outputs = Outputs(options.out)
+    outputs.check([*positioned.FILES, positioned.RECORDING])
+    navigation, observations = rinex.read_navigation(options.navigation), rinex.read_observations(options.observations)
+    try:
+        log = positioning.prepare(observations, navigation, mask_deg=mask)
+        reference = observations.position if known is None else known
+        found = positioned.position(log, options.filter, reference, acceleration=noise)
+    except InputError:
+        raise
+    except ValueError as error:
+        raise UsageError(error) from None
+    except FilterError as error:
+        raise InputError(f"{options.observations}: {options.filter} is lost: {error}") from None
+    print(positioned.summary(found))
+    positioned.write(found, outputs)
+    try:
+        with outputs.path_for(positioned.RECORDING) as path:
+            positioned.record_positioned(found, path)
+    except (ImportError, OSError, RuntimeError) as error:
+        print(f"celnav: no recording ({error}); everything else is written", file=sys.stderr)
+    print(f"wrote {outputs.directory}")
+    return 0
 
 
 def _view(options: argparse.Namespace) -> int:

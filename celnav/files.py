@@ -27,6 +27,10 @@ class ForeignFileError(OSError):
     """A file is in the way that celnav did not make."""
 
 
+class InputError(ValueError):
+    """A file that was given cannot be used; the message names it, and the line where there is one."""
+
+
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
     """A path of the same name in a temporary folder beside ``path``; it takes the place of ``path`` at the end, or is removed."""

@@ -21,6 +21,16 @@ def rmse(error: Array, axis: int = 1) -> Array:
     return np.asarray(np.sqrt(np.mean(np.square(error), axis=axis)))
 
 
+def rms(squares: Array) -> float:
+    """Root of the mean of squares over everything."""
+    return float(np.sqrt(squares.mean()))
+
+
+def ratio(a: Array, b: Array) -> float:
+    """Ratio of the roots of the means of two sets of squares."""
+    return rms(a) / rms(b)
+
+
 def rmse_interval(error: Array, level: float = 0.95, axis: int = 1) -> tuple[Array, Array]:
     """Confidence interval of `rmse` for Gaussian errors of mean zero, independent from run to run."""
     runs = error.shape[axis]

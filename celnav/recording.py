@@ -194,6 +194,11 @@ class Recorder:
         """Bars ``(k,)`` that stay for the whole run."""
         self._style(entity, rr.BarChart(np.asarray(values, dtype=np.float64), color=rgba(color)))
 
+    def event(self, entity: str, seconds: float, message: str) -> None:
+        """A line in a log, at a time."""
+        columns = rr.TextLog.columns(text=[message])
+        self.stream.send_columns(entity, [rr.TimeColumn(TIMELINE, duration=np.array([seconds]))], columns)
+
     def exact(self, entity: str, **values: ArrayLike) -> None:
         """Arrays ``(T, ...)`` in double precision, flattened row by row, for reading back."""
         columns: list[Any] = []
@@ -364,6 +369,11 @@ def bar_chart(origin: str, name: str) -> Any:
 def text(origin: str, name: str) -> Any:
     """A panel for the text at ``origin``."""
     return rrb.TextDocumentView(origin=origin, name=name)
+
+
+def log(origin: str, name: str) -> Any:
+    """The events below ``origin``."""
+    return rrb.TextLogView(origin=origin, name=name)
 
 
 def rows(*views: Any, shares: Sequence[float] | None = None) -> Any:

@@ -10,12 +10,14 @@ import gzip
 import io
 import warnings
 import zlib
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from celnav.files import InputError
 from celnav.linalg import Array
 from celnav.models.beidou import GEO_NUMBERS, GPS_AHEAD_S, WEEK_S, Broadcast
 
@@ -45,6 +47,10 @@ class Observations:
     code: Array
     doppler: Array
 
+    def part(self, which: Array | slice) -> Observations:
+        """Some of the epochs."""
+        return replace(self, times=self.times[which], code=self.code[which], doppler=self.doppler[which])
+
 
 @dataclass(frozen=True)
 class Navigation:
@@ -54,15 +60,16 @@ class Navigation:
     sets: Broadcast
     klobuchar: tuple[Array, Array] | None
 
-    def nearest(self, name: str, t: float) -> int | None:
-        """The set of a satellite with the nearest reference time; None if none is well and within an hour (GEO) or two."""
+    def nearest(self, name: str, times: ArrayLike) -> Array:
+        """Rows ``(...)`` of a satellite's sets of the nearest reference times; -1: none is well and within an hour (GEO) or two."""
+        t = np.asarray(times, dtype=np.float64)
         number = int(name[1:])
         rows = np.flatnonzero((self.sets.number == number) & (self.sets.health == 0.0))
         if not rows.size:
-            return None
-        away = np.abs(self.sets.toe[rows] - t)
-        best = int(np.argmin(away))
-        return int(rows[best]) if away[best] <= (3600.0 if number in GEO_NUMBERS else 7200.0) else None
+            return np.full(t.shape, -1)
+        away = np.abs(self.sets.toe[rows] - t[..., None])
+        best = rows[away.argmin(-1)]
+        return np.where(away.min(-1) <= (3600.0 if number in GEO_NUMBERS else 7200.0), best, -1)
 
 
 def _text(path: Path) -> str:
@@ -73,11 +80,11 @@ def _text(path: Path) -> str:
             with gzip.open(io.BytesIO(raw)) as file:
                 raw = file.read(LARGEST_BYTES + 1)
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        raise ValueError(f"{path}: expected a whole gzip file ({error})") from None
+        raise InputError(f"{path}: expected a whole gzip file ({error})") from None
     if len(raw) > LARGEST_BYTES:
-        raise ValueError(f"{path}: expected at most {LARGEST_BYTES:,} bytes when unpacked")
+        raise InputError(f"{path}: expected at most {LARGEST_BYTES:,} bytes when unpacked")
     if not raw.strip(b"\0 \r\n\t"):
-        raise ValueError(f"{path}: expected a RINEX file, got an empty one")
+        raise InputError(f"{path}: expected a RINEX file, got an empty one")
     first = raw.lstrip(b"\xef\xbb\xbf").split(b"\n", 1)[0]
     if b"CRINEX" in first[60:]:
         import hatanaka
@@ -86,7 +93,7 @@ def _text(path: Path) -> str:
             raw = hatanaka.decompress(raw)
         except Exception as error:  # whatever it meets in a damaged file
             line = str(error).strip().splitlines()[-1] if str(error).strip() else type(error).__name__
-            raise ValueError(f"{path}: expected a whole file in Hatanaka's compression ({line})") from None
+            raise InputError(f"{path}: expected a whole file in Hatanaka's compression ({line})") from None
     text = raw.decode("ascii", errors="replace").lstrip("\ufeff").replace("\ufffd", "").replace("\0", "")
     return "\n".join(line.rstrip() for line in text.splitlines()) + "\n"
 
@@ -96,24 +103,24 @@ def _header(path: Path, text: str, kind: str) -> dict[str, list[str]]:
     lines = text.split("\n")
     words = {"O": "an observation file", "N": "a navigation file"}
     if len(lines[0]) < 60 or "RINEX VERSION" not in lines[0][60:]:
-        raise ValueError(f"{path}, line 1: expected RINEX VERSION / TYPE, got {lines[0][:40]!r}")
+        raise InputError(f"{path}, line 1: expected RINEX VERSION / TYPE, got {lines[0][:40]!r}")
     try:
         version = float(lines[0][:9])
     except ValueError:
-        raise ValueError(f"{path}, line 1: expected a version number, got {lines[0][:9]!r}") from None
+        raise InputError(f"{path}, line 1: expected a version number, got {lines[0][:9]!r}") from None
     if not 3.0 <= version < 4.0:
-        raise ValueError(f"{path}, line 1: expected RINEX 3, got version {version:g}")
+        raise InputError(f"{path}, line 1: expected RINEX 3, got version {version:g}")
     if lines[0][20:21] != kind:
-        raise ValueError(f"{path}, line 1: expected {words[kind]}, got {lines[0][20:40].strip()!r}")
+        raise InputError(f"{path}, line 1: expected {words[kind]}, got {lines[0][20:40].strip()!r}")
     if lines[0][40:41] not in ("C", "M", " ", ""):
-        raise ValueError(f"{path}, line 1: expected BeiDou (C) or mixed (M) data, got system {lines[0][40:41]!r}")
+        raise InputError(f"{path}, line 1: expected BeiDou (C) or mixed (M) data, got system {lines[0][40:41]!r}")
     header: dict[str, list[str]] = {}
     for line in lines:
         label = line[60:].strip()
         header.setdefault(label, []).append(line[:60])
         if label == "END OF HEADER":
             return header
-    raise ValueError(f"{path}, line {len(lines) - 1}: expected END OF HEADER before the end of the file")
+    raise InputError(f"{path}, line {len(lines) - 1}: expected END OF HEADER before the end of the file")
 
 
 def _load(path: Path, text: str, **options: Any) -> Any:
@@ -124,7 +131,7 @@ def _load(path: Path, text: str, **options: Any) -> Any:
         try:
             return georinex.load(io.StringIO(text), use="C", **options)
         except Exception as error:  # whatever it meets in a damaged file
-            raise ValueError(f"{path}: cannot be read as RINEX 3 ({type(error).__name__}: {error})") from None
+            raise InputError(f"{path}: cannot be read as RINEX 3 ({type(error).__name__}: {error})") from None
 
 
 def _seconds(times: Any) -> Array:
@@ -136,7 +143,7 @@ def read_observations(path: str | Path) -> Observations:
 
     Raises
     ------
-    ValueError: naming file and line, if it is no whole RINEX 3 observation file with BeiDou's B1I. OSError: if it cannot be read.
+    InputError: naming file and line, if it is no whole RINEX 3 observation file with BeiDou's B1I. OSError: if it cannot be read.
     """
     file = Path(path)
     text = _text(file)
@@ -144,19 +151,19 @@ def read_observations(path: str | Path) -> Observations:
     kinds = " ".join(line[6:] for line in _of_system(header.get("SYS / # / OBS TYPES", []), "C")).split()
     code = next((c for c in ("C2I", "C1I") if c in kinds), None)
     if code is None:
-        raise ValueError(f"{file}: expected BeiDou's B1I code (C2I) among the observations, got {', '.join(kinds) or 'no BeiDou'}")
+        raise InputError(f"{file}: expected BeiDou's B1I code (C2I) among the observations, got {', '.join(kinds) or 'no BeiDou'}")
     doppler = "D" + code[1:]
     data = _load(file, _beidou_alone(file, text), meas=[code, doppler] if doppler in kinds else [code])
     system = header.get("TIME OF FIRST OBS", [" " * 60])[0][48:51].strip() or "GPS"
     if system not in AHEAD_S:
-        raise ValueError(f"{file}: expected times in GPS, GAL or BDT, got {system!r}")
+        raise InputError(f"{file}: expected times in GPS, GAL or BDT, got {system!r}")
     order = np.argsort(data.time.values, kind="stable")
     times = _seconds(data.time.values[order]) - AHEAD_S[system]
     names = [str(name) for name in data.sv.values]
     ranges = np.asarray(data[code].values, float)[order]
     rates = np.asarray(data[doppler].values, float)[order] if doppler in data else np.full_like(ranges, np.nan)
     if not names or not np.isfinite(ranges).any():
-        raise ValueError(f"{file}: expected pseudoranges of BeiDou satellites, got none")
+        raise InputError(f"{file}: expected pseudoranges of BeiDou satellites, got none")
     kept = np.concatenate([[True], np.diff(times) > 0.0])  # an epoch that is there twice counts once
     return Observations(
         file, header.get("MARKER NAME", [""])[0].strip(), _position(header), times[kept], names, ranges[kept], rates[kept]
@@ -181,19 +188,19 @@ def _beidou_alone(path: Path, text: str) -> str:
     while k < len(lines):
         line = lines[k]
         if not line.startswith(">"):
-            raise ValueError(f"{path}, line {k + 1}: expected an epoch (>), got {line[:40]!r}")
+            raise InputError(f"{path}, line {k + 1}: expected an epoch (>), got {line[:40]!r}")
         try:
             count = int(line[32:35])
         except ValueError:
-            raise ValueError(f"{path}, line {k + 1}: expected the number of satellites of an epoch, got {line[32:35]!r}") from None
+            raise InputError(f"{path}, line {k + 1}: expected the number of satellites of an epoch, got {line[32:35]!r}") from None
         if k + count >= len(lines):
-            raise ValueError(f"{path}, line {len(lines)}: expected {count} satellites after line {k + 1}, the file is cut off")
+            raise InputError(f"{path}, line {len(lines)}: expected {count} satellites after line {k + 1}, the file is cut off")
         own = [row for row in lines[k + 1 : k + count + 1] if row[:1] == "C"]
         if own:
             kept += [f"{line[:32]}{len(own):3d}{line[35:]}", *own]
         k += count + 1
     if k == start:
-        raise ValueError(f"{path}, line {start}: expected observations after the header, got none")
+        raise InputError(f"{path}, line {start}: expected observations after the header, got none")
     return "\n".join(kept) + "\n"
 
 
@@ -226,18 +233,18 @@ def read_navigation(path: str | Path) -> Navigation:
 
     Raises
     ------
-    ValueError: naming file and line, if it is no RINEX 3 navigation file with BeiDou's orbits. OSError: if it cannot be read.
+    InputError: naming file and line, if it is no RINEX 3 navigation file with BeiDou's orbits. OSError: if it cannot be read.
     """
     file = Path(path)
     text = _text(file)
     header = _header(file, text, "N")
     data = _load(file, text)
     if "sqrtA" not in data:
-        raise ValueError(f"{file}: expected orbits of BeiDou satellites, got none")
+        raise InputError(f"{file}: expected orbits of BeiDou satellites, got none")
     there = np.isfinite(np.asarray(data["sqrtA"].values, float))
     when, which = np.nonzero(there)
     if not when.size:
-        raise ValueError(f"{file}: expected orbits of BeiDou satellites, got none")
+        raise InputError(f"{file}: expected orbits of BeiDou satellites, got none")
     columns = {ours: np.asarray(data[theirs].values, float)[when, which] for ours, theirs in FIELDS.items()}
     # georinex counts a satellite that is there twice at a time as another one: C05_1.
     number = np.array([float(str(name)[1:3]) for name in data.sv.values[which]])
@@ -261,5 +268,5 @@ def _klobuchar(path: Path, header: dict[str, list[str]]) -> tuple[Array, Array] 
             np.array([float(rows[k][12 * i : 12 * i + 12].replace("D", "E")) for i in range(4)]) for k in ("GPSA", "GPSB")
         )
     except ValueError:
-        raise ValueError(f"{path}: expected four numbers in GPSA and GPSB of the header, got {rows['GPSA']!r}") from None
+        raise InputError(f"{path}: expected four numbers in GPSA and GPSB of the header, got {rows['GPSA']!r}") from None
     return alpha, beta

@@ -13,7 +13,13 @@ GPS_L1_HZ = 1575.42e6
 
 
 def klobuchar(
-    alpha: ArrayLike, beta: ArrayLike, t: Array | float, latitude: float, longitude: float, elevation: Array, azimuth: Array
+    alpha: ArrayLike,
+    beta: ArrayLike,
+    t: Array | float,
+    latitude: Array | float,
+    longitude: Array | float,
+    elevation: Array,
+    azimuth: Array,
 ) -> Array:
     """Ionospheric delay (m) at GPS L1 [Klobuchar 1987; IS-GPS-200]; at another frequency f it is ``(L1 / f)^2`` times that.
 
@@ -41,7 +47,7 @@ def klobuchar(
     return np.asarray(LIGHT * obliquity * (5e-9 + day))
 
 
-def saastamoinen(latitude: float, height_m: float, elevation: Array, *, humidity: float = 0.5) -> Array:
+def saastamoinen(latitude: Array | float, height_m: Array | float, elevation: Array, *, humidity: float = 0.5) -> Array:
     """Tropospheric delay (m) of the standard atmosphere, mapped by ``1 / sin(elevation)`` [Saastamoinen 1972].
 
     ``height_m`` above the sea, from -1000 to 11,000. ``humidity``: relative, of the air at the receiver.
@@ -50,11 +56,12 @@ def saastamoinen(latitude: float, height_m: float, elevation: Array, *, humidity
     ------
     ValueError: for another height or humidity.
     """
-    if not -1000.0 <= height_m <= 11000.0:
+    height = np.asarray(height_m, dtype=np.float64)
+    if not ((height >= -1000.0) & (height <= 11000.0)).all():
         raise ValueError(f"height_m: expected a height from -1000 to 11000 m, got {height_m!r}")
     if not 0.0 <= humidity <= 1.0:
         raise ValueError(f"humidity: expected a part from 0 to 1, got {humidity!r}")
-    h = max(height_m, 0.0)
+    h = np.maximum(height, 0.0)
     pressure = 1013.25 * (1.0 - 2.2557e-5 * h) ** 5.2568
     kelvin = 288.15 - 6.5e-3 * h
     vapor = 6.108 * humidity * np.exp((17.15 * kelvin - 4684.0) / (kelvin - 38.45))

@@ -1,7 +1,7 @@
 """The papers: one module each, all with the same names.
 
 ``CITATION``, ``TITLE``, ``Config``, ``PRESETS``, ``simulate``, ``filters``, ``reproduce``, ``figure_N``, ``table_N``, ``claims``,
-``record``: see `celnav.papers.csrukf`.
+``record``: see `celnav.papers.csrukf`. ``INPUTS``, if there: names of optional inputs of ``reproduce``, folders.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from importlib import import_module
 from types import ModuleType
 from typing import Any
 
-PAPERS = {name: f"celnav.papers.{name}" for name in ("csrukf", "ssukf", "tstdkf", "aasghqf")}
+PAPERS = {name: f"celnav.papers.{name}" for name in ("csrukf", "ssukf", "tstdkf", "aasghqf", "aukf")}
 """Identifier -> module."""
 
 

@@ -2,21 +2,32 @@
 
 from __future__ import annotations
 
+import json
+import shutil
 from dataclasses import replace
+from pathlib import Path
 
+import hatanaka
 import numpy as np
 import pytest
+import rerun as rr
 
+from celnav.claims import dumps
+from celnav.effort import effort
+from celnav.files import Outputs
 from celnav.filters.adaptive import innovation_window
 from celnav.filters.driver import run, sequential
 from celnav.filters.step import predict, update
 from celnav.models import pseudorange
 from celnav.montecarlo import generator
-from celnav.papers.aukf import PRESETS, errata, filters, simulate, sweeps
+from celnav.papers import aukf, figures, tables
+from celnav.papers.aukf import PRESETS, analysis, errata, filters, real, simulate, sweeps
 from celnav.papers.aukf.follow import follow as follow_all
-from celnav.papers.aukf.follow import watched
-from celnav.papers.aukf.scenario import EKF, adapted, axes, circle, visible
+from celnav.papers.aukf.follow import follow_cases, watched
+from celnav.papers.aukf.scenario import EKF, adapted, axes, circle, ukf, visible
 from celnav.points import unscented
+from celnav.positioning import hooks
+from celnav.taylor import Taylor
 
 SHORT = replace(PRESETS["burst"], duration_s=4.0, burst_s=(2.0, 3.0))
 
@@ -129,7 +140,7 @@ def test_without_drawing_anew_the_gain_lacks_the_process_noise():
 def test_factors_are_watched():
     sim, S = simulate(SHORT, runs(4)), len(visible(SHORT).names)
     hook = watched(innovation_window(10))
-    found = follow_all({"aukf": adapted(SHORT, S, unscented(8), (hook,))}, sim, factors=("aukf",), consistency=("aukf",))
+    found = follow_all({"aukf": adapted(SHORT, S, unscented(8), hook)}, sim, factors=("aukf",), consistency=("aukf",))
     factor = found["aukf/factor"]
     assert factor.shape == (41, 4, 2 * S)
     np.testing.assert_array_equal(factor[:9], 1.0)
@@ -147,12 +158,173 @@ def test_the_bound_is_what_a_linear_filter_reaches():
     np.testing.assert_allclose(track.std[:, 0], np.sqrt(sweeps.bound(sim)), rtol=1e-4)
 
 
-def test_every_study_gives_its_filters():
-    """Half a minute of each, two runs: what is promised is there and finite, but for filters that are lost."""
-    short = replace(PRESETS["burst"], duration_s=3.0, burst_s=(1.0, 2.0))
-    for name in ("quiet", "matched", "initial errors", "redraw"):
-        found = sweeps.STUDIES[name].function(short, runs(2))
-        assert found
-        for key, values in found.items():
-            assert values.shape[1] in (1, 2), (name, key)
-            assert np.isfinite(values).all() or key.startswith("ls"), (name, key)
+def test_cases_side_by_side_are_cases_alone():
+    cases = {case: simulate(replace(SHORT, burst=case), runs(2)) for case in ("none", "ranges")}
+    known = filters(SHORT)
+    chosen = {"aukf": known["aukf"], "student": known["student"]}
+    together = follow_cases(chosen, cases, consistency=("aukf",))
+    for case, sim in cases.items():
+        for key, values in follow_all(chosen, sim, consistency=("aukf",)).items():
+            np.testing.assert_allclose(together[f"{case}/{key}"], values, rtol=1e-6, atol=1e-6, err_msg=key)
+
+
+def test_a_process_noise_of_each_run_is_that_of_the_run_alone():
+    sim, S = simulate(SHORT, runs(1)), len(visible(SHORT).names)
+    Q = [replace(SHORT, acceleration_noise_m2_per_s3=q).Q for q in (1.0, 100.0)]
+    both = follow_cases({"f": adapted(SHORT, S, EKF, Q=np.stack(Q))}, {"1": sim, "100": sim})
+    for name, one in zip(("1", "100"), Q, strict=True):
+        alone = follow_all({"f": adapted(SHORT, S, EKF, Q=one)}, sim)["f/error"]
+        np.testing.assert_allclose(both[f"{name}/f/error"], alone, rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize("alpha", [1.0, 0.1])
+def test_a_linear_measurement_makes_all_of_them_the_textbooks_filter(alpha):
+    sim, S = simulate(replace(SHORT, duration_s=1.0), runs(2)), len(visible(SHORT).names)
+    H = pseudorange.jacobian(sim.truth[0, 0], sim.satellites.q[0], sim.satellites.w[0])
+    R = np.diag(np.square(np.repeat([SHORT.sigma_range_m, SHORT.sigma_rate_m_per_s], S)))
+    rng = np.random.default_rng(0)
+    truth = sim.truth - sim.truth[0, :1]  # about the start, so that round-off is of meters
+    z = truth @ H.T + rng.normal(size=(*truth.shape[:2], 2 * S)) @ np.sqrt(R)
+    start = sim.prior.mean - sim.truth[0, :1]
+    F, Q = SHORT.F, SHORT.Q
+    means = {}
+    drawn = unscented(8, alpha, 2.0, 0.0)
+    rules = {"ukf": (drawn, drawn), "ekf": (Taylor(lambda _x, _e: (F,)), Taylor(lambda _x, _e: (H,)))}
+    for name, (one, two) in rules.items():
+        f = sequential(predict(lambda x, _e: x @ F.T, one, Q), update(lambda x, _e: x @ H.T, two, R))
+        means[name] = run(f, sim.prior._replace(mean=start), [e._replace(z=v) for e, v in zip(sim.epochs(), z, strict=True)]).mean
+    x, P, book = start.copy(), SHORT.P0, []
+    for k, measured in enumerate(z):
+        if k:
+            x, P = x @ F.T, F @ P @ F.T + Q
+        K = np.linalg.solve(H @ P @ H.T + R, H @ P).T
+        x, P = x + (measured - x @ H.T) @ K.T, P - K @ H @ P
+        book.append(x)
+    for name, mean in means.items():
+        np.testing.assert_allclose(mean, book, rtol=0, atol=1e-9, err_msg=name)
+
+
+def test_without_satellites_it_is_a_prediction():
+    sim = simulate(replace(SHORT, duration_s=1.0), runs(2))
+    blind = sim._replace(z=np.full_like(sim.z, np.nan))
+    S = len(sim.satellites.names)
+    for hook in (innovation_window(3), *(h[0] for name, h in hooks(S).items() if name not in ("ukf", "aukf"))):
+        error = follow_all({"f": adapted(SHORT, S, ukf(SHORT), hook)}, blind)["f/error"]
+        moved = blind.prior.mean @ np.linalg.matrix_power(SHORT.F, 10).T - blind.truth[10]
+        np.testing.assert_allclose(error[10], moved, rtol=0, atol=1e-6)
+
+
+def test_the_smallest_window_is_allowed():
+    sim, S = simulate(SHORT, runs(1)), len(visible(SHORT).names)
+    error = follow_all({"f": adapted(SHORT, S, ukf(SHORT), innovation_window(1))}, sim)["f/error"]
+    assert np.isfinite(error).all()
+
+
+# -- what needs no filters -----------------------------------------------------------------------------------------------------
+def test_the_node_of_a_flat_orbit_is_lost():
+    found = analysis.nodes(generator(0, 50, 0))
+    np.testing.assert_allclose(found.drawn[:3], found.formula[:3], rtol=0.01)
+    np.testing.assert_allclose(found.formula[[0, 2, 4]], [0.00699, 0.328, 32.8], rtol=0.01)
+
+
+def test_the_unscented_transform_of_polar_coordinates():
+    m = analysis.polar(generator(0, 51, 0), 100_000)
+    assert m.exact_mean[1] == pytest.approx(np.exp(-0.5 * np.radians(15.0) ** 2), abs=1e-12)
+    np.testing.assert_allclose(m.unscented_mean, m.exact_mean, atol=1e-4)
+    np.testing.assert_allclose(m.unscented_std, [0.2529, 0.0517], atol=1e-4)
+
+
+def test_the_geometry_is_exact():
+    g = analysis.geometry(PRESETS["burst"])
+    assert (len(g.names), g.geostationary, g.inclined) == (15, 5, 3)
+    assert g.rate_error < 5e-6
+    assert 40.0 < g.turn_m < 50.0
+    assert g.misplaced_m.min() > 6e5
+
+
+def test_an_absent_receiver_is_absent_and_a_folder_without_files_is_told(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert real.real(PRESETS["burst"], generator(0, 60, 0)) is None
+    with pytest.raises(FileNotFoundError, match="expected a RINEX observation file"):
+        aukf.reproduce(effort=0.01, rinex=tmp_path)
+
+
+# -- the study -----------------------------------------------------------------------------------------------------------------
+@pytest.fixture(scope="module")
+def result():
+    return aukf.reproduce(effort=effort())
+
+
+def test_every_figure_draws(result):
+    drawn = {name: function(result) for name, function in figures(aukf).items()}
+    assert list(drawn)[:3] == ["figure_01", "figure_02", "figure_03"]
+    assert len(drawn) == 17
+    for fig in drawn.values():
+        assert any(ax.get_xlabel() or ax.get_title() or ax.texts for ax in fig.axes)
+
+
+def test_tables(result):
+    rows = {name: function(result) for name, function in tables(aukf).items()}
+    assert len(rows) == 8
+    assert [row["filter"] for row in rows["table_1"]] == ["LS", "EKF", "UKF", "AUKF"] * 2
+    assert rows["table_1"][0]["X (m)"] > rows["table_1"][1]["X (m)"]
+    assert len(rows["table_2"]) == 40
+    assert rows["table_8"] == [{"filter": "input absent", "RMS (m)": "", "RMS with an added burst (m)": ""}]
+
+
+LENGTHY = ("process-", "start-", "erratum-1", "erratum-5")
+
+
+def test_claims_are_plain_json_and_exact_ones_hold_at_any_effort(result):
+    listed = json.loads(dumps(aukf.claims(result)))
+    assert {c["kind"] for c in listed} == {"paper", "calibrated", "erratum", "beyond"}
+    found = {c["id"]: c for c in listed}
+    for id, c in found.items():
+        if c["ci"] is None and not id.startswith((*LENGTHY, "real-")):
+            assert c["holds"] == c["expected"], (id, c["value"], c["accept"])
+    assert {c["verdict"] for id, c in found.items() if id.startswith("real-")} == {"input absent"}
+    assert found["erratum-3-same"]["verdict"] == "paper in error"
+    assert result.full or found["figure-7-burst"]["verdict"] == "undecided"
+
+
+def test_every_erratum_has_its_number(result):
+    numbers = {int(c.id.split("-")[1]) for c in aukf.claims(result) if c.id.startswith("erratum-")}
+    assert numbers == set(range(1, len(aukf.ERRATA) + 1))
+
+
+def test_a_recording_of_the_burst_is_written_and_none_of_an_absent_receiver(result, tmp_path):
+    assert aukf.record(result, Outputs(tmp_path)) == ["aukf_burst.rrd"]
+    (found,) = rr.chunk.RrdReader(tmp_path / "aukf_burst.rrd").recordings()
+    assert found.application_id == "celnav-aukf-burst"
+    assert not (tmp_path / "aukf_real.rrd").exists()
+
+
+def test_a_posterior_is_not_surer_than_the_bound(result):
+    """Over the settled part, and within what few runs scatter."""
+    data = result.data["matched"]
+    settled = result.window("all", 1.0)
+    bound = data["bound"][settled][..., :3].sum(-1).mean()
+    assert np.square(data["ekf/error"][settled][..., :3]).sum(-1).mean() > 0.3 * bound
+
+
+REAL = Path(__file__).parents[3] / "shared" / "data" / "rinex"
+
+
+@pytest.mark.skipif(not REAL.is_dir(), reason="no real files beside the checkout")
+def test_a_real_receiver(result, tmp_path):
+    """The first three hours of its day; `celnav reproduce --rinex` takes twelve."""
+    text = hatanaka.decompress(next(REAL.glob("*MO.crx.gz")).read_bytes()).decode("ascii")
+    (tmp_path / "ESBC_MO.rnx").write_text(text[: text.index("> 2020 06 25 03 00")], encoding="ascii")
+    shutil.copy(next(REAL.glob("*MN.rnx.gz")), tmp_path)
+    day = real.real(PRESETS["burst"], generator(0, 60, 0), tmp_path)
+    listed = {c.id: c for c in aukf.claims(replace(result, real=day)) if c.id.startswith("real-")}
+    assert len(listed) == 9
+    assert all(c.holds for c in listed.values()), {id: c.value for id, c in listed.items()}
+    assert [row["filter"] for row in tables(aukf)["table_8"](replace(result, real=day))] == [
+        "LS",
+        "EKF",
+        "UKF",
+        "AUKF",
+        "group parity",
+    ]
+    assert aukf.record(replace(result, real=day), Outputs(tmp_path / "out")) == aukf.RECORDINGS

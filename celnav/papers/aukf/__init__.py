@@ -1,9 +1,54 @@
 """[Fan2015]: an unscented Kalman filter for BeiDou positioning that adapts its measurement noise.
 
-Modules: `config` (parameters, presets), `scenario` (truth, satellites, measurements, filters).
+The contract of a paper: `Config` and `PRESETS`, `simulate`, `filters`, `reproduce`, ``figure_N``, ``table_N``, `claims`,
+`record`, and `ERRATA`; ``INPUTS``: what `reproduce` takes besides, a folder with a real receiver's log. Modules: `config`
+(parameters, presets), `scenario` (truth, satellites, measurements, filters), `follow` (filters on runs), `sweeps` (the studies),
+`real` (a receiver's day), `analysis` (what needs no simulation), `errata`, `study` (all runs), `evidence`, ``claims*``, `tables`,
+`figures`, `record`.
+
+The display equations and Table 1 of the text at hand are lost; what was inferred is
+
+=====================  ===============================================  =================================================
+what                   content                                          here
+=====================  ===============================================  =================================================
+measurement            pseudoranges and their rates                     `celnav.models.pseudorange`
+orbits                 broadcast elements, geostationary ones too       `celnav.models.beidou`
+state, its motion      position, velocity, clock; constant velocity     `celnav.models.receiver`
+least squares          of each epoch by itself                          `celnav.filters.least_squares`
+AUKF                   noise inflated by a window of innovations        `celnav.filters.adaptive.innovation_window`
+=====================  ===============================================  =================================================
 """
 
+from celnav.papers.aukf.claims import claims
 from celnav.papers.aukf.config import CITATION, PRESETS, TITLE, Config
+from celnav.papers.aukf.errata import ERRATA
+from celnav.papers.aukf.figures import (
+    figure_1,
+    figure_2,
+    figure_3,
+    figure_4,
+    figure_5,
+    figure_6,
+    figure_7,
+    figure_7b,
+    figure_8,
+    figure_8b,
+    figure_9,
+    figure_9b,
+    figure_10,
+    figure_11,
+    figure_12,
+    figure_13,
+    figure_14,
+)
+from celnav.papers.aukf.record import RECORDINGS, record
 from celnav.papers.aukf.scenario import Scenario, filters, simulate
+from celnav.papers.aukf.study import INPUTS, Result, reproduce
+from celnav.papers.aukf.tables import table_1, table_2, table_3, table_4, table_5, table_6, table_7, table_8
 
-__all__ = ["CITATION", "PRESETS", "TITLE", "Config", "Scenario", "filters", "simulate"]
+__all__ = [
+    "CITATION", "ERRATA", "INPUTS", "PRESETS", "RECORDINGS", "TITLE", "Config", "Result", "Scenario", "claims", "figure_1",
+    "figure_2", "figure_3", "figure_4", "figure_5", "figure_6", "figure_7", "figure_7b", "figure_8", "figure_8b", "figure_9",
+    "figure_9b", "figure_10", "figure_11", "figure_12", "figure_13", "figure_14", "filters", "record", "reproduce", "simulate",
+    "table_1", "table_2", "table_3", "table_4", "table_5", "table_6", "table_7", "table_8",
+]  # fmt: skip

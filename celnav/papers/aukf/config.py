@@ -8,6 +8,7 @@ import numpy as np
 
 from celnav.gaussian import finite
 from celnav.linalg import Array
+from celnav.models.receiver import CRYSTAL, process_noise, transition
 
 TITLE = "Adaptive unscented Kalman filter for BeiDou positioning"
 CITATION = """\
@@ -17,7 +18,6 @@ CITATION = """\
   note    = {in Chinese; year and journal are not in the text available, which has lost its display equations and Table 1}
 }"""
 STANDARD_GRAVITY = 9.80665
-LIGHT = 299792458.0
 CHANNELS = ("none", "ranges", "both", "one")
 
 
@@ -46,8 +46,8 @@ class Config:
     burst_sigma: float = 50.0  # paper; m and m/s
     burst_satellite: int = 2  # chosen: its place among the visible ones
     acceleration_noise_m2_per_s3: float = 0.0  # chosen: 0 stands for a^2 T
-    clock_white_m2_per_s: float = LIGHT**2 * 2e-19 / 2.0  # chosen: a crystal, h0 = 2e-19
-    clock_walk_m2_per_s3: float = 2.0 * np.pi**2 * LIGHT**2 * 2e-20  # chosen: h-2 = 2e-20
+    clock_white_m2_per_s: float = CRYSTAL[0]  # chosen
+    clock_walk_m2_per_s3: float = CRYSTAL[1]  # chosen
     bias_m: float = 3e4  # chosen
     drift_m_per_s: float = 30.0  # chosen
     deviation: tuple[float, float, float, float] = (10.0, 1.0, 10.0, 1.0)  # chosen: m, m/s, m, m/s
@@ -96,10 +96,7 @@ class Config:
     @property
     def F(self) -> Array:
         """Constant velocity and clock drift over an interval, ``(8, 8)``."""
-        F, T = np.eye(8), self.interval_s
-        F[:3, 3:6] = T * np.eye(3)
-        F[6, 7] = T
-        return F
+        return transition(self.interval_s)
 
     @property
     def acceleration_noise(self) -> float:
@@ -110,12 +107,8 @@ class Config:
     @property
     def Q(self) -> Array:
         """Process noise of an interval, ``(8, 8)``."""
-        T, Q = self.interval_s, np.zeros((8, 8))
-        block = np.array([[T**3 / 3.0, T**2 / 2.0], [T**2 / 2.0, T]])
-        Q[:6, :6] = self.acceleration_noise * np.kron(block, np.eye(3))
-        Q[6:, 6:] = self.clock_walk_m2_per_s3 * block
-        Q[6, 6] += self.clock_white_m2_per_s * T
-        return Q
+        c = self
+        return process_noise(c.interval_s, c.acceleration_noise, c.clock_white_m2_per_s, c.clock_walk_m2_per_s3)
 
     @property
     def P0(self) -> Array:

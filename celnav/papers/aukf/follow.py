@@ -11,7 +11,7 @@ from celnav.filters.driver import Epoch, Filter, run
 from celnav.filters.info import Hook, Joint
 from celnav.gaussian import nees
 from celnav.linalg import Array, cholesky
-from celnav.papers.aukf.scenario import Scenario
+from celnav.papers.aukf.scenario import Scenario, side_by_side
 
 Found = dict[str, Array]
 """``<filter>/<what>`` -> ``(T, runs, ...)``."""
@@ -34,17 +34,37 @@ def follow(filters: dict[str, Filter], sim: Scenario, *, consistency: Sequence[s
 
     Returns
     -------
-    ``error (T, runs, 8)``; of those in ``consistency`` ``nees (T, runs)`` and ``nis``; of those in ``factors``, whose first hook is
-    `watched`, ``factor (T, runs, 2 S)``.
+    ``error (T, runs, 8)``; of those in ``consistency`` ``nees (T, runs)``, ``nis`` and ``cov (T, 1, 8, 8)`` of the first run; of
+    those in ``factors``, whose first hook is `watched`, ``factor (T, runs, 2 S)``.
     """
+    return _follow(filters, sim, consistency, factors, len(sim.prior.mean))
+
+
+def follow_cases(
+    filters: dict[str, Filter],
+    cases: dict[str, Scenario],
+    *,
+    consistency: Sequence[str] = (),
+    factors: Sequence[str] = (),
+) -> Found:
+    """`follow` of several scenarios at once, which have as many runs each: ``<case>/<filter>/<what>``."""
+    sims = list(cases.values())
+    found = _follow(filters, side_by_side(sims), consistency, factors, len(sims[0].prior.mean))
+    parts = {key: np.split(values, len(sims), 1) for key, values in found.items()}
+    return {f"{case}/{key}": part[i] for i, case in enumerate(cases) for key, part in parts.items()}
+
+
+def _follow(filters: dict[str, Filter], sim: Scenario, consistency: Sequence[str], factors: Sequence[str], runs: int) -> Found:
+    """Covariances are kept of the first of each ``runs``."""
     out: Found = {}
     for name, filter in filters.items():
 
         def also(epoch: Epoch, state: Any, info: Any, name: str = name) -> dict[str, Array]:
-            error = state.belief.mean - epoch.truth
-            found = {"error": error}
+            belief = state.belief
+            found = {"error": belief.mean - epoch.truth}
             if name in consistency:
-                found |= {"nees": nees(error, cholesky(state.belief.cov)), "nis": np.square(info.white).sum(-1)}
+                found["nees"], found["nis"] = nees(found["error"], cholesky(belief.cov)), np.square(info.white).sum(-1)
+                found["cov"] = belief.cov[::runs]
             if name in factors:
                 found["factor"] = state.memory[0][0][1]
             return found

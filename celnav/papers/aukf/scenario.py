@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from pymap3d import geodetic2ecef
 
-from celnav.filters.adaptive import gate, innovation_window
 from celnav.filters.driver import Epoch, Filter, sequential
 from celnav.filters.info import Hook
 from celnav.filters.least_squares import least_squares
-from celnav.filters.parity import channel_parity, group_parity
-from celnav.filters.robust import huber, sage_husa, student_t
 from celnav.filters.step import predict, update
 from celnav.gaussian import Gaussian, covariance
 from celnav.linalg import Array
@@ -22,7 +19,8 @@ from celnav.models.beidou import ELLIPSOID
 from celnav.models.constellation import synthetic
 from celnav.montecarlo import normals
 from celnav.papers.aukf.config import Config
-from celnav.points import Transform, unscented
+from celnav.points import Rule, Transform, unscented
+from celnav.positioning import hooks
 from celnav.taylor import Taylor
 
 TOE_S = 345600.0
@@ -115,6 +113,13 @@ def burst(config: Config, S: int) -> Array:
     return np.asarray(config.burst_sigma * during[:, None] * hit)
 
 
+def side_by_side(sims: Sequence[Scenario]) -> Scenario:
+    """Scenarios of the same epochs and satellites as one, their runs one after the other."""
+    truth, z = (np.concatenate([getattr(sim, name) for sim in sims], 1) for name in ("truth", "z"))
+    mean, spread = (np.concatenate([getattr(sim.prior, name) for sim in sims]) for name in ("mean", "spread"))
+    return sims[0]._replace(truth=truth, z=z, prior=sims[0].prior._replace(mean=mean, spread=spread))
+
+
 def _measured(x: Array, epoch: Epoch) -> Array:
     return pseudorange.measure(x, *epoch.u)
 
@@ -123,28 +128,31 @@ def _slope(x: Array, epoch: Epoch) -> Array:
     return pseudorange.jacobian(x, *epoch.u)
 
 
+def _late_slope(x: Array, epoch: Epoch) -> Array:
+    """At where the receiver was an interval ago."""
+    before = x.copy()
+    before[..., :3] -= epoch.dt * x[..., 3:6]
+    return _slope(before, epoch)
+
+
 EKF = Taylor(lambda x, epoch: (_slope(x, epoch),))
+LATE_EKF = Taylor(lambda x, epoch: (_late_slope(x, epoch),))
+"""With the Jacobian at the last estimate."""
 
 
-def hooks(config: Config, S: int) -> dict[str, tuple[Hook, ...]]:
-    """What each filter does to the noise of a measurement before it uses it; of the ukf nothing."""
-    return {
-        "ukf": (),
-        "aukf": (innovation_window(config.window),),
-        "group": (group_parity((range(S), range(S, 2 * S)), 4),),
-        "channel": (channel_parity(config.window),),
-        "gate": (gate(4.0),),
-        "huber": (huber(),),
-        "student": (student_t(4.0),),
-        "sage-husa": (sage_husa(0.95),),
-    }
+def ukf(config: Config) -> Rule:
+    """The rule of all unscented filters."""
+    return unscented(8, config.alpha, config.beta, 0.0)
 
 
-def adapted(config: Config, S: int, rule: Transform, hook: tuple[Hook, ...] = ()) -> Filter:
-    """A filter of the paper's model: constant velocity, which every rule moves alike, and the measurement by a rule."""
+def adapted(config: Config, S: int, rule: Transform, *hook: Hook, Q: Array | None = None) -> Filter:
+    """A filter of the paper's model: constant velocity, which every rule moves alike, and the measurement by a rule.
+
+    ``Q``: process noise ``(..., 8, 8)`` instead of the configuration's, with one for each run if it has that axis.
+    """
     F, sigma = config.F, np.repeat([config.sigma_range_m, config.sigma_rate_m_per_s], S)
     move = Taylor(lambda _x, _epoch: (F,))
-    forward = predict(lambda x, _epoch: x @ F.T, move, config.Q)
+    forward = predict(lambda x, _epoch: x @ F.T, move, config.Q if Q is None else Q)
     return sequential(forward, update(_measured, rule, np.diag(sigma**2), hooks=hook))
 
 
@@ -155,7 +163,6 @@ def filters(config: Config) -> dict[str, Filter]:
     state explains. gate, huber, student, sage-husa: baselines. Those after ukf are unscented too.
     """
     S = len(visible(config).names)
-    rule: Any = unscented(8, config.alpha, config.beta, 0.0)
     sigma = np.repeat([config.sigma_range_m, config.sigma_rate_m_per_s], S)
     out = {"ls": least_squares(_measured, _slope, sigma), "ekf": adapted(config, S, EKF)}
-    return out | {name: adapted(config, S, rule, hook) for name, hook in hooks(config, S).items()}
+    return out | {name: adapted(config, S, ukf(config), *hook) for name, hook in hooks(S, config.window).items()}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -10,57 +10,50 @@ import numpy as np
 
 from celnav.filters.adaptive import innovation_window
 from celnav.filters.driver import Filter
-from celnav.filters.parity import group_parity
 from celnav.gaussian import covariance
 from celnav.linalg import Array
 from celnav.models import pseudorange
 from celnav.montecarlo import normals
-from celnav.papers.aukf.config import Config
+from celnav.papers.aukf.config import PRESETS, Config
 from celnav.papers.aukf.errata import without_redraw
-from celnav.papers.aukf.follow import Found, follow, watched
-from celnav.papers.aukf.scenario import Scenario, adapted, filters, simulate, visible
+from celnav.papers.aukf.follow import Found, follow, follow_cases, watched
+from celnav.papers.aukf.scenario import EKF, LATE_EKF, Scenario, adapted, filters, simulate, ukf, visible
 from celnav.points import unscented
+from celnav.positioning import parity_of_groups
 
 Rngs = Sequence[np.random.Generator]
 MAIN = ("ls", "ekf", "ukf", "aukf", "group")
-CASES = ("ranges", "both", "one", "mistuned")
+CASES = ("none", "ranges")
+"""Of the burst, in the main study."""
+MISTUNED_M = PRESETS["mistuned"].true_sigma_range_m
 
 
 def _labelled(label: str, found: Found) -> Found:
     return {f"{label}/{key}": value for key, value in found.items()}
 
 
-def _chosen(config: Config, names: Iterable[str]) -> dict[str, Filter]:
+def _size(config: Config) -> int:
+    return len(visible(config).names)
+
+
+def _paper(config: Config, Q: Array | None = None) -> Filter:
+    """The paper's filter, with its factors kept."""
+    return adapted(config, _size(config), ukf(config), watched(innovation_window(config.window)), Q=Q)
+
+
+def main(config: Config, rngs: Rngs) -> Found:
+    """Without a burst ("none") and with one on all ranges ("ranges")."""
+    cases = {case: simulate(replace(config, burst=case), rngs) for case in CASES}
     known = filters(config)
-    return {name: known[name] for name in names}
-
-
-def quiet(config: Config, rngs: Rngs) -> Found:
-    """No burst; with the factors of AUKF, and the filter that draws its points once."""
-    c = replace(config, burst="none")
-    return _watched(c, simulate(c, rngs))
-
-
-def burst(config: Config, rngs: Rngs) -> Found:
-    """A burst on all ranges; with the factors of AUKF."""
-    c = replace(config, burst="ranges")
-    return _watched(c, simulate(c, rngs))
-
-
-def _watched(c: Config, sim: Scenario) -> Found:
-    S = len(sim.satellites.names)
-    chosen = _chosen(c, MAIN)
-    chosen["aukf"] = adapted(c, S, unscented(8, c.alpha, c.beta, 0.0), (watched(innovation_window(c.window)),))
-    return follow(chosen, sim, factors=("aukf",), consistency=("ekf", "ukf", "aukf"))
+    chosen = {name: known[name] for name in MAIN} | {"aukf": _paper(config)}
+    return follow_cases(chosen, cases, factors=("aukf",), consistency=("ekf", "ukf", "aukf", "group"))
 
 
 def baselines(config: Config, rngs: Rngs) -> Found:
     """All filters where the burst is on all ranges, on everything, on one satellite's range, and where the noise is mistuned."""
-    out: Found = {}
-    for case in CASES:
-        c = replace(config, burst="none", true_sigma_range_m=10.0) if case == "mistuned" else replace(config, burst=case)
-        out |= _labelled(case, follow(filters(c), simulate(c, rngs)))
-    return out
+    cases = {case: replace(config, burst=case) for case in ("ranges", "both", "one")}
+    cases["mistuned"] = replace(config, burst="none", true_sigma_range_m=MISTUNED_M)
+    return follow_cases(filters(config), {case: simulate(c, rngs) for case, c in cases.items()})
 
 
 PROCESS_NOISE = {1.0: (1.0, 10.0, 100.0, 300.0, 1000.0), 0.1: (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)}
@@ -68,60 +61,63 @@ PROCESS_NOISE = {1.0: (1.0, 10.0, 100.0, 300.0, 1000.0), 0.1: (1.0, 3.0, 10.0, 3
 
 
 def process_noise(config: Config, rngs: Rngs) -> Found:
-    """Quiet, by interval and process noise."""
+    """Quiet, by interval and process noise: ``<interval>/<density>/...``."""
     out: Found = {}
     for interval, densities in PROCESS_NOISE.items():
-        base = replace(config, burst="none", interval_s=interval)
-        sim = simulate(base, rngs)
-        for density in densities:
-            c = replace(base, acceleration_noise_m2_per_s3=density)
-            S = len(sim.satellites.names)
-            chosen = _chosen(c, ("ekf", "aukf", "group"))
-            chosen["aukf"] = adapted(c, S, unscented(8, c.alpha, c.beta, 0.0), (watched(innovation_window(c.window)),))
-            found = follow(chosen, sim, factors=("aukf",), consistency=("ekf",))
-            out |= _labelled(f"{interval:g}/{density:g}", found)
+        c = replace(config, burst="none", interval_s=interval)
+        sim, S = simulate(c, rngs), _size(c)
+        Q = np.repeat([replace(c, acceleration_noise_m2_per_s3=density).Q for density in densities], len(rngs), 0)
+        group = adapted(c, S, ukf(c), parity_of_groups(S), Q=Q)
+        chosen = {"ekf": adapted(c, S, EKF, Q=Q), "aukf": _paper(c, Q), "group": group}
+        cases = {f"{interval:g}/{density:g}": sim for density in densities}
+        out |= follow_cases(chosen, cases, factors=("aukf",), consistency=("ekf",))
     return out
 
 
-WINDOWS = {("1 Hz", 1.0, 1000.0): (1, 2, 5, 10), ("10 Hz", 0.1, 100.0): (5, 10, 30), ("default", 0.1, 0.0): (1, 3, 10, 50, 100)}
-"""Name, interval (s) and process noise -> lengths of the window."""
+def both(config: Config, rngs: Rngs) -> Found:
+    """The burst on ranges and rates, which single runs take very differently."""
+    c = replace(config, burst="both")
+    known = filters(c)
+    return follow({name: known[name] for name in ("ukf", "aukf")}, simulate(c, rngs))
+
+
+WINDOWS = {("1 Hz", 1.0, 1000.0): (1, 2, 5, 10), ("10 Hz", 0.1, 100.0): (5, 10, 30), ("default", 0.1, 0.0): (1, 3, 50, 100)}
+"""Name, interval (s) and process noise (0: that of the configuration) -> lengths of the window."""
 
 
 def windows(config: Config, rngs: Rngs) -> Found:
-    """A burst on all ranges, by rate and window."""
+    """A burst on all ranges, by rate and window; where nothing else is changed, UKF and group parity stand in `main`."""
     out: Found = {}
     for (label, interval, density), lengths in WINDOWS.items():
         c = replace(config, burst="ranges", interval_s=interval, acceleration_noise_m2_per_s3=density)
-        sim, S = simulate(c, rngs), len(visible(c).names)
-        rule = unscented(8, c.alpha, c.beta, 0.0)
-        chosen = {f"M = {M}": adapted(c, S, rule, (innovation_window(M),)) for M in lengths}
-        chosen |= {"ukf": adapted(c, S, rule), "group": adapted(c, S, rule, (group_parity((range(S), range(S, 2 * S)), 4),))}
-        out |= _labelled(label, follow(chosen, sim))
+        S, rule = _size(c), ukf(c)
+        chosen = {f"M = {M}": adapted(c, S, rule, innovation_window(M)) for M in lengths}
+        if label != "default":
+            chosen |= {"ukf": adapted(c, S, rule), "group": adapted(c, S, rule, parity_of_groups(S))}
+        out |= _labelled(label, follow(chosen, simulate(c, rngs)))
     return out
 
 
 INITIAL_KM = (1.0, 10.0, 100.0, 1000.0)
+SMALL_ALPHA = "ukf, alpha = 0.001"
 
 
 def initial_errors(config: Config, rngs: Rngs) -> Found:
-    """1 Hz, no burst: large initial errors of the position, of which the prior knows; the first minute's half."""
-    out: Found = {}
-    for km in INITIAL_KM:
-        c = replace(config, burst="none", interval_s=1.0, duration_s=30.0, deviation=(1e3 * km, *config.deviation[1:]))
-        sim, S = simulate(c, rngs), len(visible(c).names)
-        chosen = _chosen(c, ("ekf", "ukf", "aukf"))
-        chosen["ukf, alpha = 0.001"] = adapted(c, S, unscented(8, 1e-3, c.beta, 0.0))
-        out |= _labelled(f"{km:g}", follow(chosen, sim))
-    return out
+    """1 Hz, no burst: large initial errors of the position, of which the prior knows; the first half minute."""
+    short = replace(config, burst="none", interval_s=1.0, duration_s=min(30.0, config.duration_s))
+    cases = {f"{km:g}": replace(short, deviation=(1e3 * km, *config.deviation[1:])) for km in INITIAL_KM}
+    known, S = filters(short), _size(short)
+    chosen = {name: known[name] for name in ("ekf", "ukf", "aukf")}
+    chosen[SMALL_ALPHA] = adapted(short, S, unscented(8, 1e-3, short.beta, 0.0))
+    return follow_cases(chosen, {km: simulate(c, rngs) for km, c in cases.items()})
 
 
 def matched(config: Config, rngs: Rngs) -> Found:
     """Truth drawn from the filters' own model, 1 Hz: errors, NEES, NIS; ``bound (T, 1, 8)``: variances of the posterior bound."""
     c = replace(config, burst="none", interval_s=1.0, acceleration_noise_m2_per_s3=100.0)
-    sim = drawn(c, rngs)
-    S = len(sim.satellites.names)
-    rule = unscented(8, c.alpha, c.beta, 0.0)
-    chosen = _chosen(c, ("ekf", "ukf", "aukf", "group", "channel")) | {"no redraw": without_redraw(c, S, rule)}
+    sim, known = drawn(c, rngs), filters(c)
+    chosen = {name: known[name] for name in ("ekf", "ukf", "aukf", "group", "channel")}
+    chosen["no redraw"] = without_redraw(c, _size(c), ukf(c))
     return follow(chosen, sim, consistency=tuple(chosen)) | {"bound": bound(sim)[:, None]}
 
 
@@ -156,11 +152,12 @@ def bound(sim: Scenario) -> Array:
 
 
 def redraw(config: Config, rngs: Rngs) -> Found:
-    """No burst: the points of the prediction used again for the measurement."""
+    """No burst: the points of the prediction used again for the measurement; an EKF whose Jacobian is of the last estimate."""
     c = replace(config, burst="none")
-    sim = simulate(c, rngs)
-    S, rule = len(sim.satellites.names), unscented(8, c.alpha, c.beta, 0.0)
-    return follow({"ukf": adapted(c, S, rule), "no redraw": without_redraw(c, S, rule)}, sim, consistency=("ukf", "no redraw"))
+    S, rule = _size(c), ukf(c)
+    chosen = {"ukf": adapted(c, S, rule), "no redraw": without_redraw(c, S, rule)}
+    chosen |= {"ekf": adapted(c, S, EKF), "late ekf": adapted(c, S, LATE_EKF)}
+    return follow(chosen, simulate(c, rngs), consistency=("no redraw",))
 
 
 class Study(NamedTuple):
@@ -171,13 +168,13 @@ class Study(NamedTuple):
 
 
 STUDIES = {
-    "quiet": Study(quiet, None),
-    "burst": Study(burst, None),
+    "main": Study(main, None),
     "baselines": Study(baselines, 20),
     "process noise": Study(process_noise, 20),
     "windows": Study(windows, 20),
     "initial errors": Study(initial_errors, 20),
     "matched": Study(matched, 40),
     "redraw": Study(redraw, 20),
+    "both": Study(both, None),
 }
 """In the order of their random numbers."""

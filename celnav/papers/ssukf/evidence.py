@@ -39,18 +39,3 @@ class Evidence(Judge):
         """Time (s) at which the RMSE over the runs of squares ``(runs, T)`` is first below a level; the end if it never is."""
         below = np.flatnonzero(np.sqrt(squares.mean(0)) < level)
         return float(self.times[below[0] if below.size else squares.shape[1] - 1])
-
-
-def order(value: float) -> float:
-    """The power of ten at or above a size of which only that means anything: the digits of round-off differ between machines."""
-    return 10.0 ** float(np.ceil(np.log10(value))) if value > 0.0 else 0.0
-
-
-def rms(squares: Array) -> float:
-    """Root of the mean over everything."""
-    return float(np.sqrt(squares.mean()))
-
-
-def ratio(a: Array, b: Array) -> float:
-    """Ratio of two such."""
-    return rms(a) / rms(b)

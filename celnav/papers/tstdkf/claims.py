@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from celnav.claims import Claim
+from celnav.claims import Claim, about, within
+from celnav.metrics import ratio, rms
 from celnav.models.pulsar import LIGHT_KM_S
 from celnav.papers.tstdkf.claims_beyond import beyond_claims
 from celnav.papers.tstdkf.claims_errata import errata_claims
@@ -12,7 +13,7 @@ from celnav.papers.tstdkf.claims_tables import table_claims
 from celnav.papers.tstdkf.claims_tracking import figure_9, figure_10
 from celnav.papers.tstdkf.config import TABLE_5
 from celnav.papers.tstdkf.ephemerides import table
-from celnav.papers.tstdkf.evidence import AXES, Evidence, about, ratio, rms, within
+from celnav.papers.tstdkf.evidence import AXES, Evidence
 from celnav.papers.tstdkf.study import Result
 from celnav.papers.tstdkf.sweeps import LARGER, WHITE_LARGER, WHITE_NONE
 

@@ -6,11 +6,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from celnav.claims import Claim
+from celnav.claims import Claim, about, within
 from celnav.linalg import Array
+from celnav.metrics import ratio, rms
 from celnav.papers.tstdkf import analysis
 from celnav.papers.tstdkf.config import SETTINGS
-from celnav.papers.tstdkf.evidence import AXES, Evidence, about, above, below, ratio, rms, within
+from celnav.papers.tstdkf.evidence import AXES, Evidence, above, below
 from celnav.papers.tstdkf.sweeps import COUPLINGS, LARGER, PARAMETERS, STRONG
 
 

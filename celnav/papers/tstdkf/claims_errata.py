@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from celnav.claims import Claim
+from celnav.claims import Claim, about, order, within
+from celnav.metrics import ratio, rms
 from celnav.models.ephemeris import de421
 from celnav.papers.tstdkf import published
 from celnav.papers.tstdkf.ephemerides import table
-from celnav.papers.tstdkf.evidence import Evidence, about, order, ratio, rms, within
+from celnav.papers.tstdkf.evidence import Evidence
 
 
 def errata_claims(j: Evidence) -> list[Claim]:

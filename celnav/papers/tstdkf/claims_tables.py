@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from celnav.claims import Claim
+from celnav.claims import Claim, about, within
+from celnav.metrics import ratio, rms
 from celnav.models.orbit import EARTH
 from celnav.papers.tstdkf import analysis, published
 from celnav.papers.tstdkf.config import SETTINGS
-from celnav.papers.tstdkf.evidence import Evidence, about, above, below, ratio, rms, within
+from celnav.papers.tstdkf.evidence import Evidence, above, below
 from celnav.papers.tstdkf.study import COMPARED, PAPER
 
 TUNED = (

@@ -7,9 +7,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from celnav.claims import Claim
+from celnav.claims import Claim, about
 from celnav.linalg import Array
-from celnav.papers.tstdkf.evidence import Evidence, about, ratio, rms
+from celnav.metrics import ratio, rms
+from celnav.papers.tstdkf.evidence import Evidence
 from celnav.papers.tstdkf.sweeps import PARAMETERS
 from celnav.papers.tstdkf.year import TRENDS
 

@@ -11,10 +11,11 @@ from matplotlib.figure import Figure
 from celnav import colors
 from celnav.figures import figure
 from celnav.linalg import Array
+from celnav.metrics import rms
 from celnav.models.pulsar import LIGHT_KM_S
 from celnav.papers.tstdkf.config import DAY_S, SETTINGS, YEAR_S
 from celnav.papers.tstdkf.ephemerides import table
-from celnav.papers.tstdkf.evidence import AXES, rms
+from celnav.papers.tstdkf.evidence import AXES
 from celnav.papers.tstdkf.study import COMPARED, Result
 from celnav.papers.tstdkf.sweeps import COUPLINGS, LARGER, PARAMETERS, WHITE_LARGER, WHITE_NONE
 from celnav.papers.tstdkf.year import TRENDS

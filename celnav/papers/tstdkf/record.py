@@ -8,11 +8,11 @@ import numpy as np
 
 from celnav import colors
 from celnav.linalg import Array
-from celnav.metrics import chi_square_band
+from celnav.metrics import chi_square_band, rms
 from celnav.models.ephemeris import de421
 from celnav.papers.tstdkf.config import DAY_S, SETTINGS
 from celnav.papers.tstdkf.ephemerides import table
-from celnav.papers.tstdkf.evidence import AXES, rms
+from celnav.papers.tstdkf.evidence import AXES
 from celnav.papers.tstdkf.figures import COLORS, SHADES
 from celnav.papers.tstdkf.scenario import PULLING
 from celnav.papers.tstdkf.study import PAPER, Result

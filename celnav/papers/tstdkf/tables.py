@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from celnav.linalg import Array
+from celnav.metrics import rms
 from celnav.models.pulsar import pulsars
 from celnav.papers.tstdkf import published
 from celnav.papers.tstdkf.config import SETTINGS
-from celnav.papers.tstdkf.evidence import rms
 from celnav.papers.tstdkf.study import COMPARED, FAIR, Result
 from celnav.papers.tstdkf.sweeps import COUPLINGS, PARAMETERS
 

@@ -1,0 +1,34 @@
+"""Motion and clock of a receiver: constant velocity, driven by white acceleration, and a clock whose frequency wanders.
+
+State: position (m), velocity (m/s), clock bias (m) and drift (m/s), as in `celnav.models.pseudorange`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from celnav.linalg import Array
+from celnav.models.beidou import LIGHT
+
+CRYSTAL = (LIGHT**2 * 2e-19 / 2.0, 2.0 * np.pi**2 * LIGHT**2 * 2e-20)
+"""A compensated crystal's noise of frequency, white (m^2/s) and walking (m^2/s^3): h0 = 2e-19, h-2 = 2e-20."""
+
+
+def transition(dt: float) -> Array:
+    """Over an interval, ``(8, 8)``."""
+    F = np.eye(8)
+    F[:3, 3:6] = dt * np.eye(3)
+    F[6, 7] = dt
+    return F
+
+
+def process_noise(dt: float, acceleration: float, white: float, walk: float) -> Array:
+    """Covariance over an interval, ``(8, 8)``.
+
+    ``acceleration``: density of the white acceleration, m^2/s^3. ``white``, ``walk``: of the clock, see `CRYSTAL`.
+    """
+    Q, block = np.zeros((8, 8)), np.array([[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]])
+    Q[:6, :6] = acceleration * np.kron(block, np.eye(3))
+    Q[6:, 6:] = walk * block
+    Q[6, 6] += white * dt
+    return Q

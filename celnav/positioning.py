@@ -1,0 +1,279 @@
+"""From a receiver's log to what a filter takes: satellites, corrected measurements, first fixes; and filters of a moving receiver.
+
+State: position (m, Earth-fixed), velocity (m/s), clock bias (m) and drift (m/s), as in `celnav.models.pseudorange`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pymap3d import ecef2geodetic
+
+from celnav.files import InputError
+from celnav.filters.adaptive import gate, innovation_window
+from celnav.filters.driver import Epoch, Filter, run, sequential
+from celnav.filters.info import Hook
+from celnav.filters.least_squares import least_squares
+from celnav.filters.parity import channel_parity, group_parity
+from celnav.filters.robust import huber, sage_husa, student_t
+from celnav.filters.step import predict, update
+from celnav.gaussian import Gaussian, covariance, finite
+from celnav.linalg import Array
+from celnav.models import pseudorange
+from celnav.models.atmosphere import GPS_L1_HZ, klobuchar, saastamoinen
+from celnav.models.beidou import B1I_HZ, ELLIPSOID, GPS_AHEAD_S, LIGHT
+from celnav.models.receiver import CRYSTAL, process_noise, transition
+from celnav.points import Transform, unscented
+from celnav.rinex import Navigation, Observations
+from celnav.taylor import Taylor
+
+CREDIBLE_M = (1.5e7, 5e7)
+"""Pseudoranges outside are none."""
+MILLISECOND_M = 1e-3 * LIGHT
+"""By whole ones of these many receivers set their clock."""
+START = (100.0, 10.0, 100.0, 10.0)
+"""Deviations about the first fix: m, m/s, m, m/s."""
+
+
+@dataclass(frozen=True)
+class Log:
+    """A receiver's log, ready for a filter. It starts at the first epoch that has a fix.
+
+    Attributes
+    ----------
+    times: ``(T,)`` s of BDT. names: of the satellites, ``S``.
+    z: ``(T, 2 S)`` ranges (m) and rates (m/s) without clocks of satellites, atmosphere and jumps of the receiver's clock; nan where
+        there is none. sigma: ``(T, 2 S)`` their deviations. q, w: ``(T, S, 3)``, see `celnav.models.pseudorange.Sources`.
+    elevation, azimuth: ``(T, S)`` rad. fixes: ``(T, 8)`` of each epoch by itself, nan where it has none.
+    dilution: of each epoch ``(T,)``. left_out: why measurements are not used, and how many.
+    """
+
+    times: Array
+    names: list[str]
+    z: Array
+    sigma: Array
+    q: Array
+    w: Array
+    elevation: Array
+    azimuth: Array
+    fixes: Array
+    dilution: pseudorange.Dilution
+    left_out: dict[str, int]
+
+    @property
+    def used(self) -> Array:
+        """Which ranges there are, ``(T, S)``."""
+        return np.isfinite(self.z[:, : len(self.names)])
+
+    def epochs(self) -> Iterator[Epoch]:
+        """Epochs for `filters`; ``u`` is ``(q, w, sigma)`` at the epoch's time."""
+        intervals = np.diff(self.times, prepend=self.times[:1])
+        for k, (t, dt) in enumerate(zip(self.times.tolist(), intervals.tolist(), strict=True)):
+            yield Epoch(k, t, dt, (self.q[k], self.w[k], self.sigma[k]), self.z[k])
+
+    def prior(self) -> Gaussian:
+        """About the first fix, in covariance form, ``(8,)``."""
+        position, velocity, bias, drift = START
+        return covariance(np.nan_to_num(self.fixes[0]), np.diag(np.square([position] * 3 + [velocity] * 3 + [bias, drift])))
+
+    def part(self, which: slice) -> Log:
+        """Some of the epochs."""
+        names = ("times", "z", "sigma", "q", "w", "elevation", "azimuth", "fixes")
+        arrays: dict[str, Any] = {name: getattr(self, name)[which] for name in names}
+        return replace(self, **arrays, dilution=pseudorange.Dilution(*(values[which] for values in self.dilution)))
+
+
+def prepare(
+    observations: Observations,
+    navigation: Navigation,
+    *,
+    mask_deg: float = 10.0,
+    sigma: ArrayLike = (1.5, 0.05),
+) -> Log:
+    """Satellites and corrected measurements of a log. Nothing is taken from the header's position.
+
+    Parameters
+    ----------
+    observations, navigation: what was read from the two files.
+    mask_deg: satellites below this elevation are not used, from 0 to below 90.
+    sigma: deviations of range (m) and rate (m/s) at the zenith; elsewhere divided by the sine of the elevation.
+
+    Raises
+    ------
+    ValueError: for a mask or deviations that cannot be. InputError: naming the files, if no epoch has a fix.
+    """
+    if not 0.0 <= mask_deg < 90.0:
+        raise ValueError(f"mask_deg: expected degrees from 0 to below 90, got {mask_deg!r}")
+    deviations = finite("sigma", sigma, (2,))
+    if not (deviations > 0.0).all():
+        raise ValueError(f"sigma: expected positive deviations, got {sigma!r}")
+    times, code = observations.times, observations.code
+    rows = np.stack([navigation.nearest(name, times) for name in observations.names], -1)
+    given = np.isfinite(code)
+    credible = (np.nan_to_num(code) > CREDIBLE_M[0]) & (np.nan_to_num(code) < CREDIBLE_M[1])
+    left_out = {
+        "without a healthy broadcast set in its time": int((given & (rows < 0)).sum()),
+        "pseudorange out of all bounds": int((given & ~credible & (rows >= 0)).sum()),
+    }
+    usable = credible & (rows >= 0)
+    position = np.zeros((len(times), 3))
+    clock = np.zeros(len(times))
+    for final in (False, False, True):
+        seen = _sources(navigation, rows, times, code, usable, position)
+        ranges = code + seen.clock
+        rates = -observations.doppler * LIGHT / B1I_HZ + seen.drift
+        weight, elevation, azimuth = np.ones(code.shape), np.full(code.shape, np.nan), np.full(code.shape, np.nan)
+        used = usable
+        if position.any():
+            elevation, azimuth, delay = _sky(navigation, times - clock / LIGHT, seen.q, position)
+            used = usable & (elevation >= np.radians(mask_deg))
+            ranges, weight = ranges - delay, 1.0 / np.sin(np.maximum(elevation, np.radians(1.0)))
+        scale = deviations[:, None, None] * weight
+        z = np.concatenate([np.where(used, ranges, np.nan), np.where(used, rates, np.nan)], -1)
+        spread = np.concatenate([scale[0], scale[1]], -1)
+        fixes = _fixes(z, seen, spread, position)
+        there = np.isfinite(fixes[:, 6])
+        if not there.any():
+            raise InputError(
+                f"{observations.path}, {navigation.path}: expected an epoch with four satellites to fix a position by, got none"
+            )
+        if not final:
+            nearest = np.flatnonzero(there)[np.abs(np.flatnonzero(there) - np.arange(len(times))[:, None]).argmin(-1)]
+            position, clock = fixes[nearest, :3], fixes[nearest, 6]
+    left_out["below the mask"] = int((usable & ~used).sum())
+    z, fixes = _without_jumps(z, fixes, times, there)
+    dilution = pseudorange.dilution(seen.q, position, _axes(position), used)
+    log = Log(times, observations.names, z, spread, seen.q, seen.w, elevation, azimuth, fixes, dilution, left_out)
+    return log.part(slice(int(np.argmax(there)), None))
+
+
+def _sources(navigation: Navigation, rows: Array, times: Array, code: Array, usable: Array, position: Array) -> pseudorange.Sources:
+    """Satellites by epoch ``(T, S)``; those that are not usable stand anywhere."""
+    T, S = rows.shape
+    q, w = np.full((T, S, 3), 3e7), np.zeros((T, S, 3))
+    clock, drift = np.zeros((T, S)), np.zeros((T, S))
+    for s in range(S):
+        for row in np.unique(rows[usable[:, s], s]):
+            k = np.flatnonzero(usable[:, s] & (rows[:, s] == row))
+            seen = pseudorange.emitted(navigation.sets.chosen(np.array([row])), times[k], code[k, s, None], position[k])
+            q[k, s], w[k, s], clock[k, s], drift[k, s] = (part[:, 0] for part in seen)
+    return pseudorange.Sources(q, w, clock, drift)
+
+
+def _axes(position: Array) -> Array:
+    latitude, longitude, _ = ecef2geodetic(*position.T, ell=ELLIPSOID, deg=False)
+    return pseudorange.local_axes(np.asarray(latitude), np.asarray(longitude))
+
+
+def _sky(navigation: Navigation, times: Array, q: Array, position: Array) -> tuple[Array, Array, Array]:
+    """Elevation, azimuth and the delay of the atmosphere ``(T, S)`` m."""
+    latitude, longitude, height = (np.asarray(v)[:, None] for v in ecef2geodetic(*position.T, ell=ELLIPSOID, deg=False))
+    elevation, azimuth = pseudorange.look(q, position, _axes(position))
+    above = np.maximum(elevation, np.radians(1.0))
+    delay = saastamoinen(latitude, np.clip(height, -1000.0, 11000.0), above)
+    if navigation.klobuchar is not None:
+        alpha, beta = navigation.klobuchar
+        at_l1 = klobuchar(alpha, beta, times[:, None] + GPS_AHEAD_S, latitude, longitude, above, azimuth)
+        delay = delay + (GPS_L1_HZ / B1I_HZ) ** 2 * at_l1
+    return elevation, azimuth, delay
+
+
+def _fixes(z: Array, seen: pseudorange.Sources, sigma: Array, position: Array) -> Array:
+    """All epochs at once: position and bias from ranges, then velocity and drift from rates; nan where there are too few."""
+    T, S = seen.q.shape[:2]
+
+    def states(x: Array) -> Array:
+        return np.concatenate([x[..., :3], np.zeros((*x.shape[:-1], 3)), x[..., 3:], np.zeros((*x.shape[:-1], 1))], -1)
+
+    def ranges(x: Array, _epoch: Epoch) -> Array:
+        return pseudorange.measure(states(x), seen.q, seen.w)[..., :S]
+
+    def slope(x: Array, _epoch: Epoch) -> Array:
+        return pseudorange.jacobian(states(x), seen.q, seen.w)[..., :S, [0, 1, 2, 6]]
+
+    def batch(h: Callable[..., Array], jacobian: Callable[..., Array], part: slice, start: Array) -> Array:
+        filter = least_squares(h, jacobian, sigma[:, part], rounds=20)
+        mean = run(filter, covariance(start, np.eye(4)), [Epoch(z=z[:, part])], on_failure="flag").mean
+        assert mean is not None
+        return np.asarray(mean[0])
+
+    fix = batch(ranges, slope, slice(S), np.concatenate([position, np.zeros((T, 1))], -1))
+    here = np.concatenate([np.nan_to_num(fix[:, :3]), np.zeros((T, 5))], -1)
+    towards = pseudorange.jacobian(here, seen.q, seen.w)[:, S:, [3, 4, 5, 7]]
+    still = pseudorange.measure(here, seen.q, seen.w)[:, S:]
+    moving = batch(
+        lambda x, _epoch: still + (towards @ x[..., None])[..., 0], lambda _x, _epoch: towards, slice(S, 2 * S), np.zeros((T, 4))
+    )
+    return np.concatenate([fix[:, :3], moving[:, :3], fix[:, 3:], moving[:, 3:]], -1)
+
+
+def _without_jumps(z: Array, fixes: Array, times: Array, there: Array) -> tuple[Array, Array]:
+    """Ranges and biases as if the receiver had never set its clock by whole milliseconds."""
+    k = np.flatnonzero(there)
+    drift = np.nan_to_num(fixes[k, 7])
+    step = np.diff(fixes[k, 6]) - 0.5 * (drift[1:] + drift[:-1]) * np.diff(times[k])
+    jumps = np.zeros(len(times))
+    jumps[k[1:]] = MILLISECOND_M * np.round(step / MILLISECOND_M)
+    total = np.cumsum(jumps)
+    S = z.shape[-1] // 2
+    z, fixes = z.copy(), fixes.copy()
+    z[:, :S] -= total[:, None]
+    fixes[:, 6] -= total
+    return z, fixes
+
+
+def hooks(S: int, window: int = 10) -> dict[str, tuple[Hook, ...]]:
+    """What each filter does to the noise of S ranges and S rates before it uses them; the ukf nothing."""
+    return {
+        "ukf": (),
+        "aukf": (innovation_window(window),),
+        "group": (parity_of_groups(S),),
+        "channel": (channel_parity(window),),
+        "gate": (gate(4.0),),
+        "huber": (huber(),),
+        "student": (student_t(4.0),),
+        "sage-husa": (sage_husa(0.95),),
+    }
+
+
+def parity_of_groups(S: int) -> Hook:
+    """The hook of the filter "group": ranges and rates of S satellites, each for a vector and a clock."""
+    return group_parity((range(S), range(S, 2 * S)), 4)
+
+
+def filters(S: int, *, acceleration: float = 0.01, window: int = 10) -> dict[str, Filter]:
+    """Filters of a `Log` by name: ekf, and the unscented ones of `hooks`.
+
+    ``acceleration``: density of the white acceleration, m^2/s^3: 0.01 for a receiver at rest or nearly so, ``a^2 T`` for one that
+    turns with the acceleration a, measured each T seconds.
+
+    Raises
+    ------
+    ValueError: unless it is positive.
+    """
+    if not (np.isfinite(acceleration) and acceleration > 0.0):
+        raise ValueError(f"acceleration: expected a positive density in m^2/s^3, got {acceleration!r}")
+
+    def adapted(rule: Transform, hook: tuple[Hook, ...]) -> Filter:
+        move = Taylor(lambda _x, epoch: (transition(epoch.dt),))
+        forward = predict(lambda x, epoch: x @ transition(epoch.dt).T, move, sqrt_Q=root)
+        return sequential(forward, update(_measured, rule, sqrt_R=_noise, hooks=hook))
+
+    def root(_mean: Array, epoch: Epoch) -> Array:
+        return np.linalg.cholesky(process_noise(epoch.dt, acceleration, *CRYSTAL))
+
+    rule: Any = unscented(8, 1.0, 2.0, 0.0)
+    ekf = Taylor(lambda x, epoch: (pseudorange.jacobian(x, *epoch.u[:2]),))
+    return {"ekf": adapted(ekf, ())} | {name: adapted(rule, hook) for name, hook in hooks(S, window).items()}
+
+
+def _measured(x: Array, epoch: Epoch) -> Array:
+    return pseudorange.measure(x, *epoch.u[:2])
+
+
+def _noise(_mean: Array, epoch: Epoch) -> Array:
+    return np.asarray(np.eye(epoch.u[2].shape[-1]) * epoch.u[2])

@@ -1,0 +1,255 @@
+"""A receiver is positioned from its files: clocks, atmosphere, gaps, jumps; what cannot be is told in one line."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rerun as rr
+from pymap3d import ecef2geodetic
+from rinex_pair import ALPHA, BETA, PLACE, TIMES, TOE, constellation, navigation, observations, written
+
+from celnav import cli, positioned, positioning
+from celnav.files import InputError, Outputs
+from celnav.filters.driver import run
+from celnav.models import pseudorange
+from celnav.models.atmosphere import GPS_L1_HZ, klobuchar, saastamoinen
+from celnav.models.beidou import B1I_HZ, ELLIPSOID, GPS_AHEAD_S, LIGHT
+from celnav.rinex import Navigation, Observations
+
+LONG = TOE + 1800.0 + 30.0 * np.arange(12)
+
+
+def observed(b, times, bias):
+    """A log of a receiver at `PLACE` whose clock is ahead by ``bias`` m and 30 m/s, with the atmosphere, in a plain loop."""
+    latitude, longitude, height = ecef2geodetic(*PLACE, ell=ELLIPSOID, deg=False)
+    code, doppler = np.empty((len(times), len(b))), np.empty((len(times), len(b)))
+    for k, (tag, ahead) in enumerate(zip(times, bias, strict=True)):
+        t = tag - ahead / LIGHT
+        seen = pseudorange.sources(b, t, PLACE)
+        sky = pseudorange.look(seen.q, PLACE, pseudorange.local_axes(latitude, longitude))
+        above = np.maximum(sky.elevation, 0.05)
+        iono = klobuchar(ALPHA, BETA, t + GPS_AHEAD_S, latitude, longitude, above, sky.azimuth)
+        z = pseudorange.measure(np.concatenate([PLACE, np.zeros(3), [ahead, 30.0]]), seen.q, seen.w)
+        delay = (GPS_L1_HZ / B1I_HZ) ** 2 * iono + saastamoinen(latitude, height, above)
+        code[k] = z[: len(b)] - seen.clock + delay
+        doppler[k] = -(z[len(b) :] - seen.drift) * B1I_HZ / LIGHT
+    return Observations(Path("obs.rnx"), "TEST", PLACE, times, b.names, code, doppler)
+
+
+DRIFTING = 3e4 + 30.0 * (LONG - LONG[0])
+
+
+@pytest.fixture(scope="module")
+def pair():
+    b = constellation()
+    return Navigation(Path("nav.rnx"), b, (np.array(ALPHA), np.array(BETA))), observed(b, LONG, DRIFTING)
+
+
+@pytest.fixture(scope="module")
+def log(pair):
+    nav, obs = pair
+    return positioning.prepare(obs, nav)
+
+
+def test_fixes_find_the_receiver_without_being_told_where_it_is(log):
+    np.testing.assert_allclose(log.fixes[:, :3], np.broadcast_to(PLACE, (12, 3)), atol=1e-4)
+    np.testing.assert_allclose(log.fixes[:, 3:6], 0.0, atol=1e-5)
+    np.testing.assert_allclose(log.fixes[:, 6], DRIFTING, atol=1e-4)
+    np.testing.assert_allclose(log.fixes[:, 7], 30.0, atol=1e-5)
+
+
+def test_every_filter_finds_it_too(log):
+    for name, filter in positioning.filters(len(log.names)).items():
+        mean = run(filter, log.prior(), log.epochs(), keep="mean").mean
+        np.testing.assert_allclose(mean[:, :3], np.broadcast_to(PLACE, (12, 3)), atol=2e-3, err_msg=name)
+
+
+def test_the_mask_leaves_out_what_is_low(pair, log):
+    nav, obs = pair
+    assert np.degrees(log.elevation[log.used]).min() >= 10.0
+    high = positioning.prepare(obs, nav, mask_deg=30.0)
+    assert np.degrees(high.elevation[high.used]).min() >= 30.0
+    assert high.left_out["below the mask"] > log.left_out["below the mask"] > 0
+    with pytest.raises(ValueError, match=r"^mask_deg"):
+        positioning.prepare(obs, nav, mask_deg=90.0)
+    with pytest.raises(ValueError, match=r"^sigma"):
+        positioning.prepare(obs, nav, sigma=(1.0, 0.0))
+
+
+def test_deviations_grow_towards_the_horizon(log):
+    S = len(log.names)
+    np.testing.assert_allclose(log.sigma[:, :S][log.used], 1.5 / np.sin(log.elevation[log.used]))
+    np.testing.assert_allclose(log.sigma[:, S:][log.used], 0.05 / np.sin(log.elevation[log.used]))
+
+
+def test_clocks_that_are_set_by_milliseconds_leave_no_trace(pair, log):
+    nav, _ = pair
+    jumps = 1e-3 * LIGHT * np.repeat([0.0, 1.0, -1.0], 4)
+    found = positioning.prepare(observed(nav.sets, LONG, DRIFTING + jumps), nav)
+    np.testing.assert_allclose(found.fixes, log.fixes, atol=2e-4)
+    # The receiver samples a millisecond earlier or later: ranges change by less than a meter, not by 300 km.
+    np.testing.assert_allclose(found.z[:, :32][found.used], log.z[:, :32][log.used], atol=1.0)
+
+
+def test_satellites_that_are_silent_or_of_bad_health_are_not_used(pair):
+    nav, obs = pair
+    silent = obs.code.copy()
+    silent[3:6, 2] = np.nan
+    sick = replace(nav, sets=replace(nav.sets, health=np.where(nav.sets.number == 1.0, 1.0, 0.0)))
+    found = positioning.prepare(replace(obs, code=silent), sick)
+    assert not found.used[3:6, 2].any()
+    assert not found.used[:, obs.names.index("C01")].any()
+    assert found.left_out["without a healthy broadcast set in its time"] == 12
+    np.testing.assert_allclose(found.fixes[:, :3], np.broadcast_to(PLACE, (12, 3)), atol=1e-4)
+
+
+def test_epochs_without_a_fix_are_predictions(pair):
+    nav, obs = pair
+    code = obs.code.copy()
+    code[5] = np.nan
+    code[0, 3:] = np.nan  # three are too few to begin with
+    found = positioning.prepare(replace(obs, code=code), nav)
+    assert len(found.times) == 11
+    assert np.isnan(found.fixes[4]).all()
+    result = positioned.position(found, "ukf", PLACE)
+    assert np.isfinite(result.mean).all()
+    assert "1 with fewer" in positioned.summary(result)
+
+
+def test_pseudoranges_out_of_all_bounds_are_left_out_and_counted(pair):
+    nav, obs = pair
+    code = obs.code.copy()
+    code[2, 0] = 1e6
+    assert positioning.prepare(replace(obs, code=code), nav).left_out["pseudorange out of all bounds"] == 1
+
+
+def test_rates_may_be_missing(pair):
+    nav, obs = pair
+    found = positioning.prepare(replace(obs, doppler=np.full_like(obs.doppler, np.nan)), nav)
+    np.testing.assert_allclose(found.fixes[:, :3], np.broadcast_to(PLACE, (12, 3)), atol=1e-4)
+    assert np.isnan(found.fixes[:, 3:6]).all()
+    assert np.isfinite(positioned.position(found, "aukf", None).mean).all()
+
+
+def test_too_few_satellites_are_told_with_the_files(pair):
+    nav, obs = pair
+    code = obs.code.copy()
+    code[:, 3:] = np.nan
+    with pytest.raises(InputError, match=r"obs\.rnx, .*nav\.rnx: expected an epoch with four satellites"):
+        positioning.prepare(replace(obs, code=code), nav)
+
+
+def test_unknown_filters_and_noises_are_told(log):
+    with pytest.raises(ValueError, match=r"^filter: expected one of ls, ekf, ukf, aukf"):
+        positioned.position(log, "kalman", None)
+    with pytest.raises(ValueError, match=r"^acceleration"):
+        positioning.filters(4, acceleration=0.0)
+
+
+def test_the_table_has_a_row_for_each_epoch(log):
+    rows = list(csv.DictReader(positioned.table(positioned.position(log, "ls", None)).splitlines()))
+    assert len(rows) == 12
+    assert rows[0]["time_bdt"] == positioned.civil(LONG[0])
+    assert float(rows[3]["x_m"]) == pytest.approx(PLACE[0], abs=1e-3)
+    assert rows[0]["std_up_m"] == ""  # of each epoch by itself none is known
+
+
+def test_the_recording_is_whole(log, tmp_path):
+    positioned.record_positioned(positioned.position(log, "ekf", PLACE), tmp_path / "p.rrd")
+    (found,) = rr.chunk.RrdReader(tmp_path / "p.rrd").recordings()
+    assert found.application_id == "celnav-position"
+
+
+# -- the command ---------------------------------------------------------------------------------------------------------------
+@pytest.fixture
+def files(tmp_path):
+    b = constellation()
+    return str(written(tmp_path, observations(b, TIMES)[0], "obs.rnx")), str(written(tmp_path, navigation(b), "nav.rnx"))
+
+
+def test_position_writes_everything_and_replaces_its_own(files, tmp_path, capsys):
+    out = tmp_path / "a folder"
+    Outputs(out).text("summary.txt", "of an earlier run")
+    assert cli.main(["position", *files, "--out", str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert {p.name for p in out.iterdir()} == {*positioned.FILES, positioned.RECORDING, ".celnav.json"}
+    assert "error" in printed
+    assert (out / "summary.txt").read_text("utf-8").strip() in printed
+    Outputs(out).check(positioned.FILES)
+
+
+@pytest.mark.parametrize(
+    ("options", "status", "words"),
+    [
+        (["--filter", "aukff"], 2, "unknown filter 'aukff': expected one of ls, ekf"),
+        (["--mask", "ten"], 2, "mask: expected a number"),
+        (["--mask", "91"], 2, "mask_deg"),
+        (["--acceleration-noise", "-1"], 2, "acceleration"),
+        (["--position", "1", "2", "east"], 2, "position: expected a number"),
+    ],
+)
+def test_options_that_cannot_be_are_told_in_one_line(files, tmp_path, capsys, options, status, words):
+    assert cli.main(["position", *files, "--out", str(tmp_path / "out"), *options]) == status
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1
+
+
+def test_another_position_is_compared_with(files, tmp_path, capsys):
+    away = [str(v) for v in PLACE + np.array([100.0, 0.0, 0.0])]
+    assert cli.main(["position", *files, "--filter", "ls", "--out", str(tmp_path / "out"), "--position", *away]) == 0
+    assert float(capsys.readouterr().out.split("error")[1].split()[0]) > 90.0
+
+
+@pytest.mark.parametrize("which", [0, 1])
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        (lambda t: "", "got an empty one"),
+        (lambda t: t[: t.index("END OF HEADER") - 100], "expected END OF HEADER"),
+        (lambda t: t[: t.index("END OF HEADER") + 14], "got n"),
+        (lambda t: t.replace("     3.04", "     2.11", 1), "line 1: expected RINEX 3, got version 2.11"),
+        (lambda t: t.replace("     3.04", "     4.00", 1), "line 1: expected RINEX 3, got version 4"),
+        (
+            lambda t: t.replace("C: BDS  ", "G: GPS  ", 1).replace("M: Mixed", "G: GPS  ", 1),
+            "line 1: expected BeiDou (C) or mixed (M)",
+        ),
+    ],
+)
+def test_damaged_files_are_one_line_and_nothing_is_written(files, tmp_path, capsys, which, damage, words):
+    path = Path(files[which])
+    path.write_text(damage(path.read_text("ascii")), "ascii")
+    out = tmp_path / "out"
+    assert cli.main(["position", *files, "--out", str(out)]) == 1
+    error = capsys.readouterr().err
+    assert words in error
+    assert str(path) in error
+    assert error.count("\n") == 1
+    assert not [p for p in out.iterdir() if not p.name.startswith(".")]
+
+
+def test_a_truncated_log_is_told_with_its_line(files, tmp_path, capsys):
+    kept = Path(files[0]).read_text("ascii").splitlines()[:-4]
+    Path(files[0]).write_text("\n".join(kept) + "\n", "ascii")
+    assert cli.main(["position", *files, "--out", str(tmp_path / "out")]) == 1
+    assert f"obs.rnx, line {len(kept)}: expected" in capsys.readouterr().err
+
+
+def test_absent_files_and_foreign_results_are_told(files, tmp_path, capsys):
+    assert cli.main(["position", files[0], str(tmp_path / "none.rnx"), "--out", str(tmp_path / "out")]) == 1
+    assert "none.rnx" in capsys.readouterr().err
+    (tmp_path / "out" / "track.csv").write_text("mine", encoding="ascii")
+    assert cli.main(["position", *files, "--out", str(tmp_path / "out")]) == 1
+    assert "track.csv" in capsys.readouterr().err
+    assert (tmp_path / "out" / "track.csv").read_text() == "mine"
+
+
+def test_the_command_works_from_elsewhere(files, tmp_path, monkeypatch):
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    assert cli.main(["position", *files, "--filter", "group"]) == 0
+    assert Path("out/position/track.csv").exists()
