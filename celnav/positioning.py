@@ -120,10 +120,9 @@ def prepare(
         "pseudorange out of all bounds": int((given & ~credible & (rows >= 0)).sum()),
     }
     usable = credible & (rows >= 0)
-    position = np.zeros((len(times), 3))
-    clock = np.zeros(len(times))
+    position, velocity, clock = np.zeros((len(times), 3)), np.zeros((len(times), 3)), np.zeros(len(times))
     for final in (False, False, True):
-        seen = _sources(navigation, rows, times, code, usable, position)
+        seen = _sources(navigation, rows, times, code, usable, position, velocity)
         ranges = code + seen.clock
         rates = -observations.doppler * LIGHT / B1I_HZ + seen.drift
         weight, elevation, azimuth = np.ones(code.shape), np.full(code.shape, np.nan), np.full(code.shape, np.nan)
@@ -142,8 +141,8 @@ def prepare(
                 f"{observations.path}, {navigation.path}: expected an epoch with four satellites to fix a position by, got none"
             )
         if not final:
-            nearest = np.flatnonzero(there)[np.abs(np.flatnonzero(there) - np.arange(len(times))[:, None]).argmin(-1)]
-            position, clock = fixes[nearest, :3], fixes[nearest, 6]
+            near = _nearest(there)
+            position, velocity, clock = fixes[near, :3], np.nan_to_num(fixes[near, 3:6]), fixes[near, 6]
     left_out["below the mask"] = int((usable & ~used).sum())
     z, fixes = _without_jumps(z, fixes, times, there)
     dilution = pseudorange.dilution(seen.q, position, _axes(position), used)
@@ -151,7 +150,17 @@ def prepare(
     return log.part(slice(int(np.argmax(there)), None))
 
 
-def _sources(navigation: Navigation, rows: Array, times: Array, code: Array, usable: Array, position: Array) -> pseudorange.Sources:
+def _nearest(there: Array) -> Array:
+    """Of each epoch the nearest ``(T,)`` that has something."""
+    k, own = np.flatnonzero(there), np.arange(len(there))
+    after = np.clip(np.searchsorted(k, own), 0, len(k) - 1)
+    before = np.maximum(after - 1, 0)
+    return np.asarray(np.where(np.abs(k[after] - own) < np.abs(k[before] - own), k[after], k[before]))
+
+
+def _sources(
+    navigation: Navigation, rows: Array, times: Array, code: Array, usable: Array, position: Array, velocity: Array
+) -> pseudorange.Sources:
     """Satellites by epoch ``(T, S)``; those that are not usable stand anywhere."""
     T, S = rows.shape
     q, w = np.full((T, S, 3), 3e7), np.zeros((T, S, 3))
@@ -159,7 +168,8 @@ def _sources(navigation: Navigation, rows: Array, times: Array, code: Array, usa
     for s in range(S):
         for row in np.unique(rows[usable[:, s], s]):
             k = np.flatnonzero(usable[:, s] & (rows[:, s] == row))
-            seen = pseudorange.emitted(navigation.sets.chosen(np.array([row])), times[k], code[k, s, None], position[k])
+            sets = navigation.sets.chosen(np.array([row]))
+            seen = pseudorange.emitted(sets, times[k], code[k, s, None], position[k], velocity[k])
             q[k, s], w[k, s], clock[k, s], drift[k, s] = (part[:, 0] for part in seen)
     return pseudorange.Sources(q, w, clock, drift)
 

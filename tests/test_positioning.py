@@ -199,10 +199,13 @@ def test_options_that_cannot_be_are_told_in_one_line(files, tmp_path, capsys, op
     assert error.count("\n") == 1
 
 
-def test_another_position_is_compared_with(files, tmp_path, capsys):
+def test_another_position_is_compared_with_from_another_folder(files, tmp_path, monkeypatch, capsys):
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
     away = [str(v) for v in PLACE + np.array([100.0, 0.0, 0.0])]
-    assert cli.main(["position", *files, "--filter", "ls", "--out", str(tmp_path / "out"), "--position", *away]) == 0
+    assert cli.main(["position", *files, "--filter", "ls", "--position", *away]) == 0
     assert float(capsys.readouterr().out.split("error")[1].split()[0]) > 90.0
+    assert Path("out/position/track.csv").exists()
 
 
 @pytest.mark.parametrize("which", [0, 1])
@@ -248,8 +251,6 @@ def test_absent_files_and_foreign_results_are_told(files, tmp_path, capsys):
     assert (tmp_path / "out" / "track.csv").read_text() == "mine"
 
 
-def test_the_command_works_from_elsewhere(files, tmp_path, monkeypatch):
-    (tmp_path / "elsewhere").mkdir()
-    monkeypatch.chdir(tmp_path / "elsewhere")
-    assert cli.main(["position", *files, "--filter", "group"]) == 0
-    assert Path("out/position/track.csv").exists()
+def test_the_nearest_epoch_with_a_fix():
+    there = np.array([False, False, True, False, False, True, True, False])
+    np.testing.assert_array_equal(positioning._nearest(there), [2, 2, 2, 2, 5, 5, 6, 6])
