@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -154,23 +154,18 @@ def semidefinite_root(P: Array) -> Array:
     return np.where(indefinite[..., None, None], np.nan, root)
 
 
-class Orthonormal(NamedTuple):
-    """``A = Q R`` scaled by columns: ``Q (..., m, n)``, upper ``R (..., n, n)``, and which columns say something of their own."""
+def range_basis(A: Array, least: float) -> Array:
+    """Orthonormal columns ``(..., m, n)`` that span the range of tall matrices ``(..., m, n)``: ``Q @ Q.mT`` projects on it.
 
-    Q: Array
-    R: Array
-    independent: Array
-
-
-def orthonormal(A: Array, least: float = 1e-10) -> Orthonormal:
-    """QR of tall matrices ``(..., m, n)``; a column within ``least`` of its length of those before it counts as dependent.
-
-    Columns of Q that belong to dependent ones are 0: ``Q @ Q.mT`` projects on the range of A.
+    Directions in which A is not larger than ``least`` (a singular value) have a column of zeros.
     """
-    length = np.sqrt(np.square(A).sum(-2))
-    Q, R = np.linalg.qr(A / np.where(length > 0.0, length, 1.0)[..., None, :])
-    independent = np.abs(R.diagonal(0, -2, -1)) > least
-    return Orthonormal(np.where(independent[..., None, :], Q, 0.0), R * length[..., None, :], independent)
+    Q, R = np.linalg.qr(A)
+    # Far from dependence QR will do. Near it a column without a direction of its own would lend an arbitrary one to the others.
+    clear = np.abs(R.diagonal(0, -2, -1)).min(-1) > 1e3 * least
+    if clear.all():
+        return np.asarray(Q)
+    U, s, _ = np.linalg.svd(A, full_matrices=False)
+    return np.where(clear[..., None, None], Q, np.where(s[..., None, :] > least, U, 0.0))
 
 
 def downdate(L: Array, V: Array) -> Array:

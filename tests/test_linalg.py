@@ -5,7 +5,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from celnav.linalg import block, cholesky, downdate, matvec, semidefinite_root, solve_lower, solve_upper_transposed, tria
+from celnav.linalg import (
+    block,
+    cholesky,
+    downdate,
+    matvec,
+    range_basis,
+    semidefinite_root,
+    solve_lower,
+    solve_upper_transposed,
+    tria,
+)
 
 BATCHES = [(), (3,), (2, 3)]
 shapes = st.tuples(st.sampled_from(BATCHES), st.integers(1, 6), st.integers(1, 9), st.integers(0, 2**32 - 1))
@@ -181,3 +191,17 @@ def test_the_root_of_a_singular_covariance_leaves_out_what_it_does_not_have(n):
         root = semidefinite_root(0.5 * (P + P.T))
         assert np.abs(turn[:, -1] @ root).max() < 1e-11
         np.testing.assert_allclose(root @ root.T, P, atol=1e-13)
+
+
+@pytest.mark.parametrize("zero", [[], [0], [1, 3]])
+def test_a_basis_of_a_range_projects_on_it(zero):
+    rng = np.random.default_rng(0)
+    A = rng.normal(size=(5, 7, 4))
+    A[..., zero] = 0.0
+    A[3, :, 2] = A[3, :, 1] + 1e-9 * A[3, :, 2]  # one matrix of the batch has a dependent column as well
+    Q = range_basis(A, 1e-6)
+    for one, basis in zip(A, Q, strict=True):
+        U, s, _ = np.linalg.svd(one)
+        rank = (s > 1e-6).sum()
+        np.testing.assert_allclose(basis @ basis.T, U[:, :rank] @ U[:, :rank].T, atol=1e-12)
+        np.testing.assert_allclose(range_basis(one[None], 1e-6)[0], basis, atol=1e-12)

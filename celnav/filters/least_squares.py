@@ -12,7 +12,7 @@ from celnav.filters.driver import Epoch, Filter, State
 from celnav.filters.info import Info
 from celnav.filters.step import evaluate
 from celnav.gaussian import COVARIANCE, Gaussian, finite
-from celnav.linalg import Array, matvec, orthonormal, unit
+from celnav.linalg import Array, matvec, unit
 
 RANK = 1e-10
 """Part of a column of the Jacobian that must be its own, or its state is not determined."""
@@ -57,12 +57,15 @@ def least_squares(
         x = state.memory[0]
         used = np.broadcast_to(~np.isnan(z), (*x.shape[:-1], z.shape[-1]))
         weight = np.where(used, 1.0 / evaluate(deviations, x, epoch), 0.0)
-        enough, moving = used.sum(-1) >= x.shape[-1], np.ones(x.shape[:-1], bool)
-        V, known = np.zeros((*x.shape, x.shape[-1])), moving
+        n = x.shape[-1]
+        enough, moving = used.sum(-1) >= n, np.ones(x.shape[:-1], bool)
+        V, known = np.zeros((*x.shape, n)), moving
         for _ in range(int(rounds)):
-            Q, R, independent = orthonormal(weight[..., None] * jacobian(x, epoch), RANK)
-            found = independent.all(-1) & enough
-            root = np.linalg.solve(np.where(found[..., None, None], R, unit(x.shape[-1])), unit(x.shape[-1]))
+            G = weight[..., None] * jacobian(x, epoch)
+            length = np.sqrt(np.square(G).sum(-2))
+            Q, R = np.linalg.qr(G / np.where(length > 0.0, length, 1.0)[..., None, :])
+            found = (np.abs(R.diagonal(0, -2, -1)).min(-1) > RANK) & enough
+            root = np.linalg.solve(np.where(found[..., None, None], R * length[..., None, :], unit(n)), unit(n))
             white = np.where(found[..., None], matvec(Q.mT, weight * np.where(used, z - h(x, epoch), 0.0)), 0.0)
             # A run that has come to rest stays as it is while others of its block still move.
             x = np.where(moving[..., None], x + matvec(root, white), x)

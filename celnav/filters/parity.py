@@ -12,9 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.filters.adaptive import scaled, variances
+from celnav.filters.adaptive import counted, scaled, variances
 from celnav.filters.info import Hook, Joint
-from celnav.linalg import Array, matvec, orthonormal
+from celnav.linalg import Array, matvec, range_basis
+
+NOTHING = 1e-6
+"""Deviations of the noise."""
 
 
 class Residual(NamedTuple):
@@ -27,18 +30,22 @@ class Residual(NamedTuple):
 
 
 def residual(joint: Joint) -> Residual:
-    """The part of an innovation that no state error explains, by weighted least squares over all states."""
-    e = joint.innovation
+    """The part of an innovation that no state error explains, by weighted least squares over all states.
+
+    A direction in which a deviation of the prior moves the measurement by less than a millionth of its noise explains nothing.
+    """
+    e, m = joint.innovation, joint.innovation.shape[-1]
     _, noise = variances(joint)
     used = ~np.isnan(e) & (noise > 0.0)
-    H = joint.slopes()[0]
-    weight = np.where(used, 1.0 / np.where(noise > 0.0, noise, 1.0), 0.0)
-    y = np.sqrt(weight) * np.where(used, e, 0.0)
-    Q = orthonormal(np.sqrt(weight)[..., None] * H).Q
+    root = np.where(used, np.sqrt(np.where(noise > 0.0, 1.0 / np.where(noise > 0.0, noise, 1.0), 0.0)), 0.0)
+    counts = counted(joint)[..., m:, :]
+    columns = np.concatenate([joint.columns, joint.process], -1)[..., m:, :]
+    prior = np.sqrt(np.maximum(np.einsum("...ij,...ij->...i", counts, columns), 0.0))
+    Q = range_basis(root[..., None] * joint.slopes()[0] * prior[..., None, :], NOTHING)
+    y = root * np.where(used, e, 0.0)
     left = y - matvec(Q, matvec(Q.mT, y))
-    share = 1.0 - np.square(Q).sum(-1)
-    size = np.sqrt(np.where(used, noise, 0.0))
-    return Residual(left * size, np.where(used, np.maximum(share, 0.0) * noise, 0.0), noise, used)
+    share = np.maximum(1.0 - np.square(Q).sum(-1), 0.0)
+    return Residual(left * np.sqrt(np.where(used, noise, 0.0)), np.where(used, share * noise, 0.0), noise, used)
 
 
 def group_parity(groups: Sequence[ArrayLike], unknowns: int, *, deviations: float = 3.0) -> Hook:

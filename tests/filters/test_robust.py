@@ -91,7 +91,7 @@ class Husa:
 def residuals(e, used):
     Hu, W = H[used], np.diag(1.0 / R.diagonal()[used])
     fit = np.linalg.solve(Hu.T @ W @ Hu, Hu.T @ W)
-    C = R[np.ix_(used, used)] - Hu @ np.linalg.inv(Hu.T @ W @ Hu) @ Hu.T
+    C = R[np.ix_(used, used)] - Hu @ np.linalg.solve(Hu.T @ W @ Hu, Hu.T)
     return e[used] - Hu @ fit @ e[used], C.diagonal()
 
 
@@ -162,6 +162,25 @@ def test_parity_does_not_see_what_a_state_explains(hook):
     prior = square_root(np.zeros(2), P0)
     one, two = (run(filter_of(hook, unscented(2)), prior, epochs(np.arange(T), data), keep="spread") for data in (z, jumped))
     np.testing.assert_allclose(two.cov, one.cov, rtol=1e-6)
+
+
+WIDE, BOTH = np.concatenate([np.zeros((m, 1)), H], 1), np.block([[np.eye(1), np.zeros((1, 2))], [np.zeros((2, 1)), A]])
+EXACT = (Taylor(lambda _x, _e: (BOTH,)), Taylor(lambda _x, _e: (WIDE,)))
+
+
+@pytest.mark.parametrize("hook", [group_parity((range(6),), 1, deviations=0.0), channel_parity(1)], ids=["group", "channel"])
+@pytest.mark.parametrize("rules", [(r, r) for r in (unscented(3), cubature(3), Taylor())] + [EXACT], ids=repr)
+@FORMS
+def test_a_state_that_nothing_measures_takes_no_part(form, rules, hook):
+    """Its column of H is 0, or round-off, and stands first: for the others nothing changes."""
+    z = measured()
+    noise, prior = np.eye(3), np.eye(3)
+    noise[1:, 1:], prior[1:, 1:] = Q, P0
+    move, measure = rules
+    wide = sequential(predict(lambda x, _e: x @ BOTH.T, move, noise), update(lambda x, _e: x @ WIDE.T, measure, R, hooks=(hook,)))
+    mean = run(wide, form(np.zeros(3), prior), epochs(np.arange(T), z)).mean
+    narrow = run(filter_of(hook, unscented(2)), form(np.zeros(2), P0), epochs(np.arange(T), z)).mean
+    np.testing.assert_allclose(mean[:, 1:], narrow, rtol=0, atol=1e-6)
 
 
 @ALL
