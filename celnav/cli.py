@@ -254,33 +254,35 @@ def _position(options: argparse.Namespace) -> int:
     """Everything is computed before anything is written."""
     import numpy as np
 
-    from celnav import positioned, positioning, rinex
+    from celnav import positioning, positioning_report, rinex
     from celnav.files import Outputs
     from celnav.filters.driver import FilterError
 
     mask, noise = _number("mask", options.mask), _number("acceleration-noise", options.acceleration_noise)
-    known = None if options.position is None else np.array([_number("position", text) for text in options.position])
-    names = ["ls", *positioning.filters(4)]
+    given = None if options.position is None else np.array([_number("position", text) for text in options.position])
+    try:
+        positioning.mask(mask)
+        names = ["ls", *positioning.filters(4, acceleration=noise)]
+        if given is not None:
+            positioning_report.on_earth(given)
+    except ValueError as error:
+        raise UsageError(error) from None
     if options.filter not in names:
         raise UsageError(f"unknown filter {options.filter!r}: expected one of {', '.join(names)}")
     outputs = Outputs(options.out)
-    outputs.check([*positioned.FILES, positioned.RECORDING])
+    outputs.check([*positioning_report.FILES, positioning_report.RECORDING])
     navigation, observations = rinex.read_navigation(options.navigation), rinex.read_observations(options.observations)
+    log = positioning.prepare(observations, navigation, mask_deg=mask)
+    reference = observations.position if given is None else given
     try:
-        log = positioning.prepare(observations, navigation, mask_deg=mask)
-        reference = observations.position if known is None else known
-        found = positioned.position(log, options.filter, reference, acceleration=noise)
-    except InputError:
-        raise
-    except ValueError as error:
-        raise UsageError(error) from None
+        found = positioning_report.position(log, options.filter, reference, acceleration=noise)
     except FilterError as error:
-        raise InputError(f"{options.observations}: {options.filter} is lost: {error}") from None
-    print(positioned.summary(found))
-    positioned.write(found, outputs)
+        raise InputError(f"{options.filter} is lost on {options.observations}: {str(error).partition(' (on_failure')[0]}") from None
+    print(positioning_report.summary(found))
+    positioning_report.write(found, outputs)
     try:
-        with outputs.path_for(positioned.RECORDING) as path:
-            positioned.record_positioned(found, path)
+        with outputs.path_for(positioning_report.RECORDING) as path:
+            positioning_report.record_positioned(found, path)
     except (ImportError, OSError, RuntimeError) as error:
         print(f"celnav: no recording ({error}); everything else is written", file=sys.stderr)
     print(f"wrote {outputs.directory}")

@@ -33,6 +33,10 @@ from celnav.taylor import Taylor
 
 CREDIBLE_M = (1.5e7, 5e7)
 """Pseudoranges outside are none."""
+CREDIBLE_M_PER_S = 1e4
+"""Nor are larger rates."""
+LEAST_ELEVATION = np.radians(1.0)
+"""What delays and deviations are taken for below it."""
 MILLISECOND_M = 1e-3 * LIGHT
 """By whole ones of these many receivers set their clock."""
 START = (100.0, 10.0, 100.0, 10.0)
@@ -41,15 +45,18 @@ START = (100.0, 10.0, 100.0, 10.0)
 
 @dataclass(frozen=True)
 class Log:
-    """A receiver's log, ready for a filter. It starts at the first epoch that has a fix.
+    """A receiver's log, ready for a filter. It starts at the first epoch whose fix is as consistent as most are.
 
     Attributes
     ----------
     times: ``(T,)`` s of BDT. names: of the satellites, ``S``.
     z: ``(T, 2 S)`` ranges (m) and rates (m/s) without clocks of satellites, atmosphere and jumps of the receiver's clock; nan where
         there is none. sigma: ``(T, 2 S)`` their deviations. q, w: ``(T, S, 3)``, see `celnav.models.pseudorange.Sources`.
-    elevation, azimuth: ``(T, S)`` rad. fixes: ``(T, 8)`` of each epoch by itself, nan where it has none.
-    dilution: of each epoch ``(T,)``. left_out: why measurements are not used, and how many.
+    elevation, azimuth: ``(T, S)`` rad, nan of satellites that cannot be used.
+    fixes, fix_cov: ``(T, 8)`` and of positions ``(T, 3, 3)`` m^2, of each epoch by itself, nan where it has none.
+    jumps: ``(T,)`` m, what the receiver has set its clock by since the start, which was taken off ranges and fixes.
+    dilution: of each epoch ``(T,)``. ionosphere: whether the broadcast model's coefficients were there to correct it by.
+    left_out: why measurements are not used, and how many.
     """
 
     times: Array
@@ -61,7 +68,10 @@ class Log:
     elevation: Array
     azimuth: Array
     fixes: Array
+    fix_cov: Array
+    jumps: Array
     dilution: pseudorange.Dilution
+    ionosphere: bool
     left_out: dict[str, int]
 
     @property
@@ -82,7 +92,7 @@ class Log:
 
     def part(self, which: slice) -> Log:
         """Some of the epochs."""
-        names = ("times", "z", "sigma", "q", "w", "elevation", "azimuth", "fixes")
+        names = ("times", "z", "sigma", "q", "w", "elevation", "azimuth", "fixes", "fix_cov", "jumps")
         arrays: dict[str, Any] = {name: getattr(self, name)[which] for name in names}
         return replace(self, **arrays, dilution=pseudorange.Dilution(*(values[which] for values in self.dilution)))
 
@@ -106,8 +116,7 @@ def prepare(
     ------
     ValueError: for a mask or deviations that cannot be. InputError: naming the files, if no epoch has a fix.
     """
-    if not 0.0 <= mask_deg < 90.0:
-        raise ValueError(f"mask_deg: expected degrees from 0 to below 90, got {mask_deg!r}")
+    least = mask(mask_deg)
     deviations = finite("sigma", sigma, (2,))
     if not (deviations > 0.0).all():
         raise ValueError(f"sigma: expected positive deviations, got {sigma!r}")
@@ -115,39 +124,66 @@ def prepare(
     rows = np.stack([navigation.nearest(name, times) for name in observations.names], -1)
     given = np.isfinite(code)
     credible = (np.nan_to_num(code) > CREDIBLE_M[0]) & (np.nan_to_num(code) < CREDIBLE_M[1])
+    measured = -observations.doppler * LIGHT / B1I_HZ
+    wild = np.abs(np.nan_to_num(measured)) > CREDIBLE_M_PER_S
+    usable = credible & (rows >= 0)
     left_out = {
         "without a healthy broadcast set in its time": int((given & (rows < 0)).sum()),
         "pseudorange out of all bounds": int((given & ~credible & (rows >= 0)).sum()),
+        "rate out of all bounds": int((usable & wild).sum()),
     }
-    usable = credible & (rows >= 0)
     position, velocity, clock = np.zeros((len(times), 3)), np.zeros((len(times), 3)), np.zeros(len(times))
-    for final in (False, False, True):
+    for known in (False, True, True):
         seen = _sources(navigation, rows, times, code, usable, position, velocity)
-        ranges = code + seen.clock
-        rates = -observations.doppler * LIGHT / B1I_HZ + seen.drift
-        weight, elevation, azimuth = np.ones(code.shape), np.full(code.shape, np.nan), np.full(code.shape, np.nan)
-        used = usable
-        if position.any():
+        ranges, rates = code + seen.clock, np.where(wild, np.nan, measured) + seen.drift
+        used, elevation, azimuth, delay = usable, np.full(code.shape, np.pi / 2.0), np.zeros(code.shape), np.zeros(code.shape)
+        if known:
             elevation, azimuth, delay = _sky(navigation, times - clock / LIGHT, seen.q, position)
-            used = usable & (elevation >= np.radians(mask_deg))
-            ranges, weight = ranges - delay, 1.0 / np.sin(np.maximum(elevation, np.radians(1.0)))
-        scale = deviations[:, None, None] * weight
-        z = np.concatenate([np.where(used, ranges, np.nan), np.where(used, rates, np.nan)], -1)
-        spread = np.concatenate([scale[0], scale[1]], -1)
-        fixes = _fixes(z, seen, spread, position)
+            used = usable & (elevation >= least)
+        weight = 1.0 / np.sin(np.maximum(elevation, LEAST_ELEVATION))
+        sigma_of = np.concatenate([deviations[0] * weight, deviations[1] * weight], -1)
+        z = np.concatenate([np.where(used, ranges - delay, np.nan), np.where(used, rates, np.nan)], -1)
+        fixes, cov = _fixes(z, seen, sigma_of, position)
         there = np.isfinite(fixes[:, 6])
         if not there.any():
             raise InputError(
-                f"{observations.path}, {navigation.path}: expected an epoch with four satellites to fix a position by, got none"
+                f"{observations.path}, {navigation.path}: expected an epoch with four satellites above the mask, got none"
             )
-        if not final:
-            near = _nearest(there)
-            position, velocity, clock = fixes[near, :3], np.nan_to_num(fixes[near, 3:6]), fixes[near, 6]
+        near = _nearest(there)
+        position, velocity, clock = fixes[near, :3], np.nan_to_num(fixes[near, 3:6]), fixes[near, 6]
     left_out["below the mask"] = int((usable & ~used).sum())
-    z, fixes = _without_jumps(z, fixes, times, there)
-    dilution = pseudorange.dilution(seen.q, position, _axes(position), used)
-    log = Log(times, observations.names, z, spread, seen.q, seen.w, elevation, azimuth, fixes, dilution, left_out)
-    return log.part(slice(int(np.argmax(there)), None))
+    first = _first_consistent(z, fixes, seen, sigma_of)
+    left_out["before the first consistent fix"] = int(used[:first].sum())
+    z, fixes, jumps = _without_jumps(z, fixes, times)
+    shown = np.where(usable, 1.0, np.nan)
+    log = Log(
+        times, observations.names, z, sigma_of, seen.q, seen.w, shown * elevation, shown * azimuth, fixes, cov, jumps,
+        pseudorange.dilution(seen.q, position, _axes(position), used), navigation.klobuchar is not None, left_out,
+    )  # fmt: skip
+    return log.part(slice(first, None))
+
+
+def mask(degrees: float) -> float:
+    """A least elevation in rad.
+
+    Raises
+    ------
+    ValueError: unless it is from 0 to below 90 degrees.
+    """
+    if not 0.0 <= degrees < 90.0:
+        raise ValueError(f"mask_deg: expected degrees from 0 to below 90, got {degrees!r}")
+    return float(np.radians(degrees))
+
+
+def _first_consistent(z: Array, fixes: Array, seen: pseudorange.Sources, sigma: Array) -> int:
+    """The first epoch whose residuals are not three times as large as usual, among those with more ranges than unknowns."""
+    S = z.shape[-1] // 2
+    left = (z - pseudorange.measure(fixes, seen.q, seen.w))[:, :S] / sigma[:, :S]
+    spare = np.isfinite(left).sum(-1) - 4
+    size = np.nansum(np.square(left), -1) / np.maximum(spare, 1)
+    if not (spare > 0).any():
+        return int(np.argmax(np.isfinite(fixes[:, 6])))
+    return int(np.argmax((spare > 0) & (size <= 9.0 * np.median(size[spare > 0]))))
 
 
 def _nearest(there: Array) -> Array:
@@ -174,16 +210,22 @@ def _sources(
     return pseudorange.Sources(q, w, clock, drift)
 
 
+def _geodetic(position: Array) -> tuple[Array, Array, Array]:
+    """Latitude and longitude (rad) and height (m), ``(T,)`` each."""
+    latitude, longitude, height = (np.reshape(v, len(position)) for v in ecef2geodetic(*position.T, ell=ELLIPSOID, deg=False))
+    return latitude, longitude, height
+
+
 def _axes(position: Array) -> Array:
-    latitude, longitude, _ = ecef2geodetic(*position.T, ell=ELLIPSOID, deg=False)
-    return pseudorange.local_axes(np.asarray(latitude), np.asarray(longitude))
+    latitude, longitude, _ = _geodetic(position)
+    return pseudorange.local_axes(latitude, longitude)
 
 
 def _sky(navigation: Navigation, times: Array, q: Array, position: Array) -> tuple[Array, Array, Array]:
     """Elevation, azimuth and the delay of the atmosphere ``(T, S)`` m."""
-    latitude, longitude, height = (np.asarray(v)[:, None] for v in ecef2geodetic(*position.T, ell=ELLIPSOID, deg=False))
+    latitude, longitude, height = (v[:, None] for v in _geodetic(position))
     elevation, azimuth = pseudorange.look(q, position, _axes(position))
-    above = np.maximum(elevation, np.radians(1.0))
+    above = np.maximum(elevation, LEAST_ELEVATION)
     delay = saastamoinen(latitude, np.clip(height, -1000.0, 11000.0), above)
     if navigation.klobuchar is not None:
         alpha, beta = navigation.klobuchar
@@ -192,8 +234,11 @@ def _sky(navigation: Navigation, times: Array, q: Array, position: Array) -> tup
     return elevation, azimuth, delay
 
 
-def _fixes(z: Array, seen: pseudorange.Sources, sigma: Array, position: Array) -> Array:
-    """All epochs at once: position and bias from ranges, then velocity and drift from rates; nan where there are too few."""
+def _fixes(z: Array, seen: pseudorange.Sources, sigma: Array, position: Array) -> tuple[Array, Array]:
+    """All epochs at once: position and bias from ranges, then velocity and drift from rates; nan where there are too few.
+
+    States ``(T, 8)`` and covariances of positions ``(T, 3, 3)``.
+    """
     T, S = seen.q.shape[:2]
 
     def states(x: Array) -> Array:
@@ -205,35 +250,43 @@ def _fixes(z: Array, seen: pseudorange.Sources, sigma: Array, position: Array) -
     def slope(x: Array, _epoch: Epoch) -> Array:
         return pseudorange.jacobian(states(x), seen.q, seen.w)[..., :S, [0, 1, 2, 6]]
 
-    def batch(h: Callable[..., Array], jacobian: Callable[..., Array], part: slice, start: Array) -> Array:
+    def batch(h: Callable[..., Array], jacobian: Callable[..., Array], part: slice, start: Array) -> tuple[Array, Array]:
         filter = least_squares(h, jacobian, sigma[:, part], rounds=20)
-        mean = run(filter, covariance(start, np.eye(4)), [Epoch(z=z[:, part])], on_failure="flag").mean
-        assert mean is not None
-        return np.asarray(mean[0])
+        track = run(filter, covariance(start, np.eye(4)), [Epoch(z=z[:, part])], keep="spread", on_failure="flag")
+        assert track.mean is not None
+        return track.mean[0], track.cov[0]
 
-    fix = batch(ranges, slope, slice(S), np.concatenate([position, np.zeros((T, 1))], -1))
+    fix, cov = batch(ranges, slope, slice(S), np.concatenate([position, np.zeros((T, 1))], -1))
     here = np.concatenate([np.nan_to_num(fix[:, :3]), np.zeros((T, 5))], -1)
     towards = pseudorange.jacobian(here, seen.q, seen.w)[:, S:, [3, 4, 5, 7]]
     still = pseudorange.measure(here, seen.q, seen.w)[:, S:]
-    moving = batch(
+    moving, _ = batch(
         lambda x, _epoch: still + (towards @ x[..., None])[..., 0], lambda _x, _epoch: towards, slice(S, 2 * S), np.zeros((T, 4))
     )
-    return np.concatenate([fix[:, :3], moving[:, :3], fix[:, 3:], moving[:, 3:]], -1)
+    return np.concatenate([fix[:, :3], moving[:, :3], fix[:, 3:], moving[:, 3:]], -1), cov[:, :3, :3]
 
 
-def _without_jumps(z: Array, fixes: Array, times: Array, there: Array) -> tuple[Array, Array]:
-    """Ranges and biases as if the receiver had never set its clock by whole milliseconds."""
-    k = np.flatnonzero(there)
-    drift = np.nan_to_num(fixes[k, 7])
-    step = np.diff(fixes[k, 6]) - 0.5 * (drift[1:] + drift[:-1]) * np.diff(times[k])
-    jumps = np.zeros(len(times))
-    jumps[k[1:]] = MILLISECOND_M * np.round(step / MILLISECOND_M)
-    total = np.cumsum(jumps)
-    S = z.shape[-1] // 2
-    z, fixes = z.copy(), fixes.copy()
-    z[:, :S] -= total[:, None]
-    fixes[:, 6] -= total
-    return z, fixes
+def _without_jumps(z: Array, fixes: Array, times: Array) -> tuple[Array, Array, Array]:
+    """Ranges and biases as if the receiver had never set its clock by whole milliseconds, and by how much it had ``(T,)``.
+
+    Where it did so between two fixes that are not neighbors, nobody knows when: ranges in between are left out.
+    """
+    S, k = z.shape[-1] // 2, np.flatnonzero(np.isfinite(fixes[:, 6]))
+    jumps, z, fixes = np.zeros(len(times)), z.copy(), fixes.copy()
+    if len(k) > 1:
+        step, dt = np.diff(fixes[k, 6]), np.diff(times[k])
+        # Without rates the clock runs on as it did between the last two fixes.
+        ran = (step - MILLISECOND_M * np.round(step / MILLISECOND_M)) / dt
+        drift = fixes[k, 7]
+        expected = np.where(np.isnan(drift[1:] + drift[:-1]), np.concatenate([ran[:1], ran[:-1]]), 0.5 * (drift[1:] + drift[:-1]))
+        whole = MILLISECOND_M * np.round((step - expected * dt) / MILLISECOND_M)
+        for last, following in zip(k[:-1][whole != 0.0], k[1:][whole != 0.0], strict=True):
+            z[last + 1 : following, :S] = np.nan
+        jumps[k[1:]] = whole
+        jumps = np.cumsum(jumps)
+    z[:, :S] -= jumps[:, None]
+    fixes[:, 6] -= jumps
+    return z, fixes, jumps
 
 
 def hooks(S: int, window: int = 10) -> dict[str, tuple[Hook, ...]]:

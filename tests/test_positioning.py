@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,13 +13,13 @@ import rerun as rr
 from pymap3d import ecef2geodetic
 from rinex_pair import ALPHA, BETA, PLACE, TIMES, TOE, constellation, navigation, observations, written
 
-from celnav import cli, positioned, positioning
+from celnav import cli, positioning, positioning_report
 from celnav.files import InputError, Outputs
 from celnav.filters.driver import run
 from celnav.models import pseudorange
 from celnav.models.atmosphere import GPS_L1_HZ, klobuchar, saastamoinen
 from celnav.models.beidou import B1I_HZ, ELLIPSOID, GPS_AHEAD_S, LIGHT
-from celnav.rinex import Navigation, Observations
+from celnav.rinex import Navigation, Observations, read_navigation, read_observations
 
 LONG = TOE + 1800.0 + 30.0 * np.arange(12)
 
@@ -115,9 +116,9 @@ def test_epochs_without_a_fix_are_predictions(pair):
     found = positioning.prepare(replace(obs, code=code), nav)
     assert len(found.times) == 11
     assert np.isnan(found.fixes[4]).all()
-    result = positioned.position(found, "ukf", PLACE)
+    result = positioning_report.position(found, "ukf", PLACE)
     assert np.isfinite(result.mean).all()
-    assert "1 with fewer" in positioned.summary(result)
+    assert "1 with fewer" in positioning_report.summary(result)
 
 
 def test_pseudoranges_out_of_all_bounds_are_left_out_and_counted(pair):
@@ -132,7 +133,82 @@ def test_rates_may_be_missing(pair):
     found = positioning.prepare(replace(obs, doppler=np.full_like(obs.doppler, np.nan)), nav)
     np.testing.assert_allclose(found.fixes[:, :3], np.broadcast_to(PLACE, (12, 3)), atol=1e-4)
     assert np.isnan(found.fixes[:, 3:6]).all()
-    assert np.isfinite(positioned.position(found, "aukf", None).mean).all()
+    plain = run(positioning.filters(len(found.names))["ekf"], found.prior(), found.epochs(), keep="mean").mean
+    for name, filter in positioning.filters(len(found.names)).items():
+        mean = run(filter, found.prior(), found.epochs(), keep="mean").mean
+        if name != "sage-husa":  # nothing says how the clock runs, and it takes that for noise
+            assert np.abs(mean[:, :3] - PLACE).max() < 1.0, name
+        if name == "group":
+            np.testing.assert_allclose(mean, plain, atol=0.1)
+
+
+def test_wild_rates_are_left_out_and_counted(pair):
+    nav, obs = pair
+    doppler = obs.doppler.copy()
+    doppler[4, 1] = 1e9
+    found = positioning.prepare(replace(obs, doppler=doppler), nav)
+    assert found.left_out["rate out of all bounds"] == 1
+    assert np.isnan(found.z[4, len(found.names) + 1])
+    assert np.isfinite(found.z[4, 1])
+
+
+def test_it_starts_at_a_fix_that_is_as_good_as_others(pair, log):
+    nav, obs = pair
+    code = obs.code + np.random.default_rng(0).normal(size=obs.code.shape)
+    code[0, 0] += 2e6
+    found = positioning.prepare(replace(obs, code=code), nav)
+    assert found.times[0] == obs.times[1]
+    assert found.left_out["before the first consistent fix"] == log.used[0].sum()
+    assert np.abs(positioning_report.position(found, "ekf", None).mean[:, :3] - PLACE).max() < 20.0
+
+
+def test_a_clock_that_is_set_in_a_gap_costs_the_ranges_of_the_gap(pair):
+    nav, _ = pair
+    for rates in (True, False):
+        log = observed(nav.sets, LONG, DRIFTING + 1e-3 * LIGHT * (np.arange(12) >= 5))
+        code = log.code.copy()
+        code[5:7, 3:] = np.nan  # three ranges are no fix
+        doppler = log.doppler if rates else np.full_like(log.doppler, np.nan)
+        found = positioning.prepare(replace(log, code=code, doppler=doppler), nav)
+        assert not found.used[5:7].any()
+        np.testing.assert_allclose(found.jumps, 1e-3 * LIGHT * (np.arange(12) >= 7))
+        np.testing.assert_allclose(found.fixes[7:, 6], DRIFTING[7:], atol=1e-3)
+        assert np.abs(positioning_report.position(found, "ekf", None).mean[:, :3] - PLACE).max() < 1.0
+
+
+def test_a_fast_clock_without_rates_is_no_jump(pair):
+    """300 m/s and half an hour of silence make 540 km: nearly two milliseconds."""
+    nav, _ = pair
+    times = np.concatenate([LONG, LONG[-1] + 1800.0 + 30.0 * np.arange(3)])
+    bias = 3e4 + 300.0 * (times - times[0])
+    log = observed(nav.sets, times, bias)
+    found = positioning.prepare(replace(log, doppler=np.full_like(log.doppler, np.nan)), nav)
+    assert not found.jumps.any()
+    np.testing.assert_allclose(found.fixes[:, 6], bias, atol=1e-3)
+
+
+def test_one_epoch_is_enough(pair):
+    nav, obs = pair
+    found = positioning.prepare(obs.part(slice(0, 1)), nav)
+    np.testing.assert_allclose(found.fixes[:, :3], PLACE[None], atol=1e-4)
+
+
+def test_the_nearest_set_is_asked_for_its_health(pair):
+    """A satellite that is flagged now is not used by its sound set of an hour ago."""
+    nav, _ = pair
+    sets = nav.sets
+    later = replace(sets.chosen(np.array([4])), toe=sets.toe[4:5] + 3600.0, health=np.ones(1))
+    both = type(sets)(*(np.concatenate([getattr(sets, f), getattr(later, f)]) for f in sets.__dataclass_fields__))
+    name = sets.names[4]
+    found = replace(nav, sets=both).nearest(name, [sets.toe[4] + 1700.0, sets.toe[4] + 1900.0])
+    assert found.tolist() == [4, -1]
+
+
+def test_what_corrects_the_ionosphere_is_told(pair):
+    nav, obs = pair
+    with_it, without = (positioning.prepare(obs, n) for n in (nav, replace(nav, klobuchar=None)))
+    assert "by the broadcast coefficients" in positioning_report.summary(positioning_report.position(with_it, "ls", None))
+    assert "not corrected" in positioning_report.summary(positioning_report.position(without, "ls", None))
 
 
 def test_too_few_satellites_are_told_with_the_files(pair):
@@ -145,21 +221,22 @@ def test_too_few_satellites_are_told_with_the_files(pair):
 
 def test_unknown_filters_and_noises_are_told(log):
     with pytest.raises(ValueError, match=r"^filter: expected one of ls, ekf, ukf, aukf"):
-        positioned.position(log, "kalman", None)
+        positioning_report.position(log, "kalman", None)
     with pytest.raises(ValueError, match=r"^acceleration"):
         positioning.filters(4, acceleration=0.0)
 
 
 def test_the_table_has_a_row_for_each_epoch(log):
-    rows = list(csv.DictReader(positioned.table(positioned.position(log, "ls", None)).splitlines()))
+    rows = list(csv.DictReader(positioning_report.table(positioning_report.position(log, "ls", None)).splitlines()))
     assert len(rows) == 12
-    assert rows[0]["time_bdt"] == positioned.civil(LONG[0])
+    assert rows[0]["time_bdt"] == positioning_report.civil(LONG[0])
     assert float(rows[3]["x_m"]) == pytest.approx(PLACE[0], abs=1e-3)
-    assert rows[0]["std_up_m"] == ""  # of each epoch by itself none is known
+    assert 1.0 < float(rows[0]["std_up_m"]) < 10.0
+    assert float(rows[3]["clock_m"]) == pytest.approx(DRIFTING[3], abs=1e-3)
 
 
 def test_the_recording_is_whole(log, tmp_path):
-    positioned.record_positioned(positioned.position(log, "ekf", PLACE), tmp_path / "p.rrd")
+    positioning_report.record_positioned(positioning_report.position(log, "ekf", PLACE), tmp_path / "p.rrd")
     (found,) = rr.chunk.RrdReader(tmp_path / "p.rrd").recordings()
     assert found.application_id == "celnav-position"
 
@@ -176,10 +253,10 @@ def test_position_writes_everything_and_replaces_its_own(files, tmp_path, capsys
     Outputs(out).text("summary.txt", "of an earlier run")
     assert cli.main(["position", *files, "--out", str(out)]) == 0
     printed = capsys.readouterr().out
-    assert {p.name for p in out.iterdir()} == {*positioned.FILES, positioned.RECORDING, ".celnav.json"}
+    assert {p.name for p in out.iterdir()} == {*positioning_report.FILES, positioning_report.RECORDING, ".celnav.json"}
     assert "error" in printed
     assert (out / "summary.txt").read_text("utf-8").strip() in printed
-    Outputs(out).check(positioned.FILES)
+    Outputs(out).check(positioning_report.FILES)
 
 
 @pytest.mark.parametrize(
@@ -190,6 +267,9 @@ def test_position_writes_everything_and_replaces_its_own(files, tmp_path, capsys
         (["--mask", "91"], 2, "mask_deg"),
         (["--acceleration-noise", "-1"], 2, "acceleration"),
         (["--position", "1", "2", "east"], 2, "position: expected a number"),
+        (["--position", "32", "118", "50"], 2, "position: expected Earth-fixed meters"),
+        (["--position", "nan", "0", "0"], 2, "position: expected Earth-fixed meters"),
+        (["--mask", "nan"], 2, "mask_deg"),
     ],
 )
 def test_options_that_cannot_be_are_told_in_one_line(files, tmp_path, capsys, options, status, words):
@@ -206,6 +286,84 @@ def test_another_position_is_compared_with_from_another_folder(files, tmp_path, 
     assert cli.main(["position", *files, "--filter", "ls", "--position", *away]) == 0
     assert float(capsys.readouterr().out.split("error")[1].split()[0]) > 90.0
     assert Path("out/position/track.csv").exists()
+
+
+def first_row(text, name="C05"):
+    return next(line for line in text.splitlines() if line.startswith(name))
+
+
+KIND = "C    1 C2I".ljust(60) + "SYS / # / OBS TYPES"
+SCALE = "C   10".ljust(60) + "SYS / SCALE FACTOR\n"
+OBSERVATIONS = {
+    "a garbled date": (
+        lambda t: t.replace("> 2011", "> 20x1", 1) if "> 2011" in t else re.sub(r"> (...)\d", r"> \1x", t, count=1),
+        "expected date, flag and number of an epoch",
+    ),
+    "a count below nothing": (
+        lambda t: re.sub(r"(> .{29}0).{3}", r"\1 -1", t, count=1),
+        "expected date, flag and number of an epoch",
+    ),
+    "a garbled satellite": (lambda t: t.replace("\nC05", "\nCx5", 1), "expected a satellite (C01), got 'Cx5'"),
+    "a garbled range": (
+        lambda t: t.replace(first_row(t), "C05" + "  3xxxxx16.123".rjust(14), 1),
+        "expected a number, got '3xxxxx16.123'",
+    ),
+    "a row that is cut off": (lambda t: t.replace(first_row(t), first_row(t)[:-7], 1), "the last one is cut off"),
+    "a garbled position": (
+        lambda t: re.sub(r"-2611857\.0000", "-26xx857.0000", t),
+        "expected three numbers in APPROX POSITION XYZ",
+    ),
+    "a new kind in an event": (
+        lambda t: re.sub(
+            r"(> .{29})0(.{3}.*\n)", "\\g<1>4  1\n" + "C    1 C2I".ljust(60) + "SYS / # / OBS TYPES\n\\g<0>", t, count=1
+        ),
+        "expected observations of one kind",
+    ),
+    "a scale": (lambda t: t.replace("".ljust(60) + "END", SCALE + "".ljust(60) + "END", 1), "SCALE"),
+}
+
+
+@pytest.mark.parametrize("name", OBSERVATIONS)
+def test_damaged_observations_are_told(name, tmp_path):
+    damage, words = OBSERVATIONS[name]
+    text = observations(constellation(), TIMES)[0]
+    changed = damage(text)
+    assert changed != text
+    with pytest.raises(InputError, match=re.escape(words)):
+        read_observations(written(tmp_path, changed))
+
+
+def test_events_in_a_log_are_passed_over(tmp_path):
+    text = observations(constellation(), TIMES)[0]
+    whole = read_observations(written(tmp_path, text, "whole.rnx"))
+    event = ">                              4  2\n" + "CABLE CHANGED".ljust(60) + "COMMENT\n" + "C05 IS LOW".ljust(60) + "COMMENT\n"
+    lines = text.splitlines(keepends=True)
+    second = [k for k, line in enumerate(lines) if line.startswith(">")][1]
+    found = read_observations(written(tmp_path, "".join([*lines[:second], event, *lines[second:]]), "event.rnx"))
+    np.testing.assert_array_equal(found.code, whole.code)
+    assert len(found.times) == 3
+
+
+def test_a_log_of_beidou_alone_is_in_its_own_time(tmp_path):
+    text = observations(constellation(), TIMES, 0.0, "   ")[0].replace("M: Mixed", "C: BDS  ", 1)
+    np.testing.assert_allclose(read_observations(written(tmp_path, text)).times, TIMES, atol=1e-6)
+
+
+NAVIGATION = {
+    "a set that is cut off": (lambda t: "\n".join(t.splitlines()[:-3]) + "\n", "expected 8 lines of a broadcast set from line"),
+    "a garbled number": (lambda t: t[: t.index("C01") + 30] + "x" + t[t.index("C01") + 31 :], "expected a number, got"),
+    "no orbit": (lambda t: re.sub(r"(\nC03.*\n.*\n.{23}).{19}", r"\g<1> 1.500000000000E+00", t), "expected eccentricities"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", NAVIGATION)
+def test_damaged_orbits_are_told(name, tmp_path):
+    damage, words = NAVIGATION[name]
+    text = navigation(constellation())
+    changed = damage(text)
+    assert changed != text
+    with pytest.raises(InputError, match=re.escape(words)):
+        read_navigation(written(tmp_path, changed))
 
 
 @pytest.mark.parametrize("which", [0, 1])

@@ -91,7 +91,7 @@ def test_what_is_damaged_is_refused_with_file_and_line(texts, tmp_path, kind, da
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda t: t[: 9 * len(t) // 10].rsplit("\n", 1)[0], r"line \d+: expected \d+ satellites after line \d+, .* cut off"),
+        (lambda t: t[: 9 * len(t) // 10].rsplit("\n", 1)[0], r"line \d+: expected \d+ more after line \d+, .* cut off"),
         (lambda t: t.split("END OF HEADER")[0] + "END OF HEADER\n", r"line 8: expected observations after the header, got none"),
         (lambda t: t.replace("C2I", "C7I"), r"expected BeiDou's B1I code \(C2I\) among the observations, got C7I, L2I, D2I"),
         (lambda t: t.replace(" GPS ", " GLO ", 1), r"expected times in GPS, GAL or BDT, got 'GLO'"),

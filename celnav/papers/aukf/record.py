@@ -18,7 +18,7 @@ from celnav.papers.aukf.figures import COLORS
 from celnav.papers.aukf.real import Real
 from celnav.papers.aukf.scenario import START_S, TOE_S, axes, circle, visible
 from celnav.papers.aukf.study import Result
-from celnav.positioned import KIND_COLORS, Positioned, kinds, record_positioned
+from celnav.positioning_report import KIND_COLORS, Positioned, kinds, record_positioned
 
 if TYPE_CHECKING:
     from celnav.files import Outputs

@@ -71,16 +71,29 @@ class Positioned:
         return np.asarray((self.log.times - self.log.times[0]) / 60.0)
 
 
+def on_earth(position: Array) -> None:
+    """Check that a position ``(3,)`` may be a receiver's.
+
+    Raises
+    ------
+    ValueError: unless it is in Earth-fixed meters, near the surface or in a low orbit.
+    """
+    if not (np.isfinite(position).all() and 6.3e6 < np.linalg.norm(position) < 1e7):
+        raise ValueError(f"position: expected Earth-fixed meters, 6300 to 10000 km from the middle, got {position}")
+
+
 def position(log: Log, filter: str, reference: Array | None, *, acceleration: float = 0.01) -> Positioned:
     """Run a filter of `celnav.positioning.filters` over a log; "ls" takes each epoch by itself.
 
     Raises
     ------
-    ValueError: for an unknown filter. FilterError: if the filter is lost.
+    ValueError: for an unknown filter, or a reference that is far from the Earth's surface. FilterError: if the filter is lost.
     """
     known = filters(len(log.names), acceleration=acceleration)
+    if reference is not None:
+        on_earth(reference)
     if filter == "ls":
-        return Positioned(log, filter, log.fixes, np.full((len(log.times), 3, 3), np.nan), reference)
+        return Positioned(log, filter, log.fixes, log.fix_cov, reference)
     if filter not in known:
         raise ValueError(f"filter: expected one of ls, {', '.join(known)}, got {filter!r}")
     track = run(known[filter], log.prior(), log.epochs(), keep="spread")
@@ -109,6 +122,8 @@ def summary(found: Positioned) -> str:
         f"DOP          median PDOP {np.nanmedian(log.dilution.position):.2f}, HDOP {np.nanmedian(log.dilution.horizontal):.2f}, "
         f"VDOP {np.nanmedian(log.dilution.vertical):.2f}",
         f"left out     {'; '.join(f'{number} {reason}' for reason, number in log.left_out.items())}",
+        f"ionosphere   {'by the broadcast coefficients' if log.ionosphere else 'not corrected: the header has no GPSA and GPSB'}",
+        f"clock        set {np.count_nonzero(np.diff(log.jumps))} times by whole milliseconds",
         f"filter       {found.filter}",
         f"mean         {place[0]:.3f} {place[1]:.3f} {place[2]:.3f} m; {latitude:.7f}°, {longitude:.7f}°, {height:.2f} m",
         f"scatter      {_rms(scatter):.3f} m in 3-D about its mean; of each epoch by itself "
@@ -134,10 +149,12 @@ COLUMNS = ("time_bdt", "seconds_bdt", "x_m", "y_m", "z_m", "vx_m_per_s", "vy_m_p
 
 
 def table(found: Positioned) -> str:
-    """All epochs as CSV; empty where there is nothing."""
+    """All epochs as CSV; empty where there is nothing. ``clock_m`` is the receiver's clock with what it was set by."""
     local, log = found.local(found.mean), found.log
     std = np.sqrt((found.axes @ found.cov @ found.axes.T).diagonal(0, -2, -1))
-    numbers = np.column_stack([log.times, found.mean, local, std, log.used.sum(1), log.dilution.position])
+    mean = found.mean.copy()
+    mean[:, 6] += log.jumps
+    numbers = np.column_stack([log.times, mean, local, std, log.used.sum(1), log.dilution.position])
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)
