@@ -133,6 +133,8 @@ def _reproduce(options: argparse.Namespace) -> int:
     except ValueError as error:
         raise UsageError(error) from None
     seed, jobs = _whole("seed", options.seed, 0), _whole("jobs", options.jobs, 1)
+    if options.rinex is not None and not any("rinex" in getattr(module, "INPUTS", ()) for module in modules.values()):
+        raise UsageError(f"rinex: expected a paper that takes a receiver's log (aukf), got {', '.join(papers)}")
     out = Path(options.out)
     if out.exists() and not out.is_dir():
         raise NotADirectoryError(f"{out}: expected a folder to write to")

@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from pymap3d import ecef2geodetic
 
 from celnav.models import pseudorange
-from celnav.models.beidou import B1I_HZ, LIGHT
+from celnav.models.atmosphere import GPS_L1_HZ, klobuchar, saastamoinen
+from celnav.models.beidou import B1I_HZ, ELLIPSOID, GPS_AHEAD_S, LIGHT
 from celnav.models.constellation import synthetic
 
 WEEK = 755
@@ -49,6 +51,22 @@ def navigation(b, toe=TOE):
     return text
 
 
+def measurements(b, times, bias):
+    """Pseudoranges and Doppler ``(T, S)`` at `PLACE`, by a clock ahead by ``bias`` m, with the atmosphere, in a plain loop."""
+    latitude, longitude, height = ecef2geodetic(*PLACE, ell=ELLIPSOID, deg=False)
+    code, doppler = np.empty((len(times), len(b))), np.empty((len(times), len(b)))
+    for k, (tag, ahead) in enumerate(zip(times, bias, strict=True)):
+        t = tag - ahead / LIGHT
+        seen = pseudorange.sources(b, t, PLACE)
+        sky = pseudorange.look(seen.q, PLACE, pseudorange.local_axes(latitude, longitude))
+        above = np.maximum(sky.elevation, 0.05)
+        iono = klobuchar(ALPHA, BETA, t + GPS_AHEAD_S, latitude, longitude, above, sky.azimuth)
+        z = pseudorange.measure(np.concatenate([PLACE, np.zeros(3), [ahead, 30.0]]), seen.q, seen.w)
+        code[k] = z[: len(b)] - seen.clock + (GPS_L1_HZ / B1I_HZ) ** 2 * iono + saastamoinen(latitude, height, above)
+        doppler[k] = -(z[len(b) :] - seen.drift) * B1I_HZ / LIGHT
+    return code, doppler
+
+
 def observations(b, times, ahead=14.0, system="GPS"):
     """An observation file at times (s of BDT), and its pseudoranges and Doppler: C19 is away at the second epoch, G01 is there."""
     text = label(f"{3.04:9.2f}{'':11}{'OBSERVATION DATA':<20}{'M: Mixed':<20}", "RINEX VERSION / TYPE")
@@ -60,11 +78,8 @@ def observations(b, times, ahead=14.0, system="GPS"):
     text += label(f"  {y}    {mo}    {d}    {h}    {mi}   {sec}.0000000     {system}", "TIME OF FIRST OBS") + label(
         "", "END OF HEADER"
     )
-    code, doppler = np.full((len(times), len(b)), np.nan), np.full((len(times), len(b)), np.nan)
+    code, doppler = measurements(b, times, 3e4 + 30.0 * (times - times[0]))
     for k, t in enumerate(times):
-        seen = pseudorange.sources(b, t, PLACE)
-        z = pseudorange.measure(np.concatenate([PLACE, np.zeros(3), [3e4, 30.0]]), seen.q, seen.w)
-        code[k], doppler[k] = z[: len(b)] - seen.clock, -(z[len(b) :] - seen.drift) * B1I_HZ / LIGHT
         rows = [
             f"{name}{code[k, s]:14.3f}  {'':14}  {doppler[k, s]:14.3f}" for s, name in enumerate(b.names) if (k, name) != (1, "C19")
         ]

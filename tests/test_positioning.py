@@ -10,35 +10,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rerun as rr
-from pymap3d import ecef2geodetic
-from rinex_pair import ALPHA, BETA, PLACE, TIMES, TOE, constellation, navigation, observations, written
+from rinex_pair import ALPHA, BETA, PLACE, TIMES, TOE, constellation, measurements, navigation, observations, written
 
 from celnav import cli, positioning, positioning_report
 from celnav.files import InputError, Outputs
 from celnav.filters.driver import run
-from celnav.models import pseudorange
-from celnav.models.atmosphere import GPS_L1_HZ, klobuchar, saastamoinen
-from celnav.models.beidou import B1I_HZ, ELLIPSOID, GPS_AHEAD_S, LIGHT
+from celnav.models.beidou import LIGHT
 from celnav.rinex import Navigation, Observations, read_navigation, read_observations
 
 LONG = TOE + 1800.0 + 30.0 * np.arange(12)
 
 
 def observed(b, times, bias):
-    """A log of a receiver at `PLACE` whose clock is ahead by ``bias`` m and 30 m/s, with the atmosphere, in a plain loop."""
-    latitude, longitude, height = ecef2geodetic(*PLACE, ell=ELLIPSOID, deg=False)
-    code, doppler = np.empty((len(times), len(b))), np.empty((len(times), len(b)))
-    for k, (tag, ahead) in enumerate(zip(times, bias, strict=True)):
-        t = tag - ahead / LIGHT
-        seen = pseudorange.sources(b, t, PLACE)
-        sky = pseudorange.look(seen.q, PLACE, pseudorange.local_axes(latitude, longitude))
-        above = np.maximum(sky.elevation, 0.05)
-        iono = klobuchar(ALPHA, BETA, t + GPS_AHEAD_S, latitude, longitude, above, sky.azimuth)
-        z = pseudorange.measure(np.concatenate([PLACE, np.zeros(3), [ahead, 30.0]]), seen.q, seen.w)
-        delay = (GPS_L1_HZ / B1I_HZ) ** 2 * iono + saastamoinen(latitude, height, above)
-        code[k] = z[: len(b)] - seen.clock + delay
-        doppler[k] = -(z[len(b) :] - seen.drift) * B1I_HZ / LIGHT
-    return Observations(Path("obs.rnx"), "TEST", PLACE, times, b.names, code, doppler)
+    """A log of a receiver at `PLACE` whose clock is ahead by ``bias`` m."""
+    return Observations(Path("obs.rnx"), "TEST", PLACE, times, b.names, *measurements(b, times, bias))
 
 
 DRIFTING = 3e4 + 30.0 * (LONG - LONG[0])
@@ -254,7 +239,9 @@ def test_position_writes_everything_and_replaces_its_own(files, tmp_path, capsys
     assert cli.main(["position", *files, "--out", str(out)]) == 0
     printed = capsys.readouterr().out
     assert {p.name for p in out.iterdir()} == {*positioning_report.FILES, positioning_report.RECORDING, ".celnav.json"}
-    assert "error" in printed
+    assert float(printed.split("error")[1].split()[0]) == pytest.approx(
+        0.5, abs=0.02
+    )  # the antenna is half a meter above the marker
     assert (out / "summary.txt").read_text("utf-8").strip() in printed
     Outputs(out).check(positioning_report.FILES)
 

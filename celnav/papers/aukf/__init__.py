@@ -1,4 +1,4 @@
-"""[Fan2015]: an unscented Kalman filter for BeiDou positioning that adapts its measurement noise.
+"""[Fan]: an unscented Kalman filter for BeiDou positioning that adapts its measurement noise.
 
 The contract of a paper: `Config` and `PRESETS`, `simulate`, `filters`, `reproduce`, ``figure_N``, ``table_N``, `claims`,
 `record`, and `ERRATA`; ``INPUTS``: what `reproduce` takes besides, a folder with a real receiver's log. Modules: `config`

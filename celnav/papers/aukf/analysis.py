@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.filters.driver import run
+from celnav.filters.driver import Epoch, run
+from celnav.filters.step import update
 from celnav.linalg import Array
 from celnav.models import pseudorange
 from celnav.models.beidou import LIGHT, ROTATION_RATE, satellites
@@ -17,8 +18,8 @@ from celnav.montecarlo import generator
 from celnav.papers.aukf.config import Config
 from celnav.papers.aukf.errata import clipped_mean
 from celnav.papers.aukf.real import as_others
-from celnav.papers.aukf.scenario import START_S, TOE_S, axes, circle, filters, simulate, visible
-from celnav.points import unscented
+from celnav.papers.aukf.scenario import EKF, START_S, TOE_S, axes, circle, filters, simulate, ukf, visible
+from celnav.points import Transform, unscented
 
 INCLINATIONS_DEG = (55.0, 10.0, 1.0, 0.1, 0.01)
 NORMAL_ERROR = 1e-4
@@ -104,7 +105,7 @@ def geometry(config: Config) -> Geometry:
     rate = (away[k] / distance[k][:, None] * (seen.w[k] - velocity[k])).sum(-1)
     return Geometry(
         seen.names,
-        int(own.geostationary.sum()),
+        int(used.geostationary.sum()),
         sum(name in ("C38", "C39", "C40") for name in seen.names),
         pseudorange.dilution(seen.q, position, axes(config)),
         float(np.abs(turn).max()),
@@ -127,6 +128,23 @@ def curvature(config: Config, away_m: float) -> float:
 
 
 TIMED = ("ekf", "ukf", "aukf", "group", "huber")
+
+
+def evaluations(config: Config) -> dict[str, int]:
+    """How many points the measurement is evaluated at in an update of EKF and UKF, counted."""
+    sim, out = simulate(replace(config, duration_s=config.interval_s), [generator(0, 97, 0)]), {}
+    epoch, S = next(iter(sim.epochs())), len(sim.satellites.names)
+    rules: dict[str, Transform] = {"ekf": EKF, "ukf": ukf(config)}
+    for name, rule in rules.items():
+        asked: list[int] = []
+
+        def counting(x: Array, epoch: Epoch, asked: list[int] = asked) -> Array:
+            asked.append(len(x))
+            return pseudorange.measure(x, *epoch.u)
+
+        update(counting, rule, np.diag(config.sigma(S) ** 2))(sim.prior, epoch.z, epoch)
+        out[name] = sum(asked)
+    return out
 
 
 def step_times(config: Config) -> dict[str, float]:
@@ -153,5 +171,6 @@ def facts(config: Config, seed: int) -> dict[str, Any]:
         "polar": polar(generator(seed, 51, 0)),
         "geometry": geometry(config),
         "curvature": {away: curvature(config, away) for away in (10.0, 1e3, 1e5)},
+        "evaluations": evaluations(config),
         "clipped": {M: clipped_mean(M) for M in (5, 10, 30)},
     }

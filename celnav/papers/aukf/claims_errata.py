@@ -8,7 +8,6 @@ from celnav.claims import Claim, about, within
 from celnav.metrics import ratio, rms
 from celnav.papers.aukf.analysis import INCLINATIONS_DEG
 from celnav.papers.aukf.evidence import Evidence
-from celnav.papers.aukf.scenario import ukf
 from celnav.papers.aukf.sweeps import CASES
 from celnav.papers.aukf.tables import medians
 
@@ -30,6 +29,9 @@ def _noise(j: Evidence) -> list[Claim]:
         text = f"E2: the approximation by 1 / sqrt(π M), M = {M}, exceeds it by"
         away = 1.0 / np.sqrt(np.pi * M) - r.facts["clipped"][M]
         out.append(j.number(f"erratum-2-approximate-{M}", "beyond", text, away, (0.0, 0.01)))
+    exact = [(r.data["main"]["none/aukf/factor"][r.window("quiet")] == 1.0).mean((0, 2))]
+    text = "E2: how often a factor is exactly 1: what the filter thinks, and sampling, decide in equal parts"
+    out.append(j.lengthy("erratum-2-half", "erratum", text, np.mean, exact, (0.45, 0.65)))
     text = "E2: A is not 1 where the noise is as the filter thinks: mean factor of the ranges"
     samples = [r.factors("none", False, "quiet")]
     out.append(j.lengthy("erratum-2-mean", "erratum", text, np.mean, samples, (1.1, 1.25)))
@@ -80,8 +82,8 @@ def _redraw(j: Evidence) -> list[Claim]:
 
 def _rest(j: Evidence) -> list[Claim]:
     r, out = j.result, []
-    text = "E7: evaluations of the measurement in a step: UKF and AUKF, where the EKF has one"
-    out.append(j.number("erratum-7-evaluations", "erratum", text, len(ukf(r.config).nodes), (17, 17)))
+    text = f"E7: evaluations of the measurement in a step: UKF and AUKF, where the EKF has {r.facts['evaluations']['ekf']}"
+    out.append(j.number("erratum-7-evaluations", "erratum", text, r.facts["evaluations"]["ukf"], (17, 17)))
     samples = [r.squares("baselines", f"{case}/aukf", "burst") for case in ("both", "ranges")]
     text = "E8: the same burst on the rates as well: position RMSE of AUKF to that with ranges alone (ratio)"
     out.append(j.lengthy("erratum-8-channels", "erratum", text, ratio, samples, (10.0, None)))

@@ -36,6 +36,7 @@ def _rows() -> list[tuple[str, str, Callable[[Real], float], Bounds]]:
     rows += [
         ("same", "EKF and UKF, largest difference of position (m)", _apart, (None, 1e-3)),
         ("burst", "AUKF to UKF in an added burst, 3-D RMS (ratio)", _in_burst, (None, 0.5)),
+        ("nis", "NIS of EKF per measurement: the noise is taken for generously", lambda day: day.nis, (None, 0.1)),
         ("consecutive", f"{GEOSTATIONARY} by consecutive broadcast sets, largest distance (m)", _consecutive, (None, 2.0)),
         ("formula", "a geostationary satellite by the others' formula, least distance (km)", _misplaced, (1e3, None)),
     ]  # fmt: skip

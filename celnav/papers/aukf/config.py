@@ -12,7 +12,7 @@ from celnav.models.receiver import CRYSTAL, process_noise, transition
 
 TITLE = "Adaptive unscented Kalman filter for BeiDou positioning"
 CITATION = """\
-@article{Fan2015,
+@article{Fan,
   author  = {Fan, L. and Chen, A. and Chen, S. and Han, L.},
   title   = {An adaptive unscented {Kalman} filter for {BeiDou} receiver positioning},
   note    = {in Chinese; year and journal are not in the text available, which has lost its display equations and Table 1}
@@ -45,7 +45,7 @@ class Config:
     burst_s: tuple[float, float] = (60.0, 70.0)  # paper
     burst_sigma: float = 50.0  # paper; m and m/s
     burst_satellite: int = 2  # chosen: its place among the visible ones
-    acceleration_noise_m2_per_s3: float = 0.0  # chosen: 0 stands for a^2 T
+    acceleration_noise_m2_per_s3: float | None = None  # inferred: None stands for a^2 T
     clock_white_m2_per_s: float = CRYSTAL[0]  # chosen
     clock_walk_m2_per_s3: float = CRYSTAL[1]  # chosen
     bias_m: float = 3e4  # chosen
@@ -59,7 +59,7 @@ class Config:
     def __post_init__(self) -> None:
         shapes: dict[str, tuple[int, ...]] = {"burst_s": (2,), "deviation": (4,)}
         for name in self.__dataclass_fields__:
-            if name != "burst":
+            if name != "burst" and getattr(self, name) is not None:
                 finite(name, getattr(self, name), shapes.get(name, ()))
         positive = ("speed_m_per_s", "acceleration_g", "interval_s", "duration_s", "sigma_range_m", "sigma_rate_m_per_s",
                     "true_sigma_range_m", "burst_sigma", "alpha")  # fmt: skip
@@ -67,8 +67,17 @@ class Config:
             if getattr(self, name) <= 0.0:
                 raise ValueError(f"{name}: expected a positive number, got {getattr(self, name)!r}")
         for name in ("acceleration_noise_m2_per_s3", "clock_white_m2_per_s", "clock_walk_m2_per_s3"):
-            if getattr(self, name) < 0.0:
+            if (getattr(self, name) or 0.0) < 0.0:
                 raise ValueError(f"{name}: expected a number that is not negative, got {getattr(self, name)!r}")
+        for name, largest in (("latitude_deg", 90.0), ("longitude_deg", 360.0)):
+            if abs(getattr(self, name)) > largest:
+                raise ValueError(f"{name}: expected at most {largest:g} degrees, got {getattr(self, name)!r}")
+        if not 0.0 <= self.mask_deg < 90.0:
+            raise ValueError(f"mask_deg: expected degrees from 0 to below 90, got {self.mask_deg!r}")
+        if self.burst_s[0] >= self.burst_s[1]:
+            raise ValueError(f"burst_s: expected a start before an end, got {self.burst_s!r}")
+        if isinstance(self.burst_satellite, bool) or int(self.burst_satellite) != self.burst_satellite or self.burst_satellite < 0:
+            raise ValueError(f"burst_satellite: expected a place from 0 on, got {self.burst_satellite!r}")
         if min(self.deviation) <= 0.0:
             raise ValueError(f"deviation: expected positive numbers, got {self.deviation!r}")
         if self.burst not in CHANNELS:
@@ -93,6 +102,10 @@ class Config:
         """rad/s."""
         return self.acceleration_g * STANDARD_GRAVITY / self.speed_m_per_s
 
+    def sigma(self, S: int) -> Array:
+        """What filters take for the deviations of S ranges and S rates, ``(2 S,)`` m and m/s."""
+        return np.repeat([self.sigma_range_m, self.sigma_rate_m_per_s], S)
+
     @property
     def F(self) -> Array:
         """Constant velocity and clock drift over an interval, ``(8, 8)``."""
@@ -102,7 +115,7 @@ class Config:
     def acceleration_noise(self) -> float:
         """Density of the white acceleration, m^2/s^3: ``a^2 T``, if it is not given, makes up for a constant one."""
         given = self.acceleration_noise_m2_per_s3
-        return given or (self.acceleration_g * STANDARD_GRAVITY) ** 2 * self.interval_s
+        return given if given is not None else (self.acceleration_g * STANDARD_GRAVITY) ** 2 * self.interval_s
 
     @property
     def Q(self) -> Array:

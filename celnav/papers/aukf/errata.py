@@ -30,7 +30,10 @@ ERRATA = (
     ("without extra computation", "17 evaluations of the measurement; the prediction is linear and needs none"),
     ("standard deviation 50", "has no unit and no channel: on ranges alone the rates carry the filter, on both nothing does"),
     ("geostationary satellites: the others' formula, rotated", "R_z(w t) R_x(-5 deg) P, and the node without the Earth's rate"),
-    ("orbits of no inclination are unsolvable", "they are for a user; it is the fit of the node that is ill-conditioned"),
+    (
+        "orbits of no inclination are unsolvable",
+        "a receiver solves by them as by others; the fit of the node is ill-conditioned",
+    ),
 )
 """What is printed and what is right, in the order of their numbers (from 1)."""
 
@@ -43,7 +46,7 @@ def clipped_mean(M: int) -> float:
 def without_redraw(config: Config, S: int, rule: Transform) -> Filter:
     """The UKF whose measurement uses the points of the prediction, which have no process noise in them."""
     F, sqrt_Q = config.F, sqrt_cov(config.Q, "Q")
-    noise = np.diag(np.repeat([config.sigma_range_m, config.sigma_rate_m_per_s], S))
+    noise = np.diag(config.sigma(S))
     ordinary = adapted(config, S, rule)
     r, m = sqrt_Q.shape[-1], 2 * S
 

@@ -1,4 +1,4 @@
-"""Figures 1 to 9 of the paper, and those of what lies beyond it. They draw what a `Result` holds and compute nothing else."""
+"""Figures 1 to 9 of the paper, and those of what lies beyond it, drawn from what a `Result` holds."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from celnav.linalg import Array
 from celnav.metrics import rms
 from celnav.papers.aukf.analysis import INCLINATIONS_DEG, NORMAL_ERROR
 from celnav.papers.aukf.evidence import AXES, COMPARED, LABELS, real_rms, size
-from celnav.papers.aukf.real import enu
 from celnav.papers.aukf.study import Result
 from celnav.papers.aukf.sweeps import INITIAL_KM, MISTUNED_M, PROCESS_NOISE, SMALL_ALPHA, WINDOWS
 from celnav.papers.aukf.tables import CASES, medians
@@ -119,7 +118,8 @@ def _quiet(result: Result, axis: int) -> Figure:
     fig, axes = figure(9.5, 2.9, 1, 2)
     for ax, study, case, limit in ((axes[0], "main", "none", 2.0), (axes[1], "baselines", "mistuned", 4.0)):
         _errors(ax, result, study, case, axis)
-        values = {f: rms(result.squares(study, f"{case}/{f}", "all", axis=axis)) for f in ("ukf", "aukf")}
+        own = "main" if case == "none" else "disturbed"
+        values = {f: rms(result.squares(own, f"{case}/{f}", "all", axis=axis)) for f in ("ukf", "aukf")}
         ratio = values["aukf"] / values["ukf"]
         title = f"Figure {axis + 4}" if case == "none" else f"{MISTUNED_M:g} m of noise, {result.config.sigma_range_m:g} m assumed"
         ax.set(title=f"{title}: AUKF's RMSE {ratio:.2f} of UKF's", xlabel="time (s)", ylim=(-limit, limit))
@@ -140,8 +140,9 @@ def _burst(result: Result, axis: int, case: str, number: str, limits: tuple[floa
         gate = result.data[study][f"{case}/gate/error"][:, 0, axis]
         axes[0].plot(result.times(), gate, color=COLORS["gate"], linestyle=":", label="gate")
     axes[1].set(xlim=(start - 2.0, min(end + 8.0, result.times()[-1])), title="the burst")
-    ratio = rms(result.squares(study, f"{case}/aukf", "burst", axis=axis)) / rms(
-        result.squares(study, f"{case}/ukf", "burst", axis=axis)
+    own = "main" if case == "ranges" else "disturbed"
+    ratio = rms(result.squares(own, f"{case}/aukf", "burst", axis=axis)) / rms(
+        result.squares(own, f"{case}/ukf", "burst", axis=axis)
     )
     channels = "ranges" if case == "ranges" else "ranges and rates"
     axes[0].set(
@@ -285,7 +286,7 @@ def figure_14(result: Result) -> Figure:
         return fig
     hours = (real.log.times - real.log.times[0]) / 3600.0
     for filter in ("ls", "aukf"):
-        local = enu(real, real.tracks[filter])
+        local = real.positioned().local(real.tracks[filter])
         axes[0].plot(local[:, 0], local[:, 1], ".", markersize=2.0, color=COLORS[filter], label=LABELS[filter])
         axes[1].plot(hours, local[:, 2], color=COLORS[filter], linewidth=0.7, label=f"{LABELS[filter]}: up")
     axes[0].set(xlabel="east (m)", ylabel="north (m)", aspect="equal", title="position from the header's")

@@ -11,10 +11,10 @@ import numpy as np
 from celnav.files import InputError
 from celnav.filters.driver import run
 from celnav.linalg import Array
-from celnav.models import pseudorange
 from celnav.models.beidou import GEO_NUMBERS, Broadcast, satellites
 from celnav.papers.aukf.config import Config
 from celnav.positioning import Log, filters, prepare
+from celnav.positioning_report import Positioned
 from celnav.rinex import Navigation, Observations, read_navigation, read_observations
 
 OBSERVATIONS, NAVIGATION = "*_MO.*", "*_MN.*"
@@ -35,20 +35,24 @@ class Real(NamedTuple):
     Attributes
     ----------
     log: what the filters took. reference: ``(3,)`` m, of the header. tracks: means ``(T, 8)`` by filter, also "ls"; cov:
-        ``(T, 3, 3)`` of the positions. nis: per degree of freedom. burst: means with the burst added. during: mask ``(T,)``
-        of the burst and the ten epochs after it. apart: distances (m) between positions by consecutive sets, by satellite.
-    wrong: distance (m) between positions of the geostationary satellite by the others' formula and by its own.
+        ``(T, 3, 3)`` of AUKF's positions. nis: of the EKF, per degree of freedom. burst: means with the burst added.
+    during: mask ``(T,)`` of the burst and the ten epochs after it. apart: distances (m) between positions by consecutive sets, by
+        satellite. wrong: distances (m) between positions of geostationary satellites by the others' formula and by their own.
     """
 
     log: Log
     reference: Array
     tracks: dict[str, Array]
-    cov: dict[str, Array]
-    nis: dict[str, float]
+    cov: Array
+    nis: float
     burst: dict[str, Array]
     during: Array
     apart: dict[str, Array]
     wrong: Array
+
+    def positioned(self) -> Positioned:
+        """As `celnav.positioning_report.position` has it, by AUKF."""
+        return Positioned(self.log, "aukf", self.tracks["aukf"], self.cov, self.reference)
 
 
 def found(folder: Path | None) -> tuple[Path, Path] | None:
@@ -84,11 +88,14 @@ def real(config: Config, rng: np.random.Generator, folder: Path | None = None) -
     hit, during = disturbed(half, config.burst_sigma, rng)
     log, other = (prepare(part, navigation, mask_deg=config.mask_deg) for part in (half, hit))
     known = filters(len(log.names), window=config.window)
-    out: dict[str, Any] = {"tracks": {"ls": log.fixes}, "cov": {}, "nis": {}, "burst": {"ls": other.fixes}}
+    out: dict[str, Any] = {"tracks": {"ls": log.fixes}, "burst": {"ls": other.fixes}}
     for name in FILTERS:
         track = run(known[name], log.prior(), log.epochs(), keep="spread")
-        out["tracks"][name], out["cov"][name] = track.mean, track.cov[:, :3, :3]
-        out["nis"][name] = float(track.nis.sum() / track.dof.sum())
+        out["tracks"][name] = track.mean
+        if name == "aukf":
+            out["cov"] = track.cov[:, :3, :3]
+        elif name == "ekf":
+            out["nis"] = float(track.nis.sum() / track.dof.sum())
         out["burst"][name] = run(known[name], other.prior(), other.epochs(), keep="mean").mean
     during = np.isin(log.times, half.times[during])
     return Real(log, observations.position, during=during, apart=consecutive(navigation), wrong=misplaced(navigation), **out)
@@ -128,11 +135,3 @@ def misplaced(navigation: Navigation) -> Array:
     own = sets.chosen(np.isin(sets.number, sorted(GEO_NUMBERS)) & (sets.health == 0.0))
     t = own.toe + 1800.0
     return np.asarray(np.linalg.norm(as_others(own, t) - satellites(own, t).position, axis=-1))
-
-
-def enu(result: Real, positions: Array) -> Array:
-    """East, north and up ``(..., 3)`` m of positions from the header's."""
-    from pymap3d import ecef2geodetic
-
-    latitude, longitude, _ = ecef2geodetic(*result.reference, deg=False)
-    return np.asarray((positions[..., :3] - result.reference) @ pseudorange.local_axes(latitude, longitude).T)

@@ -15,10 +15,9 @@ from celnav.models.beidou import ELLIPSOID, GRAVITY_PARAMETER, ROTATION_RATE, Br
 from celnav.models.constellation import synthetic
 from celnav.papers.aukf.evidence import AXES, LABELS, size
 from celnav.papers.aukf.figures import COLORS
-from celnav.papers.aukf.real import Real
 from celnav.papers.aukf.scenario import START_S, TOE_S, axes, circle, visible
 from celnav.papers.aukf.study import Result
-from celnav.positioning_report import KIND_COLORS, Positioned, kinds, record_positioned
+from celnav.positioning_report import KIND_COLORS, kinds, record_positioned
 
 if TYPE_CHECKING:
     from celnav.files import Outputs
@@ -38,14 +37,8 @@ def record(result: Result, outputs: Outputs) -> list[str]:
     if result.real is None:
         return [BURST]
     with outputs.path_for(REAL) as path:
-        record_positioned(positioned(result.real), path)
+        record_positioned(result.real.positioned(), path)
     return RECORDINGS
-
-
-def positioned(real: Real, filter: str = "aukf") -> Positioned:
-    """The receiver's half day as the command ``celnav position`` has it."""
-    cov = real.cov[filter]
-    return Positioned(real.log, filter, real.tracks[filter], cov, real.reference)
 
 
 def record_burst(result: Result, path: Any) -> None:
@@ -88,7 +81,7 @@ def _layout(recording: Any, times: Array) -> Any:
     bottom = r.tabs(
         r.plot("adapt/A_rho", "log10 A of the ranges", times),
         r.plot("adapt/A_rr", "log10 A of the rates", times),
-        r.plot("nis", "log10 NIS / 30 (gray: band)", times),
+        r.plot("nis", "log10 NIS per measurement (gray: band)", times),
         r.plot("dop", "dilution of precision", times),
         r.log("events", "events"),
     )

@@ -103,10 +103,17 @@ def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
 
 
 def burst(config: Config, S: int) -> Array:
-    """Deviations ``(T, 2 S)`` of the noise that the burst adds."""
+    """Deviations ``(T, 2 S)`` of the noise that the burst adds.
+
+    Raises
+    ------
+    ValueError: if there is no such satellite.
+    """
     during = (config.times >= config.burst_s[0]) & (config.times < config.burst_s[1])
     hit = np.zeros(2 * S)
     if config.burst == "one":
+        if config.burst_satellite >= S:
+            raise ValueError(f"burst_satellite: expected a place below {S}, the number of satellites, got {config.burst_satellite}")
         hit[config.burst_satellite] = 1.0
     elif config.burst != "none":
         hit[: S if config.burst == "ranges" else 2 * S] = 1.0
@@ -150,7 +157,7 @@ def adapted(config: Config, S: int, rule: Transform, *hook: Hook, Q: Array | Non
 
     ``Q``: process noise ``(..., 8, 8)`` instead of the configuration's, with one for each run if it has that axis.
     """
-    F, sigma = config.F, np.repeat([config.sigma_range_m, config.sigma_rate_m_per_s], S)
+    F, sigma = config.F, config.sigma(S)
     move = Taylor(lambda _x, _epoch: (F,))
     forward = predict(lambda x, _epoch: x @ F.T, move, config.Q if Q is None else Q)
     return sequential(forward, update(_measured, rule, np.diag(sigma**2), hooks=hook))
@@ -163,6 +170,6 @@ def filters(config: Config) -> dict[str, Filter]:
     state explains. gate, huber, student, sage-husa: baselines. Those after ukf are unscented too.
     """
     S = len(visible(config).names)
-    sigma = np.repeat([config.sigma_range_m, config.sigma_rate_m_per_s], S)
+    sigma = config.sigma(S)
     out = {"ls": least_squares(_measured, _slope, sigma), "ekf": adapted(config, S, EKF)}
     return out | {name: adapted(config, S, ukf(config), *hook) for name, hook in hooks(S, config.window).items()}
