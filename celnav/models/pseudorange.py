@@ -122,16 +122,19 @@ class Dilution(NamedTuple):
 
 
 def dilution(q: Array, position: Array, axes: Array, used: Array | None = None) -> Dilution:
-    """What a fix from ranges alone makes of their noise; nan with fewer than four satellites ``used (..., S)``."""
+    """What a fix from ranges alone makes of their noise; nan where satellites ``used (..., S)`` do not determine one."""
     e = _unit(q - position[..., None, :]) @ np.swapaxes(axes, -1, -2)
     rows = np.concatenate([-e, np.ones_like(e[..., :1])], -1)
     if used is not None:
         rows = np.where(used[..., None], rows, 0.0)
-    enough = np.asarray(np.ones(rows.shape[:-2], bool) if used is None else used.sum(-1) >= 4)
-    normal = np.where(enough[..., None, None], np.swapaxes(rows, -1, -2) @ rows, np.nan * np.eye(4))
-    with np.errstate(invalid="ignore"):
-        east, north, up, time = np.moveaxis(
-            np.linalg.solve(normal, np.broadcast_to(np.eye(4), normal.shape)).diagonal(0, -2, -1), -1, 0
-        )
-        flat = east + north
-        return Dilution(*(np.sqrt(v) for v in (flat + up + time, flat + up, flat, up, time)))
+    R: Array = np.linalg.qr(np.concatenate([rows, np.zeros((*rows.shape[:-2], 4, 4))], -2)).R
+    enough = (np.abs(R.diagonal(0, -2, -1)).min(-1) > SINGULAR)[..., None, None]
+    # (R.T R)^-1 has the sums of squares of the rows of R^-1 on its diagonal.
+    root = np.where(enough, np.linalg.solve(np.where(enough, R, np.eye(4)), np.broadcast_to(np.eye(4), R.shape)), np.nan)
+    east, north, up, time = np.moveaxis(np.square(root).sum(-1), -1, 0)
+    flat = east + north
+    return Dilution(*(np.sqrt(v) for v in (flat + up + time, flat + up, flat, up, time)))
+
+
+SINGULAR = 1e-6
+"""Directions this close to each other, rad, or satellites this close to a cone, are no geometry."""

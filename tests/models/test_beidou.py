@@ -201,6 +201,8 @@ def test_the_sky_and_its_dilution():
     np.testing.assert_allclose(found.time, np.sqrt(C[:, 3, 3]))
     few = pseudorange.dilution(q, place, axes, np.arange(7) < 3)
     assert np.isnan(few.position).all()
+    one_place = pseudorange.dilution(np.stack([q, np.broadcast_to(q[:1], q.shape)]), place, axes)  # no geometry spoils no other
+    np.testing.assert_allclose(one_place.position, [found.position, np.nan])
 
 
 @pytest.mark.parametrize(
