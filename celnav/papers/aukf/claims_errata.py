@@ -29,8 +29,9 @@ def _noise(j: Evidence) -> list[Claim]:
         text = f"E2: the approximation by 1 / sqrt(π M), M = {M}, exceeds it by"
         away = 1.0 / np.sqrt(np.pi * M) - r.facts["clipped"][M]
         out.append(j.number(f"erratum-2-approximate-{M}", "beyond", text, away, (0.0, 0.01)))
-    exact = [(r.data["main"]["none/aukf/factor"][r.window("quiet")] == 1.0).mean((0, 2))]
-    text = "E2: how often a factor is exactly 1: what the filter thinks, and sampling, decide in equal parts"
+    factor = r.data["main"]["none/aukf/factor"][r.window("quiet")]
+    exact = [(factor[..., : factor.shape[-1] // 2] == 1.0).mean((0, 2))]
+    text = "E2: sampling makes A smaller than 1, and so clips it, about half the time: part of the ranges' factors that are 1"
     out.append(j.lengthy("erratum-2-half", "erratum", text, np.mean, exact, (0.45, 0.65)))
     text = "E2: A is not 1 where the noise is as the filter thinks: mean factor of the ranges"
     samples = [r.factors("none", False, "quiet")]
