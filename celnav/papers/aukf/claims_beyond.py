@@ -14,7 +14,7 @@ from celnav.claims import Bounds, Claim, about, within
 from celnav.linalg import Array
 from celnav.metrics import ratio, rms
 from celnav.papers.aukf.evidence import LABELS, Evidence, size
-from celnav.papers.aukf.sweeps import INITIAL_KM, PROCESS_NOISE, SMALL_ALPHA, WINDOWS
+from celnav.papers.aukf.sweeps import FROM_A_FIX, INITIAL_KM, PROCESS_NOISE, SMALL_ALPHA, WINDOWS
 from celnav.papers.aukf.tables import CASES, medians, nis
 
 
@@ -203,8 +203,7 @@ def _initial(j: Evidence) -> list[Claim]:
         errors = medians(r, km, filter)
         for k, near in zip((0, 1, 5, 30), wanted, strict=True):
             value = float(errors[min(k, len(errors) - 1)])
-            name = LABELS.get(filter, "UKF, α = 0.001")
-            text = f"From {km:g} km: median error after epoch {k}, {name} (m)"
+            text = f"From {km:g} km: median error after epoch {k}, {LABELS[filter]} (m)"
             id = f"start-{km:g}-{filter}-{k}".replace(", alpha = 0.001", "-small")
             accept = near / FACTOR_OF_MEDIANS, near * FACTOR_OF_MEDIANS
             out.append(j.whole(j.number(id, "beyond", text, value, accept)))
@@ -215,6 +214,9 @@ def _initial(j: Evidence) -> list[Claim]:
     text = f"From {most:g} km the UKF is ahead: EKF to UKF after epoch 5 (ratio)"
     value = medians(r, most, "ekf")[5] / medians(r, most, "ukf")[5]
     out.append(j.whole(j.number("start-ahead", "beyond", text, float(value), (2.0, None))))
+    worst = max(medians(r, km, FROM_A_FIX)[0] for km in INITIAL_KM)
+    text = "An EKF that starts at the first fix needs no UKF: median error after the first epoch, largest of all starts (m)"
+    out.append(j.whole(j.number("start-fix", "beyond", text, float(worst), (None, 10.0))))
     return out
 
 

@@ -10,11 +10,13 @@ from celnav.claims import Bounds, Claim, Judge
 from celnav.linalg import Array
 from celnav.papers.aukf.real import Real
 from celnav.papers.aukf.study import Result
+from celnav.papers.aukf.sweeps import FROM_A_FIX, SMALL_ALPHA
 
 AXES = ("X", "Y", "Z")
 LABELS = {
     "ls": "LS", "ekf": "EKF", "ukf": "UKF", "aukf": "AUKF", "group": "group parity", "channel": "channel parity", "gate": "gate",
     "huber": "Huber", "student": "Student", "sage-husa": "Sage–Husa", "no redraw": "UKF, no redraw",
+    SMALL_ALPHA: "UKF, α = 0.001", FROM_A_FIX: "EKF from a fix",
 }  # fmt: skip
 COMPARED = ("ls", "ekf", "ukf", "aukf", "group", "channel", "sage-husa", "student", "huber", "gate")
 

@@ -16,14 +16,20 @@ from celnav.metrics import rms
 from celnav.papers.aukf.analysis import INCLINATIONS_DEG, NORMAL_ERROR
 from celnav.papers.aukf.evidence import AXES, COMPARED, LABELS, real_rms, size
 from celnav.papers.aukf.study import Result
-from celnav.papers.aukf.sweeps import INITIAL_KM, MISTUNED_M, PROCESS_NOISE, SMALL_ALPHA, WINDOWS
+from celnav.papers.aukf.sweeps import FROM_A_FIX, INITIAL_KM, MISTUNED_M, PROCESS_NOISE, SMALL_ALPHA, WINDOWS
 from celnav.papers.aukf.tables import CASES, medians
 
 COLORS = {
     "ls": colors.MEASUREMENT, "ekf": colors.SIGMA, "ukf": colors.COMPARISON, "aukf": colors.ESTIMATE, "group": colors.TRUTH,
     "channel": colors.OPEN_LOOP, "gate": colors.FAINT, "huber": colors.PAPER, "student": "#8C564B", "sage-husa": "#332288",
 }  # fmt: skip
-UNDER_START = {"ekf": colors.SIGMA, "ukf": colors.COMPARISON, SMALL_ALPHA: colors.OPEN_LOOP, "aukf": colors.ESTIMATE}
+UNDER_START = {
+    "ekf": colors.SIGMA,
+    "ukf": colors.COMPARISON,
+    SMALL_ALPHA: colors.OPEN_LOOP,
+    "aukf": colors.ESTIMATE,
+    FROM_A_FIX: colors.TRUTH,
+}
 BLOCKS = (
     "antenna",
     "radio\nfrequency",
@@ -267,7 +273,7 @@ def figure_13(result: Result) -> Figure:
     axes[0].legend()
     for km, style in zip(INITIAL_KM, (":", "-.", "--", "-"), strict=True):
         for filter, color in UNDER_START.items():
-            named = {"label": LABELS.get(filter, "UKF, α = 0.001")} if km == INITIAL_KM[-1] else {}
+            named = {"label": LABELS[filter]} if km == INITIAL_KM[-1] else {}
             axes[1].semilogy(medians(result, km, filter), color=color, linestyle=style, **named)
     axes[1].set(xlabel="epoch (1 Hz)", ylabel="median position error (m)",
                 title="initial error " + ", ".join(f"{km:g}" for km in INITIAL_KM) + " km")  # fmt: skip

@@ -126,7 +126,7 @@ def reproduce(
     runs: int | None = None,
     seed: int = 0,
     effort: float = 1.0,
-    block: int = 50,
+    block: int = 100,
     jobs: int = 1,
     progress: Progress | None = None,
     rinex: Path | None = None,

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from celnav.filters.adaptive import innovation_window
-from celnav.filters.driver import Filter
+from celnav.filters.driver import Epoch, Filter, State
 from celnav.gaussian import covariance
 from celnav.linalg import Array
 from celnav.models import pseudorange
@@ -100,6 +100,21 @@ def windows(config: Config, rngs: Rngs) -> Found:
 
 INITIAL_KM = (1.0, 10.0, 100.0, 1000.0)
 SMALL_ALPHA = "ukf, alpha = 0.001"
+FROM_A_FIX = "ekf from a fix"
+
+
+def from_a_fix(config: Config) -> Filter:
+    """The EKF that starts at the least-squares fix of the first epoch, and so from anywhere."""
+    known = filters(config)
+    fix, ekf = known["ls"], known["ekf"]
+
+    def step(state: State, epoch: Epoch) -> tuple[State, Any]:
+        if epoch.k:
+            return ekf.step(state, epoch)
+        found, info = fix.step(fix.start(state.belief), epoch)
+        return ekf.start(found.belief), info
+
+    return Filter(ekf.start, step)
 
 
 def initial_errors(config: Config, rngs: Rngs) -> Found:
@@ -109,6 +124,7 @@ def initial_errors(config: Config, rngs: Rngs) -> Found:
     known, S = filters(short), _size(short)
     chosen = {name: known[name] for name in ("ekf", "ukf", "aukf")}
     chosen[SMALL_ALPHA] = adapted(short, S, unscented(8, 1e-3, short.beta, 0.0))
+    chosen[FROM_A_FIX] = from_a_fix(short)
     return follow_cases(chosen, {km: simulate(c, rngs) for km, c in cases.items()})
 
 

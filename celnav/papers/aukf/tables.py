@@ -9,7 +9,7 @@ from celnav.metrics import rms
 from celnav.papers.aukf.analysis import TIMED
 from celnav.papers.aukf.evidence import AXES, COMPARED, LABELS, real_rms, size
 from celnav.papers.aukf.study import Result
-from celnav.papers.aukf.sweeps import INITIAL_KM, PROCESS_NOISE, SMALL_ALPHA, WINDOWS
+from celnav.papers.aukf.sweeps import FROM_A_FIX, INITIAL_KM, PROCESS_NOISE, SMALL_ALPHA, WINDOWS
 
 Row = dict[str, str | float]
 CASES = {
@@ -84,9 +84,9 @@ def table_5(result: Result) -> list[Row]:
     """Beyond the paper: median position error (m) after the first updates, by the initial error."""
     rows: list[Row] = []
     for km in INITIAL_KM:
-        for filter in ("ekf", "ukf", SMALL_ALPHA, "aukf"):
+        for filter in ("ekf", "ukf", SMALL_ALPHA, "aukf", FROM_A_FIX):
             errors = medians(result, km, filter)
-            row: Row = {"initial error (km)": km, "filter": LABELS.get(filter, filter.upper())}
+            row: Row = {"initial error (km)": km, "filter": LABELS.get(filter, filter)}
             rows.append(row | {f"after epoch {k} (m)": float(errors[k]) for k in (0, 1, 5, 30) if k < len(errors)})
     return rows
 
