@@ -81,7 +81,12 @@ def _parser() -> argparse.ArgumentParser:
     position = commands.add_parser("position", help="position a BeiDou receiver from its RINEX 3 files")
     position.add_argument("observations", metavar="OBS", help="observation file, plain, .gz or .crx")
     position.add_argument("navigation", metavar="NAV", help="navigation file of the same day")
-    position.add_argument("--filter", default="aukf", metavar="NAME", help="ls, ekf, ukf, aukf, group, ... (default: aukf)")
+    position.add_argument(
+        "--filter",
+        default="aukf",
+        metavar="NAME",
+        help="ls, ekf, ukf, aukf, group, channel, gate, huber, student or sage-husa (default: aukf)",
+    )
     position.add_argument(
         "--position", nargs=3, metavar=("X", "Y", "Z"), help="known position, m, Earth-fixed (default: the header's)"
     )

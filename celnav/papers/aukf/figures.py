@@ -121,14 +121,14 @@ def _errors(ax: Axes, result: Result, study: str, case: str, axis: int, shown: t
 
 
 def _quiet(result: Result, axis: int) -> Figure:
-    fig, axes = figure(9.5, 2.9, 1, 2)
+    fig, axes = figure(10.0, 2.9, 1, 2)
     for ax, study, case, limit in ((axes[0], "main", "none", 2.0), (axes[1], "baselines", "mistuned", 4.0)):
         _errors(ax, result, study, case, axis)
         own = "main" if case == "none" else "disturbed"
         values = {f: rms(result.squares(own, f"{case}/{f}", "all", axis=axis)) for f in ("ukf", "aukf")}
         ratio = values["aukf"] / values["ukf"]
         title = f"Figure {axis + 4}" if case == "none" else f"{MISTUNED_M:g} m of noise, {result.config.sigma_range_m:g} m assumed"
-        ax.set(title=f"{title}: AUKF's RMSE {ratio:.2f} of UKF's", xlabel="time (s)", ylim=(-limit, limit))
+        ax.set(title=f"{title}: RMSE of AUKF {ratio:.2f} of UKF", xlabel="time (s)", ylim=(-limit, limit))
     axes[0].set(ylabel=f"error of {AXES[axis]} (m)")
     fig.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return fig
@@ -151,9 +151,7 @@ def _burst(result: Result, axis: int, case: str, number: str, limits: tuple[floa
         result.squares(own, f"{case}/ukf", "burst", axis=axis)
     )
     channels = "ranges" if case == "ranges" else "ranges and rates"
-    axes[0].set(
-        ylabel=f"error of {AXES[axis]} (m)", title=f"Figure {number}: burst on {channels}: AUKF's RMSE {ratio:.2f} of UKF's"
-    )
+    axes[0].set(ylabel=f"error of {AXES[axis]} (m)", title=f"Figure {number}: burst on {channels}: RMSE of AUKF {ratio:.2f} of UKF")
     fig.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
     return fig
 
