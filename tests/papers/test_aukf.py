@@ -323,9 +323,9 @@ REAL = Path(__file__).parents[3] / "shared" / "data" / "rinex"
 
 @pytest.mark.skipif(not REAL.is_dir(), reason="no real files beside the checkout")
 def test_a_real_receiver(result, tmp_path):
-    """The first three hours of its day; `celnav reproduce --rinex` takes twelve."""
+    """The first two hours of its day; `celnav reproduce --rinex` takes twelve."""
     text = hatanaka.decompress(next(REAL.glob("*MO.crx.gz")).read_bytes()).decode("ascii")
-    (tmp_path / "ESBC_MO.rnx").write_text(text[: text.index("> 2020 06 25 03 00")], encoding="ascii")
+    (tmp_path / "ESBC_MO.rnx").write_text(text[: text.index("> 2020 06 25 02 00")], encoding="ascii")
     shutil.copy(next(REAL.glob("*MN.rnx.gz")), tmp_path)
     day = real.real(PRESETS["burst"], generator(0, 60, 0), tmp_path)
     listed = {c.id: c for c in aukf.claims(replace(result, real=day)) if c.id.startswith("real-")}
