@@ -264,6 +264,7 @@ def _position(options: argparse.Namespace) -> int:
     from celnav import positioning, positioning_report, rinex
     from celnav.files import Outputs
     from celnav.filters.driver import FilterError
+    from celnav.models.receiver import on_earth
 
     mask, noise = _number("mask", options.mask), _number("acceleration-noise", options.acceleration_noise)
     given = None if options.position is None else np.array([_number("position", text) for text in options.position])
@@ -271,7 +272,7 @@ def _position(options: argparse.Namespace) -> int:
         positioning.mask(mask)
         names = ["ls", *positioning.filters(4, acceleration=noise)]
         if given is not None:
-            positioning_report.on_earth(given)
+            on_earth("position", given)
     except ValueError as error:
         raise UsageError(error) from None
     if options.filter not in names:
@@ -290,7 +291,7 @@ def _position(options: argparse.Namespace) -> int:
     try:
         with outputs.path_for(positioning_report.RECORDING) as path:
             positioning_report.record_positioned(found, path)
-    except (ImportError, OSError, RuntimeError) as error:
+    except (ImportError, OSError, RuntimeError, ValueError) as error:  # of one epoch there is none
         print(f"celnav: no recording ({error}); everything else is written", file=sys.stderr)
     print(f"wrote {outputs.directory}")
     return 0

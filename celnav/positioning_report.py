@@ -20,6 +20,7 @@ from celnav.filters.driver import run
 from celnav.linalg import Array
 from celnav.models import pseudorange
 from celnav.models.beidou import ELLIPSOID, GEO_NUMBERS
+from celnav.models.receiver import on_earth
 from celnav.positioning import Log, filters
 from celnav.rinex import BDT_BEGINNING
 
@@ -71,17 +72,6 @@ class Positioned:
         return np.asarray((self.log.times - self.log.times[0]) / 60.0)
 
 
-def on_earth(position: Array) -> None:
-    """Check that a position ``(3,)`` may be a receiver's.
-
-    Raises
-    ------
-    ValueError: unless it is in Earth-fixed meters, near the surface or in a low orbit.
-    """
-    if not (np.isfinite(position).all() and 6.3e6 < np.linalg.norm(position) < 1e7):
-        raise ValueError(f"position: expected Earth-fixed meters, 6300 to 10000 km from the middle, got {position}")
-
-
 def position(log: Log, filter: str, reference: Array | None, *, acceleration: float = 0.01) -> Positioned:
     """Run a filter of `celnav.positioning.filters` over a log; "ls" takes each epoch by itself.
 
@@ -91,7 +81,7 @@ def position(log: Log, filter: str, reference: Array | None, *, acceleration: fl
     """
     known = filters(len(log.names), acceleration=acceleration)
     if reference is not None:
-        on_earth(reference)
+        on_earth("reference", reference)
     if filter == "ls":
         return Positioned(log, filter, log.fixes, log.fix_cov, reference)
     if filter not in known:

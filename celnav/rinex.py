@@ -20,6 +20,7 @@ from celnav.files import InputError
 from celnav.linalg import Array
 from celnav.models.beidou import ELLIPSOID, GEO_NUMBERS, GPS_AHEAD_S, WEEK_S, Broadcast
 from celnav.models.pseudorange import local_axes
+from celnav.models.receiver import on_earth
 from celnav.rinex_text import epochs_alone, header_of, imported, of_system, sets_alone, three_numbers, unpacked
 
 BDT_BEGINNING = np.datetime64("2006-01-01T00:00:00", "ns")
@@ -154,6 +155,10 @@ def _position(path: Path, header: dict[str, list[str]]) -> Array | None:
     up, east, north = three_numbers(path, header, "ANTENNA: DELTA H/E/N")
     if not marker.any():
         return None
+    try:
+        on_earth("APPROX POSITION XYZ", marker)
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from None
     latitude, longitude, _ = ecef2geodetic(*marker, ell=ELLIPSOID, deg=False)
     return np.asarray(marker + np.array([east, north, up]) @ local_axes(latitude, longitude))
 

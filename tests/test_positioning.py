@@ -296,6 +296,10 @@ OBSERVATIONS = {
         "expected a number, got '3xxxxx16.123'",
     ),
     "a row that is cut off": (lambda t: t.replace(first_row(t), first_row(t)[:-7], 1), "the last one is cut off"),
+    "a position in kilometers": (
+        lambda t: t.replace("".join(f"{v:14.4f}" for v in PLACE), "".join(f"{v / 1e3:14.4f}" for v in PLACE)),
+        "APPROX",
+    ),
     "a garbled position": (
         lambda t: re.sub(r"-2611857\.0000", "-26xx857.0000", t),
         "expected three numbers in APPROX POSITION XYZ",
@@ -385,6 +389,14 @@ def test_a_truncated_log_is_told_with_its_line(files, tmp_path, capsys):
     Path(files[0]).write_text("\n".join(kept) + "\n", "ascii")
     assert cli.main(["position", *files, "--out", str(tmp_path / "out")]) == 1
     assert f"obs.rnx, line {len(kept)}: expected" in capsys.readouterr().err
+
+
+def test_a_log_of_one_epoch_is_positioned_without_a_recording(files, tmp_path, capsys):
+    lines = Path(files[0]).read_text("ascii").splitlines(keepends=True)
+    second = [k for k, line in enumerate(lines) if line.startswith(">")][1]
+    Path(files[0]).write_text("".join(lines[:second]), "ascii")
+    assert cli.main(["position", *files, "--out", str(tmp_path / "out")]) == 0
+    assert "no recording (times: expected two or more" in capsys.readouterr().err
 
 
 def test_absent_files_and_foreign_results_are_told(files, tmp_path, capsys):

@@ -32,3 +32,14 @@ def process_noise(dt: float, acceleration: float, white: float, walk: float) -> 
     Q[6:, 6:] = walk * block
     Q[6, 6] += white * dt
     return Q
+
+
+def on_earth(name: str, position: Array) -> None:
+    """Check that a position ``(3,)`` may be a receiver's.
+
+    Raises
+    ------
+    ValueError: naming it, unless it is in Earth-fixed meters, near the surface or in a low orbit.
+    """
+    if not (np.isfinite(position).all() and 6.3e6 < np.linalg.norm(position) < 1e7):
+        raise ValueError(f"{name}: expected Earth-fixed meters, 6300 to 10000 km from the middle, got {position}")
