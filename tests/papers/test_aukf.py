@@ -22,8 +22,8 @@ from celnav.models import pseudorange
 from celnav.montecarlo import generator
 from celnav.papers import aukf, figures, tables
 from celnav.papers.aukf import PRESETS, analysis, errata, filters, real, simulate, sweeps
+from celnav.papers.aukf.follow import Kept, follow_cases, watched
 from celnav.papers.aukf.follow import follow as follow_all
-from celnav.papers.aukf.follow import follow_cases, watched
 from celnav.papers.aukf.scenario import EKF, adapted, axes, circle, ukf, visible
 from celnav.points import unscented
 from celnav.positioning import hooks
@@ -149,7 +149,7 @@ def test_without_drawing_anew_the_gain_lacks_the_process_noise():
 def test_factors_are_watched():
     sim, S = simulate(SHORT, runs(4)), len(visible(SHORT).names)
     hook = watched(innovation_window(10))
-    found = follow_all({"aukf": adapted(SHORT, S, unscented(8), hook)}, sim, factors=("aukf",), consistency=("aukf",))
+    found = follow_all({"aukf": adapted(SHORT, S, unscented(8), hook)}, sim, Kept(nis=("aukf",), nees=("aukf",), factor=("aukf",)))
     factor = found["aukf/factor"]
     assert factor.shape == (41, 4, 2 * S)
     np.testing.assert_array_equal(factor[:9], 1.0)
@@ -171,9 +171,10 @@ def test_cases_side_by_side_are_cases_alone():
     cases = {case: simulate(replace(SHORT, burst=case), runs(2)) for case in ("none", "ranges")}
     known = filters(SHORT)
     chosen = {"aukf": known["aukf"], "student": known["student"]}
-    together = follow_cases(chosen, cases, consistency=("aukf",))
+    kept = Kept(nis=("aukf",), nees=("aukf",), cov=("aukf",))
+    together = follow_cases(chosen, cases, kept)
     for case, sim in cases.items():
-        for key, values in follow_all(chosen, sim, consistency=("aukf",)).items():
+        for key, values in follow_all(chosen, sim, kept).items():
             np.testing.assert_allclose(together[f"{case}/{key}"], values, rtol=1e-6, atol=1e-6, err_msg=key)
 
 

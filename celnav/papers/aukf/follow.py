@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,32 +29,35 @@ def watched(hook: Hook) -> Hook:
     return watching
 
 
-def follow(filters: dict[str, Filter], sim: Scenario, *, consistency: Sequence[str] = (), factors: Sequence[str] = ()) -> Found:
-    """Run filters by name; a filter that loses a run keeps it as nan.
+class Kept(NamedTuple):
+    """What is kept of which filters, by name, besides the errors.
 
-    Returns
-    -------
-    ``error (T, runs, 8)``; of those in ``consistency`` ``nees (T, runs)``, ``nis`` and ``cov (T, 1, 8, 8)`` of the first run; of
-    those in ``factors``, whose first hook is `watched`, ``factor (T, runs, 2 S)``.
+    Attributes
+    ----------
+    nis: ``(T, runs)``. nees: ``(T, runs)``. cov: ``(T, 1, 8, 8)`` of the first run. factor: ``(T, runs, 2 S)``, of filters whose
+        first hook is `watched`.
     """
-    return _follow(filters, sim, consistency, factors, len(sim.prior.mean))
+
+    nis: Sequence[str] = ()
+    nees: Sequence[str] = ()
+    cov: Sequence[str] = ()
+    factor: Sequence[str] = ()
 
 
-def follow_cases(
-    filters: dict[str, Filter],
-    cases: dict[str, Scenario],
-    *,
-    consistency: Sequence[str] = (),
-    factors: Sequence[str] = (),
-) -> Found:
+def follow(filters: dict[str, Filter], sim: Scenario, kept: Kept = Kept()) -> Found:
+    """Run filters by name: ``<filter>/error (T, runs, 8)`` and what is `Kept`; a filter that loses a run keeps it as nan."""
+    return _follow(filters, sim, kept, len(sim.prior.mean))
+
+
+def follow_cases(filters: dict[str, Filter], cases: dict[str, Scenario], kept: Kept = Kept()) -> Found:
     """`follow` of several scenarios at once, which have as many runs each: ``<case>/<filter>/<what>``."""
     sims = list(cases.values())
-    found = _follow(filters, side_by_side(sims), consistency, factors, len(sims[0].prior.mean))
+    found = _follow(filters, side_by_side(sims), kept, len(sims[0].prior.mean))
     parts = {key: np.split(values, len(sims), 1) for key, values in found.items()}
     return {f"{case}/{key}": part[i] for i, case in enumerate(cases) for key, part in parts.items()}
 
 
-def _follow(filters: dict[str, Filter], sim: Scenario, consistency: Sequence[str], factors: Sequence[str], runs: int) -> Found:
+def _follow(filters: dict[str, Filter], sim: Scenario, kept: Kept, runs: int) -> Found:
     """Covariances are kept of the first of each ``runs``."""
     out: Found = {}
     for name, filter in filters.items():
@@ -62,10 +65,13 @@ def _follow(filters: dict[str, Filter], sim: Scenario, consistency: Sequence[str
         def also(epoch: Epoch, state: Any, info: Any, name: str = name) -> dict[str, Array]:
             belief = state.belief
             found = {"error": belief.mean - epoch.truth}
-            if name in consistency:
-                found["nees"], found["nis"] = nees(found["error"], cholesky(belief.cov)), np.square(info.white).sum(-1)
+            if name in kept.nis:
+                found["nis"] = np.square(info.white).sum(-1)
+            if name in kept.nees:
+                found["nees"] = nees(found["error"], cholesky(belief.cov))
+            if name in kept.cov:
                 found["cov"] = belief.cov[::runs]
-            if name in factors:
+            if name in kept.factor:
                 found["factor"] = state.memory[0][0][1]
             return found
 

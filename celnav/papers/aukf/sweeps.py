@@ -16,7 +16,7 @@ from celnav.models import pseudorange
 from celnav.montecarlo import normals
 from celnav.papers.aukf.config import PRESETS, Config
 from celnav.papers.aukf.errata import without_redraw
-from celnav.papers.aukf.follow import Found, follow, follow_cases, watched
+from celnav.papers.aukf.follow import Found, Kept, follow, follow_cases, watched
 from celnav.papers.aukf.scenario import EKF, LATE_EKF, Scenario, adapted, filters, simulate, ukf, visible
 from celnav.points import unscented
 from celnav.positioning import parity_of_groups
@@ -46,7 +46,8 @@ def main(config: Config, rngs: Rngs) -> Found:
     cases = {case: simulate(replace(config, burst=case), rngs) for case in CASES}
     known = filters(config)
     chosen = {name: known[name] for name in MAIN} | {"aukf": _paper(config)}
-    return follow_cases(chosen, cases, factors=("aukf",), consistency=("ekf", "ukf", "aukf", "group"))
+    shown = ("ekf", "aukf", "group")
+    return follow_cases(chosen, cases, Kept(nis=shown, cov=(*shown, "ukf"), factor=("aukf",)))
 
 
 def baselines(config: Config, rngs: Rngs) -> Found:
@@ -70,7 +71,7 @@ def process_noise(config: Config, rngs: Rngs) -> Found:
         group = adapted(c, S, ukf(c), parity_of_groups(S), Q=Q)
         chosen = {"ekf": adapted(c, S, EKF, Q=Q), "aukf": _paper(c, Q), "group": group}
         cases = {f"{interval:g}/{density:g}": sim for density in densities}
-        out |= follow_cases(chosen, cases, factors=("aukf",), consistency=("ekf",))
+        out |= follow_cases(chosen, cases, Kept(nis=("ekf",), factor=("aukf",)))
     return out
 
 
@@ -134,7 +135,8 @@ def matched(config: Config, rngs: Rngs) -> Found:
     sim, known = drawn(c, rngs), filters(c)
     chosen = {name: known[name] for name in ("ekf", "ukf", "aukf", "group", "channel")}
     chosen |= {"aukf": _paper(c), "no redraw": without_redraw(c, _size(c), ukf(c))}
-    return follow(chosen, sim, consistency=tuple(chosen), factors=("aukf",)) | {"bound": bound(sim)[:, None]}
+    names = tuple(chosen)
+    return follow(chosen, sim, Kept(nis=names, nees=names, factor=("aukf",))) | {"bound": bound(sim)[:, None]}
 
 
 def drawn(config: Config, rngs: Rngs) -> Scenario:
@@ -173,7 +175,7 @@ def redraw(config: Config, rngs: Rngs) -> Found:
     S, rule = _size(c), ukf(c)
     chosen = {"ukf": adapted(c, S, rule), "no redraw": without_redraw(c, S, rule)}
     chosen |= {"ekf": adapted(c, S, EKF), "late ekf": adapted(c, S, LATE_EKF)}
-    return follow(chosen, simulate(c, rngs), consistency=("no redraw",))
+    return follow(chosen, simulate(c, rngs), Kept(nees=("no redraw",)))
 
 
 class Study(NamedTuple):
