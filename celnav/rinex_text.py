@@ -52,6 +52,7 @@ def unpacked(path: Path) -> tuple[str, str]:
 
 
 def imported(name: str) -> Any:
+    """A package that only receiver logs need; ImportError says how to get it."""
     try:
         return import_module(name)
     except ImportError as error:

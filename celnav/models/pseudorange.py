@@ -121,6 +121,10 @@ class Dilution(NamedTuple):
     time: Array
 
 
+SINGULAR = 1e-6
+"""Directions this close to each other, rad, or satellites this close to a cone, are no geometry."""
+
+
 def dilution(q: Array, position: Array, axes: Array, used: Array | None = None) -> Dilution:
     """What a fix from ranges alone makes of their noise; nan where satellites ``used (..., S)`` do not determine one."""
     e = _unit(q - position[..., None, :]) @ np.swapaxes(axes, -1, -2)
@@ -134,7 +138,3 @@ def dilution(q: Array, position: Array, axes: Array, used: Array | None = None) 
     east, north, up, time = np.moveaxis(np.square(root).sum(-1), -1, 0)
     flat = east + north
     return Dilution(*(np.sqrt(v) for v in (flat + up + time, flat + up, flat, up, time)))
-
-
-SINGULAR = 1e-6
-"""Directions this close to each other, rad, or satellites this close to a cone, are no geometry."""

@@ -109,7 +109,7 @@ def test_every_rule_moves_a_linear_model_alike():
 @pytest.mark.parametrize(
     ("change", "name"),
     [({"interval_s": 0.0}, "interval_s"), ({"burst": "some"}, "burst"), ({"window": 0}, "window"), ({"runs": 1.5}, "runs"),
-     ({"sigma_range_m": np.nan}, "sigma_range_m"), ({"deviation": (1.0, 1.0, 1.0, 0.0)}, "deviation"),
+     ({"sigma_range_m": np.nan}, "sigma_range_m"), ({"alpha": None}, "alpha"), ({"deviation": (1.0, 1.0, 1.0, 0.0)}, "deviation"),
      ({"clock_walk_m2_per_s3": -1.0}, "clock_walk_m2_per_s3"), ({"burst_s": (70.0, 60.0)}, "burst_s"),
      ({"mask_deg": 90.0}, "mask_deg"),
      ({"latitude_deg": 100.0}, "latitude_deg"), ({"burst_satellite": -1}, "burst_satellite"),

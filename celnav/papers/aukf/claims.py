@@ -124,12 +124,12 @@ def _figures_7_to_9(j: Evidence) -> list[Claim]:
     text = "Figs 7-9: AUKF recovers fast: five seconds after the burst AUKF to UKF, position RMSE (ratio)"
     out.append(j.lengthy("figure-7-after", "calibrated", text, ratio, samples, (None, 0.35)))
     text = "Figs 7-9: mean factor of the ranges' noise in the burst"
-    samples = [r.factors("ranges", False, "burst")]
+    samples = [r.range_factors("ranges", "burst")]
     expected = 1.0 + (r.config.burst_sigma / r.config.sigma_range_m) ** 2
     note = f"{expected:.0f} were right; the window has to fill first"
     out.append(j.lengthy("figure-7-factor", "calibrated", text, np.mean, samples, (220.0, 310.0), note=note))
     text = "Figs 4-6: mean factor of the ranges' noise without a burst"
-    out.append(j.lengthy("figure-4-factor", "calibrated", text, np.mean, [r.factors("none", False, "quiet")], (1.1, 1.25)))
+    out.append(j.lengthy("figure-4-factor", "calibrated", text, np.mean, [r.range_factors("none", "quiet")], (1.1, 1.25)))
     for filter, near in (("aukf", 0.644), ("ukf", 3.13)):
         text = f"Figs 7-9: position RMSE over all the time, {LABELS[filter]} (m)"
         samples = [r.squares("main", f"ranges/{filter}", "all")]

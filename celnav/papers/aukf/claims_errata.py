@@ -34,7 +34,7 @@ def _noise(j: Evidence) -> list[Claim]:
     text = "E2: sampling makes A smaller than 1, and so clips it, about half the time: part of the ranges' factors that are 1"
     out.append(j.lengthy("erratum-2-half", "erratum", text, np.mean, exact, (0.45, 0.65)))
     text = "E2: A is not 1 where the noise is as the filter thinks: mean factor of the ranges"
-    samples = [r.factors("none", False, "quiet")]
+    samples = [r.range_factors("none", "quiet")]
     out.append(j.lengthy("erratum-2-mean", "erratum", text, np.mean, samples, (1.1, 1.25)))
     return out
 

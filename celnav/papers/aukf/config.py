@@ -59,7 +59,7 @@ class Config:
     def __post_init__(self) -> None:
         shapes: dict[str, tuple[int, ...]] = {"burst_s": (2,), "deviation": (4,)}
         for name in self.__dataclass_fields__:
-            if name != "burst" and getattr(self, name) is not None:
+            if name != "burst" and (name, getattr(self, name)) != ("acceleration_noise_m2_per_s3", None):
                 finite(name, getattr(self, name), shapes.get(name, ()))
         positive = ("speed_m_per_s", "acceleration_g", "interval_s", "duration_s", "sigma_range_m", "sigma_rate_m_per_s",
                     "true_sigma_range_m", "burst_sigma", "alpha")  # fmt: skip

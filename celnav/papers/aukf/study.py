@@ -77,11 +77,10 @@ class Result:
         error = self.data[study][f"{key}/error"][self.window("burst")][..., :3]
         return np.asarray(np.sqrt(np.square(error).sum(-1)).max(0))
 
-    def factors(self, case: str, rates: bool, window: str) -> Array:
-        """Mean factor ``(runs,)`` of the noise of ranges or rates in the filter of the paper."""
+    def range_factors(self, case: str, window: str) -> Array:
+        """Mean factor ``(runs,)`` of the ranges' noise in the filter of the paper."""
         factor = self.data["main"][f"{case}/aukf/factor"][self.window(window)]
-        S = factor.shape[-1] // 2
-        return np.asarray(factor[..., S:].mean((0, 2)) if rates else factor[..., :S].mean((0, 2)))
+        return np.asarray(factor[..., : factor.shape[-1] // 2].mean((0, 2)))
 
     def arrays(self) -> dict[str, Array]:
         """Arrays to store: position RMSE over the runs against time, and the first run's errors."""
