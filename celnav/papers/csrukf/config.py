@@ -22,6 +22,8 @@ CITATION = """\
   note    = {in Chinese}
 }"""
 
+MEASURED = ("positions", "angles")
+
 
 @dataclass(frozen=True)
 class Config:
@@ -51,6 +53,7 @@ class Config:
     noise_position_km: float = 7.5e-3  # inferred: root of Q, per step
     noise_velocity_km_per_s: float = 1e-8  # inferred
     phi: float = 0.0  # paper: 0 (case 1), 1 and 0.8 (cases 2 and 3), times the identity
+    measured: str = "positions"  # inferred; or "angles": the noise lives on them, and positions are computed from them
     first_noise: str = "R"  # chosen: covariance of V_0, "R", "stationary" or "zero"
     alpha: float = 1.0  # chosen, with beta and kappa: no negative weight
     beta: float = 0.0
@@ -58,8 +61,10 @@ class Config:
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
-            if name != "first_noise":
+            if name not in ("first_noise", "measured"):
                 finite(name, getattr(self, name), ())
+        if self.measured not in MEASURED:
+            raise ValueError(f"measured: expected one of {', '.join(MEASURED)}, got {self.measured!r}")
         if self.steps < 1 or self.steps != int(self.steps):
             raise ValueError(f"steps: expected at least 1 (two samples), got {self.steps!r}")
         if self.runs < 1 or self.runs != int(self.runs):

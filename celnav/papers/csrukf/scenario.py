@@ -28,22 +28,30 @@ class Scenario(NamedTuple):
     units of what was measured; ``angles (T, ..., 3)`` rad where angles were measured, else None.
     """
 
-    times: Array
+    config: Config
     truth: Array
     z: Array
     noise: Array
     prior: Gaussian
     angles: Array | None = None
 
+    @property
+    def times(self) -> Array:
+        """Epochs ``(T,)`` s."""
+        return self.config.times
+
     def epochs(self, *, first: bool = True) -> Epochs:
         """Epochs with pseudo-positions; ``first=False`` withholds the sample at the start."""
         return epochs(self.times, self.z if first else _without_first(self.z), truth=self.truth)
 
-    def angle_epochs(self, *, first: bool = True) -> Epochs:
-        """Epochs with angles."""
+    def epochs_of(self, filter: str) -> Epochs:
+        """What a filter of `filters` is given: positions or angles; those that take the noise for white, not the first sample."""
+        if filter != "angles":
+            return self.epochs(first=not filter.startswith("srukf"))
         if self.angles is None:
-            raise ValueError("angle_epochs: this scenario measured positions")
-        return epochs(self.times, self.angles if first else _without_first(self.angles), truth=self.truth)
+            raise ValueError("filter: 'angles' needs measured angles, got a scenario of measured positions")
+        z = self.angles if self.config.phi else _without_first(self.angles)
+        return epochs(self.times, z, truth=self.truth)
 
 
 def _without_first(z: Array) -> Array:
@@ -61,10 +69,10 @@ def dynamics(config: Config) -> Model:
     return f
 
 
-def simulate(config: Config, rng: np.random.Generator | Sequence[np.random.Generator], *, angles: bool = False) -> Scenario:
+def simulate(config: Config, rng: np.random.Generator | Sequence[np.random.Generator]) -> Scenario:
     """Simulate one run, or one run for each generator: orbit with process noise, colored noise, an initial estimate.
 
-    With ``angles`` the noise lives on the three angles, and the pseudo-positions are computed from them.
+    Where angles are measured, the noise lives on the three of them, and the pseudo-positions are computed from them.
     """
     single = isinstance(rng, np.random.Generator)
     rngs = [rng] if isinstance(rng, np.random.Generator) else list(rng)
@@ -76,7 +84,7 @@ def simulate(config: Config, rng: np.random.Generator | Sequence[np.random.Gener
         truth[k + 1] = orbit.step(truth[k], config.step_s) + w[k]
     mean = truth[0] + initial * config.sqrt_P0.diagonal()
     measured = None
-    if angles:
+    if config.measured == "angles":
         noise = ar1(config.Phi, zeta * config.sigma_angles, first * config.sigma_angles)
         measured = sightings.angles(truth[..., :3], sightings.star_directions(config.separation)) + noise
         z = sightings.position(measured, config.separation, np.sign(truth[..., 2]), strict=False)
@@ -86,7 +94,7 @@ def simulate(config: Config, rng: np.random.Generator | Sequence[np.random.Gener
     if single:
         truth, z, noise, mean = truth[:, 0], z[:, 0], noise[:, 0], mean[0]
         measured = None if measured is None else measured[:, 0]
-    return Scenario(config.times, truth, z, noise, config.prior(mean), measured)
+    return Scenario(config, truth, z, noise, config.prior(mean), measured)
 
 
 def filters(config: Config) -> dict[str, Filter]:
@@ -95,21 +103,28 @@ def filters(config: Config) -> dict[str, Filter]:
     srukf: white noise assumed. csrukf: the paper's structure, corrected; its state also holds the lagged estimate.
     csrukf+z0: uses the first sample, in one transform. augmented: the exact reference. srukf-reff: white noise of the same
     spectrum at zero frequency, where there is one, else srukf-inflated: of half the walk's final variance. openloop: no
-    measurement at all.
+    measurement at all. Where angles are measured see `angle_filters`.
     """
+    if config.measured == "angles":
+        return angle_filters(config)
     f, rule, Q, R = dynamics(config), config.rule, config.sqrt_Q, config.R
     out = {
         "srukf": white(config, R),
         "csrukf": decorrelated(f, H, rule, config.Phi, sqrt_Q=Q, R=R),
         "csrukf+z0": colored(f, H, rule, config.Phi, sqrt_Q=Q, R=R, Sigma0=config.Sigma0),
         "augmented": augmented(f, H, unscented(9), config.Phi, Q=Q @ Q.T, R=R, Sigma0=config.Sigma0),
-        "openloop": sequential(predict(f, rule, sqrt_Q=Q)),
+        "openloop": open_loop(config),
     }
     if abs(config.phi) < 1.0:
         out["srukf-reff"] = white(config, effective_covariance(config.Phi, R))
     else:
         out["srukf-inflated"] = white(config, 0.5 * config.steps * R)
     return out
+
+
+def open_loop(config: Config) -> Filter:
+    """No measurement at all."""
+    return sequential(predict(dynamics(config), config.rule, sqrt_Q=config.sqrt_Q))
 
 
 def white(config: Config, R: Array) -> Filter:
@@ -136,14 +151,27 @@ def jacobian_covariance(config: Config) -> Array:
 
 
 def angle_filters(config: Config) -> dict[str, Filter]:
-    """Filters on the angles themselves: "white" takes their noise for white, "colored" whitens it in angle space."""
+    """Filters where angles are measured, by name.
+
+    srukf-isotropic, csrukf-isotropic: on pseudo-positions, all components taken for equally good. csrukf-jacobian: on
+    pseudo-positions, with the covariance that the angles give them. angles: on the angles themselves; their noise is whitened
+    if it has a color. openloop: no measurement at all.
+    """
     f, stars = dynamics(config), sightings.star_directions(config.separation)
-    root = np.diag(config.sigma_angles)
+    root, table = np.diag(config.sigma_angles), jacobian_covariance(config)
+    isotropic = np.trace(table, axis1=-2, axis2=-1).mean() / 3.0 * np.eye(3)
 
     def h(x: Array, epoch: object) -> Array:  # noqa: ARG001
         return sightings.angles(x[..., :3], stars)
 
+    if config.phi:
+        angles = colored(f, h, unscented(12), config.Phi, sqrt_Q=config.sqrt_Q, sqrt_R=root)
+    else:
+        angles = sequential(predict(f, config.rule, sqrt_Q=config.sqrt_Q), update(h, config.rule, sqrt_R=root))
     return {
-        "white": sequential(predict(f, config.rule, sqrt_Q=config.sqrt_Q), update(h, config.rule, sqrt_R=root)),
-        "colored": colored(f, h, unscented(12), config.Phi, sqrt_Q=config.sqrt_Q, sqrt_R=root),
+        "srukf-isotropic": white(config, isotropic),
+        "csrukf-isotropic": single_transform(config, isotropic),
+        "csrukf-jacobian": single_transform(config, table),
+        "angles": angles,
+        "openloop": open_loop(config),
     }

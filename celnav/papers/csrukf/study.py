@@ -78,8 +78,8 @@ def _errors(name: str, filter: Filter, sim: scenario.Scenario, epochs: Epochs, o
     out |= {f"{name}/{key}": value for key, value in track.extra.items()} | {f"{name}/nis": nis}
 
 
-def _simulated(config: Config, seed: int, study: int, runs: range, **options: bool) -> scenario.Scenario:
-    return scenario.simulate(config, [generator(seed, study, r) for r in runs], **options)
+def _simulated(config: Config, seed: int, study: int, runs: range) -> scenario.Scenario:
+    return scenario.simulate(config, [generator(seed, study, r) for r in runs])
 
 
 def _cases(config: Config, seed: int, study: int, runs: range, names: tuple[str, ...], wrong: tuple[str, ...]) -> dict[str, Array]:
@@ -88,7 +88,7 @@ def _cases(config: Config, seed: int, study: int, runs: range, names: tuple[str,
     out = {"truth": sim.truth, "z": sim.z, "noise": sim.noise}
     known = scenario.filters(config)
     for name in names:
-        _errors(name, known[name], sim, sim.epochs(first=not name.startswith("srukf")), out)
+        _errors(name, known[name], sim, sim.epochs_of(name), out)
         if name == "csrukf":  # the lagged estimate of epoch k stands in the state of epoch k + 1
             out["lagged/error"] = (out.pop("csrukf/lagged")[1:] - sim.truth[:-1]) * UNITS
         else:
@@ -112,20 +112,11 @@ def _assumed(config: Config, seed: int, study: int, runs: range, phis: tuple[flo
 
 def _sensors(config: Config, seed: int, study: int, runs: range, names: tuple[str, ...]) -> dict[str, Array]:
     """Filters on measured angles, converted to pseudo-positions or ("angles") used as they are."""
-    sim = _simulated(config, seed, study, runs, angles=True)
+    measuring = replace(config, measured="angles")
+    sim, filters = _simulated(measuring, seed, study, runs), scenario.filters(measuring)
     out: dict[str, Array] = {}
-    table = scenario.jacobian_covariance(config)
-    isotropic = np.trace(table, axis1=-2, axis2=-1).mean() / 3.0 * np.eye(3)
-    filters = {
-        "srukf-isotropic": scenario.white(config, isotropic),
-        "csrukf-isotropic": scenario.single_transform(config, isotropic),
-        "csrukf-jacobian": scenario.single_transform(config, table),
-        "angles": scenario.angle_filters(config)["colored" if config.phi else "white"],
-    }
     for name in names:
-        colored = config.phi != 0.0 if name == "angles" else not name.startswith("srukf")
-        epochs = sim.angle_epochs if name == "angles" else sim.epochs
-        _errors(name, filters[name], sim, epochs(first=colored), out)
+        _errors(name, filters[name], sim, sim.epochs_of(name), out)
     return {key: value for key, value in out.items() if not key.endswith("lagged")}
 
 
