@@ -6,6 +6,7 @@ did not make, or which was changed since, is refused instead of replaced.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import io
 import json
@@ -17,10 +18,12 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+from filelock import FileLock, Timeout
 
 from celnav.linalg import Array
 
 MANIFEST = ".celnav.json"
+LOCK = ".celnav.lock"
 
 
 class ForeignFileError(OSError):
@@ -33,15 +36,23 @@ class InputError(ValueError):
 
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
-    """A path of the same name in a temporary folder beside ``path``; it takes the place of ``path`` at the end, or is removed."""
+    """A path of the same name in a temporary folder beside ``path``; it takes the place of ``path`` at the end, or is removed.
+
+    OSError names ``path`` when the disk is full.
+    """
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=".celnav-", dir=target.parent) as folder:
-        temporary = Path(folder) / target.name
-        yield temporary
-        with temporary.open("rb+") as file:
-            os.fsync(file.fileno())
-        os.replace(temporary, target)
+    try:
+        with tempfile.TemporaryDirectory(prefix=".celnav-", dir=target.parent) as folder:
+            temporary = Path(folder) / target.name
+            yield temporary
+            with temporary.open("rb+") as file:
+                os.fsync(file.fileno())
+            os.replace(temporary, target)
+    except OSError as error:
+        if error.errno != errno.ENOSPC:
+            raise
+        raise OSError(error.errno, "no space left to write the file", str(target)) from None
 
 
 def write_bytes(path: str | Path, content: bytes) -> None:
@@ -69,6 +80,25 @@ def read_npz(path: str | Path) -> dict[str, Array]:
             return {name: stored[name] for name in stored.files}
     except (ValueError, EOFError, zipfile.BadZipFile, KeyError, AttributeError) as error:
         raise ValueError(f"{path}: expected an npz file of plain arrays ({error})") from None
+
+
+@contextmanager
+def locked(folder: str | Path) -> Iterator[None]:
+    """Keep other processes that ask for the same out of an existing folder; the lock ends with this process, however it ends.
+
+    Raises
+    ------
+    BlockingIOError: naming the folder, if another process is there.
+    """
+    lock = FileLock(Path(folder) / LOCK)
+    try:
+        lock.acquire(blocking=False)
+    except Timeout:
+        raise BlockingIOError(f"{folder}: another celnav is at work there; wait for it, or choose another folder") from None
+    try:
+        yield
+    finally:
+        lock.release()
 
 
 class Outputs:

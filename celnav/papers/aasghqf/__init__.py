@@ -35,6 +35,7 @@ from celnav.papers.aasghqf.record import RECORDINGS, record
 from celnav.papers.aasghqf.scenario import Scenario, filters, simulate
 from celnav.papers.aasghqf.study import Result, reproduce
 from celnav.papers.aasghqf.tables import table_1, table_2, table_3, table_4
+from celnav.papers.aasghqf.trial import trial
 
 __all__ = [
     "CITATION",
@@ -65,4 +66,5 @@ __all__ = [
     "table_2",
     "table_3",
     "table_4",
+    "trial",
 ]

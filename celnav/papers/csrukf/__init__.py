@@ -46,6 +46,7 @@ from celnav.papers.csrukf.record import RECORDINGS, record
 from celnav.papers.csrukf.scenario import Scenario, filters, simulate
 from celnav.papers.csrukf.study import Result, reproduce
 from celnav.papers.csrukf.tables import table_1, table_2, table_3
+from celnav.papers.csrukf.trial import trial
 
 __all__ = [
     "CITATION",
@@ -82,5 +83,6 @@ __all__ = [
     "table_1",
     "table_2",
     "table_3",
+    "trial",
     "tune",
 ]

@@ -44,14 +44,17 @@ class Scenario(NamedTuple):
         """Epochs with pseudo-positions; ``first=False`` withholds the sample at the start."""
         return epochs(self.times, self.z if first else _without_first(self.z), truth=self.truth)
 
+    def angle_epochs(self, *, first: bool = True) -> Epochs:
+        """Epochs with angles."""
+        if self.angles is None:
+            raise ValueError("angle_epochs: this scenario measured positions")
+        return epochs(self.times, self.angles if first else _without_first(self.angles), truth=self.truth)
+
     def epochs_of(self, filter: str) -> Epochs:
         """What a filter of `filters` is given: positions or angles; those that take the noise for white, not the first sample."""
-        if filter != "angles":
-            return self.epochs(first=not filter.startswith("srukf"))
-        if self.angles is None:
-            raise ValueError("filter: 'angles' needs measured angles, got a scenario of measured positions")
-        z = self.angles if self.config.phi else _without_first(self.angles)
-        return epochs(self.times, z, truth=self.truth)
+        if filter == "angles":
+            return self.angle_epochs(first=self.config.phi != 0.0)
+        return self.epochs(first=not filter.startswith("srukf"))
 
 
 def _without_first(z: Array) -> Array:
@@ -150,6 +153,16 @@ def jacobian_covariance(config: Config) -> Array:
     return sightings.pseudo_position_covariance(config.nominal()[:, :3], config.separation, config.sigma_angles)
 
 
+def angle_model(config: Config) -> Model:
+    """Model function of the three angles."""
+    stars = sightings.star_directions(config.separation)
+
+    def h(x: Array, epoch: object) -> Array:  # noqa: ARG001
+        return sightings.angles(x[..., :3], stars)
+
+    return h
+
+
 def angle_filters(config: Config) -> dict[str, Filter]:
     """Filters where angles are measured, by name.
 
@@ -157,13 +170,9 @@ def angle_filters(config: Config) -> dict[str, Filter]:
     pseudo-positions, with the covariance that the angles give them. angles: on the angles themselves; their noise is whitened
     if it has a color. openloop: no measurement at all.
     """
-    f, stars = dynamics(config), sightings.star_directions(config.separation)
+    f, h = dynamics(config), angle_model(config)
     root, table = np.diag(config.sigma_angles), jacobian_covariance(config)
     isotropic = np.trace(table, axis1=-2, axis2=-1).mean() / 3.0 * np.eye(3)
-
-    def h(x: Array, epoch: object) -> Array:  # noqa: ARG001
-        return sightings.angles(x[..., :3], stars)
-
     if config.phi:
         angles = colored(f, h, unscented(12), config.Phi, sqrt_Q=config.sqrt_Q, sqrt_R=root)
     else:

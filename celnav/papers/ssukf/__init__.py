@@ -39,6 +39,7 @@ from celnav.papers.ssukf.record import RECORDINGS, record
 from celnav.papers.ssukf.scenario import Scenario, filters, simulate
 from celnav.papers.ssukf.study import Result, compare, reproduce
 from celnav.papers.ssukf.tables import table_1, table_2, table_3
+from celnav.papers.ssukf.trial import trial
 
 __all__ = [
     "CITATION",
@@ -69,4 +70,5 @@ __all__ = [
     "table_1",
     "table_2",
     "table_3",
+    "trial",
 ]

@@ -1,0 +1,132 @@
+"""Campaigns: sweeps of thousands of configurations and runs, on one machine or on a cluster, resumable and bit for bit the same.
+
+`campaign` does a study and keeps it in a folder, `fly` does a mission in memory. `units` says what a piece of work is, `engine`
+hands the pieces out to one of `executors`, `store` keeps them, `table` says what they come to, `figures` and `page` show it, and
+`showcase` follows a mission's first run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+from celnav.campaign.engine import UnfinishedError, compute
+from celnav.campaign.executors import Workers, dask, given, processes, serial
+from celnav.campaign.store import Store, StoreError, open_store
+from celnav.campaign.table import Merged, Row, merged, rows_of
+from celnav.campaign.units import Result, Unit, VersionError, units_of
+from celnav.files import locked
+from celnav.mission import Study
+
+__all__ = [
+    "Outcome",
+    "Row",
+    "StoreError",
+    "UnfinishedError",
+    "VersionError",
+    "campaign",
+    "dask",
+    "fly",
+    "given",
+    "processes",
+    "serial",
+]
+
+Progress = Callable[[int, int], None]
+"""``(runs done, runs in all)``, at the start and whenever a unit is done."""
+Say = Callable[[str], None]
+"""Takes a line that a user should read."""
+
+
+def _silent(*_: object) -> None:
+    """Tell nobody."""
+
+
+FOLLOWED = 6
+"""Configurations whose errors over time are kept for drawing: the first ones."""
+
+
+class Outcome(NamedTuple):
+    """What a study comes to: one row for each configuration and filter, and the first configurations in full."""
+
+    study: Study
+    rows: list[Row]
+    first: list[Merged]
+
+
+def campaign(
+    study: Study,
+    folder: str | Path,
+    workers: Workers | None = None,
+    *,
+    progress: Progress = _silent,
+    say: Say = _silent,
+) -> Outcome:
+    """Do what is missing of a study whose store is ``folder``, and merge it.
+
+    Parameters
+    ----------
+    workers: `serial` (the default), `processes`, `dask`, or any executor as `given`.
+    progress, say: see `Progress` and `Say`; `say` is told of damaged units and of versions that changed.
+
+    Raises
+    ------
+    StoreError: if the folder belongs to another study. BlockingIOError: if another process is at work there. OSError: if it
+    cannot be written. UnfinishedError: if units failed; the others are kept. VersionError: if workers have another celnav.
+    """
+    Path(folder).mkdir(parents=True, exist_ok=True)
+    with locked(folder):
+        store = open_store(folder, study)
+        for line in store.warnings:
+            say(f"{folder}: {line}")
+        plan = units_of(study)
+        todo = [unit for units in plan for unit in units if not _kept(store, unit, say)]
+        total = sum(unit.runs for units in plan for unit in units)
+        done = total - sum(unit.runs for unit in todo)
+        progress(done, total)
+
+        def keep(unit: Unit, result: Result) -> None:
+            nonlocal done
+            store.write(unit, result)
+            done += unit.runs
+            progress(done, total)
+
+        compute(todo, workers or serial(), keep)
+        return _outcome(study, store.read)
+
+
+def fly(study: Study, workers: Workers | None = None, *, progress: Progress = _silent) -> Outcome:
+    """Do a study in memory, without a store. Raises UnfinishedError if units failed."""
+    plan = units_of(study)
+    total, found = sum(unit.runs for units in plan for unit in units), {}
+    done = 0
+    progress(done, total)
+
+    def keep(unit: Unit, result: Result) -> None:
+        nonlocal done
+        found[unit] = result
+        done += unit.runs
+        progress(done, total)
+
+    compute([unit for units in plan for unit in units], workers or serial(), keep)
+    return _outcome(study, found.__getitem__)
+
+
+def _kept(store: Store, unit: Unit, say: Say) -> bool:
+    try:
+        return store.has(unit)
+    except ValueError as error:
+        say(f"{error}; it is computed again")
+        return False
+
+
+def _outcome(study: Study, result: Callable[[Unit], Result]) -> Outcome:
+    rows: list[Row] = []
+    first: list[Merged] = []
+    for units, point in zip(units_of(study), study.configurations, strict=True):
+        found = merged(study, (result(unit) for unit in units))
+        rows += rows_of(study, point, found)
+        if len(first) < FOLLOWED:
+            first.append(found)
+    return Outcome(study, rows, first)

@@ -1,0 +1,82 @@
+"""The engine: hand out units that are missing, keep what comes back, begin again where a worker died."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
+
+from celnav.campaign.executors import Workers
+from celnav.campaign.units import Result, Unit, VersionError, code, execute
+
+ATTEMPTS = 3
+"""How often in a row workers may die, and no unit be finished, before units are tried one by one."""
+
+Keep = Callable[[Unit, Result], None]
+
+
+class UnfinishedError(RuntimeError):
+    """Units that could not be done; everything else is kept."""
+
+
+def compute(units: Iterable[Unit], workers: Workers, keep: Keep) -> None:
+    """Do all units and give each result to ``keep`` as it comes, in any order.
+
+    Raises
+    ------
+    UnfinishedError: after all others are done, if units failed or killed their workers. VersionError: see `execute`; at once.
+    Whatever ``keep`` raises; then nothing more is handed out.
+    """
+    missing = dict.fromkeys(units)
+    unfinished: list[str] = []
+    deaths = 0
+    while missing:
+        # One at a time, it is clear whose worker it is that dies.
+        alone = deaths >= ATTEMPTS
+        try:
+            with workers.open() as executor:
+                for unit, outcome in _results(executor, list(missing), 1 if alone else workers.ahead):
+                    del missing[unit]
+                    if isinstance(outcome, Exception):
+                        unfinished.append(_told(unit, _said(outcome)))
+                    else:
+                        keep(unit, outcome)
+                        deaths = 0
+        except BrokenExecutor:
+            deaths += 1
+            if alone:
+                culprit = next(iter(missing))
+                del missing[culprit]
+                unfinished.append(_told(culprit, "its worker dies"))
+    if unfinished:
+        rest = f" and {len(unfinished) - 3} more" if len(unfinished) > 3 else ""
+        raise UnfinishedError(f"{len(unfinished)} units are not done: {'; '.join(unfinished[:3])}{rest}")
+
+
+def _told(unit: Unit, why: str) -> str:
+    return f"runs {unit.first} to {unit.last - 1} of unit {unit.key} ({why})"
+
+
+def _said(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+
+
+def _results(executor: Executor, todo: Sequence[Unit], ahead: int) -> Iterator[tuple[Unit, Result | Exception]]:
+    """Results and exceptions of units, as they come; BrokenExecutor and VersionError are raised."""
+    waiting: dict[Future[Result], Unit] = {}
+    left = iter(todo)
+    while True:
+        while len(waiting) < ahead and (unit := next(left, None)) is not None:
+            waiting[executor.submit(execute, unit, code())] = unit
+        if not waiting:
+            return
+        for future in wait(waiting, return_when=FIRST_COMPLETED).done:
+            unit = waiting.pop(future)
+            try:
+                outcome: Result | Exception = future.result()
+            except (BrokenExecutor, VersionError):
+                raise
+            except CancelledError:
+                raise OSError("the cluster dropped the work: its scheduler or its connection is gone") from None
+            except Exception as error:
+                outcome = error
+            yield unit, outcome

@@ -1,0 +1,137 @@
+"""Where the work is done: here, in processes, or on a Dask cluster. Anything with ``submit`` of `concurrent.futures` will do."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from contextlib import AbstractContextManager, contextmanager
+from multiprocessing import active_children, get_context, parent_process
+from multiprocessing.process import BaseProcess
+from typing import Any, NamedTuple, cast
+
+PATIENCE_S = 10.0
+"""How long a scheduler may take to answer."""
+
+
+class Workers(NamedTuple):
+    """``open()`` gives an executor, again if the last one broke; ``ahead``: how many units are handed out before their turn."""
+
+    open: Callable[[], AbstractContextManager[Executor]]
+    ahead: int
+
+
+class _Serial(Executor):
+    """Does the work when it is submitted."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+def serial() -> Workers:
+    """This process."""
+    return Workers(_Serial, 1)
+
+
+def given(executor: Executor) -> Workers:
+    """An executor that somebody else opens and closes, such as ``mpi4py.futures.MPIPoolExecutor``."""
+    return Workers(lambda: contextlib.nullcontext(executor), 1000)
+
+
+def processes(jobs: int) -> Workers:
+    """Spawned processes of this machine. They end with this one, however it ends.
+
+    Raises
+    ------
+    ValueError: unless ``jobs`` is a positive integer.
+    """
+    if int(jobs) != jobs or jobs < 1:
+        raise ValueError(f"jobs: expected a positive integer, got {jobs!r}")
+    return Workers(lambda: _pool(jobs), 3 * jobs)
+
+
+@contextmanager
+def _pool(jobs: int) -> Iterator[Executor]:
+    others = set(active_children())
+    pool = _Pool(jobs, mp_context=get_context("spawn"), initializer=_end_with_the_parent)
+    try:
+        yield pool
+    except BaseException:
+        _kill_but(others)  # a unit may take minutes, and nobody waits for it any more
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _kill_but(others: set[BaseProcess]) -> None:
+    """Kill all child processes but these."""
+    for child in set(active_children()) - others:
+        child.kill()
+
+
+class _Pool(ProcessPoolExecutor):
+    """Its processes are started with interrupts blocked: those from the keyboard are for the parent alone."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        if not hasattr(signal, "pthread_sigmask"):
+            return super().submit(fn, *args, **kwargs)
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            return super().submit(fn, *args, **kwargs)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _end_with_the_parent() -> None:
+    """In a new process: leave interrupts to the parent, and end when it does, even if it was killed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = parent_process()
+
+    def watch() -> None:
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def dask(address: str | None = None, jobs: int = 1) -> Workers:
+    """A running Dask scheduler (``tcp://host:port``), or one of ``jobs`` processes that is started on this machine.
+
+    Opening it raises ImportError without ``distributed``, OSError if no scheduler answers, ValueError for an address that is none.
+    """
+    return Workers(lambda: _cluster(address, jobs), 1000)
+
+
+@contextmanager
+def _cluster(address: str | None, jobs: int) -> Iterator[Executor]:
+    try:
+        import distributed
+    except ImportError:
+        raise ImportError('dask needs the package distributed: pip install "celnav[cluster]"') from None
+    others, dd = set(active_children()), cast(Any, distributed)
+    with contextlib.ExitStack() as stack:
+        stack.callback(_kill_but, others)
+        target: Any = address
+        if address is None:
+            local = {"n_workers": jobs, "threads_per_worker": 1, "host": "127.0.0.1", "dashboard_address": None}
+            target = stack.enter_context(_closing(dd.LocalCluster(**local, silence_logs="ERROR")))
+        client = stack.enter_context(_closing(dd.Client(target, timeout=PATIENCE_S, set_as_default=False)))
+        yield client.get_executor()
+
+
+@contextmanager
+def _closing(resource: Any) -> Iterator[Any]:
+    """Close within two seconds, whatever is still going on."""
+    try:
+        yield resource
+    finally:
+        resource.close(timeout=2)

@@ -1,0 +1,143 @@
+"""The store of a campaign: a folder with a manifest and one checksummed file for each finished unit.
+
+Every file is written under a temporary name and renamed, so the folder is right after any interruption.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+from collections.abc import Mapping
+from importlib import metadata
+from pathlib import Path
+from platform import python_version
+from typing import Any
+
+import numpy as np
+
+from celnav.campaign.units import Result, Unit, code, pack, unpack
+from celnav.files import InputError, Outputs, read_npz, write_bytes, write_text
+from celnav.linalg import Array
+from celnav.mission import Study
+
+FORMAT = 1
+MANIFEST = "manifest.json"
+
+
+class StoreError(InputError):
+    """A folder that does not belong to this study."""
+
+
+class Store:
+    """Finished units of a study in ``folder / "units"``; see `open_store`.
+
+    ``warnings``: what a user should know of an older store.
+    """
+
+    def __init__(self, folder: Path, warnings: list[str]) -> None:
+        self.folder = folder
+        self.warnings = warnings
+
+    def path(self, unit: Unit) -> Path:
+        """Where a unit's result is."""
+        return self.folder / "units" / f"{unit.key}.npz"
+
+    def write(self, unit: Unit, result: Result) -> None:
+        """Keep a result. OSError names the file if it cannot be written."""
+        arrays = pack(result)
+        buffer = io.BytesIO()
+        np.savez(buffer, allow_pickle=False, **arrays, checksum=np.array(_checksum(arrays)))
+        write_bytes(self.path(unit), buffer.getvalue())
+
+    def has(self, unit: Unit) -> bool:
+        """Whether a unit is finished and whole.
+
+        Raises
+        ------
+        ValueError: see `read`.
+        """
+        return self.path(unit).exists() and bool(self.read(unit))
+
+    def read(self, unit: Unit) -> Result:
+        """The result of a finished unit.
+
+        Raises
+        ------
+        ValueError: naming the file, if it is damaged: nothing in it is used. OSError: if it is not there.
+        """
+        path = self.path(unit)
+        arrays = read_npz(path)
+        stored = arrays.pop("checksum", None)
+        if stored is None or str(stored) != _checksum(arrays):
+            raise ValueError(f"{path}: checksum does not agree with the contents")
+        try:
+            return unpack(arrays)
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from None
+
+
+def _checksum(arrays: Mapping[str, Array]) -> str:
+    digest = hashlib.sha256()
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        digest.update(f"{name} {array.dtype.str} {array.shape} ".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()
+
+
+def open_store(folder: str | Path, study: Study) -> Store:
+    """Begin a store, or go on with one of the same study.
+
+    Raises
+    ------
+    StoreError: if the folder belongs to another study (the message lists the differences) or holds something else.
+    OSError: if it cannot be made or written.
+    """
+    path = Path(folder)
+    Outputs(path)
+    wanted = json.loads(json.dumps(study.to_dict()))
+    manifest = path / MANIFEST
+    if manifest.exists():
+        found = _read_manifest(manifest)
+        changed = _differences(found["study"], wanted)
+        if changed:
+            lines = "; ".join(changed)
+            raise StoreError(f"{path}: belongs to another study ({lines}); choose another --out, or remove the folder")
+        return Store(path, _older(found["versions"]))
+    if (path / "units").exists():
+        raise StoreError(f"{path}: has units but no {MANIFEST}; choose another --out, or remove the folder")
+    about = {"format": FORMAT, "study": wanted, "versions": _versions()}
+    write_text(manifest, json.dumps(about, indent=1, ensure_ascii=False) + "\n")
+    return Store(path, [])
+
+
+def _versions() -> dict[str, str]:
+    return {**code(), "python": python_version(), **{name: metadata.version(name) for name in ("numpy", "scipy")}}
+
+
+def _older(versions: Mapping[str, Any]) -> list[str]:
+    """A warning for everything that is not as it was when the store was begun."""
+    now = _versions()
+    changed = [f"{name} {versions.get(name)} -> {now[name]}" for name in now if versions.get(name) != now[name]]
+    return [f"begun with other versions ({', '.join(changed)}); finished units are kept"] if changed else []
+
+
+def _read_manifest(path: Path) -> dict[str, Any]:
+    try:
+        found = json.loads(path.read_text("utf-8"))
+        if found["format"] == FORMAT and isinstance(found["study"], dict) and isinstance(found["versions"], dict):
+            return dict(found)
+    except (ValueError, KeyError, TypeError, RecursionError):
+        pass
+    raise StoreError(f"{path}: not a manifest of a campaign of this celnav; choose another --out, or remove the folder")
+
+
+def _differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
+    """``key: old -> new`` of everything that differs."""
+    keys = list(dict.fromkeys([*old, *new]))
+    return [f"{key}: {_shown(old, key)} -> {_shown(new, key)}" for key in keys if _shown(old, key) != _shown(new, key)]
+
+
+def _shown(table: Mapping[str, Any], key: str) -> str:
+    return json.dumps(table[key], ensure_ascii=False) if key in table else "absent"

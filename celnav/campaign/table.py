@@ -1,0 +1,146 @@
+"""The table of a campaign: one row for each configuration and filter."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from celnav.campaign.units import Result
+from celnav.linalg import Array
+from celnav.mission import Configuration, Study
+from celnav.scores import Accuracy, Scores, Summary, merge, summarize
+
+
+class Row(NamedTuple):
+    """What a filter comes to in a configuration.
+
+    Attributes
+    ----------
+    values: of the swept keys. groups: name and unit of what was judged. summary: None if no run is left, and then there may be
+        no groups. reasons: why runs failed, and how many of them. us: CPU microseconds per run and step.
+    """
+
+    values: dict[str, Any]
+    filter: str
+    groups: tuple[tuple[str, str], ...]
+    summary: Summary | None
+    reasons: Counter[str]
+    us: float
+
+    @property
+    def failed(self) -> int:
+        """Runs that are not in the summary."""
+        return self.reasons.total()
+
+    def accuracy(self, group: str) -> Accuracy | None:
+        """Of a group by name."""
+        names = [name for name, _ in self.groups]
+        return self.summary.accuracy[names.index(group)] if self.summary is not None and group in names else None
+
+
+class Merged(NamedTuple):
+    """All units of a configuration: groups, bound ``(K, groups)`` or None, and of each filter its scores (None: no run is left),
+    reasons of failures, and CPU seconds and run-steps."""
+
+    groups: tuple[tuple[str, str], ...]
+    bound: Array | None
+    scores: dict[str, Scores | None]
+    reasons: dict[str, Counter[str]]
+    cost: dict[str, tuple[float, int]]
+
+
+def merged(study: Study, results: Iterable[Result]) -> Merged:
+    """Merge the results of a configuration's units, in their order. Only one of them is in memory at a time."""
+    groups: tuple[tuple[str, str], ...] = ()
+    bound: Array | None = None
+    scores: dict[str, Scores | None] = dict.fromkeys(study.filters)
+    reasons: dict[str, Counter[str]] = {name: Counter() for name in study.filters}
+    cost = dict.fromkeys(study.filters, (0.0, 0))
+    for result in results:
+        groups = groups or result.groups
+        bound = result.bound if bound is None else bound
+        for name in study.filters:
+            found, before = result.scores.get(name), scores[name]
+            if found is not None:
+                scores[name] = found if before is None else merge([before, found])
+            reasons[name].update(failure.why for failure in result.failures[name])
+            cost[name] = cost[name][0] + result.cpu_s[name], cost[name][1] + result.steps[name]
+    return Merged(groups, bound, scores, reasons, cost)
+
+
+def rows_of(study: Study, point: Configuration, found: Merged) -> Iterator[Row]:
+    """Rows of a configuration, one for each filter."""
+    for name in study.filters:
+        scores, (seconds, steps) = found.scores[name], found.cost[name]
+        summary = None if scores is None or not scores["runs"] else summarize(scores, found.bound)
+        us = 1e6 * seconds / steps if steps else float("nan")
+        yield Row(point.values, name, found.groups, summary, found.reasons[name], us)
+
+
+def plain(value: Any) -> Any:
+    """A parameter's value for a cell: lists become words."""
+    return " ".join(str(plain(v)) for v in value) if isinstance(value, tuple) else value
+
+
+def columns(rows: Sequence[Row]) -> dict[str, list[Any]]:
+    """The table by column: swept keys, filter, runs, failures, accuracies with their units, consistency; None where there is none.
+
+    No times: the same study gives the same table. They are in `costs`.
+    """
+    groups = next((row.groups for row in rows if row.groups), ())
+    table = [_cells(row, groups) for row in rows]
+    return {name: [cells[name] for cells in table] for name in table[0]}
+
+
+def costs(rows: Sequence[Row]) -> dict[str, list[Any]]:
+    """CPU time of each row, per run and step."""
+    keys = {key: [plain(row.values[key]) for row in rows] for key in rows[0].values}
+    return {**keys, "filter": [row.filter for row in rows], "us_per_run_step": [_number(row.us) for row in rows]}
+
+
+def _cells(row: Row, groups: tuple[tuple[str, str], ...]) -> dict[str, Any]:
+    cells: dict[str, Any] = {key: plain(value) for key, value in row.values.items()} | {"filter": row.filter}
+    s = row.summary
+    cells |= {"runs": s.runs if s else 0, "failed": row.failed}
+    cells["reasons"] = "; ".join(
+        f"{count} x {why}" for why, count in sorted(row.reasons.items(), key=lambda item: (-item[1], item[0]))
+    )
+    for name, unit in groups:
+        found, slug = row.accuracy(name), unit.replace("/", "_per_")
+        for stat in Accuracy._fields:
+            label = f"{name}_{stat}" if stat == "efficiency" else f"{name}_{stat}_{slug}"
+            cells[label] = None if found is None else _number(getattr(found, stat))
+    names = ("anees", "anees_low", "anees_high", "band_low", "band_high", "nis")
+    values = (s.anees, s.low, s.high, *s.band, s.nis) if s else (np.nan,) * 6
+    return cells | {name: _number(value) for name, value in zip(names, values, strict=True)}
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def to_csv(table: dict[str, list[Any]]) -> str:
+    """CSV, every number with all its digits."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(table)
+    writer.writerows(
+        ["" if v is None else repr(v) if isinstance(v, float) else v for v in row] for row in zip(*table.values(), strict=True)
+    )
+    return text.getvalue()
+
+
+def to_parquet(table: dict[str, list[Any]]) -> bytes:
+    """The same as a Parquet file."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    sink = pa.BufferOutputStream()
+    pq.write_table(pa.table({name: pa.array(values) for name, values in table.items()}), sink)
+    content: bytes = sink.getvalue().to_pybytes()
+    return content

@@ -1,0 +1,237 @@
+"""Work units: a block of runs of one configuration, all filters on the same noise, scored and forgotten."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+import traceback
+import warnings
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
+from time import process_time
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+import celnav
+from celnav.files import data
+from celnav.linalg import Array
+from celnav.mission import Study
+from celnav.montecarlo import blocks, generator
+from celnav.papers import load
+from celnav.scores import Failure, Scores, merge, score
+from celnav.trial import Noiseless, Trial, bound, follow
+
+STUDY = 0
+"""Of `celnav.montecarlo.generator`, for all configurations: they share their random numbers, so differences are sharp."""
+
+
+class VersionError(RuntimeError):
+    """A worker runs another celnav than the one that handed out the work."""
+
+
+@dataclass(frozen=True)
+class Unit:
+    """Runs ``first`` to ``last - 1`` of a configuration."""
+
+    paper: str
+    config: Any
+    filters: tuple[str, ...]
+    seed: int
+    first: int
+    last: int
+    every: int
+    settle_s: float | None
+    limits: tuple[tuple[str, float], ...]
+
+    @property
+    def key(self) -> str:
+        """Hash of everything that determines the result, but the code."""
+        table = asdict(self)
+        table["config"].pop("runs")  # how many there are in all matters to none of them
+        text = json.dumps(table, sort_keys=True, ensure_ascii=False)
+        return hashlib.sha256(text.encode("utf-8")).hexdigest()[:24]
+
+    @property
+    def runs(self) -> int:
+        """How many."""
+        return self.last - self.first
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a unit comes to.
+
+    Attributes
+    ----------
+    groups: name and unit of what is judged; empty if nothing could be simulated.
+    scores: of each filter that has a run left. failures: of each filter.
+    bound: mean squares ``(K, groups)``, in the unit of the first runs only.
+    cpu_s, steps: of each filter: CPU seconds, and run-steps done in them.
+    trace: where the first exception came from, if there was one.
+    """
+
+    groups: tuple[tuple[str, str], ...]
+    scores: dict[str, Scores]
+    failures: dict[str, list[Failure]]
+    bound: Array | None
+    cpu_s: dict[str, float]
+    steps: dict[str, int]
+    trace: str = ""
+
+
+def units_of(study: Study) -> list[list[Unit]]:
+    """Units of each configuration, in the order in which they are merged."""
+    limits = tuple(sorted(study.limits.items()))
+    return [
+        [
+            Unit(study.paper, point.config, study.filters, study.seed, part.start, part.stop, study.every, study.settle_s, limits)
+            for part in blocks(study.runs, study.block)
+        ]
+        for point in study.configurations
+    ]
+
+
+@cache
+def code() -> dict[str, str]:
+    """Version of celnav and a hash of its sources and data."""
+    root = Path(celnav.__file__).parent
+    digest = hashlib.sha256()
+    for path in [*sorted(root.rglob("*.py")), data("pulsars.toml"), data("ephemeris_2015.npz")]:
+        digest.update(path.name.encode("utf-8") + path.read_bytes())
+    return {"celnav": celnav.__version__, "code": digest.hexdigest()[:12]}
+
+
+def execute(unit: Unit, made_by: dict[str, str]) -> Result:
+    """Do a unit, on one thread of linear algebra: the same numbers wherever it runs.
+
+    Raises
+    ------
+    VersionError: if this is another celnav than ``made_by``. Exceptions of models and filters are failures of their runs.
+    """
+    if made_by != code():
+        ours, theirs = (f"{c['celnav']} (code {c['code']})" for c in (made_by, code()))
+        raise VersionError(f"the worker on {platform.node()} has celnav {theirs}, this is {ours}; install the same on both")
+    with threadpool_limits(1), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # said once, where the study is read
+        return _Flight(unit).result()
+
+
+class _Flight:
+    """The runs of a unit, and what goes wrong in them."""
+
+    def __init__(self, unit: Unit) -> None:
+        self._unit = unit
+        self._trial = load(unit.paper).trial
+        self._groups: tuple[tuple[str, str], ...] = ()
+        self._trace = ""
+
+    def result(self) -> Result:
+        unit, runs = self._unit, range(self._unit.first, self._unit.last)
+        scores: dict[str, Scores] = {}
+        failures: dict[str, list[Failure]] = {}
+        cpu_s: dict[str, float] = {}
+        steps: dict[str, int] = {}
+        whole = self._simulated(runs)
+        for name in unit.filters:
+            parts, failures[name] = [], []
+            cpu_s[name], steps[name] = 0.0, 0
+            for found, failed, seconds, count in self._fly(name, runs, whole):
+                parts += [] if found is None else [found]
+                failures[name] += failed
+                cpu_s[name] += seconds
+                steps[name] += count
+            if parts:
+                scores[name] = merge(parts)
+        return Result(self._groups, scores, failures, self._bound(), cpu_s, steps, self._trace)
+
+    def _simulated(self, runs: range) -> Trial | None:
+        """The trial; None if it cannot be made for all these runs at once."""
+        unit = self._unit
+        try:
+            trial: Trial = self._trial(unit.config, [generator(unit.seed, STUDY, run) for run in runs])
+        except MemoryError:
+            raise
+        except Exception:
+            self._note()
+            return None
+        self._groups = tuple((group.name, group.unit) for group in trial.groups)
+        return trial
+
+    def _note(self) -> None:
+        self._trace = self._trace or traceback.format_exc()
+
+    def _fly(self, name: str, runs: range, whole: Trial | None) -> list[tuple[Scores | None, list[Failure], float, int]]:
+        """A filter on some runs. Where a batch raises it is halved until the runs are found that do."""
+        unit = self._unit
+        try:
+            trial = whole or self._trial(unit.config, [generator(unit.seed, STUDY, run) for run in runs])
+            if name not in trial.filters:
+                return [(None, [Failure(run, 0.0, f"this configuration has no filter {name}") for run in runs], 0.0, 0)]
+            start = process_time()
+            followed = follow(trial, trial.filters[name], trial.epochs(name), unit.every)
+            seconds = process_time() - start
+        except MemoryError:
+            raise
+        except Exception as error:
+            self._note()
+            if len(runs) > 1:
+                middle = len(runs) // 2
+                return [*self._fly(name, runs[:middle], None), *self._fly(name, runs[middle:], None)]
+            return [(None, [Failure(runs[0], 0.0, f"{type(error).__name__}: {error}")], 0.0, 0)]
+        scores, failed = score(followed, trial.groups, settle_s=unit.settle_s, limits=dict(unit.limits))
+        absolute = [failure._replace(run=runs[failure.run]) for failure in failed]
+        return [(scores, absolute, seconds, followed.epochs * len(runs))]
+
+    def _bound(self) -> Array | None:
+        if self._unit.first > 0:
+            return None
+        noiseless: Sequence[Any] = [Noiseless()]
+        try:
+            return bound(self._trial(self._unit.config, noiseless), self._unit.every)
+        except MemoryError:
+            raise
+        except Exception:
+            self._note()
+            return None
+
+
+def pack(result: Result) -> dict[str, Array]:
+    """Arrays for an npz file."""
+    arrays = {f"{i}/{stat}": v for i, name in enumerate(result.failures) for stat, v in result.scores.get(name, {}).items()}
+    if result.bound is not None:
+        arrays["bound"] = result.bound
+    about = {
+        "groups": result.groups,
+        "failures": result.failures,
+        "cpu_s": result.cpu_s,
+        "steps": result.steps,
+        "trace": result.trace,
+    }
+    return arrays | {"about": np.array(json.dumps(about, ensure_ascii=False))}
+
+
+def unpack(arrays: dict[str, Array]) -> Result:
+    """The inverse of `pack`.
+
+    Raises
+    ------
+    ValueError: if these are not arrays of a unit.
+    """
+    try:
+        about = json.loads(str(arrays["about"]))
+        names = list(about["failures"])
+        scores: dict[str, Scores] = {}
+        for key, value in arrays.items():
+            number, slash, stat = key.partition("/")
+            if slash:
+                scores.setdefault(names[int(number)], {})[stat] = value
+        groups = tuple((str(name), str(unit)) for name, unit in about["groups"])
+        failures = {name: [Failure(*one) for one in listed] for name, listed in about["failures"].items()}
+        return Result(groups, scores, failures, arrays.get("bound"), about["cpu_s"], about["steps"], about["trace"])
+    except (KeyError, TypeError, IndexError) as error:
+        raise ValueError(f"expected the arrays of a work unit ({error})") from None

@@ -1,0 +1,296 @@
+"""Missions and studies: one TOML file over a paper's models and filters.
+
+A file names a paper, may start from one of its presets, and overrides any parameter of its ``Config``::
+
+    paper = "csrukf"
+    filters = ["srukf", "csrukf+z0"]
+    runs = 500
+
+    [config]
+    inclination_deg = 98.2
+    phi = 0.95
+
+A list where a parameter is one value makes it a study: every combination of the lists is a configuration.
+"""
+
+from __future__ import annotations
+
+import difflib
+import itertools
+import tomllib
+import types
+import typing
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, is_dataclass, replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from celnav.files import InputError
+from celnav.papers import PAPERS, load
+
+LARGEST_FILE = 1_000_000
+"""Bytes."""
+MOST_CONFIGURATIONS = 100_000
+BLOCK = 250
+"""Runs of a work unit, unless a file says otherwise."""
+KEYS = ("title", "paper", "preset", "filters", "runs", "seed", "block", "every", "settle_s", "limits", "config")
+_DIMENSIONS = ("km", "m", "s", "deg", "arcsec", "h", "hz", "g", "ug", "rad", "m2", "s2", "s3", "sqrt_h", "sqrt_hz")
+_PRINTED = {"hz": "Hz", "m2": "m^2", "s2": "s^2", "s3": "s^3", "sqrt_h": "sqrt(h)", "sqrt_hz": "sqrt(Hz)"}
+
+
+class MissionError(InputError):
+    """A mission or study file that cannot be used; the message names file and key."""
+
+
+class Configuration(typing.NamedTuple):
+    """One point of a study: the values of the swept keys there, and the whole configuration."""
+
+    values: dict[str, Any]
+    config: Any
+
+
+@dataclass(frozen=True)
+class Study:
+    """What a file asks for; a mission is a study of one configuration.
+
+    Attributes
+    ----------
+    title, paper: as given. filters: names. runs: of each configuration. seed: all configurations share the random numbers.
+    block: runs of a work unit. every: how many judged epochs lie from one that is scored to the next.
+    settle_s: where means over time begin; None: in the middle. limits: largest error at the end, by group.
+    swept: dotted key -> values. configurations: every combination, the last key changing fastest.
+    """
+
+    title: str
+    paper: str
+    filters: tuple[str, ...]
+    runs: int
+    seed: int
+    block: int
+    every: int
+    settle_s: float | None
+    limits: dict[str, float]
+    swept: dict[str, tuple[Any, ...]]
+    configurations: tuple[Configuration, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything that determines the results, in plain types: what a store is compared by."""
+        first = {k: v for k, v in _flat(asdict(self.configurations[0].config)).items() if k not in self.swept and k != "runs"}
+        about = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("swept", "configurations")}
+        return {**_flat(about), **{f"config.{k}": v for k, v in first.items()}, **{f"config.{k}": v for k, v in self.swept.items()}}
+
+
+def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested tables with dotted keys."""
+    out: dict[str, Any] = {}
+    for key, value in values.items():
+        out |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
+    return out
+
+
+def unit_of(key: str) -> str:
+    """Unit that a parameter's name ends in, ``sigma_km`` -> "km", ``drift_deg_per_h`` -> "deg/h"; empty if it has none."""
+    above, per, below = key.rpartition(".")[2].rpartition("_per_")
+    if not per:
+        above, below = below, ""
+    top = next((d for d in sorted(_DIMENSIONS, key=len, reverse=True) if above.endswith(f"_{d}")), "")
+    if not top or (per and below not in _DIMENSIONS):
+        return ""
+    return _PRINTED.get(top, top) + (f"/{_PRINTED.get(below, below)}" if per else "")
+
+
+def read(path: str | Path) -> Study:
+    """Read a mission or study.
+
+    Raises
+    ------
+    MissionError: naming file and key, what was expected and what came. OSError: if the file cannot be read.
+    """
+    source = Path(path)
+    with source.open("rb") as file:
+        content = file.read(LARGEST_FILE + 1)
+    try:
+        if len(content) > LARGEST_FILE:
+            raise ValueError(f"expected at most {LARGEST_FILE} bytes, got more")
+        table = tomllib.loads(content.decode("utf-8"))
+    except RecursionError:
+        raise MissionError(f"{source}: lists or tables within one another too deeply") from None
+    except (ValueError, UnicodeDecodeError) as error:
+        raise MissionError(f"{source}: not a TOML file ({error})") from None
+    try:
+        return study(table)
+    except ValueError as error:
+        raise MissionError(f"{source}: {error}") from None
+
+
+def study(table: Mapping[str, Any]) -> Study:
+    """A study from the tables of a file.
+
+    Raises
+    ------
+    ValueError: naming the key, with its unit, what was expected and what came.
+    """
+    _known("", table, KEYS)
+    if "paper" not in table:
+        raise ValueError(f"paper: expected one of {', '.join(PAPERS)}, got none")
+    module = _part("paper", lambda: load(_typed("paper", table["paper"], str)))
+    start = _preset(module, table)
+    given = {k: _typed(k, table[k], hint) for k, hint in _OPTIONS.items() if k in table}
+    if "runs" in _typed("config", table.get("config", {}), dict):
+        raise ValueError("config.runs: expected runs at the top of the file, outside of [config]")
+    swept, fixed = _overrides(start, table.get("config", {}))
+    points = _grid(start, fixed, swept)
+    usual = {"title": module.TITLE, "runs": start.runs, "seed": 0, "block": BLOCK, "every": 1, "settle_s": None}
+    options: dict[str, Any] = usual | given | {"limits": _limits(table)}
+    for name, least in (("runs", 1), ("seed", 0), ("block", 1), ("every", 1)):
+        if options[name] < least:
+            raise ValueError(f"{name}: expected a whole number of at least {least}, got {options[name]}")
+    names = _filters(module, table, points)
+    return Study(paper=table["paper"], filters=names, swept=swept, configurations=points, **options)
+
+
+_OPTIONS: dict[str, Any] = {"title": str, "runs": int, "seed": int, "block": int, "every": int, "settle_s": float}
+
+
+def _part(name: str, make: Any) -> Any:
+    """``make()``, with the name before what it complains of."""
+    try:
+        return make()
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from None
+
+
+def _known(where: str, table: Mapping[str, Any], names: Sequence[str]) -> None:
+    """Refuse keys that are not among the names, and hint at the nearest."""
+    for key in table:
+        if key not in names:
+            close = difflib.get_close_matches(key, names, 1)
+            hint = f"did you mean {where}{close[0]}?" if close else f"expected one of {', '.join(names)}"
+            raise ValueError(f"{where}{key}: unknown key; {hint}")
+
+
+def _preset(module: ModuleType, table: Mapping[str, Any]) -> Any:
+    name = _typed("preset", table.get("preset", next(iter(module.PRESETS))), str)
+    if name not in module.PRESETS:
+        raise ValueError(f"preset: expected one of {', '.join(module.PRESETS)}, got {name!r}")
+    return module.PRESETS[name]
+
+
+def _limits(table: Mapping[str, Any]) -> dict[str, float]:
+    limits = {k: _typed(f"limits.{k}", v, float) for k, v in _typed("limits", table.get("limits", {}), dict).items()}
+    for name, value in limits.items():
+        if value <= 0.0:
+            raise ValueError(f"limits.{name}: expected a positive number, got {value!r}")
+    return limits
+
+
+def _filters(module: ModuleType, table: Mapping[str, Any], points: Sequence[Configuration]) -> tuple[str, ...]:
+    """The names asked for, all of which exist in some configuration; by default those of the first."""
+    known: dict[str, Any] = _part("config", lambda: module.filters(points[0].config))
+    names = [_typed("filters", name, str) for name in _typed("filters", table.get("filters", list(known)), list)]
+    if not names or len(set(names)) != len(names):
+        raise ValueError(f"filters: expected different names, got {names!r}")
+    for name in names:
+        if not any(name in (known if i == 0 else module.filters(point.config)) for i, point in enumerate(points)):
+            close = difflib.get_close_matches(name, known, 1)
+            hint = f"; did you mean {close[0]}?" if close else ""
+            raise ValueError(f"filters: expected some of {', '.join(known)}, got {name!r}{hint}")
+    return tuple(names)
+
+
+def _overrides(config: Any, table: Mapping[str, Any], prefix: str = "") -> tuple[dict[str, tuple[Any, ...]], dict[str, Any]]:
+    """Lists of values, and single values, by dotted key."""
+    hints = typing.get_type_hints(type(config))
+    _known(f"config.{prefix}", table, [f.name for f in fields(config)])
+    swept: dict[str, tuple[Any, ...]] = {}
+    fixed: dict[str, Any] = {}
+    for key, value in table.items():
+        name = prefix + key
+        if is_dataclass(hints[key]):
+            inner = _typed(f"config.{name}", value, dict)
+            lists, values = _overrides(getattr(config, key), inner, f"{name}.")
+            swept |= lists
+            fixed |= values
+        elif _depth(value) > _hint_depth(hints[key]):
+            if not value:
+                raise ValueError(f"config.{name}: expected at least one value, got an empty list")
+            values_of = tuple(_typed(f"config.{name}", one, hints[key]) for one in value)
+            if len(set(values_of)) != len(values_of):
+                raise ValueError(f"config.{name}: expected different values, got {value!r}")
+            swept[name] = values_of
+        else:
+            fixed[name] = _typed(f"config.{name}", value, hints[key])
+    return swept, fixed
+
+
+def _depth(value: Any) -> int:
+    return 1 + max((_depth(v) for v in value), default=0) if isinstance(value, list) else 0
+
+
+def _hint_depth(hint: Any) -> int:
+    """How many lists lie within one another in a value of a type."""
+    return 1 + _hint_depth(typing.get_args(hint)[0]) if typing.get_origin(hint) is tuple else 0
+
+
+_WORDS = {float: "a number", int: "a whole number", str: "a word", bool: "true or false", list: "a list", dict: "a table"}
+
+
+def _typed(name: str, value: Any, hint: Any) -> Any:
+    """A value of a file as a type of Python."""
+    if typing.get_origin(hint) is types.UnionType:
+        hint = next(part for part in typing.get_args(hint) if part is not type(None))
+    if typing.get_origin(hint) is tuple:
+        parts = typing.get_args(hint)
+        if not isinstance(value, list):
+            raise ValueError(f"{_named(name)}: expected a list, got {value!r:.80}")
+        if parts[-1] is not Ellipsis and len(value) != len(parts):
+            raise ValueError(f"{_named(name)}: expected {len(parts)} values, got {len(value)}")
+        return tuple(_typed(name, v, parts[0]) for v in value)
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if hint is float and number:
+        return float(value)
+    if hint is int and number and float(value).is_integer():
+        return int(value)
+    if hint not in (float, int) and type(value) is hint:
+        return value
+    raise ValueError(f"{_named(name)}: expected {_WORDS[hint]}, got {value!r:.80}")
+
+
+def _named(name: str) -> str:
+    unit = unit_of(name)
+    return f"{name} ({unit})" if unit else name
+
+
+def _grid(start: Any, fixed: Mapping[str, Any], swept: Mapping[str, tuple[Any, ...]]) -> tuple[Configuration, ...]:
+    count = 1
+    for values in swept.values():
+        count *= len(values)
+    if count > MOST_CONFIGURATIONS:
+        raise ValueError(f"config: expected at most {MOST_CONFIGURATIONS} configurations, got {count}")
+    combinations = itertools.product(*swept.values())
+    return tuple(_point(start, fixed, dict(zip(swept, values, strict=True))) for values in combinations)
+
+
+def _point(start: Any, fixed: Mapping[str, Any], values: dict[str, Any]) -> Configuration:
+    try:
+        return Configuration(values, _replaced(start, {**fixed, **values}))
+    except ValueError as error:
+        name, colon, rest = str(error).partition(": ")
+        at = ", ".join(f"{k} = {v}" for k, v in values.items() if k != name)
+        where = f" (where {at})" if at else ""
+        raise ValueError(f"{_named(f'config.{name}') if colon else 'config: ' + name}{colon}{rest}{where}") from None
+
+
+def _replaced(config: Any, values: Mapping[str, Any]) -> Any:
+    """A configuration with values of dotted keys in it."""
+    inner: dict[str, dict[str, Any]] = {}
+    own: dict[str, Any] = {}
+    for key, value in values.items():
+        head, dot, rest = key.partition(".")
+        if dot:
+            inner.setdefault(head, {})[rest] = value
+        else:
+            own[head] = value
+    own |= {head: _replaced(getattr(config, head), parts) for head, parts in inner.items()}
+    return replace(config, **own)

@@ -1,0 +1,25 @@
+"""The receiver as missions and campaigns see it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from celnav.gaussian import Gaussian
+from celnav.linalg import Array
+from celnav.papers.aukf.config import Config
+from celnav.papers.aukf.scenario import filters, simulate
+from celnav.trial import Group, Trial
+
+GROUPS = (Group("position", "m", slice(0, 3)), Group("velocity", "m/s", slice(3, 6)))
+
+
+def trial(config: Config, rngs: Sequence[np.random.Generator]) -> Trial:
+    """One run with each generator. There is no bound: the turns of the track are not drawn from the filters' model."""
+    sim = simulate(config, rngs)
+    return Trial(GROUPS, filters(config), sim.prior, lambda _name: sim.epochs(), _compare)
+
+
+def _compare(truth: Array, belief: Gaussian) -> tuple[Array, Array]:
+    return belief.mean - truth, belief.root

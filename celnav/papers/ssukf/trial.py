@@ -1,0 +1,25 @@
+"""The satellite's attitude as missions and campaigns see it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from celnav.gaussian import Gaussian
+from celnav.linalg import Array
+from celnav.papers.ssukf.config import ARCSEC, DEG_PER_H, Config
+from celnav.papers.ssukf.scenario import errors, filters, simulate
+from celnav.trial import Group, Trial
+
+GROUPS = (Group("attitude", "arcsec", slice(0, 3), 1.0 / ARCSEC), Group("drift", "deg/h", slice(3, 6), 1.0 / DEG_PER_H))
+
+
+def trial(config: Config, rngs: Sequence[np.random.Generator]) -> Trial:
+    """One run with each generator; the initial errors are drawn from the prior."""
+    sim, known = simulate(config, rngs), filters(config)
+    return Trial(GROUPS, known, sim.drawn, lambda _name: sim.epochs(), _compare, known["mekf"])
+
+
+def _compare(truth: Array, belief: Gaussian) -> tuple[Array, Array]:
+    return errors(truth, belief.mean), belief.root

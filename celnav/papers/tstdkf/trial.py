@@ -1,0 +1,26 @@
+"""The pulsars' satellite as missions and campaigns see it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from celnav.gaussian import Gaussian
+from celnav.linalg import Array, cholesky
+from celnav.papers.tstdkf.config import Config
+from celnav.papers.tstdkf.estimators import filters
+from celnav.papers.tstdkf.scenario import simulate
+from celnav.trial import Group, Trial
+
+GROUPS = (Group("position", "km", slice(0, 3)), Group("velocity", "m/s", slice(3, 6), 1e3))
+
+
+def trial(config: Config, rngs: Sequence[np.random.Generator]) -> Trial:
+    """One run with each generator. The orbit is judged, which all filters estimate."""
+    sim, known = simulate(config, rngs), filters(config)
+    return Trial(GROUPS, known, sim.prior, lambda _name: sim.epochs(), _compare, known["aug"], lambda x: x[..., :3])
+
+
+def _compare(truth: Array, belief: Gaussian) -> tuple[Array, Array]:
+    return belief.mean[..., :6] - truth[..., :6], cholesky(belief.cov[..., :6, :6])

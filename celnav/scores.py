@@ -1,0 +1,185 @@
+"""Scores: sums over runs that are enough for every statistic of a campaign, so that no track is ever kept.
+
+A block of runs is scored, scores of blocks are merged by adding, in whatever number they come, and a `Summary` reads the sum.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import chi2
+from scipy.stats import t as student
+
+from celnav.linalg import Array
+from celnav.metrics import chi_square_band
+from celnav.trial import Followed, Group
+
+BINS = 20
+"""Bins of the histograms of NEES and NIS, equally probable for a consistent filter."""
+Scores = dict[str, Array]
+"""Sums over runs that did not fail.
+
+times ``(K,)`` s. runs ``()``. count, nees, nis, dof ``(K,)`` and square, variance ``(K, groups)``: at each epoch, over the runs
+that have an estimate there. own ``(2, groups)``, own_nees ``(2,)``: of each run's mean over the settled epochs, and of its square.
+settled ``(K,)``: which epochs these are. error ``(n,)``, outer ``(n, n)``: at the last epoch. nees_histogram, nis_histogram:
+``(BINS,)``.
+"""
+
+
+class Failure(NamedTuple):
+    """A run that is not scored: when its estimate was lost, and why."""
+
+    run: int
+    t: float
+    why: str
+
+
+def score(
+    followed: Followed, groups: tuple[Group, ...], *, settle_s: float | None, limits: Mapping[str, float]
+) -> tuple[Scores, list[Failure]]:
+    """Scores of a block, and its runs that failed: lost their estimate, or ended with an error above the limit of its group.
+
+    ``settle_s``: the mean over time begins here; None: in the middle of the run.
+    """
+    f, K = followed, len(followed.times)
+    failures = {run: Failure(run, t, why) for run, t, why in f.lost}
+    for i, group in enumerate(groups):
+        limit = limits.get(group.name, np.inf)
+        for run in np.flatnonzero(f.square[-1, :, i] > limit**2).tolist():
+            why = f"{group.name}: error above {limit:g} {group.unit} at the end"
+            failures.setdefault(run, Failure(run, float(f.times[-1]), why))
+    good = np.array([run not in failures for run in range(f.square.shape[1])], bool)
+    settled = np.arange(K) >= K // 2 if settle_s is None else f.times >= settle_s
+    square, variance, nees, nis, dof = (a[:, good] for a in (f.square, f.variance, f.nees, f.nis, f.dof))
+    there = np.isfinite(nees)
+    own, own_nees = (_mean_of(a[settled], there[settled]) for a in (square, nees))
+    last = f.error[-1, good]
+    scores = {
+        "times": f.times,
+        "settled": settled.astype(np.float64),
+        "runs": np.array(float(good.sum())),
+        "count": there.sum(1).astype(np.float64),
+        "square": _sum(square, there),
+        "variance": _sum(variance, there),
+        "nees": _sum(nees, there),
+        "nis": _sum(nis, there),
+        "dof": _sum(dof, there),
+        "own": np.stack([own.sum(0), np.square(own).sum(0)]),
+        "own_nees": np.stack([own_nees.sum(0), np.square(own_nees).sum(0)]),
+        "error": last.sum(0),
+        "outer": last.T @ last,
+        "nees_histogram": _histogram(nees[settled], np.full(nees[settled].shape, last.shape[-1])),
+        "nis_histogram": _histogram(nis[settled], np.where(there[settled], dof[settled], 0.0)),
+    }
+    return scores, list(failures.values())
+
+
+def _sum(values: Array, there: Array) -> Array:
+    """Sum over the runs of those that are there."""
+    mask = there if values.ndim == 2 else there[..., None]
+    return np.asarray(np.where(mask, values, 0.0).sum(1))
+
+
+def _mean_of(values: Array, there: Array) -> Array:
+    """Mean over time of what is there, for each run; zero where nothing is."""
+    mask = there if values.ndim == 2 else there[..., None]
+    return np.asarray(np.where(mask, values, 0.0).sum(0) / np.maximum(mask.sum(0), 1))
+
+
+def _histogram(values: Array, dof: Array) -> Array:
+    """Counts of chi-square values in `BINS` bins of equal probability."""
+    total = np.zeros(BINS)
+    for freedom in np.unique(dof[dof > 0]):
+        chosen = values[(dof == freedom) & np.isfinite(values)]
+        edges = chi2.ppf(np.arange(1, BINS) / BINS, freedom)
+        total += np.bincount(np.searchsorted(edges, chosen), minlength=BINS)
+    return total
+
+
+def merge(parts: Iterable[Scores]) -> Scores:
+    """Sum of scores of the same epochs, in the order given.
+
+    Raises
+    ------
+    ValueError: if there is none, or epochs differ.
+    """
+    total: Scores = {}
+    for part in parts:
+        if not total:
+            total = dict(part)
+            continue
+        if not np.array_equal(part["times"], total["times"]):
+            raise ValueError("scores: expected the same epochs in all blocks")
+        total |= {name: total[name] + part[name] for name in part if name not in ("times", "settled")}
+    if not total:
+        raise ValueError("scores: expected at least one block, got none")
+    return total
+
+
+class Accuracy(NamedTuple):
+    """Root mean squares of a group: over the settled epochs with a 95 % interval, at the end, and what the filter takes it for.
+
+    The interval comes from how the runs differ, so it needs no Gaussian errors; nan with fewer than two runs. ``bound``: the
+    `celnav.trial.bound` of the settled epochs; ``efficiency``: bound over rms.
+    """
+
+    rms: float
+    low: float
+    high: float
+    final: float
+    sigma: float
+    bound: float
+    efficiency: float
+
+
+class Summary(NamedTuple):
+    """What scores say.
+
+    Attributes
+    ----------
+    runs: scored. accuracy: of each group.
+    anees, low, high: NEES averaged over runs and settled epochs, over its dimension (1 if consistent), with a 95 % interval from
+        how the runs differ. band: where the mean over the runs at a single epoch lies with 95 %, if consistent.
+    nis: NIS over its degrees of freedom, averaged over the settled epochs.
+    """
+
+    runs: int
+    accuracy: tuple[Accuracy, ...]
+    anees: float
+    low: float
+    high: float
+    band: tuple[float, float]
+    nis: float
+
+
+def summarize(scores: Scores, bound: Array | None = None) -> Summary:
+    """Statistics of scores; ``bound (K, groups)``: mean squares. nan where no run is left."""
+    runs, n = int(scores["runs"]), len(scores["error"])
+    settled = scores["settled"] > 0.0
+    rms, low, high = _interval(scores["own"], runs)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        final = np.sqrt(scores["square"][-1] / scores["count"][-1])
+        sigma = np.sqrt(scores["variance"][settled].sum(0) / scores["count"][settled].sum())
+        nis = float(scores["nis"][settled].sum() / scores["dof"][settled].sum())
+        least = np.full(len(rms), np.nan) if bound is None else np.sqrt(bound[settled].mean(0))
+        columns = np.stack([np.sqrt(rms), np.sqrt(low), np.sqrt(high), final, sigma, least, least / np.sqrt(rms)], -1)
+    accuracy = tuple(Accuracy(*row) for row in columns.tolist())
+    anees, anees_low, anees_high = (float(v[0]) / n for v in _interval(scores["own_nees"][:, None], runs))
+    a, b = chi_square_band(n, runs) if runs else (np.nan, np.nan)
+    return Summary(runs, accuracy, anees, anees_low, anees_high, (a / n, b / n), nis)
+
+
+def _interval(sums: Array, runs: int, level: float = 0.95) -> tuple[Array, Array, Array]:
+    """Mean of positive values from their sum and sum of squares ``(2, ...)``, and its interval, symmetric in the logarithm."""
+    nothing = np.full(sums.shape[1:], np.nan)
+    if runs < 1:
+        return nothing, nothing, nothing
+    mean = sums[0] / runs
+    if runs < 2:
+        return mean, nothing, nothing
+    variance = np.maximum(sums[1] / runs - mean**2, 0.0) / (runs - 1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        factor = np.exp(student.ppf(0.5 + level / 2, runs - 1) * np.sqrt(variance) / mean)
+    return mean, mean / factor, mean * factor

@@ -1,0 +1,146 @@
+"""A trial: simulated runs of one configuration, the filters that may be flown on them, and how their estimates are judged.
+
+Each paper has a function ``trial(config, rngs) -> Trial``; missions, campaigns and the linear bound need nothing else of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from celnav.filters.driver import Epoch, Filter, steps
+from celnav.filters.info import Info
+from celnav.gaussian import Gaussian, nees
+from celnav.linalg import Array
+
+REFERENCE = "reference"
+"""The name by which `Trial.epochs` knows the reference filter."""
+
+
+class Group(NamedTuple):
+    """Components of the error that are judged together, such as a position.
+
+    ``part`` of the error's components, times ``scale`` (a number, or one for each of them), are in ``unit``.
+    """
+
+    name: str
+    unit: str
+    part: slice
+    scale: float | tuple[float, ...] = 1.0
+
+
+class Trial(NamedTuple):
+    """Simulated runs of a configuration.
+
+    Attributes
+    ----------
+    groups: what is judged. filters: by name. prior: of all runs, ``(runs, n)``.
+    epochs: ``name ->`` epochs for the filter of that name, from the start at every call. Those with a ``truth`` are judged.
+    compare: ``(truth, belief) ->`` errors ``(runs, n)`` and roots ``(runs, n, n)`` of what the belief takes for their covariance.
+    reference: a filter that is as good as can be where errors are small, for `bound`; None if there is none.
+    place: position ``(..., 3)`` km about the Earth's center of a state ``(..., n)``; None if it is no orbit.
+    """
+
+    groups: tuple[Group, ...]
+    filters: Mapping[str, Filter]
+    prior: Gaussian
+    epochs: Callable[[str], Iterable[Epoch]]
+    compare: Callable[[Any, Gaussian], tuple[Array, Array]]
+    reference: Filter | None = None
+    place: Callable[[Array], Array] | None = None
+
+    def squares(self, error: Array) -> Array:
+        """Squared errors ``(..., groups)`` of errors ``(..., n)``, in the units of the groups."""
+        parts = [np.square(error[..., group.part] * np.asarray(group.scale)).sum(-1) for group in self.groups]
+        return np.stack(parts, -1)
+
+    def variances(self, root: Array) -> Array:
+        """What roots ``(..., n, n)`` take the expected `squares` for, ``(..., groups)``."""
+        std = np.sqrt(np.square(root).sum(-1))
+        return self.squares(std)
+
+
+class Noiseless:
+    """A generator whose every number is zero: the run that it gives is the undisturbed one."""
+
+    def standard_normal(self, shape: tuple[int, ...]) -> Array:
+        """Zeros."""
+        return np.zeros(shape)
+
+
+class Followed(NamedTuple):
+    """A filter's runs at the ``K`` epochs that were judged; nan where a run has no estimate.
+
+    Attributes
+    ----------
+    times: ``(K,)`` s. error: ``(K, runs, n)``. square, variance: ``(K, runs, groups)``, see `Trial.squares`.
+    nees, nis, dof: ``(K, runs)``; ``dof`` is the number of measured components behind ``nis``.
+    lost: ``(run, t, why)`` of each run whose estimate ceased to be finite. epochs: of the filter, judged or not.
+    """
+
+    times: Array
+    error: Array
+    square: Array
+    variance: Array
+    nees: Array
+    nis: Array
+    dof: Array
+    lost: list[tuple[int, float, str]]
+    epochs: int
+
+
+def follow(trial: Trial, filter: Filter, epochs: Iterable[Epoch], every: int = 1) -> Followed:
+    """Run a filter and judge it at each ``every``-th of the epochs that have a truth.
+
+    Raises
+    ------
+    ValueError: if no epoch has one. Whatever the models raise passes through, with the step as a note.
+    """
+    rows: list[tuple[Array, ...]] = []
+    times: list[float] = []
+    lost: dict[int, tuple[float, str]] = {}
+    count = seen = 0
+    for epoch, state, info in steps(filter, trial.prior, epochs):
+        count += 1
+        belief: Gaussian = state.belief
+        infos = info if isinstance(info, tuple) and not isinstance(info, Info) else (info,)
+        why = next((one.failure for one in infos if one.failure), "")
+        due = epoch.truth is not None and seen % every == 0
+        seen += epoch.truth is not None
+        if due or why:
+            finite = np.atleast_1d(np.isfinite(belief.mean).all(-1))
+            for run in np.flatnonzero(~finite).tolist():
+                lost.setdefault(run, (float(epoch.t), why or "the estimate is not finite"))
+            for run in [run for run in lost if finite[run]]:
+                del lost[run]  # a filter of single epochs comes back
+        if due:
+            times.append(float(epoch.t))
+            rows.append(_judge(trial, epoch.truth, belief, infos))
+    if not rows:
+        raise ValueError("epochs: expected some with a truth, got none")
+    error, square, variance, normalized, nis, dof = (np.stack(column) for column in zip(*rows, strict=True))
+    failures = [(run, *what) for run, what in sorted(lost.items())]
+    return Followed(np.array(times), error, square, variance, normalized, nis, dof, failures, count)
+
+
+def _judge(trial: Trial, truth: Any, belief: Gaussian, infos: tuple[Any, ...]) -> tuple[Array, ...]:
+    with np.errstate(invalid="ignore"):  # a lost run is nan
+        error, root = trial.compare(truth, belief)
+        whites = [info.white for info in infos if info.white is not None]
+        nis = sum((np.vecdot(white, white) for white in whites), np.zeros(error.shape[:-1]))
+        dof = sum((info.used.sum(-1) for info in infos if info.used is not None), np.zeros(error.shape[:-1]))
+        return error, trial.squares(error), trial.variances(root), nees(error, root), nis, dof
+
+
+def bound(trial: Trial, every: int = 1) -> Array | None:
+    """Linearized posterior Cramer-Rao bound, from a trial of one `Noiseless` run: mean squares ``(K, groups)``.
+
+    The variances of the reference filter along the undisturbed run, started at the truth: for small process noise and errors
+    that stay in the linear range, no filter with this model and these measurements has smaller mean squares. None without
+    reference.
+    """
+    if trial.reference is None:
+        return None
+    return follow(trial, trial.reference, trial.epochs(REFERENCE), every).variance[:, 0]
