@@ -76,16 +76,16 @@ class Study:
 
     def to_dict(self) -> dict[str, Any]:
         """Everything that determines the results, in plain types: what a store is compared by."""
-        first = {k: v for k, v in _flat(asdict(self.configurations[0].config)).items() if k not in self.swept and k != "runs"}
+        first = {k: v for k, v in flat(asdict(self.configurations[0].config)).items() if k not in self.swept and k != "runs"}
         about = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("swept", "configurations")}
-        return {**_flat(about), **{f"config.{k}": v for k, v in first.items()}, **{f"config.{k}": v for k, v in self.swept.items()}}
+        return {**flat(about), **{f"config.{k}": v for k, v in first.items()}, **{f"config.{k}": v for k, v in self.swept.items()}}
 
 
-def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """Nested tables with dotted keys."""
     out: dict[str, Any] = {}
     for key, value in values.items():
-        out |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
+        out |= flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
     return out
 
 

@@ -376,9 +376,9 @@ def log(origin: str, name: str) -> Any:
     return rrb.TextLogView(origin=origin, name=name)
 
 
-def rows(*views: Any, shares: Sequence[float] | None = None) -> Any:
-    """Views one below the other."""
-    return rrb.Vertical(*views, row_shares=shares)
+def rows(*views: Any, shares: Sequence[float] | None = None, name: str | None = None) -> Any:
+    """Views one below the other; the name is that of a tab."""
+    return rrb.Vertical(*views, row_shares=shares, name=name)
 
 
 def columns(*views: Any, shares: Sequence[float] | None = None) -> Any:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import csv
 import html
 from collections.abc import Sequence
@@ -10,36 +9,21 @@ from pathlib import Path
 from typing import Any
 
 from celnav.claims import COLUMNS, read_claims, row
+from celnav.page import document, figure, link, table
 from celnav.papers import PAPERS, load
-
-_STYLE = """
-:root{color-scheme:light dark;--line:#8884;--bad:#d55e00;--good:#009e73}
-body{font:15px/1.5 system-ui,sans-serif;max-width:72rem;margin:0 auto;padding:1rem}
-table{border-collapse:collapse;display:block;overflow-x:auto;font-size:13px;margin:1rem 0}
-td,th{border-bottom:1px solid var(--line);padding:.3rem .5rem;text-align:left;vertical-align:top}
-figure{margin:1rem 0}img{max-width:100%;background:#fff;border-radius:4px}
-pre{overflow-x:auto;font-size:12px}.bad{color:var(--bad);font-weight:600}.good{color:var(--good)}
-.grid{display:grid;grid-template-columns:repeat(auto-fill,minmax(20rem,1fr));gap:1rem}
-"""
 
 
 def index(out: Path) -> str:
     """The page for whatever papers lie under ``out``."""
     sections = [_paper(out, paper) for paper in PAPERS if (out / paper / "claims.json").exists()]
-    body = "\n".join(sections) or "<p>Nothing reproduced yet.</p>"
-    return (
-        '<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
-        f"<title>celnav: what holds</title><style>{_STYLE}</style></head><body><h1>celnav</h1>\n{body}\n</body></html>\n"
-    )
+    return document("celnav: what holds", "<h1>celnav</h1>", *(sections or ["<p>Nothing reproduced yet.</p>"]))
 
 
 def _paper(out: Path, paper: str) -> str:
     module, folder = load(paper), out / paper
     claims = read_claims(folder / "claims.json")
     surprises = sum(_surprise(c) for c in claims)
-    links = " · ".join(
-        _link(f"{paper}/{p.name}", p.name) for p in sorted(folder.iterdir()) if p.suffix in (".rrd", ".json", ".npz")
-    )
+    links = " · ".join(link(f"{paper}/{p.name}", p.name) for p in sorted(folder.iterdir()) if p.suffix in (".rrd", ".json", ".npz"))
     return "\n".join(
         [
             f"<section><h2>{html.escape(module.TITLE)}</h2><pre>{html.escape(module.CITATION)}</pre>",
@@ -47,9 +31,9 @@ def _paper(out: Path, paper: str) -> str:
             f"<code>celnav view {paper}</code>.</p>",
             _claims(claims),
             f"<h3>Errata of the paper</h3>{_errata(module.ERRATA)}",
-            *(_table(path) for path in sorted((folder / "tables").glob("*.csv"))),
+            *(_listing(path) for path in sorted((folder / "tables").glob("*.csv"))),
             '<div class="grid">',
-            *(_figure(path, paper) for path in sorted((folder / "figures").glob("*.png"))),
+            *(_drawing(path, paper) for path in sorted((folder / "figures").glob("*.png"))),
             "</div></section>",
         ]
     )
@@ -57,10 +41,6 @@ def _paper(out: Path, paper: str) -> str:
 
 def _surprise(claim: dict[str, Any]) -> bool:
     return claim["holds"] is not None and claim["holds"] != claim["expected"]
-
-
-def _link(target: str, text: str) -> str:
-    return f'<a href="{html.escape(target, quote=True)}">{html.escape(text)}</a>'
 
 
 def _claims(claims: list[dict[str, Any]]) -> str:
@@ -81,17 +61,15 @@ def _errata(errata: Sequence[tuple[str, str]]) -> str:
     return f"<ol>{rows}</ol>"
 
 
-def _table(path: Path) -> str:
+def _listing(path: Path) -> str:
     with path.open(encoding="utf-8", newline="") as file:
         head, *rows = csv.reader(file)
-    lines = "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in line) + "</tr>" for line in rows)
-    names = "".join(f"<th>{html.escape(name)}</th>" for name in head)
-    title = html.escape(path.stem.replace("_", " ").capitalize())
-    return f"<h3>{title}</h3><table><thead><tr>{names}</tr></thead><tbody>{lines}</tbody></table>"
+    return f"<h3>{html.escape(_title(path))}</h3>{table(head, rows)}"
 
 
-def _figure(path: Path, paper: str) -> str:
-    data = base64.b64encode(path.read_bytes()).decode("ascii")
-    title = path.stem.replace("_", " ").capitalize()
-    svg = _link(f"{paper}/figures/{path.stem}.svg", "svg")
-    return f'<figure><img alt="{title}" src="data:image/png;base64,{data}"><figcaption>{title} ({svg})</figcaption></figure>'
+def _drawing(path: Path, paper: str) -> str:
+    return figure(_title(path), path.read_bytes(), f"{paper}/figures/{path.stem}.svg")
+
+
+def _title(path: Path) -> str:
+    return path.stem.replace("_", " ").capitalize()

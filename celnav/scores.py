@@ -14,7 +14,7 @@ from scipy.stats import t as student
 
 from celnav.linalg import Array
 from celnav.metrics import chi_square_band
-from celnav.trial import Followed, Group
+from celnav.trial import Followed, Group, squares
 
 BINS = 20
 """Bins of the histograms of NEES and NIS, equally probable for a consistent filter."""
@@ -44,15 +44,16 @@ def score(
     ``settle_s``: the mean over time begins here; None: in the middle of the run.
     """
     f, K = followed, len(followed.times)
+    square, variance = squares(groups, f.error), squares(groups, f.std)
     failures = {run: Failure(run, t, why) for run, t, why in f.lost}
     for i, group in enumerate(groups):
         limit = limits.get(group.name, np.inf)
-        for run in np.flatnonzero(f.square[-1, :, i] > limit**2).tolist():
+        for run in np.flatnonzero(square[-1, :, i] > limit**2).tolist():
             why = f"{group.name}: error above {limit:g} {group.unit} at the end"
             failures.setdefault(run, Failure(run, float(f.times[-1]), why))
-    good = np.array([run not in failures for run in range(f.square.shape[1])], bool)
+    good = np.array([run not in failures for run in range(square.shape[1])], bool)
     settled = np.arange(K) >= K // 2 if settle_s is None else f.times >= settle_s
-    square, variance, nees, nis, dof = (a[:, good] for a in (f.square, f.variance, f.nees, f.nis, f.dof))
+    square, variance, nees, nis, dof = (a[:, good] for a in (square, variance, f.nees, f.nis, f.dof))
     there = np.isfinite(nees)
     own, own_nees = (_mean_of(a[settled], there[settled]) for a in (square, nees))
     last = f.error[-1, good]

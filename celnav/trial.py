@@ -5,7 +5,7 @@ Each paper has a function ``trial(config, rngs) -> Trial``; missions, campaigns 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,9 +14,6 @@ from celnav.filters.driver import Epoch, Filter, steps
 from celnav.filters.info import Info
 from celnav.gaussian import Gaussian, nees
 from celnav.linalg import Array
-
-REFERENCE = "reference"
-"""The name by which `Trial.epochs` knows the reference filter."""
 
 
 class Group(NamedTuple):
@@ -39,7 +36,7 @@ class Trial(NamedTuple):
     groups: what is judged. filters: by name. prior: of all runs, ``(runs, n)``.
     epochs: ``name ->`` epochs for the filter of that name, from the start at every call. Those with a ``truth`` are judged.
     compare: ``(truth, belief) ->`` errors ``(runs, n)`` and roots ``(runs, n, n)`` of what the belief takes for their covariance.
-    reference: a filter that is as good as can be where errors are small, for `bound`; None if there is none.
+    reference: name of a filter that is as good as can be where errors are small, for `bound`; empty if there is none.
     place: position ``(..., 3)`` km about the Earth's center of a state ``(..., n)``; None if it is no orbit.
     """
 
@@ -48,18 +45,13 @@ class Trial(NamedTuple):
     prior: Gaussian
     epochs: Callable[[str], Iterable[Epoch]]
     compare: Callable[[Any, Gaussian], tuple[Array, Array]]
-    reference: Filter | None = None
+    reference: str = ""
     place: Callable[[Array], Array] | None = None
 
-    def squares(self, error: Array) -> Array:
-        """Squared errors ``(..., groups)`` of errors ``(..., n)``, in the units of the groups."""
-        parts = [np.square(error[..., group.part] * np.asarray(group.scale)).sum(-1) for group in self.groups]
-        return np.stack(parts, -1)
 
-    def variances(self, root: Array) -> Array:
-        """What roots ``(..., n, n)`` take the expected `squares` for, ``(..., groups)``."""
-        std = np.sqrt(np.square(root).sum(-1))
-        return self.squares(std)
+def squares(groups: Sequence[Group], values: Array) -> Array:
+    """Sums of squares ``(..., groups)`` of errors or deviations ``(..., n)``, in the units of the groups."""
+    return np.stack([np.square(values[..., group.part] * np.asarray(group.scale)).sum(-1) for group in groups], -1)
 
 
 class Noiseless:
@@ -75,15 +67,14 @@ class Followed(NamedTuple):
 
     Attributes
     ----------
-    times: ``(K,)`` s. error: ``(K, runs, n)``. square, variance: ``(K, runs, groups)``, see `Trial.squares`.
+    times: ``(K,)`` s. error: ``(K, runs, n)``, and std: what the filter takes for its deviations.
     nees, nis, dof: ``(K, runs)``; ``dof`` is the number of measured components behind ``nis``.
     lost: ``(run, t, why)`` of each run whose estimate ceased to be finite. epochs: of the filter, judged or not.
     """
 
     times: Array
     error: Array
-    square: Array
-    variance: Array
+    std: Array
     nees: Array
     nis: Array
     dof: Array
@@ -91,8 +82,8 @@ class Followed(NamedTuple):
     epochs: int
 
 
-def follow(trial: Trial, filter: Filter, epochs: Iterable[Epoch], every: int = 1) -> Followed:
-    """Run a filter and judge it at each ``every``-th of the epochs that have a truth.
+def follow(trial: Trial, name: str, every: int = 1) -> Followed:
+    """Run the filter of a name and judge it at each ``every``-th of the epochs that have a truth.
 
     Raises
     ------
@@ -102,7 +93,7 @@ def follow(trial: Trial, filter: Filter, epochs: Iterable[Epoch], every: int = 1
     times: list[float] = []
     lost: dict[int, tuple[float, str]] = {}
     count = seen = 0
-    for epoch, state, info in steps(filter, trial.prior, epochs):
+    for epoch, state, info in steps(trial.filters[name], trial.prior, trial.epochs(name)):
         count += 1
         belief: Gaussian = state.belief
         infos = info if isinstance(info, tuple) and not isinstance(info, Info) else (info,)
@@ -120,9 +111,9 @@ def follow(trial: Trial, filter: Filter, epochs: Iterable[Epoch], every: int = 1
             rows.append(_judge(trial, epoch.truth, belief, infos))
     if not rows:
         raise ValueError("epochs: expected some with a truth, got none")
-    error, square, variance, normalized, nis, dof = (np.stack(column) for column in zip(*rows, strict=True))
+    error, std, normalized, nis, dof = (np.stack(column) for column in zip(*rows, strict=True))
     failures = [(run, *what) for run, what in sorted(lost.items())]
-    return Followed(np.array(times), error, square, variance, normalized, nis, dof, failures, count)
+    return Followed(np.array(times), error, std, normalized, nis, dof, failures, count)
 
 
 def _judge(trial: Trial, truth: Any, belief: Gaussian, infos: tuple[Any, ...]) -> tuple[Array, ...]:
@@ -131,7 +122,7 @@ def _judge(trial: Trial, truth: Any, belief: Gaussian, infos: tuple[Any, ...]) -
         whites = [info.white for info in infos if info.white is not None]
         nis = sum((np.vecdot(white, white) for white in whites), np.zeros(error.shape[:-1]))
         dof = sum((info.used.sum(-1) for info in infos if info.used is not None), np.zeros(error.shape[:-1]))
-        return error, trial.squares(error), trial.variances(root), nees(error, root), nis, dof
+        return error, np.sqrt(np.square(root).sum(-1)), nees(error, root), nis, dof
 
 
 def bound(trial: Trial, every: int = 1) -> Array | None:
@@ -141,6 +132,4 @@ def bound(trial: Trial, every: int = 1) -> Array | None:
     that stay in the linear range, no filter with this model and these measurements has smaller mean squares. None without
     reference.
     """
-    if trial.reference is None:
-        return None
-    return follow(trial, trial.reference, trial.epochs(REFERENCE), every).variance[:, 0]
+    return squares(trial.groups, follow(trial, trial.reference, every).std)[:, 0] if trial.reference else None

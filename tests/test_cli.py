@@ -47,7 +47,6 @@ def study(monkeypatch):
     def use(**options):
         module = tiny(**options)
         monkeypatch.setattr(papers, "PAPERS", {"tiny": "tiny"})
-        monkeypatch.setattr(cli, "PAPERS", {"tiny": "tiny"})
         monkeypatch.setattr("celnav.report.PAPERS", {"tiny": "tiny"})
         monkeypatch.setattr("celnav.papers.import_module", lambda name: module)
 

@@ -11,16 +11,18 @@ import celnav
 
 ROOT = Path(celnav.__file__).parent
 ROOMS = [
-    {"linalg", "colors", "effort"},
+    {"linalg", "colors", "effort", "progress", "page"},
     {"spaces", "gaussian", "files"},
     {"points", "rinex_text"},
     {"taylor", "sparse_grid", "attitude"},
     {"adaptive_grid", "filters", "models"},
     {"montecarlo", "metrics", "observability", "jacobians", "tuning", "rinex"},
-    {"claims", "figures", "recording", "positioning"},
-    {"positioning_report"},
+    {"claims", "figures", "recording", "positioning", "trial"},
+    {"positioning_report", "scores"},
     {"papers"},
-    {"report"},
+    {"report", "mission"},
+    {"campaign"},
+    {"commands"},
     {"cli"},
 ]
 LEVEL = {room: level for level, rooms in enumerate(ROOMS) for room in rooms}

@@ -15,7 +15,7 @@ from celnav.campaign.engine import UnfinishedError, compute
 from celnav.campaign.executors import Workers, dask, given, processes, serial
 from celnav.campaign.store import Store, StoreError, open_store
 from celnav.campaign.table import Merged, Row, merged, rows_of
-from celnav.campaign.units import Result, Unit, VersionError, units_of
+from celnav.campaign.units import Result, Unit, VersionError, WorkError, units_of
 from celnav.files import locked
 from celnav.mission import Study
 
@@ -25,6 +25,7 @@ __all__ = [
     "StoreError",
     "UnfinishedError",
     "VersionError",
+    "WorkError",
     "campaign",
     "dask",
     "fly",

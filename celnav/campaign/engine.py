@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 
 from celnav.campaign.executors import Workers
-from celnav.campaign.units import Result, Unit, VersionError, code, execute
+from celnav.campaign.units import Result, Unit, VersionError, WorkError, code, execute
 
 ATTEMPTS = 3
 """How often in a row workers may die, and no unit be finished, before units are tried one by one."""
@@ -14,7 +14,7 @@ ATTEMPTS = 3
 Keep = Callable[[Unit, Result], None]
 
 
-class UnfinishedError(RuntimeError):
+class UnfinishedError(WorkError):
     """Units that could not be done; everything else is kept."""
 
 

@@ -15,6 +15,8 @@ from celnav.linalg import Array
 from celnav.mission import Configuration, Study
 from celnav.scores import Accuracy, Scores, Summary, merge, summarize
 
+MOST_LINES = 40
+
 
 class Row(NamedTuple):
     """What a filter comes to in a configuration.
@@ -144,3 +146,17 @@ def to_parquet(table: dict[str, list[Any]]) -> bytes:
     pq.write_table(pa.table({name: pa.array(values) for name, values in table.items()}), sink)
     content: bytes = sink.getvalue().to_pybytes()
     return content
+
+
+def summary(rows: Sequence[Row]) -> str:
+    """A few lines for a terminal: the accuracy of each row, and what failed."""
+    lines = []
+    for row in rows[:MOST_LINES]:
+        where = ", ".join([*(f"{key} = {plain(value)}" for key, value in row.values.items()), row.filter])
+        found = [(name, unit, row.accuracy(name)) for name, unit in row.groups]
+        parts = [f"{name} {a.rms:.4g} {unit}" for name, unit, a in found if a is not None]
+        parts += [f"anees {row.summary.anees:.3g}"] if row.summary is not None else []
+        parts += [f"{row.failed} failed ({row.reasons.most_common(1)[0][0]})"] if row.failed else []
+        lines.append(f"{where}: {', '.join(parts)}")
+    rest = len(rows) - MOST_LINES
+    return "\n".join([*lines, *([f"and {rest} more, in table.csv"] if rest > 0 else [])])

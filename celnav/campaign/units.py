@@ -30,7 +30,11 @@ STUDY = 0
 """Of `celnav.montecarlo.generator`, for all configurations: they share their random numbers, so differences are sharp."""
 
 
-class VersionError(RuntimeError):
+class WorkError(RuntimeError):
+    """Work that could not be done."""
+
+
+class VersionError(WorkError):
     """A worker runs another celnav than the one that handed out the work."""
 
 
@@ -173,7 +177,7 @@ class _Flight:
             if name not in trial.filters:
                 return [(None, [Failure(run, 0.0, f"this configuration has no filter {name}") for run in runs], 0.0, 0)]
             start = process_time()
-            followed = follow(trial, trial.filters[name], trial.epochs(name), unit.every)
+            followed = follow(trial, name, unit.every)
             seconds = process_time() - start
         except MemoryError:
             raise

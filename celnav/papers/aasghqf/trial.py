@@ -25,7 +25,7 @@ def trial(config: Config, rngs: Sequence[np.random.Generator]) -> Trial:
         Group("drift", "deg/h", slice(7, 10), 60.0 * arcmin),
         Group("bias", "ug", slice(10, 13), 1.0 / MICRO_G),
     )
-    return Trial(groups, known, sim.prior, lambda _name: sim.epochs(), _compare, known["ekf"])
+    return Trial(groups, known, sim.prior, lambda _name: sim.epochs(), _compare, "ekf")
 
 
 def _compare(truth: Array, belief: Gaussian) -> tuple[Array, Array]:

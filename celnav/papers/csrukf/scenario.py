@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from celnav.filters.step import Model, predict, update
 from celnav.gaussian import Gaussian
 from celnav.linalg import Array, semidefinite_root
 from celnav.models import orbit, sightings
-from celnav.models.noise import ar1, effective_covariance
+from celnav.models.noise import ar1, effective_covariance, initial_covariance
 from celnav.montecarlo import normals
 from celnav.papers.csrukf.config import Config
 from celnav.points import unscented
@@ -52,8 +52,8 @@ class Scenario(NamedTuple):
 
     def epochs_of(self, filter: str) -> Epochs:
         """What a filter of `filters` is given: positions or angles; those that take the noise for white, not the first sample."""
-        if filter == "angles":
-            return self.angle_epochs(first=self.config.phi != 0.0)
+        if filter.startswith("angles"):
+            return self.angle_epochs(first=filter == "angles+z0" or self.config.phi != 0.0)
         return self.epochs(first=not filter.startswith("srukf"))
 
 
@@ -153,34 +153,30 @@ def jacobian_covariance(config: Config) -> Array:
     return sightings.pseudo_position_covariance(config.nominal()[:, :3], config.separation, config.sigma_angles)
 
 
-def angle_model(config: Config) -> Model:
-    """Model function of the three angles."""
-    stars = sightings.star_directions(config.separation)
-
-    def h(x: Array, epoch: object) -> Array:  # noqa: ARG001
-        return sightings.angles(x[..., :3], stars)
-
-    return h
-
-
 def angle_filters(config: Config) -> dict[str, Filter]:
     """Filters where angles are measured, by name.
 
     srukf-isotropic, csrukf-isotropic: on pseudo-positions, all components taken for equally good. csrukf-jacobian: on
     pseudo-positions, with the covariance that the angles give them. angles: on the angles themselves; their noise is whitened
-    if it has a color. openloop: no measurement at all.
+    if it has a color. angles+z0: uses the first sample too, the exact reference. openloop: no measurement at all.
     """
-    f, h = dynamics(config), angle_model(config)
+    f, stars = dynamics(config), sightings.star_directions(config.separation)
     root, table = np.diag(config.sigma_angles), jacobian_covariance(config)
     isotropic = np.trace(table, axis1=-2, axis2=-1).mean() / 3.0 * np.eye(3)
-    if config.phi:
-        angles = colored(f, h, unscented(12), config.Phi, sqrt_Q=config.sqrt_Q, sqrt_R=root)
-    else:
-        angles = sequential(predict(f, config.rule, sqrt_Q=config.sqrt_Q), update(h, config.rule, sqrt_R=root))
+
+    def h(x: Array, epoch: object) -> Array:  # noqa: ARG001
+        return sightings.angles(x[..., :3], stars)
+
+    def whitened(**first: Any) -> Filter:
+        return colored(f, h, unscented(12), config.Phi, sqrt_Q=config.sqrt_Q, sqrt_R=root, **first)
+
+    first = initial_covariance(config.first_noise, config.Phi, root**2)
+    plain = sequential(predict(f, config.rule, sqrt_Q=config.sqrt_Q), update(h, config.rule, sqrt_R=root))
     return {
         "srukf-isotropic": white(config, isotropic),
         "csrukf-isotropic": single_transform(config, isotropic),
         "csrukf-jacobian": single_transform(config, table),
-        "angles": angles,
+        "angles": whitened() if config.phi else plain,
+        "angles+z0": whitened(Sigma0=first, first_rule=config.rule),
         "openloop": open_loop(config),
     }

@@ -18,7 +18,7 @@ GROUPS = (Group("attitude", "arcsec", slice(0, 3), 1.0 / ARCSEC), Group("drift",
 def trial(config: Config, rngs: Sequence[np.random.Generator]) -> Trial:
     """One run with each generator; the initial errors are drawn from the prior."""
     sim, known = simulate(config, rngs), filters(config)
-    return Trial(GROUPS, known, sim.drawn, lambda _name: sim.epochs(), _compare, known["mekf"])
+    return Trial(GROUPS, known, sim.drawn, lambda _name: sim.epochs(), _compare, "mekf")
 
 
 def _compare(truth: Array, belief: Gaussian) -> tuple[Array, Array]:

@@ -19,7 +19,7 @@ GROUPS = (Group("position", "km", slice(0, 3)), Group("velocity", "m/s", slice(3
 def trial(config: Config, rngs: Sequence[np.random.Generator]) -> Trial:
     """One run with each generator. The orbit is judged, which all filters estimate."""
     sim, known = simulate(config, rngs), filters(config)
-    return Trial(GROUPS, known, sim.prior, lambda _name: sim.epochs(), _compare, known["aug"], lambda x: x[..., :3])
+    return Trial(GROUPS, known, sim.prior, lambda _name: sim.epochs(), _compare, "aug", lambda x: x[..., :3])
 
 
 def _compare(truth: Array, belief: Gaussian) -> tuple[Array, Array]:

@@ -1,0 +1,169 @@
+"""A mission's first run, filter by filter: errors within three deviations, drawn and recorded."""
+
+from __future__ import annotations
+
+from os import PathLike
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from celnav import colors
+from celnav.campaign import Outcome
+from celnav.campaign.figures import PALETTE
+from celnav.campaign.units import STUDY
+from celnav.figures import figure
+from celnav.linalg import Array
+from celnav.mission import Study
+from celnav.models.earth import SEMI_MAJOR_M
+from celnav.montecarlo import generator
+from celnav.papers import load
+from celnav.trial import Followed, Group, Trial, follow
+
+
+class Showcase(NamedTuple):
+    """The first run: ``truth (K, 3)`` km at the judged epochs, None where the state is no orbit; what each filter made of it; the
+    ``components`` that are shown, and their ``scale``."""
+
+    study: Study
+    groups: tuple[Group, ...]
+    truth: Array | None
+    filters: dict[str, Followed]
+    components: Array
+    scale: Array
+
+    @property
+    def times(self) -> Array:
+        """The judged epochs ``(K,)`` s."""
+        return next(iter(self.filters.values())).times
+
+    def error(self, name: str) -> Array:
+        """Of a filter, ``(K, components)`` in the units of the groups."""
+        return np.asarray(self.filters[name].error[:, 0, self.components] * self.scale)
+
+    def std(self, name: str) -> Array:
+        """What a filter takes for the deviations of `error`."""
+        return np.asarray(self.filters[name].std[:, 0, self.components] * self.scale)
+
+
+def showcase(study: Study) -> Showcase:
+    """Follow the first run of a mission."""
+    trial: Trial = load(study.paper).trial(study.configurations[0].config, [generator(study.seed, STUDY, 0)])
+    filters = {name: follow(trial, name) for name in study.filters}
+    truth = None
+    if trial.place is not None:
+        epochs = trial.epochs(study.filters[0])
+        truth = np.stack([trial.place(epoch.truth)[0] for epoch in epochs if epoch.truth is not None])
+    components = np.concatenate([np.arange(g.part.start, g.part.stop) for g in trial.groups])
+    scale = np.concatenate([np.broadcast_to(g.scale, g.part.stop - g.part.start) for g in trial.groups])
+    return Showcase(study, trial.groups, truth, filters, components, scale)
+
+
+def _parts(groups: tuple[Group, ...]) -> list[slice]:
+    """Where the groups lie in the components that are shown."""
+    ends = np.cumsum([g.part.stop - g.part.start for g in groups]).tolist()
+    return [slice(start, end) for start, end in zip([0, *ends], ends, strict=False)]
+
+
+def errors(shown: Showcase) -> Figure:
+    """Errors of the first run, a row for each group and a column for each filter."""
+    names = list(shown.filters)
+    fig, axes = figure(max(5.0, 2.6 * len(names)), 2.0 * len(shown.groups) + 0.4, len(shown.groups), len(names), squeeze=False,
+                       sharex=True, sharey="row")  # fmt: skip
+    late = slice(len(shown.times) // 4, None)
+    for row, group, part in zip(axes, shown.groups, _parts(shown.groups), strict=True):
+        for ax, name in zip(row, names, strict=True):
+            error, reach = shown.error(name)[:, part], 3.0 * shown.std(name)[:, part].max(1)
+            ax.plot(shown.times, reach, color=colors.SIGMA, linewidth=0.8, label="±3σ, the largest of them")
+            ax.plot(shown.times, -reach, color=colors.SIGMA, linewidth=0.8)
+            for i, component in enumerate(error.T):
+                ax.plot(shown.times, component, color=PALETTE[i % 6], linewidth=0.8, label=f"component {i + 1}")
+        row[0].set_ylabel(f"{group.name} error ({group.unit})")
+        seen = [np.abs([shown.error(name)[late, part], 3.0 * shown.std(name)[late, part]]) for name in names]
+        top = 1.2 * float(np.nanmax(seen, initial=0.0))
+        if top > 0.0:
+            row[0].set_ylim(-top, top)
+    for ax, name in zip(axes[0], names, strict=True):
+        ax.set_title(name)
+    for ax in axes[-1]:
+        ax.set_xlabel("time (s)")
+    fig.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    fig.suptitle("errors of the first run (axes cut off before the first quarter is over)")
+    return fig
+
+
+def record(shown: Showcase, outcome: Outcome, path: str | PathLike[str]) -> None:
+    """Record the first run, and the rms of all runs. Needs rerun.
+
+    Raises
+    ------
+    OSError: if ``path`` cannot be written. ValueError: if it is a file that celnav did not make.
+    """
+    from celnav import recording as r
+
+    times, study = shown.times, shown.study
+    palette = {name: PALETTE[i % 6] for i, name in enumerate(study.filters)}
+    plots = [r.plot(f"rms/{g.name}", f"{g.name}: rms of {study.runs} runs, log10 of {g.unit}", times) for g in shown.groups]
+    tabs = [
+        r.rows(*(r.plot(f"first/{f}/{g.name}", f"{f}: {g.name} of the first run, {g.unit}", times) for g in shown.groups), name=f)
+        for f in study.filters
+    ]
+    left: list[Any] = [r.text("info", "about"), r.plot("nees", "NEES over its dimension, first run, log10", times)]
+    if shown.truth is not None:
+        reach = float(np.abs(shown.truth).max())
+        eye = reach * np.array([2.2, -1.8, 1.4])
+        left.insert(0, r.space("orbit", "orbit, km", eye=eye, growing={"orbit/truth": np.inf}))
+    layout = r.columns(r.rows(*left), r.tabs(r.rows(*plots, name="all runs"), *tabs), shares=(2, 3))
+    facts = {"paper": study.paper, "runs": study.runs, "seed": study.seed, "filters": ", ".join(study.filters)}
+    with r.recording(path, times, name=f"mission {study.title}", layout=layout, properties=facts) as out:
+        out.text("info", _about(study, outcome))
+        if shown.truth is not None:
+            out.globe("orbit/earth", 1e-3 * SEMI_MAJOR_M)
+            out.trail("orbit/truth", shown.truth, colors.TRUTH)
+            out.points("orbit/here", shown.truth, colors.TRUTH, radius=6.0, label="satellite")
+        for name, found in shown.filters.items():
+            for group, part in zip(shown.groups, _parts(shown.groups), strict=True):
+                for i, component in enumerate(shown.error(name)[:, part].T):
+                    out.curve(f"first/{name}/{group.name}/{i + 1}", component, PALETTE[i % 6], f"component {i + 1}")
+                out.bounds(f"first/{name}/{group.name}/sigma", shown.std(name)[:, part].max(1), "largest")
+            out.curve(f"nees/{name}", _log10(found.nees[:, 0] / found.error.shape[-1]), palette[name], name)
+        _rms(out, shown, outcome, palette)
+
+
+def _rms(out: Any, shown: Showcase, outcome: Outcome, palette: dict[str, str]) -> None:
+    """Errors of all runs, at the epochs that were scored."""
+    found = outcome.first[0]
+    for i, group in enumerate(shown.groups):
+        for name, scores in found.scores.items():
+            if scores is not None:
+                with np.errstate(invalid="ignore", divide="ignore"):
+                    rms = np.sqrt(scores["square"][:, i] / scores["count"])
+                out.curve(f"rms/{group.name}/{name}", _spread(shown, rms), palette[name], name)
+        if found.bound is not None:
+            out.curve(f"rms/{group.name}/bound", _spread(shown, np.sqrt(found.bound[:, i])), colors.BOUND, "bound", width=1.0)
+
+
+def _spread(shown: Showcase, values: Array) -> Array:
+    """Logarithms of values of scored epochs, at the recording's epochs; nan between."""
+    out = np.full(len(shown.times), np.nan)
+    out[:: shown.study.every] = _log10(values)
+    return out
+
+
+def _log10(values: Array) -> Array:
+    with np.errstate(invalid="ignore", divide="ignore"):
+        logs = np.log10(values)
+    return np.asarray(np.where(np.isfinite(logs), logs, np.nan))
+
+
+def _about(study: Study, outcome: Outcome) -> str:
+    """What one sees."""
+    lines = [f"# {study.title}", f"{study.runs} runs of `{study.paper}`, seed {study.seed}.", ""]
+    for row in outcome.rows:
+        for name, unit in row.groups:
+            found = row.accuracy(name)
+            if found is not None:
+                lines.append(f"- **{row.filter}** {name}: rms {found.rms:.3g} {unit}, takes itself for {found.sigma:.3g}")
+        if row.failed:
+            lines.append(f"- **{row.filter}**: {row.failed} runs failed")
+    return "\n".join(lines)

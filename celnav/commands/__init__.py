@@ -1,0 +1,1 @@
+"""The commands of `celnav.cli`, one module each: ``run(options) -> exit status``."""

@@ -1,0 +1,51 @@
+"""What commands make of the words they are given."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+from types import ModuleType
+
+from celnav.papers import load
+
+
+class UsageError(Exception):
+    """The command was given something it cannot use: one line, exit 2."""
+
+
+def module(paper: str) -> ModuleType:
+    """The module of a paper, or UsageError."""
+    try:
+        return load(paper)
+    except ValueError as error:
+        raise UsageError(error) from None
+
+
+def whole(name: str, text: str, least: int) -> int:
+    """A whole number, or UsageError."""
+    try:
+        value = int(text)
+    except ValueError:
+        value = least - 1
+    if value < least:
+        raise UsageError(f"{name}: expected a whole number of at least {least}, got {text!r}")
+    return value
+
+
+def number(name: str, text: str) -> float:
+    """A number, or UsageError."""
+    try:
+        return float(text)
+    except ValueError:
+        raise UsageError(f"{name}: expected a number, got {text!r}") from None
+
+
+def cores() -> int:
+    """Processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def folder_of(file: str) -> Path:
+    """Where the results of a file go, unless somebody says otherwise: ``out/NAME``."""
+    return Path("out") / (re.sub(r"[^\w.-]+", "-", Path(file).stem).strip(".-") or "mission")

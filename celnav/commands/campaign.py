@@ -1,0 +1,52 @@
+"""``celnav campaign``: sweep a study."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+from celnav.commands.arguments import UsageError, cores, folder_of, whole
+from celnav.files import Outputs
+from celnav.progress import RunProgress
+
+
+def run(options: argparse.Namespace) -> int:
+    """Do what is missing of a study and write what it comes to."""
+    from celnav.campaign import WorkError, campaign
+    from celnav.campaign.figures import figures
+    from celnav.campaign.page import names, write
+    from celnav.campaign.table import summary
+    from celnav.mission import read
+
+    workers, study = _workers(options), read(options.study)
+    folder = Path(options.out or folder_of(options.study))
+    outputs = Outputs(folder)
+    outputs.check(names({}))
+    progress = RunProgress(folder.name)
+    try:
+        outcome = campaign(study, folder, workers, progress=progress, say=lambda line: print(f"celnav: {line}", file=sys.stderr))
+    except WorkError as error:
+        print(f"celnav: {error}; the others are kept in {folder}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print(f"\ncelnav: interrupted; what is finished is kept in {folder}, the same command goes on", file=sys.stderr)
+        return 130
+    finally:
+        progress.close()
+    print(summary(outcome.rows))
+    write(outcome, figures(outcome), outputs)
+    print(f"wrote {folder / 'index.html'}")
+    return 0
+
+
+def _workers(options: argparse.Namespace) -> Any:
+    from celnav.campaign import dask, processes, serial
+
+    jobs = cores() if options.jobs is None else whole("jobs", options.jobs, 1)
+    if options.address is not None and options.executor != "dask":
+        raise UsageError("address: expected --executor dask with it")
+    if options.executor == "dask":
+        return dask(options.address, jobs)
+    return processes(jobs) if jobs > 1 else serial()

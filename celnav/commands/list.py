@@ -1,0 +1,60 @@
+"""``celnav list``: what there is."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict
+from typing import Any
+
+from celnav import papers
+from celnav.commands.arguments import module
+from celnav.papers import figures, load, tables
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print papers, figures, filters and rules, or the parameters of a paper."""
+    if options.paper is None:
+        _everything()
+    else:
+        _parameters(options.paper)
+    return 0
+
+
+def _everything() -> None:
+    for paper in papers.PAPERS:
+        study = load(paper)
+        print(f"{paper}: {study.TITLE}\n")
+        for stem, function in {**figures(study), **tables(study)}.items():
+            print(f"  {stem:12} {(function.__doc__ or '').partition(chr(10))[0]}")
+        print(f"\n  filters: {', '.join(study.filters(next(iter(study.PRESETS.values()))))}")
+        print(f"  presets: {', '.join(study.PRESETS)}")
+        print(f"  parameters: celnav list {paper}\n")
+    print("rules: unscented, simplex, cubature (degree 3 and 5), gauss_hermite, smolyak, from_filterpy, Taylor (EKF)")
+
+
+def _parameters(paper: str) -> None:
+    """What stands under ``[config]`` of a mission, with units and what each preset changes."""
+    from celnav.mission import flat, unit_of
+
+    study = module(paper)
+    presets: dict[str, dict[str, Any]] = {name: flat(asdict(config)) for name, config in study.PRESETS.items()}
+    first, *others = presets.items()
+    print(f"{paper}: {study.TITLE}\n\n[config] of a mission, with the values of preset {first[0]}:\n")
+    for key, value in first[1].items():
+        if key != "runs":
+            print(f"  {key:32} {_written(value):36} {unit_of(key)}".rstrip())
+    for name, values in others:
+        changed = [f"{key} = {_written(value)}" for key, value in values.items() if value != first[1][key]]
+        print(f"\npreset {name}: {', '.join(changed) or 'the same'}")
+    print(f"\nfilters: {', '.join(study.filters(study.PRESETS[first[0]]))}")
+
+
+def _written(value: Any) -> str:
+    """As TOML has it."""
+    if isinstance(value, tuple):
+        return f"[{', '.join(_written(v) for v in value)}]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if value is None:
+        return "(left out)"
+    return f'"{value}"' if isinstance(value, str) else str(value)

@@ -1,0 +1,50 @@
+"""``celnav run``: fly one mission."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from celnav.commands.arguments import UsageError, folder_of, whole
+from celnav.files import Outputs
+from celnav.progress import RunProgress
+
+RECORDING = "mission.rrd"
+
+
+def run(options: argparse.Namespace) -> int:
+    """Everything is computed before anything is written."""
+    from celnav.campaign import WorkError, fly, processes, serial
+    from celnav.campaign.figures import figures
+    from celnav.campaign.page import names, write
+    from celnav.campaign.showcase import errors, record, showcase
+    from celnav.campaign.table import summary
+    from celnav.mission import read
+
+    jobs = whole("jobs", options.jobs, 1)
+    study = read(options.mission)
+    if study.swept:
+        listed = ", ".join(f"config.{key}" for key in study.swept)
+        raise UsageError(f"{options.mission}: {listed}: a list of values is a study; use: celnav campaign {options.mission}")
+    outputs = Outputs(options.out or folder_of(options.mission))
+    outputs.check([*names({}), "summary.txt", RECORDING])
+    progress = RunProgress(study.title)
+    try:
+        outcome = fly(study, processes(jobs) if jobs > 1 else serial(), progress=progress)
+    except WorkError as error:
+        print(f"celnav: {error}", file=sys.stderr)
+        return 1
+    finally:
+        progress.close()
+    print(summary(outcome.rows))
+    first = None if all(row.summary is None for row in outcome.rows) else showcase(study)
+    write(outcome, figures(outcome) | ({"errors": errors(first)} if first else {}), outputs, RECORDING if first else "")
+    outputs.text("summary.txt", summary(outcome.rows) + "\n")
+    try:
+        if first:
+            with outputs.path_for(RECORDING) as path:
+                record(first, outcome, path)
+    except (ImportError, OSError, RuntimeError, ValueError) as error:
+        print(f"celnav: no recording ({error}); everything else is written", file=sys.stderr)
+    print(f"wrote {outputs.directory / 'index.html'}")
+    return 0

@@ -1,0 +1,46 @@
+"""Pages that open from disk: one file each, with their style and pictures inside."""
+
+from __future__ import annotations
+
+import base64
+import html
+from collections.abc import Iterable
+
+_STYLE = """
+:root{color-scheme:light dark;--line:#8884;--bad:#d55e00;--good:#009e73}
+body{font:15px/1.5 system-ui,sans-serif;max-width:72rem;margin:0 auto;padding:1rem}
+table{border-collapse:collapse;display:block;overflow-x:auto;font-size:13px;margin:1rem 0}
+td,th{border-bottom:1px solid var(--line);padding:.3rem .5rem;text-align:left;vertical-align:top}
+figure{margin:1rem 0}img{max-width:100%;background:#fff;border-radius:4px}
+pre{overflow-x:auto;font-size:12px}.bad{color:var(--bad);font-weight:600}.good{color:var(--good)}
+.grid{display:grid;grid-template-columns:repeat(auto-fill,minmax(20rem,1fr));gap:1rem}
+"""
+
+
+def document(title: str, *parts: str) -> str:
+    """A whole page of parts that are HTML."""
+    body = "\n".join(parts)
+    return (
+        '<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
+        f"<title>{html.escape(title)}</title><style>{_STYLE}</style></head><body>{body}\n</body></html>\n"
+    )
+
+
+def link(target: str, text: str) -> str:
+    """A link to a file beside the page."""
+    return f'<a href="{html.escape(target, quote=True)}">{html.escape(text)}</a>'
+
+
+def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """A table of plain text."""
+    lines = "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
+    names = "".join(f"<th>{html.escape(name)}</th>" for name in head)
+    return f"<table><thead><tr>{names}</tr></thead><tbody>{lines}</tbody></table>"
+
+
+def figure(title: str, png: bytes, svg: str) -> str:
+    """A picture, and a link to its file ``svg``."""
+    data = base64.b64encode(png).decode("ascii")
+    name = html.escape(title)
+    picture = f'<img alt="{name}" src="data:image/png;base64,{data}">'
+    return f"<figure>{picture}<figcaption>{name} ({link(svg, 'svg')})</figcaption></figure>"

@@ -1,0 +1,79 @@
+"""How far a command is: a bar on a terminal, plain lines otherwise."""
+
+from __future__ import annotations
+
+import sys
+from time import monotonic
+from typing import Any
+
+EVERY_S = 5.0
+"""Between plain lines about runs."""
+
+
+class Progress:
+    """Of named stages and units of work."""
+
+    def __init__(self, paper: str):
+        self._paper = paper
+        self._bar: Any = None
+        self._terminal = sys.stderr.isatty()
+
+    def stage(self, name: str) -> None:
+        """A stage begins."""
+        if not self._terminal:
+            print(f"{self._paper}: {name}", flush=True)
+        elif self._bar is not None:
+            self._bar.set_description(f"{self._paper}: {name}")
+
+    def __call__(self, done: int, total: int, label: str) -> None:
+        """So many units are done."""
+        if not self._terminal:
+            print(f"{self._paper}: {done}/{total} {label}", flush=True)
+            return
+        if self._bar is None:
+            from tqdm import tqdm
+
+            self._bar = tqdm(total=total, file=sys.stderr)
+        self._bar.set_description(f"{self._paper}: {label}")
+        self._bar.update(done - self._bar.n)
+
+    def close(self) -> None:
+        """Nothing more comes."""
+        if self._bar is not None:
+            self._bar.close()
+
+
+class RunProgress:
+    """Of Monte-Carlo runs, with their rate and the time left. The first call says how many were done before."""
+
+    def __init__(self, name: str):
+        self._name = name
+        self._bar: Any = None
+        self._terminal = sys.stderr.isatty()
+        self._start: tuple[float, int] | None = None
+        self._said = 0.0
+
+    def __call__(self, done: int, total: int) -> None:
+        """So many runs are done."""
+        now = monotonic()
+        if self._start is None:
+            self._start = now, done
+            if self._terminal:
+                from tqdm import tqdm
+
+                self._bar = tqdm(total=total, initial=done, unit="run", desc=self._name, file=sys.stderr)
+            else:
+                print(f"{self._name}: {done}/{total} runs", flush=True)
+                self._said = now
+        elif self._bar is not None:
+            self._bar.update(done - self._bar.n)
+        elif done == total or now - self._said >= EVERY_S:
+            rate = (done - self._start[1]) / max(now - self._start[0], 1e-9)
+            left = (total - done) / rate if rate else float("inf")
+            print(f"{self._name}: {done}/{total} runs, {rate:.0f} a second, {left:.0f} s left", flush=True)
+            self._said = now
+
+    def close(self) -> None:
+        """Nothing more comes."""
+        if self._bar is not None:
+            self._bar.close()
