@@ -7,9 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import chi2
-from scipy.stats import norm as normal
-from scipy.stats import t as student
+from scipy.special import gammaincinv, ndtri, stdtrit
 
 from celnav.gaussian import Gaussian
 from celnav.linalg import Array, solve_lower
@@ -50,7 +48,8 @@ def chi_square_band(dof: float, runs: int, level: float = 0.95) -> tuple[float, 
 
 def _chi_square(level: float, dof: float) -> tuple[float, float]:
     """Central interval of a chi-square variable."""
-    return float(chi2.ppf(0.5 - level / 2, dof)), float(chi2.ppf(0.5 + level / 2, dof))
+    low, high = 2.0 * gammaincinv(0.5 * dof, [0.5 - level / 2, 0.5 + level / 2])
+    return float(low), float(high)
 
 
 def bootstrap(
@@ -67,7 +66,7 @@ def bootstrap(
     low, high = np.quantile(values, [0.5 - level / 2, 0.5 + level / 2])
     value = float(statistic(*samples))
     upper = 0.5 + level / 2
-    wider = float(np.sqrt(runs / (runs - 1)) * student.ppf(upper, runs - 1) / normal.ppf(upper))
+    wider = float(np.sqrt(runs / (runs - 1)) * stdtrit(runs - 1, upper) / ndtri(upper))
     return value + wider * float(low - value), value + wider * float(high - value)
 
 

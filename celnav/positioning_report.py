@@ -7,14 +7,14 @@ import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from pymap3d import ecef2geodetic
 
 from celnav import colors
-from celnav.figures import figure, render
+from celnav.drawing import render
+from celnav.figures import figure
 from celnav.files import Outputs
 from celnav.filters.driver import run
 from celnav.linalg import Array
@@ -23,6 +23,9 @@ from celnav.models.beidou import ELLIPSOID, GEO_NUMBERS
 from celnav.models.receiver import on_earth
 from celnav.positioning import Log, filters
 from celnav.rinex import BDT_BEGINNING
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 KIND_COLORS = {"GEO": colors.PAPER, "IGSO": colors.ESTIMATE, "MEO": colors.COMPARISON}
 IGSO_NUMBERS = frozenset({*range(6, 11), 13, 16, 31, 38, 39, 40, 56})

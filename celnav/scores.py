@@ -9,8 +9,7 @@ from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
-from scipy.stats import t as student
+from scipy.special import gammaincinv, stdtrit
 
 from celnav.linalg import Array
 from celnav.metrics import chi_square_band
@@ -94,7 +93,7 @@ def _histogram(values: Array, dof: Array) -> Array:
     total = np.zeros(BINS)
     for freedom in np.unique(dof[dof > 0]):
         chosen = values[(dof == freedom) & np.isfinite(values)]
-        edges = chi2.ppf(np.arange(1, BINS) / BINS, freedom)
+        edges = 2.0 * gammaincinv(0.5 * freedom, np.arange(1, BINS) / BINS)
         total += np.bincount(np.searchsorted(edges, chosen), minlength=BINS)
     return total
 
@@ -182,5 +181,5 @@ def _interval(sums: Array, runs: int, level: float = 0.95) -> tuple[Array, Array
         return mean, nothing, nothing
     variance = np.maximum(sums[1] / runs - mean**2, 0.0) / (runs - 1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        factor = np.exp(student.ppf(0.5 + level / 2, runs - 1) * np.sqrt(variance) / mean)
+        factor = np.exp(stdtrit(runs - 1, 0.5 + level / 2) * np.sqrt(variance) / mean)
     return mean, mean / factor, mean * factor

@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import minimize
 
 from celnav.filters.driver import Epoch, Filter, FilterError, run
 from celnav.filters.info import Info
@@ -76,6 +75,8 @@ def maximize_likelihood(
         raise ValueError(f"max_iterations: expected a positive integer, got {max_iterations!r}")
     likelihood = _Likelihood(build, epochs if isinstance(epochs, Sequence) else list(epochs), np.log(x0))
     reach = np.log(factor)
+    from scipy.optimize import minimize  # takes a second to import
+
     found = minimize(
         likelihood.cost, np.zeros(len(x0)), jac=likelihood.slope, method="L-BFGS-B",
         bounds=[(-reach, reach)] * len(x0), options={"maxiter": max_iterations, "gtol": tolerance, "ftol": 1e-12},

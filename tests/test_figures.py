@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from celnav.figures import band, figure, render
+from celnav.drawing import render
+from celnav.figures import band, figure
 
 
 def drawing():

@@ -134,4 +134,5 @@ def _closing(resource: Any) -> Iterator[Any]:
     try:
         yield resource
     finally:
-        resource.close(timeout=2)
+        with contextlib.suppress(Exception):  # an interrupted cluster may not even have begun
+            resource.close(timeout=2)

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.ticker import NullLocator
 
 from celnav import colors
 from celnav.campaign import Outcome, Row
@@ -16,6 +13,10 @@ from celnav.campaign.table import Merged, plain
 from celnav.figures import figure
 from celnav.linalg import Array
 from celnav.mission import Configuration, Study
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 MOST_PANELS = 12
 PALETTE = (colors.ESTIMATE, colors.COMPARISON, colors.OPEN_LOOP, colors.TRUTH, colors.PAPER, colors.MEASUREMENT)
@@ -81,7 +82,7 @@ def _draw(outcome: Outcome, label: str, title: str, draw: Callable[[Axes, list[R
                 ax.set_xscale("log")
             if len(values) <= 8:
                 ax.set_xticks(values, [f"{v:g}" for v in values])
-                ax.xaxis.set_minor_locator(NullLocator())
+                ax.set_xticks([], minor=True)
         else:
             ax.set_xticks(range(len(values)), [str(plain(v)) for v in values])
         ax.set_xlabel(key or "")

@@ -6,16 +6,17 @@ import html
 from collections.abc import Mapping
 from importlib import metadata
 from platform import machine, python_version
-from typing import Any
-
-from matplotlib.figure import Figure
+from typing import TYPE_CHECKING, Any
 
 from celnav.campaign import Outcome
 from celnav.campaign.table import columns, costs, plain, to_csv, to_parquet
 from celnav.campaign.units import code
-from celnav.figures import render
+from celnav.drawing import render
 from celnav.files import Outputs
 from celnav.page import document, figure, link, table
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 TABLES = ("table.csv", "table.parquet", "times.csv")
 PAGE = "index.html"

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from os import PathLike
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from celnav import colors
 from celnav.campaign import Outcome
@@ -19,6 +18,9 @@ from celnav.models.earth import SEMI_MAJOR_M
 from celnav.montecarlo import generator
 from celnav.papers import load
 from celnav.trial import Followed, Group, Trial, follow
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 class Showcase(NamedTuple):

@@ -58,7 +58,7 @@ def _index(top: Any) -> None:
 def _one(paper: str, study: ModuleType, outputs: Any, **chosen: Any) -> int:
     """Reproduce one paper; returns the number of claims that are not as expected."""
     from celnav.claims import dumps
-    from celnav.figures import render
+    from celnav.drawing import render
 
     drawings, listings = figures(study), tables(study)
     outputs.check(f"figures/{stem}.{kind}" for stem in drawings for kind in ("png", "svg"))

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from celnav.filters.info import Gain, Hook, Info, Joint
 from celnav.gaussian import Gaussian
@@ -78,7 +78,7 @@ def chi_square_gate(probability: float = 0.999) -> Hook:
         e = joint.innovation
         m = e.shape[-1]
         if m not in bounds:
-            bounds[m] = np.concatenate([[np.inf], chi2.ppf(probability, np.arange(1, m + 1))])
+            bounds[m] = np.concatenate([[np.inf], 2.0 * gammaincinv(0.5 * np.arange(1, m + 1), probability)])
         A = np.concatenate([joint.columns, joint.process, joint.sensor], -1)[..., :m, :]
         used = ~np.isnan(e)
         A = A * used[..., None]

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from celnav import colors
 from celnav.figures import band, figure
@@ -15,6 +14,9 @@ from celnav.papers.aasghqf.analysis import DIMENSIONS, MISALIGNMENTS_DEG
 from celnav.papers.aasghqf.study import COMPARED, Result
 from celnav.points import Rule
 from celnav.sparse_grid import smolyak
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 COLORS = {"ukf": colors.COMPARISON, "sghqf": colors.ESTIMATE, "aasghqf": colors.OPEN_LOOP, "nonlinear": colors.TRUTH}
 LABELS = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import gammainc
 
 from celnav.filters.driver import Epoch, Filter, State
 from celnav.filters.step import condition
@@ -40,7 +40,7 @@ ERRATA = (
 
 def clipped_mean(M: int) -> float:
     """By how much a clipped mean of M squares of unit normals exceeds 1: ``E max(1, chi2_M / M) - 1``."""
-    return float(chi2.cdf(M, M) - chi2.cdf(M, M + 2))
+    return float(gammainc(0.5 * M, 0.5 * M) - gammainc(0.5 * M + 1.0, 0.5 * M))
 
 
 def without_redraw(config: Config, S: int, rule: Transform) -> Filter:

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.patches import Circle, FancyBboxPatch
 
 from celnav import colors
 from celnav.figures import band, figure
@@ -18,6 +15,10 @@ from celnav.papers.aukf.evidence import AXES, COMPARED, LABELS, real_rms, size
 from celnav.papers.aukf.study import Result
 from celnav.papers.aukf.sweeps import FROM_A_FIX, INITIAL_KM, MISTUNED_M, PROCESS_NOISE, SMALL_ALPHA, WINDOWS
 from celnav.papers.aukf.tables import CASES, medians
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 COLORS = {
     "ls": colors.MEASUREMENT, "ekf": colors.SIGMA, "ukf": colors.COMPARISON, "aukf": colors.ESTIMATE, "group": colors.TRUTH,
@@ -42,6 +43,8 @@ BLOCKS = (
 
 def figure_1(_result: Result) -> Figure:
     """Fig. 1: the receiver: from the antenna to a position."""
+    from matplotlib.patches import FancyBboxPatch
+
     fig, ax = figure(9.0, 2.0)
     for i, text in enumerate(BLOCKS):
         ax.add_patch(FancyBboxPatch((i, 0.0), 0.72, 0.5, boxstyle="round,pad=0.03", facecolor="none", edgecolor=colors.COMPARISON))
@@ -59,6 +62,8 @@ def figure_1(_result: Result) -> Figure:
 
 def figure_2(result: Result) -> Figure:
     """Fig. 2: an orbit's plane against the equator: the flatter it lies, the less is its node known."""
+    from matplotlib.patches import Circle
+
     fig, axes = figure(9.0, 3.0, 1, 3)
     for ax, i, title in ((axes[0], 55.0, "(a) large inclination"), (axes[1], 5.0, "(b) small inclination")):
         angle = np.linspace(0.0, 2.0 * np.pi, 181)

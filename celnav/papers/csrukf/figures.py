@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from celnav import colors
 from celnav.figures import band, figure
@@ -14,6 +14,10 @@ from celnav.models import sightings
 from celnav.models.orbit import EARTH
 from celnav.papers.csrukf import theory
 from celnav.papers.csrukf.study import NAMES, WRONG, Result
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 SRUKF, CSRUKF, OPEN = colors.COMPARISON, colors.ESTIMATE, colors.OPEN_LOOP
 AXES = ("x", "y", "z", "v_x", "v_y", "v_z")

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from celnav import colors
 from celnav.figures import figure
@@ -17,6 +16,9 @@ from celnav.papers.ssukf.config import ARCSEC
 from celnav.papers.ssukf.draws import CORRELATIONS
 from celnav.papers.ssukf.study import DRAWN, Result
 from celnav.papers.ssukf.vector import FILTERS
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 COLORS = {
     "aukf": colors.COMPARISON,

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from celnav import colors
 from celnav.figures import figure
@@ -19,6 +17,10 @@ from celnav.papers.tstdkf.evidence import AXES
 from celnav.papers.tstdkf.study import COMPARED, Result
 from celnav.papers.tstdkf.sweeps import COUPLINGS, LARGER, PARAMETERS, WHITE_LARGER, WHITE_NONE
 from celnav.papers.tstdkf.year import TRENDS
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 COLORS = {
     "ekf": colors.OPEN_LOOP, "tkf": colors.COMPARISON, "tkf-fair": colors.MEASUREMENT, "tdkf": colors.FAINT,
