@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from time import monotonic
-from typing import Any
+from typing import Any, Self
 
 EVERY_S = 5.0
 """Between plain lines about runs."""
@@ -53,6 +53,13 @@ class RunProgress:
         self._start: tuple[float, int] | None = None
         self._said = 0.0
 
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.close()
+
     def __call__(self, done: int, total: int) -> None:
         """So many runs are done."""
         now = monotonic()
@@ -72,8 +79,3 @@ class RunProgress:
             left = (total - done) / rate if rate else float("inf")
             print(f"{self._name}: {done}/{total} runs, {rate:.0f} a second, {left:.0f} s left", flush=True)
             self._said = now
-
-    def close(self) -> None:
-        """Nothing more comes."""
-        if self._bar is not None:
-            self._bar.close()

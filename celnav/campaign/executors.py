@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
-from multiprocessing import active_children, get_context, parent_process
+from multiprocessing import active_children, get_context, parent_process, resource_tracker
 from multiprocessing.process import BaseProcess
 from typing import Any, NamedTuple, cast
 
@@ -78,16 +78,24 @@ def _kill_but(others: set[BaseProcess]) -> None:
 
 
 class _Pool(ProcessPoolExecutor):
-    """Its processes are started with interrupts blocked: those from the keyboard are for the parent alone."""
-
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        if not hasattr(signal, "pthread_sigmask"):
+        with _deaf_children():
             return super().submit(fn, *args, **kwargs)
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        try:
-            return super().submit(fn, *args, **kwargs)
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def _deaf_children() -> Iterator[None]:
+    """Processes that are started in here never hear of interrupts from the keyboard, which are for the parent alone: it hears of
+    them at the end."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    resource_tracker.ensure_running()  # its start would let the signal through again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _end_with_the_parent() -> None:
@@ -123,7 +131,8 @@ def _cluster(address: str | None, jobs: int) -> Iterator[Executor]:
         target: Any = address
         if address is None:
             local = {"n_workers": jobs, "threads_per_worker": 1, "host": "127.0.0.1", "dashboard_address": None}
-            target = stack.enter_context(_closing(dd.LocalCluster(**local, silence_logs="ERROR")))
+            with _deaf_children():
+                target = stack.enter_context(_closing(dd.LocalCluster(**local, silence_logs="ERROR")))
         client = stack.enter_context(_closing(dd.Client(target, timeout=PATIENCE_S, set_as_default=False)))
         yield client.get_executor()
 

@@ -24,21 +24,23 @@ def run(options: argparse.Namespace) -> int:
     folder = Path(options.out or folder_of(options.study))
     outputs = Outputs(folder)
     outputs.check(names({}))
-    progress = RunProgress(folder.name)
     try:
-        outcome = campaign(study, folder, workers, progress=progress, say=lambda line: print(f"celnav: {line}", file=sys.stderr))
+        with RunProgress(folder.name) as progress:
+            outcome = campaign(study, folder, workers, progress=progress, say=_warn)
     except WorkError as error:
-        print(f"celnav: {error}; the others are kept in {folder}", file=sys.stderr)
+        _warn(f"{error}; the others are kept in {folder}")
         return 1
     except KeyboardInterrupt:
-        print(f"\ncelnav: interrupted; what is finished is kept in {folder}, the same command goes on", file=sys.stderr)
+        _warn(f"interrupted; what is finished is kept in {folder}, the same command goes on")
         return 130
-    finally:
-        progress.close()
     print(summary(outcome.rows))
     write(outcome, figures(outcome), outputs)
     print(f"wrote {folder / 'index.html'}")
     return 0
+
+
+def _warn(line: str) -> None:
+    print(f"celnav: {line}", file=sys.stderr)
 
 
 def _workers(options: argparse.Namespace) -> Any:

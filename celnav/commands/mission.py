@@ -28,14 +28,12 @@ def run(options: argparse.Namespace) -> int:
         raise UsageError(f"{options.mission}: {listed}: a list of values is a study; use: celnav campaign {options.mission}")
     outputs = Outputs(options.out or folder_of(options.mission))
     outputs.check([*names({}), "summary.txt", RECORDING])
-    progress = RunProgress(study.title)
     try:
-        outcome = fly(study, processes(jobs) if jobs > 1 else serial(), progress=progress)
+        with RunProgress(study.title) as progress:
+            outcome = fly(study, processes(jobs) if jobs > 1 else serial(), progress=progress)
     except WorkError as error:
         print(f"celnav: {error}", file=sys.stderr)
         return 1
-    finally:
-        progress.close()
     print(summary(outcome.rows))
     first = None if all(row.summary is None for row in outcome.rows) else showcase(study)
     write(outcome, figures(outcome) | ({"errors": errors(first)} if first else {}), outputs, RECORDING if first else "")

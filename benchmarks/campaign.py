@@ -1,0 +1,200 @@
+"""``python -m benchmarks.campaign``: what a campaign costs over the bare filter, how it scales, what it needs, and what it survives.
+
+overhead: CPU time of a campaign in one process over that of the bare batched filter on the same runs, interleaved pairs.
+scaling: wall time with one process over that with two; and of the bare filter, in one and in two processes that know nothing of each
+other: what the machine has to give.
+memory: peak of 1,000 and of 100,000 runs. kills: the table after kill -9 at random moments, 20 times.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import os
+import random
+import resource
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from celnav.campaign import campaign, processes, serial
+from celnav.campaign.units import STUDY
+from celnav.filters.driver import run
+from celnav.mission import BLOCK, Study, study
+from celnav.montecarlo import blocks, generator
+from celnav.papers.csrukf import trial
+
+FILTER = "csrukf+z0"
+
+
+def workload(runs: int, steps: int = 600) -> Study:
+    """The scenario of csrukf with colored noise, and its square-root filter in one transform."""
+    return study({"paper": "csrukf", "filters": [FILTER], "runs": runs, "config": {"phi": 0.8, "steps": steps}})
+
+
+def bare(work: Study) -> None:
+    """The same runs, blocks and filter, and nothing else."""
+    for part in blocks(work.runs, BLOCK):
+        made = trial(work.configurations[0].config, [generator(work.seed, STUDY, r) for r in part])
+        run(made.filters[FILTER], made.prior, made.epochs(FILTER), keep="nothing", on_failure="flag")
+
+
+def stored(work: Study, jobs: int = 1) -> None:
+    """A campaign from an empty folder."""
+    with tempfile.TemporaryDirectory() as folder:
+        campaign(work, folder, serial() if jobs == 1 else processes(jobs))
+
+
+def timed(function: Callable[[], None], clock: Callable[[], float]) -> float:
+    """Seconds."""
+    begin = clock()
+    function()
+    return clock() - begin
+
+
+def overhead(rounds: int, runs: int) -> None:
+    """CPU time, interleaved."""
+    work, pairs = workload(runs), []
+    for i in range(rounds):
+        order = [lambda: bare(work), lambda: stored(work)]
+        times = [timed(f, time.process_time) for f in (order if i % 2 else order[::-1])]
+        plain, whole = times if i % 2 else times[::-1]
+        pairs.append(whole / plain)
+        print(f"bare {plain:.2f} s, campaign {whole:.2f} s CPU: {whole / plain:.3f}", flush=True)
+    print(f"overhead: {100 * (statistics.median(pairs) - 1):+.1f} % (median of {rounds} pairs, {runs} runs of 600 steps)")
+
+
+def scaling(rounds: int, runs: int) -> None:
+    """Wall time."""
+    work, half, gains, attainable = workload(runs), workload(runs // 2), [], []
+    for _ in range(rounds):
+        one, two = timed(lambda: stored(work, 1), time.monotonic), timed(lambda: stored(work, 2), time.monotonic)
+        alone, both = timed(lambda: _apart(half, 1), time.monotonic), timed(lambda: _apart(half, 2), time.monotonic)
+        gains.append(one / two)
+        attainable.append(2.0 * alone / both)
+        print(f"one process {one:.1f} s, two {two:.1f} s: {gains[-1]:.2f}; the machine gives {attainable[-1]:.2f}", flush=True)
+    best = statistics.median(attainable)
+    print(f"scaling: {statistics.median(gains):.2f} with two processes; two bare processes apart attain {best:.2f}")
+
+
+def _apart(work: Study, count: int) -> None:
+    """Processes that do the bare work at the same time."""
+    command = [sys.executable, "-m", "benchmarks.campaign", "bare", "--runs", str(work.runs)]
+    for process in [subprocess.Popen(command) for _ in range(count)]:
+        process.wait()
+
+
+def memory() -> None:
+    """Peak resident memory, each in a process of its own."""
+    peaks = []
+    for runs in (1_000, 100_000):
+        command = [sys.executable, "-m", "benchmarks.campaign", "peak", "--runs", str(runs)]
+        begin = time.monotonic()
+        out = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+        peaks.append(float(out))
+        print(f"{runs} runs: peak {peaks[-1]:.1f} MiB, {time.monotonic() - begin:.0f} s", flush=True)
+    print(f"memory: {100 * (peaks[1] / peaks[0] - 1):+.1f} % from 1,000 to 100,000 runs")
+
+
+STUDY_FILE = """
+paper = "csrukf"
+filters = ["srukf", "csrukf"]
+runs = 240
+block = 20
+[config]
+steps = 100
+phi = [0.0, 0.8]
+"""
+
+
+def kills(trials: int, seed: int) -> int:
+    """Kill a worker, and then the whole campaign, at random moments; go on; compare the table. Returns how many were the same."""
+    rng, same = random.Random(seed), 0
+    with tempfile.TemporaryDirectory() as top:
+        file = Path(top, "study.toml")
+        file.write_text(STUDY_FILE, encoding="utf-8")
+        begin = time.monotonic()
+        wanted = _finish(file, Path(top, "whole"))
+        span = time.monotonic() - begin
+        for i in range(trials):
+            folder = Path(top, f"trial{i}")
+            victims = [_killed(file, folder, rng.uniform(0.1, 0.95) * span, worker) for worker in (True, False)]
+            found = _finish(file, folder)
+            same += found == wanted
+            print(f"{i + 1}: killed {' and '.join(victims)}, {'same' if found == wanted else 'OTHER'} table", flush=True)
+    print(f"kills: {same} of {trials} tables have the same bytes")
+    return same
+
+
+def _start(file: Path, folder: Path) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "celnav", "campaign", str(file), "--out", str(folder), "--jobs", "2"]
+    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+
+
+def _finish(file: Path, folder: Path) -> str:
+    process = _start(file, folder)
+    error = process.communicate()[1]
+    if process.returncode:
+        raise RuntimeError(f"celnav campaign: {error}")
+    return hashlib.sha256((folder / "table.csv").read_bytes() + (folder / "table.parquet").read_bytes()).hexdigest()
+
+
+def _killed(file: Path, folder: Path, after: float, worker: bool) -> str:
+    """Start, wait, and kill -9 a worker (and let the campaign finish) or the campaign itself (and see that no worker is left)."""
+    process = _start(file, folder)
+    time.sleep(after)
+    children = [int(pid) for pid in _children(process.pid)]
+    if worker and children:
+        os.kill(children[-1], signal.SIGKILL)
+        process.communicate()
+        return f"a worker after {after:.1f} s (exit {process.returncode})"
+    process.kill()
+    process.wait()
+    done = len(list((folder / "units").glob("*.npz"))) if (folder / "units").is_dir() else 0
+    deadline = time.monotonic() + 5.0
+    while (left := [pid for pid in children if Path(f"/proc/{pid}").exists()]) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    if left:
+        raise RuntimeError(f"processes {left} outlive the campaign")
+    return f"the campaign after {after:.1f} s ({done} units done)"
+
+
+def _children(pid: int) -> list[str]:
+    try:
+        return Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    except OSError:
+        return []
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Measure what is asked for."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.campaign", description=__doc__)
+    parser.add_argument("what", choices=("overhead", "scaling", "memory", "kills", "bare", "peak"))
+    parser.add_argument("--runs", type=int, default=2000)
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--trials", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args(arguments)
+    if options.what == "overhead":
+        overhead(options.rounds, options.runs)
+    elif options.what == "scaling":
+        scaling(options.rounds, options.runs)
+    elif options.what == "memory":
+        memory()
+    elif options.what == "bare":
+        bare(workload(options.runs))
+    elif options.what == "peak":
+        stored(workload(options.runs))
+        print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0)
+    else:
+        return 0 if kills(options.trials, options.seed) == options.trials else 1
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
