@@ -1,8 +1,8 @@
-"""``python -m benchmarks.campaign``: what a campaign costs over the bare filter, how it scales, what it needs, and what it survives.
+"""``python -m benchmarks.campaign``: what a campaign costs over the bare filter, how it scales, what it needs and survives.
 
 overhead: CPU time of a campaign in one process over that of the bare batched filter on the same runs, interleaved pairs.
-scaling: wall time with one process over that with two; and of the bare filter, in one and in two processes that know nothing of each
-other: what the machine has to give.
+scaling: wall time with one process over that with two; and of the bare filter, in one and in two processes that know nothing of
+each other: what the machine has to give.
 memory: peak of 1,000 and of 100,000 runs. kills: the table after kill -9 at random moments, 20 times.
 """
 

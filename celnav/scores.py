@@ -52,7 +52,8 @@ def score(
             failures.setdefault(run, Failure(run, float(f.times[-1]), why))
     good = np.array([run not in failures for run in range(square.shape[1])], bool)
     settled = np.arange(K) >= K // 2 if settle_s is None else f.times >= settle_s
-    square, variance, nees, nis, dof = (a[:, good] for a in (square, variance, f.nees, f.nis, f.dof))
+    chosen = slice(None) if good.all() else good
+    square, variance, nees, nis, dof = (a[:, chosen] for a in (square, variance, f.nees, f.nis, f.dof))
     there = np.isfinite(nees)
     own, own_nees = (_mean_of(a[settled], there[settled]) for a in (square, nees))
     last = f.error[-1, good]

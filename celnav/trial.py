@@ -15,6 +15,9 @@ from celnav.filters.info import Info
 from celnav.gaussian import Gaussian, nees
 from celnav.linalg import Array
 
+TOGETHER = 8
+"""Epochs whose roots are evaluated at once; with more of them the filter's own arrays leave the cache."""
+
 
 class Group(NamedTuple):
     """Components of the error that are judged together, such as a position.
@@ -51,7 +54,11 @@ class Trial(NamedTuple):
 
 def squares(groups: Sequence[Group], values: Array) -> Array:
     """Sums of squares ``(..., groups)`` of errors or deviations ``(..., n)``, in the units of the groups."""
-    return np.stack([np.square(values[..., group.part] * np.asarray(group.scale)).sum(-1) for group in groups], -1)
+    out = np.empty((*values.shape[:-1], len(groups)))
+    for i, group in enumerate(groups):
+        part = values[..., group.part] * np.asarray(group.scale)
+        np.vecdot(part, part, out=out[..., i])
+    return out
 
 
 class Noiseless:
@@ -89,8 +96,7 @@ def follow(trial: Trial, name: str, every: int = 1) -> Followed:
     ------
     ValueError: if no epoch has one. Whatever the models raise passes through, with the step as a note.
     """
-    rows: list[tuple[Array, ...]] = []
-    times: list[float] = []
+    found = _Found()
     lost: dict[int, tuple[float, str]] = {}
     count = seen = 0
     for epoch, state, info in steps(trial.filters[name], trial.prior, trial.epochs(name)):
@@ -100,29 +106,50 @@ def follow(trial: Trial, name: str, every: int = 1) -> Followed:
         why = next((one.failure for one in infos if one.failure), "")
         due = epoch.truth is not None and seen % every == 0
         seen += epoch.truth is not None
-        if due or why:
+        if (due or why) and (lost or not np.isfinite(np.add.reduce(belief.mean, None))):
             finite = np.atleast_1d(np.isfinite(belief.mean).all(-1))
             for run in np.flatnonzero(~finite).tolist():
                 lost.setdefault(run, (float(epoch.t), why or "the estimate is not finite"))
             for run in [run for run in lost if finite[run]]:
                 del lost[run]  # a filter of single epochs comes back
         if due:
-            times.append(float(epoch.t))
-            rows.append(_judge(trial, epoch.truth, belief, infos))
-    if not rows:
+            with np.errstate(invalid="ignore"):  # a lost run is nan
+                found.add(epoch.t, *trial.compare(epoch.truth, belief), infos)
+    if not found.times:
         raise ValueError("epochs: expected some with a truth, got none")
-    error, std, normalized, nis, dof = (np.stack(column) for column in zip(*rows, strict=True))
-    failures = [(run, *what) for run, what in sorted(lost.items())]
-    return Followed(np.array(times), error, std, normalized, nis, dof, failures, count)
+    return found.followed([(run, *what) for run, what in sorted(lost.items())], count)
 
 
-def _judge(trial: Trial, truth: Any, belief: Gaussian, infos: tuple[Any, ...]) -> tuple[Array, ...]:
-    with np.errstate(invalid="ignore"):  # a lost run is nan
-        error, root = trial.compare(truth, belief)
+class _Found:
+    """What `follow` gathers."""
+
+    def __init__(self) -> None:
+        self.times: list[float] = []
+        self._rows: list[tuple[Array, ...]] = []
+        self._done: list[tuple[Array, ...]] = []
+
+    def add(self, t: Any, error: Array, root: Array, infos: tuple[Any, ...]) -> None:
+        """Take an epoch in."""
         whites = [info.white for info in infos if info.white is not None]
         nis = sum((np.vecdot(white, white) for white in whites), np.zeros(error.shape[:-1]))
-        dof = sum((info.used.sum(-1) for info in infos if info.used is not None), np.zeros(error.shape[:-1]))
-        return error, np.sqrt(np.square(root).sum(-1)), nees(error, root), nis, dof
+        dof = sum((np.add.reduce(info.used, -1, float) for info in infos if info.used is not None), np.zeros(error.shape[:-1]))
+        self.times.append(float(t))
+        self._rows.append((error, root, nis, dof))
+        if len(self._rows) == TOGETHER:
+            self._evaluate()
+
+    def _evaluate(self) -> None:
+        error, root, nis, dof = (np.stack(column) for column in zip(*self._rows, strict=True))
+        self._rows = []
+        with np.errstate(invalid="ignore"):
+            self._done.append((error, np.sqrt(np.vecdot(root, root)), nees(error, root), nis, dof))
+
+    def followed(self, lost: list[tuple[int, float, str]], epochs: int) -> Followed:
+        """Everything."""
+        if self._rows:
+            self._evaluate()
+        error, std, normalized, nis, dof = (np.concatenate(column) for column in zip(*self._done, strict=True))
+        return Followed(np.array(self.times), error, std, normalized, nis, dof, lost, epochs)
 
 
 def bound(trial: Trial, every: int = 1) -> Array | None:
