@@ -53,9 +53,6 @@ def _parser() -> argparse.ArgumentParser:
 
     reproduce = command("reproduce", "run papers; write figures, tables, claims and recordings")
     reproduce.add_argument("papers", nargs="*", metavar="PAPER", help="which papers (none: all)")
-    reproduce.add_argument(
-        "--effort", metavar="F", help="fraction of the Monte-Carlo runs, 0 < F <= 1 (default: CELNAV_EFFORT, or 1)"
-    )
     reproduce.add_argument("--seed", default="0", metavar="S", help="seed, a whole number that is not negative (default: 0)")
     reproduce.add_argument("--out", default="out", metavar="DIR", help="where to write (default: out)")
     reproduce.add_argument("--jobs", default="1", metavar="N", help="processes (default: 1)")
@@ -75,6 +72,11 @@ def _parser() -> argparse.ArgumentParser:
         "--executor", default="processes", choices=("processes", "dask"), help="where to work (default: processes)"
     )
     campaign.add_argument("--address", metavar="tcp://HOST:PORT", help="a running Dask scheduler (default: one is started here)")
+
+    for each in (reproduce, mission, campaign):
+        each.add_argument(
+            "--effort", metavar="F", help="fraction of the Monte-Carlo runs, 0 < F <= 1 (default: CELNAV_EFFORT, or 1)"
+        )
 
     view = command("view", "open a recording in the Rerun viewer, offline")
     view.add_argument("paper", metavar="PAPER|FILE.rrd", help="a paper that was reproduced, or a file")

@@ -27,6 +27,7 @@ from types import ModuleType
 from typing import Any
 
 from celnav.files import InputError
+from celnav.montecarlo import run_count
 from celnav.papers import PAPERS, load
 
 LARGEST_FILE = 1_000_000
@@ -100,12 +101,13 @@ def unit_of(key: str) -> str:
     return _PRINTED.get(top, top) + (f"/{_PRINTED.get(below, below)}" if per else "")
 
 
-def read(path: str | Path) -> Study:
-    """Read a mission or study.
+def read(path: str | Path, effort: float = 1.0) -> Study:
+    """Read a mission or study; ``effort``, in (0, 1], is the part of its runs to do, at least 2.
 
     Raises
     ------
-    MissionError: naming file and key, what was expected and what came. OSError: if the file cannot be read.
+    MissionError: naming file and key, what was expected and what came. OSError: if the file cannot be read. ValueError: for an
+    ``effort`` that cannot be.
     """
     source = Path(path)
     with source.open("rb") as file:
@@ -119,9 +121,10 @@ def read(path: str | Path) -> Study:
     except (ValueError, UnicodeDecodeError) as error:
         raise MissionError(f"{source}: not a TOML file ({error})") from None
     try:
-        return study(table)
+        whole = study(table)
     except ValueError as error:
         raise MissionError(f"{source}: {error}") from None
+    return whole if effort == 1.0 else replace(whole, runs=run_count(whole.runs, None, effort))
 
 
 def study(table: Mapping[str, Any]) -> Study:
@@ -134,7 +137,8 @@ def study(table: Mapping[str, Any]) -> Study:
     _known("", table, KEYS)
     if "paper" not in table:
         raise ValueError(f"paper: expected one of {', '.join(PAPERS)}, got none")
-    module = _part("paper", lambda: load(_typed("paper", table["paper"], str)))
+    paper = _typed("paper", table["paper"], str)
+    module = _part("paper", lambda: load(paper))
     start = _preset(module, table)
     given = {k: _typed(k, table[k], hint) for k, hint in _OPTIONS.items() if k in table}
     if "runs" in _typed("config", table.get("config", {}), dict):
@@ -142,12 +146,12 @@ def study(table: Mapping[str, Any]) -> Study:
     swept, fixed = _overrides(start, table.get("config", {}))
     points = _grid(start, fixed, swept)
     usual = {"title": module.TITLE, "runs": start.runs, "seed": 0, "block": BLOCK, "every": 1, "settle_s": None}
-    options: dict[str, Any] = usual | given | {"limits": _limits(table)}
+    options: dict[str, Any] = usual | given | {"limits": _limits(table, module.JUDGED)}
     for name, least in (("runs", 1), ("seed", 0), ("block", 1), ("every", 1)):
         if options[name] < least:
             raise ValueError(f"{name}: expected a whole number of at least {least}, got {options[name]}")
     names = _filters(module, table, points)
-    return Study(paper=table["paper"], filters=names, swept=swept, configurations=points, **options)
+    return Study(paper=paper, filters=names, swept=swept, configurations=points, **options)
 
 
 _OPTIONS: dict[str, Any] = {"title": str, "runs": int, "seed": int, "block": int, "every": int, "settle_s": float}
@@ -177,8 +181,9 @@ def _preset(module: ModuleType, table: Mapping[str, Any]) -> Any:
     return module.PRESETS[name]
 
 
-def _limits(table: Mapping[str, Any]) -> dict[str, float]:
-    limits = {k: _typed(f"limits.{k}", v, float) for k, v in _typed("limits", table.get("limits", {}), dict).items()}
+def _limits(table: Mapping[str, Any], judged: Sequence[str]) -> dict[str, float]:
+    _known("limits.", _typed("limits", table.get("limits", {}), dict), judged)
+    limits = {k: _typed(f"limits.{k}", v, float) for k, v in table.get("limits", {}).items()}
     for name, value in limits.items():
         if value <= 0.0:
             raise ValueError(f"limits.{name}: expected a positive number, got {value!r}")

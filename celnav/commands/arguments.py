@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 from types import ModuleType
 
+from celnav.effort import effort
 from celnav.papers import load
 
 
@@ -31,6 +32,14 @@ def whole(name: str, text: str, least: int) -> int:
     if value < least:
         raise UsageError(f"{name}: expected a whole number of at least {least}, got {text!r}")
     return value
+
+
+def fraction(text: str | None) -> float:
+    """The effort that was given, or that of the environment, or UsageError."""
+    try:
+        return effort(text)
+    except ValueError as error:
+        raise UsageError(error) from None
 
 
 def number(name: str, text: str) -> float:

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from celnav.commands.arguments import UsageError, cores, folder_of, whole
+from celnav.commands.arguments import UsageError, cores, folder_of, fraction, whole
 from celnav.files import Outputs
 from celnav.progress import RunProgress
 
@@ -20,7 +20,7 @@ def run(options: argparse.Namespace) -> int:
     from celnav.campaign.table import summary
     from celnav.mission import read
 
-    workers, study = _workers(options), read(options.study)
+    workers, study = _workers(options), read(options.study, fraction(options.effort))
     folder = Path(options.out or folder_of(options.study))
     outputs = Outputs(folder)
     outputs.check(names({}))

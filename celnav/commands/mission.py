@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from celnav.commands.arguments import UsageError, folder_of, whole
+from celnav.commands.arguments import UsageError, folder_of, fraction, whole
 from celnav.files import Outputs
 from celnav.progress import RunProgress
 
@@ -22,7 +22,7 @@ def run(options: argparse.Namespace) -> int:
     from celnav.mission import read
 
     jobs = whole("jobs", options.jobs, 1)
-    study = read(options.mission)
+    study = read(options.mission, fraction(options.effort))
     if study.swept:
         listed = ", ".join(f"config.{key}" for key in study.swept)
         raise UsageError(f"{options.mission}: {listed}: a list of values is a study; use: celnav campaign {options.mission}")

@@ -17,8 +17,7 @@ from types import ModuleType
 from typing import Any
 
 from celnav import papers
-from celnav.commands.arguments import UsageError, module, whole
-from celnav.effort import effort
+from celnav.commands.arguments import UsageError, fraction, module, whole
 from celnav.files import Outputs
 from celnav.papers import figures, tables
 from celnav.progress import Progress
@@ -28,10 +27,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the papers, one after the other."""
     chosen = list(dict.fromkeys(options.papers)) or list(papers.PAPERS)
     modules = {paper: module(paper) for paper in chosen}
-    try:
-        fraction = effort(options.effort)
-    except ValueError as error:
-        raise UsageError(error) from None
+    part = fraction(options.effort)
     seed, jobs = whole("seed", options.seed, 0), whole("jobs", options.jobs, 1)
     if options.rinex is not None and not any("rinex" in getattr(study, "INPUTS", ()) for study in modules.values()):
         raise UsageError(f"rinex: expected a paper that takes a receiver's log (aukf), got {', '.join(chosen)}")
@@ -43,7 +39,7 @@ def run(options: argparse.Namespace) -> int:
     surprises = 0
     for paper, study in modules.items():
         inputs = {name: Path(given) for name in getattr(study, "INPUTS", ()) if (given := getattr(options, name)) is not None}
-        surprises += _one(paper, study, Outputs(out / paper), effort=fraction, seed=seed, jobs=jobs, **inputs)
+        surprises += _one(paper, study, Outputs(out / paper), effort=part, seed=seed, jobs=jobs, **inputs)
     _index(top)
     print(f"wrote {out / 'index.html'}")
     return 1 if options.strict and surprises else 0

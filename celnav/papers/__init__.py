@@ -1,7 +1,8 @@
 """The papers: one module each, all with the same names.
 
 ``CITATION``, ``TITLE``, ``Config``, ``PRESETS``, ``simulate``, ``filters``, ``reproduce``, ``figure_N``, ``table_N``, ``claims``,
-``record``: see `celnav.papers.csrukf`. ``INPUTS``, if there: names of optional inputs of ``reproduce``, folders.
+``record``: see `celnav.papers.csrukf`. ``INPUTS``, if there: names of optional inputs of ``reproduce``, folders. ``trial`` and
+``JUDGED``, what it judges: see `celnav.trial`.
 """
 
 from __future__ import annotations

@@ -35,11 +35,12 @@ from celnav.papers.aasghqf.record import RECORDINGS, record
 from celnav.papers.aasghqf.scenario import Scenario, filters, simulate
 from celnav.papers.aasghqf.study import Result, reproduce
 from celnav.papers.aasghqf.tables import table_1, table_2, table_3, table_4
-from celnav.papers.aasghqf.trial import trial
+from celnav.papers.aasghqf.trial import JUDGED, trial
 
 __all__ = [
     "CITATION",
     "ERRATA",
+    "JUDGED",
     "PRESETS",
     "RECORDINGS",
     "TITLE",

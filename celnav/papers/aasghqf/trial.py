@@ -12,19 +12,18 @@ from celnav.papers.aasghqf.config import MICRO_G, Config
 from celnav.papers.aasghqf.scenario import filters, simulate
 from celnav.trial import Group, Trial
 
+JUDGED = ("misalignment", "velocity", "position", "drift", "bias")
+
 
 def trial(config: Config, rngs: Sequence[np.random.Generator]) -> Trial:
     """One run with each generator."""
     sim, known = simulate(config, rngs), filters(config)
     arcmin = float(np.degrees(1.0)) * 60.0
     east, north = config.meters.tolist()
-    groups = (
-        Group("misalignment", "arcmin", slice(0, 3), arcmin),
-        Group("velocity", "m/s", slice(3, 5)),
-        Group("position", "m", slice(5, 7), (east, north)),
-        Group("drift", "deg/h", slice(7, 10), 60.0 * arcmin),
-        Group("bias", "ug", slice(10, 13), 1.0 / MICRO_G),
-    )
+    parts = (slice(0, 3), slice(3, 5), slice(5, 7), slice(7, 10), slice(10, 13))
+    units = ("arcmin", "m/s", "m", "deg/h", "ug")
+    scales = (arcmin, 1.0, (east, north), 60.0 * arcmin, 1.0 / MICRO_G)
+    groups = tuple(map(Group, JUDGED, units, parts, scales))
     return Trial(groups, known, sim.prior, lambda _name: sim.epochs(), _compare, "ekf")
 
 

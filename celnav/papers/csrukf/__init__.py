@@ -46,11 +46,12 @@ from celnav.papers.csrukf.record import RECORDINGS, record
 from celnav.papers.csrukf.scenario import Scenario, filters, simulate
 from celnav.papers.csrukf.study import Result, reproduce
 from celnav.papers.csrukf.tables import table_1, table_2, table_3
-from celnav.papers.csrukf.trial import trial
+from celnav.papers.csrukf.trial import JUDGED, trial
 
 __all__ = [
     "CITATION",
     "ERRATA",
+    "JUDGED",
     "PRESETS",
     "RECORDINGS",
     "TITLE",

@@ -39,11 +39,12 @@ from celnav.papers.ssukf.record import RECORDINGS, record
 from celnav.papers.ssukf.scenario import Scenario, filters, simulate
 from celnav.papers.ssukf.study import Result, compare, reproduce
 from celnav.papers.ssukf.tables import table_1, table_2, table_3
-from celnav.papers.ssukf.trial import trial
+from celnav.papers.ssukf.trial import JUDGED, trial
 
 __all__ = [
     "CITATION",
     "ERRATA",
+    "JUDGED",
     "PRESETS",
     "RECORDINGS",
     "TITLE",

@@ -14,6 +14,7 @@ from celnav.papers.tstdkf.scenario import simulate
 from celnav.trial import Group, Trial
 
 GROUPS = (Group("position", "km", slice(0, 3)), Group("velocity", "m/s", slice(3, 6), 1e3))
+JUDGED = tuple(group.name for group in GROUPS)
 
 
 def trial(config: Config, rngs: Sequence[np.random.Generator]) -> Trial:

@@ -1,0 +1,174 @@
+"""Mission files: what they may say, and what is said of those that cannot be used."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from celnav.mission import MissionError, read, study, unit_of
+from celnav.papers import PAPERS, load
+
+MISSIONS = sorted((Path(__file__).parents[1] / "data" / "missions").glob("*.toml"))
+
+
+def test_every_paper_is_a_mission_by_its_name_alone():
+    for paper in PAPERS:
+        found, module = study({"paper": paper}), load(paper)
+        first = next(iter(module.PRESETS.values()))
+        assert found.configurations[0].config == first
+        assert found.filters == tuple(module.filters(first))
+        assert (found.runs, found.seed, found.title, found.swept) == (first.runs, 0, module.TITLE, {})
+
+
+@pytest.mark.parametrize("path", MISSIONS, ids=lambda p: p.stem)
+def test_the_missions_that_come_along_can_be_read(path):
+    found = read(path)
+    assert found.title
+    assert all(point.config not in load(found.paper).PRESETS.values() for point in found.configurations)
+
+
+def test_there_are_three_missions_and_a_study():
+    assert sum(not read(path).swept for path in MISSIONS) == 3
+    assert sum(bool(read(path).swept) for path in MISSIONS) == 1
+
+
+def test_lists_make_a_grid_whose_last_key_changes_fastest():
+    found = study({"paper": "csrukf", "config": {"phi": [0.0, 0.5], "sigma_km": [1, 2, 3], "steps": 10.0}})
+    assert found.swept == {"phi": (0.0, 0.5), "sigma_km": (1.0, 2.0, 3.0)}
+    assert [tuple(p.values.values()) for p in found.configurations] == [(f, s) for f in (0.0, 0.5) for s in (1.0, 2.0, 3.0)]
+    for point in found.configurations:
+        assert (point.config.phi, point.config.sigma_km, point.config.steps) == (*point.values.values(), 10)
+        assert isinstance(point.config.sigma_km, float)
+
+
+def test_a_list_is_the_value_of_a_parameter_that_is_one_and_a_list_of_lists_sweeps_it():
+    one = study({"paper": "ssukf", "config": {"prior_deg": [1, 2, 3]}})
+    assert one.swept == {}
+    assert one.configurations[0].config.prior_deg == (1.0, 2.0, 3.0)
+    two = study({"paper": "ssukf", "config": {"prior_deg": [[1, 2, 3], [4, 5, 6]]}})
+    assert two.swept == {"prior_deg": ((1.0, 2.0, 3.0), (4.0, 5.0, 6.0))}
+    inertia = [[52.0, 0, 0], [0, 47.0, 0], [0, 0, 61.0]]
+    assert study({"paper": "ssukf", "config": {"inertia": inertia}}).swept == {}
+    assert len(study({"paper": "tstdkf", "config": {"pulsars": [["B0531+21", "B1821-24", "B1937+21"]]}}).configurations) == 1
+
+
+def test_tables_within_the_configuration_have_dotted_keys():
+    found = study({"paper": "tstdkf", "config": {"setting": {"F": [0.0, 0.5], "kappa": 1.0}, "pulled": [True, False]}})
+    assert found.swept == {"setting.F": (0.0, 0.5), "pulled": (True, False)}
+    assert [(p.config.setting.F, p.config.setting.L, p.config.setting.kappa) for p in found.configurations[::2]] == [
+        (0.0, 0.5, 1.0), (0.5, 0.5, 1.0)
+    ]  # fmt: skip
+
+
+def test_everything_else_can_be_chosen():
+    found = study(
+        {"paper": "csrukf", "preset": "stress", "title": "T", "filters": ["csrukf"], "runs": 7, "seed": 3, "block": 2, "every": 5,
+         "settle_s": 10, "limits": {"position": 2}}
+    )  # fmt: skip
+    assert (found.title, found.filters, found.runs, found.seed, found.block, found.every) == ("T", ("csrukf",), 7, 3, 2, 5)
+    assert (found.settle_s, found.limits) == (10.0, {"position": 2.0})
+    assert found.configurations[0].config.noise_position_km == 0.2
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ({}, r"paper: expected one of csrukf, .*, got none"),
+        ({"paper": "csrkf"}, r"paper: unknown paper 'csrkf'.*did you mean csrukf\?"),
+        ({"paper": 3}, r"paper: expected a word, got 3"),
+        ({"paper": "csrukf", "filter": []}, r"filter: unknown key; did you mean filters\?"),
+        ({"paper": "csrukf", "wrong": 1}, r"wrong: unknown key; expected one of title, paper, "),
+        ({"paper": "csrukf", "preset": "Q"}, r"preset: expected one of P, D, .*, got 'Q'"),
+        ({"paper": "csrukf", "filters": "srukf"}, r"filters: expected a list, got 'srukf'"),
+        ({"paper": "csrukf", "filters": []}, r"filters: expected different names, got \[\]"),
+        ({"paper": "csrukf", "filters": ["srukf", "srukf"]}, r"filters: expected different names"),
+        ({"paper": "csrukf", "filters": ["sruk"]}, r"filters: expected some of srukf, .*, got 'sruk'; did you mean srukf\?"),
+        ({"paper": "csrukf", "runs": 0}, r"runs: expected a whole number of at least 1, got 0"),
+        ({"paper": "csrukf", "runs": 1.5}, r"runs: expected a whole number, got 1.5"),
+        ({"paper": "csrukf", "runs": True}, r"runs: expected a whole number, got True"),
+        ({"paper": "csrukf", "runs": float("inf")}, r"runs: expected a whole number, got inf"),
+        ({"paper": "csrukf", "seed": -1}, r"seed: expected a whole number of at least 0, got -1"),
+        ({"paper": "csrukf", "settle_s": "x"}, r"settle_s \(s\): expected a number, got 'x'"),
+        ({"paper": "csrukf", "limits": {"position": 0}}, r"limits.position: expected a positive number, got 0.0"),
+        ({"paper": "csrukf", "limits": {"positon": 1}}, r"limits.positon: unknown key; did you mean limits.position\?"),
+        ({"paper": "csrukf", "limits": 3}, r"limits: expected a table, got 3"),
+        ({"paper": "csrukf", "config": 3}, r"config: expected a table, got 3"),
+        ({"paper": "csrukf", "config": {"runs": 3}}, r"config.runs: expected runs at the top of the file"),
+        ({"paper": "csrukf", "config": {"sigma": 1}}, r"config.sigma: unknown key; did you mean config.sigma_km\?"),
+        ({"paper": "csrukf", "config": {"sigma_km": "x"}}, r"config.sigma_km \(km\): expected a number, got 'x'"),
+        ({"paper": "csrukf", "config": {"sigma_km": -1}}, r"config.sigma_km \(km\): expected a positive number, got -1.0"),
+        ({"paper": "csrukf", "config": {"sigma_km": []}}, r"config.sigma_km: expected at least one value, got an empty list"),
+        ({"paper": "csrukf", "config": {"sigma_km": [1, 1.0]}}, r"config.sigma_km: expected different values"),
+        ({"paper": "csrukf", "config": {"sigma_km": [[1]]}}, r"config.sigma_km \(km\): expected a number, got \[1\]"),
+        ({"paper": "csrukf", "config": {"sigma_km": float("nan")}}, r"config.sigma_km \(km\): expected finite numbers"),
+        ({"paper": "csrukf", "config": {"sigma_km": [1, -1], "phi": 0.5}}, r"config.sigma_km \(km\): expected a positive"),
+        ({"paper": "csrukf", "config": {"sigma_km": [1, 2], "phi": [0.5, 2]}}, r"config.phi: .* 2.0 \(where sigma_km = 1.0\)"),
+        ({"paper": "csrukf", "config": {"measured": "radar"}}, r"config.measured: expected one of positions, angles, got 'radar'"),
+        ({"paper": "ssukf", "config": {"prior_deg": [1, 2]}}, r"config.prior_deg \(deg\): expected 3 values, got 2"),
+        ({"paper": "ssukf", "config": {"prior_deg": 1}}, r"config.prior_deg \(deg\): expected a list, got 1"),
+        ({"paper": "ssukf", "config": {"preintegrated": 1}}, r"config.preintegrated: expected true or false, got 1"),
+        ({"paper": "ssukf", "config": {"tau_s": True}}, r"config.tau_s \(s\): expected a number, got True"),
+        ({"paper": "tstdkf", "config": {"setting": 1}}, r"config.setting: expected a table, got 1"),
+        ({"paper": "tstdkf", "config": {"setting": {"G": 1}}}, r"config.setting.G: unknown key; expected one of F, L, kappa"),
+        ({"paper": "csrukf", "config": {"phi": [i * 1e-4 for i in range(400)], "sigma_km": list(range(1, 300))}},
+         r"config: expected at most 100000 configurations, got 119600"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_is_refused_by_key_and_unit(table, message):
+    with pytest.raises(ValueError, match=f"^{message}"):
+        study(table)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"paper = ", r"mission.toml: not a TOML file \(Invalid value"),
+        (b"\xff\xfe", r"mission.toml: not a TOML file \("),
+        (b"paper = " + b"[" * 5000 + b"]" * 5000, r"mission.toml: "),
+        (b"#" * 1_000_001, r"mission.toml: not a TOML file \(expected at most 1000000 bytes"),
+        (
+            b'paper = "csrukf"\n[config]\nsigma_km = -1',
+            r"mission.toml: config.sigma_km \(km\): expected a positive number, got -1.0",
+        ),
+    ],
+)
+def test_a_file_that_cannot_be_used_is_named(tmp_path, content, message):
+    path = tmp_path / "mission.toml"
+    path.write_bytes(content)
+    with pytest.raises(MissionError, match=message):
+        read(path)
+
+
+def test_a_filter_of_some_configurations_is_known_and_one_of_none_is_not():
+    config = {"phi": [1.0, 0.5], "steps": 5}
+    assert study({"paper": "csrukf", "filters": ["srukf-reff"], "config": config}).filters == ("srukf-reff",)
+    with pytest.raises(ValueError, match=r"^filters: .*got 'srukf-reff'"):
+        study({"paper": "csrukf", "filters": ["srukf-reff"], "config": {"phi": 1.0}})
+
+
+def test_the_effort_scales_the_runs(tmp_path):
+    path = tmp_path / "mission.toml"
+    path.write_text('paper = "csrukf"\nruns = 50')
+    assert [read(path, effort).runs for effort in (1.0, 0.1, 0.001)] == [50, 5, 2]
+
+
+def test_units_are_read_from_the_names():
+    names = {
+        "sigma_km": "km", "speed_m_per_s": "m/s", "drift_deg_per_h": "deg/h", "acceleration_m_per_s2": "m/s^2", "gyro_hz": "Hz",
+        "angle_walk_deg_per_sqrt_h": "deg/sqrt(h)", "velocity_walk_ug_per_sqrt_hz": "ug/sqrt(Hz)", "tau_s": "s",
+        "acceleration_noise_m2_per_s3": "m^2/s^3", "steps": "", "phi": "", "runs": "", "alpha": "", "acceleration_g": "g",
+        "orbit_rate_rad_per_s": "rad/s",
+    }  # fmt: skip
+    assert {name: unit_of(name) for name in names} == names
+
+
+def test_what_a_study_says_of_itself_differs_where_the_study_does():
+    def said(**more):
+        return study({"paper": "csrukf", "config": {"steps": 5, "phi": [0.0, 0.5]} | more.pop("config", {})} | more).to_dict()
+
+    base = said()
+    assert base == said()
+    for more in ({"runs": 5}, {"seed": 1}, {"block": 3}, {"every": 2}, {"settle_s": 1.0}, {"limits": {"position": 1.0}},
+                 {"filters": ["srukf"]}, {"preset": "D"}, {"config": {"phi": [0.0, 0.6]}}, {"config": {"steps": 6}}):  # fmt: skip
+        assert said(**more) != base
