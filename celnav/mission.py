@@ -18,7 +18,6 @@ from __future__ import annotations
 import difflib
 import itertools
 import tomllib
-import types
 import typing
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
@@ -29,6 +28,7 @@ from typing import Any
 from celnav.files import InputError
 from celnav.montecarlo import run_count
 from celnav.papers import PAPERS, load
+from celnav.typed import depth, named, type_depth, typed
 
 LARGEST_FILE = 1_000_000
 """Bytes."""
@@ -36,8 +36,6 @@ MOST_CONFIGURATIONS = 100_000
 BLOCK = 250
 """Runs of a work unit, unless a file says otherwise."""
 KEYS = ("title", "paper", "preset", "filters", "runs", "seed", "block", "every", "settle_s", "limits", "config")
-_DIMENSIONS = ("km", "m", "s", "deg", "arcsec", "h", "hz", "g", "ug", "rad", "m2", "s2", "s3", "sqrt_h", "sqrt_hz")
-_PRINTED = {"hz": "Hz", "m2": "m^2", "s2": "s^2", "s3": "s^3", "sqrt_h": "sqrt(h)", "sqrt_hz": "sqrt(Hz)"}
 
 
 class MissionError(InputError):
@@ -90,17 +88,6 @@ def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return out
 
 
-def unit_of(key: str) -> str:
-    """Unit that a parameter's name ends in, ``sigma_km`` -> "km", ``drift_deg_per_h`` -> "deg/h"; empty if it has none."""
-    above, per, below = key.rpartition(".")[2].rpartition("_per_")
-    if not per:
-        above, below = below, ""
-    top = next((d for d in sorted(_DIMENSIONS, key=len, reverse=True) if above.endswith(f"_{d}")), "")
-    if not top or (per and below not in _DIMENSIONS):
-        return ""
-    return _PRINTED.get(top, top) + (f"/{_PRINTED.get(below, below)}" if per else "")
-
-
 def read(path: str | Path, effort: float = 1.0) -> Study:
     """Read a mission or study; ``effort``, in (0, 1], is the part of its runs to do, at least 2.
 
@@ -137,11 +124,11 @@ def study(table: Mapping[str, Any]) -> Study:
     _known("", table, KEYS)
     if "paper" not in table:
         raise ValueError(f"paper: expected one of {', '.join(PAPERS)}, got none")
-    paper = _typed("paper", table["paper"], str)
+    paper = typed("paper", table["paper"], str)
     module = _part("paper", lambda: load(paper))
     start = _preset(module, table)
-    given = {k: _typed(k, table[k], hint) for k, hint in _OPTIONS.items() if k in table}
-    if "runs" in _typed("config", table.get("config", {}), dict):
+    given = {k: typed(k, table[k], hint) for k, hint in _OPTIONS.items() if k in table}
+    if "runs" in typed("config", table.get("config", {}), dict):
         raise ValueError("config.runs: expected runs at the top of the file, outside of [config]")
     swept, fixed = _overrides(start, table.get("config", {}))
     points = _grid(start, fixed, swept)
@@ -175,15 +162,15 @@ def _known(where: str, table: Mapping[str, Any], names: Sequence[str]) -> None:
 
 
 def _preset(module: ModuleType, table: Mapping[str, Any]) -> Any:
-    name = _typed("preset", table.get("preset", next(iter(module.PRESETS))), str)
+    name = typed("preset", table.get("preset", next(iter(module.PRESETS))), str)
     if name not in module.PRESETS:
         raise ValueError(f"preset: expected one of {', '.join(module.PRESETS)}, got {name!r}")
     return module.PRESETS[name]
 
 
 def _limits(table: Mapping[str, Any], judged: Sequence[str]) -> dict[str, float]:
-    _known("limits.", _typed("limits", table.get("limits", {}), dict), judged)
-    limits = {k: _typed(f"limits.{k}", v, float) for k, v in table.get("limits", {}).items()}
+    _known("limits.", typed("limits", table.get("limits", {}), dict), judged)
+    limits = {k: typed(f"limits.{k}", v, float) for k, v in table.get("limits", {}).items()}
     for name, value in limits.items():
         if value <= 0.0:
             raise ValueError(f"limits.{name}: expected a positive number, got {value!r}")
@@ -193,7 +180,7 @@ def _limits(table: Mapping[str, Any], judged: Sequence[str]) -> dict[str, float]
 def _filters(module: ModuleType, table: Mapping[str, Any], points: Sequence[Configuration]) -> tuple[str, ...]:
     """The names asked for, all of which exist in some configuration; by default those of the first."""
     known: dict[str, Any] = _part("config", lambda: module.filters(points[0].config))
-    names = [_typed("filters", name, str) for name in _typed("filters", table.get("filters", list(known)), list)]
+    names = [typed("filters", name, str) for name in typed("filters", table.get("filters", list(known)), list)]
     if not names or len(set(names)) != len(names):
         raise ValueError(f"filters: expected different names, got {names!r}")
     for name in names:
@@ -213,58 +200,20 @@ def _overrides(config: Any, table: Mapping[str, Any], prefix: str = "") -> tuple
     for key, value in table.items():
         name = prefix + key
         if is_dataclass(hints[key]):
-            inner = _typed(f"config.{name}", value, dict)
+            inner = typed(f"config.{name}", value, dict)
             lists, values = _overrides(getattr(config, key), inner, f"{name}.")
             swept |= lists
             fixed |= values
-        elif _depth(value) > _hint_depth(hints[key]):
+        elif depth(value) > type_depth(hints[key]):
             if not value:
                 raise ValueError(f"config.{name}: expected at least one value, got an empty list")
-            values_of = tuple(_typed(f"config.{name}", one, hints[key]) for one in value)
+            values_of = tuple(typed(f"config.{name}", one, hints[key]) for one in value)
             if len(set(values_of)) != len(values_of):
                 raise ValueError(f"config.{name}: expected different values, got {value!r}")
             swept[name] = values_of
         else:
-            fixed[name] = _typed(f"config.{name}", value, hints[key])
+            fixed[name] = typed(f"config.{name}", value, hints[key])
     return swept, fixed
-
-
-def _depth(value: Any) -> int:
-    return 1 + max((_depth(v) for v in value), default=0) if isinstance(value, list) else 0
-
-
-def _hint_depth(hint: Any) -> int:
-    """How many lists lie within one another in a value of a type."""
-    return 1 + _hint_depth(typing.get_args(hint)[0]) if typing.get_origin(hint) is tuple else 0
-
-
-_WORDS = {float: "a number", int: "a whole number", str: "a word", bool: "true or false", list: "a list", dict: "a table"}
-
-
-def _typed(name: str, value: Any, hint: Any) -> Any:
-    """A value of a file as a type of Python."""
-    if typing.get_origin(hint) is types.UnionType:
-        hint = next(part for part in typing.get_args(hint) if part is not type(None))
-    if typing.get_origin(hint) is tuple:
-        parts = typing.get_args(hint)
-        if not isinstance(value, list):
-            raise ValueError(f"{_named(name)}: expected a list, got {value!r:.80}")
-        if parts[-1] is not Ellipsis and len(value) != len(parts):
-            raise ValueError(f"{_named(name)}: expected {len(parts)} values, got {len(value)}")
-        return tuple(_typed(name, v, parts[0]) for v in value)
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    if hint is float and number:
-        return float(value)
-    if hint is int and number and float(value).is_integer():
-        return int(value)
-    if hint not in (float, int) and type(value) is hint:
-        return value
-    raise ValueError(f"{_named(name)}: expected {_WORDS[hint]}, got {value!r:.80}")
-
-
-def _named(name: str) -> str:
-    unit = unit_of(name)
-    return f"{name} ({unit})" if unit else name
 
 
 def _grid(start: Any, fixed: Mapping[str, Any], swept: Mapping[str, tuple[Any, ...]]) -> tuple[Configuration, ...]:
@@ -284,7 +233,7 @@ def _point(start: Any, fixed: Mapping[str, Any], values: dict[str, Any]) -> Conf
         name, colon, rest = str(error).partition(": ")
         at = ", ".join(f"{k} = {v}" for k, v in values.items() if k != name)
         where = f" (where {at})" if at else ""
-        raise ValueError(f"{_named(f'config.{name}') if colon else 'config: ' + name}{colon}{rest}{where}") from None
+        raise ValueError(f"{named(f'config.{name}') if colon else 'config: ' + name}{colon}{rest}{where}") from None
 
 
 def _replaced(config: Any, values: Mapping[str, Any]) -> Any:

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from celnav.mission import MissionError, read, study, unit_of
+from celnav.mission import MissionError, read, study
 from celnav.papers import PAPERS, load
+from celnav.typed import unit_of
 
 MISSIONS = sorted((Path(__file__).parents[1] / "data" / "missions").glob("*.toml"))
 
@@ -88,6 +89,8 @@ def test_everything_else_can_be_chosen():
         ({"paper": "csrukf", "runs": 1.5}, r"runs: expected a whole number, got 1.5"),
         ({"paper": "csrukf", "runs": True}, r"runs: expected a whole number, got True"),
         ({"paper": "csrukf", "runs": float("inf")}, r"runs: expected a whole number, got inf"),
+        ({"paper": "csrukf", "runs": 10**400}, r"runs: expected a whole number, got 1000"),
+        ({"paper": "csrukf", "config": {"sigma_km": 10**400}}, r"config.sigma_km \(km\): expected a number, got 1000"),
         ({"paper": "csrukf", "seed": -1}, r"seed: expected a whole number of at least 0, got -1"),
         ({"paper": "csrukf", "settle_s": "x"}, r"settle_s \(s\): expected a number, got 'x'"),
         ({"paper": "csrukf", "limits": {"position": 0}}, r"limits.position: expected a positive number, got 0.0"),

@@ -11,7 +11,7 @@ import celnav
 
 ROOT = Path(celnav.__file__).parent
 ROOMS = [
-    {"linalg", "colors", "effort", "progress", "page", "drawing"},
+    {"linalg", "colors", "effort", "progress", "page", "drawing", "typed"},
     {"spaces", "gaussian", "files"},
     {"points", "rinex_text"},
     {"taylor", "sparse_grid", "attitude"},

@@ -12,6 +12,7 @@ from contextlib import AbstractContextManager, contextmanager
 from multiprocessing import active_children, get_context, parent_process, resource_tracker
 from multiprocessing.process import BaseProcess
 from typing import Any, NamedTuple, cast
+from urllib.parse import urlsplit
 
 PATIENCE_S = 10.0
 """How long a scheduler may take to answer."""
@@ -114,9 +115,23 @@ def _end_with_the_parent() -> None:
 def dask(address: str | None = None, jobs: int = 1) -> Workers:
     """A running Dask scheduler (``tcp://host:port``), or one of ``jobs`` processes that is started on this machine.
 
-    Opening it raises ImportError without ``distributed``, OSError if no scheduler answers, ValueError for an address that is none.
+    Opening it raises ImportError without ``distributed``, OSError if no scheduler answers.
+
+    Raises
+    ------
+    ValueError: for an address that is none.
     """
+    if address is not None and not _is_address(address):
+        raise ValueError(f"address: expected tcp://HOST:PORT, got {address!r}")
     return Workers(lambda: _cluster(address, jobs), 1000)
+
+
+def _is_address(text: str) -> bool:
+    try:
+        parts = urlsplit(text)
+        return parts.scheme in ("tcp", "tls", "ws", "wss", "ucx") and bool(parts.hostname) and parts.port is not None
+    except ValueError:  # such as a port above 65535
+        return False
 
 
 @contextmanager

@@ -13,6 +13,7 @@ from celnav.campaign.table import Merged, plain
 from celnav.figures import figure
 from celnav.linalg import Array
 from celnav.mission import Configuration, Study
+from celnav.papers import load
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,6 +22,12 @@ if TYPE_CHECKING:
 MOST_PANELS = 12
 PALETTE = (colors.ESTIMATE, colors.COMPARISON, colors.OPEN_LOOP, colors.TRUTH, colors.PAPER, colors.MEASUREMENT)
 MARKERS = "osD^vP"
+
+
+def stems(study: Study) -> list[str]:
+    """Of everything that `figures` may draw."""
+    judged = load(study.paper).JUDGED
+    return [*(f"{kind}_{name}" for kind in ("accuracy", "time") for name in judged), "consistency", "failures"]
 
 
 def figures(outcome: Outcome) -> dict[str, Figure]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from importlib import metadata
 from platform import machine, python_version
 from typing import TYPE_CHECKING, Any
@@ -26,7 +26,7 @@ bound: linearized posterior Cramér–Rao bound; efficiency: bound over rms; ane
 a consistent filter at one epoch; nis: likewise over its degrees of freedom."""
 
 
-def names(stems: Mapping[str, Figure]) -> list[str]:
+def names(stems: Iterable[str]) -> list[str]:
     """Files that `write` makes."""
     return [*TABLES, PAGE, *(f"figures/{stem}.{kind}" for stem in stems for kind in ("png", "svg"))]
 

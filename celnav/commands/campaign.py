@@ -15,7 +15,7 @@ from celnav.progress import RunProgress
 def run(options: argparse.Namespace) -> int:
     """Do what is missing of a study and write what it comes to."""
     from celnav.campaign import WorkError, campaign
-    from celnav.campaign.figures import figures
+    from celnav.campaign.figures import figures, stems
     from celnav.campaign.page import names, write
     from celnav.campaign.table import summary
     from celnav.mission import read
@@ -23,7 +23,7 @@ def run(options: argparse.Namespace) -> int:
     workers, study = _workers(options), read(options.study, fraction(options.effort))
     folder = Path(options.out or folder_of(options.study))
     outputs = Outputs(folder)
-    outputs.check(names({}))
+    outputs.check(names(stems(study)))
     try:
         with RunProgress(folder.name) as progress:
             outcome = campaign(study, folder, workers, progress=progress, say=_warn)
@@ -50,5 +50,8 @@ def _workers(options: argparse.Namespace) -> Any:
     if options.address is not None and options.executor != "dask":
         raise UsageError("address: expected --executor dask with it")
     if options.executor == "dask":
-        return dask(options.address, jobs)
+        try:
+            return dask(options.address, jobs)
+        except ValueError as error:
+            raise UsageError(error) from None
     return processes(jobs) if jobs > 1 else serial()

@@ -34,7 +34,8 @@ def _everything() -> None:
 
 def _parameters(paper: str) -> None:
     """What stands under ``[config]`` of a mission, with units and what each preset changes."""
-    from celnav.mission import flat, unit_of
+    from celnav.mission import flat
+    from celnav.typed import unit_of
 
     study = module(paper)
     presets: dict[str, dict[str, Any]] = {name: flat(asdict(config)) for name, config in study.PRESETS.items()}

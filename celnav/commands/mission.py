@@ -15,7 +15,7 @@ RECORDING = "mission.rrd"
 def run(options: argparse.Namespace) -> int:
     """Everything is computed before anything is written."""
     from celnav.campaign import WorkError, fly, processes, serial
-    from celnav.campaign.figures import figures
+    from celnav.campaign.figures import figures, stems
     from celnav.campaign.page import names, write
     from celnav.campaign.showcase import errors, record, showcase
     from celnav.campaign.table import summary
@@ -27,7 +27,7 @@ def run(options: argparse.Namespace) -> int:
         listed = ", ".join(f"config.{key}" for key in study.swept)
         raise UsageError(f"{options.mission}: {listed}: a list of values is a study; use: celnav campaign {options.mission}")
     outputs = Outputs(options.out or folder_of(options.mission))
-    outputs.check([*names({}), "summary.txt", RECORDING])
+    outputs.check([*names([*stems(study), "errors"]), "summary.txt", RECORDING])
     try:
         with RunProgress(study.title) as progress:
             outcome = fly(study, processes(jobs) if jobs > 1 else serial(), progress=progress)

@@ -22,8 +22,8 @@ def trial(config: Config, rngs: Sequence[np.random.Generator]) -> Trial:
     east, north = config.meters.tolist()
     parts = (slice(0, 3), slice(3, 5), slice(5, 7), slice(7, 10), slice(10, 13))
     units = ("arcmin", "m/s", "m", "deg/h", "ug")
-    scales = (arcmin, 1.0, (east, north), 60.0 * arcmin, 1.0 / MICRO_G)
-    groups = tuple(map(Group, JUDGED, units, parts, scales))
+    scales: tuple[float | tuple[float, float], ...] = (arcmin, 1.0, (east, north), 60.0 * arcmin, 1.0 / MICRO_G)
+    groups = tuple(Group(*each) for each in zip(JUDGED, units, parts, scales, strict=True))
     return Trial(groups, known, sim.prior, lambda _name: sim.epochs(), _compare, "ekf")
 
 

@@ -1,0 +1,68 @@
+"""Values of a file as types of Python, and the units that names of parameters end in."""
+
+from __future__ import annotations
+
+import types
+import typing
+from typing import Any
+
+_DIMENSIONS = ("km", "m", "s", "deg", "arcsec", "h", "hz", "g", "ug", "rad", "m2", "s2", "s3", "sqrt_h", "sqrt_hz")
+LARGEST = 1e300
+"""Numbers beyond it cannot be meant."""
+_PRINTED = {"hz": "Hz", "m2": "m^2", "s2": "s^2", "s3": "s^3", "sqrt_h": "sqrt(h)", "sqrt_hz": "sqrt(Hz)"}
+
+
+def unit_of(key: str) -> str:
+    """Unit that a parameter's name ends in, ``sigma_km`` -> "km", ``drift_deg_per_h`` -> "deg/h"; empty if it has none."""
+    above, per, below = key.rpartition(".")[2].rpartition("_per_")
+    if not per:
+        above, below = below, ""
+    top = next((d for d in sorted(_DIMENSIONS, key=len, reverse=True) if above.endswith(f"_{d}")), "")
+    if not top or (per and below not in _DIMENSIONS):
+        return ""
+    return _PRINTED.get(top, top) + (f"/{_PRINTED.get(below, below)}" if per else "")
+
+
+def depth(value: Any) -> int:
+    """How many lists lie within one another."""
+    return 1 + max((depth(v) for v in value), default=0) if isinstance(value, list) else 0
+
+
+def type_depth(hint: Any) -> int:
+    """How many lists lie within one another in a value of a type."""
+    return 1 + type_depth(typing.get_args(hint)[0]) if typing.get_origin(hint) is tuple else 0
+
+
+_WORDS = {float: "a number", int: "a whole number", str: "a word", bool: "true or false", list: "a list", dict: "a table"}
+
+
+def typed(name: str, value: Any, hint: Any) -> Any:
+    """A value of a file as a type of Python.
+
+    Raises
+    ------
+    ValueError: naming ``name``, its unit, what was expected and what came.
+    """
+    if typing.get_origin(hint) is types.UnionType:
+        hint = next(part for part in typing.get_args(hint) if part is not type(None))
+    if typing.get_origin(hint) is tuple:
+        parts = typing.get_args(hint)
+        if not isinstance(value, list):
+            raise ValueError(f"{named(name)}: expected a list, got {value!r:.80}")
+        if parts[-1] is not Ellipsis and len(value) != len(parts):
+            raise ValueError(f"{named(name)}: expected {len(parts)} values, got {len(value)}")
+        return tuple(typed(name, v, parts[0]) for v in value)
+    number = isinstance(value, int | float) and not isinstance(value, bool) and not abs(value) > LARGEST
+    if hint is float and number:
+        return float(value)
+    if hint is int and number and float(value).is_integer():
+        return int(value)
+    if hint not in (float, int) and type(value) is hint:
+        return value
+    raise ValueError(f"{named(name)}: expected {_WORDS[hint]}, got {value!r:.80}")
+
+
+def named(name: str) -> str:
+    """A key and its unit, for messages."""
+    unit = unit_of(name)
+    return f"{name} ({unit})" if unit else name

@@ -1,0 +1,262 @@
+"""``celnav run`` and ``celnav campaign`` as a user meets them."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import os
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from celnav import cli
+from celnav.campaign import campaign
+from celnav.campaign import store as stores
+from celnav.files import locked
+from celnav.mission import read
+
+MISSION = """
+title = "A <short> mission"
+paper = "csrukf"
+filters = ["srukf", "csrukf"]
+runs = 12
+[config]
+steps = 20
+phi = 0.8
+"""
+STUDY = MISSION.replace("phi = 0.8", 'first_noise = ["R", "stationary"]\nsigma_km = [0.1, 0.2, 0.4]')
+
+
+@pytest.fixture(autouse=True)
+def whole(monkeypatch, tmp_path):
+    monkeypatch.setenv("CELNAV_EFFORT", "1")
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture
+def mission(tmp_path):
+    path = tmp_path / "my mission.toml"
+    path.write_text(MISSION)
+    return path
+
+
+@pytest.fixture
+def sweep(tmp_path):
+    path = tmp_path / "sweep.toml"
+    path.write_text(STUDY)
+    return path
+
+
+def files(folder):
+    return {str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file() and not p.name.startswith(".")}
+
+
+def test_a_mission_is_flown_and_everything_is_written(mission, tmp_path, capsys):
+    for _ in range(2):  # it replaces its own
+        assert cli.main(["run", str(mission)]) == 0
+    out = tmp_path / "out" / "my-mission"
+    drawn = {f"figures/{stem}.{kind}" for kind in ("png", "svg") for stem in
+             ("accuracy_position", "accuracy_velocity", "consistency", "time_position", "time_velocity", "errors")}  # fmt: skip
+    assert files(out) == drawn | {"table.csv", "table.parquet", "times.csv", "summary.txt", "index.html", "mission.rrd"}
+    printed = capsys.readouterr().out
+    assert "12/12 runs" in printed
+    assert (out / "summary.txt").read_text() in printed
+    page = (out / "index.html").read_text()
+    assert "A &lt;short&gt; mission" in page
+    assert page.count("<img") == 6
+    assert "http" not in page
+    with (out / "table.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["filter"] for row in rows] == ["srukf", "csrukf"]
+    assert float(rows[1]["anees"]) < 2 < float(rows[0]["anees"])
+    frame = pd.read_parquet(out / "table.parquet")
+    np.testing.assert_array_equal(frame["position_rms_km"], [float(row["position_rms_km"]) for row in rows])
+
+
+def test_a_campaign_writes_a_row_for_each_configuration_and_filter_and_resumes(sweep, tmp_path, capsys):
+    assert cli.main(["campaign", str(sweep), "--jobs", "1", "--out", "here"]) == 0
+    first = capsys.readouterr().out
+    frame = pd.read_parquet(tmp_path / "here" / "table.parquet")
+    assert len(frame) == 2 * 3 * 2
+    assert list(frame.columns[:5]) == ["first_noise", "sigma_km", "filter", "runs", "failed"]
+    assert {
+        "position_rms_km",
+        "position_low_km",
+        "position_high_km",
+        "position_bound_km",
+        "position_efficiency",
+        "anees",
+        "band_low",
+    } <= set(frame.columns)
+    assert (frame.runs == 12).all()
+    better = frame[frame.first_noise == "stationary"].position_bound_km
+    assert (better.diff().dropna() >= 0).all()  # a worse sensor, a larger bound
+    content = (tmp_path / "here" / "table.csv").read_bytes()
+    assert cli.main(["campaign", str(sweep), "--jobs", "1", "--out", "here"]) == 0
+    again = capsys.readouterr().out
+    assert "0/72 runs" in first
+    assert "72/72 runs" in again
+    assert again.index("72/72 runs") == again.index("runs") - 6  # nothing was left to do
+    assert (tmp_path / "here" / "table.csv").read_bytes() == content
+    times = pd.read_csv(tmp_path / "here" / "times.csv")
+    assert (times.us_per_run_step > 0).all()
+
+
+def test_the_effort_scales_the_runs(mission, capsys):
+    assert cli.main(["campaign", str(mission), "--jobs", "1", "--effort", "0.2"]) == 0
+    assert "2/2 runs" in capsys.readouterr().out
+    assert cli.main(["campaign", str(mission), "--jobs", "1"]) == 1
+    assert "belongs to another study (runs: 2 -> 12)" in capsys.readouterr().err
+
+
+def test_a_mission_of_failures_only_has_a_page_and_reasons(mission, tmp_path, capsys):
+    mission.write_text(MISSION.replace("runs = 12", "runs = 3\nlimits = { position = 1e-9 }"))
+    assert cli.main(["run", str(mission)]) == 0
+    printed = capsys.readouterr().out
+    assert "srukf: 3 failed (position: error above 1e-09 km at the end)" in printed
+    assert "3 x position: error above 1e-09 km at the end" in (tmp_path / "out" / "my-mission" / "table.csv").read_text()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "text"),
+    [
+        (["run"], 2, "MISSION.toml"),
+        (["run", "absent.toml"], 1, "absent.toml"),
+        (["run", "."], 1, "."),
+        (
+            ["run", "sweep.toml"],
+            2,
+            "config.first_noise, config.sigma_km: a list of values is a study; use: celnav campaign",
+        ),
+        (["run", "mission.toml", "--jobs", "0"], 2, "jobs: expected a whole number of at least 1, got '0'"),
+        (["run", "mission.toml", "--effort", "2"], 2, "effort: expected a number in (0, 1], got '2'"),
+        (["run", "wrong.toml"], 1, "wrong.toml: config.sigma_km (km): expected a positive number, got -1.0"),
+        (["campaign", "sweep.toml", "--jobs", "-1"], 2, "jobs: expected a whole number of at least 1"),
+        (["campaign", "sweep.toml", "--jobs", "many"], 2, "jobs: expected a whole number of at least 1"),
+        (["campaign", "sweep.toml", "--executor", "slurm"], 2, "invalid choice: 'slurm'"),
+        (["campaign", "sweep.toml", "--address", "tcp://127.0.0.1:1"], 2, "address: expected --executor dask with it"),
+        (["campaign", "wrong.toml"], 1, "wrong.toml: config.sigma_km"),
+        (["campaign", "sweep.toml", "--out", "sweep.toml"], 1, "sweep.toml"),
+        (["list", "csrkf"], 2, "did you mean csrukf?"),
+        (["view", "absent.rrd"], 1, "absent.rrd: no such recording"),
+    ],
+)
+def test_a_mistake_is_one_line_and_an_exit_code(mission, sweep, tmp_path, capsys, arguments, status, text):
+    shutil.copy(mission, tmp_path / "mission.toml")
+    (tmp_path / "wrong.toml").write_text('paper = "csrukf"\n[config]\nsigma_km = -1')
+    try:
+        found = cli.main(arguments)
+    except SystemExit as stop:
+        found = stop.code
+    error = capsys.readouterr().err
+    assert found == status
+    assert text in error
+    assert "Traceback" not in error
+    if not error.startswith("usage"):
+        assert error.count("\n") == 1
+    assert not (tmp_path / "out").exists() or not files(tmp_path / "out")
+
+
+def test_a_scheduler_that_is_not_there_is_one_line(sweep, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("celnav.campaign.executors.PATIENCE_S", 1.0)
+    assert cli.main(["campaign", str(sweep), "--executor", "dask", "--address", "tcp://127.0.0.1:1"]) == 1
+    error = capsys.readouterr().err
+    assert "tcp://127.0.0.1:1" in error
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("address", ["nonsense", "ftp://127.0.0.1:1", "tcp://", "127.0.0.1:70000"])
+def test_an_address_that_is_none_is_one_line(sweep, capsys, address):
+    assert cli.main(["campaign", str(sweep), "--executor", "dask", "--address", address]) == 2
+    assert capsys.readouterr().err == f"celnav: address: expected tcp://HOST:PORT, got {address!r}\n"
+
+
+def test_a_second_campaign_in_a_folder_is_told(sweep, tmp_path, capsys):
+    (tmp_path / "here").mkdir()
+    with locked(tmp_path / "here"):
+        assert cli.main(["campaign", str(sweep), "--out", "here", "--jobs", "1"]) == 1
+    assert "here: another celnav is at work there" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["table.csv", "index.html", "figures/accuracy_position.png"])
+def test_a_foreign_file_is_told_before_anything_is_computed(sweep, tmp_path, capsys, name):
+    path = tmp_path / "here" / name
+    path.parent.mkdir(parents=True)
+    path.write_text("mine")
+    assert cli.main(["campaign", str(sweep), "--out", "here", "--jobs", "1"]) == 1
+    captured = capsys.readouterr()
+    assert f"here/{name}: exists and was not made" in captured.err
+    assert "runs" not in captured.out
+    assert path.read_text() == "mine"
+
+
+def test_a_full_disk_names_the_file_and_keeps_what_is_done(sweep, tmp_path, capsys, monkeypatch):
+    write, count = stores.write_bytes, []
+
+    def full(path, content):
+        count.append(path)
+        if len(count) == 4:
+            raise OSError(28, "no space left to write the file", str(path))
+        write(path, content)
+
+    monkeypatch.setattr(stores, "write_bytes", full)
+    assert cli.main(["campaign", str(sweep), "--out", "here", "--jobs", "1"]) == 1
+    error = capsys.readouterr().err
+    assert error == f"celnav: [Errno 28] no space left to write the file: '{count[3]}'\n"
+    assert len(list((tmp_path / "here" / "units").iterdir())) == 3
+    monkeypatch.setattr(stores, "write_bytes", write)
+    done = []
+    campaign(read(sweep), tmp_path / "here", progress=lambda runs, total: done.append(runs))
+    assert done == [36, 48, 60, 72]
+
+
+@contextlib.contextmanager
+def mounted(folder, options):
+    folder.mkdir()
+    if os.name != "posix" or shutil.which("mount") is None or os.geteuid() != 0:
+        pytest.skip("cannot mount here")
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(folder)], capture_output=True, check=False).returncode:
+        pytest.skip("cannot mount here")
+    try:
+        yield
+    finally:
+        subprocess.run(["umount", "-l", str(folder)], check=True)
+
+
+def test_a_small_file_system_that_is_full_is_one_line(sweep, tmp_path, capsys):
+    with mounted(tmp_path / "small", "size=64k"):
+        assert cli.main(["campaign", str(sweep), "--out", "small", "--jobs", "1"]) == 1
+        error = capsys.readouterr().err
+        assert "no space left to write the file" in error
+        assert "small" in error
+        assert error.count("\n") == 1
+        done = list((tmp_path / "small" / "units").glob("*.npz"))
+        assert done
+        assert not list((tmp_path / "small").rglob(".celnav-*"))
+
+
+def test_a_folder_that_cannot_be_written_is_told_before_anything_is_computed(sweep, tmp_path, capsys):
+    with mounted(tmp_path / "fixed", "ro"):
+        assert cli.main(["campaign", str(sweep), "--out", "fixed", "--jobs", "1"]) == 1
+        captured = capsys.readouterr()
+    assert "fixed" in captured.err
+    assert captured.err.count("\n") == 1
+    assert "runs" not in captured.out
+
+
+def test_a_closed_pipe_is_quiet(mission, tmp_path):
+    command = f'"{sys.executable}" -m celnav list csrukf | head -1'
+    found = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
+    assert found.stdout.startswith("csrukf: ")
+    assert found.stderr == ""
+
+
+def test_the_parameters_of_a_paper_are_listed_with_units(capsys):
+    assert cli.main(["list", "ssukf"]) == 0
+    printed = capsys.readouterr().out
+    assert "drift_deg_per_h                  0.02                                 deg/h\n" in printed
+    assert "preset 100 Hz: preintegrated = false\n" in printed

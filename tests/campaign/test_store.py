@@ -1,0 +1,197 @@
+"""The store: resume, damage, changed studies, locks."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import zipfile
+
+import numpy as np
+import pytest
+
+from celnav.campaign import StoreError, campaign, serial
+from celnav.campaign import store as stores
+from celnav.campaign.table import columns, to_csv, to_parquet
+from celnav.campaign.units import units_of
+from celnav.files import ForeignFileError, Outputs, locked
+from celnav.mission import study
+
+TABLE = {"paper": "csrukf", "filters": ["csrukf"], "runs": 6, "block": 2, "config": {"steps": 8, "phi": [0.0, 0.8]}}
+
+
+def table(outcome):
+    cells = columns(outcome.rows)
+    return to_csv(cells), to_parquet(cells)
+
+
+@pytest.fixture
+def made(tmp_path):
+    """A finished campaign: its folder, and what its table says."""
+    folder = tmp_path / "store"
+    return folder, table(campaign(study(TABLE), folder))
+
+
+def again(folder):
+    """Run once more; returns the table, the warnings, and which files were written."""
+    before = {path: path.stat().st_mtime_ns for path in (folder / "units").iterdir()}
+    said = []
+    found = table(campaign(study(TABLE), folder, serial(), say=said.append))
+    return found, said, {p.name for p in (folder / "units").iterdir() if p.stat().st_mtime_ns != before.get(p)}
+
+
+def test_a_finished_campaign_is_read_and_not_computed(made):
+    folder, wanted = made
+    assert again(folder) == (wanted, [], set())
+
+
+def test_missing_units_alone_are_computed(made):
+    folder, wanted = made
+    lost = sorted((folder / "units").iterdir())[1:3]
+    for path in lost:
+        path.unlink()
+    assert again(folder) == (wanted, [], {path.name for path in lost})
+
+
+def flip(path):
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    path.write_bytes(content)
+
+
+def repack(path, **change):
+    with np.load(path) as stored:
+        arrays = {name: stored[name] for name in stored.files}
+    np.savez(path, **(arrays | change))
+
+
+def plant(path):
+    """An array of an object that leaves a mark when it is unpickled."""
+    np.savez(path, allow_pickle=True, about=np.array([Mark(str(path.parent / "mark"))], dtype=object))
+
+
+class Mark:
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return open, (self.path, "w")
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        flip,
+        lambda path: path.write_bytes(path.read_bytes()[:-100]),
+        lambda path: path.write_bytes(b""),
+        lambda path: repack(path, **{"0/square": np.zeros((9, 2))}),
+        lambda path: repack(path, checksum=np.array("0")),
+        lambda path: repack(path, about=np.array("{}")),
+        lambda path: zipfile.ZipFile(path, "w").close(),
+        plant,
+    ],
+    ids=["flipped", "truncated", "empty", "changed", "checksum", "about", "zip", "object"],
+)
+def test_a_damaged_unit_is_named_and_computed_again(made, damage):
+    folder, wanted = made
+    victim = sorted((folder / "units").iterdir())[2]
+    damage(victim)
+    found, said, written = again(folder)
+    assert found == wanted
+    assert written == {victim.name}
+    assert len(said) == 1
+    assert said[0].startswith(str(victim))
+    assert said[0].endswith("it is computed again")
+    assert not (victim.parent / "mark").exists()
+
+
+def test_the_planted_object_would_have_left_its_mark(tmp_path):
+    pickle.loads(pickle.dumps(Mark(str(tmp_path / "mark")))).close()
+    assert (tmp_path / "mark").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "difference"),
+    [
+        ({"runs": 8}, "runs: 6 -> 8"),
+        ({"seed": 1}, "seed: 0 -> 1"),
+        ({"config": {"steps": 9, "phi": [0.0, 0.8]}}, "config.steps: 8 -> 9"),
+        ({"config": {"steps": 8, "phi": [0.0, 0.9]}}, r"config.phi: \[0.0, 0.8\] -> \[0.0, 0.9\]"),
+        ({"limits": {"position": 1.0}}, "limits.position: absent -> 1.0"),
+        ({"filters": ["srukf"]}, r'filters: \["csrukf"\] -> \["srukf"\]'),
+    ],
+)
+def test_another_study_is_refused_with_the_difference(made, change, difference):
+    folder, wanted = made
+    with pytest.raises(StoreError, match=rf"belongs to another study \({difference}\); choose another --out"):
+        campaign(study(TABLE | change), folder)
+    assert again(folder) == (wanted, [], set())
+
+
+def test_another_version_is_told_and_goes_on(made):
+    folder, wanted = made
+    manifest = folder / stores.MANIFEST
+    about = json.loads(manifest.read_text())
+    about["versions"]["numpy"] = "1.0"
+    manifest.write_text(json.dumps(about))
+    found, said, written = again(folder)
+    assert (found, written) == (wanted, set())
+    assert "begun with other versions (numpy 1.0 -> " in said[0]
+
+
+@pytest.mark.parametrize("content", [b"", b"{}", b"[]", b"\xff", b'{"format": 99}', b"[" * 100_000])
+def test_a_manifest_that_is_none_is_refused(made, content):
+    folder, _ = made
+    (folder / stores.MANIFEST).write_bytes(content)
+    with pytest.raises(StoreError, match=r"manifest\.json: not a manifest"):
+        campaign(study(TABLE), folder)
+
+
+def test_units_without_a_manifest_are_refused(made):
+    folder, _ = made
+    (folder / stores.MANIFEST).unlink()
+    with pytest.raises(StoreError, match="has units but no manifest"):
+        campaign(study(TABLE), folder)
+
+
+def test_a_second_process_is_told(made):
+    folder, _ = made
+    with locked(folder), pytest.raises(BlockingIOError, match="another celnav is at work there"):
+        campaign(study(TABLE), folder)
+
+
+def test_an_interrupted_campaign_goes_on_where_it_was(tmp_path, made):
+    folder, wanted = tmp_path / "interrupted", made[1]
+    calls = []
+
+    def progress(done, total):
+        calls.append(done)
+        if len(calls) == 4:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        campaign(study(TABLE), folder, progress=progress)
+    assert len(list((folder / "units").iterdir())) == 3
+    seen = []
+    assert table(campaign(study(TABLE), folder, progress=lambda done, total: seen.append((done, total)))) == wanted
+    assert seen == [(6, 12), (8, 12), (10, 12), (12, 12)]
+
+
+def test_every_file_of_the_plan_is_there_and_no_other(made):
+    folder, _ = made
+    plan = {f"{u.key}.npz" for part in units_of(study(TABLE)) for u in part}
+    assert {p.name for p in (folder / "units").iterdir()} == plan
+
+
+def test_a_foreign_folder_named_units_is_left_alone(tmp_path):
+    (tmp_path / "units").mkdir()
+    (tmp_path / "units" / "mine.txt").write_text("mine")
+    with pytest.raises(StoreError, match="has units"):
+        campaign(study(TABLE), tmp_path)
+    assert (tmp_path / "units" / "mine.txt").read_text() == "mine"
+
+
+def test_a_foreign_table_is_left_alone(made):
+    folder, _ = made
+    (folder / "table.csv").write_text("mine")
+    with pytest.raises(ForeignFileError, match=r"table\.csv"):
+        Outputs(folder).check(["table.csv"])

@@ -1,0 +1,144 @@
+"""Work units: their keys, and what becomes of runs that fail."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from celnav.campaign import units
+from celnav.campaign.units import Unit, VersionError, code, execute, pack, units_of, unpack
+from celnav.mission import study
+from celnav.papers import csrukf
+from celnav.scores import merge
+
+TABLE = {"paper": "csrukf", "filters": ["srukf", "csrukf"], "runs": 10, "block": 4, "config": {"steps": 12, "phi": [0.0, 0.8]}}
+
+
+@pytest.fixture
+def unit():
+    return units_of(study(TABLE))[1][0]
+
+
+@pytest.fixture
+def broken(monkeypatch):
+    """Let the paper's trial, or one of its filters, raise in some runs: those whose first true position is in a set."""
+
+    def use(where, runs):
+        original = csrukf.trial
+        config = csrukf.PRESETS["P"]
+        marks = {r: original(replace(config, steps=1), [units.generator(0, units.STUDY, r)]).prior.mean[0, 0] for r in runs}
+
+        def trial(config, rngs):
+            made = original(config, rngs)
+            hit = np.isin(made.prior.mean[:, 0], list(marks.values())).any()
+            if where == "trial" and hit:
+                raise ValueError("the orbit ends in the ground")
+
+            def step(state, epoch):
+                if hit and epoch.k == 3:
+                    raise ValueError("no such star")
+                return made.filters["csrukf"].step(state, epoch)
+
+            filters = {**made.filters, "csrukf": made.filters["csrukf"]._replace(step=step)} if where == "filter" else made.filters
+            return made._replace(filters=filters)
+
+        monkeypatch.setattr(csrukf, "trial", trial)
+
+    return use
+
+
+def test_units_cover_all_runs_of_all_configurations_in_order():
+    plan = units_of(study(TABLE))
+    assert [[(u.first, u.last) for u in part] for part in plan] == [[(0, 4), (4, 8), (8, 10)]] * 2
+    assert len({u.key for part in plan for u in part}) == 6
+
+
+def test_the_key_is_that_of_what_determines_the_result(unit):
+    assert unit.key == replace(unit, config=replace(unit.config, runs=77)).key
+    others = [
+        replace(unit, **change)
+        for change in (
+            {"paper": "ssukf"}, {"filters": ("srukf",)}, {"seed": 1}, {"first": 1}, {"last": 5}, {"every": 2}, {"settle_s": 1.0},
+            {"limits": (("position", 1.0),)}, {"config": replace(unit.config, phi=0.81)},
+        )
+    ]  # fmt: skip
+    assert len({unit.key, *(u.key for u in others)}) == 10
+
+
+def test_a_unit_gives_the_same_numbers_again_and_survives_packing(unit):
+    one, two = (execute(unit, code()) for _ in range(2))
+    again = unpack({name: np.asarray(array) for name, array in pack(one).items()})
+    assert set(one.scores) == {"srukf", "csrukf"}
+    for name, scores in one.scores.items():
+        for stat, value in scores.items():
+            np.testing.assert_array_equal(value, two.scores[name][stat])
+            np.testing.assert_array_equal(value, again.scores[name][stat])
+    np.testing.assert_array_equal(one.bound, again.bound)
+    assert (again.groups, again.failures, again.steps) == (one.groups, one.failures, one.steps)
+    assert one.groups == (("position", "km"), ("velocity", "m/s"))
+    assert one.steps == {"srukf": 4 * 13, "csrukf": 4 * 13}
+
+
+def test_a_result_is_as_small_for_many_runs_as_for_few(unit):
+    few, many = (pack(execute(replace(unit, last=last), code())) for last in (2, 40))
+    assert {n: a.shape for n, a in few.items()} == {n: a.shape for n, a in many.items()}
+
+
+def test_only_the_first_block_knows_the_bound():
+    plan = units_of(study(TABLE))[0]
+    assert [execute(u, code()).bound is None for u in plan] == [False, True, True]
+
+
+def test_a_run_that_raises_in_a_filter_fails_alone(unit, broken):
+    broken("filter", {2})
+    found = execute(unit, code())
+    assert found.failures["srukf"] == []
+    assert [(f.run, f.why) for f in found.failures["csrukf"]] == [(2, "ValueError: no such star")]
+    assert found.scores["csrukf"]["runs"] == 3
+    assert "no such star" in found.trace
+    singles = [execute(replace(unit, first=r, last=r + 1), code()).scores["csrukf"] for r in (0, 1, 3)]
+    np.testing.assert_allclose(found.scores["csrukf"]["square"], merge(singles)["square"], rtol=1e-9)
+
+
+def test_a_run_that_cannot_be_simulated_fails_in_every_filter(unit, broken):
+    broken("trial", {1})
+    found = execute(unit, code())
+    for name in unit.filters:
+        assert [(f.run, f.why) for f in found.failures[name]] == [(1, "ValueError: the orbit ends in the ground")]
+        assert found.scores[name]["runs"] == 3
+
+
+def test_a_unit_of_failures_only_has_no_scores_but_reasons(unit, broken):
+    broken("trial", range(4))
+    found = unpack(pack(execute(unit, code())))
+    assert found.scores == {}
+    assert found.groups == ()
+    assert [len(found.failures[name]) for name in unit.filters] == [4, 4]
+
+
+def test_a_filter_that_a_configuration_does_not_have_fails_with_that_reason(unit):
+    found = execute(replace(unit, filters=("srukf", "srukf-inflated")), code())
+    assert {f.why for f in found.failures["srukf-inflated"]} == {"this configuration has no filter srukf-inflated"}
+    assert found.scores["srukf"]["runs"] == 4
+
+
+def test_lack_of_memory_is_not_a_failure_of_the_run(unit, monkeypatch):
+    def trial(config, rngs):
+        raise MemoryError
+
+    monkeypatch.setattr(csrukf, "trial", trial)
+    with pytest.raises(MemoryError):
+        execute(unit, code())
+
+
+def test_another_celnav_is_refused(unit):
+    with pytest.raises(VersionError, match=r"has celnav \S+ \(code \w+\), this is 9\.9 \(code abc\)"):
+        execute(unit, {"celnav": "9.9", "code": "abc"})
+
+
+@pytest.mark.parametrize("paper", ["ssukf", "tstdkf", "aasghqf", "aukf"])
+def test_units_of_every_paper_can_be_hashed(paper):
+    assert len({u.key for part in units_of(study({"paper": paper, "runs": 600})) for u in part}) == 3
+    assert isinstance(units_of(study({"paper": paper}))[0][0], Unit)
