@@ -10,6 +10,7 @@ import pytest
 
 from celnav.filters.driver import Filter, epochs
 from celnav.gaussian import square_root
+from celnav.metrics import chi_square_band
 from celnav.montecarlo import generator
 from celnav.papers import PAPERS, csrukf, load
 from celnav.papers.csrukf import theory
@@ -125,3 +126,14 @@ def test_epochs_without_a_truth_cannot_be_judged():
     trial = broken(9)._replace(epochs=lambda name: epochs(np.arange(3.0)))
     with pytest.raises(ValueError, match="truth"):
         follow(trial, "f")
+
+
+@pytest.mark.parametrize("measured", ["positions", "angles"])
+@pytest.mark.parametrize("first_noise", ["R", "stationary"])
+def test_the_exact_filter_is_consistent_whatever_the_first_noise(measured, first_noise):
+    config = replace(csrukf.PRESETS["P"], steps=15, phi=0.95, measured=measured, first_noise=first_noise, prior_position_km=5.0)
+    trial = csrukf.trial(config, [generator(2, 0, r) for r in range(200)])
+    found = follow(trial, trial.reference)
+    low, high = chi_square_band(6, 200, level=0.9999)
+    assert low < found.nees[0].mean() < high
+    assert low < found.nees[-1].mean() < high

@@ -95,6 +95,11 @@ class Config:
         return initial_covariance(self.first_noise, self.Phi, self.R)
 
     @property
+    def angle_Sigma0(self) -> Array:
+        """The same of measured angles, ``(3, 3)`` rad^2."""
+        return initial_covariance(self.first_noise, self.Phi, np.diag(self.sigma_angles**2))
+
+    @property
     def sqrt_Q(self) -> Array:
         """Root of the process noise of one step, ``(6, 6)`` km, km/s."""
         return np.diag(np.repeat([self.noise_position_km, self.noise_velocity_km_per_s], 3))

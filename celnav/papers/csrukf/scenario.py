@@ -13,7 +13,7 @@ from celnav.filters.step import Model, predict, update
 from celnav.gaussian import Gaussian
 from celnav.linalg import Array, semidefinite_root
 from celnav.models import orbit, sightings
-from celnav.models.noise import ar1, effective_covariance, initial_covariance
+from celnav.models.noise import ar1, effective_covariance
 from celnav.montecarlo import normals
 from celnav.papers.csrukf.config import Config
 from celnav.points import unscented
@@ -88,7 +88,7 @@ def simulate(config: Config, rng: np.random.Generator | Sequence[np.random.Gener
     mean = truth[0] + initial * config.sqrt_P0.diagonal()
     measured = None
     if config.measured == "angles":
-        noise = ar1(config.Phi, zeta * config.sigma_angles, first * config.sigma_angles)
+        noise = ar1(config.Phi, zeta * config.sigma_angles, first * semidefinite_root(config.angle_Sigma0).diagonal())
         measured = sightings.angles(truth[..., :3], sightings.star_directions(config.separation)) + noise
         z = sightings.position(measured, config.separation, np.sign(truth[..., 2]), strict=False)
     else:
@@ -170,13 +170,12 @@ def angle_filters(config: Config) -> dict[str, Filter]:
     def whitened(**first: Any) -> Filter:
         return colored(f, h, unscented(12), config.Phi, sqrt_Q=config.sqrt_Q, sqrt_R=root, **first)
 
-    first = initial_covariance(config.first_noise, config.Phi, root**2)
     plain = sequential(predict(f, config.rule, sqrt_Q=config.sqrt_Q), update(h, config.rule, sqrt_R=root))
     return {
         "srukf-isotropic": white(config, isotropic),
         "csrukf-isotropic": single_transform(config, isotropic),
         "csrukf-jacobian": single_transform(config, table),
         "angles": whitened() if config.phi else plain,
-        "angles+z0": whitened(Sigma0=first, first_rule=config.rule),
+        "angles+z0": whitened(Sigma0=config.angle_Sigma0, first_rule=config.rule),
         "openloop": open_loop(config),
     }
