@@ -113,7 +113,7 @@ phi = [0.0, 0.8]
 
 
 def kills(trials: int, seed: int) -> int:
-    """Kill a worker, and then the whole campaign, at random moments; go on; compare the table. Returns how many were the same."""
+    """Kill a campaign at a random moment, go on, kill a worker at another, compare the table. Returns how many were the same."""
     rng, same = random.Random(seed), 0
     with tempfile.TemporaryDirectory() as top:
         file = Path(top, "study.toml")
@@ -123,7 +123,7 @@ def kills(trials: int, seed: int) -> int:
         span = time.monotonic() - begin
         for i in range(trials):
             folder = Path(top, f"trial{i}")
-            victims = [_killed(file, folder, rng.uniform(0.1, 0.95) * span, worker) for worker in (True, False)]
+            victims = [_killed(file, folder, rng.uniform(0.2, 0.8) * span, worker) for worker in (False, True)]
             found = _finish(file, folder)
             same += found == wanted
             print(f"{i + 1}: killed {' and '.join(victims)}, {'same' if found == wanted else 'OTHER'} table", flush=True)
@@ -145,23 +145,24 @@ def _finish(file: Path, folder: Path) -> str:
 
 
 def _killed(file: Path, folder: Path, after: float, worker: bool) -> str:
-    """Start, wait, and kill -9 a worker (and let the campaign finish) or the campaign itself (and see that no worker is left)."""
+    """Start, wait, and kill -9 the campaign itself (and see that no worker is left) or a worker (and let the campaign finish)."""
     process = _start(file, folder)
     time.sleep(after)
-    children = [int(pid) for pid in _children(process.pid)]
-    if worker and children:
-        os.kill(children[-1], signal.SIGKILL)
-        process.communicate()
-        return f"a worker after {after:.1f} s (exit {process.returncode})"
+    children, done = [int(pid) for pid in _children(process.pid)], len(list(folder.glob("units/*.npz")))
+    when = f"after {after:.1f} s with {done} units done"
+    if worker:
+        if children:
+            os.kill(children[-1], signal.SIGKILL)
+        error = process.communicate()[1]
+        return f"a worker {when} (exit {process.returncode}{': ' + error if error else ''})" if children else f"no worker {when}"
     process.kill()
     process.wait()
-    done = len(list((folder / "units").glob("*.npz"))) if (folder / "units").is_dir() else 0
     deadline = time.monotonic() + 5.0
     while (left := [pid for pid in children if Path(f"/proc/{pid}").exists()]) and time.monotonic() < deadline:
         time.sleep(0.1)
     if left:
         raise RuntimeError(f"processes {left} outlive the campaign")
-    return f"the campaign after {after:.1f} s ({done} units done)"
+    return f"the campaign {when}"
 
 
 def _children(pid: int) -> list[str]:
