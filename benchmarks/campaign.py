@@ -101,6 +101,8 @@ def memory() -> None:
     print(f"memory: {100 * (peaks[1] / peaks[0] - 1):+.1f} % from 1,000 to 100,000 runs")
 
 
+UNITS = 24
+"""Of the study that is killed."""
 STUDY_FILE = """
 paper = "csrukf"
 filters = ["srukf", "csrukf"]
@@ -118,15 +120,14 @@ def kills(trials: int, seed: int) -> int:
     with tempfile.TemporaryDirectory() as top:
         file = Path(top, "study.toml")
         file.write_text(STUDY_FILE, encoding="utf-8")
-        begin = time.monotonic()
         wanted = _finish(file, Path(top, "whole"))
-        span = time.monotonic() - begin
         for i in range(trials):
             folder = Path(top, f"trial{i}")
-            victims = [_killed(file, folder, rng.uniform(0.2, 0.8) * span, worker) for worker in (False, True)]
+            first = _killed(file, folder, rng.randrange(UNITS - 4), rng.random(), worker=False)
+            second = _killed(file, folder, rng.randrange(_done(folder), UNITS), rng.random(), worker=True)
             found = _finish(file, folder)
             same += found == wanted
-            print(f"{i + 1}: killed {' and '.join(victims)}, {'same' if found == wanted else 'OTHER'} table", flush=True)
+            print(f"{i + 1}: killed {first} and {second}, {'same' if found == wanted else 'OTHER'} table", flush=True)
     print(f"kills: {same} of {trials} tables have the same bytes")
     return same
 
@@ -144,17 +145,19 @@ def _finish(file: Path, folder: Path) -> str:
     return hashlib.sha256((folder / "table.csv").read_bytes() + (folder / "table.parquet").read_bytes()).hexdigest()
 
 
-def _killed(file: Path, folder: Path, after: float, worker: bool) -> str:
-    """Start, wait, and kill -9 the campaign itself (and see that no worker is left) or a worker (and let the campaign finish)."""
+def _killed(file: Path, folder: Path, units: int, wait: float, *, worker: bool) -> str:
+    """Start, wait for so many units and a little longer, then kill -9 the campaign (and see that no worker is left), or a worker
+    (and let the campaign finish)."""
     process = _start(file, folder)
-    time.sleep(after)
-    children, done = [int(pid) for pid in _children(process.pid)], len(list(folder.glob("units/*.npz")))
-    when = f"after {after:.1f} s with {done} units done"
+    while process.poll() is None and (_done(folder) < units or not _children(process.pid)):
+        time.sleep(0.01)
+    time.sleep(wait)
+    children, done = _children(process.pid), _done(folder)
     if worker:
         if children:
             os.kill(children[-1], signal.SIGKILL)
         error = process.communicate()[1]
-        return f"a worker {when} (exit {process.returncode}{': ' + error if error else ''})" if children else f"no worker {when}"
+        return f"{'a' if children else 'no'} worker with {done} units done (exit {process.returncode}{error and ': '}{error})"
     process.kill()
     process.wait()
     deadline = time.monotonic() + 5.0
@@ -162,12 +165,16 @@ def _killed(file: Path, folder: Path, after: float, worker: bool) -> str:
         time.sleep(0.1)
     if left:
         raise RuntimeError(f"processes {left} outlive the campaign")
-    return f"the campaign {when}"
+    return f"the campaign with {done} units done"
 
 
-def _children(pid: int) -> list[str]:
+def _done(folder: Path) -> int:
+    return len(list(folder.glob("units/*.npz")))
+
+
+def _children(pid: int) -> list[int]:
     try:
-        return Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+        return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
     except OSError:
         return []
 

@@ -13,6 +13,7 @@ table{border-collapse:collapse;display:block;overflow-x:auto;font-size:13px;marg
 td,th{border-bottom:1px solid var(--line);padding:.3rem .5rem;text-align:left;vertical-align:top}
 figure{margin:1rem 0}img{max-width:100%;background:#fff;border-radius:4px}
 pre{overflow-x:auto;font-size:12px}.bad{color:var(--bad);font-weight:600}.good{color:var(--good)}
+.wide figure{overflow-x:auto}.wide img{min-width:36rem}
 .grid{display:grid;grid-template-columns:repeat(auto-fill,minmax(20rem,1fr));gap:1rem}
 """
 

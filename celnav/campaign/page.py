@@ -63,7 +63,7 @@ def _page(outcome: Outcome, cells: Mapping[str, list[Any]], pictures: Mapping[st
         f"<h1>{html.escape(study.title)}</h1>",
         f"<p>{len(study.configurations)} configurations × {len(study.filters)} filters × {study.runs} runs of "
         f"<code>{html.escape(study.paper)}</code>, {failed} of them failed. Files: {' · '.join(link(f, f) for f in files)}.</p>",
-        '<div class="grid">',
+        '<div class="wide">',
         *(figure(stem.replace("_", " ").capitalize(), png, f"figures/{stem}.svg") for stem, png in pictures.items()),
         "</div><h2>Table</h2>",
         f"<p>{_LEGEND}</p>",

@@ -109,9 +109,6 @@ def _cells(row: Row, groups: tuple[tuple[str, str], ...]) -> dict[str, Any]:
     cells: dict[str, Any] = {key: plain(value) for key, value in row.values.items()} | {"filter": row.filter}
     s = row.summary
     cells |= {"runs": s.runs if s else 0, "failed": row.failed}
-    cells["reasons"] = "; ".join(
-        f"{count} x {why}" for why, count in sorted(row.reasons.items(), key=lambda item: (-item[1], item[0]))
-    )
     for name, unit in groups:
         found, slug = row.accuracy(name), unit.replace("/", "_per_")
         for stat in Accuracy._fields:
@@ -119,7 +116,11 @@ def _cells(row: Row, groups: tuple[tuple[str, str], ...]) -> dict[str, Any]:
             cells[label] = None if found is None else _number(getattr(found, stat))
     names = ("anees", "anees_low", "anees_high", "band_low", "band_high", "nis")
     values = (s.anees, s.low, s.high, *s.band, s.nis) if s else (np.nan,) * 6
-    return cells | {name: _number(value) for name, value in zip(names, values, strict=True)}
+    cells |= {name: _number(value) for name, value in zip(names, values, strict=True)}
+    cells["reasons"] = "; ".join(
+        f"{count} x {why}" for why, count in sorted(row.reasons.items(), key=lambda item: (-item[1], item[0]))
+    )
+    return cells
 
 
 def _number(value: float) -> float | None:
