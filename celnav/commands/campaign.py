@@ -11,6 +11,9 @@ from celnav.commands.arguments import UsageError, cores, folder_of, fraction, wh
 from celnav.files import Outputs
 from celnav.progress import RunProgress
 
+MOST_PER_CORE = 4
+"""Processes."""
+
 
 def run(options: argparse.Namespace) -> int:
     """Do what is missing of a study and write what it comes to."""
@@ -54,4 +57,7 @@ def _workers(options: argparse.Namespace) -> Any:
             return dask(options.address, jobs)
         except ValueError as error:
             raise UsageError(error) from None
-    return processes(jobs) if jobs > 1 else serial()
+    most = MOST_PER_CORE * cores()
+    if jobs > most:
+        _warn(f"jobs: {jobs} processes on {cores()} cores would only be in each other's way; {most} are started")
+    return processes(min(jobs, most)) if jobs > 1 else serial()

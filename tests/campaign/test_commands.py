@@ -14,7 +14,7 @@ import pandas as pd
 import pytest
 
 from celnav import cli
-from celnav.campaign import campaign
+from celnav.campaign import campaign, serial
 from celnav.campaign import store as stores
 from celnav.files import locked
 from celnav.mission import read
@@ -260,3 +260,17 @@ def test_the_parameters_of_a_paper_are_listed_with_units(capsys):
     printed = capsys.readouterr().out
     assert "drift_deg_per_h                  0.02                                 deg/h\n" in printed
     assert "preset 100 Hz: preintegrated = false\n" in printed
+
+
+def test_a_thousand_processes_are_not_started(sweep, capsys, monkeypatch):
+    started = []
+
+    def processes(jobs):
+        started.append(jobs)
+        return serial()
+
+    monkeypatch.setattr("celnav.campaign.processes", processes)
+    monkeypatch.setattr("celnav.commands.campaign.cores", lambda: 2)
+    assert cli.main(["campaign", str(sweep), "--jobs", "1000", "--effort", "0.2"]) == 0
+    assert started == [8]
+    assert "jobs: 1000 processes on 2 cores would only be in each other's way; 8 are started" in capsys.readouterr().err
