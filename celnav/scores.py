@@ -41,7 +41,13 @@ def score(
     """Scores of a block, and its runs that failed: lost their estimate, or ended with an error above the limit of its group.
 
     ``settle_s``: the mean over time begins here; None: in the middle of the run.
+
+    Raises
+    ------
+    ValueError: if no epoch is as late as ``settle_s``.
     """
+    if settle_s is not None and settle_s > followed.times[-1]:
+        raise ValueError(f"settle_s: expected a time of at most {followed.times[-1]:g} s, the last epoch, got {settle_s:g}")
     f, K = followed, len(followed.times)
     square, variance = squares(groups, f.error), squares(groups, f.std)
     failures = {run: Failure(run, t, why) for run, t, why in f.lost}

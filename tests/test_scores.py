@@ -84,6 +84,11 @@ def test_the_settled_epochs_begin_where_they_are_said_to():
     np.testing.assert_allclose(late.accuracy[0].rms, np.sqrt(np.square(error[6:, :, :2]).sum(-1).mean()), rtol=1e-12)
 
 
+def test_settling_after_the_end_is_refused():
+    with pytest.raises(ValueError, match=r"^settle_s: expected a time of at most 7 s, the last epoch, got 7\.5$"):
+        scored(errors(3), settle_s=7.5)
+
+
 def test_lost_runs_and_runs_beyond_their_limit_are_failures_and_not_in_the_sums():
     error = errors(6)
     error[5:, 2] = np.nan
