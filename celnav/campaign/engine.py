@@ -49,7 +49,8 @@ def compute(units: Iterable[Unit], workers: Workers, keep: Keep) -> None:
                 unfinished.append(_told(culprit, "its worker dies"))
     if unfinished:
         rest = f" and {len(unfinished) - 3} more" if len(unfinished) > 3 else ""
-        raise UnfinishedError(f"{len(unfinished)} units are not done: {'; '.join(unfinished[:3])}{rest}")
+        count = "1 unit is" if len(unfinished) == 1 else f"{len(unfinished)} units are"
+        raise UnfinishedError(f"{count} not done: {'; '.join(unfinished[:3])}{rest}")
 
 
 def _told(unit: Unit, why: str) -> str:

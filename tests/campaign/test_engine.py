@@ -96,7 +96,7 @@ def test_a_unit_that_kills_its_workers_is_told_and_the_others_are_done(plan):
     poison = plan[2]
     workers, deaths = mortal(0, lambda unit: unit == poison)
     kept = []
-    with pytest.raises(UnfinishedError, match=rf"^1 units are not done: runs 6 to 8 of unit {poison.key} \(its worker dies\)$"):
+    with pytest.raises(UnfinishedError, match=rf"^1 unit is not done: runs 6 to 8 of unit {poison.key} \(its worker dies\)$"):
         compute(plan, workers, lambda unit, result: kept.append(unit))
     assert set(kept) == set(plan) - {poison}
     assert len(deaths) <= 2 * ATTEMPTS + 2
