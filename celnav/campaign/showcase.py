@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from os import PathLike
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -48,13 +49,19 @@ class Showcase(NamedTuple):
         return np.asarray(self.filters[name].std[:, 0, self.components] * self.scale)
 
 
-def showcase(study: Study) -> Showcase:
-    """Follow the first run of a mission."""
-    trial: Trial = load(study.paper).trial(study.configurations[0].config, [generator(study.seed, STUDY, 0)])
-    filters = {name: follow(trial, name) for name in study.filters}
+def showcase(study: Study) -> Showcase | None:
+    """Follow the first run of a mission with the filters that can; None if it cannot be simulated, or no filter can."""
+    filters: dict[str, Followed] = {}
+    with contextlib.suppress(Exception):  # what went wrong is among the reasons in the table
+        trial: Trial = load(study.paper).trial(study.configurations[0].config, [generator(study.seed, STUDY, 0)])
+        for name in study.filters:
+            with contextlib.suppress(Exception):
+                filters[name] = follow(trial, name)
+    if not filters:
+        return None
     truth = None
     if trial.place is not None:
-        epochs = trial.epochs(study.filters[0])
+        epochs = trial.epochs(next(iter(filters)))
         truth = np.stack([trial.place(epoch.truth)[0] for epoch in epochs if epoch.truth is not None])
     components = np.concatenate([np.arange(g.part.start, g.part.stop) for g in trial.groups])
     scale = np.concatenate([np.broadcast_to(g.scale, g.part.stop - g.part.start) for g in trial.groups])
@@ -108,7 +115,7 @@ def record(shown: Showcase, outcome: Outcome, path: str | PathLike[str]) -> None
     plots = [r.plot(f"rms/{g.name}", f"{g.name}: rms of {study.runs} runs, log10 of {g.unit}", times) for g in shown.groups]
     tabs = [
         r.rows(*(r.plot(f"first/{f}/{g.name}", f"{f}: {g.name} of the first run, {g.unit}", times) for g in shown.groups), name=f)
-        for f in study.filters
+        for f in shown.filters
     ]
     left: list[Any] = [r.text("info", "about"), r.plot("nees", "NEES over its dimension, first run, log10", times)]
     if shown.truth is not None:

@@ -35,7 +35,7 @@ def run(options: argparse.Namespace) -> int:
         print(f"celnav: {error}", file=sys.stderr)
         return 1
     print(summary(outcome.rows))
-    first = None if all(row.summary is None for row in outcome.rows) else showcase(study)
+    first = showcase(study)
     write(outcome, figures(outcome) | ({"errors": errors(first)} if first else {}), outputs, RECORDING if first else "")
     outputs.text("summary.txt", summary(outcome.rows) + "\n")
     try:
