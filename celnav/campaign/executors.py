@@ -65,11 +65,11 @@ def _pool(jobs: int) -> Iterator[Executor]:
     pool = _Pool(jobs, mp_context=get_context("spawn"), initializer=_end_with_the_parent)
     try:
         yield pool
+        pool.shutdown()
     except BaseException:
         _kill_but(others)  # a unit may take minutes, and nobody waits for it any more
-        raise
-    finally:
         pool.shutdown(cancel_futures=True)
+        raise
 
 
 def _kill_but(others: set[BaseProcess]) -> None:
