@@ -105,7 +105,7 @@ def children(pid):
 
 def workers_at_work(process, folder, units):
     """Wait until some units are done; returns the worker processes."""
-    deadline = time.monotonic() + 60.0
+    deadline = time.monotonic() + 200.0
     while time.monotonic() < deadline and process.poll() is None:
         if len(list((folder / "units").glob("*.npz"))) >= units:
             return children(process.pid)
