@@ -24,6 +24,8 @@ from celnav.linalg import Array
 
 MANIFEST = ".celnav.json"
 LOCK = ".celnav.lock"
+MOST_UNPACKED = 100
+"""Times the size of a file: no honest archive of numbers unpacks to more."""
 
 
 class ForeignFileError(OSError):
@@ -76,6 +78,10 @@ def read_npz(path: str | Path) -> dict[str, Array]:
     try:
         if not zipfile.is_zipfile(path):
             raise ValueError("not a zip archive")
+        with zipfile.ZipFile(path) as archive:
+            size = sum(member.file_size for member in archive.infolist())
+        if size > MOST_UNPACKED * Path(path).stat().st_size:
+            raise ValueError(f"unpacks to {size} bytes, more than {MOST_UNPACKED} times its size")
         with np.load(path, allow_pickle=False) as stored:
             return {name: stored[name] for name in stored.files}
     except (ValueError, EOFError, zipfile.BadZipFile, KeyError, AttributeError) as error:

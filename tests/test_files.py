@@ -126,3 +126,10 @@ def test_a_table_of_claims_shows_itself_everywhere():
     assert "x &lt; y" in table._repr_html_()
     assert "reproduced" in str(table)
     assert table._repr_markdown_().count("\n") == 2
+
+
+def test_an_archive_that_unpacks_to_very_much_is_refused(tmp_path):
+    path = tmp_path / "bomb.npz"
+    np.savez_compressed(path, a=np.zeros(10_000_000))
+    with pytest.raises(ValueError, match=r"bomb\.npz: .*unpacks to 80000\d+ bytes, more than 100 times its size"):
+        read_npz(path)
