@@ -70,14 +70,18 @@ def _results(executor: Executor, todo: Sequence[Unit], ahead: int) -> Iterator[t
             waiting[executor.submit(execute, unit, code())] = unit
         if not waiting:
             return
-        for future in wait(waiting, return_when=FIRST_COMPLETED).done:
+        done = wait(waiting, return_when=FIRST_COMPLETED).done
+        fatal: BaseException | None = None
+        for future in [future for future in waiting if future in done]:
             unit = waiting.pop(future)
-            try:
-                outcome: Result | Exception = future.result()
-            except (BrokenExecutor, VersionError):
-                raise
-            except CancelledError:
-                raise OSError("the cluster dropped the work: its scheduler or its connection is gone") from None
-            except Exception as error:
-                outcome = error
-            yield unit, outcome
+            error = CancelledError() if future.cancelled() else future.exception()
+            if isinstance(error, BrokenExecutor | VersionError | CancelledError):
+                fatal = error  # what came with it is kept all the same
+            elif error is None or isinstance(error, Exception):
+                yield unit, future.result() if error is None else error
+            else:
+                raise error
+        if isinstance(fatal, CancelledError):
+            raise OSError("the cluster dropped the work: its scheduler or its connection is gone")
+        if fatal is not None:
+            raise fatal
