@@ -298,10 +298,18 @@ def unscented(n: int, alpha: float = 1.0, beta: float = 0.0, kappa: float = 0.0)
 
 
 def simplex(n: int) -> Rule:
-    """Spherical simplex: ``n + 1`` points of equal weight [Moireau & Chapelle 2011], by filterpy."""
-    from filterpy.kalman import SimplexSigmaPoints
+    """Spherical simplex: ``n + 1`` points of equal weight, the fewest that a covariance needs [Moireau & Chapelle 2011].
 
-    return from_filterpy(SimplexSigmaPoints(_dimension(n)))
+    Raises
+    ------
+    ValueError: for ``n < 1``.
+    """
+    n = _dimension(n)
+    d = np.arange(1, n + 1)
+    nodes = np.sqrt((n + 1) / (d * (d + 1))) * (np.triu(np.ones((n + 1, n))) - d * np.eye(n + 1, n, -1))
+    nodes[:, 0] *= -1.0  # as filterpy has it
+    weights = np.full(n + 1, 1.0 / (n + 1))
+    return _centered(nodes, weights, weights)
 
 
 def cubature(n: int, degree: int = 3) -> Rule:

@@ -13,7 +13,6 @@ import numpy as np
 from pymap3d import ecef2geodetic
 
 from celnav import colors
-from celnav.drawing import render
 from celnav.figures import figure
 from celnav.files import Outputs
 from celnav.filters.driver import run
@@ -211,6 +210,8 @@ RECORDING = "position.rrd"
 
 def write(found: Positioned, outputs: Outputs) -> None:
     """Write `FILES`, all of which are made before the first is written."""
+    from celnav.drawing import render
+
     drawn = {f"{stem}.{kind}": render(drawing, kind) for stem, drawing in figures(found).items() for kind in ("png", "svg")}
     texts = {"summary.txt": summary(found) + "\n", "track.csv": table(found)}
     for name in FILES:

@@ -16,6 +16,7 @@ import pytest
 from celnav import cli
 from celnav.campaign import campaign, serial
 from celnav.campaign import store as stores
+from celnav.campaign.figures import figures
 from celnav.files import locked
 from celnav.mission import read
 
@@ -51,6 +52,12 @@ def sweep(tmp_path):
     return path
 
 
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Figures as nothing: drawing takes most of the time of a small study."""
+    monkeypatch.setattr("celnav.campaign.page.render", lambda drawing, kind: b"")
+
+
 def files(folder):
     return {str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file() and not p.name.startswith(".")}
 
@@ -77,7 +84,7 @@ def test_a_mission_is_flown_and_everything_is_written(mission, tmp_path, capsys)
     np.testing.assert_array_equal(frame["position_rms_km"], [float(row["position_rms_km"]) for row in rows])
 
 
-def test_a_campaign_writes_a_row_for_each_configuration_and_filter_and_resumes(sweep, tmp_path, capsys):
+def test_a_campaign_writes_a_row_for_each_configuration_and_filter_and_resumes(sweep, undrawn, tmp_path, capsys):
     assert cli.main(["campaign", str(sweep), "--jobs", "1", "--out", "here"]) == 0
     first = capsys.readouterr().out
     frame = pd.read_parquet(tmp_path / "here" / "table.parquet")
@@ -106,7 +113,20 @@ def test_a_campaign_writes_a_row_for_each_configuration_and_filter_and_resumes(s
     assert (times.us_per_run_step > 0).all()
 
 
-def test_the_effort_scales_the_runs(mission, capsys):
+def test_the_figures_of_a_sweep_show_the_numbers_of_its_table(sweep, tmp_path):
+    outcome = campaign(read(sweep), tmp_path / "store")
+    drawn = figures(outcome)
+    assert list(drawn) == ["accuracy_position", "accuracy_velocity", "consistency", "time_position", "time_velocity"]
+    fig = drawn["accuracy_position"]
+    assert [ax.get_title() for ax in fig.axes] == ["first_noise = R", "first_noise = stationary"]
+    for ax, noise in zip(fig.axes, ("R", "stationary"), strict=True):
+        for name, container in zip(("srukf", "csrukf"), ax.containers, strict=True):
+            rows = [row for row in outcome.rows if row.filter == name and row.values["first_noise"] == noise]
+            np.testing.assert_array_equal(container[0].get_xdata(), [0.1, 0.2, 0.4])
+            np.testing.assert_array_equal(container[0].get_ydata(), [row.accuracy("position").rms for row in rows])
+
+
+def test_the_effort_scales_the_runs(mission, undrawn, capsys):
     assert cli.main(["campaign", str(mission), "--jobs", "1", "--effort", "0.2"]) == 0
     assert "2/2 runs" in capsys.readouterr().out
     assert cli.main(["campaign", str(mission), "--jobs", "1"]) == 1
@@ -262,7 +282,7 @@ def test_the_parameters_of_a_paper_are_listed_with_units(capsys):
     assert "preset 100 Hz: preintegrated = false\n" in printed
 
 
-def test_a_thousand_processes_are_not_started(sweep, capsys, monkeypatch):
+def test_a_thousand_processes_are_not_started(mission, undrawn, capsys, monkeypatch):
     started = []
 
     def processes(jobs):
@@ -271,6 +291,6 @@ def test_a_thousand_processes_are_not_started(sweep, capsys, monkeypatch):
 
     monkeypatch.setattr("celnav.campaign.processes", processes)
     monkeypatch.setattr("celnav.commands.campaign.cores", lambda: 2)
-    assert cli.main(["campaign", str(sweep), "--jobs", "1000", "--effort", "0.2"]) == 0
+    assert cli.main(["campaign", str(mission), "--jobs", "1000", "--effort", "0.2"]) == 0
     assert started == [8]
     assert "jobs: 1000 processes on 2 cores would only be in each other's way; 8 are started" in capsys.readouterr().err
