@@ -85,14 +85,20 @@ def score(
 
 def _sum(values: Array, there: Array) -> Array:
     """Sum over the runs of those that are there."""
-    mask = there if values.ndim == 2 else there[..., None]
-    return np.asarray(np.where(mask, values, 0.0).sum(1))
+    return np.asarray(_only(values, there).sum(1))
 
 
 def _mean_of(values: Array, there: Array) -> Array:
     """Mean over time of what is there, for each run; zero where nothing is."""
-    mask = there if values.ndim == 2 else there[..., None]
-    return np.asarray(np.where(mask, values, 0.0).sum(0) / np.maximum(mask.sum(0), 1))
+    count = np.maximum(there.sum(0), 1)
+    return np.asarray(_only(values, there).sum(0) / (count if values.ndim == 2 else count[..., None]))
+
+
+def _only(values: Array, there: Array) -> Array:
+    """Zero where nothing is."""
+    if there.all():
+        return values
+    return np.where(there if values.ndim == 2 else there[..., None], values, 0.0)
 
 
 def _histogram(values: Array, dof: Array) -> Array:

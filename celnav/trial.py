@@ -54,10 +54,11 @@ class Trial(NamedTuple):
 
 def squares(groups: Sequence[Group], values: Array) -> Array:
     """Sums of squares ``(..., groups)`` of errors or deviations ``(..., n)``, in the units of the groups."""
-    out = np.empty((*values.shape[:-1], len(groups)))
+    out = np.zeros((*values.shape[:-1], len(groups)))
     for i, group in enumerate(groups):
-        part = values[..., group.part] * np.asarray(group.scale)
-        np.vecdot(part, part, out=out[..., i])
+        part = np.square(values[..., group.part] * np.asarray(group.scale))
+        for j in range(part.shape[-1]):  # reductions over so few numbers take several times as long
+            out[..., i] += part[..., j]
     return out
 
 
@@ -132,7 +133,9 @@ class _Found:
         """Take an epoch in."""
         whites = [info.white for info in infos if info.white is not None]
         nis = sum((np.vecdot(white, white) for white in whites), np.zeros(error.shape[:-1]))
-        dof = sum((np.add.reduce(info.used, -1, float) for info in infos if info.used is not None), np.zeros(error.shape[:-1]))
+        dof = np.zeros(error.shape[:-1])
+        for used in (info.used for info in infos if info.used is not None):
+            dof += used.shape[-1] if used.all() else np.add.reduce(used, -1, float)
         self.times.append(float(t))
         self._rows.append((error, root, nis, dof))
         if len(self._rows) == TOGETHER:
@@ -142,7 +145,7 @@ class _Found:
         error, root, nis, dof = (np.stack(column) for column in zip(*self._rows, strict=True))
         self._rows = []
         with np.errstate(invalid="ignore"):
-            self._done.append((error, np.sqrt(np.vecdot(root, root)), nees(error, root), nis, dof))
+            self._done.append((error, np.sqrt(np.einsum("...ij,...ij->...i", root, root)), nees(error, root), nis, dof))
 
     def followed(self, lost: list[tuple[int, float, str]], epochs: int) -> Followed:
         """Everything."""
