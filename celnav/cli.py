@@ -55,25 +55,23 @@ def _parser() -> argparse.ArgumentParser:
     reproduce.add_argument("papers", nargs="*", metavar="PAPER", help="which papers (none: all)")
     reproduce.add_argument("--seed", default="0", metavar="S", help="seed, a whole number that is not negative (default: 0)")
     reproduce.add_argument("--out", default="out", metavar="DIR", help="where to write (default: out)")
-    reproduce.add_argument("--jobs", default="1", metavar="N", help="processes (default: 1)")
     reproduce.add_argument("--strict", action="store_true", help="exit 1 if a claim is not as expected")
     reproduce.add_argument("--rinex", metavar="DIR", help="folder of a receiver's RINEX files, for aukf (default: rinex, if there)")
 
     mission = command("run", "fly a mission: figures, a table and a recording", "mission")
     mission.add_argument("mission", metavar="MISSION.toml", help="a paper's parameters with your changes; see data/missions")
     mission.add_argument("--out", metavar="DIR", help="where to write (default: out/NAME of the file)")
-    mission.add_argument("--jobs", default="1", metavar="N", help="processes (default: 1)")
 
     campaign = command("campaign", "sweep a study's lists: table, figures and a page; run again to resume")
     campaign.add_argument("study", metavar="STUDY.toml", help="a mission with lists of values")
     campaign.add_argument("--out", metavar="DIR", help="its store and results (default: out/NAME of the file)")
-    campaign.add_argument("--jobs", metavar="N", help="processes (default: one for each core; of a local Dask cluster too)")
     campaign.add_argument(
         "--executor", default="processes", choices=("processes", "dask"), help="where to work (default: processes)"
     )
     campaign.add_argument("--address", metavar="tcp://HOST:PORT", help="a running Dask scheduler (default: one is started here)")
 
     for each in (reproduce, mission, campaign):
+        each.add_argument("--jobs", metavar="N", help="processes (default: one for each core)")
         each.add_argument(
             "--effort", metavar="F", help="fraction of the Monte-Carlo runs, 0 < F <= 1 (default: CELNAV_EFFORT, or 1)"
         )

@@ -7,16 +7,19 @@ block, the number of processes or the order of the work. Every array that a bloc
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+import contextlib
+import warnings
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from time import process_time
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
 from celnav.linalg import Array
 
+R = TypeVar("R")
 Progress = Callable[[int, int, str], None]
 """``(done, total, label)``, called when a unit of work is done."""
 
@@ -75,35 +78,49 @@ class Outcome(NamedTuple):
     cpu_s: float
 
 
-def work(units: Iterable[Unit], *, jobs: int = 1, progress: Progress | None = None) -> dict[str, Outcome]:
-    """Do all units, in ``jobs`` processes, and join those of one label along the run axis, in the order given."""
-    todo = list(units)
+class Plan(NamedTuple, Generic[R]):
+    """A study before it is carried out: its units of work, in order, and what makes the result of their outcomes by label."""
+
+    units: list[Unit]
+    result: Callable[[dict[str, Outcome]], R]
+
+
+def do(unit: Unit) -> Outcome:
+    """The outcome of one unit; warnings of its models and filters are errors."""
+    start = process_time()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        arrays = unit.function(*unit.arguments)
+    return Outcome(arrays, process_time() - start)
+
+
+def joined(units: Sequence[Unit], outcomes: Sequence[Outcome]) -> dict[str, Outcome]:
+    """Outcomes of units of one label, joined along the run axis in the order given."""
+    parts: dict[str, list[Outcome]] = {}
+    for unit, outcome in zip(units, outcomes, strict=True):
+        parts.setdefault(unit.label, []).append(outcome)
+    return {label: Outcome(_joined(found), sum(outcome.cpu_s for outcome in found)) for label, found in parts.items()}
+
+
+def _joined(outcomes: Sequence[Outcome]) -> dict[str, Array]:
+    return {name: np.concatenate([outcome.arrays[name] for outcome in outcomes], 1) for name in outcomes[0].arrays}
+
+
+def carry_out(plan: Plan[R], *, jobs: int = 1, progress: Progress | None = None) -> R:
+    """Do the units of a plan, in ``jobs`` processes, and give its result.
+
+    Raises
+    ------
+    ValueError: unless ``jobs`` is a positive integer. Whatever a unit raises.
+    """
     if int(jobs) != jobs or jobs < 1:
         raise ValueError(f"jobs: expected a positive integer, got {jobs!r}")
-    results: list[tuple[dict[str, Array], float]] = []
-
-    def done(result: tuple[dict[str, Array], float]) -> None:
-        results.append(result)
-        if progress is not None:
-            progress(len(results), len(todo), todo[len(results) - 1].label)
-
-    if jobs == 1 or len(todo) < 2:
-        for unit in todo:
-            done(_timed(unit))
-    else:
-        with ProcessPoolExecutor(min(jobs, len(todo)), mp_context=get_context("spawn")) as pool:
-            for result in pool.map(_timed, todo):
-                done(result)
-    joined: dict[str, Outcome] = {}
-    for label in dict.fromkeys(unit.label for unit in todo):
-        parts = [result for unit, result in zip(todo, results, strict=True) if unit.label == label]
-        names = parts[0][0]
-        arrays = {name: np.concatenate([part[name] for part, _ in parts], 1) for name in names}
-        joined[label] = Outcome(arrays, sum(cpu for _, cpu in parts))
-    return joined
-
-
-def _timed(unit: Unit) -> tuple[dict[str, Array], float]:
-    start = process_time()
-    arrays = unit.function(*unit.arguments)
-    return arrays, process_time() - start
+    count, outcomes = len(plan.units), []
+    with contextlib.ExitStack() as stack:
+        several = jobs > 1 and count > 1
+        pool = stack.enter_context(ProcessPoolExecutor(min(jobs, count), mp_context=get_context("spawn"))) if several else None
+        for unit, outcome in zip(plan.units, pool.map(do, plan.units) if pool else map(do, plan.units), strict=True):
+            outcomes.append(outcome)
+            if progress is not None:
+                progress(len(outcomes), count, unit.label)
+    return plan.result(joined(plan.units, outcomes))

@@ -11,31 +11,31 @@ EVERY_S = 5.0
 
 
 class Progress:
-    """Of named stages and units of work."""
+    """Of units of work, and of what is made of them meanwhile."""
 
-    def __init__(self, paper: str):
-        self._paper = paper
+    def __init__(self, name: str):
+        self._name = name
         self._bar: Any = None
         self._terminal = sys.stderr.isatty()
 
     def stage(self, name: str) -> None:
-        """A stage begins."""
+        """Something else begins."""
         if not self._terminal:
-            print(f"{self._paper}: {name}", flush=True)
+            print(f"{self._name}: {name}", flush=True)
         elif self._bar is not None:
-            self._bar.set_description(f"{self._paper}: {name}")
+            self._bar.set_postfix_str(name)
 
     def __call__(self, done: int, total: int, label: str) -> None:
         """So many units are done."""
         if not self._terminal:
-            print(f"{self._paper}: {done}/{total} {label}", flush=True)
+            print(f"{self._name}: {done}/{total} {label}", flush=True)
             return
         if self._bar is None:
             from tqdm import tqdm
 
-            self._bar = tqdm(total=total, file=sys.stderr)
-        self._bar.set_description(f"{self._paper}: {label}")
+            self._bar = tqdm(total=total, desc=self._name, file=sys.stderr)
         self._bar.update(done - self._bar.n)
+        self._bar.set_postfix_str(label)
 
     def close(self) -> None:
         """Nothing more comes."""

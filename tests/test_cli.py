@@ -15,15 +15,22 @@ import celnav
 from celnav import cli, papers
 from celnav.claims import Claim
 from celnav.figures import figure
+from celnav.montecarlo import Plan, Unit
 from celnav.papers import load
+
+
+def numbers(start):
+    return {"x": np.full((3, 1), float(start))}
 
 
 def tiny(failing=False):
     """A paper that takes no time."""
 
-    def reproduce(*, effort, seed, jobs, progress):
-        progress(1, 1, "all")
-        return SimpleNamespace(arrays=lambda: {"x": np.arange(3.0) + seed}, timings={"cpu_s": effort})
+    def plan(*, effort, seed):
+        def result(outcomes):
+            return SimpleNamespace(arrays=lambda: {"x": outcomes["all"].arrays["x"]}, timings={"cpu_s": effort})
+
+        return Plan([Unit("all", numbers, (seed + i,)) for i in range(2)], result)
 
     def draw(result):
         fig, ax = figure(2.0, 2.0)
@@ -36,7 +43,7 @@ def tiny(failing=False):
 
     return SimpleNamespace(
         TITLE="Tiny <study>", CITATION="@tiny", ERRATA=(("1 < 0", "0 < 1"),), PRESETS={"P": None},
-        RECORDINGS=["tiny.rrd"], reproduce=reproduce, figure_1=draw,
+        RECORDINGS=["tiny.rrd"], plan=plan, figure_1=draw,
         figure_2b=draw, table_1=lambda result: [{"a": 1.0, "b": "x"}], record=record, filters=lambda config: {"kf": None},
         claims=lambda result: [Claim("one", "paper", "It is so", 2.0 if failing else 1.0, (0.0, 1.5), True)],
     )  # fmt: skip

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
+from typing import Any, TypeVar
 
 from celnav.campaign.executors import Workers
 from celnav.campaign.units import Result, Unit, VersionError, WorkError, code, execute
@@ -12,6 +13,8 @@ ATTEMPTS = 3
 """How often in a row workers may die, and no unit be finished, before units are tried one by one."""
 
 Keep = Callable[[Unit, Result], None]
+U = TypeVar("U")
+R = TypeVar("R")
 
 
 class UnfinishedError(WorkError):
@@ -34,7 +37,7 @@ def compute(units: Iterable[Unit], workers: Workers, keep: Keep) -> None:
         alone = deaths >= ATTEMPTS
         try:
             with workers.open() as executor:
-                for unit, outcome in _results(executor, list(missing), 1 if alone else workers.ahead):
+                for unit, outcome in results(executor, execute, list(missing), 1 if alone else workers.ahead, code()):
                     del missing[unit]
                     if isinstance(outcome, Exception):
                         unfinished.append(_told(unit, _said(outcome)))
@@ -61,13 +64,20 @@ def _said(error: Exception) -> str:
     return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
 
 
-def _results(executor: Executor, todo: Sequence[Unit], ahead: int) -> Iterator[tuple[Unit, Result | Exception]]:
-    """Results and exceptions of units, as they come; BrokenExecutor and VersionError are raised."""
-    waiting: dict[Future[Result], Unit] = {}
+def results(
+    executor: Executor, function: Callable[..., R], todo: Sequence[U], ahead: int, *arguments: Any
+) -> Iterator[tuple[U, R | Exception]]:
+    """Results and exceptions of ``function(unit, *arguments)``, as they come; ``ahead`` units are handed out before their turn.
+
+    Raises
+    ------
+    BrokenExecutor: if a worker died. VersionError: see `execute`. OSError: if the executor dropped the work.
+    """
+    waiting: dict[Future[R], U] = {}
     left = iter(todo)
     while True:
         while len(waiting) < ahead and (unit := next(left, None)) is not None:
-            waiting[executor.submit(execute, unit, code())] = unit
+            waiting[executor.submit(function, unit, *arguments)] = unit
         if not waiting:
             return
         done = wait(waiting, return_when=FIRST_COMPLETED).done

@@ -4,11 +4,19 @@ from __future__ import annotations
 
 import os
 import re
+import sys
 from pathlib import Path
 from types import ModuleType
+from typing import TYPE_CHECKING
 
 from celnav.effort import effort
 from celnav.papers import load
+
+if TYPE_CHECKING:
+    from celnav.campaign.executors import Workers
+
+MOST_PER_CORE = 4
+"""Processes."""
 
 
 class UsageError(Exception):
@@ -32,6 +40,18 @@ def whole(name: str, text: str, least: int) -> int:
     if value < least:
         raise UsageError(f"{name}: expected a whole number of at least {least}, got {text!r}")
     return value
+
+
+def workers(jobs: str | None) -> Workers:
+    """Processes as ``--jobs`` has it (None: one for each core), or this one alone, or UsageError."""
+    from celnav.campaign.executors import processes, serial
+
+    count = cores() if jobs is None else whole("jobs", jobs, 1)
+    most = MOST_PER_CORE * cores()
+    if count > most:
+        line = f"jobs: {count} processes on {cores()} cores would only be in each other's way; {most} are started"
+        print(f"celnav: {line}", file=sys.stderr)
+    return processes(min(count, most)) if count > 1 else serial()
 
 
 def fraction(text: str | None) -> float:

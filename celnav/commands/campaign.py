@@ -5,14 +5,14 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
-from celnav.commands.arguments import UsageError, cores, folder_of, fraction, whole
+from celnav.commands.arguments import UsageError, cores, folder_of, fraction, whole, workers
 from celnav.files import Outputs
 from celnav.progress import RunProgress
 
-MOST_PER_CORE = 4
-"""Processes."""
+if TYPE_CHECKING:
+    from celnav.campaign.executors import Workers
 
 
 def run(options: argparse.Namespace) -> int:
@@ -23,13 +23,13 @@ def run(options: argparse.Namespace) -> int:
     from celnav.campaign.table import summary
     from celnav.mission import read
 
-    workers, study = _workers(options), read(options.study, fraction(options.effort))
+    pool, study = _workers(options), read(options.study, fraction(options.effort))
     folder = Path(options.out or folder_of(options.study))
     outputs = Outputs(folder)
     outputs.check(names(stems(study)))
     try:
         with RunProgress(folder.name) as progress:
-            outcome = campaign(study, folder, workers, progress=progress, say=_warn)
+            outcome = campaign(study, folder, pool, progress=progress, say=_warn)
     except WorkError as error:
         _warn(f"{error}; the others are kept in {folder}")
         return 1
@@ -46,18 +46,14 @@ def _warn(line: str) -> None:
     print(f"celnav: {line}", file=sys.stderr)
 
 
-def _workers(options: argparse.Namespace) -> Any:
-    from celnav.campaign import dask, processes, serial
+def _workers(options: argparse.Namespace) -> Workers:
+    from celnav.campaign import dask
 
-    jobs = cores() if options.jobs is None else whole("jobs", options.jobs, 1)
     if options.address is not None and options.executor != "dask":
         raise UsageError("address: expected --executor dask with it")
-    if options.executor == "dask":
-        try:
-            return dask(options.address, jobs)
-        except ValueError as error:
-            raise UsageError(error) from None
-    most = MOST_PER_CORE * cores()
-    if jobs > most:
-        _warn(f"jobs: {jobs} processes on {cores()} cores would only be in each other's way; {most} are started")
-    return processes(min(jobs, most)) if jobs > 1 else serial()
+    if options.executor == "processes":
+        return workers(options.jobs)
+    try:
+        return dask(options.address, cores() if options.jobs is None else whole("jobs", options.jobs, 1))
+    except ValueError as error:
+        raise UsageError(error) from None

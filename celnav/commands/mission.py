@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from celnav.commands.arguments import UsageError, folder_of, fraction, whole
+from celnav.commands.arguments import UsageError, folder_of, fraction, workers
 from celnav.files import Outputs
 from celnav.progress import RunProgress
 
@@ -14,15 +14,14 @@ RECORDING = "mission.rrd"
 
 def run(options: argparse.Namespace) -> int:
     """Everything is computed before anything is written."""
-    from celnav.campaign import WorkError, fly, processes, serial
+    from celnav.campaign import WorkError, fly
     from celnav.campaign.figures import figures, stems
     from celnav.campaign.page import names, write
     from celnav.campaign.showcase import errors, record, showcase
     from celnav.campaign.table import summary
     from celnav.mission import read
 
-    jobs = whole("jobs", options.jobs, 1)
-    study = read(options.mission, fraction(options.effort))
+    pool, study = workers(options.jobs), read(options.mission, fraction(options.effort))
     if study.swept:
         listed = ", ".join(f"config.{key}" for key in study.swept)
         raise UsageError(f"{options.mission}: {listed}: a list of values is a study; use: celnav campaign {options.mission}")
@@ -30,7 +29,7 @@ def run(options: argparse.Namespace) -> int:
     outputs.check([*names([*stems(study), "errors"]), "summary.txt", RECORDING])
     try:
         with RunProgress(study.title) as progress:
-            outcome = fly(study, processes(jobs) if jobs > 1 else serial(), progress=progress)
+            outcome = fly(study, pool, progress=progress)
     except WorkError as error:
         print(f"celnav: {error}", file=sys.stderr)
         return 1

@@ -9,94 +9,139 @@ import json
 import platform
 import sys
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import BrokenExecutor
+from contextlib import closing
+from functools import partial
 from importlib import metadata
 from pathlib import Path
 from time import process_time
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 from celnav import papers
-from celnav.commands.arguments import UsageError, fraction, module, whole
-from celnav.files import Outputs
+from celnav.campaign.engine import results
+from celnav.campaign.executors import Workers
+from celnav.commands.arguments import UsageError, fraction, module, whole, workers
+from celnav.files import Outputs, locked
+from celnav.montecarlo import Outcome, Plan, Unit, do, joined
 from celnav.papers import figures, tables
 from celnav.progress import Progress
 
+KINDS = ("png", "svg")
+"""Of each figure."""
+
 
 def run(options: argparse.Namespace) -> int:
-    """Run the papers, one after the other."""
+    """Run the papers, side by side where there are several processes."""
+    from celnav.report import index
+
     chosen = list(dict.fromkeys(options.papers)) or list(papers.PAPERS)
     modules = {paper: module(paper) for paper in chosen}
-    part = fraction(options.effort)
-    seed, jobs = whole("seed", options.seed, 0), whole("jobs", options.jobs, 1)
+    part, seed = fraction(options.effort), whole("seed", options.seed, 0)
+    pool = workers(options.jobs)
     if options.rinex is not None and not any("rinex" in getattr(study, "INPUTS", ()) for study in modules.values()):
         raise UsageError(f"rinex: expected a paper that takes a receiver's log (aukf), got {', '.join(chosen)}")
     out = Path(options.out)
     if out.exists() and not out.is_dir():
         raise NotADirectoryError(f"{out}: expected a folder to write to")
-    top = Outputs(out)
+    top, folders = Outputs(out), {paper: Outputs(out / paper) for paper in chosen}
     top.check(["index.html"])
-    surprises = 0
     for paper, study in modules.items():
-        inputs = {name: Path(given) for name in getattr(study, "INPUTS", ()) if (given := getattr(options, name)) is not None}
-        surprises += _one(paper, study, Outputs(out / paper), effort=part, seed=seed, jobs=jobs, **inputs)
-    _index(top)
+        _check(study, folders[paper])
+    surprises = 0
+    with locked(out):
+        plans = {paper: study.plan(effort=part, seed=seed, **_inputs(study, options)) for paper, study in modules.items()}
+        with closing(Progress("celnav")) as progress:
+            for paper, outcomes in _found(plans, pool, progress):
+                plan = plans[paper]
+                result = partial(plan.result, joined(plan.units, outcomes))
+                surprises += _write(paper, modules[paper], result, folders[paper], part, progress)
+        top.text("index.html", index(out))
     print(f"wrote {out / 'index.html'}")
     return 1 if options.strict and surprises else 0
 
 
-def _index(top: Any) -> None:
-    from celnav.report import index
-
-    top.text("index.html", index(top.directory))
+def _inputs(study: ModuleType, options: argparse.Namespace) -> dict[str, Path]:
+    return {name: Path(given) for name in getattr(study, "INPUTS", ()) if (given := getattr(options, name)) is not None}
 
 
-def _one(paper: str, study: ModuleType, outputs: Any, **chosen: Any) -> int:
-    """Reproduce one paper; returns the number of claims that are not as expected."""
+def _check(study: ModuleType, outputs: Outputs) -> None:
+    """Refuse what could not be written before anything is computed."""
+    outputs.check(f"figures/{stem}.{kind}" for stem in figures(study) for kind in KINDS)
+    outputs.check(f"tables/{stem}.csv" for stem in tables(study))
+    outputs.check(["claims.json", "timings.json", "result.npz", *study.RECORDINGS])
+
+
+def _found(plans: Mapping[str, Plan[Any]], workers: Workers, progress: Progress) -> Iterator[tuple[str, list[Outcome]]]:
+    """Papers with the outcomes of all of their units, as soon as they are done."""
+    todo = [_Task(paper, i, unit) for paper, plan in plans.items() for i, unit in enumerate(plan.units)]
+    found: dict[str, dict[int, Outcome]] = {paper: {} for paper in plans}
+    count = 0
+    try:
+        with workers.open() as executor:
+            for task, outcome in results(executor, _do, todo, workers.ahead):
+                if isinstance(outcome, Exception):
+                    raise outcome
+                own, plan = found[task.paper], plans[task.paper]
+                own[task.number] = outcome
+                count += 1
+                progress(count, len(todo), f"{task.paper}: {task.unit.label}")
+                if len(own) == len(plan.units):
+                    del found[task.paper]
+                    yield task.paper, [own[i] for i in range(len(plan.units))]
+    except BrokenExecutor:
+        raise OSError("a worker process was killed, perhaps for want of memory; fewer --jobs need less") from None
+
+
+class _Task(NamedTuple):
+    paper: str
+    number: int
+    unit: Unit
+
+
+def _do(task: _Task) -> Outcome:
+    return do(task.unit)
+
+
+def _write(paper: str, study: ModuleType, result: Callable[[], Any], outputs: Outputs, effort: float, progress: Progress) -> int:
+    """Write everything that a paper shows; returns the number of claims that are not as expected."""
     from celnav.claims import dumps
     from celnav.drawing import render
 
-    drawings, listings = figures(study), tables(study)
-    outputs.check(f"figures/{stem}.{kind}" for stem in drawings for kind in ("png", "svg"))
-    outputs.check(f"tables/{stem}.csv" for stem in listings)
-    outputs.check(["claims.json", "timings.json", "result.npz", *study.RECORDINGS])
     timings: dict[str, float] = {}
-    report = Progress(paper)
 
     def stage(name: str, work: Callable[[], Any]) -> Any:
-        report.stage(name)
+        progress.stage(f"{paper}: {name}")
         start = process_time()
         value = work()
         timings[f"cpu_s {name}"] = process_time() - start
         return value
 
-    result = stage("runs", lambda: study.reproduce(**chosen, progress=report))
-    claims = stage("claims", lambda: study.claims(result))
+    found = stage("analysis", result)
+    claims = stage("claims", lambda: study.claims(found))
     outputs.text("claims.json", dumps(claims))
-    outputs.npz("result.npz", result.arrays())
-    for stem, function in listings.items():
-        outputs.text(f"tables/{stem}.csv", _csv(function(result)))
+    outputs.npz("result.npz", found.arrays())
+    for stem, function in tables(study).items():
+        outputs.text(f"tables/{stem}.csv", _csv(function(found)))
 
     def draw() -> None:
-        for stem, function in drawings.items():
-            drawing = function(result)
-            for kind in ("png", "svg"):
+        for stem, function in figures(study).items():
+            drawing = function(found)
+            for kind in KINDS:
                 outputs.bytes(f"figures/{stem}.{kind}", render(drawing, kind))
 
     stage("figures", draw)
     try:
-        stage("recordings", lambda: study.record(result, outputs))
+        stage("recordings", lambda: study.record(found, outputs))
     except (ImportError, OSError, RuntimeError) as error:
         print(f"celnav: {paper}: no recordings ({error}); everything else is written", file=sys.stderr)
-    report.close()
     versions = {name: metadata.version(name) for name in ("numpy", "scipy", "filterpy", "matplotlib")}
     about = {"python": platform.python_version(), "machine": platform.machine(), **versions}
-    outputs.text(
-        "timings.json",
-        json.dumps({"about": about, "effort": chosen["effort"], "timings": {**timings, **result.timings}}, indent=1) + "\n",
-    )
-    for verdict, count in sorted(Counter(claim.verdict for claim in claims).items()):
-        print(f"{paper}: {count:4} {verdict}")
+    timings |= found.timings
+    outputs.text("timings.json", json.dumps({"about": about, "effort": effort, "timings": timings}, indent=1) + "\n")
+    for verdict, number in sorted(Counter(claim.verdict for claim in claims).items()):
+        print(f"{paper}: {number:4} {verdict}")
     failures = [claim for claim in claims if claim.failure]
     for claim in failures:
         print(f"{paper}: not as expected: {claim.id} = {claim.value:.4g}, accepted {claim.accept}: {claim.statement}")

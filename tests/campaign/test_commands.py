@@ -289,8 +289,8 @@ def test_a_thousand_processes_are_not_started(mission, undrawn, capsys, monkeypa
         started.append(jobs)
         return serial()
 
-    monkeypatch.setattr("celnav.campaign.processes", processes)
-    monkeypatch.setattr("celnav.commands.campaign.cores", lambda: 2)
+    monkeypatch.setattr("celnav.campaign.executors.processes", processes)
+    monkeypatch.setattr("celnav.commands.arguments.cores", lambda: 2)
     assert cli.main(["campaign", str(mission), "--jobs", "1000", "--effort", "0.2"]) == 0
     assert started == [8]
     assert "jobs: 1000 processes on 2 cores would only be in each other's way; 8 are started" in capsys.readouterr().err

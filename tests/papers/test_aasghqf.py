@@ -13,7 +13,7 @@ from celnav.effort import effort
 from celnav.filters.driver import run, sequential
 from celnav.filters.step import predict, update
 from celnav.gaussian import square_root
-from celnav.montecarlo import generator, work
+from celnav.montecarlo import do, generator, joined
 from celnav.papers import aasghqf, figures
 from celnav.papers.aasghqf import analysis, errata, scenario, study
 from celnav.papers.aasghqf.config import A_SLOW, PAPER_WEIGHTS, A
@@ -76,7 +76,7 @@ def test_the_block_size_changes_no_byte_of_the_claims(result):
     units = [unit for unit in every if unit.label.startswith(("A/", "start/45"))]
     assert len(units) > 3  # each run by itself
     data = dict(result.data)
-    for label, outcome in work(units).items():
+    for label, outcome in joined(units, [do(unit) for unit in units]).items():
         name = label if label in data else label.partition("/")[0]
         assert set(outcome.arrays) <= set(data[name])
         data[name] = data[name] | outcome.arrays

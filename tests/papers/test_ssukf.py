@@ -15,7 +15,7 @@ from celnav.effort import effort
 from celnav.files import Outputs
 from celnav.filters.driver import run
 from celnav.models.gyro import Gyro, preintegrate
-from celnav.montecarlo import generator, work
+from celnav.montecarlo import do, generator, joined
 from celnav.papers import figures, ssukf
 from celnav.papers.ssukf import PRESETS, filters, simulate, study, variants, vector
 from celnav.papers.ssukf.config import ARCSEC, DEG_PER_H, STANDARD
@@ -156,7 +156,7 @@ def test_claims_are_plain_json_and_exact_ones_hold_at_any_effort(result):
 def test_the_block_size_changes_no_byte_of_the_claims(result):
     units = [unit for unit in study._units(QUICK, 0, result.runs, 4, effort()) if unit.label == "runs"]  # all others are one block
     assert len(units) > 1
-    again = replace(result, data=result.data | study.by_kind(work(units)["runs"].arrays))
+    again = replace(result, data=result.data | study.by_kind(joined(units, [do(unit) for unit in units])["runs"].arrays))
     assert dumps(ssukf.claims(again)) == dumps(ssukf.claims(result))
 
 

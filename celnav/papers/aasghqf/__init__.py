@@ -33,7 +33,7 @@ from celnav.papers.aasghqf.figures import (
 )
 from celnav.papers.aasghqf.record import RECORDINGS, record
 from celnav.papers.aasghqf.scenario import Scenario, filters, simulate
-from celnav.papers.aasghqf.study import Result, reproduce
+from celnav.papers.aasghqf.study import Result, plan, reproduce
 from celnav.papers.aasghqf.tables import table_1, table_2, table_3, table_4
 from celnav.papers.aasghqf.trial import JUDGED, trial
 
@@ -60,6 +60,7 @@ __all__ = [
     "figure_10",
     "figure_11",
     "filters",
+    "plan",
     "record",
     "reproduce",
     "simulate",

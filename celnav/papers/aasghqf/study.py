@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from time import process_time
 from typing import Any
@@ -13,7 +13,7 @@ from celnav.filters.driver import Epoch, Filter, run, sequential
 from celnav.filters.step import predict, update
 from celnav.gaussian import nees
 from celnav.linalg import Array
-from celnav.montecarlo import Progress, Unit, blocks, generator, run_count, work
+from celnav.montecarlo import Outcome, Plan, Progress, Unit, blocks, carry_out, generator, run_count
 from celnav.papers.aasghqf import analysis, errata, scenario
 from celnav.papers.aasghqf.config import MICRO_G, PRESETS, T3, A, Config
 from celnav.points import Rule
@@ -192,17 +192,15 @@ def cycle_times(config: Config) -> dict[str, float]:
     return out
 
 
-def reproduce(
+def plan(
     config: Config = T3,
     *,
     runs: int | None = None,
     seed: int = 0,
     effort: float = 1.0,
     block: int = 64,
-    jobs: int = 1,
-    progress: Progress | None = None,
-) -> Result:
-    """Run the whole study. Pure: reads and writes no files.
+) -> Plan[Result]:
+    """The whole study, to be carried out. Pure: reads and writes no files.
 
     Parameters
     ----------
@@ -211,31 +209,36 @@ def reproduce(
     seed: see `celnav.montecarlo`.
     effort: in (0, 1].
     block: runs computed together at most. It changes no result.
-    jobs: processes.
 
     Raises
     ------
     ValueError: naming an argument that cannot be.
     """
     count = run_count(config.runs, runs, effort)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        outcomes = work(_units(config, seed, count, block), jobs=jobs, progress=progress)
-    start = process_time()
-    facts: dict[str, Any] = {
-        "observability": analysis.observe(config),
-        "mean_error": {n: analysis.mean_error(scenario.rules()[n], 10.0, config) for n in (*COMPARED, "nonlinear")},
-        "root_errors": analysis.root_errors(config, generator(seed, 50, 0)),
-        "first_fixes": analysis.first_fixes(config),
-        "growth": analysis.growth(),
-        "adapted": analysis.adapted(A),
-        "small": analysis.small_misalignment(A),
-        "mechanization": {d: errata.against_mechanization(config, d) for d in ((20.0, -15.0, 40.0), (2.0, -1.5, 4.0))},
-    }
-    timings = {f"cpu_s {label}": outcome.cpu_s for label, outcome in outcomes.items()}
-    timings |= {"cpu_s analysis": process_time() - start, **cycle_times(A)}
-    data: dict[str, dict[str, Array]] = {}
-    for label, outcome in outcomes.items():
-        name = label if label.startswith("start") else label.split("/")[0]
-        data[name] = data.get(name, {}) | outcome.arrays
-    return Result(config, seed, count, count >= config.runs, data, facts, timings)
+
+    def result(outcomes: Mapping[str, Outcome]) -> Result:
+        start = process_time()
+        facts: dict[str, Any] = {
+            "observability": analysis.observe(config),
+            "mean_error": {n: analysis.mean_error(scenario.rules()[n], 10.0, config) for n in (*COMPARED, "nonlinear")},
+            "root_errors": analysis.root_errors(config, generator(seed, 50, 0)),
+            "first_fixes": analysis.first_fixes(config),
+            "growth": analysis.growth(),
+            "adapted": analysis.adapted(A),
+            "small": analysis.small_misalignment(A),
+            "mechanization": {d: errata.against_mechanization(config, d) for d in ((20.0, -15.0, 40.0), (2.0, -1.5, 4.0))},
+        }
+        timings = {f"cpu_s {label}": outcome.cpu_s for label, outcome in outcomes.items()}
+        timings |= {"cpu_s analysis": process_time() - start, **cycle_times(A)}
+        data: dict[str, dict[str, Array]] = {}
+        for label, outcome in outcomes.items():
+            name = label if label.startswith("start") else label.split("/")[0]
+            data[name] = data.get(name, {}) | outcome.arrays
+        return Result(config, seed, count, count >= config.runs, data, facts, timings)
+
+    return Plan(_units(config, seed, count, block), result)
+
+
+def reproduce(config: Config = T3, *, jobs: int = 1, progress: Progress | None = None, **options: Any) -> Result:
+    """Carry out `plan` in ``jobs`` processes; the other arguments are those of `plan`."""
+    return carry_out(plan(config, **options), jobs=jobs, progress=progress)

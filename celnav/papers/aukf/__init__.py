@@ -43,13 +43,13 @@ from celnav.papers.aukf.figures import (
 )
 from celnav.papers.aukf.record import RECORDINGS, record
 from celnav.papers.aukf.scenario import Scenario, filters, simulate
-from celnav.papers.aukf.study import INPUTS, Result, reproduce
+from celnav.papers.aukf.study import INPUTS, Result, plan, reproduce
 from celnav.papers.aukf.tables import table_1, table_2, table_3, table_4, table_5, table_6, table_7, table_8
 from celnav.papers.aukf.trial import JUDGED, trial
 
 __all__ = [
     "CITATION", "ERRATA", "INPUTS", "JUDGED", "PRESETS", "RECORDINGS", "TITLE", "Config", "Result", "Scenario", "claims",
     "figure_1", "figure_2", "figure_3", "figure_4", "figure_5", "figure_6", "figure_7", "figure_7b", "figure_8", "figure_8b",
-    "figure_9", "figure_9b", "figure_10", "figure_11", "figure_12", "figure_13", "figure_14", "filters", "record", "reproduce",
-    "simulate", "table_1", "table_2", "table_3", "table_4", "table_5", "table_6", "table_7", "table_8", "trial",
+    "figure_9", "figure_9b", "figure_10", "figure_11", "figure_12", "figure_13", "figure_14", "filters", "plan", "record",
+    "reproduce", "simulate", "table_1", "table_2", "table_3", "table_4", "table_5", "table_6", "table_7", "table_8", "trial",
 ]  # fmt: skip

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import process_time
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from celnav.linalg import Array
-from celnav.montecarlo import Progress, Unit, blocks, generator, run_count, work
+from celnav.montecarlo import Outcome, Plan, Progress, Unit, blocks, carry_out, generator, run_count
 from celnav.papers.aukf import analysis
 from celnav.papers.aukf.config import STANDARD, Config
 from celnav.papers.aukf.real import Real, real
@@ -119,18 +119,16 @@ def shortened(config: Config, effort: float) -> Config:
     return replace(config, burst_s=(before, before + length), duration_s=before + length + max(AFTER_S, effort * 20.0))
 
 
-def reproduce(
+def plan(
     config: Config = STANDARD,
     *,
     runs: int | None = None,
     seed: int = 0,
     effort: float = 1.0,
     block: int = 100,
-    jobs: int = 1,
-    progress: Progress | None = None,
     rinex: Path | None = None,
-) -> Result:
-    """Run the whole study. Pure but for the receiver's log: it writes no files, and reads none but those.
+) -> Plan[Result]:
+    """The whole study, to be carried out. Pure but for the receiver's log, which is read at once: it writes no files.
 
     Parameters
     ----------
@@ -139,7 +137,6 @@ def reproduce(
     seed: see `celnav.montecarlo`.
     effort: in (0, 1]; scales runs and, as they have 900 epochs, their lengths too.
     block: runs of each case computed together at most. It changes no result beyond round-off.
-    jobs: processes.
     rinex: folder of a station's observation and navigation file; None: ``rinex`` here, if there is one.
 
     Raises
@@ -150,13 +147,19 @@ def reproduce(
     whole, config = config, shortened(config, effort)
     start = process_time()
     day = real(config, generator(seed, 60, 0), rinex)  # first: a file that cannot be used is then told at once
-    timings = {"cpu_s real day": process_time() - start}
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        outcomes = work(_units(config, seed, count, block, effort), jobs=jobs, progress=progress)
-    timings |= {f"cpu_s {label}": outcome.cpu_s for label, outcome in outcomes.items()}
-    start = process_time()
-    facts = analysis.facts(whole, seed)
-    timings |= {"cpu_s facts": process_time() - start, **analysis.step_times(config)}
-    data = {label: outcome.arrays for label, outcome in outcomes.items()}
-    return Result(config, seed, count, effort == 1.0 and count >= config.runs, data, facts, day, timings)
+    seconds = process_time() - start
+
+    def result(outcomes: Mapping[str, Outcome]) -> Result:
+        timings = {"cpu_s real day": seconds} | {f"cpu_s {label}": outcome.cpu_s for label, outcome in outcomes.items()}
+        start = process_time()
+        facts = analysis.facts(whole, seed)
+        timings |= {"cpu_s facts": process_time() - start, **analysis.step_times(config)}
+        data = {label: outcome.arrays for label, outcome in outcomes.items()}
+        return Result(config, seed, count, effort == 1.0 and count >= config.runs, data, facts, day, timings)
+
+    return Plan(_units(config, seed, count, block, effort), result)
+
+
+def reproduce(config: Config = STANDARD, *, jobs: int = 1, progress: Progress | None = None, **options: Any) -> Result:
+    """Carry out `plan` in ``jobs`` processes; the other arguments are those of `plan`."""
+    return carry_out(plan(config, **options), jobs=jobs, progress=progress)

@@ -44,7 +44,7 @@ from celnav.papers.csrukf.figures import (
 )
 from celnav.papers.csrukf.record import RECORDINGS, record
 from celnav.papers.csrukf.scenario import Scenario, filters, simulate
-from celnav.papers.csrukf.study import Result, reproduce
+from celnav.papers.csrukf.study import Result, plan, reproduce
 from celnav.papers.csrukf.tables import table_1, table_2, table_3
 from celnav.papers.csrukf.trial import JUDGED, trial
 
@@ -78,6 +78,7 @@ __all__ = [
     "figure_17",
     "figure_18",
     "filters",
+    "plan",
     "record",
     "reproduce",
     "simulate",

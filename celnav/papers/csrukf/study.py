@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from time import process_time
 from typing import Any
@@ -14,7 +13,7 @@ from celnav.filters.driver import Epochs, Filter, run
 from celnav.gaussian import nees
 from celnav.linalg import Array
 from celnav.models import orbit
-from celnav.montecarlo import Progress, Unit, blocks, generator, run_count, work
+from celnav.montecarlo import Outcome, Plan, Progress, Unit, blocks, carry_out, generator, run_count
 from celnav.papers.csrukf import errata, scenario, theory
 from celnav.papers.csrukf.config import STRESS, B, Config, D, P
 from celnav.papers.csrukf.theory import UNITS
@@ -195,17 +194,15 @@ def _units(config: Config, seed: int, runs: int, block: int) -> list[Unit]:
     return units
 
 
-def reproduce(
+def plan(
     config: Config = P,
     *,
     runs: int | None = None,
     seed: int = 0,
     effort: float = 1.0,
     block: int = 128,
-    jobs: int = 1,
-    progress: Progress | None = None,
-) -> Result:
-    """Run the whole study. Pure: reads and writes no files.
+) -> Plan[Result]:
+    """The whole study, to be carried out. Pure: reads and writes no files.
 
     Parameters
     ----------
@@ -214,36 +211,41 @@ def reproduce(
     seed: see `celnav.montecarlo`.
     effort: in (0, 1]; also shortens the long arc and the random settings.
     block: runs computed together. It changes no result.
-    jobs: processes.
 
     Raises
     ------
     ValueError: naming an argument that cannot be.
     """
     count = run_count(config.runs, runs, effort)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        outcomes = work(_units(config, seed, count, block), jobs=jobs, progress=progress)
-    start = process_time()
-    long_steps = max(3000, round(18000 * effort))
-    analysis: dict[str, Any] = {
-        "P": theory.expected(config, PHIS),
-        "sweep/P": theory.expected(config, theory.SWEEP),
-        "sweep/D": theory.expected(replace(D, steps=config.steps), theory.SWEEP),
-        "B": theory.expected(replace(B, steps=config.steps), PHIS),
-        "long": theory.long_arc(config, long_steps),
-        "settings": theory.random_settings(config, max(50, round(300 * effort)), generator(seed, 20, 0)),
-    }
-    facts = _hemisphere(config)
-    without, redrawn = errata.redraw_defect(generator(seed, 21, 0))
-    upper, lower = errata.root_defect(generator(seed, 22, 0))
-    facts |= {"redraw_without": without, "redraw_with": redrawn, "upper_root": upper, "lower_root": lower}
-    facts["variance_by_negative_center"] = errata.variance_by_negative_center()
-    data = {label: outcome.arrays for label, outcome in outcomes.items()}
-    peer = data.pop("peer")
-    facts["filterpy_m"] = float(peer["filterpy_m"][0, 0])
-    timings = {f"cpu_s {label}": outcome.cpu_s for label, outcome in outcomes.items()}
-    timings |= {"cpu_s theory": process_time() - start}
-    timings |= {"filterpy one run, s": float(peer["filterpy_s"][0, 0]), "srukf 100 runs, s": float(peer["srukf_100_s"][0, 0])}
-    timings["srukf 100 runs / filterpy one run"] = timings["srukf 100 runs, s"] / timings["filterpy one run, s"]
-    return Result(config, seed, count, count >= config.runs, data, analysis, facts, timings)
+
+    def result(outcomes: Mapping[str, Outcome]) -> Result:
+        start = process_time()
+        long_steps = max(3000, round(18000 * effort))
+        analysis: dict[str, Any] = {
+            "P": theory.expected(config, PHIS),
+            "sweep/P": theory.expected(config, theory.SWEEP),
+            "sweep/D": theory.expected(replace(D, steps=config.steps), theory.SWEEP),
+            "B": theory.expected(replace(B, steps=config.steps), PHIS),
+            "long": theory.long_arc(config, long_steps),
+            "settings": theory.random_settings(config, max(50, round(300 * effort)), generator(seed, 20, 0)),
+        }
+        facts = _hemisphere(config)
+        without, redrawn = errata.redraw_defect(generator(seed, 21, 0))
+        upper, lower = errata.root_defect(generator(seed, 22, 0))
+        facts |= {"redraw_without": without, "redraw_with": redrawn, "upper_root": upper, "lower_root": lower}
+        facts["variance_by_negative_center"] = errata.variance_by_negative_center()
+        data = {label: outcome.arrays for label, outcome in outcomes.items()}
+        peer = data.pop("peer")
+        facts["filterpy_m"] = float(peer["filterpy_m"][0, 0])
+        timings = {f"cpu_s {label}": outcome.cpu_s for label, outcome in outcomes.items()}
+        timings |= {"cpu_s theory": process_time() - start}
+        timings |= {"filterpy one run, s": float(peer["filterpy_s"][0, 0]), "srukf 100 runs, s": float(peer["srukf_100_s"][0, 0])}
+        timings["srukf 100 runs / filterpy one run"] = timings["srukf 100 runs, s"] / timings["filterpy one run, s"]
+        return Result(config, seed, count, count >= config.runs, data, analysis, facts, timings)
+
+    return Plan(_units(config, seed, count, block), result)
+
+
+def reproduce(config: Config = P, *, jobs: int = 1, progress: Progress | None = None, **options: Any) -> Result:
+    """Carry out `plan` in ``jobs`` processes; the other arguments are those of `plan`."""
+    return carry_out(plan(config, **options), jobs=jobs, progress=progress)

@@ -37,7 +37,7 @@ from celnav.papers.ssukf.figures import (
 )
 from celnav.papers.ssukf.record import RECORDINGS, record
 from celnav.papers.ssukf.scenario import Scenario, filters, simulate
-from celnav.papers.ssukf.study import Result, compare, reproduce
+from celnav.papers.ssukf.study import Result, compare, plan, reproduce
 from celnav.papers.ssukf.tables import table_1, table_2, table_3
 from celnav.papers.ssukf.trial import JUDGED, trial
 
@@ -65,6 +65,7 @@ __all__ = [
     "figure_10",
     "figure_11",
     "filters",
+    "plan",
     "record",
     "reproduce",
     "simulate",

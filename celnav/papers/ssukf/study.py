@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from time import process_time
 from typing import Any
@@ -13,7 +12,7 @@ import numpy as np
 from celnav.filters.driver import Filter, run
 from celnav.gaussian import Gaussian, covariance, nees
 from celnav.linalg import Array
-from celnav.montecarlo import Progress, Unit, blocks, generator, run_count, work
+from celnav.montecarlo import Outcome, Plan, Progress, Unit, blocks, carry_out, generator, run_count
 from celnav.papers.ssukf import checks, draws, scenario, theory, vector
 from celnav.papers.ssukf.config import ARCSEC, PRESETS, STANDARD, UNITS, Config
 from celnav.papers.ssukf.variants import spin
@@ -193,17 +192,15 @@ def time_filters(config: Config, rounds: int = 3) -> dict[str, float]:
     return out
 
 
-def reproduce(
+def plan(
     config: Config = STANDARD,
     *,
     runs: int | None = None,
     seed: int = 0,
     effort: float = 1.0,
     block: int = 100,
-    jobs: int = 1,
-    progress: Progress | None = None,
-) -> Result:
-    """Run the whole study. Pure: reads and writes no files.
+) -> Plan[Result]:
+    """The whole study, to be carried out. Pure: reads and writes no files.
 
     Parameters
     ----------
@@ -212,30 +209,35 @@ def reproduce(
     seed: see `celnav.montecarlo`.
     effort: in (0, 1].
     block: runs computed together at most. It changes no result.
-    jobs: processes.
 
     Raises
     ------
     ValueError: naming an argument that cannot be.
     """
     count = run_count(config.runs, runs, effort)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        outcomes = work(_units(config, seed, count, block, effort), jobs=jobs, progress=progress)
-    start = process_time()
-    minute = replace(config, duration_s=min(60.0, config.duration_s))
-    facts: dict[str, Any] = {
-        "exact": theory.exact_deviations(config),
-        "readings": [(r, theory.limit(r.gyro, config.sigma_n, 1.0 / config.star_hz)) for r in theory.readings(config)],
-        "correlated": draws.correlated([generator(seed, 20, i) for i in range(len(draws.CORRELATIONS))]),
-        "multiplied": draws.multiplied(generator(seed, 21, 0)),
-        "spin": spin(config, [generator(seed, 22, r) for r in range(20)]),
-        "total covariance": checks.total_covariance(minute, generator(seed, 23, 0)),
-        "dead": checks.dead_points(config),
-        "evaluations": {1: checks.evaluations(STANDARD), 25: checks.evaluations(PRESETS["100 Hz"])},
-    }
-    timings = {f"cpu_s {label}": outcome.cpu_s for label, outcome in outcomes.items()}
-    timings["cpu_s facts"] = process_time() - start
-    timings |= time_filters(config)
-    data = {label: outcome.arrays for label, outcome in outcomes.items() if label != "runs"} | by_kind(outcomes["runs"].arrays)
-    return Result(config, seed, count, count >= config.runs, data, facts, timings)
+
+    def result(outcomes: Mapping[str, Outcome]) -> Result:
+        start = process_time()
+        minute = replace(config, duration_s=min(60.0, config.duration_s))
+        facts: dict[str, Any] = {
+            "exact": theory.exact_deviations(config),
+            "readings": [(r, theory.limit(r.gyro, config.sigma_n, 1.0 / config.star_hz)) for r in theory.readings(config)],
+            "correlated": draws.correlated([generator(seed, 20, i) for i in range(len(draws.CORRELATIONS))]),
+            "multiplied": draws.multiplied(generator(seed, 21, 0)),
+            "spin": spin(config, [generator(seed, 22, r) for r in range(20)]),
+            "total covariance": checks.total_covariance(minute, generator(seed, 23, 0)),
+            "dead": checks.dead_points(config),
+            "evaluations": {1: checks.evaluations(STANDARD), 25: checks.evaluations(PRESETS["100 Hz"])},
+        }
+        timings = {f"cpu_s {label}": outcome.cpu_s for label, outcome in outcomes.items()}
+        timings["cpu_s facts"] = process_time() - start
+        timings |= time_filters(config)
+        data = {label: outcome.arrays for label, outcome in outcomes.items() if label != "runs"} | by_kind(outcomes["runs"].arrays)
+        return Result(config, seed, count, count >= config.runs, data, facts, timings)
+
+    return Plan(_units(config, seed, count, block, effort), result)
+
+
+def reproduce(config: Config = STANDARD, *, jobs: int = 1, progress: Progress | None = None, **options: Any) -> Result:
+    """Carry out `plan` in ``jobs`` processes; the other arguments are those of `plan`."""
+    return carry_out(plan(config, **options), jobs=jobs, progress=progress)

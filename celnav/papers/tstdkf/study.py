@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from time import process_time
 from typing import Any
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from celnav.linalg import Array
-from celnav.montecarlo import Progress, Unit, blocks, generator, run_count, work
+from celnav.montecarlo import Outcome, Plan, Progress, Unit, blocks, carry_out, generator, run_count
 from celnav.papers.tstdkf import analysis, sweeps, year
 from celnav.papers.tstdkf.config import PRESETS, SETTINGS, TABLE_5, Config
 from celnav.papers.tstdkf.follow import follow
@@ -92,17 +91,15 @@ def _days(days: float, effort: float) -> float:
     return min(days, max(0.5, round(days * effort * 288.0) / 288.0))
 
 
-def reproduce(
+def plan(
     config: Config = TABLE_5,
     *,
     runs: int | None = None,
     seed: int = 0,
     effort: float = 1.0,
     block: int = 50,
-    jobs: int = 1,
-    progress: Progress | None = None,
-) -> Result:
-    """Run the whole study. Pure: reads and writes no files.
+) -> Plan[Result]:
+    """The whole study, to be carried out. Pure: reads and writes no files.
 
     Parameters
     ----------
@@ -111,7 +108,6 @@ def reproduce(
     seed: see `celnav.montecarlo`.
     effort: in (0, 1]; scales runs and, as a month in steps of five minutes is long, the days too.
     block: runs of each setting computed together at most. It changes no result beyond round-off.
-    jobs: processes.
 
     Raises
     ------
@@ -119,12 +115,18 @@ def reproduce(
     """
     count = run_count(config.runs, runs, effort)
     whole, config = config, replace(config, days=_days(config.days, effort))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        outcomes = work(_units(config, seed, count, block, effort), jobs=jobs, progress=progress)
+
+    def result(outcomes: Mapping[str, Outcome]) -> Result:
         start = process_time()
         facts = analysis.facts(config)
-    timings = {f"cpu_s {label}": outcome.cpu_s for label, outcome in outcomes.items()}
-    timings["cpu_s facts"] = process_time() - start
-    data = {label: outcome.arrays for label, outcome in outcomes.items()}
-    return Result(config, seed, count, count >= whole.runs and config.days >= whole.days, data, facts, timings)
+        timings = {f"cpu_s {label}": outcome.cpu_s for label, outcome in outcomes.items()}
+        timings["cpu_s facts"] = process_time() - start
+        data = {label: outcome.arrays for label, outcome in outcomes.items()}
+        return Result(config, seed, count, count >= whole.runs and config.days >= whole.days, data, facts, timings)
+
+    return Plan(_units(config, seed, count, block, effort), result)
+
+
+def reproduce(config: Config = TABLE_5, *, jobs: int = 1, progress: Progress | None = None, **options: Any) -> Result:
+    """Carry out `plan` in ``jobs`` processes; the other arguments are those of `plan`."""
+    return carry_out(plan(config, **options), jobs=jobs, progress=progress)
