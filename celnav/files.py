@@ -84,7 +84,7 @@ def read_npz(path: str | Path) -> dict[str, Array]:
             raise ValueError(f"unpacks to {size} bytes, more than {MOST_UNPACKED} times its size")
         with np.load(path, allow_pickle=False) as stored:
             return {name: stored[name] for name in stored.files}
-    except (ValueError, EOFError, zipfile.BadZipFile, KeyError, AttributeError) as error:
+    except (ValueError, EOFError, zipfile.BadZipFile, KeyError, AttributeError, RuntimeError) as error:
         raise ValueError(f"{path}: expected an npz file of plain arrays ({error})") from None
 
 
@@ -120,13 +120,17 @@ class Outputs:
         self.directory.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=self.directory):
             pass  # fails here, before anything is computed, where nothing can be written
-        self._manifest: dict[str, list[str]] = {}
+        self._manifest()
+
+    def _manifest(self) -> dict[str, list[str]]:
+        """Hashes of files by name, as they are now: another celnav may have written since."""
         manifest = self.directory / MANIFEST
-        if manifest.exists():
-            try:
-                self._manifest = {str(k): [str(h) for h in v] for k, v in json.loads(manifest.read_text("utf-8")).items()}
-            except (ValueError, AttributeError, TypeError):
-                raise ForeignFileError(f"{manifest}: not a manifest of celnav") from None
+        if not manifest.exists():
+            return {}
+        try:
+            return {str(k): [str(h) for h in v] for k, v in json.loads(manifest.read_text("utf-8")).items()}
+        except (ValueError, AttributeError, TypeError):
+            raise ForeignFileError(f"{manifest}: not a manifest of celnav") from None
 
     def check(self, names: Iterable[str]) -> None:
         """Raise `ForeignFileError` if one of the files exists and is not as celnav wrote it."""
@@ -137,7 +141,7 @@ class Outputs:
         path = self.directory / name
         if Path(name).is_absolute() or ".." in Path(name).parts:
             raise ValueError(f"name: expected a path inside the folder, got {name!r}")
-        if path.is_symlink() or (path.exists() and _sha256(path) not in self._manifest.get(name, [])):
+        if path.is_symlink() or (path.exists() and _sha256(path) not in self._manifest().get(name, [])):
             raise ForeignFileError(f"{path}: exists and was not made, or was changed since, by celnav; move it away first")
         return path
 
@@ -148,8 +152,9 @@ class Outputs:
         with replacing(path) as temporary:
             yield temporary
             # Both contents are owned before the old one is replaced: a crash in between leaves no foreign file.
-            self._manifest[name] = [*self._manifest.get(name, [])[-1:], _sha256(temporary)]
-            write_text(self.directory / MANIFEST, json.dumps(self._manifest, indent=1, sort_keys=True) + "\n")
+            manifest = self._manifest()
+            manifest[name] = [*manifest.get(name, [])[-1:], _sha256(temporary)]
+            write_text(self.directory / MANIFEST, json.dumps(manifest, indent=1, sort_keys=True) + "\n")
 
     def bytes(self, name: str, content: bytes) -> None:
         """Write a file."""

@@ -33,6 +33,8 @@ from celnav.typed import depth, named, type_depth, typed
 LARGEST_FILE = 1_000_000
 """Bytes."""
 MOST_CONFIGURATIONS = 100_000
+MOST_UNITS = 1_000_000
+"""Blocks of runs in all."""
 BLOCK = 250
 """Runs of a work unit, unless a file says otherwise."""
 KEYS = ("title", "paper", "preset", "filters", "runs", "seed", "block", "every", "settle_s", "limits", "config")
@@ -55,7 +57,8 @@ class Study:
 
     Attributes
     ----------
-    title, paper: as given. filters: names. runs: of each configuration. seed: all configurations share the random numbers.
+    title, paper: as given, and the title determines nothing. filters: names. runs: of each configuration.
+    seed: all configurations share the random numbers.
     block: runs of a work unit. every: how many judged epochs lie from one that is scored to the next.
     settle_s: where means over time begin; None: in the middle. limits: largest error at the end, by group.
     swept: dotted key -> values. configurations: every combination, the last key changing fastest.
@@ -74,9 +77,9 @@ class Study:
     configurations: tuple[Configuration, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything that determines the results, in plain types: what a store is compared by."""
+        """Everything that determines the results, in plain types: what a store is compared by. No title."""
         first = {k: v for k, v in flat(asdict(self.configurations[0].config)).items() if k not in self.swept and k != "runs"}
-        about = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("swept", "configurations")}
+        about = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("title", "swept", "configurations")}
         return {**flat(about), **{f"config.{k}": v for k, v in first.items()}, **{f"config.{k}": v for k, v in self.swept.items()}}
 
 
@@ -102,16 +105,21 @@ def read(path: str | Path, effort: float = 1.0) -> Study:
     try:
         if len(content) > LARGEST_FILE:
             raise ValueError(f"expected at most {LARGEST_FILE} bytes, got more")
-        table = tomllib.loads(content.decode("utf-8"))
+        table = tomllib.loads(content.decode("utf-8-sig"))
     except RecursionError:
-        raise MissionError(f"{source}: lists or tables within one another too deeply") from None
+        raise MissionError(f"{source}: {_DEEP}") from None
     except (ValueError, UnicodeDecodeError) as error:
         raise MissionError(f"{source}: not a TOML file ({error})") from None
     try:
         whole = study(table)
+    except RecursionError:
+        raise MissionError(f"{source}: {_DEEP}") from None
     except ValueError as error:
         raise MissionError(f"{source}: {error}") from None
     return whole if effort == 1.0 else replace(whole, runs=run_count(whole.runs, None, effort))
+
+
+_DEEP = "lists or tables within one another too deeply"
 
 
 def study(table: Mapping[str, Any]) -> Study:
@@ -121,12 +129,15 @@ def study(table: Mapping[str, Any]) -> Study:
     ------
     ValueError: naming the key, with its unit, what was expected and what came.
     """
-    _known("", table, KEYS)
     if "paper" not in table:
+        _known("", table, KEYS)
         raise ValueError(f"paper: expected one of {', '.join(PAPERS)}, got none")
     paper = typed("paper", table["paper"], str)
     module = _part("paper", lambda: load(paper))
     start = _preset(module, table)
+    for key in (set(table) - set(KEYS)) & {f.name for f in fields(start)}:
+        raise ValueError(f"{key}: expected it under [config]")
+    _known("", table, KEYS)
     given = {k: typed(k, table[k], hint) for k, hint in _OPTIONS.items() if k in table}
     if "runs" in typed("config", table.get("config", {}), dict):
         raise ValueError("config.runs: expected runs at the top of the file, outside of [config]")
@@ -137,6 +148,11 @@ def study(table: Mapping[str, Any]) -> Study:
     for name, least in (("runs", 1), ("seed", 0), ("block", 1), ("every", 1)):
         if options[name] < least:
             raise ValueError(f"{name}: expected a whole number of at least {least}, got {options[name]}")
+    units = len(points) * -(-options["runs"] // options["block"])
+    if units > MOST_UNITS:
+        raise ValueError(f"runs: expected at most {MOST_UNITS} blocks of runs in all, got {units}; fewer runs, or a larger block")
+    if options["settle_s"] is not None and options["settle_s"] < 0.0:
+        raise ValueError(f"settle_s (s): expected a number that is not negative, got {options['settle_s']!r}")
     names = _filters(module, table, points)
     return Study(paper=paper, filters=names, swept=swept, configurations=points, **options)
 
@@ -149,12 +165,16 @@ def _part(name: str, make: Any) -> Any:
     try:
         return make()
     except ValueError as error:
-        raise ValueError(f"{name}: {error}") from None
+        raise ValueError(f"{name}: {' '.join(str(error).split())}") from None
+    except ArithmeticError as error:
+        raise ValueError(f"{name}: expected numbers that can be computed with ({error})") from None
 
 
 def _known(where: str, table: Mapping[str, Any], names: Sequence[str]) -> None:
     """Refuse keys that are not among the names, and hint at the nearest."""
     for key in table:
+        if key not in names and where and key in KEYS:
+            raise ValueError(f"{where}{key}: expected {key} at the top of the file, outside of [{where.partition('.')[0]}]")
         if key not in names:
             close = difflib.get_close_matches(key, names, 1)
             hint = f"did you mean {where}{close[0]}?" if close else f"expected one of {', '.join(names)}"
@@ -168,8 +188,8 @@ def _preset(module: ModuleType, table: Mapping[str, Any]) -> Any:
     return module.PRESETS[name]
 
 
-def _limits(table: Mapping[str, Any], judged: Sequence[str]) -> dict[str, float]:
-    _known("limits.", typed("limits", table.get("limits", {}), dict), judged)
+def _limits(table: Mapping[str, Any], judged: Mapping[str, str]) -> dict[str, float]:
+    _known("limits.", typed("limits", table.get("limits", {}), dict), list(judged))
     limits = {k: typed(f"limits.{k}", v, float) for k, v in table.get("limits", {}).items()}
     for name, value in limits.items():
         if value <= 0.0:
@@ -181,7 +201,9 @@ def _filters(module: ModuleType, table: Mapping[str, Any], points: Sequence[Conf
     """The names asked for, all of which exist in some configuration; by default those of the first."""
     known: dict[str, Any] = _part("config", lambda: module.filters(points[0].config))
     names = [typed("filters", name, str) for name in typed("filters", table.get("filters", list(known)), list)]
-    if not names or len(set(names)) != len(names):
+    if not names:
+        raise ValueError(f"filters: expected some of {', '.join(known)}, got none")
+    if len(set(names)) != len(names):
         raise ValueError(f"filters: expected different names, got {names!r}")
     for name in names:
         if not any(name in (known if i == 0 else module.filters(point.config)) for i, point in enumerate(points)):
@@ -229,8 +251,10 @@ def _grid(start: Any, fixed: Mapping[str, Any], swept: Mapping[str, tuple[Any, .
 def _point(start: Any, fixed: Mapping[str, Any], values: dict[str, Any]) -> Configuration:
     try:
         return Configuration(values, _replaced(start, {**fixed, **values}))
+    except ArithmeticError as error:
+        raise ValueError(f"config: expected numbers that can be computed with ({error})") from None
     except ValueError as error:
-        name, colon, rest = str(error).partition(": ")
+        name, colon, rest = " ".join(str(error).split()).partition(": ")
         at = ", ".join(f"{k} = {v}" for k, v in values.items() if k != name)
         where = f" (where {at})" if at else ""
         raise ValueError(f"{named(f'config.{name}') if colon else 'config: ' + name}{colon}{rest}{where}") from None
@@ -246,5 +270,9 @@ def _replaced(config: Any, values: Mapping[str, Any]) -> Any:
             inner.setdefault(head, {})[rest] = value
         else:
             own[head] = value
-    own |= {head: _replaced(getattr(config, head), parts) for head, parts in inner.items()}
+    for head, parts in inner.items():
+        try:
+            own[head] = _replaced(getattr(config, head), parts)
+        except ValueError as error:
+            raise ValueError(f"{head}.{error}") from None
     return replace(config, **own)

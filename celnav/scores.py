@@ -20,10 +20,11 @@ BINS = 20
 Scores = dict[str, Array]
 """Sums over runs that did not fail.
 
-times ``(K,)`` s. runs ``()``. count, nees, nis, dof ``(K,)`` and square, variance ``(K, groups)``: at each epoch, over the runs
-that have an estimate there. own ``(2, groups)``, own_nees ``(2,)``: of each run's mean over the settled epochs, and of its square.
-settled ``(K,)``: which epochs these are. error ``(n,)``, outer ``(n, n)``: at the last epoch. nees_histogram, nis_histogram:
-``(BINS,)``.
+times ``(K,)`` s. runs ``()``. count, nis, dof ``(K,)`` and square ``(K, groups)``: at each epoch, over the runs that have an
+estimate there. known ``(K,)``, variance ``(K, groups)``: over those with a covariance too; nees ``(K,)``: with one that is positive
+definite. own ``(2, groups)``, own_nees ``(2,)``: of each run's mean over the settled epochs, and of its square; judged ``()``: how
+many runs have a NEES there. settled ``(K,)``: which epochs these are. error ``(n,)``, outer ``(n, n)``: at the last epoch.
+nees_histogram, nis_histogram: ``(BINS,)``.
 """
 
 
@@ -56,12 +57,19 @@ def score(
         for run in np.flatnonzero(square[-1, :, i] > limit**2).tolist():
             why = f"{group.name}: error above {limit:g} {group.unit} at the end"
             failures.setdefault(run, Failure(run, float(f.times[-1]), why))
-    good = np.array([run not in failures for run in range(square.shape[1])], bool)
     settled = np.arange(K) >= K // 2 if settle_s is None else f.times >= settle_s
+    there = np.asarray(np.isfinite(square).all(-1))
+    sound = there & np.isfinite(f.nees)
+    for run in np.flatnonzero(~there[settled].any(0)).tolist():
+        failures.setdefault(run, Failure(run, float(f.times[-1]), "no estimate at any settled epoch"))
+    for run in np.flatnonzero(np.isnan(variance[settled]).all((0, 2))).tolist():
+        failures.setdefault(run, Failure(run, float(f.times[-1]), "no positive definite covariance at any settled epoch"))
+    good = np.array([run not in failures for run in range(square.shape[1])], bool)
     chosen = slice(None) if good.all() else good
-    square, variance, nees, nis, dof = (a[:, chosen] for a in (square, variance, f.nees, f.nis, f.dof))
-    there = np.isfinite(nees)
-    own, own_nees = (_mean_of(a[settled], there[settled]) for a in (square, nees))
+    square, variance, nees, nis, dof, there, sound = (a[:, chosen] for a in (square, variance, f.nees, f.nis, f.dof, there, sound))
+    known = there & np.isfinite(variance).all(-1)
+    judged = sound[settled].any(0)
+    own, own_nees = _mean_of(square[settled], there[settled]), _mean_of(nees[settled], sound[settled])[judged]
     last = f.error[-1, good]
     scores = {
         "times": f.times,
@@ -69,10 +77,12 @@ def score(
         "runs": np.array(float(good.sum())),
         "count": there.sum(1).astype(np.float64),
         "square": _sum(square, there),
-        "variance": _sum(variance, there),
-        "nees": _sum(nees, there),
+        "known": known.sum(1).astype(np.float64),
+        "variance": _sum(variance, known),
+        "nees": _sum(nees, sound),
         "nis": _sum(nis, there),
         "dof": _sum(dof, there),
+        "judged": np.array(float(judged.sum())),
         "own": np.stack([own.sum(0), np.square(own).sum(0)]),
         "own_nees": np.stack([own_nees.sum(0), np.square(own_nees).sum(0)]),
         "error": last.sum(0),
@@ -156,6 +166,7 @@ class Summary(NamedTuple):
     anees, low, high: NEES averaged over runs and settled epochs, over its dimension (1 if consistent), with a 95 % interval from
         how the runs differ. band: where the mean over the runs at a single epoch lies with 95 %, if consistent.
     nis: NIS over its degrees of freedom, averaged over the settled epochs.
+    nees_beyond, nis_beyond: part of single values above their 95 % quantiles, .05 if consistent.
     """
 
     runs: int
@@ -165,6 +176,8 @@ class Summary(NamedTuple):
     high: float
     band: tuple[float, float]
     nis: float
+    nees_beyond: float
+    nis_beyond: float
 
 
 def summarize(scores: Scores, bound: Array | None = None) -> Summary:
@@ -174,14 +187,29 @@ def summarize(scores: Scores, bound: Array | None = None) -> Summary:
     rms, low, high = _interval(scores["own"], runs)
     with np.errstate(invalid="ignore", divide="ignore"):
         final = np.sqrt(scores["square"][-1] / scores["count"][-1])
-        sigma = np.sqrt(scores["variance"][settled].sum(0) / scores["count"][settled].sum())
+        sigma = np.sqrt(scores["variance"][settled].sum(0) / scores["known"][settled].sum())
         nis = float(scores["nis"][settled].sum() / scores["dof"][settled].sum())
         least = np.full(len(rms), np.nan) if bound is None else np.sqrt(bound[settled].mean(0))
         columns = np.stack([np.sqrt(rms), np.sqrt(low), np.sqrt(high), final, sigma, least, least / np.sqrt(rms)], -1)
     accuracy = tuple(Accuracy(*row) for row in columns.tolist())
-    anees, anees_low, anees_high = (float(v[0]) / n for v in _interval(scores["own_nees"][:, None], runs))
+    anees, anees_low, anees_high = (float(v[0]) / n for v in _interval(scores["own_nees"][:, None], int(scores["judged"])))
     a, b = chi_square_band(n, runs) if runs else (np.nan, np.nan)
-    return Summary(runs, accuracy, anees, anees_low, anees_high, (a / n, b / n), nis)
+    return Summary(
+        runs,
+        accuracy,
+        anees,
+        anees_low,
+        anees_high,
+        (a / n, b / n),
+        nis,
+        _beyond(scores["nees_histogram"]),
+        _beyond(scores["nis_histogram"]),
+    )
+
+
+def _beyond(histogram: Array) -> float:
+    """Part in the last of `BINS` bins; nan of nothing."""
+    return float(histogram[-1] / histogram.sum()) if histogram.any() else float("nan")
 
 
 def _interval(sums: Array, runs: int, level: float = 0.95) -> tuple[Array, Array, Array]:

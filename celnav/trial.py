@@ -91,7 +91,7 @@ class Followed(NamedTuple):
 
 
 def follow(trial: Trial, name: str, every: int = 1) -> Followed:
-    """Run the filter of a name and judge it at each ``every``-th of the epochs that have a truth.
+    """Run the filter of a name and judge it at each ``every``-th of the epochs that have a truth, and at the last.
 
     Raises
     ------
@@ -100,6 +100,7 @@ def follow(trial: Trial, name: str, every: int = 1) -> Followed:
     found = _Found()
     lost: dict[int, tuple[float, str]] = {}
     count = seen = 0
+    last: tuple[Epoch, Gaussian, tuple[Any, ...]] | None = None
     for epoch, state, info in steps(trial.filters[name], trial.prior, trial.epochs(name)):
         count += 1
         belief: Gaussian = state.belief
@@ -107,18 +108,32 @@ def follow(trial: Trial, name: str, every: int = 1) -> Followed:
         why = next((one.failure for one in infos if one.failure), "")
         due = epoch.truth is not None and seen % every == 0
         seen += epoch.truth is not None
-        if (due or why) and (lost or not np.isfinite(np.add.reduce(belief.mean, None))):
-            finite = np.atleast_1d(np.isfinite(belief.mean).all(-1))
-            for run in np.flatnonzero(~finite).tolist():
-                lost.setdefault(run, (float(epoch.t), why or "the estimate is not finite"))
-            for run in [run for run in lost if finite[run]]:
-                del lost[run]  # a filter of single epochs comes back
+        if due or why:
+            _watch(lost, epoch, belief, why)
         if due:
             with np.errstate(invalid="ignore"):  # a lost run is nan
                 found.add(epoch.t, *trial.compare(epoch.truth, belief), infos)
+        if epoch.truth is not None:
+            last = None if due else (epoch, belief, infos)
+    if last is not None:
+        epoch, belief, infos = last
+        _watch(lost, epoch, belief, "")
+        with np.errstate(invalid="ignore"):
+            found.add(epoch.t, *trial.compare(epoch.truth, belief), infos)
     if not found.times:
         raise ValueError("epochs: expected some with a truth, got none")
     return found.followed([(run, *what) for run, what in sorted(lost.items())], count)
+
+
+def _watch(lost: dict[int, tuple[float, str]], epoch: Epoch, belief: Gaussian, why: str) -> None:
+    """Note the runs that have no estimate, and forget those that have one again: a filter of single epochs comes back."""
+    if not lost and np.isfinite(np.add.reduce(belief.mean, None)):
+        return
+    finite = np.atleast_1d(np.isfinite(belief.mean).all(-1))
+    for run in np.flatnonzero(~finite).tolist():
+        lost.setdefault(run, (float(epoch.t), why or "the estimate is not finite"))
+    for run in [run for run in lost if finite[run]]:
+        del lost[run]
 
 
 class _Found:

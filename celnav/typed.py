@@ -52,7 +52,7 @@ def typed(name: str, value: Any, hint: Any) -> Any:
         if parts[-1] is not Ellipsis and len(value) != len(parts):
             raise ValueError(f"{named(name)}: expected {len(parts)} values, got {len(value)}")
         return tuple(typed(name, v, parts[0]) for v in value)
-    number = isinstance(value, int | float) and not isinstance(value, bool) and not abs(value) > LARGEST
+    number = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST
     if hint is float and number:
         return float(value)
     if hint is int and number and float(value).is_integer():

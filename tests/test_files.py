@@ -133,3 +133,11 @@ def test_an_archive_that_unpacks_to_very_much_is_refused(tmp_path):
     np.savez_compressed(path, a=np.zeros(10_000_000))
     with pytest.raises(ValueError, match=r"bomb\.npz: .*unpacks to 80000\d+ bytes, more than 100 times its size"):
         read_npz(path)
+
+
+def test_two_that_write_into_a_folder_know_of_each_other(tmp_path):
+    one, other = Outputs(tmp_path), Outputs(tmp_path)
+    other.text("a.txt", "theirs")
+    one.text("a.txt", "ours")
+    other.text("b.txt", "theirs")
+    Outputs(tmp_path).check(["a.txt", "b.txt"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from celnav.scores import BINS, merge, score, summarize
 from celnav.trial import Followed, Group, squares
@@ -42,6 +43,8 @@ def test_merged_blocks_say_what_all_runs_say():
     np.testing.assert_allclose(found.accuracy[0].sigma, np.sqrt(5.0), rtol=1e-12)
     np.testing.assert_allclose(found.anees, np.square(late / STD).sum(-1).mean() / 3, rtol=1e-12)
     np.testing.assert_allclose(found.nis, np.square(late / STD).sum(-1).mean() / 2, rtol=1e-12)
+    np.testing.assert_allclose(found.nees_beyond, (np.square(late / STD).sum(-1) > chi2.ppf(0.95, 3)).mean(), rtol=1e-12)
+    np.testing.assert_allclose(found.nis_beyond, (np.square(late / STD).sum(-1) > chi2.ppf(0.95, 2)).mean(), rtol=1e-12)
     whole = merge(blocks)
     np.testing.assert_allclose(whole["outer"], error[-1].T @ error[-1], rtol=1e-12)
     np.testing.assert_allclose(whole["error"], error[-1].sum(0), rtol=1e-12)
@@ -125,3 +128,35 @@ def test_one_run_has_no_interval_and_no_run_has_no_accuracy():
     none = summarize(score(followed(errors(1), lost=[(0, 1.0, "lost")]), GROUPS, settle_s=None, limits={})[0])
     assert none.runs == 0
     assert np.isnan(none.accuracy[0].rms)
+
+
+def test_errors_count_where_the_filter_has_no_covariance_and_the_others_have_their_consistency():
+    error = errors(4)
+    error[:, 3] = 50.0
+    found = followed(error)
+    std, nees = found.std.copy(), found.nees.copy()
+    std[:, 3], nees[:, 3] = np.nan, np.nan
+    std[0, 3] = STD  # but at one epoch, which is not settled
+    scores, failed = score(found._replace(std=std, nees=nees), GROUPS, settle_s=None, limits={})
+    assert [(f.run, f.why) for f in failed] == [(3, "no positive definite covariance at any settled epoch")]
+    np.testing.assert_array_equal(summarize(scores).accuracy, summarize(scored(error[:, :3])[0]).accuracy)
+    std[5, 3] = STD  # at a settled one too: now it counts
+    scores, failed = score(found._replace(std=std, nees=nees), GROUPS, settle_s=None, limits={})
+    assert failed == []
+    found = summarize(scores)
+    position = np.sqrt(np.square(error[4:, :, :2]).sum(-1).mean())
+    np.testing.assert_allclose(found.accuracy[0].rms, position, rtol=1e-12)
+    np.testing.assert_allclose(found.anees, np.square(error[4:, :3] / STD).sum(-1).mean() / 3, rtol=1e-12)
+
+
+def test_a_run_without_an_estimate_where_it_is_judged_is_a_failure_and_no_perfect_run():
+    error = errors(4)
+    error[4:7, 2] = np.nan  # it comes back for the last epoch
+    error[7, 2] = 0.1
+    found = scored(error, settle_s=4.0)
+    assert summarize(found[0]).runs == 4
+    error[7, 2] = np.nan
+    scores, failed = scored(error, settle_s=4.0)
+    assert [(f.run, f.why) for f in failed] == [(2, "no estimate at any settled epoch")]
+    others = summarize(scored(error[:, [0, 1, 3]], settle_s=4.0)[0])
+    np.testing.assert_array_equal(summarize(scores).accuracy, others.accuracy)

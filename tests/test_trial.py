@@ -28,7 +28,7 @@ RUNS = 12
 
 def small(paper, **change):
     module = load(paper)
-    config = replace(next(iter(module.PRESETS.values())), **SMALL[paper], **change)
+    config = replace(next(iter(module.PRESETS.values())), **SMALL[paper] | change)
     return module.trial(config, [generator(1, 0, r) for r in range(RUNS)]), module.trial(config, [Noiseless()])
 
 
@@ -36,7 +36,7 @@ def small(paper, **change):
 def test_every_filter_of_every_paper_can_be_judged(paper):
     trial, noiseless = small(paper)
     least = bound(noiseless)
-    assert tuple(group.name for group in trial.groups) == load(paper).JUDGED
+    assert {group.name: group.unit for group in trial.groups} == load(paper).JUDGED
     for name in trial.filters:
         found = follow(trial, name, every=2)
         n = found.error.shape[-1]
@@ -137,3 +137,18 @@ def test_the_exact_filter_is_consistent_whatever_the_first_noise(measured, first
     low, high = chi_square_band(6, 200, level=0.9999)
     assert low < found.nees[0].mean() < high
     assert low < found.nees[-1].mean() < high
+
+
+def test_the_last_epoch_is_judged_whatever_lies_between():
+    trial, _ = small("csrukf")
+    whole, part = follow(trial, "csrukf"), follow(trial, "csrukf", every=7)
+    chosen = [0, 7, 14, 21, 28, 35, 40]
+    np.testing.assert_array_equal(part.times, whole.times[chosen])
+    np.testing.assert_array_equal(part.error, whole.error[chosen])
+    np.testing.assert_array_equal(part.nees, whole.nees[chosen])
+    assert list(follow(trial, "csrukf", every=1000).times) == [whole.times[0], whole.times[-1]]
+
+
+def test_a_bound_is_given_only_where_the_exact_filter_believes_what_is_simulated():
+    assert bound(small("tstdkf", trend="sine")[1]) is None
+    assert bound(small("tstdkf", initial="paper")[1]) is None

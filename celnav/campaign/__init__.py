@@ -17,7 +17,7 @@ from celnav.campaign.store import Store, StoreError, open_store
 from celnav.campaign.table import Merged, Row, merged, rows_of
 from celnav.campaign.units import Result, Unit, VersionError, WorkError, units_of
 from celnav.files import locked
-from celnav.mission import Study
+from celnav.mission import Configuration, Study
 
 __all__ = [
     "Outcome",
@@ -45,15 +45,16 @@ def _silent(*_: object) -> None:
 
 
 FOLLOWED = 6
-"""Configurations whose errors over time are kept for drawing: the first ones."""
+"""Configurations whose errors over time are kept for drawing: the first that could be simulated."""
 
 
 class Outcome(NamedTuple):
-    """What a study comes to: one row for each configuration and filter, and the first configurations in full."""
+    """What a study comes to: one row for each configuration and filter, and the first configurations that could be simulated in
+    full."""
 
     study: Study
     rows: list[Row]
-    first: list[Merged]
+    first: list[tuple[Configuration, Merged]]
 
 
 def campaign(
@@ -69,18 +70,17 @@ def campaign(
     Parameters
     ----------
     workers: `serial` (the default), `processes`, `dask`, or any executor as `given`.
-    progress, say: see `Progress` and `Say`; `say` is told of damaged units and of versions that changed.
+    progress, say: see `Progress` and `Say`; `say` is told of damaged units.
 
     Raises
     ------
-    StoreError: if the folder belongs to another study. BlockingIOError: if another process is at work there. OSError: if it
-    cannot be written. UnfinishedError: if units failed; the others are kept. VersionError: if workers have another celnav.
+    StoreError: if the folder belongs to another study, or was begun with another celnav. BlockingIOError: if another process is at
+    work there. OSError: if it cannot be written, or the executor is lost. UnfinishedError: if units failed; the others are kept.
+    VersionError: if workers have another celnav.
     """
     Path(folder).mkdir(parents=True, exist_ok=True)
     with locked(folder):
         store = open_store(folder, study)
-        for line in store.warnings:
-            say(f"{folder}: {line}")
         plan = units_of(study)
         todo = [unit for units in plan for unit in units if not _kept(store, unit, say)]
         total = sum(unit.runs for units in plan for unit in units)
@@ -124,10 +124,10 @@ def _kept(store: Store, unit: Unit, say: Say) -> bool:
 
 def _outcome(study: Study, result: Callable[[Unit], Result]) -> Outcome:
     rows: list[Row] = []
-    first: list[Merged] = []
+    first: list[tuple[Configuration, Merged]] = []
     for units, point in zip(units_of(study), study.configurations, strict=True):
         found = merged(study, (result(unit) for unit in units))
         rows += rows_of(study, point, found)
-        if len(first) < FOLLOWED:
-            first.append(found)
+        if found.groups and len(first) < FOLLOWED:
+            first.append((point, found))
     return Outcome(study, rows, first)

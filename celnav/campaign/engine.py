@@ -44,7 +44,9 @@ def compute(units: Iterable[Unit], workers: Workers, keep: Keep) -> None:
                     else:
                         keep(unit, outcome)
                         deaths = 0
-        except BrokenExecutor:
+        except BrokenExecutor as error:
+            if not workers.again:
+                raise OSError(f"the executor is broken ({_said(error)}); what is finished is kept") from None
             deaths += 1
             if alone:
                 culprit = next(iter(missing))
@@ -76,17 +78,20 @@ def results(
     waiting: dict[Future[R], U] = {}
     left = iter(todo)
     while True:
-        while len(waiting) < ahead and (unit := next(left, None)) is not None:
-            waiting[executor.submit(function, unit, *arguments)] = unit
-        if not waiting:
-            return
-        done = wait(waiting, return_when=FIRST_COMPLETED).done
         fatal: BaseException | None = None
+        try:
+            while len(waiting) < ahead and (unit := next(left, None)) is not None:
+                waiting[executor.submit(function, unit, *arguments)] = unit
+        except BrokenExecutor as broken:
+            fatal = broken  # what is finished already is kept all the same
+        if not waiting and fatal is None:
+            return
+        done = wait(waiting, 0.0 if fatal else None, return_when=FIRST_COMPLETED).done
         for future in [future for future in waiting if future in done]:
             unit = waiting.pop(future)
             error = CancelledError() if future.cancelled() else future.exception()
             if isinstance(error, BrokenExecutor | VersionError | CancelledError):
-                fatal = error  # what came with it is kept all the same
+                fatal = error
             elif error is None or isinstance(error, Exception):
                 yield unit, future.result() if error is None else error
             else:

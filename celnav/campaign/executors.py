@@ -19,10 +19,12 @@ PATIENCE_S = 10.0
 
 
 class Workers(NamedTuple):
-    """``open()`` gives an executor, again if the last one broke; ``ahead``: how many units are handed out before their turn."""
+    """``open()`` gives an executor; ``ahead``: how many units are handed out before their turn; ``again``: whether a new one is
+    given where the last one broke."""
 
     open: Callable[[], AbstractContextManager[Executor]]
     ahead: int
+    again: bool = True
 
 
 class _Serial(Executor):
@@ -44,7 +46,7 @@ def serial() -> Workers:
 
 def given(executor: Executor) -> Workers:
     """An executor that somebody else opens and closes, such as ``mpi4py.futures.MPIPoolExecutor``."""
-    return Workers(lambda: contextlib.nullcontext(executor), 1000)
+    return Workers(lambda: contextlib.nullcontext(executor), 1000, again=False)
 
 
 def processes(jobs: int) -> Workers:

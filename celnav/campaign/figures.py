@@ -162,14 +162,14 @@ def failures(outcome: Outcome) -> Figure:
 def over_time(outcome: Outcome, group: int) -> Figure:
     """Root mean square errors at each epoch of the first configurations, what filters take them for, and the bound."""
     study, shown = outcome.study, outcome.first
+    name, unit = shown[0][1].groups[group]
     columns = min(len(shown), 3)
     lines = -(-len(shown) // columns)
     fig, axes = figure(max(5.0, 4.0 * columns), 2.8 * lines + 0.3, lines, columns, squeeze=False, sharey=True)
-    for ax, found, point in zip(axes.flat, shown, study.configurations, strict=False):
+    for ax, (point, found) in zip(axes.flat, shown, strict=False):
         _curves(ax, study, found, group, point)
     for ax in axes.flat[len(shown) :]:
         ax.remove()
-    name, unit = next(found.groups for found in shown if found.groups)[group]
     for ax in axes[:, 0]:
         ax.set_ylabel(f"rms error ({unit})")
     _finish(fig)
@@ -188,7 +188,7 @@ def _curves(ax: Axes, study: Study, found: Merged, group: int, point: Configurat
             continue
         times, look = scores["times"], style(study, name)
         with np.errstate(invalid="ignore", divide="ignore"):
-            rms, sigma = (np.sqrt(scores[key][:, group] / scores["count"]) for key in ("square", "variance"))
+            rms, sigma = (np.sqrt(scores[a][:, group] / scores[b]) for a, b in (("square", "count"), ("variance", "known")))
         ax.semilogy(times, rms, color=look["color"], linestyle=look["linestyle"], label=name)
         ax.semilogy(times, sigma, color=look["color"], linestyle=":", linewidth=0.8)
     if found.bound is not None and times is not None:

@@ -21,9 +21,10 @@ if TYPE_CHECKING:
 TABLES = ("table.csv", "table.parquet", "times.csv")
 PAGE = "index.html"
 MOST_ROWS = 2000
-_LEGEND = """rms: over runs and settled epochs, low to high with 95 %; final: at the end; sigma: what the filter takes it for;
-bound: linearized posterior Cramér–Rao bound; efficiency: bound over rms; anees: NEES over its dimension, 1 if consistent; band: of
-a consistent filter at one epoch; nis: likewise over its degrees of freedom."""
+_LEGEND = """All but failed: of the runs that did not fail. rms: of the length of the vector, over runs and settled epochs, low to
+high with 95 %; final: at the end; sigma: what the filter takes it for; bound: linearized posterior Cramér–Rao bound of all runs;
+efficiency: bound over rms; anees: NEES over its dimension, 1 if consistent; band: of a consistent filter at one epoch; nis:
+likewise over its degrees of freedom; beyond: part of single values above the 95 % quantile, 0.05 if consistent."""
 
 
 def names(stems: Iterable[str]) -> list[str]:

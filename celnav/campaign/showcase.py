@@ -141,7 +141,7 @@ def record(shown: Showcase, outcome: Outcome, path: str | PathLike[str]) -> None
 
 def _rms(out: Any, shown: Showcase, outcome: Outcome, palette: dict[str, str]) -> None:
     """Errors of all runs, at the epochs that were scored."""
-    found = outcome.first[0]
+    found = outcome.first[0][1]
     for i, group in enumerate(shown.groups):
         for name, scores in found.scores.items():
             if scores is not None:
@@ -155,7 +155,7 @@ def _rms(out: Any, shown: Showcase, outcome: Outcome, palette: dict[str, str]) -
 def _spread(shown: Showcase, values: Array) -> Array:
     """Logarithms of values of scored epochs, at the recording's epochs; nan between."""
     out = np.full(len(shown.times), np.nan)
-    out[:: shown.study.every] = _log10(values)
+    out[np.unique([*range(0, len(out), shown.study.every), len(out) - 1])] = _log10(values)
     return out
 
 

@@ -9,9 +9,7 @@ import hashlib
 import io
 import json
 from collections.abc import Mapping
-from importlib import metadata
 from pathlib import Path
-from platform import python_version
 from typing import Any
 
 import numpy as np
@@ -30,14 +28,10 @@ class StoreError(InputError):
 
 
 class Store:
-    """Finished units of a study in ``folder / "units"``; see `open_store`.
+    """Finished units of a study in ``folder / "units"``; see `open_store`."""
 
-    ``warnings``: what a user should know of an older store.
-    """
-
-    def __init__(self, folder: Path, warnings: list[str]) -> None:
+    def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.warnings = warnings
 
     def path(self, unit: Unit) -> Path:
         """Where a unit's result is."""
@@ -91,7 +85,8 @@ def open_store(folder: str | Path, study: Study) -> Store:
 
     Raises
     ------
-    StoreError: if the folder belongs to another study (the message lists the differences) or holds something else.
+    StoreError: if the folder belongs to another study or was begun with another celnav, numpy or scipy (the message lists the
+    differences), or holds something else.
     OSError: if it cannot be made or written.
     """
     path = Path(folder)
@@ -100,33 +95,24 @@ def open_store(folder: str | Path, study: Study) -> Store:
     manifest = path / MANIFEST
     if manifest.exists():
         found = _read_manifest(manifest)
-        changed = _differences(found["study"], wanted)
-        if changed:
-            lines = "; ".join(changed)
-            raise StoreError(f"{path}: belongs to another study ({lines}); choose another --out, or remove the folder")
-        return Store(path, _older(found["versions"]))
+        for what, old, new in (
+            ("belongs to another study", found["study"], wanted),
+            ("was begun with another celnav", found["code"], code()),
+        ):
+            if changed := _differences(old, new):
+                raise StoreError(f"{path}: {what} ({'; '.join(changed)}); choose another --out, or remove the folder")
+        return Store(path)
     if (path / "units").exists():
         raise StoreError(f"{path}: has units but no {MANIFEST}; choose another --out, or remove the folder")
-    about = {"format": FORMAT, "study": wanted, "versions": _versions()}
+    about = {"format": FORMAT, "study": wanted, "code": code()}
     write_text(manifest, json.dumps(about, indent=1, ensure_ascii=False) + "\n")
-    return Store(path, [])
-
-
-def _versions() -> dict[str, str]:
-    return {**code(), "python": python_version(), **{name: metadata.version(name) for name in ("numpy", "scipy")}}
-
-
-def _older(versions: Mapping[str, Any]) -> list[str]:
-    """A warning for everything that is not as it was when the store was begun."""
-    now = _versions()
-    changed = [f"{name} {versions.get(name)} -> {now[name]}" for name in now if versions.get(name) != now[name]]
-    return [f"begun with other versions ({', '.join(changed)}); finished units are kept"] if changed else []
+    return Store(path)
 
 
 def _read_manifest(path: Path) -> dict[str, Any]:
     try:
         found = json.loads(path.read_text("utf-8"))
-        if found["format"] == FORMAT and isinstance(found["study"], dict) and isinstance(found["versions"], dict):
+        if found["format"] == FORMAT and isinstance(found["study"], dict) and isinstance(found["code"], dict):
             return dict(found)
     except (ValueError, KeyError, TypeError, RecursionError):
         pass

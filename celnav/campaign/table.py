@@ -114,12 +114,12 @@ def _cells(row: Row, groups: tuple[tuple[str, str], ...]) -> dict[str, Any]:
         for stat in Accuracy._fields:
             label = f"{name}_{stat}" if stat == "efficiency" else f"{name}_{stat}_{slug}"
             cells[label] = None if found is None else _number(getattr(found, stat))
-    names = ("anees", "anees_low", "anees_high", "band_low", "band_high", "nis")
-    values = (s.anees, s.low, s.high, *s.band, s.nis) if s else (np.nan,) * 6
+    names = ("anees", "anees_low", "anees_high", "band_low", "band_high", "nis", "nees_beyond", "nis_beyond")
+    values = (s.anees, s.low, s.high, *s.band, s.nis, s.nees_beyond, s.nis_beyond) if s else (np.nan,) * 8
     cells |= {name: _number(value) for name, value in zip(names, values, strict=True)}
-    cells["reasons"] = "; ".join(
-        f"{count} x {why}" for why, count in sorted(row.reasons.items(), key=lambda item: (-item[1], item[0]))
-    )
+    listed = sorted(row.reasons.items(), key=lambda item: (-item[1], item[0]))
+    absent = s is None and not listed
+    cells["reasons"] = "not a filter of this configuration" if absent else "; ".join(f"{count} x {why}" for why, count in listed)
     return cells
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import hashlib
 import json
 import platform
-import traceback
 import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
+from importlib import metadata
 from pathlib import Path
 from time import process_time
 from typing import Any
@@ -73,10 +73,9 @@ class Result:
     Attributes
     ----------
     groups: name and unit of what is judged; empty if nothing could be simulated.
-    scores: of each filter that has a run left. failures: of each filter.
+    scores: of each filter that has a run left. failures: of each filter; none of a filter that the configuration does not have.
     bound: mean squares ``(K, groups)``, in the unit of the first runs only.
     cpu_s, steps: of each filter: CPU seconds, and run-steps done in them.
-    trace: where the first exception came from, if there was one.
     """
 
     groups: tuple[tuple[str, str], ...]
@@ -85,7 +84,6 @@ class Result:
     bound: Array | None
     cpu_s: dict[str, float]
     steps: dict[str, int]
-    trace: str = ""
 
 
 def units_of(study: Study) -> list[list[Unit]]:
@@ -102,12 +100,16 @@ def units_of(study: Study) -> list[list[Unit]]:
 
 @cache
 def code() -> dict[str, str]:
-    """Version of celnav and a hash of its sources and data."""
+    """What determines the numbers: versions of celnav, with a hash of its sources and data, and of what it computes with."""
     root = Path(celnav.__file__).parent
     digest = hashlib.sha256()
     for path in [*sorted(root.rglob("*.py")), data("pulsars.toml"), data("ephemeris_2015.npz")]:
         digest.update(path.name.encode("utf-8") + path.read_bytes())
-    return {"celnav": celnav.__version__, "code": digest.hexdigest()[:12]}
+    return {
+        "celnav": celnav.__version__,
+        "code": digest.hexdigest()[:12],
+        **{name: metadata.version(name) for name in ("numpy", "scipy")},
+    }
 
 
 def execute(unit: Unit, made_by: dict[str, str]) -> Result:
@@ -118,8 +120,8 @@ def execute(unit: Unit, made_by: dict[str, str]) -> Result:
     VersionError: if this is another celnav than ``made_by``. Exceptions of models and filters are failures of their runs.
     """
     if made_by != code():
-        ours, theirs = (f"{c['celnav']} (code {c['code']})" for c in (made_by, code()))
-        raise VersionError(f"the worker on {platform.node()} has celnav {theirs}, this is {ours}; install the same on both")
+        theirs, ours = (", ".join(f"{k} {c[k]}" for k in c if made_by.get(k) != code().get(k)) for c in (code(), made_by))
+        raise VersionError(f"the worker on {platform.node()} has {theirs}, this has {ours}; install the same on both")
     with threadpool_limits(1), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # said once, where the study is read
         return _Flight(unit).result()
@@ -132,7 +134,6 @@ class _Flight:
         self._unit = unit
         self._trial = load(unit.paper).trial
         self._groups: tuple[tuple[str, str], ...] = ()
-        self._trace = ""
 
     def result(self) -> Result:
         unit, runs = self._unit, range(self._unit.first, self._unit.last)
@@ -151,7 +152,7 @@ class _Flight:
                 steps[name] += count
             if parts:
                 scores[name] = merge(parts)
-        return Result(self._groups, scores, failures, self._bound(), cpu_s, steps, self._trace)
+        return Result(self._groups, scores, failures, self._bound(), cpu_s, steps)
 
     def _simulated(self, runs: range) -> Trial | None:
         """The trial; None if it cannot be made for all these runs at once."""
@@ -161,33 +162,32 @@ class _Flight:
         except MemoryError:
             raise
         except Exception:
-            self._note()
             return None
-        self._groups = tuple((group.name, group.unit) for group in trial.groups)
+        self._judged(trial)
         return trial
 
-    def _note(self) -> None:
-        self._trace = self._trace or traceback.format_exc()
+    def _judged(self, trial: Trial) -> None:
+        self._groups = tuple((group.name, group.unit) for group in trial.groups)
 
     def _fly(self, name: str, runs: range, whole: Trial | None) -> list[tuple[Scores | None, list[Failure], float, int]]:
         """A filter on some runs. Where a batch raises it is halved until the runs are found that do."""
         unit = self._unit
         try:
             trial = whole or self._trial(unit.config, [generator(unit.seed, STUDY, run) for run in runs])
+            self._judged(trial)
             if name not in trial.filters:
-                return [(None, [Failure(run, 0.0, f"this configuration has no filter {name}") for run in runs], 0.0, 0)]
+                return []
             start = process_time()
             followed = follow(trial, name, unit.every)
             seconds = process_time() - start
+            scores, failed = score(followed, trial.groups, settle_s=unit.settle_s, limits=dict(unit.limits))
         except MemoryError:
             raise
         except Exception as error:
-            self._note()
             if len(runs) > 1:
                 middle = len(runs) // 2
                 return [*self._fly(name, runs[:middle], None), *self._fly(name, runs[middle:], None)]
             return [(None, [Failure(runs[0], 0.0, f"{type(error).__name__}: {error}")], 0.0, 0)]
-        scores, failed = score(followed, trial.groups, settle_s=unit.settle_s, limits=dict(unit.limits))
         absolute = [failure._replace(run=runs[failure.run]) for failure in failed]
         return [(scores, absolute, seconds, followed.epochs * len(runs))]
 
@@ -200,7 +200,6 @@ class _Flight:
         except MemoryError:
             raise
         except Exception:
-            self._note()
             return None
 
 
@@ -214,7 +213,6 @@ def pack(result: Result) -> dict[str, Array]:
         "failures": result.failures,
         "cpu_s": result.cpu_s,
         "steps": result.steps,
-        "trace": result.trace,
     }
     return arrays | {"about": np.array(json.dumps(about, ensure_ascii=False))}
 
@@ -236,6 +234,6 @@ def unpack(arrays: dict[str, Array]) -> Result:
                 scores.setdefault(names[int(number)], {})[stat] = value
         groups = tuple((str(name), str(unit)) for name, unit in about["groups"])
         failures = {name: [Failure(*one) for one in listed] for name, listed in about["failures"].items()}
-        return Result(groups, scores, failures, arrays.get("bound"), about["cpu_s"], about["steps"], about["trace"])
+        return Result(groups, scores, failures, arrays.get("bound"), about["cpu_s"], about["steps"])
     except (KeyError, TypeError, IndexError) as error:
         raise ValueError(f"expected the arrays of a work unit ({error})") from None

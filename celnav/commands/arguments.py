@@ -42,8 +42,8 @@ def whole(name: str, text: str, least: int) -> int:
     return value
 
 
-def workers(jobs: str | None) -> Workers:
-    """Processes as ``--jobs`` has it (None: one for each core), or this one alone, or UsageError."""
+def workers(jobs: str | None, units: int | None = None) -> Workers:
+    """Processes as ``--jobs`` has it (None: one for each core), but at most ``units``, or this one alone, or UsageError."""
     from celnav.campaign.executors import processes, serial
 
     count = cores() if jobs is None else whole("jobs", jobs, 1)
@@ -51,7 +51,8 @@ def workers(jobs: str | None) -> Workers:
     if count > most:
         line = f"jobs: {count} processes on {cores()} cores would only be in each other's way; {most} are started"
         print(f"celnav: {line}", file=sys.stderr)
-    return processes(min(count, most)) if count > 1 else serial()
+    count = min(count, most, units or most)
+    return processes(count) if count > 1 else serial()
 
 
 def fraction(text: str | None) -> float:

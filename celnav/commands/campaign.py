@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from celnav.commands.arguments import UsageError, cores, folder_of, fraction, whole, workers
-from celnav.files import Outputs
+from celnav.files import Outputs, locked
 from celnav.progress import RunProgress
 
 if TYPE_CHECKING:
@@ -37,7 +37,8 @@ def run(options: argparse.Namespace) -> int:
         _warn(f"interrupted; what is finished is kept in {folder}, the same command goes on")
         return 130
     print(summary(outcome.rows))
-    write(outcome, figures(outcome), outputs)
+    with locked(folder):
+        write(outcome, figures(outcome), outputs)
     print(f"wrote {folder / 'index.html'}")
     return 0
 

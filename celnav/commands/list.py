@@ -40,7 +40,10 @@ def _parameters(paper: str) -> None:
     study = module(paper)
     presets: dict[str, dict[str, Any]] = {name: flat(asdict(config)) for name, config in study.PRESETS.items()}
     first, *others = presets.items()
-    print(f"{paper}: {study.TITLE}\n\n[config] of a mission, with the values of preset {first[0]}:\n")
+    print(f"{paper}: {study.TITLE}\n\nAt the top of a mission:\n\n{_TOP}")
+    for name, unit in study.JUDGED.items():
+        print(f"  limits.{name:25} {'':36} {unit}, of the vector's length")
+    print(f"\n[config] of a mission, with the values of preset {first[0]}:\n")
     for key, value in first[1].items():
         if key != "runs":
             print(f"  {key:32} {_written(value):36} {unit_of(key)}".rstrip())
@@ -48,6 +51,17 @@ def _parameters(paper: str) -> None:
         changed = [f"{key} = {_written(value)}" for key, value in values.items() if value != first[1][key]]
         print(f"\npreset {name}: {', '.join(changed) or 'the same'}")
     print(f"\nfilters: {', '.join(study.filters(study.PRESETS[first[0]]))}")
+
+
+_TOP = """\
+  title                            a line of your own
+  paper, preset                    where models and values come from
+  filters                          a list of names; none: all that are listed below
+  runs, seed                       of each configuration, and of the random numbers, which all share
+  block                            runs of a work unit (250)
+  every                            judge one epoch in so many, and the last (1)
+  settle_s                         where means over time begin; none: in the middle of the run
+  limits                           a table of largest errors at the end; a run beyond one has failed"""
 
 
 def _written(value: Any) -> str:

@@ -6,7 +6,7 @@ import argparse
 import sys
 
 from celnav.commands.arguments import UsageError, folder_of, fraction, workers
-from celnav.files import Outputs
+from celnav.files import Outputs, locked
 from celnav.progress import RunProgress
 
 RECORDING = "mission.rrd"
@@ -21,7 +21,8 @@ def run(options: argparse.Namespace) -> int:
     from celnav.campaign.table import summary
     from celnav.mission import read
 
-    pool, study = workers(options.jobs), read(options.mission, fraction(options.effort))
+    study = read(options.mission, fraction(options.effort))
+    pool = workers(options.jobs, -(-study.runs // study.block))
     if study.swept:
         listed = ", ".join(f"config.{key}" for key in study.swept)
         raise UsageError(f"{options.mission}: {listed}: a list of values is a study; use: celnav campaign {options.mission}")
@@ -34,14 +35,17 @@ def run(options: argparse.Namespace) -> int:
         print(f"celnav: {error}", file=sys.stderr)
         return 1
     print(summary(outcome.rows))
-    first = showcase(study)
-    write(outcome, figures(outcome) | ({"errors": errors(first)} if first else {}), outputs, RECORDING if first else "")
-    outputs.text("summary.txt", summary(outcome.rows) + "\n")
-    try:
-        if first:
-            with outputs.path_for(RECORDING) as path:
-                record(first, outcome, path)
-    except (ImportError, OSError, RuntimeError, ValueError) as error:
-        print(f"celnav: no recording ({error}); everything else is written", file=sys.stderr)
+    first, recorded = showcase(study), ""
+    drawings = figures(outcome) | ({"errors": errors(first)} if first else {})
+    with locked(outputs.directory):
+        try:
+            if first:
+                with outputs.path_for(RECORDING) as path:
+                    record(first, outcome, path)
+                recorded = RECORDING
+        except (ImportError, OSError, RuntimeError, ValueError) as error:
+            print(f"celnav: no recording ({error}); everything else is written", file=sys.stderr)
+        write(outcome, drawings, outputs, recorded)
+        outputs.text("summary.txt", summary(outcome.rows) + "\n")
     print(f"wrote {outputs.directory / 'index.html'}")
     return 0

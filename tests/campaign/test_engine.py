@@ -183,3 +183,23 @@ def test_what_cannot_be_kept_ends_it(plan):
 def test_a_number_of_processes_that_cannot_be_is_refused(jobs):
     with pytest.raises(ValueError, match=r"^jobs: expected a positive integer"):
         processes(jobs)
+
+
+def test_an_executor_that_cannot_be_opened_again_is_told_and_what_it_did_is_kept(plan):
+    class Broken(Executor):
+        """Does three units, then refuses."""
+
+        left = 3
+
+        def submit(self, fn, /, unit, *args):
+            if not self.left:
+                raise BrokenExecutor("the machine is gone")
+            self.left -= 1
+            future = Future()
+            future.set_result(fn(unit, *args))
+            return future
+
+    kept = []
+    with pytest.raises(OSError, match=r"the executor is broken \(BrokenExecutor: the machine is gone\)"):
+        compute(plan, given(Broken()), lambda unit, result: kept.append(unit))
+    assert kept == plan[:3]

@@ -12,7 +12,7 @@ from celnav.papers.aasghqf.config import MICRO_G, Config
 from celnav.papers.aasghqf.scenario import filters, simulate
 from celnav.trial import Group, Trial
 
-JUDGED = ("misalignment", "velocity", "position", "drift", "bias")
+JUDGED = {"misalignment": "arcmin", "velocity": "m/s", "position": "m", "drift": "deg/h", "bias": "ug"}
 
 
 def trial(config: Config, rngs: Sequence[np.random.Generator]) -> Trial:
@@ -21,9 +21,8 @@ def trial(config: Config, rngs: Sequence[np.random.Generator]) -> Trial:
     arcmin = float(np.degrees(1.0)) * 60.0
     east, north = config.meters.tolist()
     parts = (slice(0, 3), slice(3, 5), slice(5, 7), slice(7, 10), slice(10, 13))
-    units = ("arcmin", "m/s", "m", "deg/h", "ug")
     scales: tuple[float | tuple[float, float], ...] = (arcmin, 1.0, (east, north), 60.0 * arcmin, 1.0 / MICRO_G)
-    groups = tuple(Group(*each) for each in zip(JUDGED, units, parts, scales, strict=True))
+    groups = tuple(Group(*each) for each in zip(JUDGED, JUDGED.values(), parts, scales, strict=True))
     return Trial(groups, known, sim.prior, lambda _name: sim.epochs(), _compare, "ekf")
 
 

@@ -13,7 +13,7 @@ from celnav.papers.aukf.scenario import filters, simulate
 from celnav.trial import Group, Trial
 
 GROUPS = (Group("position", "m", slice(0, 3)), Group("velocity", "m/s", slice(3, 6)))
-JUDGED = tuple(group.name for group in GROUPS)
+JUDGED = {group.name: group.unit for group in GROUPS}
 
 
 def trial(config: Config, rngs: Sequence[np.random.Generator]) -> Trial:

@@ -22,6 +22,7 @@ CITATION = """\
   note    = {in Chinese}
 }"""
 
+FIRST_NOISE = ("R", "stationary", "zero")
 MEASURED = ("positions", "angles")
 
 
@@ -76,7 +77,14 @@ class Config:
         for name in ("prior_position_km", "prior_velocity_m_per_s", "noise_position_km", "noise_velocity_km_per_s", "step_s"):
             if getattr(self, name) < 0.0:
                 raise ValueError(f"{name}: expected a number that is not negative, got {getattr(self, name)!r}")
-        initial_covariance(self.first_noise, self.Phi, self.R)
+        if self.semi_major_axis_km <= 0.0:
+            raise ValueError(f"semi_major_axis_km: expected a positive number, got {self.semi_major_axis_km!r}")
+        if not 0.0 <= self.eccentricity < 1.0:
+            raise ValueError(f"eccentricity: expected a number of at least 0 and below 1, got {self.eccentricity!r}")
+        if self.first_noise not in FIRST_NOISE:
+            raise ValueError(f"first_noise: expected one of {', '.join(FIRST_NOISE)}, got {self.first_noise!r}")
+        if self.first_noise == "stationary" and abs(self.phi) == 1.0:
+            raise ValueError(f"first_noise: expected R or zero where phi is {self.phi:g}, which has no stationary noise")
         unscented(6, self.alpha, self.beta, self.kappa)
 
     @property

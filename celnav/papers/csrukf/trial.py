@@ -13,7 +13,7 @@ from celnav.papers.csrukf.scenario import filters, simulate
 from celnav.trial import Group, Trial
 
 GROUPS = (Group("position", "km", slice(0, 3)), Group("velocity", "m/s", slice(3, 6), 1e3))
-JUDGED = tuple(group.name for group in GROUPS)
+JUDGED = {group.name: group.unit for group in GROUPS}
 EXACT = {"positions": "csrukf+z0", "angles": "angles+z0"}
 
 

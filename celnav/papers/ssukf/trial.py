@@ -13,7 +13,7 @@ from celnav.papers.ssukf.scenario import errors, filters, simulate
 from celnav.trial import Group, Trial
 
 GROUPS = (Group("attitude", "arcsec", slice(0, 3), 1.0 / ARCSEC), Group("drift", "deg/h", slice(3, 6), 1.0 / DEG_PER_H))
-JUDGED = tuple(group.name for group in GROUPS)
+JUDGED = {group.name: group.unit for group in GROUPS}
 
 
 def trial(config: Config, rngs: Sequence[np.random.Generator]) -> Trial:
