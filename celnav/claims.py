@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import json
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -223,6 +224,25 @@ def row(claim: dict[str, Any]) -> tuple[str, ...]:
     number = "" if claim["value"] is None else f"{claim['value']:.4g}"
     paper = "" if claim["paper"] is None else f"{claim['paper']:g}" if isinstance(claim["paper"], float | int) else claim["paper"]
     return claim["statement"], paper, number, interval, accepted, claim["verdict"]
+
+
+VERDICTS = (
+    "reproduced", "reproduced (calibrated)", "not reproduced", "paper in error", "shown", "not shown", "undecided", "input absent",
+)  # fmt: skip
+"""All that there are, in the order of tables."""
+
+
+def tally(claims: Iterable[dict[str, Any]]) -> dict[str, int]:
+    """How many claims have which verdict, in the order of `VERDICTS`."""
+    count = Counter(claim["verdict"] for claim in claims)
+    return {verdict: count[verdict] for verdict in VERDICTS if count[verdict]}
+
+
+def as_expected(claim: dict[str, Any]) -> dict[str, Any]:
+    """The claim with the verdict that it should have, whatever the run at hand says."""
+    if claim["verdict"] == "input absent":
+        return claim
+    return claim | {"holds": claim["expected"], "verdict": _VERDICTS[claim["kind"]][0 if claim["expected"] else 1]}
 
 
 class ClaimsTable:

@@ -1,4 +1,4 @@
-"""The command line: ``celnav list | reproduce | run | campaign | position | view``."""
+"""The command line: ``celnav list | reproduce | verdicts | view | run | campaign | position``."""
 
 from __future__ import annotations
 
@@ -76,10 +76,16 @@ def _parser() -> argparse.ArgumentParser:
             "--effort", metavar="F", help="fraction of the Monte-Carlo runs, 0 < F <= 1 (default: CELNAV_EFFORT, or 1)"
         )
 
+    verdicts = command("verdicts", "count what holds in the papers that were reproduced, as a table")
+    verdicts.add_argument("--out", default="out", metavar="DIR", help="where reproduce wrote (default: out)")
+
     view = command("view", "open a recording in the Rerun viewer, offline")
     view.add_argument("paper", metavar="PAPER|FILE.rrd", help="a paper that was reproduced, or a file")
     view.add_argument("--out", default="out", metavar="DIR", help="where reproduce wrote (default: out)")
     view.add_argument("--recording", metavar="NAME", help="which of a paper's recordings (default: the first)")
+
+    view.add_argument("--picture", metavar="FILE.png", help="write a picture instead of opening a window; needs no display")
+    view.add_argument("--at", default="300", metavar="S", help="time in the recording that is shown, s (default: 300)")
 
     position = command("position", "position a BeiDou receiver from its RINEX 3 files")
     position.add_argument("observations", metavar="OBS", help="observation file, plain, .gz or .crx")

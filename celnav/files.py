@@ -11,6 +11,7 @@ import hashlib
 import io
 import json
 import os
+import shutil
 import tempfile
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping
@@ -24,6 +25,8 @@ from celnav.linalg import Array
 
 MANIFEST = ".celnav.json"
 LOCK = ".celnav.lock"
+TEMPORARY = ".celnav-"
+"""How names of temporary folders begin."""
 MOST_UNPACKED = 100
 """Times the size of a file: no honest archive of numbers unpacks to more."""
 
@@ -45,7 +48,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
     try:
-        with tempfile.TemporaryDirectory(prefix=".celnav-", dir=target.parent) as folder:
+        with tempfile.TemporaryDirectory(prefix=TEMPORARY, dir=target.parent) as folder:
             temporary = Path(folder) / target.name
             yield temporary
             with temporary.open("rb+") as file:
@@ -105,6 +108,13 @@ def locked(folder: str | Path) -> Iterator[None]:
         yield
     finally:
         lock.release()
+
+
+def remove_leftovers(*folders: str | Path) -> None:
+    """Remove what processes left that were killed while they wrote into folders. Only for who has them `locked`."""
+    for folder in folders:
+        for path in Path(folder).glob(f"{TEMPORARY}*"):
+            shutil.rmtree(path, ignore_errors=True)
 
 
 class Outputs:

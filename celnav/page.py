@@ -14,7 +14,12 @@ td,th{border-bottom:1px solid var(--line);padding:.3rem .5rem;text-align:left;ve
 figure{margin:1rem 0}img{max-width:100%;background:#fff;border-radius:4px}
 pre{overflow-x:auto;font-size:12px}.bad{color:var(--bad);font-weight:600}.good{color:var(--good)}
 .wide figure{overflow-x:auto}.wide img{min-width:36rem}
-.grid{display:grid;grid-template-columns:repeat(auto-fill,minmax(20rem,1fr));gap:1rem}
+details{border-bottom:1px solid var(--line);padding:.4rem 0}summary{cursor:pointer;font-weight:600}
+h1,h2{line-height:1.2}section{margin-top:3rem}figcaption{font-size:13px}a{color:inherit}
+@media(max-width:44rem){.cards thead{display:none}.cards tr{display:block;border-bottom:1px solid var(--line);padding:.4rem 0}
+.cards td{display:inline;border:0;padding:0 .6rem 0 0}.cards td:first-child{display:block}
+.cards td[data-name]:not(:first-child)::before{content:attr(data-name)": ";opacity:.6}}
+.grid{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(24rem,100%),1fr));gap:1rem}
 """
 
 

@@ -95,6 +95,7 @@ def test_strict_fails_where_a_claim_is_not_as_expected(study, tmp_path, capsys):
         (["reproduce", "--jobs", "0"], 2, "jobs"),
         (["view", "tinny"], 2, "unknown paper"),
         (["view", "tiny"], 1, "celnav reproduce tiny"),
+        (["view", "absent.rrd"], 1, "absent.rrd: no such recording"),
     ],
 )
 def test_a_mistake_is_one_line_and_an_exit_code(study, tmp_path, monkeypatch, capsys, arguments, status, text):
@@ -150,6 +151,23 @@ def test_view_without_a_display_says_what_to_do(study, tmp_path, monkeypatch, ca
     assert cli.main(["view", "tiny", "--out", str(tmp_path)]) == 1
     assert "no display" in capsys.readouterr().err
     assert cli.main(["view", "tiny", "--out", str(tmp_path), "--recording", "other"]) == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        (["--picture", "a.jpg"], "picture: expected the name of a .png file, got 'a.jpg'"),
+        (["--picture", "a.png", "--at", "soon"], "at: expected a number, got 'soon'"),
+        (["--picture", "a.png", "--at", "-1"], "at: expected a time that is not negative, got -1"),
+        (["--picture", "a.png", "--at", "nan"], "at: expected a time that is not negative, got nan"),
+    ],
+)
+def test_a_picture_that_cannot_be_is_one_line(tmp_path, monkeypatch, capsys, options, text):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.rrd").write_bytes(b"RRF2")
+    assert cli.main(["view", "a.rrd", *options]) == 2
+    assert capsys.readouterr().err == f"celnav: {text}\n"
+    assert [path.name for path in tmp_path.iterdir()] == ["a.rrd"]
 
 
 def test_list_names_papers_figures_filters_and_rules(capsys):

@@ -249,3 +249,30 @@ def test_filters_and_models_work_without_rerun():
     done = python("import sys; sys.modules['rerun'] = None; import celnav.recording")
     assert "rerun" in done.stderr
     assert done.returncode == 1
+
+
+@pytest.mark.skipif(not any(Path("/usr/share/vulkan/icd.d").glob("*.json")), reason="no Vulkan driver is installed")
+def test_the_viewer_draws_a_picture_without_a_screen(tmp_path):
+    from matplotlib.image import imread
+
+    from celnav.picture import picture
+
+    path = write(tmp_path / "a.rrd", lambda out: out.curve("plots/a", np.sin(TIMES), colors.ESTIMATE, "a"))
+    picture(path, tmp_path / "a.png", 5.0, width=800)
+    drawn = imread(tmp_path / "a.png")
+    assert drawn.shape[1] == 800
+    red, green, blue = np.moveaxis(drawn[50:-50, :, :3], -1, 0)
+    orange = (red > green + 0.1) & (green > blue + 0.1)
+    assert orange.any(0).sum() > 400  # the curve, thin as it is, from left to right
+
+
+def test_a_viewer_that_does_not_start_is_one_line(tmp_path, monkeypatch):
+    from celnav import picture
+
+    def spawn(**options):
+        raise RuntimeError("no\nadapter")
+
+    monkeypatch.setattr(picture.ViewerClient, "spawn", spawn)
+    with pytest.raises(OSError, match=r"a\.rrd: the viewer gave no picture \(no adapter\); it needs a Vulkan driver"):
+        picture.picture(tmp_path / "a.rrd", tmp_path / "a.png", 5.0)
+    assert not list(tmp_path.iterdir())

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from celnav.campaign.units import Result, Unit, code, pack, unpack
-from celnav.files import InputError, Outputs, read_npz, write_bytes, write_text
+from celnav.files import InputError, Outputs, read_npz, remove_leftovers, write_bytes, write_text
 from celnav.linalg import Array
 from celnav.mission import Study
 
@@ -81,7 +81,7 @@ def _checksum(arrays: Mapping[str, Array]) -> str:
 
 
 def open_store(folder: str | Path, study: Study) -> Store:
-    """Begin a store, or go on with one of the same study.
+    """Begin a store, or go on with one of the same study, in a folder that is locked.
 
     Raises
     ------
@@ -91,6 +91,7 @@ def open_store(folder: str | Path, study: Study) -> Store:
     """
     path = Path(folder)
     Outputs(path)
+    remove_leftovers(path, path / "units")
     wanted = json.loads(json.dumps(study.to_dict()))
     manifest = path / MANIFEST
     if manifest.exists():

@@ -19,11 +19,12 @@ from time import process_time
 from types import ModuleType
 from typing import Any, NamedTuple
 
+import celnav
 from celnav import papers
 from celnav.campaign.engine import results
 from celnav.campaign.executors import Workers
-from celnav.commands.arguments import UsageError, fraction, module, whole, workers
-from celnav.files import Outputs, locked
+from celnav.commands.arguments import UsageError, cores, fraction, module, whole, workers
+from celnav.files import Outputs, locked, remove_leftovers
 from celnav.montecarlo import Outcome, Plan, Unit, do, joined
 from celnav.papers import figures, tables
 from celnav.progress import Progress
@@ -51,12 +52,14 @@ def run(options: argparse.Namespace) -> int:
         _check(study, folders[paper])
     surprises = 0
     with locked(out):
+        remove_leftovers(out, *(out / paper / part for paper in chosen for part in ("", "figures", "tables")))
         plans = {paper: study.plan(effort=part, seed=seed, **_inputs(study, options)) for paper, study in modules.items()}
         with closing(Progress("celnav")) as progress:
             for paper, outcomes in _found(plans, pool, progress):
                 plan = plans[paper]
                 result = partial(plan.result, joined(plan.units, outcomes))
-                surprises += _write(paper, modules[paper], result, folders[paper], part, progress)
+                spent = sum(outcome.cpu_s for outcome in outcomes)
+                surprises += _write(paper, modules[paper], result, folders[paper], part, spent, progress)
         top.text("index.html", index(out))
     print(f"wrote {out / 'index.html'}")
     return 1 if options.strict and surprises else 0
@@ -104,12 +107,14 @@ def _do(task: _Task) -> Outcome:
     return do(task.unit)
 
 
-def _write(paper: str, study: ModuleType, result: Callable[[], Any], outputs: Outputs, effort: float, progress: Progress) -> int:
-    """Write everything that a paper shows; returns the number of claims that are not as expected."""
+def _write(
+    paper: str, study: ModuleType, result: Callable[[], Any], outputs: Outputs, effort: float, spent: float, progress: Progress
+) -> int:
+    """Write everything that a paper shows; ``spent``: CPU seconds so far. Returns how many claims are not as expected."""
     from celnav.claims import dumps
     from celnav.drawing import render
 
-    timings: dict[str, float] = {}
+    timings = {"cpu_s units": spent}
 
     def stage(name: str, work: Callable[[], Any]) -> Any:
         progress.stage(f"{paper}: {name}")
@@ -137,9 +142,10 @@ def _write(paper: str, study: ModuleType, result: Callable[[], Any], outputs: Ou
     except (ImportError, OSError, RuntimeError) as error:
         print(f"celnav: {paper}: no recordings ({error}); everything else is written", file=sys.stderr)
     versions = {name: metadata.version(name) for name in ("numpy", "scipy", "filterpy", "matplotlib")}
-    about = {"python": platform.python_version(), "machine": platform.machine(), **versions}
-    timings |= found.timings
-    outputs.text("timings.json", json.dumps({"about": about, "effort": effort, "timings": timings}, indent=1) + "\n")
+    machine = f"{platform.system()} {platform.machine()}, {cores()} cores"
+    about = {"celnav": celnav.__version__, "python": platform.python_version(), **versions, "machine": machine}
+    record = {"about": about, "effort": effort, "cpu_s": sum(timings.values()), "timings": timings | found.timings}
+    outputs.text("timings.json", json.dumps(record, indent=1) + "\n")
     for verdict, number in sorted(Counter(claim.verdict for claim in claims).items()):
         print(f"{paper}: {number:4} {verdict}")
     failures = [claim for claim in claims if claim.failure]

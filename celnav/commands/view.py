@@ -8,15 +8,31 @@ import subprocess
 import sys
 from pathlib import Path
 
-from celnav.commands.arguments import UsageError, module
+from celnav.commands.arguments import UsageError, module, number
 
 
 def run(options: argparse.Namespace) -> int:
     """Open a paper's recording, or a file."""
     path = _file(options) if options.paper.endswith(".rrd") else _of_paper(options)
+    if options.picture is not None:
+        return _picture(path, Path(options.picture), number("at", options.at))
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise OSError(f"no display to open a window on; copy {path} to a machine that has one and run: rerun {path.name}")
+        hint = f"use --picture, or copy {path} to a machine that has one and run: rerun {path.name}"
+        raise OSError(f"no display to open a window on; {hint}")
     return subprocess.run([sys.executable, "-m", "rerun", str(path)], check=False).returncode
+
+
+def _picture(path: Path, target: Path, at: float) -> int:
+    """A PNG, which needs no display."""
+    if target.suffix.lower() != ".png":
+        raise UsageError(f"picture: expected the name of a .png file, got {str(target)!r}")
+    if not at >= 0.0:
+        raise UsageError(f"at: expected a time that is not negative, got {at:g}")
+    from celnav.picture import picture
+
+    picture(path, target, at)
+    print(f"wrote {target}")
+    return 0
 
 
 def _file(options: argparse.Namespace) -> Path:

@@ -44,6 +44,15 @@ def test_a_finished_campaign_is_read_and_not_computed(made):
     assert again(folder) == (wanted, [], set())
 
 
+def test_what_a_killed_campaign_left_half_written_is_removed(made):
+    folder, wanted = made
+    for part in (folder, folder / "units"):
+        (part / ".celnav-killed").mkdir()
+        (part / ".celnav-killed" / "x.npz").write_bytes(b"half")
+    assert again(folder) == (wanted, [], set())
+    assert not list(folder.rglob(".celnav-*"))
+
+
 def test_missing_units_alone_are_computed(made):
     folder, wanted = made
     lost = sorted((folder / "units").iterdir())[1:3]

@@ -133,9 +133,11 @@ def test_reused_points_are_wrong_and_redrawn_ones_right():
         ({"steps": 0}, "steps"),
         ({"runs": 0}, "runs"),
         ({"noise_position_km": -1.0}, "noise_position_km"),
-        ({"first_noise": "none"}, "Sigma0"),
-        ({"phi": 1.0, "first_noise": "stationary"}, "Phi"),
+        ({"first_noise": "none"}, "first_noise"),
+        ({"phi": 1.0, "first_noise": "stationary"}, "first_noise"),
         ({"eccentricity": float("nan")}, "eccentricity"),
+        ({"eccentricity": 1.0}, "eccentricity"),
+        ({"semi_major_axis_km": -7000.0}, "semi_major_axis_km"),
     ],
 )
 def test_a_configuration_that_cannot_be_is_refused_by_name(change, name):
