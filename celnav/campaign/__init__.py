@@ -49,12 +49,13 @@ FOLLOWED = 6
 
 
 class Outcome(NamedTuple):
-    """What a study comes to: one row for each configuration and filter, and the first configurations that could be simulated in
-    full."""
+    """What a study comes to: one row for each configuration and filter, the first configurations that could be simulated in full,
+    and where the first exception came from, if there was one."""
 
     study: Study
     rows: list[Row]
     first: list[tuple[Configuration, Merged]]
+    trace: str
 
 
 def campaign(
@@ -125,9 +126,11 @@ def _kept(store: Store, unit: Unit, say: Say) -> bool:
 def _outcome(study: Study, result: Callable[[Unit], Result]) -> Outcome:
     rows: list[Row] = []
     first: list[tuple[Configuration, Merged]] = []
+    trace = ""
     for units, point in zip(units_of(study), study.configurations, strict=True):
         found = merged(study, (result(unit) for unit in units))
         rows += rows_of(study, point, found)
+        trace = trace or found.trace
         if found.groups and len(first) < FOLLOWED:
             first.append((point, found))
-    return Outcome(study, rows, first)
+    return Outcome(study, rows, first, trace)

@@ -70,6 +70,7 @@ def _page(outcome: Outcome, cells: Mapping[str, list[Any]], pictures: Mapping[st
         f"<p>{_LEGEND}</p>",
         table(cells, zip(*([_cell(v) for v in column[:MOST_ROWS]] for column in cells.values()), strict=True)),
         f"<p>The other {len(outcome.rows) - MOST_ROWS} rows are in {TABLES[0]}.</p>" if len(outcome.rows) > MOST_ROWS else "",
+        f"<h2>The first exception</h2><pre>{html.escape(outcome.trace)}</pre>" if outcome.trace else "",
         "<h2>What was asked</h2>",
         table(("key", "value"), asked),
         f"<p>{html.escape(', '.join(f'{k} {v}' for k, v in versions.items()))}</p>",

@@ -47,13 +47,14 @@ class Row(NamedTuple):
 
 class Merged(NamedTuple):
     """All units of a configuration: groups, bound ``(K, groups)`` or None, and of each filter its scores (None: no run is left),
-    reasons of failures, and CPU seconds and run-steps."""
+    reasons of failures, and CPU seconds and run-steps; trace: where the first exception came from."""
 
     groups: tuple[tuple[str, str], ...]
     bound: Array | None
     scores: dict[str, Scores | None]
     reasons: dict[str, Counter[str]]
     cost: dict[str, tuple[float, int]]
+    trace: str
 
 
 def merged(study: Study, results: Iterable[Result]) -> Merged:
@@ -63,8 +64,9 @@ def merged(study: Study, results: Iterable[Result]) -> Merged:
     scores: dict[str, Scores | None] = dict.fromkeys(study.filters)
     reasons: dict[str, Counter[str]] = {name: Counter() for name in study.filters}
     cost = dict.fromkeys(study.filters, (0.0, 0))
+    trace = ""
     for result in results:
-        groups = groups or result.groups
+        groups, trace = groups or result.groups, trace or result.trace
         bound = result.bound if bound is None else bound
         for name in study.filters:
             found, before = result.scores.get(name), scores[name]
@@ -72,7 +74,7 @@ def merged(study: Study, results: Iterable[Result]) -> Merged:
                 scores[name] = found if before is None else merge([before, found])
             reasons[name].update(failure.why for failure in result.failures[name])
             cost[name] = cost[name][0] + result.cpu_s[name], cost[name][1] + result.steps[name]
-    return Merged(groups, bound, scores, reasons, cost)
+    return Merged(groups, bound, scores, reasons, cost, trace)
 
 
 def rows_of(study: Study, point: Configuration, found: Merged) -> Iterator[Row]:

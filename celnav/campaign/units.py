@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import platform
+import traceback
 import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -76,6 +77,7 @@ class Result:
     scores: of each filter that has a run left. failures: of each filter; none of a filter that the configuration does not have.
     bound: mean squares ``(K, groups)``, in the unit of the first runs only.
     cpu_s, steps: of each filter: CPU seconds, and run-steps done in them.
+    trace: where the first exception came from, if there was one.
     """
 
     groups: tuple[tuple[str, str], ...]
@@ -84,6 +86,7 @@ class Result:
     bound: Array | None
     cpu_s: dict[str, float]
     steps: dict[str, int]
+    trace: str = ""
 
 
 def units_of(study: Study) -> list[list[Unit]]:
@@ -134,6 +137,7 @@ class _Flight:
         self._unit = unit
         self._trial = load(unit.paper).trial
         self._groups: tuple[tuple[str, str], ...] = ()
+        self._trace = ""
 
     def result(self) -> Result:
         unit, runs = self._unit, range(self._unit.first, self._unit.last)
@@ -152,7 +156,7 @@ class _Flight:
                 steps[name] += count
             if parts:
                 scores[name] = merge(parts)
-        return Result(self._groups, scores, failures, self._bound(), cpu_s, steps)
+        return Result(self._groups, scores, failures, self._bound(), cpu_s, steps, self._trace)
 
     def _simulated(self, runs: range) -> Trial | None:
         """The trial; None if it cannot be made for all these runs at once."""
@@ -162,9 +166,13 @@ class _Flight:
         except MemoryError:
             raise
         except Exception:
+            self._note()
             return None
         self._judged(trial)
         return trial
+
+    def _note(self) -> None:
+        self._trace = self._trace or traceback.format_exc()
 
     def _judged(self, trial: Trial) -> None:
         self._groups = tuple((group.name, group.unit) for group in trial.groups)
@@ -184,6 +192,7 @@ class _Flight:
         except MemoryError:
             raise
         except Exception as error:
+            self._note()
             if len(runs) > 1:
                 middle = len(runs) // 2
                 return [*self._fly(name, runs[:middle], None), *self._fly(name, runs[middle:], None)]
@@ -200,6 +209,7 @@ class _Flight:
         except MemoryError:
             raise
         except Exception:
+            self._note()
             return None
 
 
@@ -213,6 +223,7 @@ def pack(result: Result) -> dict[str, Array]:
         "failures": result.failures,
         "cpu_s": result.cpu_s,
         "steps": result.steps,
+        "trace": result.trace,
     }
     return arrays | {"about": np.array(json.dumps(about, ensure_ascii=False))}
 
@@ -234,6 +245,6 @@ def unpack(arrays: dict[str, Array]) -> Result:
                 scores.setdefault(names[int(number)], {})[stat] = value
         groups = tuple((str(name), str(unit)) for name, unit in about["groups"])
         failures = {name: [Failure(*one) for one in listed] for name, listed in about["failures"].items()}
-        return Result(groups, scores, failures, arrays.get("bound"), about["cpu_s"], about["steps"])
+        return Result(groups, scores, failures, arrays.get("bound"), about["cpu_s"], about["steps"], about["trace"])
     except (KeyError, TypeError, IndexError) as error:
         raise ValueError(f"expected the arrays of a work unit ({error})") from None

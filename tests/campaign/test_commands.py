@@ -17,8 +17,10 @@ from celnav import cli
 from celnav.campaign import campaign, serial
 from celnav.campaign import store as stores
 from celnav.campaign.figures import figures
-from celnav.files import locked
+from celnav.campaign.page import write
+from celnav.files import Outputs, locked
 from celnav.mission import read
+from celnav.papers import csrukf
 
 MISSION = """
 title = "A <short> mission"
@@ -124,6 +126,23 @@ def test_the_figures_of_a_sweep_show_the_numbers_of_its_table(sweep, tmp_path):
             rows = [row for row in outcome.rows if row.filter == name and row.values["first_noise"] == noise]
             np.testing.assert_array_equal(container[0].get_xdata(), [0.1, 0.2, 0.4])
             np.testing.assert_array_equal(container[0].get_ydata(), [row.accuracy("position").rms for row in rows])
+
+
+def test_where_the_first_exception_came_from_is_on_the_page(mission, tmp_path, monkeypatch):
+    trial = csrukf.trial
+
+    def broken(config, rngs):
+        if len(rngs) > 1:
+            raise ValueError("no <such> star")
+        return trial(config, rngs)
+
+    monkeypatch.setattr(csrukf, "trial", broken)
+    outcome = campaign(read(mission), tmp_path / "store")
+    assert [row.failed for row in outcome.rows] == [0, 0]  # one by one they can be simulated
+    write(outcome, {}, Outputs(tmp_path / "store"))
+    page = (tmp_path / "store" / "index.html").read_text()
+    assert "<h2>The first exception</h2><pre>Traceback" in page
+    assert "ValueError: no &lt;such&gt; star" in page
 
 
 def test_the_effort_scales_the_runs(mission, undrawn, capsys):

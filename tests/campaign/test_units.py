@@ -97,6 +97,7 @@ def test_a_run_that_raises_in_a_filter_fails_alone(unit, broken):
     assert found.failures["srukf"] == []
     assert [(f.run, f.why) for f in found.failures["csrukf"]] == [(2, "ValueError: no such star")]
     assert found.scores["csrukf"]["runs"] == 3
+    assert "no such star" in found.trace
     singles = [execute(replace(unit, first=r, last=r + 1), code()).scores["csrukf"] for r in (0, 1, 3)]
     np.testing.assert_allclose(found.scores["csrukf"]["square"], merge(singles)["square"], rtol=1e-9)
 
