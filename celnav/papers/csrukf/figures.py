@@ -24,7 +24,7 @@ AXES = ("x", "y", "z", "v_x", "v_y", "v_z")
 
 
 def figure_1(result: Result) -> Figure:
-    """Geometry of the measurement: two stars, the Earth's limb, and the three angles."""
+    """Fig. 1: geometry of the measurement: two stars, the Earth's limb, and the three angles."""
     fig, ax = figure(6.0, 5.2, subplot_kw={"projection": "3d"})
     path = result.config.nominal()[:, :3]
     r = path[0]
@@ -113,62 +113,62 @@ def _walk(result: Result, i: int) -> Figure:
 
 
 def figure_2(result: Result) -> Figure:
-    """Absolute position error x, Phi = 0."""
+    """Fig. 2: absolute position error x, white noise: both filters are one filter."""
     return _white(result, 0)
 
 
 def figure_3(result: Result) -> Figure:
-    """Absolute position error y, Phi = 0."""
+    """Fig. 3: absolute position error y, white noise: both filters are one filter."""
     return _white(result, 1)
 
 
 def figure_4(result: Result) -> Figure:
-    """Absolute position error z, Phi = 0."""
+    """Fig. 4: absolute position error z, white noise: both filters are one filter."""
     return _white(result, 2)
 
 
 def figure_5(result: Result) -> Figure:
-    """Velocity error v_x, Phi = 0."""
+    """Fig. 5: velocity error v_x, white noise: both filters are one filter."""
     return _white(result, 3)
 
 
 def figure_6(result: Result) -> Figure:
-    """Velocity error v_y, Phi = 0."""
+    """Fig. 6: velocity error v_y, white noise: both filters are one filter."""
     return _white(result, 4)
 
 
 def figure_7(result: Result) -> Figure:
-    """Velocity error v_z, Phi = 0."""
+    """Fig. 7: velocity error v_z, white noise: both filters are one filter."""
     return _white(result, 5)
 
 
 def figure_8(result: Result) -> Figure:
-    """Absolute position error x, Phi = I."""
+    """Fig. 8: absolute position error x, noise that walks at random: SRUKF follows it; CSRUKF is the open loop."""
     return _walk(result, 0)
 
 
 def figure_9(result: Result) -> Figure:
-    """Absolute position error y, Phi = I."""
+    """Fig. 9: absolute position error y, noise that walks at random: SRUKF follows it; CSRUKF is the open loop."""
     return _walk(result, 1)
 
 
 def figure_10(result: Result) -> Figure:
-    """Absolute position error z, Phi = I."""
+    """Fig. 10: absolute position error z, noise that walks at random: SRUKF follows it; CSRUKF is the open loop."""
     return _walk(result, 2)
 
 
 def figure_11(result: Result) -> Figure:
-    """Velocity error v_x, Phi = I."""
+    """Fig. 11: velocity error v_x, noise that walks at random: SRUKF follows it; CSRUKF is the open loop."""
     return _walk(result, 3)
 
 
 def figure_12(result: Result) -> Figure:
-    """Velocity error v_y, Phi = I."""
+    """Fig. 12: velocity error v_y, noise that walks at random: SRUKF follows it; CSRUKF is the open loop."""
     return _walk(result, 4)
 
 
 def figure_13(result: Result) -> Figure:
-    """Velocity error v_z, Phi = I."""
+    """Fig. 13: velocity error v_z, noise that walks at random: SRUKF follows it; CSRUKF is the open loop."""
     return _walk(result, 5)
 
 
