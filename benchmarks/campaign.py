@@ -169,8 +169,8 @@ def kills(trials: int, seed: int) -> int:
         wanted = _finish(file, Path(top, "whole"))
         for i in range(trials):
             folder = Path(top, f"trial{i}")
-            first = _killed(file, folder, rng.randrange(UNITS - 4), rng.random(), worker=False)
-            second = _killed(file, folder, rng.randrange(_done(folder), UNITS), rng.random(), worker=True)
+            first = _killed(file, folder, rng.randrange(UNITS - 8), rng.random(), worker=False)
+            second = _killed(file, folder, rng.randrange(min(_done(folder), UNITS - 2), UNITS), rng.random(), worker=True)
             found = _finish(file, folder)
             same += found == wanted
             print(f"{i + 1}: killed {first} and {second}, {'same' if found == wanted else 'OTHER'} table", flush=True)
