@@ -238,13 +238,6 @@ def tally(claims: Iterable[dict[str, Any]]) -> dict[str, int]:
     return {verdict: count[verdict] for verdict in VERDICTS if count[verdict]}
 
 
-def as_expected(claim: dict[str, Any]) -> dict[str, Any]:
-    """The claim with the verdict that it should have, whatever the run at hand says."""
-    if claim["verdict"] == "input absent":
-        return claim
-    return claim | {"holds": claim["expected"], "verdict": _VERDICTS[claim["kind"]][0 if claim["expected"] else 1]}
-
-
 class ClaimsTable:
     """Claims as a table: for a notebook (HTML), a page (Markdown) or a terminal."""
 

@@ -83,7 +83,6 @@ def _parser() -> argparse.ArgumentParser:
     view.add_argument("paper", metavar="PAPER|FILE.rrd", help="a paper that was reproduced, or a file")
     view.add_argument("--out", default="out", metavar="DIR", help="where reproduce wrote (default: out)")
     view.add_argument("--recording", metavar="NAME", help="which of a paper's recordings (default: the first)")
-
     view.add_argument("--picture", metavar="FILE.png", help="write a picture instead of opening a window; needs no display")
     view.add_argument("--at", default="300", metavar="S", help="time in the recording that is shown, s (default: 300)")
 

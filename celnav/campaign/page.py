@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import html
 from collections.abc import Iterable, Mapping
-from importlib import metadata
 from platform import machine, python_version
 from typing import TYPE_CHECKING, Any
 
@@ -57,8 +56,7 @@ def _page(outcome: Outcome, cells: Mapping[str, list[Any]], pictures: Mapping[st
     files = [*TABLES, *([recording] if recording else [])]
     failed = sum(row.failed for row in outcome.rows)
     asked = [[key, str(plain(value))] for key, value in study.to_dict().items()]
-    about = {"python": python_version(), "machine": machine(), **{name: metadata.version(name) for name in ("numpy", "scipy")}}
-    versions = {**code(), **about}
+    versions = {**code(), "python": python_version(), "machine": machine()}
     return document(
         study.title,
         f"<h1>{html.escape(study.title)}</h1>",
