@@ -11,7 +11,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.linalg import Array, block, cholesky, downdate, matvec, semidefinite_root, solve_lower, tria, unit
+from celnav.linalg import Array, block, cholesky, downdate, matvec, outer, semidefinite_root, solve_lower, tria, unit, whiten
 
 
 class Form(Protocol):
@@ -57,7 +57,7 @@ class SquareRootForm:
         return spread
 
     def covariance(self, spread: Array) -> Array:
-        return spread @ spread.mT
+        return outer(spread)
 
     def std(self, spread: Array) -> Array:
         std: Array = np.sqrt(np.vecdot(spread, spread))
@@ -110,18 +110,18 @@ class CovarianceForm:
             C = _counted(A[..., :m, :], sign) @ A.mT
             S = cholesky(C[..., :m])
             U = solve_lower(S, C[..., m:]).mT
-            return S, U, known - U @ U.mT
+            return S, U, known - outer(U)
         P = self.marginal(A, sign)
         S = cholesky(P[..., :m, :m])
         if gain is None:
             U = solve_lower(S, P[..., :m, m:]).mT
-            return S, U, P[..., m:, m:] - U @ U.mT
+            return S, U, P[..., m:, m:] - outer(U)
         cross = P[..., m:, :m] @ gain.mT
         joseph = P[..., m:, m:] - cross - cross.mT + gain @ P[..., :m, :m] @ gain.mT
         return S, gain @ S, 0.5 * (joseph + joseph.mT)
 
     def sum(self, spread: Array, columns: Array) -> Array:
-        return np.asarray(spread + columns @ columns.mT)
+        return np.asarray(spread + outer(columns))
 
 
 def _counted(A: Array, sign: Array) -> Array:
@@ -260,13 +260,5 @@ def sqrt_cov(cov: ArrayLike, name: str = "cov", n: int | None = None) -> Array:
 
 def nees(error: Array, root: Array) -> Array:
     """Normalized estimation error squared ``e' P^-1 e``, shape ``(...)``, from ``error (..., n)`` and a root of P."""
-    if error.ndim == 1 and root.ndim == 2:
-        white = solve_lower(root, error[:, None])[:, 0]
-        return np.asarray(white @ white)
-    # By rows, for which the general solver does twice the work.
-    white = np.empty(np.broadcast_shapes(error.shape, root.shape[:-1]))
-    diagonal = root.diagonal(0, -2, -1)
-    for i in range(error.shape[-1]):
-        rest = error[..., i] - np.vecdot(root[..., i, :i], white[..., :i]) if i else error[..., i]
-        white[..., i] = rest / np.where(diagonal[..., i] == 0.0, np.nan, diagonal[..., i])
+    white = whiten(root, error)
     return np.asarray(np.vecdot(white, white))

@@ -28,15 +28,29 @@ def matvec(A: Array, x: Array) -> Array:
     return product
 
 
+def leading(x: Array) -> Array:
+    """``(..., n)`` with the component axis first, as a view; numpy's ``moveaxis`` takes longer than a product of small matrices."""
+    last = x.ndim - 1
+    return x.transpose((last, *range(last)))
+
+
 def components(x: Array) -> Array:
-    """``(..., n)`` with the component axis first, each component in one piece of memory (in any order): models are fast on those.
+    """`leading`, with each component in one piece of memory (in any order): models are fast on those.
 
     Sigma points lie so already; what does not is copied.
     """
-    last = x.ndim - 1
-    first = x.transpose((last, *range(last)))
+    first = leading(x)
     part = first[0].flags
     return first if part.c_contiguous or part.f_contiguous else np.ascontiguousarray(first)
+
+
+def outer(A: Array) -> Array:
+    """``A @ A.mT``, the covariance of columns ``(..., n, q)``.
+
+    Of a matrix and its own transpose numpy makes one triangle and copies it, which for many small ones takes twice the time.
+    """
+    product: Array = A @ (A.mT if A.ndim == 2 else A.mT.copy())
+    return product
 
 
 def side_by_side(parts: Sequence[Array]) -> Array:
@@ -102,6 +116,21 @@ def solve_lower(L: Array, B: Array) -> Array:
             row = row - (L[..., i, None, :i] @ X[..., :i, :])[..., 0, :]
         X[..., i, :] = row / diagonal[..., i, None]
     return X
+
+
+def whiten(L: Array, x: Array) -> Array:
+    """``L^-1 x`` for lower triangular ``L (..., n, n)`` and vectors ``(..., n)``; a zero on the diagonal gives nan."""
+    if L.ndim == 2 and x.ndim == 1:
+        return solve_lower(L, x[:, None])[:, 0]
+    # By rows, for which products of matrices take twice the time.
+    white = np.empty(np.broadcast_shapes(x.shape, L.shape[:-1]))
+    diagonal = L.diagonal(0, -2, -1)
+    if not diagonal.all():
+        diagonal = np.where(diagonal == 0.0, np.nan, diagonal)
+    for i in range(x.shape[-1]):
+        rest = x[..., i] - np.vecdot(L[..., i, :i], white[..., :i]) if i else x[..., i]
+        white[..., i] = rest / diagonal[..., i]
+    return white
 
 
 def solve_upper_transposed(L: Array, B: Array) -> Array:
@@ -171,7 +200,7 @@ def range_basis(A: Array, least: float) -> Array:
 def downdate(L: Array, V: Array) -> Array:
     """Lower root of ``L @ L.mT - V @ V.mT``, all columns of ``V (..., n, k)`` at once; nan exactly where that is indefinite."""
     W = solve_lower(L, V)
-    return L @ cholesky(np.eye(L.shape[-1]) - W @ W.mT)
+    return L @ cholesky(np.eye(L.shape[-1]) - outer(W))
 
 
 def block(rows: Sequence[Sequence[ArrayLike]]) -> Array:

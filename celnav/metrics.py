@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from scipy.special import gammaincinv, ndtri, stdtrit
 
 from celnav.gaussian import Gaussian
-from celnav.linalg import Array, solve_lower
+from celnav.linalg import Array, whiten
 from celnav.spaces import EUCLIDEAN, Space
 
 
@@ -90,7 +90,7 @@ def error_moments(space: Space = EUCLIDEAN) -> Callable[[Any, Any, Any, Any], Mo
     def add(total: Moments | None, epoch: Any, state: Any, info: Any) -> Moments:  # noqa: ARG001
         belief: Gaussian = state.belief
         error = space.minus(epoch.truth, belief.mean)
-        white = solve_lower(belief.root, error[..., None])[..., 0]
+        white = whiten(belief.root, error)
         new = Moments(1, error, error * error, np.einsum("...i,...i->...", white, white))
         if total is None:
             return new

@@ -103,7 +103,8 @@ def joined(units: Sequence[Unit], outcomes: Sequence[Outcome]) -> dict[str, Outc
 
 
 def _joined(outcomes: Sequence[Outcome]) -> dict[str, Array]:
-    return {name: np.concatenate([outcome.arrays[name] for outcome in outcomes], 1) for name in outcomes[0].arrays}
+    names = dict.fromkeys(name for outcome in outcomes for name in outcome.arrays)
+    return {name: np.concatenate([o.arrays[name] for o in outcomes if name in o.arrays], 1) for name in names}
 
 
 def carry_out(plan: Plan[R], *, jobs: int = 1, progress: Progress | None = None) -> R:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from celnav.gaussian import finite
-from celnav.linalg import Array, semidefinite_root
+from celnav.linalg import Array, semidefinite_root, solve_upper_transposed
 from celnav.spaces import EUCLIDEAN, Space
 
 MAX_POINTS = 1_000_000
@@ -253,8 +253,7 @@ class Rule:
     def slope(self, image: Image, root: Array) -> Array:
         """Statistical Jacobian ``cov(y, x) P^-1`` of an image, ``(..., k, n)``."""
         cross = (image.columns * self.sign) @ self.unit[:, : root.shape[-1]]
-        slope: Array = np.linalg.solve(root.mT, cross.mT).mT
-        return slope
+        return solve_upper_transposed(root, cross.mT).mT
 
 
 def integer(value: Any) -> int | None:

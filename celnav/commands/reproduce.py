@@ -31,6 +31,8 @@ from celnav.progress import Progress
 
 KINDS = ("png", "svg")
 """Of each figure."""
+FIRST = ("tstdkf", "aukf")
+"""Papers with the longest units: the end is then made of short ones, and all processes are busy until it."""
 
 
 def run(options: argparse.Namespace) -> int:
@@ -78,7 +80,8 @@ def _check(study: ModuleType, outputs: Outputs) -> None:
 
 def _found(plans: Mapping[str, Plan[Any]], workers: Workers, progress: Progress) -> Iterator[tuple[str, list[Outcome]]]:
     """Papers with the outcomes of all of their units, as soon as they are done."""
-    todo = [_Task(paper, i, unit) for paper, plan in plans.items() for i, unit in enumerate(plan.units)]
+    order = sorted(plans, key=lambda paper: FIRST.index(paper) if paper in FIRST else len(FIRST))
+    todo = [_Task(paper, i, unit) for paper in order for i, unit in enumerate(plans[paper].units)]
     found: dict[str, dict[int, Outcome]] = {paper: {} for paper in plans}
     count = 0
     try:

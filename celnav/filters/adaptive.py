@@ -16,7 +16,7 @@ from scipy.special import gammaincinv
 
 from celnav.filters.info import Gain, Hook, Info, Joint
 from celnav.gaussian import Gaussian
-from celnav.linalg import Array, cholesky, solve_lower, solve_upper_transposed
+from celnav.linalg import Array, cholesky, solve_lower, solve_upper_transposed, whiten
 
 
 def _signs(sign: Array, q: int) -> Array:
@@ -83,7 +83,7 @@ def chi_square_gate(probability: float = 0.999) -> Hook:
         used = ~np.isnan(e)
         A = A * used[..., None]
         S = (A * _signs(joint.sign, A.shape[-1])) @ A.mT + np.where(used, 0.0, 1.0)[..., None] * np.eye(m)
-        white = solve_lower(cholesky(S), np.where(used, e, 0.0)[..., None])[..., 0]
+        white = whiten(cholesky(S), np.where(used, e, 0.0))
         beyond = np.einsum("...i,...i->...", white, white) > bounds[m][used.sum(-1)]
         return memory, joint._replace(innovation=np.where(beyond[..., None], np.nan, e))
 

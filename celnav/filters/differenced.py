@@ -20,7 +20,7 @@ from celnav.filters.driver import Epoch
 from celnav.filters.info import Info
 from celnav.filters.two_stage import First, Stage
 from celnav.gaussian import Gaussian, finite, sqrt_cov
-from celnav.linalg import Array, cholesky, matvec, side_by_side, solve_lower
+from celnav.linalg import Array, cholesky, matvec, side_by_side, solve_lower, solve_upper_transposed, whiten
 
 Moved = tuple[Array, Array, Array]
 """State ``(..., n)`` after the interval, its Jacobian ``Phi (..., n, n)`` and the effect ``G (..., n, q)`` of the process noise."""
@@ -151,7 +151,7 @@ def differenced(
         P = ahead[..., :n] @ Phi1.mT + cross + cross.mT
         HP = H @ P
         root = cholesky(HP @ H.mT + sensor)
-        K = np.linalg.solve(root.mT, solve_lower(root, HP)).mT
+        K = solve_upper_transposed(root, solve_lower(root, HP)).mT
         spread = P - K @ HP
         kept = side_by_side([ahead_Q, ahead_V * f_V]) + driven[..., n_q:]
         kept = kept - K @ (H @ kept)
@@ -161,7 +161,6 @@ def differenced(
         used = np.ones(innovation.shape, bool)
         lag = None if first else F
         stage = Stage(innovation, root, K, H, used, Omega, lag, None if first else state.H)
-        white = solve_lower(root, innovation[..., None])[..., 0]
-        return after, stage, Info(innovation, white, used, root, lambda: K)
+        return after, stage, Info(innovation, whiten(root, innovation), used, root, lambda: K)
 
     return First(start, predict, update)

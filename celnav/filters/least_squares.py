@@ -12,7 +12,7 @@ from celnav.filters.driver import Epoch, Filter, State
 from celnav.filters.info import Info
 from celnav.filters.step import evaluate
 from celnav.gaussian import COVARIANCE, Gaussian, finite
-from celnav.linalg import Array, matvec, unit
+from celnav.linalg import Array, matvec, outer, unit
 
 RANK = 1e-10
 """Part of a column of the Jacobian that must be its own, or its state is not determined."""
@@ -75,7 +75,7 @@ def least_squares(
                 break
         left = np.where(used, z - h(x, epoch), np.nan)
         fix = np.where(known[..., None], x, np.nan)
-        belief = Gaussian(fix, np.where(known[..., None, None], V @ V.mT, np.nan), COVARIANCE)
+        belief = Gaussian(fix, np.where(known[..., None, None], outer(V), np.nan), COVARIANCE)
         info = Info(left, np.where(used, weight * left, 0.0), used)
         return State(belief, (x,)), info
 

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from celnav.filters.info import Gain, Hook, Info, Joint
 from celnav.gaussian import Gaussian, finite, sqrt_cov
-from celnav.linalg import Array, matvec, solve_lower, solve_upper_transposed, tria
+from celnav.linalg import Array, matvec, solve_upper_transposed, tria, whiten
 from celnav.points import KEEP, Image, Outputs, Transform
 from celnav.spaces import EUCLIDEAN, Space
 
@@ -126,7 +126,7 @@ def condition(
         A, innovation = _left_out(A, innovation, used)
     K = gain(A, sign, m) if callable(gain) else gain  # after the mask: a prescribed gain must see what is missing
     S, U, spread = belief.form.condition(A, sign, m, K, known)
-    white = solve_lower(S, innovation[..., None])[..., 0]
+    white = whiten(S, innovation)
     step = state.shift + (matvec(U, white) if K is None else matvec(K, innovation))
     if space.transport is not None:
         spread = _transported(belief, space.transport(step), spread)

@@ -19,7 +19,7 @@ from celnav.filters.driver import Epoch, Filter
 from celnav.filters.info import Info
 from celnav.filters.step import Predict, Update, evaluate
 from celnav.gaussian import Gaussian, finite, sqrt_cov
-from celnav.linalg import Array, block, matvec, semidefinite_root, side_by_side, solve_lower, tria
+from celnav.linalg import Array, block, matvec, outer, semidefinite_root, side_by_side, tria, whiten
 
 Slope = Array | Callable[[Array, Epoch], Array]
 """``Gamma (..., m, p)``: derivative of the measurement with respect to the bias; constant or ``(mean, epoch) -> matrix``."""
@@ -208,8 +208,8 @@ def _estimate(own: Gaussian, S: Array, stage: Stage, boost: Any, memory: Any) ->
     A = block([[S @ root, stage.root], [root, np.zeros((p, m))]])
     total_root, U, spread = own.form.condition(A, sign, m)
     if boost is None:
-        return Gaussian(own.mean + matvec(U, solve_lower(total_root, residual[..., None])[..., 0]), spread, own.form), memory
-    own_cov, total = stage.root @ stage.root.mT, total_root @ total_root.mT
+        return Gaussian(own.mean + matvec(U, whiten(total_root, residual)), spread, own.form), memory
+    own_cov, total = outer(stage.root), outer(total_root)
     memory, factors = boost(memory, Boost(residual, total, stage.innovation, own_cov))
     scale = np.sqrt(factors)
     cross = S @ (scale[..., :, None] * own.cov * scale[..., None, :])

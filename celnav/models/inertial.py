@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from celnav.gaussian import finite
-from celnav.linalg import Array, components, matvec
+from celnav.linalg import Array, components, leading, matvec
 from celnav.models import earth
 from celnav.models.trajectory import Flight
 
@@ -51,7 +51,7 @@ def navigation(flight: Flight, at: Array | int | slice, phi: Array, bias: Array)
 def misalignment_matrix(phi: Array) -> Array:
     """``C_n^n' (..., 3, 3)`` of Euler angles ``(..., 3)``."""
     out: Array = np.empty((*phi.shape[:-1], 3, 3))
-    for i, row in enumerate(_rows(*_sines(np.moveaxis(phi, -1, 0)))):
+    for i, row in enumerate(_rows(*_sines(leading(phi)))):
         for j, entry in enumerate(row):
             out[..., i, j] = entry
     return out
@@ -125,11 +125,11 @@ def _derivative(X: Array, nav: Navigation) -> Array:
     L, (east, north) = nav.latitude, _radii(nav)
     secL, tanL = 1.0 / np.cos(L), np.tan(L)
     vx, vy = nav.velocity[..., 0], nav.velocity[..., 1]
-    ie = np.moveaxis(earth.earth_rate(L), -1, 0)
-    en = np.moveaxis(earth.transport_rate(nav.velocity, L, nav.height_m), -1, 0)
+    ie = leading(earth.earth_rate(L))
+    en = leading(earth.transport_rate(nav.velocity, L, nav.height_m))
     in_ = ie + en
-    Cb = np.moveaxis(nav.attitude, (-2, -1), (0, 1))
-    f = np.moveaxis(nav.force, -1, 0)
+    Cb = leading(leading(nav.attitude))
+    f = leading(nav.force)
     eps, nabla = X[7:10], X[10:13]
 
     # The errors of the computed rates; that of the Earth's rate has no east component.
@@ -169,11 +169,11 @@ def star_residuals(x: Array, attitude: Array, stars: Array) -> Array:
     """
     X = components(x)
     C = _rows(*_sines(X[:3]))
-    Cb = np.moveaxis(attitude, (-2, -1), (0, 1))
+    Cb = leading(leading(attitude))
     shape = np.broadcast_shapes(x.shape[:-1], attitude.shape[:-2], stars.shape[:-2])
     out = np.empty_like(X, shape=(3 * stars.shape[-2], *shape))
     for k in range(stars.shape[-2]):
-        r = np.moveaxis(stars[..., k, :], -1, 0)
+        r = leading(stars[..., k, :])
         turned = [C[i][0] * r[0] + C[i][1] * r[1] + C[i][2] * r[2] - r[i] for i in range(3)]
         for j in range(3):
             out[3 * k + j] = Cb[0, j] * turned[0] + Cb[1, j] * turned[1] + Cb[2, j] * turned[2]

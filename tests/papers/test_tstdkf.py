@@ -15,12 +15,12 @@ from celnav.effort import effort
 from celnav.files import Outputs, data
 from celnav.filters.driver import Epoch, FilterError, run, sequential
 from celnav.models.variational import flow
-from celnav.montecarlo import generator
+from celnav.montecarlo import do, generator
 from celnav.papers import figures, tables, tstdkf
-from celnav.papers.tstdkf import PRESETS, SETTINGS, Setting, analysis, filters, simulate, study, sweeps
+from celnav.papers.tstdkf import PRESETS, SETTINGS, Setting, analysis, filters, simulate, sweeps
 from celnav.papers.tstdkf.config import TABLE_5
 from celnav.papers.tstdkf.ephemerides import table
-from celnav.papers.tstdkf.estimators import driving
+from celnav.papers.tstdkf.estimators import driving, kalman
 from celnav.papers.tstdkf.follow import follow as follow_all
 from celnav.papers.tstdkf.forces import accelerations, spectrum
 from celnav.papers.tstdkf.scenario import noise_of
@@ -177,7 +177,7 @@ def test_a_known_bias_leaves_the_ekf():
 def test_batches_are_singles(sim, errors):
     first = sim.case(0)
     prior = first.prior._replace(mean=first.prior.mean[2:3], spread=first.prior.spread[2:3])
-    one = first._replace(truth=first.truth[:, 2:3], bias=first.bias[:, 2:3], z=first.z[:, 2:3], prior=prior)
+    one = first._replace(runs=(1,), truth=first.truth[:, 2:3], bias=first.bias[:, 2:3], z=first.z[:, 2:3], prior=prior)
     for name, e in follow(one, ("tkf", "tstdkf", "aug")).items():
         # A prediction may differ in the last digit of a delay of 1.5e8 km: 3e-8 km, which the gains of the start multiply.
         np.testing.assert_allclose(e[:, 0], errors[name][:, 2], rtol=0, atol=1e-6, err_msg=name)
@@ -220,7 +220,7 @@ def test_a_missing_timing_is_a_prediction_for_the_plain_stage(sim):
 def test_the_linear_driver_is_the_nonlinear_one():
     found = sweeps.drivers(replace(PRESETS["year"], days=0.5), runs(2))
     for name in sweeps.NONLINEAR:
-        linear, other = (np.sqrt(found[f"{driver}/{name}/position"]) for driver in ("linear", "nonlinear"))
+        linear, other = (np.sqrt(found[f"drivers/{driver}/{name}/position"]) for driver in ("linear", "nonlinear"))
         # A kilometer off the nominal orbit, curvature makes some meters in the first turns.
         np.testing.assert_allclose(linear[20:], other[20:], atol=0.02, err_msg=name)
 
@@ -253,7 +253,7 @@ def test_what_pulls_in_the_truth_is_what_the_filter_may_model():
     with_them, without = (simulate(replace(config, pulled=pulled), runs(2)) for pulled in (True, False))
     assert np.abs(with_them.truth - without.truth)[-1, :, :3].max() > 0.01  # km
     c = with_them.cases[0]
-    knowing = sequential(*driving(c, pulled=True))
+    knowing = sequential(*kalman(c, driving(c), pulled=True))
     one = run(knowing, with_them.prior, with_them.epochs(), keep="mean").mean - with_them.truth[1:]
     two = run(filters(config)["ekf"], without.prior, without.epochs(), keep="mean").mean - without.truth[1:]
     np.testing.assert_allclose(one[..., :3], two[..., :3], atol=1e-5)
@@ -305,10 +305,33 @@ def test_every_erratum_has_its_number(result):
 
 def test_blocks_of_runs_make_no_difference(result):
     config = replace(result.config, days=0.1)
-    whole = study._table_5(config, runs(2))
-    alone = study._table_5(config, runs(2)[1:])
+    whole = sweeps.month(config, runs(2), runs(2, study=1))
+    alone = sweeps.month(config, runs(2)[1:], runs(2, study=1)[1:])
     for key in ("1/aug/position", "3/tstdkf/bias", "1/tkf-fair/position", "5/ekf/velocity"):
-        np.testing.assert_allclose(alone[key][:, 0], whole[key][:, 1], rtol=1e-5, err_msg=key)
+        np.testing.assert_allclose(alone[f"table 5/{key}"][:, 0], whole[f"table 5/{key}"][:, 1], rtol=1e-5, err_msg=key)
+    np.testing.assert_allclose(alone["parameters/3/tdkf/bias"][:, 0], whole["parameters/3/tdkf/bias"][:, 1], rtol=1e-5)
+
+
+def test_cases_side_by_side_are_cases_alone(result):
+    config = replace(result.config, days=0.1)
+    both = sweeps.month(config, runs(3), runs(2, study=1))
+    alone = simulate(config, runs(3))
+    fair = follow_all("tkf-fair", alone)
+    np.testing.assert_allclose(both["table 5/1/tkf-fair/position"], fair["0/tkf-fair/position"], rtol=1e-5)
+    np.testing.assert_allclose(both["table 5/1/ekf-fair/velocity"], fair["0/ekf-fair/velocity"], rtol=1e-5)
+    form_b = sweeps.parameter_cases(config)[10]
+    variant = follow_all("tstdkf", simulate(form_b, runs(2, study=1)))
+    np.testing.assert_allclose(both["parameters/10/tstdkf/position"], variant["0/tstdkf/position"], rtol=1e-5)
+
+
+def test_only_the_first_runs_have_the_variants():
+    units = tstdkf.plan(replace(TABLE_5, days=0.1), runs=6, block=5).units
+    months = [do(unit).arrays for unit in units if unit.label == "month"]
+    shapes = [{key: values.shape[1] for key, values in found.items() if key.endswith("/tkf/position")} for found in months]
+    assert [shape["table 5/2/tkf/position"] for shape in shapes] == [5, 1]
+    assert [shape["parameters/2/tkf/position"] for shape in shapes] == [5, 1]
+    few = tstdkf.plan(replace(TABLE_5, days=0.1), runs=6, block=5, effort=0.25).units  # two of them
+    assert not any(key.startswith("parameters/") for key in do(few[1]).arrays)
 
 
 def test_recordings_are_written_under_their_names(result, tmp_path):

@@ -10,6 +10,7 @@ from celnav.models.ephemeris import de421
 from celnav.papers.tstdkf import published
 from celnav.papers.tstdkf.ephemerides import table
 from celnav.papers.tstdkf.evidence import Evidence
+from celnav.papers.tstdkf.sweeps import KNOWN
 
 
 def errata_claims(j: Evidence) -> list[Claim]:
@@ -56,7 +57,8 @@ def _differencing(j: Evidence) -> list[Claim]:
     out.append(j.number("erratum-5-right", "beyond", text, order(sensitivity.right), (None, 1e-12)))
     text = "With the Γ of measurements that are not differenced (km per km)"
     out.append(j.number("erratum-5-plain", "erratum", text, sensitivity.plain, (0.1, None), paper=0))
-    both = [j.of("plain slope", f"{i}/tstdkf/position", half=True) for i in (1, 0)]
+    found = {"plain slope": "tstdkf/position", "couplings": f"{KNOWN}/tstdkf/position"}
+    both = [j.of(study, key, half=True) for study, key in found.items()]
     text = "Position RMSE of TSTDKF with that Γ to that with Γ', second half of 10 days (ratio)"
     out.append(j.lengthy("erratum-5-rmse", "erratum", text, ratio, both, (1.5, None), paper=1))
     both = [j.squares("aug"), j.squares("tdkf")]

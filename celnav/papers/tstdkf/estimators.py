@@ -20,6 +20,10 @@ from celnav.papers.tstdkf.scenario import as_cases, noise_of, pull
 from celnav.taylor import Taylor
 
 FORMS = {"excess": excess, "proportional": proportional}
+Runs = int | Sequence[int]
+"""Of each case."""
+White = tuple[Array, ...]
+"""Covariances ``(..., 6, 6)`` and ``(..., m, m)`` of rates and timings, for a filter that takes all noise for white."""
 
 
 class Orbit:
@@ -61,27 +65,31 @@ def sensor(config: Config) -> Sensor:
     )
 
 
-def noises(cases: Sequence[Config], runs: int) -> Noise:
-    """Noises of several cases, ``(cases * runs, ...)``; of one case without that axis."""
-    if len(cases) == 1:
-        return noise_of(cases[0])
-    return Noise(*(np.repeat(np.stack(same), runs, 0) for same in zip(*map(noise_of, cases), strict=True)))
+def noises(cases: Sequence[Config], runs: Runs) -> Noise:
+    """Noises of several cases, ``(all runs, ...)``; of one case without that axis."""
+    return Noise(*_of_all([noise_of(case) for case in cases], runs))
 
 
-def _each(cases: Sequence[Config], runs: int, name: str) -> Array:
+def _of_all(each: Sequence[tuple[Array, ...]], runs: Runs) -> tuple[Array, ...]:
+    """Matrices of each case with an axis of all runs; of one case without."""
+    return each[0] if len(each) == 1 else tuple(np.repeat(np.stack(same), runs, 0) for same in zip(*each, strict=True))
+
+
+def _each(cases: Sequence[Config], runs: Runs, name: str) -> Array:
     """A parameter of each case: ``(..., 1)`` or ``(..., 3)``, with an axis of all runs if there are several cases."""
     values = np.stack([np.atleast_1d(getattr(case, name)) for case in cases])
     return values[0] if len(cases) == 1 else np.repeat(values, runs, 0)
 
 
-def bias_prior(cases: Sequence[Config], runs: int) -> Gaussian:
+def bias_prior(cases: Sequence[Config], runs: Runs) -> Gaussian:
     """Belief about the ephemeris error at the start."""
     std = _each(cases, runs, "bias_prior_km")
     return covariance(np.zeros((*std.shape[:-1], 3)), std[..., None] ** 2 * np.eye(3))
 
 
-def kalman(config: Config, Q: Array, R: Array, pulled: bool = False) -> tuple[Any, Any]:
-    """Predict and update of an EKF that takes all noise for white, with process noise ``Q (..., 6, 6)`` of the rates."""
+def kalman(config: Config, white: White, pulled: bool = False) -> tuple[Any, Any]:
+    """Predict and update of an EKF that takes all noise for white."""
+    Q, R = white
     motion, root, seen = Orbit(pulled), np.linalg.cholesky(Q), sensor(config)
 
     def f(x: Array, epoch: Epoch) -> Array:
@@ -96,14 +104,21 @@ def kalman(config: Config, Q: Array, R: Array, pulled: bool = False) -> tuple[An
     return predict(f, moved, sqrt_Q=noise), update(seen.measure, slope, R=R)
 
 
-def driving(config: Config, pulled: bool = False) -> tuple[Any, Any]:
-    """`kalman` with the covariances of the driving noise, the paper's (inferred) choice."""
-    return kalman(config, np.diag(config.process_std**2), np.diag(config.sigma_km**2), pulled)
+def driving(config: Config) -> White:
+    """The covariances of the driving noise, the paper's (inferred) choice."""
+    return np.diag(config.process_std**2), np.diag(config.sigma_km**2)
 
 
-def stationary(config: Config, noise: Noise) -> tuple[Any, Any]:
-    """`kalman` with the covariances that the noises really have."""
-    return kalman(config, noise.Q + noise.J @ noise.V @ noise.J.mT, noise.V)
+def stationary(config: Config) -> White:
+    """The covariances that the noises really have."""
+    noise = noise_of(config)
+    return noise.Q + noise.J @ noise.V @ noise.J.mT, noise.V
+
+
+def two_stages(cases: Sequence[Config], runs: Runs, whites: Sequence[White], pulled: bool = False) -> Filter:
+    """TKF, whose first stage is EKF, of several cases with covariances of their own."""
+    parts = kalman(cases[0], _of_all(whites, runs), pulled)
+    return two_stage(plain(*parts), sensor(cases[0]).Gamma, bias_prior(cases, runs))
 
 
 def differencing(config: Config, noise: Noise) -> First:
@@ -112,7 +127,7 @@ def differencing(config: Config, noise: Noise) -> First:
     return differenced(lambda mean, epoch: flow(mean, epoch.dt), seen.measure, seen.H, noise)
 
 
-def boosted(cases: Config | Sequence[Config], runs: int = 1, *, also_plain: bool = False, first: First | None = None) -> Filter:
+def boosted(cases: Config | Sequence[Config], runs: Runs = 1, *, also_plain: bool = False, first: First | None = None) -> Filter:
     """TSTDKF. With ``also_plain`` TDKF too: the filters lie along a leading axis, TDKF first. ``first``: another first stage."""
     together = as_cases(cases)
     c = together[0]
@@ -130,8 +145,8 @@ def boosted(cases: Config | Sequence[Config], runs: int = 1, *, also_plain: bool
     return two_stage(stage, sensor(c).Gamma, bias_prior(together, runs), boost=strong_tracking(rho, c.tau, factor=form))
 
 
-def filters(cases: Config | Sequence[Config], runs: int = 1) -> dict[str, Filter]:
-    """The filters by name, for priors ``(cases * runs, 6)`` in covariance form; for one case of any batch shape.
+def filters(cases: Config | Sequence[Config], runs: Runs = 1) -> dict[str, Filter]:
+    """The filters by name, for priors ``(all runs, 6)`` in covariance form; for one case of any batch shape.
 
     ekf, tkf: ignorance and two stages, with the covariances of the driving noise; the first stage of tkf is ekf. ekf-fair,
     tkf-fair: the same with the stationary covariances. tdkf, tstdkf: two stages on differenced measurements, without and with
@@ -139,20 +154,19 @@ def filters(cases: Config | Sequence[Config], runs: int = 1) -> dict[str, Filter
     ``(r, v, V, Q, b)``, of the others about ``(r, v, b)``.
     """
     together = as_cases(cases)
-    c, noise, bias = together[0], noises(together, runs), bias_prior(together, runs)
-    own, fair, Gamma = driving(c), stationary(c, noise), sensor(c).Gamma
+    c, own, fair = together[0], [driving(case) for case in together], [stationary(case) for case in together]
     return {
-        "ekf": sequential(*own),
-        "ekf-fair": sequential(*fair),
-        "tkf": two_stage(plain(*own), Gamma, bias),
-        "tkf-fair": two_stage(plain(*fair), Gamma, bias),
-        "tdkf": two_stage(differencing(c, noise), Gamma, bias),
+        "ekf": sequential(*kalman(c, _of_all(own, runs))),
+        "ekf-fair": sequential(*kalman(c, _of_all(fair, runs))),
+        "tkf": two_stages(together, runs, own),
+        "tkf-fair": two_stages(together, runs, fair),
+        "tdkf": two_stage(differencing(c, noises(together, runs)), sensor(c).Gamma, bias_prior(together, runs)),
         "tstdkf": boosted(together, runs),
         "aug": augmented(together, runs),
     }
 
 
-def augmented(cases: Config | Sequence[Config], runs: int = 1, *, noise: Noise | None = None) -> Filter:
+def augmented(cases: Config | Sequence[Config], runs: Runs = 1, *, noise: Noise | None = None) -> Filter:
     """The exact filter: 18 states ``(x, V, Q, b)``, the bias a random walk, and no noise left in the measurement.
 
     ``noise``: other noises than those of the cases.

@@ -100,10 +100,9 @@ def follow(
         track = np.stack(values)
         if not np.isfinite(track).all():
             raise FilterError(f"{key}: lost a run at step {1 + int(np.argmax(~np.isfinite(track).reshape(len(track), -1).all(1)))}")
-        if track.shape[1] == sim.runs * len(sim.cases):
-            found |= {f"{i}/{key}": track[:, i * sim.runs : (i + 1) * sim.runs] for i in range(len(sim.cases))}
-        else:
-            found[f"0/{key}"] = track
+        whole = track.shape[1] == sum(sim.runs)
+        parts = np.split(track, np.cumsum(sim.runs)[:-1], 1) if whole else [track]
+        found |= {f"{i}/{key}": part for i, part in enumerate(parts)}
     return found
 
 

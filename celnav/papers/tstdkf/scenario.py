@@ -43,20 +43,17 @@ class Scenario(NamedTuple):
 
     Attributes
     ----------
-    cases: configurations. truth: ``(T, runs, 6)`` km and km/s. bias: ``(T, runs, 3)`` km. z: ``(T, runs, m)`` km, nan at the start.
+    cases: configurations, and runs: how many of each. truth: ``(T, all runs, 6)`` km and km/s. bias: ``(T, all runs, 3)`` km.
+    z: ``(T, all runs, m)`` km, nan at the start.
     """
 
     cases: tuple[Config, ...]
+    runs: tuple[int, ...]
     truth: Array
     bias: Array
     z: Array
     sky: Sky
     prior: Gaussian
-
-    @property
-    def runs(self) -> int:
-        """Of each case."""
-        return int(self.truth.shape[1]) // len(self.cases)
 
     @property
     def times(self) -> Array:
@@ -73,10 +70,24 @@ class Scenario(NamedTuple):
 
     def case(self, index: int) -> Scenario:
         """One case alone."""
-        part = slice(index * self.runs, (index + 1) * self.runs)
+        first = sum(self.runs[:index])
+        part = slice(first, first + self.runs[index])
         prior = self.prior._replace(mean=self.prior.mean[part], spread=self.prior.spread[part])
         truth, bias, z = (values[:, part] for values in (self.truth, self.bias, self.z))
-        return Scenario(self.cases[index : index + 1], truth, bias, z, self.sky, prior)
+        return Scenario(self.cases[index : index + 1], self.runs[index : index + 1], truth, bias, z, self.sky, prior)
+
+
+def beside(*parts: Scenario) -> Scenario:
+    """Scenarios whose cases go together as one: what a step costs is mostly what its first run costs.
+
+    Raises
+    ------
+    ValueError: naming what they must share.
+    """
+    cases = as_cases([case for part in parts for case in part.cases])
+    truth, bias, z = (np.concatenate(values, 1) for values in zip(*((p.truth, p.bias, p.z) for p in parts), strict=True))
+    prior = covariance(np.concatenate([p.prior.mean for p in parts]), np.concatenate([p.prior.spread for p in parts]))
+    return Scenario(cases, sum((part.runs for part in parts), ()), truth, bias, z, parts[0].sky, prior)
 
 
 def as_cases(cases: Config | Sequence[Config]) -> tuple[Config, ...]:
@@ -171,7 +182,7 @@ def simulate(cases: Config | Sequence[Config], rngs: Sequence[np.random.Generato
     deviation = np.repeat([case.deviation for case in together], runs, 0)
     spread = deviation[..., None] ** 2 * np.eye(6)
     prior = covariance(c.orbit + np.concatenate(own) * deviation, spread)
-    return Scenario(together, truth, bias, z, seen, prior)
+    return Scenario(together, (runs,) * count, truth, bias, z, seen, prior)
 
 
 def _biases(cases: Sequence[Config], drawn: Array, T: int) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from time import process_time
 from typing import Any
@@ -12,9 +12,7 @@ import numpy as np
 from celnav.linalg import Array
 from celnav.montecarlo import Outcome, Plan, Progress, Unit, blocks, carry_out, generator, run_count
 from celnav.papers.tstdkf import analysis, sweeps, year
-from celnav.papers.tstdkf.config import PRESETS, SETTINGS, TABLE_5, Config
-from celnav.papers.tstdkf.follow import follow
-from celnav.papers.tstdkf.scenario import simulate
+from celnav.papers.tstdkf.config import PRESETS, TABLE_5, Config
 
 PAPER = ("ekf", "tkf", "tstdkf")
 COMPARED = ("ekf", "tkf", "tdkf", "tstdkf", "aug")
@@ -60,29 +58,26 @@ class Result:
         return out | {"year/times": self.data["year"]["times"][:, 0], "year/bias": self.data["year"]["bias"]}
 
 
-def _table_5(config: Config, rngs: Sequence[np.random.Generator]) -> dict[str, Array]:
-    """All settings side by side; EKF and TKF with the stationary covariances in the first."""
-    sim = simulate([replace(config, setting=setting) for setting in SETTINGS.values()], rngs)
-    out = {"1/truth": np.concatenate([sim.truth[1:, :1], sim.bias[1:, :1]], -1), "1/z": sim.z[1:, :1]}
-    for name in ("tkf", "tstdkf", "aug"):
-        found = follow(name, sim, showcase=True, consistency=("aug",))
-        out |= {f"{int(key[0]) + 1}{key[1:]}": value for key, value in found.items()}
-    out |= {f"1{key[1:]}": value for key, value in follow("tkf-fair", sim.case(0)).items()}
-    return out
+def _month(config: Config, seed: int, runs: range, few: int) -> dict[str, Array]:
+    """The settings; the variants in the first runs only."""
+    return sweeps.month(config, *([generator(seed, study, r) for r in part] for study, part in ((0, runs), (1, runs[:few]))))
 
 
-def _block(what: str, config: Config, seed: int, study: int, runs: range) -> dict[str, Array]:
-    """One piece of work, by name."""
-    rngs = [generator(seed, study, r) for r in runs]
-    return dict(_table_5(config, rngs) if what == "table 5" else sweeps.STUDIES[what].function(config, rngs))
+def _smaller(what: str, config: Config, seed: int, runs: int) -> dict[str, Array]:
+    """One of the other studies, by name."""
+    study = sweeps.STUDIES[what]
+    return dict(study.function(config, [generator(seed, study.number, r) for r in range(runs)]))
 
 
 def _units(config: Config, seed: int, runs: int, block: int, effort: float) -> list[Unit]:
-    out = [Unit("table 5", _block, ("table 5", config, seed, 0, part)) for part in blocks(runs, block)]
-    for number, (what, study) in enumerate(sweeps.STUDIES.items(), start=1):
+    """The longest first."""
+    few, out = max(2, round(sweeps.FEW * effort)), []
+    for part in blocks(runs, block):
+        out.append(Unit("month", _month, (config, seed, part, max(0, few - part.start))))
+    for what, study in sweeps.STUDIES.items():
         base = PRESETS["year"] if study.year else config
         short = replace(base, days=_days(min(study.days, 365.0 if study.year else config.days), effort))
-        out.append(Unit(what, _block, (what, short, seed, number, range(max(2, round(study.runs * effort))))))
+        out.append(Unit(what, _smaller, (what, short, seed, max(2, round(study.runs * effort)))))
     return out
 
 
@@ -121,7 +116,11 @@ def plan(
         facts = analysis.facts(config)
         timings = {f"cpu_s {label}": outcome.cpu_s for label, outcome in outcomes.items()}
         timings["cpu_s facts"] = process_time() - start
-        data = {label: outcome.arrays for label, outcome in outcomes.items()}
+        data: dict[str, dict[str, Array]] = {}
+        for outcome in outcomes.values():
+            for key, values in outcome.arrays.items():
+                study, _, rest = key.partition("/")
+                data.setdefault(study, {})[rest] = values
         return Result(config, seed, count, count >= whole.runs and config.days >= whole.days, data, facts, timings)
 
     return Plan(_units(config, seed, count, block, effort), result)

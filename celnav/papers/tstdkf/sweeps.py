@@ -12,14 +12,14 @@ import numpy as np
 from celnav.filters.differenced import Noise, ar1_noise
 from celnav.filters.driver import Epoch
 from celnav.filters.info import Info
-from celnav.filters.two_stage import First, Stage, plain, two_stage
+from celnav.filters.two_stage import First, Stage
 from celnav.linalg import Array
 from celnav.papers.tstdkf import year
 from celnav.papers.tstdkf.config import KAPPA, SETTINGS, Config, Setting
-from celnav.papers.tstdkf.estimators import augmented, bias_prior, boosted, differencing, driving, sensor
+from celnav.papers.tstdkf.estimators import augmented, boosted, differencing, driving, sensor, stationary, two_stages
 from celnav.papers.tstdkf.follow import Found, follow
 from celnav.papers.tstdkf.forces import accelerations, spectrum
-from celnav.papers.tstdkf.scenario import PULLING, noise_of, simulate
+from celnav.papers.tstdkf.scenario import PULLING, beside, noise_of, simulate
 
 Rngs = Sequence[np.random.Generator]
 LARGER = 20.0 / 3.0
@@ -62,20 +62,53 @@ def parameter_cases(config: Config) -> list[Config]:
     return out
 
 
-def parameters(config: Config, rngs: Rngs) -> Found:
-    """`PARAMETERS`, in their order."""
-    sim = simulate(parameter_cases(config), rngs)
-    return follow("tkf", sim) | follow("tstdkf", sim)
+def month(config: Config, rngs: Rngs, few: Rngs) -> Found:
+    """The settings, numbered from 1, in ``table 5``; `PARAMETERS`, in their order, with fewer runs in ``parameters``."""
+    table = simulate([replace(config, setting=setting) for setting in SETTINGS.values()], rngs)
+    first, names = table.case(0), [f"table 5/{number}" for number in SETTINGS]
+    out = {"table 5/1/truth": np.concatenate([first.truth[1:, :1], first.bias[1:, :1]], -1), "table 5/1/z": first.z[1:, :1]}
+    both = table
+    if few:
+        both = beside(table, simulate(parameter_cases(config), few))
+        names += [f"parameters/{number}" for number in range(len(PARAMETERS))]
+    # The first setting once more, for EKF and TKF with the stationary covariances.
+    again = beside(both, first)
+    believed = two_stages(again.cases, again.runs, [*map(driving, both.cases), stationary(first.cases[0])])
+    for key, value in follow("tkf", again, filter=believed, showcase=True).items():
+        case, filter, what = key.split("/", 2)
+        number = int(case)
+        out[f"{names[number]}/{filter}/{what}" if number < len(names) else f"{names[0]}/{filter}-fair/{what}"] = value
+    for name, sim in (("tstdkf", both), ("aug", table)):
+        out |= _named(names, follow(name, sim, showcase=True, consistency=("aug",)))
+    return out
+
+
+def _named(names: Sequence[str], found: Found) -> Found:
+    """With the names of the cases for their numbers."""
+    return {f"{names[int(case)]}/{rest}": value for (case, _, rest), value in ((k.partition("/"), v) for k, v in found.items())}
 
 
 STRONG = {"F = 0.8": Setting(0.8, 0.5, KAPPA), "F = L = 0.8": Setting(0.8, 0.8, 0.5), "F = 0.9, L = 0.8": Setting(0.9, 0.8, 0.5)}
 """Settings of strong color."""
+COUPLINGS = ((0.0, 0.0), (0.0, KAPPA), (KAPPA, 0.0), (KAPPA, 0.5 * KAPPA), (KAPPA, KAPPA), (KAPPA, -KAPPA))
+"""Coupling of the noises, and what the filters take it for."""
+KNOWN = COUPLINGS.index((KAPPA, KAPPA))
+"""The first setting among them."""
 
 
-def strong_color(config: Config, rngs: Rngs) -> Found:
-    """`STRONG`, with form B, which suffers most, and the exact filter."""
-    sim = simulate([replace(config, setting=setting, factor="proportional") for setting in STRONG.values()], rngs)
-    return follow("tkf", sim) | follow("tstdkf", sim) | follow("aug", sim)
+def ten_days(config: Config, rngs: Rngs) -> Found:
+    """Filters that know the coupling, or not, ``couplings``, in the order of `COUPLINGS`; `STRONG` with form B, which suffers
+    most, ``strong color``; TDKF and TSTDKF in setting 1 with the bias observation matrix of the prose, ``plain slope``."""
+    base = SETTINGS[1]
+    coupled, believed = ([replace(config, setting=replace(base, kappa=pair[i])) for pair in COUPLINGS] for i in (0, 1))
+    strong = [replace(config, setting=setting, factor="proportional") for setting in STRONG.values()]
+    names = [f"couplings/{i}" for i in range(len(coupled))] + [f"strong color/{i}" for i in range(len(strong))]
+    sim, out = simulate(coupled + strong, rngs), Found()
+    for name in ("tkf", "tstdkf", "aug"):
+        out |= _named(names, follow(name, sim, believed=believed + strong))
+    c = sim.cases[KNOWN]
+    variant = follow("tstdkf", sim.case(KNOWN), filter=boosted(c, also_plain=True, first=undifferenced(c)))
+    return out | _named(["plain slope"], variant)
 
 
 def undifferenced(config: Config) -> First:
@@ -97,43 +130,21 @@ def undifferenced(config: Config) -> First:
     return stage._replace(predict=predict, update=update)
 
 
-def plain_slope(config: Config, rngs: Rngs) -> Found:
-    """TDKF and TSTDKF in setting 1 as they should be, ``0``, and with the bias observation matrix of the prose, ``1``."""
-    c = replace(config, setting=SETTINGS[1])
-    sim = simulate(c, rngs)
-    variant = follow("tstdkf", sim, filter=boosted(c, also_plain=True, first=undifferenced(c)))
-    return follow("tstdkf", sim) | {key.replace("0/", "1/", 1): value for key, value in variant.items()}
-
-
-COUPLINGS = ((0.0, 0.0), (0.0, KAPPA), (KAPPA, 0.0), (KAPPA, 0.5 * KAPPA), (KAPPA, KAPPA), (KAPPA, -KAPPA))
-"""Coupling of the noises, and what the filters take it for."""
-
-
-def couplings(config: Config, rngs: Rngs) -> Found:
-    """Filters that know the coupling, or not; in the order of `COUPLINGS`."""
-    base = SETTINGS[1]
-    cases, believed = ([replace(config, setting=replace(base, kappa=pair[i])) for pair in COUPLINGS] for i in (0, 1))
-    sim, out = simulate(cases, rngs), Found()
-    for name in ("tkf", "tstdkf", "aug"):
-        out |= follow(name, sim, believed=believed)
-    return out
-
-
 def consistency(config: Config, rngs: Rngs) -> Found:
     """Initial errors and constant biases drawn from their priors: ``0``: setting 1, ``1``: white noise."""
     drawn = replace(config, trend="constant", initial="drawn", walk_km=0.0)
     sim, out = simulate([replace(drawn, setting=SETTINGS[i]) for i in (1, 5)], rngs), Found()
     for name in ("tkf", "tstdkf", "aug"):
-        out |= follow(name, sim, consistency=("ekf", "tkf", "tdkf", "aug"))
+        out |= _named(["consistency/0", "consistency/1"], follow(name, sim, consistency=("ekf", "tkf", "tdkf", "aug")))
     return out
 
 
 def forces(config: Config, rngs: Rngs) -> Found:
     """Sun and Moon pull; all other noise is white. Who models them, who leaves them to white noise, who to AR(1) noise."""
     c = replace(config, setting=SETTINGS[5], pulled=True)
-    sim, seen, bias, out = simulate(c, rngs), sensor(c), bias_prior((c,), 1), Found()
+    sim, out = simulate(c, rngs), Found()
     matched = matched_noise(c)
-    modeled = two_stage(plain(*driving(c, pulled=True)), seen.Gamma, bias)
+    modeled = two_stages((c,), 1, [driving(c)], pulled=True)
     colored = boosted(c, also_plain=True, first=differencing(c, matched))
     for label, name, filter in (
         ("modeled", "tkf", modeled),
@@ -141,7 +152,7 @@ def forces(config: Config, rngs: Rngs) -> Found:
         ("colored", "tstdkf", colored),
         ("colored", "aug", augmented(c, noise=matched)),
     ):
-        out |= {key.replace("0/", f"{label}/", 1): value for key, value in follow(name, sim, filter=filter).items()}
+        out |= _named([f"forces/{label}"], follow(name, sim, filter=filter))
     return out
 
 
@@ -162,43 +173,41 @@ NONLINEAR = {"ekf": "ekf", "tkf": "tkf", "tdkf": "tdkf", "C": "tstdkf", "B": "B"
 
 def _year(config: Config, rngs: Rngs) -> dict[str, Array]:
     """See `celnav.papers.tstdkf.year.track`; with ``times`` ``(K, 1)`` s."""
-    out = year.track(config, rngs)
-    return out | {"times": config.step_s * np.arange(1, config.steps + 1)[:, None]}
+    out = year.track(config, rngs) | {"times": config.step_s * np.arange(1, config.steps + 1)[:, None]}
+    return {f"year/{key}": value for key, value in out.items()}
 
 
 def drivers(config: Config, rngs: Rngs) -> dict[str, Array]:
     """The beginning of the year by both drivers: ``linear/<filter>/...`` and ``nonlinear/<filter>/...``, squared errors."""
     cases = [replace(config, trend=trend) for trend in year.TRENDS]
     sim, both = simulate(cases, deepcopy(rngs)), year.track(config, rngs)
-    stronger = boosted([replace(case, factor="proportional") for case in cases], sim.runs, also_plain=True)
-    found: Found = {}
-    for name in ("tkf", "tstdkf", "aug"):
-        found |= follow(name, sim)
-    found |= {key.replace("tstdkf", "B"): value for key, value in follow("tstdkf", sim, filter=stronger).items()}
-    out = {f"linear/{name}/position": both[f"{name}/position"] for name in NONLINEAR}
+    stronger = follow("tstdkf", sim, believed=[replace(case, factor="proportional") for case in cases])
+    found = follow("tkf", sim) | follow("tstdkf", sim) | follow("aug", sim)
+    found |= {key.replace("tstdkf", "B"): value for key, value in stronger.items()}
+    out = {f"drivers/linear/{name}/position": both[f"{name}/position"] for name in NONLINEAR}
     for name, theirs in NONLINEAR.items():
         cases_of = [found[f"{i}/{theirs}/position"] for i in range(len(cases))]
-        out[f"nonlinear/{name}/position"] = np.concatenate(cases_of, 1)
+        out[f"drivers/nonlinear/{name}/position"] = np.concatenate(cases_of, 1)
     return out
 
 
 class Study(NamedTuple):
-    """A study of the configuration at hand, or of the year's: its function, days and runs."""
+    """A study of the configuration at hand, or of the year's: its function, number (for random numbers), days and runs."""
 
     function: Callable[[Config, Rngs], dict[str, Array]]
+    number: int
     days: float
     runs: int
     year: bool = False
 
 
 STUDIES = {
-    "parameters": Study(parameters, 30.0, 8),
-    "strong color": Study(strong_color, 10.0, 8),
-    "plain slope": Study(plain_slope, 10.0, 8),
-    "couplings": Study(couplings, 10.0, 12),
-    "consistency": Study(consistency, 3.0, 40),
-    "forces": Study(forces, 10.0, 20),
-    "year": Study(_year, 365.0, 6, year=True),
-    "drivers": Study(drivers, 3.0, 3, year=True),
+    "year": Study(_year, 7, 365.0, 6, year=True),
+    "ten days": Study(ten_days, 4, 10.0, 12),
+    "forces": Study(forces, 6, 10.0, 20),
+    "consistency": Study(consistency, 5, 3.0, 40),
+    "drivers": Study(drivers, 8, 3.0, 3, year=True),
 }
-"""In the order of their random numbers."""
+"""All but `month`."""
+FEW = 8
+"""Runs of the variants in `month`."""

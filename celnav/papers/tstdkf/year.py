@@ -31,15 +31,18 @@ NAMES = ("ekf", "tkf", *FORMS, "aug")
 
 
 def _boost(config: Config) -> Callable[[Any, Boost], tuple[Any, Array]]:
-    """All `FORMS` at once."""
-    boosts = [strong_tracking(config.rho, config.tau, factor=factor) for factor in (excess, proportional)]
-    boosts.append(strong_tracking(config.rho, config.tau, factor=proportional, corrected=False))
+    """All `FORMS` at once: form A is B of the innovations of the first stage."""
+
+    def factor(ratios: Array, rho: Array) -> Array:
+        return np.concatenate([excess(ratios[:1], rho), proportional(ratios[1:], rho)])
+
+    boosts = strong_tracking(config.rho, config.tau, factor=factor)
 
     def boost(memory: Any, seen: Boost) -> tuple[Any, Array]:
-        kept = [None] * len(boosts) if memory is None else memory
-        own = [seen._replace(residual=seen.residual[i]) for i in range(1, len(FORMS))]
-        found = [b(m, s) for b, m, s in zip(boosts, kept, own, strict=True)]
-        return [m for m, _ in found], np.stack([np.ones_like(found[0][1]), *(factors for _, factors in found)])
+        residual = np.concatenate([seen.residual[1:3], seen.innovation[None]])
+        total = np.stack([seen.total, seen.total, seen.own])[:, None]
+        memory, factors = boosts(memory, seen._replace(residual=residual, total=total))
+        return memory, np.concatenate([np.ones_like(factors[:1]), factors])
 
     return boost
 
