@@ -103,6 +103,8 @@ def joined(units: Sequence[Unit], outcomes: Sequence[Outcome]) -> dict[str, Outc
 
 
 def _joined(outcomes: Sequence[Outcome]) -> dict[str, Array]:
+    if len(outcomes) == 1:  # not copied: some are large
+        return outcomes[0].arrays
     names = dict.fromkeys(name for outcome in outcomes for name in outcome.arrays)
     return {name: np.concatenate([o.arrays[name] for o in outcomes if name in o.arrays], 1) for name in names}
 

@@ -62,6 +62,7 @@ def run(options: argparse.Namespace) -> int:
                 result = partial(plan.result, joined(plan.units, outcomes))
                 spent = sum(outcome.cpu_s for outcome in outcomes)
                 surprises += _write(paper, modules[paper], result, folders[paper], part, spent, progress)
+                del outcomes, result
         top.text("index.html", index(out))
     print(f"wrote {out / 'index.html'}")
     return 1 if options.strict and surprises else 0
@@ -89,13 +90,12 @@ def _found(plans: Mapping[str, Plan[Any]], workers: Workers, progress: Progress)
             for task, outcome in results(executor, _do, todo, workers.ahead):
                 if isinstance(outcome, Exception):
                     raise outcome
-                own, plan = found[task.paper], plans[task.paper]
-                own[task.number] = outcome
+                found[task.paper][task.number] = outcome
+                del outcome  # a gigabyte is not to be held here while the next paper is computed
                 count += 1
                 progress(count, len(todo), f"{task.paper}: {task.unit.label}")
-                if len(own) == len(plan.units):
-                    del found[task.paper]
-                    yield task.paper, [own[i] for i in range(len(plan.units))]
+                if len(found[task.paper]) == len(plans[task.paper].units):
+                    yield task.paper, [own for _, own in sorted(found.pop(task.paper).items())]
     except BrokenExecutor:
         raise OSError("a worker process was killed, perhaps for want of memory; fewer --jobs need less") from None
 

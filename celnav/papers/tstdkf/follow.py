@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
@@ -78,32 +77,50 @@ def follow(
     if filter is None:
         filter = boosted(cases, sim.runs, also_plain=True) if name == "tstdkf" else filters(cases, sim.runs)[name]
 
-    rows: defaultdict[str, list[Array]] = defaultdict(list)
+    rows = _Rows(len(sim.truth) - 1)
     for epoch, state, info in steps(filter, sim.prior, sim.epochs()):
         for view in views(name, state):
             error = view.mean - epoch.truth[..., : view.mean.shape[-1]]
             squares = np.square(error).reshape(*error.shape[:-1], -1, 3).sum(-1)
             for i, what in zip(range(squares.shape[-1]), ("position", "velocity", "bias"), strict=False):
-                rows[f"{view.label}/{what}"].append(squares[..., i])
+                rows.add(f"{view.label}/{what}", squares[..., i])
             if view.label in consistency:
                 n = error.shape[-1] if name == "aug" else 6
-                rows[f"{view.label}/nees"].append(nees(error[..., :n], cholesky(view.cov(slice(None))[..., :n, :n])))
-                rows[f"{view.label}/nis"].append(np.square(info.white).sum(-1))
+                rows.add(f"{view.label}/nees", nees(error[..., :n], cholesky(view.cov(slice(None))[..., :n, :n])))
+                rows.add(f"{view.label}/nis", np.square(info.white).sum(-1))
             if showcase:
-                rows[f"{view.label}/first/mean"].append(view.mean[:1])
-                rows[f"{view.label}/first/cov"].append(view.cov(slice(1)))
+                rows.add(f"{view.label}/first/mean", view.mean[:1])
+                rows.add(f"{view.label}/first/cov", view.cov(slice(1)))
         if showcase:
             for what, value in _inside(name, state, info).items():
-                rows[what].append(value)
+                rows.add(what, value)
+        rows.next()
     found: Found = {}
-    for key, values in rows.items():
-        track = np.stack(values)
+    for key, track in rows.tracks.items():
         if not np.isfinite(track).all():
             raise FilterError(f"{key}: lost a run at step {1 + int(np.argmax(~np.isfinite(track).reshape(len(track), -1).all(1)))}")
         whole = track.shape[1] == sum(sim.runs)
         parts = np.split(track, np.cumsum(sim.runs)[:-1], 1) if whole else [track]
         found |= {f"{i}/{key}": part for i, part in enumerate(parts)}
     return found
+
+
+class _Rows:
+    """Tracks ``(K, ...)`` by name, written row by row in place: lists of rows would need twice the memory at the end."""
+
+    def __init__(self, length: int) -> None:
+        self.tracks: Found = {}
+        self._length, self._row = length, 0
+
+    def add(self, key: str, row: Array) -> None:
+        """Write the present row."""
+        if self._row == 0:
+            self.tracks[key] = np.empty((self._length, *row.shape))
+        self.tracks[key][self._row] = row
+
+    def next(self) -> None:
+        """Go on to the next row."""
+        self._row += 1
 
 
 def _inside(name: str, state: Any, info: Any) -> dict[str, Array]:

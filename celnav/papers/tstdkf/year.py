@@ -28,6 +28,8 @@ TRENDS = ("sine", "growing", "triangle")
 FORMS = ("tdkf", "C", "B", "A")
 """Of the differenced filter: without strong tracking, and with the three forms of its factors."""
 NAMES = ("ekf", "tkf", *FORMS, "aug")
+CHUNK = 2048
+"""Steps whose estimates are evaluated together."""
 
 
 def _boost(config: Config) -> Callable[[Any, Boost], tuple[Any, Array]]:
@@ -64,24 +66,31 @@ def track(config: Config, rngs: Sequence[np.random.Generator], trends: Sequence[
     V, Q = first[:, :3] * np.sqrt(noise.V.diagonal()), first[:, 3:] * np.sqrt(noise.Q.diagonal())
     truth = np.zeros((runs, 6))
     s1, s2, s3 = start_plain(c, runs), start_differenced(c, runs, len(FORMS)), start_exact(c, runs)
-    boost = _boost(c)
+    boost, K = _boost(c), T - 1
+    out = {"bias": bias[1:]}
+    out |= {f"{name}/bias": np.empty((K, runs, 3)) for name in NAMES} | {f"{name}/position": np.empty((K, runs)) for name in NAMES}
     found: list[tuple[Array, ...]] = []
-    truths = np.empty((T - 1, runs, 3))
     for k, at in enumerate(steps(config), start=1):
         V = V @ noise.F + xi[k]
         Q = Q @ noise.L + e[k]
         truth = truth @ at.Phi.T + (V @ noise.J.T + Q) @ at.G.T
-        truths[k - 1] = truth[:, :3]
         z = (truth[:, :3] + bias[k]) @ at.Gamma.T + V
         s1 = plain(s1, at, z, noise)
         s2 = differenced(s2, at, z, noise, boost, k == 1)
         s3 = exact(s3, at, z)
-        found.append((s1.x, s1.b, s1.Lambda, s2.x, s2.b, s2.Lambda, s3.x))
-    x1, b1, Lambda1, x2, b2, Lambda2, x3 = (np.stack(column) for column in zip(*found, strict=True))
-    estimates = {"ekf": (x1, np.zeros_like(b1)), "tkf": (x1 + b1 @ Lambda1.mT, b1), "aug": (x3[..., :6], x3[..., 15:])}
-    estimates |= {form: (x2 + b2[:, i] @ Lambda2.mT, b2[:, i]) for i, form in enumerate(FORMS)}
-    out = {"bias": bias[1:]}
-    for name, (x, b) in estimates.items():
-        out[f"{name}/bias"] = b
-        out[f"{name}/position"] = np.square(x[..., :3] - truths).sum(-1)
+        found.append((truth, s1.x, s1.b, s1.Lambda, s2.x, s2.b, s2.Lambda, s3.x))
+        if len(found) == CHUNK or k == K:  # a year of whole states would not fit into memory
+            _keep(out, slice(k - len(found), k), *(np.stack(column) for column in zip(*found, strict=True)))
+            found = []
     return out
+
+
+def _keep(
+    out: dict[str, Array], part: slice, truth: Array, x1: Array, b1: Array, L1: Array, x2: Array, b2: Array, L2: Array, x3: Array
+) -> None:
+    """Write what is kept of some epochs: first stages ``x``, biases and sensitivities of TKF, of all `FORMS`, and the exact one."""
+    estimates = {"ekf": (x1, np.zeros_like(b1)), "tkf": (x1 + b1 @ L1.mT, b1), "aug": (x3[..., :6], x3[..., 15:])}
+    estimates |= {form: (x2 + b2[:, i] @ L2.mT, b2[:, i]) for i, form in enumerate(FORMS)}
+    for name, (x, b) in estimates.items():
+        out[f"{name}/bias"][part] = b
+        out[f"{name}/position"][part] = np.square(x[..., :3] - truth[..., :3]).sum(-1)
