@@ -18,8 +18,9 @@ def test_notebook_is_thin_and_executed(path):
     cells = [cell for cell in notebook.cells if cell.cell_type == "code"]
     assert [cell.execution_count for cell in cells] == list(range(1, len(cells) + 1))
     lines = [line for cell in cells for line in cell.source.splitlines() if line.strip()]
-    assert len(lines) <= 60
-    assert not any(line.lstrip().startswith(("def ", "class ", "%", "!")) for line in lines)
+    own = path.stem == "00_tour"  # where a newcomer writes a model
+    assert len(lines) <= (150 if own else 60)
+    assert not any(line.lstrip().startswith(("class ", "%", "!") if own else ("def ", "class ", "%", "!")) for line in lines)
     assert not any(output.output_type == "error" for cell in cells for output in cell.outputs)
 
 

@@ -220,7 +220,7 @@ def run(
         raise ValueError(f"keep: expected 'std', 'spread', 'mean' or 'nothing', got {keep!r}")
     if on_failure not in ("raise", "flag"):
         raise ValueError(f"on_failure: expected 'raise' or 'flag', got {on_failure!r}")
-    collector = Collector(int(every), keep, prior.form)
+    collector = Collector(int(every), keep)
     reduced = None
     for epoch, state, info in steps(filter, prior, epochs):
         infos = info if isinstance(info, tuple) and not isinstance(info, Info) else (info,)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from celnav.gaussian import Form, Gaussian
+from celnav.gaussian import SQUARE_ROOT, Form, Gaussian
 from celnav.linalg import Array
 
 if TYPE_CHECKING:
@@ -125,8 +125,8 @@ class Track:
 class Collector:
     """Gathers the rows of a `Track` by a storage policy; sums go over every epoch."""
 
-    def __init__(self, every: int, keep: str, form: Form):
-        self._every, self._keep, self._form = every, keep, form
+    def __init__(self, every: int, keep: str):
+        self._every, self._keep, self._form = every, keep, SQUARE_ROOT
         self._rows: defaultdict[str, list[Any]] = defaultdict(list)
         self._extra: dict[str, list[Any]] = {}
         self._times: list[Any] = []
@@ -138,6 +138,7 @@ class Collector:
     def add(self, epoch: Any, state: Any, infos: tuple[Any, ...], extra: dict[str, Any]) -> tuple[int, ...] | None:
         """Take one step in. Returns the index of the first run that it newly lost, or None."""
         belief: Gaussian = state.belief
+        self._form = belief.form  # which need not be that of the prior
         for info in infos:
             self._sum(info)
         if self._count % self._every == 0:
