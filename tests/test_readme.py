@@ -1,0 +1,58 @@
+"""The README: its table of verdicts is that of the executed notebooks, its code runs, its links and pictures are there."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import nbformat
+import pytest
+
+import celnav
+from celnav.papers import PAPERS
+from celnav.report import verdicts
+
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def found(paper):
+    """Verdicts in the table of claims of a paper's notebook, which was executed with all runs."""
+    path = ROOT / "notebooks" / f"{list(PAPERS).index(paper) + 1:02d}_{paper}.ipynb"
+    cells = nbformat.read(path, as_version=4).cells
+    pages = [o.data.get("text/html", "") for c in cells if c.cell_type == "code" for o in c.outputs if "data" in o]
+    (table,) = [page for page in pages if "<th>verdict</th>" in page]
+    return [{"verdict": verdict} for verdict in re.findall(r"<td>([^<]*)</td></tr>", table)]
+
+
+def test_the_table_of_verdicts_is_not_stale():
+    assert verdicts({paper: found(paper) for paper in PAPERS}) in README
+
+
+def test_links_and_pictures_are_there():
+    targets = re.findall(r"\]\(([^)#:]+)\)", README)
+    assert "docs/csrukf.png" in targets
+    assert all((ROOT / target).exists() for target in targets)
+
+
+def test_the_first_program_runs(capsys):
+    program = re.findall(r"```python\n(.*?)```", README, re.DOTALL)[0]
+    assert len([line for line in program.splitlines() if line.strip()]) <= 22
+    exec(compile(program, "README.md", "exec"), {})
+    std, nis = map(float, capsys.readouterr().out.split())
+    assert 0.0 < std < 0.1  # km
+    assert nis == pytest.approx(3.0, abs=0.05)
+
+
+def test_what_it_names_is_there():
+    for name in re.findall(r"`(celnav(?:\.[A-Za-z_]+)+)[(`]", README):
+        module, thing = celnav, name.split(".")[1:]
+        for i, part in enumerate(thing):
+            if not hasattr(module, part):
+                __import__("celnav." + ".".join(thing[: i + 1]))
+            module = getattr(module, part)
+
+
+def test_it_says_how_to_cite_this_version():
+    assert f"version = {{{celnav.__version__}}}" in README
+    assert f"version: {celnav.__version__}" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
