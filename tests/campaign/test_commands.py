@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import csv
-import os
 import shutil
 import subprocess
 import sys
@@ -12,6 +10,7 @@ import sys
 import numpy as np
 import pandas as pd
 import pytest
+from machine import mounted
 
 from celnav import cli
 from celnav.campaign import campaign, serial
@@ -251,19 +250,6 @@ def test_a_full_disk_names_the_file_and_keeps_what_is_done(sweep, tmp_path, caps
     done = []
     campaign(read(sweep), tmp_path / "here", progress=lambda runs, total: done.append(runs))
     assert done == [36, 48, 60, 72]
-
-
-@contextlib.contextmanager
-def mounted(folder, options):
-    folder.mkdir()
-    if os.name != "posix" or shutil.which("mount") is None or os.geteuid() != 0:
-        pytest.skip("cannot mount here")
-    if subprocess.run(["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(folder)], capture_output=True, check=False).returncode:
-        pytest.skip("cannot mount here")
-    try:
-        yield
-    finally:
-        subprocess.run(["umount", "-l", str(folder)], check=True)
 
 
 def test_a_small_file_system_that_is_full_is_one_line(sweep, tmp_path, capsys):

@@ -7,9 +7,9 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
+from machine import children, gone
 
 from celnav.campaign import campaign, dask, processes, serial
 from celnav.campaign.table import columns, to_csv, to_parquet
@@ -99,10 +99,6 @@ def start(file, folder):
     return subprocess.Popen([sys.executable, str(script), str(file), str(folder)], stderr=subprocess.PIPE, text=True)
 
 
-def children(pid):
-    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-
-
 def workers_at_work(process, folder, units):
     """Wait until some units are done; returns the worker processes."""
     deadline = time.monotonic() + 200.0
@@ -111,20 +107,6 @@ def workers_at_work(process, folder, units):
             return children(process.pid)
         time.sleep(0.01)
     raise AssertionError(f"the campaign did not get that far: {process.communicate()}")
-
-
-def gone(pids, within_s=5.0):
-    deadline = time.monotonic() + within_s
-    while (left := [pid for pid in pids if alive(pid)]) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    return not left
-
-
-def alive(pid):
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
 
 
 def tables_of(folder):

@@ -1,0 +1,143 @@
+"""``celnav reproduce`` with real processes: interrupted, killed, twice at once, on a full and on a read-only disk."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from machine import children, gone, mounted
+from test_cli import tiny
+
+from celnav import cli, papers
+
+LINUX = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
+SCRIPT = f"""
+import sys, time
+sys.path.insert(0, {str(Path(__file__).parent)!r})
+from test_cli import numbers, tiny
+from celnav import cli, papers, report
+from celnav.montecarlo import Plan, Unit
+
+
+def slow(start):
+    time.sleep(0.4)
+    return numbers(start)
+
+
+def plan(**options):
+    return Plan([Unit("all", slow, (i,)) for i in range(8)], module.plan(effort=1.0, seed=0).result)
+
+
+module = tiny()
+study = type(module)(**{{**vars(module), "plan": plan}})
+papers.PAPERS = report.PAPERS = {{"tiny": "tiny"}}
+papers.import_module = lambda name: study
+if __name__ == "__main__":
+    raise SystemExit(cli.main(sys.argv[1:]))
+"""
+
+
+def start(folder, out):
+    """Reproduce a paper of eight slow units in two processes; returns when two units are done."""
+    script = folder / "script.py"
+    script.write_text(SCRIPT)
+    command = [sys.executable, str(script), "reproduce", "--out", str(out), "--jobs", "2"]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    process = subprocess.Popen(command, **pipes, text=True, start_new_session=True)
+    seen = ""
+    while "2/8" not in seen:
+        line = process.stdout.readline()
+        assert line, f"{seen}{process.communicate()}"
+        seen += line
+    return process, children(process.pid)
+
+
+def finished(folder, out):
+    """Run it to the end."""
+    process, _ = start(folder, out)
+    process.communicate(timeout=60)
+    assert process.returncode == 0
+    assert (out / "index.html").exists()
+    assert (out / "tiny/claims.json").exists()
+    assert not list(out.rglob(".celnav-*"))
+    assert not list(out.rglob("*.tmp"))
+
+
+@LINUX
+def test_an_interrupt_half_way_leaves_nothing_half_written_and_no_process(tmp_path):
+    process, pids = start(tmp_path, tmp_path / "out")
+    os.killpg(process.pid, signal.SIGINT)
+    _, error = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert error.splitlines()[-1] == "celnav: interrupted"
+    assert gone(pids)
+    left = [p.name for p in (tmp_path / "out").rglob("*") if p.is_file()]
+    assert left == [".celnav.lock"]
+    finished(tmp_path, tmp_path / "out")
+
+
+@LINUX
+def test_a_killed_one_leaves_no_process_and_another_completes(tmp_path):
+    process, pids = start(tmp_path, tmp_path / "out")
+    process.kill()
+    process.communicate()
+    assert gone(pids)
+    finished(tmp_path, tmp_path / "out")
+
+
+@LINUX
+def test_a_second_one_says_so_and_stops(tmp_path):
+    process, _ = start(tmp_path, tmp_path / "out")
+    command = [sys.executable, str(tmp_path / "script.py"), "reproduce", "--out", str(tmp_path / "out"), "--jobs", "1"]
+    second = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert second.returncode == 1
+    assert second.stderr.count("\n") == 1
+    assert "another" in second.stderr
+    process.communicate(timeout=60)
+    assert process.returncode == 0
+
+
+@LINUX
+def test_a_killed_worker_is_told_in_one_line(tmp_path):
+    process, pids = start(tmp_path, tmp_path / "out")
+    os.kill(pids[-1], signal.SIGKILL)
+    _, error = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert error.splitlines()[-1].startswith("celnav: a worker process was killed")
+    assert gone(pids)
+
+
+@pytest.fixture
+def study(monkeypatch):
+    module = tiny()
+    noisy = SimpleNamespace(arrays=lambda: {"x": __import__("numpy").random.default_rng(0).random(100_000)}, timings={})
+    large = tiny()
+    large.plan = lambda **options: module.plan(effort=1.0, seed=0)._replace(result=lambda outcomes: noisy)
+    monkeypatch.setattr(papers, "PAPERS", {"tiny": "tiny"})
+    monkeypatch.setattr("celnav.report.PAPERS", {"tiny": "tiny"})
+    monkeypatch.setattr("celnav.papers.import_module", lambda name: large)
+
+
+def test_a_read_only_folder_is_one_line_before_anything_is_computed(study, tmp_path, capsys):
+    with mounted(tmp_path / "fixed", "ro"):
+        assert cli.main(["reproduce", "--out", str(tmp_path / "fixed"), "--jobs", "1"]) == 1
+    captured = capsys.readouterr()
+    assert "fixed" in captured.err
+    assert captured.err.count("\n") == 1
+
+
+def test_a_full_disk_is_one_line_and_leaves_whole_files(study, tmp_path, capsys):
+    with mounted(tmp_path / "small", "size=200k"):
+        assert cli.main(["reproduce", "--out", str(tmp_path / "small"), "--jobs", "1"]) == 1
+        error = capsys.readouterr().err.splitlines()
+        assert len(error) == 1
+        assert "no space left to write the file" in error[0]
+        assert "result.npz" in error[0]
+        left = {p.name for p in (tmp_path / "small").rglob("*") if p.is_file()}
+    assert left <= {".celnav.lock", ".celnav.json", "claims.json"}
+    assert "claims.json" in left
