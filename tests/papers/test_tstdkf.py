@@ -225,6 +225,20 @@ def test_the_linear_driver_is_the_nonlinear_one():
         np.testing.assert_allclose(linear[20:], other[20:], atol=0.02, err_msg=name)
 
 
+def test_an_hour_of_the_linear_driver_is_the_mean_of_its_steps():
+    config = replace(PRESETS["year"], days=0.4)  # nine hours, and the rest
+    fine, coarse = (sweeps.year.track(config, runs(2), every=every) for every in (1, 12))
+    assert len(fine["times"]) == config.steps == 115
+    np.testing.assert_array_equal(coarse["times"][:, 0], 300.0 * np.append(np.arange(12, 115, 12), 115))
+    for name in ("tkf", "B", "aug"):
+        np.testing.assert_allclose(coarse[f"{name}/bias"], fine[f"{name}/bias"][np.append(np.arange(11, 114, 12), 114)])
+        for what in ("position", "error"):
+            means = [part.mean(0) for part in np.split(fine[f"{name}/{what}"], np.arange(12, 115, 12))]
+            np.testing.assert_allclose(coarse[f"{name}/{what}"], means)
+    error = np.square(fine["B/bias"] - fine["bias"]).sum(-1)
+    np.testing.assert_allclose(fine["B/error"], error)
+
+
 def test_the_bound_is_the_exact_filters_covariance():
     config = replace(SHORT, days=0.25)
     sim = simulate(config, runs(1))

@@ -90,8 +90,9 @@ def _variants(j: Evidence) -> list[Claim]:
         ("transport-star", "transported", "Transport of the covariance where whole attitudes are measured"),
     )
     for id, name, text in apart:
-        text = f"{text}, {j.seconds('variants'):g} s (largest difference, arcsec)"
-        out.append(j.number(id, "beyond", text, j.worst("variants", name)[0], (1e-3, 0.09)))
+        # The largest of all runs would scatter by a third from seed to seed.
+        text = f"{text}, {j.seconds('variants'):g} s (largest difference of a run, mean of the runs, arcsec)"
+        out.append(j.statistic(id, "beyond", text, np.mean, [j.result.data["variants"][name][0]], (1e-3, 0.09)))
     return out
 
 

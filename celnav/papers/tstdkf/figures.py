@@ -148,7 +148,7 @@ def figure_5(result: Result) -> Figure:
     runs = data.shape[1] // len(TRENDS)
     for k, (ax, trend) in enumerate(zip(axes, TRENDS, strict=True)):
         for i, (axis, color) in enumerate(zip(AXES, SHADES, strict=True)):
-            ax.plot(t[::36] / DAY_S, data[::36, k * runs, i], color=color, label=axis)
+            ax.plot(t[::3] / DAY_S, data[::3, k * runs, i], color=color, label=axis)
         ax.set(xlabel="time (days)", title=f"Eq. {(17, 69, 70)[k]}: {trend}")
     axes[0].set_ylabel("ephemeris error (km)")
     axes[0].legend()
@@ -232,7 +232,7 @@ def figure_10(result: Result) -> Figure:
     fig, axes = figure(10.0, 6.4, 3, 3, sharex=True)
     data = result.data["year"]
     t, runs = data["times"][:, 0] / DAY_S, data["bias"].shape[1] // len(TRENDS)
-    shown = slice(None, None, 72)
+    shown = slice(None, None, 6)
     for k, trend in enumerate(TRENDS):
         for i, axis in enumerate(AXES):
             ax, run = axes[k, i], k * runs

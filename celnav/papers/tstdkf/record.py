@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 RECORDINGS = ["tstdkf.rrd", "tstdkf_year.rrd"]
 SHOWN = (*PAPER, "aug")
-EVERY, EVERY_YEAR = 9, 72
+EVERY, EVERY_YEAR = 9, 6
 """Steps from one row to the next. An orbit has 20: every tenth would show two of its places only."""
 ORBIT = 20
 """Steps of an orbit."""

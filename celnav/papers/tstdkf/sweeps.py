@@ -172,9 +172,8 @@ NONLINEAR = {"ekf": "ekf", "tkf": "tkf", "tdkf": "tdkf", "C": "tstdkf", "B": "B"
 
 
 def _year(config: Config, rngs: Rngs) -> dict[str, Array]:
-    """See `celnav.papers.tstdkf.year.track`; with ``times`` ``(K, 1)`` s."""
-    out = year.track(config, rngs) | {"times": config.step_s * np.arange(1, config.steps + 1)[:, None]}
-    return {f"year/{key}": value for key, value in out.items()}
+    """See `celnav.papers.tstdkf.year.track`, hour by hour."""
+    return {f"year/{key}": value for key, value in year.track(config, rngs, every=year.HOUR).items()}
 
 
 def drivers(config: Config, rngs: Rngs) -> dict[str, Array]:
@@ -202,7 +201,7 @@ class Study(NamedTuple):
 
 
 STUDIES = {
-    "year": Study(_year, 7, 365.0, 6, year=True),
+    "year": Study(_year, 7, 365.0, 12, year=True),
     "ten days": Study(ten_days, 4, 10.0, 12),
     "forces": Study(forces, 6, 10.0, 20),
     "consistency": Study(consistency, 5, 3.0, 40),
