@@ -1,8 +1,9 @@
-"""Every part with every other: filters named by what they are composed of, and how each does on problems of one's own."""
+"""Filters named by the parts that they are composed of, and how each does on problems of one's own."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import KW_ONLY, dataclass
 from time import process_time
 from typing import Any, NamedTuple, cast
 
@@ -40,20 +41,36 @@ HOOKS: dict[str, Callable[[], Hook]] = {
 }
 
 
-class Composition(NamedTuple):
-    """A filter by its parts, of `RULES`, `FORMS` and `HOOKS`; ``colored``: whether it takes measurement noise for what it is."""
+MOST_POINTS = 500
+"""Rules of more points are left out: a product of Gauss-Hermite rules has 3^n."""
+
+
+@dataclass(frozen=True)
+class Composition:
+    """A filter by its parts, of `RULES`, `FORMS` and `HOOKS`; ``colored``: whether it takes measurement noise for what it is.
+
+    Raises
+    ------
+    ValueError: for a part that is not known.
+    """
 
     rule: str
+    _: KW_ONLY
     form: str = "square root"
     colored: bool = False
     hook: str = ""
+
+    def __post_init__(self) -> None:
+        for name, known in (("rule", tuple(RULES)), ("form", FORMS), ("hook", ("", *HOOKS))):
+            if getattr(self, name) not in known:
+                raise ValueError(f"{name}: expected one of {', '.join(map(repr, known))}, got {getattr(self, name)!r}")
 
     def __str__(self) -> str:
         return " · ".join([self.rule, self.form, *(["colored"] if self.colored else []), *([self.hook] if self.hook else [])])
 
 
 COMPOSITIONS = (
-    *(Composition(rule, form) for rule in RULES for form in FORMS),
+    *(Composition(rule, form=form) for rule in RULES for form in FORMS),
     *(Composition(rule, colored=True) for rule in RULES),
     *(Composition("unscented", hook=hook) for hook in HOOKS),
     Composition("sparse grid", hook="Huber"),
@@ -62,13 +79,13 @@ COMPOSITIONS = (
 
 
 def compose(problem: Problem, parts: Composition) -> Filter | None:
-    """The filter; None where the parts do not go together: the filter for colored noise is one of vectors.
-
-    Raises
-    ------
-    KeyError: for a part that is not known.
+    """The filter; None where the parts do not go together: the filter for colored noise is one of vectors, and takes the process
+    noise through the points; and where there would be more than `MOST_POINTS`.
     """
-    n, m, rule = problem.n, problem.m, RULES[parts.rule](problem.n)
+    n, m = problem.n, problem.m
+    if parts.rule == "Gauss-Hermite" and 3 ** (n + parts.colored * problem.sqrt_Q.shape[1]) > MOST_POINTS:
+        return None
+    rule = RULES[parts.rule](n)
     hooks = (HOOKS[parts.hook](),) if parts.hook else ()
     if not parts.colored:
         space, measured = problem.space, problem.measurement_space
@@ -77,7 +94,7 @@ def compose(problem: Problem, parts: Composition) -> Filter | None:
             update(problem.h, rule, R=problem.R, hooks=hooks, space=space, measurement_space=measured),
         )
     elif problem.space is EUCLIDEAN and problem.measurement_space is EUCLIDEAN:
-        both = RULES[parts.rule](n + problem.sqrt_Q.shape[1])  # the process noise goes through the points
+        both = RULES[parts.rule](n + problem.sqrt_Q.shape[1])
         filter = colored(
             problem.f, problem.h, both, problem.phi * np.eye(m), sqrt_Q=problem.sqrt_Q, R=(1.0 - problem.phi**2) * problem.R,
             Sigma0=problem.R, first_rule=rule, hooks=hooks,
@@ -94,14 +111,18 @@ class Row(NamedTuple):
 
     Attributes
     ----------
-    problem, filter: names. rms, efficiency: of the first group over the second half of the time, and the posterior Cramer-Rao
-        bound over it. anees, low, high: NEES over its dimension, 1 if consistent, with a 95 % interval from how the runs differ.
+    problem, filter: names. rms: of the first group over the second half of the epochs; rms_low, rms_high: its 95 % interval.
+    efficiency: the linearized posterior Cramer-Rao bound (see `celnav.trial.bound`) over it: about 1 if it is as good as can be; a
+        little more by chance, or where process noise leads away from the run about which it is linearized.
+    anees, low, high: NEES over its dimension, 1 if consistent, with its interval. Intervals come from how the runs differ.
     lost: runs without an estimate. us_per_step: CPU time of a run's step, microseconds.
     """
 
     problem: str
     filter: str
     rms: float
+    rms_low: float
+    rms_high: float
     efficiency: float
     anees: float
     low: float
@@ -117,13 +138,19 @@ def compare(
 
     The bound is the linearized one, of the filter that knows the color (where it can be composed) along the undisturbed run. It
     takes no notice of outliers.
+
+    Raises
+    ------
+    ValueError: unless ``runs`` is a positive integer.
     """
+    if int(runs) != runs or runs < 1:
+        raise ValueError(f"runs: expected a positive integer, got {runs!r}")
     rows, chosen = [], list(parts)
-    for number, (name, problem) in enumerate(problems.items()):
+    for name, problem in problems.items():
         best = Composition("Taylor", colored=problem.phi > 0.0)
         filters = {str(p): made for p in dict.fromkeys([best, *chosen]) if (made := compose(problem, p)) is not None}
         reference = str(best) if str(best) in filters else ""
-        trial = problem.trial(filters, [generator(seed, number, run) for run in range(runs)], reference)
+        trial = problem.trial(filters, [generator(seed, 0, run) for run in range(runs)], reference)
         least = bound(problem.trial(filters, cast(Any, [Noiseless()]), reference))
         for filter in (str(p) for p in chosen if str(p) in filters):
             scores, failures = score(follow(trial, filter), trial.groups, settle_s=None, limits={})
@@ -133,6 +160,6 @@ def compare(
                 pass
             cost = (process_time() - start) / (runs * len(problem.times))
             first = summary.accuracy[0]
-            found = (first.rms, first.efficiency, summary.anees, summary.low, summary.high)
+            found = (first.rms, first.low, first.high, first.efficiency, summary.anees, summary.low, summary.high)
             rows.append(Row(name, filter, *found, len(failures), 1e6 * cost))
     return rows

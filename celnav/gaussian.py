@@ -187,12 +187,15 @@ def square_root(mean: ArrayLike, cov: ArrayLike | None = None, *, root: ArrayLik
 
     Raises
     ------
-    ValueError: if a shape is wrong, a number not finite, or ``cov`` not symmetric positive semidefinite.
+    ValueError: if a shape is wrong, a number not finite, ``cov`` not symmetric positive semidefinite, or ``root`` not lower
+        triangular.
     """
     x = finite("mean", mean)
     if (cov is None) == (root is None):
         raise ValueError("square_root: expected exactly one of cov and root")
     spread = sqrt_cov(cov, "cov") if cov is not None else finite("root", root)
+    if np.triu(spread, 1).any():
+        raise ValueError("root: expected a lower triangular matrix (`celnav.linalg.tria` makes one of any root)")
     return _prior(x, spread, SQUARE_ROOT)
 
 

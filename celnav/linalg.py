@@ -45,7 +45,7 @@ def components(x: Array) -> Array:
 
 
 def outer(A: Array) -> Array:
-    """``A @ A.mT``, the covariance of columns ``(..., n, q)``.
+    """``A @ A.mT``, the covariance of columns ``(..., n, q)``; symmetric to rounding.
 
     Of a matrix and its own transpose numpy makes one triangle and copies it, which for many small ones takes twice the time.
     """

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from celnav.filters.driver import Filter, epochs
-from celnav.filters.step import Model
+from celnav.filters.step import Model, images
 from celnav.gaussian import Gaussian, finite, sqrt_cov, square_root
 from celnav.linalg import Array
 from celnav.montecarlo import normals
@@ -35,7 +35,7 @@ class Problem:
         measurement ``(p, ..., M)``.
     mean: ``(N,)`` and cov ``(n, n)``: of the start.
     sqrt_Q: columns ``(n, r)`` of the process noise of an interval. R: covariance ``(m, m)`` of V.
-    times: ``(T,)`` s. u: inputs ``(T - 1, ...)``, ``epoch.u``.
+    times: ``(T,)`` s, increasing. u: inputs, ``epoch.u``: ``u[k]`` acts from ``times[k]`` to ``times[k + 1]``.
     phi: correlation of V with the last one, in [0, 1): an AR(1) process.
     outliers: part of the components, in [0, 1), whose noise is `WILD` times as large; filters are not told.
     space, measurement_space: what a difference of states and of measurements is.
@@ -64,11 +64,25 @@ class Problem:
         for name in ("mean", "cov", "sqrt_Q", "R", "times"):
             object.__setattr__(self, name, finite(name, getattr(self, name)))
         for name in ("phi", "outliers"):
-            if not 0.0 <= getattr(self, name) < 1.0:
+            if not 0.0 <= float(finite(name, getattr(self, name), ())) < 1.0:
                 raise ValueError(f"{name}: expected a number in [0, 1), got {getattr(self, name)!r}")
-        sqrt_cov(self.cov, "cov"), sqrt_cov(self.R, "R")
-        if self.sqrt_Q.ndim != 2 or len(self.sqrt_Q) != len(self.cov):
-            raise ValueError(f"sqrt_Q: expected columns ({len(self.cov)}, r), got {self.sqrt_Q.shape}")
+        for name in ("f", "h"):
+            if not callable(getattr(self, name)):
+                raise ValueError(f"{name}: expected a function of points and epoch, got {type(getattr(self, name)).__name__}")
+        for name in ("cov", "R"):
+            if getattr(self, name).ndim != 2:
+                raise ValueError(f"{name}: expected a matrix, got shape {getattr(self, name).shape}")
+            sqrt_cov(getattr(self, name), name)
+        if self.sqrt_Q.ndim != 2 or len(self.sqrt_Q) != self.n:
+            raise ValueError(f"sqrt_Q: expected columns ({self.n}, r), got {self.sqrt_Q.shape}")
+        if self.mean.ndim != 1 or (self.space is EUCLIDEAN and len(self.mean) != self.n):
+            raise ValueError(f"mean: expected shape ({self.n},) to go with cov, got {self.mean.shape}")
+        if self.times.ndim != 1 or len(self.times) < 2 or not (np.diff(self.times) > 0.0).all():
+            raise ValueError(f"times: expected two or more increasing numbers, got shape {self.times.shape}")
+        epochs(self.times, u=self.u)
+        for group in self.groups:
+            if not isinstance(group.part, slice) or not len(range(self.n)[group.part]):
+                raise ValueError(f"groups: expected a slice of {self.n} components for {group.name}, got {group.part!r}")
 
     @property
     def n(self) -> int:
@@ -86,8 +100,15 @@ class Problem:
         return square_root(self.mean, self.cov)
 
     def draw(self, rngs: Sequence[np.random.Generator]) -> tuple[Array, Array]:
-        """Truth ``(T, runs, N)`` and measurements ``(T, runs, M)`` of one run with each generator."""
+        """Truth ``(T, runs, N)`` and measurements ``(T, runs, M)`` of one run with each generator.
+
+        Raises
+        ------
+        ValueError: without a generator, for a model that returns another shape or numbers that are not finite.
+        """
         T, r, m, runs = len(self.times), self.sqrt_Q.shape[1], self.m, len(rngs)
+        if not runs:
+            raise ValueError("rngs: expected at least one generator, got none")
         start, walk, noise, lot = normals(rngs, (self.n,), (T, r), (T, m), (T, m))
         truth, z = [], []
         wild = np.abs(lot) > (ndtri(1.0 - 0.5 * self.outliers) if self.outliers else np.inf)
@@ -96,12 +117,19 @@ class Problem:
         x = self.space.plus(np.tile(self.mean, (runs, 1)), start @ sqrt_cov(self.cov, "cov").T)
         for epoch in epochs(self.times, u=self.u):
             if epoch.k:
-                x = self.space.plus(np.asarray(self.f(x[None].copy(), epoch))[0], walk[epoch.k] @ self.sqrt_Q.T)
+                x = self.space.plus(self._image("f", x, epoch, len(self.mean)), walk[epoch.k] @ self.sqrt_Q.T)
             V = noise[0] if epoch.k == 0 else self.phi * V + np.sqrt(1.0 - self.phi**2) * noise[epoch.k]
             factor = np.where(wild[epoch.k], WILD, 1.0)
             truth.append(x)
-            z.append(self.measurement_space.plus(np.asarray(self.h(x[None].copy(), epoch))[0], factor * V))
+            seen = self._image("h", x, epoch, m if self.measurement_space is EUCLIDEAN else None)
+            z.append(self.measurement_space.plus(seen, factor * V))
         return np.stack(truth), np.stack(z)
+
+    def _image(self, name: str, x: Array, epoch: Any, dimension: int | None) -> Array:
+        y: Array = images(name, getattr(self, name), x[None].copy(), epoch, (), dimension)[0]
+        if not np.isfinite(y).all():
+            raise ValueError(f"{name}: expected finite numbers, got others at t = {epoch.t}")
+        return y
 
     def trial(self, filters: Mapping[str, Filter], rngs: Sequence[np.random.Generator], reference: str = "") -> Trial:
         """Runs for filters to be judged on; ``reference``: see `celnav.trial.Trial`."""
@@ -112,4 +140,4 @@ class Problem:
         return Trial(groups, filters, prior, lambda _name: every, self._compare, reference)
 
     def _compare(self, truth: Any, belief: Gaussian) -> tuple[Array, Array]:
-        return self.space.minus(belief.mean, truth), belief.root
+        return -self.space.minus(truth, belief.mean), belief.root  # the root is that of tangents at the mean

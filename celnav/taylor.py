@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.linalg import Array, is_unit, matvec, side_by_side
+from celnav.linalg import Array, is_unit, matvec, side_by_side, solve_upper_transposed
 from celnav.points import KEEP, Image, Outputs
 from celnav.spaces import Space
 
@@ -129,5 +129,4 @@ class Taylor:
         """Jacobian of an image, ``(..., k, n)``."""
         if is_unit(root):
             return image.columns[..., : len(root)]
-        slope: Array = np.linalg.solve(root.mT, image.columns[..., : root.shape[-1]].mT).mT
-        return slope
+        return solve_upper_transposed(root, image.columns[..., : root.shape[-1]].mT).mT

@@ -87,13 +87,19 @@ def results(
         if not waiting and fatal is None:
             return
         done = wait(waiting, 0.0 if fatal else None, return_when=FIRST_COMPLETED).done
-        for future in [future for future in waiting if future in done]:
+        finished = [future for future in waiting if future in done]
+        del done
+        while finished:  # a result may be large: none is held here while the next are waited for
+            future = finished.pop(0)
             unit = waiting.pop(future)
             error = CancelledError() if future.cancelled() else future.exception()
             if isinstance(error, BrokenExecutor | VersionError | CancelledError):
                 fatal = error
             elif error is None or isinstance(error, Exception):
-                yield unit, future.result() if error is None else error
+                outcome: R | Exception = future.result() if error is None else error
+                del future
+                yield unit, outcome
+                del outcome
             else:
                 raise error
         if isinstance(fatal, CancelledError):

@@ -236,7 +236,7 @@ def _through_points(
 
         def g(points: Array, w: Array) -> Outputs:
             y = images("f", f, points.copy(), epoch, (), points.shape[-1]) + w
-            now = images("h", h, y, epoch, (), m)
+            now = images("h", h, y.copy(order="K"), epoch, (), m)
             before = images("h", h, points, epoch, (), m)
             return now - matvec(Phi, before), y
 

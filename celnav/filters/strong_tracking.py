@@ -40,13 +40,13 @@ def proportional(ratios: Array, rho: Array) -> Array:
     return np.where(rho > 0.0, rho * ratios, 1.0)
 
 
-def strong_tracking(rho: ArrayLike, tau: float, *, factor: Factor = excess, corrected: bool = True) -> Any:
+def strong_tracking(rho: ArrayLike, tau: float, *, factor: Factor = excess) -> Any:
     """A boost for `celnav.filters.two_stage.two_stage`.
 
     Parameters
     ----------
     rho: ``(..., m)``, not negative; 0 switches a component off. tau: length of the window, in measurements, at least 1.
-    factor: `excess` or `proportional`. corrected: of the residuals of the bias stage; else of the innovations of the first stage.
+    factor: `excess` or `proportional`.
 
     Raises
     ------
@@ -59,14 +59,13 @@ def strong_tracking(rho: ArrayLike, tau: float, *, factor: Factor = excess, corr
         raise ValueError(f"tau: expected a number of at least 1, got {tau!r}")
 
     def boost(memory: Window | None, seen: Boost) -> tuple[Window, Array]:
-        residual, covariance = (seen.residual, seen.total) if corrected else (seen.innovation, seen.own)
-        square = residual * residual
+        square = seen.residual * seen.residual
         if square.shape[-1] != weights.shape[-1]:
             raise ValueError(f"rho: expected {square.shape[-1]} numbers to go with the measurement, got {weights.shape[-1]}")
         count = 1 if memory is None else memory.length + 1
         before = np.zeros_like(square) if memory is None else memory.squares
         squares = before + (square - before) / min(count, tau)
-        found = factor(squares / covariance.diagonal(0, -2, -1), weights)
+        found = factor(squares / seen.total.diagonal(0, -2, -1), weights)
         factors = np.clip(np.where(np.isfinite(found), found, 1.0), 1.0, LARGEST)
         return Window(count, squares, factors), factors
 
