@@ -31,7 +31,7 @@ from celnav.progress import Progress
 
 KINDS = ("png", "svg")
 """Of each figure."""
-FIRST = ("tstdkf", "aukf")
+FIRST = ("tstdkf", "aukf", "aasghqf")
 """Papers with the longest units: the end is then made of short ones, and all processes are busy until it."""
 
 
