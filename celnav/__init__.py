@@ -8,8 +8,9 @@ Arrays    The last axis is the component, ``(..., n)``; a matrix is ``(..., n, n
 Roots     Lower triangular, diagonal >= 0, ``P = L @ L.T``. Noise may be given as a covariance (``Q``) or as columns (``sqrt_Q``).
 Errors    Estimate minus truth. The innovation is measurement minus prediction.
 Missing   nan. A missing component costs nothing but itself, in each run by itself.
-Failure   A run that loses definiteness becomes nan while its neighbors go on; ``Track.failed_at`` says when. Bad arguments raise
-          ValueError naming the argument, what was expected and what came.
+Failure   `run` raises `FilterError` for the first run that loses definiteness. With ``on_failure="flag"`` it becomes nan instead,
+          while its neighbors go on; ``Track.failed_at`` says when. Bad arguments raise ValueError naming the argument, what was
+          expected and what came.
 Units     SI and radians, except orbits: km and km/s. A name says its unit where it is another: ``sigma_km``.
 Frames    Earth-centered inertial, equatorial (J2000), for orbits; east, north, up and right, front, up for aircraft.
 Attitude  Unit quaternions, scalar last; they take inertial components to body components, and the product composes such
