@@ -243,7 +243,7 @@ def figure_10(result: Result) -> Figure:
         axes[k, 0].set_ylabel("ephemeris error (km)")
     for ax in axes[-1]:
         ax.set(xlabel="time (days)", xlim=(0.0, min(t[-1], YEAR_S / DAY_S)))
-    axes[0, 1].legend(loc="lower center", bbox_to_anchor=(0.5, 1.15), ncols=5)
+    fig.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=5)
     return fig
 
 

@@ -194,7 +194,8 @@ def _record_year(recording: Any, result: Result, outputs: Outputs, facts: dict[s
     text = (
         "# A year of three trends\n\nThe ephemeris error (white) on three axes along a sine, a growing and a triangular trend. The "
         "two-stage filter (TKF, blue) takes it for constant and does not follow. Strong tracking follows in form B (red), hardly "
-        "in form C (orange). The exact filter (AUG, green), told of a random walk, follows best. Computed by the linear driver."
+        "in form C (orange). The exact filter (AUG, green), told of a random walk, follows best. Position errors "
+        "are the rms of an hour. Computed by the linear driver."
     )
     with outputs.path_for(RECORDINGS[1]) as path:
         named = recording.recording(path, times, name="tstdkf year", layout=layout, properties=facts, counter="step")
