@@ -13,6 +13,8 @@ Failure   `run` raises `FilterError` for the first run that loses definiteness. 
           expected and what came.
 Units     SI and radians, except orbits: km and km/s. A name says its unit where it is another: ``sigma_km``.
 Frames    Earth-centered inertial, equatorial (J2000), for orbits; east, north, up and right, front, up for aircraft.
+Angles    One that wraps must be told: ``space=angles([2])`` of `predict` and `update` if it is a component of the state,
+          ``measurement_space=angles([0])`` of `update` if it is one of the measurement. Nothing can notice a forgotten one.
 Attitude  Unit quaternions, scalar last; they take inertial components to body components, and the product composes such
           matrices. Errors are in body axes. The sign of a quaternion never matters (`celnav.attitude`).
 Time      s since the start of a study.
@@ -20,9 +22,10 @@ Chance    One generator for each run: ``(seed, study, run)`` determines its numb
 Sources   ``[Sun2015, Eq. 27]`` in a docstring; citations are in ``celnav.papers.<id>.CITATION``.
 """
 
-from celnav.filters import Epoch, Filter, FilterError, Track, epochs, predict, run, sequential, steps, update
+from celnav.filters import Epoch, Filter, FilterError, Track, epochs, predict, run, sequential, smooth, steps, update
 from celnav.gaussian import Gaussian, covariance, square_root
 from celnav.points import Rule, cubature, from_filterpy, gauss_hermite, simplex, unscented
+from celnav.spaces import angles
 from celnav.sparse_grid import smolyak
 from celnav.taylor import Taylor
 
@@ -36,6 +39,7 @@ __all__ = [
     "Rule",
     "Taylor",
     "Track",
+    "angles",
     "covariance",
     "cubature",
     "epochs",
@@ -46,6 +50,7 @@ __all__ = [
     "sequential",
     "simplex",
     "smolyak",
+    "smooth",
     "square_root",
     "steps",
     "unscented",

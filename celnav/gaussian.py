@@ -239,7 +239,8 @@ def symmetric(cov: ArrayLike, name: str, n: int | None = None) -> tuple[Array, A
     P = finite(name, cov)
     expected = "symmetric positive semidefinite" + (f" ({n}, {n})" if n is not None else "")
     if P.ndim < 2 or P.shape[-1] != P.shape[-2] or (n is not None and P.shape[-1] != n):
-        raise ValueError(f"{name}: expected {expected}, got shape {P.shape}")
+        hint = f"; one variance is [[{P:g}]]" if P.ndim == 0 else "; variances alone are np.diag(...)" if P.ndim == 1 else ""
+        raise ValueError(f"{name}: expected {expected}, got shape {P.shape}{hint}")
     scale = np.sqrt(np.abs(P.diagonal(0, -2, -1)))
     skew = np.abs(P - P.mT)
     if (skew > 1e-8 * scale[..., :, None] * scale[..., None, :] + 1e-300).any():

@@ -136,7 +136,8 @@ class Rule:
         return np.asarray(self.nodes[self._used] * self._scale[:, None])
 
     def __repr__(self) -> str:
-        return f"Rule(n={self.n}, points={self.num_sigmas()}, negative weights={int((self.wc < 0).sum())})"
+        center = " and a center of weight 0" if self.num_sigmas() < len(self.nodes) else ""
+        return f"Rule(n={self.n}, points={self.num_sigmas()}{center}, negative weights={int((self.wc < 0).sum())})"
 
     # -- filterpy's interface ------------------------------------------------------------------------------------------
     @property
@@ -385,8 +386,10 @@ def from_filterpy(points: Any) -> Rule:
 
     Raises
     ------
-    ValueError: if its weights do not have the moments that a `Rule` needs.
+    ValueError: if its weights do not have the moments that a `Rule` needs, or it is no such object.
     """
+    if isinstance(points, type) or not all(hasattr(points, name) for name in ("n", "sigma_points", "Wm", "Wc")):
+        raise ValueError(f"points: expected a filterpy sigma-point object, such as MerweScaledSigmaPoints(...), got {points!r:.80}")
     nodes = points.sigma_points(np.zeros(points.n), np.eye(points.n))
     return _centered(nodes, np.ravel(points.Wm), np.ravel(points.Wc))
 

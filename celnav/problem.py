@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtri
 
+from celnav.filters.conditioning import Model, images
 from celnav.filters.driver import Filter, epochs
-from celnav.filters.step import Model, images
 from celnav.gaussian import Gaussian, finite, sqrt_cov, square_root
 from celnav.linalg import Array
 from celnav.montecarlo import normals

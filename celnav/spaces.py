@@ -7,6 +7,7 @@ A filter does its algebra on differences (tangent vectors of dimension ``n``); a
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -49,14 +50,35 @@ def wrap(angle: Any) -> Any:
 
 
 def angles(components: Iterable[int] | None = None) -> Space:
-    """Vectors of which some ``components`` (None: all) are angles in radians, wrapped to ``[-pi, pi)``."""
-    wrapped: Any = slice(None) if components is None else list(components)
+    """Vectors of which some ``components`` (None: all) are angles in radians, wrapped to ``[-pi, pi)``.
 
-    def wrapping(vector: Array) -> Array:
-        vector[..., wrapped] = wrap(vector[..., wrapped])
-        return vector
+    Raises
+    ------
+    ValueError: unless components are places from 0 on; from the space, for a vector that does not have them all.
+    """
+    places = None if components is None else tuple(components)
+    if places is not None and not all(isinstance(i, int | np.integer) and not isinstance(i, bool) and i >= 0 for i in places):
+        raise ValueError(f"components: expected places of angles in a vector, from 0 on, got {places}")
+    return Space(partial(_sum, places), partial(_difference, places))
 
-    return Space(lambda point, tangent: wrapping(np.add(tangent, point)), lambda b, a: wrapping(np.subtract(b, a)))
+
+def _sum(places: tuple[int, ...] | None, point: Array, tangent: Array) -> Array:
+    return _wrapped(_add(point, tangent), places)
+
+
+def _difference(places: tuple[int, ...] | None, b: Array, a: Array) -> Array:
+    return _wrapped(np.subtract(b, a), places)
+
+
+def _wrapped(vector: Array, places: tuple[int, ...] | None) -> Array:
+    """The vector, its angles wrapped in place."""
+    if places is None:
+        return np.asarray(wrap(vector))
+    if places and max(places) >= vector.shape[-1]:
+        raise ValueError(f"angles: expected components below {vector.shape[-1]}, the length of the vector, got {max(places)}")
+    chosen = list(places)
+    vector[..., chosen] = wrap(vector[..., chosen])
+    return vector
 
 
 def product(*factors: tuple[Space, int, int]) -> Space:

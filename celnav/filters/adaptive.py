@@ -1,8 +1,8 @@
 """Adaptation as parts: hooks that gate or inflate, prescribed gains, and a second rule for what the first loses.
 
-A hook sees the joint of measurement and state before the update and may replace it (`celnav.filters.step.Hook`); hooks act
+A hook sees the joint of measurement and state before the update and may replace it (`celnav.filters.info.Hook`); hooks act
 one after the other, each with its own memory, and run by run: a run in a batch gets what it would get alone. A gain leaves
-the joint alone and says what to do with the innovation (`celnav.filters.step.Gain`). More hooks: `celnav.filters.robust` (one
+the joint alone and says what to do with the innovation (`celnav.filters.info.Gain`). More hooks: `celnav.filters.robust` (one
 measurement at a time), `celnav.filters.parity` (what no state explains).
 """
 

@@ -17,9 +17,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from celnav.filters.arguments import check_hooks, check_model, check_rule
+from celnav.filters.conditioning import Model, condition, evaluate, explain, images, noise_columns
 from celnav.filters.driver import Epoch, Filter, State, sequential
 from celnav.filters.info import Hook, Info
-from celnav.filters.step import Model, condition, evaluate, explain, images, noise_columns, predict, update
+from celnav.filters.step import predict, update
 from celnav.gaussian import Gaussian, finite, sqrt_cov
 from celnav.linalg import Array, block, matvec, solve_upper_transposed, tria
 from celnav.points import KEEP, Image, Outputs, Transform
@@ -135,8 +137,11 @@ def colored(
     Sigma0: covariance of the first noise sample ``V_0``. None: the first sample only anchors the first difference, as in
         the paper, which is the limit of a large ``Sigma0``.
     first_rule: rule of dimension n for the update with ``Sigma0``; needed where ``h`` is a function.
-    hooks: see `celnav.filters.step.Hook`.
+    hooks: see `celnav.filters.info.Hook`.
     """
+    check_model("f", f)
+    check_rule(rule)
+    check_hooks(hooks)
     process = noise_columns(Q, sqrt_Q, "Q")
     increments = noise_columns(R, sqrt_R, "R")
     if process is None or increments is None:
@@ -275,6 +280,9 @@ def decorrelated(
     estimates: ``belief`` of the present state, ``lagged`` of the previous one, each given all measurements so far.
     Parameters as in `colored`; ``H`` is a matrix.
     """
+    check_model("f", f)
+    check_rule(rule)
+    check_hooks(hooks)
     process = noise_columns(Q, sqrt_Q, "Q")
     increments = noise_columns(R, sqrt_R, "R")
     if process is None or increments is None:
@@ -358,7 +366,7 @@ def augmented(
 
     both = sequential(
         predict(move, rule, sqrt_Q=block([[process, 0], [0, increments]])),
-        update(np.concatenate([matrix, np.eye(m)], -1), rule),
+        update(np.concatenate([matrix, np.eye(m)], -1), rule, sqrt_R=np.zeros((m, 0))),
     )
 
     def start(prior: Gaussian) -> State:

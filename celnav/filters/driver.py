@@ -13,8 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from celnav.filters.arguments import kind, takes
 from celnav.filters.info import Info
-from celnav.filters.step import Predict, Update
+from celnav.filters.step import Motion, Predict, Update
 from celnav.filters.track import Collector, Track
 from celnav.gaussian import Gaussian, finite
 from celnav.linalg import Array
@@ -58,9 +59,20 @@ def sequential(predict: Predict, *updates: Update) -> Filter:
 
     An epoch with ``dt == 0`` does not predict: the first one is an update of the prior. Each sensor has its own measurement
     (``z`` is a tuple when there are several), so sensors of different rates need nothing but nan where they are silent.
+
+    Raises
+    ------
+    ValueError: for parts that are none, or not in this order; from the filter, unless there is a measurement for each update.
     """
+    if not takes(predict, 2):
+        raise ValueError(f"predict: expected a part (belief, epoch), got {kind(predict)}")
+    for part in updates:
+        if isinstance(part, Motion) or not takes(part, 4):
+            raise ValueError(f"updates: expected parts (belief, z, epoch, memory) after the predict part, got {kind(part)}")
 
     def step(state: State, epoch: Epoch) -> tuple[State, Any]:
+        if not isinstance(state, State):
+            raise ValueError(f"state: expected what the filter's start(prior) or last step gave, got {kind(state)}")
         belief, memory = state.belief, list(state.memory)
         predicted = Info()
         if epoch.dt if isinstance(epoch.dt, float) else np.any(epoch.dt):
@@ -152,7 +164,8 @@ def _checked(z: ArrayLike, length: int) -> Array:
     except (TypeError, ValueError):
         raise ValueError("z: expected numbers (nan where missing), got something else") from None
     if measured.ndim < 2 or len(measured) != length:
-        raise ValueError(f"z: expected shape ({length}, ..., m) to go with the times, got {measured.shape}")
+        hint = "; one component is z[:, None]" if measured.shape == (length,) else ""
+        raise ValueError(f"z: expected shape ({length}, ..., m) to go with the times, got {measured.shape}{hint}")
     if np.isinf(measured).any():
         k = int(np.argwhere(np.isinf(measured))[0, 0])
         raise ValueError(f"z: expected finite numbers or nan, got an infinite one at index {k}")
@@ -164,8 +177,13 @@ def steps(filter: Filter, prior: Gaussian, epochs: Iterable[Epoch]) -> Iterator[
 
     Raises
     ------
-    ValueError: if an interval is negative or not finite. An exception of the model carries the step as a note.
+    ValueError: if an interval is negative or not finite, or what is given is no filter or no belief. An exception of the model
+        carries the step as a note.
     """
+    if not (hasattr(filter, "start") and hasattr(filter, "step")):
+        raise ValueError(f"filter: expected a Filter, such as celnav.sequential makes, got {kind(filter)}")
+    if not isinstance(prior, Gaussian):
+        raise ValueError(f"prior: expected a Gaussian, such as celnav.square_root(mean, cov), got {kind(prior)}")
     state = filter.start(prior)
     for epoch in epochs:
         _check_interval(epoch)

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from celnav.filters.conditioning import Model, noise_columns
 from celnav.filters.info import Info
-from celnav.filters.step import Model, Update, noise_columns, update
+from celnav.filters.step import Update, update
 from celnav.gaussian import Gaussian
 from celnav.linalg import Array
 from celnav.spaces import EUCLIDEAN, Space

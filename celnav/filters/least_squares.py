@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from celnav.filters.conditioning import evaluate
 from celnav.filters.driver import Epoch, Filter, State
 from celnav.filters.info import Info
-from celnav.filters.step import evaluate
 from celnav.gaussian import COVARIANCE, Gaussian, finite
 from celnav.linalg import Array, matvec, outer, unit
 

@@ -7,9 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from celnav.filters.arguments import check_hooks, check_model, check_space, measurement
+from celnav.filters.conditioning import Model, condition, evaluate, explain, images, noise_columns
 from celnav.filters.driver import Epoch, Filter, State
 from celnav.filters.info import Hook, Info
-from celnav.filters.step import Model, Update, condition, evaluate, explain, images, noise_columns, predict
+from celnav.filters.step import Update, predict
 from celnav.gaussian import Gaussian
 from celnav.linalg import Array
 from celnav.points import Outputs, Transform
@@ -42,11 +44,14 @@ def single_draw(
     -------
     ``(belief, z, epoch=None, memory=None) -> (belief, info, memory)``, with a wholly missing ``z`` a prediction.
     """
+    check_model("h", h)
+    check_space("measurement_space", measurement_space)
+    check_hooks(hooks)
     columns = noise_columns(R, sqrt_R, "R")
     forward = predict(f, rule, extra=extra, space=space)
 
     def part(belief: Gaussian, z: Any, epoch: Any = None, memory: Any = None) -> tuple[Gaussian, Info, Any]:
-        z = np.asarray(z, dtype=np.float64)
+        z = measurement(z, belief)
         if np.isnan(z).all():
             after, info = forward(belief, epoch)
             return after, info, memory

@@ -12,17 +12,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
+from celnav.filters.arguments import kind
+from celnav.filters.conditioning import evaluate, images
 from celnav.filters.driver import Epoch, FilterError
-from celnav.filters.step import Model, evaluate, images, noise_columns
+from celnav.filters.step import Motion
 from celnav.filters.track import Track
 from celnav.gaussian import SQUARE_ROOT, Gaussian
 from celnav.linalg import Array, matvec, solve_lower, solve_upper_transposed, tria
-from celnav.points import KEEP, Outputs, Transform
-from celnav.spaces import EUCLIDEAN, Space
+from celnav.points import KEEP, Outputs
 
 _EPS = float(np.finfo(np.float64).eps)
 
@@ -30,24 +30,19 @@ _EPS = float(np.finfo(np.float64).eps)
 def smooth(
     track: Track,
     epochs: Iterable[Epoch],
-    f: Model,
-    rule: Transform,
-    Q: Any = None,
+    motion: Motion,
     *,
-    sqrt_Q: Any = None,
-    extra: Sequence[Array] = (),
-    space: Space = EUCLIDEAN,
     gains: bool = False,
     on_failure: str = "raise",
 ) -> Track:
-    """Estimates of all states given *all* measurements, from the track of a filter that predicts with the same model.
+    """Estimates of all states given *all* measurements, from the track of a filter that predicts with this motion.
 
     Parameters
     ----------
     track: of ``run(..., keep="spread")``, every epoch stored.
     epochs: those of the run; their inputs and intervals are used, their measurements are not.
-    f, rule, Q, sqrt_Q, extra, space: as given to `celnav.filters.step.predict`. Process and measurement noise must be
-        independent: smooth colored measurement noise with the track of `celnav.filters.colored.augmented`.
+    motion: the part of the filter that `celnav.filters.step.predict` made. Process and measurement noise must be independent:
+        smooth colored measurement noise with the track of `celnav.filters.colored.augmented`.
     gains: store the gains ``(T, ..., n, n)``, ``extra["gain"]``: the k-th acts from epoch k + 1 to k, the last is 0.
     on_failure: "raise" a `FilterError` if the smoother loses a run, or "flag" it (nan from there *back*).
 
@@ -61,15 +56,17 @@ def smooth(
 
     Raises
     ------
-    ValueError: for a track without spreads, and epochs that are not those of the track. FilterError: see ``on_failure``.
+    ValueError: for a track without spreads, a part that is no motion, epochs that are not those of the track.
+    FilterError: see ``on_failure``.
     """
+    if not isinstance(motion, Motion):
+        raise ValueError(f"motion: expected the filter's predict part, made by celnav.predict(f, rule, Q), got {kind(motion)}")
     if track.mean is None or track.spread is None:
         raise ValueError("track: expected stored spreads, got none; run with keep='spread'")
     if on_failure not in ("raise", "flag"):
         raise ValueError(f"on_failure: expected 'raise' or 'flag', got {on_failure!r}")
     interval = epochs if isinstance(epochs, Sequence) else list(epochs)
     _check_times(track.times, interval)
-    noise = noise_columns(Q, sqrt_Q, "Q")
 
     mean, spread, std = track.mean.copy(), track.spread.copy(), np.empty(track.spread.shape[:-1])
     G = np.zeros(spread.shape) if gains else None
@@ -80,7 +77,7 @@ def smooth(
         epoch, filtered = interval[k + 1], Gaussian(track.mean[k], track.spread[k], track.form)
         if np.any(epoch.dt):
             try:
-                after, gain = _back(filtered, after, epoch, f, rule, noise, extra, space)
+                after, gain = _back(filtered, after, epoch, motion)
             except Exception as error:
                 error.add_note(f"in smoothing back from step {epoch.k}, t = {epoch.t}")
                 raise
@@ -119,12 +116,11 @@ def _check_times(times: Array, epochs: Sequence[Epoch]) -> None:
             raise ValueError(f"epochs: expected the times of the track, got {epoch.t} instead of {t} at index {k}")
 
 
-def _back(
-    filtered: Gaussian, after: Gaussian, epoch: Epoch, f: Model, rule: Transform, noise: Any, extra: Sequence[Array], space: Space
-) -> tuple[Gaussian, Array]:
+def _back(filtered: Gaussian, after: Gaussian, epoch: Epoch, motion: Motion) -> tuple[Gaussian, Array]:
     """The belief before an epoch's interval given everything, from the one given the past and the smoothed one after it."""
+    f, rule, space = motion.f, motion.rule, motion.space
     form, n = filtered.form, filtered.spread.shape[-1]
-    W = evaluate(noise, filtered.mean, epoch)
+    W = evaluate(motion.noise, filtered.mean, epoch)
     r = 0 if W is None else W.shape[-1]
     if r and W.shape[-2] != n:
         raise ValueError(f"Q: expected {n} rows to go with the track, got {W.shape[-2]}")
@@ -133,7 +129,7 @@ def _back(
     def g(points: Array, *w: Array) -> Outputs:
         return images("f", f, points, epoch, w, filtered.mean.shape[-1]), KEEP
 
-    (y, x), A = rule.transform(g, filtered.mean, root, space, (space, space), extra, r, epoch)
+    (y, x), A = rule.transform(g, filtered.mean, root, space, (space, space), motion.extra, r, epoch)
     if r:
         A[..., :n, A.shape[-1] - r :] = W
         A[..., n:, A.shape[-1] - r :] = 0.0

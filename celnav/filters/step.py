@@ -1,10 +1,4 @@
-"""The one conditioning step, and the parts that every filter is made of: predict and update.
-
-Push a belief through a function, write the deviation columns down, set the noise columns beside them, condition on the first
-m rows::
-
-    A = [ D_z  N_z ]   m rows       predict: m = 0, g = f          update:   g = (h, identity)
-        [ D_x  N_x ]   n rows       fused:   g = (h(f), f)         smoother: g = (f, identity), data = next state
+"""The parts that filters are made of: `predict` and `update`, for any rule, form and space.
 
 Functions of a model take points ``(p, ..., N)`` (the point axis leads, so inputs per run broadcast by themselves) and the
 `Epoch` at hand; noise that goes through the points follows as further arguments.
@@ -13,22 +7,22 @@ Functions of a model take points ``(p, ..., N)`` (the point axis leads, so input
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from math import isfinite
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.filters.info import Gain, Hook, Info, Joint
-from celnav.gaussian import Gaussian, finite, sqrt_cov
-from celnav.linalg import Array, matvec, solve_upper_transposed, tria, whiten
+from celnav.filters.arguments import check_hooks, check_model, check_rule, check_space, measurement
+from celnav.filters.conditioning import Model, Noise, condition, evaluate, explain, images, noise_columns
+from celnav.filters.info import Gain, Hook, Info
+from celnav.gaussian import Gaussian, finite
+from celnav.linalg import Array, matvec
 from celnav.points import KEEP, Image, Outputs, Transform
 from celnav.spaces import EUCLIDEAN, Space
 
-Model = Callable[..., Any]
-"""``(points (p, ..., N), epoch, *noise points) -> (p, ..., M)``."""
-Noise = Array | Callable[[Array, Any], Array] | None
-"""Columns ``(..., n, r)`` of a noise, constant or ``(mean, epoch) -> columns``; None: no noise."""
+Predict = Callable[[Gaussian, Any], tuple[Gaussian, Info]]
+Update = Callable[..., tuple[Gaussian, Info, Any]]
 
 
 def _prior(belief: Gaussian, rule: Transform) -> tuple[Array, Array]:
@@ -36,123 +30,36 @@ def _prior(belief: Gaussian, rule: Transform) -> tuple[Array, Array]:
     return belief.columns if rule.linear else (belief.root, rule.sign)
 
 
-Predict = Callable[[Gaussian, Any], tuple[Gaussian, Info]]
-Update = Callable[..., tuple[Gaussian, Info, Any]]
+@dataclass(frozen=True)
+class Motion:
+    """The part that `predict` makes: called with ``(belief, epoch)`` it gives the belief after the interval, and `Info`.
 
-
-def noise_columns(cov: Any, sqrt: Any, name: str) -> Noise:
-    """Noise columns from a covariance (checked) or from a root; either may be a function ``(mean, epoch)``."""
-    if cov is not None and sqrt is not None:
-        raise ValueError(f"{name}: expected one of {name} and sqrt_{name}, got both")
-    if sqrt is not None:
-        if callable(sqrt):
-            function: Callable[[Array, Any], Array] = sqrt
-            return function
-        columns = finite(f"sqrt_{name}", sqrt)
-        if columns.ndim < 2:
-            raise ValueError(f"sqrt_{name}: expected columns of shape (..., n, r), got {columns.shape}")
-        return columns
-    if cov is None:
-        return None
-    if callable(cov):
-        return lambda mean, epoch: sqrt_cov(cov(mean, epoch), name)
-    return sqrt_cov(cov, name)
-
-
-def evaluate(noise: Any, mean: Array, epoch: Any) -> Any:
-    """A constant as it is, a function evaluated."""
-    return noise(mean, epoch) if callable(noise) else noise
-
-
-def images(name: str, function: Model, points: Array, epoch: Any, noise: Sequence[Array], dimension: int | None = None) -> Array:
-    """Values of a model function at the points, as floats of the shape they must have.
-
-    The function may change its argument: rules make points for one call, and a caller with two hands out a copy.
-    """
-    y = np.asarray(function(points, epoch, *noise), dtype=np.float64)
-    if y.ndim != points.ndim or y.shape[:-1] != points.shape[:-1] or (dimension is not None and y.shape[-1] != dimension):
-        last = "m" if dimension is None else dimension
-        expected = "(" + ", ".join(str(s) for s in (*points.shape[:-1], last)) + ")"
-        raise ValueError(f"{name} returned shape {y.shape}, expected {expected}")
-    return y
-
-
-def condition(
-    belief: Gaussian,
-    state: Image,
-    A: Array,
-    sign: Array,
-    innovation: Array,
-    *,
-    noise: tuple[int, int] = (0, 0),
-    space: Space = EUCLIDEAN,
-    slopes: Callable[[], tuple[Array, ...]] = tuple,
-    hooks: Sequence[Hook] = (),
-    memory: Any = None,
-    gain: Gain | None = None,
-    epoch: Any = None,
-    known: Array | None = None,
-) -> tuple[Gaussian, Info, Any]:
-    """Condition a state on an innovation, given the pre-array of both.
-
-    Parameters
+    Attributes
     ----------
-    belief: gives the form.
-    state: image of the state; its rows are the last n of ``A``.
-    A: pre-array ``(..., m + n, q + r + s)``: columns of the prior, of the process noise and of the measurement noise.
-    sign: ``(q,)``.
-    innovation: ``(..., m)``, nan where not measured: those rows are marginalized exactly, in each run by itself.
-    noise: ``(r, s)``.
-    known: spread of the state's rows, if it is at hand; not used where a hook replaces columns of these.
+    f, rule, extra, space: as given. noise: columns of the process noise; see `celnav.filters.conditioning.noise_columns`.
     """
-    m = innovation.shape[-1]
-    measured = innovation
-    kept = memory
-    if hooks:
-        r, s = noise
-        q = A.shape[-1] - r - s
-        joint = given = Joint(innovation, A[..., :q], sign, A[..., q : q + r], A[..., q + r :], slopes)
-        memories = []
-        for hook, own in zip(hooks, (None,) * len(hooks) if memory is None else memory, strict=True):
-            own, joint = hook(own, joint, epoch)
-            memories.append(own)
-        kept, innovation, sign = tuple(memories), joint.innovation, joint.sign
-        same = joint.columns is given.columns and joint.sign is given.sign and joint.process is given.process
-        if not same or (joint.sensor is not given.sensor and joint.sensor[..., m:, :].any()):
-            known = None
-        A = np.concatenate([joint.columns, joint.process, joint.sensor], -1)
-    used = innovation == innovation
-    if not used.all():
-        A, innovation = _left_out(A, innovation, used)
-    K = gain(A, sign, m) if callable(gain) else gain  # after the mask: a prescribed gain must see what is missing
-    S, U, spread = belief.form.condition(A, sign, m, K, known)
-    white = whiten(S, innovation)
-    step = state.shift + (matvec(U, white) if K is None else matvec(K, innovation))
-    if space.transport is not None:
-        spread = _transported(belief, space.transport(step), spread)
-    posterior = Gaussian(space.plus(state.center, step), spread, belief.form)
 
-    def optimal() -> Array:
-        return solve_upper_transposed(S, U.mT).mT if K is None else K
+    f: Model
+    rule: Transform
+    noise: Noise = None
+    extra: Sequence[Array] = ()
+    space: Space = EUCLIDEAN
 
-    return posterior, Info(measured, white, used, S, optimal, (None, slopes)), kept
+    def __call__(self, belief: Gaussian, epoch: Any = None) -> tuple[Gaussian, Info]:
+        f, rule, space = self.f, self.rule, self.space
+        columns = evaluate(self.noise, belief.mean, epoch)
+        r = 0 if columns is None else columns.shape[-1]
+        root, sign = _prior(belief, rule)
 
+        def g(points: Array, *w: Array) -> Outputs:
+            return (images("f", f, points, epoch, w, belief.mean.shape[-1]),)
 
-def _left_out(A: Array, innovation: Array, used: Array) -> tuple[Array, Array]:
-    """Rows that were not measured: no columns from the prior, a unit noise of their own and a zero innovation."""
-    m, rows = used.shape[-1], A.shape[-2]
-    batch = np.broadcast_shapes(A.shape[:-2], used.shape[:-1])
-    keep = np.ones((*batch, rows, 1))
-    keep[..., :m, 0] = used
-    unit = np.zeros((*batch, rows, m))
-    unit[..., np.arange(m), np.arange(m)] = ~used
-    return np.concatenate([A * keep, unit], -1), np.where(used, innovation, 0.0)
-
-
-def _transported(belief: Gaussian, matrix: Array, spread: Array) -> Array:
-    if belief.form.name == "covariance":
-        return matrix @ spread @ matrix.mT
-    return tria(matrix @ spread)
+        (state,), A = rule.transform(g, belief.mean, root, space, (space,), self.extra, r, epoch)
+        if r:
+            _set_noise("Q", A[..., A.shape[-1] - r :], columns)
+        predicted = Gaussian(space.plus(state.center, state.shift), belief.form.marginal(A, sign), belief.form)
+        failure = explain(belief, predicted, ("f",), rule, g, space, self.extra)
+        return predicted, Info(slopes=(lambda: (rule.slope(state, root),),), failure=failure)
 
 
 def predict(
@@ -163,39 +70,30 @@ def predict(
     sqrt_Q: Any = None,
     extra: Sequence[Array] = (),
     space: Space = EUCLIDEAN,
-) -> Predict:
+) -> Motion:
     """The part that moves a belief through the dynamics ``x' = f(x, epoch) + w``, ``w ~ N(0, Q)``.
 
     Parameters
     ----------
     f: model function; see `Model`.
     rule: any `Transform`, of dimension n plus that of ``extra``.
-    Q, sqrt_Q: process noise as a covariance ``(..., n, n)`` or as columns ``(..., n, r)`` (one of them, or neither).
+    Q, sqrt_Q: process noise as a covariance ``(..., n, n)`` or as columns ``(..., n, r)``, or a function ``(mean, epoch)`` of
+        either. Neither: the motion is known but for its start.
     extra: roots ``(k, k)`` of noises that go *through* the points (augmentation): ``f(x, epoch, *noise)``.
     space: the state's space.
 
     Returns
     -------
-    ``(belief, epoch) -> (belief, info)``.
+    ``(belief, epoch) -> (belief, info)``; `celnav.filters.smoother.smooth` takes the same part.
+
+    Raises
+    ------
+    ValueError: naming the argument that cannot be; at the step, if shapes do not go together.
     """
-    columns = noise_columns(Q, sqrt_Q, "Q")
-
-    def part(belief: Gaussian, epoch: Any = None) -> tuple[Gaussian, Info]:
-        noise = evaluate(columns, belief.mean, epoch)
-        r = 0 if noise is None else noise.shape[-1]
-        root, sign = _prior(belief, rule)
-
-        def g(points: Array, *w: Array) -> Outputs:
-            return (images("f", f, points, epoch, w, belief.mean.shape[-1]),)
-
-        (state,), A = rule.transform(g, belief.mean, root, space, (space,), extra, r, epoch)
-        if r:
-            _set_noise("Q", A[..., A.shape[-1] - r :], noise)
-        predicted = Gaussian(space.plus(state.center, state.shift), belief.form.marginal(A, sign), belief.form)
-        failure = explain(belief, predicted, ("f",), rule, g, space, extra)
-        return predicted, Info(slopes=(lambda: (rule.slope(state, root),),), failure=failure)
-
-    return part
+    check_model("f", f)
+    check_rule(rule)
+    check_space("space", space)
+    return Motion(f, rule, noise_columns(Q, sqrt_Q, "Q"), extra, space)
 
 
 def update(
@@ -216,17 +114,28 @@ def update(
     ----------
     h: model function, or a matrix ``(..., m, n)``: a linear measurement is exact and cheap under any rule.
     rule: any `Transform`, of dimension n plus that of ``extra``.
-    R, sqrt_R: measurement noise as a covariance ``(..., m, m)`` or as columns ``(..., m, s)`` (one of them, or neither).
-    extra: roots of noises that go through the points: ``h(x, epoch, *noise)``.
+    R, sqrt_R: measurement noise as a covariance ``(..., m, m)`` or as columns ``(..., m, s)``, or a function ``(mean, epoch)``
+        of either. A measurement without noise has columns ``(m, 0)``.
+    extra: roots of noises that go through the points: ``h(x, epoch, *noise)``; these may be all the noise there is.
     space, measurement_space: the spaces of state and measurement.
-    hooks: each sees the joint and may replace it; see `Hook`.
-    gain: a prescribed gain instead of the optimal one; see `Gain`.
+    hooks: each sees the joint and may replace it; see `celnav.filters.info.Hook`.
+    gain: a prescribed gain instead of the optimal one; see `celnav.filters.info.Gain`.
 
     Returns
     -------
     ``(belief, z, epoch=None, memory=None) -> (belief, info, memory)``. ``z (..., m)``: nan components are left out.
+
+    Raises
+    ------
+    ValueError: naming the argument that cannot be; at the step, if shapes do not go together.
     """
+    check_rule(rule)
+    check_space("space", space)
+    check_space("measurement_space", measurement_space)
+    check_hooks(hooks)
     columns = noise_columns(R, sqrt_R, "R")
+    if columns is None and not extra:
+        raise ValueError("R: expected measurement noise, R, sqrt_R or extra; if there is none, sqrt_R=np.zeros((m, 0))")
     plain = not hooks and gain is None
     if callable(h):
         lift = _through_rule(h, rule, extra, space, measurement_space, plain)
@@ -234,14 +143,14 @@ def update(
         lift = _through_matrix(h, noise_first=not hooks)
 
     def part(belief: Gaussian, z: Any, epoch: Any = None, memory: Any = None) -> tuple[Gaussian, Info, Any]:
-        z = np.asarray(z, dtype=np.float64)
+        z = measurement(z, belief)
         if np.isnan(z).all():
             return belief, _skipped(belief, z, measurement_space), memory
         if measurement_space.check is not None:
             z = measurement_space.check(z, "z")
         noise = evaluate(columns, belief.mean, epoch)
         s = 0 if noise is None else noise.shape[-1]
-        lifted = lift(belief, z.shape[-1] if z.ndim else 0, epoch, s)
+        lifted = lift(belief, z.shape[-1], epoch, s)
         A, measured = lifted.A, lifted.measured
         if s:
             m = measured.columns.shape[-2]
@@ -328,32 +237,3 @@ def _set_noise(name: str, room: Array, noise: Array) -> None:
     if noise.shape[-2] != room.shape[-2]:
         raise ValueError(f"{name}: expected {room.shape[-2]} rows to go with the model, got {noise.shape[-2]}")
     room[...] = noise
-
-
-def explain(
-    before: Gaussian,
-    after: Gaussian,
-    names: Sequence[str],
-    rule: Transform,
-    g: Callable[..., Outputs],
-    space: Space,
-    extra: Sequence[Array] = (),
-    z: Array | None = None,
-) -> str:
-    """Why a run that was finite before a step is not so after it; empty if there is none."""
-    if isfinite(np.add.reduce(after.mean, None) + np.add.reduce(after.spread, None)):  # cheap; what overflows is seen below
-        return ""
-    was = np.isfinite(before.mean).all(-1) & np.isfinite(before.spread).all((-2, -1))
-    lost = was & ~(np.isfinite(after.mean).all(-1) & np.isfinite(after.spread).all((-2, -1)))
-    if not lost.any():
-        return ""
-    if z is not None and np.isinf(z).any():
-        return "z is infinite"
-    points = rule.points(before.mean, before.form.root(before.spread), space, extra)
-    for name, y in zip(names, g(*points), strict=False):
-        if y is KEEP:
-            continue
-        bad = ~np.isfinite(y).all(-1) & lost
-        if bad.any():
-            return f"{name} is not finite at sigma point {int(np.argwhere(bad)[0, 0])}"
-    return "the covariance lost positive definiteness" if z is None else "the innovation covariance is not positive definite"

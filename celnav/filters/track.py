@@ -32,6 +32,7 @@ class Track:
     events: counts ``(...)`` over all epochs: "missing" and "rejected" components, "redone" steps.
     failed_at: ``(...)`` index of the first epoch at which a run is not finite, -1 for none.
     form: the form of ``spread``.
+    nis, dof: properties ``(T, ...)``. root, cov: properties ``(T, ..., n, n)``, where spreads are stored.
     extra: what ``run(also=...)`` gave. ``reduced``: what ``run(reduce=...)`` ended with.
     """
 
@@ -49,9 +50,20 @@ class Track:
     extra: dict[str, Array] = field(default_factory=dict)
     reduced: Any = None
 
+    def __repr__(self) -> str:
+        batch = self.failed_at.shape
+        runs = "one run" if not batch else f"{batch[0]} runs" if len(batch) == 1 else f"runs {batch}"
+        lost = f", {np.count_nonzero(self.failed_at >= 0)} lost" if (self.failed_at >= 0).any() else ""
+        kept = ", ".join(name for name in ("mean", "std", "spread", "innovation") if getattr(self, name) is not None)
+        span = f"{len(self.times)} epochs from {self.times[0]:g} to {self.times[-1]:g} s"
+        return f"Track({span}, {runs}{lost}; {kept or 'no rows'} stored, {self.form.name} form)"
+
     @property
     def nis(self) -> Array:
-        """Normalized innovation squared ``(T, ...)``, chi-square with `dof` degrees of freedom."""
+        """Normalized innovation squared ``(T, ...)``, chi-square with `dof` degrees of freedom; 0 where nothing was used.
+
+        ``nis.sum() / dof.sum()`` is 1 for a consistent filter, whatever was missing.
+        """
         if self.white is None:
             raise ValueError("nis: this track stored no innovations")
         return np.asarray(np.einsum("...i,...i->...", self.white, self.white))

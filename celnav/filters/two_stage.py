@@ -15,9 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from celnav.filters.conditioning import evaluate
 from celnav.filters.driver import Epoch, Filter
 from celnav.filters.info import Info
-from celnav.filters.step import Predict, Update, evaluate
+from celnav.filters.step import Predict, Update
 from celnav.gaussian import Gaussian, finite, sqrt_cov
 from celnav.linalg import Array, block, matvec, outer, semidefinite_root, side_by_side, tria, whiten
 

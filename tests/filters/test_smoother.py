@@ -81,7 +81,7 @@ def test_equals_the_joint_gaussian(name, prior):
     z = measurements(np.random.default_rng(1))
     when = epochs(np.arange(T), z)
     track = run(sequential(predict(linear, rule, sqrt_Q=SQRT_Q), update(H_, rule, R)), prior(np.zeros(3), P0), when, keep="spread")
-    smoothed = smooth(track, when, linear, rule, sqrt_Q=SQRT_Q, gains=True)
+    smoothed = smooth(track, when, predict(linear, rule, sqrt_Q=SQRT_Q), gains=True)
     mean, cov = joint(z, P0, [A_] * (T - 1), [SQRT_Q] * (T - 1))
     np.testing.assert_allclose(smoothed.mean, mean, rtol=0, atol=1e-9)
     np.testing.assert_allclose(smoothed.cov, cov, rtol=0, atol=1e-9)
@@ -115,7 +115,7 @@ def test_irregular_times_inputs_and_noise_functions(prior):
     rule, when = unscented(3), epochs(times, z, u)
     part = predict(f, rule, sqrt_Q=noise)
     track = run(sequential(part, update(H_, rule, R)), prior(np.zeros(3), P0), when, keep="spread")
-    smoothed = smooth(track, when, f, rule, sqrt_Q=noise)
+    smoothed = smooth(track, when, predict(f, rule, sqrt_Q=noise))
     # the input is a known offset of the states: take its effect out of the data, then put it back
     offset = np.zeros((6, 3))
     for k in range(5):
@@ -167,7 +167,7 @@ def test_equals_filterpy(points, prior):
     track = run(
         sequential(predict(pendulum, rule, Q), update(sine, rule, [[0.01]])), prior(mean, cov), when, keep="spread"
     )  # fmt: skip
-    smoothed = smooth(track, when, pendulum, rule, Q, gains=True)
+    smoothed = smooth(track, when, predict(pendulum, rule, Q), gains=True)
     np.testing.assert_allclose(smoothed.mean[1:], expected, rtol=0, atol=1e-10)
     np.testing.assert_allclose(smoothed.cov[1:], expected_cov, rtol=0, atol=1e-10)
     np.testing.assert_allclose(smoothed.extra["gain"][1:-1], gains[:-1], rtol=0, atol=1e-9)
@@ -193,7 +193,7 @@ def test_better_than_the_filter():
     rule, when = unscented(2), epochs(times, z)
     prior = square_root(np.tile([0.5, 0.0], (40, 1)), np.diag([0.09, 0.09]))
     track = run(sequential(predict(pendulum, rule, Q), update(sine, rule, R)), prior, when, keep="spread")
-    smoothed = smooth(track, when, pendulum, rule, Q)
+    smoothed = smooth(track, when, predict(pendulum, rule, Q))
     inner = slice(5, -5)
     filter_error = np.sqrt(np.mean((track.mean - truth)[inner] ** 2))
     smoother_error = np.sqrt(np.mean((smoothed.mean - truth)[inner] ** 2))
@@ -214,11 +214,11 @@ def test_batch_is_singles(rule, form):
     filter = sequential(predict(pendulum, rule, Q), update(sine, rule, R))
     P = np.diag([0.09, 0.09])
     when = epochs(times, z)
-    many = smooth(run(filter, form(np.tile([0.5, 0.0], (2, 3, 1)), P), when, keep="spread"), when, pendulum, rule, Q)
+    many = smooth(run(filter, form(np.tile([0.5, 0.0], (2, 3, 1)), P), when, keep="spread"), when, predict(pendulum, rule, Q))
     assert many.mean.shape == (15, 2, 3, 2)
     for i, j in np.ndindex(2, 3):
         when = epochs(times, z[:, i, j])
-        one = smooth(run(filter, form([0.5, 0.0], P), when, keep="spread"), when, pendulum, rule, Q)
+        one = smooth(run(filter, form([0.5, 0.0], P), when, keep="spread"), when, predict(pendulum, rule, Q))
         np.testing.assert_allclose(one.mean, many.mean[:, i, j], rtol=0, atol=1e-11)
         np.testing.assert_allclose(one.cov, many.cov[:, i, j], rtol=0, atol=1e-11)
 
@@ -238,7 +238,7 @@ def test_noise_through_the_points(rule):
         when,
         keep="spread",
     )
-    smoothed = smooth(track, when, f, rule, extra=(np.eye(2),))
+    smoothed = smooth(track, when, predict(f, rule, extra=(np.eye(2),)))
     mean, cov = joint(z, P0, [A_] * (T - 1), [SQRT_Q] * (T - 1))
     np.testing.assert_allclose(smoothed.mean, mean, rtol=0, atol=1e-9)
     np.testing.assert_allclose(smoothed.cov, cov, rtol=0, atol=1e-9)
@@ -263,7 +263,7 @@ def test_a_turn_more_changes_nothing():
             predict(f, rule, Q, space=sp), update(lambda x, e: x[..., :1], rule, R, space=sp, measurement_space=zsp)
         )
         track = run(filter, square_root([start, turn], P), when, keep="spread")
-        return smooth(track, when, f, rule, Q, space=sp)
+        return smooth(track, when, predict(f, rule, Q, space=sp))
 
     wrapped = estimate(1.0, space, angles())
     plain = estimate(0.0, EUCLIDEAN, EUCLIDEAN)
@@ -309,7 +309,7 @@ def test_deviations_are_carried_to_where_they_belong(prior):
             sequential(predict(linear, rule, sqrt_Q=noise, space=space), update(lambda x, e: x @ H_.T, rule, R, space=space)),
             prior(start, axes(start[2]).T @ P0 @ axes(start[2])), when, keep="spread",
         )  # fmt: skip
-        return smooth(track, when, linear, rule, sqrt_Q=noise, space=space)
+        return smooth(track, when, predict(linear, rule, sqrt_Q=noise, space=space))
 
     flat = estimate(EUCLIDEAN, lambda heading: frame(0.0 * heading))
     moving = estimate(body, frame)
@@ -333,7 +333,7 @@ def test_colored_noise():
 
     track = run(filter, square_root(np.zeros(3), P0), when, keep="spread")
     both = block([[Q, 0], [0, increments]])
-    smoothed = smooth(track, when, move, rule, both)
+    smoothed = smooth(track, when, predict(move, rule, both))
     transition, H = block([[A_, 0], [0, Phi]]), np.hstack([H_, np.eye(2)])
     mean, cov = joint(
         z, block([[P0, 0], [0, first]]), [transition] * (T - 1), [np.linalg.cholesky(both)] * (T - 1), H, np.zeros((2, 2))
@@ -364,7 +364,7 @@ def test_known_directions(form):
 
         filter = sequential(predict(f, rule, sqrt_Q=M @ noise), update(H @ M.T, rule, R))
         track = run(filter, form(M @ mean, M @ P @ M.T), when, keep="spread")
-        smoothed = smooth(track, when, f, rule, sqrt_Q=M @ noise)
+        smoothed = smooth(track, when, predict(f, rule, sqrt_Q=M @ noise))
         straight = smoothed.mean @ M - offset
         np.testing.assert_allclose(straight[:, :3], expected, rtol=0, atol=1e-6)
         np.testing.assert_allclose(straight[:, 3:], 0.0, rtol=0, atol=1e-6)
@@ -386,7 +386,7 @@ def test_a_lost_run_is_smoothed_up_to_its_loss():
 
     def estimate(f, prior, when):
         filter = sequential(predict(f, rule, sqrt_Q=SQRT_Q), update(H_, rule, R))
-        return smooth(run(filter, prior, when, keep="spread", on_failure="flag"), when, f, rule, sqrt_Q=SQRT_Q)
+        return smooth(run(filter, prior, when, keep="spread", on_failure="flag"), when, predict(f, rule, sqrt_Q=SQRT_Q))
 
     both = estimate(breaks, square_root(np.zeros((2, 3)), P0), when)
     np.testing.assert_array_equal(both.failed_at, [-1, 6])
@@ -413,12 +413,12 @@ def test_a_run_that_the_smoother_loses_is_told():
         return y
 
     with pytest.raises(FilterError, match=r"from step 6, t = 6.0, run \(1,\)"):
-        smooth(track, when, breaks, rule, sqrt_Q=SQRT_Q)
-    flagged = smooth(track, when, breaks, rule, sqrt_Q=SQRT_Q, on_failure="flag")
+        smooth(track, when, predict(breaks, rule, sqrt_Q=SQRT_Q))
+    flagged = smooth(track, when, predict(breaks, rule, sqrt_Q=SQRT_Q), on_failure="flag")
     np.testing.assert_array_equal(flagged.failed_at, [-1, 5])
     assert np.isnan(flagged.mean[:6, 1]).all()
     assert np.isfinite(flagged.mean[6:]).all()
-    good = smooth(track, when, linear, rule, sqrt_Q=SQRT_Q)
+    good = smooth(track, when, predict(linear, rule, sqrt_Q=SQRT_Q))
     np.testing.assert_array_equal(flagged.mean[:, 0], good.mean[:, 0])
 
 
@@ -429,17 +429,17 @@ def test_bad_input_is_refused_by_name():
     prior = square_root(np.zeros(3), P0)
     good = run(filter, prior, when, keep="spread")
     with pytest.raises(ValueError, match="track: expected stored spreads"):
-        smooth(run(filter, prior, when), when, linear, rule, sqrt_Q=SQRT_Q)
+        smooth(run(filter, prior, when), when, predict(linear, rule, sqrt_Q=SQRT_Q))
     with pytest.raises(ValueError, match=r"epochs: expected the 4 of the track \(run with every=1\), got 12"):
-        smooth(run(filter, prior, when, keep="spread", every=3), when, linear, rule, sqrt_Q=SQRT_Q)
+        smooth(run(filter, prior, when, keep="spread", every=3), when, predict(linear, rule, sqrt_Q=SQRT_Q))
     with pytest.raises(ValueError, match=r"epochs: expected the times of the track, got 0\.5 instead of 1\.0 at index 1"):
-        smooth(good, epochs(0.5 * np.arange(T), z), linear, rule, sqrt_Q=SQRT_Q)
+        smooth(good, epochs(0.5 * np.arange(T), z), predict(linear, rule, sqrt_Q=SQRT_Q))
     with pytest.raises(ValueError, match="Q: expected 3 rows"):
-        smooth(good, when, linear, rule, np.eye(2))
+        smooth(good, when, predict(linear, rule, np.eye(2)))
     with pytest.raises(ValueError, match="f returned shape"):
-        smooth(good, when, lambda x, e: x[..., :2], rule, sqrt_Q=SQRT_Q)
+        smooth(good, when, predict(lambda x, e: x[..., :2], rule, sqrt_Q=SQRT_Q))
     with pytest.raises(ValueError, match="on_failure"):
-        smooth(good, when, linear, rule, sqrt_Q=SQRT_Q, on_failure="ignore")
+        smooth(good, when, predict(linear, rule, sqrt_Q=SQRT_Q), on_failure="ignore")
 
 
 def test_one_epoch_and_a_stream_of_epochs():
@@ -449,10 +449,10 @@ def test_one_epoch_and_a_stream_of_epochs():
     filter = sequential(predict(linear, rule, sqrt_Q=SQRT_Q), update(H_, rule, R))
     one = epochs([0.0], z[:1])
     track = run(filter, prior, one, keep="spread")
-    np.testing.assert_array_equal(smooth(track, one, linear, rule, sqrt_Q=SQRT_Q).mean, track.mean)
+    np.testing.assert_array_equal(smooth(track, one, predict(linear, rule, sqrt_Q=SQRT_Q)).mean, track.mean)
     when = epochs(np.arange(T), z)
     track = run(filter, prior, when, keep="spread")
-    streamed = smooth(track, (e for e in when), linear, rule, sqrt_Q=SQRT_Q)
-    np.testing.assert_array_equal(streamed.mean, smooth(track, when, linear, rule, sqrt_Q=SQRT_Q).mean)
+    streamed = smooth(track, (e for e in when), predict(linear, rule, sqrt_Q=SQRT_Q))
+    np.testing.assert_array_equal(streamed.mean, smooth(track, when, predict(linear, rule, sqrt_Q=SQRT_Q)).mean)
     assert isinstance(rule, Rule)
     assert isinstance(streamed.beliefs()[0], Gaussian)

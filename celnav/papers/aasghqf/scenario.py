@@ -11,7 +11,7 @@ import numpy as np
 from celnav.filters.adaptive import fallback
 from celnav.filters.driver import Epoch, Filter, sequential
 from celnav.filters.iterated import iterated
-from celnav.filters.step import Update, predict, update
+from celnav.filters.step import Predict, Update, predict, update
 from celnav.gaussian import Gaussian, covariance
 from celnav.linalg import Array
 from celnav.models import inertial
@@ -144,7 +144,8 @@ def rules(level: int = 3) -> dict[str, Any]:
 
 def quadrature_filter(rule: Any, config: Config) -> Filter:
     """A filter by any rule. Where negative weights lose definiteness, the part is done again with the positive rule "ghqf3"."""
-    forward, back = predict(dynamics, rule, sqrt_Q=config.sqrt_Q), update(measurement, rule, sqrt_R=sqrt_R)
+    forward: Predict = predict(dynamics, rule, sqrt_Q=config.sqrt_Q)
+    back = update(measurement, rule, sqrt_R=sqrt_R)
     if isinstance(rule, Rule) and (rule.wc < 0.0).any():
         positive = rules(config.level)["ghqf3"]
         forward = fallback(forward, predict(dynamics, positive, sqrt_Q=config.sqrt_Q))

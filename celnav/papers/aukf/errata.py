@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from scipy.special import gammainc
 
+from celnav.filters.conditioning import condition
 from celnav.filters.driver import Epoch, Filter, State
-from celnav.filters.step import condition
 from celnav.gaussian import Gaussian, sqrt_cov
 from celnav.linalg import Array
 from celnav.models import pseudorange

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from celnav.filters.colored import Colored, decorrelation, difference
+from celnav.filters.conditioning import Model, condition, images
 from celnav.filters.driver import Epoch, Filter, State, sequential
 from celnav.filters.info import Info
-from celnav.filters.step import Model, condition, images, predict, update
+from celnav.filters.step import predict, update
 from celnav.gaussian import Gaussian
 from celnav.linalg import Array, block, matvec
 from celnav.models.orbit import EARTH

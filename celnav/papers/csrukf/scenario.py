@@ -8,8 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from celnav.filters.colored import augmented, colored, decorrelated
+from celnav.filters.conditioning import Model
 from celnav.filters.driver import Epochs, Filter, epochs, sequential
-from celnav.filters.step import Model, predict, update
+from celnav.filters.step import predict, update
 from celnav.gaussian import Gaussian
 from celnav.linalg import Array, semidefinite_root
 from celnav.models import orbit, sightings

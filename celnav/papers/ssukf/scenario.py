@@ -10,10 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from celnav import attitude
+from celnav.filters.conditioning import Model
 from celnav.filters.driver import Epoch, Filter, sequential
 from celnav.filters.info import Info
 from celnav.filters.single_draw import drawn_once, single_draw
-from celnav.filters.step import Model, Predict, Update, predict, update
+from celnav.filters.step import Predict, Update, predict, update
 from celnav.gaussian import Gaussian, covariance
 from celnav.linalg import Array
 from celnav.models.gyro import Gyro, preintegrate

@@ -156,7 +156,8 @@ def _dense_update(config: Config, noise: Array, c: float | None) -> Any:
     def h(x: Array, epoch: Epoch) -> Array:
         return star(x[..., :7], epoch, x[..., 7:][..., -3:])
 
-    part = update(h, spread(6 + len(noise), config, c=c), space=_space(noise), measurement_space=attitude.attitude())
+    rule, sky, none = spread(6 + len(noise), config, c=c), attitude.attitude(), np.zeros((3, 0))  # the noise is in the state
+    part = update(h, rule, sqrt_R=none, space=_space(noise), measurement_space=sky)
 
     def dense(belief: Gaussian, z: Any, epoch: Any = None, memory: Any = None) -> tuple[Gaussian, Info, Any]:
         after, info, memory = part(_augmented(belief, noise), z, epoch, memory)

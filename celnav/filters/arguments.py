@@ -1,0 +1,75 @@
+"""Checks of what filters are made of: each error names the argument, what was expected and what came."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from inspect import signature
+from typing import Any
+
+import numpy as np
+
+from celnav.gaussian import Gaussian
+from celnav.linalg import Array
+from celnav.spaces import Space
+
+
+def kind(value: Any) -> str:
+    """What came, in a word or two: a function or class by its name, anything else by its type."""
+    if isinstance(value, type):
+        return f"class {value.__name__}"
+    return f"function {value.__name__}" if callable(value) and hasattr(value, "__name__") else type(value).__name__
+
+
+def check_model(name: str, function: Any) -> None:
+    """A model is a function."""
+    if not callable(function):
+        raise ValueError(f"{name}: expected a function (points, epoch), got {kind(function)}")
+
+
+def check_rule(rule: Any, name: str = "rule") -> None:
+    """A rule is an object with ``transform``, not the function that makes it and not filterpy's."""
+    if isinstance(rule, type) or not hasattr(rule, "transform"):
+        hint = " (celnav.from_filterpy makes it one)" if hasattr(rule, "sigma_points") else ""
+        raise ValueError(f"{name}: expected a rule, such as celnav.unscented(n), got {kind(rule)}{hint}")
+
+
+def check_space(name: str, space: Any) -> None:
+    """A space is a `Space`."""
+    if not isinstance(space, Space):
+        raise ValueError(f"{name}: expected a Space, such as celnav.angles([0]), got {kind(space)}")
+
+
+def check_hooks(hooks: Any) -> None:
+    """Hooks are a sequence of functions of three arguments."""
+    if isinstance(hooks, str) or not isinstance(hooks, Sequence):
+        raise ValueError(f"hooks: expected a list of hooks, such as [celnav.filters.adaptive.gate(4.0)], got {kind(hooks)}")
+    for hook in hooks:
+        if not takes(hook, 3):
+            raise ValueError(f"hooks: expected functions (memory, joint, epoch), got {kind(hook)}")
+
+
+def takes(function: Any, count: int) -> bool:
+    """Whether something can be called with so many arguments, as far as one can tell."""
+    if not callable(function):
+        return False
+    try:
+        signature(function).bind(*(None,) * count)
+    except TypeError:
+        return False
+    except ValueError:  # a function of C that does not say
+        return True
+    return True
+
+
+def measurement(z: Any, belief: Gaussian) -> Array:
+    """A measurement ``(..., m)`` as floats, whose batch axes go with those of the belief."""
+    measured = np.asarray(z, dtype=np.float64)
+    if measured.ndim == 0:
+        raise ValueError(f"z: expected shape (..., m), got the number {measured}; one component is [z]")
+    batch = measured.shape[:-1]
+    if batch and batch != belief.mean.shape[:-1]:
+        try:
+            np.broadcast_shapes(batch, belief.mean.shape[:-1])
+        except ValueError:
+            raise ValueError(f"z: batch axes {batch} do not go with those of the belief, {belief.mean.shape[:-1]}") from None
+    return measured

@@ -1,0 +1,178 @@
+"""The one conditioning step, and what its arrays are made of.
+
+Push a belief through a function, write the deviation columns down, set the noise columns beside them, condition on the first
+m rows::
+
+    A = [ D_z  N_z ]   m rows       predict: m = 0, g = f          update:   g = (h, identity)
+        [ D_x  N_x ]   n rows       fused:   g = (h(f), f)         smoother: g = (f, identity), data = next state
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from math import isfinite
+from typing import Any
+
+import numpy as np
+
+from celnav.filters.info import Gain, Hook, Info, Joint
+from celnav.gaussian import Gaussian, finite, sqrt_cov
+from celnav.linalg import Array, matvec, solve_upper_transposed, tria, whiten
+from celnav.points import KEEP, Image, Outputs, Transform
+from celnav.spaces import EUCLIDEAN, Space
+
+Model = Callable[..., Any]
+"""``(points (p, ..., N), epoch, *noise points) -> (p, ..., M)``."""
+Noise = Array | Callable[[Array, Any], Array] | None
+"""Columns ``(..., n, r)`` of a noise, constant or ``(mean, epoch) -> columns``; None: no noise."""
+
+
+def noise_columns(cov: Any, sqrt: Any, name: str) -> Noise:
+    """Noise columns from a covariance (checked) or from a root; either may be a function ``(mean, epoch)``."""
+    if cov is not None and sqrt is not None:
+        raise ValueError(f"{name}: expected one of {name} and sqrt_{name}, got both")
+    if sqrt is not None:
+        if callable(sqrt):
+            function: Callable[[Array, Any], Array] = sqrt
+            return function
+        columns = finite(f"sqrt_{name}", sqrt)
+        if columns.ndim < 2:
+            raise ValueError(f"sqrt_{name}: expected columns of shape (..., n, r), got {columns.shape}")
+        return columns
+    if cov is None:
+        return None
+    if callable(cov):
+        return lambda mean, epoch: sqrt_cov(cov(mean, epoch), name)
+    return sqrt_cov(cov, name)
+
+
+def evaluate(noise: Any, mean: Array, epoch: Any) -> Any:
+    """A constant as it is, a function evaluated."""
+    return noise(mean, epoch) if callable(noise) else noise
+
+
+def images(name: str, function: Model, points: Array, epoch: Any, noise: Sequence[Array], dimension: int | None = None) -> Array:
+    """Values of a model function at the points, as floats of the shape they must have.
+
+    The function may change its argument: rules make points for one call, and a caller with two hands out a copy.
+    """
+    try:
+        y = np.asarray(function(points, epoch, *noise), dtype=np.float64)
+    except (AttributeError, TypeError, ValueError) as error:
+        given = "an input" if getattr(epoch, "u", None) is not None else "None"
+        error.add_note(
+            f"{name} is called with points {points.shape} and an Epoch: epoch.dt is its interval, epoch.u ({given}) its input"
+        )
+        raise
+    if y.ndim != points.ndim or y.shape[:-1] != points.shape[:-1] or (dimension is not None and y.shape[-1] != dimension):
+        last = "m" if dimension is None else dimension
+        expected = "(" + ", ".join(str(s) for s in (*points.shape[:-1], last)) + ")"
+        raise ValueError(f"{name} returned shape {y.shape}, expected {expected}")
+    return y
+
+
+def condition(
+    belief: Gaussian,
+    state: Image,
+    A: Array,
+    sign: Array,
+    innovation: Array,
+    *,
+    noise: tuple[int, int] = (0, 0),
+    space: Space = EUCLIDEAN,
+    slopes: Callable[[], tuple[Array, ...]] = tuple,
+    hooks: Sequence[Hook] = (),
+    memory: Any = None,
+    gain: Gain | None = None,
+    epoch: Any = None,
+    known: Array | None = None,
+) -> tuple[Gaussian, Info, Any]:
+    """Condition a state on an innovation, given the pre-array of both.
+
+    Parameters
+    ----------
+    belief: gives the form.
+    state: image of the state; its rows are the last n of ``A``.
+    A: pre-array ``(..., m + n, q + r + s)``: columns of the prior, of the process noise and of the measurement noise.
+    sign: ``(q,)``.
+    innovation: ``(..., m)``, nan where not measured: those rows are marginalized exactly, in each run by itself.
+    noise: ``(r, s)``.
+    known: spread of the state's rows, if it is at hand; not used where a hook replaces columns of these.
+    """
+    m = innovation.shape[-1]
+    measured = innovation
+    kept = memory
+    if hooks:
+        r, s = noise
+        q = A.shape[-1] - r - s
+        joint = given = Joint(innovation, A[..., :q], sign, A[..., q : q + r], A[..., q + r :], slopes)
+        memories = []
+        for hook, own in zip(hooks, (None,) * len(hooks) if memory is None else memory, strict=True):
+            own, joint = hook(own, joint, epoch)
+            memories.append(own)
+        kept, innovation, sign = tuple(memories), joint.innovation, joint.sign
+        same = joint.columns is given.columns and joint.sign is given.sign and joint.process is given.process
+        if not same or (joint.sensor is not given.sensor and joint.sensor[..., m:, :].any()):
+            known = None
+        A = np.concatenate([joint.columns, joint.process, joint.sensor], -1)
+    used = innovation == innovation
+    if not used.all():
+        A, innovation = _left_out(A, innovation, used)
+    K = gain(A, sign, m) if callable(gain) else gain  # after the mask: a prescribed gain must see what is missing
+    S, U, spread = belief.form.condition(A, sign, m, K, known)
+    white = whiten(S, innovation)
+    step = state.shift + (matvec(U, white) if K is None else matvec(K, innovation))
+    if space.transport is not None:
+        spread = _transported(belief, space.transport(step), spread)
+    posterior = Gaussian(space.plus(state.center, step), spread, belief.form)
+
+    def optimal() -> Array:
+        return solve_upper_transposed(S, U.mT).mT if K is None else K
+
+    return posterior, Info(measured, white, used, S, optimal, (None, slopes)), kept
+
+
+def _left_out(A: Array, innovation: Array, used: Array) -> tuple[Array, Array]:
+    """Rows that were not measured: no columns from the prior, a unit noise of their own and a zero innovation."""
+    m, rows = used.shape[-1], A.shape[-2]
+    batch = np.broadcast_shapes(A.shape[:-2], used.shape[:-1])
+    keep = np.ones((*batch, rows, 1))
+    keep[..., :m, 0] = used
+    unit = np.zeros((*batch, rows, m))
+    unit[..., np.arange(m), np.arange(m)] = ~used
+    return np.concatenate([A * keep, unit], -1), np.where(used, innovation, 0.0)
+
+
+def _transported(belief: Gaussian, matrix: Array, spread: Array) -> Array:
+    if belief.form.name == "covariance":
+        return matrix @ spread @ matrix.mT
+    return tria(matrix @ spread)
+
+
+def explain(
+    before: Gaussian,
+    after: Gaussian,
+    names: Sequence[str],
+    rule: Transform,
+    g: Callable[..., Outputs],
+    space: Space,
+    extra: Sequence[Array] = (),
+    z: Array | None = None,
+) -> str:
+    """Why a run that was finite before a step is not so after it; empty if there is none."""
+    if isfinite(np.add.reduce(after.mean, None) + np.add.reduce(after.spread, None)):  # cheap; what overflows is seen below
+        return ""
+    was = np.isfinite(before.mean).all(-1) & np.isfinite(before.spread).all((-2, -1))
+    lost = was & ~(np.isfinite(after.mean).all(-1) & np.isfinite(after.spread).all((-2, -1)))
+    if not lost.any():
+        return ""
+    if z is not None and np.isinf(z).any():
+        return "z is infinite"
+    points = rule.points(before.mean, before.form.root(before.spread), space, extra)
+    for name, y in zip(names, g(*points), strict=False):
+        if y is KEEP:
+            continue
+        bad = ~np.isfinite(y).all(-1) & lost
+        if bad.any():
+            return f"{name} is not finite at sigma point {int(np.argwhere(bad)[0, 0])}"
+    return "the covariance lost positive definiteness" if z is None else "the innovation covariance is not positive definite"

@@ -1,0 +1,121 @@
+"""What cannot be is refused where it is given, by name, with what was expected and what came."""
+
+import pickle
+import re
+
+import numpy as np
+import pytest
+from filterpy.kalman import MerweScaledSigmaPoints
+
+import celnav
+from celnav.filters.adaptive import gate
+from celnav.filters.colored import augmented, colored, decorrelated
+from celnav.filters.single_draw import single_draw
+from celnav.gaussian import covariance, square_root
+
+RULE = celnav.unscented(2)
+MOTION = celnav.predict(lambda x, e: x, RULE, np.eye(2))
+SEE = celnav.update(np.eye(2), RULE, np.eye(2))
+FILTER = celnav.sequential(MOTION, SEE)
+PRIOR = square_root(np.zeros(2), np.eye(2))
+
+
+def f(x, epoch):
+    return x
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        (celnav.unscented, "rule: expected a rule, such as celnav.unscented(n), got function unscented"),
+        (celnav.Taylor, "rule: expected a rule, such as celnav.unscented(n), got class Taylor"),
+        (6, "rule: expected a rule, such as celnav.unscented(n), got int"),
+        (MerweScaledSigmaPoints(2, 1.0, 0.0, 1.0), "MerweScaledSigmaPoints (celnav.from_filterpy makes it one)"),
+    ],
+    ids=["not called", "a class", "a number", "filterpy's"],
+)
+def test_a_rule_that_is_none(given, told):
+    made = [
+        lambda: celnav.predict(f, given, np.eye(2)),
+        lambda: celnav.update(f, given, np.eye(2)),
+        lambda: celnav.update(np.eye(2), given, np.eye(2)),
+        lambda: colored(f, np.eye(2), given, 0.5 * np.eye(2), Q=np.eye(2), R=np.eye(2)),
+        lambda: decorrelated(f, np.eye(2), given, 0.5 * np.eye(2), Q=np.eye(2), R=np.eye(2)),
+        lambda: augmented(f, np.eye(2), given, 0.5 * np.eye(2), Q=np.eye(2), R=np.eye(2), Sigma0=np.eye(2)),
+        lambda: single_draw(f, f, given, extra=(np.eye(2),)),
+    ]
+    for make in made:
+        with pytest.raises(ValueError, match="rule") as error:
+            make()
+        assert told in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("make", "told"),
+    [
+        (lambda: celnav.predict(np.eye(2), RULE), "f: expected a function (points, epoch), got ndarray"),
+        (lambda: celnav.predict(f, RULE, space=[0]), "space: expected a Space, such as celnav.angles([0]), got list"),
+        (lambda: celnav.update(f, RULE, [[1.0]], measurement_space=celnav.angles), "measurement_space: expected a Space"),
+        (lambda: celnav.update(f, RULE, np.eye(2), hooks=gate(4.0)), "hooks: expected a list of hooks"),
+        (lambda: celnav.update(f, RULE, np.eye(2), hooks=[gate]), "expected functions (memory, joint, epoch), got function gate"),
+        (lambda: celnav.update(f, RULE), "R: expected measurement noise, R, sqrt_R or extra"),
+        (lambda: celnav.update(np.eye(2), RULE, 0.04), "got shape (); one variance is [[0.04]]"),
+        (lambda: celnav.update(np.eye(2), RULE, [0.1, 0.2]), "got shape (2,); variances alone are np.diag(...)"),
+        (lambda: celnav.sequential(SEE, MOTION), "updates: expected parts (belief, z, epoch, memory) after the predict part"),
+        (lambda: celnav.sequential(MOTION, [SEE]), "after the predict part, got list"),
+        (lambda: celnav.sequential(FILTER, SEE), "predict: expected a part (belief, epoch), got Filter"),
+        (lambda: celnav.run(PRIOR, FILTER, celnav.epochs([0.0])), "filter: expected a Filter, such as celnav.sequential makes"),
+        (lambda: celnav.run(FILTER, np.zeros(2), celnav.epochs([0.0])), "prior: expected a Gaussian, such as celnav.square_root"),
+        (lambda: FILTER.step(PRIOR, celnav.Epoch()), "state: expected what the filter's start(prior) or last step gave"),
+        (lambda: celnav.epochs([0.0, 1.0], [1.0, 2.0]), "got (2,); one component is z[:, None]"),
+        (lambda: celnav.from_filterpy(3), "points: expected a filterpy sigma-point object"),
+        (lambda: celnav.angles([0.5]), "components: expected places of angles in a vector, from 0 on, got (0.5,)"),
+        (lambda: celnav.angles([5]).minus(np.zeros(2), np.zeros(2)), "angles: expected components below 2"),
+        (lambda: celnav.smooth(None, [], f), "motion: expected the filter's predict part"),
+        (lambda: SEE(PRIOR, 3.0), "z: expected shape (..., m), got the number 3.0; one component is [z]"),
+    ],
+)  # fmt: skip
+def test_other_arguments(make, told):
+    with pytest.raises(ValueError, match=re.escape(told)):
+        make()
+
+
+def test_batches_that_do_not_go_together():
+    prior = square_root(np.zeros((5, 2)), np.eye(2))
+    with pytest.raises(ValueError, match=r"z: batch axes \(3,\) do not go with those of the belief, \(5,\)"):
+        celnav.run(FILTER, prior, celnav.epochs([0.0, 1.0], np.zeros((2, 3, 2))))
+    # one measurement for all runs, and one run's belief for all measurements, do
+    assert celnav.run(FILTER, prior, celnav.epochs([0.0], np.zeros((1, 2)))).mean.shape == (1, 5, 2)
+    assert celnav.run(FILTER, PRIOR, celnav.epochs([0.0], np.zeros((1, 3, 2)))).mean.shape == (1, 3, 2)
+
+
+def test_no_noise_has_no_columns():
+    """A measurement without noise is possible, and exact; it has to be said."""
+    exact = celnav.update([[1.0, 1.0]], RULE, sqrt_R=np.zeros((1, 0)))
+    for prior in (PRIOR, covariance(np.zeros(2), np.eye(2))):
+        belief, _, _ = exact(prior, [3.0])
+        np.testing.assert_allclose(belief.mean, [1.5, 1.5], rtol=1e-12)
+        np.testing.assert_allclose(belief.cov, [[0.5, -0.5], [-0.5, 0.5]], atol=1e-12)
+
+
+def test_a_model_that_takes_the_epoch_for_its_interval_is_told_what_it_gets():
+    filter = celnav.sequential(celnav.predict(lambda x, dt: x + dt * x, RULE, np.eye(2)), SEE)
+    with pytest.raises(ValueError, match="inhomogeneous") as error:
+        celnav.run(filter, PRIOR, celnav.epochs([0.0, 1.0], np.zeros((2, 2))))
+    assert (
+        "f is called with points (5, 2) and an Epoch: epoch.dt is its interval, epoch.u (None) its input" in error.value.__notes__
+    )
+
+
+def test_what_a_track_and_a_rule_say_of_themselves():
+    z = np.zeros((3, 4, 2))
+    track = celnav.run(FILTER, square_root(np.zeros((4, 2)), np.eye(2)), celnav.epochs([0.0, 1.0, 2.0], z))
+    assert repr(track) == "Track(3 epochs from 0 to 2 s, 4 runs; mean, std, innovation stored, square root form)"
+    assert repr(celnav.unscented(2)) == "Rule(n=2, points=4 and a center of weight 0, negative weights=0)"
+    assert repr(celnav.unscented(2, 0.5)) == "Rule(n=2, points=5, negative weights=1)"
+
+
+def test_angles_can_be_sent_to_another_process():
+    for places in (None, [1]):
+        space = pickle.loads(pickle.dumps(celnav.angles(places)))
+        np.testing.assert_allclose(space.minus(np.array([0.0, 3.0]), np.array([0.0, -3.0])), [0.0, 6.0 - 2.0 * np.pi], rtol=1e-12)
