@@ -201,7 +201,7 @@ class Study(NamedTuple):
 
 
 STUDIES = {
-    "year": Study(_year, 7, 365.0, 12, year=True),
+    "year": Study(_year, 7, 365.0, 24, year=True),
     "ten days": Study(ten_days, 4, 10.0, 12),
     "forces": Study(forces, 6, 10.0, 20),
     "consistency": Study(consistency, 5, 3.0, 40),
