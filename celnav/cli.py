@@ -31,11 +31,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except (OSError, ImportError, InputError) as error:
-        print(f"celnav: {error}", file=sys.stderr)
+        print(f"celnav: {_told(error)}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("celnav: interrupted", file=sys.stderr)
         return 130
+
+
+def _told(error: Exception) -> str:
+    """The error as a sentence, with the file first: without numbers of the operating system."""
+    if isinstance(error, OSError) and error.filename is not None and error.strerror:
+        return f"{error.filename}: {error.strerror[0].lower()}{error.strerror[1:]}"
+    return str(error)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -60,11 +67,11 @@ def _parser() -> argparse.ArgumentParser:
 
     mission = command("run", "fly a mission: figures, a table and a recording", "mission")
     mission.add_argument("mission", metavar="MISSION.toml", help="a paper's parameters with your changes; see data/missions")
-    mission.add_argument("--out", metavar="DIR", help="where to write (default: out/NAME of the file)")
+    mission.add_argument("--out", metavar="DIR", help="where to write (default: out/missions/NAME, NAME of the file)")
 
     campaign = command("campaign", "sweep a study's lists: table, figures and a page; run again to resume")
     campaign.add_argument("study", metavar="STUDY.toml", help="a mission with lists of values")
-    campaign.add_argument("--out", metavar="DIR", help="its store and results (default: out/NAME of the file)")
+    campaign.add_argument("--out", metavar="DIR", help="its store and results (default: out/campaigns/NAME)")
     campaign.add_argument(
         "--executor", default="processes", choices=("processes", "dask"), help="where to work (default: processes)"
     )
@@ -82,9 +89,11 @@ def _parser() -> argparse.ArgumentParser:
     view = command("view", "open a recording in the Rerun viewer, offline")
     view.add_argument("paper", metavar="PAPER|FILE.rrd", help="a paper that was reproduced, or a file")
     view.add_argument("--out", default="out", metavar="DIR", help="where reproduce wrote (default: out)")
-    view.add_argument("--recording", metavar="NAME", help="which of a paper's recordings (default: the first)")
+    view.add_argument(
+        "--recording", metavar="NAME", help="which of a paper's recordings (default: the one that the page shows first)"
+    )
     view.add_argument("--picture", metavar="FILE.png", help="write a picture instead of opening a window; needs no display")
-    view.add_argument("--at", default="300", metavar="S", help="time in the recording that is shown, s (default: 300)")
+    view.add_argument("--at", metavar="S", help="time in the recording that a picture shows, s (default: its end)")
 
     position = command("position", "position a BeiDou receiver from its RINEX 3 files")
     position.add_argument("observations", metavar="OBS", help="observation file, plain, .gz or .crx")

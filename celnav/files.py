@@ -55,9 +55,11 @@ def replacing(path: str | Path) -> Iterator[Path]:
                 os.fsync(file.fileno())
             os.replace(temporary, target)
     except OSError as error:
-        if error.errno != errno.ENOSPC:
-            raise
-        raise OSError(error.errno, "no space left to write the file", str(target)) from None
+        if error.errno == errno.ENOSPC:
+            raise OSError(error.errno, "no space left to write the file", str(target)) from None
+        if TEMPORARY in str(error.filename):  # nobody knows the temporary folder
+            raise OSError(error.errno, error.strerror, str(target)) from None
+        raise
 
 
 def write_bytes(path: str | Path, content: bytes) -> None:
@@ -127,9 +129,14 @@ class Outputs:
 
     def __init__(self, directory: str | Path):
         self.directory = Path(directory)
+        if self.directory.exists() and not self.directory.is_dir():
+            raise NotADirectoryError(f"{self.directory}: expected a folder to write to")
         self.directory.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=self.directory):
-            pass  # fails here, before anything is computed, where nothing can be written
+        try:
+            with tempfile.TemporaryFile(dir=self.directory):
+                pass  # fails here, before anything is computed, where nothing can be written
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(self.directory)) from None
         self._manifest()
 
     def _manifest(self) -> dict[str, list[str]]:

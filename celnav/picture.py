@@ -8,10 +8,12 @@ import socket
 import sys
 import time
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
+import rerun as rr
 from rerun.experimental import ViewerClient
 
-from celnav.files import write_bytes
+from celnav.files import InputError, replacing
 
 TIMELINE = "t"
 """Of celnav's recordings, seconds."""
@@ -21,6 +23,23 @@ SETTLE_S = 8.0
 """How long the viewer shows notes about itself."""
 LEAST_BYTES = 20_000
 """Of a picture that shows more than an empty window."""
+
+
+def end(recording: str | Path) -> float:
+    """Last time in a recording, seconds since its start; 0 without any.
+
+    Raises
+    ------
+    ValueError: naming the file, if it cannot be read.
+    """
+    last = 0.0
+    try:
+        for chunk in rr.chunk.RrdReader(str(recording)).stream().to_chunks():
+            if TIMELINE in chunk.timeline_names and chunk.num_rows:
+                last = max(last, *chunk.to_record_batch().column(TIMELINE).cast("int64").to_pylist())
+    except (RuntimeError, ValueError) as error:
+        raise InputError(f"{recording}: expected a recording ({' '.join(str(error).split())[:200]})") from None
+    return 1e-9 * last
 
 
 def picture(recording: str | Path, path: str | Path, at: float, width: int = 1600) -> None:
@@ -36,20 +55,21 @@ def picture(recording: str | Path, path: str | Path, at: float, width: int = 160
     ------
     OSError: if the viewer cannot start or draws nothing, or the file cannot be written.
     """
-    with socket.socket() as probe:
+    os.environ.setdefault("RUST_LOG", "error")  # what the viewer says of itself
+    program = shutil.which("rerun", path=Path(sys.executable).parent) or shutil.which("rerun")
+    with replacing(path) as target, TemporaryDirectory() as folder, socket.socket() as probe:
+        os.environ.setdefault("XDG_RUNTIME_DIR", folder)
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    try:
-        os.environ.setdefault("RUST_LOG", "error")  # what the viewer says of itself
-        program = shutil.which("rerun", path=Path(sys.executable).parent) or shutil.which("rerun")
-        with ViewerClient.spawn(headless=True, port=port, hide_welcome_screen=True, executable_path=program) as viewer:
-            viewer.open(str(Path(recording).resolve()))
-            viewer.set_time(TIMELINE, duration=at, play_state="paused")
-            content = _drawn(viewer, width)
-    except (RuntimeError, ConnectionError, TimeoutError) as error:
-        said = " ".join(str(error).split())[:200]
-        raise OSError(f"{recording}: the viewer gave no picture ({said}); it needs a Vulkan driver") from None
-    write_bytes(path, content)
+        probe.close()
+        try:
+            with ViewerClient.spawn(headless=True, port=port, hide_welcome_screen=True, executable_path=program) as viewer:
+                viewer.open(str(Path(recording).resolve()))
+                viewer.set_time(TIMELINE, duration=at, play_state="paused")
+                target.write_bytes(_drawn(viewer, width))
+        except (RuntimeError, ConnectionError, TimeoutError) as error:
+            said = " ".join(str(error).split())[:200]
+            raise OSError(f"{recording}: the viewer gave no picture ({said}); it needs a Vulkan driver") from None
 
 
 def _drawn(viewer: ViewerClient, width: int) -> bytes:

@@ -105,6 +105,19 @@ def _notebook(out: Path, paper: str) -> str:
     return link(Path(os.path.relpath(path, out.resolve())).as_posix(), name) if path.exists() else f"notebooks/{name}"
 
 
+def effort_of(folder: Path) -> float | None:
+    """With what part of its runs a paper was reproduced; None if there is no record of it."""
+    try:
+        return float(json.loads((folder / "timings.json").read_text(encoding="utf-8"))["effort"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def few(part: float) -> str:
+    """What less than the whole effort means."""
+    return f"only {part:.3g} of the runs: intervals are wide, and what they do not decide, or needs whole runs, is undecided"
+
+
 def _about(path: Path) -> str:
     """Versions, machine and time of a ``timings.json``."""
     try:

@@ -96,6 +96,8 @@ def test_strict_fails_where_a_claim_is_not_as_expected(study, tmp_path, capsys):
         (["view", "tinny"], 2, "unknown paper"),
         (["view", "tiny"], 1, "celnav reproduce tiny"),
         (["view", "absent.rrd"], 1, "absent.rrd: no such recording"),
+        (["view", "mission.toml"], 2, "mission.toml: expected a paper that was reproduced, or a recording, FILE.rrd"),
+        (["run", "absent.toml"], 1, "celnav: absent.toml: no such file or directory"),
     ],
 )
 def test_a_mistake_is_one_line_and_an_exit_code(study, tmp_path, monkeypatch, capsys, arguments, status, text):
@@ -158,13 +160,18 @@ def test_view_without_a_display_says_what_to_do(study, tmp_path, monkeypatch, ca
     [
         (["--picture", "a.jpg"], "picture: expected the name of a .png file, got 'a.jpg'"),
         (["--picture", "a.png", "--at", "soon"], "at: expected a number, got 'soon'"),
-        (["--picture", "a.png", "--at", "-1"], "at: expected a time that is not negative, got -1"),
-        (["--picture", "a.png", "--at", "nan"], "at: expected a time that is not negative, got nan"),
+        (["--picture", "a.png", "--at", "-1"], "at: expected a time of the recording, from 0 to 2 s, got -1"),
+        (["--picture", "a.png", "--at", "nan"], "at: expected a time of the recording, from 0 to 2 s, got nan"),
+        (["--picture", "a.png", "--at", "2.5"], "at: expected a time of the recording, from 0 to 2 s, got 2.5"),
+        (["--at", "1"], "at: expected --picture FILE.png with it; in a window the time is moved by hand"),
     ],
 )
 def test_a_picture_that_cannot_be_is_one_line(tmp_path, monkeypatch, capsys, options, text):
+    from celnav import recording
+
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "a.rrd").write_bytes(b"RRF2")
+    with recording.recording(tmp_path / "a.rrd", np.arange(3.0), name="a", layout=recording.text("info", "info")) as out:
+        out.curve("x", np.arange(3.0), "#000000", "x")
     assert cli.main(["view", "a.rrd", *options]) == 2
     assert capsys.readouterr().err == f"celnav: {text}\n"
     assert [path.name for path in tmp_path.iterdir()] == ["a.rrd"]
@@ -218,3 +225,36 @@ def test_nothing_in_the_package_reads_pickles_or_names_a_host():
         assert "import pickle" not in text
         assert "urlopen" not in text
         assert "shell=True" not in text
+
+
+def test_view_takes_the_first_recording_of_the_paper_and_names_with_or_without_their_end(study, tmp_path, monkeypatch, capsys):
+    """The order is the paper's, not the alphabet's."""
+    shown = []
+    monkeypatch.setattr("celnav.picture.end", lambda path: 10.0)
+    monkeypatch.setattr("celnav.picture.picture", lambda path, target, at: shown.append((path.name, at)))
+    monkeypatch.setattr(load("tiny"), "RECORDINGS", ["b.rrd", "a.rrd"])
+    (tmp_path / "tiny").mkdir()
+    for name in ("a", "b"):
+        (tmp_path / "tiny" / f"{name}.rrd").write_bytes(b"")
+    picture = ["--out", str(tmp_path), "--picture", str(tmp_path / "a.png")]
+    assert cli.main(["view", "tiny", *picture]) == 0
+    for name in ("a", "a.rrd"):
+        assert cli.main(["view", "tiny", *picture, "--recording", name, "--at", "3"]) == 0
+    assert shown == [("b.rrd", 10.0), ("a.rrd", 3.0), ("a.rrd", 3.0)]
+    capsys.readouterr()
+    assert cli.main(["view", "tiny", *picture, "--recording", "c"]) == 2
+    assert capsys.readouterr().err == "celnav: unknown recording 'c': expected one of b.rrd, a.rrd\n"
+
+
+def test_less_than_the_whole_effort_is_told(study, tmp_path, capsys):
+    assert cli.main(["reproduce", "--out", str(tmp_path), "--effort", "0.5"]) == 0
+    assert "celnav: only 0.5 of the runs: intervals are wide" in capsys.readouterr().err
+    assert cli.main(["verdicts", "--out", str(tmp_path)]) == 0
+    assert "celnav: tiny: only 0.5 of the runs" in capsys.readouterr().err
+
+
+def test_list_says_what_a_parameter_can_be_and_how_many_runs_there_are(capsys):
+    assert cli.main(["list", "csrukf"]) == 0
+    text = capsys.readouterr().out
+    assert 'one of "R", "stationary", "zero"' in text
+    assert "of each configuration (100)" in text

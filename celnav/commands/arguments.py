@@ -76,6 +76,6 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def folder_of(file: str) -> Path:
-    """Where the results of a file go, unless somebody says otherwise: ``out/NAME``."""
-    return Path("out") / (re.sub(r"[^\w.-]+", "-", Path(file).stem).strip(".-") or "mission")
+def folder_of(kind: str, file: str) -> Path:
+    """Where the results of a file go, unless somebody says otherwise: ``out/KIND/NAME``."""
+    return Path("out", kind) / (re.sub(r"[^\w.-]+", "-", Path(file).stem).strip(".-") or "mission")

@@ -24,7 +24,7 @@ def run(options: argparse.Namespace) -> int:
     from celnav.mission import read
 
     pool, study = _workers(options), read(options.study, fraction(options.effort))
-    folder = Path(options.out or folder_of(options.study))
+    folder = Path(options.out or folder_of("campaigns", options.study))
     outputs = Outputs(folder)
     outputs.check(names(stems(study)))
     try:

@@ -38,15 +38,17 @@ def _parameters(paper: str) -> None:
     from celnav.typed import unit_of
 
     study = module(paper)
+    choices: dict[str, tuple[Any, ...]] = getattr(study, "CHOICES", {})
     presets: dict[str, dict[str, Any]] = {name: flat(asdict(config)) for name, config in study.PRESETS.items()}
     first, *others = presets.items()
-    print(f"{paper}: {study.TITLE}\n\nAt the top of a mission:\n\n{_TOP}")
+    print(f"{paper}: {study.TITLE}\n\nAt the top of a mission:\n\n{_TOP.format(runs=first[1]['runs'])}")
     for name, unit in study.JUDGED.items():
         print(f"  limits.{name:25} {'':36} {unit}, of the vector's length")
     print(f"\n[config] of a mission, with the values of preset {first[0]}:\n")
     for key, value in first[1].items():
         if key != "runs":
-            print(f"  {key:32} {_written(value):36} {unit_of(key)}".rstrip())
+            about = f"one of {', '.join(map(_written, choices[key]))}" if key in choices else unit_of(key)
+            print(f"  {key:32} {_written(value):36} {about}".rstrip())
     for name, values in others:
         changed = [f"{key} = {_written(value)}" for key, value in values.items() if value != first[1][key]]
         print(f"\npreset {name}: {', '.join(changed) or 'the same'}")
@@ -57,7 +59,8 @@ _TOP = """\
   title                            a line of your own
   paper, preset                    where models and values come from
   filters                          a list of names; none: all that are listed below
-  runs, seed                       of each configuration, and of the random numbers, which all share
+  runs                             of each configuration ({runs})
+  seed                             of the random numbers, which all configurations share (0)
   block                            runs of a work unit (250)
   every                            judge one epoch in so many, and the last (1)
   settle_s                         where means over time begin; none: in the middle of the run

@@ -26,7 +26,7 @@ def run(options: argparse.Namespace) -> int:
     if study.swept:
         listed = ", ".join(f"config.{key}" for key in study.swept)
         raise UsageError(f"{options.mission}: {listed}: a list of values is a study; use: celnav campaign {options.mission}")
-    outputs = Outputs(options.out or folder_of(options.mission))
+    outputs = Outputs(options.out or folder_of("missions", options.mission))
     outputs.check([*names([*stems(study), "errors"]), "summary.txt", RECORDING])
     try:
         with RunProgress(study.title) as progress:

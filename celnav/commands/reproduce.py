@@ -37,7 +37,7 @@ FIRST = ("tstdkf", "aukf", "aasghqf")
 
 def run(options: argparse.Namespace) -> int:
     """Run the papers, side by side where there are several processes."""
-    from celnav.report import index
+    from celnav.report import few, index
 
     chosen = list(dict.fromkeys(options.papers)) or list(papers.PAPERS)
     modules = {paper: module(paper) for paper in chosen}
@@ -46,15 +46,13 @@ def run(options: argparse.Namespace) -> int:
     if options.rinex is not None and not any("rinex" in getattr(study, "INPUTS", ()) for study in modules.values()):
         raise UsageError(f"rinex: expected a paper that takes a receiver's log (aukf), got {', '.join(chosen)}")
     out = Path(options.out)
-    if out.exists() and not out.is_dir():
-        raise NotADirectoryError(f"{out}: expected a folder to write to")
     top, folders = Outputs(out), {paper: Outputs(out / paper) for paper in chosen}
     top.check(["index.html"])
     for paper, study in modules.items():
         _check(study, folders[paper])
     surprises = 0
     with locked(out):
-        remove_leftovers(out, *(out / paper / part for paper in chosen for part in ("", "figures", "tables")))
+        remove_leftovers(out, *(out / paper / below for paper in chosen for below in ("", "figures", "tables")))
         plans = {paper: study.plan(effort=part, seed=seed, **_inputs(study, options)) for paper, study in modules.items()}
         with closing(Progress("celnav")) as progress:
             for paper, outcomes in _found(plans, pool, progress):
@@ -65,6 +63,8 @@ def run(options: argparse.Namespace) -> int:
                 del outcomes, result
         top.text("index.html", index(out))
     print(f"wrote {out / 'index.html'}")
+    if part < 1.0:
+        print(f"celnav: {few(part)}", file=sys.stderr)
     return 1 if options.strict and surprises else 0
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
-from celnav.report import reproduced, verdicts
+from celnav.report import effort_of, few, reproduced, verdicts
 
 
 def run(options: argparse.Namespace) -> int:
@@ -14,4 +15,7 @@ def run(options: argparse.Namespace) -> int:
     if not found:
         raise FileNotFoundError(f"{options.out}: no paper was reproduced there; use: celnav reproduce --out {options.out}")
     print(verdicts(found))
+    for paper in found:
+        if (part := effort_of(Path(options.out, paper))) is not None and part < 1.0:
+            print(f"celnav: {paper}: {few(part)}", file=sys.stderr)
     return 0

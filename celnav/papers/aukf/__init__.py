@@ -20,7 +20,7 @@ AUKF                   noise inflated by a window of innovations        `celnav.
 """
 
 from celnav.papers.aukf.claims import claims
-from celnav.papers.aukf.config import CITATION, PRESETS, TITLE, Config
+from celnav.papers.aukf.config import CHOICES, CITATION, PRESETS, TITLE, Config
 from celnav.papers.aukf.errata import ERRATA
 from celnav.papers.aukf.figures import (
     figure_1,
@@ -48,7 +48,7 @@ from celnav.papers.aukf.tables import table_1, table_2, table_3, table_4, table_
 from celnav.papers.aukf.trial import JUDGED, trial
 
 __all__ = [
-    "CITATION", "ERRATA", "INPUTS", "JUDGED", "PRESETS", "RECORDINGS", "TITLE", "Config", "Result", "Scenario", "claims",
+    "CHOICES", "CITATION", "ERRATA", "INPUTS", "JUDGED", "PRESETS", "RECORDINGS", "TITLE", "Config", "Result", "Scenario", "claims",
     "figure_1", "figure_2", "figure_3", "figure_4", "figure_5", "figure_6", "figure_7", "figure_7b", "figure_8", "figure_8b",
     "figure_9", "figure_9b", "figure_10", "figure_11", "figure_12", "figure_13", "figure_14", "filters", "plan", "record",
     "reproduce", "simulate", "table_1", "table_2", "table_3", "table_4", "table_5", "table_6", "table_7", "table_8", "trial",

@@ -18,7 +18,7 @@ CITATION = """\
   note    = {in Chinese; year and journal are not in the text available, which has lost its display equations and Table 1}
 }"""
 STANDARD_GRAVITY = 9.80665
-CHANNELS = ("none", "ranges", "both", "one")
+CHOICES = {"burst": ("none", "ranges", "both", "one")}
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Config:
     sigma_range_m: float = 3.0  # chosen: what the filters take the noise for
     sigma_rate_m_per_s: float = 0.1  # chosen
     true_sigma_range_m: float = 3.0  # chosen: what it is
-    burst: str = "ranges"  # chosen: the paper does not say which channels: "none", "ranges", "both", "one" satellite
+    burst: str = "ranges"  # chosen: the paper does not say which channels
     burst_s: tuple[float, float] = (60.0, 70.0)  # paper
     burst_sigma: float = 50.0  # paper; m and m/s
     burst_satellite: int = 2  # chosen: its place among the visible ones
@@ -80,8 +80,8 @@ class Config:
             raise ValueError(f"burst_satellite: expected a place from 0 on, got {self.burst_satellite!r}")
         if min(self.deviation) <= 0.0:
             raise ValueError(f"deviation: expected positive numbers, got {self.deviation!r}")
-        if self.burst not in CHANNELS:
-            raise ValueError(f"burst: expected one of {', '.join(CHANNELS)}, got {self.burst!r}")
+        if self.burst not in CHOICES["burst"]:
+            raise ValueError(f"burst: expected one of {', '.join(CHOICES['burst'])}, got {self.burst!r}")
         for name in ("window", "runs"):
             value = getattr(self, name)
             if isinstance(value, bool) or int(value) != value or value < 1:

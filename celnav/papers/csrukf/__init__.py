@@ -20,7 +20,7 @@ equation       content                                                 here
 
 from celnav.papers.csrukf import tune
 from celnav.papers.csrukf.claims import claims
-from celnav.papers.csrukf.config import CITATION, PRESETS, TITLE, Config
+from celnav.papers.csrukf.config import CHOICES, CITATION, PRESETS, TITLE, Config
 from celnav.papers.csrukf.errata import ERRATA
 from celnav.papers.csrukf.figures import (
     figure_1,
@@ -49,6 +49,7 @@ from celnav.papers.csrukf.tables import table_1, table_2, table_3
 from celnav.papers.csrukf.trial import JUDGED, trial
 
 __all__ = [
+    "CHOICES",
     "CITATION",
     "ERRATA",
     "JUDGED",

@@ -22,8 +22,7 @@ CITATION = """\
   note    = {in Chinese}
 }"""
 
-FIRST_NOISE = ("R", "stationary", "zero")
-MEASURED = ("positions", "angles")
+CHOICES = {"measured": ("positions", "angles"), "first_noise": ("R", "stationary", "zero")}
 
 
 @dataclass(frozen=True)
@@ -54,18 +53,19 @@ class Config:
     noise_position_km: float = 7.5e-3  # inferred: root of Q, per step
     noise_velocity_km_per_s: float = 1e-8  # inferred
     phi: float = 0.0  # paper: 0 (case 1), 1 and 0.8 (cases 2 and 3), times the identity
-    measured: str = "positions"  # inferred; or "angles": the noise lives on them, and positions are computed from them
-    first_noise: str = "R"  # chosen: covariance of V_0, "R", "stationary" or "zero"
+    measured: str = "positions"  # inferred; of "angles" the noise lives on them, and positions are computed from them
+    first_noise: str = "R"  # chosen: covariance of V_0
     alpha: float = 1.0  # chosen, with beta and kappa: no negative weight
     beta: float = 0.0
     kappa: float = 0.0
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
-            if name not in ("first_noise", "measured"):
+            if name not in CHOICES:
                 finite(name, getattr(self, name), ())
-        if self.measured not in MEASURED:
-            raise ValueError(f"measured: expected one of {', '.join(MEASURED)}, got {self.measured!r}")
+        for name, known in CHOICES.items():
+            if getattr(self, name) not in known:
+                raise ValueError(f"{name}: expected one of {', '.join(known)}, got {getattr(self, name)!r}")
         if self.steps < 1 or self.steps != int(self.steps):
             raise ValueError(f"steps: expected at least 1 (two samples), got {self.steps!r}")
         if self.runs < 1 or self.runs != int(self.runs):
@@ -81,8 +81,6 @@ class Config:
             raise ValueError(f"semi_major_axis_km: expected a positive number, got {self.semi_major_axis_km!r}")
         if not 0.0 <= self.eccentricity < 1.0:
             raise ValueError(f"eccentricity: expected a number of at least 0 and below 1, got {self.eccentricity!r}")
-        if self.first_noise not in FIRST_NOISE:
-            raise ValueError(f"first_noise: expected one of {', '.join(FIRST_NOISE)}, got {self.first_noise!r}")
         if self.first_noise == "stationary" and abs(self.phi) == 1.0:
             raise ValueError(f"first_noise: expected R or zero where phi is {self.phi:g}, which has no stationary noise")
         unscented(6, self.alpha, self.beta, self.kappa)

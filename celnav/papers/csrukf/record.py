@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from celnav.files import Outputs
     from celnav.papers.csrukf.recording import Showcase
 
-CASES = {"P/0": "csrukf_P_0.rrd", "P/0.8": "csrukf_P_08.rrd", "P/I": "csrukf_P_I.rrd", "D/I": "csrukf_D_I.rrd"}
+CASES = {"P/0.8": "csrukf_P_08.rrd", "P/0": "csrukf_P_0.rrd", "P/I": "csrukf_P_I.rrd", "D/I": "csrukf_D_I.rrd"}
 RECORDINGS = list(CASES.values())
 CONCLUSIONS = {
     "P/0": "White noise: both filters are the same filter; 3σ holds.",

@@ -22,7 +22,7 @@ equation       content                                                 here
 """
 
 from celnav.papers.tstdkf.claims import claims
-from celnav.papers.tstdkf.config import CITATION, PRESETS, SETTINGS, TITLE, Config, Setting
+from celnav.papers.tstdkf.config import CHOICES, CITATION, PRESETS, SETTINGS, TITLE, Config, Setting
 from celnav.papers.tstdkf.errata import ERRATA
 from celnav.papers.tstdkf.estimators import filters
 from celnav.papers.tstdkf.figures import (
@@ -50,8 +50,9 @@ from celnav.papers.tstdkf.tables import table_1, table_2, table_3, table_4, tabl
 from celnav.papers.tstdkf.trial import JUDGED, trial
 
 __all__ = [
-    "CITATION", "ERRATA", "JUDGED", "PRESETS", "RECORDINGS", "SETTINGS", "TITLE", "Config", "Result", "Scenario", "Setting",
-    "claims", "figure_1", "figure_2", "figure_2b", "figure_3", "figure_4", "figure_5", "figure_6", "figure_7", "figure_8",
-    "figure_9", "figure_9b", "figure_10", "figure_11", "figure_12", "figure_13", "figure_14", "filters", "plan", "record",
-    "reproduce", "simulate", "table_1", "table_2", "table_3", "table_4", "table_5", "table_6", "table_7", "table_8", "trial",
+    "CHOICES", "CITATION", "ERRATA", "JUDGED", "PRESETS", "RECORDINGS", "SETTINGS", "TITLE", "Config", "Result", "Scenario",
+    "Setting", "claims", "figure_1", "figure_2", "figure_2b", "figure_3", "figure_4", "figure_5", "figure_6", "figure_7",
+    "figure_8", "figure_9", "figure_9b", "figure_10", "figure_11", "figure_12", "figure_13", "figure_14", "filters", "plan",
+    "record", "reproduce", "simulate", "table_1", "table_2", "table_3", "table_4", "table_5", "table_6", "table_7", "table_8",
+    "trial",
 ]  # fmt: skip
