@@ -171,7 +171,7 @@ def _plots(out: Recorder, result: Result, preset: str) -> None:
                 out.curve(f"att/{name}/{filter}/3s", _log10(3.0 * std[:, i]), COLORS[filter], f"3σ {LABELS[filter]}", width=0.8)
             entity = f"{'attitude' if group == 'att' else group}/{name}/{filter}"
             out.curve(entity, error, COLORS[filter], LABELS[filter])
-            out.bounds(entity, std[:, i], LABELS[filter], shown=filter == "sghqf")
+            out.bounds(entity, std[:, i], LABELS[filter], shown=filter == "sghqf", color=COLORS[filter])
         out.curve(f"nees/{filter}", _log10(data[f"{filter}/nees"][:, 0] / 13.0), COLORS[filter], LABELS[filter])
     for name, level in zip(("low", "high"), chi_square_band(13, 1), strict=True):
         out.level(f"nees/{name}", float(np.log10(level / 13.0)), "95 % band")

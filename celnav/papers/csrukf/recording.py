@@ -207,7 +207,7 @@ def _plots(out: Recorder, showcase: Showcase, color: dict[str, str]) -> None:
             for quantity, j in (("pos_err", i), ("vel_err", i + 3)):
                 entity = f"plots/{quantity}/{axis}/{key}"
                 out.curve(entity, error[:, j], color[key], FILTERS[key], width=width)
-                out.bounds(entity, sigma[:, j], FILTERS[key], shown=shown)
+                out.bounds(entity, sigma[:, j], FILTERS[key], shown=shown, color=color[key])
         out.curve(f"plots/nees/{key}", _log10(estimate.nees), color[key], FILTERS[key], width=width)
         out.curve(f"plots/nis/{key}", _log10(estimate.nis), color[key], FILTERS[key], width=width)
         out.curve(f"plots/rmse/{key}", _log10(showcase.rmse[key]), color[key], FILTERS[key], width=width)
@@ -219,7 +219,7 @@ def _plots(out: Recorder, showcase: Showcase, color: dict[str, str]) -> None:
         out.curve(f"plots/V/{axis}/truth", showcase.noise[:, i], colors.TRUTH, "true V")
         entity = f"plots/V/{axis}/augmented"
         out.curve(entity, showcase.noise_mean[:, i], colors.ESTIMATE, "augmented filter")
-        out.bounds(entity, showcase.noise_std[:, i], "augmented filter", center=showcase.noise_mean[:, i])
+        out.bounds(entity, showcase.noise_std[:, i], "augmented filter", center=showcase.noise_mean[:, i], color=colors.ESTIMATE)
 
 
 def _error_and_sigma(showcase: Showcase, estimate: Estimate) -> tuple[Array, Array]:

@@ -143,10 +143,17 @@ def _plots(out: Recorder, result: Result) -> None:
         for filter in SHOWN:
             std = data[f"{filter}/std"][:, 0]
             out.curve(f"err/{axis}/{filter}", data[f"{filter}/euler"][:, 0, i], COLORS[filter], LABELS[filter])
-            out.bounds(f"err/{axis}/{filter}", std[:, i], LABELS[filter], shown=filter == "ssukf")
+            out.bounds(f"err/{axis}/{filter}", std[:, i], LABELS[filter], shown=filter == "ssukf", color=COLORS[filter])
             estimate = data[f"{filter}/mean"][:, 0, 4 + i] / UNITS[3]
             out.curve(f"drift/{letter}/{filter}/est", estimate, COLORS[filter], LABELS[filter])
-            out.bounds(f"drift/{letter}/{filter}", std[:, 3 + i], LABELS[filter], center=estimate, shown=filter == "ssukf")
+            out.bounds(
+                f"drift/{letter}/{filter}",
+                std[:, 3 + i],
+                LABELS[filter],
+                center=estimate,
+                shown=filter == "ssukf",
+                color=COLORS[filter],
+            )
     for filter in SHOWN:
         out.curve(f"nees/{filter}", _log10(data[f"{filter}/nees"][:, 0]), COLORS[filter], LABELS[filter])
         out.curve(

@@ -155,18 +155,18 @@ def _plots(out: Recorder, result: Result, every: int) -> None:
             error = scale * np.linalg.norm(data[f"1/{filter}/first/mean"][::every, 0, part] - truth[:, part], axis=1)
             out.curve(f"err/{what}/{filter}", error, COLORS[filter], filter.upper())
         variances = data["1/aug/first/cov"][::every, 0].diagonal(0, -2, -1)[:, part]
-        out.curve(f"err/{what}/aug/3s", 3.0 * scale * np.sqrt(variances.sum(1)), colors.SIGMA, "3σ AUG", width=1.0)
+        out.curve(f"err/{what}/aug/3s", 3.0 * scale * np.sqrt(variances.sum(1)), COLORS["aug"], "3σ AUG", width=1.0)
     for i, axis in enumerate(AXES):
         out.curve(f"bias/{axis}/truth", truth[:, 6 + i], "#FFFFFF", "truth")
         for filter in SHOWN[1:]:
             out.curve(f"bias/{axis}/{filter}", data[f"1/{filter}/first/mean"][::every, 0, 6 + i], COLORS[filter], filter.upper())
         std = np.sqrt(data["1/aug/first/cov"][::every, 0, 6 + i, 6 + i])
-        out.bounds(f"bias/{axis}/aug", std, "AUG", center=data["1/aug/first/mean"][::every, 0, 6 + i])
+        out.bounds(f"bias/{axis}/aug", std, "AUG", center=data["1/aug/first/mean"][::every, 0, 6 + i], color=COLORS["aug"])
         out.curve(f"lambda/{axis}", data["1/tstdkf/first/lambda"][::every, 0, i], SHADES[i], axis)
         for filter in SHOWN[1:]:
             residual = data[f"1/{filter}/first/residual"][::every, 0, i]
             out.curve(f"residual/{i}/{filter}", residual, COLORS[filter], f"{filter.upper()}, {result.config.pulsars[i]}")
-        out.bounds(f"residual/{i}/aug", data["1/aug/first/residual std"][::every, 0, i], "AUG")
+        out.bounds(f"residual/{i}/aug", data["1/aug/first/residual std"][::every, 0, i], "AUG", color=COLORS["aug"])
     for filter in SHOWN[1:]:
         out.curve(f"nis/{filter}", data[f"1/{filter}/first/nis"][::every, 0], COLORS[filter], filter.upper())
     for side, level in zip(("low", "high"), chi_square_band(3, 1), strict=True):
