@@ -22,7 +22,7 @@ from celnav.linalg import Array
 from celnav.montecarlo import generator
 from celnav.papers.aasghqf import scenario
 from celnav.papers.aasghqf.config import PAPER_WEIGHTS, A
-from celnav.points import Rule
+from celnav.rule import Rule
 from celnav.spaces import EUCLIDEAN
 from celnav.sparse_grid import smolyak
 

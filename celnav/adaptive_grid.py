@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from celnav.gaussian import finite
 from celnav.linalg import Array
-from celnav.points import Rule
+from celnav.rule import Rule
 from celnav.sparse_grid import CANCELED, ORDERS, univariate
 
 

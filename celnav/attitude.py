@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from celnav.linalg import Array, components
-from celnav.points import Rule
+from celnav.rule import Rule
 from celnav.spaces import Space
 
 IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])

@@ -17,12 +17,13 @@ from celnav.filters.robust import huber, student_t
 from celnav.filters.step import predict, update
 from celnav.gaussian import covariance
 from celnav.montecarlo import generator
-from celnav.points import Transform, cubature, gauss_hermite, unscented
+from celnav.points import cubature, gauss_hermite, unscented
 from celnav.problem import Problem
 from celnav.scores import score, summarize
 from celnav.spaces import EUCLIDEAN
 from celnav.sparse_grid import smolyak
 from celnav.taylor import Taylor
+from celnav.transform import Transform
 from celnav.trial import Noiseless, bound, follow
 
 RULES: dict[str, Callable[[int], Transform]] = {

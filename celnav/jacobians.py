@@ -40,7 +40,7 @@ def check_jacobian(
     Parameters
     ----------
     function: ``(points (p, ..., N), *args) -> (p, ..., M)``, a model function, say.
-    jacobian: ``(point (..., N), *args) -> (..., M, N)``, or that matrix. A tuple, as `celnav.points.Taylor` takes it, counts
+    jacobian: ``(point (..., N), *args) -> (..., M, N)``, or that matrix. A tuple, as `celnav.taylor.Taylor` takes it, counts
         with its first matrix.
     point: ``(..., N)``; batch axes may go with batched ``args``.
     args: passed on to both: the epoch, say.

@@ -27,9 +27,10 @@ from celnav.models import pseudorange
 from celnav.models.atmosphere import GPS_L1_HZ, klobuchar, saastamoinen
 from celnav.models.beidou import B1I_HZ, ELLIPSOID, GPS_AHEAD_S, LIGHT
 from celnav.models.receiver import CRYSTAL, process_noise, transition
-from celnav.points import Transform, unscented
+from celnav.points import unscented
 from celnav.rinex import Navigation, Observations
 from celnav.taylor import Taylor
+from celnav.transform import Transform
 
 CREDIBLE_M = (1.5e7, 5e7)
 """Pseudoranges outside are none."""

@@ -19,7 +19,8 @@ from typing import NamedTuple
 import numpy as np
 
 from celnav.linalg import Array
-from celnav.points import MAX_POINTS, Rule, integer
+from celnav.points import MAX_POINTS, integer
+from celnav.rule import Rule
 
 ORDERS = (1, 3, 7, 15, 31, 63)
 """Points of the one-dimensional rules of level 1, 2, ...: a level more doubles the number and the degree."""

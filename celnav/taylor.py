@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from celnav.linalg import Array, is_unit, matvec, side_by_side, solve_upper_transposed
-from celnav.points import KEEP, Image, Outputs
 from celnav.spaces import Space
+from celnav.transform import KEEP, Image, Outputs
 
 
 class Taylor:

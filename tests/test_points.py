@@ -11,9 +11,11 @@ from hypothesis import strategies as st
 from celnav.filters.driver import epochs, run, sequential
 from celnav.filters.step import predict, update
 from celnav.gaussian import covariance, square_root
-from celnav.points import KEEP, MAX_POINTS, Rule, cubature, from_filterpy, gauss_hermite, simplex, unscented
+from celnav.points import MAX_POINTS, cubature, from_filterpy, gauss_hermite, simplex, unscented
+from celnav.rule import Rule
 from celnav.spaces import EUCLIDEAN
 from celnav.taylor import Taylor
+from celnav.transform import KEEP
 
 BATCHES = [(), (3,), (2, 3)]
 

@@ -13,8 +13,10 @@ ROOT = Path(celnav.__file__).parent
 ROOMS = [
     {"linalg", "colors", "effort", "progress", "page", "drawing", "typed"},
     {"spaces", "gaussian", "files"},
-    {"points", "rinex_text"},
-    {"taylor", "sparse_grid", "attitude"},
+    {"transform", "rinex_text"},
+    {"rule"},
+    {"points", "taylor"},
+    {"sparse_grid", "attitude"},
     {"adaptive_grid", "filters", "models"},
     {"montecarlo", "metrics", "observability", "jacobians", "tuning", "rinex"},
     {"claims", "figures", "recording", "picture", "positioning", "trial"},

@@ -24,8 +24,8 @@ from celnav.filters.info import Hook, Info
 from celnav.filters.step import predict, update
 from celnav.gaussian import Gaussian, finite, sqrt_cov
 from celnav.linalg import Array, block, matvec, solve_upper_transposed, tria
-from celnav.points import KEEP, Image, Outputs, Transform
 from celnav.spaces import EUCLIDEAN
+from celnav.transform import KEEP, Image, Outputs, Transform
 
 Coloring = ArrayLike | Callable[[Any], Array]
 """``Phi (..., m, m)`` or ``epoch -> Phi``."""

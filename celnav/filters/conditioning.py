@@ -18,8 +18,8 @@ import numpy as np
 from celnav.filters.info import Gain, Hook, Info, Joint
 from celnav.gaussian import Gaussian, finite, sqrt_cov
 from celnav.linalg import Array, matvec, solve_upper_transposed, tria, whiten
-from celnav.points import KEEP, Image, Outputs, Transform
 from celnav.spaces import EUCLIDEAN, Space
+from celnav.transform import KEEP, Image, Outputs, Transform
 
 Model = Callable[..., Any]
 """``(points (p, ..., N), epoch, *noise points) -> (p, ..., M)``."""

@@ -19,7 +19,8 @@ from scipy.linalg import cholesky
 from celnav.filters.step import predict, update
 from celnav.gaussian import COVARIANCE, SQUARE_ROOT, Form, Gaussian, finite, sqrt_cov, symmetric
 from celnav.linalg import Array, semidefinite_root
-from celnav.points import Rule, from_filterpy
+from celnav.points import from_filterpy
+from celnav.rule import Rule
 from celnav.spaces import Space
 
 

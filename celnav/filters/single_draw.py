@@ -14,8 +14,8 @@ from celnav.filters.info import Hook, Info
 from celnav.filters.step import Update, predict
 from celnav.gaussian import Gaussian
 from celnav.linalg import Array
-from celnav.points import Outputs, Transform
 from celnav.spaces import EUCLIDEAN, Space
+from celnav.transform import Outputs, Transform
 
 
 def single_draw(

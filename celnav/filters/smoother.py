@@ -22,7 +22,7 @@ from celnav.filters.step import Motion
 from celnav.filters.track import Track
 from celnav.gaussian import SQUARE_ROOT, Gaussian
 from celnav.linalg import Array, matvec, solve_lower, solve_upper_transposed, tria
-from celnav.points import KEEP, Outputs
+from celnav.transform import KEEP, Outputs
 
 _EPS = float(np.finfo(np.float64).eps)
 

@@ -18,8 +18,8 @@ from celnav.filters.conditioning import Model, Noise, condition, evaluate, expla
 from celnav.filters.info import Gain, Hook, Info
 from celnav.gaussian import Gaussian, finite
 from celnav.linalg import Array, matvec
-from celnav.points import KEEP, Image, Outputs, Transform
 from celnav.spaces import EUCLIDEAN, Space
+from celnav.transform import KEEP, Image, Outputs, Transform
 
 Predict = Callable[[Gaussian, Any], tuple[Gaussian, Info]]
 Update = Callable[..., tuple[Gaussian, Info, Any]]

@@ -11,7 +11,8 @@ from celnav.filters.smoother import smooth
 from celnav.filters.step import predict, update
 from celnav.gaussian import Gaussian, covariance, nees, square_root
 from celnav.linalg import block
-from celnav.points import Rule, cubature, from_filterpy, gauss_hermite, simplex, unscented
+from celnav.points import cubature, from_filterpy, gauss_hermite, simplex, unscented
+from celnav.rule import Rule
 from celnav.spaces import EUCLIDEAN, Space, angles
 from celnav.taylor import Taylor
 

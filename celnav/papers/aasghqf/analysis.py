@@ -18,9 +18,11 @@ from celnav.models import inertial
 from celnav.montecarlo import generator
 from celnav.papers.aasghqf.config import MICRO_G, Config, meters_per_radian
 from celnav.papers.aasghqf.scenario import BORESIGHTS, Inputs, filters, measurement, rules, simulate
-from celnav.points import KEEP, Rule, gauss_hermite
+from celnav.points import gauss_hermite
+from celnav.rule import Rule
 from celnav.spaces import EUCLIDEAN
 from celnav.sparse_grid import smolyak
+from celnav.transform import KEEP
 
 MISALIGNMENTS_DEG = (1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0)
 DIMENSIONS = (2, 4, 6, 8, 10, 13, 16, 20, 25, 30, 40)

@@ -12,7 +12,7 @@ from celnav.linalg import Array
 from celnav.metrics import chi_square_band
 from celnav.papers.aasghqf.analysis import DIMENSIONS, MISALIGNMENTS_DEG
 from celnav.papers.aasghqf.study import COMPARED, Result
-from celnav.points import Rule
+from celnav.rule import Rule
 from celnav.sparse_grid import smolyak
 
 if TYPE_CHECKING:

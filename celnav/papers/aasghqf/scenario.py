@@ -19,7 +19,8 @@ from celnav.models.inertial import Navigation
 from celnav.models.trajectory import Flight
 from celnav.montecarlo import normals
 from celnav.papers.aasghqf.config import NONLINEAR_WEIGHTS, PAPER_WEIGHTS, Config
-from celnav.points import Rule, cubature, gauss_hermite, simplex, tensor_product, unscented
+from celnav.points import cubature, gauss_hermite, simplex, tensor_product, unscented
+from celnav.rule import Rule
 from celnav.sparse_grid import DELAYED, smolyak
 from celnav.taylor import Taylor
 

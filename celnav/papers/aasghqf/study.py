@@ -16,7 +16,7 @@ from celnav.linalg import Array
 from celnav.montecarlo import Outcome, Plan, Progress, Unit, blocks, carry_out, generator, run_count
 from celnav.papers.aasghqf import analysis, errata, scenario
 from celnav.papers.aasghqf.config import MICRO_G, PRESETS, T3, A, Config
-from celnav.points import Rule
+from celnav.rule import Rule
 from celnav.sparse_grid import smolyak
 from celnav.taylor import Taylor
 

@@ -19,7 +19,8 @@ from celnav.papers.aukf.config import Config
 from celnav.papers.aukf.errata import clipped_mean
 from celnav.papers.aukf.real import as_others
 from celnav.papers.aukf.scenario import EKF, START_S, TOE_S, axes, circle, filters, simulate, ukf, visible
-from celnav.points import Transform, unscented
+from celnav.points import unscented
+from celnav.transform import Transform
 
 INCLINATIONS_DEG = (55.0, 10.0, 1.0, 0.1, 0.01)
 NORMAL_ERROR = 1e-4

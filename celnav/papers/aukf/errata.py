@@ -14,8 +14,8 @@ from celnav.linalg import Array
 from celnav.models import pseudorange
 from celnav.papers.aukf.config import Config
 from celnav.papers.aukf.scenario import adapted
-from celnav.points import Transform
 from celnav.spaces import EUCLIDEAN
+from celnav.transform import Transform
 
 ERRATA = (
     ('"adaptive fading"', "fading inflates the prediction; this inflates the noise of the measurement"),

@@ -19,9 +19,11 @@ from celnav.models.beidou import ELLIPSOID
 from celnav.models.constellation import synthetic
 from celnav.montecarlo import normals
 from celnav.papers.aukf.config import Config
-from celnav.points import Rule, Transform, unscented
+from celnav.points import unscented
 from celnav.positioning import hooks
+from celnav.rule import Rule
 from celnav.taylor import Taylor
+from celnav.transform import Transform
 
 TOE_S = 345600.0
 START_S = TOE_S + 1800.0

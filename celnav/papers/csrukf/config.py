@@ -10,7 +10,8 @@ from celnav.gaussian import Gaussian, finite, square_root
 from celnav.linalg import Array
 from celnav.models import orbit
 from celnav.models.noise import initial_covariance
-from celnav.points import Rule, unscented
+from celnav.points import unscented
+from celnav.rule import Rule
 
 TITLE = "Square-root unscented Kalman filter for colored measurement noise"
 CITATION = """\

@@ -18,8 +18,10 @@ from celnav.linalg import Array, block, matvec
 from celnav.models.orbit import EARTH
 from celnav.papers.csrukf.config import Config
 from celnav.papers.csrukf.scenario import H, dynamics
-from celnav.points import Outputs, Rule, unscented
+from celnav.points import unscented
+from celnav.rule import Rule
 from celnav.spaces import EUCLIDEAN
+from celnav.transform import Outputs
 
 ERRATA = (
     ("Eq. 41: r = (R_e / 2) sin(A3 / 2)", "r = R_e / sin(A3 / 2)"),

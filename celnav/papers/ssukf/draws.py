@@ -13,7 +13,8 @@ from celnav.filters.step import predict, update
 from celnav.filters.track import Track
 from celnav.gaussian import covariance, nees
 from celnav.linalg import Array
-from celnav.points import Rule, unscented
+from celnav.points import unscented
+from celnav.rule import Rule
 
 CORRELATIONS = (0.5, 0.8, -0.8)
 DECAY = 0.98

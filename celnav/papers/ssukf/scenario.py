@@ -20,7 +20,8 @@ from celnav.linalg import Array
 from celnav.models.gyro import Gyro, preintegrate
 from celnav.montecarlo import normals
 from celnav.papers.ssukf.config import DEG_PER_H, Config
-from celnav.points import Rule, unscented
+from celnav.points import unscented
+from celnav.rule import Rule
 from celnav.spaces import EUCLIDEAN, Space, product, wrap
 from celnav.taylor import Taylor
 

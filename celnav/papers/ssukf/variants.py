@@ -17,7 +17,7 @@ from celnav.linalg import Array, block
 from celnav.montecarlo import normals
 from celnav.papers.ssukf.config import ARCSEC, Config
 from celnav.papers.ssukf.scenario import Scenario, dynamics, filters, noise_root, spread, star, state_space
-from celnav.points import Rule
+from celnav.rule import Rule
 from celnav.spaces import EUCLIDEAN, Space, product
 
 
