@@ -218,8 +218,8 @@ def _plots(out: Recorder, showcase: Showcase, color: dict[str, str]) -> None:
     for i, axis in enumerate(AXES):
         out.curve(f"plots/V/{axis}/truth", showcase.noise[:, i], colors.TRUTH, "true V")
         entity = f"plots/V/{axis}/augmented"
-        out.curve(entity, showcase.noise_mean[:, i], colors.ESTIMATE, "augmented filter")
-        out.bounds(entity, showcase.noise_std[:, i], "augmented filter", center=showcase.noise_mean[:, i], color=colors.ESTIMATE)
+        out.curve(entity, showcase.noise_mean[:, i], colors.BOUND, "augmented filter")
+        out.bounds(entity, showcase.noise_std[:, i], "augmented filter", center=showcase.noise_mean[:, i], color=colors.BOUND)
 
 
 def _error_and_sigma(showcase: Showcase, estimate: Estimate) -> tuple[Array, Array]:
