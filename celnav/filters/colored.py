@@ -1,10 +1,9 @@
-"""Filters for colored measurement noise ``V' = Phi V + zeta``, ``zeta ~ N(0, R)``: whiten by differencing, then decorrelate.
+"""Filters for colored measurement noise ``V' = Phi V + zeta``, ``zeta ~ N(0, R)``: whiten by differencing.
 
 The difference ``z* = z' - Phi z`` of consecutive measurements has white noise, correlated with the process noise. `colored`
-conditions on it in one transform; `decorrelated` has the structure of [Sun2015]: a decorrelated system, an update that
-gives the *lagged* estimate ``E[x_k | z_0..z_k+1]`` and a prediction that gives the estimate without latency
-``E[x_k+1 | z_0..z_k+1]``. `augmented` carries V in the state: the exact reference. All take any rule and both forms, and a
-``Phi`` that may be full, differ from run to run, or be a function of the epoch.
+conditions on it in one transform, `celnav.filters.decorrelated.decorrelated` in the two steps of [Sun2015]. `augmented` carries
+V in the state: the exact reference. All take any rule and both forms, and a ``Phi`` that may be full, differ from run to run,
+or be a function of the epoch.
 
 A missing sample costs two differences, the one that ends and the one that begins with it: conservative, unbiased, and counted.
 """
@@ -17,13 +16,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.filters.arguments import check_hooks, check_model, check_rule
+from celnav.filters.arguments import check_hooks, check_model, check_rule, measurement
 from celnav.filters.conditioning import Model, condition, evaluate, explain, images, noise_columns
 from celnav.filters.driver import Epoch, Filter, State, sequential
 from celnav.filters.info import Hook, Info
 from celnav.filters.step import predict, update
 from celnav.gaussian import Gaussian, finite, sqrt_cov
-from celnav.linalg import Array, block, matvec, solve_upper_transposed, tria
+from celnav.linalg import Array, block, matvec
 from celnav.spaces import EUCLIDEAN
 from celnav.transform import KEEP, Image, Outputs, Transform
 
@@ -73,28 +72,7 @@ def difference(Phi: Array, z: Array, z_next: Array) -> Array:
     return np.asarray(np.where(spoiled, np.nan, z_next - matvec(Phi, np.where(absent, 0.0, z))))
 
 
-class Decorrelation(NamedTuple):
-    """Gain ``J (..., n, m)`` and the roots of ``Q* (..., n, n)`` and ``R* (..., m, m)`` [Sun2015, Eqs. 10-20]."""
-
-    J: Array
-    sqrt_Q: Array
-    sqrt_R: Array
-
-
-def decorrelation(H: Array, sqrt_Q: Array, sqrt_R: Array) -> Decorrelation:
-    """Decorrelate process noise and differenced measurement noise by one QR, without subtraction.
-
-    The lower root of ``[[R^1/2, H Q^1/2], [0, Q^1/2]]`` is ``[[R*^1/2, 0], [J R*^1/2, Q*^1/2]]``. Subtracting covariances
-    instead, ``Q* = Q - Q H' R*^-1 H Q``, loses every digit once the process noise is 1e8 times the measurement noise.
-    """
-    m = H.shape[-2]
-    L = tria(block([[sqrt_R, H @ sqrt_Q], [0, sqrt_Q]]))
-    sqrt_R_star = L[..., :m, :m]
-    J = solve_upper_transposed(sqrt_R_star, L[..., m:, :m].mT).mT
-    return Decorrelation(J, L[..., m:, m:], sqrt_R_star)
-
-
-def _first(h: Any, rule: Transform, Sigma0: ArrayLike | None) -> Callable[[Gaussian, Epoch], tuple[Gaussian, Info]]:
+def first_update(h: Any, rule: Transform, Sigma0: ArrayLike | None) -> Callable[[Gaussian, Epoch], tuple[Gaussian, Info]]:
     """The update of the prior by the first sample; without ``Sigma0`` that sample only anchors the first difference."""
     if Sigma0 is None:
         return lambda prior, epoch: (prior, Info())
@@ -107,8 +85,14 @@ def _first(h: Any, rule: Transform, Sigma0: ArrayLike | None) -> Callable[[Gauss
     return absolute
 
 
-def _measured(z: Any, m: int) -> Array:
-    return np.full(m, np.nan) if z is None else np.asarray(z, dtype=np.float64)
+def sample(epoch: Epoch, m: int | None, belief: Gaussian) -> Array:
+    """The measurement of an epoch, nan where there is none; ``m``: its components, where they are known."""
+    if epoch.z is None:
+        return np.full(m or 1, np.nan)
+    z = measurement(epoch.z, belief)
+    if m is not None and z.shape[-1] != m:
+        raise ValueError(f"z: expected {m} components to go with h, got {z.shape[-1]}")
+    return z
 
 
 def colored(
@@ -158,10 +142,10 @@ def colored(
         m = H.shape[-2]
         conditioned = _linear(f, H, rule, process, increments, hooks)
     phi = coloring(Phi, m)
-    first = _first(h, rule if first_rule is None else first_rule, Sigma0)
+    first = first_update(h, rule if first_rule is None else first_rule, Sigma0)
 
     def step(state: Colored, epoch: Epoch) -> tuple[Colored, Info]:
-        z = _measured(epoch.z, 1 if m is None else m)
+        z = sample(epoch, m, state.belief)
         if state.z is None:
             belief, info = first(state.belief, epoch._replace(z=z))
             return Colored(belief, z, state.lagged, state.memory), info
@@ -172,7 +156,7 @@ def colored(
     return Filter(lambda prior: Colored(prior, None, prior), step)
 
 
-class _Lifted(NamedTuple):
+class Lifted(NamedTuple):
     """A belief pushed through ``f``: the images of ``f(x)`` and of ``x``, from which every linear row here is made."""
 
     y: Image
@@ -195,14 +179,14 @@ class _Lifted(NamedTuple):
         return explain(self.belief, after, ("f",), self.rule, self.g, EUCLIDEAN, (), z)
 
 
-def _lift(f: Model, rule: Transform, belief: Gaussian, epoch: Epoch) -> _Lifted:
+def lift(f: Model, rule: Transform, belief: Gaussian, epoch: Epoch) -> Lifted:
     root = belief.form.root(belief.spread)
 
     def g(points: Array) -> Outputs:
         return images("f", f, points, epoch, (), points.shape[-1]), KEEP
 
     (y, x), _ = rule.transform(g, belief.mean, root, EUCLIDEAN, (EUCLIDEAN, EUCLIDEAN), epoch=epoch)
-    return _Lifted(y, x, root, rule, belief, g)
+    return Lifted(y, x, root, rule, belief, g)
 
 
 def _linear(f: Model, H: Array, rule: Transform, process: Any, increments: Any, hooks: Sequence[Hook]) -> Callable[..., Any]:
@@ -211,7 +195,7 @@ def _linear(f: Model, H: Array, rule: Transform, process: Any, increments: Any, 
     def conditioned(state: Colored, Phi: Array, z: Array, epoch: Epoch) -> tuple[Gaussian, Info, Any]:
         belief = state.belief
         W, Z = evaluate(process, belief.mean, epoch), evaluate(increments, belief.mean, epoch)
-        lifted = _lift(f, rule, belief, epoch)
+        lifted = lift(f, rule, belief, epoch)
         measured = lifted.rows(H, -Phi @ H)
         A = block([[measured.columns, H @ W, Z], [lifted.y.columns, W, 0]])
 
@@ -259,86 +243,6 @@ def _through_points(
         return after, info._replace(failure=explain(belief, after, ("h", "f"), rule, g, EUCLIDEAN, (process,), z)), memory
 
     return conditioned
-
-
-def decorrelated(
-    f: Model,
-    H: ArrayLike,
-    rule: Transform,
-    Phi: Coloring,
-    *,
-    Q: Any = None,
-    R: Any = None,
-    sqrt_Q: Any = None,
-    sqrt_R: Any = None,
-    Sigma0: ArrayLike | None = None,
-    hooks: Sequence[Hook] = (),
-) -> Filter:
-    """The filter of [Sun2015] with its errata corrected: update the past state, then predict with ``J``, ``Q*`` and ``R*``.
-
-    ``x* = f(x) + J (z* - h(x))`` and ``h(x) = H f(x) - Phi H x`` [Sun2015, Eqs. 8, 14]. The state after an epoch holds both
-    estimates: ``belief`` of the present state, ``lagged`` of the previous one, each given all measurements so far.
-    Parameters as in `colored`; ``H`` is a matrix.
-    """
-    check_model("f", f)
-    check_rule(rule)
-    check_hooks(hooks)
-    process = noise_columns(Q, sqrt_Q, "Q")
-    increments = noise_columns(R, sqrt_R, "R")
-    if process is None or increments is None:
-        raise ValueError("decorrelated: expected process noise (Q or sqrt_Q) and increments (R or sqrt_R)")
-    matrix = finite("H", H)
-    m = matrix.shape[-2]
-    phi = coloring(Phi, m)
-    first = _first(matrix, rule, Sigma0)
-    constant = None if callable(process) or callable(increments) else decorrelation(matrix, process, increments)
-
-    def system(mean: Array, epoch: Epoch, used: Array) -> Decorrelation:
-        """The decorrelated system; a row that was not measured has no part in ``J`` (its noise is its own)."""
-        if used.all() and constant is not None:
-            return constant
-        W, Z = evaluate(process, mean, epoch), evaluate(increments, mean, epoch)
-        if used.all():
-            return decorrelation(matrix, W, Z)
-        unit = used[..., None] * 1.0
-        return decorrelation(matrix * unit, W, np.concatenate([Z * unit, np.eye(m) * (1.0 - unit)], -1))
-
-    def past(belief: Gaussian, Phi: Array, z: Array, epoch: Epoch, memory: Any) -> tuple[Gaussian, Info, Any]:
-        lifted = _lift(f, rule, belief, epoch)
-        h = lifted.rows(matrix, -Phi @ matrix)
-        noise = system(belief.mean, epoch, np.ones(m, bool)).sqrt_R
-        A = block([[h.columns, noise], [lifted.x.columns, 0]])
-
-        def slopes() -> tuple[Array, ...]:
-            return (matrix @ lifted.slope() - Phi @ matrix,)
-
-        lagged, info, kept = condition(
-            belief, lifted.x, A, rule.sign, z - h.center - h.shift,
-            noise=(0, m), slopes=slopes, hooks=hooks, memory=memory, epoch=epoch,
-        )  # fmt: skip
-        return lagged, info._replace(failure=lifted.failure(lagged, z)), kept
-
-    def forward(lagged: Gaussian, Phi: Array, z: Array, epoch: Epoch, used: Array) -> tuple[Gaussian, str]:
-        star = system(lagged.mean, epoch, used)
-        lifted = _lift(f, rule, lagged, epoch)
-        JH = star.J @ matrix
-        y = lifted.rows(np.eye(JH.shape[-1]) - JH, star.J @ Phi @ matrix)
-        mean = y.center + y.shift + matvec(star.J, np.where(used, z, 0.0))
-        ahead = Gaussian(mean, lagged.form.marginal(block([[y.columns, star.sqrt_Q]]), rule.sign), lagged.form)
-        return ahead, lifted.failure(ahead, None)
-
-    def step(state: Colored, epoch: Epoch) -> tuple[Colored, Info]:
-        z = _measured(epoch.z, m)
-        if state.z is None:
-            belief, info = first(state.belief, epoch._replace(z=z))
-            return Colored(belief, z, state.lagged, state.memory), info
-        Phi_k = phi(epoch)
-        z_star = difference(Phi_k, state.z, z)
-        lagged, info, memory = past(state.belief, Phi_k, z_star, epoch, state.memory)
-        belief, failure = forward(lagged, Phi_k, z_star, epoch, np.asarray(info.used))
-        return Colored(belief, z, lagged, memory), info._replace(failure=info.failure or failure)
-
-    return Filter(lambda prior: Colored(prior, None, prior), step)
 
 
 def augmented(

@@ -9,7 +9,8 @@ from filterpy.kalman import MerweScaledSigmaPoints
 
 import celnav
 from celnav.filters.adaptive import gate
-from celnav.filters.colored import augmented, colored, decorrelated
+from celnav.filters.colored import augmented, colored
+from celnav.filters.decorrelated import decorrelated
 from celnav.filters.single_draw import single_draw
 from celnav.gaussian import covariance, square_root
 

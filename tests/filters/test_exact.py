@@ -7,7 +7,8 @@ import pytest
 from filterpy.kalman import JulierSigmaPoints, MerweScaledSigmaPoints, SimplexSigmaPoints, UnscentedKalmanFilter
 
 import celnav
-from celnav.filters.colored import augmented, colored, decorrelated, decorrelation
+from celnav.filters.colored import augmented, colored
+from celnav.filters.decorrelated import decorrelated, decorrelation
 from celnav.models import orbit
 
 FORMS = {"square root": celnav.square_root, "covariance": celnav.covariance}

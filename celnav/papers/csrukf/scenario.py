@@ -7,8 +7,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.filters.colored import augmented, colored, decorrelated
+from celnav.filters.colored import augmented, colored
 from celnav.filters.conditioning import Model
+from celnav.filters.decorrelated import decorrelated
 from celnav.filters.driver import Epochs, Filter, epochs, sequential
 from celnav.filters.step import predict, update
 from celnav.gaussian import Gaussian
