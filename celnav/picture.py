@@ -14,9 +14,8 @@ import rerun as rr
 from rerun.experimental import ViewerClient
 
 from celnav.files import InputError, replacing
+from celnav.views import TIMELINE
 
-TIMELINE = "t"
-"""Of celnav's recordings, seconds."""
 PATIENCE_S = 60.0
 """How long the viewer may take to draw."""
 SETTLE_S = 8.0

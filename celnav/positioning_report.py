@@ -225,23 +225,24 @@ def record_positioned(found: Positioned, path: Any) -> None:
     ------
     OSError: if ``path`` cannot be written. ValueError: if it is a file that celnav did not make.
     """
-    from celnav import recording as r
+    from celnav import recording, views
 
     log, local, alone = found.log, found.local(found.mean), found.local(found.log.fixes)
     times = log.times - log.times[0]
     spread = 3.0 * max(_rms(local - np.nanmean(local, 0)), 0.1)
     middle = np.nanmean(local, 0)
     growing = {"track/alone": np.inf, "track/filter": np.inf}
-    scatter = r.space(
+    scatter = views.space(
         "track", "east, north, up, m", eye=middle + np.array([0.0, -spread, 4.0 * spread]), target=middle, growing=growing
     )
-    left = r.rows(
-        scatter, r.tabs(r.space("sky", "sky over the receiver", eye=(0.0, -2.2, 1.6), growing={}), r.text("info", "about"))
+    left = views.rows(
+        scatter,
+        views.tabs(views.space("sky", "sky over the receiver", eye=(0.0, -2.2, 1.6), growing={}), views.text("info", "about")),
     )
-    plots = [r.plot(name, f"{name}, m", times) for name in ("east", "north", "up")]
-    layout = r.columns(left, r.rows(*plots, r.plot("sats", "satellites and PDOP", times)), shares=(1, 1))
+    plots = [views.plot(name, f"{name}, m", times) for name in ("east", "north", "up")]
+    layout = views.columns(left, views.rows(*plots, views.plot("sats", "satellites and PDOP", times)), shares=(1, 1))
     facts = {"filter": found.filter, "first": civil(log.times[0]), "epochs": len(times)}
-    with r.recording(path, times, name="position", layout=layout, properties=facts) as out:
+    with recording.recording(path, times, name="position", layout=layout, properties=facts) as out:
         out.text("info", "```\n" + summary(found) + "\n```")
         out.points("track/alone", alone, colors.MEASUREMENT, radius=1.2)
         out.points("track/filter", local, colors.ESTIMATE, radius=1.6)

@@ -1,9 +1,9 @@
 """Recordings for the Rerun viewer: whole columns on one timeline, the layout inside the file, files that are whole or not there.
 
-The only module that imports rerun; import it late, inside the function that records, so that filters run without it. A study
-opens a file with `recording`, gives whole arrays to the `Recorder` (time first, nan where there is nothing) and lays out views
-with `space`, `plot`, `text`, `rows`, `columns` and `tabs`. Two recordings of the same arrays hold the same contents: ids are
-given and no wall clock is logged. Geometry is single precision in the viewer; `Recorder.exact` keeps double.
+Imports rerun; import it late, inside the function that records, so that filters run without it. A study opens a file with
+`recording`, gives whole arrays to the `Recorder` (time first, nan where there is nothing) and lays out `celnav.views`. Two
+recordings of the same arrays hold the same contents: ids are given and no wall clock is logged. Geometry is single precision in
+the viewer; `Recorder.exact` keeps double.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import contextlib
 import errno
 import os
 import re
-import secrets
 import unicodedata
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -20,18 +19,16 @@ from typing import Any
 
 import numpy as np
 import rerun as rr
-import rerun.blueprint as rrb
 from numpy.typing import ArrayLike
 from rerun.error_utils import strict_mode
 from scipy.spatial.transform import Rotation
 
 from celnav import colors
+from celnav.files import write_bytes
 from celnav.linalg import Array
+from celnav.views import TIMELINE, blueprint
 
-TIMELINE = "t"
 APPLICATION = "celnav"
-
-_SPACE = [13, 16, 24]
 
 
 def rgba(color: str, alpha: float = 1.0) -> list[int]:
@@ -234,7 +231,7 @@ def recording(
     path: of the file. One that celnav recorded before is replaced, any other is left alone.
     times: ``(T,)`` s, increasing.
     name: what the viewer calls it, and its id.
-    layout: a view or container, see `rows`.
+    layout: a view or container of `celnav.views`.
     properties: facts about the whole recording, such as parameters and seed.
     counter: name of a second timeline that counts the rows; none if empty.
 
@@ -258,31 +255,16 @@ def recording(
         try:
             stream.set_log_time_enabled(False)
             with stream:
-                stream.send_blueprint(_blueprint(layout, t), make_active=False, make_default=True)
+                stream.send_blueprint(blueprint(layout, t), make_active=False, make_default=True)
                 stream.send_recording_name(name)
                 if properties:
                     stream.send_property("study", rr.AnyValues(**properties))
                 yield Recorder(stream, t, counter)
-            _replace(target, memory.drain_as_bytes())
+            write_bytes(target, memory.drain_as_bytes())
         finally:
             stream.disconnect()
     finally:
         rr.set_strict_mode(strict)
-
-
-def _replace(target: Path, content: bytes) -> None:
-    """Write a file whole or not at all."""
-    temporary = target.with_name(f".{target.name}.{secrets.token_hex(4)}.tmp")
-    with _named(target):
-        try:
-            with temporary.open("xb") as file:
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(temporary, target)
-        finally:
-            with contextlib.suppress(OSError):
-                temporary.unlink()
 
 
 def _slug(name: str) -> str:
@@ -290,109 +272,16 @@ def _slug(name: str) -> str:
     return re.sub(r"\W+", "-", unicodedata.normalize("NFKD", name.replace("Φ", "Phi")), flags=re.ASCII).strip("-")
 
 
-@contextlib.contextmanager
-def _named(target: Path) -> Iterator[None]:
-    """Errors of the file system, told of the file that was asked for and not of the temporary one."""
-    try:
-        yield
-    except OSError as error:
-        raise OSError(error.errno, f"cannot write the recording: {error.strerror or error}", str(target)) from error
-
-
 def _check_ours(target: Path) -> None:
-    with _named(target):
-        if target.is_dir():
-            raise IsADirectoryError(errno.EISDIR, "it is a folder")
-        if not target.parent.is_dir():
-            raise FileNotFoundError(errno.ENOENT, "its folder does not exist")
-        if not target.exists():
-            return
+    if target.is_dir():
+        raise IsADirectoryError(errno.EISDIR, "it is a folder", str(target))
+    if not target.parent.is_dir():
+        raise FileNotFoundError(errno.ENOENT, "its folder does not exist", str(target))
+    if not target.exists():
+        return
     try:
         makers = [entry.application_id for entry in rr.chunk.RrdReader(target).recordings()]
     except Exception:  # whatever the reader says of a file that is no recording
         makers = []
     if not makers or not all(maker.startswith(APPLICATION) for maker in makers):
         raise ValueError(f"path: expected a new file or a recording of celnav, got another file, which is left alone: {target}")
-
-
-def space(
-    origin: str,
-    name: str,
-    *,
-    eye: ArrayLike,
-    target: ArrayLike = (0.0, 0.0, 0.0),
-    up: ArrayLike = (0.0, 0.0, 1.0),
-    growing: Mapping[str, float] | None = None,
-) -> Any:
-    """A view of the space below ``origin`` from ``eye (3,)`` towards ``target (3,)``.
-
-    ``growing`` says of which entities the past is seen too, and how much of it in s (``inf``: all).
-    """
-
-    def past(seconds: float) -> Any:
-        boundary = rrb.TimeRangeBoundary
-        start = boundary.cursor_relative(seconds=-seconds) if np.isfinite(seconds) else boundary.infinite()
-        return rrb.VisibleTimeRanges(timeline=TIMELINE, start=start, end=boundary.cursor_relative(seconds=0.0))
-
-    return rrb.Spatial3DView(
-        origin=origin,
-        name=name,
-        background=_SPACE,
-        line_grid=rrb.LineGrid3D(visible=False),
-        eye_controls=rrb.EyeControls3D(position=eye, look_target=target, eye_up=up),
-        overrides={entity: past(seconds) for entity, seconds in (growing or {}).items()},
-    )
-
-
-def plot(origin: str, name: str, times: Array, *, limits: tuple[float, float] | None = None, legend: bool = True) -> Any:
-    """A plot of the curves below ``origin`` over the whole run (by default the viewer scrolls), with ``limits`` of its y axis.
-
-    The legend takes a part of the time axis after the run, where it hides nothing.
-    """
-    span = float(times[-1] - times[0])
-    ends = times[0] - 0.02 * span, times[-1] + (0.24 if legend else 0.06) * span
-    start, end = (rrb.TimeRangeBoundary.absolute(seconds=float(t)) for t in ends)
-    return rrb.TimeSeriesView(
-        origin=origin,
-        name=name,
-        axis_x=rrb.TimeAxis(view_range=rr.TimeRange(start=start, end=end)),
-        axis_y=None if limits is None else rrb.ScalarAxis(range=limits),
-        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=legend),
-    )
-
-
-def bar_chart(origin: str, name: str) -> Any:
-    """The bars at ``origin``."""
-    return rrb.BarChartView(origin=origin, name=name)
-
-
-def text(origin: str, name: str) -> Any:
-    """A panel for the text at ``origin``."""
-    return rrb.TextDocumentView(origin=origin, name=name)
-
-
-def log(origin: str, name: str) -> Any:
-    """The events below ``origin``."""
-    return rrb.TextLogView(origin=origin, name=name)
-
-
-def rows(*views: Any, shares: Sequence[float] | None = None, name: str | None = None) -> Any:
-    """Views one below the other; the name is that of a tab."""
-    return rrb.Vertical(*views, row_shares=shares, name=name)
-
-
-def columns(*views: Any, shares: Sequence[float] | None = None) -> Any:
-    """Views side by side."""
-    return rrb.Horizontal(*views, column_shares=shares)
-
-
-def tabs(*views: Any, name: str | None = None) -> Any:
-    """Views one behind the other, the first in front."""
-    return rrb.Tabs(*views, active_tab=0, name=name)
-
-
-def _blueprint(layout: Any, times: Array) -> rrb.Blueprint:
-    """The layout, the time panel paused and small, and the run played in about twenty seconds."""
-    speed = max(float(times[-1] - times[0]) / 20.0, 1e-3)
-    panel = rrb.TimePanel(state="collapsed", timeline=TIMELINE, playback_speed=speed, play_state="paused")
-    return rrb.Blueprint(layout, panel, collapse_panels=True)

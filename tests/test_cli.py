@@ -167,10 +167,10 @@ def test_view_without_a_display_says_what_to_do(study, tmp_path, monkeypatch, ca
     ],
 )
 def test_a_picture_that_cannot_be_is_one_line(tmp_path, monkeypatch, capsys, options, text):
-    from celnav import recording
+    from celnav import recording, views
 
     monkeypatch.chdir(tmp_path)
-    with recording.recording(tmp_path / "a.rrd", np.arange(3.0), name="a", layout=recording.text("info", "info")) as out:
+    with recording.recording(tmp_path / "a.rrd", np.arange(3.0), name="a", layout=views.text("info", "info")) as out:
         out.curve("x", np.arange(3.0), "#000000", "x")
     assert cli.main(["view", "a.rrd", *options]) == 2
     assert capsys.readouterr().err == f"celnav: {text}\n"

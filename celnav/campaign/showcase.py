@@ -108,23 +108,25 @@ def record(shown: Showcase, outcome: Outcome, path: str | PathLike[str]) -> None
     ------
     OSError: if ``path`` cannot be written. ValueError: if it is a file that celnav did not make.
     """
-    from celnav import recording as r
+    from celnav import recording, views
 
     times, study = shown.times, shown.study
     palette = {name: PALETTE[i % 6] for i, name in enumerate(study.filters)}
-    plots = [r.plot(f"rms/{g.name}", f"{g.name}: rms of {study.runs} runs, log10 of {g.unit}", times) for g in shown.groups]
+    plots = [views.plot(f"rms/{g.name}", f"{g.name}: rms of {study.runs} runs, log10 of {g.unit}", times) for g in shown.groups]
     tabs = [
-        r.rows(*(r.plot(f"first/{f}/{g.name}", f"{f}: {g.name} of the first run, {g.unit}", times) for g in shown.groups), name=f)
+        views.rows(
+            *(views.plot(f"first/{f}/{g.name}", f"{f}: {g.name} of the first run, {g.unit}", times) for g in shown.groups), name=f
+        )
         for f in shown.filters
     ]
-    left: list[Any] = [r.text("info", "about"), r.plot("nees", "NEES over its dimension, first run, log10", times)]
+    left: list[Any] = [views.text("info", "about"), views.plot("nees", "NEES over its dimension, first run, log10", times)]
     if shown.truth is not None:
         reach = float(np.abs(shown.truth).max())
         eye = reach * np.array([2.2, -1.8, 1.4])
-        left.insert(0, r.space("orbit", "orbit, km", eye=eye, growing={"orbit/truth": np.inf}))
-    layout = r.columns(r.rows(*left), r.tabs(r.rows(*plots, name="all runs"), *tabs), shares=(2, 3))
+        left.insert(0, views.space("orbit", "orbit, km", eye=eye, growing={"orbit/truth": np.inf}))
+    layout = views.columns(views.rows(*left), views.tabs(views.rows(*plots, name="all runs"), *tabs), shares=(2, 3))
     facts = {"paper": study.paper, "runs": study.runs, "seed": study.seed, "filters": ", ".join(study.filters)}
-    with r.recording(path, times, name=f"mission {study.title}", layout=layout, properties=facts) as out:
+    with recording.recording(path, times, name=f"mission {study.title}", layout=layout, properties=facts) as out:
         out.text("info", _about(study, outcome))
         if shown.truth is not None:
             out.globe("orbit/earth", 1e-3 * SEMI_MAJOR_M)

@@ -45,7 +45,7 @@ def record_preset(result: Result, preset: str, path: Any) -> None:
 
     times = result.times(preset)
     facts = {"paper": "aasghqf", "preset": preset, "seed": result.seed, "runs": result.runs}
-    layout = _layout(recording, times)
+    layout = _layout(times)
     with recording.recording(path, times, name=f"aasghqf: {preset}", layout=layout, properties=facts) as out:
         out.text("info", _notes(result, preset))
         _flight(out, result, preset)
@@ -60,22 +60,25 @@ def record_preset(result: Result, preset: str, path: Any) -> None:
             out.exact(f"state/{filter}", error=result.data[preset][f"{filter}/error"][:, 0], covariance=covariance)
 
 
-def _layout(recording: Any, times: Array) -> Any:
-    r = recording
-    scene = r.space("world", "flight, m (east, north, up)", eye=(60e3, -70e3, 70e3), target=(90e3, 20e3, 0.0),
-                    growing={"world/aircraft/trail": np.inf, "world/sins/trail": np.inf})  # fmt: skip
-    errors = r.space("error", "position errors, m (origin: truth)", eye=(0.0, -90.0, 240.0), growing={"error/sar_fix": 60.0})
-    cloud = r.tabs(*(r.space(f"points/{f}", f"sigma points of {LABELS[f]}, σ of SGHQF", eye=(9.0, -9.0, 6.0)) for f in COMPARED))
-    plots = r.rows(
-        r.tabs(*(r.plot(f"att/{a}", f"log10 |φ{a}| error, deg", times) for a in AXES)),
-        r.tabs(*(r.plot(f"attitude/{a}", f"φ{a} error, deg", times) for a in AXES)),
-        r.tabs(*(r.plot(f"vel/{a}", f"{a} velocity error, m/s", times) for a in ("east", "north"))),
-        r.tabs(*(r.plot(f"pos/{a}", f"{a} error, m", times, limits=(-100.0, 100.0)) for a in ("longitude", "latitude"))),
-        r.plot("nees", "log10 NEES / 13 (gray: band)", times),
+def _layout(times: Array) -> Any:
+    from celnav import views
+
+    growing = {"world/aircraft/trail": np.inf, "world/sins/trail": np.inf}
+    scene = views.space("world", "flight, m (east, north, up)", eye=(60e3, -70e3, 70e3), target=(90e3, 20e3, 0.0), growing=growing)
+    errors = views.space("error", "position errors, m (origin: truth)", eye=(0.0, -90.0, 240.0), growing={"error/sar_fix": 60.0})
+    cloud = views.tabs(
+        *(views.space(f"points/{f}", f"sigma points of {LABELS[f]}, σ of SGHQF", eye=(9.0, -9.0, 6.0)) for f in COMPARED)
     )
-    bars = r.tabs(r.text("info", "about"), r.bar_chart("eta", "degree of observability by state"),
-                  r.bar_chart("rule/index_set", "coefficients of the adaptive grid"))  # fmt: skip
-    return r.columns(r.rows(scene, r.columns(errors, cloud), bars, shares=(5, 4, 4)), plots, shares=(6, 5))
+    plots = views.rows(
+        views.tabs(*(views.plot(f"att/{a}", f"log10 |φ{a}| error, deg", times) for a in AXES)),
+        views.tabs(*(views.plot(f"attitude/{a}", f"φ{a} error, deg", times) for a in AXES)),
+        views.tabs(*(views.plot(f"vel/{a}", f"{a} velocity error, m/s", times) for a in ("east", "north"))),
+        views.tabs(*(views.plot(f"pos/{a}", f"{a} error, m", times, limits=(-100.0, 100.0)) for a in ("longitude", "latitude"))),
+        views.plot("nees", "log10 NEES / 13 (gray: band)", times),
+    )
+    bars = views.tabs(views.text("info", "about"), views.bar_chart("eta", "degree of observability by state"),
+                  views.bar_chart("rule/index_set", "coefficients of the adaptive grid"))  # fmt: skip
+    return views.columns(views.rows(scene, views.columns(errors, cloud), bars, shares=(5, 4, 4)), plots, shares=(6, 5))
 
 
 def _notes(result: Result, preset: str) -> str:

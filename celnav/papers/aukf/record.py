@@ -52,7 +52,7 @@ def record_burst(result: Result, path: Any) -> None:
 
     times = result.times()
     facts = {"paper": "aukf", "preset": "burst", "seed": result.seed, "runs": result.runs}
-    with recording.recording(path, times, name="aukf: burst", layout=_layout(recording, times), properties=facts) as out:
+    with recording.recording(path, times, name="aukf: burst", layout=_layout(times), properties=facts) as out:
         out.text("info", _notes(result))
         start, end = result.config.burst_s
         out.event("events/burst", start, f"{result.config.burst_sigma:g} m of noise on all ranges begin")
@@ -66,27 +66,28 @@ def record_burst(result: Result, path: Any) -> None:
             out.exact(f"state/{filter}", error=data[f"{key}/error"][:, 0], covariance=data[f"{key}/cov"][:, 0])
 
 
-def _layout(recording: Any, times: Array) -> Any:
-    r = recording
+def _layout(times: Array) -> Any:
+    from celnav import views
+
     growing = {f"track/{name}": np.inf for name in ("truth", *SHOWN)}
-    views = r.tabs(
-        r.space("world", "satellites, 1000 km (Earth-fixed)", eye=(-45.0, 68.0, 40.0)),
-        r.space("track", "track, m (east, north, up)", eye=(0.0, -9e3, 9e3), growing=growing),
+    scenes = views.tabs(
+        views.space("world", "satellites, 1000 km (Earth-fixed)", eye=(-45.0, 68.0, 40.0)),
+        views.space("track", "track, m (east, north, up)", eye=(0.0, -9e3, 9e3), growing=growing),
     )
-    errors = r.space("error", "position errors, m (origin: truth)", eye=(4.0, -12.0, 9.0))
+    errors = views.space("error", "position errors, m (origin: truth)", eye=(4.0, -12.0, 9.0))
     plots = [
-        r.plot("err/3d", "log10 position error, m", times),
-        *(r.plot(f"err/{axis.lower()}", f"error of {axis}, m", times, limits=(-4.0, 4.0)) for axis in AXES),
+        views.plot("err/3d", "log10 position error, m", times),
+        *(views.plot(f"err/{axis.lower()}", f"error of {axis}, m", times, limits=(-4.0, 4.0)) for axis in AXES),
     ]
-    bottom = r.tabs(
-        r.plot("adapt/A_rho", "log10 A of the ranges", times),
-        r.plot("adapt/A_rr", "log10 A of the rates", times),
-        r.plot("nis", "log10 NIS per measurement (gray: band)", times),
-        r.plot("dop", "dilution of precision", times),
-        r.log("events", "events"),
+    bottom = views.tabs(
+        views.plot("adapt/A_rho", "log10 A of the ranges", times),
+        views.plot("adapt/A_rr", "log10 A of the rates", times),
+        views.plot("nis", "log10 NIS per measurement (gray: band)", times),
+        views.plot("dop", "dilution of precision", times),
+        views.log("events", "events"),
     )
-    left = r.rows(views, r.tabs(errors, r.text("info", "about")), shares=(5, 4))
-    return r.rows(r.columns(left, r.rows(*plots), shares=(6, 5)), bottom, shares=(7, 3))
+    left = views.rows(scenes, views.tabs(errors, views.text("info", "about")), shares=(5, 4))
+    return views.rows(views.columns(left, views.rows(*plots), shares=(6, 5)), bottom, shares=(7, 3))
 
 
 def _notes(result: Result) -> str:

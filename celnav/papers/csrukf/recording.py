@@ -250,7 +250,7 @@ def _extent(showcase: Showcase) -> float:
 
 def _layout(showcase: Showcase) -> Any:
     """Scene and errors at the left, plots at the right."""
-    from celnav.recording import columns, plot, rows, space, tabs, text
+    from celnav.views import columns, plot, rows, space, tabs, text
 
     times = showcase.times
     size = _extent(showcase)

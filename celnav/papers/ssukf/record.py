@@ -35,7 +35,7 @@ def record(result: Result, outputs: Outputs) -> list[str]:
     times = result.times
     facts = {"paper": "ssukf", "seed": result.seed, "runs": result.runs, "exaggeration": EXAGGERATION}
     with outputs.path_for(RECORDINGS[0]) as path:
-        layout = _layout(recording, times)
+        layout = _layout(times)
         with recording.recording(path, times, name="ssukf", layout=layout, properties=facts, counter="star_epoch") as out:
             out.text("info", _notes(result))
             _world(out, result)
@@ -47,20 +47,21 @@ def record(result: Result, outputs: Outputs) -> list[str]:
     return RECORDINGS
 
 
-def _layout(recording: Any, times: Array) -> Any:
-    r = recording
-    scene = r.space("world", "orbit, km (inertial axes)", eye=(11e3, -9e3, -15e3), target=(1e3, 0.0, -2e3), up=(0.0, -1.0, 0.0))
-    body = r.space("body", "axes: truth, and estimates with errors x1000", eye=(3.0, -2.0, 2.0), up=(0.0, 0.0, -1.0))
-    errors = r.space("error_view", "attitude error (arcsec) with 3σ ellipsoid, truth in the middle", eye=(22.0, -22.0, 16.0))
-    plots = r.rows(
-        r.tabs(*(r.plot(f"err/{a}", f"{a} error, arcsec", times, limits=(-12.0, 12.0)) for a in AXES)),
-        r.tabs(*(r.plot(f"drift/{a}", f"drift {a}, deg/h", times) for a in "xyz")),
-        r.tabs(r.plot("nees", "log10 NEES", times), r.plot("nis", "NIS", times, limits=(0.0, 16.0))),
-        r.plot("diff", "log10 of the difference of SSUKF and AUKF, arcsec", times),
-        r.plot("cost", "points evaluated at 100 Hz, thousands", times),
+def _layout(times: Array) -> Any:
+    from celnav import views
+
+    scene = views.space("world", "orbit, km (inertial axes)", eye=(11e3, -9e3, -15e3), target=(1e3, 0.0, -2e3), up=(0.0, -1.0, 0.0))
+    body = views.space("body", "axes: truth, and estimates with errors x1000", eye=(3.0, -2.0, 2.0), up=(0.0, 0.0, -1.0))
+    errors = views.space("error_view", "attitude error (arcsec) with 3σ ellipsoid, truth in the middle", eye=(22.0, -22.0, 16.0))
+    plots = views.rows(
+        views.tabs(*(views.plot(f"err/{a}", f"{a} error, arcsec", times, limits=(-12.0, 12.0)) for a in AXES)),
+        views.tabs(*(views.plot(f"drift/{a}", f"drift {a}, deg/h", times) for a in "xyz")),
+        views.tabs(views.plot("nees", "log10 NEES", times), views.plot("nis", "NIS", times, limits=(0.0, 16.0))),
+        views.plot("diff", "log10 of the difference of SSUKF and AUKF, arcsec", times),
+        views.plot("cost", "points evaluated at 100 Hz, thousands", times),
     )
-    below = r.tabs(r.text("info", "about"), body)
-    return r.columns(r.rows(scene, r.columns(errors, below), shares=(5, 4)), plots, shares=(6, 5))
+    below = views.tabs(views.text("info", "about"), body)
+    return views.columns(views.rows(scene, views.columns(errors, below), shares=(5, 4)), plots, shares=(6, 5))
 
 
 def _notes(result: Result) -> str:

@@ -42,7 +42,7 @@ def record(result: Result, outputs: Outputs) -> list[str]:
     times = result.times[::every]
     facts = {"paper": "tstdkf", "seed": result.seed, "runs": result.runs, "exaggeration": EXAGGERATION}
     with outputs.path_for(RECORDINGS[0]) as path:
-        layout = _layout(recording, times)
+        layout = _layout(times)
         with recording.recording(path, times, name="tstdkf", layout=layout, properties=facts, counter="step") as out:
             out.text("info", _notes(result))
             _about_the_earth(out, result, every)
@@ -52,35 +52,36 @@ def record(result: Result, outputs: Outputs) -> list[str]:
                 data = result.data["table 5"]
                 mean, cov = data[f"1/{filter}/first/mean"][::every, 0], data[f"1/{filter}/first/cov"][::every, 0]
                 out.exact(f"state/{filter}", mean=mean, covariance=cov)
-    _record_year(recording, result, outputs, facts)
+    _record_year(result, outputs, facts)
     return RECORDINGS
 
 
-def _layout(recording: Any, times: Array) -> Any:
-    r = recording
-    earth = r.space(
+def _layout(times: Array) -> Any:
+    from celnav import views
+
+    earth = views.space(
         "world", "about the Earth, km (errors x1000)", eye=(15e3, 11e3, 9e3), target=(0.0, 0.0, 0.0), up=(0.0, 0.0, 1.0)
     )
-    sun = r.space("sun", "around the Sun, AU", eye=(0.5, -2.2, 1.6), target=(0.0, 0.0, 0.0), up=(0.0, 0.0, 1.0))
-    errors = r.space("error_view", "position error (km) with 3σ ellipsoid of AUG", eye=(0.9, -0.9, 0.6), up=(0.0, 0.0, 1.0))
-    plots = r.rows(
-        r.tabs(
-            r.plot("err/pos", "position error, km", times, limits=(0.0, 0.8)),
-            r.plot("err/vel", "velocity error, m/s", times, limits=(0.0, 0.8)),
+    sun = views.space("sun", "around the Sun, AU", eye=(0.5, -2.2, 1.6), target=(0.0, 0.0, 0.0), up=(0.0, 0.0, 1.0))
+    errors = views.space("error_view", "position error (km) with 3σ ellipsoid of AUG", eye=(0.9, -0.9, 0.6), up=(0.0, 0.0, 1.0))
+    plots = views.rows(
+        views.tabs(
+            views.plot("err/pos", "position error, km", times, limits=(0.0, 0.8)),
+            views.plot("err/vel", "velocity error, m/s", times, limits=(0.0, 0.8)),
         ),
-        r.tabs(*(r.plot(f"bias/{a}", f"ephemeris error {a}, km", times, limits=(-0.4, 0.4)) for a in AXES)),
-        r.tabs(
-            r.plot("lambda", "factors of strong tracking", times, limits=(0.0, 12.0)),
-            r.plot("nis", "NIS", times, limits=(0.0, 20.0)),
+        views.tabs(*(views.plot(f"bias/{a}", f"ephemeris error {a}, km", times, limits=(-0.4, 0.4)) for a in AXES)),
+        views.tabs(
+            views.plot("lambda", "factors of strong tracking", times, limits=(0.0, 12.0)),
+            views.plot("nis", "NIS", times, limits=(0.0, 20.0)),
         ),
-        r.tabs(*(r.plot(f"residual/{i}", f"residual of pulsar {i + 1}, km", times, limits=(-2.0, 2.0)) for i in range(3))),
-        r.tabs(
-            r.plot("accel", "log10 of third bodies' pull, km/s²", times),
-            r.plot("ephem", "DE405 - DE421 of the Earth, km", times),
+        views.tabs(*(views.plot(f"residual/{i}", f"residual of pulsar {i + 1}, km", times, limits=(-2.0, 2.0)) for i in range(3))),
+        views.tabs(
+            views.plot("accel", "log10 of third bodies' pull, km/s²", times),
+            views.plot("ephem", "DE405 - DE421 of the Earth, km", times),
         ),
     )
-    below = r.tabs(r.text("info", "about"), errors)
-    return r.columns(r.rows(r.tabs(earth, sun), below, shares=(5, 4)), plots, shares=(6, 5))
+    below = views.tabs(views.text("info", "about"), errors)
+    return views.columns(views.rows(views.tabs(earth, sun), below, shares=(5, 4)), plots, shares=(6, 5))
 
 
 def _notes(result: Result) -> str:
@@ -181,16 +182,18 @@ def _plots(out: Recorder, result: Result, every: int) -> None:
         out.curve(f"ephem/de405_minus_de421/{axis}", np.interp(result.times[::every], at - at[0], column), SHADES[i], axis)
 
 
-def _record_year(recording: Any, result: Result, outputs: Outputs, facts: dict[str, Any]) -> None:
+def _record_year(result: Result, outputs: Outputs, facts: dict[str, Any]) -> None:
     """The first run of each trend."""
-    r, data = recording, result.data["year"]
+    from celnav import recording, views
+
+    data = result.data["year"]
     every = EVERY_YEAR if len(data["times"]) > 20 * EVERY_YEAR else 1
     times, runs = data["times"][::every, 0], data["bias"].shape[1] // len(TRENDS)
     names = {"tkf": "TKF", "C": "TSTDKF, form C", "B": "TSTDKF, form B", "aug": "AUG"}
-    grid = r.rows(*(r.columns(*(r.plot(f"{t}/{a}", f"{t}: ephemeris error {a}, km", times, limits=(-0.4, 0.4)) for a in AXES))
-                    for t in TRENDS))  # fmt: skip
-    layout = r.columns(r.text("info", "about"), r.rows(grid, r.tabs(*(r.plot(f"{t}/pos", f"{t}: position error, km", times)
-                       for t in TRENDS)), shares=(3, 1)), shares=(1, 4))  # fmt: skip
+    tracks = [[views.plot(f"{t}/{a}", f"{t}: ephemeris error {a}, km", times, limits=(-0.4, 0.4)) for a in AXES] for t in TRENDS]
+    grid = views.rows(*(views.columns(*row) for row in tracks))
+    places = views.tabs(*(views.plot(f"{t}/pos", f"{t}: position error, km", times) for t in TRENDS))
+    layout = views.columns(views.text("info", "about"), views.rows(grid, places, shares=(3, 1)), shares=(1, 4))
     text = (
         "# A year of three trends\n\nThe ephemeris error (white) on three axes along a sine, a growing and a triangular trend. The "
         "two-stage filter (TKF, blue) takes it for constant and does not follow. Strong tracking follows in form B (red), hardly "

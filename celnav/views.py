@@ -1,0 +1,103 @@
+"""How a recording is laid out in the viewer: views of spaces, plots, texts, logs, and how they stand beside each other.
+
+Imports rerun; import it late, where a recording is made (`celnav.recording`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from numpy.typing import ArrayLike
+
+from celnav.linalg import Array
+
+TIMELINE = "t"
+"""Of every recording, seconds."""
+_SPACE = [13, 16, 24]
+
+
+def space(
+    origin: str,
+    name: str,
+    *,
+    eye: ArrayLike,
+    target: ArrayLike = (0.0, 0.0, 0.0),
+    up: ArrayLike = (0.0, 0.0, 1.0),
+    growing: Mapping[str, float] | None = None,
+) -> Any:
+    """A view of the space below ``origin`` from ``eye (3,)`` towards ``target (3,)``.
+
+    ``growing`` says of which entities the past is seen too, and how much of it in s (``inf``: all).
+    """
+
+    def past(seconds: float) -> Any:
+        boundary = rrb.TimeRangeBoundary
+        start = boundary.cursor_relative(seconds=-seconds) if np.isfinite(seconds) else boundary.infinite()
+        return rrb.VisibleTimeRanges(timeline=TIMELINE, start=start, end=boundary.cursor_relative(seconds=0.0))
+
+    return rrb.Spatial3DView(
+        origin=origin,
+        name=name,
+        background=_SPACE,
+        line_grid=rrb.LineGrid3D(visible=False),
+        eye_controls=rrb.EyeControls3D(position=eye, look_target=target, eye_up=up),
+        overrides={entity: past(seconds) for entity, seconds in (growing or {}).items()},
+    )
+
+
+def plot(origin: str, name: str, times: Array, *, limits: tuple[float, float] | None = None, legend: bool = True) -> Any:
+    """A plot of the curves below ``origin`` over the whole run (by default the viewer scrolls), with ``limits`` of its y axis.
+
+    The legend takes a part of the time axis after the run, where it hides nothing.
+    """
+    span = float(times[-1] - times[0])
+    ends = times[0] - 0.02 * span, times[-1] + (0.24 if legend else 0.06) * span
+    start, end = (rrb.TimeRangeBoundary.absolute(seconds=float(t)) for t in ends)
+    return rrb.TimeSeriesView(
+        origin=origin,
+        name=name,
+        axis_x=rrb.TimeAxis(view_range=rr.TimeRange(start=start, end=end)),
+        axis_y=None if limits is None else rrb.ScalarAxis(range=limits),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=legend),
+    )
+
+
+def bar_chart(origin: str, name: str) -> Any:
+    """The bars at ``origin``."""
+    return rrb.BarChartView(origin=origin, name=name)
+
+
+def text(origin: str, name: str) -> Any:
+    """A panel for the text at ``origin``."""
+    return rrb.TextDocumentView(origin=origin, name=name)
+
+
+def log(origin: str, name: str) -> Any:
+    """The events below ``origin``."""
+    return rrb.TextLogView(origin=origin, name=name)
+
+
+def rows(*views: Any, shares: Sequence[float] | None = None, name: str | None = None) -> Any:
+    """Views one below the other; the name is that of a tab."""
+    return rrb.Vertical(*views, row_shares=shares, name=name)
+
+
+def columns(*views: Any, shares: Sequence[float] | None = None) -> Any:
+    """Views side by side."""
+    return rrb.Horizontal(*views, column_shares=shares)
+
+
+def tabs(*views: Any, name: str | None = None) -> Any:
+    """Views one behind the other, the first in front."""
+    return rrb.Tabs(*views, active_tab=0, name=name)
+
+
+def blueprint(layout: Any, times: Array) -> rrb.Blueprint:
+    """The layout, the time panel paused and small, and the run played in about twenty seconds."""
+    speed = max(float(times[-1] - times[0]) / 20.0, 1e-3)
+    panel = rrb.TimePanel(state="collapsed", timeline=TIMELINE, playback_speed=speed, play_state="paused")
+    return rrb.Blueprint(layout, panel, collapse_panels=True)
