@@ -1,4 +1,4 @@
-"""From a receiver's log to what a filter takes: satellites, corrected measurements, first fixes; and filters of a moving receiver.
+"""From a receiver's log to what a filter takes: satellites, corrected measurements, first fixes.
 
 State: position (m, Earth-fixed), velocity (m/s), clock bias (m) and drift (m/s), as in `celnav.models.pseudorange`.
 """
@@ -14,23 +14,14 @@ from numpy.typing import ArrayLike
 from pymap3d import ecef2geodetic
 
 from celnav.files import InputError
-from celnav.filters.adaptive import gate, innovation_window
-from celnav.filters.driver import Epoch, Filter, run, sequential
-from celnav.filters.info import Hook
+from celnav.filters.driver import Epoch, run
 from celnav.filters.least_squares import least_squares
-from celnav.filters.parity import channel_parity, group_parity
-from celnav.filters.robust import huber, sage_husa, student_t
-from celnav.filters.step import predict, update
 from celnav.gaussian import Gaussian, covariance, finite
 from celnav.linalg import Array
 from celnav.models import pseudorange
 from celnav.models.atmosphere import GPS_L1_HZ, klobuchar, saastamoinen
 from celnav.models.beidou import B1I_HZ, ELLIPSOID, GPS_AHEAD_S, LIGHT
-from celnav.models.receiver import CRYSTAL, process_noise, transition
-from celnav.points import unscented
 from celnav.rinex import Navigation, Observations
-from celnav.taylor import Taylor
-from celnav.transform import Transform
 
 CREDIBLE_M = (1.5e7, 5e7)
 """Pseudoranges outside are none."""
@@ -288,56 +279,3 @@ def _without_jumps(z: Array, fixes: Array, times: Array) -> tuple[Array, Array, 
     z[:, :S] -= jumps[:, None]
     fixes[:, 6] -= jumps
     return z, fixes, jumps
-
-
-def hooks(S: int, window: int = 10) -> dict[str, tuple[Hook, ...]]:
-    """What each filter does to the noise of S ranges and S rates before it uses them; the ukf nothing."""
-    return {
-        "ukf": (),
-        "aukf": (innovation_window(window),),
-        "group": (parity_of_groups(S),),
-        "channel": (channel_parity(window),),
-        "gate": (gate(4.0),),
-        "huber": (huber(),),
-        "student": (student_t(4.0),),
-        "sage-husa": (sage_husa(0.95),),
-    }
-
-
-def parity_of_groups(S: int) -> Hook:
-    """The hook of the filter "group": ranges and rates of S satellites, each for a vector and a clock."""
-    return group_parity((range(S), range(S, 2 * S)), 4)
-
-
-def filters(S: int, *, acceleration: float = 0.01, window: int = 10) -> dict[str, Filter]:
-    """Filters of a `Log` by name: ekf, and the unscented ones of `hooks`.
-
-    ``acceleration``: density of the white acceleration, m^2/s^3: 0.01 for a receiver at rest or nearly so, ``a^2 T`` for one that
-    turns with the acceleration a, measured each T seconds.
-
-    Raises
-    ------
-    ValueError: unless it is positive.
-    """
-    if not (np.isfinite(acceleration) and acceleration > 0.0):
-        raise ValueError(f"acceleration: expected a positive density in m^2/s^3, got {acceleration!r}")
-
-    def adapted(rule: Transform, hook: tuple[Hook, ...]) -> Filter:
-        move = Taylor(lambda _x, epoch: (transition(epoch.dt),))
-        forward = predict(lambda x, epoch: x @ transition(epoch.dt).T, move, sqrt_Q=root)
-        return sequential(forward, update(_measured, rule, sqrt_R=_noise, hooks=hook))
-
-    def root(_mean: Array, epoch: Epoch) -> Array:
-        return np.linalg.cholesky(process_noise(epoch.dt, acceleration, *CRYSTAL))
-
-    rule: Any = unscented(8, 1.0, 2.0, 0.0)
-    ekf = Taylor(lambda x, epoch: (pseudorange.jacobian(x, *epoch.u[:2]),))
-    return {"ekf": adapted(ekf, ())} | {name: adapted(rule, hook) for name, hook in hooks(S, window).items()}
-
-
-def _measured(x: Array, epoch: Epoch) -> Array:
-    return pseudorange.measure(x, *epoch.u[:2])
-
-
-def _noise(_mean: Array, epoch: Epoch) -> Array:
-    return np.asarray(np.eye(epoch.u[2].shape[-1]) * epoch.u[2])

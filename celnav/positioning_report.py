@@ -20,7 +20,8 @@ from celnav.linalg import Array
 from celnav.models import pseudorange
 from celnav.models.beidou import ELLIPSOID, GEO_NUMBERS
 from celnav.models.receiver import on_earth
-from celnav.positioning import Log, filters
+from celnav.positioning import Log
+from celnav.positioning_filters import filters
 from celnav.rinex import BDT_BEGINNING
 
 if TYPE_CHECKING:
@@ -75,7 +76,7 @@ class Positioned:
 
 
 def position(log: Log, filter: str, reference: Array | None, *, acceleration: float = 0.01) -> Positioned:
-    """Run a filter of `celnav.positioning.filters` over a log; "ls" takes each epoch by itself.
+    """Run a filter of `celnav.positioning_filters.filters` over a log; "ls" takes each epoch by itself.
 
     Raises
     ------

@@ -12,7 +12,7 @@ import pytest
 import rerun as rr
 from rinex_pair import ALPHA, BETA, PLACE, TIMES, TOE, constellation, measurements, navigation, observations, written
 
-from celnav import cli, positioning, positioning_report
+from celnav import cli, positioning, positioning_filters, positioning_report
 from celnav.files import InputError, Outputs
 from celnav.filters.driver import run
 from celnav.models.beidou import LIGHT
@@ -49,7 +49,7 @@ def test_fixes_find_the_receiver_without_being_told_where_it_is(log):
 
 
 def test_every_filter_finds_it_too(log):
-    for name, filter in positioning.filters(len(log.names)).items():
+    for name, filter in positioning_filters.filters(len(log.names)).items():
         mean = run(filter, log.prior(), log.epochs(), keep="mean").mean
         np.testing.assert_allclose(mean[:, :3], np.broadcast_to(PLACE, (12, 3)), atol=2e-3, err_msg=name)
 
@@ -118,8 +118,8 @@ def test_rates_may_be_missing(pair):
     found = positioning.prepare(replace(obs, doppler=np.full_like(obs.doppler, np.nan)), nav)
     np.testing.assert_allclose(found.fixes[:, :3], np.broadcast_to(PLACE, (12, 3)), atol=1e-4)
     assert np.isnan(found.fixes[:, 3:6]).all()
-    plain = run(positioning.filters(len(found.names))["ekf"], found.prior(), found.epochs(), keep="mean").mean
-    for name, filter in positioning.filters(len(found.names)).items():
+    plain = run(positioning_filters.filters(len(found.names))["ekf"], found.prior(), found.epochs(), keep="mean").mean
+    for name, filter in positioning_filters.filters(len(found.names)).items():
         mean = run(filter, found.prior(), found.epochs(), keep="mean").mean
         if name != "sage-husa":  # nothing says how the clock runs, and it takes that for noise
             assert np.abs(mean[:, :3] - PLACE).max() < 1.0, name
@@ -208,7 +208,7 @@ def test_unknown_filters_and_noises_are_told(log):
     with pytest.raises(ValueError, match=r"^filter: expected one of ls, ekf, ukf, aukf"):
         positioning_report.position(log, "kalman", None)
     with pytest.raises(ValueError, match=r"^acceleration"):
-        positioning.filters(4, acceleration=0.0)
+        positioning_filters.filters(4, acceleration=0.0)
 
 
 def test_the_table_has_a_row_for_each_epoch(log):

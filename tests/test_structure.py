@@ -19,7 +19,7 @@ ROOMS = [
     {"sparse_grid", "attitude"},
     {"adaptive_grid", "filters", "models"},
     {"montecarlo", "metrics", "observability", "jacobians", "tuning", "rinex"},
-    {"claims", "figures", "recording", "picture", "positioning", "trial"},
+    {"claims", "figures", "recording", "picture", "positioning", "positioning_filters", "trial"},
     {"positioning_report", "scores", "problem"},
     {"compositions"},
     {"papers"},

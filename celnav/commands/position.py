@@ -13,7 +13,7 @@ def run(options: argparse.Namespace) -> int:
     """Everything is computed before anything is written."""
     import numpy as np
 
-    from celnav import positioning, positioning_report, rinex
+    from celnav import positioning, positioning_filters, positioning_report, rinex
     from celnav.filters.driver import FilterError
     from celnav.models.receiver import on_earth
 
@@ -21,7 +21,7 @@ def run(options: argparse.Namespace) -> int:
     given = None if options.position is None else np.array([number("position", text) for text in options.position])
     try:
         positioning.mask(mask)
-        names = ["ls", *positioning.filters(4, acceleration=noise)]
+        names = ["ls", *positioning_filters.filters(4, acceleration=noise)]
         if given is not None:
             on_earth("position", given)
     except ValueError as error:

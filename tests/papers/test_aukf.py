@@ -26,7 +26,7 @@ from celnav.papers.aukf.follow import Kept, follow_cases, watched
 from celnav.papers.aukf.follow import follow as follow_all
 from celnav.papers.aukf.scenario import EKF, adapted, axes, circle, ukf, visible
 from celnav.points import unscented
-from celnav.positioning import hooks
+from celnav.positioning_filters import hooks
 from celnav.taylor import Taylor
 
 SHORT = replace(PRESETS["burst"], duration_s=4.0, burst_s=(2.0, 3.0))

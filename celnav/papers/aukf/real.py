@@ -13,7 +13,8 @@ from celnav.filters.driver import run
 from celnav.linalg import Array
 from celnav.models.beidou import GEO_NUMBERS, Broadcast, satellites
 from celnav.papers.aukf.config import Config
-from celnav.positioning import Log, filters, prepare
+from celnav.positioning import Log, prepare
+from celnav.positioning_filters import filters
 from celnav.positioning_report import Positioned
 from celnav.rinex import Navigation, Observations, read_navigation, read_observations
 

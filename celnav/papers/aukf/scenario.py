@@ -20,7 +20,7 @@ from celnav.models.constellation import synthetic
 from celnav.montecarlo import normals
 from celnav.papers.aukf.config import Config
 from celnav.points import unscented
-from celnav.positioning import hooks
+from celnav.positioning_filters import hooks
 from celnav.rule import Rule
 from celnav.taylor import Taylor
 from celnav.transform import Transform

@@ -19,7 +19,7 @@ from celnav.papers.aukf.errata import without_redraw
 from celnav.papers.aukf.follow import Found, Kept, follow, follow_cases, watched
 from celnav.papers.aukf.scenario import EKF, LATE_EKF, Scenario, adapted, filters, simulate, ukf, visible
 from celnav.points import unscented
-from celnav.positioning import parity_of_groups
+from celnav.positioning_filters import parity_of_groups
 
 Rngs = Sequence[np.random.Generator]
 MAIN = ("ls", "ekf", "ukf", "aukf", "group")
