@@ -15,7 +15,7 @@ from celnav.filters.driver import Filter, sequential, steps
 from celnav.filters.info import Hook
 from celnav.filters.robust import huber, student_t
 from celnav.filters.step import predict, update
-from celnav.gaussian import covariance
+from celnav.gaussian import covariance, integer
 from celnav.montecarlo import generator
 from celnav.points import cubature, gauss_hermite, unscented
 from celnav.problem import Problem
@@ -147,8 +147,7 @@ def compare(
     ------
     ValueError: unless ``runs`` is a positive integer.
     """
-    if int(runs) != runs or runs < 1:
-        raise ValueError(f"runs: expected a positive integer, got {runs!r}")
+    integer("runs", runs)
     rows, chosen = [], list(parts)
     for name, problem in problems.items():
         best = Composition("Taylor", colored=problem.phi > 0.0)

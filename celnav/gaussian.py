@@ -6,7 +6,7 @@ a covariance (fewer operations). Make priors with `square_root` or `covariance`,
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -97,7 +97,8 @@ class CovarianceForm:
         return spread
 
     def std(self, spread: Array) -> Array:
-        return np.sqrt(spread.diagonal(0, -2, -1))
+        variances = spread.diagonal(0, -2, -1)
+        return np.sqrt(np.where(variances < 0.0, np.nan, variances))
 
     def marginal(self, A: Array, sign: Array) -> Array:
         P: Array = _counted(A, sign) @ A.mT
@@ -175,6 +176,12 @@ class Gaussian(NamedTuple):
         """Standard deviations, ``(..., n)``."""
         return self.form.std(self.spread)
 
+    def broadcast_to(self, batch: tuple[int, ...]) -> Gaussian:
+        """The same belief for each run of a batch; its own batch axes must broadcast to it."""
+        n = self.spread.shape[-1]
+        mean, spread = np.broadcast_to(self.mean, (*batch, self.mean.shape[-1])), np.broadcast_to(self.spread, (*batch, n, n))
+        return Gaussian(mean, spread, self.form)
+
     def sample(self, rng: np.random.Generator, size: tuple[int, ...] = ()) -> Array:
         """Draw vectors ``size + (..., n)``. On curved spaces they are tangents at the mean, which is then not added."""
         n = self.spread.shape[-1]
@@ -218,7 +225,7 @@ def _prior(mean: Array, spread: Array, form: Form) -> Gaussian:
         raise ValueError(
             f"mean: batch axes {mean.shape[:-1]} do not go with those of the covariance, {spread.shape[:-2]}"
         ) from None
-    return Gaussian(np.broadcast_to(mean, (*batch, mean.shape[-1])), np.broadcast_to(spread, (*batch, *spread.shape[-2:])), form)
+    return Gaussian(mean, spread, form).broadcast_to(batch)
 
 
 def finite(name: str, value: ArrayLike | None, shape: tuple[int, ...] | None = None) -> Array:
@@ -232,6 +239,21 @@ def finite(name: str, value: ArrayLike | None, shape: tuple[int, ...] | None = N
     if not np.isfinite(array).all():
         raise ValueError(f"{name}: expected finite numbers, got {np.count_nonzero(~np.isfinite(array))} that are not")
     return array
+
+
+def integer(name: str, value: Any, least: int = 1) -> int:
+    """A whole number of at least ``least``, which may have come as a float; ValueError names it if it is none."""
+    number = whole(value)
+    if number is None or number < least:
+        expected = "a positive integer" if least == 1 else f"an integer of at least {least}"
+        raise ValueError(f"{name}: expected {expected}, got {value!r}")
+    return number
+
+
+def whole(value: Any) -> int | None:
+    """An integer that may have come as a float; None for anything else."""
+    number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+    return int(value) if number and np.isfinite(value) and int(value) == value else None
 
 
 def symmetric(cov: ArrayLike, name: str, n: int | None = None) -> tuple[Array, Array]:

@@ -17,6 +17,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
+from celnav.gaussian import integer
 from celnav.linalg import Array
 
 R = TypeVar("R")
@@ -42,9 +43,8 @@ def blocks(runs: int, size: int) -> list[range]:
     ------
     ValueError: if a number is not positive.
     """
-    for name, value in (("runs", runs), ("block", size)):
-        if int(value) != value or value < 1:
-            raise ValueError(f"{name}: expected a positive integer, got {value!r}")
+    integer("runs", runs)
+    integer("block", size)
     return [range(first, min(first + size, runs)) for first in range(0, runs, size)]
 
 
@@ -58,9 +58,7 @@ def run_count(full: int, runs: int | None, effort: float) -> int:
     if not 0.0 < effort <= 1.0:
         raise ValueError(f"effort: expected a number in (0, 1], got {effort!r}")
     count = max(2, round(full * effort)) if runs is None else runs
-    if int(count) != count or count < 2:
-        raise ValueError(f"runs: expected an integer of at least 2, got {runs!r}")
-    return int(count)
+    return integer("runs", count, 2)
 
 
 class Unit(NamedTuple):
@@ -116,8 +114,7 @@ def carry_out(plan: Plan[R], *, jobs: int = 1, progress: Progress | None = None)
     ------
     ValueError: unless ``jobs`` is a positive integer. Whatever a unit raises.
     """
-    if int(jobs) != jobs or jobs < 1:
-        raise ValueError(f"jobs: expected a positive integer, got {jobs!r}")
+    integer("jobs", jobs)
     count, outcomes = len(plan.units), []
     with contextlib.ExitStack() as stack:
         several = jobs > 1 and count > 1

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.gaussian import finite, sqrt_cov
+from celnav.gaussian import finite, sqrt_cov, whole
 from celnav.linalg import Array
 
 Function = Callable[[Array], Array]
@@ -44,7 +44,7 @@ def lie_gradients(f: Function, h: Function, x: ArrayLike, order: int, *, window:
     ------
     ValueError: for an order outside 0 to 6 or a window that is not positive.
     """
-    if isinstance(order, bool) or int(order) != order or not 0 <= order <= 6:
+    if whole(order) is None or not 0 <= order <= 6:
         raise ValueError(f"order: expected an integer from 0 to 6, got {order!r}")
     if not (np.isfinite(window) and window > 0.0):
         raise ValueError(f"window: expected a positive time, got {window!r}")

@@ -7,6 +7,8 @@ import shutil
 import socket
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -54,10 +56,8 @@ def picture(recording: str | Path, path: str | Path, at: float, width: int = 160
     ------
     OSError: if the viewer cannot start or draws nothing, or the file cannot be written.
     """
-    os.environ.setdefault("RUST_LOG", "error")  # what the viewer says of itself
     program = shutil.which("rerun", path=Path(sys.executable).parent) or shutil.which("rerun")
-    with replacing(path) as target, TemporaryDirectory() as folder, socket.socket() as probe:
-        os.environ.setdefault("XDG_RUNTIME_DIR", folder)
+    with replacing(path) as target, _quiet(), socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
         probe.close()
@@ -69,6 +69,19 @@ def picture(recording: str | Path, path: str | Path, at: float, width: int = 160
         except (RuntimeError, ConnectionError, TimeoutError) as error:
             said = " ".join(str(error).split())[:200]
             raise OSError(f"{recording}: the viewer gave no picture ({said}); it needs a Vulkan driver") from None
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """What keeps the viewer from talking of itself, and of a desktop that is not there, in the environment."""
+    with TemporaryDirectory() as folder:
+        wanted = {name: value for name, value in (("RUST_LOG", "error"), ("XDG_RUNTIME_DIR", folder)) if name not in os.environ}
+        os.environ.update(wanted)
+        try:
+            yield
+        finally:
+            for name in wanted:
+                del os.environ[name]
 
 
 def _drawn(viewer: ViewerClient, width: int) -> bytes:

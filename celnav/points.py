@@ -8,23 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from celnav.gaussian import integer, whole
 from celnav.linalg import Array
 from celnav.rule import Rule
 
 MAX_POINTS = 1_000_000
-
-
-def integer(value: Any) -> int | None:
-    """An integer that may have come as a float; None for anything else."""
-    whole = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
-    return int(value) if whole and np.isfinite(value) and int(value) == value else None
-
-
-def _dimension(n: int) -> int:
-    number = integer(n)
-    if number is None or number < 1:
-        raise ValueError(f"n: expected a positive integer, got {n!r}")
-    return number
 
 
 def _axes(n: int, radius: float) -> Array:
@@ -39,7 +27,7 @@ def unscented(n: int, alpha: float = 1.0, beta: float = 0.0, kappa: float = 0.0)
     ------
     ValueError: for ``n < 1``, ``alpha <= 0``, ``n + kappa <= 0`` or a number that is not finite.
     """
-    n = _dimension(n)
+    n = integer("n", n)
     if not (np.isfinite(alpha) and alpha > 0.0):
         raise ValueError(f"alpha: expected a positive number, got {alpha!r}")
     if not np.isfinite(beta):
@@ -61,7 +49,7 @@ def simplex(n: int) -> Rule:
     ------
     ValueError: for ``n < 1``.
     """
-    n = _dimension(n)
+    n = integer("n", n)
     d = np.arange(1, n + 1)
     nodes = np.sqrt((n + 1) / (d * (d + 1))) * (np.triu(np.ones((n + 1, n))) - d * np.eye(n + 1, n, -1))
     nodes[:, 0] *= -1.0  # as filterpy has it
@@ -78,7 +66,7 @@ def cubature(n: int, degree: int = 3) -> Rule:
     ------
     ValueError: for ``n < 1`` or another degree.
     """
-    n = _dimension(n)
+    n = integer("n", n)
     if degree == 3:
         return Rule(_axes(n, float(np.sqrt(n))), np.r_[0.0, np.full(2 * n, 0.5 / n)])
     if degree != 5:
@@ -101,8 +89,8 @@ def gauss_hermite(n: int, order: int = 3) -> Rule:
     ------
     ValueError: for ``n < 1``, ``order < 2`` or more than `MAX_POINTS` points, before anything is allocated.
     """
-    n = _dimension(n)
-    size = integer(order)
+    n = integer("n", n)
+    size = whole(order)
     if size is None or not 2 <= size <= 100:
         raise ValueError(f"order: expected an integer between 2 and 100, got {order!r}")
     if size**n > MAX_POINTS:

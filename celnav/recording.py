@@ -92,6 +92,12 @@ class Recorder:
         there = np.isfinite(scalars)
         self._send(entity, rr.Scalars.columns(scalars=scalars[there]).partition(there.astype(int)))
 
+    def log_curve(self, entity: str, values: ArrayLike, color: str, name: str, *, width: float = 1.5) -> None:
+        """A curve of the decimal logarithms of values ``(T,)``, since plots have no logarithmic axis; gaps where there is none."""
+        numbers = self._array(entity, values, ())
+        logarithm = np.log10(numbers, out=np.full(numbers.shape, np.nan), where=numbers > 0.0)
+        self.curve(entity, logarithm, color, name, width=width)
+
     def bounds(
         self, entity: str, sigma: ArrayLike, name: str, *, center: ArrayLike = 0.0, shown: bool = True, color: str = colors.SIGMA
     ) -> None:

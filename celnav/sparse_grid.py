@@ -18,8 +18,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from celnav.gaussian import whole
 from celnav.linalg import Array
-from celnav.points import MAX_POINTS, integer
+from celnav.points import MAX_POINTS
 from celnav.rule import Rule
 
 ORDERS = (1, 3, 7, 15, 31, 63)
@@ -87,7 +88,7 @@ def integrates(powers: Sequence[int], level: int, weights: Sequence[int] | None 
     ------
     ValueError: for powers that are not integers of at least 0; otherwise as `smolyak`.
     """
-    numbers = [a for a in map(integer, powers) if a is not None and a >= 0]
+    numbers = [a for a in map(whole, powers) if a is not None and a >= 0]
     if len(numbers) != len(powers):
         raise ValueError(f"powers: expected integers of at least 0, got {tuple(powers)!r}")
     _, depth, g, sizes = _checked(len(numbers), level, weights, orders)
@@ -98,10 +99,10 @@ def integrates(powers: Sequence[int], level: int, weights: Sequence[int] | None 
 
 
 def _checked(n: object, level: object, weights: object, orders: Sequence[int]) -> tuple[int, int, tuple[int, ...], tuple[int, ...]]:
-    dimension, depth = integer(n), integer(level)
+    dimension, depth = whole(n), whole(level)
     if dimension is None or dimension < 1:
         raise ValueError(f"n: expected a positive integer, got {n!r}")
-    sizes = tuple(integer(m) for m in orders)
+    sizes = tuple(whole(m) for m in orders)
     if not sizes or sizes[0] != 1 or any(m is None or not 1 <= m <= 100 for m in sizes):
         raise ValueError(f"orders: expected numbers of points between 1 and 100, the first 1, got {tuple(orders)!r}")
     if depth is None or not 1 <= depth <= len(sizes):
@@ -110,7 +111,7 @@ def _checked(n: object, level: object, weights: object, orders: Sequence[int]) -
     if weights is None:
         g = (1,) * dimension
     else:
-        g = tuple(integer(w) for w in np.ravel(np.asarray(weights)).tolist())
+        g = tuple(whole(w) for w in np.ravel(np.asarray(weights)).tolist())
         if len(g) != dimension or any(w is None or w < 1 for w in g):
             raise ValueError(f"weights: expected {dimension} positive integers, got {weights!r}")
     known = tuple(w for w in g if w is not None)

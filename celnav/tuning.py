@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from celnav.filters.driver import Epoch, Filter, FilterError, run
 from celnav.filters.info import Info
-from celnav.gaussian import Gaussian, finite
+from celnav.gaussian import Gaussian, finite, integer
 from celnav.linalg import Array
 
 
@@ -71,8 +71,7 @@ def maximize_likelihood(
         raise ValueError(f"factor: expected a number above 1, got {factor!r}")
     if not tolerance > 0.0:
         raise ValueError(f"tolerance: expected a positive number, got {tolerance!r}")
-    if int(max_iterations) != max_iterations or max_iterations < 1:
-        raise ValueError(f"max_iterations: expected a positive integer, got {max_iterations!r}")
+    integer("max_iterations", max_iterations)
     likelihood = _Likelihood(build, epochs if isinstance(epochs, Sequence) else list(epochs), np.log(x0))
     reach = np.log(factor)
     from scipy.optimize import minimize  # takes a second to import

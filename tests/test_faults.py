@@ -72,7 +72,7 @@ def test_a_missing_measurement_leaves_the_prediction(z):
         (lambda: celnav.run(filtered(), PRIOR, [celnav.Epoch(0, 0.0, np.nan)]), "dt"),
         (lambda: coloring(1.01 * EYE), "Phi"),
         (lambda: coloring(np.ones((2, 3))), "Phi"),
-        (lambda: colored(lambda x, e: x, EYE, RULE, EYE, R=EYE), "colored"),
+        (lambda: colored(lambda x, e: x, EYE, RULE, EYE, R=EYE), "Q"),
         (
             lambda: celnav.run(
                 celnav.sequential(celnav.predict(lambda x, e: x, celnav.unscented(3))), PRIOR, [celnav.Epoch(1, 1.0, 1.0)]

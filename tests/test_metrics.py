@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from celnav import metrics
+from celnav import linear_covariance, metrics
 
 
 def test_linear_analysis_of_a_white_filter_is_its_riccati_equation():
     F, H, Q, R, P0 = np.tile([[1.0, 1.0], [0.0, 1.0]], (30, 1, 1)), np.array([[1.0, 0.0]]), 0.1 * np.eye(2), np.eye(1), np.eye(2)
-    solved = metrics.riccati(F, H, Q, R, P0)
-    actual = metrics.actual_covariance(F, H, solved.gains, Q, np.zeros((1, 1)), R, P0, R)
+    solved = linear_covariance.riccati(F, H, Q, R, P0)
+    actual = linear_covariance.actual_covariance(F, H, solved.gains, Q, np.zeros((1, 1)), R, P0, R)
     np.testing.assert_allclose(actual, solved.covariances, rtol=1e-10)
-    bound = metrics.colored_bound(F, H, np.zeros((1, 1)), Q, R, P0)
+    bound = linear_covariance.colored_bound(F, H, np.zeros((1, 1)), Q, R, P0)
     np.testing.assert_allclose(bound, solved.covariances, rtol=1e-10)
 
 

@@ -18,7 +18,7 @@ ROOMS = [
     {"points", "taylor"},
     {"sparse_grid", "attitude"},
     {"adaptive_grid", "filters", "models"},
-    {"montecarlo", "metrics", "observability", "jacobians", "tuning", "rinex"},
+    {"montecarlo", "metrics", "linear_covariance", "observability", "jacobians", "tuning", "rinex"},
     {"claims", "figures", "recording", "picture", "positioning", "positioning_filters", "trial"},
     {"positioning_report", "scores", "problem"},
     {"compositions"},

@@ -14,6 +14,8 @@ from multiprocessing.process import BaseProcess
 from typing import Any, NamedTuple, cast
 from urllib.parse import urlsplit
 
+from celnav.gaussian import integer
+
 PATIENCE_S = 10.0
 """How long a scheduler may take to answer."""
 
@@ -56,8 +58,7 @@ def processes(jobs: int) -> Workers:
     ------
     ValueError: unless ``jobs`` is a positive integer.
     """
-    if int(jobs) != jobs or jobs < 1:
-        raise ValueError(f"jobs: expected a positive integer, got {jobs!r}")
+    integer("jobs", jobs)
     return Workers(lambda: _pool(jobs), 3 * jobs)
 
 

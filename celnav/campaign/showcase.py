@@ -137,7 +137,7 @@ def record(shown: Showcase, outcome: Outcome, path: str | PathLike[str]) -> None
                 for i, component in enumerate(shown.error(name)[:, part].T):
                     out.curve(f"first/{name}/{group.name}/{i + 1}", component, PALETTE[i % 6], f"component {i + 1}")
                 out.bounds(f"first/{name}/{group.name}/sigma", shown.std(name)[:, part].max(1), "largest")
-            out.curve(f"nees/{name}", _log10(found.nees[:, 0] / found.error.shape[-1]), palette[name], name)
+            out.log_curve(f"nees/{name}", found.nees[:, 0] / found.error.shape[-1], palette[name], name)
         _rms(out, shown, outcome, palette)
 
 
@@ -149,22 +149,17 @@ def _rms(out: Any, shown: Showcase, outcome: Outcome, palette: dict[str, str]) -
             if scores is not None:
                 with np.errstate(invalid="ignore", divide="ignore"):
                     rms = np.sqrt(scores["square"][:, i] / scores["count"])
-                out.curve(f"rms/{group.name}/{name}", _spread(shown, rms), palette[name], name)
+                out.log_curve(f"rms/{group.name}/{name}", _spread(shown, rms), palette[name], name)
         if found.bound is not None:
-            out.curve(f"rms/{group.name}/bound", _spread(shown, np.sqrt(found.bound[:, i])), colors.BOUND, "bound", width=1.0)
+            bound = _spread(shown, np.sqrt(found.bound[:, i]))
+            out.log_curve(f"rms/{group.name}/bound", bound, colors.BOUND, "bound", width=1.0)
 
 
 def _spread(shown: Showcase, values: Array) -> Array:
-    """Logarithms of values of scored epochs, at the recording's epochs; nan between."""
+    """Values of scored epochs, at the recording's epochs; nan between."""
     out = np.full(len(shown.times), np.nan)
-    out[np.unique([*range(0, len(out), shown.study.every), len(out) - 1])] = _log10(values)
+    out[np.unique([*range(0, len(out), shown.study.every), len(out) - 1])] = values
     return out
-
-
-def _log10(values: Array) -> Array:
-    with np.errstate(invalid="ignore", divide="ignore"):
-        logs = np.log10(values)
-    return np.asarray(np.where(np.isfinite(logs), logs, np.nan))
 
 
 def _about(study: Study, outcome: Outcome) -> str:

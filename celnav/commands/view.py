@@ -40,6 +40,8 @@ def _picture(path: Path, target: Path, at: float | None) -> int:
 
 def _file(options: argparse.Namespace) -> Path:
     path = Path(options.paper)
+    if options.recording is not None:
+        raise UsageError(f"recording: expected a paper with it, got the file {path}")
     if path.suffix != ".rrd":
         raise UsageError(f"{path}: expected a paper that was reproduced, or a recording, FILE.rrd")
     if not path.is_file():
@@ -55,7 +57,7 @@ def _of_paper(options: argparse.Namespace) -> Path:
         raise FileNotFoundError(f"{folder}: no recording; make it with: celnav reproduce {options.paper} --out {options.out}")
     if options.recording is None:
         return Path(folder, recordings[0])
-    name = Path(options.recording).stem + ".rrd"
+    name: str = options.recording if options.recording.endswith(".rrd") else f"{options.recording}.rrd"
     if name not in recordings:
         raise UsageError(f"unknown recording {options.recording!r}: expected one of {', '.join(recordings)}")
     return Path(folder, name)

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from celnav.filters.info import Gain, Hook, Info, Joint
-from celnav.gaussian import Gaussian
+from celnav.gaussian import Gaussian, integer
 from celnav.linalg import Array, cholesky, solve_lower, solve_upper_transposed, whiten
 
 
@@ -115,11 +115,9 @@ def innovation_window(M: int, gaps: str = "restart") -> Hook:
     ------
     ValueError: unless ``M`` is a positive integer and ``gaps`` one of the two.
     """
-    if isinstance(M, bool) or int(M) != M or M < 1:
-        raise ValueError(f"M: expected a positive integer, got {M!r}")
+    size = integer("M", M)
     if gaps not in ("restart", "skip"):
         raise ValueError(f"gaps: expected 'restart' or 'skip', got {gaps!r}")
-    size = int(M)
 
     def hook(memory: Window | None, joint: Joint, epoch: Any) -> tuple[Window, Joint]:
         e, k = joint.innovation, getattr(epoch, "k", None)
@@ -170,8 +168,7 @@ def consider(n: int, k: int) -> Gain:
     ValueError: unless ``n > 0`` and ``k >= 0`` are integers; at the update, if they do not add up to the state.
     """
     for name, value, least in (("n", n, 1), ("k", k, 0)):
-        if isinstance(value, bool) or int(value) != value or value < least:
-            raise ValueError(f"{name}: expected an integer of at least {least}, got {value!r}")
+        integer(name, value, least)
 
     def gain(A: Array, sign: Array, m: int) -> Array:
         if A.shape[-2] - m != n + k:

@@ -61,15 +61,37 @@ def takes(function: Any, count: int) -> bool:
     return True
 
 
-def measurement(z: Any, belief: Gaussian) -> Array:
-    """A measurement ``(..., m)`` as floats, whose batch axes go with those of the belief."""
+def measurement(z: Any, belief: Gaussian) -> tuple[Array, Gaussian]:
+    """A measurement ``(..., m)`` as floats, and the belief, once for each run if only the measurement has runs.
+
+    Raises
+    ------
+    ValueError: if z is no array ``(..., m)``, or its batch axes do not go with those of the belief.
+    """
     measured = np.asarray(z, dtype=np.float64)
     if measured.ndim == 0:
         raise ValueError(f"z: expected shape (..., m), got the number {measured}; one component is [z]")
-    batch = measured.shape[:-1]
-    if batch and batch != belief.mean.shape[:-1]:
-        try:
-            np.broadcast_shapes(batch, belief.mean.shape[:-1])
-        except ValueError:
-            raise ValueError(f"z: batch axes {batch} do not go with those of the belief, {belief.mean.shape[:-1]}") from None
-    return measured
+    return measured, batched("z", measured.shape[:-1], belief)
+
+
+def batched(name: str, batch: tuple[int, ...], belief: Gaussian) -> Gaussian:
+    """The belief, once for each run if only the argument has runs.
+
+    Raises
+    ------
+    ValueError: naming the argument, if its batch axes do not go with those of the belief.
+    """
+    own = belief.mean.shape[:-1]
+    if not batch or batch == own:
+        return belief
+    try:
+        joint = np.broadcast_shapes(batch, own)
+    except ValueError:
+        raise ValueError(f"{name}: batch axes {batch} do not go with those of the belief, {own}") from None
+    return belief if joint == own else belief.broadcast_to(joint)
+
+
+def check_extra(extra: Any) -> None:
+    """Noises through the points are a sequence of their roots, matrices ``(..., k, k)``."""
+    if isinstance(extra, np.ndarray) or not all(np.ndim(root) >= 2 for root in extra):
+        raise ValueError("extra: expected a sequence of matrices, a root (k, k) for each noise, such as (np.eye(2),)")

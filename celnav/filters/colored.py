@@ -52,15 +52,19 @@ def coloring(Phi: Coloring, m: int | None = None) -> Callable[[Any], Array]:
         allowed: differences then say nothing about position, only about its changes.
     """
     if callable(Phi):
-        return Phi
-    matrix = finite("Phi", Phi)
-    if matrix.ndim < 2 or matrix.shape[-1] != matrix.shape[-2] or (m is not None and matrix.shape[-1] != m):
-        size = "m, m" if m is None else f"{m}, {m}"
-        raise ValueError(f"Phi: expected shape (..., {size}), got {matrix.shape}")
+        return lambda epoch: _matrix(np.asarray(Phi(epoch), dtype=np.float64), m)
+    matrix = _matrix(finite("Phi", Phi), m)
     radius = np.abs(np.linalg.eigvals(matrix)).max()
     if radius > 1.0 + 1e-9:
         raise ValueError(f"Phi: expected a spectral radius of at most 1, got {radius:.6g}")
     return lambda epoch: matrix
+
+
+def _matrix(Phi: Array, m: int | None) -> Array:
+    if Phi.ndim < 2 or Phi.shape[-1] != Phi.shape[-2] or (m is not None and Phi.shape[-1] != m):
+        size = "m, m" if m is None else f"{m}, {m}"
+        raise ValueError(f"Phi: expected shape (..., {size}), got {Phi.shape}")
+    return Phi
 
 
 def difference(Phi: Array, z: Array, z_next: Array) -> Array:
@@ -85,14 +89,46 @@ def first_update(h: Any, rule: Transform, Sigma0: ArrayLike | None) -> Callable[
     return absolute
 
 
-def sample(epoch: Epoch, m: int | None, belief: Gaussian) -> Array:
-    """The measurement of an epoch, nan where there is none; ``m``: its components, where they are known."""
+def noises(Q: Any, sqrt_Q: Any, R: Any, sqrt_R: Any, m: int | None) -> tuple[Any, Any, int]:
+    """Columns of process noise and of increments, and the number of components measured.
+
+    Raises
+    ------
+    ValueError: if one of the noises is missing, or R does not go with ``m``, or m is None and R a function that does not tell it.
+    """
+    process, increments = noise_columns(Q, sqrt_Q, "Q"), noise_columns(R, sqrt_R, "R")
+    if process is None or increments is None:
+        raise ValueError("Q, R: expected process noise (Q or sqrt_Q) and increments (R or sqrt_R)")
+    if callable(increments):
+        if m is None:
+            raise ValueError("R: expected a constant where the measurement is a function")
+        return process, increments, m
+    rows = increments.shape[-2]
+    if m is not None and rows != m:
+        raise ValueError(f"R: expected {m} rows to go with h, got {rows}")
+    return process, increments, rows
+
+
+def taken(state: Colored, epoch: Epoch, m: int) -> tuple[Colored, Array]:
+    """The measurement ``(..., m)`` of an epoch, nan where there is none, and the state with a belief for each run of it.
+
+    Raises
+    ------
+    ValueError: for another number of components, and for intervals that are none: the first sample only anchors the difference
+        to the second, so that nothing leads up to it, and each later one ends an interval.
+    """
+    first = state.z is None
+    if bool(np.any(epoch.dt)) is first:
+        expected = (
+            "0 at the first epoch (what moves before it is not this filter's)" if first else "an interval after the first epoch"
+        )
+        raise ValueError(f"dt: expected {expected}, got {epoch.dt!r}")
     if epoch.z is None:
-        return np.full(m or 1, np.nan)
-    z = measurement(epoch.z, belief)
-    if m is not None and z.shape[-1] != m:
+        return state, np.full(m, np.nan)
+    z, belief = measurement(epoch.z, state.belief)
+    if z.shape[-1] != m:
         raise ValueError(f"z: expected {m} components to go with h, got {z.shape[-1]}")
-    return z
+    return state._replace(belief=belief), z
 
 
 def colored(
@@ -122,30 +158,32 @@ def colored(
         the paper, which is the limit of a large ``Sigma0``.
     first_rule: rule of dimension n for the update with ``Sigma0``; needed where ``h`` is a function.
     hooks: see `celnav.filters.info.Hook`.
+
+    The first epoch has ``dt == 0``, every later one an interval.
+
+    Raises
+    ------
+    ValueError: naming the argument that cannot be; at the step, if shapes or intervals do not go together.
     """
     check_model("f", f)
     check_rule(rule)
+    check_rule(rule if first_rule is None else first_rule, "first_rule")
     check_hooks(hooks)
-    process = noise_columns(Q, sqrt_Q, "Q")
-    increments = noise_columns(R, sqrt_R, "R")
-    if process is None or increments is None:
-        raise ValueError("colored: expected process noise (Q or sqrt_Q) and increments (R or sqrt_R)")
+    H = None if callable(h) else finite("h", h)
+    process, increments, m = noises(Q, sqrt_Q, R, sqrt_R, None if H is None else H.shape[-2])
     if callable(h):
         if callable(process):
             raise ValueError("sqrt_Q: expected constant columns where the measurement is a function")
         if Sigma0 is not None and first_rule is None:
             raise ValueError("first_rule: expected a rule of the state's dimension where the measurement is a function")
         conditioned = _through_points(f, h, rule, process, increments, hooks)
-        m = None
     else:
-        H = finite("h", h)
-        m = H.shape[-2]
-        conditioned = _linear(f, H, rule, process, increments, hooks)
+        conditioned = _linear(f, finite("h", h), rule, process, increments, hooks)
     phi = coloring(Phi, m)
     first = first_update(h, rule if first_rule is None else first_rule, Sigma0)
 
     def step(state: Colored, epoch: Epoch) -> tuple[Colored, Info]:
-        z = sample(epoch, m, state.belief)
+        state, z = taken(state, epoch, m)
         if state.z is None:
             belief, info = first(state.belief, epoch._replace(z=z))
             return Colored(belief, z, state.lagged, state.memory), info
@@ -260,6 +298,8 @@ def augmented(
     ``rule`` has dimension n + m. The state's belief is that of ``[x; V]``; start it from a prior of ``x`` alone. Its
     covariance is singular after each measurement. A missing sample costs nothing but itself.
     """
+    check_model("f", f)
+    check_rule(rule)
     matrix = finite("H", H)
     m, n = matrix.shape[-2:]
     phi = coloring(Phi, m)

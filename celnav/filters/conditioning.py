@@ -33,17 +33,26 @@ def noise_columns(cov: Any, sqrt: Any, name: str) -> Noise:
         raise ValueError(f"{name}: expected one of {name} and sqrt_{name}, got both")
     if sqrt is not None:
         if callable(sqrt):
-            function: Callable[[Array, Any], Array] = sqrt
-            return function
-        columns = finite(f"sqrt_{name}", sqrt)
-        if columns.ndim < 2:
-            raise ValueError(f"sqrt_{name}: expected columns of shape (..., n, r), got {columns.shape}")
-        return columns
+            return lambda mean, epoch: _columns(f"sqrt_{name}", np.asarray(sqrt(mean, epoch), dtype=np.float64))
+        return _columns(f"sqrt_{name}", finite(f"sqrt_{name}", sqrt))
     if cov is None:
         return None
     if callable(cov):
         return lambda mean, epoch: sqrt_cov(cov(mean, epoch), name)
     return sqrt_cov(cov, name)
+
+
+def _columns(name: str, columns: Array) -> Array:
+    if columns.ndim < 2:
+        raise ValueError(f"{name}: expected columns of shape (..., n, r), got {columns.shape}")
+    return columns
+
+
+def set_noise(name: str, room: Array, columns: Array) -> None:
+    """Write noise into its columns of a pre-array; an error names the noise, not the array."""
+    if columns.shape[-2] != room.shape[-2]:
+        raise ValueError(f"{name}: expected {room.shape[-2]} rows to go with the model, got {columns.shape[-2]}")
+    room[...] = columns
 
 
 def evaluate(noise: Any, mean: Array, epoch: Any) -> Any:
@@ -71,6 +80,14 @@ def images(name: str, function: Model, points: Array, epoch: Any, noise: Sequenc
     return y
 
 
+def innovation_of(z: Array, predicted: Image, space: Space) -> Array:
+    """Measurement minus its prediction, ``(..., m)``; on a space that wraps the mean may lie across the seam from its center."""
+    difference = space.minus(z, predicted.center)
+    if space is EUCLIDEAN or not isinstance(predicted.shift, np.ndarray):
+        return np.asarray(difference - predicted.shift)
+    return space.minus(space.plus(predicted.center, difference - predicted.shift), predicted.center)
+
+
 def condition(
     belief: Gaussian,
     state: Image,
@@ -91,13 +108,19 @@ def condition(
 
     Parameters
     ----------
-    belief: gives the form.
+    belief: gives the form, and batch axes that A may lack.
     state: image of the state; its rows are the last n of ``A``.
     A: pre-array ``(..., m + n, q + r + s)``: columns of the prior, of the process noise and of the measurement noise.
     sign: ``(q,)``.
     innovation: ``(..., m)``, nan where not measured: those rows are marginalized exactly, in each run by itself.
     noise: ``(r, s)``.
+    space: of the state. slopes: what hooks get as `Joint.slopes`, and the `Info` after them.
+    hooks, memory, gain, epoch: see `celnav.filters.step.update`.
     known: spread of the state's rows, if it is at hand; not used where a hook replaces columns of these.
+
+    Returns
+    -------
+    The belief after it, the `Info` and the hooks' memory.
     """
     m = innovation.shape[-1]
     measured = innovation
@@ -119,6 +142,8 @@ def condition(
     if not used.all():
         A, innovation = _left_out(A, innovation, used)
     K = gain(A, sign, m) if callable(gain) else gain  # after the mask: a prescribed gain must see what is missing
+    if K is not None and not used.all():
+        K = K * used[..., None, :]
     S, U, spread = belief.form.condition(A, sign, m, K, known)
     white = whiten(S, innovation)
     step = state.shift + (matvec(U, white) if K is None else matvec(K, innovation))

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from celnav.filters.arguments import check_hooks, check_model, check_rule
-from celnav.filters.colored import Colored, Coloring, coloring, difference, first_update, lift, sample
-from celnav.filters.conditioning import Model, condition, evaluate, noise_columns
+from celnav.filters.colored import Colored, Coloring, coloring, difference, first_update, lift, noises, taken
+from celnav.filters.conditioning import Model, condition, evaluate
 from celnav.filters.driver import Epoch, Filter
-from celnav.filters.info import Hook, Info
+from celnav.filters.info import Hook, Info, Joint
 from celnav.gaussian import Gaussian, finite
 from celnav.linalg import Array, block, matvec, solve_upper_transposed, tria
 from celnav.transform import Transform
@@ -60,17 +60,19 @@ def decorrelated(
 
     ``x* = f(x) + J (z* - h(x))`` and ``h(x) = H f(x) - Phi H x`` [Sun2015, Eqs. 8, 14]. The state after an epoch holds both
     estimates: ``belief`` of the present state, ``lagged`` of the previous one, each given all measurements so far.
-    Parameters as in `colored`; ``H`` is a matrix.
+    Parameters as in `colored`; ``H`` is a matrix. Hooks may leave measurements out, as gates do. Those that change the noise are
+    for `colored`: here the noise also decides how the measurement enters the prediction.
+
+    Raises
+    ------
+    ValueError: as `colored`; from the filter, for a hook that changes more than the innovation.
     """
     check_model("f", f)
     check_rule(rule)
     check_hooks(hooks)
-    process = noise_columns(Q, sqrt_Q, "Q")
-    increments = noise_columns(R, sqrt_R, "R")
-    if process is None or increments is None:
-        raise ValueError("decorrelated: expected process noise (Q or sqrt_Q) and increments (R or sqrt_R)")
     matrix = finite("H", H)
-    m = matrix.shape[-2]
+    process, increments, m = noises(Q, sqrt_Q, R, sqrt_R, matrix.shape[-2])
+    gates = [_leaving_out(hook) for hook in hooks]
     phi = coloring(Phi, m)
     first = first_update(matrix, rule, Sigma0)
     constant = None if callable(process) or callable(increments) else decorrelation(matrix, process, increments)
@@ -96,7 +98,7 @@ def decorrelated(
 
         lagged, info, kept = condition(
             belief, lifted.x, A, rule.sign, z - h.center - h.shift,
-            noise=(0, m), slopes=slopes, hooks=hooks, memory=memory, epoch=epoch,
+            noise=(0, m), slopes=slopes, hooks=gates, memory=memory, epoch=epoch,
         )  # fmt: skip
         return lagged, info._replace(failure=lifted.failure(lagged, z)), kept
 
@@ -110,7 +112,7 @@ def decorrelated(
         return ahead, lifted.failure(ahead, None)
 
     def step(state: Colored, epoch: Epoch) -> tuple[Colored, Info]:
-        z = sample(epoch, m, state.belief)
+        state, z = taken(state, epoch, m)
         if state.z is None:
             belief, info = first(state.belief, epoch._replace(z=z))
             return Colored(belief, z, state.lagged, state.memory), info
@@ -121,3 +123,17 @@ def decorrelated(
         return Colored(belief, z, lagged, memory), info._replace(failure=info.failure or failure)
 
     return Filter(lambda prior: Colored(prior, None, prior), step)
+
+
+def _leaving_out(hook: Hook) -> Hook:
+    """The hook, held to leaving measurements out."""
+
+    def gate(memory: Any, joint: Joint, epoch: Any) -> tuple[Any, Joint]:
+        memory, after = hook(memory, joint, epoch)
+        if any(getattr(after, part) is not getattr(joint, part) for part in ("columns", "sign", "process", "sensor")):
+            raise ValueError(
+                "hooks: expected hooks that only leave measurements out, got one that changes noise; `colored` takes it"
+            )
+        return memory, after
+
+    return gate

@@ -17,7 +17,7 @@ from celnav.filters.arguments import kind, takes
 from celnav.filters.info import Info
 from celnav.filters.step import Motion, Predict, Update
 from celnav.filters.track import Collector, Track
-from celnav.gaussian import Gaussian, finite
+from celnav.gaussian import Gaussian, finite, integer
 from celnav.linalg import Array
 
 
@@ -77,8 +77,8 @@ def sequential(predict: Predict, *updates: Update) -> Filter:
         predicted = Info()
         if epoch.dt if isinstance(epoch.dt, float) else np.any(epoch.dt):
             belief, predicted = predict(belief, epoch)
-        z = epoch.z if isinstance(epoch.z, tuple) else (epoch.z,)
-        if updates and len(z) != len(updates) and epoch.z is not None:
+        z = epoch.z if isinstance(epoch.z, tuple) else (epoch.z,) if epoch.z is not None else (None,) * len(updates)
+        if updates and len(z) != len(updates):
             raise ValueError(f"z: expected {len(updates)} measurements, got {len(z)}")
         infos = []
         for i, (update, measured) in enumerate(zip(updates, z, strict=False)):
@@ -87,7 +87,7 @@ def sequential(predict: Predict, *updates: Update) -> Filter:
                 continue
             belief, info, memory[i] = update(belief, measured, epoch, memory[i])
             infos.append(info)
-        infos = [i._replace(slopes=predicted.slopes + i.slopes[1:]) for i in infos] or [predicted]
+        infos = [i._replace(slopes=(predicted.slopes or (None,)) + i.slopes[1:]) for i in infos] or [predicted]
         if infos[0] is not predicted and (predicted.failure or predicted.redone is not None):
             redone = [r for r in (predicted.redone, infos[0].redone) if r is not None]
             infos[0] = infos[0]._replace(
@@ -177,8 +177,8 @@ def steps(filter: Filter, prior: Gaussian, epochs: Iterable[Epoch]) -> Iterator[
 
     Raises
     ------
-    ValueError: if an interval is negative or not finite, or what is given is no filter or no belief. An exception of the model
-        carries the step as a note.
+    ValueError: if an interval is negative, not finite, or 0 for some runs only, or what is given is no filter or no belief. An
+        exception of the model carries the step as a note.
     """
     if not (hasattr(filter, "start") and hasattr(filter, "step")):
         raise ValueError(f"filter: expected a Filter, such as celnav.sequential makes, got {kind(filter)}")
@@ -201,6 +201,8 @@ def _check_interval(epoch: Epoch) -> None:
         return
     if not (np.isfinite(dt) & (np.asarray(dt) >= 0.0)).all():
         raise ValueError(f"dt: expected a non-negative number, got {dt!r} at step {epoch.k}")
+    if np.any(dt) and not np.all(dt):
+        raise ValueError(f"dt: expected an interval for every run or for none, got some that are 0 at step {epoch.k}")
 
 
 def run(
@@ -232,13 +234,12 @@ def run(
     ------
     ValueError: for a bad option, measurement or time. FilterError: see ``on_failure``.
     """
-    if int(every) != every or every < 1:
-        raise ValueError(f"every: expected a positive integer, got {every!r}")
+    stored = integer("every", every)
     if keep not in ("std", "spread", "mean", "nothing"):
         raise ValueError(f"keep: expected 'std', 'spread', 'mean' or 'nothing', got {keep!r}")
     if on_failure not in ("raise", "flag"):
         raise ValueError(f"on_failure: expected 'raise' or 'flag', got {on_failure!r}")
-    collector = Collector(int(every), keep)
+    collector = Collector(stored, keep)
     reduced = None
     for epoch, state, info in steps(filter, prior, epochs):
         infos = info if isinstance(info, tuple) and not isinstance(info, Info) else (info,)

@@ -47,7 +47,7 @@ class Info(NamedTuple):
     used: ``(..., m)`` bool, the components that took part.
     innovation_root: ``(..., m, m)`` S, with unit rows for components not used.
     gain: ``() -> (..., n, m)``.
-    slopes: functions ``() -> tuple`` of statistical Jacobians, of the prediction and of the update.
+    slopes: functions ``() -> tuple`` of statistical Jacobians, of the prediction (None without one) and of the update.
     failure: why a run of this step is no longer finite; empty if none newly failed.
     redone: ``(...)`` bool, the runs that `fallback` did again; None if there was none.
     """
@@ -76,6 +76,3 @@ class Info(NamedTuple):
             with np.errstate(divide="ignore"):  # a lost run has a nan in `white`
                 value = value - np.add.reduce(np.log(self.innovation_root.diagonal(0, -2, -1)), -1)
         return value
-
-
-_LOG_2PI = float(np.log(2.0 * np.pi))

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
+from celnav.filters.arguments import measurement
 from celnav.filters.conditioning import Model, noise_columns
 from celnav.filters.info import Info
 from celnav.filters.step import Update, update
-from celnav.gaussian import Gaussian
+from celnav.gaussian import Gaussian, integer
 from celnav.linalg import Array
 from celnav.spaces import EUCLIDEAN, Space
 from celnav.taylor import Taylor
@@ -44,13 +43,15 @@ def iterated(
     ------
     ValueError: for a number of iterations below 1; otherwise as `update`.
     """
-    if isinstance(iterations, bool) or int(iterations) != iterations or iterations < 1:
-        raise ValueError(f"iterations: expected a positive integer, got {iterations!r}")
+    count = integer("iterations", iterations)
     columns = noise_columns(R, sqrt_R, "R")
+    if columns is None:
+        raise ValueError("R: expected measurement noise, R or sqrt_R")
 
     def part(belief: Gaussian, z: Any, epoch: Any = None, memory: Any = None) -> tuple[Gaussian, Info, Any]:
-        at = belief.mean if start is None else start(belief, np.asarray(z, dtype=np.float64), epoch)
-        for _ in range(iterations):
+        z, belief = measurement(z, belief)
+        at = belief.mean if start is None else start(belief, z, epoch)
+        for _ in range(count):
             rule = Taylor(jacobians, about=at)
             once = update(h, rule, sqrt_R=columns, space=space, measurement_space=measurement_space)
             posterior, info, memory = once(belief, z, epoch, memory)

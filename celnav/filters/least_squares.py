@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from celnav.filters.arguments import measurement
 from celnav.filters.conditioning import evaluate
 from celnav.filters.driver import Epoch, Filter, State
 from celnav.filters.info import Info
-from celnav.gaussian import COVARIANCE, Gaussian, finite
+from celnav.gaussian import COVARIANCE, Gaussian, finite, integer
 from celnav.linalg import Array, matvec, outer, unit
 
 RANK = 1e-10
@@ -46,21 +47,24 @@ def least_squares(
     ------
     ValueError: unless ``sigma`` is positive and ``rounds`` a positive integer.
     """
-    if isinstance(rounds, bool) or int(rounds) != rounds or rounds < 1:
-        raise ValueError(f"rounds: expected a positive integer, got {rounds!r}")
+    most = integer("rounds", rounds)
     deviations: Any = sigma if callable(sigma) else finite("sigma", sigma)
     if not callable(sigma) and not (deviations > 0.0).all():
         raise ValueError(f"sigma: expected positive deviations, got {sigma!r:.80}")
 
     def step(state: State, epoch: Epoch) -> tuple[State, Info]:
-        z = np.asarray(epoch.z, dtype=np.float64)
         x = state.memory[0]
+        if epoch.z is None:
+            lost = Gaussian(np.full(x.shape, np.nan), np.full((*x.shape, x.shape[-1]), np.nan), COVARIANCE)
+            return State(lost, (x,)), Info()
+        z, belief = measurement(epoch.z, state.belief)
+        x = np.broadcast_to(x, belief.mean.shape)
         used = np.broadcast_to(~np.isnan(z), (*x.shape[:-1], z.shape[-1]))
         weight = np.where(used, 1.0 / evaluate(deviations, x, epoch), 0.0)
         n = x.shape[-1]
         enough, moving = used.sum(-1) >= n, np.ones(x.shape[:-1], bool)
         V, known = np.zeros((*x.shape, n)), moving
-        for _ in range(int(rounds)):
+        for _ in range(most):
             G = weight[..., None] * jacobian(x, epoch)
             length = np.sqrt(np.square(G).sum(-2))
             Q, R = np.linalg.qr(G / np.where(length > 0.0, length, 1.0)[..., None, :])

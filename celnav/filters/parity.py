@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from celnav.filters.adaptive import counted, scaled, variances
 from celnav.filters.info import Hook, Joint
+from celnav.gaussian import integer
 from celnav.linalg import Array, matvec, range_basis
 
 NOTHING = 1e-6
@@ -66,8 +67,7 @@ def group_parity(groups: Sequence[ArrayLike], unknowns: int, *, deviations: floa
     together = np.concatenate(members) if members else np.empty(0, int)
     if not together.size or any(not g.size for g in members) or len(set(together.tolist())) != together.size:
         raise ValueError("groups: expected groups of components that do not overlap")
-    if isinstance(unknowns, bool) or int(unknowns) != unknowns or unknowns < 1:
-        raise ValueError(f"unknowns: expected a positive integer, got {unknowns!r}")
+    integer("unknowns", unknowns)
     if not deviations >= 0.0:
         raise ValueError(f"deviations: expected a number that is not negative, got {deviations!r}")
 
@@ -104,17 +104,16 @@ def channel_parity(M: int) -> Hook:
     ------
     ValueError: unless ``M`` is a positive integer.
     """
-    if isinstance(M, bool) or int(M) != M or M < 1:
-        raise ValueError(f"M: expected a positive integer, got {M!r}")
+    size = integer("M", M)
 
     def hook(memory: ParityWindow | None, joint: Joint, epoch: Any) -> tuple[ParityWindow, Joint]:
         r, k = residual(joint), getattr(epoch, "k", None)
         spare = r.used & (r.variances > 1e-6 * r.noise)  # a component that the fit cannot do without has no residual
         squares = np.where(spare, r.values**2 / np.where(spare, r.variances, 1.0), np.nan)
-        ring = np.full((int(M), *squares.shape), np.nan) if memory is None else memory.squares
+        ring = np.full((size, *squares.shape), np.nan) if memory is None else memory.squares
         if memory is not None and k is not None and memory.k is not None and k > memory.k + 1:
             ring = np.full_like(ring, np.nan)
-        ring = np.concatenate([np.broadcast_to(ring, (int(M), *squares.shape))[1:], squares[None]])
+        ring = np.concatenate([np.broadcast_to(ring, (size, *squares.shape))[1:], squares[None]])
         full = ~np.isnan(ring).any(0)
         factor = np.where(full, np.maximum(1.0, np.where(full, ring, 0.0).mean(0)), 1.0)
         return ParityWindow(ring, k), joint._replace(sensor=scaled(joint.sensor, np.sqrt(factor)))

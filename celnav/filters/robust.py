@@ -13,6 +13,7 @@ import numpy as np
 
 from celnav.filters.adaptive import counted, scaled, variances
 from celnav.filters.info import Hook, Joint
+from celnav.gaussian import integer
 from celnav.linalg import Array, matvec
 
 
@@ -42,8 +43,7 @@ def student_t(dof: float = 4.0, rounds: int = 6) -> Hook:
 
 
 def _reweighted(weight: Callable[[Array], Array], rounds: int) -> Hook:
-    if isinstance(rounds, bool) or int(rounds) != rounds or rounds < 1:
-        raise ValueError(f"rounds: expected a positive integer, got {rounds!r}")
+    most = integer("rounds", rounds)
 
     def hook(memory: Any, joint: Joint, _epoch: Any) -> tuple[Any, Joint]:
         e = joint.innovation
@@ -60,7 +60,7 @@ def _reweighted(weight: Callable[[Array], Array], rounds: int) -> Hook:
         both = used[..., :, None] & used[..., None, :]
         S0, explained, y = np.where(both, S0, 0.0), np.where(used[..., None], explained, 0.0), np.where(used, e, 0.0)
         W = np.ones_like(R)
-        for _ in range(int(rounds)):
+        for _ in range(most):
             S = S0 + (R / W)[..., None] * np.eye(m)
             fitted = matvec(explained, np.linalg.solve(S, y[..., None])[..., 0])
             W = np.where(used, weight(np.abs(y - fitted) / np.sqrt(R)), 1.0)

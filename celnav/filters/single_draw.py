@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from celnav.filters.arguments import check_hooks, check_model, check_space, measurement
-from celnav.filters.conditioning import Model, condition, evaluate, explain, images, noise_columns
+from celnav.filters.arguments import batched, check_hooks, check_model, check_space, measurement
+from celnav.filters.conditioning import Model, condition, evaluate, explain, images, innovation_of, noise_columns, set_noise
 from celnav.filters.driver import Epoch, Filter, State
 from celnav.filters.info import Hook, Info
 from celnav.filters.step import Update, predict
@@ -43,6 +43,10 @@ def single_draw(
     Returns
     -------
     ``(belief, z, epoch=None, memory=None) -> (belief, info, memory)``, with a wholly missing ``z`` a prediction.
+
+    Raises
+    ------
+    ValueError: naming the argument that cannot be; at the step, if shapes do not go together.
     """
     check_model("h", h)
     check_space("measurement_space", measurement_space)
@@ -51,14 +55,16 @@ def single_draw(
     forward = predict(f, rule, extra=extra, space=space)
 
     def part(belief: Gaussian, z: Any, epoch: Any = None, memory: Any = None) -> tuple[Gaussian, Info, Any]:
-        z = measurement(z, belief)
+        z, belief = measurement(z, belief)
         if np.isnan(z).all():
             after, info = forward(belief, epoch)
             return after, info, memory
         if measurement_space.check is not None:
             z = measurement_space.check(z, "z")
         noise = evaluate(columns, belief.mean, epoch)
-        s = 0 if noise is None else noise.shape[-1]
+        s = 0
+        if noise is not None:
+            s, belief = noise.shape[-1], batched("R", noise.shape[:-2], belief)
         root = belief.form.root(belief.spread)
 
         def g(points: Array, *w: Array) -> Outputs:
@@ -67,12 +73,10 @@ def single_draw(
 
         (measured, state), A = rule.transform(g, belief.mean, root, space, (measurement_space, space), extra, s, epoch)
         m = measured.columns.shape[-2]
-        if s:
-            if noise.shape[-2] != m:
-                raise ValueError(f"R: expected {m} rows to go with the model, got {noise.shape[-2]}")
-            A[..., -s:] = 0.0
-            A[..., :m, -s:] = noise
-        innovation = measurement_space.minus(z, measured.center) - measured.shift
+        if noise is not None:
+            A[..., m:, A.shape[-1] - s :] = 0.0
+            set_noise("R", A[..., :m, A.shape[-1] - s :], noise)
+        innovation = innovation_of(z, measured, measurement_space)
         posterior, info, kept = condition(
             belief, state, A, rule.sign, innovation, noise=(0, s), space=space,
             slopes=lambda: (rule.slope(measured, root), rule.slope(state, root)), hooks=hooks, memory=memory, epoch=epoch,

@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from celnav.filters.arguments import kind
-from celnav.filters.conditioning import evaluate, images
+from celnav.filters.conditioning import evaluate, images, innovation_of, set_noise
 from celnav.filters.driver import Epoch, FilterError
 from celnav.filters.step import Motion
 from celnav.filters.track import Track
@@ -122,22 +122,20 @@ def _back(filtered: Gaussian, after: Gaussian, epoch: Epoch, motion: Motion) -> 
     form, n = filtered.form, filtered.spread.shape[-1]
     W = evaluate(motion.noise, filtered.mean, epoch)
     r = 0 if W is None else W.shape[-1]
-    if r and W.shape[-2] != n:
-        raise ValueError(f"Q: expected {n} rows to go with the track, got {W.shape[-2]}")
     root = form.root(filtered.spread)
 
     def g(points: Array, *w: Array) -> Outputs:
         return images("f", f, points, epoch, w, filtered.mean.shape[-1]), KEEP
 
     (y, x), A = rule.transform(g, filtered.mean, root, space, (space, space), motion.extra, r, epoch)
-    if r:
-        A[..., :n, A.shape[-1] - r :] = W
+    if W is not None:
+        set_noise("Q", A[..., :n, A.shape[-1] - r :], W)
         A[..., n:, A.shape[-1] - r :] = 0.0
     G = _gain(A[..., :n, :], A[..., n:, :], rule.sign, y.center)
     ahead = after.root
     if space.transport is not None:
         ahead = space.transport(space.minus(y.center, after.mean)) @ ahead
-    step = matvec(G, space.minus(after.mean, y.center) - y.shift)
+    step = matvec(G, innovation_of(after.mean, y, space))
     spread = form.marginal(np.concatenate([A[..., n:, :] - G @ A[..., :n, :], G @ ahead], -1), rule.sign)
     if space.transport is not None:
         carry = space.transport(step)

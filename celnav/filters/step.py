@@ -13,13 +13,25 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.filters.arguments import check_hooks, check_model, check_rule, check_space, measurement
-from celnav.filters.conditioning import Model, Noise, condition, evaluate, explain, images, noise_columns
+from celnav.filters.arguments import batched, check_extra, check_hooks, check_model, check_rule, check_space, measurement
+from celnav.filters.conditioning import (
+    Model,
+    Noise,
+    condition,
+    evaluate,
+    explain,
+    images,
+    innovation_of,
+    noise_columns,
+    set_noise,
+)
 from celnav.filters.info import Gain, Hook, Info
 from celnav.gaussian import Gaussian, finite
 from celnav.linalg import Array, matvec
 from celnav.spaces import EUCLIDEAN, Space
 from celnav.transform import KEEP, Image, Outputs, Transform
+
+_EPS = float(np.finfo(np.float64).eps)
 
 Predict = Callable[[Gaussian, Any], tuple[Gaussian, Info]]
 Update = Callable[..., tuple[Gaussian, Info, Any]]
@@ -48,7 +60,9 @@ class Motion:
     def __call__(self, belief: Gaussian, epoch: Any = None) -> tuple[Gaussian, Info]:
         f, rule, space = self.f, self.rule, self.space
         columns = evaluate(self.noise, belief.mean, epoch)
-        r = 0 if columns is None else columns.shape[-1]
+        r = 0
+        if columns is not None:
+            r, belief = columns.shape[-1], batched("Q", columns.shape[:-2], belief)
         root, sign = _prior(belief, rule)
 
         def g(points: Array, *w: Array) -> Outputs:
@@ -56,7 +70,7 @@ class Motion:
 
         (state,), A = rule.transform(g, belief.mean, root, space, (space,), self.extra, r, epoch)
         if r:
-            _set_noise("Q", A[..., A.shape[-1] - r :], columns)
+            set_noise("Q", A[..., A.shape[-1] - r :], columns)
         predicted = Gaussian(space.plus(state.center, state.shift), belief.form.marginal(A, sign), belief.form)
         failure = explain(belief, predicted, ("f",), rule, g, space, self.extra)
         return predicted, Info(slopes=(lambda: (rule.slope(state, root),),), failure=failure)
@@ -92,6 +106,7 @@ def predict(
     """
     check_model("f", f)
     check_rule(rule)
+    check_extra(extra)
     check_space("space", space)
     return Motion(f, rule, noise_columns(Q, sqrt_Q, "Q"), extra, space)
 
@@ -130,6 +145,7 @@ def update(
     ValueError: naming the argument that cannot be; at the step, if shapes do not go together.
     """
     check_rule(rule)
+    check_extra(extra)
     check_space("space", space)
     check_space("measurement_space", measurement_space)
     check_hooks(hooks)
@@ -137,31 +153,37 @@ def update(
     if columns is None and not extra:
         raise ValueError("R: expected measurement noise, R, sqrt_R or extra; if there is none, sqrt_R=np.zeros((m, 0))")
     plain = not hooks and gain is None
+    if extra and not callable(h):
+        raise ValueError("extra: expected a function h(points, epoch, *noise) with it, got a matrix; R is its noise")
     if callable(h):
         lift = _through_rule(h, rule, extra, space, measurement_space, plain)
     else:
         lift = _through_matrix(h, noise_first=not hooks)
 
     def part(belief: Gaussian, z: Any, epoch: Any = None, memory: Any = None) -> tuple[Gaussian, Info, Any]:
-        z = measurement(z, belief)
+        z, belief = measurement(z, belief)
         if np.isnan(z).all():
             return belief, _skipped(belief, z, measurement_space), memory
         if measurement_space.check is not None:
             z = measurement_space.check(z, "z")
         noise = evaluate(columns, belief.mean, epoch)
-        s = 0 if noise is None else noise.shape[-1]
+        s = 0
+        if noise is not None:
+            s, belief = noise.shape[-1], batched("R", noise.shape[:-2], belief)
         lifted = lift(belief, z.shape[-1], epoch, s)
         A, measured = lifted.A, lifted.measured
-        if s:
+        if noise is not None:
             m = measured.columns.shape[-2]
-            _set_noise("R", A[..., :m, lifted.room], noise)
+            set_noise("R", A[..., :m, lifted.room], noise)
             A[..., m:, lifted.room] = 0.0
-        innovation = measurement_space.minus(z, measured.center) - measured.shift
+        innovation = innovation_of(z, measured, measurement_space)
         posterior, info, kept = condition(
             belief, lifted.state, A, lifted.sign, innovation,
             noise=(0, s), space=space, slopes=lifted.slopes, hooks=hooks, memory=memory, gain=gain, epoch=epoch,
             known=belief.spread,
         )  # fmt: skip
+        if not (s or extra):
+            posterior = _informed(posterior, info, lifted.size())
         failure = explain(belief, posterior, ("h",), rule, lifted.g, space, extra, z)
         return posterior, info._replace(failure=failure) if failure else info, kept
 
@@ -175,8 +197,26 @@ def _skipped(belief: Gaussian, z: Array, space: Space) -> Info:
     return Info(np.full(shape, np.nan), np.zeros(shape), np.zeros(shape, bool))
 
 
+def _informed(posterior: Gaussian, info: Info, size: Array) -> Gaussian:
+    """The posterior of a measurement without noise; nan where it is of what was known already, to round-off of its ``size``."""
+    S = info.innovation_root
+    assert S is not None
+    rounding = np.sqrt(_EPS) if posterior.form.name == "covariance" else _EPS
+    nothing = np.asarray((S.diagonal(0, -2, -1) <= 16.0 * rounding * size).any(-1))
+    if not nothing.any():
+        return posterior
+    mean, spread = (
+        np.where(nothing[..., None], np.nan, posterior.mean),
+        np.where(nothing[..., None, None], np.nan, posterior.spread),
+    )
+    return Gaussian(mean, spread, posterior.form)
+
+
 class _Lifted(NamedTuple):
-    """A belief seen through a measurement: both images, the pre-array, its room for noise, and how it came about."""
+    """A belief seen through a measurement: both images, the pre-array, its room for noise, and how it came about.
+
+    ``size``: ``() -> (..., m)``, how large the numbers are that deviations of the measurement are differences of.
+    """
 
     measured: Image
     state: Image
@@ -185,6 +225,7 @@ class _Lifted(NamedTuple):
     sign: Array
     slopes: Callable[[], tuple[Array, ...]]
     g: Callable[..., Outputs]
+    size: Callable[[], Array]
 
 
 def _through_rule(
@@ -198,7 +239,12 @@ def _through_rule(
 
         (measured, state), A = rule.transform(g, belief.mean, root, space, (measurement_space, space), extra, room, epoch)
         noise = slice(A.shape[-1] - room, None)
-        return _Lifted(measured, state, A, noise, sign, lambda: (rule.slope(measured, root),), g)
+
+        def size() -> Array:
+            deviation: Array = np.abs(measured.columns).max(-1)
+            return deviation + np.abs(measured.center) if measured.center.shape[-1] == deviation.shape[-1] else deviation
+
+        return _Lifted(measured, state, A, noise, sign, lambda: (rule.slope(measured, root),), g, size)
 
     return lift
 
@@ -227,13 +273,8 @@ def _through_matrix(h: ArrayLike, noise_first: bool) -> Callable[..., _Lifted]:
         np.matmul(H, root, out=of_z)
         of_x[...] = root
         measured, state = Image(matvec(H, belief.mean), 0.0, of_z), Image(belief.mean, 0.0, of_x)
-        return _Lifted(measured, state, A, noise, positive, lambda: (H,), lambda *points: ())
+        return _Lifted(
+            measured, state, A, noise, positive, lambda: (H,), lambda *points: (), lambda: (np.abs(H) @ np.abs(root)).max(-1)
+        )
 
     return lift
-
-
-def _set_noise(name: str, room: Array, noise: Array) -> None:
-    """Write noise into its columns of a pre-array; an error names the noise, not the array."""
-    if noise.shape[-2] != room.shape[-2]:
-        raise ValueError(f"{name}: expected {room.shape[-2]} rows to go with the model, got {noise.shape[-2]}")
-    room[...] = noise

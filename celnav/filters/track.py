@@ -159,7 +159,7 @@ class Collector:
             for name, value in extra.items():
                 self._extra.setdefault(name, []).append(value)
         self._count += 1
-        return self._watch(epoch.k, belief.mean)
+        return self._watch(epoch.k, belief)
 
     def _sum(self, info: Any) -> None:
         likelihood = info.log_likelihood
@@ -181,12 +181,14 @@ class Collector:
         if self._keep == "spread":
             self._rows["spread"].append(belief.spread)
         for name in ("innovation", "white", "used"):
-            self._rows[name].append(_side_by_side([getattr(info, name) for info in infos]))
+            self._rows[name].append([getattr(info, name) for info in infos])
 
-    def _watch(self, k: int, mean: Array) -> tuple[int, ...] | None:
-        if self._failed_at is not None and self._failed_at.shape == mean.shape[:-1] and isfinite(np.add.reduce(mean, None)):
+    def _watch(self, k: int, belief: Gaussian) -> tuple[int, ...] | None:
+        mean, spread = belief.mean, belief.spread
+        same = self._failed_at is not None and self._failed_at.shape == mean.shape[:-1]
+        if same and isfinite(np.add.reduce(mean, None) + np.add.reduce(spread, None)):  # what overflows is seen below
             return None
-        bad = ~np.isfinite(mean).all(-1)
+        bad = ~(np.isfinite(mean).all(-1) & np.isfinite(spread).all((-2, -1)))
         if self._failed_at is None or self._failed_at.shape != bad.shape:
             before = -1 if self._failed_at is None else self._failed_at
             self._failed_at = np.broadcast_to(before, bad.shape).copy()
@@ -201,7 +203,8 @@ class Collector:
         if self._failed_at is None:
             raise ValueError("epochs: expected at least one, got none")
         batch = self._failed_at.shape
-        stored = {name: _stack(name, self._rows.pop(name), batch) for name in list(self._rows)}
+        stored = {name: _stack(name, self._rows.pop(name), batch) for name in ("mean", "std", "spread") if name in self._rows}
+        stored |= {name: _side_by_side(name, self._rows.pop(name), batch) for name in list(self._rows)}
         events = {name: np.broadcast_to(self._sums[name], batch) for name in ("missing", "rejected", "redone")}
         return Track(
             times=np.array(self._times),
@@ -215,13 +218,15 @@ class Collector:
         )
 
 
-def _side_by_side(parts: list[Any]) -> Any:
-    if len(parts) == 1:
-        return parts[0]
-    return None if any(part is None for part in parts) else np.concatenate(parts, -1)
-
-
 _BLANK = {"innovation": np.nan, "white": 0.0, "used": False}
+
+
+def _side_by_side(name: str, rows: list[Any], batch: tuple[int, ...]) -> Array | None:
+    """Rows of several sensors, stacked; a sensor that was silent leaves a blank of its own."""
+    sensors = max(len(row) for row in rows)
+    parts = [_stack(name, [row[i] if i < len(row) else None for row in rows], batch) for i in range(sensors)]
+    known = [part for part in parts if part is not None]
+    return None if not known else known[0] if len(known) == 1 else np.concatenate(known, -1)
 
 
 def _stack(name: str, rows: list[Any], batch: tuple[int, ...]) -> Array | None:

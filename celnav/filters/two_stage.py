@@ -76,6 +76,8 @@ def plain(predict: Predict, update: Update) -> First:
         return state._replace(belief=belief), slopes()[0]
 
     def see(state: PlainState, epoch: Epoch) -> tuple[PlainState, Stage | None, Info]:
+        if epoch.z is None:
+            return state, None, Info()
         belief, info, memory = update(state.belief, epoch.z, epoch, state.memory)
         after = PlainState(belief, memory)
         slopes = info.slopes[-1] if info.slopes else None

@@ -170,15 +170,11 @@ def _plots(out: Recorder, result: Result, preset: str) -> None:
         for group, name, i in groups:
             error = data[f"{filter}/error"][:, 0, i]
             if group == "att":
-                out.curve(f"att/{name}/{filter}", _log10(np.abs(error)), COLORS[filter], LABELS[filter])
-                out.curve(f"att/{name}/{filter}/3s", _log10(3.0 * std[:, i]), COLORS[filter], f"3σ {LABELS[filter]}", width=0.8)
+                out.log_curve(f"att/{name}/{filter}", np.abs(error), COLORS[filter], LABELS[filter])
+                out.log_curve(f"att/{name}/{filter}/3s", 3.0 * std[:, i], COLORS[filter], f"3σ {LABELS[filter]}", width=0.8)
             entity = f"{'attitude' if group == 'att' else group}/{name}/{filter}"
             out.curve(entity, error, COLORS[filter], LABELS[filter])
             out.bounds(entity, std[:, i], LABELS[filter], shown=filter == "sghqf", color=COLORS[filter])
-        out.curve(f"nees/{filter}", _log10(data[f"{filter}/nees"][:, 0] / 13.0), COLORS[filter], LABELS[filter])
+        out.log_curve(f"nees/{filter}", data[f"{filter}/nees"][:, 0] / 13.0, COLORS[filter], LABELS[filter])
     for name, level in zip(("low", "high"), chi_square_band(13, 1), strict=True):
         out.level(f"nees/{name}", float(np.log10(level / 13.0)), "95 % band")
-
-
-def _log10(values: Array) -> Array:
-    return np.asarray(np.log10(np.maximum(values, 1e-12)))

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from celnav.gaussian import finite
+from celnav.gaussian import finite, integer
 from celnav.linalg import Array
 from celnav.models.receiver import CRYSTAL, process_noise, transition
 
@@ -83,9 +83,7 @@ class Config:
         if self.burst not in CHOICES["burst"]:
             raise ValueError(f"burst: expected one of {', '.join(CHOICES['burst'])}, got {self.burst!r}")
         for name in ("window", "runs"):
-            value = getattr(self, name)
-            if isinstance(value, bool) or int(value) != value or value < 1:
-                raise ValueError(f"{name}: expected a positive integer, got {value!r}")
+            integer(name, getattr(self, name))
 
     @property
     def times(self) -> Array:

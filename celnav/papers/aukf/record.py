@@ -161,7 +161,7 @@ def _plots(out: Recorder, result: Result) -> None:
     data, names = result.data["main"], result.facts["geometry"].names
     for filter in SHOWN:
         error = data[f"{CASE}/{filter}/error"][:, 0]
-        out.curve(f"err/3d/{filter}", np.log10(np.maximum(size(error), 1e-3)), COLORS[filter], LABELS[filter])
+        out.log_curve(f"err/3d/{filter}", size(error), COLORS[filter], LABELS[filter])
         if filter == "ls":
             continue
         std = np.sqrt(data[f"{CASE}/{filter}/cov"][:, 0].diagonal(0, -2, -1))
@@ -171,11 +171,11 @@ def _plots(out: Recorder, result: Result) -> None:
     factor = data[f"{CASE}/aukf/factor"][:, 0]
     S = factor.shape[-1] // 2
     for s, (name, kind) in enumerate(zip(names, kinds(names), strict=True)):
-        out.curve(f"adapt/A_rho/{name}", np.log10(factor[:, s]), KIND_COLORS[kind], name)
-        out.curve(f"adapt/A_rr/{name}", np.log10(factor[:, S + s]), KIND_COLORS[kind], name)
+        out.log_curve(f"adapt/A_rho/{name}", factor[:, s], KIND_COLORS[kind], name)
+        out.log_curve(f"adapt/A_rr/{name}", factor[:, S + s], KIND_COLORS[kind], name)
     for filter in ("ekf", "aukf", "group"):
         nis = data[f"{CASE}/{filter}/nis"][:, 0] / (2 * S)
-        out.curve(f"nis/{filter}", np.log10(np.maximum(nis, 1e-3)), COLORS[filter], LABELS[filter])
+        out.log_curve(f"nis/{filter}", nis, COLORS[filter], LABELS[filter])
     for name, level in zip(("low", "high"), chi_square_band(2 * S, 1), strict=True):
         out.level(f"nis/{name}", float(np.log10(level / (2 * S))), "95 % band")
     shades = (colors.SIGMA, colors.COMPARISON, colors.TRUTH, colors.ESTIMATE, colors.OPEN_LOOP)

@@ -208,10 +208,10 @@ def _plots(out: Recorder, showcase: Showcase, color: dict[str, str]) -> None:
                 entity = f"plots/{quantity}/{axis}/{key}"
                 out.curve(entity, error[:, j], color[key], FILTERS[key], width=width)
                 out.bounds(entity, sigma[:, j], FILTERS[key], shown=shown, color=color[key])
-        out.curve(f"plots/nees/{key}", _log10(estimate.nees), color[key], FILTERS[key], width=width)
-        out.curve(f"plots/nis/{key}", _log10(estimate.nis), color[key], FILTERS[key], width=width)
-        out.curve(f"plots/rmse/{key}", _log10(showcase.rmse[key]), color[key], FILTERS[key], width=width)
-    out.curve("plots/rmse/pcrb", _log10(showcase.bound), colors.BOUND, "Cramér–Rao bound", width=1.2)
+        out.log_curve(f"plots/nees/{key}", estimate.nees, color[key], FILTERS[key], width=width)
+        out.log_curve(f"plots/nis/{key}", estimate.nis, color[key], FILTERS[key], width=width)
+        out.log_curve(f"plots/rmse/{key}", showcase.rmse[key], color[key], FILTERS[key], width=width)
+    out.log_curve("plots/rmse/pcrb", showcase.bound, colors.BOUND, "Cramér–Rao bound", width=1.2)
     for name, band in (("nees", showcase.nees_band), ("nis", showcase.nis_band)):
         for end, value in zip(("low", "high"), band, strict=True):
             out.level(f"plots/{name}/band/{end}", float(np.log10(value)), f"95 % band, {end}")
@@ -227,12 +227,6 @@ def _error_and_sigma(showcase: Showcase, estimate: Estimate) -> tuple[Array, Arr
     units = np.repeat([1.0, 1e3], 3)
     variance = estimate.cov.diagonal(0, -2, -1)
     return units * (estimate.mean - showcase.truth), units * np.sqrt(np.where(variance >= 0.0, variance, np.nan))
-
-
-def _log10(values: Array) -> Array:
-    """Decimal logarithm, nan where there is none: the viewer has no logarithmic axis."""
-    logarithm: Array = np.log10(values, out=np.full(np.shape(values), np.nan), where=np.asarray(values) > 0.0)
-    return logarithm
 
 
 def _largest(values: Array, quantile: float = 1.0) -> float:

@@ -156,7 +156,7 @@ def _plots(out: Recorder, result: Result) -> None:
                 color=COLORS[filter],
             )
     for filter in SHOWN:
-        out.curve(f"nees/{filter}", _log10(data[f"{filter}/nees"][:, 0]), COLORS[filter], LABELS[filter])
+        out.log_curve(f"nees/{filter}", data[f"{filter}/nees"][:, 0], COLORS[filter], LABELS[filter])
         out.curve(
             f"nis/{filter}", np.where(result.times > 0.0, data[f"{filter}/nis"][:, 0], np.nan), COLORS[filter], LABELS[filter]
         )
@@ -164,12 +164,8 @@ def _plots(out: Recorder, result: Result) -> None:
         for side, level in zip(("low", "high"), low_high, strict=True):
             out.level(f"{name}/{side}", float(level), "95 % band")
     apart = np.abs(data["ssukf/error"] - data["aukf/error"])[:, 0, :3].max(1)
-    out.curve("diff/ssukf_minus_aukf", _log10(apart), colors.ESTIMATE, "SSUKF - AUKF")
+    out.log_curve("diff/ssukf_minus_aukf", apart, colors.ESTIMATE, "SSUKF - AUKF")
     counted = result.facts["evaluations"][result.config.ratio]
     for filter in ("aukf", "ssukf", "mekf"):
         points = sum(counted[filter]) * np.arange(len(result.times)) / 1e3
         out.curve(f"cost/points_cumulative/{filter}", points, COLORS[filter], LABELS[filter])
-
-
-def _log10(values: Array) -> Array:
-    return np.asarray(np.log10(np.maximum(values, 1e-12)))

@@ -174,7 +174,7 @@ def _plots(out: Recorder, result: Result, every: int) -> None:
         out.level(f"nis/{side}", float(level), "95 % band")
     for body, color in zip(("moon", "sun", "venus", "jupiter"), (*SHADES, colors.PAPER), strict=True):
         size = np.linalg.norm(result.facts["pulls"][body][1::every], axis=1)
-        out.curve(f"accel/{body}", np.log10(size), color, body)
+        out.log_curve(f"accel/{body}", size, color, body)
     # The table has an instant every five hours; between them the difference is smooth to a meter.
     at = np.asarray(table().dates.rest) * DAY_S
     for i, axis in enumerate(AXES):
