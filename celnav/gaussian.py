@@ -148,11 +148,14 @@ COVARIANCE: Form = CovarianceForm()
 
 
 class Gaussian(NamedTuple):
-    """A Gaussian belief: ``mean (..., N)``, ``spread (..., n, n)`` and the form that says what the spread is."""
+    """A Gaussian belief: ``mean (..., N)``, ``spread (..., n, n)`` and the form that says what the spread is, root or covariance.
+
+    Nothing is checked here: make one with `square_root` or `covariance`.
+    """
 
     mean: Array
     spread: Array
-    form: Form = SQUARE_ROOT
+    form: Form
 
     @property
     def root(self) -> Array:
@@ -230,15 +233,32 @@ def _prior(mean: Array, spread: Array, form: Form) -> Gaussian:
 
 def finite(name: str, value: ArrayLike | None, shape: tuple[int, ...] | None = None) -> Array:
     """A float64 copy of ``value``; ValueError names it if it is not numeric, not finite or not of ``shape``."""
-    try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name}: expected numbers, got {value!r:.80}") from None
+    array = numbers(name, value).copy()
     if shape is not None and array.shape != shape:
         raise ValueError(f"{name}: expected shape {shape}, got {array.shape}")
     if not np.isfinite(array).all():
         raise ValueError(f"{name}: expected finite numbers, got {np.count_nonzero(~np.isfinite(array))} that are not")
     return array
+
+
+def numbers(name: str, value: Any) -> Array:
+    """``value`` as float64, which may be the same array; what is masked becomes nan.
+
+    Raises
+    ------
+    ValueError: naming it, for anything else than real numbers: dates and durations too, which would count in a unit of their own.
+    """
+    kind = np.asarray(value).dtype.kind if not isinstance(value, str) else "U"
+    if kind in "mM":
+        raise ValueError(f"{name}: expected numbers, got dates or durations; seconds are (t - t[0]) / numpy.timedelta64(1, 's')")
+    try:
+        if kind == "c":
+            raise TypeError
+        if isinstance(value, np.ma.MaskedArray):
+            return np.asarray(np.ma.filled(value.astype(np.float64), np.nan))
+        return np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name}: expected numbers, got {value!r:.80}") from None
 
 
 def integer(name: str, value: Any, least: int = 1) -> int:
@@ -261,7 +281,8 @@ def symmetric(cov: ArrayLike, name: str, n: int | None = None) -> tuple[Array, A
     P = finite(name, cov)
     expected = "symmetric positive semidefinite" + (f" ({n}, {n})" if n is not None else "")
     if P.ndim < 2 or P.shape[-1] != P.shape[-2] or (n is not None and P.shape[-1] != n):
-        hint = f"; one variance is [[{P:g}]]" if P.ndim == 0 else "; variances alone are np.diag(...)" if P.ndim == 1 else ""
+        alone = f"; [[{P:g}]] of one component, {P:g} * np.eye(n) of n alike" if P.ndim == 0 else ""
+        hint = alone or ("; variances alone are np.diag(...)" if P.ndim == 1 else "")
         raise ValueError(f"{name}: expected {expected}, got shape {P.shape}{hint}")
     scale = np.sqrt(np.abs(P.diagonal(0, -2, -1)))
     skew = np.abs(P - P.mT)

@@ -25,6 +25,7 @@ from scipy.spatial.transform import Rotation
 
 from celnav import colors
 from celnav.files import write_bytes
+from celnav.gaussian import numbers
 from celnav.linalg import Array
 from celnav.views import TIMELINE, blueprint
 
@@ -32,7 +33,9 @@ APPLICATION = "celnav"
 
 
 def rgba(color: str, alpha: float = 1.0) -> list[int]:
-    """``#RRGGBB`` as four integers."""
+    """``#RRGGBB`` as four integers; ValueError for anything else."""
+    if not re.fullmatch("#[0-9a-fA-F]{6}", color):
+        raise ValueError(f"color: expected #RRGGBB, got {color!r}")
     return [*bytes.fromhex(color.lstrip("#")), round(255 * alpha)]
 
 
@@ -246,7 +249,7 @@ def recording(
     ValueError: if ``times`` are not finite, increasing seconds, or ``path`` is a file that celnav did not make.
     OSError: naming ``path``, if it cannot be written.
     """
-    t = np.asarray(times, dtype=np.float64)
+    t = numbers("times", times)
     if t.ndim != 1 or len(t) < 2 or not np.isfinite(t).all() or not (np.diff(t) > 0.0).all():
         raise ValueError(f"times: expected two or more finite, increasing seconds, got shape {t.shape}")
     target = Path(path)

@@ -56,6 +56,8 @@ def angles(components: Iterable[int] | None = None) -> Space:
     ------
     ValueError: unless components are places from 0 on; from the space, for a vector that does not have them all.
     """
+    if components is not None and not isinstance(components, Iterable):
+        raise ValueError(f"components: expected places of angles in a vector, such as [{components}], got {components!r}")
     places = None if components is None else tuple(components)
     if places is not None and not all(isinstance(i, int | np.integer) and not isinstance(i, bool) and i >= 0 for i in places):
         raise ValueError(f"components: expected places of angles in a vector, from 0 on, got {places}")
@@ -82,7 +84,17 @@ def _wrapped(vector: Array, places: tuple[int, ...] | None) -> Array:
 
 
 def product(*factors: tuple[Space, int, int]) -> Space:
-    """Product of spaces, each given as ``(space, N, n)``: the lengths of its points and of its tangents."""
+    """Product of spaces, each given as ``(space, N, n)``: the lengths of its points and of its tangents.
+
+    ``product((attitude(), 4, 3), (EUCLIDEAN, 3, 3))`` is a quaternion and three numbers: points of 7, tangents of 6.
+
+    Raises
+    ------
+    ValueError: for factors that are no such triples, or a space with its own mean; from the space, for points or tangents of
+        another length.
+    """
+    if not all(isinstance(factor, tuple) and len(factor) == 3 and isinstance(factor[0], Space) for factor in factors):
+        raise ValueError("factors: expected triples (space, length of its points, length of its tangents)")
     points = np.cumsum([0, *(N for _, N, _ in factors)])
     tangents = np.cumsum([0, *(n for _, _, n in factors)])
     parts = [
@@ -92,7 +104,14 @@ def product(*factors: tuple[Space, int, int]) -> Space:
         if space.mean is not None:
             raise ValueError("factors: a space with its own mean cannot be part of a product")
 
+    def checked(vector: Array, length: int, what: str) -> Array:
+        if vector.shape[-1] != length:
+            raise ValueError(f"{what}: expected {length} components of a product of spaces, got {vector.shape[-1]}")
+        return vector
+
     def plus(point: Array, tangent: Array) -> Array:
+        checked(point, points[-1], "state")
+        checked(tangent, tangents[-1], "deviations")
         return side_by_side([space.plus(point[..., at], tangent[..., by]) for space, at, by in parts])
 
     def minus(b: Array, a: Array) -> Array:

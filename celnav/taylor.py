@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from celnav.linalg import Array, is_unit, matvec, side_by_side, solve_upper_transposed
-from celnav.spaces import Space
+from celnav.spaces import EUCLIDEAN, Space
 from celnav.transform import KEEP, Image, Outputs
 
 
@@ -18,8 +18,9 @@ class Taylor:
 
     Parameters
     ----------
-    jacobians: ``(mean (..., N), epoch) -> tuple`` of Jacobians ``(..., k, n)``, one for each output of the function. None: central
-        differences along the columns of the root. `KEEP`, the state itself, needs none.
+    jacobians: ``(mean (..., N), epoch) -> tuple`` of Jacobians ``(..., k, n)``, one for each output of the function, such as
+        ``Taylor(lambda x, epoch: (F,))`` in a predict part. None: central differences along the columns of the root. `KEEP`, the
+        state itself, needs none.
     step: length of the difference, in standard deviations.
     about: ``(..., N)``, the point to expand about instead of the mean, as an iterated filter does. The belief stays where it
         is: its mean is mapped by the linear function.
@@ -87,6 +88,8 @@ class Taylor:
         total = sum(E.shape[-1] for E in roots)
         at = mean if self.about is None else self.about
         given = None if self.jacobians is None else self.jacobians(at, epoch)
+        if given is not None and not isinstance(given, tuple | list):
+            raise ValueError(f"jacobians: expected a tuple, one matrix for each output, got {type(given).__name__}")
         if given is not None and len(given) != len(outputs):
             moved = [i for i, y in enumerate(outputs) if y is not KEEP]  # the state itself needs none
             if len(given) != len(moved):
@@ -102,6 +105,9 @@ class Taylor:
                 columns = np.broadcast_to(side_by_side(blocks), (*batch, root.shape[-2], total))
             elif given is not None:
                 J, first, parts = given[i], 0, []
+                rows, width = y.shape[-1] if sp is EUCLIDEAN else J.shape[-2], sum(E.shape[-2] for E in roots)
+                if J.shape[-2:] != (rows, width):
+                    raise ValueError(f"jacobians: expected shape (..., {rows}, {width}), got {J.shape}")
                 for E in roots:
                     own = J[..., first : first + E.shape[-2]]
                     parts.append(own if is_unit(E) else own @ E)

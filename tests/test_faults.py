@@ -75,7 +75,7 @@ def test_a_missing_measurement_leaves_the_prediction(z):
         (lambda: colored(lambda x, e: x, EYE, RULE, EYE, R=EYE), "Q"),
         (
             lambda: celnav.run(
-                celnav.sequential(celnav.predict(lambda x, e: x, celnav.unscented(3))), PRIOR, [celnav.Epoch(1, 1.0, 1.0)]
+                celnav.sequential(celnav.predict(lambda x, e: x, celnav.unscented(3), EYE)), PRIOR, [celnav.Epoch(1, 1.0, 1.0)]
             ),
             "rule",
         ),
@@ -223,7 +223,7 @@ def test_a_zero_interval_does_not_predict():
 def test_the_mean_of_constants_survives_a_small_alpha():
     rule = celnav.unscented(6, 1e-3, 2.0, 0.0)
     prior = celnav.square_root(np.full(6, 7000.0), np.eye(6))
-    mean = celnav.predict(lambda x, epoch: np.full_like(x, 7000.0), rule)(prior)[0].mean
+    mean = celnav.predict(lambda x, epoch: np.full_like(x, 7000.0), rule, sqrt_Q=np.zeros((6, 0)))(prior)[0].mean
     np.testing.assert_allclose(mean, 7000.0, atol=1e-9)
 
 

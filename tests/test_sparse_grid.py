@@ -169,7 +169,7 @@ def test_level_one_is_the_center():
     assert rule.nodes.tolist() == [[0.0] * 4]
     assert rule.wm.tolist() == [1.0]
     with pytest.raises(ValueError, match="rule: expected points in every dimension, got none in 0, 1, 2, 3"):
-        predict(lambda x, _: x, rule)(square_root(np.zeros(4), root=np.eye(4)))
+        predict(lambda x, _: x, rule, sqrt_Q=np.zeros((4, 0)))(square_root(np.zeros(4), root=np.eye(4)))
     with pytest.raises(ValueError, match="got none in 0, 1, 2, 3"):
         rule.sigma_points(np.zeros(4), np.eye(4))
 

@@ -15,6 +15,7 @@ F = np.array([[1.0, 0.5], [0.0, 0.9]])
 H = np.array([[1.0, 0.0]])
 G = np.array([[0.125], [0.5]])
 P0 = np.diag([1.0, 0.5])
+NONE = np.zeros((1, 0))
 
 
 def f(x, epoch):
@@ -81,7 +82,7 @@ def test_one_parameter_in_closed_form():
     rule = unscented(1)
 
     def build(parameters):
-        filter = sequential(predict(lambda x, e: x, rule), update([[1.0]], rule, sqrt_R=parameters[:, None]))
+        filter = sequential(predict(lambda x, e: x, rule, sqrt_Q=NONE), update([[1.0]], rule, sqrt_R=parameters[:, None]))
         return filter, square_root([0.0], [[0.0]])
 
     tuned = maximize_likelihood(build, [0.5], epochs(np.arange(150), z))
@@ -148,7 +149,9 @@ def test_failing_parameters_are_improbable():
                 return np.full_like(x, np.inf)
             return x
 
-        return sequential(predict(lambda x, e: x, rule), update(h, rule, sqrt_R=parameters[:, None])), square_root([0.0], [[1e-6]])
+        return sequential(predict(lambda x, e: x, rule, sqrt_Q=NONE), update(h, rule, sqrt_R=parameters[:, None])), square_root(
+            [0.0], [[1e-6]]
+        )
 
     with np.errstate(invalid="ignore"):
         tuned = maximize_likelihood(build, [0.3], epochs(np.arange(80), z))

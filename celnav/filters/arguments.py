@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from celnav.gaussian import Gaussian
+from celnav.gaussian import Gaussian, numbers
 from celnav.linalg import Array
-from celnav.spaces import Space
+from celnav.spaces import EUCLIDEAN, Space
 
 
 def kind(value: Any) -> str:
@@ -37,6 +37,13 @@ def check_space(name: str, space: Any) -> None:
     """A space is a `Space`."""
     if not isinstance(space, Space):
         raise ValueError(f"{name}: expected a Space, such as celnav.angles([0]), got {kind(space)}")
+
+
+def check_state(belief: Gaussian, space: Space) -> None:
+    """A state of vectors has as many deviations as components."""
+    N, n = belief.mean.shape[-1], belief.spread.shape[-1]
+    if n != N and space is EUCLIDEAN:
+        raise ValueError(f"space: expected one for states of {N} components with {n} deviations, got vectors")
 
 
 def check_hooks(hooks: Any) -> None:
@@ -68,7 +75,7 @@ def measurement(z: Any, belief: Gaussian) -> tuple[Array, Gaussian]:
     ------
     ValueError: if z is no array ``(..., m)``, or its batch axes do not go with those of the belief.
     """
-    measured = np.asarray(z, dtype=np.float64)
+    measured = numbers("z", z)
     if measured.ndim == 0:
         raise ValueError(f"z: expected shape (..., m), got the number {measured}; one component is [z]")
     return measured, batched("z", measured.shape[:-1], belief)

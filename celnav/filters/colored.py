@@ -159,7 +159,8 @@ def colored(
     first_rule: rule of dimension n for the update with ``Sigma0``; needed where ``h`` is a function.
     hooks: see `celnav.filters.info.Hook`.
 
-    The first epoch has ``dt == 0``, every later one an interval.
+    The first epoch has ``dt == 0``, every later one an interval. States and measurements are vectors: the difference of two
+    measurements knows nothing of a seam. Where an angle is measured, carry the noise in the state.
 
     Raises
     ------
@@ -300,6 +301,8 @@ def augmented(
     """
     check_model("f", f)
     check_rule(rule)
+    if callable(H):
+        raise ValueError("H: expected a matrix (m, n), got a function; `colored` takes one")
     matrix = finite("H", H)
     m, n = matrix.shape[-2:]
     phi = coloring(Phi, m)

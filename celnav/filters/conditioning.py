@@ -142,8 +142,10 @@ def condition(
     if not used.all():
         A, innovation = _left_out(A, innovation, used)
     K = gain(A, sign, m) if callable(gain) else gain  # after the mask: a prescribed gain must see what is missing
-    if K is not None and not used.all():
-        K = K * used[..., None, :]
+    if K is not None:
+        K = _checked_gain(K, A.shape[-2] - m, m)
+        if not used.all():
+            K = K * used[..., None, :]
     S, U, spread = belief.form.condition(A, sign, m, K, known)
     white = whiten(S, innovation)
     step = state.shift + (matvec(U, white) if K is None else matvec(K, innovation))
@@ -155,6 +157,13 @@ def condition(
         return solve_upper_transposed(S, U.mT).mT if K is None else K
 
     return posterior, Info(measured, white, used, S, optimal, (None, slopes)), kept
+
+
+def _checked_gain(gain: Any, n: int, m: int) -> Array:
+    K = np.asarray(gain, dtype=np.float64)
+    if K.ndim < 2 or K.shape[-2:] != (n, m):
+        raise ValueError(f"gain: expected shape (..., {n}, {m}), got {K.shape}")
+    return K
 
 
 def _left_out(A: Array, innovation: Array, used: Array) -> tuple[Array, Array]:

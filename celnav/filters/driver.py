@@ -17,8 +17,9 @@ from celnav.filters.arguments import kind, takes
 from celnav.filters.info import Info
 from celnav.filters.step import Motion, Predict, Update
 from celnav.filters.track import Collector, Track
-from celnav.gaussian import Gaussian, finite, integer
+from celnav.gaussian import Gaussian, finite, integer, numbers
 from celnav.linalg import Array
+from celnav.spaces import EUCLIDEAN, Space
 
 
 class Epoch(NamedTuple):
@@ -58,7 +59,8 @@ def sequential(predict: Predict, *updates: Update) -> Filter:
     """A filter that predicts over the interval, then takes each update with its own part of ``epoch.z``.
 
     An epoch with ``dt == 0`` does not predict: the first one is an update of the prior. Each sensor has its own measurement
-    (``z`` is a tuple when there are several), so sensors of different rates need nothing but nan where they are silent.
+    (``z`` is a tuple when there are several), so sensors of different rates need nothing but nan where they are silent. Without
+    updates it is the open loop, which looks at no measurement.
 
     Raises
     ------
@@ -69,6 +71,7 @@ def sequential(predict: Predict, *updates: Update) -> Filter:
     for part in updates:
         if isinstance(part, Motion) or not takes(part, 4):
             raise ValueError(f"updates: expected parts (belief, z, epoch, memory) after the predict part, got {kind(part)}")
+        _check_spaces(predict, part)
 
     def step(state: State, epoch: Epoch) -> tuple[State, Any]:
         if not isinstance(state, State):
@@ -96,6 +99,15 @@ def sequential(predict: Predict, *updates: Update) -> Filter:
         return State(belief, tuple(memory)), infos[0] if len(infos) == 1 else tuple(infos)
 
     return Filter(lambda prior: State(prior, (None,) * len(updates)), step)
+
+
+def _check_spaces(predict: Any, update: Any) -> None:
+    """Parts of one filter speak of the same state; of two spaces that are not vectors one cannot tell."""
+    flat = [space is EUCLIDEAN for part in (predict, update) if isinstance(space := getattr(part, "space", None), Space)]
+    if len(flat) == 2 and flat[0] != flat[1]:
+        names = ["vectors" if each else "another space" for each in flat]
+        hint = "; a measurement that wraps is measurement_space=" if flat[0] else ""
+        raise ValueError(f"space: expected the same in predict and update, got {names[0]} and {names[1]}{hint}")
 
 
 class Epochs(Sequence[Epoch]):
@@ -159,10 +171,7 @@ def epochs(times: ArrayLike, z: Any = None, u: Any = None, truth: Any = None) ->
 
 
 def _checked(z: ArrayLike, length: int) -> Array:
-    try:
-        measured = np.asarray(z, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ValueError("z: expected numbers (nan where missing), got something else") from None
+    measured = numbers("z", z)
     if measured.ndim < 2 or len(measured) != length:
         hint = "; one component is z[:, None]" if measured.shape == (length,) else ""
         raise ValueError(f"z: expected shape ({length}, ..., m) to go with the times, got {measured.shape}{hint}")
@@ -184,9 +193,10 @@ def steps(filter: Filter, prior: Gaussian, epochs: Iterable[Epoch]) -> Iterator[
         raise ValueError(f"filter: expected a Filter, such as celnav.sequential makes, got {kind(filter)}")
     if not isinstance(prior, Gaussian):
         raise ValueError(f"prior: expected a Gaussian, such as celnav.square_root(mean, cov), got {kind(prior)}")
-    state = filter.start(prior)
+    state, before = filter.start(prior), None
     for epoch in epochs:
-        _check_interval(epoch)
+        _check_interval(epoch, before)
+        before = epoch.t
         try:
             state, info = filter.step(state, epoch)
         except Exception as error:
@@ -195,10 +205,14 @@ def steps(filter: Filter, prior: Gaussian, epochs: Iterable[Epoch]) -> Iterator[
         yield epoch, state, info
 
 
-def _check_interval(epoch: Epoch) -> None:
-    dt = epoch.dt
-    if isinstance(dt, float) and 0.0 <= dt < np.inf:
+def _check_interval(epoch: Any, before: Any) -> None:
+    dt = getattr(epoch, "dt", None)
+    if isinstance(dt, float) and 0.0 < dt < np.inf:
         return
+    if dt is None:
+        raise ValueError(f"epochs: expected celnav.epochs(times, z), or records like celnav.Epoch, got {kind(epoch)}")
+    if before is not None and not np.any(dt) and np.any(np.asarray(epoch.t) > before):
+        raise ValueError(f"dt: expected the interval since t = {before}, got 0 at t = {epoch.t}")
     if not (np.isfinite(dt) & (np.asarray(dt) >= 0.0)).all():
         raise ValueError(f"dt: expected a non-negative number, got {dt!r} at step {epoch.k}")
     if np.any(dt) and not np.all(dt):

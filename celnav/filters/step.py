@@ -13,7 +13,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.filters.arguments import batched, check_extra, check_hooks, check_model, check_rule, check_space, measurement
+from celnav.filters.arguments import (
+    batched,
+    check_extra,
+    check_hooks,
+    check_model,
+    check_rule,
+    check_space,
+    check_state,
+    measurement,
+)
 from celnav.filters.conditioning import (
     Model,
     Noise,
@@ -59,6 +68,7 @@ class Motion:
 
     def __call__(self, belief: Gaussian, epoch: Any = None) -> tuple[Gaussian, Info]:
         f, rule, space = self.f, self.rule, self.space
+        check_state(belief, space)
         columns = evaluate(self.noise, belief.mean, epoch)
         r = 0
         if columns is not None:
@@ -89,10 +99,11 @@ def predict(
 
     Parameters
     ----------
-    f: model function; see `Model`.
-    rule: any `Transform`, of dimension n plus that of ``extra``.
+    f: model, ``(points (p, ..., N), epoch, *noise points (p, ..., k)) -> (p, ..., N)``. The point axis leads; ``epoch.dt`` is the
+        interval, ``epoch.u`` the input.
+    rule: any rule (`celnav.transform.Transform`), of dimension n plus that of ``extra``.
     Q, sqrt_Q: process noise as a covariance ``(..., n, n)`` or as columns ``(..., n, r)``, or a function ``(mean, epoch)`` of
-        either. Neither: the motion is known but for its start.
+        either. A motion without noise has columns ``(n, 0)``.
     extra: roots ``(k, k)`` of noises that go *through* the points (augmentation): ``f(x, epoch, *noise)``.
     space: the state's space.
 
@@ -108,7 +119,28 @@ def predict(
     check_rule(rule)
     check_extra(extra)
     check_space("space", space)
-    return Motion(f, rule, noise_columns(Q, sqrt_Q, "Q"), extra, space)
+    noise = noise_columns(Q, sqrt_Q, "Q")
+    if noise is None and not len(extra):
+        raise ValueError("Q: expected process noise, Q, sqrt_Q or extra; if there is none, sqrt_Q=np.zeros((n, 0))")
+    return Motion(f, rule, noise, extra, space)
+
+
+@dataclass(frozen=True)
+class Conditioning:
+    """The part that `update` makes: called with ``(belief, z, epoch=None, memory=None)`` it gives the belief given z, `Info` and
+    the memory of its hooks.
+
+    Attributes
+    ----------
+    step: what does it. space, measurement_space: as given.
+    """
+
+    step: Update
+    space: Space
+    measurement_space: Space
+
+    def __call__(self, belief: Gaussian, z: Any, epoch: Any = None, memory: Any = None) -> tuple[Gaussian, Info, Any]:
+        return self.step(belief, z, epoch, memory)
 
 
 def update(
@@ -122,19 +154,21 @@ def update(
     measurement_space: Space = EUCLIDEAN,
     hooks: Sequence[Hook] = (),
     gain: Gain | None = None,
-) -> Update:
+) -> Conditioning:
     """The part that conditions a belief on a measurement ``z = h(x, epoch) + v``, ``v ~ N(0, R)``.
 
     Parameters
     ----------
-    h: model function, or a matrix ``(..., m, n)``: a linear measurement is exact and cheap under any rule.
-    rule: any `Transform`, of dimension n plus that of ``extra``.
+    h: model, ``(points (p, ..., N), epoch, *noise points) -> (p, ..., m)``, or a matrix ``(..., m, n)``: a linear measurement is
+        exact and cheap under any rule.
+    rule: any rule (`celnav.transform.Transform`), of dimension n plus that of ``extra``.
     R, sqrt_R: measurement noise as a covariance ``(..., m, m)`` or as columns ``(..., m, s)``, or a function ``(mean, epoch)``
         of either. A measurement without noise has columns ``(m, 0)``.
     extra: roots of noises that go through the points: ``h(x, epoch, *noise)``; these may be all the noise there is.
     space, measurement_space: the spaces of state and measurement.
-    hooks: each sees the joint and may replace it; see `celnav.filters.info.Hook`.
-    gain: a prescribed gain instead of the optimal one; see `celnav.filters.info.Gain`.
+    hooks: ``(memory, joint, epoch) -> (memory, joint)``, one after the other: each sees the joint of measurement and state
+        (`celnav.filters.info.Joint`) and may replace it. Ready ones are in `celnav.filters.adaptive`, ``robust`` and ``parity``.
+    gain: a prescribed gain ``(..., n, m)`` instead of the optimal one, or ``(A, sign, m) -> gain`` (`celnav.filters.info.Gain`).
 
     Returns
     -------
@@ -161,6 +195,7 @@ def update(
         lift = _through_matrix(h, noise_first=not hooks)
 
     def part(belief: Gaussian, z: Any, epoch: Any = None, memory: Any = None) -> tuple[Gaussian, Info, Any]:
+        check_state(belief, space)
         z, belief = measurement(z, belief)
         if np.isnan(z).all():
             return belief, _skipped(belief, z, measurement_space), memory
@@ -187,7 +222,7 @@ def update(
         failure = explain(belief, posterior, ("h",), rule, lifted.g, space, extra, z)
         return posterior, info._replace(failure=failure) if failure else info, kept
 
-    return part
+    return Conditioning(part, space, measurement_space)
 
 
 def _skipped(belief: Gaussian, z: Array, space: Space) -> Info:

@@ -15,10 +15,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from celnav.filters.arguments import kind, takes
 from celnav.filters.conditioning import evaluate
 from celnav.filters.driver import Epoch, Filter
 from celnav.filters.info import Info
-from celnav.filters.step import Predict, Update
+from celnav.filters.step import Motion, Predict, Update
 from celnav.gaussian import Gaussian, finite, sqrt_cov
 from celnav.linalg import Array, block, matvec, outer, semidefinite_root, side_by_side, tria, whiten
 
@@ -65,7 +66,16 @@ class PlainState(NamedTuple):
 
 
 def plain(predict: Predict, update: Update) -> First:
-    """A first stage of the common parts: any rule, either form, hooks included. Vector states only."""
+    """A first stage of the common parts: any rule, either form, hooks included. Vector states only.
+
+    Raises
+    ------
+    ValueError: for parts that are none, or not in this order.
+    """
+    if not takes(predict, 2):
+        raise ValueError(f"predict: expected a part (belief, epoch), got {kind(predict)}")
+    if isinstance(update, Motion) or not takes(update, 4):
+        raise ValueError(f"update: expected a part (belief, z, epoch, memory), got {kind(update)}")
 
     def move(state: PlainState, epoch: Epoch) -> tuple[PlainState, Array | None]:
         if not np.any(epoch.dt):
@@ -151,14 +161,21 @@ def two_stage(
 
     Returns
     -------
-    A `Filter` whose belief is about state and bias, ``(..., n + p)``. The prior is about the state alone.
+    A `Filter` whose belief is about state and bias, ``(..., n + p)``. The prior is about the state alone. Innovations, NIS and
+    likelihood are those of both stages, what the augmented filter would have; gain and slopes are of the first.
 
     Raises
     ------
     ValueError: if ``Gamma`` or ``Qb`` is not what it should be.
     """
-    slope: Any = Gamma if callable(Gamma) else finite("Gamma", Gamma)
+    if not isinstance(first, First):
+        raise ValueError(f"first: expected a first stage, such as plain(predict, update), got {kind(first)}")
+    if not isinstance(bias, Gaussian):
+        raise ValueError(f"bias: expected a Gaussian, such as celnav.square_root(mean, cov), got {kind(bias)}")
     p = bias.mean.shape[-1]
+    slope: Any = Gamma if callable(Gamma) else finite("Gamma", Gamma)
+    if not callable(Gamma) and (slope.ndim < 2 or slope.shape[-1] != p):
+        raise ValueError(f"Gamma: expected shape (..., m, {p}) to go with the bias, got {slope.shape}")
     walk = None if Qb is None else sqrt_cov(Qb, "Qb", p)
 
     def start(prior: Gaussian) -> TwoStageState:
@@ -178,14 +195,18 @@ def two_stage(
         if stage is None:
             return TwoStageState(known, own, Lambda, state.Gamma, state.memory), info
         here = np.asarray(evaluate(slope, known.belief.mean, epoch))
+        if here.shape[-2:] != (stage.used.shape[-1], p):
+            raise ValueError(f"Gamma: expected shape (..., {stage.used.shape[-1]}, {p}), got {here.shape}")
         seen = here
         if state.Gamma is not None and stage.lag is not None:
             seen = here - stage.lag @ (state.Gamma + stage.before @ state.Lambda)
         if stage.Omega is not None:
             Lambda = Lambda - stage.Omega @ (seen + stage.H @ Lambda)
         S = np.where(stage.used[..., None], stage.H @ Lambda + seen, 0.0)
-        own, memory = _estimate(own, S, stage, boost, state.memory)
-        return TwoStageState(known, own, Lambda - stage.gain @ S, here, memory), info
+        residual = stage.innovation - matvec(S, own.mean)
+        own, memory, white, root = _estimate(own, S, residual, stage, boost, state.memory)
+        both = info._replace(innovation=np.where(stage.used, residual, np.nan), white=white, innovation_root=root)
+        return TwoStageState(known, own, Lambda - stage.gain @ S, here, memory), both
 
     return Filter(start, step)
 
@@ -203,18 +224,23 @@ def _walked(known: Any, own: Gaussian, Lambda: Array, walk: Array) -> tuple[Any,
     return known._replace(belief=belief._replace(mean=mean, spread=belief.form.sum(belief.spread, columns))), after, less
 
 
-def _estimate(own: Gaussian, S: Array, stage: Stage, boost: Any, memory: Any) -> tuple[Gaussian, Any]:
-    """The bias stage: condition on the residual; the boosted gain moves the mean only."""
+def _estimate(
+    own: Gaussian, S: Array, residual: Array, stage: Stage, boost: Any, memory: Any
+) -> tuple[Gaussian, Any, Array, Array]:
+    """The bias stage: condition on the residual, which is the innovation of both stages; the boosted gain moves the mean only.
+
+    Returns the belief, the memory, the whitened residual and its root.
+    """
     m, p = S.shape[-2:]
     root, sign = own.columns
-    residual = stage.innovation - matvec(S, own.mean)
     A = block([[S @ root, stage.root], [root, np.zeros((p, m))]])
     total_root, U, spread = own.form.condition(A, sign, m)
+    white = whiten(total_root, residual)
     if boost is None:
-        return Gaussian(own.mean + matvec(U, whiten(total_root, residual)), spread, own.form), memory
+        return Gaussian(own.mean + matvec(U, white), spread, own.form), memory, white, total_root
     own_cov, total = outer(stage.root), outer(total_root)
     memory, factors = boost(memory, Boost(residual, total, stage.innovation, own_cov))
     scale = np.sqrt(factors)
     cross = S @ (scale[..., :, None] * own.cov * scale[..., None, :])
     moved = np.linalg.solve(cross @ S.mT + own_cov, residual[..., None])[..., 0]
-    return Gaussian(own.mean + matvec(cross.mT, moved), spread, own.form), memory
+    return Gaussian(own.mean + matvec(cross.mT, moved), spread, own.form), memory, white, total_root

@@ -390,7 +390,7 @@ def test_fallback_gives_up_where_both_fail():
     both, info, _ = fallback(first, first)(prior, z)
     assert np.isnan(both.mean[1]).all()
     assert "not positive definite" in info.failure
-    before = Gaussian(np.where(np.arange(3)[:, None] == 1, np.nan, prior.mean), prior.spread)
+    before = Gaussian(np.where(np.arange(3)[:, None] == 1, np.nan, prior.mean), prior.spread, prior.form)
     _, info, _ = fallback(first, update(steep, THIRD, noise))(before, z)
     assert info.redone is None
     calls = []

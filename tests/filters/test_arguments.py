@@ -12,13 +12,22 @@ from celnav.filters.adaptive import gate
 from celnav.filters.colored import augmented, colored
 from celnav.filters.decorrelated import decorrelated
 from celnav.filters.single_draw import single_draw
+from celnav.filters.two_stage import plain, two_stage
 from celnav.gaussian import covariance, square_root
+from celnav.spaces import EUCLIDEAN, angles, product
 
 RULE = celnav.unscented(2)
 MOTION = celnav.predict(lambda x, e: x, RULE, np.eye(2))
 SEE = celnav.update(np.eye(2), RULE, np.eye(2))
 FILTER = celnav.sequential(MOTION, SEE)
 PRIOR = square_root(np.zeros(2), np.eye(2))
+
+
+HEADING = celnav.update(np.eye(2), RULE, np.eye(2), space=angles([1]))
+DATES = np.datetime64("2026-01-01") + np.arange(3) * np.timedelta64(1, "s")
+QUATERNION = celnav.Gaussian(np.array([0.0, 0.0, 0.0, 1.0]), np.eye(3), PRIOR.form)
+TRANSPOSED = celnav.Taylor(lambda x, e: (np.ones((2, 3)),))
+NO_TUPLE = celnav.Taylor(lambda x, e: np.eye(2))
 
 
 def f(x, epoch):
@@ -60,7 +69,28 @@ def test_a_rule_that_is_none(given, told):
         (lambda: celnav.update(f, RULE, np.eye(2), hooks=gate(4.0)), "hooks: expected a list of hooks"),
         (lambda: celnav.update(f, RULE, np.eye(2), hooks=[gate]), "expected functions (memory, joint, epoch), got function gate"),
         (lambda: celnav.update(f, RULE), "R: expected measurement noise, R, sqrt_R or extra"),
-        (lambda: celnav.update(np.eye(2), RULE, 0.04), "got shape (); one variance is [[0.04]]"),
+        (lambda: celnav.predict(f, RULE), "Q: expected process noise, Q, sqrt_Q or extra; if there is none"),
+        (lambda: celnav.sequential(MOTION, HEADING), "space: expected the same in predict and update, got vectors"),
+        (lambda: celnav.run(FILTER, PRIOR, np.zeros((3, 2))), "epochs: expected celnav.epochs(times, z), or records like"),
+        (lambda: celnav.run(FILTER, PRIOR, [celnav.Epoch(k, float(k)) for k in (0, 1)]), "dt: expected the interval since t = 0"),
+        (lambda: celnav.epochs(DATES, np.zeros((3, 1))), "times: expected numbers, got dates or durations; seconds are"),
+        (lambda: celnav.epochs(DATES - DATES[0], np.zeros((3, 1))), "times: expected numbers, got dates or durations"),
+        (lambda: square_root(np.ma.masked_values([1.0, -9.0], -9.0), np.eye(2)), "mean: expected finite numbers, got 1 that"),
+        (lambda: SEE(PRIOR, [1j, 0.0]), "z: expected numbers, got"),
+        (lambda: celnav.angles(3), "components: expected places of angles in a vector, such as [3], got 3"),
+        (lambda: product(angles(), EUCLIDEAN), "factors: expected triples (space, length of its points, length of its tangents)"),
+        (lambda: product((EUCLIDEAN, 2, 2)).plus(np.zeros(3), np.zeros(3)), "state: expected 2 components of a product of spaces"),
+        (lambda: MOTION(QUATERNION), "space: expected one for states of 4 components with 3 deviations, got vectors"),
+        (lambda: SEE(QUATERNION, [0.0, 0.0]), "space: expected one for states of 4 components with 3 deviations, got vectors"),
+        (lambda: celnav.update(np.eye(2), RULE, np.eye(2), gain=np.eye(3))(PRIOR, [0.0, 0.0]), "gain: expected shape (..., 2, 2)"),
+        (lambda: celnav.predict(f, TRANSPOSED, np.eye(2))(PRIOR), "jacobians: expected shape (..., 2, 2), got (2, 3)"),
+        (lambda: celnav.predict(f, NO_TUPLE, np.eye(2))(PRIOR), "jacobians: expected a tuple, one matrix for each"),
+        (lambda: two_stage(FILTER, np.eye(2), PRIOR), "first: expected a first stage, such as plain(predict, update), got Filter"),
+        (lambda: two_stage(plain(MOTION, SEE), np.eye(2), np.eye(2)), "bias: expected a Gaussian, such as"),
+        (lambda: two_stage(plain(MOTION, SEE), np.eye(3), PRIOR), "Gamma: expected shape (..., m, 2) to go with the bias"),
+        (lambda: plain(SEE, MOTION), "update: expected a part (belief, z, epoch, memory), got Motion"),
+        (lambda: augmented(f, f, RULE, 1.0, Q=1.0, R=1.0, Sigma0=1.0), "H: expected a matrix (m, n), got a function"),
+        (lambda: celnav.update(np.eye(2), RULE, 0.04), "got shape (); [[0.04]] of one component, 0.04 * np.eye(n) of n alike"),
         (lambda: celnav.update(np.eye(2), RULE, [0.1, 0.2]), "got shape (2,); variances alone are np.diag(...)"),
         (lambda: celnav.sequential(SEE, MOTION), "updates: expected parts (belief, z, epoch, memory) after the predict part"),
         (lambda: celnav.sequential(MOTION, [SEE]), "after the predict part, got list"),
@@ -120,3 +150,12 @@ def test_angles_can_be_sent_to_another_process():
     for places in (None, [1]):
         space = pickle.loads(pickle.dumps(celnav.angles(places)))
         np.testing.assert_allclose(space.minus(np.array([0.0, 3.0]), np.array([0.0, -3.0])), [0.0, 6.0 - 2.0 * np.pi], rtol=1e-12)
+
+
+def test_what_is_masked_is_missing():
+    """netCDF and FITS readers give masked arrays."""
+    z = np.ma.masked_values([[1.0, 1.0], [-999.0, 2.0], [3.0, 3.0]], -999.0)
+    found, expected = (celnav.run(FILTER, PRIOR, celnav.epochs(np.arange(3.0), v)) for v in (z, z.filled(np.nan)))
+    np.testing.assert_array_equal(found.mean, expected.mean)
+    np.testing.assert_array_equal(found.dof, [2, 1, 2])
+    np.testing.assert_array_equal(SEE(PRIOR, z[1])[0].mean, SEE(PRIOR, [np.nan, 2.0])[0].mean)

@@ -256,4 +256,6 @@ def test_numbers_that_must_be_whole(value):
         with pytest.raises(ValueError, match="expected a positive integer, got"):
             make(rounds=value)
     with pytest.raises(ValueError, match="every: expected a positive integer, got"):
-        celnav.run(celnav.sequential(celnav.predict(still, RULE)), square_root(np.zeros(2), EYE), celnav.epochs([0.0]), every=value)
+        celnav.run(
+            celnav.sequential(celnav.predict(still, RULE, EYE)), square_root(np.zeros(2), EYE), celnav.epochs([0.0]), every=value
+        )

@@ -58,6 +58,9 @@ def test_two_stages_are_the_augmented_filter(form, Qb):
     two, one = staged(form, z, Qb=Qb), augmented(form, z, Qb)
     np.testing.assert_allclose(two.mean, one.mean, atol=1e-10)
     np.testing.assert_allclose(two.cov, one.cov, atol=1e-10)
+    np.testing.assert_allclose(two.innovation, one.innovation, atol=1e-10)
+    np.testing.assert_allclose(two.nis, one.nis, atol=1e-9)
+    np.testing.assert_allclose(two.log_likelihood, one.log_likelihood, rtol=1e-9)
 
 
 @FORMS
@@ -67,6 +70,9 @@ def test_missing_measurements_are_left_out_of_both_stages(form):
     two, one = staged(form, z, Qb=np.diag([0.05, 0.02])), augmented(form, z, np.diag([0.05, 0.02]))
     np.testing.assert_allclose(two.mean, one.mean, atol=1e-10)
     np.testing.assert_allclose(two.cov, one.cov, atol=1e-10)
+    np.testing.assert_allclose(two.nis, one.nis, atol=1e-9)
+    np.testing.assert_array_equal(two.used, one.used)
+    np.testing.assert_allclose(two.log_likelihood, one.log_likelihood, rtol=1e-9)
 
 
 @FORMS

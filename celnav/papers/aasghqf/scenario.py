@@ -146,7 +146,7 @@ def rules(level: int = 3) -> dict[str, Any]:
 def quadrature_filter(rule: Any, config: Config) -> Filter:
     """A filter by any rule. Where negative weights lose definiteness, the part is done again with the positive rule "ghqf3"."""
     forward: Predict = predict(dynamics, rule, sqrt_Q=config.sqrt_Q)
-    back = update(measurement, rule, sqrt_R=sqrt_R)
+    back: Update = update(measurement, rule, sqrt_R=sqrt_R)
     if isinstance(rule, Rule) and (rule.wc < 0.0).any():
         positive = rules(config.level)["ghqf3"]
         forward = fallback(forward, predict(dynamics, positive, sqrt_Q=config.sqrt_Q))

@@ -14,7 +14,7 @@ from celnav.filters.decorrelated import decorrelation
 from celnav.filters.driver import Epoch, Filter, State, sequential
 from celnav.filters.info import Info
 from celnav.filters.step import predict, update
-from celnav.gaussian import Gaussian
+from celnav.gaussian import Gaussian, square_root
 from celnav.linalg import Array, block, matvec
 from celnav.models.orbit import EARTH
 from celnav.papers.csrukf.config import Config
@@ -168,7 +168,7 @@ def redraw_defect(rng: np.random.Generator) -> tuple[float, float]:
     def f(x: Array, epoch: object) -> Array:  # noqa: ARG001
         return matvec(F, x)
 
-    prior = Gaussian(np.zeros(6), eye)
+    prior = square_root(np.zeros(6), root=eye)
     P = F @ F.T + eye
     S = H @ P @ H.T + np.eye(3)
     K = np.linalg.solve(S, H @ P).T

@@ -143,7 +143,8 @@ def _dense_predict(config: Config, noise: Array, c: float | None) -> Predict:
     def f(x: Array, epoch: Epoch) -> Array:
         return np.concatenate([through(x[..., :7], epoch, x[..., 7:]), x[..., 7:]], -1)
 
-    part = predict(f, spread(6 + len(noise), config, c=c), space=_space(noise))
+    n = 6 + len(noise)
+    part = predict(f, spread(n, config, c=c), sqrt_Q=np.zeros((n, 0)), space=_space(noise))  # the noise is in the state
 
     def dense(belief: Gaussian, epoch: Any = None) -> tuple[Gaussian, Info]:
         after, info = part(_augmented(belief, noise), epoch)

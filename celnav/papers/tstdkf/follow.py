@@ -63,7 +63,7 @@ def follow(
     believed: the cases as the filter takes them, if not as they are. filter: a variant, run in place of that name.
     showcase: whether ``first/mean (9)``, ``cov (9, 9)``, ``nis``, ``residual (3)``, ``residual std``, ``lambda (3)`` are kept of
         the first run of the first case.
-    consistency: the filters whose ``nees`` is kept (of orbit and bias for aug, of the orbit for the others), and ``nis``.
+    consistency: the filters whose ``nees`` is kept (of orbit and bias for aug, with its ``nis``; of the orbit for the others).
 
     Returns
     -------
@@ -87,7 +87,8 @@ def follow(
             if view.label in consistency:
                 n = error.shape[-1] if name == "aug" else 6
                 rows.add(f"{view.label}/nees", nees(error[..., :n], cholesky(view.cov(slice(None))[..., :n, :n])))
-                rows.add(f"{view.label}/nis", np.square(info.white).sum(-1))
+                if name == "aug":
+                    rows.add(f"{view.label}/nis", np.square(info.white).sum(-1))
             if showcase:
                 rows.add(f"{view.label}/first/mean", view.mean[:1])
                 rows.add(f"{view.label}/first/cov", view.cov(slice(1)))
@@ -125,12 +126,10 @@ class _Rows:
 
 def _inside(name: str, state: Any, info: Any) -> dict[str, Array]:
     """Innovations of the first run, and the factors of strong tracking."""
-    root = info.innovation_root[:1]
-    out = {
-        "residual": info.innovation[:1],
-        "residual std": np.sqrt(np.square(root).sum(-1)),
-        "nis": np.square(info.white[:1]).sum(-1),
-    }
+    # TDKF and TSTDKF lie along a leading axis, once there is a difference to update with.
+    both = info.white.ndim > 2
+    innovation, white, root = ((found[-1] if both else found)[:1] for found in (info.innovation, info.white, info.innovation_root))
+    out = {"residual": innovation, "residual std": np.sqrt(np.square(root).sum(-1)), "nis": np.square(white).sum(-1)}
     out = {f"{name}/first/{what}": value for what, value in out.items()}
     if name == "tstdkf":
         out["tstdkf/first/lambda"] = state.memory.factors[1, :1]
