@@ -158,6 +158,8 @@ class Outputs:
         path = self.directory / name
         if Path(name).is_absolute() or ".." in Path(name).parts:
             raise ValueError(f"name: expected a path inside the folder, got {name!r}")
+        if path.parent.exists() and not path.parent.is_dir():
+            raise NotADirectoryError(f"{path.parent}: expected a folder to write to")
         if path.is_symlink() or (path.exists() and _sha256(path) not in self._manifest().get(name, [])):
             raise ForeignFileError(f"{path}: exists and was not made, or was changed since, by celnav; move it away first")
         return path

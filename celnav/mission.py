@@ -143,6 +143,10 @@ def study(table: Mapping[str, Any]) -> Study:
         raise ValueError("config.runs: expected runs at the top of the file, outside of [config]")
     swept, fixed = _overrides(start, table.get("config", {}))
     points = _grid(start, fixed, swept)
+    idle = [getattr(point.config, "idle", {}) for point in points]
+    for key in (*swept, *fixed):
+        if all(key in names for names in idle):
+            raise ValueError(f"{named(f'config.{key}')}: has no effect {idle[0][key]}")
     usual = {"title": module.TITLE, "runs": start.runs, "seed": 0, "block": BLOCK, "every": 1, "settle_s": None}
     options: dict[str, Any] = usual | given | {"limits": _limits(table, module.JUDGED)}
     for name, least in (("runs", 1), ("seed", 0), ("block", 1), ("every", 1)):

@@ -76,6 +76,13 @@ def test_everything_else_can_be_chosen():
     ("table", "message"),
     [
         ({}, r"paper: expected one of csrukf, .*, got none"),
+        ({"paper": "csrukf", "config": {"camera_deg": [0.1, 0.2]}}, r".*camera_deg \(deg\): has no effect where"),
+        ({"paper": "csrukf", "config": {"measured": "angles", "sigma_km": 1.0}}, r".*sigma_km \(km\): has no effect"),
+        ({"paper": "aukf", "preset": "quiet", "config": {"burst_sigma": 9.0}}, r".*burst_sigma: has no effect without"),
+        ({"paper": "csrukf", "config": {"semi_major_axis_km": 7136635.0}}, r".*axis_km \(km\): expected an orbit above"),
+        ({"paper": "csrukf", "config": {"semi_major_axis_km": 100.0}}, r".*orbit above the Earth, from 6384"),
+        ({"paper": "csrukf", "config": {"inclination_deg": 400.0}}, r".*inclination_deg \(deg\): expected degrees from"),
+        ({"paper": "csrukf", "config": {"step_s": 0.0}}, r"config.step_s \(s\): expected a positive number, got 0.0"),
         ({"paper": "csrkf"}, r"paper: unknown paper 'csrkf'.*did you mean csrukf\?"),
         ({"paper": 3}, r"paper: expected a word, got 3"),
         ({"paper": "csrukf", "filter": []}, r"filter: unknown key; did you mean filters\?"),
@@ -195,3 +202,9 @@ def test_what_a_study_says_of_itself_differs_where_the_study_does():
     for more in ({"runs": 5}, {"seed": 1}, {"block": 3}, {"every": 2}, {"settle_s": 1.0}, {"limits": {"position": 1.0}},
                  {"filters": ["srukf"]}, {"preset": "D"}, {"config": {"phi": [0.0, 0.6]}}, {"config": {"steps": 6}}):  # fmt: skip
         assert said(**more) != base
+
+
+def test_a_parameter_that_works_somewhere_may_be_swept():
+    """The camera matters in half of these configurations."""
+    found = study({"paper": "csrukf", "config": {"measured": ["positions", "angles"], "camera_deg": [0.1, 0.2]}})
+    assert len(found.configurations) == 4

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
@@ -14,6 +15,7 @@ from celnav.papers import load
 
 if TYPE_CHECKING:
     from celnav.campaign.executors import Workers
+    from celnav.campaign.table import Row
 
 MOST_PER_CORE = 4
 """Processes."""
@@ -74,6 +76,14 @@ def number(name: str, text: str) -> float:
 def cores() -> int:
     """Processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def done(rows: Sequence[Row]) -> int:
+    """Exit status of runs: 1, with a line that says so, where all of them failed."""
+    if any(row.summary is not None for row in rows):
+        return 0
+    print("celnav: every run of every filter failed", file=sys.stderr)
+    return 1
 
 
 def folder_of(kind: str, file: str) -> Path:

@@ -7,8 +7,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from celnav.commands.arguments import UsageError, cores, folder_of, fraction, whole, workers
-from celnav.files import Outputs, locked
+from celnav.commands.arguments import UsageError, cores, done, folder_of, fraction, whole, workers
+from celnav.commands.mission import ORIGIN
+from celnav.files import InputError, Outputs, locked
 from celnav.progress import RunProgress
 
 if TYPE_CHECKING:
@@ -26,6 +27,8 @@ def run(options: argparse.Namespace) -> int:
     pool, study = _workers(options), read(options.study, fraction(options.effort))
     folder = Path(options.out or folder_of("campaigns", options.study))
     outputs = Outputs(folder)
+    if (folder / ORIGIN).exists():
+        raise InputError(f"{folder}: holds a mission; choose another --out, or remove the folder")
     outputs.check(names(stems(study)))
     try:
         with RunProgress(folder.name) as progress:
@@ -40,7 +43,7 @@ def run(options: argparse.Namespace) -> int:
     with locked(folder):
         write(outcome, figures(outcome), outputs)
     print(f"wrote {folder / 'index.html'}")
-    return 0
+    return done(outcome.rows)
 
 
 def _warn(line: str) -> None:

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import json
 import sys
+from pathlib import Path
 
-from celnav.commands.arguments import UsageError, folder_of, fraction, workers
-from celnav.files import Outputs, locked
+from celnav.commands.arguments import UsageError, done, folder_of, fraction, workers
+from celnav.files import InputError, Outputs, locked
 from celnav.progress import RunProgress
 
 RECORDING = "mission.rrd"
+ORIGIN = "mission.json"
+"""Which file the folder's mission is of."""
 
 
 def run(options: argparse.Namespace) -> int:
@@ -27,7 +31,8 @@ def run(options: argparse.Namespace) -> int:
         listed = ", ".join(f"config.{key}" for key in study.swept)
         raise UsageError(f"{options.mission}: {listed}: a list of values is a study; use: celnav campaign {options.mission}")
     outputs = Outputs(options.out or folder_of("missions", options.mission))
-    outputs.check([*names([*stems(study), "errors"]), "summary.txt", RECORDING])
+    _check_origin(outputs.directory, options.mission)
+    outputs.check([*names([*stems(study), "errors"]), "summary.txt", RECORDING, ORIGIN])
     try:
         with RunProgress(study.title) as progress:
             outcome = fly(study, pool, progress=progress)
@@ -47,5 +52,26 @@ def run(options: argparse.Namespace) -> int:
             print(f"celnav: no recording ({error}); everything else is written", file=sys.stderr)
         write(outcome, drawings, outputs, recorded)
         outputs.text("summary.txt", summary(outcome.rows) + "\n")
+        outputs.text(ORIGIN, json.dumps({"file": _origin(options.mission)}) + "\n")
     print(f"wrote {outputs.directory / 'index.html'}")
-    return 0
+    return done(outcome.rows)
+
+
+def _origin(file: str) -> str:
+    return str(Path(file).resolve())
+
+
+def _check_origin(folder: Path, file: str) -> None:
+    """Another mission's results, or a campaign's, are not overwritten."""
+    from celnav.campaign.store import MANIFEST
+
+    if (folder / MANIFEST).exists():
+        raise InputError(f"{folder}: holds a campaign; choose another --out, or remove the folder")
+    if not (folder / ORIGIN).exists():
+        return
+    try:
+        other = json.loads((folder / ORIGIN).read_text(encoding="utf-8"))["file"]
+    except (ValueError, KeyError, TypeError):
+        other = "another file"
+    if other != _origin(file):
+        raise InputError(f"{folder}: holds the mission of {other}; choose another --out, or remove the folder")

@@ -69,7 +69,15 @@ def test_a_mission_is_flown_and_everything_is_written(mission, tmp_path, capsys)
     out = tmp_path / "out" / "missions" / "my-mission"
     drawn = {f"figures/{stem}.{kind}" for kind in ("png", "svg") for stem in
              ("accuracy_position", "accuracy_velocity", "consistency", "time_position", "time_velocity", "errors")}  # fmt: skip
-    assert files(out) == drawn | {"table.csv", "table.parquet", "times.csv", "summary.txt", "index.html", "mission.rrd"}
+    assert files(out) == drawn | {
+        "table.csv",
+        "table.parquet",
+        "times.csv",
+        "summary.txt",
+        "index.html",
+        "mission.rrd",
+        "mission.json",
+    }
     printed = capsys.readouterr().out
     assert "12/12 runs" in printed
     assert (out / "summary.txt").read_text() in printed
@@ -153,7 +161,7 @@ def test_the_effort_scales_the_runs(mission, undrawn, capsys):
 
 def test_a_mission_of_failures_only_has_a_page_and_reasons(mission, tmp_path, capsys):
     mission.write_text(MISSION.replace("runs = 12", "runs = 3\nlimits = { position = 1e-9 }"))
-    assert cli.main(["run", str(mission)]) == 0
+    assert cli.main(["run", str(mission)]) == 1
     printed = capsys.readouterr().out
     assert "srukf: 3 failed (position: error above 1e-09 km at the end)" in printed
     assert (
@@ -301,3 +309,30 @@ def test_a_thousand_processes_are_not_started(mission, undrawn, capsys, monkeypa
     assert cli.main(["campaign", str(mission), "--jobs", "1000", "--effort", "0.2"]) == 0
     assert started == [8]
     assert "jobs: 1000 processes on 2 cores would only be in each other's way; 8 are started" in capsys.readouterr().err
+
+
+def test_results_of_another_file_are_not_replaced(mission, sweep, undrawn, tmp_path, capsys):
+    """Neither another mission's, nor a mission's by a campaign, nor the reverse; one's own are."""
+    other = tmp_path / "other" / mission.name
+    other.parent.mkdir()
+    other.write_text(MISSION.replace("0.8", "0.5"))
+    assert cli.main(["run", str(mission)]) == 0
+    mission.write_text(MISSION.replace("0.8", "0.7"))
+    assert cli.main(["run", str(mission)]) == 0
+    kept = (tmp_path / "out" / "missions" / "my-mission" / "table.csv").read_bytes()
+    capsys.readouterr()
+    assert cli.main(["run", str(other)]) == 1
+    assert f"holds the mission of {mission}; choose another --out" in capsys.readouterr().err
+    assert cli.main(["campaign", str(sweep), "--out", "out/missions/my-mission"]) == 1
+    assert "holds a mission; choose another --out" in capsys.readouterr().err
+    assert (tmp_path / "out" / "missions" / "my-mission" / "table.csv").read_bytes() == kept
+    assert cli.main(["campaign", str(sweep), "--jobs", "1"]) == 0
+    assert cli.main(["run", str(mission), "--out", "out/campaigns/sweep"]) == 1
+    assert "holds a campaign; choose another --out" in capsys.readouterr().err
+
+
+def test_a_file_where_a_folder_should_be_is_told_before_flying(mission, tmp_path, capsys):
+    (tmp_path / "here").mkdir()
+    (tmp_path / "here" / "figures").write_text("mine")
+    assert cli.main(["run", str(mission), "--out", "here"]) == 1
+    assert capsys.readouterr().err == "celnav: here/figures: expected a folder to write to\n"

@@ -86,6 +86,13 @@ class Config:
             integer(name, getattr(self, name))
 
     @property
+    def idle(self) -> dict[str, str]:
+        """Parameters without effect in this configuration, and why."""
+        if self.burst == "none":
+            return dict.fromkeys(("burst_s", "burst_sigma", "burst_satellite"), "without a burst")
+        return {} if self.burst == "one" else {"burst_satellite": "where the burst is not on one satellite"}
+
+    @property
     def times(self) -> Array:
         """Epochs ``(T,)`` s."""
         return self.interval_s * np.arange(round(self.duration_s / self.interval_s) + 1)

@@ -23,6 +23,8 @@ CITATION = """\
   note    = {in Chinese}
 }"""
 
+FARTHEST_KM = 1e6
+"""Beyond, the Earth holds no satellites."""
 CHOICES = {"measured": ("positions", "angles"), "first_noise": ("R", "stationary", "zero")}
 
 
@@ -75,16 +77,30 @@ class Config:
             raise ValueError(f"phi: expected a magnitude of at most 1, got {self.phi!r}")
         if self.sigma_km <= 0.0:
             raise ValueError(f"sigma_km: expected a positive number, got {self.sigma_km!r}")
-        for name in ("prior_position_km", "prior_velocity_m_per_s", "noise_position_km", "noise_velocity_km_per_s", "step_s"):
+        if self.step_s <= 0.0:
+            raise ValueError(f"step_s: expected a positive number, got {self.step_s!r}")
+        for name in ("prior_position_km", "prior_velocity_m_per_s", "noise_position_km", "noise_velocity_km_per_s"):
             if getattr(self, name) < 0.0:
                 raise ValueError(f"{name}: expected a number that is not negative, got {getattr(self, name)!r}")
-        if self.semi_major_axis_km <= 0.0:
-            raise ValueError(f"semi_major_axis_km: expected a positive number, got {self.semi_major_axis_km!r}")
         if not 0.0 <= self.eccentricity < 1.0:
             raise ValueError(f"eccentricity: expected a number of at least 0 and below 1, got {self.eccentricity!r}")
+        if not 0.0 <= self.inclination_deg <= 180.0:
+            raise ValueError(f"inclination_deg: expected degrees from 0 to 180, got {self.inclination_deg!r}")
+        least = orbit.EARTH.radius_km / (1.0 - self.eccentricity)
+        if not least < self.semi_major_axis_km < FARTHEST_KM:
+            expected = f"an orbit above the Earth, from {least:.6g} to {FARTHEST_KM:g} km"
+            raise ValueError(f"semi_major_axis_km: expected {expected}, got {self.semi_major_axis_km!r}")
         if self.first_noise == "stationary" and abs(self.phi) == 1.0:
             raise ValueError(f"first_noise: expected R or zero where phi is {self.phi:g}, which has no stationary noise")
         unscented(6, self.alpha, self.beta, self.kappa)
+
+    @property
+    def idle(self) -> dict[str, str]:
+        """Parameters without effect in this configuration, and why."""
+        if self.measured == "positions":
+            names = ("camera_deg", "star_arcsec", "separation_deg", "accuracy_sigmas")
+            return dict.fromkeys(names, "where positions are measured (sigma_km is their noise)")
+        return {"sigma_km": "where angles are measured (camera_deg and star_arcsec are their noise)"}
 
     @property
     def Phi(self) -> Array:
