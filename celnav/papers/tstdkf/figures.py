@@ -232,7 +232,7 @@ def figure_10(result: Result) -> Figure:
     fig, axes = figure(10.0, 6.4, 3, 3, sharex=True)
     data = result.data["year"]
     t, runs = data["times"][:, 0] / DAY_S, data["bias"].shape[1] // len(TRENDS)
-    shown = slice(None, None, 6)
+    shown = slice(None, None, 24)  # once a day
     for k, trend in enumerate(TRENDS):
         for i, axis in enumerate(AXES):
             ax, run = axes[k, i], k * runs
