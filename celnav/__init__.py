@@ -14,7 +14,7 @@ Failure   `run` raises `FilterError` for the first run that loses definiteness. 
 Units     SI and radians, except orbits: km and km/s. A name says its unit where it is another: ``sigma_km``.
 Frames    Earth-centered inertial, equatorial (J2000), for orbits; east, north, up and right, front, up for aircraft.
 Angles    One that wraps must be told: ``space=angles([2])`` of `predict` and `update` if it is a component of the state,
-          ``measurement_space=angles([0])`` of `update` if it is one of the measurement. Nothing can notice a forgotten one.
+          ``measurement_space=angles([0])`` of `update` if it is one of the measurement. Nothing can notice one forgotten in both.
 Attitude  Unit quaternions, scalar last; they take inertial components to body components, and the product composes such
           matrices. Errors are in body axes. The sign of a quaternion never matters (`celnav.attitude`).
 Time      s since the start of a study.

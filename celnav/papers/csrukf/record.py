@@ -15,7 +15,7 @@ from celnav.papers.csrukf.theory import UNITS
 
 if TYPE_CHECKING:
     from celnav.files import Outputs
-    from celnav.papers.csrukf.recording import Showcase
+    from celnav.papers.csrukf.showcase import Showcase
 
 CASES = {"P/0.8": "csrukf_P_08.rrd", "P/0": "csrukf_P_0.rrd", "P/I": "csrukf_P_I.rrd", "D/I": "csrukf_D_I.rrd"}
 RECORDINGS = list(CASES.values())
@@ -30,7 +30,7 @@ CONCLUSIONS = {
 
 def record(result: Result, outputs: Outputs) -> list[str]:
     """Write the recordings among ``outputs``; returns their names. Needs rerun."""
-    from celnav.papers.csrukf.recording import record_showcase
+    from celnav.papers.csrukf.showcase import record_showcase
 
     for case, name in CASES.items():
         with outputs.path_for(name) as path:
@@ -40,7 +40,7 @@ def record(result: Result, outputs: Outputs) -> list[str]:
 
 def showcase(result: Result, case: str) -> Showcase:
     """The first run of a case with its covariances, up to 20 runs as an ensemble, and the bound."""
-    from celnav.papers.csrukf.recording import Estimate, Showcase
+    from celnav.papers.csrukf.showcase import Estimate, Showcase
 
     data = result.data[case]
     phi = {"0": 0.0, "0.8": 0.8, "I": 1.0}[case[2:]]

@@ -11,7 +11,7 @@ import rerun as rr
 
 from celnav.models.orbit import EARTH, from_elements, propagate
 from celnav.models.sightings import angles, star_directions
-from celnav.papers.csrukf.recording import Estimate, Showcase, record_showcase
+from celnav.papers.csrukf.showcase import Estimate, Showcase, record_showcase
 
 KEYS = ("srukf", "csrukf", "openloop")
 
