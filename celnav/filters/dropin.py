@@ -135,7 +135,7 @@ class SigmaPointUKF:
         root, belief = sqrt_cov(noise, "R", m), self._belief()
         h = self._model("hx", self.hx if hx is None else hx, m, (), hx_args)
         if UT is None:
-            space = Space(self._plus, _differences(self.residual_z), None, _mean(self.z_mean))
+            space = Space(minus=_differences(self.residual_z), mean=_mean(self.z_mean))
             part = update(h, self.rule, sqrt_R=root, space=self._space(), measurement_space=space)
             posterior, info, _ = part(belief, measured)
             self._check(posterior, info.failure)

@@ -246,3 +246,25 @@ def test_the_root_is_kept_and_is_the_covariances():
         kf.predict()
         kf.update(z)
     np.testing.assert_allclose(kf.sqrt_P @ kf.sqrt_P.T, kf.P, rtol=1e-12)
+
+
+def test_a_sum_of_states_is_none_of_measurements():
+    """``state_add`` is for states of n components; a measurement with a residual of its own never meets it."""
+
+    def add(x, y):
+        assert len(x) == len(y) == 2
+        return x + y
+
+    def residual(a, b):
+        return (a - b + np.pi) % (2.0 * np.pi) - np.pi
+
+    points = MerweScaledSigmaPoints(2, 0.9, 2.0, 1.0)
+    options = {"points": points, "state_add": add, "residual_z": residual}
+    both = [
+        kind(2, 1, 0.1, hx=lambda x: np.array([x[0] + 0.3 * x[1] ** 2]), fx=lambda x, dt: x, **options)
+        for kind in (UnscentedKalmanFilter, SquareRootUKF)
+    ]
+    for ukf in both:
+        ukf.predict()
+        ukf.update(np.array([0.4]))
+    np.testing.assert_allclose(both[1].x, both[0].x, atol=1e-12)
