@@ -253,6 +253,8 @@ def recording(
     if t.ndim != 1 or len(t) < 2 or not np.isfinite(t).all() or not (np.diff(t) > 0.0).all():
         raise ValueError(f"times: expected two or more finite, increasing seconds, got shape {t.shape}")
     target = Path(path)
+    if target.suffix != ".rrd":
+        raise ValueError(f"path: expected the name of an .rrd file, got {str(target)!r}")
     _check_ours(target)
     strict = strict_mode()
     # Otherwise a wrong call is only a warning and its data are missing.

@@ -210,8 +210,11 @@ def test_foreign_files_are_left_alone(tmp_path):
 def test_unwritable_paths_are_named(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"its folder does not exist: .*nowhere"):
         write(tmp_path / "nowhere" / "a.rrd", lambda out: None)
+    (tmp_path / "folder.rrd").mkdir()
     with pytest.raises(IsADirectoryError, match="it is a folder"):
-        write(tmp_path, lambda out: None)
+        write(tmp_path / "folder.rrd", lambda out: None)
+    with pytest.raises(ValueError, match=r"path: expected the name of an \.rrd file, got .*a\.png"):
+        write(tmp_path / "a.png", lambda out: None)
     (tmp_path / "file").write_text("")
     with pytest.raises(OSError, match=r"its folder does not exist: .*file/a\.rrd"):
         write(tmp_path / "file" / "a.rrd", lambda out: None)
