@@ -232,7 +232,12 @@ def _prior(mean: Array, spread: Array, form: Form) -> Gaussian:
 
 
 def finite(name: str, value: ArrayLike | None, shape: tuple[int, ...] | None = None) -> Array:
-    """A float64 copy of ``value``; ValueError names it if it is not numeric, not finite or not of ``shape``."""
+    """A float64 copy of ``value``.
+
+    Raises
+    ------
+    ValueError: naming it, if it is not numeric, not finite or not of ``shape``.
+    """
     array = numbers(name, value).copy()
     if shape is not None and array.shape != shape:
         raise ValueError(f"{name}: expected shape {shape}, got {array.shape}")
@@ -277,7 +282,12 @@ def whole(value: Any) -> int | None:
 
 
 def symmetric(cov: ArrayLike, name: str, n: int | None = None) -> tuple[Array, Array]:
-    """Checked covariance, symmetrized at round-off, and its lower root. ``name`` is used in the error."""
+    """Checked covariance, symmetrized at round-off, and its lower root.
+
+    Raises
+    ------
+    ValueError: naming ``name``, if it is not finite, not ``(..., n, n)``, not symmetric or not positive semidefinite.
+    """
     P = finite(name, cov)
     expected = "symmetric positive semidefinite" + (f" ({n}, {n})" if n is not None else "")
     if P.ndim < 2 or P.shape[-1] != P.shape[-2] or (n is not None and P.shape[-1] != n):

@@ -131,6 +131,10 @@ def nonlinearity_weights(
     Parameters
     ----------
     functions: real ``(p, n) -> (p, m)`` each, such as the step and the measurement. mean, std: ``(n,)`` of the belief.
+
+    Raises
+    ------
+    ValueError: unless mean and std are finite, of one shape, and std positive.
     """
     center, sigma = finite("mean", mean), finite("std", std)
     if sigma.shape != center.shape or (sigma <= 0.0).any():

@@ -28,7 +28,12 @@ Noise = Array | Callable[[Array, Any], Array] | None
 
 
 def noise_columns(cov: Any, sqrt: Any, name: str) -> Noise:
-    """Noise columns from a covariance (checked) or from a root; either may be a function ``(mean, epoch)``."""
+    """Noise columns from a covariance (checked) or from a root; either may be a function ``(mean, epoch)``. None of neither.
+
+    Raises
+    ------
+    ValueError: naming the argument: both given, a covariance that is none, columns that are no matrix; of a function when called.
+    """
     if cov is not None and sqrt is not None:
         raise ValueError(f"{name}: expected one of {name} and sqrt_{name}, got both")
     if sqrt is not None:
@@ -64,6 +69,10 @@ def images(name: str, function: Model, points: Array, epoch: Any, noise: Sequenc
     """Values of a model function at the points, as floats of the shape they must have.
 
     The function may change its argument: rules make points for one call, and a caller with two hands out a copy.
+
+    Raises
+    ------
+    ValueError: naming the function, if what it returns has another shape. What it raises itself carries a note of what it got.
     """
     try:
         y = np.asarray(function(points, epoch, *noise), dtype=np.float64)

@@ -88,7 +88,12 @@ def single_draw(
 
 
 def drawn_once(part: Update, first: Update) -> Filter:
-    """A filter of such a part; an epoch with ``dt == 0``, which has no dynamics, is left to the update ``first``."""
+    """A filter of such a part; an epoch with ``dt == 0``, which has no dynamics, is left to the update ``first``.
+
+    Raises
+    ------
+    ValueError: from the filter, for an epoch whose ``z`` is None: a missing measurement is nan here.
+    """
 
     def step(state: State, epoch: Epoch) -> tuple[State, Info]:
         if epoch.z is None:
