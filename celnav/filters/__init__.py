@@ -4,7 +4,8 @@
 record · `driver` epochs, filters, run · `track` records · `iterated` updates linearized again · `single_draw` predict and update
 on one set of points · `colored`, `decorrelated` colored measurement noise · `smoother` fixed interval · `adaptive` gates,
 windows, prescribed gains, fallback · `robust` reweighting · `parity` what no state explains · `least_squares` no prior ·
-`two_stage` a bias beside the state, and `strong_tracking`, `differenced` for it · `dropin` filterpy's interface.
+`two_stage` a bias beside the state, and `strong_tracking`, `differenced` for it · `dropin` filterpy's interface,
+`filterpy_models` its functions of one vector.
 """
 
 from celnav.filters.driver import Epoch, Epochs, Filter, FilterError, State, epochs, run, sequential, steps

@@ -16,6 +16,7 @@ from filterpy.common import pretty_str
 from filterpy.kalman import unscented_transform
 from scipy.linalg import cholesky
 
+from celnav.filters.filterpy_models import differences, mean_of, model_of, sums
 from celnav.filters.step import predict, update
 from celnav.gaussian import COVARIANCE, SQUARE_ROOT, Form, Gaussian, finite, sqrt_cov, symmetric
 from celnav.linalg import Array, semidefinite_root
@@ -92,7 +93,7 @@ class SigmaPointUKF:
         if not (np.isfinite(step) and step >= 0.0):
             raise ValueError(f"dt: expected a non-negative number, got {step!r}")
         belief, process = self._belief(), sqrt_cov(self.Q, "Q", self._dim_x)
-        function = self._model("fx", self.fx if fx is None else fx, self._dim_x, (step,), fx_args)
+        function = model_of(self._vectorized, "fx", self.fx if fx is None else fx, self._dim_x, (step,), fx_args)
         if UT is None:
             belief, info = predict(function, self.rule, sqrt_Q=process, space=self._space())(belief, None)
             self._check(belief, info.failure)
@@ -133,9 +134,9 @@ class SigmaPointUKF:
         if hx is None and m != self._dim_z:
             raise ValueError(f"z: expected {self._dim_z} components, got {m}")
         root, belief = sqrt_cov(noise, "R", m), self._belief()
-        h = self._model("hx", self.hx if hx is None else hx, m, (), hx_args)
+        h = model_of(self._vectorized, "hx", self.hx if hx is None else hx, m, (), hx_args)
         if UT is None:
-            space = Space(minus=_differences(self.residual_z), mean=_mean(self.z_mean))
+            space = Space(minus=differences(self.residual_z), mean=mean_of(self.z_mean))
             part = update(h, self.rule, sqrt_R=root, space=self._space(), measurement_space=space)
             posterior, info, _ = part(belief, measured)
             self._check(posterior, info.failure)
@@ -165,12 +166,12 @@ class SigmaPointUKF:
 
     def compute_process_sigmas(self, dt: float, fx: Callable[..., Any] | None = None, **fx_args: Any) -> None:
         """Put the propagated points in ``sigmas_f``. (An update always draws its points from the present state.)"""
-        function = self._model("fx", self.fx if fx is None else fx, self._dim_x, (dt,), fx_args)
+        function = model_of(self._vectorized, "fx", self.fx if fx is None else fx, self._dim_x, (dt,), fx_args)
         self.sigmas_f = function(self._points(self._belief()), None)[self._own]
 
     def cross_variance(self, x: Array, z: Array, sigmas_f: Array, sigmas_h: Array) -> Array:
         """Cross covariance ``(n, m)`` of points in the state and in the measurement."""
-        dx, dz = _differences(self.residual_x)(sigmas_f, x), _differences(self.residual_z)(sigmas_h, z)
+        dx, dz = differences(self.residual_x)(sigmas_f, x), differences(self.residual_z)(sigmas_h, z)
         return np.asarray((dx * np.asarray(self.Wc)[:, None]).T @ dz)
 
     def batch_filter(
@@ -205,7 +206,7 @@ class SigmaPointUKF:
         transform = unscented_transform if UT is None else UT
         for k in reversed(range(count - 1)):
             points = self._points(Gaussian(xs[k], semidefinite_root(ps[k]), SQUARE_ROOT))
-            ahead = self._model("fx", self.fx, self._dim_x, (dts[k],), {})(points, None)[self._own]
+            ahead = model_of(self._vectorized, "fx", self.fx, self._dim_x, (dts[k],), {})(points, None)[self._own]
             mean, cov = transform(ahead, self.Wm, self.Wc, Qs[k], self.x_mean, self.residual_x)
             cross = self._cross(points[self._own], xs[k], ahead, mean)
             gains[k] = np.linalg.solve(cov.T, cross.T).T
@@ -214,8 +215,8 @@ class SigmaPointUKF:
         return xs, ps, gains
 
     def _cross(self, points: Array, x: Array, ahead: Array, mean: Array) -> Array:
-        differences = _differences(self.residual_x)
-        return np.asarray((differences(points, x) * np.asarray(self.Wc)[:, None]).T @ differences(ahead, mean))
+        apart = differences(self.residual_x)
+        return np.asarray((apart(points, x) * np.asarray(self.Wc)[:, None]).T @ apart(ahead, mean))
 
     # -- results -------------------------------------------------------------------------------------------------------
     @property
@@ -285,50 +286,7 @@ class SigmaPointUKF:
         return self.rule.points(belief.mean, belief.root, self._space())[0]
 
     def _space(self) -> Space:
-        return Space(self._plus, _differences(self.residual_x), None, _mean(self.x_mean))
-
-    def _plus(self, point: Array, tangent: Array) -> Array:
-        if self.state_add is np.add:
-            return point + tangent
-        if tangent.ndim == 1:
-            return np.asarray(self.state_add(point, tangent))
-        return np.stack([np.asarray(self.state_add(point, t)) for t in tangent])
-
-    def _model(
-        self, name: str, function: Callable[..., Any], m: int, given: tuple[Any, ...], options: dict[str, Any]
-    ) -> Callable[..., Array]:
-        """A model of all points from filterpy's of one."""
-
-        def model(points: Array, epoch: Any) -> Array:  # noqa: ARG001
-            if self._vectorized:
-                values = np.asarray(function(points.copy(), *given, **options), dtype=np.float64)
-            else:
-                values = np.stack(
-                    [np.atleast_1d(np.asarray(function(p.copy(), *given, **options), dtype=np.float64)) for p in points]
-                )
-            values = values.reshape(len(points), -1)
-            if values.shape[-1] != m:
-                raise ValueError(f"{name} returned shape {values.shape[1:]}, expected ({m},)")
-            return values
-
-        return model
-
-
-def _differences(residual: Callable[[Array, Array], Array]) -> Callable[[Array, Array], Array]:
-    """Differences of all points to one, from filterpy's residual of two vectors."""
-    if residual is np.subtract:
-        return np.subtract
-
-    def minus(b: Array, a: Array) -> Array:
-        if b.ndim == 1:
-            return np.asarray(residual(b, a), dtype=np.float64)
-        return np.stack([np.asarray(residual(row, a), dtype=np.float64) for row in b])
-
-    return minus
-
-
-def _mean(function: Callable[[Array, Array], Array] | None) -> Callable[[Array, Array], Array] | None:
-    return None if function is None else lambda points, weights: np.asarray(function(points, weights), dtype=np.float64)
+        return Space(sums(self.state_add), differences(self.residual_x), None, mean_of(self.x_mean))
 
 
 class SquareRootUKF(SigmaPointUKF):
