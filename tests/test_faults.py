@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import celnav
-from celnav.filters.colored import colored, coloring
+from celnav.filters.colored import colored
+from celnav.filters.coloring import coloring
 from celnav.models import orbit, sightings
 from celnav.models.orbit import UnitWarning
 

@@ -2,8 +2,8 @@
 
 `step` predict and update · `conditioning` the one step below them · `arguments` what they check · `info` what hooks see and steps
 record · `driver` epochs, filters, run · `track` records · `iterated` updates linearized again · `single_draw` predict and update
-on one set of points · `colored`, `decorrelated` colored measurement noise · `smoother` fixed interval · `adaptive` gates,
-windows, prescribed gains, fallback · `robust` reweighting · `parity` what no state explains · `least_squares` no prior ·
+on one set of points · `colored`, `decorrelated`, `coloring` colored measurement noise · `smoother` fixed interval · `adaptive`
+gates, windows, prescribed gains, fallback · `robust` reweighting · `parity` what no state explains · `least_squares` no prior ·
 `two_stage` a bias beside the state, and `strong_tracking`, `differenced` for it · `dropin` filterpy's interface,
 `filterpy_models` its functions of one vector.
 """

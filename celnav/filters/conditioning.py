@@ -21,6 +21,8 @@ from celnav.linalg import Array, matvec, solve_upper_transposed, tria, whiten
 from celnav.spaces import EUCLIDEAN, Space
 from celnav.transform import KEEP, Image, Outputs, Transform
 
+_EPS = float(np.finfo(np.float64).eps)
+
 Model = Callable[..., Any]
 """``(points (p, ..., N), epoch, *noise points) -> (p, ..., M)``."""
 Noise = Array | Callable[[Array, Any], Array] | None
@@ -190,6 +192,21 @@ def _transported(belief: Gaussian, matrix: Array, spread: Array) -> Array:
     if belief.form.name == "covariance":
         return matrix @ spread @ matrix.mT
     return tria(matrix @ spread)
+
+
+def informed(posterior: Gaussian, info: Info, size: Array) -> Gaussian:
+    """The posterior of a measurement without noise; nan where it is of what was known already, to round-off of its ``size``."""
+    S = info.innovation_root
+    assert S is not None
+    rounding = np.sqrt(_EPS) if posterior.form.name == "covariance" else _EPS
+    nothing = np.asarray((S.diagonal(0, -2, -1) <= 16.0 * rounding * size).any(-1))
+    if not nothing.any():
+        return posterior
+    mean, spread = (
+        np.where(nothing[..., None], np.nan, posterior.mean),
+        np.where(nothing[..., None, None], np.nan, posterior.spread),
+    )
+    return Gaussian(mean, spread, posterior.form)
 
 
 def explain(

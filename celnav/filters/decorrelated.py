@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from celnav.filters.arguments import check_hooks, check_model, check_rule
-from celnav.filters.colored import Colored, Coloring, coloring, difference, first_update, lift, noises, taken
+from celnav.filters.colored import lift
+from celnav.filters.coloring import Colored, Coloring, coloring, difference, first_update, noises, taken
 from celnav.filters.conditioning import Model, condition, evaluate
 from celnav.filters.driver import Epoch, Filter
 from celnav.filters.info import Hook, Info, Joint

@@ -30,6 +30,7 @@ from celnav.filters.conditioning import (
     evaluate,
     explain,
     images,
+    informed,
     innovation_of,
     noise_columns,
     set_noise,
@@ -39,8 +40,6 @@ from celnav.gaussian import Gaussian, finite
 from celnav.linalg import Array, matvec
 from celnav.spaces import EUCLIDEAN, Space
 from celnav.transform import KEEP, Image, Outputs, Transform
-
-_EPS = float(np.finfo(np.float64).eps)
 
 Predict = Callable[[Gaussian, Any], tuple[Gaussian, Info]]
 Update = Callable[..., tuple[Gaussian, Info, Any]]
@@ -218,7 +217,7 @@ def update(
             known=belief.spread,
         )  # fmt: skip
         if not (s or extra):
-            posterior = _informed(posterior, info, lifted.size())
+            posterior = informed(posterior, info, lifted.size())
         failure = explain(belief, posterior, ("h",), rule, lifted.g, space, extra, z)
         return posterior, info._replace(failure=failure) if failure else info, kept
 
@@ -230,21 +229,6 @@ def _skipped(belief: Gaussian, z: Array, space: Space) -> Info:
     one = z.reshape(-1, z.shape[-1])[0]
     shape = (*np.broadcast_shapes(z.shape[:-1], belief.mean.shape[:-1]), space.minus(one, one).shape[-1])
     return Info(np.full(shape, np.nan), np.zeros(shape), np.zeros(shape, bool))
-
-
-def _informed(posterior: Gaussian, info: Info, size: Array) -> Gaussian:
-    """The posterior of a measurement without noise; nan where it is of what was known already, to round-off of its ``size``."""
-    S = info.innovation_root
-    assert S is not None
-    rounding = np.sqrt(_EPS) if posterior.form.name == "covariance" else _EPS
-    nothing = np.asarray((S.diagonal(0, -2, -1) <= 16.0 * rounding * size).any(-1))
-    if not nothing.any():
-        return posterior
-    mean, spread = (
-        np.where(nothing[..., None], np.nan, posterior.mean),
-        np.where(nothing[..., None, None], np.nan, posterior.spread),
-    )
-    return Gaussian(mean, spread, posterior.form)
 
 
 class _Lifted(NamedTuple):

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.filters.colored import Colored, difference
+from celnav.filters.coloring import Colored, difference
 from celnav.filters.conditioning import Model, condition, images
 from celnav.filters.decorrelated import decorrelation
 from celnav.filters.driver import Epoch, Filter, State, sequential
