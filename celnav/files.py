@@ -158,8 +158,9 @@ class Outputs:
         path = self.directory / name
         if Path(name).is_absolute() or ".." in Path(name).parts:
             raise ValueError(f"name: expected a path inside the folder, got {name!r}")
-        if path.parent.exists() and not path.parent.is_dir():
-            raise NotADirectoryError(f"{path.parent}: expected a folder to write to")
+        for above in Path(name).parents:
+            if (self.directory / above).exists() and not (self.directory / above).is_dir():
+                raise NotADirectoryError(f"{self.directory / above}: expected a folder to write to")
         if path.is_symlink() or (path.exists() and _sha256(path) not in self._manifest().get(name, [])):
             raise ForeignFileError(f"{path}: exists and was not made, or was changed since, by celnav; move it away first")
         return path

@@ -6,12 +6,16 @@ a covariance (fewer operations). Make priors with `square_root` or `covariance`,
 
 from __future__ import annotations
 
+from math import isfinite
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from celnav.linalg import Array, block, cholesky, downdate, matvec, outer, semidefinite_root, solve_lower, tria, unit, whiten
+
+_NEGLIGIBLE = 1e-12
+"""Part of the largest variance that a negative one may be, which has been 0."""
 
 
 class Form(Protocol):
@@ -98,7 +102,7 @@ class CovarianceForm:
 
     def std(self, spread: Array) -> Array:
         variances = spread.diagonal(0, -2, -1)
-        return np.sqrt(np.where(variances < 0.0, np.nan, variances))
+        return np.sqrt(variances if variances.min(initial=0.0) >= 0.0 else np.where(variances < 0.0, np.nan, variances))
 
     def marginal(self, A: Array, sign: Array) -> Array:
         P: Array = _counted(A, sign) @ A.mT
@@ -246,6 +250,23 @@ def finite(name: str, value: ArrayLike | None, shape: tuple[int, ...] | None = N
     return array
 
 
+def all_sound(belief: Gaussian) -> bool:
+    """Whether all runs are `sound`, most often decided without looking at each."""
+    plain = isfinite(np.add.reduce(belief.mean, None) + np.add.reduce(belief.spread, None))  # what overflows is seen below
+    if plain and (belief.form.name != "covariance" or belief.spread.diagonal(0, -2, -1).min(initial=0.0) >= 0.0):
+        return True
+    return bool(sound(belief).all())
+
+
+def sound(belief: Gaussian) -> Array:
+    """``(...)`` whether a run is finite and has no negative variance, beyond round-off of the matrix's largest correlation."""
+    finite = np.isfinite(belief.mean).all(-1) & np.isfinite(belief.spread).all((-2, -1))
+    if belief.form.name != "covariance":
+        return np.asarray(finite)
+    variances = belief.spread.diagonal(0, -2, -1)
+    return np.asarray(finite & (variances >= -_NEGLIGIBLE * np.abs(variances).max(-1, keepdims=True)).all(-1))
+
+
 def numbers(name: str, value: Any) -> Array:
     """``value`` as float64, which may be the same array; what is masked becomes nan.
 
@@ -253,17 +274,21 @@ def numbers(name: str, value: Any) -> Array:
     ------
     ValueError: naming it, for anything else than real numbers: dates and durations too, which would count in a unit of their own.
     """
-    kind = np.asarray(value).dtype.kind if not isinstance(value, str) else "U"
-    if kind in "mM":
-        raise ValueError(f"{name}: expected numbers, got dates or durations; seconds are (t - t[0]) / numpy.timedelta64(1, 's')")
+    if type(value) is np.ndarray and value.dtype == np.float64:
+        return value
     try:
-        if kind == "c":
-            raise TypeError
-        if isinstance(value, np.ma.MaskedArray):
-            return np.asarray(np.ma.filled(value.astype(np.float64), np.nan))
-        return np.asarray(value, dtype=np.float64)
+        if isinstance(value, list | tuple) and any(isinstance(part, np.ma.MaskedArray) for part in value):
+            value = np.ma.stack(value)
+        array = value if isinstance(value, np.ma.MaskedArray) else np.asarray(value)
+        kind = array.dtype.kind
+        found = None if kind in "mMcSU" else np.ma.filled(array.astype(np.float64), np.nan)
     except (TypeError, ValueError):
-        raise ValueError(f"{name}: expected numbers, got {value!r:.80}") from None
+        kind, found = "", None
+    if kind in ("m", "M"):
+        raise ValueError(f"{name}: expected numbers, got dates or durations; seconds are (t - t[0]) / numpy.timedelta64(1, 's')")
+    if found is None:
+        raise ValueError(f"{name}: expected numbers, got {value!r:.80}")
+    return np.asarray(found)
 
 
 def integer(name: str, value: Any, least: int = 1) -> int:

@@ -81,7 +81,7 @@ def _quiet() -> Iterator[None]:
             yield
         finally:
             for name in wanted:
-                del os.environ[name]
+                os.environ.pop(name, None)
 
 
 def _drawn(viewer: ViewerClient, width: int) -> bytes:

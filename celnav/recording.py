@@ -97,8 +97,8 @@ class Recorder:
 
     def log_curve(self, entity: str, values: ArrayLike, color: str, name: str, *, width: float = 1.5) -> None:
         """A curve of the decimal logarithms of values ``(T,)``, since plots have no logarithmic axis; gaps where there is none."""
-        numbers = self._array(entity, values, ())
-        logarithm = np.log10(numbers, out=np.full(numbers.shape, np.nan), where=numbers > 0.0)
+        array = self._array(entity, values, ())
+        logarithm = np.log10(array, out=np.full(array.shape, np.nan), where=array > 0.0)
         self.curve(entity, logarithm, color, name, width=width)
 
     def bounds(

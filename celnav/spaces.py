@@ -93,7 +93,7 @@ def product(*factors: tuple[Space, int, int]) -> Space:
     ValueError: for factors that are no such triples, or a space with its own mean; from the space, for points or tangents of
         another length.
     """
-    if not all(isinstance(factor, tuple) and len(factor) == 3 and isinstance(factor[0], Space) for factor in factors):
+    if not all(isinstance(factor, tuple | list) and len(factor) == 3 and isinstance(factor[0], Space) for factor in factors):
         raise ValueError("factors: expected triples (space, length of its points, length of its tangents)")
     points = np.cumsum([0, *(N for _, N, _ in factors)])
     tangents = np.cumsum([0, *(n for _, _, n in factors)])
@@ -110,11 +110,12 @@ def product(*factors: tuple[Space, int, int]) -> Space:
         return vector
 
     def plus(point: Array, tangent: Array) -> Array:
-        checked(point, points[-1], "state")
+        checked(point, points[-1], "point")
         checked(tangent, tangents[-1], "deviations")
         return side_by_side([space.plus(point[..., at], tangent[..., by]) for space, at, by in parts])
 
     def minus(b: Array, a: Array) -> Array:
+        checked(b, points[-1], "point")
         return side_by_side([space.minus(b[..., at], a[..., at]) for space, at, _ in parts])
 
     def transport(tangent: Array) -> Array:

@@ -72,6 +72,6 @@ def _check_origin(folder: Path, file: str) -> None:
     try:
         other = json.loads((folder / ORIGIN).read_text(encoding="utf-8"))["file"]
     except (ValueError, KeyError, TypeError):
-        other = "another file"
-    if other != _origin(file):
+        other = str(folder / ORIGIN)
+    if other != _origin(file) and Path(other).exists():  # a folder that moved with its file is its own
         raise InputError(f"{folder}: holds the mission of {other}; choose another --out, or remove the folder")

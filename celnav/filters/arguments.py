@@ -42,7 +42,7 @@ def check_space(name: str, space: Any) -> None:
 def check_state(belief: Gaussian, space: Space) -> None:
     """A state of vectors has as many deviations as components."""
     N, n = belief.mean.shape[-1], belief.spread.shape[-1]
-    if n != N and space is EUCLIDEAN:
+    if n != N and space == EUCLIDEAN:
         raise ValueError(f"space: expected one for states of {N} components with {n} deviations, got vectors")
 
 
@@ -100,5 +100,5 @@ def batched(name: str, batch: tuple[int, ...], belief: Gaussian) -> Gaussian:
 
 def check_extra(extra: Any) -> None:
     """Noises through the points are a sequence of their roots, matrices ``(..., k, k)``."""
-    if isinstance(extra, np.ndarray) or not all(np.ndim(root) >= 2 for root in extra):
+    if not isinstance(extra, tuple | list) or not all(isinstance(root, np.ndarray) and root.ndim >= 2 for root in extra):
         raise ValueError("extra: expected a sequence of matrices, a root (k, k) for each noise, such as (np.eye(2),)")

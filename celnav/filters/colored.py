@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from celnav.filters.arguments import check_hooks, check_model, check_rule
-from celnav.filters.coloring import Colored, Coloring, coloring, difference, first_update, noises, taken
+from celnav.filters.coloring import Colored, Coloring, coloring, difference, first_update, measurement_matrix, noises, taken
 from celnav.filters.conditioning import Model, condition, evaluate, explain, images
 from celnav.filters.driver import Epoch, Filter, State, sequential
 from celnav.filters.info import Hook, Info
 from celnav.filters.step import predict, update
-from celnav.gaussian import Gaussian, finite, sqrt_cov
+from celnav.gaussian import Gaussian, sqrt_cov
 from celnav.linalg import Array, block, matvec
 from celnav.spaces import EUCLIDEAN
 from celnav.transform import KEEP, Image, Outputs, Transform
@@ -67,16 +67,17 @@ def colored(
     check_rule(rule)
     check_rule(rule if first_rule is None else first_rule, "first_rule")
     check_hooks(hooks)
-    H = None if callable(h) else finite("h", h)
+    H = None if callable(h) else measurement_matrix("h", h)
     process, increments, m = noises(Q, sqrt_Q, R, sqrt_R, None if H is None else H.shape[-2])
-    if callable(h):
+    if H is not None:
+        conditioned = _linear(f, H, rule, process, increments, hooks)
+    else:
+        assert callable(h)
         if callable(process):
             raise ValueError("sqrt_Q: expected constant columns where the measurement is a function")
         if Sigma0 is not None and first_rule is None:
             raise ValueError("first_rule: expected a rule of the state's dimension where the measurement is a function")
         conditioned = _through_points(f, h, rule, process, increments, hooks)
-    else:
-        conditioned = _linear(f, finite("h", h), rule, process, increments, hooks)
     phi = coloring(Phi, m)
     first = first_update(h, rule if first_rule is None else first_rule, Sigma0)
 
@@ -198,9 +199,7 @@ def augmented(
     """
     check_model("f", f)
     check_rule(rule)
-    if callable(H):
-        raise ValueError("H: expected a matrix (m, n), got a function; `colored` takes one")
-    matrix = finite("H", H)
+    matrix = measurement_matrix("H", H)
     m, n = matrix.shape[-2:]
     phi = coloring(Phi, m)
     process, increments, first = sqrt_cov(Q, "Q", n), sqrt_cov(R, "R", m), sqrt_cov(Sigma0, "Sigma0", m)

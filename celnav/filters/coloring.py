@@ -80,6 +80,21 @@ def first_update(h: Any, rule: Transform, Sigma0: ArrayLike | None) -> Callable[
     return absolute
 
 
+def measurement_matrix(name: str, H: ArrayLike | Callable[..., Any]) -> Array:
+    """A checked matrix ``(..., m, n)``.
+
+    Raises
+    ------
+    ValueError: naming it, for a function or another shape.
+    """
+    if callable(H):
+        raise ValueError(f"{name}: expected a matrix (m, n), got a function; `colored` takes one")
+    matrix = finite(name, H)
+    if matrix.ndim < 2:
+        raise ValueError(f"{name}: expected a matrix (m, n), got shape {matrix.shape}")
+    return matrix
+
+
 def noises(Q: Any, sqrt_Q: Any, R: Any, sqrt_R: Any, m: int | None) -> tuple[Any, Any, int]:
     """Columns of process noise and of increments, and the number of components measured.
 
@@ -110,9 +125,7 @@ def taken(state: Colored, epoch: Epoch, m: int) -> tuple[Colored, Array]:
     """
     first = state.z is None
     if bool(np.any(epoch.dt)) is first:
-        expected = (
-            "0 at the first epoch (what moves before it is not this filter's)" if first else "an interval after the first epoch"
-        )
+        expected = "0 at the first epoch (start from a prior at that time)" if first else "an interval after the first epoch"
         raise ValueError(f"dt: expected {expected}, got {epoch.dt!r}")
     if epoch.z is None:
         return state, np.full(m, np.nan)

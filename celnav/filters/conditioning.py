@@ -10,13 +10,13 @@ m rows::
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from math import isfinite
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from celnav.filters.info import Gain, Hook, Info, Joint
-from celnav.gaussian import Gaussian, finite, sqrt_cov
+from celnav.gaussian import Gaussian, all_sound, finite, sound, sqrt_cov
 from celnav.linalg import Array, matvec, solve_upper_transposed, tria, whiten
 from celnav.spaces import EUCLIDEAN, Space
 from celnav.transform import KEEP, Image, Outputs, Transform
@@ -40,13 +40,21 @@ def noise_columns(cov: Any, sqrt: Any, name: str) -> Noise:
         raise ValueError(f"{name}: expected one of {name} and sqrt_{name}, got both")
     if sqrt is not None:
         if callable(sqrt):
-            return lambda mean, epoch: _columns(f"sqrt_{name}", np.asarray(sqrt(mean, epoch), dtype=np.float64))
+            return partial(_columns_of, sqrt, f"sqrt_{name}")
         return _columns(f"sqrt_{name}", finite(f"sqrt_{name}", sqrt))
     if cov is None:
         return None
     if callable(cov):
-        return lambda mean, epoch: sqrt_cov(cov(mean, epoch), name)
+        return partial(_root_of, cov, name)
     return sqrt_cov(cov, name)
+
+
+def _columns_of(function: Callable[[Array, Any], Any], name: str, mean: Array, epoch: Any) -> Array:
+    return _columns(name, np.asarray(function(mean, epoch), dtype=np.float64))
+
+
+def _root_of(function: Callable[[Array, Any], Any], name: str, mean: Array, epoch: Any) -> Array:
+    return sqrt_cov(function(mean, epoch), name)
 
 
 def _columns(name: str, columns: Array) -> Array:
@@ -194,19 +202,24 @@ def _transported(belief: Gaussian, matrix: Array, spread: Array) -> Array:
     return tria(matrix @ spread)
 
 
-def informed(posterior: Gaussian, info: Info, size: Array) -> Gaussian:
-    """The posterior of a measurement without noise; nan where it is of what was known already, to round-off of its ``size``."""
+def informed(posterior: Gaussian, info: Info, exact: Array, spread: Array, size: Array) -> Gaussian:
+    """The posterior, but nan for runs in which a measurement without noise is of what was known already.
+
+    Parameters
+    ----------
+    exact: ``(..., m)`` bool, the components used that have no noise.
+    spread, size: ``(..., m)``, what the measurement varies by over the belief, direction by direction, and how large it is: what is
+        left of either after cancellation is round-off.
+    """
     S = info.innovation_root
     assert S is not None
     rounding = np.sqrt(_EPS) if posterior.form.name == "covariance" else _EPS
-    nothing = np.asarray((S.diagonal(0, -2, -1) <= 16.0 * rounding * size).any(-1))
+    least = 16.0 * (rounding * spread + _EPS * size)
+    nothing = np.asarray((exact & (S.diagonal(0, -2, -1) <= least)).any(-1))
     if not nothing.any():
         return posterior
-    mean, spread = (
-        np.where(nothing[..., None], np.nan, posterior.mean),
-        np.where(nothing[..., None, None], np.nan, posterior.spread),
-    )
-    return Gaussian(mean, spread, posterior.form)
+    mean = np.where(nothing[..., None], np.nan, posterior.mean)
+    return Gaussian(mean, np.where(nothing[..., None, None], np.nan, posterior.spread), posterior.form)
 
 
 def explain(
@@ -220,10 +233,9 @@ def explain(
     z: Array | None = None,
 ) -> str:
     """Why a run that was finite before a step is not so after it; empty if there is none."""
-    if isfinite(np.add.reduce(after.mean, None) + np.add.reduce(after.spread, None)):  # cheap; what overflows is seen below
+    if all_sound(after):
         return ""
-    was = np.isfinite(before.mean).all(-1) & np.isfinite(before.spread).all((-2, -1))
-    lost = was & ~(np.isfinite(after.mean).all(-1) & np.isfinite(after.spread).all((-2, -1)))
+    lost = sound(before) & ~sound(after)
     if not lost.any():
         return ""
     if z is not None and np.isinf(z).any():

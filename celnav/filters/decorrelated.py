@@ -14,11 +14,11 @@ from numpy.typing import ArrayLike
 
 from celnav.filters.arguments import check_hooks, check_model, check_rule
 from celnav.filters.colored import lift
-from celnav.filters.coloring import Colored, Coloring, coloring, difference, first_update, noises, taken
+from celnav.filters.coloring import Colored, Coloring, coloring, difference, first_update, measurement_matrix, noises, taken
 from celnav.filters.conditioning import Model, condition, evaluate
 from celnav.filters.driver import Epoch, Filter
 from celnav.filters.info import Hook, Info, Joint
-from celnav.gaussian import Gaussian, finite
+from celnav.gaussian import Gaussian
 from celnav.linalg import Array, block, matvec, solve_upper_transposed, tria
 from celnav.transform import Transform
 
@@ -71,7 +71,7 @@ def decorrelated(
     check_model("f", f)
     check_rule(rule)
     check_hooks(hooks)
-    matrix = finite("H", H)
+    matrix = measurement_matrix("H", H)
     process, increments, m = noises(Q, sqrt_Q, R, sqrt_R, matrix.shape[-2])
     gates = [_leaving_out(hook) for hook in hooks]
     phi = coloring(Phi, m)

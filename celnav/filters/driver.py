@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from celnav.filters.arguments import kind, takes
 from celnav.filters.info import Info
-from celnav.filters.step import Motion, Predict, Update
+from celnav.filters.step import Conditioning, Motion, Predict, Update
 from celnav.filters.track import Collector, Track
 from celnav.gaussian import Gaussian, finite, integer, numbers
 from celnav.linalg import Array
@@ -66,7 +66,7 @@ def sequential(predict: Predict, *updates: Update) -> Filter:
     ------
     ValueError: for parts that are none, or not in this order; from the filter, unless there is a measurement for each update.
     """
-    if not takes(predict, 2):
+    if isinstance(predict, Conditioning) or not takes(predict, 2):
         raise ValueError(f"predict: expected a part (belief, epoch), got {kind(predict)}")
     for part in updates:
         if isinstance(part, Motion) or not takes(part, 4):
@@ -103,7 +103,7 @@ def sequential(predict: Predict, *updates: Update) -> Filter:
 
 def _check_spaces(predict: Any, update: Any) -> None:
     """Parts of one filter speak of the same state; of two spaces that are not vectors one cannot tell."""
-    flat = [space is EUCLIDEAN for part in (predict, update) if isinstance(space := getattr(part, "space", None), Space)]
+    flat = [space == EUCLIDEAN for part in (predict, update) if isinstance(space := getattr(part, "space", None), Space)]
     if len(flat) == 2 and flat[0] != flat[1]:
         names = ["vectors" if each else "another space" for each in flat]
         hint = "; a measurement that wraps is measurement_space=" if flat[0] else ""
@@ -186,7 +186,7 @@ def steps(filter: Filter, prior: Gaussian, epochs: Iterable[Epoch]) -> Iterator[
 
     Raises
     ------
-    ValueError: if an interval is negative, not finite, or 0 for some runs only, or what is given is no filter or no belief. An
+    ValueError: if an interval is negative, not finite, or 0 though time went on, or what is given is no filter or no belief. An
         exception of the model carries the step as a note.
     """
     if not (hasattr(filter, "start") and hasattr(filter, "step")):
@@ -215,8 +215,6 @@ def _check_interval(epoch: Any, before: Any) -> None:
         raise ValueError(f"dt: expected the interval since t = {before}, got 0 at t = {epoch.t}")
     if not (np.isfinite(dt) & (np.asarray(dt) >= 0.0)).all():
         raise ValueError(f"dt: expected a non-negative number, got {dt!r} at step {epoch.k}")
-    if np.any(dt) and not np.all(dt):
-        raise ValueError(f"dt: expected an interval for every run or for none, got some that are 0 at step {epoch.k}")
 
 
 def run(

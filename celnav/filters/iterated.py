@@ -8,7 +8,7 @@ from typing import Any
 from celnav.filters.arguments import measurement
 from celnav.filters.conditioning import Model, noise_columns
 from celnav.filters.info import Info
-from celnav.filters.step import Update, update
+from celnav.filters.step import Conditioning, update
 from celnav.gaussian import Gaussian, integer
 from celnav.linalg import Array
 from celnav.spaces import EUCLIDEAN, Space
@@ -28,7 +28,7 @@ def iterated(
     jacobians: Callable[[Array, Any], tuple[Array, ...]] | None = None,
     space: Space = EUCLIDEAN,
     measurement_space: Space = EUCLIDEAN,
-) -> Update:
+) -> Conditioning:
     """Update part of the iterated extended Kalman filter: Gauss-Newton steps to the mode of the posterior [Bell1993].
 
     Parameters
@@ -58,4 +58,4 @@ def iterated(
             at = posterior.mean
         return posterior, info, memory
 
-    return part
+    return Conditioning(part, space, measurement_space)

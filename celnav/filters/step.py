@@ -69,6 +69,8 @@ class Motion:
         f, rule, space = self.f, self.rule, self.space
         check_state(belief, space)
         columns = evaluate(self.noise, belief.mean, epoch)
+        if isinstance(dt := getattr(epoch, "dt", None), np.ndarray) and columns is self.noise and dt.any() and not dt.all():
+            raise ValueError("dt: expected an interval for every run or for none where Q is constant, got 0 for some of them")
         r = 0
         if columns is not None:
             r, belief = columns.shape[-1], batched("Q", columns.shape[:-2], belief)
@@ -78,7 +80,7 @@ class Motion:
             return (images("f", f, points, epoch, w, belief.mean.shape[-1]),)
 
         (state,), A = rule.transform(g, belief.mean, root, space, (space,), self.extra, r, epoch)
-        if r:
+        if columns is not None:
             set_noise("Q", A[..., A.shape[-1] - r :], columns)
         predicted = Gaussian(space.plus(state.center, state.shift), belief.form.marginal(A, sign), belief.form)
         failure = explain(belief, predicted, ("f",), rule, g, space, self.extra)
@@ -186,6 +188,8 @@ def update(
     if columns is None and not extra:
         raise ValueError("R: expected measurement noise, R, sqrt_R or extra; if there is none, sqrt_R=np.zeros((m, 0))")
     plain = not hooks and gain is None
+    # Only what is exact must be looked at: the rest cannot be of what is known already.
+    noisy = bool(len(extra)) or gain is not None or (isinstance(columns, np.ndarray) and bool(columns.any(-1).all()))
     if extra and not callable(h):
         raise ValueError("extra: expected a function h(points, epoch, *noise) with it, got a matrix; R is its noise")
     if callable(h):
@@ -216,8 +220,10 @@ def update(
             noise=(0, s), space=space, slopes=lifted.slopes, hooks=hooks, memory=memory, gain=gain, epoch=epoch,
             known=belief.spread,
         )  # fmt: skip
-        if not (s or extra):
-            posterior = informed(posterior, info, lifted.size())
+        if not noisy:
+            exact = np.asarray(info.used) & ~(noise.any(-1) if s else np.zeros(1, bool))
+            if exact.any():
+                posterior = informed(posterior, info, exact, *lifted.size())
         failure = explain(belief, posterior, ("h",), rule, lifted.g, space, extra, z)
         return posterior, info._replace(failure=failure) if failure else info, kept
 
@@ -234,7 +240,7 @@ def _skipped(belief: Gaussian, z: Array, space: Space) -> Info:
 class _Lifted(NamedTuple):
     """A belief seen through a measurement: both images, the pre-array, its room for noise, and how it came about.
 
-    ``size``: ``() -> (..., m)``, how large the numbers are that deviations of the measurement are differences of.
+    ``size``: ``() -> (spread, size)`` as `celnav.filters.conditioning.informed` takes them.
     """
 
     measured: Image
@@ -244,7 +250,7 @@ class _Lifted(NamedTuple):
     sign: Array
     slopes: Callable[[], tuple[Array, ...]]
     g: Callable[..., Outputs]
-    size: Callable[[], Array]
+    size: Callable[[], tuple[Array, Array]]
 
 
 def _through_rule(
@@ -259,9 +265,12 @@ def _through_rule(
         (measured, state), A = rule.transform(g, belief.mean, root, space, (measurement_space, space), extra, room, epoch)
         noise = slice(A.shape[-1] - room, None)
 
-        def size() -> Array:
-            deviation: Array = np.abs(measured.columns).max(-1)
-            return deviation + np.abs(measured.center) if measured.center.shape[-1] == deviation.shape[-1] else deviation
+        def size() -> tuple[Array, Array]:
+            n = belief.spread.shape[-1]
+            axes = np.moveaxis(belief.std[..., None] * np.eye(n), -1, 0)
+            y = images("h", h, space.plus(belief.mean, np.concatenate([0.0 * axes[:1], axes])), epoch, (), m)
+            spread = np.abs(measurement_space.minus(y[1:], y[:1])).max(0)
+            return spread, np.abs(measured.center) if measured.center.shape == spread.shape else np.zeros(1)
 
         return _Lifted(measured, state, A, noise, sign, lambda: (rule.slope(measured, root),), g, size)
 
@@ -292,8 +301,10 @@ def _through_matrix(h: ArrayLike, noise_first: bool) -> Callable[..., _Lifted]:
         np.matmul(H, root, out=of_z)
         of_x[...] = root
         measured, state = Image(matvec(H, belief.mean), 0.0, of_z), Image(belief.mean, 0.0, of_x)
-        return _Lifted(
-            measured, state, A, noise, positive, lambda: (H,), lambda *points: (), lambda: (np.abs(H) @ np.abs(root)).max(-1)
-        )
+
+        def size() -> tuple[Array, Array]:
+            return (np.abs(H) @ np.abs(root)).max(-1), np.zeros(1)
+
+        return _Lifted(measured, state, A, noise, positive, lambda: (H,), lambda *points: (), size)
 
     return lift

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass, field
-from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from celnav.gaussian import SQUARE_ROOT, Form, Gaussian
+from celnav.gaussian import SQUARE_ROOT, Form, Gaussian, all_sound, sound
 from celnav.linalg import Array
 
 if TYPE_CHECKING:
@@ -184,11 +183,11 @@ class Collector:
             self._rows[name].append([getattr(info, name) for info in infos])
 
     def _watch(self, k: int, belief: Gaussian) -> tuple[int, ...] | None:
-        mean, spread = belief.mean, belief.spread
+        mean = belief.mean
         same = self._failed_at is not None and self._failed_at.shape == mean.shape[:-1]
-        if same and isfinite(np.add.reduce(mean, None) + np.add.reduce(spread, None)):  # what overflows is seen below
+        if same and all_sound(belief):
             return None
-        bad = ~(np.isfinite(mean).all(-1) & np.isfinite(spread).all((-2, -1)))
+        bad = ~sound(belief)
         if self._failed_at is None or self._failed_at.shape != bad.shape:
             before = -1 if self._failed_at is None else self._failed_at
             self._failed_at = np.broadcast_to(before, bad.shape).copy()

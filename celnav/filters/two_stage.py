@@ -19,7 +19,7 @@ from celnav.filters.arguments import kind, takes
 from celnav.filters.conditioning import evaluate
 from celnav.filters.driver import Epoch, Filter
 from celnav.filters.info import Info
-from celnav.filters.step import Motion, Predict, Update
+from celnav.filters.step import Conditioning, Motion, Predict, Update
 from celnav.gaussian import Gaussian, finite, sqrt_cov
 from celnav.linalg import Array, block, matvec, outer, semidefinite_root, side_by_side, tria, whiten
 
@@ -72,7 +72,7 @@ def plain(predict: Predict, update: Update) -> First:
     ------
     ValueError: for parts that are none, or not in this order.
     """
-    if not takes(predict, 2):
+    if isinstance(predict, Conditioning) or not takes(predict, 2):
         raise ValueError(f"predict: expected a part (belief, epoch), got {kind(predict)}")
     if isinstance(update, Motion) or not takes(update, 4):
         raise ValueError(f"update: expected a part (belief, z, epoch, memory), got {kind(update)}")
@@ -205,7 +205,10 @@ def two_stage(
         S = np.where(stage.used[..., None], stage.H @ Lambda + seen, 0.0)
         residual = stage.innovation - matvec(S, own.mean)
         own, memory, white, root = _estimate(own, S, residual, stage, boost, state.memory)
-        both = info._replace(innovation=np.where(stage.used, residual, np.nan), white=white, innovation_root=root)
+        # What a hook left out keeps the innovation of the first stage.
+        both = info._replace(
+            innovation=np.where(stage.used, residual, np.asarray(info.innovation)), white=white, innovation_root=root
+        )
         return TwoStageState(known, own, Lambda - stage.gain @ S, here, memory), both
 
     return Filter(start, step)

@@ -2,6 +2,7 @@
 
 import pickle
 import re
+from copy import deepcopy
 
 import numpy as np
 import pytest
@@ -79,7 +80,7 @@ def test_a_rule_that_is_none(given, told):
         (lambda: SEE(PRIOR, [1j, 0.0]), "z: expected numbers, got"),
         (lambda: celnav.angles(3), "components: expected places of angles in a vector, such as [3], got 3"),
         (lambda: product(angles(), EUCLIDEAN), "factors: expected triples (space, length of its points, length of its tangents)"),
-        (lambda: product((EUCLIDEAN, 2, 2)).plus(np.zeros(3), np.zeros(3)), "state: expected 2 components of a product of spaces"),
+        (lambda: product((EUCLIDEAN, 2, 2)).plus(np.zeros(3), np.zeros(3)), "point: expected 2 components of a product of spaces"),
         (lambda: MOTION(QUATERNION), "space: expected one for states of 4 components with 3 deviations, got vectors"),
         (lambda: SEE(QUATERNION, [0.0, 0.0]), "space: expected one for states of 4 components with 3 deviations, got vectors"),
         (lambda: celnav.update(np.eye(2), RULE, np.eye(2), gain=np.eye(3))(PRIOR, [0.0, 0.0]), "gain: expected shape (..., 2, 2)"),
@@ -88,11 +89,16 @@ def test_a_rule_that_is_none(given, told):
         (lambda: two_stage(FILTER, np.eye(2), PRIOR), "first: expected a first stage, such as plain(predict, update), got Filter"),
         (lambda: two_stage(plain(MOTION, SEE), np.eye(2), np.eye(2)), "bias: expected a Gaussian, such as"),
         (lambda: two_stage(plain(MOTION, SEE), np.eye(3), PRIOR), "Gamma: expected shape (..., m, 2) to go with the bias"),
-        (lambda: plain(SEE, MOTION), "update: expected a part (belief, z, epoch, memory), got Motion"),
+        (lambda: plain(SEE, MOTION), "predict: expected a part (belief, epoch), got Conditioning"),
+        (lambda: plain(MOTION, MOTION), "update: expected a part (belief, z, epoch, memory), got Motion"),
+        (lambda: colored(f, [1.0, 0.0], RULE, [[0.5]], Q=np.eye(2), R=[[1.0]]), "h: expected a matrix (m, n), got shape (2,)"),
+        (lambda: square_root([0.0, 0.0], [[1.0, 2.0], [3.0]]), "cov: expected numbers, got [[1.0, 2.0], [3.0]]"),
+        (lambda: celnav.epochs([0.0, 1.0], [[1.0, 2.0], [3.0]]), "z: expected numbers, got [[1.0, 2.0], [3.0]]"),
         (lambda: augmented(f, f, RULE, 1.0, Q=1.0, R=1.0, Sigma0=1.0), "H: expected a matrix (m, n), got a function"),
         (lambda: celnav.update(np.eye(2), RULE, 0.04), "got shape (); [[0.04]] of one component, 0.04 * np.eye(n) of n alike"),
         (lambda: celnav.update(np.eye(2), RULE, [0.1, 0.2]), "got shape (2,); variances alone are np.diag(...)"),
-        (lambda: celnav.sequential(SEE, MOTION), "updates: expected parts (belief, z, epoch, memory) after the predict part"),
+        (lambda: celnav.sequential(SEE, MOTION), "predict: expected a part (belief, epoch), got Conditioning"),
+        (lambda: celnav.sequential(MOTION, MOTION), "updates: expected parts (belief, z, epoch, memory) after the predict part"),
         (lambda: celnav.sequential(MOTION, [SEE]), "after the predict part, got list"),
         (lambda: celnav.sequential(FILTER, SEE), "predict: expected a part (belief, epoch), got Filter"),
         (lambda: celnav.run(PRIOR, FILTER, celnav.epochs([0.0])), "filter: expected a Filter, such as celnav.sequential makes"),
@@ -159,3 +165,23 @@ def test_what_is_masked_is_missing():
     np.testing.assert_array_equal(found.mean, expected.mean)
     np.testing.assert_array_equal(found.dof, [2, 1, 2])
     np.testing.assert_array_equal(SEE(PRIOR, z[1])[0].mean, SEE(PRIOR, [np.nan, 2.0])[0].mean)
+    listed = celnav.run(FILTER, PRIOR, celnav.epochs(np.arange(3.0), list(z)))
+    np.testing.assert_array_equal(listed.mean, expected.mean)
+
+
+def noise(mean, epoch):
+    return 0.1 * np.eye(2)
+
+
+def move(x, epoch):
+    return x + 0.0
+
+
+def test_parts_can_be_sent_to_another_process():
+    """With functions that can; a space that came back is the same space."""
+    parts = celnav.predict(move, RULE, sqrt_Q=noise), celnav.update(np.eye(2), RULE, np.eye(2))
+    motion = pickle.loads(pickle.dumps(parts[0]))
+    belief, _ = motion(PRIOR, celnav.Epoch(1, 1.0, 1.0))
+    np.testing.assert_allclose(belief.cov, 1.01 * np.eye(2))
+    celnav.sequential(motion, parts[1])
+    celnav.sequential(deepcopy(parts[0]), parts[1])

@@ -81,6 +81,46 @@ def test_a_measurement_without_noise_of_what_is_known_is_told(form, h):
 
 
 @FORMS
+def test_an_exact_measurement_is_taken_where_it_says_something(form):
+    """Large numbers known well, components that are missing or gated, noise of some components only, a gain of one's own."""
+    far, h = np.array([7e6, 7e6]), lambda x, e: x.copy()
+    for std in (1.0, 1e-3):
+        exact = celnav.update(h, RULE, sqrt_R=np.zeros((2, 0)))
+        after, _, _ = exact(form(far, std**2 * EYE), far + 0.5 * std)
+        np.testing.assert_allclose(after.mean, far + 0.5 * std, rtol=1e-15)
+        after, _, _ = exact(form(np.tile(far, (2, 1)), std**2 * EYE), [far, [far[0], np.nan]])
+        assert np.isfinite(after.mean).all()
+        gated = celnav.update(h, RULE, sqrt_R=np.zeros((2, 0)), hooks=[gate(3.0)])
+        assert np.isfinite(gated(form(far, std**2 * EYE), far + np.array([0.5, 9.0]) * std)[0].mean).all()
+    wide = celnav.update(EYE, RULE, sqrt_R=np.zeros((2, 0)))
+    np.testing.assert_allclose(wide(form(np.zeros(2), 4.9e13 * EYE), [1.0, np.nan])[0].mean, [1.0, 0.0], atol=1e-9)
+    own = celnav.update(EYE, RULE, sqrt_R=np.zeros((2, 0)), gain=0.5 * EYE)
+    np.testing.assert_allclose(own(form(np.zeros(2), 0.0 * EYE), np.ones(2))[0].mean, 0.5)
+    half = celnav.update(EYE, RULE, np.diag([0.0, 1.0]))
+    np.testing.assert_allclose(half(form(np.zeros(2), EYE), np.ones(2))[0].mean, [1.0, 0.5])
+
+
+@FORMS
+@pytest.mark.parametrize("none", [{"sqrt_R": np.zeros((1, 0))}, {"R": np.zeros((1, 1))}], ids=["no columns", "zeros"])
+@pytest.mark.parametrize("value", [0.0, 1.0])
+def test_what_is_known_to_be_zero_is_known_too(form, none, value):
+    """Nothing to compare round-off with but how far the function bends over the belief."""
+    for h in (lambda x, e: x @ [[0.6], [1.0]], [[0.6, 1.0]]):
+        exact = celnav.update(h, RULE, **none)
+        known, _, _ = exact(form(np.zeros(2), [[1.0, 0.3], [0.3, 2.0]]), [value])
+        assert np.isfinite(known.mean).all()
+        assert np.isnan(exact(known, [1.0])[0].mean).all()
+
+
+def test_a_bias_stage_knows_what_a_gate_left_out():
+    part = plain(celnav.predict(still, RULE, EYE), celnav.update(EYE, RULE, EYE, hooks=[gate(3.0)]))
+    filter = two_stage(part, EYE, square_root(np.zeros(2), 0.01 * EYE))
+    track = celnav.run(filter, square_root(np.zeros(2), EYE), celnav.epochs([0.0, 1.0], [[0.0, 0.0], [100.0, np.nan]]))
+    assert (track.events["rejected"], track.events["missing"]) == (1, 1)
+    np.testing.assert_array_equal(np.isnan(track.innovation), [[False, False], [False, True]])
+
+
+@FORMS
 def test_a_lost_spread_is_told_at_its_step(form):
     """The mean is finite still."""
     f = lambda x, e: np.stack([x[..., 0] ** 2 + x[..., 1] ** 2, x[..., 1]], -1)  # noqa: E731
@@ -89,10 +129,9 @@ def test_a_lost_spread_is_told_at_its_step(form):
     when = [celnav.Epoch(0, 0.0, 0.0), celnav.Epoch(1, 1.0, 1.0)]
     track = celnav.run(filter, form(np.zeros(2), EYE), when, on_failure="flag")
     assert np.isnan(track.std[1, 0])
-    if form is square_root:
-        assert track.failed_at == 1
-        with pytest.raises(celnav.FilterError, match=r"step 1, t = 1\.0: the covariance lost positive definiteness"):
-            celnav.run(filter, form(np.zeros(2), EYE), when)
+    assert track.failed_at == 1
+    with pytest.raises(celnav.FilterError, match=r"step 1, t = 1\.0: the covariance lost positive definiteness"):
+        celnav.run(filter, form(np.zeros(2), EYE), when)
 
 
 def test_an_innovation_stays_on_this_side_of_the_seam():
@@ -106,9 +145,12 @@ def test_an_innovation_stays_on_this_side_of_the_seam():
 def test_some_runs_cannot_stand_still_while_others_move():
     filter = celnav.sequential(celnav.predict(still, RULE, EYE), celnav.update(EYE, RULE, EYE))
     prior = square_root(np.zeros((2, 2)), EYE)
-    with pytest.raises(ValueError, match="dt: expected an interval for every run or for none, got some that are 0 at step 3"):
+    with pytest.raises(ValueError, match="dt: expected an interval for every run or for none where Q is constant"):
         celnav.run(filter, prior, [celnav.Epoch(3, 1.0, np.array([0.0, 1.0]), z=np.ones(2))])
     assert celnav.run(filter, prior, [celnav.Epoch(3, 1.0, np.array([2.0, 1.0]), z=np.ones(2))]).failed_at.max() == -1
+    scaled = celnav.predict(still, RULE, sqrt_Q=lambda mean, epoch: np.sqrt(epoch.dt)[:, None, None] * EYE)
+    mixed = celnav.run(celnav.sequential(scaled), prior, [celnav.Epoch(1, 1.0, np.array([0.0, 3.0]))])
+    np.testing.assert_allclose(mixed.std[0], [[1.0, 1.0], [2.0, 2.0]])
 
 
 COLORED = {
