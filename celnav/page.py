@@ -19,6 +19,7 @@ h1,h2{line-height:1.2}section{margin-top:3rem}figcaption{font-size:13px}a{color:
 @media(max-width:44rem){.cards thead{display:none}.cards tr{display:block;border-bottom:1px solid var(--line);padding:.4rem 0}
 .cards td{display:inline;border:0;padding:0 .6rem 0 0}.cards td:first-child{display:block}
 .cards td[data-name]:not(:first-child)::before{content:attr(data-name)": ";opacity:.6}}
+@media(min-width:44rem){.cards td:not(:first-child){white-space:nowrap}}
 .grid{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(24rem,100%),1fr));gap:1rem}
 """
 
