@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.gaussian import finite
+from celnav.checks import finite
 from celnav.linalg import Array
 from celnav.rule import Rule
 from celnav.sparse_grid import CANCELED, ORDERS, univariate

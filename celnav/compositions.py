@@ -9,13 +9,14 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
+from celnav.checks import integer
 from celnav.filters.adaptive import gate, innovation_window
 from celnav.filters.colored import colored
 from celnav.filters.driver import Filter, sequential, steps
 from celnav.filters.info import Hook
 from celnav.filters.robust import huber, student_t
 from celnav.filters.step import predict, update
-from celnav.gaussian import covariance, integer
+from celnav.gaussian import covariance
 from celnav.montecarlo import generator
 from celnav.points import cubature, gauss_hermite, unscented
 from celnav.problem import Problem

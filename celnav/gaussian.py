@@ -7,11 +7,12 @@ a covariance (fewer operations). Make priors with `square_root` or `covariance`,
 from __future__ import annotations
 
 from math import isfinite
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from celnav.checks import finite
 from celnav.linalg import Array, block, cholesky, downdate, matvec, outer, semidefinite_root, solve_lower, tria, unit, whiten
 
 _NEGLIGIBLE = 1e-12
@@ -235,21 +236,6 @@ def _prior(mean: Array, spread: Array, form: Form) -> Gaussian:
     return Gaussian(mean, spread, form).broadcast_to(batch)
 
 
-def finite(name: str, value: ArrayLike | None, shape: tuple[int, ...] | None = None) -> Array:
-    """A float64 copy of ``value``.
-
-    Raises
-    ------
-    ValueError: naming it, if it is not numeric, not finite or not of ``shape``.
-    """
-    array = numbers(name, value).copy()
-    if shape is not None and array.shape != shape:
-        raise ValueError(f"{name}: expected shape {shape}, got {array.shape}")
-    if not np.isfinite(array).all():
-        raise ValueError(f"{name}: expected finite numbers, got {np.count_nonzero(~np.isfinite(array))} that are not")
-    return array
-
-
 def all_sound(belief: Gaussian) -> bool:
     """Whether all runs are `sound`, most often decided without looking at each."""
     plain = isfinite(np.add.reduce(belief.mean, None) + np.add.reduce(belief.spread, None))  # what overflows is seen below
@@ -265,45 +251,6 @@ def sound(belief: Gaussian) -> Array:
         return np.asarray(finite)
     variances = belief.spread.diagonal(0, -2, -1)
     return np.asarray(finite & (variances >= -_NEGLIGIBLE * np.abs(variances).max(-1, keepdims=True)).all(-1))
-
-
-def numbers(name: str, value: Any) -> Array:
-    """``value`` as float64, which may be the same array; what is masked becomes nan.
-
-    Raises
-    ------
-    ValueError: naming it, for anything else than real numbers: dates and durations too, which would count in a unit of their own.
-    """
-    if type(value) is np.ndarray and value.dtype == np.float64:
-        return value
-    try:
-        if isinstance(value, list | tuple) and any(isinstance(part, np.ma.MaskedArray) for part in value):
-            value = np.ma.stack(value)
-        array = value if isinstance(value, np.ma.MaskedArray) else np.asarray(value)
-        kind = array.dtype.kind
-        found = None if kind in "mMcSU" else np.ma.filled(array.astype(np.float64), np.nan)
-    except (TypeError, ValueError):
-        kind, found = "", None
-    if kind in ("m", "M"):
-        raise ValueError(f"{name}: expected numbers, got dates or durations; seconds are (t - t[0]) / numpy.timedelta64(1, 's')")
-    if found is None:
-        raise ValueError(f"{name}: expected numbers, got {value!r:.80}")
-    return np.asarray(found)
-
-
-def integer(name: str, value: Any, least: int = 1) -> int:
-    """A whole number of at least ``least``, which may have come as a float; ValueError names it if it is none."""
-    number = whole(value)
-    if number is None or number < least:
-        expected = "a positive integer" if least == 1 else f"an integer of at least {least}"
-        raise ValueError(f"{name}: expected {expected}, got {value!r}")
-    return number
-
-
-def whole(value: Any) -> int | None:
-    """An integer that may have come as a float; None for anything else."""
-    number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
-    return int(value) if number and np.isfinite(value) and int(value) == value else None
 
 
 def symmetric(cov: ArrayLike, name: str, n: int | None = None) -> tuple[Array, Array]:

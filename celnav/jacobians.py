@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.gaussian import finite
+from celnav.checks import finite
 from celnav.linalg import Array
 from celnav.spaces import EUCLIDEAN, Space
 

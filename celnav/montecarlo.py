@@ -17,7 +17,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from celnav.gaussian import integer
+from celnav.checks import integer
 from celnav.linalg import Array
 
 R = TypeVar("R")

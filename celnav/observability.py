@@ -11,7 +11,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.gaussian import finite, sqrt_cov, whole
+from celnav.checks import finite, whole
+from celnav.gaussian import sqrt_cov
 from celnav.linalg import Array
 
 Function = Callable[[Array], Array]

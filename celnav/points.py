@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from celnav.gaussian import integer, whole
+from celnav.checks import integer, whole
 from celnav.linalg import Array
 from celnav.rule import Rule
 

@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pymap3d import ecef2geodetic
 
+from celnav.checks import finite
 from celnav.files import InputError
 from celnav.filters.driver import Epoch, run
 from celnav.filters.least_squares import least_squares
-from celnav.gaussian import Gaussian, covariance, finite
+from celnav.gaussian import Gaussian, covariance
 from celnav.linalg import Array
 from celnav.models import pseudorange
 from celnav.models.atmosphere import GPS_L1_HZ, klobuchar, saastamoinen

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtri
 
+from celnav.checks import finite
 from celnav.filters.conditioning import Model, images
 from celnav.filters.driver import Filter, epochs
-from celnav.gaussian import Gaussian, finite, sqrt_cov, square_root
+from celnav.gaussian import Gaussian, sqrt_cov, square_root
 from celnav.linalg import Array
 from celnav.montecarlo import normals
 from celnav.spaces import EUCLIDEAN, Space

@@ -24,8 +24,8 @@ from rerun.error_utils import strict_mode
 from scipy.spatial.transform import Rotation
 
 from celnav import colors
+from celnav.checks import numbers
 from celnav.files import write_bytes
-from celnav.gaussian import numbers
 from celnav.linalg import Array
 from celnav.views import TIMELINE, blueprint
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.gaussian import finite
+from celnav.checks import finite
 from celnav.linalg import Array, semidefinite_root, solve_upper_transposed
 from celnav.spaces import EUCLIDEAN, Space
 from celnav.transform import KEEP, Image, Outputs

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from celnav.gaussian import whole
+from celnav.checks import whole
 from celnav.linalg import Array
 from celnav.points import MAX_POINTS
 from celnav.rule import Rule

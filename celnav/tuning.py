@@ -8,9 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from celnav.checks import finite, integer
 from celnav.filters.driver import Epoch, Filter, FilterError, run
 from celnav.filters.info import Info
-from celnav.gaussian import Gaussian, finite, integer
+from celnav.gaussian import Gaussian
 from celnav.linalg import Array
 
 

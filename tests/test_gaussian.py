@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from celnav.gaussian import COVARIANCE, SQUARE_ROOT, covariance, finite, nees, sqrt_cov, square_root
+from celnav.checks import finite
+from celnav.gaussian import COVARIANCE, SQUARE_ROOT, covariance, nees, sqrt_cov, square_root
 
 FORMS = [SQUARE_ROOT, COVARIANCE]
 BATCHES = [(), (3,), (2, 3)]

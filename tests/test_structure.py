@@ -12,7 +12,8 @@ import celnav
 ROOT = Path(celnav.__file__).parent
 ROOMS = [
     {"linalg", "colors", "effort", "progress", "page", "drawing", "typed"},
-    {"spaces", "gaussian", "files", "views"},
+    {"spaces", "checks", "files", "views"},
+    {"gaussian"},
     {"transform", "rinex_text"},
     {"rule"},
     {"points", "taylor"},

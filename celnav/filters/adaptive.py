@@ -14,8 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import gammaincinv
 
+from celnav.checks import integer
 from celnav.filters.info import Gain, Hook, Info, Joint
-from celnav.gaussian import Gaussian, integer
+from celnav.gaussian import Gaussian
 from celnav.linalg import Array, cholesky, solve_lower, solve_upper_transposed, whiten
 
 

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from celnav.gaussian import Gaussian, numbers
+from celnav.checks import numbers
+from celnav.gaussian import Gaussian
 from celnav.linalg import Array
 from celnav.spaces import EUCLIDEAN, Space
 

@@ -8,12 +8,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from celnav.checks import finite
 from celnav.filters.arguments import measurement
 from celnav.filters.conditioning import noise_columns
 from celnav.filters.driver import Epoch
 from celnav.filters.info import Info
 from celnav.filters.step import update
-from celnav.gaussian import Gaussian, finite
+from celnav.gaussian import Gaussian
 from celnav.linalg import Array, matvec
 from celnav.transform import Transform
 

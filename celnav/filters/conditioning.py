@@ -15,8 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from celnav.checks import finite
 from celnav.filters.info import Gain, Hook, Info, Joint
-from celnav.gaussian import Gaussian, all_sound, finite, sound, sqrt_cov
+from celnav.gaussian import Gaussian, all_sound, sound, sqrt_cov
 from celnav.linalg import Array, matvec, solve_upper_transposed, tria, whiten
 from celnav.spaces import EUCLIDEAN, Space
 from celnav.transform import KEEP, Image, Outputs, Transform

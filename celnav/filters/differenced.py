@@ -16,10 +16,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from celnav.checks import finite
 from celnav.filters.driver import Epoch
 from celnav.filters.info import Info
 from celnav.filters.two_stage import First, Stage
-from celnav.gaussian import Gaussian, finite, sqrt_cov
+from celnav.gaussian import Gaussian, sqrt_cov
 from celnav.linalg import Array, cholesky, matvec, side_by_side, solve_lower, solve_upper_transposed, whiten
 
 Moved = tuple[Array, Array, Array]

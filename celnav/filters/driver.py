@@ -13,11 +13,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from celnav.checks import finite, integer, numbers
 from celnav.filters.arguments import kind, takes
 from celnav.filters.info import Info
 from celnav.filters.step import Conditioning, Motion, Predict, Update
 from celnav.filters.track import Collector, Track
-from celnav.gaussian import Gaussian, finite, integer, numbers
+from celnav.gaussian import Gaussian
 from celnav.linalg import Array
 from celnav.spaces import EUCLIDEAN, Space
 

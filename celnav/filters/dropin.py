@@ -16,9 +16,10 @@ from filterpy.common import pretty_str
 from filterpy.kalman import unscented_transform
 from scipy.linalg import cholesky
 
+from celnav.checks import finite
 from celnav.filters.filterpy_models import differences, mean_of, model_of, sums
 from celnav.filters.step import predict, update
-from celnav.gaussian import COVARIANCE, SQUARE_ROOT, Form, Gaussian, finite, sqrt_cov, symmetric
+from celnav.gaussian import COVARIANCE, SQUARE_ROOT, Form, Gaussian, sqrt_cov, symmetric
 from celnav.linalg import Array, semidefinite_root
 from celnav.points import from_filterpy
 from celnav.rule import Rule

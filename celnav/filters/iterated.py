@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from celnav.checks import integer
 from celnav.filters.arguments import measurement
 from celnav.filters.conditioning import Model, noise_columns
 from celnav.filters.info import Info
 from celnav.filters.step import Conditioning, update
-from celnav.gaussian import Gaussian, integer
+from celnav.gaussian import Gaussian
 from celnav.linalg import Array
 from celnav.spaces import EUCLIDEAN, Space
 from celnav.taylor import Taylor

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from celnav.checks import finite, integer
 from celnav.filters.arguments import measurement
 from celnav.filters.conditioning import evaluate
 from celnav.filters.driver import Epoch, Filter, State
 from celnav.filters.info import Info
-from celnav.gaussian import COVARIANCE, Gaussian, finite, integer
+from celnav.gaussian import COVARIANCE, Gaussian
 from celnav.linalg import Array, matvec, outer, unit
 
 RANK = 1e-10

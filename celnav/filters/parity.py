@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from celnav.checks import integer
 from celnav.filters.adaptive import counted, scaled, variances
 from celnav.filters.info import Hook, Joint
-from celnav.gaussian import integer
 from celnav.linalg import Array, matvec, range_basis
 
 NOTHING = 1e-6

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from celnav.checks import finite
 from celnav.filters.arguments import (
     batched,
     check_extra,
@@ -36,7 +37,7 @@ from celnav.filters.conditioning import (
     set_noise,
 )
 from celnav.filters.info import Gain, Hook, Info
-from celnav.gaussian import Gaussian, finite
+from celnav.gaussian import Gaussian
 from celnav.linalg import Array, matvec
 from celnav.spaces import EUCLIDEAN, Space
 from celnav.transform import KEEP, Image, Outputs, Transform

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from celnav.checks import finite
 from celnav.filters.two_stage import Boost
-from celnav.gaussian import finite
 from celnav.linalg import Array
 
 LARGEST = 1e6

@@ -15,12 +15,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from celnav.checks import finite
 from celnav.filters.arguments import kind, takes
 from celnav.filters.conditioning import evaluate
 from celnav.filters.driver import Epoch, Filter
 from celnav.filters.info import Info
 from celnav.filters.step import Conditioning, Motion, Predict, Update
-from celnav.gaussian import Gaussian, finite, sqrt_cov
+from celnav.gaussian import Gaussian, sqrt_cov
 from celnav.linalg import Array, block, matvec, outer, semidefinite_root, side_by_side, tria, whiten
 
 Slope = Array | Callable[[Array, Epoch], Array]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.gaussian import finite
+from celnav.checks import finite
 from celnav.linalg import Array
 from celnav.models.beidou import LIGHT
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from pymap3d import Ellipsoid
 
-from celnav.gaussian import finite
+from celnav.checks import finite
 from celnav.linalg import Array
 
 GRAVITY_PARAMETER = 3.986004418e14

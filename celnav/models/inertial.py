@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from celnav.gaussian import finite
+from celnav.checks import finite
 from celnav.linalg import Array, components, leading, matvec
 from celnav.models import earth
 from celnav.models.trajectory import Flight

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import expm, solve_discrete_lyapunov
 
-from celnav.gaussian import finite, sqrt_cov
+from celnav.checks import finite
+from celnav.gaussian import sqrt_cov
 from celnav.linalg import Array
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.gaussian import finite
+from celnav.checks import finite
 from celnav.linalg import Array, components
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from celnav.attitude import cross, multiply, rotate
-from celnav.gaussian import finite
+from celnav.checks import finite
 from celnav.linalg import Array, matvec
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from celnav.gaussian import finite
+from celnav.checks import finite
 from celnav.linalg import Array, matvec
 from celnav.models import earth
 

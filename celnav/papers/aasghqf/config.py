@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from celnav.gaussian import finite
+from celnav.checks import finite
 from celnav.linalg import Array
 from celnav.models import earth
 from celnav.models.trajectory import Flight, turning_flight

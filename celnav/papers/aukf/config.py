@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from celnav.gaussian import finite, integer
+from celnav.checks import finite, integer
 from celnav.linalg import Array
 from celnav.models.receiver import CRYSTAL, process_noise, transition
 

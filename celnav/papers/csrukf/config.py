@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from celnav.gaussian import Gaussian, finite, square_root
+from celnav.checks import finite
+from celnav.gaussian import Gaussian, square_root
 from celnav.linalg import Array
 from celnav.models import orbit
 from celnav.models.noise import initial_covariance

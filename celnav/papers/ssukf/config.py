@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from celnav.gaussian import finite
+from celnav.checks import finite
 from celnav.linalg import Array
 from celnav.models.gyro import Gyro
 from celnav.models.rigid_body import Body

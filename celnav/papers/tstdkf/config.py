@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from celnav.gaussian import finite
+from celnav.checks import finite
 from celnav.linalg import Array
 from celnav.models import orbit
 from celnav.models.pulsar import LIGHT_KM_S, Timing, pulsars
