@@ -76,7 +76,7 @@ def figure_10(j: Evidence) -> list[Claim]:
         )
         for id, kind, text, above, below, accept in rows:
             statement = f"Fig. 10, {trend}: {text} (ratio)"
-            note = "2.6 ± 0.3 % on the growing trend, of 72 realizations: too near to 3 % for a bar there" if id == "A" else ""
+            note = "3 % lies in the interval of the growing trend, and would decide at some seeds only" if id == "A" else ""
             found = j.lengthy(f"figure-10-{trend}-{id}", kind, statement, ratio, [above, below], accept, note=note)
             out.append(replace(found, full=False))
     return out + _fading(j) + _drivers(j)
