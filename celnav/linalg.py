@@ -20,6 +20,8 @@ from scipy.linalg import blas, lapack
 Array = NDArray[Any]
 
 _EPS = float(np.finfo(np.float64).eps)
+NEGLIGIBLE = 1e-12
+"""Part of a deviation below which a direction of a singular root is round-off."""
 
 
 def matvec(A: Array, x: Array) -> Array:
@@ -198,9 +200,26 @@ def range_basis(A: Array, least: float) -> Array:
 
 
 def downdate(L: Array, V: Array) -> Array:
-    """Lower root of ``L @ L.mT - V @ V.mT``, all columns of ``V (..., n, k)`` at once; nan exactly where that is indefinite."""
+    """Lower root of ``L @ L.mT - V @ V.mT``, all columns of ``V (..., n, k)`` at once; nan exactly where that is indefinite.
+
+    L may be singular where V adds nothing to its range.
+    """
     W = solve_lower(L, V)
-    return L @ cholesky(np.eye(L.shape[-1]) - outer(W))
+    root: Array = L @ cholesky(unit(L.shape[-1]) - outer(W))
+    lost = np.isnan(root[..., 0, 0])
+    if not lost.any():
+        return root
+    # Of what solves L W = V for a singular L the shortest decides, which substitution does not find.
+    lost = np.asarray(lost & np.isfinite(L).all((-2, -1)) & np.isfinite(V).all((-2, -1)))[..., None, None]
+    size = np.sqrt(np.vecdot(L, L))[..., None]
+    size = np.where(size > 0.0, size, 1.0)
+    safe, wanted = np.where(lost, L, 0.0) / size, np.where(lost, V, 0.0) / size
+    U, s, Qt = np.linalg.svd(safe)
+    kept = s > NEGLIGIBLE * s[..., :1]
+    W = Qt.mT @ (np.where(kept, 1.0 / np.where(kept, s, 1.0), 0.0)[..., None] * (U.mT @ wanted))
+    outside = np.asarray((np.abs(wanted - safe @ W) > NEGLIGIBLE * np.maximum(1.0, np.abs(wanted))).any((-2, -1)))
+    again = np.where(outside[..., None, None], np.nan, L @ cholesky(unit(L.shape[-1]) - outer(W)))
+    return np.where(lost, again, root)
 
 
 def block(rows: Sequence[Sequence[ArrayLike]]) -> Array:

@@ -165,6 +165,21 @@ def test_downdate_fails_exactly_where_the_difference_is_indefinite():
     assert not np.isnan(downdate(L, V)[~lost]).any()
 
 
+def test_downdate_of_a_singular_root():
+    """Also beside regular ones; what is taken away must lie in the range."""
+    rng = np.random.default_rng(12)
+    columns = rng.normal(size=(3, 4, 2))
+    taken = columns @ np.array([[0.6], [0.3]])
+    L = tria(columns)
+    L[2] = lower(rng, 4, 4)
+    D = downdate(L, taken)
+    np.testing.assert_allclose(D @ D.mT, L @ L.mT - taken @ taken.mT, atol=1e-13)
+    assert (np.triu(D, 1) == 0.0).all()
+    taken[0] += 1e-9 * rng.normal(size=(4, 1))
+    taken[1] *= 2.0
+    np.testing.assert_array_equal(np.isnan(downdate(L, taken)).all((-2, -1)), [True, True, False])
+
+
 def test_matvec_broadcasts():
     rng = np.random.default_rng(11)
     A, x = rng.normal(size=(3, 2)), rng.normal(size=(5, 4, 2))

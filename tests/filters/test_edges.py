@@ -301,3 +301,23 @@ def test_numbers_that_must_be_whole(value):
         celnav.run(
             celnav.sequential(celnav.predict(still, RULE, EYE)), square_root(np.zeros(2), EYE), celnav.epochs([0.0]), every=value
         )
+
+
+@pytest.mark.parametrize("rule", [celnav.unscented(3, 0.1, 2.0), celnav.unscented(3, kappa=-1.5)], ids=["alpha", "kappa"])
+@pytest.mark.parametrize("known", ["component", "combination", "measurement"])
+def test_rules_of_negative_weight_take_what_is_known_exactly_in_both_forms(rule, known):
+    """A downdate of a root that is singular; each form by its own way to the same numbers."""
+    F = np.array([[1.0, 0.1, 0.0], [-0.1, 0.9, 0.2], [0.0, 0.0, 0.95]])
+    if known == "component":
+        P, Q, R = np.diag([1.0, 2.0, 0.0]), np.zeros((3, 3)), [[1.0]]
+    elif known == "combination":
+        P, Q, R = np.outer([1.0, 2.0, 3.0], [1.0, 2.0, 3.0]) + np.diag([1.0, 0.0, 0.0]), np.zeros((3, 3)), [[1.0]]
+    else:
+        P, Q, R = np.eye(3), 0.1 * np.eye(3), [[0.0]]
+    filter = celnav.sequential(
+        celnav.predict(lambda x, e: x @ F.T, rule, Q), celnav.update(lambda x, e: x[..., :1] + x[..., 2:], rule, R)
+    )
+    z = np.random.default_rng(1).normal(size=(20, 1))
+    root, cov = (celnav.run(filter, form(np.ones(3), P), celnav.epochs(np.arange(20.0), z)) for form in (square_root, covariance))
+    np.testing.assert_allclose(root.mean, cov.mean, atol=1e-7)
+    np.testing.assert_allclose(root.std, cov.std, atol=1e-6)
