@@ -14,6 +14,7 @@ from celnav.claims import dumps
 from celnav.effort import effort
 from celnav.files import Outputs
 from celnav.filters.driver import run
+from celnav.gaussian import square_root
 from celnav.models.gyro import Gyro, preintegrate
 from celnav.montecarlo import do, generator, joined
 from celnav.papers import figures, ssukf
@@ -299,6 +300,19 @@ def test_dense_roots_and_total_attitudes_are_the_same_filters(sim):
     total = [run(f, variants.total_prior(sim.prior), sim.epochs()) for f in variants.total_filters(sim.config).values()]
     assert apart(*total) < 1e-6
     assert 1e-4 < apart(plain["ssukf"], total[1]) < 0.2
+
+
+def test_variants_give_the_same_in_square_root_form(sim):
+    """A covariance under the name of a root lost all runs, or ten times the accuracy."""
+    root = square_root(sim.prior.mean, sim.prior.cov)
+    for name, filter in variants.dense_filters(sim.config).items():
+        one, other = (run(filter, prior, sim.epochs()) for prior in (sim.prior, root))
+        assert apart(one, other) < 1e-6, name
+        np.testing.assert_allclose(one.std, other.std, rtol=1e-6)
+    for name, filter in variants.total_filters(sim.config).items():
+        one, other = (run(filter, variants.total_prior(prior), sim.epochs()) for prior in (sim.prior, root))
+        assert apart(one, other) < 1e-6, name
+        np.testing.assert_allclose(one.std, other.std, rtol=1e-6)
 
 
 def test_one_vector_separates_the_filters_and_equal_spread_unites_them():

@@ -29,11 +29,9 @@ def to_tangent(q: Array) -> Array:
 
 
 def total_prior(prior: Gaussian) -> Gaussian:
-    """The prior with its covariance in total parameters."""
-    G = to_tangent(prior.mean[..., :4])
-    half = np.linalg.solve(G, prior.cov)
-    P = np.linalg.solve(G, half.mT)
-    return prior._replace(spread=0.5 * (P + P.mT))
+    """The prior with its spread in total parameters."""
+    columns, sign = prior.columns
+    return prior._replace(spread=prior.form.marginal(np.linalg.solve(to_tangent(prior.mean[..., :4]), columns), sign))
 
 
 def total_filters(config: Config, *, c: float | None = None, switched: bool = True) -> dict[str, Filter]:
@@ -130,7 +128,12 @@ def dense_filters(config: Config, *, c: float | None = None) -> dict[str, Filter
 
 def _augmented(belief: Gaussian, noise: Array) -> Gaussian:
     mean = np.concatenate([belief.mean, np.zeros((*belief.mean.shape[:-1], len(noise)))], -1)
-    return Gaussian(mean, block([[belief.cov, 0], [0, np.diag(noise**2)]]), belief.form)
+    return Gaussian(mean, block([[belief.spread, 0], [0, belief.form.marginal(np.diag(noise), np.ones(1))]]), belief.form)
+
+
+def _reduced(belief: Gaussian) -> Gaussian:
+    """The belief about attitude and drift alone: of a lower root, too, the first rows are all there is of them."""
+    return Gaussian(belief.mean[..., :7], belief.spread[..., :6, :6], belief.form)
 
 
 def _space(noise: Array) -> Space:
@@ -148,7 +151,7 @@ def _dense_predict(config: Config, noise: Array, c: float | None) -> Predict:
 
     def dense(belief: Gaussian, epoch: Any = None) -> tuple[Gaussian, Info]:
         after, info = part(_augmented(belief, noise), epoch)
-        return Gaussian(after.mean[..., :7], after.cov[..., :6, :6], belief.form), info
+        return _reduced(after), info
 
     return dense
 
@@ -162,6 +165,6 @@ def _dense_update(config: Config, noise: Array, c: float | None) -> Any:
 
     def dense(belief: Gaussian, z: Any, epoch: Any = None, memory: Any = None) -> tuple[Gaussian, Info, Any]:
         after, info, memory = part(_augmented(belief, noise), z, epoch, memory)
-        return Gaussian(after.mean[..., :7], after.cov[..., :6, :6], belief.form), info, memory
+        return _reduced(after), info, memory
 
     return dense
