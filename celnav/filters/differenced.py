@@ -111,6 +111,8 @@ def differenced(
     F, L, J, Xi, V, Q = noise.F, noise.L, noise.J, noise.Xi, noise.V, noise.Q
     m, n_q, JF = F.shape[-1], L.shape[-1], J @ F
     f_V, f_Q = (matrix.diagonal(0, -2, -1)[..., None, :] for matrix in (F, L))
+    # The first measurement is not differenced: what it takes into the prediction is all of J V.
+    begun = side_by_side([0.5 * Q, Q, np.zeros((n_q, m))])
     fresh = side_by_side([0.5 * (Q + JF @ V @ JF.mT), Q, JF @ V * f_V])
 
     def start(prior: Gaussian) -> DifferencedState:
@@ -130,7 +132,7 @@ def differenced(
         z = np.asarray(epoch.z, dtype=np.float64)
         if np.isnan(z).any():
             raise ValueError("z: expected a whole measurement at every epoch: what was missed cannot be differenced")
-        first = bool(np.isnan(state.V).any())
+        first = bool(np.isnan(state.V).all())
         Z = z if first else z - matvec(F, state.V)
         sensor = V if first else Xi
         H = slope(x, epoch)
@@ -147,7 +149,7 @@ def differenced(
         mean, innovation = x + into, y - matvec(H, into)
         ahead = Phi1 @ side_by_side([state.belief.spread, state.DQ, state.DV])
         ahead_Q, ahead_V = ahead[..., n : n + n_q] * f_Q, ahead[..., n + n_q :]
-        driven = G1 @ fresh
+        driven = G1 @ (begun if first else fresh)
         cross = (ahead_Q + ahead_V @ JF.mT + driven[..., :n_q]) @ G1.mT
         P = ahead[..., :n] @ Phi1.mT + cross + cross.mT
         HP = H @ P

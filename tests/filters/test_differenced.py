@@ -98,8 +98,8 @@ def test_its_covariances_are_those_of_a_consider_filter(F, L, coupling):
         Omega, K = seen.Omega, seen.gain[0]
         D = np.eye(n) - Omega @ H
         sensor = noise.V if k == 0 else noise.Xi
-        # (x, V, Q)' = A (x, V, Q) + noise (xi, e); V' and Q' as the model has them.
-        A = np.block([[D @ PHI, D @ G @ JF, D @ G @ noise.L], [np.zeros((m, n)), noise.F, np.zeros((m, q))],
+        # (x, V, Q)' = A (x, V, Q) + noise (xi, e); V' and Q' as the model has them. The first Omega takes in all of J V.
+        A = np.block([[D @ PHI, (k > 0) * D @ G @ JF, D @ G @ noise.L], [np.zeros((m, n)), noise.F, np.zeros((m, q))],
                       [np.zeros((q, n + m)), noise.L]])  # fmt: skip
         W = np.block([[np.zeros((n, m)), D @ G], [np.eye(m), np.zeros((m, q))], [np.zeros((q, m)), np.eye(q)]])
         S = np.block([[noise.Xi, np.zeros((m, q))], [np.zeros((q, m)), noise.E]])
@@ -113,6 +113,58 @@ def test_its_covariances_are_those_of_a_consider_filter(F, L, coupling):
         np.testing.assert_allclose(state.belief.cov[0], joint[:n, :n], atol=1e-10)
         np.testing.assert_allclose(state.DQ[0], joint[:n, n + m :], atol=1e-10)
         np.testing.assert_allclose(state.DV[0], joint[:n, n : n + m], atol=1e-10)
+
+
+@pytest.mark.parametrize(("F", "L"), [(0.8, 0.0), (0.5, 0.9), (-0.9, 0.5)])
+def test_the_first_measurement_is_exact(F, L):
+    """By conditioning the joint of (x, V, Q) as a whole, whatever the colors are."""
+    noise, first = stage(F, L, coupling=5.0)
+    W = np.hstack([PHI, G @ noise.J, G])  # x' of (x, V', Q')
+    C = np.zeros((2 * N + M, 2 * N + M))
+    C[:N, :N], C[N : N + M, N : N + M], C[N + M :, N + M :] = P0, noise.V, noise.Q
+    seen = H @ W + np.eye(M, 2 * N + M, N)
+    K = np.linalg.solve(seen @ C @ seen.T, seen @ C).T
+    left = C - K @ seen @ C
+    z = measured()
+    state, _ = first.predict(first.start(prior()), Epoch(0, 1.0, 1.0))
+    state, stage_, info = first.update(state, Epoch(0, 1.0, 1.0, None, z[0]))
+    np.testing.assert_allclose(state.belief.mean, z[0] @ (W @ K).T, atol=1e-12)
+    np.testing.assert_allclose(state.belief.cov[0], W @ left @ W.T, atol=1e-12)
+    np.testing.assert_allclose(state.DV[0], (W @ left)[:, N : N + M], atol=1e-12)
+    np.testing.assert_allclose(state.DQ[0], (W @ left)[:, N + M :], atol=1e-12)
+    # The density of the innovation is that of z, which it is a linear function of: D z, D = I - H Omega.
+    D = np.eye(M) - H @ stage_.Omega
+    np.testing.assert_allclose(info.innovation, z[0] @ D.T, atol=1e-12)
+    np.testing.assert_allclose(info.innovation_root[0] @ info.innovation_root[0].T, D @ seen @ C @ seen.T @ D.T, atol=1e-10)
+
+
+def test_the_first_variance_is_that_of_samples():
+    """One state, F = 0.8: of 1.21 that were claimed there are 0.60."""
+    one, runs = np.eye(1), 40_000
+    noise = ar1_noise(0.8 * one, 0.0 * one, 2.0 * one, 0.36 * one, 0.5 * one)
+    first = differenced(lambda x, _e: (0.9 * x, 0.9 * one, one), lambda x, _e: 0.7 * x, lambda _x, _e: 0.7 * one, noise)
+    rng = np.random.default_rng(3)
+    x, v, q = (std * rng.normal(size=(runs, 1)) for std in (1.0, noise.V[0, 0] ** 0.5, noise.Q[0, 0] ** 0.5))
+    x = 0.9 * x + 2.0 * v + q
+    epoch = Epoch(0, 1.0, 1.0, None, 0.7 * x + v)
+    state, _ = first.predict(first.start(covariance(np.zeros((runs, 1)), one)), epoch)
+    state, _, info = first.update(state, epoch)
+    assert np.mean((state.belief.mean - x) ** 2 / state.belief.cov[..., 0]) == pytest.approx(1.0, abs=4.0 * (2.0 / runs) ** 0.5)
+    assert np.mean(info.nis) == pytest.approx(1.0, abs=4.0 * (2.0 / runs) ** 0.5)
+
+
+def test_a_lost_run_does_not_begin_its_neighbors_anew():
+    z, (_, first) = measured(), stage(0.5, 0.5, 1.0)
+    begun = first.start(prior())
+    begun = begun._replace(belief=begun.belief._replace(mean=begun.belief.mean * [[np.nan], [1.0]]))
+    state = begun
+    for k in range(3):
+        epoch = Epoch(k, k + 1.0, 1.0, None, z[k])
+        state, _ = first.predict(state, epoch)
+        state, _, _ = first.update(state, epoch)
+    mean, cov = alone(first, z[:, 1:])
+    np.testing.assert_allclose(state.belief.mean[1], mean[2, 0], atol=1e-12)
+    np.testing.assert_allclose(state.belief.cov[1], cov[2, 0], atol=1e-12)
 
 
 def test_process_noise_of_one_color_is_nearly_exact():

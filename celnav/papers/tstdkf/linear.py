@@ -115,14 +115,14 @@ class Differenced(NamedTuple):
 
 def differenced(s: Differenced, at: Linear, z: Array, noise: Noise, boost: Any, first: bool) -> Differenced:
     """A step of `Differenced`."""
-    H, Omega, F = at.H, at.Omega, noise.F
-    lag, sensor = (np.zeros((3, 3)), noise.V) if first else (F, noise.Xi)
+    H, Omega = at.H, at.Omega
+    lag, sensor = (np.zeros((3, 3)), noise.V) if first else (noise.F, noise.Xi)
     seen, x = at.Gamma - lag @ s.before, s.x @ at.Phi.T
     y = z - s.V @ lag - x @ H.T
     into = y @ Omega.T
     x, innovation = x + into, y - into @ H.T
     ahead_V, ahead_Q = at.Phi1 @ s.DV, at.Phi1 @ s.DQ
-    P = _ahead(s, at, ahead_V, ahead_Q)
+    P = _ahead(s, at, ahead_V, ahead_Q, noise, first)
     HP = H @ P
     Sigma = HP @ H.T + sensor
     K = _solve(Sigma, HP).T
@@ -139,20 +139,21 @@ def differenced(s: Differenced, at: Linear, z: Array, noise: Noise, boost: Any, 
     Lambda, x = U - K @ S, x + innovation @ K.T
     return Differenced(
         x, 0.5 * (P + P.T), b, s.M - SM.T @ _solve(total, SM), Lambda,
-        left @ (ahead_V + at.through @ noise.V) @ F - K @ sensor, left @ (ahead_Q @ noise.L + at.G1 @ noise.Q),
+        left @ (ahead_V + at.through @ noise.V) @ lag - K @ sensor, left @ (ahead_Q @ noise.L + at.G1 @ noise.Q),
         z - x @ H.T, at.Gamma + H @ Lambda, memory,
     )  # fmt: skip
 
 
-def _ahead(s: Differenced, at: Linear, ahead_V: Array, ahead_Q: Array) -> Array:
-    """Covariance before the measurement."""
+def _ahead(s: Differenced, at: Linear, ahead_V: Array, ahead_Q: Array, noise: Noise, first: bool) -> Array:
+    """Covariance before the measurement; the first one, not differenced, takes all of V into the prediction."""
     cross = ahead_Q @ at.lagged.T + ahead_V @ at.through.T
-    return np.asarray(at.Phi1 @ s.P @ at.Phi1.T + cross + cross.T + at.fresh)
+    fresh = at.fresh - at.through @ noise.V @ at.through.T if first else at.fresh
+    return np.asarray(at.Phi1 @ s.P @ at.Phi1.T + cross + cross.T + fresh)
 
 
 def gain(s: Differenced, at: Linear, noise: Noise, first: bool) -> Array:
     """The gain ``(6, 3)`` of the next step."""
-    P = _ahead(s, at, at.Phi1 @ s.DV, at.Phi1 @ s.DQ)
+    P = _ahead(s, at, at.Phi1 @ s.DV, at.Phi1 @ s.DQ, noise, first)
     return _solve(at.H @ P @ at.H.T + (noise.V if first else noise.Xi), at.H @ P).T
 
 
