@@ -17,6 +17,8 @@ from celnav.linalg import Array, block, cholesky, downdate, matvec, outer, semid
 
 _NEGLIGIBLE = 1e-12
 """Part of the largest variance that a negative one may be, which has been 0."""
+_PRECISE = 1e3
+"""Deviations of the noise by which an innovation may vary before a difference of covariances loses too many digits."""
 
 
 class Form(Protocol):
@@ -40,13 +42,13 @@ class Form(Protocol):
         """
 
     def condition(
-        self, A: Array, sign: Array, m: int, gain: Array | None = None, known: Array | None = None
+        self, A: Array, sign: Array, m: int, gain: Array | None = None, known: tuple[Array, Array] | None = None
     ) -> tuple[Array, Array, Array]:
         """Condition the last rows of ``A (..., m + n, q)`` on the first ``m``.
 
         Returns the root ``S (..., m, m)`` of the first rows, ``U = K @ S (..., n, m)`` and the spread of the rest. With a
         prescribed ``gain`` K ``(..., n, m)`` the spread is that of ``rest - K @ first`` (Joseph form). ``known``: the spread of
-        the last rows, if it is at hand.
+        the last rows, and deviations ``(..., m)`` of the noise in the first, if they are at hand.
         """
 
     def sum(self, spread: Array, columns: Array) -> Array:
@@ -78,7 +80,7 @@ class SquareRootForm:
         sign: Array,
         m: int,
         gain: Array | None = None,
-        known: Array | None = None,  # noqa: ARG002
+        known: tuple[Array, Array] | None = None,  # noqa: ARG002
     ) -> tuple[Array, Array, Array]:
         if gain is not None:
             S = self.marginal(A[..., :m, :], sign)
@@ -107,24 +109,34 @@ class CovarianceForm:
 
     def marginal(self, A: Array, sign: Array) -> Array:
         P: Array = _counted(A, sign) @ A.mT
-        return P
+        # Of a covariance between columns the product is symmetric to rounding only, which modes that grow would make grow.
+        return 0.5 * (P + P.mT) if sign.ndim > 1 else P
 
     def condition(
-        self, A: Array, sign: Array, m: int, gain: Array | None = None, known: Array | None = None
+        self, A: Array, sign: Array, m: int, gain: Array | None = None, known: tuple[Array, Array] | None = None
     ) -> tuple[Array, Array, Array]:
         if gain is None and known is not None:
+            spread, noise = known
             C = _counted(A[..., :m, :], sign) @ A.mT
             S = cholesky(C[..., :m])
             U = solve_lower(S, C[..., m:]).mT
-            return S, U, known - outer(U)
-        P = self.marginal(A, sign)
-        S = cholesky(P[..., :m, :m])
-        if gain is None:
-            U = solve_lower(S, P[..., :m, m:]).mT
-            return S, U, P[..., m:, m:] - outer(U)
-        cross = P[..., m:, :m] @ gain.mT
-        joseph = P[..., m:, m:] - cross - cross.mT + gain @ P[..., :m, :m] @ gain.mT
-        return S, gain @ S, 0.5 * (joseph + joseph.mT)
+            left = spread - outer(U)
+            precise = S.diagonal(0, -2, -1) > _PRECISE * noise
+            if not precise.any():
+                return S, U, left
+            again, chosen = self.condition(A, sign, m), np.asarray(precise.any(-1))[..., None, None]
+            return S, np.where(chosen, again[1], U), np.where(chosen, again[2], left)
+        if sign.ndim > 1:
+            k = sign.shape[-1]
+            A, sign = np.concatenate([A[..., :k] @ semidefinite_root(sign), A[..., k:]], -1), np.ones(1)
+        Z, X = A[..., :m, :], A[..., m:, :]
+        S = cholesky(_counted(Z, sign) @ Z.mT)
+        if gain is not None:
+            return S, gain @ S, self.marginal(X - gain @ Z, sign)
+        # What the first rows explain is taken off the columns: of variances, a difference would have half the digits.
+        W = solve_lower(S, Z)
+        U = X @ _counted(W, sign).mT
+        return S, U, self.marginal(X - U @ W, sign)
 
     def sum(self, spread: Array, columns: Array) -> Array:
         return np.asarray(spread + outer(columns))

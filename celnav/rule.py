@@ -68,6 +68,7 @@ class Rule:
         self._used: Any = slice(None) if used.all() else slice(1, None) if used[1:].all() else np.flatnonzero(used)
         self._wm, self._scale = self.wm[used], np.sqrt(np.abs(self.wc[used]))
         self.sign = np.where(self.wc[used] < 0.0, -1.0, 1.0)
+        self.sign.flags.writeable = False
         self.linear = False
 
     @cached_property

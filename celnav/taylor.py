@@ -39,6 +39,7 @@ class Taylor:
         self.step = float(step)
         self.about = None if about is None else np.asarray(about, dtype=np.float64)
         self.sign = np.ones(1)
+        self.sign.flags.writeable = False
         self.linear = jacobians is not None
 
     def __repr__(self) -> str:

@@ -122,7 +122,7 @@ def condition(
     memory: Any = None,
     gain: Gain | None = None,
     epoch: Any = None,
-    known: Array | None = None,
+    known: tuple[Array, Array] | None = None,
 ) -> tuple[Gaussian, Info, Any]:
     """Condition a state on an innovation, given the pre-array of both.
 
@@ -136,7 +136,7 @@ def condition(
     noise: ``(r, s)``.
     space: of the state. slopes: what hooks get as `Joint.slopes`, and the `Info` after them.
     hooks, memory, gain, epoch: see `celnav.filters.step.update`.
-    known: spread of the state's rows, if it is at hand; not used where a hook replaces columns of these.
+    known: see `celnav.gaussian.Form`; not used where a hook changes the state's rows.
 
     Returns
     -------
@@ -148,16 +148,16 @@ def condition(
     if hooks:
         r, s = noise
         q = A.shape[-1] - r - s
-        joint = given = Joint(innovation, A[..., :q], sign, A[..., q : q + r], A[..., q + r :], slopes)
+        before, counts = A[..., m:, :].copy(), sign  # a hook may replace the joint's arrays or write into them
+        joint = Joint(innovation.copy(), A[..., :q], sign, A[..., q : q + r], A[..., q + r :], slopes)
         memories = []
         for hook, own in zip(hooks, (None,) * len(hooks) if memory is None else memory, strict=True):
             own, joint = hook(own, joint, epoch)
             memories.append(own)
         kept, innovation, sign = tuple(memories), joint.innovation, joint.sign
-        same = joint.columns is given.columns and joint.sign is given.sign and joint.process is given.process
-        if not same or (joint.sensor is not given.sensor and joint.sensor[..., m:, :].any()):
-            known = None
         A = np.concatenate([joint.columns, joint.process, joint.sensor], -1)
+        if sign is not counts or not np.array_equal(A[..., m:, :], before):
+            known = None
     used = innovation == innovation
     if not used.all():
         A, innovation = _left_out(A, innovation, used)

@@ -189,6 +189,7 @@ def update(
     if columns is None and not extra:
         raise ValueError("R: expected measurement noise, R, sqrt_R or extra; if there is none, sqrt_R=np.zeros((m, 0))")
     plain = not hooks and gain is None
+    least = _deviations(columns) if isinstance(columns, np.ndarray) else None
     # Only what is exact must be looked at: the rest cannot be of what is known already.
     noisy = bool(len(extra)) or gain is not None or (isinstance(columns, np.ndarray) and bool(columns.any(-1).all()))
     if extra and not callable(h):
@@ -219,7 +220,7 @@ def update(
         posterior, info, kept = condition(
             belief, lifted.state, A, lifted.sign, innovation,
             noise=(0, s), space=space, slopes=lifted.slopes, hooks=hooks, memory=memory, gain=gain, epoch=epoch,
-            known=belief.spread,
+            known=None if noise is None or len(extra) else (belief.spread, _deviations(noise) if least is None else least),
         )  # fmt: skip
         if not noisy:
             exact = np.asarray(info.used) & ~(noise.any(-1) if s else np.zeros(1, bool))
@@ -229,6 +230,11 @@ def update(
         return posterior, info._replace(failure=failure) if failure else info, kept
 
     return Conditioning(part, space, measurement_space)
+
+
+def _deviations(columns: Array) -> Array:
+    """Of each component of a noise."""
+    return np.asarray(np.sqrt(np.vecdot(columns, columns)))
 
 
 def _skipped(belief: Gaussian, z: Array, space: Space) -> Info:

@@ -422,3 +422,24 @@ def test_fallback_gives_up_where_both_fail():
 def test_bad_input_is_refused_by_name(bad, name):
     with pytest.raises(ValueError, match=f"^{name}: expected"):
         bad()
+
+
+@pytest.mark.parametrize("how", ["in place", "anew"])
+def test_a_hook_may_write_into_the_joint(how):
+    """Inflating the prior, rows of the state included: the same in both forms, and the record of the innovation stays."""
+
+    def inflate(memory, joint, epoch):
+        columns = joint.columns if how == "in place" else joint.columns.copy()
+        columns *= 2.0
+        if how == "in place":
+            joint.innovation[...] *= 0.5
+        return memory, joint._replace(columns=columns, innovation=joint.innovation if how == "in place" else 0.5 * joint.innovation)
+
+    P = np.array([[2.0, 0.5], [0.5, 1.0]])
+    part = update(np.eye(1, 2), unscented(2), [[1.0]], hooks=[inflate])
+    expected = update(np.eye(1, 2), unscented(2), [[1.0]])(covariance(np.zeros(2), 4.0 * P), [1.0])[0]
+    for form in (square_root, covariance):
+        belief, info, _ = part(form(np.zeros(2), P), [2.0])
+        np.testing.assert_allclose(belief.mean, expected.mean, atol=1e-14)
+        np.testing.assert_allclose(belief.cov, expected.cov, atol=1e-14)
+        np.testing.assert_array_equal(info.innovation, [2.0])

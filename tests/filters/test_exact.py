@@ -7,9 +7,12 @@ import pytest
 from filterpy.kalman import JulierSigmaPoints, MerweScaledSigmaPoints, SimplexSigmaPoints, UnscentedKalmanFilter
 
 import celnav
+from celnav.filters.adaptive import gate
 from celnav.filters.colored import augmented, colored
 from celnav.filters.decorrelated import decorrelated, decorrelation
+from celnav.gaussian import covariance, square_root
 from celnav.models import orbit
+from celnav.taylor import Taylor
 
 FORMS = {"square root": celnav.square_root, "covariance": celnav.covariance}
 RULES = {
@@ -324,3 +327,49 @@ def test_a_lost_run_is_flagged_and_its_neighbors_go_on():
     np.testing.assert_allclose(track.mean[:, [0, 2]], others.mean, rtol=1e-13)
     with pytest.raises(celnav.FilterError, match=r"step 2, .*run \(1,\): f is not finite at sigma point"):
         celnav.run(filter, prior, epochs)
+
+
+GROWING = np.array([[1.05, 0.1], [0.0, 1.02]])
+
+
+@pytest.mark.parametrize("matrix", [False, True])
+def test_an_extended_filter_in_covariance_form_stays_symmetric_where_modes_grow(matrix):
+    """Feedback keeps the state near 0; what is not symmetric in P would grow as the modes do, 1e15-fold in 500 steps."""
+    moved, seen = Taylor(lambda x, epoch: (GROWING,)), Taylor(lambda x, epoch: (np.eye(1, 2),))
+    back = GROWING - 0.5 * np.eye(2)
+    z = np.random.default_rng(0).normal(size=(1000, 1))
+    tracks = []
+    for form in (covariance, square_root):
+        h = np.eye(1, 2) if matrix else lambda x, epoch: x[..., :1]
+        predict = celnav.predict(lambda x, epoch: x @ (GROWING - back).T, moved, 0.01 * np.eye(2))
+        filter = celnav.sequential(predict, celnav.update(h, seen, [[1.0]]))
+        tracks.append(celnav.run(filter, form(np.zeros(2), np.eye(2)), celnav.epochs(np.arange(1000.0), z), keep="spread"))
+    np.testing.assert_allclose(tracks[0].cov, tracks[1].cov, rtol=1e-9)
+    np.testing.assert_array_equal(tracks[0].cov, tracks[0].cov.mT)
+
+
+@pytest.mark.parametrize(
+    ("moved", "seen"),
+    [
+        (Taylor(lambda x, epoch: (np.eye(3),)), Taylor(lambda x, epoch: (np.eye(1, 3),))),
+        (celnav.unscented(3), celnav.unscented(3)),
+        (celnav.unscented(3, 0.1, 2.0), celnav.unscented(3, 0.1, 2.0)),
+    ],
+    ids=["ekf", "ukf", "alpha"],
+)
+@pytest.mark.parametrize("hooked", [False, True])
+def test_precise_sensors_cost_a_covariance_no_definiteness(moved, seen, hooked):
+    """Deviations of 1e5 before and 1e-7 after: as variances, more digits apart than there are. Its neighbor stays as it is."""
+    H, prior, runs = np.eye(1, 3), 1e10 * (0.5 * np.eye(3) + 0.5), np.array([[1e-7], [1.0]])
+    filter = celnav.sequential(
+        celnav.predict(lambda x, epoch: x, moved, 1e-4 * np.diag([0.0, 1.0, 1.0])),
+        celnav.update(lambda x, epoch: x @ H.T, seen, sqrt_R=runs[..., None], hooks=[gate(1e6)] if hooked else ()),
+    )
+    z = np.zeros((40, 2, 1))
+    cov, root = (
+        celnav.run(filter, form(np.zeros((2, 3)), prior), celnav.epochs(np.arange(40.0), z), keep="spread")
+        for form in (covariance, square_root)
+    )
+    np.testing.assert_allclose(cov.std, root.std, rtol=1e-5)
+    alone = celnav.update(lambda x, epoch: x @ H.T, seen, [[1.0]])(covariance(np.zeros(3), prior), [0.0])[0]
+    np.testing.assert_allclose(cov.cov[0, 1], alone.cov, rtol=1e-9)
