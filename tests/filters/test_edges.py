@@ -247,6 +247,25 @@ def test_one_belief_serves_all_measurements(hook, form):
     np.testing.assert_array_equal(found.used, expected.used)
 
 
+@FORMS
+@pytest.mark.parametrize("rule", [RULE, celnav.Taylor()], ids=["points", "taylor"])
+@pytest.mark.parametrize("hook", HOOKS)
+def test_neighbors_of_a_lost_run_go_on_under_every_hook(hook, rule, form):
+    z = np.random.default_rng(0).normal(size=(6, 3, 6))
+
+    def f(x, epoch):
+        return x * np.where(epoch.k == 2, [[1.0], [np.nan], [1.0]], 1.0) if x.shape[-2] == 3 else x
+
+    filter = celnav.sequential(celnav.predict(f, rule, EYE), celnav.update(seen, rule, np.eye(6), hooks=[HOOKS[hook]]))
+    together, apart = (
+        celnav.run(filter, form(np.zeros((len(runs), 2)), EYE), celnav.epochs(np.arange(6.0), z[:, runs]), on_failure="flag")
+        for runs in ([0, 1, 2], [0, 2])
+    )
+    np.testing.assert_array_equal(together.failed_at, [-1, 2, -1])
+    np.testing.assert_allclose(together.mean[:, [0, 2]], apart.mean, atol=1e-12)
+    np.testing.assert_allclose(together.std[:, [0, 2]], apart.std, atol=1e-12)
+
+
 def test_one_belief_serves_other_parts_too():
     z = np.random.default_rng(1).normal(size=(3, 2))
     one, many = square_root(np.zeros(2), EYE), square_root(np.zeros((3, 2)), EYE)
