@@ -95,7 +95,7 @@ def compose(problem: Problem, parts: Composition) -> Filter | None:
             predict(problem.f, rule, sqrt_Q=problem.sqrt_Q, space=space),
             update(problem.h, rule, R=problem.R, hooks=hooks, space=space, measurement_space=measured),
         )
-    elif problem.space is EUCLIDEAN and problem.measurement_space is EUCLIDEAN:
+    elif problem.space == EUCLIDEAN and problem.measurement_space == EUCLIDEAN:
         both = RULES[parts.rule](n + problem.sqrt_Q.shape[1])
         filter = colored(
             problem.f, problem.h, both, problem.phi * np.eye(m), sqrt_Q=problem.sqrt_Q, R=(1.0 - problem.phi**2) * problem.R,

@@ -60,6 +60,9 @@ class SquareRootForm:
 
     name = "square root"
 
+    def __reduce__(self) -> str:
+        return "SQUARE_ROOT"  # a copy is the form itself
+
     def root(self, spread: Array) -> Array:
         return spread
 
@@ -96,6 +99,9 @@ class CovarianceForm:
     """The spread is a covariance; only the innovation covariance is factored."""
 
     name = "covariance"
+
+    def __reduce__(self) -> str:
+        return "COVARIANCE"
 
     def root(self, spread: Array) -> Array:
         return semidefinite_root(spread)

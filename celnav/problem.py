@@ -76,7 +76,7 @@ class Problem:
             sqrt_cov(getattr(self, name), name)
         if self.sqrt_Q.ndim != 2 or len(self.sqrt_Q) != self.n:
             raise ValueError(f"sqrt_Q: expected columns ({self.n}, r), got {self.sqrt_Q.shape}")
-        if self.mean.ndim != 1 or (self.space is EUCLIDEAN and len(self.mean) != self.n):
+        if self.mean.ndim != 1 or (self.space == EUCLIDEAN and len(self.mean) != self.n):
             raise ValueError(f"mean: expected shape ({self.n},) to go with cov, got {self.mean.shape}")
         if self.times.ndim != 1 or len(self.times) < 2 or not (np.diff(self.times) > 0.0).all():
             raise ValueError(f"times: expected two or more increasing numbers, got shape {self.times.shape}")
@@ -122,7 +122,7 @@ class Problem:
             V = noise[0] if epoch.k == 0 else self.phi * V + np.sqrt(1.0 - self.phi**2) * noise[epoch.k]
             factor = np.where(wild[epoch.k], WILD, 1.0)
             truth.append(x)
-            seen = self._image("h", x, epoch, m if self.measurement_space is EUCLIDEAN else None)
+            seen = self._image("h", x, epoch, m if self.measurement_space == EUCLIDEAN else None)
             z.append(self.measurement_space.plus(seen, factor * V))
         return np.stack(truth), np.stack(z)
 

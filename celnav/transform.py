@@ -13,6 +13,9 @@ class _Keep:
     def __repr__(self) -> str:
         return "KEEP"
 
+    def __reduce__(self) -> str:
+        return "KEEP"
+
 
 KEEP: Final = _Keep()
 """Stands for "the state itself" among the outputs of a function: its columns are then exact, on any space."""

@@ -139,7 +139,7 @@ def _back(filtered: Gaussian, after: Gaussian, epoch: Epoch, motion: Motion) -> 
     spread = form.marginal(np.concatenate([A[..., n:, :] - G @ A[..., :n, :], G @ ahead], -1), rule.sign)
     if space.transport is not None:
         carry = space.transport(step)
-        spread = tria(carry @ spread) if form is SQUARE_ROOT else carry @ spread @ carry.mT
+        spread = tria(carry @ spread) if form.name == SQUARE_ROOT.name else carry @ spread @ carry.mT
     return Gaussian(space.plus(x.center, step), spread, form), G
 
 

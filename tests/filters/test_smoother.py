@@ -1,10 +1,14 @@
 """The smoother gives the marginals of the joint Gaussian of all states, and what filterpy's smoother gives."""
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 from scipy.stats import chi2
 
+from celnav import attitude
 from celnav.filters.colored import augmented
 from celnav.filters.driver import FilterError, epochs, run, sequential
 from celnav.filters.smoother import smooth
@@ -457,3 +461,17 @@ def test_one_epoch_and_a_stream_of_epochs():
     np.testing.assert_array_equal(streamed.mean, smooth(track, when, predict(linear, rule, sqrt_Q=SQRT_Q)).mean)
     assert isinstance(rule, Rule)
     assert isinstance(streamed.beliefs()[0], Gaussian)
+
+
+@pytest.mark.parametrize("copied", [lambda x: pickle.loads(pickle.dumps(x)), copy.deepcopy], ids=["pickle", "deepcopy"])
+@pytest.mark.parametrize("form", [square_root, covariance], ids=["root", "cov"])
+def test_a_copied_track_is_smoothed_like_the_track(form, copied):
+    space = attitude.attitude(transported=True)
+    motion = predict(lambda x, epoch: x, unscented(3), 0.01 * np.eye(3), space=space)
+    see = update(lambda x, epoch: x, unscented(3), 0.1 * np.eye(3), space=space, measurement_space=attitude.attitude())
+    z = attitude.exp(0.8 * np.random.default_rng(5).normal(size=(6, 3)))
+    track = run(sequential(motion, see), form(attitude.IDENTITY, np.diag([1.0, 0.5, 0.1])), epochs(np.arange(6), z), keep="spread")
+    plain, again = (smooth(t, epochs(np.arange(6), z), motion) for t in (track, copied(track)))
+    np.testing.assert_array_equal(again.std, plain.std)
+    np.testing.assert_array_equal(again.cov, plain.cov)
+    assert copied(track).form is track.form
