@@ -111,7 +111,10 @@ class CovarianceForm:
 
     def std(self, spread: Array) -> Array:
         variances = spread.diagonal(0, -2, -1)
-        return np.sqrt(variances if variances.min(initial=0.0) >= 0.0 else np.where(variances < 0.0, np.nan, variances))
+        if variances.min(initial=0.0) >= 0.0:
+            return np.asarray(np.sqrt(variances))
+        zero = (variances < 0.0) & _negligible(variances)
+        return np.asarray(np.sqrt(np.where(zero, 0.0, np.where(variances < 0.0, np.nan, variances))))
 
     def marginal(self, A: Array, sign: Array) -> Array:
         P: Array = _counted(A, sign) @ A.mT
@@ -268,7 +271,12 @@ def sound(belief: Gaussian) -> Array:
     if belief.form.name != "covariance":
         return np.asarray(finite)
     variances = belief.spread.diagonal(0, -2, -1)
-    return np.asarray(finite & (variances >= -_NEGLIGIBLE * np.abs(variances).max(-1, keepdims=True)).all(-1))
+    return np.asarray(finite & _negligible(variances).all(-1))
+
+
+def _negligible(variances: Array) -> Array:
+    """Which variances are not negative, or no more than by round-off."""
+    return np.asarray(variances >= -_NEGLIGIBLE * np.abs(variances).max(-1, keepdims=True, initial=0.0))
 
 
 def symmetric(cov: ArrayLike, name: str, n: int | None = None) -> tuple[Array, Array]:

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from celnav.filters.arguments import check_hooks, check_model, check_rule
 from celnav.filters.coloring import Colored, Coloring, coloring, difference, first_update, measurement_matrix, noises, taken
-from celnav.filters.conditioning import Model, condition, evaluate, explain, images
+from celnav.filters.conditioning import Model, condition, evaluate, images, settled
 from celnav.filters.driver import Epoch, Filter, State, sequential
 from celnav.filters.info import Hook, Info
 from celnav.filters.step import predict, update
@@ -112,8 +112,8 @@ class Lifted(NamedTuple):
     def slope(self) -> Array:
         return self.rule.slope(self.y, self.root)
 
-    def failure(self, after: Gaussian, z: Array | None) -> str:
-        return explain(self.belief, after, ("f",), self.rule, self.g, EUCLIDEAN, (), z)
+    def settled(self, after: Gaussian, z: Array | None) -> tuple[Gaussian, str]:
+        return settled(self.belief, after, ("f",), self.rule, self.g, EUCLIDEAN, (), z)
 
 
 def lift(f: Model, rule: Transform, belief: Gaussian, epoch: Epoch) -> Lifted:
@@ -144,7 +144,8 @@ def _linear(f: Model, H: Array, rule: Transform, process: Any, increments: Any, 
             belief, lifted.y, A, rule.sign, z - measured.center - measured.shift,
             noise=(W.shape[-1], Z.shape[-1]), slopes=slopes, hooks=hooks, memory=state.memory, epoch=epoch,
         )  # fmt: skip
-        return after, info._replace(failure=lifted.failure(after, z)), memory
+        after, failure = lifted.settled(after, z)
+        return after, info._replace(failure=failure), memory
 
     return conditioned
 
@@ -177,7 +178,8 @@ def _through_points(
             belief, y, A, rule.sign, z - measured.center - measured.shift,
             noise=(0, s), slopes=slopes, hooks=hooks, memory=state.memory, epoch=epoch,
         )  # fmt: skip
-        return after, info._replace(failure=explain(belief, after, ("h", "f"), rule, g, EUCLIDEAN, (process,), z)), memory
+        after, failure = settled(belief, after, ("h", "f"), rule, g, EUCLIDEAN, (process,), z)
+        return after, info._replace(failure=failure), memory
 
     return conditioned
 

@@ -223,7 +223,10 @@ def informed(posterior: Gaussian, info: Info, exact: Array, spread: Array, size:
     return Gaussian(mean, np.where(nothing[..., None, None], np.nan, posterior.spread), posterior.form)
 
 
-def explain(
+INDEFINITE = "the innovation covariance is not positive definite"
+
+
+def settled(
     before: Gaussian,
     after: Gaussian,
     names: Sequence[str],
@@ -232,20 +235,35 @@ def explain(
     space: Space,
     extra: Sequence[Array] = (),
     z: Array | None = None,
-) -> str:
-    """Why a run that was finite before a step is not so after it; empty if there is none."""
+) -> tuple[Gaussian, str]:
+    """The belief after a step, nan in runs that are lost, and why one that was sound before is not; empty if there is none."""
     if all_sound(after):
-        return ""
-    lost = sound(before) & ~sound(after)
-    if not lost.any():
-        return ""
+        return after, ""
+    kept = sound(after)
+    lost = sound(before) & ~kept
+    mean, spread = np.where(kept[..., None], after.mean, np.nan), np.where(kept[..., None, None], after.spread, np.nan)
+    return Gaussian(mean, spread, after.form), _reason(before, lost, names, rule, g, space, extra, z) if lost.any() else ""
+
+
+def _reason(
+    before: Gaussian,
+    lost: Array,
+    names: Sequence[str],
+    rule: Transform,
+    g: Callable[..., Outputs],
+    space: Space,
+    extra: Sequence[Array],
+    z: Array | None,
+) -> str:
     if z is not None and np.isinf(z).any():
         return "z is infinite"
-    points = rule.points(before.mean, before.form.root(before.spread), space, extra)
-    for name, y in zip(names, g(*points), strict=False):
+    root = before.form.root(before.spread)
+    if (lost & ~np.isfinite(root).all((-2, -1))).any():
+        return "the covariance lost positive definiteness in the step before; a prior of celnav.square_root has twice the digits"
+    for name, y in zip(names, g(*rule.points(before.mean, root, space, extra)), strict=False):
         if y is KEEP:
             continue
         bad = ~np.isfinite(y).all(-1) & lost
         if bad.any():
             return f"{name} is not finite at sigma point {int(np.argwhere(bad)[0, 0])}"
-    return "the covariance lost positive definiteness" if z is None else "the innovation covariance is not positive definite"
+    return "the covariance lost positive definiteness" if z is None else INDEFINITE

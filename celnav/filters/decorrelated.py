@@ -101,7 +101,8 @@ def decorrelated(
             belief, lifted.x, A, rule.sign, z - h.center - h.shift,
             noise=(0, m), slopes=slopes, hooks=gates, memory=memory, epoch=epoch,
         )  # fmt: skip
-        return lagged, info._replace(failure=lifted.failure(lagged, z)), kept
+        lagged, failure = lifted.settled(lagged, z)
+        return lagged, info._replace(failure=failure), kept
 
     def forward(lagged: Gaussian, Phi: Array, z: Array, epoch: Epoch, used: Array) -> tuple[Gaussian, str]:
         star = system(lagged.mean, epoch, used)
@@ -110,7 +111,7 @@ def decorrelated(
         y = lifted.rows(np.eye(JH.shape[-1]) - JH, star.J @ Phi @ matrix)
         mean = y.center + y.shift + matvec(star.J, np.where(used, z, 0.0))
         ahead = Gaussian(mean, lagged.form.marginal(block([[y.columns, star.sqrt_Q]]), rule.sign), lagged.form)
-        return ahead, lifted.failure(ahead, None)
+        return lifted.settled(ahead, None)
 
     def step(state: Colored, epoch: Epoch) -> tuple[Colored, Info]:
         state, z = taken(state, epoch, m)

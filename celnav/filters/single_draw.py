@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from celnav.filters.arguments import batched, check_hooks, check_model, check_space, measurement
-from celnav.filters.conditioning import Model, condition, evaluate, explain, images, innovation_of, noise_columns, set_noise
+from celnav.filters.conditioning import Model, condition, evaluate, images, innovation_of, noise_columns, set_noise, settled
 from celnav.filters.driver import Epoch, Filter, State
 from celnav.filters.info import Hook, Info
 from celnav.filters.step import Update, predict
@@ -81,7 +81,7 @@ def single_draw(
             belief, state, A, rule.sign, innovation, noise=(0, s), space=space,
             slopes=lambda: (rule.slope(measured, root), rule.slope(state, root)), hooks=hooks, memory=memory, epoch=epoch,
         )  # fmt: skip
-        failure = explain(belief, posterior, ("h", "f"), rule, g, space, extra, z)
+        posterior, failure = settled(belief, posterior, ("h", "f"), rule, g, space, extra, z)
         return posterior, info._replace(failure=failure) if failure else info, kept
 
     return part

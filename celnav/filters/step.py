@@ -25,16 +25,17 @@ from celnav.filters.arguments import (
     measurement,
 )
 from celnav.filters.conditioning import (
+    INDEFINITE,
     Model,
     Noise,
     condition,
     evaluate,
-    explain,
     images,
     informed,
     innovation_of,
     noise_columns,
     set_noise,
+    settled,
 )
 from celnav.filters.info import Gain, Hook, Info
 from celnav.gaussian import Gaussian
@@ -84,7 +85,7 @@ class Motion:
         if columns is not None:
             set_noise("Q", A[..., A.shape[-1] - r :], columns)
         predicted = Gaussian(space.plus(state.center, state.shift), belief.form.marginal(A, sign), belief.form)
-        failure = explain(belief, predicted, ("f",), rule, g, space, self.extra)
+        predicted, failure = settled(belief, predicted, ("f",), rule, g, space, self.extra)
         return predicted, Info(slopes=(lambda: (rule.slope(state, root),),), failure=failure)
 
 
@@ -226,10 +227,18 @@ def update(
             exact = np.asarray(info.used) & ~(noise.any(-1) if s else np.zeros(1, bool))
             if exact.any():
                 posterior = informed(posterior, info, exact, *lifted.size())
-        failure = explain(belief, posterior, ("h",), rule, lifted.g, space, extra, z)
+        posterior, failure = settled(belief, posterior, ("h",), rule, lifted.g, space, extra, z)
+        if failure == INDEFINITE and not noisy and not (s and noise.any(-1).all()):
+            failure += _REDUNDANT
         return posterior, info._replace(failure=failure) if failure else info, kept
 
     return Conditioning(part, space, measurement_space)
+
+
+_REDUNDANT = (
+    "; a measurement without noise must say what is not known already: of redundant sensors, or of a constraint that is repeated, "
+    "leave out all but one (z is nan) or give them a small R"
+)
 
 
 def _deviations(columns: Array) -> Array:

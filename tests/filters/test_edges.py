@@ -74,10 +74,46 @@ def test_a_measurement_without_noise_of_what_is_known_is_told(form, h):
     np.testing.assert_allclose([0.6, 1.0] @ known.mean, 1.0, rtol=1e-12)
     again, info, _ = exact(known, [1.0])
     assert np.isnan(again.mean).all()
-    assert info.failure == "the innovation covariance is not positive definite"
+    assert info.failure.startswith("the innovation covariance is not positive definite; a measurement without noise must say what")
+    assert info.failure.endswith("leave out all but one (z is nan) or give them a small R")
     filter = celnav.sequential(celnav.predict(still, RULE, EYE), exact)
     with pytest.raises(celnav.FilterError, match="innovation covariance is not positive definite"):
         celnav.run(filter, known, celnav.epochs([0.0], [[1.0]]))
+
+
+@FORMS
+def test_redundant_perfect_sensors_are_told_with_what_to_do(form):
+    """Two of the same; one that is left out costs nothing. Where there is noise the message does not speak of its absence."""
+    twice = celnav.update(lambda x, e: x[..., [0, 0]], RULE, np.zeros((2, 2)))
+    _, info, _ = twice(form(np.zeros(2), EYE), [1.0, 1.0])
+    assert info.failure.endswith("leave out all but one (z is nan) or give them a small R")
+    np.testing.assert_allclose(twice(form(np.zeros(2), EYE), [1.0, np.nan])[0].mean, [1.0, 0.0], atol=1e-15)
+    bent = celnav.update(lambda x, e: np.cos(3.0 * x[..., :6]), celnav.cubature(13, 5), lambda mean, epoch: 0.0025 * np.eye(6))
+    _, info, _ = bent(form(np.zeros(13), 9.0 * np.eye(13)), np.ones(6))
+    assert info.failure == "the innovation covariance is not positive definite"
+
+
+def test_a_run_lost_in_covariance_form_is_nan_in_its_epoch_and_the_model_is_not_blamed():
+    rule = celnav.unscented(1, 1.0, 0.0, -0.9)
+    filter = celnav.sequential(
+        celnav.predict(lambda x, e: 50.0 * x * x + 0.1 * x, rule, [[1e-3]]), celnav.update([[1.0]], rule, [[1.0]])
+    )
+    prior = covariance([[0.0], [0.0]], [[[1e-6]], [[1.0]]])
+    track = celnav.run(filter, prior, celnav.epochs(np.arange(2.0), np.full((2, 2, 1), np.nan)), on_failure="flag", keep="spread")
+    np.testing.assert_array_equal(track.failed_at, [-1, 1])
+    np.testing.assert_array_equal(np.isnan(track.mean[1, :, 0]), [False, True])
+    np.testing.assert_array_equal(np.isnan(track.cov[1, :, 0, 0]), [False, True])
+    indefinite = celnav.Gaussian(np.zeros(2), np.array([[1.0, 2.0], [2.0, 1.0]]), prior.form)
+    _, info = celnav.predict(still, RULE, EYE)(indefinite, celnav.Epoch())
+    assert info.failure.startswith("the covariance lost positive definiteness in the step before; a prior of celnav.square_root")
+
+
+def test_a_variance_that_was_zero_has_a_deviation():
+    """Round-off below 0 that does not count as a failure is no nan among the deviations either."""
+    known = celnav.Gaussian(
+        np.zeros((2, 2)), np.array([[[1.0, 0.0], [0.0, -1e-17]], [[1.0, 0.0], [0.0, -1e-3]]]), covariance(0 * EYE[0], EYE).form
+    )
+    np.testing.assert_array_equal(known.std, [[1.0, 0.0], [1.0, np.nan]])
 
 
 @FORMS
