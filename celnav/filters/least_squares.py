@@ -64,8 +64,8 @@ def least_squares(
         weight = np.where(used, 1.0 / evaluate(deviations, x, epoch), 0.0)
         n = x.shape[-1]
         enough, moving = used.sum(-1) >= n, np.ones(x.shape[:-1], bool)
-        V, known = np.zeros((*x.shape, n)), moving
-        for _ in range(most):
+        V, known = np.zeros((*x.shape, n)), enough
+        for _ in range(most if z.shape[-1] >= n else 0):  # too few determine nothing
             G = weight[..., None] * jacobian(x, epoch)
             length = np.sqrt(np.square(G).sum(-2))
             Q, R = np.linalg.qr(G / np.where(length > 0.0, length, 1.0)[..., None, :])

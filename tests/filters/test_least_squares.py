@@ -60,3 +60,15 @@ def test_a_receiver_is_found_from_the_middle_of_the_earth():
 def test_bad_input_is_refused_by_name(changes, name):
     with pytest.raises(ValueError, match=f"^{name}"):
         least_squares(lambda x, _e: x, lambda x, _e: x, **({"sigma": SIGMA} | changes))
+
+
+@pytest.mark.parametrize("shape", [(2,), (0,), (4, 2), (4, 0), (0, 2), (0, 0)])
+def test_fewer_measurements_than_states_make_no_fix(shape):
+    """Nor an error, with whatever runs: the state is nan, and a later whole measurement starts from the last fix."""
+    m, H = shape[-1], np.eye(3)[: shape[-1]]
+    filter = least_squares(lambda x, _e: x @ H.T, lambda x, _e: np.broadcast_to(H, (*x.shape[:-1], m, 3)), np.ones(m))
+    prior = covariance(np.zeros((*shape[:-1], 3)), np.eye(3))
+    track = run(filter, prior, epochs([0.0, 1.0], np.ones((2, *shape))), on_failure="flag")
+    assert track.mean.shape == (2, *shape[:-1], 3)
+    assert np.isnan(track.mean).all()
+    np.testing.assert_array_equal(track.failed_at, np.zeros(shape[:-1]))
