@@ -22,7 +22,7 @@ from celnav.filters.driver import Epoch, Filter
 from celnav.filters.info import Info
 from celnav.filters.step import Conditioning, Motion, Predict, Update
 from celnav.gaussian import Gaussian, sqrt_cov
-from celnav.linalg import Array, block, matvec, outer, semidefinite_root, side_by_side, tria, whiten
+from celnav.linalg import Array, block, matvec, outer, side_by_side, tria, unit, whiten
 
 Slope = Array | Callable[[Array, Epoch], Array]
 """``Gamma (..., m, p)``: derivative of the measurement with respect to the bias; constant or ``(mean, epoch) -> matrix``."""
@@ -219,13 +219,26 @@ def _walked(known: Any, own: Gaussian, Lambda: Array, walk: Array) -> tuple[Any,
     """Sensitivity and first stage before an update when the bias has moved [Hsieh & Chen 1999]."""
     M = own.cov
     after = Gaussian(own.mean, own.form.sum(own.spread, walk), own.form)
-    share = np.linalg.solve(after.cov, M)  # (M^-)^-1 M
+    share = _quotient(after.cov, M, walk)
     less = Lambda @ share.mT
-    lost = M - M @ share
-    columns = Lambda @ semidefinite_root(0.5 * (lost + lost.mT))
+    left = unit(M.shape[-1]) - share
+    # M - M share of the bias's variance goes to the state: left' M left + share' Qb share, which takes no difference.
+    columns = Lambda @ side_by_side([left.mT @ own.root, share.mT @ walk])
     belief = known.belief
     mean = belief.mean + matvec(Lambda - less, own.mean)
     return known._replace(belief=belief._replace(mean=mean, spread=belief.form.sum(belief.spread, columns))), after, less
+
+
+def _quotient(total: Array, M: Array, walk: Array) -> Array:
+    """``(M^-)^-1 M`` with ``M^- = M + walk @ walk.mT``; a bias that is known exactly and does not move has no part in it."""
+    if (walk.diagonal(0, -2, -1) > 1e-6 * np.sqrt(np.vecdot(walk, walk))).all():
+        return np.linalg.solve(total, M)
+    variances = total.diagonal(0, -2, -1)
+    std = np.sqrt(np.where(variances > 0.0, variances, 1.0))
+    whole = np.asarray(np.isfinite(total).all((-2, -1)))[..., None, None]
+    correlation = np.where(whole, total / std[..., :, None] / std[..., None, :], 0.0)
+    inverse = np.linalg.pinv(correlation, rtol=1e-12, hermitian=True) / std[..., :, None] / std[..., None, :]
+    return np.asarray(np.where(whole, inverse, np.nan) @ M)
 
 
 def _estimate(

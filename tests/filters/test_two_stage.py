@@ -31,7 +31,7 @@ def measured(runs=3, seed=1):
     return np.random.default_rng(seed).normal(size=(T, runs, M)) * 2.0
 
 
-def augmented(form, z, Qb=None):
+def augmented(form, z, Qb=None, M0=M0):
     transition = block([[F, 0], [0, np.eye(B)]])
     noise = block([[Q, 0], [0, np.zeros((B, B)) if Qb is None else Qb]])
     rule = unscented(N + B)
@@ -46,7 +46,7 @@ def batched(prior, z):
     return prior._replace(mean=mean, spread=spread)
 
 
-def staged(form, z, **options):
+def staged(form, z, M0=M0, **options):
     filter = two_stage(first(), GAMMA, form(B0, M0), **options)
     return run(filter, batched(form(np.zeros(N), P0), z), epochs(np.arange(float(T)), z), keep="spread")
 
@@ -61,6 +61,20 @@ def test_two_stages_are_the_augmented_filter(form, Qb):
     np.testing.assert_allclose(two.innovation, one.innovation, atol=1e-10)
     np.testing.assert_allclose(two.nis, one.nis, atol=1e-9)
     np.testing.assert_allclose(two.log_likelihood, one.log_likelihood, rtol=1e-9)
+
+
+@FORMS
+@pytest.mark.parametrize(
+    "Qb", [None, np.zeros((B, B)), np.diag([0.05, 0.0]), np.full((B, B), 0.1)], ids=["none", "zero", "one", "both"]
+)
+@pytest.mark.parametrize("M0", [np.zeros((B, B)), np.diag([4.0, 0.0]), np.diag([0.0, 1.0]), np.outer([1.0, 3.0], [1.0, 3.0])])
+def test_a_bias_that_is_known_exactly(form, M0, Qb):
+    """In all, some or a combination of its components, whichever of them walk."""
+    z = measured()
+    z[7, 1] = np.nan
+    two, one = staged(form, z, M0, Qb=Qb), augmented(form, z, Qb, M0)
+    np.testing.assert_allclose(two.mean, one.mean, atol=1e-7)
+    np.testing.assert_allclose(two.cov, one.cov, atol=1e-7)
 
 
 @FORMS
