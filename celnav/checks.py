@@ -49,6 +49,18 @@ def finite(name: str, value: ArrayLike | None, shape: tuple[int, ...] | None = N
     return array
 
 
+def unmasked(name: str, value: Any) -> Any:
+    """``value``, which a model gave.
+
+    Raises
+    ------
+    ValueError: naming the model, if some of it is masked: what is missing at one point has no mean, and no measurement lacks it.
+    """
+    if isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value):
+        raise ValueError(f"{name}: expected numbers, got masked ones; a component that was not measured is nan in z")
+    return value
+
+
 def integer(name: str, value: Any, least: int = 1) -> int:
     """A whole number of at least ``least``, which may have come as a float; ValueError names it if it is none."""
     number = whole(value)

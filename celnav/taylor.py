@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from celnav.checks import unmasked
 from celnav.linalg import Array, is_unit, matvec, side_by_side, solve_upper_transposed
 from celnav.spaces import EUCLIDEAN, Space
 from celnav.transform import KEEP, Image, Outputs
@@ -35,6 +36,10 @@ class Taylor:
     ):
         if not (np.isfinite(step) and step > 0.0):
             raise ValueError(f"step: expected a positive number, got {step!r}")
+        if jacobians is not None and not callable(jacobians):
+            raise ValueError(
+                f"jacobians: expected a function (mean, epoch) -> (J,), such as lambda x, epoch: (F,), got {jacobians!r:.80}"
+            )
         self.jacobians = jacobians
         self.step = float(step)
         self.about = None if about is None else np.asarray(about, dtype=np.float64)
@@ -92,7 +97,7 @@ class Taylor:
         if given is not None:
             if not isinstance(given, tuple | list):
                 raise ValueError(f"jacobians: expected a tuple, one matrix for each output, got {type(given).__name__}")
-            given = tuple(np.asarray(J, dtype=np.float64) for J in given)
+            given = tuple(np.asarray(unmasked("jacobians", J), dtype=np.float64) for J in given)
         if given is not None and len(given) != len(outputs):
             moved = [i for i, y in enumerate(outputs) if y is not KEEP]  # the state itself needs none
             if len(given) != len(moved):

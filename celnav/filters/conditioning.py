@@ -12,10 +12,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
+from warnings import warn
 
 import numpy as np
 
-from celnav.checks import finite
+from celnav.checks import finite, unmasked
 from celnav.filters.info import Gain, Hook, Info, Joint
 from celnav.gaussian import Gaussian, all_sound, sound, sqrt_cov
 from celnav.linalg import Array, matvec, solve_upper_transposed, tria, whiten
@@ -51,7 +52,7 @@ def noise_columns(cov: Any, sqrt: Any, name: str) -> Noise:
 
 
 def _columns_of(function: Callable[[Array, Any], Any], name: str, mean: Array, epoch: Any) -> Array:
-    return _columns(name, np.asarray(function(mean, epoch), dtype=np.float64))
+    return _columns(name, np.asarray(unmasked(name, function(mean, epoch)), dtype=np.float64))
 
 
 def _root_of(function: Callable[[Array, Any], Any], name: str, mean: Array, epoch: Any) -> Array:
@@ -86,7 +87,8 @@ def images(name: str, function: Model, points: Array, epoch: Any, noise: Sequenc
     ValueError: naming the function, if what it returns has another shape. What it raises itself carries a note of what it got.
     """
     try:
-        y = np.asarray(function(points, epoch, *noise), dtype=np.float64)
+        values = np.asarray(unmasked(name, function(points, epoch, *noise)))
+        y = values.astype(np.float64, copy=False)
     except (AttributeError, TypeError, ValueError) as error:
         given = "an input" if getattr(epoch, "u", None) is not None else "None"
         error.add_note(
@@ -97,7 +99,23 @@ def images(name: str, function: Model, points: Array, epoch: Any, noise: Sequenc
         last = "m" if dimension is None else dimension
         expected = "(" + ", ".join(str(s) for s in (*points.shape[:-1], last)) + ")"
         raise ValueError(f"{name} returned shape {y.shape}, expected {expected}")
+    if values.dtype.kind == "f" and values.itemsize < y.itemsize:
+        _warn_of_rounding(name, values.dtype, points, y)
     return y
+
+
+def _warn_of_rounding(name: str, dtype: Any, points: Array, y: Array) -> None:
+    """Warn of values in single precision whose differences, all that a filter has of a model, are hardly more than round-off."""
+    if len(points) == 1 or not y.size:
+        return
+    differences, moved = np.ptp(y, 0), np.ptp(points, 0) > 0.0
+    moved = moved if moved.shape == differences.shape else moved.any(-1, keepdims=True)
+    if (moved & (differences < 1e3 * np.finfo(dtype).eps * np.abs(y).max(0))).any():
+        warn(
+            f"{name} returns {dtype}: its values differ from point to point by little more than round-off. Compute in float64.",
+            RuntimeWarning,
+            stacklevel=3,
+        )
 
 
 def innovation_of(z: Array, predicted: Image, space: Space) -> Array:

@@ -185,3 +185,49 @@ def test_parts_can_be_sent_to_another_process():
     np.testing.assert_allclose(belief.cov, 1.01 * np.eye(2))
     celnav.sequential(motion, parts[1])
     celnav.sequential(deepcopy(parts[0]), parts[1])
+
+
+@pytest.mark.parametrize("rule", [celnav.Taylor(), celnav.unscented(2, 1e-3, 2.0)], ids=["taylor", "alpha"])
+def test_a_model_in_single_precision_is_told_where_differences_are_round_off(rule):
+    """A deviation of 1e-5 came out of one of 0.01, and nothing was said."""
+    single = celnav.predict(lambda x, epoch: x.astype(np.float32), rule, 1e-10 * np.eye(2))
+    with pytest.warns(RuntimeWarning, match="f returns float32: its values differ .* Compute in float64"):
+        single(celnav.square_root([7000.0, 7000.0], 1e-4 * np.eye(2)))
+    see = celnav.update(lambda x, epoch: x[..., :1].astype(np.float32), rule, [[1.0]])
+    with pytest.warns(RuntimeWarning, match="h returns float32"):
+        see(celnav.square_root([7000.0, 7000.0], 1e-4 * np.eye(2)), [7000.0])
+
+
+def test_single_precision_that_does_no_harm_is_taken_in_silence():
+    """Differences far above round-off, a component that is known exactly, Jacobians of one's own."""
+    for rule in (celnav.unscented(2), celnav.Taylor(lambda x, epoch: (np.eye(2),))):
+        part = celnav.predict(lambda x, epoch: x.astype(np.float32), rule, np.zeros((2, 2)))
+        after, _ = part(celnav.square_root([7000.0, 0.1], np.diag([1e4, 0.0])))
+        np.testing.assert_allclose(after.std, [100.0, 0.0], rtol=1e-5)
+
+
+def test_masked_values_of_a_model_are_refused():
+    """Of what is hidden nothing is known; masked arrays without a mask are arrays."""
+    rule, prior = celnav.unscented(2), celnav.square_root(np.ones(2), np.eye(2))
+
+    def hidden(x, epoch=None):
+        return np.ma.masked_greater(x, 1.5)
+
+    for name, call in {
+        "f": lambda: celnav.predict(hidden, rule, np.eye(2))(prior),
+        "h": lambda: celnav.update(hidden, rule, np.eye(2))(prior, [1.0, 1.0]),
+        "sqrt_R": lambda: celnav.update(np.eye(2), rule, sqrt_R=lambda x, e: hidden(2.0 * np.eye(2)))(prior, [1.0, 1.0]),
+        "jacobians": lambda: celnav.predict(lambda x, e: x, celnav.Taylor(lambda x, e: (hidden(2.0 * np.eye(2)),)), np.eye(2))(
+            prior
+        ),
+    }.items():
+        with pytest.raises(ValueError, match=f"^{name}: expected numbers, got masked ones; a component .* is nan in z"):
+            call()
+    after, _ = celnav.predict(lambda x, e: np.ma.masked_array(x), rule, np.eye(2))(prior)
+    np.testing.assert_allclose(after.cov, 2.0 * np.eye(2), atol=1e-14)
+
+
+def test_jacobians_are_a_function():
+    for given in (np.eye(2), (np.eye(2),), 3):
+        with pytest.raises(ValueError, match=r"^jacobians: expected a function \(mean, epoch\) -> \(J,\), such as lambda x, epoch"):
+            celnav.Taylor(given)
