@@ -96,7 +96,7 @@ class SquareRootForm:
 
 
 class CovarianceForm:
-    """The spread is a covariance; only the innovation covariance is factored."""
+    """The spread is a covariance; only the innovation covariance is factored, and the prior's where measurements are precise."""
 
     name = "covariance"
 
@@ -134,7 +134,7 @@ class CovarianceForm:
             if not precise.any():
                 return S, U, left
             again, chosen = self.condition(A, sign, m), np.asarray(precise.any(-1))[..., None, None]
-            return S, np.where(chosen, again[1], U), np.where(chosen, again[2], left)
+            return np.where(chosen, again[0], S), np.where(chosen, again[1], U), np.where(chosen, again[2], left)
         if sign.ndim > 1:
             k = sign.shape[-1]
             A, sign = np.concatenate([A[..., :k] @ semidefinite_root(sign), A[..., k:]], -1), np.ones(1)
