@@ -8,23 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from celnav.checks import numbers
+from celnav import checks
+from celnav.checks import kind, numbers
 from celnav.gaussian import Gaussian
 from celnav.linalg import Array
 from celnav.spaces import EUCLIDEAN, Space
 
 
-def kind(value: Any) -> str:
-    """What came, in a word or two: a function or class by its name, anything else by its type."""
-    if isinstance(value, type):
-        return f"class {value.__name__}"
-    return f"function {value.__name__}" if callable(value) and hasattr(value, "__name__") else type(value).__name__
-
-
 def check_model(name: str, function: Any) -> None:
     """A model is a function."""
-    if not callable(function):
-        raise ValueError(f"{name}: expected a function (points, epoch), got {kind(function)}")
+    checks.function(name, function, "(points, epoch)")
 
 
 def check_rule(rule: Any, name: str = "rule") -> None:
@@ -36,8 +29,7 @@ def check_rule(rule: Any, name: str = "rule") -> None:
 
 def check_space(name: str, space: Any) -> None:
     """A space is a `Space`."""
-    if not isinstance(space, Space):
-        raise ValueError(f"{name}: expected a Space, such as celnav.angles([0]), got {kind(space)}")
+    checks.instance(name, space, Space, "celnav.angles([0])")
 
 
 def check_state(belief: Gaussian, space: Space) -> None:

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.checks import finite, integer, numbers
-from celnav.filters.arguments import kind, takes
+from celnav.checks import finite, integer, kind, numbers
+from celnav.filters.arguments import takes
 from celnav.filters.info import Info
 from celnav.filters.step import Conditioning, Motion, Predict, Update
 from celnav.filters.track import Collector, Track

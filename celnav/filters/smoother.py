@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from celnav.filters.arguments import kind
+from celnav.checks import kind
 from celnav.filters.conditioning import evaluate, images, innovation_of, set_noise
 from celnav.filters.driver import Epoch, FilterError
 from celnav.filters.step import Motion

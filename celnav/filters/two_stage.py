@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.checks import finite
-from celnav.filters.arguments import kind, takes
+from celnav.checks import finite, kind
+from celnav.filters.arguments import takes
 from celnav.filters.conditioning import evaluate
 from celnav.filters.driver import Epoch, Filter
 from celnav.filters.info import Info
