@@ -17,6 +17,7 @@ import numpy as np
 
 from celnav.checks import finite
 from celnav.filters.info import Gain, Hook, Info, Joint
+from celnav.filters.mixing import POINTS, check_runs_apart, unknown
 from celnav.gaussian import Gaussian, all_sound, sound, sqrt_cov
 from celnav.linalg import Array, matvec, solve_upper_transposed, tria, whiten
 from celnav.spaces import EUCLIDEAN, Space
@@ -85,18 +86,22 @@ def images(name: str, function: Model, points: Array, epoch: Any, noise: Sequenc
     ------
     ValueError: naming the function, if what it returns has another shape. What it raises itself carries a note of what it got.
     """
+    copies = [array.copy(order="K") for array in (points, *noise)] if unknown(function, points) else None
     try:
         y = np.asarray(function(points, epoch, *noise), dtype=np.float64)
-    except (AttributeError, TypeError, ValueError) as error:
+    except (AttributeError, IndexError, TypeError, ValueError) as error:
         given = "an input" if getattr(epoch, "u", None) is not None else "None"
         error.add_note(
             f"{name} is called with points {points.shape} and an Epoch: epoch.dt is its interval, epoch.u ({given}) its input"
         )
+        error.add_note(POINTS)
         raise
     if y.ndim != points.ndim or y.shape[:-1] != points.shape[:-1] or (dimension is not None and y.shape[-1] != dimension):
         last = "m" if dimension is None else dimension
         expected = "(" + ", ".join(str(s) for s in (*points.shape[:-1], last)) + ")"
-        raise ValueError(f"{name} returned shape {y.shape}, expected {expected}")
+        raise ValueError(f"{name} returned shape {y.shape}, expected {expected}; {POINTS}")
+    if copies is not None:
+        check_runs_apart(name, function, copies, epoch, y)
     return y
 
 

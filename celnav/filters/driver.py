@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from celnav.checks import finite, integer, kind, numbers
 from celnav.filters.arguments import takes
 from celnav.filters.info import Info
+from celnav.filters.mixing import LOOKED_AT
 from celnav.filters.step import Conditioning, Motion, Predict, Update
 from celnav.filters.track import Collector, Track
 from celnav.gaussian import Gaussian
@@ -187,22 +188,26 @@ def steps(filter: Filter, prior: Gaussian, epochs: Iterable[Epoch]) -> Iterator[
 
     Raises
     ------
-    ValueError: if an interval is negative, not finite, or 0 though time went on, or what is given is no filter or no belief. An
-        exception of the model carries the step as a note.
+    ValueError: if an interval is negative, not finite, or 0 though time went on, what is given is no filter or no belief, or a
+        model mixes runs, as ``F @ x`` does. An exception of the model carries the step as a note.
     """
     if not (hasattr(filter, "start") and hasattr(filter, "step")):
         raise ValueError(f"filter: expected a Filter, such as celnav.sequential makes, got {kind(filter)}")
     if not isinstance(prior, Gaussian):
         raise ValueError(f"prior: expected a Gaussian, such as celnav.square_root(mean, cov), got {kind(prior)}")
     state, before = filter.start(prior), None
+    models: list[Any] = []
     for epoch in epochs:
         _check_interval(epoch, before)
         before = epoch.t
+        token = LOOKED_AT.set(models)
         try:
             state, info = filter.step(state, epoch)
         except Exception as error:
             error.add_note(f"in step {epoch.k}, t = {epoch.t}")
             raise
+        finally:
+            LOOKED_AT.reset(token)
         yield epoch, state, info
 
 
