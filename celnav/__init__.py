@@ -24,11 +24,14 @@ Sources   ``[Sun2015, Eq. 27]`` in a docstring; citations are in ``celnav.papers
 
 from celnav.filters import Epoch, Filter, FilterError, Track, epochs, predict, run, sequential, smooth, steps, update
 from celnav.gaussian import Gaussian, covariance, square_root
+from celnav.lazy import modules
 from celnav.points import cubature, from_filterpy, gauss_hermite, simplex, unscented
 from celnav.rule import Rule
 from celnav.spaces import angles
 from celnav.sparse_grid import smolyak
 from celnav.taylor import Taylor
+
+__getattr__, __dir__ = modules(__name__)
 
 __version__ = "0.1.0"
 

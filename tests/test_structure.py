@@ -11,7 +11,7 @@ import celnav
 
 ROOT = Path(celnav.__file__).parent
 ROOMS = [
-    {"linalg", "colors", "effort", "progress", "page"},
+    {"lazy", "linalg", "colors", "effort", "progress", "page"},
     {"checks"},
     {"spaces", "files", "views", "typed", "drawing"},
     {"gaussian"},

@@ -13,6 +13,9 @@ from celnav.filters.info import Info, Joint
 from celnav.filters.smoother import smooth
 from celnav.filters.step import Motion, predict, update
 from celnav.filters.track import Track
+from celnav.lazy import modules
+
+__getattr__, __dir__ = modules(__name__)
 
 __all__ = [
     "Epoch",
