@@ -101,6 +101,7 @@ def images(name: str, function: Model, points: Array, epoch: Any, noise: Sequenc
         expected = "(" + ", ".join(str(s) for s in (*points.shape[:-1], last)) + ")"
         raise ValueError(f"{name} returned shape {y.shape}, expected {expected}; {POINTS}")
     if copies is not None:
+        y = y.copy(order="K")  # it may be a buffer of the model's
         check_runs_apart(name, function, copies, epoch, y)
     return y
 

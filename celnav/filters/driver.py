@@ -113,28 +113,49 @@ def _check_spaces(predict: Any, update: Any) -> None:
 
 
 class Epochs(Sequence[Epoch]):
-    """Epochs made from arrays, one at a time; nothing is copied. See `epochs`."""
+    """Epochs made from arrays when they are asked for, one at a time; nothing is copied. See `epochs`.
 
-    def __init__(self, times: Array, z: Any, u: Any, truth: Any):
+    A slice is one again, numbered on. Its first epoch keeps the interval that leads up to it, so that ``[k:]`` goes on where
+    ``[:k]`` ends; where a stride leaves epochs out, intervals are those between the ones that are left.
+    """
+
+    def __init__(self, times: Array, z: Any, u: Any, truth: Any, rows: range | None = None, before: int = -1, first: int = 0):
         self._times, self._z, self._u, self._truth = times, z, u, truth
+        self._rows, self._before, self._first = range(len(times)) if rows is None else rows, before, first
 
     def __len__(self) -> int:
-        return len(self._times)
+        return len(self._rows)
+
+    def __repr__(self) -> str:
+        span = f" from {self._times[self._rows[0]]:g} to {self._times[self._rows[-1]]:g} s" if self._rows else ""
+        return f"Epochs({len(self)}{span})"
 
     def __getitem__(self, k: Any) -> Any:
-        if isinstance(k, slice):
-            return [self[i] for i in range(*k.indices(len(self)))]
-        k = range(len(self))[k]
-        t = float(self._times[k])
-        return self._epoch(k, t, t - float(self._times[k - 1]) if k else 0.0)
+        if not isinstance(k, slice):
+            return self._epoch(range(len(self))[k])
+        rows = self._rows[k]
+        if rows.step < 1:
+            raise ValueError(f"epochs: expected a slice that runs forward, got {k}")
+        if rows.step > 1 and self._u is not None:
+            raise ValueError(
+                f"epochs: an interval of {rows.step} epochs has {rows.step} inputs, got one u for each; make epochs anew"
+            )
+        at = self._rows.index(rows[0]) if rows else 0
+        return Epochs(
+            self._times, self._z, self._u, self._truth, rows, self._rows[at - 1] if at else self._before, self._first + at
+        )
 
     def __iter__(self) -> Iterator[Epoch]:
-        intervals = np.diff(self._times, prepend=self._times[:1])
-        for k, (t, dt) in enumerate(zip(self._times.tolist(), intervals.tolist(), strict=True)):
-            yield self._epoch(k, t, dt)
+        return map(self._epoch, range(len(self)))
 
-    def _epoch(self, k: int, t: float, dt: float) -> Epoch:
-        return Epoch(k, t, dt, _at(self._u, k - 1) if k else None, _at(self._z, k), _at(self._truth, k))
+    def __add__(self, other: Iterable[Epoch]) -> list[Epoch]:
+        return [*self, *other]
+
+    def _epoch(self, j: int) -> Epoch:
+        i, before = self._rows[j], self._rows[j - 1] if j else self._before
+        t = float(self._times[i])
+        dt, u = (t - float(self._times[before]), _at(self._u, before)) if before >= 0 else (0.0, None)
+        return Epoch(self._first + j, t, dt, u, _at(self._z, i), _at(self._truth, i))
 
 
 def _at(values: Any, k: int) -> Any:

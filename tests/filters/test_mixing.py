@@ -153,6 +153,18 @@ def test_a_lost_run_hides_nothing_and_blames_nobody(lost):
             assert np.isfinite(celnav.run(filter, prior, EPOCHS, on_failure="flag").mean[:, 1 - lost]).all()
 
 
+@pytest.mark.parametrize("runs", [2, 5])
+def test_a_model_with_a_buffer_is_not_disturbed(runs):
+    """It is called once more before its values are used."""
+    buffers = np.empty((5, runs, 2)), np.empty((5, 1, 2))
+    offset = np.arange(2.0 * runs).reshape(runs, 2)
+    both = {"own": lambda x, e: np.add(x, offset, out=buffers[0]), "any": lambda x, e: np.add(x, 1.0, out=buffers[x.shape[1] == 1])}
+    for name, clean in (("own", lambda x, e: x + offset), ("any", lambda x, e: x + 1.0)):
+        filters = (celnav.sequential(celnav.predict(f, RULES["points"], EYE)) for f in (both[name], clean))
+        found, expected = (celnav.run(f, celnav.square_root(offset**2, EYE), celnav.epochs([0.0, 1.0])) for f in filters)
+        np.testing.assert_array_equal(found.mean, expected.mean)
+
+
 def test_a_model_is_looked_at_once():
     calls = []
 
