@@ -41,11 +41,16 @@ def numbers(name: str, value: Any, shape: Shape | None = None) -> Array:
             pass
     if found is None:
         hint = "dates or durations; seconds are (t - t[0]) / numpy.timedelta64(1, 's')"
-        raise ValueError(f"{name}: expected numbers, got {hint if kind and kind in 'mM' else f'{value!r:.80}'}")
+        missing = "; use nan for what is missing, a row of them for a row" if _has_none(value) else ""
+        raise ValueError(f"{name}: expected numbers, got {hint if kind and kind in 'mM' else f'{value!r:.80}{missing}'}")
     if shape is not None and not _fits(np.shape(found), shape):
         axes = ", ".join("..." if axis is ... else "any" if axis is None else str(axis) for axis in shape)
         raise ValueError(f"{name}: expected shape ({axes}{',' * (len(shape) == 1)}), got {np.shape(found)}")
     return np.asarray(found)
+
+
+def _has_none(value: Any) -> bool:
+    return isinstance(value, list | tuple) and any(part is None or _has_none(part) for part in value)
 
 
 def _fits(lengths: tuple[int, ...], shape: Shape) -> bool:

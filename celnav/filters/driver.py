@@ -88,7 +88,7 @@ def sequential(predict: Predict, *updates: Update) -> Filter:
         infos = []
         for i, (update, measured) in enumerate(zip(updates, z, strict=False)):
             if measured is None:
-                infos.append(Info())
+                infos.append(Info(silent=True))
                 continue
             belief, info, memory[i] = update(belief, measured, epoch, memory[i])
             infos.append(info)

@@ -57,7 +57,7 @@ def least_squares(
         x = state.memory[0]
         if epoch.z is None:
             lost = Gaussian(np.full(x.shape, np.nan), np.full((*x.shape, x.shape[-1]), np.nan), COVARIANCE)
-            return State(lost, (x,)), Info()
+            return State(lost, (x,)), Info(silent=True)
         z, belief = measurement(epoch.z, state.belief)
         x = np.broadcast_to(x, belief.mean.shape)
         used = np.broadcast_to(~np.isnan(z), (*x.shape[:-1], z.shape[-1]))

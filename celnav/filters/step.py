@@ -233,7 +233,7 @@ def update(
 
 def _skipped(belief: Gaussian, z: Array, space: Space) -> Info:
     """The record of a measurement that is wholly missing."""
-    one = z.reshape(-1, z.shape[-1])[0]
+    one = np.full(z.shape[-1], np.nan)
     shape = (*np.broadcast_shapes(z.shape[:-1], belief.mean.shape[:-1]), space.minus(one, one).shape[-1])
     return Info(np.full(shape, np.nan), np.zeros(shape), np.zeros(shape, bool))
 

@@ -88,7 +88,7 @@ def plain(predict: Predict, update: Update) -> First:
 
     def see(state: PlainState, epoch: Epoch) -> tuple[PlainState, Stage | None, Info]:
         if epoch.z is None:
-            return state, None, Info()
+            return state, None, Info(silent=True)
         belief, info, memory = update(state.belief, epoch.z, epoch, state.memory)
         after = PlainState(belief, memory)
         slopes = info.slopes[-1] if info.slopes else None

@@ -95,6 +95,7 @@ def test_a_rule_that_is_none(given, told):
         (lambda: colored(f, [1.0, 0.0], RULE, [[0.5]], Q=np.eye(2), R=[[1.0]]), "h: expected a matrix (m, n), got shape (2,)"),
         (lambda: square_root([0.0, 0.0], [[1.0, 2.0], [3.0]]), "cov: expected numbers, got [[1.0, 2.0], [3.0]]"),
         (lambda: celnav.epochs([0.0, 1.0], [[1.0, 2.0], [3.0]]), "z: expected numbers, got [[1.0, 2.0], [3.0]]"),
+        (lambda: celnav.epochs([0.0, 1.0], [[1.0, 2.0], None]), "got [[1.0, 2.0], None]; use nan for what is missing"),
         (lambda: augmented(f, f, RULE, 1.0, Q=1.0, R=1.0, Sigma0=1.0), "H: expected a matrix (m, n), got a function"),
         (lambda: celnav.update(np.eye(2), RULE, 0.04), "got shape (); [[0.04]] of one component, 0.04 * np.eye(n) of n alike"),
         (lambda: celnav.update(np.eye(2), RULE, [0.1, 0.2]), "got shape (2,); variances alone are np.diag(...)"),
