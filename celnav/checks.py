@@ -106,7 +106,9 @@ def whole(value: Any) -> int | None:
     """An integer that may have come as a float; None for anything else."""
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
-    number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+    if isinstance(value, int) and not isinstance(value, bool):  # of any size
+        return value
+    number = isinstance(value, float | np.integer | np.floating)
     return int(value) if number and np.isfinite(value) and int(value) == value else None
 
 

@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from celnav.checks import finite
+from celnav.checks import finite, numbers
+from celnav.filters.arguments import check_model
 from celnav.filters.info import Gain, Hook, Info, Joint
 from celnav.filters.mixing import POINTS, check_runs_apart, unknown
 from celnav.gaussian import Gaussian, all_sound, sound, sqrt_cov
@@ -42,17 +43,19 @@ def noise_columns(cov: Any, sqrt: Any, name: str) -> Noise:
         raise ValueError(f"{name}: expected one of {name} and sqrt_{name}, got both")
     if sqrt is not None:
         if callable(sqrt):
+            check_model(f"sqrt_{name}", sqrt, "(mean, epoch)")
             return partial(_columns_of, sqrt, f"sqrt_{name}")
         return _columns(f"sqrt_{name}", finite(f"sqrt_{name}", sqrt))
     if cov is None:
         return None
     if callable(cov):
+        check_model(name, cov, "(mean, epoch)")
         return partial(_root_of, cov, name)
     return sqrt_cov(cov, name)
 
 
 def _columns_of(function: Callable[[Array, Any], Any], name: str, mean: Array, epoch: Any) -> Array:
-    return _columns(name, np.asarray(function(mean, epoch), dtype=np.float64))
+    return _columns(name, numbers(name, function(mean, epoch)))
 
 
 def _root_of(function: Callable[[Array, Any], Any], name: str, mean: Array, epoch: Any) -> Array:
@@ -88,7 +91,7 @@ def images(name: str, function: Model, points: Array, epoch: Any, noise: Sequenc
     """
     copies = [array.copy(order="K") for array in (points, *noise)] if unknown(function, points) else None
     try:
-        y = np.asarray(function(points, epoch, *noise), dtype=np.float64)
+        y = numbers(name, function(points, epoch, *noise))
     except (AttributeError, IndexError, TypeError, ValueError) as error:
         given = "an input" if getattr(epoch, "u", None) is not None else "None"
         error.add_note(
@@ -186,7 +189,7 @@ def condition(
 
 
 def _checked_gain(gain: Any, n: int, m: int) -> Array:
-    K = np.asarray(gain, dtype=np.float64)
+    K = numbers("gain", gain)
     if K.ndim < 2 or K.shape[-2:] != (n, m):
         raise ValueError(f"gain: expected shape (..., {n}, {m}), got {K.shape}")
     return K

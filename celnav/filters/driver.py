@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.checks import finite, integer, kind, numbers
-from celnav.filters.arguments import takes
+from celnav.checks import choice, finite, instance, integer, kind, numbers
+from celnav.filters.arguments import check_belief, check_model, given_back, takes
 from celnav.filters.info import Info
 from celnav.filters.mixing import LOOKED_AT
 from celnav.filters.step import Conditioning, Motion, Predict, Update
@@ -81,7 +81,7 @@ def sequential(predict: Predict, *updates: Update) -> Filter:
         belief, memory = state.belief, list(state.memory)
         predicted = Info()
         if epoch.dt if isinstance(epoch.dt, float) else np.any(epoch.dt):
-            belief, predicted = predict(belief, epoch)
+            belief, predicted = given_back("predict", predict(belief, epoch), "belief, info")
         z = epoch.z if isinstance(epoch.z, tuple) else (epoch.z,) if epoch.z is not None else (None,) * len(updates)
         if updates and len(z) != len(updates):
             raise ValueError(f"z: expected {len(updates)} measurements, got {len(z)}")
@@ -90,7 +90,7 @@ def sequential(predict: Predict, *updates: Update) -> Filter:
             if measured is None:
                 infos.append(Info(silent=True))
                 continue
-            belief, info, memory[i] = update(belief, measured, epoch, memory[i])
+            belief, info, memory[i] = given_back("updates", update(belief, measured, epoch, memory[i]), "belief, info, memory")
             infos.append(info)
         infos = [i._replace(slopes=(predicted.slopes or (None,)) + i.slopes[1:]) for i in infos] or [predicted]
         if infos[0] is not predicted and (predicted.failure or predicted.redone is not None):
@@ -188,9 +188,22 @@ def epochs(times: ArrayLike, z: Any = None, u: Any = None, truth: Any = None) ->
         z = tuple(_checked(v, len(t)) for v in z) if isinstance(z, tuple) else _checked(z, len(t))
     for name, values, least in (("u", u, len(t) - 1), ("truth", truth, len(t))):
         for part in values if isinstance(values, tuple) else (values,):
-            if part is not None and len(part) < least:
+            if part is not None and _rows(name, part) < least:
                 raise ValueError(f"{name}: expected at least {least} rows for {len(t)} times, got {len(part)}")
     return Epochs(t, z, u, truth)
+
+
+def _rows(name: str, values: Any) -> int:
+    """How many rows there are."""
+    try:
+        rows = 0 if isinstance(values, str) else len(values)
+        if rows:
+            values[0]
+    except (TypeError, KeyError, IndexError):
+        rows = -1
+    if rows < 0 or isinstance(values, str):
+        raise ValueError(f"{name}: expected a sequence with a row for each time, got {kind(values)}")
+    return rows
 
 
 def _checked(z: ArrayLike, length: int) -> Array:
@@ -214,11 +227,14 @@ def steps(filter: Filter, prior: Gaussian, epochs: Iterable[Epoch]) -> Iterator[
     """
     if not (hasattr(filter, "start") and hasattr(filter, "step")):
         raise ValueError(f"filter: expected a Filter, such as celnav.sequential makes, got {kind(filter)}")
-    if not isinstance(prior, Gaussian):
-        raise ValueError(f"prior: expected a Gaussian, such as celnav.square_root(mean, cov), got {kind(prior)}")
+    check_belief(prior, "prior")
+    try:
+        every = iter(epochs)
+    except TypeError:
+        raise ValueError(f"epochs: expected celnav.epochs(times, z), or records like celnav.Epoch, got {kind(epochs)}") from None
     state, before = filter.start(prior), None
     models: list[Any] = []
-    for epoch in epochs:
+    for epoch in every:
         _check_interval(epoch, before)
         before = epoch.t
         token = LOOKED_AT.set(models)
@@ -238,9 +254,10 @@ def _check_interval(epoch: Any, before: Any) -> None:
         return
     if dt is None:
         raise ValueError(f"epochs: expected celnav.epochs(times, z), or records like celnav.Epoch, got {kind(epoch)}")
-    if before is not None and not np.any(dt) and np.any(np.asarray(epoch.t) > before):
+    interval = numbers("dt", dt)
+    if before is not None and not interval.any() and np.any(np.asarray(epoch.t) > before):
         raise ValueError(f"dt: expected the interval since t = {before}, got 0 at t = {epoch.t}")
-    if not (np.isfinite(dt) & (np.asarray(dt) >= 0.0)).all():
+    if not (np.isfinite(interval) & (interval >= 0.0)).all():
         raise ValueError(f"dt: expected a non-negative number, got {dt!r} at step {epoch.k}")
 
 
@@ -274,15 +291,19 @@ def run(
     ValueError: for a bad option, measurement or time. FilterError: see ``on_failure``.
     """
     stored = integer("every", every)
-    if keep not in ("std", "spread", "mean", "nothing"):
-        raise ValueError(f"keep: expected 'std', 'spread', 'mean' or 'nothing', got {keep!r}")
-    if on_failure not in ("raise", "flag"):
-        raise ValueError(f"on_failure: expected 'raise' or 'flag', got {on_failure!r}")
+    choice("keep", keep, ("std", "spread", "mean", "nothing"))
+    choice("on_failure", on_failure, ("raise", "flag"))
+    if also is not None:
+        check_model("also", also, "(epoch, state, info)")
+    if reduce is not None:
+        check_model("reduce", reduce, "(accumulated, epoch, state, info)")
     collector = Collector(stored, keep)
     reduced = None
     for epoch, state, info in steps(filter, prior, epochs):
         infos = info if isinstance(info, tuple) and not isinstance(info, Info) else (info,)
-        lost = collector.add(epoch, state, infos, {} if also is None else also(epoch, state, info))
+        lost = collector.add(
+            epoch, state, infos, {} if also is None else instance("also", also(epoch, state, info), dict, "{'gain': array}")
+        )
         if lost is not None and on_failure == "raise":
             why = next((i.failure for i in infos if i.failure), "the state is not finite")
             where = f", run {tuple(int(i) for i in lost)}" if lost else ""

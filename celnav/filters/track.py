@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -114,15 +115,16 @@ class Track:
         lines += [",".join(f"{v:.17g}" for v in row) for row in zip(*columns.values(), strict=True)]
         write_text(Path(path), "\n".join(lines) + "\n")
 
-    def _columns(self, names: list[str] | None) -> dict[str, Array]:
+    def _columns(self, names: Any) -> dict[str, Array]:
         if self.mean is None:
             raise ValueError("to_dataframe: this track stored no means")
         T, N = len(self.times), self.mean.shape[-1]
         runs = int(np.prod(self.mean.shape[1:-1]))
         if names is None:
             names = [f"x{i}" for i in range(N)]
-        if len(names) != N:
-            raise ValueError(f"names: expected {N}, got {len(names)}")
+        named = not isinstance(names, str) and isinstance(names, Iterable) and all(isinstance(name, str) for name in names)
+        if not named or len(names) != N:
+            raise ValueError(f"names: expected {N} words, such as ['x', 'y'], got {names!r:.80}")
         columns = {"t": np.repeat(self.times, runs), "run": np.tile(np.arange(runs), T)}
         columns |= dict(zip(names, self.mean.reshape(T * runs, N).T, strict=True))
         if self.std is not None:
@@ -214,7 +216,7 @@ class Collector:
         self._sums["missing"] = self._sums["missing"] + sum(count * self._widths[i] for i, count in self._silent.items())
         events = {name: np.broadcast_to(self._sums[name], batch) for name in ("missing", "rejected", "redone")}
         return Track(
-            times=np.array(self._times),
+            times=_times(self._times),
             **{name: stored.get(name) for name in ("mean", "std", "spread", "innovation", "white", "used")},
             log_likelihood=np.broadcast_to(self._sums["log_likelihood"], batch),
             events=events,
@@ -223,6 +225,13 @@ class Collector:
             extra={name: np.stack(rows) for name, rows in self._extra.items()},
             reduced=reduced,
         )
+
+
+def _times(times: list[Any]) -> Array:
+    try:
+        return np.array(times)
+    except ValueError:
+        raise ValueError(f"t: expected a number at each epoch, got {times[-1]!r:.80}") from None
 
 
 _BLANK = {"innovation": np.nan, "white": 0.0, "used": False}

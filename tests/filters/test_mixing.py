@@ -58,7 +58,7 @@ def test_a_model_that_mixes_runs_is_told(rule, name, prior):
 
 def test_other_filters_tell_it_too():
     f, prior, rule = MIXED["product"], PRIORS["different"], RULES["points"]
-    once = single_draw(lambda x, e, w: f(x, e), still, celnav.unscented(4), extra=(EYE,), R=EYE)
+    once = single_draw(lambda x, e, w: f(x, e), lambda x, e, w: x, celnav.unscented(4), extra=(EYE,), R=EYE)
     filters = [
         colored(f, EYE, rule, 0.5 * EYE, Q=EYE, R=EYE),
         colored(still, f, celnav.unscented(4), 0.5 * EYE, sqrt_Q=EYE, R=EYE),
