@@ -89,9 +89,10 @@ def images(name: str, function: Model, points: Array, epoch: Any, noise: Sequenc
     ------
     ValueError: naming the function, if what it returns has another shape. What it raises itself carries a note of what it got.
     """
-    copies = [array.copy(order="K") for array in (points, *noise)] if unknown(function, points) else None
+    copies = [array.copy(order="K") for array in (points, *noise)] if points.ndim > 2 and unknown(function, points) else None
     try:
-        y = numbers(name, function(points, epoch, *noise))
+        found = function(points, epoch, *noise)
+        y: Array = found if type(found) is np.ndarray and found.dtype == np.float64 else numbers(name, found)
     except (AttributeError, IndexError, TypeError, ValueError) as error:
         given = "an input" if getattr(epoch, "u", None) is not None else "None"
         error.add_note(

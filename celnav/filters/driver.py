@@ -81,7 +81,8 @@ def sequential(predict: Predict, *updates: Update) -> Filter:
         belief, memory = state.belief, list(state.memory)
         predicted = Info()
         if epoch.dt if isinstance(epoch.dt, float) else np.any(epoch.dt):
-            belief, predicted = given_back("predict", predict(belief, epoch), "belief, info")
+            found = predict(belief, epoch)
+            belief, predicted = found if type(found) is tuple else given_back("predict", found, "belief, info")
         z = epoch.z if isinstance(epoch.z, tuple) else (epoch.z,) if epoch.z is not None else (None,) * len(updates)
         if updates and len(z) != len(updates):
             raise ValueError(f"z: expected {len(updates)} measurements, got {len(z)}")
@@ -90,7 +91,8 @@ def sequential(predict: Predict, *updates: Update) -> Filter:
             if measured is None:
                 infos.append(Info(silent=True))
                 continue
-            belief, info, memory[i] = given_back("updates", update(belief, measured, epoch, memory[i]), "belief, info, memory")
+            after = update(belief, measured, epoch, memory[i])
+            belief, info, memory[i] = after if type(after) is tuple else given_back("updates", after, "belief, info, memory")
             infos.append(info)
         infos = [i._replace(slopes=(predicted.slopes or (None,)) + i.slopes[1:]) for i in infos] or [predicted]
         if infos[0] is not predicted and (predicted.failure or predicted.redone is not None):
@@ -110,6 +112,10 @@ def _check_spaces(predict: Any, update: Any) -> None:
         names = ["vectors" if each else "another space" for each in flat]
         hint = "; a measurement that wraps is measurement_space=" if flat[0] else ""
         raise ValueError(f"space: expected the same in predict and update, got {names[0]} and {names[1]}{hint}")
+
+
+_BLOCK = 1024
+"""Epochs whose times are taken out of the array at once."""
 
 
 class Epochs(Sequence[Epoch]):
@@ -146,7 +152,15 @@ class Epochs(Sequence[Epoch]):
         )
 
     def __iter__(self) -> Iterator[Epoch]:
-        return map(self._epoch, range(len(self)))
+        before = self._before
+        last = float(self._times[before]) if before >= 0 else None
+        for start in range(0, len(self), _BLOCK):
+            rows = self._rows[start : start + _BLOCK]
+            times = self._times[rows.start : rows.stop : rows.step].tolist()
+            for k, i, t in zip(range(self._first + start, self._first + start + len(rows)), rows, times, strict=True):
+                dt, u = (0.0, None) if last is None else (t - last, _at(self._u, before))
+                yield Epoch(k, t, dt, u, _at(self._z, i), _at(self._truth, i))
+                before, last = i, t
 
     def __add__(self, other: Iterable[Epoch]) -> list[Epoch]:
         return [*self, *other]

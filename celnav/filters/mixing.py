@@ -26,7 +26,7 @@ Model = Callable[..., Any]
 def unknown(function: Model, points: Array) -> bool:
     """Whether a model is to be looked at: the first time, and where there are runs that it could mix."""
     models = LOOKED_AT.get()
-    if models is None or points.ndim < 3 or points.shape[-2] < 2 or any(function is model for model in models):
+    if models is None or points.shape[-2] < 2 or any(function is model for model in models):
         return False
     if len(models) == MOST:
         return False
