@@ -13,6 +13,7 @@ from celnav.filters.arguments import check_model, measurement
 from celnav.filters.conditioning import evaluate
 from celnav.filters.driver import Epoch, Filter, State
 from celnav.filters.info import Info
+from celnav.filters.mixing import check_runs_apart, unknown
 from celnav.gaussian import COVARIANCE, Gaussian
 from celnav.linalg import Array, matvec, outer, unit
 
@@ -70,6 +71,9 @@ def least_squares(
             raise ValueError(f"sigma: expected shape (..., {z.shape[-1]}) to go with the measurement, got {sigmas.shape}")
         weight = np.where(used, 1.0 / sigmas, 0.0)
         n = x.shape[-1]
+        if x.ndim > 1 and unknown(h, x[None]):
+            values = numbers("h", h(x.copy(), epoch), (..., z.shape[-1]))
+            check_runs_apart("h", lambda points, e: np.asarray(h(points[0], e))[None], (x[None],), epoch, values[None].copy())
         enough, moving = used.sum(-1) >= n, np.ones(x.shape[:-1], bool)
         V, known = np.zeros((*x.shape, n)), moving
         for _ in range(most):

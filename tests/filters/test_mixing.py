@@ -11,6 +11,7 @@ import celnav
 from celnav.filters.colored import augmented, colored
 from celnav.filters.decorrelated import decorrelated
 from celnav.filters.iterated import iterated
+from celnav.filters.least_squares import least_squares
 from celnav.filters.single_draw import drawn_once, single_draw
 
 RULES = {"points": celnav.unscented(2), "differences": celnav.Taylor(), "Jacobian": celnav.Taylor(lambda x, e: (np.eye(2),))}
@@ -70,6 +71,16 @@ def test_other_filters_tell_it_too():
     for filter in filters:
         with pytest.raises(ValueError, match="expected values of each run by itself"):
             celnav.run(filter, prior, EPOCHS)
+
+
+def test_fixes_of_each_run_tell_it_too():
+    """There is no axis of points there."""
+    one = lambda x, e: np.broadcast_to(F, (*x.shape, 2))  # noqa: E731
+    when = celnav.epochs([0.0, 1.0], np.ones((2, 2, 2)))
+    with pytest.raises(ValueError, match="h: expected values of each run by itself"):
+        celnav.run(least_squares(lambda x, e: F @ x, one, [1.0, 1.0]), PRIORS["different"], when)
+    for right in (lambda x, e: x @ F.T, lambda x, e: (x @ F.T) + OFFSET):
+        assert np.isfinite(celnav.run(least_squares(right, one, [1.0, 1.0]), PRIORS["different"], when).mean).all()
 
 
 def test_runs_that_only_the_measurements_have_are_mixed_later():
