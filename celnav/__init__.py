@@ -4,7 +4,8 @@ Conventions, stated once
 ------------------------
 Arrays    The last axis is the component, ``(..., n)``; a matrix is ``(..., n, n)``; everything before is batch: runs of a Monte
           Carlo, or nothing. Sigma points lead, ``(p, ..., n)``, so inputs of each run broadcast by themselves in a model. Time
-          leads in a record: a `Track` is ``(T, ..., n)``. Floats are float64.
+          leads in a record: a `Track` is ``(T, ..., n)``. Floats are float64. So a component is ``x[..., 0]`` and a matrix acts by
+          ``x @ F.T``; ``F @ x`` would mix runs, and is told.
 Roots     Lower triangular, diagonal >= 0, ``P = L @ L.T``. Noise may be given as a covariance (``Q``) or as columns (``sqrt_Q``).
 Errors    Estimate minus truth. The innovation is measurement minus prediction.
 Missing   nan. A missing component costs nothing but itself, in each run by itself.
@@ -24,11 +25,14 @@ Sources   ``[Sun2015, Eq. 27]`` in a docstring; citations are in ``celnav.papers
 
 from celnav.filters import Epoch, Filter, FilterError, Track, epochs, predict, run, sequential, smooth, steps, update
 from celnav.gaussian import Gaussian, covariance, square_root
+from celnav.lazy import modules
 from celnav.points import cubature, from_filterpy, gauss_hermite, simplex, unscented
 from celnav.rule import Rule
 from celnav.spaces import angles
 from celnav.sparse_grid import smolyak
 from celnav.taylor import Taylor
+
+__getattr__, __dir__ = modules(__name__)
 
 __version__ = "0.1.0"
 

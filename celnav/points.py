@@ -23,6 +23,9 @@ def _axes(n: int, radius: float) -> Array:
 def unscented(n: int, alpha: float = 1.0, beta: float = 0.0, kappa: float = 0.0) -> Rule:
     """Scaled unscented rule of ``2n + 1`` points [van der Merwe 2004]; the defaults have no negative weight.
 
+    With the defaults the center has no weight, and the rule is ``cubature(n)``, that of the cubature Kalman filter. The customary
+    ``kappa = 3 - n`` matches fourth moments on the axes; a small ``alpha`` with ``beta = 2`` keeps the points near the mean.
+
     Raises
     ------
     ValueError: for ``n < 1``, ``alpha <= 0``, ``n + kappa <= 0`` or a number that is not finite.
@@ -60,7 +63,7 @@ def simplex(n: int) -> Rule:
 def cubature(n: int, degree: int = 3) -> Rule:
     """Spherical-radial cubature rule: degree 3 with ``2n`` points, degree 5 with ``2n^2 + 1`` [Jia, Xin & Cheng 2013].
 
-    The degree-5 rule has ``2n`` negative weights for ``n > 4``.
+    The degree-3 rule is ``unscented(n)`` with its defaults. The degree-5 rule has ``2n`` negative weights for ``n > 4``.
 
     Raises
     ------

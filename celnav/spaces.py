@@ -65,11 +65,11 @@ def angles(components: Iterable[int] | None = None) -> Space:
 
 
 def _sum(places: tuple[int, ...] | None, point: Array, tangent: Array) -> Array:
-    return _wrapped(_add(point, tangent), places)
+    return _wrapped(np.add(tangent, point, dtype=np.float64), places)
 
 
 def _difference(places: tuple[int, ...] | None, b: Array, a: Array) -> Array:
-    return _wrapped(np.subtract(b, a), places)
+    return _wrapped(np.subtract(b, a, dtype=np.float64), places)
 
 
 def _wrapped(vector: Array, places: tuple[int, ...] | None) -> Array:

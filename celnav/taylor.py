@@ -94,7 +94,7 @@ class Taylor:
         total = sum(E.shape[-1] for E in roots)
         at = mean if self.about is None else self.about
         given = None if self.jacobians is None else self.jacobians(at, epoch)
-        if given is not None:
+        if self.jacobians is not None:
             if not isinstance(given, tuple | list):
                 raise ValueError(f"jacobians: expected a tuple, one matrix for each output, got {type(given).__name__}")
             given = tuple(np.asarray(unmasked("jacobians", J), dtype=np.float64) for J in given)

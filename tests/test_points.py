@@ -1,6 +1,7 @@
 """Rules: exact to their degree, equal to filterpy's, usable inside filterpy, and right as transforms of any function."""
 
 from itertools import product as cartesian
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from filterpy.kalman import JulierSigmaPoints, MerweScaledSigmaPoints, SimplexSi
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from celnav.cli import main
 from celnav.filters.driver import epochs, run, sequential
 from celnav.filters.step import predict, update
 from celnav.gaussian import covariance, square_root
@@ -159,6 +161,21 @@ def turn(x, dt):
 
 def radar(x):
     return np.stack([np.hypot(x[..., 0], x[..., 1]), x[..., 0] * x[..., 1] / 100.0], -1)
+
+
+@pytest.mark.parametrize("n", [1, 3, 9])
+def test_the_default_unscented_rule_is_the_cubature_rule_and_says_so(n, capsys):
+    one, other = unscented(n), cubature(n)
+    for name in ("nodes", "wm", "wc"):
+        np.testing.assert_allclose(getattr(one, name), getattr(other, name), atol=1e-15)
+    fourth = unscented(n, kappa=3.0 - n)
+    np.testing.assert_allclose(moment(fourth, [4] + [0] * (n - 1)), 3.0)
+    main(["list"])
+    readme = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+    assert "unscented (by default cubature of degree 3)" in capsys.readouterr().out
+    assert "By default `celnav.unscented(n)` is `celnav.cubature(n)`" in readme
+    assert "``cubature(n)``" in unscented.__doc__
+    assert "``unscented(n)``" in cubature.__doc__
 
 
 RULES = {

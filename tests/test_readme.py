@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import nbformat
@@ -44,13 +46,28 @@ def test_the_first_program_runs(capsys):
     assert nis == pytest.approx(3.0, abs=0.05)
 
 
-def test_what_it_names_is_there():
-    for name in re.findall(r"`(celnav(?:\.[A-Za-z_]+)+)[(`]", README):
-        module, thing = celnav, name.split(".")[1:]
-        for i, part in enumerate(thing):
-            if not hasattr(module, part):
-                __import__("celnav." + ".".join(thing[: i + 1]))
-            module = getattr(module, part)
+TEXTS = [ROOT / "README.md", *(p for room in ("benchmarks", "docs") for p in (ROOT / room).rglob("*.md"))]
+TEXTS += [*(ROOT / "celnav").rglob("*.py"), *(ROOT / "notebooks").glob("*.ipynb")]
+
+
+def test_import_celnav_is_enough_for_every_name_with_dots():
+    """Names of the README, the docs, the notebooks and all docstrings, in a fresh process that imports nothing else."""
+    names = {name for path in TEXTS for name in re.findall(r"`(celnav(?:\.\w+)+)\b", path.read_text(encoding="utf-8"))}
+    assert len(names) > 80
+    program = "import sys, celnav\nfor name in sys.argv[1:]:\n    eval(name)\n"
+    done = subprocess.run([sys.executable, "-c", program, *sorted(names)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_import_celnav_stays_fast():
+    """What only studies and drawings need is not imported before it is asked for, and what is not there is told."""
+    program = (
+        "import sys, celnav\nassert not {'matplotlib', 'rerun', 'celnav.tuning', 'celnav.papers'} & set(sys.modules)\n"
+        "assert 'tuning' in dir(celnav)\nassert not hasattr(celnav, 'nonsense') and not hasattr(celnav.models, 'nonsense')\n"
+        "from celnav import metrics\nassert celnav.metrics is metrics\n"
+    )
+    done = subprocess.run([sys.executable, "-W", "error", "-c", program], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 def test_it_says_how_to_cite_this_version():

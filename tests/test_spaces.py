@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import celnav
 from celnav.spaces import EUCLIDEAN, Space, angles, product, wrap
 
 reals = st.floats(-50.0, 50.0)
@@ -100,3 +101,12 @@ def test_a_product_broadcasts_points_against_one_center():
 def test_a_product_refuses_a_part_with_a_mean_of_its_own():
     with pytest.raises(ValueError, match="factors"):
         product((Space(mean=lambda points, weights: points[0]), 1, 1), (EUCLIDEAN, 1, 1))
+
+
+def test_angles_may_come_as_integers():
+    """Also as lists of them, or in half precision: differences are floats."""
+    space = celnav.angles([0])
+    for make in (list, np.array, lambda v: np.array(v, np.float32), lambda v: np.array(v, np.uint8)):
+        np.testing.assert_allclose(space.minus(make([6, 7]), make([1, 9])), [5.0 - 2.0 * np.pi, -2.0])
+        np.testing.assert_allclose(space.plus(make([3, 7]), make([1, 9])), [4.0 - 2.0 * np.pi, 16.0])
+        np.testing.assert_allclose(celnav.angles().minus(np.asarray(make([6, 7])), make([1, 9])), [5.0 - 2.0 * np.pi, -2.0])

@@ -11,8 +11,9 @@ import celnav
 
 ROOT = Path(celnav.__file__).parent
 ROOMS = [
-    {"linalg", "colors", "effort", "progress", "page", "drawing", "typed"},
-    {"spaces", "checks", "files", "views"},
+    {"lazy", "linalg", "colors", "effort", "progress", "page"},
+    {"checks"},
+    {"spaces", "files", "views", "typed", "drawing"},
     {"gaussian"},
     {"transform", "rinex_text"},
     {"rule"},

@@ -17,7 +17,10 @@ from celnav.campaign.store import Store, StoreError, open_store
 from celnav.campaign.table import Merged, Row, merged, rows_of
 from celnav.campaign.units import Result, Unit, VersionError, WorkError, units_of
 from celnav.files import locked
+from celnav.lazy import modules
 from celnav.mission import Configuration, Study
+
+__getattr__, __dir__ = modules(__name__)
 
 __all__ = [
     "Outcome",

@@ -1,1 +1,5 @@
 """The commands of `celnav.cli`, one module each: ``run(options) -> exit status``."""
+
+from celnav.lazy import modules
+
+__getattr__, __dir__ = modules(__name__)

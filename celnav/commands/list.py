@@ -29,7 +29,8 @@ def _everything() -> None:
         print(f"\n  filters: {', '.join(study.filters(next(iter(study.PRESETS.values()))))}")
         print(f"  presets: {', '.join(study.PRESETS)}")
         print(f"  parameters: celnav list {paper}\n")
-    print("rules: unscented, simplex, cubature (degree 3 and 5), gauss_hermite, smolyak, from_filterpy, Taylor (EKF)")
+    print("rules: unscented (by default cubature of degree 3), simplex, cubature (degree 3 and 5),")
+    print("  gauss_hermite, smolyak, from_filterpy, Taylor (EKF)")
 
 
 def _parameters(paper: str) -> None:

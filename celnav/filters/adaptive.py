@@ -14,8 +14,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import gammaincinv
 
-from celnav.checks import integer
+from celnav.checks import choice, integer, kind, number
+from celnav.filters.arguments import check_belief, check_part, positive, window
 from celnav.filters.info import Gain, Hook, Info, Joint
+from celnav.filters.step import Conditioning, Motion
 from celnav.gaussian import Gaussian
 from celnav.linalg import Array, cholesky, solve_lower, solve_upper_transposed, whiten
 
@@ -50,8 +52,7 @@ def gate(gamma: float) -> Hook:
     ------
     ValueError: unless ``gamma`` is positive.
     """
-    if not gamma > 0.0:
-        raise ValueError(f"gamma: expected a positive number of standard deviations, got {gamma!r}")
+    positive("gamma", gamma)
 
     def hook(memory: Any, joint: Joint, _epoch: Any) -> tuple[Any, Joint]:
         prior, noise = variances(joint)
@@ -71,8 +72,7 @@ def chi_square_gate(probability: float = 0.999) -> Hook:
     ------
     ValueError: unless ``0 < probability < 1``.
     """
-    if not 0.0 < probability < 1.0:
-        raise ValueError(f"probability: expected a number between 0 and 1, got {probability!r}")
+    number("probability", probability, above=0.0, below=1.0)
     bounds: dict[int, Array] = {}
 
     def hook(memory: Any, joint: Joint, _epoch: Any) -> tuple[Any, Joint]:
@@ -117,12 +117,11 @@ def innovation_window(M: int, gaps: str = "restart") -> Hook:
     ValueError: unless ``M`` is a positive integer and ``gaps`` one of the two.
     """
     size = integer("M", M)
-    if gaps not in ("restart", "skip"):
-        raise ValueError(f"gaps: expected 'restart' or 'skip', got {gaps!r}")
+    choice("gaps", gaps, ("restart", "skip"))
 
     def hook(memory: Window | None, joint: Joint, epoch: Any) -> tuple[Window, Joint]:
         e, k = joint.innovation, getattr(epoch, "k", None)
-        ring = np.full((size, *e.shape), np.nan) if memory is None else memory.innovations
+        ring = window("M", size, e.shape) if memory is None else memory.innovations
         if ring.shape[1:] != e.shape:
             ring = np.broadcast_to(ring, (size, *e.shape))
         if gaps == "restart":
@@ -196,7 +195,13 @@ def fallback(first: Callable[..., Any], second: Callable[..., Any]) -> Callable[
     says which were done again, and the `Track` counts them in ``events["redone"]``. A run that both lose stays lost.
     """
 
+    for name, given in (("first", first), ("second", second)):
+        check_part(name, given, (2, 4))
+    if isinstance(first, Conditioning) != isinstance(second, Conditioning) and isinstance(second, Conditioning | Motion):
+        raise ValueError(f"second: expected a part like the first, got {kind(first)} and {kind(second)}")
+
     def part(belief: Gaussian, *arguments: Any, **named: Any) -> Any:
+        check_belief(belief)
         after, info, *memory = first(belief, *arguments, **named)
         kept = _sound(after)
         if kept.all():

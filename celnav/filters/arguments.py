@@ -4,27 +4,78 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from inspect import signature
+from math import prod
 from typing import Any
 
 import numpy as np
 
-from celnav.checks import numbers
+from celnav import checks
+from celnav.checks import kind, numbers
 from celnav.gaussian import Gaussian
 from celnav.linalg import Array
 from celnav.spaces import EUCLIDEAN, Space
 
-
-def kind(value: Any) -> str:
-    """What came, in a word or two: a function or class by its name, anything else by its type."""
-    if isinstance(value, type):
-        return f"class {value.__name__}"
-    return f"function {value.__name__}" if callable(value) and hasattr(value, "__name__") else type(value).__name__
+MOST_REPETITIONS = 10_000
 
 
-def check_model(name: str, function: Any) -> None:
-    """A model is a function."""
-    if not callable(function):
-        raise ValueError(f"{name}: expected a function (points, epoch), got {kind(function)}")
+def check_model(name: str, function: Any, arguments: str = "(points, epoch)", noises: int = 0) -> None:
+    """A model, or another function from outside, can be called with its arguments, and with so many noises after them."""
+    arguments = arguments.replace(")", ", *noise)") if noises else arguments
+    checks.function(name, function, arguments)
+    if not takes(function, arguments.count(",") + (noises or 1)):
+        raise ValueError(f"{name}: expected a function {arguments}, got {kind(function)} of other arguments")
+
+
+def check_part(name: str, part: Any, kinds: tuple[int, ...] = (4,)) -> None:
+    """A part is called with a belief and more: two arguments in all to predict, four to update."""
+    if not any(takes(part, count) for count in kinds):
+        called = " or ".join({2: "(belief, epoch)", 4: "(belief, z, epoch, memory)"}[count] for count in kinds)
+        raise ValueError(f"{name}: expected a part {called}, got {kind(part)}")
+
+
+def given_back(name: str, value: Any, what: str) -> Any:
+    """What a function from outside gave back, if it is as many things as ``what`` names."""
+    if not isinstance(value, tuple | list) or isinstance(value, Gaussian) or len(value) != what.count(",") + 1:
+        raise ValueError(f"{name}: expected ({what}) from what was given, got {kind(value)}")
+    return value
+
+
+def check_belief(belief: Any, name: str = "belief") -> None:
+    """A belief is a `Gaussian`."""
+    checks.instance(name, belief, Gaussian, "celnav.square_root(mean, cov)")
+
+
+def check_memory(memory: Any, hooks: int) -> None:
+    """The memory of hooks is what the update gave before."""
+    if memory is not None and not (isinstance(memory, tuple) and len(memory) == hooks):
+        raise ValueError(f"memory: expected None or what the update gave back, a tuple for {hooks} hooks, got {kind(memory)}")
+
+
+def window(name: str, size: int, shape: tuple[int, ...]) -> Array:
+    """A window of so many samples, none seen yet: nan."""
+    if size * prod(shape) > checks.LIMIT:
+        raise ValueError(f"{name}: expected a window of at most {checks.LIMIT} numbers, got {size} samples of {prod(shape)} each")
+    return np.full((size, *shape), np.nan)
+
+
+def positive(name: str, value: Any, zero: bool = False) -> float:
+    """A positive number, or 0 if that may be; infinity, which is no bound at all, too."""
+    if isinstance(value, float) and value == np.inf:
+        return np.inf
+    return checks.number(name, value, 0.0) if zero else checks.number(name, value, above=0.0)
+
+
+def repetitions(name: str, value: Any) -> int:
+    """How often something is done again at every step."""
+    count = checks.integer(name, value)
+    if count > MOST_REPETITIONS:
+        raise ValueError(f"{name}: expected at most {MOST_REPETITIONS} at every step, got {count}")
+    return count
+
+
+def flag(name: str, value: Any) -> bool:
+    """True or False."""
+    return bool(checks.choice(name, value, [False, True]))
 
 
 def check_rule(rule: Any, name: str = "rule") -> None:
@@ -36,12 +87,13 @@ def check_rule(rule: Any, name: str = "rule") -> None:
 
 def check_space(name: str, space: Any) -> None:
     """A space is a `Space`."""
-    if not isinstance(space, Space):
-        raise ValueError(f"{name}: expected a Space, such as celnav.angles([0]), got {kind(space)}")
+    checks.instance(name, space, Space, "celnav.angles([0])")
 
 
-def check_state(belief: Gaussian, space: Space) -> None:
+def check_state(belief: Any, space: Space) -> None:
     """A state of vectors has as many deviations as components."""
+    if not isinstance(belief, Gaussian):
+        check_belief(belief)
     N, n = belief.mean.shape[-1], belief.spread.shape[-1]
     if n != N and space == EUCLIDEAN:
         raise ValueError(f"space: expected one for states of {N} components with {n} deviations, got vectors")
@@ -61,21 +113,25 @@ def takes(function: Any, count: int) -> bool:
     if not callable(function):
         return False
     try:
-        signature(function).bind(*(None,) * count)
+        parameters = signature(function)
+    except (TypeError, ValueError):  # a function of C that does not say
+        return True
+    try:
+        parameters.bind(*(None,) * count)
     except TypeError:
         return False
-    except ValueError:  # a function of C that does not say
-        return True
     return True
 
 
-def measurement(z: Any, belief: Gaussian) -> tuple[Array, Gaussian]:
+def measurement(z: Any, belief: Any) -> tuple[Array, Gaussian]:
     """A measurement ``(..., m)`` as floats, and the belief, once for each run if only the measurement has runs.
 
     Raises
     ------
     ValueError: if z is no array ``(..., m)``, or its batch axes do not go with those of the belief.
     """
+    if not isinstance(belief, Gaussian):
+        check_belief(belief)
     measured = numbers("z", z)
     if measured.ndim == 0:
         raise ValueError(f"z: expected shape (..., m), got the number {measured}; one component is [z]")

@@ -16,14 +16,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.filters.arguments import check_hooks, check_model, check_rule
+from celnav.filters.arguments import batched, check_hooks, check_model, check_rule
 from celnav.filters.coloring import Colored, Coloring, coloring, difference, first_update, measurement_matrix, noises, taken
 from celnav.filters.conditioning import Model, condition, evaluate, images, settled
 from celnav.filters.driver import Epoch, Filter, State, sequential
 from celnav.filters.info import Hook, Info
 from celnav.filters.step import predict, update
 from celnav.gaussian import Gaussian, sqrt_cov
-from celnav.linalg import Array, block, matvec
+from celnav.linalg import Array, block, matvec, side_by_side
 from celnav.spaces import EUCLIDEAN
 from celnav.transform import KEEP, Image, Outputs, Transform
 
@@ -75,6 +75,8 @@ def colored(
         assert callable(h)
         if callable(process):
             raise ValueError("sqrt_Q: expected constant columns where the measurement is a function")
+        if not process.shape[-2]:
+            raise ValueError(f"sqrt_Q: expected columns (n, r), got shape {process.shape}")
         if Sigma0 is not None and first_rule is None:
             raise ValueError("first_rule: expected a rule of the state's dimension where the measurement is a function")
         conditioned = _through_points(f, h, rule, process, increments, hooks)
@@ -156,9 +158,9 @@ def _through_points(
     """Condition with a measurement function: the process noise goes through the points."""
 
     def conditioned(state: Colored, Phi: Array, z: Array, epoch: Epoch) -> tuple[Gaussian, Info, Any]:
-        belief = state.belief
+        Z = evaluate(increments, state.belief.mean, epoch)
+        belief = batched("R", Z.shape[:-2], state.belief)
         root = belief.form.root(belief.spread)
-        Z = evaluate(increments, belief.mean, epoch)
         m, s = Z.shape[-2:]
 
         def g(points: Array, w: Array) -> Outputs:
@@ -211,10 +213,11 @@ def augmented(
 
     both = sequential(
         predict(move, rule, sqrt_Q=block([[process, 0], [0, increments]])),
-        update(np.concatenate([matrix, np.eye(m)], -1), rule, sqrt_R=np.zeros((m, 0))),
+        update(side_by_side([matrix, np.eye(m)]), rule, sqrt_R=np.zeros((m, 0))),
     )
 
     def start(prior: Gaussian) -> State:
+        prior = batched("Sigma0", first.shape[:-2], prior if callable(Phi) else batched("Phi", np.shape(Phi)[:-2], prior))
         batch = prior.mean.shape[:-1]
         mean = np.concatenate([prior.mean, np.zeros((*batch, m))], -1)
         noise = np.broadcast_to(first, (*batch, m, m))

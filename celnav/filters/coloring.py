@@ -8,13 +8,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.checks import finite
-from celnav.filters.arguments import measurement
+from celnav.checks import finite, numbers
+from celnav.filters.arguments import check_model, measurement
 from celnav.filters.conditioning import noise_columns
 from celnav.filters.driver import Epoch
 from celnav.filters.info import Info
 from celnav.filters.step import update
-from celnav.gaussian import Gaussian
+from celnav.gaussian import Gaussian, sqrt_cov
 from celnav.linalg import Array, matvec
 from celnav.transform import Transform
 
@@ -44,7 +44,8 @@ def coloring(Phi: Coloring, m: int | None = None) -> Callable[[Any], Array]:
         allowed: differences then say nothing about position, only about its changes.
     """
     if callable(Phi):
-        return lambda epoch: _matrix(np.asarray(Phi(epoch), dtype=np.float64), m)
+        check_model("Phi", Phi, "(epoch)")
+        return lambda epoch: _matrix(numbers("Phi", Phi(epoch)), m)
     matrix = _matrix(finite("Phi", Phi), m)
     radius = np.abs(np.linalg.eigvals(matrix)).max()
     if radius > 1.0 + 1e-9:
@@ -72,7 +73,7 @@ def first_update(h: Any, rule: Transform, Sigma0: ArrayLike | None) -> Callable[
     """The update of the prior by the first sample; without ``Sigma0`` that sample only anchors the first difference."""
     if Sigma0 is None:
         return lambda prior, epoch: (prior, Info())
-    part = update(h, rule, Sigma0)
+    part = update(h, rule, sqrt_R=sqrt_cov(Sigma0, "Sigma0"))
 
     def absolute(prior: Gaussian, epoch: Epoch) -> tuple[Gaussian, Info]:
         posterior, info, _ = part(prior, epoch.z, epoch)

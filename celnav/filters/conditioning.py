@@ -16,8 +16,10 @@ from warnings import warn
 
 import numpy as np
 
-from celnav.checks import finite, unmasked
+from celnav.checks import finite, numbers, unmasked
+from celnav.filters.arguments import check_model
 from celnav.filters.info import Gain, Hook, Info, Joint
+from celnav.filters.mixing import POINTS, check_runs_apart, unknown
 from celnav.gaussian import Gaussian, all_sound, sound, sqrt_cov
 from celnav.linalg import Array, matvec, solve_upper_transposed, tria, whiten
 from celnav.spaces import EUCLIDEAN, Space
@@ -42,17 +44,19 @@ def noise_columns(cov: Any, sqrt: Any, name: str) -> Noise:
         raise ValueError(f"{name}: expected one of {name} and sqrt_{name}, got both")
     if sqrt is not None:
         if callable(sqrt):
+            check_model(f"sqrt_{name}", sqrt, "(mean, epoch)")
             return partial(_columns_of, sqrt, f"sqrt_{name}")
         return _columns(f"sqrt_{name}", finite(f"sqrt_{name}", sqrt))
     if cov is None:
         return None
     if callable(cov):
+        check_model(name, cov, "(mean, epoch)")
         return partial(_root_of, cov, name)
     return sqrt_cov(cov, name)
 
 
 def _columns_of(function: Callable[[Array, Any], Any], name: str, mean: Array, epoch: Any) -> Array:
-    return _columns(name, np.asarray(unmasked(name, function(mean, epoch)), dtype=np.float64))
+    return _columns(name, numbers(name, unmasked(name, function(mean, epoch))))
 
 
 def _root_of(function: Callable[[Array, Any], Any], name: str, mean: Array, epoch: Any) -> Array:
@@ -86,27 +90,32 @@ def images(name: str, function: Model, points: Array, epoch: Any, noise: Sequenc
     ------
     ValueError: naming the function, if what it returns has another shape. What it raises itself carries a note of what it got.
     """
+    copies = [array.copy(order="K") for array in (points, *noise)] if points.ndim > 2 and unknown(function, points) else None
     try:
-        values = np.asarray(unmasked(name, function(points, epoch, *noise)))
-        y = values.astype(np.float64, copy=False)
-    except (AttributeError, TypeError, ValueError) as error:
+        values = unmasked(name, function(points, epoch, *noise))
+        y: Array = values if type(values) is np.ndarray and values.dtype == np.float64 else numbers(name, values)
+    except (AttributeError, IndexError, TypeError, ValueError) as error:
         given = "an input" if getattr(epoch, "u", None) is not None else "None"
         error.add_note(
             f"{name} is called with points {points.shape} and an Epoch: epoch.dt is its interval, epoch.u ({given}) its input"
         )
+        error.add_note(POINTS)
         raise
     if y.ndim != points.ndim or y.shape[:-1] != points.shape[:-1] or (dimension is not None and y.shape[-1] != dimension):
         last = "m" if dimension is None else dimension
         expected = "(" + ", ".join(str(s) for s in (*points.shape[:-1], last)) + ")"
-        raise ValueError(f"{name} returned shape {y.shape}, expected {expected}")
-    if values.dtype.kind == "f" and values.itemsize < y.itemsize:
-        _warn_of_rounding(name, values.dtype, points, y)
+        raise ValueError(f"{name} returned shape {y.shape}, expected {expected}; {POINTS}")
+    if y is not values:
+        _warn_of_rounding(name, np.asarray(values).dtype, points, y)
+    if copies is not None:
+        y = y.copy(order="K")  # it may be a buffer of the model's
+        check_runs_apart(name, function, copies, epoch, y)
     return y
 
 
 def _warn_of_rounding(name: str, dtype: Any, points: Array, y: Array) -> None:
     """Warn of values in single precision whose differences, all that a filter has of a model, are hardly more than round-off."""
-    if len(points) == 1 or not y.size:
+    if dtype.kind != "f" or dtype.itemsize >= y.itemsize or len(points) == 1 or not y.size:
         return
     differences, moved = np.ptp(y, 0), np.ptp(points, 0) > 0.0
     moved = moved if moved.shape == differences.shape else moved.any(-1, keepdims=True)
@@ -198,7 +207,7 @@ def condition(
 
 
 def _checked_gain(gain: Any, n: int, m: int) -> Array:
-    K = np.asarray(gain, dtype=np.float64)
+    K = numbers("gain", gain)
     if K.ndim < 2 or K.shape[-2:] != (n, m):
         raise ValueError(f"gain: expected shape (..., {n}, {m}), got {K.shape}")
     return K

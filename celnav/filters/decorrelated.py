@@ -73,6 +73,8 @@ def decorrelated(
     check_hooks(hooks)
     matrix = measurement_matrix("H", H)
     process, increments, m = noises(Q, sqrt_Q, R, sqrt_R, matrix.shape[-2])
+    if not callable(process) and process.shape[-2] != matrix.shape[-1]:
+        raise ValueError(f"H: expected {process.shape[-2]} columns to go with Q, got {matrix.shape[-1]}")
     gates = [_leaving_out(hook) for hook in hooks]
     phi = coloring(Phi, m)
     first = first_update(matrix, rule, Sigma0)

@@ -16,7 +16,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.checks import finite
+from celnav.checks import finite, instance, numbers
+from celnav.filters.arguments import check_model, given_back
 from celnav.filters.driver import Epoch
 from celnav.filters.info import Info
 from celnav.filters.two_stage import First, Stage
@@ -53,7 +54,7 @@ def ar1_noise(F: ArrayLike, L: ArrayLike, J: ArrayLike, Xi: ArrayLike, E: ArrayL
     ValueError: if F or L is not diagonal with magnitudes below 1, a shape is wrong, ``Xi`` not positive definite, or ``E`` no
         covariance.
     """
-    xi, e = finite("Xi", Xi), finite("E", E)
+    xi, e = finite("Xi", Xi, ("m", "m")), finite("E", E, ("q", "q"))
     m, q = len(xi), len(e)
     if not np.isfinite(sqrt_cov(xi, "Xi", m)).all() or np.linalg.eigvalsh(xi)[0] <= 0.0:
         raise ValueError("Xi: expected a positive definite covariance")
@@ -108,6 +109,9 @@ def differenced(
     ValueError: from the stage, for a prior in another form, a measurement that is missing in part, or where ``I + H G J`` is
         singular (determinant below 1e-12).
     """
+    for name, function in (("move", move), ("h", h), ("slope", slope)):
+        check_model(name, function, "(mean, epoch)")
+    instance("noise", noise, Noise, "ar1_noise(F, L, J, Xi, E)")
     F, L, J, Xi, V, Q = noise.F, noise.L, noise.J, noise.Xi, noise.V, noise.Q
     m, n_q, JF = F.shape[-1], L.shape[-1], J @ F
     f_V, f_Q = (matrix.diagonal(0, -2, -1)[..., None, :] for matrix in (F, L))
@@ -123,19 +127,20 @@ def differenced(
         return DifferencedState(prior, *zeros, np.full((*batch, m), np.nan), np.zeros((*batch, m, n)))
 
     def predict(state: DifferencedState, epoch: Epoch) -> tuple[DifferencedState, Array | None]:
-        moved = move(state.belief.mean, epoch)
+        found = given_back("move", move(state.belief.mean, epoch), "state, Phi, G")
+        moved = numbers("move", found[0]), numbers("move", found[1]), numbers("move", found[2])
         return state._replace(moved=moved), moved[1]
 
     def update(state: DifferencedState, epoch: Epoch) -> tuple[DifferencedState, Stage | None, Info]:
         assert state.moved is not None
         x, Phi, G = state.moved
-        z = np.asarray(epoch.z, dtype=np.float64)
+        z = numbers("z", epoch.z, (..., m))
         if np.isnan(z).any():
             raise ValueError("z: expected a whole measurement at every epoch: what was missed cannot be differenced")
         first = bool(np.isnan(state.V).all())
         Z = z if first else z - matvec(F, state.V)
         sensor = V if first else Xi
-        H = slope(x, epoch)
+        H = numbers("slope", slope(x, epoch), (..., m, x.shape[-1]))
         coupled = np.eye(m) + H @ G @ J
         if np.abs(np.linalg.det(coupled)).min() < 1e-12:
             raise ValueError("J: expected I + H G J to have an inverse, got a singular matrix")
@@ -144,7 +149,7 @@ def differenced(
         both = side_by_side([Phi, G])
         both = both - Omega @ (H @ both)
         Phi1, G1 = both[..., :n], both[..., n:]
-        y = Z - h(x, epoch)
+        y = Z - numbers("h", h(x, epoch), (..., m))
         into = matvec(Omega, y)
         mean, innovation = x + into, y - matvec(H, into)
         ahead = Phi1 @ side_by_side([state.belief.spread, state.DQ, state.DV])

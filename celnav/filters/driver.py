@@ -13,9 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.checks import finite, integer, numbers
-from celnav.filters.arguments import kind, takes
+from celnav.checks import choice, finite, instance, integer, kind, numbers
+from celnav.filters.arguments import check_belief, check_model, given_back, takes
 from celnav.filters.info import Info
+from celnav.filters.mixing import LOOKED_AT
 from celnav.filters.step import Conditioning, Motion, Predict, Update
 from celnav.filters.track import Collector, Track
 from celnav.gaussian import Gaussian
@@ -80,16 +81,18 @@ def sequential(predict: Predict, *updates: Update) -> Filter:
         belief, memory = state.belief, list(state.memory)
         predicted = Info()
         if epoch.dt if isinstance(epoch.dt, float) else np.any(epoch.dt):
-            belief, predicted = predict(belief, epoch)
+            found = predict(belief, epoch)
+            belief, predicted = found if type(found) is tuple else given_back("predict", found, "belief, info")
         z = epoch.z if isinstance(epoch.z, tuple) else (epoch.z,) if epoch.z is not None else (None,) * len(updates)
         if updates and len(z) != len(updates):
             raise ValueError(f"z: expected {len(updates)} measurements, got {len(z)}")
         infos = []
         for i, (update, measured) in enumerate(zip(updates, z, strict=False)):
             if measured is None:
-                infos.append(Info())
+                infos.append(Info(silent=True))
                 continue
-            belief, info, memory[i] = update(belief, measured, epoch, memory[i])
+            after = update(belief, measured, epoch, memory[i])
+            belief, info, memory[i] = after if type(after) is tuple else given_back("updates", after, "belief, info, memory")
             infos.append(info)
         infos = [i._replace(slopes=(predicted.slopes or (None,)) + i.slopes[1:]) for i in infos] or [predicted]
         if infos[0] is not predicted and (predicted.failure or predicted.redone is not None):
@@ -111,29 +114,62 @@ def _check_spaces(predict: Any, update: Any) -> None:
         raise ValueError(f"space: expected the same in predict and update, got {names[0]} and {names[1]}{hint}")
 
 
-class Epochs(Sequence[Epoch]):
-    """Epochs made from arrays, one at a time; nothing is copied. See `epochs`."""
+_BLOCK = 1024
+"""Epochs whose times are taken out of the array at once."""
 
-    def __init__(self, times: Array, z: Any, u: Any, truth: Any):
+
+class Epochs(Sequence[Epoch]):
+    """Epochs made from arrays when they are asked for, one at a time; nothing is copied. See `epochs`.
+
+    A slice is one again, numbered on. Its first epoch keeps the interval that leads up to it, so that ``[k:]`` goes on where
+    ``[:k]`` ends; where a stride leaves epochs out, intervals are those between the ones that are left.
+    """
+
+    def __init__(self, times: Array, z: Any, u: Any, truth: Any, rows: range | None = None, before: int = -1, first: int = 0):
         self._times, self._z, self._u, self._truth = times, z, u, truth
+        self._rows, self._before, self._first = range(len(times)) if rows is None else rows, before, first
 
     def __len__(self) -> int:
-        return len(self._times)
+        return len(self._rows)
+
+    def __repr__(self) -> str:
+        span = f" from {self._times[self._rows[0]]:g} to {self._times[self._rows[-1]]:g} s" if self._rows else ""
+        return f"Epochs({len(self)}{span})"
 
     def __getitem__(self, k: Any) -> Any:
-        if isinstance(k, slice):
-            return [self[i] for i in range(*k.indices(len(self)))]
-        k = range(len(self))[k]
-        t = float(self._times[k])
-        return self._epoch(k, t, t - float(self._times[k - 1]) if k else 0.0)
+        if not isinstance(k, slice):
+            return self._epoch(range(len(self))[k])
+        rows = self._rows[k]
+        if rows.step < 1:
+            raise ValueError(f"epochs: expected a slice that runs forward, got {k}")
+        if rows.step > 1 and self._u is not None:
+            raise ValueError(
+                f"epochs: an interval of {rows.step} epochs has {rows.step} inputs, got one u for each; make epochs anew"
+            )
+        at = self._rows.index(rows[0]) if rows else 0
+        return Epochs(
+            self._times, self._z, self._u, self._truth, rows, self._rows[at - 1] if at else self._before, self._first + at
+        )
 
     def __iter__(self) -> Iterator[Epoch]:
-        intervals = np.diff(self._times, prepend=self._times[:1])
-        for k, (t, dt) in enumerate(zip(self._times.tolist(), intervals.tolist(), strict=True)):
-            yield self._epoch(k, t, dt)
+        before = self._before
+        last = float(self._times[before]) if before >= 0 else None
+        for start in range(0, len(self), _BLOCK):
+            rows = self._rows[start : start + _BLOCK]
+            times = self._times[rows.start : rows.stop : rows.step].tolist()
+            for k, i, t in zip(range(self._first + start, self._first + start + len(rows)), rows, times, strict=True):
+                dt, u = (0.0, None) if last is None else (t - last, _at(self._u, before))
+                yield Epoch(k, t, dt, u, _at(self._z, i), _at(self._truth, i))
+                before, last = i, t
 
-    def _epoch(self, k: int, t: float, dt: float) -> Epoch:
-        return Epoch(k, t, dt, _at(self._u, k - 1) if k else None, _at(self._z, k), _at(self._truth, k))
+    def __add__(self, other: Iterable[Epoch]) -> list[Epoch]:
+        return [*self, *other]
+
+    def _epoch(self, j: int) -> Epoch:
+        i, before = self._rows[j], self._rows[j - 1] if j else self._before
+        t = float(self._times[i])
+        dt, u = (t - float(self._times[before]), _at(self._u, before)) if before >= 0 else (0.0, None)
+        return Epoch(self._first + j, t, dt, u, _at(self._z, i), _at(self._truth, i))
 
 
 def _at(values: Any, k: int) -> Any:
@@ -166,9 +202,22 @@ def epochs(times: ArrayLike, z: Any = None, u: Any = None, truth: Any = None) ->
         z = tuple(_checked(v, len(t)) for v in z) if isinstance(z, tuple) else _checked(z, len(t))
     for name, values, least in (("u", u, len(t) - 1), ("truth", truth, len(t))):
         for part in values if isinstance(values, tuple) else (values,):
-            if part is not None and len(part) < least:
+            if part is not None and _rows(name, part) < least:
                 raise ValueError(f"{name}: expected at least {least} rows for {len(t)} times, got {len(part)}")
     return Epochs(t, z, u, truth)
+
+
+def _rows(name: str, values: Any) -> int:
+    """How many rows there are."""
+    try:
+        rows = 0 if isinstance(values, str) else len(values)
+        if rows:
+            values[0]
+    except (TypeError, KeyError, IndexError):
+        rows = -1
+    if rows < 0 or isinstance(values, str):
+        raise ValueError(f"{name}: expected a sequence with a row for each time, got {kind(values)}")
+    return rows
 
 
 def _checked(z: ArrayLike, length: int) -> Array:
@@ -187,22 +236,29 @@ def steps(filter: Filter, prior: Gaussian, epochs: Iterable[Epoch]) -> Iterator[
 
     Raises
     ------
-    ValueError: if an interval is negative, not finite, or 0 though time went on, or what is given is no filter or no belief. An
-        exception of the model carries the step as a note.
+    ValueError: if an interval is negative, not finite, or 0 though time went on, what is given is no filter or no belief, or a
+        model mixes runs, as ``F @ x`` does. An exception of the model carries the step as a note.
     """
     if not (hasattr(filter, "start") and hasattr(filter, "step")):
         raise ValueError(f"filter: expected a Filter, such as celnav.sequential makes, got {kind(filter)}")
-    if not isinstance(prior, Gaussian):
-        raise ValueError(f"prior: expected a Gaussian, such as celnav.square_root(mean, cov), got {kind(prior)}")
+    check_belief(prior, "prior")
+    try:
+        every = iter(epochs)
+    except TypeError:
+        raise ValueError(f"epochs: expected celnav.epochs(times, z), or records like celnav.Epoch, got {kind(epochs)}") from None
     state, before = filter.start(prior), None
-    for epoch in epochs:
+    models: list[Any] = []
+    for epoch in every:
         _check_interval(epoch, before)
         before = epoch.t
+        token = LOOKED_AT.set(models)
         try:
             state, info = filter.step(state, epoch)
         except Exception as error:
             error.add_note(f"in step {epoch.k}, t = {epoch.t}")
             raise
+        finally:
+            LOOKED_AT.reset(token)
         yield epoch, state, info
 
 
@@ -212,9 +268,10 @@ def _check_interval(epoch: Any, before: Any) -> None:
         return
     if dt is None:
         raise ValueError(f"epochs: expected celnav.epochs(times, z), or records like celnav.Epoch, got {kind(epoch)}")
-    if before is not None and not np.any(dt) and np.any(np.asarray(epoch.t) > before):
+    interval = numbers("dt", dt)
+    if before is not None and not interval.any() and np.any(np.asarray(epoch.t) > before):
         raise ValueError(f"dt: expected the interval since t = {before}, got 0 at t = {epoch.t}")
-    if not (np.isfinite(dt) & (np.asarray(dt) >= 0.0)).all():
+    if not (np.isfinite(interval) & (interval >= 0.0)).all():
         raise ValueError(f"dt: expected a non-negative number, got {dt!r} at step {epoch.k}")
 
 
@@ -248,15 +305,19 @@ def run(
     ValueError: for a bad option, measurement or time. FilterError: see ``on_failure``.
     """
     stored = integer("every", every)
-    if keep not in ("std", "spread", "mean", "nothing"):
-        raise ValueError(f"keep: expected 'std', 'spread', 'mean' or 'nothing', got {keep!r}")
-    if on_failure not in ("raise", "flag"):
-        raise ValueError(f"on_failure: expected 'raise' or 'flag', got {on_failure!r}")
+    choice("keep", keep, ("std", "spread", "mean", "nothing"))
+    choice("on_failure", on_failure, ("raise", "flag"))
+    if also is not None:
+        check_model("also", also, "(epoch, state, info)")
+    if reduce is not None:
+        check_model("reduce", reduce, "(accumulated, epoch, state, info)")
     collector = Collector(stored, keep)
     reduced = None
     for epoch, state, info in steps(filter, prior, epochs):
         infos = info if isinstance(info, tuple) and not isinstance(info, Info) else (info,)
-        lost = collector.add(epoch, state, infos, {} if also is None else also(epoch, state, info))
+        lost = collector.add(
+            epoch, state, infos, {} if also is None else instance("also", also(epoch, state, info), dict, "{'gain': array}")
+        )
         if lost is not None and on_failure == "raise":
             why = next((i.failure for i in infos if i.failure), "the state is not finite")
             where = f", run {tuple(int(i) for i in lost)}" if lost else ""

@@ -50,6 +50,7 @@ class Info(NamedTuple):
     slopes: functions ``() -> tuple`` of statistical Jacobians, of the prediction (None without one) and of the update.
     failure: why a run of this step is no longer finite; empty if none newly failed.
     redone: ``(...)`` bool, the runs that `fallback` did again; None if there was none.
+    silent: whether there was a measurement to take, but it was None.
     """
 
     innovation: Array | None = None
@@ -60,6 +61,7 @@ class Info(NamedTuple):
     slopes: tuple[Callable[[], tuple[Array, ...]] | None, ...] = ()
     failure: str = ""
     redone: Array | None = None
+    silent: bool = False
 
     @property
     def nis(self) -> Array | None:

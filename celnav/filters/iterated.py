@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from celnav.checks import integer
-from celnav.filters.arguments import measurement
+from celnav.checks import numbers
+from celnav.filters.arguments import check_model, measurement, repetitions
 from celnav.filters.conditioning import Model, noise_columns
 from celnav.filters.info import Info
 from celnav.filters.step import Conditioning, update
@@ -44,14 +44,20 @@ def iterated(
     ------
     ValueError: for a number of iterations below 1; otherwise as `update`.
     """
-    count = integer("iterations", iterations)
+    if callable(h):
+        check_model("h", h)
+    count = repetitions("iterations", iterations)
+    if start is not None:
+        check_model("start", start, "(belief, z, epoch)")
+    if jacobians is not None:
+        check_model("jacobians", jacobians, "(mean, epoch)")
     columns = noise_columns(R, sqrt_R, "R")
     if columns is None:
         raise ValueError("R: expected measurement noise, R or sqrt_R")
 
     def part(belief: Gaussian, z: Any, epoch: Any = None, memory: Any = None) -> tuple[Gaussian, Info, Any]:
         z, belief = measurement(z, belief)
-        at = belief.mean if start is None else start(belief, z, epoch)
+        at = belief.mean if start is None else numbers("start", start(belief, z, epoch), (..., belief.mean.shape[-1]))
         for _ in range(count):
             rule = Taylor(jacobians, about=at)
             once = update(h, rule, sqrt_R=columns, space=space, measurement_space=measurement_space)

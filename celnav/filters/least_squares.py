@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.checks import finite, integer
-from celnav.filters.arguments import measurement
+from celnav.checks import finite, integer, numbers
+from celnav.filters.arguments import check_model, measurement
 from celnav.filters.conditioning import evaluate
 from celnav.filters.driver import Epoch, Filter, State
 from celnav.filters.info import Info
+from celnav.filters.mixing import check_runs_apart, unknown
 from celnav.gaussian import COVARIANCE, Gaussian
 from celnav.linalg import Array, matvec, outer, unit
 
@@ -48,7 +49,11 @@ def least_squares(
     ------
     ValueError: unless ``sigma`` is positive and ``rounds`` a positive integer.
     """
+    check_model("h", h, "(mean, epoch)")
+    check_model("jacobian", jacobian, "(mean, epoch)")
     most = integer("rounds", rounds)
+    if callable(sigma):
+        check_model("sigma", sigma, "(mean, epoch)")
     deviations: Any = sigma if callable(sigma) else finite("sigma", sigma)
     if not callable(sigma) and not (deviations > 0.0).all():
         raise ValueError(f"sigma: expected positive deviations, got {sigma!r:.80}")
@@ -57,21 +62,29 @@ def least_squares(
         x = state.memory[0]
         if epoch.z is None:
             lost = Gaussian(np.full(x.shape, np.nan), np.full((*x.shape, x.shape[-1]), np.nan), COVARIANCE)
-            return State(lost, (x,)), Info()
+            return State(lost, (x,)), Info(silent=True)
         z, belief = measurement(epoch.z, state.belief)
         x = np.broadcast_to(x, belief.mean.shape)
         used = np.broadcast_to(~np.isnan(z), (*x.shape[:-1], z.shape[-1]))
-        weight = np.where(used, 1.0 / evaluate(deviations, x, epoch), 0.0)
+        sigmas = numbers("sigma", evaluate(deviations, x, epoch))
+        if sigmas.shape[-1:] not in ((), (1,), z.shape[-1:]):
+            raise ValueError(f"sigma: expected shape (..., {z.shape[-1]}) to go with the measurement, got {sigmas.shape}")
+        weight = np.where(used, 1.0 / sigmas, 0.0)
         n = x.shape[-1]
+        if x.ndim > 1 and unknown(h, x[None]):
+            values = numbers("h", h(x.copy(), epoch), (..., z.shape[-1]))
+            check_runs_apart("h", lambda points, e: np.asarray(h(points[0], e))[None], (x[None],), epoch, values[None].copy())
         enough, moving = used.sum(-1) >= n, np.ones(x.shape[:-1], bool)
         V, known = np.zeros((*x.shape, n)), enough
         for _ in range(most if z.shape[-1] >= n else 0):  # too few determine nothing
-            G = weight[..., None] * jacobian(x, epoch)
+            G = weight[..., None] * numbers("jacobian", jacobian(x, epoch), (..., z.shape[-1], n))
             length = np.sqrt(np.square(G).sum(-2))
             Q, R = np.linalg.qr(G / np.where(length > 0.0, length, 1.0)[..., None, :])
             found = (np.abs(R.diagonal(0, -2, -1)).min(-1) > RANK) & enough
             root = np.linalg.solve(np.where(found[..., None, None], R * length[..., None, :], unit(n)), unit(n))
-            white = np.where(found[..., None], matvec(Q.mT, weight * np.where(used, z - h(x, epoch), 0.0)), 0.0)
+            white = np.where(
+                found[..., None], matvec(Q.mT, weight * np.where(used, z - numbers("h", h(x, epoch), (..., z.shape[-1])), 0.0)), 0.0
+            )
             # A run that has come to rest stays as it is while others of its block still move.
             x = np.where(moving[..., None], x + matvec(root, white), x)
             V, known = np.where(moving[..., None, None], root, V), np.where(moving, found, known)

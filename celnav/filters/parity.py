@@ -6,14 +6,15 @@ it takes more measurements than unknowns. The matrix is that of statistical line
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.checks import integer
+from celnav.checks import finite, integer
 from celnav.filters.adaptive import counted, scaled, variances
+from celnav.filters.arguments import positive, window
 from celnav.filters.info import Hook, Joint
 from celnav.linalg import Array, matvec, range_basis
 
@@ -63,13 +64,14 @@ def group_parity(groups: Sequence[ArrayLike], unknowns: int, *, deviations: floa
     ------
     ValueError: for groups that are empty or overlap, or numbers that cannot be.
     """
-    members = [np.asarray(group, dtype=int) for group in groups]
+    if not isinstance(groups, Iterable):
+        raise ValueError(f"groups: expected index arrays of components, such as [[0, 1], [2, 3]], got {groups!r:.80}")
+    members = [_places(group) for group in groups]
     together = np.concatenate(members) if members else np.empty(0, int)
     if not together.size or any(not g.size for g in members) or len(set(together.tolist())) != together.size:
         raise ValueError("groups: expected groups of components that do not overlap")
-    integer("unknowns", unknowns)
-    if not deviations >= 0.0:
-        raise ValueError(f"deviations: expected a number that is not negative, got {deviations!r}")
+    unknowns = min(integer("unknowns", unknowns), 10**9)  # no group is as large
+    positive("deviations", deviations, zero=True)
 
     def hook(memory: Any, joint: Joint, _epoch: Any) -> tuple[Any, Joint]:
         r = residual(joint)
@@ -86,6 +88,14 @@ def group_parity(groups: Sequence[ArrayLike], unknowns: int, *, deviations: floa
         return memory, joint._replace(sensor=scaled(joint.sensor, np.sqrt(factor)))
 
     return hook
+
+
+def _places(group: ArrayLike) -> Array:
+    """Components of a group, whole numbers from 0 on."""
+    places = finite("groups", group)
+    if places.ndim != 1 or (places != np.round(places)).any() or (places < 0.0).any():
+        raise ValueError(f"groups: expected places of components from 0 on, such as [[0, 1], [2, 3]], got {group!r:.80}")
+    return places.astype(int)
 
 
 class ParityWindow(NamedTuple):
@@ -110,7 +120,7 @@ def channel_parity(M: int) -> Hook:
         r, k = residual(joint), getattr(epoch, "k", None)
         spare = r.used & (r.variances > 1e-6 * r.noise)  # a component that the fit cannot do without has no residual
         squares = np.where(spare, r.values**2 / np.where(spare, r.variances, 1.0), np.nan)
-        ring = np.full((size, *squares.shape), np.nan) if memory is None else memory.squares
+        ring = window("M", size, squares.shape) if memory is None else memory.squares
         if memory is not None and k is not None and memory.k is not None and k > memory.k + 1:
             ring = np.full_like(ring, np.nan)
         ring = np.concatenate([np.broadcast_to(ring, (size, *squares.shape))[1:], squares[None]])

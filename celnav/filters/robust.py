@@ -11,16 +11,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.checks import integer
+from celnav.checks import number
 from celnav.filters.adaptive import counted, scaled, variances
+from celnav.filters.arguments import repetitions
 from celnav.filters.info import Hook, Joint
 from celnav.linalg import Array, matvec
-
-
-def _positive(name: str, value: float) -> float:
-    if not (np.isfinite(value) and value > 0.0):
-        raise ValueError(f"{name}: expected a positive number, got {value!r}")
-    return float(value)
 
 
 def huber(threshold: float = 1.345, rounds: int = 6) -> Hook:
@@ -32,18 +27,18 @@ def huber(threshold: float = 1.345, rounds: int = 6) -> Hook:
     ------
     ValueError: unless both are positive, ``rounds`` an integer.
     """
-    bound = _positive("threshold", threshold)
-    return _reweighted(lambda u: np.minimum(1.0, bound / np.maximum(u, 1e-300)), rounds)
+    bound = number("threshold", threshold, above=0.0)
+    return _reweighted(lambda u: bound / np.maximum(u, bound), rounds)
 
 
 def student_t(dof: float = 4.0, rounds: int = 6) -> Hook:
     """Weigh a component by ``(dof + 1) / (dof + u^2)``, as for noise of Student's t distribution; see `huber`."""
-    nu = _positive("dof", dof)
+    nu = number("dof", dof, above=0.0)
     return _reweighted(lambda u: (nu + 1.0) / (nu + u * u), rounds)
 
 
 def _reweighted(weight: Callable[[Array], Array], rounds: int) -> Hook:
-    most = integer("rounds", rounds)
+    most = repetitions("rounds", rounds)
 
     def hook(memory: Any, joint: Joint, _epoch: Any) -> tuple[Any, Joint]:
         e = joint.innovation
@@ -90,9 +85,8 @@ def sage_husa(forgetting: float = 0.95, least: float = 0.25, smallest: float = 0
     ------
     ValueError: for other numbers.
     """
-    if not 0.0 < forgetting < 1.0:
-        raise ValueError(f"forgetting: expected a number between 0 and 1, got {forgetting!r}")
-    floor, bottom = _positive("least", least), _positive("smallest", smallest)
+    number("forgetting", forgetting, above=0.0, below=1.0)
+    floor, bottom = number("least", least, above=0.0), number("smallest", smallest, above=0.0)
 
     def hook(memory: Estimated | None, joint: Joint, _epoch: Any) -> tuple[Estimated, Joint]:
         e = joint.innovation

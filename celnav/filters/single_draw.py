@@ -7,7 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from celnav.filters.arguments import batched, check_hooks, check_model, check_space, measurement
+from celnav.filters.arguments import (
+    batched,
+    check_extra,
+    check_hooks,
+    check_model,
+    check_part,
+    check_rule,
+    check_space,
+    given_back,
+    measurement,
+)
 from celnav.filters.conditioning import Model, condition, evaluate, images, innovation_of, noise_columns, set_noise, settled
 from celnav.filters.driver import Epoch, Filter, State
 from celnav.filters.info import Hook, Info
@@ -48,7 +58,9 @@ def single_draw(
     ------
     ValueError: naming the argument that cannot be; at the step, if shapes do not go together.
     """
-    check_model("h", h)
+    check_rule(rule)
+    check_extra(extra)
+    check_model("h", h, noises=len(extra))
     check_space("measurement_space", measurement_space)
     check_hooks(hooks)
     columns = noise_columns(R, sqrt_R, "R")
@@ -95,12 +107,16 @@ def drawn_once(part: Update, first: Update) -> Filter:
     ValueError: from the filter, for an epoch whose ``z`` is None: a missing measurement is nan here.
     """
 
+    for name, value in (("part", part), ("first", first)):
+        check_part(name, value)
+
     def step(state: State, epoch: Epoch) -> tuple[State, Info]:
         if epoch.z is None:
             raise ValueError("z: expected a measurement or nan at every epoch, got None")
         moving = bool(np.any(epoch.dt))
         chosen, memory = (part, state.memory[1]) if moving else (first, state.memory[0])
-        belief, info, kept = chosen(state.belief, epoch.z, epoch, memory)
+        found = chosen(state.belief, epoch.z, epoch, memory)
+        belief, info, kept = given_back("part" if moving else "first", found, "belief, info, memory")
         return State(belief, (state.memory[0], kept) if moving else (kept, state.memory[1])), info
 
     return Filter(lambda prior: State(prior, (None, None)), step)

@@ -15,7 +15,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from celnav.filters.arguments import kind
+from celnav.checks import choice, instance, kind
+from celnav.filters.arguments import flag
 from celnav.filters.conditioning import evaluate, images, innovation_of, set_noise
 from celnav.filters.driver import Epoch, FilterError
 from celnav.filters.step import Motion
@@ -61,15 +62,17 @@ def smooth(
     """
     if not isinstance(motion, Motion):
         raise ValueError(f"motion: expected the filter's predict part, made by celnav.predict(f, rule, Q), got {kind(motion)}")
+    instance("track", track, Track, "celnav.run(filter, prior, epochs, keep='spread')")
     if track.mean is None or track.spread is None:
         raise ValueError("track: expected stored spreads, got none; run with keep='spread'")
-    if on_failure not in ("raise", "flag"):
-        raise ValueError(f"on_failure: expected 'raise' or 'flag', got {on_failure!r}")
+    choice("on_failure", on_failure, ("raise", "flag"))
+    if not isinstance(epochs, Iterable):
+        raise ValueError(f"epochs: expected those of the run, got {kind(epochs)}")
     interval = epochs if isinstance(epochs, Sequence) else list(epochs)
     _check_times(track.times, interval)
 
     mean, spread, std = track.mean.copy(), track.spread.copy(), np.empty(track.spread.shape[:-1])
-    G = np.zeros(spread.shape) if gains else None
+    G = np.zeros(spread.shape) if flag("gains", gains) else None
     failed_at = track.failed_at.copy()
     after = Gaussian(mean[-1], spread[-1], track.form)
     std[-1] = after.std
@@ -112,8 +115,10 @@ def _check_times(times: Array, epochs: Sequence[Epoch]) -> None:
     if len(epochs) != len(times):
         raise ValueError(f"epochs: expected the {len(times)} of the track (run with every=1), got {len(epochs)}")
     for k, (t, epoch) in enumerate(zip(times, epochs, strict=True)):
-        if np.any(epoch.t != t):
-            raise ValueError(f"epochs: expected the times of the track, got {epoch.t} instead of {t} at index {k}")
+        if not hasattr(epoch, "dt") or np.any(epoch.t != t):
+            raise ValueError(
+                f"epochs: expected the times of the track, got {getattr(epoch, 't', epoch)!r:.80} instead of {t} at index {k}"
+            )
 
 
 def _back(filtered: Gaussian, after: Gaussian, epoch: Epoch, motion: Motion) -> tuple[Gaussian, Array]:

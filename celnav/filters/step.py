@@ -18,6 +18,7 @@ from celnav.filters.arguments import (
     batched,
     check_extra,
     check_hooks,
+    check_memory,
     check_model,
     check_rule,
     check_space,
@@ -118,9 +119,9 @@ def predict(
     ------
     ValueError: naming the argument that cannot be; at the step, if shapes do not go together.
     """
-    check_model("f", f)
     check_rule(rule)
     check_extra(extra)
+    check_model("f", f, noises=len(extra))
     check_space("space", space)
     noise = noise_columns(Q, sqrt_Q, "Q")
     if noise is None and not len(extra):
@@ -191,17 +192,24 @@ def update(
         raise ValueError("R: expected measurement noise, R, sqrt_R or extra; if there is none, sqrt_R=np.zeros((m, 0))")
     plain = not hooks and gain is None
     least = _deviations(columns) if isinstance(columns, np.ndarray) else None
+    if callable(gain):
+        check_model("gain", gain, "(A, sign, m)")
+    elif gain is not None:
+        gain = finite("gain", gain)
     # Only what is exact must be looked at: the rest cannot be of what is known already.
     noisy = bool(len(extra)) or gain is not None or (isinstance(columns, np.ndarray) and bool(columns.any(-1).all()))
     if extra and not callable(h):
         raise ValueError("extra: expected a function h(points, epoch, *noise) with it, got a matrix; R is its noise")
     if callable(h):
+        check_model("h", h, noises=len(extra))
         lift = _through_rule(h, rule, extra, space, measurement_space, plain)
     else:
         lift = _through_matrix(h, noise_first=not hooks)
 
     def part(belief: Gaussian, z: Any, epoch: Any = None, memory: Any = None) -> tuple[Gaussian, Info, Any]:
         check_state(belief, space)
+        if memory is not None and hooks:
+            check_memory(memory, len(hooks))
         z, belief = measurement(z, belief)
         if np.isnan(z).all():
             return belief, _skipped(belief, z, measurement_space), memory
@@ -248,7 +256,7 @@ def _deviations(columns: Array) -> Array:
 
 def _skipped(belief: Gaussian, z: Array, space: Space) -> Info:
     """The record of a measurement that is wholly missing."""
-    one = z.reshape(-1, z.shape[-1])[0]
+    one = np.full(z.shape[-1], np.nan)
     shape = (*np.broadcast_shapes(z.shape[:-1], belief.mean.shape[:-1]), space.minus(one, one).shape[-1])
     return Info(np.full(shape, np.nan), np.zeros(shape), np.zeros(shape, bool))
 

@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.checks import finite
+from celnav.checks import finite, number, numbers
+from celnav.filters.arguments import check_model
 from celnav.filters.two_stage import Boost
 from celnav.linalg import Array
 
@@ -55,8 +56,8 @@ def strong_tracking(rho: ArrayLike, tau: float, *, factor: Factor = excess) -> A
     weights = finite("rho", rho)
     if weights.ndim == 0 or (weights < 0.0).any():
         raise ValueError(f"rho: expected numbers (..., m) that are not negative, got {rho!r}")
-    if not (np.isfinite(tau) and tau >= 1.0):
-        raise ValueError(f"tau: expected a number of at least 1, got {tau!r}")
+    length = number("tau", tau, 1.0)
+    check_model("factor", factor, "(ratios, rho)")
 
     def boost(memory: Window | None, seen: Boost) -> tuple[Window, Array]:
         square = seen.residual * seen.residual
@@ -64,8 +65,8 @@ def strong_tracking(rho: ArrayLike, tau: float, *, factor: Factor = excess) -> A
             raise ValueError(f"rho: expected {square.shape[-1]} numbers to go with the measurement, got {weights.shape[-1]}")
         count = 1 if memory is None else memory.length + 1
         before = np.zeros_like(square) if memory is None else memory.squares
-        squares = before + (square - before) / min(count, tau)
-        found = factor(squares / seen.total.diagonal(0, -2, -1), weights)
+        squares = before + (square - before) / min(count, length)
+        found = numbers("factor", factor(squares / seen.total.diagonal(0, -2, -1), weights), (..., square.shape[-1]))
         factors = np.clip(np.where(np.isfinite(found), found, 1.0), 1.0, LARGEST)
         return Window(count, squares, factors), factors
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,10 +26,11 @@ class Track:
     times: ``(T,)`` s, the epochs stored.
     mean: ``(T, ..., N)``; ``std``: ``(T, ..., n)``; ``spread``: ``(T, ..., n, n)``. None where the policy did not keep them.
     innovation, white: ``(T, ..., m)`` innovations (nan where not measured) and whitened ones (0 where not used), of all
-        sensors side by side.
+        sensors side by side; m is the most that a sensor had at an epoch.
     used: ``(T, ..., m)`` bool, the components that took part.
     log_likelihood: ``(...)`` of all measurements of all epochs, also those not stored.
-    events: counts ``(...)`` over all epochs: "missing" and "rejected" components, "redone" steps.
+    events: counts ``(...)`` over all epochs: "missing" and "rejected" components, "redone" steps. Where ``z`` was None, as many are
+        missing as that sensor has at other epochs.
     failed_at: ``(...)`` index of the first epoch at which a run is not finite, -1 for none.
     form: the form of ``spread``.
     nis, dof: properties ``(T, ...)``. root, cov: properties ``(T, ..., n, n)``, where spreads are stored.
@@ -113,15 +115,16 @@ class Track:
         lines += [",".join(f"{v:.17g}" for v in row) for row in zip(*columns.values(), strict=True)]
         write_text(Path(path), "\n".join(lines) + "\n")
 
-    def _columns(self, names: list[str] | None) -> dict[str, Array]:
+    def _columns(self, names: Any) -> dict[str, Array]:
         if self.mean is None:
             raise ValueError("to_dataframe: this track stored no means")
         T, N = len(self.times), self.mean.shape[-1]
         runs = int(np.prod(self.mean.shape[1:-1]))
         if names is None:
             names = [f"x{i}" for i in range(N)]
-        if len(names) != N:
-            raise ValueError(f"names: expected {N}, got {len(names)}")
+        named = not isinstance(names, str) and isinstance(names, Iterable) and all(isinstance(name, str) for name in names)
+        if not named or len(names) != N:
+            raise ValueError(f"names: expected {N} words, such as ['x', 'y'], got {names!r:.80}")
         columns = {"t": np.repeat(self.times, runs), "run": np.tile(np.arange(runs), T)}
         columns |= dict(zip(names, self.mean.reshape(T * runs, N).T, strict=True))
         if self.std is not None:
@@ -144,14 +147,20 @@ class Collector:
         self._count = 0
         self._failed_at: Array | None = None
         self._lost = False
+        self._silent: defaultdict[int, int] = defaultdict(int)
+        self._widths: defaultdict[int, int] = defaultdict(int)
         self._sums: dict[str, Any] = {"log_likelihood": 0.0, "missing": 0, "rejected": 0, "redone": 0}
 
     def add(self, epoch: Any, state: Any, infos: tuple[Any, ...], extra: dict[str, Any]) -> tuple[int, ...] | None:
         """Take one step in. Returns the index of the first run that it newly lost, or None."""
         belief: Gaussian = state.belief
         self._form = belief.form  # which need not be that of the prior
-        for info in infos:
+        for i, info in enumerate(infos):
             self._sum(info)
+            if info.silent:
+                self._silent[i] += 1
+            elif info.innovation is not None and info.innovation.shape[-1] > self._widths[i]:
+                self._widths[i] = info.innovation.shape[-1]
         if self._count % self._every == 0:
             self._times.append(epoch.t)
             self._store(belief, infos)
@@ -204,9 +213,10 @@ class Collector:
         batch = self._failed_at.shape
         stored = {name: _stack(name, self._rows.pop(name), batch) for name in ("mean", "std", "spread") if name in self._rows}
         stored |= {name: _side_by_side(name, self._rows.pop(name), batch) for name in list(self._rows)}
+        self._sums["missing"] = self._sums["missing"] + sum(count * self._widths[i] for i, count in self._silent.items())
         events = {name: np.broadcast_to(self._sums[name], batch) for name in ("missing", "rejected", "redone")}
         return Track(
-            times=np.array(self._times),
+            times=_times(self._times),
             **{name: stored.get(name) for name in ("mean", "std", "spread", "innovation", "white", "used")},
             log_likelihood=np.broadcast_to(self._sums["log_likelihood"], batch),
             events=events,
@@ -215,6 +225,13 @@ class Collector:
             extra={name: np.stack(rows) for name, rows in self._extra.items()},
             reduced=reduced,
         )
+
+
+def _times(times: list[Any]) -> Array:
+    try:
+        return np.array(times)
+    except ValueError:
+        raise ValueError(f"t: expected a number at each epoch, got {times[-1]!r:.80}") from None
 
 
 _BLANK = {"innovation": np.nan, "white": 0.0, "used": False}
@@ -233,9 +250,17 @@ def _stack(name: str, rows: list[Any], batch: tuple[int, ...]) -> Array | None:
     known = next((row for row in rows if row is not None), None)
     if known is None:
         return None
-    tail_rank = 2 if name == "spread" else 1
-    out = np.empty((len(rows), *batch, *known.shape[-tail_rank:]), known.dtype)
+    tail = known.shape[-2:] if name == "spread" else known.shape[-1:]
+    if name in _BLANK:
+        tail = (max(row.shape[-1] for row in rows if row is not None),)
+    out = np.empty((len(rows), *batch, *tail), known.dtype)
     for k, row in enumerate(rows):
-        out[k] = _BLANK[name] if row is None else row
+        if row is None:
+            out[k] = _BLANK[name]
+        elif row.shape[-1] == tail[-1]:
+            out[k] = row
+        else:  # fewer components than at other epochs
+            out[k, ..., : row.shape[-1]] = row
+            out[k, ..., row.shape[-1] :] = _BLANK[name]
         rows[k] = None  # one copy at a time, not two of everything
     return out

@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.checks import finite
-from celnav.filters.arguments import kind, takes
+from celnav.checks import finite, kind, numbers
+from celnav.filters.arguments import check_belief, check_model, given_back, takes
 from celnav.filters.conditioning import evaluate
 from celnav.filters.driver import Epoch, Filter
 from celnav.filters.info import Info
@@ -81,15 +81,16 @@ def plain(predict: Predict, update: Update) -> First:
     def move(state: PlainState, epoch: Epoch) -> tuple[PlainState, Array | None]:
         if not np.any(epoch.dt):
             return state, None
-        belief, info = predict(state.belief, epoch)
+        belief, info = given_back("predict", predict(state.belief, epoch), "belief, info")
         slopes = info.slopes[0]
         assert slopes is not None
         return state._replace(belief=belief), slopes()[0]
 
     def see(state: PlainState, epoch: Epoch) -> tuple[PlainState, Stage | None, Info]:
         if epoch.z is None:
-            return state, None, Info()
-        belief, info, memory = update(state.belief, epoch.z, epoch, state.memory)
+            return state, None, Info(silent=True)
+        found = update(state.belief, epoch.z, epoch, state.memory)
+        belief, info, memory = given_back("update", found, "belief, info, memory")
         after = PlainState(belief, memory)
         slopes = info.slopes[-1] if info.slopes else None
         if info.innovation_root is None or info.gain is None or slopes is None or info.innovation is None:
@@ -171,8 +172,11 @@ def two_stage(
     """
     if not isinstance(first, First):
         raise ValueError(f"first: expected a first stage, such as plain(predict, update), got {kind(first)}")
-    if not isinstance(bias, Gaussian):
-        raise ValueError(f"bias: expected a Gaussian, such as celnav.square_root(mean, cov), got {kind(bias)}")
+    check_belief(bias, "bias")
+    if callable(Gamma):
+        check_model("Gamma", Gamma, "(mean, epoch)")
+    if boost is not None:
+        check_model("boost", boost, "(memory, seen)")
     p = bias.mean.shape[-1]
     slope: Any = Gamma if callable(Gamma) else finite("Gamma", Gamma)
     if not callable(Gamma) and (slope.ndim < 2 or slope.shape[-1] != p):
@@ -195,7 +199,7 @@ def two_stage(
         known, stage, info = first.update(known, epoch)
         if stage is None:
             return TwoStageState(known, own, Lambda, state.Gamma, state.memory), info
-        here = np.asarray(evaluate(slope, known.belief.mean, epoch))
+        here = numbers("Gamma", evaluate(slope, known.belief.mean, epoch))
         if here.shape[-2:] != (stage.used.shape[-1], p):
             raise ValueError(f"Gamma: expected shape (..., {stage.used.shape[-1]}, {p}), got {here.shape}")
         seen = here
@@ -256,8 +260,9 @@ def _estimate(
     if boost is None:
         return Gaussian(own.mean + matvec(U, white), spread, own.form), memory, white, total_root
     own_cov, total = outer(stage.root), outer(total_root)
-    memory, factors = boost(memory, Boost(residual, total, stage.innovation, own_cov))
-    scale = np.sqrt(factors)
+    found = boost(memory, Boost(residual, total, stage.innovation, own_cov))
+    memory, factors = given_back("boost", found, "memory, factors")
+    scale = np.sqrt(numbers("boost", factors, (..., p)))
     cross = S @ (scale[..., :, None] * own.cov * scale[..., None, :])
     moved = np.linalg.solve(cross @ S.mT + own_cov, residual[..., None])[..., 0]
     return Gaussian(own.mean + matvec(cross.mT, moved), spread, own.form), memory, white, total_root

@@ -14,6 +14,10 @@ from importlib import import_module
 from types import ModuleType
 from typing import Any
 
+from celnav.lazy import modules
+
+__getattr__, __dir__ = modules(__name__)
+
 PAPERS = {name: f"celnav.papers.{name}" for name in ("csrukf", "ssukf", "tstdkf", "aasghqf", "aukf")}
 """Identifier -> module."""
 

@@ -27,6 +27,7 @@ PRIOR = square_root(np.zeros(2), np.eye(2))
 HEADING = celnav.update(np.eye(2), RULE, np.eye(2), space=angles([1]))
 DATES = np.datetime64("2026-01-01") + np.arange(3) * np.timedelta64(1, "s")
 QUATERNION = celnav.Gaussian(np.array([0.0, 0.0, 0.0, 1.0]), np.eye(3), PRIOR.form)
+EYE3 = np.eye(3)
 TRANSPOSED = celnav.Taylor(lambda x, e: (np.ones((2, 3)),))
 NO_TUPLE = celnav.Taylor(lambda x, e: np.eye(2))
 
@@ -94,6 +95,7 @@ def test_a_rule_that_is_none(given, told):
         (lambda: colored(f, [1.0, 0.0], RULE, [[0.5]], Q=np.eye(2), R=[[1.0]]), "h: expected a matrix (m, n), got shape (2,)"),
         (lambda: square_root([0.0, 0.0], [[1.0, 2.0], [3.0]]), "cov: expected numbers, got [[1.0, 2.0], [3.0]]"),
         (lambda: celnav.epochs([0.0, 1.0], [[1.0, 2.0], [3.0]]), "z: expected numbers, got [[1.0, 2.0], [3.0]]"),
+        (lambda: celnav.epochs([0.0, 1.0], [[1.0, 2.0], None]), "got [[1.0, 2.0], None]; use nan for what is missing"),
         (lambda: augmented(f, f, RULE, 1.0, Q=1.0, R=1.0, Sigma0=1.0), "H: expected a matrix (m, n), got a function"),
         (lambda: celnav.update(np.eye(2), RULE, 0.04), "got shape (); [[0.04]] of one component, 0.04 * np.eye(n) of n alike"),
         (lambda: celnav.update(np.eye(2), RULE, [0.1, 0.2]), "got shape (2,); variances alone are np.diag(...)"),
@@ -142,6 +144,28 @@ def test_a_model_that_takes_the_epoch_for_its_interval_is_told_what_it_gets():
     assert (
         "f is called with points (5, 2) and an Epoch: epoch.dt is its interval, epoch.u (None) its input" in error.value.__notes__
     )
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        lambda x, e: np.array([x[0] + x[1], x[1]]),
+        lambda x, e: [x[0], x[9]],
+        lambda x, e: EYE3 @ x,
+        lambda x, e: x[:, 0],
+        lambda x, e: x[..., 0],
+    ],
+    ids=["rows", "beyond", "matrix", "column", "one component"],
+)
+@pytest.mark.parametrize("runs", [(), (4,)])
+def test_a_model_of_one_vector_is_told_what_points_are(model, runs):
+    """Whether its value has another shape or it raises by itself."""
+    prior = square_root(np.zeros((*runs, 3)), np.eye(3))
+    for rule in (celnav.unscented(3), celnav.Taylor(lambda x, e: (EYE3,))):
+        with pytest.raises((ValueError, IndexError)) as error:
+            celnav.run(celnav.sequential(celnav.predict(model, rule, EYE3)), prior, celnav.epochs([0.0, 1.0]))
+        said = "\n".join([str(error.value), *getattr(error.value, "__notes__", [])])
+        assert "points are (p, ..., n): a component is x[..., 0], a product with a matrix x @ F.T" in said
 
 
 def test_what_a_track_and_a_rule_say_of_themselves():

@@ -15,6 +15,7 @@ equation       content                                                 here
 =============  ======================================================  ===========================================
 """
 
+from celnav.lazy import modules
 from celnav.papers.aasghqf.claims import claims
 from celnav.papers.aasghqf.config import CITATION, PRESETS, TITLE, Config
 from celnav.papers.aasghqf.errata import ERRATA
@@ -36,6 +37,8 @@ from celnav.papers.aasghqf.scenario import Scenario, filters, simulate
 from celnav.papers.aasghqf.study import Result, plan, reproduce
 from celnav.papers.aasghqf.tables import table_1, table_2, table_3, table_4
 from celnav.papers.aasghqf.trial import JUDGED, trial
+
+__getattr__, __dir__ = modules(__name__)
 
 __all__ = [
     "CITATION",

@@ -19,6 +19,7 @@ AUKF                   noise inflated by a window of innovations        `celnav.
 =====================  ===============================================  =================================================
 """
 
+from celnav.lazy import modules
 from celnav.papers.aukf.claims import claims
 from celnav.papers.aukf.config import CHOICES, CITATION, PRESETS, TITLE, Config
 from celnav.papers.aukf.errata import ERRATA
@@ -46,6 +47,8 @@ from celnav.papers.aukf.scenario import Scenario, filters, simulate
 from celnav.papers.aukf.study import INPUTS, Result, plan, reproduce
 from celnav.papers.aukf.tables import table_1, table_2, table_3, table_4, table_5, table_6, table_7, table_8
 from celnav.papers.aukf.trial import JUDGED, trial
+
+__getattr__, __dir__ = modules(__name__)
 
 __all__ = [
     "CHOICES", "CITATION", "ERRATA", "INPUTS", "JUDGED", "PRESETS", "RECORDINGS", "TITLE", "Config", "Result", "Scenario", "claims",

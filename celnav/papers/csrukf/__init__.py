@@ -18,6 +18,7 @@ equation       content                                                 here
 =============  ======================================================  ===========================================
 """
 
+from celnav.lazy import modules
 from celnav.papers.csrukf import tune
 from celnav.papers.csrukf.claims import claims
 from celnav.papers.csrukf.config import CHOICES, CITATION, PRESETS, TITLE, Config
@@ -47,6 +48,8 @@ from celnav.papers.csrukf.scenario import Scenario, filters, simulate
 from celnav.papers.csrukf.study import Result, plan, reproduce
 from celnav.papers.csrukf.tables import table_1, table_2, table_3
 from celnav.papers.csrukf.trial import JUDGED, trial
+
+__getattr__, __dir__ = modules(__name__)
 
 __all__ = [
     "CHOICES",

@@ -19,6 +19,7 @@ satellite                            `celnav.models.rigid_body`
 ===================================  ==========================================================================
 """
 
+from celnav.lazy import modules
 from celnav.papers.ssukf.claims import claims
 from celnav.papers.ssukf.config import CITATION, PRESETS, TITLE, Config
 from celnav.papers.ssukf.errata import ERRATA
@@ -40,6 +41,8 @@ from celnav.papers.ssukf.scenario import Scenario, filters, simulate
 from celnav.papers.ssukf.study import Result, compare, plan, reproduce
 from celnav.papers.ssukf.tables import table_1, table_2, table_3
 from celnav.papers.ssukf.trial import JUDGED, trial
+
+__getattr__, __dir__ = modules(__name__)
 
 __all__ = [
     "CITATION",

@@ -21,6 +21,7 @@ equation       content                                                 here
 =============  ======================================================  ==============================================
 """
 
+from celnav.lazy import modules
 from celnav.papers.tstdkf.claims import claims
 from celnav.papers.tstdkf.config import CHOICES, CITATION, PRESETS, SETTINGS, TITLE, Config, Setting
 from celnav.papers.tstdkf.errata import ERRATA
@@ -48,6 +49,8 @@ from celnav.papers.tstdkf.scenario import Scenario, simulate
 from celnav.papers.tstdkf.study import Result, plan, reproduce
 from celnav.papers.tstdkf.tables import table_1, table_2, table_3, table_4, table_5, table_6, table_7, table_8
 from celnav.papers.tstdkf.trial import JUDGED, trial
+
+__getattr__, __dir__ = modules(__name__)
 
 __all__ = [
     "CHOICES", "CITATION", "ERRATA", "JUDGED", "PRESETS", "RECORDINGS", "SETTINGS", "TITLE", "Config", "Result", "Scenario",

@@ -1,0 +1,188 @@
+"""A model that mixes runs is told; one that only carries data of all runs is not taken for it."""
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import celnav
+from celnav.filters.colored import augmented, colored
+from celnav.filters.decorrelated import decorrelated
+from celnav.filters.iterated import iterated
+from celnav.filters.least_squares import least_squares
+from celnav.filters.single_draw import drawn_once, single_draw
+
+RULES = {"points": celnav.unscented(2), "differences": celnav.Taylor(), "Jacobian": celnav.Taylor(lambda x, e: (np.eye(2),))}
+EYE = np.eye(2)
+F = np.array([[1.0, 1.0], [0.0, 1.0]])
+MIXED = {
+    "product": lambda x, e: F @ x,
+    "lower": lambda x, e: F.T @ x,
+    "diagonal": lambda x, e: np.diag([1.0, 0.5]) @ x,
+    "einsum": lambda x, e: np.einsum("ij,pjk->pik", F, x),
+    "solve": lambda x, e: np.linalg.solve(F, x),
+    "part": lambda x, e: np.concatenate([(F @ x[..., :1]), x[..., 1:]], -1),
+    "in place": lambda x, e: np.multiply(x, 0.0, out=x) + F @ (x + 1.0) if e is None else _overwritten(x),
+}
+PRIORS = {
+    "different": celnav.square_root([[0.0, 1.0], [5.0, -2.0]], np.eye(2)),
+    "alike": celnav.square_root(np.ones((2, 2)), EYE),
+    "certain": celnav.covariance([[0.0, 1.0], [5.0, -2.0]], 0.0 * EYE),
+}
+EPOCHS = celnav.epochs(np.arange(3.0), np.zeros((3, 2)))
+
+
+def _overwritten(x):
+    y = F @ x
+    x[...] = 0.0
+    return y
+
+
+def still(x, epoch):
+    return x
+
+
+@pytest.mark.parametrize("prior", PRIORS)
+@pytest.mark.parametrize("name", MIXED)
+@pytest.mark.parametrize("rule", RULES)
+def test_a_model_that_mixes_runs_is_told(rule, name, prior):
+    if (rule, name, prior) == ("Jacobian", "einsum", "alike"):
+        pytest.skip("one point, the same for all runs: nothing to exchange")
+    rule, model, prior = RULES[rule], MIXED[name], PRIORS[prior]
+    for f, h, told in ((model, EYE, "f"), (still, model, "h")):
+        filter = celnav.sequential(celnav.predict(f, rule, EYE), celnav.update(h, rule, EYE))
+        with pytest.raises(ValueError, match=f"{told}: expected values of each run by itself.*x @ F.T"):
+            celnav.run(filter, prior, EPOCHS)
+
+
+def test_other_filters_tell_it_too():
+    f, prior, rule = MIXED["product"], PRIORS["different"], RULES["points"]
+    once = single_draw(lambda x, e, w: f(x, e), lambda x, e, w: x, celnav.unscented(4), extra=(EYE,), R=EYE)
+    filters = [
+        colored(f, EYE, rule, 0.5 * EYE, Q=EYE, R=EYE),
+        colored(still, f, celnav.unscented(4), 0.5 * EYE, sqrt_Q=EYE, R=EYE),
+        decorrelated(f, EYE, rule, 0.5 * EYE, Q=EYE, R=EYE),
+        augmented(f, EYE, celnav.unscented(4), 0.5 * EYE, Q=EYE, R=EYE, Sigma0=EYE),
+        celnav.sequential(celnav.predict(still, rule, EYE), iterated(f, EYE)),
+        drawn_once(once, celnav.update(EYE, rule, EYE)),
+    ]
+    for filter in filters:
+        with pytest.raises(ValueError, match="expected values of each run by itself"):
+            celnav.run(filter, prior, EPOCHS)
+
+
+def test_fixes_of_each_run_tell_it_too():
+    """There is no axis of points there."""
+    one = lambda x, e: np.broadcast_to(F, (*x.shape, 2))  # noqa: E731
+    when = celnav.epochs([0.0, 1.0], np.ones((2, 2, 2)))
+    with pytest.raises(ValueError, match="h: expected values of each run by itself"):
+        celnav.run(least_squares(lambda x, e: F @ x, one, [1.0, 1.0]), PRIORS["different"], when)
+    for right in (lambda x, e: x @ F.T, lambda x, e: (x @ F.T) + OFFSET):
+        assert np.isfinite(celnav.run(least_squares(right, one, [1.0, 1.0]), PRIORS["different"], when).mean).all()
+
+
+def test_runs_that_only_the_measurements_have_are_mixed_later():
+    filter = celnav.sequential(celnav.predict(MIXED["product"], RULES["points"], EYE), celnav.update(EYE, RULES["points"], EYE))
+    with pytest.raises(ValueError, match="f: expected values of each run by itself"):
+        celnav.run(filter, celnav.square_root(np.zeros(2), EYE), celnav.epochs(np.arange(2.0), np.zeros((2, 2, 2))))
+
+
+def test_an_average_over_runs_is_told():
+    model = lambda x, e: x - x.mean(-2, keepdims=True)  # noqa: E731
+    filter = celnav.sequential(celnav.predict(model, RULES["points"], EYE))
+    with pytest.raises(ValueError, match="f: expected values of each run by itself"):
+        celnav.run(filter, PRIORS["different"], EPOCHS)
+
+
+OFFSET, RATE, OWN = np.array([[1.0, 2.0], [-3.0, 0.5]]), np.array([0.3, 2.0]), np.array([F, [[0.5, 0.0], [2.0, 1.0]]])
+RNG = np.random.default_rng(0)
+
+
+@dataclass
+class Drag:
+    rate: np.ndarray
+
+    def __call__(self, x, epoch):
+        return x * np.exp(-self.rate * epoch.dt)[:, None]
+
+
+def _all_together(x, epoch):
+    """Steps chosen for all points and runs at once: what a run gets depends on the others, below the solver's tolerance."""
+    flow = solve_ivp(lambda t, v: -v + np.sin(v), (0.0, 1.0), x.ravel(), rtol=1e-4, atol=1e-6)
+    return flow.y[:, -1].reshape(x.shape)
+
+
+APART = {
+    "transposed": lambda x, e: x @ F.T,
+    "matvec": lambda x, e: (F @ x[..., None])[..., 0],
+    "swapped": lambda x, e: np.swapaxes(F @ np.swapaxes(x, -1, -2), -1, -2),
+    "offsets of each run": lambda x, e: x + OFFSET,
+    "rates of each run": lambda x, e: x + RATE[:, None] * x[..., ::-1],
+    "components": lambda x, e: np.stack([x[..., 0] + RATE * x[..., 1], x[..., 1]], -1),
+    "matrices of each run": lambda x, e: (OWN @ x[..., None])[..., 0],
+    "contracted": lambda x, e: np.einsum("rij,prj->pri", OWN, x),
+    "a partial": partial(lambda rate, x, e: x * rate[:, None], RATE),
+    "an object": Drag(RATE),
+    "inputs of each run": lambda x, e: x + (0.0 if e.u is None else e.u),
+    "random": lambda x, e: x + RNG.normal(size=x.shape),
+    "a solver for all": _all_together,
+    "it looks at the shape": lambda x, e: x if x.shape[-2:] == (2, 2) else 1 / 0,
+    "one for each run": lambda x, e: np.stack([x[:, i] * (i + 1.0) for i in range(2)], 1),
+}
+
+
+@pytest.mark.parametrize("prior", PRIORS)
+@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize("name", APART)
+def test_data_of_each_run_are_not_taken_for_it(name, rule, prior):
+    prior, rule, model = PRIORS[prior], RULES[rule], APART[name]
+    when = celnav.epochs(np.arange(3.0), np.zeros((3, 2, 2)), u=np.ones((2, 2, 2)) * OFFSET)
+    filter = celnav.sequential(celnav.predict(model, rule, EYE), celnav.update(model, rule, EYE))
+    assert celnav.run(filter, prior, when, on_failure="flag").mean.shape == (3, 2, 2)
+
+
+def test_intervals_of_each_run():
+    when = [celnav.Epoch(k, float(k), np.array([0.5, 2.0]) * (k > 0), z=np.zeros(2)) for k in range(3)]
+    f = lambda x, e: np.stack([x[..., 0] + e.dt * x[..., 1], x[..., 1]], -1)  # noqa: E731
+    filter = celnav.sequential(celnav.predict(f, RULES["points"], EYE), celnav.update(EYE, RULES["points"], EYE))
+    assert np.isfinite(celnav.run(filter, PRIORS["different"], when).mean).all()
+
+
+@pytest.mark.parametrize("lost", [0, 1])
+def test_a_lost_run_hides_nothing_and_blames_nobody(lost):
+    mean = PRIORS["different"].mean.copy()
+    mean[lost] = np.nan
+    prior = PRIORS["different"]._replace(mean=mean)
+    for model, told in ((MIXED["product"], True), (APART["transposed"], False), (APART["offsets of each run"], False)):
+        filter = celnav.sequential(celnav.predict(model, RULES["points"], EYE), celnav.update(EYE, RULES["points"], EYE))
+        if told:
+            with pytest.raises(ValueError, match="f: expected values of each run by itself"):
+                celnav.run(filter, prior, EPOCHS, on_failure="flag")
+        else:
+            assert np.isfinite(celnav.run(filter, prior, EPOCHS, on_failure="flag").mean[:, 1 - lost]).all()
+
+
+@pytest.mark.parametrize("runs", [2, 5])
+def test_a_model_with_a_buffer_is_not_disturbed(runs):
+    """It is called once more before its values are used."""
+    buffers = np.empty((5, runs, 2)), np.empty((5, 1, 2))
+    offset = np.arange(2.0 * runs).reshape(runs, 2)
+    both = {"own": lambda x, e: np.add(x, offset, out=buffers[0]), "any": lambda x, e: np.add(x, 1.0, out=buffers[x.shape[1] == 1])}
+    for name, clean in (("own", lambda x, e: x + offset), ("any", lambda x, e: x + 1.0)):
+        filters = (celnav.sequential(celnav.predict(f, RULES["points"], EYE)) for f in (both[name], clean))
+        found, expected = (celnav.run(f, celnav.square_root(offset**2, EYE), celnav.epochs([0.0, 1.0])) for f in filters)
+        np.testing.assert_array_equal(found.mean, expected.mean)
+
+
+def test_a_model_is_looked_at_once():
+    calls = []
+
+    def f(x, epoch):
+        calls.append(x.shape)
+        return x.copy()
+
+    filter = celnav.sequential(celnav.predict(f, RULES["points"], EYE), celnav.update(EYE, RULES["points"], EYE))
+    celnav.run(filter, celnav.square_root(np.zeros((50, 2)), EYE), celnav.epochs(np.arange(5.0), np.zeros((5, 2))))
+    assert calls == [(5, 50, 2), (5, 1, 2), (5, 50, 2), (5, 50, 2), (5, 50, 2)]
