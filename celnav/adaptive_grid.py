@@ -52,7 +52,7 @@ def adapt(
     x, orders = finite("mean", mean, ("n",)), checked_orders(orders)
     n = len(x)
     L, most = finite("root", root, (n, n)), integer("most", most)
-    number("tolerance", tolerance, above=0.0)
+    number("tolerance", tolerance, 0.0)
     center = finite("function", function(x[None]), (1, "m"))[0]
 
     @cache

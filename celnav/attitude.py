@@ -3,7 +3,8 @@
 Conventions. ``q = [rho, q4]``; ``matrix(q)`` takes inertial components to body components; ``matrix(multiply(q, p)) ==
 matrix(q) @ matrix(p)``; an error is ``multiply(q, inverse(q_hat))``, in body axes. These are the inverse of scipy's rotations:
 ``Rotation.from_quat(q).as_matrix()`` is the transpose of ``matrix(q)``. All functions take leading batch axes and are smooth at
-the identity; batches of quaternions are several times faster here than through scipy's objects.
+the identity; batches of quaternions are several times faster here than through scipy's objects. They take arrays as they are:
+filters call them at every step, so only `unit` and what makes a space check.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from celnav import checks
-from celnav.checks import finite, instance, number, numbers, sequence
+from celnav.checks import finite, instance, number, numbers, sequence, together
 from celnav.linalg import Array
 from celnav.spaces import EUCLIDEAN, Space
 
@@ -60,7 +60,7 @@ def check_jacobian(
     x, rtol = finite("point", point, (..., "N")), number("rtol", rtol, above=0.0, below=1.0)
     args = sequence("args", args, "(epoch,)")
     lengths = np.maximum(0.01 * np.abs(x), 0.01) if step is None else finite("step", step)
-    if lengths.shape not in ((), x.shape[-1:], x.shape):
+    if together(step=lengths.shape, point=x.shape) != x.shape:
         raise ValueError(f"step: expected one number, or one for each of {x.shape[-1]} components, got shape {lengths.shape}")
     h = np.broadcast_to(lengths, x.shape)
     if not (h > 0.0).all():

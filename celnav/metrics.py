@@ -24,8 +24,8 @@ def rmse(error: ArrayLike, axis: int = 1) -> Array:
 def _runs(error: ArrayLike, axis: int) -> tuple[Array, int]:
     """Errors with an axis of runs, nan where a run is lost; ValueError if there is no such axis, or no run."""
     array = numbers("error", error)
-    if array.ndim and array.size:
-        return array, integer("axis", axis, -array.ndim, array.ndim - 1)
+    if array.shape not in ((), (0,)) and array.shape[axis := integer("axis", axis, -array.ndim, array.ndim - 1)]:
+        return array, axis
     raise ValueError(f"error: expected at least one run, got shape {array.shape}")
 
 
@@ -55,12 +55,12 @@ def rmse_interval(error: ArrayLike, level: float = 0.95, axis: int = 1) -> tuple
     return value * np.sqrt(runs / high), value * np.sqrt(runs / low)
 
 
-def chi_square_band(dof: float, runs: int, level: float = 0.95) -> tuple[float, float]:
+def chi_square_band(dof: float, runs: float, level: float = 0.95) -> tuple[float, float]:
     """Band in which the mean over ``runs`` of a chi-square variable of ``dof`` lies with probability ``level``.
 
     For the NEES of a consistent filter ``dof`` is the dimension of the state, for the NIS that of the measurement.
     """
-    runs = integer("runs", runs)
+    runs = number("runs", runs, above=0.0)
     low, high = _chi_square(level, number("dof", dof, above=0.0) * runs)
     return low / runs, high / runs
 

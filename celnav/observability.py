@@ -33,7 +33,7 @@ def jacobian(function: Function, x: ArrayLike) -> Array:
 def _slopes(name: str, function: Function, points: Array) -> Array:
     """Derivatives of a function along complex points ``(p, n)``, ``(p, m)``; ValueError names it if it returns something else."""
     values = function(points)
-    if np.asarray(values).dtype.kind not in "fc":
+    if np.asarray(values).dtype.kind not in "iufc":
         raise ValueError(f"{name}: expected values (p, m) at points (p, n), got {checks.kind(values)}")
     return finite(name, np.imag(values), (len(points), "m")) / _TINY
 
@@ -159,7 +159,7 @@ def nonlinearity_weights(
     sigma = finite("std", std, center.shape)
     if (sigma <= 0.0).any():
         raise ValueError(f"std: expected {len(center)} positive numbers, got {std!r}")
-    tolerance, coarse = number("tolerance", tolerance, above=0.0), integer("coarse", coarse)
+    tolerance, coarse = number("tolerance", tolerance, 0.0), integer("coarse", coarse)
     if not (functions := sequence("functions", functions, "[f, h]")):
         raise ValueError("functions: expected at least one, got none")
     n = len(center)

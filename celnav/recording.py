@@ -108,10 +108,8 @@ class Recorder:
     def curve(self, entity: str, values: ArrayLike, color: str, name: str, *, width: float = 1.5, shown: bool = True) -> None:
         """A curve ``(T,)`` in a plot, with gaps at nan; hidden until clicked in the legend unless ``shown``."""
         scalars = self._array(entity, "values", values, ())
-        self._style(
-            entity,
-            rr.SeriesLines(colors=rgba(color), widths=number("width", width, 0.0), names=_text("name", name), visible_series=shown),
-        )
+        style = {"colors": rgba(color), "widths": number("width", width, 0.0), "names": _text("name", name)}
+        self._style(entity, rr.SeriesLines(**style, visible_series=shown))
         # An empty row is a gap too, and two files with a nan never compare equal.
         there = np.isfinite(scalars)
         self._send(entity, rr.Scalars.columns(scalars=scalars[there]).partition(there.astype(int)))
@@ -136,7 +134,7 @@ class Recorder:
         """A horizontal line in a plot."""
         ends = self.times[[0, -1]]
         self._style(entity, rr.SeriesLines(colors=rgba(color), widths=1.0, names=_text("name", name)))
-        scalars = rr.Scalars.columns(scalars=[number("value", value)] * 2)
+        scalars = rr.Scalars.columns(scalars=[float(numbers("value", value, ()))] * 2)
         self.stream.send_columns(entity, [rr.TimeColumn(TIMELINE, duration=ends)], scalars)
 
     def trail(self, entity: str, points: ArrayLike, color: str, *, radius: float = 1.0) -> None:
@@ -150,7 +148,7 @@ class Recorder:
 
     def path(self, entity: str, strips: Sequence[Array], color: str, *, radius: float = 0.5) -> None:
         """Lines ``(points, 3)`` that stay for the whole run."""
-        lines = [finite("strips", strip, ("points", 3)) for strip in sequence("strips", strips, "[np.zeros((2, 3))]")]
+        lines = [numbers("strips", strip, ("points", 3)) for strip in sequence("strips", strips, "[np.zeros((2, 3))]")]
         self._style(entity, rr.LineStrips3D(lines, colors=rgba(color), radii=_size(radius)))
 
     def strips(
@@ -189,9 +187,8 @@ class Recorder:
         self, entity: str, points: ArrayLike, color: str, *, alpha: float = 1.0, radius: float = 2.0, label: str = ""
     ) -> None:
         """Points ``(T, 3)`` or, ``k`` at a time, ``(T, k, 3)``; those that are partly nan are left out."""
-        p = self._array(entity, "points", points, (None, 3) if numbers("points", points).ndim == 3 else (3,)).reshape(
-            len(self.times), -1, 3
-        )
+        p = numbers(f"{entity} points", points)
+        p = self._array(entity, "points", p[:, None] if p.ndim == 2 else p, (None, 3))
         there = np.isfinite(p).all(2)
         style = {"colors": rgba(color, alpha), "radii": _size(radius), "point_shading": "flat"}
         self._style(entity, rr.Points3D.from_fields(**style, **({"labels": label} if _text("label", label) else {})))
@@ -229,7 +226,7 @@ class Recorder:
 
     def bars(self, entity: str, values: ArrayLike, color: str) -> None:
         """Bars ``(k,)`` that stay for the whole run."""
-        self._style(entity, rr.BarChart(numbers("values", values, ("k",)), color=rgba(color)))
+        self._style(entity, rr.BarChart(numbers("values", values, (None,)), color=rgba(color)))
 
     def event(self, entity: str, seconds: float, message: str) -> None:
         """A line in a log, at a time."""

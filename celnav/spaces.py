@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.checks import integers, sequence, whole
+from celnav.checks import integer, integers, sequence
 from celnav.linalg import Array, side_by_side
 
 
@@ -90,9 +90,9 @@ def product(*factors: tuple[Space, int, int]) -> Space:
     ValueError: for factors that are no such triples, or a space with its own mean; from the space, for points or tangents of
         another length.
     """
-    triples = all(isinstance(factor, tuple | list) and len(factor) == 3 for factor in factors)
-    if not triples or not all(isinstance(space, Space) and None not in (whole(N), whole(n)) for space, N, n in factors):
+    if not all(isinstance(factor, tuple | list) and len(factor) == 3 and isinstance(factor[0], Space) for factor in factors):
         raise ValueError("factors: expected triples (space, length of its points, length of its tangents)")
+    factors = tuple((space, integer("factors", N, 0), integer("factors", n, 0)) for space, N, n in factors)
     points = np.cumsum([0, *(N for _, N, _ in factors)])
     tangents = np.cumsum([0, *(n for _, _, n in factors)])
     parts = [

@@ -227,6 +227,8 @@ CALLS = {
     "variational.lobatto": dict(count=4),
 }  # fmt: skip
 
+GAPS = """curve.values log_curve.values bounds.sigma bounds.center trail.points strips.strips arrow.origins arrow.vectors
+pose.origins pose.quaternions points.points ellipsoids.centers ellipsoids.covariance exact.a"""
 MEANT = {
     "adaptive_grid.adapt most": "a billion",
     "attitude.from_euler angles": "nan, infinite",
@@ -239,23 +241,18 @@ MEANT = {
     "jacobians.check_jacobian step": "several",
     "metrics.bootstrap seed": "a billion",
     "metrics.chi_square_band dof": "a billion, a half",
-    "metrics.chi_square_band runs": "a billion",
+    "metrics.chi_square_band runs": "a billion, a half",
     **dict.fromkeys(("metrics.rms squares", "metrics.ratio a", "metrics.ratio b"), "nan, infinite, deep"),
     **dict.fromkeys(("metrics.rmse error", "metrics.rmse_interval error", "metrics.bootstrap samples"), "nan, infinite, deep"),
+    **dict.fromkeys(("orbit.Earth mu", "orbit.Earth radius_km", "orbit.Earth j2"), "several, empty"),
     "observability.nonlinearity_weights coarse": "a billion",
     "pulsar.pulsars names": "empty, array",
     "recording.Recorder.axes labels": "empty",
     "recording.Recorder.strips labels": "empty",
-    "recording.Recorder.path strips": "empty",
-    **dict.fromkeys(
-        (
-            f"recording.Recorder.{place.strip()}"
-            for place in """curve values, log_curve values, bounds sigma, bounds center, trail points, strips strips, arrow origins,
-            arrow vectors, pose origins, pose quaternions, points points, ellipsoids centers, ellipsoids covariance, bars values,
-            exact a""".replace("\n", "").split(",")
-        ),
-        "nan, infinite",
-    ),
+    "recording.Recorder.bars values": "empty, nan, infinite",
+    "recording.Recorder.path strips": "empty, nan, infinite",
+    "recording.Recorder.level value": "nan, infinite",
+    **{f"recording.Recorder.{place.replace('.', ' ')}": "nan, infinite" for place in GAPS.split()},
     "sightings.jacobian A": "nan",
     "sightings.position A": "nan",
     "spaces.angles components": "empty",
@@ -373,6 +370,25 @@ def test_what_may_be_meant_is_accepted(name, tmp_path):
     for argument, value in arguments.items():
         for other in other_forms(value):
             call(**arguments | {argument: other})
+
+
+def test_what_only_looks_wrong_is_accepted():
+    """Values of each run, of other shapes that broadcast, lazy sequences, missing ones."""
+    each = orbit.Earth(mu=np.array([398600.0, 398601.0]))
+    assert orbit.propagate(np.tile(X6, (2, 1)), -1.0, 2, each).shape == (3, 2, 6)
+    assert orbit.propagate(np.zeros((0, 6)), 1.0, 2).shape == (3, 0, 6)
+    assert spaces.angles(i for i in (0, 2)).minus(np.full(3, 7.0), np.zeros(3))[1] == 7.0
+    assert spaces.product((spaces.EUCLIDEAN, 2.0, 2.0)).plus(np.ones(2), np.ones(2)).tolist() == [2.0, 2.0]
+    assert jacobians.check_jacobian(square, np.diag([2.0, 4.0])[None], [[1.0, 2.0]], step=[[0.1]]).error < 1e-9
+    assert metrics.rmse(np.ones((0, 3, 2))).shape == (0, 2)
+    assert np.isnan(metrics.rmse([[[1.0], [np.nan]]])).all()
+    assert metrics.chi_square_band(2, 2.5)[0] > 0.0
+    assert linear_covariance.riccati([I2], I2, 0.0 * I2, I2, np.stack([I2, 0.0 * I2])).gains.shape == (1, 2, 2, 2)
+    assert noise.ar1(np.stack([I2, 0.5 * I2]), np.zeros((3, 1, 2)), np.ones(2)).shape == (4, 2, 2)
+    assert GYRO.measure(np.tile(Q4, (3, 2, 1)), np.zeros(3), np.zeros((2, 2, 3)), 1.0).shape == (2, 2, 3)
+    assert observability.jacobian(lambda x: np.ones((len(x), 1), int), [1.0, 2.0]).tolist() == [[0.0, 0.0]]
+    assert BODY.propagate(np.r_[Q4, 0.0, 0.0, 0.1], -1.0, 1).shape == (2, 7)
+    assert views.plot("a", "a", range(3), limits=[0, 1]) is not None
 
 
 def public():

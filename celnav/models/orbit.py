@@ -1,6 +1,7 @@
 """Orbits about the Earth: two bodies and J2, Runge-Kutta steps, Kepler elements. Units: km, km/s, s, rad.
 
-States are ``(..., 6)``, position then velocity in an Earth-centered inertial equatorial frame.
+States are ``(..., 6)``, position then velocity in an Earth-centered inertial equatorial frame. What filters call at every step
+(`acceleration`, `step`, `runge_kutta`, `transition`) takes arrays as they are and checks none.
 """
 
 from __future__ import annotations
@@ -28,9 +29,10 @@ class Earth:
     j2: float = 1.08262668e-3
 
     def __post_init__(self) -> None:
-        for name in ("mu", "radius_km"):
-            number(name, getattr(self, name), above=0.0)
-        number("j2", self.j2)
+        finite("j2", self.j2)
+        for name in ("mu", "radius_km"):  # of each run, where these differ
+            if (finite(name, getattr(self, name)) <= 0.0).any():
+                raise ValueError(f"{name}: expected a positive number, got {getattr(self, name)!r:.80}")
 
 
 EARTH = Earth()
