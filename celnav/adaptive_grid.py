@@ -10,10 +10,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.checks import finite
+from celnav import checks
+from celnav.checks import finite, integer, number
 from celnav.linalg import Array
 from celnav.rule import Rule
-from celnav.sparse_grid import CANCELED, ORDERS, univariate
+from celnav.sparse_grid import CANCELED, ORDERS, checked_orders, univariate
 
 
 class Adapted(NamedTuple):
@@ -47,17 +48,18 @@ def adapt(
     ------
     ValueError: if the function is not finite at a point, or ``most`` indices do not reach the tolerance.
     """
-    x, L = finite("mean", mean), finite("root", root)
+    checks.function("function", function, "(points)")
+    x, orders = finite("mean", mean, ("n",)), checked_orders(orders)
     n = len(x)
-    center = function(x[None])[0]
+    L, most = finite("root", root, (n, n)), integer("most", most)
+    number("tolerance", tolerance, 0.0)
+    center = finite("function", function(x[None]), (1, "m"))[0]
 
     @cache
     def moments(index: tuple[int, ...]) -> tuple[Array, Array]:
         """First and second moment of the function about the image of the center, by a tensor rule."""
-        nodes, weights = _tensor(index, tuple(orders))
-        d = function(x + nodes @ L.T) - center
-        if not np.isfinite(d).all():
-            raise ValueError("function: expected finite values at every sigma point")
+        nodes, weights = _tensor(index, orders)
+        d = finite("function", function(x + nodes @ L.T), (len(nodes), len(center))) - center
         return weights @ d, d.T @ (weights[:, None] * d)
 
     def difference(index: tuple[int, ...]) -> tuple[Array, Array]:
@@ -102,7 +104,7 @@ def adapt(
         accepted.add(best)
         newest = [best]
     coefficients = _coefficients(accepted)
-    return Adapted(_combined(coefficients, tuple(orders)), coefficients, contributions)
+    return Adapted(_combined(coefficients, orders), coefficients, contributions)
 
 
 def _up(index: tuple[int, ...], j: int, by: int = 1) -> tuple[int, ...]:

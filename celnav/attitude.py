@@ -3,7 +3,8 @@
 Conventions. ``q = [rho, q4]``; ``matrix(q)`` takes inertial components to body components; ``matrix(multiply(q, p)) ==
 matrix(q) @ matrix(p)``; an error is ``multiply(q, inverse(q_hat))``, in body axes. These are the inverse of scipy's rotations:
 ``Rotation.from_quat(q).as_matrix()`` is the transpose of ``matrix(q)``. All functions take leading batch axes and are smooth at
-the identity; batches of quaternions are several times faster here than through scipy's objects.
+the identity; batches of quaternions are several times faster here than through scipy's objects. They take arrays as they are:
+filters call them at every step, so only `unit` and what makes a space check.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
+from celnav.checks import instance, number, numbers
 from celnav.linalg import Array, components
 from celnav.rule import Rule
 from celnav.spaces import Space
@@ -42,9 +44,7 @@ def unit(q: ArrayLike, name: str = "q") -> Array:
     ------
     ValueError: if the last axis is not 4, a number is infinite or partly missing, or a norm differs from 1 by more than 1e-6.
     """
-    array = np.array(q, dtype=np.float64)
-    if array.ndim == 0 or array.shape[-1] != 4:
-        raise ValueError(f"{name}: expected quaternions (..., 4), got shape {array.shape}")
+    array = numbers(name, q, (..., 4))
     missing = np.isnan(array)
     if np.isinf(array).any() or (missing.any(-1) != missing.all(-1)).any():
         raise ValueError(f"{name}: expected finite quaternions (or rows of nan), got {array[~np.isfinite(array).all(-1)][:1]}")
@@ -147,7 +147,7 @@ def angle(q: Array) -> Array:
 
 def from_euler(angles: ArrayLike) -> Array:
     """Quaternion of roll, pitch, yaw ``(..., 3)`` rad, ``A = R1(roll) R2(pitch) R3(yaw)``."""
-    half = 0.5 * np.moveaxis(np.asarray(angles, dtype=np.float64), -1, 0)
+    half = 0.5 * np.moveaxis(numbers("angles", angles, (..., 3)), -1, 0)
     zero = np.zeros_like(half[0])
     roll, pitch, yaw = (np.stack([np.sin(half[i]) if j == i else zero for j in range(3)] + [np.cos(half[i])], -1) for i in range(3))
     return multiply(roll, multiply(pitch, yaw))
@@ -158,13 +158,6 @@ def to_euler(q: Array) -> Array:
     A = matrix(q)
     pitch = np.arcsin(np.clip(-A[..., 0, 2], -1.0, 1.0))
     return np.stack([np.arctan2(A[..., 1, 2], A[..., 2, 2]), pitch, np.arctan2(A[..., 0, 1], A[..., 0, 0])], -1)
-
-
-def _check(a: float, b: float) -> None:
-    if not 0.0 <= a <= 1.0:
-        raise ValueError(f"a: expected a number between 0 and 1, got {a!r}")
-    if not (np.isfinite(b) and b > 0.0):
-        raise ValueError(f"b: expected a positive number, got {b!r}")
 
 
 def to_rodrigues(q: Array, a: float = 1.0, b: float = 4.0) -> Array:
@@ -240,7 +233,7 @@ def attitude(a: float = 1.0, b: float = 4.0, *, transported: bool = False) -> Sp
     ------
     ValueError: unless ``0 <= a <= 1`` and ``b > 0``; from the space, for a quaternion that is not a unit one.
     """
-    _check(a, b)
+    a, b = number("a", a, 0.0, 1.0), number("b", b, above=0.0)
 
     def plus(point: Array, tangent: Array) -> Array:
         square = np.square(point).sum(-1, keepdims=True)
@@ -260,7 +253,9 @@ def warn_of_wrapping(rule: Rule, sigma: float) -> None:
 
     Such a rule still runs; its covariance is then no longer that of the attitude.
     """
-    reach = float(np.abs(rule.nodes).max()) * sigma
+    reach = float(np.abs(instance("rule", rule, Rule, "a Rule, such as celnav.unscented(3)").nodes).max()) * number(
+        "sigma", sigma, 0.0
+    )
     if reach > np.pi:
         text = (
             f"sigma points reach {np.degrees(reach):.0f} deg from the mean, and wrap at 180: take a smaller spread (alpha, kappa)"

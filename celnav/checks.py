@@ -14,14 +14,14 @@ import numpy as np
 
 from celnav.linalg import Array
 
-LIMIT = 100_000_000
-"""Numbers (0.8 GB) that one argument may ask for."""
+LIMIT = 1_000_000_000
+"""Numbers (8 GB) that one argument may ask for."""
 Shape = tuple[Any, ...]
 """Lengths of axes: an integer, a letter (1 or more, the same wherever it stands), None (any); ``...`` in front is any batch."""
 
 
 def numbers(name: str, value: Any, shape: Shape | None = None) -> Array:
-    """``value`` as float64, which may be the same array; what is masked, and None, becomes nan.
+    """``value`` as float64, which may be the same array; what is masked, and None among others, becomes nan.
 
     Raises
     ------
@@ -29,7 +29,7 @@ def numbers(name: str, value: Any, shape: Shape | None = None) -> Array:
         a unit of their own.
     """
     found, kind = value if type(value) is np.ndarray and value.dtype == np.float64 else None, ""
-    if found is None:
+    if found is None and value is not None:
         try:
             if isinstance(value, list | tuple) and any(isinstance(part, np.ma.MaskedArray) for part in value):
                 value = np.ma.stack(value)
@@ -71,8 +71,6 @@ def finite(name: str, value: Any, shape: Shape | None = None) -> Array:
     ------
     ValueError: naming it, if it is not numeric, not finite or not of a `Shape`.
     """
-    if value is None:
-        raise ValueError(f"{name}: expected numbers, got None")
     array = numbers(name, value, shape).copy()
     if not np.isfinite(array).all():
         raise ValueError(f"{name}: expected finite numbers, got {np.count_nonzero(~np.isfinite(array))} that are not")
@@ -124,14 +122,46 @@ def whole(value: Any) -> int | None:
     return int(value) if number and np.isfinite(value) and int(value) == value else None
 
 
+def integers(name: str, value: Any, least: int = 0, most: int | None = None, count: int | None = None) -> tuple[int, ...]:
+    """Whole numbers from ``least`` to ``most``, ``count`` of them; ValueError names them if they are none."""
+    parts = np.asarray(value, dtype=object)
+    found = [None] if parts.ndim != 1 else [whole(part) for part in parts]
+    out = tuple(part for part in found if part is not None and least <= part and (most is None or part <= most))
+    if len(out) != len(found) or count not in (None, len(out)):
+        bounds = "positive integers" if least == 1 else f"integers of at least {least}"
+        what = ("" if count is None else f"{count} ") + (bounds if most is None else f"integers from {least} to {most}")
+        raise ValueError(f"{name}: expected {what}, got {value!r:.80}")
+    return out
+
+
 def choice(name: str, value: Any, known: Iterable[Any]) -> Any:
     """One of the ``known`` words or numbers; ValueError lists them, and says which one may be meant."""
     names = list(known)
+    value = value[()] if isinstance(value, np.ndarray) else value
     if (value is None or np.isscalar(value)) and value in names:
         return value
     close = get_close_matches(value, map(str, names), 1) if isinstance(value, str) else []
     hint = f"; did you mean {close[0]}?" if close else ""
     raise ValueError(f"{name}: expected one of {', '.join(map(str, names))}, got {value!r:.80}{hint}")
+
+
+def sequence(name: str, value: Any, example: str) -> list[Any]:
+    """The parts of a list or of what can be made one, but no text or table; ValueError names it, with an ``example``."""
+    try:
+        if not isinstance(value, str | bytes | dict):
+            return list(value)
+    except TypeError:
+        pass
+    raise ValueError(f"{name}: expected a sequence, such as {example}, got {value!r:.80}")
+
+
+def together(**batches: tuple[int, ...]) -> tuple[int, ...]:
+    """Joint batch axes; ValueError names all of them if they do not broadcast."""
+    try:
+        return np.broadcast_shapes(*batches.values())
+    except ValueError:
+        told = ", ".join(map(str, batches.values()))
+        raise ValueError(f"{', '.join(batches)}: expected batch axes that go together, got {told}") from None
 
 
 def function(name: str, value: Any, arguments: str = "") -> Any:
@@ -141,11 +171,10 @@ def function(name: str, value: Any, arguments: str = "") -> Any:
     return value
 
 
-def instance(name: str, value: Any, of: type, example: str) -> Any:
-    """An object of a class; ValueError names it, with an ``example`` of how one is made."""
+def instance(name: str, value: Any, of: Any, expected: str) -> Any:
+    """An object of a class, or of one of several; ValueError names it, and says what was ``expected``, with an example."""
     if not isinstance(value, of):
-        article = "an" if of.__name__[0] in "AEIOU" else "a"
-        raise ValueError(f"{name}: expected {article} {of.__name__}, such as {example}, got {kind(value)}")
+        raise ValueError(f"{name}: expected {expected}, got {kind(value)}")
     return value
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from celnav.checks import integer, number
 from celnav.linalg import Array
 
 if TYPE_CHECKING:
@@ -20,8 +21,10 @@ def figure(width: float, height: float, rows: int = 1, columns: int = 1, **axes:
 
     from celnav.drawing import STYLE, Drawing
 
+    size = number("width", width, above=0.0), number("height", height, above=0.0)
+    rows, columns = integer("rows", rows, 1, 100), integer("columns", columns, 1, 100)
     with rc_context(STYLE):
-        fig = Drawing(figsize=(width, height))
+        fig = Drawing(figsize=size)
         return fig, fig.subplots(rows, columns, **axes)
 
 

@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.checks import finite
+from celnav import checks
+from celnav.checks import finite, instance, number, numbers, sequence, together
 from celnav.linalg import Array
 from celnav.spaces import EUCLIDEAN, Space
 
@@ -54,22 +55,19 @@ def check_jacobian(
     ValueError: naming the worst entry, with its value, the one expected and the relative error; for shapes that do not fit;
         and where the function is not smooth enough over ``step`` to judge at ``rtol``.
     """
-    x = finite("point", point)
-    if x.ndim == 0:
-        raise ValueError("point: expected shape (..., N), got a scalar")
-    if not 0.0 < rtol < 1.0:
-        raise ValueError(f"rtol: expected a number between 0 and 1, got {rtol!r}")
-    h = np.broadcast_to(np.maximum(0.01 * np.abs(x), 0.01) if step is None else finite("step", step), x.shape)
+    checks.function("function", function, "(points, *args)")
+    instance("output_space", output_space, Space, "a Space, such as celnav.angles([0])")
+    x, rtol = finite("point", point, (..., "N")), number("rtol", rtol, above=0.0, below=1.0)
+    args = sequence("args", args, "(epoch,)")
+    lengths = np.maximum(0.01 * np.abs(x), 0.01) if step is None else finite("step", step)
+    if together(step=lengths.shape, point=x.shape) != x.shape:
+        raise ValueError(f"step: expected one number, or one for each of {x.shape[-1]} components, got shape {lengths.shape}")
+    h = np.broadcast_to(lengths, x.shape)
     if not (h > 0.0).all():
         raise ValueError(f"step: expected positive numbers, got {h.min()}")
-    center = np.asarray(function(x[None].copy(), *args), dtype=np.float64)
-    if center.ndim != x.ndim + 1 or center.shape[:-1] != (1, *x.shape[:-1]):
-        raise ValueError(f"function returned shape {center.shape}, expected {(1, *x.shape[:-1], 'M')}")
+    center = numbers("function", function(x[None].copy(), *args), (1, *x.shape[:-1], "M"))
     given = jacobian(x.copy(), *args) if callable(jacobian) else jacobian
-    J = np.asarray(given[0] if isinstance(given, tuple) else given, dtype=np.float64)
-    shape = (*x.shape[:-1], center.shape[-1], x.shape[-1])
-    if J.shape != shape:
-        raise ValueError(f"jacobian: expected shape {shape}, got {J.shape}")
+    J = numbers("jacobian", given[0] if isinstance(given, tuple) else given, (*x.shape[:-1], center.shape[-1], x.shape[-1]))
 
     numerical, doubt = _differences(function, x, h, center, args, output_space)
     size = np.abs(numerical) * h[..., None, :]

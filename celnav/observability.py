@@ -11,7 +11,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.checks import finite, whole
+from celnav import checks
+from celnav.checks import finite, integer, number, sequence
 from celnav.gaussian import sqrt_cov
 from celnav.linalg import Array
 
@@ -24,9 +25,17 @@ _NODES = 21
 
 def jacobian(function: Function, x: ArrayLike) -> Array:
     """Jacobian ``(m, n)`` at ``x (n,)`` by complex step [Squire1998]."""
-    at = finite("x", x)
-    n = len(at)
-    return np.asarray(np.imag(function(at + 1j * _TINY * np.eye(n))) / _TINY).T
+    checks.function("function", function, "(points)")
+    at = finite("x", x, ("n",))
+    return np.asarray(_slopes("function", function, at + 1j * _TINY * np.eye(len(at)))).T
+
+
+def _slopes(name: str, function: Function, points: Array) -> Array:
+    """Derivatives of a function along complex points ``(p, n)``, ``(p, m)``; ValueError names it if it returns something else."""
+    values = function(points)
+    if np.asarray(values).dtype.kind not in "iufc":
+        raise ValueError(f"{name}: expected values (p, m) at points (p, n), got {checks.kind(values)}")
+    return finite(name, np.imag(values), (len(points), "m")) / _TINY
 
 
 def lie_gradients(f: Function, h: Function, x: ArrayLike, order: int, *, window: float = 1.0) -> Array:
@@ -45,17 +54,18 @@ def lie_gradients(f: Function, h: Function, x: ArrayLike, order: int, *, window:
     ------
     ValueError: for an order outside 0 to 6 or a window that is not positive.
     """
-    if whole(order) is None or not 0 <= order <= 6:
-        raise ValueError(f"order: expected an integer from 0 to 6, got {order!r}")
-    if not (np.isfinite(window) and window > 0.0):
-        raise ValueError(f"window: expected a positive time, got {window!r}")
-    at = finite("x", x)
+    order, window = integer("order", order, 0, 6), number("window", window, above=0.0)
+    at = finite("x", x, ("n",))
+    rate = np.shape(checks.function("f", f, "(points)")(at[None]))
+    if rate != (1, len(at)):
+        raise ValueError(f"f: expected rates (p, {len(at)}) at points (p, {len(at)}), got shape {rate} of one point")
+    checks.function("h", h, "(points)")
     start = at + 1j * _TINY * np.eye(len(at))
     nodes = np.cos(np.pi * (np.arange(_NODES) + 0.5) / _NODES)
     forth, back = nodes[nodes >= 0.0][::-1], nodes[nodes < 0.0]
     times = np.concatenate([forth, back])
     states = _flow(f, start, window * forth) + _flow(f, start, window * back)
-    gradients = np.stack([np.imag(h(y)).T / _TINY for y in states])
+    gradients = np.stack([_slopes("h", h, y).T for y in states])
     fit = np.polynomial.chebyshev.Chebyshev
     basis = np.stack([fit.basis(k)(times) for k in range(_NODES)], -1)
     coefficients = np.linalg.solve(basis, gradients.reshape(_NODES, -1))
@@ -91,7 +101,9 @@ def svd_degree(matrix: ArrayLike, reference: int | None = None) -> Array:
     State j gets the singular value whose right vector has its largest component there, divided by that of the state
     ``reference`` [Liang2014, Eq. 15]. It depends on the units of the states; `information_degree` does not.
     """
-    _, values, Vt = np.linalg.svd(finite("matrix", matrix))
+    _, values, Vt = np.linalg.svd(finite("matrix", matrix, ("rows", "n")))
+    if reference is not None:
+        reference = integer("reference", reference, 0, Vt.shape[-1] - 1)
     degree = values[np.abs(Vt[: len(values)]).argmax(0)]
     return np.asarray(degree if reference is None else degree / degree[reference])
 
@@ -103,8 +115,13 @@ def information_degree(P0: ArrayLike, F: ArrayLike, H: ArrayLike, R: ArrayLike) 
     ----------
     P0: ``(n, n)``. F: ``(K - 1, n, n)``, transitions between the epochs. H: ``(K, m, n)``. R: ``(m, m)`` or ``(K, m, m)``.
     """
-    prior, transitions, rows = sqrt_cov(P0, "P0"), finite("F", F), finite("H", H)
-    noise = np.broadcast_to(sqrt_cov(R, "R"), (len(rows), rows.shape[1], rows.shape[1]))
+    rows = finite("H", H, ("K", "m", "n"))
+    n = rows.shape[-1]
+    prior, transitions = sqrt_cov(P0, "P0", n), finite("F", F, (len(rows) - 1, n, n))
+    noise = sqrt_cov(R, "R", rows.shape[1])
+    if noise.shape[:-2] not in ((), (len(rows),)):
+        raise ValueError(f"R: expected one matrix, or one for each of {len(rows)} epochs, got shape {np.shape(R)}")
+    noise = np.broadcast_to(noise, (len(rows), rows.shape[1], rows.shape[1]))
     Phi, information = prior, np.eye(len(prior))  # in units of the prior
     for k, (row, root) in enumerate(zip(rows, noise, strict=True)):
         if k:
@@ -117,7 +134,8 @@ def information_degree(P0: ArrayLike, F: ArrayLike, H: ArrayLike, R: ArrayLike) 
 
 def threshold_weights(degree: ArrayLike, threshold: float) -> tuple[int, ...]:
     """Weights of a sparse grid by degrees of observability: 1 above the threshold, 2 at and below it [Liang2014, Eq. 16]."""
-    return tuple(1 if value > threshold else 2 for value in finite("degree", degree))
+    least = number("threshold", threshold)
+    return tuple(1 if value > least else 2 for value in finite("degree", degree, ("n",)))
 
 
 def nonlinearity_weights(
@@ -137,17 +155,22 @@ def nonlinearity_weights(
     ------
     ValueError: unless mean and std are finite, of one shape, and std positive.
     """
-    center, sigma = finite("mean", mean), finite("std", std)
-    if sigma.shape != center.shape or (sigma <= 0.0).any():
+    center = finite("mean", mean, ("n",))
+    sigma = finite("std", std, center.shape)
+    if (sigma <= 0.0).any():
         raise ValueError(f"std: expected {len(center)} positive numbers, got {std!r}")
+    tolerance, coarse = number("tolerance", tolerance, 0.0), integer("coarse", coarse)
+    if not (functions := sequence("functions", functions, "[f, h]")):
+        raise ValueError("functions: expected at least one, got none")
     n = len(center)
     steps = np.diag(sigma)
     # Not only about the mean: what bends elsewhere within a standard deviation counts, too.
     centers = center + sigma * np.random.default_rng(0).uniform(-1.0, 1.0, (4, n))
     bends = np.zeros(n, bool)
     for function in functions:
+        checks.function("functions", function, "(points)")
         for c in centers:
-            y0, up, down = function(c[None])[0], function(c + steps), function(c - steps)
+            y0, up, down = (finite("functions", function(x), (len(x), "m")) for x in (c[None], c + steps, c - steps))
             scale = np.sqrt(np.square(0.5 * (up - down)).sum(0))
             second = np.abs(0.5 * (up + down) - y0)
             bends |= (second > tolerance * scale).any(-1)

@@ -8,11 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from celnav.checks import integer, whole
+from celnav.checks import LIMIT, choice, instance, integer, number
 from celnav.linalg import Array
 from celnav.rule import Rule
 
 MAX_POINTS = 1_000_000
+
+
+def few(name: str, points: int, n: int) -> None:
+    """Refuse points before they are made: more than `MAX_POINTS`, or more numbers than `celnav.checks.LIMIT`."""
+    if points > MAX_POINTS or points * n > LIMIT:
+        raise ValueError(f"{name}: {points} points of {n} components exceed the limit of {MAX_POINTS} points, {LIMIT} numbers")
 
 
 def _axes(n: int, radius: float) -> Array:
@@ -31,12 +37,8 @@ def unscented(n: int, alpha: float = 1.0, beta: float = 0.0, kappa: float = 0.0)
     ValueError: for ``n < 1``, ``alpha <= 0``, ``n + kappa <= 0`` or a number that is not finite.
     """
     n = integer("n", n)
-    if not (np.isfinite(alpha) and alpha > 0.0):
-        raise ValueError(f"alpha: expected a positive number, got {alpha!r}")
-    if not np.isfinite(beta):
-        raise ValueError(f"beta: expected a finite number, got {beta!r}")
-    if not (np.isfinite(kappa) and n + kappa > 0.0):
-        raise ValueError(f"kappa: expected n + kappa > 0, got {kappa!r} with n = {n}")
+    few("n", 2 * n + 1, n)
+    alpha, beta, kappa = number("alpha", alpha, above=0.0), number("beta", beta), number("kappa", kappa, above=-n)
     c = alpha**2 * (n + kappa)
     wm = np.full(2 * n + 1, 0.5 / c)
     wm[0] = 1.0 - n / c
@@ -53,6 +55,7 @@ def simplex(n: int) -> Rule:
     ValueError: for ``n < 1``.
     """
     n = integer("n", n)
+    few("n", n + 1, n)
     d = np.arange(1, n + 1)
     nodes = np.sqrt((n + 1) / (d * (d + 1))) * (np.triu(np.ones((n + 1, n))) - d * np.eye(n + 1, n, -1))
     nodes[:, 0] *= -1.0  # as filterpy has it
@@ -70,10 +73,10 @@ def cubature(n: int, degree: int = 3) -> Rule:
     ValueError: for ``n < 1`` or another degree.
     """
     n = integer("n", n)
+    degree = choice("degree", degree, (3, 5))
+    few("n", 2 * n if degree == 3 else 2 * n * n + 1, n)
     if degree == 3:
         return Rule(_axes(n, float(np.sqrt(n))), np.r_[0.0, np.full(2 * n, 0.5 / n)])
-    if degree != 5:
-        raise ValueError(f"degree: expected 3 or 5, got {degree!r}")
     pairs = np.zeros((2 * n * (n - 1), n))
     signs = product(combinations(range(n), 2), product((1.0, -1.0), repeat=2))
     for row, ((i, j), (s, t)) in zip(pairs, signs, strict=True):
@@ -92,12 +95,10 @@ def gauss_hermite(n: int, order: int = 3) -> Rule:
     ------
     ValueError: for ``n < 1``, ``order < 2`` or more than `MAX_POINTS` points, before anything is allocated.
     """
-    n = integer("n", n)
-    size = whole(order)
-    if size is None or not 2 <= size <= 100:
-        raise ValueError(f"order: expected an integer between 2 and 100, got {order!r}")
-    if size**n > MAX_POINTS:
-        raise ValueError(f"order: {size}**{n} = {size**n} points exceed the limit of {MAX_POINTS}")
+    n, size = integer("n", n), integer("order", order, 2, 100)
+    if (count := size ** min(n, 20)) > MAX_POINTS:  # 2**20 are too many already, 2**1000000000 has 300 million digits
+        many = f"order: {size}**{n} = {count}" if n <= 20 else f"n: {size}**{n}"
+        raise ValueError(f"{many} points exceed the limit of {MAX_POINTS}")
     x, w = np.polynomial.hermite_e.hermegauss(size)
     x[np.abs(x) < 1e-12] = 0.0
     nodes = np.stack(np.meshgrid(*[x] * n, indexing="ij"), -1).reshape(-1, n)
@@ -116,6 +117,8 @@ def tensor_product(*rules: Rule) -> Rule:
     ------
     ValueError: for more than `MAX_POINTS` points, before anything is allocated.
     """
+    for rule in rules:
+        instance("rules", rule, Rule, "a Rule, such as celnav.unscented(2)")
     count = prod(rule.num_sigmas() for rule in rules)
     if not rules or count > MAX_POINTS:
         raise ValueError(f"rules: expected a product of at most {MAX_POINTS} points, got {count} of {len(rules)} rules")

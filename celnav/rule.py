@@ -42,9 +42,7 @@ class Rule:
     """
 
     def __init__(self, nodes: ArrayLike, wm: ArrayLike, wc: ArrayLike | None = None):
-        self.nodes = finite("nodes", nodes)
-        if self.nodes.ndim != 2 or 0 in self.nodes.shape:
-            raise ValueError(f"nodes: expected shape (p, n), got {self.nodes.shape}")
+        self.nodes = finite("nodes", nodes, ("p", "n"))
         p, self.n = self.nodes.shape
         self.wm = finite("wm", wm, (p,))
         self.wc = self.wm if wc is None else finite("wc", wc, (p,))
@@ -105,13 +103,13 @@ class Rule:
 
     def sigma_points(self, x: ArrayLike, P: ArrayLike) -> Array:
         """Points ``(num_sigmas, n)`` of ``N(x, P)``; ``P`` may be a scalar, as in filterpy."""
-        mean = np.atleast_1d(finite("x", x)).ravel()
+        mean = finite("x", x).ravel()
         if len(mean) != self.n:
             raise ValueError(f"x: expected {self.n} components, got {len(mean)}")
         if self._idle.size:
             raise ValueError(f"rule: expected points in every dimension, got none in {', '.join(map(str, self._idle))}")
         cov = finite("P", P)
-        root = semidefinite_root(cov * np.eye(self.n) if cov.ndim == 0 else np.atleast_2d(cov))
+        root = semidefinite_root(finite("P", cov * np.eye(self.n) if cov.ndim == 0 else np.atleast_2d(cov), (self.n, self.n)))
         if not np.isfinite(root).all():
             raise ValueError("P: expected a positive semidefinite covariance")
         return np.asarray(mean + self.nodes[self._filterpy] @ root.T)

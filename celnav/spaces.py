@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from celnav.checks import integer, integers, sequence
 from celnav.linalg import Array, side_by_side
 
 
@@ -56,11 +57,7 @@ def angles(components: Iterable[int] | None = None) -> Space:
     ------
     ValueError: unless components are places from 0 on; from the space, for a vector that does not have them all.
     """
-    if components is not None and not isinstance(components, Iterable):
-        raise ValueError(f"components: expected places of angles in a vector, such as [{components}], got {components!r}")
-    places = None if components is None else tuple(components)
-    if places is not None and not all(isinstance(i, int | np.integer) and not isinstance(i, bool) and i >= 0 for i in places):
-        raise ValueError(f"components: expected places of angles in a vector, from 0 on, got {places}")
+    places = None if components is None else integers("components", sequence("components", components, "[0]"))
     return Space(partial(_sum, places), partial(_difference, places))
 
 
@@ -95,6 +92,7 @@ def product(*factors: tuple[Space, int, int]) -> Space:
     """
     if not all(isinstance(factor, tuple | list) and len(factor) == 3 and isinstance(factor[0], Space) for factor in factors):
         raise ValueError("factors: expected triples (space, length of its points, length of its tangents)")
+    factors = tuple((space, integer("factors", N, 0), integer("factors", n, 0)) for space, N, n in factors)
     points = np.cumsum([0, *(N for _, N, _ in factors)])
     tangents = np.cumsum([0, *(n for _, _, n in factors)])
     parts = [

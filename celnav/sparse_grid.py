@@ -18,9 +18,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from celnav.checks import whole
+from celnav.checks import integer, integers
 from celnav.linalg import Array
-from celnav.points import MAX_POINTS
+from celnav.points import MAX_POINTS, few
 from celnav.rule import Rule
 
 ORDERS = (1, 3, 7, 15, 31, 63)
@@ -88,9 +88,9 @@ def integrates(powers: Sequence[int], level: int, weights: Sequence[int] | None 
     ------
     ValueError: for powers that are not integers of at least 0; otherwise as `smolyak`.
     """
-    numbers = [a for a in map(whole, powers) if a is not None and a >= 0]
-    if len(numbers) != len(powers):
-        raise ValueError(f"powers: expected integers of at least 0, got {tuple(powers)!r}")
+    numbers = integers("powers", powers)
+    if not numbers:
+        raise ValueError("powers: expected at least one, got none")
     _, depth, g, sizes = _checked(len(numbers), level, weights, orders)
     if any(a % 2 for a in numbers):
         return True
@@ -98,30 +98,29 @@ def integrates(powers: Sequence[int], level: int, weights: Sequence[int] | None 
     return max(lowest) < depth and sum(k * c for k, c in zip(lowest, g, strict=True)) <= (depth - 1) * min(g)
 
 
+def checked_orders(orders: object) -> tuple[int, ...]:
+    """Numbers of points of the one-dimensional rules, level by level; ValueError if they are none."""
+    sizes = integers("orders", orders, 1, 100)
+    if sizes[:1] != (1,):
+        raise ValueError(f"orders: expected numbers of points, the first 1, got {orders!r:.80}")
+    return sizes
+
+
 def _checked(n: object, level: object, weights: object, orders: Sequence[int]) -> tuple[int, int, tuple[int, ...], tuple[int, ...]]:
-    dimension, depth = whole(n), whole(level)
-    if dimension is None or dimension < 1:
-        raise ValueError(f"n: expected a positive integer, got {n!r}")
-    sizes = tuple(whole(m) for m in orders)
-    if not sizes or sizes[0] != 1 or any(m is None or not 1 <= m <= 100 for m in sizes):
-        raise ValueError(f"orders: expected numbers of points between 1 and 100, the first 1, got {tuple(orders)!r}")
-    if depth is None or not 1 <= depth <= len(sizes):
-        raise ValueError(f"level: expected an integer from 1 to {len(sizes)} (the orders known), got {level!r}")
-    g: tuple[int | None, ...]
-    if weights is None:
-        g = (1,) * dimension
-    else:
-        g = tuple(whole(w) for w in np.ravel(np.asarray(weights)).tolist())
-        if len(g) != dimension or any(w is None or w < 1 for w in g):
-            raise ValueError(f"weights: expected {dimension} positive integers, got {weights!r}")
-    known = tuple(w for w in g if w is not None)
-    common = gcd(*known)
-    return dimension, depth, tuple(w // common for w in known), tuple(m for m in sizes[:depth] if m is not None)
+    dimension, sizes = integer("n", n, 1, MAX_POINTS), checked_orders(orders)
+    depth = integer("level", level, 1, len(sizes))
+    g = (1,) * dimension if weights is None else integers("weights", weights, 1, count=dimension)
+    common = gcd(*g)
+    return dimension, depth, tuple(w // common for w in g), sizes[:depth]
+
+
+def univariate(order: int) -> tuple[Array, Array]:
+    """Gauss-Hermite nodes ``x > 0``, ascending, and weights ``(order // 2 + 1,)``, that of the node 0 (or 0) first."""
+    return _univariate(integer("order", order, 1, 100))
 
 
 @lru_cache(maxsize=64)
-def univariate(order: int) -> tuple[Array, Array]:
-    """Gauss-Hermite nodes ``x > 0``, ascending, and weights ``(order // 2 + 1,)``, that of the node 0 (or 0) first."""
+def _univariate(order: int) -> tuple[Array, Array]:
     x, w = np.polynomial.hermite_e.hermegauss(order)
     w = w / w.sum()
     half = order // 2
@@ -223,8 +222,7 @@ def _multisets(nodes: Sequence[_Node], budget: int, most: int, first: int = 0) -
 def _rule(n: int, level: int, g: tuple[int, ...], sizes: tuple[int, ...]) -> Rule:
     values, patterns = _patterns(level, g, sizes)
     total = sum(p.number for p in patterns)
-    if total > MAX_POINTS:
-        raise ValueError(f"level: the rule has {total} points, which exceeds the limit of {MAX_POINTS}")
+    few("level", total, n)
     channels = [np.flatnonzero(np.array(g) == c) for c in sorted(set(g))]
     points, weights = np.zeros((total, n)), np.empty(total)
     row = 0

@@ -13,11 +13,18 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import ArrayLike
 
+from celnav.checks import finite, instance, numbers
 from celnav.linalg import Array
 
 TIMELINE = "t"
 """Of every recording, seconds."""
 _SPACE = [13, 16, 24]
+
+
+def _named(origin: str, name: str) -> dict[str, Any]:
+    """Where a view looks, and what it is called; ValueError unless both are texts."""
+    given = {"origin": origin, "name": name}
+    return {key: instance(key, value, str, "a text, such as 'plots/error'") for key, value in given.items()}
 
 
 def space(
@@ -35,17 +42,18 @@ def space(
     """
 
     def past(seconds: float) -> Any:
-        boundary = rrb.TimeRangeBoundary
+        boundary, seconds = rrb.TimeRangeBoundary, float(numbers("growing", seconds, ()))
         start = boundary.cursor_relative(seconds=-seconds) if np.isfinite(seconds) else boundary.infinite()
         return rrb.VisibleTimeRanges(timeline=TIMELINE, start=start, end=boundary.cursor_relative(seconds=0.0))
 
+    controls = {"position": ("eye", eye), "look_target": ("target", target), "eye_up": ("up", up)}
+    growing = instance("growing", {} if growing is None else growing, Mapping, "a table, such as {'trail': inf}")
     return rrb.Spatial3DView(
-        origin=origin,
-        name=name,
+        **_named(origin, name),
         background=_SPACE,
         line_grid=rrb.LineGrid3D(visible=False),
-        eye_controls=rrb.EyeControls3D(position=eye, look_target=target, eye_up=up),
-        overrides={entity: past(seconds) for entity, seconds in (growing or {}).items()},
+        eye_controls=rrb.EyeControls3D(**{key: finite(name, value, (3,)) for key, (name, value) in controls.items()}),
+        overrides={entity: past(seconds) for entity, seconds in growing.items()},
     )
 
 
@@ -54,12 +62,14 @@ def plot(origin: str, name: str, times: Array, *, limits: tuple[float, float] | 
 
     The legend takes a part of the time axis after the run, where it hides nothing.
     """
+    times = finite("times", times, ("T",))
     span = float(times[-1] - times[0])
     ends = times[0] - 0.02 * span, times[-1] + (0.24 if legend else 0.06) * span
     start, end = (rrb.TimeRangeBoundary.absolute(seconds=float(t)) for t in ends)
+    if limits is not None:
+        limits = tuple(finite("limits", limits, (2,)).tolist())
     return rrb.TimeSeriesView(
-        origin=origin,
-        name=name,
+        **_named(origin, name),
         axis_x=rrb.TimeAxis(view_range=rr.TimeRange(start=start, end=end)),
         axis_y=None if limits is None else rrb.ScalarAxis(range=limits),
         plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=legend),
@@ -68,17 +78,17 @@ def plot(origin: str, name: str, times: Array, *, limits: tuple[float, float] | 
 
 def bar_chart(origin: str, name: str) -> Any:
     """The bars at ``origin``."""
-    return rrb.BarChartView(origin=origin, name=name)
+    return rrb.BarChartView(**_named(origin, name))
 
 
 def text(origin: str, name: str) -> Any:
     """A panel for the text at ``origin``."""
-    return rrb.TextDocumentView(origin=origin, name=name)
+    return rrb.TextDocumentView(**_named(origin, name))
 
 
 def log(origin: str, name: str) -> Any:
     """The events below ``origin``."""
-    return rrb.TextLogView(origin=origin, name=name)
+    return rrb.TextLogView(**_named(origin, name))
 
 
 def rows(*views: Any, shares: Sequence[float] | None = None, name: str | None = None) -> Any:
@@ -98,6 +108,7 @@ def tabs(*views: Any, name: str | None = None) -> Any:
 
 def blueprint(layout: Any, times: Array) -> rrb.Blueprint:
     """The layout, the time panel paused and small, and the run played in about twenty seconds."""
+    instance("layout", layout, rrb.View | rrb.Container, "a view or container of celnav.views, such as celnav.views.text(...)")
     speed = max(float(times[-1] - times[0]) / 20.0, 1e-3)
     panel = rrb.TimePanel(state="collapsed", timeline=TIMELINE, playback_speed=speed, play_state="paused")
     return rrb.Blueprint(layout, panel, collapse_panels=True)

@@ -152,7 +152,7 @@ def test_checks():
     ):
         with pytest.raises(ValueError, match=f"^q: expected .*{words}"):
             at.unit(bad)
-    with pytest.raises(ValueError, match=r"^a: expected a number between 0 and 1"):
+    with pytest.raises(ValueError, match=r"^a: expected a number of at least 0 and of at most 1, got 1.5"):
         at.attitude(1.5, 1.0)
     with pytest.raises(ValueError, match=r"^b: expected a positive number"):
         at.attitude(1.0, 0.0)

@@ -103,7 +103,7 @@ def test_where_differences_cannot_judge():
     ("arguments", "match"),
     [
         ((lambda x: x, np.eye(2), np.zeros(3)), r"jacobian: expected shape \(3, 3\), got \(2, 2\)"),
-        ((lambda x: x[0], np.eye(3), np.zeros(3)), "function returned shape"),
+        ((lambda x: x[0], np.eye(3), np.zeros(3)), "function: expected shape"),
         ((lambda x: x, np.eye(3), [np.nan, 0.0, 0.0]), "point: expected finite"),
         ((lambda x: x, np.full((3, 3), np.nan), np.zeros(3)), r"relative error inf"),
     ],

@@ -166,7 +166,7 @@ def test_an_own_file_is_replaced_and_a_failure_leaves_it(tmp_path):
     with pytest.raises(Stop):
         write(path, fail)
     assert path.read_bytes() == old
-    with pytest.raises(ValueError, match=r"plots/a: expected shape \(20\), got \(3,\)"):
+    with pytest.raises(ValueError, match=r"plots/a values: expected shape \(20,\), got \(3,\)"):
         write(path, lambda out: out.curve("plots/a", np.zeros(3), colors.TRUTH, "a"))
     assert path.read_bytes() == old
     with pytest.raises(Stop):

@@ -251,8 +251,8 @@ def test_mean_of_a_nonlinear_function():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((0, 2), "n: expected a positive integer, got 0"),
-        ((2.5, 2), "n: expected a positive integer, got 2.5"),
+        ((0, 2), "n: expected an integer from 1 to 1000000, got 0"),
+        ((2.5, 2), "n: expected an integer from 1 to 1000000, got 2.5"),
         ((2, 0), "level: expected an integer from 1 to 6"),
         ((2, 7), "level: expected an integer from 1 to 6"),
         ((2, 3, [1]), "weights: expected 2 positive integers"),
@@ -267,7 +267,7 @@ def test_bad_arguments(arguments, message):
 
 
 def test_bad_orders_and_powers():
-    with pytest.raises(ValueError, match="orders: expected numbers of points between 1 and 100, the first 1"):
+    with pytest.raises(ValueError, match="orders: expected numbers of points, the first 1"):
         smolyak(2, 2, orders=(3, 5))
     with pytest.raises(ValueError, match="powers: expected integers of at least 0"):
         integrates((2, -1), 2)
@@ -276,7 +276,7 @@ def test_bad_orders_and_powers():
 def test_too_many_points_are_refused_before_they_are_made():
     count = point_count(60, 5)
     assert count > 1_000_000
-    with pytest.raises(ValueError, match=f"level: the rule has {count} points, which exceeds the limit of 1000000"):
+    with pytest.raises(ValueError, match=f"level: {count} points of 60 components exceed the limit of 1000000 points"):
         smolyak(60, 5)
 
 

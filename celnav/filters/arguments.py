@@ -87,7 +87,7 @@ def check_rule(rule: Any, name: str = "rule") -> None:
 
 def check_space(name: str, space: Any) -> None:
     """A space is a `Space`."""
-    checks.instance(name, space, Space, "celnav.angles([0])")
+    checks.instance(name, space, Space, "a Space, such as celnav.angles([0])")
 
 
 def check_state(belief: Any, space: Space) -> None:

@@ -9,6 +9,8 @@ from dataclasses import fields
 
 import numpy as np
 
+from celnav import checks
+from celnav.checks import finite
 from celnav.linalg import Array
 from celnav.models.beidou import GRAVITY_PARAMETER, ROTATION_RATE, TILT, Broadcast, eccentric_anomaly, tilted
 
@@ -21,7 +23,9 @@ MEDIUM = tuple(n for n in range(19, 47) if n not in (31, *INCLINED))
 
 
 def kepler(a: float, e: float, i: float, Omega: float, omega: float, M: float) -> tuple[Array, Array]:
-    """Position (m) and velocity (m/s) of Keplerian elements (m, rad) in their frame."""
+    """Position (m) and velocity (m/s) of Keplerian elements (m, rad) in their frame; ``a > 0`` and ``0 <= e < 1``."""
+    a, e = checks.number("a", a, above=0.0), checks.number("e", e, 0.0, below=1.0)
+    i, Omega, omega, M = (checks.number(*p) for p in (("i", i), ("Omega", Omega), ("omega", omega), ("M", M)))
     E = float(eccentric_anomaly(np.array(M), np.array(e)))
     n, root = np.sqrt(GRAVITY_PARAMETER / a**3), np.sqrt(1.0 - e * e)
     plane = a * np.array([np.cos(E) - e, root * np.sin(E)])
@@ -34,6 +38,7 @@ def kepler(a: float, e: float, i: float, Omega: float, omega: float, M: float) -
 
 def elements(position: Array, velocity: Array) -> tuple[float, float, float, float, float, float]:
     """Keplerian elements ``a, e, i, Omega, omega, M`` (m, rad) of an elliptic, inclined orbit."""
+    position, velocity = finite("position", position, (3,)), finite("velocity", velocity, (3,))
     r, mu = float(np.linalg.norm(position)), GRAVITY_PARAMETER
     h = np.cross(position, velocity)
     node = np.array([-h[1], h[0], 0.0]) / np.hypot(h[0], h[1])
@@ -49,6 +54,7 @@ def elements(position: Array, velocity: Array) -> tuple[float, float, float, flo
 
 def synthetic(toe: float = 345600.0) -> Broadcast:
     """Broadcast elements of 32 satellites at a reference time, s of BDT; their clocks are right."""
+    toe = checks.number("toe", toe)
     rows: dict[int, tuple[float, float, float, float, float, float]] = {}
     for number, (longitude, i, Omega) in GEOSTATIONARY.items():
         angles = np.radians([i, Omega, 30.0, longitude - Omega - 30.0]).tolist()

@@ -6,6 +6,7 @@ Chebyshev arrays (DE405, DE406, DE421, DE423). Planets are their systems' baryce
 
 from __future__ import annotations
 
+import os
 from functools import cache, cached_property
 from importlib.resources import files
 from io import BytesIO
@@ -17,6 +18,7 @@ from jplephem.daf import DAF
 from jplephem.spk import SPK
 from numpy.polynomial.chebyshev import chebder, chebval
 
+from celnav.checks import choice, instance
 from celnav.linalg import Array
 from celnav.models.time import DAY_S, Tdb
 
@@ -56,7 +58,7 @@ class Kernel:
     """
 
     def __init__(self, path: str | Path):
-        self.path = Path(path)
+        self.path = Path(instance("path", path, str | os.PathLike, "a path, such as 'de440.bsp'"))
         content = self.path.read_bytes()
         try:
             self._spk = SPK(DAF(BytesIO(content)))
@@ -67,7 +69,7 @@ class Kernel:
             raise ValueError(f"{self.path}: expected {size} bytes, got {len(content)}: the file is cut off")
 
     def _segments(self, body: str) -> list[Any]:
-        _known(body)
+        choice("body", body, BODIES)
         try:
             return [self._spk[pair] for pair in _SPK[body]]
         except KeyError:
@@ -102,7 +104,7 @@ class Arrays:
     """
 
     def __init__(self, folder: str | Path):
-        self.folder = Path(folder)
+        self.folder = Path(instance("folder", folder, str | os.PathLike, "a path, such as 'de405'"))
         table = self._load("constants")
         if table.dtype.names is None or not {"name", "value"} <= set(table.dtype.names):
             raise ValueError(f"{self.folder}: expected constants.npy with names and values")
@@ -134,7 +136,7 @@ class Arrays:
 
     def state(self, body: str, date: Tdb) -> BodyState:
         """See `Ephemeris`."""
-        _known(body)
+        choice("body", body, BODIES)
         _check(date, self.first, self.last, str(self.folder))
         if body not in ("earth", "moon"):
             return self._series(body, date)
@@ -160,12 +162,8 @@ class Arrays:
         return BodyState(np.asarray(position), np.asarray(velocity))
 
 
-def _known(body: str) -> None:
-    if body not in BODIES:
-        raise ValueError(f"body: expected one of {', '.join(BODIES)}, got {body!r}")
-
-
 def _check(date: Tdb, first: float, last: float, where: str) -> None:
+    instance("date", date, Tdb, 'a Tdb, such as celnav.models.time.from_utc("2015-10-17")')
     from_first = (np.asarray(date.day) - first) + date.rest
     outside = (from_first < 0.0) | (from_first > last - first)
     if np.any(outside) or not np.isfinite(from_first).all():

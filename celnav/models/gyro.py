@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from celnav.attitude import cross, exp, inverse, log, multiply
+from celnav.attitude import cross, exp, inverse, log, multiply, unit
+from celnav.checks import finite, instance, number, numbers, together
 from celnav.linalg import Array, side_by_side
 
 
@@ -35,11 +36,9 @@ class Gyro:
     tau: float = np.inf
 
     def __post_init__(self) -> None:
-        for name in ("sigma_v", "sigma_u"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0.0):
-                raise ValueError(f"{name}: expected a number that is not negative, got {value!r}")
-        if not self.tau > 0.0:
+        number("sigma_v", self.sigma_v, 0.0)
+        number("sigma_u", self.sigma_u, 0.0)
+        if not float(numbers("tau", self.tau, ())) > 0.0:
             raise ValueError(f"tau: expected a positive time (inf for a random walk), got {self.tau!r}")
 
     def factor(self, dt: float) -> float:
@@ -65,8 +64,15 @@ class Gyro:
 
     def measure(self, q: Array, drift: Array, noise: Array, dt: float) -> Array:
         """Samples ``(T - 1, ..., 3)`` rad/s of attitudes ``q (T, ..., 4)`` with ``drift`` and standard normal ``noise``."""
+        q, dt = unit(q, "q"), number("dt", dt, above=0.0)
+        if q.ndim < 2 or len(q) < 2:
+            raise ValueError(f"q: expected attitudes (T, ..., 4) at two epochs or more, got shape {q.shape}")
         turns = log(multiply(q[1:], inverse(q[:-1])))
-        return np.asarray(turns / dt + drift[: len(turns)] + self.rate_std(dt) * noise)
+        drift, noise = finite("drift", drift, (..., 3)), finite("noise", noise, (..., 3))
+        if drift.ndim > 1 and len(drift) >= len(turns):  # one of each attitude: the last has no sample
+            drift = drift[: len(turns)]
+        together(q=turns.shape[:-1], drift=drift.shape[:-1], noise=noise.shape[:-1])
+        return np.asarray(turns / dt + drift + self.rate_std(dt) * noise)
 
     def propagate(self, x: Array, measured: Array, dt: float, rate_noise: Array | float = 0.0) -> Array:
         """State ``(..., 7)`` after an interval with the sample ``measured (..., 3)``, less drift and ``rate_noise``."""
@@ -94,6 +100,10 @@ class Gyro:
 
 def preintegrate(measured: Array, drift: Array, dt: float) -> Array:
     """One sample ``(..., 3)`` rad/s that turns as far as samples ``(k, ..., 3)`` do together, given the drift ``(..., 3)``."""
+    measured, drift, dt = finite("measured", measured, (..., 3)), finite("drift", drift, (..., 3)), number("dt", dt, above=0.0)
+    if measured.ndim < 2 or not len(measured):
+        raise ValueError(f"measured: expected samples (k, ..., 3), one or more, got shape {measured.shape}")
+    together(measured=measured.shape[1:-1], drift=drift.shape[:-1])
     turned = exp((measured[0] - drift) * dt)
     for sample in measured[1:]:
         turned = multiply(exp((sample - drift) * dt), turned)
@@ -116,9 +126,8 @@ def steady_state(sigma_n: float, gyro: Gyro, interval: float) -> SteadyState:
     ------
     ValueError: unless ``sigma_n`` and ``interval`` are positive and the gyro's ``tau`` infinite.
     """
-    for name, value in (("sigma_n", sigma_n), ("interval", interval)):
-        if not (np.isfinite(value) and value > 0.0):
-            raise ValueError(f"{name}: expected a positive number, got {value!r}")
+    sigma_n, interval = number("sigma_n", sigma_n, above=0.0), number("interval", interval, above=0.0)
+    instance("gyro", gyro, Gyro, "a Gyro, such as Gyro(sigma_v, sigma_u)")
     if np.isfinite(gyro.tau):
         raise ValueError(f"gyro: expected a drift that walks at random (tau = inf), got tau = {gyro.tau!r}")
     T, u, v = interval, gyro.sigma_u, gyro.sigma_v

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from celnav.checks import finite
+from celnav.checks import finite, instance
 from celnav.linalg import Array, components, leading, matvec
 from celnav.models import earth
 from celnav.models.trajectory import Flight
@@ -42,7 +42,16 @@ class Navigation(NamedTuple):
 
 def navigation(flight: Flight, at: Array | int | slice, phi: Array, bias: Array) -> Navigation:
     """Inputs at the epochs ``at`` of a flight whose system has a true misalignment and accelerometer bias ``(..., 3)``."""
-    attitude = misalignment_matrix(phi) @ flight.attitude[at]
+    instance("flight", flight, Flight, "a Flight, such as celnav.models.trajectory.turning_flight(times, ...)")
+    phi, bias = finite("phi", phi, (..., 3)), finite("bias", bias, (..., 3))
+    try:
+        if at is None:
+            raise IndexError
+        true = flight.attitude[at]
+    except (IndexError, ValueError):
+        count = len(flight.times)
+        raise ValueError(f"at: expected numbers of epochs below {count}, one, several or a slice, got {at!r:.80}") from None
+    attitude = misalignment_matrix(phi) @ true
     return Navigation(
         attitude, matvec(attitude, flight.force[at] + bias), flight.velocity[at, :2], flight.latitude[at], flight.height_m
     )
@@ -187,7 +196,7 @@ def check_stars(stars: Array, name: str = "stars") -> Array:
     ------
     ValueError: if one is not finite or not of unit length to 1e-6.
     """
-    directions = finite(name, stars)
+    directions = finite(name, stars, (..., "k", 3))
     length = np.linalg.norm(directions, axis=-1)
     if (np.abs(length - 1.0) > 1e-6).any():
         raise ValueError(f"{name}: expected unit vectors, got lengths from {length.min():.6g} to {length.max():.6g}")
@@ -205,6 +214,7 @@ def wahba_misalignment(z: Array, attitude: Array, stars: Array) -> Array:
     k = directions.shape[-2]
     if k < 2 or (np.linalg.norm(np.cross(directions[..., 0, :], directions[..., 1, :]), axis=-1) < 1e-3).all():
         raise ValueError("stars: expected two directions that are not parallel (|r_1 x r_2| >= 1e-3)")
+    z, attitude = finite("z", z, (..., 3 * k)), finite("attitude", attitude, (..., 3, 3))
     body = z.reshape(*z.shape[:-1], k, 3)
     seen = np.einsum("...ij,...kj->...ki", attitude, body) + directions  # C_n^n' r on n'
     U, _, Vt = np.linalg.svd(np.einsum("...ki,...kj->...ij", seen, np.broadcast_to(directions, seen.shape)))

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from celnav.checks import finite, instance
 from celnav.linalg import Array, matvec
 from celnav.models import earth
 from celnav.models.trajectory import Flight
@@ -27,9 +28,12 @@ def mechanize(flight: Flight, attitude: Array, drift: Array, bias: Array) -> Sol
     Horizontal channels only: the height is known. The flight is sampled twice per step (at the ends and in the middle), so it
     has an odd number of epochs; one row of the solution per step, the start first.
     """
-    t = flight.times
+    t = instance("flight", flight, Flight, "a Flight, such as celnav.models.trajectory.turning_flight(times, ...)").times
+    if len(t) < 3 or len(t) % 2 == 0:
+        raise ValueError(f"flight: expected an odd number of epochs, three or more, got {len(t)}")
+    drift, bias = finite("drift", drift, (3,)), finite("bias", bias, (3,))
     dt = t[2] - t[0]
-    C, h = np.array(attitude, dtype=np.float64), flight.height_m
+    C, h = finite("attitude", attitude, (3, 3)), flight.height_m
     V, place = flight.velocity[0, :2].copy(), np.array([flight.longitude[0], flight.latitude[0]])
     rows = [(C, V, place)]
     for k in range(0, len(t) - 2, 2):

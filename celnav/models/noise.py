@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import expm, solve_discrete_lyapunov
 
-from celnav.checks import finite
+from celnav.checks import choice, finite, number, together
 from celnav.gaussian import sqrt_cov
 from celnav.linalg import Array
 
@@ -20,15 +20,19 @@ def stationary_covariance(Phi: ArrayLike, R: ArrayLike) -> Array:
     ------
     ValueError: if the spectral radius of Phi is not below 1, or R is not a covariance.
     """
-    phi = finite("Phi", Phi)
-    if phi.ndim != 2 or len(phi) != phi.shape[-1]:
-        raise ValueError(f"Phi: expected shape (m, m), got {phi.shape}")
-    sqrt_cov(R, "R", len(phi))
+    phi = finite("Phi", Phi, ("m", "m"))
+    noise = _covariance("R", R, len(phi))
     radius = np.abs(np.linalg.eigvals(phi)).max()
     if radius >= 1.0:
         raise ValueError(f"Phi: expected a spectral radius below 1 for a stationary covariance, got {radius:.6g}")
-    sigma: Array = solve_discrete_lyapunov(phi, finite("R", R))
+    sigma: Array = solve_discrete_lyapunov(phi, noise)
     return sigma
+
+
+def _covariance(name: str, cov: ArrayLike, m: int) -> Array:
+    """One checked covariance ``(m, m)``, as it was given."""
+    sqrt_cov(cov, name, m)
+    return finite(name, cov, (m, m))
 
 
 def initial_covariance(initial: str | ArrayLike, Phi: ArrayLike, R: ArrayLike) -> Array:
@@ -38,18 +42,14 @@ def initial_covariance(initial: str | ArrayLike, Phi: ArrayLike, R: ArrayLike) -
     ------
     ValueError: for another word, if R or the matrix is no covariance, and where Phi has no stationary one.
     """
-    increments = finite("R", R)
-    sqrt_cov(increments, "R")
+    m = len(finite("Phi", Phi, ("m", "m")))
+    increments = _covariance("R", R, m)
     if not isinstance(initial, str):
-        sqrt_cov(initial, "Sigma0", len(increments))
-        return finite("Sigma0", initial)
-    if initial == "R":
-        return increments
+        return _covariance("initial", initial, m)
+    choice("initial", initial, ("R", "stationary", "zero"))
     if initial == "stationary":
         return stationary_covariance(Phi, R)
-    if initial == "zero":
-        return np.zeros_like(increments)
-    raise ValueError(f"Sigma0: expected 'R', 'stationary', 'zero' or a matrix, got {initial!r}")
+    return increments if initial == "R" else np.zeros_like(increments)
 
 
 def effective_covariance(Phi: ArrayLike, R: ArrayLike) -> Array:
@@ -65,9 +65,15 @@ def effective_covariance(Phi: ArrayLike, R: ArrayLike) -> Array:
     return half @ half.T
 
 
-def ar1(Phi: Array, increments: Array, first: Array) -> Array:
+def ar1(Phi: ArrayLike, increments: ArrayLike, first: ArrayLike) -> Array:
     """AR(1) sequence ``(T, ..., m)`` from increments ``(T - 1, ..., m)`` and its first value ``(..., m)``."""
-    V = np.empty((len(increments) + 1, *np.broadcast_shapes(first.shape, increments.shape[1:])))
+    Phi = finite("Phi", Phi, (..., "m", "m"))
+    m = Phi.shape[-1]
+    increments, first = finite("increments", increments, (..., m)), finite("first", first, (..., m))
+    if increments.ndim < 2:
+        raise ValueError(f"increments: expected shape (T - 1, ..., {m}), got {increments.shape}")
+    batch = together(Phi=Phi.shape[:-2], increments=increments.shape[1:-1], first=first.shape[:-1])
+    V = np.empty((len(increments) + 1, *batch, m))
     V[0] = first
     for k, zeta in enumerate(increments):
         V[k + 1] = np.einsum("...ij,...j->...i", Phi, V[k]) + zeta
@@ -86,12 +92,9 @@ def van_loan(F: ArrayLike, G: ArrayLike, spectral_density: ArrayLike, dt: float)
     ------
     ValueError: if a shape is wrong, a number not finite, the density no covariance or ``dt`` negative.
     """
-    f, g = finite("F", F), finite("G", G)
-    n = f.shape[0] if f.ndim else 0
-    if f.shape != (n, n) or g.ndim != 2 or len(g) != n:
-        raise ValueError(f"F: expected shapes F (n, n) and G (n, k), got {f.shape} and {g.shape}")
-    if not (np.isfinite(dt) and dt >= 0.0):
-        raise ValueError(f"dt: expected a non-negative number, got {dt!r}")
+    f, dt = finite("F", F, ("n", "n")), number("dt", dt, 0.0)
+    n = len(f)
+    g = finite("G", G, (n, "k"))
     density = sqrt_cov(spectral_density, "spectral_density", g.shape[1])
     q = g @ density
     exponential = expm(np.block([[-f, q @ q.T], [np.zeros((n, n)), f.T]]) * dt)

@@ -1,6 +1,7 @@
 """Orbits about the Earth: two bodies and J2, Runge-Kutta steps, Kepler elements. Units: km, km/s, s, rad.
 
-States are ``(..., 6)``, position then velocity in an Earth-centered inertial equatorial frame.
+States are ``(..., 6)``, position then velocity in an Earth-centered inertial equatorial frame. What filters call at every step
+(`acceleration`, `step`, `runge_kutta`, `transition`) takes arrays as they are and checks none.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.checks import finite
+from celnav.checks import LIMIT, finite, instance, integer, number
 from celnav.linalg import Array, components
 
 
@@ -26,6 +27,12 @@ class Earth:
     mu: float = 398600.4418
     radius_km: float = 6378.137
     j2: float = 1.08262668e-3
+
+    def __post_init__(self) -> None:
+        finite("j2", self.j2)
+        for name in ("mu", "radius_km"):  # of each run, where these differ
+            if (finite(name, getattr(self, name)) <= 0.0).any():
+                raise ValueError(f"{name}: expected a positive number, got {getattr(self, name)!r:.80}")
 
 
 EARTH = Earth()
@@ -74,9 +81,8 @@ def check_orbit(state: ArrayLike, name: str = "state", earth: Earth = EARTH) -> 
     ValueError: if it is not finite, not ``(..., 6)`` or at the center of the Earth. Warns (`UnitWarning`) of a position
         inside the Earth or of a speed that no bound orbit has: kilometers and kilometers per second are expected.
     """
-    x = finite(name, state)
-    if x.ndim == 0 or x.shape[-1] != 6:
-        raise ValueError(f"{name}: expected shape (..., 6), got {x.shape}")
+    instance("earth", earth, Earth, "an Earth, such as celnav.models.orbit.EARTH")
+    x = finite(name, state, (..., 6))
     r = np.linalg.norm(x[..., :3], axis=-1)
     v = np.linalg.norm(x[..., 3:], axis=-1)
     if (r == 0.0).any():
@@ -92,6 +98,7 @@ def check_orbit(state: ArrayLike, name: str = "state", earth: Earth = EARTH) -> 
 def propagate(state: ArrayLike, dt: float, steps: int, earth: Earth = EARTH) -> Array:
     """Orbit ``(steps + 1, ..., 6)`` at equal intervals, the start first."""
     out = [check_orbit(state, earth=earth)]
+    dt, steps = number("dt", dt), integer("steps", steps, 0, LIMIT // max(out[0].size, 1))
     for _ in range(steps):
         out.append(step(out[-1], dt, earth))
     return np.stack(out)
@@ -112,14 +119,10 @@ def from_elements(a: float, e: float, i: float, raan: float, argp: float, true_a
     ------
     ValueError: unless ``a > 0`` and ``0 <= e < 1``. Warns (`UnitWarning`) of an angle beyond two turns.
     """
-    for name, value in (("a", a), ("e", e), ("i", i), ("raan", raan), ("argp", argp), ("true_anomaly", true_anomaly)):
-        finite(name, value, ())
-    if not a > 0.0:
-        raise ValueError(f"a: expected a positive semi-major axis, got {a!r}")
-    if not 0.0 <= e < 1.0:
-        raise ValueError(f"e: expected 0 <= e < 1, got {e!r}")
+    instance("earth", earth, Earth, "an Earth, such as celnav.models.orbit.EARTH")
+    a, e = number("a", a, above=0.0), number("e", e, 0.0, below=1.0)
     for name, angle in (("i", i), ("raan", raan), ("argp", argp), ("true_anomaly", true_anomaly)):
-        if abs(angle) > 2.0 * np.pi + 1e-9:
+        if abs(number(name, angle)) > 2.0 * np.pi + 1e-9:
             warnings.warn(f"{name}: {angle:.6g} rad is more than a full turn; angles are in radians", UnitWarning, stacklevel=2)
     p = a * (1.0 - e * e)
     c, s = np.cos(true_anomaly), np.sin(true_anomaly)

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from celnav.checks import choice, instance, number, sequence
 from celnav.files import data
 from celnav.linalg import Array
 from celnav.spaces import Space
@@ -50,17 +51,15 @@ class Pulsar:
     pulsed_fraction: float
 
     def __post_init__(self) -> None:
-        for field in fields(self)[1:]:
-            value = getattr(self, field.name)
-            if not np.isfinite(value):
-                raise ValueError(f"{field.name}: expected a finite number for {self.name}, got {value!r}")
-        for name in ("distance_kpc", "period_s", "width_s", "flux"):
-            if getattr(self, name) <= 0.0:
-                raise ValueError(f"{name}: expected a positive number for {self.name}, got {getattr(self, name)!r}")
-        if not 0.0 < self.pulsed_fraction <= 1.0:
-            raise ValueError(f"pulsed_fraction: expected a number in (0, 1] for {self.name}, got {self.pulsed_fraction!r}")
-        if not -90.0 <= self.declination_deg <= 90.0:
-            raise ValueError(f"declination_deg: expected an angle from -90 to 90 for {self.name}, got {self.declination_deg!r}")
+        instance("name", self.name, str, "a text, such as 'B1937+21'")
+        try:
+            number("right_ascension_deg", self.right_ascension_deg)
+            number("declination_deg", self.declination_deg, -90.0, 90.0)
+            for name in ("distance_kpc", "period_s", "width_s", "flux"):
+                number(name, getattr(self, name), above=0.0)
+            number("pulsed_fraction", self.pulsed_fraction, above=0.0, most=1.0)
+        except ValueError as error:
+            raise ValueError(f"{error} for {self.name}") from None
 
     @cached_property
     def direction(self) -> Array:
@@ -82,11 +81,8 @@ class Pulsar:
         ------
         ValueError: unless the numbers are positive (``background``: not negative).
         """
-        for name, value in (("seconds", seconds), ("area_cm2", area_cm2)):
-            if not (np.isfinite(value) and value > 0.0):
-                raise ValueError(f"{name}: expected a positive number, got {value!r}")
-        if not (np.isfinite(background) and background >= 0.0):
-            raise ValueError(f"background: expected a number that is not negative, got {background!r}")
+        seconds, area_cm2 = number("seconds", seconds, above=0.0), number("area_cm2", area_cm2, above=0.0)
+        background = number("background", background, 0.0)
         pulsed = self.flux * area_cm2 * self.pulsed_fraction * seconds
         others = (background + self.flux * (1.0 - self.pulsed_fraction)) * area_cm2 * seconds * self.width_s / self.period_s
         return float(0.5 * self.width_s * np.sqrt(others + pulsed) / pulsed)
@@ -106,10 +102,7 @@ def pulsars(names: Sequence[str]) -> list[Pulsar]:
     ValueError: for an unknown name; the message lists the known ones.
     """
     table = known()
-    for name in names:
-        if name not in table:
-            raise ValueError(f"pulsar: expected one of {', '.join(table)}, got {name!r}")
-    return [table[name] for name in names]
+    return [table[choice("pulsar", name, table)] for name in sequence("names", names, '["B1937+21"]')]
 
 
 class Timing:
@@ -124,7 +117,12 @@ class Timing:
     """
 
     def __init__(self, pulsars: Sequence[Pulsar]):
-        self.pulsars = tuple(pulsars)
+        chosen = sequence("pulsars", pulsars, 'celnav.models.pulsar.pulsars(["B1937+21"])')
+        if not chosen:
+            raise ValueError("pulsars: expected at least one, got none")
+        self.pulsars: tuple[Pulsar, ...] = tuple(
+            instance("pulsars", p, Pulsar, 'a Pulsar, such as known()["B1937+21"]') for p in chosen
+        )
         self.directions = np.stack([p.direction for p in self.pulsars])
         self.distances = np.array([p.distance_km for p in self.pulsars])
         if len(self.pulsars) >= 3 and np.linalg.cond(self.directions) > 1e6:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from celnav.checks import numbers
 from celnav.linalg import Array
 from celnav.models.beidou import LIGHT
 
@@ -41,5 +42,6 @@ def on_earth(name: str, position: Array) -> None:
     ------
     ValueError: naming it, unless it is in Earth-fixed meters, near the surface or in a low orbit.
     """
-    if not (np.isfinite(position).all() and 6.3e6 < np.linalg.norm(position) < 1e7):
+    position = numbers(name, position, (3,))
+    if not (6.3e6 < np.linalg.norm(position) < 1e7):
         raise ValueError(f"{name}: expected Earth-fixed meters, 6300 to 10000 km from the middle, got {position}")

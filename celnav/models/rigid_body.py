@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from celnav.attitude import cross, multiply, rotate
-from celnav.checks import finite
+from celnav.attitude import cross, multiply, rotate, unit
+from celnav.checks import LIMIT, finite, integer, number
 from celnav.linalg import Array, matvec
 
 
@@ -42,7 +42,7 @@ class Body:
             ("torque", finite("torque", self.torque, (3,))),
         ):
             object.__setattr__(self, name, value)
-        finite("orbit_rate", self.orbit_rate, ())
+        number("orbit_rate", self.orbit_rate)
 
     def nadir(self, q: Array, t: float) -> Array:
         """Direction of the Earth's center ``(..., 3)`` on body axes."""
@@ -61,7 +61,11 @@ class Body:
 
     def propagate(self, x: Array, dt: float, steps: int) -> Array:
         """States ``(steps + 1, ..., 7)`` from the first at equal intervals, integrated to a relative 1e-12."""
-        start = finite("x", x)
+        start, dt = finite("x", x, (..., 7)), number("dt", dt)
+        unit(start[..., :4], "x")
+        steps = integer("steps", steps, 0, LIMIT // max(start.size, 1))
+        if not dt:
+            raise ValueError("dt: expected an interval, got 0")
 
         def rates(t: float, flat: Array) -> Array:
             return self.rates(flat.reshape(start.shape), t).ravel()

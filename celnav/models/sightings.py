@@ -14,7 +14,7 @@ import warnings
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.checks import finite
+from celnav.checks import finite, number, numbers, together
 from celnav.linalg import Array
 from celnav.models.orbit import EARTH, UnitWarning
 
@@ -26,7 +26,7 @@ def star_directions(separation: float) -> Array:
     ------
     ValueError: if they are parallel, ``sin(separation) = 0``.
     """
-    theta = float(finite("separation", separation, ()))
+    theta = number("separation", separation)
     if abs(np.sin(theta)) < 1e-6:
         raise ValueError(f"separation: expected two directions, got parallel stars at {separation!r} rad")
     if abs(theta) > 2.0 * np.pi:
@@ -36,9 +36,7 @@ def star_directions(separation: float) -> Array:
 
 def unit_vectors(stars: ArrayLike) -> Array:
     """Star directions ``(k, 3)`` made unit vectors; warns (`UnitWarning`) if they were not, raises ValueError for zero."""
-    directions = finite("stars", stars)
-    if directions.ndim != 2 or directions.shape[-1] != 3:
-        raise ValueError(f"stars: expected shape (k, 3), got {directions.shape}")
+    directions = finite("stars", stars, ("k", 3))
     norms = np.linalg.norm(directions, axis=-1, keepdims=True)
     if (norms == 0.0).any():
         raise ValueError("stars: expected directions, got a zero vector")
@@ -91,15 +89,15 @@ def position(
     ValueError: for parallel stars, infinite angles, ``A3`` outside (0, pi), a hemisphere of another value, and, if
         ``strict``, angles that no position has. Warns (`UnitWarning`) of angles beyond a full turn.
     """
-    measured = np.asarray(A, dtype=np.float64)
-    if measured.ndim == 0 or measured.shape[-1] != 3:
-        raise ValueError(f"A: expected shape (..., 3), got {measured.shape}")
+    measured = numbers("A", A, (..., 3))
     if np.isinf(measured).any():
         raise ValueError(f"A: expected finite numbers or nan, got {np.count_nonzero(np.isinf(measured))} infinite ones")
     if (np.abs(measured[..., :2]) > 2.0 * np.pi).any():
         warnings.warn("A: an angle is more than a full turn; angles are in radians", UnitWarning, stacklevel=2)
     star_directions(separation)
-    side = finite("hemisphere", hemisphere)
+    side, radius_km = finite("hemisphere", hemisphere), number("radius_km", radius_km, above=0.0)
+    if together(A=measured.shape[:-1], hemisphere=side.shape) != measured.shape[:-1]:
+        raise ValueError(f"hemisphere: expected one, or one for each of {measured.shape[:-1]} positions, got shape {side.shape}")
     if (np.abs(side) != 1.0).any():
         raise ValueError("hemisphere: expected +1 or -1")
     diameter = measured[..., 2]
@@ -130,7 +128,7 @@ def jacobian(A: Array, separation: float, hemisphere: ArrayLike = 1.0, radius_km
     u = u / r[..., None]
     if (np.abs(u[..., 2]) < 1e-7).any():  # z comes of a root: nearer than that there is only rounding
         raise ValueError("A: expected a position off the plane of the stars, got z = 0")
-    A1, A2, A3 = np.moveaxis(A, -1, 0)
+    A1, A2, A3 = np.moveaxis(numbers("A", A), -1, 0)
     zero = np.zeros_like(r)
 
     def column(dux: Array, duy: Array) -> Array:
@@ -147,7 +145,7 @@ def pseudo_position_covariance(position_km: Array, separation: float, sigma: Arr
 
     Warns (`UnitWarning`) of deviations beyond 1 rad.
     """
-    deviations = finite("sigma", sigma, (3,))
+    deviations, position_km = finite("sigma", sigma, (3,)), finite("position_km", position_km, (..., 3))
     if (np.abs(deviations) > 1.0).any():
         text = f"sigma: a deviation of {np.abs(deviations).max():.6g} rad tells nothing; angles are in radians"
         warnings.warn(text, UnitWarning, stacklevel=2)

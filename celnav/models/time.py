@@ -14,6 +14,7 @@ import erfa
 import numpy as np
 from numpy.typing import ArrayLike
 
+from celnav.checks import finite, instance, numbers
 from celnav.linalg import Array
 
 DAY_S = 86400.0
@@ -27,16 +28,17 @@ class Tdb(NamedTuple):
 
     def after(self, seconds: ArrayLike) -> Tdb:
         """The instants so many seconds later."""
-        return Tdb(self.day, self.rest + np.asarray(seconds, dtype=np.float64) / DAY_S)
+        return Tdb(self.day, self.rest + numbers("seconds", seconds) / DAY_S)
 
     def since(self, other: Tdb) -> Array:
         """Seconds from another instant."""
+        instance("other", other, Tdb, 'a Tdb, such as celnav.models.time.from_utc("2015-10-17")')
         return np.asarray(((self.day - other.day) + (self.rest - other.rest)) * DAY_S)
 
 
 def from_tt(day: ArrayLike, rest: ArrayLike = 0.0) -> Tdb:
     """TDB of a Julian date in terrestrial time, at the center of the Earth."""
-    one, two = np.asarray(day, dtype=np.float64), np.asarray(rest, dtype=np.float64)
+    one, two = finite("day", day), finite("rest", rest)
     return Tdb(one, two + erfa.dtdb(one, two, 0.0, 0.0, 0.0, 0.0) / DAY_S)
 
 
@@ -51,6 +53,8 @@ def from_utc(instant: str | datetime) -> Tdb:
         if instant.tzinfo is None:
             raise ValueError(f"instant: expected a datetime with a time zone, got {instant!r}; its scale is not known")
         instant = instant.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%S.%f")
+    if not isinstance(instant, str):
+        raise ValueError(f"instant: expected UTC as YYYY-MM-DDTHH:MM:SS, or a datetime, got {instant!r:.80}")
     match = re.fullmatch(r"(\d{4})-(\d\d)-(\d\d)(?:[T ](\d\d):(\d\d)(?::(\d\d(?:\.\d+)?))?)?Z?", instant.strip())
     if not match:
         raise ValueError(f"instant: expected UTC as YYYY-MM-DDTHH:MM:SS, got {instant!r}")

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from celnav.checks import finite
+from celnav.checks import finite, number
 from celnav.linalg import Array, matvec
 from celnav.models import earth
 
@@ -57,9 +57,12 @@ def turning_flight(
     ------
     ValueError: if times are not finite and increasing, or a pole is reached.
     """
-    t = finite("times", times)
-    if t.ndim != 1 or len(t) < 1 or (np.diff(t) <= 0.0).any():
+    t = finite("times", times, ("T",))
+    if (np.diff(t) <= 0.0).any():
         raise ValueError(f"times: expected an increasing sequence, got shape {t.shape}")
+    longitude, latitude, height_m = number("longitude", longitude), number("latitude", latitude), number("height_m", height_m)
+    speed, heading, acceleration = number("speed", speed), number("heading", heading), number("acceleration", acceleration)
+    turn_rate, substep = number("turn_rate", turn_rate), number("substep", substep, above=0.0)
     since = t - t[0]
 
     def motion(at: Array) -> tuple[Array, Array]:

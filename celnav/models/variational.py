@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial import legendre
 
+from celnav.checks import integer
 from celnav.linalg import Array, components
 from celnav.models.orbit import EARTH, Earth, acceleration
 
@@ -37,6 +38,7 @@ class Nodes(NamedTuple):
 
 def lobatto(count: int) -> Nodes:
     """Nodes, exact for polynomials of degree ``2 count - 3`` over the whole, of degree ``count - 1`` to each node."""
+    count = integer("count", count, 2, 100)
     top = np.eye(count)[-1]
     x = np.concatenate([[-1.0], np.sort(legendre.legroots(legendre.legder(top)).real), [1.0]])
     series = np.linalg.solve(legendre.legvander(x, count - 1), np.eye(count))  # of the polynomials that are 1 at one node

@@ -150,9 +150,9 @@ def test_elements_of_a_batch():
         (lambda: check_orbit([7000.0, 0.0, 0.0]), r"state: expected shape \(..., 6\), got \(3,\)"),
         (lambda: check_orbit([np.nan] * 6, "x0"), "x0: expected finite"),
         (lambda: from_elements(-1.0, 0.1, 0.1, 0.1, 0.1, 0.1), "a: expected a positive"),
-        (lambda: from_elements(7000.0, 1.0, 0.1, 0.1, 0.1, 0.1), "e: expected 0 <= e < 1"),
-        (lambda: from_elements(7000.0, 0.1, np.nan, 0.1, 0.1, 0.1), "i: expected finite"),
-        (lambda: from_elements(np.array([7000.0, 8000.0]), 0.1, 0.1, 0.1, 0.1, 0.1), r"a: expected shape \(\)"),
+        (lambda: from_elements(7000.0, 1.0, 0.1, 0.1, 0.1, 0.1), "e: expected a number of at least 0 and below 1, got 1.0"),
+        (lambda: from_elements(7000.0, 0.1, np.nan, 0.1, 0.1, 0.1), "i: expected a finite number, got nan"),
+        (lambda: from_elements(np.array([7000.0, 8000.0]), 0.1, 0.1, 0.1, 0.1, 0.1), "a: expected a positive number, got array"),
     ],
 )
 def test_orbits_refuse_and_say_what(call, words):

@@ -152,7 +152,7 @@ A0 = angles(R0, star_directions(SEPARATION))
     [
         (lambda: star_directions(0.0), "separation: expected two directions"),
         (lambda: star_directions(np.pi), "separation"),
-        (lambda: star_directions(np.nan), "separation: expected finite"),
+        (lambda: star_directions(np.nan), "separation: expected a finite number, got nan"),
         (lambda: position(A0, np.pi), "separation"),
         (lambda: position(A0[:2], SEPARATION), r"A: expected shape \(..., 3\), got \(2,\)"),
         (lambda: position([*A0[:2], 0.0], SEPARATION), "A: expected an angular diameter between 0 and pi"),

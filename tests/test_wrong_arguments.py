@@ -1,0 +1,417 @@
+"""What cannot be meant is refused by name: every argument of every public function, replaced by what users get wrong."""
+
+# ruff: noqa: C408 (arguments read as in a call)
+from __future__ import annotations
+
+import inspect
+import re
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+import rerun as rr
+
+from celnav import (
+    adaptive_grid,
+    attitude,
+    checks,
+    drawing,
+    figures,
+    jacobians,
+    linear_covariance,
+    metrics,
+    observability,
+    points,
+    recording,
+    rule,
+    scores,
+    spaces,
+    sparse_grid,
+    typed,
+    views,
+)
+from celnav.models import (
+    constellation,
+    earth,
+    ephemeris,
+    gyro,
+    inertial,
+    mechanization,
+    noise,
+    orbit,
+    pulsar,
+    receiver,
+    rigid_body,
+    sightings,
+    third_body,
+    time,
+    trajectory,
+    variational,
+)
+
+MODULES = (
+    adaptive_grid, attitude, checks, drawing, figures, jacobians, linear_covariance, metrics, observability, points, recording,
+    rule, scores, spaces, sparse_grid, typed, views, constellation, earth, ephemeris, gyro, inertial, mechanization, noise, orbit,
+    pulsar, receiver, rigid_body, sightings, third_body, time, trajectory, variational,
+)  # fmt: skip
+HOT = """
+attitude: multiply inverse positive matrix rotate exp log angle to_euler to_rodrigues from_rodrigues shadow shadow_jacobian cross
+    transport
+spaces: wrap
+rule: Rule.points Rule.transform Rule.slope Rule.num_sigmas
+earth: meridian_radius transverse_radius normal_gravity earth_rate transport_rate
+orbit: acceleration step runge_kutta transition
+variational: gradient advance flow
+sightings: angles visible observe
+third_body: acceleration
+inertial: derivative step advance star_residuals misalignment_matrix misalignment_angles
+gyro: Gyro.factor Gyro.rate_std Gyro.drift_std Gyro.process_noise Gyro.propagate Gyro.transition
+rigid_body: Body.nadir Body.rates
+pulsar: Timing.delay Timing.shapiro Timing.shapiro_exact Timing.gradient
+receiver: transition process_noise
+"""
+"""What a filter calls at every step takes arrays as they are: a look at each would cost more than the product it makes."""
+INSIDE = """
+checks: numbers finite number integer integers whole choice function sequence together instance kind
+typed: unit_of depth type_depth typed named
+drawing: Drawing.set render
+points: few
+sparse_grid: checked_orders
+scores: score merge summarize
+views: bar_chart text log rows columns tabs blueprint
+figures: band
+trajectory: attitude_from_heading
+ephemeris: de421 Arrays Arrays.state
+receiver: on_earth
+pulsar: known
+"""
+"""What checks, what has no arguments, and what only celnav calls, or hands to a library that says itself what it takes."""
+
+I2, I3, I6 = np.eye(2), np.eye(3), np.eye(6)
+Q4 = attitude.IDENTITY
+X6 = np.array([7000.0, 0.0, 0.0, 0.0, 7.5, 0.0])
+TIMES = np.arange(5.0)
+FLIGHT = dict(longitude=0.1, latitude=0.5, height_m=1e3, speed=100.0, heading=0.0, acceleration=0.0, turn_rate=0.0, substep=0.5)
+FLOWN = trajectory.turning_flight(TIMES, **FLIGHT)
+GYRO = gyro.Gyro(1e-6, 1e-9)
+BODY = rigid_body.Body(np.diag([1.0, 2.0, 2.5]))
+PULSARS = pulsar.pulsars(["B0531+21"])
+STARS = sightings.star_directions(1.0)
+TDB = time.from_utc("2015-10-17T04:00:00")
+RULE = points.unscented(2)
+
+
+def square(x):
+    return x * x
+
+
+def record(**arguments):
+    with recording.recording(**arguments):
+        pass
+
+
+CALLS = {
+    "points.unscented": dict(n=3, alpha=1.0, beta=0.0, kappa=0.0),
+    "points.simplex": dict(n=3),
+    "points.cubature": dict(n=3, degree=5),
+    "points.gauss_hermite": dict(n=2, order=3),
+    "points.tensor_product": (lambda rules: points.tensor_product(RULE, rules), dict(rules=RULE)),
+    "points.from_filterpy": dict(points=RULE),
+    "rule.Rule": dict(nodes=[[0.0], [1.0], [-1.0]], wm=[0.0, 0.5, 0.5], wc=[0.0, 0.5, 0.5]),
+    "rule.Rule.sigma_points": (RULE.sigma_points, dict(x=np.zeros(2), P=I2)),
+    "sparse_grid.smolyak": dict(n=2, level=2, weights=[1, 2], orders=(1, 3, 7)),
+    "sparse_grid.point_count": dict(n=2, level=2, weights=[1, 2], orders=(1, 3, 7)),
+    "sparse_grid.integrates": dict(powers=[2, 4], level=2, weights=[1, 2], orders=(1, 3, 7)),
+    "sparse_grid.univariate": dict(order=3),
+    "adaptive_grid.adapt": dict(function=square, mean=np.zeros(2), root=I2, tolerance=1e-3, most=20, orders=(1, 3, 7)),
+    "attitude.unit": dict(q=Q4),
+    "attitude.from_euler": dict(angles=np.zeros(3)),
+    "attitude.attitude": dict(a=1.0, b=4.0),
+    "attitude.warn_of_wrapping": dict(rule=RULE, sigma=0.1),
+    "attitude.total_attitude": dict(),
+    "spaces.angles": dict(components=[0]),
+    "spaces.product": (lambda factors: spaces.product(factors), dict(factors=(spaces.EUCLIDEAN, 2, 2))),
+    "metrics.rmse": dict(error=np.ones((2, 3, 2)), axis=1),
+    "metrics.rms": dict(squares=np.ones(3)),
+    "metrics.ratio": dict(a=np.ones(3), b=np.ones(3)),
+    "metrics.rmse_interval": dict(error=np.ones((2, 3, 2)), level=0.9, axis=1),
+    "metrics.chi_square_band": dict(dof=2, runs=10, level=0.9),
+    "metrics.bootstrap": (
+        lambda statistic, samples, **more: metrics.bootstrap(statistic, samples, **more),
+        dict(statistic=np.mean, samples=np.ones(3), level=0.9, resamples=10, seed=0),
+    ),
+    "metrics.error_moments": dict(space=spaces.EUCLIDEAN),
+    "observability.jacobian": dict(function=square, x=np.ones(2)),
+    "observability.lie_gradients": dict(f=square, h=square, x=np.ones(2), order=1, window=0.1),
+    "observability.svd_degree": dict(matrix=I2, reference=0),
+    "observability.information_degree": dict(P0=I2, F=np.stack([I2]), H=np.stack([I2, I2]), R=I2),
+    "observability.threshold_weights": dict(degree=np.ones(2), threshold=0.5),
+    "observability.nonlinearity_weights": dict(functions=[square], mean=np.ones(2), std=np.ones(2), tolerance=1e-6, coarse=2),
+    "linear_covariance.riccati": dict(F=np.stack([I2]), H=I2, Q=I2, R=I2, P0=I2),
+    "linear_covariance.actual_covariance": dict(
+        F=np.stack([I2]), H=I2, gains=np.stack([0.5 * I2]), Q=I2, Phi=0.5 * I2, R=I2, P0=I2, Sigma0=I2
+    ),
+    "linear_covariance.colored_bound": dict(F=np.stack([I2]), H=I2, Phi=0.5 * I2, Q=I2, R=I2, P0=I2, Sigma0=I2),
+    "jacobians.check_jacobian": dict(
+        function=square, jacobian=2.0 * I2, point=np.ones(2), args=(), step=0.1, rtol=1e-6, output_space=spaces.EUCLIDEAN
+    ),
+    "recording.rgba": dict(color="#112233", alpha=0.5),
+    "recording.ellipsoid_axes": dict(covariance=I3, sigmas=3.0),
+    "recording.recording": (record, dict(path="@", times=TIMES, name="a", layout=views.text("a", "a"), properties={}, counter="k")),
+    "recording.Recorder.text": dict(entity="a", markdown="text"),
+    "recording.Recorder.curve": dict(entity="a", values=TIMES, color="#112233", name="a", width=1.0),
+    "recording.Recorder.log_curve": dict(entity="a", values=TIMES, color="#112233", name="a", width=1.0),
+    "recording.Recorder.bounds": dict(entity="a", sigma=TIMES, name="a", center=0.0, color="#112233"),
+    "recording.Recorder.level": dict(entity="a", value=1.0, name="a", color="#112233"),
+    "recording.Recorder.trail": dict(entity="a", points=np.ones((5, 3)), color="#112233", radius=1.0),
+    "recording.Recorder.path": dict(entity="a", strips=[np.ones((2, 3))], color="#112233", radius=1.0),
+    "recording.Recorder.strips": dict(entity="a", strips=np.ones((5, 1, 2, 3)), colors=["#112233"], labels=["a"], radius=1.0),
+    "recording.Recorder.arrow": dict(
+        entity="a", origins=np.ones((5, 3)), vectors=np.ones((5, 3)), color="#112233", label="a", radius=1.0
+    ),
+    "recording.Recorder.pose": dict(entity="a", origins=np.ones((5, 3)), quaternions=np.tile(Q4, (5, 1))),
+    "recording.Recorder.axes": dict(entity="a", length=1.0, colors=["#112233"] * 3, labels=["x", "y", "z"], radius=1.0),
+    "recording.Recorder.points": dict(entity="a", points=np.ones((5, 3)), color="#112233", alpha=1.0, radius=1.0, label="a"),
+    "recording.Recorder.ellipsoids": dict(
+        entity="a", centers=np.ones((5, 3)), covariance=np.tile(I3, (5, 1, 1)), color="#112233", sigmas=3.0, alpha=0.5
+    ),
+    "recording.Recorder.globe": dict(entity="a", radius=1.0, color="#112233", grid="#112233"),
+    "recording.Recorder.bars": dict(entity="a", values=TIMES, color="#112233"),
+    "recording.Recorder.event": dict(entity="a", seconds=1.0, message="a"),
+    "recording.Recorder.exact": dict(entity="a", a=TIMES),
+    "views.space": dict(origin="a", name="a", eye=[1.0, 0.0, 0.0], target=[0.0, 0.0, 0.0], up=[0.0, 0.0, 1.0], growing={"a": 1.0}),
+    "views.plot": dict(origin="a", name="a", times=TIMES, limits=(0.0, 1.0)),
+    "figures.figure": dict(width=3.0, height=2.0, rows=1, columns=2),
+    "constellation.kepler": dict(a=7e6, e=0.1, i=0.1, Omega=0.1, omega=0.1, M=0.1),
+    "constellation.elements": dict(position=np.array([7e6, 0.0, 0.0]), velocity=np.array([0.0, 5e3, 5e3])),
+    "constellation.synthetic": dict(toe=345600.0),
+    "ephemeris.Kernel": dict(path=str(ephemeris.de421().path)),
+    "ephemeris.Kernel.state": (ephemeris.de421().state, dict(body="sun", date=TDB)),
+    "gyro.Gyro": dict(sigma_v=1e-6, sigma_u=1e-9, tau=100.0),
+    "gyro.Gyro.measure": (GYRO.measure, dict(q=np.tile(Q4, (3, 1)), drift=np.zeros((2, 3)), noise=np.zeros((2, 3)), dt=1.0)),
+    "gyro.preintegrate": dict(measured=np.zeros((2, 3)), drift=np.zeros(3), dt=1.0),
+    "gyro.steady_state": dict(sigma_n=1e-5, gyro=GYRO, interval=1.0),
+    "inertial.navigation": dict(flight=FLOWN, at=[1], phi=np.zeros(3), bias=np.zeros(3)),
+    "inertial.check_stars": dict(stars=STARS),
+    "inertial.wahba_misalignment": dict(z=np.zeros(6), attitude=I3, stars=STARS),
+    "mechanization.mechanize": dict(flight=FLOWN, attitude=I3, drift=np.zeros(3), bias=np.zeros(3)),
+    "noise.stationary_covariance": dict(Phi=0.5 * I2, R=I2),
+    "noise.initial_covariance": dict(initial="R", Phi=0.5 * I2, R=I2),
+    "noise.effective_covariance": dict(Phi=0.5 * I2, R=I2),
+    "noise.ar1": dict(Phi=0.5 * I2, increments=np.ones((3, 2)), first=np.ones(2)),
+    "noise.van_loan": dict(F=I2, G=I2, spectral_density=I2, dt=1.0),
+    "orbit.Earth": dict(mu=398600.4418, radius_km=6378.137, j2=1e-3),
+    "orbit.check_orbit": dict(state=X6, earth=orbit.EARTH),
+    "orbit.propagate": dict(state=X6, dt=1.0, steps=2, earth=orbit.EARTH),
+    "orbit.from_elements": dict(a=7000.0, e=0.1, i=0.1, raan=0.1, argp=0.1, true_anomaly=0.1, earth=orbit.EARTH),
+    "orbit.to_elements": dict(state=X6, earth=orbit.EARTH),
+    "pulsar.Pulsar": dict(
+        name="a", right_ascension_deg=1.0, declination_deg=1.0, distance_kpc=1.0, period_s=1.0, width_s=1.0, flux=1.0,
+        pulsed_fraction=0.5,
+    ),
+    "pulsar.Pulsar.timing_std": (PULSARS[0].timing_std, dict(seconds=1.0, area_cm2=1.0, background=0.1)),
+    "pulsar.pulsars": dict(names=["B0531+21"]),
+    "pulsar.Timing": dict(pulsars=PULSARS),
+    "rigid_body.Body": dict(inertia=BODY.inertia, wheels=np.zeros(3), torque=np.zeros(3), orbit_rate=0.0),
+    "rigid_body.Body.propagate": (BODY.propagate, dict(x=np.r_[Q4, 0.0, 0.0, 0.0], dt=1.0, steps=2)),
+    "sightings.star_directions": dict(separation=1.0),
+    "sightings.unit_vectors": dict(stars=STARS),
+    "sightings.position": dict(A=np.array([1.2, 1.2, 2.0]), separation=1.0, hemisphere=1.0, radius_km=6378.0),
+    "sightings.jacobian": dict(A=np.array([1.2, 1.2, 2.0]), separation=1.0, hemisphere=1.0, radius_km=6378.0),
+    "sightings.pseudo_position_covariance": dict(position_km=np.array([4e3, 3e3, 5e3]), separation=1.0, sigma=np.full(3, 1e-4)),
+    "time.Tdb.after": (TDB.after, dict(seconds=1.0)),
+    "time.Tdb.since": (TDB.since, dict(other=TDB)),
+    "time.from_tt": dict(day=2457300.5, rest=0.1),
+    "time.from_utc": dict(instant="2015-10-17"),
+    "trajectory.turning_flight": dict(times=TIMES, **FLIGHT),
+    "variational.lobatto": dict(count=4),
+}  # fmt: skip
+
+GAPS = """curve.values log_curve.values bounds.sigma bounds.center trail.points strips.strips arrow.origins arrow.vectors
+pose.origins pose.quaternions points.points ellipsoids.centers ellipsoids.covariance exact.a"""
+MEANT = {
+    "adaptive_grid.adapt most": "a billion",
+    "attitude.from_euler angles": "nan, infinite",
+    "attitude.unit q": "nan",
+    "gyro.Gyro tau": "infinite",
+    "gyro.Gyro.measure q": "nan",
+    "jacobians.check_jacobian args": "empty, array",
+    "inertial.navigation at": "empty",
+    "jacobians.check_jacobian point": "deep",
+    "jacobians.check_jacobian step": "several",
+    "metrics.bootstrap seed": "a billion",
+    "metrics.chi_square_band dof": "a billion, a half",
+    "metrics.chi_square_band runs": "a billion, a half",
+    **dict.fromkeys(("metrics.rms squares", "metrics.ratio a", "metrics.ratio b"), "nan, infinite, deep"),
+    **dict.fromkeys(("metrics.rmse error", "metrics.rmse_interval error", "metrics.bootstrap samples"), "nan, infinite, deep"),
+    **dict.fromkeys(("orbit.Earth mu", "orbit.Earth radius_km", "orbit.Earth j2"), "several, empty"),
+    "observability.nonlinearity_weights coarse": "a billion",
+    "pulsar.pulsars names": "empty, array",
+    "recording.Recorder.axes labels": "empty",
+    "recording.Recorder.strips labels": "empty",
+    "recording.Recorder.bars values": "empty, nan, infinite",
+    "recording.Recorder.path strips": "empty, nan, infinite",
+    "recording.Recorder.level value": "nan, infinite",
+    **{f"recording.Recorder.{place.replace('.', ' ')}": "nan, infinite" for place in GAPS.split()},
+    "sightings.jacobian A": "nan",
+    "sightings.position A": "nan",
+    "spaces.angles components": "empty",
+    "time.Tdb.after seconds": "empty, several, nan, infinite",
+    "time.from_tt day": "empty, several",
+    "time.from_tt rest": "empty, several",
+}
+"""What is meant although it is in the lists below: nan where nothing is known, a batch of none, a large cap."""
+NUMBERS = {
+    "None": None, "text": "x", "no text": "", "digits": "1", "empty": [], "complex": 1j, "nan": np.nan, "infinite": np.inf,
+    "table": {}, "several": [1.0, 2.0], "a date": datetime(2026, 1, 1, tzinfo=UTC), "an object": object(), "a function": square,
+}  # fmt: skip
+ARRAYS = {
+    "None": None, "text": "x", "texts": ["x", "y"], "empty": [], "table": {}, "ragged": [[1.0], [2.0, 3.0]], "an object": object(),
+    "dates": np.array(["2026-01-01"], "datetime64[s]"), "deep": np.ones((2, 3, 5, 7)), "a function": square,
+}  # fmt: skip
+FUNCTIONS = {
+    "None": None,
+    "text": "x",
+    "number": 1.0,
+    "array": np.ones(2),
+    "returns nothing": lambda *_: None,
+    "returns text": lambda *_: "x",
+}
+OBJECTS = {"None": None, "text": "x", "number": 1.5, "array": np.ones(2), "empty": [], "a function": square, "an object": object()}
+WORDS = {"None": None, "number": 1.5, "array": np.ones(2), "empty": [], "an object": object(), "a function": square}
+MANY = {"a billion": 10**9, "negative": -(10**9), "a half": 1.5}
+
+
+def numeric(value):
+    """Whether a value is an array, or a list of numbers or arrays."""
+    return type(value) in (np.ndarray, list, tuple) and len(value) and isinstance(value[0], int | float | list | np.ndarray)
+
+
+def wrong(value):
+    """What cannot be meant in place of a value of this kind."""
+    if isinstance(value, str):
+        return WORDS
+    if callable(value) and not isinstance(value, rule.Rule):
+        return FUNCTIONS
+    if isinstance(value, int) and not isinstance(value, bool):
+        return NUMBERS | MANY
+    if isinstance(value, float):
+        return NUMBERS
+    if numeric(value):
+        array = np.asarray(value, float)
+        return ARRAYS | {"complex": array + 1j, "nan": np.full(array.shape, np.nan), "infinite": np.full(array.shape, np.inf)}
+    return OBJECTS
+
+
+def resolve(name, tmp_path):
+    """The function of a name, and a call of it that works."""
+    given = CALLS[name]
+    call, arguments = given if isinstance(given, tuple) else (None, given)
+    if name.startswith("recording.Recorder."):
+        stream = rr.RecordingStream("a test")
+        stream.memory_recording()
+        call = getattr(recording.Recorder(stream, TIMES), name.rpartition(".")[2])
+    module, *path = name.split(".")
+    found = globals()[module]
+    for part in path:
+        found = getattr(found, part)
+    if "path" in arguments and arguments["path"] == "@":
+        arguments = arguments | {"path": str(tmp_path / "a.rrd")}
+    return call or found, found, arguments
+
+
+def judge(call, arguments, name, value):
+    """None if a wrong value is refused by name, else what came of it."""
+    try:
+        call(**arguments | {name: value})
+    except (ValueError, TypeError, OSError, KeyError) as error:
+        named = re.search(rf"(?<![\w']){name}\b(, \w+)*: ", str(error))
+        return None if named else f"{type(error).__name__}: {error!s:.100}"
+    except Exception as error:
+        return f"{type(error).__name__}: {error!s:.100}"
+    return "accepted"
+
+
+@pytest.mark.parametrize("name", CALLS)
+@pytest.mark.filterwarnings("ignore")
+def test_what_cannot_be_meant_is_refused_by_name(name, tmp_path):
+    call, function, arguments = resolve(name, tmp_path)
+    call(**arguments)
+    defaults = {k: p.default for k, p in inspect.signature(function).parameters.items()}
+    found = {}
+    for argument, value in arguments.items():
+        for label, other in wrong(value).items():
+            if (other is None and defaults.get(argument, 0) is None) or label in MEANT.get(f"{name} {argument}", "").split(", "):
+                continue
+            said = judge(call, arguments, argument, other)
+            if said is not None:
+                found[f"{argument} {label}"] = said
+    assert not found
+
+
+def other_forms(value):
+    """The same value as it may also come: other types of numbers, lists, memory that cannot be written or is not in one piece."""
+    if isinstance(value, int | float):
+        yield from (np.float64(value), np.array(value), float(value))
+        if value == int(value):
+            yield from (int(value), np.int64(value), np.array(int(value)))
+    elif numeric(value):
+        array = np.asarray(value)
+        sparse = np.repeat(array, 2, 0)[::2]
+        frozen = array.copy()
+        frozen.flags.writeable = False
+        yield from (array, array.tolist(), sparse, frozen, np.asfortranarray(array), np.ma.array(array))
+
+
+@pytest.mark.parametrize("name", CALLS)
+@pytest.mark.filterwarnings("ignore")
+def test_what_may_be_meant_is_accepted(name, tmp_path):
+    call, _, arguments = resolve(name, tmp_path)
+    for argument, value in arguments.items():
+        for other in other_forms(value):
+            call(**arguments | {argument: other})
+
+
+def test_what_only_looks_wrong_is_accepted():
+    """Values of each run, of other shapes that broadcast, lazy sequences, missing ones."""
+    each = orbit.Earth(mu=np.array([398600.0, 398601.0]))
+    assert orbit.propagate(np.tile(X6, (2, 1)), -1.0, 2, each).shape == (3, 2, 6)
+    assert orbit.propagate(np.zeros((0, 6)), 1.0, 2).shape == (3, 0, 6)
+    assert spaces.angles(i for i in (0, 2)).minus(np.full(3, 7.0), np.zeros(3))[1] == 7.0
+    assert spaces.product((spaces.EUCLIDEAN, 2.0, 2.0)).plus(np.ones(2), np.ones(2)).tolist() == [2.0, 2.0]
+    assert jacobians.check_jacobian(square, np.diag([2.0, 4.0])[None], [[1.0, 2.0]], step=[[0.1]]).error < 1e-9
+    assert metrics.rmse(np.ones((0, 3, 2))).shape == (0, 2)
+    assert np.isnan(metrics.rmse([[[1.0], [np.nan]]])).all()
+    assert metrics.chi_square_band(2, 2.5)[0] > 0.0
+    assert linear_covariance.riccati([I2], I2, 0.0 * I2, I2, np.stack([I2, 0.0 * I2])).gains.shape == (1, 2, 2, 2)
+    assert noise.ar1(np.stack([I2, 0.5 * I2]), np.zeros((3, 1, 2)), np.ones(2)).shape == (4, 2, 2)
+    assert GYRO.measure(np.tile(Q4, (3, 2, 1)), np.zeros(3), np.zeros((2, 2, 3)), 1.0).shape == (2, 2, 3)
+    assert observability.jacobian(lambda x: np.ones((len(x), 1), int), [1.0, 2.0]).tolist() == [[0.0, 0.0]]
+    assert BODY.propagate(np.r_[Q4, 0.0, 0.0, 0.1], -1.0, 1).shape == (2, 7)
+    assert views.plot("a", "a", range(3), limits=[0, 1]) is not None
+
+
+def public():
+    """Names of all public functions, classes that are made, and methods of the modules."""
+    for module in MODULES:
+        short = module.__name__.rpartition(".")[2]
+        for name, thing in vars(module).items():
+            if name.startswith("_") or getattr(thing, "__module__", "") != module.__name__:
+                continue
+            if inspect.isfunction(thing) or hasattr(thing, "__wrapped__"):
+                yield f"{short}.{name}"
+            elif inspect.isclass(thing) and not getattr(thing, "_is_protocol", False) and not issubclass(thing, Warning):
+                if name != "Recorder" and ("__init__" in vars(thing)) and not issubclass(thing, tuple):
+                    yield f"{short}.{name}"
+                yield from (
+                    f"{short}.{name}.{m}" for m, f in vars(thing).items() if not m.startswith("_") and inspect.isfunction(f)
+                )
+
+
+def listed(text):
+    modules = re.findall(r"(\w+):((?:\s+[\w.]+(?!:)\b)+)", text)
+    return {f"{module}.{name}" for module, names in modules for name in names.split()}
+
+
+def test_every_public_function_is_here():
+    assert set(public()) == set(CALLS) | listed(HOT) | listed(INSIDE)
