@@ -189,7 +189,7 @@ def _preset(module: ModuleType, table: Mapping[str, Any]) -> Any:
     name = typed("preset", table.get("preset", next(iter(module.PRESETS))), str)
     if name not in module.PRESETS:
         raise ValueError(f"preset: expected one of {', '.join(module.PRESETS)}, got {name!r}")
-    return module.PRESETS[name]
+    return replace(module.PRESETS[name], **getattr(module, "MISSION", {}))
 
 
 def _limits(table: Mapping[str, Any], judged: Mapping[str, str]) -> dict[str, float]:

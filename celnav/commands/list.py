@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 from celnav import papers
@@ -39,7 +39,8 @@ def _parameters(paper: str) -> None:
 
     study = module(paper)
     choices: dict[str, tuple[Any, ...]] = getattr(study, "CHOICES", {})
-    presets: dict[str, dict[str, Any]] = {name: flat(asdict(config)) for name, config in study.PRESETS.items()}
+    start: dict[str, Any] = getattr(study, "MISSION", {})
+    presets: dict[str, dict[str, Any]] = {name: flat(asdict(replace(c, **start))) for name, c in study.PRESETS.items()}
     first, *others = presets.items()
     print(f"{paper}: {study.TITLE}\n\nAt the top of a mission:\n\n{_TOP.format(runs=first[1]['runs'])}")
     for name, unit in study.JUDGED.items():

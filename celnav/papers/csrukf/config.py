@@ -26,7 +26,13 @@ CITATION = """\
 
 FARTHEST_KM = 1e6
 """Beyond, the Earth holds no satellites."""
-CHOICES = {"measured": ("positions", "angles"), "first_noise": ("R", "stationary", "zero")}
+CHOICES = {
+    "measured": ("positions", "angles"),
+    "noise_level": ("stationary", "increments"),
+    "first_noise": ("R", "stationary", "zero"),
+}
+MISSION = {"noise_level": "stationary"}
+"""What a mission begins with instead: how large the noise is then does not depend on its color."""
 
 
 @dataclass(frozen=True)
@@ -52,13 +58,14 @@ class Config:
     separation_deg: float = 90.0  # chosen: the angle between the stars
     accuracy_sigmas: float = 3.0  # inferred: the accuracies are 3-sigma values
     sigma_km: float = 0.2  # inferred: root of the increments' covariance R, each axis
+    noise_level: str = "increments"  # inferred, as the paper's R
     prior_position_km: float = 0.15  # inferred by a fit to Tables 1 and 2
     prior_velocity_m_per_s: float = 0.035  # inferred by a fit to Tables 1 and 2
     noise_position_km: float = 7.5e-3  # inferred: root of Q, per step
     noise_velocity_km_per_s: float = 1e-8  # inferred
     phi: float = 0.0  # paper: 0 (case 1), 1 and 0.8 (cases 2 and 3), times the identity
     measured: str = "positions"  # inferred; of "angles" the noise lives on them, and positions are computed from them
-    first_noise: str = "R"  # chosen: covariance of V_0
+    first_noise: str | None = None  # chosen: covariance of V_0; None: of what noise_level says, which is R in the paper
     alpha: float = 1.0  # chosen, with beta and kappa: no negative weight
     beta: float = 0.0
     kappa: float = 0.0
@@ -68,7 +75,7 @@ class Config:
             if name not in CHOICES:
                 finite(name, getattr(self, name), ())
         for name, known in CHOICES.items():
-            if getattr(self, name) not in known:
+            if getattr(self, name) not in known and (name, getattr(self, name)) != ("first_noise", None):
                 raise ValueError(f"{name}: expected one of {', '.join(known)}, got {getattr(self, name)!r}")
         if self.steps < 1 or self.steps != int(self.steps):
             raise ValueError(f"steps: expected at least 1 (two samples), got {self.steps!r}")
@@ -91,6 +98,9 @@ class Config:
         if not least < self.semi_major_axis_km < FARTHEST_KM:
             expected = f"an orbit above the Earth, from {least:.6g} to {FARTHEST_KM:g} km"
             raise ValueError(f"semi_major_axis_km: expected {expected}, got {self.semi_major_axis_km!r}")
+        if self.noise_level == "stationary" and abs(self.phi) == 1.0:
+            walk = "a random walk has no stationary deviation, only its increments have one"
+            raise ValueError(f"noise_level: expected 'increments' where phi is {self.phi:g}: {walk}")
         if self.first_noise == "stationary" and abs(self.phi) == 1.0:
             raise ValueError(f"first_noise: expected R or zero where phi is {self.phi:g}, which has no stationary noise")
         unscented(6, self.alpha, self.beta, self.kappa)
@@ -109,19 +119,33 @@ class Config:
         return self.phi * np.eye(3)
 
     @property
+    def increment(self) -> float:
+        """Deviation of the noise increments, in those that are given."""
+        return float(np.sqrt(1.0 - self.phi**2)) if self.noise_level == "stationary" else 1.0
+
+    @property
     def R(self) -> Array:
         """Covariance of the noise increments, ``(3, 3)`` km^2."""
+        return (self.increment * self.sigma_km) ** 2 * np.eye(3)
+
+    @property
+    def white_R(self) -> Array:
+        """Covariance that a filter is given which takes the noise for white, ``(3, 3)`` km^2: what `noise_level` says."""
         return self.sigma_km**2 * np.eye(3)
 
     @property
     def Sigma0(self) -> Array:
         """Covariance of the first noise sample, ``(3, 3)`` km^2."""
-        return initial_covariance(self.first_noise, self.Phi, self.R)
+        return initial_covariance(self._first, self.Phi, self.R)
 
     @property
     def angle_Sigma0(self) -> Array:
         """The same of measured angles, ``(3, 3)`` rad^2."""
-        return initial_covariance(self.first_noise, self.Phi, np.diag(self.sigma_angles**2))
+        return initial_covariance(self._first, self.Phi, np.diag((self.increment * self.sigma_angles) ** 2))
+
+    @property
+    def _first(self) -> str:
+        return self.first_noise or ("stationary" if self.noise_level == "stationary" else "R")
 
     @property
     def sqrt_Q(self) -> Array:
@@ -135,7 +159,7 @@ class Config:
 
     @property
     def sigma_angles(self) -> Array:
-        """Standard deviations ``(3,)`` rad of the angles to the stars and of the Earth's diameter."""
+        """Deviations ``(3,)`` rad, as given, of the angles to the stars and of the Earth's diameter."""
         camera, star = np.radians(self.camera_deg), np.radians(self.star_arcsec / 3600.0)
         return np.array([np.hypot(camera, star)] * 2 + [camera]) / self.accuracy_sigmas
 
