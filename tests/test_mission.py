@@ -96,7 +96,28 @@ def test_everything_else_can_be_chosen():
         ({"paper": "csrukf", "settle_s": float("nan")}, r"settle_s \(s\): expected a number, got nan"),
         ({"paper": "csrukf", "settle_s": -5.0}, r"settle_s \(s\): expected a number that is not negative, got -5.0"),
         ({"paper": "csrukf", "limits": {"position": float("nan")}}, r"limits.position: expected a number, got nan"),
-        ({"paper": "csrukf", "runs": 10**12}, r"runs: expected at most 1000000 blocks of runs in all, got 4000000000"),
+        ({"paper": "csrukf", "runs": 10**12}, r"runs: expected at most 1000000 blocks of runs in all, got 10000000000"),
+        ({"paper": "csrukf", "settle_s": 601.0}, r"settle_s \(s\): expected at most 600, when the flight ends, got 601"),
+        (
+            {"paper": "csrukf", "settle_s": 60.0, "config": {"steps": [100, 50]}},
+            r"settle_s \(s\): expected at most 50, when the flight ends where steps = 50, got 60",
+        ),
+        ({"paper": "aukf", "config": {"duration_s": 1e9}}, r"config.duration_s \(s\): .* 1 to 10000000 steps, got 1e\+10"),
+        ({"paper": "aukf", "config": {"duration_s": 0.01}}, r"config.duration_s \(s\): expected a run of 1 to .*, got 0.1"),
+        ({"paper": "ssukf", "config": {"duration_s": 1e9}}, r"config.duration_s \(s\): .* 1 to 10000000 steps, got 4000000000"),
+        ({"paper": "ssukf", "config": {"gyro_hz": 4e9}}, r"config.duration_s \(s\): .* 1 to 10000000 steps, got 2.4e"),
+        ({"paper": "tstdkf", "config": {"days": 1e9}}, r"config.days: .* 1 to 10000000 steps, got 2.88e\+11"),
+        ({"paper": "tstdkf", "config": {"days": 1e-5}}, r"config.days: .* 1 to 10000000 steps, got 0.00288"),
+        ({"paper": "aasghqf", "config": {"steps": 10**9}}, r"config.steps: .* 1 to 10000000 steps, got 2000000000"),
+        ({"paper": "csrukf", "config": {"steps": 10**9}}, r"config.steps: .* 1 to 10000000 steps, got 1000000000"),
+        (
+            {"paper": "csrukf", "config": {"steps": [5, 10**7]}, "runs": 40},
+            r"block: expected at most 200000000 steps at once, got 40 runs of 10000000 steps where steps = 10000000; a",
+        ),
+        (
+            {"paper": "ssukf", "config": {"inertia": [[1, 0, 0], [0, 1, 0], [0, 0, 10]]}},
+            r"config.inertia: expected principal moments none of which .* got 1, 1 and 10$",
+        ),
         ({"paper": "csrukf", "phi": 0.8}, r"phi: expected it under \[config\]"),
         (
             {"paper": "csrukf", "config": {"settle_s": 5.0}},
@@ -243,6 +264,30 @@ def test_filters_are_told_how_large_the_noise_is(measured):
     assert follow(trials[0.9], exact).nees[-1].mean() / 6 == pytest.approx(1.0, abs=0.1)
     stds = [follow(trial, white).std[-1, 0, :3] for trial in trials.values()]
     np.testing.assert_allclose(*stds, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("paper", "config"),
+    [
+        ("csrukf", {"steps": 5, "step_s": 0.3}),
+        ("ssukf", {"duration_s": 1.1, "star_hz": 5.0}),
+        ("ssukf", {"duration_s": 1.1, "preintegrated": False}),
+        ("tstdkf", {"days": 0.02}),
+        ("aasghqf", {"steps": 3, "step_s": 0.3}),
+        ("aukf", {"duration_s": 0.7, "burst": "none"}),
+    ],
+)
+def test_the_last_epoch_may_be_the_only_settled_one(paper, config):
+    """Flights end when their configurations say."""
+    last = study({"paper": paper, "config": config}).configurations[0].config.end_s
+    found = study({"paper": paper, "config": config, "settle_s": last, "runs": 2})
+    trial = load(paper).trial(found.configurations[0].config, [np.random.default_rng(i) for i in range(2)])
+    assert follow(trial, found.filters[0]).times[-1] == last
+
+
+def test_a_flat_plate_is_a_body():
+    inertia = [[1, 0, 0], [0, 2, 0], [0, 0, 3]]
+    assert study({"paper": "ssukf", "config": {"inertia": inertia}}).configurations[0].config.inertia[2][2] == 3.0
 
 
 def test_a_random_walk_has_increments_only():

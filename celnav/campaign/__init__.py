@@ -68,6 +68,9 @@ def campaign(
 ) -> Outcome:
     """Do what is missing of a study whose store is ``folder``, and merge it.
 
+    Where the folder has the same study with fewer runs, or fewer values of what is swept, only the others are flown; a last block
+    that was not whole is flown anew. The table is that of the whole study flown at once, byte for byte.
+
     Parameters
     ----------
     workers: `serial` (the default), `processes`, `dask`, or any executor as `given`.

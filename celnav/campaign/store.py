@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -83,10 +83,12 @@ def _checksum(arrays: Mapping[str, Array]) -> str:
 def open_store(folder: str | Path, study: Study) -> Store:
     """Begin a store, or go on with one of the same study, in a folder that is locked.
 
+    A study may have grown since: by runs, and by values of swept keys, or of keys that had one value.
+
     Raises
     ------
-    StoreError: if the folder belongs to another study or was begun with another celnav, numpy or scipy (the message lists the
-    differences), or holds something else.
+    StoreError: if the folder belongs to another study, or one of more, or was begun with another celnav, numpy or scipy (the
+    message lists the differences), or holds something else.
     OSError: if it cannot be made or written.
     """
     path = Path(folder)
@@ -96,14 +98,15 @@ def open_store(folder: str | Path, study: Study) -> Store:
     manifest = path / MANIFEST
     if manifest.exists():
         found = _read_manifest(manifest)
-        for what, old, new in (
-            ("belongs to another study", found["study"], wanted),
-            ("was begun with another celnav", found["code"], code()),
+        for what, old, new, grown in (
+            ("belongs to another study", found["study"], wanted, {"runs", *(f"config.{key}" for key in study.swept)}),
+            ("was begun with another celnav", found["code"], code(), ()),
         ):
-            if changed := _differences(old, new):
+            if changed := _differences(old, new, grown):
                 raise StoreError(f"{path}: {what} ({'; '.join(changed)}); choose another --out, or remove the folder")
-        return Store(path)
-    if (path / "units").exists():
+        if found["study"] == wanted:
+            return Store(path)
+    elif (path / "units").exists():
         raise StoreError(f"{path}: has units but no {MANIFEST}; choose another --out, or remove the folder")
     about = {"format": FORMAT, "study": wanted, "code": code()}
     write_text(manifest, json.dumps(about, indent=1, ensure_ascii=False) + "\n")
@@ -120,10 +123,18 @@ def _read_manifest(path: Path) -> dict[str, Any]:
     raise StoreError(f"{path}: not a manifest of a campaign of this celnav; choose another --out, or remove the folder")
 
 
-def _differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
-    """``key: old -> new`` of everything that differs."""
-    keys = list(dict.fromkeys([*old, *new]))
-    return [f"{key}: {_shown(old, key)} -> {_shown(new, key)}" for key in keys if _shown(old, key) != _shown(new, key)]
+def _differences(old: Mapping[str, Any], new: Mapping[str, Any], grown: Collection[str]) -> list[str]:
+    """``key: old -> new`` of everything that differs, but for numbers and lists of some keys that have more in them now."""
+    keys = [key for key in dict.fromkeys([*old, *new]) if _shown(old, key) != _shown(new, key)]
+    same = {key for key in keys if key in grown and key in old and _within(old[key], new[key])}
+    return [f"{key}: {_shown(old, key)} -> {_shown(new, key)}" for key in keys if key not in same]
+
+
+def _within(old: Any, new: Any) -> bool:
+    """Whether a list has an old value, or all of an old list, and a number is not below the old one."""
+    if not isinstance(new, list):
+        return isinstance(old, int) and old <= new
+    return old in new or (isinstance(old, list) and all(value in new for value in old))
 
 
 def _shown(table: Mapping[str, Any], key: str) -> str:

@@ -62,7 +62,7 @@ _TOP = """\
   filters                          a list of names; none: all that are listed below
   runs                             of each configuration ({runs})
   seed                             of the random numbers, which all configurations share (0)
-  block                            runs of a work unit (250)
+  block                            runs of a work unit (100); a campaign grows by whole ones
   every                            judge one epoch in so many, and the last (1)
   settle_s                         where means over time begin; none: in the middle of the run
   limits                           a table of largest errors at the end; a run beyond one has failed"""

@@ -122,7 +122,10 @@ def test_the_planted_object_would_have_left_its_mark(tmp_path):
 @pytest.mark.parametrize(
     ("change", "difference"),
     [
-        ({"runs": 8}, "runs: 6 -> 8"),
+        ({"runs": 4}, "runs: 6 -> 4"),
+        ({"runs": 8, "seed": 1}, "seed: 0 -> 1"),
+        ({"config": {"steps": 8, "phi": [0.0]}}, r"config.phi: \[0.0, 0.8\] -> \[0.0\]"),
+        ({"config": {"steps": 8, "phi": 0.8}}, r"config.phi: \[0.0, 0.8\] -> 0.8"),
         ({"seed": 1}, "seed: 0 -> 1"),
         ({"config": {"steps": 9, "phi": [0.0, 0.8]}}, "config.steps: 8 -> 9"),
         ({"config": {"steps": 8, "phi": [0.0, 0.9]}}, r"config.phi: \[0.0, 0.8\] -> \[0.0, 0.9\]"),
@@ -135,6 +138,36 @@ def test_another_study_is_refused_with_the_difference(made, change, difference):
     with pytest.raises(StoreError, match=rf"belongs to another study \({difference}\); choose another --out"):
         campaign(study(TABLE | change), folder)
     assert again(folder) == (wanted, [], set())
+
+
+@pytest.mark.parametrize(
+    ("change", "flown"),
+    [
+        ({"runs": 8}, 2 * 2),
+        ({"runs": 7}, 2 * 1),
+        ({"config": {"steps": 8, "phi": [0.0, 0.5, 0.8]}}, 6),
+        ({"config": {"steps": 8, "phi": [0.8, 0.0], "sigma_km": [0.1, 0.2]}}, 2 * 6),  # 0.2 is what it was
+        ({"runs": 10, "config": {"steps": 8, "phi": [0.9, 0.8, 0.0]}}, 10 + 2 * 4),
+    ],
+)
+def test_a_finished_campaign_grows_and_flies_only_what_is_new(made, tmp_path, change, flown):
+    """More runs, one more value, or several of what had one: the table is that of the whole flown at once."""
+    folder, _ = made
+    seen = []
+    found = table(campaign(study(TABLE | change), folder, progress=lambda done, total: seen.append((done, total))))
+    assert found == table(campaign(study(TABLE | change), tmp_path / "at once"))
+    assert seen[-1][0] - seen[0][0] == flown
+    assert seen[-1][0] == seen[-1][1]
+    with pytest.raises(StoreError, match="belongs to another study"):  # now it is that of the larger one
+        campaign(study(TABLE), folder)
+
+
+def test_a_block_that_was_not_whole_is_flown_anew_with_the_runs_that_fill_it(tmp_path):
+    seen = []
+    for runs in (3, 6):
+        found = campaign(study(TABLE | {"runs": runs}), tmp_path / "grown", progress=lambda done, _: seen.append(done))
+    assert seen == [0, 2, 3, 5, 6, 4, 6, 8, 10, 12]
+    assert table(found) == table(campaign(study(TABLE), tmp_path / "at once"))
 
 
 @pytest.mark.parametrize("what", ["celnav", "code", "numpy", "scipy"])

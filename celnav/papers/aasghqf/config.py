@@ -11,6 +11,7 @@ from celnav.checks import finite
 from celnav.linalg import Array
 from celnav.models import earth
 from celnav.models.trajectory import Flight, turning_flight
+from celnav.montecarlo import steps
 
 TITLE = "Adaptive anisotropic sparse Gauss-Hermite quadrature filter for star, SAR and inertial navigation"
 CITATION = """\
@@ -69,6 +70,7 @@ class Config:
             value = getattr(self, name)
             if value < 1 or value != int(value):
                 raise ValueError(f"{name}: expected a positive integer, got {value!r}")
+        steps("steps", 2 * self.steps)
         for name in ("step_s", "velocity_m_per_s", "position_m", "drift_deg_per_h", "bias_ug", "star_arcsec", "sar_m"):
             if getattr(self, name) <= 0.0:
                 raise ValueError(f"{name}: expected a positive number, got {getattr(self, name)!r}")
@@ -77,6 +79,16 @@ class Config:
                 raise ValueError(f"{name}: expected a number that is not negative, got {getattr(self, name)!r}")
         if min(self.misalignment_deg) <= 0.0:
             raise ValueError(f"misalignment_deg: expected positive numbers, got {self.misalignment_deg!r}")
+
+    @property
+    def samples(self) -> int:
+        """Of the trajectory, in a run."""
+        return 2 * self.steps
+
+    @property
+    def end_s(self) -> float:
+        """The last epoch, s."""
+        return self.step_s * self.steps
 
     @property
     def times(self) -> Array:

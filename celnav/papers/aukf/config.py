@@ -9,6 +9,7 @@ import numpy as np
 from celnav.checks import finite, integer
 from celnav.linalg import Array
 from celnav.models.receiver import CRYSTAL, process_noise, transition
+from celnav.montecarlo import steps
 
 TITLE = "Adaptive unscented Kalman filter for BeiDou positioning"
 CITATION = """\
@@ -82,6 +83,7 @@ class Config:
             raise ValueError(f"deviation: expected positive numbers, got {self.deviation!r}")
         if self.burst not in CHOICES["burst"]:
             raise ValueError(f"burst: expected one of {', '.join(CHOICES['burst'])}, got {self.burst!r}")
+        steps("duration_s", self.duration_s / self.interval_s)
         for name in ("window", "runs"):
             integer(name, getattr(self, name))
 
@@ -93,9 +95,19 @@ class Config:
         return {} if self.burst == "one" else {"burst_satellite": "where the burst is not on one satellite"}
 
     @property
+    def samples(self) -> int:
+        """Steps of a run."""
+        return round(self.duration_s / self.interval_s)
+
+    @property
+    def end_s(self) -> float:
+        """The last epoch, s."""
+        return self.interval_s * self.samples
+
+    @property
     def times(self) -> Array:
         """Epochs ``(T,)`` s."""
-        return self.interval_s * np.arange(round(self.duration_s / self.interval_s) + 1)
+        return self.interval_s * np.arange(self.samples + 1)
 
     @property
     def radius_m(self) -> float:

@@ -11,6 +11,7 @@ from celnav.gaussian import Gaussian, square_root
 from celnav.linalg import Array
 from celnav.models import orbit
 from celnav.models.noise import initial_covariance
+from celnav.montecarlo import steps
 from celnav.points import unscented
 from celnav.rule import Rule
 
@@ -79,6 +80,7 @@ class Config:
                 raise ValueError(f"{name}: expected one of {', '.join(known)}, got {getattr(self, name)!r}")
         if self.steps < 1 or self.steps != int(self.steps):
             raise ValueError(f"steps: expected at least 1 (two samples), got {self.steps!r}")
+        steps("steps", self.steps)
         if self.runs < 1 or self.runs != int(self.runs):
             raise ValueError(f"runs: expected a positive integer, got {self.runs!r}")
         if abs(self.phi) > 1.0:
@@ -117,6 +119,16 @@ class Config:
     def Phi(self) -> Array:
         """Coefficient matrix of the colored noise, ``(3, 3)``."""
         return self.phi * np.eye(3)
+
+    @property
+    def samples(self) -> int:
+        """Steps of a run."""
+        return self.steps
+
+    @property
+    def end_s(self) -> float:
+        """The last epoch, s."""
+        return self.step_s * self.steps
 
     @property
     def increment(self) -> float:

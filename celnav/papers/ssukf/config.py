@@ -10,6 +10,7 @@ from celnav.checks import finite
 from celnav.linalg import Array
 from celnav.models.gyro import Gyro
 from celnav.models.rigid_body import Body
+from celnav.montecarlo import steps
 
 TITLE = "State-switching unscented Kalman filter for attitude"
 CITATION = """\
@@ -78,6 +79,8 @@ class Config:
             raise ValueError(
                 f"gyro_hz: expected a whole number of samples for each star sample, got {self.gyro_hz / self.star_hz:g}"
             )
+        steps("duration_s", self.duration_s * self.star_hz)
+        steps("duration_s", self.duration_s * self.gyro_hz)
         Body(self.inertia)
 
     @property
@@ -99,6 +102,16 @@ class Config:
     def star_epochs(self) -> int:
         """Star samples in a run."""
         return round(self.duration_s * self.star_hz)
+
+    @property
+    def samples(self) -> int:
+        """Gyro samples in a run."""
+        return self.star_epochs * self.ratio
+
+    @property
+    def end_s(self) -> float:
+        """The last star sample, s."""
+        return (self.star_epochs if self.preintegrated else self.samples) * self.step_s
 
     @property
     def gyro(self) -> Gyro:

@@ -11,6 +11,7 @@ from celnav.linalg import Array
 from celnav.models import orbit
 from celnav.models.pulsar import LIGHT_KM_S, Timing, pulsars
 from celnav.models.time import Tdb, from_utc
+from celnav.montecarlo import steps
 
 TITLE = "Two-stage strong-tracking differential Kalman filter for X-ray pulsars"
 CITATION = """\
@@ -96,6 +97,9 @@ class Config:
                 raise ValueError(f"{name}: expected a positive number, got {getattr(self, name)!r}")
         if self.runs != int(self.runs):
             raise ValueError(f"runs: expected a positive integer, got {self.runs!r}")
+        if len(set(self.pulsars)) != 3:
+            raise ValueError(f"pulsars: expected 3 different names, got {', '.join(self.pulsars) or 'none'}")
+        steps("days", self.days * DAY_S / self.step_s)
         if self.walk_km < 0.0:
             raise ValueError(f"walk_km: expected a number that is not negative, got {self.walk_km!r}")
         for name, known in CHOICES.items():
@@ -108,6 +112,16 @@ class Config:
     def steps(self) -> int:
         """Measurements."""
         return round(self.days * DAY_S / self.step_s)
+
+    @property
+    def samples(self) -> int:
+        """Steps of a run."""
+        return self.steps
+
+    @property
+    def end_s(self) -> float:
+        """The last measurement, s."""
+        return self.step_s * self.steps
 
     @property
     def start(self) -> Tdb:
