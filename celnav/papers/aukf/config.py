@@ -19,6 +19,7 @@ CITATION = """\
   note    = {in Chinese; year and journal are not in the text available, which has lost its display equations and Table 1}
 }"""
 STANDARD_GRAVITY = 9.80665
+LONGEST_WINDOW = 100_000
 CHOICES = {"burst": ("none", "ranges", "both", "one")}
 
 
@@ -86,6 +87,8 @@ class Config:
         steps("duration_s", self.duration_s / self.interval_s)
         for name in ("window", "runs"):
             integer(name, getattr(self, name))
+        if self.window > LONGEST_WINDOW:
+            raise ValueError(f"window: expected at most {LONGEST_WINDOW} epochs, which are all held, got {self.window:g}")
 
     @property
     def idle(self) -> dict[str, str]:

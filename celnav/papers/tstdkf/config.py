@@ -97,8 +97,8 @@ class Config:
                 raise ValueError(f"{name}: expected a positive number, got {getattr(self, name)!r}")
         if self.runs != int(self.runs):
             raise ValueError(f"runs: expected a positive integer, got {self.runs!r}")
-        if len(set(self.pulsars)) != 3:
-            raise ValueError(f"pulsars: expected 3 different names, got {', '.join(self.pulsars) or 'none'}")
+        if len(self.pulsars) != 3:
+            raise ValueError(f"pulsars: expected 3 names, got {', '.join(self.pulsars) or 'none'}")
         steps("days", self.days * DAY_S / self.step_s)
         if self.walk_km < 0.0:
             raise ValueError(f"walk_km: expected a number that is not negative, got {self.walk_km!r}")
