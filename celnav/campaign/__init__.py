@@ -89,7 +89,8 @@ def campaign(
         todo = [unit for units in plan for unit in units if not _kept(store, unit, say)]
         total = sum(unit.runs for units in plan for unit in units)
         done = total - sum(unit.runs for unit in todo)
-        progress(done, total)
+        if not todo:
+            progress(done, total)
 
         def keep(unit: Unit, result: Result) -> None:
             nonlocal done
@@ -97,7 +98,7 @@ def campaign(
             done += unit.runs
             progress(done, total)
 
-        compute(todo, workers or serial(), keep)
+        compute(todo, workers or serial(), keep, lambda: progress(done, total))
         return _outcome(study, store.read)
 
 
@@ -106,7 +107,6 @@ def fly(study: Study, workers: Workers | None = None, *, progress: Progress = _s
     plan = units_of(study)
     total, found = sum(unit.runs for units in plan for unit in units), {}
     done = 0
-    progress(done, total)
 
     def keep(unit: Unit, result: Result) -> None:
         nonlocal done
@@ -114,7 +114,7 @@ def fly(study: Study, workers: Workers | None = None, *, progress: Progress = _s
         done += unit.runs
         progress(done, total)
 
-    compute([unit for units in plan for unit in units], workers or serial(), keep)
+    compute([unit for units in plan for unit in units], workers or serial(), keep, lambda: progress(0, total))
     return _outcome(study, found.__getitem__)
 
 

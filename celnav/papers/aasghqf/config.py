@@ -34,6 +34,32 @@ MICRO_G = 1e-6 * earth.STANDARD_GRAVITY
 class Config:
     """Everything that a run of the study depends on.
 
+    Attributes
+    ----------
+    longitude_deg: of the start.
+    latitude_deg: of the start.
+    height_m: above the ellipsoid, constant.
+    speed_m_per_s: over the ground, at the start.
+    heading_deg: from north to east, at the start.
+    acceleration_m_per_s2: along the track, constant.
+    turn_rate_deg_per_s: to the right, constant.
+    step_s: interval of the filters' steps.
+    steps: in a run.
+    runs: of a Monte Carlo.
+    level: accuracy level of the sparse grids.
+    threshold: degree of observability beyond which a state is weighted 1, in the paper's Table 2.
+    misalignment_deg: of the platform at the start, standard deviations east, north and up.
+    velocity_m_per_s: standard deviation of the velocity at the start, east and north.
+    position_m: standard deviation of the position at the start, east and north.
+    drift_deg_per_h: standard deviation of each gyro's constant drift.
+    bias_ug: standard deviation of each accelerometer's constant bias.
+    angle_walk_deg_per_sqrt_h: noise of the gyros.
+    velocity_walk_ug_per_sqrt_hz: noise of the accelerometers.
+    star_arcsec: noise of a star fix, standard deviation on each component of a star's direction.
+    sar_m: noise of a fix by radar, standard deviation east and north.
+    star_interval: steps from one star fix to the next.
+    sar_interval: steps from one radar fix to the next.
+
     Raises
     ------
     ValueError: naming the parameter that cannot be.
@@ -79,6 +105,11 @@ class Config:
                 raise ValueError(f"{name}: expected a number that is not negative, got {getattr(self, name)!r}")
         if min(self.misalignment_deg) <= 0.0:
             raise ValueError(f"misalignment_deg: expected positive numbers, got {self.misalignment_deg!r}")
+
+    @property
+    def idle(self) -> dict[str, str]:
+        """Parameters without effect, and why."""
+        return {"threshold": "on filters: it belongs to the paper's Table 2"}
 
     @property
     def samples(self) -> int:

@@ -27,6 +27,35 @@ CHOICES = {"burst": ("none", "ranges", "both", "one")}
 class Config:
     """Everything that a run of the study depends on.
 
+    Attributes
+    ----------
+    speed_m_per_s: of the receiver, on a level circle.
+    acceleration_g: towards the circle's center.
+    height_m: above the ellipsoid.
+    latitude_deg: of the circle.
+    longitude_deg: of the circle.
+    interval_s: of the measurements.
+    duration_s: of a run.
+    mask_deg: least elevation of satellites.
+    sigma_range_m: noise of a range, standard deviation: what the filters take it for.
+    sigma_rate_m_per_s: noise of a range rate, standard deviation.
+    true_sigma_range_m: noise of a range, standard deviation: what it is.
+    burst: which measurements a burst disturbs: none, all ranges, both ranges and rates, or the range of one satellite.
+    burst_s: start and end of the burst.
+    burst_sigma: size of the burst, m on ranges and m/s on rates.
+    burst_satellite: which satellite a burst on one disturbs, counted from 0.
+    acceleration_noise_m2_per_s3: density of the white acceleration in the filters; left out: acceleration_g squared, times
+        interval_s.
+    clock_white_m2_per_s: density of the white noise of the receiver clock's frequency.
+    clock_walk_m2_per_s3: density of its random walk.
+    bias_m: true error of the receiver's clock at the start, as a range.
+    drift_m_per_s: true rate of that error at the start.
+    deviation: standard deviations of the prior: position (m), velocity (m/s), clock (m) and its rate (m/s).
+    window: epochs over which the adaptive filter averages residuals.
+    alpha: spread of the sigma points.
+    beta: weight of the sigma points' center in the covariance; 2 is best for Gaussians.
+    runs: of a Monte Carlo.
+
     Raises
     ------
     ValueError: naming the parameter that cannot be.

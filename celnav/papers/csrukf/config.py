@@ -40,6 +40,36 @@ MISSION = {"noise_level": "stationary"}
 class Config:
     """Everything that a run of the study depends on; angles in degrees, as the paper prints them.
 
+    Attributes
+    ----------
+    semi_major_axis_km: of the orbit.
+    eccentricity: of the orbit.
+    inclination_deg: of the orbit to the equator.
+    raan_deg: right ascension of the ascending node.
+    argument_of_perigee_deg: from the ascending node.
+    true_anomaly_deg: where on the orbit a run starts, from the perigee.
+    step_s: interval of the measurements and of the filters' steps.
+    steps: in a run.
+    runs: of a Monte Carlo.
+    camera_deg: accuracy of the Earth's edges, where angles are measured.
+    star_arcsec: accuracy of the directions to stars, where angles are measured.
+    separation_deg: angle between the two stars, where angles are measured.
+    accuracy_sigmas: how many standard deviations the accuracies of camera and star sensor are.
+    sigma_km: standard deviation of the noise of a measured position, on each axis; of which noise, says noise_level.
+    noise_level: what sigma_km, or camera_deg and star_arcsec, are the deviation of: the colored noise V itself (stationary),
+        however large phi is, or the white increments that drive it, in V' = phi V + increment.
+    prior_position_km: standard deviation of the estimate at the start, on each axis.
+    prior_velocity_m_per_s: standard deviation of the estimate at the start, on each axis.
+    noise_position_km: process noise of one step, standard deviation on each axis.
+    noise_velocity_km_per_s: process noise of one step, standard deviation on each axis.
+    phi: color of the noise, V' = phi V + increment: 0 is white, 1 a random walk.
+    measured: positions, computed from the angles beforehand, or the angles themselves.
+    first_noise: covariance of the first noise: that of the increments (R), of the stationary noise, or zero; left out: as
+        noise_level.
+    alpha: spread of the sigma points.
+    beta: weight of the sigma points' center in the covariance; 2 is best for Gaussians.
+    kappa: second parameter of the sigma points' spread.
+
     Raises
     ------
     ValueError: naming the parameter that cannot be.

@@ -29,7 +29,15 @@ KAPPA = 4.8
 
 @dataclass(frozen=True)
 class Setting:
-    """One row of Table 4: AR(1) coefficients of both noises, and how strongly they are correlated."""
+    """One row of Table 4: AR(1) coefficients of both noises, and how strongly they are correlated.
+
+    Attributes
+    ----------
+    F: color of the measurement noise, a number below 1 in size; its increments are as large as the pulsars are timed, so that the
+        noise grows with it.
+    L: color of the process noise, likewise.
+    kappa: how strongly the increments of both are correlated.
+    """
 
     F: float
     L: float
@@ -57,6 +65,30 @@ CHOICES = {
 @dataclass(frozen=True)
 class Config:
     """Everything that a run of the study depends on.
+
+    Attributes
+    ----------
+    start_utc: date and time of the start, UTC.
+    step_s: interval of the measurements; pulses are timed over it, so a longer one is timed better.
+    days: length of a run, days.
+    runs: of a Monte Carlo.
+    pulsars: names of the three that are timed.
+    elements: of the orbit: semi-major axis (km), eccentricity, inclination, node, perigee and true anomaly (deg).
+    error_km: error of the position at the start, each axis, and its standard deviation in the prior.
+    error_m_per_s: error of the velocity at the start, each axis, and its standard deviation in the prior.
+    rate_noise_km_per_s: process noise that drives the position's rate, standard deviation on each axis.
+    acceleration_noise_km_per_s2: process noise that drives the velocity's rate, standard deviation on each axis.
+    setting: color of both noises, see `Setting`.
+    amplitude_km: of the error of the Earth's ephemeris, each axis.
+    phase: of that error's year, each axis, rad.
+    trend: how that error goes on: over a year's sine, growing, a triangle, or constant and drawn from its prior.
+    initial: whether every run starts with the error above (paper) or with one drawn from the prior.
+    pulled: whether Sun and Moon pull at the satellite.
+    bias_prior_km: standard deviation of the ephemeris error at the start, on each axis, in the filters.
+    walk_km: how far the exact filter lets that error walk in a step, standard deviation on each axis.
+    rho: how strongly the fading factors answer, each pulsar.
+    tau: window of the fading factors, in measurements.
+    factor: form of the fading factors: of what residuals exceed, or proportional to them.
 
     Raises
     ------
