@@ -99,7 +99,10 @@ def campaign(
             progress(done, total)
 
         compute(todo, workers or serial(), keep, lambda: progress(done, total))
-        return _outcome(study, store.read)
+        try:
+            return _outcome(study, store.read)
+        except (ValueError, IndexError) as error:
+            raise StoreError(f"{folder}: its units do not go together ({error}); remove the folder") from None
 
 
 def fly(study: Study, workers: Workers | None = None, *, progress: Progress = _silent) -> Outcome:

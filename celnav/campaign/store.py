@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 
 from celnav.campaign.units import Result, Unit, code, pack, unpack
-from celnav.files import InputError, Outputs, read_npz, remove_leftovers, write_bytes, write_text
+from celnav.files import InputError, Outputs, read_json, read_npz, remove_leftovers, write_bytes, write_text
 from celnav.linalg import Array
 from celnav.mission import Study
 
-FORMAT = 1
+FORMAT = 2
 MANIFEST = "manifest.json"
 
 
@@ -41,7 +41,7 @@ class Store:
         """Keep a result. OSError names the file if it cannot be written."""
         arrays = pack(result)
         buffer = io.BytesIO()
-        np.savez(buffer, allow_pickle=False, **arrays, checksum=np.array(_checksum(arrays)))
+        np.savez(buffer, allow_pickle=False, **arrays, checksum=np.array(_checksum(unit, arrays)))
         write_bytes(self.path(unit), buffer.getvalue())
 
     def has(self, unit: Unit) -> bool:
@@ -63,16 +63,17 @@ class Store:
         path = self.path(unit)
         arrays = read_npz(path)
         stored = arrays.pop("checksum", None)
-        if stored is None or str(stored) != _checksum(arrays):
-            raise ValueError(f"{path}: checksum does not agree with the contents")
+        if stored is None or str(stored) != _checksum(unit, arrays):
+            raise ValueError(f"{path}: checksum does not agree with the contents and the name")
         try:
-            return unpack(arrays)
+            return unpack(arrays, unit.filters)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
 
 
-def _checksum(arrays: Mapping[str, Array]) -> str:
-    digest = hashlib.sha256()
+def _checksum(unit: Unit, arrays: Mapping[str, Array]) -> str:
+    """Of the key too: a copy of another unit is no result of this one."""
+    digest = hashlib.sha256(f"{unit.key} ".encode())
     for name in sorted(arrays):
         array = np.ascontiguousarray(arrays[name])
         digest.update(f"{name} {array.dtype.str} {array.shape} ".encode())
@@ -115,10 +116,10 @@ def open_store(folder: str | Path, study: Study) -> Store:
 
 def _read_manifest(path: Path) -> dict[str, Any]:
     try:
-        found = json.loads(path.read_text("utf-8"))
+        found = read_json(path)
         if found["format"] == FORMAT and isinstance(found["study"], dict) and isinstance(found["code"], dict):
             return dict(found)
-    except (ValueError, KeyError, TypeError, RecursionError):
+    except (ValueError, KeyError, TypeError):
         pass
     raise StoreError(f"{path}: not a manifest of a campaign of this celnav; choose another --out, or remove the folder")
 
