@@ -21,7 +21,9 @@ def run(options: argparse.Namespace) -> int:
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         hint = f"use --picture, or copy {path} to a machine that has one and run: rerun {path.name}"
         raise OSError(f"no display to open a window on; {hint}")
-    return subprocess.run([sys.executable, "-m", "rerun", str(path)], check=False).returncode
+    from celnav.picture import command
+
+    return subprocess.run(command(str(path)), check=False).returncode
 
 
 def _picture(path: Path, target: Path, at: float | None) -> int:
