@@ -38,7 +38,7 @@ class Body:
         if not np.allclose(J, J.T) or np.linalg.eigvalsh(J)[0] <= 0.0:
             raise ValueError("inertia: expected a symmetric positive definite (3, 3)")
         small, middle, large = np.linalg.eigvalsh(J).tolist()
-        if large > (1.0 + 1e-6) * (small + middle):  # a flat plate attains it
+        if large > 1.001 * (small + middle):  # a flat plate attains it, and numbers are rounded
             got = f"{small:.6g}, {middle:.6g} and {large:.6g}"
             raise ValueError(f"inertia: expected principal moments none of which is larger than the two others together, got {got}")
         for name, value in (

@@ -96,7 +96,7 @@ class Config:
             value = getattr(self, name)
             if value < 1 or value != int(value):
                 raise ValueError(f"{name}: expected a positive integer, got {value!r}")
-        steps("steps", 2 * self.steps)
+        steps("steps", self.steps)
         for name in ("step_s", "velocity_m_per_s", "position_m", "drift_deg_per_h", "bias_ug", "star_arcsec", "sar_m"):
             if getattr(self, name) <= 0.0:
                 raise ValueError(f"{name}: expected a positive number, got {getattr(self, name)!r}")
