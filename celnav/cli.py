@@ -112,7 +112,7 @@ def _parser() -> tuple[_Parser, dict[str, _Parser]]:
     mission.add_argument("mission", metavar="MISSION.toml", help="a paper's parameters with your changes; see data/missions")
     mission.add_argument("--out", metavar="DIR", help="where to write (default: out/missions/NAME, NAME of the file)")
 
-    campaign = command("campaign", "sweep a study's lists: table, figures and a page; run again to resume")
+    campaign = command("campaign", "sweep a study's lists: table, figures and a page; run again to resume, or to grow")
     campaign.add_argument("study", metavar="STUDY.toml", help="a mission with lists of values")
     campaign.add_argument("--out", metavar="DIR", help="its store and results (default: out/campaigns/NAME)")
     campaign.add_argument(
