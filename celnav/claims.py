@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from celnav.files import InputError, read_json
 from celnav.linalg import Array
 from celnav.metrics import bootstrap
 
@@ -22,7 +23,10 @@ _VERDICTS = {
     "erratum": ("paper in error", "not shown"),
     "beyond": ("shown", "not shown"),
 }
-
+VERDICTS = (
+    "reproduced", "reproduced (calibrated)", "not reproduced", "paper in error", "shown", "not shown", "undecided", "input absent",
+)  # fmt: skip
+"""All that there are, in the order of tables."""
 
 Bounds = tuple[float | None, float | None]
 
@@ -202,15 +206,48 @@ def read_claims(path: str | Path) -> list[dict[str, Any]]:
 
     Raises
     ------
-    ValueError: naming the file, if it is not a list of claims.
+    InputError: naming the file, and the claim, if it is not a list of whole claims.
     """
-    try:
-        loaded = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: expected a claims.json, got something that is not JSON ({error})") from None
-    if not isinstance(loaded, list) or not all(isinstance(c, dict) and "id" in c and "verdict" in c for c in loaded):
-        raise ValueError(f"{path}: expected a list of claims")
+    loaded = read_json(path)
+    if not isinstance(loaded, list):
+        raise InputError(f"{path}: expected a list of claims")
+    for number, claim in enumerate(loaded):
+        if not isinstance(claim, dict):
+            raise InputError(f"{path}: claim {number}: expected a table, got {claim!r:.80}")
+        for key, right in _SHAPE.items():
+            if key not in claim or not right(claim[key]):
+                got = f"got {claim[key]!r:.80}" if key in claim else "got none"
+                raise InputError(f"{path}: claim {number}: {key}: not what celnav writes, {got}; reproduce the paper again")
     return loaded
+
+
+def _text(value: Any) -> bool:
+    return isinstance(value, str)
+
+
+def _maybe(value: Any) -> bool:
+    """Whether it is a number or None."""
+    return value is None or (isinstance(value, int | float) and not isinstance(value, bool))
+
+
+def _pair(value: Any) -> bool:
+    return isinstance(value, list) and len(value) == 2 and all(map(_maybe, value))
+
+
+_SHAPE: dict[str, Callable[[Any], bool]] = {
+    "id": _text,
+    "kind": lambda value: value in KINDS,
+    "statement": _text,
+    "paper": lambda value: _text(value) or isinstance(value, bool) or _maybe(value),
+    "value": _maybe,
+    "ci": lambda value: value is None or _pair(value),
+    "accept": _pair,
+    "expected": lambda value: isinstance(value, bool),
+    "holds": lambda value: value is None or isinstance(value, bool),
+    "verdict": lambda value: value in VERDICTS,
+    "note": _text,
+}
+"""What `Claim.to_dict` writes."""
 
 
 COLUMNS = ("claim", "paper", "ours", "interval", "accepted", "verdict")
@@ -224,12 +261,6 @@ def row(claim: dict[str, Any]) -> tuple[str, ...]:
     number = "" if claim["value"] is None else f"{claim['value']:.4g}"
     paper = "" if claim["paper"] is None else f"{claim['paper']:g}" if isinstance(claim["paper"], float | int) else claim["paper"]
     return claim["statement"], paper, number, interval, accepted, claim["verdict"]
-
-
-VERDICTS = (
-    "reproduced", "reproduced (calibrated)", "not reproduced", "paper in error", "shown", "not shown", "undecided", "input absent",
-)  # fmt: skip
-"""All that there are, in the order of tables."""
 
 
 def tally(claims: Iterable[dict[str, Any]]) -> dict[str, int]:

@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import argparse
+import difflib
 import importlib
 import io
+import itertools
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from typing import NoReturn
 
 import celnav
 from celnav.commands.arguments import UsageError
-from celnav.files import InputError
+from celnav.files import ForeignFileError, InputError
+
+EXIT = "Exit status: 0, done; 1, it could not be done; 2, what was given cannot be used; 130, interrupted."
+BAD_INPUT = (InputError, ForeignFileError, FileNotFoundError, IsADirectoryError, NotADirectoryError, PermissionError)
+"""What was given cannot be used, files and folders too: the exit status is 2."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -20,7 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
     try:
-        options = _parser().parse_args(arguments)
+        options = _options(sys.argv[1:] if arguments is None else arguments)
         status: int = importlib.import_module(f"celnav.commands.{options.module}").run(options)
         sys.stdout.flush()
         return status
@@ -32,6 +39,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
     except (OSError, ImportError, InputError) as error:
         print(f"celnav: {_told(error)}", file=sys.stderr)
+        return 2 if isinstance(error, BAD_INPUT) else 1
+    except MemoryError as error:
+        print(f"celnav: not enough memory ({error}); fewer runs at once, or fewer --jobs, need less", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("celnav: interrupted", file=sys.stderr)
@@ -45,8 +55,41 @@ def _told(error: Exception) -> str:
     return str(error)
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="celnav", description=(celnav.__doc__ or "").partition("\n")[0])
+class _Parser(argparse.ArgumentParser):
+    """Its mistakes are one line, like all others."""
+
+    def error(self, message: str) -> NoReturn:
+        raise UsageError(f"{message}; see {self.prog} --help")
+
+
+def _options(words: Sequence[str]) -> argparse.Namespace:
+    """What the words ask for; UsageError names what is nearest to one that is unknown."""
+    parser, commands = _parser()
+    if not words:
+        parser.print_help()
+        raise SystemExit(0)
+    name = words[0]
+    if not name.startswith("-") and name not in commands:
+        raise UsageError(f"unknown command {name!r}: expected one of {', '.join(commands)}{_nearest(name, commands)}")
+    told = commands.get(name, parser)
+    for word in itertools.takewhile(lambda word: word != "--", words):
+        option, flags = word.partition("=")[0], [flag for flag in told._option_string_actions if flag.startswith("--")]
+        if word.startswith("--") and not any(flag.startswith(option) for flag in flags):
+            raise UsageError(f"unknown option {option}{_nearest(option, flags)}; see {told.prog} --help")
+    options, rest = parser.parse_known_args(words)
+    if rest:
+        raise UsageError(f"expected nothing more, got {rest[0]!r}; see {told.prog} --help")
+    return options
+
+
+def _nearest(word: str, known: Iterable[str]) -> str:
+    close = difflib.get_close_matches(word, known, 1)
+    return f"; did you mean {close[0]}?" if close else ""
+
+
+def _parser() -> tuple[_Parser, dict[str, _Parser]]:
+    """The parser, and those of the commands by name."""
+    parser = _Parser(prog="celnav", description=(celnav.__doc__ or "").partition("\n")[0], epilog=EXIT)
     parser.add_argument("--version", action="version", version=f"celnav {celnav.__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
@@ -69,7 +112,7 @@ def _parser() -> argparse.ArgumentParser:
     mission.add_argument("mission", metavar="MISSION.toml", help="a paper's parameters with your changes; see data/missions")
     mission.add_argument("--out", metavar="DIR", help="where to write (default: out/missions/NAME, NAME of the file)")
 
-    campaign = command("campaign", "sweep a study's lists: table, figures and a page; run again to resume")
+    campaign = command("campaign", "sweep a study's lists: table, figures and a page; run again to resume, or to grow")
     campaign.add_argument("study", metavar="STUDY.toml", help="a mission with lists of values")
     campaign.add_argument("--out", metavar="DIR", help="its store and results (default: out/campaigns/NAME)")
     campaign.add_argument(
@@ -112,4 +155,4 @@ def _parser() -> argparse.ArgumentParser:
         "--acceleration-noise", default="0.01", metavar="Q", help="m^2/s^3; a^2 T for accelerations a each T s (default: 0.01)"
     )
     position.add_argument("--out", default="out/position", metavar="DIR", help="where to write (default: out/position)")
-    return parser
+    return parser, commands.choices

@@ -11,12 +11,14 @@ import hashlib
 import io
 import json
 import os
+import secrets
 import shutil
 import tempfile
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from filelock import FileLock, Timeout
@@ -26,7 +28,7 @@ from celnav.linalg import Array
 MANIFEST = ".celnav.json"
 LOCK = ".celnav.lock"
 TEMPORARY = ".celnav-"
-"""How names of temporary folders begin."""
+"""How names of temporary folders begin; see `_temporary_name`."""
 MOST_UNPACKED = 100
 """Times the size of a file: no honest archive of numbers unpacks to more."""
 
@@ -48,7 +50,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
     try:
-        with tempfile.TemporaryDirectory(prefix=TEMPORARY, dir=target.parent) as folder:
+        with tempfile.TemporaryDirectory(prefix=_temporary_name(secrets.token_hex(8)), dir=target.parent) as folder:
             temporary = Path(folder) / target.name
             yield temporary
             with temporary.open("rb+") as file:
@@ -113,10 +115,35 @@ def locked(folder: str | Path) -> Iterator[None]:
 
 
 def remove_leftovers(*folders: str | Path) -> None:
-    """Remove what processes left that were killed while they wrote into folders. Only for who has them `locked`."""
+    """Remove what processes left that were killed while they wrote into folders. Only for who has them `locked`.
+
+    What celnav did not make stays, whatever its name begins with.
+    """
     for folder in folders:
         for path in Path(folder).glob(f"{TEMPORARY}*"):
-            shutil.rmtree(path, ignore_errors=True)
+            token = path.name.removeprefix(TEMPORARY).partition("-")[0]
+            if path.name.startswith(_temporary_name(token)) and not path.is_symlink():
+                shutil.rmtree(path, ignore_errors=True)
+
+
+def _temporary_name(token: str) -> str:
+    """How the name of a temporary folder begins: with a check of its random part, which nobody else writes there by chance."""
+    return f"{TEMPORARY}{token}-{hashlib.sha256(f'celnav {token}'.encode()).hexdigest()[:16]}-"
+
+
+def read_json(path: str | Path) -> Any:
+    """What a JSON file holds.
+
+    Raises
+    ------
+    InputError: naming the file, if it is not JSON, or lists lie within one another too deeply. OSError: if it cannot be read.
+    """
+    try:
+        return json.loads(Path(path).read_text(encoding="utf-8"))
+    except RecursionError:
+        raise InputError(f"{path}: lists or tables within one another too deeply") from None
+    except ValueError as error:
+        raise InputError(f"{path}: not a JSON file ({error})") from None
 
 
 class Outputs:
@@ -145,7 +172,7 @@ class Outputs:
         if not manifest.exists():
             return {}
         try:
-            return {str(k): [str(h) for h in v] for k, v in json.loads(manifest.read_text("utf-8")).items()}
+            return {str(k): [str(h) for h in v] for k, v in read_json(manifest).items()}
         except (ValueError, AttributeError, TypeError):
             raise ForeignFileError(f"{manifest}: not a manifest of celnav") from None
 
@@ -158,7 +185,9 @@ class Outputs:
         path = self.directory / name
         if Path(name).is_absolute() or ".." in Path(name).parts:
             raise ValueError(f"name: expected a path inside the folder, got {name!r}")
-        for above in Path(name).parents:
+        for above in list(Path(name).parents)[:-1]:
+            if (self.directory / above).is_symlink():
+                raise ForeignFileError(f"{self.directory / above}: expected a folder of its own, got a link; remove it first")
             if (self.directory / above).exists() and not (self.directory / above).is_dir():
                 raise NotADirectoryError(f"{self.directory / above}: expected a folder to write to")
         if path.is_symlink() or (path.exists() and _sha256(path) not in self._manifest().get(name, [])):

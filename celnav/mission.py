@@ -35,8 +35,10 @@ LARGEST_FILE = 1_000_000
 MOST_CONFIGURATIONS = 100_000
 MOST_UNITS = 1_000_000
 """Blocks of runs in all."""
-BLOCK = 250
-"""Runs of a work unit, unless a file says otherwise."""
+MOST_SAMPLES = 200_000_000
+"""Of all runs of a block, which are simulated at once: more take tens of gigabytes."""
+BLOCK = 100
+"""Runs of a work unit, unless a file says otherwise: larger ones are hardly faster, and a campaign grows by whole ones."""
 KEYS = ("title", "paper", "preset", "filters", "runs", "seed", "block", "every", "settle_s", "limits", "config")
 
 
@@ -155,13 +157,26 @@ def study(table: Mapping[str, Any]) -> Study:
     units = len(points) * -(-options["runs"] // options["block"])
     if units > MOST_UNITS:
         raise ValueError(f"runs: expected at most {MOST_UNITS} blocks of runs in all, got {units}; fewer runs, or a larger block")
-    if options["settle_s"] is not None and options["settle_s"] < 0.0:
-        raise ValueError(f"settle_s (s): expected a number that is not negative, got {options['settle_s']!r}")
+    _check_flights(points, options)
     names = _filters(module, table, points)
     return Study(paper=paper, filters=names, swept=swept, configurations=points, **options)
 
 
 _OPTIONS: dict[str, Any] = {"title": str, "runs": int, "seed": int, "block": int, "every": int, "settle_s": float}
+
+
+def _check_flights(points: Sequence[Configuration], options: Mapping[str, Any]) -> None:
+    """Refuse what cannot be settled, or cannot be held in memory."""
+    settle, runs = options["settle_s"], min(options["runs"], options["block"])
+    if settle is not None and settle < 0.0:
+        raise ValueError(f"settle_s (s): expected a number that is not negative, got {settle!r}")
+    for values, config in points:
+        where = f" where {at}" if (at := ", ".join(f"{k} = {v}" for k, v in values.items())) else ""
+        if settle is not None and settle > config.end_s:
+            raise ValueError(f"settle_s (s): expected at most {config.end_s:g}, when the flight ends{where}, got {settle:g}")
+        if config.samples * runs > MOST_SAMPLES:
+            sizes = f"{runs} runs of {config.samples} steps{where}"
+            raise ValueError(f"block: expected at most {MOST_SAMPLES} steps at once, got {sizes}; a smaller block needs less")
 
 
 def _part(name: str, make: Any) -> Any:
@@ -189,7 +204,7 @@ def _preset(module: ModuleType, table: Mapping[str, Any]) -> Any:
     name = typed("preset", table.get("preset", next(iter(module.PRESETS))), str)
     if name not in module.PRESETS:
         raise ValueError(f"preset: expected one of {', '.join(module.PRESETS)}, got {name!r}")
-    return module.PRESETS[name]
+    return replace(module.PRESETS[name], **getattr(module, "MISSION", {}))
 
 
 def _limits(table: Mapping[str, Any], judged: Mapping[str, str]) -> dict[str, float]:

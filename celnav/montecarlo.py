@@ -21,6 +21,8 @@ from celnav.checks import integer
 from celnav.linalg import Array
 
 R = TypeVar("R")
+MOST_STEPS = 10_000_000
+"""Of one run, at its finest rate: more take a day, and gigabytes."""
 Progress = Callable[[int, int, str], None]
 """``(done, total, label)``, called when a unit of work is done."""
 
@@ -59,6 +61,18 @@ def run_count(full: int, runs: int | None, effort: float) -> int:
         raise ValueError(f"effort: expected a number in (0, 1], got {effort!r}")
     count = max(2, round(full * effort)) if runs is None else runs
     return integer("runs", count, 2)
+
+
+def steps(name: str, count: float) -> int:
+    """The number of steps of a run, which may come as a quotient.
+
+    Raises
+    ------
+    ValueError: naming the parameter that it follows from, if it is below 1 or more than can be held.
+    """
+    if not 0.5 < count <= MOST_STEPS:
+        raise ValueError(f"{name}: expected a run of 1 to {MOST_STEPS} steps, got {count:.10g}")
+    return round(count)
 
 
 class Unit(NamedTuple):

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
-import shutil
+import signal
 import socket
+import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -18,6 +20,8 @@ from rerun.experimental import ViewerClient
 from celnav.files import InputError, replacing
 from celnav.views import TIMELINE
 
+HOST = "127.0.0.1"
+"""What the viewer listens to."""
 PATIENCE_S = 60.0
 """How long the viewer may take to draw."""
 SETTLE_S = 8.0
@@ -56,13 +60,9 @@ def picture(recording: str | Path, path: str | Path, at: float, width: int = 160
     ------
     OSError: if the viewer cannot start or draws nothing, or the file cannot be written.
     """
-    program = shutil.which("rerun", path=Path(sys.executable).parent) or shutil.which("rerun")
-    with replacing(path) as target, _quiet(), socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-        probe.close()
+    with replacing(path) as target:
         try:
-            with ViewerClient.spawn(headless=True, port=port, hide_welcome_screen=True, executable_path=program) as viewer:
+            with _viewer() as viewer:
                 viewer.open(str(Path(recording).resolve()))
                 viewer.set_time(TIMELINE, duration=at, play_state="paused")
                 target.write_bytes(_drawn(viewer, width))
@@ -71,17 +71,48 @@ def picture(recording: str | Path, path: str | Path, at: float, width: int = 160
             raise OSError(f"{recording}: the viewer gave no picture ({said}); it needs a Vulkan driver") from None
 
 
+def command(*arguments: str) -> list[str]:
+    """How the viewer is started; it listens to this machine only, which it would not by itself."""
+    return [sys.executable, "-m", "rerun", "--bind", HOST, *arguments]
+
+
 @contextmanager
-def _quiet() -> Iterator[None]:
-    """What keeps the viewer from talking of itself, and of a desktop that is not there, in the environment."""
-    with TemporaryDirectory() as folder:
-        wanted = {name: value for name, value in (("RUST_LOG", "error"), ("XDG_RUNTIME_DIR", folder)) if name not in os.environ}
-        os.environ.update(wanted)
+def _viewer() -> Iterator[ViewerClient]:
+    """A viewer without a window, which does not talk of itself, nor of a desktop that is not there; it ends with the block."""
+    with socket.socket() as probe:
+        probe.bind((HOST, 0))
+        port = probe.getsockname()[1]
+    with TemporaryDirectory() as folder, Path(folder, "said").open("w+b") as said:
+        words = command("--headless", "--hide-welcome-screen", "--port", str(port))
+        env = {"RUST_LOG": "error", "XDG_RUNTIME_DIR": folder, **os.environ}
+        process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=said, stderr=said, env=env, start_new_session=True)
         try:
-            yield
+            deadline = time.monotonic() + PATIENCE_S
+            while not _answers(port):
+                if process.poll() is not None or time.monotonic() > deadline:
+                    said.seek(0)
+                    raise RuntimeError(said.read().decode(errors="replace").strip() or "it does not start")
+                time.sleep(0.1)
+            yield ViewerClient.connect(f"rerun+http://{HOST}:{port}/proxy")
         finally:
-            for name in wanted:
-                os.environ.pop(name, None)
+            _end(process)
+
+
+def _answers(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex((HOST, port)) == 0
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """End a process and what it started, which on Windows are one."""
+    if os.name == "posix":
+        for sign in (signal.SIGTERM, signal.SIGKILL):
+            with contextlib.suppress(ProcessLookupError, subprocess.TimeoutExpired):
+                os.killpg(process.pid, sign)
+                process.wait(5.0)
+    else:
+        subprocess.run(["taskkill", "/PID", str(process.pid), "/T", "/F"], check=False, capture_output=True)
+    process.wait()
 
 
 def _drawn(viewer: ViewerClient, width: int) -> bytes:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import html
-import json
 import os
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -14,6 +13,7 @@ from typing import Any
 
 import celnav
 from celnav.claims import COLUMNS, KINDS, VERDICTS, read_claims, row, tally
+from celnav.files import read_json
 from celnav.page import document, figure, link, table
 from celnav.papers import PAPERS, figures, load, tables
 
@@ -108,7 +108,7 @@ def _notebook(out: Path, paper: str) -> str:
 def effort_of(folder: Path) -> float | None:
     """With what part of its runs a paper was reproduced; None if there is no record of it."""
     try:
-        return float(json.loads((folder / "timings.json").read_text(encoding="utf-8"))["effort"])
+        return float(read_json(folder / "timings.json")["effort"])
     except (OSError, ValueError, KeyError, TypeError):
         return None
 
@@ -121,7 +121,7 @@ def few(part: float) -> str:
 def _about(path: Path) -> str:
     """Versions, machine and time of a ``timings.json``."""
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        found = read_json(path)
         versions = ", ".join(f"{name} {version}" for name, version in found["about"].items())
         return f"{versions}; effort {found['effort']:g}, {found['cpu_s']:.0f} s of CPU time"
     except (OSError, ValueError, KeyError, TypeError, AttributeError):

@@ -93,6 +93,21 @@ def score(
     return scores, list(failures.values())
 
 
+def check_scores(scores: Scores, groups: int) -> None:
+    """Raise ValueError unless these are numbers of the names and shapes that `score` makes for so many groups."""
+    none = np.empty(0)
+    K, G, n = scores.get("times", none).shape[:1], (groups,), scores.get("error", none).shape[:1]
+    shapes = dict.fromkeys(("times", "settled", "count", "known", "nees", "nis", "dof"), K) | {
+        "runs": (), "judged": (), "square": K + G, "variance": K + G, "own": (2, *G), "own_nees": (2,), "error": n, "outer": n + n,
+        "nees_histogram": (BINS,), "nis_histogram": (BINS,),
+    }  # fmt: skip
+    if set(scores) != set(shapes):
+        raise ValueError(f"expected scores {', '.join(shapes)}, got {', '.join(scores)}")
+    for name, shape in shapes.items():
+        if scores[name].shape != shape or scores[name].dtype != np.float64:
+            raise ValueError(f"{name}: expected numbers of shape {shape}, got {scores[name].dtype} of {scores[name].shape}")
+
+
 def _sum(values: Array, there: Array) -> Array:
     """Sum over the runs of those that are there."""
     return np.asarray(_only(values, there).sum(1))

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import inspect
+import re
 import types
 import typing
+from dataclasses import is_dataclass
 from typing import Any
 
 _DIMENSIONS = ("km", "m", "s", "deg", "arcsec", "h", "hz", "g", "ug", "rad", "m2", "s2", "s3", "sqrt_h", "sqrt_hz")
@@ -31,6 +34,16 @@ def depth(value: Any) -> int:
 def type_depth(hint: Any) -> int:
     """How many lists lie within one another in a value of a type."""
     return 1 + type_depth(typing.get_args(hint)[0]) if typing.get_origin(hint) is tuple else 0
+
+
+def meanings(of: type) -> dict[str, str]:
+    """What the attributes of a class mean, from that section of its documentation; those of a class within it are dotted."""
+    section = inspect.cleandoc(of.__doc__ or "").partition("\nAttributes\n----------\n")[2].partition("\n\n")[0]
+    found = {m[1]: " ".join(m[2].split()) for m in re.finditer(r"^(\w+): (.*(?:\n .*)*)", section, re.MULTILINE)}
+    for name, hint in typing.get_type_hints(of).items():
+        if is_dataclass(hint) and isinstance(hint, type):
+            found |= {f"{name}.{key}": text for key, text in meanings(hint).items()}
+    return found
 
 
 _WORDS = {float: "a number", int: "a whole number", str: "a word", bool: "true or false", list: "a list", dict: "a table"}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,8 +16,10 @@ import celnav
 from celnav import cli, papers
 from celnav.claims import Claim
 from celnav.figures import figure
+from celnav.mission import flat
 from celnav.montecarlo import Plan, Unit
 from celnav.papers import load
+from celnav.typed import meanings, unit_of
 
 
 def numbers(start):
@@ -94,10 +97,22 @@ def test_strict_fails_where_a_claim_is_not_as_expected(study, tmp_path, capsys):
         (["reproduce", "--seed", "-1"], 2, "seed"),
         (["reproduce", "--jobs", "0"], 2, "jobs"),
         (["view", "tinny"], 2, "unknown paper"),
-        (["view", "tiny"], 1, "celnav reproduce tiny"),
-        (["view", "absent.rrd"], 1, "absent.rrd: no such recording"),
+        (["view", "tiny"], 2, "celnav reproduce tiny"),
+        (["view", "absent.rrd"], 2, "absent.rrd: no such recording"),
+        (["verdicts"], 2, "no paper was reproduced there"),
+        (["reproduse"], 2, "unknown command 'reproduse': expected one of list, reproduce, "),
+        (["reproduse"], 2, "; did you mean reproduce?"),
+        (["reproduce", "--efort", "0.1"], 2, "unknown option --efort; did you mean --effort?; see celnav reproduce --help"),
+        (["run", "--efort=0.1"], 2, "unknown option --efort; did you mean --effort?"),
+        (["run", "mission.toml", "another"], 2, "expected nothing more, got 'another'; see celnav run --help"),
+        (["--versoin"], 2, "unknown option --versoin; did you mean --version?"),
+        (["run"], 2, "the following arguments are required: MISSION.toml; see celnav run --help"),
+        (["reproduce", "--jobs", "none"], 2, "--jobs: expected a whole number of at least 1, got 'none'"),
+        (["reproduce", "--seed", "x"], 2, "--seed: expected a whole number"),
+        (["reproduce", "--effort", "x"], 2, "celnav: --effort: expected a number in (0, 1], got 'x'"),
+        (["reproduce", "--rinex", "."], 2, "--rinex: expected a paper that takes a receiver's log"),
         (["view", "mission.toml"], 2, "mission.toml: expected a paper that was reproduced, or a recording, FILE.rrd"),
-        (["run", "absent.toml"], 1, "celnav: absent.toml: no such file or directory"),
+        (["run", "absent.toml"], 2, "celnav: absent.toml: no such file or directory"),
     ],
 )
 def test_a_mistake_is_one_line_and_an_exit_code(study, tmp_path, monkeypatch, capsys, arguments, status, text):
@@ -112,7 +127,7 @@ def test_a_mistake_is_one_line_and_an_exit_code(study, tmp_path, monkeypatch, ca
 def test_a_foreign_file_is_refused_before_computing(study, tmp_path, capsys):
     (tmp_path / "tiny").mkdir()
     (tmp_path / "tiny" / "claims.json").write_text("mine")
-    assert cli.main(["reproduce", "--out", str(tmp_path)]) == 1
+    assert cli.main(["reproduce", "--out", str(tmp_path)]) == 2
     assert "claims.json" in capsys.readouterr().err
     assert (tmp_path / "tiny" / "claims.json").read_text() == "mine"
     assert not (tmp_path / "tiny" / "result.npz").exists()
@@ -120,7 +135,7 @@ def test_a_foreign_file_is_refused_before_computing(study, tmp_path, capsys):
 
 def test_an_output_that_is_a_file_is_refused(study, tmp_path, capsys):
     (tmp_path / "out").write_text("mine")
-    assert cli.main(["reproduce", "--out", str(tmp_path / "out")]) == 1
+    assert cli.main(["reproduce", "--out", str(tmp_path / "out")]) == 2
     assert capsys.readouterr().err.count("\n") == 1
 
 
@@ -158,12 +173,12 @@ def test_view_without_a_display_says_what_to_do(study, tmp_path, monkeypatch, ca
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        (["--picture", "a.jpg"], "picture: expected the name of a .png file, got 'a.jpg'"),
-        (["--picture", "a.png", "--at", "soon"], "at: expected a number, got 'soon'"),
-        (["--picture", "a.png", "--at", "-1"], "at: expected a time of the recording, from 0 to 2 s, got -1"),
-        (["--picture", "a.png", "--at", "nan"], "at: expected a time of the recording, from 0 to 2 s, got nan"),
-        (["--picture", "a.png", "--at", "2.5"], "at: expected a time of the recording, from 0 to 2 s, got 2.5"),
-        (["--at", "1"], "at: expected --picture FILE.png with it; in a window the time is moved by hand"),
+        (["--picture", "a.jpg"], "--picture: expected the name of a .png file, got 'a.jpg'"),
+        (["--picture", "a.png", "--at", "soon"], "--at: expected a number, got 'soon'"),
+        (["--picture", "a.png", "--at", "-1"], "--at: expected a time of the recording, from 0 to 2 s, got -1"),
+        (["--picture", "a.png", "--at", "nan"], "--at: expected a time of the recording, from 0 to 2 s, got nan"),
+        (["--picture", "a.png", "--at", "2.5"], "--at: expected a time of the recording, from 0 to 2 s, got 2.5"),
+        (["--at", "1"], "--at: expected --picture FILE.png with it; in a window the time is moved by hand"),
     ],
 )
 def test_a_picture_that_cannot_be_is_one_line(tmp_path, monkeypatch, capsys, options, text):
@@ -253,8 +268,42 @@ def test_less_than_the_whole_effort_is_told(study, tmp_path, capsys):
     assert "celnav: tiny: only 0.5 of the runs" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("paper", papers.PAPERS)
+def test_list_says_what_each_parameter_means_and_its_unit(paper, capsys):
+    """Nested ones too; where the name does not end in the unit, the meaning has it, or it is a number, a count or a word."""
+    assert cli.main(["list", paper]) == 0
+    listed = " ".join(capsys.readouterr().out.partition("[config]")[2].split())
+    start = next(iter(load(paper).PRESETS.values()))
+    said = meanings(type(start))
+    for name in flat(asdict(start)):
+        assert said[name].endswith(".")
+        assert name == "runs" or f"{unit_of(name)} {said[name]}".strip() in listed
+    units = {"inertia": "kg m^2", "wheels": "N m s", "torque": "N m", "elements": "(km)", "phase": "rad", "deviation": "(m)"}
+    for name, unit in (units | {"burst_sigma": "m/s", "days": "days"}).items():
+        assert name not in said or unit in said[name]
+
+
+def test_bare_celnav_shows_the_help(capsys):
+    with pytest.raises(SystemExit, match="0"):
+        cli.main([])
+    shown = capsys.readouterr().out
+    assert "campaign" in shown
+    assert "Exit status: 0" in shown
+
+
+def test_a_lack_of_memory_is_one_line(study, tmp_path, monkeypatch, capsys):
+    def plan(**_):
+        raise MemoryError("Unable to allocate 80 GiB")
+
+    monkeypatch.setattr(load("tiny"), "plan", plan)
+    assert cli.main(["reproduce", "--out", str(tmp_path)]) == 1
+    assert capsys.readouterr().err == (
+        "celnav: not enough memory (Unable to allocate 80 GiB); fewer runs at once, or fewer --jobs, need less\n"
+    )
+
+
 def test_list_says_what_a_parameter_can_be_and_how_many_runs_there_are(capsys):
     assert cli.main(["list", "csrukf"]) == 0
-    text = capsys.readouterr().out
-    assert 'one of "R", "stationary", "zero"' in text
+    text = " ".join(capsys.readouterr().out.split())
+    assert 'One of "R", "stationary", "zero".' in text
     assert "of each configuration (100)" in text

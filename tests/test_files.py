@@ -7,8 +7,9 @@ import json
 import numpy as np
 import pytest
 
+from celnav import cli
 from celnav.claims import Claim, ClaimsTable, dumps, read_claims
-from celnav.files import ForeignFileError, Outputs, read_npz, write_text
+from celnav.files import ForeignFileError, InputError, Outputs, read_npz, write_text
 
 
 class Payload:
@@ -119,6 +120,55 @@ def test_claims_json_has_the_agreed_keys_and_no_bare_nan(tmp_path):
     write_text(tmp_path / "bad.json", "{}")
     with pytest.raises(ValueError, match=r"bad\.json"):
         read_claims(tmp_path / "bad.json")
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        *((key, None) for key in ("id", "kind", "statement", "accept", "expected", "verdict", "note")),
+        ("verdict", "well"),
+        ("verdict", []),
+        ("kind", {}),
+        ("value", "x"),
+        ("value", True),
+        ("ci", [1.0]),
+        ("ci", 3),
+        ("accept", [1, "x"]),
+        ("holds", 3),
+        ("paper", [1]),
+        ("id", ...),
+        ("ci", ...),
+    ],
+)
+def test_a_claim_that_is_not_whole_is_named(tmp_path, key, value):
+    claims = json.loads(dumps([claim(), Claim("other", "beyond", "s", None, (None, 1.0), True, paper="12 %", ci=(0.0, 1.0))]))
+    write_text(tmp_path / "claims.json", json.dumps(claims))
+    assert read_claims(tmp_path / "claims.json") == claims
+    claims[1][key] = value
+    if value is ...:
+        del claims[1][key]
+    write_text(tmp_path / "claims.json", json.dumps(claims))
+    with pytest.raises(InputError, match=rf"claims\.json: claim 1: {key}: not what celnav writes"):
+        read_claims(tmp_path / "claims.json")
+
+
+@pytest.mark.parametrize("text", ["", "[" * 100_000, "[3]", "3", "\x00", '[{"id": "a", "verdict": "shown"}]'])
+def test_damaged_files_of_celnav_are_one_line(tmp_path, capsys, text):
+    """Claims, the record of their times, and the manifest."""
+    folder = tmp_path / "csrukf"
+    folder.mkdir()
+    (folder / "claims.json").write_text(text)
+    (folder / "timings.json").write_text(text)
+    assert cli.main(["verdicts", "--out", str(tmp_path)]) == 2
+    error = capsys.readouterr().err
+    assert str(folder / "claims.json") in error
+    assert error.count("\n") == 1
+    (folder / "claims.json").write_text(dumps([claim()]))
+    assert cli.main(["verdicts", "--out", str(tmp_path)]) == 0
+    capsys.readouterr()
+    (folder / ".celnav.json").write_text(text)
+    assert cli.main(["reproduce", "csrukf", "--out", str(tmp_path)]) == 2
+    assert capsys.readouterr().err == f"celnav: {folder / '.celnav.json'}: not a manifest of celnav\n"
 
 
 def test_a_table_of_claims_shows_itself_everywhere():

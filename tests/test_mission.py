@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from celnav.mission import MissionError, read, study
-from celnav.papers import PAPERS, load
+from celnav.papers import PAPERS, csrukf, load
+from celnav.trial import follow
 from celnav.typed import unit_of
 
 MISSIONS = sorted((Path(__file__).parents[1] / "data" / "missions").glob("*.toml"))
@@ -17,7 +20,7 @@ def test_every_paper_is_a_mission_by_its_name_alone():
     for paper in PAPERS:
         found, module = study({"paper": paper}), load(paper)
         first = next(iter(module.PRESETS.values()))
-        assert found.configurations[0].config == first
+        assert found.configurations[0].config == replace(first, **getattr(module, "MISSION", {}))
         assert found.filters == tuple(module.filters(first))
         assert (found.runs, found.seed, found.title, found.swept) == (first.runs, 0, module.TITLE, {})
 
@@ -93,7 +96,30 @@ def test_everything_else_can_be_chosen():
         ({"paper": "csrukf", "settle_s": float("nan")}, r"settle_s \(s\): expected a number, got nan"),
         ({"paper": "csrukf", "settle_s": -5.0}, r"settle_s \(s\): expected a number that is not negative, got -5.0"),
         ({"paper": "csrukf", "limits": {"position": float("nan")}}, r"limits.position: expected a number, got nan"),
-        ({"paper": "csrukf", "runs": 10**12}, r"runs: expected at most 1000000 blocks of runs in all, got 4000000000"),
+        ({"paper": "csrukf", "runs": 10**12}, r"runs: expected at most 1000000 blocks of runs in all, got 10000000000"),
+        ({"paper": "csrukf", "settle_s": 601.0}, r"settle_s \(s\): expected at most 600, when the flight ends, got 601"),
+        (
+            {"paper": "csrukf", "settle_s": 60.0, "config": {"steps": [100, 50]}},
+            r"settle_s \(s\): expected at most 50, when the flight ends where steps = 50, got 60",
+        ),
+        ({"paper": "aukf", "config": {"duration_s": 1e9}}, r"config.duration_s \(s\): .* 1 to 10000000 steps, got 1e\+10"),
+        ({"paper": "aukf", "config": {"window": 10**9}}, r"config.window: expected at most 100000 epochs, .* got 1e\+09"),
+        ({"paper": "tstdkf", "config": {"pulsars": []}}, r"config.pulsars: expected 3 names, got none"),
+        ({"paper": "aukf", "config": {"duration_s": 0.01}}, r"config.duration_s \(s\): expected a run of 1 to .*, got 0.1"),
+        ({"paper": "ssukf", "config": {"duration_s": 1e9}}, r"config.duration_s \(s\): .* 1 to 10000000 steps, got 4000000000"),
+        ({"paper": "ssukf", "config": {"gyro_hz": 4e9}}, r"config.duration_s \(s\): .* 1 to 10000000 steps, got 2.4e"),
+        ({"paper": "tstdkf", "config": {"days": 1e9}}, r"config.days: .* 1 to 10000000 steps, got 2.88e\+11"),
+        ({"paper": "tstdkf", "config": {"days": 1e-5}}, r"config.days: .* 1 to 10000000 steps, got 0.00288"),
+        ({"paper": "aasghqf", "config": {"steps": 10**9}}, r"config.steps: .* 1 to 10000000 steps, got 1000000000"),
+        ({"paper": "csrukf", "config": {"steps": 10**9}}, r"config.steps: .* 1 to 10000000 steps, got 1000000000"),
+        (
+            {"paper": "csrukf", "config": {"steps": [5, 10**7]}, "runs": 40},
+            r"block: expected at most 200000000 steps at once, got 40 runs of 10000000 steps where steps = 10000000; a",
+        ),
+        (
+            {"paper": "ssukf", "config": {"inertia": [[1, 0, 0], [0, 1, 0], [0, 0, 10]]}},
+            r"config.inertia: expected principal moments none of which .* got 1, 1 and 10$",
+        ),
         ({"paper": "csrukf", "phi": 0.8}, r"phi: expected it under \[config\]"),
         (
             {"paper": "csrukf", "config": {"settle_s": 5.0}},
@@ -104,7 +130,7 @@ def test_everything_else_can_be_chosen():
             r"config.first_noise: expected one of R, stationary, zero, got 'white'",
         ),
         (
-            {"paper": "csrukf", "config": {"first_noise": "stationary", "phi": 1.0}},
+            {"paper": "csrukf", "config": {"first_noise": "stationary", "noise_level": "increments", "phi": 1.0}},
             r"config.first_noise: expected R or zero where phi is 1",
         ),
         ({"paper": "csrukf", "config": {"eccentricity": 1.5}}, r"config.eccentricity: expected a number of at least 0 and below 1"),
@@ -171,10 +197,10 @@ def test_a_file_that_cannot_be_used_is_named(tmp_path, content, message):
 
 
 def test_a_filter_of_some_configurations_is_known_and_one_of_none_is_not():
-    config = {"phi": [1.0, 0.5], "steps": 5}
+    config = {"phi": [1.0, 0.5], "noise_level": "increments", "steps": 5}
     assert study({"paper": "csrukf", "filters": ["srukf-reff"], "config": config}).filters == ("srukf-reff",)
     with pytest.raises(ValueError, match=r"^filters: .*got 'srukf-reff'"):
-        study({"paper": "csrukf", "filters": ["srukf-reff"], "config": {"phi": 1.0}})
+        study({"paper": "csrukf", "filters": ["srukf-reff"], "config": config | {"phi": 1.0}})
 
 
 def test_the_effort_scales_the_runs(tmp_path):
@@ -208,3 +234,67 @@ def test_a_parameter_that_works_somewhere_may_be_swept():
     """The camera matters in half of these configurations."""
     found = study({"paper": "csrukf", "config": {"measured": ["positions", "angles"], "camera_deg": [0.1, 0.2]}})
     assert len(found.configurations) == 4
+
+
+@pytest.mark.parametrize("measured", ["positions", "angles"])
+def test_the_color_of_the_noise_does_not_change_how_large_it_is(measured):
+    """Of a mission; where its file speaks of increments, they are what it says they are, and the noise grows with the color."""
+    key, value = {"positions": ("sigma_km", 0.1), "angles": ("camera_deg", 0.01)}[measured]
+    config = {"phi": [0.0, 0.8, 0.95], key: value, "measured": measured, "steps": 400}
+    rngs = [np.random.default_rng(i) for i in range(50)]
+    stds = {}
+    for level in ({}, {"noise_level": "stationary"}, {"noise_level": "increments"}):
+        points = study({"paper": "csrukf", "config": config | level}).configurations
+        stds[level.get("noise_level")] = [csrukf.simulate(p.config, rngs).noise.std((0, 1)) for p in points]
+    given = points[0].config.sigma_angles if measured == "angles" else np.full(3, 0.1)
+    for name in (None, "stationary"):
+        np.testing.assert_allclose(stds[name], np.tile(given, (3, 1)), rtol=0.05)
+    grown = 1.0 / np.sqrt(1.0 - np.square([[0.0], [0.8], [0.95]]))
+    np.testing.assert_allclose(stds["increments"], grown * given, rtol=0.06)
+
+
+@pytest.mark.parametrize("measured", ["positions", "angles"])
+def test_filters_are_told_how_large_the_noise_is(measured):
+    """The exact filter is consistent, and one that takes the noise for white takes it for as large as it is."""
+    trials = {}
+    for phi in (0.0, 0.9):
+        config = {"phi": phi, "measured": measured, "steps": 40, "prior_position_km": 1.0, "noise_position_km": 1e-4}
+        (point,) = study({"paper": "csrukf", "config": config}).configurations
+        trials[phi] = csrukf.trial(point.config, [np.random.default_rng(i) for i in range(300)])
+    exact = "csrukf+z0" if measured == "positions" else "angles+z0"
+    white = "srukf" if measured == "positions" else "srukf-isotropic"
+    assert follow(trials[0.9], exact).nees[-1].mean() / 6 == pytest.approx(1.0, abs=0.1)
+    stds = [follow(trial, white).std[-1, 0, :3] for trial in trials.values()]
+    np.testing.assert_allclose(*stds, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("paper", "config"),
+    [
+        ("csrukf", {"steps": 5, "step_s": 0.3}),
+        ("ssukf", {"duration_s": 1.1, "star_hz": 5.0}),
+        ("ssukf", {"duration_s": 1.1, "preintegrated": False}),
+        ("tstdkf", {"days": 0.02}),
+        ("aasghqf", {"steps": 3, "step_s": 0.3}),
+        ("aukf", {"duration_s": 0.7, "burst": "none"}),
+    ],
+)
+def test_the_last_epoch_may_be_the_only_settled_one(paper, config):
+    """Flights end when their configurations say."""
+    last = study({"paper": paper, "config": config}).configurations[0].config.end_s
+    found = study({"paper": paper, "config": config, "settle_s": last, "runs": 2})
+    trial = load(paper).trial(found.configurations[0].config, [np.random.default_rng(i) for i in range(2)])
+    assert follow(trial, found.filters[0]).times[-1] == last
+
+
+def test_a_flat_plate_is_a_body():
+    inertia = [[1, 0, 0], [0, 2, 0], [0, 0, 3]]
+    assert study({"paper": "ssukf", "config": {"inertia": inertia}}).configurations[0].config.inertia[2][2] == 3.0
+
+
+def test_a_random_walk_has_increments_only():
+    config = {"phi": [0.8, 1.0], "sigma_km": 0.1}
+    with pytest.raises(ValueError, match=r"^config.noise_level: expected 'increments' where phi is 1: a random walk"):
+        study({"paper": "csrukf", "config": config})
+    assert len(study({"paper": "csrukf", "config": config | {"noise_level": "increments"}}).configurations) == 2
+    assert csrukf.Config(phi=1.0).noise_level == "increments"  # the paper's own

@@ -376,7 +376,7 @@ def test_damaged_files_are_one_line_and_nothing_is_written(files, tmp_path, caps
     path = Path(files[which])
     path.write_text(damage(path.read_text("ascii")), "ascii")
     out = tmp_path / "out"
-    assert cli.main(["position", *files, "--out", str(out)]) == 1
+    assert cli.main(["position", *files, "--out", str(out)]) == 2
     error = capsys.readouterr().err
     assert words in error
     assert str(path) in error
@@ -387,7 +387,7 @@ def test_damaged_files_are_one_line_and_nothing_is_written(files, tmp_path, caps
 def test_a_truncated_log_is_told_with_its_line(files, tmp_path, capsys):
     kept = Path(files[0]).read_text("ascii").splitlines()[:-4]
     Path(files[0]).write_text("\n".join(kept) + "\n", "ascii")
-    assert cli.main(["position", *files, "--out", str(tmp_path / "out")]) == 1
+    assert cli.main(["position", *files, "--out", str(tmp_path / "out")]) == 2
     assert f"obs.rnx, line {len(kept)}: expected" in capsys.readouterr().err
 
 
@@ -400,10 +400,10 @@ def test_a_log_of_one_epoch_is_positioned_without_a_recording(files, tmp_path, c
 
 
 def test_absent_files_and_foreign_results_are_told(files, tmp_path, capsys):
-    assert cli.main(["position", files[0], str(tmp_path / "none.rnx"), "--out", str(tmp_path / "out")]) == 1
+    assert cli.main(["position", files[0], str(tmp_path / "none.rnx"), "--out", str(tmp_path / "out")]) == 2
     assert "none.rnx" in capsys.readouterr().err
     (tmp_path / "out" / "track.csv").write_text("mine", encoding="ascii")
-    assert cli.main(["position", *files, "--out", str(tmp_path / "out")]) == 1
+    assert cli.main(["position", *files, "--out", str(tmp_path / "out")]) == 2
     assert "track.csv" in capsys.readouterr().err
     assert (tmp_path / "out" / "track.csv").read_text() == "mine"
 

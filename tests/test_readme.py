@@ -73,3 +73,10 @@ def test_import_celnav_stays_fast():
 def test_it_says_how_to_cite_this_version():
     assert f"version = {{{celnav.__version__}}}" in README
     assert f"version: {celnav.__version__}" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+
+
+def test_constraints_say_why_they_have_no_hashes():
+    """And have none: the command above would fail."""
+    lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    assert "no hashes" in " ".join(line for line in lines if line.startswith("#"))
+    assert not any("--hash" in line for line in lines)

@@ -1,15 +1,20 @@
 """Recordings read back with pyarrow alone, and files that are whole or not there."""
 
+import contextlib
 import os
+import socket
 import subprocess
 import sys
+import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import rerun as rr
+from machine import children
 
-from celnav import colors, recording, views
+from celnav import cli, colors, recording, views
 
 TIMES = np.arange(20.0) * 0.5
 RERUN = Path(sys.executable).with_name("rerun")
@@ -270,10 +275,47 @@ def test_the_viewer_draws_a_picture_without_a_screen(tmp_path):
 def test_a_viewer_that_does_not_start_is_one_line(tmp_path, monkeypatch):
     from celnav import picture
 
-    def spawn(**options):
-        raise RuntimeError("no\nadapter")
-
-    monkeypatch.setattr(picture.ViewerClient, "spawn", spawn)
+    script = "import sys; sys.exit('no\\nadapter')"
+    monkeypatch.setattr(picture, "command", lambda *words: [sys.executable, "-c", script])
     with pytest.raises(OSError, match=r"a\.rrd: the viewer gave no picture \(no adapter\); it needs a Vulkan driver"):
         picture.picture(tmp_path / "a.rrd", tmp_path / "a.png", 5.0)
     assert not list(tmp_path.iterdir())
+
+
+def listening(pids):
+    """Addresses, as in /proc/net/tcp, that processes listen to."""
+    sockets = set()
+    for pid in pids:
+        for link in Path(f"/proc/{pid}/fd").iterdir():
+            with contextlib.suppress(OSError):
+                sockets.add(os.readlink(link))
+    lines = [line.split() for name in ("tcp", "tcp6") for line in Path(f"/proc/net/{name}").read_text().splitlines()[1:]]
+    return [words[1] for words in lines if words[3] == "0A" and f"socket:[{words[9]}]" in sockets]
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
+def test_the_viewer_listens_to_this_machine_only(tmp_path, monkeypatch):
+    """As it is started for a window and for a picture; here as a server, which needs no screen."""
+    from celnav import picture
+
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    words, silent = picture.command("--serve-grpc", "--port", str(port)), subprocess.DEVNULL
+    process = subprocess.Popen(words, stderr=silent, stdout=silent, start_new_session=True)
+    try:
+        deadline = time.monotonic() + 60.0
+        while not (found := listening([process.pid, *children(process.pid)])) and time.monotonic() < deadline:
+            time.sleep(0.1)
+    finally:
+        picture._end(process)
+    assert found == [f"0100007F:{port:04X}"]
+
+    started = []
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(
+        "celnav.commands.view.subprocess.run", lambda words, **_: started.append(words) or SimpleNamespace(returncode=0)
+    )
+    (tmp_path / "a.rrd").touch()
+    assert cli.main(["view", str(tmp_path / "a.rrd")]) == 0
+    assert started == [picture.command(str(tmp_path / "a.rrd"))]

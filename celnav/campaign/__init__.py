@@ -71,6 +71,9 @@ def campaign(
 ) -> Outcome:
     """Do what is missing of a study whose store is ``folder``, and merge it.
 
+    Where the folder has the same study with fewer runs, or fewer values of what is swept, only the others are flown; a last block
+    that was not whole is flown anew. The table is that of the whole study flown at once, byte for byte.
+
     Parameters
     ----------
     workers: `serial` (the default), `processes`, `dask`, or any executor as `given`.
@@ -89,7 +92,8 @@ def campaign(
         todo = [unit for units in plan for unit in units if not _kept(store, unit, say)]
         total = sum(unit.runs for units in plan for unit in units)
         done = total - sum(unit.runs for unit in todo)
-        progress(done, total)
+        if not todo:
+            progress(done, total)
 
         def keep(unit: Unit, result: Result) -> None:
             nonlocal done
@@ -97,8 +101,11 @@ def campaign(
             done += unit.runs
             progress(done, total)
 
-        compute(todo, workers or serial(), keep)
-        return _outcome(study, store.read)
+        compute(todo, workers or serial(), keep, lambda: progress(done, total))
+        try:
+            return _outcome(study, store.read)
+        except (ValueError, IndexError) as error:
+            raise StoreError(f"{folder}: its units do not go together ({error}); remove the folder") from None
 
 
 def fly(study: Study, workers: Workers | None = None, *, progress: Progress = _silent) -> Outcome:
@@ -106,7 +113,6 @@ def fly(study: Study, workers: Workers | None = None, *, progress: Progress = _s
     plan = units_of(study)
     total, found = sum(unit.runs for units in plan for unit in units), {}
     done = 0
-    progress(done, total)
 
     def keep(unit: Unit, result: Result) -> None:
         nonlocal done
@@ -114,7 +120,7 @@ def fly(study: Study, workers: Workers | None = None, *, progress: Progress = _s
         done += unit.runs
         progress(done, total)
 
-    compute([unit for units in plan for unit in units], workers or serial(), keep)
+    compute([unit for units in plan for unit in units], workers or serial(), keep, lambda: progress(0, total))
     return _outcome(study, found.__getitem__)
 
 

@@ -21,8 +21,12 @@ class UnfinishedError(WorkError):
     """Units that could not be done; everything else is kept."""
 
 
-def compute(units: Iterable[Unit], workers: Workers, keep: Keep) -> None:
-    """Do all units and give each result to ``keep`` as it comes, in any order.
+def _nothing() -> None:
+    """Nobody asked."""
+
+
+def compute(units: Iterable[Unit], workers: Workers, keep: Keep, opened: Callable[[], None] = _nothing) -> None:
+    """Do all units and give each result to ``keep`` as it comes, in any order; ``opened()`` is called once there are workers.
 
     Raises
     ------
@@ -37,6 +41,8 @@ def compute(units: Iterable[Unit], workers: Workers, keep: Keep) -> None:
         alone = deaths >= ATTEMPTS
         try:
             with workers.open() as executor:
+                opened()
+                opened = _nothing
                 for unit, outcome in results(executor, execute, list(missing), 1 if alone else workers.ahead, code()):
                     del missing[unit]
                     if isinstance(outcome, Exception):

@@ -8,18 +8,18 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from celnav.campaign.units import Result, Unit, code, pack, unpack
-from celnav.files import InputError, Outputs, read_npz, remove_leftovers, write_bytes, write_text
+from celnav.files import InputError, Outputs, read_json, read_npz, remove_leftovers, write_bytes, write_text
 from celnav.linalg import Array
 from celnav.mission import Study
 
-FORMAT = 1
+FORMAT = 2
 MANIFEST = "manifest.json"
 
 
@@ -41,7 +41,7 @@ class Store:
         """Keep a result. OSError names the file if it cannot be written."""
         arrays = pack(result)
         buffer = io.BytesIO()
-        np.savez(buffer, allow_pickle=False, **arrays, checksum=np.array(_checksum(arrays)))
+        np.savez(buffer, allow_pickle=False, **arrays, checksum=np.array(_checksum(unit, arrays)))
         write_bytes(self.path(unit), buffer.getvalue())
 
     def has(self, unit: Unit) -> bool:
@@ -63,16 +63,17 @@ class Store:
         path = self.path(unit)
         arrays = read_npz(path)
         stored = arrays.pop("checksum", None)
-        if stored is None or str(stored) != _checksum(arrays):
-            raise ValueError(f"{path}: checksum does not agree with the contents")
+        if stored is None or str(stored) != _checksum(unit, arrays):
+            raise ValueError(f"{path}: checksum does not agree with the contents and the name")
         try:
-            return unpack(arrays)
+            return unpack(arrays, unit.filters)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
 
 
-def _checksum(arrays: Mapping[str, Array]) -> str:
-    digest = hashlib.sha256()
+def _checksum(unit: Unit, arrays: Mapping[str, Array]) -> str:
+    """Of the key too: a copy of another unit is no result of this one."""
+    digest = hashlib.sha256(f"{unit.key} ".encode())
     for name in sorted(arrays):
         array = np.ascontiguousarray(arrays[name])
         digest.update(f"{name} {array.dtype.str} {array.shape} ".encode())
@@ -83,10 +84,12 @@ def _checksum(arrays: Mapping[str, Array]) -> str:
 def open_store(folder: str | Path, study: Study) -> Store:
     """Begin a store, or go on with one of the same study, in a folder that is locked.
 
+    A study may have grown since: by runs, and by values of swept keys, or of keys that had one value.
+
     Raises
     ------
-    StoreError: if the folder belongs to another study or was begun with another celnav, numpy or scipy (the message lists the
-    differences), or holds something else.
+    StoreError: if the folder belongs to another study, or one of more, or was begun with another celnav, numpy or scipy (the
+    message lists the differences), or holds something else.
     OSError: if it cannot be made or written.
     """
     path = Path(folder)
@@ -96,14 +99,15 @@ def open_store(folder: str | Path, study: Study) -> Store:
     manifest = path / MANIFEST
     if manifest.exists():
         found = _read_manifest(manifest)
-        for what, old, new in (
-            ("belongs to another study", found["study"], wanted),
-            ("was begun with another celnav", found["code"], code()),
+        for what, old, new, grown in (
+            ("belongs to another study", found["study"], wanted, {"runs", *(f"config.{key}" for key in study.swept)}),
+            ("was begun with another celnav", found["code"], code(), ()),
         ):
-            if changed := _differences(old, new):
+            if changed := _differences(old, new, grown):
                 raise StoreError(f"{path}: {what} ({'; '.join(changed)}); choose another --out, or remove the folder")
-        return Store(path)
-    if (path / "units").exists():
+        if found["study"] == wanted:
+            return Store(path)
+    elif (path / "units").exists():
         raise StoreError(f"{path}: has units but no {MANIFEST}; choose another --out, or remove the folder")
     about = {"format": FORMAT, "study": wanted, "code": code()}
     write_text(manifest, json.dumps(about, indent=1, ensure_ascii=False) + "\n")
@@ -112,18 +116,26 @@ def open_store(folder: str | Path, study: Study) -> Store:
 
 def _read_manifest(path: Path) -> dict[str, Any]:
     try:
-        found = json.loads(path.read_text("utf-8"))
+        found = read_json(path)
         if found["format"] == FORMAT and isinstance(found["study"], dict) and isinstance(found["code"], dict):
             return dict(found)
-    except (ValueError, KeyError, TypeError, RecursionError):
+    except (ValueError, KeyError, TypeError):
         pass
     raise StoreError(f"{path}: not a manifest of a campaign of this celnav; choose another --out, or remove the folder")
 
 
-def _differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
-    """``key: old -> new`` of everything that differs."""
-    keys = list(dict.fromkeys([*old, *new]))
-    return [f"{key}: {_shown(old, key)} -> {_shown(new, key)}" for key in keys if _shown(old, key) != _shown(new, key)]
+def _differences(old: Mapping[str, Any], new: Mapping[str, Any], grown: Collection[str]) -> list[str]:
+    """``key: old -> new`` of everything that differs, but for numbers and lists of some keys that have more in them now."""
+    keys = [key for key in dict.fromkeys([*old, *new]) if _shown(old, key) != _shown(new, key)]
+    same = {key for key in keys if key in grown and key in old and _within(old[key], new[key])}
+    return [f"{key}: {_shown(old, key)} -> {_shown(new, key)}" for key in keys if key not in same]
+
+
+def _within(old: Any, new: Any) -> bool:
+    """Whether a list has an old value, or all of an old list, and a number is not below the old one."""
+    if not isinstance(new, list):
+        return isinstance(old, int) and old <= new
+    return old in new or (isinstance(old, list) and all(value in new for value in old))
 
 
 def _shown(table: Mapping[str, Any], key: str) -> str:

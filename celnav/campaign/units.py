@@ -24,7 +24,7 @@ from celnav.linalg import Array
 from celnav.mission import Study
 from celnav.montecarlo import blocks, generator
 from celnav.papers import load
-from celnav.scores import Failure, Scores, merge, score
+from celnav.scores import Failure, Scores, check_scores, merge, score
 from celnav.trial import Noiseless, Trial, bound, follow
 
 STUDY = 0
@@ -228,23 +228,31 @@ def pack(result: Result) -> dict[str, Array]:
     return arrays | {"about": np.array(json.dumps(about, ensure_ascii=False))}
 
 
-def unpack(arrays: dict[str, Array]) -> Result:
-    """The inverse of `pack`.
+def unpack(arrays: dict[str, Array], filters: Sequence[str]) -> Result:
+    """The inverse of `pack`, of a unit with these filters.
 
     Raises
     ------
-    ValueError: if these are not arrays of a unit.
+    ValueError: if these are not arrays of such a unit.
     """
     try:
         about = json.loads(str(arrays["about"]))
         names = list(about["failures"])
+        if not names == list(about["cpu_s"]) == list(about["steps"]) == list(filters):
+            raise ValueError(f"expected the filters {', '.join(filters)}")
         scores: dict[str, Scores] = {}
         for key, value in arrays.items():
             number, slash, stat = key.partition("/")
             if slash:
                 scores.setdefault(names[int(number)], {})[stat] = value
         groups = tuple((str(name), str(unit)) for name, unit in about["groups"])
+        for found in scores.values():
+            check_scores(found, len(groups))
+        if "bound" in arrays and scores:
+            epochs = len(next(iter(scores.values()))["times"])
+            if arrays["bound"].shape != (epochs, len(groups)):
+                raise ValueError(f"bound: expected shape {(epochs, len(groups))}, got {arrays['bound'].shape}")
         failures = {name: [Failure(*one) for one in listed] for name, listed in about["failures"].items()}
         return Result(groups, scores, failures, arrays.get("bound"), about["cpu_s"], about["steps"], about["trace"])
-    except (KeyError, TypeError, IndexError) as error:
+    except (KeyError, TypeError, IndexError, AttributeError, RecursionError) as error:
         raise ValueError(f"expected the arrays of a work unit ({error})") from None

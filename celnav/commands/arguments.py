@@ -34,13 +34,13 @@ def module(paper: str) -> ModuleType:
 
 
 def whole(name: str, text: str, least: int) -> int:
-    """A whole number, or UsageError."""
+    """The whole number of an option, or UsageError."""
     try:
         value = int(text)
     except ValueError:
         value = least - 1
     if value < least:
-        raise UsageError(f"{name}: expected a whole number of at least {least}, got {text!r}")
+        raise UsageError(f"--{name}: expected a whole number of at least {least}, got {text!r}")
     return value
 
 
@@ -51,7 +51,7 @@ def workers(jobs: str | None, units: int | None = None) -> Workers:
     count = cores() if jobs is None else whole("jobs", jobs, 1)
     most = MOST_PER_CORE * cores()
     if count > most:
-        line = f"jobs: {count} processes on {cores()} cores would only be in each other's way; {most} are started"
+        line = f"--jobs: {count} processes on {cores()} cores would only be in each other's way; {most} are started"
         print(f"celnav: {line}", file=sys.stderr)
     count = min(count, most, units or most)
     return processes(count) if count > 1 else serial()
@@ -62,15 +62,15 @@ def fraction(text: str | None) -> float:
     try:
         return effort(text)
     except ValueError as error:
-        raise UsageError(error) from None
+        raise UsageError(error if text is None else f"--{error}") from None
 
 
 def number(name: str, text: str) -> float:
-    """A number, or UsageError."""
+    """The number of an option, or UsageError."""
     try:
         return float(text)
     except ValueError:
-        raise UsageError(f"{name}: expected a number, got {text!r}") from None
+        raise UsageError(f"--{name}: expected a number, got {text!r}") from None
 
 
 def cores() -> int:

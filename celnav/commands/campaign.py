@@ -54,10 +54,10 @@ def _workers(options: argparse.Namespace) -> Workers:
     from celnav.campaign import dask
 
     if options.address is not None and options.executor != "dask":
-        raise UsageError("address: expected --executor dask with it")
+        raise UsageError("--address: expected --executor dask with it")
     if options.executor == "processes":
         return workers(options.jobs)
     try:
         return dask(options.address, cores() if options.jobs is None else whole("jobs", options.jobs, 1))
     except ValueError as error:
-        raise UsageError(error) from None
+        raise UsageError(f"--{error}") from None

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import asdict
+import textwrap
+from dataclasses import asdict, replace
 from typing import Any
 
 from celnav import papers
 from celnav.commands.arguments import module
 from celnav.papers import figures, load, tables
+
+WIDTH = 132
+"""Of lines."""
 
 
 def run(options: argparse.Namespace) -> int:
@@ -36,20 +40,23 @@ def _everything() -> None:
 def _parameters(paper: str) -> None:
     """What stands under ``[config]`` of a mission, with units and what each preset changes."""
     from celnav.mission import flat
-    from celnav.typed import unit_of
+    from celnav.typed import meanings, unit_of
 
     study = module(paper)
     choices: dict[str, tuple[Any, ...]] = getattr(study, "CHOICES", {})
-    presets: dict[str, dict[str, Any]] = {name: flat(asdict(config)) for name, config in study.PRESETS.items()}
+    start: dict[str, Any] = getattr(study, "MISSION", {})
+    presets: dict[str, dict[str, Any]] = {name: flat(asdict(replace(c, **start))) for name, c in study.PRESETS.items()}
     first, *others = presets.items()
     print(f"{paper}: {study.TITLE}\n\nAt the top of a mission:\n\n{_TOP.format(runs=first[1]['runs'])}")
     for name, unit in study.JUDGED.items():
-        print(f"  limits.{name:25} {'':36} {unit}, of the vector's length")
+        print(f"  limits.{name:25} {'':24} {unit:9} largest error at the end, of the vector's length")
     print(f"\n[config] of a mission, with the values of preset {first[0]}:\n")
+    said = meanings(type(study.PRESETS[first[0]]))
     for key, value in first[1].items():
         if key != "runs":
-            about = f"one of {', '.join(map(_written, choices[key]))}" if key in choices else unit_of(key)
-            print(f"  {key:32} {_written(value):36} {about}".rstrip())
+            known = f" One of {', '.join(map(_written, choices[key]))}." if key in choices else ""
+            line = f"  {key:32} {_written(value):24} {unit_of(key):9} {said.get(key, '')}{known}"
+            print(textwrap.fill(line, WIDTH, subsequent_indent=70 * " ", break_on_hyphens=False, break_long_words=False))
     for name, values in others:
         changed = [f"{key} = {_written(value)}" for key, value in values.items() if value != first[1][key]]
         print(f"\npreset {name}: {', '.join(changed) or 'the same'}")
@@ -62,7 +69,7 @@ _TOP = """\
   filters                          a list of names; none: all that are listed below
   runs                             of each configuration ({runs})
   seed                             of the random numbers, which all configurations share (0)
-  block                            runs of a work unit (250)
+  block                            runs of a work unit (100); a campaign grows by whole ones
   every                            judge one epoch in so many, and the last (1)
   settle_s                         where means over time begin; none: in the middle of the run
   limits                           a table of largest errors at the end; a run beyond one has failed"""

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from celnav.commands.arguments import UsageError, done, folder_of, fraction, workers
-from celnav.files import InputError, Outputs, locked
+from celnav.files import InputError, Outputs, locked, read_json
 from celnav.progress import RunProgress
 
 RECORDING = "mission.rrd"
@@ -70,7 +70,7 @@ def _check_origin(folder: Path, file: str) -> None:
     if not (folder / ORIGIN).exists():
         return
     try:
-        other = json.loads((folder / ORIGIN).read_text(encoding="utf-8"))["file"]
+        other = str(read_json(folder / ORIGIN)["file"])
     except (ValueError, KeyError, TypeError):
         other = str(folder / ORIGIN)
     if other != _origin(file) and Path(other).exists():  # a folder that moved with its file is its own

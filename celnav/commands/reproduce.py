@@ -44,7 +44,7 @@ def run(options: argparse.Namespace) -> int:
     part, seed = fraction(options.effort), whole("seed", options.seed, 0)
     pool = workers(options.jobs)
     if options.rinex is not None and not any("rinex" in getattr(study, "INPUTS", ()) for study in modules.values()):
-        raise UsageError(f"rinex: expected a paper that takes a receiver's log (aukf), got {', '.join(chosen)}")
+        raise UsageError(f"--rinex: expected a paper that takes a receiver's log (aukf), got {', '.join(chosen)}")
     out = Path(options.out)
     top, folders = Outputs(out), {paper: Outputs(out / paper) for paper in chosen}
     top.check(["index.html"])

@@ -17,22 +17,24 @@ def run(options: argparse.Namespace) -> int:
     if options.picture is not None:
         return _picture(path, Path(options.picture), None if options.at is None else number("at", options.at))
     if options.at is not None:
-        raise UsageError("at: expected --picture FILE.png with it; in a window the time is moved by hand")
+        raise UsageError("--at: expected --picture FILE.png with it; in a window the time is moved by hand")
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         hint = f"use --picture, or copy {path} to a machine that has one and run: rerun {path.name}"
         raise OSError(f"no display to open a window on; {hint}")
-    return subprocess.run([sys.executable, "-m", "rerun", str(path)], check=False).returncode
+    from celnav.picture import command
+
+    return subprocess.run(command(str(path)), check=False).returncode
 
 
 def _picture(path: Path, target: Path, at: float | None) -> int:
     """A PNG, which needs no display."""
     if target.suffix.lower() != ".png":
-        raise UsageError(f"picture: expected the name of a .png file, got {str(target)!r}")
+        raise UsageError(f"--picture: expected the name of a .png file, got {str(target)!r}")
     from celnav.picture import end, picture
 
     last = end(path)
     if at is not None and not 0.0 <= at <= last:
-        raise UsageError(f"at: expected a time of the recording, from 0 to {last:g} s, got {at:g}")
+        raise UsageError(f"--at: expected a time of the recording, from 0 to {last:g} s, got {at:g}")
     picture(path, target, last if at is None else at)
     print(f"wrote {target}")
     return 0
@@ -41,7 +43,7 @@ def _picture(path: Path, target: Path, at: float | None) -> int:
 def _file(options: argparse.Namespace) -> Path:
     path = Path(options.paper)
     if options.recording is not None:
-        raise UsageError(f"recording: expected a paper with it, got the file {path}")
+        raise UsageError(f"--recording: expected a paper with it, got the file {path}")
     if path.suffix != ".rrd":
         raise UsageError(f"{path}: expected a paper that was reproduced, or a recording, FILE.rrd")
     if not path.is_file():

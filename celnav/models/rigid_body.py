@@ -24,7 +24,8 @@ class Body:
 
     Raises
     ------
-    ValueError: if the inertia is not symmetric positive definite, or a number not finite.
+    ValueError: if the inertia is not symmetric positive definite, or has a principal moment that is larger than the two others
+    together, which no distribution of mass has; or if a number is not finite.
     """
 
     inertia: Any
@@ -36,6 +37,10 @@ class Body:
         J = finite("inertia", self.inertia, (3, 3))
         if not np.allclose(J, J.T) or np.linalg.eigvalsh(J)[0] <= 0.0:
             raise ValueError("inertia: expected a symmetric positive definite (3, 3)")
+        small, middle, large = np.linalg.eigvalsh(J).tolist()
+        if large > 1.001 * (small + middle):  # a flat plate attains it, and numbers are rounded
+            got = f"{small:.6g}, {middle:.6g} and {large:.6g}"
+            raise ValueError(f"inertia: expected principal moments none of which is larger than the two others together, got {got}")
         for name, value in (
             ("inertia", J),
             ("wheels", finite("wheels", self.wheels, (3,))),

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import pickle
+import subprocess
+import sys
 import zipfile
 
 import numpy as np
@@ -47,10 +49,20 @@ def test_a_finished_campaign_is_read_and_not_computed(made):
 def test_what_a_killed_campaign_left_half_written_is_removed(made):
     folder, wanted = made
     for part in (folder, folder / "units"):
-        (part / ".celnav-killed").mkdir()
-        (part / ".celnav-killed" / "x.npz").write_bytes(b"half")
+        code = "import os, sys; from celnav.files import replacing; r = replacing(sys.argv[1]); r.__enter__().touch(); os._exit(9)"
+        assert subprocess.run([sys.executable, "-c", code, str(part / "x.npz")], check=False).returncode == 9
+        assert len(list(part.glob(".celnav-*/x.npz"))) == 1
     assert again(folder) == (wanted, [], set())
     assert not list(folder.rglob(".celnav-*"))
+
+
+def test_what_celnav_did_not_make_stays_whatever_its_name_begins_with(made):
+    folder, wanted = made
+    (theirs := folder / ".celnav-notes").mkdir()
+    (theirs / "mine.txt").write_text("mine")
+    (folder / "units" / ".celnav-notes").symlink_to(theirs)
+    assert again(folder) == (wanted, [], set())
+    assert (folder / "units" / ".celnav-notes" / "mine.txt").read_text() == "mine"
 
 
 def test_missing_units_alone_are_computed(made):
@@ -72,6 +84,25 @@ def repack(path, **change):
     with np.load(path) as stored:
         arrays = {name: stored[name] for name in stored.files}
     np.savez(path, **(arrays | change))
+
+
+def sealed(**change):
+    """A unit with other arrays and the checksum that belongs to them."""
+
+    def damage(path):
+        (unit,) = (u for part in units_of(study(TABLE)) for u in part if u.key == path.stem)
+        with np.load(path) as stored:
+            arrays = {name: stored[name] for name in stored.files if name != "checksum"}
+        for name, value in change.items():
+            arrays[name] = value(arrays[name]) if callable(value) else value
+        np.savez(path, **arrays, checksum=np.array(stores._checksum(unit, arrays)))
+
+    return damage
+
+
+def swap(path):
+    """Copy another unit over it."""
+    (path).write_bytes(sorted(path.parent.iterdir())[0].read_bytes())
 
 
 def plant(path):
@@ -98,8 +129,35 @@ class Mark:
         lambda path: repack(path, about=np.array("{}")),
         lambda path: zipfile.ZipFile(path, "w").close(),
         plant,
+        swap,
+        sealed(**{"0/square": np.zeros((7, 3))}),
+        sealed(**{"0/times": np.array(3.0)}),
+        sealed(**{"0/runs": np.array("two")}),
+        sealed(**{"0/extra": np.zeros(3)}),
+        sealed(about=lambda text: np.array(str(text).replace("csrukf", "srukf"))),
+        sealed(about=np.array("[]")),
+        sealed(about=np.array("[" * 100_000)),
+        sealed(about=lambda text: np.array(str(text).replace('"position", ', ""))),
     ],
-    ids=["flipped", "truncated", "empty", "changed", "checksum", "about", "zip", "object"],
+    ids=[
+        "flipped",
+        "truncated",
+        "empty",
+        "changed",
+        "checksum",
+        "about",
+        "zip",
+        "object",
+        "swapped",
+        "shape",
+        "number",
+        "words",
+        "extra",
+        "filter",
+        "list",
+        "deep",
+        "groups",
+    ],
 )
 def test_a_damaged_unit_is_named_and_computed_again(made, damage):
     folder, wanted = made
@@ -114,6 +172,17 @@ def test_a_damaged_unit_is_named_and_computed_again(made, damage):
     assert not (victim.parent / "mark").exists()
 
 
+def test_units_of_other_epochs_are_told(made):
+    """Each is whole, with the right checksum; together they are nothing."""
+    folder, _ = made
+    victim = sorted((folder / "units").iterdir())[1]
+    with np.load(victim) as stored:
+        longer = {n: np.concatenate([stored[n]] * 2) for n in stored.files if stored[n].shape[:1] == stored["0/times"].shape}
+    sealed(**longer)(victim)
+    with pytest.raises(StoreError, match=r"its units do not go together \(.*\); remove the folder"):
+        campaign(study(TABLE), folder)
+
+
 def test_the_planted_object_would_have_left_its_mark(tmp_path):
     pickle.loads(pickle.dumps(Mark(str(tmp_path / "mark")))).close()
     assert (tmp_path / "mark").exists()
@@ -122,7 +191,10 @@ def test_the_planted_object_would_have_left_its_mark(tmp_path):
 @pytest.mark.parametrize(
     ("change", "difference"),
     [
-        ({"runs": 8}, "runs: 6 -> 8"),
+        ({"runs": 4}, "runs: 6 -> 4"),
+        ({"runs": 8, "seed": 1}, "seed: 0 -> 1"),
+        ({"config": {"steps": 8, "phi": [0.0]}}, r"config.phi: \[0.0, 0.8\] -> \[0.0\]"),
+        ({"config": {"steps": 8, "phi": 0.8}}, r"config.phi: \[0.0, 0.8\] -> 0.8"),
         ({"seed": 1}, "seed: 0 -> 1"),
         ({"config": {"steps": 9, "phi": [0.0, 0.8]}}, "config.steps: 8 -> 9"),
         ({"config": {"steps": 8, "phi": [0.0, 0.9]}}, r"config.phi: \[0.0, 0.8\] -> \[0.0, 0.9\]"),
@@ -135,6 +207,36 @@ def test_another_study_is_refused_with_the_difference(made, change, difference):
     with pytest.raises(StoreError, match=rf"belongs to another study \({difference}\); choose another --out"):
         campaign(study(TABLE | change), folder)
     assert again(folder) == (wanted, [], set())
+
+
+@pytest.mark.parametrize(
+    ("change", "flown"),
+    [
+        ({"runs": 8}, 2 * 2),
+        ({"runs": 7}, 2 * 1),
+        ({"config": {"steps": 8, "phi": [0.0, 0.5, 0.8]}}, 6),
+        ({"config": {"steps": 8, "phi": [0.8, 0.0], "sigma_km": [0.1, 0.2]}}, 2 * 6),  # 0.2 is what it was
+        ({"runs": 10, "config": {"steps": 8, "phi": [0.9, 0.8, 0.0]}}, 10 + 2 * 4),
+    ],
+)
+def test_a_finished_campaign_grows_and_flies_only_what_is_new(made, tmp_path, change, flown):
+    """More runs, one more value, or several of what had one: the table is that of the whole flown at once."""
+    folder, _ = made
+    seen = []
+    found = table(campaign(study(TABLE | change), folder, progress=lambda done, total: seen.append((done, total))))
+    assert found == table(campaign(study(TABLE | change), tmp_path / "at once"))
+    assert seen[-1][0] - seen[0][0] == flown
+    assert seen[-1][0] == seen[-1][1]
+    with pytest.raises(StoreError, match="belongs to another study"):  # now it is that of the larger one
+        campaign(study(TABLE), folder)
+
+
+def test_a_block_that_was_not_whole_is_flown_anew_with_the_runs_that_fill_it(tmp_path):
+    seen = []
+    for runs in (3, 6):
+        found = campaign(study(TABLE | {"runs": runs}), tmp_path / "grown", progress=lambda done, _: seen.append(done))
+    assert seen == [0, 2, 3, 5, 6, 4, 6, 8, 10, 12]
+    assert table(found) == table(campaign(study(TABLE), tmp_path / "at once"))
 
 
 @pytest.mark.parametrize("what", ["celnav", "code", "numpy", "scipy"])
@@ -226,6 +328,19 @@ def test_a_foreign_folder_named_units_is_left_alone(tmp_path):
     with pytest.raises(StoreError, match="has units"):
         campaign(study(TABLE), tmp_path)
     assert (tmp_path / "units" / "mine.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize("name", ["figures", "tables"])
+def test_a_folder_that_is_a_link_is_refused_and_one_that_is_reached_by_one_is_not(tmp_path, name):
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / name).symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(ForeignFileError, match=rf"out/{name}: expected a folder of its own, got a link"):
+        Outputs(tmp_path / "out").text(f"{name}/a.txt", "ours")
+    assert not list((tmp_path / "elsewhere").iterdir())
+    (tmp_path / "disk").symlink_to(tmp_path / "elsewhere")
+    Outputs(tmp_path / "disk").text(f"{name}/a.txt", "ours")
+    assert (tmp_path / "elsewhere" / name / "a.txt").read_text() == "ours"
 
 
 def test_a_foreign_table_is_left_alone(made):

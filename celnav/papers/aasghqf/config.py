@@ -11,6 +11,7 @@ from celnav.checks import finite
 from celnav.linalg import Array
 from celnav.models import earth
 from celnav.models.trajectory import Flight, turning_flight
+from celnav.montecarlo import steps
 
 TITLE = "Adaptive anisotropic sparse Gauss-Hermite quadrature filter for star, SAR and inertial navigation"
 CITATION = """\
@@ -32,6 +33,32 @@ MICRO_G = 1e-6 * earth.STANDARD_GRAVITY
 @dataclass(frozen=True)
 class Config:
     """Everything that a run of the study depends on.
+
+    Attributes
+    ----------
+    longitude_deg: of the start.
+    latitude_deg: of the start.
+    height_m: above the ellipsoid, constant.
+    speed_m_per_s: over the ground, at the start.
+    heading_deg: from north to east, at the start.
+    acceleration_m_per_s2: along the track, constant.
+    turn_rate_deg_per_s: to the right, constant.
+    step_s: interval of the filters' steps.
+    steps: in a run.
+    runs: of a Monte Carlo.
+    level: accuracy level of the sparse grids.
+    threshold: degree of observability beyond which a state is weighted 1, in the paper's Table 2.
+    misalignment_deg: of the platform at the start, standard deviations east, north and up.
+    velocity_m_per_s: standard deviation of the velocity at the start, east and north.
+    position_m: standard deviation of the position at the start, east and north.
+    drift_deg_per_h: standard deviation of each gyro's constant drift.
+    bias_ug: standard deviation of each accelerometer's constant bias.
+    angle_walk_deg_per_sqrt_h: noise of the gyros.
+    velocity_walk_ug_per_sqrt_hz: noise of the accelerometers.
+    star_arcsec: noise of a star fix, standard deviation on each component of a star's direction.
+    sar_m: noise of a fix by radar, standard deviation east and north.
+    star_interval: steps from one star fix to the next.
+    sar_interval: steps from one radar fix to the next.
 
     Raises
     ------
@@ -69,6 +96,7 @@ class Config:
             value = getattr(self, name)
             if value < 1 or value != int(value):
                 raise ValueError(f"{name}: expected a positive integer, got {value!r}")
+        steps("steps", self.steps)
         for name in ("step_s", "velocity_m_per_s", "position_m", "drift_deg_per_h", "bias_ug", "star_arcsec", "sar_m"):
             if getattr(self, name) <= 0.0:
                 raise ValueError(f"{name}: expected a positive number, got {getattr(self, name)!r}")
@@ -77,6 +105,21 @@ class Config:
                 raise ValueError(f"{name}: expected a number that is not negative, got {getattr(self, name)!r}")
         if min(self.misalignment_deg) <= 0.0:
             raise ValueError(f"misalignment_deg: expected positive numbers, got {self.misalignment_deg!r}")
+
+    @property
+    def idle(self) -> dict[str, str]:
+        """Parameters without effect, and why."""
+        return {"threshold": "on filters: it belongs to the paper's Table 2"}
+
+    @property
+    def samples(self) -> int:
+        """Of the trajectory, in a run."""
+        return 2 * self.steps
+
+    @property
+    def end_s(self) -> float:
+        """The last epoch, s."""
+        return self.step_s * self.steps
 
     @property
     def times(self) -> Array:

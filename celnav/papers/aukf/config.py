@@ -9,6 +9,7 @@ import numpy as np
 from celnav.checks import finite, integer
 from celnav.linalg import Array
 from celnav.models.receiver import CRYSTAL, process_noise, transition
+from celnav.montecarlo import steps
 
 TITLE = "Adaptive unscented Kalman filter for BeiDou positioning"
 CITATION = """\
@@ -18,12 +19,42 @@ CITATION = """\
   note    = {in Chinese; year and journal are not in the text available, which has lost its display equations and Table 1}
 }"""
 STANDARD_GRAVITY = 9.80665
+LONGEST_WINDOW = 100_000
 CHOICES = {"burst": ("none", "ranges", "both", "one")}
 
 
 @dataclass(frozen=True)
 class Config:
     """Everything that a run of the study depends on.
+
+    Attributes
+    ----------
+    speed_m_per_s: of the receiver, on a level circle.
+    acceleration_g: towards the circle's center.
+    height_m: above the ellipsoid.
+    latitude_deg: of the circle.
+    longitude_deg: of the circle.
+    interval_s: of the measurements.
+    duration_s: of a run.
+    mask_deg: least elevation of satellites.
+    sigma_range_m: noise of a range, standard deviation: what the filters take it for.
+    sigma_rate_m_per_s: noise of a range rate, standard deviation.
+    true_sigma_range_m: noise of a range, standard deviation: what it is.
+    burst: which measurements a burst disturbs: none, all ranges, both ranges and rates, or the range of one satellite.
+    burst_s: start and end of the burst.
+    burst_sigma: size of the burst, m on ranges and m/s on rates.
+    burst_satellite: which satellite a burst on one disturbs, counted from 0.
+    acceleration_noise_m2_per_s3: density of the white acceleration in the filters; left out: acceleration_g squared, times
+        interval_s.
+    clock_white_m2_per_s: density of the white noise of the receiver clock's frequency.
+    clock_walk_m2_per_s3: density of its random walk.
+    bias_m: true error of the receiver's clock at the start, as a range.
+    drift_m_per_s: true rate of that error at the start.
+    deviation: standard deviations of the prior: position (m), velocity (m/s), clock (m) and its rate (m/s).
+    window: epochs over which the adaptive filter averages residuals.
+    alpha: spread of the sigma points.
+    beta: weight of the sigma points' center in the covariance; 2 is best for Gaussians.
+    runs: of a Monte Carlo.
 
     Raises
     ------
@@ -82,8 +113,11 @@ class Config:
             raise ValueError(f"deviation: expected positive numbers, got {self.deviation!r}")
         if self.burst not in CHOICES["burst"]:
             raise ValueError(f"burst: expected one of {', '.join(CHOICES['burst'])}, got {self.burst!r}")
+        steps("duration_s", self.duration_s / self.interval_s)
         for name in ("window", "runs"):
             integer(name, getattr(self, name))
+        if self.window > LONGEST_WINDOW:
+            raise ValueError(f"window: expected at most {LONGEST_WINDOW} epochs, which are all held, got {self.window:g}")
 
     @property
     def idle(self) -> dict[str, str]:
@@ -93,9 +127,19 @@ class Config:
         return {} if self.burst == "one" else {"burst_satellite": "where the burst is not on one satellite"}
 
     @property
+    def samples(self) -> int:
+        """Steps of a run."""
+        return round(self.duration_s / self.interval_s)
+
+    @property
+    def end_s(self) -> float:
+        """The last epoch, s."""
+        return self.interval_s * self.samples
+
+    @property
     def times(self) -> Array:
         """Epochs ``(T,)`` s."""
-        return self.interval_s * np.arange(round(self.duration_s / self.interval_s) + 1)
+        return self.interval_s * np.arange(self.samples + 1)
 
     @property
     def radius_m(self) -> float:

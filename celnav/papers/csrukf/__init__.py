@@ -21,7 +21,7 @@ equation       content                                                 here
 from celnav.lazy import modules
 from celnav.papers.csrukf import tune
 from celnav.papers.csrukf.claims import claims
-from celnav.papers.csrukf.config import CHOICES, CITATION, PRESETS, TITLE, Config
+from celnav.papers.csrukf.config import CHOICES, CITATION, MISSION, PRESETS, TITLE, Config
 from celnav.papers.csrukf.errata import ERRATA
 from celnav.papers.csrukf.figures import (
     figure_1,
@@ -56,6 +56,7 @@ __all__ = [
     "CITATION",
     "ERRATA",
     "JUDGED",
+    "MISSION",
     "PRESETS",
     "RECORDINGS",
     "TITLE",

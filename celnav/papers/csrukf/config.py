@@ -11,6 +11,7 @@ from celnav.gaussian import Gaussian, square_root
 from celnav.linalg import Array
 from celnav.models import orbit
 from celnav.models.noise import initial_covariance
+from celnav.montecarlo import steps
 from celnav.points import unscented
 from celnav.rule import Rule
 
@@ -26,12 +27,48 @@ CITATION = """\
 
 FARTHEST_KM = 1e6
 """Beyond, the Earth holds no satellites."""
-CHOICES = {"measured": ("positions", "angles"), "first_noise": ("R", "stationary", "zero")}
+CHOICES = {
+    "measured": ("positions", "angles"),
+    "noise_level": ("stationary", "increments"),
+    "first_noise": ("R", "stationary", "zero"),
+}
+MISSION = {"noise_level": "stationary"}
+"""What a mission begins with instead: how large the noise is then does not depend on its color."""
 
 
 @dataclass(frozen=True)
 class Config:
     """Everything that a run of the study depends on; angles in degrees, as the paper prints them.
+
+    Attributes
+    ----------
+    semi_major_axis_km: of the orbit.
+    eccentricity: of the orbit.
+    inclination_deg: of the orbit to the equator.
+    raan_deg: right ascension of the ascending node.
+    argument_of_perigee_deg: from the ascending node.
+    true_anomaly_deg: where on the orbit a run starts, from the perigee.
+    step_s: interval of the measurements and of the filters' steps.
+    steps: in a run.
+    runs: of a Monte Carlo.
+    camera_deg: accuracy of the Earth's edges, where angles are measured.
+    star_arcsec: accuracy of the directions to stars, where angles are measured.
+    separation_deg: angle between the two stars, where angles are measured.
+    accuracy_sigmas: how many standard deviations the accuracies of camera and star sensor are.
+    sigma_km: standard deviation of the noise of a measured position, on each axis; of which noise, says noise_level.
+    noise_level: what sigma_km, or camera_deg and star_arcsec, are the deviation of: the colored noise V itself (stationary),
+        however large phi is, or the white increments that drive it, in V' = phi V + increment.
+    prior_position_km: standard deviation of the estimate at the start, on each axis.
+    prior_velocity_m_per_s: standard deviation of the estimate at the start, on each axis.
+    noise_position_km: process noise of one step, standard deviation on each axis.
+    noise_velocity_km_per_s: process noise of one step, standard deviation on each axis.
+    phi: color of the noise, V' = phi V + increment: 0 is white, 1 a random walk.
+    measured: positions, computed from the angles beforehand, or the angles themselves.
+    first_noise: covariance of the first noise: that of the increments (R), of the stationary noise, or zero; left out: as
+        noise_level.
+    alpha: spread of the sigma points.
+    beta: weight of the sigma points' center in the covariance; 2 is best for Gaussians.
+    kappa: second parameter of the sigma points' spread.
 
     Raises
     ------
@@ -52,13 +89,14 @@ class Config:
     separation_deg: float = 90.0  # chosen: the angle between the stars
     accuracy_sigmas: float = 3.0  # inferred: the accuracies are 3-sigma values
     sigma_km: float = 0.2  # inferred: root of the increments' covariance R, each axis
+    noise_level: str = "increments"  # inferred, as the paper's R
     prior_position_km: float = 0.15  # inferred by a fit to Tables 1 and 2
     prior_velocity_m_per_s: float = 0.035  # inferred by a fit to Tables 1 and 2
     noise_position_km: float = 7.5e-3  # inferred: root of Q, per step
     noise_velocity_km_per_s: float = 1e-8  # inferred
     phi: float = 0.0  # paper: 0 (case 1), 1 and 0.8 (cases 2 and 3), times the identity
     measured: str = "positions"  # inferred; of "angles" the noise lives on them, and positions are computed from them
-    first_noise: str = "R"  # chosen: covariance of V_0
+    first_noise: str | None = None  # chosen: covariance of V_0; None: of what noise_level says, which is R in the paper
     alpha: float = 1.0  # chosen, with beta and kappa: no negative weight
     beta: float = 0.0
     kappa: float = 0.0
@@ -68,10 +106,11 @@ class Config:
             if name not in CHOICES:
                 finite(name, getattr(self, name), ())
         for name, known in CHOICES.items():
-            if getattr(self, name) not in known:
+            if getattr(self, name) not in known and (name, getattr(self, name)) != ("first_noise", None):
                 raise ValueError(f"{name}: expected one of {', '.join(known)}, got {getattr(self, name)!r}")
         if self.steps < 1 or self.steps != int(self.steps):
             raise ValueError(f"steps: expected at least 1 (two samples), got {self.steps!r}")
+        steps("steps", self.steps)
         if self.runs < 1 or self.runs != int(self.runs):
             raise ValueError(f"runs: expected a positive integer, got {self.runs!r}")
         if abs(self.phi) > 1.0:
@@ -91,6 +130,9 @@ class Config:
         if not least < self.semi_major_axis_km < FARTHEST_KM:
             expected = f"an orbit above the Earth, from {least:.6g} to {FARTHEST_KM:g} km"
             raise ValueError(f"semi_major_axis_km: expected {expected}, got {self.semi_major_axis_km!r}")
+        if self.noise_level == "stationary" and abs(self.phi) == 1.0:
+            walk = "a random walk has no stationary deviation, only its increments have one"
+            raise ValueError(f"noise_level: expected 'increments' where phi is {self.phi:g}: {walk}")
         if self.first_noise == "stationary" and abs(self.phi) == 1.0:
             raise ValueError(f"first_noise: expected R or zero where phi is {self.phi:g}, which has no stationary noise")
         unscented(6, self.alpha, self.beta, self.kappa)
@@ -109,19 +151,43 @@ class Config:
         return self.phi * np.eye(3)
 
     @property
+    def samples(self) -> int:
+        """Steps of a run."""
+        return self.steps
+
+    @property
+    def end_s(self) -> float:
+        """The last epoch, s."""
+        return self.step_s * self.steps
+
+    @property
+    def increment(self) -> float:
+        """Deviation of the noise increments, in those that are given."""
+        return float(np.sqrt(1.0 - self.phi**2)) if self.noise_level == "stationary" else 1.0
+
+    @property
     def R(self) -> Array:
         """Covariance of the noise increments, ``(3, 3)`` km^2."""
+        return (self.increment * self.sigma_km) ** 2 * np.eye(3)
+
+    @property
+    def white_R(self) -> Array:
+        """Covariance that a filter is given which takes the noise for white, ``(3, 3)`` km^2: what `noise_level` says."""
         return self.sigma_km**2 * np.eye(3)
 
     @property
     def Sigma0(self) -> Array:
         """Covariance of the first noise sample, ``(3, 3)`` km^2."""
-        return initial_covariance(self.first_noise, self.Phi, self.R)
+        return initial_covariance(self._first, self.Phi, self.R)
 
     @property
     def angle_Sigma0(self) -> Array:
         """The same of measured angles, ``(3, 3)`` rad^2."""
-        return initial_covariance(self.first_noise, self.Phi, np.diag(self.sigma_angles**2))
+        return initial_covariance(self._first, self.Phi, np.diag((self.increment * self.sigma_angles) ** 2))
+
+    @property
+    def _first(self) -> str:
+        return self.first_noise or ("stationary" if self.noise_level == "stationary" else "R")
 
     @property
     def sqrt_Q(self) -> Array:
@@ -135,7 +201,7 @@ class Config:
 
     @property
     def sigma_angles(self) -> Array:
-        """Standard deviations ``(3,)`` rad of the angles to the stars and of the Earth's diameter."""
+        """Deviations ``(3,)`` rad, as given, of the angles to the stars and of the Earth's diameter."""
         camera, star = np.radians(self.camera_deg), np.radians(self.star_arcsec / 3600.0)
         return np.array([np.hypot(camera, star)] * 2 + [camera]) / self.accuracy_sigmas
 

@@ -88,13 +88,13 @@ def simulate(config: Config, rng: np.random.Generator | Sequence[np.random.Gener
     for k in range(config.steps):
         truth[k + 1] = orbit.step(truth[k], config.step_s) + w[k]
     mean = truth[0] + initial * config.sqrt_P0.diagonal()
-    measured = None
+    measured, increment = None, config.increment
     if config.measured == "angles":
-        noise = ar1(config.Phi, zeta * config.sigma_angles, first * semidefinite_root(config.angle_Sigma0).diagonal())
+        noise = ar1(config.Phi, zeta * increment * config.sigma_angles, first * semidefinite_root(config.angle_Sigma0).diagonal())
         measured = sightings.angles(truth[..., :3], sightings.star_directions(config.separation)) + noise
         z = sightings.position(measured, config.separation, np.sign(truth[..., 2]), strict=False)
     else:
-        noise = ar1(config.Phi, zeta * config.sigma_km, first * semidefinite_root(config.Sigma0).diagonal())
+        noise = ar1(config.Phi, zeta * increment * config.sigma_km, first * semidefinite_root(config.Sigma0).diagonal())
         z = truth[..., :3] + noise
     if single:
         truth, z, noise, mean = truth[:, 0], z[:, 0], noise[:, 0], mean[0]
@@ -114,7 +114,7 @@ def filters(config: Config) -> dict[str, Filter]:
         return angle_filters(config)
     f, rule, Q, R = dynamics(config), config.rule, config.sqrt_Q, config.R
     out = {
-        "srukf": white(config, R),
+        "srukf": white(config, config.white_R),
         "csrukf": decorrelated(f, H, rule, config.Phi, sqrt_Q=Q, R=R),
         "csrukf+z0": colored(f, H, rule, config.Phi, sqrt_Q=Q, R=R, Sigma0=config.Sigma0),
         "augmented": augmented(f, H, unscented(9), config.Phi, Q=Q @ Q.T, R=R, Sigma0=config.Sigma0),
@@ -163,8 +163,9 @@ def angle_filters(config: Config) -> dict[str, Filter]:
     if it has a color. angles+z0: uses the first sample too, the exact reference. openloop: no measurement at all.
     """
     f, stars = dynamics(config), sightings.star_directions(config.separation)
-    root, table = np.diag(config.sigma_angles), jacobian_covariance(config)
+    root, table = config.increment * np.diag(config.sigma_angles), jacobian_covariance(config)
     isotropic = np.trace(table, axis1=-2, axis2=-1).mean() / 3.0 * np.eye(3)
+    squared = config.increment**2
 
     def h(x: Array, epoch: object) -> Array:  # noqa: ARG001
         return sightings.angles(x[..., :3], stars)
@@ -175,8 +176,8 @@ def angle_filters(config: Config) -> dict[str, Filter]:
     plain = sequential(predict(f, config.rule, sqrt_Q=config.sqrt_Q), update(h, config.rule, sqrt_R=root))
     return {
         "srukf-isotropic": white(config, isotropic),
-        "csrukf-isotropic": single_transform(config, isotropic),
-        "csrukf-jacobian": single_transform(config, table),
+        "csrukf-isotropic": single_transform(config, squared * isotropic),
+        "csrukf-jacobian": single_transform(config, squared * table),
         "angles": whitened() if config.phi else plain,
         "angles+z0": whitened(Sigma0=config.angle_Sigma0, first_rule=config.rule),
         "openloop": open_loop(config),

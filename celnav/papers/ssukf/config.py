@@ -10,6 +10,7 @@ from celnav.checks import finite
 from celnav.linalg import Array
 from celnav.models.gyro import Gyro
 from celnav.models.rigid_body import Body
+from celnav.montecarlo import steps
 
 TITLE = "State-switching unscented Kalman filter for attitude"
 CITATION = """\
@@ -30,6 +31,30 @@ UNITS = np.repeat([ARCSEC, DEG_PER_H], 3)
 @dataclass(frozen=True)
 class Config:
     """Everything that a run of the study depends on.
+
+    Attributes
+    ----------
+    orbit_rate_rad_per_s: of the circular orbit; gravity turns the body with it.
+    attitude_deg: true roll, pitch and yaw at the start.
+    rate_deg_per_s: true angular velocity at the start, body axes, against the stars.
+    inertia: tensor of inertia, body axes, kg m^2.
+    wheels: angular momentum of the wheels, body axes, N m s.
+    torque: constant disturbance, body axes, N m.
+    gyro_hz: samples of the gyro; a whole number for each star sample.
+    star_hz: samples of the star sensor.
+    gyro_deg_per_h: white noise of one gyro sample, standard deviation on each axis.
+    drift_deg_per_h: stationary standard deviation of the gyro's drift, on each axis.
+    tau_s: correlation time of the drift.
+    bias_deg_per_h: true drift at the start, each axis.
+    star_arcsec: noise of the star sensor, standard deviation on each axis.
+    prior_deg: standard deviations of the attitude at the start: roll, pitch, yaw.
+    prior_drift_deg_per_h: standard deviation of the drift at the start, on each axis.
+    alpha: spread of the sigma points.
+    kappa: second parameter of the sigma points' spread.
+    beta: weight of the sigma points' center in the covariance; 2 is best for Gaussians.
+    duration_s: of a run.
+    runs: of a Monte Carlo.
+    preintegrated: whether gyro samples between two star samples make one time update.
 
     Raises
     ------
@@ -78,6 +103,8 @@ class Config:
             raise ValueError(
                 f"gyro_hz: expected a whole number of samples for each star sample, got {self.gyro_hz / self.star_hz:g}"
             )
+        steps("duration_s", self.duration_s * self.star_hz)
+        steps("duration_s", self.duration_s * self.gyro_hz)
         Body(self.inertia)
 
     @property
@@ -99,6 +126,16 @@ class Config:
     def star_epochs(self) -> int:
         """Star samples in a run."""
         return round(self.duration_s * self.star_hz)
+
+    @property
+    def samples(self) -> int:
+        """Gyro samples in a run."""
+        return self.star_epochs * self.ratio
+
+    @property
+    def end_s(self) -> float:
+        """The last star sample, s."""
+        return (self.star_epochs if self.preintegrated else self.samples) * self.step_s
 
     @property
     def gyro(self) -> Gyro:

@@ -11,6 +11,7 @@ from celnav.linalg import Array
 from celnav.models import orbit
 from celnav.models.pulsar import LIGHT_KM_S, Timing, pulsars
 from celnav.models.time import Tdb, from_utc
+from celnav.montecarlo import steps
 
 TITLE = "Two-stage strong-tracking differential Kalman filter for X-ray pulsars"
 CITATION = """\
@@ -28,7 +29,15 @@ KAPPA = 4.8
 
 @dataclass(frozen=True)
 class Setting:
-    """One row of Table 4: AR(1) coefficients of both noises, and how strongly they are correlated."""
+    """One row of Table 4: AR(1) coefficients of both noises, and how strongly they are correlated.
+
+    Attributes
+    ----------
+    F: color of the measurement noise, a number below 1 in size; its increments are as large as the pulsars are timed, so that the
+        noise grows with it.
+    L: color of the process noise, likewise.
+    kappa: how strongly the increments of both are correlated.
+    """
 
     F: float
     L: float
@@ -56,6 +65,30 @@ CHOICES = {
 @dataclass(frozen=True)
 class Config:
     """Everything that a run of the study depends on.
+
+    Attributes
+    ----------
+    start_utc: date and time of the start, UTC.
+    step_s: interval of the measurements; pulses are timed over it, so a longer one is timed better.
+    days: length of a run, days.
+    runs: of a Monte Carlo.
+    pulsars: names of the three that are timed.
+    elements: of the orbit: semi-major axis (km), eccentricity, inclination, node, perigee and true anomaly (deg).
+    error_km: error of the position at the start, each axis, and its standard deviation in the prior.
+    error_m_per_s: error of the velocity at the start, each axis, and its standard deviation in the prior.
+    rate_noise_km_per_s: process noise that drives the position's rate, standard deviation on each axis.
+    acceleration_noise_km_per_s2: process noise that drives the velocity's rate, standard deviation on each axis.
+    setting: color of both noises, see `Setting`.
+    amplitude_km: of the error of the Earth's ephemeris, each axis.
+    phase: of that error's year, each axis, rad.
+    trend: how that error goes on: over a year's sine, growing, a triangle, or constant and drawn from its prior.
+    initial: whether every run starts with the error above (paper) or with one drawn from the prior.
+    pulled: whether Sun and Moon pull at the satellite.
+    bias_prior_km: standard deviation of the ephemeris error at the start, on each axis, in the filters.
+    walk_km: how far the exact filter lets that error walk in a step, standard deviation on each axis.
+    rho: how strongly the fading factors answer, each pulsar.
+    tau: window of the fading factors, in measurements.
+    factor: form of the fading factors: of what residuals exceed, or proportional to them.
 
     Raises
     ------
@@ -96,6 +129,9 @@ class Config:
                 raise ValueError(f"{name}: expected a positive number, got {getattr(self, name)!r}")
         if self.runs != int(self.runs):
             raise ValueError(f"runs: expected a positive integer, got {self.runs!r}")
+        if len(self.pulsars) != 3:
+            raise ValueError(f"pulsars: expected 3 names, got {', '.join(self.pulsars) or 'none'}")
+        steps("days", self.days * DAY_S / self.step_s)
         if self.walk_km < 0.0:
             raise ValueError(f"walk_km: expected a number that is not negative, got {self.walk_km!r}")
         for name, known in CHOICES.items():
@@ -108,6 +144,16 @@ class Config:
     def steps(self) -> int:
         """Measurements."""
         return round(self.days * DAY_S / self.step_s)
+
+    @property
+    def samples(self) -> int:
+        """Steps of a run."""
+        return self.steps
+
+    @property
+    def end_s(self) -> float:
+        """The last measurement, s."""
+        return self.step_s * self.steps
 
     @property
     def start(self) -> Tdb:
