@@ -32,7 +32,7 @@ def run(options: argparse.Namespace) -> int:
     outputs.check([*positioning_report.FILES, positioning_report.RECORDING])
     navigation, observations = rinex.read_navigation(options.navigation), rinex.read_observations(options.observations)
     log = positioning.prepare(observations, navigation, mask_deg=mask)
-    reference = observations.position if given is None else given
+    reference = observations.reference(given)
     try:
         found = positioning_report.position(log, options.filter, reference, acceleration=noise)
     except FilterError as error:

@@ -83,7 +83,8 @@ def real(config: Config, rng: np.random.Generator, folder: Path | None = None) -
     if files is None:
         return None
     observations, navigation = read_observations(files[0]), read_navigation(files[1])
-    if observations.position is None:
+    reference = observations.reference()
+    if reference is None:
         raise InputError(f"{files[0]}: expected the receiver's position in the header to compare with, got none")
     half = observations.part(observations.times < observations.times[0] + HALF_DAY_S)
     hit, during = disturbed(half, config.burst_sigma, rng)
@@ -99,7 +100,7 @@ def real(config: Config, rng: np.random.Generator, folder: Path | None = None) -
             out["nis"] = float(track.nis.sum() / track.dof.sum())
         out["burst"][name] = run(known[name], other.prior(), other.epochs(), keep="mean").mean
     during = np.isin(log.times, half.times[during])
-    return Real(log, observations.position, during=during, apart=consecutive(navigation), wrong=misplaced(navigation), **out)
+    return Real(log, reference, during=during, apart=consecutive(navigation), wrong=misplaced(navigation), **out)
 
 
 def disturbed(observations: Observations, sigma: float, rng: np.random.Generator) -> tuple[Observations, Array]:
