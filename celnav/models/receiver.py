@@ -13,6 +13,9 @@ from celnav.models.beidou import LIGHT
 CRYSTAL = (LIGHT**2 * 2e-19 / 2.0, 2.0 * np.pi**2 * LIGHT**2 * 2e-20)
 """A compensated crystal's noise of frequency, white (m^2/s) and walking (m^2/s^3): h0 = 2e-19, h-2 = 2e-20."""
 
+GROUND_M = (6.3e6, 1e7)
+"""From the middle of the Earth, where receivers are: near its surface or in a low orbit."""
+
 
 def transition(dt: float) -> Array:
     """Over an interval, ``(8, 8)``."""
@@ -41,5 +44,5 @@ def on_earth(name: str, position: Array) -> None:
     ------
     ValueError: naming it, unless it is in Earth-fixed meters, near the surface or in a low orbit.
     """
-    if not (np.isfinite(position).all() and 6.3e6 < np.linalg.norm(position) < 1e7):
+    if not (np.isfinite(position).all() and GROUND_M[0] < np.linalg.norm(position) < GROUND_M[1]):
         raise ValueError(f"{name}: expected Earth-fixed meters, 6300 to 10000 km from the middle, got {position}")
