@@ -13,8 +13,7 @@ from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import nnls
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from celnav.linalg import Array
 
@@ -79,7 +78,7 @@ def monitored(fit: Callable[[Array, Array], Array], linear: Linear, used: Array,
     """
     probability(false_alarm)
     n, spare = start.shape[-1], used.sum(-1) - start.shape[-1]
-    limit = chi2.isf(false_alarm, np.maximum(spare.max(initial=1), 1) - np.arange(np.maximum(spare.max(initial=1), 1)))[::-1]
+    limit = chdtri(np.arange(1.0, max(int(spare.max(initial=1)), 1) + 1.0), false_alarm)
 
     def consistent(rows: Array, x: Array, kept: Array) -> Array:
         size = misfit(linear(rows, np.where(np.isfinite(x), x, start[rows]))[0], kept)
@@ -151,6 +150,8 @@ def noise_components(left: Array, G: Array, used: Array, parts: Array) -> Array:
     left, G, used: as from `Linear`, with what is used ``(K, S)``.
     parts: ``(c, K, S)``, the variance of a measurement by each cause at unit size, in squares of its deviation.
     """
+    from scipy.optimize import nnls  # takes a second to import
+
     v, cofactor = _residuals(left, G, used)
     there = used & (np.diagonal(cofactor, 0, -2, -1) > 0.01)
     expected = np.square(cofactor) @ np.where(used, parts, 0.0)[..., None]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import re
+import sys
 import tracemalloc
 from dataclasses import replace
 from itertools import pairwise
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 from rinex_pair import ALPHA, BETA, PLACE, TIMES, TOE, constellation, navigation, observations, written
 
+import celnav
 from celnav.models.beidou import satellites
 from celnav.rinex import read_navigation, read_observations
 
@@ -298,3 +300,14 @@ def test_a_real_navigation_file_is_continuous():
     assert max(apart) < 2.0
     wrong = satellites(replace(sets.chosen(rows[:1]), number=np.array([21.0])), sets.toe[rows[0]] + 1800.0).position
     assert np.linalg.norm(wrong - satellites(sets.chosen(rows[:1]), sets.toe[rows[0]] + 1800.0).position) > 1e6
+
+
+def test_what_is_missing_is_said_with_a_command_that_works_in_a_clone(texts, tmp_path, monkeypatch):
+    path = tmp_path / "file.crx"
+    path.write_bytes(hatanaka.rnx2crx(texts[2].encode()))
+    monkeypatch.setitem(sys.modules, "hatanaka", None)
+    with pytest.raises(ImportError, match=re.escape('.venv/bin/pip install -c constraints.txt -e ".[rinex]"')):
+        read_observations(path)
+    root = Path(celnav.__file__).parents[1]
+    for file in (root / "README.md", *(root / "celnav").rglob("*.py")):  # celnav is in no index of packages
+        assert "celnav[" not in file.read_text("utf-8"), file
