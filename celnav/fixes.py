@@ -26,11 +26,11 @@ GIVEN = (1.5, 0.05)
 """Deviations at the zenith, m and m/s, until they are estimated."""
 RESOLUTION = (1e-3, 1e-3 * LIGHT / B1I_HZ)
 """Of a file, in m and m/s: less noise cannot be seen."""
-LOUDEST = 8.0
-"""Times `GIVEN`: no receiver is noisier; what looks so is contradiction."""
+QUIETEST, LOUDEST = 0.25, 8.0
+"""Times `GIVEN`, where the estimate begins: loud noise would hide faults. No receiver is louder; what looks so is contradiction."""
 ENOUGH = 100
 """Redundant measurements to estimate noise of."""
-MOST_EPOCHS = 5000
+MOST_EPOCHS = 1000
 """That it is estimated of, evenly: more say nothing new."""
 UNKNOWNS = 4
 
@@ -157,18 +157,20 @@ def _kind(
 def estimated(seen: Seen, false_alarm: float) -> tuple[Noise, Noise]:
     """Noise of ranges and rates, by elevation, of the residuals of what is not faulty; `GIVEN` where they are too few.
 
-    Where most fixes contradict themselves, the noise is first taken for larger, up to `LOUDEST` times what is given.
+    It is first taken for small, and for twice as large as long as most fixes contradict themselves.
     """
-    noise = first = (Noise(0.0, GIVEN[0]), Noise(0.0, GIVEN[1]))
+    some = slice(None, None, -(-len(seen.z) // MOST_EPOCHS))
+    seen, usual = Seen(*(part[some] for part in seen)), (Noise(0.0, GIVEN[0]), Noise(0.0, GIVEN[1]))
+    noise = (Noise(0.0, QUIETEST * GIVEN[0]), Noise(0.0, QUIETEST * GIVEN[1]))
     found = fixed(seen, noise, false_alarm)
     while any(loud := [2 * int(kind.unusable.sum()) > int(kind.tested.sum()) for kind in found.kinds]):
         noise = (_louder(noise[0], loud[0]), _louder(noise[1], loud[1]))
         if any(one.zenith > LOUDEST * least for one, least in zip(noise, GIVEN, strict=True)):
-            return first
+            return usual
         found = fixed(seen, noise, false_alarm)
-    for _ in range(8):
+    for _ in range(12):
         before = noise
-        noise = (_estimated(found, seen.elevation, 0) or before[0], _estimated(found, seen.elevation, 1) or before[1])
+        noise = (_estimated(found, seen.elevation, 0) or usual[0], _estimated(found, seen.elevation, 1) or usual[1])
         if np.allclose(noise, before, rtol=0.02):
             break
         found = fixed(seen, noise, false_alarm)
@@ -186,7 +188,6 @@ def _estimated(found: Fixed, elevation: Array, kind: int) -> Noise | None:
     rows = np.flatnonzero(spare > 0)
     if spare.sum() < ENOUGH:
         return None
-    rows = rows[:: -(-len(rows) // MOST_EPOCHS)]
     up = np.sin(np.maximum(elevation[rows], LEAST_ELEVATION))
     parts = np.stack([np.square(1.0 / sigma[rows]), np.square(1.0 / (sigma[rows] * up))])
     level, zenith = np.sqrt(noise_components(found.left[kind][rows], found.G[kind][rows], kept[rows], parts))

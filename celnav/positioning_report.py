@@ -136,7 +136,7 @@ def summary(found: Positioned) -> str:
         f"integrity    {_integrity(log)}",
         f"DOP          median PDOP {np.nanmedian(log.dilution.position):.2f}, HDOP {np.nanmedian(log.dilution.horizontal):.2f}, "
         f"VDOP {np.nanmedian(log.dilution.vertical):.2f}",
-        f"left out     {'; '.join(f'{number} {reason}' for reason, number in log.left_out.items())}",
+        f"left out     {'; '.join(f'{number} {reason}' for reason, number in log.left_out.items() if number) or 'nothing'}",
         f"ionosphere   {'by the broadcast coefficients' if log.ionosphere else 'not corrected: the header has no GPSA and GPSB'}",
         f"noise        ranges {_noise(log.noise[0], 'm')}; rates {_noise(log.noise[1], 'm/s')}",
         f"clock        set {np.count_nonzero(np.diff(log.jumps))} times by whole milliseconds",
@@ -231,13 +231,13 @@ def _track(found: Positioned) -> Figure:
     axes[0].plot(local[:, 0], local[:, 1], ".", markersize=2.0, color=colors.ESTIMATE, label=found.filter)
     origin = "known position" if found.reference is not None else "mean position"
     axes[0].set(xlabel="east (m)", ylabel="north (m)", aspect="equal", title=f"from the {origin}")
-    axes[0].legend(markerscale=3)
+    fig.legend(*axes[0].get_legend_handles_labels(), loc="outside lower left", markerscale=3, ncols=2)
     for i, (name, color) in enumerate(
         zip(("east", "north", "up"), (colors.COMPARISON, colors.TRUTH, colors.ESTIMATE), strict=True)
     ):
         axes[1].plot(minutes, local[:, i], color=color, linewidth=0.9, label=name)
     axes[1].set(xlabel="time since the first fix (min)", ylabel="position (m)", title=f"{found.filter}: {len(minutes)} epochs")
-    axes[1].legend()
+    fig.legend(*axes[1].get_legend_handles_labels(), loc="outside lower right", ncols=3)
     return fig
 
 

@@ -615,6 +615,49 @@ def test_absent_files_and_foreign_results_are_told(files, tmp_path, capsys):
     assert (tmp_path / "out" / "track.csv").read_text() == "mine"
 
 
+def damaged(text, rng):
+    """With a letter, a field or a line that is another, or nothing from somewhere on."""
+    lines = text.split("\n")
+    k = int(rng.integers(len(lines) - 1))
+    at = int(rng.integers(max(len(lines[k]), 1)))
+    match rng.choice(["letter", "digit", "field", "line", "end", "name"]):
+        case "letter":
+            lines[k] = lines[k][:at] + chr(rng.integers(32, 127)) + lines[k][at + 1 :]
+        case "digit":
+            lines[k] = lines[k][:at] + str(rng.integers(10)) + lines[k][at + 1 :]
+        case "field":
+            wild = str(rng.choice(["1e99", "nan", "-inf", "0", "", "1e308", "-1", "1_0"]))
+            lines[k] = lines[k][:at] + wild.rjust(14) + lines[k][at + 14 :]
+        case "line":
+            lines[k] = lines[int(rng.integers(len(lines)))]
+        case "end":
+            return text[: int(rng.integers(len(text)))]
+        case "name":
+            lines[k] = str(rng.choice(["Cxx", "C00", "C 1", "X01"])) + lines[k][3:]
+    return "\n".join(lines)
+
+
+@pytest.mark.parametrize("which", ["observations", "navigation"])
+def test_damage_is_an_error_of_input_or_is_told_in_the_summary(tmp_path, which):
+    b = constellation()
+    texts = {"observations": observations(b, TIMES)[0], "navigation": navigation(b)}
+    refused = []
+    for n in range(60):
+        changed = texts | {which: damaged(texts[which], np.random.default_rng(n))}
+        try:
+            nav = read_navigation(written(tmp_path, changed["navigation"], "nav.rnx"))
+            obs = read_observations(written(tmp_path, changed["observations"], "obs.rnx"))
+            result = positioning_report.position(positioning.prepare(obs, nav), "ls", None)
+        except InputError as error:
+            refused.append(str(error))
+        else:
+            positioning_report.summary(result)
+            positioning_report.table(result)
+            assert np.nanmax(np.linalg.norm(result.mean[:, :3] - PLACE, axis=-1)) < 30.0, n
+    assert 10 < len(refused) < 60
+    assert all("rnx" in line for line in refused)
+
+
 def test_the_nearest_epoch_with_a_fix():
     there = np.array([False, False, True, False, False, True, True, False])
     np.testing.assert_array_equal(positioning._nearest(there), [2, 2, 2, 2, 5, 5, 6, 6])
