@@ -460,6 +460,7 @@ def test_position_writes_everything_and_replaces_its_own(files, tmp_path, capsys
         (["--acceleration-noise", "-1"], 2, "celnav: --acceleration-noise: expected a positive density"),
         (["--position", "1", "2", "east"], 2, "celnav: --position: expected a number"),
         (["--position", "32", "118", "50"], 2, "celnav: --position: expected Earth-fixed meters"),
+        (["--position", "1e200", "1e200", "0"], 2, "celnav: --position: expected Earth-fixed meters"),
         (["--position", "nan", "0", "0"], 2, "celnav: --position: expected Earth-fixed meters"),
         (["--mask", "nan"], 2, "celnav: --mask: expected degrees"),
         (["--sigma", "1", "0"], 2, "celnav: --sigma: expected positive deviations"),
