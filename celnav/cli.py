@@ -148,11 +148,26 @@ def _parser() -> tuple[_Parser, dict[str, _Parser]]:
         help="ls, ekf, ukf, aukf, group, channel, gate, huber, student or sage-husa (default: aukf)",
     )
     position.add_argument(
-        "--position", nargs=3, metavar=("X", "Y", "Z"), help="known position, m, Earth-fixed (default: the header's)"
+        "--position",
+        nargs=3,
+        metavar=("X", "Y", "Z"),
+        help="known position of the marker, m, Earth-fixed; the header's offset of the antenna is added (default: the header's)",
     )
     position.add_argument("--mask", default="10", metavar="DEG", help="least elevation of satellites (default: 10)")
     position.add_argument(
         "--acceleration-noise", default="0.01", metavar="Q", help="m^2/s^3; a^2 T for accelerations a each T s (default: 0.01)"
+    )
+    position.add_argument(
+        "--sigma",
+        nargs=2,
+        metavar=("RANGE", "RATE"),
+        help="deviations at the zenith, m and m/s, that grow by 1/sin(elevation) (default: estimated from residuals)",
+    )
+    position.add_argument(
+        "--false-alarm",
+        default="1e-5",
+        metavar="P",
+        help="probability that a sound epoch fails the test for faulty satellites; 0: no test (default: 1e-5)",
     )
     position.add_argument("--out", default="out/position", metavar="DIR", help="where to write (default: out/position)")
     return parser, commands.choices

@@ -5,7 +5,7 @@ State: position (m, Earth-fixed), velocity (m/s), clock bias (m) and drift (m/s)
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,8 +15,8 @@ from pymap3d import ecef2geodetic
 
 from celnav.checks import finite
 from celnav.files import InputError
-from celnav.filters.driver import Epoch, run
-from celnav.filters.least_squares import least_squares
+from celnav.filters.driver import Epoch
+from celnav.fixes import LEAST_ELEVATION, Noise, Seen, estimated, fixed
 from celnav.gaussian import Gaussian, covariance
 from celnav.linalg import Array
 from celnav.models import pseudorange
@@ -28,8 +28,8 @@ CREDIBLE_M = (1.5e7, 5e7)
 """Pseudoranges outside are none."""
 CREDIBLE_M_PER_S = 1e4
 """Nor are larger rates."""
-LEAST_ELEVATION = np.radians(1.0)
-"""What delays and deviations are taken for below it."""
+COARSE = (100.0, 1.0)
+"""Deviations (m, m/s) of measurements while nobody knows which satellites are low, and what their delays are."""
 MILLISECOND_M = 1e-3 * LIGHT
 """By whole ones of these many receivers set their clock."""
 START = (100.0, 10.0, 100.0, 10.0)
@@ -38,7 +38,7 @@ START = (100.0, 10.0, 100.0, 10.0)
 
 @dataclass(frozen=True)
 class Log:
-    """A receiver's log, ready for a filter. It starts at the first epoch whose fix is as consistent as most are.
+    """A receiver's log, ready for a filter: from the first fix that could be tested to the last measurement.
 
     Attributes
     ----------
@@ -47,9 +47,12 @@ class Log:
         there is none. sigma: ``(T, 2 S)`` their deviations. q, w: ``(T, S, 3)``, see `celnav.models.pseudorange.Sources`.
     elevation, azimuth: ``(T, S)`` rad, nan of satellites that cannot be used.
     fixes, fix_cov: ``(T, 8)`` and of positions ``(T, 3, 3)`` m^2, of each epoch by itself, nan where it has none.
-    jumps: ``(T,)`` m, what the receiver has set its clock by since the start, which was taken off ranges and fixes.
-    dilution: of each epoch ``(T,)``. ionosphere: whether the broadcast model's coefficients were there to correct it by.
-    left_out: why measurements are not used, and how many.
+    misfit: ``(T,)``, squared residuals of the fixes' ranges, in deviations: chi-square with as many degrees as ranges beyond four.
+    excluded: ``(T, 2 S)``, the faulty ones. unusable: ``(T, 2)``, whether all ranges, all rates are left out, as they contradict
+        each other and nothing tells which are faulty. tested: ``(T, 2)``, whether there were more than four.
+    noise: of ranges and of rates. jumps: ``(T,)`` m, what the receiver has set its clock by since the start, which was taken off
+        ranges and fixes. dilution: of each epoch ``(T,)``. ionosphere: whether the broadcast model's coefficients were there to
+        correct it by. left_out: why measurements are not used, and how many.
     """
 
     times: Array
@@ -62,6 +65,11 @@ class Log:
     azimuth: Array
     fixes: Array
     fix_cov: Array
+    misfit: Array
+    excluded: Array
+    unusable: Array
+    tested: Array
+    noise: tuple[Noise, Noise]
     jumps: Array
     dilution: pseudorange.Dilution
     ionosphere: bool
@@ -85,7 +93,10 @@ class Log:
 
     def part(self, which: slice) -> Log:
         """Some of the epochs."""
-        names = ("times", "z", "sigma", "q", "w", "elevation", "azimuth", "fixes", "fix_cov", "jumps")
+        names = (
+            "times", "z", "sigma", "q", "w", "elevation", "azimuth", "fixes", "fix_cov", "misfit", "excluded", "unusable", "tested",
+            "jumps",
+        )  # fmt: skip
         arrays: dict[str, Any] = {name: getattr(self, name)[which] for name in names}
         return replace(self, **arrays, dilution=pseudorange.Dilution(*(values[which] for values in self.dilution)))
 
@@ -95,7 +106,8 @@ def prepare(
     navigation: Navigation,
     *,
     mask_deg: float = 10.0,
-    sigma: ArrayLike = (1.5, 0.05),
+    sigma: ArrayLike | None = None,
+    false_alarm: float = 1e-5,
 ) -> Log:
     """Satellites and corrected measurements of a log. Nothing is taken from the header's position.
 
@@ -103,57 +115,88 @@ def prepare(
     ----------
     observations, navigation: what was read from the two files.
     mask_deg: satellites below this elevation are not used, from 0 to below 90.
-    sigma: deviations of range (m) and rate (m/s) at the zenith; elsewhere divided by the sine of the elevation.
+    sigma: deviations of range (m) and rate (m/s) at the zenith; elsewhere divided by the sine of the elevation. None: estimated, by
+        elevation, from the residuals of the fixes.
+    false_alarm: probability that a fix without a fault fails the test of its residuals; faults are excluded, as `celnav.integrity`
+        does it. 0: nothing is tested.
 
     Raises
     ------
-    ValueError: for a mask or deviations that cannot be. InputError: naming the files, if no epoch has a fix.
+    ValueError: for a mask, deviations or a probability that cannot be. InputError: naming the files, if no epoch has a fix.
     """
     least = mask(mask_deg)
-    deviations = finite("sigma", sigma, (2,))
-    if not (deviations > 0.0).all():
-        raise ValueError(f"sigma: expected positive deviations, got {sigma!r}")
+    given = deviations(sigma)
     times, code = observations.times, observations.code
     rows = np.stack([navigation.nearest(name, times) for name in observations.names], -1)
-    given = np.isfinite(code)
+    there = np.isfinite(code)
     credible = (np.nan_to_num(code) > CREDIBLE_M[0]) & (np.nan_to_num(code) < CREDIBLE_M[1])
-    measured = -observations.doppler * LIGHT / B1I_HZ
+    with np.errstate(over="ignore"):
+        measured = -observations.doppler * LIGHT / B1I_HZ
     wild = np.abs(np.nan_to_num(measured)) > CREDIBLE_M_PER_S
     usable = credible & (rows >= 0)
+    named = ", ".join(f"{name} {many}" for name, many in navigation.left_out.items())
     left_out = {
-        "without a healthy broadcast set in its time": int((given & (rows < 0)).sum()),
-        "pseudorange out of all bounds": int((given & ~credible & (rows >= 0)).sum()),
+        "epochs out of order": observations.out_of_order,
+        "broadcast sets that are incomplete or hold what no message can" + (f" ({named})" if named else ""): sum(
+            navigation.left_out.values()
+        ),
+        "without a healthy broadcast set in its time": int((there & (rows < 0)).sum()),
+        "pseudorange out of all bounds": int((there & ~credible & (rows >= 0)).sum()),
         "rate out of all bounds": int((usable & wild).sum()),
     }
+    files = f"{observations.path}, {navigation.path}"
+    refusal = InputError(f"{files}: expected an epoch with four satellites above the mask whose ranges agree, got none")
+    if usable.sum(-1).max(initial=0) < 4:
+        raise refusal
     position, velocity, clock = np.zeros((len(times), 3)), np.zeros((len(times), 3)), np.zeros(len(times))
+    noise = (Noise(COARSE[0], 0.0), Noise(COARSE[1], 0.0))
     for known in (False, True, True):
-        seen = _sources(navigation, rows, times, code, usable, position, velocity)
-        ranges, rates = code + seen.clock, np.where(wild, np.nan, measured) + seen.drift
+        sources = _sources(navigation, rows, times, code, usable, position, velocity)
+        ranges, rates = code + sources.clock, np.where(wild, np.nan, measured) + sources.drift
         used, elevation, azimuth, delay = usable, np.full(code.shape, np.pi / 2.0), np.zeros(code.shape), np.zeros(code.shape)
         if known:
-            elevation, azimuth, delay = _sky(navigation, times - clock / LIGHT, seen.q, position)
+            elevation, azimuth, delay = _sky(navigation, times - clock / LIGHT, sources.q, position)
             used = usable & (elevation >= least)
-        weight = 1.0 / np.sin(np.maximum(elevation, LEAST_ELEVATION))
-        sigma_of = np.concatenate([deviations[0] * weight, deviations[1] * weight], -1)
         z = np.concatenate([np.where(used, ranges - delay, np.nan), np.where(used, rates, np.nan)], -1)
-        fixes, cov = _fixes(z, seen, sigma_of, position)
-        there = np.isfinite(fixes[:, 6])
+        seen = Seen(z, sources.q, sources.w, elevation, position)
+        if known:
+            noise = estimated(seen, false_alarm) if given is None else given
+        found = fixed(seen, noise, false_alarm)
+        there = np.isfinite(found.states[:, 6])
         if not there.any():
-            raise InputError(
-                f"{observations.path}, {navigation.path}: expected an epoch with four satellites above the mask, got none"
-            )
-        near = _nearest(there)
-        position, velocity, clock = fixes[near, :3], np.nan_to_num(fixes[near, 3:6]), fixes[near, 6]
+            raise refusal
+        near = found.states[_nearest(there)]
+        position, velocity, clock = near[:, :3], np.nan_to_num(near[:, 3:6]), near[:, 6]
     left_out["below the mask"] = int((usable & ~used).sum())
-    first = _first_consistent(z, fixes, seen, sigma_of)
-    left_out["before the first consistent fix"] = int(used[:first].sum())
-    z, fixes, jumps = _without_jumps(z, fixes, times)
+    z = np.where(found.kept, z, np.nan)
+    first = int(np.argmax(there & found.kinds[0].tested)) if (there & found.kinds[0].tested).any() else int(np.argmax(there))
+    z, states, jumps = _without_jumps(z, found.states, times)
+    ranged = np.isfinite(z[:, : len(observations.names)])
+    left_out["before the first consistent fix"] = int(ranged[:first].sum())
     shown = np.where(usable, 1.0, np.nan)
     log = Log(
-        times, observations.names, z, sigma_of, seen.q, seen.w, shown * elevation, shown * azimuth, fixes, cov, jumps,
-        pseudorange.dilution(seen.q, position, _axes(position), used), navigation.klobuchar is not None, left_out,
+        times, observations.names, z, found.sigma, seen.q, seen.w, shown * elevation, shown * azimuth, states, found.cov,
+        found.misfit, np.concatenate([kind.excluded for kind in found.kinds], -1),
+        np.stack([kind.unusable for kind in found.kinds], -1), np.stack([kind.tested for kind in found.kinds], -1), noise, jumps,
+        pseudorange.dilution(seen.q, position, _axes(position), ranged), navigation.klobuchar is not None, left_out,
     )  # fmt: skip
-    return log.part(slice(first, None))
+    last = int(np.flatnonzero(ranged.any(-1))[-1]) + 1
+    return log.part(slice(first, last))
+
+
+def deviations(sigma: ArrayLike | None) -> tuple[Noise, Noise] | None:
+    """Noise of ranges and rates by their deviations at the zenith, m and m/s; None: to be estimated.
+
+    Raises
+    ------
+    ValueError: unless both are positive.
+    """
+    if sigma is None:
+        return None
+    given = finite("sigma", sigma, (2,))
+    if not (given > 0.0).all():
+        raise ValueError(f"sigma: expected positive deviations, got {sigma!r}")
+    return Noise(0.0, float(given[0])), Noise(0.0, float(given[1]))
 
 
 def mask(degrees: float) -> float:
@@ -166,17 +209,6 @@ def mask(degrees: float) -> float:
     if not 0.0 <= degrees < 90.0:
         raise ValueError(f"mask_deg: expected degrees from 0 to below 90, got {degrees!r}")
     return float(np.radians(degrees))
-
-
-def _first_consistent(z: Array, fixes: Array, seen: pseudorange.Sources, sigma: Array) -> int:
-    """The first epoch whose residuals are not three times as large as usual, among those with more ranges than unknowns."""
-    S = z.shape[-1] // 2
-    left = (z - pseudorange.measure(fixes, seen.q, seen.w))[:, :S] / sigma[:, :S]
-    spare = np.isfinite(left).sum(-1) - 4
-    size = np.nansum(np.square(left), -1) / np.maximum(spare, 1)
-    if not (spare > 0).any():
-        return int(np.argmax(np.isfinite(fixes[:, 6])))
-    return int(np.argmax((spare > 0) & (size <= 9.0 * np.median(size[spare > 0]))))
 
 
 def _nearest(there: Array) -> Array:
@@ -225,38 +257,6 @@ def _sky(navigation: Navigation, times: Array, q: Array, position: Array) -> tup
         at_l1 = klobuchar(alpha, beta, times[:, None] + GPS_AHEAD_S, latitude, longitude, above, azimuth)
         delay = delay + (GPS_L1_HZ / B1I_HZ) ** 2 * at_l1
     return elevation, azimuth, delay
-
-
-def _fixes(z: Array, seen: pseudorange.Sources, sigma: Array, position: Array) -> tuple[Array, Array]:
-    """All epochs at once: position and bias from ranges, then velocity and drift from rates; nan where there are too few.
-
-    States ``(T, 8)`` and covariances of positions ``(T, 3, 3)``.
-    """
-    T, S = seen.q.shape[:2]
-
-    def states(x: Array) -> Array:
-        return np.concatenate([x[..., :3], np.zeros((*x.shape[:-1], 3)), x[..., 3:], np.zeros((*x.shape[:-1], 1))], -1)
-
-    def ranges(x: Array, _epoch: Epoch) -> Array:
-        return pseudorange.measure(states(x), seen.q, seen.w)[..., :S]
-
-    def slope(x: Array, _epoch: Epoch) -> Array:
-        return pseudorange.jacobian(states(x), seen.q, seen.w)[..., :S, [0, 1, 2, 6]]
-
-    def batch(h: Callable[..., Array], jacobian: Callable[..., Array], part: slice, start: Array) -> tuple[Array, Array]:
-        filter = least_squares(h, jacobian, sigma[:, part], rounds=20)
-        track = run(filter, covariance(start, np.eye(4)), [Epoch(z=z[:, part])], keep="spread", on_failure="flag")
-        assert track.mean is not None
-        return track.mean[0], track.cov[0]
-
-    fix, cov = batch(ranges, slope, slice(S), np.concatenate([position, np.zeros((T, 1))], -1))
-    here = np.concatenate([np.nan_to_num(fix[:, :3]), np.zeros((T, 5))], -1)
-    towards = pseudorange.jacobian(here, seen.q, seen.w)[:, S:, [3, 4, 5, 7]]
-    still = pseudorange.measure(here, seen.q, seen.w)[:, S:]
-    moving, _ = batch(
-        lambda x, _epoch: still + (towards @ x[..., None])[..., 0], lambda _x, _epoch: towards, slice(S, 2 * S), np.zeros((T, 4))
-    )
-    return np.concatenate([fix[:, :3], moving[:, :3], fix[:, 3:], moving[:, 3:]], -1), cov[:, :3, :3]
 
 
 def _without_jumps(z: Array, fixes: Array, times: Array) -> tuple[Array, Array, Array]:

@@ -15,11 +15,12 @@ from pymap3d import ecef2geodetic
 from celnav import colors
 from celnav.figures import figure
 from celnav.files import Outputs
-from celnav.filters.driver import run
+from celnav.filters.driver import FilterError, run
+from celnav.fixes import Noise
 from celnav.linalg import Array
 from celnav.models import pseudorange
 from celnav.models.beidou import ELLIPSOID, GEO_NUMBERS
-from celnav.models.receiver import on_earth
+from celnav.models.receiver import GROUND_M, on_earth
 from celnav.positioning import Log
 from celnav.positioning_filters import filters
 from celnav.rinex import BDT_BEGINNING
@@ -45,7 +46,8 @@ class Positioned:
     Attributes
     ----------
     log: what the filter took. filter: its name. mean: ``(T, 8)`` states. cov: ``(T, 3, 3)`` m^2 of the position.
-    reference: ``(3,)`` m, a known position to compare with; None if there is none.
+    reference: ``(3,)`` m, a known position of the antenna to compare with; None if there is none. of: where that is from.
+    nis: squared innovations, of fixes residuals, in the deviations that are claimed for them, per degree of freedom.
     """
 
     log: Log
@@ -53,11 +55,23 @@ class Positioned:
     mean: Array
     cov: Array
     reference: Array | None
+    of: str = "known"
+    nis: float = float("nan")
+
+    @property
+    def measured(self) -> Array:
+        """Epochs ``(T,)`` with a position that some range went into: others are predictions, and no average counts them."""
+        return np.isfinite(self.mean[:, 0]) & self.log.used.any(-1)
+
+    @property
+    def place(self) -> Array:
+        """The mean position, m."""
+        return np.asarray(self.mean[self.measured, :3].mean(0))
 
     @property
     def origin(self) -> Array:
         """Of the local frame: the known position, else the mean one."""
-        return np.nanmean(self.mean[:, :3], 0) if self.reference is None else self.reference
+        return self.place if self.reference is None else self.reference
 
     @cached_property
     def axes(self) -> Array:
@@ -75,8 +89,10 @@ class Positioned:
         return np.asarray((self.log.times - self.log.times[0]) / 60.0)
 
 
-def position(log: Log, filter: str, reference: Array | None, *, acceleration: float = 0.01) -> Positioned:
+def position(log: Log, filter: str, reference: Array | None, *, acceleration: float = 0.01, of: str = "known") -> Positioned:
     """Run a filter of `celnav.positioning_filters.filters` over a log; "ls" takes each epoch by itself.
+
+    Positions that are not near the Earth become nan. ``of``: see `Positioned`.
 
     Raises
     ------
@@ -86,12 +102,18 @@ def position(log: Log, filter: str, reference: Array | None, *, acceleration: fl
     if reference is not None:
         on_earth("reference", reference)
     if filter == "ls":
-        return Positioned(log, filter, log.fixes, log.fix_cov, reference)
+        spare = np.where(np.isfinite(log.misfit), np.maximum(log.used.sum(-1) - 4, 0), 0).sum()
+        return Positioned(log, filter, log.fixes, log.fix_cov, reference, of, float(np.nansum(log.misfit) / max(spare, 1)))
     if filter not in known:
         raise ValueError(f"filter: expected one of ls, {', '.join(known)}, got {filter!r}")
     track = run(known[filter], log.prior(), log.epochs(), keep="spread")
     assert track.mean is not None
-    return Positioned(log, filter, track.mean, track.cov[:, :3, :3], reference)
+    size = np.linalg.norm(track.mean[:, :3], axis=-1)
+    there = (size > GROUND_M[0]) & (size < GROUND_M[1])
+    mean, cov = np.where(there[:, None], track.mean, np.nan), np.where(there[:, None, None], track.cov[:, :3, :3], np.nan)
+    if not (there & log.used.any(-1)).any():
+        raise FilterError("its positions are far from the Earth")
+    return Positioned(log, filter, mean, cov, reference, of, float(np.nansum(track.nis) / max(int(track.dof.sum()), 1)))
 
 
 def _rms(vectors: Array) -> float:
@@ -100,36 +122,63 @@ def _rms(vectors: Array) -> float:
 
 
 def summary(found: Positioned) -> str:
-    """In lines: epochs, satellites, DOP, scatter, and the error if a position is known."""
-    log, local = found.log, found.local(found.mean)
+    """In lines: epochs, satellites, DOP, integrity, noise, scatter, and the error if a position is known."""
+    log, local, measured = found.log, found.local(found.mean), found.measured
     used, there = log.used, np.isfinite(found.mean[:, 0])
     count, fixed = used.sum(1), np.isfinite(log.fixes[:, 0])
-    place = np.nanmean(found.mean[:, :3], 0)
-    latitude, longitude, height = ecef2geodetic(*place, ell=ELLIPSOID)
+    latitude, longitude, height = ecef2geodetic(*found.place, ell=ELLIPSOID)
     names = [log.names[s] for s in np.flatnonzero(used.any(0))]
-    scatter = local - np.nanmean(local, 0)
     lines = [
-        f"epochs       {len(log.times)}, {civil(log.times[0])} to {civil(log.times[-1])} BDT; {there.sum()} with a position",
+        f"epochs       {len(log.times)}, {civil(log.times[0])} to {civil(log.times[-1])} BDT; {measured.sum()} with a position, "
+        f"{(there & ~measured).sum()} more predicted without a range, {(~there).sum()} without a position",
         f"satellites   {len(names)} ({', '.join(names)}); {count.min()} to {count.max()} at a time, mean {count.mean():.1f}",
-        f"alone        {(fixed & (count == 4)).sum()} epochs with four, no redundancy; {(~fixed).sum()} with fewer",
+        f"alone        {(fixed & (count == 4)).sum()} epochs with four, no redundancy; {(~fixed).sum()} without a fix",
+        f"integrity    {_integrity(log)}",
         f"DOP          median PDOP {np.nanmedian(log.dilution.position):.2f}, HDOP {np.nanmedian(log.dilution.horizontal):.2f}, "
         f"VDOP {np.nanmedian(log.dilution.vertical):.2f}",
-        f"left out     {'; '.join(f'{number} {reason}' for reason, number in log.left_out.items())}",
+        f"left out     {'; '.join(f'{number} {reason}' for reason, number in log.left_out.items() if number) or 'nothing'}",
         f"ionosphere   {'by the broadcast coefficients' if log.ionosphere else 'not corrected: the header has no GPSA and GPSB'}",
+        f"noise        ranges {_noise(log.noise[0], 'm')}; rates {_noise(log.noise[1], 'm/s')}",
         f"clock        set {np.count_nonzero(np.diff(log.jumps))} times by whole milliseconds",
-        f"filter       {found.filter}",
-        f"mean         {place[0]:.3f} {place[1]:.3f} {place[2]:.3f} m; {latitude:.7f}°, {longitude:.7f}°, {height:.2f} m",
-        f"scatter      {_rms(scatter):.3f} m in 3-D about its mean; of each epoch by itself "
+        f"filter       {found.filter}; NIS {found.nis:.3f} a degree of freedom, 1 where noise and motion are as taken",
+        f"mean         {' '.join(f'{v:.3f}' for v in found.place)} m; {latitude:.7f}°, {longitude:.7f}°, {height:.2f} m",
+        f"scatter      {_rms(found.mean[measured, :3] - found.place):.3f} m in 3-D about its mean; of each epoch by itself "
         f"{_rms(log.fixes[:, :3] - np.nanmean(log.fixes[:, :3], 0)):.3f} m",
     ]
     if found.reference is not None:
-        parts = np.sqrt(np.nanmean(np.square(local), 0))
-        alone = _rms(log.fixes[:, :3] - found.reference)
-        lines.append(
-            f"error        {_rms(local):.3f} m RMS in 3-D: east {parts[0]:.3f}, north {parts[1]:.3f}, up {parts[2]:.3f}; "
-            f"of each epoch by itself {alone:.3f} m"
-        )
+        parts = np.sqrt(np.square(local[measured]).mean(0))
+        std = np.sqrt((found.axes @ found.cov @ found.axes.T).diagonal(0, -2, -1))[measured]
+        ratio = np.square(local[measured] / std).mean(0)
+        lines += [
+            f"reference    {' '.join(f'{v:.3f}' for v in found.reference)} m, of the antenna: {found.of}",
+            f"error        {_rms(local[measured]):.3f} m RMS in 3-D: east {parts[0]:.3f}, north {parts[1]:.3f}, up {parts[2]:.3f}; "
+            f"of each epoch by itself {_rms(log.fixes[:, :3] - found.reference):.3f} m",
+            f"claimed      (error / deviation)^2: east {ratio[0]:.2f}, north {ratio[1]:.2f}, up {ratio[2]:.2f}; 1 where "
+            "deviations are right, which are of noise alone: what all satellites share shows in no residual",
+        ]
     return "\n".join(lines)
+
+
+def _integrity(log: Log) -> str:
+    """How many epochs were tested, and what was excluded."""
+    S, tested = len(log.names), int(log.tested[:, 0].sum())
+    if not log.tested.any():
+        return "not tested: no epoch has redundancy, or it was turned off; a faulty satellite would go unnoticed"
+    words = [f"{tested} epochs tested by their residuals"]
+    for kind, part in (("ranges", slice(S)), ("rates", slice(S, 2 * S))):
+        many = log.excluded[:, part].sum(0)
+        named = ", ".join(f"{log.names[s]} {many[s]}" for s in np.argsort(-many, kind="stable") if many[s])
+        words.append(f"{kind} excluded at {log.excluded[:, part].any(1).sum()} epochs" + (f" ({named})" if named else ""))
+    ranges, rates = log.unusable.sum(0)
+    words.append(f"{ranges} epochs not used whose ranges contradict each other, {rates} whose rates do")
+    words.append(f"{len(log.times) - tested} without redundancy, which nothing tests")
+    return "; ".join(words)
+
+
+def _noise(noise: Noise, unit: str) -> str:
+    level = f"{noise.level:.4g} {unit} and " if noise.level else ""
+    known = f"estimated from {noise.redundancy} redundant ones" if noise.redundancy else "not estimated"
+    return f"{level}{noise.zenith:.4g} {unit} / sin(elevation), {known}"
 
 
 def civil(t: float) -> str:
@@ -138,21 +187,35 @@ def civil(t: float) -> str:
 
 
 COLUMNS = ("time_bdt", "seconds_bdt", "x_m", "y_m", "z_m", "vx_m_per_s", "vy_m_per_s", "vz_m_per_s", "clock_m", "drift_m_per_s",
-           "east_m", "north_m", "up_m", "std_east_m", "std_north_m", "std_up_m", "satellites", "pdop")  # fmt: skip
+           "east_m", "north_m", "up_m", "std_east_m", "std_north_m", "std_up_m", "satellites", "pdop",
+           "integrity", "excluded")  # fmt: skip
 
 
 def table(found: Positioned) -> str:
-    """All epochs as CSV; empty where there is nothing. ``clock_m`` is the receiver's clock with what it was set by."""
+    """All epochs as CSV; empty where there is nothing. ``clock_m`` is the receiver's clock with what it was set by.
+
+    ``integrity``, of the ranges: "tested", "excluded" (consistent without what ``excluded`` names), "contradiction" (none is used),
+    "untested" (no redundancy) or "no ranges". ``excluded``: satellites whose range was; with "rate", whose rate alone was.
+    """
     local, log = found.local(found.mean), found.log
     std = np.sqrt((found.axes @ found.cov @ found.axes.T).diagonal(0, -2, -1))
     mean = found.mean.copy()
     mean[:, 6] += log.jumps
     numbers = np.column_stack([log.times, mean, local, std, log.used.sum(1), log.dilution.position])
+    ranges, rates = np.split(log.excluded, 2, -1)
+    states = np.select(
+        [log.unusable[:, 0], ranges.any(1), ~log.used.any(1), log.tested[:, 0]],
+        ["contradiction", "excluded", "no ranges", "tested"],
+        "untested",
+    )
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)
-    for t, row in zip(log.times, numbers, strict=True):
-        writer.writerow([civil(t), *(f"{v:.4f}".rstrip("0").rstrip(".") if np.isfinite(v) else "" for v in row)])
+    for k, row in enumerate(numbers):
+        cells = [f"{v:.4f}".rstrip("0").rstrip(".") if np.isfinite(v) else "" for v in row]
+        named = [n for n, out in zip(log.names, ranges[k], strict=True) if out]
+        named += [f"{n} rate" for n, out in zip(log.names, rates[k], strict=True) if out]
+        writer.writerow([civil(log.times[k]), *cells, states[k], ", ".join(named)])
     return text.getvalue()
 
 
@@ -168,13 +231,13 @@ def _track(found: Positioned) -> Figure:
     axes[0].plot(local[:, 0], local[:, 1], ".", markersize=2.0, color=colors.ESTIMATE, label=found.filter)
     origin = "known position" if found.reference is not None else "mean position"
     axes[0].set(xlabel="east (m)", ylabel="north (m)", aspect="equal", title=f"from the {origin}")
-    axes[0].legend(markerscale=3)
+    fig.legend(*axes[0].get_legend_handles_labels(), loc="outside lower left", markerscale=3, ncols=2)
     for i, (name, color) in enumerate(
         zip(("east", "north", "up"), (colors.COMPARISON, colors.TRUTH, colors.ESTIMATE), strict=True)
     ):
         axes[1].plot(minutes, local[:, i], color=color, linewidth=0.9, label=name)
     axes[1].set(xlabel="time since the first fix (min)", ylabel="position (m)", title=f"{found.filter}: {len(minutes)} epochs")
-    axes[1].legend()
+    fig.legend(*axes[1].get_legend_handles_labels(), loc="outside lower right", ncols=3)
     return fig
 
 
@@ -230,8 +293,8 @@ def record_positioned(found: Positioned, path: Any) -> None:
 
     log, local, alone = found.log, found.local(found.mean), found.local(found.log.fixes)
     times = log.times - log.times[0]
-    spread = 3.0 * max(_rms(local - np.nanmean(local, 0)), 0.1)
-    middle = np.nanmean(local, 0)
+    middle = local[found.measured].mean(0)
+    spread = 3.0 * max(_rms(local[found.measured] - middle), 0.1)
     growing = {"track/alone": np.inf, "track/filter": np.inf}
     scatter = views.space(
         "track", "east, north, up, m", eye=middle + np.array([0.0, -spread, 4.0 * spread]), target=middle, growing=growing

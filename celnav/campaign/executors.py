@@ -142,7 +142,8 @@ def _cluster(address: str | None, jobs: int) -> Iterator[Executor]:
     try:
         import distributed
     except ImportError:
-        raise ImportError('dask needs the package distributed: pip install "celnav[cluster]"') from None
+        hint = '.venv/bin/pip install -c constraints.txt -e ".[cluster]"'
+        raise ImportError(f"dask needs the package distributed: in the folder of celnav, {hint}") from None
     others, dd = set(active_children()), cast(Any, distributed)
     with contextlib.ExitStack() as stack:
         stack.callback(_kill_but, others)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Callable
+from functools import partial
 
 from celnav.commands.arguments import UsageError, number
 from celnav.files import InputError, Outputs
@@ -15,26 +17,31 @@ def run(options: argparse.Namespace) -> int:
 
     from celnav import positioning, positioning_filters, positioning_report, rinex
     from celnav.filters.driver import FilterError
+    from celnav.integrity import probability
     from celnav.models.receiver import on_earth
 
-    mask, noise = number("mask", options.mask), number("acceleration-noise", options.acceleration_noise)
-    given = None if options.position is None else np.array([number("position", text) for text in options.position])
-    try:
-        positioning.mask(mask)
-        names = ["ls", *positioning_filters.filters(4, acceleration=noise)]
-        if given is not None:
-            on_earth("position", given)
-    except ValueError as error:
-        raise UsageError(error) from None
+    mask, noise = number("--mask", options.mask), number("--acceleration-noise", options.acceleration_noise)
+    alarm = number("--false-alarm", options.false_alarm)
+    given = None if options.position is None else np.array([number("--position", text) for text in options.position])
+    sigma = None if options.sigma is None else [number("--sigma", text) for text in options.sigma]
+    _checked("--mask", lambda: positioning.mask(mask))
+    _checked("--acceleration-noise", lambda: positioning_filters.filters(4, acceleration=noise))
+    _checked("--false-alarm", lambda: probability(alarm))
+    _checked("--sigma", lambda: positioning.deviations(sigma))
+    if given is not None:
+        _checked("--position", partial(on_earth, "position", given))
+    names = ["ls", *positioning_filters.filters(4)]
     if options.filter not in names:
-        raise UsageError(f"unknown filter {options.filter!r}: expected one of {', '.join(names)}")
+        raise UsageError(f"--filter: expected one of {', '.join(names)}, got {options.filter!r}")
     outputs = Outputs(options.out)
     outputs.check([*positioning_report.FILES, positioning_report.RECORDING])
     navigation, observations = rinex.read_navigation(options.navigation), rinex.read_observations(options.observations)
-    log = positioning.prepare(observations, navigation, mask_deg=mask)
-    reference = observations.position if given is None else given
+    log = positioning.prepare(observations, navigation, mask_deg=mask, sigma=sigma, false_alarm=alarm)
+    east, north, up = observations.antenna
+    of = f"the marker's by {'the header' if given is None else '--position'} and the header's offset, {east:.3f} m east, "
+    of += f"{north:.3f} north, {up:.3f} up"
     try:
-        found = positioning_report.position(log, options.filter, reference, acceleration=noise)
+        found = positioning_report.position(log, options.filter, observations.reference(given), acceleration=noise, of=of)
     except FilterError as error:
         raise InputError(f"{options.filter} is lost on {options.observations}: {str(error).partition(' (on_failure')[0]}") from None
     print(positioning_report.summary(found))
@@ -46,3 +53,11 @@ def run(options: argparse.Namespace) -> int:
         print(f"celnav: no recording ({error}); everything else is written", file=sys.stderr)
     print(f"wrote {outputs.directory}")
     return 0
+
+
+def _checked(option: str, check: Callable[[], object]) -> None:
+    """What the library says of an argument, said of the option."""
+    try:
+        check()
+    except ValueError as error:
+        raise UsageError(f"{option}: {str(error).partition(': ')[2]}") from None

@@ -5,6 +5,8 @@ State: position (m), velocity (m/s), clock bias (m) and drift (m/s), as in `celn
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from celnav.checks import numbers
@@ -13,6 +15,9 @@ from celnav.models.beidou import LIGHT
 
 CRYSTAL = (LIGHT**2 * 2e-19 / 2.0, 2.0 * np.pi**2 * LIGHT**2 * 2e-20)
 """A compensated crystal's noise of frequency, white (m^2/s) and walking (m^2/s^3): h0 = 2e-19, h-2 = 2e-20."""
+
+GROUND_M = (6.3e6, 1e7)
+"""From the middle of the Earth, where receivers are: near its surface or in a low orbit."""
 
 
 def transition(dt: float) -> Array:
@@ -43,5 +48,5 @@ def on_earth(name: str, position: Array) -> None:
     ValueError: naming it, unless it is in Earth-fixed meters, near the surface or in a low orbit.
     """
     position = numbers(name, position, (3,))
-    if not (6.3e6 < np.linalg.norm(position) < 1e7):
+    if not GROUND_M[0] < math.hypot(*position) < GROUND_M[1]:  # nan is in no interval
         raise ValueError(f"{name}: expected Earth-fixed meters, 6300 to 10000 km from the middle, got {position}")

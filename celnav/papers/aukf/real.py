@@ -10,6 +10,7 @@ import numpy as np
 
 from celnav.files import InputError
 from celnav.filters.driver import run
+from celnav.fixes import GIVEN
 from celnav.linalg import Array
 from celnav.models.beidou import GEO_NUMBERS, Broadcast, satellites
 from celnav.papers.aukf.config import Config
@@ -83,11 +84,13 @@ def real(config: Config, rng: np.random.Generator, folder: Path | None = None) -
     if files is None:
         return None
     observations, navigation = read_observations(files[0]), read_navigation(files[1])
-    if observations.position is None:
+    reference = observations.reference()
+    if reference is None:
         raise InputError(f"{files[0]}: expected the receiver's position in the header to compare with, got none")
     half = observations.part(observations.times < observations.times[0] + HALF_DAY_S)
     hit, during = disturbed(half, config.burst_sigma, rng)
-    log, other = (prepare(part, navigation, mask_deg=config.mask_deg) for part in (half, hit))
+    # What a burst does is the filters' to weather: nothing is excluded, and the noise is what is taken for it.
+    log, other = (prepare(part, navigation, mask_deg=config.mask_deg, sigma=GIVEN, false_alarm=0.0) for part in (half, hit))
     known = filters(len(log.names), window=config.window)
     out: dict[str, Any] = {"tracks": {"ls": log.fixes}, "burst": {"ls": other.fixes}}
     for name in FILTERS:
@@ -99,7 +102,7 @@ def real(config: Config, rng: np.random.Generator, folder: Path | None = None) -
             out["nis"] = float(track.nis.sum() / track.dof.sum())
         out["burst"][name] = run(known[name], other.prior(), other.epochs(), keep="mean").mean
     during = np.isin(log.times, half.times[during])
-    return Real(log, observations.position, during=during, apart=consecutive(navigation), wrong=misplaced(navigation), **out)
+    return Real(log, reference, during=during, apart=consecutive(navigation), wrong=misplaced(navigation), **out)
 
 
 def disturbed(observations: Observations, sigma: float, rng: np.random.Generator) -> tuple[Observations, Array]:
