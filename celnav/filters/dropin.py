@@ -66,8 +66,8 @@ class SigmaPointUKF:
     ``points``: a filterpy sigma-point object or a celnav `Rule`. ``vectorized``: ``fx`` and ``hx`` take all points ``(p, n)`` at
     once instead of one point ``(n,)`` after the other. Points lie along the lower Cholesky root, as with filterpy's default, and
     every update draws its own, so that a second one in a row sees what the first has learned (filterpy's takes those of the
-    prediction). A number as ``Q`` or ``R`` counts in every element of the matrix, as in filterpy, which warns here; as ``P``, or as
-    the ``R`` of one `update`, it is a variance of every component; None is no noise. A step takes 0.9 to 1.3 times what
+    prediction). A number as ``Q`` or ``R`` counts in every element of the matrix, as in filterpy, and a warning says so; as ``P``
+    or as the ``R`` of one `update`, it is a variance of every component; None is no noise. A step takes 0.9 to 1.3 times what
     filterpy takes, in this form 0.75 to 1.2 times (``python -m benchmarks.dropin``); many runs are for `celnav.run`.
 
     Raises
