@@ -95,7 +95,7 @@ class SigmaPointUKF:
         vectorized: bool = False,
     ):
         self._dim_x, self._dim_z, self._dt, self._vectorized = dim_x, dim_z, dt, vectorized
-        self._made: dict[str, Any] = {}  # attributes that are made when asked for
+        self._made: dict[str, Any] = {"info": None}  # attributes that are made when asked for, and what the last update found
         self._roots: dict[str, tuple[Any, Array]] = {}  # by name: a matrix as it was, and what its checks made of it
         self.points_fn = points
         self.hx, self.fx = hx, fx
@@ -113,7 +113,6 @@ class SigmaPointUKF:
         self.K, self.y = np.zeros((dim_x, dim_z)), np.zeros(dim_z)
         self.S, self.SI = np.zeros((dim_z, dim_z)), np.zeros((dim_z, dim_z))
         self.z: Any = np.array([[None] * dim_z]).T
-        self._info: Info | None = None
 
     K = _late("K", "Gain ``(n, m)`` of the last update.")
     SI = _late("SI", "Inverse ``(m, m)`` of ``S``, by ``inv``.")
@@ -216,8 +215,8 @@ class SigmaPointUKF:
         h = model_of(self._vectorized, "hx", self.hx if hx is None else hx, m, (), hx_args)
         found = self._conditioned(belief, measured, h, root) if UT is None else self._transformed(UT, belief, measured, h, noise)
         self._keep(found.belief)
-        self.sigmas_h, self.S, self.y, self._info = np.array(found.images[self._own]), found.S, found.innovation, found.info
-        self._made |= {"K": found.gain, "SI": lambda: self.inv(found.S)}
+        self.sigmas_h, self.S, self.y = np.array(found.images[self._own]), found.S, found.innovation
+        self._made |= {"K": found.gain, "SI": lambda: self.inv(found.S), "info": found.info}
         self.z, self.x_post, self.P_post = deepcopy(z), self.x.copy(), self.P.copy()
 
     def _conditioned(self, belief: Gaussian, z: Array, h: Callable[[Array, Any], Array], root: Array) -> _Found:
@@ -243,6 +242,8 @@ class SigmaPointUKF:
 
     def _transformed(self, UT: Any, belief: Gaussian, z: Array, h: Callable[[Array, Any], Array], R: Any) -> _Found:
         """By a transform of the user's, which gives a mean and a covariance."""
+        if np.isnan(z).any():
+            raise ValueError("z: expected every component where UT is given, got nan")
         points = self._points(belief)[self._own]
         images = h(points, None)
         predicted, S = UT(images, self.Wm, self.Wc, R, self.z_mean, self.residual_z)
@@ -308,7 +309,8 @@ class SigmaPointUKF:
     @property
     def log_likelihood(self) -> float:
         """Logarithm of the density of the last measurement."""
-        return float(np.log(sys.float_info.min)) if self._info is None else float(np.asarray(self._info.log_likelihood))
+        info = self._made["info"]
+        return float(np.log(sys.float_info.min)) if info is None else float(info.log_likelihood)
 
     @property
     def likelihood(self) -> float:
@@ -318,7 +320,8 @@ class SigmaPointUKF:
     @property
     def mahalanobis(self) -> float:
         """Mahalanobis distance of the last measurement; 0 before the first."""
-        return 0.0 if self._info is None else float(np.sqrt(np.asarray(self._info.nis)))
+        info = self._made["info"]
+        return 0.0 if info is None else float(np.sqrt(info.nis))
 
     def __repr__(self) -> str:
         names = "x P x_prior P_prior Q R S K y log_likelihood likelihood mahalanobis sigmas_f sigmas_h Wm Wc residual_x residual_z"
@@ -326,8 +329,7 @@ class SigmaPointUKF:
         return "\n".join([f"{type(self).__name__} object", *(str(pretty_str(name, getattr(self, name))) for name in names.split())])
 
     def __getstate__(self) -> Mapping[str, Any]:
-        for name in self._made:
-            getattr(self, name)
+        self._made = {name: value() if callable(value) else value for name, value in self._made.items()}
         return self.__dict__
 
     # -- between filterpy's world and ours -----------------------------------------------------------------------------

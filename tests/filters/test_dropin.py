@@ -195,6 +195,7 @@ def test_partly_missing_components_are_left_out_exactly(cls):
     [
         ({}, {"z": [1.0, np.inf]}, "z"),
         ({}, {"z": "far"}, "z"),
+        ({}, {"z": [1.0, np.nan], "UT": unscented_transform}, "z: expected every component"),
         ({}, {"z": [1.0, 2.0, 3.0]}, "z"),
         ({}, {"z": np.zeros((2, 2))}, "z"),
         ({"R": -np.eye(2)}, {"z": [1.0, 2.0]}, "R"),
@@ -504,8 +505,13 @@ def test_a_filter_can_be_pickled_and_saved(cls):
         each.predict()
         each.update(0.5)
     np.testing.assert_array_equal(twin.x, kf.x)
-    assert len(saver.K) == len(saver.sigmas_f) == len(saver.SI) == 2
     assert not np.array_equal(saver.K[0], saver.K[1])
+    saver.to_array()
+    assert saver.x.shape == (2, 2)
+    assert saver.K.shape == (2, 2, 1)
+    assert saver.sigmas_f.shape == (2, 5, 2)
+    assert saver.SI.shape == (2, 1, 1)
+    assert saver.log_likelihood.shape == (2,)
 
 
 @pytest.mark.parametrize("cls", OURS)
