@@ -26,7 +26,7 @@ NEGLIGIBLE = 1e-12
 
 def matvec(A: Array, x: Array) -> Array:
     """Product of matrices ``(..., n, m)`` and vectors ``(..., m)``, shape ``(..., n)``."""
-    product: Array = (A @ x[..., None])[..., 0]
+    product: Array = A.dot(x) if A.ndim == 2 and x.ndim == 1 else (A @ x[..., None])[..., 0]
     return product
 
 
@@ -51,7 +51,7 @@ def outer(A: Array) -> Array:
 
     Of a matrix and its own transpose numpy makes one triangle and copies it, which for many small ones takes twice the time.
     """
-    product: Array = A @ (A.mT if A.ndim == 2 else A.mT.copy())
+    product: Array = A.dot(A.T) if A.ndim == 2 else A @ A.mT.copy()
     return product
 
 
@@ -105,11 +105,11 @@ def is_unit(A: Array) -> bool:
 def solve_lower(L: Array, B: Array) -> Array:
     """Solve ``L @ X = B`` for lower triangular ``L (..., n, n)`` and ``B (..., n, k)``; a zero on the diagonal gives nan."""
     diagonal = L.diagonal(0, -2, -1)
-    if not diagonal.all():
-        diagonal = np.where(diagonal == 0.0, np.nan, diagonal)
-    elif L.ndim == B.ndim == 2:
+    if L.ndim == B.ndim == 2 and 0.0 not in diagonal.tolist():
         solution: Array = blas.dtrsm(1.0, L, B, lower=1)  # LAPACK's dtrtrs would start threads, however small the matrix
         return solution
+    if not diagonal.all():
+        diagonal = np.where(diagonal == 0.0, np.nan, diagonal)
     batch = np.broadcast_shapes(L.shape[:-2], B.shape[:-2])
     X = np.empty(batch + B.shape[-2:])
     for i in range(L.shape[-1]):
@@ -144,15 +144,26 @@ def solve_upper_transposed(L: Array, B: Array) -> Array:
 def _scaled(P: Array) -> tuple[Array, Array]:
     """Scales ``(..., n)`` and ``P`` in units of them: kilometers and radians in one matrix then weigh alike."""
     diagonal = P.diagonal(0, -2, -1)
-    scale = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
+    if P.ndim > 2 or not min(diagonal.tolist(), default=1.0) > 0.0:
+        diagonal = np.where(diagonal > 0.0, diagonal, 1.0)
+    scale = np.sqrt(diagonal)
     C = P / scale[..., :, None]
     C /= scale[..., None, :]
     return scale, C
 
 
+def _single(C: Array) -> Array | None:
+    """Root of one matrix, by LAPACK itself; None where it has none."""
+    L, info = lapack.dpotrf(C, lower=1)
+    return L if info == 0 and (L.size == 0 or L[-1, -1] > 0.0) else None  # a nan anywhere leads to one in the last place
+
+
 def cholesky(P: Array) -> Array:
     """Lower root of positive definite ``P (..., n, n)``; nan for each matrix that is not positive definite."""
     scale, C = _scaled(P)
+    if P.ndim == 2:
+        root = _single(C)
+        return np.full(P.shape, np.nan) if root is None else scale[:, None] * root
     try:
         L = np.linalg.cholesky(C)
     except np.linalg.LinAlgError:  # numpy gives up on the whole block: find the culprits, keep the rest
@@ -167,10 +178,13 @@ def cholesky(P: Array) -> Array:
 def semidefinite_root(P: Array) -> Array:
     """Lower root of a covariance ``P (..., n, n)`` that may be singular; nan where it is indefinite beyond round-off."""
     scale, C = _scaled(P)
+    least = 1e-5  # below, a singular matrix may have slipped through on a rounding error
+    if P.ndim == 2 and (one := _single(C)) is not None and min(one.diagonal().tolist(), default=1.0) > least:
+        return scale[:, None] * one
     nothing = 4 * C.shape[-1] * _EPS  # what is left of a variance that is none
     try:
         L = np.linalg.cholesky(C)
-        if L.diagonal(0, -2, -1).min(initial=1.0) > 1e-5:  # below, a singular matrix may have slipped through on a rounding error
+        if L.diagonal(0, -2, -1).min(initial=1.0) > least:
             return scale[..., None] * L
     except np.linalg.LinAlgError:
         pass

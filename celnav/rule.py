@@ -114,6 +114,22 @@ class Rule:
             raise ValueError("P: expected a positive semidefinite covariance")
         return np.asarray(mean + self.nodes[self._filterpy] @ root.T)
 
+    # -- of one vector -------------------------------------------------------------------------------------------------
+    def drawn(self, mean: Array, root: Array) -> Array:
+        """Points ``(p, n)`` of one Gaussian, one after the other in memory."""
+        points: Array = self.nodes.dot(root.T)
+        points += mean
+        return points
+
+    def moments(self, images: Array) -> tuple[Array, Array]:
+        """Mean ``(k,)`` and columns ``(k, q)`` of images ``(p, k)`` of such points, as `transform` makes them."""
+        center = images[0]
+        apart = images[self._used] - center
+        shift = self._wm.dot(apart)
+        apart -= shift
+        apart *= self._scale[:, None]
+        return center + shift, apart.T
+
     # -- the protocol of the filters -----------------------------------------------------------------------------------
     def points(self, mean: Array, root: Array, space: Space, extra: Sequence[Array] = ()) -> list[Array]:
         """State points ``(p, ..., N)`` and noise points ``(p, ..., k)``, one array for each root in ``extra``."""

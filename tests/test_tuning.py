@@ -183,3 +183,132 @@ def test_data_and_builders_that_are_none():
         maximize_likelihood(builder(2), [1.0, 1.0], epochs(np.arange(3)))
     with pytest.raises(ValueError, match="build: expected a filter and a prior, got Gaussian"):
         maximize_likelihood(lambda p: square_root([0.0], [[1.0]]), [1.0], epochs(np.arange(3), np.zeros((3, 1))))
+
+
+def test_build_that_raises_is_improbable():
+    """A correlation near 1, searched for among all positive numbers: where there is no such process the search turns back."""
+    when, truth = correlated()
+    tried = []
+
+    def build(parameters):
+        tried.append(parameters[0])
+        return strict(parameters)
+
+    tuned = maximize_likelihood(build, [0.3, 1.0], when)
+    assert max(tried) >= 1.0
+    assert tuned.failures == sum(phi >= 1.0 for phi in tried)
+    assert tuned.converged, tuned.message
+    assert (np.abs(tuned.parameters - truth) < 3.0 * tuned.standard_errors).all()
+    with pytest.raises(ValueError, match="phi: expected a number below 1") as refused:
+        maximize_likelihood(build, [1.5, 1.0], when)
+    assert "at the start" in refused.value.__notes__[0]
+
+
+def correlation(parameters):
+    """An AR(1) process of variance q^2 seen through white noise of deviation 0.5; parameters ``(..., 2)``: phi, q."""
+    rule, phi, q = unscented(1), parameters[..., :1], parameters[..., 1:, None]
+    assert (phi < 1.0).all()
+    motion = predict(lambda x, _: phi * x, rule, sqrt_Q=q * np.sqrt(1.0 - phi**2)[..., None])
+    return sequential(motion, update([[1.0]], rule, sqrt_R=[[0.5]])), square_root([0.0], [[1.0]])
+
+
+def strict(parameters):
+    if (parameters[..., 0] >= 1.0).any():
+        raise ValueError(f"phi: expected a number below 1, got {parameters[..., 0].max()}")
+    return correlation(parameters)
+
+
+def correlated(steps=200):
+    rng = np.random.default_rng(8)
+    phi, q = truth = np.array([0.95, 0.8])
+    x, z = rng.normal(), []
+    for _ in range(steps):
+        z.append([x + 0.5 * rng.normal()])
+        x = phi * x + q * np.sqrt(1.0 - phi**2) * rng.normal()
+    return epochs(np.arange(steps), np.array(z)), truth
+
+
+@pytest.mark.parametrize("domain", [["unit interval", "positive"], [(-1.0, 1.0), (0.0, 10.0)], (0.0, 1.0)])
+def test_parameters_stay_in_their_domain(domain):
+    when, truth = correlated()
+    tuned = maximize_likelihood(correlation, [0.3, 0.9], when, domain=domain, vectorized=True)  # which asserts that phi is below 1
+    free = maximize_likelihood(strict, [0.9, 0.9], when, vectorized=True)
+    assert tuned.converged, tuned.message
+    assert tuned.failures == 0
+    assert (np.abs(tuned.parameters - truth) < 3.0 * tuned.standard_errors).all()
+    np.testing.assert_allclose(tuned.parameters, free.parameters, rtol=2e-3)
+    np.testing.assert_allclose(tuned.standard_errors, free.standard_errors, rtol=2e-2)
+    assert tuned.log_likelihood == pytest.approx(free.log_likelihood, abs=1e-4)
+
+
+def test_a_maximum_at_the_edge_of_what_can_be_built_is_told():
+    """White noise of deviation 3, and a filter that refuses any above 2."""
+    rule = unscented(1)
+
+    def build(parameters):
+        if parameters[0] > 2.0:
+            raise ZeroDivisionError("no such filter")
+        return sequential(
+            predict(lambda x, _: x, rule, sqrt_Q=NONE), update([[1.0]], rule, sqrt_R=parameters[:, None])
+        ), square_root([0.0], [[0.0]])
+
+    z = 3.0 * np.random.default_rng(9).normal(size=(50, 1))
+    tuned = maximize_likelihood(build, [0.5], epochs(np.arange(50), z))
+    assert not tuned.converged
+    assert tuned.parameters[0] == pytest.approx(2.0, rel=0.02)
+    assert "edge" in tuned.message
+    assert np.isinf(tuned.standard_errors).all()
+
+
+@pytest.mark.parametrize("runs", [None, 7])
+def test_parameters_in_batches_give_the_same_in_few_flights(runs):
+    """One flight for all differences of a step; a build that takes no notice of the axes is refused."""
+    z = simulate(np.random.default_rng(2), 60, runs or 1, 0.4, 0.7)
+    when = epochs(np.arange(60), z if runs else z[:, 0])
+    rule, flights = unscented(2), []
+
+    def build(parameters):
+        flights.append(parameters.shape)
+        q, r = parameters[..., :1, None], parameters[..., 1:, None]
+        filter = sequential(predict(f, rule, sqrt_Q=q * G), update(H, rule, sqrt_R=r))
+        return filter, square_root(np.zeros((runs, 2) if runs else 2), P0)
+
+    alone = maximize_likelihood(build, [4.0, 0.14], when)
+    one_by_one = len(flights)
+    flights.clear()
+    together = maximize_likelihood(build, [4.0, 0.14], when, vectorized=True)
+    assert len(flights) <= 0.5 * one_by_one
+    assert max(len(shape) for shape in flights) == (3 if runs else 2)
+    np.testing.assert_allclose(together.parameters, alone.parameters, rtol=1e-5)
+    np.testing.assert_allclose(together.covariance, alone.covariance, rtol=1e-3)
+    assert together.log_likelihood == pytest.approx(alone.log_likelihood, abs=1e-6)
+
+    def deaf(parameters):
+        return build(parameters.reshape(-1, 2)[0])
+
+    with pytest.raises(ValueError, match="vectorized: expected"):
+        maximize_likelihood(deaf, [4.0, 0.14], when, vectorized=True)
+
+
+def test_one_that_fails_in_a_batch_leaves_the_others():
+    """In a batch too the search turns back from what cannot be built."""
+    when, truth = correlated()
+    tuned = maximize_likelihood(strict, [0.3, 1.0], when, vectorized=True)
+    assert tuned.failures
+    assert (np.abs(tuned.parameters - truth) < 3.0 * tuned.standard_errors).all()
+
+
+@pytest.mark.parametrize(
+    ("start", "domain", "match"),
+    [
+        ([0.5, 2.0], "unit interval", "start: expected parameter 1 between 0 and 1, got 2"),
+        ([0.5, 1.0], ["unit interval", (2.0, 3.0)], "start: expected parameter 1 between 2 and 3, got 1"),
+        ([0.5, 1.0], "large", "domain: expected 'positive', 'unit interval' or .*'large'"),
+        ([0.5, 1.0], ["positive"], "domain: expected one for all or 2"),
+        ([0.5, 1.0], (1.0, 0.0), "domain: expected"),
+        ([0.5, 1.0], [(0.0, np.nan), "positive"], "domain: expected"),
+    ],
+)
+def test_bad_domains_are_refused_by_name(start, domain, match):
+    with pytest.raises(ValueError, match=match):
+        maximize_likelihood(builder(2), start, epochs(np.arange(3), np.zeros((3, 2, 1))), domain=domain)

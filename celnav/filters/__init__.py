@@ -5,7 +5,7 @@ record · `driver` epochs, filters, run · `track` records · `iterated` updates
 on one set of points · `colored`, `decorrelated`, `coloring` colored measurement noise · `smoother` fixed interval · `adaptive`
 gates, windows, prescribed gains, fallback · `robust` reweighting · `parity` what no state explains · `least_squares` no prior ·
 `two_stage` a bias beside the state, and `strong_tracking`, `differenced` for it · `dropin` filterpy's interface,
-`filterpy_models` its functions of one vector · `mixing` models that mix runs.
+`filterpy_models` its functions of one vector, `single_run` the step of one vector · `mixing` models that mix runs.
 """
 
 from celnav.filters.driver import Epoch, Epochs, Filter, FilterError, State, epochs, run, sequential, steps

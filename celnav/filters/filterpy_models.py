@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from celnav.checks import numbers
 from celnav.linalg import Array
+from celnav.spaces import EUCLIDEAN, Space
 
 
 def model_of(
@@ -17,31 +19,49 @@ def model_of(
 
     Raises
     ------
-    ValueError: from the model, naming the function, if it gives another number of components.
+    ValueError: from the model, naming the function, if it gives no numbers, or another number of components.
     """
 
     def model(points: Array, epoch: Any) -> Array:  # noqa: ARG001
+        own = points.copy()  # which the function may change
         if vectorized:
-            values = np.asarray(function(points.copy(), *given, **options), dtype=np.float64)
+            values = numbers(name, function(own, *given, **options))
         else:
-            values = np.stack([np.atleast_1d(np.asarray(function(p.copy(), *given, **options), dtype=np.float64)) for p in points])
-        values = values.reshape(len(points), -1)
-        if values.shape[-1] != m:
-            raise ValueError(f"{name} returned shape {values.shape[1:]}, expected ({m},)")
+            found = [function(point, *given, **options) for point in own]
+            values = np.asarray(found) if set(map(type, found)) == {np.ndarray} else numbers(name, found)
+            values = values if values.dtype == np.float64 else numbers(name, found)
+        if values.shape != (len(own), m):
+            values = values.reshape(len(own), -1)
+            if values.shape[-1] != m:
+                raise ValueError(f"{name} returned shape {values.shape[1:]}, expected ({m},)")
         return values
 
     return model
 
 
-def sums(add: Callable[[Array, Array], Array]) -> Callable[[Array, Array], Array]:
-    """Sums of a point and all tangents, from filterpy's ``state_add`` of two vectors."""
-    if add is np.add:
-        return lambda point, tangent: point + tangent
+def space_of(
+    add: Callable[[Array, Array], Array],
+    residual: Callable[[Array, Array], Array],
+    mean: Callable[[Array, Array], Array] | None,
+) -> Space:
+    """The space of filterpy's ``state_add``, residual and mean; None is no mean of its own."""
+    if add is np.add and residual is np.subtract and mean is None:
+        return EUCLIDEAN
+    own = None if mean is None else lambda points, weights: np.asarray(mean(points, weights), dtype=np.float64)
+    return Space(sums(add), differences(residual), None, own)
 
-    def plus(point: Array, tangent: Array) -> Array:
+
+def sums(add: Callable[[Array, Array], Array]) -> Callable[[Array, Array], Array]:
+    """Sums of a point and all tangents, from filterpy's ``state_add`` of two vectors, which may change the first."""
+    if add is np.add:
+        return EUCLIDEAN.plus
+
+    def plus(point: Array, tangent: Any) -> Array:
+        if np.ndim(tangent) == 0:  # a mean of its own needs no shift
+            return point
         if tangent.ndim == 1:
-            return np.asarray(add(point, tangent))
-        return np.stack([np.asarray(add(point, t)) for t in tangent])
+            return np.asarray(add(point.copy(), tangent), dtype=np.float64)
+        return np.stack([np.asarray(add(point.copy(), t), dtype=np.float64) for t in tangent])
 
     return plus
 
@@ -57,8 +77,3 @@ def differences(residual: Callable[[Array, Array], Array]) -> Callable[[Array, A
         return np.stack([np.asarray(residual(row, a), dtype=np.float64) for row in b])
 
     return minus
-
-
-def mean_of(function: Callable[[Array, Array], Array] | None) -> Callable[[Array, Array], Array] | None:
-    """Mean of points by weights, from filterpy's; None: the space's own."""
-    return None if function is None else lambda points, weights: np.asarray(function(points, weights), dtype=np.float64)

@@ -80,7 +80,7 @@ def smooth(
         epoch, filtered = interval[k + 1], Gaussian(track.mean[k], track.spread[k], track.form)
         if np.any(epoch.dt):
             try:
-                after, gain = _back(filtered, after, epoch, motion)
+                after, gain = back(filtered, after, epoch, motion)
             except Exception as error:
                 error.add_note(f"in smoothing back from step {epoch.k}, t = {epoch.t}")
                 raise
@@ -121,7 +121,7 @@ def _check_times(times: Array, epochs: Sequence[Epoch]) -> None:
             )
 
 
-def _back(filtered: Gaussian, after: Gaussian, epoch: Epoch, motion: Motion) -> tuple[Gaussian, Array]:
+def back(filtered: Gaussian, after: Gaussian, epoch: Epoch, motion: Motion) -> tuple[Gaussian, Array]:
     """The belief before an epoch's interval given everything, from the one given the past and the smoothed one after it."""
     f, rule, space = motion.f, motion.rule, motion.space
     form, n = filtered.form, filtered.spread.shape[-1]

@@ -190,6 +190,22 @@ def update(
     columns = noise_columns(R, sqrt_R, "R")
     if columns is None and not extra:
         raise ValueError("R: expected measurement noise, R, sqrt_R or extra; if there is none, sqrt_R=np.zeros((m, 0))")
+    if extra and not callable(h):
+        raise ValueError("extra: expected a function h(points, epoch, *noise) with it, got a matrix; R is its noise")
+    return conditioning(h, rule, columns, extra, space, measurement_space, hooks, gain)
+
+
+def conditioning(
+    h: Model | ArrayLike,
+    rule: Transform,
+    columns: Noise,
+    extra: Sequence[Array] = (),
+    space: Space = EUCLIDEAN,
+    measurement_space: Space = EUCLIDEAN,
+    hooks: Sequence[Hook] = (),
+    gain: Gain | None = None,
+) -> Conditioning:
+    """What `update` gives, of arguments that were checked: for one who makes it anew at every step. ``columns``: of the noise."""
     plain = not hooks and gain is None
     least = _deviations(columns) if isinstance(columns, np.ndarray) else None
     if callable(gain):
@@ -198,8 +214,6 @@ def update(
         gain = finite("gain", gain)
     # Only what is exact must be looked at: the rest cannot be of what is known already.
     noisy = bool(len(extra)) or gain is not None or (isinstance(columns, np.ndarray) and bool(columns.any(-1).all()))
-    if extra and not callable(h):
-        raise ValueError("extra: expected a function h(points, epoch, *noise) with it, got a matrix; R is its noise")
     if callable(h):
         check_model("h", h, noises=len(extra))
         lift = _through_rule(h, rule, extra, space, measurement_space, plain)

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import pickle
+import sys
+import warnings
 from copy import deepcopy
+from datetime import timedelta
 
 import numpy as np
 import pytest
@@ -191,6 +195,7 @@ def test_partly_missing_components_are_left_out_exactly(cls):
     [
         ({}, {"z": [1.0, np.inf]}, "z"),
         ({}, {"z": "far"}, "z"),
+        ({}, {"z": [1.0, np.nan], "UT": unscented_transform}, "z: expected every component"),
         ({}, {"z": [1.0, 2.0, 3.0]}, "z"),
         ({}, {"z": np.zeros((2, 2))}, "z"),
         ({"R": -np.eye(2)}, {"z": [1.0, 2.0]}, "R"),
@@ -202,7 +207,18 @@ def test_partly_missing_components_are_left_out_exactly(cls):
         ({"x": np.full(4, np.nan)}, {}, "x"),
         ({"x": np.zeros(3)}, {}, "x"),
         ({}, {"dt": np.nan}, "dt"),
-        ({}, {"dt": -1.0}, "dt"),
+        ({}, {"dt": np.timedelta64(1, "s")}, "dt"),
+        ({}, {"z": np.array(["2026-11-22", "2026-11-23"], "datetime64[s]")}, "z: expected numbers, got dates"),
+        ({}, {"z": [np.datetime64("2026-11-22"), np.datetime64("2026-11-23")]}, "z: expected numbers, got dates"),
+        ({}, {"z": [1.0, 2.0], "R": np.timedelta64(1, "s")}, "R: expected numbers, got dates"),
+        ({"x": np.zeros(4, "datetime64[s]")}, {}, "x: expected numbers, got dates"),
+        ({"P": np.zeros((4, 4), "timedelta64[s]")}, {}, "P: expected numbers, got dates"),
+        ({"fx": lambda x, dt: np.zeros(4, "datetime64[s]")}, {}, "fx: expected numbers, got dates"),
+        ({"hx": lambda x: np.zeros(2, "timedelta64[s]")}, {"z": [1.0, 2.0]}, "hx: expected numbers, got dates"),
+        ({"Q": [0.1, 0.2, 0.3, 0.4]}, {}, "Q"),
+        ({"Q": np.diag([0.1, 0.2, 0.3, 0.4]) + 1e-3 * np.tri(4, k=-1)}, {}, "Q"),
+        ({"R": "small"}, {"z": [1.0, 2.0]}, "R"),
+        ({"Wm": np.ones(9)}, {}, "wm"),
         ({"fx": lambda x, dt: x[:1]}, {}, r"fx returned shape \(1,\), expected \(4,\)"),
         ({"fx": lambda x, dt: x * np.nan}, {}, "f is not finite"),
         ({"hx": lambda x: x}, {"z": [1.0, 2.0]}, "hx returned shape"),
@@ -268,3 +284,266 @@ def test_a_sum_of_states_is_none_of_measurements():
         ukf.predict()
         ukf.update(np.array([0.4]))
     np.testing.assert_allclose(both[1].x, both[0].x, atol=1e-12)
+
+
+def attributes(kf):
+    """Every public attribute of an object of filterpy, properties too."""
+    return sorted({name for name in vars(kf) if name[0] != "_"} | {"log_likelihood", "likelihood", "mahalanobis"})
+
+
+def alike(ours, peer):
+    """All of them, one by one; only the function that inverts is another, which singular matrices do not stop."""
+    for name in attributes(peer):
+        own, theirs = getattr(ours, name), getattr(peer, name)
+        if name == "inv":
+            continue
+        if theirs is None or callable(theirs) or name == "points_fn":
+            assert own is theirs, name
+        elif np.asarray(theirs).dtype == object:
+            np.testing.assert_array_equal(own, theirs, err_msg=name)
+        else:
+            assert np.shape(own) == np.shape(theirs), name
+            np.testing.assert_allclose(own, theirs, rtol=1e-7, atol=1e-10, err_msg=name)
+
+
+@pytest.mark.parametrize("cls", OURS)
+def test_every_attribute_is_filterpys_at_every_moment(cls):
+    points = MerweScaledSigmaPoints(4, 0.3, 2.0, -1.0)
+    peer, ours = tracker(UnscentedKalmanFilter, points), tracker(cls, points)
+    alike(ours, peer)
+    for z in (*measurements(3), None, measurements(4)[3]):
+        for kf in (peer, ours):
+            kf.predict()
+        alike(ours, peer)
+        for kf in (peer, ours):
+            kf.update(z)
+        alike(ours, peer)
+    for kf in (peer, ours):
+        kf.compute_process_sigmas(0.1)
+    alike(ours, peer)
+
+
+def assigned(**values):
+    def change(kf):
+        for name, value in values.items():
+            setattr(kf, name, value)
+
+    return change
+
+
+def heavier(kf):
+    other = MerweScaledSigmaPoints(2, 0.8, 1.0, 0.5)
+    kf.points_fn, kf.Wm, kf.Wc = other, other.Wm, other.Wc
+
+
+ACCEPTED = {
+    "Q one number": assigned(Q=0.01),
+    "Q a number of numpy": assigned(Q=np.float32(0.25)),
+    "Q 0": assigned(Q=0),
+    "Q None": assigned(Q=None),
+    "Q a list": assigned(Q=[[0.1, 0.0], [0.0, 0.2]]),
+    "Q integers": assigned(Q=np.eye(2, dtype=int)),
+    "Q read-only, not contiguous": assigned(Q=np.broadcast_to(np.ones(1), (2, 2))),
+    "Q a matrix of one": assigned(Q=[[0.3]]),
+    "R one number": assigned(R=0.3),
+    "R a list": assigned(R=[0.3]),
+    "R None": assigned(R=None),
+    "P one number": assigned(P=3.0),
+    "P a list": assigned(P=[[2.0, 0.1], [0.1, 1]]),
+    "P Fortran's": assigned(P=np.asfortranarray([[2.0, 0.1], [0.1, 1]])),
+    "x a list": assigned(x=[1, 2]),
+    "x a tuple": assigned(x=(1.0, 2.0)),
+    "x integers": assigned(x=np.array([1, 2])),
+    "an interval without number": assigned(
+        _dt=timedelta(seconds=2), fx=lambda x, dt: x + dt.total_seconds() * np.array([x[1], 0.0])
+    ),
+    "no interval": assigned(_dt=None, fx=lambda x, dt: x),
+    "another motion": assigned(fx=lambda x, dt: [x[0] + dt * x[1], 0.9 * x[1]]),
+    "a motion that changes its argument": assigned(fx=lambda x, dt: np.add(x, [0.1, 0.2], out=x)),
+    "another measurement": assigned(hx=lambda x: [x[0] ** 2]),
+    "another sensor": assigned(hx=lambda x: x, R=np.eye(2), test_z=[0.5, 0.2]),
+    "a list measured": assigned(test_z=[0.5]),
+    "a tuple measured": assigned(test_z=(0.5,)),
+    "an integer measured": assigned(test_z=1),
+    "a number of numpy measured": assigned(test_z=np.float32(0.5)),
+    "other points": heavier,
+    "other weights": lambda kf: setattr(kf, "Wc", kf.Wm),
+    "own sums and means": assigned(
+        state_add=lambda x, y: x + y, x_mean=lambda s, w: w @ s, z_mean=lambda s, w: w @ s, residual_x=lambda a, b: a - b
+    ),
+    "a sum in place": assigned(state_add=lambda x, y: np.add(x, y, out=x)),
+    "another inverse": assigned(inv=np.linalg.inv),
+}
+
+
+def pair(cls, points=None):
+    kf = cls(
+        2,
+        1,
+        0.5,
+        lambda x: x[:1],
+        lambda x, dt: np.array([x[0] + dt * x[1], x[1]]),
+        points or MerweScaledSigmaPoints(2, 0.5, 2.0, 1.0),
+    )
+    kf.Q = 0.1 * np.eye(2)
+    return kf
+
+
+@pytest.mark.parametrize("cls", OURS)
+@pytest.mark.parametrize("name", ACCEPTED)
+def test_what_filterpy_accepts_gives_what_it_gives(cls, name):
+    points, both = MerweScaledSigmaPoints(2, 0.5, 2.0, 1.0), []
+    for kind in (UnscentedKalmanFilter, cls):
+        kf = pair(kind, points)
+        ACCEPTED[name](kf)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            kf.predict()
+            kf.update(getattr(kf, "test_z", 0.7))
+            if kf.R is not None:  # filterpy's points need what is left to be regular
+                kf.predict()
+        both.append(kf)
+    names = "x P Q R x_prior P_prior x_post P_post S SI K y log_likelihood likelihood mahalanobis sigmas_f sigmas_h Wm Wc"
+    for attribute in names.split():
+        if both[0].__dict__.get(attribute, 0) is not None:
+            theirs, own = getattr(both[0], attribute), getattr(both[1], attribute)
+            np.testing.assert_allclose(own, theirs, rtol=1e-9, atol=1e-11, err_msg=attribute)
+
+
+@pytest.mark.parametrize("cls", OURS)
+def test_arguments_of_a_step_that_filterpy_accepts(cls):
+    points, both = MerweScaledSigmaPoints(2, 0.5, 2.0, 1.0), []
+    for kind in (UnscentedKalmanFilter, cls):
+        kf = pair(kind, points)
+        kf.predict(dt=-0.5)  # back in time
+        kf.update([0.3], R=2)
+        kf.predict(dt=np.float32(0.25), fx=lambda x, dt, turn: x * turn + dt, turn=0.9)
+        kf.update(0.4, R=np.array([[0.2]]), hx=lambda x, bias: [x[0] + bias], bias=0.1)
+        kf.predict()
+        kf.update(np.array([0.1, 0.2]), R=np.diag([1.0, 2.0]), hx=lambda x: x)
+        kf.predict()
+        kf.update(np.array([0.1]), R=[[0.3]])
+        both.append(kf)
+    for attribute in ("x", "P", "S", "SI", "K", "y", "sigmas_f", "sigmas_h", "log_likelihood"):
+        np.testing.assert_allclose(
+            getattr(both[1], attribute), getattr(both[0], attribute), rtol=1e-9, atol=1e-11, err_msg=attribute
+        )
+
+
+@pytest.mark.parametrize("cls", OURS)
+def test_a_number_for_a_matrix_is_told_once(cls):
+    """filterpy adds it to every element; who means a variance of each component hears how to write that."""
+    kf = tracker(cls)
+    kf.Q = 0.01
+    with pytest.warns(UserWarning, match=r"^Q: the number 0.01 counts in every element, as in filterpy; 0.01 \* np.eye\(4\) is"):
+        kf.predict()
+    kf.predict()
+    kf.R = 0.25
+    with pytest.warns(UserWarning, match="^R: the number 0.25 counts in every element"):
+        kf.update(measurements(1)[0])
+    one = pair(cls)
+    one.R = 0.25  # of one component there is nothing to tell
+    one.predict()
+    one.update(0.1)
+
+
+@pytest.mark.parametrize("cls", OURS)
+@pytest.mark.parametrize(("n", "m"), [(2, 1), (6, 3), (9, 4)])
+def test_a_step_takes_no_more_than_half_again_of_filterpys_calls(cls, n, m):
+    """Calls of functions, Python's and C's, which do not depend on the machine; and each model once for each point."""
+    counts = []
+    for kind in (UnscentedKalmanFilter, cls):
+        seen, count = [], 0
+
+        def profile(frame, event, argument):
+            nonlocal count
+            count += event in ("call", "c_call")
+
+        def f(x, dt, seen=seen):
+            seen.append("f")
+            return x
+
+        def h(x, seen=seen):
+            seen.append("h")
+            return x[:m]
+
+        kf = kind(n, m, 1.0, h, f, MerweScaledSigmaPoints(n, 0.5, 2.0, 0.0))
+        for turn in range(2):
+            if turn:  # the first step makes what is kept
+                seen.clear()
+                sys.setprofile(profile)
+            try:
+                kf.predict()
+                kf.update(np.ones(m))
+            finally:
+                sys.setprofile(None)
+        assert seen == ["f"] * (2 * n + 1) + ["h"] * (2 * n + 1)
+        counts.append(count)
+    assert counts[1] <= 1.5 * counts[0]
+
+
+def still(x, dt):
+    return x
+
+
+def first(x):
+    return x[:1]
+
+
+@pytest.mark.parametrize("cls", OURS)
+def test_a_filter_can_be_pickled_and_saved(cls):
+    kf = cls(2, 1, 1.0, first, still, MerweScaledSigmaPoints(2, 0.5, 2.0, 1.0))
+    saver = Saver(kf)
+    for z in (0.1, 0.3):
+        kf.predict()
+        kf.update(z)
+        saver.save()
+    twin = pickle.loads(pickle.dumps(kf))
+    for name in ("K", "SI", "sigmas_f", "log_likelihood"):
+        np.testing.assert_array_equal(getattr(twin, name), getattr(kf, name))
+    for each in (kf, twin):
+        each.predict()
+        each.update(0.5)
+    np.testing.assert_array_equal(twin.x, kf.x)
+    assert not np.array_equal(saver.K[0], saver.K[1])
+    saver.to_array()
+    assert saver.x.shape == (2, 2)
+    assert saver.K.shape == (2, 2, 1)
+    assert saver.sigmas_f.shape == (2, 5, 2)
+    assert saver.SI.shape == (2, 1, 1)
+    assert saver.log_likelihood.shape == (2,)
+
+
+@pytest.mark.parametrize("cls", OURS)
+def test_the_smoother_is_celnavs(cls):
+    """That of `celnav.smooth`, an interval and a noise of each epoch's own, and where the predicted covariance is singular."""
+    rng = np.random.default_rng(5)
+    times = np.cumsum([0.0, 1.0, 0.5, 2.0, 1.0, 0.3])
+    Qs = [q * np.outer(g, g) for q, g in zip((0.1, 0.2, 0.05, 0.4, 0.1, 0.3), np.array([[0.5, 1.0]] * 6), strict=True)]
+    zs = rng.normal(size=(6, 1))
+    kf = cls(2, 1, 1.0, first, lambda x, dt: np.array([x[0] + dt * x[1], x[1]]), MerweScaledSigmaPoints(2, 0.9, 2.0, 1.0))
+    kf.P = np.diag([1.0, 0.0])
+    xs, Ps = [], []
+    for k, z in enumerate(zs):
+        if k:
+            kf.Q = Qs[k - 1]
+            kf.predict(dt=times[k] - times[k - 1])
+        kf.update(z)
+        xs.append(kf.x)
+        Ps.append(kf.P)
+    dts = [*np.diff(times), 1.0]
+    smoothed, covs, gains = kf.rts_smoother(np.array(xs), np.array(Ps), Qs=Qs, dts=dts)
+
+    def f(x, epoch):
+        return np.stack([x[..., 0] + epoch.dt * x[..., 1], x[..., 1]], -1)
+
+    make = celnav.square_root if cls is SquareRootUKF else celnav.covariance
+    motion = celnav.predict(f, kf.rule, lambda mean, epoch: Qs[epoch.k - 1])
+    filter = celnav.sequential(motion, celnav.update([[1.0, 0.0]], kf.rule, [[1.0]]))
+    epochs = celnav.epochs(times, zs)
+    expected = celnav.smooth(
+        celnav.run(filter, make(np.zeros(2), np.diag([1.0, 0.0])), epochs, keep="spread"), epochs, motion, gains=True
+    )
+    np.testing.assert_allclose(smoothed, expected.mean, atol=1e-9)
+    np.testing.assert_allclose(covs.diagonal(0, 1, 2), expected.std**2, atol=1e-9)
+    np.testing.assert_allclose(gains, expected.extra["gain"], atol=1e-6)
