@@ -20,10 +20,10 @@ def run(options: argparse.Namespace) -> int:
     from celnav.integrity import probability
     from celnav.models.receiver import on_earth
 
-    mask, noise = number("--mask", options.mask), number("--acceleration-noise", options.acceleration_noise)
-    alarm = number("--false-alarm", options.false_alarm)
-    given = None if options.position is None else np.array([number("--position", text) for text in options.position])
-    sigma = None if options.sigma is None else [number("--sigma", text) for text in options.sigma]
+    mask, noise = number("mask", options.mask), number("acceleration-noise", options.acceleration_noise)
+    alarm = number("false-alarm", options.false_alarm)
+    given = None if options.position is None else np.array([number("position", text) for text in options.position])
+    sigma = None if options.sigma is None else [number("sigma", text) for text in options.sigma]
     _checked("--mask", lambda: positioning.mask(mask))
     _checked("--acceleration-noise", lambda: positioning_filters.filters(4, acceleration=noise))
     _checked("--false-alarm", lambda: probability(alarm))

@@ -42,7 +42,7 @@ def given_back(name: str, value: Any, what: str) -> Any:
 
 def check_belief(belief: Any, name: str = "belief") -> None:
     """A belief is a `Gaussian`."""
-    checks.instance(name, belief, Gaussian, "celnav.square_root(mean, cov)")
+    checks.instance(name, belief, Gaussian, "a Gaussian, such as celnav.square_root(mean, cov)")
 
 
 def check_memory(memory: Any, hooks: int) -> None:

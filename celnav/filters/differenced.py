@@ -111,7 +111,7 @@ def differenced(
     """
     for name, function in (("move", move), ("h", h), ("slope", slope)):
         check_model(name, function, "(mean, epoch)")
-    instance("noise", noise, Noise, "ar1_noise(F, L, J, Xi, E)")
+    instance("noise", noise, Noise, "a Noise, such as ar1_noise(F, L, J, Xi, E)")
     F, L, J, Xi, V, Q = noise.F, noise.L, noise.J, noise.Xi, noise.V, noise.Q
     m, n_q, JF = F.shape[-1], L.shape[-1], J @ F
     f_V, f_Q = (matrix.diagonal(0, -2, -1)[..., None, :] for matrix in (F, L))

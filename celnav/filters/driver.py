@@ -316,7 +316,10 @@ def run(
     for epoch, state, info in steps(filter, prior, epochs):
         infos = info if isinstance(info, tuple) and not isinstance(info, Info) else (info,)
         lost = collector.add(
-            epoch, state, infos, {} if also is None else instance("also", also(epoch, state, info), dict, "{'gain': array}")
+            epoch,
+            state,
+            infos,
+            {} if also is None else instance("also", also(epoch, state, info), dict, "a dict, such as {'gain': array}"),
         )
         if lost is not None and on_failure == "raise":
             why = next((i.failure for i in infos if i.failure), "the state is not finite")

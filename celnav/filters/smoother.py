@@ -62,7 +62,7 @@ def smooth(
     """
     if not isinstance(motion, Motion):
         raise ValueError(f"motion: expected the filter's predict part, made by celnav.predict(f, rule, Q), got {kind(motion)}")
-    instance("track", track, Track, "celnav.run(filter, prior, epochs, keep='spread')")
+    instance("track", track, Track, "a Track, such as celnav.run(filter, prior, epochs, keep='spread')")
     if track.mean is None or track.spread is None:
         raise ValueError("track: expected stored spreads, got none; run with keep='spread'")
     choice("on_failure", on_failure, ("raise", "flag"))

@@ -48,8 +48,8 @@ def test_both_updates_are_those_of_the_parts(form, name):
 
 def test_what_has_no_covariance_is_nan():
     """As everywhere: who calls it looks."""
-    rule, belief = celnav.unscented(2, alpha=0.1), celnav.square_root([0.0, 0.0], np.eye(2))
-    after = time_update(belief, lambda x, _: np.exp(-(x**2)), rule, 1e-9 * np.eye(2))
+    rule, belief = celnav.unscented(2, kappa=-1.0), celnav.square_root([0.0, 0.0], np.eye(2))  # |x| has variances 0, covariance -1
+    after = time_update(belief, lambda x, _: np.abs(x), rule, 1e-9 * np.eye(2))
     assert np.isnan(after.spread).all()
-    _, info = celnav.predict(lambda x, _: np.exp(-(x**2)), rule, sqrt_Q=1e-9 * np.eye(2))(belief)
+    _, info = celnav.predict(lambda x, _: np.abs(x), rule, sqrt_Q=1e-9 * np.eye(2))(belief)
     assert "positive definite" in info.failure

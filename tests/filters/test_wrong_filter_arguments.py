@@ -262,9 +262,9 @@ def test_wrong_arguments_are_told_by_name(door):
         (lambda: iterated(f, EYE, iterations=10**9), "iterations: expected at most 10000 at every step"),
         (
             lambda: seen([innovation_window(10**9)]),
-            "M: expected a window of at most 100000000 numbers, got 1000000000 samples of 2",
+            "M: expected a window of at most 1000000000 numbers, got 1000000000 samples of 2",
         ),
-        (lambda: seen([channel_parity(10**9)]), "M: expected a window of at most 100000000 numbers, got 1000000000 samples"),
+        (lambda: seen([channel_parity(10**9)]), "M: expected a window of at most 1000000000 numbers, got 1000000000 samples of 2"),
         (lambda: celnav.predict(lambda x: x, RULE, EYE), "f: expected a function (points, epoch), got function <lambda> of other"),
         (
             lambda: single_draw(f, lambda x, e: x, RULE, extra=(EYE,)),
