@@ -38,7 +38,7 @@ from celnav.filters.conditioning import (
     settled,
 )
 from celnav.filters.info import Gain, Hook, Info
-from celnav.gaussian import Gaussian
+from celnav.gaussian import PRECISE, Gaussian
 from celnav.linalg import Array, matvec
 from celnav.spaces import EUCLIDEAN, Space
 from celnav.transform import KEEP, Image, Outputs, Transform
@@ -190,7 +190,7 @@ def update(
     if columns is None and not extra:
         raise ValueError("R: expected measurement noise, R, sqrt_R or extra; if there is none, sqrt_R=np.zeros((m, 0))")
     plain = not hooks and gain is None
-    least = _deviations(columns) if isinstance(columns, np.ndarray) else None
+    most = _precise(columns) if isinstance(columns, np.ndarray) else None
     # Only what is exact must be looked at: the rest cannot be of what is known already.
     noisy = bool(len(extra)) or gain is not None or (isinstance(columns, np.ndarray) and bool(columns.any(-1).all()))
     if extra and not callable(h):
@@ -221,7 +221,7 @@ def update(
         posterior, info, kept = condition(
             belief, lifted.state, A, lifted.sign, innovation,
             noise=(0, s), space=space, slopes=lifted.slopes, hooks=hooks, memory=memory, gain=gain, epoch=epoch,
-            known=None if noise is None or len(extra) else (belief.spread, _deviations(noise) if least is None else least),
+            known=None if noise is None or len(extra) else (belief.spread, _precise(noise) if most is None else most),
         )  # fmt: skip
         if not noisy:
             exact = np.asarray(info.used) & ~(noise.any(-1) if s else np.zeros(1, bool))
@@ -241,9 +241,9 @@ _REDUNDANT = (
 )
 
 
-def _deviations(columns: Array) -> Array:
-    """Of each component of a noise."""
-    return np.asarray(np.sqrt(np.vecdot(columns, columns)))
+def _precise(noise: Array) -> Array:
+    """Deviations of an innovation beyond which the measurement is precise."""
+    return np.asarray(PRECISE * np.sqrt(np.vecdot(noise, noise)))
 
 
 def _skipped(belief: Gaussian, z: Array, space: Space) -> Info:
