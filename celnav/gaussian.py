@@ -17,7 +17,7 @@ from celnav.linalg import Array, block, cholesky, downdate, matvec, outer, semid
 
 _NEGLIGIBLE = 1e-12
 """Part of the largest variance that a negative one may be, which has been 0."""
-_PRECISE = 1e3
+PRECISE = 1e3
 """Deviations of the noise by which an innovation may vary before a difference of covariances loses too many digits."""
 
 
@@ -48,7 +48,7 @@ class Form(Protocol):
 
         Returns the root ``S (..., m, m)`` of the first rows, ``U = K @ S (..., n, m)`` and the spread of the rest. With a
         prescribed ``gain`` K ``(..., n, m)`` the spread is that of ``rest - K @ first`` (Joseph form). ``known``: the spread of
-        the last rows, and deviations ``(..., m)`` of the noise in the first, if they are at hand.
+        the last rows, if it is at hand, and deviations ``(..., m)`` of the first beyond which nothing is taken off it (`PRECISE`).
         """
 
     def sum(self, spread: Array, columns: Array) -> Array:
@@ -125,12 +125,12 @@ class CovarianceForm:
         self, A: Array, sign: Array, m: int, gain: Array | None = None, known: tuple[Array, Array] | None = None
     ) -> tuple[Array, Array, Array]:
         if gain is None and known is not None:
-            spread, noise = known
+            spread, most = known
             C = _counted(A[..., :m, :], sign) @ A.mT
             S = cholesky(C[..., :m])
             U = solve_lower(S, C[..., m:]).mT
             left = spread - outer(U)
-            precise = S.diagonal(0, -2, -1) > _PRECISE * noise
+            precise = S.diagonal(0, -2, -1) > most
             if not precise.any():
                 return S, U, left
             again, chosen = self.condition(A, sign, m), np.asarray(precise.any(-1))[..., None, None]

@@ -58,7 +58,7 @@ HOT = """
 attitude: multiply inverse positive matrix rotate exp log angle to_euler to_rodrigues from_rodrigues shadow shadow_jacobian cross
     transport
 spaces: wrap
-rule: Rule.points Rule.transform Rule.slope Rule.num_sigmas
+rule: Rule.points Rule.transform Rule.slope Rule.num_sigmas Rule.drawn Rule.moments
 earth: meridian_radius transverse_radius normal_gravity earth_rate transport_rate
 orbit: acceleration step runge_kutta transition
 variational: gradient advance flow
@@ -72,12 +72,12 @@ receiver: transition process_noise
 """
 """What a filter calls at every step takes arrays as they are: a look at each would cost more than the product it makes."""
 INSIDE = """
-checks: numbers finite number integer integers whole choice function sequence together instance kind
-typed: unit_of depth type_depth typed named
+checks: numbers finite number integer integers whole choice function sequence together instance kind unmasked
+typed: unit_of depth type_depth typed named meanings
 drawing: Drawing.set render
 points: few
 sparse_grid: checked_orders
-scores: score merge summarize
+scores: score merge summarize check_scores
 views: bar_chart text log rows columns tabs blueprint
 figures: band
 trajectory: attitude_from_heading

@@ -92,8 +92,8 @@ def images(name: str, function: Model, points: Array, epoch: Any, noise: Sequenc
     """
     copies = [array.copy(order="K") for array in (points, *noise)] if points.ndim > 2 and unknown(function, points) else None
     try:
-        values = unmasked(name, function(points, epoch, *noise))
-        y: Array = values if type(values) is np.ndarray and values.dtype == np.float64 else numbers(name, values)
+        values = function(points, epoch, *noise)
+        y: Array = values if type(values) is np.ndarray and values.dtype == np.float64 else _doubles(name, values, points)
     except (AttributeError, IndexError, TypeError, ValueError) as error:
         given = "an input" if getattr(epoch, "u", None) is not None else "None"
         error.add_note(
@@ -105,26 +105,27 @@ def images(name: str, function: Model, points: Array, epoch: Any, noise: Sequenc
         last = "m" if dimension is None else dimension
         expected = "(" + ", ".join(str(s) for s in (*points.shape[:-1], last)) + ")"
         raise ValueError(f"{name} returned shape {y.shape}, expected {expected}; {POINTS}")
-    if y is not values:
-        _warn_of_rounding(name, np.asarray(values).dtype, points, y)
     if copies is not None:
         y = y.copy(order="K")  # it may be a buffer of the model's
         check_runs_apart(name, function, copies, epoch, y)
     return y
 
 
-def _warn_of_rounding(name: str, dtype: Any, points: Array, y: Array) -> None:
-    """Warn of values in single precision whose differences, all that a filter has of a model, are hardly more than round-off."""
-    if dtype.kind != "f" or dtype.itemsize >= y.itemsize or len(points) == 1 or not y.size:
-        return
+def _doubles(name: str, values: Any, points: Array) -> Array:
+    """Values as floats; warns of single precision where differences, all that a filter has of a model, are little but round-off."""
+    y, given = numbers(name, unmasked(name, values)), np.asarray(values)
+    single = given.dtype.kind == "f" and given.itemsize < y.itemsize
+    if not single or len(points) == 1 or not y.size or y.shape[:-1] != points.shape[:-1]:
+        return y
     differences, moved = np.ptp(y, 0), np.ptp(points, 0) > 0.0
     moved = moved if moved.shape == differences.shape else moved.any(-1, keepdims=True)
-    if (moved & (differences < 1e3 * np.finfo(dtype).eps * np.abs(y).max(0))).any():
+    if (moved & (differences < 1e3 * np.finfo(given.dtype).eps * np.abs(y).max(0))).any():
         warn(
-            f"{name} returns {dtype}: its values differ from point to point by little more than round-off. Compute in float64.",
+            f"{name} returns {given.dtype}: its values differ between points by little more than round-off. Compute in float64.",
             RuntimeWarning,
-            stacklevel=3,
+            stacklevel=4,
         )
+    return y
 
 
 def innovation_of(z: Array, predicted: Image, space: Space) -> Array:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.gaussian import Gaussian
+from celnav.gaussian import PRECISE, Gaussian
 from celnav.linalg import Array, matvec, whiten
 from celnav.rule import Rule
 
@@ -49,7 +49,7 @@ def measurement_update(belief: Gaussian, z: Array, h: Images, rule: Rule, sqrt_R
     q = columns.shape[-1]
     A = np.zeros((m + len(root), q + s))
     A[:m, :q], A[:m, q:], A[m:, :q] = columns, sqrt_R, root.dot(rule.unit.T)
-    S, U, spread = belief.form.condition(A, rule.sign, m, None, (belief.spread, np.sqrt(np.vecdot(sqrt_R, sqrt_R))))
+    S, U, spread = belief.form.condition(A, rule.sign, m, None, (belief.spread, PRECISE * np.sqrt(np.vecdot(sqrt_R, sqrt_R))))
     innovation = z - mean
     white = whiten(S, innovation)
     return Updated(Gaussian(belief.mean + matvec(U, white), spread, belief.form), images, innovation, white, S, U)

@@ -39,7 +39,7 @@ from celnav.filters.conditioning import (
     settled,
 )
 from celnav.filters.info import Gain, Hook, Info
-from celnav.gaussian import Gaussian
+from celnav.gaussian import PRECISE, Gaussian
 from celnav.linalg import Array, matvec
 from celnav.spaces import EUCLIDEAN, Space
 from celnav.transform import KEEP, Image, Outputs, Transform
@@ -207,7 +207,7 @@ def conditioning(
 ) -> Conditioning:
     """What `update` gives, of arguments that were checked: for one who makes it anew at every step. ``columns``: of the noise."""
     plain = not hooks and gain is None
-    least = _deviations(columns) if isinstance(columns, np.ndarray) else None
+    most = _precise(columns) if isinstance(columns, np.ndarray) else None
     if callable(gain):
         check_model("gain", gain, "(A, sign, m)")
     elif gain is not None:
@@ -243,7 +243,7 @@ def conditioning(
         posterior, info, kept = condition(
             belief, lifted.state, A, lifted.sign, innovation,
             noise=(0, s), space=space, slopes=lifted.slopes, hooks=hooks, memory=memory, gain=gain, epoch=epoch,
-            known=None if noise is None or len(extra) else (belief.spread, _deviations(noise) if least is None else least),
+            known=None if noise is None or len(extra) else (belief.spread, _precise(noise) if most is None else most),
         )  # fmt: skip
         if not noisy:
             exact = np.asarray(info.used) & ~(noise.any(-1) if s else np.zeros(1, bool))
@@ -263,9 +263,9 @@ _REDUNDANT = (
 )
 
 
-def _deviations(columns: Array) -> Array:
-    """Of each component of a noise."""
-    return np.asarray(np.sqrt(np.vecdot(columns, columns)))
+def _precise(noise: Array) -> Array:
+    """Deviations of an innovation beyond which the measurement is precise."""
+    return np.asarray(PRECISE * np.sqrt(np.vecdot(noise, noise)))
 
 
 def _skipped(belief: Gaussian, z: Array, space: Space) -> Info:
