@@ -19,9 +19,9 @@ from time import perf_counter, process_time
 import numpy as np
 
 from celnav.filters.driver import run
-from celnav.montecarlo import blocks, generator
 from celnav.papers.ssukf import PRESETS, compare, filters, simulate
 from celnav.papers.ssukf.variants import dense_filters
+from celnav.study.montecarlo import blocks, generator
 
 Matrix = list[list[float]]
 

@@ -26,12 +26,12 @@ from pathlib import Path
 from typing import Any
 
 from celnav.campaign import campaign, given, processes, serial
+from celnav.campaign.missions import Study, study
 from celnav.campaign.units import STUDY, Unit
 from celnav.filters.driver import Epoch, run
-from celnav.gaussian import nees
-from celnav.mission import Study, study
-from celnav.montecarlo import blocks, generator
+from celnav.gaussian.belief import nees
 from celnav.papers.csrukf import trial
+from celnav.study.montecarlo import blocks, generator
 
 FILTER = "csrukf+z0"
 

@@ -18,7 +18,7 @@ import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
 from celnav.filters.dropin import SigmaPointUKF, SquareRootUKF
-from celnav.linalg import Array
+from celnav.gaussian.linalg import Array
 
 SIZES = ((2, 1), (6, 3), (9, 4))
 """Components of the state and of the measurement."""

@@ -10,11 +10,11 @@ import numpy as np
 from benchmarks.workload import BLOCK, P0, SQRT_Q, X0, H, R
 from celnav.filters.driver import epochs, run, sequential
 from celnav.filters.step import predict, update
-from celnav.gaussian import Gaussian, covariance, square_root
-from celnav.linalg import Array
+from celnav.gaussian.belief import Gaussian, covariance, square_root
+from celnav.gaussian.linalg import Array
+from celnav.gaussian.points import unscented
+from celnav.gaussian.spaces import EUCLIDEAN
 from celnav.models import orbit
-from celnav.points import unscented
-from celnav.spaces import EUCLIDEAN
 
 Work = Callable[[], Array | None]
 """One timed pass; returns the means ``(steps + 1, runs, 6)``, or None where there is no estimate."""

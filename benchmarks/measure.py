@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.engines import Engine, estimate
 from benchmarks.workload import BLOCK, Workload
-from celnav.linalg import Array
+from celnav.gaussian.linalg import Array
 
 
 class Row(NamedTuple):

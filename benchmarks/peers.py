@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.engines import Engine, Work
 from benchmarks.workload import P0, SQRT_Q, X0, H, R
-from celnav.linalg import Array
+from celnav.gaussian.linalg import Array
 from celnav.models import orbit
 
 Q = SQRT_Q @ SQRT_Q

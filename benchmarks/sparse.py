@@ -18,13 +18,13 @@ from time import process_time
 
 from celnav.filters.driver import Epoch, run, sequential
 from celnav.filters.step import predict, update
-from celnav.linalg import Array
-from celnav.montecarlo import generator
+from celnav.gaussian.linalg import Array
+from celnav.gaussian.rule import Rule
+from celnav.gaussian.spaces import EUCLIDEAN
+from celnav.gaussian.sparse_grid import smolyak
 from celnav.papers.aasghqf import scenario
 from celnav.papers.aasghqf.config import PAPER_WEIGHTS, A
-from celnav.rule import Rule
-from celnav.spaces import EUCLIDEAN
-from celnav.sparse_grid import smolyak
+from celnav.study.montecarlo import generator
 
 RUNS, STEPS = 50, 10
 CACHED = 131072

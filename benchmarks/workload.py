@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from celnav.linalg import Array
+from celnav.gaussian.linalg import Array
 from celnav.models import orbit
 
 SIGMA = 0.2

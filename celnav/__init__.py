@@ -17,20 +17,20 @@ Frames    Earth-centered inertial, equatorial (J2000), for orbits; east, north, 
 Angles    One that wraps must be told: ``space=angles([2])`` of `predict` and `update` if it is a component of the state,
           ``measurement_space=angles([0])`` of `update` if it is one of the measurement. Nothing can notice one forgotten in both.
 Attitude  Unit quaternions, scalar last; they take inertial components to body components, and the product composes such
-          matrices. Errors are in body axes. The sign of a quaternion never matters (`celnav.attitude`).
+          matrices. Errors are in body axes. The sign of a quaternion never matters (`celnav.gaussian.attitude`).
 Time      s since the start of a study.
 Chance    One generator for each run: ``(seed, study, run)`` determines its numbers, whatever the block or the process.
 Sources   ``[Sun2015, Eq. 27]`` in a docstring; citations are in ``celnav.papers.<id>.CITATION``.
 """
 
 from celnav.filters import Epoch, Filter, FilterError, Track, epochs, predict, run, sequential, smooth, steps, update
-from celnav.gaussian import Gaussian, covariance, square_root
+from celnav.gaussian.belief import Gaussian, covariance, square_root
+from celnav.gaussian.points import cubature, from_filterpy, gauss_hermite, simplex, unscented
+from celnav.gaussian.rule import Rule
+from celnav.gaussian.spaces import angles
+from celnav.gaussian.sparse_grid import smolyak
+from celnav.gaussian.taylor import Taylor
 from celnav.lazy import modules
-from celnav.points import cubature, from_filterpy, gauss_hermite, simplex, unscented
-from celnav.rule import Rule
-from celnav.spaces import angles
-from celnav.sparse_grid import smolyak
-from celnav.taylor import Taylor
 
 __getattr__, __dir__ = modules(__name__)
 

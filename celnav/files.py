@@ -22,8 +22,7 @@ from typing import Any
 
 import numpy as np
 from filelock import FileLock, Timeout
-
-from celnav.linalg import Array
+from numpy.typing import NDArray
 
 MANIFEST = ".celnav.json"
 LOCK = ".celnav.lock"
@@ -75,7 +74,7 @@ def write_text(path: str | Path, text: str) -> None:
     write_bytes(path, text.encode("utf-8"))
 
 
-def read_npz(path: str | Path) -> dict[str, Array]:
+def read_npz(path: str | Path) -> dict[str, NDArray[Any]]:
     """Arrays of an npz file. Objects are refused: nothing in the file is ever run.
 
     Raises
@@ -214,7 +213,7 @@ class Outputs:
         """Write a UTF-8 file."""
         self.bytes(name, text.encode("utf-8"))
 
-    def npz(self, name: str, arrays: Mapping[str, Array]) -> None:
+    def npz(self, name: str, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Write arrays."""
         buffer = io.BytesIO()
         np.savez(buffer, allow_pickle=False, **dict(arrays))

@@ -14,12 +14,12 @@ import pytest
 
 import celnav
 from celnav import cli, papers
-from celnav.claims import Claim
-from celnav.figures import figure
-from celnav.mission import flat
-from celnav.montecarlo import Plan, Unit
+from celnav.campaign.missions import flat
+from celnav.campaign.typed import meanings, unit_of
 from celnav.papers import load
-from celnav.typed import meanings, unit_of
+from celnav.show.figures import figure
+from celnav.study.claims import Claim
+from celnav.study.montecarlo import Plan, Unit
 
 
 def numbers(start):
@@ -57,7 +57,7 @@ def study(monkeypatch):
     def use(**options):
         module = tiny(**options)
         monkeypatch.setattr(papers, "PAPERS", {"tiny": "tiny"})
-        monkeypatch.setattr("celnav.report.PAPERS", {"tiny": "tiny"})
+        monkeypatch.setattr("celnav.papers.page.PAPERS", {"tiny": "tiny"})
         monkeypatch.setattr("celnav.papers.import_module", lambda name: module)
 
     use()
@@ -182,7 +182,7 @@ def test_view_without_a_display_says_what_to_do(study, tmp_path, monkeypatch, ca
     ],
 )
 def test_a_picture_that_cannot_be_is_one_line(tmp_path, monkeypatch, capsys, options, text):
-    from celnav import recording, views
+    from celnav.show import recording, views
 
     monkeypatch.chdir(tmp_path)
     with recording.recording(tmp_path / "a.rrd", np.arange(3.0), name="a", layout=views.text("info", "info")) as out:
@@ -245,8 +245,8 @@ def test_nothing_in_the_package_reads_pickles_or_names_a_host():
 def test_view_takes_the_first_recording_of_the_paper_and_names_with_or_without_their_end(study, tmp_path, monkeypatch, capsys):
     """The order is the paper's, not the alphabet's."""
     shown = []
-    monkeypatch.setattr("celnav.picture.end", lambda path: 10.0)
-    monkeypatch.setattr("celnav.picture.picture", lambda path, target, at: shown.append((path.name, at)))
+    monkeypatch.setattr("celnav.show.picture.end", lambda path: 10.0)
+    monkeypatch.setattr("celnav.show.picture.picture", lambda path, target, at: shown.append((path.name, at)))
     monkeypatch.setattr(load("tiny"), "RECORDINGS", ["b.rrd", "a.rrd"])
     (tmp_path / "tiny").mkdir()
     for name in ("a", "b"):

@@ -278,7 +278,7 @@ def test_a_long_stream_runs_in_the_memory_of_one_step():
     def stream(count):
         yield from (celnav.Epoch(k, float(k), 1.0, None, np.zeros((20, 2)), np.zeros((20, 2))) for k in range(count))
 
-    from celnav.metrics import error_moments
+    from celnav.analysis.metrics import error_moments
 
     prior = celnav.square_root(np.zeros((20, 2)), EYE)
     tracemalloc.start()

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from celnav import cli
-from celnav.claims import Claim, ClaimsTable, dumps, read_claims
 from celnav.files import ForeignFileError, InputError, Outputs, read_npz, write_text
+from celnav.study.claims import Claim, ClaimsTable, dumps, read_claims
 
 
 class Payload:

@@ -12,7 +12,7 @@ import pytest
 
 import celnav
 from celnav.papers import PAPERS
-from celnav.report import verdicts
+from celnav.papers.page import verdicts
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -62,9 +62,9 @@ def test_import_celnav_is_enough_for_every_name_with_dots():
 def test_import_celnav_stays_fast():
     """What only studies and drawings need is not imported before it is asked for, and what is not there is told."""
     program = (
-        "import sys, celnav\nassert not {'matplotlib', 'rerun', 'celnav.tuning', 'celnav.papers'} & set(sys.modules)\n"
+        "import sys, celnav\nassert not {'matplotlib', 'rerun', 'celnav.analysis.tuning', 'celnav.papers'} & set(sys.modules)\n"
         "assert 'tuning' in dir(celnav)\nassert not hasattr(celnav, 'nonsense') and not hasattr(celnav.models, 'nonsense')\n"
-        "from celnav import metrics\nassert celnav.metrics is metrics\n"
+        "from celnav import metrics\nassert celnav.analysis.metrics is metrics\n"
     )
     done = subprocess.run([sys.executable, "-W", "error", "-c", program], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

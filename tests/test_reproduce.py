@@ -20,8 +20,9 @@ SCRIPT = f"""
 import sys, time
 sys.path.insert(0, {str(Path(__file__).parent)!r})
 from test_cli import numbers, tiny
-from celnav import cli, papers, report
-from celnav.montecarlo import Plan, Unit
+from celnav import cli, papers
+from celnav.papers import page as report
+from celnav.study.montecarlo import Plan, Unit
 
 
 def slow(start):
@@ -119,7 +120,7 @@ def study(monkeypatch):
     large = tiny()
     large.plan = lambda **options: module.plan(effort=1.0, seed=0)._replace(result=lambda outcomes: noisy)
     monkeypatch.setattr(papers, "PAPERS", {"tiny": "tiny"})
-    monkeypatch.setattr("celnav.report.PAPERS", {"tiny": "tiny"})
+    monkeypatch.setattr("celnav.papers.page.PAPERS", {"tiny": "tiny"})
     monkeypatch.setattr("celnav.papers.import_module", lambda name: large)
 
 

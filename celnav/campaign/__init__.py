@@ -13,12 +13,12 @@ from typing import NamedTuple
 
 from celnav.campaign.engine import UnfinishedError, compute
 from celnav.campaign.executors import Workers, dask, given, processes, serial
+from celnav.campaign.missions import Configuration, Study
 from celnav.campaign.store import Store, StoreError, open_store
 from celnav.campaign.table import Merged, Row, merged, rows_of
 from celnav.campaign.units import Result, Unit, VersionError, WorkError, units_of
 from celnav.files import locked
 from celnav.lazy import modules
-from celnav.mission import Configuration, Study
 
 __getattr__, __dir__ = modules(__name__)
 

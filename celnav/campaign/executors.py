@@ -14,7 +14,7 @@ from multiprocessing.process import BaseProcess
 from typing import Any, NamedTuple, cast
 from urllib.parse import urlsplit
 
-from celnav.checks import integer
+from celnav.gaussian.checks import integer
 
 PATIENCE_S = 10.0
 """How long a scheduler may take to answer."""

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from celnav import colors
 from celnav.campaign import Outcome, Row
+from celnav.campaign.missions import Configuration, Study
 from celnav.campaign.table import Merged, plain
-from celnav.figures import figure
-from celnav.linalg import Array
-from celnav.mission import Configuration, Study
+from celnav.gaussian.linalg import Array
 from celnav.papers import load
+from celnav.show import colors
+from celnav.show.figures import figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

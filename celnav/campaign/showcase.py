@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from celnav import colors
 from celnav.campaign import Outcome
 from celnav.campaign.figures import PALETTE
+from celnav.campaign.missions import Study
 from celnav.campaign.units import STUDY
-from celnav.figures import figure
-from celnav.linalg import Array
-from celnav.mission import Study
+from celnav.gaussian.linalg import Array
 from celnav.models.earth import SEMI_MAJOR_M
-from celnav.montecarlo import generator
 from celnav.papers import load
-from celnav.trial import Followed, Group, Trial, follow
+from celnav.show import colors
+from celnav.show.figures import figure
+from celnav.study.montecarlo import generator
+from celnav.study.trial import Followed, Group, Trial, follow
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -108,7 +108,7 @@ def record(shown: Showcase, outcome: Outcome, path: str | PathLike[str]) -> None
     ------
     OSError: if ``path`` cannot be written. ValueError: if it is a file that celnav did not make.
     """
-    from celnav import recording, views
+    from celnav.show import recording, views
 
     times, study = shown.times, shown.study
     palette = {name: PALETTE[i % 6] for i, name in enumerate(study.filters)}

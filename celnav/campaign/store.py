@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from celnav.campaign.missions import Study
 from celnav.campaign.units import Result, Unit, code, pack, unpack
 from celnav.files import InputError, Outputs, read_json, read_npz, remove_leftovers, write_bytes, write_text
-from celnav.linalg import Array
-from celnav.mission import Study
+from celnav.gaussian.linalg import Array
 
 FORMAT = 2
 MANIFEST = "manifest.json"

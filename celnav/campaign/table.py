@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from celnav.campaign.missions import Configuration, Study
 from celnav.campaign.units import Result
-from celnav.linalg import Array
-from celnav.mission import Configuration, Study
-from celnav.scores import Accuracy, Scores, Summary, merge, summarize
+from celnav.gaussian.linalg import Array
+from celnav.study.scores import Accuracy, Scores, Summary, merge, summarize
 
 MOST_LINES = 40
 

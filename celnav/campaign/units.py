@@ -19,16 +19,16 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 import celnav
+from celnav.campaign.missions import Study
 from celnav.files import data
-from celnav.linalg import Array
-from celnav.mission import Study
-from celnav.montecarlo import blocks, generator
+from celnav.gaussian.linalg import Array
 from celnav.papers import load
-from celnav.scores import Failure, Scores, check_scores, merge, score
-from celnav.trial import Noiseless, Trial, bound, follow
+from celnav.study.montecarlo import blocks, generator
+from celnav.study.scores import Failure, Scores, check_scores, merge, score
+from celnav.study.trial import Noiseless, Trial, bound, follow
 
 STUDY = 0
-"""Of `celnav.montecarlo.generator`, for all configurations: they share their random numbers, so differences are sharp."""
+"""Of `celnav.study.montecarlo.generator`, for all configurations: they share their random numbers, so differences are sharp."""
 
 
 class WorkError(RuntimeError):

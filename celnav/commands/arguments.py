@@ -10,8 +10,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
 
-from celnav.effort import effort
 from celnav.papers import load
+from celnav.study.effort import effort
 
 if TYPE_CHECKING:
     from celnav.campaign.executors import Workers

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from celnav.commands.arguments import UsageError, cores, done, folder_of, fraction, whole, workers
 from celnav.commands.mission import ORIGIN
 from celnav.files import InputError, Outputs, locked
-from celnav.progress import RunProgress
+from celnav.show.progress import RunProgress
 
 if TYPE_CHECKING:
     from celnav.campaign.executors import Workers
@@ -20,9 +20,9 @@ def run(options: argparse.Namespace) -> int:
     """Do what is missing of a study and write what it comes to."""
     from celnav.campaign import WorkError, campaign
     from celnav.campaign.figures import figures, stems
+    from celnav.campaign.missions import read
     from celnav.campaign.page import names, write
     from celnav.campaign.table import summary
-    from celnav.mission import read
 
     pool, study = _workers(options), read(options.study, fraction(options.effort))
     folder = Path(options.out or folder_of("campaigns", options.study))

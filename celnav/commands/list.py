@@ -39,8 +39,8 @@ def _everything() -> None:
 
 def _parameters(paper: str) -> None:
     """What stands under ``[config]`` of a mission, with units and what each preset changes."""
-    from celnav.mission import flat
-    from celnav.typed import meanings, unit_of
+    from celnav.campaign.missions import flat
+    from celnav.campaign.typed import meanings, unit_of
 
     study = module(paper)
     choices: dict[str, tuple[Any, ...]] = getattr(study, "CHOICES", {})

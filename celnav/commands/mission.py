@@ -9,7 +9,7 @@ from pathlib import Path
 
 from celnav.commands.arguments import UsageError, done, folder_of, fraction, workers
 from celnav.files import InputError, Outputs, locked, read_json
-from celnav.progress import RunProgress
+from celnav.show.progress import RunProgress
 
 RECORDING = "mission.rrd"
 ORIGIN = "mission.json"
@@ -20,10 +20,10 @@ def run(options: argparse.Namespace) -> int:
     """Everything is computed before anything is written."""
     from celnav.campaign import WorkError, fly
     from celnav.campaign.figures import figures, stems
+    from celnav.campaign.missions import read
     from celnav.campaign.page import names, write
     from celnav.campaign.showcase import errors, record, showcase
     from celnav.campaign.table import summary
-    from celnav.mission import read
 
     study = read(options.mission, fraction(options.effort))
     pool = workers(options.jobs, -(-study.runs // study.block))

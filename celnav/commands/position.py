@@ -15,10 +15,13 @@ def run(options: argparse.Namespace) -> int:
     """Everything is computed before anything is written."""
     import numpy as np
 
-    from celnav import positioning, positioning_filters, positioning_report, rinex
     from celnav.filters.driver import FilterError
-    from celnav.integrity import probability
     from celnav.models.receiver import on_earth
+    from celnav.receiver import filters as positioning_filters
+    from celnav.receiver import position as positioning
+    from celnav.receiver import report as positioning_report
+    from celnav.receiver import rinex
+    from celnav.receiver.integrity import probability
 
     mask, noise = number("mask", options.mask), number("acceleration-noise", options.acceleration_noise)
     alarm = number("false-alarm", options.false_alarm)

@@ -25,9 +25,9 @@ from celnav.campaign.engine import results
 from celnav.campaign.executors import Workers
 from celnav.commands.arguments import UsageError, cores, fraction, module, whole, workers
 from celnav.files import Outputs, locked, remove_leftovers
-from celnav.montecarlo import Outcome, Plan, Unit, do, joined
 from celnav.papers import figures, tables
-from celnav.progress import Progress
+from celnav.show.progress import Progress
+from celnav.study.montecarlo import Outcome, Plan, Unit, do, joined
 
 KINDS = ("png", "svg")
 """Of each figure."""
@@ -37,7 +37,7 @@ FIRST = ("tstdkf", "aukf", "aasghqf")
 
 def run(options: argparse.Namespace) -> int:
     """Run the papers, side by side where there are several processes."""
-    from celnav.report import few, index
+    from celnav.papers.page import few, index
 
     chosen = list(dict.fromkeys(options.papers)) or list(papers.PAPERS)
     modules = {paper: module(paper) for paper in chosen}
@@ -114,8 +114,8 @@ def _write(
     paper: str, study: ModuleType, result: Callable[[], Any], outputs: Outputs, effort: float, spent: float, progress: Progress
 ) -> int:
     """Write everything that a paper shows; ``spent``: CPU seconds so far. Returns how many claims are not as expected."""
-    from celnav.claims import dumps
-    from celnav.drawing import render
+    from celnav.show.drawing import render
+    from celnav.study.claims import dumps
 
     timings = {"cpu_s units": spent}
 

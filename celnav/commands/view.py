@@ -21,7 +21,7 @@ def run(options: argparse.Namespace) -> int:
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         hint = f"use --picture, or copy {path} to a machine that has one and run: rerun {path.name}"
         raise OSError(f"no display to open a window on; {hint}")
-    from celnav.picture import command
+    from celnav.show.picture import command
 
     return subprocess.run(command(str(path)), check=False).returncode
 
@@ -30,7 +30,7 @@ def _picture(path: Path, target: Path, at: float | None) -> int:
     """A PNG, which needs no display."""
     if target.suffix.lower() != ".png":
         raise UsageError(f"--picture: expected the name of a .png file, got {str(target)!r}")
-    from celnav.picture import end, picture
+    from celnav.show.picture import end, picture
 
     last = end(path)
     if at is not None and not 0.0 <= at <= last:

@@ -14,12 +14,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import gammaincinv
 
-from celnav.checks import choice, integer, kind, number
 from celnav.filters.arguments import check_belief, check_part, positive, window
 from celnav.filters.info import Gain, Hook, Info, Joint
 from celnav.filters.step import Conditioning, Motion
-from celnav.gaussian import Gaussian
-from celnav.linalg import Array, cholesky, solve_lower, solve_upper_transposed, whiten
+from celnav.gaussian.belief import Gaussian
+from celnav.gaussian.checks import choice, integer, kind, number
+from celnav.gaussian.linalg import Array, cholesky, solve_lower, solve_upper_transposed, whiten
 
 
 def _signs(sign: Array, q: int) -> Array:

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from celnav import checks
-from celnav.checks import kind, numbers
-from celnav.gaussian import Gaussian
-from celnav.linalg import Array
-from celnav.spaces import EUCLIDEAN, Space
+from celnav.gaussian import checks
+from celnav.gaussian.belief import Gaussian
+from celnav.gaussian.checks import kind, numbers
+from celnav.gaussian.linalg import Array
+from celnav.gaussian.spaces import EUCLIDEAN, Space
 
 MOST_REPETITIONS = 10_000
 

@@ -22,10 +22,10 @@ from celnav.filters.conditioning import Model, condition, evaluate, images, sett
 from celnav.filters.driver import Epoch, Filter, State, sequential
 from celnav.filters.info import Hook, Info
 from celnav.filters.step import predict, update
-from celnav.gaussian import Gaussian, sqrt_cov
-from celnav.linalg import Array, block, matvec, side_by_side
-from celnav.spaces import EUCLIDEAN
-from celnav.transform import KEEP, Image, Outputs, Transform
+from celnav.gaussian.belief import Gaussian, sqrt_cov
+from celnav.gaussian.linalg import Array, block, matvec, side_by_side
+from celnav.gaussian.spaces import EUCLIDEAN
+from celnav.gaussian.transform import KEEP, Image, Outputs, Transform
 
 
 def colored(

@@ -8,15 +8,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.checks import finite, numbers
 from celnav.filters.arguments import check_model, measurement
 from celnav.filters.conditioning import noise_columns
 from celnav.filters.driver import Epoch
 from celnav.filters.info import Info
 from celnav.filters.step import update
-from celnav.gaussian import Gaussian, sqrt_cov
-from celnav.linalg import Array, matvec
-from celnav.transform import Transform
+from celnav.gaussian.belief import Gaussian, sqrt_cov
+from celnav.gaussian.checks import finite, numbers
+from celnav.gaussian.linalg import Array, matvec
+from celnav.gaussian.transform import Transform
 
 Coloring = ArrayLike | Callable[[Any], Array]
 """``Phi (..., m, m)`` or ``epoch -> Phi``."""

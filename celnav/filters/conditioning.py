@@ -16,14 +16,14 @@ from warnings import warn
 
 import numpy as np
 
-from celnav.checks import finite, numbers, unmasked
 from celnav.filters.arguments import check_model
 from celnav.filters.info import Gain, Hook, Info, Joint
 from celnav.filters.mixing import POINTS, check_runs_apart, unknown
-from celnav.gaussian import Gaussian, all_sound, sound, sqrt_cov
-from celnav.linalg import Array, matvec, solve_upper_transposed, tria, whiten
-from celnav.spaces import EUCLIDEAN, Space
-from celnav.transform import KEEP, Image, Outputs, Transform
+from celnav.gaussian.belief import Gaussian, all_sound, sound, sqrt_cov
+from celnav.gaussian.checks import finite, numbers, unmasked
+from celnav.gaussian.linalg import Array, matvec, solve_upper_transposed, tria, whiten
+from celnav.gaussian.spaces import EUCLIDEAN, Space
+from celnav.gaussian.transform import KEEP, Image, Outputs, Transform
 
 _EPS = float(np.finfo(np.float64).eps)
 
@@ -164,7 +164,7 @@ def condition(
     noise: ``(r, s)``.
     space: of the state. slopes: what hooks get as `Joint.slopes`, and the `Info` after them.
     hooks, memory, gain, epoch: see `celnav.filters.step.update`.
-    known: see `celnav.gaussian.Form`; not used where a hook changes the state's rows.
+    known: see `celnav.gaussian.belief.Form`; not used where a hook changes the state's rows.
 
     Returns
     -------

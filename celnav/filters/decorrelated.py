@@ -18,9 +18,9 @@ from celnav.filters.coloring import Colored, Coloring, coloring, difference, fir
 from celnav.filters.conditioning import Model, condition, evaluate
 from celnav.filters.driver import Epoch, Filter
 from celnav.filters.info import Hook, Info, Joint
-from celnav.gaussian import Gaussian
-from celnav.linalg import Array, block, matvec, solve_upper_transposed, tria
-from celnav.transform import Transform
+from celnav.gaussian.belief import Gaussian
+from celnav.gaussian.linalg import Array, block, matvec, solve_upper_transposed, tria
+from celnav.gaussian.transform import Transform
 
 
 class Decorrelation(NamedTuple):

@@ -16,13 +16,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.checks import finite, instance, numbers
 from celnav.filters.arguments import check_model, given_back
 from celnav.filters.driver import Epoch
 from celnav.filters.info import Info
 from celnav.filters.two_stage import First, Stage
-from celnav.gaussian import Gaussian, sqrt_cov
-from celnav.linalg import Array, cholesky, matvec, side_by_side, solve_lower, solve_upper_transposed, whiten
+from celnav.gaussian.belief import Gaussian, sqrt_cov
+from celnav.gaussian.checks import finite, instance, numbers
+from celnav.gaussian.linalg import Array, cholesky, matvec, side_by_side, solve_lower, solve_upper_transposed, whiten
 
 Moved = tuple[Array, Array, Array]
 """State ``(..., n)`` after the interval, its Jacobian ``Phi (..., n, n)`` and the effect ``G (..., n, q)`` of the process noise."""

@@ -13,15 +13,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.checks import choice, finite, instance, integer, kind, numbers
 from celnav.filters.arguments import check_belief, check_model, given_back, takes
 from celnav.filters.info import Info
 from celnav.filters.mixing import LOOKED_AT
 from celnav.filters.step import Conditioning, Motion, Predict, Update
 from celnav.filters.track import Collector, Track
-from celnav.gaussian import Gaussian
-from celnav.linalg import Array
-from celnav.spaces import EUCLIDEAN, Space
+from celnav.gaussian.belief import Gaussian
+from celnav.gaussian.checks import choice, finite, instance, integer, kind, numbers
+from celnav.gaussian.linalg import Array
+from celnav.gaussian.spaces import EUCLIDEAN, Space
 
 
 class Epoch(NamedTuple):

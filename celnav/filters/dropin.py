@@ -18,18 +18,18 @@ import numpy as np
 from filterpy.common import pretty_str
 from scipy.linalg import cholesky
 
-from celnav.checks import finite, numbers
 from celnav.filters.driver import Epoch
 from celnav.filters.filterpy_models import differences, model_of, space_of
 from celnav.filters.info import Info
 from celnav.filters.single_run import measurement_update, time_update
 from celnav.filters.smoother import back
 from celnav.filters.step import Motion, conditioning
-from celnav.gaussian import COVARIANCE, SQUARE_ROOT, Form, Gaussian, all_sound, symmetric
-from celnav.linalg import Array, outer, solve_upper_transposed, whiten
-from celnav.points import from_filterpy
-from celnav.rule import Rule
-from celnav.spaces import EUCLIDEAN, Space
+from celnav.gaussian.belief import COVARIANCE, SQUARE_ROOT, Form, Gaussian, all_sound, symmetric
+from celnav.gaussian.checks import finite, numbers
+from celnav.gaussian.linalg import Array, outer, solve_upper_transposed, whiten
+from celnav.gaussian.points import from_filterpy
+from celnav.gaussian.rule import Rule
+from celnav.gaussian.spaces import EUCLIDEAN, Space
 
 _NUMBERS, _DATES = (float, int, np.number), (np.datetime64, np.timedelta64)
 

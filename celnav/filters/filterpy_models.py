@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from celnav.checks import numbers
-from celnav.linalg import Array
-from celnav.spaces import EUCLIDEAN, Space
+from celnav.gaussian.checks import numbers
+from celnav.gaussian.linalg import Array
+from celnav.gaussian.spaces import EUCLIDEAN, Space
 
 
 def model_of(

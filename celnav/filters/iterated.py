@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from celnav.checks import numbers
 from celnav.filters.arguments import check_model, measurement, repetitions
 from celnav.filters.conditioning import Model, noise_columns
 from celnav.filters.info import Info
 from celnav.filters.step import Conditioning, update
-from celnav.gaussian import Gaussian
-from celnav.linalg import Array
-from celnav.spaces import EUCLIDEAN, Space
-from celnav.taylor import Taylor
+from celnav.gaussian.belief import Gaussian
+from celnav.gaussian.checks import numbers
+from celnav.gaussian.linalg import Array
+from celnav.gaussian.spaces import EUCLIDEAN, Space
+from celnav.gaussian.taylor import Taylor
 
 Start = Callable[[Gaussian, Array, Any], Array]
 """``(belief, z, epoch) -> (..., N)``: the first point to linearize about."""

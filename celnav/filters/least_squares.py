@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.checks import finite, integer, numbers
 from celnav.filters.arguments import check_model, measurement
 from celnav.filters.conditioning import evaluate
 from celnav.filters.driver import Epoch, Filter, State
 from celnav.filters.info import Info
 from celnav.filters.mixing import check_runs_apart, unknown
-from celnav.gaussian import COVARIANCE, Gaussian
-from celnav.linalg import Array, matvec, outer, unit
+from celnav.gaussian.belief import COVARIANCE, Gaussian
+from celnav.gaussian.checks import finite, integer, numbers
+from celnav.gaussian.linalg import Array, matvec, outer, unit
 
 RANK = 1e-10
 """Part of a column of the Jacobian that must be its own, or its state is not determined."""

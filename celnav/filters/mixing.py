@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from celnav.linalg import Array
+from celnav.gaussian.linalg import Array
 
 MOST = 16
 """Models looked at in a run of a filter: some are made anew at every step."""

@@ -12,11 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.checks import finite, integer
 from celnav.filters.adaptive import counted, scaled, variances
 from celnav.filters.arguments import positive, window
 from celnav.filters.info import Hook, Joint
-from celnav.linalg import Array, matvec, range_basis
+from celnav.gaussian.checks import finite, integer
+from celnav.gaussian.linalg import Array, matvec, range_basis
 
 NOTHING = 1e-6
 """Deviations of the noise."""

@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.checks import number
 from celnav.filters.adaptive import counted, scaled, variances
 from celnav.filters.arguments import repetitions
 from celnav.filters.info import Hook, Joint
-from celnav.linalg import Array, matvec
+from celnav.gaussian.checks import number
+from celnav.gaussian.linalg import Array, matvec
 
 
 def huber(threshold: float = 1.345, rounds: int = 6) -> Hook:

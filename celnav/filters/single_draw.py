@@ -22,10 +22,10 @@ from celnav.filters.conditioning import Model, condition, evaluate, images, inno
 from celnav.filters.driver import Epoch, Filter, State
 from celnav.filters.info import Hook, Info
 from celnav.filters.step import Update, predict
-from celnav.gaussian import Gaussian
-from celnav.linalg import Array
-from celnav.spaces import EUCLIDEAN, Space
-from celnav.transform import Outputs, Transform
+from celnav.gaussian.belief import Gaussian
+from celnav.gaussian.linalg import Array
+from celnav.gaussian.spaces import EUCLIDEAN, Space
+from celnav.gaussian.transform import Outputs, Transform
 
 
 def single_draw(

@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.gaussian import PRECISE, Gaussian
-from celnav.linalg import Array, matvec, whiten
-from celnav.rule import Rule
+from celnav.gaussian.belief import PRECISE, Gaussian
+from celnav.gaussian.linalg import Array, matvec, whiten
+from celnav.gaussian.rule import Rule
 
 Images = Callable[[Array, Any], Array]
 """Points ``(p, n)``, and None for an epoch, to their images ``(p, k)``."""

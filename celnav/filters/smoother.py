@@ -15,15 +15,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from celnav.checks import choice, instance, kind
 from celnav.filters.arguments import flag
 from celnav.filters.conditioning import evaluate, images, innovation_of, set_noise
 from celnav.filters.driver import Epoch, FilterError
 from celnav.filters.step import Motion
 from celnav.filters.track import Track
-from celnav.gaussian import SQUARE_ROOT, Gaussian
-from celnav.linalg import Array, matvec, solve_lower, solve_upper_transposed, tria
-from celnav.transform import KEEP, Outputs
+from celnav.gaussian.belief import SQUARE_ROOT, Gaussian
+from celnav.gaussian.checks import choice, instance, kind
+from celnav.gaussian.linalg import Array, matvec, solve_lower, solve_upper_transposed, tria
+from celnav.gaussian.transform import KEEP, Outputs
 
 _EPS = float(np.finfo(np.float64).eps)
 

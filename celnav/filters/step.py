@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.checks import finite
 from celnav.filters.arguments import (
     batched,
     check_extra,
@@ -39,10 +38,11 @@ from celnav.filters.conditioning import (
     settled,
 )
 from celnav.filters.info import Gain, Hook, Info
-from celnav.gaussian import PRECISE, Gaussian
-from celnav.linalg import Array, matvec
-from celnav.spaces import EUCLIDEAN, Space
-from celnav.transform import KEEP, Image, Outputs, Transform
+from celnav.gaussian.belief import PRECISE, Gaussian
+from celnav.gaussian.checks import finite
+from celnav.gaussian.linalg import Array, matvec
+from celnav.gaussian.spaces import EUCLIDEAN, Space
+from celnav.gaussian.transform import KEEP, Image, Outputs, Transform
 
 Predict = Callable[[Gaussian, Any], tuple[Gaussian, Info]]
 Update = Callable[..., tuple[Gaussian, Info, Any]]
@@ -105,7 +105,7 @@ def predict(
     ----------
     f: model, ``(points (p, ..., N), epoch, *noise points (p, ..., k)) -> (p, ..., N)``. The point axis leads; ``epoch.dt`` is the
         interval, ``epoch.u`` the input.
-    rule: any rule (`celnav.transform.Transform`), of dimension n plus that of ``extra``.
+    rule: any rule (`celnav.gaussian.transform.Transform`), of dimension n plus that of ``extra``.
     Q, sqrt_Q: process noise as a covariance ``(..., n, n)`` or as columns ``(..., n, r)``, or a function ``(mean, epoch)`` of
         either. A motion without noise has columns ``(n, 0)``.
     extra: roots ``(k, k)`` of noises that go *through* the points (augmentation): ``f(x, epoch, *noise)``.
@@ -165,7 +165,7 @@ def update(
     ----------
     h: model, ``(points (p, ..., N), epoch, *noise points) -> (p, ..., m)``, or a matrix ``(..., m, n)``: a linear measurement is
         exact and cheap under any rule.
-    rule: any rule (`celnav.transform.Transform`), of dimension n plus that of ``extra``.
+    rule: any rule (`celnav.gaussian.transform.Transform`), of dimension n plus that of ``extra``.
     R, sqrt_R: measurement noise as a covariance ``(..., m, m)`` or as columns ``(..., m, s)``, or a function ``(mean, epoch)``
         of either. A measurement without noise has columns ``(m, 0)``.
     extra: roots of noises that go through the points: ``h(x, epoch, *noise)``; these may be all the noise there is.

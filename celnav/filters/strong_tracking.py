@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.checks import finite, number, numbers
 from celnav.filters.arguments import check_model
 from celnav.filters.two_stage import Boost
-from celnav.linalg import Array
+from celnav.gaussian.checks import finite, number, numbers
+from celnav.gaussian.linalg import Array
 
 LARGEST = 1e6
 """Factors lie between 1 and this; what is not a number counts as 1."""

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from celnav.gaussian import SQUARE_ROOT, Form, Gaussian, all_sound, sound
-from celnav.linalg import Array
+from celnav.gaussian.belief import SQUARE_ROOT, Form, Gaussian, all_sound, sound
+from celnav.gaussian.linalg import Array
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -15,14 +15,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.checks import finite, kind, numbers
 from celnav.filters.arguments import check_belief, check_model, given_back, takes
 from celnav.filters.conditioning import evaluate
 from celnav.filters.driver import Epoch, Filter
 from celnav.filters.info import Info
 from celnav.filters.step import Conditioning, Motion, Predict, Update
-from celnav.gaussian import Gaussian, sqrt_cov
-from celnav.linalg import Array, block, matvec, outer, side_by_side, tria, unit, whiten
+from celnav.gaussian.belief import Gaussian, sqrt_cov
+from celnav.gaussian.checks import finite, kind, numbers
+from celnav.gaussian.linalg import Array, block, matvec, outer, side_by_side, tria, unit, whiten
 
 Slope = Array | Callable[[Array, Epoch], Array]
 """``Gamma (..., m, p)``: derivative of the measurement with respect to the bias; constant or ``(mean, epoch) -> matrix``."""

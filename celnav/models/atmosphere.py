@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.checks import finite
-from celnav.linalg import Array
+from celnav.gaussian.checks import finite
+from celnav.gaussian.linalg import Array
 from celnav.models.beidou import LIGHT
 
 GPS_L1_HZ = 1575.42e6

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from pymap3d import Ellipsoid
 
-from celnav.checks import finite
-from celnav.linalg import Array
+from celnav.gaussian.checks import finite
+from celnav.gaussian.linalg import Array
 
 GRAVITY_PARAMETER = 3.986004418e14
 """m^3/s^2."""

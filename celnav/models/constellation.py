@@ -9,9 +9,9 @@ from dataclasses import fields
 
 import numpy as np
 
-from celnav import checks
-from celnav.checks import finite
-from celnav.linalg import Array
+from celnav.gaussian import checks
+from celnav.gaussian.checks import finite
+from celnav.gaussian.linalg import Array
 from celnav.models.beidou import GRAVITY_PARAMETER, ROTATION_RATE, TILT, Broadcast, eccentric_anomaly, tilted
 
 SYNCHRONOUS_M = (GRAVITY_PARAMETER / ROTATION_RATE**2) ** (1.0 / 3.0)

@@ -18,8 +18,8 @@ from jplephem.daf import DAF
 from jplephem.spk import SPK
 from numpy.polynomial.chebyshev import chebder, chebval
 
-from celnav.checks import choice, instance
-from celnav.linalg import Array
+from celnav.gaussian.checks import choice, instance
+from celnav.gaussian.linalg import Array
 from celnav.models.time import DAY_S, Tdb
 
 BODIES = ("sun", "mercury", "venus", "earth", "moon", "mars", "jupiter", "saturn", "uranus", "neptune", "pluto")

@@ -1,8 +1,8 @@
 """Rate gyros with drift [Farrenkopf 1978]: what they measure, how an attitude is propagated with them, what accuracy settles.
 
 A gyro gives the mean rate of an interval plus drift plus white noise, ``measured = rate + beta + eta_v``; the drift is a
-Gauss-Markov process or a random walk. States are ``(..., 7)``: quaternion (see `celnav.attitude`) and drift in rad/s; their
-errors ``(..., 6)``: rotation vector in body axes, and drift.
+Gauss-Markov process or a random walk. States are ``(..., 7)``: quaternion (see `celnav.gaussian.attitude`) and drift in rad/s;
+their errors ``(..., 6)``: rotation vector in body axes, and drift.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from celnav.attitude import cross, exp, inverse, log, multiply, unit
-from celnav.checks import finite, instance, number, numbers, together
-from celnav.linalg import Array, side_by_side
+from celnav.gaussian.attitude import cross, exp, inverse, log, multiply, unit
+from celnav.gaussian.checks import finite, instance, number, numbers, together
+from celnav.gaussian.linalg import Array, side_by_side
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from celnav.checks import finite, instance
-from celnav.linalg import Array, components, leading, matvec
+from celnav.gaussian.checks import finite, instance
+from celnav.gaussian.linalg import Array, components, leading, matvec
 from celnav.models import earth
 from celnav.models.trajectory import Flight
 

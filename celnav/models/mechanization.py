@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from celnav.checks import finite, instance
-from celnav.linalg import Array, matvec
+from celnav.gaussian.checks import finite, instance
+from celnav.gaussian.linalg import Array, matvec
 from celnav.models import earth
 from celnav.models.trajectory import Flight
 

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import expm, solve_discrete_lyapunov
 
-from celnav.checks import choice, finite, number, together
-from celnav.gaussian import sqrt_cov
-from celnav.linalg import Array
+from celnav.gaussian.belief import sqrt_cov
+from celnav.gaussian.checks import choice, finite, number, together
+from celnav.gaussian.linalg import Array
 
 
 def stationary_covariance(Phi: ArrayLike, R: ArrayLike) -> Array:

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.checks import LIMIT, finite, instance, integer, number
-from celnav.linalg import Array, components
+from celnav.gaussian.checks import LIMIT, finite, instance, integer, number
+from celnav.gaussian.linalg import Array, components
 
 
 class UnitWarning(UserWarning):

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from celnav.linalg import Array
+from celnav.gaussian.linalg import Array
 from celnav.models.beidou import LIGHT, ROTATION_RATE, Broadcast, SatelliteState, satellites, turned
 
 

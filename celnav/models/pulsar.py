@@ -13,10 +13,10 @@ from functools import cached_property
 
 import numpy as np
 
-from celnav.checks import choice, instance, number, sequence
 from celnav.files import data
-from celnav.linalg import Array
-from celnav.spaces import Space
+from celnav.gaussian.checks import choice, instance, number, sequence
+from celnav.gaussian.linalg import Array
+from celnav.gaussian.spaces import Space
 
 LIGHT_KM_S = 299792.458
 GM_SUN = 1.32712440041e11

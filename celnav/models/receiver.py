@@ -9,8 +9,8 @@ import math
 
 import numpy as np
 
-from celnav.checks import numbers
-from celnav.linalg import Array
+from celnav.gaussian.checks import numbers
+from celnav.gaussian.linalg import Array
 from celnav.models.beidou import LIGHT
 
 CRYSTAL = (LIGHT**2 * 2e-19 / 2.0, 2.0 * np.pi**2 * LIGHT**2 * 2e-20)

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from celnav.attitude import cross, multiply, rotate, unit
-from celnav.checks import LIMIT, finite, integer, number
-from celnav.linalg import Array, matvec
+from celnav.gaussian.attitude import cross, multiply, rotate, unit
+from celnav.gaussian.checks import LIMIT, finite, integer, number
+from celnav.gaussian.linalg import Array, matvec
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,8 +14,8 @@ import warnings
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.checks import finite, number, numbers, together
-from celnav.linalg import Array
+from celnav.gaussian.checks import finite, number, numbers, together
+from celnav.gaussian.linalg import Array
 from celnav.models.orbit import EARTH, UnitWarning
 
 

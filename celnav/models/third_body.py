@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from celnav.linalg import Array
+from celnav.gaussian.linalg import Array
 
 
 def acceleration(position: Array, body: Array, gm: float) -> Array:

@@ -14,8 +14,8 @@ import erfa
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.checks import finite, instance, numbers
-from celnav.linalg import Array
+from celnav.gaussian.checks import finite, instance, numbers
+from celnav.gaussian.linalg import Array
 
 DAY_S = 86400.0
 

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from celnav.checks import finite, number
-from celnav.linalg import Array, matvec
+from celnav.gaussian.checks import finite, number
+from celnav.gaussian.linalg import Array, matvec
 from celnav.models import earth
 
 

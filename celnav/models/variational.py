@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial import legendre
 
-from celnav.checks import integer
-from celnav.linalg import Array, components
+from celnav.gaussian.checks import integer
+from celnav.gaussian.linalg import Array, components
 from celnav.models.orbit import EARTH, Earth, acceleration
 
 

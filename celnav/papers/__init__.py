@@ -2,8 +2,8 @@
 
 ``CITATION``, ``TITLE``, ``Config``, ``PRESETS``, ``simulate``, ``filters``, ``reproduce``, ``figure_N``, ``table_N``, ``claims``,
 ``record``: see `celnav.papers.csrukf`. ``INPUTS``, if there: names of optional inputs of ``reproduce``, folders. ``trial`` and
-``JUDGED``, what it judges and in which units: see `celnav.trial`. ``MISSION``, if there: parameters that a mission has by default,
-whatever the preset.
+``JUDGED``, what it judges and in which units: see `celnav.study.trial`. ``MISSION``, if there: parameters that a mission has by
+default, whatever the preset.
 """
 
 from __future__ import annotations

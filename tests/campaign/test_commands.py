@@ -16,9 +16,9 @@ from celnav import cli
 from celnav.campaign import campaign, serial
 from celnav.campaign import store as stores
 from celnav.campaign.figures import figures
+from celnav.campaign.missions import read
 from celnav.campaign.page import write
 from celnav.files import Outputs, locked
-from celnav.mission import read
 from celnav.papers import csrukf
 
 MISSION = """

@@ -11,9 +11,9 @@ import pytest
 from celnav.campaign import UnfinishedError, VersionError, campaign, given, processes, serial
 from celnav.campaign.engine import ATTEMPTS, compute
 from celnav.campaign.executors import Workers
+from celnav.campaign.missions import study
 from celnav.campaign.table import columns, to_csv
 from celnav.campaign.units import units_of
-from celnav.mission import study
 
 TABLE = {"paper": "csrukf", "filters": ["srukf", "csrukf"], "runs": 12, "block": 3, "config": {"steps": 6, "phi": [0.0, 0.8]}}
 

@@ -12,8 +12,8 @@ import pytest
 from machine import children, gone
 
 from celnav.campaign import campaign, dask, processes, serial
+from celnav.campaign.missions import read
 from celnav.campaign.table import columns, to_csv, to_parquet
-from celnav.mission import read
 
 STUDY = """
 paper = "csrukf"
@@ -83,7 +83,7 @@ import sys
 from celnav.campaign import campaign, processes
 from celnav.campaign.table import columns, to_csv, to_parquet
 from celnav.files import write_bytes
-from celnav.mission import read
+from celnav.campaign.missions import read
 
 if __name__ == "__main__":
     file, folder = sys.argv[1:]

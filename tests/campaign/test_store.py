@@ -13,10 +13,10 @@ import pytest
 
 from celnav.campaign import StoreError, campaign, serial
 from celnav.campaign import store as stores
+from celnav.campaign.missions import study
 from celnav.campaign.table import columns, to_csv, to_parquet
 from celnav.campaign.units import pack, units_of
 from celnav.files import ForeignFileError, Outputs, locked
-from celnav.mission import study
 
 TABLE = {"paper": "csrukf", "filters": ["csrukf"], "runs": 6, "block": 2, "config": {"steps": 8, "phi": [0.0, 0.8]}}
 

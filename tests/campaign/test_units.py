@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from celnav.campaign import units
+from celnav.campaign.missions import study
 from celnav.campaign.units import Unit, VersionError, code, execute, pack, units_of, unpack
-from celnav.mission import study
 from celnav.papers import csrukf
-from celnav.scores import merge
+from celnav.study.scores import merge
 
 TABLE = {"paper": "csrukf", "filters": ["srukf", "csrukf"], "runs": 10, "block": 4, "config": {"steps": 12, "phi": [0.0, 0.8]}}
 

@@ -8,9 +8,9 @@ from celnav.filters.adaptive import chi_square_gate, consider, fallback, gate, i
 from celnav.filters.driver import FilterError, epochs, run, sequential, steps
 from celnav.filters.info import Info
 from celnav.filters.step import predict, update
-from celnav.gaussian import Gaussian, covariance, square_root
-from celnav.points import cubature, unscented
-from celnav.taylor import Taylor
+from celnav.gaussian.belief import Gaussian, covariance, square_root
+from celnav.gaussian.points import cubature, unscented
+from celnav.gaussian.taylor import Taylor
 
 A = np.array([[1.0, 0.2], [-0.1, 0.9]])
 H = np.array([[1.0, 0.0], [0.5, 1.0], [0.0, 2.0]])

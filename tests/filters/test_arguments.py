@@ -14,8 +14,8 @@ from celnav.filters.colored import augmented, colored
 from celnav.filters.decorrelated import decorrelated
 from celnav.filters.single_draw import single_draw
 from celnav.filters.two_stage import plain, two_stage
-from celnav.gaussian import covariance, square_root
-from celnav.spaces import EUCLIDEAN, angles, product
+from celnav.gaussian.belief import covariance, square_root
+from celnav.gaussian.spaces import EUCLIDEAN, angles, product
 
 RULE = celnav.unscented(2)
 MOTION = celnav.predict(lambda x, e: x, RULE, np.eye(2))

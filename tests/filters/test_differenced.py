@@ -10,8 +10,8 @@ from celnav.filters.driver import Epoch, sequential
 from celnav.filters.single_draw import drawn_once, single_draw
 from celnav.filters.step import predict, update
 from celnav.filters.two_stage import plain, two_stage
-from celnav.gaussian import covariance, square_root
-from celnav.points import unscented
+from celnav.gaussian.belief import covariance, square_root
+from celnav.gaussian.points import unscented
 
 RNG = np.random.default_rng(0)
 T, N, M, B = 30, 4, 2, 3

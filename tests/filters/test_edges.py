@@ -12,7 +12,7 @@ from celnav.filters.least_squares import least_squares
 from celnav.filters.parity import channel_parity, group_parity
 from celnav.filters.robust import huber, sage_husa, student_t
 from celnav.filters.two_stage import plain, two_stage
-from celnav.gaussian import covariance, square_root
+from celnav.gaussian.belief import covariance, square_root
 
 RULE = celnav.unscented(2)
 EYE = np.eye(2)

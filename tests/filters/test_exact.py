@@ -10,9 +10,9 @@ import celnav
 from celnav.filters.adaptive import gate
 from celnav.filters.colored import augmented, colored
 from celnav.filters.decorrelated import decorrelated, decorrelation
-from celnav.gaussian import covariance, square_root
+from celnav.gaussian.belief import covariance, square_root
+from celnav.gaussian.taylor import Taylor
 from celnav.models import orbit
-from celnav.taylor import Taylor
 
 FORMS = {"square root": celnav.square_root, "covariance": celnav.covariance}
 RULES = {

@@ -7,9 +7,9 @@ import pytest
 
 import celnav
 from celnav.filters.iterated import iterated
-from celnav.spaces import EUCLIDEAN
-from celnav.taylor import Taylor
-from celnav.transform import KEEP
+from celnav.gaussian.spaces import EUCLIDEAN
+from celnav.gaussian.taylor import Taylor
+from celnav.gaussian.transform import KEEP
 
 P = np.array([[1.0, 0.3], [0.3, 2.0]])
 R = np.diag([0.01, 0.04])

@@ -7,7 +7,7 @@ import pytest
 
 from celnav.filters.driver import epochs, run
 from celnav.filters.least_squares import least_squares
-from celnav.gaussian import covariance
+from celnav.gaussian.belief import covariance
 from celnav.models import pseudorange
 from celnav.models.constellation import synthetic
 

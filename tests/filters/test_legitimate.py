@@ -9,7 +9,7 @@ import pytest
 import celnav
 from celnav.filters.adaptive import consider, fallback, gate
 from celnav.filters.colored import augmented, colored
-from celnav.gaussian import covariance, square_root
+from celnav.gaussian.belief import covariance, square_root
 
 RUNS, T = 2, 6  # as many runs as states
 RNG = np.random.default_rng(1)
@@ -147,7 +147,7 @@ def test_angles_at_the_seam(form):
     x, z = np.array([[np.pi, 0.1], [-np.pi, -0.1]]), np.array([[np.pi], [-np.pi]]) + 0.3 * Z
     state, seen = celnav.angles([0]), celnav.angles([0])
     heading = np.array([[1.0, 0.0]])
-    for turn in (celnav.spaces.wrap(z), z, z + 2.0 * np.pi, np.full_like(z, np.pi), np.full_like(z, -np.pi)):
+    for turn in (celnav.gaussian.spaces.wrap(z), z, z + 2.0 * np.pi, np.full_like(z, np.pi), np.full_like(z, -np.pi)):
         motion = celnav.predict(move, RULES["points"], 0.01 * Q, space=state)
         for h in (heading, lambda x, e: x[..., :1]):
             sensor = celnav.update(h, RULES["points"], R, space=state, measurement_space=seen)
@@ -155,16 +155,16 @@ def test_angles_at_the_seam(form):
                 celnav.sequential(motion, sensor), form(x, 0.01 * P0), celnav.epochs(np.cumsum(DT), turn), keep="spread"
             )
             for run in range(RUNS):
-                near = x[run, 0] + celnav.spaces.wrap(turn[:, run] - x[run, 0])
+                near = x[run, 0] + celnav.gaussian.spaces.wrap(turn[:, run] - x[run, 0])
                 mean, cov = kalman(x[run], 0.01 * P0, z=near, H=heading, Q=0.01 * Q)
-                np.testing.assert_allclose(celnav.spaces.wrap(track.mean[:, run, 0] - mean[:, 0]), 0.0, atol=1e-9)
+                np.testing.assert_allclose(celnav.gaussian.spaces.wrap(track.mean[:, run, 0] - mean[:, 0]), 0.0, atol=1e-9)
                 np.testing.assert_allclose(track.mean[:, run, 1], mean[:, 1], atol=1e-9)
                 np.testing.assert_allclose(track.cov[:, run], cov, atol=1e-9)
 
 
 @FORMS
 def test_the_sign_of_a_quaternion_is_nothing(form):
-    space, rule = celnav.attitude.attitude(), celnav.unscented(3)
+    space, rule = celnav.gaussian.attitude.attitude(), celnav.unscented(3)
     filter = celnav.sequential(
         celnav.predict(lambda q, e: q, rule, 1e-4 * np.eye(3), space=space),
         celnav.update(lambda q, e: q, rule, 1e-3 * np.eye(3), space=space, measurement_space=space),

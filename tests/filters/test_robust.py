@@ -9,9 +9,9 @@ from celnav.filters.driver import epochs, run, sequential
 from celnav.filters.parity import channel_parity, group_parity
 from celnav.filters.robust import huber, sage_husa, student_t
 from celnav.filters.step import predict, update
-from celnav.gaussian import covariance, square_root
-from celnav.points import cubature, unscented
-from celnav.taylor import Taylor
+from celnav.gaussian.belief import covariance, square_root
+from celnav.gaussian.points import cubature, unscented
+from celnav.gaussian.taylor import Taylor
 
 A = np.array([[1.0, 0.2], [-0.1, 0.9]])
 H = np.array([[1.0, 0.0], [0.5, 1.0], [0.0, 2.0], [1.0, -1.0], [2.0, 0.5], [0.3, 1.0]])

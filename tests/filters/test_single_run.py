@@ -41,7 +41,7 @@ def test_both_updates_are_those_of_the_parts(form, name):
         (found.belief.mean, posterior.mean), (found.belief.spread, posterior.spread),
         (found.innovation, info.innovation), (found.white, info.white), (found.S, info.innovation_root),
         (np.linalg.solve(found.S.T, found.U.T).T, info.gain()),
-        (found.images, h(rule.points(own.mean, own.root, celnav.spaces.EUCLIDEAN)[0], None)),
+        (found.images, h(rule.points(own.mean, own.root, celnav.gaussian.spaces.EUCLIDEAN)[0], None)),
     ):  # fmt: skip
         np.testing.assert_allclose(mine, theirs, rtol=1e-9, atol=1e-11)
 

@@ -8,17 +8,17 @@ import pytest
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 from scipy.stats import chi2
 
-from celnav import attitude
 from celnav.filters.colored import augmented
 from celnav.filters.driver import FilterError, epochs, run, sequential
 from celnav.filters.smoother import smooth
 from celnav.filters.step import predict, update
-from celnav.gaussian import Gaussian, covariance, nees, square_root
-from celnav.linalg import block
-from celnav.points import cubature, from_filterpy, gauss_hermite, simplex, unscented
-from celnav.rule import Rule
-from celnav.spaces import EUCLIDEAN, Space, angles
-from celnav.taylor import Taylor
+from celnav.gaussian import attitude
+from celnav.gaussian.belief import Gaussian, covariance, nees, square_root
+from celnav.gaussian.linalg import block
+from celnav.gaussian.points import cubature, from_filterpy, gauss_hermite, simplex, unscented
+from celnav.gaussian.rule import Rule
+from celnav.gaussian.spaces import EUCLIDEAN, Space, angles
+from celnav.gaussian.taylor import Taylor
 
 A_ = np.array([[1.0, 0.1, 0.0], [-0.2, 0.9, 0.1], [0.0, 0.3, 0.8]])
 H_ = np.array([[1.0, 0.5, 0.0], [0.0, 1.0, -1.0]])

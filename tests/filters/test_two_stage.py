@@ -9,9 +9,9 @@ from celnav.filters.driver import epochs, run, sequential
 from celnav.filters.step import predict, update
 from celnav.filters.strong_tracking import LARGEST, excess, proportional, strong_tracking
 from celnav.filters.two_stage import Boost, plain, two_stage
-from celnav.gaussian import covariance, square_root
-from celnav.linalg import block
-from celnav.points import unscented
+from celnav.gaussian.belief import covariance, square_root
+from celnav.gaussian.linalg import block
+from celnav.gaussian.points import unscented
 
 RNG = np.random.default_rng(0)
 T, N, M, B = 40, 4, 3, 2

@@ -18,7 +18,7 @@ from celnav.filters.robust import huber, sage_husa, student_t
 from celnav.filters.single_draw import drawn_once, single_draw
 from celnav.filters.strong_tracking import strong_tracking
 from celnav.filters.two_stage import plain, two_stage
-from celnav.spaces import EUCLIDEAN
+from celnav.gaussian.spaces import EUCLIDEAN
 
 EYE, RULE = np.eye(2), celnav.unscented(2)
 PRIOR = celnav.square_root(np.zeros(2), EYE)

@@ -7,17 +7,17 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import solve_discrete_are
 
-from celnav import attitude as at
 from celnav.filters.adaptive import chi_square_gate, innovation_window
 from celnav.filters.driver import Epoch, run, sequential
 from celnav.filters.step import predict, update
-from celnav.gaussian import covariance, square_root
+from celnav.gaussian import attitude as at
+from celnav.gaussian.belief import covariance, square_root
+from celnav.gaussian.points import cubature, unscented
+from celnav.gaussian.spaces import EUCLIDEAN, product
+from celnav.gaussian.taylor import Taylor
 from celnav.models.gyro import Gyro, preintegrate, steady_state
 from celnav.models.noise import van_loan
 from celnav.models.rigid_body import Body
-from celnav.points import cubature, unscented
-from celnav.spaces import EUCLIDEAN, product
-from celnav.taylor import Taylor
 
 ARCSEC, DEG_H = np.pi / 648000.0, np.pi / 648000.0
 GYRO = Gyro(sigma_v=2.424e-7, sigma_u=2.285e-9, tau=3600.0)

@@ -8,17 +8,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from celnav.claims import dumps
-from celnav.effort import effort
 from celnav.filters.driver import run, sequential
 from celnav.filters.step import predict, update
-from celnav.gaussian import square_root
-from celnav.montecarlo import do, generator, joined
+from celnav.gaussian.belief import square_root
+from celnav.gaussian.points import gauss_hermite, simplex, tensor_product
 from celnav.papers import aasghqf, figures
 from celnav.papers.aasghqf import analysis, errata, scenario, study
 from celnav.papers.aasghqf.config import A_SLOW, PAPER_WEIGHTS, A
 from celnav.papers.aasghqf.published import TABLE_3
-from celnav.points import gauss_hermite, simplex, tensor_product
+from celnav.study.claims import dumps
+from celnav.study.effort import effort
+from celnav.study.montecarlo import do, generator, joined
 
 
 @pytest.fixture(scope="module")

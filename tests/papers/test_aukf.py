@@ -12,22 +12,22 @@ import numpy as np
 import pytest
 import rerun as rr
 
-from celnav.claims import dumps
-from celnav.effort import effort
 from celnav.files import Outputs
 from celnav.filters.adaptive import innovation_window
 from celnav.filters.driver import State, run, sequential
 from celnav.filters.step import predict, update
+from celnav.gaussian.points import unscented
+from celnav.gaussian.taylor import Taylor
 from celnav.models import pseudorange
-from celnav.montecarlo import generator
 from celnav.papers import aukf, figures, tables
 from celnav.papers.aukf import PRESETS, analysis, errata, filters, real, simulate, sweeps
 from celnav.papers.aukf.follow import Kept, follow_cases, watched
 from celnav.papers.aukf.follow import follow as follow_all
 from celnav.papers.aukf.scenario import EKF, adapted, axes, circle, ukf, visible
-from celnav.points import unscented
-from celnav.positioning_filters import hooks
-from celnav.taylor import Taylor
+from celnav.receiver.filters import hooks
+from celnav.study.claims import dumps
+from celnav.study.effort import effort
+from celnav.study.montecarlo import generator
 
 SHORT = replace(PRESETS["burst"], duration_s=4.0, burst_s=(2.0, 3.0))
 

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from celnav.claims import dumps
-from celnav.montecarlo import do, generator, joined
 from celnav.papers import csrukf, figures, tables
 from celnav.papers.csrukf import errata, scenario, study, theory
+from celnav.study.claims import dumps
+from celnav.study.montecarlo import do, generator, joined
 
 SHORT = replace(csrukf.PRESETS["P"], steps=40, runs=6)
 

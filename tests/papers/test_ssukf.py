@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 import rerun as rr
 
-from celnav import attitude
-from celnav.claims import dumps
-from celnav.effort import effort
 from celnav.files import Outputs
 from celnav.filters.driver import run
-from celnav.gaussian import square_root
+from celnav.gaussian import attitude
+from celnav.gaussian.belief import square_root
 from celnav.models.gyro import Gyro, preintegrate
-from celnav.montecarlo import do, generator, joined
 from celnav.papers import figures, ssukf
 from celnav.papers.ssukf import PRESETS, filters, simulate, study, variants, vector
 from celnav.papers.ssukf.config import ARCSEC, DEG_PER_H, STANDARD
 from celnav.papers.ssukf.scenario import state_space
+from celnav.study.claims import dumps
+from celnav.study.effort import effort
+from celnav.study.montecarlo import do, generator, joined
 
 SHORT = replace(STANDARD, duration_s=10.0)
 

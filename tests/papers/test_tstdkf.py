@@ -10,12 +10,9 @@ import numpy as np
 import pytest
 import rerun as rr
 
-from celnav.claims import dumps
-from celnav.effort import effort
 from celnav.files import Outputs, data
 from celnav.filters.driver import Epoch, FilterError, run, sequential
 from celnav.models.variational import flow
-from celnav.montecarlo import do, generator
 from celnav.papers import figures, tables, tstdkf
 from celnav.papers.tstdkf import PRESETS, SETTINGS, Setting, analysis, filters, simulate, sweeps
 from celnav.papers.tstdkf.config import TABLE_5
@@ -24,6 +21,9 @@ from celnav.papers.tstdkf.estimators import driving, kalman
 from celnav.papers.tstdkf.follow import follow as follow_all
 from celnav.papers.tstdkf.forces import accelerations, spectrum
 from celnav.papers.tstdkf.scenario import noise_of
+from celnav.study.claims import dumps
+from celnav.study.effort import effort
+from celnav.study.montecarlo import do, generator
 
 SHORT = replace(TABLE_5, days=0.5)
 WHITE = replace(SHORT, setting=SETTINGS[5])

@@ -8,8 +8,8 @@ simulation), `errata` (what is printed wrongly, as code), `study` (all runs), `p
 =============  ======================================================  ===========================================
 equation       content                                                 here
 =============  ======================================================  ===========================================
-11-14, 18      sparse rules, isotropic and anisotropic                 `celnav.sparse_grid.smolyak`
-15-16          degree of observability, choice of the weights          `celnav.observability`
+11-14, 18      sparse rules, isotropic and anisotropic                 `celnav.gaussian.sparse_grid.smolyak`
+15-16          degree of observability, choice of the weights          `celnav.analysis.observability`
 20-25          errors of the inertial system                           `celnav.models.inertial.derivative`
 26-28          star sensors                                            `celnav.models.inertial.star_residuals`
 =============  ======================================================  ===========================================

@@ -10,19 +10,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.linalg import sqrtm
 
-from celnav import observability
-from celnav.adaptive_grid import Adapted, adapt
+from celnav.analysis import observability
 from celnav.filters.driver import Epoch, run
-from celnav.linalg import Array
+from celnav.gaussian.adaptive_grid import Adapted, adapt
+from celnav.gaussian.linalg import Array
+from celnav.gaussian.points import gauss_hermite
+from celnav.gaussian.rule import Rule
+from celnav.gaussian.spaces import EUCLIDEAN
+from celnav.gaussian.sparse_grid import smolyak
+from celnav.gaussian.transform import KEEP
 from celnav.models import inertial
-from celnav.montecarlo import generator
 from celnav.papers.aasghqf.config import MICRO_G, Config, meters_per_radian
 from celnav.papers.aasghqf.scenario import BORESIGHTS, Inputs, filters, measurement, rules, simulate
-from celnav.points import gauss_hermite
-from celnav.rule import Rule
-from celnav.spaces import EUCLIDEAN
-from celnav.sparse_grid import smolyak
-from celnav.transform import KEEP
+from celnav.study.montecarlo import generator
 
 MISALIGNMENTS_DEG = (1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0)
 DIMENSIONS = (2, 4, 6, 8, 10, 13, 16, 20, 25, 30, 40)

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from celnav.claims import Bounds, Claim
-from celnav.observability import threshold_weights
+from celnav.analysis.observability import threshold_weights
+from celnav.gaussian.sparse_grid import point_count, smolyak
 from celnav.papers.aasghqf.claims_beyond import beyond_claims
 from celnav.papers.aasghqf.claims_errata import errata_claims
 from celnav.papers.aasghqf.config import PAPER_WEIGHTS
 from celnav.papers.aasghqf.evidence import PHI, POSITION, VELOCITY, Evidence, median_ratio, ratio, time_mean
 from celnav.papers.aasghqf.published import TABLE_1, TABLE_1_WEIGHTS, TABLE_2_DEGREE, TABLE_3, TABLE_4
 from celnav.papers.aasghqf.study import Result
-from celnav.sparse_grid import point_count, smolyak
+from celnav.study.claims import Bounds, Claim
 
 FIT = "misalignment, fix intervals and process noise are not in the paper; T3 was chosen so that the levels of Table 3 come out"
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from celnav.claims import Bounds, Claim
+from celnav.gaussian.points import unscented
+from celnav.gaussian.sparse_grid import point_count, smolyak
 from celnav.papers.aasghqf.analysis import DIMENSIONS, MISALIGNMENTS_DEG
 from celnav.papers.aasghqf.evidence import PHI, Evidence, ratio
-from celnav.points import unscented
-from celnav.sparse_grid import point_count, smolyak
+from celnav.study.claims import Bounds, Claim
 
 ONE_FIX = MISALIGNMENTS_DEG.index(10.0)
 

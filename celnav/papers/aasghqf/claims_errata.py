@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from celnav.claims import Claim
+from celnav.gaussian.sparse_grid import integrates, point_count
 from celnav.papers.aasghqf import errata
 from celnav.papers.aasghqf.config import PAPER_WEIGHTS
 from celnav.papers.aasghqf.evidence import PHI, Evidence, ratio, time_mean
-from celnav.sparse_grid import integrates, point_count
+from celnav.study.claims import Claim
 
 
 def errata_claims(j: Evidence) -> list[Claim]:

@@ -7,11 +7,11 @@ from functools import cached_property
 
 import numpy as np
 
-from celnav.checks import finite
-from celnav.linalg import Array
+from celnav.gaussian.checks import finite
+from celnav.gaussian.linalg import Array
 from celnav.models import earth
 from celnav.models.trajectory import Flight, turning_flight
-from celnav.montecarlo import steps
+from celnav.study.montecarlo import steps
 
 TITLE = "Adaptive anisotropic sparse Gauss-Hermite quadrature filter for star, SAR and inertial navigation"
 CITATION = """\

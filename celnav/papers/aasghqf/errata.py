@@ -7,12 +7,12 @@ from itertools import combinations, product
 
 import numpy as np
 
-from celnav.linalg import Array, matvec
+from celnav.gaussian.linalg import Array, matvec
+from celnav.gaussian.sparse_grid import ORDERS
 from celnav.models import earth, inertial
 from celnav.models.inertial import Navigation
 from celnav.models.mechanization import mechanize
 from celnav.papers.aasghqf.config import Config
-from celnav.sparse_grid import ORDERS
 
 ERRATA = (
     ("Table 4: 99 points", "75 for the weights of Table 2; 99 is what a merge at the origin only gives, or a 14th state"),

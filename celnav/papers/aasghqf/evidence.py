@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from celnav.claims import Judge
-from celnav.linalg import Array
+from celnav.gaussian.linalg import Array
 from celnav.papers.aasghqf.study import Result
+from celnav.study.claims import Judge
 
 PHI, VELOCITY, POSITION = slice(0, 3), slice(3, 5), slice(5, 7)
 

@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from celnav import colors
-from celnav.figures import band, figure
-from celnav.linalg import Array
-from celnav.metrics import chi_square_band
+from celnav.analysis.metrics import chi_square_band
+from celnav.gaussian.linalg import Array
+from celnav.gaussian.rule import Rule
+from celnav.gaussian.sparse_grid import smolyak
 from celnav.papers.aasghqf.analysis import DIMENSIONS, MISALIGNMENTS_DEG
 from celnav.papers.aasghqf.study import COMPARED, Result
-from celnav.rule import Rule
-from celnav.sparse_grid import smolyak
+from celnav.show import colors
+from celnav.show.figures import band, figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from celnav.linalg import Array
+from celnav.gaussian.linalg import Array
 
 TABLE_1_WEIGHTS = ((1,), (2, 1), (2, 1, 1), (2, 2, 1, 1), (2, 2, 1, 1, 1), (2, 2, 2, 1, 1, 1))
 TABLE_1 = {"SGHQF": (7, 21, 37, 57, 81, 109), "AASGHQF": (7, 9, 23, 25, 41, 43)}

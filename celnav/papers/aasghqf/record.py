@@ -6,18 +6,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from celnav import colors
-from celnav.linalg import Array, matvec, semidefinite_root
-from celnav.metrics import chi_square_band
+from celnav.analysis.metrics import chi_square_band
+from celnav.gaussian.linalg import Array, matvec, semidefinite_root
 from celnav.models import inertial
 from celnav.papers.aasghqf.config import PRESETS
 from celnav.papers.aasghqf.figures import COLORS, LABELS
 from celnav.papers.aasghqf.scenario import BORESIGHTS, rules
 from celnav.papers.aasghqf.study import COMPARED, Result, units
+from celnav.show import colors
 
 if TYPE_CHECKING:
     from celnav.files import Outputs
-    from celnav.recording import Recorder
+    from celnav.show.recording import Recorder
 
 CASES = {"A-slow": "aasghqf_A_slow.rrd", "T3": "aasghqf_T3.rrd"}
 RECORDINGS = list(CASES.values())
@@ -41,7 +41,7 @@ def record_preset(result: Result, preset: str, path: Any) -> None:
     ------
     OSError: if ``path`` cannot be written. ValueError: if it is a file that celnav did not make.
     """
-    from celnav import recording
+    from celnav.show import recording
 
     times = result.times(preset)
     facts = {"paper": "aasghqf", "preset": preset, "seed": result.seed, "runs": result.runs}
@@ -61,7 +61,7 @@ def record_preset(result: Result, preset: str, path: Any) -> None:
 
 
 def _layout(times: Array) -> Any:
-    from celnav import views
+    from celnav.show import views
 
     growing = {"world/aircraft/trail": np.inf, "world/sins/trail": np.inf}
     scene = views.space("world", "flight, m (east, north, up)", eye=(60e3, -70e3, 70e3), target=(90e3, 20e3, 0.0), growing=growing)

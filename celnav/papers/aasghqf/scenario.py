@@ -12,17 +12,17 @@ from celnav.filters.adaptive import fallback
 from celnav.filters.driver import Epoch, Filter, sequential
 from celnav.filters.iterated import iterated
 from celnav.filters.step import Predict, Update, predict, update
-from celnav.gaussian import Gaussian, covariance
-from celnav.linalg import Array
+from celnav.gaussian.belief import Gaussian, covariance
+from celnav.gaussian.linalg import Array
+from celnav.gaussian.points import cubature, gauss_hermite, simplex, tensor_product, unscented
+from celnav.gaussian.rule import Rule
+from celnav.gaussian.sparse_grid import DELAYED, smolyak
+from celnav.gaussian.taylor import Taylor
 from celnav.models import inertial
 from celnav.models.inertial import Navigation
 from celnav.models.trajectory import Flight
-from celnav.montecarlo import normals
 from celnav.papers.aasghqf.config import NONLINEAR_WEIGHTS, PAPER_WEIGHTS, Config
-from celnav.points import cubature, gauss_hermite, simplex, tensor_product, unscented
-from celnav.rule import Rule
-from celnav.sparse_grid import DELAYED, smolyak
-from celnav.taylor import Taylor
+from celnav.study.montecarlo import normals
 
 BORESIGHTS = np.sqrt(0.5) * np.array([[0.0, 1.0, 1.0], [0.0, -1.0, 1.0]])
 """Directions of the star sensors on body axes, one forward and up, one aft and up; the stars are seen along them."""

@@ -11,14 +11,14 @@ import numpy as np
 
 from celnav.filters.driver import Epoch, Filter, run, sequential
 from celnav.filters.step import predict, update
-from celnav.gaussian import nees
-from celnav.linalg import Array
-from celnav.montecarlo import Outcome, Plan, Progress, Unit, blocks, carry_out, generator, run_count
+from celnav.gaussian.belief import nees
+from celnav.gaussian.linalg import Array
+from celnav.gaussian.rule import Rule
+from celnav.gaussian.sparse_grid import smolyak
+from celnav.gaussian.taylor import Taylor
 from celnav.papers.aasghqf import analysis, errata, scenario
 from celnav.papers.aasghqf.config import MICRO_G, PRESETS, T3, A, Config
-from celnav.rule import Rule
-from celnav.sparse_grid import smolyak
-from celnav.taylor import Taylor
+from celnav.study.montecarlo import Outcome, Plan, Progress, Unit, blocks, carry_out, generator, run_count
 
 COMPARED = ("ukf", "sghqf", "aasghqf")
 """The paper's three filters."""
@@ -206,7 +206,7 @@ def plan(
     ----------
     config: gives runs, steps and the deterministic analysis; the presets run as they are.
     runs: Monte-Carlo runs; None: those of the configuration, times ``effort``.
-    seed: see `celnav.montecarlo`.
+    seed: see `celnav.study.montecarlo`.
     effort: in (0, 1].
     block: runs computed together at most. It changes no result.
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from celnav.gaussian.sparse_grid import point_count
 from celnav.models.inertial import STATES
 from celnav.papers.aasghqf.config import PAPER_WEIGHTS
 from celnav.papers.aasghqf.published import TABLE_1, TABLE_1_WEIGHTS, TABLE_2_DEGREE, TABLE_3, TABLE_4
 from celnav.papers.aasghqf.study import Result
-from celnav.sparse_grid import point_count
 
 Row = dict[str, str | float]
 COLUMNS = ("phi_x_deg", "phi_y_deg", "phi_z_deg", "v_east_m_per_s", "v_north_m_per_s", "longitude_m", "latitude_m")

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from celnav.gaussian import Gaussian
-from celnav.linalg import Array
+from celnav.gaussian.belief import Gaussian
+from celnav.gaussian.linalg import Array
 from celnav.papers.aasghqf.config import MICRO_G, Config
 from celnav.papers.aasghqf.scenario import filters, simulate
-from celnav.trial import Group, Trial
+from celnav.study.trial import Group, Trial
 
 JUDGED = {"misalignment": "arcmin", "velocity": "m/s", "position": "m", "drift": "deg/h", "bias": "ug"}
 

@@ -10,17 +10,17 @@ import numpy as np
 
 from celnav.filters.driver import Epoch, run
 from celnav.filters.step import update
-from celnav.linalg import Array
+from celnav.gaussian.linalg import Array
+from celnav.gaussian.points import unscented
+from celnav.gaussian.transform import Transform
 from celnav.models import pseudorange
 from celnav.models.beidou import LIGHT, ROTATION_RATE, satellites
 from celnav.models.constellation import synthetic
-from celnav.montecarlo import generator
 from celnav.papers.aukf.config import Config
 from celnav.papers.aukf.errata import clipped_mean
 from celnav.papers.aukf.real import as_others
 from celnav.papers.aukf.scenario import EKF, START_S, TOE_S, axes, circle, filters, simulate, ukf, visible
-from celnav.points import unscented
-from celnav.transform import Transform
+from celnav.study.montecarlo import generator
 
 INCLINATIONS_DEG = (55.0, 10.0, 1.0, 0.1, 0.01)
 NORMAL_ERROR = 1e-4

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from celnav.claims import Bounds, Claim, about
-from celnav.metrics import ratio, rms
+from celnav.analysis.metrics import ratio, rms
 from celnav.papers.aukf.analysis import INCLINATIONS_DEG
 from celnav.papers.aukf.claims_beyond import beyond_claims
 from celnav.papers.aukf.claims_errata import errata_claims
 from celnav.papers.aukf.claims_real import real_claims
 from celnav.papers.aukf.evidence import AXES, LABELS, Evidence
 from celnav.papers.aukf.study import Result
+from celnav.study.claims import Bounds, Claim, about
 
 CHOSEN = "noise, rate, process noise and window are not in the paper; at 10 Hz its result in the burst appears"
 PAIR = ("aukf", "ukf")

@@ -10,12 +10,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from celnav.claims import Bounds, Claim, about, within
-from celnav.linalg import Array
-from celnav.metrics import ratio, rms
+from celnav.analysis.metrics import ratio, rms
+from celnav.gaussian.linalg import Array
 from celnav.papers.aukf.evidence import LABELS, Evidence, size
 from celnav.papers.aukf.sweeps import FROM_A_FIX, INITIAL_KM, PROCESS_NOISE, SMALL_ALPHA, WINDOWS
 from celnav.papers.aukf.tables import CASES, medians, nis
+from celnav.study.claims import Bounds, Claim, about, within
 
 
 def beyond_claims(j: Evidence) -> list[Claim]:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from celnav.claims import Claim, about, within
-from celnav.metrics import ratio, rms
+from celnav.analysis.metrics import ratio, rms
 from celnav.papers.aukf.analysis import INCLINATIONS_DEG
 from celnav.papers.aukf.evidence import Evidence
 from celnav.papers.aukf.sweeps import CASES
 from celnav.papers.aukf.tables import medians
+from celnav.study.claims import Claim, about, within
 
 
 def errata_claims(j: Evidence) -> list[Claim]:

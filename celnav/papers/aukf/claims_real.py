@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from celnav.claims import Bounds, Claim
 from celnav.papers.aukf.evidence import LABELS, Evidence, real_rms
 from celnav.papers.aukf.real import FILTERS, Real
+from celnav.study.claims import Bounds, Claim
 
 GEOSTATIONARY = "C05"
 

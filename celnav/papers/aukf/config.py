@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from celnav.checks import finite, integer
-from celnav.linalg import Array
+from celnav.gaussian.checks import finite, integer
+from celnav.gaussian.linalg import Array
 from celnav.models.receiver import CRYSTAL, process_noise, transition
-from celnav.montecarlo import steps
+from celnav.study.montecarlo import steps
 
 TITLE = "Adaptive unscented Kalman filter for BeiDou positioning"
 CITATION = """\

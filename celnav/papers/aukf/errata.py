@@ -9,13 +9,13 @@ from scipy.special import gammainc
 
 from celnav.filters.conditioning import condition
 from celnav.filters.driver import Epoch, Filter, State
-from celnav.gaussian import Gaussian, sqrt_cov
-from celnav.linalg import Array
+from celnav.gaussian.belief import Gaussian, sqrt_cov
+from celnav.gaussian.linalg import Array
+from celnav.gaussian.spaces import EUCLIDEAN
+from celnav.gaussian.transform import Transform
 from celnav.models import pseudorange
 from celnav.papers.aukf.config import Config
 from celnav.papers.aukf.scenario import adapted
-from celnav.spaces import EUCLIDEAN
-from celnav.transform import Transform
 
 ERRATA = (
     ('"adaptive fading"', "fading inflates the prediction; this inflates the noise of the measurement"),

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from celnav.claims import Bounds, Claim, Judge
-from celnav.linalg import Array
+from celnav.gaussian.linalg import Array
 from celnav.papers.aukf.real import Real
 from celnav.papers.aukf.study import Result
 from celnav.papers.aukf.sweeps import FROM_A_FIX, SMALL_ALPHA
+from celnav.study.claims import Bounds, Claim, Judge
 
 AXES = ("X", "Y", "Z")
 LABELS = {

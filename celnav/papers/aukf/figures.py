@@ -6,15 +6,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from celnav import colors
-from celnav.figures import band, figure
-from celnav.linalg import Array
-from celnav.metrics import rms
+from celnav.analysis.metrics import rms
+from celnav.gaussian.linalg import Array
 from celnav.papers.aukf.analysis import INCLINATIONS_DEG, NORMAL_ERROR
 from celnav.papers.aukf.evidence import AXES, COMPARED, LABELS, real_rms, size
 from celnav.papers.aukf.study import Result
 from celnav.papers.aukf.sweeps import FROM_A_FIX, INITIAL_KM, MISTUNED_M, PROCESS_NOISE, SMALL_ALPHA, WINDOWS
 from celnav.papers.aukf.tables import CASES, medians
+from celnav.show import colors
+from celnav.show.figures import band, figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,8 +9,8 @@ import numpy as np
 
 from celnav.filters.driver import Epoch, Filter, run
 from celnav.filters.info import Hook, Joint
-from celnav.gaussian import nees
-from celnav.linalg import Array, cholesky
+from celnav.gaussian.belief import nees
+from celnav.gaussian.linalg import Array, cholesky
 from celnav.papers.aukf.scenario import Scenario, side_by_side
 
 Found = dict[str, Array]

@@ -10,14 +10,14 @@ import numpy as np
 
 from celnav.files import InputError
 from celnav.filters.driver import run
-from celnav.fixes import GIVEN
-from celnav.linalg import Array
+from celnav.gaussian.linalg import Array
 from celnav.models.beidou import GEO_NUMBERS, Broadcast, satellites
 from celnav.papers.aukf.config import Config
-from celnav.positioning import Log, prepare
-from celnav.positioning_filters import filters
-from celnav.positioning_report import Positioned
-from celnav.rinex import Navigation, Observations, read_navigation, read_observations
+from celnav.receiver.filters import filters
+from celnav.receiver.fixes import GIVEN
+from celnav.receiver.position import Log, prepare
+from celnav.receiver.report import Positioned
+from celnav.receiver.rinex import Navigation, Observations, read_navigation, read_observations
 
 OBSERVATIONS, NAVIGATION = "*_MO.*", "*_MN.*"
 """Names of a station's files."""
@@ -53,7 +53,7 @@ class Real(NamedTuple):
     wrong: Array
 
     def positioned(self) -> Positioned:
-        """As `celnav.positioning_report.position` has it, by AUKF."""
+        """As `celnav.receiver.report.position` has it, by AUKF."""
         return Positioned(self.log, "aukf", self.tracks["aukf"], self.cov, self.reference)
 
 

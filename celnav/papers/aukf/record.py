@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pymap3d import geodetic2ecef
 
-from celnav import colors
-from celnav.linalg import Array
-from celnav.metrics import chi_square_band
+from celnav.analysis.metrics import chi_square_band
+from celnav.gaussian.linalg import Array
 from celnav.models import pseudorange
 from celnav.models.beidou import ELLIPSOID, GRAVITY_PARAMETER, ROTATION_RATE, Broadcast, satellites, turned
 from celnav.models.constellation import synthetic
@@ -17,11 +16,12 @@ from celnav.papers.aukf.evidence import AXES, LABELS, size
 from celnav.papers.aukf.figures import COLORS
 from celnav.papers.aukf.scenario import START_S, TOE_S, axes, circle, visible
 from celnav.papers.aukf.study import Result
-from celnav.positioning_report import KIND_COLORS, kinds, record_positioned
+from celnav.receiver.report import KIND_COLORS, kinds, record_positioned
+from celnav.show import colors
 
 if TYPE_CHECKING:
     from celnav.files import Outputs
-    from celnav.recording import Recorder
+    from celnav.show.recording import Recorder
 
 BURST, REAL = "aukf_burst.rrd", "aukf_real.rrd"
 RECORDINGS = [BURST, REAL]
@@ -48,7 +48,7 @@ def record_burst(result: Result, path: Any) -> None:
     ------
     OSError: if ``path`` cannot be written. ValueError: if it is a file that celnav did not make.
     """
-    from celnav import recording
+    from celnav.show import recording
 
     times = result.times()
     facts = {"paper": "aukf", "preset": "burst", "seed": result.seed, "runs": result.runs}
@@ -67,7 +67,7 @@ def record_burst(result: Result, path: Any) -> None:
 
 
 def _layout(times: Array) -> Any:
-    from celnav import views
+    from celnav.show import views
 
     growing = {f"track/{name}": np.inf for name in ("truth", *SHOWN)}
     scenes = views.tabs(

@@ -12,18 +12,18 @@ from celnav.filters.driver import Epoch, Filter, sequential
 from celnav.filters.info import Hook
 from celnav.filters.least_squares import least_squares
 from celnav.filters.step import predict, update
-from celnav.gaussian import Gaussian, covariance
-from celnav.linalg import Array
+from celnav.gaussian.belief import Gaussian, covariance
+from celnav.gaussian.linalg import Array
+from celnav.gaussian.points import unscented
+from celnav.gaussian.rule import Rule
+from celnav.gaussian.taylor import Taylor
+from celnav.gaussian.transform import Transform
 from celnav.models import pseudorange
 from celnav.models.beidou import ELLIPSOID
 from celnav.models.constellation import synthetic
-from celnav.montecarlo import normals
 from celnav.papers.aukf.config import Config
-from celnav.points import unscented
-from celnav.positioning_filters import hooks
-from celnav.rule import Rule
-from celnav.taylor import Taylor
-from celnav.transform import Transform
+from celnav.receiver.filters import hooks
+from celnav.study.montecarlo import normals
 
 TOE_S = 345600.0
 START_S = TOE_S + 1800.0

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from celnav.linalg import Array
-from celnav.montecarlo import Outcome, Plan, Progress, Unit, blocks, carry_out, generator, run_count
+from celnav.gaussian.linalg import Array
 from celnav.papers.aukf import analysis
 from celnav.papers.aukf.config import STANDARD, Config
 from celnav.papers.aukf.real import Real, real
 from celnav.papers.aukf.sweeps import CASES, MAIN, STUDIES
+from celnav.study.montecarlo import Outcome, Plan, Progress, Unit, blocks, carry_out, generator, run_count
 
 INPUTS = ("rinex",)
 """Arguments of `reproduce` that a person may give on the command line: folders."""
@@ -134,7 +134,7 @@ def plan(
     ----------
     config: of the runs; the smaller studies take from it what they do not set themselves.
     runs: Monte-Carlo runs without and with a burst; None: those of the configuration, times ``effort``.
-    seed: see `celnav.montecarlo`.
+    seed: see `celnav.study.montecarlo`.
     effort: in (0, 1]; scales runs and, as they have 900 epochs, their lengths too.
     block: runs of each case computed together at most. It changes no result beyond round-off.
     rinex: folder of a station's observation and navigation file; None: ``rinex`` here, if there is one.

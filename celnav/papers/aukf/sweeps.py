@@ -10,16 +10,16 @@ import numpy as np
 
 from celnav.filters.adaptive import innovation_window
 from celnav.filters.driver import Epoch, Filter, State
-from celnav.gaussian import covariance
-from celnav.linalg import Array
+from celnav.gaussian.belief import covariance
+from celnav.gaussian.linalg import Array
+from celnav.gaussian.points import unscented
 from celnav.models import pseudorange
-from celnav.montecarlo import normals
 from celnav.papers.aukf.config import PRESETS, Config
 from celnav.papers.aukf.errata import without_redraw
 from celnav.papers.aukf.follow import Found, Kept, follow, follow_cases, watched
 from celnav.papers.aukf.scenario import EKF, LATE_EKF, Scenario, adapted, filters, simulate, ukf, visible
-from celnav.points import unscented
-from celnav.positioning_filters import parity_of_groups
+from celnav.receiver.filters import parity_of_groups
+from celnav.study.montecarlo import normals
 
 Rngs = Sequence[np.random.Generator]
 MAIN = ("ls", "ekf", "ukf", "aukf", "group")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from celnav.linalg import Array
-from celnav.metrics import rms
+from celnav.analysis.metrics import rms
+from celnav.gaussian.linalg import Array
 from celnav.papers.aukf.analysis import TIMED
 from celnav.papers.aukf.evidence import AXES, COMPARED, LABELS, real_rms, size
 from celnav.papers.aukf.study import Result

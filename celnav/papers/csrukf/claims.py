@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from celnav.claims import Claim
-from celnav.linalg import Array
+from celnav.gaussian.linalg import Array
 from celnav.papers.csrukf.claims_beyond import beyond_claims
 from celnav.papers.csrukf.claims_errata import errata_claims
 from celnav.papers.csrukf.claims_tables import table_claims
 from celnav.papers.csrukf.evidence import Evidence, ratio3
 from celnav.papers.csrukf.study import Result
+from celnav.study.claims import Claim
 
 AXES = ("x", "y", "z", "vx", "vy", "vz")
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from celnav.claims import Claim
 from celnav.papers.csrukf import theory
 from celnav.papers.csrukf.claims_errata import later, rms_ratio
 from celnav.papers.csrukf.evidence import Evidence, ratio3, rms3
 from celnav.papers.csrukf.study import NAMES
+from celnav.study.claims import Claim
 
 
 def beyond_claims(j: Evidence) -> list[Claim]:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from celnav.claims import Claim
-from celnav.linalg import Array
+from celnav.gaussian.linalg import Array
 from celnav.papers.csrukf.evidence import Evidence, ratio3, rms3
 from celnav.papers.csrukf.published import TABLE_1, TABLE_2, TABLE_3
+from celnav.study.claims import Claim
 
 
 def errata_claims(j: Evidence) -> list[Claim]:

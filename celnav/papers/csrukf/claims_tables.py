@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from celnav.claims import Claim
-from celnav.linalg import Array
-from celnav.metrics import rmse_interval
+from celnav.analysis.metrics import rmse_interval
+from celnav.gaussian.linalg import Array
 from celnav.papers.csrukf import theory
 from celnav.papers.csrukf.evidence import Evidence, ratio3, rms3
 from celnav.papers.csrukf.published import TABLE_1, TABLE_2, TABLE_3
+from celnav.study.claims import Claim
 
 SIX_AXES = 1.0 - 0.05 / 6.0
 """Level of an interval for the worst of six axes."""

@@ -6,14 +6,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from celnav.checks import finite
-from celnav.gaussian import Gaussian, square_root
-from celnav.linalg import Array
+from celnav.gaussian.belief import Gaussian, square_root
+from celnav.gaussian.checks import finite
+from celnav.gaussian.linalg import Array
+from celnav.gaussian.points import unscented
+from celnav.gaussian.rule import Rule
 from celnav.models import orbit
 from celnav.models.noise import initial_covariance
-from celnav.montecarlo import steps
-from celnav.points import unscented
-from celnav.rule import Rule
+from celnav.study.montecarlo import steps
 
 TITLE = "Square-root unscented Kalman filter for colored measurement noise"
 CITATION = """\

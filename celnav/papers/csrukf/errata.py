@@ -14,15 +14,15 @@ from celnav.filters.decorrelated import decorrelation
 from celnav.filters.driver import Epoch, Filter, State, sequential
 from celnav.filters.info import Info
 from celnav.filters.step import predict, update
-from celnav.gaussian import Gaussian, square_root
-from celnav.linalg import Array, block, matvec
+from celnav.gaussian.belief import Gaussian, square_root
+from celnav.gaussian.linalg import Array, block, matvec
+from celnav.gaussian.points import unscented
+from celnav.gaussian.rule import Rule
+from celnav.gaussian.spaces import EUCLIDEAN
+from celnav.gaussian.transform import Outputs
 from celnav.models.orbit import EARTH
 from celnav.papers.csrukf.config import Config
 from celnav.papers.csrukf.scenario import H, dynamics
-from celnav.points import unscented
-from celnav.rule import Rule
-from celnav.spaces import EUCLIDEAN
-from celnav.transform import Outputs
 
 ERRATA = (
     ("Eq. 41: r = (R_e / 2) sin(A3 / 2)", "r = R_e / sin(A3 / 2)"),

@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from celnav import colors
-from celnav.figures import band, figure
-from celnav.linalg import Array
-from celnav.metrics import chi_square_band
+from celnav.analysis.metrics import chi_square_band
+from celnav.gaussian.linalg import Array
 from celnav.models import sightings
 from celnav.models.orbit import EARTH
 from celnav.papers.csrukf import theory
 from celnav.papers.csrukf.study import NAMES, WRONG, Result
+from celnav.show import colors
+from celnav.show.figures import band, figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from celnav.linalg import Array
+from celnav.gaussian.linalg import Array
 
 TABLE_1: dict[str, Array] = {
     "SRUKF": np.array([0.0355, 0.0321, 0.0356, 0.0338, 0.0343, 0.0384]),

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from celnav.metrics import chi_square_band
+from celnav.analysis.metrics import chi_square_band
 from celnav.models.orbit import EARTH
 from celnav.papers.csrukf import theory
 from celnav.papers.csrukf.config import D

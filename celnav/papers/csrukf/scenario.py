@@ -12,13 +12,13 @@ from celnav.filters.conditioning import Model
 from celnav.filters.decorrelated import decorrelated
 from celnav.filters.driver import Epochs, Filter, epochs, sequential
 from celnav.filters.step import predict, update
-from celnav.gaussian import Gaussian
-from celnav.linalg import Array, semidefinite_root
+from celnav.gaussian.belief import Gaussian
+from celnav.gaussian.linalg import Array, semidefinite_root
+from celnav.gaussian.points import unscented
 from celnav.models import orbit, sightings
 from celnav.models.noise import ar1, effective_covariance
-from celnav.montecarlo import normals
 from celnav.papers.csrukf.config import Config
-from celnav.points import unscented
+from celnav.study.montecarlo import normals
 
 H = np.eye(3, 6)
 

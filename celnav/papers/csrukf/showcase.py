@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from celnav import colors
-from celnav.linalg import Array
+from celnav.gaussian.linalg import Array
 from celnav.models.sightings import star_directions
+from celnav.show import colors
 
 if TYPE_CHECKING:
-    from celnav.recording import Recorder
+    from celnav.show.recording import Recorder
 
 FILTERS = {"srukf": "SRUKF", "csrukf": "CSRUKF", "openloop": "open loop"}
 BOUNDED = ("csrukf", "srukf")  # whose bounds are seen at first
@@ -67,14 +67,14 @@ class Showcase:
 
 
 def record_showcase(showcase: Showcase, path: str | Path) -> Path:
-    """Write the recording to ``path`` and return it; see `celnav.recording.recording` for what is replaced and raised.
+    """Write the recording to ``path`` and return it; see `celnav.show.recording.recording` for what is replaced and raised.
 
     Raises
     ------
     ValueError: if an array does not go with the times or a filter is missing; it names the entity or the field.
     OSError: if ``path`` cannot be written.
     """
-    from celnav import recording  # late: reproducing the paper needs no viewer
+    from celnav.show import recording  # late: reproducing the paper needs no viewer
 
     _check(showcase)
     color = {"srukf": colors.COMPARISON, "csrukf": colors.ESTIMATE, "openloop": colors.OPEN_LOOP}
@@ -244,7 +244,7 @@ def _extent(showcase: Showcase) -> float:
 
 def _layout(showcase: Showcase) -> Any:
     """Scene and errors at the left, plots at the right."""
-    from celnav.views import columns, plot, rows, space, tabs, text
+    from celnav.show.views import columns, plot, rows, space, tabs, text
 
     times = showcase.times
     size = _extent(showcase)

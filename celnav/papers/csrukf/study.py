@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from celnav.filters.driver import Epochs, Filter, run
-from celnav.gaussian import nees
-from celnav.linalg import Array
+from celnav.gaussian.belief import nees
+from celnav.gaussian.linalg import Array
 from celnav.models import orbit
-from celnav.montecarlo import Outcome, Plan, Progress, Unit, blocks, carry_out, generator, run_count
 from celnav.papers.csrukf import errata, scenario, theory
 from celnav.papers.csrukf.config import STRESS, B, Config, D, P
 from celnav.papers.csrukf.theory import UNITS
+from celnav.study.montecarlo import Outcome, Plan, Progress, Unit, blocks, carry_out, generator, run_count
 
 PHIS = (0.0, 0.8, 1.0)
 WRONG = {1.0: (0.95, 0.99), 0.8: (0.9, 1.0)}
@@ -208,7 +208,7 @@ def plan(
     ----------
     config: usually a preset; ``phi`` is set by the study.
     runs: Monte-Carlo runs; None: those of the configuration, times ``effort``.
-    seed: see `celnav.montecarlo`.
+    seed: see `celnav.study.montecarlo`.
     effort: in (0, 1]; also shortens the long arc and the random settings.
     block: runs computed together. It changes no result.
 

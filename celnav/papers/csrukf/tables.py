@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from celnav.linalg import Array
+from celnav.gaussian.linalg import Array
 from celnav.papers.csrukf.published import TABLE_1, TABLE_2, TABLE_3
 from celnav.papers.csrukf.study import Result
 

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from celnav.linalg import Array
-from celnav.linear_covariance import actual_covariance, colored_bound, riccati
+from celnav.analysis.bounds import actual_covariance, colored_bound, riccati
+from celnav.gaussian.linalg import Array
 from celnav.models import orbit
 from celnav.papers.csrukf.config import Config
 from celnav.papers.csrukf.published import TABLE_1, TABLE_2

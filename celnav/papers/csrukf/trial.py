@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from celnav.gaussian import Gaussian
-from celnav.linalg import Array
+from celnav.gaussian.belief import Gaussian
+from celnav.gaussian.linalg import Array
 from celnav.papers.csrukf.config import Config
 from celnav.papers.csrukf.scenario import filters, simulate
-from celnav.trial import Group, Trial
+from celnav.study.trial import Group, Trial
 
 GROUPS = (Group("position", "km", slice(0, 3)), Group("velocity", "m/s", slice(3, 6), 1e3))
 JUDGED = {group.name: group.unit for group in GROUPS}

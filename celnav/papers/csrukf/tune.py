@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from celnav.analysis.tuning import Tuned, maximize_likelihood
 from celnav.filters.driver import Filter
-from celnav.gaussian import Gaussian
-from celnav.linalg import Array
-from celnav.montecarlo import generator
+from celnav.gaussian.belief import Gaussian
+from celnav.gaussian.linalg import Array
 from celnav.papers.csrukf.config import Config
 from celnav.papers.csrukf.scenario import simulate, single_transform
-from celnav.tuning import Tuned, maximize_likelihood
+from celnav.study.montecarlo import generator
 
 
 def sigma(config: Config, seed: int = 0, start: float = 1.0) -> Tuned:

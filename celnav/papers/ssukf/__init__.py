@@ -13,7 +13,7 @@ content                              here
 ===================================  ==========================================================================
 augmented, switching, additive UKF   `celnav.filters.step.predict`, `celnav.filters.step.update` with ``extra``
 AUKF drawn once                      `celnav.filters.single_draw`
-attitude as a state                  `celnav.attitude.attitude`
+attitude as a state                  `celnav.gaussian.attitude.attitude`
 gyro and its drift                   `celnav.models.gyro`
 satellite                            `celnav.models.rigid_body`
 ===================================  ==========================================================================

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from celnav import attitude
 from celnav.filters.driver import Epoch, Filter, run, sequential
 from celnav.filters.step import predict, update
-from celnav.gaussian import Gaussian, covariance, square_root
-from celnav.linalg import Array
+from celnav.gaussian import attitude
+from celnav.gaussian.belief import Gaussian, covariance, square_root
+from celnav.gaussian.linalg import Array
+from celnav.gaussian.points import unscented
 from celnav.models.gyro import Gyro
-from celnav.montecarlo import generator, normals
 from celnav.papers.ssukf.config import ARCSEC, UNITS, Config
 from celnav.papers.ssukf.errata import printed_spread
 from celnav.papers.ssukf.scenario import (
@@ -32,7 +32,7 @@ from celnav.papers.ssukf.scenario import (
     state_space,
 )
 from celnav.papers.ssukf.variants import dense_filters, to_tangent, total_filters, total_prior
-from celnav.points import unscented
+from celnav.study.montecarlo import generator, normals
 
 SPREADS = (15.0, 7.0, 0.15)
 """Spreads ``c`` at which AUKF and SSUKF are compared."""

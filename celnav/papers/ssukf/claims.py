@@ -9,13 +9,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from celnav.claims import Bounds, Claim, order
-from celnav.linalg import Array
-from celnav.metrics import rms
+from celnav.analysis.metrics import rms
+from celnav.gaussian.linalg import Array
 from celnav.papers.ssukf.claims_beyond import beyond_claims
 from celnav.papers.ssukf.claims_errata import errata_claims
 from celnav.papers.ssukf.evidence import ATTITUDE, AXES, DRIFT, Evidence
 from celnav.papers.ssukf.study import Result
+from celnav.study.claims import Bounds, Claim, order
 
 GYRO = "the paper does not say what its gyro numbers are densities of; this reading is the plausible one (table 2)"
 SOON_S = 180.0

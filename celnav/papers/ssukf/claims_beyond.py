@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from celnav.claims import Bounds, Claim, order
-from celnav.linalg import Array
-from celnav.metrics import ratio, rms
+from celnav.analysis.metrics import ratio, rms
+from celnav.gaussian.linalg import Array
 from celnav.models.gyro import Gyro, steady_state
 from celnav.papers.ssukf.checks import ALPHAS, COMPARED, PRIORS_DEG
 from celnav.papers.ssukf.config import ARCSEC, DEG_PER_H
 from celnav.papers.ssukf.draws import CORRELATIONS
 from celnav.papers.ssukf.evidence import ATTITUDE, Evidence
 from celnav.papers.ssukf.theory import EPOCHS_S, limit
+from celnav.study.claims import Bounds, Claim, order
 
 
 def beyond_claims(j: Evidence) -> list[Claim]:

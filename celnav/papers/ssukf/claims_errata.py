@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from celnav.claims import Claim, order
-from celnav.metrics import rms
+from celnav.analysis.metrics import rms
 from celnav.papers.ssukf.checks import LARGE, TURNS_DEG
 from celnav.papers.ssukf.config import ARCSEC
 from celnav.papers.ssukf.errata import orbit_rate, printed_spread, rotation_vector
 from celnav.papers.ssukf.evidence import Evidence
 from celnav.papers.ssukf.scenario import spread
+from celnav.study.claims import Claim, order
 
 
 def errata_claims(j: Evidence) -> list[Claim]:

@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from celnav.checks import finite
-from celnav.linalg import Array
+from celnav.gaussian.checks import finite
+from celnav.gaussian.linalg import Array
 from celnav.models.gyro import Gyro
 from celnav.models.rigid_body import Body
-from celnav.montecarlo import steps
+from celnav.study.montecarlo import steps
 
 TITLE = "State-switching unscented Kalman filter for attitude"
 CITATION = """\

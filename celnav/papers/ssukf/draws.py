@@ -11,10 +11,10 @@ from celnav.filters.driver import Epoch, Filter, run, sequential
 from celnav.filters.single_draw import drawn_once, single_draw
 from celnav.filters.step import predict, update
 from celnav.filters.track import Track
-from celnav.gaussian import covariance, nees
-from celnav.linalg import Array
-from celnav.points import unscented
-from celnav.rule import Rule
+from celnav.gaussian.belief import covariance, nees
+from celnav.gaussian.linalg import Array
+from celnav.gaussian.points import unscented
+from celnav.gaussian.rule import Rule
 
 CORRELATIONS = (0.5, 0.8, -0.8)
 DECAY = 0.98

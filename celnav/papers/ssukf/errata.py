@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from celnav import attitude
+from celnav.gaussian import attitude
 from celnav.papers.ssukf.config import Config
 
 ERRATA = (

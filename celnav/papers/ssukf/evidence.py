@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from celnav.claims import Judge
-from celnav.linalg import Array
+from celnav.gaussian.linalg import Array
 from celnav.papers.ssukf.study import SHORT, Result
+from celnav.study.claims import Judge
 
 AXES = ("roll", "pitch", "yaw")
 ATTITUDE, DRIFT = slice(0, 3), slice(3, 6)

@@ -6,16 +6,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from celnav import colors
-from celnav.figures import figure
-from celnav.linalg import Array
-from celnav.metrics import chi_square_band
+from celnav.analysis.metrics import chi_square_band
+from celnav.gaussian.linalg import Array
 from celnav.papers.ssukf import vector
 from celnav.papers.ssukf.checks import ALPHAS, PRIORS_DEG, TURNS_DEG
 from celnav.papers.ssukf.config import ARCSEC
 from celnav.papers.ssukf.draws import CORRELATIONS
 from celnav.papers.ssukf.study import DRAWN, Result
 from celnav.papers.ssukf.vector import FILTERS
+from celnav.show import colors
+from celnav.show.figures import figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -6,18 +6,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from celnav import attitude, colors
-from celnav.linalg import Array
-from celnav.metrics import chi_square_band
+from celnav.analysis.metrics import chi_square_band
+from celnav.gaussian import attitude
+from celnav.gaussian.linalg import Array
 from celnav.papers.ssukf.config import ARCSEC, UNITS
 from celnav.papers.ssukf.errata import RADIUS_M
 from celnav.papers.ssukf.evidence import AXES
 from celnav.papers.ssukf.figures import COLORS, LABELS
 from celnav.papers.ssukf.study import Result
+from celnav.show import colors
 
 if TYPE_CHECKING:
     from celnav.files import Outputs
-    from celnav.recording import Recorder
+    from celnav.show.recording import Recorder
 
 RECORDINGS = ["ssukf.rrd"]
 SHOWN = ("aukf", "ssukf", "mekf")
@@ -30,7 +31,7 @@ EXAGGERATION = 1000.0
 
 def record(result: Result, outputs: Outputs) -> list[str]:
     """Write the recording among ``outputs``; returns its name. Needs rerun."""
-    from celnav import recording
+    from celnav.show import recording
 
     times = result.times
     facts = {"paper": "ssukf", "seed": result.seed, "runs": result.runs, "exaggeration": EXAGGERATION}
@@ -48,7 +49,7 @@ def record(result: Result, outputs: Outputs) -> list[str]:
 
 
 def _layout(times: Array) -> Any:
-    from celnav import views
+    from celnav.show import views
 
     scene = views.space("world", "orbit, km (inertial axes)", eye=(11e3, -9e3, -15e3), target=(1e3, 0.0, -2e3), up=(0.0, -1.0, 0.0))
     body = views.space("body", "axes: truth, and estimates with errors x1000", eye=(3.0, -2.0, 2.0), up=(0.0, 0.0, -1.0))

@@ -9,21 +9,21 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav import attitude
 from celnav.filters.conditioning import Model
 from celnav.filters.driver import Epoch, Filter, sequential
 from celnav.filters.info import Info
 from celnav.filters.single_draw import drawn_once, single_draw
 from celnav.filters.step import Predict, Update, predict, update
-from celnav.gaussian import Gaussian, covariance
-from celnav.linalg import Array
+from celnav.gaussian import attitude
+from celnav.gaussian.belief import Gaussian, covariance
+from celnav.gaussian.linalg import Array
+from celnav.gaussian.points import unscented
+from celnav.gaussian.rule import Rule
+from celnav.gaussian.spaces import EUCLIDEAN, Space, product, wrap
+from celnav.gaussian.taylor import Taylor
 from celnav.models.gyro import Gyro, preintegrate
-from celnav.montecarlo import normals
 from celnav.papers.ssukf.config import DEG_PER_H, Config
-from celnav.points import unscented
-from celnav.rule import Rule
-from celnav.spaces import EUCLIDEAN, Space, product, wrap
-from celnav.taylor import Taylor
+from celnav.study.montecarlo import normals
 
 
 class Scenario(NamedTuple):

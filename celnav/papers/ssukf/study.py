@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from celnav.filters.driver import Filter, run
-from celnav.gaussian import Gaussian, covariance, nees
-from celnav.linalg import Array
-from celnav.montecarlo import Outcome, Plan, Progress, Unit, blocks, carry_out, generator, run_count
+from celnav.gaussian.belief import Gaussian, covariance, nees
+from celnav.gaussian.linalg import Array
 from celnav.papers.ssukf import checks, draws, scenario, theory, vector
 from celnav.papers.ssukf.config import ARCSEC, PRESETS, STANDARD, UNITS, Config
 from celnav.papers.ssukf.variants import spin
+from celnav.study.montecarlo import Outcome, Plan, Progress, Unit, blocks, carry_out, generator, run_count
 
 PAPER = ("aukf", "ssukf", "mekf")
 """Filters run from the paper's initial error."""
@@ -206,7 +206,7 @@ def plan(
     ----------
     config: of the runs; the smaller studies take from it what they do not set themselves.
     runs: Monte-Carlo runs; None: those of the configuration, times ``effort``.
-    seed: see `celnav.montecarlo`.
+    seed: see `celnav.study.montecarlo`.
     effort: in (0, 1].
     block: runs computed together at most. It changes no result.
 

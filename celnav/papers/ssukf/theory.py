@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
-from celnav.linalg import Array
+from celnav.gaussian.linalg import Array
 from celnav.models.gyro import Gyro
 from celnav.papers.ssukf.config import ARCSEC, DEG_PER_H, Config
 

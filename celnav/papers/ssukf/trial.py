@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from celnav.gaussian import Gaussian
-from celnav.linalg import Array
+from celnav.gaussian.belief import Gaussian
+from celnav.gaussian.linalg import Array
 from celnav.papers.ssukf.config import ARCSEC, DEG_PER_H, Config
 from celnav.papers.ssukf.scenario import errors, filters, simulate
-from celnav.trial import Group, Trial
+from celnav.study.trial import Group, Trial
 
 GROUPS = (Group("attitude", "arcsec", slice(0, 3), 1.0 / ARCSEC), Group("drift", "deg/h", slice(3, 6), 1.0 / DEG_PER_H))
 JUDGED = {group.name: group.unit for group in GROUPS}

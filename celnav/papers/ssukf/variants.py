@@ -8,17 +8,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav import attitude
 from celnav.filters.driver import Epoch, Filter, run, sequential
 from celnav.filters.info import Info
 from celnav.filters.step import Predict, predict, update
-from celnav.gaussian import Gaussian, covariance
-from celnav.linalg import Array, block
-from celnav.montecarlo import normals
+from celnav.gaussian import attitude
+from celnav.gaussian.belief import Gaussian, covariance
+from celnav.gaussian.linalg import Array, block
+from celnav.gaussian.rule import Rule
+from celnav.gaussian.spaces import EUCLIDEAN, Space, product
 from celnav.papers.ssukf.config import ARCSEC, Config
 from celnav.papers.ssukf.scenario import Scenario, dynamics, filters, noise_root, spread, star, state_space
-from celnav.rule import Rule
-from celnav.spaces import EUCLIDEAN, Space, product
+from celnav.study.montecarlo import normals
 
 
 # -- the total attitude in modified Rodrigues parameters: the paper's words taken literally ----------------------------------

@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from celnav import attitude
 from celnav.filters.driver import Epoch, Filter, run
-from celnav.gaussian import Gaussian, covariance, nees
-from celnav.linalg import Array
-from celnav.montecarlo import normals
+from celnav.gaussian import attitude
+from celnav.gaussian.belief import Gaussian, covariance, nees
+from celnav.gaussian.linalg import Array
+from celnav.gaussian.points import unscented
+from celnav.gaussian.spaces import EUCLIDEAN
 from celnav.papers.ssukf.config import DEG_PER_H, Config
 from celnav.papers.ssukf.scenario import Sensor, errors, family, start
-from celnav.points import unscented
-from celnav.spaces import EUCLIDEAN
+from celnav.study.montecarlo import normals
 
 PRIORS_DEG = (10.0, 30.0, 60.0)
 """Deviations of the initial attitude, each axis."""

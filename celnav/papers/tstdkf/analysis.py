@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.linalg import Array
+from celnav.gaussian.linalg import Array
 from celnav.models.pulsar import LIGHT_KM_S, pulsars
 from celnav.papers.tstdkf import errata
 from celnav.papers.tstdkf.config import DAY_S, SETTINGS, YEAR_S, Config, Setting

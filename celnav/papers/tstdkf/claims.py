@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from celnav.claims import Claim, about, within
-from celnav.metrics import ratio, rms
+from celnav.analysis.metrics import ratio, rms
 from celnav.models.pulsar import LIGHT_KM_S
 from celnav.papers.tstdkf.claims_beyond import beyond_claims
 from celnav.papers.tstdkf.claims_errata import errata_claims
@@ -16,6 +15,7 @@ from celnav.papers.tstdkf.ephemerides import table
 from celnav.papers.tstdkf.evidence import AXES, Evidence
 from celnav.papers.tstdkf.study import Result
 from celnav.papers.tstdkf.sweeps import LARGER, WHITE_LARGER, WHITE_NONE
+from celnav.study.claims import Claim, about, within
 
 INFERRED = "with parameters that were inferred or chosen"
 

@@ -6,13 +6,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from celnav.claims import Claim, about, within
-from celnav.linalg import Array
-from celnav.metrics import ratio, rms
+from celnav.analysis.metrics import ratio, rms
+from celnav.gaussian.linalg import Array
 from celnav.papers.tstdkf import analysis
 from celnav.papers.tstdkf.config import SETTINGS
 from celnav.papers.tstdkf.evidence import AXES, Evidence, above, below
 from celnav.papers.tstdkf.sweeps import COUPLINGS, LARGER, PARAMETERS, STRONG
+from celnav.study.claims import Claim, about, within
 
 
 def beyond_claims(j: Evidence) -> list[Claim]:

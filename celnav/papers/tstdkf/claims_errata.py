@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from celnav.claims import Claim, about, order, within
-from celnav.metrics import ratio, rms
+from celnav.analysis.metrics import ratio, rms
 from celnav.models.ephemeris import de421
 from celnav.papers.tstdkf import published
 from celnav.papers.tstdkf.ephemerides import table
 from celnav.papers.tstdkf.evidence import Evidence
 from celnav.papers.tstdkf.sweeps import KNOWN
+from celnav.study.claims import Claim, about, order, within
 
 
 def errata_claims(j: Evidence) -> list[Claim]:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from celnav.claims import Claim, about, within
-from celnav.metrics import ratio, rms
+from celnav.analysis.metrics import ratio, rms
 from celnav.models.orbit import EARTH
 from celnav.papers.tstdkf import analysis, published
 from celnav.papers.tstdkf.config import SETTINGS
 from celnav.papers.tstdkf.evidence import Evidence, above, below
 from celnav.papers.tstdkf.study import COMPARED, PAPER
+from celnav.study.claims import Claim, about, within
 
 TUNED = (
     "coupling and size of the ephemeris error were tuned to this: it shows that the claim can be attained, not that these were they"

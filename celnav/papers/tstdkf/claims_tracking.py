@@ -7,12 +7,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from celnav.claims import Claim, about
-from celnav.linalg import Array
-from celnav.metrics import ratio, rms
+from celnav.analysis.metrics import ratio, rms
+from celnav.gaussian.linalg import Array
 from celnav.papers.tstdkf.evidence import Evidence
 from celnav.papers.tstdkf.sweeps import PARAMETERS
 from celnav.papers.tstdkf.year import TRENDS
+from celnav.study.claims import Claim, about
 
 SOON_DAYS = 3.0
 """In which a bias that "converges faster" must have come nearer."""

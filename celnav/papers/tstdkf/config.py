@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from celnav.checks import finite
-from celnav.linalg import Array
+from celnav.gaussian.checks import finite
+from celnav.gaussian.linalg import Array
 from celnav.models import orbit
 from celnav.models.pulsar import LIGHT_KM_S, Timing, pulsars
 from celnav.models.time import Tdb, from_utc
-from celnav.montecarlo import steps
+from celnav.study.montecarlo import steps
 
 TITLE = "Two-stage strong-tracking differential Kalman filter for X-ray pulsars"
 CITATION = """\

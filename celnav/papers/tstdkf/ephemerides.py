@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 
 from celnav.files import data, read_npz
-from celnav.linalg import Array
+from celnav.gaussian.linalg import Array
 from celnav.models.ephemeris import de421
 from celnav.models.time import Tdb
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from celnav.linalg import Array
+from celnav.gaussian.linalg import Array
 from celnav.models.ephemeris import de421
 from celnav.models.pulsar import Timing
 from celnav.papers.tstdkf.config import YEAR_S, Config

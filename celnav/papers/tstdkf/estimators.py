@@ -12,12 +12,12 @@ from celnav.filters.driver import Epoch, Filter, sequential
 from celnav.filters.step import predict, update
 from celnav.filters.strong_tracking import excess, proportional, strong_tracking
 from celnav.filters.two_stage import First, plain, two_stage
-from celnav.gaussian import Gaussian, covariance
-from celnav.linalg import Array, block, matvec, side_by_side
+from celnav.gaussian.belief import Gaussian, covariance
+from celnav.gaussian.linalg import Array, block, matvec, side_by_side
+from celnav.gaussian.taylor import Taylor
 from celnav.models.variational import Flow, flow
 from celnav.papers.tstdkf.config import Config
 from celnav.papers.tstdkf.scenario import as_cases, noise_of, pull
-from celnav.taylor import Taylor
 
 FORMS = {"excess": excess, "proportional": proportional}
 Runs = int | Sequence[int]

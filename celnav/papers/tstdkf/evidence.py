@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from celnav.claims import Judge
-from celnav.linalg import Array
-from celnav.metrics import ratio
+from celnav.analysis.metrics import ratio
+from celnav.gaussian.linalg import Array
 from celnav.papers.tstdkf.study import Result
+from celnav.study.claims import Judge
 
 AXES = ("x", "y", "z")
 

@@ -6,10 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from celnav import colors
-from celnav.figures import figure
-from celnav.linalg import Array
-from celnav.metrics import rms
+from celnav.analysis.metrics import rms
+from celnav.gaussian.linalg import Array
 from celnav.models.pulsar import LIGHT_KM_S
 from celnav.papers.tstdkf.config import DAY_S, SETTINGS, YEAR_S
 from celnav.papers.tstdkf.ephemerides import table
@@ -17,6 +15,8 @@ from celnav.papers.tstdkf.evidence import AXES
 from celnav.papers.tstdkf.study import COMPARED, Result
 from celnav.papers.tstdkf.sweeps import COUPLINGS, LARGER, PARAMETERS, WHITE_LARGER, WHITE_NONE
 from celnav.papers.tstdkf.year import TRENDS
+from celnav.show import colors
+from celnav.show.figures import figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from celnav.filters.driver import Filter, FilterError, steps
-from celnav.gaussian import nees
-from celnav.linalg import Array, block, cholesky, matvec
+from celnav.gaussian.belief import nees
+from celnav.gaussian.linalg import Array, block, cholesky, matvec
 from celnav.papers.tstdkf.config import Config
 from celnav.papers.tstdkf.estimators import boosted, filters
 from celnav.papers.tstdkf.scenario import Scenario

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from celnav.linalg import Array
+from celnav.gaussian.linalg import Array
 from celnav.models import third_body
 from celnav.models.ephemeris import BODIES, GM, de421
 from celnav.papers.tstdkf.config import DAY_S, Config

@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from celnav import colors
-from celnav.linalg import Array
-from celnav.metrics import chi_square_band, rms
+from celnav.analysis.metrics import chi_square_band, rms
+from celnav.gaussian.linalg import Array
 from celnav.models.ephemeris import de421
 from celnav.papers.tstdkf.config import DAY_S, SETTINGS
 from celnav.papers.tstdkf.ephemerides import table
@@ -17,10 +16,11 @@ from celnav.papers.tstdkf.figures import COLORS, SHADES
 from celnav.papers.tstdkf.scenario import PULLING
 from celnav.papers.tstdkf.study import PAPER, Result
 from celnav.papers.tstdkf.year import TRENDS
+from celnav.show import colors
 
 if TYPE_CHECKING:
     from celnav.files import Outputs
-    from celnav.recording import Recorder
+    from celnav.show.recording import Recorder
 
 RECORDINGS = ["tstdkf.rrd", "tstdkf_year.rrd"]
 SHOWN = (*PAPER, "aug")
@@ -36,7 +36,7 @@ EARTH_KM = 6378.137
 
 def record(result: Result, outputs: Outputs) -> list[str]:
     """Write the recordings among ``outputs``; returns their names. Needs rerun."""
-    from celnav import recording
+    from celnav.show import recording
 
     every = EVERY if len(result.times) > 20 * EVERY else 1
     times = result.times[::every]
@@ -57,7 +57,7 @@ def record(result: Result, outputs: Outputs) -> list[str]:
 
 
 def _layout(times: Array) -> Any:
-    from celnav import views
+    from celnav.show import views
 
     earth = views.space(
         "world", "about the Earth, km (errors x1000)", eye=(15e3, 11e3, 9e3), target=(0.0, 0.0, 0.0), up=(0.0, 0.0, 1.0)
@@ -184,7 +184,7 @@ def _plots(out: Recorder, result: Result, every: int) -> None:
 
 def _record_year(result: Result, outputs: Outputs, facts: dict[str, Any]) -> None:
     """The first run of each trend."""
-    from celnav import recording, views
+    from celnav.show import recording, views
 
     data = result.data["year"]
     every = EVERY_YEAR if len(data["times"]) > 20 * EVERY_YEAR else 1

@@ -14,13 +14,13 @@ import numpy as np
 
 from celnav.filters.differenced import Noise, ar1_noise
 from celnav.filters.driver import Epoch
-from celnav.gaussian import Gaussian, covariance
-from celnav.linalg import Array, matvec
+from celnav.gaussian.belief import Gaussian, covariance
+from celnav.gaussian.linalg import Array, matvec
 from celnav.models import third_body
 from celnav.models.ephemeris import GM, de421
 from celnav.models.variational import NODES, Extra, advance, flow
-from celnav.montecarlo import normals
 from celnav.papers.tstdkf.config import Config
+from celnav.study.montecarlo import normals
 
 PULLING = ("sun", "moon")
 SHARED = ("start_utc", "step_s", "days", "pulsars", "elements", "rate_noise_km_per_s", "acceleration_noise_km_per_s2", "pulled")

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from celnav.linalg import Array
-from celnav.montecarlo import Outcome, Plan, Progress, Unit, blocks, carry_out, generator, run_count
+from celnav.gaussian.linalg import Array
 from celnav.papers.tstdkf import analysis, sweeps, year
 from celnav.papers.tstdkf.config import PRESETS, TABLE_5, Config
+from celnav.study.montecarlo import Outcome, Plan, Progress, Unit, blocks, carry_out, generator, run_count
 
 PAPER = ("ekf", "tkf", "tstdkf")
 COMPARED = ("ekf", "tkf", "tdkf", "tstdkf", "aug")
@@ -100,7 +100,7 @@ def plan(
     ----------
     config: of the runs; the smaller studies take from it what they do not set themselves.
     runs: Monte-Carlo runs of each setting; None: those of the configuration, times ``effort``.
-    seed: see `celnav.montecarlo`.
+    seed: see `celnav.study.montecarlo`.
     effort: in (0, 1]; scales runs and, as a month in steps of five minutes is long, the days too.
     block: runs of each setting computed together at most. It changes no result beyond round-off.
 

@@ -13,7 +13,7 @@ from celnav.filters.differenced import Noise, ar1_noise
 from celnav.filters.driver import Epoch
 from celnav.filters.info import Info
 from celnav.filters.two_stage import First, Stage
-from celnav.linalg import Array
+from celnav.gaussian.linalg import Array
 from celnav.papers.tstdkf import year
 from celnav.papers.tstdkf.config import KAPPA, SETTINGS, Config, Setting
 from celnav.papers.tstdkf.estimators import augmented, boosted, differencing, driving, sensor, stationary, two_stages

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from celnav.linalg import Array
-from celnav.metrics import rms
+from celnav.analysis.metrics import rms
+from celnav.gaussian.linalg import Array
 from celnav.models.pulsar import pulsars
 from celnav.papers.tstdkf import published
 from celnav.papers.tstdkf.config import SETTINGS

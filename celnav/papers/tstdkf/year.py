@@ -10,8 +10,7 @@ import numpy as np
 
 from celnav.filters.strong_tracking import excess, proportional, strong_tracking
 from celnav.filters.two_stage import Boost
-from celnav.linalg import Array
-from celnav.montecarlo import normals
+from celnav.gaussian.linalg import Array
 from celnav.papers.tstdkf.config import Config
 from celnav.papers.tstdkf.linear import (
     differenced,
@@ -23,6 +22,7 @@ from celnav.papers.tstdkf.linear import (
     steps,
 )
 from celnav.papers.tstdkf.scenario import noise_of
+from celnav.study.montecarlo import normals
 
 TRENDS = ("sine", "growing", "triangle")
 FORMS = ("tdkf", "C", "B", "A")

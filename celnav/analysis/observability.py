@@ -1,0 +1,177 @@
+"""Observability of nonlinear systems, degrees of it, and what they suggest for the weights of a sparse grid.
+
+Derivatives are taken by complex step, exact to round-off: model functions here must accept complex states (numpy's own
+functions do; `abs`, comparisons of states and `arctan2` do not).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from celnav.gaussian import checks
+from celnav.gaussian.belief import sqrt_cov
+from celnav.gaussian.checks import finite, integer, number, sequence
+from celnav.gaussian.linalg import Array
+
+Function = Callable[[Array], Array]
+"""``(p, n) -> (p, m)``, real or complex."""
+
+_TINY = 1e-30
+_NODES = 21
+
+
+def jacobian(function: Function, x: ArrayLike) -> Array:
+    """Jacobian ``(m, n)`` at ``x (n,)`` by complex step [Squire1998]."""
+    checks.function("function", function, "(points)")
+    at = finite("x", x, ("n",))
+    return np.asarray(_slopes("function", function, at + 1j * _TINY * np.eye(len(at)))).T
+
+
+def _slopes(name: str, function: Function, points: Array) -> Array:
+    """Derivatives of a function along complex points ``(p, n)``, ``(p, m)``; ValueError names it if it returns something else."""
+    values = function(points)
+    if np.asarray(values).dtype.kind not in "iufc":
+        raise ValueError(f"{name}: expected values (p, m) at points (p, n), got {checks.kind(values)}")
+    return finite(name, np.imag(values), (len(points), "m")) / _TINY
+
+
+def lie_gradients(f: Function, h: Function, x: ArrayLike, order: int, *, window: float = 1.0) -> Array:
+    """Gradients of the Lie derivatives ``L_f^k h``, k = 0 to ``order``, ``(order + 1, m, n)`` [Hermann1977].
+
+    They are the derivatives with respect to time of ``h`` along the flow of ``f``, differentiated by the start: flow and
+    gradient are computed at Chebyshev nodes of ``[-window, window]`` s, and a polynomial through them is differentiated. The
+    system is observable at ``x`` where the rows together have rank n. At an equilibrium they are ``H A^k``.
+
+    Parameters
+    ----------
+    f: rate of the state, of time itself independent. h: measurement. x: ``(n,)``.
+    window: half the time, s, over which flow and measurement are smooth; k-th derivatives lose ``window^-k`` of their digits.
+
+    Raises
+    ------
+    ValueError: for an order outside 0 to 6 or a window that is not positive.
+    """
+    order, window = integer("order", order, 0, 6), number("window", window, above=0.0)
+    at = finite("x", x, ("n",))
+    rate = np.shape(checks.function("f", f, "(points)")(at[None]))
+    if rate != (1, len(at)):
+        raise ValueError(f"f: expected rates (p, {len(at)}) at points (p, {len(at)}), got shape {rate} of one point")
+    checks.function("h", h, "(points)")
+    start = at + 1j * _TINY * np.eye(len(at))
+    nodes = np.cos(np.pi * (np.arange(_NODES) + 0.5) / _NODES)
+    forth, back = nodes[nodes >= 0.0][::-1], nodes[nodes < 0.0]
+    times = np.concatenate([forth, back])
+    states = _flow(f, start, window * forth) + _flow(f, start, window * back)
+    gradients = np.stack([_slopes("h", h, y).T for y in states])
+    fit = np.polynomial.chebyshev.Chebyshev
+    basis = np.stack([fit.basis(k)(times) for k in range(_NODES)], -1)
+    coefficients = np.linalg.solve(basis, gradients.reshape(_NODES, -1))
+    series = [fit.basis(k) for k in range(_NODES)]
+    rows = []
+    for k in range(order + 1):
+        slopes = np.array([s.deriv(k)(0.0) if k else s(0.0) for s in series])
+        rows.append((slopes @ coefficients).reshape(gradients.shape[1:]) / window**k)
+    return np.stack(rows)
+
+
+def _flow(f: Function, x: Array, times: Array) -> list[Array]:
+    """States at ``times``, which go away from 0, by Runge-Kutta steps so short that their error is near round-off."""
+    out, now = [], 0.0
+    longest = np.abs(times[-1]) / 300.0
+    for t in times:
+        parts = max(1, int(np.ceil(abs(t - now) / longest)))
+        dt = (t - now) / parts
+        for _ in range(parts if dt else 0):
+            k1 = f(x)
+            k2 = f(x + 0.5 * dt * k1)
+            k3 = f(x + 0.5 * dt * k2)
+            k4 = f(x + dt * k3)
+            x = x + dt / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
+        out.append(x)
+        now = t
+    return out
+
+
+def svd_degree(matrix: ArrayLike, reference: int | None = None) -> Array:
+    """Degree of observability ``(n,)`` of each state by singular values of an observability matrix ``(rows, n)``.
+
+    State j gets the singular value whose right vector has its largest component there, divided by that of the state
+    ``reference`` [Liang2014, Eq. 15]. It depends on the units of the states; `information_degree` does not.
+    """
+    _, values, Vt = np.linalg.svd(finite("matrix", matrix, ("rows", "n")))
+    if reference is not None:
+        reference = integer("reference", reference, 0, Vt.shape[-1] - 1)
+    degree = values[np.abs(Vt[: len(values)]).argmax(0)]
+    return np.asarray(degree if reference is None else degree / degree[reference])
+
+
+def information_degree(P0: ArrayLike, F: ArrayLike, H: ArrayLike, R: ArrayLike) -> Array:
+    """Prior over posterior standard deviation ``(n,)`` after a window of K epochs without process noise: 1 is not observed.
+
+    Parameters
+    ----------
+    P0: ``(n, n)``. F: ``(K - 1, n, n)``, transitions between the epochs. H: ``(K, m, n)``. R: ``(m, m)`` or ``(K, m, m)``.
+    """
+    rows = finite("H", H, ("K", "m", "n"))
+    n = rows.shape[-1]
+    prior, transitions = sqrt_cov(P0, "P0", n), finite("F", F, (len(rows) - 1, n, n))
+    noise = sqrt_cov(R, "R", rows.shape[1])
+    if noise.shape[:-2] not in ((), (len(rows),)):
+        raise ValueError(f"R: expected one matrix, or one for each of {len(rows)} epochs, got shape {np.shape(R)}")
+    noise = np.broadcast_to(noise, (len(rows), rows.shape[1], rows.shape[1]))
+    Phi, information = prior, np.eye(len(prior))  # in units of the prior
+    for k, (row, root) in enumerate(zip(rows, noise, strict=True)):
+        if k:
+            Phi = transitions[k - 1] @ Phi
+        white = np.linalg.solve(root, row @ Phi)
+        information = information + white.T @ white
+    posterior = prior @ np.linalg.solve(information, prior.T)
+    return np.asarray(np.sqrt(np.square(prior).sum(-1) / posterior.diagonal()))
+
+
+def threshold_weights(degree: ArrayLike, threshold: float) -> tuple[int, ...]:
+    """Weights of a sparse grid by degrees of observability: 1 above the threshold, 2 at and below it [Liang2014, Eq. 16]."""
+    least = number("threshold", threshold)
+    return tuple(1 if value > least else 2 for value in finite("degree", degree, ("n",)))
+
+
+def nonlinearity_weights(
+    functions: Sequence[Function], mean: ArrayLike, std: ArrayLike, *, tolerance: float = 1e-6, coarse: int = 2
+) -> tuple[int, ...]:
+    """Weights of a sparse grid by nonlinearity: 1 for the states that enter the functions nonlinearly, ``coarse`` for the rest.
+
+    A state counts as nonlinear if an output bends along it: if the second difference over one standard deviation exceeds
+    ``tolerance`` of the output's whole first difference. States that only multiply such a one do not count: given it, the
+    functions are linear in them.
+
+    Parameters
+    ----------
+    functions: real ``(p, n) -> (p, m)`` each, such as the step and the measurement. mean, std: ``(n,)`` of the belief.
+
+    Raises
+    ------
+    ValueError: unless mean and std are finite, of one shape, and std positive.
+    """
+    center = finite("mean", mean, ("n",))
+    sigma = finite("std", std, center.shape)
+    if (sigma <= 0.0).any():
+        raise ValueError(f"std: expected {len(center)} positive numbers, got {std!r}")
+    tolerance, coarse = number("tolerance", tolerance, 0.0), integer("coarse", coarse)
+    if not (functions := sequence("functions", functions, "[f, h]")):
+        raise ValueError("functions: expected at least one, got none")
+    n = len(center)
+    steps = np.diag(sigma)
+    # Not only about the mean: what bends elsewhere within a standard deviation counts, too.
+    centers = center + sigma * np.random.default_rng(0).uniform(-1.0, 1.0, (4, n))
+    bends = np.zeros(n, bool)
+    for function in functions:
+        checks.function("functions", function, "(points)")
+        for c in centers:
+            y0, up, down = (finite("functions", function(x), (len(x), "m")) for x in (c[None], c + steps, c - steps))
+            scale = np.sqrt(np.square(0.5 * (up - down)).sum(0))
+            second = np.abs(0.5 * (up + down) - y0)
+            bends |= (second > tolerance * scale).any(-1)
+    return tuple(1 if bend else coarse for bend in bends)

@@ -1,0 +1,283 @@
+"""Attitudes: unit quaternions, scalar last, and the Rodrigues parameters that filters take their differences in.
+
+Conventions. ``q = [rho, q4]``; ``matrix(q)`` takes inertial components to body components; ``matrix(multiply(q, p)) ==
+matrix(q) @ matrix(p)``; an error is ``multiply(q, inverse(q_hat))``, in body axes. These are the inverse of scipy's rotations:
+``Rotation.from_quat(q).as_matrix()`` is the transpose of ``matrix(q)``. All functions take leading batch axes and are smooth at
+the identity; batches of quaternions are several times faster here than through scipy's objects. They take arrays as they are:
+filters call them at every step, so only `unit` and what makes a space check.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from celnav.gaussian.checks import instance, number, numbers
+from celnav.gaussian.linalg import Array, components
+from celnav.gaussian.rule import Rule
+from celnav.gaussian.spaces import Space
+
+IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
+UNIT_TOLERANCE = 1e-6
+_TINY = 1e-300
+
+
+def _rows(count: int, like: Array) -> Array:
+    """Empty components ``(count, ...)``, each in one piece of memory of the same order as ``like``."""
+    if like.flags.f_contiguous and not like.flags.c_contiguous:
+        return np.empty((count, *like.shape[::-1])).transpose((0, *range(like.ndim, 0, -1)))
+    return np.empty((count, *like.shape))
+
+
+def _last(rows: Array) -> Array:
+    """From components first to components last."""
+    return rows.transpose((*range(1, rows.ndim), 0))
+
+
+def unit(q: ArrayLike, name: str = "q") -> Array:
+    """Checked quaternions ``(..., 4)``, normalized at round-off; rows of nan (nothing measured) are left as they are.
+
+    Raises
+    ------
+    ValueError: if the last axis is not 4, a number is infinite or partly missing, or a norm differs from 1 by more than 1e-6.
+    """
+    array = numbers(name, q, (..., 4))
+    missing = np.isnan(array)
+    if np.isinf(array).any() or (missing.any(-1) != missing.all(-1)).any():
+        raise ValueError(f"{name}: expected finite quaternions (or rows of nan), got {array[~np.isfinite(array).all(-1)][:1]}")
+    norm = np.linalg.norm(array, axis=-1, keepdims=True)
+    wrong = np.abs(norm - 1.0) > UNIT_TOLERANCE
+    if wrong.any():
+        raise ValueError(f"{name}: expected unit quaternions, got a norm of {norm[wrong][0]:.6g}")
+    return np.asarray(array / norm)
+
+
+_PRODUCT = np.zeros((4, 4, 4))
+"""Component k of a product is the sum over i, j of ``_PRODUCT[k, i, j] q_i p_j``."""
+for _k, _i, _j, _sign in (
+    (0, 3, 0, 1), (0, 0, 3, 1), (0, 1, 2, -1), (0, 2, 1, 1),
+    (1, 3, 1, 1), (1, 1, 3, 1), (1, 2, 0, -1), (1, 0, 2, 1),
+    (2, 3, 2, 1), (2, 2, 3, 1), (2, 0, 1, -1), (2, 1, 0, 1),
+    (3, 3, 3, 1), (3, 0, 0, -1), (3, 1, 1, -1), (3, 2, 2, -1),
+):  # fmt: skip
+    _PRODUCT[_k, _i, _j] = _sign
+
+
+def multiply(q: Array, p: Array) -> Array:
+    """Product ``(..., 4)``: first p, then q."""
+    a, b = components(q), components(p)
+    if a.ndim != b.ndim:
+        ndim = max(a.ndim, b.ndim)
+        a, b = (c.reshape(4, *(1,) * (ndim - c.ndim), *c.shape[1:]) for c in (a, b))
+    pairs = a[:, None] * b[None]
+    # One matrix product for all components: an order of magnitude fewer calls than sixteen products and their sums.
+    backwards = not pairs.flags.c_contiguous
+    if backwards:
+        pairs = pairs.transpose((0, 1, *range(pairs.ndim - 1, 1, -1)))
+    rows = (_PRODUCT.reshape(4, 16) @ pairs.reshape(16, -1)).reshape(4, *pairs.shape[2:])
+    return rows.T if backwards else _last(rows)
+
+
+def inverse(q: Array) -> Array:
+    """The opposite rotation."""
+    return np.asarray(q * np.array([-1.0, -1.0, -1.0, 1.0]))
+
+
+def positive(q: Array) -> Array:
+    """The one of q and -q, which are the same attitude, whose scalar is not negative."""
+    return np.asarray(q * np.copysign(1.0, q[..., 3:]))
+
+
+def matrix(q: Array) -> Array:
+    """Direction cosines ``A(q) (..., 3, 3)``, inertial to body."""
+    a, b, c, d = components(q)
+    rows = (
+        (d * d + a * a - b * b - c * c, 2.0 * (a * b + c * d), 2.0 * (a * c - b * d)),
+        (2.0 * (a * b - c * d), d * d - a * a + b * b - c * c, 2.0 * (b * c + a * d)),
+        (2.0 * (a * c + b * d), 2.0 * (b * c - a * d), d * d - a * a - b * b + c * c),
+    )
+    return np.stack([np.stack(row, -1) for row in rows], -2)
+
+
+def rotate(q: Array, v: ArrayLike) -> Array:
+    """Components ``(..., 3)`` on body axes of vectors ``v (..., 3)`` given on inertial ones: ``matrix(q) @ v``."""
+    (a, b, c, d), (x, y, z) = components(q), components(np.asarray(v, dtype=np.float64))
+    # t = 2 v x rho, then v + q4 t + t x rho.
+    tx, ty, tz = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
+    rows = (x + d * tx + ty * c - tz * b, y + d * ty + tz * a - tx * c, z + d * tz + tx * b - ty * a)
+    return _last(np.stack(rows))
+
+
+def exp(phi: Array) -> Array:
+    """Quaternion ``(..., 4)`` of a rotation vector ``(..., 3)`` rad."""
+    vector = components(phi)
+    quarter = np.maximum(0.25 * np.sqrt(_square(vector)), _TINY)
+    # By the tangent of a quarter of the angle: as exact as sine and cosine, and several times as fast.
+    t = np.tan(quarter)
+    t2 = t * t
+    rows = _rows(4, np.asarray(t))
+    np.multiply(vector, t / (quarter * (2.0 + 2.0 * t2)), out=rows[:3])
+    np.divide(1.0 - t2, 1.0 + t2, out=rows[3, ...])
+    return _last(rows)
+
+
+def _square(vector: Array) -> Array:
+    """Square of the norm of components ``(3, ...)``."""
+    x, y, z = vector
+    return np.asarray(x * x + y * y + z * z)
+
+
+def log(q: Array) -> Array:
+    """Rotation vector ``(..., 3)`` rad, of at most pi."""
+    p = positive(q)
+    sine = np.linalg.norm(p[..., :3], axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, p[..., 3:])
+    small = sine < 1e-9
+    factor = np.where(small, 2.0, angle / np.where(small, 1.0, sine))
+    return np.asarray(factor * p[..., :3])
+
+
+def angle(q: Array) -> Array:
+    """Rotation angle ``(...)`` rad, between 0 and pi."""
+    return np.asarray(np.linalg.norm(log(q), axis=-1))
+
+
+def from_euler(angles: ArrayLike) -> Array:
+    """Quaternion of roll, pitch, yaw ``(..., 3)`` rad, ``A = R1(roll) R2(pitch) R3(yaw)``."""
+    half = 0.5 * np.moveaxis(numbers("angles", angles, (..., 3)), -1, 0)
+    zero = np.zeros_like(half[0])
+    roll, pitch, yaw = (np.stack([np.sin(half[i]) if j == i else zero for j in range(3)] + [np.cos(half[i])], -1) for i in range(3))
+    return multiply(roll, multiply(pitch, yaw))
+
+
+def to_euler(q: Array) -> Array:
+    """Roll, pitch, yaw ``(..., 3)`` rad; the pitch is between -pi/2 and pi/2."""
+    A = matrix(q)
+    pitch = np.arcsin(np.clip(-A[..., 0, 2], -1.0, 1.0))
+    return np.stack([np.arctan2(A[..., 1, 2], A[..., 2, 2]), pitch, np.arctan2(A[..., 0, 1], A[..., 0, 0])], -1)
+
+
+def to_rodrigues(q: Array, a: float = 1.0, b: float = 4.0) -> Array:
+    """Generalized Rodrigues parameters ``b rho / (a + q4)``, ``(..., 3)``, of the shorter rotation [Crassidis & Markley 2003].
+
+    ``a = 0`` is the Gibbs vector, ``a = 1`` the modified Rodrigues parameters; with ``b = 2 (a + 1)`` they are the rotation vector
+    to first order. The defaults are ``4 tan(angle / 4)`` along the axis.
+    """
+    of_q = components(q)
+    return _last(of_q[:3] * (np.copysign(b, of_q[3]) / (a + np.abs(of_q[3]))))
+
+
+def from_rodrigues(p: Array, a: float = 1.0, b: float = 4.0) -> Array:
+    """Unit quaternion ``(..., 4)`` of generalized Rodrigues parameters ``(..., 3)``."""
+    vector = components(p)
+    square = _square(vector)
+    root = b if a == 1.0 else np.sqrt(b * b + (1.0 - a * a) * square)
+    rows = _rows(4, square)
+    np.divide(b * root - a * square, b * b + square, out=rows[3, ...])
+    np.multiply(vector, (a + rows[3]) / b, out=rows[:3])
+    return _last(rows)
+
+
+def shadow(sigma: Array) -> Array:
+    """The same attitude in modified Rodrigues parameters ``(..., 3)`` (``a = b = 1``) of norm at most 1 [Schaub & Junkins 1996]."""
+    square = np.square(sigma).sum(-1, keepdims=True)
+    return np.where(square > 1.0, -sigma / np.where(square > 0.0, square, 1.0), sigma)
+
+
+def shadow_jacobian(sigma: Array) -> Array:
+    """Derivative ``(..., 3, 3)`` of the switch of `shadow` at parameters of norm above 1; the identity elsewhere."""
+    square = np.square(sigma).sum(-1)[..., None, None]
+    safe = np.where(square > 0.0, square, 1.0)
+    switched = (2.0 * sigma[..., :, None] * sigma[..., None, :] / safe - np.eye(3)) / safe
+    return np.where(square > 1.0, switched, np.eye(3))
+
+
+def cross(v: Array) -> Array:
+    """Matrix ``[v x] (..., 3, 3)``."""
+    x, y, z = components(v)
+    o = np.zeros_like(x)
+    return np.stack([np.stack(row, -1) for row in ((o, -z, y), (z, o, -x), (-y, x, o))], -2)
+
+
+def transport(p: Array, a: float = 1.0, b: float = 4.0) -> Array:
+    """Matrix ``(..., 3, 3)`` that carries deviations about the reference to the reference moved by ``p``, a = 1 or 0.
+
+    The derivative of ``to_rodrigues(from_rodrigues(p + d) (x) from_rodrigues(p)^-1)`` with respect to d at 0.
+
+    Raises
+    ------
+    ValueError: for other parameters.
+    """
+    if a not in (0.0, 1.0):
+        raise ValueError(f"a: expected 0 (Gibbs vector) or 1 (modified Rodrigues parameters), got {a!r}")
+    if a == 1.0:
+        s = p / b
+        square = np.square(s).sum(-1)[..., None, None]
+        B = (1.0 - square) * np.eye(3) + 2.0 * cross(s) + 2.0 * s[..., :, None] * s[..., None, :]
+        return np.asarray(B.mT / (1.0 + square) ** 2)
+    g = p / b
+    return np.asarray((np.eye(3) - cross(g)) / (1.0 + np.square(g).sum(-1))[..., None, None])
+
+
+def attitude(a: float = 1.0, b: float = 4.0, *, transported: bool = False) -> Space:
+    """Space of attitudes: points are quaternions ``(..., 4)``, tangents Rodrigues parameters ``(..., 3)`` in body axes.
+
+    The sign of a quaternion never matters. ``transported``: the covariance follows the reference after an update.
+
+    A measurement, and the point of a belief, must be of norm 1 within 1e-6.
+
+    Raises
+    ------
+    ValueError: unless ``0 <= a <= 1`` and ``b > 0``; from the space, for a quaternion that is not a unit one.
+    """
+    a, b = number("a", a, 0.0, 1.0), number("b", b, above=0.0)
+
+    def plus(point: Array, tangent: Array) -> Array:
+        square = np.square(point).sum(-1, keepdims=True)
+        if np.abs(square - 1.0).max(initial=0.0) > 2.0 * UNIT_TOLERANCE:
+            raise ValueError(f"state: expected unit quaternions, got a norm of {np.sqrt(square.max()):.6g}")
+        return multiply(from_rodrigues(tangent, a, b), point * (1.5 - 0.5 * square))  # round-off does not add up
+
+    def minus(later: Array, earlier: Array) -> Array:
+        return to_rodrigues(multiply(later, inverse(earlier)), a, b)
+
+    moved: Callable[[Array], Array] | None = (lambda p: transport(p, a, b)) if transported else None
+    return Space(plus, minus, moved, check=unit)
+
+
+def warn_of_wrapping(rule: Rule, sigma: float) -> None:
+    """Warn if points of a rule lie half a turn or more from a mean known to ``sigma`` rad: they would be other, shorter rotations.
+
+    Such a rule still runs; its covariance is then no longer that of the attitude.
+    """
+    reach = float(np.abs(instance("rule", rule, Rule, "a Rule, such as celnav.unscented(3)").nodes).max()) * number(
+        "sigma", sigma, 0.0
+    )
+    if reach > np.pi:
+        text = (
+            f"sigma points reach {np.degrees(reach):.0f} deg from the mean, and wrap at 180: take a smaller spread (alpha, kappa)"
+        )
+        warnings.warn(text, RuntimeWarning, stacklevel=3)
+
+
+def total_attitude() -> Space:
+    """Space of attitudes whose tangents are differences of modified Rodrigues parameters of the attitudes themselves.
+
+    The sign of the point decides between its two sets of parameters: a model that hands on `positive` quaternions switches to
+    the shadow set in time, and the covariance follows by itself, since every other point is taken on the side of the center.
+    """
+
+    def parameters(q: Array) -> Array:
+        return np.asarray(q[..., :3] / (1.0 + q[..., 3:]))
+
+    def plus(point: Array, tangent: Array) -> Array:
+        return from_rodrigues(parameters(point) + tangent, 1.0, 1.0)
+
+    def minus(later: Array, earlier: Array) -> Array:
+        side = np.copysign(1.0, (later * earlier).sum(-1, keepdims=True))
+        return parameters(later * side) - parameters(earlier)
+
+    return Space(plus, minus, check=unit)

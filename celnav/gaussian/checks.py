@@ -1,0 +1,185 @@
+"""What comes from outside: numbers, arrays, choices, functions; each error names the argument, what was expected and what came.
+
+A thing is checked once, where it is made. What filters call at every step is not checked there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+from math import inf, isfinite
+from typing import Any
+
+import numpy as np
+
+from celnav.gaussian.linalg import Array
+
+LIMIT = 1_000_000_000
+"""Numbers (8 GB) that one argument may ask for."""
+Shape = tuple[Any, ...]
+"""Lengths of axes: an integer, a letter (1 or more, the same wherever it stands), None (any); ``...`` in front is any batch."""
+
+
+def numbers(name: str, value: Any, shape: Shape | None = None) -> Array:
+    """``value`` as float64, which may be the same array; what is masked, and None among others, becomes nan.
+
+    Raises
+    ------
+    ValueError: naming it, for another `Shape`, or anything else than real numbers: dates and durations too, which would count in
+        a unit of their own.
+    """
+    found, kind = value if type(value) is np.ndarray and value.dtype == np.float64 else None, ""
+    if found is None and value is not None:
+        try:
+            if isinstance(value, list | tuple) and any(isinstance(part, np.ma.MaskedArray) for part in value):
+                value = np.ma.stack(value)
+            array = value if isinstance(value, np.ma.MaskedArray) else np.asarray(value)
+            kind = array.dtype.kind
+            if kind in "biuf" or (kind == "O" and not any(isinstance(part, str | bytes) for part in array.flat)):
+                found = np.ma.filled(array.astype(np.float64), np.nan)
+        except (TypeError, ValueError, OverflowError):
+            pass
+    if found is None:
+        hint = "dates or durations; seconds are (t - t[0]) / numpy.timedelta64(1, 's')"
+        missing = "; use nan for what is missing, a row of them for a row" if _has_none(value) else ""
+        raise ValueError(f"{name}: expected numbers, got {hint if kind and kind in 'mM' else f'{value!r:.80}{missing}'}")
+    if shape is not None and not _fits(np.shape(found), shape):
+        axes = ", ".join("..." if axis is ... else "any" if axis is None else str(axis) for axis in shape)
+        raise ValueError(f"{name}: expected shape ({axes}{',' * (len(shape) == 1)}), got {np.shape(found)}")
+    return np.asarray(found)
+
+
+def _has_none(value: Any) -> bool:
+    return isinstance(value, list | tuple) and any(part is None or _has_none(part) for part in value)
+
+
+def _fits(lengths: tuple[int, ...], shape: Shape) -> bool:
+    if shape[:1] == (...,):
+        shape = shape[1:]
+        lengths = lengths[max(len(lengths) - len(shape), 0) :]
+    letters: dict[str, int] = {}
+    return len(lengths) == len(shape) and all(
+        length > 0 and letters.setdefault(axis, length) == length if isinstance(axis, str) else axis in (None, length)
+        for axis, length in zip(shape, lengths, strict=True)
+    )
+
+
+def finite(name: str, value: Any, shape: Shape | None = None) -> Array:
+    """A float64 copy of ``value``.
+
+    Raises
+    ------
+    ValueError: naming it, if it is not numeric, not finite or not of a `Shape`.
+    """
+    array = numbers(name, value, shape).copy()
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name}: expected finite numbers, got {np.count_nonzero(~np.isfinite(array))} that are not")
+    return array
+
+
+def unmasked(name: str, value: Any) -> Any:
+    """``value``, which a model gave.
+
+    Raises
+    ------
+    ValueError: naming the model, if some of it is masked: what is missing at one point has no mean, and no measurement lacks it.
+    """
+    if isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value):
+        raise ValueError(f"{name}: expected numbers, got masked ones; a component that was not measured is nan in z")
+    return value
+
+
+def number(name: str, value: Any, least: float = -inf, most: float = inf, *, above: float = -inf, below: float = inf) -> float:
+    """A finite number from ``least`` to ``most`` and between ``above`` and ``below``; ValueError names it if it is none."""
+    try:
+        found = float(finite(name, value, ()))
+    except ValueError:
+        found = inf
+    if isfinite(found) and least <= found <= most and above < found < below:
+        return found
+    bounds = {"of at least": least, "above": above, "of at most": most, "below": below}
+    said = " and ".join(f"{word} {bound:g}" for word, bound in bounds.items() if isfinite(bound))
+    expected = {"": "a finite number", "above 0": "a positive number"}.get(said, f"a number {said}")
+    raise ValueError(f"{name}: expected {expected}, got {value!r:.80}")
+
+
+def integer(name: str, value: Any, least: int = 1, most: int | None = None) -> int:
+    """A whole number from ``least`` to ``most``, which may have come as a float; ValueError names it if it is none."""
+    found = whole(value)
+    if found is None or found < least or (most is not None and found > most):
+        bounds = "an integer" + (f" of at least {least}" if most is None else f" from {least} to {most}")
+        raise ValueError(f"{name}: expected {'a positive integer' if (least, most) == (1, None) else bounds}, got {value!r:.80}")
+    return found
+
+
+def whole(value: Any) -> int | None:
+    """An integer that may have come as a float; None for anything else."""
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value[()]
+    if isinstance(value, int) and not isinstance(value, bool):  # of any size
+        return value
+    number = isinstance(value, float | np.integer | np.floating)
+    return int(value) if number and np.isfinite(value) and int(value) == value else None
+
+
+def integers(name: str, value: Any, least: int = 0, most: int | None = None, count: int | None = None) -> tuple[int, ...]:
+    """Whole numbers from ``least`` to ``most``, ``count`` of them; ValueError names them if they are none."""
+    parts = np.asarray(value, dtype=object)
+    found = [None] if parts.ndim != 1 else [whole(part) for part in parts]
+    out = tuple(part for part in found if part is not None and least <= part and (most is None or part <= most))
+    if len(out) != len(found) or count not in (None, len(out)):
+        bounds = "positive integers" if least == 1 else f"integers of at least {least}"
+        what = ("" if count is None else f"{count} ") + (bounds if most is None else f"integers from {least} to {most}")
+        raise ValueError(f"{name}: expected {what}, got {value!r:.80}")
+    return out
+
+
+def choice(name: str, value: Any, known: Iterable[Any]) -> Any:
+    """One of the ``known`` words or numbers; ValueError lists them, and says which one may be meant."""
+    names = list(known)
+    value = value[()] if isinstance(value, np.ndarray) else value
+    if (value is None or np.isscalar(value)) and value in names:
+        return value
+    close = get_close_matches(value, map(str, names), 1) if isinstance(value, str) else []
+    hint = f"; did you mean {close[0]}?" if close else ""
+    raise ValueError(f"{name}: expected one of {', '.join(map(str, names))}, got {value!r:.80}{hint}")
+
+
+def sequence(name: str, value: Any, example: str) -> list[Any]:
+    """The parts of a list or of what can be made one, but no text or table; ValueError names it, with an ``example``."""
+    try:
+        if not isinstance(value, str | bytes | dict):
+            return list(value)
+    except TypeError:
+        pass
+    raise ValueError(f"{name}: expected a sequence, such as {example}, got {value!r:.80}")
+
+
+def together(**batches: tuple[int, ...]) -> tuple[int, ...]:
+    """Joint batch axes; ValueError names all of them if they do not broadcast."""
+    try:
+        return np.broadcast_shapes(*batches.values())
+    except ValueError:
+        told = ", ".join(map(str, batches.values()))
+        raise ValueError(f"{', '.join(batches)}: expected batch axes that go together, got {told}") from None
+
+
+def function(name: str, value: Any, arguments: str = "") -> Any:
+    """Something that can be called; ValueError names it, and the ``arguments`` it would be called with."""
+    if not callable(value):
+        raise ValueError(f"{name}: expected a function{f' {arguments}' if arguments else ''}, got {kind(value)}")
+    return value
+
+
+def instance(name: str, value: Any, of: Any, expected: str) -> Any:
+    """An object of a class, or of one of several; ValueError names it, and says what was ``expected``, with an example."""
+    if not isinstance(value, of):
+        raise ValueError(f"{name}: expected {expected}, got {kind(value)}")
+    return value
+
+
+def kind(value: Any) -> str:
+    """What came, in a word or two: a function or class by its name, anything else by its type."""
+    if isinstance(value, type):
+        return f"class {value.__name__}"
+    return f"function {value.__name__}" if callable(value) and hasattr(value, "__name__") else type(value).__name__

@@ -1,0 +1,134 @@
+"""State and measurement spaces: what a sum, a difference and a mean are.
+
+A filter does its algebra on differences (tangent vectors of dimension ``n``); a space says how they relate to points
+(arrays whose last axis has length ``N``, which need not equal ``n``). Vectors need nothing; angles wrap; attitudes retract.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from celnav.gaussian.checks import integer, integers, sequence
+from celnav.gaussian.linalg import Array, side_by_side
+
+
+def _add(point: Array, tangent: Array) -> Array:
+    return np.add(tangent, point)  # this order keeps the memory layout of the tangents, the larger operand
+
+
+class Space(NamedTuple):
+    """How points and differences relate. Every function broadcasts over leading axes.
+
+    Attributes
+    ----------
+    plus: ``(point (..., N), tangent (..., n)) -> point``.
+    minus: ``(b, a) -> tangent`` at ``a`` that leads to ``b``: ``plus(a, minus(b, a)) == b``.
+    transport: optional ``tangent -> (..., n, n)``, the matrix that carries deviations at a point to the point moved by
+        ``tangent``. None: the identity.
+    mean: optional ``(points (p, ..., N), weights (p,)) -> point``. None: the mean of the differences to the first point,
+        which neither cancels digits nor notices where an angle wraps.
+    check: optional ``(point, name) -> point``, what a point from outside (a measurement) must be; ValueError names it.
+    """
+
+    plus: Callable[[Array, Array], Array] = _add
+    minus: Callable[[Array, Array], Array] = np.subtract
+    transport: Callable[[Array], Array] | None = None
+    mean: Callable[[Array, Array], Array] | None = None
+    check: Callable[[Array, str], Array] | None = None
+
+
+EUCLIDEAN = Space()
+
+
+def wrap(angle: Any) -> Any:
+    """Angle in radians, wrapped to ``[-pi, pi)``."""
+    wrapped = (np.asarray(angle) + np.pi) % (2.0 * np.pi) - np.pi
+    return np.where(wrapped == np.pi, -np.pi, wrapped)[()]  # just below -pi the remainder rounds up to a full turn
+
+
+def angles(components: Iterable[int] | None = None) -> Space:
+    """Vectors of which some ``components`` (None: all) are angles in radians, wrapped to ``[-pi, pi)``.
+
+    Raises
+    ------
+    ValueError: unless components are places from 0 on; from the space, for a vector that does not have them all.
+    """
+    places = None if components is None else integers("components", sequence("components", components, "[0]"))
+    return Space(partial(_sum, places), partial(_difference, places))
+
+
+def _sum(places: tuple[int, ...] | None, point: Array, tangent: Array) -> Array:
+    return _wrapped(np.add(tangent, point, dtype=np.float64), places)
+
+
+def _difference(places: tuple[int, ...] | None, b: Array, a: Array) -> Array:
+    return _wrapped(np.subtract(b, a, dtype=np.float64), places)
+
+
+def _wrapped(vector: Array, places: tuple[int, ...] | None) -> Array:
+    """The vector, its angles wrapped in place."""
+    if places is None:
+        return np.asarray(wrap(vector))
+    if places and max(places) >= vector.shape[-1]:
+        raise ValueError(f"angles: expected components below {vector.shape[-1]}, the length of the vector, got {max(places)}")
+    chosen = list(places)
+    vector[..., chosen] = wrap(vector[..., chosen])
+    return vector
+
+
+def product(*factors: tuple[Space, int, int]) -> Space:
+    """Product of spaces, each given as ``(space, N, n)``: the lengths of its points and of its tangents.
+
+    ``product((attitude(), 4, 3), (EUCLIDEAN, 3, 3))`` is a quaternion and three numbers: points of 7, tangents of 6.
+
+    Raises
+    ------
+    ValueError: for factors that are no such triples, or a space with its own mean; from the space, for points or tangents of
+        another length.
+    """
+    if not all(isinstance(factor, tuple | list) and len(factor) == 3 and isinstance(factor[0], Space) for factor in factors):
+        raise ValueError("factors: expected triples (space, length of its points, length of its tangents)")
+    factors = tuple((space, integer("factors", N, 0), integer("factors", n, 0)) for space, N, n in factors)
+    points = np.cumsum([0, *(N for _, N, _ in factors)])
+    tangents = np.cumsum([0, *(n for _, _, n in factors)])
+    parts = [
+        (space, slice(points[i], points[i + 1]), slice(tangents[i], tangents[i + 1])) for i, (space, _, _) in enumerate(factors)
+    ]
+    for space, _, _ in factors:
+        if space.mean is not None:
+            raise ValueError("factors: a space with its own mean cannot be part of a product")
+
+    def checked(vector: Array, length: int, what: str) -> Array:
+        if vector.shape[-1] != length:
+            raise ValueError(f"{what}: expected {length} components of a product of spaces, got {vector.shape[-1]}")
+        return vector
+
+    def plus(point: Array, tangent: Array) -> Array:
+        checked(point, points[-1], "point")
+        checked(tangent, tangents[-1], "deviations")
+        return side_by_side([space.plus(point[..., at], tangent[..., by]) for space, at, by in parts])
+
+    def minus(b: Array, a: Array) -> Array:
+        checked(b, points[-1], "point")
+        return side_by_side([space.minus(b[..., at], a[..., at]) for space, at, _ in parts])
+
+    def transport(tangent: Array) -> Array:
+        n = tangents[-1]
+        matrix = np.zeros((*tangent.shape[:-1], n, n))
+        for space, _, by in parts:
+            width = by.stop - by.start
+            matrix[..., by, by] = np.eye(width) if space.transport is None else space.transport(tangent[..., by])
+        return matrix
+
+    def check(point: Array, name: str) -> Array:
+        return side_by_side(
+            [point[..., at] if space.check is None else space.check(point[..., at], name) for space, at, _ in parts]
+        )
+
+    particular = any(space.check is not None for space, _, _ in factors)
+    curved = any(space.transport is not None for space, _, _ in factors)
+    return Space(plus, minus, transport if curved else None, check=check if particular else None)

@@ -1,0 +1,194 @@
+"""Fixes of all epochs at once, each by itself: position and clock of ranges, velocity and drift of rates, without faulty ones.
+
+Also how large the noise is that their residuals show. Epochs ``T`` lead, satellites ``S`` follow; a kind of measurement, ranges or
+rates, is a tuple's or an axis' place 0 or 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from celnav.filters.driver import Epoch, run
+from celnav.filters.least_squares import least_squares
+from celnav.gaussian.belief import covariance
+from celnav.gaussian.linalg import Array
+from celnav.models import pseudorange
+from celnav.models.beidou import B1I_HZ, LIGHT
+from celnav.models.receiver import GROUND_M
+from celnav.receiver.integrity import Monitored, misfit, monitored, noise_components
+
+LEAST_ELEVATION = np.radians(1.0)
+"""What delays and deviations are taken for below it."""
+GIVEN = (1.5, 0.05)
+"""Deviations at the zenith, m and m/s, until they are estimated."""
+RESOLUTION = (1e-3, 1e-3 * LIGHT / B1I_HZ)
+"""Of a file, in m and m/s: less noise cannot be seen."""
+QUIETEST, LOUDEST = 0.25, 8.0
+"""Times `GIVEN`, where the estimate begins: loud noise would hide faults. No receiver is louder; what looks so is contradiction."""
+ENOUGH = 100
+"""Redundant measurements to estimate noise of."""
+MOST_EPOCHS = 1000
+"""That it is estimated of, evenly: more say nothing new."""
+UNKNOWNS = 4
+
+
+class Noise(NamedTuple):
+    """Of a kind of measurement: its variance is ``level^2 + (zenith / sin(elevation))^2``.
+
+    ``redundancy``: of how many redundant measurements it was estimated; 0: it was given, or they were too few.
+    """
+
+    level: float
+    zenith: float
+    redundancy: int = 0
+
+    def deviations(self, elevation: Array) -> Array:
+        """At elevations, rad."""
+        return np.asarray(np.hypot(self.level, self.zenith / np.sin(np.maximum(elevation, LEAST_ELEVATION))))
+
+
+class Seen(NamedTuple):
+    """Measurements ``z (T, 2 S)``, nan where there is none, of satellites ``q, w, elevation`` near ``position (T, 3)``."""
+
+    z: Array
+    q: Array
+    w: Array
+    elevation: Array
+    position: Array
+
+
+class Fixed(NamedTuple):
+    """States ``(T, 8)`` and covariances of positions ``(T, 3, 3)``, nan where there is no fix; deviations ``sigma (T, 2 S)``.
+
+    ``kinds``: of ranges and rates, what is left of them; ``left`` and ``G``: residuals ``(T, S)`` and Jacobians ``(T, S, 4)``, in
+    deviations.
+    """
+
+    states: Array
+    cov: Array
+    sigma: Array
+    kinds: tuple[Monitored, Monitored]
+    left: tuple[Array, Array]
+    G: tuple[Array, Array]
+
+    @property
+    def kept(self) -> Array:
+        """Measurements that may be used ``(T, 2 S)``."""
+        return np.concatenate([kind.kept for kind in self.kinds], -1)
+
+    @property
+    def misfit(self) -> Array:
+        """Squared residuals of ranges ``(T,)``; nan without a fix."""
+        return np.where(np.isfinite(self.states[:, 6]), misfit(self.left[0], self.kinds[0].kept), np.nan)
+
+
+def fixed(seen: Seen, noise: tuple[Noise, Noise], false_alarm: float) -> Fixed:
+    """Fixes of all epochs; a satellite whose range is faulty is not asked for its rate either."""
+    S = seen.q.shape[-2]
+    sigma = np.concatenate([kind.deviations(seen.elevation) for kind in noise], -1)
+    away = np.where(np.isfinite(seen.z[:, :S, None]), seen.q, 0.0).sum(-2)
+    below = GROUND_M[0] * away / np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), 1.0)
+    near = np.where(np.linalg.norm(seen.position, axis=-1, keepdims=True) > 1.0, seen.position, below)
+
+    def states(x: Array) -> Array:
+        return np.concatenate([x[..., :3], np.zeros((*x.shape[:-1], 3)), x[..., 3:], np.zeros((*x.shape[:-1], 1))], -1)
+
+    def ranges(rows: Array, x: Array) -> tuple[Array, Array]:
+        at, q, w = states(x), seen.q[rows], seen.w[rows]
+        return pseudorange.measure(at, q, w)[..., :S], pseudorange.jacobian(at, q, w)[..., :S, [0, 1, 2, 6]]
+
+    def on_earth(x: Array) -> Array:
+        size = np.linalg.norm(x[..., :3], axis=-1, keepdims=True)
+        return np.where((size > GROUND_M[0]) & (size < GROUND_M[1]), x, np.nan)
+
+    start = np.concatenate([near, np.zeros((len(near), 1))], -1)
+    one = _kind(ranges, on_earth, seen.z[:, :S], sigma[:, :S], start, false_alarm)
+    here = np.concatenate([np.where(np.isfinite(one.x[:, :3]), one.x[:, :3], near), np.zeros((len(near), 5))], -1)
+    towards = pseudorange.jacobian(here, seen.q, seen.w)[:, S:, [3, 4, 5, 7]]
+    still = pseudorange.measure(here, seen.q, seen.w)[:, S:]
+
+    def rates(rows: Array, x: Array) -> tuple[Array, Array]:
+        return still[rows] + (towards[rows] @ x[..., None])[..., 0], towards[rows]
+
+    z = np.where(one.kind.excluded, np.nan, seen.z[:, S:])
+    two = _kind(rates, lambda x: x, z, sigma[:, S:], np.zeros((len(near), 4)), false_alarm)
+    found = np.concatenate([one.x[:, :3], two.x[:, :3], one.x[:, 3:], two.x[:, 3:]], -1)
+    return Fixed(found, one.cov[:, :3, :3], sigma, (one.kind, two.kind), (one.left, two.left), (one.G, two.G))
+
+
+class _Kind(NamedTuple):
+    x: Array
+    cov: Array
+    kind: Monitored
+    left: Array
+    G: Array
+
+
+def _kind(
+    model: Callable[[Array, Array], tuple[Array, Array]],
+    possible: Callable[[Array], Array],
+    z: Array,
+    sigma: Array,
+    start: Array,
+    false_alarm: float,
+) -> _Kind:
+    """Fixes of one kind: ``model``: ``(epochs, states) ->`` measurements and Jacobians; ``possible`` makes others nan."""
+
+    def solve(rows: Array, kept: Array) -> tuple[Array, Array]:
+        filter = least_squares(lambda x, _epoch: model(rows, x)[0], lambda x, _epoch: model(rows, x)[1], sigma[rows], rounds=20)
+        epoch = Epoch(z=np.where(kept, z[rows], np.nan))
+        track = run(filter, covariance(start[rows], np.eye(UNKNOWNS)), [epoch], keep="spread", on_failure="flag")
+        assert track.mean is not None
+        return possible(track.mean[0]), track.cov[0]
+
+    def linear(rows: Array, x: Array) -> tuple[Array, Array]:
+        values, G = model(rows, x)
+        return np.nan_to_num((z[rows] - values) / sigma[rows]), G / sigma[rows][..., None]
+
+    every = np.arange(len(z))
+    kind = monitored(lambda rows, kept: solve(rows, kept)[0], linear, np.isfinite(z), start, false_alarm=false_alarm)
+    x, cov = solve(every, kind.kept)
+    return _Kind(x, cov, kind, *linear(every, np.where(np.isfinite(x), x, start)))
+
+
+def estimated(seen: Seen, false_alarm: float) -> tuple[Noise, Noise]:
+    """Noise of ranges and rates, by elevation, of the residuals of what is not faulty; `GIVEN` where they are too few.
+
+    It is first taken for small, and for twice as large as long as most fixes contradict themselves.
+    """
+    some = slice(None, None, -(-len(seen.z) // MOST_EPOCHS))
+    seen, usual = Seen(*(part[some] for part in seen)), (Noise(0.0, GIVEN[0]), Noise(0.0, GIVEN[1]))
+    noise = (Noise(0.0, QUIETEST * GIVEN[0]), Noise(0.0, QUIETEST * GIVEN[1]))
+    found = fixed(seen, noise, false_alarm)
+    while any(loud := [2 * int(kind.unusable.sum()) > int(kind.tested.sum()) for kind in found.kinds]):
+        noise = (_louder(noise[0], loud[0]), _louder(noise[1], loud[1]))
+        if any(one.zenith > LOUDEST * least for one, least in zip(noise, GIVEN, strict=True)):
+            return usual
+        found = fixed(seen, noise, false_alarm)
+    for _ in range(12):
+        before = noise
+        noise = (_estimated(found, seen.elevation, 0) or usual[0], _estimated(found, seen.elevation, 1) or usual[1])
+        if np.allclose(noise, before, rtol=0.02):
+            break
+        found = fixed(seen, noise, false_alarm)
+    return noise
+
+
+def _louder(noise: Noise, loud: bool) -> Noise:
+    return noise._replace(zenith=2.0 * noise.zenith) if loud else noise
+
+
+def _estimated(found: Fixed, elevation: Array, kind: int) -> Noise | None:
+    S = elevation.shape[-1]
+    kept, sigma = found.kinds[kind].kept, found.sigma[:, kind * S : (kind + 1) * S]
+    spare = np.where(np.isfinite(found.states[:, (6, 7)[kind]]), kept.sum(-1) - UNKNOWNS, 0)
+    rows = np.flatnonzero(spare > 0)
+    if spare.sum() < ENOUGH:
+        return None
+    up = np.sin(np.maximum(elevation[rows], LEAST_ELEVATION))
+    parts = np.stack([np.square(1.0 / sigma[rows]), np.square(1.0 / (sigma[rows] * up))])
+    level, zenith = np.sqrt(noise_components(found.left[kind][rows], found.G[kind][rows], kept[rows], parts))
+    return Noise(max(float(level), RESOLUTION[kind]), float(zenith), int(spare.sum()))

@@ -1,0 +1,163 @@
+"""Receiver autonomous integrity monitoring (RAIM): faulty measurements of fixes are found by their residuals and excluded.
+
+A fix of m measurements and n unknowns has a sum of squared residuals, in deviations of the noise, that is chi-square with m - n
+degrees of freedom, its redundancy: with none nothing can be tested, with one a fault is detected, with two or more it can be
+excluded. The fewest measurements are excluded that leave a consistent fix, and of as many those whose absence leaves the least
+residuals [Parkinson & Axelrad 1988; Brown 1992]. Fixes ``K`` or ``T`` lead, measurements ``S`` follow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import chdtri
+
+from celnav.gaussian.linalg import Array
+
+MOST_EXCLUDED = 3
+"""Measurements of a fix; a fix that is wrong in more has nothing to trust."""
+ROUNDS = 5
+"""In which what to exclude is looked for anew at the fix without it: far from the truth the model is curved."""
+AT_ONCE = 250
+"""Fixes whose subsets are compared at a time, for the memory's sake."""
+ESSENTIAL = 1e-6
+"""Part of a measurement's noise that must be seen in the residuals, or the fix hangs on it alone."""
+
+Linear = Callable[[Array, Array], tuple[Array, Array]]
+"""``(fixes (K,), states (K, n)) ->`` residuals ``(K, S)`` and Jacobians ``(K, S, n)``, both in deviations of the noise."""
+
+
+class Monitored(NamedTuple):
+    """What is left of the measurements.
+
+    Attributes
+    ----------
+    kept: ``(T, S)``, the measurements that may be used. excluded: ``(T, S)``, the faulty ones of fixes that are consistent without.
+    tested: ``(T,)``, whether there was redundancy. unusable: ``(T,)``, a fault is there and cannot be told: nothing is kept.
+    """
+
+    kept: Array
+    excluded: Array
+    tested: Array
+    unusable: Array
+
+
+def probability(false_alarm: float) -> float:
+    """Of a false alarm.
+
+    Raises
+    ------
+    ValueError: unless it is from 0 to below 1.
+    """
+    if not 0.0 <= false_alarm < 1.0:
+        raise ValueError(f"false_alarm: expected a probability from 0 to below 1, got {false_alarm!r}")
+    return false_alarm
+
+
+def misfit(left: Array, kept: Array) -> Array:
+    """Sum of squared residuals ``(K,)`` of what is kept; nan of fixes that there are none of."""
+    return np.asarray(np.square(np.where(kept, left, 0.0)).sum(-1))
+
+
+def monitored(fit: Callable[[Array, Array], Array], linear: Linear, used: Array, start: Array, *, false_alarm: float) -> Monitored:
+    """Test all fixes and exclude what is faulty.
+
+    Parameters
+    ----------
+    fit: ``(fixes (K,), kept (K, S)) -> states (K, n)``, nan where they are not determined.
+    linear: see `Linear`. used: ``(T, S)``, the measurements that there are.
+    start: ``(T, n)``, states to linearize at where there is no fix with all measurements.
+    false_alarm: probability that a sound fix fails the test, from 0 (nothing is tested) to below 1.
+
+    Raises
+    ------
+    ValueError: for another probability.
+    """
+    probability(false_alarm)
+    n, spare = start.shape[-1], used.sum(-1) - start.shape[-1]
+    limit = chdtri(np.arange(1.0, max(int(spare.max(initial=1)), 1) + 1.0), false_alarm)
+
+    def consistent(rows: Array, x: Array, kept: Array) -> Array:
+        size = misfit(linear(rows, np.where(np.isfinite(x), x, start[rows]))[0], kept)
+        most = limit[np.maximum(kept.sum(-1) - n, 1) - 1]
+        return np.asarray(np.isfinite(x).all(-1) & (size <= most))
+
+    rows, tested = np.flatnonzero(spare > 0), spare > 0
+    kept, excluded = used.copy(), np.zeros(used.shape, bool)
+    if false_alarm == 0.0 or not rows.size:
+        return Monitored(kept, excluded, tested & (false_alarm > 0.0), np.zeros(len(used), bool))
+    x = fit(rows, used[rows])
+    open_ = ~consistent(rows, x, used[rows])
+    rows, x = rows[open_], np.where(np.isfinite(x), x, start[rows])[open_]
+    for size in range(1, MOST_EXCLUDED + 1):
+        some = np.flatnonzero(spare[rows] > size)
+        if not some.size:
+            break
+        which, at, out = rows[some], x[some], np.zeros((some.size, used.shape[-1]), bool)
+        for _ in range(ROUNDS):
+            before, out = out, _best(*linear(which, at), used[which], size)
+            if (before == out).all():
+                break
+            fixed = fit(which, used[which] & ~out)
+            at = np.where(np.isfinite(fixed), fixed, at)
+        good = consistent(which, fixed, used[which] & ~out) & out.any(-1)
+        excluded[which[good]] = out[good]
+        rows, x = (np.delete(values, some[good], 0) for values in (rows, x))
+    unusable = np.isin(np.arange(len(used)), rows)
+    return Monitored(used & ~excluded & ~unusable[:, None], excluded, tested, unusable)
+
+
+def _best(left: Array, G: Array, used: Array, size: int) -> Array:
+    """The ``size`` measurements ``(K, S)`` whose absence leaves the least sum of squared residuals; none where all are essential.
+
+    With residuals v of the fix with all and their cofactor I - Q Q', the sum loses ``v_E' (I - Q Q')_EE^-1 v_E`` without E.
+    """
+    out = np.zeros(used.shape, bool)
+    for first in range(0, len(used), AT_ONCE):
+        part = slice(first, first + AT_ONCE)
+        order = np.argsort(~used[part], axis=-1, kind="stable")[:, : int(used[part].sum(-1).max())]
+        there = np.take_along_axis(used[part], order, -1)
+        its = np.take_along_axis(G[part], order[..., None], 1)
+        v, cofactor = _residuals(np.take_along_axis(left[part], order, -1), its, there)
+        subsets = np.array(list(combinations(range(order.shape[-1]), size)))
+        values, vectors = np.linalg.eigh(cofactor[:, subsets[:, :, None], subsets[:, None, :]])
+        seen = np.square((vectors * v[:, subsets][..., None]).sum(-2))
+        can = (values[..., 0] > ESSENTIAL) & there[:, subsets].all(-1)
+        gain = np.where(can, (seen / np.where(values > ESSENTIAL, values, 1.0)).sum(-1), -1.0)
+        chosen = np.take_along_axis(order, subsets[gain.argmax(-1)], -1)
+        np.put_along_axis(out[part], chosen, gain.max(-1, keepdims=True) >= 0.0, -1)
+    return out
+
+
+def _residuals(left: Array, G: Array, used: Array) -> tuple[Array, Array]:
+    """Residuals ``(K, S)`` of a linear fix, and their cofactors ``(K, S, S)``: the covariance of those that are in deviations."""
+    Q = np.linalg.qr(np.where(used[..., None], G, 0.0)).Q
+    cofactor = np.eye(left.shape[-1]) - Q @ Q.mT
+    return (cofactor @ np.where(used, left, 0.0)[..., None])[..., 0], cofactor
+
+
+def noise_components(left: Array, G: Array, used: Array, parts: Array) -> Array:
+    """Variances ``(c,)`` of noise that has several causes, of the residuals of many fixes.
+
+    The squares of residuals expect ``(I - Q Q')^2`` times the variances of the noise, which are sums over the causes: least
+    squares in these squares, each weighted by its own size, none negative.
+
+    Parameters
+    ----------
+    left, G, used: as from `Linear`, with what is used ``(K, S)``.
+    parts: ``(c, K, S)``, the variance of a measurement by each cause at unit size, in squares of its deviation.
+    """
+    from scipy.optimize import nnls  # takes a second to import
+
+    v, cofactor = _residuals(left, G, used)
+    there = used & (np.diagonal(cofactor, 0, -2, -1) > 0.01)
+    expected = np.square(cofactor) @ np.where(used, parts, 0.0)[..., None]
+    weight = 1.0 / np.diagonal(cofactor, 0, -2, -1)[there]
+    rows = np.stack([part[..., 0][there] * weight for part in expected], -1)
+    # Normal equations by their root: hundreds of thousands of rows become two.
+    Q, R = np.linalg.qr(rows)
+    found, _ = nnls(R, Q.T @ (np.square(v)[there] * weight))
+    return np.asarray(found)

@@ -1,0 +1,282 @@
+"""From a receiver's log to what a filter takes: satellites, corrected measurements, first fixes.
+
+State: position (m, Earth-fixed), velocity (m/s), clock bias (m) and drift (m/s), as in `celnav.models.pseudorange`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pymap3d import ecef2geodetic
+
+from celnav.files import InputError
+from celnav.filters.driver import Epoch
+from celnav.gaussian.belief import Gaussian, covariance
+from celnav.gaussian.checks import finite
+from celnav.gaussian.linalg import Array
+from celnav.models import pseudorange
+from celnav.models.atmosphere import GPS_L1_HZ, klobuchar, saastamoinen
+from celnav.models.beidou import B1I_HZ, ELLIPSOID, GPS_AHEAD_S, LIGHT
+from celnav.receiver.fixes import LEAST_ELEVATION, Noise, Seen, estimated, fixed
+from celnav.receiver.rinex import Navigation, Observations
+
+CREDIBLE_M = (1.5e7, 5e7)
+"""Pseudoranges outside are none."""
+CREDIBLE_M_PER_S = 1e4
+"""Nor are larger rates."""
+COARSE = (100.0, 1.0)
+"""Deviations (m, m/s) of measurements while nobody knows which satellites are low, and what their delays are."""
+MILLISECOND_M = 1e-3 * LIGHT
+"""By whole ones of these many receivers set their clock."""
+START = (100.0, 10.0, 100.0, 10.0)
+"""Deviations about the first fix: m, m/s, m, m/s."""
+
+
+@dataclass(frozen=True)
+class Log:
+    """A receiver's log, ready for a filter: from the first fix that could be tested to the last measurement.
+
+    Attributes
+    ----------
+    times: ``(T,)`` s of BDT. names: of the satellites, ``S``.
+    z: ``(T, 2 S)`` ranges (m) and rates (m/s) without clocks of satellites, atmosphere and jumps of the receiver's clock; nan where
+        there is none. sigma: ``(T, 2 S)`` their deviations. q, w: ``(T, S, 3)``, see `celnav.models.pseudorange.Sources`.
+    elevation, azimuth: ``(T, S)`` rad, nan of satellites that cannot be used.
+    fixes, fix_cov: ``(T, 8)`` and of positions ``(T, 3, 3)`` m^2, of each epoch by itself, nan where it has none.
+    misfit: ``(T,)``, squared residuals of the fixes' ranges, in deviations: chi-square with as many degrees as ranges beyond four.
+    excluded: ``(T, 2 S)``, the faulty ones. unusable: ``(T, 2)``, whether all ranges, all rates are left out, as they contradict
+        each other and nothing tells which are faulty. tested: ``(T, 2)``, whether there were more than four.
+    noise: of ranges and of rates. jumps: ``(T,)`` m, what the receiver has set its clock by since the start, which was taken off
+        ranges and fixes. dilution: of each epoch ``(T,)``. ionosphere: whether the broadcast model's coefficients were there to
+        correct it by. left_out: why measurements are not used, and how many.
+    """
+
+    times: Array
+    names: list[str]
+    z: Array
+    sigma: Array
+    q: Array
+    w: Array
+    elevation: Array
+    azimuth: Array
+    fixes: Array
+    fix_cov: Array
+    misfit: Array
+    excluded: Array
+    unusable: Array
+    tested: Array
+    noise: tuple[Noise, Noise]
+    jumps: Array
+    dilution: pseudorange.Dilution
+    ionosphere: bool
+    left_out: dict[str, int]
+
+    @property
+    def used(self) -> Array:
+        """Which ranges there are, ``(T, S)``."""
+        return np.isfinite(self.z[:, : len(self.names)])
+
+    def epochs(self) -> Iterator[Epoch]:
+        """Epochs for `filters`; ``u`` is ``(q, w, sigma)`` at the epoch's time."""
+        intervals = np.diff(self.times, prepend=self.times[:1])
+        for k, (t, dt) in enumerate(zip(self.times.tolist(), intervals.tolist(), strict=True)):
+            yield Epoch(k, t, dt, (self.q[k], self.w[k], self.sigma[k]), self.z[k])
+
+    def prior(self) -> Gaussian:
+        """About the first fix, in covariance form, ``(8,)``."""
+        position, velocity, bias, drift = START
+        return covariance(np.nan_to_num(self.fixes[0]), np.diag(np.square([position] * 3 + [velocity] * 3 + [bias, drift])))
+
+    def part(self, which: slice) -> Log:
+        """Some of the epochs."""
+        names = (
+            "times", "z", "sigma", "q", "w", "elevation", "azimuth", "fixes", "fix_cov", "misfit", "excluded", "unusable", "tested",
+            "jumps",
+        )  # fmt: skip
+        arrays: dict[str, Any] = {name: getattr(self, name)[which] for name in names}
+        return replace(self, **arrays, dilution=pseudorange.Dilution(*(values[which] for values in self.dilution)))
+
+
+def prepare(
+    observations: Observations,
+    navigation: Navigation,
+    *,
+    mask_deg: float = 10.0,
+    sigma: ArrayLike | None = None,
+    false_alarm: float = 1e-5,
+) -> Log:
+    """Satellites and corrected measurements of a log. Nothing is taken from the header's position.
+
+    Parameters
+    ----------
+    observations, navigation: what was read from the two files.
+    mask_deg: satellites below this elevation are not used, from 0 to below 90.
+    sigma: deviations of range (m) and rate (m/s) at the zenith; elsewhere divided by the sine of the elevation. None: estimated, by
+        elevation, from the residuals of the fixes.
+    false_alarm: probability that a fix without a fault fails the test of its residuals; faults are excluded, as `celnav.receiver.integrity`
+        does it. 0: nothing is tested.
+
+    Raises
+    ------
+    ValueError: for a mask, deviations or a probability that cannot be. InputError: naming the files, if no epoch has a fix.
+    """
+    least = mask(mask_deg)
+    given = deviations(sigma)
+    times, code = observations.times, observations.code
+    rows = np.stack([navigation.nearest(name, times) for name in observations.names], -1)
+    there = np.isfinite(code)
+    credible = (np.nan_to_num(code) > CREDIBLE_M[0]) & (np.nan_to_num(code) < CREDIBLE_M[1])
+    with np.errstate(over="ignore"):
+        measured = -observations.doppler * LIGHT / B1I_HZ
+    wild = np.abs(np.nan_to_num(measured)) > CREDIBLE_M_PER_S
+    usable = credible & (rows >= 0)
+    named = ", ".join(f"{name} {many}" for name, many in navigation.left_out.items())
+    left_out = {
+        "epochs out of order": observations.out_of_order,
+        "broadcast sets that are incomplete or hold what no message can" + (f" ({named})" if named else ""): sum(
+            navigation.left_out.values()
+        ),
+        "without a healthy broadcast set in its time": int((there & (rows < 0)).sum()),
+        "pseudorange out of all bounds": int((there & ~credible & (rows >= 0)).sum()),
+        "rate out of all bounds": int((usable & wild).sum()),
+    }
+    files = f"{observations.path}, {navigation.path}"
+    refusal = InputError(f"{files}: expected an epoch with four satellites above the mask whose ranges agree, got none")
+    if usable.sum(-1).max(initial=0) < 4:
+        raise refusal
+    position, velocity, clock = np.zeros((len(times), 3)), np.zeros((len(times), 3)), np.zeros(len(times))
+    noise = (Noise(COARSE[0], 0.0), Noise(COARSE[1], 0.0))
+    for known in (False, True, True):
+        sources = _sources(navigation, rows, times, code, usable, position, velocity)
+        ranges, rates = code + sources.clock, np.where(wild, np.nan, measured) + sources.drift
+        used, elevation, azimuth, delay = usable, np.full(code.shape, np.pi / 2.0), np.zeros(code.shape), np.zeros(code.shape)
+        if known:
+            elevation, azimuth, delay = _sky(navigation, times - clock / LIGHT, sources.q, position)
+            used = usable & (elevation >= least)
+        z = np.concatenate([np.where(used, ranges - delay, np.nan), np.where(used, rates, np.nan)], -1)
+        seen = Seen(z, sources.q, sources.w, elevation, position)
+        if known:
+            noise = estimated(seen, false_alarm) if given is None else given
+        found = fixed(seen, noise, false_alarm)
+        there = np.isfinite(found.states[:, 6])
+        if not there.any():
+            raise refusal
+        near = found.states[_nearest(there)]
+        position, velocity, clock = near[:, :3], np.nan_to_num(near[:, 3:6]), near[:, 6]
+    left_out["below the mask"] = int((usable & ~used).sum())
+    z = np.where(found.kept, z, np.nan)
+    first = int(np.argmax(there & found.kinds[0].tested)) if (there & found.kinds[0].tested).any() else int(np.argmax(there))
+    z, states, jumps = _without_jumps(z, found.states, times)
+    ranged = np.isfinite(z[:, : len(observations.names)])
+    left_out["before the first consistent fix"] = int(ranged[:first].sum())
+    shown = np.where(usable, 1.0, np.nan)
+    log = Log(
+        times, observations.names, z, found.sigma, seen.q, seen.w, shown * elevation, shown * azimuth, states, found.cov,
+        found.misfit, np.concatenate([kind.excluded for kind in found.kinds], -1),
+        np.stack([kind.unusable for kind in found.kinds], -1), np.stack([kind.tested for kind in found.kinds], -1), noise, jumps,
+        pseudorange.dilution(seen.q, position, _axes(position), ranged), navigation.klobuchar is not None, left_out,
+    )  # fmt: skip
+    last = int(np.flatnonzero(ranged.any(-1))[-1]) + 1
+    return log.part(slice(first, last))
+
+
+def deviations(sigma: ArrayLike | None) -> tuple[Noise, Noise] | None:
+    """Noise of ranges and rates by their deviations at the zenith, m and m/s; None: to be estimated.
+
+    Raises
+    ------
+    ValueError: unless both are positive.
+    """
+    if sigma is None:
+        return None
+    given = finite("sigma", sigma, (2,))
+    if not (given > 0.0).all():
+        raise ValueError(f"sigma: expected positive deviations, got {sigma!r}")
+    return Noise(0.0, float(given[0])), Noise(0.0, float(given[1]))
+
+
+def mask(degrees: float) -> float:
+    """A least elevation in rad.
+
+    Raises
+    ------
+    ValueError: unless it is from 0 to below 90 degrees.
+    """
+    if not 0.0 <= degrees < 90.0:
+        raise ValueError(f"mask_deg: expected degrees from 0 to below 90, got {degrees!r}")
+    return float(np.radians(degrees))
+
+
+def _nearest(there: Array) -> Array:
+    """Of each epoch the nearest ``(T,)`` that has something."""
+    k, own = np.flatnonzero(there), np.arange(len(there))
+    after = np.clip(np.searchsorted(k, own), 0, len(k) - 1)
+    before = np.maximum(after - 1, 0)
+    return np.asarray(np.where(np.abs(k[after] - own) < np.abs(k[before] - own), k[after], k[before]))
+
+
+def _sources(
+    navigation: Navigation, rows: Array, times: Array, code: Array, usable: Array, position: Array, velocity: Array
+) -> pseudorange.Sources:
+    """Satellites by epoch ``(T, S)``; those that are not usable stand anywhere."""
+    T, S = rows.shape
+    q, w = np.full((T, S, 3), 3e7), np.zeros((T, S, 3))
+    clock, drift = np.zeros((T, S)), np.zeros((T, S))
+    for s in range(S):
+        for row in np.unique(rows[usable[:, s], s]):
+            k = np.flatnonzero(usable[:, s] & (rows[:, s] == row))
+            sets = navigation.sets.chosen(np.array([row]))
+            seen = pseudorange.emitted(sets, times[k], code[k, s, None], position[k], velocity[k])
+            q[k, s], w[k, s], clock[k, s], drift[k, s] = (part[:, 0] for part in seen)
+    return pseudorange.Sources(q, w, clock, drift)
+
+
+def _geodetic(position: Array) -> tuple[Array, Array, Array]:
+    """Latitude and longitude (rad) and height (m), ``(T,)`` each."""
+    latitude, longitude, height = (np.reshape(v, len(position)) for v in ecef2geodetic(*position.T, ell=ELLIPSOID, deg=False))
+    return latitude, longitude, height
+
+
+def _axes(position: Array) -> Array:
+    latitude, longitude, _ = _geodetic(position)
+    return pseudorange.local_axes(latitude, longitude)
+
+
+def _sky(navigation: Navigation, times: Array, q: Array, position: Array) -> tuple[Array, Array, Array]:
+    """Elevation, azimuth and the delay of the atmosphere ``(T, S)`` m."""
+    latitude, longitude, height = (v[:, None] for v in _geodetic(position))
+    elevation, azimuth = pseudorange.look(q, position, _axes(position))
+    above = np.maximum(elevation, LEAST_ELEVATION)
+    delay = saastamoinen(latitude, np.clip(height, -1000.0, 11000.0), above)
+    if navigation.klobuchar is not None:
+        alpha, beta = navigation.klobuchar
+        at_l1 = klobuchar(alpha, beta, times[:, None] + GPS_AHEAD_S, latitude, longitude, above, azimuth)
+        delay = delay + (GPS_L1_HZ / B1I_HZ) ** 2 * at_l1
+    return elevation, azimuth, delay
+
+
+def _without_jumps(z: Array, fixes: Array, times: Array) -> tuple[Array, Array, Array]:
+    """Ranges and biases as if the receiver had never set its clock by whole milliseconds, and by how much it had ``(T,)``.
+
+    Where it did so between two fixes that are not neighbors, nobody knows when: ranges in between are left out.
+    """
+    S, k = z.shape[-1] // 2, np.flatnonzero(np.isfinite(fixes[:, 6]))
+    jumps, z, fixes = np.zeros(len(times)), z.copy(), fixes.copy()
+    if len(k) > 1:
+        step, dt = np.diff(fixes[k, 6]), np.diff(times[k])
+        # Without rates the clock runs on as it did between the last two fixes.
+        ran = (step - MILLISECOND_M * np.round(step / MILLISECOND_M)) / dt
+        drift = fixes[k, 7]
+        expected = np.where(np.isnan(drift[1:] + drift[:-1]), np.concatenate([ran[:1], ran[:-1]]), 0.5 * (drift[1:] + drift[:-1]))
+        whole = MILLISECOND_M * np.round((step - expected * dt) / MILLISECOND_M)
+        for last, following in zip(k[:-1][whole != 0.0], k[1:][whole != 0.0], strict=True):
+            z[last + 1 : following, :S] = np.nan
+        jumps[k[1:]] = whole
+        jumps = np.cumsum(jumps)
+    z[:, :S] -= jumps[:, None]
+    fixes[:, 6] -= jumps
+    return z, fixes, jumps

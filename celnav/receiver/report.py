@@ -1,0 +1,339 @@
+"""What comes of positioning a receiver: a summary, a table, figures and a recording."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pymap3d import ecef2geodetic
+
+from celnav.files import Outputs
+from celnav.filters.driver import FilterError, run
+from celnav.gaussian.linalg import Array
+from celnav.models import pseudorange
+from celnav.models.beidou import ELLIPSOID, GEO_NUMBERS
+from celnav.models.receiver import GROUND_M, on_earth
+from celnav.receiver.filters import filters
+from celnav.receiver.fixes import Noise
+from celnav.receiver.position import Log
+from celnav.receiver.rinex import BDT_BEGINNING
+from celnav.show import colors
+from celnav.show.figures import figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+KIND_COLORS = {"GEO": colors.PAPER, "IGSO": colors.ESTIMATE, "MEO": colors.COMPARISON}
+IGSO_NUMBERS = frozenset({*range(6, 11), 13, 16, 31, 38, 39, 40, 56})
+"""Inclined geosynchronous satellites of BeiDou-2 and -3."""
+
+
+def kinds(names: Sequence[str]) -> Array:
+    """GEO, IGSO or MEO, of satellites by name."""
+    numbers = [int(name[1:]) for name in names]
+    return np.array(["GEO" if n in GEO_NUMBERS else "IGSO" if n in IGSO_NUMBERS else "MEO" for n in numbers])
+
+
+@dataclass(frozen=True)
+class Positioned:
+    """A receiver's track.
+
+    Attributes
+    ----------
+    log: what the filter took. filter: its name. mean: ``(T, 8)`` states. cov: ``(T, 3, 3)`` m^2 of the position.
+    reference: ``(3,)`` m, a known position of the antenna to compare with; None if there is none. of: where that is from.
+    nis: squared innovations, of fixes residuals, in the deviations that are claimed for them, per degree of freedom.
+    """
+
+    log: Log
+    filter: str
+    mean: Array
+    cov: Array
+    reference: Array | None
+    of: str = "known"
+    nis: float = float("nan")
+
+    @property
+    def measured(self) -> Array:
+        """Epochs ``(T,)`` with a position that some range went into: others are predictions, and no average counts them."""
+        return np.isfinite(self.mean[:, 0]) & self.log.used.any(-1)
+
+    @property
+    def place(self) -> Array:
+        """The mean position, m."""
+        return np.asarray(self.mean[self.measured, :3].mean(0))
+
+    @property
+    def origin(self) -> Array:
+        """Of the local frame: the known position, else the mean one."""
+        return self.place if self.reference is None else self.reference
+
+    @cached_property
+    def axes(self) -> Array:
+        """East, north and up there, the rows of ``(3, 3)``."""
+        latitude, longitude, _ = ecef2geodetic(*self.origin, ell=ELLIPSOID, deg=False)
+        return pseudorange.local_axes(latitude, longitude)
+
+    def local(self, positions: Array) -> Array:
+        """East, north, up ``(..., 3)`` m of positions ``(..., 3 or more)``."""
+        return np.asarray((positions[..., :3] - self.origin) @ self.axes.T)
+
+    @property
+    def minutes(self) -> Array:
+        """Since the first fix, ``(T,)``."""
+        return np.asarray((self.log.times - self.log.times[0]) / 60.0)
+
+
+def position(log: Log, filter: str, reference: Array | None, *, acceleration: float = 0.01, of: str = "known") -> Positioned:
+    """Run a filter of `celnav.receiver.filters.filters` over a log; "ls" takes each epoch by itself.
+
+    Positions that are not near the Earth become nan. ``of``: see `Positioned`.
+
+    Raises
+    ------
+    ValueError: for an unknown filter, or a reference that is far from the Earth's surface. FilterError: if the filter is lost.
+    """
+    known = filters(len(log.names), acceleration=acceleration)
+    if reference is not None:
+        on_earth("reference", reference)
+    if filter == "ls":
+        spare = np.where(np.isfinite(log.misfit), np.maximum(log.used.sum(-1) - 4, 0), 0).sum()
+        return Positioned(log, filter, log.fixes, log.fix_cov, reference, of, float(np.nansum(log.misfit) / max(spare, 1)))
+    if filter not in known:
+        raise ValueError(f"filter: expected one of ls, {', '.join(known)}, got {filter!r}")
+    track = run(known[filter], log.prior(), log.epochs(), keep="spread")
+    assert track.mean is not None
+    size = np.linalg.norm(track.mean[:, :3], axis=-1)
+    there = (size > GROUND_M[0]) & (size < GROUND_M[1])
+    mean, cov = np.where(there[:, None], track.mean, np.nan), np.where(there[:, None, None], track.cov[:, :3, :3], np.nan)
+    if not (there & log.used.any(-1)).any():
+        raise FilterError("its positions are far from the Earth")
+    return Positioned(log, filter, mean, cov, reference, of, float(np.nansum(track.nis) / max(int(track.dof.sum()), 1)))
+
+
+def _rms(vectors: Array) -> float:
+    """Root mean square length."""
+    return float(np.sqrt(np.nanmean(np.square(vectors).sum(-1))))
+
+
+def summary(found: Positioned) -> str:
+    """In lines: epochs, satellites, DOP, integrity, noise, scatter, and the error if a position is known."""
+    log, local, measured = found.log, found.local(found.mean), found.measured
+    used, there = log.used, np.isfinite(found.mean[:, 0])
+    count, fixed = used.sum(1), np.isfinite(log.fixes[:, 0])
+    latitude, longitude, height = ecef2geodetic(*found.place, ell=ELLIPSOID)
+    names = [log.names[s] for s in np.flatnonzero(used.any(0))]
+    lines = [
+        f"epochs       {len(log.times)}, {civil(log.times[0])} to {civil(log.times[-1])} BDT; {measured.sum()} with a position, "
+        f"{(there & ~measured).sum()} more predicted without a range, {(~there).sum()} without a position",
+        f"satellites   {len(names)} ({', '.join(names)}); {count.min()} to {count.max()} at a time, mean {count.mean():.1f}",
+        f"alone        {(fixed & (count == 4)).sum()} epochs with four, no redundancy; {(~fixed).sum()} without a fix",
+        f"integrity    {_integrity(log)}",
+        f"DOP          median PDOP {np.nanmedian(log.dilution.position):.2f}, HDOP {np.nanmedian(log.dilution.horizontal):.2f}, "
+        f"VDOP {np.nanmedian(log.dilution.vertical):.2f}",
+        f"left out     {'; '.join(f'{number} {reason}' for reason, number in log.left_out.items() if number) or 'nothing'}",
+        f"ionosphere   {'by the broadcast coefficients' if log.ionosphere else 'not corrected: the header has no GPSA and GPSB'}",
+        f"noise        ranges {_noise(log.noise[0], 'm')}; rates {_noise(log.noise[1], 'm/s')}",
+        f"clock        set {np.count_nonzero(np.diff(log.jumps))} times by whole milliseconds",
+        f"filter       {found.filter}; NIS {found.nis:.3f} a degree of freedom, 1 where noise and motion are as taken",
+        f"mean         {' '.join(f'{v:.3f}' for v in found.place)} m; {latitude:.7f}°, {longitude:.7f}°, {height:.2f} m",
+        f"scatter      {_rms(found.mean[measured, :3] - found.place):.3f} m in 3-D about its mean; of each epoch by itself "
+        f"{_rms(log.fixes[:, :3] - np.nanmean(log.fixes[:, :3], 0)):.3f} m",
+    ]
+    if found.reference is not None:
+        parts = np.sqrt(np.square(local[measured]).mean(0))
+        std = np.sqrt((found.axes @ found.cov @ found.axes.T).diagonal(0, -2, -1))[measured]
+        ratio = np.square(local[measured] / std).mean(0)
+        lines += [
+            f"reference    {' '.join(f'{v:.3f}' for v in found.reference)} m, of the antenna: {found.of}",
+            f"error        {_rms(local[measured]):.3f} m RMS in 3-D: east {parts[0]:.3f}, north {parts[1]:.3f}, up {parts[2]:.3f}; "
+            f"of each epoch by itself {_rms(log.fixes[:, :3] - found.reference):.3f} m",
+            f"claimed      (error / deviation)^2: east {ratio[0]:.2f}, north {ratio[1]:.2f}, up {ratio[2]:.2f}; 1 where "
+            "deviations are right, which are of noise alone: what all satellites share shows in no residual",
+        ]
+    return "\n".join(lines)
+
+
+def _integrity(log: Log) -> str:
+    """How many epochs were tested, and what was excluded."""
+    S, tested = len(log.names), int(log.tested[:, 0].sum())
+    if not log.tested.any():
+        return "not tested: no epoch has redundancy, or it was turned off; a faulty satellite would go unnoticed"
+    words = [f"{tested} epochs tested by their residuals"]
+    for kind, part in (("ranges", slice(S)), ("rates", slice(S, 2 * S))):
+        many = log.excluded[:, part].sum(0)
+        named = ", ".join(f"{log.names[s]} {many[s]}" for s in np.argsort(-many, kind="stable") if many[s])
+        words.append(f"{kind} excluded at {log.excluded[:, part].any(1).sum()} epochs" + (f" ({named})" if named else ""))
+    ranges, rates = log.unusable.sum(0)
+    words.append(f"{ranges} epochs not used whose ranges contradict each other, {rates} whose rates do")
+    words.append(f"{len(log.times) - tested} without redundancy, which nothing tests")
+    return "; ".join(words)
+
+
+def _noise(noise: Noise, unit: str) -> str:
+    level = f"{noise.level:.4g} {unit} and " if noise.level else ""
+    known = f"estimated from {noise.redundancy} redundant ones" if noise.redundancy else "not estimated"
+    return f"{level}{noise.zenith:.4g} {unit} / sin(elevation), {known}"
+
+
+def civil(t: float) -> str:
+    """Date and time of seconds of BDT."""
+    return str(BDT_BEGINNING + np.timedelta64(round(t * 1e3), "ms"))[:19]
+
+
+COLUMNS = ("time_bdt", "seconds_bdt", "x_m", "y_m", "z_m", "vx_m_per_s", "vy_m_per_s", "vz_m_per_s", "clock_m", "drift_m_per_s",
+           "east_m", "north_m", "up_m", "std_east_m", "std_north_m", "std_up_m", "satellites", "pdop",
+           "integrity", "excluded")  # fmt: skip
+
+
+def table(found: Positioned) -> str:
+    """All epochs as CSV; empty where there is nothing. ``clock_m`` is the receiver's clock with what it was set by.
+
+    ``integrity``, of the ranges: "tested", "excluded" (consistent without what ``excluded`` names), "contradiction" (none is used),
+    "untested" (no redundancy) or "no ranges". ``excluded``: satellites whose range was; with "rate", whose rate alone was.
+    """
+    local, log = found.local(found.mean), found.log
+    std = np.sqrt((found.axes @ found.cov @ found.axes.T).diagonal(0, -2, -1))
+    mean = found.mean.copy()
+    mean[:, 6] += log.jumps
+    numbers = np.column_stack([log.times, mean, local, std, log.used.sum(1), log.dilution.position])
+    ranges, rates = np.split(log.excluded, 2, -1)
+    states = np.select(
+        [log.unusable[:, 0], ranges.any(1), ~log.used.any(1), log.tested[:, 0]],
+        ["contradiction", "excluded", "no ranges", "tested"],
+        "untested",
+    )
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for k, row in enumerate(numbers):
+        cells = [f"{v:.4f}".rstrip("0").rstrip(".") if np.isfinite(v) else "" for v in row]
+        named = [n for n, out in zip(log.names, ranges[k], strict=True) if out]
+        named += [f"{n} rate" for n, out in zip(log.names, rates[k], strict=True) if out]
+        writer.writerow([civil(log.times[k]), *cells, states[k], ", ".join(named)])
+    return text.getvalue()
+
+
+def figures(found: Positioned) -> dict[str, Figure]:
+    """Drawings by file stem: the track, and the sky."""
+    return {"track": _track(found), "sky": _sky(found)}
+
+
+def _track(found: Positioned) -> Figure:
+    fig, axes = figure(10.0, 4.2, 1, 2, width_ratios=(2, 3))
+    alone, local, minutes = found.local(found.log.fixes), found.local(found.mean), found.minutes
+    axes[0].plot(alone[:, 0], alone[:, 1], ".", markersize=2.0, color=colors.MEASUREMENT, label="each epoch by itself")
+    axes[0].plot(local[:, 0], local[:, 1], ".", markersize=2.0, color=colors.ESTIMATE, label=found.filter)
+    origin = "known position" if found.reference is not None else "mean position"
+    axes[0].set(xlabel="east (m)", ylabel="north (m)", aspect="equal", title=f"from the {origin}")
+    fig.legend(*axes[0].get_legend_handles_labels(), loc="outside lower left", markerscale=3, ncols=2)
+    for i, (name, color) in enumerate(
+        zip(("east", "north", "up"), (colors.COMPARISON, colors.TRUTH, colors.ESTIMATE), strict=True)
+    ):
+        axes[1].plot(minutes, local[:, i], color=color, linewidth=0.9, label=name)
+    axes[1].set(xlabel="time since the first fix (min)", ylabel="position (m)", title=f"{found.filter}: {len(minutes)} epochs")
+    fig.legend(*axes[1].get_legend_handles_labels(), loc="outside lower right", ncols=3)
+    return fig
+
+
+def _sky(found: Positioned) -> Figure:
+    log = found.log
+    fig, axes = figure(10.0, 4.2, 1, 2, width_ratios=(2, 3))
+    axes[0].remove()
+    polar: Any = fig.add_subplot(1, 2, 1, projection="polar")
+    polar.set_theta_zero_location("N")
+    polar.set_theta_direction(-1)
+    shown: set[str] = set()
+    for s, kind in enumerate(kinds(log.names)):
+        seen = np.where(log.used[:, s], 90.0 - np.degrees(log.elevation[:, s]), np.nan)
+        label = None if kind in shown else str(kind)
+        if np.isfinite(seen).any():
+            shown.add(kind)
+            polar.plot(log.azimuth[:, s], seen, ".", markersize=1.5, color=KIND_COLORS[kind], label=label)
+            last = int(np.flatnonzero(np.isfinite(seen))[-1])
+            polar.annotate(log.names[s], (log.azimuth[last, s], seen[last]), fontsize=6)
+    polar.set_rlim(0.0, 90.0)
+    polar.set_title("sky: zenith in the middle, north up")
+    fig.legend(*polar.get_legend_handles_labels(), loc="outside lower left", markerscale=4, ncols=3)
+    axes[1].step(found.minutes, log.used.sum(1), color=colors.COMPARISON, label="satellites", where="post")
+    axes[1].plot(found.minutes, log.dilution.position, color=colors.ESTIMATE, label="PDOP", linewidth=0.9)
+    high = max(float(log.used.sum(1).max()), 1.0)
+    axes[1].set(xlabel="time since the first fix (min)", ylabel="number, PDOP (-)", ylim=(0.0, 1.3 * high))
+    axes[1].legend()
+    return fig
+
+
+FILES = ("summary.txt", "track.csv", "track.png", "track.svg", "sky.png", "sky.svg")
+RECORDING = "position.rrd"
+
+
+def write(found: Positioned, outputs: Outputs) -> None:
+    """Write `FILES`, all of which are made before the first is written."""
+    from celnav.show.drawing import render
+
+    drawn = {f"{stem}.{kind}": render(drawing, kind) for stem, drawing in figures(found).items() for kind in ("png", "svg")}
+    texts = {"summary.txt": summary(found) + "\n", "track.csv": table(found)}
+    for name in FILES:
+        outputs.bytes(name, drawn[name] if name in drawn else texts[name].encode("utf-8"))
+
+
+def record_positioned(found: Positioned, path: Any) -> None:
+    """Record the track, the sky and plots. Needs rerun.
+
+    Raises
+    ------
+    OSError: if ``path`` cannot be written. ValueError: if it is a file that celnav did not make.
+    """
+    from celnav.show import recording, views
+
+    log, local, alone = found.log, found.local(found.mean), found.local(found.log.fixes)
+    times = log.times - log.times[0]
+    middle = local[found.measured].mean(0)
+    spread = 3.0 * max(_rms(local[found.measured] - middle), 0.1)
+    growing = {"track/alone": np.inf, "track/filter": np.inf}
+    scatter = views.space(
+        "track", "east, north, up, m", eye=middle + np.array([0.0, -spread, 4.0 * spread]), target=middle, growing=growing
+    )
+    left = views.rows(
+        scatter,
+        views.tabs(views.space("sky", "sky over the receiver", eye=(0.0, -2.2, 1.6), growing={}), views.text("info", "about")),
+    )
+    plots = [views.plot(name, f"{name}, m", times) for name in ("east", "north", "up")]
+    layout = views.columns(left, views.rows(*plots, views.plot("sats", "satellites and PDOP", times)), shares=(1, 1))
+    facts = {"filter": found.filter, "first": civil(log.times[0]), "epochs": len(times)}
+    with recording.recording(path, times, name="position", layout=layout, properties=facts) as out:
+        out.text("info", "```\n" + summary(found) + "\n```")
+        out.points("track/alone", alone, colors.MEASUREMENT, radius=1.2)
+        out.points("track/filter", local, colors.ESTIMATE, radius=1.6)
+        out.points("track/here", local, colors.TRUTH, radius=5.0, label=found.filter)
+        if np.isfinite(found.cov).any():
+            out.ellipsoids("track/ellipsoid", local, found.axes @ found.cov @ found.axes.T, colors.ESTIMATE, sigmas=1.0)
+        std = np.sqrt((found.axes @ found.cov @ found.axes.T).diagonal(0, -2, -1))
+        for i, name in enumerate(("east", "north", "up")):
+            out.curve(f"{name}/alone", alone[:, i], colors.MEASUREMENT, "each epoch by itself", width=1.0)
+            out.curve(f"{name}/filter", local[:, i], colors.ESTIMATE, found.filter)
+            out.bounds(f"{name}/filter", std[:, i], found.filter, center=local[:, i], shown=False)
+        out.curve("sats/used", log.used.sum(1), colors.COMPARISON, "satellites")
+        out.curve("sats/pdop", log.dilution.position, colors.ESTIMATE, "PDOP")
+        _record_sky(out, log)
+
+
+def _record_sky(out: Any, log: Log) -> None:
+    """Directions on a half sphere: east, north, up."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 73)
+    rings = [
+        np.stack([np.cos(e) * np.sin(angle), np.cos(e) * np.cos(angle), np.full(73, np.sin(e))], -1)
+        for e in np.radians([0.0, 30.0, 60.0])
+    ]
+    out.path("sky/rings", [*rings, np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]])], colors.FAINT)
+    E, A = log.elevation, log.azimuth
+    unit = np.stack([np.cos(E) * np.sin(A), np.cos(E) * np.cos(A), np.sin(E)], -1)
+    for s, kind in enumerate(kinds(log.names)):
+        if log.used[:, s].any():
+            seen = np.where(log.used[:, s, None], unit[:, s], np.nan)
+            out.points(f"sky/{log.names[s]}", seen, KIND_COLORS[kind], radius=4.0, label=log.names[s])

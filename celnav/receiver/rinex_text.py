@@ -1,0 +1,277 @@
+"""RINEX files as text: unpacked, their headers, and BeiDou's records, each checked: damage is told by its line."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import math
+import os
+import subprocess
+import tempfile
+import zlib
+from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
+from importlib import import_module
+from importlib.resources import as_file, files
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from celnav.files import MOST_UNPACKED, InputError
+from celnav.gaussian.linalg import Array
+
+LARGEST_BYTES = 2_000_000_000
+"""Of a file, unpacked: a day of a station at a second's rate is half of that."""
+SMALL_BYTES = 10_000_000
+"""What a file may unpack to however small it is."""
+SET_LINES = 8
+"""Of a broadcast set."""
+EPOCH_ZERO = datetime(2006, 1, 1, tzinfo=UTC)
+"""Of BDT."""
+
+
+def unpacked(path: Path) -> tuple[str, str]:
+    """The unpacked text of a RINEX file, and what to call it when a line is told."""
+    called = str(path)
+    raw = path.read_bytes()
+    most = min(LARGEST_BYTES, max(MOST_UNPACKED * len(raw), SMALL_BYTES))
+    try:
+        if raw[:2] == b"\x1f\x8b":
+            called = f"{path}, unpacked"
+            with gzip.open(io.BytesIO(raw)) as file:
+                raw = file.read(most + 1)
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        raise InputError(f"{path}: expected a whole gzip file ({error})") from None
+    if not raw[: most + 1].strip(b"\0 \r\n\t"):
+        raise InputError(f"{path}: expected a RINEX file, got an empty one")
+    first = raw[:200].lstrip(b"\xef\xbb\xbf").split(b"\n", 1)[0]
+    if b"CRINEX" in first[60:] and len(raw) <= most:
+        called = f"{path}, unpacked"
+        raw = _decompressed(path, raw, most)
+    if len(raw) > most:
+        raise InputError(f"{path}: expected at most {most:,} bytes when unpacked; unpack it yourself if it is what it should be")
+    text = raw.removeprefix(b"\xef\xbb\xbf").decode("latin-1").replace("\0", "")
+    text = "".join(c if c.isascii() else "?" for c in text) if not text.isascii() else text  # a letter is a column
+    return "\n".join(line.rstrip() for line in text.splitlines()) + "\n", called
+
+
+def _decompressed(path: Path, raw: bytes, most: int) -> bytes:
+    """By the program of hatanaka, which is stopped after ``most`` bytes: its own function would hold all that comes."""
+    imported("hatanaka")
+    program = files("hatanaka.bin") / ("crx2rnx.exe" if os.name == "nt" else "crx2rnx")
+    with tempfile.TemporaryFile() as given, tempfile.TemporaryFile() as told, as_file(program) as executable:
+        given.write(raw)
+        given.seek(0)
+        with subprocess.Popen([executable, "-"], stdin=given, stdout=subprocess.PIPE, stderr=told) as process:
+            assert process.stdout is not None
+            out = process.stdout.read(most + 1)
+            if len(out) > most:
+                process.kill()
+                return out
+        told.seek(0)
+        said = told.read().decode("ascii", "replace").strip()
+    if process.returncode not in (0, 2):  # 2 is a warning
+        line = said.splitlines()[-1].strip() if said else f"exit status {process.returncode}"
+        raise InputError(f"{path}: expected a whole file in Hatanaka's compression ({line})")
+    return out
+
+
+def imported(name: str) -> Any:
+    """A package that only receiver logs need; ImportError says how to get it."""
+    try:
+        return import_module(name)
+    except ImportError as error:
+        hint = '.venv/bin/pip install -c constraints.txt -e ".[rinex]"'
+        raise ImportError(f"{error}; compressed receiver logs need it: in the folder of celnav, {hint}") from None
+
+
+def header_of(called: str, text: str, kind: str) -> tuple[dict[str, list[str]], int]:
+    """Header lines by label, and how many there are; the file is one of ``kind``, "O" or "N"."""
+    lines = text.split("\n")
+    words = {"O": "an observation file", "N": "a navigation file"}
+    if len(lines[0]) < 60 or "RINEX VERSION" not in lines[0][60:]:
+        raise InputError(f"{called}, line 1: expected RINEX VERSION / TYPE, got {lines[0][:40]!r}")
+    try:
+        version = float(lines[0][:9])
+    except ValueError:
+        raise InputError(f"{called}, line 1: expected a version number, got {lines[0][:9]!r}") from None
+    if not 3.0 <= version < 4.0:
+        raise InputError(f"{called}, line 1: expected RINEX 3, got version {version:g}")
+    if lines[0][20:21] != kind:
+        raise InputError(f"{called}, line 1: expected {words[kind]}, got {lines[0][20:40].strip()!r}")
+    if lines[0][40:41] not in ("C", "M", " ", ""):
+        raise InputError(f"{called}, line 1: expected BeiDou (C) or mixed (M) data, got system {lines[0][40:41]!r}")
+    header: dict[str, list[str]] = {}
+    for k, line in enumerate(lines):
+        label = line[60:].strip()
+        header.setdefault(label, []).append(line[:60])
+        if label == "END OF HEADER":
+            return header, k + 1
+    raise InputError(f"{called}, line {len(lines) - 1}: expected END OF HEADER before the end of the file")
+
+
+def kinds_of(called: str, header: dict[str, list[str]], system: str) -> list[str]:
+    """What is measured of a system, in the order of the fields; nothing if it has no line."""
+    rows = of_system(header.get("SYS / # / OBS TYPES", []), system)
+    kinds = " ".join(row[6:] for row in rows).split()
+    if rows and rows[0][3:6].strip().lstrip("0") != str(len(kinds)):
+        raise InputError(f"{called}: expected {rows[0][3:6].strip()!r} kinds in SYS / # / OBS TYPES of {system}, got {len(kinds)}")
+    return kinds
+
+
+def of_system(lines: list[str], system: str) -> list[str]:
+    """Header lines of one system with their continuations."""
+    out, current = [], ""
+    for line in lines:
+        current = line[:1].strip() or current
+        if current == system:
+            out.append(line)
+    return out
+
+
+def three_numbers(path: Path, header: dict[str, list[str]], label: str) -> Array:
+    """Three numbers of a header line; zeros if it is absent or blank."""
+    given = header.get(label, [""])[0]
+    try:
+        values = np.array([float(part) for part in given.split()] or [0.0, 0.0, 0.0])
+    except ValueError:
+        values = np.empty(0)
+    if values.shape != (3,) or not np.isfinite(values).all():
+        raise InputError(f"{path}: expected three numbers in {label}, got {given.strip()!r}")
+    return values
+
+
+class Measured(NamedTuple):
+    """An epoch: s since the beginning of BDT by the clock of the file, and fields of BeiDou's satellites, nan where blank or 0."""
+
+    time: float
+    fields: dict[str, list[float]]
+
+
+def epochs(called: str, text: str, start: int) -> Iterator[Measured]:
+    """Epochs with a satellite of BeiDou, every line of them checked; events are left out. ``start``: lines of the header."""
+    lines = text.rstrip("\n").split("\n")
+    k = start
+    while k < len(lines):
+        flag, count, time = _epoch(called, k, lines[k])
+        if k + count >= len(lines):
+            raise InputError(f"{called}, line {len(lines)}: expected {count} more after line {k + 1}, the file is cut off")
+        rows = lines[k + 1 : k + count + 1]
+        if flag <= 1:
+            own: dict[str, list[float]] = {}
+            for i, row in enumerate(rows):
+                if row[:1] == "C":
+                    name, values = _satellite(called, k + 1 + i, row)
+                    if name in own:
+                        raise InputError(f"{called}, line {k + 2 + i}: expected each satellite once in an epoch, got {name} again")
+                    own[name] = values
+            if own:
+                yield Measured(time, own)
+        else:
+            for i, row in enumerate(rows):
+                if row[60:].strip() in ("SYS / # / OBS TYPES", "SYS / SCALE FACTOR"):
+                    raise InputError(
+                        f"{called}, line {k + 2 + i}: expected observations of one kind, got another {row[60:].strip()}"
+                    )
+        k += count + 1
+    if k == start:
+        raise InputError(f"{called}, line {start}: expected observations after the header, got none")
+
+
+def _epoch(called: str, k: int, line: str) -> tuple[int, int, float]:
+    """Flag, number of lines and time of an epoch; an event has no time."""
+    if not line.startswith(">"):
+        raise InputError(f"{called}, line {k + 1}: expected an epoch (>), got {line[:40]!r}")
+    try:
+        flag, count = int(line[31:32]), int(line[32:35])
+        if count < 0:
+            raise ValueError
+        return flag, count, _seconds([line[i:j] for i, j in ((2, 6), (7, 9), (10, 12), (13, 15), (16, 18), (18, 29))] * (flag <= 1))
+    except ValueError:
+        raise InputError(f"{called}, line {k + 1}: expected date, flag and number of an epoch, got {line[:35]!r}") from None
+
+
+def _seconds(date: list[str]) -> float:
+    """Of BDT, of a date in six parts; nan of none.
+
+    Raises
+    ------
+    ValueError: if it is no date.
+    """
+    if not date:
+        return math.nan
+    year, month, day, hour, minute = (int(part) for part in date[:5])
+    second = finite_number(date[5])
+    if not 0.0 <= second <= 60.0:
+        raise ValueError
+    return (datetime(year, month, day, hour, minute, tzinfo=UTC) - EPOCH_ZERO) / timedelta(seconds=1) + second
+
+
+def _satellite(called: str, k: int, row: str) -> tuple[str, list[float]]:
+    """Name and fields of a satellite's line, whole to the end of a field."""
+    name = _name(called, k, row)
+    if (len(row) - 3) % 16 not in (0, 14, 15):
+        raise InputError(f"{called}, line {k + 1}: expected fields of 16 columns, the last one is cut off")
+    return name, [_number(called, k, row[i : i + 14]) or math.nan for i in range(3, len(row), 16)]
+
+
+def _name(called: str, k: int, line: str) -> str:
+    name = line[:3].replace(" ", "0")
+    if len(name) < 3 or not name[1:].isdigit() or name == "C00":
+        raise InputError(f"{called}, line {k + 1}: expected a satellite (C01), got {line[:3]!r}")
+    return name
+
+
+class Set(NamedTuple):
+    """A broadcast set: whose, s of BDT of its clock, and its numbers in the order of the file, nan where blank."""
+
+    name: str
+    toc: float
+    numbers: list[float]
+
+
+def sets(called: str, text: str, start: int) -> Iterator[Set]:
+    """BeiDou's sets, checked that each has all its lines and that these are numbers. ``start``: lines of the header."""
+    lines = text.rstrip("\n").split("\n")
+    heads = [k for k in range(start, len(lines)) if lines[k][:1].strip()]
+    for k, end in pairwise([*heads, len(lines)]):
+        if lines[k][:1] != "C":
+            continue
+        name = _name(called, k, lines[k])
+        if end - k != SET_LINES:
+            raise InputError(
+                f"{called}, line {end}: expected {SET_LINES} lines of a broadcast set from line {k + 1}, got {end - k}"
+            )
+        try:
+            toc = _seconds((lines[k][4:23].split() + [""] * 6)[:6])
+        except ValueError:
+            raise InputError(f"{called}, line {k + 1}: expected a date, got {lines[k][4:23]!r}") from None
+        numbers = []
+        for i in range(k, end):
+            fields = range(23 if i == k else 4, 80, 19)
+            numbers += [_number(called, i, lines[i][at : at + 19]) for at in fields]
+        yield Set(name, toc, numbers)
+
+
+def _number(called: str, k: int, field: str) -> float:
+    """nan where it is blank."""
+    text = field.strip()
+    try:
+        return finite_number(text) if text else math.nan
+    except ValueError:
+        raise InputError(f"{called}, line {k + 1}: expected a number, got {text!r}") from None
+
+
+def finite_number(text: str) -> float:
+    """A number; what else Python takes for one, no file has: 1_0, nan and infinity.
+
+    Raises
+    ------
+    ValueError: if it is none.
+    """
+    value = float(text.replace("D", "E").replace("d", "e"))
+    if "_" in text or not math.isfinite(value):
+        raise ValueError
+    return value

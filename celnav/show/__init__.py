@@ -1,0 +1,5 @@
+"""What people look at: figures, recordings, pages, pictures, progress."""
+
+from celnav.lazy import modules
+
+__getattr__, __dir__ = modules(__name__)

@@ -1,0 +1,330 @@
+"""Recordings for the Rerun viewer: whole columns on one timeline, the layout inside the file, files that are whole or not there.
+
+Imports rerun; import it late, inside the function that records, so that filters run without it. A study opens a file with
+`recording`, gives whole arrays to the `Recorder` (time first, nan where there is nothing) and lays out `celnav.show.views`. Two
+recordings of the same arrays hold the same contents: ids are given and no wall clock is logged. Geometry is single precision in
+the viewer; `Recorder.exact` keeps double.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import re
+import unicodedata
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rerun as rr
+from numpy.typing import ArrayLike
+from rerun.error_utils import strict_mode
+from scipy.spatial.transform import Rotation
+
+from celnav.files import write_bytes
+from celnav.gaussian.checks import finite, instance, number, numbers, sequence
+from celnav.gaussian.linalg import Array
+from celnav.show import colors
+from celnav.show.views import TIMELINE, blueprint
+
+APPLICATION = "celnav"
+
+
+def rgba(color: str, alpha: float = 1.0, name: str = "color") -> list[int]:
+    """``#RRGGBB`` as four integers; ValueError for anything else."""
+    if not isinstance(color, str) or not re.fullmatch("#[0-9a-fA-F]{6}", color):
+        raise ValueError(f"{name}: expected #RRGGBB, got {color!r:.80}")
+    return [*bytes.fromhex(color.lstrip("#")), round(255 * number("alpha", alpha, 0.0, 1.0))]
+
+
+def _text(name: str, value: Any) -> str:
+    return str(instance(name, value, str, "a text"))
+
+
+def _size(radius: float) -> Any:
+    return rr.Radius.ui_points(number("radius", radius, 0.0))
+
+
+def _colors(colors: Sequence[str], count: int | None = None) -> list[list[int]]:
+    palette = [rgba(color, name="colors") for color in sequence("colors", colors, '["#112233"]')]
+    if not palette or count not in (None, len(palette)):
+        raise ValueError(f"colors: expected {count or 'one or more'}, got {len(palette)}")
+    return palette
+
+
+def _labels(labels: Sequence[str], count: int) -> list[str]:
+    names = [_text("labels", label) for label in sequence("labels", labels, '["x"]')]
+    if names and len(names) != count:
+        raise ValueError(f"labels: expected {count}, got {len(names)}")
+    return names
+
+
+def ellipsoid_axes(covariance: Array, sigmas: float = 3.0) -> tuple[Array, Array]:
+    """Half sizes ``(..., 3)`` and rotations ``(..., 4)`` (quaternions x, y, z, w) of the ellipsoids of covariances ``(..., 3, 3)``.
+
+    Raises
+    ------
+    ValueError: if a covariance is not positive semidefinite beyond round-off.
+    """
+    eigenvalues, axes = np.linalg.eigh(finite("covariance", covariance, (..., 3, 3)))
+    sigmas = number("sigmas", sigmas, 0.0)
+    if (eigenvalues[..., 0] < -1e-9 * np.abs(eigenvalues).max(-1, initial=0.0)).any():
+        raise ValueError(f"covariance: expected positive semidefinite matrices, smallest eigenvalue {eigenvalues.min():.3g}")
+    # The eigenvectors may be those of a reflection; the direction of an axis is free.
+    axes[..., 0] *= np.where(np.linalg.det(axes) < 0.0, -1.0, 1.0)[..., None]
+    quaternions = Rotation.from_matrix(axes.reshape(-1, 3, 3)).as_quat().reshape(*axes.shape[:-2], 4)
+    return sigmas * np.sqrt(np.maximum(eigenvalues, 0.0)), quaternions
+
+
+class Recorder:
+    """An open recording over ``times (T,)`` s; every method logs the whole run of one entity. Lengths are in the unit of the view.
+
+    Radii and line widths are in points of the screen, whatever the zoom.
+    """
+
+    def __init__(self, stream: rr.RecordingStream, times: Array, counter: str = "") -> None:
+        self.stream = stream
+        self.times = times
+        self._index = [rr.TimeColumn(TIMELINE, duration=times)]
+        if counter:
+            self._index.append(rr.TimeColumn(counter, sequence=np.arange(len(times))))
+
+    def _send(self, entity: str, columns: Any) -> None:
+        self.stream.send_columns(_text("entity", entity), self._index, columns)
+
+    def _style(self, entity: str, style: Any) -> None:
+        self.stream.log(_text("entity", entity), style, static=True)
+
+    def _array(self, entity: str, name: str, values: ArrayLike, shape: tuple[int | None, ...]) -> Array:
+        """``values`` as float64 of shape ``(T, *shape)``, None for any length; ValueError names the entity and the argument."""
+        return numbers(f"{_text('entity', entity)} {name}", values, (len(self.times), *shape))
+
+    def text(self, entity: str, markdown: str) -> None:
+        """A text panel."""
+        self._style(entity, rr.TextDocument(_text("markdown", markdown), media_type="text/markdown"))
+
+    def curve(self, entity: str, values: ArrayLike, color: str, name: str, *, width: float = 1.5, shown: bool = True) -> None:
+        """A curve ``(T,)`` in a plot, with gaps at nan; hidden until clicked in the legend unless ``shown``."""
+        scalars = self._array(entity, "values", values, ())
+        style = {"colors": rgba(color), "widths": number("width", width, 0.0), "names": _text("name", name)}
+        self._style(entity, rr.SeriesLines(**style, visible_series=shown))
+        # An empty row is a gap too, and two files with a nan never compare equal.
+        there = np.isfinite(scalars)
+        self._send(entity, rr.Scalars.columns(scalars=scalars[there]).partition(there.astype(int)))
+
+    def log_curve(self, entity: str, values: ArrayLike, color: str, name: str, *, width: float = 1.5) -> None:
+        """A curve of the decimal logarithms of values ``(T,)``, since plots have no logarithmic axis; gaps where there is none."""
+        array = self._array(entity, "values", values, ())
+        logarithm = np.log10(array, out=np.full(array.shape, np.nan), where=array > 0.0)
+        self.curve(entity, logarithm, color, name, width=width)
+
+    def bounds(
+        self, entity: str, sigma: ArrayLike, name: str, *, center: ArrayLike = 0.0, shown: bool = True, color: str = colors.SIGMA
+    ) -> None:
+        """Curves ``entity/+3s`` and ``entity/-3s``: three deviations ``(T,)`` about ``center``."""
+        deviation, middle = self._array(entity, "sigma", sigma, ()), numbers("center", center)
+        middle = self._array(entity, "center", middle if middle.ndim else np.full(len(self.times), middle), ())
+        for sign, factor in (("+", 3.0), ("-", -3.0)):
+            curve = middle + factor * deviation
+            self.curve(f"{entity}/{sign}3s", curve, color, f"±3σ {_text('name', name)}", width=1.0, shown=shown)
+
+    def level(self, entity: str, value: float, name: str, color: str = colors.SIGMA) -> None:
+        """A horizontal line in a plot."""
+        ends = self.times[[0, -1]]
+        self._style(entity, rr.SeriesLines(colors=rgba(color), widths=1.0, names=_text("name", name)))
+        scalars = rr.Scalars.columns(scalars=[float(numbers("value", value, ()))] * 2)
+        self.stream.send_columns(entity, [rr.TimeColumn(TIMELINE, duration=ends)], scalars)
+
+    def trail(self, entity: str, points: ArrayLike, color: str, *, radius: float = 1.0) -> None:
+        """A line through ``points (T, 3)`` that grows with time: a segment per step. The view must list it as ``growing``."""
+        p = self._array(entity, "points", points, (3,))
+        segments = np.stack([p[:-1], p[1:]], 1)
+        there = np.isfinite(segments).all((1, 2))
+        self._style(entity, rr.LineStrips3D.from_fields(colors=rgba(color), radii=_size(radius)))
+        counts = np.concatenate([[0], there.astype(int)])
+        self._send(entity, rr.LineStrips3D.columns(strips=segments[there]).partition(counts))
+
+    def path(self, entity: str, strips: Sequence[Array], color: str, *, radius: float = 0.5) -> None:
+        """Lines ``(points, 3)`` that stay for the whole run."""
+        lines = [numbers("strips", strip, ("points", 3)) for strip in sequence("strips", strips, "[np.zeros((2, 3))]")]
+        self._style(entity, rr.LineStrips3D(lines, colors=rgba(color), radii=_size(radius)))
+
+    def strips(
+        self, entity: str, strips: ArrayLike, colors: Sequence[str], *, labels: Sequence[str] = (), radius: float = 1.0
+    ) -> None:
+        """``k`` lines ``(T, k, points, 3)`` that move; lines that are partly nan are left out."""
+        shades = _colors(colors)
+        lines = self._array(entity, "strips", strips, (len(shades), None, 3))
+        there = np.isfinite(lines).all((2, 3))
+        self._style(entity, rr.LineStrips3D.from_fields(radii=_size(radius)))
+        palette = np.array(shades, np.uint8)[np.nonzero(there)[1]]
+        texts = _labels(labels, len(shades))
+        names = {"labels": np.array(texts)[np.nonzero(there)[1]].tolist()} if texts else {}
+        self._send(entity, rr.LineStrips3D.columns(strips=lines[there], colors=palette, **names).partition(there.sum(1)))
+
+    def arrow(self, entity: str, origins: ArrayLike, vectors: ArrayLike, color: str, label: str, *, radius: float = 1.5) -> None:
+        """An arrow from ``origins (T, 3)`` along ``vectors (T, 3)``."""
+        start, vector = self._array(entity, "origins", origins, (3,)), self._array(entity, "vectors", vectors, (3,))
+        there = np.isfinite(start + vector).all(1)
+        self._style(entity, rr.Arrows3D.from_fields(colors=rgba(color), radii=_size(radius), labels=_text("label", label)))
+        self._send(entity, rr.Arrows3D.columns(origins=start[there], vectors=vector[there]).partition(there.astype(int)))
+
+    def pose(self, entity: str, origins: ArrayLike, quaternions: ArrayLike) -> None:
+        """Where everything below ``entity`` is: origins ``(T, 3)`` and attitudes ``(T, 4)`` (see `celnav.gaussian.attitude`)."""
+        start, q = self._array(entity, "origins", origins, (3,)), self._array(entity, "quaternions", quaternions, (4,))
+        self._send(entity, rr.Transform3D.columns(translation=start, quaternion=q))
+
+    def axes(self, entity: str, length: float, colors: Sequence[str], labels: Sequence[str] = (), *, radius: float = 1.5) -> None:
+        """Three arrows along the axes of ``entity``, as long as the run."""
+        texts = _labels(labels, 3)
+        names = {"labels": texts} if texts else {}
+        vectors, palette = number("length", length) * np.eye(3), _colors(colors, 3)
+        self._style(entity, rr.Arrows3D(vectors=vectors, colors=palette, radii=_size(radius), **names))
+
+    def points(
+        self, entity: str, points: ArrayLike, color: str, *, alpha: float = 1.0, radius: float = 2.0, label: str = ""
+    ) -> None:
+        """Points ``(T, 3)`` or, ``k`` at a time, ``(T, k, 3)``; those that are partly nan are left out."""
+        p = numbers(f"{entity} points", points)
+        p = self._array(entity, "points", p[:, None] if p.ndim == 2 else p, (None, 3))
+        there = np.isfinite(p).all(2)
+        style = {"colors": rgba(color, alpha), "radii": _size(radius), "point_shading": "flat"}
+        self._style(entity, rr.Points3D.from_fields(**style, **({"labels": label} if _text("label", label) else {})))
+        self._send(entity, rr.Points3D.columns(positions=p[there]).partition(there.sum(1)))
+
+    def ellipsoids(
+        self, entity: str, centers: ArrayLike, covariance: ArrayLike, color: str, *, sigmas: float = 3.0, alpha: float = 0.35
+    ) -> None:
+        """Ellipsoids of covariances ``(T, 3, 3)`` about ``centers (T, 3)``; none where either is nan.
+
+        Raises
+        ------
+        ValueError: if a covariance is not positive semidefinite.
+        """
+        c, P = self._array(entity, "centers", centers, (3,)), self._array(entity, "covariance", covariance, (3, 3))
+        there = np.isfinite(c).all(1) & np.isfinite(P).all((1, 2))
+        half, quaternions = ellipsoid_axes(P[there], sigmas)
+        mode = rr.components.FillMode.TransparentFillMajorWireframe
+        style = rr.Ellipsoids3D.from_fields(colors=rgba(color, alpha), fill_mode=mode, line_radii=rr.Radius.ui_points(0.7))
+        self._style(entity, style)
+        columns = rr.Ellipsoids3D.columns(centers=c[there], half_sizes=half, quaternions=quaternions)
+        self._send(entity, columns.partition(there.astype(int)))
+
+    def globe(self, entity: str, radius: float, *, color: str = "#16324F", grid: str = "#3C6E9F") -> None:
+        """A sphere about the origin, with circles of latitude and half circles of longitude every 15 degrees."""
+        radius = number("radius", radius, above=0.0)
+        rgba(grid, name="grid")
+        self._style(entity, rr.Ellipsoids3D(radii=[radius], colors=rgba(color), fill_mode="solid"))
+        around, up = np.linspace(-np.pi, np.pi, 121), np.linspace(-0.5 * np.pi, 0.5 * np.pi, 61)
+        step = np.deg2rad(15.0)
+        parallels = [_sphere(latitude, around) for latitude in step * np.arange(-5, 6)]
+        meridians = [_sphere(up, longitude) for longitude in step * np.arange(24)]
+        # A little above the ground, or the two surfaces fight for the same pixels.
+        self.path(f"{entity}/grid", [1.003 * radius * line for line in parallels + meridians], grid, radius=0.4)
+
+    def bars(self, entity: str, values: ArrayLike, color: str) -> None:
+        """Bars ``(k,)`` that stay for the whole run."""
+        self._style(entity, rr.BarChart(numbers("values", values, (None,)), color=rgba(color)))
+
+    def event(self, entity: str, seconds: float, message: str) -> None:
+        """A line in a log, at a time."""
+        columns = rr.TextLog.columns(text=[_text("message", message)])
+        at = rr.TimeColumn(TIMELINE, duration=np.array([number("seconds", seconds)]))
+        self.stream.send_columns(_text("entity", entity), [at], columns)
+
+    def exact(self, entity: str, **values: ArrayLike) -> None:
+        """Arrays ``(T, ...)`` in double precision, flattened row by row, for reading back."""
+        columns: list[Any] = []
+        for name, value in values.items():
+            rows = numbers(f"{entity} {name}", value)
+            if rows.ndim == 0 or len(rows) != len(self.times):
+                raise ValueError(f"{entity} {name}: expected {len(self.times)} rows, got shape {rows.shape}")
+            rows = rows.reshape(len(rows), -1)
+            columns += rr.AnyValues.columns(**{name: rows.ravel()}).partition(np.full(len(rows), rows.shape[1]))
+        self._send(entity, columns)
+
+
+def _sphere(latitude: ArrayLike, longitude: ArrayLike) -> Array:
+    """Points ``(..., 3)`` of the unit sphere."""
+    lat, lon = np.broadcast_arrays(latitude, longitude)
+    return np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], -1)
+
+
+@contextlib.contextmanager
+def recording(
+    path: str | os.PathLike[str],
+    times: ArrayLike,
+    *,
+    name: str,
+    layout: Any,
+    properties: Mapping[str, Any] | None = None,
+    counter: str = "",
+) -> Iterator[Recorder]:
+    """Write a recording when the block ends: to a temporary file beside ``path`` that then takes its place, or not at all.
+
+    Parameters
+    ----------
+    path: of the file. One that celnav recorded before is replaced, any other is left alone.
+    times: ``(T,)`` s, increasing.
+    name: what the viewer calls it, and its id.
+    layout: a view or container of `celnav.show.views`.
+    properties: facts about the whole recording, such as parameters and seed.
+    counter: name of a second timeline that counts the rows; none if empty.
+
+    Raises
+    ------
+    ValueError: if ``times`` are not finite, increasing seconds, or ``path`` is a file that celnav did not make.
+    OSError: naming ``path``, if it cannot be written.
+    """
+    t = numbers("times", times)
+    if t.ndim != 1 or len(t) < 2 or not np.isfinite(t).all() or not (np.diff(t) > 0.0).all():
+        raise ValueError(f"times: expected two or more finite, increasing seconds, got shape {t.shape}")
+    target = Path(instance("path", path, str | os.PathLike, "a path, such as 'flight.rrd'"))
+    _text("name", name)
+    _text("counter", counter)
+    instance("properties", {} if properties is None else properties, Mapping, "a table, such as {'seed': 0}")
+    if target.suffix != ".rrd":
+        raise ValueError(f"path: expected the name of an .rrd file, got {str(target)!r}")
+    _check_ours(target)
+    strict = strict_mode()
+    # Otherwise a wrong call is only a warning and its data are missing.
+    rr.set_strict_mode(True)
+    try:
+        stream = rr.RecordingStream(_slug(f"{APPLICATION} {name}"), recording_id=_slug(name), send_properties=False)
+        # Not to a file: its writer works in the background, keeps a full disk to itself and then waits for ever.
+        memory = stream.memory_recording()
+        try:
+            stream.set_log_time_enabled(False)
+            with stream:
+                stream.send_blueprint(blueprint(layout, t), make_active=False, make_default=True)
+                stream.send_recording_name(name)
+                if properties:
+                    stream.send_property("study", rr.AnyValues(**properties))
+                yield Recorder(stream, t, counter)
+            write_bytes(target, memory.drain_as_bytes())
+        finally:
+            stream.disconnect()
+    finally:
+        rr.set_strict_mode(strict)
+
+
+def _slug(name: str) -> str:
+    """An identifier out of a title: the layout belongs to it, so that two recordings do not share one."""
+    return re.sub(r"\W+", "-", unicodedata.normalize("NFKD", name.replace("Φ", "Phi")), flags=re.ASCII).strip("-")
+
+
+def _check_ours(target: Path) -> None:
+    if target.is_dir():
+        raise IsADirectoryError(errno.EISDIR, "it is a folder", str(target))
+    if not target.parent.is_dir():
+        raise FileNotFoundError(errno.ENOENT, "its folder does not exist", str(target))
+    if not target.exists():
+        return
+    try:
+        makers = [entry.application_id for entry in rr.chunk.RrdReader(target).recordings()]
+    except Exception:  # whatever the reader says of a file that is no recording
+        makers = []
+    if not makers or not all(maker.startswith(APPLICATION) for maker in makers):
+        raise ValueError(f"path: expected a new file or a recording of celnav, got another file, which is left alone: {target}")

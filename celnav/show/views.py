@@ -1,0 +1,116 @@
+"""How a recording is laid out in the viewer: views of spaces, plots, texts, logs, and how they stand beside each other.
+
+Imports rerun; import it late, where a recording is made (`celnav.show.recording`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from numpy.typing import ArrayLike
+
+from celnav.gaussian.checks import finite, instance, numbers
+from celnav.gaussian.linalg import Array
+
+TIMELINE = "t"
+"""Of every recording, seconds."""
+_SPACE = [13, 16, 24]
+
+
+def _named(origin: str, name: str) -> dict[str, Any]:
+    """Where a view looks, and what it is called; ValueError unless both are texts."""
+    given = {"origin": origin, "name": name}
+    return {key: instance(key, value, str, "a text, such as 'plots/error'") for key, value in given.items()}
+
+
+def space(
+    origin: str,
+    name: str,
+    *,
+    eye: ArrayLike,
+    target: ArrayLike = (0.0, 0.0, 0.0),
+    up: ArrayLike = (0.0, 0.0, 1.0),
+    growing: Mapping[str, float] | None = None,
+) -> Any:
+    """A view of the space below ``origin`` from ``eye (3,)`` towards ``target (3,)``.
+
+    ``growing`` says of which entities the past is seen too, and how much of it in s (``inf``: all).
+    """
+
+    def past(seconds: float) -> Any:
+        boundary, seconds = rrb.TimeRangeBoundary, float(numbers("growing", seconds, ()))
+        start = boundary.cursor_relative(seconds=-seconds) if np.isfinite(seconds) else boundary.infinite()
+        return rrb.VisibleTimeRanges(timeline=TIMELINE, start=start, end=boundary.cursor_relative(seconds=0.0))
+
+    controls = {"position": ("eye", eye), "look_target": ("target", target), "eye_up": ("up", up)}
+    growing = instance("growing", {} if growing is None else growing, Mapping, "a table, such as {'trail': inf}")
+    return rrb.Spatial3DView(
+        **_named(origin, name),
+        background=_SPACE,
+        line_grid=rrb.LineGrid3D(visible=False),
+        eye_controls=rrb.EyeControls3D(**{key: finite(name, value, (3,)) for key, (name, value) in controls.items()}),
+        overrides={entity: past(seconds) for entity, seconds in growing.items()},
+    )
+
+
+def plot(origin: str, name: str, times: Array, *, limits: tuple[float, float] | None = None, legend: bool = True) -> Any:
+    """A plot of the curves below ``origin`` over the whole run (by default the viewer scrolls), with ``limits`` of its y axis.
+
+    The legend takes a part of the time axis after the run, where it hides nothing.
+    """
+    times = finite("times", times, ("T",))
+    span = float(times[-1] - times[0])
+    ends = times[0] - 0.02 * span, times[-1] + (0.24 if legend else 0.06) * span
+    start, end = (rrb.TimeRangeBoundary.absolute(seconds=float(t)) for t in ends)
+    if limits is not None:
+        limits = tuple(finite("limits", limits, (2,)).tolist())
+    return rrb.TimeSeriesView(
+        **_named(origin, name),
+        axis_x=rrb.TimeAxis(view_range=rr.TimeRange(start=start, end=end)),
+        axis_y=None if limits is None else rrb.ScalarAxis(range=limits),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=legend),
+    )
+
+
+def bar_chart(origin: str, name: str) -> Any:
+    """The bars at ``origin``."""
+    return rrb.BarChartView(**_named(origin, name))
+
+
+def text(origin: str, name: str) -> Any:
+    """A panel for the text at ``origin``."""
+    return rrb.TextDocumentView(**_named(origin, name))
+
+
+def log(origin: str, name: str) -> Any:
+    """The events below ``origin``."""
+    return rrb.TextLogView(**_named(origin, name))
+
+
+def rows(*views: Any, shares: Sequence[float] | None = None, name: str | None = None) -> Any:
+    """Views one below the other; the name is that of a tab."""
+    return rrb.Vertical(*views, row_shares=shares, name=name)
+
+
+def columns(*views: Any, shares: Sequence[float] | None = None) -> Any:
+    """Views side by side."""
+    return rrb.Horizontal(*views, column_shares=shares)
+
+
+def tabs(*views: Any, name: str | None = None) -> Any:
+    """Views one behind the other, the first in front."""
+    return rrb.Tabs(*views, active_tab=0, name=name)
+
+
+def blueprint(layout: Any, times: Array) -> rrb.Blueprint:
+    """The layout, the time panel paused and small, and the run played in about twenty seconds."""
+    instance(
+        "layout", layout, rrb.View | rrb.Container, "a view or container of celnav.show.views, such as celnav.show.views.text(...)"
+    )
+    speed = max(float(times[-1] - times[0]) / 20.0, 1e-3)
+    panel = rrb.TimePanel(state="collapsed", timeline=TIMELINE, playback_speed=speed, play_state="paused")
+    return rrb.Blueprint(layout, panel, collapse_panels=True)

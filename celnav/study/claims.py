@@ -1,0 +1,288 @@
+"""Claims: what is said, what we got, and the verdict, computed by one rule."""
+
+from __future__ import annotations
+
+import html
+import json
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from celnav.analysis.metrics import bootstrap
+from celnav.files import InputError, read_json
+from celnav.gaussian.linalg import Array
+
+KINDS = ("paper", "calibrated", "erratum", "beyond")
+_VERDICTS = {
+    "paper": ("reproduced", "not reproduced"),
+    "calibrated": ("reproduced (calibrated)", "not reproduced"),
+    "erratum": ("paper in error", "not shown"),
+    "beyond": ("shown", "not shown"),
+}
+VERDICTS = (
+    "reproduced", "reproduced (calibrated)", "not reproduced", "paper in error", "shown", "not shown", "undecided", "input absent",
+)  # fmt: skip
+"""All that there are, in the order of tables."""
+
+Bounds = tuple[float | None, float | None]
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One statement and the number that decides it.
+
+    Attributes
+    ----------
+    id: short and unique, "table-2-position-ratio". kind: one of `KINDS`: what the paper claims; the same with parameters chosen
+        so that it comes out; what the paper states and we show wrong; what the paper lacks.
+    value: computed from the run at hand; None where an optional input is absent.
+    accept: ``(low, high)``, either may be None; it does not widen with fewer runs.
+    expected: whether the claim should hold, as found before.
+    paper: what the paper prints. ci: interval of ``value``; None for a number without sampling error.
+    full: whether the run had the full number of runs.
+
+    Raises
+    ------
+    ValueError: for an unknown kind.
+    """
+
+    id: str
+    kind: str
+    statement: str
+    value: float | None
+    accept: Bounds
+    expected: bool
+    paper: Any = None
+    ci: tuple[float, float] | None = None
+    full: bool = True
+    note: str = ""
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise ValueError(f"kind: expected one of {', '.join(KINDS)}, got {self.kind!r}")
+
+    @property
+    def absent(self) -> bool:
+        """Whether there is nothing to judge."""
+        return self.value is None or not np.isfinite(self.value)
+
+    @property
+    def holds(self) -> bool | None:
+        """Whether the value is acceptable; None where that is undecided or an input is absent."""
+        if self.value is None or self.absent:
+            return None
+        low = -np.inf if self.accept[0] is None else self.accept[0]
+        high = np.inf if self.accept[1] is None else self.accept[1]
+        if self.full or self.ci is None:
+            return bool(low <= self.value <= high)
+        if low <= self.ci[0] and self.ci[1] <= high:
+            return True
+        if self.ci[1] < low or self.ci[0] > high:
+            return False
+        return None
+
+    @property
+    def verdict(self) -> str:
+        """In words."""
+        if self.absent:
+            return "input absent"
+        if self.holds is None:
+            return "undecided"
+        return _VERDICTS[self.kind][0 if self.holds else 1]
+
+    @property
+    def failure(self) -> bool:
+        """Whether the outcome is not the expected one, in either direction."""
+        return self.holds is not None and self.holds != self.expected
+
+    def to_dict(self) -> dict[str, Any]:
+        """As it stands in ``claims.json``; numbers have 6 significant digits."""
+        return {
+            "id": self.id,
+            "kind": self.kind,
+            "statement": self.statement,
+            "paper": _plain(self.paper),
+            "value": None if self.absent else _plain(self.value),
+            "ci": None if self.ci is None else [_plain(v) for v in self.ci],
+            "accept": list(self.accept),
+            "expected": self.expected,
+            "holds": self.holds,
+            "verdict": self.verdict,
+            "note": self.note,
+        }
+
+
+class Judge:
+    """Makes the claims of one run of a study; ``full``: whether it had the full number of runs."""
+
+    def __init__(self, full: bool):
+        self.full = full
+
+    def number(
+        self,
+        id: str,
+        kind: str,
+        statement: str,
+        value: float,
+        accept: Bounds,
+        *,
+        paper: Any = None,
+        ci: tuple[float, float] | None = None,
+        note: str = "",
+        expected: bool = True,
+    ) -> Claim:
+        """A claim on a number without sampling error, or with an interval known otherwise."""
+        return Claim(id, kind, statement, float(value), accept, expected, paper, ci, self.full, note)
+
+    def statistic(
+        self,
+        id: str,
+        kind: str,
+        statement: str,
+        statistic: Callable[..., Any],
+        samples: Sequence[Array],
+        accept: Bounds,
+        *,
+        paper: Any = None,
+        note: str = "",
+        expected: bool = True,
+    ) -> Claim:
+        """A claim on a statistic of runs (the first axis of each sample), with its bootstrap interval."""
+        value, ci = float(statistic(*samples)), bootstrap(statistic, *samples)
+        return Claim(id, kind, statement, value, accept, expected, paper, ci, self.full, note)
+
+    def lengthy(self, *arguments: Any, **named: Any) -> Claim:
+        """A `statistic` that depends on how long the runs are: undecided where they are shortened."""
+        return self.whole(self.statistic(*arguments, **named))
+
+    def whole(self, claim: Claim) -> Claim:
+        """The claim, undecided unless runs have their whole length."""
+        return claim if self.full else replace(claim, ci=(-np.inf, np.inf))
+
+
+def about(value: float, part: float) -> Bounds:
+    """A value within a part of itself."""
+    return value - abs(value) * part, value + abs(value) * part
+
+
+def within(value: float, size: float) -> Bounds:
+    """A value within a size."""
+    return value - size, value + size
+
+
+def order(value: float) -> float:
+    """The power of ten at or above a size of which only that means anything: the digits of round-off differ between machines."""
+    return 10.0 ** float(np.ceil(np.log10(value))) if value > 0.0 else 0.0
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, (bool, str)) or value is None:
+        return value
+    number = float(value)
+    return float(f"{number:.6g}") if np.isfinite(number) else None
+
+
+def dumps(claims: Iterable[Claim]) -> str:
+    """The text of ``claims.json``.
+
+    Raises
+    ------
+    ValueError: if two claims have the same id.
+    """
+    listed = list(claims)
+    ids = [claim.id for claim in listed]
+    twice = sorted({i for i in ids if ids.count(i) > 1})
+    if twice:
+        raise ValueError(f"claims: expected different ids, got {', '.join(twice)} more than once")
+    return json.dumps([claim.to_dict() for claim in listed], indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def read_claims(path: str | Path) -> list[dict[str, Any]]:
+    """Claims of a ``claims.json`` as dictionaries.
+
+    Raises
+    ------
+    InputError: naming the file, and the claim, if it is not a list of whole claims.
+    """
+    loaded = read_json(path)
+    if not isinstance(loaded, list):
+        raise InputError(f"{path}: expected a list of claims")
+    for number, claim in enumerate(loaded):
+        if not isinstance(claim, dict):
+            raise InputError(f"{path}: claim {number}: expected a table, got {claim!r:.80}")
+        for key, right in _SHAPE.items():
+            if key not in claim or not right(claim[key]):
+                got = f"got {claim[key]!r:.80}" if key in claim else "got none"
+                raise InputError(f"{path}: claim {number}: {key}: not what celnav writes, {got}; reproduce the paper again")
+    return loaded
+
+
+def _text(value: Any) -> bool:
+    return isinstance(value, str)
+
+
+def _maybe(value: Any) -> bool:
+    """Whether it is a number or None."""
+    return value is None or (isinstance(value, int | float) and not isinstance(value, bool))
+
+
+def _pair(value: Any) -> bool:
+    return isinstance(value, list) and len(value) == 2 and all(map(_maybe, value))
+
+
+_SHAPE: dict[str, Callable[[Any], bool]] = {
+    "id": _text,
+    "kind": lambda value: value in KINDS,
+    "statement": _text,
+    "paper": lambda value: _text(value) or isinstance(value, bool) or _maybe(value),
+    "value": _maybe,
+    "ci": lambda value: value is None or _pair(value),
+    "accept": _pair,
+    "expected": lambda value: isinstance(value, bool),
+    "holds": lambda value: value is None or isinstance(value, bool),
+    "verdict": lambda value: value in VERDICTS,
+    "note": _text,
+}
+"""What `Claim.to_dict` writes."""
+
+
+COLUMNS = ("claim", "paper", "ours", "interval", "accepted", "verdict")
+
+
+def row(claim: dict[str, Any]) -> tuple[str, ...]:
+    """The cells of one claim (as a dictionary) under `COLUMNS`."""
+    low, high = claim["accept"]
+    accepted = f"≥ {low:g}" if high is None and low is not None else f"≤ {high:g}" if low is None else f"{low:g} … {high:g}"
+    interval = "" if claim["ci"] is None or None in claim["ci"] else f"{claim['ci'][0]:.3g} … {claim['ci'][1]:.3g}"
+    number = "" if claim["value"] is None else f"{claim['value']:.4g}"
+    paper = "" if claim["paper"] is None else f"{claim['paper']:g}" if isinstance(claim["paper"], float | int) else claim["paper"]
+    return claim["statement"], paper, number, interval, accepted, claim["verdict"]
+
+
+def tally(claims: Iterable[dict[str, Any]]) -> dict[str, int]:
+    """How many claims have which verdict, in the order of `VERDICTS`."""
+    count = Counter(claim["verdict"] for claim in claims)
+    return {verdict: count[verdict] for verdict in VERDICTS if count[verdict]}
+
+
+class ClaimsTable:
+    """Claims as a table: for a notebook (HTML), a page (Markdown) or a terminal."""
+
+    def __init__(self, claims: Sequence[Claim]):
+        self._rows = [row(claim.to_dict()) for claim in claims]
+
+    def __str__(self) -> str:
+        return "\n".join(f"{verdict:24} {ours:>10}  {statement}" for statement, _, ours, _, _, verdict in self._rows)
+
+    def _repr_markdown_(self) -> str:
+        lines = [" | ".join(COLUMNS), " | ".join("---" for _ in COLUMNS)] + [" | ".join(cells) for cells in self._rows]
+        return "\n".join(f"| {line} |" for line in lines)
+
+    def _repr_html_(self) -> str:
+        head = "".join(f"<th>{name}</th>" for name in COLUMNS)
+        body = "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in cells) + "</tr>" for cells in self._rows)
+        return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"

@@ -1,0 +1,140 @@
+"""Monte Carlo: one generator per run, blocks of runs that stay in cache, and work spread over processes.
+
+A run's random numbers depend on ``(seed, study, run)`` alone, where ``study`` numbers the configuration: not on the size of a
+block, the number of processes or the order of the work. Every array that a block returns has its run axis second,
+``(T, runs, ...)``.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import warnings
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from time import process_time
+from typing import Any, Generic, NamedTuple, TypeVar
+
+import numpy as np
+
+from celnav.gaussian.checks import integer
+from celnav.gaussian.linalg import Array
+
+R = TypeVar("R")
+MOST_STEPS = 10_000_000
+"""Of one run, at its finest rate: more take a day, and gigabytes."""
+Progress = Callable[[int, int, str], None]
+"""``(done, total, label)``, called when a unit of work is done."""
+
+
+def generator(seed: int, study: int, run: int) -> np.random.Generator:
+    """The generator of one run of one study."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(study, run)))
+
+
+def normals(rngs: Sequence[np.random.Generator], *shapes: tuple[int, ...]) -> list[Array]:
+    """Standard normal arrays, one of each shape from each generator, with the run axis before the last: ``(..., runs, n)``."""
+    draws = [[rng.standard_normal(shape) for shape in shapes] for rng in rngs]
+    return [np.stack(column, -2) for column in zip(*draws, strict=True)]
+
+
+def blocks(runs: int, size: int) -> list[range]:
+    """Consecutive ranges of at most ``size`` runs.
+
+    Raises
+    ------
+    ValueError: if a number is not positive.
+    """
+    integer("runs", runs)
+    integer("block", size)
+    return [range(first, min(first + size, runs)) for first in range(0, runs, size)]
+
+
+def run_count(full: int, runs: int | None, effort: float) -> int:
+    """Number of runs of a study: ``runs``, or the full number times the effort, at least 2.
+
+    Raises
+    ------
+    ValueError: unless ``0 < effort <= 1`` and ``runs`` is an integer of at least 2 or None.
+    """
+    if not 0.0 < effort <= 1.0:
+        raise ValueError(f"effort: expected a number in (0, 1], got {effort!r}")
+    count = max(2, round(full * effort)) if runs is None else runs
+    return integer("runs", count, 2)
+
+
+def steps(name: str, count: float) -> int:
+    """The number of steps of a run, which may come as a quotient.
+
+    Raises
+    ------
+    ValueError: naming the parameter that it follows from, if it is below 1 or more than can be held.
+    """
+    if not 0.5 < count <= MOST_STEPS:
+        raise ValueError(f"{name}: expected a run of 1 to {MOST_STEPS} steps, got {count:.10g}")
+    return round(count)
+
+
+class Unit(NamedTuple):
+    """One piece of work: ``function(*arguments)`` gives a dict of arrays. Units of one ``label`` are joined over runs."""
+
+    label: str
+    function: Callable[..., dict[str, Array]]
+    arguments: tuple[Any, ...]
+
+
+class Outcome(NamedTuple):
+    """Joined arrays of one label, and the CPU time they took in seconds."""
+
+    arrays: dict[str, Array]
+    cpu_s: float
+
+
+class Plan(NamedTuple, Generic[R]):
+    """A study before it is carried out: its units of work, in order, and what makes the result of their outcomes by label."""
+
+    units: list[Unit]
+    result: Callable[[dict[str, Outcome]], R]
+
+
+def do(unit: Unit) -> Outcome:
+    """The outcome of one unit; warnings of its models and filters are errors."""
+    start = process_time()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        arrays = unit.function(*unit.arguments)
+    return Outcome(arrays, process_time() - start)
+
+
+def joined(units: Sequence[Unit], outcomes: Sequence[Outcome]) -> dict[str, Outcome]:
+    """Outcomes of units of one label, joined along the run axis in the order given."""
+    parts: dict[str, list[Outcome]] = {}
+    for unit, outcome in zip(units, outcomes, strict=True):
+        parts.setdefault(unit.label, []).append(outcome)
+    return {label: Outcome(_joined(found), sum(outcome.cpu_s for outcome in found)) for label, found in parts.items()}
+
+
+def _joined(outcomes: Sequence[Outcome]) -> dict[str, Array]:
+    if len(outcomes) == 1:  # not copied: some are large
+        return outcomes[0].arrays
+    names = dict.fromkeys(name for outcome in outcomes for name in outcome.arrays)
+    return {name: np.concatenate([o.arrays[name] for o in outcomes if name in o.arrays], 1) for name in names}
+
+
+def carry_out(plan: Plan[R], *, jobs: int = 1, progress: Progress | None = None) -> R:
+    """Do the units of a plan, in ``jobs`` processes, and give its result.
+
+    Raises
+    ------
+    ValueError: unless ``jobs`` is a positive integer. Whatever a unit raises.
+    """
+    integer("jobs", jobs)
+    count, outcomes = len(plan.units), []
+    with contextlib.ExitStack() as stack:
+        several = jobs > 1 and count > 1
+        pool = stack.enter_context(ProcessPoolExecutor(min(jobs, count), mp_context=get_context("spawn"))) if several else None
+        for unit, outcome in zip(plan.units, pool.map(do, plan.units) if pool else map(do, plan.units), strict=True):
+            outcomes.append(outcome)
+            if progress is not None:
+                progress(len(outcomes), count, unit.label)
+    return plan.result(joined(plan.units, outcomes))

@@ -1,0 +1,144 @@
+"""A problem of one's own: a model, the runs that it draws of itself, and how estimates of them are judged.
+
+A filter is consistent, and its accuracy can be compared with a bound, where what happens is what it believes: here truth and
+measurements come from the very model that filters are made of, its outliers excepted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.special import ndtri
+
+from celnav.filters.conditioning import Model, images
+from celnav.filters.driver import Filter, epochs
+from celnav.gaussian.belief import Gaussian, sqrt_cov, square_root
+from celnav.gaussian.checks import finite
+from celnav.gaussian.linalg import Array
+from celnav.gaussian.spaces import EUCLIDEAN, Space
+from celnav.study.montecarlo import normals
+from celnav.study.trial import Group, Trial
+
+WILD = 10.0
+"""By how much an outlier's noise is larger."""
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """``x' = f(x, epoch) + w`` and ``z = h(x, epoch) + V`` from a Gaussian start.
+
+    Attributes
+    ----------
+    f, h: models of points ``(p, ..., N)`` and `celnav.filters.Epoch`: the state ``(p, ..., N)`` after the interval, and the
+        measurement ``(p, ..., M)``.
+    mean: ``(N,)`` and cov ``(n, n)``: of the start.
+    sqrt_Q: columns ``(n, r)`` of the process noise of an interval. R: covariance ``(m, m)`` of V.
+    times: ``(T,)`` s, increasing. u: inputs, ``epoch.u``: ``u[k]`` acts from ``times[k]`` to ``times[k + 1]``.
+    phi: correlation of V with the last one, in [0, 1): an AR(1) process.
+    outliers: part of the components, in [0, 1), whose noise is `WILD` times as large; filters are not told.
+    space, measurement_space: what a difference of states and of measurements is.
+    groups: what is judged, by name; one group of all components if empty.
+
+    Raises
+    ------
+    ValueError: naming a number that cannot be.
+    """
+
+    f: Model
+    h: Model
+    mean: Array
+    cov: Array
+    sqrt_Q: Array
+    R: Array
+    times: Array
+    u: Array | None = None
+    phi: float = 0.0
+    outliers: float = 0.0
+    space: Space = EUCLIDEAN
+    measurement_space: Space = EUCLIDEAN
+    groups: Sequence[Group] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("mean", "cov", "sqrt_Q", "R", "times"):
+            object.__setattr__(self, name, finite(name, getattr(self, name)))
+        for name in ("phi", "outliers"):
+            if not 0.0 <= float(finite(name, getattr(self, name), ())) < 1.0:
+                raise ValueError(f"{name}: expected a number in [0, 1), got {getattr(self, name)!r}")
+        for name in ("f", "h"):
+            if not callable(getattr(self, name)):
+                raise ValueError(f"{name}: expected a function of points and epoch, got {type(getattr(self, name)).__name__}")
+        for name in ("cov", "R"):
+            if getattr(self, name).ndim != 2:
+                raise ValueError(f"{name}: expected a matrix, got shape {getattr(self, name).shape}")
+            sqrt_cov(getattr(self, name), name)
+        if self.sqrt_Q.ndim != 2 or len(self.sqrt_Q) != self.n:
+            raise ValueError(f"sqrt_Q: expected columns ({self.n}, r), got {self.sqrt_Q.shape}")
+        if self.mean.ndim != 1 or (self.space == EUCLIDEAN and len(self.mean) != self.n):
+            raise ValueError(f"mean: expected shape ({self.n},) to go with cov, got {self.mean.shape}")
+        if self.times.ndim != 1 or len(self.times) < 2 or not (np.diff(self.times) > 0.0).all():
+            raise ValueError(f"times: expected two or more increasing numbers, got shape {self.times.shape}")
+        epochs(self.times, u=self.u)
+        for group in self.groups:
+            if not isinstance(group.part, slice) or not len(range(self.n)[group.part]):
+                raise ValueError(f"groups: expected a slice of {self.n} components for {group.name}, got {group.part!r}")
+
+    @property
+    def n(self) -> int:
+        """Dimension of the state's differences."""
+        return len(self.cov)
+
+    @property
+    def m(self) -> int:
+        """Dimension of the measurement's differences."""
+        return len(self.R)
+
+    @property
+    def prior(self) -> Gaussian:
+        """Belief about the start."""
+        return square_root(self.mean, self.cov)
+
+    def draw(self, rngs: Sequence[np.random.Generator]) -> tuple[Array, Array]:
+        """Truth ``(T, runs, N)`` and measurements ``(T, runs, M)`` of one run with each generator.
+
+        Raises
+        ------
+        ValueError: without a generator, for a model that returns another shape or numbers that are not finite.
+        """
+        T, r, m, runs = len(self.times), self.sqrt_Q.shape[1], self.m, len(rngs)
+        if not runs:
+            raise ValueError("rngs: expected at least one generator, got none")
+        start, walk, noise, lot = normals(rngs, (self.n,), (T, r), (T, m), (T, m))
+        truth, z = [], []
+        wild = np.abs(lot) > (ndtri(1.0 - 0.5 * self.outliers) if self.outliers else np.inf)
+        noise = noise @ sqrt_cov(self.R, "R").T
+        V = np.zeros((runs, m))
+        x = self.space.plus(np.tile(self.mean, (runs, 1)), start @ sqrt_cov(self.cov, "cov").T)
+        for epoch in epochs(self.times, u=self.u):
+            if epoch.k:
+                x = self.space.plus(self._image("f", x, epoch, len(self.mean)), walk[epoch.k] @ self.sqrt_Q.T)
+            V = noise[0] if epoch.k == 0 else self.phi * V + np.sqrt(1.0 - self.phi**2) * noise[epoch.k]
+            factor = np.where(wild[epoch.k], WILD, 1.0)
+            truth.append(x)
+            seen = self._image("h", x, epoch, m if self.measurement_space == EUCLIDEAN else None)
+            z.append(self.measurement_space.plus(seen, factor * V))
+        return np.stack(truth), np.stack(z)
+
+    def _image(self, name: str, x: Array, epoch: Any, dimension: int | None) -> Array:
+        y: Array = images(name, getattr(self, name), x[None].copy(), epoch, (), dimension)[0]
+        if not np.isfinite(y).all():
+            raise ValueError(f"{name}: expected finite numbers, got others at t = {epoch.t}")
+        return y
+
+    def trial(self, filters: Mapping[str, Filter], rngs: Sequence[np.random.Generator], reference: str = "") -> Trial:
+        """Runs for filters to be judged on; ``reference``: see `celnav.study.trial.Trial`."""
+        truth, z = self.draw(rngs)
+        prior = square_root(np.tile(self.mean, (len(rngs), 1)), np.tile(self.cov, (len(rngs), 1, 1)))
+        every = epochs(self.times, z, self.u, truth)
+        groups = tuple(self.groups) or (Group("state", "", slice(0, self.n)),)
+        return Trial(groups, filters, prior, lambda _name: every, self._compare, reference)
+
+    def _compare(self, truth: Any, belief: Gaussian) -> tuple[Array, Array]:
+        return -self.space.minus(truth, belief.mean), belief.root  # the root is that of tangents at the mean

@@ -1,0 +1,180 @@
+"""A trial: simulated runs of one configuration, the filters that may be flown on them, and how their estimates are judged.
+
+Each paper has a function ``trial(config, rngs) -> Trial``; missions, campaigns and the linear bound need nothing else of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from celnav.filters.driver import Epoch, Filter, steps
+from celnav.filters.info import Info
+from celnav.gaussian.belief import Gaussian, nees
+from celnav.gaussian.linalg import Array
+
+TOGETHER = 8
+"""Epochs whose roots are evaluated at once; with more of them the filter's own arrays leave the cache."""
+
+
+class Group(NamedTuple):
+    """Components of the error that are judged together, such as a position.
+
+    ``part`` of the error's components, times ``scale`` (a number, or one for each of them), are in ``unit``.
+    """
+
+    name: str
+    unit: str
+    part: slice
+    scale: float | tuple[float, ...] = 1.0
+
+
+class Trial(NamedTuple):
+    """Simulated runs of a configuration.
+
+    Attributes
+    ----------
+    groups: what is judged. filters: by name. prior: of all runs, ``(runs, n)``.
+    epochs: ``name ->`` epochs for the filter of that name, from the start at every call. Those with a ``truth`` are judged.
+    compare: ``(truth, belief) ->`` errors ``(runs, n)`` and roots ``(runs, n, n)`` of what the belief takes for their covariance.
+    reference: name of a filter that is as good as can be where errors are small, for `bound`; empty if there is none.
+    place: position ``(..., 3)`` km about the Earth's center of a state ``(..., n)``; None if it is no orbit.
+    """
+
+    groups: tuple[Group, ...]
+    filters: Mapping[str, Filter]
+    prior: Gaussian
+    epochs: Callable[[str], Iterable[Epoch]]
+    compare: Callable[[Any, Gaussian], tuple[Array, Array]]
+    reference: str = ""
+    place: Callable[[Array], Array] | None = None
+
+
+def squares(groups: Sequence[Group], values: Array) -> Array:
+    """Sums of squares ``(..., groups)`` of errors or deviations ``(..., n)``, in the units of the groups."""
+    out = np.zeros((*values.shape[:-1], len(groups)))
+    for i, group in enumerate(groups):
+        part = np.square(values[..., group.part] * np.asarray(group.scale))
+        for j in range(part.shape[-1]):  # reductions over so few numbers take several times as long
+            out[..., i] += part[..., j]
+    return out
+
+
+class Noiseless:
+    """A generator whose every number is zero: the run that it gives is the undisturbed one."""
+
+    def standard_normal(self, shape: tuple[int, ...]) -> Array:
+        """Zeros."""
+        return np.zeros(shape)
+
+
+class Followed(NamedTuple):
+    """A filter's runs at the ``K`` epochs that were judged; nan where a run has no estimate.
+
+    Attributes
+    ----------
+    times: ``(K,)`` s. error: ``(K, runs, n)``, and std: what the filter takes for its deviations.
+    nees, nis, dof: ``(K, runs)``; ``dof`` is the number of measured components behind ``nis``.
+    lost: ``(run, t, why)`` of each run whose estimate ceased to be finite. epochs: of the filter, judged or not.
+    """
+
+    times: Array
+    error: Array
+    std: Array
+    nees: Array
+    nis: Array
+    dof: Array
+    lost: list[tuple[int, float, str]]
+    epochs: int
+
+
+def follow(trial: Trial, name: str, every: int = 1) -> Followed:
+    """Run the filter of a name and judge it at each ``every``-th of the epochs that have a truth, and at the last.
+
+    Raises
+    ------
+    ValueError: if no epoch has one. Whatever the models raise passes through, with the step as a note.
+    """
+    found = _Found()
+    lost: dict[int, tuple[float, str]] = {}
+    count = seen = 0
+    last: tuple[Epoch, Gaussian, tuple[Any, ...]] | None = None
+    for epoch, state, info in steps(trial.filters[name], trial.prior, trial.epochs(name)):
+        count += 1
+        belief: Gaussian = state.belief
+        infos = info if isinstance(info, tuple) and not isinstance(info, Info) else (info,)
+        why = next((one.failure for one in infos if one.failure), "")
+        due = epoch.truth is not None and seen % every == 0
+        seen += epoch.truth is not None
+        if due or why:
+            _watch(lost, epoch, belief, why)
+        if due:
+            with np.errstate(invalid="ignore"):  # a lost run is nan
+                found.add(epoch.t, *trial.compare(epoch.truth, belief), infos)
+        if epoch.truth is not None:
+            last = None if due else (epoch, belief, infos)
+    if last is not None:
+        epoch, belief, infos = last
+        _watch(lost, epoch, belief, "")
+        with np.errstate(invalid="ignore"):
+            found.add(epoch.t, *trial.compare(epoch.truth, belief), infos)
+    if not found.times:
+        raise ValueError("epochs: expected some with a truth, got none")
+    return found.followed([(run, *what) for run, what in sorted(lost.items())], count)
+
+
+def _watch(lost: dict[int, tuple[float, str]], epoch: Epoch, belief: Gaussian, why: str) -> None:
+    """Note the runs that have no estimate, and forget those that have one again: a filter of single epochs comes back."""
+    if not lost and np.isfinite(np.add.reduce(belief.mean, None)):
+        return
+    finite = np.atleast_1d(np.isfinite(belief.mean).all(-1))
+    for run in np.flatnonzero(~finite).tolist():
+        lost.setdefault(run, (float(epoch.t), why or "the estimate is not finite"))
+    for run in [run for run in lost if finite[run]]:
+        del lost[run]
+
+
+class _Found:
+    """What `follow` gathers."""
+
+    def __init__(self) -> None:
+        self.times: list[float] = []
+        self._rows: list[tuple[Array, ...]] = []
+        self._done: list[tuple[Array, ...]] = []
+
+    def add(self, t: Any, error: Array, root: Array, infos: tuple[Any, ...]) -> None:
+        """Take an epoch in."""
+        whites = [info.white for info in infos if info.white is not None]
+        nis = sum((np.vecdot(white, white) for white in whites), np.zeros(error.shape[:-1]))
+        dof = np.zeros(error.shape[:-1])
+        for used in (info.used for info in infos if info.used is not None):
+            dof += used.shape[-1] if used.all() else np.add.reduce(used, -1, float)
+        self.times.append(float(t))
+        self._rows.append((error, root, nis, dof))
+        if len(self._rows) == TOGETHER:
+            self._evaluate()
+
+    def _evaluate(self) -> None:
+        error, root, nis, dof = (np.stack(column) for column in zip(*self._rows, strict=True))
+        self._rows = []
+        with np.errstate(invalid="ignore"):
+            self._done.append((error, np.sqrt(np.einsum("...ij,...ij->...i", root, root)), nees(error, root), nis, dof))
+
+    def followed(self, lost: list[tuple[int, float, str]], epochs: int) -> Followed:
+        """Everything."""
+        if self._rows:
+            self._evaluate()
+        error, std, normalized, nis, dof = (np.concatenate(column) for column in zip(*self._done, strict=True))
+        return Followed(np.array(self.times), error, std, normalized, nis, dof, lost, epochs)
+
+
+def bound(trial: Trial, every: int = 1) -> Array | None:
+    """Linearized posterior Cramer-Rao bound, from a trial of one `Noiseless` run: mean squares ``(K, groups)``.
+
+    The variances of the reference filter along the undisturbed run, started at the truth: for small process noise and errors
+    that stay in the linear range, no filter with this model and these measurements has smaller mean squares. None without
+    reference.
+    """
+    return squares(trial.groups, follow(trial, trial.reference, every).std)[:, 0] if trial.reference else None

@@ -1,0 +1,93 @@
+"""Observability against closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from celnav.analysis import observability as ob
+
+A = np.array([[0.0, 1.0, 0.0], [-0.4, -0.1, 0.3], [0.0, 0.0, 0.0]])
+H = np.array([[1.0, 0.0, 0.0], [0.5, 0.0, 2.0]])
+
+
+def test_jacobians_are_exact():
+    def function(x):
+        return np.stack([np.sin(x[:, 0]) * x[:, 1], np.exp(x[:, 1])], -1)
+
+    x = np.array([0.7, -0.3])
+    expected = [[np.cos(0.7) * -0.3, np.sin(0.7)], [0.0, np.exp(-0.3)]]
+    np.testing.assert_allclose(ob.jacobian(function, x), expected, rtol=1e-15)
+
+
+def test_gradients_of_a_linear_system_are_h_times_powers_of_a():
+    gradients = ob.lie_gradients(lambda x: x @ A.T, lambda x: x @ H.T, np.array([1.0, -2.0, 0.5]), 4)
+    for k in range(5):
+        np.testing.assert_allclose(gradients[k], H @ np.linalg.matrix_power(A, k), atol=1e-8)
+
+
+def test_gradients_of_a_nonlinear_system():
+    """x' = x^2, y = x: the Lie derivatives are k! x^(k+1), their gradients (k + 1)! x^k."""
+    gradients = ob.lie_gradients(lambda x: x**2, lambda x: x, np.array([0.3]), 3)
+    np.testing.assert_allclose(gradients[:, 0, 0], [1.0, 2 * 0.3, 6 * 0.3**2, 24 * 0.3**3], rtol=1e-7)
+
+
+def test_a_window_that_fits_the_time_scale_keeps_the_digits():
+    slow = 1e-4
+    gradients = ob.lie_gradients(lambda x: slow * x @ A.T, lambda x: x @ H.T, np.zeros(3), 3, window=1e4)
+    for k in range(4):
+        np.testing.assert_allclose(gradients[k], H @ np.linalg.matrix_power(slow * A, k), atol=1e-8 * slow**k)
+
+
+def test_the_svd_degree_of_a_diagonal_matrix():
+    np.testing.assert_allclose(ob.svd_degree(np.diag([3.0, 0.5, 7.0])), [3.0, 0.5, 7.0])
+    np.testing.assert_allclose(ob.svd_degree(np.diag([3.0, 0.5, 7.0]), 1), [6.0, 1.0, 14.0])
+
+
+def test_the_information_degree_is_that_of_a_kalman_filter_and_ignores_units():
+    P0, R, F, rows = np.diag([4.0, 1.0, 2.0]), np.diag([0.1, 0.2]), np.eye(3) + 0.1 * A, np.tile(H, (6, 1, 1))
+    mean_P = P0
+    for k in range(6):
+        S = H @ mean_P @ H.T + R
+        mean_P = mean_P - mean_P @ H.T @ np.linalg.solve(S, H @ mean_P)
+        if k < 5:
+            mean_P = F @ mean_P @ F.T
+    back = np.linalg.matrix_power(np.linalg.solve(F, np.eye(3)), 5)
+    start = back @ mean_P @ back.T
+    degree = ob.information_degree(P0, np.tile(F, (5, 1, 1)), rows, R)
+    np.testing.assert_allclose(degree, np.sqrt(P0.diagonal() / start.diagonal()), rtol=1e-10)
+    T = np.diag([1e3, 1e-6, 1.0])
+    back = np.linalg.solve(T, np.eye(3))
+    other = ob.information_degree(T @ P0 @ T, np.tile(T @ F @ back, (5, 1, 1)), rows @ back, R)
+    np.testing.assert_allclose(other, degree, rtol=1e-9)
+    unseen = ob.information_degree(P0, np.tile(np.eye(3), (5, 1, 1)), np.tile(np.eye(1, 3), (6, 1, 1)), np.eye(1))
+    np.testing.assert_allclose(unseen[1:], 1.0, rtol=1e-12)
+
+
+def test_selectors():
+    assert ob.threshold_weights([9.8, 5.0, 5.1, 0.0], 5.0) == (1, 2, 1, 2)
+
+    def step(x):
+        return np.stack([np.sin(x[:, 0]), x[:, 1] * np.cos(x[:, 0]) + x[:, 2], x[:, 2]], -1)
+
+    def measure(x):
+        return x[:, 2:] ** 2
+
+    assert ob.nonlinearity_weights([step], np.zeros(3), np.ones(3)) == (1, 2, 2)
+    assert ob.nonlinearity_weights([step, measure], np.zeros(3), np.ones(3), coarse=3) == (1, 3, 1)
+
+
+@pytest.mark.parametrize(
+    ("call", "name"),
+    [
+        (lambda: ob.lie_gradients(lambda x: x, lambda x: x, [0.0], 7), "order"),
+        (lambda: ob.lie_gradients(lambda x: x, lambda x: x, [0.0], 2, window=0.0), "window"),
+        (lambda: ob.lie_gradients(lambda x: x, lambda x: x, [np.nan], 2), "x"),
+        (lambda: ob.nonlinearity_weights([], [0.0, 0.0], [1.0]), "std"),
+        (lambda: ob.nonlinearity_weights([], [0.0], [0.0]), "std"),
+        (lambda: ob.information_degree(-np.eye(1), np.zeros((0, 1, 1)), np.ones((1, 1, 1)), np.eye(1)), "P0"),
+    ],
+)
+def test_bad_input_is_refused_by_name(call, name):
+    with pytest.raises(ValueError, match=f"^{name}"):
+        call()

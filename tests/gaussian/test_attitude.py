@@ -1,0 +1,219 @@
+"""Quaternions and Rodrigues parameters against scipy's rotations, closed forms and numerical derivatives."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from celnav.filters.step import update
+from celnav.gaussian import attitude as at
+from celnav.gaussian.belief import square_root
+from celnav.gaussian.points import unscented
+
+RNG = np.random.default_rng(0)
+VECTORS = st.lists(st.floats(-3.0, 3.0), min_size=3, max_size=3).map(np.array)
+PARAMETERS = [(1.0, 4.0), (1.0, 1.0), (0.0, 2.0), (0.5, 3.0)]
+
+
+def quaternions(*shape):
+    q = RNG.standard_normal((*shape, 4))
+    return q / np.linalg.norm(q, axis=-1, keepdims=True)
+
+
+def test_the_product_composes_matrices():
+    q, p = quaternions(50), quaternions(50)
+    np.testing.assert_allclose(at.matrix(at.multiply(q, p)), at.matrix(q) @ at.matrix(p), atol=1e-14)
+    np.testing.assert_allclose(at.multiply(q, at.inverse(q)), np.broadcast_to(at.IDENTITY, (50, 4)), atol=1e-15)
+
+
+def test_the_matrix_is_the_transpose_of_scipys():
+    q = quaternions(50)
+    np.testing.assert_allclose(at.matrix(q), Rotation.from_quat(q).as_matrix().transpose(0, 2, 1), atol=1e-14)
+
+
+def test_a_small_rotation_is_its_cross_product():
+    phi = 1e-6 * RNG.standard_normal(3)
+    np.testing.assert_allclose(at.matrix(at.exp(phi)), np.eye(3) - at.cross(phi), atol=1e-11)
+
+
+@given(VECTORS)
+@settings(max_examples=60, deadline=None)
+def test_exp_is_scipys_and_log_leads_back(phi):
+    q = at.exp(phi)
+    np.testing.assert_allclose(at.positive(q), at.positive(Rotation.from_rotvec(phi).as_quat()), atol=1e-14)
+    back = at.log(q)
+    assert np.linalg.norm(back) <= np.pi + 1e-12
+    np.testing.assert_allclose(at.positive(at.exp(back)), at.positive(q), atol=1e-12)
+    if np.linalg.norm(phi) < np.pi - 1e-6:
+        np.testing.assert_allclose(back, phi, atol=1e-9)
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-150, 1e-12, 1e-9, 1e-6, np.pi - 1e-9])
+def test_log_keeps_its_digits(size):
+    phi = np.array([0.6, 0.0, -0.8]) * size
+    np.testing.assert_allclose(at.log(at.exp(phi)), phi, rtol=1e-9, atol=1e-320)
+    np.testing.assert_allclose(at.angle(at.exp(phi)), size, rtol=1e-9, atol=1e-320)
+
+
+def test_euler_angles_are_roll_of_pitch_of_yaw():
+    angles = RNG.uniform(-1.4, 1.4, (20, 3))
+    roll, pitch, yaw = (Rotation.from_rotvec(angles[:, i, None] * np.eye(3)[i]).as_matrix().transpose(0, 2, 1) for i in range(3))
+    np.testing.assert_allclose(at.matrix(at.from_euler(angles)), roll @ pitch @ yaw, atol=1e-14)
+    np.testing.assert_allclose(at.to_euler(at.from_euler(angles)), angles, atol=1e-12)
+
+
+@pytest.mark.parametrize(("a", "b"), PARAMETERS)
+@given(phi=VECTORS)
+@settings(max_examples=40, deadline=None)
+def test_rodrigues_parameters_lead_back(a, b, phi):
+    q = at.exp(0.99 * phi)
+    if a == 0.0 and abs(q[3]) < 1e-3:
+        return
+    p = at.to_rodrigues(q, a, b)
+    back = at.from_rodrigues(p, a, b)
+    np.testing.assert_allclose(np.linalg.norm(back), 1.0, atol=1e-12)
+    np.testing.assert_allclose(at.matrix(back), at.matrix(q), atol=1e-9)
+
+
+def test_the_default_parameters_are_four_tangents_of_a_quarter():
+    axis, angle = np.array([2.0, -1.0, 2.0]) / 3.0, 1.3
+    np.testing.assert_allclose(at.to_rodrigues(at.exp(angle * axis)), 4.0 * np.tan(angle / 4.0) * axis, rtol=1e-14)
+    np.testing.assert_allclose(at.to_rodrigues(at.exp(angle * axis), 0.0, 2.0), 2.0 * np.tan(angle / 2.0) * axis, rtol=1e-14)
+
+
+def test_the_sign_of_a_quaternion_changes_no_bit():
+    space, q, p = at.attitude(), quaternions(30), quaternions(30)
+    for other in (-q, q * np.where(RNG.random((30, 1)) < 0.5, -1.0, 1.0)):
+        np.testing.assert_array_equal(space.minus(q, p), space.minus(other, p))
+        np.testing.assert_array_equal(space.minus(p, q), space.minus(p, other))
+
+
+@pytest.mark.parametrize(("a", "b"), PARAMETERS)
+def test_minus_leads_back_and_batches_are_singles(a, b):
+    space = at.attitude(a, b)
+    q, p = quaternions(5, 7), quaternions(7)
+    d = space.minus(q, p)
+    np.testing.assert_allclose(at.positive(space.plus(p, d)), at.positive(q), atol=1e-9)
+    for i in range(5):
+        for j in range(7):
+            np.testing.assert_allclose(d[i, j], space.minus(q[i, j], p[j]), atol=1e-14)
+
+
+@pytest.mark.parametrize(("a", "b"), [(1.0, 4.0), (0.0, 2.0), (1.0, 1.0)])
+def test_transport_is_the_derivative(a, b):
+    p, h = np.array([0.5, -0.8, 0.3]) * b / 4.0, 1e-6
+    reference = at.inverse(at.from_rodrigues(p, a, b))
+
+    def about(d):
+        return at.to_rodrigues(at.multiply(at.from_rodrigues(p + d, a, b), reference), a, b)
+
+    columns = [(about(h * e) - about(-h * e)) / (2 * h) for e in np.eye(3)]
+    np.testing.assert_allclose(at.transport(p, a, b), np.stack(columns, -1), atol=1e-9)
+
+
+def test_the_shadow_set_is_the_same_attitude_within_the_unit_ball():
+    sigma = RNG.standard_normal((100, 3))
+    switched = at.shadow(sigma)
+    assert (np.linalg.norm(switched, axis=-1) <= 1.0 + 1e-15).all()
+    whole = [at.matrix(at.from_rodrigues(s, 1.0, 1.0)) for s in (sigma, switched)]
+    np.testing.assert_allclose(whole[0], whole[1], atol=1e-13)
+    s, h = np.array([0.9, -0.7, 0.6]), 1e-6
+    columns = [(at.shadow(s + h * e) - at.shadow(s - h * e)) / (2 * h) for e in np.eye(3)]
+    np.testing.assert_allclose(at.shadow_jacobian(s), np.stack(columns, -1), atol=1e-9)
+    np.testing.assert_array_equal(at.shadow_jacobian(0.1 * s), np.eye(3))
+    P = np.diag([1.0, 2.0, 3.0])
+    mapped = at.shadow_jacobian(s) @ P @ at.shadow_jacobian(s).T
+    assert np.linalg.eigvalsh(mapped).min() > 0.0
+
+
+def test_the_norm_does_not_drift():
+    space, q, step = at.attitude(), quaternions(3), np.array([0.01, -0.02, 0.03])
+    for _ in range(100_000):
+        q = space.plus(q, step)
+    assert np.abs(np.linalg.norm(q, axis=-1) - 1.0).max() < 1e-12
+
+
+def test_checks():
+    q = quaternions(4)
+    np.testing.assert_allclose(at.unit(q * (1.0 + 1e-8)), q, atol=1e-15)
+    q[1] = np.nan
+    assert np.isnan(at.unit(q)[1]).all()
+    for bad, words in (
+        (np.zeros(4), "norm of 0"),
+        (2.0 * at.IDENTITY, "norm of 2"),
+        ([0.0, 0.0, np.inf, 1.0], "finite"),
+        ([0.0, 0.0, np.nan, 1.0], "finite"),
+        ([0.0, 0.0, 1.0], "shape"),
+    ):
+        with pytest.raises(ValueError, match=f"^q: expected .*{words}"):
+            at.unit(bad)
+    with pytest.raises(ValueError, match=r"^a: expected a number of at least 0 and of at most 1, got 1.5"):
+        at.attitude(1.5, 1.0)
+    with pytest.raises(ValueError, match=r"^b: expected a positive number"):
+        at.attitude(1.0, 0.0)
+    with pytest.raises(ValueError, match=r"^a: expected 0"):
+        at.transport(np.zeros(3), 0.5, 3.0)
+
+
+def test_the_total_form_switches_its_parameters_with_the_covariance():
+    total, local = at.total_attitude(), at.attitude()
+    q = at.exp(np.radians([179.0, 0.0, 0.0]))
+    step = at.exp(np.radians([2.0, 0.0, 0.0]))
+    deviations = 1e-5 * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
+    points = total.plus(q, deviations)
+    moved = at.positive(at.multiply(step, points))
+    # The center has switched: its parameters are those of -179 deg. Differences are taken on its side.
+    assert moved[0] @ at.multiply(step, points)[0] < 0.0
+    differences = total.minus(moved, moved[0])
+    assert np.abs(differences).max() < 2e-5
+    tangents = differences @ (4.0 * at.transport(moved[0, :3] / (1.0 + moved[0, 3]), 1.0, 1.0)).T
+    np.testing.assert_allclose(tangents, local.minus(moved, moved[0]), atol=1e-9)
+    covariance = tangents.T @ tangents
+    assert np.linalg.eigvalsh(covariance).min() > 0.0
+
+
+def test_a_total_form_leads_back():
+    total = at.total_attitude()
+    q = at.exp(np.array([[0.5, -1.0, 2.0], [0.0, 0.0, 0.0]]))
+    t = 1e-3 * np.array([[1.0, 2.0, 3.0], [-1.0, 0.5, 0.0]])
+    np.testing.assert_allclose(total.minus(total.plus(q, t), q), t, atol=1e-14)
+    np.testing.assert_allclose(total.minus(-total.plus(q, t), q), t, atol=1e-14)
+
+
+def test_vectors_turn_as_the_matrix_turns_them():
+    q = at.exp(np.random.default_rng(3).normal(size=(4, 5, 3)))
+    v = np.random.default_rng(4).normal(size=3)
+    np.testing.assert_allclose(at.rotate(q, v), at.matrix(q) @ v, atol=1e-15)
+
+
+@pytest.mark.parametrize("bad", [[0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 2.0], [np.nan, 0.0, 0.0, 1.0], [np.inf, 0.0, 0.0, 1.0]])
+def test_a_filter_refuses_what_is_no_attitude(bad):
+    space = at.attitude()
+    part = update(lambda x, _epoch: x, unscented(3), R=1e-6 * np.eye(3), space=space, measurement_space=space)
+    belief = square_root(at.IDENTITY, 0.01 * np.eye(3))
+    with pytest.raises(ValueError, match=r"^z: expected"):
+        part(belief, np.array(bad))
+    if np.isfinite(bad).all():
+        with pytest.raises(ValueError, match=r"^state: expected unit quaternions"):
+            part(square_root(np.array(bad), 0.01 * np.eye(3)), at.IDENTITY)
+
+
+def test_a_quaternion_that_is_off_by_round_off_is_normalized():
+    space = at.attitude()
+    part = update(lambda x, _epoch: x, unscented(3), R=1e-6 * np.eye(3), space=space, measurement_space=space)
+    belief, z = square_root(at.IDENTITY, 0.01 * np.eye(3)), at.exp(np.array([0.1, 0.0, 0.0]))
+    a, b = (part(belief, factor * z)[0].mean for factor in (1.0, 1.0 + 5e-7))
+    np.testing.assert_allclose(a, b, atol=1e-15)
+
+
+def test_points_that_wrap_are_warned_of():
+    with pytest.warns(RuntimeWarning, match="232 deg"):
+        at.warn_of_wrapping(unscented(15), np.radians(60.0))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        at.warn_of_wrapping(unscented(15), np.radians(40.0))

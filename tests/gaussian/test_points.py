@@ -1,0 +1,342 @@
+"""Rules: exact to their degree, equal to filterpy's, usable inside filterpy, and right as transforms of any function."""
+
+from itertools import product as cartesian
+from pathlib import Path
+
+import numpy as np
+import pytest
+from filterpy.kalman import JulierSigmaPoints, MerweScaledSigmaPoints, SimplexSigmaPoints, UnscentedKalmanFilter
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from celnav.cli import main
+from celnav.filters.driver import epochs, run, sequential
+from celnav.filters.step import predict, update
+from celnav.gaussian.belief import covariance, square_root
+from celnav.gaussian.points import MAX_POINTS, cubature, from_filterpy, gauss_hermite, simplex, unscented
+from celnav.gaussian.rule import Rule
+from celnav.gaussian.spaces import EUCLIDEAN
+from celnav.gaussian.taylor import Taylor
+from celnav.gaussian.transform import KEEP
+
+BATCHES = [(), (3,), (2, 3)]
+
+
+def monomials(n, degree):
+    """All exponents of n variables up to a degree."""
+    return [e for e in cartesian(range(degree + 1), repeat=n) if sum(e) <= degree]
+
+
+def gaussian_moment(exponents):
+    """E[x^e] of a unit Gaussian: the product of (e - 1)!! over even exponents."""
+    value = 1.0
+    for e in exponents:
+        value *= 0.0 if e % 2 else float(np.prod(np.arange(e - 1, 0, -2))) if e else 1.0
+    return value
+
+
+def moment(rule, exponents):
+    return rule.wm @ np.prod(rule.nodes ** np.array(exponents), -1)
+
+
+EXACT = {
+    "unscented": (lambda n: unscented(n), 3),
+    "unscented scaled": (lambda n: unscented(n, 0.5, 2.0, -1.0 if n > 1 else 1.0), 3),
+    "unscented kappa = 3 - n": (lambda n: unscented(n, 1.0, 0.0, 3.0 - n), 3),
+    "simplex": (simplex, 2),
+    "cubature 3": (cubature, 3),
+    "cubature 5": (lambda n: cubature(n, 5), 5),
+    "gauss-hermite 2": (lambda n: gauss_hermite(n, 2), 3),
+    "gauss-hermite 3": (lambda n: gauss_hermite(n, 3), 5),
+    "gauss-hermite 4": (lambda n: gauss_hermite(n, 4), 7),
+}
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize(("make", "degree"), EXACT.values(), ids=EXACT)
+def test_rules_are_exact_to_their_degree(make, degree, n):
+    rule = make(n)
+    for exponents in monomials(n, degree):
+        assert moment(rule, exponents) == pytest.approx(gaussian_moment(exponents), abs=1e-12)
+
+
+@pytest.mark.parametrize(("make", "degree"), EXACT.values(), ids=EXACT)
+def test_rules_are_not_exact_beyond_their_degree(make, degree):
+    rule = make(2)
+    worst = max(abs(moment(rule, e) - gaussian_moment(e)) for e in monomials(2, degree + 1) if sum(e) == degree + 1)
+    assert worst > 1e-3
+
+
+@pytest.mark.parametrize("n", [6, 13])
+def test_cubature_of_degree_five_is_exact_in_many_dimensions(n):
+    rule = cubature(n, 5)
+    assert rule.num_sigmas() == 2 * n * n + 1
+    assert (rule.wm < 0.0).sum() == 2 * n
+    x, w = rule.nodes, rule.wm
+    fourth = np.einsum("p,pi,pj,pk,pl->ijkl", w, x, x, x, x, optimize=True)
+    delta = np.eye(n)
+    pairs = np.einsum("ij,kl->ijkl", delta, delta)
+    expected = pairs + pairs.transpose(0, 2, 1, 3) + pairs.transpose(0, 3, 2, 1)
+    np.testing.assert_allclose(fourth, expected, atol=1e-11)
+    np.testing.assert_allclose(np.einsum("p,pi,pj,pk->ijk", w, x, x, x), 0.0, atol=1e-11)
+
+
+def test_gauss_hermite_in_one_dimension_is_exact_to_twice_its_order():
+    for order in range(2, 9):
+        rule = gauss_hermite(1, order)
+        for k in range(2 * order):
+            assert moment(rule, (k,)) == pytest.approx(gaussian_moment((k,)), rel=1e-10, abs=1e-10)
+
+
+@pytest.mark.parametrize(("order", "n"), [(2, 3), (3, 3), (5, 2), (100, 1)])
+def test_gauss_hermite_counts_its_points(order, n):
+    rule = gauss_hermite(n, order)
+    assert rule.num_sigmas() == order**n
+    assert rule.wm.sum() == pytest.approx(1.0, abs=1e-12)
+
+
+def test_counts_of_points():
+    assert unscented(6).num_sigmas() == 12  # lambda = 0: the center has no weight
+    assert unscented(6, 1.0, 2.0).num_sigmas() == 13
+    assert cubature(6).num_sigmas() == 12
+    assert simplex(6).num_sigmas() == 7
+
+
+def test_small_alpha_keeps_the_mean_of_a_constant_and_its_digits():
+    rule = unscented(3, 1e-3, 2.0, 0.0)
+    assert rule.wm[0] < -1e5
+    (image,), A = rule.transform(
+        lambda x: (np.full((*x.shape[:-1], 1), 7000.123456789),), np.zeros(3), np.eye(3), EUCLIDEAN, (EUCLIDEAN,)
+    )
+    assert image.center[0] + image.shift[0] == 7000.123456789
+    assert not A.any()
+
+
+@pytest.mark.parametrize("alpha", [1e-2, 1e-3, 1e-4, 1e-5])
+def test_unscented_rules_of_small_alpha_are_accepted(alpha):
+    assert unscented(6, alpha, 2.0, 0.0).num_sigmas() == 13
+
+
+FILTERPY = {
+    "merwe": lambda n: MerweScaledSigmaPoints(n, 0.5, 2.0, 3.0 - n),
+    "merwe alpha 1e-3": lambda n: MerweScaledSigmaPoints(n, 1e-3, 2.0, 0.0),
+    "julier": lambda n: JulierSigmaPoints(n, 1.0),
+    "julier kappa < 0": lambda n: JulierSigmaPoints(n, -0.5),
+    "simplex": SimplexSigmaPoints,
+}
+
+
+@pytest.mark.parametrize("n", [1, 2, 5])
+@pytest.mark.parametrize("make", FILTERPY.values(), ids=FILTERPY)
+def test_from_filterpy_keeps_nodes_and_weights(make, n):
+    points = make(n)
+    rule = from_filterpy(points)
+    theirs = points.sigma_points(np.zeros(n), np.eye(n))
+
+    def table(nodes, wm, wc):
+        rows = np.column_stack([nodes, np.ravel(wm), np.ravel(wc)])
+        return rows[np.lexsort(np.round(rows, 9).T)]
+
+    ours = table(rule.nodes[-len(theirs) :], rule.wm[-len(theirs) :], rule.wc[-len(theirs) :])
+    np.testing.assert_allclose(ours, table(theirs, points.Wm, points.Wc), atol=1e-9, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("alpha", "beta", "kappa"), [(1.0, 0.0, 0.0), (0.5, 2.0, -1.0), (1e-3, 2.0, 0.0)])
+def test_unscented_is_merwes(alpha, beta, kappa):
+    x, P = np.array([1.0, -2.0, 3.0]), np.array([[2.0, 0.3, 0.1], [0.3, 1.0, 0.2], [0.1, 0.2, 0.5]])
+    theirs, ours = MerweScaledSigmaPoints(3, alpha, beta, kappa), unscented(3, alpha, beta, kappa)
+    points = theirs.sigma_points(x, P)
+    c = alpha**2 * (3 + kappa)
+    digits = 8.0 * np.finfo(float).eps * max(1.0, 3.0 / c)  # filterpy forms c as (c - n) + n
+    np.testing.assert_allclose(ours.sigma_points(x, P), points[-ours.num_sigmas() :], rtol=digits)
+    np.testing.assert_allclose(ours.Wm, theirs.Wm[-ours.num_sigmas() :], rtol=digits)
+    np.testing.assert_allclose(ours.Wc, theirs.Wc[-ours.num_sigmas() :], rtol=digits)
+
+
+def turn(x, dt):
+    """A nonlinear model of four states, for one point or many."""
+    px, py, speed, heading = np.moveaxis(x, -1, 0)
+    return np.stack([px + dt * speed * np.cos(heading), py + dt * speed * np.sin(heading), 0.99 * speed, heading + 0.1 * dt], -1)
+
+
+def radar(x):
+    return np.stack([np.hypot(x[..., 0], x[..., 1]), x[..., 0] * x[..., 1] / 100.0], -1)
+
+
+@pytest.mark.parametrize("n", [1, 3, 9])
+def test_the_default_unscented_rule_is_the_cubature_rule_and_says_so(n, capsys):
+    one, other = unscented(n), cubature(n)
+    for name in ("nodes", "wm", "wc"):
+        np.testing.assert_allclose(getattr(one, name), getattr(other, name), atol=1e-15)
+    fourth = unscented(n, kappa=3.0 - n)
+    np.testing.assert_allclose(moment(fourth, [4] + [0] * (n - 1)), 3.0)
+    main(["list"])
+    readme = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+    assert "unscented (by default cubature of degree 3)" in capsys.readouterr().out
+    assert "By default `celnav.unscented(n)` is `celnav.cubature(n)`" in readme
+    assert "``cubature(n)``" in unscented.__doc__
+    assert "``unscented(n)``" in cubature.__doc__
+
+
+RULES = {
+    "unscented": unscented(4),
+    "negative center": unscented(4, 0.5, 2.0, -1.0),
+    "alpha 1e-3": unscented(4, 1e-3, 2.0, 0.0),
+    "simplex": simplex(4),
+    "cubature 3": cubature(4),
+    "cubature 5": cubature(4, 5),
+    "gauss-hermite 2": gauss_hermite(4, 2),
+    "gauss-hermite 3": gauss_hermite(4, 3),
+}
+MEAN, P0 = np.array([30.0, 40.0, 2.0, 0.3]), np.diag([4.0, 4.0, 0.1, 0.01])
+Q, R = np.diag([0.1, 0.1, 0.01, 1e-4]), np.diag([0.5, 0.2])
+
+
+@pytest.mark.parametrize("rule", RULES.values(), ids=RULES)
+def test_every_rule_works_inside_filterpy_and_gives_what_our_filter_gives(rule):
+    kf = UnscentedKalmanFilter(4, 2, 1.0, hx=radar, fx=turn, points=rule)
+    kf.x, kf.P, kf.Q, kf.R = MEAN.copy(), P0.copy(), Q, R
+    truth, zs, theirs = MEAN + 0.5, [np.full(2, np.nan)], []
+    rng = np.random.default_rng(2)
+    for _ in range(15):
+        truth = turn(truth, 1.0)
+        zs.append(radar(truth) + np.sqrt(R.diagonal()) * rng.normal(size=2))
+        kf.predict()
+        kf.update(zs[-1])
+        theirs.append(np.r_[kf.x, kf.P.ravel()])
+    filter = sequential(predict(lambda x, epoch: turn(x, epoch.dt), rule, Q), update(lambda x, epoch: radar(x), rule, R))
+    for prior in (square_root(MEAN, P0), covariance(MEAN, P0)):
+        track = run(filter, prior, epochs(np.arange(16.0), np.array(zs)), keep="spread")
+        ours = np.concatenate([track.mean, track.cov.reshape(16, 16)], -1)[1:]
+        np.testing.assert_allclose(ours, theirs, rtol=1e-6, atol=1e-7)
+
+
+@pytest.mark.parametrize("batch", BATCHES)
+@pytest.mark.parametrize("rule", RULES.values(), ids=RULES)
+def test_a_transform_is_the_weighted_sum_written_out(rule, batch):
+    rng = np.random.default_rng(3)
+    mean, root = MEAN + rng.normal(size=(*batch, 4)), np.linalg.cholesky(P0) * np.ones((*batch, 1, 1))
+    (image, kept), A = rule.transform(lambda x: (turn(x, 1.0), KEEP), mean, root, EUCLIDEAN, (EUCLIDEAN, EUCLIDEAN), room=2)
+    assert A.shape == (*batch, 8, A.shape[-1])
+    x = mean + np.einsum("...ij,pj->p...i", root, rule.nodes)
+    y = turn(x, 1.0)
+    y0 = np.broadcast_to(y[0], y.shape)
+    expected_mean = y[0] + np.einsum("p,p...i->...i", rule.wm, y - y0)
+    d = y - expected_mean
+    expected = np.einsum("p,p...i,p...j->...ij", rule.wc, d, d)
+    cross = np.einsum("p,p...i,p...j->...ij", rule.wc, d, x - mean)
+    np.testing.assert_allclose(image.center + image.shift, expected_mean, rtol=1e-12)
+    signed = image.columns * rule.sign
+    np.testing.assert_allclose(signed @ image.columns.mT, expected, rtol=1e-8, atol=1e-9)
+    np.testing.assert_allclose(signed @ kept.columns.mT, cross, rtol=1e-8, atol=1e-9)
+    np.testing.assert_allclose((kept.columns * rule.sign) @ kept.columns.mT, root @ root.mT, rtol=1e-9, atol=1e-10)
+    np.testing.assert_allclose(rule.slope(image, root) @ (root @ root.mT), cross, rtol=1e-7, atol=1e-8)
+
+
+JACOBIAN = np.array([[1.0, 0.2, 0.0], [0.0, 1.0, -0.3]])
+
+
+@pytest.mark.parametrize("taylor", [Taylor(), Taylor(lambda _mean, _epoch: (JACOBIAN,))], ids=repr)
+@pytest.mark.parametrize("batch", BATCHES)
+def test_taylor_has_the_jacobian_for_its_slope(taylor, batch):
+    rng = np.random.default_rng(4)
+    mean, root = rng.normal(size=(*batch, 3)), np.tril(rng.normal(size=(*batch, 3, 3))) + 3.0 * np.eye(3)
+    (image,), _ = taylor.transform(lambda x: (x @ JACOBIAN.T,), mean, root, EUCLIDEAN, (EUCLIDEAN,))
+    np.testing.assert_allclose(taylor.slope(image, root), np.broadcast_to(JACOBIAN, (*batch, 2, 3)), atol=1e-9)
+    np.testing.assert_allclose(image.columns, JACOBIAN @ root, atol=1e-9)
+
+
+def test_taylor_by_differences_is_taylor_by_jacobian():
+    def jacobian(mean, _epoch):
+        c, s, speed = np.cos(mean[3]), np.sin(mean[3]), mean[2]
+        return (np.array([[1.0, 0.0, c, -speed * s], [0.0, 1.0, s, speed * c], [0.0, 0.0, 0.99, 0.0], [0.0, 0.0, 0.0, 1.0]]),)
+
+    root = np.linalg.cholesky(P0)
+    columns = [
+        t.transform(lambda x: (turn(x, 1.0),), MEAN, root, EUCLIDEAN, (EUCLIDEAN,))[0][0].columns
+        for t in (Taylor(), Taylor(jacobian))
+    ]
+    np.testing.assert_allclose(columns[0], columns[1], atol=1e-8)
+
+
+def test_taylor_asks_for_one_jacobian_for_each_output():
+    taylor = Taylor(lambda _mean, _epoch: (np.eye(2),))
+    with pytest.raises(ValueError, match="jacobians: expected 2 matrices, got 1"):
+        taylor.transform(lambda x: (x + 0.0, x + 0.0), np.zeros(2), np.eye(2), EUCLIDEAN, (EUCLIDEAN, EUCLIDEAN))
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.sampled_from(BATCHES), st.integers(1, 4), st.integers(0, 3), st.integers(0, 2**32 - 1))
+def test_points_have_the_moments_of_state_and_noise(batch, n, k, seed):
+    rng = np.random.default_rng(seed)
+    mean, root = rng.normal(size=(*batch, n)), np.tril(rng.normal(size=(*batch, n, n)))
+    noise = [rng.normal(size=(2, k))] if k else []
+    rule = unscented(n + k)
+    X, *W = rule.points(mean, root, EUCLIDEAN, noise)
+    assert X.shape == (len(rule.wm), *batch, n)
+    d = X - mean
+    np.testing.assert_allclose(np.einsum("p,p...i,p...j->...ij", rule.wm, d, d), root @ root.mT, atol=1e-10)
+    if k:
+        assert W[0].shape == (len(rule.wm), *batch, 2)
+        np.testing.assert_allclose(
+            np.einsum("p,p...i,p...j->...ij", rule.wm, W[0], W[0]),
+            np.broadcast_to(noise[0] @ noise[0].T, (*batch, 2, 2)),
+            atol=1e-10,
+        )
+        np.testing.assert_allclose(np.einsum("p,p...i,p...j->...ij", rule.wm, d, W[0]), 0.0, atol=1e-10)
+
+
+def test_a_rule_of_the_wrong_dimension_says_so():
+    with pytest.raises(ValueError, match=r"rule: expected 4 dimensions.*got 3"):
+        unscented(3).points(np.zeros(2), np.eye(2), EUCLIDEAN, [np.eye(2)])
+
+
+def test_rules_cannot_be_changed():
+    rule = unscented(2)
+    with pytest.raises(ValueError, match="read-only"):
+        rule.nodes[0, 0] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: unscented(0), "n: expected a positive integer"),
+        (lambda: unscented(-2), "n: expected a positive integer"),
+        (lambda: unscented(1.5), "n: expected a positive integer"),
+        (lambda: unscented(True), "n: expected a positive integer"),
+        (lambda: unscented(float("nan")), "n: expected a positive integer"),
+        (lambda: unscented(float("inf")), "n: expected a positive integer"),
+        (lambda: unscented("two"), "n: expected a positive integer"),
+        (lambda: unscented(2, 0.0), "alpha"),
+        (lambda: unscented(2, -1.0), "alpha"),
+        (lambda: unscented(2, float("nan")), "alpha"),
+        (lambda: unscented(2, 1.0, float("inf")), "beta"),
+        (lambda: unscented(2, 1.0, 0.0, -2.0), "kappa: expected a number above -2"),
+        (lambda: unscented(2, 1.0, 0.0, -3.0), "kappa"),
+        (lambda: cubature(2, 4), "degree: expected one of 3, 5, got 4"),
+        (lambda: gauss_hermite(2, 0), "order"),
+        (lambda: gauss_hermite(2, 1), "order"),
+        (lambda: gauss_hermite(2, 2.5), "order"),
+        (lambda: gauss_hermite(2, float("nan")), "order"),
+        (lambda: gauss_hermite(2, 101), "order"),
+        (lambda: gauss_hermite(9, 7), "7\\*\\*9 = 40353607 points"),
+        (lambda: Rule(np.zeros((0, 2)), []), "nodes"),
+        (lambda: Rule([[1.0], [-1.0]], [0.5, 0.5]), "nodes: expected the center first"),
+        (lambda: Rule([[0.0], [1.0], [-1.0]], [0.0, 0.5, 0.4]), "wm: expected a sum of 1"),
+        (lambda: Rule([[0.0], [1.0], [-1.0]], [0.0, 0.75, 0.25]), "wm: expected sum wm nodes = 0"),
+        (lambda: Rule([[0.0], [2.0], [-2.0]], [0.0, 0.5, 0.5]), "wc"),
+        (lambda: Rule([[0.0], [1.0]], [0.0, 0.5, 0.5]), "wm: expected shape"),
+        (lambda: Taylor(step=0.0), "step"),
+        (lambda: unscented(2).sigma_points([0.0], np.eye(2)), "x: expected 2 components, got 1"),
+        (lambda: unscented(2).sigma_points([0.0, 0.0], -np.eye(2)), "P: expected a positive semidefinite"),
+    ],
+)
+def test_rules_refuse_and_say_what(make, words):
+    with pytest.raises(ValueError, match=words):
+        make()
+
+
+def test_the_limit_of_points_is_checked_before_they_are_made():
+    assert MAX_POINTS < 10**10
+    with pytest.raises(ValueError, match=f"exceed the limit of {MAX_POINTS}"):
+        gauss_hermite(50, 10)

@@ -1,0 +1,112 @@
+"""Spaces: plus and minus undo each other, angles wrap, products act part by part."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import celnav
+from celnav.gaussian.spaces import EUCLIDEAN, Space, angles, product, wrap
+
+reals = st.floats(-50.0, 50.0)
+
+
+@given(st.floats(-1e6, 1e6))
+def test_wrap_is_congruent_and_in_range(a):
+    w = wrap(a)
+    assert -np.pi <= w < np.pi
+    assert abs(np.sin(0.5 * (w - a))) < 1e-9
+
+
+def test_wrap_at_the_edges():
+    np.testing.assert_allclose(wrap(np.array([np.pi, -np.pi, 3.0 * np.pi, 0.0])), [-np.pi, -np.pi, -np.pi, 0.0], atol=1e-15)
+    assert wrap(np.nextafter(-np.pi, -10.0)) < np.pi
+
+
+SPACES = {
+    "euclidean": EUCLIDEAN,
+    "all angles": angles(),
+    "some angles": angles([0, 2]),
+    "product": product((angles(), 1, 1), (EUCLIDEAN, 2, 2)),
+}
+
+
+@pytest.mark.parametrize("space", SPACES.values(), ids=SPACES)
+@given(st.lists(reals, min_size=6, max_size=6))
+def test_minus_leads_back(space, numbers):
+    a, b = space.plus(np.zeros(3), np.array(numbers[:3])), space.plus(np.zeros(3), np.array(numbers[3:]))
+    back = space.plus(a, space.minus(b, a))
+    difference = space.minus(back, b)  # on a circle -pi and pi are neighbors
+    assert np.abs(difference).max() < 1e-12
+
+
+def test_angles_wrap_the_named_components_only():
+    space = angles([1])
+    np.testing.assert_allclose(space.minus(np.array([4.0, 3.0]), np.array([-4.0, -3.0])), [8.0, 6.0 - 2.0 * np.pi])
+    np.testing.assert_allclose(space.plus(np.array([3.0, 3.0]), np.array([1.0, 1.0])), [4.0, 4.0 - 2.0 * np.pi])
+
+
+def test_spaces_leave_their_arguments_alone():
+    a, b = np.array([3.0, 3.0, 3.0]), np.array([1.0, 1.0, 1.0])
+    for space in SPACES.values():
+        space.plus(a, b)
+        space.minus(a, b)
+    np.testing.assert_array_equal(a, [3.0, 3.0, 3.0])
+    np.testing.assert_array_equal(b, [1.0, 1.0, 1.0])
+
+
+def circle():
+    """Unit vectors of the plane: points of two components, tangents of one."""
+
+    def plus(point, tangent):
+        c, s = np.cos(tangent[..., 0]), np.sin(tangent[..., 0])
+        x, y = point[..., 0], point[..., 1]
+        return np.stack([c * x - s * y, s * x + c * y], -1)
+
+    def minus(b, a):
+        cross = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+        return np.arctan2(cross, (a * b).sum(-1))[..., None]
+
+    return Space(plus, minus, lambda tangent: 2.0 * np.ones((*tangent.shape[:-1], 1, 1)))
+
+
+@pytest.mark.parametrize("batch", [(), (3,), (4, 3)])
+def test_a_product_acts_part_by_part(batch):
+    rng = np.random.default_rng(1)
+    space = product((circle(), 2, 1), (EUCLIDEAN, 2, 2), (angles(), 1, 1))
+    angle = rng.uniform(-3.0, 3.0, batch)
+    point = np.concatenate([np.stack([np.cos(angle), np.sin(angle)], -1), rng.normal(size=(*batch, 3))], -1)
+    tangent = rng.normal(size=(*batch, 4))
+    moved = space.plus(point, tangent)
+    np.testing.assert_allclose(moved[..., :2], circle().plus(point[..., :2], tangent[..., :1]))
+    np.testing.assert_allclose(moved[..., 2:4], point[..., 2:4] + tangent[..., 1:3])
+    np.testing.assert_allclose(moved[..., 4], wrap(point[..., 4] + tangent[..., 3]))
+    np.testing.assert_allclose(
+        space.minus(moved, point), np.concatenate([tangent[..., :3], wrap(tangent[..., 3:])], -1), atol=1e-14
+    )
+
+
+def test_a_product_transports_its_curved_part_only():
+    matrix = product((circle(), 2, 1), (EUCLIDEAN, 2, 2)).transport(np.zeros((5, 3)))
+    np.testing.assert_array_equal(matrix, np.broadcast_to(np.diag([2.0, 1.0, 1.0]), (5, 3, 3)))
+    assert product((EUCLIDEAN, 1, 1), (angles(), 1, 1)).transport is None
+
+
+def test_a_product_broadcasts_points_against_one_center():
+    space = product((circle(), 2, 1), (EUCLIDEAN, 1, 1))
+    cloud = space.plus(np.array([1.0, 0.0, 5.0]), np.zeros((7, 3, 2)))
+    np.testing.assert_array_equal(cloud, np.broadcast_to([1.0, 0.0, 5.0], (7, 3, 3)))
+
+
+def test_a_product_refuses_a_part_with_a_mean_of_its_own():
+    with pytest.raises(ValueError, match="factors"):
+        product((Space(mean=lambda points, weights: points[0]), 1, 1), (EUCLIDEAN, 1, 1))
+
+
+def test_angles_may_come_as_integers():
+    """Also as lists of them, or in half precision: differences are floats."""
+    space = celnav.angles([0])
+    for make in (list, np.array, lambda v: np.array(v, np.float32), lambda v: np.array(v, np.uint8)):
+        np.testing.assert_allclose(space.minus(make([6, 7]), make([1, 9])), [5.0 - 2.0 * np.pi, -2.0])
+        np.testing.assert_allclose(space.plus(make([3, 7]), make([1, 9])), [4.0 - 2.0 * np.pi, 16.0])
+        np.testing.assert_allclose(celnav.angles().minus(np.asarray(make([6, 7])), make([1, 9])), [5.0 - 2.0 * np.pi, -2.0])

@@ -1,0 +1,101 @@
+"""``index.html`` of the papers and of campaigns, as a browser has it."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+from celnav import papers
+from celnav.campaign import campaign
+from celnav.campaign.figures import figures
+from celnav.campaign.missions import study
+from celnav.campaign.page import write
+from celnav.files import Outputs
+from celnav.papers.page import index
+from celnav.show.drawing import render
+from celnav.show.figures import figure as empty
+from celnav.study.claims import Claim, dumps
+
+BROWSER = next((found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None)
+PROBE = """<script>addEventListener("load", () => { const images = [...document.images];
+document.title = [images.length, images.filter(i => i.complete && i.naturalWidth > 0).length,
+document.documentElement.scrollWidth, getComputedStyle(document.documentElement).colorScheme].join("|") })</script>"""
+
+
+def seen(page, tmp_path, width):
+    """What a browser makes of a page: images, loaded images, width of the contents, color scheme, and what its console says."""
+    probed = tmp_path / "probed.html"
+    probed.write_text(page.replace("</body>", f"{PROBE}</body>"), encoding="utf-8")
+    command = [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", f"--window-size={width},900",
+               f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=20000", "--dump-dom", probed.as_uri()]  # fmt: skip
+    found = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
+    title = re.search(r"<title>(\d+)\|(\d+)\|(\d+)\|([^<]*)</title>", found.stdout)
+    assert title is not None
+    return int(title[1]), int(title[2]), int(title[3]), title[4], [line for line in found.stderr.splitlines() if "CONSOLE" in line]
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    """The page of csrukf and aukf, with invented claims, a real figure and a real table."""
+    out = tmp_path_factory.mktemp("out")
+    for paper in ("csrukf", "aukf"):
+        outputs = Outputs(out / paper)
+        listed = [
+            Claim("figure-1-a", "paper", "It is <so> & long, " + "so " * 60 + "long", 1.0, (0.0, 1.5), True, paper="1 & 2"),
+            Claim("figure-1-b", "paper", "It is so too", 2.0, (0.0, 1.5), True, ci=(1.9, 2.1), note="a note"),
+            Claim("figure-10-a", "beyond", "It was never said", 0.5, (None, 1.5), True),
+        ]
+        outputs.text("claims.json", dumps(listed))
+        outputs.text("timings.json", json.dumps({"about": {"numpy": "2.2"}, "effort": 1.0, "cpu_s": 12.3, "timings": {}}))
+        for number in (1, 10):
+            fig, ax = empty(4.0, 3.0)
+            ax.plot(np.arange(5))
+            outputs.bytes(f"figures/figure_{number:02d}.png", render(fig, "png"))
+        outputs.text("tables/table_1.csv", "a,b\n1,<2>\n")
+    return index(out)
+
+
+def test_it_has_every_verdict_figure_table_and_erratum_and_needs_nothing_else(page):
+    assert page.count("<img ") == 4
+    assert page.count("1 reproduced, 1 not reproduced, 1 shown") == 2  # in the overview
+    assert page.count("Claims: 1 reproduced, 1 not reproduced.") == 2 * 2  # caption and alternative text
+    assert page.count("Claims: 1 shown.") == 2 * 2
+    assert "1 not as expected" in page
+    assert "&lt;2&gt;" in page
+    assert "numpy 2.2; effort 1, 12 s of CPU time" in page
+    for paper in ("csrukf", "aukf"):
+        assert f"Errata of the paper, {len(papers.load(paper).ERRATA)}" in page
+        assert f'href="#{paper}"' in page
+        assert f'id="{paper}"' in page
+    assert not re.search(r'(src|href)="(https?:)?//', page)
+
+
+def test_nothing_reproduced_is_said(tmp_path):
+    assert "Nothing reproduced yet." in index(tmp_path)
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no browser is installed")
+@pytest.mark.parametrize("width", [390, 1200])
+def test_a_browser_finds_every_image_no_error_and_nothing_beside_the_screen(page, tmp_path, width):
+    images, loaded, needed, scheme, said = seen(page, tmp_path, width)
+    assert images == loaded == 4
+    assert needed <= max(width, 500)  # the least that a headless window has
+    assert "dark" in scheme
+    assert said == []
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no browser is installed")
+def test_a_browser_finds_every_image_of_a_campaign(tmp_path):
+    outcome = campaign(study({"paper": "csrukf", "filters": ["srukf"], "runs": 3, "config": {"steps": 4}}), tmp_path / "store")
+    drawn = {name: figure for name, figure in figures(outcome).items() if name.startswith("accuracy")}
+    write(outcome, drawn, Outputs(tmp_path / "store"))
+    content = (tmp_path / "store" / "index.html").read_text(encoding="utf-8")
+    images, loaded, needed, _, said = seen(content, tmp_path, 390)
+    assert images == loaded == 2
+    assert needed <= 500
+    assert said == []

@@ -1,0 +1,249 @@
+"""Problems of one's own, and every composition on them: exact where it can be, consistent where it should be."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from celnav.filters import epochs, run
+from celnav.gaussian.attitude import attitude, rotate
+from celnav.gaussian.belief import square_root
+from celnav.gaussian.linalg import side_by_side
+from celnav.gaussian.spaces import EUCLIDEAN, product
+from celnav.models.gyro import Gyro
+from celnav.study.compositions import COMPOSITIONS, FORMS, HOOKS, RULES, Composition, compare, compose
+from celnav.study.montecarlo import generator
+from celnav.study.problem import WILD, Problem
+from celnav.study.trial import Group, Noiseless
+
+F = np.array([[1.0, 1.0], [0.0, 1.0]])
+
+
+def line(**changes):
+    """A body on a line, seen by its position."""
+    problem = Problem(
+        lambda x, epoch: x @ F.T,
+        lambda x, epoch: x[..., :1],
+        mean=[1.0, 2.0],
+        cov=[[4.0, 0.5], [0.5, 1.0]],
+        sqrt_Q=[[0.05], [0.1]],
+        R=[[0.25]],
+        times=np.arange(21.0),
+        groups=[Group("position", "m", slice(0, 1))],
+    )
+    return replace(problem, **changes)
+
+
+def satellite(**changes):
+    gyro = Gyro(1e-5, 1e-6)
+    problem = Problem(
+        lambda x, epoch: gyro.propagate(x, epoch.u, epoch.dt),
+        lambda x, epoch: side_by_side([rotate(x[..., :4], star) for star in np.eye(3)[:2]]),
+        mean=[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0],
+        cov=np.diag([0.02] * 3 + [1e-4] * 3) ** 2,
+        sqrt_Q=np.linalg.cholesky(gyro.process_noise(1.0)),
+        R=1e-6 * np.eye(6),
+        times=np.arange(31.0),
+        u=np.tile([0.0, 1e-3, 0.0], (30, 1)),
+        space=product((attitude(), 4, 3), (EUCLIDEAN, 3, 3)),
+        groups=[Group("attitude", "arcsec", slice(0, 3), 206265.0)],
+    )
+    return replace(problem, **changes)
+
+
+def kalman(problem, z):
+    """The textbook filter: means ``(T, runs, 2)`` and the last covariance."""
+    P, Q, H = problem.cov, problem.sqrt_Q @ problem.sqrt_Q.T, np.array([[1.0, 0.0]])
+    x, out = np.tile(problem.mean, (z.shape[1], 1)), []
+    for k, measured in enumerate(z):
+        if k:
+            x, P = x @ F.T, F @ P @ F.T + Q
+        K = P @ H.T / (H @ P @ H.T + problem.R)
+        x, P = x + (measured - x @ H.T) @ K.T, P - K @ H @ P
+        out.append(x)
+    return np.stack(out), P
+
+
+@pytest.mark.parametrize("parts", [c for c in COMPOSITIONS if not c.hook], ids=str)
+def test_on_a_line_every_composition_is_the_kalman_filter(parts):
+    problem = line()
+    _, z = problem.draw([generator(0, 0, r) for r in range(4)])
+    mean, P = kalman(problem, z)
+    prior = square_root(np.tile(problem.mean, (4, 1)), problem.cov)
+    track = run(compose(problem, parts), prior, epochs(problem.times, z), keep="spread")
+    np.testing.assert_allclose(track.mean, mean, atol=1e-8)
+    np.testing.assert_allclose(track.form.covariance(track.spread[-1]), np.tile(P, (4, 1, 1)), atol=1e-8)
+    assert track.form.name == parts.form
+
+
+def test_all_parts_go_together_on_vectors():
+    every = [
+        Composition(rule, form=form, colored=colored, hook=hook)
+        for rule in RULES for form in FORMS for colored in (False, True) for hook in ("", *HOOKS)
+    ]  # fmt: skip
+    rows = compare({"line": line(phi=0.6, times=np.arange(5.0))}, every, runs=3)
+    assert [row.filter for row in rows] == [str(parts) for parts in every]
+    assert all(np.isfinite(row[2:8]).all() and row.lost == 0 for row in rows)
+
+
+def test_draws_are_of_the_model():
+    problem = line(phi=0.8)
+    truth, z = problem.draw([generator(1, 0, r) for r in range(4000)])
+    assert truth.shape == (21, 4000, 2)
+    np.testing.assert_allclose(np.cov(truth[0].T), problem.cov, rtol=0.12, atol=0.08)
+    V = (z - truth[..., :1])[..., 0]
+    np.testing.assert_allclose(V.std(1), 0.5, rtol=0.06)
+    assert np.corrcoef(V[9], V[10])[0, 1] == pytest.approx(0.8, abs=0.03)
+    w = truth[1:] - truth[:-1] @ F.T
+    np.testing.assert_allclose(np.cov(w.reshape(-1, 2).T), problem.sqrt_Q @ problem.sqrt_Q.T, rtol=0.05)
+
+
+def test_outliers_are_as_many_and_as_large_as_they_are_said_to_be():
+    rngs = [generator(1, 0, r) for r in range(2000)]
+    truth, z = line(outliers=0.1).draw(rngs)
+    same, clean = line().draw([generator(1, 0, r) for r in range(2000)])
+    np.testing.assert_array_equal(truth, same)
+    V, plain = (z - truth[..., :1]).ravel(), (clean - truth[..., :1]).ravel()
+    wild = np.abs(V / plain) > 0.5 * WILD
+    assert wild.mean() == pytest.approx(0.1, abs=0.01)
+    np.testing.assert_allclose(V[wild], WILD * plain[wild])
+
+
+def test_an_outlier_of_colored_noise_leaves_the_next_sample_alone():
+    rngs = [[generator(1, 0, r) for r in range(300)] for _ in range(2)]
+    z, clean = line(outliers=0.1, phi=0.8).draw(rngs[0])[1], line(phi=0.8).draw(rngs[1])[1]
+    assert (z == clean).mean() == pytest.approx(0.9, abs=0.02)
+
+
+def test_huber_takes_most_of_the_harm_out_of_outliers():
+    misled, kept = compare({"line": line(outliers=0.1)}, [Composition("unscented", hook=h) for h in ("", "Huber")], runs=200)
+    assert kept.rms_high < misled.rms_low
+    assert kept.anees < 0.5 * misled.anees
+
+
+def test_models_that_write_to_their_argument_change_nothing():
+    def f(x, _epoch):
+        x[..., 0] += x[..., 1]
+        return x
+
+    def h(x, _epoch):
+        x[..., 0] -= 100.0
+        return x[..., :1]
+
+    kinds = [Composition("unscented"), Composition("unscented", colored=True), Composition("Taylor", colored=True)]
+    writing, pure = line(f=f, h=h, phi=0.5), line(h=lambda x, _epoch: x[..., :1] - 100.0, phi=0.5)
+    for mine, other in zip(compare({"line": writing}, kinds, runs=5), compare({"line": pure}, kinds, runs=5), strict=True):
+        np.testing.assert_allclose(mine[2:8], other[2:8], rtol=1e-9)
+
+
+def test_a_noiseless_run_is_the_undisturbed_one():
+    truth, z = line(outliers=0.1, phi=0.5).draw([Noiseless()])
+    np.testing.assert_allclose(truth[:, 0], [np.linalg.matrix_power(F, k) @ [1.0, 2.0] for k in range(21)])
+    np.testing.assert_array_equal(z[..., 0], truth[..., 0])
+
+
+def test_where_the_model_holds_filters_reach_the_bound_and_know_it():
+    rows = compare({"line": line()}, [Composition("unscented"), Composition("sparse grid", form="covariance")], runs=400)
+    for row in rows:
+        assert row.efficiency == pytest.approx(1.0, abs=0.05)
+        assert row.low < 1.0 < row.high
+        assert row.lost == 0
+        assert row.us_per_step > 0.0
+
+
+def test_sparse_grids_for_colored_noise_are_consistent_and_filters_for_white_noise_are_not():
+    both = [Composition("sparse grid"), Composition("sparse grid", colored=True)]
+    white, colored = compare({"line": line(phi=0.9)}, both, runs=400)
+    assert colored.low < 1.0 < colored.high
+    assert colored.efficiency == pytest.approx(1.0, abs=0.05)
+    assert white.low > 2.0
+
+
+def test_adaptive_square_root_attitude_is_consistent_and_survives_outliers():
+    plain, window, robust = (Composition("unscented", hook=hook) for hook in ("", "window", "Huber"))
+    clean = compare({"satellite": satellite()}, [plain, window, robust], runs=300)
+    assert all(abs(row.anees - 1.0) < 0.15 for row in clean)
+    assert all(row.rms < 1.1 * clean[0].rms for row in clean)
+    misled, inflated, kept = compare({"satellite": satellite(outliers=0.05)}, [plain, window, robust], runs=300)
+    assert misled.anees > 4.0
+    assert inflated.anees < 0.8 * misled.anees
+    assert kept.rms < 0.75 * misled.rms
+    assert kept.anees < 0.5 * misled.anees
+
+
+def test_what_does_not_go_together_is_left_out():
+    assert compose(satellite(), Composition("unscented", colored=True)) is None
+    rows = compare({"satellite": satellite(times=np.arange(4.0))}, COMPOSITIONS, runs=2)
+    left = [parts for parts in COMPOSITIONS if not parts.colored and parts.rule != "Gauss-Hermite"]  # of 729 points
+    assert [row.filter for row in rows] == [str(parts) for parts in left]
+    assert all(np.isfinite([row.rms, row.efficiency, row.anees]).all() for row in rows)
+    # Without a filter that knows the color there is no bound.
+    (row,) = compare({"satellite": satellite(times=np.arange(4.0), phi=0.5)}, [Composition("unscented")], runs=2)
+    assert np.isnan(row.efficiency)
+
+
+def test_a_row_does_not_depend_on_the_others():
+    chosen = [Composition("Taylor"), Composition("unscented", hook="gate")]
+    together = compare({"a": line(), "b": line(phi=0.5)}, chosen, runs=5)
+    alone = compare({"a": line(), "b": line(phi=0.5)}, chosen[1:], runs=5)
+    assert [row[:-1] for row in together[1::2]] == [row[:-1] for row in alone]
+    turned = compare({"b": line(phi=0.5), "a": line()}, chosen[1:], runs=5)
+    assert [row[:-1] for row in turned[::-1]] == [row[:-1] for row in alone]
+
+
+def test_parts_have_names():
+    assert {parts.rule for parts in COMPOSITIONS} == set(RULES)
+    assert {parts.hook for parts in COMPOSITIONS} == {"", *HOOKS}
+    assert len({str(parts) for parts in COMPOSITIONS}) == len(COMPOSITIONS)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"phi": 1.0}, r"^phi: expected a number in \[0, 1\), got 1.0"),
+        ({"outliers": -0.1}, r"^outliers: expected a number in \[0, 1\)"),
+        ({"cov": [[1.0, 2.0], [2.0, 1.0]]}, r"^cov: expected symmetric positive semidefinite"),
+        ({"R": [[-1.0]]}, r"^R: expected symmetric positive semidefinite"),
+        ({"sqrt_Q": [0.1, 0.1]}, r"^sqrt_Q: expected columns \(2, r\), got \(2,\)"),
+        ({"mean": [np.nan, 0.0]}, r"^mean: expected finite numbers"),
+        ({"mean": [1.0]}, r"^mean: expected shape \(2,\) to go with cov, got \(1,\)"),
+        ({"R": 1.0}, r"^R: expected a matrix, got shape \(\)"),
+        ({"cov": np.ones((3, 2, 2))}, r"^cov: expected a matrix"),
+        ({"phi": "much"}, r"^phi: expected numbers"),
+        ({"f": F}, r"^f: expected a function of points and epoch, got ndarray"),
+        ({"times": [0.0, 1.0, 1.0]}, r"^times: expected two or more increasing numbers"),
+        ({"times": []}, r"^times: expected two or more increasing numbers"),
+        ({"u": np.zeros((3, 1))}, r"^u: expected at least 20 rows for 21 times, got 3"),
+        ({"groups": [Group("x", "m", slice(5, 6))]}, r"^groups: expected a slice of 2 components for x"),
+    ],
+)
+def test_a_problem_that_cannot_be_is_refused_by_name(change, message):
+    with pytest.raises(ValueError, match=message):
+        line(**change)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"h": lambda x, epoch: x}, r"^h returned shape \(1, 2, 2\), expected \(1, 2, 1\)"),
+        ({"h": lambda x, epoch: x[..., 0]}, r"^h returned shape \(1, 2\), expected"),
+        ({"f": lambda x, epoch: x * 1e200}, r"^f: expected finite numbers, got others at t = "),
+    ],
+)
+def test_a_model_that_cannot_be_is_told_when_it_is_drawn(change, message):
+    with pytest.raises(ValueError, match=message), np.errstate(over="ignore"):
+        line(**change).draw([generator(0, 0, r) for r in range(2)])
+
+
+@pytest.mark.parametrize("part", [{"rule": "ukf"}, {"rule": "unscented", "form": "Huber"}, {"rule": "Taylor", "hook": "hubber"}])
+def test_an_unknown_part_is_refused_by_name(part):
+    with pytest.raises(ValueError, match=f"^{[*part][-1]}: expected one of"):
+        Composition(**part)
+
+
+@pytest.mark.parametrize("runs", [0, -1, 2.5])
+def test_runs_are_a_positive_integer(runs):
+    with pytest.raises(ValueError, match=r"^runs: expected a positive integer"):
+        compare({"line": line()}, runs=runs)

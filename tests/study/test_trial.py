@@ -1,0 +1,154 @@
+"""Trials of the papers: what is judged, and the bound."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from celnav.analysis.metrics import chi_square_band
+from celnav.filters.driver import Filter, epochs
+from celnav.gaussian.belief import square_root
+from celnav.papers import PAPERS, csrukf, load
+from celnav.papers.csrukf import theory
+from celnav.study.montecarlo import generator
+from celnav.study.trial import Group, Noiseless, Trial, bound, follow, squares
+
+SMALL = {
+    "csrukf": {"steps": 40, "phi": 0.8},
+    "ssukf": {"duration_s": 20.0},
+    "tstdkf": {"days": 0.5, "initial": "drawn", "trend": "constant"},
+    "aasghqf": {"steps": 25, "misalignment_deg": (1.0, 1.0, 1.0)},
+    "aukf": {"duration_s": 5.0, "burst": "none"},
+}
+RUNS = 12
+
+
+def small(paper, **change):
+    module = load(paper)
+    config = replace(next(iter(module.PRESETS.values())), **SMALL[paper] | change)
+    return module.trial(config, [generator(1, 0, r) for r in range(RUNS)]), module.trial(config, [Noiseless()])
+
+
+@pytest.mark.parametrize("paper", PAPERS)
+def test_every_filter_of_every_paper_can_be_judged(paper):
+    trial, noiseless = small(paper)
+    least = bound(noiseless)
+    assert {group.name: group.unit for group in trial.groups} == load(paper).JUDGED
+    for name in trial.filters:
+        found = follow(trial, name, every=2)
+        n = found.error.shape[-1]
+        assert found.error.shape == found.std.shape == (len(found.times), RUNS, n)
+        assert found.nees.shape == found.nis.shape == found.dof.shape == (len(found.times), RUNS)
+        assert np.isfinite(found.nees).all()
+        assert not found.lost
+        assert (np.diff(found.times) > 0).all()
+        assert squares(trial.groups, found.error).shape[-1] == len(trial.groups)
+    assert (least is None) == (paper == "aukf")
+    if least is not None:
+        best = follow(trial, trial.reference)
+        assert least.shape == (len(best.times), len(trial.groups))
+        rms, own = (np.sqrt(squares(trial.groups, a).mean((0, 1))) for a in (best.error, best.std))
+        np.testing.assert_allclose(own / np.sqrt(least.mean(0)), 1.0, atol=0.05)
+        np.testing.assert_allclose(rms / np.sqrt(least.mean(0)), 1.0, atol=5.0 / np.sqrt(2 * RUNS))
+
+
+def test_following_twice_gives_the_same_and_every_second_epoch_is_a_part():
+    trial, _ = small("csrukf")
+    whole, again, part = follow(trial, "csrukf"), follow(trial, "csrukf"), follow(trial, "csrukf", every=2)
+    for name in ("times", "error", "std", "nees", "nis", "dof"):
+        np.testing.assert_array_equal(getattr(whole, name), getattr(again, name))
+        np.testing.assert_array_equal(getattr(whole, name)[::2], getattr(part, name))
+
+
+def test_the_numbers_are_those_of_their_definitions():
+    config = replace(csrukf.PRESETS["P"], **SMALL["csrukf"])
+    sim = csrukf.simulate(config, [generator(1, 0, r) for r in range(RUNS)])
+    track = csrukf.study.run(csrukf.filters(config)["srukf"], sim.prior, sim.epochs_of("srukf"), keep="spread")
+    found = follow(csrukf.trial(config, [generator(1, 0, r) for r in range(RUNS)]), "srukf")
+    error = track.mean - sim.truth
+    np.testing.assert_array_equal(found.error, error)
+    np.testing.assert_allclose(found.std, track.std, rtol=1e-14)
+    np.testing.assert_allclose(found.nees, (error * np.linalg.solve(track.cov, error[..., None])[..., 0]).sum(-1), rtol=1e-9)
+    np.testing.assert_allclose(found.nis, track.nis, rtol=1e-13)
+    np.testing.assert_array_equal(found.dof, track.dof)
+    np.testing.assert_allclose(
+        squares((Group("v", "m/s", slice(3, 6), 1e3),), error)[..., 0], (error[..., 3:] ** 2).sum(-1) * 1e6, rtol=1e-14
+    )
+
+
+@pytest.mark.parametrize("phi", [0.0, 0.8, 1.0])
+def test_the_bound_is_that_of_linear_analysis(phi):
+    config = replace(csrukf.PRESETS["P"], steps=60, phi=phi)
+    expected = theory.expected(config, (phi,)).first[:, 0]
+    least = np.sqrt(bound(csrukf.trial(config, [Noiseless()])))
+    np.testing.assert_allclose(least[:, 0], np.linalg.norm(expected[:, :3], axis=1), rtol=1e-6)
+    np.testing.assert_allclose(least[:, 1], np.linalg.norm(expected[:, 3:], axis=1), rtol=1e-6)
+
+
+def test_pseudo_positions_with_the_covariance_of_the_angles_are_worth_as_much_as_the_angles():
+    trial, _ = small("csrukf", measured="angles")
+    mean = [squares(trial.groups, follow(trial, name).error).mean((0, 1)) for name in ("csrukf-jacobian", "angles")]
+    np.testing.assert_allclose(*mean, rtol=0.02)
+
+
+def broken(lose_at, back_at=99):
+    """A filter of three runs whose second has no estimate for a while."""
+
+    def step(state, epoch):
+        mean = np.zeros((3, 2))
+        if lose_at <= epoch.k < back_at:
+            mean[1] = np.nan
+        belief = square_root(np.zeros((3, 2)), np.eye(2))._replace(mean=mean)
+        return SimpleNamespace(belief=belief), SimpleNamespace(failure="", white=None, used=None)
+
+    truth = np.ones((6, 3, 2))
+
+    def compare(truth, belief):
+        return belief.mean - truth, belief.root
+
+    return Trial(
+        (Group("x", "m", slice(0, 2)),), {"f": Filter(lambda prior: None, step)}, square_root(np.zeros((3, 2)), np.eye(2)),
+        lambda name: epochs(np.arange(6.0), truth=truth), compare,
+    )  # fmt: skip
+
+
+def test_a_run_without_estimate_at_the_end_is_lost_and_one_that_comes_back_is_not():
+    gone, returned = follow(broken(3), "f"), follow(broken(2, 4), "f")
+    assert gone.lost == [(1, 3.0, "the estimate is not finite")]
+    assert returned.lost == []
+    np.testing.assert_array_equal(np.isnan(returned.nees), np.arange(6)[:, None] * [0, 1, 0] // 2 == 1)
+
+
+def test_epochs_without_a_truth_cannot_be_judged():
+    trial = broken(9)._replace(epochs=lambda name: epochs(np.arange(3.0)))
+    with pytest.raises(ValueError, match="truth"):
+        follow(trial, "f")
+
+
+@pytest.mark.parametrize("measured", ["positions", "angles"])
+@pytest.mark.parametrize("first_noise", ["R", "stationary"])
+def test_the_exact_filter_is_consistent_whatever_the_first_noise(measured, first_noise):
+    config = replace(csrukf.PRESETS["P"], steps=15, phi=0.95, measured=measured, first_noise=first_noise, prior_position_km=5.0)
+    trial = csrukf.trial(config, [generator(2, 0, r) for r in range(200)])
+    found = follow(trial, trial.reference)
+    low, high = chi_square_band(6, 200, level=0.9999)
+    assert low < found.nees[0].mean() < high
+    assert low < found.nees[-1].mean() < high
+
+
+def test_the_last_epoch_is_judged_whatever_lies_between():
+    trial, _ = small("csrukf")
+    whole, part = follow(trial, "csrukf"), follow(trial, "csrukf", every=7)
+    chosen = [0, 7, 14, 21, 28, 35, 40]
+    np.testing.assert_array_equal(part.times, whole.times[chosen])
+    np.testing.assert_array_equal(part.error, whole.error[chosen])
+    np.testing.assert_array_equal(part.nees, whole.nees[chosen])
+    assert list(follow(trial, "csrukf", every=1000).times) == [whole.times[0], whole.times[-1]]
+
+
+def test_a_bound_is_given_only_where_the_exact_filter_believes_what_is_simulated():
+    assert bound(small("tstdkf", trend="sine")[1]) is None
+    assert bound(small("tstdkf", initial="paper")[1]) is None
