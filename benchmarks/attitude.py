@@ -18,7 +18,7 @@ from time import perf_counter, process_time
 
 import numpy as np
 
-from celnav.filters.driver import run
+from celnav.filters.run import run
 from celnav.papers.ssukf import PRESETS, compare, filters, simulate
 from celnav.papers.ssukf.variants import dense_filters
 from celnav.study.montecarlo import blocks, generator

@@ -28,7 +28,8 @@ from typing import Any
 from celnav.campaign import campaign, given, processes, serial
 from celnav.campaign.missions import Study, study
 from celnav.campaign.units import STUDY, Unit
-from celnav.filters.driver import Epoch, run
+from celnav.filters.records import Epoch
+from celnav.filters.run import run
 from celnav.gaussian.belief import nees
 from celnav.papers.csrukf import trial
 from celnav.study.montecarlo import blocks, generator

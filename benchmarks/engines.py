@@ -8,12 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.workload import BLOCK, P0, SQRT_Q, X0, H, R
-from celnav.filters.driver import epochs, run, sequential
-from celnav.filters.step import predict, update
-from celnav.gaussian.belief import Gaussian, covariance, square_root
+from celnav.filters.model import Motion, Sensor
+from celnav.filters.run import run
+from celnav.filters.sequential import ukf
+from celnav.gaussian.belief import FORMS, Gaussian
 from celnav.gaussian.linalg import Array
-from celnav.gaussian.points import unscented
-from celnav.gaussian.spaces import EUCLIDEAN
+from celnav.gaussian.rules import unscented
 from celnav.models import orbit
 
 Work = Callable[[], Array | None]
@@ -30,12 +30,11 @@ class Engine(NamedTuple):
 
 def celnav_engines(counts: Sequence[int]) -> Iterator[Engine]:
     """Both forms, the measurement as a matrix (the normal way) and as a function, and the floor."""
-    forms: tuple[tuple[str, Callable[..., Gaussian]], ...] = (("square root", square_root), ("covariance", covariance))
     measurements: tuple[tuple[str, Any], ...] = (("H matrix", H), ("h function", lambda x, _epoch: x[..., :3]))
     for runs in counts:
-        for form, make in forms:
+        for form in FORMS:
             for kind, h in measurements:
-                yield Engine(f"celnav {form}, {kind}", runs, _filter(make, h))
+                yield Engine(f"celnav {form}, {kind}", runs, _filter(form, h))
         yield Engine("model floor", runs, _floor)
 
 
@@ -44,20 +43,19 @@ def dynamics(x: Array, _epoch: Any) -> Array:
     return orbit.step(x, 1.0)
 
 
-def _filter(make: Callable[..., Gaussian], h: Any) -> Callable[[Array], Work]:
+def _filter(form: str, h: Any) -> Callable[[Array], Work]:
     def prepare(z: Array) -> Work:
-        rule = unscented(6)
-        filter = sequential(predict(dynamics, rule, sqrt_Q=SQRT_Q), update(h, rule, R))
+        filter = ukf(Motion(dynamics, sqrt_Q=SQRT_Q), Sensor(h, R), form=form)
         times, runs = np.arange(len(z)), z.shape[1]
 
         def work() -> Array:
             if runs == 1:
-                return _means(run(filter, make(X0, P0), epochs(times, z[:, 0])).mean)[:, None]
+                return _means(run(filter, Gaussian(X0, P0), times, z[:, 0]).mean)[:, None]
             tracks = []
             for first in range(0, runs, BLOCK):
                 part = z[:, first : first + BLOCK]
-                prior = make(np.broadcast_to(X0, (part.shape[1], 6)), P0)
-                tracks.append(_means(run(filter, prior, epochs(times, part)).mean))
+                prior = Gaussian(np.broadcast_to(X0, (part.shape[1], 6)), P0)
+                tracks.append(_means(run(filter, prior, times, part).mean))
             return tracks[0] if len(tracks) == 1 else np.concatenate(tracks, 1)
 
         return work
@@ -73,7 +71,7 @@ def _means(mean: Array | None) -> Array:
 
 def estimate(z: Array) -> Array:
     """The estimate that all are compared with: celnav's square-root filter, ``(steps + 1, runs, 6)``."""
-    means = _filter(square_root, H)(z)()
+    means = _filter("square root", H)(z)()
     return _means(means)
 
 
@@ -86,7 +84,7 @@ def _floor(z: Array) -> Work:
         for first in range(0, runs, BLOCK):
             size = min(BLOCK, runs - first)
             mean = X0 if runs == 1 else np.tile(X0, (size, 1))
-            (points,) = unscented(6).points(mean, root, EUCLIDEAN)
+            (points,) = unscented(6).points(mean, root)
             for _ in range(steps):
                 orbit.step(points, 1.0)
 

@@ -16,11 +16,12 @@ from pathlib import Path
 from statistics import median
 from time import process_time
 
-from celnav.filters.driver import Epoch, run, sequential
-from celnav.filters.step import predict, update
+from celnav.filters.model import Motion, Sensor
+from celnav.filters.records import Epoch
+from celnav.filters.run import run
+from celnav.filters.sequential import sigma_point
 from celnav.gaussian.linalg import Array
-from celnav.gaussian.rule import Rule
-from celnav.gaussian.spaces import EUCLIDEAN
+from celnav.gaussian.rules import Rule
 from celnav.gaussian.sparse_grid import smolyak
 from celnav.papers.aasghqf import scenario
 from celnav.papers.aasghqf.config import PAPER_WEIGHTS, A
@@ -61,8 +62,9 @@ def work(rule: Rule, block: int) -> Callable[[], tuple[float, float, float]]:
     parts = [scenario.simulate(config, [generator(0, 0, r) for r in range(i, min(i + block, RUNS))]) for i in firsts]
     epochs: list[list[Epoch]] = [list(part.epochs()) for part in parts]
     f, h = Timed(scenario.dynamics), Timed(scenario.measurement)
-    filter = sequential(predict(f, rule, sqrt_Q=config.sqrt_Q), update(h, rule, sqrt_R=scenario.sqrt_R))
-    points: list[Array] = [rule.points(part.prior.mean, 1e-3 * part.prior.root, EUCLIDEAN)[0] for part in parts]
+    motion, sensor = Motion(f, sqrt_Q=config.sqrt_Q), Sensor(h, sqrt_R=scenario.sqrt_R)
+    filter = sigma_point(motion, sensor, rule=rule, form=scenario.FORM)
+    points: list[Array] = [rule.points(part.prior.mean, 1e-3 * part.prior.sqrt_cov)[0] for part in parts]
 
     def once() -> tuple[float, float, float]:
         f.seconds = h.seconds = 0.0

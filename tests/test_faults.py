@@ -6,18 +6,22 @@ import numpy as np
 import pytest
 
 import celnav
-from celnav.filters.colored import colored
-from celnav.filters.coloring import coloring
+from celnav.filters.colored import coloring
+from celnav.filters.records import FromFunctions
+from celnav.filters.run import explain
 from celnav.models import orbit, sightings
 from celnav.models.orbit import UnitWarning
 
 EYE = np.eye(2)
-RULE = celnav.unscented(2)
-PRIOR = celnav.square_root(np.zeros(2), EYE)
+PRIOR = celnav.Gaussian(np.zeros(2), EYE)
+FORMS = pytest.mark.parametrize("form", ["square root", "covariance"])
 
 
-def filtered(f=lambda x, epoch: x, h=EYE, Q=EYE, R=EYE):
-    return celnav.sequential(celnav.predict(f, RULE, Q), celnav.update(h, RULE, R))
+def filtered(f=lambda x, epoch: x, h=EYE, Q=EYE, R=EYE, **options):
+    return celnav.ukf(celnav.Motion(f, Q), celnav.Sensor(h, R), **options)
+
+
+OF_THREE = celnav.sigma_point(celnav.Motion(lambda x, epoch: x, EYE), rule=celnav.unscented(3))
 
 
 def run(z, prior=PRIOR, times=None, **model):
@@ -29,7 +33,7 @@ def test_a_missing_measurement_leaves_the_prediction(z):
     state = filtered().start(PRIOR)
     state, _ = filtered().step(state, celnav.Epoch(0, 0.0, 0.0, None, z))
     np.testing.assert_array_equal(state.belief.mean, PRIOR.mean)
-    np.testing.assert_array_equal(state.belief.spread, PRIOR.spread)
+    np.testing.assert_array_equal(state.belief.sqrt_cov, PRIOR.sqrt_cov)
 
 
 @pytest.mark.parametrize(
@@ -39,20 +43,19 @@ def test_a_missing_measurement_leaves_the_prediction(z):
         (lambda: run([["a", "b"]] * 3), "z"),
         (lambda: run(np.zeros((3, 3))), "z: expected 2 components to go with h, got 3"),
         (lambda: run(np.zeros((3, 2, 1))), "z: expected 2 components"),
-        (lambda: run(np.zeros((3, 2)), h=np.eye(3)), "h: expected a matrix"),
+        (lambda: run(np.zeros((3, 2)), h=np.eye(3), R=np.eye(3)), "h: expected a matrix"),
         (lambda: run(np.zeros((3, 2)), h=lambda x, epoch: x[..., :1]), r"h returned shape \(5, 1\), expected \(5, 2\)"),
         (lambda: filtered(Q=0.5), "Q: expected .* got shape"),
         (lambda: filtered(R=0.5), "R: expected .* got shape"),
         (lambda: run(np.zeros((3, 2)), times=[0.0, 2.0, 1.0]), "times"),
         (lambda: run(np.zeros((3, 2)), times=[0.0, np.nan, 1.0]), "times"),
         (lambda: run(np.zeros((3, 2)), times=[0.0, 1.0]), "z"),
-        (lambda: celnav.square_root(np.zeros(2), [[1.0, 0.1], [0.2, 1.0]]), "cov"),
-        (lambda: celnav.square_root(np.zeros(2), np.diag([1.0, -1.0])), "cov"),
-        (lambda: celnav.covariance(np.zeros(2), np.diag([1.0, -1.0])), "cov"),
-        (lambda: celnav.square_root(np.zeros(2), np.ones((2, 3))), "cov"),
-        (lambda: celnav.square_root(np.zeros(2), np.full((2, 2), np.nan)), "cov"),
-        (lambda: celnav.square_root([np.nan, 0.0], EYE), "mean"),
-        (lambda: celnav.square_root(np.zeros((2, 1)), EYE), "mean"),
+        (lambda: celnav.Gaussian(np.zeros(2), [[1.0, 0.1], [0.2, 1.0]]), "cov"),
+        (lambda: celnav.Gaussian(np.zeros(2), np.diag([1.0, -1.0])), "cov"),
+        (lambda: celnav.Gaussian(np.zeros(2), np.ones((2, 3))), "cov"),
+        (lambda: celnav.Gaussian(np.zeros(2), np.full((2, 2), np.nan)), "cov"),
+        (lambda: celnav.Gaussian([np.nan, 0.0], EYE), "mean"),
+        (lambda: celnav.Gaussian(np.zeros((2, 1)), EYE), "mean"),
         (lambda: filtered(Q=-EYE), "Q"),
         (lambda: filtered(R=-EYE), "R"),
         (lambda: run(np.zeros((3, 2)), R=np.eye(3)), "R"),
@@ -73,13 +76,9 @@ def test_a_missing_measurement_leaves_the_prediction(z):
         (lambda: celnav.run(filtered(), PRIOR, [celnav.Epoch(0, 0.0, np.nan)]), "dt"),
         (lambda: coloring(1.01 * EYE), "Phi"),
         (lambda: coloring(np.ones((2, 3))), "Phi"),
-        (lambda: colored(lambda x, e: x, EYE, RULE, EYE, R=EYE), "Q"),
-        (
-            lambda: celnav.run(
-                celnav.sequential(celnav.predict(lambda x, e: x, celnav.unscented(3), EYE)), PRIOR, [celnav.Epoch(1, 1.0, 1.0)]
-            ),
-            "rule",
-        ),
+        (lambda: celnav.Motion(lambda x, e: x), "Q"),
+        (lambda: celnav.Sensor(EYE), "R"),
+        (lambda: celnav.run(OF_THREE, PRIOR, [celnav.Epoch(1, 1.0, 1.0)]), "rule"),
         (lambda: orbit.check_orbit(np.zeros(6)), "state"),
         (lambda: sightings.star_directions(np.pi), "separation"),
         (lambda: sightings.unit_vectors([[0.0, 0.0, 0.0]]), "stars"),
@@ -126,14 +125,14 @@ def test_a_model_that_changes_its_argument_or_reuses_a_buffer_changes_nothing():
 def test_a_list_from_h_is_accepted_and_callers_arrays_are_not_written_to():
     mean, cov, z = np.zeros(2), np.eye(2), np.ones((4, 2))
     kept = mean.copy(), cov.copy(), z.copy()
-    run(z, celnav.square_root(mean, cov), h=lambda x, epoch: x.tolist())
+    run(z, celnav.Gaussian(mean, cov), h=lambda x, epoch: x.tolist())
     for a, b in zip((mean, cov, z), kept, strict=True):
         np.testing.assert_array_equal(a, b)
 
 
 def test_covariances_that_are_asymmetric_by_round_off_are_symmetrized():
     P = np.array([[2.0, 0.5], [0.5 * (1.0 + 1e-15), 1.0]])
-    cov = celnav.covariance(np.zeros(2), P).cov
+    cov = celnav.Gaussian(np.zeros(2), P).cov
     np.testing.assert_array_equal(cov, cov.T)
 
 
@@ -142,7 +141,7 @@ def test_an_infinite_measurement_in_a_stream_is_told_and_the_state_is_kept():
     state, _ = filter.step(filter.start(PRIOR), celnav.Epoch(0, 0.0, 0.0, None, np.ones(2)))
     bad = celnav.Epoch(1, 1.0, 1.0, None, np.array([np.inf, 0.0]))
     with pytest.raises(celnav.FilterError, match=r"step 1.*z is infinite"):
-        celnav.run(celnav.Filter(lambda _: state, filter.step), PRIOR, [bad])
+        celnav.run(FromFunctions(lambda _: state, filter.step), PRIOR, [bad])
     good = celnav.Epoch(1, 1.0, 1.0, None, np.ones(2))
     again = filter.step(state, good)[0].belief
     fresh = celnav.run(filter, PRIOR, celnav.epochs([0.0, 1.0], np.ones((2, 2))))
@@ -159,40 +158,33 @@ def test_a_model_that_is_not_finite_at_a_point_is_named_with_step_and_point():
         run(np.zeros((3, 2)), f=f)
 
 
-@pytest.mark.parametrize("form", [celnav.square_root, celnav.covariance])
+@FORMS
 def test_a_singular_innovation_is_told_not_divided_by(form):
     with pytest.raises(celnav.FilterError, match="innovation covariance is not positive definite"):
-        run(np.ones((2, 2)), form(np.zeros(2), np.diag([1.0, 0.0])), R=np.zeros((2, 2)))
+        run(np.ones((2, 2)), celnav.Gaussian(np.zeros(2), np.diag([1.0, 0.0])), R=np.zeros((2, 2)), form=form)
 
 
-@pytest.mark.parametrize("form", [celnav.square_root, celnav.covariance])
+@FORMS
 def test_no_process_noise_works(form):
-    track = run(
-        np.ones((50, 2)),
-        form(np.zeros(2), EYE),
-        Q=np.zeros((2, 2)),
-    )
+    track = run(np.ones((50, 2)), Q=np.zeros((2, 2)), form=form)
     np.testing.assert_allclose(track.std[-1], 1.0 / np.sqrt(51.0), rtol=1e-12)
 
 
-@pytest.mark.parametrize("form", [celnav.square_root, celnav.covariance])
+@FORMS
 def test_badly_conditioned_innovations_need_no_inverse(form):
     """cond(S) = 1e14: the same measurement in mixed components gives the same posterior."""
     R, T = np.diag([1e14, 1.0]), np.array([[1.0, 0.0], [1.0, 1.0]])
-    track = run(np.array([[1.0, 1.0]]) @ T.T, form(np.zeros(2), EYE), h=T, R=T @ R @ T.T)
+    track = run(np.array([[1.0, 1.0]]) @ T.T, h=T, R=T @ R @ T.T, form=form)
     np.testing.assert_allclose(track.mean[0], [1.0 / (1.0 + 1e14), 0.5], atol=2e-2 * 0.5)
-    plain = run(np.array([[1.0, 1.0]]), form(np.zeros(2), EYE), R=R)
+    plain = run(np.array([[1.0, 1.0]]), R=R, form=form)
     np.testing.assert_allclose(plain.mean[0], [1.0 / (1.0 + 1e14), 0.5], rtol=1e-14)
     np.testing.assert_allclose(plain.std[0], [1.0, np.sqrt(0.5)], rtol=1e-12)
 
 
 def test_a_covariance_stays_symmetric_over_many_steps():
     F = np.array([[1.0, 0.1, 0.0], [0.0, 1.0, 0.1], [-0.01, 0.0, 0.99]])
-    rule = celnav.unscented(3)
-    filter = celnav.sequential(
-        celnav.predict(lambda x, epoch: x @ F.T, rule, 1e-3 * np.eye(3)), celnav.update(np.eye(1, 3), rule, np.eye(1))
-    )
-    state, z = filter.start(celnav.covariance(np.zeros(3), np.eye(3))), np.zeros(1)
+    filter = filtered(lambda x, epoch: x @ F.T, np.eye(1, 3), 1e-3 * np.eye(3), np.eye(1), form="covariance")
+    state, z = filter.start(celnav.Gaussian(np.zeros(3), np.eye(3))), np.zeros(1)
     for k in range(10_000):
         state, _ = filter.step(state, celnav.Epoch(k, float(k), 1.0, None, z))
     P = state.belief.cov
@@ -200,13 +192,14 @@ def test_a_covariance_stays_symmetric_over_many_steps():
 
 
 def test_integers_and_single_precision_are_computed_in_double():
-    prior = celnav.square_root(np.array([1, 2]), np.eye(2, dtype=np.float32))
-    assert prior.mean.dtype == prior.spread.dtype == np.float64
+    prior = celnav.Gaussian(np.array([1, 2]), np.eye(2, dtype=np.float32))
+    assert prior.mean.dtype == prior.cov.dtype == prior.sqrt_cov.dtype == np.float64
 
 
-@pytest.mark.parametrize("form", [celnav.square_root, celnav.covariance])
+@FORMS
 def test_singular_covariances_work(form):
-    track = run(np.ones((6, 2)), form(np.zeros(2), np.diag([1.0, 0.0])), Q=np.diag([1.0, 0.0]), R=np.diag([1.0, 2.0]))
+    prior = celnav.Gaussian(np.zeros(2), np.diag([1.0, 0.0]))
+    track = run(np.ones((6, 2)), prior, Q=np.diag([1.0, 0.0]), R=np.diag([1.0, 2.0]), form=form)
     assert np.isfinite(track.mean).all()
     np.testing.assert_allclose(track.std[:, 1], 0.0, atol=1e-12)
 
@@ -222,29 +215,30 @@ def test_a_zero_interval_does_not_predict():
 
 
 def test_the_mean_of_constants_survives_a_small_alpha():
-    rule = celnav.unscented(6, 1e-3, 2.0, 0.0)
-    prior = celnav.square_root(np.full(6, 7000.0), np.eye(6))
-    mean = celnav.predict(lambda x, epoch: np.full_like(x, 7000.0), rule, sqrt_Q=np.zeros((6, 0)))(prior)[0].mean
-    np.testing.assert_allclose(mean, 7000.0, atol=1e-9)
+    motion = celnav.Motion(lambda x, epoch: np.full_like(x, 7000.0), sqrt_Q=np.zeros((6, 0)))
+    filter = celnav.ukf(motion, alpha=1e-3, beta=2.0)
+    prior = celnav.Gaussian(np.full(6, 7000.0), np.eye(6))
+    after = filter.predict(filter.start(prior), celnav.Epoch(1, 1.0, 1.0)).belief
+    np.testing.assert_allclose(after.mean, 7000.0, atol=1e-9)
 
 
 def test_an_indefinite_innovation_covariance_is_flagged_not_returned():
-    rule = celnav.cubature(13, 5)
-    part = celnav.update(lambda x, epoch: np.cos(3.0 * x[..., :6]), rule, 0.0025 * np.eye(6))
-    wide = celnav.square_root(np.zeros((3, 13)), np.eye(13) * np.array([0.2, 3.0, 0.2])[:, None, None] ** 2)
-    posterior, info, _ = part(wide, np.ones((3, 6)))
-    assert info.failure
-    np.testing.assert_array_equal(np.isfinite(posterior.mean).all(-1), [True, False, True])
+    sensor = celnav.Sensor(lambda x, epoch: np.cos(3.0 * x[..., :6]), 0.0025 * np.eye(6))
+    filter = celnav.ckf(celnav.Motion(np.eye(13), np.zeros((13, 13))), sensor, degree=5)
+    wide = celnav.Gaussian(np.zeros((3, 13)), np.eye(13) * np.array([0.2, 3.0, 0.2])[:, None, None] ** 2)
+    before, epoch = filter.start(wide), celnav.Epoch(z=np.ones((3, 6)))
+    after, _ = filter.update(before, epoch)
+    assert explain(filter, before, after, epoch).startswith("the innovation covariance is not positive definite")
+    np.testing.assert_array_equal(np.isfinite(after.belief.mean).all(-1), [True, False, True])
 
 
 def test_a_partly_observed_state_tells_lower_from_upper_roots():
     A = np.array([[1.0, 0.5, 0.1], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
     H, Q3, R1 = np.array([[1.0, 0.0, 0.0]]), np.diag([0.0, 0.0, 0.1]), np.array([[0.5]])
     x, P = np.zeros(3), np.diag([1.0, 4.0, 9.0])
-    rule = celnav.unscented(3)
-    filter = celnav.sequential(celnav.predict(lambda p, epoch: p @ A.T, rule, Q3), celnav.update(H, rule, R1))
+    filter = filtered(lambda p, epoch: p @ A.T, H, Q3, R1)
     z = np.arange(10.0)[:, None]
-    track = celnav.run(filter, celnav.square_root(x, P), celnav.epochs(np.arange(10.0), z), keep="spread")
+    track = celnav.run(filter, celnav.Gaussian(x, P), celnav.epochs(np.arange(10.0), z), keep="cov")
     for k in range(10):
         if k:
             x, P = A @ x, A @ P @ A.T + Q3
@@ -280,7 +274,7 @@ def test_a_long_stream_runs_in_the_memory_of_one_step():
 
     from celnav.analysis.metrics import error_moments
 
-    prior = celnav.square_root(np.zeros((20, 2)), EYE)
+    prior = celnav.Gaussian(np.zeros((20, 2)), EYE)
     tracemalloc.start()
     track = celnav.run(filtered(), prior, stream(3000), keep="nothing", reduce=error_moments())
     peak = tracemalloc.get_traced_memory()[1]

@@ -6,59 +6,31 @@ from __future__ import annotations
 import inspect
 import re
 from datetime import UTC, datetime
+from importlib import import_module
+from pkgutil import iter_modules
 
 import numpy as np
 import pytest
 import rerun as rr
 
-from celnav import (
-    adaptive_grid,
-    attitude,
-    checks,
-    drawing,
-    figures,
-    jacobians,
-    linear_covariance,
-    metrics,
-    observability,
-    points,
-    recording,
-    rule,
-    scores,
-    spaces,
-    sparse_grid,
-    typed,
-    views,
-)
-from celnav.models import (
-    constellation,
-    earth,
-    ephemeris,
-    gyro,
-    inertial,
-    mechanization,
-    noise,
-    orbit,
-    pulsar,
-    receiver,
-    rigid_body,
-    sightings,
-    third_body,
-    time,
-    trajectory,
-    variational,
-)
+import celnav
+from celnav.analysis import bounds, metrics, observability
+from celnav.gaussian import attitude, rules, spaces
+from celnav.models import ephemeris, gyro, noise, orbit, pulsar, rigid_body, sightings, time, trajectory
+from celnav.show import recording, views
+from celnav.study import compositions, montecarlo, problem, trial
 
-MODULES = (
-    adaptive_grid, attitude, checks, drawing, figures, jacobians, linear_covariance, metrics, observability, points, recording,
-    rule, scores, spaces, sparse_grid, typed, views, constellation, earth, ephemeris, gyro, inertial, mechanization, noise, orbit,
-    pulsar, receiver, rigid_body, sightings, third_body, time, trajectory, variational,
-)  # fmt: skip
+PACKAGES = ("gaussian", "models", "analysis", "study", "show")
+MODULES = {
+    name: import_module(f"celnav.{package}.{name}")
+    for package in PACKAGES
+    for _, name, _ in iter_modules([f"{celnav.__path__[0]}/{package}"])
+}
 HOT = """
 attitude: multiply inverse positive matrix rotate exp log angle to_euler to_rodrigues from_rodrigues shadow shadow_jacobian cross
     transport
 spaces: wrap
-rule: Rule.points Rule.transform Rule.slope Rule.num_sigmas Rule.drawn Rule.moments
+rules: Rule.points Rule.images Rule.check Rule.num_sigmas
 earth: meridian_radius transverse_radius normal_gravity earth_rate transport_rate
 orbit: acceleration step runge_kutta transition
 variational: gradient advance flow
@@ -69,13 +41,20 @@ gyro: Gyro.factor Gyro.rate_std Gyro.drift_std Gyro.process_noise Gyro.propagate
 rigid_body: Body.nadir Body.rates
 pulsar: Timing.delay Timing.shapiro Timing.shapiro_exact Timing.gradient
 receiver: transition process_noise
+atmosphere: klobuchar saastamoinen
+beidou: satellites eccentric_anomaly wrapped wrapped_week tilted turned
+pseudorange: sources emitted measure jacobian local_axes look dilution
+linalg: block cholesky components downdate fan leading matvec outer range_basis semidefinite_root side_by_side solve_lower
+    solve_upper_transposed tria whiten
+belief: SquareRoot.lost Covariance.lost any_lost nees settled weighted
+taylor: Taylor.points Taylor.images kept_image linear_image
+trial: squares Noiseless.standard_normal
 """
 """What a filter calls at every step takes arrays as they are: a look at each would cost more than the product it makes."""
 INSIDE = """
-checks: numbers finite number integer integers whole choice function sequence together instance kind unmasked
-typed: unit_of depth type_depth typed named meanings
+checks: numbers finite number integer integers whole choice function sequence together instance kind unmasked takes
 drawing: Drawing.set render
-points: few
+rules: few
 sparse_grid: checked_orders
 scores: score merge summarize check_scores
 views: bar_chart text log rows columns tabs blueprint
@@ -84,6 +63,16 @@ trajectory: attitude_from_heading
 ephemeris: de421 Arrays Arrays.state
 receiver: on_earth
 pulsar: known
+beidou: Broadcast Broadcast.chosen
+belief: symmetric
+simulate: moved of_rows
+montecarlo: blocks steps carry_out do joined
+effort: effort
+claims: Claim Claim.to_dict ClaimsTable Judge Judge.lengthy Judge.number Judge.statistic Judge.whole about dumps order read_claims
+    row tally within
+page: document figure link table
+picture: command end picture
+progress: Progress Progress.close Progress.stage RunProgress
 """
 """What checks, what has no arguments, and what only celnav calls, or hands to a library that says itself what it takes."""
 
@@ -98,11 +87,24 @@ BODY = rigid_body.Body(np.diag([1.0, 2.0, 2.5]))
 PULSARS = pulsar.pulsars(["B0531+21"])
 STARS = sightings.star_directions(1.0)
 TDB = time.from_utc("2015-10-17T04:00:00")
-RULE = points.unscented(2)
+RULE = rules.unscented(2)
+MOTION, SENSOR = celnav.Motion(0.9 * I2, I2), celnav.Sensor(I2, I2)
+PRIOR = celnav.Gaussian(np.zeros(2), I2)
+RNGS = [montecarlo.generator(0, 0, run) for run in range(2)]
+DOUBT = dict(
+    f=lambda x, _: 0.9 * x, h=lambda x, _: x, mean=np.zeros(2), cov=I2, sqrt_Q=I2, R=I2, times=TIMES, u=np.zeros((5, 1)), phi=0.5,
+    outliers=0.1, space=spaces.EUCLIDEAN, measurement_space=spaces.EUCLIDEAN, groups=[trial.Group("all", "m", slice(0, 2))],
+)  # fmt: skip
+OWN = problem.Problem(**DOUBT)
+TRIAL = OWN.trial({"ukf": celnav.ukf(OWN.motion, OWN.sensor)}, RNGS, "ukf")
 
 
 def square(x):
     return x * x
+
+
+def built(parameters):
+    return celnav.ukf(MOTION, celnav.Sensor(I2, sqrt_R=parameters[0] * I2)), PRIOR
 
 
 def record(**arguments):
@@ -111,14 +113,38 @@ def record(**arguments):
 
 
 CALLS = {
-    "points.unscented": dict(n=3, alpha=1.0, beta=0.0, kappa=0.0),
-    "points.simplex": dict(n=3),
-    "points.cubature": dict(n=3, degree=5),
-    "points.gauss_hermite": dict(n=2, order=3),
-    "points.tensor_product": (lambda rules: points.tensor_product(RULE, rules), dict(rules=RULE)),
-    "points.from_filterpy": dict(points=RULE),
-    "rule.Rule": dict(nodes=[[0.0], [1.0], [-1.0]], wm=[0.0, 0.5, 0.5], wc=[0.0, 0.5, 0.5]),
-    "rule.Rule.sigma_points": (RULE.sigma_points, dict(x=np.zeros(2), P=I2)),
+    "rules.unscented": dict(n=3, alpha=1.0, beta=0.0, kappa=0.0),
+    "rules.simplex": dict(n=3),
+    "rules.cubature": dict(n=3, degree=5),
+    "rules.gauss_hermite": dict(n=2, order=3),
+    "rules.tensor_product": (lambda rules: MODULES["rules"].tensor_product(RULE, rules), dict(rules=RULE)),
+    "rules.from_filterpy": dict(points=RULE),
+    "rules.Rule": dict(nodes=[[0.0], [1.0], [-1.0]], wm=[0.0, 0.5, 0.5], wc=[0.0, 0.5, 0.5]),
+    "rules.Rule.sigma_points": (RULE.sigma_points, dict(x=np.zeros(2), P=I2)),
+    "belief.Gaussian": (
+        lambda mean, cov, sqrt_cov: (celnav.Gaussian(mean, cov), celnav.Gaussian(mean, sqrt_cov=sqrt_cov)),
+        dict(mean=np.zeros(2), cov=I2, sqrt_cov=I2),
+    ),
+    "belief.Gaussian.sample": (PRIOR.sample, dict(rng=RNGS[0], size=(3,))),
+    "taylor.Taylor": dict(step=1e-3),
+    "tuning.maximize_likelihood": dict(
+        build=built, start=np.ones(1), epochs=celnav.epochs(TIMES, np.ones((5, 2))), domain="positive", factor=10.0, tolerance=1e-3,
+        max_iterations=2,
+    ),
+    "compositions.Composition": dict(rule="unscented", form="covariance", hook="gate"),
+    "compositions.compose": dict(problem=OWN, parts=compositions.Composition("unscented")),
+    "compositions.compare": dict(problems={"own": OWN}, parts=[compositions.Composition("Taylor")], runs=2, seed=0),
+    "montecarlo.generator": dict(seed=1, study=2, run=3),
+    "montecarlo.normals": dict(rngs=RNGS),
+    "montecarlo.run_count": (montecarlo.run_count, dict(full=10, runs=5, effort=0.5)),
+    "problem.Problem": (lambda **arguments: problem.Problem(**arguments).draw(RNGS), DOUBT),
+    "problem.Problem.draw": (OWN.draw, dict(rngs=RNGS)),
+    "problem.Problem.trial": (OWN.trial, dict(filters=TRIAL.filters, rngs=RNGS, reference="ukf")),
+    "trial.follow": dict(trial=TRIAL, name="ukf", every=2),
+    "trial.bound": dict(trial=TRIAL, every=2),
+    "simulate.simulate": dict(
+        motion=MOTION, sensor=SENSOR, prior=PRIOR, times=TIMES, runs=2, seed=0, u=np.zeros((5, 1)), Phi=0.5 * I2
+    ),
     "sparse_grid.smolyak": dict(n=2, level=2, weights=[1, 2], orders=(1, 3, 7)),
     "sparse_grid.point_count": dict(n=2, level=2, weights=[1, 2], orders=(1, 3, 7)),
     "sparse_grid.integrates": dict(powers=[2, 4], level=2, weights=[1, 2], orders=(1, 3, 7)),
@@ -147,14 +173,11 @@ CALLS = {
     "observability.information_degree": dict(P0=I2, F=np.stack([I2]), H=np.stack([I2, I2]), R=I2),
     "observability.threshold_weights": dict(degree=np.ones(2), threshold=0.5),
     "observability.nonlinearity_weights": dict(functions=[square], mean=np.ones(2), std=np.ones(2), tolerance=1e-6, coarse=2),
-    "linear_covariance.riccati": dict(F=np.stack([I2]), H=I2, Q=I2, R=I2, P0=I2),
-    "linear_covariance.actual_covariance": dict(
+    "bounds.riccati": dict(F=np.stack([I2]), H=I2, Q=I2, R=I2, P0=I2),
+    "bounds.actual_covariance": dict(
         F=np.stack([I2]), H=I2, gains=np.stack([0.5 * I2]), Q=I2, Phi=0.5 * I2, R=I2, P0=I2, Sigma0=I2
     ),
-    "linear_covariance.colored_bound": dict(F=np.stack([I2]), H=I2, Phi=0.5 * I2, Q=I2, R=I2, P0=I2, Sigma0=I2),
-    "jacobians.check_jacobian": dict(
-        function=square, jacobian=2.0 * I2, point=np.ones(2), args=(), step=0.1, rtol=1e-6, output_space=spaces.EUCLIDEAN
-    ),
+    "bounds.colored_bound": dict(F=np.stack([I2]), H=I2, Phi=0.5 * I2, Q=I2, R=I2, P0=I2, Sigma0=I2),
     "recording.rgba": dict(color="#112233", alpha=0.5),
     "recording.ellipsoid_axes": dict(covariance=I3, sigmas=3.0),
     "recording.recording": (record, dict(path="@", times=TIMES, name="a", layout=views.text("a", "a"), properties={}, counter="k")),
@@ -232,13 +255,28 @@ pose.origins pose.quaternions points.points ellipsoids.centers ellipsoids.covari
 MEANT = {
     "adaptive_grid.adapt most": "a billion",
     "attitude.from_euler angles": "nan, infinite",
+    "belief.Gaussian mean": "deep",
+    "belief.Gaussian.sample size": "empty",
+    "compositions.compare parts": "empty",
+    "compositions.compare runs": "a billion",
+    "compositions.compare seed": "a billion",
+    "montecarlo.generator seed": "a billion",
+    "montecarlo.generator study": "a billion",
+    "montecarlo.generator run": "a billion",
+    "montecarlo.run_count full": "a billion",
+    "montecarlo.run_count runs": "a billion, None",
+    "problem.Problem groups": "empty",
+    "problem.Problem u": "nan, infinite, complex",
+    "simulate.simulate seed": "a billion",
+    "simulate.simulate Phi": "a function",
+    "simulate.simulate u": "nan, infinite, complex",
+    "trial.bound every": "a billion",
+    "trial.follow every": "a billion",
+    "tuning.maximize_likelihood max_iterations": "a billion",
     "attitude.unit q": "nan",
     "gyro.Gyro tau": "infinite",
     "gyro.Gyro.measure q": "nan",
-    "jacobians.check_jacobian args": "empty, array",
     "inertial.navigation at": "empty",
-    "jacobians.check_jacobian point": "deep",
-    "jacobians.check_jacobian step": "several",
     "metrics.bootstrap seed": "a billion",
     "metrics.chi_square_band dof": "a billion, a half",
     "metrics.chi_square_band runs": "a billion, a half",
@@ -291,7 +329,7 @@ def wrong(value):
     """What cannot be meant in place of a value of this kind."""
     if isinstance(value, str):
         return WORDS
-    if callable(value) and not isinstance(value, rule.Rule):
+    if callable(value) and not isinstance(value, rules.Rule):
         return FUNCTIONS
     if isinstance(value, int) and not isinstance(value, bool):
         return NUMBERS | MANY
@@ -312,7 +350,7 @@ def resolve(name, tmp_path):
         stream.memory_recording()
         call = getattr(recording.Recorder(stream, TIMES), name.rpartition(".")[2])
     module, *path = name.split(".")
-    found = globals()[module]
+    found = MODULES[module]
     for part in path:
         found = getattr(found, part)
     if "path" in arguments and arguments["path"] == "@":
@@ -379,11 +417,10 @@ def test_what_only_looks_wrong_is_accepted():
     assert orbit.propagate(np.zeros((0, 6)), 1.0, 2).shape == (3, 0, 6)
     assert spaces.angles(i for i in (0, 2)).minus(np.full(3, 7.0), np.zeros(3))[1] == 7.0
     assert spaces.product((spaces.EUCLIDEAN, 2.0, 2.0)).plus(np.ones(2), np.ones(2)).tolist() == [2.0, 2.0]
-    assert jacobians.check_jacobian(square, np.diag([2.0, 4.0])[None], [[1.0, 2.0]], step=[[0.1]]).error < 1e-9
     assert metrics.rmse(np.ones((0, 3, 2))).shape == (0, 2)
     assert np.isnan(metrics.rmse([[[1.0], [np.nan]]])).all()
     assert metrics.chi_square_band(2, 2.5)[0] > 0.0
-    assert linear_covariance.riccati([I2], I2, 0.0 * I2, I2, np.stack([I2, 0.0 * I2])).gains.shape == (1, 2, 2, 2)
+    assert bounds.riccati([I2], I2, 0.0 * I2, I2, np.stack([I2, 0.0 * I2])).gains.shape == (1, 2, 2, 2)
     assert noise.ar1(np.stack([I2, 0.5 * I2]), np.zeros((3, 1, 2)), np.ones(2)).shape == (4, 2, 2)
     assert GYRO.measure(np.tile(Q4, (3, 2, 1)), np.zeros(3), np.zeros((2, 2, 3)), 1.0).shape == (2, 2, 3)
     assert observability.jacobian(lambda x: np.ones((len(x), 1), int), [1.0, 2.0]).tolist() == [[0.0, 0.0]]
@@ -393,8 +430,7 @@ def test_what_only_looks_wrong_is_accepted():
 
 def public():
     """Names of all public functions, classes that are made, and methods of the modules."""
-    for module in MODULES:
-        short = module.__name__.rpartition(".")[2]
+    for short, module in MODULES.items():
         for name, thing in vars(module).items():
             if name.startswith("_") or getattr(thing, "__module__", "") != module.__name__:
                 continue

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import gammaincinv, ndtri, stdtrit
 
-from celnav.gaussian.belief import Gaussian
+from celnav.gaussian.belief import Belief
 from celnav.gaussian.checks import LIMIT, function, instance, integer, number, numbers
 from celnav.gaussian.linalg import Array, whiten
 from celnav.gaussian.spaces import EUCLIDEAN, Space
@@ -123,9 +123,9 @@ def error_moments(space: Space = EUCLIDEAN) -> Callable[[Any, Any, Any, Any], Mo
     instance("space", space, Space, "a Space, such as celnav.angles([0])")
 
     def add(total: Moments | None, epoch: Any, state: Any, info: Any) -> Moments:  # noqa: ARG001
-        belief: Gaussian = state.belief
+        belief: Belief = state.belief
         error = space.minus(epoch.truth, belief.mean)
-        white = whiten(belief.root, error)
+        white = whiten(belief.sqrt_cov, error)
         new = Moments(1, error, error * error, np.einsum("...i,...i->...", white, white))
         if total is None:
             return new

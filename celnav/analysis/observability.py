@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from celnav.gaussian import checks
-from celnav.gaussian.belief import sqrt_cov
+from celnav.gaussian.belief import symmetric
 from celnav.gaussian.checks import finite, integer, number, sequence
 from celnav.gaussian.linalg import Array
 
@@ -117,8 +117,8 @@ def information_degree(P0: ArrayLike, F: ArrayLike, H: ArrayLike, R: ArrayLike) 
     """
     rows = finite("H", H, ("K", "m", "n"))
     n = rows.shape[-1]
-    prior, transitions = sqrt_cov(P0, "P0", n), finite("F", F, (len(rows) - 1, n, n))
-    noise = sqrt_cov(R, "R", rows.shape[1])
+    prior, transitions = symmetric(P0, "P0", n)[1], finite("F", F, (len(rows) - 1, n, n))
+    noise = symmetric(R, "R", rows.shape[1])[1]
     if noise.shape[:-2] not in ((), (len(rows),)):
         raise ValueError(f"R: expected one matrix, or one for each of {len(rows)} epochs, got shape {np.shape(R)}")
     noise = np.broadcast_to(noise, (len(rows), rows.shape[1], rows.shape[1]))

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import expit, logit
 
-from celnav.filters.driver import Epoch, Filter, run
-from celnav.filters.info import Info
+from celnav.filters.epochs import Epochs
+from celnav.filters.records import Epoch, Filter
+from celnav.filters.run import run
 from celnav.gaussian.belief import Gaussian
-from celnav.gaussian.checks import finite, integer
+from celnav.gaussian.checks import finite, function, integer, kind, number, numbers, sequence
 from celnav.gaussian.linalg import Array
 
 Build = Callable[[Array], tuple[Filter, Gaussian]]
@@ -93,13 +94,10 @@ def maximize_likelihood(
     if x0.ndim != 1 or not len(x0):
         raise ValueError(f"start: expected positive parameters of shape (d,), got {x0!r:.80}")
     scale = _Scale(_ends(domain, len(x0)), x0)
-    if not factor > 1.0:
-        raise ValueError(f"factor: expected a number above 1, got {factor!r}")
-    if not tolerance > 0.0:
-        raise ValueError(f"tolerance: expected a positive number, got {tolerance!r}")
-    integer("max_iterations", max_iterations)
-    likelihood = _Likelihood(build, epochs if isinstance(epochs, Sequence) else list(epochs), scale, vectorized)
-    reach = float(np.log(factor))
+    reach = float(np.log(number("factor", factor, above=1.0)))
+    tolerance = number("tolerance", tolerance, above=0.0)
+    max_iterations = integer("max_iterations", max_iterations)
+    likelihood = _Likelihood(function("build", build, "(parameters)"), _data(epochs), scale, vectorized)
     s = np.zeros(len(x0))
     for left in (_ROUGH, 1e-3 * tolerance):  # the second where the first ends on a plateau
         s, converged, message = likelihood.searched(s, reach, left, max_iterations)
@@ -128,16 +126,27 @@ def maximize_likelihood(
     return Tuned(scale(s), best, errors, covariance, likelihood.evaluations, converged, message, likelihood.failures)
 
 
+def _data(epochs: Any) -> Sequence[Epoch]:
+    """Epochs that can be gone through again and again."""
+    every: Sequence[Epoch] = epochs if isinstance(epochs, Epochs) else sequence("epochs", epochs, "celnav.epochs(times, z)")
+    for epoch in () if every is epochs else every:
+        if not hasattr(epoch, "dt"):
+            raise ValueError(f"epochs: expected celnav.epochs(times, z), or records like celnav.Epoch, got {kind(epoch)}")
+    if not len(every):
+        raise ValueError("epochs: expected measurements, got none")
+    return every
+
+
 def _ends(domain: Domain | Sequence[Domain], d: int) -> Array:
     """Lower and upper ends ``(2, d)`` of the parameters."""
     alone = isinstance(domain, str) or (isinstance(domain, tuple) and not isinstance(domain[0], str | tuple | list))
-    each: Any = [domain] * d if alone else list(domain)
+    each: Any = [domain] * d if alone else sequence("domain", domain, "['positive', (0.0, 1.0)]")
     if len(each) != d:
         raise ValueError(f"domain: expected one for all or {d}, one for each parameter, got {len(each)}")
     ends = []
     for one in each:
-        pair = DOMAINS.get(one) if isinstance(one, str) else one
-        if pair is None or len(pair) != 2 or not -np.inf < pair[0] < pair[1]:
+        pair: Any = DOMAINS.get(one) if isinstance(one, str) else one
+        if not isinstance(pair, tuple | list) or len(pair) != 2 or not -np.inf < numbers("domain", pair)[0] < pair[1]:
             raise ValueError(f"domain: expected 'positive', 'unit interval' or (low, high), got {one!r}")
         ends.append(pair)
     return np.array(ends, dtype=np.float64).T
@@ -172,8 +181,7 @@ class _Scale:
 
 def _measured(known: bool | None, _epoch: Epoch, _state: Any, info: Any) -> bool:
     """Whether anything was measured so far."""
-    infos = (info,) if isinstance(info, Info) else info
-    return bool(known) or any(i.used is not None and bool(np.any(i.used)) for i in infos)
+    return bool(known) or any(i.used is not None and bool(np.any(i.used)) for i in info)
 
 
 class _Likelihood:
@@ -202,9 +210,13 @@ class _Likelihood:
         """Log-likelihood of each run, of one filter or of as many as there are parameters."""
         built = self._build(parameters)
         if not (isinstance(built, tuple) and len(built) == 2):
-            raise ValueError(f"build: expected a filter and a prior, got {type(built).__name__}")
-        on_failure = "raise" if parameters.ndim == 1 else "flag"
-        track = run(*built, self._epochs, keep="nothing", reduce=_measured, on_failure=on_failure)
+            raise ValueError(f"build: expected a filter and a prior, got {kind(built)}")
+        (filter, prior), on_failure = built, "raise"
+        if parameters.ndim > 1:  # models may hold the parameters, so points need their axes
+            on_failure = "flag"
+            batch = np.broadcast_shapes(parameters.shape[:-1], prior.mean.shape[:-1])
+            prior = Gaussian(np.broadcast_to(prior.mean, (*batch, prior.mean.shape[-1])), sqrt_cov=prior.sqrt_cov)
+        track = run(filter, prior, self._epochs, keep="nothing", reduce=_measured, on_failure=on_failure)
         if not track.reduced:
             raise ValueError("epochs: expected measurements, got none")
         return track.log_likelihood

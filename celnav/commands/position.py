@@ -15,7 +15,7 @@ def run(options: argparse.Namespace) -> int:
     """Everything is computed before anything is written."""
     import numpy as np
 
-    from celnav.filters.driver import FilterError
+    from celnav.filters.records import FilterError
     from celnav.models.receiver import on_earth
     from celnav.receiver import filters as positioning_filters
     from celnav.receiver import position as positioning

@@ -1,9 +1,9 @@
-"""Adaptation as parts: hooks that gate or inflate, prescribed gains, and a second rule for what the first loses.
+"""Hooks, which adapt what a filter believes of a measurement before it uses it: gates, windows, robust weights; and a gain.
 
-A hook sees the joint of measurement and state before the update and may replace it (`celnav.filters.info.Hook`); hooks act
-one after the other, each with its own memory, and run by run: a run in a batch gets what it would get alone. A gain leaves
-the joint alone and says what to do with the innovation (`celnav.filters.info.Gain`). More hooks: `celnav.filters.robust` (one
-measurement at a time), `celnav.filters.parity` (what no state explains).
+A hook sees the `Joint` of measurement and state before the update and may replace it; hooks act one after the other, each with its
+own memory, and run by run: a run in a batch gets what it would get alone. What a state correction explains of an innovation is
+taken by the measurement's (statistical) Jacobian. Noise is taken to be of independent components. More hooks:
+`celnav.filters.parity` (what no state explains).
 """
 
 from __future__ import annotations
@@ -14,32 +14,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import gammaincinv
 
-from celnav.filters.arguments import check_belief, check_part, positive, window
-from celnav.filters.info import Gain, Hook, Info, Joint
-from celnav.filters.step import Conditioning, Motion
-from celnav.gaussian.belief import Gaussian
-from celnav.gaussian.checks import choice, integer, kind, number
-from celnav.gaussian.linalg import Array, cholesky, solve_lower, solve_upper_transposed, whiten
-
-
-def _signs(sign: Array, q: int) -> Array:
-    """Signs of all ``q`` columns; those beyond ``sign`` count with +1."""
-    return np.concatenate([sign, np.ones(q - len(sign))])
-
-
-def counted(joint: Joint) -> Array:
-    """Columns ``(..., m + n, q + r)`` without those of the measurement noise, each times its sign."""
-    D = joint.columns * _signs(joint.sign, joint.columns.shape[-1])
-    batch = np.broadcast_shapes(D.shape[:-1], joint.process.shape[:-1])
-    return np.concatenate([np.broadcast_to(part, (*batch, part.shape[-1])) for part in (D, joint.process)], -1)
-
-
-def variances(joint: Joint) -> tuple[Array, Array]:
-    """Variances ``(..., m)`` of the innovation: without the measurement noise, and those of that noise."""
-    m = joint.innovation.shape[-1]
-    D, W, N = (part[..., :m, :] for part in (joint.columns, joint.process, joint.sensor))
-    prior = np.einsum("...ij,...ij,j->...i", D, D, _signs(joint.sign, D.shape[-1])) + np.einsum("...ij,...ij->...i", W, W)
-    return prior, np.einsum("...ij,...ij->...i", N, N)
+from celnav.filters.records import Gain, Hook, Joint
+from celnav.gaussian.belief import weighted
+from celnav.gaussian.checks import LIMIT, choice, integer, number
+from celnav.gaussian.linalg import Array, cholesky, matvec, solve_lower, solve_upper_transposed, whiten
 
 
 def gate(gamma: float) -> Hook:
@@ -48,16 +26,20 @@ def gate(gamma: float) -> Hook:
     Rejected components are nan from there on, for the hooks that follow and for the update; the `Track` counts them in
     ``events["rejected"]``. A gate that is too narrow for the model's errors locks the filter out of its measurements.
 
+    An infinite ``gamma`` leaves out nothing.
+
     Raises
     ------
     ValueError: unless ``gamma`` is positive.
+
+    >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.gate(4.0)])
     """
-    positive("gamma", gamma)
+    if not np.array_equal(gamma, np.inf):
+        number("gamma", gamma, above=0.0)
 
     def hook(memory: Any, joint: Joint, _epoch: Any) -> tuple[Any, Joint]:
-        prior, noise = variances(joint)
-        beyond = joint.innovation**2 > gamma**2 * (prior + noise)
-        return memory, joint._replace(innovation=np.where(beyond, np.nan, joint.innovation))
+        prior, noise = joint.variances()
+        return memory, joint.leaving_out(np.asarray(joint.innovation) ** 2 > gamma**2 * (prior + noise))
 
     return hook
 
@@ -76,17 +58,17 @@ def chi_square_gate(probability: float = 0.999) -> Hook:
     bounds: dict[int, Array] = {}
 
     def hook(memory: Any, joint: Joint, _epoch: Any) -> tuple[Any, Joint]:
-        e = joint.innovation
+        e = np.asarray(joint.innovation)
         m = e.shape[-1]
         if m not in bounds:
             bounds[m] = np.concatenate([[np.inf], 2.0 * gammaincinv(0.5 * np.arange(1, m + 1), probability)])
-        A = np.concatenate([joint.columns, joint.process, joint.sensor], -1)[..., :m, :]
         used = ~np.isnan(e)
-        A = A * used[..., None]
-        S = (A * _signs(joint.sign, A.shape[-1])) @ A.mT + np.where(used, 0.0, 1.0)[..., None] * np.eye(m)
+        S, V = joint.covariances()[0], joint.measurement_noise
+        S = S if V is None else S + V @ V.mT
+        S = np.where(used[..., :, None] & used[..., None, :], S, 0.0) + np.where(used, 0.0, 1.0)[..., None] * np.eye(m)
         white = whiten(cholesky(S), np.where(used, e, 0.0))
         beyond = np.einsum("...i,...i->...", white, white) > bounds[m][used.sum(-1)]
-        return memory, joint._replace(innovation=np.where(beyond[..., None], np.nan, e))
+        return memory, joint.leaving_out(beyond[..., None])
 
     return hook
 
@@ -120,128 +102,143 @@ def innovation_window(M: int, gaps: str = "restart") -> Hook:
     choice("gaps", gaps, ("restart", "skip"))
 
     def hook(memory: Window | None, joint: Joint, epoch: Any) -> tuple[Window, Joint]:
-        e, k = joint.innovation, getattr(epoch, "k", None)
-        ring = window("M", size, e.shape) if memory is None else memory.innovations
-        if ring.shape[1:] != e.shape:
-            ring = np.broadcast_to(ring, (size, *e.shape))
-        if gaps == "restart":
-            # An update is not called where the whole block has no measurement: that is a gap of every component as well.
-            if memory is not None and k is not None and memory.k is not None and k > memory.k + 1:
-                ring = np.full_like(ring, np.nan)
-            ring = np.concatenate([ring[1:], e[None]])
-        else:
-            ring = np.where(np.isnan(e), ring, np.concatenate([ring[1:], e[None]]))
+        e = np.asarray(joint.innovation)
+        ring = last_of(None if memory is None else memory.innovations, None if memory is None else memory.k, e, epoch, size, gaps)
         full = ~np.isnan(ring).any(0)
         if full.any():
-            prior, noise = variances(joint)
+            prior, noise = joint.variances()
             full = full & (noise > 0.0)
             C = np.where(full, ring, 0.0)
             A = ((C * C).mean(0) - prior) / np.where(full, noise, 1.0)
-            factor = np.sqrt(np.where(full, np.maximum(1.0, A), 1.0))
-            joint = joint._replace(sensor=scaled(joint.sensor, factor))
-        return Window(ring, k), joint
+            joint = joint.inflated(np.sqrt(np.where(full, np.maximum(1.0, A), 1.0)))
+        return Window(ring, getattr(epoch, "k", None)), joint
 
     return hook
 
 
-def scaled(sensor: Array, factor: Array) -> Array:
-    """Measurement noise columns ``(..., m + n, s)`` with their first m rows scaled by ``factor (..., m)``."""
-    m = factor.shape[-1]
-    batch = np.broadcast_shapes(sensor.shape[:-2], factor.shape[:-1])
-    scaled = np.array(np.broadcast_to(sensor, (*batch, *sensor.shape[-2:])))
-    scaled[..., :m, :] *= factor[..., None]
-    return scaled
+def last_of(ring: Array | None, before: Any, values: Array, epoch: Any, size: int, gaps: str = "restart") -> Array:
+    """The last values ``(size, ..., m)`` of a window that moves on, nan before there were any."""
+    if ring is None:
+        if size * values.size > LIMIT:
+            raise ValueError(f"M: expected a window of at most {LIMIT} numbers, got {size} samples of {values.size} each")
+        ring = np.full((size, *values.shape), np.nan)
+    ring = np.broadcast_to(ring, (size, *np.broadcast_shapes(ring.shape[1:], values.shape)))
+    moved = np.concatenate([ring[1:], np.broadcast_to(values, ring.shape[1:])[None]])
+    if gaps == "skip":
+        return np.where(np.isnan(values), ring, moved)
+    k = getattr(epoch, "k", None)
+    # A hook is not called where the whole block has no measurement: that is a gap of every component as well.
+    if k is not None and before is not None and k > before + 1:
+        moved[:-1] = np.nan
+    return moved
 
 
+# -- robust weights ------------------------------------------------------------------------------------------------------
+def huber(threshold: float = 1.345, rounds: int = 6) -> Hook:
+    """Weigh a component by ``min(1, threshold / u)``, u its residual after the update in deviations of its noise [Huber 1964].
+
+    ``rounds`` of reweighting; the noise variance of a component is divided by its weight.
+
+    Raises
+    ------
+    ValueError: unless both are positive, ``rounds`` an integer.
+    """
+    bound = number("threshold", threshold, above=0.0)
+    return _reweighted(lambda u: bound / np.maximum(u, bound), rounds)
+
+
+def student_t(dof: float = 4.0, rounds: int = 6) -> Hook:
+    """Weigh a component by ``(dof + 1) / (dof + u^2)``, as for noise of Student's t distribution; see `huber`."""
+    nu = number("dof", dof, above=0.0)
+    return _reweighted(lambda u: (nu + 1.0) / (nu + u * u), rounds)
+
+
+def _reweighted(weight: Callable[[Array], Array], rounds: int) -> Hook:
+    most = integer("rounds", rounds, 1, 10_000)
+
+    def hook(memory: Any, joint: Joint, _epoch: Any) -> tuple[Any, Joint]:
+        assert joint.measurement is not None
+        e = np.asarray(joint.innovation)
+        _, noise = joint.variances()
+        used = ~np.isnan(e) & (noise > 0.0)
+        R = np.where(used, noise, 1.0)
+        S0, cross = joint.covariances()
+        explained = joint.measurement.jacobian() @ cross
+        both = used[..., :, None] & used[..., None, :]
+        S0, explained, y = np.where(both, S0, 0.0), np.where(used[..., None], explained, 0.0), np.where(used, e, 0.0)
+        W = np.ones_like(R)
+        for _ in range(most):
+            S = S0 + (R / W)[..., None] * np.eye(e.shape[-1])
+            fitted = matvec(explained, np.linalg.solve(S, y[..., None])[..., 0])
+            W = np.where(used, weight(np.abs(y - fitted) / np.sqrt(R)), 1.0)
+        return memory, joint.inflated(1.0 / np.sqrt(W))
+
+    return hook
+
+
+class Estimated(NamedTuple):
+    """Memory of `sage_husa`: variances of the noise ``(..., m)`` as estimated, and how many epochs they come from."""
+
+    noise: Array
+    epochs: Array
+
+
+def sage_husa(forgetting: float = 0.95, least: float = 0.25, smallest: float = 0.01) -> Hook:
+    """Estimate the noise's variances from innovations with fading memory [Sage & Husa 1969].
+
+    ``R_k+1 = (1 - d) R_k + d max(e^2 - S0, smallest R)`` with ``d = (1 - b) / (1 - b^(k+1))``; what is used is not below
+    ``least R``, so it may lie below the nominal noise. A component that is not measured keeps its estimate.
+
+    Parameters
+    ----------
+    forgetting: b, in (0, 1). least, smallest: parts of the nominal variance.
+
+    Raises
+    ------
+    ValueError: for other numbers.
+    """
+    number("forgetting", forgetting, above=0.0, below=1.0)
+    floor, bottom = number("least", least, above=0.0), number("smallest", smallest, above=0.0)
+
+    def hook(memory: Estimated | None, joint: Joint, _epoch: Any) -> tuple[Estimated, Joint]:
+        e = np.asarray(joint.innovation)
+        prior, nominal = joint.variances()
+        shape = np.broadcast_shapes(e.shape, nominal.shape)
+        noise, count = (np.broadcast_to(nominal, shape), np.zeros(shape)) if memory is None else memory
+        used = np.broadcast_to(~np.isnan(e), shape)
+        d = (1.0 - forgetting) / (1.0 - forgetting ** (count + 1.0))
+        seen = np.maximum(np.where(used, e, 0.0) ** 2 - prior, bottom * nominal)
+        noise = np.where(used, (1.0 - d) * noise + d * seen, noise)
+        noisy = nominal > 0.0
+        factor = np.sqrt(np.where(noisy, np.maximum(noise, floor * nominal), 1.0) / np.where(noisy, nominal, 1.0))
+        return Estimated(noise, count + used), joint.inflated(factor)
+
+    return hook
+
+
+# -- a gain --------------------------------------------------------------------------------------------------------------
 def consider(n: int, k: int) -> Gain:
     """Schmidt's gain: optimal for the first ``n`` states, 0 for the ``k`` considered ones after them.
 
     Considered states (biases, constants of a model) are not estimated, but their uncertainty, and what the others owe to
-    them, is carried along exactly. A fixed gain needs no function: ``update(h, rule, R, gain=K)`` with ``K (n, m)`` gives the
-    covariance of a filter that uses K, whatever it is::
-
-        part = update(h, rule, R, gain=consider(6, 3))
-        steady = update(h, rule, R, gain=np.array([[0.4], [0.1]]))  # an alpha-beta filter that knows its own errors
+    them, is carried along exactly. A fixed gain needs no function: with ``gain=K (n, m)`` a filter has the covariance that goes
+    with K, whatever it is.
 
     Raises
     ------
     ValueError: unless ``n > 0`` and ``k >= 0`` are integers; at the update, if they do not add up to the state.
+
+    >>> filter = celnav.ukf(motion, sensor, gain=consider(6, 3))
+    >>> steady = celnav.ukf(motion, sensor, gain=np.array([[0.4], [0.1]]))  # an alpha-beta filter that knows its own errors
     """
-    for name, value, least in (("n", n, 1), ("k", k, 0)):
-        integer(name, value, least)
+    integer("n", n), integer("k", k, 0)
 
     def gain(A: Array, sign: Array, m: int) -> Array:
         if A.shape[-2] - m != n + k:
             raise ValueError(f"consider: expected a state of {n} + {k} components, got {A.shape[-2] - m}")
-        C = (A[..., : m + n, :] * _signs(sign, A.shape[-1])) @ A[..., :m, :].mT
+        C = weighted(A[..., : m + n, :], sign) @ A[..., :m, :].mT
         S = cholesky(C[..., :m, :])
         K = solve_upper_transposed(S, solve_lower(S, C[..., m:, :].mT)).mT
         return np.concatenate([K, np.zeros((*K.shape[:-2], k, m))], -2)
 
     return gain
-
-
-def fallback(first: Callable[..., Any], second: Callable[..., Any]) -> Callable[..., Any]:
-    """A predict or update part that does again, with the second, those runs which the first loses.
-
-    Parameters
-    ----------
-    first, second: two predict parts, or two update parts, of the same model with different rules: one of negative weights,
-        say, and one without. Hooks, if any, must be the same; their memory is that of the first.
-
-    Returns
-    -------
-    A part of the same kind. The runs of the block that the first does not lose keep its result bit for bit. ``Info.redone``
-    says which were done again, and the `Track` counts them in ``events["redone"]``. A run that both lose stays lost.
-    """
-
-    for name, given in (("first", first), ("second", second)):
-        check_part(name, given, (2, 4))
-    if isinstance(first, Conditioning) != isinstance(second, Conditioning) and isinstance(second, Conditioning | Motion):
-        raise ValueError(f"second: expected a part like the first, got {kind(first)} and {kind(second)}")
-
-    def part(belief: Gaussian, *arguments: Any, **named: Any) -> Any:
-        check_belief(belief)
-        after, info, *memory = first(belief, *arguments, **named)
-        kept = _sound(after)
-        if kept.all():
-            return after, info, *memory
-        lost = _sound(belief) & ~kept
-        if not lost.any():
-            return after, info, *memory
-        again, other, *_ = second(belief, *arguments, **named)
-        merged = Gaussian(_pick(lost, again.mean, after.mean, 1), _pick(lost, again.spread, after.spread, 2), after.form)
-        gone = (lost & ~_sound(merged)).any()
-        failure = " and, done again, ".join(dict.fromkeys(f for f in (info.failure, other.failure) if f)) if gone else ""
-        return merged, _merged(lost, info, other)._replace(failure=failure, redone=lost), *memory
-
-    return part
-
-
-def _sound(belief: Gaussian) -> Array:
-    """Runs ``(...)`` whose belief is finite and, in covariance form too, definite."""
-    root = belief.form.root(belief.spread)
-    return np.asarray(np.isfinite(belief.mean).all(-1) & np.isfinite(root).all((-2, -1)))
-
-
-def _pick(where: Array, chosen: Array, otherwise: Array, rank: int) -> Array:
-    return np.where(where.reshape(where.shape + (1,) * rank), chosen, otherwise)
-
-
-def _merged(lost: Array, info: Info, other: Info) -> Info:
-    """What was done, run by run; gains and slopes are merged when asked for."""
-    arrays: dict[str, Any] = {}
-    for name, rank in (("innovation", 1), ("white", 1), ("used", 1), ("innovation_root", 2)):
-        mine, theirs = getattr(info, name), getattr(other, name)
-        if mine is not None and theirs is not None:
-            arrays[name] = _pick(lost, theirs, mine, rank)
-    mine, theirs = info.gain, other.gain
-    if mine is not None and theirs is not None:
-        arrays["gain"] = lambda: _pick(lost, theirs(), mine(), 2)
-
-    def slopes(a: Any, b: Any) -> Any:
-        if a is None or b is None:
-            return a
-        return lambda: tuple(_pick(lost, y, x, 2) for x, y in zip(a(), b(), strict=True))
-
-    return info._replace(**arrays, slopes=tuple(slopes(a, b) for a, b in zip(info.slopes, other.slopes, strict=True)))

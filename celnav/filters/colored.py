@@ -1,228 +1,411 @@
-"""Filters for colored measurement noise ``V' = Phi V + zeta``, ``zeta ~ N(0, R)``: whiten by differencing.
+"""Filters for colored measurement noise ``V' = Phi V + zeta``: whiten it by differencing, or carry it in the state.
 
 The difference ``z* = z' - Phi z`` of consecutive measurements has white noise, correlated with the process noise. `colored`
-conditions on it in one transform, `celnav.filters.decorrelated.decorrelated` in the two steps of [Sun2015]. `augmented` carries
-V in the state: the exact reference. All take any rule and both forms, and a ``Phi`` that may be full, differ from run to run,
-or be a function of the epoch.
+conditions on it in one transform; `decorrelated` does in two steps what [Sun2015] does; `augmented` carries V in the state: the
+exact reference. All take any rule and both forms, and a ``Phi`` that may be full, differ from run to run, or be a function of the
+epoch.
 
-A missing sample costs two differences, the one that ends and the one that begins with it: conservative, unbiased, and counted.
+The sensor's ``R`` is the covariance of V itself, as everywhere. That of the increments zeta follows, ``R - Phi R Phi'``, if V is
+stationary; where it is not (``Phi = I`` is a random walk) it is given, and R is the covariance of the first sample of V.
+
+A missing sample costs `colored` two differences, the one that ends and the one that begins with it: conservative, unbiased, and
+counted.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from dataclasses import KW_ONLY, dataclass
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.filters.arguments import batched, check_hooks, check_model, check_rule
-from celnav.filters.coloring import Colored, Coloring, coloring, difference, first_update, measurement_matrix, noises, taken
-from celnav.filters.conditioning import Model, condition, evaluate, images, settled
-from celnav.filters.driver import Epoch, Filter, State, sequential
-from celnav.filters.info import Hook, Info
-from celnav.filters.step import predict, update
-from celnav.gaussian.belief import Gaussian, sqrt_cov
-from celnav.gaussian.linalg import Array, block, matvec, side_by_side
+from celnav.filters.joint import condition, joint, marginal, over_runs
+from celnav.filters.model import Motion, Noise, Sensor, apply, check_function, check_prior, constant, given_back, noise_of
+from celnav.filters.records import Epoch, Hook, Info, Joint
+from celnav.filters.sequential import Sequential, checked, missing, sigma_point, silent
+from celnav.gaussian.belief import Gaussian, symmetric
+from celnav.gaussian.checks import choice, finite, instance, numbers, together, unmasked
+from celnav.gaussian.linalg import Array, block, matvec, side_by_side, solve_upper_transposed, tria
+from celnav.gaussian.rules import KEEP, unscented
 from celnav.gaussian.spaces import EUCLIDEAN
-from celnav.gaussian.transform import KEEP, Image, Outputs, Transform
+
+Coloring = ArrayLike | Callable[[Any], Array]
+"""``Phi (..., m, m)`` or ``epoch -> Phi``."""
 
 
 def colored(
-    f: Model,
-    h: Model | ArrayLike,
-    rule: Transform,
+    motion: Motion,
+    sensor: Sensor,
     Phi: Coloring,
     *,
-    Q: Any = None,
-    R: Any = None,
-    sqrt_Q: Any = None,
-    sqrt_R: Any = None,
-    Sigma0: ArrayLike | None = None,
-    first_rule: Transform | None = None,
-    hooks: Sequence[Hook] = (),
-) -> Filter:
-    """Single-transform filter: condition ``x' = f(x) + w`` on ``z' - Phi z = h(x') - Phi h(x) + zeta`` directly.
+    increments: Any = None,
+    first: bool = True,
+    rule: Any = unscented,
+    **options: Any,
+) -> Colored:
+    """A filter for colored measurement noise, in one transform: condition ``x' = f(x) + w`` on ``z' - Phi z`` directly.
 
     Parameters
     ----------
-    f: dynamics.
-    h: measurement matrix ``(m, n)``, or a function. With a function the process noise enters the measurement nonlinearly, so
-        it goes through the points: ``rule`` then has the dimension of state and noise together and ``sqrt_Q`` is constant.
-    Phi: see `Coloring`; checked by `coloring`.
-    Q, R: covariances of ``w`` and of the increments ``zeta`` (not of V), or their roots.
-    Sigma0: covariance of the first noise sample ``V_0``. None: the first sample only anchors the first difference, as in
-        the paper, which is the limit of a large ``Sigma0``.
-    first_rule: rule of dimension n for the update with ``Sigma0``; needed where ``h`` is a function.
-    hooks: see `celnav.filters.info.Hook`.
-
-    The first epoch has ``dt == 0``, every later one an interval. States and measurements are vectors: the difference of two
-    measurements knows nothing of a seam. Where an angle is measured, carry the noise in the state.
+    motion, sensor: what is believed; ``sensor.R`` is the covariance ``(m, m)`` of the colored noise itself. States and measurements
+        are vectors: the difference of two measurements knows nothing of a seam. Where an angle is measured, use `augmented`.
+    Phi: ``(..., m, m)``, or a function of the epoch: what carries the noise from one measurement to the next.
+    increments: covariance ``(..., m, m)`` of ``V' - Phi V``, or a function ``(mean, epoch)`` of it; None: that of stationary noise.
+    first: whether the first measurement updates the prior. Otherwise it only anchors the first difference, as in the paper, which
+        is the limit of a large R.
+    rule, options: as in `celnav.sigma_point`. Where ``h`` is a function the process noise goes through the points with the state.
 
     Raises
     ------
-    ValueError: naming the argument that cannot be; at the step, if shapes or intervals do not go together.
+    ValueError: naming the argument that cannot be: a spectral radius of Phi above 1, a motion or a sensor that is not one of
+        vectors, an R that no stationary noise has.
+
+    >>> filter = celnav.colored(motion, celnav.Sensor(H, R), 0.9 * np.eye(3))
     """
-    check_model("f", f)
-    check_rule(rule)
-    check_rule(rule if first_rule is None else first_rule, "first_rule")
-    check_hooks(hooks)
-    H = None if callable(h) else measurement_matrix("h", h)
-    process, increments, m = noises(Q, sqrt_Q, R, sqrt_R, None if H is None else H.shape[-2])
-    if H is not None:
-        conditioned = _linear(f, H, rule, process, increments, hooks)
-    else:
-        assert callable(h)
-        if callable(process):
-            raise ValueError("sqrt_Q: expected constant columns where the measurement is a function")
-        if not process.shape[-2]:
-            raise ValueError(f"sqrt_Q: expected columns (n, r), got shape {process.shape}")
-        if Sigma0 is not None and first_rule is None:
-            raise ValueError("first_rule: expected a rule of the state's dimension where the measurement is a function")
-        conditioned = _through_points(f, h, rule, process, increments, hooks)
-    phi = coloring(Phi, m)
-    first = first_update(h, rule if first_rule is None else first_rule, Sigma0)
+    made: Colored = _made(Colored, motion, sensor, Phi, increments, first, rule, options)
+    return made
 
-    def step(state: Colored, epoch: Epoch) -> tuple[Colored, Info]:
-        state, z = taken(state, epoch, m)
+
+def decorrelated(
+    motion: Motion,
+    sensor: Sensor,
+    Phi: Coloring,
+    *,
+    increments: Any = None,
+    first: bool = True,
+    rule: Any = unscented,
+    **options: Any,
+) -> Decorrelated:
+    """The filter of [Sun2015] with its errata corrected: update the past state, then predict; arguments as in `colored`.
+
+    ``x* = f(x) + J (z* - h(x))`` and ``h(x) = H f(x) - Phi H x`` [Sun2015, Eqs. 8, 14]. The state after an epoch holds two
+    estimates: ``belief`` of the present state, and ``lagged`` of the previous one, each given all measurements so far. With a
+    linear model the first is what `colored` gives in one step. Hooks may leave measurements out, as gates do; those that change the
+    noise are for `colored`, since here the noise also decides how the measurement enters the prediction.
+
+    Raises
+    ------
+    ValueError: as `colored`, and for a measurement function; from the filter, for a hook that changes more than the innovation.
+    """
+    if callable(instance("sensor", sensor, Sensor, "celnav.Sensor(h, R)").h):
+        raise ValueError("sensor: expected a measurement matrix (m, n), got a function; `colored` takes one")
+    made: Decorrelated = _made(Decorrelated, motion, sensor, Phi, increments, first, rule, options)
+    return made
+
+
+def _made(kind: Any, motion: Motion, sensor: Sensor, Phi: Coloring, increments: Any, first: bool, rule: Any, options: Any) -> Any:
+    plain = sigma_point(motion, sensor, rule=rule, **options)
+    if motion.space != EUCLIDEAN or sensor.space != EUCLIDEAN:
+        raise ValueError("space: expected states and measurements that are vectors; carry the noise in the state: celnav.augmented")
+    phi, once = coloring(Phi, sensor.m), bool(choice("first", first, (False, True)))
+    if callable(sensor.h) and (callable(motion.Q) or callable(motion.sqrt_Q)):
+        raise ValueError("Q: expected a constant where the measurement is a function")
+    parts = {"rule": plain.rule, "form": plain.form, "hooks": plain.hooks, "gain": plain.gain}
+    return kind(motion, (sensor,), **parts, Phi=phi, zeta=zeta_of(sensor, Phi, increments), first_sample=once)
+
+
+def coloring(Phi: Coloring, m: int | None = None) -> Callable[[Any], Array]:
+    """Checked ``epoch -> Phi (..., m, m)``.
+
+    Raises
+    ------
+    ValueError: if Phi is not finite, not ``(..., m, m)``, or has a spectral radius above 1. Radius 1, a random walk, is
+        allowed: differences then say nothing about position, only about its changes.
+    """
+    if callable(Phi):
+        check_function("Phi", Phi, "(epoch)")
+        return lambda epoch: _matrix(numbers("Phi", unmasked("Phi", Phi(epoch))), m)
+    matrix = _matrix(finite("Phi", Phi), m)
+    radius = np.abs(np.linalg.eigvals(matrix)).max()
+    if radius > 1.0 + 1e-9:
+        raise ValueError(f"Phi: expected a spectral radius of at most 1, got {radius:.6g}")
+    return lambda epoch: matrix
+
+
+def _matrix(Phi: Array, m: int | None) -> Array:
+    if Phi.ndim < 2 or Phi.shape[-1] != Phi.shape[-2] or (m is not None and Phi.shape[-1] != m):
+        size = "m, m" if m is None else f"{m}, {m}"
+        raise ValueError(f"Phi: expected shape (..., {size}), got {Phi.shape}")
+    return Phi
+
+
+def zeta_of(sensor: Sensor, Phi: Coloring, increments: Any) -> Noise:
+    """``(mean, epoch) ->`` columns of the increments: given, or of a stationary noise of covariance R."""
+    if increments is not None:
+        given = noise_of("increments", increments, None)
+        columns = constant(given)
+        if columns is not None and sensor.m not in (None, columns.shape[-2]):
+            raise ValueError(f"increments: expected {sensor.m} rows to go with the sensor's R, got {columns.shape[-2]}")
+        return given
+    if not (callable(Phi) or callable(sensor.R) or callable(sensor.sqrt_R)):
+        V = sensor.noise(np.zeros(0), None)
+        return noise_of("R - Phi R Phi'", _increments(V, np.asarray(Phi, dtype=np.float64)), None)
+    phi = coloring(Phi, sensor.m)
+
+    def zeta(mean: Array, epoch: Any) -> Array:
+        return symmetric(_increments(sensor.noise(mean, epoch), phi(epoch)), "R - Phi R Phi'")[1]
+
+    return zeta
+
+
+def _increments(V: Any, Phi: Array) -> Array:
+    carried = Phi @ V
+    return np.asarray(V @ V.mT - carried @ carried.mT)
+
+
+def difference(Phi: Array, z: Array, z_next: Array) -> Array:
+    """``z_next - Phi z (..., m)``. A missing component spoils those differences that it enters, not the others."""
+    absent = np.isnan(z)
+    if not absent.any():
+        return np.asarray(z_next - matvec(Phi, z))
+    spoiled = matvec((Phi != 0.0).astype(float), absent.astype(float)) > 0.0
+    return np.asarray(np.where(spoiled, np.nan, z_next - matvec(Phi, np.where(absent, 0.0, z))))
+
+
+class ColoredState(NamedTuple):
+    """State of a filter for colored noise: the estimate, the last measurement, the memory of its hooks.
+
+    ``lagged`` is the estimate of the *previous* state given the present measurement (the prior at the first epoch, and where
+    a filter does not compute it).
+    """
+
+    belief: Any
+    z: Any
+    lagged: Any
+    memory: Any = None
+
+
+@dataclass(frozen=True, eq=False)
+class Colored(Sequential):
+    """What `colored` makes. ``Phi (epoch)``, ``zeta (mean, epoch)``: coefficient, and columns of the increments."""
+
+    _: KW_ONLY
+    Phi: Callable[[Any], Array]
+    zeta: Noise
+    first_sample: bool
+
+    def start(self, prior: Gaussian) -> Any:
+        """State before the first epoch."""
+        belief = super().start(prior).belief
+        return ColoredState(belief, None, belief)
+
+    def step(self, state: Any, epoch: Epoch) -> tuple[Any, tuple[Info, ...]]:
+        """State after an epoch, and what its measurement did."""
+        (sensor,) = self.sensors
+        z = self._measured(state, epoch)
         if state.z is None:
-            belief, info = first(state.belief, epoch._replace(z=z))
-            return Colored(belief, z, state.lagged, state.memory), info
-        coefficient = phi(epoch)
-        belief, info, memory = conditioned(state, coefficient, difference(coefficient, state.z, z), epoch)
-        return Colored(belief, z, state.lagged, memory), info
+            belief, info = state.belief, silent(sensor, z) if self.first_sample else Info()
+            if self.first_sample and not missing(z):
+                belief, info, _ = self.see(sensor, belief, z, epoch, (), None)
+            return ColoredState(belief, z, state.lagged, state.memory), (info,)
+        Phi = self.Phi(epoch)
+        if Phi.ndim > 2:
+            state = state._replace(belief=over_runs("Phi", Phi.shape[:-2], state.belief))
+        return self.advance(state, Phi, difference(Phi, state.z, z), epoch, z)
 
-    return Filter(lambda prior: Colored(prior, None, prior), step)
+    def advance(self, state: Any, Phi: Array, z_star: Array, epoch: Epoch, z: Array) -> tuple[Any, tuple[Info, ...]]:
+        """State after an interval, given the difference ``z_star`` of the measurements at its ends."""
+        hooks = self.hooks[0]
+        both = self.fused(state.belief, Phi, z_star, epoch)
+        belief, info, memory = condition(self.form, both, EUCLIDEAN, hooks=hooks, memory=state.memory, epoch=epoch, gain=self.gain)
+        return ColoredState(belief, z, state.lagged, memory), (info,)
+
+    def fused(self, belief: Any, Phi: Array, z_star: Array, epoch: Epoch) -> Joint:
+        """The joint of the difference ``h(f(x) + w) - Phi h(x) + zeta`` and the next state ``f(x) + w``."""
+        motion, (sensor,), mean = self.motion, self.sensors, belief.mean
+        W, Z = motion.noise(mean, epoch), self.zeta(mean, epoch)
+        spaces, given = (EUCLIDEAN,) * 3, dict[str, Any](z=z_star, measurement_noise=Z)
+        rule = self.rule_of(belief, ())
+        moved = motion.linear(rule, mean, epoch)
+        after = None if moved is None else sensor.linear(rule, moved[0], epoch)
+        before = None if moved is None else sensor.linear(rule, mean, epoch)
+        if moved is not None and after is not None and before is not None:
+            (y, F), (h_y, H_y), (h_x, H_x) = moved, after, before
+            g = (h_y - apply(Phi, h_x), H_y @ F - Phi @ H_x), (y, F)
+            return joint(rule, belief, g, spaces, process_noise=(H_y @ W, W), **given)
+        if not callable(sensor.h):
+            return joint(rule, belief, lambda x: self._rows(x, Phi, epoch), spaces, process_noise=(sensor.h @ W, W), **given)
+        # The process noise enters the measurement through h, so it goes through the points.
+        m = Z.shape[-2]
+
+        def through(x: Array, w: Array) -> tuple[Array, Array]:
+            y = motion.points(x.copy(order="K"), epoch) + w
+            now = sensor.points(y.copy(order="K"), epoch, m=m)
+            return now - apply(Phi, sensor.points(x, epoch, m=m)), y
+
+        return joint(self.rule_of(belief, (W,)), belief, through, spaces, augment=(W,), **given)
+
+    def _rows(self, x: Array, Phi: Array, epoch: Epoch) -> tuple[Array, Array]:
+        """``H f(x) - Phi H x`` and ``f(x)``."""
+        H = self.sensors[0].h
+        y = self.motion.points(x.copy(order="K"), epoch)
+        return apply(H, y) - apply(Phi @ H, x), y
+
+    def _measured(self, state: Any, epoch: Epoch) -> Array:
+        """The measurement of an epoch, nan where there is none.
+
+        Raises
+        ------
+        ValueError: for another number of components, and for intervals that are none: the first sample only anchors the difference
+            to the second, so that nothing leads up to it, and each later one ends an interval.
+        """
+        first = state.z is None
+        if bool(np.any(epoch.dt)) is first:
+            expected = "0 at the first epoch (start from a prior at that time)" if first else "an interval after the first epoch"
+            raise ValueError(f"dt: expected {expected}, got {epoch.dt!r}")
+        m = self.sensors[0].m
+        if epoch.z is None and m is not None:
+            return np.full(m, np.nan)
+        z = checked(epoch.z[0] if isinstance(epoch.z, tuple) else epoch.z, self.sensors[0])
+        if m is not None and z.shape[-1] != m:
+            raise ValueError(f"z: expected {m} components to go with h, got {z.shape[-1]}")
+        return z
 
 
-class Lifted(NamedTuple):
-    """A belief pushed through ``f``: the images of ``f(x)`` and of ``x``, from which every linear row here is made."""
+class Decorrelation(NamedTuple):
+    """Gain ``J (..., n, m)`` and the roots of ``Q* (..., n, n)`` and ``R* (..., m, m)`` [Sun2015, Eqs. 10-20]."""
 
-    y: Image
-    x: Image
-    root: Array
-    rule: Transform
-    belief: Gaussian
-    g: Callable[..., Outputs]
-
-    def rows(self, after: Array, before: Array) -> Image:
-        """Image of ``after @ f(x) + before @ x``; centers are combined before the small shift is added."""
-        center = matvec(after, self.y.center) + matvec(before, self.x.center)
-        shift = matvec(after, np.broadcast_to(self.y.shift, self.y.center.shape))
-        return Image(center, shift, after @ self.y.columns + before @ self.x.columns)
-
-    def slope(self) -> Array:
-        return self.rule.slope(self.y, self.root)
-
-    def settled(self, after: Gaussian, z: Array | None) -> tuple[Gaussian, str]:
-        return settled(self.belief, after, ("f",), self.rule, self.g, EUCLIDEAN, (), z)
+    J: Array
+    sqrt_Q: Array
+    sqrt_R: Array
 
 
-def lift(f: Model, rule: Transform, belief: Gaussian, epoch: Epoch) -> Lifted:
-    root = belief.form.root(belief.spread)
+def decorrelation(H: Array, sqrt_Q: Array, sqrt_R: Array) -> Decorrelation:
+    """Decorrelate process noise and differenced measurement noise by one QR, without subtraction.
 
-    def g(points: Array) -> Outputs:
-        return images("f", f, points, epoch, (), points.shape[-1]), KEEP
+    The lower root of ``[[R^1/2, H Q^1/2], [0, Q^1/2]]`` is ``[[R*^1/2, 0], [J R*^1/2, Q*^1/2]]``. Subtracting covariances
+    instead, ``Q* = Q - Q H' R*^-1 H Q``, loses every digit once the process noise is 1e8 times the measurement noise.
+    """
+    m = H.shape[-2]
+    L = tria(block([[sqrt_R, H @ sqrt_Q], [0, sqrt_Q]]))
+    sqrt_R_star = L[..., :m, :m]
+    J = solve_upper_transposed(sqrt_R_star, L[..., m:, :m].mT).mT
+    return Decorrelation(J, L[..., m:, m:], sqrt_R_star)
 
-    (y, x), _ = rule.transform(g, belief.mean, root, EUCLIDEAN, (EUCLIDEAN, EUCLIDEAN), epoch=epoch)
-    return Lifted(y, x, root, rule, belief, g)
 
+@dataclass(frozen=True, eq=False)
+class Decorrelated(Colored):
+    """What `decorrelated` makes."""
 
-def _linear(f: Model, H: Array, rule: Transform, process: Any, increments: Any, hooks: Sequence[Hook]) -> Callable[..., Any]:
-    """Condition with a measurement matrix: ``A = [[D_z, H Q^1/2, R^1/2], [D_y, Q^1/2, 0]]``."""
+    @cached_property
+    def _constant(self) -> Decorrelation | None:
+        """The decorrelated system where it is the same at every epoch."""
+        W, Z = constant(self.motion.noise), constant(self.zeta)
+        return None if W is None or Z is None else decorrelation(self.sensors[0].h, W, Z)
 
-    def conditioned(state: Colored, Phi: Array, z: Array, epoch: Epoch) -> tuple[Gaussian, Info, Any]:
-        belief = state.belief
-        W, Z = evaluate(process, belief.mean, epoch), evaluate(increments, belief.mean, epoch)
-        lifted = lift(f, rule, belief, epoch)
-        measured = lifted.rows(H, -Phi @ H)
-        A = block([[measured.columns, H @ W, Z], [lifted.y.columns, W, 0]])
+    def advance(self, state: Any, Phi: Array, z_star: Array, epoch: Epoch, z: Array) -> tuple[Any, tuple[Info, ...]]:
+        """Update the past state [Sun2015, Eqs. 24-32], then predict [Sun2015, Eqs. 33-37]."""
+        gates = [partial(_leaving_out, hook) for hook in self.hooks[0]]
+        past = self._past(state.belief, Phi, z_star, epoch)
+        lagged, info, memory = condition(self.form, past, EUCLIDEAN, hooks=gates, memory=state.memory, epoch=epoch, gain=self.gain)
+        ahead = self._ahead(lagged, Phi, z_star, epoch, np.asarray(info.used))
+        return ColoredState(marginal(self.form, ahead, EUCLIDEAN), z, lagged, memory), (info,)
 
-        def slopes() -> tuple[Array, ...]:
-            F = lifted.slope()
-            return H @ F - Phi @ H, F
-
-        after, info, memory = condition(
-            belief, lifted.y, A, rule.sign, z - measured.center - measured.shift,
-            noise=(W.shape[-1], Z.shape[-1]), slopes=slopes, hooks=hooks, memory=state.memory, epoch=epoch,
+    def _past(self, belief: Any, Phi: Array, z_star: Array, epoch: Epoch) -> Joint:
+        """The joint of the difference and of the state before the interval."""
+        noise = self.system(belief.mean, epoch, np.ones(1, bool)).sqrt_R
+        return joint(
+            self.rule_of(belief, ()), belief, lambda x: (self._rows(x, Phi, epoch)[0], KEEP), (EUCLIDEAN,) * 3,
+            z=z_star, measurement_noise=noise,
         )  # fmt: skip
-        after, failure = lifted.settled(after, z)
-        return after, info._replace(failure=failure), memory
 
-    return conditioned
+    def _ahead(self, lagged: Any, Phi: Array, z_star: Array, epoch: Epoch, used: Array) -> Joint:
+        """The joint of the prediction, which the measurement enters through J."""
+        star = self.system(lagged.mean, epoch, used)
+        z = np.where(used, z_star, 0.0)
+
+        def g(x: Array) -> tuple[Array]:
+            h, y = self._rows(x, Phi, epoch)
+            return (y + matvec(star.J, z - h),)
+
+        return joint(self.rule_of(lagged, ()), lagged, g, (EUCLIDEAN,) * 2, process_noise=star.sqrt_Q)
+
+    def system(self, mean: Array, epoch: Epoch, used: Array) -> Decorrelation:
+        """The decorrelated system; a row that was not measured has no part in ``J`` (its noise is its own)."""
+        if used.all() and self._constant is not None:
+            return self._constant
+        H, W, Z = self.sensors[0].h, self.motion.noise(mean, epoch), self.zeta(mean, epoch)
+        assert W is not None
+        assert Z is not None
+        if used.all():
+            return decorrelation(H, W, Z)
+        unit = used[..., None] * 1.0
+        return decorrelation(H * unit, W, np.concatenate([Z * unit, np.eye(H.shape[-2]) * (1.0 - unit)], -1))
 
 
-def _through_points(
-    f: Model, h: Model, rule: Transform, process: Array, increments: Any, hooks: Sequence[Hook]
-) -> Callable[..., Any]:
-    """Condition with a measurement function: the process noise goes through the points."""
+def _leaving_out(hook: Hook, memory: Any, joint: Joint, epoch: Any) -> tuple[Any, Joint]:
+    """The hook, held to leaving measurements out."""
+    memory, after = given_back("hooks", hook(memory, joint, epoch), "memory, joint")
+    instance("hooks", after, Joint, "hooks that give back (memory, joint)")
+    if any(getattr(after, part) is not getattr(joint, part) for part in joint._fields if part != "innovation"):
+        raise ValueError("hooks: expected hooks that only leave measurements out, got one that changes noise; `colored` takes it")
+    return memory, after
 
-    def conditioned(state: Colored, Phi: Array, z: Array, epoch: Epoch) -> tuple[Gaussian, Info, Any]:
-        Z = evaluate(increments, state.belief.mean, epoch)
-        belief = batched("R", Z.shape[:-2], state.belief)
-        root = belief.form.root(belief.spread)
-        m, s = Z.shape[-2:]
 
-        def g(points: Array, w: Array) -> Outputs:
-            y = images("f", f, points.copy(), epoch, (), points.shape[-1]) + w
-            now = images("h", h, y.copy(order="K"), epoch, (), m)
-            before = images("h", h, points, epoch, (), m)
-            return now - matvec(Phi, before), y
+# -- the noise among the states ------------------------------------------------------------------------------------------
+@dataclass(frozen=True, eq=False)
+class Augmented(Sequential):
+    """What `augmented` makes: a filter on ``[x; V] (n + m)``, started from a prior of x alone."""
 
-        (measured, y), A = rule.transform(g, belief.mean, root, EUCLIDEAN, (EUCLIDEAN, EUCLIDEAN), (process,), s, epoch)
-        A[..., :m, A.shape[-1] - s :] = Z
-        A[..., m:, A.shape[-1] - s :] = 0.0
+    _: KW_ONLY
+    sqrt_V: Array
+    runs: tuple[int, ...] = ()
 
-        def slopes() -> tuple[Array, ...]:
-            return rule.slope(measured, root), rule.slope(y, root)
-
-        after, info, memory = condition(
-            belief, y, A, rule.sign, z - measured.center - measured.shift,
-            noise=(0, s), slopes=slopes, hooks=hooks, memory=state.memory, epoch=epoch,
-        )  # fmt: skip
-        after, failure = settled(belief, after, ("h", "f"), rule, g, EUCLIDEAN, (process,), z)
-        return after, info._replace(failure=failure), memory
-
-    return conditioned
+    def start(self, prior: Gaussian) -> Any:
+        """State before the first epoch."""
+        check_prior(prior)
+        mean, root, V = prior.mean, prior.sqrt_cov, self.sqrt_V
+        batch = together(prior=mean.shape[:-1], R=V.shape[:-2], Phi=self.runs)
+        both = side_by_side([mean, np.zeros((*batch, V.shape[-1]))])
+        return super().start(Gaussian(both, sqrt_cov=block([[root, 0], [0, V]])))
 
 
 def augmented(
-    f: Model,
-    H: ArrayLike,
-    rule: Transform,
-    Phi: Coloring,
-    *,
-    Q: ArrayLike,
-    R: ArrayLike,
-    Sigma0: ArrayLike,
-) -> Filter:
-    """The exact reference: a filter on ``[x; V] (n + m)`` with no measurement noise of its own.
+    motion: Motion, sensor: Sensor, Phi: Coloring, *, increments: Any = None, rule: Any = unscented, **options: Any
+) -> Augmented:
+    """The exact reference for colored noise: a filter on ``[x; V] (n + m)`` with no measurement noise of its own.
 
-    ``rule`` has dimension n + m. The state's belief is that of ``[x; V]``; start it from a prior of ``x`` alone. Its
-    covariance is singular after each measurement. A missing sample costs nothing but itself.
+    Arguments as in `colored`; the measurement may be an angle. The belief is that of ``[x; V]``; start it from a prior of ``x``
+    alone. Its covariance is singular after each measurement. A missing sample costs nothing but itself.
+
+    Raises
+    ------
+    ValueError: as `colored`; for an R that is a function, or a state that is no vector.
     """
-    check_model("f", f)
-    check_rule(rule)
-    matrix = measurement_matrix("H", H)
-    m, n = matrix.shape[-2:]
-    phi = coloring(Phi, m)
-    process, increments, first = sqrt_cov(Q, "Q", n), sqrt_cov(R, "R", m), sqrt_cov(Sigma0, "Sigma0", m)
+    instance("motion", motion, Motion, "celnav.Motion(f, Q)")
+    instance("sensor", sensor, Sensor, "celnav.Sensor(h, R)")
+    if motion.space != EUCLIDEAN or motion.augment or sensor.augment:
+        raise ValueError("motion: expected one of vectors, with no noise through the points")
+    if sensor.m is None:
+        raise ValueError("R: expected a constant covariance of the noise, got a function")
+    m, h, phi, zeta = sensor.m, sensor.h, coloring(Phi, sensor.m), zeta_of(sensor, Phi, increments)
 
-    def move(x: Array, epoch: Any) -> Array:
-        return np.concatenate([images("f", f, x[..., :n], epoch, (), n), matvec(phi(epoch), x[..., n:])], -1)
+    def f(x: Array, epoch: Any) -> Array:
+        moved, Phi = motion.points(x[..., :-m].copy(order="K"), epoch), phi(epoch)
+        if Phi.ndim > 2:
+            together(points=x.shape[1:-1], Phi=Phi.shape[:-2])
+        return side_by_side([moved, apply(Phi, x[..., -m:])])
 
-    both = sequential(
-        predict(move, rule, sqrt_Q=block([[process, 0], [0, increments]])),
-        update(side_by_side([matrix, np.eye(m)]), rule, sqrt_R=np.zeros((m, 0))),
+    def noise(mean: Array, epoch: Any) -> Array:
+        return block([[motion.noise(mean[..., :-m], epoch), 0], [0, zeta(mean, epoch)]])
+
+    def seen(x: Array, epoch: Any) -> Array:
+        return np.asarray(sensor.space.plus(h(x[..., :-m], epoch), x[..., -m:]))
+
+    measured = seen if callable(h) else np.concatenate([h, np.broadcast_to(np.eye(m), (*h.shape[:-2], m, m))], -1)
+    both = Sensor(measured, sqrt_R=np.zeros((m, 0)), space=sensor.space)
+    made = sigma_point(Motion(f, sqrt_Q=noise), both, rule=rule, **options)
+    V: Any = sensor.noise(np.zeros(0), None)
+    return Augmented(
+        made.motion,
+        made.sensors,
+        rule=made.rule,
+        form=made.form,
+        hooks=made.hooks,
+        gain=made.gain,
+        sqrt_V=tria(V),
+        runs=() if callable(Phi) else np.shape(Phi)[:-2],
     )
-
-    def start(prior: Gaussian) -> State:
-        prior = batched("Sigma0", first.shape[:-2], prior if callable(Phi) else batched("Phi", np.shape(Phi)[:-2], prior))
-        batch = prior.mean.shape[:-1]
-        mean = np.concatenate([prior.mean, np.zeros((*batch, m))], -1)
-        noise = np.broadcast_to(first, (*batch, m, m))
-        spread = noise if prior.form.name == "square root" else noise @ noise.mT
-        state: State = both.start(Gaussian(mean, block([[prior.spread, 0], [0, spread]]), prior.form))
-        return state
-
-    return Filter(start, both.step)

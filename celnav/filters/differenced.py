@@ -11,17 +11,18 @@ With ``F`` the error of the last estimate is overlooked: the filter is then over
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.filters.arguments import check_model, given_back
-from celnav.filters.driver import Epoch
-from celnav.filters.info import Info
-from celnav.filters.two_stage import First, Stage
-from celnav.gaussian.belief import Gaussian, sqrt_cov
-from celnav.gaussian.checks import finite, instance, numbers
+from celnav.filters.model import check_function, check_prior, given_back
+from celnav.filters.records import Epoch, Info
+from celnav.filters.two_stage import Stage
+from celnav.gaussian.belief import Covariance, Gaussian, symmetric
+from celnav.gaussian.checks import finite, instance, numbers, together, unmasked
 from celnav.gaussian.linalg import Array, cholesky, matvec, side_by_side, solve_lower, solve_upper_transposed, whiten
 
 Moved = tuple[Array, Array, Array]
@@ -56,9 +57,9 @@ def ar1_noise(F: ArrayLike, L: ArrayLike, J: ArrayLike, Xi: ArrayLike, E: ArrayL
     """
     xi, e = finite("Xi", Xi, ("m", "m")), finite("E", E, ("q", "q"))
     m, q = len(xi), len(e)
-    if not np.isfinite(sqrt_cov(xi, "Xi", m)).all() or np.linalg.eigvalsh(xi)[0] <= 0.0:
+    if np.linalg.eigvalsh(symmetric(xi, "Xi", m)[0])[0] <= 0.0:
         raise ValueError("Xi: expected a positive definite covariance")
-    sqrt_cov(e, "E", q)
+    symmetric(e, "E", q)
     matrices = {}
     for name, value, size in (("F", F, m), ("L", L, q)):
         matrix = finite(name, value, (size, size))
@@ -79,7 +80,7 @@ class DifferencedState(NamedTuple):
     moved: what the model said of the interval, until the update.
     """
 
-    belief: Gaussian
+    belief: Covariance
     DV: Array
     DQ: Array
     V: Array
@@ -87,60 +88,76 @@ class DifferencedState(NamedTuple):
     moved: Moved | None = None
 
 
-def differenced(
-    move: Callable[[Array, Epoch], Moved],
-    h: Callable[[Array, Epoch], Array],
-    slope: Callable[[Array, Epoch], Array],
-    noise: Noise,
-) -> First:
-    """The stage; priors in covariance form.
+@dataclass(frozen=True, eq=False)
+class Differenced:
+    """The stage, for `celnav.filters.two_stage.TwoStage`. Each epoch moves and is measured in full, or not at all.
 
-    Parameters
+    Attributes
     ----------
     move: ``(mean, epoch) -> (state, Phi, G)``; see `Moved`.
     h, slope: ``(mean, epoch) ->`` measurement ``(..., m)`` and its Jacobian ``(..., m, n)``. noise: see `ar1_noise`.
 
-    Returns
-    -------
-    A `First` for `celnav.filters.two_stage.two_stage`. Each epoch moves and is measured in full, or not at all.
-
-    Raises
-    ------
-    ValueError: from the stage, for a prior in another form, a measurement that is missing in part, or where ``I + H G J`` is
-        singular (determinant below 1e-12).
+    Its belief is in covariance form. It raises a ValueError for a measurement that is missing in part, or where ``I + H G J`` is
+    singular (determinant below 1e-12).
     """
-    for name, function in (("move", move), ("h", h), ("slope", slope)):
-        check_model(name, function, "(mean, epoch)")
-    instance("noise", noise, Noise, "a Noise, such as ar1_noise(F, L, J, Xi, E)")
-    F, L, J, Xi, V, Q = noise.F, noise.L, noise.J, noise.Xi, noise.V, noise.Q
-    m, n_q, JF = F.shape[-1], L.shape[-1], J @ F
-    f_V, f_Q = (matrix.diagonal(0, -2, -1)[..., None, :] for matrix in (F, L))
-    # The first measurement is not differenced: what it takes into the prediction is all of J V.
-    begun = side_by_side([0.5 * Q, Q, np.zeros((n_q, m))])
-    fresh = side_by_side([0.5 * (Q + JF @ V @ JF.mT), Q, JF @ V * f_V])
 
-    def start(prior: Gaussian) -> DifferencedState:
-        if prior.form.name != "covariance":
-            raise ValueError(f"prior: expected one in covariance form, got {prior.form.name} form")
-        batch, n = prior.mean.shape[:-1], prior.mean.shape[-1]
-        zeros = (np.zeros((*batch, n, m)), np.zeros((*batch, n, L.shape[-1])))
-        return DifferencedState(prior, *zeros, np.full((*batch, m), np.nan), np.zeros((*batch, m, n)))
+    move: Callable[[Array, Epoch], Moved]
+    h: Callable[[Array, Epoch], Array]
+    slope: Callable[[Array, Epoch], Array]
+    noise: Noise
 
-    def predict(state: DifferencedState, epoch: Epoch) -> tuple[DifferencedState, Array | None]:
-        found = given_back("move", move(state.belief.mean, epoch), "state, Phi, G")
-        moved = numbers("move", found[0]), numbers("move", found[1]), numbers("move", found[2])
+    def __post_init__(self) -> None:
+        for name in ("move", "h", "slope"):
+            check_function(name, getattr(self, name), "(mean, epoch)")
+        instance("noise", self.noise, Noise, "a Noise, such as ar1_noise(F, L, J, Xi, E)")
+
+    @cached_property
+    def _fresh(self) -> tuple[Array, Array]:
+        """What the noises add in an interval, at the first measurement and later: to the state, and to DQ and DV.
+
+        The first measurement is not differenced: what it takes into the prediction is all of J V.
+        """
+        _, L, J, _, _, V, Q = self.noise
+        JF, f_V = J @ self.noise.F, self.noise.F.diagonal(0, -2, -1)[..., None, :]
+        return (
+            side_by_side([0.5 * Q, Q, np.zeros((L.shape[-1], JF.shape[-1]))]),
+            side_by_side([0.5 * (Q + JF @ V @ JF.mT), Q, JF @ V * f_V]),
+        )
+
+    def start(self, prior: Gaussian) -> DifferencedState:
+        """State before the first epoch."""
+        check_prior(prior)
+        belief, m = Covariance.of(prior), self.noise.F.shape[-1]
+        batch, n = belief.mean.shape[:-1], belief.mean.shape[-1]
+        zeros = (np.zeros((*batch, n, m)), np.zeros((*batch, n, self.noise.L.shape[-1])))
+        return DifferencedState(belief, *zeros, np.full((*batch, m), np.nan), np.zeros((*batch, m, n)))
+
+    def predict(self, state: DifferencedState, epoch: Epoch) -> tuple[DifferencedState, Array | None]:
+        """State that knows what the model says of the interval, and the transition matrix."""
+        n, q = state.belief.mean.shape[-1], self.noise.L.shape[-1]
+        found = given_back("move", self.move(state.belief.mean, epoch), "state, Phi, G")
+        x, Phi, G = (
+            numbers("move", unmasked("move", a), shape)
+            for a, shape in zip(found, ((..., n), (..., n, n), (..., n, q)), strict=True)
+        )
+        moved = x, Phi, G
         return state._replace(moved=moved), moved[1]
 
-    def update(state: DifferencedState, epoch: Epoch) -> tuple[DifferencedState, Stage | None, Info]:
+    def update(self, state: DifferencedState, epoch: Epoch) -> tuple[DifferencedState, Stage | None, Info]:
+        """State at the end of the interval given its measurement, and what was done."""
         assert state.moved is not None
         x, Phi, G = state.moved
-        z = numbers("z", epoch.z, (..., m))
+        F, L, J, Xi, _, V, _ = self.noise
+        JF, f_V, f_Q = J @ F, *(matrix.diagonal(0, -2, -1)[..., None, :] for matrix in (F, L))
+        m, n_q = F.shape[-1], L.shape[-1]
+        z = numbers("z", epoch.z, () if epoch.z is None else (..., m))
+        together(prior=x.shape[:-1], z=z.shape[:-1])
         if np.isnan(z).any():
             raise ValueError("z: expected a whole measurement at every epoch: what was missed cannot be differenced")
         first = bool(np.isnan(state.V).all())
         Z = z if first else z - matvec(F, state.V)
         sensor = V if first else Xi
-        H = numbers("slope", slope(x, epoch), (..., m, x.shape[-1]))
+        H = numbers("slope", unmasked("slope", self.slope(x, epoch)), (..., m, x.shape[-1]))
         coupled = np.eye(m) + H @ G @ J
         if np.abs(np.linalg.det(coupled)).min() < 1e-12:
             raise ValueError("J: expected I + H G J to have an inverse, got a singular matrix")
@@ -149,26 +166,26 @@ def differenced(
         both = side_by_side([Phi, G])
         both = both - Omega @ (H @ both)
         Phi1, G1 = both[..., :n], both[..., n:]
-        y = Z - numbers("h", h(x, epoch), (..., m))
+        y = Z - self._seen(x, epoch)
         into = matvec(Omega, y)
         mean, innovation = x + into, y - matvec(H, into)
-        ahead = Phi1 @ side_by_side([state.belief.spread, state.DQ, state.DV])
+        ahead = Phi1 @ side_by_side([state.belief.cov, state.DQ, state.DV])
         ahead_Q, ahead_V = ahead[..., n : n + n_q] * f_Q, ahead[..., n + n_q :]
-        driven = G1 @ (begun if first else fresh)
+        driven = G1 @ self._fresh[0 if first else 1]
         cross = (ahead_Q + ahead_V @ JF.mT + driven[..., :n_q]) @ G1.mT
         P = ahead[..., :n] @ Phi1.mT + cross + cross.mT
         HP = H @ P
         root = cholesky(HP @ H.mT + sensor)
         K = solve_upper_transposed(root, solve_lower(root, HP)).mT
-        spread = P - K @ HP
+        cov = P - K @ HP
         kept = side_by_side([ahead_Q, ahead_V * f_V]) + driven[..., n_q:]
         kept = kept - K @ (H @ kept)
         DQ, DV = kept[..., :n_q], kept[..., n_q:] - K @ sensor
-        belief = Gaussian(mean + matvec(K, innovation), 0.5 * (spread + spread.mT), state.belief.form)
-        after = DifferencedState(belief, DV, DQ, z - h(belief.mean, epoch), H)
+        belief = Covariance(mean + matvec(K, innovation), 0.5 * (cov + cov.mT))
+        after = DifferencedState(belief, DV, DQ, z - self._seen(belief.mean, epoch), H)
         used = np.ones(innovation.shape, bool)
-        lag = None if first else F
-        stage = Stage(innovation, root, K, H, used, Omega, lag, None if first else state.H)
+        stage = Stage(innovation, root, K, H, used, Omega, None if first else F, None if first else state.H)
         return after, stage, Info(innovation, whiten(root, innovation), used, root, lambda: K)
 
-    return First(start, predict, update)
+    def _seen(self, x: Array, epoch: Epoch) -> Array:
+        return numbers("h", unmasked("h", self.h(x, epoch)), (..., self.noise.F.shape[-1]))

@@ -1,7 +1,7 @@
 """A drop-in for filterpy's ``UnscentedKalmanFilter``: change one import, keep the rest.
 
-`SquareRootUKF` carries a root from step to step, `SigmaPointUKF` a covariance; both are thin doors to `predict` and `update`.
-State, covariances and everything else are plain attributes, as in filterpy 2.0: assign them, or change them in place.
+`SquareRootUKF` carries a root from step to step, `SigmaPointUKF` a covariance; both are thin doors to the one joint and its
+conditioning. State, covariances and everything else are plain attributes, as in filterpy 2.0: assign them, or change them in place.
 """
 
 from __future__ import annotations
@@ -18,17 +18,16 @@ import numpy as np
 from filterpy.common import pretty_str
 from scipy.linalg import cholesky
 
-from celnav.filters.driver import Epoch
 from celnav.filters.filterpy_models import differences, model_of, space_of
-from celnav.filters.info import Info
-from celnav.filters.single_run import measurement_update, time_update
+from celnav.filters.joint import Form, condition, joint, marginal
+from celnav.filters.model import Motion, Sensor
+from celnav.filters.records import Epoch, Info
+from celnav.filters.sequential import Sequential
 from celnav.filters.smoother import back
-from celnav.filters.step import Motion, conditioning
-from celnav.gaussian.belief import COVARIANCE, SQUARE_ROOT, Form, Gaussian, all_sound, symmetric
+from celnav.gaussian.belief import Covariance, SquareRoot, any_lost, symmetric
 from celnav.gaussian.checks import finite, numbers
-from celnav.gaussian.linalg import Array, outer, solve_upper_transposed, whiten
-from celnav.gaussian.points import from_filterpy
-from celnav.gaussian.rule import Rule
+from celnav.gaussian.linalg import Array, outer, whiten
+from celnav.gaussian.rules import KEEP, Rule, from_filterpy
 from celnav.gaussian.spaces import EUCLIDEAN, Space
 
 _NUMBERS, _DATES = (float, int, np.number), (np.datetime64, np.timedelta64)
@@ -52,7 +51,7 @@ def _late(name: str, doc: str) -> Any:
 class _Found(NamedTuple):
     """What an update found: the belief, images of the points, innovation, its covariance, the gain, white innovation and roots."""
 
-    belief: Gaussian
+    belief: Any
     images: Array
     innovation: Array
     S: Array
@@ -67,15 +66,15 @@ class SigmaPointUKF:
     once instead of one point ``(n,)`` after the other. Points lie along the lower Cholesky root, as with filterpy's default, and
     every update draws its own, so that a second one in a row sees what the first has learned (filterpy's takes those of the
     prediction). A number as ``Q`` or ``R`` counts in every element of the matrix, as in filterpy, and a warning says so; as ``P``
-    or as the ``R`` of one `update`, it is a variance of every component; None is no noise. A step takes 0.9 to 1.3 times what
-    filterpy takes, in this form 0.75 to 1.2 times (``python -m benchmarks.dropin``); many runs are for `celnav.run`.
+    or as the ``R`` of one `update`, it is a variance of every component; None is no noise. A step takes 0.9 to 1.5 times what
+    filterpy takes, the more the smaller the state is (``python -m benchmarks.dropin``); many runs are for `celnav.run`.
 
     Raises
     ------
     ValueError: naming the argument, before anything changes: the object keeps its last good state.
     """
 
-    _form: Form = COVARIANCE
+    _form: Form = Covariance
 
     def __init__(
         self,
@@ -170,12 +169,11 @@ class SigmaPointUKF:
         """Predict over ``dt``, which goes to ``fx``; the points are then drawn anew, as in filterpy 2.0."""
         belief, process, function = self._belief(), self._root("Q", self.Q, self._dim_x), self._motion(dt, fx, fx_args)
         if UT is None:
-            space, rule = self._space(), self.rule
-            after = time_update(belief, function, rule, process) if space is EUCLIDEAN else None
-            if after is None or not all_sound(after):  # the long way says why
-                after, info = Motion(function, rule, process, (), space)(belief)
-                if info.failure:
-                    raise ValueError(info.failure)
+            space = self._space()
+            after = marginal(
+                self._form, joint(self.rule, belief, lambda x: (function(x, None),), (space, space), process_noise=process), space
+            )
+            self._check(belief, after, "fx", function, "the covariance lost positive definiteness")
             belief = after
         else:
             images = function(self._points(belief), None)
@@ -217,30 +215,36 @@ class SigmaPointUKF:
         self._keep(found.belief)
         self.sigmas_h, self.S, self.y = np.array(found.images[self._own]), found.S, found.innovation
         self._made |= {"K": found.gain, "SI": lambda: self.inv(found.S), "info": found.info}
-        self.z, self.x_post, self.P_post = deepcopy(z), self.x.copy(), self.P.copy()
+        self.z = z.copy() if type(z) is np.ndarray else deepcopy(z)
+        self.x_post, self.P_post = self.x.copy(), self.P.copy()
 
-    def _conditioned(self, belief: Gaussian, z: Array, h: Callable[[Array, Any], Array], root: Array) -> _Found:
-        """By celnav's own step: the short way where nothing is missing, exact or on a space of its own."""
-        rule, space, measured = self.rule, self._space(), space_of(np.add, self.residual_z, self.z_mean)
-        plain = space is EUCLIDEAN and measured is EUCLIDEAN and isfinite(z.dot(z))
-        if plain and 0.0 not in root.diagonal().tolist():
-            after, images, innovation, white, L, U = measurement_update(belief, z, h, rule, root)
-            if all_sound(after):  # otherwise the long way says why
-                info = Info(white=white, used=np.ones(len(z), bool), innovation_root=L)
-                return _Found(after, images, innovation, outer(L), lambda: solve_upper_transposed(L, U.T).T, info)
+    def _conditioned(self, belief: Any, z: Array, h: Callable[[Array, Any], Array], root: Array) -> _Found:
+        """By celnav's own step."""
+        space, measured = self._space(), space_of(np.add, self.residual_z, self.z_mean)
         seen: list[Array] = []
 
-        def watched(points: Array, epoch: Any) -> Array:
+        def g(points: Array, epoch: Any = None) -> Array:
             seen.append(h(points, epoch))
             return seen[-1]
 
-        after, info, _ = conditioning(watched, rule, root, (), space, measured)(belief, z)
-        if info.failure:
-            raise ValueError(info.failure)
-        L, lean = np.asarray(info.innovation_root), Info(white=info.white, used=info.used, innovation_root=info.innovation_root)
+        if 0.0 not in root.diagonal().tolist() or root.any(-1).all():
+            both = joint(self.rule, belief, lambda x: (g(x), KEEP), (space, measured, space), z=z, measurement_noise=root)
+            after, info, _ = condition(self._form, both, space)
+        else:  # what is exact must not be of what is known already
+            motion, sensor = Motion(g, sqrt_Q=np.zeros((self._dim_x, 0)), space=space), Sensor(g, sqrt_R=root, space=measured)
+            exact = Sequential(motion, (sensor,), rule=self.rule, form=self._form)
+            after, info, _ = exact.see(sensor, belief, z, Epoch(), (), None)
+        self._check(belief, after, "hx", h, "the innovation covariance is not positive definite")
+        L, lean = np.asarray(info.sqrt_S), Info(whitened=info.whitened, used=info.used, sqrt_S=info.sqrt_S)
         return _Found(after, seen[0], np.asarray(info.innovation), outer(L), info.gain, lean)
 
-    def _transformed(self, UT: Any, belief: Gaussian, z: Array, h: Callable[[Array, Any], Array], R: Any) -> _Found:
+    def _check(self, before: Any, after: Any, name: str, function: Callable[[Array, Any], Array], why: str) -> None:
+        """Refuse a belief that is lost; the object keeps its last good one."""
+        if any_lost(after):
+            bad = ~np.isfinite(function(self._points(before), None)).all(-1)
+            raise ValueError(f"{name} is not finite at sigma point {int(np.argmax(bad))}" if bad.any() else why)
+
+    def _transformed(self, UT: Any, belief: Any, z: Array, h: Callable[[Array, Any], Array], R: Any) -> _Found:
         """By a transform of the user's, which gives a mean and a covariance."""
         if np.isnan(z).any():
             raise ValueError("z: expected every component where UT is given, got nan")
@@ -250,7 +254,7 @@ class SigmaPointUKF:
         L, innovation = symmetric(S, "S", len(z))[1], np.asarray(self.residual_z(z, predicted))
         gain = np.linalg.solve(S.T, self.cross_variance(belief.mean, predicted, points, images).T).T
         after = self._from(self.state_add(belief.mean, gain @ innovation), belief.cov - gain @ S @ gain.T)
-        info = Info(white=whiten(L, innovation), used=np.ones(len(z), bool), innovation_root=L)
+        info = Info(whitened=whiten(L, innovation), used=np.ones(len(z), bool), sqrt_S=L)
         return _Found(after, images, innovation, S, lambda: gain, info)
 
     def compute_process_sigmas(self, dt: Any, fx: Callable[..., Any] | None = None, **fx_args: Any) -> None:
@@ -291,8 +295,8 @@ class SigmaPointUKF:
         for k in reversed(range(count - 1)):
             belief, function = self._from(xs[k], ps[k], "Ps"), self._motion(dts[k], None, {})
             if UT is None:
-                motion = Motion(function, self.rule, self._root("Qs", Qs[k], n), (), self._space())
-                after, gains[k] = back(belief, after, Epoch(), motion)
+                motion = Motion(function, sqrt_Q=self._root("Qs", Qs[k], n), space=self._space())
+                after, gains[k] = back(Sequential(motion, rule=self.rule, form=self._form), belief, after, Epoch())
             else:
                 points = self._points(belief)
                 ahead = function(points, None)[self._own]
@@ -338,7 +342,7 @@ class SigmaPointUKF:
         """Rows of our points that filterpy knows: not an added center of weight 0."""
         return slice(-self._num_sigmas, None)
 
-    def _belief(self) -> Gaussian:
+    def _belief(self) -> Any:
         """The present state, checked; the spread that we kept, unless P was changed since."""
         n, x, P = self._dim_x, numbers("x", self.x), numbers("P", self.P)
         if x.shape != (n,) or not isfinite(x.dot(x)):
@@ -348,8 +352,8 @@ class SigmaPointUKF:
         key = P.shape, P.tobytes()
         known = self._roots.get("P")
         if known is None or known[0] != key:
-            known = self._roots["P"] = key, self._from(x, P if P.ndim else P * np.eye(n)).spread
-        return Gaussian(x, known[1], self._form)
+            known = self._roots["P"] = key, self._from(x, P if P.ndim else P * np.eye(n))[1]
+        return self._form(x, known[1])
 
     def _root(self, name: str, cov: Any, n: int) -> Array:
         """Lower root ``(n, n)`` of a noise as filterpy takes it, made anew only where it is another one than before."""
@@ -382,16 +386,16 @@ class SigmaPointUKF:
             raise ValueError(f"{name}: expected {count} entries, one for each epoch, got {len(values)}")
         return values
 
-    def _from(self, mean: Any, cov: Any, name: str = "P") -> Gaussian:
+    def _from(self, mean: Any, cov: Any, name: str = "P") -> Any:
         P, root = symmetric(cov, name, self._dim_x)
-        return Gaussian(finite("x", mean), P if self._form is COVARIANCE else root, self._form)
+        return self._form(finite("x", mean), P if self._form is Covariance else root)
 
-    def _keep(self, belief: Gaussian) -> None:
+    def _keep(self, belief: Any) -> None:
         self.x, self.P = np.array(belief.mean, dtype=np.float64), np.array(belief.cov)
-        self._roots["P"] = (self.P.shape, self.P.tobytes()), belief.spread
+        self._roots["P"] = (self.P.shape, self.P.tobytes()), belief[1]
 
-    def _points(self, belief: Gaussian) -> Array:
-        return self.rule.points(belief.mean, belief.root, self._space())[0]
+    def _points(self, belief: Any) -> Array:
+        return self.rule.points(belief.mean, belief.sqrt_cov, self._space())[0]
 
     def _space(self) -> Space:
         return space_of(self.state_add, self.residual_x, self.x_mean)
@@ -400,9 +404,9 @@ class SigmaPointUKF:
 class SquareRootUKF(SigmaPointUKF):
     """filterpy's UKF in square-root form: a root goes from step to step, ``P`` is made from it. See `SigmaPointUKF`."""
 
-    _form: Form = SQUARE_ROOT
+    _form: Form = SquareRoot
 
     @property
     def sqrt_P(self) -> Array:
         """Lower root of ``P``, ``(n, n)``."""
-        return self._belief().spread.copy()
+        return np.array(self._belief()[1])

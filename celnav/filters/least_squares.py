@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from celnav.filters.arguments import check_model, measurement
-from celnav.filters.conditioning import evaluate
-from celnav.filters.driver import Epoch, Filter, State
-from celnav.filters.info import Info
-from celnav.filters.mixing import check_runs_apart, unknown
-from celnav.gaussian.belief import COVARIANCE, Gaussian
-from celnav.gaussian.checks import finite, integer, numbers
-from celnav.gaussian.linalg import Array, matvec, outer, unit
+from celnav.filters.model import Sensor, check_matrices, check_prior, constant
+from celnav.filters.records import Epoch, Info, State
+from celnav.filters.sequential import checked
+from celnav.gaussian.belief import Covariance, Gaussian
+from celnav.gaussian.checks import instance, integer, numbers, together, unmasked
+from celnav.gaussian.linalg import Array, matvec, outer
 
 RANK = 1e-10
 """Part of a column of the Jacobian that must be its own, or its state is not determined."""
@@ -23,13 +20,7 @@ AT_REST = 1e-4
 """Deviations: the round after a step this small would move nothing that matters."""
 
 
-def least_squares(
-    h: Callable[[Array, Epoch], Array],
-    jacobian: Callable[[Array, Epoch], Array],
-    sigma: ArrayLike | Callable[[Array, Epoch], Array],
-    *,
-    rounds: int = 10,
-) -> Filter:
+def least_squares(sensor: Sensor, *, rounds: int = 10) -> LeastSquares:
     """A filter that makes a fix of every measurement by Gauss and Newton, from the last fix, or from the prior's mean.
 
     Components that are nan are left out. A run whose measurement does not determine the state, or is missing, becomes nan for this
@@ -37,64 +28,85 @@ def least_squares(
 
     Parameters
     ----------
-    h, jacobian: ``(mean (..., n), epoch) ->`` ``(..., m)`` and ``(..., m, n)``.
-    sigma: deviations ``(..., m)`` of the noise, which is of independent components; constant or ``(mean, epoch) -> deviations``.
+    sensor: what is measured, with a ``jacobian`` and noise of independent components.
     rounds: of Gauss and Newton at most; a run stops when a step is below a ten-thousandth of its deviations.
 
     Returns
     -------
-    A filter in covariance form. Its innovations are the residuals of the fix, its ``white`` those in deviations.
+    A filter in covariance form. Its innovations are the residuals of the fix, its whitened ones those in deviations.
 
     Raises
     ------
-    ValueError: unless ``sigma`` is positive and ``rounds`` a positive integer.
-    """
-    check_model("h", h, "(mean, epoch)")
-    check_model("jacobian", jacobian, "(mean, epoch)")
-    most = integer("rounds", rounds)
-    if callable(sigma):
-        check_model("sigma", sigma, "(mean, epoch)")
-    deviations: Any = sigma if callable(sigma) else finite("sigma", sigma)
-    if not callable(sigma) and not (deviations > 0.0).all():
-        raise ValueError(f"sigma: expected positive deviations, got {sigma!r:.80}")
+    ValueError: unless the sensor has a Jacobian and noise of independent components, and ``rounds`` is a positive integer.
 
-    def step(state: State, epoch: Epoch) -> tuple[State, Info]:
+    >>> fixes = celnav.run(least_squares(celnav.Sensor(ranges, R, jacobian=directions)), guess, times, z)
+    """
+    instance("sensor", sensor, Sensor, "celnav.Sensor(h, R, jacobian=...)")
+    if sensor.jacobian is None and callable(sensor.h):
+        raise ValueError("sensor: expected one with a jacobian, (mean, epoch) -> (..., m, n), got none")
+    columns = constant(sensor.noise)
+    if sensor.R is None and sensor.sqrt_R is None:
+        raise ValueError("R: expected variances of independent components, got noise through the points")
+    if columns is not None:
+        R = columns @ columns.mT
+        variances = R.diagonal(0, -2, -1)
+        if (variances <= 0.0).any() or np.abs(R - variances[..., None] * np.eye(R.shape[-1])).max(
+            initial=0.0
+        ) > 1e-12 * variances.max(initial=0.0):
+            raise ValueError("R: expected positive variances of independent components, a diagonal matrix, got another")
+    return LeastSquares(sensor, integer("rounds", rounds, 1, 10_000))
+
+
+@dataclass(frozen=True, eq=False)
+class LeastSquares:
+    """What `least_squares` makes."""
+
+    sensor: Sensor
+    rounds: int
+
+    def start(self, prior: Gaussian) -> State:
+        """State before the first epoch."""
+        check_prior(prior)
+        check_matrices(prior.mean.shape[-1], h=self.sensor.h)
+        return State(Covariance.of(prior), (prior.mean,))
+
+    def step(self, state: State, epoch: Epoch) -> tuple[State, tuple[Info, ...]]:
+        """State after an epoch: a fix, and its residuals."""
         x = state.memory[0]
-        if epoch.z is None:
-            lost = Gaussian(np.full(x.shape, np.nan), np.full((*x.shape, x.shape[-1]), np.nan), COVARIANCE)
-            return State(lost, (x,)), Info(silent=True)
-        z, belief = measurement(epoch.z, state.belief)
-        x = np.broadcast_to(x, belief.mean.shape)
-        used = np.broadcast_to(~np.isnan(z), (*x.shape[:-1], z.shape[-1]))
-        sigmas = numbers("sigma", evaluate(deviations, x, epoch))
-        if sigmas.shape[-1:] not in ((), (1,), z.shape[-1:]):
-            raise ValueError(f"sigma: expected shape (..., {z.shape[-1]}) to go with the measurement, got {sigmas.shape}")
-        weight = np.where(used, 1.0 / sigmas, 0.0)
         n = x.shape[-1]
-        if x.ndim > 1 and unknown(h, x[None]):
-            values = numbers("h", h(x.copy(), epoch), (..., z.shape[-1]))
-            check_runs_apart("h", lambda points, e: np.asarray(h(points[0], e))[None], (x[None],), epoch, values[None].copy())
-        enough, moving = used.sum(-1) >= n, np.ones(x.shape[:-1], bool)
-        V, known = np.zeros((*x.shape, n)), enough
-        for _ in range(most if z.shape[-1] >= n else 0):  # too few determine nothing
-            G = weight[..., None] * numbers("jacobian", jacobian(x, epoch), (..., z.shape[-1], n))
+        if epoch.z is None:
+            return State(Covariance(np.full(x.shape, np.nan), np.full((*x.shape, n), np.nan)), (x,)), (Info(silent=True),)
+        z = checked(epoch.z[0] if isinstance(epoch.z, tuple) else epoch.z, self.sensor)
+        if self.sensor.m not in (None, z.shape[-1]):
+            raise ValueError(f"z: expected {self.sensor.m} components to go with h, got {z.shape[-1]}")
+        batch = together(prior=x.shape[:-1], z=z.shape[:-1])
+        x = np.broadcast_to(x, (*batch, n))
+        used = np.broadcast_to(~np.isnan(z), (*batch, z.shape[-1]))
+        V: Any = self.sensor.noise(x, epoch)
+        weight = np.where(used, 1.0 / np.sqrt(np.square(V).sum(-1)), 0.0)
+        enough, moving, eye = used.sum(-1) >= n, np.ones(batch, bool), np.eye(n)
+        root, known = np.zeros((*x.shape, n)), enough
+        for _ in range(self.rounds if z.shape[-1] >= n else 0):  # too few determine nothing
+            G = weight[..., None] * self._jacobian(x, epoch, z.shape[-1])
             length = np.sqrt(np.square(G).sum(-2))
             Q, R = np.linalg.qr(G / np.where(length > 0.0, length, 1.0)[..., None, :])
-            found = (np.abs(R.diagonal(0, -2, -1)).min(-1) > RANK) & enough
-            root = np.linalg.solve(np.where(found[..., None, None], R * length[..., None, :], unit(n)), unit(n))
-            white = np.where(
-                found[..., None], matvec(Q.mT, weight * np.where(used, z - numbers("h", h(x, epoch), (..., z.shape[-1])), 0.0)), 0.0
-            )
+            determined = (np.abs(R.diagonal(0, -2, -1)).min(-1) > RANK) & enough
+            inverse = np.linalg.solve(np.where(determined[..., None, None], R * length[..., None, :], eye), eye)
+            left = np.where(used, z - self._value(x, epoch, z), 0.0)
+            step = np.where(determined[..., None], matvec(Q.mT, weight * left), 0.0)
             # A run that has come to rest stays as it is while others of its block still move.
-            x = np.where(moving[..., None], x + matvec(root, white), x)
-            V, known = np.where(moving[..., None, None], root, V), np.where(moving, found, known)
-            moving = moving & (np.abs(white).max(-1) > AT_REST)
+            x = np.where(moving[..., None], x + matvec(inverse, step), x)
+            root, known = np.where(moving[..., None, None], inverse, root), np.where(moving, determined, known)
+            moving = moving & (np.abs(step).max(-1) > AT_REST)
             if not moving.any():
                 break
-        left = np.where(used, z - h(x, epoch), np.nan)
-        fix = np.where(known[..., None], x, np.nan)
-        belief = Gaussian(fix, np.where(known[..., None, None], outer(V), np.nan), COVARIANCE)
-        info = Info(left, np.where(used, weight * left, 0.0), used)
-        return State(belief, (x,)), info
+        left = np.where(used, z - self._value(x, epoch, z), np.nan)
+        fix = Covariance(np.where(known[..., None], x, np.nan), np.where(known[..., None, None], outer(root), np.nan))
+        return State(fix, (x,)), (Info(left, np.where(used, weight * left, 0.0), used),)
 
-    return Filter(lambda prior: State(prior, (prior.mean,)), step)
+    def _value(self, x: Array, epoch: Epoch, z: Array) -> Array:
+        return np.asarray(self.sensor.points(x[None], epoch, m=z.shape[-1])[0])
+
+    def _jacobian(self, x: Array, epoch: Epoch, m: int) -> Array:
+        J = self.sensor.jacobian(x, epoch) if self.sensor.jacobian is not None else self.sensor.h
+        return numbers("jacobian", unmasked("jacobian", J), (..., m, x.shape[-1]))

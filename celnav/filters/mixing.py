@@ -1,6 +1,6 @@
 """A model must leave its runs apart: ``F @ x`` multiplies runs, not components, and says nothing where there are as many of both.
 
-`celnav.filters.driver.steps` has each model looked at the first time that it is called. One run alone must then give what it gave
+`celnav.filters.run.steps` has each model looked at the first time that it is called. One run alone must then give what it gave
 among the others. A model that cannot be evaluated for one run alone, since it carries arrays of all runs, has some runs exchanged
 for other ones instead, and those left in place must not notice.
 """

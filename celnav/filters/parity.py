@@ -1,7 +1,7 @@
 """Hooks that inflate measurement noise by what no error of the state can explain: the innovation less its least-squares fit.
 
 A maneuver, or any other error of the prediction, lies in the range of the measurement matrix and leaves such a residual alone;
-it takes more measurements than unknowns. The matrix is that of statistical linearization (see `celnav.filters.robust`).
+it takes more measurements than unknowns. The matrix is that of statistical linearization (see `celnav.filters.adaptive`).
 """
 
 from __future__ import annotations
@@ -12,10 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.filters.adaptive import counted, scaled, variances
-from celnav.filters.arguments import positive, window
-from celnav.filters.info import Hook, Joint
-from celnav.gaussian.checks import finite, integer
+from celnav.filters.adaptive import last_of
+from celnav.filters.records import Hook, Joint
+from celnav.gaussian.checks import finite, integer, number
 from celnav.gaussian.linalg import Array, matvec, range_basis
 
 NOTHING = 1e-6
@@ -36,14 +35,12 @@ def residual(joint: Joint) -> Residual:
 
     A direction in which a deviation of the prior moves the measurement by less than a millionth of its noise explains nothing.
     """
-    e, m = joint.innovation, joint.innovation.shape[-1]
-    _, noise = variances(joint)
+    assert joint.measurement is not None
+    e = np.asarray(joint.innovation)
+    _, noise = joint.variances()
     used = ~np.isnan(e) & (noise > 0.0)
     root = np.where(used, np.sqrt(np.where(noise > 0.0, 1.0 / np.where(noise > 0.0, noise, 1.0), 0.0)), 0.0)
-    counts = counted(joint)[..., m:, :]
-    columns = np.concatenate([joint.columns, joint.process], -1)[..., m:, :]
-    prior = np.sqrt(np.maximum(np.einsum("...ij,...ij->...i", counts, columns), 0.0))
-    Q = range_basis(root[..., None] * joint.slopes()[0] * prior[..., None, :], NOTHING)
+    Q = range_basis(root[..., None] * joint.measurement.jacobian() * joint.std()[..., None, :], NOTHING)
     y = root * np.where(used, e, 0.0)
     left = y - matvec(Q, matvec(Q.mT, y))
     share = np.maximum(1.0 - np.square(Q).sum(-1), 0.0)
@@ -71,7 +68,7 @@ def group_parity(groups: Sequence[ArrayLike], unknowns: int, *, deviations: floa
     if not together.size or any(not g.size for g in members) or len(set(together.tolist())) != together.size:
         raise ValueError("groups: expected groups of components that do not overlap")
     unknowns = min(integer("unknowns", unknowns), 10**9)  # no group is as large
-    positive("deviations", deviations, zero=True)
+    number("deviations", deviations, 0.0)
 
     def hook(memory: Any, joint: Joint, _epoch: Any) -> tuple[Any, Joint]:
         r = residual(joint)
@@ -85,7 +82,7 @@ def group_parity(groups: Sequence[ArrayLike], unknowns: int, *, deviations: floa
             s = squares[..., group].sum(-1) / np.where(enough, spare, 1)
             bound = 1.0 + deviations * np.sqrt(2.0 / np.where(enough, spare, 1))
             factor[..., group] = np.where(enough & (s > bound), s, 1.0)[..., None]
-        return memory, joint._replace(sensor=scaled(joint.sensor, np.sqrt(factor)))
+        return memory, joint.inflated(np.sqrt(factor))
 
     return hook
 
@@ -120,12 +117,9 @@ def channel_parity(M: int) -> Hook:
         r, k = residual(joint), getattr(epoch, "k", None)
         spare = r.used & (r.variances > 1e-6 * r.noise)  # a component that the fit cannot do without has no residual
         squares = np.where(spare, r.values**2 / np.where(spare, r.variances, 1.0), np.nan)
-        ring = window("M", size, squares.shape) if memory is None else memory.squares
-        if memory is not None and k is not None and memory.k is not None and k > memory.k + 1:
-            ring = np.full_like(ring, np.nan)
-        ring = np.concatenate([np.broadcast_to(ring, (size, *squares.shape))[1:], squares[None]])
+        ring = last_of(None if memory is None else memory.squares, None if memory is None else memory.k, squares, epoch, size)
         full = ~np.isnan(ring).any(0)
         factor = np.where(full, np.maximum(1.0, np.where(full, ring, 0.0).mean(0)), 1.0)
-        return ParityWindow(ring, k), joint._replace(sensor=scaled(joint.sensor, np.sqrt(factor)))
+        return ParityWindow(ring, k), joint.inflated(np.sqrt(factor))
 
     return hook

@@ -1,55 +1,47 @@
 """The fixed-interval smoother [Rauch, Tung & Striebel 1965; sigma points: Sarkka 2008] for every rule, form and space.
 
-It is the core's conditioning once more: with ``g = (f, identity)`` the next state is a measurement of the present one. Given
-the columns ``D_y, D_x`` of both, the noise ``N`` and the root ``L'`` of the next smoothed state, one QR gives the smoothed root::
-
-    G = cov(x, y) cov(y)^-1        L = tria [ D_x - G D_y,  -G N,  G L' ]
-
-No covariances are subtracted, so it stays a square-root smoother, and a gain that is not optimal costs variance, not honesty.
+It is the core's conditioning once more: with ``g = (f, identity)`` the next state is a measurement of the present one. The belief
+about the present state given the next, and what is left open about the next one carried back by the gain, are independent; their
+sum is the smoothed belief. No covariances are subtracted, so it stays a square-root smoother, and a gain that is not optimal
+costs variance, not honesty.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from functools import partial
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
-from celnav.filters.arguments import flag
-from celnav.filters.conditioning import evaluate, images, innovation_of, set_noise
-from celnav.filters.driver import Epoch, FilterError
-from celnav.filters.step import Motion
+from celnav.filters.colored import Colored
+from celnav.filters.fallback import Fallback
+from celnav.filters.joint import condition, joint
+from celnav.filters.model import Motion
+from celnav.filters.records import Epoch, FilterError, Joint
+from celnav.filters.sequential import Sequential, SingleDraw
 from celnav.filters.track import Track
-from celnav.gaussian.belief import SQUARE_ROOT, Gaussian
-from celnav.gaussian.checks import choice, instance, kind
-from celnav.gaussian.linalg import Array, matvec, solve_lower, solve_upper_transposed, tria
-from celnav.gaussian.transform import KEEP, Outputs
-
-_EPS = float(np.finfo(np.float64).eps)
+from celnav.gaussian.belief import Belief, SquareRoot, weighted
+from celnav.gaussian.checks import choice, kind
+from celnav.gaussian.linalg import EPS, Array, solve_lower, solve_upper_transposed
+from celnav.gaussian.rules import KEEP
 
 
-def smooth(
-    track: Track,
-    epochs: Iterable[Epoch],
-    motion: Motion,
-    *,
-    gains: bool = False,
-    on_failure: str = "raise",
-) -> Track:
-    """Estimates of all states given *all* measurements, from the track of a filter that predicts with this motion.
+def smooth(track: Track, filter: Any = None, *, gains: bool = False, on_failure: str = "raise") -> Track:
+    """Estimates of all states given *all* measurements, from the track of a filter.
 
     Parameters
     ----------
-    track: of ``run(..., keep="spread")``, every epoch stored.
-    epochs: those of the run; their inputs and intervals are used, their measurements are not.
-    motion: the part of the filter that `celnav.filters.step.predict` made. Process and measurement noise must be independent:
-        smooth colored measurement noise with the track of `celnav.filters.colored.augmented`.
+    track: of ``run(..., keep="cov")``, every epoch stored.
+    filter: the filter of the track, which has it unless it was pickled. Process and measurement noise must be independent: smooth
+        colored measurement noise with the track of `celnav.augmented`.
     gains: store the gains ``(T, ..., n, n)``, ``extra["gain"]``: the k-th acts from epoch k + 1 to k, the last is 0.
     on_failure: "raise" a `FilterError` if the smoother loses a run, or "flag" it (nan from there *back*).
 
     Returns
     -------
-    The track with smoothed mean, std and spread; innovations, likelihood and events remain those of the filter. A run that
+    The track with smoothed mean, std and covariances; innovations, likelihood and events remain those of the filter. A run that
     the filter lost is smoothed up to its last good epoch. ``failed_at`` also tells where the smoother lost a run.
 
     An epoch with ``dt == 0`` shares its state with the one before. Directions of the predicted state that are known (a
@@ -57,47 +49,52 @@ def smooth(
 
     Raises
     ------
-    ValueError: for a track without spreads, a part that is no motion, epochs that are not those of the track.
-    FilterError: see ``on_failure``.
-    """
-    if not isinstance(motion, Motion):
-        raise ValueError(f"motion: expected the filter's predict part, made by celnav.predict(f, rule, Q), got {kind(motion)}")
-    instance("track", track, Track, "a Track, such as celnav.run(filter, prior, epochs, keep='spread')")
-    if track.mean is None or track.spread is None:
-        raise ValueError("track: expected stored spreads, got none; run with keep='spread'")
-    choice("on_failure", on_failure, ("raise", "flag"))
-    if not isinstance(epochs, Iterable):
-        raise ValueError(f"epochs: expected those of the run, got {kind(epochs)}")
-    interval = epochs if isinstance(epochs, Sequence) else list(epochs)
-    _check_times(track.times, interval)
+    ValueError: for a track without covariances, or of a filter that cannot be smoothed. FilterError: see ``on_failure``.
 
-    mean, spread, std = track.mean.copy(), track.spread.copy(), np.empty(track.spread.shape[:-1])
-    G = np.zeros(spread.shape) if flag("gains", gains) else None
+    >>> smoothed = celnav.smooth(celnav.run(filter, prior, times, z, keep="cov"))
+    """
+    if not isinstance(track, Track):
+        raise ValueError(f"track: expected what celnav.run gave, got {kind(track)}")
+    if track.belief is None:
+        raise ValueError("track: expected stored covariances, got none; run with keep='cov'")
+    choice("on_failure", on_failure, ("raise", "flag"))
+    choice("gains", gains, (False, True))
+    chosen = track.filter if filter is None else filter
+    if chosen is None:
+        raise ValueError("filter: expected that of the track, which was lost when it was pickled: smooth(track, filter)")
+    chosen = chosen.first if isinstance(chosen, Fallback) else chosen
+    if not isinstance(chosen, Sequential) or isinstance(chosen, Colored | SingleDraw):
+        raise ValueError(
+            f"filter: expected one whose process and measurement noise are independent, such as ukf, got {kind(chosen)}"
+        )
+    epochs = track.epochs
+    if any(b.k != a.k + 1 for a, b in pairwise(epochs)):
+        raise ValueError("track: expected every epoch, got some of them; run with every=1")
+
+    form, filtered = type(track.belief), track.belief
+    mean, cov, std = filtered.mean.copy(), filtered[1].copy(), np.empty(track.std.shape)
+    G = np.zeros(cov.shape) if gains else None
     failed_at = track.failed_at.copy()
-    after = Gaussian(mean[-1], spread[-1], track.form)
+    after: Any = form(mean[-1], cov[-1])
     std[-1] = after.std
     for k in range(len(mean) - 2, -1, -1):
-        epoch, filtered = interval[k + 1], Gaussian(track.mean[k], track.spread[k], track.form)
+        epoch, before = epochs[k + 1], form(filtered.mean[k], filtered[1][k])
         if np.any(epoch.dt):
             try:
-                after, gain = back(filtered, after, epoch, motion)
+                after, gain = back(chosen, before, after, epoch)
             except Exception as error:
                 error.add_note(f"in smoothing back from step {epoch.k}, t = {epoch.t}")
                 raise
         else:
-            gain = np.broadcast_to(np.eye(spread.shape[-1]), spread.shape[1:])
-        lost = ~np.isfinite(track.mean[k + 1]).all(-1)
+            gain = np.broadcast_to(np.eye(cov.shape[-1]), cov.shape[1:])
+        lost = ~np.isfinite(filtered.mean[k + 1]).all(-1)
         if lost.any():
-            after = Gaussian(
-                np.where(lost[..., None], filtered.mean, after.mean),
-                np.where(lost[..., None, None], filtered.spread, after.spread),
-                track.form,
-            )
+            after = form(np.where(lost[..., None], before.mean, after.mean), np.where(lost[..., None, None], before[1], after[1]))
             gain = np.where(lost[..., None, None], 0.0, gain)
-        mean[k], spread[k], std[k] = after.mean, after.spread, after.std
+        mean[k], cov[k], std[k] = after.mean, after[1], after.std
         if G is not None:
             G[k] = gain
-        broken = np.isfinite(track.mean[k]).all(-1) & ~(np.isfinite(after.mean).all(-1) & np.isfinite(after.spread).all((-2, -1)))
+        broken = after.lost() & np.isfinite(filtered.mean[k]).all(-1)
         if broken.any():
             if on_failure == "raise":
                 run = tuple(int(i) for i in np.argwhere(broken)[0])
@@ -107,61 +104,64 @@ def smooth(
                     "smoothed one, is not positive definite (on_failure='flag' lets the other runs go on)"
                 )
             failed_at = np.where(broken & (failed_at < 0), k, failed_at)
-    kept = dict(track.extra) if G is None else {**track.extra, "gain": G}
-    return replace(track, mean=mean, std=std, spread=spread, failed_at=failed_at, extra=kept)
+    extra = dict(track.extra) if G is None else {**track.extra, "gain": G}
+    return replace(track, mean=mean, std=std, belief=form(mean, cov), failed_at=failed_at, extra=extra)
 
 
-def _check_times(times: Array, epochs: Sequence[Epoch]) -> None:
-    if len(epochs) != len(times):
-        raise ValueError(f"epochs: expected the {len(times)} of the track (run with every=1), got {len(epochs)}")
-    for k, (t, epoch) in enumerate(zip(times, epochs, strict=True)):
-        if not hasattr(epoch, "dt") or np.any(epoch.t != t):
-            raise ValueError(
-                f"epochs: expected the times of the track, got {getattr(epoch, 't', epoch)!r:.80} instead of {t} at index {k}"
-            )
-
-
-def back(filtered: Gaussian, after: Gaussian, epoch: Epoch, motion: Motion) -> tuple[Gaussian, Array]:
+def back(filter: Sequential, before: Belief, after: Belief, epoch: Epoch) -> tuple[Belief, Array]:
     """The belief before an epoch's interval given everything, from the one given the past and the smoothed one after it."""
-    f, rule, space = motion.f, motion.rule, motion.space
-    form, n = filtered.form, filtered.spread.shape[-1]
-    W = evaluate(motion.noise, filtered.mean, epoch)
-    r = 0 if W is None else W.shape[-1]
-    root = form.root(filtered.spread)
+    motion, form, space = filter.motion, filter.form, filter.motion.space
+    both = _both(filter, motion, before, after.mean, epoch)
+    center = both.measurement.center  # type: ignore[union-attr]
 
-    def g(points: Array, *w: Array) -> Outputs:
-        return images("f", f, points, epoch, w, filtered.mean.shape[-1]), KEEP
-
-    (y, x), A = rule.transform(g, filtered.mean, root, space, (space, space), motion.extra, r, epoch)
-    if W is not None:
-        set_noise("Q", A[..., :n, A.shape[-1] - r :], W)
-        A[..., n:, A.shape[-1] - r :] = 0.0
-    G = _gain(A[..., :n, :], A[..., n:, :], rule.sign, y.center)
-    ahead = after.root
+    inner, info, _ = condition(form, both, space, gain=partial(pseudo_gain, center=center))
+    assert info.gain is not None
+    gain = info.gain()
+    ahead = after.sqrt_cov
     if space.transport is not None:
-        ahead = space.transport(space.minus(y.center, after.mean)) @ ahead
-    step = matvec(G, innovation_of(after.mean, y, space))
-    spread = form.marginal(np.concatenate([A[..., n:, :] - G @ A[..., :n, :], G @ ahead], -1), rule.sign)
+        ahead = space.transport(space.minus(center, after.mean)) @ ahead
+    ahead = gain @ ahead
     if space.transport is not None:
-        carry = space.transport(step)
-        spread = tria(carry @ spread) if form.name == SQUARE_ROOT.name else carry @ spread @ carry.mT
-    return Gaussian(space.plus(x.center, step), spread, form), G
+        ahead = space.transport(space.minus(inner.mean, before.mean)) @ ahead
+    lost = ~np.isfinite(after.mean).all(-1, keepdims=True)  # not a next state that was not measured
+    return form(np.where(lost, np.nan, inner.mean), form.sum(inner[1], ahead)), gain
 
 
-def _gain(D_y: Array, D_x: Array, sign: Array, center: Array) -> Array:
-    """Gain ``cov(x, y) cov(y)^+ (..., n, n)`` of the columns; the pseudo-inverse where the covariance of y is singular."""
-    S = SQUARE_ROOT.marginal(D_y, sign)
-    signed = D_x if not (sign < 0.0).any() else D_x * np.concatenate([sign, np.ones(D_x.shape[-1] - len(sign))])
+def _both(filter: Sequential, motion: Motion, belief: Belief, ahead: Array, epoch: Epoch) -> Joint:
+    """The joint of the state after the interval, which is measured, and of the one before it."""
+    rule, space = filter.rule_of(belief, motion.augment), motion.space
+    linear = motion.linear(rule, belief.mean, epoch)
+
+    def g(x: Array, *noise: Array) -> tuple[Any, ...]:
+        return motion.points(x, epoch, *noise), KEEP
+
+    W = motion.noise(belief.mean, epoch)
+    return joint(
+        rule, belief, g if linear is None else (linear, KEEP), (space, space, space),
+        z=ahead, process_noise=None if W is None else (W, 0), augment=motion.augment,
+    )  # fmt: skip
+
+
+def pseudo_gain(A: Array, sign: Array, m: int, center: Array | None = None, least: float = 0.0) -> Array:
+    """Gain ``cov(x, y) cov(y)^+ (..., n, m)`` of columns of y and x; the pseudo-inverse where the covariance of y is singular.
+
+    ``center``: where y lies, whose round-off the columns carry. ``least``: part of a deviation below which a direction is known.
+    """
+    D_y, D_x = A[..., :m, :], A[..., m:, :]
+    S = SquareRoot.marginal(D_y, sign)
+    signed = weighted(D_x, sign)
     std = np.sqrt(np.einsum("...ij,...ij->...i", S, S))
     known = std == 0.0
     unit = np.where(known, 1.0, std)
     # Differences of images carry the round-off of the images: below it a direction of y is known, not merely well known.
-    if center.shape[-1] == S.shape[-1]:
-        noise = _EPS * np.where(known, 0.0, np.abs(center) / unit).max(-1)
+    if center is None:
+        noise: Any = 0.0
+    elif center.shape[-1] == S.shape[-1]:
+        noise = EPS * np.where(known, 0.0, np.abs(center) / unit).max(-1)
     else:
-        noise = _EPS * np.abs(center).max(-1) / unit.min(-1)
-    least = 4.0 * (S.shape[-1] * _EPS + noise)
-    singular = (S.diagonal(0, -2, -1) <= least[..., None] * unit).any(-1)
+        noise = EPS * np.abs(center).max(-1) / unit.min(-1)
+    bound = np.maximum(4.0 * (S.shape[-1] * EPS + noise), least)
+    singular = np.asarray((S.diagonal(0, -2, -1) <= bound[..., None] * unit).any(-1))
     if not singular.any():
         U = signed @ solve_lower(S, D_y).mT
         return solve_upper_transposed(S, U.mT).mT
@@ -170,7 +170,7 @@ def _gain(D_y: Array, D_x: Array, sign: Array, center: Array) -> Array:
     U = signed @ solve_lower(regular, D_y).mT
     gain = solve_upper_transposed(regular, U.mT).mT
     u, s, _ = np.linalg.svd(np.where(singular[..., None, None], S / unit[..., None], eye))
-    kept = s > least[..., None]
+    kept = s > bound[..., None]
     inverse = np.where(kept, 1.0 / np.where(kept, s, 1.0), 0.0)[..., None]
     # S = unit u s v': cov(y)^+ = (u / s) (u / s)' in units of the standard deviations
     half = inverse * (u.mT / unit[..., None, :])

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.filters.arguments import check_model
+from celnav.filters.model import check_function
 from celnav.filters.two_stage import Boost
 from celnav.gaussian.checks import finite, number, numbers
 from celnav.gaussian.linalg import Array
@@ -57,7 +57,7 @@ def strong_tracking(rho: ArrayLike, tau: float, *, factor: Factor = excess) -> A
     if weights.ndim == 0 or (weights < 0.0).any():
         raise ValueError(f"rho: expected numbers (..., m) that are not negative, got {rho!r}")
     length = number("tau", tau, 1.0)
-    check_model("factor", factor, "(ratios, rho)")
+    check_function("factor", factor, "(ratios, rho)")
 
     def boost(memory: Window | None, seen: Boost) -> tuple[Window, Array]:
         square = seen.residual * seen.residual

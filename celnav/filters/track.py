@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from celnav.gaussian.belief import SQUARE_ROOT, Form, Gaussian, all_sound, sound
+from celnav.filters.records import Epoch, Info
+from celnav.gaussian.belief import Belief, SquareRoot, any_lost
+from celnav.gaussian.checks import integer
 from celnav.gaussian.linalg import Array
 
 if TYPE_CHECKING:
@@ -19,45 +21,51 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Track:
-    """The record of a run, time-major: ``(T, ..., n)`` with the batch axes of the prior between time and component.
+    """The record of a run, time-major: ``(T, ..., n)`` with the batch axes of the runs between time and component.
 
     Attributes
     ----------
     times: ``(T,)`` s, the epochs stored.
-    mean: ``(T, ..., N)``; ``std``: ``(T, ..., n)``; ``spread``: ``(T, ..., n, n)``. None where the policy did not keep them.
-    innovation, white: ``(T, ..., m)`` innovations (nan where not measured) and whitened ones (0 where not used), of all
+    mean: ``(T, ..., N)``; std: ``(T, ..., n)``. None where they were not kept.
+    belief: means and covariances of all epochs in the filter's form, where ``run(keep="cov")`` kept them: ``track.cov``.
+    innovation, whitened: ``(T, ..., m)`` innovations (nan where not measured) and whitened ones (0 where not used), of all
         sensors side by side; m is the most that a sensor had at an epoch.
     used: ``(T, ..., m)`` bool, the components that took part.
     log_likelihood: ``(...)`` of all measurements of all epochs, also those not stored.
     events: counts ``(...)`` over all epochs: "missing" and "rejected" components, "redone" steps. Where ``z`` was None, as many are
         missing as that sensor has at other epochs.
     failed_at: ``(...)`` index of the first epoch at which a run is not finite, -1 for none.
-    form: the form of ``spread``.
-    nis, dof: properties ``(T, ...)``. root, cov: properties ``(T, ..., n, n)``, where spreads are stored.
-    extra: what ``run(also=...)`` gave. ``reduced``: what ``run(reduce=...)`` ended with.
+    nis, dof: properties ``(T, ...)``. cov, sqrt_cov: properties ``(T, ..., n, n)``, where covariances are stored.
+    extra: what ``run(also=...)`` gave. reduced: what ``run(reduce=...)`` ended with.
+    filter, epochs: the filter and the epochs without their measurements, for `celnav.smooth`; a track that was pickled has lost the
+        filter, whose functions cannot be.
     """
 
     times: Array
-    mean: Array | None
-    std: Array | None
-    spread: Array | None
-    innovation: Array | None
-    white: Array | None
-    used: Array | None
+    mean: Array
+    std: Array
+    belief: Belief | None
+    innovation: Array
+    whitened: Array
+    used: Array
     log_likelihood: Array
     events: dict[str, Array]
     failed_at: Array
-    form: Form
     extra: dict[str, Array] = field(default_factory=dict)
     reduced: Any = None
+    filter: Any = None
+    epochs: tuple[Epoch, ...] = ()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"filter": None}
 
     def __repr__(self) -> str:
         batch = self.failed_at.shape
         runs = "one run" if not batch else f"{batch[0]} runs" if len(batch) == 1 else f"runs {batch}"
         lost = f", {np.count_nonzero(self.failed_at >= 0)} lost" if (self.failed_at >= 0).any() else ""
-        kept = ", ".join(name for name in ("mean", "std", "spread", "innovation") if getattr(self, name) is not None)
+        kept = ", ".join(name for name in ("mean", "std", "belief", "innovation") if getattr(self, name) is not None)
         span = f"{len(self.times)} epochs from {self.times[0]:g} to {self.times[-1]:g} s"
-        return f"Track({span}, {runs}{lost}; {kept or 'no rows'} stored, {self.form.name} form)"
+        return f"Track({span}, {runs}{lost}; {kept or 'no rows'} stored)"
 
     @property
     def nis(self) -> Array:
@@ -65,9 +73,9 @@ class Track:
 
         ``nis.sum() / dof.sum()`` is 1 for a consistent filter, whatever was missing.
         """
-        if self.white is None:
+        if self.whitened is None:
             raise ValueError("nis: this track stored no innovations")
-        return np.asarray(np.einsum("...i,...i->...", self.white, self.white))
+        return np.asarray(np.einsum("...i,...i->...", self.whitened, self.whitened))
 
     @property
     def dof(self) -> Array:
@@ -78,24 +86,19 @@ class Track:
         return dof
 
     @property
-    def root(self) -> Array:
-        """Lower roots ``(T, ..., n, n)``; needs ``run(keep="spread")``."""
-        if self.spread is None:
-            raise ValueError("root: this track stored no spreads; run with keep='spread'")
-        return self.form.root(self.spread)
+    def sqrt_cov(self) -> Array:
+        """Lower roots ``(T, ..., n, n)`` of the covariances; needs ``run(keep="cov")``."""
+        return self._belief("sqrt_cov").sqrt_cov
 
     @property
     def cov(self) -> Array:
-        """Covariances ``(T, ..., n, n)``; needs ``run(keep="spread")``."""
-        if self.spread is None:
-            raise ValueError("cov: this track stored no spreads; run with keep='spread'")
-        return self.form.covariance(self.spread)
+        """Covariances ``(T, ..., n, n)``; needs ``run(keep="cov")``."""
+        return self._belief("cov").cov
 
-    def beliefs(self) -> list[Gaussian]:
-        """The belief at each stored epoch; needs ``run(keep="spread")``."""
-        if self.mean is None or self.spread is None:
-            raise ValueError("beliefs: this track stored no spreads; run with keep='spread'")
-        return [Gaussian(m, s, self.form) for m, s in zip(self.mean, self.spread, strict=True)]
+    def _belief(self, name: str) -> Belief:
+        if self.belief is None:
+            raise ValueError(f"{name}: this track stored no covariances; run with keep='cov'")
+        return self.belief
 
     def to_dataframe(self, names: list[str] | None = None) -> pd.DataFrame:
         """One row per stored epoch and run: time, run, means, standard deviations, NIS. Needs pandas.
@@ -131,7 +134,7 @@ class Track:
             std = self.std.reshape(T * runs, -1)
             labels = names if std.shape[-1] == N else [f"d{i}" for i in range(std.shape[-1])]
             columns |= {f"std_{label}": column for label, column in zip(labels, std.T, strict=True)}
-        if self.white is not None:
+        if self.whitened is not None:
             columns["nis"] = self.nis.ravel()
         return columns
 
@@ -140,21 +143,20 @@ class Collector:
     """Gathers the rows of a `Track` by a storage policy; sums go over every epoch."""
 
     def __init__(self, every: int, keep: str):
-        self._every, self._keep, self._form = every, keep, SQUARE_ROOT
+        self._every, self._keep, self._form = every, keep, SquareRoot
         self._rows: defaultdict[str, list[Any]] = defaultdict(list)
         self._extra: dict[str, list[Any]] = {}
         self._times: list[Any] = []
+        self._epochs: list[Epoch] = []
         self._count = 0
         self._failed_at: Array | None = None
-        self._lost = False
         self._silent: defaultdict[int, int] = defaultdict(int)
         self._widths: defaultdict[int, int] = defaultdict(int)
         self._sums: dict[str, Any] = {"log_likelihood": 0.0, "missing": 0, "rejected": 0, "redone": 0}
 
-    def add(self, epoch: Any, state: Any, infos: tuple[Any, ...], extra: dict[str, Any]) -> tuple[int, ...] | None:
+    def add(self, epoch: Epoch, belief: Belief, infos: tuple[Info, ...], extra: dict[str, Any]) -> tuple[int, ...] | None:
         """Take one step in. Returns the index of the first run that it newly lost, or None."""
-        belief: Gaussian = state.belief
-        self._form = belief.form  # which need not be that of the prior
+        self._form = type(belief)  # type: ignore[assignment]
         for i, info in enumerate(infos):
             self._sum(info)
             if info.silent:
@@ -163,67 +165,70 @@ class Collector:
                 self._widths[i] = info.innovation.shape[-1]
         if self._count % self._every == 0:
             self._times.append(epoch.t)
-            self._store(belief, infos)
+            self._store(epoch, belief, infos)
             for name, value in extra.items():
                 self._extra.setdefault(name, []).append(value)
         self._count += 1
         return self._watch(epoch.k, belief)
 
-    def _sum(self, info: Any) -> None:
+    def _sum(self, info: Info) -> None:
         likelihood = info.log_likelihood
         if likelihood is not None:
+            assert info.used is not None
             self._sums["log_likelihood"] = self._sums["log_likelihood"] + likelihood
             if not info.used.all():
-                missing = np.isnan(info.innovation)
-                self._sums["missing"] = self._sums["missing"] + missing.sum(-1)
-                self._sums["rejected"] = self._sums["rejected"] + (~info.used & ~missing).sum(-1)
+                absent = np.isnan(info.innovation)  # type: ignore[arg-type]
+                self._sums["missing"] = self._sums["missing"] + absent.sum(-1)
+                self._sums["rejected"] = self._sums["rejected"] + (~info.used & ~absent).sum(-1)
         if info.redone is not None:
             self._sums["redone"] = self._sums["redone"] + info.redone
 
-    def _store(self, belief: Gaussian, infos: tuple[Any, ...]) -> None:
+    def _store(self, epoch: Epoch, belief: Belief, infos: tuple[Info, ...]) -> None:
         if self._keep == "nothing":
             return
         self._rows["mean"].append(belief.mean)
         if self._keep != "mean":
             self._rows["std"].append(belief.std)
-        if self._keep == "spread":
-            self._rows["spread"].append(belief.spread)
-        for name in ("innovation", "white", "used"):
+        if self._keep == "cov":
+            self._rows["cov"].append(belief[1])
+            self._epochs.append(epoch._replace(z=None, truth=None))
+        for name in ("innovation", "whitened", "used"):
             self._rows[name].append([getattr(info, name) for info in infos])
 
-    def _watch(self, k: int, belief: Gaussian) -> tuple[int, ...] | None:
-        mean = belief.mean
-        same = self._failed_at is not None and self._failed_at.shape == mean.shape[:-1]
-        if same and all_sound(belief):
+    def _watch(self, k: int, belief: Belief) -> tuple[int, ...] | None:
+        if self._failed_at is not None and self._failed_at.shape == belief.mean.shape[:-1] and not any_lost(belief):
             return None
-        bad = ~sound(belief)
-        if self._failed_at is None or self._failed_at.shape != bad.shape:
+        lost = np.broadcast_to(belief.lost(), belief.mean.shape[:-1])
+        if self._failed_at is None or self._failed_at.shape != lost.shape:
             before = -1 if self._failed_at is None else self._failed_at
-            self._failed_at = np.broadcast_to(before, bad.shape).copy()
-        if not bad.any():
+            self._failed_at = np.broadcast_to(before, lost.shape).copy()
+        new = lost & (self._failed_at < 0)
+        if not new.any():
             return None
-        new = bad & (self._failed_at < 0)
-        self._failed_at[new] = k
-        return tuple(np.argwhere(new)[0]) if new.any() else None
+        self._failed_at[new] = integer("k", k, 0, 2**62)
+        return tuple(int(i) for i in np.argwhere(new)[0])
 
-    def track(self, reduced: Any) -> Track:
+    def track(self, reduced: Any, filter: Any) -> Track:
         """Everything gathered, stacked over time."""
         if self._failed_at is None:
             raise ValueError("epochs: expected at least one, got none")
         batch = self._failed_at.shape
-        stored = {name: _stack(name, self._rows.pop(name), batch) for name in ("mean", "std", "spread") if name in self._rows}
-        stored |= {name: _side_by_side(name, self._rows.pop(name), batch) for name in list(self._rows)}
+        rows = {name: _stack(name, self._rows.pop(name), batch) for name in ("mean", "std", "cov") if name in self._rows}
+        rows |= {name: _side_by_side(name, self._rows.pop(name), batch) for name in list(self._rows)}
         self._sums["missing"] = self._sums["missing"] + sum(count * self._widths[i] for i, count in self._silent.items())
         events = {name: np.broadcast_to(self._sums[name], batch) for name in ("missing", "rejected", "redone")}
+        cov: Any = rows.pop("cov", None)
         return Track(
             times=_times(self._times),
-            **{name: stored.get(name) for name in ("mean", "std", "spread", "innovation", "white", "used")},
+            **{name: rows.get(name) for name in ("mean", "std", "innovation", "whitened", "used")},  # type: ignore[arg-type]
+            belief=None if cov is None else self._form(rows["mean"], cov),  # type: ignore[arg-type]
             log_likelihood=np.broadcast_to(self._sums["log_likelihood"], batch),
             events=events,
             failed_at=self._failed_at,
-            form=self._form,
-            extra={name: np.stack(rows) for name, rows in self._extra.items()},
+            extra={name: np.stack(values) for name, values in self._extra.items()},
             reduced=reduced,
+            filter=filter,
+            epochs=tuple(self._epochs),
         )
 
 
@@ -234,26 +239,26 @@ def _times(times: list[Any]) -> Array:
         raise ValueError(f"t: expected a number at each epoch, got {times[-1]!r:.80}") from None
 
 
-_BLANK = {"innovation": np.nan, "white": 0.0, "used": False}
+_BLANK = {"innovation": np.nan, "whitened": 0.0, "used": False}
 
 
 def _side_by_side(name: str, rows: list[Any], batch: tuple[int, ...]) -> Array | None:
     """Rows of several sensors, stacked; a sensor that was silent leaves a blank of its own."""
     sensors = max(len(row) for row in rows)
     parts = [_stack(name, [row[i] if i < len(row) else None for row in rows], batch) for i in range(sensors)]
-    known = [part for part in parts if part is not None]
-    return None if not known else known[0] if len(known) == 1 else np.concatenate(known, -1)
+    there = [part for part in parts if part is not None]
+    return None if not there else there[0] if len(there) == 1 else np.concatenate(there, -1)
 
 
 def _stack(name: str, rows: list[Any], batch: tuple[int, ...]) -> Array | None:
     """Stack rows over time, broadcast to the batch of the last; a step that had nothing to store leaves a blank."""
-    known = next((row for row in rows if row is not None), None)
-    if known is None:
+    there = next((row for row in rows if row is not None), None)
+    if there is None:
         return None
-    tail = known.shape[-2:] if name == "spread" else known.shape[-1:]
+    tail = there.shape[-2:] if name == "cov" else there.shape[-1:]
     if name in _BLANK:
         tail = (max(row.shape[-1] for row in rows if row is not None),)
-    out = np.empty((len(rows), *batch, *tail), known.dtype)
+    out = np.empty((len(rows), *batch, *tail), there.dtype)
     for k, row in enumerate(rows):
         if row is None:
             out[k] = _BLANK[name]

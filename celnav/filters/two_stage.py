@@ -4,28 +4,36 @@ The first stage runs as if the bias were zero. A sensitivity ``Lambda`` says wha
 innovation, less what the sensitivity explains, is the measurement of the second stage [Friedland 1969]. For a constant bias, or
 one that walks at random [Hsieh & Chen 1999], both together are the augmented Kalman filter.
 
-Any first stage will do that hands on a `Stage` with each step: `plain` makes one of a predict and an update part.
+Any first stage will do that hands on a `Stage` with each step; `two_stage` makes one of a motion and a sensor.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from dataclasses import KW_ONLY, dataclass
+from functools import partial
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.filters.arguments import check_belief, check_model, given_back, takes
-from celnav.filters.conditioning import evaluate
-from celnav.filters.driver import Epoch, Filter
-from celnav.filters.info import Info
-from celnav.filters.step import Conditioning, Motion, Predict, Update
-from celnav.gaussian.belief import Gaussian, sqrt_cov
-from celnav.gaussian.checks import finite, kind, numbers
-from celnav.gaussian.linalg import Array, block, matvec, outer, side_by_side, tria, unit, whiten
+from celnav.filters.joint import condition, joint, marginal
+from celnav.filters.model import Motion, Sensor, check_function, given_back
+from celnav.filters.records import Epoch, Info, State
+from celnav.filters.sequential import Sequential, plain, sigma_point
+from celnav.filters.smoother import pseudo_gain
+from celnav.gaussian.belief import Gaussian, SquareRoot, symmetric
+from celnav.gaussian.checks import finite, instance, kind, numbers, unmasked
+from celnav.gaussian.linalg import Array, block, matvec, outer, side_by_side, tria
+from celnav.gaussian.rules import KEEP, unscented
+from celnav.gaussian.spaces import EUCLIDEAN
+from celnav.gaussian.taylor import Taylor
 
 Slope = Array | Callable[[Array, Epoch], Array]
 """``Gamma (..., m, p)``: derivative of the measurement with respect to the bias; constant or ``(mean, epoch) -> matrix``."""
+LINEAR = Taylor()
+KNOWN = 1e-6
+"""Part of a deviation below which a direction of the bias is taken for known: the round-off of many steps."""
 
 
 class Stage(NamedTuple):
@@ -33,14 +41,14 @@ class Stage(NamedTuple):
 
     Attributes
     ----------
-    innovation: ``(..., m)``. root: ``(..., m, m)``, of its covariance.
+    innovation: ``(..., m)``. sqrt_S: ``(..., m, m)``, root of its covariance.
     gain: ``(..., n, m)``. H: ``(..., m, n)``, Jacobian of the measurement. used: ``(..., m)``, the components that took part.
     Omega: ``(..., n, m)``, how the measurement itself enters the prediction; None if it does not.
     lag: ``(m, m)``, what of the last measurement is taken off this one, and before: ``(..., m, n)``, that one's H; None without.
     """
 
     innovation: Array
-    root: Array
+    sqrt_S: Array
     gain: Array
     H: Array
     used: Array
@@ -49,57 +57,48 @@ class Stage(NamedTuple):
     before: Array | None = None
 
 
-class First(NamedTuple):
-    """A first stage: ``start(prior) -> state`` with a ``belief``; ``predict(state, epoch) -> (state, Phi)``, None where it does
-    not move; ``update(state, epoch) -> (state, stage, info)``, no stage where nothing was measured.
-    """
+class First(Protocol):
+    """A first stage."""
 
-    start: Callable[[Gaussian], Any]
-    predict: Callable[[Any, Epoch], tuple[Any, Array | None]]
-    update: Callable[[Any, Epoch], tuple[Any, Stage | None, Info]]
+    def start(self, prior: Gaussian) -> Any:
+        """State with a ``belief`` about x."""
 
+    def predict(self, state: Any, epoch: Epoch) -> tuple[Any, Array | None]:
+        """State after the interval and the transition matrix ``Phi (..., n, n)``; None where it does not move."""
 
-class PlainState(NamedTuple):
-    """Belief without the bias, and the memory of the update part."""
-
-    belief: Gaussian
-    memory: Any = None
+    def update(self, state: Any, epoch: Epoch) -> tuple[Any, Stage | None, Info]:
+        """State given the measurement, and what was done; no stage where nothing was measured."""
 
 
-def plain(predict: Predict, update: Update) -> First:
-    """A first stage of the common parts: any rule, either form, hooks included. Vector states only.
+@dataclass(frozen=True, eq=False)
+class Plain:
+    """A first stage by an ordinary filter of one sensor: any rule, either form, hooks included. Vector states only."""
 
-    Raises
-    ------
-    ValueError: for parts that are none, or not in this order.
-    """
-    if isinstance(predict, Conditioning) or not takes(predict, 2):
-        raise ValueError(f"predict: expected a part (belief, epoch), got {kind(predict)}")
-    if isinstance(update, Motion) or not takes(update, 4):
-        raise ValueError(f"update: expected a part (belief, z, epoch, memory), got {kind(update)}")
+    filter: Sequential
 
-    def move(state: PlainState, epoch: Epoch) -> tuple[PlainState, Array | None]:
+    def __post_init__(self) -> None:
+        space = plain("filter", self.filter).motion.space
+        if len(self.filter.sensors) != 1 or space != EUCLIDEAN:
+            raise ValueError("filter: expected one sensor and states that are vectors")
+
+    def start(self, prior: Gaussian) -> State:
+        """See `First`."""
+        return self.filter.start(prior)
+
+    def predict(self, state: State, epoch: Epoch) -> tuple[State, Array | None]:
+        """See `First`."""
         if not np.any(epoch.dt):
             return state, None
-        belief, info = given_back("predict", predict(state.belief, epoch), "belief, info")
-        slopes = info.slopes[0]
-        assert slopes is not None
-        return state._replace(belief=belief), slopes()[0]
+        moved = self.filter.moved(state.belief, epoch)
+        return state._replace(belief=marginal(self.filter.form, moved, EUCLIDEAN)), moved.state.jacobian()
 
-    def see(state: PlainState, epoch: Epoch) -> tuple[PlainState, Stage | None, Info]:
-        if epoch.z is None:
-            return state, None, Info(silent=True)
-        found = update(state.belief, epoch.z, epoch, state.memory)
-        belief, info, memory = given_back("update", found, "belief, info, memory")
-        after = PlainState(belief, memory)
-        slopes = info.slopes[-1] if info.slopes else None
-        if info.innovation_root is None or info.gain is None or slopes is None or info.innovation is None:
+    def update(self, state: State, epoch: Epoch) -> tuple[State, Stage | None, Info]:
+        """See `First`."""
+        after, (info,) = self.filter.update(state, epoch)
+        if info.sqrt_S is None or info.gain is None or info.jacobian is None or info.innovation is None or info.used is None:
             return after, None, info
-        used = np.ones(info.innovation.shape, bool) if info.used is None else info.used
-        H = np.where(used[..., None], slopes()[0], 0.0)
-        return after, Stage(np.where(used, info.innovation, 0.0), info.innovation_root, info.gain(), H, used), info
-
-    return First(lambda prior: PlainState(prior), move, see)
+        H = np.where(info.used[..., None], info.jacobian(), 0.0)
+        return after, Stage(np.where(info.used, info.innovation, 0.0), info.sqrt_S, info.gain(), H, info.used), info
 
 
 class TwoStageState(NamedTuple):
@@ -112,20 +111,20 @@ class TwoStageState(NamedTuple):
     """
 
     first: Any
-    bias: Gaussian
+    bias: Any
     Lambda: Array
     Gamma: Array | None = None
     memory: Any = None
 
     @property
-    def belief(self) -> Gaussian:
+    def belief(self) -> Any:
         """State and bias ``(..., n + p)``, corrected: what the augmented filter would have."""
         free, own, Lambda = self.first.belief, self.bias, self.Lambda
         mean = side_by_side([free.mean + matvec(Lambda, own.mean), own.mean])
-        if free.form.name == "covariance":
-            cross = Lambda @ own.spread
-            return Gaussian(mean, block([[free.spread + cross @ Lambda.mT, cross], [cross.mT, own.spread]]), free.form)
-        return Gaussian(mean, tria(block([[free.spread, Lambda @ own.spread], [0, own.spread]])), free.form)
+        if isinstance(free, SquareRoot):
+            return SquareRoot(mean, tria(block([[free.sqrt_cov, Lambda @ own.sqrt_cov], [0, own.sqrt_cov]])))
+        cross = Lambda @ own.cov
+        return type(free)(mean, block([[free.cov + cross @ Lambda.mT, cross], [cross.mT, own.cov]]))
 
 
 class Boost(NamedTuple):
@@ -144,125 +143,146 @@ class Boost(NamedTuple):
 
 
 def two_stage(
-    first: First,
+    motion: Motion,
+    sensor: Sensor,
     Gamma: Slope | ArrayLike,
     bias: Gaussian,
     *,
     Qb: ArrayLike | None = None,
     boost: Callable[[Any, Boost], tuple[Any, Array]] | None = None,
-) -> Filter:
-    """A filter of two stages.
+    rule: Any = unscented,
+    **options: Any,
+) -> TwoStage:
+    """A filter of a state and, in a second stage, a bias of the measurement.
 
     Parameters
     ----------
-    first: see `First`. Gamma: see `Slope`.
-    bias: belief about the bias ``(p,)`` at the start.
-    Qb: covariance ``(p, p)`` of the steps of a bias that walks at random; None: it is constant. With a `plain` first stage only.
+    motion, sensor: what the first stage believes, which knows of no bias.
+    Gamma: ``(..., m, p)``, derivative of the measurement with respect to the bias, or a function ``(mean, epoch)`` of it.
+    bias: what is known of the bias ``(p,)`` at the start.
+    Qb: covariance ``(p, p)`` of the steps of a bias that walks at random; None: it is constant.
     boost: ``(memory, Boost) -> (memory, factors (..., p))``: the gain of the bias stage is that of a covariance inflated by the
         factors, while the covariance itself is not; see `celnav.filters.strong_tracking`.
+    rule, options: of the first stage, as in `celnav.sigma_point`.
 
     Returns
     -------
-    A `Filter` whose belief is about state and bias, ``(..., n + p)``. The prior is about the state alone. Innovations, NIS and
-    likelihood are those of both stages, what the augmented filter would have; gain and slopes are of the first.
+    A filter whose belief is about state and bias, ``(..., n + p)``. The prior is about the state alone. Innovations, NIS and
+    likelihood are those of both stages, what the augmented filter would have; gain and Jacobian are of the first.
 
     Raises
     ------
-    ValueError: if ``Gamma`` or ``Qb`` is not what it should be.
+    ValueError: naming the argument that cannot be.
+
+    >>> filter = celnav.two_stage(motion, sensor, np.eye(3), celnav.Gaussian(np.zeros(3), np.eye(3)))
     """
-    if not isinstance(first, First):
-        raise ValueError(f"first: expected a first stage, such as plain(predict, update), got {kind(first)}")
-    check_belief(bias, "bias")
-    if callable(Gamma):
-        check_model("Gamma", Gamma, "(mean, epoch)")
-    if boost is not None:
-        check_model("boost", boost, "(memory, seen)")
-    p = bias.mean.shape[-1]
-    slope: Any = Gamma if callable(Gamma) else finite("Gamma", Gamma)
-    if not callable(Gamma) and (slope.ndim < 2 or slope.shape[-1] != p):
-        raise ValueError(f"Gamma: expected shape (..., m, {p}) to go with the bias, got {slope.shape}")
-    walk = None if Qb is None else sqrt_cov(Qb, "Qb", p)
+    return TwoStage.of(Plain(sigma_point(motion, sensor, rule=rule, **options)), Gamma, bias, Qb=Qb, boost=boost)
 
-    def start(prior: Gaussian) -> TwoStageState:
-        batch, n = prior.mean.shape[:-1], prior.mean.shape[-1]
-        spread = prior.form.marginal(bias.root, np.ones(p))
-        own = Gaussian(np.broadcast_to(bias.mean, (*batch, p)), np.broadcast_to(spread, (*batch, p, p)), prior.form)
-        return TwoStageState(first.start(prior), own, np.zeros((*batch, n, p)))
 
-    def step(state: TwoStageState, epoch: Epoch) -> tuple[TwoStageState, Info]:
-        known, Phi = first.predict(state.first, epoch)
+@dataclass(frozen=True, eq=False)
+class TwoStage:
+    """What `two_stage` makes; ``TwoStage.of(first, Gamma, bias)`` makes one of any first stage. See there for the attributes."""
+
+    first: Any
+    Gamma: Callable[[Array, Epoch], Array]
+    bias: Gaussian
+    _: KW_ONLY
+    walk: Array | None = None
+    boost: Callable[[Any, Boost], tuple[Any, Array]] | None = None
+
+    @classmethod
+    def of(
+        cls, first: First, Gamma: Slope | ArrayLike, bias: Gaussian, *, Qb: ArrayLike | None = None, boost: Any = None
+    ) -> TwoStage:
+        """A filter of any first stage; arguments as in `two_stage`."""
+        given: Any = first
+        if isinstance(given, Sequential) or not all(hasattr(first, name) for name in ("start", "predict", "update")):
+            raise ValueError(f"first: expected a first stage, such as celnav.filters.two_stage.Plain(filter), got {kind(first)}")
+        instance("bias", bias, Gaussian, "celnav.Gaussian(mean, cov)")
+        p = bias.mean.shape[-1]
+        slope: Any = check_function("Gamma", Gamma, "(mean, epoch)") if callable(Gamma) else finite("Gamma", Gamma)
+        if boost is not None:
+            check_function("boost", boost, "(memory, seen)")
+        if not callable(Gamma) and (slope.ndim < 2 or slope.shape[-1] != p):
+            raise ValueError(f"Gamma: expected shape (..., m, {p}) to go with the bias, got {slope.shape}")
+        walk = None if Qb is None else symmetric(Qb, "Qb", p)[1]
+        return cls(first, slope if callable(slope) else lambda _mean, _epoch: slope, bias, walk=walk, boost=boost)
+
+    def start(self, prior: Gaussian) -> TwoStageState:
+        """State before the first epoch."""
+        known = self.first.start(prior)
+        batch, n = known.belief.mean.shape[:-1], known.belief.mean.shape[-1]
+        own, p = type(known.belief).of(self.bias), self.bias.mean.shape[-1]
+        runs = np.broadcast_shapes(own.mean.shape[:-1], own[1].shape[:-2])
+        if runs and runs != batch:
+            raise ValueError(f"bias: expected one, or one for each run, {batch}, got {runs}")
+        own = type(own)(np.broadcast_to(own.mean, (*batch, p)), np.broadcast_to(own[1], (*batch, p, p)))
+        return TwoStageState(known, own, np.zeros((*batch, n, p)))
+
+    def step(self, state: TwoStageState, epoch: Epoch) -> tuple[TwoStageState, tuple[Info, ...]]:
+        """State after an epoch, and what its measurement did."""
+        first, Phi = self.first.predict(state.first, epoch)
         own, Lambda = state.bias, state.Lambda
         if Phi is not None:
             Lambda = Phi @ Lambda
-            if walk is not None:
-                known, own, Lambda = _walked(known, own, Lambda, walk)
-        known, stage, info = first.update(known, epoch)
+            if self.walk is not None:
+                first, own, Lambda = _walked(first, own, Lambda, self.walk)
+        first, stage, info = self.first.update(first, epoch)
         if stage is None:
-            return TwoStageState(known, own, Lambda, state.Gamma, state.memory), info
-        here = numbers("Gamma", evaluate(slope, known.belief.mean, epoch))
-        if here.shape[-2:] != (stage.used.shape[-1], p):
-            raise ValueError(f"Gamma: expected shape (..., {stage.used.shape[-1]}, {p}), got {here.shape}")
+            return TwoStageState(first, own, Lambda, state.Gamma, state.memory), (info,)
+        here = numbers("Gamma", unmasked("Gamma", self.Gamma(first.belief.mean, epoch)))
+        if here.shape[-2:] != (stage.used.shape[-1], own.mean.shape[-1]):
+            raise ValueError(f"Gamma: expected shape (..., {stage.used.shape[-1]}, {own.mean.shape[-1]}), got {here.shape}")
         seen = here
         if state.Gamma is not None and stage.lag is not None:
             seen = here - stage.lag @ (state.Gamma + stage.before @ state.Lambda)
         if stage.Omega is not None:
             Lambda = Lambda - stage.Omega @ (seen + stage.H @ Lambda)
         S = np.where(stage.used[..., None], stage.H @ Lambda + seen, 0.0)
-        residual = stage.innovation - matvec(S, own.mean)
-        own, memory, white, root = _estimate(own, S, residual, stage, boost, state.memory)
+        own, memory, both = self._estimate(own, S, stage, state.memory)
         # What a hook left out keeps the innovation of the first stage.
-        both = info._replace(
-            innovation=np.where(stage.used, residual, np.asarray(info.innovation)), white=white, innovation_root=root
-        )
-        return TwoStageState(known, own, Lambda - stage.gain @ S, here, memory), both
+        innovation = np.where(stage.used, np.asarray(both.innovation), np.asarray(info.innovation))
+        both = info._replace(innovation=innovation, whitened=both.whitened, sqrt_S=both.sqrt_S)
+        return TwoStageState(first, own, Lambda - stage.gain @ S, here, memory), (both,)
 
-    return Filter(start, step)
+    def _estimate(self, own: Any, S: Array, stage: Stage, memory: Any) -> tuple[Any, Any, Info]:
+        """The bias stage: condition on the innovation, of which S is the Jacobian; the boosted gain moves the mean only."""
 
+        def given(belief: Any) -> tuple[Any, Info]:
+            seen = joint(
+                LINEAR,
+                belief,
+                ((matvec(S, own.mean), S), KEEP),
+                (EUCLIDEAN,) * 3,
+                z=stage.innovation,
+                measurement_noise=stage.sqrt_S,
+            )
+            after, info, _ = condition(type(own), seen, EUCLIDEAN)
+            return after, info
 
-def _walked(known: Any, own: Gaussian, Lambda: Array, walk: Array) -> tuple[Any, Gaussian, Array]:
-    """Sensitivity and first stage before an update when the bias has moved [Hsieh & Chen 1999]."""
-    M = own.cov
-    after = Gaussian(own.mean, own.form.sum(own.spread, walk), own.form)
-    share = _quotient(after.cov, M, walk)
-    less = Lambda @ share.mT
-    left = unit(M.shape[-1]) - share
-    # M - M share of the bias's variance goes to the state: left' M left + share' Qb share, which takes no difference.
-    columns = Lambda @ side_by_side([left.mT @ own.root, share.mT @ walk])
-    belief = known.belief
-    mean = belief.mean + matvec(Lambda - less, own.mean)
-    return known._replace(belief=belief._replace(mean=mean, spread=belief.form.sum(belief.spread, columns))), after, less
-
-
-def _quotient(total: Array, M: Array, walk: Array) -> Array:
-    """``(M^-)^-1 M`` with ``M^- = M + walk @ walk.mT``; a bias that is known exactly and does not move has no part in it."""
-    if (walk.diagonal(0, -2, -1) > 1e-6 * np.sqrt(np.vecdot(walk, walk))).all():
-        return np.linalg.solve(total, M)
-    variances = total.diagonal(0, -2, -1)
-    std = np.sqrt(np.where(variances > 0.0, variances, 1.0))
-    whole = np.asarray(np.isfinite(total).all((-2, -1)))[..., None, None]
-    correlation = np.where(whole, total / std[..., :, None] / std[..., None, :], 0.0)
-    inverse = np.linalg.pinv(correlation, rtol=1e-12, hermitian=True) / std[..., :, None] / std[..., None, :]
-    return np.asarray(np.where(whole, inverse, np.nan) @ M)
+        after, info = given(own)
+        if self.boost is None:
+            return after, memory, info
+        assert info.innovation is not None
+        assert info.sqrt_S is not None
+        boost = Boost(info.innovation, outer(info.sqrt_S), stage.innovation, outer(stage.sqrt_S))
+        memory, factors = given_back("boost", self.boost(memory, boost), "memory, factors")
+        p = own.mean.shape[-1]
+        scale = np.sqrt(numbers("boost", factors, (..., p)))[..., None] * np.eye(p)
+        moved, _ = given(type(own)(own.mean, own.transported(scale, own[1])))
+        return after._replace(mean=moved.mean), memory, info
 
 
-def _estimate(
-    own: Gaussian, S: Array, residual: Array, stage: Stage, boost: Any, memory: Any
-) -> tuple[Gaussian, Any, Array, Array]:
-    """The bias stage: condition on the residual, which is the innovation of both stages; the boosted gain moves the mean only.
+def _walked(first: Any, own: Any, Lambda: Array, walk: Array) -> tuple[Any, Any, Array]:
+    """Sensitivity and first stage before an update when the bias has moved [Hsieh & Chen 1999].
 
-    Returns the belief, the memory, the whitened residual and its root.
+    The bias before its step is conditioned on the one after it: what the sensitivity still explains, and what is left over.
     """
-    m, p = S.shape[-2:]
-    root, sign = own.columns
-    A = block([[S @ root, stage.root], [root, np.zeros((p, m))]])
-    total_root, U, spread = own.form.condition(A, sign, m)
-    white = whiten(total_root, residual)
-    if boost is None:
-        return Gaussian(own.mean + matvec(U, white), spread, own.form), memory, white, total_root
-    own_cov, total = outer(stage.root), outer(total_root)
-    found = boost(memory, Boost(residual, total, stage.innovation, own_cov))
-    memory, factors = given_back("boost", found, "memory, factors")
-    scale = np.sqrt(numbers("boost", factors, (..., p)))
-    cross = S @ (scale[..., :, None] * own.cov * scale[..., None, :])
-    moved = np.linalg.solve(cross @ S.mT + own_cov, residual[..., None])[..., 0]
-    return Gaussian(own.mean + matvec(cross.mT, moved), spread, own.form), memory, white, total_root
+    form, eye = type(own), np.eye(own.mean.shape[-1])
+    both = joint(LINEAR, own, ((own.mean, eye), KEEP), (EUCLIDEAN,) * 3, z=own.mean, process_noise=(walk, 0))
+    left, info, _ = condition(form, both, EUCLIDEAN, gain=partial(pseudo_gain, least=KNOWN))
+    assert info.gain is not None
+    after, less = form(own.mean, form.sum(own[1], walk)), Lambda @ info.gain()
+    belief = first.belief
+    free = type(belief)(belief.mean + matvec(Lambda - less, own.mean), type(belief).sum(belief[1], Lambda @ left.sqrt_cov))
+    return first._replace(belief=free), after, less

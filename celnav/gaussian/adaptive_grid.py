@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from celnav.gaussian import checks
 from celnav.gaussian.checks import finite, integer, number
 from celnav.gaussian.linalg import Array
-from celnav.gaussian.rule import Rule
+from celnav.gaussian.rules import Rule
 from celnav.gaussian.sparse_grid import CANCELED, ORDERS, checked_orders, univariate
 
 

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from celnav.gaussian.checks import instance, number, numbers
 from celnav.gaussian.linalg import Array, components
-from celnav.gaussian.rule import Rule
+from celnav.gaussian.rules import Rule
 from celnav.gaussian.spaces import Space
 
 IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])

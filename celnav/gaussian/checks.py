@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+from inspect import signature
 from math import inf, isfinite
 from typing import Any
 
@@ -183,3 +184,16 @@ def kind(value: Any) -> str:
     if isinstance(value, type):
         return f"class {value.__name__}"
     return f"function {value.__name__}" if callable(value) and hasattr(value, "__name__") else type(value).__name__
+
+
+def takes(function: Any, count: int) -> bool:
+    """Whether something can be called with so many arguments, as far as one can tell."""
+    if not callable(function):
+        return False
+    try:
+        signature(function).bind(*(None,) * count)
+    except TypeError:
+        return False
+    except ValueError:  # a function of C that does not say
+        return True
+    return True

@@ -14,19 +14,19 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.linalg import blas, lapack
 
 Array = NDArray[Any]
 
-_EPS = float(np.finfo(np.float64).eps)
+EPS = float(np.finfo(np.float64).eps)
 NEGLIGIBLE = 1e-12
 """Part of a deviation below which a direction of a singular root is round-off."""
 
 
 def matvec(A: Array, x: Array) -> Array:
     """Product of matrices ``(..., n, m)`` and vectors ``(..., m)``, shape ``(..., n)``."""
-    product: Array = A.dot(x) if A.ndim == 2 and x.ndim == 1 else (A @ x[..., None])[..., 0]
+    product: Array = (A @ x[..., None])[..., 0]
     return product
 
 
@@ -51,7 +51,7 @@ def outer(A: Array) -> Array:
 
     Of a matrix and its own transpose numpy makes one triangle and copies it, which for many small ones takes twice the time.
     """
-    product: Array = A.dot(A.T) if A.ndim == 2 else A @ A.mT.copy()
+    product: Array = A @ (A.mT if A.ndim == 2 else A.mT.copy())
     return product
 
 
@@ -90,16 +90,8 @@ def _lower(n: int) -> Array:
 
 
 @cache
-def unit(n: int) -> Array:
-    """The unit matrix, one and the same for each n: what is multiplied by it need not be."""
-    eye = np.eye(n)
-    eye.flags.writeable = False
-    return eye
-
-
-def is_unit(A: Array) -> bool:
-    """Whether this is what `unit` gives."""
-    return A.ndim == 2 and A is unit(len(A))
+def _identity(n: int) -> Array:
+    return np.eye(n)
 
 
 def solve_lower(L: Array, B: Array) -> Array:
@@ -147,8 +139,8 @@ def _scaled(P: Array) -> tuple[Array, Array]:
     if P.ndim > 2 or not min(diagonal.tolist(), default=1.0) > 0.0:
         diagonal = np.where(diagonal > 0.0, diagonal, 1.0)
     scale = np.sqrt(diagonal)
-    C = P / scale[..., :, None]
-    C /= scale[..., None, :]
+    C = P / scale[..., None]
+    C /= scale if P.ndim == 2 else scale[..., None, :]
     return scale, C
 
 
@@ -170,7 +162,7 @@ def cholesky(P: Array) -> Array:
         eye = np.eye(C.shape[-1])
         finite = np.asarray(np.isfinite(C).all((-2, -1)))[..., None, None]
         smallest = np.linalg.eigvalsh(np.where(finite, C, -eye))[..., :1, None]
-        bad = smallest <= 4 * len(eye) * _EPS
+        bad = smallest <= 4 * len(eye) * EPS
         L = np.where(bad, np.nan, np.linalg.cholesky(np.where(bad, eye, C)))
     return scale[..., None] * L
 
@@ -181,7 +173,7 @@ def semidefinite_root(P: Array) -> Array:
     least = 1e-5  # below, a singular matrix may have slipped through on a rounding error
     if P.ndim == 2 and (one := _single(C)) is not None and min(one.diagonal().tolist(), default=1.0) > least:
         return scale[:, None] * one
-    nothing = 4 * C.shape[-1] * _EPS  # what is left of a variance that is none
+    nothing = 4 * C.shape[-1] * EPS  # what is left of a variance that is none
     try:
         L = np.linalg.cholesky(C)
         if L.diagonal(0, -2, -1).min(initial=1.0) > least:
@@ -190,7 +182,7 @@ def semidefinite_root(P: Array) -> Array:
         pass
     finite = np.asarray(np.isfinite(C).all((-2, -1)))
     eigenvalues, vectors = np.linalg.eigh(np.where(finite[..., None, None], C, -np.eye(C.shape[-1])))
-    indefinite = eigenvalues[..., 0] < -64 * C.shape[-1] * _EPS * np.maximum(eigenvalues[..., -1], 1.0)
+    indefinite = eigenvalues[..., 0] < -64 * C.shape[-1] * EPS * np.maximum(eigenvalues[..., -1], 1.0)
     kept = np.where(eigenvalues > nothing, eigenvalues, 0.0)
     root = tria(scale[..., None] * vectors * np.sqrt(kept)[..., None, :])
     singular = eigenvalues[..., :1, None] <= nothing
@@ -220,7 +212,10 @@ def downdate(L: Array, V: Array) -> Array:
     L may be singular where V adds nothing to its range.
     """
     W = solve_lower(L, V)
-    root: Array = L @ cholesky(unit(L.shape[-1]) - outer(W))
+    rest = _identity(L.shape[-1]) - outer(W)
+    if rest.ndim == 2 and (one := _single(rest)) is not None:
+        return np.asarray(L @ one)
+    root: Array = L @ cholesky(rest)
     lost = np.isnan(root[..., 0, 0])
     if not lost.any():
         return root
@@ -233,22 +228,44 @@ def downdate(L: Array, V: Array) -> Array:
     kept = s > NEGLIGIBLE * s[..., :1]
     W = Qt.mT @ (np.where(kept, 1.0 / np.where(kept, s, 1.0), 0.0)[..., None] * (U.mT @ wanted))
     outside = np.asarray((np.abs(wanted - safe @ W) > NEGLIGIBLE * np.maximum(1.0, np.abs(wanted))).any((-2, -1)))
-    again = np.where(outside[..., None, None], np.nan, L @ cholesky(unit(L.shape[-1]) - outer(W)))
+    again = np.where(outside[..., None, None], np.nan, L @ cholesky(np.eye(L.shape[-1]) - outer(W)))
     return np.where(lost, again, root)
 
 
-def block(rows: Sequence[Sequence[ArrayLike]]) -> Array:
-    """Block matrix of matrices with broadcasting batch axes; a plain ``0`` is a zero block, sized by its neighbors."""
-    cells: list[list[Any]] = [[cell if np.isscalar(cell) else np.asarray(cell, float) for cell in row] for row in rows]
-    heights = [next(c.shape[-2] for c in row if not np.isscalar(c)) for row in cells]
-    widths = [next(c.shape[-1] for c in column if not np.isscalar(c)) for column in zip(*cells, strict=True)]
-    batch = np.broadcast_shapes(*(c.shape[:-2] for row in cells for c in row if not np.isscalar(c)))
+def block(rows: Sequence[Sequence[Any]]) -> Array:
+    """Block matrix of matrices ``(..., k, q)`` whose batch axes broadcast; a plain ``0`` is a block of zeros that fits."""
+    heights, widths, batch = [0] * len(rows), [0] * len(rows[0]), None
+    for i, row in enumerate(rows):
+        for j, cell in enumerate(row):
+            if type(cell) is not int:
+                shape = cell.shape
+                heights[i], widths[j] = shape[-2:]
+                if batch is None:
+                    batch = shape[:-2]
+                elif shape[:-2] != batch:
+                    batch = np.broadcast_shapes(batch, shape[:-2])
+    assert batch is not None
     out = np.zeros((*batch, sum(heights), sum(widths)))
     top = 0
-    for row, height in zip(cells, heights, strict=True):
+    for row, height in zip(rows, heights, strict=True):
         left = 0
         for cell, width in zip(row, widths, strict=True):
-            out[..., top : top + height, left : left + width] = cell
+            if type(cell) is not int:
+                out[..., top : top + height, left : left + width] = cell
             left += width
         top += height
     return out
+
+
+def fan(E: Array, nodes: Array, batch: int) -> Array:
+    """``E @ node`` of every node: points ``(p, ..., n)`` from ``E (..., n, k)`` and ``nodes (k, p)``, for ``batch`` axes of runs.
+
+    Components lie first in memory, which models are fast on, and all runs take part in n products, not each in one of its own.
+    """
+    axes = E.ndim - 2
+    if not axes:
+        points = (E @ nodes).T
+        return points.reshape(len(points), *(1,) * batch, points.shape[-1]) if batch else points
+    D = E.transpose((axes, *range(axes), axes + 1)) @ nodes
+    points = D.transpose((axes + 1, *range(1, axes + 1), 0))
+    return points if axes >= batch else points.reshape(len(points), *(1,) * (batch - axes), *points.shape[1:])

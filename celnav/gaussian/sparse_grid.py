@@ -20,8 +20,7 @@ import numpy as np
 
 from celnav.gaussian.checks import integer, integers
 from celnav.gaussian.linalg import Array
-from celnav.gaussian.points import MAX_POINTS, few
-from celnav.gaussian.rule import Rule
+from celnav.gaussian.rules import MAX_POINTS, Rule, few
 
 ORDERS = (1, 3, 7, 15, 31, 63)
 """Points of the one-dimensional rules of level 1, 2, ...: a level more doubles the number and the degree."""

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import expm, solve_discrete_lyapunov
 
-from celnav.gaussian.belief import sqrt_cov
+from celnav.gaussian.belief import symmetric
 from celnav.gaussian.checks import choice, finite, number, together
 from celnav.gaussian.linalg import Array
 
@@ -31,7 +31,7 @@ def stationary_covariance(Phi: ArrayLike, R: ArrayLike) -> Array:
 
 def _covariance(name: str, cov: ArrayLike, m: int) -> Array:
     """One checked covariance ``(m, m)``, as it was given."""
-    sqrt_cov(cov, name, m)
+    symmetric(cov, name, m)[1]
     return finite(name, cov, (m, m))
 
 
@@ -61,7 +61,7 @@ def effective_covariance(Phi: ArrayLike, R: ArrayLike) -> Array:
     """
     stationary_covariance(Phi, R)
     phi = finite("Phi", Phi)
-    half = np.linalg.solve(np.eye(len(phi)) - phi, sqrt_cov(R, "R"))
+    half = np.linalg.solve(np.eye(len(phi)) - phi, symmetric(R, "R")[1])
     return half @ half.T
 
 
@@ -95,7 +95,7 @@ def van_loan(F: ArrayLike, G: ArrayLike, spectral_density: ArrayLike, dt: float)
     f, dt = finite("F", F, ("n", "n")), number("dt", dt, 0.0)
     n = len(f)
     g = finite("G", G, (n, "k"))
-    density = sqrt_cov(spectral_density, "spectral_density", g.shape[1])
+    density = symmetric(spectral_density, "spectral_density", g.shape[1])[1]
     q = g @ density
     exponential = expm(np.block([[-f, q @ q.T], [np.zeros((n, n)), f.T]]) * dt)
     transition = exponential[n:, n:].T

@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from celnav.filters.adaptive import gate, innovation_window
-from celnav.filters.driver import Epoch, Filter, sequential
-from celnav.filters.info import Hook
+from celnav.filters.adaptive import gate, huber, innovation_window, sage_husa, student_t
+from celnav.filters.model import Linear, Motion, Sensor
 from celnav.filters.parity import channel_parity, group_parity
-from celnav.filters.robust import huber, sage_husa, student_t
-from celnav.filters.step import predict, update
+from celnav.filters.records import Epoch, Filter, Hook
+from celnav.filters.sequential import ekf, ukf
 from celnav.gaussian.linalg import Array
-from celnav.gaussian.points import unscented
-from celnav.gaussian.taylor import Taylor
-from celnav.gaussian.transform import Transform
 from celnav.models import pseudorange
 from celnav.models.receiver import CRYSTAL, process_noise, transition
 
@@ -52,17 +46,13 @@ def filters(S: int, *, acceleration: float = 0.01, window: int = 10) -> dict[str
     if not (np.isfinite(acceleration) and acceleration > 0.0):
         raise ValueError(f"acceleration: expected a positive density in m^2/s^3, got {acceleration!r}")
 
-    def adapted(rule: Transform, hook: tuple[Hook, ...]) -> Filter:
-        move = Taylor(lambda _x, epoch: (transition(epoch.dt),))
-        forward = predict(lambda x, epoch: x @ transition(epoch.dt).T, move, sqrt_Q=root)
-        return sequential(forward, update(_measured, rule, sqrt_R=_noise, hooks=hook))
-
     def root(_mean: Array, epoch: Epoch) -> Array:
         return np.linalg.cholesky(process_noise(epoch.dt, acceleration, *CRYSTAL))
 
-    rule: Any = unscented(8, 1.0, 2.0, 0.0)
-    ekf = Taylor(lambda x, epoch: (pseudorange.jacobian(x, *epoch.u[:2]),))
-    return {"ekf": adapted(ekf, ())} | {name: adapted(rule, hook) for name, hook in hooks(S, window).items()}
+    motion = Motion(Linear(lambda epoch: transition(epoch.dt)), sqrt_Q=root)
+    sensor = Sensor(_measured, sqrt_R=_noise, jacobian=lambda x, epoch: pseudorange.jacobian(x, *epoch.u[:2]))
+    unscented = {name: ukf(motion, sensor, beta=2.0, form="covariance", hooks=hook) for name, hook in hooks(S, window).items()}
+    return {"ekf": ekf(motion, sensor, form="covariance"), **unscented}
 
 
 def _measured(x: Array, epoch: Epoch) -> Array:

@@ -11,9 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from celnav.filters.driver import Epoch, run
 from celnav.filters.least_squares import least_squares
-from celnav.gaussian.belief import covariance
+from celnav.filters.model import Sensor
+from celnav.filters.records import Epoch
+from celnav.filters.run import run
+from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array
 from celnav.models import pseudorange
 from celnav.models.beidou import B1I_HZ, LIGHT
@@ -138,9 +140,14 @@ def _kind(
     """Fixes of one kind: ``model``: ``(epochs, states) ->`` measurements and Jacobians; ``possible`` makes others nan."""
 
     def solve(rows: Array, kept: Array) -> tuple[Array, Array]:
-        filter = least_squares(lambda x, _epoch: model(rows, x)[0], lambda x, _epoch: model(rows, x)[1], sigma[rows], rounds=20)
+        sensor = Sensor(
+            lambda x, _epoch: model(rows, x[0])[0][None],
+            sqrt_R=sigma[rows][..., None] * np.eye(sigma.shape[-1]),
+            jacobian=lambda x, _epoch: model(rows, x)[1],
+        )
+        filter = least_squares(sensor, rounds=20)
         epoch = Epoch(z=np.where(kept, z[rows], np.nan))
-        track = run(filter, covariance(start[rows], np.eye(UNKNOWNS)), [epoch], keep="spread", on_failure="flag")
+        track = run(filter, Gaussian(start[rows], np.eye(UNKNOWNS)), [epoch], keep="cov", on_failure="flag")
         assert track.mean is not None
         return possible(track.mean[0]), track.cov[0]
 

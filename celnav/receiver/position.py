@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 from pymap3d import ecef2geodetic
 
 from celnav.files import InputError
-from celnav.filters.driver import Epoch
-from celnav.gaussian.belief import Gaussian, covariance
+from celnav.filters.records import Epoch
+from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import finite
 from celnav.gaussian.linalg import Array
 from celnav.models import pseudorange
@@ -87,9 +87,9 @@ class Log:
             yield Epoch(k, t, dt, (self.q[k], self.w[k], self.sigma[k]), self.z[k])
 
     def prior(self) -> Gaussian:
-        """About the first fix, in covariance form, ``(8,)``."""
+        """About the first fix, ``(8,)``."""
         position, velocity, bias, drift = START
-        return covariance(np.nan_to_num(self.fixes[0]), np.diag(np.square([position] * 3 + [velocity] * 3 + [bias, drift])))
+        return Gaussian(np.nan_to_num(self.fixes[0]), np.diag(np.square([position] * 3 + [velocity] * 3 + [bias, drift])))
 
     def part(self, which: slice) -> Log:
         """Some of the epochs."""
@@ -117,8 +117,8 @@ def prepare(
     mask_deg: satellites below this elevation are not used, from 0 to below 90.
     sigma: deviations of range (m) and rate (m/s) at the zenith; elsewhere divided by the sine of the elevation. None: estimated, by
         elevation, from the residuals of the fixes.
-    false_alarm: probability that a fix without a fault fails the test of its residuals; faults are excluded, as `celnav.receiver.integrity`
-        does it. 0: nothing is tested.
+    false_alarm: probability that a fix without a fault fails the test of its residuals; faults are excluded, as
+        `celnav.receiver.integrity` does it. 0: nothing is tested.
 
     Raises
     ------

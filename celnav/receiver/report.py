@@ -13,7 +13,8 @@ import numpy as np
 from pymap3d import ecef2geodetic
 
 from celnav.files import Outputs
-from celnav.filters.driver import FilterError, run
+from celnav.filters.records import FilterError
+from celnav.filters.run import run
 from celnav.gaussian.linalg import Array
 from celnav.models import pseudorange
 from celnav.models.beidou import ELLIPSOID, GEO_NUMBERS
@@ -106,7 +107,7 @@ def position(log: Log, filter: str, reference: Array | None, *, acceleration: fl
         return Positioned(log, filter, log.fixes, log.fix_cov, reference, of, float(np.nansum(log.misfit) / max(spare, 1)))
     if filter not in known:
         raise ValueError(f"filter: expected one of ls, {', '.join(known)}, got {filter!r}")
-    track = run(known[filter], log.prior(), log.epochs(), keep="spread")
+    track = run(known[filter], log.prior(), log.epochs(), keep="cov")
     assert track.mean is not None
     size = np.linalg.norm(track.mean[:, :3], axis=-1)
     there = (size > GROUND_M[0]) & (size < GROUND_M[1])

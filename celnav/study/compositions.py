@@ -9,25 +9,22 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from celnav.filters.adaptive import gate, innovation_window
+from celnav.filters.adaptive import gate, huber, innovation_window, student_t
 from celnav.filters.colored import colored
-from celnav.filters.driver import Filter, sequential, steps
-from celnav.filters.info import Hook
-from celnav.filters.robust import huber, student_t
-from celnav.filters.step import predict, update
-from celnav.gaussian.belief import covariance
-from celnav.gaussian.checks import integer
-from celnav.gaussian.points import cubature, gauss_hermite, unscented
+from celnav.filters.records import Filter, Hook
+from celnav.filters.run import steps
+from celnav.filters.sequential import sigma_point
+from celnav.gaussian.checks import choice, instance, integer, sequence
+from celnav.gaussian.rules import cubature, gauss_hermite, unscented
 from celnav.gaussian.spaces import EUCLIDEAN
 from celnav.gaussian.sparse_grid import smolyak
 from celnav.gaussian.taylor import Taylor
-from celnav.gaussian.transform import Transform
 from celnav.study.montecarlo import generator
 from celnav.study.problem import Problem
 from celnav.study.scores import score, summarize
 from celnav.study.trial import Noiseless, Trial, bound, follow
 
-RULES: dict[str, Callable[[int], Transform]] = {
+RULES: dict[str, Callable[[int], Any]] = {
     "Taylor": lambda _n: Taylor(),
     "unscented": unscented,
     "cubature 5": lambda n: cubature(n, degree=5),
@@ -63,9 +60,8 @@ class Composition:
     hook: str = ""
 
     def __post_init__(self) -> None:
-        for name, known in (("rule", tuple(RULES)), ("form", FORMS), ("hook", ("", *HOOKS))):
-            if getattr(self, name) not in known:
-                raise ValueError(f"{name}: expected one of {', '.join(map(repr, known))}, got {getattr(self, name)!r}")
+        for name, known in (("rule", RULES), ("form", FORMS), ("hook", ("", *HOOKS))):
+            choice(name, getattr(self, name), known)
 
     def __str__(self) -> str:
         return " · ".join([self.rule, self.form, *(["colored"] if self.colored else []), *([self.hook] if self.hook else [])])
@@ -84,28 +80,17 @@ def compose(problem: Problem, parts: Composition) -> Filter | None:
     """The filter; None where the parts do not go together: the filter for colored noise is one of vectors, and takes the process
     noise through the points; and where there would be more than `MOST_POINTS`.
     """
+    instance("problem", problem, Problem, "a Problem(f, h, ...)")
+    instance("parts", parts, Composition, "a Composition, such as Composition('unscented')")
     n, m = problem.n, problem.m
     if parts.rule == "Gauss-Hermite" and 3 ** (n + parts.colored * problem.sqrt_Q.shape[1]) > MOST_POINTS:
         return None
-    rule = RULES[parts.rule](n)
-    hooks = (HOOKS[parts.hook](),) if parts.hook else ()
+    options: dict[str, Any] = {"rule": RULES[parts.rule], "form": parts.form, "hooks": [HOOKS[parts.hook]()] if parts.hook else []}
     if not parts.colored:
-        space, measured = problem.space, problem.measurement_space
-        filter = sequential(
-            predict(problem.f, rule, sqrt_Q=problem.sqrt_Q, space=space),
-            update(problem.h, rule, R=problem.R, hooks=hooks, space=space, measurement_space=measured),
-        )
-    elif problem.space == EUCLIDEAN and problem.measurement_space == EUCLIDEAN:
-        both = RULES[parts.rule](n + problem.sqrt_Q.shape[1])
-        filter = colored(
-            problem.f, problem.h, both, problem.phi * np.eye(m), sqrt_Q=problem.sqrt_Q, R=(1.0 - problem.phi**2) * problem.R,
-            Sigma0=problem.R, first_rule=rule, hooks=hooks,
-        )  # fmt: skip
-    else:
-        return None
-    if parts.form == "covariance":
-        return Filter(lambda prior: filter.start(covariance(prior.mean, prior.cov)), filter.step)
-    return filter
+        return sigma_point(problem.motion, problem.sensor, **options)
+    if problem.space == EUCLIDEAN and problem.measurement_space == EUCLIDEAN:
+        return colored(problem.motion, problem.sensor, problem.phi * np.eye(m), **options)
+    return None
 
 
 PASSES = 3
@@ -117,8 +102,8 @@ class Row(NamedTuple):
     Attributes
     ----------
     problem, filter: names. rms: of the first group over the second half of the epochs; rms_low, rms_high: its 95 % interval.
-    efficiency: the linearized posterior Cramer-Rao bound (see `celnav.study.trial.bound`) over it: about 1 if it is as good as can be; a
-        little more by chance, or where process noise leads away from the run about which it is linearized.
+    efficiency: the linearized posterior Cramer-Rao bound (see `celnav.study.trial.bound`) over it: about 1 if it is as good as can
+        be; a little more by chance, or where process noise leads away from the run about which it is linearized.
     anees, low, high: NEES over its dimension, 1 if consistent, with its interval. Intervals come from how the runs differ.
     lost: runs without an estimate. us_per_step: CPU time of a run's step, microseconds, the least of `PASSES`.
     """
@@ -148,9 +133,10 @@ def compare(
     ------
     ValueError: unless ``runs`` is a positive integer.
     """
-    integer("runs", runs)
-    rows, chosen = [], list(parts)
-    for name, problem in problems.items():
+    runs, chosen = integer("runs", runs), sequence("parts", parts, "[Composition('unscented')]")
+    rows = []
+    for name, problem in instance("problems", problems, Mapping, "problems by name, such as {'turn': problem}").items():
+        instance("problems", problem, Problem, "each a Problem(f, h, ...)")
         best = Composition("Taylor", colored=problem.phi > 0.0)
         filters = {str(p): made for p in dict.fromkeys([best, *chosen]) if (made := compose(problem, p)) is not None}
         reference = str(best) if str(best) in filters else ""

@@ -15,7 +15,7 @@ def effort(value: str | float | None = None) -> float:
     name, given = ("effort", value) if value is not None else ("CELNAV_EFFORT", os.environ.get("CELNAV_EFFORT", "1"))
     try:
         fraction = float(given)
-    except ValueError:
+    except (TypeError, ValueError):
         fraction = 0.0
     if not 0.0 < fraction <= 1.0:
         raise ValueError(f"{name}: expected a number in (0, 1], got {given!r}")

@@ -17,7 +17,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from celnav.gaussian.checks import integer
+from celnav.gaussian.checks import integer, kind, number, sequence
 from celnav.gaussian.linalg import Array
 
 R = TypeVar("R")
@@ -28,13 +28,29 @@ Progress = Callable[[int, int, str], None]
 
 
 def generator(seed: int, study: int, run: int) -> np.random.Generator:
-    """The generator of one run of one study."""
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(study, run)))
+    """The generator of one run of one study.
+
+    Raises
+    ------
+    ValueError: for a number that is negative or no integer.
+    """
+    key = (integer("study", study, 0), integer("run", run, 0))
+    return np.random.default_rng(np.random.SeedSequence(integer("seed", seed, 0), spawn_key=key))
 
 
 def normals(rngs: Sequence[np.random.Generator], *shapes: tuple[int, ...]) -> list[Array]:
-    """Standard normal arrays, one of each shape from each generator, with the run axis before the last: ``(..., runs, n)``."""
-    draws = [[rng.standard_normal(shape) for shape in shapes] for rng in rngs]
+    """Standard normal arrays, one of each shape from each generator, with the run axis before the last: ``(..., runs, n)``.
+
+    Raises
+    ------
+    ValueError: without generators.
+    """
+    for rng in (every := sequence("rngs", rngs, "[celnav.study.montecarlo.generator(seed, study, run)]")):
+        if not hasattr(rng, "standard_normal"):
+            raise ValueError(f"rngs: expected generators, such as np.random.default_rng(0), got {kind(rng)}")
+    if not every:
+        raise ValueError("rngs: expected at least one generator, got none")
+    draws = [[rng.standard_normal(shape) for shape in shapes] for rng in every]
     return [np.stack(column, -2) for column in zip(*draws, strict=True)]
 
 
@@ -57,9 +73,9 @@ def run_count(full: int, runs: int | None, effort: float) -> int:
     ------
     ValueError: unless ``0 < effort <= 1`` and ``runs`` is an integer of at least 2 or None.
     """
-    if not 0.0 < effort <= 1.0:
-        raise ValueError(f"effort: expected a number in (0, 1], got {effort!r}")
-    count = max(2, round(full * effort)) if runs is None else runs
+    part = number("effort", effort, above=0.0, most=1.0)
+    every = integer("full", full)
+    count = max(2, round(every * part)) if runs is None else runs
     return integer("runs", count, 2)
 
 

@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtri
 
-from celnav.filters.conditioning import Model, images
-from celnav.filters.driver import Filter, epochs
-from celnav.gaussian.belief import Gaussian, sqrt_cov, square_root
-from celnav.gaussian.checks import finite
+from celnav.filters.epochs import epochs
+from celnav.filters.model import Model, Motion, Sensor, evaluate
+from celnav.filters.records import Filter
+from celnav.gaussian.belief import Belief, Gaussian, symmetric
+from celnav.gaussian.checks import choice, finite, function, instance, kind, number, sequence
 from celnav.gaussian.linalg import Array
 from celnav.gaussian.spaces import EUCLIDEAN, Space
 from celnav.study.montecarlo import normals
@@ -32,7 +33,7 @@ class Problem:
 
     Attributes
     ----------
-    f, h: models of points ``(p, ..., N)`` and `celnav.filters.Epoch`: the state ``(p, ..., N)`` after the interval, and the
+    f, h: models of points ``(p, ..., N)`` and `celnav.Epoch`: the state ``(p, ..., N)`` after the interval, and the
         measurement ``(p, ..., M)``.
     mean: ``(N,)`` and cov ``(n, n)``: of the start.
     sqrt_Q: columns ``(n, r)`` of the process noise of an interval. R: covariance ``(m, m)`` of V.
@@ -65,15 +66,15 @@ class Problem:
         for name in ("mean", "cov", "sqrt_Q", "R", "times"):
             object.__setattr__(self, name, finite(name, getattr(self, name)))
         for name in ("phi", "outliers"):
-            if not 0.0 <= float(finite(name, getattr(self, name), ())) < 1.0:
-                raise ValueError(f"{name}: expected a number in [0, 1), got {getattr(self, name)!r}")
+            number(name, getattr(self, name), 0.0, below=1.0)
         for name in ("f", "h"):
-            if not callable(getattr(self, name)):
-                raise ValueError(f"{name}: expected a function of points and epoch, got {type(getattr(self, name)).__name__}")
+            function(name, getattr(self, name), "(points, epoch)")
+        for name in ("space", "measurement_space"):
+            instance(name, getattr(self, name), Space, "a Space, such as celnav.angles([0])")
         for name in ("cov", "R"):
             if getattr(self, name).ndim != 2:
                 raise ValueError(f"{name}: expected a matrix, got shape {getattr(self, name).shape}")
-            sqrt_cov(getattr(self, name), name)
+            symmetric(getattr(self, name), name)
         if self.sqrt_Q.ndim != 2 or len(self.sqrt_Q) != self.n:
             raise ValueError(f"sqrt_Q: expected columns ({self.n}, r), got {self.sqrt_Q.shape}")
         if self.mean.ndim != 1 or (self.space == EUCLIDEAN and len(self.mean) != self.n):
@@ -81,7 +82,8 @@ class Problem:
         if self.times.ndim != 1 or len(self.times) < 2 or not (np.diff(self.times) > 0.0).all():
             raise ValueError(f"times: expected two or more increasing numbers, got shape {self.times.shape}")
         epochs(self.times, u=self.u)
-        for group in self.groups:
+        for group in sequence("groups", self.groups, "[Group('position', 'm', slice(0, 3))]"):
+            instance("groups", group, Group, "each a Group, such as Group('position', 'm', slice(0, 3))")
             if not isinstance(group.part, slice) or not len(range(self.n)[group.part]):
                 raise ValueError(f"groups: expected a slice of {self.n} components for {group.name}, got {group.part!r}")
 
@@ -96,9 +98,19 @@ class Problem:
         return len(self.R)
 
     @property
+    def motion(self) -> Motion:
+        """What a filter believes of the dynamics."""
+        return Motion(self.f, sqrt_Q=self.sqrt_Q, space=self.space)
+
+    @property
+    def sensor(self) -> Sensor:
+        """What a filter believes of the measurement."""
+        return Sensor(self.h, self.R, space=self.measurement_space)
+
+    @property
     def prior(self) -> Gaussian:
         """Belief about the start."""
-        return square_root(self.mean, self.cov)
+        return Gaussian(self.mean, self.cov)
 
     def draw(self, rngs: Sequence[np.random.Generator]) -> tuple[Array, Array]:
         """Truth ``(T, runs, N)`` and measurements ``(T, runs, M)`` of one run with each generator.
@@ -107,15 +119,14 @@ class Problem:
         ------
         ValueError: without a generator, for a model that returns another shape or numbers that are not finite.
         """
-        T, r, m, runs = len(self.times), self.sqrt_Q.shape[1], self.m, len(rngs)
-        if not runs:
-            raise ValueError("rngs: expected at least one generator, got none")
+        T, r, m = len(self.times), self.sqrt_Q.shape[1], self.m
         start, walk, noise, lot = normals(rngs, (self.n,), (T, r), (T, m), (T, m))
+        runs = len(start)
         truth, z = [], []
         wild = np.abs(lot) > (ndtri(1.0 - 0.5 * self.outliers) if self.outliers else np.inf)
-        noise = noise @ sqrt_cov(self.R, "R").T
+        noise = noise @ symmetric(self.R, "R")[1].T
         V = np.zeros((runs, m))
-        x = self.space.plus(np.tile(self.mean, (runs, 1)), start @ sqrt_cov(self.cov, "cov").T)
+        x = self.space.plus(np.tile(self.mean, (runs, 1)), start @ symmetric(self.cov, "cov")[1].T)
         for epoch in epochs(self.times, u=self.u):
             if epoch.k:
                 x = self.space.plus(self._image("f", x, epoch, len(self.mean)), walk[epoch.k] @ self.sqrt_Q.T)
@@ -127,18 +138,22 @@ class Problem:
         return np.stack(truth), np.stack(z)
 
     def _image(self, name: str, x: Array, epoch: Any, dimension: int | None) -> Array:
-        y: Array = images(name, getattr(self, name), x[None].copy(), epoch, (), dimension)[0]
+        y: Array = evaluate(name, getattr(self, name), x[None].copy(), epoch, (), dimension)[0]
         if not np.isfinite(y).all():
             raise ValueError(f"{name}: expected finite numbers, got others at t = {epoch.t}")
         return y
 
     def trial(self, filters: Mapping[str, Filter], rngs: Sequence[np.random.Generator], reference: str = "") -> Trial:
         """Runs for filters to be judged on; ``reference``: see `celnav.study.trial.Trial`."""
+        for filter in instance("filters", filters, Mapping, "filters by name, such as {'ukf': filter}").values():
+            if not hasattr(filter, "step"):
+                raise ValueError(f"filters: expected each a filter, such as celnav.ukf(motion, sensor), got {kind(filter)}")
+        choice("reference", reference, ("", *filters))
         truth, z = self.draw(rngs)
-        prior = square_root(np.tile(self.mean, (len(rngs), 1)), np.tile(self.cov, (len(rngs), 1, 1)))
+        prior = Gaussian(np.tile(self.mean, (truth.shape[1], 1)), self.cov)
         every = epochs(self.times, z, self.u, truth)
         groups = tuple(self.groups) or (Group("state", "", slice(0, self.n)),)
         return Trial(groups, filters, prior, lambda _name: every, self._compare, reference)
 
-    def _compare(self, truth: Any, belief: Gaussian) -> tuple[Array, Array]:
-        return -self.space.minus(truth, belief.mean), belief.root  # the root is that of tangents at the mean
+    def _compare(self, truth: Any, belief: Belief) -> tuple[Array, Array]:
+        return -self.space.minus(truth, belief.mean), belief.sqrt_cov  # the root is that of tangents at the mean

@@ -10,9 +10,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.filters.driver import Epoch, Filter, steps
-from celnav.filters.info import Info
-from celnav.gaussian.belief import Gaussian, nees
+from celnav.filters.records import Epoch, Filter
+from celnav.filters.run import explain, steps
+from celnav.gaussian.belief import Belief, Gaussian, any_lost, nees
+from celnav.gaussian.checks import choice, instance, integer
 from celnav.gaussian.linalg import Array
 
 TOGETHER = 8
@@ -47,7 +48,7 @@ class Trial(NamedTuple):
     filters: Mapping[str, Filter]
     prior: Gaussian
     epochs: Callable[[str], Iterable[Epoch]]
-    compare: Callable[[Any, Gaussian], tuple[Array, Array]]
+    compare: Callable[[Any, Belief], tuple[Array, Array]]
     reference: str = ""
     place: Callable[[Array], Array] | None = None
 
@@ -95,17 +96,21 @@ def follow(trial: Trial, name: str, every: int = 1) -> Followed:
 
     Raises
     ------
-    ValueError: if no epoch has one. Whatever the models raise passes through, with the step as a note.
+    ValueError: for a filter that the trial has not, or if no epoch has a truth. Whatever the models raise passes through, with the
+        step as a note.
     """
+    instance("trial", trial, Trial, "a Trial, such as problem.trial(filters, rngs)")
+    filter, every = trial.filters[choice("name", name, trial.filters)], integer("every", every)
     found = _Found()
     lost: dict[int, tuple[float, str]] = {}
     count = seen = 0
-    last: tuple[Epoch, Gaussian, tuple[Any, ...]] | None = None
-    for epoch, state, info in steps(trial.filters[name], trial.prior, trial.epochs(name)):
+    last: tuple[Epoch, Belief, tuple[Any, ...]] | None = None
+    before = filter.start(trial.prior)
+    for epoch, state, infos in steps(filter, trial.prior, trial.epochs(name)):
         count += 1
-        belief: Gaussian = state.belief
-        infos = info if isinstance(info, tuple) and not isinstance(info, Info) else (info,)
-        why = next((one.failure for one in infos if one.failure), "")
+        belief: Belief = state.belief
+        why = _why(filter, before, state, epoch)
+        before = state
         due = epoch.truth is not None and seen % every == 0
         seen += epoch.truth is not None
         if due or why:
@@ -125,7 +130,17 @@ def follow(trial: Trial, name: str, every: int = 1) -> Followed:
     return found.followed([(run, *what) for run, what in sorted(lost.items())], count)
 
 
-def _watch(lost: dict[int, tuple[float, str]], epoch: Epoch, belief: Gaussian, why: str) -> None:
+def _why(filter: Filter, before: Any, after: Any, epoch: Epoch) -> str:
+    """Why runs were lost in a step; empty if none was, or where a filter of single epochs has no estimate."""
+    if (
+        not any_lost(after.belief)
+        or not (after.belief.lost() & ~np.broadcast_to(before.belief.lost(), after.belief.lost().shape)).any()
+    ):
+        return ""
+    return explain(filter, before, after, epoch)
+
+
+def _watch(lost: dict[int, tuple[float, str]], epoch: Epoch, belief: Belief, why: str) -> None:
     """Note the runs that have no estimate, and forget those that have one again: a filter of single epochs comes back."""
     if not lost and np.isfinite(np.add.reduce(belief.mean, None)):
         return
@@ -146,13 +161,13 @@ class _Found:
 
     def add(self, t: Any, error: Array, root: Array, infos: tuple[Any, ...]) -> None:
         """Take an epoch in."""
-        whites = [info.white for info in infos if info.white is not None]
+        whites = [info.whitened for info in infos if info.whitened is not None]
         nis = sum((np.vecdot(white, white) for white in whites), np.zeros(error.shape[:-1]))
         dof = np.zeros(error.shape[:-1])
         for used in (info.used for info in infos if info.used is not None):
             dof += used.shape[-1] if used.all() else np.add.reduce(used, -1, float)
         self.times.append(float(t))
-        self._rows.append((error, root, nis, dof))
+        self._rows.append((error, np.broadcast_to(root, (*error.shape[:-1], *root.shape[-2:])), nis, dof))
         if len(self._rows) == TOGETHER:
             self._evaluate()
 
@@ -177,4 +192,5 @@ def bound(trial: Trial, every: int = 1) -> Array | None:
     that stay in the linear range, no filter with this model and these measurements has smaller mean squares. None without
     reference.
     """
+    instance("trial", trial, Trial, "a Trial, such as problem.trial(filters, rngs)")
     return squares(trial.groups, follow(trial, trial.reference, every).std)[:, 0] if trial.reference else None

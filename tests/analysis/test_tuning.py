@@ -5,17 +5,14 @@ import pytest
 from scipy.optimize import minimize_scalar
 from scipy.stats import multivariate_normal
 
+from celnav import Gaussian, Motion, Sensor, epochs, run, ukf
 from celnav.analysis.tuning import maximize_likelihood
-from celnav.filters.driver import epochs, run, sequential
-from celnav.filters.step import predict, update
-from celnav.gaussian.belief import covariance, square_root
-from celnav.gaussian.points import unscented
 
 F = np.array([[1.0, 0.5], [0.0, 0.9]])
 H = np.array([[1.0, 0.0]])
 G = np.array([[0.125], [0.5]])
 P0 = np.diag([1.0, 0.5])
-NONE = np.zeros((1, 0))
+STILL = Motion(np.eye(1), sqrt_Q=np.zeros((1, 0)))
 
 
 def f(x, epoch):
@@ -32,18 +29,16 @@ def simulate(rng, steps, runs, q, r):
     return np.array(z)
 
 
-def builder(runs, form=square_root):
-    rule = unscented(2)
-
+def builder(runs, form="square root"):
     def build(parameters):
         q, r = parameters
-        filter = sequential(predict(f, rule, sqrt_Q=q * G), update(H, rule, sqrt_R=[[r]]))
-        return filter, form(np.zeros((runs, 2)), P0)
+        filter = ukf(Motion(f, sqrt_Q=q * G), Sensor(H, sqrt_R=[[r]]), form=form)
+        return filter, Gaussian(np.zeros((runs, 2)), P0)
 
     return build
 
 
-@pytest.mark.parametrize("form", [square_root, covariance], ids=["root", "cov"])
+@pytest.mark.parametrize("form", ["square root", "covariance"])
 def test_log_likelihood_is_the_joint_density(form):
     """scipy's multivariate normal density of all measurements of a run at once, some missing."""
     steps, q, r = 15, 0.4, 0.7
@@ -79,11 +74,9 @@ def test_recovers_the_noise_that_made_the_data():
 def test_one_parameter_in_closed_form():
     """White noise around 0: the estimate is the root mean square, its standard error sigma / sqrt(2 N), to second order."""
     z = 3.0 * np.random.default_rng(3).normal(size=(150, 1))
-    rule = unscented(1)
 
     def build(parameters):
-        filter = sequential(predict(lambda x, e: x, rule, sqrt_Q=NONE), update([[1.0]], rule, sqrt_R=parameters[:, None]))
-        return filter, square_root([0.0], [[0.0]])
+        return ukf(STILL, Sensor([[1.0]], sqrt_R=parameters[:, None])), Gaussian([0.0], [[0.0]])
 
     tuned = maximize_likelihood(build, [0.5], epochs(np.arange(150), z))
     assert tuned.converged
@@ -124,11 +117,10 @@ def test_what_the_data_do_not_determine_is_told():
     assert np.isinf(tuned.standard_errors).all()
 
     constant = np.random.default_rng(6).normal(size=(40, 1))
-    rule = unscented(1)
 
     def walk(parameters):
         q, r = parameters
-        return sequential(predict(lambda x, e: x, rule, [[q * q]]), update([[1.0]], rule, [[r * r]])), square_root([0.0], [[1e-12]])
+        return ukf(Motion(np.eye(1), [[q * q]]), Sensor([[1.0]], [[r * r]])), Gaussian([0.0], [[1e-12]])
 
     alternating = np.abs(constant) * (-1.0) ** np.arange(40)[:, None]  # less than white: any walk makes it less probable
     tuned = maximize_likelihood(walk, [0.3, 1.0], epochs(np.arange(40), alternating), factor=20.0)
@@ -139,7 +131,6 @@ def test_what_the_data_do_not_determine_is_told():
 def test_failing_parameters_are_improbable():
     """A filter that cannot work below some noise: the search turns back and finds the inner maximum."""
     z = 3.0 * np.random.default_rng(7).normal(size=(80, 1))
-    rule = unscented(1)
     failed = []
 
     def build(parameters):
@@ -149,9 +140,7 @@ def test_failing_parameters_are_improbable():
                 return np.full_like(x, np.inf)
             return x
 
-        return sequential(predict(lambda x, e: x, rule, sqrt_Q=NONE), update(h, rule, sqrt_R=parameters[:, None])), square_root(
-            [0.0], [[1e-6]]
-        )
+        return ukf(STILL, Sensor(h, sqrt_R=parameters[:, None])), Gaussian([0.0], [[1e-6]])
 
     with np.errstate(invalid="ignore"):
         tuned = maximize_likelihood(build, [0.3], epochs(np.arange(80), z))
@@ -182,7 +171,7 @@ def test_data_and_builders_that_are_none():
     with pytest.raises(ValueError, match="epochs: expected measurements, got none"):
         maximize_likelihood(builder(2), [1.0, 1.0], epochs(np.arange(3)))
     with pytest.raises(ValueError, match="build: expected a filter and a prior, got Gaussian"):
-        maximize_likelihood(lambda p: square_root([0.0], [[1.0]]), [1.0], epochs(np.arange(3), np.zeros((3, 1))))
+        maximize_likelihood(lambda p: Gaussian([0.0], [[1.0]]), [1.0], epochs(np.arange(3), np.zeros((3, 1))))
 
 
 def test_build_that_raises_is_improbable():
@@ -206,10 +195,10 @@ def test_build_that_raises_is_improbable():
 
 def correlation(parameters):
     """An AR(1) process of variance q^2 seen through white noise of deviation 0.5; parameters ``(..., 2)``: phi, q."""
-    rule, phi, q = unscented(1), parameters[..., :1], parameters[..., 1:, None]
+    phi, q = parameters[..., :1], parameters[..., 1:, None]
     assert (phi < 1.0).all()
-    motion = predict(lambda x, _: phi * x, rule, sqrt_Q=q * np.sqrt(1.0 - phi**2)[..., None])
-    return sequential(motion, update([[1.0]], rule, sqrt_R=[[0.5]])), square_root([0.0], [[1.0]])
+    motion = Motion(lambda x, _: phi * x, sqrt_Q=q * np.sqrt(1.0 - phi**2)[..., None])
+    return ukf(motion, Sensor([[1.0]], sqrt_R=[[0.5]])), Gaussian([0.0], [[1.0]])
 
 
 def strict(parameters):
@@ -243,14 +232,11 @@ def test_parameters_stay_in_their_domain(domain):
 
 def test_a_maximum_at_the_edge_of_what_can_be_built_is_told():
     """White noise of deviation 3, and a filter that refuses any above 2."""
-    rule = unscented(1)
 
     def build(parameters):
         if parameters[0] > 2.0:
             raise ZeroDivisionError("no such filter")
-        return sequential(
-            predict(lambda x, _: x, rule, sqrt_Q=NONE), update([[1.0]], rule, sqrt_R=parameters[:, None])
-        ), square_root([0.0], [[0.0]])
+        return ukf(STILL, Sensor([[1.0]], sqrt_R=parameters[:, None])), Gaussian([0.0], [[0.0]])
 
     z = 3.0 * np.random.default_rng(9).normal(size=(50, 1))
     tuned = maximize_likelihood(build, [0.5], epochs(np.arange(50), z))
@@ -265,13 +251,12 @@ def test_parameters_in_batches_give_the_same_in_few_flights(runs):
     """One flight for all differences of a step; a build that takes no notice of the axes is refused."""
     z = simulate(np.random.default_rng(2), 60, runs or 1, 0.4, 0.7)
     when = epochs(np.arange(60), z if runs else z[:, 0])
-    rule, flights = unscented(2), []
+    flights = []
 
     def build(parameters):
         flights.append(parameters.shape)
         q, r = parameters[..., :1, None], parameters[..., 1:, None]
-        filter = sequential(predict(f, rule, sqrt_Q=q * G), update(H, rule, sqrt_R=r))
-        return filter, square_root(np.zeros((runs, 2) if runs else 2), P0)
+        return ukf(Motion(f, sqrt_Q=q * G), Sensor(H, sqrt_R=r)), Gaussian(np.zeros((runs, 2) if runs else 2), P0)
 
     alone = maximize_likelihood(build, [4.0, 0.14], when)
     one_by_one = len(flights)

@@ -10,6 +10,7 @@ import pytest
 from celnav.campaign import units
 from celnav.campaign.missions import study
 from celnav.campaign.units import Unit, VersionError, code, execute, pack, units_of, unpack
+from celnav.filters.records import FromFunctions
 from celnav.papers import csrukf
 from celnav.study.scores import merge
 
@@ -41,8 +42,8 @@ def broken(monkeypatch):
                     raise ValueError("no such star")
                 return made.filters["csrukf"].step(state, epoch)
 
-            filters = {**made.filters, "csrukf": made.filters["csrukf"]._replace(step=step)} if where == "filter" else made.filters
-            return made._replace(filters=filters)
+            raising = {"csrukf": FromFunctions(made.filters["csrukf"].start, step)} if where == "filter" else {}
+            return made._replace(filters={**made.filters, **raising})
 
         monkeypatch.setattr(csrukf, "trial", trial)
 

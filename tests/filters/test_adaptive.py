@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, norm
 
-from celnav.filters.adaptive import chi_square_gate, consider, fallback, gate, innovation_window
-from celnav.filters.driver import FilterError, epochs, run, sequential, steps
-from celnav.filters.info import Info
-from celnav.filters.step import predict, update
-from celnav.gaussian.belief import Gaussian, covariance, square_root
-from celnav.gaussian.points import cubature, unscented
+from celnav import Epoch, Gaussian, Motion, Sensor, epochs, run, sigma_point, steps
+from celnav.filters.adaptive import chi_square_gate, consider, gate, innovation_window
+from celnav.filters.fallback import Fallback
+from celnav.filters.records import FilterError
+from celnav.filters.run import explain
+from celnav.gaussian.rules import cubature, unscented
 from celnav.gaussian.taylor import Taylor
 
 A = np.array([[1.0, 0.2], [-0.1, 0.9]])
@@ -17,21 +17,24 @@ H = np.array([[1.0, 0.0], [0.5, 1.0], [0.0, 2.0]])
 Q = np.array([[0.1, 0.02], [0.02, 0.05]])
 R = np.array([[0.5, 0.1, 0.0], [0.1, 0.4, 0.1], [0.0, 0.1, 0.3]])
 P0 = np.array([[1.0, 0.3], [0.3, 0.6]])
-FORMS = pytest.mark.parametrize("form", [square_root, covariance], ids=["root", "cov"])
+FORMS = pytest.mark.parametrize("form", ["square root", "covariance"])
 RULES = pytest.mark.parametrize("rule", [unscented(2), unscented(2, 1.0, 0.0, -0.5), Taylor()], ids=repr)
 
 
-def f(x, epoch):
-    return x @ A.T
+def make(hooks=(), rule=unscented, form="square root", gain=None):
+    """Functions, not matrices: that a rule knows nothing of their being linear."""
+    motion, sensor = Motion(lambda x, epoch: x @ A.T, Q), Sensor(lambda x, epoch: x @ H.T, R)
+    return sigma_point(motion, sensor, rule=rule, form=form, hooks=hooks, gain=gain)
 
 
-def h(x, epoch):
-    return x @ H.T
+def prior(*batch):
+    return Gaussian(np.zeros((*batch, 2)), P0)
 
 
-def make(hooks=(), rule=None, gain=None):
-    rule = unscented(2) if rule is None else rule
-    return sequential(predict(f, rule, Q), update(h, rule, R, hooks=hooks, gain=gain))
+def seen(filter, known, z):
+    """The belief given a measurement, and what it did."""
+    state, (info,) = filter.update(filter.start(known), Epoch(z=z))
+    return state.belief, info
 
 
 def simulate(rng, steps, *batch):
@@ -80,7 +83,7 @@ def test_gate_leaves_out_components(form, rule):
     expected = []
     for i in range(3):
         expected.append(kalman(z[:, i], rejects=rejects))
-    track = run(make((gate(4.0),), rule), form(np.zeros((3, 2)), P0), epochs(np.arange(30), z))
+    track = run(make([gate(4.0)], rule, form), prior(3), epochs(np.arange(30), z))
     np.testing.assert_allclose(track.mean, np.stack(expected, 1), rtol=0, atol=1e-9)
     np.testing.assert_array_equal(track.events["rejected"], rejected)
     np.testing.assert_array_equal(track.events["missing"], [1, 0, 0])
@@ -93,9 +96,8 @@ def test_gate_leaves_out_components(form, rule):
 def test_gate_rejects_as_often_as_it_should():
     """Of good data, one component alone, the share that lies beyond 1.5 standard deviations of a Gaussian."""
     gamma, runs = 1.5, 4000
-    part = update(h, unscented(2), R, hooks=(gate(gamma),))
     z = simulate(np.random.default_rng(2), 1, runs)[0]
-    _, info, _ = part(square_root(np.zeros((runs, 2)), P0), z)
+    _, info = seen(make([gate(gamma)]), prior(runs), z)
     share = 2.0 * norm.sf(gamma)
     assert abs((~info.used).mean(0) - share).max() < 4.0 * np.sqrt(share * (1.0 - share) / runs)
 
@@ -122,7 +124,7 @@ def test_chi_square_gate_leaves_out_runs(form, rule):
     expected = []
     for i in range(3):
         expected.append(kalman(z[:, i], rejects=rejects))
-    track = run(make((chi_square_gate(0.99),), rule), form(np.zeros((3, 2)), P0), epochs(np.arange(30), z))
+    track = run(make([chi_square_gate(0.99)], rule, form), prior(3), epochs(np.arange(30), z))
     np.testing.assert_allclose(track.mean, np.stack(expected, 1), rtol=0, atol=1e-9)
     np.testing.assert_array_equal(track.events["rejected"], rejected)
     assert not track.used[5, 0].any()
@@ -132,21 +134,20 @@ def test_chi_square_gate_leaves_out_runs(form, rule):
 
 def test_chi_square_gate_sees_correlation():
     """Two components that contradict each other by less than a component gate would mind."""
-    prior = square_root([0.0], [[100.0]])
+    known, still = Gaussian([0.0], [[100.0]]), Motion(np.eye(1), np.zeros((1, 1)))
     opposed, agreeing = np.array([8.0, -8.0]), np.array([8.0, 8.0])
     for hook, bad in ((gate(3.0), True), (chi_square_gate(0.999), False)):
-        part = update([[1.0], [1.0]], unscented(1), np.eye(2), hooks=(hook,))
-        assert part(prior, opposed)[1].used.all() == bad
-        assert part(prior, agreeing)[1].used.all()
+        filter = sigma_point(still, Sensor([[1.0], [1.0]], np.eye(2)), rule=unscented, hooks=[hook])
+        assert seen(filter, known, opposed)[1].used.all() == bad
+        assert seen(filter, known, agreeing)[1].used.all()
 
 
 def test_chi_square_gate_counts_what_was_measured():
     """Three standard deviations of one component are too much for it alone (0.99: 2.6), not among three (3.4)."""
-    part = update(h, unscented(2), R, hooks=(chi_square_gate(0.99),))
     S = H @ P0 @ H.T + R
     alone = np.array([np.nan, np.nan, 3.0 * np.sqrt(S[2, 2])])
     among = 3.0 * np.linalg.cholesky(S)[:, 0]
-    _, info, _ = part(square_root(np.zeros((2, 2)), P0), np.array([alone, among]))
+    _, info = seen(make([chi_square_gate(0.99)]), prior(2), np.array([alone, among]))
     np.testing.assert_array_equal(info.used, [[False] * 3, [True] * 3])
 
 
@@ -155,11 +156,11 @@ def test_chi_square_gate_counts_what_was_measured():
 def test_a_window_never_filled_changes_no_bit(form, rule):
     z = simulate(np.random.default_rng(4), 20, 4)
     z[3, 1, 0] = np.nan
-    prior, when = form(np.zeros((4, 2)), P0), epochs(np.arange(20), z)
-    plain = run(make((), rule), prior, when, keep="spread")
-    hooked = run(make((innovation_window(21),), rule), prior, when, keep="spread")
+    plain, hooked = (
+        run(make(hooks, rule, form), prior(4), epochs(np.arange(20), z), keep="cov") for hooks in ((), (innovation_window(21),))
+    )
     np.testing.assert_array_equal(hooked.mean, plain.mean)
-    np.testing.assert_array_equal(hooked.spread, plain.spread)
+    np.testing.assert_array_equal(hooked.belief[1], plain.belief[1])
     np.testing.assert_array_equal(hooked.log_likelihood, plain.log_likelihood)
 
 
@@ -190,7 +191,7 @@ def test_window_follows_its_formula(form, rule, gaps):
 
     expected = kalman(z, inflate)
     assert largest > 10.0
-    track = run(make((innovation_window(M, gaps),), rule), form(np.zeros(2), P0), epochs(np.arange(40), z))
+    track = run(make([innovation_window(M, gaps)], rule, form), prior(), epochs(np.arange(40), z))
     np.testing.assert_allclose(track.mean, expected, rtol=0, atol=1e-9)
 
 
@@ -202,11 +203,11 @@ def test_runs_do_not_know_each_other(hooks):
     z[12, 1] = np.nan  # alone, this epoch is skipped altogether; in the batch the hook sees nan
     z[16] = np.nan
     z[22, 0, 1] = np.nan
-    batch = run(make(hooks), square_root(np.zeros((3, 2)), P0), epochs(np.arange(30), z))
-    plain = run(make(), square_root(np.zeros((3, 2)), P0), epochs(np.arange(30), z))
+    batch = run(make(hooks), prior(3), epochs(np.arange(30), z))
+    plain = run(make(), prior(3), epochs(np.arange(30), z))
     assert np.abs(batch.mean - plain.mean)[:, 1].max() > 0.1
     for i in range(3):
-        alone = run(make(hooks), square_root(np.zeros(2), P0), epochs(np.arange(30), z[:, i]))
+        alone = run(make(hooks), prior(), epochs(np.arange(30), z[:, i]))
         np.testing.assert_allclose(alone.mean, batch.mean[:, i], rtol=0, atol=1e-11)
 
 
@@ -214,9 +215,9 @@ def test_hooks_act_in_order_with_their_own_memory():
     """A gate before the window keeps outliers from it; their states can be resumed midway."""
     z = simulate(np.random.default_rng(7), 12)
     z[4, 0] = 500.0
-    filter, prior = make((gate(5.0), innovation_window(3))), square_root(np.zeros(2), P0)
-    states = [state for _, state, _ in steps(filter, prior, epochs(np.arange(12), z))]
-    gated, window = states[4].memory[0]
+    filter = make([gate(5.0), innovation_window(3)])
+    states = [state for _, state, _ in steps(filter, prior(), epochs(np.arange(12), z))]
+    ((gated, window),) = states[4].memory
     assert gated is None
     assert np.isnan(window.innovations[-1, 0])
     state = states[5]
@@ -235,10 +236,10 @@ def test_adaptation_helps_in_a_burst():
         truth.append(x)
         scale = 10.0 if 30 <= k < 60 else 1.0
         z.append(x @ H.T + scale * rng.normal(size=(runs, 3)) @ np.linalg.cholesky(R).T)
-    when, prior = epochs(np.arange(steps_), np.array(z)), square_root(np.zeros((runs, 2)), P0)
+    when = epochs(np.arange(steps_), np.array(z))
     burst = slice(36, 60)
     error = [
-        np.sqrt(np.mean((run(make(hooks), prior, when).mean - np.array(truth))[burst] ** 2))
+        np.sqrt(np.mean((run(make(hooks), prior(runs), when).mean - np.array(truth))[burst] ** 2))
         for hooks in ((), (innovation_window(5),))
     ]
     assert error[1] < 0.7 * error[0]
@@ -269,8 +270,8 @@ def test_consider_is_schmidt_kalman(form, rule, missing):
     noise[:2, :2], noise[2, 2] = Q, 0.05
     start = np.zeros((3, 3))
     start[:2, :2], start[2, 2] = P0, 0.7
-    filter = sequential(predict(dynamics, three, noise), update(measure, three, R, gain=consider(2, 1)))
-    track = run(filter, form([0.0, 0.0, 0.4], start), epochs(np.arange(25), z), keep="spread")
+    filter = sigma_point(Motion(dynamics, noise), Sensor(measure, R), rule=three, form=form, gain=consider(2, 1))
+    track = run(filter, Gaussian([0.0, 0.0, 0.4], start), epochs(np.arange(25), z), keep="cov")
 
     x, p, P, C, Pp = np.zeros(2), np.array([0.4]), P0, np.zeros((2, 1)), np.array([[0.7]])
     for k in range(25):
@@ -296,7 +297,7 @@ def test_fixed_gain(form):
     """The covariance of a filter with a gain of its own is Joseph's, whatever the gain."""
     K = np.array([[0.3, 0.1, 0.0], [0.0, 0.1, 0.2]])
     z = simulate(np.random.default_rng(10), 15)
-    track = run(make(gain=K), form(np.zeros(2), P0), epochs(np.arange(15), z), keep="spread")
+    track = run(make(gain=K, form=form), prior(), epochs(np.arange(15), z), keep="cov")
     x, P = np.zeros(2), P0
     for k in range(15):
         if k:
@@ -309,100 +310,104 @@ def test_fixed_gain(form):
 
 N = 13
 FIFTH, THIRD = cubature(N, degree=5), cubature(N)
+SMALL = 0.0025
+WIDE = Gaussian(np.zeros((3, N)), np.array([0.2, 3.0, 0.2])[:, None, None] ** 2 * np.eye(N))
 
 
 def steep(x, epoch):
-    return np.cos(3.0 * x[..., :6])
+    """Negative weights lose the middle run of `WIDE`, where it is moved or measured by this."""
+    return np.cos(3.0 * x)
 
 
-def wide_prior(form):
-    return form(np.zeros((3, N)), np.array([0.2, 3.0, 0.2])[:, None, None] ** 2 * np.eye(N))
+def pair(motion, sensor, form="square root"):
+    """A filter of negative weights, one without, and the two of them with the second to fall back on."""
+    first, second = (sigma_point(motion, sensor, rule=rule, form=form) for rule in (FIFTH, THIRD))
+    return first, second, Fallback(first, second)
+
+
+def steeply_measured(form="square root"):
+    return pair(Motion(np.eye(N), np.zeros((N, N))), Sensor(lambda x, epoch: steep(x[..., :6], epoch), SMALL * np.eye(6)), form)
 
 
 @FORMS
 def test_fallback_of_an_update(form):
     """Negative weights lose the middle run's innovation covariance; a positive rule does it again, neighbors bit for bit."""
-    noise = 0.0025 * np.eye(6)
-    first, second = update(steep, FIFTH, noise), update(steep, THIRD, noise)
-    prior, z = wide_prior(form), np.ones((3, 6))
-    alone, lone_info, _ = first(prior, z)
+    first, second, both = steeply_measured(form)
+    epoch = Epoch(z=np.ones((3, 6)))
+    (alone, lone_info), (again, other) = (seen(filter, WIDE, epoch.z) for filter in (first, second))
     assert np.isnan(alone.mean[1]).all()
-    assert lone_info.failure
-    after, info, _ = fallback(first, second)(prior, z)
+    state, (info,) = both.step(both.start(WIDE), epoch)
+    after = state.belief
     np.testing.assert_array_equal(info.redone, [False, True, False])
-    assert info.failure == ""
-    again, other, _ = second(prior, z)
-    for name in ("mean", "spread"):
+    for name in ("mean", "cov", "sqrt_cov"):
         np.testing.assert_array_equal(getattr(after, name)[[0, 2]], getattr(alone, name)[[0, 2]])
         np.testing.assert_array_equal(getattr(after, name)[1], getattr(again, name)[1])
-    for name in ("innovation", "white", "innovation_root"):
+    for name in ("innovation", "whitened", "used", "sqrt_S"):
         np.testing.assert_array_equal(getattr(info, name)[[0, 2]], getattr(lone_info, name)[[0, 2]])
         np.testing.assert_array_equal(getattr(info, name)[1], getattr(other, name)[1])
-    np.testing.assert_array_equal(info.gain()[1], other.gain()[1])
-    np.testing.assert_array_equal(info.gain()[0], lone_info.gain()[0])
-    np.testing.assert_array_equal(info.slopes[1]()[0][1], other.slopes[1]()[0][1])
+    for name in ("gain", "jacobian"):
+        np.testing.assert_array_equal(getattr(info, name)()[[0, 2]], getattr(lone_info, name)()[[0, 2]])
+        np.testing.assert_array_equal(getattr(info, name)()[1], getattr(other, name)()[1])
     assert np.isfinite(info.log_likelihood).all()
 
 
 @FORMS
 def test_fallback_of_a_prediction_is_counted(form):
     """In covariance form, too, where an indefinite prediction is finite and would only fail later."""
-
-    def f(x, epoch):
-        return np.cos(3.0 * x)
-
-    first, second = predict(f, FIFTH, 0.0025 * np.eye(N)), predict(f, THIRD, 0.0025 * np.eye(N))
-    measure = update(np.eye(2, N), FIFTH, np.eye(2))
-    prior = wide_prior(form)
+    first, second, both = pair(Motion(steep, SMALL * np.eye(N)), Sensor(np.eye(2, N), np.eye(2)), form)
     when = epochs(np.arange(2), np.array([np.full((3, 2), np.nan), np.ones((3, 2))]))
     with pytest.raises(FilterError, match=r"run \(1,\)"):
-        run(sequential(first, measure), prior, when)
-    track = run(sequential(fallback(first, second), measure), prior, when, keep="spread")
+        run(first, WIDE, when)
+    track = run(both, WIDE, when, keep="cov")
     np.testing.assert_array_equal(track.events["redone"], [0, 1, 0])
     np.testing.assert_array_equal(track.failed_at, [-1, -1, -1])
-    flagged = run(sequential(first, measure), prior, when, keep="spread", on_failure="flag")
+    flagged = run(first, WIDE, when, keep="cov", on_failure="flag")
     np.testing.assert_array_equal(track.mean[:, [0, 2]], flagged.mean[:, [0, 2]])
-    np.testing.assert_array_equal(track.spread[:, [0, 2]], flagged.spread[:, [0, 2]])
-    other = run(sequential(second, measure), prior, when)
-    np.testing.assert_array_equal(track.mean[1, 1], other.mean[1, 1])
+    np.testing.assert_array_equal(track.belief[1][:, [0, 2]], flagged.belief[1][:, [0, 2]])
+    np.testing.assert_array_equal(track.mean[1, 1], run(second, WIDE, when).mean[1, 1])
 
 
-def test_redone_in_both_parts_of_a_step():
-    """A run redone in the prediction and another one in the update: both are counted, whichever failed."""
-    moved, measured = np.array([True, False, False]), np.array([False, True, False])
+@FORMS
+@pytest.mark.parametrize("seeing", [True, False], ids=["measured", "open loop"])
+def test_redone_in_both_parts_of_a_step(form, seeing):
+    """A run redone in the prediction and another one in the update: both are counted; the first epoch does not predict."""
+    prior = Gaussian(np.zeros((3, N)), np.array([3.0, 3.0, 0.2])[:, None, None] ** 2 * np.eye(N))
+    moved, measured = np.array([[True], [False], [False]]), np.array([[False], [True], [False]])
 
-    def predicts(belief, epoch):
-        return belief, Info(redone=moved if epoch.k < 2 else None, failure="" if epoch.k < 2 else "lost")
+    def f(x, epoch):
+        return np.where(moved, steep(x, epoch), x)
 
-    def updates(belief, z, epoch, memory):
-        return belief, Info(redone=measured), memory
+    def h(x, epoch):
+        return np.where(measured, steep(x, epoch), x)[..., :6]
 
-    when = epochs(np.arange(3), np.ones((3, 3, 1)))
-    track = run(sequential(predicts, updates), square_root(np.zeros((3, 1)), [[1.0]]), when)
-    np.testing.assert_array_equal(track.events["redone"], [1, 3, 0])  # the first epoch does not predict
+    sensors = (Sensor(h, SMALL * np.eye(6)),) if seeing else ()
+    both = Fallback(*(sigma_point(Motion(f, SMALL * np.eye(N)), *sensors, rule=rule, form=form) for rule in (FIFTH, THIRD)))
+    z = np.ones((2, 3, 6))
+    z[0] = np.nan
+    np.testing.assert_array_equal(run(both, prior, epochs(np.arange(2), z)).events["redone"], [1, int(seeing), 0])
 
 
 def test_fallback_gives_up_where_both_fail():
     """A run that both lose stays lost and says why; one that was lost before is not redone; nothing lost costs nothing."""
-    noise = 0.0025 * np.eye(6)
-    first = update(steep, FIFTH, noise)
-    prior, z = wide_prior(square_root), np.ones((3, 6))
-    both, info, _ = fallback(first, first)(prior, z)
-    assert np.isnan(both.mean[1]).all()
-    assert "not positive definite" in info.failure
-    before = Gaussian(np.where(np.arange(3)[:, None] == 1, np.nan, prior.mean), prior.spread, prior.form)
-    _, info, _ = fallback(first, update(steep, THIRD, noise))(before, z)
-    assert info.redone is None
-    calls = []
+    first, _, both = steeply_measured()
+    epoch = Epoch(z=np.ones((3, 6)))
+    twice = Fallback(first, first)
+    start = twice.start(WIDE)
+    state, _ = twice.step(start, epoch)
+    assert np.isnan(state.belief.mean[1]).all()
+    assert "not positive definite" in explain(twice, start, state, epoch)
+    gone = start._replace(belief=start.belief._replace(mean=np.where(np.arange(3)[:, None] == 1, np.nan, start.belief.mean)))
+    assert both.step(gone, epoch)[1][0].redone is None
 
-    def counted(*arguments):
-        calls.append(arguments)
-        return first(*arguments)
+    def never(n):
+        raise AssertionError
 
-    tame = square_root(np.zeros((2, N)), 0.04 * np.eye(N))
-    _, info, _ = fallback(first, counted)(tame, z[:2])
+    tame = Gaussian(np.zeros((2, N)), 0.04 * np.eye(N))
+    untried = Fallback(first, sigma_point(first.motion, *first.sensors, rule=never))
+    _, (info,) = untried.step(untried.start(tame), epoch._replace(z=epoch.z[:2]))
     assert info.redone is None
-    assert not calls
+    with pytest.raises(AssertionError):
+        untried.step(untried.start(WIDE), epoch)
 
 
 @pytest.mark.parametrize(
@@ -416,7 +421,9 @@ def test_fallback_gives_up_where_both_fail():
         (lambda: innovation_window(3, "ignore"), "gaps"),
         (lambda: consider(0, 2), "n"),
         (lambda: consider(2, -1), "k"),
-        (lambda: update(h, unscented(2), R, gain=consider(2, 2))(square_root(np.zeros(2), P0), np.zeros(3)), "consider"),
+        (lambda: seen(make(gain=consider(2, 2)), prior(), np.zeros(3)), "consider"),
+        (lambda: Fallback(make(), make(form="covariance")), "second"),
+        (lambda: Fallback(unscented(2), make()), "first"),
     ],
 )
 def test_bad_input_is_refused_by_name(bad, name):
@@ -425,21 +432,29 @@ def test_bad_input_is_refused_by_name(bad, name):
 
 
 @pytest.mark.parametrize("how", ["in place", "anew"])
-def test_a_hook_may_write_into_the_joint(how):
+@pytest.mark.parametrize("h", [np.eye(1, 2), lambda x, e: x[..., :1]], ids=["matrix", "function"])
+def test_a_hook_may_write_into_the_joint(how, h):
     """Inflating the prior, rows of the state included: the same in both forms, and the record of the innovation stays."""
 
     def inflate(memory, joint, epoch):
-        columns = joint.columns if how == "in place" else joint.columns.copy()
-        columns *= 2.0
         if how == "in place":
+            for image in (joint.measurement, joint.state):
+                image.columns[...] *= 2.0
             joint.innovation[...] *= 0.5
-        return memory, joint._replace(columns=columns, innovation=joint.innovation if how == "in place" else 0.5 * joint.innovation)
+            joint.measurement_noise[...] *= 1.0 + (epoch.k > 0)  # the sensor's own stays as it is
+            return memory, joint
+        both = (image._replace(columns=2.0 * image.columns) for image in (joint.measurement, joint.state))
+        measurement, state = both
+        return memory, joint._replace(measurement=measurement, state=state, innovation=0.5 * joint.innovation)
 
-    P = np.array([[2.0, 0.5], [0.5, 1.0]])
-    part = update(np.eye(1, 2), unscented(2), [[1.0]], hooks=[inflate])
-    expected = update(np.eye(1, 2), unscented(2), [[1.0]])(covariance(np.zeros(2), 4.0 * P), [1.0])[0]
-    for form in (square_root, covariance):
-        belief, info, _ = part(form(np.zeros(2), P), [2.0])
+    P, motion, sensor = np.array([[2.0, 0.5], [0.5, 1.0]]), Motion(np.eye(2), np.eye(2)), Sensor(h, [[1.0]])
+    expected, _ = seen(sigma_point(motion, sensor, rule=unscented), Gaussian(np.zeros(2), 4.0 * P), [1.0])
+    for form in ("square root", "covariance"):
+        prior = Gaussian(np.zeros(2), P)
+        filter = sigma_point(motion, sensor, rule=unscented, form=form, hooks=[inflate])
+        filter.update(filter.start(prior), Epoch(1, z=[2.0]))
+        belief, info = seen(filter, prior, [2.0])
         np.testing.assert_allclose(belief.mean, expected.mean, atol=1e-14)
         np.testing.assert_allclose(belief.cov, expected.cov, atol=1e-14)
         np.testing.assert_array_equal(info.innovation, [2.0])
+        np.testing.assert_array_equal(prior.cov, P)

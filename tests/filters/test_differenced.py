@@ -5,13 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from celnav.filters.differenced import ar1_noise, differenced
-from celnav.filters.driver import Epoch, sequential
-from celnav.filters.single_draw import drawn_once, single_draw
-from celnav.filters.step import predict, update
-from celnav.filters.two_stage import plain, two_stage
-from celnav.gaussian.belief import covariance, square_root
-from celnav.gaussian.points import unscented
+from celnav import Epoch, Gaussian, Motion, Sensor, two_stage, ukf
+from celnav.filters.differenced import Differenced, ar1_noise
+from celnav.filters.sequential import SingleDraw
+from celnav.filters.two_stage import TwoStage
 
 RNG = np.random.default_rng(0)
 T, N, M, B = 30, 4, 2, 3
@@ -23,27 +20,38 @@ GAMMA = RNG.normal(size=(M, B))
 P0 = 2.0 * np.eye(N)
 
 
+BIAS = Gaussian(np.zeros(B), np.eye(B))
+WHITE = Motion(lambda x, _epoch: x @ PHI.T, G @ E @ G.T), Sensor(H, XI)
+
+
+def differenced(noise):
+    return Differenced(lambda x, _epoch: (x @ PHI.T, PHI, G), lambda x, _epoch: x @ H.T, lambda _x, _epoch: H, noise)
+
+
 def stage(F=0.0, L=0.0, coupling=0.0):
     noise = ar1_noise(F * np.eye(M), L * np.eye(N), coupling * J, XI, E)
-    return noise, differenced(lambda x, _epoch: (x @ PHI.T, PHI, G), lambda x, _epoch: x @ H.T, lambda _x, _epoch: H, noise)
+    return noise, differenced(noise)
 
 
 def measured(runs=2, seed=1):
     return 2.0 * np.random.default_rng(seed).normal(size=(T, runs, M))
 
 
-def prior(form=covariance, runs=2):
-    one = form(np.zeros(N), P0)
-    return one._replace(mean=np.tile(one.mean, (runs, 1)), spread=np.tile(one.spread, (runs, 1, 1)))
+def prior(runs=2):
+    return Gaussian(np.zeros((runs, N)), np.tile(P0, (runs, 1, 1)))
+
+
+def at(k, z):
+    """The k-th epoch of measurements ``(T, runs, m)``."""
+    return Epoch(k, k + 1.0, 1.0, None, z[k])
 
 
 def alone(first, z):
     """Means and covariances of a first stage without a second."""
     state, out = first.start(prior(runs=z.shape[1])), []
     for k in range(T):
-        epoch = Epoch(k, k + 1.0, 1.0, None, z[k])
-        state, _ = first.predict(state, epoch)
-        state, _, _ = first.update(state, epoch)
+        state, _ = first.predict(state, at(k, z))
+        state, _, _ = first.update(state, at(k, z))
         out.append((state.belief.mean, state.belief.cov))
     return tuple(np.stack(values) for values in zip(*out, strict=True))
 
@@ -51,15 +59,14 @@ def alone(first, z):
 def followed(filter, z):
     state, out = filter.start(prior(runs=z.shape[1])), []
     for k in range(T):
-        state, _ = filter.step(state, Epoch(k, k + 1.0, 1.0, None, z[k]))
+        state, _ = filter.step(state, at(k, z))
         out.append((state.belief.mean, state.belief.cov))
     return tuple(np.stack(values) for values in zip(*out, strict=True))
 
 
 def test_without_color_it_is_the_kalman_filter():
     z = measured()
-    exact = sequential(predict(lambda x, _epoch: x @ PHI.T, unscented(N), G @ E @ G.T), update(H, unscented(N), XI))
-    for a, b in zip(alone(stage()[1], z), followed(exact, z), strict=True):
+    for a, b in zip(alone(stage()[1], z), followed(ukf(*WHITE), z), strict=True):
         np.testing.assert_allclose(a, b, atol=1e-11)
 
 
@@ -76,9 +83,8 @@ def test_white_noise_that_is_correlated_is_exact(coupling):
     def h(x, _epoch, w):
         return x @ H.T + w[..., :M]
 
-    rule = unscented(N + N + M)
-    never = update(H, unscented(N), XI)
-    for a, b in zip(alone(first, z), followed(drawn_once(single_draw(f, h, rule, extra=(both,)), never), z), strict=True):
+    exact = SingleDraw.of(ukf(Motion(f, augment=(both,)), Sensor(h, np.zeros((M, M)))))
+    for a, b in zip(alone(first, z), followed(exact, z), strict=True):
         np.testing.assert_allclose(a, b, atol=1e-9)
 
 
@@ -92,14 +98,14 @@ def test_its_covariances_are_those_of_a_consider_filter(F, L, coupling):
     JF, z = noise.J @ noise.F, measured(runs=1)
     state = first.start(prior(runs=1))
     for k in range(8):
-        epoch = Epoch(k, k + 1.0, 1.0, None, z[k])
-        state, _ = first.predict(state, epoch)
-        state, seen, _ = first.update(state, epoch)
+        state, _ = first.predict(state, at(k, z))
+        state, seen, _ = first.update(state, at(k, z))
         Omega, K = seen.Omega, seen.gain[0]
         D = np.eye(n) - Omega @ H
         sensor = noise.V if k == 0 else noise.Xi
-        # (x, V, Q)' = A (x, V, Q) + noise (xi, e); V' and Q' as the model has them. The first Omega takes in all of J V.
-        A = np.block([[D @ PHI, (k > 0) * D @ G @ JF, D @ G @ noise.L], [np.zeros((m, n)), noise.F, np.zeros((m, q))],
+        # (x, V, Q)' = A (x, V, Q) + noise (xi, e); V' and Q' as the model has them. Omega takes all of J V' out of x' where the
+        # measurement is not differenced (k = 0), else J xi.
+        A = np.block([[D @ PHI, D @ G @ JF * (k > 0), D @ G @ noise.L], [np.zeros((m, n)), noise.F, np.zeros((m, q))],
                       [np.zeros((q, n + m)), noise.L]])  # fmt: skip
         W = np.block([[np.zeros((n, m)), D @ G], [np.eye(m), np.zeros((m, q))], [np.zeros((q, m)), np.eye(q)]])
         S = np.block([[noise.Xi, np.zeros((m, q))], [np.zeros((q, m)), noise.E]])
@@ -126,8 +132,8 @@ def test_the_first_measurement_is_exact(F, L):
     K = np.linalg.solve(seen @ C @ seen.T, seen @ C).T
     left = C - K @ seen @ C
     z = measured()
-    state, _ = first.predict(first.start(prior()), Epoch(0, 1.0, 1.0))
-    state, stage_, info = first.update(state, Epoch(0, 1.0, 1.0, None, z[0]))
+    state, _ = first.predict(first.start(prior()), at(0, z))
+    state, stage_, info = first.update(state, at(0, z))
     np.testing.assert_allclose(state.belief.mean, z[0] @ (W @ K).T, atol=1e-12)
     np.testing.assert_allclose(state.belief.cov[0], W @ left @ W.T, atol=1e-12)
     np.testing.assert_allclose(state.DV[0], (W @ left)[:, N : N + M], atol=1e-12)
@@ -135,19 +141,19 @@ def test_the_first_measurement_is_exact(F, L):
     # The density of the innovation is that of z, which it is a linear function of: D z, D = I - H Omega.
     D = np.eye(M) - H @ stage_.Omega
     np.testing.assert_allclose(info.innovation, z[0] @ D.T, atol=1e-12)
-    np.testing.assert_allclose(info.innovation_root[0] @ info.innovation_root[0].T, D @ seen @ C @ seen.T @ D.T, atol=1e-10)
+    np.testing.assert_allclose(info.sqrt_S[0] @ info.sqrt_S[0].T, D @ seen @ C @ seen.T @ D.T, atol=1e-10)
 
 
 def test_the_first_variance_is_that_of_samples():
     """One state, F = 0.8: of 1.21 that were claimed there are 0.60."""
     one, runs = np.eye(1), 40_000
     noise = ar1_noise(0.8 * one, 0.0 * one, 2.0 * one, 0.36 * one, 0.5 * one)
-    first = differenced(lambda x, _e: (0.9 * x, 0.9 * one, one), lambda x, _e: 0.7 * x, lambda _x, _e: 0.7 * one, noise)
+    first = Differenced(lambda x, _e: (0.9 * x, 0.9 * one, one), lambda x, _e: 0.7 * x, lambda _x, _e: 0.7 * one, noise)
     rng = np.random.default_rng(3)
     x, v, q = (std * rng.normal(size=(runs, 1)) for std in (1.0, noise.V[0, 0] ** 0.5, noise.Q[0, 0] ** 0.5))
     x = 0.9 * x + 2.0 * v + q
     epoch = Epoch(0, 1.0, 1.0, None, 0.7 * x + v)
-    state, _ = first.predict(first.start(covariance(np.zeros((runs, 1)), one)), epoch)
+    state, _ = first.predict(first.start(Gaussian(np.zeros((runs, 1)), one)), epoch)
     state, _, info = first.update(state, epoch)
     assert np.mean((state.belief.mean - x) ** 2 / state.belief.cov[..., 0]) == pytest.approx(1.0, abs=4.0 * (2.0 / runs) ** 0.5)
     assert np.mean(info.nis) == pytest.approx(1.0, abs=4.0 * (2.0 / runs) ** 0.5)
@@ -156,12 +162,10 @@ def test_the_first_variance_is_that_of_samples():
 def test_a_lost_run_does_not_begin_its_neighbors_anew():
     z, (_, first) = measured(), stage(0.5, 0.5, 1.0)
     begun = first.start(prior())
-    begun = begun._replace(belief=begun.belief._replace(mean=begun.belief.mean * [[np.nan], [1.0]]))
-    state = begun
+    state = begun._replace(belief=begun.belief._replace(mean=begun.belief.mean * [[np.nan], [1.0]]))
     for k in range(3):
-        epoch = Epoch(k, k + 1.0, 1.0, None, z[k])
-        state, _ = first.predict(state, epoch)
-        state, _, _ = first.update(state, epoch)
+        state, _ = first.predict(state, at(k, z))
+        state, _, _ = first.update(state, at(k, z))
     mean, cov = alone(first, z[:, 1:])
     np.testing.assert_allclose(state.belief.mean[1], mean[2, 0], atol=1e-12)
     np.testing.assert_allclose(state.belief.cov[1], cov[2, 0], atol=1e-12)
@@ -173,44 +177,40 @@ def test_process_noise_of_one_color_is_nearly_exact():
     noise, first = stage(L=L)
     A = np.block([[PHI, G * L], [np.zeros((N, N)), L * np.eye(N)]])
     columns = np.vstack([G, np.eye(N)]) @ np.sqrt(noise.E)
-    exact = sequential(
-        predict(lambda x, _epoch: x @ A.T, unscented(2 * N), sqrt_Q=columns),
-        update(np.hstack([H, np.zeros((M, N))]), unscented(2 * N), XI),
-    )
-    start = covariance(np.zeros(2 * N), np.block([[P0, np.zeros((N, N))], [np.zeros((N, N)), noise.Q]]))
-    state = exact.start(start._replace(mean=start.mean[None], spread=start.spread[None]))
+    exact = ukf(Motion(lambda x, _epoch: x @ A.T, sqrt_Q=columns), Sensor(np.hstack([H, np.zeros((M, N))]), XI))
+    both = np.block([[P0, np.zeros((N, N))], [np.zeros((N, N)), noise.Q]])
+    state = exact.start(Gaussian(np.zeros((1, 2 * N)), both[None]))
     for k in range(T):
-        state, _ = exact.step(state, Epoch(k, k + 1.0, 1.0, None, z[k]))
-    _, kept = alone(first, z)
-    forgetful = first._replace(update=lambda state, epoch: forgotten(first.update(state, epoch)))
-    _, dropped = alone(forgetful, z)
+        state, _ = exact.step(state, at(k, z))
+    (_, kept), (_, dropped) = (alone(one, z) for one in (first, Forgetful(**vars(first))))
     best, kept, dropped = (np.trace(P) for P in (state.belief.cov[0, :N, :N], kept[-1, 0], dropped[-1, 0]))
     assert kept >= best * (1.0 - 1e-9)  # no filter of these measurements can do better
     assert dropped < best  # and none can say so
     assert abs(kept - best) < abs(dropped - best)
 
 
-def forgotten(step):
-    """A step of the stage that loses the correlation with the process noise."""
-    state, seen, info = step
-    return state._replace(DQ=np.zeros_like(state.DQ)), seen, info
+class Forgetful(Differenced):
+    """The stage, but it loses the correlation with the process noise."""
+
+    def update(self, state, epoch):
+        state, seen, info = super().update(state, epoch)
+        return state._replace(DQ=np.zeros_like(state.DQ)), seen, info
 
 
 def test_the_sensitivity_to_a_bias_is_the_derivative():
     _, first = stage(0.5, 0.5, 1.0)
-    filter = two_stage(first, GAMMA, covariance(np.zeros(B), np.eye(B)))
+    filter = TwoStage.of(first, GAMMA, BIAS)
     z, unit = measured(runs=1), np.array([0.7, -1.3, 0.4])
     one, two = filter.start(prior(runs=1)), filter.start(prior(runs=1))
     for k in range(T):
-        one, _ = filter.step(one, Epoch(k, k + 1.0, 1.0, None, z[k]))
-        two, _ = filter.step(two, Epoch(k, k + 1.0, 1.0, None, z[k] + GAMMA @ unit))
+        one, _ = filter.step(one, at(k, z))
+        two, _ = filter.step(two, at(k, z + GAMMA @ unit))
         np.testing.assert_allclose(two.first.belief.mean - one.first.belief.mean, -(one.Lambda @ unit), atol=1e-12)
 
 
 def test_two_stages_on_white_noise_are_those_on_the_plain_stage():
-    z, bias = measured(), covariance(np.zeros(B), np.eye(B))
-    ordinary = plain(predict(lambda x, _epoch: x @ PHI.T, unscented(N), G @ E @ G.T), update(H, unscented(N), XI))
-    one, two = (followed(two_stage(first, GAMMA, bias), z) for first in (ordinary, stage()[1]))
+    z, ordinary = measured(), two_stage(*WHITE, GAMMA, BIAS, form="covariance")
+    one, two = (followed(filter, z) for filter in (ordinary, TwoStage.of(stage()[1], GAMMA, BIAS)))
     for a, b in zip(one, two, strict=True):
         np.testing.assert_allclose(a, b, atol=1e-10)
 
@@ -230,7 +230,6 @@ def test_batches_are_singles():
         (lambda: ar1_noise(np.zeros((M, M)), np.zeros((N, N)), J.T, XI, E), "J"),
         (lambda: ar1_noise(np.zeros((M, M)), np.zeros((N, N)), J, 0.0 * XI, E), "Xi"),
         (lambda: ar1_noise(np.zeros((M, M)), np.zeros((N, N)), J, XI, -E), "E"),
-        (lambda: stage()[1].start(prior(square_root)), "prior"),
     ],
 )
 def test_bad_input_is_refused_by_name(make, name):
@@ -240,13 +239,12 @@ def test_bad_input_is_refused_by_name(make, name):
 
 def test_a_measurement_missing_in_part_and_a_singular_coupling_are_refused():
     _, first = stage(0.5)
-    epoch = Epoch(0, 1.0, 1.0, None, np.array([[np.nan, 1.0], [1.0, 1.0]]))
+    epoch = at(0, np.array([[[np.nan, 1.0], [1.0, 1.0]]]))
     state, _ = first.predict(first.start(prior()), epoch)
     with pytest.raises(ValueError, match=r"^z: expected a whole measurement"):
         first.update(state, epoch)
     singular = -np.linalg.pinv(H @ G)
-    noise = ar1_noise(np.zeros((M, M)), np.zeros((N, N)), singular, XI, E)
-    bad = differenced(lambda x, _epoch: (x @ PHI.T, PHI, G), lambda x, _epoch: x @ H.T, lambda _x, _epoch: H, noise)
+    bad = differenced(ar1_noise(np.zeros((M, M)), np.zeros((N, N)), singular, XI, E))
     epoch = epoch._replace(z=np.zeros((2, M)))
     state, _ = bad.predict(bad.start(prior()), epoch)
     with pytest.raises(ValueError, match=r"^J: expected"):

@@ -220,7 +220,7 @@ def test_partly_missing_components_are_left_out_exactly(cls):
         ({"R": "small"}, {"z": [1.0, 2.0]}, "R"),
         ({"Wm": np.ones(9)}, {}, "wm"),
         ({"fx": lambda x, dt: x[:1]}, {}, r"fx returned shape \(1,\), expected \(4,\)"),
-        ({"fx": lambda x, dt: x * np.nan}, {}, "f is not finite"),
+        ({"fx": lambda x, dt: x * np.nan}, {}, "fx is not finite at sigma point 0"),
         ({"hx": lambda x: x}, {"z": [1.0, 2.0]}, "hx returned shape"),
     ],
 )
@@ -537,13 +537,11 @@ def test_the_smoother_is_celnavs(cls):
     def f(x, epoch):
         return np.stack([x[..., 0] + epoch.dt * x[..., 1], x[..., 1]], -1)
 
-    make = celnav.square_root if cls is SquareRootUKF else celnav.covariance
-    motion = celnav.predict(f, kf.rule, lambda mean, epoch: Qs[epoch.k - 1])
-    filter = celnav.sequential(motion, celnav.update([[1.0, 0.0]], kf.rule, [[1.0]]))
-    epochs = celnav.epochs(times, zs)
-    expected = celnav.smooth(
-        celnav.run(filter, make(np.zeros(2), np.diag([1.0, 0.0])), epochs, keep="spread"), epochs, motion, gains=True
-    )
+    form = "square root" if cls is SquareRootUKF else "covariance"
+    motion = celnav.Motion(f, lambda mean, epoch: Qs[epoch.k - 1])
+    filter = celnav.sigma_point(motion, celnav.Sensor([[1.0, 0.0]], [[1.0]]), rule=kf.rule, form=form)
+    track = celnav.run(filter, celnav.Gaussian(np.zeros(2), np.diag([1.0, 0.0])), times, zs, keep="cov")
+    expected = celnav.smooth(track, gains=True)
     np.testing.assert_allclose(smoothed, expected.mean, atol=1e-9)
     np.testing.assert_allclose(covs.diagonal(0, 1, 2), expected.std**2, atol=1e-9)
     np.testing.assert_allclose(gains, expected.extra["gain"], atol=1e-6)

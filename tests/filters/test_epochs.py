@@ -7,14 +7,19 @@ import pytest
 
 import celnav
 
-RULE, SLOPE = celnav.unscented(2), 2.0
+SLOPE = 2.0
 
 
 def speed(epochs, prior=None):
     """The track of a point that moves at a constant speed."""
     move = lambda x, e: np.stack([x[..., 0] + e.dt * x[..., 1], x[..., 1]], -1)  # noqa: E731
-    filter = celnav.sequential(celnav.predict(move, RULE, sqrt_Q=np.zeros((2, 0))), celnav.update([[1.0, 0.0]], RULE, [[0.01]]))
-    return celnav.run(filter, prior or celnav.square_root([0.0, 0.0], 100.0 * np.eye(2)), epochs, keep="spread")
+    filter = celnav.ukf(celnav.Motion(move, sqrt_Q=np.zeros((2, 0))), celnav.Sensor([[1.0, 0.0]], [[0.01]]))
+    return celnav.run(filter, celnav.Gaussian([0.0, 0.0], 100.0 * np.eye(2)) if prior is None else prior, epochs, keep="cov")
+
+
+def last(track):
+    """The belief that a track ends with."""
+    return type(track.belief)(track.belief[0][-1], track.belief[1][-1])
 
 
 TIMES = np.array([0.0, 1.0, 2.5, 3.0, 4.0, 6.0, 7.0, 8.5])
@@ -37,11 +42,11 @@ def test_a_part_goes_on_where_the_one_before_it_ended():
     whole = speed(WHOLE)
     for k in (1, 3, 7):
         first = speed(WHOLE[:k])
-        second = speed(WHOLE[k:], first.beliefs()[-1])
+        second = speed(WHOLE[k:], last(first))
         np.testing.assert_array_equal(np.concatenate([first.mean, second.mean]), whole.mean)
     half = speed(WHOLE[::2])
     first = speed(WHOLE[::2][:2])
-    second = speed(WHOLE[::2][2:], first.beliefs()[-1])
+    second = speed(WHOLE[::2][2:], last(first))
     np.testing.assert_array_equal(np.concatenate([first.mean, second.mean]), half.mean)
     np.testing.assert_array_equal(speed(WHOLE[:3] + WHOLE[3:]).mean, whole.mean)
     assert [(e.k, e.t, e.dt) for e in WHOLE[5:7]] == [(5, 6.0, 2.0), (6, 7.0, 1.0)]

@@ -8,13 +8,10 @@ from filterpy.kalman import JulierSigmaPoints, MerweScaledSigmaPoints, SimplexSi
 
 import celnav
 from celnav.filters.adaptive import gate
-from celnav.filters.colored import augmented, colored
-from celnav.filters.decorrelated import decorrelated, decorrelation
-from celnav.gaussian.belief import covariance, square_root
-from celnav.gaussian.taylor import Taylor
+from celnav.filters.colored import decorrelation
 from celnav.models import orbit
 
-FORMS = {"square root": celnav.square_root, "covariance": celnav.covariance}
+FORMS = pytest.mark.parametrize("form", ["square root", "covariance"])
 RULES = {
     "unscented": celnav.unscented(4),
     "negative center": celnav.unscented(4, 0.5, 2.0, -1.0),
@@ -39,6 +36,14 @@ def linear(seed=1, n=4, m=2):
     }
 
 
+def sensor(s, matrix=True):
+    return celnav.Sensor(s["H"] if matrix else lambda x, epoch: x @ s["H"].T, s["R"])
+
+
+def motion(s, matrix=False):
+    return celnav.Motion(s["A"] if matrix else lambda x, epoch: x @ s["A"].T, s["Q"])
+
+
 def kalman(s, x, P, missing=()):
     means, covs = [], []
     for k, z in enumerate(s["z"]):
@@ -55,35 +60,33 @@ def kalman(s, x, P, missing=()):
     return np.array(means), np.array(covs)
 
 
-@pytest.mark.parametrize("form", FORMS)
+MATRICES = pytest.mark.parametrize(("f", "h"), [(True, True), (False, True), (False, False)], ids=["f and h", "h", "none"])
+
+
+@FORMS
 @pytest.mark.parametrize("rule", RULES)
-@pytest.mark.parametrize("matrix", [True, False])
-def test_every_rule_is_the_kalman_filter_in_the_linear_case(form, rule, matrix):
+@MATRICES
+def test_every_rule_is_the_kalman_filter_in_the_linear_case(form, rule, f, h):
     s = linear()
-    h = s["H"] if matrix else lambda x, epoch: x @ s["H"].T
-    filter = celnav.sequential(
-        celnav.predict(lambda x, epoch: x @ s["A"].T, RULES[rule], s["Q"]), celnav.update(h, RULES[rule], s["R"])
-    )
-    prior = FORMS[form](np.ones(4), np.eye(4))
-    track = celnav.run(filter, prior, celnav.epochs(np.arange(20.0), s["z"]), keep="spread")
+    filter = celnav.sigma_point(motion(s, f), sensor(s, h), rule=RULES[rule], form=form)
+    track = celnav.run(filter, celnav.Gaussian(np.ones(4), np.eye(4)), np.arange(20.0), s["z"], keep="cov")
     means, covs = kalman(s, np.ones(4), np.eye(4))
     tolerance = 1e-6 if rule in ("small alpha", "taylor") else 1e-9
     np.testing.assert_allclose(track.mean, means, atol=tolerance)
     np.testing.assert_allclose(track.cov, covs, atol=tolerance)
 
 
-@pytest.mark.parametrize("form", FORMS)
-def test_missing_components_are_marginalized_in_each_run_by_itself(form):
+@FORMS
+@MATRICES
+def test_missing_components_are_marginalized_in_each_run_by_itself(form, f, h):
     s = linear()
     z = np.repeat(s["z"][:, None], 3, 1)
     gaps = [(), {(3, 0), (7, 1)}, {(4, 0), (4, 1), (0, 0)}]
     for run, missing in enumerate(gaps):
         for k, i in missing:
             z[k, run, i] = np.nan
-    rule = RULES["unscented"]
-    filter = celnav.sequential(celnav.predict(lambda x, epoch: x @ s["A"].T, rule, s["Q"]), celnav.update(s["H"], rule, s["R"]))
-    prior = FORMS[form](np.ones((3, 4)), np.eye(4))
-    track = celnav.run(filter, prior, celnav.epochs(np.arange(20.0), z), keep="spread")
+    filter = celnav.ukf(motion(s, f), sensor(s, h), form=form)
+    track = celnav.run(filter, celnav.Gaussian(np.ones((3, 4)), np.eye(4)), np.arange(20.0), z, keep="cov")
     for run, missing in enumerate(gaps):
         means, covs = kalman(s, np.ones(4), np.eye(4), missing)
         np.testing.assert_allclose(track.mean[:, run], means, atol=1e-10)
@@ -95,9 +98,7 @@ def test_the_log_likelihood_is_the_density_of_all_measurements():
     from scipy.stats import multivariate_normal
 
     s = linear()
-    rule = RULES["unscented"]
-    filter = celnav.sequential(celnav.predict(lambda x, epoch: x @ s["A"].T, rule, s["Q"]), celnav.update(s["H"], rule, s["R"]))
-    track = celnav.run(filter, celnav.square_root(np.zeros(4), np.eye(4)), celnav.epochs(np.arange(20.0), s["z"]))
+    track = celnav.run(celnav.ukf(motion(s), sensor(s)), celnav.Gaussian(np.zeros(4), np.eye(4)), np.arange(20.0), s["z"])
     X = joint_states(s, np.eye(4))
     big = np.kron(np.eye(20), s["H"])
     cov = big @ X @ big.T + np.kron(np.eye(20), s["R"])
@@ -123,7 +124,7 @@ def spectral(matrix, radius):
     return matrix * (radius / np.abs(np.linalg.eigvals(matrix)).max())
 
 
-@pytest.mark.parametrize("form", FORMS)
+@FORMS
 @pytest.mark.parametrize("radius", [0.7, 1.0])
 @pytest.mark.parametrize("known", [True, False])
 def test_colored_filters_are_batch_conditioning_for_a_full_coefficient(form, radius, known):
@@ -132,13 +133,12 @@ def test_colored_filters_are_batch_conditioning_for_a_full_coefficient(form, rad
     s["z"] = s["z"][:N]
     Phi = spectral(np.random.default_rng(5).normal(size=(m, m)), radius)
     Sigma0 = 0.5 * np.eye(m) + 0.1 if known else None
-    f, rule = (lambda x, epoch: x @ s["A"].T), RULES["unscented"]
-    options = {"Q": s["Q"], "R": s["R"], "Sigma0": Sigma0}
-    prior = FORMS[form](np.zeros(n), np.eye(n))
-    epochs = celnav.epochs(np.arange(float(N)), s["z"])
-    single = celnav.run(colored(f, s["H"], rule, Phi, **options), prior, epochs, keep="spread")
-    lagged = {"also": lambda epoch, state, info: {"mean": state.lagged.mean, "cov": state.lagged.cov}}
-    paper = celnav.run(decorrelated(f, s["H"], rule, Phi, **options), prior, epochs, keep="spread", **lagged)
+    seen = celnav.Sensor(s["H"], Sigma0 if known else s["R"])
+    options = {"increments": s["R"], "first": known, "form": form}
+    given = celnav.Gaussian(np.zeros(n), np.eye(n)), np.arange(float(N)), s["z"]
+    single = celnav.run(celnav.colored(motion(s), seen, Phi, **options), *given, keep="cov")
+    lagged = {"also": lambda epoch, state, infos: {"mean": state.lagged.mean, "cov": state.lagged.cov}}
+    paper = celnav.run(celnav.decorrelated(motion(s), seen, Phi, **options), *given, keep="cov", **lagged)
     # Everything is linear in (states, V_0, zetas): condition on z, or on differences alone where V_0 is not known.
     noise = np.zeros((N * m, N * m))
     V = [Sigma0 if known else np.zeros((m, m))]
@@ -170,33 +170,32 @@ def test_colored_filters_are_batch_conditioning_for_a_full_coefficient(form, rad
             np.testing.assert_allclose(ours[1], cov, atol=1e-8)
 
 
-@pytest.mark.parametrize("form", FORMS)
+@FORMS
 def test_a_coefficient_for_each_run_and_one_that_is_a_function_of_time(form):
     s = linear(3)
     Phi = np.stack([spectral(np.random.default_rng(i).normal(size=(2, 2)), 0.8) for i in range(3)])
-    f, rule = (lambda x, epoch: x @ s["A"].T), RULES["unscented"]
-    epochs = celnav.epochs(np.arange(20.0), s["z"])
-    prior = FORMS[form](np.zeros((3, 4)), np.eye(4))
-    for make in (colored, decorrelated):
-        together = celnav.run(make(f, s["H"], rule, Phi, Q=s["Q"], R=s["R"]), prior, epochs).mean
+    options = {"increments": s["R"], "first": False, "form": form}
+    for make in (celnav.colored, celnav.decorrelated):
+        filter = make(motion(s), sensor(s), Phi, **options)
+        together = celnav.run(filter, celnav.Gaussian(np.zeros((3, 4)), np.eye(4)), np.arange(20.0), s["z"]).mean
         for i in range(3):
-            alone = make(f, s["H"], rule, lambda epoch, i=i: Phi[i], Q=s["Q"], R=s["R"])
-            one = celnav.run(alone, FORMS[form](np.zeros(4), np.eye(4)), epochs).mean
+            alone = make(motion(s), sensor(s), lambda epoch, i=i: Phi[i], **options)
+            one = celnav.run(alone, celnav.Gaussian(np.zeros(4), np.eye(4)), np.arange(20.0), s["z"]).mean
             np.testing.assert_allclose(together[:, i], one, rtol=1e-10, atol=1e-12)
 
 
 def test_a_gap_costs_two_differences_and_partly_missing_ones_agree_between_structures():
     s = linear(3)
     s["z"][5, 0] = s["z"][9] = np.nan
-    f, rule = (lambda x, epoch: x @ s["A"].T), RULES["unscented"]
-    prior = celnav.square_root(np.zeros(4), np.eye(4))
-    epochs = celnav.epochs(np.arange(20.0), s["z"])
+    given = celnav.Gaussian(np.zeros(4), np.eye(4)), np.arange(20.0), s["z"]
     Phi = np.diag([0.8, 0.6])
-    tracks = [celnav.run(make(f, s["H"], rule, Phi, Q=s["Q"], R=s["R"]), prior, epochs) for make in (colored, decorrelated)]
+    options = {"increments": s["R"], "first": False}
+    tracks = [celnav.run(make(motion(s), sensor(s), Phi, **options), *given) for make in (celnav.colored, celnav.decorrelated)]
     np.testing.assert_allclose(tracks[0].mean, tracks[1].mean, atol=1e-10)
     np.testing.assert_allclose(tracks[0].std, tracks[1].std, atol=1e-10)
     assert tracks[0].events["missing"] == 6
-    full = celnav.run(augmented(f, s["H"], celnav.unscented(6), Phi, Q=s["Q"], R=s["R"], Sigma0=1e8 * np.eye(2)), prior, epochs)
+    unknown = celnav.Sensor(s["H"], 1e8 * np.eye(2))
+    full = celnav.run(celnav.augmented(motion(s), unknown, Phi, increments=s["R"]), *given)
     assert (full.std[-1, :4] <= tracks[0].std[-1] * (1 + 1e-6)).all()
 
 
@@ -236,7 +235,7 @@ def sightings(runs, steps):
     ],
     ids=lambda p: type(p).__name__,
 )
-@pytest.mark.parametrize("form", FORMS)
+@FORMS
 def test_orbit_filters_equal_filterpy(points, form):
     z, means = sightings(1, 25)
     peer = UnscentedKalmanFilter(6, 3, 1.0, lambda x: x[:3], lambda x, dt: orbit.step(x, dt), points)
@@ -247,11 +246,13 @@ def test_orbit_filters_equal_filterpy(points, form):
         peer.update(z[k, 0])
         theirs.append(peer.x)
     z[0] = np.nan
-    rule = celnav.from_filterpy(points)
-    filter = celnav.sequential(
-        celnav.predict(lambda x, epoch: orbit.step(x, epoch.dt), rule, Q), celnav.update(lambda x, epoch: x[..., :3], rule, R)
+    filter = celnav.sigma_point(
+        celnav.Motion(lambda x, epoch: orbit.step(x, epoch.dt), Q),
+        celnav.Sensor(lambda x, epoch: x[..., :3], R),
+        rule=celnav.from_filterpy(points),
+        form=form,
     )
-    track = celnav.run(filter, FORMS[form](means[0], P0), celnav.epochs(np.arange(26.0), z[:, 0]))
+    track = celnav.run(filter, celnav.Gaussian(means[0], P0), np.arange(26.0), z[:, 0])
     np.testing.assert_allclose(track.mean[1:], theirs, atol=1e-7)
 
 
@@ -269,30 +270,29 @@ def test_rules_work_inside_filterpy(name):
     np.testing.assert_allclose(peer.x, means[-1], atol=1e-9)
 
 
-@pytest.mark.parametrize("form", FORMS)
+@FORMS
 @pytest.mark.parametrize("kind", ["white", "colored", "decorrelated"])
 def test_a_batch_is_its_single_runs(form, kind):
     z, means = sightings(4, 15)
-    rule, f, H = celnav.unscented(6), (lambda x, epoch: orbit.step(x, 1.0)), np.eye(3, 6)
+    of, Phi = (celnav.Motion(lambda x, epoch: orbit.step(x, 1.0), Q), celnav.Sensor(np.eye(3, 6), R)), 0.8 * np.eye(3)
     filter = {
-        "white": celnav.sequential(celnav.predict(f, rule, Q), celnav.update(H, rule, R)),
-        "colored": colored(f, H, rule, 0.8 * np.eye(3), Q=Q, R=R, Sigma0=R),
-        "decorrelated": decorrelated(f, H, rule, 0.8 * np.eye(3), Q=Q, R=R),
+        "white": celnav.ukf(*of, form=form),
+        "colored": celnav.colored(*of, Phi, increments=R, form=form),
+        "decorrelated": celnav.decorrelated(*of, Phi, increments=R, first=False, form=form),
     }[kind]
     times = np.arange(16.0)
-    batch = celnav.run(filter, FORMS[form](means, P0), celnav.epochs(times, z)).mean
-    shaped = celnav.run(filter, FORMS[form](means.reshape(2, 2, 6), P0), celnav.epochs(times, z.reshape(-1, 2, 2, 3))).mean
+    batch = celnav.run(filter, celnav.Gaussian(means, P0), times, z).mean
+    shaped = celnav.run(filter, celnav.Gaussian(means.reshape(2, 2, 6), P0), times, z.reshape(-1, 2, 2, 3)).mean
     np.testing.assert_array_equal(shaped.reshape(batch.shape), batch)
     for i in range(4):
-        one = celnav.run(filter, FORMS[form](means[i], P0), celnav.epochs(times, z[:, i])).mean
+        one = celnav.run(filter, celnav.Gaussian(means[i], P0), times, z[:, i]).mean
         np.testing.assert_allclose(batch[:, i], one, rtol=1e-12)
 
 
 def test_a_stream_is_the_run_bit_for_bit_and_can_be_resumed():
     z, means = sightings(2, 10)
-    rule = celnav.unscented(6)
-    filter = celnav.sequential(celnav.predict(lambda x, epoch: orbit.step(x, 1.0), rule, Q), celnav.update(np.eye(3, 6), rule, R))
-    prior, epochs = celnav.square_root(means, P0), celnav.epochs(np.arange(11.0), z)
+    filter = celnav.ukf(celnav.Motion(lambda x, epoch: orbit.step(x, 1.0), Q), celnav.Sensor(np.eye(3, 6), R))
+    prior, epochs = celnav.Gaussian(means, P0), celnav.epochs(np.arange(11.0), z)
     state = filter.start(prior)
     for epoch in epochs:
         state, _ = filter.step(state, epoch)
@@ -302,31 +302,28 @@ def test_a_stream_is_the_run_bit_for_bit_and_can_be_resumed():
 def test_noise_through_the_points_is_additive_noise_in_the_linear_case():
     s = linear()
     root = np.diag([0.1, 0.2, 0.05, 0.3])
-    added = celnav.predict(lambda x, epoch: x @ s["A"].T, celnav.unscented(4), sqrt_Q=root)
-    through = celnav.predict(lambda x, epoch, w: x @ s["A"].T + w, celnav.unscented(8), extra=(root,))
-    prior = celnav.square_root(np.ones((3, 4)), np.eye(4))
-    np.testing.assert_allclose(added(prior)[0].cov, through(prior)[0].cov, atol=1e-12)
-    np.testing.assert_allclose(added(prior)[0].mean, through(prior)[0].mean, atol=1e-12)
+    added = celnav.Motion(lambda x, epoch: x @ s["A"].T, sqrt_Q=root)
+    through = celnav.Motion(lambda x, epoch, w: x @ s["A"].T + w, augment=(root,))
+    prior = celnav.Gaussian(np.ones((3, 4)), np.eye(4))
+    filters = [celnav.ukf(of) for of in (added, through)]
+    one, other = (filter.predict(filter.start(prior), celnav.Epoch(1, 1.0, 1.0)).belief for filter in filters)
+    np.testing.assert_allclose(one.cov, other.cov, atol=1e-12)
+    np.testing.assert_allclose(one.mean, other.mean, atol=1e-12)
 
 
 def test_a_lost_run_is_flagged_and_its_neighbors_go_on():
     def f(x, epoch):
         return np.where((x[0, ..., :1] > 50.0) & (epoch.k == 2), np.nan, x)
 
-    rule = celnav.unscented(2)
-    filter = celnav.sequential(celnav.predict(f, rule, np.eye(2)), celnav.update(np.eye(2), rule, np.eye(2)))
-    prior = celnav.square_root(np.array([[0.0, 0.0], [100.0, 0.0], [1.0, 1.0]]), np.eye(2))
-    epochs = celnav.epochs(np.arange(5.0), np.tile(prior.mean, (5, 1, 1)))
-    track = celnav.run(filter, prior, epochs, on_failure="flag")
+    filter = celnav.ukf(celnav.Motion(f, np.eye(2)), celnav.Sensor(np.eye(2), np.eye(2)))
+    means = np.array([[0.0, 0.0], [100.0, 0.0], [1.0, 1.0]])
+    prior, times, z = celnav.Gaussian(means, np.eye(2)), np.arange(5.0), np.tile(means, (5, 1, 1))
+    track = celnav.run(filter, prior, times, z, on_failure="flag")
     np.testing.assert_array_equal(track.failed_at, [-1, 2, -1])
-    others = celnav.run(
-        filter,
-        celnav.square_root(prior.mean[[0, 2]], np.eye(2)),
-        celnav.epochs(np.arange(5.0), np.tile(prior.mean[[0, 2]], (5, 1, 1))),
-    )
+    others = celnav.run(filter, celnav.Gaussian(means[[0, 2]], np.eye(2)), times, z[:, [0, 2]])
     np.testing.assert_allclose(track.mean[:, [0, 2]], others.mean, rtol=1e-13)
     with pytest.raises(celnav.FilterError, match=r"step 2, .*run \(1,\): f is not finite at sigma point"):
-        celnav.run(filter, prior, epochs)
+        celnav.run(filter, prior, times, z)
 
 
 GROWING = np.array([[1.05, 0.1], [0.0, 1.02]])
@@ -335,41 +332,54 @@ GROWING = np.array([[1.05, 0.1], [0.0, 1.02]])
 @pytest.mark.parametrize("matrix", [False, True])
 def test_an_extended_filter_in_covariance_form_stays_symmetric_where_modes_grow(matrix):
     """Feedback keeps the state near 0; what is not symmetric in P would grow as the modes do, 1e15-fold in 500 steps."""
-    moved, seen = Taylor(lambda x, epoch: (GROWING,)), Taylor(lambda x, epoch: (np.eye(1, 2),))
-    back = GROWING - 0.5 * np.eye(2)
-    z = np.random.default_rng(0).normal(size=(1000, 1))
-    tracks = []
-    for form in (covariance, square_root):
-        h = np.eye(1, 2) if matrix else lambda x, epoch: x[..., :1]
-        predict = celnav.predict(lambda x, epoch: x @ (GROWING - back).T, moved, 0.01 * np.eye(2))
-        filter = celnav.sequential(predict, celnav.update(h, seen, [[1.0]]))
-        tracks.append(celnav.run(filter, form(np.zeros(2), np.eye(2)), celnav.epochs(np.arange(1000.0), z), keep="spread"))
-    np.testing.assert_allclose(tracks[0].cov, tracks[1].cov, rtol=1e-9)
-    np.testing.assert_array_equal(tracks[0].cov, tracks[0].cov.mT)
-
-
-@pytest.mark.parametrize(
-    ("moved", "seen"),
-    [
-        (Taylor(lambda x, epoch: (np.eye(3),)), Taylor(lambda x, epoch: (np.eye(1, 3),))),
-        (celnav.unscented(3), celnav.unscented(3)),
-        (celnav.unscented(3, 0.1, 2.0), celnav.unscented(3, 0.1, 2.0)),
-    ],
-    ids=["ekf", "ukf", "alpha"],
-)
-@pytest.mark.parametrize("hooked", [False, True])
-def test_precise_sensors_cost_a_covariance_no_definiteness(moved, seen, hooked):
-    """Deviations of 1e5 before and 1e-7 after: as variances, more digits apart than there are. Its neighbor stays as it is."""
-    H, prior, runs = np.eye(1, 3), 1e10 * (0.5 * np.eye(3) + 0.5), np.array([[1e-7], [1.0]])
-    filter = celnav.sequential(
-        celnav.predict(lambda x, epoch: x, moved, 1e-4 * np.diag([0.0, 1.0, 1.0])),
-        celnav.update(lambda x, epoch: x @ H.T, seen, sqrt_R=runs[..., None], hooks=[gate(1e6)] if hooked else ()),
-    )
-    z = np.zeros((40, 2, 1))
+    motion = celnav.Motion(lambda x, epoch: 0.5 * x, 0.01 * np.eye(2), jacobian=lambda x, epoch: GROWING)
+    h = np.eye(1, 2) if matrix else lambda x, epoch: x[..., :1]
+    sensor = celnav.Sensor(h, [[1.0]], jacobian=lambda x, epoch: np.eye(1, 2))
+    z, prior = np.random.default_rng(0).normal(size=(1000, 1)), celnav.Gaussian(np.zeros(2), np.eye(2))
     cov, root = (
-        celnav.run(filter, form(np.zeros((2, 3)), prior), celnav.epochs(np.arange(40.0), z), keep="spread")
-        for form in (covariance, square_root)
+        celnav.run(celnav.ekf(motion, sensor, form=form), prior, np.arange(1000.0), z, keep="cov")
+        for form in ("covariance", "square root")
+    )
+    np.testing.assert_allclose(cov.cov, root.cov, rtol=1e-9)
+    np.testing.assert_array_equal(cov.cov, cov.cov.mT)
+
+
+@pytest.mark.parametrize("name", ["ekf", "jacobian", "ukf", "alpha"])
+@pytest.mark.parametrize("hooked", [False, True])
+def test_precise_sensors_cost_a_covariance_no_definiteness(name, hooked):
+    """Deviations of 1e5 before and 1e-7 after: as variances, more digits apart than there are. Its neighbor stays as it is."""
+    H, P = np.eye(1, 3), 1e10 * (0.5 * np.eye(3) + 0.5)
+    rule = {"ekf": celnav.Taylor(), "jacobian": celnav.Taylor(), "alpha": celnav.unscented(3, 0.1, 2.0)}.get(name, celnav.unscented)
+    known = {"f": lambda x, epoch: np.eye(3), "h": lambda x, epoch: H} if name == "jacobian" else {}
+    still = celnav.Motion(lambda x, epoch: x, 1e-4 * np.diag([0.0, 1.0, 1.0]), jacobian=known.get("f"))
+
+    def filter(form="covariance", **noise):
+        seen = celnav.Sensor(lambda x, epoch: x @ H.T, **noise, jacobian=known.get("h"))
+        return celnav.sigma_point(still, seen, rule=rule, form=form, hooks=[gate(1e6)] if hooked else ())
+
+    runs = np.array([[1e-7], [1.0]])[..., None]
+    cov, root = (
+        celnav.run(
+            filter(form, sqrt_R=runs), celnav.Gaussian(np.zeros((2, 3)), P), np.arange(40.0), np.zeros((40, 2, 1)), keep="cov"
+        )
+        for form in ("covariance", "square root")
     )
     np.testing.assert_allclose(cov.std, root.std, rtol=1e-5)
-    alone = celnav.update(lambda x, epoch: x @ H.T, seen, [[1.0]])(covariance(np.zeros(3), prior), [0.0])[0]
-    np.testing.assert_allclose(cov.cov[0, 1], alone.cov, rtol=1e-9)
+    alone = celnav.run(filter(R=[[1.0]]), celnav.Gaussian(np.zeros(3), P), [0.0], np.zeros((1, 1)), keep="cov")
+    np.testing.assert_allclose(cov.cov[0, 1], alone.cov[0], rtol=1e-9)
+
+
+def test_noise_of_each_run_gives_points_their_runs():
+    """Models of as many parameters as noises, from one prior: each run is that of its own parameters."""
+    phi, q, r = np.array([[0.5], [0.6]]), np.array([[[1.0]], [[2.0]]]), np.array([[[0.5]], [[0.7]]])
+    prior, times, z = celnav.Gaussian([0.0], [[1.0]]), np.arange(4.0), np.ones((4, 1))
+
+    def track(phi, q, r):
+        motion = celnav.Motion(lambda x, epoch: phi * x, sqrt_Q=q)
+        return celnav.run(celnav.ukf(motion, celnav.Sensor(lambda x, epoch: phi * x, sqrt_R=r)), prior, times, z)
+
+    together = track(phi, q, r)
+    for i in range(2):
+        alone = track(phi[i], q[i], r[i])
+        np.testing.assert_allclose(together.mean[:, i], alone.mean, rtol=1e-12)
+        np.testing.assert_allclose(together.std[:, i], alone.std, rtol=1e-12)

@@ -7,9 +7,12 @@ import numpy as np
 import pytest
 
 import celnav
-from celnav.filters.adaptive import consider, fallback, gate
-from celnav.filters.colored import augmented, colored
-from celnav.gaussian.belief import covariance, square_root
+from celnav.filters.adaptive import consider, gate
+from celnav.filters.fallback import Fallback
+from celnav.filters.least_squares import least_squares
+from celnav.filters.sequential import SingleDraw
+from celnav.gaussian.attitude import attitude
+from celnav.gaussian.spaces import wrap
 
 RUNS, T = 2, 6  # as many runs as states
 RNG = np.random.default_rng(1)
@@ -17,8 +20,8 @@ DT = np.array([0.0, 1.0, 0.5, 2.0, 1.0, 0.25])
 Z = RNG.normal(size=(T, RUNS, 1))
 X0, P0 = RNG.normal(size=(RUNS, 2)), np.array([[2.0, 0.3], [0.3, 1.0]])
 H, R, Q = np.array([[1.0, 0.5]]), np.array([[0.2]]), np.array([[0.3, 0.1], [0.1, 0.4]])
-FORMS = pytest.mark.parametrize("form", [square_root, covariance], ids=["root", "cov"])
-RULES = {"points": celnav.unscented(2), "differences": celnav.Taylor(), "Jacobian": None}
+FORMS = pytest.mark.parametrize("form", ["square root", "covariance"])
+RULES = {"points": celnav.unscented, "differences": celnav.Taylor(), "Jacobian": None}
 
 
 def transition(dt):
@@ -46,22 +49,29 @@ def kalman(x, P, dt=DT, z=Z[:, 0], H=H, R=R, Q=Q):
 
 def compare(track, x=X0, P=P0, **given):
     """A track of two runs with the textbook's, each argument of which may be one for each run."""
-    for run in range(RUNS):
-        own = {name: value[run] for name, value in given.items()}
-        mean, cov = kalman(x[run], P[run] if np.ndim(P) == 3 else P, z=own.pop("z", Z[:, run]), **own)
-        np.testing.assert_allclose(track.mean[:, run], mean, atol=1e-7)
-        np.testing.assert_allclose(track.cov[:, run], cov, atol=1e-7)
+    for i in range(RUNS):
+        own = {name: value[i] for name, value in given.items()}
+        mean, cov = kalman(x[i], P[i] if np.ndim(P) == 3 else P, z=own.pop("z", Z[:, i]), **own)
+        np.testing.assert_allclose(track.mean[:, i], mean, atol=1e-7)
+        np.testing.assert_allclose(track.cov[:, i], cov, atol=1e-7)
 
 
-def flown(form, rule=RULES["points"], f=move, h=H, x=X0, P=P0, z=Z, epochs=None, updates=(), **noise):
+def models(rule=RULES["points"], f=move, h=H, **noise):
+    """Motion, sensor and rule; without a rule by Jacobians of one's own."""
     noise = {"Q": Q, "R": R} | noise
-    motion = {name: noise.pop(name) for name in ("Q", "sqrt_Q") if name in noise and noise[name] is not None}
-    sensor = {name: noise.pop(name) for name in ("R", "sqrt_R", "hooks") if name in noise and noise[name] is not None}
-    rules = (rule, rule)
+    of_f, of_h = ({name: noise.get(name) for name in names} for names in (("Q", "sqrt_Q"), ("R", "sqrt_R")))
     if rule is None:
-        rules = celnav.Taylor(lambda x, e: (transition(e.dt),)), celnav.Taylor(lambda x, e: (H,))
-    filter = celnav.sequential(celnav.predict(f, rules[0], **motion), *(updates or (celnav.update(h, rules[1], **sensor),)))
-    return celnav.run(filter, form(x, P), epochs or celnav.epochs(np.cumsum(DT), z), keep="spread")
+        of_f["jacobian"], of_h["jacobian"], rule = lambda x, e: transition(e.dt), lambda x, e: H, celnav.Taylor()
+    return celnav.Motion(f, **of_f), celnav.Sensor(h, **of_h), rule
+
+
+def run(filter, x=X0, P=P0, z=Z, epochs=None):
+    return celnav.run(filter, celnav.Gaussian(x, P), epochs or celnav.epochs(np.cumsum(DT), z), keep="cov")
+
+
+def flown(form, *given, x=X0, P=P0, z=Z, epochs=None, **model):
+    motion, sensor, rule = models(*given, **model)
+    return run(celnav.sigma_point(motion, sensor, rule=rule, form=form), x, P, z, epochs)
 
 
 @FORMS
@@ -87,10 +97,9 @@ def test_singular_covariances(form, rule):
 @FORMS
 def test_no_components_at_all(form):
     """A sensor that measures nothing, beside one that does, and alone."""
-    nothing = celnav.update(np.zeros((0, 2)), RULES["points"], np.zeros((0, 0)))
-    both = flown(form, updates=(celnav.update(H, RULES["points"], R), nothing), z=(Z, np.zeros((T, 0))))
-    compare(both)
-    compare(flown(form, updates=(nothing,), z=np.zeros((T, 0))), z=np.full((RUNS, T, 1), np.nan))
+    (motion, sensor, _), nothing = models(), celnav.Sensor(np.zeros((0, 2)), np.zeros((0, 0)))
+    compare(run(celnav.ukf(motion, sensor, nothing, form=form), z=(Z, np.zeros((T, 0)))))
+    compare(run(celnav.ukf(motion, nothing, form=form), z=np.zeros((T, 0))), z=np.full((RUNS, T, 1), np.nan))
 
 
 @FORMS
@@ -107,7 +116,7 @@ def test_noise_matrices_and_intervals_of_each_run(form, rule):
 
 
 @dataclass
-class Sensor:
+class Antenna:
     """A callable object, which knows more than a function."""
 
     H: np.ndarray
@@ -131,52 +140,44 @@ def anything(*arguments, **named):
     return move(*arguments)
 
 
-KINDS_OF_FUNCTION = [move, Sensor.move, Sensor(H).move, partial(by_keyword, 1.0, offset=0.0), anything]
+KINDS_OF_FUNCTION = [move, Antenna.move, Antenna(H).move, partial(by_keyword, 1.0, offset=0.0), anything]
 
 
 @FORMS
 @pytest.mark.parametrize("f", KINDS_OF_FUNCTION, ids=["function", "static", "bound", "partial", "of anything"])
 def test_models_of_every_kind(form, f):
-    for h in (Sensor(H), Sensor(H).__call__, partial(lambda own, x, e: x @ own.T, H), lambda x, e, own=H: x @ own.T):
-        compare(flown(form, f=f, h=h, R=Sensor(H).noise, Q=partial(lambda q, mean, e: q, Q)))
+    for h in (Antenna(H), Antenna(H).__call__, partial(lambda own, x, e: x @ own.T, H), lambda x, e, own=H: x @ own.T):
+        compare(flown(form, f=f, h=h, R=Antenna(H).noise, Q=partial(lambda q, mean, e: q, Q)))
 
 
 @FORMS
 def test_angles_at_the_seam(form):
     """A heading near pi, whose measurements jump by a turn, is one that does not, wrapped."""
     x, z = np.array([[np.pi, 0.1], [-np.pi, -0.1]]), np.array([[np.pi], [-np.pi]]) + 0.3 * Z
-    state, seen = celnav.angles([0]), celnav.angles([0])
-    heading = np.array([[1.0, 0.0]])
-    for turn in (celnav.gaussian.spaces.wrap(z), z, z + 2.0 * np.pi, np.full_like(z, np.pi), np.full_like(z, -np.pi)):
-        motion = celnav.predict(move, RULES["points"], 0.01 * Q, space=state)
+    angle, heading = celnav.angles([0]), np.array([[1.0, 0.0]])
+    motion = celnav.Motion(move, 0.01 * Q, space=angle)
+    for turn in (wrap(z), z, z + 2.0 * np.pi, np.full_like(z, np.pi), np.full_like(z, -np.pi)):
         for h in (heading, lambda x, e: x[..., :1]):
-            sensor = celnav.update(h, RULES["points"], R, space=state, measurement_space=seen)
-            track = celnav.run(
-                celnav.sequential(motion, sensor), form(x, 0.01 * P0), celnav.epochs(np.cumsum(DT), turn), keep="spread"
-            )
-            for run in range(RUNS):
-                near = x[run, 0] + celnav.gaussian.spaces.wrap(turn[:, run] - x[run, 0])
-                mean, cov = kalman(x[run], 0.01 * P0, z=near, H=heading, Q=0.01 * Q)
-                np.testing.assert_allclose(celnav.gaussian.spaces.wrap(track.mean[:, run, 0] - mean[:, 0]), 0.0, atol=1e-9)
-                np.testing.assert_allclose(track.mean[:, run, 1], mean[:, 1], atol=1e-9)
-                np.testing.assert_allclose(track.cov[:, run], cov, atol=1e-9)
+            track = run(celnav.ukf(motion, celnav.Sensor(h, R, space=angle), form=form), x, 0.01 * P0, turn)
+            for i in range(RUNS):
+                near = x[i, 0] + wrap(turn[:, i] - x[i, 0])
+                mean, cov = kalman(x[i], 0.01 * P0, z=near, H=heading, Q=0.01 * Q)
+                np.testing.assert_allclose(wrap(track.mean[:, i, 0] - mean[:, 0]), 0.0, atol=1e-9)
+                np.testing.assert_allclose(track.mean[:, i, 1], mean[:, 1], atol=1e-9)
+                np.testing.assert_allclose(track.cov[:, i], cov, atol=1e-9)
 
 
 @FORMS
 def test_the_sign_of_a_quaternion_is_nothing(form):
-    space, rule = celnav.gaussian.attitude.attitude(), celnav.unscented(3)
-    filter = celnav.sequential(
-        celnav.predict(lambda q, e: q, rule, 1e-4 * np.eye(3), space=space),
-        celnav.update(lambda q, e: q, rule, 1e-3 * np.eye(3), space=space, measurement_space=space),
-    )
+    still, space = lambda q, e: q, attitude()
+    motion, sensor = celnav.Motion(still, 1e-4 * np.eye(3), space=space), celnav.Sensor(still, 1e-3 * np.eye(3), space=space)
+    filter = celnav.ukf(motion, sensor, form=form)
     q = RNG.normal(size=4)
     z = q / np.linalg.norm(q) + 0.02 * RNG.normal(size=(T, RUNS, 4))
     z /= np.linalg.norm(z, axis=-1, keepdims=True)
     flips = RNG.choice([-1.0, 1.0], size=(T, RUNS, 1))
     tracks = [
-        celnav.run(
-            filter, form(np.tile(sign * z[0, 0], (RUNS, 1)), 0.01 * np.eye(3)), celnav.epochs(np.arange(T), zs), keep="spread"
-        )
+        run(filter, np.tile(sign * z[0, 0], (RUNS, 1)), 0.01 * np.eye(3), zs)
         for sign, zs in ((1.0, z), (-1.0, z), (1.0, flips * z))
     ]
     for other in tracks[1:]:
@@ -224,33 +225,97 @@ def test_arrays_of_every_kind(form, kind):
 
 @FORMS
 def test_whole_numbers_and_scalars_of_numpy(form):
-    whole = celnav.sequential(
-        celnav.predict(lambda x, e: x, celnav.unscented(np.int64(2), alpha=np.float32(1.0)), [[1, 0], [0, 1]]),
-        celnav.update([[1, 0]], RULES["points"], [[1]], hooks=[gate(np.float64(1e3))]),
-    )
-    track = celnav.run(whole, form([1, 2], [[2, 0], [0, 1]]), celnav.epochs([0, 1], [[1], [3]]), every=np.int64(1), keep="spread")
+    motion, sensor = celnav.Motion(lambda x, e: x, [[1, 0], [0, 1]]), celnav.Sensor([[1, 0]], [[1]])
+    rule, prior = celnav.unscented(np.int64(2), alpha=np.float32(1.0)), celnav.Gaussian([1, 2], [[2, 0], [0, 1]])
+    whole = celnav.sigma_point(motion, sensor, rule=rule, form=form, hooks=[gate(np.float64(1e3))])
+    track = celnav.run(whole, prior, [0, 1], [[1], [3]], every=np.int64(1), keep="cov")
     np.testing.assert_allclose(track.cov[0], np.diag([2.0 / 3.0, 1.0]))
     np.testing.assert_allclose(track.mean[1], [1.0 + 2.0 * (5.0 / 3.0) / (8.0 / 3.0), 2.0])
-    np.testing.assert_allclose(
-        track.mean[1], celnav.run(whole, form([1, 2], [[2, 0], [0, 1]]), iter(celnav.epochs([0, 1], [[1], [3]]))).mean[1]
-    )
+    np.testing.assert_allclose(track.mean[1], celnav.run(whole, prior, iter(celnav.epochs([0, 1], [[1], [3]]))).mean[1])
 
 
 @FORMS
 def test_other_parts_take_the_same(form):
     """Gains, fallbacks, colored noise of each run: what is unusual there too."""
-    part = celnav.update(H, RULES["points"], R)
-    compare(flown(form, updates=(fallback(part, celnav.update(H, celnav.Taylor(), R)),)))
-    compare(flown(form, updates=(celnav.update(H, RULES["points"], R, gain=consider(2, 0)),)))
-    Phi = np.array([[[0.5]], [[-0.2]]])
+    motion, sensor, _ = models()
+    compare(run(Fallback(celnav.ukf(motion, sensor, form=form), celnav.ekf(motion, sensor, form=form))))
+    compare(run(celnav.ukf(motion, sensor, gain=consider(2, 0), form=form)))
+    Phi, increments = np.array([[[0.5]], [[-0.2]]]), {"increments": R, "form": form}
     filters = [
-        colored(move, H, RULES["points"], Phi, Q=Q, R=R, Sigma0=R),
-        augmented(move, H, celnav.unscented(3), Phi, Q=Q, R=R, Sigma0=R),
-        augmented(move, H, celnav.unscented(3), lambda e: Phi, Q=Q, R=R, Sigma0=R),
+        celnav.colored(motion, sensor, Phi, **increments),
+        celnav.augmented(motion, sensor, Phi, **increments),
+        celnav.augmented(motion, sensor, lambda e: Phi, **increments),
     ]
-    tracks = [celnav.run(filter, form(X0, P0), celnav.epochs(np.cumsum(DT), Z), keep="spread") for filter in filters]
+    tracks = [run(filter) for filter in filters]
     for track in tracks[1:]:
         np.testing.assert_allclose(track.mean[..., :2], tracks[0].mean, atol=1e-8)
         np.testing.assert_allclose(track.cov[..., :2, :2], tracks[0].cov, atol=1e-8)
-    alone = celnav.run(filters[1], form(X0[0], P0), celnav.epochs(np.cumsum(DT), Z[:, 0]))  # runs come from Phi
-    np.testing.assert_allclose(alone.mean[:, 0, :2], tracks[0].mean[:, 0], atol=1e-8)
+    for filter in filters[:2]:  # runs come from Phi
+        np.testing.assert_allclose(run(filter, X0[0], z=Z[:, 0]).mean[:, 0, :2], tracks[0].mean[:, 0], atol=1e-8)
+
+
+MOVED, SEEN, FUNCTION = celnav.Motion(move, Q), celnav.Sensor(H, R), celnav.Sensor(lambda x, e: x @ H.T, R)
+BIAS, PHI = celnav.Gaussian([0.0], [[4.0]]), [[0.5]]
+MATRICES = celnav.Motion(celnav.Linear(lambda e: transition(e.dt)), Q), SEEN
+THROUGH = celnav.Motion(lambda x, e, *w: move(x, e) + w[0], augment=(np.linalg.cholesky(Q),))
+FILTERS = {
+    "function": lambda form: celnav.ukf(MOVED, FUNCTION, form=form),
+    "matrices": lambda form: celnav.ukf(*MATRICES, form=form),
+    "two sensors": lambda form: celnav.ukf(MOVED, SEEN, FUNCTION, form=form),
+    "iterated": lambda form: celnav.ekf(MOVED, FUNCTION, iterations=3, form=form),
+    "fallback": lambda form: Fallback(celnav.ukf(MOVED, SEEN, form=form), celnav.ekf(MOVED, SEEN, form=form)),
+    "single draw": lambda form: SingleDraw.of(celnav.ukf(THROUGH, celnav.Sensor(lambda x, e, *w: x @ H.T, R), form=form)),
+    "colored": lambda form: celnav.colored(MOVED, FUNCTION, PHI, form=form),
+    "colored matrices": lambda form: celnav.colored(*MATRICES, PHI, form=form),
+    "decorrelated": lambda form: celnav.decorrelated(MOVED, SEEN, PHI, form=form),
+    "augmented": lambda form: celnav.augmented(MOVED, FUNCTION, PHI, form=form),
+    "two stages": lambda form: celnav.two_stage(MOVED, SEEN, np.eye(1), BIAS, Qb=np.eye(1), form=form),
+    "fixes": lambda form: least_squares(celnav.Sensor(np.array([[1.0], [2.0]]), np.eye(2))),
+}
+GONE = {
+    "nothing": (),
+    "all": np.s_[:, :],
+    "one run": np.s_[:, 1],
+    "the first": np.s_[0],
+    "the last": np.s_[-1],
+    "a component": np.s_[2, 0, 0],
+}
+
+
+@FORMS
+@pytest.mark.parametrize("gone", GONE)
+@pytest.mark.parametrize("name", FILTERS)
+def test_runs_of_a_batch_are_those_alone_whoever_brings_the_batch(name, gone, form):
+    """The prior or the measurements, whatever of these is missing; counts included."""
+    filter, m = FILTERS[name](form), 2 if name == "fixes" else 1
+    z = RNG.normal(size=(T, RUNS, m))
+    if gone != "nothing":
+        z[GONE[gone]] = np.nan
+    x, P = (np.zeros(1), np.eye(1)) if name == "fixes" else (X0[0], P0)
+
+    def followed(prior, z):
+        with np.errstate(all="ignore"):
+            return celnav.run(filter, prior, np.cumsum(DT), (z, z) if name == "two sensors" else z, keep="cov", on_failure="flag")
+
+    one = celnav.Gaussian(x, P)
+    for prior in (one, celnav.Gaussian(np.tile(x, (RUNS, 1)), P)):
+        both = followed(prior, z)
+        for i in range(RUNS):
+            alone = followed(one, z[:, i])
+            for part in ("mean", "cov", "whitened", "used"):
+                np.testing.assert_allclose(getattr(both, part)[:, i], getattr(alone, part), atol=1e-9)
+            np.testing.assert_allclose(both.log_likelihood[i], alone.log_likelihood, atol=1e-9)
+            assert {event: count[i] for event, count in both.events.items()} == alone.events
+    with pytest.raises(ValueError, match=r"^(z|prior, z): .*\(5,\)"):
+        followed(celnav.Gaussian(np.tile(x, (3, 1)), P), np.ones((T, 5, m)))
+
+
+@FORMS
+def test_runs_that_only_the_coefficients_of_colored_noise_have(form):
+    Phi = np.array([0.5, -0.2, 0.0])[:, None, None]
+    for make in (celnav.colored, celnav.decorrelated, celnav.augmented):
+        together = run(make(MOVED, SEEN, Phi, form=form), X0[0], z=Z[:, 0])
+        for i in range(3):
+            np.testing.assert_allclose(
+                together.mean[:, i], run(make(MOVED, SEEN, Phi[i], form=form), X0[0], z=Z[:, 0]).mean, atol=1e-8
+            )

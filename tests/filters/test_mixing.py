@@ -8,14 +8,12 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import celnav
-from celnav.filters.colored import augmented, colored
-from celnav.filters.decorrelated import decorrelated
-from celnav.filters.iterated import iterated
 from celnav.filters.least_squares import least_squares
-from celnav.filters.single_draw import drawn_once, single_draw
+from celnav.filters.sequential import SingleDraw
+from celnav.gaussian.belief import SquareRoot
 
-RULES = {"points": celnav.unscented(2), "differences": celnav.Taylor(), "Jacobian": celnav.Taylor(lambda x, e: (np.eye(2),))}
 EYE = np.eye(2)
+RULES = {"points": celnav.unscented(2), "differences": celnav.Taylor(), "Jacobian": celnav.Taylor()}
 F = np.array([[1.0, 1.0], [0.0, 1.0]])
 MIXED = {
     "product": lambda x, e: F @ x,
@@ -27,10 +25,11 @@ MIXED = {
     "in place": lambda x, e: np.multiply(x, 0.0, out=x) + F @ (x + 1.0) if e is None else _overwritten(x),
 }
 PRIORS = {
-    "different": celnav.square_root([[0.0, 1.0], [5.0, -2.0]], np.eye(2)),
-    "alike": celnav.square_root(np.ones((2, 2)), EYE),
-    "certain": celnav.covariance([[0.0, 1.0], [5.0, -2.0]], 0.0 * EYE),
+    "different": celnav.Gaussian([[0.0, 1.0], [5.0, -2.0]], EYE),
+    "alike": celnav.Gaussian(np.ones((2, 2)), EYE),
+    "certain": celnav.Gaussian([[0.0, 1.0], [5.0, -2.0]], 0.0 * EYE),
 }
+FORM = {"certain": "covariance"}
 EPOCHS = celnav.epochs(np.arange(3.0), np.zeros((3, 2)))
 
 
@@ -44,33 +43,43 @@ def still(x, epoch):
     return x
 
 
+def filter_of(f, h=None, rule="points", form="square root"):
+    """By a rule, or by Jacobians of one's own, which say nothing of the model's values."""
+    known = {"jacobian": lambda mean, epoch: EYE} if rule == "Jacobian" else {}
+    sensors = () if h is None else (celnav.Sensor(h, EYE, **known if callable(h) else {}),)
+    return celnav.sigma_point(celnav.Motion(f, EYE, **known), *sensors, rule=RULES[rule], form=form)
+
+
 @pytest.mark.parametrize("prior", PRIORS)
 @pytest.mark.parametrize("name", MIXED)
 @pytest.mark.parametrize("rule", RULES)
 def test_a_model_that_mixes_runs_is_told(rule, name, prior):
     if (rule, name, prior) == ("Jacobian", "einsum", "alike"):
         pytest.skip("one point, the same for all runs: nothing to exchange")
-    rule, model, prior = RULES[rule], MIXED[name], PRIORS[prior]
-    for f, h, told in ((model, EYE, "f"), (still, model, "h")):
-        filter = celnav.sequential(celnav.predict(f, rule, EYE), celnav.update(h, rule, EYE))
+    for f, h, told in ((MIXED[name], EYE, "f"), (still, MIXED[name], "h")):
+        filter = filter_of(f, h, rule, FORM.get(prior, "square root"))
         with pytest.raises(ValueError, match=f"{told}: expected values of each run by itself.*x @ F.T"):
-            celnav.run(filter, prior, EPOCHS)
+            celnav.run(filter, PRIORS[prior], EPOCHS)
 
 
 def test_other_filters_tell_it_too():
-    f, prior, rule = MIXED["product"], PRIORS["different"], RULES["points"]
-    once = single_draw(lambda x, e, w: f(x, e), lambda x, e, w: x, celnav.unscented(4), extra=(EYE,), R=EYE)
+    f, Phi = MIXED["product"], 0.5 * EYE
+    mixing, motion, sensor = celnav.Motion(f, EYE), celnav.Motion(still, EYE), celnav.Sensor(EYE, EYE)
+    noisy = celnav.Motion(lambda x, e, w: f(x, e), augment=(EYE,))
     filters = [
-        colored(f, EYE, rule, 0.5 * EYE, Q=EYE, R=EYE),
-        colored(still, f, celnav.unscented(4), 0.5 * EYE, sqrt_Q=EYE, R=EYE),
-        decorrelated(f, EYE, rule, 0.5 * EYE, Q=EYE, R=EYE),
-        augmented(f, EYE, celnav.unscented(4), 0.5 * EYE, Q=EYE, R=EYE, Sigma0=EYE),
-        celnav.sequential(celnav.predict(still, rule, EYE), iterated(f, EYE)),
-        drawn_once(once, celnav.update(EYE, rule, EYE)),
+        celnav.colored(mixing, sensor, Phi),
+        celnav.colored(motion, celnav.Sensor(f, EYE), Phi),
+        celnav.decorrelated(mixing, sensor, Phi),
+        celnav.augmented(mixing, sensor, Phi),
+        celnav.augmented(motion, celnav.Sensor(f, EYE), Phi),
+        celnav.ekf(motion, celnav.Sensor(f, EYE), iterations=6),
+        celnav.two_stage(mixing, sensor, EYE, celnav.Gaussian(np.zeros(2), EYE)),
+        SingleDraw.of(celnav.ukf(noisy, celnav.Sensor(lambda x, e, *w: x, EYE))),
+        SingleDraw.of(celnav.ukf(noisy, celnav.Sensor(EYE, EYE))),
     ]
     for filter in filters:
         with pytest.raises(ValueError, match="expected values of each run by itself"):
-            celnav.run(filter, prior, EPOCHS)
+            celnav.run(filter, PRIORS["different"], EPOCHS)
 
 
 def test_fixes_of_each_run_tell_it_too():
@@ -78,22 +87,21 @@ def test_fixes_of_each_run_tell_it_too():
     one = lambda x, e: np.broadcast_to(F, (*x.shape, 2))  # noqa: E731
     when = celnav.epochs([0.0, 1.0], np.ones((2, 2, 2)))
     with pytest.raises(ValueError, match="h: expected values of each run by itself"):
-        celnav.run(least_squares(lambda x, e: F @ x, one, [1.0, 1.0]), PRIORS["different"], when)
+        celnav.run(least_squares(celnav.Sensor(lambda x, e: F @ x, EYE, jacobian=one)), PRIORS["different"], when)
     for right in (lambda x, e: x @ F.T, lambda x, e: (x @ F.T) + OFFSET):
-        assert np.isfinite(celnav.run(least_squares(right, one, [1.0, 1.0]), PRIORS["different"], when).mean).all()
+        fixes = least_squares(celnav.Sensor(right, EYE, jacobian=one))
+        assert np.isfinite(celnav.run(fixes, PRIORS["different"], when).mean).all()
 
 
 def test_runs_that_only_the_measurements_have_are_mixed_later():
-    filter = celnav.sequential(celnav.predict(MIXED["product"], RULES["points"], EYE), celnav.update(EYE, RULES["points"], EYE))
     with pytest.raises(ValueError, match="f: expected values of each run by itself"):
-        celnav.run(filter, celnav.square_root(np.zeros(2), EYE), celnav.epochs(np.arange(2.0), np.zeros((2, 2, 2))))
+        celnav.run(filter_of(MIXED["product"], EYE), celnav.Gaussian(np.zeros(2), EYE), np.arange(2.0), np.zeros((2, 2, 2)))
 
 
 def test_an_average_over_runs_is_told():
     model = lambda x, e: x - x.mean(-2, keepdims=True)  # noqa: E731
-    filter = celnav.sequential(celnav.predict(model, RULES["points"], EYE))
     with pytest.raises(ValueError, match="f: expected values of each run by itself"):
-        celnav.run(filter, PRIORS["different"], EPOCHS)
+        celnav.run(filter_of(model), PRIORS["different"], EPOCHS)
 
 
 OFFSET, RATE, OWN = np.array([[1.0, 2.0], [-3.0, 0.5]]), np.array([0.3, 2.0]), np.array([F, [[0.5, 0.0], [2.0, 1.0]]])
@@ -137,26 +145,24 @@ APART = {
 @pytest.mark.parametrize("rule", RULES)
 @pytest.mark.parametrize("name", APART)
 def test_data_of_each_run_are_not_taken_for_it(name, rule, prior):
-    prior, rule, model = PRIORS[prior], RULES[rule], APART[name]
     when = celnav.epochs(np.arange(3.0), np.zeros((3, 2, 2)), u=np.ones((2, 2, 2)) * OFFSET)
-    filter = celnav.sequential(celnav.predict(model, rule, EYE), celnav.update(model, rule, EYE))
-    assert celnav.run(filter, prior, when, on_failure="flag").mean.shape == (3, 2, 2)
+    filter = filter_of(APART[name], APART[name], rule, FORM.get(prior, "square root"))
+    assert celnav.run(filter, PRIORS[prior], when, on_failure="flag").mean.shape == (3, 2, 2)
 
 
 def test_intervals_of_each_run():
     when = [celnav.Epoch(k, float(k), np.array([0.5, 2.0]) * (k > 0), z=np.zeros(2)) for k in range(3)]
     f = lambda x, e: np.stack([x[..., 0] + e.dt * x[..., 1], x[..., 1]], -1)  # noqa: E731
-    filter = celnav.sequential(celnav.predict(f, RULES["points"], EYE), celnav.update(EYE, RULES["points"], EYE))
-    assert np.isfinite(celnav.run(filter, PRIORS["different"], when).mean).all()
+    assert np.isfinite(celnav.run(filter_of(f, EYE), PRIORS["different"], when).mean).all()
 
 
 @pytest.mark.parametrize("lost", [0, 1])
 def test_a_lost_run_hides_nothing_and_blames_nobody(lost):
     mean = PRIORS["different"].mean.copy()
     mean[lost] = np.nan
-    prior = PRIORS["different"]._replace(mean=mean)
+    prior = SquareRoot(mean, EYE)
     for model, told in ((MIXED["product"], True), (APART["transposed"], False), (APART["offsets of each run"], False)):
-        filter = celnav.sequential(celnav.predict(model, RULES["points"], EYE), celnav.update(EYE, RULES["points"], EYE))
+        filter = filter_of(model, EYE)
         if told:
             with pytest.raises(ValueError, match="f: expected values of each run by itself"):
                 celnav.run(filter, prior, EPOCHS, on_failure="flag")
@@ -171,8 +177,9 @@ def test_a_model_with_a_buffer_is_not_disturbed(runs):
     offset = np.arange(2.0 * runs).reshape(runs, 2)
     both = {"own": lambda x, e: np.add(x, offset, out=buffers[0]), "any": lambda x, e: np.add(x, 1.0, out=buffers[x.shape[1] == 1])}
     for name, clean in (("own", lambda x, e: x + offset), ("any", lambda x, e: x + 1.0)):
-        filters = (celnav.sequential(celnav.predict(f, RULES["points"], EYE)) for f in (both[name], clean))
-        found, expected = (celnav.run(f, celnav.square_root(offset**2, EYE), celnav.epochs([0.0, 1.0])) for f in filters)
+        found, expected = (
+            celnav.run(filter_of(f), celnav.Gaussian(offset**2, EYE), celnav.epochs([0.0, 1.0])) for f in (both[name], clean)
+        )
         np.testing.assert_array_equal(found.mean, expected.mean)
 
 
@@ -183,6 +190,5 @@ def test_a_model_is_looked_at_once():
         calls.append(x.shape)
         return x.copy()
 
-    filter = celnav.sequential(celnav.predict(f, RULES["points"], EYE), celnav.update(EYE, RULES["points"], EYE))
-    celnav.run(filter, celnav.square_root(np.zeros((50, 2)), EYE), celnav.epochs(np.arange(5.0), np.zeros((5, 2))))
+    celnav.run(filter_of(f, EYE), celnav.Gaussian(np.zeros((50, 2)), EYE), np.arange(5.0), np.zeros((5, 2)))
     assert calls == [(5, 50, 2), (5, 1, 2), (5, 50, 2), (5, 50, 2), (5, 50, 2)]

@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from celnav.filters.driver import epochs, run, sequential
+from celnav import Gaussian, Motion, Sensor, epochs, run, sigma_point
+from celnav.filters.adaptive import huber, sage_husa, student_t
 from celnav.filters.parity import channel_parity, group_parity
-from celnav.filters.robust import huber, sage_husa, student_t
-from celnav.filters.step import predict, update
-from celnav.gaussian.belief import covariance, square_root
-from celnav.gaussian.points import cubature, unscented
+from celnav.gaussian.rules import cubature, unscented
 from celnav.gaussian.taylor import Taylor
 
 A = np.array([[1.0, 0.2], [-0.1, 0.9]])
@@ -19,8 +17,9 @@ Q = np.array([[0.1, 0.02], [0.02, 0.05]])
 R = np.diag([0.5, 0.4, 0.3, 0.2, 0.6, 0.7])
 P0 = np.array([[1.0, 0.3], [0.3, 0.6]])
 m, T = 6, 40
-FORMS = pytest.mark.parametrize("form", [square_root, covariance], ids=["root", "cov"])
-RULES = pytest.mark.parametrize("rule", [unscented(2), cubature(2), Taylor(), Taylor(lambda x, _e: (H,))], ids=repr)
+FORMS = pytest.mark.parametrize("form", ["square root", "covariance"])
+RULES = {"unscented": unscented, "cubature": cubature, "differences": Taylor(), "jacobians": Taylor(), "matrices": unscented}
+EVERY_RULE = pytest.mark.parametrize("rule", RULES)
 GROUPS = (range(3), range(3, 6))
 HOOKS = {
     "huber": huber(), "student": student_t(4.0), "sage-husa": sage_husa(0.9), "group": group_parity(GROUPS, 1, deviations=1.0),
@@ -29,9 +28,16 @@ HOOKS = {
 ALL = pytest.mark.parametrize("name", HOOKS)
 
 
-def filter_of(hook, rule):
-    move = Taylor(lambda x, _e: (A,)) if getattr(rule, "jacobians", None) else rule
-    return sequential(predict(lambda x, _e: x @ A.T, move, Q), update(lambda x, _e: x @ H.T, rule, R, hooks=(hook,)))
+def prior(*batch):
+    return Gaussian(np.zeros((*batch, 2)), P0)
+
+
+def filter_of(hook, rule="unscented", form="square root", F=A, C=H, noise=Q):
+    """A linear model, as a rule meets it: a function, one with its Jacobian, or a matrix."""
+    jacobians = {"f": lambda _x, _e: F, "h": lambda _x, _e: C} if rule == "jacobians" else {"f": None, "h": None}
+    f, h = (F, C) if rule == "matrices" else (lambda x, _e: x @ F.T, lambda x, _e: x @ C.T)
+    motion, sensor = Motion(f, noise, jacobian=jacobians["f"]), Sensor(h, R, jacobian=jacobians["h"])
+    return sigma_point(motion, sensor, rule=RULES[rule], form=form, hooks=[hook])
 
 
 def measured(*batch, seed=1):
@@ -130,14 +136,14 @@ PLAIN = {
 
 
 @ALL
-@RULES
+@EVERY_RULE
 @FORMS
 def test_hooks_follow_their_formulas(form, rule, name):
     z = measured()
     z[8, 2] = np.nan
     z[18, 0] = np.nan
     z[30, 3:5] = np.nan
-    track = run(filter_of(HOOKS[name], rule), form(np.zeros(2), P0), epochs(np.arange(T), z))
+    track = run(filter_of(HOOKS[name], rule, form), prior(), epochs(np.arange(T), z))
     np.testing.assert_allclose(track.mean, kalman(z, PLAIN[name]()), rtol=0, atol=1e-7)
 
 
@@ -147,9 +153,9 @@ def test_runs_do_not_know_each_other(name):
     z[12, 1] = np.nan
     z[22, 0, 1] = np.nan
     z[28] = np.nan
-    batch = run(filter_of(HOOKS[name], unscented(2)), square_root(np.zeros((3, 2)), P0), epochs(np.arange(T), z))
+    batch = run(filter_of(HOOKS[name]), prior(3), epochs(np.arange(T), z))
     for i in range(3):
-        alone = run(filter_of(HOOKS[name], unscented(2)), square_root(np.zeros(2), P0), epochs(np.arange(T), z[:, i]))
+        alone = run(filter_of(HOOKS[name]), prior(), epochs(np.arange(T), z[:, i]))
         np.testing.assert_allclose(alone.mean, batch.mean[:, i], rtol=0, atol=1e-10)
 
 
@@ -159,36 +165,32 @@ def test_parity_does_not_see_what_a_state_explains(hook):
     z, jump = measured(), np.array([300.0, -200.0])
     jumped = z.copy()
     jumped[10:] += H @ jump
-    prior = square_root(np.zeros(2), P0)
-    one, two = (run(filter_of(hook, unscented(2)), prior, epochs(np.arange(T), data), keep="spread") for data in (z, jumped))
+    one, two = (run(filter_of(hook), prior(), epochs(np.arange(T), data), keep="cov") for data in (z, jumped))
     np.testing.assert_allclose(two.cov, one.cov, rtol=1e-6)
 
 
 WIDE, BOTH = np.concatenate([np.zeros((m, 1)), H], 1), np.block([[np.eye(1), np.zeros((1, 2))], [np.zeros((2, 1)), A]])
-EXACT = (Taylor(lambda _x, _e: (BOTH,)), Taylor(lambda _x, _e: (WIDE,)))
 
 
 @pytest.mark.parametrize("hook", [group_parity((range(6),), 1, deviations=0.0), channel_parity(1)], ids=["group", "channel"])
-@pytest.mark.parametrize("rules", [(r, r) for r in (unscented(3), cubature(3), Taylor())] + [EXACT], ids=repr)
+@EVERY_RULE
 @FORMS
-def test_a_state_that_nothing_measures_takes_no_part(form, rules, hook):
+def test_a_state_that_nothing_measures_takes_no_part(form, rule, hook):
     """Its column of H is 0, or round-off, and stands first: for the others nothing changes."""
     z = measured()
-    noise, prior = np.eye(3), np.eye(3)
-    noise[1:, 1:], prior[1:, 1:] = Q, P0
-    move, measure = rules
-    wide = sequential(predict(lambda x, _e: x @ BOTH.T, move, noise), update(lambda x, _e: x @ WIDE.T, measure, R, hooks=(hook,)))
-    mean = run(wide, form(np.zeros(3), prior), epochs(np.arange(T), z)).mean
-    narrow = run(filter_of(hook, unscented(2)), form(np.zeros(2), P0), epochs(np.arange(T), z)).mean
+    noise, cov = np.eye(3), np.eye(3)
+    noise[1:, 1:], cov[1:, 1:] = Q, P0
+    wide = filter_of(hook, rule, form, BOTH, WIDE, noise)
+    mean = run(wide, Gaussian(np.zeros(3), cov), epochs(np.arange(T), z)).mean
+    narrow = run(filter_of(hook, form=form), prior(), epochs(np.arange(T), z)).mean
     np.testing.assert_allclose(mean[:, 1:], narrow, rtol=0, atol=1e-6)
 
 
 @ALL
 def test_hooks_help_in_a_burst(name):
-    z, prior = measured(200), square_root(np.zeros((200, 2)), P0)
-    left = []
+    z, left = measured(200), []
     for hook in (lambda memory, joint, _epoch: (memory, joint), HOOKS[name]):
-        mean = run(filter_of(hook, unscented(2)), prior, epochs(np.arange(T), z)).mean
+        mean = run(filter_of(hook), prior(200), epochs(np.arange(T), z)).mean
         left.append(np.square(z[19:25, :, 3:] - mean[19:25] @ H[3:].T).mean())  # sound components, once the windows are full
     assert left[1] < 0.8 * left[0]
 
@@ -209,4 +211,4 @@ def test_bad_input_is_refused_by_name(make, name):
 
 def test_groups_beyond_the_measurement_are_refused():
     with pytest.raises(ValueError, match=r"^groups: expected components below 6, got 7"):
-        run(filter_of(group_parity(([0, 7],), 1), unscented(2)), square_root(np.zeros(2), P0), epochs(np.arange(T), measured()))
+        run(filter_of(group_parity(([0, 7],), 1)), prior(), epochs(np.arange(T), measured()))

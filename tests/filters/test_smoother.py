@@ -2,21 +2,22 @@
 
 import copy
 import pickle
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 from scipy.stats import chi2
 
+from celnav import Gaussian, Motion, Sensor, colored, epochs, run, sigma_point, smooth
 from celnav.filters.colored import augmented
-from celnav.filters.driver import FilterError, epochs, run, sequential
-from celnav.filters.smoother import smooth
-from celnav.filters.step import predict, update
-from celnav.gaussian import attitude
-from celnav.gaussian.belief import Gaussian, covariance, nees, square_root
+from celnav.filters.fallback import Fallback
+from celnav.filters.records import FilterError
+from celnav.gaussian.attitude import IDENTITY, attitude, exp
+from celnav.gaussian.belief import nees
 from celnav.gaussian.linalg import block
-from celnav.gaussian.points import cubature, from_filterpy, gauss_hermite, simplex, unscented
-from celnav.gaussian.rule import Rule
+from celnav.gaussian.rules import cubature, from_filterpy, gauss_hermite, simplex, unscented
 from celnav.gaussian.spaces import EUCLIDEAN, Space, angles
 from celnav.gaussian.taylor import Taylor
 
@@ -25,22 +26,33 @@ H_ = np.array([[1.0, 0.5, 0.0], [0.0, 1.0, -1.0]])
 SQRT_Q = np.array([[0.3, 0.0], [0.1, 0.2], [0.0, 0.4]])
 R = np.array([[0.5, 0.1], [0.1, 0.4]])
 P0 = np.array([[1.0, 0.2, 0.0], [0.2, 0.8, 0.1], [0.0, 0.1, 0.5]])
+PRIOR = Gaussian(np.zeros(3), P0)
 T = 12
-
-RULES = {
-    "unscented": unscented(3),
-    "negative center": unscented(3, alpha=1.0, beta=0.0, kappa=-1.0),
-    "simplex": simplex(3),
-    "cubature": cubature(3),
-    "fifth degree": cubature(3, degree=5),
-    "gauss-hermite": gauss_hermite(3),
-    "differences": Taylor(),
-    "jacobian": Taylor(lambda _mean, _epoch: (A_,)),
-}
+FORMS = pytest.mark.parametrize("form", ["square root", "covariance"])
 
 
 def linear(x, epoch):
     return x @ A_.T
+
+
+MOTION, SEEN = Motion(linear, sqrt_Q=SQRT_Q), Sensor(H_, R)
+JACOBIAN = Motion(linear, sqrt_Q=SQRT_Q, jacobian=lambda _mean, _epoch: A_)
+RULES = {
+    "unscented": (MOTION, unscented(3)),
+    "negative center": (MOTION, unscented(3, alpha=1.0, beta=0.0, kappa=-1.0)),
+    "simplex": (MOTION, simplex(3)),
+    "cubature": (MOTION, cubature(3)),
+    "fifth degree": (MOTION, cubature(3, degree=5)),
+    "gauss-hermite": (MOTION, gauss_hermite(3)),
+    "differences": (MOTION, Taylor()),
+    "jacobian": (JACOBIAN, Taylor()),
+    "matrix": (Motion(A_, sqrt_Q=SQRT_Q), unscented),
+}
+
+
+def filtered(motion, sensor, prior, when, rule=unscented, form="square root", **options):
+    """The track of a filter, whose covariances are kept."""
+    return run(sigma_point(motion, sensor, rule=rule, form=form), prior, when, keep="cov", **options)
 
 
 def measurements(rng, *batch):
@@ -79,14 +91,13 @@ def joint(z, prior_cov, transitions, noises, H=H_, R=R):
 
 
 @pytest.mark.parametrize("name", RULES)
-@pytest.mark.parametrize("prior", [square_root, covariance], ids=["root", "cov"])
-def test_equals_the_joint_gaussian(name, prior):
+@FORMS
+def test_equals_the_joint_gaussian(name, form):
     """With a linear model every rule is exact; the process noise has rank 2, so the joint of two states is singular."""
-    rule = RULES[name]
+    motion, rule = RULES[name]
     z = measurements(np.random.default_rng(1))
-    when = epochs(np.arange(T), z)
-    track = run(sequential(predict(linear, rule, sqrt_Q=SQRT_Q), update(H_, rule, R)), prior(np.zeros(3), P0), when, keep="spread")
-    smoothed = smooth(track, when, predict(linear, rule, sqrt_Q=SQRT_Q), gains=True)
+    track = filtered(motion, SEEN, PRIOR, epochs(np.arange(T), z), rule, form)
+    smoothed = smooth(track, gains=True)
     mean, cov = joint(z, P0, [A_] * (T - 1), [SQRT_Q] * (T - 1))
     np.testing.assert_allclose(smoothed.mean, mean, rtol=0, atol=1e-9)
     np.testing.assert_allclose(smoothed.cov, cov, rtol=0, atol=1e-9)
@@ -100,8 +111,8 @@ def test_equals_the_joint_gaussian(name, prior):
     np.testing.assert_array_equal(track.mean[-1], smoothed.mean[-1])
 
 
-@pytest.mark.parametrize("prior", [square_root, covariance], ids=["root", "cov"])
-def test_irregular_times_inputs_and_noise_functions(prior):
+@FORMS
+def test_irregular_times_inputs_and_noise_functions(form):
     """Intervals, inputs and noise belong to the epoch that ends them; an interval of 0 shares its state."""
     rng = np.random.default_rng(2)
     times = np.array([0.0, 1.0, 1.5, 1.5, 4.0, 4.25])
@@ -117,10 +128,7 @@ def test_irregular_times_inputs_and_noise_functions(prior):
     def noise(mean, epoch):
         return np.sqrt(epoch.dt) * SQRT_Q
 
-    rule, when = unscented(3), epochs(times, z, u)
-    part = predict(f, rule, sqrt_Q=noise)
-    track = run(sequential(part, update(H_, rule, R)), prior(np.zeros(3), P0), when, keep="spread")
-    smoothed = smooth(track, when, predict(f, rule, sqrt_Q=noise))
+    smoothed = smooth(filtered(Motion(f, sqrt_Q=noise), SEEN, PRIOR, epochs(times, z, u), form=form))
     # the input is a known offset of the states: take its effect out of the data, then put it back
     offset = np.zeros((6, 3))
     for k in range(5):
@@ -141,8 +149,8 @@ def sine(x, epoch):
 
 
 @pytest.mark.parametrize("points", [(1.0, 0.0, 1.0), (0.6, 0.0, 1.0)], ids=["positive", "negative weight"])
-@pytest.mark.parametrize("prior", [square_root, covariance], ids=["root", "cov"])
-def test_equals_filterpy(points, prior):
+@FORMS
+def test_equals_filterpy(points, form):
     """filterpy smooths with the interval and the noise at the earlier index; our epochs end intervals."""
     rng = np.random.default_rng(3)
     times = np.array([0.0, 0.3, 0.5, 1.1, 1.3, 2.0, 2.2, 2.9])
@@ -166,13 +174,9 @@ def test_equals_filterpy(points, prior):
         covs.append(ukf.P.copy())
     expected, expected_cov, gains = ukf.rts_smoother(np.array(means), np.array(covs), dts=[*np.diff(times)[1:], 0.0])
 
-    rule = from_filterpy(theirs)
     z[0] = np.nan  # filterpy has no update of the prior
-    when = epochs(times, z)
-    track = run(
-        sequential(predict(pendulum, rule, Q), update(sine, rule, [[0.01]])), prior(mean, cov), when, keep="spread"
-    )  # fmt: skip
-    smoothed = smooth(track, when, predict(pendulum, rule, Q), gains=True)
+    motion, sensor, prior = Motion(pendulum, Q), Sensor(sine, [[0.01]]), Gaussian(mean, cov)
+    smoothed = smooth(filtered(motion, sensor, prior, epochs(times, z), from_filterpy(theirs), form), gains=True)
     np.testing.assert_allclose(smoothed.mean[1:], expected, rtol=0, atol=1e-10)
     np.testing.assert_allclose(smoothed.cov[1:], expected_cov, rtol=0, atol=1e-10)
     np.testing.assert_allclose(smoothed.extra["gain"][1:-1], gains[:-1], rtol=0, atol=1e-9)
@@ -189,61 +193,50 @@ def simulate_pendulum(rng, runs, steps=60):
         truth.append(x)
         z.append(sine(x, epoch))
     z = np.array(z) + 0.2 * rng.normal(size=(steps, runs, 1))
-    return np.array(truth), z, times, Q, R
+    return np.array(truth), z, times, Motion(pendulum, Q), Sensor(sine, R)
 
 
 def test_better_than_the_filter():
     """On average the smoother's error is smaller, its covariance says so, and it is consistent."""
-    truth, z, times, Q, R = simulate_pendulum(np.random.default_rng(4), 40)
-    rule, when = unscented(2), epochs(times, z)
-    prior = square_root(np.tile([0.5, 0.0], (40, 1)), np.diag([0.09, 0.09]))
-    track = run(sequential(predict(pendulum, rule, Q), update(sine, rule, R)), prior, when, keep="spread")
-    smoothed = smooth(track, when, predict(pendulum, rule, Q))
+    truth, z, times, motion, sensor = simulate_pendulum(np.random.default_rng(4), 40)
+    prior = Gaussian(np.tile([0.5, 0.0], (40, 1)), np.diag([0.09, 0.09]))
+    track = filtered(motion, sensor, prior, epochs(times, z))
+    smoothed = smooth(track)
     inner = slice(5, -5)
     filter_error = np.sqrt(np.mean((track.mean - truth)[inner] ** 2))
     smoother_error = np.sqrt(np.mean((smoothed.mean - truth)[inner] ** 2))
     assert smoother_error < 0.9 * filter_error
     assert (smoothed.std[inner] < track.std[inner]).all()
-    total = nees(smoothed.mean[30] - truth[30], smoothed.root[30]).sum()
+    total = nees(smoothed.mean[30] - truth[30], smoothed.sqrt_cov[30]).sum()
     low, high = chi2.ppf([0.001, 0.999], 80)
     assert low < total < high
 
 
 @pytest.mark.parametrize("rule", [unscented(2), unscented(2, 0.5, 2.0), Taylor()], ids=repr)
-@pytest.mark.parametrize("form", [square_root, covariance], ids=["root", "cov"])
+@FORMS
 def test_batch_is_singles(rule, form):
     """Runs do not know each other, on any number of batch axes; forms agree."""
-    _, z, times, Q, R = simulate_pendulum(np.random.default_rng(5), 6, 15)
+    _, z, times, motion, sensor = simulate_pendulum(np.random.default_rng(5), 6, 15)
     z[4, 2] = np.nan
     z = z.reshape(15, 2, 3, 1)
-    filter = sequential(predict(pendulum, rule, Q), update(sine, rule, R))
     P = np.diag([0.09, 0.09])
-    when = epochs(times, z)
-    many = smooth(run(filter, form(np.tile([0.5, 0.0], (2, 3, 1)), P), when, keep="spread"), when, predict(pendulum, rule, Q))
+    many = smooth(filtered(motion, sensor, Gaussian(np.tile([0.5, 0.0], (2, 3, 1)), P), epochs(times, z), rule, form))
     assert many.mean.shape == (15, 2, 3, 2)
     for i, j in np.ndindex(2, 3):
-        when = epochs(times, z[:, i, j])
-        one = smooth(run(filter, form([0.5, 0.0], P), when, keep="spread"), when, predict(pendulum, rule, Q))
+        one = smooth(filtered(motion, sensor, Gaussian([0.5, 0.0], P), epochs(times, z[:, i, j]), rule, form))
         np.testing.assert_allclose(one.mean, many.mean[:, i, j], rtol=0, atol=1e-11)
         np.testing.assert_allclose(one.cov, many.cov[:, i, j], rtol=0, atol=1e-11)
 
 
-@pytest.mark.parametrize("rule", [unscented(5), cubature(5, degree=5), Taylor()], ids=repr)
+@pytest.mark.parametrize("rule", [unscented, partial(cubature, degree=5), Taylor()], ids=["unscented", "cubature 5", "Taylor"])
 def test_noise_through_the_points(rule):
     """Noise that goes through the points is noise all the same: with an additive model, exactly, also by negative weights."""
     z = measurements(np.random.default_rng(6))
-    when = epochs(np.arange(T), z)
 
     def f(x, epoch, w):
         return x @ A_.T + w @ SQRT_Q.T
 
-    track = run(
-        sequential(predict(f, rule, extra=(np.eye(2),)), update(H_, unscented(3), R)),
-        square_root(np.zeros(3), P0),
-        when,
-        keep="spread",
-    )
-    smoothed = smooth(track, when, predict(f, rule, extra=(np.eye(2),)))
+    smoothed = smooth(filtered(Motion(f, augment=(np.eye(2),)), SEEN, PRIOR, epochs(np.arange(T), z), rule))
     mean, cov = joint(z, P0, [A_] * (T - 1), [SQRT_Q] * (T - 1))
     np.testing.assert_allclose(smoothed.mean, mean, rtol=0, atol=1e-9)
     np.testing.assert_allclose(smoothed.cov, cov, rtol=0, atol=1e-9)
@@ -260,15 +253,10 @@ def test_a_turn_more_changes_nothing():
 
     Q, R, P = np.diag([1e-3, 1e-4]), np.array([[0.01]]), np.diag([0.1, 0.01])
     z = (turn * times + 0.1 * rng.normal(size=15))[:, None]
-    rule = unscented(2)
 
     def estimate(start, sp, zsp):
-        when = epochs(times, zsp.plus(np.array([start]), z))
-        filter = sequential(
-            predict(f, rule, Q, space=sp), update(lambda x, e: x[..., :1], rule, R, space=sp, measurement_space=zsp)
-        )
-        track = run(filter, square_root([start, turn], P), when, keep="spread")
-        return smooth(track, when, predict(f, rule, Q, space=sp))
+        motion, sensor = Motion(f, Q, space=sp), Sensor(lambda x, e: x[..., :1], R, space=zsp)
+        return smooth(filtered(motion, sensor, Gaussian([start, turn], P), epochs(times, zsp.plus(np.array([start]), z))))
 
     wrapped = estimate(1.0, space, angles())
     plain = estimate(0.0, EUCLIDEAN, EUCLIDEAN)
@@ -278,8 +266,8 @@ def test_a_turn_more_changes_nothing():
     np.testing.assert_allclose(wrapped.cov, plain.cov, rtol=0, atol=1e-10)
 
 
-@pytest.mark.parametrize("prior", [square_root, covariance], ids=["root", "cov"])
-def test_deviations_are_carried_to_where_they_belong(prior):
+@FORMS
+def test_deviations_are_carried_to_where_they_belong(form):
     """A position with deviations in body axes: a moving frame of a flat space must give what the fixed one gives."""
 
     def turned(heading, vector):
@@ -303,18 +291,15 @@ def test_deviations_are_carried_to_where_they_belong(prior):
 
     body = Space(plus, minus, transport=lambda d: frame(-d[..., 2]))
     Q, start = np.diag([0.2, 0.1, 0.05]), np.array([1.0, -1.0, 0.4])
-    z = np.random.default_rng(8).normal(size=(8, 2))
-    rule, when = unscented(3), epochs(np.arange(8), z)
+    when = epochs(np.arange(8), np.random.default_rng(8).normal(size=(8, 2)))
 
     def estimate(space, axes):
         def noise(mean, epoch):
             return axes(mean @ A_[2]).mT @ np.sqrt(Q)
 
-        track = run(
-            sequential(predict(linear, rule, sqrt_Q=noise, space=space), update(lambda x, e: x @ H_.T, rule, R, space=space)),
-            prior(start, axes(start[2]).T @ P0 @ axes(start[2])), when, keep="spread",
-        )  # fmt: skip
-        return smooth(track, when, predict(linear, rule, sqrt_Q=noise, space=space))
+        motion, sensor = Motion(linear, sqrt_Q=noise, space=space), Sensor(lambda x, e: x @ H_.T, R)
+        prior = Gaussian(start, axes(start[2]).T @ P0 @ axes(start[2]))
+        return smooth(filtered(motion, sensor, prior, when, form=form))
 
     flat = estimate(EUCLIDEAN, lambda heading: frame(0.0 * heading))
     moving = estimate(body, frame)
@@ -330,15 +315,9 @@ def test_colored_noise():
     Q = SQRT_Q @ SQRT_Q.T + 0.01 * np.eye(3)
     z = np.random.default_rng(9).normal(size=(T, 2))
     z[4, 1] = np.nan
-    rule, when = unscented(5), epochs(np.arange(T), z)
-    filter = augmented(linear, H_, rule, Phi, Q=Q, R=increments, Sigma0=first)
-
-    def move(x, epoch):
-        return np.concatenate([x[..., :3] @ A_.T, x[..., 3:] @ Phi.T], -1)
-
-    track = run(filter, square_root(np.zeros(3), P0), when, keep="spread")
+    filter = augmented(Motion(linear, Q), Sensor(H_, first), Phi, increments=increments)
+    smoothed = smooth(run(filter, PRIOR, epochs(np.arange(T), z), keep="cov"))
     both = block([[Q, 0], [0, increments]])
-    smoothed = smooth(track, when, predict(move, rule, both))
     transition, H = block([[A_, 0], [0, Phi]]), np.hstack([H_, np.eye(2)])
     mean, cov = joint(
         z, block([[P0, 0], [0, first]]), [transition] * (T - 1), [np.linalg.cholesky(both)] * (T - 1), H, np.zeros((2, 2))
@@ -347,11 +326,11 @@ def test_colored_noise():
     np.testing.assert_allclose(smoothed.cov, cov, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("form", [square_root, covariance], ids=["root", "cov"])
+@FORMS
 def test_known_directions(form):
     """A known constant, and a known combination of two states: as if they were not part of the state."""
     z = measurements(np.random.default_rng(10))
-    rule, when = unscented(5), epochs(np.arange(T), z)
+    when = epochs(np.arange(T), z)
     turn = np.linalg.qr(np.random.default_rng(11).normal(size=(5, 5)))[0]
     F = block([[A_, np.full((3, 2), 0.1)], [0, np.diag([1.0, 0.5])]])
     mean, P = np.array([0.0, 0.0, 0.0, 2.0, -1.0]), block([[P0, 0], [0, np.zeros((2, 2))]])
@@ -367,9 +346,8 @@ def test_known_directions(form):
         def f(x, epoch, M=M):
             return x @ (M @ F @ M.T).T
 
-        filter = sequential(predict(f, rule, sqrt_Q=M @ noise), update(H @ M.T, rule, R))
-        track = run(filter, form(M @ mean, M @ P @ M.T), when, keep="spread")
-        smoothed = smooth(track, when, predict(f, rule, sqrt_Q=M @ noise))
+        prior = Gaussian(M @ mean, M @ P @ M.T)
+        smoothed = smooth(filtered(Motion(f, sqrt_Q=M @ noise), Sensor(H @ M.T, R), prior, when, form=form))
         straight = smoothed.mean @ M - offset
         np.testing.assert_allclose(straight[:, :3], expected, rtol=0, atol=1e-6)
         np.testing.assert_allclose(straight[:, 3:], 0.0, rtol=0, atol=1e-6)
@@ -378,100 +356,95 @@ def test_known_directions(form):
         np.testing.assert_allclose(full[:, 3:, 3:], 0.0, rtol=0, atol=1e-6)
 
 
+def breaks(x, epoch):
+    """Loses the second run in the sixth interval."""
+    y = x @ A_.T
+    if epoch.k == 6:
+        y[:, 1] = np.nan
+    return y
+
+
+PAIR = Gaussian(np.zeros((2, 3)), P0)
+BROKEN = Motion(breaks, sqrt_Q=SQRT_Q)
+
+
 def test_a_lost_run_is_smoothed_up_to_its_loss():
     """Up to there it is the smoother of the shorter run; the neighbor does not notice."""
     z = measurements(np.random.default_rng(12), 2)
-    rule, when = unscented(3), epochs(np.arange(T), z)
-
-    def breaks(x, epoch):
-        y = x @ A_.T
-        if epoch.k == 6:
-            y[:, 1] = np.nan
-        return y
-
-    def estimate(f, prior, when):
-        filter = sequential(predict(f, rule, sqrt_Q=SQRT_Q), update(H_, rule, R))
-        return smooth(run(filter, prior, when, keep="spread", on_failure="flag"), when, predict(f, rule, sqrt_Q=SQRT_Q))
-
-    both = estimate(breaks, square_root(np.zeros((2, 3)), P0), when)
+    both = smooth(filtered(BROKEN, SEEN, PAIR, epochs(np.arange(T), z), on_failure="flag"))
     np.testing.assert_array_equal(both.failed_at, [-1, 6])
     assert np.isnan(both.mean[6:, 1]).all()
-    shorter = estimate(linear, square_root(np.zeros(3), P0), epochs(np.arange(6), z[:6, 1]))
+    shorter = smooth(filtered(MOTION, SEEN, PRIOR, epochs(np.arange(6), z[:6, 1])))
     np.testing.assert_allclose(both.mean[:6, 1], shorter.mean, rtol=0, atol=1e-12)
-    whole = estimate(linear, square_root(np.zeros(3), P0), epochs(np.arange(T), z[:, 0]))
+    whole = smooth(filtered(MOTION, SEEN, PRIOR, epochs(np.arange(T), z[:, 0])))
     np.testing.assert_allclose(both.mean[:, 0], whole.mean, rtol=0, atol=1e-12)
 
 
 def test_a_run_that_the_smoother_loses_is_told():
     """The dynamics fail going back only: raised with the step, or flagged where it happened."""
-    z = measurements(np.random.default_rng(13), 2)
-    rule, when = unscented(3), epochs(np.arange(T), z)
-    track = run(
-        sequential(predict(linear, rule, sqrt_Q=SQRT_Q), update(H_, rule, R)),
-        square_root(np.zeros((2, 3)), P0), when, keep="spread",
-    )  # fmt: skip
-
-    def breaks(x, epoch):
-        y = x @ A_.T
-        if epoch.k == 6:
-            y[:, 1] = np.nan
-        return y
-
+    track = filtered(MOTION, SEEN, PAIR, epochs(np.arange(T), measurements(np.random.default_rng(13), 2)))
+    other = sigma_point(BROKEN, SEEN, rule=unscented)
     with pytest.raises(FilterError, match=r"from step 6, t = 6.0, run \(1,\)"):
-        smooth(track, when, predict(breaks, rule, sqrt_Q=SQRT_Q))
-    flagged = smooth(track, when, predict(breaks, rule, sqrt_Q=SQRT_Q), on_failure="flag")
+        smooth(track, other)
+    flagged = smooth(track, other, on_failure="flag")
     np.testing.assert_array_equal(flagged.failed_at, [-1, 5])
     assert np.isnan(flagged.mean[:6, 1]).all()
     assert np.isfinite(flagged.mean[6:]).all()
-    good = smooth(track, when, predict(linear, rule, sqrt_Q=SQRT_Q))
-    np.testing.assert_array_equal(flagged.mean[:, 0], good.mean[:, 0])
+    np.testing.assert_array_equal(flagged.mean[:, 0], smooth(track).mean[:, 0])
 
 
-def test_bad_input_is_refused_by_name():
-    z = measurements(np.random.default_rng(14))
-    rule, when = unscented(3), epochs(np.arange(T), z)
-    filter = sequential(predict(linear, rule, sqrt_Q=SQRT_Q), update(H_, rule, R))
-    prior = square_root(np.zeros(3), P0)
-    good = run(filter, prior, when, keep="spread")
-    with pytest.raises(ValueError, match="track: expected stored spreads"):
-        smooth(run(filter, prior, when), when, predict(linear, rule, sqrt_Q=SQRT_Q))
-    with pytest.raises(ValueError, match=r"epochs: expected the 4 of the track \(run with every=1\), got 12"):
-        smooth(run(filter, prior, when, keep="spread", every=3), when, predict(linear, rule, sqrt_Q=SQRT_Q))
-    with pytest.raises(ValueError, match=r"epochs: expected the times of the track, got 0\.5 instead of 1\.0 at index 1"):
-        smooth(good, epochs(0.5 * np.arange(T), z), predict(linear, rule, sqrt_Q=SQRT_Q))
-    with pytest.raises(ValueError, match="Q: expected 3 rows"):
-        smooth(good, when, predict(linear, rule, np.eye(2)))
-    with pytest.raises(ValueError, match="f returned shape"):
-        smooth(good, when, predict(lambda x, e: x[..., :2], rule, sqrt_Q=SQRT_Q))
-    with pytest.raises(ValueError, match="on_failure"):
-        smooth(good, when, predict(linear, rule, sqrt_Q=SQRT_Q), on_failure="ignore")
+def track_of(filter, **options):
+    return run(filter, PRIOR, epochs(np.arange(T), measurements(np.random.default_rng(14))), **{"keep": "cov"} | options)
 
 
-def test_one_epoch_and_a_stream_of_epochs():
-    """With one epoch there is nothing to do; epochs may come from a generator."""
+PLAIN = sigma_point(MOTION, SEEN, rule=unscented)
+TWO, THREE = np.eye(2), 0.01 * np.eye(3)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: smooth(PLAIN), r"^track: expected what celnav.run gave, got "),
+        (lambda: smooth(track_of(PLAIN, keep="std")), r"^track: expected stored covariances, got none; run with keep='cov'"),
+        (lambda: smooth(track_of(PLAIN, every=3)), r"^track: expected every epoch, got some of them; run with every=1"),
+        (lambda: smooth(pickle.loads(pickle.dumps(track_of(PLAIN)))), r"^filter: expected that of the track, which was lost"),
+        (lambda: smooth(track_of(PLAIN), MOTION), r"^filter: expected one whose process and measurement noise are independent"),
+        (lambda: smooth(track_of(colored(Motion(linear, THREE), SEEN, 0.5 * TWO))), r"^filter: expected one whose process and"),
+        (lambda: smooth(track_of(PLAIN), sigma_point(Motion(linear, TWO), SEEN, rule=unscented)), r"^Q: expected 3 rows"),
+        (lambda: smooth(track_of(PLAIN), replace(PLAIN, motion=Motion(lambda x, e: x[..., :2], THREE))), r"^f returned shape"),
+        (lambda: smooth(track_of(PLAIN), on_failure="ignore"), r"^on_failure: expected "),
+    ],
+)
+def test_bad_input_is_refused_by_name(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()
+
+
+def test_one_epoch_a_stream_of_epochs_a_pickle_and_a_fallback():
+    """With one epoch there is nothing to do; epochs may come from a generator; a track that was pickled is told its filter."""
     z = measurements(np.random.default_rng(15))
-    rule, prior = unscented(3), square_root(np.zeros(3), P0)
-    filter = sequential(predict(linear, rule, sqrt_Q=SQRT_Q), update(H_, rule, R))
-    one = epochs([0.0], z[:1])
-    track = run(filter, prior, one, keep="spread")
-    np.testing.assert_array_equal(smooth(track, one, predict(linear, rule, sqrt_Q=SQRT_Q)).mean, track.mean)
+    one = run(PLAIN, PRIOR, epochs([0.0], z[:1]), keep="cov")
+    np.testing.assert_array_equal(smooth(one).mean, one.mean)
     when = epochs(np.arange(T), z)
-    track = run(filter, prior, when, keep="spread")
-    streamed = smooth(track, (e for e in when), predict(linear, rule, sqrt_Q=SQRT_Q))
-    np.testing.assert_array_equal(streamed.mean, smooth(track, when, predict(linear, rule, sqrt_Q=SQRT_Q)).mean)
-    assert isinstance(rule, Rule)
-    assert isinstance(streamed.beliefs()[0], Gaussian)
+    track = run(PLAIN, PRIOR, when, keep="cov")
+    others = (
+        smooth(run(PLAIN, PRIOR, (epoch for epoch in when), keep="cov")),
+        smooth(pickle.loads(pickle.dumps(track)), PLAIN),
+        smooth(run(Fallback(PLAIN, PLAIN), PRIOR, when, keep="cov")),
+    )
+    for other in others:
+        np.testing.assert_array_equal(other.mean, smooth(track).mean)
+        np.testing.assert_array_equal(other.belief[1], smooth(track).belief[1])
 
 
 @pytest.mark.parametrize("copied", [lambda x: pickle.loads(pickle.dumps(x)), copy.deepcopy], ids=["pickle", "deepcopy"])
-@pytest.mark.parametrize("form", [square_root, covariance], ids=["root", "cov"])
+@FORMS
 def test_a_copied_track_is_smoothed_like_the_track(form, copied):
-    space = attitude.attitude(transported=True)
-    motion = predict(lambda x, epoch: x, unscented(3), 0.01 * np.eye(3), space=space)
-    see = update(lambda x, epoch: x, unscented(3), 0.1 * np.eye(3), space=space, measurement_space=attitude.attitude())
-    z = attitude.exp(0.8 * np.random.default_rng(5).normal(size=(6, 3)))
-    track = run(sequential(motion, see), form(attitude.IDENTITY, np.diag([1.0, 0.5, 0.1])), epochs(np.arange(6), z), keep="spread")
-    plain, again = (smooth(t, epochs(np.arange(6), z), motion) for t in (track, copied(track)))
+    motion = Motion(lambda x, epoch: x, THREE, space=attitude(transported=True))
+    filter = sigma_point(motion, Sensor(lambda x, epoch: x, 0.1 * np.eye(3), space=attitude()), rule=unscented, form=form)
+    z = exp(0.8 * np.random.default_rng(5).normal(size=(6, 3)))
+    track = run(filter, Gaussian(IDENTITY, np.diag([1.0, 0.5, 0.1])), epochs(np.arange(6), z), keep="cov")
+    again, plain = smooth(copied(track), filter), smooth(track)
     np.testing.assert_array_equal(again.std, plain.std)
     np.testing.assert_array_equal(again.cov, plain.cov)
-    assert copied(track).form is track.form
+    assert type(copied(track).belief) is type(track.belief)

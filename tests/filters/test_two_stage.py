@@ -5,13 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from celnav.filters.driver import epochs, run, sequential
-from celnav.filters.step import predict, update
+from celnav import Gaussian, Motion, Sensor, epochs, run, two_stage, ukf
 from celnav.filters.strong_tracking import LARGEST, excess, proportional, strong_tracking
-from celnav.filters.two_stage import Boost, plain, two_stage
-from celnav.gaussian.belief import covariance, square_root
+from celnav.filters.two_stage import Boost, TwoStage
 from celnav.gaussian.linalg import block
-from celnav.gaussian.points import unscented
 
 RNG = np.random.default_rng(0)
 T, N, M, B = 40, 4, 3, 2
@@ -19,36 +16,32 @@ F = 0.9 * np.linalg.qr(RNG.normal(size=(N, N)))[0]
 H, GAMMA = RNG.normal(size=(M, N)), RNG.normal(size=(M, B))
 Q, R = 0.1 * np.diag([1.0, 0.5, 2.0, 0.3]), np.diag([0.5, 1.0, 0.2])
 P0, M0, B0 = 2.0 * np.eye(N), np.diag([4.0, 1.0]), np.array([0.3, -0.2])
-FORMS = pytest.mark.parametrize("form", [square_root, covariance], ids=["root", "cov"])
-
-
-def first(rule=None):
-    rule = rule or unscented(N)
-    return plain(predict(lambda x, _epoch: x @ F.T, rule, Q), update(H, rule, R))
+MOTION, SEEN, BIAS = Motion(lambda x, _epoch: x @ F.T, Q), Sensor(H, R), Gaussian(B0, M0)
+FORMS = pytest.mark.parametrize("form", ["square root", "covariance"])
 
 
 def measured(runs=3, seed=1):
     return np.random.default_rng(seed).normal(size=(T, runs, M)) * 2.0
 
 
+def prior(runs):
+    return Gaussian(np.zeros((runs, N)), P0)
+
+
+def followed(filter, z, known=None):
+    return run(filter, prior(z.shape[1]) if known is None else known, epochs(np.arange(float(T)), z), keep="cov")
+
+
 def augmented(form, z, Qb=None, M0=M0):
     transition = block([[F, 0], [0, np.eye(B)]])
     noise = block([[Q, 0], [0, np.zeros((B, B)) if Qb is None else Qb]])
-    rule = unscented(N + B)
-    filter = sequential(predict(lambda x, _epoch: x @ transition.T, rule, noise), update(np.hstack([H, GAMMA]), rule, R))
-    prior = form(np.concatenate([np.zeros(N), B0]), block([[P0, 0], [0, M0]]))
-    return run(filter, batched(prior, z), epochs(np.arange(float(T)), z), keep="spread")
-
-
-def batched(prior, z):
-    runs = z.shape[1]
-    mean, spread = np.tile(prior.mean, (runs, 1)), np.tile(prior.spread, (runs, 1, 1))
-    return prior._replace(mean=mean, spread=spread)
+    filter = ukf(Motion(lambda x, _epoch: x @ transition.T, noise), Sensor(np.hstack([H, GAMMA]), R), form=form)
+    mean = np.tile(np.concatenate([np.zeros(N), B0]), (z.shape[1], 1))
+    return followed(filter, z, Gaussian(mean, block([[P0, 0], [0, M0]])))
 
 
 def staged(form, z, M0=M0, **options):
-    filter = two_stage(first(), GAMMA, form(B0, M0), **options)
-    return run(filter, batched(form(np.zeros(N), P0), z), epochs(np.arange(float(T)), z), keep="spread")
+    return followed(two_stage(MOTION, SEEN, GAMMA, Gaussian(B0, M0), form=form, **options), z)
 
 
 @FORMS
@@ -92,19 +85,16 @@ def test_missing_measurements_are_left_out_of_both_stages(form):
 @FORMS
 def test_a_bias_known_to_be_zero_leaves_the_first_stage_alone(form):
     z = measured()
-    filter = two_stage(first(), GAMMA, form(np.zeros(B), np.zeros((B, B))))
-    two = run(filter, batched(form(np.zeros(N), P0), z), epochs(np.arange(float(T)), z))
-    parts = sequential(predict(lambda x, _epoch: x @ F.T, unscented(N), Q), update(H, unscented(N), R))
-    one = run(parts, batched(form(np.zeros(N), P0), z), epochs(np.arange(float(T)), z))
+    two = followed(two_stage(MOTION, SEEN, GAMMA, Gaussian(np.zeros(B), np.zeros((B, B))), form=form), z)
+    one = followed(ukf(MOTION, SEEN, form=form), z)
     np.testing.assert_allclose(two.mean[..., :N], one.mean, atol=1e-12)
     np.testing.assert_array_equal(two.mean[..., N:], 0.0)
 
 
 def test_the_sensitivity_is_the_derivative():
     z = measured(runs=1)
-    filter = two_stage(first(), GAMMA, square_root(B0, M0))
-    state = filter.start(square_root(np.zeros((1, N)), np.tile(P0, (1, 1, 1))))
-    moved = filter.start(square_root(np.zeros((1, N)), np.tile(P0, (1, 1, 1))))
+    filter = two_stage(MOTION, SEEN, GAMMA, BIAS)
+    state, moved = filter.start(prior(1)), filter.start(prior(1))
     unit = np.array([0.7, -1.3])
     when = epochs(np.arange(float(T)), z)
     for epoch in when:
@@ -115,7 +105,7 @@ def test_the_sensitivity_is_the_derivative():
 
 def test_batches_are_singles():
     z = measured()
-    many, one = staged(square_root, z), staged(square_root, z[:, 1:2])
+    many, one = staged("square root", z), staged("square root", z[:, 1:2])
     np.testing.assert_allclose(many.mean[:, 1], one.mean[:, 0], rtol=1e-12, atol=1e-12)
 
 
@@ -131,9 +121,8 @@ def test_a_boost_of_one_is_none_and_inflates_the_gain_only(form):
     np.testing.assert_allclose(four.cov, none.cov, atol=1e-12)
     assert np.abs(four.mean[..., N:] - none.mean[..., N:]).max() > 0.1
     # The gain of an inflated covariance, written out.
-    filter = two_stage(first(), GAMMA, form(B0, M0), boost=constant(4.0))
-    state = filter.start(batched(form(np.zeros(N), P0), z))
-    state, _ = filter.step(state, next(iter(epochs(np.arange(float(T)), z))))
+    filter = two_stage(MOTION, SEEN, GAMMA, BIAS, form=form, boost=constant(4.0))
+    state, _ = filter.step(filter.start(prior(len(z[0]))), epochs(np.arange(float(T)), z)[0])
     innovation, S = z[0], GAMMA - H @ np.zeros((N, B))
     total = S @ (4.0 * M0) @ S.T + H @ P0 @ H.T + R
     K = np.linalg.solve(total, S @ (4.0 * M0)).T
@@ -183,8 +172,13 @@ def test_factors_stay_between_one_and_the_largest(residual):
         (lambda: strong_tracking([np.nan], 10.0), "rho"),
         (lambda: strong_tracking([1.0], 0.5), "tau"),
         (lambda: strong_tracking([1.0], np.inf), "tau"),
-        (lambda: two_stage(first(), [[np.nan]], square_root(B0, M0)), "Gamma"),
-        (lambda: two_stage(first(), GAMMA, square_root(B0, M0), Qb=-np.eye(B)), "Qb"),
+        (lambda: two_stage(MOTION, SEEN, [[np.nan]], BIAS), "Gamma"),
+        (lambda: two_stage(MOTION, SEEN, GAMMA[:, :1], BIAS), "Gamma"),
+        (lambda: staged("covariance", measured()[..., :2]), "z"),
+        (lambda: two_stage(MOTION, SEEN, GAMMA, BIAS, Qb=-np.eye(B)), "Qb"),
+        (lambda: two_stage(MOTION, SEEN, GAMMA, BIAS, Qb=np.eye(B + 1)), "Qb"),
+        (lambda: two_stage(MOTION, SEEN, GAMMA, B0), "bias"),
+        (lambda: TwoStage.of(MOTION, GAMMA, BIAS), "first"),
         (lambda: strong_tracking([1.0], 5.0)(None, seen([1.0, 2.0], np.eye(2))), "rho"),
     ],
 )

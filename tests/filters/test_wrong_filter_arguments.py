@@ -1,61 +1,90 @@
 """Wrong arguments at the doors of the filters: each is refused by its name, or does what it says. No raw error comes through."""
 
 import re
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
 import pytest
 
 import celnav
-from celnav.filters.adaptive import chi_square_gate, consider, fallback, gate, innovation_window
-from celnav.filters.colored import augmented, colored
-from celnav.filters.decorrelated import decorrelated
-from celnav.filters.differenced import ar1_noise, differenced
-from celnav.filters.iterated import iterated
+from celnav.filters.adaptive import chi_square_gate, consider, gate, huber, innovation_window, sage_husa, student_t
+from celnav.filters.differenced import Differenced, ar1_noise
+from celnav.filters.fallback import Fallback
 from celnav.filters.least_squares import least_squares
 from celnav.filters.parity import channel_parity, group_parity
-from celnav.filters.robust import huber, sage_husa, student_t
-from celnav.filters.single_draw import drawn_once, single_draw
-from celnav.filters.strong_tracking import strong_tracking
-from celnav.filters.two_stage import plain, two_stage
+from celnav.filters.sequential import Iterated, SingleDraw
+from celnav.filters.strong_tracking import excess, strong_tracking
+from celnav.filters.two_stage import Plain, TwoStage
+from celnav.gaussian.belief import Covariance
 from celnav.gaussian.spaces import EUCLIDEAN
 
-EYE, RULE = np.eye(2), celnav.unscented(2)
-PRIOR = celnav.square_root(np.zeros(2), EYE)
-WHEN = celnav.epochs([0.0, 1.0, 2.0], np.ones((3, 2)))
+EYE = np.eye(2)
+PRIOR = celnav.Gaussian(np.zeros(2), EYE)
+TIMES = [0.0, 1.0, 2.0]
+WHEN = celnav.epochs(TIMES, np.ones((3, 2)))
+MANY = celnav.Gaussian(np.zeros((4, 2)), EYE)
 
 
 def f(x, epoch, *noise):
     return x.copy()
 
 
-MOTION, SEE = celnav.predict(f, RULE, EYE), celnav.update(f, RULE, EYE)
-FILTER = celnav.sequential(MOTION, SEE)
-FIRST = plain(MOTION, SEE)
-TRACK = celnav.run(FILTER, PRIOR, WHEN, keep="spread")
-AR1 = {"F": 0.5 * EYE, "L": 0.5 * EYE, "J": 0.1 * EYE, "Xi": EYE, "E": EYE}
-
-
-def flown(filter, prior=PRIOR, epochs=WHEN):
-    return celnav.run(filter, prior, epochs)
-
-
-def seen(hooks):
-    """A filter of which the hook sees all: a whole measurement, a part of it, none."""
-    z = np.array([[1.0, 1.0], [np.nan, 1.0], [1.0, 1.0]])
-    return celnav.run(celnav.sequential(MOTION, celnav.update(f, RULE, EYE, hooks=hooks)), PRIOR, celnav.epochs([0.0, 1.0, 2.0], z))
-
-
-def moved(mean, epoch):
-    return mean, EYE, EYE
+def noisy(x, epoch, *noise):
+    return x + sum(noise)
 
 
 def one(mean, epoch):
     return np.broadcast_to(EYE, (*mean.shape, 2))
 
 
-BIAS = celnav.square_root(np.zeros(2), EYE)
-COLORED = {"f": f, "h": EYE, "rule": RULE, "Phi": 0.5 * EYE, "Q": EYE, "R": EYE, "Sigma0": EYE, "hooks": ()}
+def moved(mean, epoch):
+    return mean, EYE, EYE
+
+
+MOTION, SENSOR, MATRIX = celnav.Motion(f, EYE), celnav.Sensor(f, EYE), celnav.Sensor(EYE, EYE)
+OPTIONS = {"form": "square root", "hooks": (), "gain": 0.5 * EYE}
+FILTER, OTHER = celnav.ukf(MOTION, SENSOR), celnav.ekf(MOTION, SENSOR)
+NOISY = celnav.Motion(noisy, augment=(EYE,))
+TRACK = celnav.run(FILTER, PRIOR, WHEN, keep="cov")
+BIAS = celnav.Gaussian(np.zeros(2), EYE)
+AR1 = {"F": 0.5 * EYE, "L": 0.5 * EYE, "J": 0.1 * EYE, "Xi": EYE, "E": EYE}
+COLORED = {"motion": MOTION, "Phi": 0.5 * EYE, "increments": EYE, "rule": celnav.unscented}
+
+
+def flown(filter, prior=PRIOR, epochs=WHEN):
+    return celnav.run(filter, prior, epochs)
+
+
+def seen(hooks=(), gain=None):
+    """A filter of which a hook or a gain sees all: a whole measurement, a part of it, none."""
+    z = np.array([[1.0, 1.0], [np.nan, 1.0], [1.0, 1.0]])
+    return celnav.run(celnav.ukf(MOTION, SENSOR, hooks=hooks, gain=gain), PRIOR, TIMES, z)
+
+
+def made(make):
+    """Flown, of one that makes a filter of a motion, a sensor and other arguments."""
+    return lambda motion=MOTION, sensor=SENSOR, **a: flown(make(motion, sensor, **a))
+
+
+def of(make, *fixed):
+    """Flown by points and by Jacobians."""
+
+    def call(**a):
+        record = make(*fixed, **a)
+        motion, sensor = (record, SENSOR) if make is celnav.Motion else (MOTION, record)
+        for filter in (celnav.ukf, celnav.ekf):
+            flown(filter(motion, sensor))
+
+    return call
+
+
+def linear(matrix):
+    flown(celnav.ukf(celnav.Motion(celnav.Linear(matrix), EYE), MATRIX))
+    flown(celnav.colored(MOTION, celnav.Sensor(celnav.Linear(matrix), EYE), 0.5 * EYE))
+
+
+PARTS = {"motion": MOTION, "sensor": SENSOR}
 DOORS = {
     "epochs": (
         lambda **a: flown(FILTER, epochs=celnav.epochs(**a)),
@@ -63,113 +92,90 @@ DOORS = {
     ),
     "run": (
         lambda **a: celnav.run(**a),
-        {
-            "filter": FILTER,
-            "prior": PRIOR,
-            "epochs": WHEN,
-            "every": 1,
-            "keep": "std",
-            "also": lambda *a: {},
-            "reduce": lambda *a: 0,
-            "on_failure": "raise",
-        },
+        {"filter": FILTER, "prior": PRIOR, "times": TIMES, "z": np.ones((3, 2)), "u": [1.0, 2.0], "every": 1, "keep": "std",
+         "also": lambda *a: {}, "reduce": lambda *a: 0, "on_failure": "raise"},
     ),
     "steps": (lambda **a: list(celnav.steps(**a)), {"filter": FILTER, "prior": PRIOR, "epochs": WHEN}),
-    "sequential": (lambda predict, update: flown(celnav.sequential(predict, update)), {"predict": MOTION, "update": SEE}),
+    "step": (lambda **a: FILTER.step(**a), {"state": FILTER.start(PRIOR), "epoch": WHEN[1]}),
     "epoch": (lambda **a: flown(FILTER, epochs=[celnav.Epoch(**a)]), {"k": 0, "t": 0.0, "dt": 1.0, "u": 0.0, "z": np.ones(2)}),
-    "predict": (
-        lambda **a: flown(celnav.sequential(celnav.predict(**a))),
-        {"f": f, "rule": RULE, "Q": EYE, "extra": (), "space": EUCLIDEAN},
+    "Gaussian": (lambda **a: flown(FILTER, celnav.Gaussian(**a)), {"mean": np.zeros(2), "cov": EYE}),
+    "Gaussian sqrt": (lambda **a: flown(FILTER, celnav.Gaussian(np.zeros(2), **a)), {"sqrt_cov": EYE}),
+    "Motion": (of(celnav.Motion), {"f": f, "Q": EYE, "space": EUCLIDEAN, "jacobian": lambda mean, epoch: EYE, "augment": ()}),
+    "Motion sqrt": (of(celnav.Motion, f), {"sqrt_Q": EYE}),
+    "Sensor": (of(celnav.Sensor), {"h": f, "R": EYE, "space": EUCLIDEAN, "jacobian": lambda mean, epoch: EYE, "augment": ()}),
+    "Sensor sqrt": (of(celnav.Sensor, EYE), {"sqrt_R": EYE}),
+    "augment": (lambda **a: flown(celnav.ukf(celnav.Motion(noisy, **a), celnav.Sensor(noisy, **a))), {"augment": (EYE,)}),
+    "Linear": (linear, {"matrix": lambda epoch: EYE}),
+    "Taylor": (lambda **a: flown(celnav.sigma_point(MOTION, SENSOR, rule=celnav.Taylor(**a))), {"step": 1e-3, "about": np.ones(2)}),
+    "sigma_point": (made(celnav.sigma_point), PARTS | OPTIONS | {"rule": celnav.unscented}),
+    "sigma_point rule": (made(celnav.sigma_point), {"rule": celnav.unscented(2)}),
+    "ukf": (made(celnav.ukf), PARTS | OPTIONS | {"alpha": 1.0, "beta": 0.0, "kappa": 0.5}),
+    "ckf": (made(celnav.ckf), PARTS | OPTIONS | {"degree": 3}),
+    "ghkf": (made(celnav.ghkf), PARTS | OPTIONS | {"order": 3}),
+    "sparse_grid_filter": (made(celnav.sparse_grid_filter), PARTS | OPTIONS | {"level": 3, "weights": [1, 2]}),
+    "ekf": (made(celnav.ekf), PARTS | OPTIONS | {"iterations": 2}),
+    "ekf matrix": (lambda **a: flown(celnav.ekf(celnav.Motion(EYE, EYE), MATRIX, **a)), {"gain": lambda A, sign, m: 0.5 * EYE}),
+    "Iterated": (
+        lambda **a: flown(Iterated(MOTION, (SENSOR,), rule=celnav.Taylor(), form=Covariance, **a)),
+        {"iterations": 2, "first": lambda belief, z, epoch: belief.mean},
     ),
-    "predict sqrt": (lambda **a: flown(celnav.sequential(celnav.predict(f, RULE, **a))), {"sqrt_Q": EYE}),
-    "predict called": (lambda **a: MOTION(**a), {"belief": PRIOR, "epoch": WHEN[1]}),
-    "update": (
-        lambda **a: flown(celnav.sequential(MOTION, celnav.update(**a))),
-        {
-            "h": f,
-            "rule": RULE,
-            "R": EYE,
-            "extra": (),
-            "space": EUCLIDEAN,
-            "measurement_space": EUCLIDEAN,
-            "hooks": (),
-            "gain": 0.5 * EYE,
-        },
+    "hook": (lambda **a: seen([a["hook"]]), {"hook": lambda memory, joint, epoch: (memory, joint)}),
+    "smooth": (lambda **a: celnav.smooth(**a), {"track": TRACK, "filter": FILTER, "gains": False, "on_failure": "raise"}),
+    "colored": (made(celnav.colored), COLORED | {"sensor": SENSOR, "first": True, "form": "covariance", "hooks": [gate(3.0)]}),
+    "colored matrix": (made(celnav.colored), COLORED | {"sensor": MATRIX, "first": False}),
+    "decorrelated": (made(celnav.decorrelated), COLORED | {"sensor": MATRIX, "first": True, "hooks": [gate(3.0)]}),
+    "decorrelated hook": (
+        lambda hook: flown(celnav.decorrelated(MOTION, MATRIX, 0.5 * EYE, hooks=[hook])),
+        {"hook": lambda memory, joint, epoch: (memory, joint)},
     ),
-    "update matrix": (lambda **a: flown(celnav.sequential(MOTION, celnav.update(rule=RULE, **a))), {"h": EYE, "sqrt_R": EYE}),
-    "update called": (lambda **a: SEE(**a), {"belief": PRIOR, "z": [1.0, 1.0], "memory": None}),
-    "hooked called": (lambda **a: celnav.update(f, RULE, EYE, hooks=[gate(3.0)])(PRIOR, [1.0, 1.0], **a), {"memory": None}),
-    "smooth": (
-        lambda **a: celnav.smooth(**a),
-        {"track": TRACK, "epochs": WHEN, "motion": MOTION, "gains": False, "on_failure": "raise"},
-    ),
-    "colored": (lambda **a: flown(colored(**a)), COLORED),
-    "colored sqrt": (
-        lambda **a: flown(colored(f, f, celnav.unscented(4), 0.5 * EYE, **a)),
-        {"sqrt_Q": EYE, "sqrt_R": EYE, "Sigma0": EYE, "first_rule": RULE},
-    ),
-    "decorrelated": (lambda h, **a: flown(decorrelated(H=h, **a)), COLORED),
-    "augmented": (
-        lambda **a: flown(augmented(**a)),
-        {"f": f, "H": EYE, "rule": celnav.unscented(4), "Phi": 0.5 * EYE, "Q": EYE, "R": EYE, "Sigma0": EYE},
-    ),
-    "iterated": (
-        lambda **a: flown(celnav.sequential(MOTION, iterated(**a))),
-        {
-            "h": f,
-            "R": EYE,
-            "iterations": 2,
-            "start": lambda b, z, e: b.mean,
-            "jacobians": lambda x, e: (EYE,),
-            "space": EUCLIDEAN,
-            "measurement_space": EUCLIDEAN,
-        },
-    ),
-    "least_squares": (lambda **a: flown(least_squares(**a)), {"h": f, "jacobian": one, "sigma": [1.0, 1.0], "rounds": 3}),
-    "single_draw": (
-        lambda **a: flown(drawn_once(single_draw(**a), SEE)),
-        {
-            "f": f,
-            "h": f,
-            "rule": celnav.unscented(4),
-            "extra": (EYE,),
-            "R": EYE,
-            "space": EUCLIDEAN,
-            "measurement_space": EUCLIDEAN,
-            "hooks": (),
-        },
-    ),
-    "drawn_once": (
-        lambda **a: flown(drawn_once(**a)),
-        {"part": single_draw(f, f, celnav.unscented(4), extra=(EYE,), R=EYE), "first": SEE},
-    ),
-    "plain": (lambda **a: flown(two_stage(plain(**a), EYE, BIAS)), {"predict": MOTION, "update": SEE}),
+    "augmented": (made(celnav.augmented), COLORED | {"sensor": SENSOR}),
     "two_stage": (
-        lambda **a: flown(two_stage(**a)),
-        {"first": FIRST, "Gamma": EYE, "bias": BIAS, "Qb": EYE, "boost": strong_tracking([1.0, 1.0], 5.0)},
+        made(celnav.two_stage),
+        PARTS | OPTIONS | {"Gamma": EYE, "bias": BIAS, "Qb": EYE, "boost": strong_tracking([1.0, 1.0], 5.0)},
     ),
+    "TwoStage.of": (lambda **a: flown(TwoStage.of(**a)), {"first": Plain(FILTER), "Gamma": one, "bias": BIAS, "Qb": 0.0 * EYE}),
+    "Plain": (lambda **a: flown(TwoStage.of(Plain(**a), EYE, BIAS)), {"filter": FILTER}),
     "strong_tracking": (
-        lambda **a: flown(two_stage(FIRST, EYE, BIAS, boost=strong_tracking(**a))),
-        {"rho": [1.0, 1.0], "tau": 5.0, "factor": celnav.filters.strong_tracking.excess},
+        lambda **a: flown(celnav.two_stage(MOTION, SENSOR, EYE, BIAS, boost=strong_tracking(**a))),
+        {"rho": [1.0, 1.0], "tau": 5.0, "factor": excess},
     ),
     "ar1_noise": (lambda **a: ar1_noise(**a), AR1),
-    "differenced": (
-        lambda **a: celnav.run(two_stage(differenced(**a), EYE, BIAS), celnav.covariance(np.zeros(2), EYE), WHEN),
-        {"move": moved, "h": f, "slope": one, "noise": ar1_noise(**AR1)},
+    "Differenced": (
+        lambda prior=PRIOR, **a: flown(TwoStage.of(Differenced(**a), EYE, BIAS), prior, [celnav.Epoch(0, 1.0, 1.0, z=np.ones(2))]),
+        {"move": moved, "h": f, "slope": one, "noise": ar1_noise(**AR1), "prior": PRIOR},
     ),
-    "gate": (lambda **a: seen([gate(**a)]), {"gamma": 3.0}),
-    "chi_square_gate": (lambda **a: seen([chi_square_gate(**a)]), {"probability": 0.9}),
-    "innovation_window": (lambda **a: seen([innovation_window(**a)]), {"M": 2, "gaps": "skip"}),
-    "huber": (lambda **a: seen([huber(**a)]), {"threshold": 1.0, "rounds": 2}),
-    "student_t": (lambda **a: seen([student_t(**a)]), {"dof": 1.0, "rounds": 2}),
-    "sage_husa": (lambda **a: seen([sage_husa(**a)]), {"forgetting": 0.9, "least": 0.5, "smallest": 0.1}),
-    "group_parity": (lambda **a: seen([group_parity(**a)]), {"groups": [[0, 1]], "unknowns": 1, "deviations": 3.0}),
-    "channel_parity": (lambda **a: seen([channel_parity(**a)]), {"M": 2}),
-    "consider": (lambda **a: flown(celnav.sequential(MOTION, celnav.update(f, RULE, EYE, gain=consider(**a)))), {"n": 1, "k": 1}),
-    "fallback": (lambda **a: flown(celnav.sequential(MOTION, fallback(**a))), {"first": SEE, "second": SEE}),
+    "least_squares": (lambda prior=PRIOR, **a: flown(least_squares(**a), prior), {
+        "sensor": celnav.Sensor(f, EYE, jacobian=one), "rounds": 3, "prior": PRIOR}),
+    "least_squares of": (lambda **a: flown(least_squares(celnav.Sensor(**a))), {"h": f, "R": EYE, "jacobian": one}),
+    "Fallback": (lambda prior=PRIOR, **a: flown(Fallback(**a), prior), {"first": FILTER, "second": OTHER, "prior": PRIOR}),
+    "SingleDraw": (lambda **a: flown(SingleDraw.of(**a)), {"filter": celnav.ukf(NOISY, SENSOR)}),
+    "SingleDraw noise": (
+        lambda **a: flown(replace(SingleDraw.of(celnav.ukf(NOISY, SENSOR)), **a)), {"joint_noise": (EYE,)}),
+    "simulate": (
+        lambda **a: celnav.simulate(**a),
+        {"motion": MOTION, "sensor": SENSOR, "prior": PRIOR, "times": TIMES, "runs": 2, "seed": 1, "u": [1.0, 2.0],
+         "Phi": 0.5 * EYE},
+    ),
+    "simulate sensors": (lambda **a: celnav.simulate(MOTION, prior=PRIOR, times=TIMES, runs=2, **a), {"sensor": [SENSOR, MATRIX]}),
+    "simulate models": (
+        lambda f, h, Q, R: celnav.simulate(celnav.Motion(f, Q), celnav.Sensor(h, R), PRIOR, TIMES, runs=2),
+        {"f": f, "h": f, "Q": EYE, "R": EYE},
+    ),
     "to_dataframe": (lambda **a: TRACK.to_dataframe(**a), {"names": ["a", "b"]}),
     "to_csv": (lambda **a: TRACK.to_csv("/dev/null", **a), {"names": ["a", "b"]}),
+}  # fmt: skip
+HOOKS = {
+    gate: {"gamma": 3.0},
+    chi_square_gate: {"probability": 0.9},
+    innovation_window: {"M": 2, "gaps": "skip"},
+    huber: {"threshold": 1.0, "rounds": 2},
+    student_t: {"dof": 1.0, "rounds": 2},
+    sage_husa: {"forgetting": 0.9, "least": 0.5, "smallest": 0.1},
+    group_parity: {"groups": [[0, 1]], "unknowns": 1, "deviations": 3.0},
+    channel_parity: {"M": 2},
 }
+DOORS |= {hook.__name__: (lambda hook=hook, **a: seen([hook(**a)]), good) for hook, good in HOOKS.items()}
+DOORS["consider"] = lambda **a: seen(gain=consider(**a)), {"n": 1, "k": 1}
 WRONG = {
     "None": None,
     "text": "x",
@@ -203,28 +209,8 @@ WRONG = {
     "generator": 7,
 }
 NAMES = {name for _, good in DOORS.values() for name in good} | {
-    "H",
-    "mean",
-    "cov",
-    "epochs",
-    "gain",
-    "hooks",
-    "jacobians",
-    "name",
-    "names",
-    "deviations",
-    "spread",
-    "start",
-    "state",
-    "updates",
-    "consider",
-    "belief",
-    "root",
-    "also",
-    "reduce",
-    "innovation_window",
-    "channel_parity",
-}
+    "Gaussian", "consider", "deviations", "innovation_window", "name", "names", "sensors",
+}  # fmt: skip
 
 
 def named(error):
@@ -239,6 +225,7 @@ def test_right_arguments_are_accepted(door):
     call(**good)
 
 
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.parametrize("door", DOORS)
 def test_wrong_arguments_are_told_by_name(door):
     """What is accepted does what it says; whatever is not is told by its name, before anything takes long or much memory."""
@@ -254,34 +241,74 @@ def test_wrong_arguments_are_told_by_name(door):
                 raise AssertionError(f"{argument} = {what}: {type(error).__name__}: {error}") from error
 
 
+def hooked(hook):
+    return flown(celnav.ukf(MOTION, SENSOR, hooks=[hook]))
+
+
 @pytest.mark.parametrize(
     ("make", "told"),
     [
-        (lambda: huber(rounds=10**9), "rounds: expected at most 10000 at every step, got 1000000000"),
-        (lambda: student_t(rounds=10**9), "rounds: expected at most 10000 at every step"),
-        (lambda: iterated(f, EYE, iterations=10**9), "iterations: expected at most 10000 at every step"),
+        (lambda: huber(rounds=10**9), "rounds: expected an integer from 1 to 10000, got 1000000000"),
+        (lambda: student_t(rounds=10**9), "rounds: expected an integer from 1 to 10000"),
+        (lambda: least_squares(MATRIX, rounds=10**9), "rounds: expected an integer from 1 to 10000"),
+        (lambda: celnav.ekf(MOTION, SENSOR, iterations=10**9), "iterations: expected an integer from 1 to 10000"),
         (
             lambda: seen([innovation_window(10**9)]),
             "M: expected a window of at most 1000000000 numbers, got 1000000000 samples of 2",
         ),
         (lambda: seen([channel_parity(10**9)]), "M: expected a window of at most 1000000000 numbers, got 1000000000 samples of 2"),
-        (lambda: celnav.predict(lambda x: x, RULE, EYE), "f: expected a function (points, epoch), got function <lambda> of other"),
+        (lambda: celnav.simulate(MOTION, SENSOR, PRIOR, TIMES, runs=10**9), "runs: expected at most 1000000, got 1000000000"),
+        (lambda: celnav.Motion(lambda x: x, EYE), "f: expected a function (points, epoch, *noise), got function <lambda> of other"),
+        (lambda: celnav.Sensor(f, lambda x: EYE), "R: expected a function (mean, epoch), got function <lambda> of other arguments"),
+        (lambda: celnav.Linear(EYE), "matrix: expected a function (epoch), got ndarray"),
+        (lambda: linear(lambda epoch: np.eye(3)), "matrix: expected shape (..., any, 2), got (3, 3)"),
+        (lambda: linear(lambda epoch: np.eye(3, 2)), "matrix: expected shape (..., 2, 2), got (3, 2)"),
+        (lambda: flown(celnav.ukf(celnav.Motion(lambda x, e: 1j * x, EYE))), "f: expected numbers, got array([["),
+        (lambda: hooked(lambda m, j, e: j.innovation), "hooks: expected (memory, joint) from the function, got ndarray"),
+        (lambda: hooked(lambda m, j, e: (m, None)), "hooks: expected hooks that give back (memory, joint), got NoneType"),
         (
-            lambda: single_draw(f, lambda x, e: x, RULE, extra=(EYE,)),
-            "h: expected a function (points, epoch, *noise), got function",
+            lambda: flown(celnav.sigma_point(MOTION, rule=len)),
+            "rule: expected a function of the dimension, got function len: object",
         ),
-        (lambda: flown(celnav.sequential(celnav.predict(lambda x, e: 1j * x, RULE, EYE))), "f: expected numbers, got array([["),
-        (lambda: flown(celnav.sequential(MOTION, lambda b, z, e, m: b)), "updates: expected (belief, info, memory) from what"),
-        (lambda: fallback(SEE, MOTION), "second: expected a part like the first, got Conditioning and Motion"),
-        (lambda: fallback(SEE, 3), "second: expected a part (belief, epoch) or (belief, z, epoch, memory), got int"),
         (
-            lambda: celnav.run(FILTER, PRIOR, WHEN, keep="spreads"),
-            "keep: expected one of std, spread, mean, nothing, got",
+            lambda: flown(celnav.sigma_point(MOTION, rule=lambda n: 3)),
+            "rule: expected a rule for 2 dimensions, such as celnav.unsc",
+        ),
+        (
+            lambda: celnav.ukf(MOTION, SENSOR, gain=lambda A: A),
+            "gain: expected a function (A, sign, m), got function <lambda> of ot",
+        ),
+        (lambda: Fallback(FILTER, MOTION), "second: expected celnav.ukf(motion, sensor), got Motion"),
+        (
+            lambda: Fallback(celnav.colored(MOTION, SENSOR, 0.5 * EYE), FILTER),
+            "first: expected a filter that predicts, then updates",
+        ),
+        (lambda: Plain(SingleDraw.of(celnav.ukf(NOISY, SENSOR))), "filter: expected a filter that predicts, then updates"),
+        (lambda: Plain(celnav.ukf(MOTION, SENSOR, SENSOR)), "filter: expected one sensor and states that are vectors"),
+        (
+            lambda: celnav.run(FILTER, PRIOR, WHEN, keep="covs"),
+            "keep: expected one of std, cov, mean, nothing, got 'covs'; did you",
         ),
         (lambda: celnav.run(FILTER, PRIOR, WHEN, also=lambda *a: 3), "also: expected a dict, such as {'gain': array}, got int"),
-        (lambda: celnav.smooth(TRACK, list(range(3)), MOTION), "epochs: expected the times of the track, got 0 instead of 0.0"),
+        (
+            lambda: celnav.run(FILTER, PRIOR, None),
+            "epochs: expected celnav.epochs(times, z), or records like celnav.Epoch, got None",
+        ),
+        (lambda: FILTER.step(FILTER.start(PRIOR), 1.0), "epoch: expected a record like celnav.Epoch, got float"),
+        (
+            lambda: celnav.run(FILTER, celnav.Gaussian, WHEN),
+            "prior: expected a Gaussian, such as celnav.Gaussian(mean, cov), got cl",
+        ),
+        (lambda: celnav.smooth(TRACK, MOTION), "filter: expected one whose process and measurement noise are independent"),
         (lambda: TRACK.to_dataframe("xy"), "names: expected 2 words, such as ['x', 'y'], got 'xy'"),
-        (lambda: SEE(np.zeros(2), [1.0, 1.0]), "belief: expected a Gaussian, such as celnav.square_root(mean, cov), got ndarray"),
+        (
+            lambda: celnav.two_stage(MOTION, SENSOR, EYE, celnav.Gaussian(np.zeros((3, 2)), EYE)).start(PRIOR),
+            "bias: expected one, or one for each run, (), got (3,)",
+        ),
+        (
+            lambda: flown(celnav.colored(MOTION, SENSOR, lambda e: np.zeros((3, 2, 2)), increments=EYE), MANY),
+            "Phi: batch axes (3,) do not go with those of the belief, (4,)",
+        ),
     ],
 )
 def test_what_is_said(make, told):

@@ -1,22 +1,19 @@
-"""Beliefs in both forms: their parts against the covariance algebra written out, and what priors refuse."""
+"""Beliefs in both forms: their parts against the covariance algebra written out, and what a Gaussian refuses."""
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from celnav.gaussian.belief import COVARIANCE, SQUARE_ROOT, covariance, nees, sqrt_cov, square_root
+from celnav.gaussian.belief import Covariance, Gaussian, SquareRoot, any_lost, nees, symmetric
 from celnav.gaussian.checks import finite
 
-FORMS = [SQUARE_ROOT, COVARIANCE]
 BATCHES = [(), (3,), (2, 3)]
+FORMS = pytest.mark.parametrize("form", [SquareRoot, Covariance])
 
 
-def by_form(form):
-    return pytest.mark.parametrize(form, FORMS, ids=lambda f: f.name)
-
-
-def spread_of(form, P):
-    return np.linalg.cholesky(P) if form is SQUARE_ROOT else P
+def cov(form, spread):
+    """Covariance of what a form carries along."""
+    return form(np.zeros(spread.shape[-1]), spread).cov
 
 
 def signed(A, sign):
@@ -25,16 +22,19 @@ def signed(A, sign):
     return (A * s) @ A.mT
 
 
-@by_form("form")
+@FORMS
 @pytest.mark.parametrize("batch", BATCHES)
-def test_spread_root_covariance_and_std_agree(form, batch):
+def test_root_covariance_and_std_agree_and_a_sum_adds(form, batch):
     A = np.random.default_rng(1).normal(size=(*batch, 3, 5))
     P = A @ A.mT
-    S = spread_of(form, P)
-    np.testing.assert_allclose(form.covariance(S), P, atol=1e-13)
-    np.testing.assert_allclose(form.root(S) @ form.root(S).mT, P, atol=1e-13)
-    np.testing.assert_allclose(form.std(S), np.sqrt(P.diagonal(0, -2, -1)), rtol=1e-13)
-    np.testing.assert_allclose(form.covariance(form.sum(S, A)), 2.0 * P, atol=1e-12)
+    belief = form.of(Gaussian(np.ones((*batch, 3)), P))
+    assert isinstance(belief, form)
+    np.testing.assert_allclose(belief.cov, P, atol=1e-13)
+    np.testing.assert_allclose(belief.sqrt_cov @ belief.sqrt_cov.mT, P, atol=1e-13)
+    np.testing.assert_allclose(belief.std, np.sqrt(P.diagonal(0, -2, -1)), rtol=1e-13)
+    np.testing.assert_allclose(cov(form, form.sum(belief[1], A)), 2.0 * P, atol=1e-12)
+    T = np.random.default_rng(4).normal(size=(*batch, 3, 3))
+    np.testing.assert_allclose(cov(form, form.transported(T, belief[1])), T @ P @ T.mT, atol=1e-11)
 
 
 SIGNS = {"all positive": np.ones(8), "two negative": np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0, 1.0, 1.0])}
@@ -47,15 +47,15 @@ def prearray(batch, sign):
     return A
 
 
-@by_form("form")
+@FORMS
 @pytest.mark.parametrize("batch", BATCHES)
 @pytest.mark.parametrize("sign", SIGNS.values(), ids=SIGNS)
 def test_marginal_counts_columns_with_their_sign(form, batch, sign):
     A = prearray(batch, sign)
-    np.testing.assert_allclose(form.covariance(form.marginal(A, sign)), signed(A, sign), atol=1e-12)
+    np.testing.assert_allclose(cov(form, form.marginal(A, sign)), signed(A, sign), atol=1e-12)
 
 
-@by_form("form")
+@FORMS
 @pytest.mark.parametrize("batch", BATCHES)
 @pytest.mark.parametrize("sign", SIGNS.values(), ids=SIGNS)
 def test_condition_is_the_schur_complement(form, batch, sign):
@@ -65,10 +65,10 @@ def test_condition_is_the_schur_complement(form, batch, sign):
     K = P[..., m:, :m] @ np.linalg.inv(P[..., :m, :m])
     np.testing.assert_allclose(S @ S.mT, P[..., :m, :m], atol=1e-12)
     np.testing.assert_allclose(U, K @ S, atol=1e-12)
-    np.testing.assert_allclose(form.covariance(spread), P[..., m:, m:] - K @ P[..., :m, m:], atol=1e-12)
+    np.testing.assert_allclose(cov(form, spread), P[..., m:, m:] - K @ P[..., :m, m:], atol=1e-12)
 
 
-@by_form("form")
+@FORMS
 @pytest.mark.parametrize("sign", SIGNS.values(), ids=SIGNS)
 def test_condition_with_a_given_gain_is_josephs_form(form, sign):
     A = prearray((3,), sign)
@@ -76,28 +76,46 @@ def test_condition_with_a_given_gain_is_josephs_form(form, sign):
     K = np.random.default_rng(3).normal(size=(3, 3, m))
     S, U, spread = form.condition(A, sign, m, K)
     T = np.concatenate([-K, np.broadcast_to(np.eye(3), (3, 3, 3))], -1)
-    np.testing.assert_allclose(form.covariance(spread), T @ P @ T.mT, atol=1e-11)
+    np.testing.assert_allclose(cov(form, spread), T @ P @ T.mT, atol=1e-11)
     np.testing.assert_allclose(U, K @ S, atol=1e-12)
 
 
-def test_priors_of_both_forms_are_the_same_belief():
+@FORMS
+def test_conditioning_knows_the_last_rows_if_it_is_told_them(form):
+    A = prearray((3,), SIGNS["all positive"])
+    known = form.marginal(A[..., 2:, :], np.ones(1))
+    for mine, plain in zip(form.condition(A, np.ones(1), 2, None, known), form.condition(A, np.ones(1), 2), strict=True):
+        np.testing.assert_allclose(mine, plain, atol=1e-12)
+
+
+def test_both_ways_to_say_a_gaussian_and_both_forms_are_the_same_belief():
     mean, P = np.array([1.0, 2.0]), np.array([[2.0, 0.5], [0.5, 1.0]])
-    for belief in (square_root(mean, P), square_root(mean, root=np.linalg.cholesky(P)), covariance(mean, P)):
-        np.testing.assert_allclose(belief.cov, P, rtol=1e-14)
-        np.testing.assert_allclose(belief.root, np.linalg.cholesky(P), rtol=1e-14)
-        np.testing.assert_allclose(belief.std, np.sqrt([2.0, 1.0]), rtol=1e-14)
+    for prior in (Gaussian(mean, P), Gaussian(mean, sqrt_cov=np.linalg.cholesky(P))):
+        for belief in (prior, SquareRoot.of(prior), Covariance.of(prior)):
+            np.testing.assert_allclose(belief.cov, P, rtol=1e-14)
+            np.testing.assert_allclose(belief.sqrt_cov, np.linalg.cholesky(P), rtol=1e-14)
+            np.testing.assert_allclose(belief.std, np.sqrt([2.0, 1.0]), rtol=1e-14)
 
 
-def test_a_prior_broadcasts_means_and_covariances():
-    belief = square_root(np.zeros((5, 2)), np.eye(2))
-    assert belief.spread.shape == (5, 2, 2)
-    belief = covariance(np.zeros(2), np.broadcast_to(np.eye(2), (4, 2, 2)))
-    assert belief.mean.shape == (4, 2)
+def test_means_and_covariances_may_have_batch_axes_of_their_own():
+    for mean, P in ((np.zeros((5, 2)), np.eye(2)), (np.zeros(2), np.broadcast_to(np.eye(2), (5, 2, 2)))):
+        prior = Gaussian(mean, P)
+        assert (prior.mean.shape, prior.cov.shape) == (mean.shape, P.shape)
+        assert prior.sample(np.random.default_rng(0), (7,)).shape == (7, 5, 2)
+
+
+def test_lost_is_what_is_not_finite_or_has_a_negative_variance():
+    mean = np.zeros((4, 2))
+    P = np.array([np.diag(v) for v in ([1.0, 4.0], [1.0, -1e-9], [4.0, -1e-13], [np.nan, 1.0])])
+    np.testing.assert_array_equal(Covariance(mean, P).lost(), [False, True, False, True])
+    np.testing.assert_array_equal(SquareRoot(mean, P).lost(), [False, False, False, True])
+    np.testing.assert_array_equal(SquareRoot(np.array([[0.0, np.inf]]), P[:1]).lost(), [True])
+    assert [any_lost(Covariance(mean[:1], P[i : i + 1])) for i in range(4)] == [False, True, False, True]
 
 
 def test_samples_have_the_moments():
     P = np.array([[2.0, 0.5], [0.5, 1.0]])
-    belief = covariance(np.array([[1.0, -1.0], [3.0, 0.0]]), np.stack([P, 4.0 * P]))
+    belief = Gaussian(np.array([[1.0, -1.0], [3.0, 0.0]]), np.stack([P, 4.0 * P]))
     x = belief.sample(np.random.default_rng(5), (200_000,))
     assert x.shape == (200_000, 2, 2)
     for i, scale in enumerate((1.0, 4.0)):
@@ -107,7 +125,7 @@ def test_samples_have_the_moments():
 
 
 def test_samples_on_a_curved_space_are_tangents():
-    belief = square_root(np.array([0.0, 0.0, 0.0, 1.0]), np.eye(3))
+    belief = Gaussian(np.array([0.0, 0.0, 0.0, 1.0]), np.eye(3))
     assert belief.sample(np.random.default_rng(0), (7,)).shape == (7, 3)
 
 
@@ -121,13 +139,12 @@ def test_nees_is_the_quadratic_form(batch):
 
 
 def test_nees_of_samples_is_chi_square():
-    belief = square_root(np.zeros(4), np.diag([1.0, 1e-12, 1e12, 4.0]))
-    values = nees(belief.sample(np.random.default_rng(7), (2000,)), belief.root)
+    belief = Gaussian(np.zeros(4), np.diag([1.0, 1e-12, 1e12, 4.0]))
+    values = nees(belief.sample(np.random.default_rng(7), (2000,)), belief.sqrt_cov)
     low, high = chi2.ppf([0.0005, 0.9995], 4 * 2000) / 2000
     assert low < values.mean() < high
 
 
-@pytest.mark.parametrize("make", [square_root, covariance])
 @pytest.mark.parametrize(
     ("mean", "cov", "words"),
     [
@@ -143,21 +160,30 @@ def test_nees_of_samples_is_chi_square():
         (np.zeros((2, 2)), np.broadcast_to(np.eye(2), (3, 2, 2)), "mean: batch axes"),
     ],
 )
-def test_a_prior_refuses_and_says_what(make, mean, cov, words):
+def test_a_gaussian_refuses_and_says_what(mean, cov, words):
     with pytest.raises(ValueError, match=words):
-        make(mean, cov)
+        Gaussian(mean, cov)
 
 
-def test_a_root_prior_needs_exactly_one_of_both():
-    with pytest.raises(ValueError, match="exactly one"):
-        square_root([0.0])
-    with pytest.raises(ValueError, match="exactly one"):
-        square_root([0.0], np.eye(1), root=np.eye(1))
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({}, "exactly one"),
+        ({"cov": np.eye(1), "sqrt_cov": np.eye(1)}, "exactly one"),
+        ({"sqrt_cov": [[1.0, 0.5], [0.0, 1.0]]}, "sqrt_cov: expected a lower triangular matrix"),
+        ({"sqrt_cov": 1.0}, r"sqrt_cov: expected shape \(..., n, n\), got \(\)"),
+        ({"sqrt_cov": np.ones((2, 1))}, r"sqrt_cov: expected shape \(..., n, n\), got \(2, 1\)"),
+        ({"sqrt_cov": [[np.nan]]}, "sqrt_cov: expected finite"),
+    ],
+)
+def test_a_root_says_what_it_must_be(given, words):
+    with pytest.raises(ValueError, match=words):
+        Gaussian([0.0, 0.0], **given)
 
 
-def test_sqrt_cov_names_the_argument_and_the_size():
+def test_a_covariance_names_the_argument_and_the_size():
     with pytest.raises(ValueError, match=r"R: expected symmetric positive semidefinite \(3, 3\), got shape \(2, 2\)"):
-        sqrt_cov(np.eye(2), "R", 3)
+        symmetric(np.eye(2), "R", 3)
 
 
 def test_finite_copies():

@@ -10,11 +10,8 @@ from filterpy.kalman import UnscentedKalmanFilter
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from celnav.filters.colored import colored
-from celnav.filters.driver import epochs, run
-from celnav.filters.step import predict
-from celnav.gaussian.belief import covariance, square_root
-from celnav.gaussian.points import unscented
+import celnav
+from celnav.gaussian.rules import unscented
 from celnav.gaussian.sparse_grid import DELAYED, ORDERS, integrates, point_count, smolyak
 
 PAPER = [2 - (j in (0, 1, 5, 6)) for j in range(13)]
@@ -168,8 +165,9 @@ def test_level_one_is_the_center():
     rule = smolyak(4, 1)
     assert rule.nodes.tolist() == [[0.0] * 4]
     assert rule.wm.tolist() == [1.0]
+    filter = celnav.sparse_grid_filter(celnav.Motion(lambda x, _: x, sqrt_Q=np.zeros((4, 0))), level=1)
     with pytest.raises(ValueError, match="rule: expected points in every dimension, got none in 0, 1, 2, 3"):
-        predict(lambda x, _: x, rule, sqrt_Q=np.zeros((4, 0)))(square_root(np.zeros(4), root=np.eye(4)))
+        filter.predict(filter.start(celnav.Gaussian(np.zeros(4), sqrt_cov=np.eye(4))), celnav.Epoch(1, 1.0, 1.0))
     with pytest.raises(ValueError, match="got none in 0, 1, 2, 3"):
         rule.sigma_points(np.zeros(4), np.eye(4))
 
@@ -227,16 +225,16 @@ def test_inside_filterpy():
     np.testing.assert_allclose(ukf.P, P - K @ H @ P, atol=1e-12)
 
 
-@pytest.mark.parametrize("form", [square_root, covariance])
+@pytest.mark.parametrize("form", ["square root", "covariance"])
 def test_in_the_filter_for_colored_noise(form):
     """Linear model: any exact rule gives the same estimates; negative weights are taken away by a downdate."""
     F, Phi = np.array([[1.0, 0.1, 0.0], [0.0, 1.0, 0.1], [0.0, -0.1, 1.0]]), np.array([[0.7, 0.2], [-0.1, 0.9]])
     z = np.random.default_rng(0).standard_normal((12, 4, 2))
-    prior = form(np.zeros((4, 3)), np.eye(3))
+    motion, sensor = celnav.Motion(lambda x, _: x @ F.T, 0.1 * np.eye(3)), celnav.Sensor(np.eye(2, 3), np.eye(2))
     means = []
     for rule in (smolyak(3, 3), smolyak(3, 3, [1, 2, 2]), unscented(3)):
-        filter = colored(lambda x, _: x @ F.T, np.eye(2, 3), rule, Phi, Q=0.1 * np.eye(3), R=np.eye(2), Sigma0=np.eye(2))
-        means.append(run(filter, prior, epochs(np.arange(12.0), z)).mean)
+        filter = celnav.colored(motion, sensor, Phi, increments=np.eye(2), rule=rule, form=form)
+        means.append(celnav.run(filter, celnav.Gaussian(np.zeros((4, 3)), np.eye(3)), np.arange(12.0), z).mean)
     np.testing.assert_allclose(means[0], means[2], atol=1e-10)
     np.testing.assert_allclose(means[1], means[2], atol=1e-10)
 

@@ -7,12 +7,10 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import solve_discrete_are
 
+from celnav import Gaussian, Motion, Sensor, epochs, run, sigma_point
 from celnav.filters.adaptive import chi_square_gate, innovation_window
-from celnav.filters.driver import Epoch, run, sequential
-from celnav.filters.step import predict, update
 from celnav.gaussian import attitude as at
-from celnav.gaussian.belief import covariance, square_root
-from celnav.gaussian.points import cubature, unscented
+from celnav.gaussian.rules import cubature, unscented
 from celnav.gaussian.spaces import EUCLIDEAN, product
 from celnav.gaussian.taylor import Taylor
 from celnav.models.gyro import Gyro, preintegrate, steady_state
@@ -102,85 +100,74 @@ def test_gravity_gradient_vanishes_on_a_principal_axis():
     np.testing.assert_allclose(body.nadir(at.IDENTITY, np.pi / 2 * 1e3), [-1.0, 0.0, 0.0], atol=1e-12)
 
 
-def simulated(runs=5, epochs=40, dt=0.25):
+def simulated(runs=5, steps=40, dt=0.25):
     rng = np.random.default_rng(1)
     path = Body(J, (0.0, -2.0, 0.0), orbit_rate=1e-3).propagate(
-        np.append(at.from_euler(np.radians([1, 2, 10])), np.radians([0.01, 0.01, 0.05])), dt, epochs
+        np.append(at.from_euler(np.radians([1, 2, 10])), np.radians([0.01, 0.01, 0.05])), dt, steps
     )
-    q = np.broadcast_to(path[:, None, :4], (epochs + 1, runs, 4))
-    drift = np.broadcast_to(np.full(3, DEG_H), (epochs + 1, runs, 3))
-    gyro = GYRO.measure(q, drift, rng.standard_normal((epochs, runs, 3)), dt)
-    sign = np.where(rng.random((epochs + 1, runs, 1)) < 0.5, -1.0, 1.0)
-    z = sign * at.multiply(at.exp(SIGMA_N * rng.standard_normal((epochs + 1, runs, 3))), q)
+    q = np.broadcast_to(path[:, None, :4], (steps + 1, runs, 4))
+    drift = np.broadcast_to(np.full(3, DEG_H), (steps + 1, runs, 3))
+    gyro = GYRO.measure(q, drift, rng.standard_normal((steps, runs, 3)), dt)
+    sign = np.where(rng.random((steps + 1, runs, 1)) < 0.5, -1.0, 1.0)
+    z = sign * at.multiply(at.exp(SIGMA_N * rng.standard_normal((steps + 1, runs, 3))), q)
     z[0] = np.nan
     return q, gyro, z
 
 
-def attitude_filter(rule_f, rule_h, extra_f=(), extra_h=(), Q=None, R=None):
-    def f(x, epoch, w=None):
-        if w is None:
-            return GYRO.propagate(x, epoch.u, epoch.dt)
-        y = GYRO.propagate(x, epoch.u, epoch.dt, w[..., :3])
-        y[..., 4:] += w[..., 3:6]
-        return y
-
-    def h(x, _epoch, v=None):
-        return x[..., :4] if v is None else at.multiply(at.exp(v[..., -3:]), x[..., :4])
-
-    return sequential(
-        predict(f, rule_f, Q, extra=extra_f, space=SPACE),
-        update(h, rule_h, R, extra=extra_h, space=SPACE, measurement_space=STAR),
-    )
+FORMS = pytest.mark.parametrize("form", ["square root", "covariance"])
 
 
-def filtered(filter, z, gyro, form=covariance, dt=0.25):
-    prior = form(np.append(at.IDENTITY, np.zeros(3)), np.diag(np.radians([1, 2, 10, 1 / 3600, 1 / 3600, 1 / 3600]) ** 2))
-    prior = prior._replace(
-        mean=np.broadcast_to(prior.mean, (z.shape[1], 7)), spread=np.broadcast_to(prior.spread, (z.shape[1], 6, 6))
-    )
-    return run(filter, prior, [Epoch(k, k * dt, dt if k else 0.0, gyro[k - 1] if k else None, z[k]) for k in range(len(z))])
+def f(x, epoch, *noise):
+    """The drift's noise is added; of more noises the first is that of the gyro."""
+    if not noise:
+        return GYRO.propagate(x, epoch.u, epoch.dt)
+    y = GYRO.propagate(x, epoch.u, epoch.dt, noise[0][..., :3])
+    y[..., 4:] += noise[0][..., 3:6]
+    return y
 
 
-def noise_roots(dt=0.25):
-    return np.diag(np.repeat([GYRO.rate_std(dt), GYRO.drift_std(dt)], 3)), SIGMA_N * np.eye(3)
+def h(x, _epoch, *noise):
+    """Of more noises the last is that of the star tracker."""
+    return at.multiply(at.exp(noise[-1]), x[..., :4]) if noise else x[..., :4]
 
 
-def spread(L, c):
-    return unscented(L, 1.0, 0.0, c - L)
+W, V = np.diag(np.repeat([GYRO.rate_std(0.25), GYRO.drift_std(0.25)], 3)), SIGMA_N * np.eye(3)
+ADDITIVE = Motion(f, GYRO.process_noise(0.25), space=SPACE), Sensor(h, SIGMA_N**2 * np.eye(3), space=STAR)
+THROUGH = Motion(f, augment=(W,), space=SPACE), Sensor(h, augment=(V,), space=STAR)
+FULL = Motion(f, augment=(W, V), space=SPACE), Sensor(h, augment=(W, V), space=STAR)
+
+
+def filtered(parts, z, gyro, rule=unscented, form="covariance", hooks=()):
+    cov = np.diag(np.radians([1, 2, 10, 1 / 3600, 1 / 3600, 1 / 3600]) ** 2)
+    mean = np.append(at.IDENTITY, np.zeros(3))
+    prior = Gaussian(np.broadcast_to(mean, (z.shape[1], 7)), np.broadcast_to(cov, (z.shape[1], 6, 6)))
+    filter = sigma_point(*parts, rule=rule, form=form, hooks=hooks)
+    return run(filter, prior, epochs(0.25 * np.arange(len(z)), z, gyro), keep="cov")
+
+
+def spread(c):
+    """Rules of the same spread c, whatever the dimension."""
+    return lambda L: unscented(L, 1.0, 0.0, c - L)
+
+
+def small_spread(L):
+    """Points a tenth of the dimension away."""
+    return unscented(L, 1.0, 0.0, 0.1 * L - L)
 
 
 def test_switching_augmentation_is_full_augmentation_at_equal_spread():
     _, gyro, z = simulated()
-    W, V = noise_roots()
-    c = 15.0
-    switching = attitude_filter(spread(12, c), spread(9, c), (W,), (V,))
-
-    def full_f(x, epoch, w, _v):
-        y = GYRO.propagate(x, epoch.u, epoch.dt, w[..., :3])
-        y[..., 4:] += w[..., 3:6]
-        return y
-
-    def full_h(x, _epoch, _w, v):
-        return at.multiply(at.exp(v), x[..., :4])
-
-    full = sequential(
-        predict(full_f, spread(15, c), extra=(W, V), space=SPACE),
-        update(full_h, spread(15, c), extra=(W, V), space=SPACE, measurement_space=STAR),
-    )
-    a, b = filtered(full, z, gyro), filtered(switching, z, gyro)
+    a, b = (filtered(parts, z, gyro, spread(15.0)) for parts in (FULL, THROUGH))
     apart = at.angle(at.multiply(a.mean[..., :4], at.inverse(b.mean[..., :4])))
     assert apart.max() < 1e-7 * ARCSEC  # the same filter up to the order of sums
     np.testing.assert_allclose(a.std, b.std, rtol=1e-9)
 
 
-@pytest.mark.parametrize("form", [covariance, square_root])
+@FORMS
 def test_every_rule_and_form_agrees_on_this_nearly_linear_problem(form):
     q, gyro, z = simulated()
-    Q, R = GYRO.process_noise(0.25), SIGMA_N**2 * np.eye(3)
-    W, V = noise_roots()
-    switching = filtered(attitude_filter(spread(12, 1.2), spread(9, 0.9), (W,), (V,)), z, gyro, form)
-    additive = filtered(attitude_filter(unscented(6), unscented(6), Q=Q, R=R), z, gyro, form)
-    mekf = filtered(attitude_filter(Taylor(), Taylor(), Q=Q, R=R), z, gyro, form)
+    switching = filtered(THROUGH, z, gyro, small_spread, form)
+    additive, mekf = (filtered(ADDITIVE, z, gyro, rule, form) for rule in (unscented, Taylor()))
     for other in (additive, mekf):
         apart = at.angle(at.multiply(switching.mean[..., :4], at.inverse(other.mean[..., :4])))[1:]
         assert apart.max() < 0.01 * ARCSEC
@@ -191,9 +178,7 @@ def test_every_rule_and_form_agrees_on_this_nearly_linear_problem(form):
 
 def test_the_sign_of_a_star_quaternion_changes_no_bit():
     _, gyro, z = simulated()
-    W, V = noise_roots()
-    filter = attitude_filter(spread(12, 1.2), spread(9, 0.9), (W,), (V,))
-    a, b = filtered(filter, z, gyro), filtered(filter, -z, gyro)
+    a, b = filtered(THROUGH, z, gyro, small_spread), filtered(THROUGH, -z, gyro, small_spread)
     np.testing.assert_array_equal(a.mean, b.mean)
     np.testing.assert_array_equal(a.std, b.std)
 
@@ -202,11 +187,10 @@ def test_a_half_turn_of_initial_error_is_finite_and_converges():
     _, gyro, z = simulated()
     far = at.exp(np.radians(179.0) * np.array([0.6, 0.0, 0.8]))
     turned = at.multiply(z, np.broadcast_to(at.inverse(far), z.shape))
-    Q, R = GYRO.process_noise(0.25), SIGMA_N**2 * np.eye(3)
-    filter = attitude_filter(unscented(6), unscented(6), Q=Q, R=R)
-    prior = covariance(np.append(at.IDENTITY, np.zeros(3)), np.diag(np.repeat([np.pi, np.radians(1 / 3600)], 3) ** 2))
-    epochs = [Epoch(k, k * 0.25, 0.25 if k else 0.0, gyro[k - 1, 0] if k else None, turned[k, 0]) for k in range(len(z))]
-    track = run(filter, prior, epochs)
+    cov = np.diag(np.repeat([np.pi, np.radians(1 / 3600)], 3) ** 2)
+    prior = Gaussian(np.append(at.IDENTITY, np.zeros(3)), cov)
+    filter = sigma_point(*ADDITIVE, rule=unscented, form="covariance")
+    track = run(filter, prior, epochs(0.25 * np.arange(len(z)), turned[:, 0], gyro[:, 0]))
     assert np.isfinite(track.mean).all()
     seen = at.angle(at.multiply(turned[-1, 0], at.inverse(track.mean[-1, :4])))
     assert seen < 100.0 * ARCSEC
@@ -231,7 +215,7 @@ def test_bad_input_is_refused_by_name(make, name):
         make()
 
 
-@pytest.mark.parametrize("form", [square_root, covariance])
+@FORMS
 @pytest.mark.parametrize("rule", [unscented(6), cubature(6, degree=5), Taylor()], ids=repr)
 def test_gates_and_windows_work_on_attitudes(form, rule):
     q, gyro, z = simulated()
@@ -240,17 +224,13 @@ def test_gates_and_windows_work_on_attitudes(form, rule):
     kept = z.copy()
     kept[20, 2] = np.nan
 
-    def filter(*hooks):
-        h = update(lambda x, _epoch: x[..., :4], rule, SIGMA_N**2 * np.eye(3), space=SPACE, measurement_space=STAR, hooks=hooks)
-        f = predict(lambda x, epoch: GYRO.propagate(x, epoch.u, epoch.dt), rule, GYRO.process_noise(0.25), space=SPACE)
-        return sequential(f, h)
-
-    gated, without = filtered(filter(chi_square_gate(1.0 - 1e-9)), far, gyro, form), filtered(filter(), kept, gyro, form)
+    gated = filtered(ADDITIVE, far, gyro, rule, form, [chi_square_gate(1.0 - 1e-9)])
+    without = filtered(ADDITIVE, kept, gyro, rule, form)
     assert gated.events["rejected"].tolist() == [0, 0, 3, 0, 0]
     np.testing.assert_allclose(gated.mean, without.mean, atol=1e-12)
-    fooled = filtered(filter(), far, gyro, form)
+    fooled = filtered(ADDITIVE, far, gyro, rule, form)
     error = [at.angle(at.multiply(t.mean[20, 2, :4], at.inverse(q[20, 2]))) for t in (gated, fooled)]
     assert error[1] > 20.0 * error[0]
-    wide = filtered(filter(innovation_window(5)), far, gyro, form)
+    wide = filtered(ADDITIVE, far, gyro, rule, form, [innovation_window(5)])
     assert np.isfinite(wide.mean).all()
     assert at.angle(at.multiply(wide.mean[20, 2, :4], at.inverse(q[20, 2]))) < error[1]

@@ -8,10 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from celnav.filters.driver import run, sequential
-from celnav.filters.step import predict, update
-from celnav.gaussian.belief import square_root
-from celnav.gaussian.points import gauss_hermite, simplex, tensor_product
+from celnav import Epoch, Gaussian, Motion, run, sigma_point
+from celnav.gaussian.rules import gauss_hermite, simplex, tensor_product
 from celnav.papers import aasghqf, figures
 from celnav.papers.aasghqf import analysis, errata, scenario, study
 from celnav.papers.aasghqf.config import A_SLOW, PAPER_WEIGHTS, A
@@ -107,23 +105,17 @@ def test_the_marginalized_rule_is_the_tensor_rule():
         return first + (np.cos(phi[..., :1]) * y) @ B.T
 
     root = np.linalg.cholesky(np.cov(rng.standard_normal((5, 40))))
-    prior = square_root(rng.standard_normal(5), root=root)
-    marginal, whole = (
-        predict(f, rule, sqrt_Q=np.zeros((5, 0)))(prior)[0]
-        for rule in (tensor_product(gauss_hermite(3, 3), simplex(2)), gauss_hermite(5, 3))
-    )
+    prior, motion = Gaussian(rng.standard_normal(5), sqrt_cov=root), Motion(f, np.zeros((5, 5)))
+    filters = (sigma_point(motion, rule=rule) for rule in (tensor_product(gauss_hermite(3, 3), simplex(2)), gauss_hermite(5, 3)))
+    marginal, whole = (filter.predict(filter.start(prior), Epoch(dt=1.0)).belief for filter in filters)
     np.testing.assert_allclose(marginal.mean, whole.mean, atol=1e-13)
     np.testing.assert_allclose(marginal.cov, whole.cov, atol=1e-12)
 
 
 def test_both_forms_agree(short):
     sim, known = short
-    rule = scenario.rules()["nonlinear"]
-    filter = sequential(
-        predict(scenario.dynamics, rule, sqrt_Q=sim.config.sqrt_Q), update(scenario.measurement, rule, sqrt_R=scenario.sqrt_R)
-    )
-    prior = square_root(sim.prior.mean, np.diag(sim.config.sigma0**2))
-    roots = run(filter, prior, sim.epochs())
+    filter = sigma_point(*scenario.model(sim.config), rule=scenario.rules()["nonlinear"], form="square root")
+    roots = run(filter, sim.prior, sim.epochs())
     covariances = run(known["nonlinear"], sim.prior, sim.epochs())
     assert np.abs((roots.mean - covariances.mean) / covariances.std).max() < 1e-4
 
@@ -157,7 +149,7 @@ def test_a_point_beyond_the_chart_loses_its_run_only():
 
 def test_the_bound_keeps_to_the_truth_and_is_the_kalman_covariance():
     sim = aasghqf.simulate(replace(A, steps=5), [generator(2, 0, r) for r in range(2)])
-    track = run(study.bound_filter(sim.config), sim.prior._replace(mean=sim.truth[0]), sim.epochs())
+    track = run(study.bound_filter(sim.config), Gaussian(sim.truth[0], sim.prior.cov), sim.epochs())
     np.testing.assert_array_equal(track.mean, sim.truth)
     triad = run(aasghqf.filters(sim.config)["triad-ekf"], sim.prior, sim.epochs())
     np.testing.assert_allclose(triad.std[-1], track.std[-1], rtol=0.05)

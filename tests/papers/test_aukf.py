@@ -12,18 +12,17 @@ import numpy as np
 import pytest
 import rerun as rr
 
+from celnav import Gaussian, Motion, Sensor, ekf, run, sigma_point
 from celnav.files import Outputs
 from celnav.filters.adaptive import innovation_window
-from celnav.filters.driver import State, run, sequential
-from celnav.filters.step import predict, update
-from celnav.gaussian.points import unscented
-from celnav.gaussian.taylor import Taylor
+from celnav.filters.records import State
+from celnav.gaussian.rules import unscented
 from celnav.models import pseudorange
 from celnav.papers import aukf, figures, tables
 from celnav.papers.aukf import PRESETS, analysis, errata, filters, real, simulate, sweeps
 from celnav.papers.aukf.follow import Kept, follow_cases, watched
 from celnav.papers.aukf.follow import follow as follow_all
-from celnav.papers.aukf.scenario import EKF, adapted, axes, circle, ukf, visible
+from celnav.papers.aukf.scenario import EKF, adapted, axes, circle, sensor, ukf, visible
 from celnav.receiver.filters import hooks
 from celnav.study.claims import dumps
 from celnav.study.effort import effort
@@ -61,7 +60,7 @@ def test_the_sky_is_that_of_the_design():
 
 def follow(sim, names):
     known = filters(sim.config)
-    return {n: run(known[n], sim.prior, sim.epochs(), keep="spread").mean - sim.truth for n in names}
+    return {n: run(known[n], sim.prior, sim.epochs(), keep="mean").mean - sim.truth for n in names}
 
 
 @pytest.fixture(scope="module")
@@ -97,13 +96,9 @@ def test_every_rule_moves_a_linear_model_alike():
     """The prediction is a matrix: the unscented filter drawn through it is that which is moved by its Jacobian."""
     sim, S = simulate(SHORT, runs(2)), len(visible(SHORT).names)
     rule = unscented(8, 1.0, 2.0, 0.0)
-    F, sigma = SHORT.F, np.repeat([3.0, 0.1], S)
-    drawn = sequential(
-        predict(lambda x, _e: x @ F.T, rule, SHORT.Q), update(lambda x, e: pseudorange.measure(x, *e.u), rule, np.diag(sigma**2))
-    )
+    drawn = sigma_point(Motion(lambda x, _e: x @ SHORT.F.T, SHORT.Q), sensor(np.repeat([3.0, 0.1], S)), rule=rule)
     one, two = (run(f, sim.prior, sim.epochs(), keep="mean").mean for f in (drawn, adapted(SHORT, S, rule)))
     np.testing.assert_allclose(one, two, rtol=0, atol=1e-6)
-    assert EKF.linear
 
 
 @pytest.mark.parametrize(
@@ -162,7 +157,7 @@ def test_the_bound_is_what_a_linear_filter_reaches():
     """Along one track the bound is the covariance of the extended filter at the truth."""
     config = replace(SHORT, burst="none")
     sim = simulate(config, runs(1))
-    sim = sim._replace(prior=sim.prior._replace(mean=sim.truth[0]))
+    sim = sim._replace(prior=Gaussian(sim.truth[0], sim.prior.cov))
     track = run(filters(config)["ekf"], sim.prior, sim.epochs())
     np.testing.assert_allclose(track.std[:, 0], np.sqrt(sweeps.bound(sim)), rtol=1e-4)
 
@@ -198,11 +193,17 @@ def test_a_linear_measurement_makes_all_of_them_the_textbooks_filter(alpha):
     start = sim.prior.mean - sim.truth[0, :1]
     F, Q = SHORT.F, SHORT.Q
     means = {}
-    drawn = unscented(8, alpha, 2.0, 0.0)
-    rules = {"ukf": (drawn, drawn), "ekf": (Taylor(lambda _x, _e: (F,)), Taylor(lambda _x, _e: (H,)))}
-    for name, (one, two) in rules.items():
-        f = sequential(predict(lambda x, _e: x @ F.T, one, Q), update(lambda x, _e: x @ H.T, two, R))
-        means[name] = run(f, sim.prior._replace(mean=start), [e._replace(z=v) for e, v in zip(sim.epochs(), z, strict=True)]).mean
+    motion, seen = (
+        Motion(lambda x, _e: x @ F.T, Q, jacobian=lambda _x, _e: F),
+        Sensor(lambda x, _e: x @ H.T, R, jacobian=lambda _x, _e: H),
+    )
+    known = {
+        "ukf": sigma_point(motion, seen, rule=unscented(8, alpha, 2.0, 0.0), form="covariance"),
+        "ekf": ekf(motion, seen, form="covariance"),
+    }
+    for name, f in known.items():
+        when = [e._replace(z=v) for e, v in zip(sim.epochs(), z, strict=True)]
+        means[name] = run(f, Gaussian(start, sim.prior.cov), when).mean
     x, P, book = start.copy(), SHORT.P0, []
     for k, measured in enumerate(z):
         if k:
@@ -233,8 +234,8 @@ def test_the_smallest_window_takes_each_innovation_for_itself():
     R, plain = SHORT.sigma(S) ** 2, adapted(SHORT, S, ukf(SHORT))
     state = filter.start(sim.prior)
     for epoch in sim.epochs():
-        _, info = plain.step(State(state.belief, (None,)), epoch)
-        prior = (info.innovation_root @ info.innovation_root.mT).diagonal(0, -2, -1) - R
+        _, (info,) = plain.step(State(state.belief, (None,)), epoch)
+        prior = (info.sqrt_S @ info.sqrt_S.mT).diagonal(0, -2, -1) - R
         state, _ = filter.step(state, epoch)
         np.testing.assert_allclose(state.memory[0][0][1], np.maximum(1.0, (info.innovation**2 - prior) / R), rtol=1e-6)
 

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 import rerun as rr
 
+from celnav import run
 from celnav.files import Outputs
-from celnav.filters.driver import run
 from celnav.gaussian import attitude
-from celnav.gaussian.belief import square_root
 from celnav.models.gyro import Gyro, preintegrate
 from celnav.papers import figures, ssukf
 from celnav.papers.ssukf import PRESETS, filters, simulate, study, variants, vector
@@ -210,7 +209,7 @@ def textbook_usque(sim, run_index, steps):
         root = np.sqrt(n + lam) * np.linalg.cholesky(P)
         return [np.zeros(6), *root.T, *(-root.T)]
 
-    q, b, P, out = sim.prior.mean[run_index, :4], sim.prior.mean[run_index, 4:], sim.prior.cov[run_index], []
+    q, b, P, out = sim.prior.mean[run_index, :4], sim.prior.mean[run_index, 4:], sim.prior.cov, []
     for k in range(1, steps + 1):
         moved = []
         for s in points(P + half):
@@ -239,7 +238,7 @@ def textbook_usque(sim, run_index, steps):
 
 
 def test_usque_is_that_of_the_textbook(sim):
-    track = run(filters(sim.config)["usque"], sim.prior, sim.epochs(), keep="spread")
+    track = run(filters(sim.config)["usque"], sim.prior, sim.epochs(), keep="cov")
     for k, (q, b, P) in enumerate(textbook_usque(sim, 2, 30), start=1):
         turned = attitude.multiply(track.mean[k, 2, :4], attitude.inverse(q))
         assert attitude.angle(turned) < 1e-7 * ARCSEC + 1e-13
@@ -304,15 +303,12 @@ def test_dense_roots_and_total_attitudes_are_the_same_filters(sim):
 
 def test_variants_give_the_same_in_square_root_form(sim):
     """A covariance under the name of a root lost all runs, or ten times the accuracy."""
-    root = square_root(sim.prior.mean, sim.prior.cov)
-    for name, filter in variants.dense_filters(sim.config).items():
-        one, other = (run(filter, prior, sim.epochs()) for prior in (sim.prior, root))
-        assert apart(one, other) < 1e-6, name
-        np.testing.assert_allclose(one.std, other.std, rtol=1e-6)
-    for name, filter in variants.total_filters(sim.config).items():
-        one, other = (run(filter, variants.total_prior(prior), sim.epochs()) for prior in (sim.prior, root))
-        assert apart(one, other) < 1e-6, name
-        np.testing.assert_allclose(one.std, other.std, rtol=1e-6)
+    for made, prior in ((variants.dense_filters, sim.prior), (variants.total_filters, variants.total_prior(sim.prior))):
+        in_forms = [made(sim.config, form=form) for form in ("covariance", "square root")]
+        for name in in_forms[0]:
+            one, other = (run(filters[name], prior, sim.epochs()) for filters in in_forms)
+            assert apart(one, other) < 1e-6, name
+            np.testing.assert_allclose(one.std, other.std, rtol=1e-6)
 
 
 def test_one_vector_separates_the_filters_and_equal_spread_unites_them():

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import rerun as rr
 
+from celnav import Epoch, FilterError, Gaussian, run
 from celnav.files import Outputs, data
-from celnav.filters.driver import Epoch, FilterError, run, sequential
 from celnav.models.variational import flow
 from celnav.papers import figures, tables, tstdkf
 from celnav.papers.tstdkf import PRESETS, SETTINGS, Setting, analysis, filters, simulate, sweeps
@@ -176,7 +176,7 @@ def test_a_known_bias_leaves_the_ekf():
 
 def test_batches_are_singles(sim, errors):
     first = sim.case(0)
-    prior = first.prior._replace(mean=first.prior.mean[2:3], spread=first.prior.spread[2:3])
+    prior = Gaussian(first.prior.mean[2:3], first.prior.cov[2:3])
     one = first._replace(runs=(1,), truth=first.truth[:, 2:3], bias=first.bias[:, 2:3], z=first.z[:, 2:3], prior=prior)
     for name, e in follow(one, ("tkf", "tstdkf", "aug")).items():
         # A prediction may differ in the last digit of a delay of 1.5e8 km: 3e-8 km, which the gains of the start multiply.
@@ -210,7 +210,7 @@ def test_a_missing_timing_is_a_prediction_for_the_plain_stage(sim):
     state = filter.start(sim.prior)
     epochs = list(sim.epochs())
     state, _ = filter.step(state, epochs[0])
-    lost, info = filter.step(state, Epoch(*epochs[1][:4], np.full_like(epochs[1].z, np.nan), None))
+    lost, (info,) = filter.step(state, Epoch(*epochs[1][:4], np.full_like(epochs[1].z, np.nan), None))
     assert info.used is not None
     assert not info.used.any()
     np.testing.assert_array_equal(lost.bias.mean, state.bias.mean)
@@ -267,7 +267,7 @@ def test_what_pulls_in_the_truth_is_what_the_filter_may_model():
     with_them, without = (simulate(replace(config, pulled=pulled), runs(2)) for pulled in (True, False))
     assert np.abs(with_them.truth - without.truth)[-1, :, :3].max() > 0.01  # km
     c = with_them.cases[0]
-    knowing = sequential(*kalman(c, driving(c), pulled=True))
+    knowing = kalman(c, driving(c), pulled=True)
     one = run(knowing, with_them.prior, with_them.epochs(), keep="mean").mean - with_them.truth[1:]
     two = run(filters(config)["ekf"], without.prior, without.epochs(), keep="mean").mean - without.truth[1:]
     np.testing.assert_allclose(one[..., :3], two[..., :3], atol=1e-5)

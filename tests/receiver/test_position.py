@@ -14,7 +14,7 @@ from rinex_pair import ALPHA, BETA, PLACE, TIMES, TOE, constellation, measuremen
 
 from celnav import cli
 from celnav.files import InputError, Outputs
-from celnav.filters.driver import run
+from celnav.filters.run import run
 from celnav.models.beidou import B1I_HZ, LIGHT
 from celnav.receiver import filters as positioning_filters
 from celnav.receiver import position as positioning

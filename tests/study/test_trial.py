@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from celnav import Gaussian, epochs, run
 from celnav.analysis.metrics import chi_square_band
-from celnav.filters.driver import Filter, epochs
-from celnav.gaussian.belief import square_root
+from celnav.filters.records import FromFunctions, Info, State
+from celnav.gaussian.belief import SquareRoot
 from celnav.papers import PAPERS, csrukf, load
 from celnav.papers.csrukf import theory
 from celnav.study.montecarlo import generator
@@ -66,7 +66,7 @@ def test_following_twice_gives_the_same_and_every_second_epoch_is_a_part():
 def test_the_numbers_are_those_of_their_definitions():
     config = replace(csrukf.PRESETS["P"], **SMALL["csrukf"])
     sim = csrukf.simulate(config, [generator(1, 0, r) for r in range(RUNS)])
-    track = csrukf.study.run(csrukf.filters(config)["srukf"], sim.prior, sim.epochs_of("srukf"), keep="spread")
+    track = run(csrukf.filters(config)["srukf"], sim.prior, sim.epochs_of("srukf"), keep="cov")
     found = follow(csrukf.trial(config, [generator(1, 0, r) for r in range(RUNS)]), "srukf")
     error = track.mean - sim.truth
     np.testing.assert_array_equal(found.error, error)
@@ -101,17 +101,16 @@ def broken(lose_at, back_at=99):
         mean = np.zeros((3, 2))
         if lose_at <= epoch.k < back_at:
             mean[1] = np.nan
-        belief = square_root(np.zeros((3, 2)), np.eye(2))._replace(mean=mean)
-        return SimpleNamespace(belief=belief), SimpleNamespace(failure="", white=None, used=None)
+        return State(SquareRoot(mean, np.eye(2))), (Info(),)
 
-    truth = np.ones((6, 3, 2))
+    truth, prior = np.ones((6, 3, 2)), Gaussian(np.zeros((3, 2)), np.eye(2))
+    filter = FromFunctions(lambda prior: State(SquareRoot.of(prior)), step)
 
     def compare(truth, belief):
-        return belief.mean - truth, belief.root
+        return belief.mean - truth, belief.sqrt_cov
 
     return Trial(
-        (Group("x", "m", slice(0, 2)),), {"f": Filter(lambda prior: None, step)}, square_root(np.zeros((3, 2)), np.eye(2)),
-        lambda name: epochs(np.arange(6.0), truth=truth), compare,
+        (Group("x", "m", slice(0, 2)),), {"f": filter}, prior, lambda name: epochs(np.arange(6.0), truth=truth), compare
     )  # fmt: skip
 
 

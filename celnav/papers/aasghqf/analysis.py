@@ -11,14 +11,13 @@ import numpy as np
 from scipy.linalg import sqrtm
 
 from celnav.analysis import observability
-from celnav.filters.driver import Epoch, run
+from celnav.filters.records import Epoch
+from celnav.filters.run import run
 from celnav.gaussian.adaptive_grid import Adapted, adapt
 from celnav.gaussian.linalg import Array
-from celnav.gaussian.points import gauss_hermite
-from celnav.gaussian.rule import Rule
+from celnav.gaussian.rules import KEEP, Rule, gauss_hermite
 from celnav.gaussian.spaces import EUCLIDEAN
 from celnav.gaussian.sparse_grid import smolyak
-from celnav.gaussian.transform import KEEP
 from celnav.models import inertial
 from celnav.papers.aasghqf.config import MICRO_G, Config, meters_per_radian
 from celnav.papers.aasghqf.scenario import BORESIGHTS, Inputs, filters, measurement, rules, simulate
@@ -163,7 +162,7 @@ def first_fix(rule: Any, sigma_deg: float, config: Config) -> tuple[float, float
         full = np.concatenate([points, np.zeros((*points.shape[:-1], 13 - n))], -1)
         return measurement(full, epoch)[..., :6], KEEP
 
-    _, A = rule.transform(g, np.zeros(n), root, EUCLIDEAN, (EUCLIDEAN, EUCLIDEAN))
+    A = np.concatenate([image.columns for image in rule.images(g, np.zeros(n), root, EUCLIDEAN, (EUCLIDEAN, EUCLIDEAN))])
     C = (A * rule.sign) @ A.T
     sampled = C[:6, :6]
     S = sampled + config.sigma_star**2 * np.eye(6)
@@ -202,4 +201,4 @@ def small_misalignment(config: Config) -> float:
     for name in ("ekf", "ukf", "sghqf", "aasghqf", "nonlinear", "ckf", "ghqf3"):
         means[name] = run(known[name], sim.prior, sim.epochs(), keep="mean").mean
     reference = means.pop("ekf")
-    return float(max(np.abs((mean - reference) / small.sigma0).max() for mean in means.values()))  # type: ignore[operator]
+    return float(max(np.abs((mean - reference) / small.sigma0).max() for mean in means.values()))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from celnav.gaussian.points import unscented
+from celnav.gaussian.rules import unscented
 from celnav.gaussian.sparse_grid import point_count, smolyak
 from celnav.papers.aasghqf.analysis import DIMENSIONS, MISALIGNMENTS_DEG
 from celnav.papers.aasghqf.evidence import PHI, Evidence, ratio

@@ -8,7 +8,7 @@ import numpy as np
 
 from celnav.analysis.metrics import chi_square_band
 from celnav.gaussian.linalg import Array
-from celnav.gaussian.rule import Rule
+from celnav.gaussian.rules import Rule
 from celnav.gaussian.sparse_grid import smolyak
 from celnav.papers.aasghqf.analysis import DIMENSIONS, MISALIGNMENTS_DEG
 from celnav.papers.aasghqf.study import COMPARED, Result

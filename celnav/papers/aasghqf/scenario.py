@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.filters.adaptive import fallback
-from celnav.filters.driver import Epoch, Filter, sequential
-from celnav.filters.iterated import iterated
-from celnav.filters.step import Predict, Update, predict, update
-from celnav.gaussian.belief import Gaussian, covariance
+from celnav.filters.fallback import Fallback
+from celnav.filters.model import Motion, Sensor
+from celnav.filters.records import Epoch, Filter, FromFunctions
+from celnav.filters.sequential import Iterated, ekf, sigma_point
+from celnav.gaussian.belief import Belief, Gaussian
 from celnav.gaussian.linalg import Array
-from celnav.gaussian.points import cubature, gauss_hermite, simplex, tensor_product, unscented
-from celnav.gaussian.rule import Rule
+from celnav.gaussian.rules import Rule, cubature, gauss_hermite, simplex, tensor_product, unscented
 from celnav.gaussian.sparse_grid import DELAYED, smolyak
 from celnav.gaussian.taylor import Taylor
 from celnav.models import inertial
@@ -26,6 +26,10 @@ from celnav.study.montecarlo import normals
 
 BORESIGHTS = np.sqrt(0.5) * np.array([[0.0, 1.0, 1.0], [0.0, -1.0, 1.0]])
 """Directions of the star sensors on body axes, one forward and up, one aft and up; the stars are seen along them."""
+
+
+FORM = "covariance"
+"""Of all filters here."""
 
 
 class Inputs(NamedTuple):
@@ -96,7 +100,7 @@ def simulate(config: Config, rng: np.random.Generator | Sequence[np.random.Gener
     z[np.arange(T) % config.sar_interval != 0, :, 6:] = np.nan
     if single:
         truth, z = truth[:, 0], z[:, 0]
-    prior = covariance(np.zeros(truth.shape[1:]), np.diag(config.sigma0**2))
+    prior = Gaussian(np.zeros(truth.shape[1:]), np.diag(config.sigma0**2))
     return Scenario(config, flight, truth, z, prior)
 
 
@@ -143,15 +147,18 @@ def rules(level: int = 3) -> dict[str, Any]:
     }
 
 
+def model(config: Config) -> tuple[Motion, Sensor]:
+    """What filters believe."""
+    return Motion(dynamics, sqrt_Q=config.sqrt_Q), Sensor(measurement, sqrt_R=sqrt_R)
+
+
 def quadrature_filter(rule: Any, config: Config) -> Filter:
-    """A filter by any rule. Where negative weights lose definiteness, the part is done again with the positive rule "ghqf3"."""
-    forward: Predict = predict(dynamics, rule, sqrt_Q=config.sqrt_Q)
-    back: Update = update(measurement, rule, sqrt_R=sqrt_R)
+    """A filter by any rule. Where negative weights lose definiteness, a run is done again with the positive rule "ghqf3"."""
+    motion, sensor = model(config)
+    first = sigma_point(motion, sensor, rule=rule, form=FORM)
     if isinstance(rule, Rule) and (rule.wc < 0.0).any():
-        positive = rules(config.level)["ghqf3"]
-        forward = fallback(forward, predict(dynamics, positive, sqrt_Q=config.sqrt_Q))
-        back = fallback(back, update(measurement, positive, sqrt_R=sqrt_R))
-    return sequential(forward, back)
+        return Fallback(first, sigma_point(motion, sensor, rule=rules(config.level)["ghqf3"], form=FORM))
+    return first
 
 
 def filters(config: Config) -> dict[str, Filter]:
@@ -161,24 +168,20 @@ def filters(config: Config) -> dict[str, Filter]:
     that it gives by itself (Wahba's problem).
     """
     out = {name: quadrature_filter(rule, config) for name, rule in rules(config.level).items()}
-    plain = update(measurement, Taylor(), sqrt_R=sqrt_R)
-    forward = predict(dynamics, Taylor(), sqrt_Q=config.sqrt_Q)
-    out["iekf"] = sequential(forward, _first(5, iterated(measurement, sqrt_R=sqrt_R), plain))
-    triad = iterated(measurement, sqrt_R=sqrt_R, iterations=1, start=wahba_start)
-    out["triad-ekf"] = sequential(forward, _first(1, triad, plain))
+    motion, sensor = model(config)
+    plain = ekf(motion, sensor, form=FORM)
+    iterated = Iterated(motion, (sensor,), rule=plain.rule, form=plain.form)
+    out["iekf"] = _first(5, iterated, plain)
+    out["triad-ekf"] = _first(1, replace(iterated, iterations=1, first=wahba_start), plain)
     return out
 
 
-def _first(epochs: int, start: Update, later: Update) -> Update:
-    """One update for the first epochs, another for the rest."""
-
-    def part(belief: Gaussian, z: Any, epoch: Any = None, memory: Any = None) -> Any:
-        return (start if epoch.k < epochs else later)(belief, z, epoch, memory)
-
-    return part
+def _first(epochs: int, start: Filter, later: Filter) -> Filter:
+    """One filter for the first epochs, another for the rest."""
+    return FromFunctions(start.start, lambda state, epoch: (start if epoch.k < epochs else later).step(state, epoch))
 
 
-def wahba_start(belief: Gaussian, z: Array, epoch: Epoch) -> Array:
+def wahba_start(belief: Belief, z: Array, epoch: Epoch) -> Array:
     """The mean, with the misalignment that both star vectors give."""
     at = np.array(np.broadcast_to(belief.mean, (*z.shape[:-1], 13)))
     at[..., inertial.PHI] = inertial.wahba_misalignment(z[..., :6], epoch.u.attitude, epoch.u.stars)

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from celnav.filters.driver import Epoch, Filter, run, sequential
-from celnav.filters.step import predict, update
-from celnav.gaussian.belief import nees
+from celnav.filters.records import Epoch, Filter, FromFunctions
+from celnav.filters.run import run
+from celnav.filters.sequential import ekf
+from celnav.gaussian.belief import Gaussian, nees
 from celnav.gaussian.linalg import Array
-from celnav.gaussian.rule import Rule
+from celnav.gaussian.rules import Rule
 from celnav.gaussian.sparse_grid import smolyak
-from celnav.gaussian.taylor import Taylor
 from celnav.papers.aasghqf import analysis, errata, scenario
 from celnav.papers.aasghqf.config import MICRO_G, PRESETS, T3, A, Config
 from celnav.study.montecarlo import Outcome, Plan, Progress, Unit, blocks, carry_out, generator, run_count
@@ -80,7 +80,7 @@ def _run(name: str, filter: Filter, sim: scenario.Scenario, out: dict[str, Array
     def also(epoch: Epoch, state: Any, info: Any) -> dict[str, Any]:  # noqa: ARG001
         belief = state.belief
         error = belief.mean - epoch.truth
-        return {"error": error * scale, "nees": nees(error, belief.root), "std": belief.std[:1] * scale, "cov": belief.cov[:1]}
+        return {"error": error * scale, "nees": nees(error, belief.sqrt_cov), "std": belief.std[:1] * scale, "cov": belief.cov[:1]}
 
     track = run(filter, sim.prior, sim.epochs(), keep="nothing", also=also, on_failure="flag")
     out |= {f"{name}/{key}": value for key, value in track.extra.items()}
@@ -90,18 +90,17 @@ def _run(name: str, filter: Filter, sim: scenario.Scenario, out: dict[str, Array
 
 def bound_filter(config: Config) -> Filter:
     """The extended filter linearized at the truth: its covariance is the conditional Cramer-Rao bound, its mean the truth."""
-    parts = sequential(
-        predict(scenario.dynamics, Taylor(), sqrt_Q=config.sqrt_Q), update(scenario.measurement, Taylor(), sqrt_R=scenario.sqrt_R)
-    )
+    motion, sensor = scenario.model(config)
+    parts = ekf(motion, sensor, form=scenario.FORM)
 
     def step(state: Any, epoch: Epoch) -> tuple[Any, Any]:
         # Measurements as the prediction would have them: the update then moves nothing but the covariance.
         missing = np.where(np.isnan(epoch.z), np.nan, 0.0)
         z = scenario.measurement(epoch.truth[None], epoch)[0] + missing
-        after, info = parts.step(state, epoch._replace(z=z))
-        return after._replace(belief=after.belief._replace(mean=epoch.truth)), info
+        after, infos = parts.step(state, epoch._replace(z=z))
+        return after._replace(belief=after.belief._replace(mean=epoch.truth)), infos
 
-    return Filter(parts.start, step)
+    return FromFunctions(parts.start, step)
 
 
 def _case(config: Config, seed: int, study: int, runs: range, names: tuple[str, ...], bound: bool) -> dict[str, Array]:
@@ -111,7 +110,7 @@ def _case(config: Config, seed: int, study: int, runs: range, names: tuple[str, 
     for name in names:
         _run(name, known[name], sim, out)
     if bound:
-        stds = run(bound_filter(config), sim.prior._replace(mean=sim.truth[0]), sim.epochs(), keep="std").std
+        stds = run(bound_filter(config), Gaussian(sim.truth[0], sim.prior.cov), sim.epochs(), keep="std").std
         assert stds is not None
         out["bound/std"] = stds * units(config)
     return out
@@ -126,8 +125,8 @@ def _start(config: Config, seed: int, study: int, runs: range) -> dict[str, Arra
     known["level4"] = scenario.quadrature_filter(smolyak(13, 4, [1] * 3 + [3] * 10), short)
     out: dict[str, Array] = {}
     for name in START:
-        state, info = known[name].step(known[name].start(sim.prior), epoch)
-        out[f"{name}/nees"] = nees(state.belief.mean - epoch.truth, state.belief.root)[None]
+        state, (info,) = known[name].step(known[name].start(sim.prior), epoch)
+        out[f"{name}/nees"] = nees(state.belief.mean - epoch.truth, state.belief.sqrt_cov)[None]
         redone = np.zeros(len(runs)) if info.redone is None else np.broadcast_to(info.redone, (len(runs),))
         out[f"{name}/redone"] = redone[None].astype(float)
     return out

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from celnav.gaussian.belief import Gaussian
+from celnav.gaussian.belief import Belief
 from celnav.gaussian.linalg import Array
 from celnav.papers.aasghqf.config import MICRO_G, Config
 from celnav.papers.aasghqf.scenario import filters, simulate
@@ -26,5 +26,5 @@ def trial(config: Config, rngs: Sequence[np.random.Generator]) -> Trial:
     return Trial(groups, known, sim.prior, lambda _name: sim.epochs(), _compare, "ekf")
 
 
-def _compare(truth: Array, belief: Gaussian) -> tuple[Array, Array]:
-    return belief.mean - truth, belief.root
+def _compare(truth: Array, belief: Belief) -> tuple[Array, Array]:
+    return belief.mean - truth, belief.sqrt_cov

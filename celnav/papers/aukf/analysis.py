@@ -8,18 +8,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.filters.driver import Epoch, run
-from celnav.filters.step import update
+from celnav.filters.model import Motion, Sensor
+from celnav.filters.records import Epoch
+from celnav.filters.run import run
+from celnav.filters.sequential import sigma_point
 from celnav.gaussian.linalg import Array
-from celnav.gaussian.points import unscented
-from celnav.gaussian.transform import Transform
+from celnav.gaussian.rules import unscented
 from celnav.models import pseudorange
 from celnav.models.beidou import LIGHT, ROTATION_RATE, satellites
 from celnav.models.constellation import synthetic
 from celnav.papers.aukf.config import Config
 from celnav.papers.aukf.errata import clipped_mean
 from celnav.papers.aukf.real import as_others
-from celnav.papers.aukf.scenario import EKF, START_S, TOE_S, axes, circle, filters, simulate, ukf, visible
+from celnav.papers.aukf.scenario import EKF, START_S, TOE_S, axes, circle, filters, sensor, simulate, ukf, visible
 from celnav.study.montecarlo import generator
 
 INCLINATIONS_DEG = (55.0, 10.0, 1.0, 0.1, 0.01)
@@ -135,7 +136,7 @@ def evaluations(config: Config) -> dict[str, int]:
     """How many points the measurement is evaluated at in an update of EKF and UKF, counted."""
     sim, out = simulate(replace(config, duration_s=config.interval_s), [generator(0, 97, 0)]), {}
     epoch, S = next(iter(sim.epochs())), len(sim.satellites.names)
-    rules: dict[str, Transform] = {"ekf": EKF, "ukf": ukf(config)}
+    rules: dict[str, Any] = {"ekf": EKF, "ukf": ukf(config)}
     for name, rule in rules.items():
         asked: list[int] = []
 
@@ -143,7 +144,9 @@ def evaluations(config: Config) -> dict[str, int]:
             asked.append(len(x))
             return pseudorange.measure(x, *epoch.u)
 
-        update(counting, rule, np.diag(config.sigma(S) ** 2))(sim.prior, epoch.z, epoch)
+        seen = Sensor(counting, np.diag(config.sigma(S) ** 2), jacobian=sensor(config.sigma(S)).jacobian)
+        counted = sigma_point(Motion(config.F, config.Q), seen, rule=rule, form="covariance")
+        counted.update(counted.start(sim.prior), epoch)
         out[name] = sum(asked)
     return out
 

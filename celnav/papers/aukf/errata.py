@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from scipy.special import gammainc
 
-from celnav.filters.conditioning import condition
-from celnav.filters.driver import Epoch, Filter, State
-from celnav.gaussian.belief import Gaussian, sqrt_cov
+from celnav.filters.joint import condition, joint
+from celnav.filters.records import Epoch, Filter, FromFunctions, Info, State
+from celnav.gaussian.belief import symmetric
 from celnav.gaussian.linalg import Array
+from celnav.gaussian.rules import Rule
 from celnav.gaussian.spaces import EUCLIDEAN
-from celnav.gaussian.transform import Transform
 from celnav.models import pseudorange
 from celnav.papers.aukf.config import Config
 from celnav.papers.aukf.scenario import adapted
@@ -43,28 +41,21 @@ def clipped_mean(M: int) -> float:
     return float(gammainc(0.5 * M, 0.5 * M) - gammainc(0.5 * M + 1.0, 0.5 * M))
 
 
-def without_redraw(config: Config, S: int, rule: Transform) -> Filter:
+def without_redraw(config: Config, S: int, rule: Rule) -> Filter:
     """The UKF whose measurement uses the points of the prediction, which have no process noise in them."""
-    F, sqrt_Q = config.F, sqrt_cov(config.Q, "Q")
-    noise = np.diag(config.sigma(S))
     ordinary = adapted(config, S, rule)
-    r, m = sqrt_Q.shape[-1], 2 * S
+    sqrt_Q, noise = symmetric(config.Q, "Q")[1], np.diag(config.sigma(S))
 
-    def step(state: State, epoch: Epoch) -> tuple[State, Any]:
+    def step(state: State, epoch: Epoch) -> tuple[State, tuple[Info, ...]]:
         if not epoch.dt:
             return ordinary.step(state, epoch)
-        belief: Gaussian = state.belief
 
-        def g(points: Array) -> tuple[Any, ...]:
-            moved = points @ F.T
+        def g(points: Array) -> tuple[Array, Array]:
+            moved = points @ config.F.T
             return pseudorange.measure(moved, *epoch.u), moved
 
-        (measured, moved), A = rule.transform(g, belief.mean, belief.root, EUCLIDEAN, (EUCLIDEAN, EUCLIDEAN), (), r + m)
-        A[..., -(r + m) :] = 0.0
-        A[..., m:, -(r + m) : -m] = sqrt_Q
-        A[..., :m, -m:] = noise
-        innovation = np.asarray(epoch.z) - measured.center - measured.shift
-        posterior, info, _ = condition(belief, moved, A, rule.sign, innovation, noise=(r, m))
-        return State(posterior, state.memory), info
+        both = joint(rule, state.belief, g, (EUCLIDEAN,) * 3, z=np.asarray(epoch.z), process_noise=sqrt_Q, measurement_noise=noise)
+        posterior, info, _ = condition(type(state.belief), both, EUCLIDEAN)
+        return State(posterior, state.memory), (info,)
 
-    return Filter(ordinary.start, step)
+    return FromFunctions(ordinary.start, step)

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.filters.driver import Epoch, Filter, run
-from celnav.filters.info import Hook, Joint
+from celnav.filters.records import Epoch, Filter, Hook, Info, Joint
+from celnav.filters.run import run
 from celnav.gaussian.belief import nees
 from celnav.gaussian.linalg import Array, cholesky
 from celnav.papers.aukf.scenario import Scenario, side_by_side
@@ -22,9 +22,8 @@ def watched(hook: Hook) -> Hook:
 
     def watching(memory: Any, joint: Joint, epoch: Any) -> tuple[Any, Joint]:
         own, after = hook(None if memory is None else memory[0], joint, epoch)
-        m = joint.innovation.shape[-1]
-        before, now = (np.square(j.sensor[..., :m, :]).sum(-1) for j in (joint, after))
-        return (own, np.broadcast_to(now / before, np.broadcast_shapes(now.shape, joint.innovation.shape))), after
+        (_, before), (_, now) = joint.variances(), after.variances()
+        return (own, np.broadcast_to(now / before, np.broadcast_shapes(now.shape, np.asarray(joint.innovation).shape))), after
 
     return watching
 
@@ -62,11 +61,11 @@ def _follow(filters: dict[str, Filter], sim: Scenario, kept: Kept, runs: int) ->
     out: Found = {}
     for name, filter in filters.items():
 
-        def also(epoch: Epoch, state: Any, info: Any, name: str = name) -> dict[str, Array]:
+        def also(epoch: Epoch, state: Any, infos: tuple[Info, ...], name: str = name) -> dict[str, Array]:
             belief = state.belief
             found = {"error": belief.mean - epoch.truth}
             if name in kept.nis:
-                found["nis"] = np.square(info.white).sum(-1)
+                found["nis"] = np.square(np.asarray(infos[0].whitened)).sum(-1)
             if name in kept.nees:
                 found["nees"] = nees(found["error"], cholesky(belief.cov))
             if name in kept.cov:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from celnav.files import InputError
-from celnav.filters.driver import run
+from celnav.filters.run import run
 from celnav.gaussian.linalg import Array
 from celnav.models.beidou import GEO_NUMBERS, Broadcast, satellites
 from celnav.papers.aukf.config import Config
@@ -94,7 +94,7 @@ def real(config: Config, rng: np.random.Generator, folder: Path | None = None) -
     known = filters(len(log.names), window=config.window)
     out: dict[str, Any] = {"tracks": {"ls": log.fixes}, "burst": {"ls": other.fixes}}
     for name in FILTERS:
-        track = run(known[name], log.prior(), log.epochs(), keep="spread")
+        track = run(known[name], log.prior(), log.epochs(), keep="cov")
         out["tracks"][name] = track.mean
         if name == "aukf":
             out["cov"] = track.cov[:, :3, :3]

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from pymap3d import geodetic2ecef
 
-from celnav.filters.driver import Epoch, Filter, sequential
-from celnav.filters.info import Hook
 from celnav.filters.least_squares import least_squares
-from celnav.filters.step import predict, update
-from celnav.gaussian.belief import Gaussian, covariance
+from celnav.filters.model import Motion, Sensor
+from celnav.filters.records import Epoch, Filter, Hook
+from celnav.filters.sequential import sigma_point
+from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array
-from celnav.gaussian.points import unscented
-from celnav.gaussian.rule import Rule
+from celnav.gaussian.rules import Rule, unscented
 from celnav.gaussian.taylor import Taylor
-from celnav.gaussian.transform import Transform
 from celnav.models import pseudorange
 from celnav.models.beidou import ELLIPSOID
 from celnav.models.constellation import synthetic
@@ -101,7 +99,7 @@ def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
     z += np.repeat([c.true_sigma_range_m, c.sigma_rate_m_per_s], S) * noise + burst(c, S)[:, None] * extra
     z[np.tile(satellites.elevation < np.radians(c.mask_deg), 2)[:, None].repeat(runs, 1)] = np.nan
     prior = truth[0] + first * np.sqrt(c.P0.diagonal())
-    return Scenario(c, truth, z, satellites, covariance(prior, np.broadcast_to(c.P0, (runs, 8, 8))))
+    return Scenario(c, truth, z, satellites, Gaussian(prior, np.broadcast_to(c.P0, (runs, 8, 8))))
 
 
 def burst(config: Config, S: int) -> Array:
@@ -125,8 +123,11 @@ def burst(config: Config, S: int) -> Array:
 def side_by_side(sims: Sequence[Scenario]) -> Scenario:
     """Scenarios of the same epochs and satellites as one, their runs one after the other."""
     truth, z = (np.concatenate([getattr(sim, name) for sim in sims], 1) for name in ("truth", "z"))
-    mean, spread = (np.concatenate([getattr(sim.prior, name) for sim in sims]) for name in ("mean", "spread"))
-    return sims[0]._replace(truth=truth, z=z, prior=sims[0].prior._replace(mean=mean, spread=spread))
+    mean, cov = (np.concatenate([getattr(sim.prior, name) for sim in sims]) for name in ("mean", "cov"))
+    return sims[0]._replace(truth=truth, z=z, prior=Gaussian(mean, cov))
+
+
+EKF = Taylor()
 
 
 def _measured(x: Array, epoch: Epoch) -> Array:
@@ -144,34 +145,32 @@ def _late_slope(x: Array, epoch: Epoch) -> Array:
     return _slope(before, epoch)
 
 
-EKF = Taylor(lambda x, epoch: (_slope(x, epoch),))
-LATE_EKF = Taylor(lambda x, epoch: (_late_slope(x, epoch),))
-"""With the Jacobian at the last estimate."""
-
-
 def ukf(config: Config) -> Rule:
     """The rule of all unscented filters."""
     return unscented(8, config.alpha, config.beta, 0.0)
 
 
-def adapted(config: Config, S: int, rule: Transform, *hook: Hook, Q: Array | None = None) -> Filter:
+def sensor(sigma: Array, *, late: bool = False) -> Sensor:
+    """Ranges and rates with deviations ``sigma (2 S,)``; ``late``: their Jacobian is that at the last estimate."""
+    return Sensor(_measured, np.diag(sigma**2), jacobian=_late_slope if late else _slope)
+
+
+def adapted(config: Config, S: int, rule: Any, *hook: Hook, Q: Array | None = None, late: bool = False) -> Filter:
     """A filter of the paper's model: constant velocity, which every rule moves alike, and the measurement by a rule.
 
-    ``Q``: process noise ``(..., 8, 8)`` instead of the configuration's, with one for each run if it has that axis.
+    ``Q``: process noise ``(..., 8, 8)`` instead of the configuration's, with one for each run if it has that axis. ``late``: see
+    `sensor`.
     """
-    F, sigma = config.F, config.sigma(S)
-    move = Taylor(lambda _x, _epoch: (F,))
-    forward = predict(lambda x, _epoch: x @ F.T, move, config.Q if Q is None else Q)
-    return sequential(forward, update(_measured, rule, np.diag(sigma**2), hooks=hook))
+    motion = Motion(config.F, config.Q if Q is None else Q)
+    return sigma_point(motion, sensor(config.sigma(S), late=late), rule=rule, form="covariance", hooks=hook)
 
 
 def filters(config: Config) -> dict[str, Filter]:
-    """The filters by name, for the satellites that are visible in this configuration, and priors in either form.
+    """The filters by name, for the satellites that are visible in this configuration.
 
     ls: every epoch by itself. ekf, ukf. aukf: the paper's, adapted by a window of innovations. group, channel: adapted by what no
     state explains. gate, huber, student, sage-husa: baselines. Those after ukf are unscented too.
     """
     S = len(visible(config).names)
-    sigma = config.sigma(S)
-    out = {"ls": least_squares(_measured, _slope, sigma), "ekf": adapted(config, S, EKF)}
+    out: dict[str, Filter] = {"ls": least_squares(sensor(config.sigma(S))), "ekf": adapted(config, S, EKF)}
     return out | {name: adapted(config, S, ukf(config), *hook) for name, hook in hooks(S, config.window).items()}

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from celnav.filters.adaptive import innovation_window
-from celnav.filters.driver import Epoch, Filter, State
-from celnav.gaussian.belief import covariance
+from celnav.filters.records import Epoch, Filter, FromFunctions, Info, State
+from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array
-from celnav.gaussian.points import unscented
+from celnav.gaussian.rules import unscented
 from celnav.models import pseudorange
 from celnav.papers.aukf.config import PRESETS, Config
 from celnav.papers.aukf.errata import without_redraw
 from celnav.papers.aukf.follow import Found, Kept, follow, follow_cases, watched
-from celnav.papers.aukf.scenario import EKF, LATE_EKF, Scenario, adapted, filters, simulate, ukf, visible
+from celnav.papers.aukf.scenario import EKF, Scenario, adapted, filters, simulate, ukf, visible
 from celnav.receiver.filters import parity_of_groups
 from celnav.study.montecarlo import normals
 
@@ -109,13 +109,13 @@ def from_a_fix(config: Config) -> Filter:
     known = filters(config)
     fix, ekf = known["ls"], known["ekf"]
 
-    def step(state: State, epoch: Epoch) -> tuple[State, Any]:
+    def step(state: State, epoch: Epoch) -> tuple[State, tuple[Info, ...]]:
         if epoch.k:
             return ekf.step(state, epoch)
-        found, info = fix.step(fix.start(state.belief), epoch)
-        return ekf.start(found.belief), info
+        found, infos = fix.step(fix.start(state.belief), epoch)
+        return ekf.start(found.belief), infos
 
-    return Filter(ekf.start, step)
+    return FromFunctions(ekf.start, step)
 
 
 def initial_errors(config: Config, rngs: Rngs) -> Found:
@@ -150,7 +150,7 @@ def drawn(config: Config, rngs: Rngs) -> Scenario:
         truth[k] = truth[k - 1] @ config.F.T + walk[k] @ root.T
     sigma = config.sigma(S)
     z = pseudorange.measure(truth, sim.satellites.q[:, None], sim.satellites.w[:, None]) + sigma * noise
-    prior = covariance(truth[0] + first * np.sqrt(config.P0.diagonal()), np.broadcast_to(config.P0, (runs, 8, 8)))
+    prior = Gaussian(truth[0] + first * np.sqrt(config.P0.diagonal()), np.broadcast_to(config.P0, (runs, 8, 8)))
     return Scenario(config, truth, z, sim.satellites, prior)
 
 
@@ -174,7 +174,7 @@ def redraw(config: Config, rngs: Rngs) -> Found:
     c = replace(config, burst="none")
     S, rule = _size(c), ukf(c)
     chosen = {"ukf": adapted(c, S, rule), "no redraw": without_redraw(c, S, rule)}
-    chosen |= {"ekf": adapted(c, S, EKF), "late ekf": adapted(c, S, LATE_EKF)}
+    chosen |= {"ekf": adapted(c, S, EKF), "late ekf": adapted(c, S, EKF, late=True)}
     return follow(chosen, simulate(c, rngs), Kept(nees=("no redraw",)))
 
 

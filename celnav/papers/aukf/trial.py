@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from celnav.gaussian.belief import Gaussian
+from celnav.gaussian.belief import Belief
 from celnav.gaussian.linalg import Array
 from celnav.papers.aukf.config import Config
 from celnav.papers.aukf.scenario import filters, simulate
@@ -22,5 +22,5 @@ def trial(config: Config, rngs: Sequence[np.random.Generator]) -> Trial:
     return Trial(GROUPS, filters(config), sim.prior, lambda _name: sim.epochs(), _compare)
 
 
-def _compare(truth: Array, belief: Gaussian) -> tuple[Array, Array]:
-    return belief.mean - truth, belief.root
+def _compare(truth: Array, belief: Belief) -> tuple[Array, Array]:
+    return belief.mean - truth, belief.sqrt_cov

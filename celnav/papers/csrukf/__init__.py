@@ -12,9 +12,9 @@ equation       content                                                 here
 38             acceleration with J2                                    `celnav.models.orbit.acceleration`
 39-42          angles and position                                     `celnav.models.sightings`
 1-2            colored measurement noise                               `celnav.models.noise.ar1`
-4-8            differenced measurement                                 `celnav.filters.coloring.difference`
-10-20          decorrelation, J, Q*, R*                                `celnav.filters.decorrelated.decorrelation`
-21-37          the filter                                              `celnav.filters.decorrelated.decorrelated`
+4-8            differenced measurement                                 `celnav.filters.colored.difference`
+10-20          decorrelation, J, Q*, R*                                `celnav.filters.colored.decorrelation`
+21-37          the filter                                              `celnav.filters.colored.decorrelated`
 =============  ======================================================  ===========================================
 """
 

@@ -6,11 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from celnav.gaussian.belief import Gaussian, square_root
+from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import finite
 from celnav.gaussian.linalg import Array
-from celnav.gaussian.points import unscented
-from celnav.gaussian.rule import Rule
+from celnav.gaussian.rules import Rule, unscented
 from celnav.models import orbit
 from celnav.models.noise import initial_covariance
 from celnav.study.montecarlo import steps
@@ -231,7 +230,7 @@ class Config:
 
     def prior(self, mean: Array) -> Gaussian:
         """Belief at the start about ``mean (..., 6)``."""
-        return square_root(mean, root=self.sqrt_P0)
+        return Gaussian(mean, sqrt_cov=self.sqrt_P0)
 
 
 P = Config()

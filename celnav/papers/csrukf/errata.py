@@ -5,21 +5,21 @@ Every filter and formula here should *not* be used.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.filters.coloring import Colored, difference
-from celnav.filters.conditioning import Model, condition, images
-from celnav.filters.decorrelated import decorrelation
-from celnav.filters.driver import Epoch, Filter, State, sequential
-from celnav.filters.info import Info
-from celnav.filters.step import predict, update
-from celnav.gaussian.belief import Gaussian, square_root
-from celnav.gaussian.linalg import Array, block, matvec
-from celnav.gaussian.points import unscented
-from celnav.gaussian.rule import Rule
+from celnav.filters.colored import ColoredState, decorrelation, difference
+from celnav.filters.joint import condition, joint
+from celnav.filters.model import Model, Motion, Sensor, evaluate
+from celnav.filters.records import Epoch, Filter, FromFunctions, Info, State
+from celnav.filters.sequential import sigma_point
+from celnav.gaussian.belief import Gaussian, SquareRoot
+from celnav.gaussian.linalg import Array, matvec
+from celnav.gaussian.rules import Rule, unscented
 from celnav.gaussian.spaces import EUCLIDEAN
-from celnav.gaussian.transform import Outputs
 from celnav.models.orbit import EARTH
 from celnav.papers.csrukf.config import Config
 from celnav.papers.csrukf.scenario import H, dynamics
@@ -61,27 +61,24 @@ def printed_radius(diameter: ArrayLike) -> Array:
 def reused_points(f: Model, rule: Rule, sqrt_Q: Array, sqrt_R: Array) -> Filter:
     """SRUKF that measures the propagated points without drawing them anew, Eqs. 29-32: process noise misses the cross terms."""
 
-    def step(state: State, epoch: Epoch) -> tuple[State, Info]:
+    def step(state: State, epoch: Epoch) -> tuple[State, tuple[Info, ...]]:
         if not epoch.dt:
-            return state, Info()
+            return state, (Info(),)
 
-        def g(points: Array) -> Outputs:
-            y = images("f", f, points, epoch, (), 6)
+        def g(points: Array) -> tuple[Array, Array]:
+            y = evaluate("f", f, points, epoch, (), 6)
             return y[..., :3], y
 
         posterior, info = _reused(state.belief, rule, g, epoch.z, sqrt_Q, sqrt_R)
-        return State(posterior), info
+        return State(posterior), (info,)
 
-    return Filter(lambda prior: State(prior), step)
+    return FromFunctions(sigma_point(Motion(f, sqrt_Q=sqrt_Q), rule=rule).start, step)
 
 
-def _reused(belief: Gaussian, rule: Rule, g: Model, z: Array, sqrt_Q: Array, sqrt_R: Array) -> tuple[Gaussian, Info]:
+def _reused(belief: SquareRoot, rule: Rule, g: Model, z: Array, sqrt_Q: Array, sqrt_R: Array) -> tuple[Any, Info]:
     """Condition on points that went through ``g`` together: the process noise is added to the state rows only."""
-    (n, r), (m, s) = sqrt_Q.shape, sqrt_R.shape
-    root = belief.form.root(belief.spread)
-    (measured, x), A = rule.transform(g, belief.mean, root, EUCLIDEAN, (EUCLIDEAN, EUCLIDEAN), (), r + s)
-    A[..., -(r + s) :] = block([[np.zeros((m, r)), sqrt_R], [sqrt_Q, np.zeros((n, s))]])
-    posterior, info, _ = condition(belief, x, A, rule.sign, z - measured.center - measured.shift, noise=(r, s))
+    both = joint(rule, belief, g, (EUCLIDEAN,) * 3, z=z, process_noise=sqrt_Q, measurement_noise=sqrt_R)
+    posterior, info, _ = condition(SquareRoot, both, EUCLIDEAN)
     return posterior, info
 
 
@@ -103,18 +100,29 @@ def _two_step(config: Config, J: Array, sqrt_Q: Array, sqrt_R: Array, *, from_st
     """The paper's loop with any gain and any "roots": update with ``z*``, then predict."""
     Phi = config.Phi
     f_star, h_star = _transformed(config, J)
-    past, forward = update(h_star, config.rule, sqrt_R=sqrt_R), predict(f_star, config.rule, sqrt_Q=sqrt_Q)
+    two = sigma_point(Motion(f_star, sqrt_Q=sqrt_Q), Sensor(h_star, sqrt_R=sqrt_R), rule=config.rule)
 
-    def step(state: Colored, epoch: Epoch) -> tuple[Colored, Info]:
+    def step(state: ColoredState, epoch: Epoch) -> tuple[ColoredState, tuple[Info, ...]]:
         if state.z is None:
-            return Colored(state.belief, epoch.z, state.lagged), Info()
+            return ColoredState(state.belief, epoch.z, state.lagged), (Info(),)
         star = epoch._replace(z=difference(Phi, state.z, epoch.z))
-        lagged, info = state.belief, Info()
+        infos: tuple[Info, ...] = (Info(),)
+        lagged = State(state.belief, (None,))
         if epoch.k > 1 or from_start:
-            lagged, info, _ = past(state.belief, star.z, star)
-        return Colored(forward(lagged, star)[0], epoch.z, lagged), info
+            lagged, infos = two.update(lagged, star)
+        return ColoredState(two.predict(lagged, star).belief, epoch.z, lagged.belief), infos
 
-    return Filter(lambda prior: Colored(prior, None, prior), step)
+    return FromFunctions(_started(two), step)
+
+
+def _started(filter: Filter) -> Callable[[Gaussian], ColoredState]:
+    """What starts a filter for colored noise from the belief that another one starts with."""
+
+    def start(prior: Gaussian) -> ColoredState:
+        belief = filter.start(prior).belief
+        return ColoredState(belief, None, belief)
+
+    return start
 
 
 def printed_roots(config: Config) -> Filter:
@@ -139,25 +147,26 @@ def no_redraw(config: Config) -> Filter:
     """CSRUKF that updates with the points of the previous prediction, Eqs. 29-32."""
     star = decorrelation(H, config.sqrt_Q, config.sigma_km * np.eye(3))
     f_star, h_star = _transformed(config, star.J)
-    past, forward = update(h_star, config.rule, sqrt_R=star.sqrt_R), predict(f_star, config.rule, sqrt_Q=star.sqrt_Q)
+    two = sigma_point(Motion(f_star, sqrt_Q=star.sqrt_Q), Sensor(h_star, sqrt_R=star.sqrt_R), rule=config.rule)
 
-    def step(state: Colored, epoch: Epoch) -> tuple[Colored, Info]:
+    def step(state: ColoredState, epoch: Epoch) -> tuple[ColoredState, tuple[Info, ...]]:
         if state.z is None:
-            return Colored(state.belief, epoch.z, state.lagged), Info()
+            return ColoredState(state.belief, epoch.z, state.lagged), (Info(),)
         now = epoch._replace(z=difference(config.Phi, state.z, epoch.z))
         before = state.memory
         if before is None:
-            lagged, info, _ = past(state.belief, now.z, now)
+            after, (info,) = two.update(State(state.belief, (None,)), now)
+            lagged = after.belief
         else:
 
-            def g(points: Array) -> Outputs:
+            def g(points: Array) -> tuple[Array, Array]:
                 y = f_star(points, before)
                 return h_star(y, now), y
 
             lagged, info = _reused(state.lagged, config.rule, g, now.z, star.sqrt_Q, star.sqrt_R)
-        return Colored(forward(lagged, now)[0], epoch.z, lagged, now), info
+        return ColoredState(two.predict(State(lagged, (None,)), now).belief, epoch.z, lagged, now), (info,)
 
-    return Filter(lambda prior: Colored(prior, None, prior), step)
+    return FromFunctions(_started(two), step)
 
 
 def redraw_defect(rng: np.random.Generator) -> tuple[float, float]:
@@ -168,13 +177,13 @@ def redraw_defect(rng: np.random.Generator) -> tuple[float, float]:
     def f(x: Array, epoch: object) -> Array:  # noqa: ARG001
         return matvec(F, x)
 
-    prior = square_root(np.zeros(6), root=eye)
+    prior = Gaussian(np.zeros(6), sqrt_cov=eye)
     P = F @ F.T + eye
     S = H @ P @ H.T + np.eye(3)
     K = np.linalg.solve(S, H @ P).T
     mean, cov = K @ z, P - K @ S @ K.T
     differences = []
-    for filter in (reused_points(f, rule, eye, np.eye(3)), sequential(predict(f, rule, eye), update(H, rule, np.eye(3)))):
+    for filter in (reused_points(f, rule, eye, np.eye(3)), sigma_point(Motion(f, eye), Sensor(H, np.eye(3)), rule=rule)):
         state, _ = filter.step(filter.start(prior), Epoch(1, 1.0, 1.0, None, z))
         differences.append(max(np.abs(state.belief.mean - mean).max(), np.abs(state.belief.cov - cov).max()))
     return float(differences[0]), float(differences[1])

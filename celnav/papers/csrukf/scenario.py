@@ -7,14 +7,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.filters.colored import augmented, colored
-from celnav.filters.conditioning import Model
-from celnav.filters.decorrelated import decorrelated
-from celnav.filters.driver import Epochs, Filter, epochs, sequential
-from celnav.filters.step import predict, update
+from celnav.filters.colored import augmented, colored, decorrelated
+from celnav.filters.epochs import Epochs, epochs
+from celnav.filters.model import Model, Motion, Sensor
+from celnav.filters.records import Filter
+from celnav.filters.sequential import sigma_point
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array, semidefinite_root
-from celnav.gaussian.points import unscented
+from celnav.gaussian.rules import Rule, unscented
 from celnav.models import orbit, sightings
 from celnav.models.noise import ar1, effective_covariance
 from celnav.papers.csrukf.config import Config
@@ -112,42 +112,46 @@ def filters(config: Config) -> dict[str, Filter]:
     """
     if config.measured == "angles":
         return angle_filters(config)
-    f, rule, Q, R = dynamics(config), config.rule, config.sqrt_Q, config.R
-    out = {
+    Phi, options = config.Phi, dict[str, Any](increments=config.R, rule=config.rule)
+    motion, sensor = orbital(config), Sensor(H, config.Sigma0)
+    out: dict[str, Filter] = {
         "srukf": white(config, config.white_R),
-        "csrukf": decorrelated(f, H, rule, config.Phi, sqrt_Q=Q, R=R),
-        "csrukf+z0": colored(f, H, rule, config.Phi, sqrt_Q=Q, R=R, Sigma0=config.Sigma0),
-        "augmented": augmented(f, H, unscented(9), config.Phi, Q=Q @ Q.T, R=R, Sigma0=config.Sigma0),
+        "csrukf": decorrelated(motion, sensor, Phi, first=False, **options),
+        "csrukf+z0": colored(motion, sensor, Phi, **options),
+        "augmented": augmented(motion, sensor, Phi, increments=config.R),
         "openloop": open_loop(config),
     }
     if abs(config.phi) < 1.0:
-        out["srukf-reff"] = white(config, effective_covariance(config.Phi, R))
+        out["srukf-reff"] = white(config, effective_covariance(Phi, config.R))
     else:
-        out["srukf-inflated"] = white(config, 0.5 * config.steps * R)
+        out["srukf-inflated"] = white(config, 0.5 * config.steps * config.R)
     return out
+
+
+def orbital(config: Config) -> Motion:
+    """What filters believe of the orbit."""
+    return Motion(dynamics(config), sqrt_Q=config.sqrt_Q)
+
+
+def at_epoch(R: Array) -> Any:
+    """A covariance ``(3, 3)``, or a function that looks it up in a table ``(T, 3, 3)``."""
+    return R if R.ndim == 2 else lambda _, epoch: R[epoch.k]
 
 
 def open_loop(config: Config) -> Filter:
     """No measurement at all."""
-    return sequential(predict(dynamics(config), config.rule, sqrt_Q=config.sqrt_Q))
+    return sigma_point(orbital(config), rule=config.rule)
 
 
 def white(config: Config, R: Array) -> Filter:
     """SRUKF that takes the noise for white, of covariance ``R (3, 3)`` or a table ``(T, 3, 3)`` of them."""
-    f, rule = dynamics(config), config.rule
-    if R.ndim == 2:
-        return sequential(predict(f, rule, sqrt_Q=config.sqrt_Q), update(H, rule, R))
-    roots = semidefinite_root(R)
-    return sequential(predict(f, rule, sqrt_Q=config.sqrt_Q), update(H, rule, sqrt_R=lambda _, epoch: roots[epoch.k]))
+    return sigma_point(orbital(config), Sensor(H, at_epoch(R)), rule=config.rule)
 
 
 def single_transform(config: Config, R: Array, filter_phi: Array | None = None) -> Filter:
     """CSRUKF in one transform with covariances of increments ``R (3, 3)`` or ``(T, 3, 3)``, and any assumed coefficient."""
-    Phi = config.Phi if filter_phi is None else filter_phi
-    if R.ndim == 2:
-        return colored(dynamics(config), H, config.rule, Phi, sqrt_Q=config.sqrt_Q, R=R)
-    roots = semidefinite_root(R)
-    return colored(dynamics(config), H, config.rule, Phi, sqrt_Q=config.sqrt_Q, sqrt_R=lambda _, epoch: roots[epoch.k])
+    Phi, sensor = config.Phi if filter_phi is None else filter_phi, Sensor(H, np.eye(3))  # the first sample is not used
+    return colored(orbital(config), sensor, Phi, increments=at_epoch(R), first=False, rule=config.rule)
 
 
 def jacobian_covariance(config: Config) -> Array:
@@ -162,23 +166,25 @@ def angle_filters(config: Config) -> dict[str, Filter]:
     pseudo-positions, with the covariance that the angles give them. angles: on the angles themselves; their noise is whitened
     if it has a color. angles+z0: uses the first sample too, the exact reference. openloop: no measurement at all.
     """
-    f, stars = dynamics(config), sightings.star_directions(config.separation)
-    root, table = config.increment * np.diag(config.sigma_angles), jacobian_covariance(config)
+    stars, table, squared = sightings.star_directions(config.separation), jacobian_covariance(config), config.increment**2
     isotropic = np.trace(table, axis1=-2, axis2=-1).mean() / 3.0 * np.eye(3)
-    squared = config.increment**2
+    motion, increments = orbital(config), squared * np.diag(config.sigma_angles**2)
 
     def h(x: Array, epoch: object) -> Array:  # noqa: ARG001
         return sightings.angles(x[..., :3], stars)
 
-    def whitened(**first: Any) -> Filter:
-        return colored(f, h, unscented(12), config.Phi, sqrt_Q=config.sqrt_Q, sqrt_R=root, **first)
+    def whitened(*, first: bool) -> Filter:
+        return colored(motion, Sensor(h, config.angle_Sigma0), config.Phi, increments=increments, first=first, rule=rule)
 
-    plain = sequential(predict(f, config.rule, sqrt_Q=config.sqrt_Q), update(h, config.rule, sqrt_R=root))
+    def rule(n: int) -> Rule:
+        return config.rule if n == 6 else unscented(n)
+
+    plain = sigma_point(motion, Sensor(h, sqrt_R=np.diag(config.sigma_angles)), rule=config.rule)
     return {
         "srukf-isotropic": white(config, isotropic),
         "csrukf-isotropic": single_transform(config, squared * isotropic),
         "csrukf-jacobian": single_transform(config, squared * table),
-        "angles": whitened() if config.phi else plain,
-        "angles+z0": whitened(Sigma0=config.angle_Sigma0, first_rule=config.rule),
+        "angles": whitened(first=False) if config.phi else plain,
+        "angles+z0": whitened(first=True),
         "openloop": open_loop(config),
     }

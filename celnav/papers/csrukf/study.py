@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from celnav.filters.driver import Epochs, Filter, run
+from celnav.filters.epochs import Epochs
+from celnav.filters.records import Filter
+from celnav.filters.run import run
 from celnav.gaussian.belief import nees
 from celnav.gaussian.linalg import Array
 from celnav.models import orbit
@@ -62,7 +64,7 @@ def _errors(name: str, filter: Filter, sim: scenario.Scenario, epochs: Epochs, o
 
     def also(epoch: Any, state: Any, info: Any) -> dict[str, Any]:  # noqa: ARG001
         belief = state.belief
-        mean, root = belief.mean[..., :6], belief.root[..., :6, :6]
+        mean, root = belief.mean[..., :6], belief.sqrt_cov[..., :6, :6]
         error = mean - epoch.truth
         row = {"error": error * UNITS, "std": belief.std[..., :6] * UNITS, "nees": nees(error, root), "root0": root[:1]}
         lagged = getattr(state, "lagged", None)
@@ -73,7 +75,7 @@ def _errors(name: str, filter: Filter, sim: scenario.Scenario, epochs: Epochs, o
         return row
 
     track = run(filter, sim.prior, epochs, keep="mean", also=also, on_failure="flag")
-    nis = np.full(track.extra["nees"].shape, np.nan) if track.white is None else np.where(track.dof == 0, np.nan, track.nis)
+    nis = np.full(track.extra["nees"].shape, np.nan) if track.whitened is None else np.where(track.dof == 0, np.nan, track.nis)
     out |= {f"{name}/{key}": value for key, value in track.extra.items()} | {f"{name}/nis": nis}
 
 
@@ -126,7 +128,7 @@ def _peer(config: Config, seed: int) -> dict[str, Array]:
     sim = _simulated(config, seed, 0, range(100))
     points = MerweScaledSigmaPoints(6, config.alpha, config.beta, config.kappa)
     ukf = UnscentedKalmanFilter(6, 3, config.step_s, lambda x: x[:3], lambda x, dt: orbit.step(x, dt), points)
-    ukf.x, ukf.P = np.array(sim.prior.mean[0]), np.array(sim.prior.cov[0])
+    ukf.x, ukf.P = np.array(sim.prior.mean[0]), np.array(sim.prior.cov)
     ukf.Q, ukf.R = config.sqrt_Q @ config.sqrt_Q.T, config.R
     start, means = process_time(), [ukf.x]
     for z in sim.z[1:, 0]:

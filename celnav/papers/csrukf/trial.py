@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from celnav.gaussian.belief import Gaussian
+from celnav.gaussian.belief import Belief
 from celnav.gaussian.linalg import Array
 from celnav.papers.csrukf.config import Config
 from celnav.papers.csrukf.scenario import filters, simulate
@@ -23,5 +23,5 @@ def trial(config: Config, rngs: Sequence[np.random.Generator]) -> Trial:
     return Trial(GROUPS, known, sim.prior, sim.epochs_of, _compare, EXACT[config.measured], lambda x: x[..., :3])
 
 
-def _compare(truth: Array, belief: Gaussian) -> tuple[Array, Array]:
-    return belief.mean[..., :6] - truth, belief.root[..., :6, :6]
+def _compare(truth: Array, belief: Belief) -> tuple[Array, Array]:
+    return belief.mean[..., :6] - truth, belief.sqrt_cov[..., :6, :6]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from celnav.analysis.tuning import Tuned, maximize_likelihood
-from celnav.filters.driver import Filter
+from celnav.filters.records import Filter
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array
 from celnav.papers.csrukf.config import Config

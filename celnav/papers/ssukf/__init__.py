@@ -11,8 +11,8 @@ The equations of the text at hand are lost; the parts of the filters are
 ===================================  ==========================================================================
 content                              here
 ===================================  ==========================================================================
-augmented, switching, additive UKF   `celnav.filters.step.predict`, `celnav.filters.step.update` with ``extra``
-AUKF drawn once                      `celnav.filters.single_draw`
+augmented, switching, additive UKF   `celnav.filters.sequential.sigma_point`, models with ``augment``
+AUKF drawn once                      `celnav.filters.sequential.SingleDraw`
 attitude as a state                  `celnav.gaussian.attitude.attitude`
 gyro and its drift                   `celnav.models.gyro`
 satellite                            `celnav.models.rigid_body`

@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from celnav.filters.driver import Epoch, Filter, run, sequential
-from celnav.filters.step import predict, update
+from celnav.filters.model import Motion, Sensor
+from celnav.filters.records import Epoch, Filter
+from celnav.filters.run import run
+from celnav.filters.sequential import ukf
 from celnav.gaussian import attitude
-from celnav.gaussian.belief import Gaussian, covariance, square_root
+from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array
-from celnav.gaussian.points import unscented
 from celnav.models.gyro import Gyro
 from celnav.papers.ssukf.config import ARCSEC, UNITS, Config
 from celnav.papers.ssukf.errata import printed_spread
@@ -67,11 +68,10 @@ def identities(config: Config, rngs: Runs) -> dict[str, Array]:
     In square-root form, since the first star sample takes eight digits off a covariance; that form is compared too.
     """
     sim = simulate(replace(config, preintegrated=False), rngs)
-    prior = square_root(sim.prior.mean, np.diag(config.sigma0**2))
 
-    def all_of(names: Sequence[str], c: float | None, alpha: float = 0.1, start: Gaussian = prior) -> dict[str, Array]:
-        known = filters(replace(sim.config, alpha=alpha), c=c)
-        return {name: _means(known[name], start, sim) for name in names}
+    def all_of(names: Sequence[str], c: float | None, alpha: float = 0.1, form: str = "square root") -> dict[str, Array]:
+        known = filters(replace(sim.config, alpha=alpha), c=c, form=form)
+        return {name: _means(known[name], sim.prior, sim) for name in names}
 
     out = {}
     for c in SPREADS:
@@ -83,7 +83,7 @@ def identities(config: Config, rngs: Runs) -> dict[str, Array]:
     for alpha in (1.0, 0.1):
         means = all_of(("aukf", "ssukf"), None, alpha)
         out[f"ssukf, alpha = {alpha:g}"] = apart(means["aukf"], means["ssukf"])
-    means = all_of(("aukf", "ssukf"), 15.0, start=sim.prior)
+    means = all_of(("aukf", "ssukf"), 15.0, form="covariance")
     out["ssukf, covariance form"] = apart(means["aukf"], means["ssukf"])
     return out
 
@@ -134,7 +134,7 @@ def _as_printed(config: Config) -> Filter:
 def total_covariance(config: Config, rng: np.random.Generator) -> float:
     """Largest difference, in deviations, of the total form's covariance in the tangent space from the local one at the end."""
     sim = simulate(config, [rng])
-    every = [run(filter, prior, sim.epochs(), keep="spread") for filter, prior in (
+    every = [run(filter, prior, sim.epochs(), keep="cov") for filter, prior in (
         (filters(config)["ssukf"], sim.prior), (total_filters(config)["ssukf-total"], total_prior(sim.prior)),
     )]  # fmt: skip
     assert every[1].mean is not None
@@ -151,7 +151,7 @@ def priors(config: Config, rngs: Runs) -> dict[str, Array]:
     deviation = np.stack([*[sigma] * 3, *[np.full_like(sigma, config.sigma0[3])] * 3], -1)
     count = len(PRIORS_DEG)
     wide = repeated(sim, count)
-    prior = covariance(wide.prior.mean, np.square(deviation)[..., None] * np.eye(6))
+    prior = Gaussian(wide.prior.mean, np.square(deviation)[..., None] * np.eye(6))
     error = errors(wide.truth, _means(filters(config)["ssukf"], prior, wide)) / UNITS
     return {f"{s:g}": part for s, part in zip(PRIORS_DEG, np.split(error, count, 1), strict=True)}
 
@@ -164,7 +164,7 @@ def turns(config: Config, rngs: Runs) -> dict[str, Array]:
     turned = attitude.exp(-size * np.array([0.48, 0.6, 0.64]))
     mean = np.concatenate([attitude.multiply(turned, wide.truth[0][:, :4]), wide.prior.mean[:, 4:]], -1)
     deviation = np.concatenate([np.tile(size, 3), np.full((len(size), 3), config.sigma0[3])], -1)
-    prior = covariance(mean, np.square(deviation)[..., None] * np.eye(6))
+    prior = Gaussian(mean, np.square(deviation)[..., None] * np.eye(6))
     known, out = filters(config), {}
     for name in LARGE:
         error = errors(wide.truth, _means(known[name], prior, wide))[..., :3] / ARCSEC
@@ -189,16 +189,16 @@ def linear(config: Config, rngs: Runs) -> dict[str, Array]:
     stars[0] = np.nan
     truth = np.concatenate([q, drift], -1)
     start = -deviation[:3] * initial[:, :3]
-    prior = covariance(np.concatenate([attitude.exp(start), np.zeros_like(start)], -1), np.diag(deviation**2))
+    prior = Gaussian(np.concatenate([attitude.exp(start), np.zeros_like(start)], -1), np.diag(deviation**2))
     sim = Scenario(replace(c, preintegrated=True), truth, samples, stars, prior, prior)
 
     def f(x: Array, epoch: Epoch) -> Array:
         return np.concatenate([x[..., :3] + (epoch.u - x[..., 3:]) * epoch.dt, gyro.factor(dt) * x[..., 3:]], -1)
 
     H = np.hstack([np.eye(3), np.zeros((3, 3))])
-    exact = sequential(predict(f, unscented(6), gyro.process_noise(dt)), update(H, unscented(6), sqrt_R=c.sigma_n * np.eye(3)))
+    exact = ukf(Motion(f, gyro.process_noise(dt)), Sensor(H, sqrt_R=c.sigma_n * np.eye(3)), form="covariance")
     epochs = [Epoch(k, k * dt, dt if k else 0.0, samples[k - 1] if k else None, turned[k] if k else None) for k in range(T)]
-    belief = covariance(np.concatenate([start, np.zeros_like(start)], -1), np.diag(deviation**2))
+    belief = Gaussian(np.concatenate([start, np.zeros_like(start)], -1), np.diag(deviation**2))
     flat = run(exact, belief, epochs, keep="mean").mean
     assert flat is not None
     reference = np.concatenate([attitude.exp(flat[..., :3]), flat[..., 3:]], -1)
@@ -211,7 +211,7 @@ def dead_points(config: Config) -> tuple[int, int]:
     sim = simulate(replace(config, duration_s=1.0 / config.star_hz), generator(0, 0, 0))
     epoch = list(sim.epochs())[-1]
     extra = (noise_root(config.gyro, config.step_s), config.sigma_n * np.eye(3))
-    x, *noise = spread(15, config).points(sim.prior.mean, sim.prior.root, state_space(), extra)
+    x, *noise = spread(15, config).points(sim.prior.mean, sim.prior.sqrt_cov, state_space(), extra)
     moved = dynamics(config.gyro)(x, epoch, *noise)
     seen = np.concatenate([star(x, epoch, *noise), x], -1)
     time, measured = (int((y[1:] == y[0]).all(-1).sum()) for y in (moved, seen))

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.filters.driver import Epoch, Filter, run, sequential
-from celnav.filters.single_draw import drawn_once, single_draw
-from celnav.filters.step import predict, update
+from celnav.filters.model import Motion, Sensor
+from celnav.filters.records import Epoch, Filter
+from celnav.filters.run import run
+from celnav.filters.sequential import Sequential, SingleDraw, sigma_point, ukf
 from celnav.filters.track import Track
-from celnav.gaussian.belief import covariance, nees
+from celnav.gaussian.belief import Gaussian, nees
 from celnav.gaussian.linalg import Array
-from celnav.gaussian.points import unscented
-from celnav.gaussian.rule import Rule
+from celnav.gaussian.rules import Rule, unscented
 
 CORRELATIONS = (0.5, 0.8, -0.8)
 DECAY = 0.98
@@ -47,7 +48,7 @@ def correlated(
         truth[k + 1] = DECAY * truth[k] + noise[k, :, :1]
     z = truth[1:] + noise[:, :, 1:]
     epochs = [Epoch(k + 1, k + 1.0, 1.0, None, z[k], truth[k + 1]) for k in range(steps)]
-    prior = covariance(np.zeros((count * runs, 1)), np.eye(1))
+    prior = Gaussian(np.zeros((count * runs, 1)), np.eye(1))
 
     def f(x: Array, _epoch: Any, *w: Array) -> Array:
         return np.asarray(DECAY * x + w[0][..., :1])
@@ -56,16 +57,21 @@ def correlated(
         return np.asarray(x + v[-1][..., -1:])
 
     one, both = np.eye(1), np.repeat(roots, runs, 0)
-    known = {
-        "once": drawn_once(single_draw(f, h, unscented(3), extra=(both,)), update(h, unscented(2), extra=(one,))),
-        "switching": sequential(predict(f, unscented(2), extra=(one,)), update(h, unscented(2), extra=(one,))),
-        "redrawn": sequential(predict(f, unscented(3), extra=(one, one)), update(h, unscented(3), extra=(one, one))),
+
+    def added(motion: tuple[Array, ...], sensor: tuple[Array, ...]) -> Sequential:
+        return ukf(Motion(f, augment=motion), Sensor(h, augment=sensor), form="covariance")
+
+    single = added((one,), (one,))
+    known: dict[str, Filter] = {
+        "once": replace(SingleDraw.of(single), joint_noise=(both,)),
+        "switching": single,
+        "redrawn": added((one, one), (one, one)),
     }
-    tracks = {name: run(filter, prior, epochs, keep="spread") for name, filter in known.items()}
+    tracks = {name: run(filter, prior, epochs, keep="cov") for name, filter in known.items()}
     error = {name: truth[1:] - _mean(track) for name, track in tracks.items()}
     squares = {name: np.split(np.square(e[burn:]), count, 1) for name, e in error.items()}
-    ratios = np.split(nees(error["switching"], tracks["switching"].root)[burn:], count, 1)
-    stds = np.split(tracks["once"].root[..., 0, 0], count, 1)
+    ratios = np.split(nees(error["switching"], tracks["switching"].sqrt_cov)[burn:], count, 1)
+    stds = np.split(tracks["once"].sqrt_cov[..., 0, 0], count, 1)
     out = {}
     for i, rho in enumerate(CORRELATIONS):
         deviations = exact(rho, steps)
@@ -116,13 +122,19 @@ def multiplied(rng: np.random.Generator, *, runs: int = 2000, steps: int = 60) -
         return np.asarray(mean[..., :1, None] * sensor)
 
     W = np.diag(sigma)
+
+    def through(time: tuple[Array, ...], seen: tuple[Array, ...]) -> Sequential:
+        motion = Motion(f, augment=time) if time else Motion(f, sqrt_Q=process)
+        return sigma_point(motion, Sensor(h, augment=seen) if seen else Sensor(h, sqrt_R=measured), rule=rule, form="covariance")
+
+    ssukf = through((W,), (sensor,))
     known: dict[str, Filter] = {
-        "aukf": sequential(predict(f, rule(5), extra=(W, sensor)), update(h, rule(5), extra=(W, sensor))),
-        "ssukf": sequential(predict(f, rule(4), extra=(W,)), update(h, rule(3), extra=(sensor,))),
-        "aukf-1": drawn_once(single_draw(f, h, rule(5), extra=(W, sensor)), update(h, rule(3), extra=(sensor,))),
-        "additive": sequential(predict(f, rule(2), sqrt_Q=process), update(h, rule(2), sqrt_R=measured)),
+        "aukf": through((W, sensor), (W, sensor)),
+        "ssukf": ssukf,
+        "aukf-1": SingleDraw.of(ssukf),
+        "additive": through((), ()),
     }
-    prior = covariance(np.tile(start, (runs, 1)), P)
+    prior = Gaussian(np.tile(start, (runs, 1)), P)
     means = {name: _mean(run(filter, prior, epochs, keep="mean")) for name, filter in known.items()}
     rms = {name: float(np.sqrt(np.square(mean - truth[1:])[..., 0].mean())) for name, mean in means.items()}
     return rms, float(np.abs(means["aukf"] - means["ssukf"]).max())

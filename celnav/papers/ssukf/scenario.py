@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.filters.conditioning import Model
-from celnav.filters.driver import Epoch, Filter, sequential
-from celnav.filters.info import Info
-from celnav.filters.single_draw import drawn_once, single_draw
-from celnav.filters.step import Predict, Update, predict, update
+from celnav.filters.model import Model, Motion, Sensor, constant
+from celnav.filters.records import Epoch, Filter, State
+from celnav.filters.sequential import Sequential, SingleDraw, ekf, sigma_point, ukf
 from celnav.gaussian import attitude
-from celnav.gaussian.belief import Gaussian, covariance
+from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array
-from celnav.gaussian.points import unscented
-from celnav.gaussian.rule import Rule
+from celnav.gaussian.rules import Rule, unscented
 from celnav.gaussian.spaces import EUCLIDEAN, Space, product, wrap
-from celnav.gaussian.taylor import Taylor
 from celnav.models.gyro import Gyro, preintegrate
 from celnav.papers.ssukf.config import DEG_PER_H, Config
 from celnav.study.montecarlo import normals
@@ -100,14 +96,14 @@ def simulate(config: Config, rng: np.random.Generator | Sequence[np.random.Gener
     mean = np.tile(np.append(attitude.IDENTITY, np.zeros(3)), (len(rngs), 1))
     if single:
         truth, gyro, stars, mean, moved = truth[:, 0], gyro[:, 0], stars[:, 0], mean[0], moved[0]
-    every = Scenario(replace(c, preintegrated=False), truth, gyro, stars, covariance(mean, P), covariance(moved, P))
+    every = Scenario(replace(c, preintegrated=False), truth, gyro, stars, Gaussian(mean, P), Gaussian(moved, P))
     return every.integrated() if c.preintegrated else every
 
 
 def repeated(sim: Scenario, count: int) -> Scenario:
     """The same runs several times, one after the other."""
     truth, gyro, stars = (np.tile(array, (1, count, 1)) for array in (sim.truth, sim.gyro, sim.stars))
-    prior, drawn = (covariance(np.tile(b.mean, (count, 1)), np.tile(b.cov, (count, 1, 1))) for b in (sim.prior, sim.drawn))
+    prior, drawn = (Gaussian(np.tile(b.mean, (count, 1)), b.cov) for b in (sim.prior, sim.drawn))
     return Scenario(sim.config, truth, gyro, stars, prior, drawn)
 
 
@@ -160,7 +156,7 @@ def dynamics(gyro: Gyro) -> Model:
     return f
 
 
-class Sensor(NamedTuple):
+class Sensing(NamedTuple):
     """What is measured: ``h(x, epoch, *noise)``, whose last noise is the sensor's, of the root given.
 
     ``slope(x, epoch)`` is its Jacobian ``(..., m, 6)``. The spaces of the measurement are those of filters in modified Rodrigues
@@ -180,10 +176,10 @@ def star(x: Array, _epoch: Any, *noise: Array) -> Array:
     return attitude.multiply(attitude.exp(noise[-1]), q) if noise else q
 
 
-def star_sensor(config: Config) -> Sensor:
+def star_sensor(config: Config) -> Sensing:
     """The paper's: a whole attitude."""
     H = np.eye(3, 6)
-    return Sensor(star, lambda _x, _epoch: H, config.sigma_n * np.eye(3), attitude.attitude(), attitude.attitude(0.0, 2.0))
+    return Sensing(star, lambda _x, _epoch: H, config.sigma_n * np.eye(3), attitude.attitude(), attitude.attitude(0.0, 2.0))
 
 
 def noise_root(gyro: Gyro, dt: float) -> Array:
@@ -191,16 +187,22 @@ def noise_root(gyro: Gyro, dt: float) -> Array:
     return np.diag(np.repeat([gyro.rate_std(dt), gyro.drift_std(dt)], 3))
 
 
-def filters(config: Config, *, c: float | None = None, transported: bool = False) -> dict[str, Filter]:
+def filters(config: Config, *, c: float | None = None, transported: bool = False, form: str = "covariance") -> dict[str, Filter]:
     """The paper's filters and those it is compared with, by name; see `family`.
 
     ``c``: one spread for all rules instead of ``alpha^2 (L + kappa)``. Warns if points of the prior wrap at 180 deg.
     """
     attitude.warn_of_wrapping(spread(15, config, c=c), float(config.sigma0[:3].max()))
-    return family(config.gyro, config.step_s, star_sensor(config), lambda L: spread(L, config, c=c), transported=transported)
+
+    def rule(L: int) -> Rule:
+        return spread(L, config, c=c)
+
+    return family(config.gyro, config.step_s, star_sensor(config), rule, transported=transported, form=form)
 
 
-def family(gyro: Gyro, dt: float, sensor: Sensor, rule: Callable[[int], Rule], *, transported: bool = False) -> dict[str, Filter]:
+def family(
+    gyro: Gyro, dt: float, sensor: Sensing, rule: Callable[[int], Rule], *, transported: bool = False, form: str = "covariance"
+) -> dict[str, Filter]:
     """Filters of attitude and drift for any sensor, by name.
 
     aukf: process and measurement noise through the points of both parts (15 dimensions, 31 points). aukf-1: the same, drawn
@@ -210,36 +212,49 @@ def family(gyro: Gyro, dt: float, sensor: Sensor, rule: Callable[[int], Rule], *
 
     Parameters
     ----------
-    rule: the rule of a dimension. transported: the covariance follows the reference after an update.
+    rule: the rule of a dimension. transported: the covariance follows the reference after an update. form: of all filters.
     """
     space, gibbs = state_space(transported=transported), state_space(transported=transported, a=0.0, b=2.0)
     W, V, Q = noise_root(gyro, dt), sensor.root, gyro.process_noise(dt)
     f = dynamics(gyro)
 
-    def measure(rule: Any, extra: tuple[Array, ...] = (), space: Space = space, sky: Space = sensor.space) -> Update:
-        return update(sensor.h, rule, sqrt_R=None if extra else V, extra=extra, space=space, measurement_space=sky)
+    def through(time: tuple[Array, ...], measured: tuple[Array, ...]) -> Sequential:
+        motion = Motion(f, augment=time, space=space) if time else Motion(f, Q, space=space)
+        seen = Sensor(sensor.h, sqrt_R=None if measured else V, augment=measured, space=sensor.space)
+        return sigma_point(motion, seen, rule=rule, form=form)
 
-    moved = Taylor(lambda x, epoch: (gyro.transition(x, epoch.u, epoch.dt),))
-    seen = Taylor(lambda x, epoch: (sensor.slope(x, epoch),))
-    once = single_draw(f, sensor.h, rule(15), extra=(W, V), space=space, measurement_space=sensor.space)
-    crassidis = unscented(6, 1.0, 0.0, 1.0)
+    mekf = ekf(
+        Motion(f, Q, space=gibbs, jacobian=lambda x, epoch: gyro.transition(x, epoch.u, epoch.dt)),
+        Sensor(sensor.h, sqrt_R=V, space=sensor.gibbs, jacobian=sensor.slope),
+        form=form,
+    )
     return {
-        "aukf": sequential(predict(f, rule(15), extra=(W, V), space=space), measure(rule(15), (W, V))),
-        "aukf-1": drawn_once(once, measure(rule(9), (V,))),
-        "ssukf": sequential(predict(f, rule(12), extra=(W,), space=space), measure(rule(9), (V,))),
-        "additive": sequential(predict(f, rule(6), Q, space=space), measure(rule(6))),
-        "usque": sequential(_halved(f, crassidis, gyro, dt, space), measure(crassidis)),
-        "mekf": sequential(predict(f, moved, Q, space=gibbs), measure(seen, space=gibbs, sky=sensor.gibbs)),
+        "aukf": through((W, V), (W, V)),
+        "aukf-1": SingleDraw.of(through((W,), (V,))),
+        "ssukf": through((W,), (V,)),
+        "additive": through((), ()),
+        "usque": _halved(f, sensor, gyro, dt, space, form),
+        "mekf": mekf,
     }
 
 
-def _halved(f: Model, rule: Rule, gyro: Gyro, dt: float, space: Space) -> Predict:
+@dataclass(frozen=True, eq=False)
+class Halved(Sequential):
     """Half of the process noise before and half after the propagation [Crassidis & Markley 2003]."""
+
+    def predict(self, state: State, epoch: Epoch) -> State:
+        """State at the end of the interval."""
+        columns = constant(self.motion.noise)
+        if not np.any(epoch.dt) or columns is None:
+            return state
+        belief = state.belief
+        noisier = self.form(belief.mean, self.form.sum(belief[1], columns))
+        return super().predict(state._replace(belief=noisier), epoch)
+
+
+def _halved(f: Model, sensor: Sensing, gyro: Gyro, dt: float, space: Space, form: str) -> Filter:
     u2 = gyro.sigma_u**2
     half = 0.5 * np.diag(np.repeat([gyro.sigma_v**2 * dt - u2 * dt**3 / 6.0, u2 * dt], 3))
-    forward, columns = predict(f, rule, half, space=space), np.sqrt(half)
-
-    def part(belief: Gaussian, epoch: Any = None) -> tuple[Gaussian, Info]:
-        return forward(belief._replace(spread=belief.form.sum(belief.spread, columns)), epoch)
-
-    return part
+    seen = Sensor(sensor.h, sqrt_R=sensor.root, space=sensor.space)
+    crassidis = ukf(Motion(f, half, space=space), seen, kappa=1.0, form=form)
+    return Halved(crassidis.motion, crassidis.sensors, rule=crassidis.rule, form=crassidis.form)

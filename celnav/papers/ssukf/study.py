@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from celnav.filters.driver import Filter, run
-from celnav.gaussian.belief import Gaussian, covariance, nees
+from celnav.filters.records import Filter
+from celnav.filters.run import run
+from celnav.gaussian.belief import Gaussian, nees
 from celnav.gaussian.linalg import Array
 from celnav.papers.ssukf import checks, draws, scenario, theory, vector
 from celnav.papers.ssukf.config import ARCSEC, PRESETS, STANDARD, UNITS, Config
@@ -84,14 +85,14 @@ def compare(config: Config, rngs: Sequence[np.random.Generator], names: Sequence
 
 def _follow(name: str, filter: Filter, sim: scenario.Scenario, prior: Gaussian) -> dict[str, Array]:
     every = len(sim.gyro) // (len(sim.truth) - 1)
-    track = run(filter, prior, sim.epochs(), keep="spread", every=every)
+    track = run(filter, prior, sim.epochs(), keep="cov", every=every)
     assert track.mean is not None
     assert track.std is not None
     error = scenario.errors(sim.truth, track.mean)
     out = {
         "error": error / UNITS,
         "euler": scenario.euler_errors(sim.truth, track.mean) / ARCSEC,
-        "nees": nees(error, track.root),
+        "nees": nees(error, track.sqrt_cov),
         "nis": track.nis,
         "std": track.std[:, :1] / UNITS,
         "mean": track.mean[:, :1],
@@ -104,7 +105,7 @@ def _main(config: Config, rngs: Sequence[np.random.Generator]) -> dict[str, Arra
     """The paper's initial errors and drawn ones on the same noise: ``paper/...`` and ``drawn/...``; one batch where it can be."""
     sim, known = scenario.simulate(config, rngs), scenario.filters(config)
     both = scenario.repeated(sim, 2)
-    prior = covariance(np.concatenate([sim.prior.mean, sim.drawn.mean]), both.prior.cov)
+    prior = Gaussian(np.concatenate([sim.prior.mean, sim.drawn.mean]), both.prior.cov)
     out = {"paper/truth": sim.truth[:, :1], "paper/stars": sim.stars[:, :1]}
     for name in dict.fromkeys([*PAPER, *DRAWN]):
         whole = DRAWN[name] >= config.duration_s

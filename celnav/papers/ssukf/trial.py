@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from celnav.gaussian.belief import Gaussian
+from celnav.gaussian.belief import Belief
 from celnav.gaussian.linalg import Array
 from celnav.papers.ssukf.config import ARCSEC, DEG_PER_H, Config
 from celnav.papers.ssukf.scenario import errors, filters, simulate
@@ -22,5 +22,5 @@ def trial(config: Config, rngs: Sequence[np.random.Generator]) -> Trial:
     return Trial(GROUPS, known, sim.drawn, lambda _name: sim.epochs(), _compare, "mekf")
 
 
-def _compare(truth: Array, belief: Gaussian) -> tuple[Array, Array]:
-    return errors(truth, belief.mean), belief.root
+def _compare(truth: Array, belief: Belief) -> tuple[Array, Array]:
+    return errors(truth, belief.mean), belief.sqrt_cov

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from celnav.filters.driver import Epoch, Filter, run, sequential
-from celnav.filters.info import Info
-from celnav.filters.step import Predict, predict, update
+from celnav.filters.model import Motion, Sensor
+from celnav.filters.records import Epoch, Filter, FromFunctions, Info, State
+from celnav.filters.run import run
+from celnav.filters.sequential import Sequential, sigma_point
 from celnav.gaussian import attitude
-from celnav.gaussian.belief import Gaussian, covariance
-from celnav.gaussian.linalg import Array, block
-from celnav.gaussian.rule import Rule
+from celnav.gaussian.belief import Gaussian
+from celnav.gaussian.linalg import Array, block, tria
+from celnav.gaussian.rules import Rule
 from celnav.gaussian.spaces import EUCLIDEAN, Space, product
 from celnav.papers.ssukf.config import ARCSEC, Config
 from celnav.papers.ssukf.scenario import Scenario, dynamics, filters, noise_root, spread, star, state_space
@@ -29,12 +30,11 @@ def to_tangent(q: Array) -> Array:
 
 
 def total_prior(prior: Gaussian) -> Gaussian:
-    """The prior with its spread in total parameters."""
-    columns, sign = prior.columns
-    return prior._replace(spread=prior.form.marginal(np.linalg.solve(to_tangent(prior.mean[..., :4]), columns), sign))
+    """The prior with its covariance in total parameters."""
+    return Gaussian(prior.mean, sqrt_cov=tria(np.linalg.solve(to_tangent(prior.mean[..., :4]), prior.sqrt_cov)))
 
 
-def total_filters(config: Config, *, c: float | None = None, switched: bool = True) -> dict[str, Filter]:
+def total_filters(config: Config, *, c: float | None = None, switched: bool = True, form: str = "covariance") -> dict[str, Filter]:
     """AUKF and SSUKF on the total attitude. Without the switch to the shadow set (``switched``) they meet its singularity."""
     W, V = noise_root(config.gyro, config.step_s), config.sigma_n * np.eye(3)
     sky = attitude.total_attitude()
@@ -47,14 +47,11 @@ def total_filters(config: Config, *, c: float | None = None, switched: bool = Tr
             y[..., :4] = attitude.positive(y[..., :4])
         return np.asarray(y)
 
-    def parts(time: Rule, noise: tuple[Array, ...], measured: Rule, sensor: tuple[Array, ...]) -> Filter:
-        see = update(star, measured, extra=sensor, space=space, measurement_space=sky)
-        return sequential(predict(f, time, extra=noise, space=space), see)
+    def through(time: tuple[Array, ...], measured: tuple[Array, ...]) -> Filter:
+        seen = Sensor(star, augment=measured, space=sky)
+        return sigma_point(Motion(f, augment=time, space=space), seen, rule=lambda n: spread(n, config, c=c), form=form)
 
-    return {
-        "aukf-total": parts(spread(15, config, c=c), (W, V), spread(15, config, c=c), (W, V)),
-        "ssukf-total": parts(spread(12, config, c=c), (W,), spread(9, config, c=c), (V,)),
-    }
+    return {"aukf-total": through((W, V), (W, V)), "ssukf-total": through((W,), (V,))}
 
 
 class Spin(NamedTuple):
@@ -97,7 +94,7 @@ def spin(
     truth = np.concatenate([np.broadcast_to(q, stars.shape), drift], -1)
     mean = np.tile(np.append(q[0], np.zeros(3)), (len(rngs), 1))
     deviation = np.concatenate([np.full(3, c.sigma_n), np.full(3, c.gyro.drift_std(1.0) + 1e-9)])
-    prior = covariance(mean, np.diag(deviation**2))
+    prior = Gaussian(mean, np.diag(deviation**2))
     scenario = Scenario(short, truth, gyro, stars, prior, prior)
 
     def track(filter: Filter, prior: Gaussian) -> Array:
@@ -118,53 +115,54 @@ def spin(
 
 
 # -- dense roots: the joint covariance of state and noise is factored as a whole ---------------------------------------------
-def dense_filters(config: Config, *, c: float | None = None) -> dict[str, Filter]:
+def dense_filters(config: Config, *, c: float | None = None, form: str = "covariance") -> dict[str, Filter]:
     """AUKF and SSUKF that factor the whole augmented covariance, as the paper writes them."""
     w, v = noise_root(config.gyro, config.step_s).diagonal(), np.full(3, config.sigma_n)
     time = {"aukf": np.concatenate([w, v]), "ssukf": w}
     measured = {"aukf": np.concatenate([w, v]), "ssukf": v}
-    return {name: sequential(_dense_predict(config, time[name], c), _dense_update(config, measured[name], c)) for name in time}
+    return {name: _dense(config, time[name], measured[name], c, form) for name in time}
 
 
-def _augmented(belief: Gaussian, noise: Array) -> Gaussian:
-    mean = np.concatenate([belief.mean, np.zeros((*belief.mean.shape[:-1], len(noise)))], -1)
-    return Gaussian(mean, block([[belief.spread, 0], [0, belief.form.marginal(np.diag(noise), np.ones(1))]]), belief.form)
-
-
-def _reduced(belief: Gaussian) -> Gaussian:
-    """The belief about attitude and drift alone: of a lower root, too, the first rows are all there is of them."""
-    return Gaussian(belief.mean[..., :7], belief.spread[..., :6, :6], belief.form)
-
-
-def _space(noise: Array) -> Space:
-    return product((state_space(), 7, 6), (EUCLIDEAN, len(noise), len(noise)))
-
-
-def _dense_predict(config: Config, noise: Array, c: float | None) -> Predict:
+def _dense(config: Config, time: Array, measured: Array, c: float | None, form: str) -> Filter:
+    """A filter that takes the noise into the state before each of its parts, and out of it after."""
     through = dynamics(config.gyro)
 
     def f(x: Array, epoch: Epoch) -> Array:
         return np.concatenate([through(x[..., :7], epoch, x[..., 7:]), x[..., 7:]], -1)
 
-    n = 6 + len(noise)
-    part = predict(f, spread(n, config, c=c), sqrt_Q=np.zeros((n, 0)), space=_space(noise))  # the noise is in the state
-
-    def dense(belief: Gaussian, epoch: Any = None) -> tuple[Gaussian, Info]:
-        after, info = part(_augmented(belief, noise), epoch)
-        return _reduced(after), info
-
-    return dense
-
-
-def _dense_update(config: Config, noise: Array, c: float | None) -> Any:
     def h(x: Array, epoch: Epoch) -> Array:
         return star(x[..., :7], epoch, x[..., 7:][..., -3:])
 
-    rule, sky, none = spread(6 + len(noise), config, c=c), attitude.attitude(), np.zeros((3, 0))  # the noise is in the state
-    part = update(h, rule, sqrt_R=none, space=_space(noise), measurement_space=sky)
+    def rule(n: int) -> Rule:
+        return spread(n, config, c=c)
 
-    def dense(belief: Gaussian, z: Any, epoch: Any = None, memory: Any = None) -> tuple[Gaussian, Info, Any]:
-        after, info, memory = part(_augmented(belief, noise), z, epoch, memory)
-        return _reduced(after), info, memory
+    def part(noise: Array) -> Sequential:  # the noise is in the state
+        n = 6 + len(noise)
+        motion = Motion(f, sqrt_Q=np.zeros((n, 0)), space=_space(noise))
+        return sigma_point(motion, Sensor(h, sqrt_R=np.zeros((3, 0)), space=attitude.attitude()), rule=rule, form=form)
 
-    return dense
+    forward, back = part(time), part(measured)
+
+    def step(state: State, epoch: Epoch) -> tuple[State, tuple[Info, ...]]:
+        if epoch.dt:
+            state = _reduced(forward.predict(_augmented(state, time), epoch))
+        after, infos = back.update(_augmented(state, measured), epoch)
+        return _reduced(after), infos
+
+    return FromFunctions(lambda prior: State(forward.form.of(prior), (None,)), step)
+
+
+def _augmented(state: State, noise: Array) -> State:
+    belief, form = state.belief, type(state.belief)
+    mean = np.concatenate([belief.mean, np.zeros((*belief.mean.shape[:-1], len(noise)))], -1)
+    return state._replace(belief=form(mean, block([[belief[1], 0], [0, form.marginal(np.diag(noise), np.ones(1))]])))
+
+
+def _reduced(state: State) -> State:
+    """About attitude and drift alone: of a lower root, too, the first rows are all there is of them."""
+    belief = state.belief
+    return state._replace(belief=type(belief)(belief.mean[..., :7], belief[1][..., :6, :6]))
+
+
+def _space(noise: Array) -> Space:
+    return product((state_space(), 7, 6), (EUCLIDEAN, len(noise), len(noise)))

@@ -7,14 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from celnav.filters.driver import Epoch, Filter, run
+from celnav.filters.records import Epoch, Filter
+from celnav.filters.run import run
 from celnav.gaussian import attitude
-from celnav.gaussian.belief import Gaussian, covariance, nees
+from celnav.gaussian.belief import Gaussian, nees
 from celnav.gaussian.linalg import Array
-from celnav.gaussian.points import unscented
+from celnav.gaussian.rules import unscented
 from celnav.gaussian.spaces import EUCLIDEAN
 from celnav.papers.ssukf.config import DEG_PER_H, Config
-from celnav.papers.ssukf.scenario import Sensor, errors, family, start
+from celnav.papers.ssukf.scenario import Sensing, errors, family, start
 from celnav.study.montecarlo import normals
 
 PRIORS_DEG = (10.0, 30.0, 60.0)
@@ -35,7 +36,7 @@ def field(t: float, rate: float) -> Array:
     return np.asarray(direction / np.linalg.norm(direction))
 
 
-def sensor(config: Config) -> Sensor:
+def sensor(config: Config) -> Sensing:
     """The unit vector on body axes, with additive noise."""
 
     def h(x: Array, epoch: Epoch, *noise: Array) -> Array:
@@ -46,7 +47,7 @@ def sensor(config: Config) -> Sensor:
         seen = attitude.rotate(x[..., :4], field(epoch.t, config.orbit_rate_rad_per_s))
         return np.concatenate([attitude.cross(seen), np.zeros((*seen.shape, 3))], -1)
 
-    return Sensor(h, slope, NOISE * np.eye(3), EUCLIDEAN, EUCLIDEAN)
+    return Sensing(h, slope, NOISE * np.eye(3), EUCLIDEAN, EUCLIDEAN)
 
 
 def filters(config: Config) -> dict[str, Filter]:
@@ -87,7 +88,7 @@ def epochs(config: Config, rngs: Sequence[np.random.Generator], steps: int) -> t
     error = sigma * np.tile(initial[:, :3], (count, 1))
     mean = np.concatenate([attitude.multiply(attitude.inverse(attitude.exp(error)), q[0]), np.zeros((len(error), 3))], -1)
     deviation = np.concatenate([np.tile(sigma, 3), np.full_like(error, c.prior_drift_deg_per_h * DEG_PER_H)], -1)
-    prior = covariance(mean, np.square(deviation)[..., None] * np.eye(6))
+    prior = Gaussian(mean, np.square(deviation)[..., None] * np.eye(6))
     truth = np.concatenate([np.broadcast_to(q, (*drift.shape[:2], 4)), drift], -1)
     listed = [Epoch(0, 0.0, 0.0, None, np.full((len(mean), 3), np.nan), np.tile(truth[0], (count, 1)))]
     for k in range(1, steps + 1):
@@ -106,7 +107,7 @@ def compare(
 
     def also(epoch: Epoch, state: Any, info: Any) -> Run:  # noqa: ARG001
         error = errors(epoch.truth, state.belief.mean)
-        return {"error": np.degrees(np.linalg.norm(error[..., :3], axis=-1)), "nees": nees(error, state.belief.root)}
+        return {"error": np.degrees(np.linalg.norm(error[..., :3], axis=-1)), "nees": nees(error, state.belief.sqrt_cov)}
 
     out: dict[str, Array] = {}
     for name in names:

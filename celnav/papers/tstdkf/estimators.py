@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from celnav.filters.differenced import Noise, differenced
-from celnav.filters.driver import Epoch, Filter, sequential
-from celnav.filters.step import predict, update
+from celnav.filters.differenced import Differenced, Noise
+from celnav.filters.model import Motion, Sensor
+from celnav.filters.records import Epoch, Filter, FromFunctions, State
+from celnav.filters.sequential import Sequential, ekf
 from celnav.filters.strong_tracking import excess, proportional, strong_tracking
-from celnav.filters.two_stage import First, plain, two_stage
-from celnav.gaussian.belief import Gaussian, covariance
+from celnav.filters.two_stage import First, Plain, TwoStage
+from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array, block, matvec, side_by_side
-from celnav.gaussian.taylor import Taylor
 from celnav.models.variational import Flow, flow
 from celnav.papers.tstdkf.config import Config
 from celnav.papers.tstdkf.scenario import as_cases, noise_of, pull
@@ -44,7 +44,7 @@ class Orbit:
         return self._last[2]
 
 
-class Sensor(NamedTuple):
+class Timings(NamedTuple):
     """The timings as filters see them, km, with the Earth where they believe it: ``(mean (..., 6 or more), epoch) -> array``."""
 
     measure: Callable[[Array, Epoch], Array]
@@ -56,10 +56,10 @@ class Sensor(NamedTuple):
         return np.concatenate([Gamma, np.zeros_like(Gamma)], -1)
 
 
-def sensor(config: Config) -> Sensor:
+def timings(config: Config) -> Timings:
     """``Gamma (..., m, 3)`` is the slope with respect to the position, and to an error of the Earth's."""
     timing = config.timing
-    return Sensor(
+    return Timings(
         lambda x, epoch: timing.delay(epoch.u[0] + x[..., :3], epoch.u[1]),
         lambda x, epoch: timing.gradient(epoch.u[0] + x[..., :3], epoch.u[1]),
     )
@@ -84,24 +84,22 @@ def _each(cases: Sequence[Config], runs: Runs, name: str) -> Array:
 def bias_prior(cases: Sequence[Config], runs: Runs) -> Gaussian:
     """Belief about the ephemeris error at the start."""
     std = _each(cases, runs, "bias_prior_km")
-    return covariance(np.zeros((*std.shape[:-1], 3)), std[..., None] ** 2 * np.eye(3))
+    return Gaussian(np.zeros((*std.shape[:-1], 3)), std[..., None] ** 2 * np.eye(3))
 
 
-def kalman(config: Config, white: White, pulled: bool = False) -> tuple[Any, Any]:
-    """Predict and update of an EKF that takes all noise for white."""
+def kalman(config: Config, white: White, pulled: bool = False) -> Sequential:
+    """An EKF that takes all noise for white."""
     Q, R = white
-    motion, root, seen = Orbit(pulled), np.linalg.cholesky(Q), sensor(config)
+    motion, root, seen = Orbit(pulled), np.linalg.cholesky(Q), timings(config)
 
     def f(x: Array, epoch: Epoch) -> Array:
         return motion(x[0], epoch).state[None]
 
-    moved = Taylor(lambda x, epoch: (motion(x, epoch).Phi,))
-    slope = Taylor(lambda x, epoch: (seen.H(x, epoch),))
-
     def noise(mean: Array, epoch: Epoch) -> Array:
         return motion(mean, epoch).G @ root
 
-    return predict(f, moved, sqrt_Q=noise), update(seen.measure, slope, R=R)
+    believed = Motion(f, sqrt_Q=noise, jacobian=lambda x, epoch: motion(x, epoch).Phi)
+    return ekf(believed, Sensor(seen.measure, R, jacobian=seen.H), form="covariance")
 
 
 def driving(config: Config) -> White:
@@ -117,14 +115,14 @@ def stationary(config: Config) -> White:
 
 def two_stages(cases: Sequence[Config], runs: Runs, whites: Sequence[White], pulled: bool = False) -> Filter:
     """TKF, whose first stage is EKF, of several cases with covariances of their own."""
-    parts = kalman(cases[0], _of_all(whites, runs), pulled)
-    return two_stage(plain(*parts), sensor(cases[0]).Gamma, bias_prior(cases, runs))
+    first = Plain(kalman(cases[0], _of_all(whites, runs), pulled))
+    return TwoStage.of(first, timings(cases[0]).Gamma, bias_prior(cases, runs))
 
 
-def differencing(config: Config, noise: Noise) -> First:
+def differencing(config: Config, noise: Noise) -> Differenced:
     """The first stage of TDKF and TSTDKF."""
-    seen = sensor(config)
-    return differenced(lambda mean, epoch: flow(mean, epoch.dt), seen.measure, seen.H, noise)
+    seen = timings(config)
+    return Differenced(lambda mean, epoch: flow(mean, epoch.dt), seen.measure, seen.H, noise)
 
 
 def boosted(cases: Config | Sequence[Config], runs: Runs = 1, *, also_plain: bool = False, first: First | None = None) -> Filter:
@@ -142,11 +140,11 @@ def boosted(cases: Config | Sequence[Config], runs: Runs = 1, *, also_plain: boo
 
     form = FORMS[c.factor] if (forms == forms[0]).all() else factor
     stage = first or differencing(c, noises(together, runs))
-    return two_stage(stage, sensor(c).Gamma, bias_prior(together, runs), boost=strong_tracking(rho, c.tau, factor=form))
+    return TwoStage.of(stage, timings(c).Gamma, bias_prior(together, runs), boost=strong_tracking(rho, c.tau, factor=form))
 
 
 def filters(cases: Config | Sequence[Config], runs: Runs = 1) -> dict[str, Filter]:
-    """The filters by name, for priors ``(all runs, 6)`` in covariance form; for one case of any batch shape.
+    """The filters by name, for priors ``(all runs, 6)``; for one case of any batch shape.
 
     ekf, tkf: ignorance and two stages, with the covariances of the driving noise; the first stage of tkf is ekf. ekf-fair,
     tkf-fair: the same with the stationary covariances. tdkf, tstdkf: two stages on differenced measurements, without and with
@@ -156,11 +154,11 @@ def filters(cases: Config | Sequence[Config], runs: Runs = 1) -> dict[str, Filte
     together = as_cases(cases)
     c, own, fair = together[0], [driving(case) for case in together], [stationary(case) for case in together]
     return {
-        "ekf": sequential(*kalman(c, _of_all(own, runs))),
-        "ekf-fair": sequential(*kalman(c, _of_all(fair, runs))),
+        "ekf": kalman(c, _of_all(own, runs)),
+        "ekf-fair": kalman(c, _of_all(fair, runs)),
         "tkf": two_stages(together, runs, own),
         "tkf-fair": two_stages(together, runs, fair),
-        "tdkf": two_stage(differencing(c, noises(together, runs)), sensor(c).Gamma, bias_prior(together, runs)),
+        "tdkf": TwoStage.of(differencing(c, noises(together, runs)), timings(c).Gamma, bias_prior(together, runs)),
         "tstdkf": boosted(together, runs),
         "aug": augmented(together, runs),
     }
@@ -171,10 +169,10 @@ def augmented(cases: Config | Sequence[Config], runs: Runs = 1, *, noise: Noise 
 
     ``noise``: other noises than those of the cases.
 
-    In covariance form: after an update V is known from the rest, so the covariance is singular, and no root of it is ever taken.
+    In square-root form: after an update V is known from the rest, so the covariance is singular.
     """
     together = as_cases(cases)
-    n, seen = noise or noises(together, runs), sensor(together[0])
+    n, seen = noise or noises(together, runs), timings(together[0])
     motion, JF, bias = Orbit(), n.J @ n.F, bias_prior(together, runs)
 
     def f(x: Array, epoch: Epoch) -> Array:
@@ -189,11 +187,11 @@ def augmented(cases: Config | Sequence[Config], runs: Runs = 1, *, noise: Noise 
     driving = block([[np.zeros((6, 3)), 0, 0], [np.sqrt(n.Xi), 0, 0], [0, np.sqrt(n.E), 0], [0, 0, walk]])
     into, through = side_by_side([JF, n.L]), side_by_side([n.J @ np.sqrt(n.Xi), np.sqrt(n.E)])
 
-    def transition(x: Array, epoch: Epoch) -> tuple[Array, ...]:
+    def transition(x: Array, epoch: Epoch) -> Array:
         Phi, G = motion(x, epoch)[1:]
         A = np.broadcast_to(fixed, (*Phi.shape[:-2], 18, 18)).copy()
         A[..., :6, :6], A[..., :6, 6:15] = Phi, G @ into
-        return (A,)
+        return A
 
     def columns(mean: Array, epoch: Epoch) -> Array:
         G = motion(mean, epoch).G
@@ -204,17 +202,18 @@ def augmented(cases: Config | Sequence[Config], runs: Runs = 1, *, noise: Noise 
     def h(x: Array, epoch: Epoch) -> Array:
         return np.asarray(seen.measure(x, epoch) + x[..., 6:9] + matvec(seen.Gamma(x, epoch), x[..., 15:]))
 
-    def jacobian(x: Array, epoch: Epoch) -> tuple[Array, ...]:
+    def jacobian(x: Array, epoch: Epoch) -> Array:
         Gamma = seen.Gamma(x, epoch)
         rest = np.broadcast_to(np.hstack([np.zeros((3, 3)), np.eye(3), np.zeros((3, 6))]), (*Gamma.shape[:-1], 12))
-        return (np.concatenate([Gamma, rest, Gamma], -1),)
+        return np.concatenate([Gamma, rest, Gamma], -1)
 
-    parts = sequential(predict(f, Taylor(transition), sqrt_Q=columns), update(h, Taylor(jacobian), sqrt_R=np.zeros((3, 1))))
+    exact = ekf(Motion(f, sqrt_Q=columns, jacobian=transition), Sensor(h, sqrt_R=np.zeros((3, 1)), jacobian=jacobian))
 
-    def start(prior: Gaussian) -> Any:
+    def start(prior: Gaussian) -> State:
         batch = prior.mean.shape[:-1]
         mean = np.concatenate([prior.mean, np.zeros((*batch, 12))], -1)
-        P = block([[prior.cov, 0, 0, 0], [0, n.V, 0, 0], [0, 0, n.Q, 0], [0, 0, 0, bias.cov]])
-        return parts.start(covariance(mean, np.broadcast_to(P, (*batch, 18, 18))))
+        parts = [np.asarray(part) for part in (prior.cov, n.V, n.Q, bias.cov)]
+        P = block([[part if i == j else 0 for j in range(4)] for i, part in enumerate(parts)])
+        return exact.start(Gaussian(mean, np.broadcast_to(P, (*batch, 18, 18))))
 
-    return Filter(start, parts.step)
+    return FromFunctions(start, exact.step)

@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.filters.driver import Filter, FilterError, steps
+from celnav.filters.records import Filter, FilterError
+from celnav.filters.run import steps
 from celnav.gaussian.belief import nees
 from celnav.gaussian.linalg import Array, block, cholesky, matvec
 from celnav.papers.tstdkf.config import Config
@@ -30,16 +31,18 @@ def views(name: str, state: Any) -> Iterator[View]:
     """The filters that are inside of a filter's state: EKF is the first stage of TKF, TDKF lies beside TSTDKF."""
     if name == "aug":
         chosen = np.r_[0:6, 15:18]
-        yield View("aug", state.belief.mean[..., chosen], lambda part: state.belief.spread[part, chosen[:, None], chosen])
+        yield View("aug", state.belief.mean[..., chosen], lambda part: state.belief.cov[part, chosen[:, None], chosen])
         return
     free, own, Lambda = state.first.belief, state.bias, state.Lambda
 
+    shared = own.cov[0] if own.cov.ndim > free.cov.ndim else own.cov  # TDKF and TSTDKF differ in the mean alone
+
     def both(part: slice) -> Array:
-        cross = Lambda[part] @ own.spread[part]
-        return block([[free.spread[part] + cross @ Lambda[part].mT, cross], [cross.mT, own.spread[part]]])
+        cross = Lambda[part] @ shared[part]
+        return block([[free.cov[part] + cross @ Lambda[part].mT, cross], [cross.mT, shared[part]]])
 
     if name != "tstdkf":
-        yield View(name.replace("tkf", "ekf"), free.mean, lambda part: np.asarray(free.spread[part]))
+        yield View(name.replace("tkf", "ekf"), free.mean, lambda part: np.asarray(free.cov[part]))
     labels = ("tdkf", "tstdkf") if name == "tstdkf" else (name,)
     means = own.mean if name == "tstdkf" else own.mean[None]
     for label, bias in zip(labels, means, strict=True):
@@ -78,7 +81,7 @@ def follow(
         filter = boosted(cases, sim.runs, also_plain=True) if name == "tstdkf" else filters(cases, sim.runs)[name]
 
     rows = _Rows(len(sim.truth) - 1)
-    for epoch, state, info in steps(filter, sim.prior, sim.epochs()):
+    for epoch, state, (info,) in steps(filter, sim.prior, sim.epochs()):
         for view in views(name, state):
             error = view.mean - epoch.truth[..., : view.mean.shape[-1]]
             squares = np.square(error).reshape(*error.shape[:-1], -1, 3).sum(-1)
@@ -88,7 +91,7 @@ def follow(
                 n = error.shape[-1] if name == "aug" else 6
                 rows.add(f"{view.label}/nees", nees(error[..., :n], cholesky(view.cov(slice(None))[..., :n, :n])))
                 if name == "aug":
-                    rows.add(f"{view.label}/nis", np.square(info.white).sum(-1))
+                    rows.add(f"{view.label}/nis", np.square(np.asarray(info.whitened)).sum(-1))
             if showcase:
                 rows.add(f"{view.label}/first/mean", view.mean[:1])
                 rows.add(f"{view.label}/first/cov", view.cov(slice(1)))
@@ -127,8 +130,8 @@ class _Rows:
 def _inside(name: str, state: Any, info: Any) -> dict[str, Array]:
     """Innovations of the first run, and the factors of strong tracking."""
     # TDKF and TSTDKF lie along a leading axis, once there is a difference to update with.
-    both = info.white.ndim > 2
-    innovation, white, root = ((found[-1] if both else found)[:1] for found in (info.innovation, info.white, info.innovation_root))
+    both = info.whitened.ndim > 2
+    innovation, white, root = ((found[-1] if both else found)[:1] for found in (info.innovation, info.whitened, info.sqrt_S))
     out = {"residual": innovation, "residual std": np.sqrt(np.square(root).sum(-1)), "nis": np.square(white).sum(-1)}
     out = {f"{name}/first/{what}": value for what, value in out.items()}
     if name == "tstdkf":

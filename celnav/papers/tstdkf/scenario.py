@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from celnav.filters.differenced import Noise, ar1_noise
-from celnav.filters.driver import Epoch
-from celnav.gaussian.belief import Gaussian, covariance
+from celnav.filters.records import Epoch
+from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array, matvec
 from celnav.models import third_body
 from celnav.models.ephemeris import GM, de421
@@ -72,7 +72,7 @@ class Scenario(NamedTuple):
         """One case alone."""
         first = sum(self.runs[:index])
         part = slice(first, first + self.runs[index])
-        prior = self.prior._replace(mean=self.prior.mean[part], spread=self.prior.spread[part])
+        prior = Gaussian(self.prior.mean[part], self.prior.cov[part])
         truth, bias, z = (values[:, part] for values in (self.truth, self.bias, self.z))
         return Scenario(self.cases[index : index + 1], self.runs[index : index + 1], truth, bias, z, self.sky, prior)
 
@@ -86,7 +86,7 @@ def beside(*parts: Scenario) -> Scenario:
     """
     cases = as_cases([case for part in parts for case in part.cases])
     truth, bias, z = (np.concatenate(values, 1) for values in zip(*((p.truth, p.bias, p.z) for p in parts), strict=True))
-    prior = covariance(np.concatenate([p.prior.mean for p in parts]), np.concatenate([p.prior.spread for p in parts]))
+    prior = Gaussian(np.concatenate([p.prior.mean for p in parts]), np.concatenate([p.prior.cov for p in parts]))
     return Scenario(cases, sum((part.runs for part in parts), ()), truth, bias, z, parts[0].sky, prior)
 
 
@@ -181,7 +181,7 @@ def simulate(cases: Config | Sequence[Config], rngs: Sequence[np.random.Generato
     ]
     deviation = np.repeat([case.deviation for case in together], runs, 0)
     spread = deviation[..., None] ** 2 * np.eye(6)
-    prior = covariance(c.orbit + np.concatenate(own) * deviation, spread)
+    prior = Gaussian(c.orbit + np.concatenate(own) * deviation, spread)
     return Scenario(together, (runs,) * count, truth, bias, z, seen, prior)
 
 

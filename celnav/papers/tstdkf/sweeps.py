@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from copy import deepcopy
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.filters.differenced import Noise, ar1_noise
-from celnav.filters.driver import Epoch
-from celnav.filters.info import Info
-from celnav.filters.two_stage import First, Stage
+from celnav.filters.differenced import Differenced, Noise, ar1_noise
+from celnav.filters.records import Epoch, Info
+from celnav.filters.two_stage import Stage
 from celnav.gaussian.linalg import Array
 from celnav.papers.tstdkf import year
 from celnav.papers.tstdkf.config import KAPPA, SETTINGS, Config, Setting
-from celnav.papers.tstdkf.estimators import augmented, boosted, differencing, driving, sensor, stationary, two_stages
+from celnav.papers.tstdkf.estimators import augmented, boosted, differencing, driving, stationary, two_stages
 from celnav.papers.tstdkf.follow import Found, follow
 from celnav.papers.tstdkf.forces import accelerations, spectrum
 from celnav.papers.tstdkf.scenario import PULLING, beside, noise_of, simulate
@@ -111,23 +110,28 @@ def ten_days(config: Config, rngs: Rngs) -> Found:
     return out | _named(["plain slope"], variant)
 
 
-def undifferenced(config: Config) -> First:
+@dataclass(frozen=True, eq=False)
+class Undifferenced(Differenced):
     """The differenced stage, but the second is told nothing of it: the bias as in measurements as they are, Gamma for Gamma'."""
-    noise, seen = noise_of(config), sensor(config)
-    stage = differencing(config, noise)
 
-    def predict(state: Any, epoch: Epoch) -> tuple[Any, Array | None]:
-        state, Phi = stage.predict(state, epoch)
+    def predict(self, state: Any, epoch: Epoch) -> tuple[Any, Array | None]:
+        """State that knows what the model says of the interval, and the transition matrix."""
+        state, Phi = super().predict(state, epoch)
         x, _, G = state.moved
-        H, GJ = seen.H(x, epoch), G @ noise.J
+        H, GJ = self.slope(x, epoch), G @ self.noise.J
         Omega = np.linalg.solve((np.eye(3) + H @ GJ).mT, GJ.mT).mT
-        return state, Phi - Omega @ (H @ Phi)
+        return state, None if Phi is None else Phi - Omega @ (H @ Phi)
 
-    def update(state: Any, epoch: Epoch) -> tuple[Any, Stage | None, Info]:
-        after, done, info = stage.update(state, epoch)
+    def update(self, state: Any, epoch: Epoch) -> tuple[Any, Stage | None, Info]:
+        """State given the measurement, and what was done."""
+        after, done, info = super().update(state, epoch)
         return after, None if done is None else done._replace(Omega=None, lag=None, before=None), info
 
-    return stage._replace(predict=predict, update=update)
+
+def undifferenced(config: Config) -> Undifferenced:
+    """The first stage of the variant "plain slope"."""
+    stage = differencing(config, noise_of(config))
+    return Undifferenced(stage.move, stage.h, stage.slope, stage.noise)
 
 
 def consistency(config: Config, rngs: Rngs) -> Found:

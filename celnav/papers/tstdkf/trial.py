@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from celnav.gaussian.belief import Gaussian
+from celnav.gaussian.belief import Belief
 from celnav.gaussian.linalg import Array, cholesky
 from celnav.papers.tstdkf.config import Config
 from celnav.papers.tstdkf.estimators import filters
@@ -28,5 +28,5 @@ def trial(config: Config, rngs: Sequence[np.random.Generator]) -> Trial:
     return Trial(GROUPS, known, sim.prior, lambda _name: sim.epochs(), _compare, "aug" if believed else "", lambda x: x[..., :3])
 
 
-def _compare(truth: Array, belief: Gaussian) -> tuple[Array, Array]:
+def _compare(truth: Array, belief: Belief) -> tuple[Array, Array]:
     return belief.mean[..., :6] - truth[..., :6], cholesky(belief.cov[..., :6, :6])

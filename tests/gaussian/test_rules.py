@@ -1,7 +1,6 @@
 """Rules: exact to their degree, equal to filterpy's, usable inside filterpy, and right as transforms of any function."""
 
 from itertools import product as cartesian
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,15 +8,10 @@ from filterpy.kalman import JulierSigmaPoints, MerweScaledSigmaPoints, SimplexSi
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from celnav.cli import main
-from celnav.filters.driver import epochs, run, sequential
-from celnav.filters.step import predict, update
-from celnav.gaussian.belief import covariance, square_root
-from celnav.gaussian.points import MAX_POINTS, cubature, from_filterpy, gauss_hermite, simplex, unscented
-from celnav.gaussian.rule import Rule
+import celnav
+from celnav.gaussian.rules import KEEP, MAX_POINTS, Rule, cubature, from_filterpy, gauss_hermite, simplex, unscented
 from celnav.gaussian.spaces import EUCLIDEAN
 from celnav.gaussian.taylor import Taylor
-from celnav.gaussian.transform import KEEP
 
 BATCHES = [(), (3,), (2, 3)]
 
@@ -105,11 +99,11 @@ def test_counts_of_points():
 def test_small_alpha_keeps_the_mean_of_a_constant_and_its_digits():
     rule = unscented(3, 1e-3, 2.0, 0.0)
     assert rule.wm[0] < -1e5
-    (image,), A = rule.transform(
+    (image,) = rule.images(
         lambda x: (np.full((*x.shape[:-1], 1), 7000.123456789),), np.zeros(3), np.eye(3), EUCLIDEAN, (EUCLIDEAN,)
     )
     assert image.center[0] + image.shift[0] == 7000.123456789
-    assert not A.any()
+    assert not image.columns.any()
 
 
 @pytest.mark.parametrize("alpha", [1e-2, 1e-3, 1e-4, 1e-5])
@@ -163,21 +157,6 @@ def radar(x):
     return np.stack([np.hypot(x[..., 0], x[..., 1]), x[..., 0] * x[..., 1] / 100.0], -1)
 
 
-@pytest.mark.parametrize("n", [1, 3, 9])
-def test_the_default_unscented_rule_is_the_cubature_rule_and_says_so(n, capsys):
-    one, other = unscented(n), cubature(n)
-    for name in ("nodes", "wm", "wc"):
-        np.testing.assert_allclose(getattr(one, name), getattr(other, name), atol=1e-15)
-    fourth = unscented(n, kappa=3.0 - n)
-    np.testing.assert_allclose(moment(fourth, [4] + [0] * (n - 1)), 3.0)
-    main(["list"])
-    readme = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
-    assert "unscented (by default cubature of degree 3)" in capsys.readouterr().out
-    assert "By default `celnav.unscented(n)` is `celnav.cubature(n)`" in readme
-    assert "``cubature(n)``" in unscented.__doc__
-    assert "``unscented(n)``" in cubature.__doc__
-
-
 RULES = {
     "unscented": unscented(4),
     "negative center": unscented(4, 0.5, 2.0, -1.0),
@@ -204,20 +183,21 @@ def test_every_rule_works_inside_filterpy_and_gives_what_our_filter_gives(rule):
         kf.predict()
         kf.update(zs[-1])
         theirs.append(np.r_[kf.x, kf.P.ravel()])
-    filter = sequential(predict(lambda x, epoch: turn(x, epoch.dt), rule, Q), update(lambda x, epoch: radar(x), rule, R))
-    for prior in (square_root(MEAN, P0), covariance(MEAN, P0)):
-        track = run(filter, prior, epochs(np.arange(16.0), np.array(zs)), keep="spread")
+    motion, sensor = celnav.Motion(lambda x, epoch: turn(x, epoch.dt), Q), celnav.Sensor(lambda x, epoch: radar(x), R)
+    for form in ("square root", "covariance"):
+        filter = celnav.sigma_point(motion, sensor, rule=rule, form=form)
+        track = celnav.run(filter, celnav.Gaussian(MEAN, P0), np.arange(16.0), np.array(zs), keep="cov")
         ours = np.concatenate([track.mean, track.cov.reshape(16, 16)], -1)[1:]
         np.testing.assert_allclose(ours, theirs, rtol=1e-6, atol=1e-7)
 
 
 @pytest.mark.parametrize("batch", BATCHES)
 @pytest.mark.parametrize("rule", RULES.values(), ids=RULES)
-def test_a_transform_is_the_weighted_sum_written_out(rule, batch):
+def test_images_are_the_weighted_sums_written_out(rule, batch):
     rng = np.random.default_rng(3)
     mean, root = MEAN + rng.normal(size=(*batch, 4)), np.linalg.cholesky(P0) * np.ones((*batch, 1, 1))
-    (image, kept), A = rule.transform(lambda x: (turn(x, 1.0), KEEP), mean, root, EUCLIDEAN, (EUCLIDEAN, EUCLIDEAN), room=2)
-    assert A.shape == (*batch, 8, A.shape[-1])
+    image, kept = rule.images(lambda x: (turn(x, 1.0), KEEP), mean, root, EUCLIDEAN, (EUCLIDEAN, EUCLIDEAN))
+    assert image.columns.shape == kept.columns.shape == (*batch, 4, len(rule.sign))
     x = mean + np.einsum("...ij,pj->p...i", root, rule.nodes)
     y = turn(x, 1.0)
     y0 = np.broadcast_to(y[0], y.shape)
@@ -230,39 +210,62 @@ def test_a_transform_is_the_weighted_sum_written_out(rule, batch):
     np.testing.assert_allclose(signed @ image.columns.mT, expected, rtol=1e-8, atol=1e-9)
     np.testing.assert_allclose(signed @ kept.columns.mT, cross, rtol=1e-8, atol=1e-9)
     np.testing.assert_allclose((kept.columns * rule.sign) @ kept.columns.mT, root @ root.mT, rtol=1e-9, atol=1e-10)
-    np.testing.assert_allclose(rule.slope(image, root) @ (root @ root.mT), cross, rtol=1e-7, atol=1e-8)
+    np.testing.assert_allclose(image.jacobian() @ (root @ root.mT), cross, rtol=1e-7, atol=1e-8)
 
 
 JACOBIAN = np.array([[1.0, 0.2, 0.0], [0.0, 1.0, -0.3]])
 
 
-@pytest.mark.parametrize("taylor", [Taylor(), Taylor(lambda _mean, _epoch: (JACOBIAN,))], ids=repr)
+@pytest.mark.parametrize("about", [None, 0.3], ids=["the mean", "another point"])
 @pytest.mark.parametrize("batch", BATCHES)
-def test_taylor_has_the_jacobian_for_its_slope(taylor, batch):
+def test_taylor_has_the_jacobian(batch, about):
     rng = np.random.default_rng(4)
     mean, root = rng.normal(size=(*batch, 3)), np.tril(rng.normal(size=(*batch, 3, 3))) + 3.0 * np.eye(3)
-    (image,), _ = taylor.transform(lambda x: (x @ JACOBIAN.T,), mean, root, EUCLIDEAN, (EUCLIDEAN,))
-    np.testing.assert_allclose(taylor.slope(image, root), np.broadcast_to(JACOBIAN, (*batch, 2, 3)), atol=1e-9)
+    taylor = Taylor(about=None if about is None else mean + about)
+    (image,) = taylor.images(lambda x: (x @ JACOBIAN.T,), mean, root, EUCLIDEAN, (EUCLIDEAN,))
+    np.testing.assert_allclose(image.jacobian(), np.broadcast_to(JACOBIAN, (*batch, 2, 3)), atol=1e-9)
     np.testing.assert_allclose(image.columns, JACOBIAN @ root, atol=1e-9)
+    np.testing.assert_allclose(image.center + image.shift, mean @ JACOBIAN.T, atol=1e-9)
 
 
-def test_taylor_by_differences_is_taylor_by_jacobian():
-    def jacobian(mean, _epoch):
-        c, s, speed = np.cos(mean[3]), np.sin(mean[3]), mean[2]
-        return (np.array([[1.0, 0.0, c, -speed * s], [0.0, 1.0, s, speed * c], [0.0, 0.0, 0.99, 0.0], [0.0, 0.0, 0.0, 1.0]]),)
+def turned(mean, epoch):
+    """Jacobian of `turn` over a second."""
+    one, zero, speed, c, s = (
+        np.ones(mean.shape[:-1]),
+        np.zeros(mean.shape[:-1]),
+        mean[..., 2],
+        np.cos(mean[..., 3]),
+        np.sin(mean[..., 3]),
+    )
+    rows = ([one, zero, c, -speed * s], [zero, one, s, speed * c], [zero, zero, 0.99 * one, zero], [zero, zero, zero, one])
+    return np.stack([np.stack(row, -1) for row in rows], -2)
 
-    root = np.linalg.cholesky(P0)
-    columns = [
-        t.transform(lambda x: (turn(x, 1.0),), MEAN, root, EUCLIDEAN, (EUCLIDEAN,))[0][0].columns
-        for t in (Taylor(), Taylor(jacobian))
-    ]
-    np.testing.assert_allclose(columns[0], columns[1], atol=1e-8)
+
+@pytest.mark.parametrize("batch", BATCHES)
+def test_taylor_by_differences_is_taylor_by_jacobian(batch):
+    """Of a motion and of a sensor."""
+    root, mean = np.linalg.cholesky(P0), MEAN + np.random.default_rng(6).normal(size=(*batch, 4))
+    (image,) = Taylor().images(lambda x: (turn(x, 1.0),), mean, root, EUCLIDEAN, (EUCLIDEAN,))
+    np.testing.assert_allclose(image.columns, turned(mean, None) @ root, atol=1e-8)
+    f, prior = lambda x, epoch: turn(x, 1.0), celnav.Gaussian(mean, P0)
+    at, no = celnav.Epoch(1, 1.0, 1.0, z=turn(MEAN, 1.0) + 0.1), np.zeros((4, 4))
+    for known in ({"jacobian": turned}, {}):
+        moving = celnav.ekf(celnav.Motion(f, Q, **known))
+        state = moving.predict(moving.start(prior), at).belief
+        np.testing.assert_allclose(state.mean, turn(mean, 1.0), rtol=1e-12)
+        np.testing.assert_allclose(state.cov, turned(mean, None) @ P0 @ turned(mean, None).mT + Q, atol=1e-8)
+        seeing = celnav.ekf(celnav.Motion(np.eye(4), no), celnav.Sensor(f, Q, **known))
+        state, (info,) = seeing.update(seeing.start(prior), at)
+        np.testing.assert_allclose(info.jacobian(), turned(mean, None), atol=1e-8)
+        S = info.jacobian() @ P0 @ info.jacobian().mT + Q
+        np.testing.assert_allclose(info.gain() @ S, P0 @ info.jacobian().mT, atol=1e-8)
 
 
-def test_taylor_asks_for_one_jacobian_for_each_output():
-    taylor = Taylor(lambda _mean, _epoch: (np.eye(2),))
-    with pytest.raises(ValueError, match="jacobians: expected 2 matrices, got 1"):
-        taylor.transform(lambda x: (x + 0.0, x + 0.0), np.zeros(2), np.eye(2), EUCLIDEAN, (EUCLIDEAN, EUCLIDEAN))
+def test_a_jacobian_says_what_shape_it_must_have():
+    for wrong in (np.ones((2, 3)), np.ones(4)):
+        filter = celnav.ekf(celnav.Motion(lambda x, epoch: turn(x, 1.0), Q, jacobian=lambda mean, epoch, J=wrong: J))
+        with pytest.raises(ValueError, match=r"jacobian: expected shape \(\.\.\., 4, n\) to go with f, got"):
+            filter.predict(filter.start(celnav.Gaussian(MEAN, P0)), celnav.Epoch(1, 1.0, 1.0))
 
 
 @settings(max_examples=40, deadline=None)
@@ -311,7 +314,7 @@ def test_rules_cannot_be_changed():
         (lambda: unscented(2, -1.0), "alpha"),
         (lambda: unscented(2, float("nan")), "alpha"),
         (lambda: unscented(2, 1.0, float("inf")), "beta"),
-        (lambda: unscented(2, 1.0, 0.0, -2.0), "kappa: expected a number above -2"),
+        (lambda: unscented(2, 1.0, 0.0, -2.0), "kappa: expected a number above -2, got -2"),
         (lambda: unscented(2, 1.0, 0.0, -3.0), "kappa"),
         (lambda: cubature(2, 4), "degree: expected one of 3, 5, got 4"),
         (lambda: gauss_hermite(2, 0), "order"),

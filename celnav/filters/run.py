@@ -1,0 +1,215 @@
+"""The one driver: epochs in, a stream of states (`steps`) or a `Track` (`run`) out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import is_dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from celnav.filters.epochs import Epochs, epochs
+from celnav.filters.mixing import LOOKED_AT
+from celnav.filters.model import Motion, Sensor, check_function
+from celnav.filters.records import Epoch, Filter, FilterError, Info
+from celnav.filters.track import Collector, Track
+from celnav.gaussian.belief import settled
+from celnav.gaussian.checks import choice, instance, integer, kind, numbers
+from celnav.gaussian.linalg import Array
+
+
+def run(
+    filter: Filter,
+    prior: Any,
+    times: ArrayLike | Iterable[Epoch],
+    z: Any = None,
+    u: Any = None,
+    *,
+    every: int = 1,
+    keep: str = "std",
+    also: Callable[[Epoch, Any, tuple[Info, ...]], dict[str, Any]] | None = None,
+    reduce: Callable[[Any, Epoch, Any, tuple[Info, ...]], Any] | None = None,
+    on_failure: str = "raise",
+) -> Track:
+    """Run a filter over epochs and collect a `Track`.
+
+    Parameters
+    ----------
+    filter: any filter. prior: a `celnav.Gaussian` of any batch shape.
+    times: ``(T,)`` s, with measurements ``z (T, ..., m)`` (nan where missing; a tuple for several sensors) and inputs ``u``; or,
+        instead of the three, epochs that are made already (`celnav.epochs`), or any iterable of `Epoch`.
+    every: store each ``every``-th epoch (sums, likelihood and reduction take all of them).
+    keep: what to store: "std" (mean and standard deviations), "cov" (also covariances, for smoothing), "mean", or "nothing" (sums
+        and the reduction only).
+    also: ``(epoch, state, infos) -> dict`` of further arrays to store, as ``Track.extra``.
+    reduce: ``(accumulated, epoch, state, infos) -> accumulated``, from None; the end is ``Track.reduced``. With it a study of any
+        length runs in the memory of one step.
+    on_failure: "raise" a `FilterError` for the first run that is lost, or "flag" it: it becomes nan from there
+        (``Track.failed_at``), the other runs go on.
+
+    Raises
+    ------
+    ValueError: for a bad option, measurement or time. FilterError: see ``on_failure``.
+
+    >>> track = celnav.run(celnav.ukf(motion, gps), celnav.Gaussian(x0, P0), times, z)
+    """
+    stored = integer("every", every)
+    choice("keep", keep, ("std", "cov", "mean", "nothing"))
+    choice("on_failure", on_failure, ("raise", "flag"))
+    if also is not None:
+        check_function("also", also, "(epoch, state, infos)")
+    if reduce is not None:
+        check_function("reduce", reduce, "(accumulated, epoch, state, infos)")
+    every_epoch = _epochs(times, z, u)
+    collector, reduced, before = Collector(stored, keep), None, None
+    for epoch, state, infos in steps(filter, prior, every_epoch):
+        more = {} if also is None else instance("also", also(epoch, state, infos), dict, "a dict, such as {'gain': array}")
+        lost = collector.add(epoch, state.belief, infos, more)
+        if lost is not None and on_failure == "raise":
+            why = explain(filter, filter.start(prior) if before is None else before, state, epoch)
+            where = f", run {lost}" if lost else ""
+            raise FilterError(f"step {epoch.k}, t = {epoch.t}{where}: {why} (on_failure='flag' lets the other runs go on)")
+        if reduce is not None:
+            reduced = reduce(reduced, epoch, state, infos)
+        before = state
+    return collector.track(reduced, filter)
+
+
+def _epochs(times: Any, z: Any, u: Any) -> Iterable[Epoch]:
+    if isinstance(times, Epochs) or (not (isinstance(times, np.ndarray) or np.isscalar(times)) and _of_epochs(times)):
+        if z is not None or u is not None:
+            raise ValueError("z: expected none beside epochs, which have their measurements and inputs")
+        return times
+    return epochs(times, z, u)
+
+
+def _of_epochs(times: Any) -> bool:
+    """Whether these are records, not numbers; of a stream nothing is taken."""
+    return not isinstance(times, list | tuple) or any(hasattr(one, "dt") for one in times[:1])
+
+
+def steps(filter: Filter, prior: Any, epochs: Iterable[Epoch]) -> Iterator[tuple[Epoch, Any, tuple[Info, ...]]]:
+    """Stream ``(epoch, state, infos)`` after each step; ``state.belief`` is the estimate.
+
+    Raises
+    ------
+    ValueError: if an interval is negative, not finite, or 0 though time went on, what is given is no filter or no belief, or a
+        model mixes runs, as ``F @ x`` does. An exception of the model carries the step as a note.
+
+    >>> for epoch, state, infos in celnav.steps(filter, prior, celnav.epochs(times, z)): ...
+    """
+    if not (hasattr(filter, "start") and hasattr(filter, "step")):
+        raise ValueError(f"filter: expected a filter, such as celnav.ukf(motion, sensor), got {kind(filter)}")
+    state, before = filter.start(prior), None
+    try:
+        every = iter(epochs)
+    except TypeError:
+        raise ValueError(f"epochs: expected celnav.epochs(times, z), or records like celnav.Epoch, got {kind(epochs)}") from None
+    models: list[Any] = []
+    for epoch in every:
+        _check_interval(filter, epoch, before)
+        before = epoch.t
+        token = LOOKED_AT.set(models)
+        try:
+            state, infos = filter.step(state, epoch)
+        except Exception as error:
+            error.add_note(f"in step {epoch.k}, t = {epoch.t}")
+            raise
+        finally:
+            LOOKED_AT.reset(token)
+        if "belief" in getattr(state, "_fields", ()):
+            belief = settled(state.belief)
+            if belief is not state.belief:
+                state = state._replace(belief=belief)
+        yield epoch, state, infos
+
+
+def _check_interval(filter: Any, epoch: Any, before: Any) -> None:
+    dt = getattr(epoch, "dt", None)
+    if isinstance(dt, float) and 0.0 < dt < np.inf:
+        return
+    if dt is None:
+        raise ValueError(f"epochs: expected celnav.epochs(times, z), or records like celnav.Epoch, got {kind(epoch)}")
+    interval = numbers("dt", dt)
+    if before is not None and not interval.any() and np.any(np.asarray(epoch.t) > before):
+        raise ValueError(f"dt: expected the interval since t = {before}, got 0 at t = {epoch.t}")
+    if not (np.isfinite(interval) & (interval >= 0.0)).all():
+        raise ValueError(f"dt: expected a non-negative number, got {dt!r} at step {epoch.k}")
+    motion = getattr(filter, "motion", None)
+    if np.any(dt) and not np.all(dt) and motion is not None and not (callable(motion.Q) or callable(motion.sqrt_Q)):
+        raise ValueError("dt: expected an interval for every run or for none where Q is constant, got 0 for some of them")
+
+
+class _Watched:
+    """A model whose values are looked at: where it was first not finite, in a run that was lost."""
+
+    def __init__(self, name: str, model: Any, lost: Array):
+        self.name, self.model, self.lost, self.found = name, model, lost, ""
+
+    def __call__(self, points: Array, epoch: Any, *noise: Array) -> Any:
+        y = np.asarray(self.model(points, epoch, *noise), dtype=np.float64)
+        bad = ~np.isfinite(y).all(-1) & self.lost if y.ndim else self.lost
+        if bad.any() and not self.found:
+            self.found = f"{self.name} is not finite at sigma point {int(np.argwhere(bad)[0, 0])}"
+        return y
+
+
+def explain(filter: Any, before: Any, after: Any, epoch: Epoch) -> str:
+    """Why a run whose belief was sound before an epoch is lost after it: the step is done once more, and looked at.
+
+    Takes the filter's states before and after; gives a sentence.
+    """
+    lost = after.belief.lost() & ~np.broadcast_to(before.belief.lost(), after.belief.mean.shape[:-1])
+    for part in epoch.z if isinstance(epoch.z, tuple) else (epoch.z,):
+        if part is not None and np.isinf(np.asarray(part, dtype=np.float64)).any():
+            return "z is infinite"
+    if (lost & np.isnan(before.belief.sqrt_cov).any((-2, -1))).any():
+        return "the covariance lost positive definiteness in the step before; the square-root form has twice the digits"
+    watched: list[_Watched] = []
+
+    def watch(name: str, model: Any) -> Any:
+        if not callable(model):
+            return model
+        watched.append(_Watched(name, model, lost))
+        return watched[-1]
+
+    again = _with_models(filter, watch)
+    if again is not filter:
+        with np.errstate(all="ignore"):
+            again.step(before, epoch)
+        found = next((each.found for each in watched if each.found), "")
+        if found:
+            return found
+    else:
+        return "the estimate is not finite"
+    predicted = filter.predict(before, epoch) if hasattr(filter, "predict") else before
+    if epoch.z is None or (predicted.belief.lost() & lost).any():
+        return "the covariance lost positive definiteness"
+    noisy = all(_noisy(sensor, predicted.belief.mean, epoch) for sensor in getattr(filter, "sensors", ()))
+    return INDEFINITE + ("" if noisy else _REDUNDANT)
+
+
+def _noisy(sensor: Sensor, mean: Array, epoch: Epoch) -> bool:
+    """Whether each component has noise of its own at an epoch."""
+    columns = sensor.noise(mean, epoch)
+    return bool(len(sensor.augment)) or (columns is not None and bool(columns.any(-1).all()))
+
+
+INDEFINITE = "the innovation covariance is not positive definite"
+_REDUNDANT = (
+    "; a measurement without noise must say what is not known already: of redundant sensors, or of a constraint that is repeated, "
+    "leave out all but one (z is nan) or give them a small R"
+)
+
+
+def _with_models(filter: Any, watch: Callable[[str, Any], Any]) -> Any:
+    """The filter with its models replaced; itself where it has none that can be."""
+    for name in ("first", "filter"):
+        if is_dataclass(getattr(filter, name, None)):
+            return replace(filter, **{name: _with_models(getattr(filter, name), watch)})
+    if not (isinstance(getattr(filter, "motion", None), Motion) and hasattr(filter, "sensors")):
+        return filter
+    sensors: tuple[Sensor, ...] = filter.sensors
+    motion = replace(filter.motion, f=watch("f", filter.motion.f))
+    return replace(filter, motion=motion, sensors=tuple(replace(sensor, h=watch("h", sensor.h)) for sensor in sensors))

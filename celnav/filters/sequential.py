@@ -1,0 +1,408 @@
+"""Filters that predict over an interval, then take one sensor after the other: `ukf`, `ekf`, `ckf`, `ghkf`, `sigma_point`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import KW_ONLY, dataclass, field
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from celnav.filters.joint import Form, condition, joint, known_already, marginal, over_runs
+from celnav.filters.model import Motion, Sensor, check_function, check_matrices, check_prior, check_roots, is_linear
+from celnav.filters.records import Epoch, Gain, Hook, Info, Joint, State
+from celnav.gaussian.belief import FORMS, Belief, Gaussian
+from celnav.gaussian.checks import choice, finite, instance, integer, kind, number, numbers, takes
+from celnav.gaussian.linalg import Array
+from celnav.gaussian.rules import KEEP, cubature, gauss_hermite, unscented
+from celnav.gaussian.spaces import EUCLIDEAN
+from celnav.gaussian.sparse_grid import smolyak
+from celnav.gaussian.taylor import Taylor
+
+MOST_ITERATIONS = 10_000
+"""At every step."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sequential:
+    """A filter as data: what it believes, by which rule it computes and in which form. Make one with `ukf` or its siblings.
+
+    ``start(prior)`` gives a state, ``step(state, epoch)`` the next one and an `Info` of each sensor; ``state.belief`` has ``mean``,
+    ``cov`` and ``std``. An epoch with ``dt == 0`` does not predict: the first one is an update of the prior.
+
+    Attributes
+    ----------
+    motion, sensors: what is believed. rule: of any dimension, or one that fits. form: of the belief.
+    hooks: of each sensor. gain: a prescribed one, or None.
+    """
+
+    motion: Motion
+    sensors: tuple[Sensor, ...] = ()
+    _: KW_ONLY
+    rule: Any
+    form: Form
+    hooks: tuple[tuple[Hook, ...], ...] = ()
+    gain: Gain | None = None
+    _rules: dict[int, Any] = field(default_factory=dict, init=False, repr=False)
+
+    def start(self, prior: Gaussian) -> State:
+        """State before the first epoch."""
+        check_prior(prior)
+        belief = self.form.of(prior)
+        N, n = belief.mean.shape[-1], belief[1].shape[-1]
+        if n != N and self.motion.space == EUCLIDEAN:
+            raise ValueError(f"space: expected one for states of {N} components with {n} deviations, got vectors")
+        check_matrices(n, f=self.motion.f)
+        for sensor in self.sensors:
+            check_matrices(n, h=sensor.h)
+        batch = np.broadcast_shapes(belief.mean.shape[:-1], belief[1].shape[:-2])
+        if batch and not (is_linear(self.motion.f) and all(is_linear(sensor.h) for sensor in self.sensors)):
+            # Only a linear filter has one covariance for all its runs, as long as they miss the same measurements.
+            belief = self.form(np.broadcast_to(belief.mean, (*batch, N)), np.broadcast_to(belief[1], (*batch, n, n)))
+        return State(belief, (None,) * len(self.sensors))
+
+    def step(self, state: State, epoch: Epoch) -> tuple[State, tuple[Info, ...]]:
+        """State after an epoch, and what each sensor did to it."""
+        return self.update(self.predict(state, epoch), epoch)
+
+    def predict(self, state: State, epoch: Epoch) -> State:
+        """State at the end of the interval, before anything is measured."""
+        if not isinstance(state, State):
+            raise ValueError(f"state: expected what the filter's start(prior) or last step gave, got {kind(state)}")
+        if not hasattr(epoch, "dt"):
+            raise ValueError(f"epoch: expected a record like celnav.Epoch, got {kind(epoch)}")
+        if not (epoch.dt if isinstance(epoch.dt, float) else np.any(epoch.dt)):
+            return state
+        return state._replace(belief=marginal(self.form, self.moved(state.belief, epoch), self.motion.space))
+
+    def update(self, state: State, epoch: Epoch) -> tuple[State, tuple[Info, ...]]:
+        """State given what was measured at the end of an epoch, and what each sensor did to it."""
+        belief, memory, infos = state.belief, list(state.memory), []
+        for i, (sensor, z) in enumerate(zip(self.sensors, measurements(epoch.z, len(self.sensors)), strict=True)):
+            if missing(z):
+                infos.append(silent(sensor, z))
+                belief = belief if z is None else over_runs("z", z.shape[:-1], belief)
+                continue
+            hooks = self.hooks[i] if self.hooks else ()
+            belief, info, memory[i] = self.see(sensor, belief, checked(z, sensor), epoch, hooks, memory[i])
+            infos.append(info)
+        return State(belief, tuple(memory)), tuple(infos)
+
+    # -- the two joints ------------------------------------------------------------------------------------------------
+    def moved(self, belief: Belief, epoch: Epoch) -> Joint:
+        """The joint of a prediction: the state after the interval."""
+        motion, space = self.motion, self.motion.space
+        rule = self.rule_of(belief, motion.augment)
+        linear = motion.linear(rule, belief.mean, epoch)
+
+        def g(x: Array, *noise: Array) -> tuple[Array]:
+            return (motion.points(x, epoch, *noise),)
+
+        noise = motion.noise(belief.mean, epoch)
+        if linear is None and noise is not None and noise.ndim > 2:
+            belief = over_runs("Q", noise.shape[:-2], belief)  # f may need the axes that only the noise has
+        return joint(rule, belief, g if linear is None else (linear,), (space, space), process_noise=noise, augment=motion.augment)
+
+    def measured(self, rule: Any, sensor: Sensor, belief: Belief, z: Array, epoch: Epoch) -> Joint:
+        """The joint of what a sensor measures and of the state."""
+        linear = sensor.linear(rule, belief.mean, epoch, self.motion.space)
+
+        def g(x: Array, *noise: Array) -> tuple[Any, ...]:
+            return sensor.points(x, epoch, *noise, m=z.shape[-1]), KEEP
+
+        noise = sensor.noise(belief.mean, epoch)
+        if linear is None and noise is not None and noise.ndim > 2:
+            belief = over_runs("R", noise.shape[:-2], belief)
+        return joint(
+            rule, belief, g if linear is None else (linear, KEEP), (self.motion.space, sensor.space, self.motion.space),
+            z=z, measurement_noise=noise, augment=sensor.augment, noise_first=is_linear(sensor.h),
+        )  # fmt: skip
+
+    def see(
+        self, sensor: Sensor, belief: Belief, z: Array, epoch: Epoch, hooks: tuple[Hook, ...], memory: Any
+    ) -> tuple[Belief, Info, Any]:
+        """The belief given one measurement, what that did, and the memory of the hooks."""
+        seen = self.measured(self.rule_of(belief, sensor.augment), sensor, belief, z, epoch)
+        after, info, memory = condition(self.form, seen, self.motion.space, hooks=hooks, memory=memory, epoch=epoch, gain=self.gain)
+        if not sensor.noisy and self.gain is None:
+            after = self._told(sensor, belief, seen, after, info, epoch)
+        return after, info, memory
+
+    def rule_of(self, belief: Belief, augment: Sequence[Array]) -> Any:
+        """The rule for a belief and the noises that go through its points."""
+        if hasattr(self.rule, "images"):
+            return self.rule
+        n: int = belief[1].shape[-1]
+        for root in augment:
+            n += root.shape[-1]
+        if n not in self._rules:
+            try:
+                made = self.rule(n)
+            except TypeError as error:
+                raise ValueError(f"rule: expected a function of the dimension, got {kind(self.rule)}: {error}") from error
+            if isinstance(made, type) or not hasattr(made, "images"):
+                raise ValueError(f"rule: expected a rule for {n} dimensions, such as celnav.unscented(n), got {kind(made)}")
+            self._rules[n] = made
+        return self._rules[n]
+
+    def _told(self, sensor: Sensor, belief: Belief, seen: Joint, after: Belief, info: Info, epoch: Epoch) -> Belief:
+        """The belief, but nan for runs in which a measurement without noise is of what was known already."""
+        V, measured = seen.measurement_noise, seen.measurement
+        assert measured is not None
+        exact = np.ones(1, bool) if V is None else np.asarray(~V.any(-1))
+        if not exact.any():
+            return after
+        if callable(sensor.h):
+            n, m = belief[1].shape[-1], np.asarray(info.used).shape[-1]
+            axes = np.moveaxis(belief.std[..., None] * np.eye(n), -1, 0)
+            y = sensor.points(self.motion.space.plus(belief.mean, np.concatenate([0.0 * axes[:1], axes])), epoch, m=m)
+            deviation = np.abs(sensor.space.minus(y[1:], y[:1])).max(0)
+            size = np.abs(measured.center) if measured.center.shape == deviation.shape else np.zeros(1)
+        else:
+            deviation, size = (np.abs(sensor.h) @ np.abs(belief.sqrt_cov)).max(-1), np.zeros(1)
+        known = known_already(self.form, info, exact, deviation, size)
+        return self.form(np.where(known[..., None], np.nan, after.mean), np.where(known[..., None, None], np.nan, after[1]))
+
+
+def measurements(z: Any, sensors: int) -> tuple[Any, ...]:
+    """One measurement for each sensor, of what an epoch has."""
+    each = z if isinstance(z, tuple) else (None,) * sensors if z is None or not sensors else (z,)
+    if len(each) != sensors and sensors:
+        raise ValueError(f"z: expected {sensors} measurements, got {len(each)}")
+    return each[:sensors]
+
+
+def missing(z: Any) -> bool:
+    """Whether nothing was measured, in any run."""
+    return z is None or (type(z) is np.ndarray and z.dtype == np.float64 and bool(np.isnan(z).all()))
+
+
+def checked(z: Any, sensor: Sensor) -> Array:
+    """A measurement ``(..., m)`` as floats."""
+    measured = numbers("z", z)
+    if measured.ndim == 0:
+        raise ValueError(f"z: expected shape (..., m), got the number {measured}; one component is [z]")
+    return measured if sensor.space.check is None else sensor.space.check(measured, "z")
+
+
+def silent(sensor: Sensor, z: Any) -> Info:
+    """The record of a measurement that is wholly missing."""
+    if z is None:
+        return Info(silent=True)
+    one = np.full(z.shape[-1], np.nan)
+    shape = (*z.shape[:-1], sensor.space.minus(one, one).shape[-1])
+    return Info(np.full(shape, np.nan), np.zeros(shape), np.zeros(shape, bool))
+
+
+# -- made ----------------------------------------------------------------------------------------------------------------
+def sigma_point(
+    motion: Motion,
+    *sensors: Sensor,
+    rule: Any,
+    form: str = "square root",
+    hooks: Sequence[Any] = (),
+    gain: Gain | None = None,
+) -> Sequential:
+    """A filter by any rule.
+
+    Parameters
+    ----------
+    motion, sensors: what is believed. Without sensors it is the open loop. Of several sensors each has its own part of ``z``, a
+        tuple, and nan where it is silent, so sensors of different rates need nothing else.
+    rule: a `Rule`, `Taylor`, or a function ``n -> rule`` of the dimension: the state's, and of noise that goes through the points.
+    form: "square root" (QR, half the digits needed) or "covariance" (fewer operations).
+    hooks: ``(memory, joint, epoch) -> (memory, joint)``, one after the other at each sensor: each sees the `Joint` of measurement
+        and state and may replace it. Ready ones are in `celnav.filters.adaptive`. For other hooks at each sensor a list of lists.
+    gain: a prescribed gain ``(..., n, m)`` instead of the optimal one, or ``(A, sign, m) -> gain``; for one sensor.
+
+    Raises
+    ------
+    ValueError: naming the argument that cannot be.
+
+    >>> celnav.sigma_point(motion, gps, rule=lambda n: celnav.smolyak(n, 3), hooks=[celnav.filters.adaptive.gate(4.0)])
+    """
+    instance("motion", motion, Motion, "celnav.Motion(f, Q)")
+    for sensor in sensors:
+        instance("sensors", sensor, Sensor, "celnav.Sensor(h, R)")
+    check_rule(rule)
+    if gain is not None and len(sensors) != 1:
+        raise ValueError(f"gain: expected one sensor with it, got {len(sensors)}")
+    gain = check_function("gain", gain, "(A, sign, m)") if callable(gain) else None if gain is None else finite("gain", gain)
+    return Sequential(motion, sensors, rule=rule, form=form_of(form), hooks=_each(hooks, len(sensors)), gain=gain)
+
+
+def ukf(motion: Motion, *sensors: Sensor, alpha: float = 1.0, beta: float = 0.0, kappa: float = 0.0, **options: Any) -> Sequential:
+    """The unscented Kalman filter; ``alpha, beta, kappa`` as in `celnav.unscented`, ``options`` as in `sigma_point`.
+
+    The defaults have no negative weight: they are the rule of `ckf`, whose points and weights are the same.
+
+    >>> filter = celnav.ukf(celnav.Motion(f, Q), celnav.Sensor(h, R))
+    """
+    unscented(1, alpha, beta, max(number("kappa", kappa), 0.0))
+    return sigma_point(motion, *sensors, rule=partial(unscented, alpha=alpha, beta=beta, kappa=kappa), **options)
+
+
+def ckf(motion: Motion, *sensors: Sensor, degree: int = 3, **options: Any) -> Sequential:
+    """The cubature Kalman filter, of degree 3 or 5; ``options`` as in `sigma_point`. Of degree 3 it is the default `ukf`."""
+    return sigma_point(motion, *sensors, rule=partial(cubature, degree=choice("degree", degree, (3, 5))), **options)
+
+
+def ghkf(motion: Motion, *sensors: Sensor, order: int = 3, **options: Any) -> Sequential:
+    """The Gauss-Hermite Kalman filter of ``order ** n`` points; ``options`` as in `sigma_point`."""
+    gauss_hermite(1, order)
+    return sigma_point(motion, *sensors, rule=partial(gauss_hermite, order=order), **options)
+
+
+def sparse_grid_filter(
+    motion: Motion, *sensors: Sensor, level: int = 3, weights: Sequence[int] | None = None, **options: Any
+) -> Sequential:
+    """The sparse-grid Gauss-Hermite filter; ``level, weights`` as in `celnav.smolyak`, ``options`` as in `sigma_point`."""
+    return sigma_point(motion, *sensors, rule=partial(smolyak, level=level, weights=weights), **options)
+
+
+def ekf(motion: Motion, *sensors: Sensor, iterations: int = 1, **options: Any) -> Sequential:
+    """The extended Kalman filter; ``options`` as in `sigma_point`.
+
+    It linearizes by the ``jacobian`` of motion and sensors, or by differences where there is none. With more ``iterations`` each
+    update linearizes again where the last has led [Bell1993].
+    """
+    count = integer("iterations", iterations, 1, MOST_ITERATIONS)
+    plain = sigma_point(motion, *sensors, rule=Taylor(), **options)
+    if count == 1:
+        return plain
+    return Iterated(
+        plain.motion, plain.sensors, rule=plain.rule, form=plain.form, hooks=plain.hooks, gain=plain.gain, iterations=count
+    )
+
+
+def plain(name: str, filter: Any) -> Sequential:
+    """A filter that predicts, then updates, and does nothing else; ValueError names another."""
+    instance(name, filter, Sequential, "celnav.ukf(motion, sensor)")
+    if type(filter).step is not Sequential.step:
+        raise ValueError(f"{name}: expected a filter that predicts, then updates, such as celnav.ukf, got {kind(filter)}")
+    made: Sequential = filter
+    return made
+
+
+def form_of(name: str) -> Form:
+    """The form of a name."""
+    return FORMS[choice("form", name, FORMS)]
+
+
+def check_rule(rule: Any) -> None:
+    """A rule has ``images``, or is a function that makes one; it is not filterpy's."""
+    if isinstance(rule, type) or not (hasattr(rule, "images") or callable(rule)):
+        hint = " (celnav.from_filterpy makes it one)" if hasattr(rule, "sigma_points") else ""
+        raise ValueError(f"rule: expected a rule, such as celnav.unscented(n) or celnav.unscented, got {kind(rule)}{hint}")
+
+
+def _each(hooks: Any, sensors: int) -> tuple[tuple[Hook, ...], ...]:
+    """Hooks for each sensor."""
+    if isinstance(hooks, str) or not isinstance(hooks, Sequence):
+        raise ValueError(f"hooks: expected a list of hooks, such as [celnav.filters.adaptive.gate(4.0)], got {kind(hooks)}")
+    lists = [hook for hook in hooks if isinstance(hook, list | tuple)]
+    if (lists and len(lists) != len(hooks)) or (lists and len(lists) != sensors):
+        raise ValueError(f"hooks: expected hooks, or {sensors} lists of them, one for each sensor, got {len(lists)} lists")
+    each = tuple(tuple(own) for own in hooks) if lists else (tuple(hooks),) * sensors
+    for own in each:
+        for hook in own:
+            if not takes(hook, 3):
+                raise ValueError(f"hooks: expected functions (memory, joint, epoch), got {kind(hook)}")
+    return each
+
+
+# -- variants ------------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True, eq=False)
+class Iterated(Sequential):
+    """An extended filter whose updates are Gauss-Newton steps to the mode of the posterior [Bell1993].
+
+    Attributes
+    ----------
+    iterations: linearizations of each update. One with a ``first`` is an update linearized about a point known otherwise, from a
+        closed solution of the measurements, say; the prior counts in full all the same.
+    first: ``(belief, z, epoch) -> (..., N)``, the first point to linearize about; None: the prior's mean.
+    """
+
+    _: KW_ONLY
+    iterations: int = 6
+    first: Callable[[Belief, Array, Epoch], Array] | None = None
+
+    def __post_init__(self) -> None:
+        integer("iterations", self.iterations, 1, MOST_ITERATIONS)
+        if self.first is not None:
+            check_function("first", self.first, "(belief, z, epoch)")
+
+    def see(
+        self, sensor: Sensor, belief: Belief, z: Array, epoch: Epoch, hooks: tuple[Hook, ...], memory: Any
+    ) -> tuple[Belief, Info, Any]:
+        """The belief given one measurement; see `Sequential.see`."""
+        at, space = belief.mean, self.motion.space
+        if self.first is not None:
+            at = numbers("first", self.first(belief, z, epoch), (..., at.shape[-1]))
+        for _ in range(self.iterations):
+            seen = self.measured(Taylor(self.rule.step, about=at), sensor, belief, z, epoch)
+            after, info, remembered = condition(self.form, seen, space, hooks=hooks, memory=memory, epoch=epoch, gain=self.gain)
+            at = after.mean
+        return after, info, remembered
+
+
+@dataclass(frozen=True, eq=False)
+class SingleDraw(Sequential):
+    """Predict and update on one set of points: the augmented form of [van der Merwe 2004], without drawing anew in between.
+
+    Noise goes through the points: ``f(x, epoch, *noise)`` and ``h(f(x), epoch, *noise)`` both get all the noises of the motion and
+    then of its only sensor. Additive process noise would not reach the measurement, and is not offered. An epoch with ``dt == 0``
+    is an ordinary update. Make it of a filter: ``SingleDraw.of(celnav.ukf(motion, sensor))``.
+
+    Attributes
+    ----------
+    joint_noise: roots of the noises that reach both functions instead, where those of process and measurement are correlated.
+    """
+
+    _: KW_ONLY
+    joint_noise: tuple[Array, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_roots("joint_noise", self.joint_noise)
+
+    @classmethod
+    def of(cls, filter: Sequential) -> SingleDraw:
+        """The same filter, drawing once."""
+        plain("filter", filter)
+        if len(filter.sensors) != 1 or filter.motion.Q is not None or filter.motion.sqrt_Q is not None:
+            raise ValueError("filter: expected one sensor, and process noise through the points only")
+        return cls(filter.motion, filter.sensors, rule=filter.rule, form=filter.form, hooks=filter.hooks, gain=filter.gain)
+
+    @property
+    def noises(self) -> tuple[Array, ...]:
+        """Roots of the noises that both functions get."""
+        return self.joint_noise or (*self.motion.augment, *self.sensors[0].augment)
+
+    def step(self, state: State, epoch: Epoch) -> tuple[State, tuple[Info, ...]]:
+        """State after an epoch, and what the sensor did to it."""
+        (z,) = measurements(epoch.z, 1)
+        if not np.any(epoch.dt):
+            return super().step(state, epoch)
+        if z is not None:
+            z = checked(z, self.sensors[0])
+            state = state._replace(belief=over_runs("z", z.shape[:-1], state.belief))
+        motion, (sensor,), belief, space = self.motion, self.sensors, state.belief, self.motion.space
+        rule = self.rule_of(belief, self.noises)
+        if missing(z):
+
+            def f(x: Array, *noise: Array) -> tuple[Array]:
+                return (motion.points(x, epoch, *noise),)
+
+            ahead = joint(rule, belief, f, (space, space), augment=self.noises)
+            return state._replace(belief=marginal(self.form, ahead, space)), (silent(sensor, z),)
+
+        def g(x: Array, *noise: Array) -> tuple[Array, Array]:
+            y = motion.points(x, epoch, *noise)
+            return sensor.points(y.copy(order="K"), epoch, *noise, m=z.shape[-1]), y
+
+        noise = sensor.noise(belief.mean, epoch)
+        both = joint(rule, belief, g, (space, sensor.space, space), z=z, measurement_noise=noise, augment=self.noises)
+        hooks = self.hooks[0] if self.hooks else ()
+        after, info, memory = condition(self.form, both, space, hooks=hooks, memory=state.memory[0], epoch=epoch, gain=self.gain)
+        return State(after, (memory,)), (info,)

@@ -1,0 +1,332 @@
+"""Rules: data (nodes and weights) that say what a function of a Gaussian has for a mean and a covariance.
+
+A rule is made for a dimension by a function with the field's name: `unscented`, `cubature`, `gauss_hermite`, `simplex`,
+`tensor_product`; `celnav.smolyak` makes sparse grids. It also answers filterpy's interface, so that it works as ``points=`` of
+``filterpy.kalman.UnscentedKalmanFilter``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from itertools import combinations, product
+from math import prod
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from celnav.gaussian.checks import LIMIT, choice, finite, instance, integer, number
+from celnav.gaussian.linalg import EPS, Array, fan, semidefinite_root, solve_upper_transposed
+from celnav.gaussian.spaces import EUCLIDEAN, Space
+
+MAX_POINTS = 1_000_000
+
+
+class _Keep:
+    def __repr__(self) -> str:
+        return "KEEP"
+
+
+KEEP: Final = _Keep()
+"""Stands for "the state itself" among the outputs of a function: its columns are then exact, on any space."""
+
+
+class Image(NamedTuple):
+    """One output of a function of a Gaussian.
+
+    Attributes
+    ----------
+    center: ``(..., N)``, the image of the center. shift: ``(..., k)``, the mean's distance from there.
+    columns: ``(..., k, q)``, deviations about the mean: the covariance is ``columns @ diag(sign) @ columns.mT``.
+    jacobian: ``() -> (..., k, n)``, the statistical Jacobian ``cov(y, x) cov(x)^-1``.
+    """
+
+    center: Array
+    shift: Any
+    columns: Array
+    jacobian: Callable[[], Array]
+
+
+class Rule:
+    """Nodes and weights for expectations under ``N(0, I)``.
+
+    Parameters
+    ----------
+    nodes: ``(p, n)``; node 0 is the center (its weights may be 0).
+    wm: ``(p,)`` weights of the mean; they sum to 1, and ``sum wm nodes = 0``.
+    wc: ``(p,)`` weights of the covariance (None: ``wm``); ``sum wc nodes nodes' = I``. They may be negative. A rule without
+        nodes in some dimension is a quadrature, but no filter takes it: it would lose that variance.
+
+    Attributes
+    ----------
+    nodes, wm, wc: as given, read-only. n: the dimension. sign: ``(q,)``, -1 for columns of negative weight, else 1.
+
+    Raises
+    ------
+    ValueError: if a shape is wrong, a number not finite, or the moments above do not hold.
+    """
+
+    def __init__(self, nodes: ArrayLike, wm: ArrayLike, wc: ArrayLike | None = None):
+        self.nodes = finite("nodes", nodes, ("p", "n"))
+        p, self.n = self.nodes.shape
+        self.wm = finite("wm", wm, (p,))
+        self.wc = self.wm if wc is None else finite("wc", wc, (p,))
+        if self.nodes[0].any():
+            raise ValueError(f"nodes: expected the center first, got {self.nodes[0]}")
+        rounding = 8.0 * EPS * np.abs(self.wm).sum()  # weights of size 1e8 come with a small alpha
+        if abs(self.wm.sum() - 1.0) > max(1e-9, rounding):
+            raise ValueError(f"wm: expected a sum of 1, got {self.wm.sum()!r}")
+        if np.abs(self.wm @ self.nodes).max() > 1e-6:
+            raise ValueError(f"wm: expected sum wm nodes = 0, got {self.wm @ self.nodes}")
+        covered = self.nodes.any(0)
+        second = self.nodes.T @ (self.wc[:, None] * self.nodes)
+        if not np.allclose(second, np.diag(covered.astype(float)), rtol=0.0, atol=1e-6):
+            raise ValueError("wc: expected sum wc nodes nodes' = I")
+        self._idle = np.flatnonzero(~covered).tolist()
+        for array in (self.nodes, self.wm, self.wc):
+            array.flags.writeable = False
+        # Means and columns are taken relative to the image of the center, so its mean weight never plays a part.
+        used = (self.wm != 0.0) | (self.wc != 0.0)
+        used[0] = self.wc[0] != 0.0
+        self._used: Any = slice(None) if used.all() else slice(1, None) if used[1:].all() else np.flatnonzero(used)
+        self._wm, self._scale = self.wm[used], np.sqrt(np.abs(self.wc[used]))
+        self.sign = np.where(self.wc[used] < 0.0, -1.0, 1.0)
+        self.sign.flags.writeable = False
+        self._transposed = np.ascontiguousarray(self.nodes.T)
+        self._unit = (self.nodes[used] * self._scale[:, None]).T  # (n, q), the columns of the unit Gaussian itself
+
+    def __repr__(self) -> str:
+        center = " and a center of weight 0" if self.num_sigmas() < len(self.nodes) else ""
+        return f"Rule(n={self.n}, points={self.num_sigmas()}{center}, negative weights={int((self.wc < 0).sum())})"
+
+    # -- what filters ask ----------------------------------------------------------------------------------------------
+    def points(self, mean: Array, root: Array, space: Space = EUCLIDEAN, augment: Sequence[Array] = ()) -> list[Array]:
+        """Points ``(p, ..., N)`` of ``N(mean, root @ root.mT)``, and ``(p, ..., k)`` of each noise whose root is in ``augment``."""
+        first, batch = root.shape[-1], max(mean.ndim - 1, root.ndim - 2)
+        self.check(first if not augment else first + sum(E.shape[-1] for E in augment))
+        points = [space.plus(mean, fan(root, self._transposed[:first], batch))]
+        for E in augment:
+            noise = fan(E, self._transposed[first : first + E.shape[-1]], batch)
+            points.append(np.broadcast_to(noise, (*points[0].shape[:-1], noise.shape[-1])))
+            first += E.shape[-1]
+        return points
+
+    def check(self, dimensions: int) -> None:
+        """Raise a ValueError unless this is a rule of so many dimensions, with points in each."""
+        if dimensions != self.n:
+            raise ValueError(f"rule: expected {dimensions} dimensions (state and noise through the points), got {self.n}")
+        if self._idle:
+            raise ValueError(f"rule: expected points in every dimension, got none in {', '.join(map(str, self._idle))}")
+
+    def images(
+        self,
+        g: Callable[..., tuple[Any, ...]],
+        mean: Array,
+        root: Array,
+        space: Space,
+        spaces: Sequence[Space],
+        augment: Sequence[Array] = (),
+    ) -> list[Image]:
+        """What ``g`` makes of ``N(mean, root @ root.mT)``: an `Image` of each output.
+
+        Parameters
+        ----------
+        g: ``(points, *noise points) -> outputs``, one for each of ``spaces``; an output may be `KEEP`.
+        mean: ``(..., N)`` on ``space``. root: ``(..., n, n)``. augment: roots ``(..., k, k)`` of noises that g takes, too.
+        """
+        outputs = g(*self.points(mean, root, space, augment))
+        n, images = root.shape[-1], []
+        for y, own in zip(outputs, spaces, strict=True):
+            if y is KEEP:
+                images.append(Image(mean, np.zeros(n), root @ self._unit[:n], lambda: np.eye(n)))
+                continue
+            center = y[0] if own.mean is None else own.mean(y, self.wm)
+            values = (y if own is EUCLIDEAN else own.minus(y, center))[self._used]
+            values = values.T if values.ndim == 2 else values.transpose((*range(1, values.ndim), 0))  # (..., k, q)
+            columns = np.subtract(values, center[..., None] if own is EUCLIDEAN else 0.0, order="C")
+            if own.mean is None:
+                shift = columns @ self._wm
+                columns -= shift[..., None]
+            else:
+                shift = np.zeros(columns.shape[-2])
+            columns *= self._scale
+            images.append(Image(center, shift, columns, lambda columns=columns: self._jacobian(columns, root)))  # type: ignore[misc]
+        return images
+
+    def _jacobian(self, columns: Array, root: Array) -> Array:
+        cross = (columns * self.sign) @ self._unit[: root.shape[-1]].T
+        return solve_upper_transposed(root, cross.mT).mT
+
+    # -- filterpy's interface ------------------------------------------------------------------------------------------
+    @cached_property
+    def _filterpy(self) -> slice:
+        return slice(1, None) if self.wm[0] == self.wc[0] == 0.0 else slice(None)
+
+    @property
+    def Wm(self) -> Array:
+        """Mean weights of the points that `sigma_points` gives."""
+        return self.wm[self._filterpy]
+
+    @property
+    def Wc(self) -> Array:
+        """Covariance weights of the points that `sigma_points` gives."""
+        return self.wc[self._filterpy]
+
+    def num_sigmas(self) -> int:
+        """Number of points, without a center of weight 0."""
+        return len(self.wm[self._filterpy])
+
+    def sigma_points(self, x: ArrayLike, P: ArrayLike) -> Array:
+        """Points ``(num_sigmas, n)`` of ``N(x, P)``; ``P`` may be a scalar, as in filterpy."""
+        mean = finite("x", x).ravel()
+        if len(mean) != self.n:
+            raise ValueError(f"x: expected {self.n} components, got {len(mean)}")
+        cov = finite("P", P)
+        root = semidefinite_root(finite("P", cov * np.eye(self.n) if cov.ndim == 0 else np.atleast_2d(cov), (self.n, self.n)))
+        if not np.isfinite(root).all():
+            raise ValueError("P: expected a positive semidefinite covariance")
+        return np.ascontiguousarray(self.points(mean, root)[0][self._filterpy])
+
+
+# -- made for a dimension ------------------------------------------------------------------------------------------------
+def few(name: str, points: int, n: int) -> None:
+    """Refuse points before they are made: more than `MAX_POINTS`, or more numbers than `celnav.gaussian.checks.LIMIT`."""
+    if points > MAX_POINTS or points * n > LIMIT:
+        raise ValueError(f"{name}: {points} points of {n} components exceed the limit of {MAX_POINTS} points, {LIMIT} numbers")
+
+
+def _axes(n: int, radius: float) -> Array:
+    """The center and two points on each axis, ``(2n + 1, n)``, in filterpy's order."""
+    return radius * np.vstack([np.zeros(n), np.eye(n), -np.eye(n)])
+
+
+def unscented(n: int, alpha: float = 1.0, beta: float = 0.0, kappa: float = 0.0) -> Rule:
+    """Scaled unscented rule of ``2n + 1`` points [van der Merwe 2004]; the defaults have no negative weight.
+
+    With the defaults the center has no weight, and the rule is ``cubature(n)``, that of the cubature Kalman filter. The customary
+    ``kappa = 3 - n`` matches fourth moments on the axes; a small ``alpha`` with ``beta = 2`` keeps the points near the mean.
+
+    Raises
+    ------
+    ValueError: for ``n < 1``, ``alpha <= 0``, ``n + kappa <= 0`` or a number that is not finite.
+    """
+    n = integer("n", n)
+    few("n", 2 * n + 1, n)
+    alpha, beta, kappa = number("alpha", alpha, above=0.0), number("beta", beta), number("kappa", kappa, above=-n)
+    c = alpha**2 * (n + kappa)
+    wm = np.full(2 * n + 1, 0.5 / c)
+    wm[0] = 1.0 - n / c
+    wc = wm.copy()
+    wc[0] += 1.0 - alpha**2 + beta
+    return Rule(_axes(n, float(np.sqrt(c))), wm, wc)
+
+
+def simplex(n: int) -> Rule:
+    """Spherical simplex: ``n + 1`` points of equal weight, the fewest that a covariance needs [Moireau & Chapelle 2011].
+
+    Raises
+    ------
+    ValueError: for ``n < 1``.
+    """
+    n = integer("n", n)
+    few("n", n + 1, n)
+    d = np.arange(1, n + 1)
+    nodes = np.sqrt((n + 1) / (d * (d + 1))) * (np.triu(np.ones((n + 1, n))) - d * np.eye(n + 1, n, -1))
+    nodes[:, 0] *= -1.0  # as filterpy has it
+    weights = np.full(n + 1, 1.0 / (n + 1))
+    return _centered(nodes, weights, weights)
+
+
+def cubature(n: int, degree: int = 3) -> Rule:
+    """Spherical-radial cubature rule: degree 3 with ``2n`` points, degree 5 with ``2n^2 + 1`` [Jia, Xin & Cheng 2013].
+
+    The degree-3 rule is ``unscented(n)`` with its defaults. The degree-5 rule has ``2n`` negative weights for ``n > 4``.
+
+    Raises
+    ------
+    ValueError: for ``n < 1`` or another degree.
+    """
+    n = integer("n", n)
+    degree = choice("degree", degree, (3, 5))
+    few("n", 2 * n if degree == 3 else 2 * n * n + 1, n)
+    if degree == 3:
+        return Rule(_axes(n, float(np.sqrt(n))), np.r_[0.0, np.full(2 * n, 0.5 / n)])
+    pairs = np.zeros((2 * n * (n - 1), n))
+    signs = product(combinations(range(n), 2), product((1.0, -1.0), repeat=2))
+    for row, ((i, j), (s, t)) in zip(pairs, signs, strict=True):
+        row[i], row[j] = s, t
+    nodes = np.vstack([_axes(n, float(np.sqrt(n + 2))), np.sqrt((n + 2) / 2) * pairs])
+    weights = np.full(len(nodes), 1.0 / (n + 2) ** 2)
+    weights[0] = 2.0 / (n + 2)
+    weights[1 : 2 * n + 1] = (4.0 - n) / (2.0 * (n + 2) ** 2)
+    return Rule(nodes, weights)
+
+
+def gauss_hermite(n: int, order: int = 3) -> Rule:
+    """Tensor product of Gauss-Hermite rules of ``order`` points, ``order ** n`` in all (odd orders have a center).
+
+    Raises
+    ------
+    ValueError: for ``n < 1``, ``order < 2`` or more than `MAX_POINTS` points, before anything is allocated.
+    """
+    n, size = integer("n", n), integer("order", order, 2, 100)
+    if (count := size ** min(n, 20)) > MAX_POINTS:  # 2**20 are too many already, 2**1000000000 has 300 million digits
+        many = f"order: {size}**{n} = {count}" if n <= 20 else f"n: {size}**{n}"
+        raise ValueError(f"{many} points exceed the limit of {MAX_POINTS}")
+    x, w = np.polynomial.hermite_e.hermegauss(size)
+    x[np.abs(x) < 1e-12] = 0.0
+    nodes = np.stack(np.meshgrid(*[x] * n, indexing="ij"), -1).reshape(-1, n)
+    weights = np.prod(np.stack(np.meshgrid(*[w / w.sum()] * n, indexing="ij"), -1).reshape(-1, n), -1)
+    return _centered(nodes, weights, weights)
+
+
+def tensor_product(*rules: Rule) -> Rule:
+    """Rule of the joint of independent parts: every node of each rule with every node of the others.
+
+    For a model that is nonlinear in the first k states only and, given these, linear in the other n - k, the product
+    ``tensor_product(gauss_hermite(k, m), simplex(n - k))`` has ``m**k (n - k + 1)`` points and gives exactly what the full
+    tensor rule of ``m**n`` points gives (the marginalized rule; with lower roots and the nonlinear states first).
+
+    Raises
+    ------
+    ValueError: for more than `MAX_POINTS` points, before anything is allocated.
+    """
+    for rule in rules:
+        instance("rules", rule, Rule, "a Rule, such as celnav.unscented(2)")
+    count = prod(rule.num_sigmas() for rule in rules)
+    if not rules or count > MAX_POINTS:
+        raise ValueError(f"rules: expected a product of at most {MAX_POINTS} points, got {count} of {len(rules)} rules")
+    nodes: Array = np.zeros((1, 0))
+    wm: Array = np.ones(1)
+    wc: Array = np.ones(1)
+    for rule in rules:
+        kept = (rule.wm != 0.0) | (rule.wc != 0.0)
+        at = rule.nodes[kept]
+        nodes = np.concatenate([np.repeat(nodes, len(at), 0), np.tile(at, (len(nodes), 1))], 1)
+        wm, wc = np.kron(wm, rule.wm[kept]), np.kron(wc, rule.wc[kept])
+    return _centered(nodes, wm, wc)
+
+
+def from_filterpy(points: Any) -> Rule:
+    """Rule of a filterpy sigma-point object (Merwe, Julier, Simplex, or any of that interface).
+
+    Raises
+    ------
+    ValueError: if its weights do not have the moments that a `Rule` needs, or it is no such object.
+    """
+    if isinstance(points, type) or not all(hasattr(points, name) for name in ("n", "sigma_points", "Wm", "Wc")):
+        raise ValueError(f"points: expected a filterpy sigma-point object, such as MerweScaledSigmaPoints(...), got {points!r:.80}")
+    nodes = points.sigma_points(np.zeros(points.n), np.eye(points.n))
+    return _centered(nodes, np.ravel(points.Wm), np.ravel(points.Wc))
+
+
+def _centered(nodes: Array, wm: Array, wc: Array) -> Rule:
+    """Rule with its center first: moved there, or added with weight 0."""
+    nearest = int(np.argmin(np.abs(nodes).sum(-1)))
+    if np.abs(nodes[nearest]).max() > 1e-12:
+        return Rule(np.vstack([np.zeros(nodes.shape[-1]), nodes]), np.r_[0.0, wm], np.r_[0.0, wc])
+    order = np.r_[nearest, np.delete(np.arange(len(wm)), nearest)]
+    nodes = nodes[order]
+    nodes[0] = 0.0
+    return Rule(nodes, wm[order], wc[order])
