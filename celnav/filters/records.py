@@ -70,17 +70,21 @@ class Joint(NamedTuple):
         Small columns after large ones keep their digits in a QR, and noise is what may be small. Only where the state is kept and
         its measurement linear V comes first: most reflections are then short or nothing, which takes half the time.
         """
-        rows: list[list[Any]] = (
-            [[self.state.columns]] if self.measurement is None else [[self.measurement.columns], [self.state.columns]]
-        )
+        D = self.state.columns
+        if self.measurement is None:
+            W = None if self.process_noise is None else self.process_noise[1]
+            if W is None or type(W) is int:
+                return D
+            return np.concatenate((D, W), -1) if D.ndim == W.ndim == 2 else block([[D, W]])
+        rows: list[list[Any]] = [[self.measurement.columns], [D]]
         if self.process_noise is not None:
-            for row, part in zip(rows, self.process_noise[-len(rows) :], strict=True):
+            for row, part in zip(rows, self.process_noise, strict=True):
                 row.append(part)
         if self.measurement_noise is not None:
             at = 0 if self.noise_first else len(rows[0])
             rows[0].insert(at, self.measurement_noise)
             rows[1].insert(at, 0)
-        return rows[0][0] if len(rows) == len(rows[0]) == 1 else block(rows)
+        return block(rows)
 
     def covariances(self) -> tuple[Array, Array]:
         """Of the innovation without measurement noise ``(..., m, m)``, and of state and innovation ``(..., n, m)``."""
