@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from pymap3d import ecef2geodetic
@@ -11,6 +12,7 @@ from celnav.models import pseudorange
 from celnav.models.atmosphere import GPS_L1_HZ, klobuchar, saastamoinen
 from celnav.models.beidou import B1I_HZ, ELLIPSOID, GPS_AHEAD_S, LIGHT
 from celnav.models.constellation import synthetic
+from celnav.receiver.rinex import Observations
 
 WEEK = 755
 TOE = 604800.0 * WEEK + 345600.0
@@ -98,3 +100,8 @@ def written(tmp_path, text, name="file.rnx"):
     path = tmp_path / name
     path.write_text(text, encoding="ascii")
     return path
+
+
+def observed(b, times, bias):
+    """A log of a receiver at `PLACE` whose clock is ahead by ``bias`` m."""
+    return Observations(Path("obs.rnx"), "TEST", PLACE, times, b.names, *measurements(b, times, bias))

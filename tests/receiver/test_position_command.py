@@ -1,0 +1,248 @@
+"""`celnav position`: what it writes, and damaged files, which are told in one line."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rinex_pair import PLACE, TIMES, constellation, navigation, observations, written
+
+from celnav import cli
+from celnav.files import InputError, Outputs
+from celnav.receiver import position as positioning
+from celnav.receiver import report as positioning_report
+from celnav.receiver.rinex import read_navigation, read_observations
+
+
+@pytest.fixture
+def files(tmp_path):
+    b = constellation()
+    return str(written(tmp_path, observations(b, TIMES)[0], "obs.rnx")), str(written(tmp_path, navigation(b), "nav.rnx"))
+
+
+def test_position_writes_everything_and_replaces_its_own(files, tmp_path, capsys):
+    out = tmp_path / "a folder"
+    Outputs(out).text("summary.txt", "of an earlier run")
+    assert cli.main(["position", *files, "--out", str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert {p.name for p in out.iterdir()} == {*positioning_report.FILES, positioning_report.RECORDING, ".celnav.json"}
+    assert float(printed.split("error")[1].split()[0]) == pytest.approx(
+        0.5, abs=0.02
+    )  # the antenna is half a meter above the marker
+    assert (out / "summary.txt").read_text("utf-8").strip() in printed
+    Outputs(out).check(positioning_report.FILES)
+
+
+@pytest.mark.parametrize(
+    ("options", "status", "words"),
+    [
+        (["--filter", "aukff"], 2, "celnav: --filter: expected one of ls, ekf"),
+        (["--mask", "ten"], 2, "celnav: --mask: expected a number"),
+        (["--mask", "91"], 2, "celnav: --mask: expected degrees from 0 to below 90, got 91"),
+        (["--acceleration-noise", "-1"], 2, "celnav: --acceleration-noise: expected a positive density"),
+        (["--position", "1", "2", "east"], 2, "celnav: --position: expected a number"),
+        (["--position", "32", "118", "50"], 2, "celnav: --position: expected Earth-fixed meters"),
+        (["--position", "1e200", "1e200", "0"], 2, "celnav: --position: expected Earth-fixed meters"),
+        (["--position", "nan", "0", "0"], 2, "celnav: --position: expected Earth-fixed meters"),
+        (["--mask", "nan"], 2, "celnav: --mask: expected degrees"),
+        (["--sigma", "1", "0"], 2, "celnav: --sigma: expected positive deviations"),
+        (["--sigma", "1", "low"], 2, "celnav: --sigma: expected a number"),
+        (["--false-alarm", "1"], 2, "celnav: --false-alarm: expected a probability from 0 to below 1"),
+    ],
+)
+def test_options_that_cannot_be_are_told_in_one_line(files, tmp_path, capsys, options, status, words):
+    assert cli.main(["position", *files, "--out", str(tmp_path / "out"), *options]) == status
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1
+
+
+def test_another_position_is_compared_with_from_another_folder(files, tmp_path, monkeypatch, capsys):
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    away = [str(v) for v in PLACE + np.array([100.0, 0.0, 0.0])]
+    assert cli.main(["position", *files, "--filter", "ls", "--position", *away]) == 0
+    assert float(capsys.readouterr().out.split("error")[1].split()[0]) > 90.0
+    assert Path("out/position/track.csv").exists()
+
+
+def first_row(text, name="C05"):
+    return next(line for line in text.splitlines() if line.startswith(name))
+
+
+KIND = "C    1 C2I".ljust(60) + "SYS / # / OBS TYPES"
+SCALE = "C   10".ljust(60) + "SYS / SCALE FACTOR\n"
+OBSERVATIONS = {
+    "a garbled date": (
+        lambda t: t.replace("> 2011", "> 20x1", 1) if "> 2011" in t else re.sub(r"> (...)\d", r"> \1x", t, count=1),
+        "expected date, flag and number of an epoch",
+    ),
+    "a count below nothing": (
+        lambda t: re.sub(r"(> .{29}0).{3}", r"\1 -1", t, count=1),
+        "expected date, flag and number of an epoch",
+    ),
+    "a garbled satellite": (lambda t: t.replace("\nC05", "\nCx5", 1), "expected a satellite (C01), got 'Cx5'"),
+    "a garbled range": (
+        lambda t: t.replace(first_row(t), "C05" + "  3xxxxx16.123".rjust(14), 1),
+        "expected a number, got '3xxxxx16.123'",
+    ),
+    "a row that is cut off": (lambda t: t.replace(first_row(t), first_row(t)[:-7], 1), "the last one is cut off"),
+    "a position in kilometers": (
+        lambda t: t.replace("".join(f"{v:14.4f}" for v in PLACE), "".join(f"{v / 1e3:14.4f}" for v in PLACE)),
+        "APPROX",
+    ),
+    "a garbled position": (
+        lambda t: re.sub(r"-2611857\.0000", "-26xx857.0000", t),
+        "expected three numbers in APPROX POSITION XYZ",
+    ),
+    "a new kind in an event": (
+        lambda t: re.sub(
+            r"(> .{29})0(.{3}.*\n)", "\\g<1>4  1\n" + "C    1 C2I".ljust(60) + "SYS / # / OBS TYPES\n\\g<0>", t, count=1
+        ),
+        "expected observations of one kind",
+    ),
+    "a scale": (lambda t: t.replace("".ljust(60) + "END", SCALE + "".ljust(60) + "END", 1), "SCALE"),
+}
+
+
+@pytest.mark.parametrize("name", OBSERVATIONS)
+def test_damaged_observations_are_told(name, tmp_path):
+    damage, words = OBSERVATIONS[name]
+    text = observations(constellation(), TIMES)[0]
+    changed = damage(text)
+    assert changed != text
+    with pytest.raises(InputError, match=re.escape(words)):
+        read_observations(written(tmp_path, changed))
+
+
+def test_events_in_a_log_are_passed_over(tmp_path):
+    text = observations(constellation(), TIMES)[0]
+    whole = read_observations(written(tmp_path, text, "whole.rnx"))
+    event = ">                              4  2\n" + "CABLE CHANGED".ljust(60) + "COMMENT\n" + "C05 IS LOW".ljust(60) + "COMMENT\n"
+    lines = text.splitlines(keepends=True)
+    second = [k for k, line in enumerate(lines) if line.startswith(">")][1]
+    found = read_observations(written(tmp_path, "".join([*lines[:second], event, *lines[second:]]), "event.rnx"))
+    np.testing.assert_array_equal(found.code, whole.code)
+    assert len(found.times) == 3
+
+
+def test_a_log_of_beidou_alone_is_in_its_own_time(tmp_path):
+    text = observations(constellation(), TIMES, 0.0, "   ")[0].replace("M: Mixed", "C: BDS  ", 1)
+    np.testing.assert_allclose(read_observations(written(tmp_path, text)).times, TIMES, atol=1e-6)
+
+
+NAVIGATION = {
+    "a set that is cut off": (lambda t: "\n".join(t.splitlines()[:-3]) + "\n", "expected 8 lines of a broadcast set from line"),
+    "a garbled number": (lambda t: t[: t.index("C01") + 30] + "x" + t[t.index("C01") + 31 :], "expected a number, got"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", NAVIGATION)
+def test_damaged_orbits_are_told(name, tmp_path):
+    damage, words = NAVIGATION[name]
+    text = navigation(constellation())
+    changed = damage(text)
+    assert changed != text
+    with pytest.raises(InputError, match=re.escape(words)):
+        read_navigation(written(tmp_path, changed))
+
+
+@pytest.mark.parametrize("which", [0, 1])
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        (lambda t: "", "got an empty one"),
+        (lambda t: t[: t.index("END OF HEADER") - 100], "expected END OF HEADER"),
+        (lambda t: t[: t.index("END OF HEADER") + 14], "got n"),
+        (lambda t: t.replace("     3.04", "     2.11", 1), "line 1: expected RINEX 3, got version 2.11"),
+        (lambda t: t.replace("     3.04", "     4.00", 1), "line 1: expected RINEX 3, got version 4"),
+        (
+            lambda t: t.replace("C: BDS  ", "G: GPS  ", 1).replace("M: Mixed", "G: GPS  ", 1),
+            "line 1: expected BeiDou (C) or mixed (M)",
+        ),
+    ],
+)
+def test_damaged_files_are_one_line_and_nothing_is_written(files, tmp_path, capsys, which, damage, words):
+    path = Path(files[which])
+    path.write_text(damage(path.read_text("ascii")), "ascii")
+    out = tmp_path / "out"
+    assert cli.main(["position", *files, "--out", str(out)]) == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert str(path) in error
+    assert error.count("\n") == 1
+    assert not [p for p in out.iterdir() if not p.name.startswith(".")]
+
+
+def test_a_truncated_log_is_told_with_its_line(files, tmp_path, capsys):
+    kept = Path(files[0]).read_text("ascii").splitlines()[:-4]
+    Path(files[0]).write_text("\n".join(kept) + "\n", "ascii")
+    assert cli.main(["position", *files, "--out", str(tmp_path / "out")]) == 2
+    assert f"obs.rnx, line {len(kept)}: expected" in capsys.readouterr().err
+
+
+def test_a_log_of_one_epoch_is_positioned_without_a_recording(files, tmp_path, capsys):
+    lines = Path(files[0]).read_text("ascii").splitlines(keepends=True)
+    second = [k for k, line in enumerate(lines) if line.startswith(">")][1]
+    Path(files[0]).write_text("".join(lines[:second]), "ascii")
+    assert cli.main(["position", *files, "--out", str(tmp_path / "out")]) == 0
+    assert "no recording (times: expected two or more" in capsys.readouterr().err
+
+
+def test_absent_files_and_foreign_results_are_told(files, tmp_path, capsys):
+    assert cli.main(["position", files[0], str(tmp_path / "none.rnx"), "--out", str(tmp_path / "out")]) == 2
+    assert "none.rnx" in capsys.readouterr().err
+    (tmp_path / "out" / "track.csv").write_text("mine", encoding="ascii")
+    assert cli.main(["position", *files, "--out", str(tmp_path / "out")]) == 2
+    assert "track.csv" in capsys.readouterr().err
+    assert (tmp_path / "out" / "track.csv").read_text() == "mine"
+
+
+def damaged(text, rng):
+    """With a letter, a field or a line that is another, or nothing from somewhere on."""
+    lines = text.split("\n")
+    k = int(rng.integers(len(lines) - 1))
+    at = int(rng.integers(max(len(lines[k]), 1)))
+    match rng.choice(["letter", "digit", "field", "line", "end", "name"]):
+        case "letter":
+            lines[k] = lines[k][:at] + chr(rng.integers(32, 127)) + lines[k][at + 1 :]
+        case "digit":
+            lines[k] = lines[k][:at] + str(rng.integers(10)) + lines[k][at + 1 :]
+        case "field":
+            wild = str(rng.choice(["1e99", "nan", "-inf", "0", "", "1e308", "-1", "1_0"]))
+            lines[k] = lines[k][:at] + wild.rjust(14) + lines[k][at + 14 :]
+        case "line":
+            lines[k] = lines[int(rng.integers(len(lines)))]
+        case "end":
+            return text[: int(rng.integers(len(text)))]
+        case "name":
+            lines[k] = str(rng.choice(["Cxx", "C00", "C 1", "X01"])) + lines[k][3:]
+    return "\n".join(lines)
+
+
+@pytest.mark.parametrize("which", ["observations", "navigation"])
+def test_damage_is_an_error_of_input_or_is_told_in_the_summary(tmp_path, which):
+    b = constellation()
+    texts = {"observations": observations(b, TIMES)[0], "navigation": navigation(b)}
+    refused = []
+    for n in range(60):
+        changed = texts | {which: damaged(texts[which], np.random.default_rng(n))}
+        try:
+            nav = read_navigation(written(tmp_path, changed["navigation"], "nav.rnx"))
+            obs = read_observations(written(tmp_path, changed["observations"], "obs.rnx"))
+            result = positioning_report.position(positioning.prepare(obs, nav), "ls", None)
+        except InputError as error:
+            refused.append(str(error))
+        else:
+            positioning_report.summary(result)
+            positioning_report.table(result)
+            assert np.nanmax(np.linalg.norm(result.mean[:, :3] - PLACE, axis=-1)) < 30.0, n
+    assert 10 < len(refused) < 60
+    assert all("rnx" in line for line in refused)
+
+
+def test_the_nearest_epoch_with_a_fix():
+    there = np.array([False, False, True, False, False, True, True, False])
+    np.testing.assert_array_equal(positioning._nearest(there), [2, 2, 2, 2, 5, 5, 6, 6])
