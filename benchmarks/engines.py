@@ -11,8 +11,8 @@ from benchmarks.workload import BLOCK, P0, SQRT_Q, X0, H, R
 from celnav.filters.model import Motion, Sensor
 from celnav.filters.run import run
 from celnav.filters.sequential import ukf
-from celnav.gaussian.belief import FORMS, Gaussian
-from celnav.gaussian.linalg import Array
+from celnav.gaussian.belief import Gaussian
+from celnav.gaussian.linalg import FORMS, Array
 from celnav.gaussian.rules import unscented
 from celnav.models import orbit
 

@@ -34,10 +34,9 @@ from celnav.filters.smoother import smooth
 from celnav.filters.track import Track
 from celnav.filters.two_stage import two_stage
 from celnav.gaussian.belief import Gaussian
-from celnav.gaussian.rules import Rule, cubature, from_filterpy, gauss_hermite, simplex, unscented
+from celnav.gaussian.rules import Rule, Taylor, cubature, from_filterpy, gauss_hermite, simplex, unscented
 from celnav.gaussian.spaces import angles
 from celnav.gaussian.sparse_grid import smolyak
-from celnav.gaussian.taylor import Taylor
 from celnav.lazy import modules
 from celnav.study.simulate import simulate
 

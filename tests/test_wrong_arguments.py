@@ -30,7 +30,7 @@ HOT = """
 attitude: multiply inverse positive matrix rotate exp log angle to_euler to_rodrigues from_rodrigues shadow shadow_jacobian cross
     transport
 spaces: wrap
-rules: Rule.points Rule.images Rule.check Rule.num_sigmas
+rules: Rule.points Rule.image Rule.kept Rule.num_sigmas Taylor.points Taylor.image Taylor.kept
 earth: meridian_radius transverse_radius normal_gravity earth_rate transport_rate
 orbit: acceleration step runge_kutta transition
 variational: gradient advance flow
@@ -45,16 +45,16 @@ atmosphere: klobuchar saastamoinen
 beidou: satellites eccentric_anomaly wrapped wrapped_week tilted turned
 pseudorange: sources emitted measure jacobian local_axes look dilution
 linalg: block cholesky components downdate fan leading matvec outer range_basis semidefinite_root side_by_side solve_lower
-    solve_upper_transposed tria whiten
-belief: SquareRoot.lost Covariance.lost any_lost nees settled weighted
-taylor: Taylor.points Taylor.images kept_image linear_image
+    solve_upper_transposed tria whiten apply signs weighted factored SquareRoot.lost SquareRoot.factor Covariance.lost
+    Covariance.factor
+belief: any_lost nees settled
 trial: squares Noiseless.standard_normal
 """
 """What a filter calls at every step takes arrays as they are: a look at each would cost more than the product it makes."""
 INSIDE = """
 checks: numbers finite number integer integers whole choice function sequence together instance kind unmasked takes
 drawing: Drawing.set render
-rules: few
+rules: few AnyDimension
 sparse_grid: checked_orders
 scores: score merge summarize check_scores
 views: bar_chart text log rows columns tabs blueprint
@@ -126,7 +126,7 @@ CALLS = {
         dict(mean=np.zeros(2), cov=I2, sqrt_cov=I2),
     ),
     "belief.Gaussian.sample": (PRIOR.sample, dict(rng=RNGS[0], size=(3,))),
-    "taylor.Taylor": dict(step=1e-3),
+    "rules.Taylor": dict(step=1e-3),
     "tuning.maximize_likelihood": dict(
         build=built, start=np.ones(1), epochs=celnav.epochs(TIMES, np.ones((5, 2))), domain="positive", factor=10.0, tolerance=1e-3,
         max_iterations=2,

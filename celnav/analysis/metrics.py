@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import gammaincinv, ndtri, stdtrit
 
-from celnav.gaussian.belief import Belief
 from celnav.gaussian.checks import LIMIT, function, instance, integer, number, numbers
-from celnav.gaussian.linalg import Array, whiten
+from celnav.gaussian.linalg import Array, Belief, whiten
 from celnav.gaussian.spaces import EUCLIDEAN, Space
 
 

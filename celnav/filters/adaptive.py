@@ -14,10 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import gammaincinv
 
-from celnav.filters.records import Gain, Hook, Joint
-from celnav.gaussian.belief import weighted
+from celnav.filters.joint import Gain, Hook, Joint
 from celnav.gaussian.checks import LIMIT, choice, integer, number
-from celnav.gaussian.linalg import Array, cholesky, matvec, solve_lower, solve_upper_transposed, whiten
+from celnav.gaussian.linalg import Array, cholesky, matvec, solve_lower, solve_upper_transposed, weighted, whiten
 
 
 def gate(gamma: float) -> Hook:

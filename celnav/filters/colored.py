@@ -22,14 +22,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.filters.joint import condition, joint, marginal, over_runs
-from celnav.filters.model import Motion, Noise, Sensor, apply, check_function, check_prior, constant, given_back, noise_of
-from celnav.filters.records import Epoch, Hook, Info, Joint
-from celnav.filters.sequential import Sequential, checked, missing, sigma_point, silent
+from celnav.filters.joint import KEEP, Hook, Joint, at, checked, condition, evaluate, joint, linear, marginal, over_runs, rule_for
+from celnav.filters.model import Motion, Noise, Sensor, check_function, check_prior, given_back, noise_of
+from celnav.filters.records import Epoch, Info
+from celnav.filters.sequential import Sequential, missing, sigma_point, silent
 from celnav.gaussian.belief import Gaussian, symmetric
 from celnav.gaussian.checks import choice, finite, instance, numbers, together, unmasked
-from celnav.gaussian.linalg import Array, block, matvec, side_by_side, solve_upper_transposed, tria
-from celnav.gaussian.rules import KEEP, unscented
+from celnav.gaussian.linalg import Array, apply, block, matvec, side_by_side, solve_upper_transposed, tria
+from celnav.gaussian.rules import unscented
 from celnav.gaussian.spaces import EUCLIDEAN
 
 Coloring = ArrayLike | Callable[[Any], Array]
@@ -107,8 +107,8 @@ def _made(kind: Any, motion: Motion, sensor: Sensor, Phi: Coloring, increments: 
     return kind(motion, (sensor,), **parts, Phi=phi, zeta=zeta_of(sensor, Phi, increments), first_sample=once)
 
 
-def coloring(Phi: Coloring, m: int | None = None) -> Callable[[Any], Array]:
-    """Checked ``epoch -> Phi (..., m, m)``.
+def coloring(Phi: Coloring, m: int | None = None) -> Array | Callable[[Any], Array]:
+    """Phi ``(..., m, m)``, checked, or a function of the epoch that checks it.
 
     Raises
     ------
@@ -116,16 +116,19 @@ def coloring(Phi: Coloring, m: int | None = None) -> Callable[[Any], Array]:
         allowed: differences then say nothing about position, only about its changes.
     """
     if callable(Phi):
-        check_function("Phi", Phi, "(epoch)")
-        return lambda epoch: _matrix(numbers("Phi", unmasked("Phi", Phi(epoch))), m)
-    matrix = _matrix(finite("Phi", Phi), m)
+        return partial(_coloring_at, check_function("Phi", Phi, "(epoch)"), m)
+    matrix = _square(finite("Phi", Phi), m)
     radius = np.abs(np.linalg.eigvals(matrix)).max()
     if radius > 1.0 + 1e-9:
         raise ValueError(f"Phi: expected a spectral radius of at most 1, got {radius:.6g}")
-    return lambda epoch: matrix
+    return matrix
 
 
-def _matrix(Phi: Array, m: int | None) -> Array:
+def _coloring_at(Phi: Callable[[Any], Array], m: int | None, epoch: Any) -> Array:
+    return _square(numbers("Phi", unmasked("Phi", Phi(epoch))), m)
+
+
+def _square(Phi: Array, m: int | None) -> Array:
     if Phi.ndim < 2 or Phi.shape[-1] != Phi.shape[-2] or (m is not None and Phi.shape[-1] != m):
         size = "m, m" if m is None else f"{m}, {m}"
         raise ValueError(f"Phi: expected shape (..., {size}), got {Phi.shape}")
@@ -133,27 +136,22 @@ def _matrix(Phi: Array, m: int | None) -> Array:
 
 
 def zeta_of(sensor: Sensor, Phi: Coloring, increments: Any) -> Noise:
-    """``(mean, epoch) ->`` columns of the increments: given, or of a stationary noise of covariance R."""
+    """Columns of the increments, given, or of a stationary noise of covariance R; or a function ``(mean, epoch)`` of them."""
     if increments is not None:
         given = noise_of("increments", increments, None)
-        columns = constant(given)
-        if columns is not None and sensor.m not in (None, columns.shape[-2]):
-            raise ValueError(f"increments: expected {sensor.m} rows to go with the sensor's R, got {columns.shape[-2]}")
+        if isinstance(given, np.ndarray) and sensor.m not in (None, given.shape[-2]):
+            raise ValueError(f"increments: expected {sensor.m} rows to go with the sensor's R, got {given.shape[-2]}")
         return given
-    if not (callable(Phi) or callable(sensor.R) or callable(sensor.sqrt_R)):
-        V = sensor.noise(np.zeros(0), None)
-        return noise_of("R - Phi R Phi'", _increments(V, np.asarray(Phi, dtype=np.float64)), None)
     phi = coloring(Phi, sensor.m)
-
-    def zeta(mean: Array, epoch: Any) -> Array:
-        return symmetric(_increments(sensor.noise(mean, epoch), phi(epoch)), "R - Phi R Phi'")[1]
-
-    return zeta
+    stationary = partial(_stationary, sensor.noise, phi)
+    return stationary if callable(phi) or callable(sensor.noise) else stationary(np.zeros(0), None)
 
 
-def _increments(V: Any, Phi: Array) -> Array:
-    carried = Phi @ V
-    return np.asarray(V @ V.mT - carried @ carried.mT)
+def _stationary(noise: Noise, Phi: Any, mean: Array, epoch: Any) -> Array:
+    """Columns of the increments of a stationary noise."""
+    V = at(noise, mean, epoch)
+    carried = (Phi(epoch) if callable(Phi) else Phi) @ V
+    return symmetric(V @ V.mT - carried @ carried.mT, "R - Phi R Phi'")[1]
 
 
 def difference(Phi: Array, z: Array, z_next: Array) -> Array:
@@ -180,10 +178,10 @@ class ColoredState(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Colored(Sequential):
-    """What `colored` makes. ``Phi (epoch)``, ``zeta (mean, epoch)``: coefficient, and columns of the increments."""
+    """What `colored` makes. ``Phi``, ``zeta``: coefficient, and columns of the increments, or functions of them."""
 
     _: KW_ONLY
-    Phi: Callable[[Any], Array]
+    Phi: Array | Callable[[Any], Array]
     zeta: Noise
     first_sample: bool
 
@@ -201,7 +199,7 @@ class Colored(Sequential):
             if self.first_sample and not missing(z):
                 belief, info, _ = self.see(sensor, belief, z, epoch, (), None)
             return ColoredState(belief, z, state.lagged, state.memory), (info,)
-        Phi = self.Phi(epoch)
+        Phi = self.Phi(epoch) if callable(self.Phi) else self.Phi
         if Phi.ndim > 2:
             state = state._replace(belief=over_runs("Phi", Phi.shape[:-2], state.belief))
         return self.advance(state, Phi, difference(Phi, state.z, z), epoch, z)
@@ -216,33 +214,32 @@ class Colored(Sequential):
     def fused(self, belief: Any, Phi: Array, z_star: Array, epoch: Epoch) -> Joint:
         """The joint of the difference ``h(f(x) + w) - Phi h(x) + zeta`` and the next state ``f(x) + w``."""
         motion, (sensor,), mean = self.motion, self.sensors, belief.mean
-        W, Z = motion.noise(mean, epoch), self.zeta(mean, epoch)
-        spaces, given = (EUCLIDEAN,) * 3, dict[str, Any](z=z_star, measurement_noise=Z)
-        rule = self.rule_of(belief, ())
-        moved = motion.linear(rule, mean, epoch)
-        after = None if moved is None else sensor.linear(rule, moved[0], epoch)
-        before = None if moved is None else sensor.linear(rule, mean, epoch)
+        W, Z, rule = at(motion.noise, mean, epoch), at(self.zeta, mean, epoch), rule_for(self.rule, belief)
+        outputs: Any = partial(self.rows, Phi)
+        augment: tuple[Array, ...] = ()
+        moved = linear(motion, rule, mean, epoch)
+        after = None if moved is None else linear(sensor, rule, moved[0], epoch)
+        before = None if moved is None else linear(sensor, rule, mean, epoch)
         if moved is not None and after is not None and before is not None:
-            (y, F), (h_y, H_y), (h_x, H_x) = moved, after, before
-            g = (h_y - apply(Phi, h_x), H_y @ F - Phi @ H_x), (y, F)
-            return joint(rule, belief, g, spaces, process_noise=(H_y @ W, W), **given)
-        if not callable(sensor.h):
-            return joint(rule, belief, lambda x: self._rows(x, Phi, epoch), spaces, process_noise=(sensor.h @ W, W), **given)
-        # The process noise enters the measurement through h, so it goes through the points.
-        m = Z.shape[-2]
+            (y, F), (h_y, H), (h_x, H_x) = moved, after, before
+            outputs, beside = ((h_y - apply(Phi, h_x), H @ F - Phi @ H_x), (y, F)), (H @ W, W)
+        elif not callable(sensor.h):
+            beside = (sensor.h @ W, W)
+        else:  # the process noise enters the measurement through h, so it goes through the points
+            outputs, beside, augment, rule = partial(self.through, Phi), None, (W,), rule_for(self.rule, belief, (W,))
+        return joint(rule, belief, outputs, epoch, z=z_star, process_noise=beside, measurement_noise=Z, augment=augment)
 
-        def through(x: Array, w: Array) -> tuple[Array, Array]:
-            y = motion.points(x.copy(order="K"), epoch) + w
-            now = sensor.points(y.copy(order="K"), epoch, m=m)
-            return now - apply(Phi, sensor.points(x, epoch, m=m)), y
-
-        return joint(self.rule_of(belief, (W,)), belief, through, spaces, augment=(W,), **given)
-
-    def _rows(self, x: Array, Phi: Array, epoch: Epoch) -> tuple[Array, Array]:
+    def rows(self, Phi: Array, x: Array, epoch: Epoch) -> tuple[Array, Array]:
         """``H f(x) - Phi H x`` and ``f(x)``."""
         H = self.sensors[0].h
-        y = self.motion.points(x.copy(order="K"), epoch)
+        y = evaluate(self.motion, x.copy(order="K"), epoch)
         return apply(H, y) - apply(Phi @ H, x), y
+
+    def through(self, Phi: Array, x: Array, epoch: Epoch, w: Array) -> tuple[Array, Array]:
+        """``h(f(x) + w) - Phi h(x)`` and ``f(x) + w``."""
+        (sensor,) = self.sensors
+        y = evaluate(self.motion, x.copy(order="K"), epoch) + w
+        return evaluate(sensor, y.copy(order="K"), epoch) - apply(Phi, evaluate(sensor, x, epoch)), y
 
     def _measured(self, state: Any, epoch: Epoch) -> Array:
         """The measurement of an epoch, nan where there is none.
@@ -293,8 +290,9 @@ class Decorrelated(Colored):
     @cached_property
     def _constant(self) -> Decorrelation | None:
         """The decorrelated system where it is the same at every epoch."""
-        W, Z = constant(self.motion.noise), constant(self.zeta)
-        return None if W is None or Z is None else decorrelation(self.sensors[0].h, W, Z)
+        W, Z = self.motion.noise, self.zeta
+        constant = isinstance(W, np.ndarray) and isinstance(Z, np.ndarray)
+        return decorrelation(self.sensors[0].h, W, Z) if constant else None  # type: ignore[arg-type]
 
     def advance(self, state: Any, Phi: Array, z_star: Array, epoch: Epoch, z: Array) -> tuple[Any, tuple[Info, ...]]:
         """Update the past state [Sun2015, Eqs. 24-32], then predict [Sun2015, Eqs. 33-37]."""
@@ -307,29 +305,28 @@ class Decorrelated(Colored):
     def _past(self, belief: Any, Phi: Array, z_star: Array, epoch: Epoch) -> Joint:
         """The joint of the difference and of the state before the interval."""
         noise = self.system(belief.mean, epoch, np.ones(1, bool)).sqrt_R
-        return joint(
-            self.rule_of(belief, ()), belief, lambda x: (self._rows(x, Phi, epoch)[0], KEEP), (EUCLIDEAN,) * 3,
-            z=z_star, measurement_noise=noise,
-        )  # fmt: skip
+        return joint(self.rule, belief, partial(self.past, Phi), epoch, z=z_star, measurement_noise=noise)
+
+    def past(self, Phi: Array, x: Array, epoch: Epoch) -> tuple[Any, ...]:
+        """``H f(x) - Phi H x`` and the state before the interval."""
+        return self.rows(Phi, x, epoch)[0], KEEP
 
     def _ahead(self, lagged: Any, Phi: Array, z_star: Array, epoch: Epoch, used: Array) -> Joint:
         """The joint of the prediction, which the measurement enters through J."""
         star = self.system(lagged.mean, epoch, used)
-        z = np.where(used, z_star, 0.0)
+        entering = partial(self.entered, Phi, star.J, np.where(used, z_star, 0.0))
+        return joint(self.rule, lagged, entering, epoch, process_noise=star.sqrt_Q)
 
-        def g(x: Array) -> tuple[Array]:
-            h, y = self._rows(x, Phi, epoch)
-            return (y + matvec(star.J, z - h),)
-
-        return joint(self.rule_of(lagged, ()), lagged, g, (EUCLIDEAN,) * 2, process_noise=star.sqrt_Q)
+    def entered(self, Phi: Array, J: Array, z: Array, x: Array, epoch: Epoch) -> tuple[Array]:
+        """``f(x) + J (z* - h(x))``."""
+        h, y = self.rows(Phi, x, epoch)
+        return (y + matvec(J, z - h),)
 
     def system(self, mean: Array, epoch: Epoch, used: Array) -> Decorrelation:
         """The decorrelated system; a row that was not measured has no part in ``J`` (its noise is its own)."""
         if used.all() and self._constant is not None:
             return self._constant
-        H, W, Z = self.sensors[0].h, self.motion.noise(mean, epoch), self.zeta(mean, epoch)
-        assert W is not None
-        assert Z is not None
+        H, W, Z = self.sensors[0].h, at(self.motion.noise, mean, epoch), at(self.zeta, mean, epoch)
         if used.all():
             return decorrelation(H, W, Z)
         unit = used[..., None] * 1.0
@@ -384,13 +381,13 @@ def augmented(
     m, h, phi, zeta = sensor.m, sensor.h, coloring(Phi, sensor.m), zeta_of(sensor, Phi, increments)
 
     def f(x: Array, epoch: Any) -> Array:
-        moved, Phi = motion.points(x[..., :-m].copy(order="K"), epoch), phi(epoch)
+        moved, Phi = evaluate(motion, x[..., :-m].copy(order="K"), epoch), phi(epoch) if callable(phi) else phi
         if Phi.ndim > 2:
             together(points=x.shape[1:-1], Phi=Phi.shape[:-2])
         return side_by_side([moved, apply(Phi, x[..., -m:])])
 
     def noise(mean: Array, epoch: Any) -> Array:
-        return block([[motion.noise(mean[..., :-m], epoch), 0], [0, zeta(mean, epoch)]])
+        return block([[at(motion.noise, mean[..., :-m], epoch), 0], [0, at(zeta, mean, epoch)]])
 
     def seen(x: Array, epoch: Any) -> Array:
         return np.asarray(sensor.space.plus(h(x[..., :-m], epoch), x[..., -m:]))
@@ -398,7 +395,7 @@ def augmented(
     measured = seen if callable(h) else np.concatenate([h, np.broadcast_to(np.eye(m), (*h.shape[:-2], m, m))], -1)
     both = Sensor(measured, sqrt_R=np.zeros((m, 0)), space=sensor.space)
     made = sigma_point(Motion(f, sqrt_Q=noise), both, rule=rule, **options)
-    V: Any = sensor.noise(np.zeros(0), None)
+    V: Any = sensor.noise
     return Augmented(
         made.motion,
         made.sensors,

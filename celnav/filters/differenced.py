@@ -21,9 +21,9 @@ from numpy.typing import ArrayLike
 from celnav.filters.model import check_function, check_prior, given_back
 from celnav.filters.records import Epoch, Info
 from celnav.filters.two_stage import Stage
-from celnav.gaussian.belief import Covariance, Gaussian, symmetric
+from celnav.gaussian.belief import Gaussian, symmetric
 from celnav.gaussian.checks import finite, instance, numbers, together, unmasked
-from celnav.gaussian.linalg import Array, cholesky, matvec, side_by_side, solve_lower, solve_upper_transposed, whiten
+from celnav.gaussian.linalg import Array, Covariance, cholesky, matvec, side_by_side, solve_lower, solve_upper_transposed, whiten
 
 Moved = tuple[Array, Array, Array]
 """State ``(..., n)`` after the interval, its Jacobian ``Phi (..., n, n)`` and the effect ``G (..., n, q)`` of the process noise."""

@@ -19,15 +19,15 @@ from filterpy.common import pretty_str
 from scipy.linalg import cholesky
 
 from celnav.filters.filterpy_models import differences, model_of, space_of
-from celnav.filters.joint import Form, condition, joint, marginal
+from celnav.filters.joint import KEEP, condition, joint, marginal
 from celnav.filters.model import Motion, Sensor
 from celnav.filters.records import Epoch, Info
 from celnav.filters.sequential import Sequential
 from celnav.filters.smoother import back
-from celnav.gaussian.belief import Covariance, SquareRoot, any_lost, symmetric
+from celnav.gaussian.belief import any_lost, symmetric
 from celnav.gaussian.checks import finite, numbers
-from celnav.gaussian.linalg import Array, outer, whiten
-from celnav.gaussian.rules import KEEP, Rule, from_filterpy
+from celnav.gaussian.linalg import Array, Covariance, Form, SquareRoot, outer, whiten
+from celnav.gaussian.rules import Rule, from_filterpy
 from celnav.gaussian.spaces import EUCLIDEAN, Space
 
 _NUMBERS, _DATES = (float, int, np.number), (np.datetime64, np.timedelta64)
@@ -170,9 +170,8 @@ class SigmaPointUKF:
         belief, process, function = self._belief(), self._root("Q", self.Q, self._dim_x), self._motion(dt, fx, fx_args)
         if UT is None:
             space = self._space()
-            after = marginal(
-                self._form, joint(self.rule, belief, lambda x: (function(x, None),), (space, space), process_noise=process), space
-            )
+            ahead = joint(self.rule, belief, lambda x, _: (function(x, None),), space=space, spaces=(space,), process_noise=process)
+            after = marginal(self._form, ahead, space)
             self._check(belief, after, "fx", function, "the covariance lost positive definiteness")
             belief = after
         else:
@@ -228,7 +227,9 @@ class SigmaPointUKF:
             return seen[-1]
 
         if 0.0 not in root.diagonal().tolist() or root.any(-1).all():
-            both = joint(self.rule, belief, lambda x: (g(x), KEEP), (space, measured, space), z=z, measurement_noise=root)
+            both = joint(
+                self.rule, belief, lambda x, _: (g(x), KEEP), space=space, spaces=(measured, space), z=z, measurement_noise=root
+            )
             after, info, _ = condition(self._form, both, space)
         else:  # what is exact must not be of what is known already
             motion, sensor = Motion(g, sqrt_Q=np.zeros((self._dim_x, 0)), space=space), Sensor(g, sqrt_R=root, space=measured)

@@ -12,8 +12,8 @@ import numpy as np
 from celnav.filters.model import Motion
 from celnav.filters.records import Epoch, Info, State
 from celnav.filters.sequential import Sequential, plain
-from celnav.gaussian.belief import Belief, Gaussian
-from celnav.gaussian.linalg import Array
+from celnav.gaussian.belief import Gaussian
+from celnav.gaussian.linalg import Array, Belief
 
 
 @dataclass(frozen=True, eq=False)

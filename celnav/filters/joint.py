@@ -1,7 +1,7 @@
 """The one joint and the one conditioning, of which every filter here is made.
 
-Push a belief through a function, write the deviation columns down, set the noise columns beside them, condition the last n rows on
-the first m::
+Push a belief through models, write the deviation columns down, set the noise columns beside them, condition the last n rows on the
+first m::
 
     A = [ D_z  W_z  V ]   m rows       predict: m = 0, g = f          update:   g = (h, identity)
         [ D_x  W_x  0 ]   n rows       colored: g = (h(f) - Phi h, f)  smoother: g = (f, identity), measured = the next state
@@ -13,69 +13,283 @@ space (what a difference is) and hooks (what may be changed before conditioning)
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from functools import partial
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from celnav.filters.model import given_back
-from celnav.filters.records import Gain, Hook, Info, Joint
-from celnav.gaussian.belief import Belief, Covariance, SquareRoot
-from celnav.gaussian.checks import instance, numbers
-from celnav.gaussian.linalg import EPS, Array, matvec, solve_upper_transposed, whiten
-from celnav.gaussian.rules import KEEP, Image
+from celnav.filters.mixing import POINTS, check_runs_apart, unknown
+from celnav.filters.model import Linear, Motion, Noise, Sensor, as_floats, given_back
+from celnav.filters.records import Info
+from celnav.gaussian.checks import instance, numbers, unmasked
+from celnav.gaussian.linalg import (
+    POSITIVE,
+    Array,
+    Belief,
+    Form,
+    apply,
+    block,
+    factored,
+    matvec,
+    side_by_side,
+    solve_upper_transposed,
+    whiten,
+)
+from celnav.gaussian.rules import Image, Taylor
 from celnav.gaussian.spaces import EUCLIDEAN, Space
-from celnav.gaussian.taylor import POSITIVE, kept_image, linear_image
 
-Form = type[SquareRoot] | type[Covariance]
+
+class _Keep:
+    def __repr__(self) -> str:
+        return "KEEP"
+
+
+KEEP: Final = _Keep()
+"""Stands for "the state itself" among the outputs of a function: its columns are then exact, on any space."""
+
+
+class Joint(NamedTuple):
+    """The joint of a measurement (m rows) and a state (n rows): what a hook sees and may replace.
+
+    Attributes
+    ----------
+    innovation: ``(..., m)``, measurement minus prediction; nan where nothing was measured, or a hook leaves it out. None where
+        there is nothing to condition on.
+    measurement, state: their images, with columns ``(..., m, q)`` and ``(..., n, q)`` from the prior.
+    sign: ``(q,)``, -1 where a weight is negative; one 1 may stand for all. Where all is linear in covariance form, and
+        no hook looks on, the covariance ``(..., n, n)`` of the state: its columns are then unit vectors.
+    process_noise: its columns ``(..., m, r)`` in the measurement, 0 for zeros, and ``(..., n, r)`` in the state; None without.
+    measurement_noise: its columns ``(..., m, s)``; None without.
+    known: the state's own root or covariance, where the state is that of the belief and nothing was added.
+    noise_first: whether the measurement noise stands first among the `columns`; no sign may be negative then.
+    """
+
+    innovation: Array | None
+    measurement: Image | None
+    state: Image
+    sign: Array
+    process_noise: tuple[Any, Any] | None = None
+    measurement_noise: Array | None = None
+    known: Array | None = None
+    noise_first: bool = False
+
+    def columns(self) -> Array:
+        """The pre-array ``(..., m + n, q + r + s)``.
+
+        [ D_z  W_z  V ]   m rows
+        [ D_x  W_x  0 ]   n rows
+
+        Small columns after large ones keep their digits in a QR, and noise is what may be small. Only where the state is kept and
+        its measurement linear V comes first: most reflections are then short or nothing, which takes half the time.
+        """
+        D = self.state.columns
+        if self.measurement is None:
+            W = None if self.process_noise is None else self.process_noise[1]
+            if W is None:
+                return D
+            return np.concatenate((D, W), -1) if D.ndim == W.ndim == 2 else block([[D, W]])
+        rows: list[list[Any]] = [[self.measurement.columns], [D]]
+        if self.process_noise is not None:
+            for row, part in zip(rows, self.process_noise, strict=True):
+                row.append(part)
+        if self.measurement_noise is not None:
+            at = 0 if self.noise_first else len(rows[0])
+            rows[0].insert(at, self.measurement_noise)
+            rows[1].insert(at, 0)
+        return block(rows)
+
+    def covariances(self) -> tuple[Array, Array]:
+        """Of the innovation without measurement noise ``(..., m, m)``, and of state and innovation ``(..., n, m)``."""
+        assert self.measurement is not None
+        D_z, D_x = self.measurement.columns, self.state.columns
+        S0, cross = (D_z * self.sign) @ D_z.mT, (D_x * self.sign) @ D_z.mT
+        if self.process_noise is not None:
+            W_z, W_x = self.process_noise
+            if type(W_z) is not int:
+                S0 = S0 + W_z @ W_z.mT
+                cross = cross + W_x @ W_z.mT
+        return S0, cross
+
+    def variances(self) -> tuple[Array, Array]:
+        """Variances ``(..., m)`` of the innovation without measurement noise, and of that noise."""
+        assert self.measurement is not None
+        D = self.measurement.columns
+        prior = np.einsum("...ij,...ij,j->...i", D, D, np.broadcast_to(self.sign, D.shape[-1:]))
+        if self.process_noise is not None and type(self.process_noise[0]) is not int:
+            prior = prior + np.square(self.process_noise[0]).sum(-1)
+        V = self.measurement_noise
+        return prior, np.zeros(D.shape[-2]) if V is None else np.einsum("...ij,...ij->...i", V, V)
+
+    def leaving_out(self, mask: Array) -> Joint:
+        """Without the components of the measurement where ``mask (..., m)`` is True."""
+        return self._replace(innovation=np.where(mask, np.nan, np.asarray(self.innovation)))
+
+    def inflated(self, factor: Array) -> Joint:
+        """With measurement noise of standard deviations ``factor (..., m)`` times as large."""
+        return (
+            self if self.measurement_noise is None else self._replace(measurement_noise=factor[..., None] * self.measurement_noise)
+        )
+
+    def factored(self) -> Joint:
+        """With signs in place of a covariance."""
+        if self.sign.ndim < 2 or self.measurement is None:
+            return self
+        (D_z, sign), (D_x, _) = (factored(image.columns, self.sign) for image in (self.measurement, self.state))
+        return self._replace(measurement=self.measurement._replace(columns=D_z), state=self.state._replace(columns=D_x), sign=sign)
+
+
+Hook = Callable[[Any, Joint, Any], tuple[Any, Joint]]
+"""``(memory, joint, epoch) -> (memory, joint)``; the memory is None at the start."""
+Gain = Array | Callable[[Array, Array, int], Array]
+"""A prescribed gain ``(..., n, m)``, or a function of the pre-array ``A``, its ``sign`` and ``m`` that gives it."""
 
 
 def joint(
     rule: Any,
     belief: Belief,
-    g: Callable[..., tuple[Any, ...]] | Sequence[Any],
-    spaces: Sequence[Space],
+    outputs: Sequence[Any] | Callable[..., tuple[Any, ...]],
+    epoch: Any = None,
     *,
+    space: Space = EUCLIDEAN,
+    spaces: Sequence[Space] | None = None,
     z: Array | None = None,
     process_noise: Any = None,
-    measurement_noise: Array | None = None,
+    measurement_noise: Noise = None,
     augment: Sequence[Array] = (),
-    noise_first: bool = False,
 ) -> Joint:
-    """Push a belief through ``g``, and set the noise beside it.
+    """Push a belief through models, and set the noise beside what comes out.
 
     Parameters
     ----------
-    rule: `Rule` or `Taylor`.
-    g: ``(points, *noise points) -> outputs``, the measurement (if any) and the state; or these outputs, linear each, as ``(value,
-        matrix)``. An output may be `KEEP`, the state itself.
-    spaces: of the belief, and of each output.
+    rule: `Rule` or `Taylor`, or a function of the dimension.
+    outputs: the measurement (if any) and the state, each a `Motion`, a `Sensor`, `KEEP` (the state itself) or ``(value, matrix)``
+        of what is linear; or a function ``(points, epoch, *noise points)`` of both.
+    space: of the belief. spaces: of what a function gives; None: vectors.
     z: ``(..., m)``, what was measured; None: there is no measurement among the outputs.
-    process_noise: columns ``(..., n, r)`` beside the state, or a pair of those beside the measurement and beside the state.
-    measurement_noise: columns ``(..., m, s)``. augment: roots of the noises that ``g`` takes. noise_first: see `Joint`.
+    process_noise: columns ``(..., n, r)`` beside the state, a function ``(mean, epoch)`` of them, or a pair of those beside the
+        measurement and beside the state.
+    measurement_noise: columns ``(..., m, s)``, or a function of them. augment: roots of the noises that go through the points.
     """
-    mean, root = belief.mean, belief.sqrt_cov
-    if callable(g):
-        images, sign = rule.images(g, mean, root, spaces[0], spaces[1:], augment), rule.sign
+    rule = rule_for(rule, belief, augment)
+    W: Any = at(process_noise, belief.mean, epoch)
+    V = at(measurement_noise, belief.mean, epoch)
+    W = W if W is None or type(W) is tuple else (0, W)
+    if W is not None and W[1].ndim > 2:
+        belief = over_runs("Q", W[1].shape[:-2], belief)  # a model may need the axes that only the noise has
+    if V is not None and V.ndim > 2:
+        belief = over_runs("R", V.shape[:-2], belief)
+    mean = belief.mean
+
+    noise_first, images = False, []
+    first: Any = None if callable(outputs) else outputs[0]
+    linear = [] if callable(outputs) else linearized(outputs, rule, mean, epoch, space)
+    if linear:
+        root, sign = (belief.sqrt_cov, POSITIVE) if augment else belief.factor()
+        for value, matrix in linear:
+            images.append(_linear_image(value, matrix, root, sign, augment))
+        noise_first = sign.ndim == 1 and isinstance(first, Sensor) and (not callable(first.h) or isinstance(first.h, Linear))
     else:
-        images = [kept_image(mean, root, augment) if y is KEEP else linear_image(y[0], y[1], root, augment) for y in g]
-        sign = POSITIVE
-    if process_noise is not None and type(process_noise) is not tuple:
-        process_noise = (0, process_noise)
+        root, sign = belief.sqrt_cov, rule.sign
+        x, *noise = rule.points(mean, root, space, augment)
+        values = outputs(x, epoch, *noise) if callable(outputs) else outputs
+        for i, y in enumerate(values):
+            if y is KEEP:
+                images.append(Image(mean, np.zeros(root.shape[-1]), rule.kept(root, augment), partial(np.eye, root.shape[-1])))
+            elif isinstance(y, np.ndarray):
+                images.append(rule.image(y, EUCLIDEAN if spaces is None else spaces[i], root))
+            else:
+                images.append(rule.image(evaluate(y, x, epoch, noise, None if z is None else z.shape[-1]), y.space, root))
     state = images[-1]
-    if process_noise is not None:
-        _check_noise("Q", process_noise[0 if type(process_noise[1]) is int else 1], state, mean)
-    if measurement_noise is not None:
-        _check_noise("R", measurement_noise, images[0], mean)
-    known = belief[1] if state.center is mean and process_noise is None else None
+    for name, columns, image in (("Q", W and W[1], state), ("Q" if isinstance(first, Motion) else "R", V, images[0])):
+        if columns is not None and columns.shape[-2] != image.columns.shape[-2]:
+            raise ValueError(f"{name}: expected {image.columns.shape[-2]} rows to go with the model, got {columns.shape[-2]}")
+    known = belief[1] if state.center is mean and W is None else None
     if z is None:
-        return Joint(None, None, state, sign, process_noise, None, known)
-    m = images[0].columns.shape[-2]
-    if spaces[1] is EUCLIDEAN and z.shape[-1] != m:
+        return Joint(None, None, state, sign, W, None, known)
+    measured, m = images[0], images[0].columns.shape[-2]
+    own = spaces[0] if spaces is not None else first.space if isinstance(first, Motion | Sensor) else EUCLIDEAN
+    if own is EUCLIDEAN and z.shape[-1] != m:
         raise ValueError(f"z: expected {m} components to go with h, got {z.shape[-1]}")
     if z.ndim > 1 and z.shape[:-1] != mean.shape[:-1]:
         _joint_batch("z", z.shape[:-1], mean.shape[:-1])
-    innovation = innovation_of(z, images[0], spaces[1])
-    return Joint(innovation, images[0], state, sign, process_noise, measurement_noise, known, noise_first)
+    if own is EUCLIDEAN:
+        innovation = z - measured.center - measured.shift
+    else:  # the mean may lie across a seam from the center
+        innovation = own.minus(own.plus(measured.center, own.minus(z, measured.center) - measured.shift), measured.center)
+    return Joint(innovation, measured, state, sign, W, V, known, noise_first)
+
+
+def rule_for(rule: Any, belief: Belief, augment: Sequence[Array] = ()) -> Any:
+    """The rule of a belief and of the noises through its points, where it is a function of the dimension."""
+    if hasattr(rule, "image"):
+        return rule
+    n: int = belief[1].shape[-1]
+    return rule(n + sum([E.shape[-1] for E in augment]) if augment else n)
+
+
+def checked(z: Any, sensor: Sensor) -> Array:
+    """A measurement ``(..., m)`` as floats."""
+    measured = z if type(z) is np.ndarray and z.dtype == np.float64 else numbers("z", z)
+    if measured.ndim == 0:
+        raise ValueError(f"z: expected shape (..., m), got the number {measured}; one component is [z]")
+    return measured if sensor.space.check is None else sensor.space.check(measured, "z")
+
+
+def at(noise: Any, mean: Array, epoch: Any) -> Any:
+    """Columns of a noise at an epoch."""
+    return noise(mean, epoch) if callable(noise) else noise
+
+
+def linearized(outputs: Sequence[Any], rule: Any, mean: Array, epoch: Any, space: Space) -> list[tuple[Any, Any]]:
+    """Value at the mean and matrix of each output, `KEEP` alone; nothing if one of them asks for points."""
+    found: list[tuple[Any, Any]] = []
+    for output in outputs:
+        one = (mean, None) if output is KEEP else output if type(output) is tuple else linear(output, rule, mean, epoch, space)
+        if one is None:
+            return []
+        found.append(one)
+    return found
+
+
+def linear(model: Motion | Sensor, rule: Any, mean: Array, epoch: Any, space: Space = EUCLIDEAN) -> tuple[Array, Array] | None:
+    """Value at the mean and matrix, where a model is linear or the rule asks for derivatives that are known; None elsewhere.
+
+    ``space``: that of the state.
+    """
+    function: Any = getattr(model, model.name)
+    if not callable(function):
+        return apply(function, mean), function
+    if isinstance(function, Linear):
+        matrix = function.at(epoch, mean.shape[-1])
+        if model.name == "f" and matrix.shape[-2] != mean.shape[-1]:
+            raise ValueError(f"matrix: expected shape (..., {mean.shape[-1]}, {mean.shape[-1]}), got {matrix.shape}")
+        return apply(matrix, mean), matrix
+    if model.jacobian is None or not isinstance(rule, Taylor):
+        return None
+    center = mean if rule.about is None else np.broadcast_to(rule.about, mean.shape)
+    none = [np.zeros((1, *center.shape[:-1], E.shape[-2])) for E in model.augment]
+    value = evaluate(model, center[None].copy(), epoch, none)[0]
+    J = numbers("jacobian", unmasked("jacobian", model.jacobian(center, epoch)))
+    if J.ndim < 2 or (model.space is EUCLIDEAN and J.shape[-2] != value.shape[-1]):
+        raise ValueError(f"jacobian: expected shape (..., {value.shape[-1]}, n) to go with {model.name}, got {J.shape}")
+    return value if rule.about is None else model.space.plus(value, matvec(J, space.minus(mean, center))), J
+
+
+def _linear_image(value: Array, matrix: Array | None, root: Array, sign: Array, augment: Sequence[Array]) -> Image:
+    """The image of a linear function, of its value at the mean and its matrix ``(..., k, n + noises)``; None: the identity."""
+    n = root.shape[-1]
+    if matrix is None:
+        columns = side_by_side([root, *(np.zeros((n, E.shape[-1])) for E in augment)]) if augment else root
+        return Image(value, np.zeros(n), columns, partial(np.eye, n))
+    width = root.shape[-2] + (sum([E.shape[-2] for E in augment]) if augment else 0)
+    if matrix.shape[-1] != width:
+        raise ValueError(f"jacobian: expected shape (..., {matrix.shape[-2]}, {width}), got {matrix.shape}")
+    if augment:
+        ends = np.cumsum([E.shape[-2] for E in (root, *augment)])
+        columns = side_by_side([matrix[..., end - E.shape[-2] : end] @ E for end, E in zip(ends, (root, *augment), strict=True)])
+    else:
+        columns = matrix if sign.ndim > 1 else matrix @ root
+    return Image(value, np.zeros(matrix.shape[-2]), columns, partial(np.asarray, matrix[..., :n]))
 
 
 def _joint_batch(name: str, batch: tuple[int, ...], runs: tuple[int, ...]) -> tuple[int, ...]:
@@ -95,33 +309,15 @@ def over_runs(name: str, batch: tuple[int, ...], belief: Belief) -> Belief:
 
 
 def _whole(form: Form, mean: Array, spread: Array) -> Belief:
-    """The belief; where only its covariance differs from run to run, with a mean for each run, too."""
-    if spread.ndim > 2 and spread.shape[:-2] != mean.shape[:-1]:
-        batch = _joint_batch("Q, R", spread.shape[:-2], mean.shape[:-1])
-        mean = np.broadcast_to(mean, (*batch, mean.shape[-1]))
-        spread = np.broadcast_to(spread, (*batch, *spread.shape[-2:]))
-    return form(mean, spread)
-
-
-def _check_noise(name: str, noise: Array, image: Image, mean: Array) -> None:
-    if noise.shape[-2] != image.columns.shape[-2]:
-        raise ValueError(f"{name}: expected {image.columns.shape[-2]} rows to go with the model, got {noise.shape[-2]}")
-    if noise.ndim > 2 and noise.shape[:-2] != mean.shape[:-1]:
-        _joint_batch(name, noise.shape[:-2], mean.shape[:-1])
-
-
-def innovation_of(z: Array, predicted: Image, space: Space) -> Array:
-    """Measurement minus its prediction, ``(..., m)``; on a space that wraps the mean may lie across the seam from its center."""
-    difference = space.minus(z, predicted.center)
-    if space is EUCLIDEAN or not isinstance(predicted.shift, np.ndarray):
-        return np.asarray(difference - predicted.shift)
-    return space.minus(space.plus(predicted.center, difference - predicted.shift), predicted.center)
+    """The belief, where mean and covariance differ from run to run in axes of their own."""
+    batch = _joint_batch("Q, R", spread.shape[:-2], mean.shape[:-1])
+    return form(np.broadcast_to(mean, (*batch, mean.shape[-1])), np.broadcast_to(spread, (*batch, *spread.shape[-2:])))
 
 
 def marginal(form: Form, joint: Joint, space: Space) -> Belief:
     """The belief about the state, with nothing to condition on: a prediction."""
-    state = joint.state
-    return _whole(form, space.plus(state.center, state.shift), form.marginal(joint.columns(), joint.sign))
+    mean, spread = space.plus(joint.state.center, joint.state.shift), form.marginal(joint.columns(), joint.sign)
+    return form(mean, spread) if spread.ndim == 2 or spread.shape[:-2] == mean.shape[:-1] else _whole(form, mean, spread)
 
 
 def condition(
@@ -140,6 +336,8 @@ def condition(
     filter which uses it, whatever it is.
     """
     given = joint.innovation
+    if hooks or callable(gain):
+        joint = joint.factored()
     if hooks:
         joint, memory = _adapted(joint, hooks, memory, epoch)
     innovation, measured, state = joint.innovation, joint.measurement, joint.state
@@ -151,7 +349,7 @@ def condition(
         A, innovation = _left_out(A, innovation, used)
     K: Any = gain
     if gain is not None:
-        K = _checked_gain(gain(A, joint.sign, m) if callable(gain) else gain, A.shape[-2] - m, m) * used[..., None, :]
+        K = numbers("gain", gain(A, joint.sign, m) if callable(gain) else gain, (..., A.shape[-2] - m, m)) * used[..., None, :]
     S, U, spread = form.condition(A, joint.sign, m, K, joint.known, joint.measurement_noise)
     whitened = whiten(S, innovation)
     step = state.shift + (matvec(U, whitened) if K is None else matvec(K, innovation))
@@ -162,7 +360,9 @@ def condition(
         return solve_upper_transposed(S, U.mT).mT if K is None else K
 
     info = Info(given, whitened, used, S, optimal, measured.jacobian)
-    return _whole(form, space.plus(state.center, step), spread), info, memory
+    mean = space.plus(state.center, step)
+    whole = spread.ndim == 2 or spread.shape[:-2] == mean.shape[:-1]
+    return form(mean, spread) if whole else _whole(form, mean, spread), info, memory
 
 
 def _adapted(joint: Joint, hooks: Sequence[Hook], memory: Any, epoch: Any) -> tuple[Joint, Any]:
@@ -176,7 +376,7 @@ def _adapted(joint: Joint, hooks: Sequence[Hook], memory: Any, epoch: Any) -> tu
         innovation=np.array(joint.innovation),
         measurement=measurement,
         state=state,
-        process_noise=None if W is None else (_copied(W[0]), _copied(W[1])),
+        process_noise=W and (W[0] if type(W[0]) is int else W[0].copy(), W[1].copy()),
         measurement_noise=None if V is None else V.copy(),
         noise_first=False,
     )
@@ -190,17 +390,6 @@ def _adapted(joint: Joint, hooks: Sequence[Hook], memory: Any, epoch: Any) -> tu
     return joint, tuple(memories)
 
 
-def _copied(part: Any) -> Any:
-    return part if type(part) is int else part.copy()
-
-
-def _checked_gain(gain: Any, n: int, m: int) -> Array:
-    K = numbers("gain", gain)
-    if K.ndim < 2 or K.shape[-2:] != (n, m):
-        raise ValueError(f"gain: expected shape (..., {n}, {m}), got {K.shape}")
-    return K
-
-
 def _left_out(A: Array, innovation: Array, used: Array) -> tuple[Array, Array]:
     """Rows that were not measured: no columns from the prior, a unit noise of their own and a zero innovation."""
     m, rows = used.shape[-1], A.shape[-2]
@@ -212,16 +401,37 @@ def _left_out(A: Array, innovation: Array, used: Array) -> tuple[Array, Array]:
     return np.concatenate([A * keep, unit], -1), np.where(used, innovation, 0.0)
 
 
-def known_already(form: Form, info: Info, exact: Array, deviation: Array, size: Array) -> Array:
-    """Runs ``(...)`` in which a measurement without noise is of what was known already: nothing but round-off is left of it.
+def evaluate(model: Motion | Sensor, x: Array, epoch: Any, noise: Sequence[Array] = (), m: int | None = None) -> Array:
+    """Values ``(p, ..., m)`` of a model at points ``x (p, ..., N)``, as floats of the shape they must have.
 
-    Parameters
-    ----------
-    exact: ``(..., m)`` bool, the components without noise.
-    deviation, size: ``(..., m)``, what the measurement varies by over the belief, direction by direction, and how large it is: what
-        is left of either after cancellation is round-off.
+    ``m``: how many components are measured. The function may change its argument: rules make points for one call, and a caller with
+    two hands out a copy.
+
+    Raises
+    ------
+    ValueError: naming the function, if what it returns has another shape. What it raises itself carries a note of what it got.
     """
-    assert info.sqrt_S is not None
-    assert info.used is not None
-    least = 16.0 * (form.rounding() * deviation + EPS * size)
-    return np.asarray((exact & info.used & (info.sqrt_S.diagonal(0, -2, -1) <= least)).any(-1))
+    name = model.name
+    function: Any = getattr(model, name)
+    if not callable(function):
+        return apply(function, x)
+    vectors = not isinstance(model, Motion) and model.space is EUCLIDEAN and model.m in (None, m)
+    dimension = x.shape[-1] if isinstance(model, Motion) else m if vectors else None
+    copies = [array.copy(order="K") for array in (x, *noise)] if x.ndim > 2 and unknown(function, x) else None
+    try:
+        y: Any = function(x, epoch, *noise)
+        if type(y) is not np.ndarray or y.dtype != np.float64:
+            y = as_floats(name, y, x)
+    except (AttributeError, IndexError, TypeError, ValueError) as error:
+        given = "an input" if getattr(epoch, "u", None) is not None else "None"
+        note = f"{name} is called with points {x.shape} and an Epoch: epoch.dt is its interval, epoch.u ({given}) its input"
+        error.add_note(note)
+        error.add_note(POINTS)
+        raise
+    if y.shape[:-1] != x.shape[:-1] or not y.ndim or (dimension is not None and y.shape[-1] != dimension):
+        expected = ", ".join(str(s) for s in (*x.shape[:-1], "m" if dimension is None else dimension))
+        raise ValueError(f"{name} returned shape {y.shape}, expected ({expected}); {POINTS}")
+    if copies is not None:
+        y = y.copy(order="K")  # it may be a buffer of the model's
+        check_runs_apart(name, function, copies, epoch, y)
+    return np.asarray(y)

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from celnav.filters.model import Sensor, check_matrices, check_prior, constant
+from celnav.filters.joint import at, checked, evaluate
+from celnav.filters.model import Sensor, check_matrices, check_prior
 from celnav.filters.records import Epoch, Info, State
-from celnav.filters.sequential import checked
-from celnav.gaussian.belief import Covariance, Gaussian
+from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import instance, integer, numbers, together, unmasked
-from celnav.gaussian.linalg import Array, matvec, outer
+from celnav.gaussian.linalg import Array, Covariance, matvec, outer
 
 RANK = 1e-10
 """Part of a column of the Jacobian that must be its own, or its state is not determined."""
@@ -44,10 +43,10 @@ def least_squares(sensor: Sensor, *, rounds: int = 10) -> LeastSquares:
     instance("sensor", sensor, Sensor, "celnav.Sensor(h, R, jacobian=...)")
     if sensor.jacobian is None and callable(sensor.h):
         raise ValueError("sensor: expected one with a jacobian, (mean, epoch) -> (..., m, n), got none")
-    columns = constant(sensor.noise)
-    if sensor.R is None and sensor.sqrt_R is None:
+    columns = sensor.noise
+    if columns is None:
         raise ValueError("R: expected variances of independent components, got noise through the points")
-    if columns is not None:
+    if isinstance(columns, np.ndarray):
         R = columns @ columns.mT
         variances = R.diagonal(0, -2, -1)
         if (variances <= 0.0).any() or np.abs(R - variances[..., None] * np.eye(R.shape[-1])).max(
@@ -82,7 +81,7 @@ class LeastSquares:
         batch = together(prior=x.shape[:-1], z=z.shape[:-1])
         x = np.broadcast_to(x, (*batch, n))
         used = np.broadcast_to(~np.isnan(z), (*batch, z.shape[-1]))
-        V: Any = self.sensor.noise(x, epoch)
+        V = at(self.sensor.noise, x, epoch)
         weight = np.where(used, 1.0 / np.sqrt(np.square(V).sum(-1)), 0.0)
         enough, moving, eye = used.sum(-1) >= n, np.ones(batch, bool), np.eye(n)
         root, known = np.zeros((*x.shape, n)), enough
@@ -92,7 +91,7 @@ class LeastSquares:
             Q, R = np.linalg.qr(G / np.where(length > 0.0, length, 1.0)[..., None, :])
             determined = (np.abs(R.diagonal(0, -2, -1)).min(-1) > RANK) & enough
             inverse = np.linalg.solve(np.where(determined[..., None, None], R * length[..., None, :], eye), eye)
-            left = np.where(used, z - self._value(x, epoch, z), 0.0)
+            left = np.where(used, z - self._value(x, epoch), 0.0)
             step = np.where(determined[..., None], matvec(Q.mT, weight * left), 0.0)
             # A run that has come to rest stays as it is while others of its block still move.
             x = np.where(moving[..., None], x + matvec(inverse, step), x)
@@ -100,12 +99,12 @@ class LeastSquares:
             moving = moving & (np.abs(step).max(-1) > AT_REST)
             if not moving.any():
                 break
-        left = np.where(used, z - self._value(x, epoch, z), np.nan)
+        left = np.where(used, z - self._value(x, epoch), np.nan)
         fix = Covariance(np.where(known[..., None], x, np.nan), np.where(known[..., None, None], outer(root), np.nan))
         return State(fix, (x,)), (Info(left, np.where(used, weight * left, 0.0), used),)
 
-    def _value(self, x: Array, epoch: Epoch, z: Array) -> Array:
-        return np.asarray(self.sensor.points(x[None], epoch, m=z.shape[-1])[0])
+    def _value(self, x: Array, epoch: Epoch) -> Array:
+        return np.asarray(evaluate(self.sensor, x[None], epoch)[0])
 
     def _jacobian(self, x: Array, epoch: Epoch, m: int) -> Array:
         J = self.sensor.jacobian(x, epoch) if self.sensor.jacobian is not None else self.sensor.h

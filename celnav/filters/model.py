@@ -9,24 +9,20 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, ClassVar
 from warnings import warn
 
 import numpy as np
 
-from celnav.filters.mixing import POINTS, check_runs_apart, unknown
-from celnav.gaussian.belief import Covariance, Gaussian, SquareRoot, symmetric
+from celnav.gaussian.belief import Gaussian, symmetric
 from celnav.gaussian.checks import finite, instance, kind, numbers, takes, unmasked
-from celnav.gaussian.linalg import Array, matvec
+from celnav.gaussian.linalg import Array, Covariance, SquareRoot, apply
 from celnav.gaussian.spaces import EUCLIDEAN, Space
-from celnav.gaussian.taylor import Taylor
 
 Model = Callable[..., Any]
 """``(points (p, ..., N), epoch, *noise points (p, ..., k)) -> (p, ..., M)``."""
 Jacobian = Callable[[Array, Any], Any]
 """``(mean (..., N), epoch) -> (..., k, n)``; with noise through the points its columns follow those of the state."""
-Linearized = tuple[Array, Array]
-"""Value at the mean and matrix of a function that is linear, or has been linearized."""
 
 
 @dataclass(frozen=True)
@@ -78,6 +74,7 @@ class Motion:
     >>> motion = celnav.Motion(lambda x, epoch: orbit.step(x, epoch.dt), Q=1e-8 * np.eye(6))
     """
 
+    name: ClassVar[str] = "f"
     f: Any
     Q: Any = None
     _: KW_ONLY
@@ -93,18 +90,8 @@ class Motion:
 
     @cached_property
     def noise(self) -> Noise:
-        """``(mean, epoch) ->`` columns ``(..., n, r)`` of the noise, or None."""
+        """Columns ``(..., n, r)`` of the noise, or a function ``(mean, epoch)`` of them."""
         return noise_of("Q", self.Q, self.sqrt_Q)
-
-    def points(self, x: Array, epoch: Any, *noise: Array) -> Array:
-        """The states that follow from points ``(p, ..., N)``."""
-        if not callable(self.f):
-            return apply(self.f, x)
-        return evaluate("f", self.f, x, epoch, noise, x.shape[-1])
-
-    def linear(self, rule: Any, mean: Array, epoch: Any) -> Linearized | None:
-        """Value at the mean and matrix, where the motion is linear or the rule asks for derivatives that are known."""
-        return _linear("f", self.f, self.jacobian, rule, mean, epoch, self.space, self.space, self.augment)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,6 +115,7 @@ class Sensor:
     >>> gps = celnav.Sensor(np.eye(3, 6), R=0.04 * np.eye(3))
     """
 
+    name: ClassVar[str] = "h"
     h: Any
     R: Any = None
     _: KW_ONLY
@@ -141,115 +129,18 @@ class Sensor:
 
     @cached_property
     def noise(self) -> Noise:
-        """``(mean, epoch) ->`` columns ``(..., m, s)`` of the noise, or None."""
+        """Columns ``(..., m, s)`` of the noise, or a function ``(mean, epoch)`` of them."""
         return noise_of("R", self.R, self.sqrt_R)
 
     @cached_property
     def m(self) -> int | None:
         """How many components the noise says there are; None if it does not say."""
-        columns = constant(self.noise)
-        return None if columns is None else columns.shape[-2]
+        return self.noise.shape[-2] if isinstance(self.noise, np.ndarray) else None
 
     @cached_property
     def noisy(self) -> bool:
         """Whether each component is known to have noise of its own: only what is exact can be of what is known already."""
-        columns = constant(self.noise)
-        return bool(len(self.augment)) or (columns is not None and bool(columns.any(-1).all()))
-
-    def points(self, x: Array, epoch: Any, *noise: Array, m: int | None = None) -> Array:
-        """The measurements ``(p, ..., m)`` of points ``(p, ..., N)``."""
-        if not callable(self.h):
-            return apply(self.h, x)
-        return evaluate("h", self.h, x, epoch, noise, m if self.space is EUCLIDEAN else None)
-
-    def linear(self, rule: Any, mean: Array, epoch: Any, space: Space = EUCLIDEAN) -> Linearized | None:
-        """Value at the mean and matrix, where the measurement is linear or the rule asks for derivatives that are known.
-
-        ``space``: that of the state.
-        """
-        return _linear("h", self.h, self.jacobian, rule, mean, epoch, space, self.space, self.augment)
-
-
-def evaluate(name: str, function: Model, points: Array, epoch: Any, noise: Sequence[Array], dimension: int | None = None) -> Array:
-    """Values of a model at points, as floats of the shape they must have.
-
-    The function may change its argument: rules make points for one call, and a caller with two hands out a copy.
-
-    Raises
-    ------
-    ValueError: naming the function, if what it returns has another shape. What it raises itself carries a note of what it got.
-    """
-    copies = [array.copy(order="K") for array in (points, *noise)] if points.ndim > 2 and unknown(function, points) else None
-    try:
-        y: Any = function(points, epoch, *noise)
-        if type(y) is not np.ndarray or y.dtype != np.float64:
-            y = _as_floats(name, y, points)
-    except (AttributeError, IndexError, TypeError, ValueError) as error:
-        given = "an input" if getattr(epoch, "u", None) is not None else "None"
-        error.add_note(
-            f"{name} is called with points {points.shape} and an Epoch: epoch.dt is its interval, epoch.u ({given}) its input"
-        )
-        error.add_note(POINTS)
-        raise
-    if y.shape[:-1] != points.shape[:-1] or not y.ndim or (dimension is not None and y.shape[-1] != dimension):
-        last = "m" if dimension is None else dimension
-        expected = "(" + ", ".join(str(s) for s in (*points.shape[:-1], last)) + ")"
-        raise ValueError(f"{name} returned shape {y.shape}, expected {expected}; {POINTS}")
-    if copies is not None:
-        y = y.copy(order="K")  # it may be a buffer of the model's
-        check_runs_apart(name, function, copies, epoch, y)
-    return np.asarray(y)
-
-
-def _as_floats(name: str, values: Any, points: Array) -> Array:
-    """What a model gave as float64. It warns of single precision whose differences, all that a filter has, are hardly more than
-    round-off, and refuses what is masked: what is missing at one point has no mean.
-    """
-    dtype, y = np.asarray(values).dtype, numbers(name, unmasked(name, values))
-    if dtype.kind == "f" and dtype.itemsize < y.itemsize and len(points) > 1 and y.size:
-        differences, moved = np.ptp(y, 0), np.ptp(points, 0) > 0.0
-        moved = moved if moved.shape == differences.shape else moved.any(-1, keepdims=True)
-        if (moved & (differences < 1e3 * np.finfo(dtype).eps * np.abs(y).max(0))).any():
-            text = (
-                f"{name} returns {dtype}: its values differ from point to point by little more than round-off. Compute in float64."
-            )
-            warn(text, RuntimeWarning, stacklevel=4)
-    return y
-
-
-def apply(matrix: Array, x: Array) -> Array:
-    """A matrix ``(..., m, n)`` on vectors ``(..., n)``: one product for all of them where it is the same for all."""
-    return np.asarray(x @ matrix.mT if matrix.ndim == 2 else matvec(matrix, x))
-
-
-def _linear(
-    name: str,
-    model: Any,
-    jacobian: Jacobian | None,
-    rule: Any,
-    mean: Array,
-    epoch: Any,
-    space: Space,
-    values: Space,
-    augment: Sequence[Array],
-) -> Linearized | None:
-    """Value and matrix of a model that maps ``space`` to ``values``; None where points are asked for."""
-    if not callable(model):
-        return apply(model, mean), model
-    if isinstance(model, Linear):
-        matrix = model.at(epoch, mean.shape[-1])
-        if name == "f" and matrix.shape[-2] != mean.shape[-1]:
-            raise ValueError(f"matrix: expected shape (..., {mean.shape[-1]}, {mean.shape[-1]}), got {matrix.shape}")
-        return apply(matrix, mean), matrix
-    if jacobian is None or not isinstance(rule, Taylor):
-        return None
-    at = mean if rule.about is None else np.broadcast_to(rule.about, mean.shape)
-    none = [np.zeros((1, *at.shape[:-1], root.shape[-2])) for root in augment]
-    value = evaluate(name, model, at[None].copy(), epoch, none)[0]
-    J = numbers("jacobian", unmasked("jacobian", jacobian(at, epoch)))
-    if J.ndim < 2 or (values is EUCLIDEAN and J.shape[-2] != value.shape[-1]):
-        raise ValueError(f"jacobian: expected shape (..., {value.shape[-1]}, n) to go with {name}, got {J.shape}")
-    return value if rule.about is None else values.plus(value, matvec(J, space.minus(mean, at))), J
+        return bool(len(self.augment)) or (isinstance(self.noise, np.ndarray) and bool(self.noise.any(-1).all()))
 
 
 def _check_model(record: Any, name: str, noise: str) -> None:
@@ -272,17 +163,17 @@ def _check_model(record: Any, name: str, noise: str) -> None:
         raise ValueError(f"augment: expected a function {name}(points, epoch, *noise) with it, got a matrix; {noise} is its noise")
     if getattr(record, noise) is None and getattr(record, f"sqrt_{noise}") is None and not len(roots):
         raise ValueError(f"{noise}: expected the noise's covariance, {noise} or sqrt_{noise}; without noise it is np.zeros((k, k))")
-    columns = constant(record.noise)
-    if columns is not None and not callable(model) and columns.shape[-2] != matrix.shape[-2]:
+    columns = record.noise
+    if isinstance(columns, np.ndarray) and not callable(model) and columns.shape[-2] != matrix.shape[-2]:
         raise ValueError(f"{noise}: expected {matrix.shape[-2]} rows to go with {name}, got {columns.shape[-2]}")
 
 
-Noise = Callable[[Array, Any], Any]
-"""``(mean, epoch) ->`` columns ``(..., k, r)`` of a noise, or None."""
+Noise = Array | Callable[[Array, Any], Array] | None
+"""Columns ``(..., k, r)`` of a noise, or a function ``(mean, epoch)`` of them; None: without."""
 
 
 def noise_of(name: str, cov: Any, sqrt: Any) -> Noise:
-    """``(mean, epoch) ->`` columns of a noise, from a covariance or a root, a constant (checked once) or a function."""
+    """Columns of a noise, from a covariance or a root, a constant (checked once) or a function."""
     if cov is not None and sqrt is not None:
         raise ValueError(f"{name}: expected one of {name} and sqrt_{name}, got both")
     if callable(sqrt):
@@ -290,17 +181,8 @@ def noise_of(name: str, cov: Any, sqrt: Any) -> Noise:
     if callable(cov):
         return partial(_root_of, check_function(name, cov, "(mean, epoch)"), name)
     if sqrt is not None:
-        return partial(_constant, _columns(f"sqrt_{name}", finite(f"sqrt_{name}", sqrt)))
-    return partial(_constant, None if cov is None else symmetric(cov, name)[1])
-
-
-def constant(noise: Noise) -> Array | None:
-    """Columns of a noise that is the same at every epoch; None of another, or of none."""
-    return noise.args[0] if isinstance(noise, partial) and noise.func is _constant else None
-
-
-def _constant(columns: Array | None, _mean: Array, _epoch: Any) -> Array | None:
-    return columns
+        return _columns(f"sqrt_{name}", finite(f"sqrt_{name}", sqrt))
+    return None if cov is None else symmetric(cov, name)[1]
 
 
 def _columns_of(function: Any, name: str, mean: Array, epoch: Any) -> Array:
@@ -349,3 +231,19 @@ def given_back(name: str, value: Any, what: str) -> Any:
     if not isinstance(value, tuple | list) or len(value) != what.count(",") + 1:
         raise ValueError(f"{name}: expected ({what}) from the function, got {kind(value)}")
     return value
+
+
+def as_floats(name: str, values: Any, points: Array) -> Array:
+    """What a model gave as float64. It warns of single precision whose differences, all that a filter has, are hardly more than
+    round-off, and refuses what is masked: what is missing at one point has no mean.
+    """
+    dtype, y = np.asarray(values).dtype, numbers(name, unmasked(name, values))
+    if dtype.kind == "f" and dtype.itemsize < y.itemsize and len(points) > 1 and y.size:
+        differences, moved = np.ptp(y, 0), np.ptp(points, 0) > 0.0
+        moved = moved if moved.shape == differences.shape else moved.any(-1, keepdims=True)
+        if (moved & (differences < 1e3 * np.finfo(dtype).eps * np.abs(y).max(0))).any():
+            text = (
+                f"{name} returns {dtype}: its values differ from point to point by little more than round-off. Compute in float64."
+            )
+            warn(text, RuntimeWarning, stacklevel=4)
+    return y

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from celnav.filters.adaptive import last_of
-from celnav.filters.records import Hook, Joint
+from celnav.filters.joint import Hook, Joint
 from celnav.gaussian.checks import finite, integer, number
 from celnav.gaussian.linalg import Array, matvec, range_basis
 
@@ -40,7 +40,12 @@ def residual(joint: Joint) -> Residual:
     _, noise = joint.variances()
     used = ~np.isnan(e) & (noise > 0.0)
     root = np.where(used, np.sqrt(np.where(noise > 0.0, 1.0 / np.where(noise > 0.0, noise, 1.0), 0.0)), 0.0)
-    Q = range_basis(root[..., None] * joint.measurement.jacobian() * joint.std()[..., None, :], NOTHING)
+    D = joint.state.columns
+    variance = np.einsum("...ij,...ij,j->...i", D, D, np.broadcast_to(joint.sign, D.shape[-1:]))
+    if joint.process_noise is not None:
+        variance = variance + np.square(joint.process_noise[1]).sum(-1)
+    std = np.sqrt(np.maximum(variance, 0.0))
+    Q = range_basis(root[..., None] * joint.measurement.jacobian() * std[..., None, :], NOTHING)
     y = root * np.where(used, e, 0.0)
     left = y - matvec(Q, matvec(Q.mT, y))
     share = np.maximum(1.0 - np.square(Q).sum(-1), 0.0)

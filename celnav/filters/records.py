@@ -1,4 +1,4 @@
-"""What passes between the parts of a step: `Epoch`, `Joint`, `Info`, `State`, and what a filter is."""
+"""What passes between the parts of a step: `Epoch`, `Info`, `State`, and what a filter is."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from celnav.gaussian.belief import Gaussian
-from celnav.gaussian.linalg import Array, block
-from celnav.gaussian.rules import Image
+from celnav.gaussian.linalg import Array
 
 _LOG_2PI = float(np.log(2.0 * np.pi))
 
@@ -35,102 +34,6 @@ class Epoch(NamedTuple):
     u: Any = None
     z: Any = None
     truth: Any = None
-
-
-class Joint(NamedTuple):
-    """The joint of a measurement (m rows) and a state (n rows): what a hook sees and may replace.
-
-    Attributes
-    ----------
-    innovation: ``(..., m)``, measurement minus prediction; nan where nothing was measured, or a hook leaves it out. None where
-        there is nothing to condition on.
-    measurement, state: their images, with columns ``(..., m, q)`` and ``(..., n, q)`` from the prior.
-    sign: ``(q,)``, -1 where a weight is negative; one 1 may stand for all.
-    process_noise: its columns ``(..., m, r)`` in the measurement and ``(..., n, r)`` in the state, 0 for zeros; None without.
-    measurement_noise: its columns ``(..., m, s)``; None without.
-    known: the state's own root or covariance, where the state is that of the belief and nothing was added.
-    noise_first: whether the measurement noise stands first among the `columns`; no sign may be negative then.
-    """
-
-    innovation: Array | None
-    measurement: Image | None
-    state: Image
-    sign: Array
-    process_noise: tuple[Any, Any] | None = None
-    measurement_noise: Array | None = None
-    known: Array | None = None
-    noise_first: bool = False
-
-    def columns(self) -> Array:
-        """The pre-array ``(..., m + n, q + r + s)``.
-
-        [ D_z  W_z  V ]   m rows
-        [ D_x  W_x  0 ]   n rows
-
-        Small columns after large ones keep their digits in a QR, and noise is what may be small. Only where the state is kept and
-        its measurement linear V comes first: most reflections are then short or nothing, which takes half the time.
-        """
-        D = self.state.columns
-        if self.measurement is None:
-            W = None if self.process_noise is None else self.process_noise[1]
-            if W is None or type(W) is int:
-                return D
-            return np.concatenate((D, W), -1) if D.ndim == W.ndim == 2 else block([[D, W]])
-        rows: list[list[Any]] = [[self.measurement.columns], [D]]
-        if self.process_noise is not None:
-            for row, part in zip(rows, self.process_noise, strict=True):
-                row.append(part)
-        if self.measurement_noise is not None:
-            at = 0 if self.noise_first else len(rows[0])
-            rows[0].insert(at, self.measurement_noise)
-            rows[1].insert(at, 0)
-        return block(rows)
-
-    def covariances(self) -> tuple[Array, Array]:
-        """Of the innovation without measurement noise ``(..., m, m)``, and of state and innovation ``(..., n, m)``."""
-        assert self.measurement is not None
-        D_z, D_x = self.measurement.columns, self.state.columns
-        S0, cross = (D_z * self.sign) @ D_z.mT, (D_x * self.sign) @ D_z.mT
-        if self.process_noise is not None:
-            W_z, W_x = self.process_noise
-            if type(W_z) is not int:
-                S0 = S0 + W_z @ W_z.mT
-                cross = cross if type(W_x) is int else cross + W_x @ W_z.mT
-        return S0, cross
-
-    def variances(self) -> tuple[Array, Array]:
-        """Variances ``(..., m)`` of the innovation without measurement noise, and of that noise."""
-        assert self.measurement is not None
-        D = self.measurement.columns
-        prior = np.einsum("...ij,...ij,j->...i", D, D, np.broadcast_to(self.sign, D.shape[-1:]))
-        if self.process_noise is not None and type(self.process_noise[0]) is not int:
-            prior = prior + np.square(self.process_noise[0]).sum(-1)
-        V = self.measurement_noise
-        return prior, np.zeros(D.shape[-2]) if V is None else np.einsum("...ij,...ij->...i", V, V)
-
-    def std(self) -> Array:
-        """Standard deviations ``(..., n)`` of the state."""
-        D = self.state.columns
-        variance = np.einsum("...ij,...ij,j->...i", D, D, np.broadcast_to(self.sign, D.shape[-1:]))
-        if self.process_noise is not None and type(self.process_noise[1]) is not int:
-            variance = variance + np.square(self.process_noise[1]).sum(-1)
-        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
-
-    def leaving_out(self, mask: Array) -> Joint:
-        """Without the components of the measurement where ``mask (..., m)`` is True."""
-        return self._replace(innovation=np.where(mask, np.nan, np.asarray(self.innovation)))
-
-    def inflated(self, factor: Array) -> Joint:
-        """With measurement noise of standard deviations ``factor (..., m)`` times as large."""
-        return (
-            self if self.measurement_noise is None else self._replace(measurement_noise=factor[..., None] * self.measurement_noise)
-        )
-
-
-Hook = Callable[[Any, Joint, Any], tuple[Any, Joint]]
-"""``(memory, joint, epoch) -> (memory, joint)``; the memory is None at the start."""
-Gain = Array | Callable[[Array, Array, int], Array]
-"""A prescribed gain ``(..., n, m)``, or a function of the pre-array ``A``, its ``sign`` and ``m`` that gives it."""
 
 
 class Info(NamedTuple):

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from celnav.filters.epochs import Epochs, epochs
+from celnav.filters.joint import at
 from celnav.filters.mixing import LOOKED_AT
 from celnav.filters.model import Motion, Sensor, check_function
 from celnav.filters.records import Epoch, Filter, FilterError, Info
@@ -192,7 +193,7 @@ def explain(filter: Any, before: Any, after: Any, epoch: Epoch) -> str:
 
 def _noisy(sensor: Sensor, mean: Array, epoch: Epoch) -> bool:
     """Whether each component has noise of its own at an epoch."""
-    columns = sensor.noise(mean, epoch)
+    columns = at(sensor.noise, mean, epoch)
     return bool(len(sensor.augment)) or (columns is not None and bool(columns.any(-1).all()))
 
 

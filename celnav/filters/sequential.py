@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from celnav.filters.joint import Form, condition, joint, known_already, marginal, over_runs
+from celnav.filters.joint import KEEP, Gain, Hook, Joint, checked, condition, evaluate, joint, marginal, over_runs
 from celnav.filters.model import Motion, Sensor, check_function, check_matrices, check_prior, check_roots, is_linear
-from celnav.filters.records import Epoch, Gain, Hook, Info, Joint, State
-from celnav.gaussian.belief import FORMS, Belief, Gaussian
+from celnav.filters.records import Epoch, Info, State
+from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import choice, finite, instance, integer, kind, number, numbers, takes
-from celnav.gaussian.linalg import Array
-from celnav.gaussian.rules import KEEP, cubature, gauss_hermite, unscented
+from celnav.gaussian.linalg import EPS, FORMS, Array, Belief, Form
+from celnav.gaussian.rules import AnyDimension, Taylor, cubature, gauss_hermite, unscented
 from celnav.gaussian.spaces import EUCLIDEAN
 from celnav.gaussian.sparse_grid import smolyak
-from celnav.gaussian.taylor import Taylor
 
 MOST_ITERATIONS = 10_000
 """At every step."""
@@ -44,7 +43,6 @@ class Sequential:
     form: Form
     hooks: tuple[tuple[Hook, ...], ...] = ()
     gain: Gain | None = None
-    _rules: dict[int, Any] = field(default_factory=dict, init=False, repr=False)
 
     def start(self, prior: Gaussian) -> State:
         """State before the first epoch."""
@@ -92,59 +90,25 @@ class Sequential:
     # -- the two joints ------------------------------------------------------------------------------------------------
     def moved(self, belief: Belief, epoch: Epoch) -> Joint:
         """The joint of a prediction: the state after the interval."""
-        motion, space = self.motion, self.motion.space
-        rule = self.rule_of(belief, motion.augment)
-        linear = motion.linear(rule, belief.mean, epoch)
-
-        def g(x: Array, *noise: Array) -> tuple[Array]:
-            return (motion.points(x, epoch, *noise),)
-
-        noise = motion.noise(belief.mean, epoch)
-        if linear is None and noise is not None and noise.ndim > 2:
-            belief = over_runs("Q", noise.shape[:-2], belief)  # f may need the axes that only the noise has
-        return joint(rule, belief, g if linear is None else (linear,), (space, space), process_noise=noise, augment=motion.augment)
+        motion = self.motion
+        return joint(self.rule, belief, (motion,), epoch, space=motion.space, process_noise=motion.noise, augment=motion.augment)
 
     def measured(self, rule: Any, sensor: Sensor, belief: Belief, z: Array, epoch: Epoch) -> Joint:
         """The joint of what a sensor measures and of the state."""
-        linear = sensor.linear(rule, belief.mean, epoch, self.motion.space)
-
-        def g(x: Array, *noise: Array) -> tuple[Any, ...]:
-            return sensor.points(x, epoch, *noise, m=z.shape[-1]), KEEP
-
-        noise = sensor.noise(belief.mean, epoch)
-        if linear is None and noise is not None and noise.ndim > 2:
-            belief = over_runs("R", noise.shape[:-2], belief)
         return joint(
-            rule, belief, g if linear is None else (linear, KEEP), (self.motion.space, sensor.space, self.motion.space),
-            z=z, measurement_noise=noise, augment=sensor.augment, noise_first=is_linear(sensor.h),
+            rule, belief, (sensor, KEEP), epoch, space=self.motion.space,
+            z=z, measurement_noise=sensor.noise, augment=sensor.augment,
         )  # fmt: skip
 
     def see(
         self, sensor: Sensor, belief: Belief, z: Array, epoch: Epoch, hooks: tuple[Hook, ...], memory: Any
     ) -> tuple[Belief, Info, Any]:
         """The belief given one measurement, what that did, and the memory of the hooks."""
-        seen = self.measured(self.rule_of(belief, sensor.augment), sensor, belief, z, epoch)
+        seen = self.measured(self.rule, sensor, belief, z, epoch)
         after, info, memory = condition(self.form, seen, self.motion.space, hooks=hooks, memory=memory, epoch=epoch, gain=self.gain)
         if not sensor.noisy and self.gain is None:
             after = self._told(sensor, belief, seen, after, info, epoch)
         return after, info, memory
-
-    def rule_of(self, belief: Belief, augment: Sequence[Array]) -> Any:
-        """The rule for a belief and the noises that go through its points."""
-        if hasattr(self.rule, "images"):
-            return self.rule
-        n: int = belief[1].shape[-1]
-        for root in augment:
-            n += root.shape[-1]
-        if n not in self._rules:
-            try:
-                made = self.rule(n)
-            except TypeError as error:
-                raise ValueError(f"rule: expected a function of the dimension, got {kind(self.rule)}: {error}") from error
-            if isinstance(made, type) or not hasattr(made, "images"):
-                raise ValueError(f"rule: expected a rule for {n} dimensions, such as celnav.unscented(n), got {kind(made)}")
-            self._rules[n] = made
-        return self._rules[n]
 
     def _told(self, sensor: Sensor, belief: Belief, seen: Joint, after: Belief, info: Info, epoch: Epoch) -> Belief:
         """The belief, but nan for runs in which a measurement without noise is of what was known already."""
@@ -154,14 +118,16 @@ class Sequential:
         if not exact.any():
             return after
         if callable(sensor.h):
-            n, m = belief[1].shape[-1], np.asarray(info.used).shape[-1]
+            n = belief[1].shape[-1]
             axes = np.moveaxis(belief.std[..., None] * np.eye(n), -1, 0)
-            y = sensor.points(self.motion.space.plus(belief.mean, np.concatenate([0.0 * axes[:1], axes])), epoch, m=m)
+            y = evaluate(sensor, self.motion.space.plus(belief.mean, np.concatenate([0.0 * axes[:1], axes])), epoch)
             deviation = np.abs(sensor.space.minus(y[1:], y[:1])).max(0)
             size = np.abs(measured.center) if measured.center.shape == deviation.shape else np.zeros(1)
         else:
             deviation, size = (np.abs(sensor.h) @ np.abs(belief.sqrt_cov)).max(-1), np.zeros(1)
-        known = known_already(self.form, info, exact, deviation, size)
+        # What is left of a deviation, or of a large number, after cancellation is round-off.
+        least = 16.0 * (self.form.rounding() * deviation + EPS * size)
+        known = (exact & np.asarray(info.used) & (np.asarray(info.sqrt_S).diagonal(0, -2, -1) <= least)).any(-1)
         return self.form(np.where(known[..., None], np.nan, after.mean), np.where(known[..., None, None], np.nan, after[1]))
 
 
@@ -176,14 +142,6 @@ def measurements(z: Any, sensors: int) -> tuple[Any, ...]:
 def missing(z: Any) -> bool:
     """Whether nothing was measured, in any run."""
     return z is None or (type(z) is np.ndarray and z.dtype == np.float64 and bool(np.isnan(z).all()))
-
-
-def checked(z: Any, sensor: Sensor) -> Array:
-    """A measurement ``(..., m)`` as floats."""
-    measured = numbers("z", z)
-    if measured.ndim == 0:
-        raise ValueError(f"z: expected shape (..., m), got the number {measured}; one component is [z]")
-    return measured if sensor.space.check is None else sensor.space.check(measured, "z")
 
 
 def silent(sensor: Sensor, z: Any) -> Info:
@@ -225,11 +183,10 @@ def sigma_point(
     instance("motion", motion, Motion, "celnav.Motion(f, Q)")
     for sensor in sensors:
         instance("sensors", sensor, Sensor, "celnav.Sensor(h, R)")
-    check_rule(rule)
     if gain is not None and len(sensors) != 1:
         raise ValueError(f"gain: expected one sensor with it, got {len(sensors)}")
     gain = check_function("gain", gain, "(A, sign, m)") if callable(gain) else None if gain is None else finite("gain", gain)
-    return Sequential(motion, sensors, rule=rule, form=form_of(form), hooks=_each(hooks, len(sensors)), gain=gain)
+    return Sequential(motion, sensors, rule=rule_of(rule), form=form_of(form), hooks=_each(hooks, len(sensors)), gain=gain)
 
 
 def ukf(motion: Motion, *sensors: Sensor, alpha: float = 1.0, beta: float = 0.0, kappa: float = 0.0, **options: Any) -> Sequential:
@@ -290,11 +247,12 @@ def form_of(name: str) -> Form:
     return FORMS[choice("form", name, FORMS)]
 
 
-def check_rule(rule: Any) -> None:
-    """A rule has ``images``, or is a function that makes one; it is not filterpy's."""
-    if isinstance(rule, type) or not (hasattr(rule, "images") or callable(rule)):
+def rule_of(rule: Any) -> Any:
+    """The rule; of a function of the dimension one that remembers what it has made."""
+    if isinstance(rule, type) or not (hasattr(rule, "image") or callable(rule)):
         hint = " (celnav.from_filterpy makes it one)" if hasattr(rule, "sigma_points") else ""
         raise ValueError(f"rule: expected a rule, such as celnav.unscented(n) or celnav.unscented, got {kind(rule)}{hint}")
+    return rule if hasattr(rule, "image") else AnyDimension(rule)
 
 
 def _each(hooks: Any, sensors: int) -> tuple[tuple[Hook, ...], ...]:
@@ -388,21 +346,18 @@ class SingleDraw(Sequential):
             z = checked(z, self.sensors[0])
             state = state._replace(belief=over_runs("z", z.shape[:-1], state.belief))
         motion, (sensor,), belief, space = self.motion, self.sensors, state.belief, self.motion.space
-        rule = self.rule_of(belief, self.noises)
         if missing(z):
-
-            def f(x: Array, *noise: Array) -> tuple[Array]:
-                return (motion.points(x, epoch, *noise),)
-
-            ahead = joint(rule, belief, f, (space, space), augment=self.noises)
+            ahead = joint(self.rule, belief, (motion,), epoch, space=space, augment=self.noises)
             return state._replace(belief=marginal(self.form, ahead, space)), (silent(sensor, z),)
-
-        def g(x: Array, *noise: Array) -> tuple[Array, Array]:
-            y = motion.points(x, epoch, *noise)
-            return sensor.points(y.copy(order="K"), epoch, *noise, m=z.shape[-1]), y
-
-        noise = sensor.noise(belief.mean, epoch)
-        both = joint(rule, belief, g, (space, sensor.space, space), z=z, measurement_noise=noise, augment=self.noises)
+        both = joint(
+            self.rule, belief, self.outputs, epoch, space=space, spaces=(sensor.space, space),
+            z=z, measurement_noise=sensor.noise, augment=self.noises,
+        )  # fmt: skip
         hooks = self.hooks[0] if self.hooks else ()
         after, info, memory = condition(self.form, both, space, hooks=hooks, memory=state.memory[0], epoch=epoch, gain=self.gain)
         return State(after, (memory,)), (info,)
+
+    def outputs(self, x: Array, epoch: Epoch, *noise: Array) -> tuple[Array, Array]:
+        """The measurement and the state at the end of the interval, both from the points at its beginning."""
+        y = evaluate(self.motion, x, epoch, noise)
+        return evaluate(self.sensors[0], y.copy(order="K"), epoch, noise), y

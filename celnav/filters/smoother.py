@@ -17,15 +17,12 @@ import numpy as np
 
 from celnav.filters.colored import Colored
 from celnav.filters.fallback import Fallback
-from celnav.filters.joint import condition, joint
-from celnav.filters.model import Motion
-from celnav.filters.records import Epoch, FilterError, Joint
+from celnav.filters.joint import KEEP, condition, joint
+from celnav.filters.records import Epoch, FilterError
 from celnav.filters.sequential import Sequential, SingleDraw
 from celnav.filters.track import Track
-from celnav.gaussian.belief import Belief, SquareRoot, weighted
 from celnav.gaussian.checks import choice, kind
-from celnav.gaussian.linalg import EPS, Array, solve_lower, solve_upper_transposed
-from celnav.gaussian.rules import KEEP
+from celnav.gaussian.linalg import EPS, Array, Belief, SquareRoot, solve_lower, solve_upper_transposed, weighted
 
 
 def smooth(track: Track, filter: Any = None, *, gains: bool = False, on_failure: str = "raise") -> Track:
@@ -111,7 +108,10 @@ def smooth(track: Track, filter: Any = None, *, gains: bool = False, on_failure:
 def back(filter: Sequential, before: Belief, after: Belief, epoch: Epoch) -> tuple[Belief, Array]:
     """The belief before an epoch's interval given everything, from the one given the past and the smoothed one after it."""
     motion, form, space = filter.motion, filter.form, filter.motion.space
-    both = _both(filter, motion, before, after.mean, epoch)
+    both = joint(
+        filter.rule, before, (motion, KEEP), epoch, space=space,
+        z=after.mean, measurement_noise=motion.noise, augment=motion.augment,
+    )  # fmt: skip
     center = both.measurement.center  # type: ignore[union-attr]
 
     inner, info, _ = condition(form, both, space, gain=partial(pseudo_gain, center=center))
@@ -125,21 +125,6 @@ def back(filter: Sequential, before: Belief, after: Belief, epoch: Epoch) -> tup
         ahead = space.transport(space.minus(inner.mean, before.mean)) @ ahead
     lost = ~np.isfinite(after.mean).all(-1, keepdims=True)  # not a next state that was not measured
     return form(np.where(lost, np.nan, inner.mean), form.sum(inner[1], ahead)), gain
-
-
-def _both(filter: Sequential, motion: Motion, belief: Belief, ahead: Array, epoch: Epoch) -> Joint:
-    """The joint of the state after the interval, which is measured, and of the one before it."""
-    rule, space = filter.rule_of(belief, motion.augment), motion.space
-    linear = motion.linear(rule, belief.mean, epoch)
-
-    def g(x: Array, *noise: Array) -> tuple[Any, ...]:
-        return motion.points(x, epoch, *noise), KEEP
-
-    W = motion.noise(belief.mean, epoch)
-    return joint(
-        rule, belief, g if linear is None else (linear, KEEP), (space, space, space),
-        z=ahead, process_noise=None if W is None else (W, 0), augment=motion.augment,
-    )  # fmt: skip
 
 
 def pseudo_gain(A: Array, sign: Array, m: int, center: Array | None = None, least: float = 0.0) -> Array:

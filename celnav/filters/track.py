@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from celnav.filters.records import Epoch, Info
-from celnav.gaussian.belief import Belief, SquareRoot, any_lost
+from celnav.gaussian.belief import any_lost
 from celnav.gaussian.checks import integer
-from celnav.gaussian.linalg import Array
+from celnav.gaussian.linalg import Array, Belief, SquareRoot
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -17,17 +17,16 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.filters.joint import condition, joint, marginal
+from celnav.filters.joint import KEEP, condition, joint, marginal
 from celnav.filters.model import Motion, Sensor, check_function, given_back
 from celnav.filters.records import Epoch, Info, State
 from celnav.filters.sequential import Sequential, plain, sigma_point
 from celnav.filters.smoother import pseudo_gain
-from celnav.gaussian.belief import Gaussian, SquareRoot, symmetric
+from celnav.gaussian.belief import Gaussian, symmetric
 from celnav.gaussian.checks import finite, instance, kind, numbers, unmasked
-from celnav.gaussian.linalg import Array, block, matvec, outer, side_by_side, tria
-from celnav.gaussian.rules import KEEP, unscented
+from celnav.gaussian.linalg import Array, SquareRoot, block, matvec, outer, side_by_side, tria
+from celnav.gaussian.rules import Taylor, unscented
 from celnav.gaussian.spaces import EUCLIDEAN
-from celnav.gaussian.taylor import Taylor
 
 Slope = Array | Callable[[Array, Epoch], Array]
 """``Gamma (..., m, p)``: derivative of the measurement with respect to the bias; constant or ``(mean, epoch) -> matrix``."""
@@ -249,14 +248,7 @@ class TwoStage:
         """The bias stage: condition on the innovation, of which S is the Jacobian; the boosted gain moves the mean only."""
 
         def given(belief: Any) -> tuple[Any, Info]:
-            seen = joint(
-                LINEAR,
-                belief,
-                ((matvec(S, own.mean), S), KEEP),
-                (EUCLIDEAN,) * 3,
-                z=stage.innovation,
-                measurement_noise=stage.sqrt_S,
-            )
+            seen = joint(LINEAR, belief, ((matvec(S, own.mean), S), KEEP), z=stage.innovation, measurement_noise=stage.sqrt_S)
             after, info, _ = condition(type(own), seen, EUCLIDEAN)
             return after, info
 
@@ -279,7 +271,7 @@ def _walked(first: Any, own: Any, Lambda: Array, walk: Array) -> tuple[Any, Any,
     The bias before its step is conditioned on the one after it: what the sensitivity still explains, and what is left over.
     """
     form, eye = type(own), np.eye(own.mean.shape[-1])
-    both = joint(LINEAR, own, ((own.mean, eye), KEEP), (EUCLIDEAN,) * 3, z=own.mean, process_noise=(walk, 0))
+    both = joint(LINEAR, own, ((own.mean, eye), KEEP), z=own.mean, measurement_noise=walk)
     left, info, _ = condition(form, both, EUCLIDEAN, gain=partial(pseudo_gain, least=KNOWN))
     assert info.gain is not None
     after, less = form(own.mean, form.sum(own[1], walk)), Lambda @ info.gain()

@@ -1,17 +1,20 @@
-"""Batched kernels for small matrices: triangular roots, substitution, downdates.
+"""Batched kernels for small matrices, and the two forms in which a filter keeps its covariance, `SquareRoot` and `Covariance`.
 
 Every function accepts leading batch axes (a Monte-Carlo block of runs) and treats the last two as a matrix. Roots are *lower*
 triangular with a non-negative diagonal, ``P = L @ L.mT``; "columns" means any ``(..., n, q)`` array ``A`` that stands for
 ``P = A @ A.mT``. A matrix of a batch that has no root becomes nan, its neighbors are untouched. `tria`, `cholesky` and
 `solve_lower` carry nearly all of the arithmetic of a filter: they are the seam for a compiled kernel. A single matrix goes to
 LAPACK directly, since numpy's batched functions spend most of a small one's time on preparations.
+
+A form is a mean and its covariance, as a lower root or as it is, with the algebra that goes with it. Nobody else asks which one a
+filter has: the joint of measurement and state comes as columns, and the form condenses them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,13 +24,22 @@ Array = NDArray[Any]
 
 EPS = float(np.finfo(np.float64).eps)
 NEGLIGIBLE = 1e-12
-"""Part of a deviation below which a direction of a singular root is round-off."""
+"""Part of the largest deviation, or variance, below which one is round-off."""
+PRECISE = 1e3
+"""Deviations of the noise by which an innovation may vary before a difference of covariances loses too many digits."""
+POSITIVE = np.ones(1)
+"""The sign of columns that all count with +1."""
 
 
 def matvec(A: Array, x: Array) -> Array:
     """Product of matrices ``(..., n, m)`` and vectors ``(..., m)``, shape ``(..., n)``."""
     product: Array = (A @ x[..., None])[..., 0]
     return product
+
+
+def apply(matrix: Array, x: Array) -> Array:
+    """A matrix ``(..., m, n)`` on vectors ``(..., n)``: one product for all of them where it is the same for all."""
+    return np.asarray(x @ matrix.mT if matrix.ndim == 2 else matvec(matrix, x))
 
 
 def leading(x: Array) -> Array:
@@ -269,3 +281,211 @@ def fan(E: Array, nodes: Array, batch: int) -> Array:
     D = E.transpose((axes, *range(axes), axes + 1)) @ nodes
     points = D.transpose((axes + 1, *range(1, axes + 1), 0))
     return points if axes >= batch else points.reshape(len(points), *(1,) * (batch - axes), *points.shape[1:])
+
+
+# -- forms ---------------------------------------------------------------------------------------------------------------
+def signs(sign: Array, q: int) -> Array | None:
+    """The signs ``(q,)`` of columns, of which ``sign`` has the first ones and the others count with +1; None if none is -1."""
+    return np.concatenate((sign, np.ones(q - len(sign)))) if -1.0 in sign.tolist() else None
+
+
+def weighted(A: Array, sign: Array) -> Array:
+    """Columns ``(..., n, q)`` times their signs; or the first ones times the covariance that they have, see `Covariance.factor`."""
+    if sign.ndim > 1:
+        n = sign.shape[-1]
+        return side_by_side((A[..., :n] @ sign, A[..., n:])) if n < A.shape[-1] else A @ sign
+    every = signs(sign, A.shape[-1])
+    return A if every is None else A * every
+
+
+def _chosen(A: Array, which: Array) -> Array:
+    """Some of the columns; as a view if they lie together, which takes half the time in a QR of many."""
+    places = np.flatnonzero(which)
+    if not len(places) or places[-1] - places[0] + 1 != len(places):
+        return A[..., places]
+    return A[..., places[0] : places[-1] + 1]
+
+
+class SquareRoot(NamedTuple):
+    """A belief in square-root form: ``mean (..., N)`` and a lower root ``sqrt_cov (..., n, n)``.
+
+    Nothing but QR factorizations touches the root. Columns of negative sign are taken away by one block downdate.
+    """
+
+    mean: Array
+    sqrt_cov: Array
+
+    @property
+    def cov(self) -> Array:
+        """Covariance ``(..., n, n)``."""
+        return outer(self.sqrt_cov)
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations ``(..., n)``."""
+        return np.asarray(np.sqrt(np.vecdot(self.sqrt_cov, self.sqrt_cov)))
+
+    @classmethod
+    def of(cls, belief: Any) -> Self:
+        """Any Gaussian in this form."""
+        return cls(belief.mean, belief.sqrt_cov)
+
+    def factor(self) -> tuple[Array, Array]:
+        """Columns ``(..., n, q)`` that a linear function maps, and their `weighted` sign: here the root."""
+        return self.sqrt_cov, POSITIVE
+
+    @staticmethod
+    def rounding() -> float:
+        """Part of a standard deviation that is round-off."""
+        return EPS
+
+    @staticmethod
+    def marginal(A: Array, sign: Array) -> Array:
+        """Root of the columns ``A (..., n, q)``, which count with their ``sign``."""
+        every = signs(sign, A.shape[-1])
+        return tria(A) if every is None else downdate(tria(_chosen(A, every > 0.0)), _chosen(A, every < 0.0))
+
+    @classmethod
+    def condition(
+        cls,
+        A: Array,
+        sign: Array,
+        m: int,
+        gain: Array | None = None,
+        known: Array | None = None,  # noqa: ARG003
+        noise: Array | None = None,  # noqa: ARG003
+    ) -> tuple[Array, Array, Array]:
+        """Condition the last rows of ``A (..., m + n, q)`` on the first ``m``.
+
+        Returns the root ``S (..., m, m)`` of the first rows, ``U = K @ S (..., n, m)`` and the root of the rest. With a
+        prescribed ``gain`` K ``(..., n, m)`` the rest is that of ``last - K @ first`` (Joseph form). ``known``: the root of the
+        last rows by themselves, and ``noise``: the columns ``(..., m, s)`` of what is in the first rows only, if they are at hand.
+        """
+        if gain is not None:
+            S = cls.marginal(A[..., :m, :], sign)
+            return S, gain @ S, cls.marginal(A[..., m:, :] - gain @ A[..., :m, :], sign)
+        L = cls.marginal(A, sign)
+        return L[..., :m, :m], L[..., m:, :m], L[..., m:, m:]
+
+    @staticmethod
+    def transported(matrix: Array, root: Array) -> Array:
+        """Root of deviations carried by ``matrix (..., n, n)``."""
+        return tria(matrix @ root)
+
+    @staticmethod
+    def sum(root: Array, columns: Array) -> Array:
+        """Root of the sum of two independent parts, one of them given by its columns."""
+        return tria(block([[root, columns]]))
+
+    def lost(self) -> Array:
+        """Runs ``(...)`` that are not finite."""
+        return np.asarray(~(np.isfinite(self.mean).all(-1) & np.isfinite(self.sqrt_cov).all((-2, -1))))
+
+
+class Covariance(NamedTuple):
+    """A belief in covariance form: ``mean (..., N)`` and ``cov (..., n, n)``. See `SquareRoot` for what its parts do.
+
+    Fewer operations, half of the digits: only the innovation covariance is factored, and the state's where a rule needs a root or a
+    measurement is precise.
+    """
+
+    mean: Array
+    cov: Array
+
+    @property
+    def sqrt_cov(self) -> Array:
+        """Lower root ``(..., n, n)`` of the covariance."""
+        return semidefinite_root(self.cov)
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations ``(..., n)``; nan where a variance is negative."""
+        variances = self.cov.diagonal(0, -2, -1)
+        if variances.min(initial=0.0) >= 0.0:
+            return np.asarray(np.sqrt(variances))
+        return np.asarray(np.sqrt(np.where(variances < 0.0, np.where(_negligible(variances), 0.0, np.nan), variances)))
+
+    @classmethod
+    def of(cls, belief: Any) -> Self:
+        """Any Gaussian in this form."""
+        return cls(belief.mean, belief.cov)
+
+    def factor(self) -> tuple[Array, Array]:
+        """Unit columns, which have the covariance itself for a sign: no root is needed where all is linear."""
+        return _identity(self.cov.shape[-1]), self.cov
+
+    @staticmethod
+    def rounding() -> float:
+        """Part of a standard deviation that is round-off."""
+        return float(EPS**0.5)
+
+    @staticmethod
+    def marginal(A: Array, sign: Array) -> Array:
+        """Covariance of columns."""
+        if sign.ndim == 1:
+            return outer(A) if -1.0 not in sign.tolist() else weighted(A, sign) @ A.mT
+        P = weighted(A, sign) @ A.mT
+        return np.asarray(0.5 * (P + P.mT))
+
+    @classmethod
+    def condition(
+        cls,
+        A: Array,
+        sign: Array,
+        m: int,
+        gain: Array | None = None,
+        known: Array | None = None,
+        noise: Array | None = None,
+    ) -> tuple[Array, Array, Array]:
+        """S, U and the covariance of the rest."""
+        if gain is None and known is not None and noise is not None:
+            C = weighted(A[..., :m, :], sign) @ A.mT
+            S = cholesky(C[..., :m])
+            U = solve_lower(S, C[..., m:]).mT
+            left = known - outer(U)
+            precise = S.diagonal(0, -2, -1) > PRECISE * np.sqrt(np.vecdot(noise, noise))
+            if not np.logical_or.reduce(precise, None):
+                return S, U, left
+            again, chosen = cls.condition(A, sign, m), np.asarray(precise.any(-1))[..., None, None]
+            return np.where(chosen, again[0], S), np.where(chosen, again[1], U), np.where(chosen, again[2], left)
+        if sign.ndim > 1:
+            A, sign = factored(A, sign)
+        Z, X = A[..., :m, :], A[..., m:, :]
+        S = cholesky(weighted(Z, sign) @ Z.mT)
+        if gain is not None:
+            return S, gain @ S, cls.marginal(X - gain @ Z, sign)
+        # What the first rows explain is taken off the columns: of variances, a difference would have half the digits.
+        W = solve_lower(S, Z)
+        U = X @ weighted(W, sign).mT
+        return S, U, cls.marginal(X - U @ W, sign)
+
+    @staticmethod
+    def transported(matrix: Array, cov: Array) -> Array:
+        """Covariance of deviations carried by a matrix."""
+        return np.asarray(matrix @ cov @ matrix.mT)
+
+    @staticmethod
+    def sum(cov: Array, columns: Array) -> Array:
+        """Covariance of a sum."""
+        return np.asarray(cov + outer(columns))
+
+    def lost(self) -> Array:
+        """Runs ``(...)`` that are not finite, or have a negative variance beyond round-off of the matrix's largest."""
+        finite = np.isfinite(self.mean).all(-1) & np.isfinite(self.cov).all((-2, -1))
+        return np.asarray(~(finite & _negligible(self.cov.diagonal(0, -2, -1)).all(-1)))
+
+
+def factored(A: Array, sign: Array) -> tuple[Array, Array]:
+    """Columns that have a covariance for a sign, as columns that all count with +1."""
+    n = sign.shape[-1]
+    return side_by_side((A[..., :n] @ semidefinite_root(sign), A[..., n:])), POSITIVE
+
+
+def _negligible(variances: Array) -> Array:
+    """Which variances are not negative, or no more than by round-off."""
+    return np.asarray(variances >= -NEGLIGIBLE * np.abs(variances).max(-1, keepdims=True, initial=0.0))
+
+
+Belief = SquareRoot | Covariance
+Form = type[SquareRoot] | type[Covariance]
+FORMS: dict[str, Form] = {"square root": SquareRoot, "covariance": Covariance}

@@ -1,35 +1,27 @@
-"""Rules: data (nodes and weights) that say what a function of a Gaussian has for a mean and a covariance.
+"""Rules: what a function of a Gaussian has for a mean and a covariance.
 
-A rule is made for a dimension by a function with the field's name: `unscented`, `cubature`, `gauss_hermite`, `simplex`,
-`tensor_product`; `celnav.smolyak` makes sparse grids. It also answers filterpy's interface, so that it works as ``points=`` of
-``filterpy.kalman.UnscentedKalmanFilter``.
+A `Rule` is data, nodes and weights; `Taylor` linearizes. Both say at which points to evaluate the function, and what image its
+values there make. A rule is made for a dimension by a function with the field's name: `unscented`, `cubature`, `gauss_hermite`,
+`simplex`, `tensor_product`; `celnav.smolyak` makes sparse grids. It also answers filterpy's interface, so that it works as
+``points=`` of ``filterpy.kalman.UnscentedKalmanFilter``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import combinations, product
 from math import prod
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.gaussian.checks import LIMIT, choice, finite, instance, integer, number
-from celnav.gaussian.linalg import EPS, Array, fan, semidefinite_root, solve_upper_transposed
+from celnav.gaussian.checks import LIMIT, choice, finite, instance, integer, kind, number, numbers
+from celnav.gaussian.linalg import EPS, POSITIVE, Array, fan, semidefinite_root, side_by_side, solve_upper_transposed
 from celnav.gaussian.spaces import EUCLIDEAN, Space
 
 MAX_POINTS = 1_000_000
-
-
-class _Keep:
-    def __repr__(self) -> str:
-        return "KEEP"
-
-
-KEEP: Final = _Keep()
-"""Stands for "the state itself" among the outputs of a function: its columns are then exact, on any space."""
 
 
 class Image(NamedTuple):
@@ -102,57 +94,44 @@ class Rule:
 
     # -- what filters ask ----------------------------------------------------------------------------------------------
     def points(self, mean: Array, root: Array, space: Space = EUCLIDEAN, augment: Sequence[Array] = ()) -> list[Array]:
-        """Points ``(p, ..., N)`` of ``N(mean, root @ root.mT)``, and ``(p, ..., k)`` of each noise whose root is in ``augment``."""
+        """Points ``(p, ..., N)`` of ``N(mean, root @ root.mT)``, and ``(p, ..., k)`` of each noise whose root is in ``augment``.
+
+        Raises
+        ------
+        ValueError: unless this is a rule of so many dimensions, with points in each.
+        """
         first, batch = root.shape[-1], max(mean.ndim - 1, root.ndim - 2)
-        self.check(first if not augment else first + sum(E.shape[-1] for E in augment))
-        points = [space.plus(mean, fan(root, self._transposed[:first], batch))]
+        total = first if not augment else first + sum(E.shape[-1] for E in augment)
+        if total != self.n:
+            raise ValueError(f"rule: expected {total} dimensions (state and noise through the points), got {self.n}")
+        if self._idle:
+            raise ValueError(f"rule: expected points in every dimension, got none in {', '.join(map(str, self._idle))}")
+        deviations = fan(root, self._transposed[:first], batch)
+        # In this order a sum keeps the memory layout of the deviations.
+        points = [deviations + mean if space is EUCLIDEAN else space.plus(mean, deviations)]
         for E in augment:
             noise = fan(E, self._transposed[first : first + E.shape[-1]], batch)
             points.append(np.broadcast_to(noise, (*points[0].shape[:-1], noise.shape[-1])))
             first += E.shape[-1]
         return points
 
-    def check(self, dimensions: int) -> None:
-        """Raise a ValueError unless this is a rule of so many dimensions, with points in each."""
-        if dimensions != self.n:
-            raise ValueError(f"rule: expected {dimensions} dimensions (state and noise through the points), got {self.n}")
-        if self._idle:
-            raise ValueError(f"rule: expected points in every dimension, got none in {', '.join(map(str, self._idle))}")
+    def image(self, y: Array, space: Space, root: Array) -> Image:
+        """What a function with the values ``y (p, ..., M)`` at the points makes of ``N(mean, root @ root.mT)``."""
+        center = y[0] if space.mean is None else space.mean(y, self.wm)
+        values = (y if space is EUCLIDEAN else space.minus(y, center))[self._used]
+        values = values.T if values.ndim == 2 else values.transpose((*range(1, values.ndim), 0))  # (..., k, q)
+        columns = np.subtract(values, center[..., None] if space is EUCLIDEAN else 0.0, order="C")
+        if space.mean is None:
+            shift = columns @ self._wm
+            columns -= shift[..., None]
+        else:
+            shift = np.zeros(columns.shape[-2])
+        columns *= self._scale
+        return Image(center, shift, columns, partial(self._jacobian, columns, root))
 
-    def images(
-        self,
-        g: Callable[..., tuple[Any, ...]],
-        mean: Array,
-        root: Array,
-        space: Space,
-        spaces: Sequence[Space],
-        augment: Sequence[Array] = (),
-    ) -> list[Image]:
-        """What ``g`` makes of ``N(mean, root @ root.mT)``: an `Image` of each output.
-
-        Parameters
-        ----------
-        g: ``(points, *noise points) -> outputs``, one for each of ``spaces``; an output may be `KEEP`.
-        mean: ``(..., N)`` on ``space``. root: ``(..., n, n)``. augment: roots ``(..., k, k)`` of noises that g takes, too.
-        """
-        outputs = g(*self.points(mean, root, space, augment))
-        n, images = root.shape[-1], []
-        for y, own in zip(outputs, spaces, strict=True):
-            if y is KEEP:
-                images.append(Image(mean, np.zeros(n), root @ self._unit[:n], lambda: np.eye(n)))
-                continue
-            center = y[0] if own.mean is None else own.mean(y, self.wm)
-            values = (y if own is EUCLIDEAN else own.minus(y, center))[self._used]
-            values = values.T if values.ndim == 2 else values.transpose((*range(1, values.ndim), 0))  # (..., k, q)
-            columns = np.subtract(values, center[..., None] if own is EUCLIDEAN else 0.0, order="C")
-            if own.mean is None:
-                shift = columns @ self._wm
-                columns -= shift[..., None]
-            else:
-                shift = np.zeros(columns.shape[-2])
-            columns *= self._scale
-            images.append(Image(center, shift, columns, lambda columns=columns: self._jacobian(columns, root)))  # type: ignore[misc]
-        return images
+    def kept(self, root: Array, augment: Sequence[Array]) -> Array:  # noqa: ARG002
+        """Columns ``(..., n, q)`` of the state itself, where it is kept as it is."""
+        return np.asarray(root @ self._unit[: root.shape[-1]])
 
     def _jacobian(self, columns: Array, root: Array) -> Array:
         cross = (columns * self.sign) @ self._unit[: root.shape[-1]].T
@@ -187,6 +166,89 @@ class Rule:
         if not np.isfinite(root).all():
             raise ValueError("P: expected a positive semidefinite covariance")
         return np.ascontiguousarray(self.points(mean, root)[0][self._filterpy])
+
+
+class Taylor:
+    """First-order expansion about the mean: the rule that makes a filter an extended Kalman filter.
+
+    It serves any dimension. Where a `Motion` or a `Sensor` has a ``jacobian`` that is used; else central differences along the
+    columns of the root are.
+
+    Parameters
+    ----------
+    step: length of the difference, in standard deviations.
+    about: ``(..., N)``, the point to expand about instead of the mean, as an iterated filter does. The belief stays where it
+        is: its mean is mapped by the linear function.
+    """
+
+    sign = POSITIVE
+
+    def __init__(self, step: float = 1e-3, *, about: ArrayLike | None = None):
+        self.step = number("step", step, above=0.0)
+        self.about = None if about is None else numbers("about", about)
+
+    def __repr__(self) -> str:
+        return "Taylor()"
+
+    def points(self, mean: Array, root: Array, space: Space = EUCLIDEAN, augment: Sequence[Array] = ()) -> list[Array]:
+        """The center and its neighbors; noise points vary in their own directions only.
+
+        With a center of its own, the last two points lie on the way from there to the mean, a step to either side.
+        """
+        center = mean if self.about is None else self.about
+        if center.shape[-1:] != mean.shape[-1:]:
+            raise ValueError(f"about: expected shape (..., {mean.shape[-1]}), got {center.shape}")
+        roots = (root, *augment)
+        total, batch = sum(E.shape[-1] for E in roots), max(center.ndim - 1, root.ndim - 2)
+        directions = self.step * np.hstack([np.zeros((total, 1)), np.eye(total), -np.eye(total)])
+        deviations, first = [], 0
+        for E in roots:
+            deviations.append(fan(E, directions[first : first + E.shape[-1]], batch))
+            first += E.shape[-1]
+        if self.about is not None:
+            way = self.step * space.minus(mean, center)
+            ways = [way, *(np.zeros(way.shape[:-1] + E.shape[-2:-1]) for E in augment)]
+            ways = [np.broadcast_to(w, np.broadcast_shapes(w.shape, D.shape[1:])) for w, D in zip(ways, deviations, strict=True)]
+            deviations = [
+                np.concatenate([np.broadcast_to(D, (len(D), *w.shape)), [w, -w]]) for w, D in zip(ways, deviations, strict=True)
+            ]
+        points = [deviations[0] + center if space is EUCLIDEAN else space.plus(center, deviations[0])]
+        return points + [np.broadcast_to(D, (*points[0].shape[:-1], D.shape[-1])) for D in deviations[1:]]
+
+    def image(self, y: Array, space: Space, root: Array) -> Image:
+        """See `Rule.image`."""
+        d = space.minus(y, y[0])
+        total = (len(d) - 1) // 2 if self.about is None else (len(d) - 3) // 2
+        columns = np.moveaxis(d[1 : total + 1] - d[total + 1 : 2 * total + 1], 0, -1) / (2.0 * self.step)
+        shift = np.zeros(d.shape[-1]) if self.about is None else (d[-2] - d[-1]) / (2.0 * self.step)
+        return Image(y[0], shift, columns, partial(self._jacobian, columns, root))
+
+    def kept(self, root: Array, augment: Sequence[Array]) -> Array:
+        """See `Rule.kept`."""
+        return side_by_side([root, *(np.zeros((root.shape[-2], E.shape[-1])) for E in augment)]) if augment else root
+
+    @staticmethod
+    def _jacobian(columns: Array, root: Array) -> Array:
+        return solve_upper_transposed(root, columns[..., : root.shape[-1]].mT).mT
+
+
+class AnyDimension:
+    """A rule for whatever dimension comes, made once for each by a function ``n -> rule``."""
+
+    def __init__(self, make: Callable[[int], Any]):
+        self.make, self._rules = make, dict[int, Any]()
+
+    def __call__(self, n: int) -> Any:
+        """The rule of a dimension."""
+        if n not in self._rules:
+            try:
+                rule = self.make(n)
+            except TypeError as error:
+                raise ValueError(f"rule: expected a function of the dimension, got {kind(self.make)}: {error}") from error
+            if isinstance(rule, type) or not hasattr(rule, "image"):
+                raise ValueError(f"rule: expected a rule for {n} dimensions, such as celnav.unscented(n), got {kind(rule)}")
+            self._rules[n] = rule
+        return self._rules[n]
 
 
 # -- made for a dimension ------------------------------------------------------------------------------------------------

@@ -16,10 +16,6 @@ from celnav.gaussian.checks import integer, integers, sequence
 from celnav.gaussian.linalg import Array, side_by_side
 
 
-def _add(point: Array, tangent: Array) -> Array:
-    return np.add(tangent, point)  # this order keeps the memory layout of the tangents, the larger operand
-
-
 class Space(NamedTuple):
     """How points and differences relate. Every function broadcasts over leading axes.
 
@@ -34,7 +30,7 @@ class Space(NamedTuple):
     check: optional ``(point, name) -> point``, what a point from outside (a measurement) must be; ValueError names it.
     """
 
-    plus: Callable[[Array, Array], Array] = _add
+    plus: Callable[[Array, Array], Array] = np.add
     minus: Callable[[Array, Array], Array] = np.subtract
     transport: Callable[[Array], Array] | None = None
     mean: Callable[[Array, Array], Array] | None = None

@@ -11,14 +11,14 @@ import numpy as np
 
 from celnav.filters.adaptive import gate, huber, innovation_window, student_t
 from celnav.filters.colored import colored
-from celnav.filters.records import Filter, Hook
+from celnav.filters.joint import Hook
+from celnav.filters.records import Filter
 from celnav.filters.run import steps
 from celnav.filters.sequential import sigma_point
 from celnav.gaussian.checks import choice, instance, integer, sequence
-from celnav.gaussian.rules import cubature, gauss_hermite, unscented
+from celnav.gaussian.rules import Taylor, cubature, gauss_hermite, unscented
 from celnav.gaussian.spaces import EUCLIDEAN
 from celnav.gaussian.sparse_grid import smolyak
-from celnav.gaussian.taylor import Taylor
 from celnav.study.montecarlo import generator
 from celnav.study.problem import Problem
 from celnav.study.scores import score, summarize

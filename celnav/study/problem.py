@@ -14,11 +14,12 @@ import numpy as np
 from scipy.special import ndtri
 
 from celnav.filters.epochs import epochs
-from celnav.filters.model import Model, Motion, Sensor, evaluate
+from celnav.filters.joint import evaluate
+from celnav.filters.model import Model, Motion, Sensor
 from celnav.filters.records import Filter
-from celnav.gaussian.belief import Belief, Gaussian, symmetric
+from celnav.gaussian.belief import Gaussian, symmetric
 from celnav.gaussian.checks import choice, finite, function, instance, kind, number, sequence
-from celnav.gaussian.linalg import Array
+from celnav.gaussian.linalg import Array, Belief
 from celnav.gaussian.spaces import EUCLIDEAN, Space
 from celnav.study.montecarlo import normals
 from celnav.study.trial import Group, Trial
@@ -129,16 +130,17 @@ class Problem:
         x = self.space.plus(np.tile(self.mean, (runs, 1)), start @ symmetric(self.cov, "cov")[1].T)
         for epoch in epochs(self.times, u=self.u):
             if epoch.k:
-                x = self.space.plus(self._image("f", x, epoch, len(self.mean)), walk[epoch.k] @ self.sqrt_Q.T)
+                x = self.space.plus(self._image("f", x, epoch), walk[epoch.k] @ self.sqrt_Q.T)
             V = noise[0] if epoch.k == 0 else self.phi * V + np.sqrt(1.0 - self.phi**2) * noise[epoch.k]
             factor = np.where(wild[epoch.k], WILD, 1.0)
             truth.append(x)
-            seen = self._image("h", x, epoch, m if self.measurement_space == EUCLIDEAN else None)
+            seen = self._image("h", x, epoch)
             z.append(self.measurement_space.plus(seen, factor * V))
         return np.stack(truth), np.stack(z)
 
-    def _image(self, name: str, x: Array, epoch: Any, dimension: int | None) -> Array:
-        y: Array = evaluate(name, getattr(self, name), x[None].copy(), epoch, (), dimension)[0]
+    def _image(self, name: str, x: Array, epoch: Any) -> Array:
+        motion, sensor = Motion(self.f, sqrt_Q=self.sqrt_Q), Sensor(self.h, sqrt_R=self.sqrt_Q, space=self.measurement_space)
+        y: Array = evaluate(motion if name == "f" else sensor, x[None].copy(), epoch)[0]
         if not np.isfinite(y).all():
             raise ValueError(f"{name}: expected finite numbers, got others at t = {epoch.t}")
         return y

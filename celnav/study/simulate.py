@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from celnav.filters.colored import coloring, zeta_of
 from celnav.filters.epochs import epochs
+from celnav.filters.joint import at, evaluate
 from celnav.filters.model import Motion, Sensor
 from celnav.filters.records import Epoch
 from celnav.gaussian.belief import Gaussian
@@ -86,10 +87,10 @@ def simulate(
         row = []
         for each in sensors:
             augment = [draw(root)[None] for root in each.augment]
-            y = each.points(x[None].copy(), epoch, *augment)[0]
-            columns = each.noise(x, epoch)
+            y = evaluate(each, x[None].copy(), epoch, augment)[0]
+            columns = at(each.noise, x, epoch)
             if phi is not None and zeta is not None and V is not None:
-                V = matvec(phi(epoch), V) + draw(zeta(x, epoch))
+                V = matvec(phi(epoch) if callable(phi) else phi, V) + draw(at(zeta, x, epoch))
             else:
                 V = None if columns is None else draw(columns)
             row.append(y if V is None else each.space.plus(y, of_rows("R", V, each.space.minus(y, y))))
@@ -102,8 +103,8 @@ def simulate(
 def moved(motion: Motion, x: Array, epoch: Epoch, draw: Any) -> Array:
     """States ``(runs, N)`` after an interval, with the process noise that ``draw`` gives of its columns."""
     augment = [draw(root)[None] for root in motion.augment]
-    y: Array = motion.points(x[None].copy(), epoch, *augment)[0]
-    columns = motion.noise(x, epoch)
+    y = evaluate(motion, x[None].copy(), epoch, augment)[0]
+    columns = at(motion.noise, x, epoch)
     return y if columns is None else motion.space.plus(y, of_rows("Q", draw(columns), motion.space.minus(y, y)))
 
 

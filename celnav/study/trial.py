@@ -12,9 +12,9 @@ import numpy as np
 
 from celnav.filters.records import Epoch, Filter
 from celnav.filters.run import explain, steps
-from celnav.gaussian.belief import Belief, Gaussian, any_lost, nees
+from celnav.gaussian.belief import Gaussian, any_lost, nees
 from celnav.gaussian.checks import choice, instance, integer
-from celnav.gaussian.linalg import Array
+from celnav.gaussian.linalg import Array, Belief
 
 TOGETHER = 8
 """Epochs whose roots are evaluated at once; with more of them the filter's own arrays leave the cache."""

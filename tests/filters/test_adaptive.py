@@ -9,8 +9,7 @@ from celnav.filters.adaptive import chi_square_gate, consider, gate, innovation_
 from celnav.filters.fallback import Fallback
 from celnav.filters.records import FilterError
 from celnav.filters.run import explain
-from celnav.gaussian.rules import cubature, unscented
-from celnav.gaussian.taylor import Taylor
+from celnav.gaussian.rules import Taylor, cubature, unscented
 
 A = np.array([[1.0, 0.2], [-0.1, 0.9]])
 H = np.array([[1.0, 0.0], [0.5, 1.0], [0.0, 2.0]])

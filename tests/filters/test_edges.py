@@ -8,7 +8,7 @@ from celnav.filters.adaptive import gate, huber, innovation_window, sage_husa, s
 from celnav.filters.least_squares import least_squares
 from celnav.filters.parity import channel_parity, group_parity
 from celnav.filters.run import explain
-from celnav.gaussian.belief import Covariance
+from celnav.gaussian.linalg import Covariance
 
 EYE = np.eye(2)
 FORMS = pytest.mark.parametrize("form", ["square root", "covariance"])

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from celnav import Epoch, Gaussian, Motion, Sensor, ekf
+from celnav.filters.joint import KEEP, joint
 from celnav.filters.sequential import Iterated
-from celnav.gaussian.rules import KEEP
-from celnav.gaussian.spaces import EUCLIDEAN
-from celnav.gaussian.taylor import Taylor, linear_image
+from celnav.gaussian.linalg import SquareRoot
+from celnav.gaussian.rules import Taylor
 
 P = np.array([[1.0, 0.3], [0.3, 2.0]])
 R = np.diag([0.01, 0.04])
@@ -80,12 +80,14 @@ def test_a_linear_function_does_not_care_where_it_is_expanded():
     F, noise = np.array([[1.0, 2.0], [0.5, -1.0], [3.0, 0.0]]), 0.3 * np.eye(1)
     mean, root, about = np.array([1.0, -2.0]), np.linalg.cholesky(P), np.array([7.0, 5.0])
 
-    def g(x, w):
+    def g(x, epoch, w):
         return x @ F.T + w, KEEP
 
-    plain, moved = (Taylor(about=a).images(g, mean, root, EUCLIDEAN, (EUCLIDEAN, EUCLIDEAN), [noise]) for a in (None, about))
-    exact = [linear_image(mean @ F.T, np.concatenate([F, np.ones((3, 1))], -1), root, [noise])]
-    exact.append(linear_image(mean, np.eye(2, 3), root, [noise]))
+    belief, both = SquareRoot(mean, root), (mean @ F.T, np.concatenate([F, np.ones((3, 1))], -1))
+    plain, moved, exact = (
+        joint(rule, belief, outputs, z=np.zeros(3), augment=[noise])[1:3]
+        for rule, outputs in ((Taylor(), g), (Taylor(about=about), g), (Taylor(), (both, KEEP)))
+    )
     for a, b, c in zip(plain, moved, exact, strict=True):
         for other in (a, b):
             np.testing.assert_allclose(other.center + other.shift, c.center + c.shift, atol=1e-9)

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 import celnav
 from celnav.filters.least_squares import least_squares
 from celnav.filters.sequential import SingleDraw
-from celnav.gaussian.belief import SquareRoot
+from celnav.gaussian.linalg import SquareRoot
 
 EYE = np.eye(2)
 RULES = {"points": celnav.unscented(2), "differences": celnav.Taylor(), "Jacobian": celnav.Taylor()}

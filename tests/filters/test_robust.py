@@ -8,8 +8,7 @@ import pytest
 from celnav import Gaussian, Motion, Sensor, epochs, run, sigma_point
 from celnav.filters.adaptive import huber, sage_husa, student_t
 from celnav.filters.parity import channel_parity, group_parity
-from celnav.gaussian.rules import cubature, unscented
-from celnav.gaussian.taylor import Taylor
+from celnav.gaussian.rules import Taylor, cubature, unscented
 
 A = np.array([[1.0, 0.2], [-0.1, 0.9]])
 H = np.array([[1.0, 0.0], [0.5, 1.0], [0.0, 2.0], [1.0, -1.0], [2.0, 0.5], [0.3, 1.0]])

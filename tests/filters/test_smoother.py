@@ -17,9 +17,8 @@ from celnav.filters.records import FilterError
 from celnav.gaussian.attitude import IDENTITY, attitude, exp
 from celnav.gaussian.belief import nees
 from celnav.gaussian.linalg import block
-from celnav.gaussian.rules import cubature, from_filterpy, gauss_hermite, simplex, unscented
+from celnav.gaussian.rules import Taylor, cubature, from_filterpy, gauss_hermite, simplex, unscented
 from celnav.gaussian.spaces import EUCLIDEAN, Space, angles
-from celnav.gaussian.taylor import Taylor
 
 A_ = np.array([[1.0, 0.1, 0.0], [-0.2, 0.9, 0.1], [0.0, 0.3, 0.8]])
 H_ = np.array([[1.0, 0.5, 0.0], [0.0, 1.0, -1.0]])

@@ -16,7 +16,7 @@ from celnav.filters.parity import channel_parity, group_parity
 from celnav.filters.sequential import Iterated, SingleDraw
 from celnav.filters.strong_tracking import excess, strong_tracking
 from celnav.filters.two_stage import Plain, TwoStage
-from celnav.gaussian.belief import Covariance
+from celnav.gaussian.linalg import Covariance
 from celnav.gaussian.spaces import EUCLIDEAN
 
 EYE = np.eye(2)

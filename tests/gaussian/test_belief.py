@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from celnav.gaussian.belief import Covariance, Gaussian, SquareRoot, any_lost, nees, symmetric
+from celnav.gaussian.belief import Gaussian, any_lost, nees, symmetric
 from celnav.gaussian.checks import finite
+from celnav.gaussian.linalg import Covariance, SquareRoot
 
 BATCHES = [(), (3,), (2, 3)]
 FORMS = pytest.mark.parametrize("form", [SquareRoot, Covariance])

@@ -9,9 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import celnav
-from celnav.gaussian.rules import KEEP, MAX_POINTS, Rule, cubature, from_filterpy, gauss_hermite, simplex, unscented
+from celnav.gaussian.rules import MAX_POINTS, Rule, Taylor, cubature, from_filterpy, gauss_hermite, simplex, unscented
 from celnav.gaussian.spaces import EUCLIDEAN
-from celnav.gaussian.taylor import Taylor
 
 BATCHES = [(), (3,), (2, 3)]
 
@@ -99,9 +98,7 @@ def test_counts_of_points():
 def test_small_alpha_keeps_the_mean_of_a_constant_and_its_digits():
     rule = unscented(3, 1e-3, 2.0, 0.0)
     assert rule.wm[0] < -1e5
-    (image,) = rule.images(
-        lambda x: (np.full((*x.shape[:-1], 1), 7000.123456789),), np.zeros(3), np.eye(3), EUCLIDEAN, (EUCLIDEAN,)
-    )
+    image = rule.image(np.full((7, 1), 7000.123456789), EUCLIDEAN, np.eye(3))
     assert image.center[0] + image.shift[0] == 7000.123456789
     assert not image.columns.any()
 
@@ -196,8 +193,9 @@ def test_every_rule_works_inside_filterpy_and_gives_what_our_filter_gives(rule):
 def test_images_are_the_weighted_sums_written_out(rule, batch):
     rng = np.random.default_rng(3)
     mean, root = MEAN + rng.normal(size=(*batch, 4)), np.linalg.cholesky(P0) * np.ones((*batch, 1, 1))
-    image, kept = rule.images(lambda x: (turn(x, 1.0), KEEP), mean, root, EUCLIDEAN, (EUCLIDEAN, EUCLIDEAN))
-    assert image.columns.shape == kept.columns.shape == (*batch, 4, len(rule.sign))
+    (points,), kept = rule.points(mean, root), rule.kept(root, ())
+    image = rule.image(turn(points, 1.0), EUCLIDEAN, root)
+    assert image.columns.shape == kept.shape == (*batch, 4, len(rule.sign))
     x = mean + np.einsum("...ij,pj->p...i", root, rule.nodes)
     y = turn(x, 1.0)
     y0 = np.broadcast_to(y[0], y.shape)
@@ -208,8 +206,8 @@ def test_images_are_the_weighted_sums_written_out(rule, batch):
     np.testing.assert_allclose(image.center + image.shift, expected_mean, rtol=1e-12)
     signed = image.columns * rule.sign
     np.testing.assert_allclose(signed @ image.columns.mT, expected, rtol=1e-8, atol=1e-9)
-    np.testing.assert_allclose(signed @ kept.columns.mT, cross, rtol=1e-8, atol=1e-9)
-    np.testing.assert_allclose((kept.columns * rule.sign) @ kept.columns.mT, root @ root.mT, rtol=1e-9, atol=1e-10)
+    np.testing.assert_allclose(signed @ kept.mT, cross, rtol=1e-8, atol=1e-9)
+    np.testing.assert_allclose((kept * rule.sign) @ kept.mT, root @ root.mT, rtol=1e-9, atol=1e-10)
     np.testing.assert_allclose(image.jacobian() @ (root @ root.mT), cross, rtol=1e-7, atol=1e-8)
 
 
@@ -222,7 +220,8 @@ def test_taylor_has_the_jacobian(batch, about):
     rng = np.random.default_rng(4)
     mean, root = rng.normal(size=(*batch, 3)), np.tril(rng.normal(size=(*batch, 3, 3))) + 3.0 * np.eye(3)
     taylor = Taylor(about=None if about is None else mean + about)
-    (image,) = taylor.images(lambda x: (x @ JACOBIAN.T,), mean, root, EUCLIDEAN, (EUCLIDEAN,))
+    (points,) = taylor.points(mean, root)
+    image = taylor.image(points @ JACOBIAN.T, EUCLIDEAN, root)
     np.testing.assert_allclose(image.jacobian(), np.broadcast_to(JACOBIAN, (*batch, 2, 3)), atol=1e-9)
     np.testing.assert_allclose(image.columns, JACOBIAN @ root, atol=1e-9)
     np.testing.assert_allclose(image.center + image.shift, mean @ JACOBIAN.T, atol=1e-9)
@@ -245,7 +244,8 @@ def turned(mean, epoch):
 def test_taylor_by_differences_is_taylor_by_jacobian(batch):
     """Of a motion and of a sensor."""
     root, mean = np.linalg.cholesky(P0), MEAN + np.random.default_rng(6).normal(size=(*batch, 4))
-    (image,) = Taylor().images(lambda x: (turn(x, 1.0),), mean, root, EUCLIDEAN, (EUCLIDEAN,))
+    (points,) = Taylor().points(mean, root)
+    image = Taylor().image(turn(points, 1.0), EUCLIDEAN, root)
     np.testing.assert_allclose(image.columns, turned(mean, None) @ root, atol=1e-8)
     f, prior = lambda x, epoch: turn(x, 1.0), celnav.Gaussian(mean, P0)
     at, no = celnav.Epoch(1, 1.0, 1.0, z=turn(MEAN, 1.0) + 0.1), np.zeros((4, 4))

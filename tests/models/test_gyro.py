@@ -10,9 +10,8 @@ from scipy.linalg import solve_discrete_are
 from celnav import Gaussian, Motion, Sensor, epochs, run, sigma_point
 from celnav.filters.adaptive import chi_square_gate, innovation_window
 from celnav.gaussian import attitude as at
-from celnav.gaussian.rules import cubature, unscented
+from celnav.gaussian.rules import Taylor, cubature, unscented
 from celnav.gaussian.spaces import EUCLIDEAN, product
-from celnav.gaussian.taylor import Taylor
 from celnav.models.gyro import Gyro, preintegrate, steady_state
 from celnav.models.noise import van_loan
 from celnav.models.rigid_body import Body

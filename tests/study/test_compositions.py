@@ -9,7 +9,7 @@ import pytest
 
 from celnav import Gaussian, epochs, run
 from celnav.gaussian.attitude import attitude, rotate
-from celnav.gaussian.belief import FORMS as KNOWN_FORMS
+from celnav.gaussian.linalg import FORMS as KNOWN_FORMS
 from celnav.gaussian.linalg import side_by_side
 from celnav.gaussian.spaces import EUCLIDEAN, product
 from celnav.models.gyro import Gyro

@@ -10,7 +10,7 @@ import pytest
 from celnav import Gaussian, epochs, run
 from celnav.analysis.metrics import chi_square_band
 from celnav.filters.records import FromFunctions, Info, State
-from celnav.gaussian.belief import SquareRoot
+from celnav.gaussian.linalg import SquareRoot
 from celnav.papers import PAPERS, csrukf, load
 from celnav.papers.csrukf import theory
 from celnav.study.montecarlo import generator

@@ -15,7 +15,7 @@ from celnav.filters.records import Epoch
 from celnav.filters.run import run
 from celnav.gaussian.adaptive_grid import Adapted, adapt
 from celnav.gaussian.linalg import Array
-from celnav.gaussian.rules import KEEP, Rule, gauss_hermite
+from celnav.gaussian.rules import Rule, gauss_hermite
 from celnav.gaussian.spaces import EUCLIDEAN
 from celnav.gaussian.sparse_grid import smolyak
 from celnav.models import inertial
@@ -158,11 +158,9 @@ def first_fix(rule: Any, sigma_deg: float, config: Config) -> tuple[float, float
     root = np.diag(np.concatenate([np.full(3, sigma), config.sigma0[3:]]))[:n, :n]
     epoch = first_epoch(config)
 
-    def g(points: Array) -> tuple[Any, ...]:
-        full = np.concatenate([points, np.zeros((*points.shape[:-1], 13 - n))], -1)
-        return measurement(full, epoch)[..., :6], KEEP
-
-    A = np.concatenate([image.columns for image in rule.images(g, np.zeros(n), root, EUCLIDEAN, (EUCLIDEAN, EUCLIDEAN))])
+    (points,) = rule.points(np.zeros(n), root)
+    seen = measurement(np.concatenate([points, np.zeros((len(points), 13 - n))], -1), epoch)[..., :6]
+    A = np.concatenate([rule.image(seen, EUCLIDEAN, root).columns, rule.kept(root, ())])
     C = (A * rule.sign) @ A.T
     sampled = C[:6, :6]
     S = sampled + config.sigma_star**2 * np.eye(6)

@@ -13,11 +13,10 @@ from celnav.filters.fallback import Fallback
 from celnav.filters.model import Motion, Sensor
 from celnav.filters.records import Epoch, Filter, FromFunctions
 from celnav.filters.sequential import Iterated, ekf, sigma_point
-from celnav.gaussian.belief import Belief, Gaussian
-from celnav.gaussian.linalg import Array
-from celnav.gaussian.rules import Rule, cubature, gauss_hermite, simplex, tensor_product, unscented
+from celnav.gaussian.belief import Gaussian
+from celnav.gaussian.linalg import Array, Belief
+from celnav.gaussian.rules import Rule, Taylor, cubature, gauss_hermite, simplex, tensor_product, unscented
 from celnav.gaussian.sparse_grid import DELAYED, smolyak
-from celnav.gaussian.taylor import Taylor
 from celnav.models import inertial
 from celnav.models.inertial import Navigation
 from celnav.models.trajectory import Flight

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from celnav.gaussian.belief import Belief
-from celnav.gaussian.linalg import Array
+from celnav.gaussian.linalg import Array, Belief
 from celnav.papers.aasghqf.config import MICRO_G, Config
 from celnav.papers.aasghqf.scenario import filters, simulate
 from celnav.study.trial import Group, Trial

@@ -50,11 +50,11 @@ def without_redraw(config: Config, S: int, rule: Rule) -> Filter:
         if not epoch.dt:
             return ordinary.step(state, epoch)
 
-        def g(points: Array) -> tuple[Array, Array]:
+        def g(points: Array, epoch: Epoch) -> tuple[Array, Array]:
             moved = points @ config.F.T
             return pseudorange.measure(moved, *epoch.u), moved
 
-        both = joint(rule, state.belief, g, (EUCLIDEAN,) * 3, z=np.asarray(epoch.z), process_noise=sqrt_Q, measurement_noise=noise)
+        both = joint(rule, state.belief, g, epoch, z=np.asarray(epoch.z), process_noise=sqrt_Q, measurement_noise=noise)
         posterior, info, _ = condition(type(state.belief), both, EUCLIDEAN)
         return State(posterior, state.memory), (info,)
 

@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.filters.records import Epoch, Filter, Hook, Info, Joint
+from celnav.filters.joint import Hook, Joint
+from celnav.filters.records import Epoch, Filter, Info
 from celnav.filters.run import run
 from celnav.gaussian.belief import nees
 from celnav.gaussian.linalg import Array, cholesky

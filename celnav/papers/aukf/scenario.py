@@ -8,14 +8,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from pymap3d import geodetic2ecef
 
+from celnav.filters.joint import Hook
 from celnav.filters.least_squares import least_squares
 from celnav.filters.model import Motion, Sensor
-from celnav.filters.records import Epoch, Filter, Hook
+from celnav.filters.records import Epoch, Filter
 from celnav.filters.sequential import sigma_point
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array
-from celnav.gaussian.rules import Rule, unscented
-from celnav.gaussian.taylor import Taylor
+from celnav.gaussian.rules import Rule, Taylor, unscented
 from celnav.models import pseudorange
 from celnav.models.beidou import ELLIPSOID
 from celnav.models.constellation import synthetic

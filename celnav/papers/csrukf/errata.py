@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from celnav.filters.colored import ColoredState, decorrelation, difference
-from celnav.filters.joint import condition, joint
-from celnav.filters.model import Model, Motion, Sensor, evaluate
+from celnav.filters.joint import condition, evaluate, joint
+from celnav.filters.model import Model, Motion, Sensor
 from celnav.filters.records import Epoch, Filter, FromFunctions, Info, State
 from celnav.filters.sequential import sigma_point
-from celnav.gaussian.belief import Gaussian, SquareRoot
-from celnav.gaussian.linalg import Array, matvec
+from celnav.gaussian.belief import Gaussian
+from celnav.gaussian.linalg import Array, SquareRoot, matvec
 from celnav.gaussian.rules import Rule, unscented
 from celnav.gaussian.spaces import EUCLIDEAN
 from celnav.models.orbit import EARTH
@@ -61,23 +61,24 @@ def printed_radius(diameter: ArrayLike) -> Array:
 def reused_points(f: Model, rule: Rule, sqrt_Q: Array, sqrt_R: Array) -> Filter:
     """SRUKF that measures the propagated points without drawing them anew, Eqs. 29-32: process noise misses the cross terms."""
 
+    motion = Motion(f, sqrt_Q=sqrt_Q)
+
+    def g(points: Array, epoch: Epoch) -> tuple[Array, Array]:
+        y = evaluate(motion, points, epoch)
+        return y[..., :3], y
+
     def step(state: State, epoch: Epoch) -> tuple[State, tuple[Info, ...]]:
         if not epoch.dt:
             return state, (Info(),)
-
-        def g(points: Array) -> tuple[Array, Array]:
-            y = evaluate("f", f, points, epoch, (), 6)
-            return y[..., :3], y
-
-        posterior, info = _reused(state.belief, rule, g, epoch.z, sqrt_Q, sqrt_R)
+        posterior, info = _reused(state.belief, rule, g, epoch, sqrt_Q, sqrt_R)
         return State(posterior), (info,)
 
-    return FromFunctions(sigma_point(Motion(f, sqrt_Q=sqrt_Q), rule=rule).start, step)
+    return FromFunctions(sigma_point(motion, rule=rule).start, step)
 
 
-def _reused(belief: SquareRoot, rule: Rule, g: Model, z: Array, sqrt_Q: Array, sqrt_R: Array) -> tuple[Any, Info]:
+def _reused(belief: SquareRoot, rule: Rule, g: Model, epoch: Epoch, sqrt_Q: Array, sqrt_R: Array) -> tuple[Any, Info]:
     """Condition on points that went through ``g`` together: the process noise is added to the state rows only."""
-    both = joint(rule, belief, g, (EUCLIDEAN,) * 3, z=z, process_noise=sqrt_Q, measurement_noise=sqrt_R)
+    both = joint(rule, belief, g, epoch, z=epoch.z, process_noise=sqrt_Q, measurement_noise=sqrt_R)
     posterior, info, _ = condition(SquareRoot, both, EUCLIDEAN)
     return posterior, info
 
@@ -159,11 +160,11 @@ def no_redraw(config: Config) -> Filter:
             lagged = after.belief
         else:
 
-            def g(points: Array) -> tuple[Array, Array]:
+            def g(points: Array, now: Epoch) -> tuple[Array, Array]:
                 y = f_star(points, before)
                 return h_star(y, now), y
 
-            lagged, info = _reused(state.lagged, config.rule, g, now.z, star.sqrt_Q, star.sqrt_R)
+            lagged, info = _reused(state.lagged, config.rule, g, now, star.sqrt_Q, star.sqrt_R)
         return ColoredState(two.predict(State(lagged, (None,)), now).belief, epoch.z, lagged, now), (info,)
 
     return FromFunctions(_started(two), step)

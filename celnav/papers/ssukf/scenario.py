@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.filters.model import Model, Motion, Sensor, constant
+from celnav.filters.model import Model, Motion, Sensor
 from celnav.filters.records import Epoch, Filter, State
 from celnav.filters.sequential import Sequential, SingleDraw, ekf, sigma_point, ukf
 from celnav.gaussian import attitude
@@ -244,8 +244,8 @@ class Halved(Sequential):
 
     def predict(self, state: State, epoch: Epoch) -> State:
         """State at the end of the interval."""
-        columns = constant(self.motion.noise)
-        if not np.any(epoch.dt) or columns is None:
+        columns = self.motion.noise
+        if not np.any(epoch.dt) or not isinstance(columns, np.ndarray):
             return state
         belief = state.belief
         noisier = self.form(belief.mean, self.form.sum(belief[1], columns))

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from celnav.gaussian.belief import Belief
-from celnav.gaussian.linalg import Array, cholesky
+from celnav.gaussian.linalg import Array, Belief, cholesky
 from celnav.papers.tstdkf.config import Config
 from celnav.papers.tstdkf.estimators import filters
 from celnav.papers.tstdkf.scenario import simulate
