@@ -18,7 +18,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from celnav.filters.mixing import POINTS, check_runs_apart, unknown
+from celnav.filters.mixing import POINTS, WATCH, check_runs_apart, unknown
 from celnav.filters.model import Linear, Motion, Noise, Sensor, as_floats, given_back
 from celnav.filters.records import Info
 from celnav.gaussian.checks import instance, numbers, unmasked
@@ -431,6 +431,8 @@ def evaluate(model: Motion | Sensor, x: Array, epoch: Any, noise: Sequence[Array
     if y.shape[:-1] != x.shape[:-1] or not y.ndim or (dimension is not None and y.shape[-1] != dimension):
         expected = ", ".join(str(s) for s in (*x.shape[:-1], "m" if dimension is None else dimension))
         raise ValueError(f"{name} returned shape {y.shape}, expected ({expected}); {POINTS}")
+    if (look := WATCH.get()) is not None:
+        look(name, y)
     if copies is not None:
         y = y.copy(order="K")  # it may be a buffer of the model's
         check_runs_apart(name, function, copies, epoch, y)

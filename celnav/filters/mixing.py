@@ -19,6 +19,8 @@ MOST = 16
 """Models looked at in a run of a filter: some are made anew at every step."""
 LOOKED_AT: ContextVar[list[Any] | None] = ContextVar("looked_at", default=None)
 """The models looked at so far; None where none is to be."""
+WATCH: ContextVar[Callable[[str, Array], None] | None] = ContextVar("watch", default=None)
+"""Called with the name of each model and its values, where it is to be found out which of them are not finite."""
 POINTS = "points are (p, ..., n): a component is x[..., 0], a product with a matrix x @ F.T"
 Model = Callable[..., Any]
 

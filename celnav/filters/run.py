@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import is_dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,8 +10,8 @@ from numpy.typing import ArrayLike
 
 from celnav.filters.epochs import Epochs, epochs
 from celnav.filters.joint import at
-from celnav.filters.mixing import LOOKED_AT
-from celnav.filters.model import Motion, Sensor, check_function
+from celnav.filters.mixing import LOOKED_AT, WATCH
+from celnav.filters.model import Sensor, check_function
 from celnav.filters.records import Epoch, Filter, FilterError, Info
 from celnav.filters.track import Collector, Track
 from celnav.gaussian.belief import settled
@@ -142,20 +141,6 @@ def _check_interval(filter: Any, epoch: Any, before: Any) -> None:
         raise ValueError("dt: expected an interval for every run or for none where Q is constant, got 0 for some of them")
 
 
-class _Watched:
-    """A model whose values are looked at: where it was first not finite, in a run that was lost."""
-
-    def __init__(self, name: str, model: Any, lost: Array):
-        self.name, self.model, self.lost, self.found = name, model, lost, ""
-
-    def __call__(self, points: Array, epoch: Any, *noise: Array) -> Any:
-        y = np.asarray(self.model(points, epoch, *noise), dtype=np.float64)
-        bad = ~np.isfinite(y).all(-1) & self.lost if y.ndim else self.lost
-        if bad.any() and not self.found:
-            self.found = f"{self.name} is not finite at sigma point {int(np.argwhere(bad)[0, 0])}"
-        return y
-
-
 def explain(filter: Any, before: Any, after: Any, epoch: Epoch) -> str:
     """Why a run whose belief was sound before an epoch is lost after it: the step is done once more, and looked at.
 
@@ -167,22 +152,23 @@ def explain(filter: Any, before: Any, after: Any, epoch: Epoch) -> str:
             return "z is infinite"
     if (lost & np.isnan(before.belief.sqrt_cov).any((-2, -1))).any():
         return "the covariance lost positive definiteness in the step before; the square-root form has twice the digits"
-    watched: list[_Watched] = []
+    found: list[str] = []
 
-    def watch(name: str, model: Any) -> Any:
-        if not callable(model):
-            return model
-        watched.append(_Watched(name, model, lost))
-        return watched[-1]
+    def look(name: str, y: Array) -> None:
+        bad = ~np.isfinite(y).all(-1) & lost
+        if bad.any() and not found:
+            found.append(f"{name} is not finite at sigma point {int(np.argwhere(bad)[0, 0])}")
 
-    again = _with_models(filter, watch)
-    if again is not filter:
+    token = WATCH.set(look)
+    try:
         with np.errstate(all="ignore"):
-            again.step(before, epoch)
-        found = next((each.found for each in watched if each.found), "")
-        if found:
-            return found
-    else:
+            filter.step(before, epoch)
+    finally:
+        WATCH.reset(token)
+    if found:
+        return found[0]
+    within = getattr(filter, "first", filter)  # of two filters, or of two stages
+    if not hasattr(getattr(within, "filter", within), "sensors"):
         return "the estimate is not finite"
     predicted = filter.predict(before, epoch) if hasattr(filter, "predict") else before
     if epoch.z is None or (predicted.belief.lost() & lost).any():
@@ -202,15 +188,3 @@ _REDUNDANT = (
     "; a measurement without noise must say what is not known already: of redundant sensors, or of a constraint that is repeated, "
     "leave out all but one (z is nan) or give them a small R"
 )
-
-
-def _with_models(filter: Any, watch: Callable[[str, Any], Any]) -> Any:
-    """The filter with its models replaced; itself where it has none that can be."""
-    for name in ("first", "filter"):
-        if is_dataclass(getattr(filter, name, None)):
-            return replace(filter, **{name: _with_models(getattr(filter, name), watch)})
-    if not (isinstance(getattr(filter, "motion", None), Motion) and hasattr(filter, "sensors")):
-        return filter
-    sensors: tuple[Sensor, ...] = filter.sensors
-    motion = replace(filter.motion, f=watch("f", filter.motion.f))
-    return replace(filter, motion=motion, sensors=tuple(replace(sensor, h=watch("h", sensor.h)) for sensor in sensors))
