@@ -52,16 +52,12 @@ def colored(
     ----------
     motion, sensor: what is believed; ``sensor.R`` is the covariance ``(m, m)`` of the colored noise itself. States and measurements
         are vectors: the difference of two measurements knows nothing of a seam. Where an angle is measured, use `augmented`.
-    Phi: ``(..., m, m)``, or a function of the epoch: what carries the noise from one measurement to the next.
+    Phi: ``(..., m, m)``, or a function of the epoch: what carries the noise from one measurement to the next. Its spectral radius is
+        at most 1.
     increments: covariance ``(..., m, m)`` of ``V' - Phi V``, or a function ``(mean, epoch)`` of it; None: that of stationary noise.
     first: whether the first measurement updates the prior. Otherwise it only anchors the first difference, as in the paper, which
         is the limit of a large R.
     rule, options: as in `celnav.sigma_point`. Where ``h`` is a function the process noise goes through the points with the state.
-
-    Raises
-    ------
-    ValueError: naming the argument that cannot be: a spectral radius of Phi above 1, a motion or a sensor that is not one of
-        vectors, an R that no stationary noise has.
 
     >>> filter = celnav.colored(motion, celnav.Sensor(H, R), 0.9 * np.eye(3))
     """
@@ -83,12 +79,9 @@ def decorrelated(
 
     ``x* = f(x) + J (z* - h(x))`` and ``h(x) = H f(x) - Phi H x`` [Sun2015, Eqs. 8, 14]. The state after an epoch holds two
     estimates: ``belief`` of the present state, and ``lagged`` of the previous one, each given all measurements so far. With a
-    linear model the first is what `colored` gives in one step. Hooks may leave measurements out, as gates do; those that change the
-    noise are for `colored`, since here the noise also decides how the measurement enters the prediction.
-
-    Raises
-    ------
-    ValueError: as `colored`, and for a measurement function; from the filter, for a hook that changes more than the innovation.
+    linear model the first is what `colored` gives in one step. The measurement is a matrix. Hooks may leave measurements out, as
+    gates do; those that change the noise are for `colored`, since here the noise also decides how the measurement enters the
+    prediction.
     """
     if callable(instance("sensor", sensor, Sensor, "celnav.Sensor(h, R)").h):
         raise ValueError("sensor: expected a measurement matrix (m, n), got a function; `colored` takes one")
@@ -103,17 +96,13 @@ def _made(kind: Any, motion: Motion, sensor: Sensor, Phi: Coloring, increments: 
     phi, once = coloring(Phi, sensor.m), bool(choice("first", first, (False, True)))
     if callable(sensor.h) and (callable(motion.Q) or callable(motion.sqrt_Q)):
         raise ValueError("Q: expected a constant where the measurement is a function")
-    parts = {"rule": plain.rule, "form": plain.form, "hooks": plain.hooks, "gain": plain.gain}
-    return kind(motion, (sensor,), **parts, Phi=phi, zeta=zeta_of(sensor, Phi, increments), first_sample=once)
+    return kind(**vars(plain), Phi=phi, zeta=zeta_of(sensor, Phi, increments), first_sample=once)
 
 
 def coloring(Phi: Coloring, m: int | None = None) -> Array | Callable[[Any], Array]:
     """Phi ``(..., m, m)``, checked, or a function of the epoch that checks it.
 
-    Raises
-    ------
-    ValueError: if Phi is not finite, not ``(..., m, m)``, or has a spectral radius above 1. Radius 1, a random walk, is
-        allowed: differences then say nothing about position, only about its changes.
+    A spectral radius of 1, a random walk, is allowed: differences then say nothing about position, only about its changes.
     """
     if callable(Phi):
         return partial(_coloring_at, check_function("Phi", Phi, "(epoch)"), m)
@@ -242,14 +231,9 @@ class Colored(Sequential):
         return evaluate(sensor, y.copy(order="K"), epoch) - apply(Phi, evaluate(sensor, x, epoch)), y
 
     def _measured(self, state: Any, epoch: Epoch) -> Array:
-        """The measurement of an epoch, nan where there is none.
-
-        Raises
-        ------
-        ValueError: for another number of components, and for intervals that are none: the first sample only anchors the difference
-            to the second, so that nothing leads up to it, and each later one ends an interval.
-        """
+        """The measurement of an epoch, nan where there is none."""
         first = state.z is None
+        # Nothing leads up to the first sample; each later one ends an interval.
         if bool(np.any(epoch.dt)) is first:
             expected = "0 at the first epoch (start from a prior at that time)" if first else "an interval after the first epoch"
             raise ValueError(f"dt: expected {expected}, got {epoch.dt!r}")
@@ -365,12 +349,8 @@ def augmented(
 ) -> Augmented:
     """The exact reference for colored noise: a filter on ``[x; V] (n + m)`` with no measurement noise of its own.
 
-    Arguments as in `colored`; the measurement may be an angle. The belief is that of ``[x; V]``; start it from a prior of ``x``
-    alone. Its covariance is singular after each measurement. A missing sample costs nothing but itself.
-
-    Raises
-    ------
-    ValueError: as `colored`; for an R that is a function, or a state that is no vector.
+    Arguments as in `colored`; the measurement may be an angle, R is a constant. The belief is that of ``[x; V]``; start it from a
+    prior of ``x`` alone. Its covariance is singular after each measurement. A missing sample costs nothing but itself.
     """
     instance("motion", motion, Motion, "celnav.Motion(f, Q)")
     instance("sensor", sensor, Sensor, "celnav.Sensor(h, R)")
@@ -395,14 +375,4 @@ def augmented(
     measured = seen if callable(h) else np.concatenate([h, np.broadcast_to(np.eye(m), (*h.shape[:-2], m, m))], -1)
     both = Sensor(measured, sqrt_R=np.zeros((m, 0)), space=sensor.space)
     made = sigma_point(Motion(f, sqrt_Q=noise), both, rule=rule, **options)
-    V: Any = sensor.noise
-    return Augmented(
-        made.motion,
-        made.sensors,
-        rule=made.rule,
-        form=made.form,
-        hooks=made.hooks,
-        gain=made.gain,
-        sqrt_V=tria(V),
-        runs=() if callable(Phi) else np.shape(Phi)[:-2],
-    )
+    return Augmented(**vars(made), sqrt_V=tria(np.asarray(sensor.noise)), runs=() if callable(Phi) else np.shape(Phi)[:-2])

@@ -174,10 +174,6 @@ def sigma_point(
         and state and may replace it. Ready ones are in `celnav.filters.adaptive`. For other hooks at each sensor a list of lists.
     gain: a prescribed gain ``(..., n, m)`` instead of the optimal one, or ``(A, sign, m) -> gain``; for one sensor.
 
-    Raises
-    ------
-    ValueError: naming the argument that cannot be.
-
     >>> celnav.sigma_point(motion, gps, rule=lambda n: celnav.smolyak(n, 3), hooks=[celnav.filters.adaptive.gate(4.0)])
     """
     instance("motion", motion, Motion, "celnav.Motion(f, Q)")
@@ -228,9 +224,7 @@ def ekf(motion: Motion, *sensors: Sensor, iterations: int = 1, **options: Any) -
     plain = sigma_point(motion, *sensors, rule=Taylor(), **options)
     if count == 1:
         return plain
-    return Iterated(
-        plain.motion, plain.sensors, rule=plain.rule, form=plain.form, hooks=plain.hooks, gain=plain.gain, iterations=count
-    )
+    return Iterated(**vars(plain), iterations=count)
 
 
 def plain(name: str, filter: Any) -> Sequential:
