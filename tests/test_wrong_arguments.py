@@ -55,7 +55,6 @@ INSIDE = """
 checks: numbers finite number integer integers whole choice function sequence together instance kind unmasked takes
 drawing: Drawing.set render
 rules: few
-sparse_grid: checked_orders
 scores: score merge summarize check_scores
 views: bar_chart text log rows columns tabs blueprint
 figures: band
@@ -148,8 +147,7 @@ CALLS = {
     "sparse_grid.smolyak": dict(n=2, level=2, weights=[1, 2], orders=(1, 3, 7)),
     "sparse_grid.point_count": dict(n=2, level=2, weights=[1, 2], orders=(1, 3, 7)),
     "sparse_grid.integrates": dict(powers=[2, 4], level=2, weights=[1, 2], orders=(1, 3, 7)),
-    "sparse_grid.univariate": dict(order=3),
-    "adaptive_grid.adapt": dict(function=square, mean=np.zeros(2), root=I2, tolerance=1e-3, most=20, orders=(1, 3, 7)),
+    "sparse_grid.adapt": dict(function=square, mean=np.zeros(2), root=I2, tolerance=1e-3, most=20, orders=(1, 3, 7)),
     "attitude.unit": dict(q=Q4),
     "attitude.from_euler": dict(angles=np.zeros(3)),
     "attitude.attitude": dict(a=1.0, b=4.0),
@@ -253,7 +251,7 @@ CALLS = {
 GAPS = """curve.values log_curve.values bounds.sigma bounds.center trail.points strips.strips arrow.origins arrow.vectors
 pose.origins pose.quaternions points.points ellipsoids.centers ellipsoids.covariance exact.a"""
 MEANT = {
-    "adaptive_grid.adapt most": "a billion",
+    "sparse_grid.adapt most": "a billion",
     "attitude.from_euler angles": "nan, infinite",
     "belief.Gaussian mean": "deep",
     "belief.Gaussian.sample size": "empty",
