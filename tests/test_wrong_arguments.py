@@ -27,8 +27,7 @@ MODULES = {
     for _, name, _ in iter_modules([f"{celnav.__path__[0]}/{package}"])
 }
 HOT = """
-attitude: multiply inverse positive matrix rotate exp log angle to_euler to_rodrigues from_rodrigues shadow shadow_jacobian cross
-    transport
+attitude: multiply inverse positive matrix rotate exp log angle to_euler to_rodrigues from_rodrigues cross transport
 spaces: wrap
 rules: Rule.points Rule.images Rule.check Rule.num_sigmas
 earth: meridian_radius transverse_radius normal_gravity earth_rate transport_rate
