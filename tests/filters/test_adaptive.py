@@ -219,7 +219,7 @@ def test_hooks_act_in_order_with_their_own_memory():
     states = [state for _, state, _ in steps(filter, prior(), epochs(np.arange(12), z))]
     ((gated, window),) = states[4].memory
     assert gated is None
-    assert np.isnan(window.innovations[-1, 0])
+    assert np.isnan(window.samples[-1, 0])
     state = states[5]
     for epoch in epochs(np.arange(12), z)[6:]:
         state, _ = filter.step(state, epoch)
