@@ -197,19 +197,11 @@ def sage_husa(forgetting: float = 0.95, least: float = 0.25, smallest: float = 0
 
 
 # -- parity --------------------------------------------------------------------------------------------------------------
-class _Residual(NamedTuple):
-    """Residuals ``(..., m)`` of the fit (0 where not measured), their variances, the noise's, and which were measured."""
-
-    values: Array
-    variances: Array
-    noise: Array
-    used: Array
-
-
-def _residual(joint: Joint) -> _Residual:
+def _residual(joint: Joint) -> tuple[Array, Array, Array, Array]:
     """The part of an innovation that no error of the state explains: what its weighted least-squares fit by all states leaves.
 
-    A maneuver, or any other error of the prediction, lies in the range of the measurement matrix and changes nothing here.
+    A maneuver, or any other error of the prediction, lies in the range of the measurement matrix and changes nothing here. Returns
+    residuals ``(..., m)``, 0 where not measured, their variances, those of the noise, and which were measured.
     """
     assert joint.measurement is not None
     e = np.asarray(joint.innovation)
@@ -220,7 +212,7 @@ def _residual(joint: Joint) -> _Residual:
     y = root * np.where(used, e, 0.0)
     left = y - matvec(Q, matvec(Q.mT, y))
     share = np.maximum(1.0 - np.square(Q).sum(-1), 0.0)
-    return _Residual(left * np.sqrt(np.where(used, noise, 0.0)), np.where(used, share * noise, 0.0), noise, used)
+    return left * np.sqrt(np.where(used, noise, 0.0)), np.where(used, share * noise, 0.0), noise, used
 
 
 def group_parity(groups: Sequence[ArrayLike], unknowns: int, *, deviations: float = 3.0) -> Hook:
@@ -238,13 +230,13 @@ def group_parity(groups: Sequence[ArrayLike], unknowns: int, *, deviations: floa
     number("deviations", deviations, 0.0)
 
     def hook(memory: Any, joint: Joint, _epoch: Any) -> tuple[Any, Joint]:
-        r = _residual(joint)
-        if max(every) >= r.values.shape[-1]:
-            raise ValueError(f"groups: expected components below {r.values.shape[-1]}, got {max(every)}")
-        factor = np.ones(r.values.shape)
-        squares = np.where(r.used, r.values**2 / np.where(r.used, r.noise, 1.0), 0.0)
+        r, _, noise, used = _residual(joint)
+        if max(every) >= r.shape[-1]:
+            raise ValueError(f"groups: expected components below {r.shape[-1]}, got {max(every)}")
+        factor = np.ones(r.shape)
+        squares = np.where(used, r**2 / np.where(used, noise, 1.0), 0.0)
         for group in members:
-            spare = r.used[..., group].sum(-1) - unknowns
+            spare = used[..., group].sum(-1) - unknowns
             enough = spare >= 2
             s = squares[..., group].sum(-1) / np.where(enough, spare, 1)
             bound = 1.0 + deviations * np.sqrt(2.0 / np.where(enough, spare, 1))
@@ -262,9 +254,9 @@ def channel_parity(M: int) -> Hook:
     size = integer("M", M)
 
     def hook(memory: Window | None, joint: Joint, epoch: Any) -> tuple[Window, Joint]:
-        r = _residual(joint)
-        spare = r.used & (r.variances > 1e-6 * r.noise)  # a component that the fit cannot do without has no residual
-        window = _moved(memory, np.where(spare, r.values**2 / np.where(spare, r.variances, 1.0), np.nan), epoch, size)
+        r, variances, noise, used = _residual(joint)
+        spare = used & (variances > 1e-6 * noise)  # a component that the fit cannot do without has no residual
+        window = _moved(memory, np.where(spare, r**2 / np.where(spare, variances, 1.0), np.nan), epoch, size)
         full = ~np.isnan(window.samples).any(0)
         factor = np.where(full, np.maximum(1.0, np.where(full, window.samples, 0.0).mean(0)), 1.0)
         return window, joint.inflated(np.sqrt(factor))

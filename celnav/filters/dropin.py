@@ -33,7 +33,6 @@ Function = Callable[..., Any]
 """One of filterpy's, of one vector."""
 Model = Callable[[Array, Any], Array]
 """``(points (p, n), epoch) -> (p, m)``."""
-_NUMBERS, _DATES = (float, int, np.number), (np.datetime64, np.timedelta64)
 
 
 def _late(name: str, doc: str) -> Any:
@@ -47,17 +46,10 @@ def _late(name: str, doc: str) -> Any:
 
     def put(self: Any, value: Any) -> None:
         self._made[name] = value
+        if name in ("Wm", "Wc"):
+            self._rule = None  # to be made of other weights
 
     return property(get, put, doc=doc)
-
-
-def _weights(name: str, doc: str) -> Any:
-    """Weights of the points; with those assigned the rule is made anew."""
-
-    def put(self: Any, weights: Array) -> None:
-        self._weights[name], self._rule = weights, None
-
-    return property(lambda self: self._weights[name], put, doc=doc)
 
 
 class SigmaPointUKF:
@@ -115,8 +107,8 @@ class SigmaPointUKF:
     K = _late("K", "Gain ``(n, m)`` of the last update.")
     SI = _late("SI", "Inverse ``(m, m)`` of ``S``, by ``inv``.")
     sigmas_f = _late("sigmas_f", "Points ``(p, n)`` of the last prediction.")
-    Wm = _weights("Wm", "Weights ``(p,)`` of means.")
-    Wc = _weights("Wc", "Weights ``(p,)`` of covariances.")
+    Wm = _late("Wm", "Weights ``(p,)`` of means.")
+    Wc = _late("Wc", "Weights ``(p,)`` of covariances.")
 
     @property
     def points_fn(self) -> Any:
@@ -129,16 +121,17 @@ class SigmaPointUKF:
             raise ValueError(f"points: expected n = dim_x = {self._dim_x}, got {points.n}")
         rule = points if isinstance(points, Rule) else from_filterpy(points)
         rule.points(np.zeros(rule.n), np.eye(rule.n), EUCLIDEAN)  # which refuses one without points in some dimension
-        self._rule: Rule | None = rule
         self._points_fn, self._num_sigmas = points, points.num_sigmas()
-        self._weights: dict[str, Array] = {"Wm": points.Wm, "Wc": points.Wc}
+        self.Wm, self.Wc = points.Wm, points.Wc
+        self._rule: Rule | None = rule
 
     @property
     def rule(self) -> Rule:
         """Points and weights as a rule of celnav."""
         if self._rule is None:
             points = self._points_fn
-            self._rule = from_filterpy(SimpleNamespace(n=points.n, sigma_points=points.sigma_points, **self._weights))
+            own = SimpleNamespace(n=points.n, sigma_points=points.sigma_points, Wm=self.Wm, Wc=self.Wc)
+            self._rule = from_filterpy(own)
         return self._rule
 
     # -- steps ---------------------------------------------------------------------------------------------------------
@@ -282,7 +275,7 @@ class SigmaPointUKF:
     def log_likelihood(self) -> float:
         """Logarithm of the density of the last measurement."""
         info = self._made["info"]
-        return float(np.log(sys.float_info.min)) if info is None else float(info.log_likelihood)
+        return float(np.log(sys.float_info.min) if info is None else info.log_likelihood)
 
     @property
     def likelihood(self) -> float:
@@ -337,7 +330,7 @@ class SigmaPointUKF:
     def _motion(self, dt: Any, fx: Function | None, options: dict[str, Any]) -> Model:
         dt = self._dt if dt is None else dt
         # Anything but a number is for fx to understand, as in filterpy: dates of numpy would count as numbers there.
-        if isinstance(dt, _DATES) or (isinstance(dt, _NUMBERS) and not isfinite(dt)):
+        if isinstance(dt, (np.datetime64, np.timedelta64)) or (isinstance(dt, (float, int, np.number)) and not isfinite(dt)):
             raise ValueError(f"dt: expected a finite number, got {dt!r}")
         return _model_of(self._vectorized, "fx", self.fx if fx is None else fx, self._dim_x, (dt,), options)
 
@@ -425,7 +418,8 @@ def _differences(residual: Function) -> Function:
         return np.subtract
 
     def minus(b: Array, a: Array) -> Array:
-        found = [residual(row, a.ravel()) for row in np.atleast_2d(b)]
+        origin = a.ravel()
+        found = [residual(row, origin) for row in np.atleast_2d(b)]
         return np.array(found, dtype=np.float64).reshape(b.shape)
 
     return minus

@@ -254,8 +254,9 @@ def _stack(rows: list[Any], batch: tuple[int, ...], blank: Any = np.nan, axes: i
     out = np.empty((len(rows), *batch, *first.shape[-axes:-1], width), first.dtype)
     for k, row in enumerate(rows):
         given = 0 if row is None else row.shape[-1]
-        out[k, ..., given:] = blank
         if given:
             out[k, ..., :given] = row
+        if given < width:
+            out[k, ..., given:] = blank
         rows[k] = None  # one copy at a time, not two of everything
     return out
