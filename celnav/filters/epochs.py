@@ -34,10 +34,7 @@ class Epochs(Sequence[Epoch]):
     def __getitem__(self, k: Any) -> Any:
         if not isinstance(k, slice):
             j = range(len(self))[k]
-            i, before = self._rows[j], self._rows[j - 1] if j else self._before
-            t = float(self._times[i])
-            dt, u = (t - float(self._times[before]), _at(self._u, before)) if before >= 0 else (0.0, None)
-            return Epoch(self._first + j, t, dt, u, _at(self._z, i), _at(self._truth, i))
+            return self._epoch(self._first + j, self._rows[j], self._rows[j - 1] if j else self._before)
         rows = self._rows[k]
         if rows.step < 1:
             raise ValueError(f"epochs: expected a slice that runs forward, got {k}")
@@ -49,10 +46,18 @@ class Epochs(Sequence[Epoch]):
         return Epochs(self._times, self._z, self._u, self._truth, rows, before, self._first + at)
 
     def __iter__(self) -> Iterator[Epoch]:
-        return map(self.__getitem__, range(len(self)))
+        before = self._before
+        for k, i in enumerate(self._rows, self._first):
+            yield self._epoch(k, i, before)
+            before = i
 
     def __add__(self, other: Iterable[Epoch]) -> list[Epoch]:
         return [*self, *other]
+
+    def _epoch(self, k: int, i: int, before: int) -> Epoch:
+        t = float(self._times[i])
+        dt, u = (t - float(self._times[before]), _at(self._u, before)) if before >= 0 else (0.0, None)
+        return Epoch(k, t, dt, u, _at(self._z, i), _at(self._truth, i))
 
 
 def _at(values: Any, k: int) -> Any:

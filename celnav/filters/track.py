@@ -159,16 +159,27 @@ class Collector:
         """Take one step in. Returns the index of the first run that it newly lost, or None."""
         self._form = type(belief)
         for i, info in enumerate(infos):
-            if info.silent:
-                self._silent[i] += 1
-            elif info.innovation is not None:
-                self._widths[i] = max(self._widths[i], info.innovation.shape[-1])
-            for name, value in _counts(info).items():
-                self._sums[name] = self._sums[name] + value
+            self._sum(i, info)
         if self._count % self._every == 0:
             self._store(epoch, belief, infos, extra)
         self._count += 1
         return self._watch(epoch.k, belief)
+
+    def _sum(self, i: int, info: Info) -> None:
+        sums, likelihood = self._sums, info.log_likelihood
+        if info.silent:
+            self._silent[i] += 1
+        elif info.innovation is not None and info.innovation.shape[-1] > self._widths[i]:
+            self._widths[i] = info.innovation.shape[-1]
+        if likelihood is not None:
+            assert info.used is not None
+            sums["log_likelihood"] = sums["log_likelihood"] + likelihood
+            if not info.used.all():
+                absent = np.isnan(np.asarray(info.innovation))
+                sums["missing"] = sums["missing"] + absent.sum(-1)
+                sums["rejected"] = sums["rejected"] + (~info.used & ~absent).sum(-1)
+        if info.redone is not None:
+            sums["redone"] = sums["redone"] + info.redone
 
     def _store(self, epoch: Epoch, belief: Belief, infos: tuple[Info, ...], extra: dict[str, Any]) -> None:
         self._times.append(epoch.t)
@@ -224,19 +235,6 @@ class Collector:
         )
 
 
-def _counts(info: Info) -> dict[str, Any]:
-    """What a measurement adds to the sums."""
-    found: dict[str, Any] = {} if info.redone is None else {"redone": info.redone}
-    likelihood = info.log_likelihood
-    if likelihood is not None:
-        assert info.used is not None
-        found["log_likelihood"] = likelihood
-        if not info.used.all():
-            absent = np.isnan(np.asarray(info.innovation))
-            found |= {"missing": absent.sum(-1), "rejected": (~info.used & ~absent).sum(-1)}
-    return found
-
-
 def _side_by_side(rows: list[Any], batch: tuple[int, ...], blank: Any) -> Array | None:
     """Rows of several sensors, stacked; a sensor that was silent leaves a blank of its own."""
     parts = [_stack(list(column), batch, blank) for column in zip_longest(*rows)]
@@ -249,14 +247,15 @@ def _stack(rows: list[Any], batch: tuple[int, ...], blank: Any = np.nan, axes: i
     there = [row for row in rows if row is not None]
     if not there:
         return None
-    first = there[0]
     width = max(row.shape[-1] for row in there)
-    out = np.empty((len(rows), *batch, *first.shape[-axes:-1], width), first.dtype)
+    out = np.empty((len(rows), *batch, *there[0].shape[-axes:-1], width), there[0].dtype)
+    del there
     for k, row in enumerate(rows):
-        given = 0 if row is None else row.shape[-1]
-        if given:
-            out[k, ..., :given] = row
-        if given < width:
-            out[k, ..., given:] = blank
+        if row is not None and row.shape[-1] == width:
+            out[k] = row
+        else:
+            out[k] = blank
+            if row is not None:
+                out[k, ..., : row.shape[-1]] = row
         rows[k] = None  # one copy at a time, not two of everything
     return out
