@@ -27,8 +27,7 @@ MODULES = {
     for _, name, _ in iter_modules([f"{celnav.__path__[0]}/{package}"])
 }
 HOT = """
-attitude: multiply inverse positive matrix rotate exp log angle to_euler to_rodrigues from_rodrigues shadow shadow_jacobian cross
-    transport
+attitude: multiply inverse positive matrix rotate exp log angle to_euler to_rodrigues from_rodrigues cross transport
 spaces: wrap
 rules: Rule.points Rule.image Rule.kept Rule.num_sigmas Taylor.points Taylor.image Taylor.kept
 earth: meridian_radius transverse_radius normal_gravity earth_rate transport_rate
@@ -44,7 +43,7 @@ receiver: transition process_noise
 atmosphere: klobuchar saastamoinen
 beidou: satellites eccentric_anomaly wrapped wrapped_week tilted turned
 pseudorange: sources emitted measure jacobian local_axes look dilution
-linalg: block cholesky components downdate fan leading matvec outer range_basis semidefinite_root side_by_side solve_lower
+linalg: block cholesky components downdate fan leading matvec outer semidefinite_root side_by_side solve_lower
     solve_upper_transposed tria whiten apply signs weighted factored SquareRoot.lost SquareRoot.factor Covariance.lost
     Covariance.factor
 belief: any_lost nees settled
@@ -55,7 +54,6 @@ INSIDE = """
 checks: numbers finite number integer integers whole choice function sequence together instance kind unmasked takes
 drawing: Drawing.set render
 rules: few AnyDimension
-sparse_grid: checked_orders
 scores: score merge summarize check_scores
 views: bar_chart text log rows columns tabs blueprint
 figures: band
@@ -148,8 +146,7 @@ CALLS = {
     "sparse_grid.smolyak": dict(n=2, level=2, weights=[1, 2], orders=(1, 3, 7)),
     "sparse_grid.point_count": dict(n=2, level=2, weights=[1, 2], orders=(1, 3, 7)),
     "sparse_grid.integrates": dict(powers=[2, 4], level=2, weights=[1, 2], orders=(1, 3, 7)),
-    "sparse_grid.univariate": dict(order=3),
-    "adaptive_grid.adapt": dict(function=square, mean=np.zeros(2), root=I2, tolerance=1e-3, most=20, orders=(1, 3, 7)),
+    "sparse_grid.adapt": dict(function=square, mean=np.zeros(2), root=I2, tolerance=1e-3, most=20, orders=(1, 3, 7)),
     "attitude.unit": dict(q=Q4),
     "attitude.from_euler": dict(angles=np.zeros(3)),
     "attitude.attitude": dict(a=1.0, b=4.0),
@@ -253,7 +250,7 @@ CALLS = {
 GAPS = """curve.values log_curve.values bounds.sigma bounds.center trail.points strips.strips arrow.origins arrow.vectors
 pose.origins pose.quaternions points.points ellipsoids.centers ellipsoids.covariance exact.a"""
 MEANT = {
-    "adaptive_grid.adapt most": "a billion",
+    "sparse_grid.adapt most": "a billion",
     "attitude.from_euler angles": "nan, infinite",
     "belief.Gaussian mean": "deep",
     "belief.Gaussian.sample size": "empty",

@@ -2,8 +2,8 @@
 
 `records` what filters are made of and pass on · `joint` the one joint and the one conditioning · `sequential` predict and update,
 one sensor after the other · `colored` colored measurement noise · `two_stage` a bias beside the state, with `strong_tracking` and
-`differenced` for it · `adaptive` and `parity` hooks · `least_squares` no prior · `epochs`, `run`, `track` the driver and its record
-· `smoother` fixed interval · `dropin` filterpy's interface, `filterpy_models` its functions of one vector.
+`differenced` for it · `adaptive` hooks · `least_squares` no prior · `epochs`, `run`, `track` the driver and its record
+· `smoother` fixed interval · `dropin` filterpy's interface.
 """
 
 from celnav.lazy import modules

@@ -1,35 +1,35 @@
-"""Hooks, which adapt what a filter believes of a measurement before it uses it: gates, windows, robust weights; and a gain.
+"""Hooks, which adapt what a filter believes of a measurement before it uses it: gates, windows, robust weights, parity; and a gain.
 
 A hook sees the `Joint` of measurement and state before the update and may replace it; hooks act one after the other, each with its
 own memory, and run by run: a run in a batch gets what it would get alone. What a state correction explains of an innovation is
-taken by the measurement's (statistical) Jacobian. Noise is taken to be of independent components. More hooks:
-`celnav.filters.parity` (what no state explains).
+taken by the measurement's (statistical) Jacobian. Noise is taken to be of independent components. Arguments that cannot be raise a
+ValueError where a hook is made.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import gammaincinv
 
 from celnav.filters.joint import Gain, Hook, Joint
-from celnav.gaussian.checks import LIMIT, choice, integer, number
+from celnav.gaussian.checks import LIMIT, choice, integer, integers, number, sequence
 from celnav.gaussian.linalg import Array, cholesky, matvec, solve_lower, solve_upper_transposed, weighted, whiten
 
+NOTHING = 1e-6
+"""Deviations of the noise by which a state must move a measurement to explain any of it."""
 
+
+# -- gates ---------------------------------------------------------------------------------------------------------------
 def gate(gamma: float) -> Hook:
-    """Leave out each component whose innovation exceeds ``gamma`` of its standard deviations.
+    """Leave out each component whose innovation exceeds ``gamma`` of its standard deviations; an infinite one leaves out nothing.
 
     Rejected components are nan from there on, for the hooks that follow and for the update; the `Track` counts them in
     ``events["rejected"]``. A gate that is too narrow for the model's errors locks the filter out of its measurements.
-
-    An infinite ``gamma`` leaves out nothing.
-
-    Raises
-    ------
-    ValueError: unless ``gamma`` is positive.
 
     >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.gate(4.0)])
     """
@@ -46,36 +46,36 @@ def gate(gamma: float) -> Hook:
 def chi_square_gate(probability: float = 0.999) -> Hook:
     """Leave out the whole measurement of a run whose normalized innovation squared is improbably large.
 
-    ``probability`` is that of keeping a measurement which the model describes: the bound is the chi-square quantile with as
-    many degrees of freedom as the run has measured components.
-
-    Raises
-    ------
-    ValueError: unless ``0 < probability < 1``.
+    ``probability``, between 0 and 1, is that of keeping a measurement which the model describes: the bound is the chi-square
+    quantile with as many degrees of freedom as the run has measured components.
     """
     number("probability", probability, above=0.0, below=1.0)
-    bounds: dict[int, Array] = {}
+
+    @cache
+    def bounds(m: int) -> Array:
+        return np.concatenate([[np.inf], 2.0 * gammaincinv(0.5 * np.arange(1, m + 1), probability)])
 
     def hook(memory: Any, joint: Joint, _epoch: Any) -> tuple[Any, Joint]:
-        e = np.asarray(joint.innovation)
-        m = e.shape[-1]
-        if m not in bounds:
-            bounds[m] = np.concatenate([[np.inf], 2.0 * gammaincinv(0.5 * np.arange(1, m + 1), probability)])
-        used = ~np.isnan(e)
-        S, V = joint.covariances()[0], joint.measurement_noise
+        e, V = np.asarray(joint.innovation), joint.measurement_noise
+        used, S = ~np.isnan(e), joint.covariances()[0]
         S = S if V is None else S + V @ V.mT
-        S = np.where(used[..., :, None] & used[..., None, :], S, 0.0) + np.where(used, 0.0, 1.0)[..., None] * np.eye(m)
+        S = np.where(_pairs(used), S, 0.0) + np.where(used, 0.0, 1.0)[..., None] * np.eye(e.shape[-1])
         white = whiten(cholesky(S), np.where(used, e, 0.0))
-        beyond = np.einsum("...i,...i->...", white, white) > bounds[m][used.sum(-1)]
+        beyond = np.einsum("...i,...i->...", white, white) > bounds(e.shape[-1])[used.sum(-1)]
         return memory, joint.leaving_out(beyond[..., None])
 
     return hook
 
 
-class Window(NamedTuple):
-    """Memory of `innovation_window`: the last innovations ``(M, ..., m)``, nan before there were any, and when."""
+def _pairs(used: Array) -> Array:
+    return np.asarray(used[..., :, None] & used[..., None, :])
 
-    innovations: Array
+
+# -- windows -------------------------------------------------------------------------------------------------------------
+class Window(NamedTuple):
+    """Memory of a window: the last samples ``(M, ..., m)``, nan before there were any, and the index of the last epoch."""
+
+    samples: Array
     k: Any
 
 
@@ -87,49 +87,40 @@ def innovation_window(M: int, gaps: str = "restart") -> Hook:
     ``A^1/2 R A^1/2``. A component has ``A = 1`` until it has M samples. Innovations enter as they come, before any
     inflation. The noise is only ever inflated, and a maneuver inflates it too: it needs a process noise that covers those.
 
-    Parameters
-    ----------
-    M: length of the window.
-    gaps: "restart": the samples must be of consecutive epochs, a missing one restarts its component's window. "skip": the
-        last M there were, for sensors that are slower than the epochs.
-
-    Raises
-    ------
-    ValueError: unless ``M`` is a positive integer and ``gaps`` one of the two.
+    ``gaps``: "restart": the samples must be of consecutive epochs, a missing one restarts its component's window. "skip": the
+    last M there were, for sensors that are slower than the epochs.
     """
     size = integer("M", M)
     choice("gaps", gaps, ("restart", "skip"))
 
     def hook(memory: Window | None, joint: Joint, epoch: Any) -> tuple[Window, Joint]:
-        e = np.asarray(joint.innovation)
-        ring = last_of(None if memory is None else memory.innovations, None if memory is None else memory.k, e, epoch, size, gaps)
-        full = ~np.isnan(ring).any(0)
+        window = _moved(memory, np.asarray(joint.innovation), epoch, size, gaps)
+        full = ~np.isnan(window.samples).any(0)
         if full.any():
             prior, noise = joint.variances()
             full = full & (noise > 0.0)
-            C = np.where(full, ring, 0.0)
-            A = ((C * C).mean(0) - prior) / np.where(full, noise, 1.0)
+            A = (np.square(np.where(full, window.samples, 0.0)).mean(0) - prior) / np.where(full, noise, 1.0)
             joint = joint.inflated(np.sqrt(np.where(full, np.maximum(1.0, A), 1.0)))
-        return Window(ring, getattr(epoch, "k", None)), joint
+        return window, joint
 
     return hook
 
 
-def last_of(ring: Array | None, before: Any, values: Array, epoch: Any, size: int, gaps: str = "restart") -> Array:
-    """The last values ``(size, ..., m)`` of a window that moves on, nan before there were any."""
-    if ring is None:
+def _moved(memory: Window | None, values: Array, epoch: Any, size: int, gaps: str = "restart") -> Window:
+    """The window of the last ``size`` values, these included."""
+    k = getattr(epoch, "k", None)
+    if memory is None:
         if size * values.size > LIMIT:
             raise ValueError(f"M: expected a window of at most {LIMIT} numbers, got {size} samples of {values.size} each")
-        ring = np.full((size, *values.shape), np.nan)
-    ring = np.broadcast_to(ring, (size, *np.broadcast_shapes(ring.shape[1:], values.shape)))
+        memory = Window(np.full((size, *values.shape), np.nan), None)
+    ring = np.broadcast_to(memory.samples, (size, *np.broadcast_shapes(memory.samples.shape[1:], values.shape)))
     moved = np.concatenate([ring[1:], np.broadcast_to(values, ring.shape[1:])[None]])
     if gaps == "skip":
-        return np.where(np.isnan(values), ring, moved)
-    k = getattr(epoch, "k", None)
+        moved = np.where(np.isnan(values), ring, moved)
     # A hook is not called where the whole block has no measurement: that is a gap of every component as well.
-    if k is not None and before is not None and k > before + 1:
+    elif k is not None and memory.k is not None and k > memory.k + 1:
         moved[:-1] = np.nan
-    return moved
+    return Window(moved, k)
 
 
 # -- robust weights ------------------------------------------------------------------------------------------------------
@@ -137,10 +128,6 @@ def huber(threshold: float = 1.345, rounds: int = 6) -> Hook:
     """Weigh a component by ``min(1, threshold / u)``, u its residual after the update in deviations of its noise [Huber 1964].
 
     ``rounds`` of reweighting; the noise variance of a component is divided by its weight.
-
-    Raises
-    ------
-    ValueError: unless both are positive, ``rounds`` an integer.
     """
     bound = number("threshold", threshold, above=0.0)
     return _reweighted(lambda u: bound / np.maximum(u, bound), rounds)
@@ -163,8 +150,7 @@ def _reweighted(weight: Callable[[Array], Array], rounds: int) -> Hook:
         R = np.where(used, noise, 1.0)
         S0, cross = joint.covariances()
         explained = joint.measurement.jacobian() @ cross
-        both = used[..., :, None] & used[..., None, :]
-        S0, explained, y = np.where(both, S0, 0.0), np.where(used[..., None], explained, 0.0), np.where(used, e, 0.0)
+        S0, explained, y = np.where(_pairs(used), S0, 0.0), np.where(used[..., None], explained, 0.0), np.where(used, e, 0.0)
         W = np.ones_like(R)
         for _ in range(most):
             S = S0 + (R / W)[..., None] * np.eye(e.shape[-1])
@@ -188,13 +174,7 @@ def sage_husa(forgetting: float = 0.95, least: float = 0.25, smallest: float = 0
     ``R_k+1 = (1 - d) R_k + d max(e^2 - S0, smallest R)`` with ``d = (1 - b) / (1 - b^(k+1))``; what is used is not below
     ``least R``, so it may lie below the nominal noise. A component that is not measured keeps its estimate.
 
-    Parameters
-    ----------
-    forgetting: b, in (0, 1). least, smallest: parts of the nominal variance.
-
-    Raises
-    ------
-    ValueError: for other numbers.
+    ``forgetting``: b, between 0 and 1. ``least``, ``smallest``: parts of the nominal variance.
     """
     number("forgetting", forgetting, above=0.0, below=1.0)
     floor, bottom = number("least", least, above=0.0), number("smallest", smallest, above=0.0)
@@ -215,6 +195,96 @@ def sage_husa(forgetting: float = 0.95, least: float = 0.25, smallest: float = 0
     return hook
 
 
+# -- parity --------------------------------------------------------------------------------------------------------------
+def _residual(joint: Joint) -> tuple[Array, Array, Array, Array]:
+    """The part of an innovation that no error of the state explains: what its weighted least-squares fit by all states leaves.
+
+    A maneuver, or any other error of the prediction, lies in the range of the measurement matrix and changes nothing here. Returns
+    residuals ``(..., m)``, 0 where not measured, their variances, those of the noise, and which were measured.
+    """
+    assert joint.measurement is not None
+    e = np.asarray(joint.innovation)
+    _, noise = joint.variances()
+    used = ~np.isnan(e) & (noise > 0.0)
+    root = np.where(used, np.sqrt(1.0 / np.where(used, noise, 1.0)), 0.0)
+    Q = range_basis(root[..., None] * joint.measurement.jacobian() * _deviations(joint)[..., None, :], NOTHING)
+    y = root * np.where(used, e, 0.0)
+    left = y - matvec(Q, matvec(Q.mT, y))
+    share = np.maximum(1.0 - np.square(Q).sum(-1), 0.0)
+    return left * np.sqrt(np.where(used, noise, 0.0)), np.where(used, share * noise, 0.0), noise, used
+
+
+def _deviations(joint: Joint) -> Array:
+    """Standard deviations ``(..., n)`` of the state."""
+    D, W = joint.state.columns, joint.process_noise
+    variance = np.einsum("...ij,...ij,j->...i", D, D, np.broadcast_to(joint.sign, D.shape[-1:]))
+    return np.asarray(np.sqrt(np.maximum(variance if W is None else variance + np.square(W[1]).sum(-1), 0.0)))
+
+
+def range_basis(A: Array, least: float) -> Array:
+    """Orthonormal columns ``(..., m, n)`` that span the range of tall matrices ``(..., m, n)``: ``Q @ Q.mT`` projects on it.
+
+    Directions in which A is not larger than ``least`` (a singular value) have a column of zeros; what is not finite gives nan.
+    """
+    Q, R = np.linalg.qr(A)
+    # Far from dependence QR will do. Near it a column without a direction of its own would lend an arbitrary one to the others.
+    lost = np.asarray(~np.isfinite(A).all((-2, -1)))
+    clear = lost | (np.abs(R.diagonal(0, -2, -1)).min(-1) > 1e3 * least)
+    if clear.all():
+        return np.asarray(Q)
+    U, s, _ = np.linalg.svd(np.where(lost[..., None, None], 0.0, A), full_matrices=False)
+    return np.where(clear[..., None, None], Q, np.where(s[..., None, :] > least, U, 0.0))
+
+
+def group_parity(groups: Sequence[ArrayLike], unknowns: int, *, deviations: float = 3.0) -> Hook:
+    """Inflate the noise of a whole group of components to what no error of the state explains, at once and without a window.
+
+    ``s = sum r^2 / R / (N - unknowns)`` over the residuals r of the N measured components of a group; its noise is inflated by s
+    where that exceeds ``1 + deviations sqrt(2 / (N - unknowns))``. Groups with fewer than ``unknowns + 2`` measured components are
+    left alone. ``groups``: index arrays of the components, such as ranges and rates; ``unknowns``: what a group determines.
+    """
+    members = [np.array(integers("groups", group)) for group in sequence("groups", groups, "[[0, 1], [2, 3]]")]
+    every = [i for group in members for i in group.tolist()]
+    if not every or any(not group.size for group in members) or len(set(every)) != len(every):
+        raise ValueError("groups: expected groups of components that do not overlap")
+    unknowns = min(integer("unknowns", unknowns), 10**9)  # no group is as large
+    number("deviations", deviations, 0.0)
+
+    def hook(memory: Any, joint: Joint, _epoch: Any) -> tuple[Any, Joint]:
+        r, _, noise, used = _residual(joint)
+        if max(every) >= r.shape[-1]:
+            raise ValueError(f"groups: expected components below {r.shape[-1]}, got {max(every)}")
+        factor = np.ones(r.shape)
+        squares = np.where(used, r**2 / np.where(used, noise, 1.0), 0.0)
+        for group in members:
+            spare = used[..., group].sum(-1) - unknowns
+            enough = spare >= 2
+            s = squares[..., group].sum(-1) / np.where(enough, spare, 1)
+            bound = 1.0 + deviations * np.sqrt(2.0 / np.where(enough, spare, 1))
+            factor[..., group] = np.where(enough & (s > bound), s, 1.0)[..., None]
+        return memory, joint.inflated(np.sqrt(factor))
+
+    return hook
+
+
+def channel_parity(M: int) -> Hook:
+    """Inflate the noise of each component to what its last ``M`` residuals of that fit show: by ``max(1, mean r^2 / C)``.
+
+    C is the variance of the residual r. A component has factor 1 until it has M samples of consecutive epochs.
+    """
+    size = integer("M", M)
+
+    def hook(memory: Window | None, joint: Joint, epoch: Any) -> tuple[Window, Joint]:
+        r, variances, noise, used = _residual(joint)
+        spare = used & (variances > 1e-6 * noise)  # a component that the fit cannot do without has no residual
+        window = _moved(memory, np.where(spare, r**2 / np.where(spare, variances, 1.0), np.nan), epoch, size)
+        full = ~np.isnan(window.samples).any(0)
+        factor = np.where(full, np.maximum(1.0, np.where(full, window.samples, 0.0).mean(0)), 1.0)
+        return window, joint.inflated(np.sqrt(factor))
+
+    return hook
+
+
 # -- a gain --------------------------------------------------------------------------------------------------------------
 def consider(n: int, k: int) -> Gain:
     """Schmidt's gain: optimal for the first ``n`` states, 0 for the ``k`` considered ones after them.
@@ -222,10 +292,6 @@ def consider(n: int, k: int) -> Gain:
     Considered states (biases, constants of a model) are not estimated, but their uncertainty, and what the others owe to
     them, is carried along exactly. A fixed gain needs no function: with ``gain=K (n, m)`` a filter has the covariance that goes
     with K, whatever it is.
-
-    Raises
-    ------
-    ValueError: unless ``n > 0`` and ``k >= 0`` are integers; at the update, if they do not add up to the state.
 
     >>> filter = celnav.ukf(motion, sensor, gain=consider(6, 3))
     >>> steady = celnav.ukf(motion, sensor, gain=np.array([[0.4], [0.1]]))  # an alpha-beta filter that knows its own errors

@@ -52,8 +52,8 @@ def colored(
     ----------
     motion, sensor: what is believed; ``sensor.R`` is the covariance ``(m, m)`` of the colored noise itself. States and measurements
         are vectors: the difference of two measurements knows nothing of a seam. Where an angle is measured, use `augmented`.
-    Phi: ``(..., m, m)``, or a function of the epoch: what carries the noise from one measurement to the next. Its spectral radius is
-        at most 1.
+    Phi: ``(..., m, m)``, or a function of the epoch: what carries the noise from one measurement to the next; its spectral radius
+        is at most 1.
     increments: covariance ``(..., m, m)`` of ``V' - Phi V``, or a function ``(mean, epoch)`` of it; None: that of stationary noise.
     first: whether the first measurement updates the prior. Otherwise it only anchors the first difference, as in the paper, which
         is the limit of a large R.

@@ -12,13 +12,12 @@ from collections.abc import Callable, Mapping
 from copy import deepcopy
 from math import isfinite
 from types import SimpleNamespace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from filterpy.common import pretty_str
 from scipy.linalg import cholesky
 
-from celnav.filters.filterpy_models import differences, model_of, space_of
 from celnav.filters.joint import KEEP, condition, joint, marginal
 from celnav.filters.model import Motion, Sensor
 from celnav.filters.records import Epoch, Info
@@ -30,7 +29,10 @@ from celnav.gaussian.linalg import Array, Covariance, Form, SquareRoot, outer, w
 from celnav.gaussian.rules import Rule, from_filterpy
 from celnav.gaussian.spaces import EUCLIDEAN, Space
 
-_NUMBERS, _DATES = (float, int, np.number), (np.datetime64, np.timedelta64)
+Function = Callable[..., Any]
+"""One of filterpy's, of one vector."""
+Model = Callable[[Array, Any], Array]
+"""``(points (p, n), epoch) -> (p, m)``."""
 
 
 def _late(name: str, doc: str) -> Any:
@@ -44,19 +46,10 @@ def _late(name: str, doc: str) -> Any:
 
     def put(self: Any, value: Any) -> None:
         self._made[name] = value
+        if name in ("Wm", "Wc"):
+            self._rule = None  # to be made of other weights
 
     return property(get, put, doc=doc)
-
-
-class _Found(NamedTuple):
-    """What an update found: the belief, images of the points, innovation, its covariance, the gain, white innovation and roots."""
-
-    belief: Any
-    images: Array
-    innovation: Array
-    S: Array
-    gain: Callable[[], Array] | None
-    info: Info
 
 
 class SigmaPointUKF:
@@ -69,9 +62,7 @@ class SigmaPointUKF:
     or as the ``R`` of one `update`, it is a variance of every component; None is no noise. A step takes 0.9 to 1.5 times what
     filterpy takes, the more the smaller the state is (``python -m benchmarks.dropin``); many runs are for `celnav.run`.
 
-    Raises
-    ------
-    ValueError: naming the argument, before anything changes: the object keeps its last good state.
+    What cannot be raises a ValueError that names it, before anything changes: the object keeps its last good state.
     """
 
     _form: Form = Covariance
@@ -81,15 +72,15 @@ class SigmaPointUKF:
         dim_x: int,
         dim_z: int,
         dt: float,
-        hx: Callable[..., Any],
-        fx: Callable[..., Any],
+        hx: Function,
+        fx: Function,
         points: Any,
-        sqrt_fn: Callable[[Array], Array] | None = None,
-        x_mean_fn: Callable[[Array, Array], Array] | None = None,
-        z_mean_fn: Callable[[Array, Array], Array] | None = None,
-        residual_x: Callable[[Array, Array], Array] | None = None,
-        residual_z: Callable[[Array, Array], Array] | None = None,
-        state_add: Callable[[Array, Array], Array] | None = None,
+        sqrt_fn: Function | None = None,
+        x_mean_fn: Function | None = None,
+        z_mean_fn: Function | None = None,
+        residual_x: Function | None = None,
+        residual_z: Function | None = None,
+        state_add: Function | None = None,
         *,
         vectorized: bool = False,
     ):
@@ -103,7 +94,7 @@ class SigmaPointUKF:
         self.residual_x = np.subtract if residual_x is None else residual_x
         self.residual_z = np.subtract if residual_z is None else residual_z
         self.state_add = np.add if state_add is None else state_add
-        self.inv: Callable[[Array], Array] = np.linalg.pinv
+        self.inv: Function = np.linalg.pinv
         self.x, self.P = np.zeros(dim_x), np.eye(dim_x)
         self.Q, self.R = np.eye(dim_x), np.eye(dim_z)
         self.x_prior, self.P_prior = self.x.copy(), self.P.copy()
@@ -116,6 +107,8 @@ class SigmaPointUKF:
     K = _late("K", "Gain ``(n, m)`` of the last update.")
     SI = _late("SI", "Inverse ``(m, m)`` of ``S``, by ``inv``.")
     sigmas_f = _late("sigmas_f", "Points ``(p, n)`` of the last prediction.")
+    Wm = _late("Wm", "Weights ``(p,)`` of means.")
+    Wc = _late("Wc", "Weights ``(p,)`` of covariances.")
 
     @property
     def points_fn(self) -> Any:
@@ -128,44 +121,21 @@ class SigmaPointUKF:
             raise ValueError(f"points: expected n = dim_x = {self._dim_x}, got {points.n}")
         rule = points if isinstance(points, Rule) else from_filterpy(points)
         rule.points(np.zeros(rule.n), np.eye(rule.n), EUCLIDEAN)  # which refuses one without points in some dimension
-        self._rule: Rule | None = rule
         self._points_fn, self._num_sigmas = points, points.num_sigmas()
-        self._weights: dict[str, Array] = {"Wm": points.Wm, "Wc": points.Wc}
-
-    @property
-    def Wm(self) -> Array:
-        """Weights ``(p,)`` of means."""
-        return self._weights["Wm"]
-
-    @Wm.setter
-    def Wm(self, weights: Array) -> None:
-        self._weights["Wm"], self._rule = weights, None
-
-    @property
-    def Wc(self) -> Array:
-        """Weights ``(p,)`` of covariances."""
-        return self._weights["Wc"]
-
-    @Wc.setter
-    def Wc(self, weights: Array) -> None:
-        self._weights["Wc"], self._rule = weights, None
+        self.Wm, self.Wc = points.Wm, points.Wc
+        self._rule: Rule | None = rule
 
     @property
     def rule(self) -> Rule:
         """Points and weights as a rule of celnav."""
         if self._rule is None:
             points = self._points_fn
-            self._rule = from_filterpy(SimpleNamespace(n=points.n, sigma_points=points.sigma_points, **self._weights))
+            own = SimpleNamespace(n=points.n, sigma_points=points.sigma_points, Wm=self.Wm, Wc=self.Wc)
+            self._rule = from_filterpy(own)
         return self._rule
 
     # -- steps ---------------------------------------------------------------------------------------------------------
-    def predict(
-        self,
-        dt: Any = None,
-        UT: Callable[..., tuple[Array, Array]] | None = None,
-        fx: Callable[..., Any] | None = None,
-        **fx_args: Any,
-    ) -> None:
+    def predict(self, dt: Any = None, UT: Function | None = None, fx: Function | None = None, **fx_args: Any) -> None:
         """Predict over ``dt``, which goes to ``fx``; the points are then drawn anew, as in filterpy 2.0."""
         belief, process, function = self._belief(), self._root("Q", self.Q, self._dim_x), self._motion(dt, fx, fx_args)
         if UT is None:
@@ -176,19 +146,12 @@ class SigmaPointUKF:
             belief = after
         else:
             images = function(self._points(belief), None)
-            belief = self._from(*UT(images[self._own], self.Wm, self.Wc, self.Q, self.x_mean, self.residual_x))
+            belief = self._from(*UT(images, self.Wm, self.Wc, self.Q, self.x_mean, self.residual_x))
         self._keep(belief)
-        self._made["sigmas_f"] = lambda: self._points(belief)[self._own]
+        self._made["sigmas_f"] = lambda: self._points(belief)
         self.x_prior, self.P_prior = self.x.copy(), self.P.copy()
 
-    def update(
-        self,
-        z: Any,
-        R: Any = None,
-        UT: Callable[..., tuple[Array, Array]] | None = None,
-        hx: Callable[..., Any] | None = None,
-        **hx_args: Any,
-    ) -> None:
+    def update(self, z: Any, R: Any = None, UT: Function | None = None, hx: Function | None = None, **hx_args: Any) -> None:
         """Update with ``z``: None, or all nan, is no measurement; partly nan uses the rest."""
         measured = np.zeros(0) if z is None else numbers("z", z)
         if measured.ndim != 1:
@@ -209,17 +172,19 @@ class SigmaPointUKF:
             raise ValueError(f"z: expected {n} components, got {m}; another sensor has its own R")
         noise = self.R if R is None else numbers("R", R) * np.eye(m) if np.isscalar(R) else R
         root, belief = self._root("R", noise, m), self._belief()
-        h = model_of(self._vectorized, "hx", self.hx if hx is None else hx, m, (), hx_args)
+        h = _model_of(self._vectorized, "hx", self.hx if hx is None else hx, m, (), hx_args)
         found = self._conditioned(belief, measured, h, root) if UT is None else self._transformed(UT, belief, measured, h, noise)
-        self._keep(found.belief)
-        self.sigmas_h, self.S, self.y = np.array(found.images[self._own]), found.S, found.innovation
-        self._made |= {"K": found.gain, "SI": lambda: self.inv(found.S), "info": found.info}
+        after, images, S, info = found
+        self._keep(after)
+        self.sigmas_h, self.S, self.y = np.array(images[-self._num_sigmas :]), S, np.asarray(info.innovation)
+        kept = Info(whitened=info.whitened, used=info.used, sqrt_S=info.sqrt_S)  # no functions, which cannot be pickled
+        self._made |= {"K": info.gain, "SI": lambda: self.inv(S), "info": kept}
         self.z = z.copy() if type(z) is np.ndarray else deepcopy(z)
         self.x_post, self.P_post = self.x.copy(), self.P.copy()
 
-    def _conditioned(self, belief: Any, z: Array, h: Callable[[Array, Any], Array], root: Array) -> _Found:
-        """By celnav's own step."""
-        space, measured = self._space(), space_of(np.add, self.residual_z, self.z_mean)
+    def _conditioned(self, belief: Any, z: Array, h: Model, root: Array) -> tuple[Any, Array, Array, Info]:
+        """By celnav's own step: the belief, images of the points, the covariance of the innovation, and what was done."""
+        space, measured = self._space(), _space_of(np.add, self.residual_z, self.z_mean)
         seen: list[Array] = []
 
         def g(points: Array, epoch: Any = None) -> Array:
@@ -236,39 +201,40 @@ class SigmaPointUKF:
             exact = Sequential(motion, (sensor,), rule=self.rule, form=self._form)
             after, info, _ = exact.see(sensor, belief, z, Epoch(), (), None)
         self._check(belief, after, "hx", h, "the innovation covariance is not positive definite")
-        L, lean = np.asarray(info.sqrt_S), Info(whitened=info.whitened, used=info.used, sqrt_S=info.sqrt_S)
-        return _Found(after, seen[0], np.asarray(info.innovation), outer(L), info.gain, lean)
+        return after, seen[0], outer(np.asarray(info.sqrt_S)), info
 
-    def _check(self, before: Any, after: Any, name: str, function: Callable[[Array, Any], Array], why: str) -> None:
-        """Refuse a belief that is lost; the object keeps its last good one."""
+    def _check(self, before: Any, after: Any, name: str, function: Model, why: str) -> None:
         if any_lost(after):
-            bad = ~np.isfinite(function(self._points(before), None)).all(-1)
+            points = self.rule.points(before.mean, before.sqrt_cov, self._space())[0]
+            bad = ~np.isfinite(function(points, None)).all(-1)
             raise ValueError(f"{name} is not finite at sigma point {int(np.argmax(bad))}" if bad.any() else why)
 
-    def _transformed(self, UT: Any, belief: Any, z: Array, h: Callable[[Array, Any], Array], R: Any) -> _Found:
-        """By a transform of the user's, which gives a mean and a covariance."""
+    def _transformed(self, UT: Function, belief: Any, z: Array, h: Model, R: Any) -> tuple[Any, Array, Array, Info]:
+        """The same by a transform of the user's, which gives a mean and a covariance."""
         if np.isnan(z).any():
             raise ValueError("z: expected every component where UT is given, got nan")
-        points = self._points(belief)[self._own]
+        points = self._points(belief)
         images = h(points, None)
         predicted, S = UT(images, self.Wm, self.Wc, R, self.z_mean, self.residual_z)
         L, innovation = symmetric(S, "S", len(z))[1], np.asarray(self.residual_z(z, predicted))
         gain = np.linalg.solve(S.T, self.cross_variance(belief.mean, predicted, points, images).T).T
         after = self._from(self.state_add(belief.mean, gain @ innovation), belief.cov - gain @ S @ gain.T)
-        info = Info(whitened=whiten(L, innovation), used=np.ones(len(z), bool), sqrt_S=L)
-        return _Found(after, images, innovation, S, lambda: gain, info)
+        return after, images, S, Info(innovation, whiten(L, innovation), np.ones(len(z), bool), L, lambda: gain)
 
-    def compute_process_sigmas(self, dt: Any, fx: Callable[..., Any] | None = None, **fx_args: Any) -> None:
+    def compute_process_sigmas(self, dt: Any, fx: Function | None = None, **fx_args: Any) -> None:
         """Put the propagated points in ``sigmas_f``. (An update always draws its points from the present state.)"""
-        self.sigmas_f = self._motion(dt, fx, fx_args)(self._points(self._belief()), None)[self._own]
+        self.sigmas_f = self._motion(dt, fx, fx_args)(self._points(self._belief()), None)
 
     def cross_variance(self, x: Array, z: Array, sigmas_f: Array, sigmas_h: Array) -> Array:
         """Cross covariance ``(n, m)`` of points in the state and in the measurement."""
-        dx, dz = differences(self.residual_x)(sigmas_f, x), differences(self.residual_z)(sigmas_h, z)
-        return np.asarray((dx * np.asarray(self.Wc)[:, None]).T @ dz)
+        return self._cross(sigmas_f, x, sigmas_h, z, self.residual_z)
+
+    def _cross(self, points: Array, x: Array, images: Array, y: Array, residual: Function) -> Array:
+        dx, dy = _differences(self.residual_x)(points, x), _differences(residual)(images, y)
+        return np.asarray((dx * np.asarray(self.Wc)[:, None]).T @ dy)
 
     def batch_filter(
-        self, zs: Any, Rs: Any = None, dts: Any = None, UT: Callable[..., Any] | None = None, saver: Any = None
+        self, zs: Any, Rs: Any = None, dts: Any = None, UT: Function | None = None, saver: Any = None
     ) -> tuple[Array, Array]:
         """Predict and update over all ``zs`` (None where missing): means ``(T, n)`` and covariances ``(T, n, n)``."""
         count = len(zs)
@@ -283,12 +249,9 @@ class SigmaPointUKF:
         return means, covs
 
     def rts_smoother(
-        self, Xs: Any, Ps: Any, Qs: Any = None, dts: Any = None, UT: Callable[..., Any] | None = None
+        self, Xs: Any, Ps: Any, Qs: Any = None, dts: Any = None, UT: Function | None = None
     ) -> tuple[Array, Array, Array]:
-        """Smoothed means, covariances and gains from those of `batch_filter`; ``dts[k]`` and ``Qs[k]`` lead from k to k + 1.
-
-        (filterpy's takes no notice of ``Qs``.)
-        """
+        """Smoothed means, covariances and gains; ``dts[k]`` and ``Qs[k]``, which filterpy does not heed, lead from k to k + 1."""
         count, n = len(Xs), self._dim_x
         xs, ps, gains = finite("Xs", Xs, (count, n)), finite("Ps", Ps, (count, n, n)), np.zeros((count, n, n))
         Qs, dts = self._each("Qs", Qs, self.Q, count), self._each("dts", dts, self._dt, count)
@@ -300,11 +263,9 @@ class SigmaPointUKF:
                 after, gains[k] = back(Sequential(motion, rule=self.rule, form=self._form), belief, after, Epoch())
             else:
                 points = self._points(belief)
-                ahead = function(points, None)[self._own]
+                ahead = function(points, None)
                 mean, cov = UT(ahead, self.Wm, self.Wc, Qs[k], self.x_mean, self.residual_x)
-                apart = differences(self.residual_x)
-                cross = (apart(points[self._own], xs[k]) * np.asarray(self.Wc)[:, None]).T @ apart(ahead, mean)
-                gains[k] = np.linalg.solve(cov.T, cross.T).T
+                gains[k] = np.linalg.solve(cov.T, self._cross(points, xs[k], ahead, mean, self.residual_x).T).T
                 step, less = gains[k] @ self.residual_x(after.mean, mean), gains[k] @ (after.cov - cov) @ gains[k].T
                 after = self._from(self.state_add(xs[k], step), ps[k] + less, "Ps")
             xs[k], ps[k] = after.mean, after.cov
@@ -315,7 +276,7 @@ class SigmaPointUKF:
     def log_likelihood(self) -> float:
         """Logarithm of the density of the last measurement."""
         info = self._made["info"]
-        return float(np.log(sys.float_info.min)) if info is None else float(info.log_likelihood)
+        return float(np.log(sys.float_info.min) if info is None else info.log_likelihood)
 
     @property
     def likelihood(self) -> float:
@@ -338,11 +299,6 @@ class SigmaPointUKF:
         return self.__dict__
 
     # -- between filterpy's world and ours -----------------------------------------------------------------------------
-    @property
-    def _own(self) -> slice:
-        """Rows of our points that filterpy knows: not an added center of weight 0."""
-        return slice(-self._num_sigmas, None)
-
     def _belief(self) -> Any:
         """The present state, checked; the spread that we kept, unless P was changed since."""
         n, x, P = self._dim_x, numbers("x", self.x), numbers("P", self.P)
@@ -372,12 +328,12 @@ class SigmaPointUKF:
             known = self._roots[name] = key, symmetric(full, name, n)[1]
         return known[1]
 
-    def _motion(self, dt: Any, fx: Callable[..., Any] | None, options: dict[str, Any]) -> Callable[[Array, Any], Array]:
+    def _motion(self, dt: Any, fx: Function | None, options: dict[str, Any]) -> Model:
         dt = self._dt if dt is None else dt
         # Anything but a number is for fx to understand, as in filterpy: dates of numpy would count as numbers there.
-        if isinstance(dt, _DATES) or (isinstance(dt, _NUMBERS) and not isfinite(dt)):
+        if isinstance(dt, (np.datetime64, np.timedelta64)) or (isinstance(dt, (float, int, np.number)) and not isfinite(dt)):
             raise ValueError(f"dt: expected a finite number, got {dt!r}")
-        return model_of(self._vectorized, "fx", self.fx if fx is None else fx, self._dim_x, (dt,), options)
+        return _model_of(self._vectorized, "fx", self.fx if fx is None else fx, self._dim_x, (dt,), options)
 
     def _each(self, name: str, values: Any, own: Any, count: int) -> Any:
         """A value for each of so many epochs."""
@@ -396,10 +352,11 @@ class SigmaPointUKF:
         self._roots["P"] = (self.P.shape, self.P.tobytes()), belief[1]
 
     def _points(self, belief: Any) -> Array:
-        return self.rule.points(belief.mean, belief.sqrt_cov, self._space())[0]
+        """The points that filterpy knows: without an added center of weight 0."""
+        return self.rule.points(belief.mean, belief.sqrt_cov, self._space())[0][-self._num_sigmas :]
 
     def _space(self) -> Space:
-        return space_of(self.state_add, self.residual_x, self.x_mean)
+        return _space_of(self.state_add, self.residual_x, self.x_mean)
 
 
 class SquareRootUKF(SigmaPointUKF):
@@ -411,3 +368,59 @@ class SquareRootUKF(SigmaPointUKF):
     def sqrt_P(self) -> Array:
         """Lower root of ``P``, ``(n, n)``."""
         return np.array(self._belief()[1])
+
+
+# -- filterpy's functions of one vector as functions of all points -------------------------------------------------------
+def _model_of(vectorized: bool, name: str, function: Function, m: int, given: tuple[Any, ...], options: dict[str, Any]) -> Model:
+    """A model ``(p, n) -> (p, m)`` of all points from filterpy's of one, or, if it is ``vectorized``, of all."""
+
+    def model(points: Array, epoch: Any) -> Array:  # noqa: ARG001
+        own = points.copy()  # which the function may change
+        if vectorized:
+            values = numbers(name, function(own, *given, **options))
+        else:
+            found = [function(point, *given, **options) for point in own]
+            values = np.asarray(found) if set(map(type, found)) == {np.ndarray} else numbers(name, found)
+            values = values if values.dtype == np.float64 else numbers(name, found)
+        if values.shape != (len(own), m):
+            values = values.reshape(len(own), -1)
+            if values.shape[-1] != m:
+                raise ValueError(f"{name} returned shape {values.shape[1:]}, expected ({m},)")
+        return values
+
+    return model
+
+
+def _space_of(add: Function, residual: Function, mean: Function | None) -> Space:
+    """The space of filterpy's ``state_add``, residual and mean; None is no mean of its own."""
+    if add is np.add and residual is np.subtract and mean is None:
+        return EUCLIDEAN
+    own = None if mean is None else lambda points, weights: np.asarray(mean(points, weights), dtype=np.float64)
+    return Space(_sums(add), _differences(residual), None, own)
+
+
+def _sums(add: Function) -> Function:
+    """Sums of a point and all tangents; ``add`` may change its first argument."""
+    if add is np.add:
+        return EUCLIDEAN.plus
+
+    def plus(point: Array, tangent: Any) -> Array:
+        if np.ndim(tangent) == 0:  # a mean of its own needs no shift
+            return point
+        found = [add(point.copy(), row) for row in np.atleast_2d(tangent)]
+        return np.array(found, dtype=np.float64).reshape(tangent.shape)
+
+    return plus
+
+
+def _differences(residual: Function) -> Function:
+    """Differences of all points ``b`` to one, ``a``."""
+    if residual is np.subtract:
+        return np.subtract
+
+    def minus(b: Array, a: Array) -> Array:
+        origin = a.ravel()
+        found = [residual(row, origin) for row in np.atleast_2d(b)]
+        return np.array(found, dtype=np.float64).reshape(b.shape)
+
+    return minus

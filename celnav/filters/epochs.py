@@ -12,9 +12,6 @@ from celnav.filters.records import Epoch
 from celnav.gaussian.checks import finite, kind, numbers
 from celnav.gaussian.linalg import Array
 
-_BLOCK = 1024
-"""Epochs whose times are taken out of the array at once."""
-
 
 class Epochs(Sequence[Epoch]):
     """Epochs made from arrays when they are asked for, one at a time; nothing is copied. See `epochs`.
@@ -36,38 +33,31 @@ class Epochs(Sequence[Epoch]):
 
     def __getitem__(self, k: Any) -> Any:
         if not isinstance(k, slice):
-            return self._epoch(range(len(self))[k])
+            j = range(len(self))[k]
+            return self._epoch(self._first + j, self._rows[j], self._rows[j - 1] if j else self._before)
         rows = self._rows[k]
         if rows.step < 1:
             raise ValueError(f"epochs: expected a slice that runs forward, got {k}")
         if rows.step > 1 and self._u is not None:
-            raise ValueError(
-                f"epochs: an interval of {rows.step} epochs has {rows.step} inputs, got one u for each; make epochs anew"
-            )
+            count = rows.step
+            raise ValueError(f"epochs: an interval of {count} epochs has {count} inputs, got one u for each; make epochs anew")
         at = self._rows.index(rows[0]) if rows else 0
-        return Epochs(
-            self._times, self._z, self._u, self._truth, rows, self._rows[at - 1] if at else self._before, self._first + at
-        )
+        before = self._rows[at - 1] if at else self._before
+        return Epochs(self._times, self._z, self._u, self._truth, rows, before, self._first + at)
 
     def __iter__(self) -> Iterator[Epoch]:
         before = self._before
-        last = float(self._times[before]) if before >= 0 else None
-        for start in range(0, len(self), _BLOCK):
-            rows = self._rows[start : start + _BLOCK]
-            times = self._times[rows.start : rows.stop : rows.step].tolist()
-            for k, i, t in zip(range(self._first + start, self._first + start + len(rows)), rows, times, strict=True):
-                dt, u = (0.0, None) if last is None else (t - last, _at(self._u, before))
-                yield Epoch(k, t, dt, u, _at(self._z, i), _at(self._truth, i))
-                before, last = i, t
+        for k, i in enumerate(self._rows, self._first):
+            yield self._epoch(k, i, before)
+            before = i
 
     def __add__(self, other: Iterable[Epoch]) -> list[Epoch]:
         return [*self, *other]
 
-    def _epoch(self, j: int) -> Epoch:
-        i, before = self._rows[j], self._rows[j - 1] if j else self._before
+    def _epoch(self, k: int, i: int, before: int) -> Epoch:
         t = float(self._times[i])
         dt, u = (t - float(self._times[before]), _at(self._u, before)) if before >= 0 else (0.0, None)
-        return Epoch(self._first + j, t, dt, u, _at(self._z, i), _at(self._truth, i))
+        return Epoch(k, t, dt, u, _at(self._z, i), _at(self._truth, i))
 
 
 def _at(values: Any, k: int) -> Any:
@@ -86,18 +76,17 @@ def epochs(times: ArrayLike, z: Any = None, u: Any = None, truth: Any = None) ->
     u: inputs; ``u[k]`` acts from ``times[k]`` to ``times[k + 1]``. A tuple is taken apart.
     truth: anything indexed by the epoch.
 
-    Raises
-    ------
-    ValueError: if times are not finite or run back, if ``z`` is not numeric, infinite, or of another length.
+    >>> track = celnav.run(filter, prior, celnav.epochs(times, z)[:100])
     """
     t = finite("times", times)
     if t.ndim != 1 or len(t) == 0:
         raise ValueError(f"times: expected shape (T,) with T > 0, got {t.shape}")
-    if (np.diff(t) < 0.0).any():
-        k = int(np.argmax(np.diff(t) < 0.0)) + 1
+    back = np.flatnonzero(np.diff(t) < 0.0)
+    if len(back):
+        k = int(back[0]) + 1
         raise ValueError(f"times: expected them not to decrease, got {t[k]} after {t[k - 1]} at index {k}")
     if z is not None:
-        z = tuple(_checked(v, len(t)) for v in z) if isinstance(z, tuple) else _checked(z, len(t))
+        z = tuple(_measurements(v, len(t)) for v in z) if isinstance(z, tuple) else _measurements(z, len(t))
     for name, values, least in (("u", u, len(t) - 1), ("truth", truth, len(t))):
         for part in values if isinstance(values, tuple) else (values,):
             if part is not None and _rows(name, part) < least:
@@ -108,17 +97,17 @@ def epochs(times: ArrayLike, z: Any = None, u: Any = None, truth: Any = None) ->
 def _rows(name: str, values: Any) -> int:
     """How many rows there are."""
     try:
-        rows = 0 if isinstance(values, str) else len(values)
-        if rows:
-            values[0]
+        rows = -1 if isinstance(values, str) else len(values)
+        if rows > 0:
+            values[0]  # a set or a table has none
     except (TypeError, KeyError, IndexError):
         rows = -1
-    if rows < 0 or isinstance(values, str):
-        raise ValueError(f"{name}: expected a sequence with a row for each time, got {kind(values)}")
-    return rows
+    if rows >= 0:
+        return rows
+    raise ValueError(f"{name}: expected a sequence with a row for each time, got {kind(values)}")
 
 
-def _checked(z: ArrayLike, length: int) -> Array:
+def _measurements(z: ArrayLike, length: int) -> Array:
     measured = numbers("z", z)
     if measured.ndim < 2 or len(measured) != length:
         hint = "; one component is z[:, None]" if measured.shape == (length,) else ""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import partial, reduce
 from typing import Any
 
 import numpy as np
@@ -15,18 +15,20 @@ from celnav.filters.sequential import Sequential, plain
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array, Belief
 
+Step = tuple[State, tuple[Info, ...]]
+
 
 @dataclass(frozen=True, eq=False)
 class Fallback:
     """Does again, with a second filter, those runs which the first one loses in a prediction or an update.
 
-    Attributes
-    ----------
-    first, second: filters of the same motion and sensors with different rules: one of negative weights, say, and one without. Hooks
-        must be the same; their memory is that of the first. The other runs keep the first one's result bit for bit.
+    ``first``, ``second``: filters of the same motion and sensors with different rules: one of negative weights, say, and one
+    without. Hooks must be the same; their memory is that of the first. The other runs keep the first one's result bit for bit.
 
     `Info.redone` says which runs were done again, and the `Track` counts them in ``events["redone"]``. A run that both lose stays
     lost.
+
+    >>> filter = Fallback(celnav.sparse_grid_filter(motion, sensor), celnav.ckf(motion, sensor))
     """
 
     first: Sequential
@@ -49,31 +51,32 @@ class Fallback:
 
     def step(self, state: State, epoch: Epoch) -> tuple[State, tuple[Info, ...]]:
         """State after an epoch, and what each sensor did to it."""
-        ahead, redone, _ = self._done(state, self.first.predict(state, epoch), lambda: (self.second.predict(state, epoch), ()), ())
-        after, infos = self.first.update(ahead, epoch)
-        after, again, infos = self._done(ahead, after, lambda: self.second.update(ahead, epoch), infos)
-        if redone is not None or again is not None:
-            both = np.logical_or(False if redone is None else redone, False if again is None else again)
-            infos = (infos[0]._replace(redone=both), *infos[1:]) if infos else (Info(redone=both),)
+        predicted = self.first.predict(state, epoch), ()
+        ahead, _, moved = self._done(state, predicted, lambda: (self.second.predict(state, epoch), ()))
+        after, infos, updated = self._done(ahead, self.first.update(ahead, epoch), lambda: self.second.update(ahead, epoch))
+        lost = [runs for runs in (moved, updated) if runs is not None]
+        if lost:
+            redone = reduce(np.logical_or, lost)
+            infos = (infos[0]._replace(redone=redone), *infos[1:]) if infos else (Info(redone=redone),)
         return after, infos
 
-    def _done(
-        self, before: State, after: State, again: Callable[[], tuple[State, tuple[Info, ...]]], infos: tuple[Info, ...]
-    ) -> tuple[State, Array | None, tuple[Info, ...]]:
-        if not _unsound(after.belief).any():
-            return after, None, infos
-        lost = _unsound(after.belief) & ~_unsound(before.belief)
+    def _done(self, before: State, found: Step, again: Callable[[], Step]) -> tuple[State, tuple[Info, ...], Array | None]:
+        """What the first filter found, with what the second finds for runs that the first one lost, and which these are."""
+        after, infos = found
+        unsound = _unsound(after.belief)
+        if not unsound.any():
+            return after, infos, None
+        lost = unsound & ~_unsound(before.belief)
         if not lost.any():
-            return after, None, infos
+            return after, infos, None
         other, others = again()
         belief = self.first.form(*(_pick(lost, b, a) for a, b in zip(after.belief, other.belief, strict=True)))
-        return after._replace(belief=belief), lost, tuple(_merged(lost, a, b) for a, b in zip(infos, others, strict=True))
+        return after._replace(belief=belief), tuple(_merged(lost, a, b) for a, b in zip(infos, others, strict=True)), lost
 
 
 def _unsound(belief: Belief) -> Array:
     """Runs ``(...)`` whose belief is not finite or, in covariance form too, not definite."""
-    root = belief.sqrt_cov
-    return np.asarray(~(np.isfinite(belief.mean).all(-1) & np.isfinite(root).all((-2, -1))))
+    return np.asarray(~(np.isfinite(belief.mean).all(-1) & np.isfinite(belief.sqrt_cov).all((-2, -1))))
 
 
 def _pick(where: Array, chosen: Array, otherwise: Array) -> Array:
@@ -83,17 +86,12 @@ def _pick(where: Array, chosen: Array, otherwise: Array) -> Array:
 
 def _merged(lost: Array, info: Info, other: Info) -> Info:
     """What was done, run by run; gains and Jacobians are merged when asked for."""
-    if info.innovation is None or other.innovation is None:
-        return info
-    arrays: dict[str, Any] = {
-        name: _pick(lost, getattr(other, name), getattr(info, name)) for name in ("innovation", "whitened", "used")
-    }
-    if info.sqrt_S is not None and other.sqrt_S is not None:
-        arrays["sqrt_S"] = _pick(lost, other.sqrt_S, info.sqrt_S)
-    later: dict[str, Any] = {
-        name: partial(_merged_later, lost, getattr(info, name), getattr(other, name)) for name in ("gain", "jacobian")
-    }
-    return info._replace(**arrays, **later)
+    merged: dict[str, Any] = {}
+    for name in ("innovation", "whitened", "used", "sqrt_S", "gain", "jacobian"):
+        mine, theirs = getattr(info, name), getattr(other, name)
+        if mine is not None and theirs is not None:
+            merged[name] = partial(_merged_later, lost, mine, theirs) if callable(mine) else _pick(lost, theirs, mine)
+    return info._replace(**merged)
 
 
 def _merged_later(lost: Array, mine: Callable[[], Array], theirs: Callable[[], Array]) -> Array:

@@ -25,18 +25,9 @@ def least_squares(sensor: Sensor, *, rounds: int = 10) -> LeastSquares:
     Components that are nan are left out. A run whose measurement does not determine the state, or is missing, becomes nan for this
     epoch and starts from its last fix at the next.
 
-    Parameters
-    ----------
-    sensor: what is measured, with a ``jacobian`` and noise of independent components.
-    rounds: of Gauss and Newton at most; a run stops when a step is below a ten-thousandth of its deviations.
-
-    Returns
-    -------
-    A filter in covariance form. Its innovations are the residuals of the fix, its whitened ones those in deviations.
-
-    Raises
-    ------
-    ValueError: unless the sensor has a Jacobian and noise of independent components, and ``rounds`` is a positive integer.
+    ``sensor``: what is measured, with a ``jacobian`` and noise of independent components. ``rounds``: of Gauss and Newton at most;
+    a run stops when a step is below a ten-thousandth of its deviations. The filter is in covariance form; its innovations are the
+    residuals of the fix, its whitened ones those in deviations.
 
     >>> fixes = celnav.run(least_squares(celnav.Sensor(ranges, R, jacobian=directions)), guess, times, z)
     """
@@ -49,9 +40,8 @@ def least_squares(sensor: Sensor, *, rounds: int = 10) -> LeastSquares:
     if isinstance(columns, np.ndarray):
         R = columns @ columns.mT
         variances = R.diagonal(0, -2, -1)
-        if (variances <= 0.0).any() or np.abs(R - variances[..., None] * np.eye(R.shape[-1])).max(
-            initial=0.0
-        ) > 1e-12 * variances.max(initial=0.0):
+        beside = np.abs(R - variances[..., None] * np.eye(R.shape[-1])).max(initial=0.0)
+        if (variances <= 0.0).any() or beside > 1e-12 * variances.max(initial=0.0):
             raise ValueError("R: expected positive variances of independent components, a diagonal matrix, got another")
     return LeastSquares(sensor, integer("rounds", rounds, 1, 10_000))
 
@@ -74,7 +64,7 @@ class LeastSquares:
         x = state.memory[0]
         n = x.shape[-1]
         if epoch.z is None:
-            return State(Covariance(np.full(x.shape, np.nan), np.full((*x.shape, n), np.nan)), (x,)), (Info(silent=True),)
+            return State(Covariance(x * np.nan, np.full((*x.shape, n), np.nan)), (x,)), (Info(silent=True),)
         z = checked(epoch.z[0] if isinstance(epoch.z, tuple) else epoch.z, self.sensor)
         if self.sensor.m not in (None, z.shape[-1]):
             raise ValueError(f"z: expected {self.sensor.m} components to go with h, got {z.shape[-1]}")

@@ -28,21 +28,14 @@ Model = Callable[..., Any]
 def unknown(function: Model, points: Array) -> bool:
     """Whether a model is to be looked at: the first time, and where there are runs that it could mix."""
     models = LOOKED_AT.get()
-    if models is None or points.shape[-2] < 2 or any(function is model for model in models):
-        return False
-    if len(models) == MOST:
+    if models is None or points.shape[-2] < 2 or len(models) == MOST or any(function is model for model in models):
         return False
     models.append(function)
     return True
 
 
 def check_runs_apart(name: str, function: Model, arrays: Sequence[Array], epoch: Any, y: Array) -> None:
-    """The values ``y`` of a model at ``arrays``, points of the state and of noises, must be of each run by itself.
-
-    Raises
-    ------
-    ValueError: naming the model, if a run depends on others.
-    """
+    """Raise a ValueError if the values ``y`` of a model at ``arrays``, points of the state and of noises, mix runs."""
     which = int(np.argmax(np.isfinite(y).all(tuple(i for i in range(y.ndim) if i != y.ndim - 2))))
     here = slice(which, which + 1)
     alone, reason = _value(function, [a[..., here, :] for a in arrays], epoch, y.shape[-1])
@@ -54,12 +47,10 @@ def check_runs_apart(name: str, function: Model, arrays: Sequence[Array], epoch:
         mixed = False  # no matrix of the model's goes with so many runs
     else:
         mixed = "core dimension" in reason or _noticed(function, arrays, epoch, y)
-    if mixed:
-        again, _ = _value(function, arrays, epoch, y.shape[-1])
-        if again is not None and np.array_equal(again, y, equal_nan=True):  # or it is random
-            raise ValueError(
-                f"{name}: expected values of each run by itself, got runs that depend on each other, as F @ x makes them; {POINTS}"
-            )
+    again = _value(function, arrays, epoch, y.shape[-1])[0] if mixed else None
+    if again is not None and np.array_equal(again, y, equal_nan=True):  # or it is random
+        got = "runs that depend on each other, as F @ x makes them"
+        raise ValueError(f"{name}: expected values of each run by itself, got {got}; {POINTS}")
 
 
 def _value(function: Model, arrays: Sequence[Array], epoch: Any, dimension: int) -> tuple[Array | None, str]:

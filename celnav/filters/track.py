@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -82,8 +83,7 @@ class Track:
         """Number of measured components used, ``(T, ...)``."""
         if self.used is None:
             raise ValueError("dof: this track stored no innovations")
-        dof: Array = self.used.sum(-1)
-        return dof
+        return np.asarray(self.used.sum(-1))
 
     @property
     def sqrt_cov(self) -> Array:
@@ -114,17 +114,15 @@ class Track:
         from celnav.files import write_text
 
         columns = self._columns(names)
-        lines = [",".join(columns)]
-        lines += [",".join(f"{v:.17g}" for v in row) for row in zip(*columns.values(), strict=True)]
-        write_text(Path(path), "\n".join(lines) + "\n")
+        lines = [columns, *([f"{v:.17g}" for v in row] for row in zip(*columns.values(), strict=True))]
+        write_text(Path(path), "".join(",".join(line) + "\n" for line in lines))
 
     def _columns(self, names: Any) -> dict[str, Array]:
         if self.mean is None:
             raise ValueError("to_dataframe: this track stored no means")
         T, N = len(self.times), self.mean.shape[-1]
         runs = int(np.prod(self.mean.shape[1:-1]))
-        if names is None:
-            names = [f"x{i}" for i in range(N)]
+        names = [f"x{i}" for i in range(N)] if names is None else names
         named = not isinstance(names, str) and isinstance(names, Iterable) and all(isinstance(name, str) for name in names)
         if not named or len(names) != N:
             raise ValueError(f"names: expected {N} words, such as ['x', 'y'], got {names!r:.80}")
@@ -134,75 +132,74 @@ class Track:
             std = self.std.reshape(T * runs, -1)
             labels = names if std.shape[-1] == N else [f"d{i}" for i in range(std.shape[-1])]
             columns |= {f"std_{label}": column for label, column in zip(labels, std.T, strict=True)}
-        if self.whitened is not None:
-            columns["nis"] = self.nis.ravel()
-        return columns
+        return columns if self.whitened is None else columns | {"nis": self.nis.ravel()}
+
+
+_KEPT = {"nothing": (), "mean": ("mean",), "std": ("mean", "std"), "cov": ("mean", "std", "cov")}
+_BLANK = {"innovation": np.nan, "whitened": 0.0, "used": False}
+"""What stands for an `Info` that was not given, and for components that others have."""
 
 
 class Collector:
     """Gathers the rows of a `Track` by a storage policy; sums go over every epoch."""
 
     def __init__(self, every: int, keep: str):
-        self._every, self._keep, self._form = every, keep, SquareRoot
+        self._every, self._keep, self._count = every, keep, 0
+        self._form: Any = SquareRoot
         self._rows: defaultdict[str, list[Any]] = defaultdict(list)
-        self._extra: dict[str, list[Any]] = {}
+        self._extra: defaultdict[str, list[Any]] = defaultdict(list)
         self._times: list[Any] = []
         self._epochs: list[Epoch] = []
-        self._count = 0
-        self._failed_at: Array | None = None
-        self._silent: defaultdict[int, int] = defaultdict(int)
-        self._widths: defaultdict[int, int] = defaultdict(int)
+        self._failed_at: Array = np.array(-1)
+        self._silent: Counter[int] = Counter()
+        self._widths: Counter[int] = Counter()
         self._sums: dict[str, Any] = {"log_likelihood": 0.0, "missing": 0, "rejected": 0, "redone": 0}
 
     def add(self, epoch: Epoch, belief: Belief, infos: tuple[Info, ...], extra: dict[str, Any]) -> tuple[int, ...] | None:
         """Take one step in. Returns the index of the first run that it newly lost, or None."""
-        self._form = type(belief)  # type: ignore[assignment]
+        self._form = type(belief)
         for i, info in enumerate(infos):
-            self._sum(info)
-            if info.silent:
-                self._silent[i] += 1
-            elif info.innovation is not None and info.innovation.shape[-1] > self._widths[i]:
-                self._widths[i] = info.innovation.shape[-1]
+            self._sum(i, info)
         if self._count % self._every == 0:
-            self._times.append(epoch.t)
-            self._store(epoch, belief, infos)
-            for name, value in extra.items():
-                self._extra.setdefault(name, []).append(value)
+            self._store(epoch, belief, infos, extra)
         self._count += 1
         return self._watch(epoch.k, belief)
 
-    def _sum(self, info: Info) -> None:
-        likelihood = info.log_likelihood
+    def _sum(self, i: int, info: Info) -> None:
+        sums, likelihood = self._sums, info.log_likelihood
+        if info.silent:
+            self._silent[i] += 1
+        elif info.innovation is not None and info.innovation.shape[-1] > self._widths[i]:
+            self._widths[i] = info.innovation.shape[-1]
         if likelihood is not None:
             assert info.used is not None
-            self._sums["log_likelihood"] = self._sums["log_likelihood"] + likelihood
+            sums["log_likelihood"] = sums["log_likelihood"] + likelihood
             if not info.used.all():
-                absent = np.isnan(info.innovation)  # type: ignore[arg-type]
-                self._sums["missing"] = self._sums["missing"] + absent.sum(-1)
-                self._sums["rejected"] = self._sums["rejected"] + (~info.used & ~absent).sum(-1)
+                absent = np.isnan(np.asarray(info.innovation))
+                sums["missing"] = sums["missing"] + absent.sum(-1)
+                sums["rejected"] = sums["rejected"] + (~info.used & ~absent).sum(-1)
         if info.redone is not None:
-            self._sums["redone"] = self._sums["redone"] + info.redone
+            sums["redone"] = sums["redone"] + info.redone
 
-    def _store(self, epoch: Epoch, belief: Belief, infos: tuple[Info, ...]) -> None:
-        if self._keep == "nothing":
-            return
-        self._rows["mean"].append(belief.mean)
-        if self._keep != "mean":
-            self._rows["std"].append(belief.std)
+    def _store(self, epoch: Epoch, belief: Belief, infos: tuple[Info, ...], extra: dict[str, Any]) -> None:
+        self._times.append(epoch.t)
+        for name, value in extra.items():
+            self._extra[name].append(value)
+        for name in _KEPT[self._keep]:
+            self._rows[name].append(belief[1] if name == "cov" else getattr(belief, name))
         if self._keep == "cov":
-            self._rows["cov"].append(belief[1])
             self._epochs.append(epoch._replace(z=None, truth=None))
-        for name in ("innovation", "whitened", "used"):
-            self._rows[name].append([getattr(info, name) for info in infos])
+        if self._keep != "nothing":
+            for name in _BLANK:
+                self._rows[name].append([getattr(info, name) for info in infos])
 
     def _watch(self, k: int, belief: Belief) -> tuple[int, ...] | None:
-        if self._failed_at is not None and self._failed_at.shape == belief.mean.shape[:-1] and not any_lost(belief):
+        batch = belief.mean.shape[:-1]
+        if self._failed_at.shape == batch and not any_lost(belief):
             return None
-        lost = np.broadcast_to(belief.lost(), belief.mean.shape[:-1])
-        if self._failed_at is None or self._failed_at.shape != lost.shape:
-            before = -1 if self._failed_at is None else self._failed_at
-            self._failed_at = np.broadcast_to(before, lost.shape).copy()
-        new = lost & (self._failed_at < 0)
+        if self._failed_at.shape != batch:  # the first epoch, or runs that only a later measurement has
+            self._failed_at = np.broadcast_to(self._failed_at, batch).copy()
+        new = np.broadcast_to(belief.lost(), batch) & (self._failed_at < 0)
         if not new.any():
             return None
         self._failed_at[new] = integer("k", k, 0, 2**62)
@@ -210,20 +207,26 @@ class Collector:
 
     def track(self, reduced: Any, filter: Any) -> Track:
         """Everything gathered, stacked over time."""
-        if self._failed_at is None:
+        if not self._count:
             raise ValueError("epochs: expected at least one, got none")
+        try:
+            times = np.array(self._times)
+        except ValueError:
+            raise ValueError(f"t: expected a number at each epoch, got {self._times[-1]!r:.80}") from None
         batch = self._failed_at.shape
-        rows = {name: _stack(name, self._rows.pop(name), batch) for name in ("mean", "std", "cov") if name in self._rows}
-        rows |= {name: _side_by_side(name, self._rows.pop(name), batch) for name in list(self._rows)}
         self._sums["missing"] = self._sums["missing"] + sum(count * self._widths[i] for i, count in self._silent.items())
-        events = {name: np.broadcast_to(self._sums[name], batch) for name in ("missing", "rejected", "redone")}
-        cov: Any = rows.pop("cov", None)
+        sums = {name: np.broadcast_to(value, batch) for name, value in self._sums.items()}
+        rows: dict[str, Any] = dict.fromkeys(("mean", "std", "cov", *_BLANK))
+        for name in list(self._rows):
+            own = self._rows.pop(name)
+            rows[name] = _side_by_side(own, batch, _BLANK[name]) if name in _BLANK else _stack(own, batch, axes=1 + (name == "cov"))
+        cov = rows.pop("cov")
         return Track(
-            times=_times(self._times),
-            **{name: rows.get(name) for name in ("mean", "std", "innovation", "whitened", "used")},  # type: ignore[arg-type]
-            belief=None if cov is None else self._form(rows["mean"], cov),  # type: ignore[arg-type]
-            log_likelihood=np.broadcast_to(self._sums["log_likelihood"], batch),
-            events=events,
+            times=times,
+            **rows,
+            belief=None if cov is None else self._form(rows["mean"], cov),
+            log_likelihood=sums.pop("log_likelihood"),
+            events=sums,
             failed_at=self._failed_at,
             extra={name: np.stack(values) for name, values in self._extra.items()},
             reduced=reduced,
@@ -232,40 +235,27 @@ class Collector:
         )
 
 
-def _times(times: list[Any]) -> Array:
-    try:
-        return np.array(times)
-    except ValueError:
-        raise ValueError(f"t: expected a number at each epoch, got {times[-1]!r:.80}") from None
-
-
-_BLANK = {"innovation": np.nan, "whitened": 0.0, "used": False}
-
-
-def _side_by_side(name: str, rows: list[Any], batch: tuple[int, ...]) -> Array | None:
+def _side_by_side(rows: list[Any], batch: tuple[int, ...], blank: Any) -> Array | None:
     """Rows of several sensors, stacked; a sensor that was silent leaves a blank of its own."""
-    sensors = max(len(row) for row in rows)
-    parts = [_stack(name, [row[i] if i < len(row) else None for row in rows], batch) for i in range(sensors)]
+    parts = [_stack(list(column), batch, blank) for column in zip_longest(*rows)]
     there = [part for part in parts if part is not None]
     return None if not there else there[0] if len(there) == 1 else np.concatenate(there, -1)
 
 
-def _stack(name: str, rows: list[Any], batch: tuple[int, ...]) -> Array | None:
-    """Stack rows over time, broadcast to the batch of the last; a step that had nothing to store leaves a blank."""
-    there = next((row for row in rows if row is not None), None)
-    if there is None:
+def _stack(rows: list[Any], batch: tuple[int, ...], blank: Any = np.nan, axes: int = 1) -> Array | None:
+    """Rows stacked over time, broadcast to the batch of the last; components that a step has nothing of are blank."""
+    there = [row for row in rows if row is not None]
+    if not there:
         return None
-    tail = there.shape[-2:] if name == "cov" else there.shape[-1:]
-    if name in _BLANK:
-        tail = (max(row.shape[-1] for row in rows if row is not None),)
-    out = np.empty((len(rows), *batch, *tail), there.dtype)
+    width = max(row.shape[-1] for row in there)
+    out = np.empty((len(rows), *batch, *there[0].shape[-axes:-1], width), there[0].dtype)
+    del there
     for k, row in enumerate(rows):
-        if row is None:
-            out[k] = _BLANK[name]
-        elif row.shape[-1] == tail[-1]:
+        if row is not None and row.shape[-1] == width:
             out[k] = row
-        else:  # fewer components than at other epochs
-            out[k, ..., : row.shape[-1]] = row
-            out[k, ..., row.shape[-1] :] = _BLANK[name]
+        else:
+            out[k] = blank
+            if row is not None:
+                out[k, ..., : row.shape[-1]] = row
         rows[k] = None  # one copy at a time, not two of everything
     return out

@@ -3,8 +3,8 @@
 Conventions. ``q = [rho, q4]``; ``matrix(q)`` takes inertial components to body components; ``matrix(multiply(q, p)) ==
 matrix(q) @ matrix(p)``; an error is ``multiply(q, inverse(q_hat))``, in body axes. These are the inverse of scipy's rotations:
 ``Rotation.from_quat(q).as_matrix()`` is the transpose of ``matrix(q)``. All functions take leading batch axes and are smooth at
-the identity; batches of quaternions are several times faster here than through scipy's objects. They take arrays as they are:
-filters call them at every step, so only `unit` and what makes a space check.
+the identity, and batches are several times faster here than through scipy's objects. Filters call them at every step: they take
+arrays as they are, and only `unit`, `from_euler` and what makes a space check.
 """
 
 from __future__ import annotations
@@ -40,9 +40,7 @@ def _last(rows: Array) -> Array:
 def unit(q: ArrayLike, name: str = "q") -> Array:
     """Checked quaternions ``(..., 4)``, normalized at round-off; rows of nan (nothing measured) are left as they are.
 
-    Raises
-    ------
-    ValueError: if the last axis is not 4, a number is infinite or partly missing, or a norm differs from 1 by more than 1e-6.
+    Raises ValueError if a row is infinite or partly nan, or its norm differs from 1 by more than 1e-6.
     """
     array = numbers(name, q, (..., 4))
     missing = np.isnan(array)
@@ -55,15 +53,13 @@ def unit(q: ArrayLike, name: str = "q") -> Array:
     return np.asarray(array / norm)
 
 
-_PRODUCT = np.zeros((4, 4, 4))
-"""Component k of a product is the sum over i, j of ``_PRODUCT[k, i, j] q_i p_j``."""
-for _k, _i, _j, _sign in (
-    (0, 3, 0, 1), (0, 0, 3, 1), (0, 1, 2, -1), (0, 2, 1, 1),
-    (1, 3, 1, 1), (1, 1, 3, 1), (1, 2, 0, -1), (1, 0, 2, 1),
-    (2, 3, 2, 1), (2, 2, 3, 1), (2, 0, 1, -1), (2, 1, 0, 1),
-    (3, 3, 3, 1), (3, 0, 0, -1), (3, 1, 1, -1), (3, 2, 2, -1),
-):  # fmt: skip
-    _PRODUCT[_k, _i, _j] = _sign
+# Component k of a product q p is the sum of sign q_i p_j over the rows (k, i, j, sign).
+_TERMS = np.array([
+    (0, 3, 0, 1), (0, 0, 3, 1), (0, 1, 2, -1), (0, 2, 1, 1), (1, 3, 1, 1), (1, 1, 3, 1), (1, 2, 0, -1), (1, 0, 2, 1),
+    (2, 3, 2, 1), (2, 2, 3, 1), (2, 0, 1, -1), (2, 1, 0, 1), (3, 3, 3, 1), (3, 0, 0, -1), (3, 1, 1, -1), (3, 2, 2, -1),
+])  # fmt: skip
+_PRODUCT = np.zeros((4, 16))
+_PRODUCT[_TERMS[:, 0], 4 * _TERMS[:, 1] + _TERMS[:, 2]] = _TERMS[:, 3]
 
 
 def multiply(q: Array, p: Array) -> Array:
@@ -77,7 +73,7 @@ def multiply(q: Array, p: Array) -> Array:
     backwards = not pairs.flags.c_contiguous
     if backwards:
         pairs = pairs.transpose((0, 1, *range(pairs.ndim - 1, 1, -1)))
-    rows = (_PRODUCT.reshape(4, 16) @ pairs.reshape(16, -1)).reshape(4, *pairs.shape[2:])
+    rows = (_PRODUCT @ pairs.reshape(16, -1)).reshape(4, *pairs.shape[2:])
     return rows.T if backwards else _last(rows)
 
 
@@ -181,20 +177,6 @@ def from_rodrigues(p: Array, a: float = 1.0, b: float = 4.0) -> Array:
     return _last(rows)
 
 
-def shadow(sigma: Array) -> Array:
-    """The same attitude in modified Rodrigues parameters ``(..., 3)`` (``a = b = 1``) of norm at most 1 [Schaub & Junkins 1996]."""
-    square = np.square(sigma).sum(-1, keepdims=True)
-    return np.where(square > 1.0, -sigma / np.where(square > 0.0, square, 1.0), sigma)
-
-
-def shadow_jacobian(sigma: Array) -> Array:
-    """Derivative ``(..., 3, 3)`` of the switch of `shadow` at parameters of norm above 1; the identity elsewhere."""
-    square = np.square(sigma).sum(-1)[..., None, None]
-    safe = np.where(square > 0.0, square, 1.0)
-    switched = (2.0 * sigma[..., :, None] * sigma[..., None, :] / safe - np.eye(3)) / safe
-    return np.where(square > 1.0, switched, np.eye(3))
-
-
 def cross(v: Array) -> Array:
     """Matrix ``[v x] (..., 3, 3)``."""
     x, y, z = components(v)
@@ -203,35 +185,27 @@ def cross(v: Array) -> Array:
 
 
 def transport(p: Array, a: float = 1.0, b: float = 4.0) -> Array:
-    """Matrix ``(..., 3, 3)`` that carries deviations about the reference to the reference moved by ``p``, a = 1 or 0.
+    """Matrix ``(..., 3, 3)`` that carries deviations about the reference to the reference moved by ``p``; a is 1 or 0.
 
     The derivative of ``to_rodrigues(from_rodrigues(p + d) (x) from_rodrigues(p)^-1)`` with respect to d at 0.
-
-    Raises
-    ------
-    ValueError: for other parameters.
     """
     if a not in (0.0, 1.0):
         raise ValueError(f"a: expected 0 (Gibbs vector) or 1 (modified Rodrigues parameters), got {a!r}")
-    if a == 1.0:
-        s = p / b
-        square = np.square(s).sum(-1)[..., None, None]
-        B = (1.0 - square) * np.eye(3) + 2.0 * cross(s) + 2.0 * s[..., :, None] * s[..., None, :]
-        return np.asarray(B.mT / (1.0 + square) ** 2)
-    g = p / b
-    return np.asarray((np.eye(3) - cross(g)) / (1.0 + np.square(g).sum(-1))[..., None, None])
+    s = p / b
+    square = np.square(s).sum(-1)[..., None, None]
+    if a == 0.0:
+        return np.asarray((np.eye(3) - cross(s)) / (1.0 + square))
+    B = (1.0 - square) * np.eye(3) + 2.0 * cross(s) + 2.0 * s[..., :, None] * s[..., None, :]
+    return np.asarray(B.mT / (1.0 + square) ** 2)
 
 
 def attitude(a: float = 1.0, b: float = 4.0, *, transported: bool = False) -> Space:
     """Space of attitudes: points are quaternions ``(..., 4)``, tangents Rodrigues parameters ``(..., 3)`` in body axes.
 
-    The sign of a quaternion never matters. ``transported``: the covariance follows the reference after an update.
+    The sign of a quaternion never matters. A measurement, and the point of a belief, must be of norm 1 within 1e-6. ``a``, from 0
+    to 1, and ``b > 0`` are those of `to_rodrigues`. ``transported``: the covariance follows the reference after an update.
 
-    A measurement, and the point of a belief, must be of norm 1 within 1e-6.
-
-    Raises
-    ------
-    ValueError: unless ``0 <= a <= 1`` and ``b > 0``; from the space, for a quaternion that is not a unit one.
+    >>> motion = celnav.Motion(f, Q, space=attitude())
     """
     a, b = number("a", a, 0.0, 1.0), number("b", b, above=0.0)
 
@@ -253,13 +227,10 @@ def warn_of_wrapping(rule: Rule, sigma: float) -> None:
 
     Such a rule still runs; its covariance is then no longer that of the attitude.
     """
-    reach = float(np.abs(instance("rule", rule, Rule, "a Rule, such as celnav.unscented(3)").nodes).max()) * number(
-        "sigma", sigma, 0.0
-    )
-    if reach > np.pi:
-        text = (
-            f"sigma points reach {np.degrees(reach):.0f} deg from the mean, and wrap at 180: take a smaller spread (alpha, kappa)"
-        )
+    instance("rule", rule, Rule, "a Rule, such as celnav.unscented(3)")
+    reach = np.degrees(np.abs(rule.nodes).max() * number("sigma", sigma, 0.0))
+    if reach > 180.0:
+        text = f"sigma points reach {reach:.0f} deg from the mean, and wrap at 180: take a smaller spread (alpha, kappa)"
         warnings.warn(text, RuntimeWarning, stacklevel=3)
 
 

@@ -24,30 +24,30 @@ Shape = tuple[Any, ...]
 def numbers(name: str, value: Any, shape: Shape | None = None) -> Array:
     """``value`` as float64, which may be the same array; what is masked, and None among others, becomes nan.
 
-    Raises
-    ------
-    ValueError: naming it, for another `Shape`, or anything else than real numbers: dates and durations too, which would count in
-        a unit of their own.
+    ValueError names what is of another `Shape`, or no real numbers: dates and durations too, whose unit would be their own.
     """
-    found, kind = value if type(value) is np.ndarray and value.dtype == np.float64 else None, ""
-    if found is None and value is not None:
-        try:
-            if isinstance(value, list | tuple) and any(isinstance(part, np.ma.MaskedArray) for part in value):
-                value = np.ma.stack(value)
-            array = value if isinstance(value, np.ma.MaskedArray) else np.asarray(value)
-            kind = array.dtype.kind
-            if kind in "biuf" or (kind == "O" and not any(isinstance(part, str | bytes) for part in array.flat)):
-                found = np.ma.filled(array.astype(np.float64), np.nan)
-        except (TypeError, ValueError, OverflowError):
-            pass
-    if found is None:
-        hint = "dates or durations; seconds are (t - t[0]) / numpy.timedelta64(1, 's')"
-        missing = "; use nan for what is missing, a row of them for a row" if _has_none(value) else ""
-        raise ValueError(f"{name}: expected numbers, got {hint if kind and kind in 'mM' else f'{value!r:.80}{missing}'}")
-    if shape is not None and not _fits(np.shape(found), shape):
+    found: Array = value if type(value) is np.ndarray and value.dtype == np.float64 else _as_floats(name, value)
+    if shape is not None and not _fits(found.shape, shape):
         axes = ", ".join("..." if axis is ... else "any" if axis is None else str(axis) for axis in shape)
-        raise ValueError(f"{name}: expected shape ({axes}{',' * (len(shape) == 1)}), got {np.shape(found)}")
-    return np.asarray(found)
+        raise ValueError(f"{name}: expected shape ({axes}{',' * (len(shape) == 1)}), got {found.shape}")
+    return found
+
+
+def _as_floats(name: str, value: Any) -> Any:
+    kind = "none"
+    try:
+        if isinstance(value, list | tuple) and any(isinstance(part, np.ma.MaskedArray) for part in value):
+            value = np.ma.stack(value)
+        array = value if isinstance(value, np.ma.MaskedArray) else np.asarray(value)
+        kind = array.dtype.kind if value is not None else kind
+        if kind in "biuf" or (kind == "O" and not any(isinstance(part, str | bytes) for part in array.flat)):
+            return np.ma.filled(array.astype(np.float64), np.nan)
+    except (TypeError, ValueError, OverflowError):
+        pass
+    if kind in "mM":
+        raise ValueError(f"{name}: expected numbers, got dates or durations; seconds are (t - t[0]) / numpy.timedelta64(1, 's')")
+    missing = "; use nan for what is missing, a row of them for a row" if _has_none(value) else ""
+    raise ValueError(f"{name}: expected numbers, got {value!r:.80}{missing}")
 
 
 def _has_none(value: Any) -> bool:
@@ -66,12 +66,7 @@ def _fits(lengths: tuple[int, ...], shape: Shape) -> bool:
 
 
 def finite(name: str, value: Any, shape: Shape | None = None) -> Array:
-    """A float64 copy of ``value``.
-
-    Raises
-    ------
-    ValueError: naming it, if it is not numeric, not finite or not of a `Shape`.
-    """
+    """A float64 copy of ``value``; ValueError names it if some of it is not finite, or it is not of a `Shape`."""
     array = numbers(name, value, shape).copy()
     if not np.isfinite(array).all():
         raise ValueError(f"{name}: expected finite numbers, got {np.count_nonzero(~np.isfinite(array))} that are not")
@@ -79,12 +74,7 @@ def finite(name: str, value: Any, shape: Shape | None = None) -> Array:
 
 
 def unmasked(name: str, value: Any) -> Any:
-    """``value``, which a model gave.
-
-    Raises
-    ------
-    ValueError: naming the model, if some of it is masked: what is missing at one point has no mean, and no measurement lacks it.
-    """
+    """What a model gave; ValueError names the model if some of it is masked: what is missing at one point has no mean."""
     if isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value):
         raise ValueError(f"{name}: expected numbers, got masked ones; a component that was not measured is nan in z")
     return value
@@ -94,10 +84,10 @@ def number(name: str, value: Any, least: float = -inf, most: float = inf, *, abo
     """A finite number from ``least`` to ``most`` and between ``above`` and ``below``; ValueError names it if it is none."""
     try:
         found = float(finite(name, value, ()))
+        if least <= found <= most and above < found < below:
+            return found
     except ValueError:
-        found = inf
-    if isfinite(found) and least <= found <= most and above < found < below:
-        return found
+        pass
     bounds = {"of at least": least, "above": above, "of at most": most, "below": below}
     said = " and ".join(f"{word} {bound:g}" for word, bound in bounds.items() if isfinite(bound))
     expected = {"": "a finite number", "above 0": "a positive number"}.get(said, f"a number {said}")
@@ -188,12 +178,10 @@ def kind(value: Any) -> str:
 
 def takes(function: Any, count: int) -> bool:
     """Whether something can be called with so many arguments, as far as one can tell."""
-    if not callable(function):
-        return False
     try:
         signature(function).bind(*(None,) * count)
     except TypeError:
         return False
-    except ValueError:  # a function of C that does not say
-        return True
+    except ValueError:  # a function of C may not say
+        return callable(function)
     return True

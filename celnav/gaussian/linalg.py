@@ -203,21 +203,6 @@ def semidefinite_root(P: Array) -> Array:
     return np.where(indefinite[..., None, None], np.nan, root)
 
 
-def range_basis(A: Array, least: float) -> Array:
-    """Orthonormal columns ``(..., m, n)`` that span the range of tall matrices ``(..., m, n)``: ``Q @ Q.mT`` projects on it.
-
-    Directions in which A is not larger than ``least`` (a singular value) have a column of zeros; what is not finite gives nan.
-    """
-    Q, R = np.linalg.qr(A)
-    # Far from dependence QR will do. Near it a column without a direction of its own would lend an arbitrary one to the others.
-    lost = np.asarray(~np.isfinite(A).all((-2, -1)))
-    clear = lost | (np.abs(R.diagonal(0, -2, -1)).min(-1) > 1e3 * least)
-    if clear.all():
-        return np.asarray(Q)
-    U, s, _ = np.linalg.svd(np.where(lost[..., None, None], 0.0, A), full_matrices=False)
-    return np.where(clear[..., None, None], Q, np.where(s[..., None, :] > least, U, 0.0))
-
-
 def downdate(L: Array, V: Array) -> Array:
     """Lower root of ``L @ L.mT - V @ V.mT``, all columns of ``V (..., n, k)`` at once; nan exactly where that is indefinite.
 

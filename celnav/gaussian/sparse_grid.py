@@ -1,4 +1,4 @@
-"""Sparse grids: Smolyak rules of Gauss-Hermite rules, isotropic and anisotropic [Nobile, Tempone & Webster 2008].
+"""Sparse grids of Gauss-Hermite rules: isotropic, anisotropic [Nobile, Tempone & Webster 2008], or fitted to a function.
 
 A Smolyak rule adds up differences of one-dimensional rules over the multi-indices ``i`` with
 ``sum_j (i_j - 1) g_j <= (level - 1) min(g)``. Channels with a larger weight ``g_j`` get fewer points. Nothing is merged by
@@ -6,19 +6,23 @@ comparing coordinates: each point is enumerated once, as a choice of nodes in a 
 of a generating function. With ``d(v, l)`` the weight of node ``v`` in the rule of level ``l`` minus that of level ``l - 1``,
 
     W(p) = sum over k <= (level - 1) min(g) of [t^k] prod_j sum_l d(p_j, l) t^(g_j (l - 1)).
+
+`adapt` finds the multi-indices for one function instead.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from functools import lru_cache
-from itertools import chain, combinations, product
-from math import comb, gcd
+from collections.abc import Callable, Iterator, Sequence
+from functools import cache, lru_cache
+from itertools import combinations, permutations, product
+from math import factorial, gcd, perm, prod
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from celnav.gaussian.checks import integer, integers
+from celnav.gaussian import checks
+from celnav.gaussian.checks import finite, integer, integers, number
 from celnav.gaussian.linalg import Array
 from celnav.gaussian.rules import MAX_POINTS, Rule, few
 
@@ -26,9 +30,10 @@ ORDERS = (1, 3, 7, 15, 31, 63)
 """Points of the one-dimensional rules of level 1, 2, ...: a level more doubles the number and the degree."""
 DELAYED = (1, 3, 3, 7, 7, 7, 15)
 """Orders that rise only when the total degree of the isotropic rule asks for it: fewer points, nested in parts."""
-
 CANCELED = 1e-12
 """A merged weight is nothing if it is this small against the sum of its absolute terms."""
+Index = tuple[int, ...]
+"""Levels of the one-dimensional rules of each channel, from 0."""
 Polynomial = dict[int, float]
 """Coefficients by power."""
 
@@ -49,6 +54,7 @@ class _Pattern(NamedTuple):
     number: int
 
 
+# -- Smolyak rules -------------------------------------------------------------------------------------------------------
 def smolyak(n: int, level: int, weights: Sequence[int] | None = None, *, orders: Sequence[int] = ORDERS) -> Rule:
     """Smolyak rule of Gauss-Hermite rules in ``n`` dimensions.
 
@@ -66,14 +72,15 @@ def smolyak(n: int, level: int, weights: Sequence[int] | None = None, *, orders:
 
     Raises
     ------
-    ValueError: for a bad argument, a level beyond the orders, or more than `MAX_POINTS` points (before they are made).
+    ValueError: for a level beyond the orders, or more than `MAX_POINTS` points (before they are made).
+
+    >>> filter = celnav.sigma_point(motion, sensor, rule=celnav.smolyak(6, 3, [1, 1, 1, 2, 2, 2]))
     """
-    grid = _checked(n, level, weights, orders)
-    return _rule(*grid)
+    return _rule(*_checked(n, level, weights, orders))
 
 
 def point_count(n: int, level: int, weights: Sequence[int] | None = None, *, orders: Sequence[int] = ORDERS) -> int:
-    """Number of points of `smolyak` (same arguments and errors, any number), without making them."""
+    """Number of points of `smolyak` (same arguments, any number), without making them."""
     return sum(p.number for p in _patterns(*_checked(n, level, weights, orders)[1:])[1] if p.weight)
 
 
@@ -82,10 +89,6 @@ def integrates(powers: Sequence[int], level: int, weights: Sequence[int] | None 
 
     Exact if and only if a power is odd or ``sum_j (l_j - 1) g_j <= (level - 1) min(g)``, where ``l_j`` is the lowest level
     whose rule is exact for ``x^powers[j]``. (That it is exact then follows since the sum of differences telescopes.)
-
-    Raises
-    ------
-    ValueError: for powers that are not integers of at least 0; otherwise as `smolyak`.
     """
     numbers = integers("powers", powers)
     if not numbers:
@@ -97,29 +100,24 @@ def integrates(powers: Sequence[int], level: int, weights: Sequence[int] | None 
     return max(lowest) < depth and sum(k * c for k, c in zip(lowest, g, strict=True)) <= (depth - 1) * min(g)
 
 
-def checked_orders(orders: object) -> tuple[int, ...]:
-    """Numbers of points of the one-dimensional rules, level by level; ValueError if they are none."""
+def _orders(orders: object) -> tuple[int, ...]:
     sizes = integers("orders", orders, 1, 100)
     if sizes[:1] != (1,):
         raise ValueError(f"orders: expected numbers of points, the first 1, got {orders!r:.80}")
     return sizes
 
 
-def _checked(n: object, level: object, weights: object, orders: Sequence[int]) -> tuple[int, int, tuple[int, ...], tuple[int, ...]]:
-    dimension, sizes = integer("n", n, 1, MAX_POINTS), checked_orders(orders)
+def _checked(n: object, level: object, weights: object, orders: object) -> tuple[int, int, tuple[int, ...], tuple[int, ...]]:
+    dimension, sizes = integer("n", n, 1, MAX_POINTS), _orders(orders)
     depth = integer("level", level, 1, len(sizes))
     g = (1,) * dimension if weights is None else integers("weights", weights, 1, count=dimension)
     common = gcd(*g)
     return dimension, depth, tuple(w // common for w in g), sizes[:depth]
 
 
-def univariate(order: int) -> tuple[Array, Array]:
-    """Gauss-Hermite nodes ``x > 0``, ascending, and weights ``(order // 2 + 1,)``, that of the node 0 (or 0) first."""
-    return _univariate(integer("order", order, 1, 100))
-
-
 @lru_cache(maxsize=64)
 def _univariate(order: int) -> tuple[Array, Array]:
+    """Gauss-Hermite nodes ``x > 0``, ascending, and weights ``(order // 2 + 1,)``, that of the node 0 (or 0) first."""
     x, w = np.polynomial.hermite_e.hermegauss(order)
     w = w / w.sum()
     half = order // 2
@@ -132,13 +130,11 @@ def _nodes(sizes: Sequence[int]) -> tuple[Polynomial, list[_Node]]:
     center: Polynomial = {}
     found: dict[tuple[int, int], _Node] = {}
     for level, size in enumerate(sizes):
-        x, w = univariate(size)
-        _add(center, level, float(w[0]))
-        _add(center, level + 1, -float(w[0]))
-        for i in range(len(x)):
-            node = found.setdefault((size, i), _Node(level, float(x[i]), {}))
-            _add(node.series, level, float(w[i + 1]))
-            _add(node.series, level + 1, -float(w[i + 1]))
+        x, w = _univariate(size)
+        nodes = [found.setdefault((size, i), _Node(level, value, {})) for i, value in enumerate(x.tolist())]
+        for series, weight in zip((center, *(node.series for node in nodes)), w.tolist(), strict=True):
+            _add(series, level, weight)
+            _add(series, level + 1, -weight)
     return center, list(found.values())
 
 
@@ -167,41 +163,35 @@ def _power(series: Polynomial, exponent: int, limit: int) -> Polynomial:
 
 @lru_cache(maxsize=256)
 def _patterns(level: int, g: tuple[int, ...], sizes: tuple[int, ...]) -> tuple[tuple[float, ...], tuple[_Pattern, ...]]:
-    """Values of the nodes, and the patterns whose weight does not cancel, the center first."""
+    """Values of the nodes, and the patterns whose weight does not cancel, the center first. A class is channels of one weight."""
     budget = (level - 1) * min(g)
     center, nodes = _nodes(sizes)
-    classes = sorted(set(g))
-    sizes_of = [g.count(c) for c in classes]
-    per_class = [list(_multisets(nodes, budget // c, most)) for c, most in zip(classes, sizes_of, strict=True)]
+    classes = [(c, g.count(c)) for c in sorted(set(g))]
 
-    def series(power: int, chosen: tuple[int, ...], idle: int, absolute: bool) -> Polynomial:
-        """Generating function of a class whose channels ``chosen`` are active."""
-
-        def scaled(s: Polynomial) -> Polynomial:
-            return {power * k: abs(v) if absolute else v for k, v in s.items() if power * k <= budget}
-
-        out = _power(scaled(center), idle, budget)
-        for i in chosen:
-            out = _times(out, scaled(nodes[i].series), budget)
-        return out
+    def weight(choice: tuple[tuple[int, ...], ...], of: Callable[[float], float]) -> float:
+        """Weight of the points with these nodes in each class, of coefficients as they are or absolute."""
+        total: Polynomial = {0: 1.0}
+        for (c, count), chosen in zip(classes, choice, strict=True):
+            idle, *active = (
+                {c * k: of(v) for k, v in series.items() if c * k <= budget}
+                for series in (center, *(nodes[i].series for i in chosen))
+            )
+            own = _power(idle, count - len(chosen), budget)
+            for series in active:
+                own = _times(own, series, budget)
+            total = _times(total, own, budget)
+        return sum(total.values())
 
     found = []
-    for choice in product(*per_class):
-        if sum(c * cost for c, (cost, _) in zip(classes, choice, strict=True)) > budget:
+    for picked in product(*(list(_multisets(nodes, budget // c, count)) for c, count in classes)):
+        if sum(c * cost for (c, _), (cost, _) in zip(classes, picked, strict=True)) > budget:
             continue
-        count = 1
-        total: dict[bool, Polynomial] = {False: {0: 1.0}, True: {0: 1.0}}
-        for c, size, (_, chosen) in zip(classes, sizes_of, choice, strict=True):
-            for absolute, so_far in total.items():
-                total[absolute] = _times(so_far, series(c, chosen, size - len(chosen), absolute), budget)
-            left = size
-            for i in sorted(set(chosen)):
-                count *= comb(left, chosen.count(i)) * 2 ** chosen.count(i)
-                left -= chosen.count(i)
-        weight, scale = sum(total[False].values()), sum(total[True].values())
-        canceled = abs(weight) <= CANCELED * scale
-        if not canceled or not any(chosen for _, chosen in choice):  # a rule has its center first, be its weight 0
-            found.append(_Pattern(tuple(chosen for _, chosen in choice), 0.0 if canceled else weight, count))
+        choice = tuple(chosen for _, chosen in picked)
+        own = weight(choice, float)
+        canceled = abs(own) <= CANCELED * weight(choice, abs)
+        if not canceled or not any(choice):  # a rule has its center first, be its weight 0
+            number = prod(_ways(count, chosen) for (_, count), chosen in zip(classes, choice, strict=True))
+            found.append(_Pattern(choice, 0.0 if canceled else own, number))
     found.sort(key=lambda p: sum(map(len, p.nodes)))
     return tuple(node.value for node in nodes), tuple(found)
 
@@ -217,50 +207,152 @@ def _multisets(nodes: Sequence[_Node], budget: int, most: int, first: int = 0) -
                 yield cost + nodes[i].level, (i, *rest)
 
 
+def _ways(count: int, chosen: tuple[int, ...]) -> int:
+    """Ways to give nodes, and a sign to each, to different ones of ``count`` channels."""
+    alike, signs = prod(factorial(chosen.count(i)) for i in set(chosen)), 1 << len(chosen)
+    return perm(count, len(chosen)) // alike * signs
+
+
 @lru_cache(maxsize=32)
 def _rule(n: int, level: int, g: tuple[int, ...], sizes: tuple[int, ...]) -> Rule:
     values, patterns = _patterns(level, g, sizes)
     total = sum(p.number for p in patterns)
     few("level", total, n)
-    channels = [np.flatnonzero(np.array(g) == c) for c in sorted(set(g))]
-    points, weights = np.zeros((total, n)), np.empty(total)
+    channels = [[j for j in range(n) if g[j] == c] for c in sorted(set(g))]
+    points, weights = np.zeros((total, n)), np.repeat([p.weight for p in patterns], [p.number for p in patterns])
     row = 0
     for pattern in patterns:
-        where, which = _placements(channels, pattern.nodes)
-        active = where.shape[1]
+        each = [
+            [(where, which) for where in combinations(members, len(chosen)) for which in sorted(set(permutations(chosen)))]
+            for members, chosen in zip(channels, pattern.nodes, strict=True)
+        ]
+        placed = np.array([[sum(part, ()) for part in zip(*way, strict=True)] for way in product(*each)], dtype=int)
+        active = placed.shape[-1]
         signs = np.array(list(product((1.0, -1.0), repeat=active))).reshape(2**active, active)
-        rows = row + np.arange(pattern.number).reshape(len(where), len(signs))
-        points[rows[..., None], where[:, None, :]] = signs * np.array(values)[which][:, None, :]
-        weights[row : row + pattern.number] = pattern.weight
+        rows = row + np.arange(pattern.number).reshape(len(placed), len(signs))
+        points[rows[..., None], placed[:, :1]] = signs * np.array(values)[placed[:, 1:]]
         row += pattern.number
     return Rule(points, weights)
 
 
-def _placements(channels: Sequence[Array], nodes: Sequence[tuple[int, ...]]) -> tuple[Array, Array]:
-    """Every way to give the nodes of each class to channels of that class: channels and nodes, both ``(ways, active)``."""
-    where, which = np.zeros((1, 0), int), np.zeros((1, 0), int)
-    for members, chosen in zip(channels, nodes, strict=True):
-        if not chosen:
-            continue
-        k = len(chosen)
-        flat = np.fromiter(chain.from_iterable(combinations(range(len(members)), k)), int)
-        subsets = members[flat.reshape(-1, k)]
-        arrangements = np.array(list(_arrangements(chosen)))
-        own_where = np.repeat(subsets, len(arrangements), 0)
-        own_which = np.tile(arrangements, (len(subsets), 1))
-        where, which = (
-            np.concatenate([np.repeat(a, len(b), 0), np.tile(b, (len(a), 1))], 1)
-            for a, b in ((where, own_where), (which, own_which))
-        )
-    return where, which
+# -- fitted to a function ------------------------------------------------------------------------------------------------
+class Adapted(NamedTuple):
+    """A rule fitted to a function: its multi-indices (from 0) with their coefficients, and what each index contributed."""
+
+    rule: Rule
+    coefficients: dict[Index, int]
+    contributions: dict[Index, float]
 
 
-def _arrangements(chosen: tuple[int, ...]) -> Iterator[tuple[int, ...]]:
-    """Distinct orders of a multiset."""
-    if len(chosen) < 2:
-        yield chosen
-        return
-    for i, first in enumerate(chosen):
-        if first not in chosen[:i]:
-            for rest in _arrangements(chosen[:i] + chosen[i + 1 :]):
-                yield (first, *rest)
+def adapt(
+    function: Callable[[Array], Array],
+    mean: ArrayLike,
+    root: ArrayLike,
+    *,
+    tolerance: float = 1e-3,
+    most: int = 200,
+    orders: Sequence[int] = ORDERS,
+) -> Adapted:
+    """Dimension-adaptive sparse grid for the mean and covariance of a function of a Gaussian [Gerstner & Griebel 2003].
+
+    It starts from level 2 and adds, again and again, the index that contributes most to the two moments (relative to the
+    standard deviations there), until none that is next to those it has contributes more than ``tolerance``. An index that
+    contributes nothing by itself hides those behind it.
+
+    Parameters
+    ----------
+    function: ``(p, n) -> (p, m)``. mean: ``(n,)``. root: ``(n, n)``, lower. most: indices at the most.
+
+    Raises
+    ------
+    ValueError: if the function is not finite at a point, or ``most`` indices do not reach the tolerance.
+    """
+    checks.function("function", function, "(points)")
+    x, orders = finite("mean", mean, ("n",)), _orders(orders)
+    n = len(x)
+    L, most = finite("root", root, (n, n)), integer("most", most)
+    number("tolerance", tolerance, 0.0)
+    center = finite("function", function(x[None]), (1, "m"))[0]
+    m = len(center)
+
+    @cache
+    def moments(index: Index) -> tuple[Array, Array]:
+        """First and second moment of the function about the image of the center, by a tensor rule."""
+        nodes, weights = _tensor(index, orders)
+        d = finite("function", function(x + nodes @ L.T), (len(nodes), m)) - center
+        return weights @ d, d.T @ (weights[:, None] * d)
+
+    def difference(index: Index) -> tuple[Array, Array]:
+        """What an index adds to both moments."""
+        first, second = np.zeros(m), np.zeros((m, m))
+        for own, sign in _differences(index):
+            a, b = moments(own)
+            first, second = first + sign * a, second + sign * b
+        return first, second
+
+    origin = (0,) * n
+    accepted = {origin, *(_up(origin, j) for j in range(n))}
+    parts = {index: difference(index) for index in accepted}
+    mean_y, second_y = (sum(p[i] for p in parts.values()) for i in (0, 1))
+    std = np.sqrt(np.maximum((second_y - np.outer(mean_y, mean_y)).diagonal(), 0.0))
+    scale = np.where(std > 0.0, std, 1.0)
+
+    def size(part: tuple[Array, Array]) -> float:
+        return float(max(np.abs(part[0] / scale).max(), np.abs(part[1] / np.outer(scale, scale)).max()))
+
+    contributions = {index: size(part) for index, part in parts.items()}
+    border: dict[Index, float] = {}
+    newest = list(accepted)
+    while True:
+        for up in (_up(index, j) for index in newest for j in range(n) if index[j] + 1 < len(orders)):
+            below = all(_up(up, i, -1) in accepted for i in range(n) if up[i])
+            if below and up not in accepted and up not in border:
+                border[up] = size(difference(up))
+        best = max(border, key=lambda i: border[i], default=None)
+        if best is None or border[best] <= tolerance:
+            break
+        if len(accepted) >= most:
+            raise ValueError(f"most: {most} indices do not reach the tolerance of {tolerance:g} ({border[best]:.3g} left)")
+        contributions[best] = border.pop(best)
+        accepted.add(best)
+        newest = [best]
+    coefficients = dict.fromkeys(accepted, 0)
+    for own, sign in (part for index in accepted for part in _differences(index)):
+        coefficients[own] += sign
+    coefficients = {index: c for index, c in coefficients.items() if c}
+    return Adapted(_combined(coefficients, orders), coefficients, contributions)
+
+
+def _up(index: Index, j: int, by: int = 1) -> Index:
+    return (*index[:j], index[j] + by, *index[j + 1 :])
+
+
+def _differences(index: Index) -> Iterator[tuple[Index, int]]:
+    """The tensor rules whose signed sum is the product of the differences between each channel's level and the one below it."""
+    for own in product(*((level, level - 1) if level else (0,) for level in index)):
+        yield own, (-1) ** (sum(index) - sum(own))
+
+
+@lru_cache(maxsize=4096)
+def _tensor(index: Index, orders: tuple[int, ...]) -> tuple[Array, Array]:
+    """Nodes ``(p, n)`` and weights ``(p,)`` of the tensor product of the rules of these levels."""
+    nodes, weights = [], []
+    for order in (orders[level] for level in index):
+        x, w = _univariate(order)
+        odd = order % 2
+        nodes.append([*-x, *[0.0] * odd, *x])
+        weights.append([*w[1:], *w[:odd], *w[1:]])
+    return np.array(list(product(*nodes))), np.array([prod(w) for w in product(*weights)])
+
+
+def _combined(coefficients: dict[Index, int], orders: tuple[int, ...]) -> Rule:
+    """Rule of a combination of tensor rules. Only points whose nodes are of the same rules, or 0, are equal: bit for bit."""
+    merged = {(0.0,) * len(next(iter(coefficients))): (0.0, 0.0)}
+    for index, c in coefficients.items():
+        nodes, weights = _tensor(index, orders)
+        for point, term in zip(map(tuple, nodes.tolist()), (c * weights).tolist(), strict=True):
+            value, scale = merged.get(point, (0.0, 0.0))
+            merged[point] = value + term, scale + abs(term)
+    left = {point: value if abs(value) > CANCELED * scale else 0.0 for point, (value, scale) in merged.items()}
+    kept = {point: value for point, value in left.items() if value or not any(point)}
+    return Rule(list(kept), list(kept.values()))

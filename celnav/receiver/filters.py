@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from celnav.filters.adaptive import gate, huber, innovation_window, sage_husa, student_t
+from celnav.filters.adaptive import channel_parity, gate, group_parity, huber, innovation_window, sage_husa, student_t
 from celnav.filters.joint import Hook
 from celnav.filters.model import Linear, Motion, Sensor
-from celnav.filters.parity import channel_parity, group_parity
 from celnav.filters.records import Epoch, Filter
 from celnav.filters.sequential import ekf, ukf
 from celnav.gaussian.linalg import Array

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 import celnav
-from celnav.filters.adaptive import gate, huber, innovation_window, sage_husa, student_t
+from celnav.filters.adaptive import channel_parity, gate, group_parity, huber, innovation_window, sage_husa, student_t
 from celnav.filters.least_squares import least_squares
-from celnav.filters.parity import channel_parity, group_parity
 from celnav.filters.run import explain
 from celnav.gaussian.linalg import Covariance
 

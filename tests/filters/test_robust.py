@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from celnav import Gaussian, Motion, Sensor, epochs, run, sigma_point
-from celnav.filters.adaptive import huber, sage_husa, student_t
-from celnav.filters.parity import channel_parity, group_parity
+from celnav.filters.adaptive import channel_parity, group_parity, huber, sage_husa, student_t
 from celnav.gaussian.rules import Taylor, cubature, unscented
 
 A = np.array([[1.0, 0.2], [-0.1, 0.9]])

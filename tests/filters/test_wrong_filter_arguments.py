@@ -8,11 +8,20 @@ import numpy as np
 import pytest
 
 import celnav
-from celnav.filters.adaptive import chi_square_gate, consider, gate, huber, innovation_window, sage_husa, student_t
+from celnav.filters.adaptive import (
+    channel_parity,
+    chi_square_gate,
+    consider,
+    gate,
+    group_parity,
+    huber,
+    innovation_window,
+    sage_husa,
+    student_t,
+)
 from celnav.filters.differenced import Differenced, ar1_noise
 from celnav.filters.fallback import Fallback
 from celnav.filters.least_squares import least_squares
-from celnav.filters.parity import channel_parity, group_parity
 from celnav.filters.sequential import Iterated, SingleDraw
 from celnav.filters.strong_tracking import excess, strong_tracking
 from celnav.filters.two_stage import Plain, TwoStage

@@ -115,21 +115,6 @@ def test_transport_is_the_derivative(a, b):
     np.testing.assert_allclose(at.transport(p, a, b), np.stack(columns, -1), atol=1e-9)
 
 
-def test_the_shadow_set_is_the_same_attitude_within_the_unit_ball():
-    sigma = RNG.standard_normal((100, 3))
-    switched = at.shadow(sigma)
-    assert (np.linalg.norm(switched, axis=-1) <= 1.0 + 1e-15).all()
-    whole = [at.matrix(at.from_rodrigues(s, 1.0, 1.0)) for s in (sigma, switched)]
-    np.testing.assert_allclose(whole[0], whole[1], atol=1e-13)
-    s, h = np.array([0.9, -0.7, 0.6]), 1e-6
-    columns = [(at.shadow(s + h * e) - at.shadow(s - h * e)) / (2 * h) for e in np.eye(3)]
-    np.testing.assert_allclose(at.shadow_jacobian(s), np.stack(columns, -1), atol=1e-9)
-    np.testing.assert_array_equal(at.shadow_jacobian(0.1 * s), np.eye(3))
-    P = np.diag([1.0, 2.0, 3.0])
-    mapped = at.shadow_jacobian(s) @ P @ at.shadow_jacobian(s).T
-    assert np.linalg.eigvalsh(mapped).min() > 0.0
-
-
 def test_the_norm_does_not_drift():
     space, q, step = at.attitude(), quaternions(3), np.array([0.01, -0.02, 0.03])
     for _ in range(100_000):

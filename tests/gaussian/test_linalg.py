@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from celnav.filters.adaptive import range_basis
 from celnav.gaussian.linalg import (
     block,
     cholesky,
     downdate,
     matvec,
-    range_basis,
     semidefinite_root,
     solve_lower,
     solve_upper_transposed,

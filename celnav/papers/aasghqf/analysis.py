@@ -13,11 +13,10 @@ from scipy.linalg import sqrtm
 from celnav.analysis import observability
 from celnav.filters.records import Epoch
 from celnav.filters.run import run
-from celnav.gaussian.adaptive_grid import Adapted, adapt
 from celnav.gaussian.linalg import Array
 from celnav.gaussian.rules import Rule, gauss_hermite
 from celnav.gaussian.spaces import EUCLIDEAN
-from celnav.gaussian.sparse_grid import smolyak
+from celnav.gaussian.sparse_grid import Adapted, adapt, smolyak
 from celnav.models import inertial
 from celnav.papers.aasghqf.config import MICRO_G, Config, meters_per_radian
 from celnav.papers.aasghqf.scenario import BORESIGHTS, Inputs, filters, measurement, rules, simulate
