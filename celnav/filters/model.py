@@ -67,10 +67,6 @@ class Motion:
     jacobian: ``(mean, epoch) -> (..., n, n)``, which an extended filter uses instead of differences.
     augment: roots ``(k, k)`` of noises that go *through* the points: ``f(x, epoch, *noise)``.
 
-    Raises
-    ------
-    ValueError: naming the argument that cannot be.
-
     >>> motion = celnav.Motion(lambda x, epoch: orbit.step(x, epoch.dt), Q=1e-8 * np.eye(6))
     """
 
@@ -107,10 +103,6 @@ class Sensor:
     space: what a difference of measurements is, where they are no vectors: ``celnav.angles([1])`` wraps component 1.
     jacobian: ``(mean, epoch) -> (..., m, n)``, which an extended filter uses instead of differences.
     augment: roots ``(k, k)`` of noises that go *through* the points, ``h(x, epoch, *noise)``; these may be all the noise there is.
-
-    Raises
-    ------
-    ValueError: naming the argument that cannot be.
 
     >>> gps = celnav.Sensor(np.eye(3, 6), R=0.04 * np.eye(3))
     """

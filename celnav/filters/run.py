@@ -48,10 +48,6 @@ def run(
     on_failure: "raise" a `FilterError` for the first run that is lost, or "flag" it: it becomes nan from there
         (``Track.failed_at``), the other runs go on.
 
-    Raises
-    ------
-    ValueError: for a bad option, measurement or time. FilterError: see ``on_failure``.
-
     >>> track = celnav.run(celnav.ukf(motion, gps), celnav.Gaussian(x0, P0), times, z)
     """
     stored = integer("every", every)

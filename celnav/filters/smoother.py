@@ -44,10 +44,6 @@ def smooth(track: Track, filter: Any = None, *, gains: bool = False, on_failure:
     An epoch with ``dt == 0`` shares its state with the one before. Directions of the predicted state that are known (a
     singular covariance) carry nothing back.
 
-    Raises
-    ------
-    ValueError: for a track without covariances, or of a filter that cannot be smoothed. FilterError: see ``on_failure``.
-
     >>> smoothed = celnav.smooth(celnav.run(filter, prior, times, z, keep="cov"))
     """
     if not isinstance(track, Track):

@@ -169,10 +169,6 @@ def two_stage(
     A filter whose belief is about state and bias, ``(..., n + p)``. The prior is about the state alone. Innovations, NIS and
     likelihood are those of both stages, what the augmented filter would have; gain and Jacobian are of the first.
 
-    Raises
-    ------
-    ValueError: naming the argument that cannot be.
-
     >>> filter = celnav.two_stage(motion, sensor, np.eye(3), celnav.Gaussian(np.zeros(3), np.eye(3)))
     """
     return TwoStage.of(Plain(sigma_point(motion, sensor, rule=rule, **options)), Gamma, bias, Qb=Qb, boost=boost)

@@ -99,12 +99,7 @@ def any_lost(belief: Belief) -> bool:
 
 
 def symmetric(cov: ArrayLike, name: str, n: int | None = None) -> tuple[Array, Array]:
-    """A checked covariance, symmetrized at round-off, and its lower root.
-
-    Raises
-    ------
-    ValueError: naming ``name``, if it is not finite, not ``(..., n, n)``, not symmetric or not positive semidefinite.
-    """
+    """A covariance, symmetrized at round-off, and its lower root; ValueError names it if it is none."""
     P = finite(name, cov)
     expected = "symmetric positive semidefinite" + (f" ({n}, {n})" if n is not None else "")
     if P.ndim < 2 or P.shape[-1] != P.shape[-2] or (n is not None and P.shape[-1] != n):

@@ -53,10 +53,6 @@ class Rule:
     Attributes
     ----------
     nodes, wm, wc: as given, read-only. n: the dimension. sign: ``(q,)``, -1 for columns of negative weight, else 1.
-
-    Raises
-    ------
-    ValueError: if a shape is wrong, a number not finite, or the moments above do not hold.
     """
 
     def __init__(self, nodes: ArrayLike, wm: ArrayLike, wc: ArrayLike | None = None):
@@ -94,12 +90,7 @@ class Rule:
 
     # -- what filters ask ----------------------------------------------------------------------------------------------
     def points(self, mean: Array, root: Array, space: Space = EUCLIDEAN, augment: Sequence[Array] = ()) -> list[Array]:
-        """Points ``(p, ..., N)`` of ``N(mean, root @ root.mT)``, and ``(p, ..., k)`` of each noise whose root is in ``augment``.
-
-        Raises
-        ------
-        ValueError: unless this is a rule of so many dimensions, with points in each.
-        """
+        """Points ``(p, ..., N)`` of ``N(mean, root @ root.mT)``, and ``(p, ..., k)`` of each noise whose root is in ``augment``."""
         first, batch = root.shape[-1], max(mean.ndim - 1, root.ndim - 2)
         total = first if not augment else first + sum(E.shape[-1] for E in augment)
         if total != self.n:
@@ -268,10 +259,6 @@ def unscented(n: int, alpha: float = 1.0, beta: float = 0.0, kappa: float = 0.0)
 
     With the defaults the center has no weight, and the rule is ``cubature(n)``, that of the cubature Kalman filter. The customary
     ``kappa = 3 - n`` matches fourth moments on the axes; a small ``alpha`` with ``beta = 2`` keeps the points near the mean.
-
-    Raises
-    ------
-    ValueError: for ``n < 1``, ``alpha <= 0``, ``n + kappa <= 0`` or a number that is not finite.
     """
     n = integer("n", n)
     few("n", 2 * n + 1, n)
@@ -285,12 +272,7 @@ def unscented(n: int, alpha: float = 1.0, beta: float = 0.0, kappa: float = 0.0)
 
 
 def simplex(n: int) -> Rule:
-    """Spherical simplex: ``n + 1`` points of equal weight, the fewest that a covariance needs [Moireau & Chapelle 2011].
-
-    Raises
-    ------
-    ValueError: for ``n < 1``.
-    """
+    """Spherical simplex: ``n + 1`` points of equal weight, the fewest that a covariance needs [Moireau & Chapelle 2011]."""
     n = integer("n", n)
     few("n", n + 1, n)
     d = np.arange(1, n + 1)
@@ -304,10 +286,6 @@ def cubature(n: int, degree: int = 3) -> Rule:
     """Spherical-radial cubature rule: degree 3 with ``2n`` points, degree 5 with ``2n^2 + 1`` [Jia, Xin & Cheng 2013].
 
     The degree-3 rule is ``unscented(n)`` with its defaults. The degree-5 rule has ``2n`` negative weights for ``n > 4``.
-
-    Raises
-    ------
-    ValueError: for ``n < 1`` or another degree.
     """
     n = integer("n", n)
     degree = choice("degree", degree, (3, 5))
@@ -326,12 +304,7 @@ def cubature(n: int, degree: int = 3) -> Rule:
 
 
 def gauss_hermite(n: int, order: int = 3) -> Rule:
-    """Tensor product of Gauss-Hermite rules of ``order`` points, ``order ** n`` in all (odd orders have a center).
-
-    Raises
-    ------
-    ValueError: for ``n < 1``, ``order < 2`` or more than `MAX_POINTS` points, before anything is allocated.
-    """
+    """Tensor product of Gauss-Hermite rules of ``order`` points, ``order ** n`` in all (odd orders have a center), at most `MAX_POINTS`."""
     n, size = integer("n", n), integer("order", order, 2, 100)
     if (count := size ** min(n, 20)) > MAX_POINTS:  # 2**20 are too many already, 2**1000000000 has 300 million digits
         many = f"order: {size}**{n} = {count}" if n <= 20 else f"n: {size}**{n}"
@@ -348,11 +321,7 @@ def tensor_product(*rules: Rule) -> Rule:
 
     For a model that is nonlinear in the first k states only and, given these, linear in the other n - k, the product
     ``tensor_product(gauss_hermite(k, m), simplex(n - k))`` has ``m**k (n - k + 1)`` points and gives exactly what the full
-    tensor rule of ``m**n`` points gives (the marginalized rule; with lower roots and the nonlinear states first).
-
-    Raises
-    ------
-    ValueError: for more than `MAX_POINTS` points, before anything is allocated.
+    tensor rule of ``m**n`` points gives (the marginalized rule; with lower roots and the nonlinear states first). At most `MAX_POINTS`.
     """
     for rule in rules:
         instance("rules", rule, Rule, "a Rule, such as celnav.unscented(2)")
@@ -371,12 +340,7 @@ def tensor_product(*rules: Rule) -> Rule:
 
 
 def from_filterpy(points: Any) -> Rule:
-    """Rule of a filterpy sigma-point object (Merwe, Julier, Simplex, or any of that interface).
-
-    Raises
-    ------
-    ValueError: if its weights do not have the moments that a `Rule` needs, or it is no such object.
-    """
+    """Rule of a filterpy sigma-point object (Merwe, Julier, Simplex, or any of that interface)."""
     if isinstance(points, type) or not all(hasattr(points, name) for name in ("n", "sigma_points", "Wm", "Wc")):
         raise ValueError(f"points: expected a filterpy sigma-point object, such as MerweScaledSigmaPoints(...), got {points!r:.80}")
     nodes = points.sigma_points(np.zeros(points.n), np.eye(points.n))

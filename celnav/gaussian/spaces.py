@@ -47,12 +47,7 @@ def wrap(angle: Any) -> Any:
 
 
 def angles(components: Iterable[int] | None = None) -> Space:
-    """Vectors of which some ``components`` (None: all) are angles in radians, wrapped to ``[-pi, pi)``.
-
-    Raises
-    ------
-    ValueError: unless components are places from 0 on; from the space, for a vector that does not have them all.
-    """
+    """Vectors of which some ``components`` (None: all) are angles in radians, wrapped to ``[-pi, pi)``."""
     places = None if components is None else integers("components", sequence("components", components, "[0]"))
     return Space(partial(_sum, places), partial(_difference, places))
 
@@ -80,11 +75,6 @@ def product(*factors: tuple[Space, int, int]) -> Space:
     """Product of spaces, each given as ``(space, N, n)``: the lengths of its points and of its tangents.
 
     ``product((attitude(), 4, 3), (EUCLIDEAN, 3, 3))`` is a quaternion and three numbers: points of 7, tangents of 6.
-
-    Raises
-    ------
-    ValueError: for factors that are no such triples, or a space with its own mean; from the space, for points or tangents of
-        another length.
     """
     if not all(isinstance(factor, tuple | list) and len(factor) == 3 and isinstance(factor[0], Space) for factor in factors):
         raise ValueError("factors: expected triples (space, length of its points, length of its tangents)")
