@@ -304,7 +304,7 @@ def cubature(n: int, degree: int = 3) -> Rule:
 
 
 def gauss_hermite(n: int, order: int = 3) -> Rule:
-    """Tensor product of Gauss-Hermite rules of ``order`` points, ``order ** n`` in all (odd orders have a center), at most `MAX_POINTS`."""
+    """Tensor product of Gauss-Hermite rules of ``order`` points: ``order ** n``, at most `MAX_POINTS`; odd orders have a center."""
     n, size = integer("n", n), integer("order", order, 2, 100)
     if (count := size ** min(n, 20)) > MAX_POINTS:  # 2**20 are too many already, 2**1000000000 has 300 million digits
         many = f"order: {size}**{n} = {count}" if n <= 20 else f"n: {size}**{n}"
@@ -321,7 +321,7 @@ def tensor_product(*rules: Rule) -> Rule:
 
     For a model that is nonlinear in the first k states only and, given these, linear in the other n - k, the product
     ``tensor_product(gauss_hermite(k, m), simplex(n - k))`` has ``m**k (n - k + 1)`` points and gives exactly what the full
-    tensor rule of ``m**n`` points gives (the marginalized rule; with lower roots and the nonlinear states first). At most `MAX_POINTS`.
+    tensor rule of ``m**n`` points gives (the marginalized rule; with lower roots and the nonlinear states first).
     """
     for rule in rules:
         instance("rules", rule, Rule, "a Rule, such as celnav.unscented(2)")
