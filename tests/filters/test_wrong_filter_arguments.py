@@ -9,15 +9,14 @@ import pytest
 
 import celnav
 from celnav.filters.adaptive import chi_square_gate, consider, gate, huber, innovation_window, sage_husa, student_t
-from celnav.filters.differenced import Differenced, ar1_noise
 from celnav.filters.fallback import Fallback
 from celnav.filters.least_squares import least_squares
 from celnav.filters.parity import channel_parity, group_parity
 from celnav.filters.sequential import Iterated, SingleDraw
-from celnav.filters.strong_tracking import excess, strong_tracking
 from celnav.filters.two_stage import Plain, TwoStage
 from celnav.gaussian.belief import Covariance
 from celnav.gaussian.spaces import EUCLIDEAN
+from celnav.papers.tstdkf.method import Differenced, ar1_noise, excess, strong_tracking
 
 EYE = np.eye(2)
 PRIOR = celnav.Gaussian(np.zeros(2), EYE)

@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from celnav.filters.differenced import Noise, ar1_noise
 from celnav.filters.records import Epoch
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array, matvec
@@ -20,6 +19,7 @@ from celnav.models import third_body
 from celnav.models.ephemeris import GM, de421
 from celnav.models.variational import NODES, Extra, advance, flow
 from celnav.papers.tstdkf.config import Config
+from celnav.papers.tstdkf.method import Noise, ar1_noise
 from celnav.study.montecarlo import normals
 
 PULLING = ("sun", "moon")
