@@ -16,7 +16,7 @@ import rerun as rr
 import celnav
 from celnav.analysis import bounds, metrics, observability
 from celnav.gaussian import attitude, rules, spaces
-from celnav.models import ephemeris, gyro, noise, orbit, pulsar, rigid_body, sightings, time, trajectory
+from celnav.models import earth, ephemeris, gyro, noise, orbit, pulsar, rigid_body, sightings, time
 from celnav.show import recording, views
 from celnav.study import compositions, montecarlo, problem, trial
 
@@ -32,10 +32,9 @@ attitude: multiply inverse positive matrix rotate exp log angle to_euler to_rodr
 spaces: wrap
 rules: Rule.points Rule.images Rule.check Rule.num_sigmas
 earth: meridian_radius transverse_radius normal_gravity earth_rate transport_rate
-orbit: acceleration step runge_kutta transition
+orbit: acceleration third_body step transition
 variational: gradient advance flow
 sightings: angles visible observe
-third_body: acceleration
 inertial: derivative step advance star_residuals misalignment_matrix misalignment_angles
 gyro: Gyro.factor Gyro.rate_std Gyro.drift_std Gyro.process_noise Gyro.propagate Gyro.transition
 rigid_body: Body.nadir Body.rates
@@ -59,10 +58,10 @@ sparse_grid: checked_orders
 scores: score merge summarize check_scores
 views: bar_chart text log rows columns tabs blueprint
 figures: band
-trajectory: attitude_from_heading
 ephemeris: de421 Arrays Arrays.state
 receiver: on_earth
 pulsar: known
+orbit: warn_of_degrees
 beidou: Broadcast Broadcast.chosen
 belief: symmetric
 simulate: moved of_rows
@@ -81,7 +80,7 @@ Q4 = attitude.IDENTITY
 X6 = np.array([7000.0, 0.0, 0.0, 0.0, 7.5, 0.0])
 TIMES = np.arange(5.0)
 FLIGHT = dict(longitude=0.1, latitude=0.5, height_m=1e3, speed=100.0, heading=0.0, acceleration=0.0, turn_rate=0.0, substep=0.5)
-FLOWN = trajectory.turning_flight(TIMES, **FLIGHT)
+FLOWN = earth.turning_flight(TIMES, **FLIGHT)
 GYRO = gyro.Gyro(1e-6, 1e-9)
 BODY = rigid_body.Body(np.diag([1.0, 2.0, 2.5]))
 PULSARS = pulsar.pulsars(["B0531+21"])
@@ -215,9 +214,8 @@ CALLS = {
     "gyro.preintegrate": dict(measured=np.zeros((2, 3)), drift=np.zeros(3), dt=1.0),
     "gyro.steady_state": dict(sigma_n=1e-5, gyro=GYRO, interval=1.0),
     "inertial.navigation": dict(flight=FLOWN, at=[1], phi=np.zeros(3), bias=np.zeros(3)),
-    "inertial.check_stars": dict(stars=STARS),
     "inertial.wahba_misalignment": dict(z=np.zeros(6), attitude=I3, stars=STARS),
-    "mechanization.mechanize": dict(flight=FLOWN, attitude=I3, drift=np.zeros(3), bias=np.zeros(3)),
+    "inertial.mechanize": dict(flight=FLOWN, attitude=I3, drift=np.zeros(3), bias=np.zeros(3)),
     "noise.stationary_covariance": dict(Phi=0.5 * I2, R=I2),
     "noise.initial_covariance": dict(initial="R", Phi=0.5 * I2, R=I2),
     "noise.effective_covariance": dict(Phi=0.5 * I2, R=I2),
@@ -246,8 +244,7 @@ CALLS = {
     "time.Tdb.since": (TDB.since, dict(other=TDB)),
     "time.from_tt": dict(day=2457300.5, rest=0.1),
     "time.from_utc": dict(instant="2015-10-17"),
-    "trajectory.turning_flight": dict(times=TIMES, **FLIGHT),
-    "variational.lobatto": dict(count=4),
+    "earth.turning_flight": dict(times=TIMES, **FLIGHT),
 }  # fmt: skip
 
 GAPS = """curve.values log_curve.values bounds.sigma bounds.center trail.points strips.strips arrow.origins arrow.vectors

@@ -15,7 +15,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial import legendre
 
-from celnav.gaussian.checks import integer
 from celnav.gaussian.linalg import Array, components
 from celnav.models.orbit import EARTH, Earth, acceleration
 
@@ -29,16 +28,17 @@ class Flow(NamedTuple):
 
 
 class Nodes(NamedTuple):
-    """Gauss-Lobatto nodes ``(N,)`` of [0, 1], and ``(N, N)`` what integrates once and twice from 0 to each of them."""
+    """Gauss-Lobatto nodes ``(N,)`` of [0, 1], and ``(N, N)`` what integrates once and twice from 0 to each of them.
+
+    Exact for polynomials of degree ``2 N - 3`` over the whole, of degree ``N - 1`` to each node.
+    """
 
     at: Array
     once: Array
     twice: Array
 
 
-def lobatto(count: int) -> Nodes:
-    """Nodes, exact for polynomials of degree ``2 count - 3`` over the whole, of degree ``count - 1`` to each node."""
-    count = integer("count", count, 2, 100)
+def _lobatto(count: int) -> Nodes:
     top = np.eye(count)[-1]
     x = np.concatenate([[-1.0], np.sort(legendre.legroots(legendre.legder(top)).real), [1.0]])
     series = np.linalg.solve(legendre.legvander(x, count - 1), np.eye(count))  # of the polynomials that are 1 at one node
@@ -47,9 +47,11 @@ def lobatto(count: int) -> Nodes:
     return Nodes(0.5 * (x + 1.0), *(np.asarray(legendre.legval(x, values).T) for values in (once, twice)))
 
 
-NODES = lobatto(6)
+NODES = _lobatto(6)
 ROUNDS, ROUNDS_PHI = 6, 3
 """Picard iterations of the orbit and of its transition."""
+Extra = Callable[[Array, Array], Array]
+"""Further accelerations ``(3, N, runs)`` km/s^2 of positions of that shape, ``N`` times ``(N,)`` s into the step."""
 
 
 def gradient(position: Array, earth: Earth = EARTH) -> Array:
@@ -71,44 +73,37 @@ def gradient(position: Array, earth: Earth = EARTH) -> Array:
     return out
 
 
-Extra = Callable[[Array, Array], Array]
-"""Further accelerations ``(3, N, runs)`` km/s^2 of positions of that shape, ``N`` times ``(N,)`` s into the step."""
-
-
 def advance(state: Array, dt: float, earth: Earth = EARTH, extra: Extra | None = None) -> Array:
     """State ``(..., 6)`` after ``dt`` seconds: 300 s, a twentieth of a low orbit, to 1e-7 m."""
-    r, _, end = _orbit(state, dt, earth, extra)
-    return _states(r, end, state.shape)
+    return _orbit(state, dt, earth, extra)[1]
 
 
 def flow(state: Array, dt: float, earth: Earth = EARTH, extra: Extra | None = None) -> Flow:
     """`advance` with its derivatives, exact to 2e-8 for 300 s in a low orbit; they leave out the gradient of ``extra``."""
-    r, _, end = _orbit(state, dt, earth, extra)
+    r, end = _orbit(state, dt, earth, extra)
     A = gradient(r, earth)
     # Positions Y and velocities Z of the transition's columns at the nodes: Y'' = A Y, to begin with Y = [I, t I].
-    times = dt * NODES.at[:, None]
+    times, i = dt * NODES.at[:, None], np.arange(3)
     twice, once = dt * dt * NODES.twice, dt * NODES.once
     bent = np.concatenate([A, times * A], 1)
     for _ in range(ROUNDS_PHI):
         Y = twice @ bent
-        for i in range(3):
-            Y[i, i] += 1.0
-            Y[i, 3 + i] += times
-        bent = _times(A, Y)
+        Y[i, i] += 1.0
+        Y[i, 3 + i] += times
+        bent = np.einsum("ij...,jk...->ik...", A, Y)
     Z = once @ bent
-    for i in range(3):
-        Z[i, 3 + i] += 1.0
+    Z[i, 3 + i] += 1.0
     last = np.concatenate([Y[:, :, -1], Z[:, :, -1]])
     # The inverse of the transition, which is symplectic, is made of its blocks: its mean is made of their means.
     y, z = NODES.once[-1] @ Y, NODES.once[-1] @ Z
     a, b, c, d = (np.swapaxes(block, 0, 1) for block in (y[:, :3], y[:, 3:], z[:, :3], z[:, 3:]))
     inverse = np.concatenate([np.concatenate([d, -b], 1), np.concatenate([-c, a], 1)])
-    Phi = _matrices(last, state.shape)
-    return Flow(_states(r, end, state.shape), Phi, dt * (Phi @ _matrices(inverse, state.shape)))
+    Phi, mean = (np.ascontiguousarray(m.transpose(2, 0, 1)).reshape(*state.shape[:-1], 6, 6) for m in (last, inverse))
+    return Flow(end, Phi, dt * (Phi @ mean))
 
 
-def _orbit(state: Array, dt: float, earth: Earth, extra: Extra | None) -> tuple[Array, Array, Array]:
-    """Positions ``(3, N, runs)`` and accelerations at the nodes, velocity ``(3, runs)`` at the end."""
+def _orbit(state: Array, dt: float, earth: Earth, extra: Extra | None) -> tuple[Array, Array]:
+    """Positions ``(3, N, runs)`` at the nodes, and the state ``(..., 6)`` at the end."""
     x = components(state).reshape(6, -1)
     times = dt * NODES.at
     start = x[:3, None] + times[:, None] * x[3:, None]
@@ -119,24 +114,5 @@ def _orbit(state: Array, dt: float, earth: Earth, extra: Extra | None) -> tuple[
         if extra is not None:
             a = a + extra(r, times)
         r = start + twice @ a
-    return r, a, x[3:] + once @ a
-
-
-def _times(A: Array, Y: Array) -> Array:
-    """Products of matrices ``(3, 3, ...)`` and ``(3, 6, ...)``."""
-    out = np.empty_like(Y)
-    for i in range(3):
-        np.multiply(A[i, 0], Y[0], out=out[i])
-        out[i] += A[i, 1] * Y[1]
-        out[i] += A[i, 2] * Y[2]
-    return out
-
-
-def _states(r: Array, v: Array, shape: tuple[int, ...]) -> Array:
-    """States of that shape from positions at the nodes and velocities at the end."""
-    return np.concatenate([r[:, -1], v]).T.reshape(shape)
-
-
-def _matrices(rows: Array, shape: tuple[int, ...]) -> Array:
-    """From ``(6, 6, runs)`` to ``(..., 6, 6)``."""
-    return np.ascontiguousarray(rows.transpose(2, 0, 1)).reshape(*shape[:-1], 6, 6)
+    end = np.concatenate([r[:, -1], x[3:] + once @ a])
+    return r, end.T.reshape(state.shape)

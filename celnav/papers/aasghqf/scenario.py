@@ -19,8 +19,8 @@ from celnav.gaussian.rules import Rule, cubature, gauss_hermite, simplex, tensor
 from celnav.gaussian.sparse_grid import DELAYED, smolyak
 from celnav.gaussian.taylor import Taylor
 from celnav.models import inertial
+from celnav.models.earth import Flight
 from celnav.models.inertial import Navigation
-from celnav.models.trajectory import Flight
 from celnav.papers.aasghqf.config import NONLINEAR_WEIGHTS, PAPER_WEIGHTS, Config
 from celnav.study.montecarlo import normals
 
