@@ -58,7 +58,7 @@ sparse_grid: checked_orders
 scores: score merge summarize check_scores
 views: bar_chart text log rows columns tabs blueprint
 figures: band
-ephemeris: de421 Arrays Arrays.state
+ephemeris: de421
 receiver: on_earth
 pulsar: known
 orbit: warn_of_degrees
