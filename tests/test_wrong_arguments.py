@@ -41,7 +41,7 @@ rigid_body: Body.nadir Body.rates
 pulsar: Timing.delay Timing.shapiro Timing.shapiro_exact Timing.gradient
 receiver: transition process_noise
 atmosphere: klobuchar saastamoinen
-beidou: satellites eccentric_anomaly wrapped wrapped_week tilted turned
+beidou: satellites eccentric_anomaly turned spun
 pseudorange: sources emitted measure jacobian local_axes look dilution
 linalg: block cholesky components downdate fan leading matvec outer range_basis semidefinite_root side_by_side solve_lower
     solve_upper_transposed tria whiten
@@ -204,9 +204,7 @@ CALLS = {
     "views.space": dict(origin="a", name="a", eye=[1.0, 0.0, 0.0], target=[0.0, 0.0, 0.0], up=[0.0, 0.0, 1.0], growing={"a": 1.0}),
     "views.plot": dict(origin="a", name="a", times=TIMES, limits=(0.0, 1.0)),
     "figures.figure": dict(width=3.0, height=2.0, rows=1, columns=2),
-    "constellation.kepler": dict(a=7e6, e=0.1, i=0.1, Omega=0.1, omega=0.1, M=0.1),
-    "constellation.elements": dict(position=np.array([7e6, 0.0, 0.0]), velocity=np.array([0.0, 5e3, 5e3])),
-    "constellation.synthetic": dict(toe=345600.0),
+    "beidou.synthetic": dict(toe=345600.0),
     "ephemeris.Kernel": dict(path=str(ephemeris.de421().path)),
     "ephemeris.Kernel.state": (ephemeris.de421().state, dict(body="sun", date=TDB)),
     "gyro.Gyro": dict(sigma_v=1e-6, sigma_u=1e-9, tau=100.0),

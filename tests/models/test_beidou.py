@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from celnav.models import beidou, pseudorange
-from celnav.models.beidou import GRAVITY_PARAMETER, LIGHT, ROTATION_RATE, Broadcast, satellites
-from celnav.models.constellation import elements, synthetic
+from celnav.models.beidou import GRAVITY_PARAMETER, LIGHT, ROTATION_RATE, Broadcast, satellites, synthetic
 
 TOE = 345600.0
 
@@ -125,13 +124,6 @@ def test_geostationary_satellites_stand_over_their_longitudes():
         assert np.degrees(np.arctan2(at[name][1], at[name][0])) == pytest.approx(longitude, abs=0.2)
     assert len(b) == 5 + 3 + 24
     assert {"C38", "C39", "C40"} <= set(at)
-
-
-def test_elements_of_a_place_and_a_velocity_are_those_it_was_made_from():
-    from celnav.models.constellation import kepler
-
-    found = elements(*kepler(a=2.8e7, e=0.01, i=0.96, Omega=1.1, omega=0.4, M=2.2))
-    np.testing.assert_allclose(found, [2.8e7, 0.01, 0.96, 1.1, 0.4, 2.2], rtol=1e-12)
 
 
 # -- what a receiver sees ------------------------------------------------------------------------------------------------------
