@@ -39,10 +39,8 @@ inertial: derivative step advance star_residuals misalignment_matrix misalignmen
 gyro: Gyro.factor Gyro.rate_std Gyro.drift_std Gyro.process_noise Gyro.propagate Gyro.transition
 rigid_body: Body.nadir Body.rates
 pulsar: Timing.delay Timing.shapiro Timing.shapiro_exact Timing.gradient
-receiver: transition process_noise
-atmosphere: klobuchar saastamoinen
 beidou: satellites eccentric_anomaly turned spun
-pseudorange: sources emitted measure jacobian local_axes look dilution
+pseudorange: sources emitted measure jacobian transition process_noise local_axes look dilution klobuchar saastamoinen
 linalg: block cholesky components downdate fan leading matvec outer range_basis semidefinite_root side_by_side solve_lower
     solve_upper_transposed tria whiten
 belief: SquareRoot.lost Covariance.lost any_lost nees settled weighted
@@ -59,7 +57,7 @@ scores: score merge summarize check_scores
 views: bar_chart text log rows columns tabs blueprint
 figures: band
 ephemeris: de421
-receiver: on_earth
+pseudorange: on_earth
 pulsar: known
 orbit: warn_of_degrees
 beidou: Broadcast Broadcast.chosen

@@ -62,9 +62,9 @@ def ar1_noise(F: ArrayLike, L: ArrayLike, J: ArrayLike, Xi: ArrayLike, E: ArrayL
     if np.linalg.eigvalsh(symmetric(xi, "Xi", m)[0])[0] <= 0.0:
         raise ValueError("Xi: expected a positive definite covariance")
     symmetric(e, "E", q)
-    f, l_ = _coefficients("F", F, m), _coefficients("L", L, q)
-    V, Q = (cov / (1.0 - np.outer(a.diagonal(), a.diagonal())) for cov, a in ((xi, f), (e, l_)))
-    return Noise(f, l_, finite("J", J, (q, m)), xi, e, V, Q)
+    F, L = _coefficients("F", F, m), _coefficients("L", L, q)
+    V, Q = (cov / (1.0 - np.outer(a.diagonal(), a.diagonal())) for cov, a in ((xi, F), (e, L)))
+    return Noise(F, L, finite("J", J, (q, m)), xi, e, V, Q)
 
 
 def _coefficients(name: str, value: ArrayLike, size: int) -> Array:
