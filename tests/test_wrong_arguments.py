@@ -232,7 +232,6 @@ CALLS = {
     "rigid_body.Body": dict(inertia=BODY.inertia, wheels=np.zeros(3), torque=np.zeros(3), orbit_rate=0.0),
     "rigid_body.Body.propagate": (BODY.propagate, dict(x=np.r_[Q4, 0.0, 0.0, 0.0], dt=1.0, steps=2)),
     "sightings.star_directions": dict(separation=1.0),
-    "sightings.unit_vectors": dict(stars=STARS),
     "sightings.position": dict(A=np.array([1.2, 1.2, 2.0]), separation=1.0, hemisphere=1.0, radius_km=6378.0),
     "sightings.jacobian": dict(A=np.array([1.2, 1.2, 2.0]), separation=1.0, hemisphere=1.0, radius_km=6378.0),
     "sightings.pseudo_position_covariance": dict(position_km=np.array([4e3, 3e3, 5e3]), separation=1.0, sigma=np.full(3, 1e-4)),
