@@ -19,16 +19,12 @@ from celnav.gaussian.linalg import Array, side_by_side
 
 @dataclass(frozen=True)
 class Gyro:
-    """Noise of a gyro triad.
+    """Noise of a gyro triad, not negative.
 
     Attributes
     ----------
     sigma_v: angle random walk, rad/s^(1/2). sigma_u: drift random walk, rad/s^(3/2).
     tau: correlation time of the drift, s; infinite: a random walk.
-
-    Raises
-    ------
-    ValueError: naming a number that is negative or no number, or a ``tau`` that is not positive.
     """
 
     sigma_v: float
@@ -57,10 +53,9 @@ class Gyro:
 
     def process_noise(self, dt: float) -> Array:
         """Covariance ``(6, 6)`` of the errors of rotation vector and drift over ``dt`` seconds [Crassidis & Markley 2003]."""
-        eye, u2 = np.eye(3), self.sigma_u**2
-        cross = -0.5 * u2 * dt**2 * eye
-        angle = (self.sigma_v**2 * dt + u2 * dt**3 / 3.0) * eye
-        return np.block([[angle, cross], [cross, self.drift_std(dt) ** 2 * eye]])
+        u2 = self.sigma_u**2
+        angle, both, drift = self.sigma_v**2 * dt + u2 * dt**3 / 3.0, -0.5 * u2 * dt**2, self.drift_std(dt) ** 2
+        return np.kron([[angle, both], [both, drift]], np.eye(3))
 
     def measure(self, q: Array, drift: Array, noise: Array, dt: float) -> Array:
         """Samples ``(T - 1, ..., 3)`` rad/s of attitudes ``q (T, ..., 4)`` with ``drift`` and standard normal ``noise``."""
@@ -89,9 +84,9 @@ class Gyro:
         first = np.where(small, 0.5 - angle**2 / 24.0, (1.0 - np.cos(angle)) / safe**2)
         second = np.where(small, 1.0 / 6.0 - angle**2 / 120.0, (safe - np.sin(safe)) / safe**3)
         T, eye = cross(turn), np.eye(3)
-        matrix = np.zeros((*turn.shape[:-1], 6, 6))
         square = T @ T
         # The matrix of a rotation vector, and its integral over the interval.
+        matrix = np.zeros((*turn.shape[:-1], 6, 6))
         matrix[..., :3, :3] = eye - np.sinc(angle / np.pi) * T + first * square
         matrix[..., :3, 3:] = -dt * (eye - first * T + second * square)
         matrix[..., 3:, 3:] = self.factor(dt) * eye
@@ -120,25 +115,19 @@ class SteadyState(NamedTuple):
 
 
 def steady_state(sigma_n: float, gyro: Gyro, interval: float) -> SteadyState:
-    """What a filter settles at: attitude measured to ``sigma_n`` rad each ``interval`` s, drift a random walk [Farrenkopf 1978].
-
-    Raises
-    ------
-    ValueError: unless ``sigma_n`` and ``interval`` are positive and the gyro's ``tau`` infinite.
-    """
+    """What a filter settles at: attitude measured to ``sigma_n`` rad each ``interval`` s, drift a random walk [Farrenkopf 1978]."""
     sigma_n, interval = number("sigma_n", sigma_n, above=0.0), number("interval", interval, above=0.0)
     instance("gyro", gyro, Gyro, "a Gyro, such as Gyro(sigma_v, sigma_u)")
     if np.isfinite(gyro.tau):
         raise ValueError(f"gyro: expected a drift that walks at random (tau = inf), got tau = {gyro.tau!r}")
     T, u, v = interval, gyro.sigma_u, gyro.sigma_v
     Su, Sv = u * T**1.5 / sigma_n, v * np.sqrt(T) / sigma_n
-    g = np.sqrt(1.0 + Sv**2 / 4.0 + Su**2 / 48.0)
+    small = Sv**2 / 4.0 + Su**2 / 48.0
+    g = np.sqrt(1.0 + small)
     # zeta - 1 without its 1: the difference of squares would lose the digits that a good gyro is about.
-    excess = (Sv**2 / 4.0 + Su**2 / 48.0) / (g + 1.0) + Su / 4.0 + 0.5 * np.sqrt(2.0 * g * Su + Sv**2 + Su**2 / 3.0)
+    excess = small / (g + 1.0) + Su / 4.0 + 0.5 * np.sqrt(2.0 * g * Su + Sv**2 + Su**2 / 3.0)
     zeta = 1.0 + excess
-    spread = excess * (zeta + 1.0)
-    before, after = sigma_n * np.sqrt(spread), sigma_n * np.sqrt(spread) / zeta
+    before = sigma_n * np.sqrt(excess * (zeta + 1.0))
     cross_before = -u * np.sqrt(T) * sigma_n * zeta
-    cross_after = cross_before / zeta**2
-    variance = (cross_after - cross_before) / T - 0.5 * u**2 * T
-    return SteadyState(float(before), float(after), float(np.sqrt(variance + u**2 * T)), float(np.sqrt(variance)))
+    drift = (cross_before / zeta**2 - cross_before) / T - 0.5 * u**2 * T  # variance after
+    return SteadyState(float(before), float(before / zeta), float(np.sqrt(drift + u**2 * T)), float(np.sqrt(drift)))

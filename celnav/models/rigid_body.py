@@ -19,13 +19,9 @@ class Body:
 
     Attributes
     ----------
-    inertia: ``(3, 3)``, body axes. wheels: ``(3,)``, angular momentum of the wheels. torque: ``(3,)``, constant.
+    inertia: ``(3, 3)``, body axes; ValueError for one that no distribution of mass has. wheels: ``(3,)``, angular momentum of the
+        wheels. torque: ``(3,)``, constant.
     orbit_rate: rad/s; the inertial frame is the orbital one at t = 0 (x along the velocity, z to nadir).
-
-    Raises
-    ------
-    ValueError: if the inertia is not symmetric positive definite, or has a principal moment that is larger than the two others
-    together, which no distribution of mass has; or if a number is not finite.
     """
 
     inertia: Any
@@ -34,20 +30,15 @@ class Body:
     orbit_rate: float = 0.0
 
     def __post_init__(self) -> None:
-        J = finite("inertia", self.inertia, (3, 3))
-        if not np.allclose(J, J.T) or np.linalg.eigvalsh(J)[0] <= 0.0:
+        for name, shape in (("inertia", (3, 3)), ("wheels", (3,)), ("torque", (3,))):
+            object.__setattr__(self, name, finite(name, getattr(self, name), shape))
+        number("orbit_rate", self.orbit_rate)
+        small, middle, large = np.linalg.eigvalsh(self.inertia).tolist()
+        if not np.allclose(self.inertia, self.inertia.T) or small <= 0.0:
             raise ValueError("inertia: expected a symmetric positive definite (3, 3)")
-        small, middle, large = np.linalg.eigvalsh(J).tolist()
         if large > 1.001 * (small + middle):  # a flat plate attains it, and numbers are rounded
             got = f"{small:.6g}, {middle:.6g} and {large:.6g}"
             raise ValueError(f"inertia: expected principal moments none of which is larger than the two others together, got {got}")
-        for name, value in (
-            ("inertia", J),
-            ("wheels", finite("wheels", self.wheels, (3,))),
-            ("torque", finite("torque", self.torque, (3,))),
-        ):
-            object.__setattr__(self, name, value)
-        number("orbit_rate", self.orbit_rate)
 
     def nadir(self, q: Array, t: float) -> Array:
         """Direction of the Earth's center ``(..., 3)`` on body axes."""
@@ -60,9 +51,8 @@ class Body:
         turning = 0.5 * multiply(np.concatenate([w, np.zeros_like(w[..., :1])], -1), q)
         c = self.nadir(q, t)
         gradient = 3.0 * self.orbit_rate**2 * matvec(cross(c), matvec(self.inertia, c))
-        momentum = matvec(self.inertia, w) + self.wheels
-        change = np.linalg.solve(self.inertia, (gradient + self.torque - matvec(cross(w), momentum))[..., None])[..., 0]
-        return np.concatenate([turning, change], -1)
+        torque = gradient + self.torque - matvec(cross(w), matvec(self.inertia, w) + self.wheels)
+        return np.concatenate([turning, np.linalg.solve(self.inertia, torque[..., None])[..., 0]], -1)
 
     def propagate(self, x: Array, dt: float, steps: int) -> Array:
         """States ``(steps + 1, ..., 7)`` from the first at equal intervals, integrated to a relative 1e-12."""
