@@ -16,7 +16,7 @@ import rerun as rr
 import celnav
 from celnav.analysis import bounds, metrics, observability
 from celnav.gaussian import attitude, rules, spaces
-from celnav.models import earth, ephemeris, gyro, noise, orbit, pulsar, rigid_body, sightings, time
+from celnav.models import earth, ephemeris, gyro, noise, orbit, pulsar, sightings, time
 from celnav.show import recording, views
 from celnav.study import compositions, montecarlo, problem, trial
 
@@ -32,12 +32,11 @@ attitude: multiply inverse positive matrix rotate exp log angle to_euler to_rodr
 spaces: wrap
 rules: Rule.points Rule.images Rule.check Rule.num_sigmas
 earth: meridian_radius transverse_radius normal_gravity earth_rate transport_rate
-orbit: acceleration third_body step transition
-variational: gradient advance flow
+orbit: acceleration third_body step transition gradient advance flow
 sightings: angles visible observe
-inertial: derivative step advance star_residuals misalignment_matrix misalignment_angles
+inertial: derivative advance star_residuals misalignment_matrix misalignment_angles
 gyro: Gyro.factor Gyro.rate_std Gyro.drift_std Gyro.process_noise Gyro.propagate Gyro.transition
-rigid_body: Body.nadir Body.rates
+gyro: Body.nadir Body.rates
 pulsar: Timing.delay Timing.shapiro Timing.shapiro_exact Timing.gradient
 beidou: satellites eccentric_anomaly turned spun
 pseudorange: sources emitted measure jacobian transition process_noise local_axes look dilution klobuchar saastamoinen
@@ -80,7 +79,7 @@ TIMES = np.arange(5.0)
 FLIGHT = dict(longitude=0.1, latitude=0.5, height_m=1e3, speed=100.0, heading=0.0, acceleration=0.0, turn_rate=0.0, substep=0.5)
 FLOWN = earth.turning_flight(TIMES, **FLIGHT)
 GYRO = gyro.Gyro(1e-6, 1e-9)
-BODY = rigid_body.Body(np.diag([1.0, 2.0, 2.5]))
+BODY = gyro.Body(np.diag([1.0, 2.0, 2.5]))
 PULSARS = pulsar.pulsars(["B0531+21"])
 STARS = sightings.star_directions(1.0)
 TDB = time.from_utc("2015-10-17T04:00:00")
@@ -229,8 +228,8 @@ CALLS = {
     "pulsar.Pulsar.timing_std": (PULSARS[0].timing_std, dict(seconds=1.0, area_cm2=1.0, background=0.1)),
     "pulsar.pulsars": dict(names=["B0531+21"]),
     "pulsar.Timing": dict(pulsars=PULSARS),
-    "rigid_body.Body": dict(inertia=BODY.inertia, wheels=np.zeros(3), torque=np.zeros(3), orbit_rate=0.0),
-    "rigid_body.Body.propagate": (BODY.propagate, dict(x=np.r_[Q4, 0.0, 0.0, 0.0], dt=1.0, steps=2)),
+    "gyro.Body": dict(inertia=BODY.inertia, wheels=np.zeros(3), torque=np.zeros(3), orbit_rate=0.0),
+    "gyro.Body.propagate": (BODY.propagate, dict(x=np.r_[Q4, 0.0, 0.0, 0.0], dt=1.0, steps=2)),
     "sightings.star_directions": dict(separation=1.0),
     "sightings.position": dict(A=np.array([1.2, 1.2, 2.0]), separation=1.0, hemisphere=1.0, radius_km=6378.0),
     "sightings.jacobian": dict(A=np.array([1.2, 1.2, 2.0]), separation=1.0, hemisphere=1.0, radius_km=6378.0),

@@ -22,7 +22,7 @@ from celnav.models.earth import Flight
 PHI, VELOCITY, POSITION, DRIFT, BIAS = slice(0, 3), slice(3, 5), slice(5, 7), slice(7, 10), slice(10, 13)
 STATES = ("phi_x", "phi_y", "phi_z", "dVx", "dVy", "dlon", "dlat", "eps_x", "eps_y", "eps_z", "nabla_x", "nabla_y", "nabla_z")
 SINGULAR = np.radians(89.0)
-"""The Euler angles end at phi_x = 90 degrees; `step` refuses points beyond this."""
+"""The Euler angles end at phi_x = 90 degrees: sigma points beyond this mean nothing."""
 FLIGHT = "a Flight, such as celnav.models.earth.turning_flight(times, ...)"
 
 
@@ -118,21 +118,11 @@ def derivative(x: Array, nav: Navigation) -> Array:
     return _vector(*d_phi, *d_V, *d_place, *np.zeros(6))
 
 
-def step(x: Array, nav: Navigation, dt: float) -> Array:
-    """State ``(..., 13)`` after ``dt`` seconds, inputs at the middle of the interval; conditionally linear given phi.
-
-    ValueError where a misalignment phi_x is within a degree of +-90 degrees, where the Euler angles end.
-    """
-    worst = np.abs(x[..., 0]).max(initial=0.0)
-    if worst >= SINGULAR:
-        raise ValueError(
-            f"phi_x: expected less than 89 degrees at every sigma point, got {np.degrees(worst):.1f} (take a star fix first)"
-        )
-    return advance(x, nav, dt)
-
-
 def advance(x: Array, nav: Navigation, dt: float) -> Array:
-    """As `step`, without the check: for the truth, which is no average of points, and for callers that look themselves."""
+    """State ``(..., 13)`` after ``dt`` seconds, inputs at the middle of the interval; linear in all but phi.
+
+    It is not looked at whether a point has come near to phi_x = 90 degrees, see `SINGULAR`.
+    """
     x = np.moveaxis(components(x), 0, -1)
     rate = derivative(x, nav)
     # The position moves with the velocity error in the middle of the interval.

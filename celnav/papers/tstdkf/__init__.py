@@ -12,7 +12,7 @@ The display equations of the text at hand are lost; what was inferred is
 equation       content                                                 here
 =============  ======================================================  ==============================================
 2              delay of a pulse                                        `celnav.models.pulsar.Timing`
-3-4            orbit and its derivatives                               `celnav.models.variational`
+3-4            orbit and its derivatives                               `celnav.models.orbit`
 17, 69, 70     ephemeris error                                         `Config.bias`
 19             deviation of a timing                                   `celnav.models.pulsar.Pulsar.timing_std`
 21-56          colored, correlated noise; differencing                 `celnav.papers.tstdkf.method.Differenced`

@@ -16,8 +16,7 @@ from celnav.filters.records import Epoch
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array, matvec
 from celnav.models.ephemeris import GM, de421
-from celnav.models.orbit import third_body
-from celnav.models.variational import NODES, Extra, advance, flow
+from celnav.models.orbit import NODES, Extra, advance, flow, third_body
 from celnav.papers.tstdkf.config import Config
 from celnav.papers.tstdkf.method import Noise, ar1_noise
 from celnav.study.montecarlo import normals

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from celnav.models import orbit
-from celnav.models.variational import advance, flow, gradient
+from celnav.models.orbit import advance, flow, gradient
 
 X0 = orbit.from_elements(7136.635, 1.809e-3, *np.radians([65.0, 30.0, 30.0, 0.0]))
 
