@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -115,19 +114,6 @@ class Differenced:
             check_function(name, getattr(self, name), "(mean, epoch)")
         instance("noise", self.noise, Noise, "a Noise, such as ar1_noise(F, L, J, Xi, E)")
 
-    @cached_property
-    def _fresh(self) -> tuple[Array, Array]:
-        """What the noises add in an interval, at the first measurement and later: to the state, and to DQ and DV.
-
-        The first measurement is not differenced: what it takes into the prediction is all of J V.
-        """
-        _, L, J, _, _, V, Q = self.noise
-        JF, f_V = J @ self.noise.F, self.noise.F.diagonal(0, -2, -1)[..., None, :]
-        return (
-            side_by_side([0.5 * Q, Q, np.zeros((L.shape[-1], JF.shape[-1]))]),
-            side_by_side([0.5 * (Q + JF @ V @ JF.mT), Q, JF @ V * f_V]),
-        )
-
     def start(self, prior: Gaussian) -> DifferencedState:
         """State before the first epoch."""
         check_prior(prior)
@@ -148,7 +134,7 @@ class Differenced:
         """State at the end of the interval given its measurement, and what was done."""
         assert state.moved is not None
         x, Phi, G = state.moved
-        F, L, J, Xi, _, V, _ = self.noise
+        F, L, J, Xi, _, V, Q = self.noise
         JF, f_V, f_Q = J @ F, *(matrix.diagonal(0, -2, -1)[..., None, :] for matrix in (F, L))
         n, (q, m) = x.shape[-1], J.shape[-2:]
         z = numbers("z", epoch.z, () if epoch.z is None else (..., m))
@@ -173,7 +159,9 @@ class Differenced:
 
         ahead = Phi1 @ side_by_side([state.belief.cov, state.DQ, state.DV])
         ahead_Q, ahead_V = ahead[..., n : n + q] * f_Q, ahead[..., n + q :]
-        driven = G1 @ self._fresh[0 if first else 1]
+        # What the noises add to the state, and to DQ and DV; the first measurement has taken all of J V into the prediction.
+        carried = np.zeros_like(JF) if first else JF @ V
+        driven = G1 @ side_by_side([0.5 * (Q + carried @ JF.mT), Q, carried * f_V])
         cross = (ahead_Q + ahead_V @ JF.mT + driven[..., :q]) @ G1.mT
         P = ahead[..., :n] @ Phi1.mT + cross + cross.mT
         HP = H @ P
