@@ -31,7 +31,7 @@ attitude: multiply inverse positive matrix rotate exp log angle to_euler to_rodr
     transport
 spaces: wrap
 rules: Rule.points Rule.images Rule.check Rule.num_sigmas
-earth: meridian_radius transverse_radius normal_gravity earth_rate transport_rate
+earth: meridian_radius transverse_radius radii normal_gravity earth_rate transport_rate
 orbit: acceleration third_body step transition gradient advance flow
 sightings: angles visible observe
 inertial: derivative advance star_residuals misalignment_matrix misalignment_angles

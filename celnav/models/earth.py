@@ -34,6 +34,11 @@ def transverse_radius(latitude: ArrayLike) -> Array:
     return np.asarray(SEMI_MAJOR_M / np.sqrt(1.0 - ECCENTRICITY_SQUARED * s * s))
 
 
+def radii(latitude: ArrayLike, height_m: ArrayLike) -> tuple[Array, Array]:
+    """Meters in a radian along and across the meridian at a height: ``R_M + h`` and ``R_N + h``."""
+    return meridian_radius(latitude) + height_m, transverse_radius(latitude) + height_m
+
+
 def normal_gravity(latitude: ArrayLike, height_m: ArrayLike) -> Array:
     """Gravity (down, with the centrifugal part) of the normal ellipsoid, m/s^2: Somigliana's formula, to second order in height."""
     s2 = np.square(np.sin(latitude))
@@ -51,7 +56,7 @@ def earth_rate(latitude: ArrayLike) -> Array:
 
 def transport_rate(velocity: Array, latitude: ArrayLike, height_m: ArrayLike) -> Array:
     """Rotation of the east, north, up axes over the Earth, ``(..., 3)`` rad/s, at ``velocity (..., 2 or 3)`` m/s."""
-    north, east = meridian_radius(latitude) + height_m, transverse_radius(latitude) + height_m
+    north, east = radii(latitude, height_m)
     spin = velocity[..., 0] / east
     return np.stack([-velocity[..., 1] / north, spin, spin * np.tan(latitude)], -1)
 
@@ -101,9 +106,8 @@ def turning_flight(
 
     def rate(since: float, where: Array) -> Array:
         v, psi = speed + acceleration * since, heading + turn_rate * since
-        across = (transverse_radius(where[1]) + height_m) * np.cos(where[1])
-        along = meridian_radius(where[1]) + height_m
-        return np.array([v * np.sin(psi) / across, v * np.cos(psi) / along])
+        along, across = radii(where[1], height_m)
+        return np.array([v * np.sin(psi) / (across * np.cos(where[1])), v * np.cos(psi) / along])
 
     since = t - t[0]
     places = [np.array([longitude, latitude])]

@@ -95,7 +95,7 @@ def _turned(C: Array, v: Array) -> Array:
 def derivative(x: Array, nav: Navigation) -> Array:
     """Rate of the state ``(..., 13)``; gyro drift and accelerometer bias are constant [Liang2014, Eqs. 20-25, corrected]."""
     s, c = np.sin(leading(x[..., PHI])), np.cos(leading(x[..., PHI]))
-    C, Cb, L, (east, north) = _matrix(s, c), nav.attitude, nav.latitude, _radii(nav)
+    C, Cb, L, (north, east) = _matrix(s, c), nav.attitude, nav.latitude, earth.radii(nav.latitude, nav.height_m)
     (Vx, Vy), (vx, vy), dL = leading(x[..., VELOCITY]), leading(nav.velocity), x[..., 6]
     secL, tanL = 1.0 / np.cos(L), np.tan(L)
     ie, en = earth.earth_rate(L), earth.transport_rate(nav.velocity, L, nav.height_m)
@@ -126,15 +126,10 @@ def advance(x: Array, nav: Navigation, dt: float) -> Array:
     x = np.moveaxis(components(x), 0, -1)
     rate = derivative(x, nav)
     # The position moves with the velocity error in the middle of the interval.
-    half, (east, north) = 0.5 * dt, _radii(nav)
+    half, (north, east) = 0.5 * dt, earth.radii(nav.latitude, nav.height_m)
     rate[..., 5] += half * rate[..., 3] / (east * np.cos(nav.latitude))
     rate[..., 6] += half * rate[..., 4] / north
     return np.asarray(x + dt * rate)
-
-
-def _radii(nav: Navigation) -> tuple[Array, Array]:
-    """Radii of curvature plus height, across and along the meridian, m."""
-    return earth.transverse_radius(nav.latitude) + nav.height_m, earth.meridian_radius(nav.latitude) + nav.height_m
 
 
 def star_residuals(x: Array, attitude: Array, stars: Array) -> Array:
@@ -198,8 +193,8 @@ def mechanize(flight: Flight, attitude: Array, drift: Array, bias: Array) -> Sol
         L = place[1]
         ie, en = earth.earth_rate(L), earth.transport_rate(V, L, h)
         change = C @ force - np.cross(2.0 * ie + en, np.append(V, 0.0))
-        east, north = (earth.transverse_radius(L) + h) * np.cos(L), earth.meridian_radius(L) + h
-        return change[:2], np.array([V[0] / east, V[1] / north]), ie + en
+        north, east = earth.radii(L, h)
+        return change[:2], np.array([V[0] / (east * np.cos(L)), V[1] / north]), ie + en
 
     def turned(C: Array, gyro: Array, rate: Array, dt: float) -> Array:
         """C_b^n' after the body turned by ``gyro`` (on b) and the axes n' by ``rate`` (on n')."""
