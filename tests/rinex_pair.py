@@ -9,9 +9,8 @@ import numpy as np
 from pymap3d import ecef2geodetic
 
 from celnav.models import pseudorange
-from celnav.models.atmosphere import GPS_L1_HZ, klobuchar, saastamoinen
-from celnav.models.beidou import B1I_HZ, ELLIPSOID, GPS_AHEAD_S, LIGHT
-from celnav.models.constellation import synthetic
+from celnav.models.beidou import B1I_HZ, ELLIPSOID, GPS_AHEAD_S, LIGHT, synthetic
+from celnav.models.pseudorange import GPS_L1_HZ, klobuchar, saastamoinen
 from celnav.receiver.rinex import Observations
 
 WEEK = 755

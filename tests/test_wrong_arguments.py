@@ -16,7 +16,7 @@ import rerun as rr
 import celnav
 from celnav.analysis import bounds, metrics, observability
 from celnav.gaussian import attitude, rules, spaces
-from celnav.models import ephemeris, gyro, noise, orbit, pulsar, rigid_body, sightings, time, trajectory
+from celnav.models import earth, ephemeris, gyro, noise, orbit, pulsar, sightings, time
 from celnav.show import recording, views
 from celnav.study import compositions, montecarlo, problem, trial
 
@@ -30,19 +30,15 @@ HOT = """
 attitude: multiply inverse positive matrix rotate exp log angle to_euler to_rodrigues from_rodrigues cross transport
 spaces: wrap
 rules: Rule.points Rule.image Rule.kept Rule.num_sigmas Taylor.points Taylor.image Taylor.kept
-earth: meridian_radius transverse_radius normal_gravity earth_rate transport_rate
-orbit: acceleration step runge_kutta transition
-variational: gradient advance flow
+earth: meridian_radius transverse_radius radii normal_gravity earth_rate transport_rate
+orbit: acceleration third_body step transition gradient advance flow
 sightings: angles visible observe
-third_body: acceleration
-inertial: derivative step advance star_residuals misalignment_matrix misalignment_angles
+inertial: derivative advance star_residuals misalignment_matrix misalignment_angles
 gyro: Gyro.factor Gyro.rate_std Gyro.drift_std Gyro.process_noise Gyro.propagate Gyro.transition
-rigid_body: Body.nadir Body.rates
+gyro: Body.nadir Body.rates
 pulsar: Timing.delay Timing.shapiro Timing.shapiro_exact Timing.gradient
-receiver: transition process_noise
-atmosphere: klobuchar saastamoinen
-beidou: satellites eccentric_anomaly wrapped wrapped_week tilted turned
-pseudorange: sources emitted measure jacobian local_axes look dilution
+beidou: satellites eccentric_anomaly turned spun
+pseudorange: sources emitted measure jacobian transition process_noise local_axes look dilution klobuchar saastamoinen
 linalg: block cholesky components downdate fan leading matvec outer semidefinite_root side_by_side solve_lower
     solve_upper_transposed tria whiten apply signs weighted factored SquareRoot.lost SquareRoot.factor Covariance.lost
     Covariance.factor
@@ -57,10 +53,10 @@ rules: few AnyDimension
 scores: score merge summarize check_scores
 views: bar_chart text log rows columns tabs blueprint
 figures: band
-trajectory: attitude_from_heading
-ephemeris: de421 Arrays Arrays.state
-receiver: on_earth
+ephemeris: de421
+pseudorange: on_earth
 pulsar: known
+orbit: warn_of_degrees
 beidou: Broadcast Broadcast.chosen
 belief: symmetric
 simulate: moved of_rows
@@ -79,9 +75,9 @@ Q4 = attitude.IDENTITY
 X6 = np.array([7000.0, 0.0, 0.0, 0.0, 7.5, 0.0])
 TIMES = np.arange(5.0)
 FLIGHT = dict(longitude=0.1, latitude=0.5, height_m=1e3, speed=100.0, heading=0.0, acceleration=0.0, turn_rate=0.0, substep=0.5)
-FLOWN = trajectory.turning_flight(TIMES, **FLIGHT)
+FLOWN = earth.turning_flight(TIMES, **FLIGHT)
 GYRO = gyro.Gyro(1e-6, 1e-9)
-BODY = rigid_body.Body(np.diag([1.0, 2.0, 2.5]))
+BODY = gyro.Body(np.diag([1.0, 2.0, 2.5]))
 PULSARS = pulsar.pulsars(["B0531+21"])
 STARS = sightings.star_directions(1.0)
 TDB = time.from_utc("2015-10-17T04:00:00")
@@ -202,9 +198,7 @@ CALLS = {
     "views.space": dict(origin="a", name="a", eye=[1.0, 0.0, 0.0], target=[0.0, 0.0, 0.0], up=[0.0, 0.0, 1.0], growing={"a": 1.0}),
     "views.plot": dict(origin="a", name="a", times=TIMES, limits=(0.0, 1.0)),
     "figures.figure": dict(width=3.0, height=2.0, rows=1, columns=2),
-    "constellation.kepler": dict(a=7e6, e=0.1, i=0.1, Omega=0.1, omega=0.1, M=0.1),
-    "constellation.elements": dict(position=np.array([7e6, 0.0, 0.0]), velocity=np.array([0.0, 5e3, 5e3])),
-    "constellation.synthetic": dict(toe=345600.0),
+    "beidou.synthetic": dict(toe=345600.0),
     "ephemeris.Kernel": dict(path=str(ephemeris.de421().path)),
     "ephemeris.Kernel.state": (ephemeris.de421().state, dict(body="sun", date=TDB)),
     "gyro.Gyro": dict(sigma_v=1e-6, sigma_u=1e-9, tau=100.0),
@@ -212,9 +206,8 @@ CALLS = {
     "gyro.preintegrate": dict(measured=np.zeros((2, 3)), drift=np.zeros(3), dt=1.0),
     "gyro.steady_state": dict(sigma_n=1e-5, gyro=GYRO, interval=1.0),
     "inertial.navigation": dict(flight=FLOWN, at=[1], phi=np.zeros(3), bias=np.zeros(3)),
-    "inertial.check_stars": dict(stars=STARS),
     "inertial.wahba_misalignment": dict(z=np.zeros(6), attitude=I3, stars=STARS),
-    "mechanization.mechanize": dict(flight=FLOWN, attitude=I3, drift=np.zeros(3), bias=np.zeros(3)),
+    "inertial.mechanize": dict(flight=FLOWN, attitude=I3, drift=np.zeros(3), bias=np.zeros(3)),
     "noise.stationary_covariance": dict(Phi=0.5 * I2, R=I2),
     "noise.initial_covariance": dict(initial="R", Phi=0.5 * I2, R=I2),
     "noise.effective_covariance": dict(Phi=0.5 * I2, R=I2),
@@ -232,10 +225,9 @@ CALLS = {
     "pulsar.Pulsar.timing_std": (PULSARS[0].timing_std, dict(seconds=1.0, area_cm2=1.0, background=0.1)),
     "pulsar.pulsars": dict(names=["B0531+21"]),
     "pulsar.Timing": dict(pulsars=PULSARS),
-    "rigid_body.Body": dict(inertia=BODY.inertia, wheels=np.zeros(3), torque=np.zeros(3), orbit_rate=0.0),
-    "rigid_body.Body.propagate": (BODY.propagate, dict(x=np.r_[Q4, 0.0, 0.0, 0.0], dt=1.0, steps=2)),
+    "gyro.Body": dict(inertia=BODY.inertia, wheels=np.zeros(3), torque=np.zeros(3), orbit_rate=0.0),
+    "gyro.Body.propagate": (BODY.propagate, dict(x=np.r_[Q4, 0.0, 0.0, 0.0], dt=1.0, steps=2)),
     "sightings.star_directions": dict(separation=1.0),
-    "sightings.unit_vectors": dict(stars=STARS),
     "sightings.position": dict(A=np.array([1.2, 1.2, 2.0]), separation=1.0, hemisphere=1.0, radius_km=6378.0),
     "sightings.jacobian": dict(A=np.array([1.2, 1.2, 2.0]), separation=1.0, hemisphere=1.0, radius_km=6378.0),
     "sightings.pseudo_position_covariance": dict(position_km=np.array([4e3, 3e3, 5e3]), separation=1.0, sigma=np.full(3, 1e-4)),
@@ -243,8 +235,7 @@ CALLS = {
     "time.Tdb.since": (TDB.since, dict(other=TDB)),
     "time.from_tt": dict(day=2457300.5, rest=0.1),
     "time.from_utc": dict(instant="2015-10-17"),
-    "trajectory.turning_flight": dict(times=TIMES, **FLIGHT),
-    "variational.lobatto": dict(count=4),
+    "earth.turning_flight": dict(times=TIMES, **FLIGHT),
 }  # fmt: skip
 
 GAPS = """curve.values log_curve.values bounds.sigma bounds.center trail.points strips.strips arrow.origins arrow.vectors

@@ -16,7 +16,7 @@ def run(options: argparse.Namespace) -> int:
     import numpy as np
 
     from celnav.filters.records import FilterError
-    from celnav.models.receiver import on_earth
+    from celnav.models.pseudorange import on_earth
     from celnav.receiver import filters as positioning_filters
     from celnav.receiver import position as positioning
     from celnav.receiver import report as positioning_report

@@ -161,7 +161,7 @@ def two_stage(
     bias: what is known of the bias ``(p,)`` at the start.
     Qb: covariance ``(p, p)`` of the steps of a bias that walks at random; None: it is constant.
     boost: ``(memory, Boost) -> (memory, factors (..., p))``: the gain of the bias stage is that of a covariance inflated by the
-        factors, while the covariance itself is not; see `celnav.filters.strong_tracking`.
+        factors, while the covariance itself is not; for one, see `celnav.papers.tstdkf.method.strong_tracking`.
     rule, options: of the first stage, as in `celnav.sigma_point`.
 
     Returns

@@ -1,4 +1,8 @@
-"""Physics without filters: orbits, sightings, noise, aircraft and inertial systems, gyros, rigid bodies."""
+"""Physics without filters.
+
+`orbit` and `sightings` of a satellite · `pulsar`, `ephemeris`, `time` of its X-ray timings · `beidou` and `pseudorange` of a
+receiver · `earth` and `inertial` of an aircraft · `gyro` of attitudes · `noise`.
+"""
 
 from celnav.lazy import modules
 

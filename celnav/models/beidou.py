@@ -11,8 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 from pymap3d import Ellipsoid
+from scipy.spatial.transform import Rotation
 
-from celnav.gaussian.checks import finite
+from celnav.gaussian.checks import finite, number
 from celnav.gaussian.linalg import Array
 
 GRAVITY_PARAMETER = 3.986004418e14
@@ -42,10 +43,6 @@ class Broadcast:
     number: of the satellite, C01 is 1. toe, toc: reference times of orbit and clock, BDT since its beginning.
     sqrt_a, e, i0, Omega0, omega, M0, delta_n, Omega_dot, i_dot, cuc, cus, crc, crs, cic, cis: of the orbit.
     a0, a1, a2: of the clock. tgd: group delay of B1I. health: 0 if well.
-
-    Raises
-    ------
-    ValueError: naming a field that is not finite, of another length, or an orbit that is none.
     """
 
     number: Array
@@ -108,9 +105,43 @@ class SatelliteState(NamedTuple):
     drift: Array
 
 
-def wrapped(seconds: Array) -> Array:
-    """Seconds within half a week of now."""
-    return np.asarray(seconds - WEEK_S * np.round(seconds / WEEK_S))
+def satellites(broadcast: Broadcast, t: Array | float) -> SatelliteState:
+    """States of all satellites at times ``t (..., S)`` or one time; velocities are exact derivatives."""
+    b, t = broadcast, np.asarray(t, dtype=np.float64)
+    tk, dt = ((since - WEEK_S * np.round(since / WEEK_S)) for since in (t - b.toe, t - b.toc))  # within half a week
+    n = np.sqrt(GRAVITY_PARAMETER) / b.sqrt_a**3 + b.delta_n
+    E = eccentric_anomaly(b.M0 + n * tk, b.e)
+    sin_E, cos_E = np.sin(E), np.cos(E)
+    shrunk = 1.0 - b.e * cos_E
+    E_dot = n / shrunk
+    root = np.sqrt(1.0 - b.e**2)
+    phi, phi_dot = np.arctan2(root * sin_E, cos_E - b.e) + b.omega, root * E_dot / shrunk
+
+    # In the plane of the orbit, with the corrections of latitude, radius and inclination.
+    s, c = np.sin(2.0 * phi), np.cos(2.0 * phi)
+    u, u_dot = phi + b.cus * s + b.cuc * c, phi_dot * (1.0 + 2.0 * (b.cus * c - b.cuc * s))
+    A = b.sqrt_a**2
+    r, r_dot = A * shrunk + b.crs * s + b.crc * c, A * b.e * sin_E * E_dot + 2.0 * phi_dot * (b.crs * c - b.crc * s)
+    i, i_dot = b.i0 + b.i_dot * tk + b.cis * s + b.cic * c, b.i_dot + 2.0 * phi_dot * (b.cis * c - b.cic * s)
+    x, y = r * np.cos(u), r * np.sin(u)
+    x_dot, y_dot = r_dot * np.cos(u) - y * u_dot, r_dot * np.sin(u) + x * u_dot
+
+    # In space, about a node that turns with the Earth; that of a geostationary orbit stays in the tilted plane until the end.
+    geo = b.geostationary
+    turning = b.Omega_dot - np.where(geo, 0.0, ROTATION_RATE)
+    node = b.Omega0 + turning * tk - ROTATION_RATE * np.mod(b.toe, WEEK_S)
+    cos_O, sin_O, cos_i, sin_i = np.cos(node), np.sin(node), np.cos(i), np.sin(i)
+    across, across_dot = y * cos_i, y_dot * cos_i - y * sin_i * i_dot
+    P = np.stack([x * cos_O - across * sin_O, x * sin_O + across * cos_O, y * sin_i], -1)
+    along = [x_dot * cos_O - across_dot * sin_O, x_dot * sin_O + across_dot * cos_O, y_dot * sin_i + y * cos_i * i_dot]
+    V = np.stack(along, -1) + spun(P, turning)
+    if geo.any():
+        fixed = turned(_tilted_back(P), ROTATION_RATE * tk)
+        moving = turned(_tilted_back(V), ROTATION_RATE * tk) - spun(fixed, ROTATION_RATE)
+        P, V = np.where(geo[:, None], fixed, P), np.where(geo[:, None], moving, V)
+    periodic = RELATIVITY * b.e * b.sqrt_a
+    clock = b.a0 + dt * (b.a1 + dt * b.a2) + periodic * sin_E - b.tgd
+    return SatelliteState(P, V, clock, b.a1 + 2.0 * b.a2 * dt + periodic * cos_E * E_dot)
 
 
 def eccentric_anomaly(mean: Array, e: Array) -> Array:
@@ -121,68 +152,48 @@ def eccentric_anomaly(mean: Array, e: Array) -> Array:
     return np.asarray(E)
 
 
-def satellites(broadcast: Broadcast, t: Array | float) -> SatelliteState:
-    """States of all satellites at times ``t (..., S)`` or one time; velocities are exact derivatives."""
-    b = broadcast
-    tk = wrapped(np.asarray(t, dtype=np.float64) - b.toe)
-    n = np.sqrt(GRAVITY_PARAMETER) / b.sqrt_a**3 + b.delta_n
-    E = eccentric_anomaly(b.M0 + n * tk, b.e)
-    sin_E, cos_E = np.sin(E), np.cos(E)
-    shrunk = 1.0 - b.e * cos_E
-    E_dot = n / shrunk
-    root = np.sqrt(1.0 - b.e**2)
-    phi, phi_dot = np.arctan2(root * sin_E, cos_E - b.e) + b.omega, root * E_dot / shrunk
-    s, c = np.sin(2.0 * phi), np.cos(2.0 * phi)
-    u, u_dot = phi + b.cus * s + b.cuc * c, phi_dot * (1.0 + 2.0 * (b.cus * c - b.cuc * s))
-    A = b.sqrt_a**2
-    r, r_dot = A * shrunk + b.crs * s + b.crc * c, A * b.e * sin_E * E_dot + 2.0 * phi_dot * (b.crs * c - b.crc * s)
-    i, i_dot = b.i0 + b.i_dot * tk + b.cis * s + b.cic * c, b.i_dot + 2.0 * phi_dot * (b.cis * c - b.cic * s)
-    x, y = r * np.cos(u), r * np.sin(u)
-    x_dot, y_dot = r_dot * np.cos(u) - y * u_dot, r_dot * np.sin(u) + x * u_dot
-    geo = b.geostationary
-    turning = b.Omega_dot - np.where(geo, 0.0, ROTATION_RATE)
-    node = b.Omega0 + turning * tk - ROTATION_RATE * wrapped_week(b.toe)
-    cos_O, sin_O, cos_i, sin_i = np.cos(node), np.sin(node), np.cos(i), np.sin(i)
-    across, across_dot = y * cos_i, y_dot * cos_i - y * sin_i * i_dot
-    P = np.stack([x * cos_O - across * sin_O, x * sin_O + across * cos_O, y * sin_i], -1)
-    V = np.stack(
-        [
-            x_dot * cos_O - across_dot * sin_O - turning * P[..., 1],
-            x_dot * sin_O + across_dot * cos_O + turning * P[..., 0],
-            y_dot * sin_i + y * cos_i * i_dot,
-        ],
-        -1,
-    )
-    if geo.any():
-        fixed = _from_tilted(P, V, tk)
-        P, V = (np.where(geo[:, None], a, b) for a, b in zip(fixed, (P, V), strict=True))
-    dt = wrapped(np.asarray(t, dtype=np.float64) - b.toc)
-    periodic = RELATIVITY * b.e * b.sqrt_a
-    clock = b.a0 + dt * (b.a1 + dt * b.a2) + periodic * sin_E - b.tgd
-    return SatelliteState(P, V, clock, b.a1 + 2.0 * b.a2 * dt + periodic * cos_E * E_dot)
-
-
-def wrapped_week(t: Array) -> Array:
-    """Seconds of the week."""
-    return np.asarray(t - WEEK_S * np.floor(t / WEEK_S))
-
-
-def tilted(vectors: Array, angle: float) -> Array:
-    """``R_x(angle)`` times vectors ``(..., 3)``."""
-    x, y, z = np.moveaxis(vectors, -1, 0)
-    return np.stack([x, np.cos(angle) * y + np.sin(angle) * z, np.cos(angle) * z - np.sin(angle) * y], -1)
-
-
 def turned(vectors: Array, angle: Array) -> Array:
     """``R_z(angle)`` times vectors ``(..., 3)``: into a frame that has turned by the angle ``(...)``."""
     x, y, z = np.moveaxis(vectors, -1, 0)
     return np.stack([np.cos(angle) * x + np.sin(angle) * y, np.cos(angle) * y - np.sin(angle) * x, z], -1)
 
 
-def _from_tilted(P: Array, V: Array, tk: Array) -> tuple[Array, Array]:
-    """Earth-fixed position and velocity from those in the tilted inertial frame of geostationary elements."""
-    angle = ROTATION_RATE * tk
-    position = turned(tilted(P, -TILT), angle)
-    velocity = turned(tilted(V, -TILT), angle)
-    spin = np.stack([position[..., 1], -position[..., 0], np.zeros_like(position[..., 2])], -1)
-    return position, velocity + ROTATION_RATE * spin
+def spun(places: Array, rate: Array | float) -> Array:
+    """Velocities of places ``(..., 3)`` that turn about the axis z by a rate ``(...)`` rad/s."""
+    x, y, z = np.moveaxis(places, -1, 0)
+    return np.stack([-y * rate, x * rate, np.zeros_like(z)], -1)
+
+
+def _tilted_back(vectors: Array) -> Array:
+    """``R_x(-TILT)`` times vectors ``(..., 3)``."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    return np.stack([x, np.cos(TILT) * y - np.sin(TILT) * z, np.cos(TILT) * z + np.sin(TILT) * y], -1)
+
+
+SYNCHRONOUS_M = (GRAVITY_PARAMETER / ROTATION_RATE**2) ** (1.0 / 3.0)
+
+
+def synthetic(toe: float = 345600.0) -> Broadcast:
+    """Broadcast elements of 32 satellites at a reference time, s of BDT, to try things with; their clocks are right.
+
+    Five geostationary, three inclined geosynchronous on one ground track, and a Walker constellation 24/3/1 [Fan2015, chosen].
+    """
+    toe = number("toe", toe)
+    rows: dict[int, tuple[float, ...]] = {}
+    # Number: longitude, inclination, node. Their elements refer to the tilted plane, in which the orbit is never flat.
+    over = {1: (140.0, 1.2, 40.0), 2: (80.0, 1.6, 70.0), 3: (110.5, 1.4, 55.0), 4: (160.0, 0.9, 100.0), 5: (58.75, 1.0, 20.0)}
+    for C, (longitude, i, Omega) in over.items():
+        tilted = Rotation.from_euler("x", -TILT) * Rotation.from_euler("ZXZ", [Omega, i, 30.0], degrees=True)
+        rows[C] = (SYNCHRONOUS_M, 3e-4, *(tilted.as_euler("ZXZ", degrees=True) % 360.0), (longitude - Omega - 30.0) % 360.0)
+    for k, C in enumerate((38, 39, 40)):
+        rows[C] = (SYNCHRONOUS_M, 0.002, 118.0 + 120.0 * k - 95.0, 55.0, 190.0, 95.0 - 120.0 * k - 190.0)
+    for k, C in enumerate(C for C in range(19, 47) if C not in (31, 38, 39, 40)):
+        plane, slot = divmod(k, 8)
+        rows[C] = (27906.1e3, 5e-4, 30.0 + 120.0 * plane, 55.0, 40.0, 45.0 * slot + 15.0 * plane + 10.0 - 40.0)
+    a, e, *angles = np.transpose(list(rows.values()))
+    Omega0, i0, omega, M0 = np.radians(angles)
+    elements = {field.name: np.zeros(len(rows)) for field in fields(Broadcast)} | {
+        "number": np.array(list(rows), float), "sqrt_a": np.sqrt(a), "e": e, "i0": i0, "omega": omega, "M0": M0,
+        "Omega0": Omega0 + ROTATION_RATE * np.mod(toe, WEEK_S), "toe": np.full(len(rows), toe), "toc": np.full(len(rows), toe),
+    }  # fmt: skip
+    return Broadcast(**elements)

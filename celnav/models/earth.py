@@ -1,11 +1,15 @@
-"""The ellipsoid WGS-84: radii of curvature, rotation, normal gravity. Units: m, s, rad."""
+"""The ellipsoid WGS-84 (radii of curvature, rotation, normal gravity) and the flight of an aircraft over it. Units: m, s, rad."""
 
 from __future__ import annotations
+
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.gaussian.linalg import Array
+from celnav.gaussian.checks import finite, number
+from celnav.gaussian.linalg import Array, matvec
 
 SEMI_MAJOR_M = 6378137.0
 FLATTENING = 1.0 / 298.257223563
@@ -16,7 +20,6 @@ GRAVITY_PARAMETER = 3.986004418e14
 """m^3/s^2."""
 STANDARD_GRAVITY = 9.80665
 """m/s^2, what a "g" of an accelerometer is."""
-_EQUATOR, _SOMIGLIANA = 9.7803253359, 0.00193185265241
 
 
 def meridian_radius(latitude: ArrayLike) -> Array:
@@ -31,10 +34,15 @@ def transverse_radius(latitude: ArrayLike) -> Array:
     return np.asarray(SEMI_MAJOR_M / np.sqrt(1.0 - ECCENTRICITY_SQUARED * s * s))
 
 
+def radii(latitude: ArrayLike, height_m: ArrayLike) -> tuple[Array, Array]:
+    """Meters in a radian along and across the meridian at a height: ``R_M + h`` and ``R_N + h``."""
+    return meridian_radius(latitude) + height_m, transverse_radius(latitude) + height_m
+
+
 def normal_gravity(latitude: ArrayLike, height_m: ArrayLike) -> Array:
     """Gravity (down, with the centrifugal part) of the normal ellipsoid, m/s^2: Somigliana's formula, to second order in height."""
     s2 = np.square(np.sin(latitude))
-    surface = _EQUATOR * (1.0 + _SOMIGLIANA * s2) / np.sqrt(1.0 - ECCENTRICITY_SQUARED * s2)
+    surface = 9.7803253359 * (1.0 + 0.00193185265241 * s2) / np.sqrt(1.0 - ECCENTRICITY_SQUARED * s2)
     m = ROTATION_RATE**2 * SEMI_MAJOR_M**3 * (1.0 - FLATTENING) / GRAVITY_PARAMETER
     h = np.asarray(height_m) / SEMI_MAJOR_M
     return np.asarray(surface * (1.0 - 2.0 * (1.0 + FLATTENING + m - 2.0 * FLATTENING * s2) * h + 3.0 * h * h))
@@ -48,6 +56,82 @@ def earth_rate(latitude: ArrayLike) -> Array:
 
 def transport_rate(velocity: Array, latitude: ArrayLike, height_m: ArrayLike) -> Array:
     """Rotation of the east, north, up axes over the Earth, ``(..., 3)`` rad/s, at ``velocity (..., 2 or 3)`` m/s."""
-    north, east = meridian_radius(latitude) + height_m, transverse_radius(latitude) + height_m
+    north, east = radii(latitude, height_m)
     spin = velocity[..., 0] / east
     return np.stack([-velocity[..., 1] / north, spin, spin * np.tan(latitude)], -1)
+
+
+class Flight(NamedTuple):
+    """Truth ``(T, ...)`` of a flight, on east, north, up axes n and body axes b: right, front, up.
+
+    Attributes
+    ----------
+    times: ``(T,)`` s. longitude, latitude: ``(T,)`` rad. height_m: constant.
+    velocity: ``(T, 3)`` m/s. attitude: ``(T, 3, 3)``, C_b^n. force: ``(T, 3)`` m/s^2, the specific force on body axes.
+    """
+
+    times: Array
+    longitude: Array
+    latitude: Array
+    height_m: float
+    velocity: Array
+    attitude: Array
+    force: Array
+
+
+def turning_flight(
+    times: Array,
+    *,
+    longitude: float,
+    latitude: float,
+    height_m: float,
+    speed: float,
+    heading: float,
+    acceleration: float,
+    turn_rate: float,
+    substep: float = 0.5,
+) -> Flight:
+    """Level flight at ``times (T,)`` s, increasing, with constant acceleration along the track and a constant turn.
+
+    From a place (rad, m) at the first time, there with ``speed`` m/s and ``heading`` rad, clockwise from north; acceleration in
+    m/s^2, turn rate in rad/s. The position is integrated by Runge-Kutta steps of at most ``substep`` seconds (to 1e-12 rad in
+    500 s). ValueError where the flight comes within a degree of a pole.
+    """
+    t = finite("times", times, ("T",))
+    if (np.diff(t) <= 0.0).any():
+        raise ValueError(f"times: expected an increasing sequence, got shape {t.shape}")
+    longitude, latitude, height_m = number("longitude", longitude), number("latitude", latitude), number("height_m", height_m)
+    speed, heading, acceleration = number("speed", speed), number("heading", heading), number("acceleration", acceleration)
+    turn_rate, substep = number("turn_rate", turn_rate), number("substep", substep, above=0.0)
+
+    def rate(since: float, where: Array) -> Array:
+        v, psi = speed + acceleration * since, heading + turn_rate * since
+        along, across = radii(where[1], height_m)
+        return np.array([v * np.sin(psi) / (across * np.cos(where[1])), v * np.cos(psi) / along])
+
+    since = t - t[0]
+    places = [np.array([longitude, latitude])]
+    for a, b in pairwise(since):
+        parts, where = int(np.ceil((b - a) / substep)), places[-1]
+        dt = (b - a) / parts
+        for at in a + dt * np.arange(parts):
+            k1 = rate(at, where)
+            k2 = rate(at + 0.5 * dt, where + 0.5 * dt * k1)
+            k3 = rate(at + 0.5 * dt, where + 0.5 * dt * k2)
+            k4 = rate(at + dt, where + dt * k3)
+            where = where + dt / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
+        places.append(where)
+    longitudes, latitudes = np.transpose(places)
+    if (np.abs(latitudes) > np.radians(89.0)).any():
+        raise ValueError("latitude: expected a flight away from the poles (within 89 degrees)")
+
+    v, psi = speed + acceleration * since, heading + turn_rate * since
+    right = np.stack([np.cos(psi), -np.sin(psi), np.zeros_like(psi)], -1)
+    front = np.stack([np.sin(psi), np.cos(psi), np.zeros_like(psi)], -1)
+    up = np.broadcast_to([0.0, 0.0, 1.0], front.shape)
+    attitude, velocity = np.stack([right, front, up], -1), v[:, None] * front
+    change = acceleration * front + (v * turn_rate)[:, None] * right
+    rotation = 2.0 * earth_rate(latitudes) + transport_rate(velocity, latitudes, height_m)
+    force = change + np.cross(rotation, velocity)
+    force[:, 2] += normal_gravity(latitudes, height_m)
+    return Flight(t, longitudes, latitudes, height_m, velocity, attitude, matvec(attitude.mT, force))

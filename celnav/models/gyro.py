@@ -1,4 +1,5 @@
-"""Rate gyros with drift [Farrenkopf 1978]: what they measure, how an attitude is propagated with them, what accuracy settles.
+"""Rate gyros with drift [Farrenkopf 1978]: what they measure, how an attitude is propagated with them, what accuracy settles;
+and the rotation of a rigid satellite, which they measure.
 
 A gyro gives the mean rate of an interval plus drift plus white noise, ``measured = rate + beta + eta_v``; the drift is a
 Gauss-Markov process or a random walk. States are ``(..., 7)``: quaternion (see `celnav.gaussian.attitude`) and drift in rad/s;
@@ -8,27 +9,24 @@ their errors ``(..., 6)``: rotation vector in body axes, and drift.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.integrate import solve_ivp
 
-from celnav.gaussian.attitude import cross, exp, inverse, log, multiply, unit
-from celnav.gaussian.checks import finite, instance, number, numbers, together
-from celnav.gaussian.linalg import Array, side_by_side
+from celnav.gaussian.attitude import cross, exp, inverse, log, multiply, rotate, unit
+from celnav.gaussian.checks import LIMIT, finite, instance, integer, number, numbers, together
+from celnav.gaussian.linalg import Array, matvec, side_by_side
 
 
 @dataclass(frozen=True)
 class Gyro:
-    """Noise of a gyro triad.
+    """Noise of a gyro triad, not negative.
 
     Attributes
     ----------
     sigma_v: angle random walk, rad/s^(1/2). sigma_u: drift random walk, rad/s^(3/2).
     tau: correlation time of the drift, s; infinite: a random walk.
-
-    Raises
-    ------
-    ValueError: naming a number that is negative or no number, or a ``tau`` that is not positive.
     """
 
     sigma_v: float
@@ -57,10 +55,9 @@ class Gyro:
 
     def process_noise(self, dt: float) -> Array:
         """Covariance ``(6, 6)`` of the errors of rotation vector and drift over ``dt`` seconds [Crassidis & Markley 2003]."""
-        eye, u2 = np.eye(3), self.sigma_u**2
-        cross = -0.5 * u2 * dt**2 * eye
-        angle = (self.sigma_v**2 * dt + u2 * dt**3 / 3.0) * eye
-        return np.block([[angle, cross], [cross, self.drift_std(dt) ** 2 * eye]])
+        u2 = self.sigma_u**2
+        angle, both, drift = self.sigma_v**2 * dt + u2 * dt**3 / 3.0, -0.5 * u2 * dt**2, self.drift_std(dt) ** 2
+        return np.kron([[angle, both], [both, drift]], np.eye(3))
 
     def measure(self, q: Array, drift: Array, noise: Array, dt: float) -> Array:
         """Samples ``(T - 1, ..., 3)`` rad/s of attitudes ``q (T, ..., 4)`` with ``drift`` and standard normal ``noise``."""
@@ -89,9 +86,9 @@ class Gyro:
         first = np.where(small, 0.5 - angle**2 / 24.0, (1.0 - np.cos(angle)) / safe**2)
         second = np.where(small, 1.0 / 6.0 - angle**2 / 120.0, (safe - np.sin(safe)) / safe**3)
         T, eye = cross(turn), np.eye(3)
-        matrix = np.zeros((*turn.shape[:-1], 6, 6))
         square = T @ T
         # The matrix of a rotation vector, and its integral over the interval.
+        matrix = np.zeros((*turn.shape[:-1], 6, 6))
         matrix[..., :3, :3] = eye - np.sinc(angle / np.pi) * T + first * square
         matrix[..., :3, 3:] = -dt * (eye - first * T + second * square)
         matrix[..., 3:, 3:] = self.factor(dt) * eye
@@ -120,25 +117,78 @@ class SteadyState(NamedTuple):
 
 
 def steady_state(sigma_n: float, gyro: Gyro, interval: float) -> SteadyState:
-    """What a filter settles at: attitude measured to ``sigma_n`` rad each ``interval`` s, drift a random walk [Farrenkopf 1978].
-
-    Raises
-    ------
-    ValueError: unless ``sigma_n`` and ``interval`` are positive and the gyro's ``tau`` infinite.
-    """
+    """What a filter settles at: attitude measured to ``sigma_n`` rad each ``interval`` s, drift a random walk [Farrenkopf 1978]."""
     sigma_n, interval = number("sigma_n", sigma_n, above=0.0), number("interval", interval, above=0.0)
     instance("gyro", gyro, Gyro, "a Gyro, such as Gyro(sigma_v, sigma_u)")
     if np.isfinite(gyro.tau):
         raise ValueError(f"gyro: expected a drift that walks at random (tau = inf), got tau = {gyro.tau!r}")
     T, u, v = interval, gyro.sigma_u, gyro.sigma_v
     Su, Sv = u * T**1.5 / sigma_n, v * np.sqrt(T) / sigma_n
-    g = np.sqrt(1.0 + Sv**2 / 4.0 + Su**2 / 48.0)
+    small = Sv**2 / 4.0 + Su**2 / 48.0
+    g = np.sqrt(1.0 + small)
     # zeta - 1 without its 1: the difference of squares would lose the digits that a good gyro is about.
-    excess = (Sv**2 / 4.0 + Su**2 / 48.0) / (g + 1.0) + Su / 4.0 + 0.5 * np.sqrt(2.0 * g * Su + Sv**2 + Su**2 / 3.0)
+    excess = small / (g + 1.0) + Su / 4.0 + 0.5 * np.sqrt(2.0 * g * Su + Sv**2 + Su**2 / 3.0)
     zeta = 1.0 + excess
-    spread = excess * (zeta + 1.0)
-    before, after = sigma_n * np.sqrt(spread), sigma_n * np.sqrt(spread) / zeta
+    before = sigma_n * np.sqrt(excess * (zeta + 1.0))
     cross_before = -u * np.sqrt(T) * sigma_n * zeta
-    cross_after = cross_before / zeta**2
-    variance = (cross_after - cross_before) / T - 0.5 * u**2 * T
-    return SteadyState(float(before), float(after), float(np.sqrt(variance + u**2 * T)), float(np.sqrt(variance)))
+    drift = (cross_before / zeta**2 - cross_before) / T - 0.5 * u**2 * T  # variance after
+    return SteadyState(float(before), float(before / zeta), float(np.sqrt(drift + u**2 * T)), float(np.sqrt(drift)))
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A rigid satellite with momentum wheels on a circular orbit, under gravity gradient. Units: kg m^2, N m s, N m, rad, s.
+
+    Attributes
+    ----------
+    inertia: ``(3, 3)``, body axes; ValueError for one that no distribution of mass has. wheels: ``(3,)``, angular momentum of the
+        wheels. torque: ``(3,)``, constant.
+    orbit_rate: rad/s; the inertial frame is the orbital one at t = 0 (x along the velocity, z to nadir).
+    """
+
+    inertia: Any
+    wheels: Any = (0.0, 0.0, 0.0)
+    torque: Any = (0.0, 0.0, 0.0)
+    orbit_rate: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, shape in (("inertia", (3, 3)), ("wheels", (3,)), ("torque", (3,))):
+            object.__setattr__(self, name, finite(name, getattr(self, name), shape))
+        number("orbit_rate", self.orbit_rate)
+        small, middle, large = np.linalg.eigvalsh(self.inertia).tolist()
+        if not np.allclose(self.inertia, self.inertia.T) or small <= 0.0:
+            raise ValueError("inertia: expected a symmetric positive definite (3, 3)")
+        if large > 1.001 * (small + middle):  # a flat plate attains it, and numbers are rounded
+            got = f"{small:.6g}, {middle:.6g} and {large:.6g}"
+            raise ValueError(f"inertia: expected principal moments none of which is larger than the two others together, got {got}")
+
+    def nadir(self, q: Array, t: float) -> Array:
+        """Direction of the Earth's center ``(..., 3)`` on body axes."""
+        at = self.orbit_rate * t
+        return rotate(q, [-np.sin(at), 0.0, np.cos(at)])
+
+    def rates(self, x: Array, t: float) -> Array:
+        """Rate of the state ``(..., 7)``: quaternion and angular velocity (rad/s, body axes)."""
+        q, w = x[..., :4], x[..., 4:]
+        turning = 0.5 * multiply(np.concatenate([w, np.zeros_like(w[..., :1])], -1), q)
+        c = self.nadir(q, t)
+        gradient = 3.0 * self.orbit_rate**2 * matvec(cross(c), matvec(self.inertia, c))
+        torque = gradient + self.torque - matvec(cross(w), matvec(self.inertia, w) + self.wheels)
+        return np.concatenate([turning, np.linalg.solve(self.inertia, torque[..., None])[..., 0]], -1)
+
+    def propagate(self, x: Array, dt: float, steps: int) -> Array:
+        """States ``(steps + 1, ..., 7)`` from the first at equal intervals, integrated to a relative 1e-12."""
+        start, dt = finite("x", x, (..., 7)), number("dt", dt)
+        unit(start[..., :4], "x")
+        steps = integer("steps", steps, 0, LIMIT // max(start.size, 1))
+        if not dt:
+            raise ValueError("dt: expected an interval, got 0")
+
+        def rates(t: float, flat: Array) -> Array:
+            return self.rates(flat.reshape(start.shape), t).ravel()
+
+        times = dt * np.arange(steps + 1)
+        solved = solve_ivp(rates, (0.0, times[-1]), start.ravel(), method="DOP853", t_eval=times, rtol=1e-12, atol=1e-14)
+        out = solved.y.T.reshape(steps + 1, *start.shape)
+        out[..., :4] /= np.linalg.norm(out[..., :4], axis=-1, keepdims=True)
+        return np.asarray(out)

@@ -1,10 +1,10 @@
-"""Errors of a strapdown inertial navigation system at large misalignment, and what star sensors and SAR see of them.
+"""A strapdown inertial navigation system, its errors at large misalignment, and what star sensors and SAR see of them.
 
-State ``(..., 13)``: misalignment phi (3, rad), errors of the east and north velocity (2, m/s), of longitude and latitude
-(2, rad), gyro drift eps (3, rad/s), accelerometer bias nabla (3, m/s^2); errors are computed minus true [Liang2014].
+State of the errors ``(..., 13)``: misalignment phi (3, rad), errors of the east and north velocity (2, m/s), of longitude and
+latitude (2, rad), gyro drift eps (3, rad/s), accelerometer bias nabla (3, m/s^2); computed minus true [Liang2014].
 Frames: n east, north, up; n' the same as the system computes it; b the body. The misalignment are the Euler angles of
 ``C_n^n' = C_y(phi_y) C_x(phi_x) C_z(phi_z)``. Given phi, the dynamics are linear in the other ten states, and the
-measurements are nonlinear in phi only.
+measurements are nonlinear in phi only. `mechanize` steps the whole system, with which this model must agree.
 """
 
 from __future__ import annotations
@@ -12,16 +12,18 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from celnav.gaussian.checks import finite, instance
-from celnav.gaussian.linalg import Array, components, leading, matvec
+from celnav.gaussian.linalg import Array, components, leading, matvec, side_by_side
 from celnav.models import earth
-from celnav.models.trajectory import Flight
+from celnav.models.earth import Flight
 
 PHI, VELOCITY, POSITION, DRIFT, BIAS = slice(0, 3), slice(3, 5), slice(5, 7), slice(7, 10), slice(10, 13)
 STATES = ("phi_x", "phi_y", "phi_z", "dVx", "dVy", "dlon", "dlat", "eps_x", "eps_y", "eps_z", "nabla_x", "nabla_y", "nabla_z")
 SINGULAR = np.radians(89.0)
-"""The Euler angles end at phi_x = 90 degrees; `step` refuses points beyond this."""
+"""The Euler angles end at phi_x = 90 degrees: sigma points beyond this mean nothing."""
+FLIGHT = "a Flight, such as celnav.models.earth.turning_flight(times, ...)"
 
 
 class Navigation(NamedTuple):
@@ -42,7 +44,7 @@ class Navigation(NamedTuple):
 
 def navigation(flight: Flight, at: Array | int | slice, phi: Array, bias: Array) -> Navigation:
     """Inputs at the epochs ``at`` of a flight whose system has a true misalignment and accelerometer bias ``(..., 3)``."""
-    instance("flight", flight, Flight, "a Flight, such as celnav.models.trajectory.turning_flight(times, ...)")
+    instance("flight", flight, Flight, FLIGHT)
     phi, bias = finite("phi", phi, (..., 3)), finite("bias", bias, (..., 3))
     try:
         if at is None:
@@ -52,18 +54,25 @@ def navigation(flight: Flight, at: Array | int | slice, phi: Array, bias: Array)
         count = len(flight.times)
         raise ValueError(f"at: expected numbers of epochs below {count}, one, several or a slice, got {at!r:.80}") from None
     attitude = misalignment_matrix(phi) @ true
-    return Navigation(
-        attitude, matvec(attitude, flight.force[at] + bias), flight.velocity[at, :2], flight.latitude[at], flight.height_m
-    )
+    force = matvec(attitude, flight.force[at] + bias)
+    return Navigation(attitude, force, flight.velocity[at, :2], flight.latitude[at], flight.height_m)
 
 
 def misalignment_matrix(phi: Array) -> Array:
     """``C_n^n' (..., 3, 3)`` of Euler angles ``(..., 3)``."""
-    out: Array = np.empty((*phi.shape[:-1], 3, 3))
-    for i, row in enumerate(_rows(*_sines(leading(phi)))):
-        for j, entry in enumerate(row):
-            out[..., i, j] = entry
-    return out
+    return _matrix(np.sin(leading(phi)), np.cos(leading(phi)))
+
+
+def _matrix(s: Array, c: Array) -> Array:
+    """The same of the sines and cosines ``(3, ...)``, of which `derivative` needs some itself."""
+    (sx, sy, sz), (cx, cy, cz) = s, c
+    a, b = sy * sx, cy * sx
+    rows = [
+        [cy * cz - a * sz, cy * sz + a * cz, -sy * cx],
+        [-cx * sz, cx * cz, sx],
+        [sy * cz + b * sz, sy * sz - b * cz, cy * cx],
+    ]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 
 def misalignment_angles(C: Array) -> Array:
@@ -72,101 +81,55 @@ def misalignment_angles(C: Array) -> Array:
     return np.stack([x, np.arctan2(-C[..., 0, 2], C[..., 2, 2]), np.arctan2(-C[..., 1, 0], C[..., 1, 1])], -1)
 
 
-def _sines(phi: Array) -> tuple[Array, Array]:
-    """Sines and cosines of angles with the component axis first."""
-    return np.sin(phi), np.cos(phi)
+def _vector(*parts: Array | float) -> Array:
+    """Components side by side, ``(..., n)``, each in one piece of memory: batches of sigma points are several times as fast so."""
+    return np.moveaxis(np.stack(np.broadcast_arrays(*parts)), 0, -1)
 
 
-def _rows(s: Array, c: Array) -> tuple[tuple[Array, ...], ...]:
-    """Rows of ``C_n^n'``."""
-    (sx, sy, sz), (cx, cy, cz) = s, c
-    a, b = sy * sx, cy * sx
-    return (
-        (cy * cz - a * sz, cy * sz + a * cz, -sy * cx),
-        (-cx * sz, cx * cz, sx),
-        (sy * cz + b * sz, sy * sz - b * cz, cy * cx),
-    )
+def _turned(C: Array, v: Array) -> Array:
+    """``C v`` of matrices ``(..., 3, 3)`` and vectors ``(..., 3)``, in such memory too."""
+    entries = np.ascontiguousarray(leading(leading(C)))
+    return np.moveaxis(np.einsum("ij...,j...->i...", entries, leading(v)), 0, -1)
 
 
 def derivative(x: Array, nav: Navigation) -> Array:
     """Rate of the state ``(..., 13)``; gyro drift and accelerometer bias are constant [Liang2014, Eqs. 20-25, corrected]."""
-    return np.moveaxis(_derivative(components(x), nav), 0, -1)
+    s, c = np.sin(leading(x[..., PHI])), np.cos(leading(x[..., PHI]))
+    C, Cb, L, (north, east) = _matrix(s, c), nav.attitude, nav.latitude, earth.radii(nav.latitude, nav.height_m)
+    (Vx, Vy), (vx, vy), dL = leading(x[..., VELOCITY]), leading(nav.velocity), x[..., 6]
+    secL, tanL = 1.0 / np.cos(L), np.tan(L)
+    ie, en = earth.earth_rate(L), earth.transport_rate(nav.velocity, L, nav.height_m)
 
+    # The errors of the computed rates; that of the Earth's rate has no east component.
+    d_ie = _vector(0.0, -ie[..., 2] * dL, ie[..., 1] * dL)
+    d_en = _vector(-Vy / north, Vx / east, Vx * (tanL / east) + dL * (vx * secL * secL / east))
 
-def step(x: Array, nav: Navigation, dt: float) -> Array:
-    """State ``(..., 13)`` after ``dt`` seconds, inputs at the middle of the interval; conditionally linear given phi.
+    # Rotation of n' against n, on the axes n', and what it makes of the angles.
+    w = ie + en - _turned(C, ie + en) - _turned(Cb, x[..., DRIFT]) + (d_ie + d_en)
+    (sx, sy, _), (cx, cy, _) = s, c
+    turn = cy * w[..., 2] - sy * w[..., 0]
+    d_phi = cy * w[..., 0] + sy * w[..., 2], w[..., 1] - (sx / cx) * turn, turn / cx
 
-    Raises
-    ------
-    ValueError: if a misalignment phi_x is within a degree of +-90 degrees, where the Euler angles end.
-    """
-    worst = np.abs(x[..., 0]).max(initial=0.0)
-    if worst >= SINGULAR:
-        raise ValueError(
-            f"phi_x: expected less than 89 degrees at every sigma point, got {np.degrees(worst):.1f} (take a star fix first)"
-        )
-    return advance(x, nav, dt)
+    # Velocity: f' - C' (f' - C_b^n' nabla), Coriolis terms of the error and of the rates' errors.
+    change = nav.force - _turned(C.mT, nav.force - _turned(Cb, x[..., BIAS]))
+    spin, error = (2.0 * ie + en)[..., 2], (2.0 * d_ie + d_en)[..., 2]
+    d_V = change[..., 0] + spin * Vy + error * vy, change[..., 1] - spin * Vx - error * vx
+    d_place = (secL / east) * Vx + (vx * secL * tanL / east) * dL, Vy / north
+    return _vector(*d_phi, *d_V, *d_place, *np.zeros(6))
 
 
 def advance(x: Array, nav: Navigation, dt: float) -> Array:
-    """As `step`, without the check: for the truth, which is no average of points, and for callers that look themselves."""
-    X = components(x)
-    rate = _derivative(X, nav)
+    """State ``(..., 13)`` after ``dt`` seconds, inputs at the middle of the interval; linear in all but phi.
+
+    It is not looked at whether a point has come near to phi_x = 90 degrees, see `SINGULAR`.
+    """
+    x = np.moveaxis(components(x), 0, -1)
+    rate = derivative(x, nav)
     # The position moves with the velocity error in the middle of the interval.
-    half = 0.5 * dt
-    east, north = _radii(nav)
-    rate[5] += half * rate[3] / (east * np.cos(nav.latitude))
-    rate[6] += half * rate[4] / north
-    out = X + dt * rate
-    return out.transpose((*range(1, x.ndim), 0))
-
-
-def _radii(nav: Navigation) -> tuple[Array, Array]:
-    """Radii of curvature plus height, across and along the meridian, m."""
-    return earth.transverse_radius(nav.latitude) + nav.height_m, earth.meridian_radius(nav.latitude) + nav.height_m
-
-
-def _derivative(X: Array, nav: Navigation) -> Array:
-    """As `derivative`, component axis first."""
-    s, c = _sines(X[:3])
-    C = _rows(s, c)
-    Vx, Vy, dL = X[3], X[4], X[6]
-    L, (east, north) = nav.latitude, _radii(nav)
-    secL, tanL = 1.0 / np.cos(L), np.tan(L)
-    vx, vy = nav.velocity[..., 0], nav.velocity[..., 1]
-    ie = leading(earth.earth_rate(L))
-    en = leading(earth.transport_rate(nav.velocity, L, nav.height_m))
-    in_ = ie + en
-    Cb = leading(leading(nav.attitude))
-    f = leading(nav.force)
-    eps, nabla = X[7:10], X[10:13]
-
-    # The errors of the computed rates; that of the Earth's rate has no east component.
-    d_ie = (0.0, -ie[2] * dL, ie[1] * dL)
-    d_en = (-Vy / north, Vx / east, Vx * (tanL / east) + dL * (vx * secL * secL / east))
-
-    # Rotation of n' against n, on the axes n'.
-    w = [
-        in_[i] - (C[i][0] * in_[0] + C[i][1] * in_[1] + C[i][2] * in_[2])
-        - (Cb[i, 0] * eps[0] + Cb[i, 1] * eps[1] + Cb[i, 2] * eps[2]) + (d_ie[i] + d_en[i])
-        for i in range(3)
-    ]  # fmt: skip
-    out = np.zeros_like(X, shape=np.broadcast_shapes(X.shape, (13, *w[0].shape)))
-    (sx, sy, _), (cx, cy, _) = s, c
-    turn = cy * w[2] - sy * w[0]  # C_omega w, row by row
-    out[0] = cy * w[0] + sy * w[2]
-    out[1] = w[1] - (sx / cx) * turn
-    out[2] = turn / cx
-
-    # Velocity: f' - C' (f' - C_b^n' nabla), Coriolis terms of the error and of the rates' errors.
-    g = [f[i] - (Cb[i, 0] * nabla[0] + Cb[i, 1] * nabla[1] + Cb[i, 2] * nabla[2]) for i in range(3)]
-    spin = 2.0 * ie + en
-    error_z = 2.0 * d_ie[2] + d_en[2]
-    out[3] = f[0] - (C[0][0] * g[0] + C[1][0] * g[1] + C[2][0] * g[2]) + spin[2] * Vy + error_z * vy
-    out[4] = f[1] - (C[0][1] * g[0] + C[1][1] * g[1] + C[2][1] * g[2]) - spin[2] * Vx - error_z * vx
-    out[5] = (secL / east) * Vx + (vx * secL * tanL / east) * dL
-    out[6] = Vy / north
-    return out
+    half, (north, east) = 0.5 * dt, earth.radii(nav.latitude, nav.height_m)
+    rate[..., 5] += half * rate[..., 3] / (east * np.cos(nav.latitude))
+    rate[..., 6] += half * rate[..., 4] / north
+    return np.asarray(x + dt * rate)
 
 
 def star_residuals(x: Array, attitude: Array, stars: Array) -> Array:
@@ -176,42 +139,19 @@ def star_residuals(x: Array, attitude: Array, stars: Array) -> Array:
     ----------
     x: state ``(..., 13)``. attitude: ``(..., 3, 3)``, C_b^n'. stars: ``(k, 3)`` or ``(..., k, 3)``, unit directions on n.
     """
-    X = components(x)
-    C = _rows(*_sines(X[:3]))
-    Cb = leading(leading(attitude))
-    shape = np.broadcast_shapes(x.shape[:-1], attitude.shape[:-2], stars.shape[:-2])
-    out = np.empty_like(X, shape=(3 * stars.shape[-2], *shape))
-    for k in range(stars.shape[-2]):
-        r = leading(stars[..., k, :])
-        turned = [C[i][0] * r[0] + C[i][1] * r[1] + C[i][2] * r[2] - r[i] for i in range(3)]
-        for j in range(3):
-            out[3 * k + j] = Cb[0, j] * turned[0] + Cb[1, j] * turned[1] + Cb[2, j] * turned[2]
-    return np.moveaxis(out, 0, -1)
-
-
-def check_stars(stars: Array, name: str = "stars") -> Array:
-    """Unit star directions ``(..., k, 3)``.
-
-    Raises
-    ------
-    ValueError: if one is not finite or not of unit length to 1e-6.
-    """
-    directions = finite(name, stars, (..., "k", 3))
-    length = np.linalg.norm(directions, axis=-1)
-    if (np.abs(length - 1.0) > 1e-6).any():
-        raise ValueError(f"{name}: expected unit vectors, got lengths from {length.min():.6g} to {length.max():.6g}")
-    return directions
+    C = misalignment_matrix(x[..., PHI])
+    return side_by_side([_turned(attitude.mT, _turned(C, r) - r) for r in np.moveaxis(stars, -2, 0)])
 
 
 def wahba_misalignment(z: Array, attitude: Array, stars: Array) -> Array:
     """Misalignment ``(..., 3)`` that fits measured star residuals ``z (..., 3 k)`` best: Wahba's problem, by SVD [Markley1988].
 
-    Raises
-    ------
-    ValueError: if all stars are parallel (``|r_1 x r_2| < 1e-3``), which leaves a rotation about them free.
+    ``stars (..., k, 3)``: unit vectors. ValueError if all are parallel (``|r_1 x r_2| < 1e-3``): a rotation about them is free.
     """
-    directions = check_stars(stars)
-    k = directions.shape[-2]
+    directions = finite("stars", stars, (..., "k", 3))
+    k, length = directions.shape[-2], np.linalg.norm(directions, axis=-1)
+    if (np.abs(length - 1.0) > 1e-6).any():
+        raise ValueError(f"stars: expected unit vectors, got lengths from {length.min():.6g} to {length.max():.6g}")
     if k < 2 or (np.linalg.norm(np.cross(directions[..., 0, :], directions[..., 1, :]), axis=-1) < 1e-3).all():
         raise ValueError("stars: expected two directions that are not parallel (|r_1 x r_2| >= 1e-3)")
     z, attitude = finite("z", z, (..., 3 * k)), finite("attitude", attitude, (..., 3, 3))
@@ -220,3 +160,54 @@ def wahba_misalignment(z: Array, attitude: Array, stars: Array) -> Array:
     U, _, Vt = np.linalg.svd(np.einsum("...ki,...kj->...ij", seen, np.broadcast_to(directions, seen.shape)))
     U[..., :, -1] *= np.sign(np.linalg.det(U @ Vt))[..., None]
     return misalignment_angles(U @ Vt)
+
+
+class Solution(NamedTuple):
+    """What the system computes, ``(T, ...)``: attitude C_b^n' ``(T, 3, 3)``, velocity ``(T, 2)`` m/s, longitude, latitude rad."""
+
+    attitude: Array
+    velocity: Array
+    longitude: Array
+    latitude: Array
+
+
+def mechanize(flight: Flight, attitude: Array, drift: Array, bias: Array) -> Solution:
+    """Navigate along a flight from a wrong initial attitude, with gyro drift (rad/s) and accelerometer bias (m/s^2).
+
+    Horizontal channels only: the height is known. The flight is sampled twice per step (at the ends and in the middle), so it
+    has an odd number of epochs; one row of the solution per step, the start first.
+    """
+    t = instance("flight", flight, Flight, FLIGHT).times
+    if len(t) < 3 or len(t) % 2 == 0:
+        raise ValueError(f"flight: expected an odd number of epochs, three or more, got {len(t)}")
+    drift, bias, C = finite("drift", drift, (3,)), finite("bias", bias, (3,)), finite("attitude", attitude, (3, 3))
+    dt, h, (first, middle, last) = t[2] - t[0], flight.height_m, (slice(0, -2, 2), slice(1, None, 2), slice(2, None, 2))
+    # What is measured in the middle of each step: by the gyros the body's rotation against inertial space.
+    L, b = flight.latitude[middle], flight.attitude
+    spin = earth.earth_rate(L) + earth.transport_rate(flight.velocity[middle], L, h)
+    turn = Rotation.from_matrix(b[first].mT @ b[last]).as_rotvec()
+    gyros, forces = turn / dt + matvec(b[middle].mT, spin) + drift, flight.force[middle] + bias
+
+    def rates(C: Array, V: Array, place: Array, force: Array) -> tuple[Array, Array, Array]:
+        """Rates of velocity and place, and of the axes n' against inertial space."""
+        L = place[1]
+        ie, en = earth.earth_rate(L), earth.transport_rate(V, L, h)
+        change = C @ force - np.cross(2.0 * ie + en, np.append(V, 0.0))
+        north, east = earth.radii(L, h)
+        return change[:2], np.array([V[0] / (east * np.cos(L)), V[1] / north]), ie + en
+
+    def turned(C: Array, gyro: Array, rate: Array, dt: float) -> Array:
+        """C_b^n' after the body turned by ``gyro`` (on b) and the axes n' by ``rate`` (on n')."""
+        return Rotation.from_rotvec(-rate * dt).as_matrix() @ C @ Rotation.from_rotvec(gyro * dt).as_matrix()
+
+    V, place = flight.velocity[0, :2], np.array([flight.longitude[0], flight.latitude[0]])
+    rows = [(C, V, place)]
+    for gyro, force in zip(gyros, forces, strict=True):
+        # Midpoint rule: half a step on, then the whole step with the rates there.
+        change, moved, rate = rates(C, V, place, force)
+        halfway = turned(C, gyro, rate, 0.5 * dt), V + 0.5 * dt * change, place + 0.5 * dt * moved
+        change, moved, rate = rates(*halfway, force)
+        C, V, place = turned(C, gyro, rate, dt), V + dt * change, place + dt * moved
+        rows.append((C, V, place))
+    attitudes, velocities, places = (np.stack(column) for column in zip(*rows, strict=True))
+    return Solution(attitudes, velocities, places[:, 0], places[:, 1])

@@ -14,11 +14,7 @@ from celnav.gaussian.linalg import Array
 def stationary_covariance(Phi: ArrayLike, R: ArrayLike) -> Array:
     """Covariance ``(m, m)`` of the stationary AR(1) sequence ``V' = Phi V + zeta``, ``zeta ~ N(0, R)``.
 
-    It solves ``Sigma = Phi Sigma Phi' + R``.
-
-    Raises
-    ------
-    ValueError: if the spectral radius of Phi is not below 1, or R is not a covariance.
+    It solves ``Sigma = Phi Sigma Phi' + R``. ValueError if the spectral radius of Phi is not below 1: there is none.
     """
     phi = finite("Phi", Phi, ("m", "m"))
     noise = _covariance("R", R, len(phi))
@@ -31,17 +27,12 @@ def stationary_covariance(Phi: ArrayLike, R: ArrayLike) -> Array:
 
 def _covariance(name: str, cov: ArrayLike, m: int) -> Array:
     """One checked covariance ``(m, m)``, as it was given."""
-    symmetric(cov, name, m)[1]
+    symmetric(cov, name, m)
     return finite(name, cov, (m, m))
 
 
 def initial_covariance(initial: str | ArrayLike, Phi: ArrayLike, R: ArrayLike) -> Array:
-    """Covariance ``(m, m)`` of ``V_0``: "R", "stationary", "zero" or a matrix.
-
-    Raises
-    ------
-    ValueError: for another word, if R or the matrix is no covariance, and where Phi has no stationary one.
-    """
+    """Covariance ``(m, m)`` of the first value ``V_0``: "R", "stationary", "zero" or a matrix."""
     m = len(finite("Phi", Phi, ("m", "m")))
     increments = _covariance("R", R, m)
     if not isinstance(initial, str):
@@ -53,12 +44,7 @@ def initial_covariance(initial: str | ArrayLike, Phi: ArrayLike, R: ArrayLike) -
 
 
 def effective_covariance(Phi: ArrayLike, R: ArrayLike) -> Array:
-    """White noise of the same spectrum at zero frequency, ``(I - Phi)^-1 R (I - Phi)^-T``.
-
-    Raises
-    ------
-    ValueError: if the spectral radius of Phi is not below 1.
-    """
+    """White noise of the same spectrum at zero frequency, ``(I - Phi)^-1 R (I - Phi)^-T``; of stationary sequences only."""
     stationary_covariance(Phi, R)
     phi = finite("Phi", Phi)
     half = np.linalg.solve(np.eye(len(phi)) - phi, symmetric(R, "R")[1])
@@ -66,7 +52,7 @@ def effective_covariance(Phi: ArrayLike, R: ArrayLike) -> Array:
 
 
 def ar1(Phi: ArrayLike, increments: ArrayLike, first: ArrayLike) -> Array:
-    """AR(1) sequence ``(T, ..., m)`` from increments ``(T - 1, ..., m)`` and its first value ``(..., m)``."""
+    """AR(1) sequence ``(T, ..., m)`` from increments ``(T - 1, ..., m)`` and its first value ``(..., m)``; ``Phi (..., m, m)``."""
     Phi = finite("Phi", Phi, (..., "m", "m"))
     m = Phi.shape[-1]
     increments, first = finite("increments", increments, (..., m)), finite("first", first, (..., m))
@@ -81,22 +67,16 @@ def ar1(Phi: ArrayLike, increments: ArrayLike, first: ArrayLike) -> Array:
 
 
 def van_loan(F: ArrayLike, G: ArrayLike, spectral_density: ArrayLike, dt: float) -> tuple[Array, Array]:
-    """Discretize ``dx = F x dt + G dw`` over ``dt``: the transition matrix and the covariance of the noise [Van Loan 1978].
+    """Discretize ``dx = F x dt + G dw`` over ``dt >= 0`` s: transition matrix and covariance of the noise [Van Loan 1978].
 
-    Parameters
-    ----------
-    F: ``(n, n)``, 1/s. G: ``(n, k)``. spectral_density: ``(k, k)``, two-sided, of ``w``.
-    dt: s, not negative.
+    ``F (n, n)`` in 1/s, ``G (n, k)``, and ``spectral_density (k, k)`` of ``w``, two-sided.
 
-    Raises
-    ------
-    ValueError: if a shape is wrong, a number not finite, the density no covariance or ``dt`` negative.
+    >>> F, Q = van_loan([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], [[0.1]], 0.5)  # constant velocity
     """
     f, dt = finite("F", F, ("n", "n")), number("dt", dt, 0.0)
     n = len(f)
     g = finite("G", G, (n, "k"))
-    density = symmetric(spectral_density, "spectral_density", g.shape[1])[1]
-    q = g @ density
+    q = g @ symmetric(spectral_density, "spectral_density", g.shape[1])[1]
     exponential = expm(np.block([[-f, q @ q.T], [np.zeros((n, n)), f.T]]) * dt)
     transition = exponential[n:, n:].T
     noise = transition @ exponential[:n, n:]

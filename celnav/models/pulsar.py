@@ -35,10 +35,6 @@ class Pulsar:
     ----------
     right_ascension_deg, declination_deg: J2000. distance_kpc: from the Sun.
     period_s: of the pulses. width_s: of a pulse. flux: photons / cm^2 / s. pulsed_fraction: of the flux.
-
-    Raises
-    ------
-    ValueError: naming a number that cannot be.
     """
 
     name: str
@@ -76,10 +72,6 @@ class Pulsar:
         """Deviation (s) of a pulse's time of arrival after so many seconds of observation.
 
         ``W / (2 SNR)`` with the signal-to-noise ratio of the pulsed photons among all others [Sheikh2006].
-
-        Raises
-        ------
-        ValueError: unless the numbers are positive (``background``: not negative).
         """
         seconds, area_cm2 = number("seconds", seconds, above=0.0), number("area_cm2", area_cm2, above=0.0)
         background = number("background", background, 0.0)
@@ -95,12 +87,7 @@ def known() -> dict[str, Pulsar]:
 
 
 def pulsars(names: Sequence[str]) -> list[Pulsar]:
-    """Pulsars by name.
-
-    Raises
-    ------
-    ValueError: for an unknown name; the message lists the known ones.
-    """
+    """Pulsars of `known` by name."""
     table = known()
     return [table[choice("pulsar", name, table)] for name in sequence("names", names, '["B1937+21"]')]
 
@@ -109,20 +96,18 @@ class Timing:
     """The delays of several pulsars, as functions of a barycentric position [Sheikh2006]: Roemer, parallax and Shapiro terms.
 
     Delays have their whole number of periods. Who measures a phase only knows the rest, which is a position within half a period
-    (234 km for B1937+21) at best: see `uncounted`.
+    (234 km for B1937+21) at best: see `uncounted`. ValueError if three directions or more lie in one plane.
 
-    Raises
-    ------
-    ValueError: if directions of three pulsars or more do not span space (condition above 1e6).
+    >>> timing = Timing(pulsars(["B0531+21", "B1821-24", "B1937+21"]))
+    >>> sensor = celnav.Sensor(lambda x, epoch: timing.delay(earth + x[..., :3], sun), R)
     """
 
     def __init__(self, pulsars: Sequence[Pulsar]):
         chosen = sequence("pulsars", pulsars, 'celnav.models.pulsar.pulsars(["B1937+21"])')
         if not chosen:
             raise ValueError("pulsars: expected at least one, got none")
-        self.pulsars: tuple[Pulsar, ...] = tuple(
-            instance("pulsars", p, Pulsar, 'a Pulsar, such as known()["B1937+21"]') for p in chosen
-        )
+        example = 'a Pulsar, such as known()["B1937+21"]'
+        self.pulsars: tuple[Pulsar, ...] = tuple(instance("pulsars", p, Pulsar, example) for p in chosen)
         self.directions = np.stack([p.direction for p in self.pulsars])
         self.distances = np.array([p.distance_km for p in self.pulsars])
         if len(self.pulsars) >= 3 and np.linalg.cond(self.directions) > 1e6:
@@ -130,7 +115,7 @@ class Timing:
 
     @property
     def uncounted(self) -> Space:
-        """Measurement space (``measurement_space=``) of pulses that nobody counted: innovations are folded into half a period."""
+        """Measurement space (``Sensor(..., space=)``) of pulses that nobody counted: innovations fold into half a period."""
         periods = LIGHT_KM_S * np.array([p.period_s for p in self.pulsars])
 
         def minus(b: Array, a: Array) -> Array:
@@ -144,27 +129,25 @@ class Timing:
 
         The Shapiro term is the printed one; `shapiro_exact` is what it stands for.
         """
-        n, b = self.directions, -np.asarray(sun)
-        along, of_b = position @ n.T, b @ n.T
-        square = np.square(position).sum(-1)[..., None]
-        cross = (b * position).sum(-1)[..., None]
+        b = -np.asarray(sun)
+        along, of_b = position @ self.directions.T, b @ self.directions.T
+        square, cross = (part.sum(-1)[..., None] for part in (np.square(position), b * position))
         parallax = (along * along - square + 2.0 * of_b * along - 2.0 * cross) / (2.0 * self.distances)
         return np.asarray(along + parallax + self.shapiro(position, sun))
 
     def shapiro(self, position: Array, sun: Array) -> Array:
         """Shapiro delay ``(..., m)`` km in the form usually printed, which takes ``|r + b|`` for ``|r| + |b|``."""
-        n, b = self.directions, -np.asarray(sun)
-        numerator = position @ n.T + np.linalg.norm(position, axis=-1, keepdims=True)
-        denominator = b @ n.T + np.linalg.norm(b, axis=-1, keepdims=True)
-        return np.asarray(2.0 * GM_SUN / LIGHT_KM_S**2 * np.log(np.abs(numerator / denominator + 1.0)))
+        ratio = self._reach(position) / self._reach(-np.asarray(sun))
+        return np.asarray(2.0 * GM_SUN / LIGHT_KM_S**2 * np.log(np.abs(ratio + 1.0)))
 
     def shapiro_exact(self, position: Array, sun: Array) -> Array:
         """Shapiro delay ``(..., m)`` km between the barycenter and the position, with the distance from the Sun as it is."""
-        n, b = self.directions, -np.asarray(sun)
-        p = position + b
-        numerator = p @ n.T + np.linalg.norm(p, axis=-1, keepdims=True)
-        denominator = b @ n.T + np.linalg.norm(b, axis=-1, keepdims=True)
-        return np.asarray(2.0 * GM_SUN / LIGHT_KM_S**2 * np.log(numerator / denominator))
+        b = -np.asarray(sun)
+        return np.asarray(2.0 * GM_SUN / LIGHT_KM_S**2 * np.log(self._reach(position + b) / self._reach(b)))
+
+    def _reach(self, v: Array) -> Array:
+        """``n.v + |v|`` for each pulsar, ``(..., m)`` km."""
+        return np.asarray(v @ self.directions.T + np.linalg.norm(v, axis=-1, keepdims=True))
 
     def gradient(self, position: Array, sun: Array) -> Array:
         """Jacobian ``(..., m, 3)`` of `delay` with respect to the position."""

@@ -16,33 +16,16 @@ from numpy.typing import ArrayLike
 
 from celnav.gaussian.checks import finite, number, numbers, together
 from celnav.gaussian.linalg import Array
-from celnav.models.orbit import EARTH, UnitWarning
+from celnav.models.orbit import EARTH, UnitWarning, warn_of_degrees
 
 
 def star_directions(separation: float) -> Array:
-    """Unit vectors ``(2, 3)`` of the two stars, ``separation`` rad apart.
-
-    Raises
-    ------
-    ValueError: if they are parallel, ``sin(separation) = 0``.
-    """
+    """Unit vectors ``(2, 3)`` of the two stars, ``separation`` rad apart; ValueError if they are parallel."""
     theta = number("separation", separation)
     if abs(np.sin(theta)) < 1e-6:
         raise ValueError(f"separation: expected two directions, got parallel stars at {separation!r} rad")
-    if abs(theta) > 2.0 * np.pi:
-        warnings.warn(f"separation: {theta:.6g} rad is more than a full turn; angles are in radians", UnitWarning, stacklevel=2)
+    warn_of_degrees("separation", theta)
     return np.array([[1.0, 0.0, 0.0], [np.cos(theta), np.sin(theta), 0.0]])
-
-
-def unit_vectors(stars: ArrayLike) -> Array:
-    """Star directions ``(k, 3)`` made unit vectors; warns (`UnitWarning`) if they were not, raises ValueError for zero."""
-    directions = finite("stars", stars, ("k", 3))
-    norms = np.linalg.norm(directions, axis=-1, keepdims=True)
-    if (norms == 0.0).any():
-        raise ValueError("stars: expected directions, got a zero vector")
-    if (np.abs(norms - 1.0) > 1e-6).any():
-        warnings.warn(f"stars: normalized; a length was {norms.ravel()[np.abs(norms - 1).argmax()]:.6g}", UnitWarning, stacklevel=2)
-    return np.asarray(directions / norms)
 
 
 def angles(position: Array, stars: Array, radius_km: float = EARTH.radius_km) -> Array:
@@ -51,9 +34,7 @@ def angles(position: Array, stars: Array, radius_km: float = EARTH.radius_km) ->
     nan inside the Earth, where there is nothing to see.
     """
     r = np.sqrt(np.einsum("...i,...i->...", position, position))[..., None]
-    u = position / r
-    cosines = np.clip(u @ stars.T, -1.0, 1.0)
-    ratio = radius_km / r
+    cosines, ratio = np.clip(position / r @ stars.T, -1.0, 1.0), radius_km / r
     diameter = 2.0 * np.arcsin(np.where(ratio <= 1.0, ratio, np.nan))
     return np.concatenate([np.arccos(cosines), diameter], -1)
 
@@ -75,25 +56,18 @@ def observe(position: Array, stars: Array, radius_km: float = EARTH.radius_km) -
 def position(
     A: ArrayLike, separation: float, hemisphere: ArrayLike = 1.0, *, radius_km: float = EARTH.radius_km, strict: bool = True
 ) -> Array:
-    """Pseudo-position ``(..., 3)`` from three angles ``(..., 3)`` [Sun2015, Eqs. 41-42, corrected].
+    """Pseudo-position ``(..., 3)`` from three angles ``(..., 3)``, see `angles` [Sun2015, Eqs. 41-42, corrected].
 
     Parameters
     ----------
-    A: angles, see `angles`. nan components give nan.
-    separation: between the stars, rad.
+    A: angles, ``A3`` between 0 and pi; nan components give nan. separation: between the stars, rad.
     hemisphere: +1 or -1, the sign of z ``(...)``: the angles cannot tell.
-    strict: raise where noise has left no real position; otherwise nan stands there.
-
-    Raises
-    ------
-    ValueError: for parallel stars, infinite angles, ``A3`` outside (0, pi), a hemisphere of another value, and, if
-        ``strict``, angles that no position has. Warns (`UnitWarning`) of angles beyond a full turn.
+    strict: raise ValueError for angles that no position has, as noise may leave them; otherwise nan stands there.
     """
     measured = numbers("A", A, (..., 3))
     if np.isinf(measured).any():
         raise ValueError(f"A: expected finite numbers or nan, got {np.count_nonzero(np.isinf(measured))} infinite ones")
-    if (np.abs(measured[..., :2]) > 2.0 * np.pi).any():
-        warnings.warn("A: an angle is more than a full turn; angles are in radians", UnitWarning, stacklevel=2)
+    warn_of_degrees("A", measured[..., :2])
     star_directions(separation)
     side, radius_km = finite("hemisphere", hemisphere), number("radius_km", radius_km, above=0.0)
     if together(A=measured.shape[:-1], hemisphere=side.shape) != measured.shape[:-1]:
@@ -103,41 +77,32 @@ def position(
     diameter = measured[..., 2]
     if ((diameter <= 0.0) | (diameter >= np.pi)).any():
         raise ValueError(f"A: expected an angular diameter between 0 and pi, got {diameter.min():.6g} to {diameter.max():.6g}")
-    c1, c2 = np.cos(measured[..., 0]), np.cos(measured[..., 1])
-    uy = (c2 - c1 * np.cos(separation)) / np.sin(separation)
-    square = 1.0 - c1 * c1 - uy * uy
+    ux, c2 = np.cos(measured[..., 0]), np.cos(measured[..., 1])
+    uy = (c2 - ux * np.cos(separation)) / np.sin(separation)
+    square = 1.0 - ux * ux - uy * uy
     impossible = square < 0.0
     if strict and impossible.any():
-        raise ValueError(
-            f"A: {np.count_nonzero(impossible)} sets of angles belong to no position (z^2 < 0); strict=False gives nan"
-        )
+        count = np.count_nonzero(impossible)
+        raise ValueError(f"A: {count} sets of angles belong to no position (z^2 < 0); strict=False gives nan")
     uz = side * np.sqrt(np.where(impossible, np.nan, square))
     r = radius_km / np.sin(0.5 * diameter)
-    return np.stack([r * c1, r * uy, r * uz], -1)
+    return np.stack([r * ux, r * uy, r * uz], -1)
 
 
 def jacobian(A: Array, separation: float, hemisphere: ArrayLike = 1.0, radius_km: float = EARTH.radius_km) -> Array:
-    """Jacobian ``(..., 3, 3)`` of `position` with respect to the angles, km/rad.
-
-    Raises
-    ------
-    ValueError: as `position`, and in the plane of the stars, z = 0, where there is none.
-    """
-    u = position(A, separation, hemisphere, radius_km=radius_km)
-    r = np.linalg.norm(u, axis=-1)
-    u = u / r[..., None]
+    """Jacobian ``(..., 3, 3)`` of `position` with respect to the angles, km/rad; ValueError where z = 0, which has none."""
+    place = position(A, separation, hemisphere, radius_km=radius_km)
+    r = np.linalg.norm(place, axis=-1, keepdims=True)
+    u = place / r
     if (np.abs(u[..., 2]) < 1e-7).any():  # z comes of a root: nearer than that there is only rounding
         raise ValueError("A: expected a position off the plane of the stars, got z = 0")
     A1, A2, A3 = np.moveaxis(numbers("A", A), -1, 0)
-    zero = np.zeros_like(r)
-
-    def column(dux: Array, duy: Array) -> Array:
-        return np.asarray(r[..., None] * np.stack([dux, duy, -(u[..., 0] * dux + u[..., 1] * duy) / u[..., 2]], -1))
-
-    first = column(-np.sin(A1), np.sin(A1) / np.tan(separation))
-    second = column(zero, -np.sin(A2) / np.sin(separation))
-    third = -0.5 * (r / np.tan(0.5 * A3))[..., None] * u
-    return np.stack([first, second, third], -1)
+    # Derivatives of the unit vector with respect to both sides, then those along it.
+    ux = np.stack([-np.sin(A1), np.zeros_like(A1)], -1)
+    uy = np.stack([np.sin(A1) / np.tan(separation), -np.sin(A2) / np.sin(separation)], -1)
+    uz = -(u[..., :1] * ux + u[..., 1:2] * uy) / u[..., 2:]
+    along = -0.5 * (r / np.tan(0.5 * A3)[..., None]) * u
+    return np.concatenate([r[..., None] * np.stack([ux, uy, uz], -2), along[..., None]], -1)
 
 
 def pseudo_position_covariance(position_km: Array, separation: float, sigma: ArrayLike) -> Array:
@@ -149,6 +114,5 @@ def pseudo_position_covariance(position_km: Array, separation: float, sigma: Arr
     if (np.abs(deviations) > 1.0).any():
         text = f"sigma: a deviation of {np.abs(deviations).max():.6g} rad tells nothing; angles are in radians"
         warnings.warn(text, UnitWarning, stacklevel=2)
-    G = jacobian(angles(position_km, star_directions(separation)), separation, np.sign(position_km[..., 2]))
-    half = G * deviations
+    half = deviations * jacobian(angles(position_km, star_directions(separation)), separation, np.sign(position_km[..., 2]))
     return np.asarray(half @ half.mT)

@@ -6,7 +6,6 @@ the difference of TDB and TT come from ERFA. An offline machine in years to come
 
 from __future__ import annotations
 
-import re
 from datetime import UTC, datetime
 from typing import NamedTuple
 
@@ -43,28 +42,20 @@ def from_tt(day: ArrayLike, rest: ArrayLike = 0.0) -> Tdb:
 
 
 def from_utc(instant: str | datetime) -> Tdb:
-    """TDB of an instant in UTC: "2015-10-17T04:00:00" (leap seconds too: 23:59:60), or a datetime that knows its zone.
-
-    Raises
-    ------
-    ValueError: for a string of another form, an impossible date, or a datetime without a zone.
-    """
-    if isinstance(instant, datetime):
-        if instant.tzinfo is None:
-            raise ValueError(f"instant: expected a datetime with a time zone, got {instant!r}; its scale is not known")
-        instant = instant.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%S.%f")
-    if not isinstance(instant, str):
-        raise ValueError(f"instant: expected UTC as YYYY-MM-DDTHH:MM:SS, or a datetime, got {instant!r:.80}")
-    match = re.fullmatch(r"(\d{4})-(\d\d)-(\d\d)(?:[T ](\d\d):(\d\d)(?::(\d\d(?:\.\d+)?))?)?Z?", instant.strip())
-    if not match:
-        raise ValueError(f"instant: expected UTC as YYYY-MM-DDTHH:MM:SS, got {instant!r}")
-    year, month, day, hour, minute = (int(part or 0) for part in match.groups()[:5])
-    second = float(match[6] or 0.0)
-    leap = second >= 60.0 and (hour, minute) != (23, 59)
-    if leap or second >= 61.0 or hour > 23 or minute > 59:
-        raise ValueError(f"instant: expected a time of day, got {instant!r}")
-    try:
-        one, two = erfa.dtf2d("UTC", year, month, day, hour, minute, second)
-    except erfa.ErfaError as error:
-        raise ValueError(f"instant: expected a date that exists, got {instant!r} ({error})") from None
-    return from_tt(*erfa.taitt(*erfa.utctai(one, two)))
+    """TDB of an instant in UTC: "2015-10-17T04:00:00" (leap seconds too: 23:59:60), or a datetime that knows its zone."""
+    leap = False
+    if isinstance(instant, str):
+        leap = "23:59:60" in instant
+        try:
+            when = datetime.fromisoformat(instant.strip().replace("23:59:60", "23:59:59"))
+        except ValueError as error:
+            raise ValueError(f"instant: expected UTC as YYYY-MM-DDTHH:MM:SS, got {instant!r} ({error})") from None
+        when = when.replace(tzinfo=when.tzinfo or UTC)
+    elif isinstance(instant, datetime) and instant.tzinfo is not None:
+        when = instant
+    else:
+        raise ValueError(f"instant: expected a datetime with a time zone, or UTC as YYYY-MM-DDTHH:MM:SS, got {instant!r:.80}")
+    when = when.astimezone(UTC)
+    second = when.second + leap + 1e-6 * when.microsecond
+    days = erfa.dtf2d("UTC", when.year, when.month, when.day, when.hour, when.minute, second)
+    return from_tt(*erfa.taitt(*erfa.utctai(*days)))

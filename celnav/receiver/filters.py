@@ -11,7 +11,7 @@ from celnav.filters.records import Epoch, Filter
 from celnav.filters.sequential import ekf, ukf
 from celnav.gaussian.linalg import Array
 from celnav.models import pseudorange
-from celnav.models.receiver import CRYSTAL, process_noise, transition
+from celnav.models.pseudorange import CRYSTAL, process_noise, transition
 
 
 def hooks(S: int, window: int = 10) -> dict[str, tuple[Hook, ...]]:

@@ -19,7 +19,7 @@ from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array
 from celnav.models import pseudorange
 from celnav.models.beidou import B1I_HZ, LIGHT
-from celnav.models.receiver import GROUND_M
+from celnav.models.pseudorange import GROUND_M
 from celnav.receiver.integrity import Monitored, misfit, monitored, noise_components
 
 LEAST_ELEVATION = np.radians(1.0)

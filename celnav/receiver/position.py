@@ -19,8 +19,8 @@ from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import finite
 from celnav.gaussian.linalg import Array
 from celnav.models import pseudorange
-from celnav.models.atmosphere import GPS_L1_HZ, klobuchar, saastamoinen
 from celnav.models.beidou import B1I_HZ, ELLIPSOID, GPS_AHEAD_S, LIGHT
+from celnav.models.pseudorange import GPS_L1_HZ, klobuchar, saastamoinen
 from celnav.receiver.fixes import LEAST_ELEVATION, Noise, Seen, estimated, fixed
 from celnav.receiver.rinex import Navigation, Observations
 

@@ -18,7 +18,7 @@ from celnav.filters.run import run
 from celnav.gaussian.linalg import Array
 from celnav.models import pseudorange
 from celnav.models.beidou import ELLIPSOID, GEO_NUMBERS
-from celnav.models.receiver import GROUND_M, on_earth
+from celnav.models.pseudorange import GROUND_M, on_earth
 from celnav.receiver.filters import filters
 from celnav.receiver.fixes import Noise
 from celnav.receiver.position import Log

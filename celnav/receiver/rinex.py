@@ -18,8 +18,7 @@ from pymap3d import ecef2geodetic
 from celnav.files import InputError
 from celnav.gaussian.linalg import Array
 from celnav.models.beidou import ELLIPSOID, GEO_NUMBERS, GPS_AHEAD_S, WEEK_S, Broadcast
-from celnav.models.pseudorange import local_axes
-from celnav.models.receiver import on_earth
+from celnav.models.pseudorange import local_axes, on_earth
 from celnav.receiver.rinex_text import (
     Measured,
     Set,

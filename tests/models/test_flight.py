@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from celnav.models import earth
-from celnav.models.trajectory import turning_flight
+from celnav.models.earth import turning_flight
 
 FLIGHT = {
     "longitude": np.radians(110.0), "latitude": np.radians(40.0), "height_m": 20000.0, "speed": 200.0,

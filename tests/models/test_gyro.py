@@ -12,9 +12,8 @@ from celnav.filters.adaptive import chi_square_gate, innovation_window
 from celnav.gaussian import attitude as at
 from celnav.gaussian.rules import Taylor, cubature, unscented
 from celnav.gaussian.spaces import EUCLIDEAN, product
-from celnav.models.gyro import Gyro, preintegrate, steady_state
+from celnav.models.gyro import Body, Gyro, preintegrate, steady_state
 from celnav.models.noise import van_loan
-from celnav.models.rigid_body import Body
 
 ARCSEC, DEG_H = np.pi / 648000.0, np.pi / 648000.0
 GYRO = Gyro(sigma_v=2.424e-7, sigma_u=2.285e-9, tau=3600.0)

@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from celnav.models import earth, inertial
-from celnav.models.inertial import Navigation
-from celnav.models.mechanization import mechanize
-from celnav.models.trajectory import turning_flight
+from celnav.models.earth import turning_flight
+from celnav.models.inertial import Navigation, mechanize
 
 RNG = np.random.default_rng(0)
 FLIGHT = {
@@ -92,7 +91,7 @@ def test_the_step_is_linear_in_the_other_states():
     b, c = a.copy(), a.copy()
     b[3:], c[3:] = state()[3:], state()[3:]
     mixed = np.concatenate([a[:3], 0.3 * b[3:] - 0.2 * c[3:] + 0.9 * a[3:]])
-    step = [inertial.step(x, nav, 1.0) for x in (a, b, c, mixed)]
+    step = [inertial.advance(x, nav, 1.0) for x in (a, b, c, mixed)]
     np.testing.assert_allclose(0.9 * step[0] + 0.3 * step[1] - 0.2 * step[2], step[3], rtol=1e-12, atol=1e-18)
 
 
@@ -100,20 +99,20 @@ def test_the_position_moves_with_half_of_the_acceleration():
     nav, x = example(), state()
     x[3:7] = 0.0
     east = float(earth.transverse_radius(nav.latitude)) + nav.height_m
-    moved = inertial.step(x, nav, 2.0)
+    moved = inertial.advance(x, nav, 2.0)
     rate = inertial.derivative(x, nav)
     np.testing.assert_allclose(moved[5], 0.5 * 4.0 * rate[3] / (east * np.cos(nav.latitude)), rtol=1e-12)
 
 
 def test_a_batch_of_points_and_runs_is_each_of_them():
     nav, x = example((4,)), state((7, 4))
-    together = inertial.step(x, nav, 1.0)
+    together = inertial.advance(x, nav, 1.0)
     stars = STARS @ np.eye(3)
     seen = inertial.star_residuals(x, nav.attitude, stars)
     for run in range(4):
         alone = Navigation(nav.attitude[run], nav.force[run], nav.velocity, nav.latitude, nav.height_m)
         for point in range(7):
-            np.testing.assert_allclose(together[point, run], inertial.step(x[point, run], alone, 1.0), rtol=1e-13, atol=1e-19)
+            np.testing.assert_allclose(together[point, run], inertial.advance(x[point, run], alone, 1.0), rtol=1e-13, atol=1e-19)
             np.testing.assert_allclose(
                 seen[point, run], inertial.star_residuals(x[point, run], nav.attitude[run], stars), atol=1e-15
             )
@@ -123,7 +122,7 @@ def test_arguments_are_left_alone_in_any_memory_order():
     nav, x = example((3,)), state((5, 3))
     for given_x in (x, np.asfortranarray(x), x[::-1][::-1]):
         kept = given_x.copy()
-        np.testing.assert_array_equal(inertial.step(given_x, nav, 1.0), inertial.step(x, nav, 1.0))
+        np.testing.assert_array_equal(inertial.advance(given_x, nav, 1.0), inertial.advance(x, nav, 1.0))
         np.testing.assert_array_equal(given_x, kept)
 
 
@@ -173,7 +172,7 @@ def test_agrees_with_a_whole_navigation_system(degrees, limits):
     solved = mechanize(flight, inertial.misalignment_matrix(phi) @ flight.attitude[0], drift, bias)
     x = np.concatenate([phi, np.zeros(4), drift, bias])
     for k in range(1, 2 * steps, 2):
-        x = inertial.step(x, inertial.navigation(flight, k, x[:3], bias), dt)
+        x = inertial.advance(x, inertial.navigation(flight, k, x[:3], bias), dt)
     attitude = inertial.misalignment_angles(solved.attitude[-1] @ flight.attitude[-1].T)
     assert np.degrees(np.abs(x[:3] - attitude)).max() * 3600.0 < limits[0]
     assert np.abs(x[3:5] - (solved.velocity[-1] - flight.velocity[-1, :2])).max() < limits[1]
@@ -193,12 +192,7 @@ def test_a_system_without_errors_follows_the_flight():
 
 
 def test_bad_input_is_refused_by_name():
-    nav = example()
-    with pytest.raises(ValueError, match=r"^phi_x: expected less than 89 degrees at every sigma point, got 90.0"):
-        inertial.step(np.append(np.radians(90.0), np.zeros(12)), nav, 1.0)
     with pytest.raises(ValueError, match=r"^stars: expected unit vectors"):
-        inertial.check_stars(2.0 * STARS)
+        inertial.wahba_misalignment(np.zeros(6), np.eye(3), 2.0 * STARS)
     with pytest.raises(ValueError, match=r"^stars: expected two directions that are not parallel"):
         inertial.wahba_misalignment(np.zeros(6), np.eye(3), STARS[[0, 0]])
-    with pytest.raises(ValueError, match=r"^stars: expected unit vectors"):
-        inertial.wahba_misalignment(np.zeros(6), np.eye(3), np.zeros((2, 3)))

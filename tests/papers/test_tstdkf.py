@@ -12,7 +12,7 @@ import rerun as rr
 
 from celnav import Epoch, FilterError, Gaussian, run
 from celnav.files import Outputs, data
-from celnav.models.variational import flow
+from celnav.models.orbit import flow
 from celnav.papers import figures, tables, tstdkf
 from celnav.papers.tstdkf import PRESETS, SETTINGS, Setting, analysis, filters, simulate, sweeps
 from celnav.papers.tstdkf.config import TABLE_5

@@ -10,7 +10,7 @@ import numpy as np
 from celnav.gaussian.checks import finite
 from celnav.gaussian.linalg import Array
 from celnav.models import earth
-from celnav.models.trajectory import Flight, turning_flight
+from celnav.models.earth import Flight, turning_flight
 from celnav.study.montecarlo import steps
 
 TITLE = "Adaptive anisotropic sparse Gauss-Hermite quadrature filter for star, SAR and inertial navigation"

@@ -10,8 +10,7 @@ import numpy as np
 from celnav.gaussian.linalg import Array, matvec
 from celnav.gaussian.sparse_grid import ORDERS
 from celnav.models import earth, inertial
-from celnav.models.inertial import Navigation
-from celnav.models.mechanization import mechanize
+from celnav.models.inertial import Navigation, mechanize
 from celnav.papers.aasghqf.config import Config
 
 ERRATA = (

@@ -18,8 +18,8 @@ from celnav.gaussian.linalg import Array, Belief
 from celnav.gaussian.rules import Rule, Taylor, cubature, gauss_hermite, simplex, tensor_product, unscented
 from celnav.gaussian.sparse_grid import DELAYED, smolyak
 from celnav.models import inertial
+from celnav.models.earth import Flight
 from celnav.models.inertial import Navigation
-from celnav.models.trajectory import Flight
 from celnav.papers.aasghqf.config import NONLINEAR_WEIGHTS, PAPER_WEIGHTS, Config
 from celnav.study.montecarlo import normals
 

@@ -15,8 +15,7 @@ from celnav.filters.sequential import sigma_point
 from celnav.gaussian.linalg import Array
 from celnav.gaussian.rules import unscented
 from celnav.models import pseudorange
-from celnav.models.beidou import LIGHT, ROTATION_RATE, satellites
-from celnav.models.constellation import synthetic
+from celnav.models.beidou import LIGHT, ROTATION_RATE, satellites, synthetic
 from celnav.papers.aukf.config import Config
 from celnav.papers.aukf.errata import clipped_mean
 from celnav.papers.aukf.real import as_others

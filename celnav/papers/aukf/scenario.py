@@ -17,8 +17,7 @@ from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array
 from celnav.gaussian.rules import Rule, Taylor, unscented
 from celnav.models import pseudorange
-from celnav.models.beidou import ELLIPSOID
-from celnav.models.constellation import synthetic
+from celnav.models.beidou import ELLIPSOID, synthetic
 from celnav.papers.aukf.config import Config
 from celnav.receiver.filters import hooks
 from celnav.study.montecarlo import normals

@@ -15,7 +15,7 @@ augmented, switching, additive UKF   `celnav.filters.sequential.sigma_point`, mo
 AUKF drawn once                      `celnav.filters.sequential.SingleDraw`
 attitude as a state                  `celnav.gaussian.attitude.attitude`
 gyro and its drift                   `celnav.models.gyro`
-satellite                            `celnav.models.rigid_body`
+satellite                            `celnav.models.gyro.Body`
 ===================================  ==========================================================================
 """
 

@@ -8,8 +8,7 @@ import numpy as np
 
 from celnav.gaussian.checks import finite
 from celnav.gaussian.linalg import Array
-from celnav.models.gyro import Gyro
-from celnav.models.rigid_body import Body
+from celnav.models.gyro import Body, Gyro
 from celnav.study.montecarlo import steps
 
 TITLE = "State-switching unscented Kalman filter for attitude"

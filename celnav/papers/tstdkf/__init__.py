@@ -1,10 +1,10 @@
 """[Xu2024]: a two-stage strong-tracking differential Kalman filter for X-ray pulsars, colored noise and an ephemeris error.
 
 The contract of a paper: `Config` and `PRESETS`, `simulate`, `filters`, `reproduce`, ``figure_N``, ``table_N``, `claims`,
-`record`, and `ERRATA`. Modules: `config` (parameters, settings, presets), `scenario` (truth, timings), `estimators` (filters),
-`follow` (filters on runs), `ephemerides` and `forces` (Figs 2, 7, 8), `linear` and `year` (the linear driver), `sweeps` (the
-smaller studies), `analysis` (what needs no simulation), `errata`, `study` (all runs), `published` (the paper's numbers), `tables`,
-`figures`, ``claims*``, `record`.
+`record`, and `ERRATA`. Modules: `config` (parameters, settings, presets), `method` (differencing, strong tracking), `scenario`
+(truth, timings), `estimators` (filters), `follow` (filters on runs), `ephemerides` and `forces` (Figs 2, 7, 8), `linear` and
+`year` (the linear driver), `sweeps` (the smaller studies), `analysis` (what needs no simulation), `errata`, `study` (all runs),
+`published` (the paper's numbers), `tables`, `figures`, ``claims*``, `record`.
 
 The display equations of the text at hand are lost; what was inferred is
 
@@ -12,11 +12,11 @@ The display equations of the text at hand are lost; what was inferred is
 equation       content                                                 here
 =============  ======================================================  ==============================================
 2              delay of a pulse                                        `celnav.models.pulsar.Timing`
-3-4            orbit and its derivatives                               `celnav.models.variational`
+3-4            orbit and its derivatives                               `celnav.models.orbit`
 17, 69, 70     ephemeris error                                         `Config.bias`
 19             deviation of a timing                                   `celnav.models.pulsar.Pulsar.timing_std`
-21-56          colored, correlated noise; differencing                 `celnav.filters.differenced`
-57-61          strong tracking                                         `celnav.filters.strong_tracking`
+21-56          colored, correlated noise; differencing                 `celnav.papers.tstdkf.method.Differenced`
+57-61          strong tracking                                         `celnav.papers.tstdkf.method.strong_tracking`
 (Friedland)    two stages                                              `celnav.filters.two_stage`
 =============  ======================================================  ==============================================
 """

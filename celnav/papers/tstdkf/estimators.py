@@ -7,16 +7,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from celnav.filters.differenced import Differenced, Noise
 from celnav.filters.model import Motion, Sensor
 from celnav.filters.records import Epoch, Filter, FromFunctions, State
 from celnav.filters.sequential import Sequential, ekf
-from celnav.filters.strong_tracking import excess, proportional, strong_tracking
 from celnav.filters.two_stage import First, Plain, TwoStage
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array, block, matvec, side_by_side
-from celnav.models.variational import Flow, flow
+from celnav.models.orbit import Flow, flow
 from celnav.papers.tstdkf.config import Config
+from celnav.papers.tstdkf.method import Differenced, Noise, excess, proportional, strong_tracking
 from celnav.papers.tstdkf.scenario import as_cases, noise_of, pull
 
 FORMS = {"excess": excess, "proportional": proportional}

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from celnav.gaussian.linalg import Array
-from celnav.models import third_body
 from celnav.models.ephemeris import BODIES, GM, de421
+from celnav.models.orbit import third_body
 from celnav.papers.tstdkf.config import DAY_S, Config
 from celnav.papers.tstdkf.scenario import nominal_orbit
 
@@ -19,7 +19,7 @@ def accelerations(config: Config) -> dict[str, Array]:
     """Acceleration ``(T, 3)`` km/s^2 of the satellite on its nominal orbit by each body, relative to the Earth's."""
     dates = config.start.after(config.step_s * np.arange(config.steps + 1))
     position, earth = nominal_orbit(config)[:, :3], de421().state("earth", dates).position
-    return {body: third_body.acceleration(position, de421().state(body, dates).position - earth, GM[body]) for body in PULLING}
+    return {body: third_body(position, de421().state(body, dates).position - earth, GM[body]) for body in PULLING}
 
 
 class Spectrum(NamedTuple):

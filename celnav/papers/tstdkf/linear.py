@@ -12,11 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.linalg import lapack
 
-from celnav.filters.differenced import Noise
 from celnav.filters.two_stage import Boost
 from celnav.gaussian.linalg import Array, block
-from celnav.models.variational import flow
+from celnav.models.orbit import flow
 from celnav.papers.tstdkf.config import Config
+from celnav.papers.tstdkf.method import Noise
 from celnav.papers.tstdkf.scenario import Sky, noise_of, nominal_orbit, sky
 
 

@@ -12,14 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from celnav.filters.differenced import Noise, ar1_noise
 from celnav.filters.records import Epoch
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array, matvec
-from celnav.models import third_body
 from celnav.models.ephemeris import GM, de421
-from celnav.models.variational import NODES, Extra, advance, flow
+from celnav.models.orbit import NODES, Extra, advance, flow, third_body
 from celnav.papers.tstdkf.config import Config
+from celnav.papers.tstdkf.method import Noise, ar1_noise
 from celnav.study.montecarlo import normals
 
 PULLING = ("sun", "moon")
@@ -129,7 +128,7 @@ def pull(bodies: Array | None) -> Extra | None:
 
     def extra(r: Array, _times: Array) -> Array:
         position = np.moveaxis(r, 0, -1)
-        pulls = (third_body.acceleration(position, at[:, None], GM[body]) for body, at in zip(PULLING, bodies, strict=True))
+        pulls = (third_body(position, at[:, None], GM[body]) for body, at in zip(PULLING, bodies, strict=True))
         return np.moveaxis(sum(pulls, np.zeros(3)), -1, 0)
 
     return extra

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.filters.differenced import Differenced, Noise, ar1_noise
 from celnav.filters.records import Epoch, Info
 from celnav.filters.two_stage import Stage
 from celnav.gaussian.linalg import Array
@@ -18,6 +17,7 @@ from celnav.papers.tstdkf.config import KAPPA, SETTINGS, Config, Setting
 from celnav.papers.tstdkf.estimators import augmented, boosted, differencing, driving, stationary, two_stages
 from celnav.papers.tstdkf.follow import Found, follow
 from celnav.papers.tstdkf.forces import accelerations, spectrum
+from celnav.papers.tstdkf.method import Differenced, Noise, ar1_noise
 from celnav.papers.tstdkf.scenario import PULLING, beside, noise_of, simulate
 
 Rngs = Sequence[np.random.Generator]

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from celnav.filters.strong_tracking import excess, proportional, strong_tracking
 from celnav.filters.two_stage import Boost
 from celnav.gaussian.linalg import Array
 from celnav.papers.tstdkf.config import Config
@@ -21,6 +20,7 @@ from celnav.papers.tstdkf.linear import (
     start_plain,
     steps,
 )
+from celnav.papers.tstdkf.method import excess, proportional, strong_tracking
 from celnav.papers.tstdkf.scenario import noise_of
 from celnav.study.montecarlo import normals
 

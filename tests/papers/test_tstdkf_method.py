@@ -1,4 +1,4 @@
-"""The differenced stage: the cases in which it is exact, its own algebra in joint form, and the bias's way through it."""
+"""The differenced stage: the cases in which it is exact, its own algebra in joint form, the bias's way through it; its boosts."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from celnav import Epoch, Gaussian, Motion, Sensor, two_stage, ukf
-from celnav.filters.differenced import Differenced, ar1_noise
 from celnav.filters.sequential import SingleDraw
-from celnav.filters.two_stage import TwoStage
+from celnav.filters.two_stage import Boost, TwoStage
+from celnav.papers.tstdkf.method import LARGEST, Differenced, ar1_noise, excess, proportional, strong_tracking
 
 RNG = np.random.default_rng(0)
 T, N, M, B = 30, 4, 2, 3
@@ -221,6 +221,41 @@ def test_batches_are_singles():
     np.testing.assert_allclose(many[0][:, 1], one[0][:, 0], rtol=1e-12, atol=1e-12)
 
 
+def seen(residual, covariance):
+    return Boost(np.asarray(residual), np.asarray(covariance), 2.0 * np.asarray(residual), 0.5 * np.asarray(covariance))
+
+
+def test_factors_compare_a_window_of_residuals_with_their_variances():
+    boost = strong_tracking([8.0, 15.0], 2.0)
+    residuals = np.array([[1.0, 2.0], [3.0, 0.0], [0.0, 4.0]])
+    S = np.diag([2.0, 4.0])
+    memory, squares = None, np.zeros(2)
+    for k, residual in enumerate(residuals, start=1):
+        memory, factors = boost(memory, seen(residual, S))
+        squares = squares + (residual**2 - squares) / min(k, 2)
+        expected = np.maximum(1.0, 1.0 + np.array([8.0, 15.0]) * (squares / [2.0, 4.0] - 1.0))
+        np.testing.assert_allclose(factors, expected)
+    assert memory.length == 3
+
+
+def test_forms_of_the_factor():
+    S, residual = np.diag([1.0, 1.0]), np.array([2.0, 0.5])
+    _, c = strong_tracking([8.0, 15.0], 100.0)(None, seen(residual, S))
+    _, b = strong_tracking([8.0, 15.0], 100.0, factor=proportional)(None, seen(residual, S))
+    np.testing.assert_allclose(c, [25.0, 1.0])
+    np.testing.assert_allclose(b, [32.0, 3.75])
+    _, off = strong_tracking([0.0, 0.0], 1.0, factor=proportional)(None, seen(residual, S))
+    np.testing.assert_array_equal(off, 1.0)
+    assert excess(np.array([1.0]), np.array([8.0])) == 1.0
+
+
+@pytest.mark.parametrize("residual", [0.0, np.nan, np.inf, 1e200])
+def test_factors_stay_between_one_and_the_largest(residual):
+    with np.errstate(over="ignore", invalid="ignore"):
+        _, factors = strong_tracking([8.0], 10.0)(None, seen([residual], [[1.0]]))
+    assert 1.0 <= factors[0] <= LARGEST
+
+
 @pytest.mark.parametrize(
     ("make", "name"),
     [
@@ -230,6 +265,12 @@ def test_batches_are_singles():
         (lambda: ar1_noise(np.zeros((M, M)), np.zeros((N, N)), J.T, XI, E), "J"),
         (lambda: ar1_noise(np.zeros((M, M)), np.zeros((N, N)), J, 0.0 * XI, E), "Xi"),
         (lambda: ar1_noise(np.zeros((M, M)), np.zeros((N, N)), J, XI, -E), "E"),
+        (lambda: strong_tracking([-1.0], 10.0), "rho"),
+        (lambda: strong_tracking(3.0, 10.0), "rho"),
+        (lambda: strong_tracking([np.nan], 10.0), "rho"),
+        (lambda: strong_tracking([1.0], 0.5), "tau"),
+        (lambda: strong_tracking([1.0], np.inf), "tau"),
+        (lambda: strong_tracking([1.0], 5.0)(None, seen([1.0, 2.0], np.eye(2))), "rho"),
     ],
 )
 def test_bad_input_is_refused_by_name(make, name):

@@ -1,4 +1,6 @@
-"""A first stage for AR(1) noise of measurement and process that are correlated, by differencing measurements.
+"""What the paper adds to two stages: a first stage on differenced measurements, and factors that boost the gain of the second.
+
+Differencing (Eqs. 21-56) is for AR(1) noise of measurement and process that are correlated::
 
     V_k = F V_k-1 + xi_k,   Q_k = L Q_k-1 + e_k,   x_k = f(x_k-1) + G_k (J V_k + Q_k),   z_k = h(x_k) + V_k
 
@@ -6,23 +8,25 @@ The colored part of the last measurement's noise is taken off this one, ``Z' = z
 *estimate* in place of the state. What then correlates process and measurement is removed by taking ``Z'`` into the prediction
 as an input, and the correlations of the estimate with the AR(1) noises are carried along. Exact for ``F = L = 0``, whatever J.
 With ``F`` the error of the last estimate is overlooked: the filter is then overconfident, the more the nearer ``F`` is to 1.
+
+Strong tracking (Eqs. 57-61) keeps an average of squared residuals over the last ``tau`` measurements and compares it with what
+it should be. Component i of the residual acts on component i of the bias; nothing else connects the two.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from celnav.filters.model import check_function, check_prior, given_back
 from celnav.filters.records import Epoch, Info
-from celnav.filters.two_stage import Stage
+from celnav.filters.two_stage import Boost, Stage
 from celnav.gaussian.belief import Gaussian, symmetric
-from celnav.gaussian.checks import finite, instance, numbers, together, unmasked
+from celnav.gaussian.checks import finite, instance, number, numbers, together, unmasked
 from celnav.gaussian.linalg import Array, Covariance, cholesky, matvec, side_by_side, solve_lower, solve_upper_transposed, whiten
 
 Moved = tuple[Array, Array, Array]
@@ -30,7 +34,7 @@ Moved = tuple[Array, Array, Array]
 
 
 class Noise(NamedTuple):
-    """AR(1) noises and how they are connected; see the module.
+    """AR(1) noises and how they are connected, as `ar1_noise` makes them; see the module.
 
     Attributes
     ----------
@@ -50,24 +54,23 @@ class Noise(NamedTuple):
 def ar1_noise(F: ArrayLike, L: ArrayLike, J: ArrayLike, Xi: ArrayLike, E: ArrayLike) -> Noise:
     """Checked noises, with their stationary covariances.
 
-    Raises
-    ------
-    ValueError: if F or L is not diagonal with magnitudes below 1, a shape is wrong, ``Xi`` not positive definite, or ``E`` no
-        covariance.
+    ValueError names what cannot be: ``F`` or ``L`` that is not diagonal with magnitudes below 1, or no covariance.
     """
     xi, e = finite("Xi", Xi, ("m", "m")), finite("E", E, ("q", "q"))
     m, q = len(xi), len(e)
     if np.linalg.eigvalsh(symmetric(xi, "Xi", m)[0])[0] <= 0.0:
         raise ValueError("Xi: expected a positive definite covariance")
     symmetric(e, "E", q)
-    matrices = {}
-    for name, value, size in (("F", F, m), ("L", L, q)):
-        matrix = finite(name, value, (size, size))
-        if np.any(matrix - np.diag(matrix.diagonal())) or np.abs(matrix).max() >= 1.0:
-            raise ValueError(f"{name}: expected a diagonal matrix of magnitudes below 1, got {value!r:.80}")
-        matrices[name] = matrix
-    stationary = [c / (1.0 - np.outer(a.diagonal(), a.diagonal())) for c, a in ((xi, matrices["F"]), (e, matrices["L"]))]
-    return Noise(matrices["F"], matrices["L"], finite("J", J, (q, m)), xi, e, *stationary)
+    F, L = _coefficients("F", F, m), _coefficients("L", L, q)
+    V, Q = (cov / (1.0 - np.outer(a.diagonal(), a.diagonal())) for cov, a in ((xi, F), (e, L)))
+    return Noise(F, L, finite("J", J, (q, m)), xi, e, V, Q)
+
+
+def _coefficients(name: str, value: ArrayLike, size: int) -> Array:
+    matrix = finite(name, value, (size, size))
+    if np.any(matrix - np.diag(matrix.diagonal())) or np.abs(matrix).max() >= 1.0:
+        raise ValueError(f"{name}: expected a diagonal matrix of magnitudes below 1, got {value!r:.80}")
+    return matrix
 
 
 class DifferencedState(NamedTuple):
@@ -111,76 +114,64 @@ class Differenced:
             check_function(name, getattr(self, name), "(mean, epoch)")
         instance("noise", self.noise, Noise, "a Noise, such as ar1_noise(F, L, J, Xi, E)")
 
-    @cached_property
-    def _fresh(self) -> tuple[Array, Array]:
-        """What the noises add in an interval, at the first measurement and later: to the state, and to DQ and DV.
-
-        The first measurement is not differenced: what it takes into the prediction is all of J V.
-        """
-        _, L, J, _, _, V, Q = self.noise
-        JF, f_V = J @ self.noise.F, self.noise.F.diagonal(0, -2, -1)[..., None, :]
-        return (
-            side_by_side([0.5 * Q, Q, np.zeros((L.shape[-1], JF.shape[-1]))]),
-            side_by_side([0.5 * (Q + JF @ V @ JF.mT), Q, JF @ V * f_V]),
-        )
-
     def start(self, prior: Gaussian) -> DifferencedState:
         """State before the first epoch."""
         check_prior(prior)
-        belief, m = Covariance.of(prior), self.noise.F.shape[-1]
-        batch, n = belief.mean.shape[:-1], belief.mean.shape[-1]
-        zeros = (np.zeros((*batch, n, m)), np.zeros((*batch, n, self.noise.L.shape[-1])))
-        return DifferencedState(belief, *zeros, np.full((*batch, m), np.nan), np.zeros((*batch, m, n)))
+        belief, (q, m) = Covariance.of(prior), self.noise.J.shape[-2:]
+        shape = belief.mean.shape
+        V = np.full((*shape[:-1], m), np.nan)
+        return DifferencedState(belief, np.zeros((*shape, m)), np.zeros((*shape, q)), V, np.zeros((*shape[:-1], m, shape[-1])))
 
     def predict(self, state: DifferencedState, epoch: Epoch) -> tuple[DifferencedState, Array | None]:
         """State that knows what the model says of the interval, and the transition matrix."""
         n, q = state.belief.mean.shape[-1], self.noise.L.shape[-1]
         found = given_back("move", self.move(state.belief.mean, epoch), "state, Phi, G")
-        x, Phi, G = (
-            numbers("move", unmasked("move", a), shape)
-            for a, shape in zip(found, ((..., n), (..., n, n), (..., n, q)), strict=True)
-        )
-        moved = x, Phi, G
-        return state._replace(moved=moved), moved[1]
+        shapes = (..., n), (..., n, n), (..., n, q)
+        x, Phi, G = (numbers("move", unmasked("move", a), shape) for a, shape in zip(found, shapes, strict=True))
+        return state._replace(moved=(x, Phi, G)), Phi
 
     def update(self, state: DifferencedState, epoch: Epoch) -> tuple[DifferencedState, Stage | None, Info]:
         """State at the end of the interval given its measurement, and what was done."""
         assert state.moved is not None
         x, Phi, G = state.moved
-        F, L, J, Xi, _, V, _ = self.noise
+        F, L, J, Xi, _, V, Q = self.noise
         JF, f_V, f_Q = J @ F, *(matrix.diagonal(0, -2, -1)[..., None, :] for matrix in (F, L))
-        m, n_q = F.shape[-1], L.shape[-1]
+        n, (q, m) = x.shape[-1], J.shape[-2:]
         z = numbers("z", epoch.z, () if epoch.z is None else (..., m))
         together(prior=x.shape[:-1], z=z.shape[:-1])
         if np.isnan(z).any():
             raise ValueError("z: expected a whole measurement at every epoch: what was missed cannot be differenced")
         first = bool(np.isnan(state.V).all())
-        Z = z if first else z - matvec(F, state.V)
-        sensor = V if first else Xi
-        H = numbers("slope", unmasked("slope", self.slope(x, epoch)), (..., m, x.shape[-1]))
+        Z, sensor = (z, V) if first else (z - matvec(F, state.V), Xi)
+
+        # What correlates process and measurement goes into the prediction, by Omega.
+        H = numbers("slope", unmasked("slope", self.slope(x, epoch)), (..., m, n))
         coupled = np.eye(m) + H @ G @ J
         if np.abs(np.linalg.det(coupled)).min() < 1e-12:
             raise ValueError("J: expected I + H G J to have an inverse, got a singular matrix")
         Omega = np.linalg.solve(coupled.mT, (G @ J).mT).mT
-        n = x.shape[-1]
         both = side_by_side([Phi, G])
         both = both - Omega @ (H @ both)
         Phi1, G1 = both[..., :n], both[..., n:]
         y = Z - self._seen(x, epoch)
         into = matvec(Omega, y)
         mean, innovation = x + into, y - matvec(H, into)
+
         ahead = Phi1 @ side_by_side([state.belief.cov, state.DQ, state.DV])
-        ahead_Q, ahead_V = ahead[..., n : n + n_q] * f_Q, ahead[..., n + n_q :]
-        driven = G1 @ self._fresh[0 if first else 1]
-        cross = (ahead_Q + ahead_V @ JF.mT + driven[..., :n_q]) @ G1.mT
+        ahead_Q, ahead_V = ahead[..., n : n + q] * f_Q, ahead[..., n + q :]
+        # What the noises add to the state, and to DQ and DV; the first measurement has taken all of J V into the prediction.
+        carried = np.zeros_like(JF) if first else JF @ V
+        driven = G1 @ side_by_side([0.5 * (Q + carried @ JF.mT), Q, carried * f_V])
+        cross = (ahead_Q + ahead_V @ JF.mT + driven[..., :q]) @ G1.mT
         P = ahead[..., :n] @ Phi1.mT + cross + cross.mT
         HP = H @ P
         root = cholesky(HP @ H.mT + sensor)
         K = solve_upper_transposed(root, solve_lower(root, HP)).mT
         cov = P - K @ HP
-        kept = side_by_side([ahead_Q, ahead_V * f_V]) + driven[..., n_q:]
+        kept = side_by_side([ahead_Q, ahead_V * f_V]) + driven[..., q:]
         kept = kept - K @ (H @ kept)
-        DQ, DV = kept[..., :n_q], kept[..., n_q:] - K @ sensor
+        DQ, DV = kept[..., :q], kept[..., q:] - K @ sensor
+
         belief = Covariance(mean + matvec(K, innovation), 0.5 * (cov + cov.mT))
         after = DifferencedState(belief, DV, DQ, z - self._seen(belief.mean, epoch), H)
         used = np.ones(innovation.shape, bool)
@@ -189,3 +180,56 @@ class Differenced:
 
     def _seen(self, x: Array, epoch: Epoch) -> Array:
         return numbers("h", unmasked("h", self.h(x, epoch)), (..., self.noise.F.shape[-1]))
+
+
+LARGEST = 1e6
+"""Factors lie between 1 and this; what is not a number counts as 1."""
+Factor = Callable[[Array, Array], Array]
+"""``(ratios (..., m), rho (m,)) -> factors`` from the ratios of squared residuals to their variances."""
+
+
+class Window(NamedTuple):
+    """Memory: how many residuals were seen, mean of their squares ``(..., m)``, and the factors last used."""
+
+    length: int
+    squares: Array
+    factors: Array
+
+
+def excess(ratios: Array, rho: Array) -> Array:
+    """``1 + rho (ratio - 1)``: near 1 while the filter is consistent."""
+    return np.asarray(1.0 + rho * (ratios - 1.0))
+
+
+def proportional(ratios: Array, rho: Array) -> Array:
+    """``rho ratio``: near ``rho`` even while the filter is consistent, the reading closest to the prose; 1 where ``rho`` is 0."""
+    return np.where(rho > 0.0, rho * ratios, 1.0)
+
+
+def strong_tracking(rho: ArrayLike, tau: float, *, factor: Factor = excess) -> Any:
+    """A boost for `celnav.filters.two_stage.two_stage`.
+
+    Parameters
+    ----------
+    rho: ``(..., m)``, not negative; 0 switches a component off. tau: length of the window, in measurements, at least 1.
+    factor: `excess` or `proportional`.
+
+    >>> filter = celnav.two_stage(motion, sensor, Gamma, bias, boost=strong_tracking([8.0, 15.0, 9.0], 100.0))
+    """
+    weights, length = finite("rho", rho), number("tau", tau, 1.0)
+    if weights.ndim == 0 or (weights < 0.0).any():
+        raise ValueError(f"rho: expected numbers (..., m) that are not negative, got {rho!r}")
+    check_function("factor", factor, "(ratios, rho)")
+
+    def boost(memory: Window | None, seen: Boost) -> tuple[Window, Array]:
+        square = seen.residual * seen.residual
+        if square.shape[-1] != weights.shape[-1]:
+            raise ValueError(f"rho: expected {square.shape[-1]} numbers to go with the measurement, got {weights.shape[-1]}")
+        count = 1 if memory is None else memory.length + 1
+        before = np.zeros_like(square) if memory is None else memory.squares
+        squares = before + (square - before) / min(count, length)
+        found = numbers("factor", factor(squares / seen.total.diagonal(0, -2, -1), weights), (..., square.shape[-1]))
+        factors = np.clip(np.where(np.isfinite(found), found, 1.0), 1.0, LARGEST)
+        return Window(count, squares, factors), factors
+
+    return boost
