@@ -166,7 +166,6 @@ CALLS = {
         lambda statistic, samples, **more: metrics.bootstrap(statistic, samples, **more),
         dict(statistic=np.mean, samples=np.ones(3), level=0.9, resamples=10, seed=0),
     ),
-    "metrics.error_moments": dict(space=spaces.EUCLIDEAN),
     "observability.jacobian": dict(function=square, x=np.ones(2)),
     "observability.lie_gradients": dict(f=square, h=square, x=np.ones(2), order=1, window=0.1),
     "observability.svd_degree": dict(matrix=I2, reference=0),
