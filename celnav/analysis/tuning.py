@@ -75,7 +75,7 @@ def maximize_likelihood(
     Parameters
     ----------
     build: ``parameters (d,) -> (filter, prior)``.
-    start: ``(d,)``, within the domain.
+    start: ``(d,)``, within the domain, where the filter works.
     epochs: the data; the same for all parameters.
     domain: what parameters can be, one for all or one for each: "positive", "unit interval" (0 to 1) or ``(low, high)``.
     vectorized: ``build`` also takes many parameters at once, ``(k, 1, ..., d)`` with an axis of 1 for each axis of the runs, and
@@ -84,11 +84,6 @@ def maximize_likelihood(
     factor: the search stays within ``start / factor`` and ``start * factor``; in an interval, of the distances to its ends.
     tolerance: how much of the log-likelihood may be left to gain; a parameter one standard error off loses 0.5.
     max_iterations: of the optimizer.
-
-    Raises
-    ------
-    ValueError: for a start outside the domain, at which ``build`` or the filter fails, or without any measurement; for a bad
-        option.
     """
     x0 = finite("start", start)
     if x0.ndim != 1 or not len(x0):
@@ -97,7 +92,8 @@ def maximize_likelihood(
     reach = float(np.log(number("factor", factor, above=1.0)))
     tolerance = number("tolerance", tolerance, above=0.0)
     max_iterations = integer("max_iterations", max_iterations)
-    likelihood = _Likelihood(function("build", build, "(parameters)"), _data(epochs), scale, vectorized)
+    data = epochs if isinstance(epochs, Epochs) else sequence("epochs", epochs, "celnav.epochs(times, z)")
+    likelihood = _Likelihood(function("build", build, "(parameters)"), data, scale, vectorized)
     s = np.zeros(len(x0))
     for left in (_ROUGH, 1e-3 * tolerance):  # the second where the first ends on a plateau
         s, converged, message = likelihood.searched(s, reach, left, max_iterations)
@@ -108,33 +104,25 @@ def maximize_likelihood(
         if gain <= tolerance:
             break
     covariance = np.full((len(x0), len(x0)), np.inf)
+    why = ""
     if at_end.any():
         i = int(np.argmax(at_end))
-        converged, message = False, f"parameter {i} ran to the end of its range, {scale(s)[i]:.6g}"
+        why = f"parameter {i} ran to the end of its range, {scale(s)[i]:.6g}"
     elif not np.isfinite(curvature).all():
-        converged, message = False, "the filter fails beside the most probable parameters: they lie at an edge"
-    elif (np.linalg.eigvalsh(curvature) >= 0.0).any():
-        i = int(np.argmax(np.abs(np.linalg.eigh(curvature)[1][:, -1])))
-        converged, message = False, f"the data do not determine parameter {i}: the likelihood has no maximum in it"
+        why = "the filter fails beside the most probable parameters: they lie at an edge"
     else:
         eigenvalues, vectors = np.linalg.eigh(curvature)
-        covariance = (vectors / -eigenvalues) @ vectors.T
-        if gain > tolerance:
-            converged, message = False, f"{gain:.3g} of the log-likelihood is left to gain; {message}"
+        if eigenvalues[-1] >= 0.0:
+            i = int(np.argmax(np.abs(vectors[:, -1])))
+            why = f"the data do not determine parameter {i}: the likelihood has no maximum in it"
+        else:
+            covariance = (vectors / -eigenvalues) @ vectors.T
+            why = "" if gain <= tolerance else f"{gain:.3g} of the log-likelihood is left to gain; {message}"
     errors = scale.slope(s) * np.sqrt(covariance.diagonal())
     best = float(likelihood(s[None])[0])
-    return Tuned(scale(s), best, errors, covariance, likelihood.evaluations, converged, message, likelihood.failures)
-
-
-def _data(epochs: Any) -> Sequence[Epoch]:
-    """Epochs that can be gone through again and again."""
-    every: Sequence[Epoch] = epochs if isinstance(epochs, Epochs) else sequence("epochs", epochs, "celnav.epochs(times, z)")
-    for epoch in () if every is epochs else every:
-        if not hasattr(epoch, "dt"):
-            raise ValueError(f"epochs: expected celnav.epochs(times, z), or records like celnav.Epoch, got {kind(epoch)}")
-    if not len(every):
-        raise ValueError("epochs: expected measurements, got none")
-    return every
+    return Tuned(
+        scale(s), best, errors, covariance, likelihood.evaluations, converged and not why, why or message, likelihood.failures
+    )
 
 
 def _ends(domain: Domain | Sequence[Domain], d: int) -> Array:
@@ -143,13 +131,11 @@ def _ends(domain: Domain | Sequence[Domain], d: int) -> Array:
     each: Any = [domain] * d if alone else sequence("domain", domain, "['positive', (0.0, 1.0)]")
     if len(each) != d:
         raise ValueError(f"domain: expected one for all or {d}, one for each parameter, got {len(each)}")
-    ends = []
-    for one in each:
-        pair: Any = DOMAINS.get(one) if isinstance(one, str) else one
+    pairs = [DOMAINS.get(one) if isinstance(one, str) else one for one in each]
+    for one, pair in zip(each, pairs, strict=True):
         if not isinstance(pair, tuple | list) or len(pair) != 2 or not -np.inf < numbers("domain", pair)[0] < pair[1]:
             raise ValueError(f"domain: expected 'positive', 'unit interval' or (low, high), got {one!r}")
-        ends.append(pair)
-    return np.array(ends, dtype=np.float64).T
+    return np.array(pairs, dtype=np.float64).T
 
 
 class _Scale:
@@ -179,17 +165,11 @@ class _Scale:
         return np.asarray(np.where(self._bounded, above * (1.0 - above / self._width), above))
 
 
-def _measured(known: bool | None, _epoch: Epoch, _state: Any, info: Any) -> bool:
-    """Whether anything was measured so far."""
-    return bool(known) or any(i.used is not None and bool(np.any(i.used)) for i in info)
-
-
 class _Likelihood:
     """Log-likelihood as a function of logarithms relative to the start, nan where there is none, with its derivatives."""
 
     def __init__(self, build: Build, epochs: Sequence[Epoch], scale: _Scale, vectorized: bool):
-        self._build, self._epochs, self._scale, self._vectorized = build, epochs, scale, vectorized
-        self._known: dict[bytes, float] = {}
+        self._build, self._epochs, self._scale = build, epochs, scale
         self.evaluations, self.failures = 1, 0
         start = np.zeros(len(scale.origin))
         try:
@@ -202,9 +182,13 @@ class _Likelihood:
         self._runs, self.first = likelihood.shape, float(likelihood.sum())
         if not np.isfinite(self.first):
             raise ValueError(f"start: expected a finite log-likelihood, got {self.first}")
-        if vectorized:
-            self._check_vectorized(start)
-        self._known[start.tobytes()] = self.first
+        self._known = {start.tobytes(): self.first}
+        self._most = max(2, _MOST // max(1, likelihood.size)) if vectorized else 1
+        if vectorized:  # parameters together must give what they give alone
+            value = float(self._sums(np.array([start + _NEAR, start]))[1])
+            self.evaluations += 2
+            if not abs(value - self.first) <= 1e-6 * max(1.0, abs(self.first)):
+                raise ValueError(f"vectorized: expected the same together and alone, got {value} and {self.first}; {_VECTORIZED}")
 
     def _flown(self, parameters: Array) -> Array:
         """Log-likelihood of each run, of one filter or of as many as there are parameters."""
@@ -216,49 +200,44 @@ class _Likelihood:
             on_failure = "flag"
             batch = np.broadcast_shapes(parameters.shape[:-1], prior.mean.shape[:-1])
             prior = Gaussian(np.broadcast_to(prior.mean, (*batch, prior.mean.shape[-1])), sqrt_cov=prior.sqrt_cov)
-        track = run(filter, prior, self._epochs, keep="nothing", reduce=_measured, on_failure=on_failure)
+
+        def measured(before: bool | None, _epoch: Epoch, _state: Any, infos: Any) -> bool:
+            return bool(before) or any(info.used is not None and bool(np.any(info.used)) for info in infos)
+
+        track = run(filter, prior, self._epochs, keep="nothing", reduce=measured, on_failure=on_failure)
         if not track.reduced:
             raise ValueError("epochs: expected measurements, got none")
         return track.log_likelihood
 
-    def _together(self, points: Array) -> Array:
-        """``(k,)`` of points ``(k, d)`` in one batch, nan where a filter failed."""
+    def _sums(self, points: Array) -> Array:
+        """``(k,)`` at points ``(k, d)``, summed over the runs; several points are one batch, nan where a filter failed."""
         parameters = self._scale(points)
+        if len(points) == 1:
+            return np.array([self._flown(parameters[0]).sum()])
         likelihood = self._flown(parameters.reshape(len(points), *(1,) * len(self._runs), -1))
         if likelihood.shape != (len(points), *self._runs):
             expected = f"likelihoods of shape {(len(points), *self._runs)}, one for each of the parameters {parameters.shape}"
             raise ValueError(f"vectorized: expected {expected}, got {likelihood.shape}; {_VECTORIZED}")
         return np.asarray(likelihood.reshape(len(points), -1).sum(-1))
 
-    def _check_vectorized(self, start: Array) -> None:
-        """Parameters together must give what they give alone."""
-        value = float(self._together(np.array([start + _NEAR, start]))[1])
-        self.evaluations += 2
-        if not abs(value - self.first) <= 1e-6 * max(1.0, abs(self.first)):
-            raise ValueError(f"vectorized: expected the same together and alone, got {value} and {self.first}; {_VECTORIZED}")
+    def _tried(self, points: Array) -> Array:
+        """The same, nan where there is no filter; which it was of a batch that fails is found one by one."""
+        try:
+            found = self._sums(points)
+        except (ValueError, ArithmeticError):
+            found = np.full(1, np.nan) if len(points) == 1 else np.concatenate([self._tried(one[None]) for one in points])
+        return np.where(np.isfinite(found), found, np.nan)
 
     def __call__(self, points: Array) -> Array:
-        """``(k,)`` at points ``(k, d)``."""
-        new = {key: s for s in points if (key := s.tobytes()) not in self._known}
+        """``(k,)`` at points ``(k, d)``, each of which is tried once."""
+        new = list({key: s for s in points if (key := s.tobytes()) not in self._known}.values())
+        for i in range(0, len(new), self._most):
+            part = np.array(new[i : i + self._most])
+            found = self._tried(part)
+            self._known |= {s.tobytes(): value for s, value in zip(part, found.tolist(), strict=True)}
+            self.failures += int(np.isnan(found).sum())
         self.evaluations += len(new)
-        left = dict(new)
-        most = max(2, _MOST // max(1, int(np.prod(self._runs, dtype=int)))) if self._vectorized else 1
-        while len(left) > 1 and most > 1:
-            keys = list(left)[:most]
-            try:
-                values = self._together(np.array([left[key] for key in keys]))
-            except (ValueError, ArithmeticError):
-                break  # one by one, to find which it was
-            self._known |= {key: float(value) for key, value in zip(keys, values, strict=True)}
-            left = {key: s for key, s in left.items() if key not in self._known}
-        for key, s in left.items():
-            try:
-                self._known[key] = float(self._flown(self._scale(s)).sum())
-            except (ValueError, ArithmeticError):
-                self._known[key] = np.nan
-        self.failures += sum(not np.isfinite(self._known[key]) for key in new)
-        found = np.array([self._known[s.tobytes()] for s in points])
-        return np.where(np.isfinite(found), found, np.nan)
+        return np.array([self._known[s.tobytes()] for s in points])
 
     def cost(self, s: Array) -> tuple[float, Array]:
         """What an optimizer minimizes, and its gradient by differences to one side."""
