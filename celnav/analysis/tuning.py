@@ -25,6 +25,7 @@ _ROUGH = 1e-3
 """What the last step of the search has gained when Newton's method takes over."""
 _MOST = 4096
 """Runs of a batch of parameters."""
+_NO_DATA = "epochs: expected measurements, got none"
 _VECTORIZED = "noises need the axes of the parameters, such as sqrt_R=parameters[..., :1, None]"
 
 
@@ -93,6 +94,8 @@ def maximize_likelihood(
     tolerance = number("tolerance", tolerance, above=0.0)
     max_iterations = integer("max_iterations", max_iterations)
     data = epochs if isinstance(epochs, Epochs) else sequence("epochs", epochs, "celnav.epochs(times, z)")
+    if not data:
+        raise ValueError(_NO_DATA)
     likelihood = _Likelihood(function("build", build, "(parameters)"), data, scale, vectorized)
     s = np.zeros(len(x0))
     for left in (_ROUGH, 1e-3 * tolerance):  # the second where the first ends on a plateau
@@ -206,7 +209,7 @@ class _Likelihood:
 
         track = run(filter, prior, self._epochs, keep="nothing", reduce=measured, on_failure=on_failure)
         if not track.reduced:
-            raise ValueError("epochs: expected measurements, got none")
+            raise ValueError(_NO_DATA)
         return track.log_likelihood
 
     def _sums(self, points: Array) -> Array:
