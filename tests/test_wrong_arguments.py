@@ -66,8 +66,7 @@ pulsar: known
 beidou: Broadcast Broadcast.chosen
 belief: symmetric
 simulate: moved of_rows
-montecarlo: blocks steps carry_out do joined
-effort: effort
+montecarlo: blocks steps carry_out do effort joined
 claims: Claim Claim.to_dict ClaimsTable Judge Judge.lengthy Judge.number Judge.statistic Judge.whole about dumps order read_claims
     row tally within
 page: document figure link table
