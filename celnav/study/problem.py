@@ -14,8 +14,8 @@ import numpy as np
 from scipy.special import ndtri
 
 from celnav.filters.epochs import epochs
-from celnav.filters.model import Model, Motion, Sensor, evaluate
-from celnav.filters.records import Filter
+from celnav.filters.model import Model, Motion, Sensor
+from celnav.filters.records import Epoch, Filter
 from celnav.gaussian.belief import Belief, Gaussian, symmetric
 from celnav.gaussian.checks import choice, finite, function, instance, kind, number, sequence
 from celnav.gaussian.linalg import Array
@@ -43,9 +43,7 @@ class Problem:
     space, measurement_space: what a difference of states and of measurements is.
     groups: what is judged, by name; one group of all components if empty.
 
-    Raises
-    ------
-    ValueError: naming a number that cannot be.
+    >>> rows = compare({"falling body": Problem(f, h, mean, cov, sqrt_Q, R, times)}, runs=200)
     """
 
     f: Model
@@ -113,35 +111,22 @@ class Problem:
         return Gaussian(self.mean, self.cov)
 
     def draw(self, rngs: Sequence[np.random.Generator]) -> tuple[Array, Array]:
-        """Truth ``(T, runs, N)`` and measurements ``(T, runs, M)`` of one run with each generator.
-
-        Raises
-        ------
-        ValueError: without a generator, for a model that returns another shape or numbers that are not finite.
-        """
+        """Truth ``(T, runs, N)`` and measurements ``(T, runs, M)`` of one run with each generator."""
         T, r, m = len(self.times), self.sqrt_Q.shape[1], self.m
         start, walk, noise, lot = normals(rngs, (self.n,), (T, r), (T, m), (T, m))
-        runs = len(start)
-        truth, z = [], []
-        wild = np.abs(lot) > (ndtri(1.0 - 0.5 * self.outliers) if self.outliers else np.inf)
-        noise = noise @ symmetric(self.R, "R")[1].T
-        V = np.zeros((runs, m))
-        x = self.space.plus(np.tile(self.mean, (runs, 1)), start @ symmetric(self.cov, "cov")[1].T)
+        walk, noise = walk @ self.sqrt_Q.T, noise @ symmetric(self.R, "R")[1].T
+        factor = np.where(np.abs(lot) > (ndtri(1.0 - 0.5 * self.outliers) if self.outliers else np.inf), WILD, 1.0)
+        mean = np.tile(self.mean, (len(start), 1))
+        x, V = self.space.plus(mean, start @ symmetric(self.cov, "cov")[1].T), noise[0]
+        motion, sensor, truth, z = self.motion, self.sensor, [], []
         for epoch in epochs(self.times, u=self.u):
             if epoch.k:
-                x = self.space.plus(self._image("f", x, epoch, len(self.mean)), walk[epoch.k] @ self.sqrt_Q.T)
-            V = noise[0] if epoch.k == 0 else self.phi * V + np.sqrt(1.0 - self.phi**2) * noise[epoch.k]
-            factor = np.where(wild[epoch.k], WILD, 1.0)
+                x = self.space.plus(_image("f", motion.points(x[None].copy(), epoch), epoch), walk[epoch.k])
+                V = self.phi * V + np.sqrt(1.0 - self.phi**2) * noise[epoch.k]
             truth.append(x)
-            seen = self._image("h", x, epoch, m if self.measurement_space == EUCLIDEAN else None)
-            z.append(self.measurement_space.plus(seen, factor * V))
+            seen = _image("h", sensor.points(x[None].copy(), epoch, m=m), epoch)
+            z.append(self.measurement_space.plus(seen, factor[epoch.k] * V))
         return np.stack(truth), np.stack(z)
-
-    def _image(self, name: str, x: Array, epoch: Any, dimension: int | None) -> Array:
-        y: Array = evaluate(name, getattr(self, name), x[None].copy(), epoch, (), dimension)[0]
-        if not np.isfinite(y).all():
-            raise ValueError(f"{name}: expected finite numbers, got others at t = {epoch.t}")
-        return y
 
     def trial(self, filters: Mapping[str, Filter], rngs: Sequence[np.random.Generator], reference: str = "") -> Trial:
         """Runs for filters to be judged on; ``reference``: see `celnav.study.trial.Trial`."""
@@ -157,3 +142,9 @@ class Problem:
 
     def _compare(self, truth: Any, belief: Belief) -> tuple[Array, Array]:
         return -self.space.minus(truth, belief.mean), belief.sqrt_cov  # the root is that of tangents at the mean
+
+
+def _image(name: str, points: Array, epoch: Epoch) -> Array:
+    if not np.isfinite(points).all():
+        raise ValueError(f"{name}: expected finite numbers, got others at t = {epoch.t}")
+    return np.asarray(points[0])
