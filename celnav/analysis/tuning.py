@@ -24,7 +24,6 @@ _NEAR, _FAR = 1e-3, 2e-3
 """Differences of gradients and of curvatures, in logarithms."""
 _ROUGH = 1e-3
 """What the last step of the search has gained when Newton's method takes over."""
-_NO_DATA = "epochs: expected measurements, got none"
 
 
 class Tuned(NamedTuple):
@@ -88,8 +87,8 @@ def maximize_likelihood(
     tolerance = number("tolerance", tolerance, above=0.0)
     max_iterations = integer("max_iterations", max_iterations)
     data = epochs if isinstance(epochs, Epochs) else sequence("epochs", epochs, "celnav.epochs(times, z)")
-    if not data:
-        raise ValueError(_NO_DATA)
+    if not any(map(_measured, data)):
+        raise ValueError("epochs: expected measurements, got none")
     s = np.zeros(len(x0))
     likelihood = _Likelihood(function("build", build, "(parameters)"), data, scale, s)
     for left in (_ROUGH, 1e-3 * tolerance):  # the second where the first ends on a plateau
@@ -100,8 +99,7 @@ def maximize_likelihood(
         s, curvature, gain = likelihood.refined(s, tolerance)
         if gain <= tolerance:
             break
-    covariance = np.full((len(x0), len(x0)), np.inf)
-    why = ""
+    covariance, why = np.full((len(x0), len(x0)), np.inf), ""
     if at_end.any():
         i = int(np.argmax(at_end))
         why = f"parameter {i} ran to the end of its range, {scale(s)[i]:.6g}"
@@ -109,17 +107,22 @@ def maximize_likelihood(
         why = "the filter fails beside the most probable parameters: they lie at an edge"
     else:
         eigenvalues, vectors = np.linalg.eigh(curvature)
-        if eigenvalues[-1] >= 0.0:
-            i = int(np.argmax(np.abs(vectors[:, -1])))
-            why = f"the data do not determine parameter {i}: the likelihood has no maximum in it"
-        else:
+        if eigenvalues[-1] < 0.0:
             covariance = (vectors / -eigenvalues) @ vectors.T
             why = "" if gain <= tolerance else f"{gain:.3g} of the log-likelihood is left to gain; {message}"
+        else:
+            i = int(np.argmax(np.abs(vectors[:, -1])))
+            why = f"the data do not determine parameter {i}: the likelihood has no maximum in it"
     errors = scale.slope(s) * np.sqrt(covariance.diagonal())
-    (best,) = likelihood([s]).tolist()
-    return Tuned(
-        scale(s), best, errors, covariance, likelihood.evaluations, converged and not why, why or message, likelihood.failures
-    )
+    (best,), tried = likelihood([s]).tolist(), list(likelihood.known.values())
+    failures = int(np.isnan(tried).sum())
+    return Tuned(scale(s), best, errors, covariance, len(tried), converged and not why, why or message, failures)
+
+
+def _measured(epoch: Any) -> bool:
+    z = getattr(epoch, "z", None)
+    parts = z if isinstance(z, tuple) else (z,)
+    return any(part is not None and bool(np.isfinite(numbers("z", part)).any()) for part in parts)
 
 
 def _ends(domain: Domain | Sequence[Domain], d: int) -> Array:
@@ -161,20 +164,14 @@ class _Scale:
         return np.asarray(np.where(self._bounded, above * (1.0 - above / self._width), above))
 
 
-def _measured(before: bool | None, _epoch: Epoch, _state: Any, infos: Any) -> bool:
-    """Whether anything was measured so far."""
-    return bool(before) or any(info.used is not None and bool(np.any(info.used)) for info in infos)
-
-
 class _Likelihood:
     """Log-likelihood as a function of logarithms relative to the start, nan where there is none, with its derivatives."""
 
     def __init__(self, build: Build, epochs: Sequence[Epoch], scale: _Scale, start: Array):
         self._build, self._epochs, self._scale = build, epochs, scale
-        self._known: dict[bytes, float] = {}
-        self.failures = 0
+        self.known: dict[bytes, float] = {}
         try:
-            self.first = self._known[start.tobytes()] = self._flown(scale(start))
+            self.first = self.known[start.tobytes()] = self._flown(scale(start))
         except ArithmeticError as error:
             raise ValueError(f"start: expected parameters at which the filter works; {error}") from error
         except ValueError as error:
@@ -183,32 +180,24 @@ class _Likelihood:
         if not np.isfinite(self.first):
             raise ValueError(f"start: expected a finite log-likelihood, got {self.first}")
 
-    @property
-    def evaluations(self) -> int:
-        """Parameters that were tried."""
-        return len(self._known)
-
     def _flown(self, parameters: Array) -> float:
         built = self._build(parameters)
         if not (isinstance(built, tuple) and len(built) == 2):
             raise ValueError(f"build: expected a filter and a prior, got {kind(built)}")
-        track = run(*built, self._epochs, keep="nothing", reduce=_measured)
-        if not track.reduced:
-            raise ValueError(_NO_DATA)
-        return float(track.log_likelihood.sum())
+        return float(run(*built, self._epochs, keep="nothing").log_likelihood.sum())
 
     def __call__(self, points: Iterable[Array]) -> Array:
-        """``(k,)`` at k points ``(d,)``, each of which is tried once."""
-        points = list(points)
-        for s in points:
-            if s.tobytes() not in self._known:
-                try:
-                    found = self._flown(self._scale(s))
-                except (ValueError, ArithmeticError):
-                    found = np.nan
-                self._known[s.tobytes()] = found if np.isfinite(found) else np.nan
-                self.failures += not np.isfinite(found)
-        return np.array([self._known[s.tobytes()] for s in points])
+        """``(k,)`` at k points ``(d,)``."""
+        return np.array([self._at(s) for s in points])
+
+    def _at(self, s: Array) -> float:
+        if s.tobytes() not in self.known:
+            try:
+                found = self._flown(self._scale(s))
+            except (ValueError, ArithmeticError):
+                found = np.nan
+            self.known[s.tobytes()] = found if np.isfinite(found) else np.nan
+        return self.known[s.tobytes()]
 
     def cost(self, s: Array) -> tuple[float, Array]:
         """What an optimizer minimizes, and its gradient by differences to one side."""
@@ -220,7 +209,7 @@ class _Likelihood:
             return depth * (1.0 + float(s @ s)) - self.first, 2.0 * depth * s
         slope = (np.array(beside) - center) / step
         for i in np.flatnonzero(np.isnan(slope)):
-            slope[i] = np.nan_to_num((center - self([s - axes[i]])[0]) / step)
+            slope[i] = np.nan_to_num((center - self._at(s - axes[i])) / step)
         return -float(center), -slope
 
     def searched(self, s: Array, reach: float, left: float, iterations: int) -> tuple[Array, bool, str]:
@@ -243,15 +232,14 @@ class _Likelihood:
         for _ in range(10):
             if not np.isfinite(curvature).all() or (np.linalg.eigvalsh(curvature) >= 0.0).any():
                 return s, curvature, np.inf
-            ahead, behind, (here,) = np.split(self([*(s + axes), *(s - axes), s]), [len(s), 2 * len(s)])
-            gradient = (ahead - behind) / (2.0 * _NEAR)
+            gradient, here = (self(s + axes) - self(s - axes)) / (2.0 * _NEAR), self._at(s)
             step = -np.linalg.solve(curvature, gradient)
             gain = float(0.5 * gradient @ step)
             if not np.isfinite(gain):
                 return s, np.full(curvature.shape, np.nan), np.inf
             step *= min(1.0, 0.5 / np.abs(step).max(initial=0.5))
             least = here - 1e-12 * abs(here)
-            taken = next((part for part in (1.0, 0.25, 0.0625) if self([s + part * step])[0] >= least), 0.0)
+            taken = next((part for part in (1.0, 0.25, 0.0625) if self._at(s + part * step) >= least), 0.0)
             s = s + taken * step
             if gain <= tolerance or not taken:
                 break
@@ -262,8 +250,7 @@ class _Likelihood:
     def curvature(self, s: Array) -> Array:
         """Second derivatives ``(d, d)``, nan where the filter fails beside s."""
         axes = _FAR * np.eye(len(s))
-        (here,), ahead, behind = self([s]), self(s + axes), self(s - axes)
-        H = np.diag(ahead - 2.0 * here + behind)
+        H = np.diag(self(s + axes) - 2.0 * self._at(s) + self(s - axes))
         for i, j in combinations(range(len(s)), 2):
             a, b = axes[i], axes[j]
             corners = self([s + a + b, s + a - b, s - a + b, s - a - b])

@@ -22,7 +22,7 @@ from celnav.filters.records import Epoch, Filter, Hook
 from celnav.filters.run import steps
 from celnav.filters.sequential import sigma_point
 from celnav.gaussian.belief import Belief, Gaussian, symmetric
-from celnav.gaussian.checks import choice, finite, function, instance, integer, kind, number, sequence
+from celnav.gaussian.checks import choice, finite, function, instance, integer, number, sequence
 from celnav.gaussian.linalg import Array
 from celnav.gaussian.rules import cubature, gauss_hermite, unscented
 from celnav.gaussian.spaces import EUCLIDEAN, Space
@@ -139,9 +139,7 @@ class Problem:
 
     def trial(self, filters: Mapping[str, Filter], rngs: Sequence[np.random.Generator], reference: str = "") -> Trial:
         """Runs for filters to be judged on; ``reference``: see `celnav.study.trial.Trial`."""
-        for filter in instance("filters", filters, Mapping, "filters by name, such as {'ukf': filter}").values():
-            if not hasattr(filter, "step"):
-                raise ValueError(f"filters: expected each a filter, such as celnav.ukf(motion, sensor), got {kind(filter)}")
+        instance("filters", filters, Mapping, "filters by name, such as {'ukf': filter}")
         choice("reference", reference, ("", *filters))
         truth, z = self.draw(rngs)
         prior = Gaussian(np.tile(self.mean, (truth.shape[1], 1)), self.cov)
