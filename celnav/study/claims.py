@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import NoneType
 from typing import Any
 
 import numpy as np
@@ -16,13 +17,13 @@ from celnav.analysis.metrics import bootstrap
 from celnav.files import InputError, read_json
 from celnav.gaussian.linalg import Array
 
-KINDS = ("paper", "calibrated", "erratum", "beyond")
 _VERDICTS = {
     "paper": ("reproduced", "not reproduced"),
     "calibrated": ("reproduced (calibrated)", "not reproduced"),
     "erratum": ("paper in error", "not shown"),
     "beyond": ("shown", "not shown"),
 }
+KINDS = tuple(_VERDICTS)
 VERDICTS = (
     "reproduced", "reproduced (calibrated)", "not reproduced", "paper in error", "shown", "not shown", "undecided", "input absent",
 )  # fmt: skip
@@ -91,19 +92,17 @@ class Claim:
 
     def to_dict(self) -> dict[str, Any]:
         """As it stands in ``claims.json``; numbers have 6 significant digits."""
-        return {
-            "id": self.id,
-            "kind": self.kind,
-            "statement": self.statement,
-            "paper": _plain(self.paper),
-            "value": None if self.absent else _plain(self.value),
-            "ci": None if self.ci is None else [_plain(v) for v in self.ci],
-            "accept": list(self.accept),
-            "expected": self.expected,
-            "holds": self.holds,
-            "verdict": self.verdict,
-            "note": self.note,
-        }
+        numbers = {key: _plain(getattr(self, key)) for key in ("paper", "value", "ci")}
+        return {key: getattr(self, key) for key in _SHAPE} | numbers | {"accept": list(self.accept)}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, tuple | list):
+        return [_plain(part) for part in value]
+    if isinstance(value, (bool, str)) or value is None:
+        return value
+    number = float(value)
+    return float(f"{number:.6g}") if np.isfinite(number) else None
 
 
 class Judge:
@@ -156,13 +155,6 @@ def order(value: float) -> float:
     return 10.0 ** float(np.ceil(np.log10(value))) if value > 0.0 else 0.0
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, (bool, str)) or value is None:
-        return value
-    number = float(value)
-    return float(f"{number:.6g}") if np.isfinite(number) else None
-
-
 def dumps(claims: Iterable[Claim]) -> str:
     """The text of ``claims.json``; ValueError if two claims have the same id."""
     listed = list(claims)
@@ -192,8 +184,7 @@ def _one_of(*types: Any) -> Callable[[Any], bool]:
     return lambda value: type(value) in types
 
 
-_NOTHING = type(None)
-_maybe = _one_of(int, float, _NOTHING)
+_maybe = _one_of(int, float, NoneType)
 
 
 def _pair(value: Any) -> bool:
@@ -204,12 +195,12 @@ _SHAPE: dict[str, Callable[[Any], bool]] = {
     "id": _one_of(str),
     "kind": lambda value: value in KINDS,
     "statement": _one_of(str),
-    "paper": _one_of(str, bool, int, float, _NOTHING),
+    "paper": _one_of(str, bool, int, float, NoneType),
     "value": _maybe,
     "ci": lambda value: value is None or _pair(value),
     "accept": _pair,
     "expected": _one_of(bool),
-    "holds": _one_of(bool, _NOTHING),
+    "holds": _one_of(bool, NoneType),
     "verdict": lambda value: value in VERDICTS,
     "note": _one_of(str),
 }
