@@ -1,7 +1,7 @@
 """Observability of nonlinear systems, degrees of it, and what they suggest for the weights of a sparse grid.
 
-Derivatives are taken by complex step, exact to round-off: functions here take points ``(p, n)`` to ``(p, m)`` and must accept
-complex ones (numpy's own functions do; `abs`, comparisons and `arctan2` do not).
+Functions take points ``(p, n)`` to ``(p, m)``. Derivatives are taken by complex step, exact to round-off: where they are, functions
+must accept complex points (numpy's own do; `abs`, comparisons and `arctan2` do not).
 """
 
 from __future__ import annotations

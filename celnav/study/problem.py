@@ -191,7 +191,7 @@ class Composition:
             choice(name, getattr(self, name), known)
 
     def __str__(self) -> str:
-        return " · ".join([self.rule, self.form, *(["colored"] if self.colored else []), *([self.hook] if self.hook else [])])
+        return " · ".join(filter(None, [self.rule, self.form, "colored" if self.colored else "", self.hook]))
 
 
 COMPOSITIONS = (
@@ -204,20 +204,19 @@ COMPOSITIONS = (
 
 
 def compose(problem: Problem, parts: Composition) -> Filter | None:
-    """The filter; None where the parts do not go together: the filter for colored noise is one of vectors, and takes the process
-    noise through the points; and where there would be more than `MOST_POINTS`.
+    """The filter; None where the parts do not go together: the one for colored noise is a filter of vectors, and no rule may have
+    more than `MOST_POINTS` (for colored noise that of the process goes through the points, too).
     """
     instance("problem", problem, Problem, "a Problem(f, h, ...)")
     instance("parts", parts, Composition, "a Composition, such as Composition('unscented')")
-    n, m = problem.n, problem.m
-    if parts.rule == "Gauss-Hermite" and 3 ** (n + parts.colored * problem.sqrt_Q.shape[1]) > MOST_POINTS:
+    if parts.colored and not problem.space == problem.measurement_space == EUCLIDEAN:
+        return None
+    if parts.rule == "Gauss-Hermite" and 3 ** (problem.n + parts.colored * problem.sqrt_Q.shape[1]) > MOST_POINTS:
         return None
     options: dict[str, Any] = {"rule": RULES[parts.rule], "form": parts.form, "hooks": [HOOKS[parts.hook]()] if parts.hook else []}
-    if not parts.colored:
-        return sigma_point(problem.motion, problem.sensor, **options)
-    if problem.space == EUCLIDEAN and problem.measurement_space == EUCLIDEAN:
-        return colored(problem.motion, problem.sensor, problem.phi * np.eye(m), **options)
-    return None
+    if parts.colored:
+        return colored(problem.motion, problem.sensor, problem.phi * np.eye(problem.m), **options)
+    return sigma_point(problem.motion, problem.sensor, **options)
 
 
 class Row(NamedTuple):
@@ -269,8 +268,8 @@ def compare(
             summary = summarize(scores, least)
             cost = min(_seconds(filters[filter], trial, filter) for _ in range(PASSES)) / (runs * len(problem.times))
             first = summary.accuracy[0]
-            found = (first.rms, first.low, first.high, first.efficiency, summary.anees, summary.low, summary.high)
-            rows.append(Row(name, filter, *found, len(failures), 1e6 * cost))
+            accuracy = first.rms, first.low, first.high, first.efficiency
+            rows.append(Row(name, filter, *accuracy, summary.anees, summary.low, summary.high, len(failures), 1e6 * cost))
     return rows
 
 

@@ -140,9 +140,8 @@ def _row(trial: Trial, epoch: Epoch, belief: Belief, infos: tuple[Info, ...]) ->
 
 def _why(filter: Filter, before: Any, after: Any, epoch: Epoch) -> str:
     """Why runs were lost in a step; empty if none was, or where a filter of single epochs has no estimate."""
-    if not any_lost(after.belief) or not (after.belief.lost() & ~before.belief.lost()).any():
-        return ""
-    return explain(filter, before, after, epoch)
+    lost = any_lost(after.belief) and (after.belief.lost() & ~before.belief.lost()).any()
+    return explain(filter, before, after, epoch) if lost else ""
 
 
 def _watch(lost: dict[int, tuple[float, str]], epoch: Epoch, belief: Belief, why: str = "") -> None:
