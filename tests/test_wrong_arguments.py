@@ -18,7 +18,7 @@ from celnav.analysis import bounds, metrics, observability
 from celnav.gaussian import attitude, rules, spaces
 from celnav.models import earth, ephemeris, gyro, noise, orbit, pulsar, sightings, time
 from celnav.show import recording, views
-from celnav.study import compositions, montecarlo, problem, trial
+from celnav.study import montecarlo, problem, trial
 
 PACKAGES = ("gaussian", "models", "analysis", "study", "show")
 MODULES = {
@@ -59,9 +59,7 @@ pulsar: known
 orbit: warn_of_degrees
 beidou: Broadcast Broadcast.chosen
 belief: symmetric
-simulate: moved of_rows
-montecarlo: blocks steps carry_out do joined
-effort: effort
+montecarlo: blocks steps carry_out do effort joined
 claims: Claim Claim.to_dict ClaimsTable Judge Judge.lengthy Judge.number Judge.statistic Judge.whole about dumps order read_claims
     row tally within
 page: document figure link table
@@ -125,9 +123,9 @@ CALLS = {
         build=built, start=np.ones(1), epochs=celnav.epochs(TIMES, np.ones((5, 2))), domain="positive", factor=10.0, tolerance=1e-3,
         max_iterations=2,
     ),
-    "compositions.Composition": dict(rule="unscented", form="covariance", hook="gate"),
-    "compositions.compose": dict(problem=OWN, parts=compositions.Composition("unscented")),
-    "compositions.compare": dict(problems={"own": OWN}, parts=[compositions.Composition("Taylor")], runs=2, seed=0),
+    "problem.Composition": dict(rule="unscented", form="covariance", hook="gate"),
+    "problem.compose": dict(problem=OWN, parts=problem.Composition("unscented")),
+    "problem.compare": dict(problems={"own": OWN}, parts=[problem.Composition("Taylor")], runs=2, seed=0),
     "montecarlo.generator": dict(seed=1, study=2, run=3),
     "montecarlo.normals": dict(rngs=RNGS),
     "montecarlo.run_count": (montecarlo.run_count, dict(full=10, runs=5, effort=0.5)),
@@ -159,7 +157,6 @@ CALLS = {
         lambda statistic, samples, **more: metrics.bootstrap(statistic, samples, **more),
         dict(statistic=np.mean, samples=np.ones(3), level=0.9, resamples=10, seed=0),
     ),
-    "metrics.error_moments": dict(space=spaces.EUCLIDEAN),
     "observability.jacobian": dict(function=square, x=np.ones(2)),
     "observability.lie_gradients": dict(f=square, h=square, x=np.ones(2), order=1, window=0.1),
     "observability.svd_degree": dict(matrix=I2, reference=0),
@@ -245,9 +242,9 @@ MEANT = {
     "attitude.from_euler angles": "nan, infinite",
     "belief.Gaussian mean": "deep",
     "belief.Gaussian.sample size": "empty",
-    "compositions.compare parts": "empty",
-    "compositions.compare runs": "a billion",
-    "compositions.compare seed": "a billion",
+    "problem.compare parts": "empty",
+    "problem.compare runs": "a billion",
+    "problem.compare seed": "a billion",
     "montecarlo.generator seed": "a billion",
     "montecarlo.generator study": "a billion",
     "montecarlo.generator run": "a billion",

@@ -1,49 +1,32 @@
-"""How good, and how honest, an estimate is: RMSE with intervals, consistency bands, sums over a stream."""
+"""How good, and how honest, an estimate is: RMSE with intervals, and bands in which a consistent filter stays."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import gammaincinv, ndtri, stdtrit
 
-from celnav.gaussian.checks import LIMIT, function, instance, integer, number, numbers
-from celnav.gaussian.linalg import Array, Belief, whiten
-from celnav.gaussian.spaces import EUCLIDEAN, Space
+from celnav.gaussian.checks import LIMIT, function, integer, number, numbers
+from celnav.gaussian.linalg import Array
+
+
+def rms(squares: ArrayLike) -> float:
+    """Root of the mean of squares over everything."""
+    return float(np.sqrt(_samples("squares", squares).mean()))
+
+
+def ratio(a: ArrayLike, b: ArrayLike) -> float:
+    """Ratio of the roots of the means of two sets of squares."""
+    return rms(_samples("a", a)) / rms(_samples("b", b))
 
 
 def rmse(error: ArrayLike, axis: int = 1) -> Array:
     """Root mean square over the runs; errors are ``(T, runs, n)`` unless ``axis`` says otherwise."""
     array, axis = _runs(error, axis)
     return np.asarray(np.sqrt(np.mean(np.square(array), axis=axis)))
-
-
-def _runs(error: ArrayLike, axis: int) -> tuple[Array, int]:
-    """Errors with an axis of runs, nan where a run is lost; ValueError if there is no such axis, or no run."""
-    array = numbers("error", error)
-    if array.shape not in ((), (0,)) and array.shape[axis := integer("axis", axis, -array.ndim, array.ndim - 1)]:
-        return array, axis
-    raise ValueError(f"error: expected at least one run, got shape {array.shape}")
-
-
-def rms(squares: Array) -> float:
-    """Root of the mean of squares over everything."""
-    return float(np.sqrt(_samples("squares", squares).mean()))
-
-
-def _samples(name: str, values: ArrayLike) -> Array:
-    """At least one number; nan is handed on."""
-    array = numbers(name, values)
-    if not array.size:
-        raise ValueError(f"{name}: expected at least one number, got {values!r:.80}")
-    return array
-
-
-def ratio(a: Array, b: Array) -> float:
-    """Ratio of the roots of the means of two sets of squares."""
-    return rms(_samples("a", a)) / rms(_samples("b", b))
 
 
 def rmse_interval(error: ArrayLike, level: float = 0.95, axis: int = 1) -> tuple[Array, Array]:
@@ -64,31 +47,22 @@ def chi_square_band(dof: float, runs: float, level: float = 0.95) -> tuple[float
     return low / runs, high / runs
 
 
-def _chi_square(level: float, dof: float) -> tuple[float, float]:
-    """Central interval of a chi-square variable."""
-    level = number("level", level, above=0.0, below=1.0)
-    low, high = 2.0 * gammaincinv(0.5 * dof, [0.5 - level / 2, 0.5 + level / 2])
-    return float(low), float(high)
-
-
 def bootstrap(
     statistic: Callable[..., Any], *samples: Array, level: float = 0.95, resamples: int = 400, seed: int = 0
 ) -> tuple[float, float]:
     """Expanded percentile interval of ``statistic(*samples)``, resampling the runs of all samples together.
 
-    Each sample has its runs first. The same runs are drawn for all of them, so ratios of paired quantities keep what they
-    gain from common noise. The interval is widened about the value as Student's t asks for few runs [Hesterberg 2015].
+    Each sample has its runs first, at least two. The same runs are drawn for all of them, so ratios of paired quantities keep what
+    they gain from common noise. The interval is widened about the value as Student's t asks for few runs [Hesterberg 2015].
 
-    Raises
-    ------
-    ValueError: for less than two runs.
+    >>> low, high = bootstrap(ratio, squares_of_one_filter, squares_of_another)
     """
     function("statistic", statistic, "(samples)")
     arrays = [np.atleast_1d(numbers("samples", sample)) for sample in samples]
     runs = min((len(array) for array in arrays), default=0)
     if runs < 2 or any(len(array) != runs for array in arrays):
         raise ValueError(f"samples: expected two runs or more, as many in each, got {[len(array) for array in arrays]}")
-    level = number("level", level, above=0.0, below=1.0)
+    level = _level(level)
     resamples = integer("resamples", resamples, 1, LIMIT // runs)
     index = np.random.default_rng(integer("seed", seed, 0)).integers(0, runs, (resamples, runs))
 
@@ -97,37 +71,34 @@ def bootstrap(
 
     value = value_of(*arrays)
     values = [value_of(*(array[rows] for array in arrays)) for rows in index]
-    low, high = np.quantile(values, [0.5 - level / 2, 0.5 + level / 2])
     upper = 0.5 + level / 2
+    low, high = np.quantile(values, [0.5 - level / 2, upper])
     wider = float(np.sqrt(runs / (runs - 1)) * stdtrit(runs - 1, upper) / ndtri(upper))
     return value + wider * float(low - value), value + wider * float(high - value)
 
 
-class Moments(NamedTuple):
-    """Sums over the epochs of a stream, for each run: see `error_moments`."""
-
-    epochs: int
-    error: Array
-    square: Array
-    nees: Array
-
-    @property
-    def rmse(self) -> Array:
-        """Root mean square error over all epochs, ``(..., n)``."""
-        return np.asarray(np.sqrt(self.square / self.epochs))
+def _runs(error: ArrayLike, axis: int) -> tuple[Array, int]:
+    """Errors, nan where a run is lost, and their axis of runs, of which there must be some."""
+    array = numbers("error", error)
+    if array.shape not in ((), (0,)) and array.shape[axis := integer("axis", axis, -array.ndim, array.ndim - 1)]:
+        return array, axis
+    raise ValueError(f"error: expected at least one run, got shape {array.shape}")
 
 
-def error_moments(space: Space = EUCLIDEAN) -> Callable[[Any, Any, Any, Any], Moments]:
-    """A reduction for ``run(reduce=...)``: sums of the error, its square and the NEES against ``epoch.truth``, per run."""
-    instance("space", space, Space, "a Space, such as celnav.angles([0])")
+def _samples(name: str, values: ArrayLike) -> Array:
+    """At least one number; nan is handed on."""
+    array = numbers(name, values)
+    if not array.size:
+        raise ValueError(f"{name}: expected at least one number, got {values!r:.80}")
+    return array
 
-    def add(total: Moments | None, epoch: Any, state: Any, info: Any) -> Moments:  # noqa: ARG001
-        belief: Belief = state.belief
-        error = space.minus(epoch.truth, belief.mean)
-        white = whiten(belief.sqrt_cov, error)
-        new = Moments(1, error, error * error, np.einsum("...i,...i->...", white, white))
-        if total is None:
-            return new
-        return Moments(total.epochs + 1, total.error + new.error, total.square + new.square, total.nees + new.nees)
 
-    return add
+def _level(level: float) -> float:
+    return number("level", level, above=0.0, below=1.0)
+
+
+def _chi_square(level: float, dof: float) -> tuple[float, float]:
+    """Central interval of a chi-square variable."""
+    level = _level(level)
+    low, high = 2.0 * gammaincinv(0.5 * dof, [0.5 - level / 2, 0.5 + level / 2])
+    return float(low), float(high)

@@ -1,7 +1,7 @@
 """Observability of nonlinear systems, degrees of it, and what they suggest for the weights of a sparse grid.
 
-Derivatives are taken by complex step, exact to round-off: model functions here must accept complex states (numpy's own
-functions do; `abs`, comparisons of states and `arctan2` do not).
+Functions take points ``(p, n)`` to ``(p, m)``. Derivatives are taken by complex step, exact to round-off: where they are, functions
+must accept complex points (numpy's own do; `abs`, comparisons and `arctan2` do not).
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.polynomial.chebyshev import Chebyshev
 from numpy.typing import ArrayLike
 
 from celnav.gaussian import checks
@@ -17,7 +18,6 @@ from celnav.gaussian.checks import finite, integer, number, sequence
 from celnav.gaussian.linalg import Array
 
 Function = Callable[[Array], Array]
-"""``(p, n) -> (p, m)``, real or complex."""
 
 _TINY = 1e-30
 _NODES = 21
@@ -26,20 +26,24 @@ _NODES = 21
 def jacobian(function: Function, x: ArrayLike) -> Array:
     """Jacobian ``(m, n)`` at ``x (n,)`` by complex step [Squire1998]."""
     checks.function("function", function, "(points)")
-    at = finite("x", x, ("n",))
-    return np.asarray(_slopes("function", function, at + 1j * _TINY * np.eye(len(at)))).T
+    return _slopes("function", function, _beside(finite("x", x, ("n",))))
+
+
+def _beside(x: Array) -> Array:
+    """Complex points ``(n, n)``, a tiny imaginary step from x along each axis."""
+    return np.asarray(x + 1j * _TINY * np.eye(len(x)))
 
 
 def _slopes(name: str, function: Function, points: Array) -> Array:
-    """Derivatives of a function along complex points ``(p, n)``, ``(p, m)``; ValueError names it if it returns something else."""
+    """Derivatives ``(m, p)`` of a function along complex points ``(p, n)``."""
     values = function(points)
     if np.asarray(values).dtype.kind not in "iufc":
         raise ValueError(f"{name}: expected values (p, m) at points (p, n), got {checks.kind(values)}")
-    return finite(name, np.imag(values), (len(points), "m")) / _TINY
+    return finite(name, np.imag(values), (len(points), "m")).T / _TINY
 
 
 def lie_gradients(f: Function, h: Function, x: ArrayLike, order: int, *, window: float = 1.0) -> Array:
-    """Gradients of the Lie derivatives ``L_f^k h``, k = 0 to ``order``, ``(order + 1, m, n)`` [Hermann1977].
+    """Gradients of the Lie derivatives ``L_f^k h``, k = 0 to ``order`` (at most 6), ``(order + 1, m, n)`` [Hermann1977].
 
     They are the derivatives with respect to time of ``h`` along the flow of ``f``, differentiated by the start: flow and
     gradient are computed at Chebyshev nodes of ``[-window, window]`` s, and a polynomial through them is differentiated. The
@@ -49,10 +53,6 @@ def lie_gradients(f: Function, h: Function, x: ArrayLike, order: int, *, window:
     ----------
     f: rate of the state, of time itself independent. h: measurement. x: ``(n,)``.
     window: half the time, s, over which flow and measurement are smooth; k-th derivatives lose ``window^-k`` of their digits.
-
-    Raises
-    ------
-    ValueError: for an order outside 0 to 6 or a window that is not positive.
     """
     order, window = integer("order", order, 0, 6), number("window", window, above=0.0)
     at = finite("x", x, ("n",))
@@ -60,21 +60,16 @@ def lie_gradients(f: Function, h: Function, x: ArrayLike, order: int, *, window:
     if rate != (1, len(at)):
         raise ValueError(f"f: expected rates (p, {len(at)}) at points (p, {len(at)}), got shape {rate} of one point")
     checks.function("h", h, "(points)")
-    start = at + 1j * _TINY * np.eye(len(at))
     nodes = np.cos(np.pi * (np.arange(_NODES) + 0.5) / _NODES)
     forth, back = nodes[nodes >= 0.0][::-1], nodes[nodes < 0.0]
-    times = np.concatenate([forth, back])
+    start = _beside(at)
     states = _flow(f, start, window * forth) + _flow(f, start, window * back)
-    gradients = np.stack([_slopes("h", h, y).T for y in states])
-    fit = np.polynomial.chebyshev.Chebyshev
-    basis = np.stack([fit.basis(k)(times) for k in range(_NODES)], -1)
+    gradients = np.stack([_slopes("h", h, y) for y in states])
+    series = [Chebyshev.basis(k) for k in range(_NODES)]
+    basis = np.stack([s(np.concatenate([forth, back])) for s in series], -1)
     coefficients = np.linalg.solve(basis, gradients.reshape(_NODES, -1))
-    series = [fit.basis(k) for k in range(_NODES)]
-    rows = []
-    for k in range(order + 1):
-        slopes = np.array([s.deriv(k)(0.0) if k else s(0.0) for s in series])
-        rows.append((slopes @ coefficients).reshape(gradients.shape[1:]) / window**k)
-    return np.stack(rows)
+    slopes = [np.array([s.deriv(k)(0.0) for s in series]) for k in range(order + 1)]
+    return np.stack([(slope @ coefficients).reshape(gradients.shape[1:]) / window**k for k, slope in enumerate(slopes)])
 
 
 def _flow(f: Function, x: Array, times: Array) -> list[Array]:
@@ -102,28 +97,23 @@ def svd_degree(matrix: ArrayLike, reference: int | None = None) -> Array:
     ``reference`` [Liang2014, Eq. 15]. It depends on the units of the states; `information_degree` does not.
     """
     _, values, Vt = np.linalg.svd(finite("matrix", matrix, ("rows", "n")))
-    if reference is not None:
-        reference = integer("reference", reference, 0, Vt.shape[-1] - 1)
-    degree = values[np.abs(Vt[: len(values)]).argmax(0)]
-    return np.asarray(degree if reference is None else degree / degree[reference])
+    degree = np.asarray(values[np.abs(Vt[: len(values)]).argmax(0)])
+    return degree if reference is None else degree / degree[integer("reference", reference, 0, len(degree) - 1)]
 
 
 def information_degree(P0: ArrayLike, F: ArrayLike, H: ArrayLike, R: ArrayLike) -> Array:
     """Prior over posterior standard deviation ``(n,)`` after a window of K epochs without process noise: 1 is not observed.
 
-    Parameters
-    ----------
     P0: ``(n, n)``. F: ``(K - 1, n, n)``, transitions between the epochs. H: ``(K, m, n)``. R: ``(m, m)`` or ``(K, m, m)``.
     """
     rows = finite("H", H, ("K", "m", "n"))
-    n = rows.shape[-1]
-    prior, transitions = symmetric(P0, "P0", n)[1], finite("F", F, (len(rows) - 1, n, n))
-    noise = symmetric(R, "R", rows.shape[1])[1]
-    if noise.shape[:-2] not in ((), (len(rows),)):
-        raise ValueError(f"R: expected one matrix, or one for each of {len(rows)} epochs, got shape {np.shape(R)}")
-    noise = np.broadcast_to(noise, (len(rows), rows.shape[1], rows.shape[1]))
-    Phi, information = prior, np.eye(len(prior))  # in units of the prior
-    for k, (row, root) in enumerate(zip(rows, noise, strict=True)):
+    K, m, n = rows.shape
+    prior, transitions = symmetric(P0, "P0", n)[1], finite("F", F, (K - 1, n, n))
+    noise = symmetric(R, "R", m)[1]
+    if noise.shape[:-2] not in ((), (K,)):
+        raise ValueError(f"R: expected one matrix, or one for each of {K} epochs, got shape {np.shape(R)}")
+    Phi, information = prior, np.eye(n)  # in units of the prior
+    for k, (row, root) in enumerate(zip(rows, np.broadcast_to(noise, (K, m, m)), strict=True)):
         if k:
             Phi = transitions[k - 1] @ Phi
         white = np.linalg.solve(root, row @ Phi)
@@ -134,8 +124,7 @@ def information_degree(P0: ArrayLike, F: ArrayLike, H: ArrayLike, R: ArrayLike) 
 
 def threshold_weights(degree: ArrayLike, threshold: float) -> tuple[int, ...]:
     """Weights of a sparse grid by degrees of observability: 1 above the threshold, 2 at and below it [Liang2014, Eq. 16]."""
-    least = number("threshold", threshold)
-    return tuple(1 if value > least else 2 for value in finite("degree", degree, ("n",)))
+    return tuple(np.where(finite("degree", degree, ("n",)) > number("threshold", threshold), 1, 2).tolist())
 
 
 def nonlinearity_weights(
@@ -147,13 +136,9 @@ def nonlinearity_weights(
     ``tolerance`` of the output's whole first difference. States that only multiply such a one do not count: given it, the
     functions are linear in them.
 
-    Parameters
-    ----------
-    functions: real ``(p, n) -> (p, m)`` each, such as the step and the measurement. mean, std: ``(n,)`` of the belief.
+    functions: of real points, such as the step and the measurement. mean, std: ``(n,)`` of the belief.
 
-    Raises
-    ------
-    ValueError: unless mean and std are finite, of one shape, and std positive.
+    >>> rule = celnav.smolyak(13, 3, nonlinearity_weights([step, measure], prior.mean, prior.std))
     """
     center = finite("mean", mean, ("n",))
     sigma = finite("std", std, center.shape)
@@ -174,4 +159,4 @@ def nonlinearity_weights(
             scale = np.sqrt(np.square(0.5 * (up - down)).sum(0))
             second = np.abs(0.5 * (up + down) - y0)
             bends |= (second > tolerance * scale).any(-1)
-    return tuple(1 if bend else coarse for bend in bends)
+    return tuple(np.where(bends, 1, coarse).tolist())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,9 +24,6 @@ _NEAR, _FAR = 1e-3, 2e-3
 """Differences of gradients and of curvatures, in logarithms."""
 _ROUGH = 1e-3
 """What the last step of the search has gained when Newton's method takes over."""
-_MOST = 4096
-"""Runs of a batch of parameters."""
-_VECTORIZED = "noises need the axes of the parameters, such as sqrt_R=parameters[..., :1, None]"
 
 
 class Tuned(NamedTuple):
@@ -60,7 +58,6 @@ def maximize_likelihood(
     epochs: Iterable[Epoch],
     *,
     domain: Domain | Sequence[Domain] = "positive",
-    vectorized: bool = False,
     factor: float = 1e3,
     tolerance: float = 1e-6,
     max_iterations: int = 100,
@@ -75,20 +72,12 @@ def maximize_likelihood(
     Parameters
     ----------
     build: ``parameters (d,) -> (filter, prior)``.
-    start: ``(d,)``, within the domain.
+    start: ``(d,)``, within the domain, where the filter works.
     epochs: the data; the same for all parameters.
     domain: what parameters can be, one for all or one for each: "positive", "unit interval" (0 to 1) or ``(low, high)``.
-    vectorized: ``build`` also takes many parameters at once, ``(k, 1, ..., d)`` with an axis of 1 for each axis of the runs, and
-        gives noises with these axes: ``sqrt_R=parameters[..., :1, None]``. All differences are then one batch, which for one run
-        of data takes little longer than one of them.
     factor: the search stays within ``start / factor`` and ``start * factor``; in an interval, of the distances to its ends.
     tolerance: how much of the log-likelihood may be left to gain; a parameter one standard error off loses 0.5.
     max_iterations: of the optimizer.
-
-    Raises
-    ------
-    ValueError: for a start outside the domain, at which ``build`` or the filter fails, or without any measurement; for a bad
-        option.
     """
     x0 = finite("start", start)
     if x0.ndim != 1 or not len(x0):
@@ -97,8 +86,11 @@ def maximize_likelihood(
     reach = float(np.log(number("factor", factor, above=1.0)))
     tolerance = number("tolerance", tolerance, above=0.0)
     max_iterations = integer("max_iterations", max_iterations)
-    likelihood = _Likelihood(function("build", build, "(parameters)"), _data(epochs), scale, vectorized)
+    data = epochs if isinstance(epochs, Epochs) else sequence("epochs", epochs, "celnav.epochs(times, z)")
+    if not any(map(_measured, data)):
+        raise ValueError("epochs: expected measurements, got none")
     s = np.zeros(len(x0))
+    likelihood = _Likelihood(function("build", build, "(parameters)"), data, scale, s)
     for left in (_ROUGH, 1e-3 * tolerance):  # the second where the first ends on a plateau
         s, converged, message = likelihood.searched(s, reach, left, max_iterations)
         at_end = np.abs(s) > 0.999 * reach
@@ -107,34 +99,30 @@ def maximize_likelihood(
         s, curvature, gain = likelihood.refined(s, tolerance)
         if gain <= tolerance:
             break
-    covariance = np.full((len(x0), len(x0)), np.inf)
+    covariance, why = np.full((len(x0), len(x0)), np.inf), ""
     if at_end.any():
         i = int(np.argmax(at_end))
-        converged, message = False, f"parameter {i} ran to the end of its range, {scale(s)[i]:.6g}"
+        why = f"parameter {i} ran to the end of its range, {scale(s)[i]:.6g}"
     elif not np.isfinite(curvature).all():
-        converged, message = False, "the filter fails beside the most probable parameters: they lie at an edge"
-    elif (np.linalg.eigvalsh(curvature) >= 0.0).any():
-        i = int(np.argmax(np.abs(np.linalg.eigh(curvature)[1][:, -1])))
-        converged, message = False, f"the data do not determine parameter {i}: the likelihood has no maximum in it"
+        why = "the filter fails beside the most probable parameters: they lie at an edge"
     else:
         eigenvalues, vectors = np.linalg.eigh(curvature)
-        covariance = (vectors / -eigenvalues) @ vectors.T
-        if gain > tolerance:
-            converged, message = False, f"{gain:.3g} of the log-likelihood is left to gain; {message}"
+        if eigenvalues[-1] < 0.0:
+            covariance = (vectors / -eigenvalues) @ vectors.T
+            why = "" if gain <= tolerance else f"{gain:.3g} of the log-likelihood is left to gain; {message}"
+        else:
+            i = int(np.argmax(np.abs(vectors[:, -1])))
+            why = f"the data do not determine parameter {i}: the likelihood has no maximum in it"
     errors = scale.slope(s) * np.sqrt(covariance.diagonal())
-    best = float(likelihood(s[None])[0])
-    return Tuned(scale(s), best, errors, covariance, likelihood.evaluations, converged, message, likelihood.failures)
+    (best,), tried = likelihood([s]).tolist(), list(likelihood.known.values())
+    failures = int(np.isnan(tried).sum())
+    return Tuned(scale(s), best, errors, covariance, len(tried), converged and not why, why or message, failures)
 
 
-def _data(epochs: Any) -> Sequence[Epoch]:
-    """Epochs that can be gone through again and again."""
-    every: Sequence[Epoch] = epochs if isinstance(epochs, Epochs) else sequence("epochs", epochs, "celnav.epochs(times, z)")
-    for epoch in () if every is epochs else every:
-        if not hasattr(epoch, "dt"):
-            raise ValueError(f"epochs: expected celnav.epochs(times, z), or records like celnav.Epoch, got {kind(epoch)}")
-    if not len(every):
-        raise ValueError("epochs: expected measurements, got none")
-    return every
+def _measured(epoch: Any) -> bool:
+    z = getattr(epoch, "z", None)
+    parts = z if isinstance(z, tuple) else (z,)
+    return any(part is not None and bool(np.isfinite(numbers("z", part)).any()) for part in parts)
 
 
 def _ends(domain: Domain | Sequence[Domain], d: int) -> Array:
@@ -143,134 +131,86 @@ def _ends(domain: Domain | Sequence[Domain], d: int) -> Array:
     each: Any = [domain] * d if alone else sequence("domain", domain, "['positive', (0.0, 1.0)]")
     if len(each) != d:
         raise ValueError(f"domain: expected one for all or {d}, one for each parameter, got {len(each)}")
-    ends = []
-    for one in each:
-        pair: Any = DOMAINS.get(one) if isinstance(one, str) else one
+    pairs = [DOMAINS.get(one) if isinstance(one, str) else one for one in each]
+    for one, pair in zip(each, pairs, strict=True):
         if not isinstance(pair, tuple | list) or len(pair) != 2 or not -np.inf < numbers("domain", pair)[0] < pair[1]:
             raise ValueError(f"domain: expected 'positive', 'unit interval' or (low, high), got {one!r}")
-        ends.append(pair)
-    return np.array(ends, dtype=np.float64).T
+    return np.array(pairs, dtype=np.float64).T
 
 
 class _Scale:
-    """Logarithms ``(..., d)``, relative to the start, to parameters: of the distance to the ends of their domain."""
+    """Logarithms ``(d,)``, relative to the start, to parameters: of the distance to the ends of their domain."""
 
     def __init__(self, ends: Array, start: Array):
-        self._low, high = ends
-        inside = (start > self._low) & (start < high)
+        low, high = ends
+        inside = (start > low) & (start < high)
         if not inside.all():
             i = int(np.argmin(inside))
-            between = f"parameter {i} between {self._low[i]:g} and {high[i]:g}"
-            expected = "positive parameters" if (self._low[i], high[i]) == DOMAINS["positive"] else between
-            raise ValueError(f"start: expected {expected}, got {start[i]:g}")
-        self._bounded = np.isfinite(high)
-        self._width = np.where(self._bounded, high - self._low, 1.0)
-        part = (start - self._low) / self._width
-        self.origin = np.where(self._bounded, logit(np.where(self._bounded, part, 0.5)), np.log(part))
+            expected = "positive parameters" if (low[i], high[i]) == DOMAINS["positive"] else None
+            raise ValueError(f"start: expected {expected or f'parameter {i} between {low[i]:g} and {high[i]:g}'}, got {start[i]:g}")
+        self._low, self._bounded = low, np.isfinite(high)
+        self._width = np.where(self._bounded, high - low, 1.0)
+        part = (start - low) / self._width
+        self._origin = np.where(self._bounded, logit(np.where(self._bounded, part, 0.5)), np.log(part))
 
     def __call__(self, s: Array) -> Array:
-        s = self.origin + s
+        s = self._origin + s
         part = np.where(self._bounded, expit(s), np.exp(np.where(self._bounded, 0.0, s)))
         return np.asarray(self._low + self._width * part)
 
     def slope(self, s: Array) -> Array:
-        """Derivative of the parameters ``(d,)`` by their logarithms."""
+        """Derivative of the parameters by their logarithms."""
         above = self(s) - self._low
         return np.asarray(np.where(self._bounded, above * (1.0 - above / self._width), above))
-
-
-def _measured(known: bool | None, _epoch: Epoch, _state: Any, info: Any) -> bool:
-    """Whether anything was measured so far."""
-    return bool(known) or any(i.used is not None and bool(np.any(i.used)) for i in info)
 
 
 class _Likelihood:
     """Log-likelihood as a function of logarithms relative to the start, nan where there is none, with its derivatives."""
 
-    def __init__(self, build: Build, epochs: Sequence[Epoch], scale: _Scale, vectorized: bool):
-        self._build, self._epochs, self._scale, self._vectorized = build, epochs, scale, vectorized
-        self._known: dict[bytes, float] = {}
-        self.evaluations, self.failures = 1, 0
-        start = np.zeros(len(scale.origin))
+    def __init__(self, build: Build, epochs: Sequence[Epoch], scale: _Scale, start: Array):
+        self._build, self._epochs, self._scale = build, epochs, scale
+        self.known: dict[bytes, float] = {}
         try:
-            likelihood = self._flown(scale(start))
+            self.first = self.known[start.tobytes()] = self._flown(scale(start))
         except ArithmeticError as error:
             raise ValueError(f"start: expected parameters at which the filter works; {error}") from error
         except ValueError as error:
             error.add_note(f"at the start, parameters {scale(start)}")
             raise
-        self._runs, self.first = likelihood.shape, float(likelihood.sum())
         if not np.isfinite(self.first):
             raise ValueError(f"start: expected a finite log-likelihood, got {self.first}")
-        if vectorized:
-            self._check_vectorized(start)
-        self._known[start.tobytes()] = self.first
 
-    def _flown(self, parameters: Array) -> Array:
-        """Log-likelihood of each run, of one filter or of as many as there are parameters."""
+    def _flown(self, parameters: Array) -> float:
         built = self._build(parameters)
         if not (isinstance(built, tuple) and len(built) == 2):
             raise ValueError(f"build: expected a filter and a prior, got {kind(built)}")
-        (filter, prior), on_failure = built, "raise"
-        if parameters.ndim > 1:  # models may hold the parameters, so points need their axes
-            on_failure = "flag"
-            batch = np.broadcast_shapes(parameters.shape[:-1], prior.mean.shape[:-1])
-            prior = Gaussian(np.broadcast_to(prior.mean, (*batch, prior.mean.shape[-1])), sqrt_cov=prior.sqrt_cov)
-        track = run(filter, prior, self._epochs, keep="nothing", reduce=_measured, on_failure=on_failure)
-        if not track.reduced:
-            raise ValueError("epochs: expected measurements, got none")
-        return track.log_likelihood
+        return float(run(*built, self._epochs, keep="nothing").log_likelihood.sum())
 
-    def _together(self, points: Array) -> Array:
-        """``(k,)`` of points ``(k, d)`` in one batch, nan where a filter failed."""
-        parameters = self._scale(points)
-        likelihood = self._flown(parameters.reshape(len(points), *(1,) * len(self._runs), -1))
-        if likelihood.shape != (len(points), *self._runs):
-            expected = f"likelihoods of shape {(len(points), *self._runs)}, one for each of the parameters {parameters.shape}"
-            raise ValueError(f"vectorized: expected {expected}, got {likelihood.shape}; {_VECTORIZED}")
-        return np.asarray(likelihood.reshape(len(points), -1).sum(-1))
+    def __call__(self, points: Iterable[Array]) -> Array:
+        """``(k,)`` at k points ``(d,)``."""
+        return np.array([self._at(s) for s in points])
 
-    def _check_vectorized(self, start: Array) -> None:
-        """Parameters together must give what they give alone."""
-        value = float(self._together(np.array([start + _NEAR, start]))[1])
-        self.evaluations += 2
-        if not abs(value - self.first) <= 1e-6 * max(1.0, abs(self.first)):
-            raise ValueError(f"vectorized: expected the same together and alone, got {value} and {self.first}; {_VECTORIZED}")
-
-    def __call__(self, points: Array) -> Array:
-        """``(k,)`` at points ``(k, d)``."""
-        new = {key: s for s in points if (key := s.tobytes()) not in self._known}
-        self.evaluations += len(new)
-        left = dict(new)
-        most = max(2, _MOST // max(1, int(np.prod(self._runs, dtype=int)))) if self._vectorized else 1
-        while len(left) > 1 and most > 1:
-            keys = list(left)[:most]
+    def _at(self, s: Array) -> float:
+        if s.tobytes() not in self.known:
             try:
-                values = self._together(np.array([left[key] for key in keys]))
+                found = self._flown(self._scale(s))
             except (ValueError, ArithmeticError):
-                break  # one by one, to find which it was
-            self._known |= {key: float(value) for key, value in zip(keys, values, strict=True)}
-            left = {key: s for key, s in left.items() if key not in self._known}
-        for key, s in left.items():
-            try:
-                self._known[key] = float(self._flown(self._scale(s)).sum())
-            except (ValueError, ArithmeticError):
-                self._known[key] = np.nan
-        self.failures += sum(not np.isfinite(self._known[key]) for key in new)
-        found = np.array([self._known[s.tobytes()] for s in points])
-        return np.where(np.isfinite(found), found, np.nan)
+                found = np.nan
+            self.known[s.tobytes()] = found if np.isfinite(found) else np.nan
+        return self.known[s.tobytes()]
 
     def cost(self, s: Array) -> tuple[float, Array]:
         """What an optimizer minimizes, and its gradient by differences to one side."""
-        axes = 0.1 * _NEAR * np.eye(len(s))
-        center, *beside = self(np.array([s, *(s + axes)])).tolist()
+        step = 0.1 * _NEAR
+        axes = step * np.eye(len(s))
+        center, *beside = self([s, *(s + axes)])
         if np.isnan(center):  # finite, so that a line search turns back, and worse the further out
             depth = 1e3 + abs(self.first)
             return depth * (1.0 + float(s @ s)) - self.first, 2.0 * depth * s
-        slope = (np.array(beside) - center) / (0.1 * _NEAR)
+        slope = (np.array(beside) - center) / step
         for i in np.flatnonzero(np.isnan(slope)):
-            slope[i] = np.nan_to_num((center - self((s - axes[i])[None])[0]) / (0.1 * _NEAR))
-        return -center, -slope
+            slope[i] = np.nan_to_num((center - self._at(s - axes[i])) / step)
+        return -float(center), -slope
 
     def searched(self, s: Array, reach: float, left: float, iterations: int) -> tuple[Array, bool, str]:
         """Where the search from s ends: when a step gains no more than ``left``."""
@@ -287,21 +227,19 @@ class _Likelihood:
 
         Where there is no maximum it stays where it is, and inf is left.
         """
-        start, curvature = s, self.curvature(s)
+        start, curvature, gain = s, self.curvature(s), np.inf
         axes = _NEAR * np.eye(len(s))
-        gain = np.inf
         for _ in range(10):
             if not np.isfinite(curvature).all() or (np.linalg.eigvalsh(curvature) >= 0.0).any():
                 return s, curvature, np.inf
-            values = self(np.array([*(s + axes), *(s - axes), s]))
-            gradient = (values[: len(s)] - values[len(s) : -1]) / (2.0 * _NEAR)
+            gradient, here = (self(s + axes) - self(s - axes)) / (2.0 * _NEAR), self._at(s)
             step = -np.linalg.solve(curvature, gradient)
             gain = float(0.5 * gradient @ step)
             if not np.isfinite(gain):
                 return s, np.full(curvature.shape, np.nan), np.inf
             step *= min(1.0, 0.5 / np.abs(step).max(initial=0.5))
-            least = values[-1] - 1e-12 * abs(values[-1])
-            taken = next((part for part in (1.0, 0.25, 0.0625) if self((s + part * step)[None])[0] >= least), 0.0)
+            least = here - 1e-12 * abs(here)
+            taken = next((part for part in (1.0, 0.25, 0.0625) if self._at(s + part * step) >= least), 0.0)
             s = s + taken * step
             if gain <= tolerance or not taken:
                 break
@@ -311,12 +249,10 @@ class _Likelihood:
 
     def curvature(self, s: Array) -> Array:
         """Second derivatives ``(d, d)``, nan where the filter fails beside s."""
-        d, h = len(s), _FAR
-        axes = h * np.eye(d)
-        pairs = [(i, j) for i in range(d) for j in range(i)]
-        corners = [s + a * axes[i] + b * axes[j] for i, j in pairs for a, b in ((1, 1), (1, -1), (-1, 1), (-1, -1))]
-        values = self(np.array([s, *(s + axes), *(s - axes), *corners]))
-        H = np.diag(values[1 : d + 1] - 2.0 * values[0] + values[d + 1 : 2 * d + 1])
-        for (i, j), four in zip(pairs, values[2 * d + 1 :].reshape(-1, 4), strict=True):
-            H[i, j] = H[j, i] = 0.25 * (four[0] - four[1] - four[2] + four[3])
-        return np.asarray(H / h**2)
+        axes = _FAR * np.eye(len(s))
+        H = np.diag(self(s + axes) - 2.0 * self._at(s) + self(s - axes))
+        for i, j in combinations(range(len(s)), 2):
+            a, b = axes[i], axes[j]
+            corners = self([s + a + b, s + a - b, s - a + b, s - a - b])
+            H[i, j] = H[j, i] = 0.25 * (corners @ [1.0, -1.0, -1.0, 1.0])
+        return np.asarray(H / _FAR**2)

@@ -11,7 +11,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 from celnav.papers import load
-from celnav.study.effort import effort
+from celnav.study.montecarlo import effort
 
 if TYPE_CHECKING:
     from celnav.campaign.executors import Workers

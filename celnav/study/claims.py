@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import NoneType
 from typing import Any
 
 import numpy as np
@@ -16,13 +17,13 @@ from celnav.analysis.metrics import bootstrap
 from celnav.files import InputError, read_json
 from celnav.gaussian.linalg import Array
 
-KINDS = ("paper", "calibrated", "erratum", "beyond")
 _VERDICTS = {
     "paper": ("reproduced", "not reproduced"),
     "calibrated": ("reproduced (calibrated)", "not reproduced"),
     "erratum": ("paper in error", "not shown"),
     "beyond": ("shown", "not shown"),
 }
+KINDS = tuple(_VERDICTS)
 VERDICTS = (
     "reproduced", "reproduced (calibrated)", "not reproduced", "paper in error", "shown", "not shown", "undecided", "input absent",
 )  # fmt: skip
@@ -44,10 +45,6 @@ class Claim:
     expected: whether the claim should hold, as found before.
     paper: what the paper prints. ci: interval of ``value``; None for a number without sampling error.
     full: whether the run had the full number of runs.
-
-    Raises
-    ------
-    ValueError: for an unknown kind.
     """
 
     id: str
@@ -55,7 +52,7 @@ class Claim:
     statement: str
     value: float | None
     accept: Bounds
-    expected: bool
+    expected: bool = True
     paper: Any = None
     ci: tuple[float, float] | None = None
     full: bool = True
@@ -75,23 +72,17 @@ class Claim:
         """Whether the value is acceptable; None where that is undecided or an input is absent."""
         if self.value is None or self.absent:
             return None
-        low = -np.inf if self.accept[0] is None else self.accept[0]
-        high = np.inf if self.accept[1] is None else self.accept[1]
-        if self.full or self.ci is None:
-            return bool(low <= self.value <= high)
-        if low <= self.ci[0] and self.ci[1] <= high:
+        low, high = (end if bound is None else bound for end, bound in zip((-np.inf, np.inf), self.accept, strict=True))
+        least, most = (self.value, self.value) if self.full or self.ci is None else self.ci
+        if low <= least and most <= high:
             return True
-        if self.ci[1] < low or self.ci[0] > high:
-            return False
-        return None
+        return False if most < low or least > high else None
 
     @property
     def verdict(self) -> str:
-        """In words."""
-        if self.absent:
-            return "input absent"
+        """In words, one of `VERDICTS`."""
         if self.holds is None:
-            return "undecided"
+            return "input absent" if self.absent else "undecided"
         return _VERDICTS[self.kind][0 if self.holds else 1]
 
     @property
@@ -101,42 +92,31 @@ class Claim:
 
     def to_dict(self) -> dict[str, Any]:
         """As it stands in ``claims.json``; numbers have 6 significant digits."""
-        return {
-            "id": self.id,
-            "kind": self.kind,
-            "statement": self.statement,
-            "paper": _plain(self.paper),
-            "value": None if self.absent else _plain(self.value),
-            "ci": None if self.ci is None else [_plain(v) for v in self.ci],
-            "accept": list(self.accept),
-            "expected": self.expected,
-            "holds": self.holds,
-            "verdict": self.verdict,
-            "note": self.note,
-        }
+        numbers = {key: _plain(getattr(self, key)) for key in ("paper", "value", "ci")}
+        return {key: getattr(self, key) for key in _SHAPE} | numbers | {"accept": list(self.accept)}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, tuple | list):
+        return [_plain(part) for part in value]
+    if isinstance(value, (bool, str)) or value is None:
+        return value
+    number = float(value)
+    return float(f"{number:.6g}") if np.isfinite(number) else None
 
 
 class Judge:
-    """Makes the claims of one run of a study; ``full``: whether it had the full number of runs."""
+    """Makes the claims of one run of a study; ``full``: whether it had the full number of runs.
+
+    What else a claim has, such as ``paper``, ``note`` and ``expected``, is named as in `Claim`.
+    """
 
     def __init__(self, full: bool):
         self.full = full
 
-    def number(
-        self,
-        id: str,
-        kind: str,
-        statement: str,
-        value: float,
-        accept: Bounds,
-        *,
-        paper: Any = None,
-        ci: tuple[float, float] | None = None,
-        note: str = "",
-        expected: bool = True,
-    ) -> Claim:
-        """A claim on a number without sampling error, or with an interval known otherwise."""
-        return Claim(id, kind, statement, float(value), accept, expected, paper, ci, self.full, note)
+    def number(self, id: str, kind: str, statement: str, value: float, accept: Bounds, **more: Any) -> Claim:
+        """A claim on a number without sampling error, or with an interval ``ci`` known otherwise."""
+        return Claim(id, kind, statement, float(value), accept, full=self.full, **more)
 
     def statistic(
         self,
@@ -146,14 +126,10 @@ class Judge:
         statistic: Callable[..., Any],
         samples: Sequence[Array],
         accept: Bounds,
-        *,
-        paper: Any = None,
-        note: str = "",
-        expected: bool = True,
+        **more: Any,
     ) -> Claim:
         """A claim on a statistic of runs (the first axis of each sample), with its bootstrap interval."""
-        value, ci = float(statistic(*samples)), bootstrap(statistic, *samples)
-        return Claim(id, kind, statement, value, accept, expected, paper, ci, self.full, note)
+        return self.number(id, kind, statement, statistic(*samples), accept, ci=bootstrap(statistic, *samples), **more)
 
     def lengthy(self, *arguments: Any, **named: Any) -> Claim:
         """A `statistic` that depends on how long the runs are: undecided where they are shortened."""
@@ -179,35 +155,17 @@ def order(value: float) -> float:
     return 10.0 ** float(np.ceil(np.log10(value))) if value > 0.0 else 0.0
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, (bool, str)) or value is None:
-        return value
-    number = float(value)
-    return float(f"{number:.6g}") if np.isfinite(number) else None
-
-
 def dumps(claims: Iterable[Claim]) -> str:
-    """The text of ``claims.json``.
-
-    Raises
-    ------
-    ValueError: if two claims have the same id.
-    """
+    """The text of ``claims.json``; ValueError if two claims have the same id."""
     listed = list(claims)
-    ids = [claim.id for claim in listed]
-    twice = sorted({i for i in ids if ids.count(i) > 1})
+    twice = sorted(id for id, count in Counter(claim.id for claim in listed).items() if count > 1)
     if twice:
         raise ValueError(f"claims: expected different ids, got {', '.join(twice)} more than once")
     return json.dumps([claim.to_dict() for claim in listed], indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def read_claims(path: str | Path) -> list[dict[str, Any]]:
-    """Claims of a ``claims.json`` as dictionaries.
-
-    Raises
-    ------
-    InputError: naming the file, and the claim, if it is not a list of whole claims.
-    """
+    """Claims of a ``claims.json`` as dictionaries; InputError names the file, and the claim that is not whole."""
     loaded = read_json(path)
     if not isinstance(loaded, list):
         raise InputError(f"{path}: expected a list of claims")
@@ -221,13 +179,12 @@ def read_claims(path: str | Path) -> list[dict[str, Any]]:
     return loaded
 
 
-def _text(value: Any) -> bool:
-    return isinstance(value, str)
+def _one_of(*types: Any) -> Callable[[Any], bool]:
+    """Whether a value is of one of the types, bool being no number."""
+    return lambda value: type(value) in types
 
 
-def _maybe(value: Any) -> bool:
-    """Whether it is a number or None."""
-    return value is None or (isinstance(value, int | float) and not isinstance(value, bool))
+_maybe = _one_of(int, float, NoneType)
 
 
 def _pair(value: Any) -> bool:
@@ -235,17 +192,17 @@ def _pair(value: Any) -> bool:
 
 
 _SHAPE: dict[str, Callable[[Any], bool]] = {
-    "id": _text,
+    "id": _one_of(str),
     "kind": lambda value: value in KINDS,
-    "statement": _text,
-    "paper": lambda value: _text(value) or isinstance(value, bool) or _maybe(value),
+    "statement": _one_of(str),
+    "paper": _one_of(str, bool, int, float, NoneType),
     "value": _maybe,
     "ci": lambda value: value is None or _pair(value),
     "accept": _pair,
-    "expected": lambda value: isinstance(value, bool),
-    "holds": lambda value: value is None or isinstance(value, bool),
+    "expected": _one_of(bool),
+    "holds": _one_of(bool, NoneType),
     "verdict": lambda value: value in VERDICTS,
-    "note": _text,
+    "note": _one_of(str),
 }
 """What `Claim.to_dict` writes."""
 

@@ -1,4 +1,4 @@
-"""Monte Carlo: one generator per run, blocks of runs that stay in cache, and work spread over processes.
+"""Monte Carlo: how many runs, one generator for each, blocks of them that stay in cache, and work spread over processes.
 
 A run's random numbers depend on ``(seed, study, run)`` alone, where ``study`` numbers the configuration: not on the size of a
 block, the number of processes or the order of the work. Every array that a block returns has its run axis second,
@@ -7,10 +7,11 @@ block, the number of processes or the order of the work. Every array that a bloc
 
 from __future__ import annotations
 
-import contextlib
+import os
 import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import nullcontext
 from multiprocessing import get_context
 from time import process_time
 from typing import Any, Generic, NamedTuple, TypeVar
@@ -28,23 +29,13 @@ Progress = Callable[[int, int, str], None]
 
 
 def generator(seed: int, study: int, run: int) -> np.random.Generator:
-    """The generator of one run of one study.
-
-    Raises
-    ------
-    ValueError: for a number that is negative or no integer.
-    """
+    """The generator of one run of one study, which are not negative."""
     key = (integer("study", study, 0), integer("run", run, 0))
     return np.random.default_rng(np.random.SeedSequence(integer("seed", seed, 0), spawn_key=key))
 
 
 def normals(rngs: Sequence[np.random.Generator], *shapes: tuple[int, ...]) -> list[Array]:
-    """Standard normal arrays, one of each shape from each generator, with the run axis before the last: ``(..., runs, n)``.
-
-    Raises
-    ------
-    ValueError: without generators.
-    """
+    """Standard normal arrays, one of each shape from each generator, with the run axis before the last: ``(..., runs, n)``."""
     for rng in (every := sequence("rngs", rngs, "[celnav.study.montecarlo.generator(seed, study, run)]")):
         if not hasattr(rng, "standard_normal"):
             raise ValueError(f"rngs: expected generators, such as np.random.default_rng(0), got {kind(rng)}")
@@ -55,37 +46,33 @@ def normals(rngs: Sequence[np.random.Generator], *shapes: tuple[int, ...]) -> li
 
 
 def blocks(runs: int, size: int) -> list[range]:
-    """Consecutive ranges of at most ``size`` runs.
-
-    Raises
-    ------
-    ValueError: if a number is not positive.
-    """
+    """Consecutive ranges of at most ``size`` runs."""
     integer("runs", runs)
     integer("block", size)
     return [range(first, min(first + size, runs)) for first in range(0, runs, size)]
 
 
-def run_count(full: int, runs: int | None, effort: float) -> int:
-    """Number of runs of a study: ``runs``, or the full number times the effort, at least 2.
+def effort(value: str | float | None = None) -> float:
+    """A fraction in (0, 1] of the Monte-Carlo runs: the argument, else ``CELNAV_EFFORT``, which is read here only, else 1."""
+    name, given = ("effort", value) if value is not None else ("CELNAV_EFFORT", os.environ.get("CELNAV_EFFORT", "1"))
+    try:
+        fraction = float(given)
+    except (TypeError, ValueError):
+        fraction = 0.0
+    if not 0.0 < fraction <= 1.0:
+        raise ValueError(f"{name}: expected a number in (0, 1], got {given!r}")
+    return fraction
 
-    Raises
-    ------
-    ValueError: unless ``0 < effort <= 1`` and ``runs`` is an integer of at least 2 or None.
-    """
+
+def run_count(full: int, runs: int | None, effort: float) -> int:
+    """Number of runs of a study: ``runs``, or the full number times the effort, in (0, 1]; at least 2."""
     part = number("effort", effort, above=0.0, most=1.0)
     every = integer("full", full)
-    count = max(2, round(every * part)) if runs is None else runs
-    return integer("runs", count, 2)
+    return integer("runs", max(2, round(every * part)) if runs is None else runs, 2)
 
 
 def steps(name: str, count: float) -> int:
-    """The number of steps of a run, which may come as a quotient.
-
-    Raises
-    ------
-    ValueError: naming the parameter that it follows from, if it is below 1 or more than can be held.
-    """
+    """The number of steps of a run, which may come as a quotient; ValueError names what it follows from if there are too many."""
     if not 0.5 < count <= MOST_STEPS:
         raise ValueError(f"{name}: expected a run of 1 to {MOST_STEPS} steps, got {count:.10g}")
     return round(count)
@@ -138,17 +125,10 @@ def _joined(outcomes: Sequence[Outcome]) -> dict[str, Array]:
 
 
 def carry_out(plan: Plan[R], *, jobs: int = 1, progress: Progress | None = None) -> R:
-    """Do the units of a plan, in ``jobs`` processes, and give its result.
-
-    Raises
-    ------
-    ValueError: unless ``jobs`` is a positive integer. Whatever a unit raises.
-    """
-    integer("jobs", jobs)
-    count, outcomes = len(plan.units), []
-    with contextlib.ExitStack() as stack:
-        several = jobs > 1 and count > 1
-        pool = stack.enter_context(ProcessPoolExecutor(min(jobs, count), mp_context=get_context("spawn"))) if several else None
+    """Do the units of a plan, in ``jobs`` processes, and give its result."""
+    count, several = len(plan.units), integer("jobs", jobs) > 1 and len(plan.units) > 1
+    with ProcessPoolExecutor(min(jobs, count), mp_context=get_context("spawn")) if several else nullcontext() as pool:
+        outcomes = []
         for unit, outcome in zip(plan.units, pool.map(do, plan.units) if pool else map(do, plan.units), strict=True):
             outcomes.append(outcome)
             if progress is not None:

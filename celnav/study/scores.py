@@ -6,7 +6,7 @@ A block of runs is scored, scores of blocks are merged by adding, in whatever nu
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import gammaincinv, stdtrit
@@ -41,56 +41,78 @@ def score(
 ) -> tuple[Scores, list[Failure]]:
     """Scores of a block, and its runs that failed: lost their estimate, or ended with an error above the limit of its group.
 
-    ``settle_s``: the mean over time begins here; None: in the middle of the run.
-
-    Raises
-    ------
-    ValueError: if no epoch is as late as ``settle_s``.
+    ``settle_s``: the mean over time begins here, not after the last epoch; None: in the middle of the run.
     """
-    if settle_s is not None and settle_s > followed.times[-1]:
-        raise ValueError(f"settle_s: expected a time of at most {followed.times[-1]:g} s, the last epoch, got {settle_s:g}")
-    f, K = followed, len(followed.times)
-    square, variance = squares(groups, f.error), squares(groups, f.std)
-    failures = {run: Failure(run, t, why) for run, t, why in f.lost}
-    for i, group in enumerate(groups):
-        limit = limits.get(group.name, np.inf)
-        for run in np.flatnonzero(square[-1, :, i] > limit**2).tolist():
-            why = f"{group.name}: error above {limit:g} {group.unit} at the end"
-            failures.setdefault(run, Failure(run, float(f.times[-1]), why))
-    settled = np.arange(K) >= K // 2 if settle_s is None else f.times >= settle_s
+    times, end = followed.times, float(followed.times[-1])
+    if settle_s is not None and settle_s > end:
+        raise ValueError(f"settle_s: expected a time of at most {end:g} s, the last epoch, got {settle_s:g}")
+    settled = np.arange(len(times)) >= len(times) // 2 if settle_s is None else times >= settle_s
+    square, variance = squares(groups, followed.error), squares(groups, followed.std)
     there = np.asarray(np.isfinite(square).all(-1))
-    sound = there & np.isfinite(f.nees)
-    for run in np.flatnonzero(~there[settled].any(0)).tolist():
-        failures.setdefault(run, Failure(run, float(f.times[-1]), "no estimate at any settled epoch"))
-    for run in np.flatnonzero(np.isnan(variance[settled]).all((0, 2))).tolist():
-        failures.setdefault(run, Failure(run, float(f.times[-1]), "no positive definite covariance at any settled epoch"))
+    sound = there & np.isfinite(followed.nees)
+    failures = {run: Failure(run, t, why) for run, t, why in followed.lost}
+
+    def fail(which: Any, why: str) -> None:
+        for run in np.flatnonzero(which).tolist():
+            failures.setdefault(run, Failure(run, end, why))
+
+    for group, last in zip(groups, square[-1].T, strict=True):
+        limit = limits.get(group.name, np.inf)
+        fail(last > limit**2, f"{group.name}: error above {limit:g} {group.unit} at the end")
+    fail(~there[settled].any(0), "no estimate at any settled epoch")
+    fail(np.isnan(variance[settled]).all((0, 2)), "no positive definite covariance at any settled epoch")
     good = np.array([run not in failures for run in range(square.shape[1])], bool)
     chosen = slice(None) if good.all() else good
-    square, variance, nees, nis, dof, there, sound = (a[:, chosen] for a in (square, variance, f.nees, f.nis, f.dof, there, sound))
+    block = (square, variance, followed.nees, followed.nis, followed.dof, there, sound)
+    square, variance, nees, nis, dof, there, sound = (values[:, chosen] for values in block)
     known = there & np.isfinite(variance).all(-1)
-    judged = sound[settled].any(0)
-    own, own_nees = _mean_of(square[settled], there[settled]), _mean_of(nees[settled], sound[settled])[judged]
-    last = f.error[-1, good]
+    judged, error = sound[settled].any(0), followed.error[-1, good]
     scores = {
-        "times": f.times,
-        "settled": settled.astype(np.float64),
-        "runs": np.array(float(good.sum())),
-        "count": there.sum(1).astype(np.float64),
-        "square": _sum(square, there),
-        "known": known.sum(1).astype(np.float64),
-        "variance": _sum(variance, known),
-        "nees": _sum(nees, sound),
-        "nis": _sum(nis, there),
-        "dof": _sum(dof, there),
-        "judged": np.array(float(judged.sum())),
-        "own": np.stack([own.sum(0), np.square(own).sum(0)]),
-        "own_nees": np.stack([own_nees.sum(0), np.square(own_nees).sum(0)]),
-        "error": last.sum(0),
-        "outer": last.T @ last,
-        "nees_histogram": _histogram(nees[settled], np.full(nees[settled].shape, last.shape[-1])),
+        "times": times,
+        "settled": settled,
+        "runs": good.sum(),
+        "count": there.sum(1),
+        "square": _only(square, there).sum(1),
+        "known": known.sum(1),
+        "variance": _only(variance, known).sum(1),
+        "nees": _only(nees, sound).sum(1),
+        "nis": _only(nis, there).sum(1),
+        "dof": _only(dof, there).sum(1),
+        "judged": judged.sum(),
+        "own": _moments(_mean(square[settled], there[settled])),
+        "own_nees": _moments(_mean(nees[settled], sound[settled])[judged]),
+        "error": error.sum(0),
+        "outer": error.T @ error,
+        "nees_histogram": _histogram(nees[settled], np.full(nees[settled].shape, error.shape[-1])),
         "nis_histogram": _histogram(nis[settled], np.where(there[settled], dof[settled], 0.0)),
     }
-    return scores, list(failures.values())
+    return {name: np.asarray(value, np.float64) for name, value in scores.items()}, list(failures.values())
+
+
+def _only(values: Array, there: Array) -> Array:
+    """Zero where nothing is; ``there`` has the first axes of the values."""
+    return values if there.all() else np.where(there.reshape(*there.shape, *(1,) * (values.ndim - 2)), values, 0.0)
+
+
+def _mean(values: Array, there: Array) -> Array:
+    """Mean over time of what is there, for each run; zero where nothing is."""
+    count = np.maximum(there.sum(0), 1)
+    return np.asarray(_only(values, there).sum(0) / count.reshape(-1, *(1,) * (values.ndim - 2)))
+
+
+def _moments(own: Array) -> Array:
+    """Sums over the runs of values and of their squares."""
+    return np.stack([own.sum(0), np.square(own).sum(0)])
+
+
+def _histogram(values: Array, dof: Array) -> Array:
+    """Counts of chi-square values in `BINS` bins of equal probability."""
+    total = np.zeros(BINS)
+    for freedom in np.unique(dof[dof > 0]):
+        chosen = values[(dof == freedom) & np.isfinite(values)]
+        edges = 2.0 * gammaincinv(0.5 * freedom, np.arange(1, BINS) / BINS)
+        total += np.bincount(np.searchsorted(edges, chosen), minlength=BINS)
+    return total
 
 
 def check_scores(scores: Scores, groups: int) -> None:
@@ -108,49 +130,13 @@ def check_scores(scores: Scores, groups: int) -> None:
             raise ValueError(f"{name}: expected numbers of shape {shape}, got {scores[name].dtype} of {scores[name].shape}")
 
 
-def _sum(values: Array, there: Array) -> Array:
-    """Sum over the runs of those that are there."""
-    return np.asarray(_only(values, there).sum(1))
-
-
-def _mean_of(values: Array, there: Array) -> Array:
-    """Mean over time of what is there, for each run; zero where nothing is."""
-    count = np.maximum(there.sum(0), 1)
-    return np.asarray(_only(values, there).sum(0) / (count if values.ndim == 2 else count[..., None]))
-
-
-def _only(values: Array, there: Array) -> Array:
-    """Zero where nothing is."""
-    if there.all():
-        return values
-    return np.where(there if values.ndim == 2 else there[..., None], values, 0.0)
-
-
-def _histogram(values: Array, dof: Array) -> Array:
-    """Counts of chi-square values in `BINS` bins of equal probability."""
-    total = np.zeros(BINS)
-    for freedom in np.unique(dof[dof > 0]):
-        chosen = values[(dof == freedom) & np.isfinite(values)]
-        edges = 2.0 * gammaincinv(0.5 * freedom, np.arange(1, BINS) / BINS)
-        total += np.bincount(np.searchsorted(edges, chosen), minlength=BINS)
-    return total
-
-
 def merge(parts: Iterable[Scores]) -> Scores:
-    """Sum of scores of the same epochs, in the order given.
-
-    Raises
-    ------
-    ValueError: if there is none, or epochs differ.
-    """
+    """Sum of scores of the same epochs, one or more, in the order given."""
     total: Scores = {}
     for part in parts:
-        if not total:
-            total = dict(part)
-            continue
-        if not np.array_equal(part["times"], total["times"]):
+        if total and not np.array_equal(part["times"], total["times"]):
             raise ValueError("scores: expected the same epochs in all blocks")
-        total |= {name: total[name] + part[name] for name in part if name not in ("times", "settled")}
+        total = {name: total[name] + part[name] if total and name not in ("times", "settled") else part[name] for name in part}
     if not total:
         raise ValueError("scores: expected at least one block, got none")
     return total
@@ -200,42 +186,23 @@ def summarize(scores: Scores, bound: Array | None = None) -> Summary:
     runs, n = int(scores["runs"]), len(scores["error"])
     settled = scores["settled"] > 0.0
     rms, low, high = _interval(scores["own"], runs)
+    anees, least_anees, most_anees = (float(v[0]) / n for v in _interval(scores["own_nees"][:, None], int(scores["judged"])))
     with np.errstate(invalid="ignore", divide="ignore"):
         final = np.sqrt(scores["square"][-1] / scores["count"][-1])
         sigma = np.sqrt(scores["variance"][settled].sum(0) / scores["known"][settled].sum())
         nis = float(scores["nis"][settled].sum() / scores["dof"][settled].sum())
         least = np.full(len(rms), np.nan) if bound is None else np.sqrt(bound[settled].mean(0))
         columns = np.stack([np.sqrt(rms), np.sqrt(low), np.sqrt(high), final, sigma, least, least / np.sqrt(rms)], -1)
+        nees_beyond, nis_beyond = (float(h[-1] / h.sum()) for h in (scores["nees_histogram"], scores["nis_histogram"]))
     accuracy = tuple(Accuracy(*row) for row in columns.tolist())
-    anees, anees_low, anees_high = (float(v[0]) / n for v in _interval(scores["own_nees"][:, None], int(scores["judged"])))
     a, b = chi_square_band(n, runs) if runs else (np.nan, np.nan)
-    return Summary(
-        runs,
-        accuracy,
-        anees,
-        anees_low,
-        anees_high,
-        (a / n, b / n),
-        nis,
-        _beyond(scores["nees_histogram"]),
-        _beyond(scores["nis_histogram"]),
-    )
-
-
-def _beyond(histogram: Array) -> float:
-    """Part in the last of `BINS` bins; nan of nothing."""
-    return float(histogram[-1] / histogram.sum()) if histogram.any() else float("nan")
+    return Summary(runs, accuracy, anees, least_anees, most_anees, (a / n, b / n), nis, nees_beyond, nis_beyond)
 
 
 def _interval(sums: Array, runs: int, level: float = 0.95) -> tuple[Array, Array, Array]:
     """Mean of positive values from their sum and sum of squares ``(2, ...)``, and its interval, symmetric in the logarithm."""
-    nothing = np.full(sums.shape[1:], np.nan)
-    if runs < 1:
-        return nothing, nothing, nothing
-    mean = sums[0] / runs
-    if runs < 2:
-        return mean, nothing, nothing
-    variance = np.maximum(sums[1] / runs - mean**2, 0.0) / (runs - 1)
     with np.errstate(invalid="ignore", divide="ignore"):
+        mean = sums[0] / runs
+        variance = np.maximum(sums[1] / runs - mean**2, 0.0) / (runs - 1)
         factor = np.exp(stdtrit(runs - 1, 0.5 + level / 2) * np.sqrt(variance) / mean)
-    return mean, mean / factor, mean * factor
+        return mean, mean / factor, mean * factor

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -47,10 +47,6 @@ def simulate(
     -------
     The truth ``(T, runs, N)`` and the measurements ``(T, runs, m)``, a tuple of them for a sequence of sensors.
 
-    Raises
-    ------
-    ValueError: naming the argument that cannot be.
-
     >>> truth, z = celnav.simulate(motion, gps, prior, np.arange(601.0), runs=500)
     """
     instance("motion", motion, Motion, "celnav.Motion(f, Q)")
@@ -64,52 +60,49 @@ def simulate(
     instance("prior", prior, Gaussian, "celnav.Gaussian(mean, cov)")
     if prior.mean.ndim != 1 or prior.cov.ndim != 2:
         raise ValueError(f"prior: expected one mean (N,) and covariance (n, n), got {prior.mean.shape} and {prior.cov.shape}")
+    for name, model in (("f", motion.f), *(("h", each.h) for each in sensors)):
+        if not callable(model) and model.shape[-1] != len(prior.cov):
+            raise ValueError(f"prior: expected {model.shape[-1]} components to go with {name}, got {len(prior.cov)}")
     when, seed = epochs(times, u=u), integer("seed", seed, 0)
     runs = integer("runs", runs)
     if runs > MOST_RUNS:
         raise ValueError(f"runs: expected at most {MOST_RUNS}, got {runs}")
     rngs = [generator(seed, 0, run) for run in range(runs)]
-    phi = None if Phi is None else coloring(Phi, sensors[0].m)
-    zeta = None if Phi is None else zeta_of(sensors[0], Phi, None)
 
-    def draw(columns: Any) -> Array:
+    def draw(columns: Array) -> Array:
         return matvec(columns, np.stack([rng.standard_normal(columns.shape[-1]) for rng in rngs]))
 
-    for name, model in (("f", motion.f), *(("h", each.h) for each in sensors)):
-        if not callable(model) and model.shape[-1] != len(prior.cov):
-            raise ValueError(f"prior: expected {model.shape[-1]} components to go with {name}, got {len(prior.cov)}")
+    def white(model: Motion | Sensor, x: Array, epoch: Epoch) -> Any:
+        columns = at(model.noise, x, epoch)
+        return None if columns is None else draw(columns)
+
+    def image(name: str, model: Motion | Sensor, x: Array, epoch: Epoch, noise: Callable[..., Any] = white) -> Array:
+        """What a model makes of states ``(runs, N)``, with the noise through the points and the one beside them, of that name."""
+        augment = [draw(root)[None] for root in model.augment]
+        y: Array = evaluate(model, x[None].copy(), epoch, augment)[0]
+        added = noise(model, x, epoch)
+        if added is None:
+            return y
+        rows = model.space.minus(y, y).shape[-1]
+        if added.shape[-1] != rows:
+            raise ValueError(f"{name}: expected {rows} rows to go with the model, got {added.shape[-1]}")
+        return model.space.plus(y, added)
+
+    seen, V = white, None
+    if Phi is not None:
+        phi, zeta = coloring(Phi, sensors[0].m), zeta_of(sensors[0], Phi, None)
+
+        def seen(model: Motion | Sensor, x: Array, epoch: Epoch) -> Any:
+            nonlocal V
+            V = white(model, x, epoch) if V is None else matvec(phi(epoch) if callable(phi) else phi, V) + draw(at(zeta, x, epoch))
+            return V
+
     x = motion.space.plus(np.tile(prior.mean, (runs, 1)), draw(prior.sqrt_cov))
-    V: Any = None
     truth, z = [], []
     for epoch in when:
         if epoch.dt:
-            x = moved(motion, x, epoch, draw)
-        row = []
-        for each in sensors:
-            augment = [draw(root)[None] for root in each.augment]
-            y = evaluate(each, x[None].copy(), epoch, augment)[0]
-            columns = at(each.noise, x, epoch)
-            if phi is not None and zeta is not None and V is not None:
-                V = matvec(phi(epoch) if callable(phi) else phi, V) + draw(at(zeta, x, epoch))
-            else:
-                V = None if columns is None else draw(columns)
-            row.append(y if V is None else each.space.plus(y, of_rows("R", V, each.space.minus(y, y))))
+            x = image("Q", motion, x, epoch)
         truth.append(x)
-        z.append(row)
-    columns_of_z = tuple(np.stack(column) for column in zip(*z, strict=True))
-    return np.stack(truth), columns_of_z[0] if isinstance(sensor, Sensor) else columns_of_z
-
-
-def moved(motion: Motion, x: Array, epoch: Epoch, draw: Any) -> Array:
-    """States ``(runs, N)`` after an interval, with the process noise that ``draw`` gives of its columns."""
-    augment = [draw(root)[None] for root in motion.augment]
-    y = evaluate(motion, x[None].copy(), epoch, augment)[0]
-    columns = at(motion.noise, x, epoch)
-    return y if columns is None else motion.space.plus(y, of_rows("Q", draw(columns), motion.space.minus(y, y)))
-
-
-def of_rows(name: str, noise: Array, like: Array) -> Array:
-    """The noise, if it has the components of a difference."""
-    if noise.shape[-1] != like.shape[-1]:
-        raise ValueError(f"{name}: expected {like.shape[-1]} rows to go with the model, got {noise.shape[-1]}")
-    return noise
+        z.append([image("R", each, x, epoch, seen) for each in sensors])
+    measured = tuple(np.stack(column) for column in zip(*z, strict=True))
+    return np.stack(truth), measured[0] if isinstance(sensor, Sensor) else measured

@@ -5,12 +5,14 @@ Each paper has a function ``trial(config, rngs) -> Trial``; missions, campaigns 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import reduce
+from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.filters.records import Epoch, Filter
+from celnav.filters.records import Epoch, Filter, Info
 from celnav.filters.run import explain, steps
 from celnav.gaussian.belief import Gaussian, any_lost, nees
 from celnav.gaussian.checks import choice, instance, integer
@@ -55,12 +57,9 @@ class Trial(NamedTuple):
 
 def squares(groups: Sequence[Group], values: Array) -> Array:
     """Sums of squares ``(..., groups)`` of errors or deviations ``(..., n)``, in the units of the groups."""
-    out = np.zeros((*values.shape[:-1], len(groups)))
-    for i, group in enumerate(groups):
-        part = np.square(values[..., group.part] * np.asarray(group.scale))
-        for j in range(part.shape[-1]):  # reductions over so few numbers take several times as long
-            out[..., i] += part[..., j]
-    return out
+    parts = [np.square(values[..., group.part] * np.asarray(group.scale)) for group in groups]
+    # One by one: reductions over so few numbers take several times as long.
+    return np.stack([reduce(np.add, np.moveaxis(part, -1, 0)) for part in parts], -1)
 
 
 class Noiseless:
@@ -94,95 +93,64 @@ class Followed(NamedTuple):
 def follow(trial: Trial, name: str, every: int = 1) -> Followed:
     """Run the filter of a name and judge it at each ``every``-th of the epochs that have a truth, and at the last.
 
-    Raises
-    ------
-    ValueError: for a filter that the trial has not, or if no epoch has a truth. Whatever the models raise passes through, with the
-        step as a note.
+    Whatever the models raise passes through, with the step as a note.
     """
     instance("trial", trial, Trial, "a Trial, such as problem.trial(filters, rngs)")
     filter, every = trial.filters[choice("name", name, trial.filters)], integer("every", every)
-    found = _Found()
     lost: dict[int, tuple[float, str]] = {}
-    count = seen = 0
-    last: tuple[Epoch, Belief, tuple[Any, ...]] | None = None
-    before = filter.start(trial.prior)
-    for epoch, state, infos in steps(filter, trial.prior, trial.epochs(name)):
-        count += 1
-        belief: Belief = state.belief
-        why = _why(filter, before, state, epoch)
-        before = state
-        due = epoch.truth is not None and seen % every == 0
-        seen += epoch.truth is not None
-        if due or why:
-            _watch(lost, epoch, belief, why)
-        if due:
-            with np.errstate(invalid="ignore"):  # a lost run is nan
-                found.add(epoch.t, *trial.compare(epoch.truth, belief), infos)
-        if epoch.truth is not None:
-            last = None if due else (epoch, belief, infos)
-    if last is not None:
-        epoch, belief, infos = last
-        _watch(lost, epoch, belief, "")
-        with np.errstate(invalid="ignore"):
-            found.add(epoch.t, *trial.compare(epoch.truth, belief), infos)
-    if not found.times:
+    count = 0
+
+    def judged() -> Iterator[tuple[Any, ...]]:
+        nonlocal count
+        seen, before, left = 0, filter.start(trial.prior), None
+        for epoch, state, infos in steps(filter, trial.prior, trial.epochs(name)):
+            count += 1
+            why, before = _why(filter, before, state, epoch), state
+            due = epoch.truth is not None and seen % every == 0
+            if epoch.truth is not None:
+                seen, left = seen + 1, None if due else (epoch, state.belief, infos)
+            if due or why:
+                _watch(lost, epoch, state.belief, why)
+            if due:
+                yield _row(trial, epoch, state.belief, infos)
+        if left is not None:
+            _watch(lost, *left[:2])
+            yield _row(trial, *left)
+
+    rows, blocks = judged(), []
+    for block in iter(lambda: list(islice(rows, TOGETHER)), []):
+        times, error, root, nis, dof = (np.array(column, np.float64) for column in zip(*block, strict=True))
+        with np.errstate(invalid="ignore"):  # a lost run is nan
+            blocks.append((times, error, np.sqrt(np.einsum("...ij,...ij->...i", root, root)), nees(error, root), nis, dof))
+    if not blocks:
         raise ValueError("epochs: expected some with a truth, got none")
-    return found.followed([(run, *what) for run, what in sorted(lost.items())], count)
+    times, error, std, normalized, nis, dof = (np.concatenate(column) for column in zip(*blocks, strict=True))
+    return Followed(times, error, std, normalized, nis, dof, [(run, *what) for run, what in sorted(lost.items())], count)
+
+
+def _row(trial: Trial, epoch: Epoch, belief: Belief, infos: tuple[Info, ...]) -> tuple[Any, ...]:
+    """Time, errors and their roots, NIS and the components behind it, at an epoch."""
+    with np.errstate(invalid="ignore"):
+        error, root = trial.compare(epoch.truth, belief)
+    runs = error.shape[:-1]
+    nis = sum((value for info in infos if (value := info.nis) is not None), np.zeros(runs))
+    dof = sum((info.used.sum(-1) for info in infos if info.used is not None), np.zeros(runs))
+    return epoch.t, error, np.broadcast_to(root, (*runs, *root.shape[-2:])), nis, dof
 
 
 def _why(filter: Filter, before: Any, after: Any, epoch: Epoch) -> str:
     """Why runs were lost in a step; empty if none was, or where a filter of single epochs has no estimate."""
-    if (
-        not any_lost(after.belief)
-        or not (after.belief.lost() & ~np.broadcast_to(before.belief.lost(), after.belief.lost().shape)).any()
-    ):
-        return ""
-    return explain(filter, before, after, epoch)
+    lost = any_lost(after.belief) and (after.belief.lost() & ~before.belief.lost()).any()
+    return explain(filter, before, after, epoch) if lost else ""
 
 
-def _watch(lost: dict[int, tuple[float, str]], epoch: Epoch, belief: Belief, why: str) -> None:
+def _watch(lost: dict[int, tuple[float, str]], epoch: Epoch, belief: Belief, why: str = "") -> None:
     """Note the runs that have no estimate, and forget those that have one again: a filter of single epochs comes back."""
-    if not lost and np.isfinite(np.add.reduce(belief.mean, None)):
-        return
-    finite = np.atleast_1d(np.isfinite(belief.mean).all(-1))
-    for run in np.flatnonzero(~finite).tolist():
+    there = np.atleast_1d(np.isfinite(belief.mean).all(-1))
+    for run in np.flatnonzero(~there).tolist():
         lost.setdefault(run, (float(epoch.t), why or "the estimate is not finite"))
-    for run in [run for run in lost if finite[run]]:
+    for run in [run for run in lost if there[run]]:
         del lost[run]
-
-
-class _Found:
-    """What `follow` gathers."""
-
-    def __init__(self) -> None:
-        self.times: list[float] = []
-        self._rows: list[tuple[Array, ...]] = []
-        self._done: list[tuple[Array, ...]] = []
-
-    def add(self, t: Any, error: Array, root: Array, infos: tuple[Any, ...]) -> None:
-        """Take an epoch in."""
-        whites = [info.whitened for info in infos if info.whitened is not None]
-        nis = sum((np.vecdot(white, white) for white in whites), np.zeros(error.shape[:-1]))
-        dof = np.zeros(error.shape[:-1])
-        for used in (info.used for info in infos if info.used is not None):
-            dof += used.shape[-1] if used.all() else np.add.reduce(used, -1, float)
-        self.times.append(float(t))
-        self._rows.append((error, np.broadcast_to(root, (*error.shape[:-1], *root.shape[-2:])), nis, dof))
-        if len(self._rows) == TOGETHER:
-            self._evaluate()
-
-    def _evaluate(self) -> None:
-        error, root, nis, dof = (np.stack(column) for column in zip(*self._rows, strict=True))
-        self._rows = []
-        with np.errstate(invalid="ignore"):
-            self._done.append((error, np.sqrt(np.einsum("...ij,...ij->...i", root, root)), nees(error, root), nis, dof))
-
-    def followed(self, lost: list[tuple[int, float, str]], epochs: int) -> Followed:
-        """Everything."""
-        if self._rows:
-            self._evaluate()
-        error, std, normalized, nis, dof = (np.concatenate(column) for column in zip(*self._done, strict=True))
-        return Followed(np.array(self.times), error, std, normalized, nis, dof, lost, epochs)
 
 
 def bound(trial: Trial, every: int = 1) -> Array | None:

@@ -220,8 +220,8 @@ def correlated(steps=200):
 @pytest.mark.parametrize("domain", [["unit interval", "positive"], [(-1.0, 1.0), (0.0, 10.0)], (0.0, 1.0)])
 def test_parameters_stay_in_their_domain(domain):
     when, truth = correlated()
-    tuned = maximize_likelihood(correlation, [0.3, 0.9], when, domain=domain, vectorized=True)  # which asserts that phi is below 1
-    free = maximize_likelihood(strict, [0.9, 0.9], when, vectorized=True)
+    tuned = maximize_likelihood(correlation, [0.3, 0.9], when, domain=domain)  # which asserts that phi is below 1
+    free = maximize_likelihood(strict, [0.9, 0.9], when)
     assert tuned.converged, tuned.message
     assert tuned.failures == 0
     assert (np.abs(tuned.parameters - truth) < 3.0 * tuned.standard_errors).all()
@@ -244,43 +244,6 @@ def test_a_maximum_at_the_edge_of_what_can_be_built_is_told():
     assert tuned.parameters[0] == pytest.approx(2.0, rel=0.02)
     assert "edge" in tuned.message
     assert np.isinf(tuned.standard_errors).all()
-
-
-@pytest.mark.parametrize("runs", [None, 7])
-def test_parameters_in_batches_give_the_same_in_few_flights(runs):
-    """One flight for all differences of a step; a build that takes no notice of the axes is refused."""
-    z = simulate(np.random.default_rng(2), 60, runs or 1, 0.4, 0.7)
-    when = epochs(np.arange(60), z if runs else z[:, 0])
-    flights = []
-
-    def build(parameters):
-        flights.append(parameters.shape)
-        q, r = parameters[..., :1, None], parameters[..., 1:, None]
-        return ukf(Motion(f, sqrt_Q=q * G), Sensor(H, sqrt_R=r)), Gaussian(np.zeros((runs, 2) if runs else 2), P0)
-
-    alone = maximize_likelihood(build, [4.0, 0.14], when)
-    one_by_one = len(flights)
-    flights.clear()
-    together = maximize_likelihood(build, [4.0, 0.14], when, vectorized=True)
-    assert len(flights) <= 0.5 * one_by_one
-    assert max(len(shape) for shape in flights) == (3 if runs else 2)
-    np.testing.assert_allclose(together.parameters, alone.parameters, rtol=1e-5)
-    np.testing.assert_allclose(together.covariance, alone.covariance, rtol=1e-3)
-    assert together.log_likelihood == pytest.approx(alone.log_likelihood, abs=1e-6)
-
-    def deaf(parameters):
-        return build(parameters.reshape(-1, 2)[0])
-
-    with pytest.raises(ValueError, match="vectorized: expected"):
-        maximize_likelihood(deaf, [4.0, 0.14], when, vectorized=True)
-
-
-def test_one_that_fails_in_a_batch_leaves_the_others():
-    """In a batch too the search turns back from what cannot be built."""
-    when, truth = correlated()
-    tuned = maximize_likelihood(strict, [0.3, 1.0], when, vectorized=True)
-    assert tuned.failures
-    assert (np.abs(tuned.parameters - truth) < 3.0 * tuned.standard_errors).all()
 
 
 @pytest.mark.parametrize(

@@ -15,8 +15,7 @@ from celnav.papers.aasghqf import analysis, errata, scenario, study
 from celnav.papers.aasghqf.config import A_SLOW, PAPER_WEIGHTS, A
 from celnav.papers.aasghqf.published import TABLE_3
 from celnav.study.claims import dumps
-from celnav.study.effort import effort
-from celnav.study.montecarlo import do, generator, joined
+from celnav.study.montecarlo import do, effort, generator, joined
 
 
 @pytest.fixture(scope="module")

@@ -25,8 +25,7 @@ from celnav.papers.aukf.follow import follow as follow_all
 from celnav.papers.aukf.scenario import EKF, adapted, axes, circle, sensor, ukf, visible
 from celnav.receiver.filters import hooks
 from celnav.study.claims import dumps
-from celnav.study.effort import effort
-from celnav.study.montecarlo import generator
+from celnav.study.montecarlo import effort, generator
 
 SHORT = replace(PRESETS["burst"], duration_s=4.0, burst_s=(2.0, 3.0))
 

@@ -18,8 +18,7 @@ from celnav.papers.ssukf import PRESETS, filters, simulate, study, variants, vec
 from celnav.papers.ssukf.config import ARCSEC, DEG_PER_H, STANDARD
 from celnav.papers.ssukf.scenario import state_space
 from celnav.study.claims import dumps
-from celnav.study.effort import effort
-from celnav.study.montecarlo import do, generator, joined
+from celnav.study.montecarlo import do, effort, generator, joined
 
 SHORT = replace(STANDARD, duration_s=10.0)
 

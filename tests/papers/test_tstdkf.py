@@ -22,8 +22,7 @@ from celnav.papers.tstdkf.follow import follow as follow_all
 from celnav.papers.tstdkf.forces import accelerations, spectrum
 from celnav.papers.tstdkf.scenario import noise_of
 from celnav.study.claims import dumps
-from celnav.study.effort import effort
-from celnav.study.montecarlo import do, generator
+from celnav.study.montecarlo import do, effort, generator
 
 SHORT = replace(TABLE_5, days=0.5)
 WHITE = replace(SHORT, setting=SETTINGS[5])

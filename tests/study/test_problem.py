@@ -13,9 +13,8 @@ from celnav.gaussian.linalg import FORMS as KNOWN_FORMS
 from celnav.gaussian.linalg import side_by_side
 from celnav.gaussian.spaces import EUCLIDEAN, product
 from celnav.models.gyro import Gyro
-from celnav.study.compositions import COMPOSITIONS, FORMS, HOOKS, RULES, Composition, compare, compose
 from celnav.study.montecarlo import generator
-from celnav.study.problem import WILD, Problem
+from celnav.study.problem import COMPOSITIONS, FORMS, HOOKS, RULES, WILD, Composition, Problem, compare, compose
 from celnav.study.trial import Group, Noiseless
 
 F = np.array([[1.0, 1.0], [0.0, 1.0]])
