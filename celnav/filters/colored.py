@@ -281,25 +281,18 @@ class Decorrelated(Colored):
     def advance(self, state: Any, Phi: Array, z_star: Array, epoch: Epoch, z: Array) -> tuple[Any, tuple[Info, ...]]:
         """Update the past state [Sun2015, Eqs. 24-32], then predict [Sun2015, Eqs. 33-37]."""
         gates = [partial(_leaving_out, hook) for hook in self.hooks[0]]
-        past = self._past(state.belief, Phi, z_star, epoch)
+        noise = self.system(state.belief.mean, epoch, np.ones(1, bool)).sqrt_R
+        past = joint(self.rule, state.belief, partial(self.past, Phi), epoch, z=z_star, measurement_noise=noise)
         lagged, info, memory = condition(self.form, past, EUCLIDEAN, hooks=gates, memory=state.memory, epoch=epoch, gain=self.gain)
-        ahead = self._ahead(lagged, Phi, z_star, epoch, np.asarray(info.used))
+        used = np.asarray(info.used)
+        star = self.system(lagged.mean, epoch, used)
+        entering = partial(self.entered, Phi, star.J, np.where(used, z_star, 0.0))
+        ahead = joint(self.rule, lagged, entering, epoch, process_noise=star.sqrt_Q)
         return ColoredState(marginal(self.form, ahead, EUCLIDEAN), z, lagged, memory), (info,)
-
-    def _past(self, belief: Any, Phi: Array, z_star: Array, epoch: Epoch) -> Joint:
-        """The joint of the difference and of the state before the interval."""
-        noise = self.system(belief.mean, epoch, np.ones(1, bool)).sqrt_R
-        return joint(self.rule, belief, partial(self.past, Phi), epoch, z=z_star, measurement_noise=noise)
 
     def past(self, Phi: Array, x: Array, epoch: Epoch) -> tuple[Any, ...]:
         """``H f(x) - Phi H x`` and the state before the interval."""
         return self.rows(Phi, x, epoch)[0], KEEP
-
-    def _ahead(self, lagged: Any, Phi: Array, z_star: Array, epoch: Epoch, used: Array) -> Joint:
-        """The joint of the prediction, which the measurement enters through J."""
-        star = self.system(lagged.mean, epoch, used)
-        entering = partial(self.entered, Phi, star.J, np.where(used, z_star, 0.0))
-        return joint(self.rule, lagged, entering, epoch, process_noise=star.sqrt_Q)
 
     def entered(self, Phi: Array, J: Array, z: Array, x: Array, epoch: Epoch) -> tuple[Array]:
         """``f(x) + J (z* - h(x))``."""
