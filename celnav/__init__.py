@@ -18,7 +18,7 @@ Frames    Earth-centered inertial, equatorial (J2000), for orbits; east, north, 
 Angles    One that wraps must be told, once: ``Motion(..., space=angles([2]))`` if it is a component of the state,
           ``Sensor(..., space=angles([0]))`` if it is one of the measurement.
 Attitude  Unit quaternions, scalar last; they take inertial components to body components, and the product composes such
-          matrices. Errors are in body axes. The sign of a quaternion never matters (`celnav.gaussian.attitude`).
+          matrices. Errors are in body axes. The sign of a quaternion never matters: ``Motion(..., space=attitude())``.
 Time      s since the start of a study.
 Chance    One generator for each run: ``(seed, study, run)`` determines its numbers, whatever the block or the process.
 Sources   ``[Sun2015, Eq. 27]`` in a docstring; citations are in ``celnav.papers.<id>.CITATION``.
@@ -33,9 +33,10 @@ from celnav.filters.sequential import ckf, ekf, ghkf, sigma_point, sparse_grid_f
 from celnav.filters.smoother import smooth
 from celnav.filters.track import Track
 from celnav.filters.two_stage import two_stage
+from celnav.gaussian.attitude import attitude
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.rules import Rule, Taylor, cubature, from_filterpy, gauss_hermite, simplex, unscented
-from celnav.gaussian.spaces import angles
+from celnav.gaussian.spaces import EUCLIDEAN, angles, product
 from celnav.gaussian.sparse_grid import smolyak
 from celnav.lazy import modules
 from celnav.study.simulate import simulate
@@ -45,6 +46,7 @@ __version__ = "0.1.0"
 __getattr__, __dir__ = modules(__name__)
 
 __all__ = [
+    "EUCLIDEAN",
     "Epoch",
     "Filter",
     "FilterError",
@@ -56,6 +58,7 @@ __all__ = [
     "Taylor",
     "Track",
     "angles",
+    "attitude",
     "augmented",
     "ckf",
     "colored",
@@ -66,6 +69,7 @@ __all__ = [
     "from_filterpy",
     "gauss_hermite",
     "ghkf",
+    "product",
     "run",
     "sigma_point",
     "simplex",

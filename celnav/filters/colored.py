@@ -165,7 +165,7 @@ class ColoredState(NamedTuple):
     memory: Any = None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Colored(Sequential):
     """What `colored` makes. ``Phi``, ``zeta``: coefficient, and columns of the increments, or functions of them."""
 
@@ -267,7 +267,7 @@ def decorrelation(H: Array, sqrt_Q: Array, sqrt_R: Array) -> Decorrelation:
     return Decorrelation(J, L[..., m:, m:], sqrt_R_star)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Decorrelated(Colored):
     """What `decorrelated` makes."""
 
@@ -320,7 +320,7 @@ def _leaving_out(hook: Hook, memory: Any, joint: Joint, epoch: Any) -> tuple[Any
 
 
 # -- the noise among the states ------------------------------------------------------------------------------------------
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Augmented(Sequential):
     """What `augmented` makes: a filter on ``[x; V] (n + m)``, started from a prior of x alone."""
 

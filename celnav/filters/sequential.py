@@ -23,7 +23,7 @@ MOST_ITERATIONS = 10_000
 """At every step."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Sequential:
     """A filter as data: what it believes, by which rule it computes and in which form. Make one with `ukf` or its siblings.
 
@@ -43,6 +43,10 @@ class Sequential:
     form: Form
     hooks: tuple[tuple[Hook, ...], ...] = ()
     gain: Gain | None = None
+
+    def __repr__(self) -> str:
+        form = next(name for name, form in FORMS.items() if form is self.form)
+        return f"{type(self).__name__}({kind(self.motion.f)}; {', '.join(kind(s.h) for s in self.sensors)}; {self.rule!r}, {form})"
 
     def start(self, prior: Gaussian) -> State:
         """State before the first epoch."""
@@ -265,7 +269,7 @@ def _each(hooks: Any, sensors: int) -> tuple[tuple[Hook, ...], ...]:
 
 
 # -- variants ------------------------------------------------------------------------------------------------------------
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Iterated(Sequential):
     """An extended filter whose updates are Gauss-Newton steps to the mode of the posterior [Bell1993].
 
@@ -299,7 +303,7 @@ class Iterated(Sequential):
         return after, info, remembered
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SingleDraw(Sequential):
     """Predict and update on one set of points: the augmented form of [van der Merwe 2004], without drawing anew in between.
 

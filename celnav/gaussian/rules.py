@@ -229,6 +229,9 @@ class AnyDimension:
     def __init__(self, make: Callable[[int], Any]):
         self.make, self._rules = make, dict[int, Any]()
 
+    def __repr__(self) -> str:
+        return kind(getattr(self.make, "func", self.make)).removeprefix("function ")
+
     def __call__(self, n: int) -> Any:
         """The rule of a dimension."""
         if n not in self._rules:
