@@ -59,7 +59,7 @@ def chi_square_gate(probability: float = 0.999) -> Hook:
         e, V = np.asarray(joint.innovation), joint.measurement_noise
         used, S = ~np.isnan(e), joint.covariances()[0]
         S = S if V is None else S + V @ V.mT
-        S = np.where(_pairs(used), S, 0.0) + np.where(used, 0.0, 1.0)[..., None] * np.eye(e.shape[-1])
+        S = np.where(_pairs(used), S, np.eye(e.shape[-1]))
         white = whiten(cholesky(S), np.where(used, e, 0.0))
         beyond = np.einsum("...i,...i->...", white, white) > bounds(e.shape[-1])[used.sum(-1)]
         return memory, joint.leaving_out(beyond[..., None])
@@ -95,13 +95,9 @@ def innovation_window(M: int, gaps: str = "restart") -> Hook:
 
     def hook(memory: Window | None, joint: Joint, epoch: Any) -> tuple[Window, Joint]:
         window = _moved(memory, np.asarray(joint.innovation), epoch, size, gaps)
-        full = ~np.isnan(window.samples).any(0)
-        if full.any():
-            prior, noise = joint.variances()
-            full = full & (noise > 0.0)
-            A = (np.square(np.where(full, window.samples, 0.0)).mean(0) - prior) / np.where(full, noise, 1.0)
-            joint = joint.inflated(np.sqrt(np.where(full, np.maximum(1.0, A), 1.0)))
-        return window, joint
+        prior, noise = joint.variances()
+        A = (np.square(window.samples).mean(0) - prior) / np.where(noise > 0.0, noise, np.inf)
+        return window, joint.inflated(np.sqrt(np.fmax(1.0, A)))  # A is nan until the window is full
 
     return hook
 
@@ -144,21 +140,24 @@ def _reweighted(weight: Callable[[Array], Array], rounds: int) -> Hook:
 
     def hook(memory: Any, joint: Joint, _epoch: Any) -> tuple[Any, Joint]:
         assert joint.measurement is not None
-        e = np.asarray(joint.innovation)
-        _, noise = joint.variances()
-        used = ~np.isnan(e) & (noise > 0.0)
-        R = np.where(used, noise, 1.0)
+        e, R, used = _noisy(joint)
         S0, cross = joint.covariances()
-        explained = joint.measurement.jacobian() @ cross
-        S0, explained, y = np.where(_pairs(used), S0, 0.0), np.where(used[..., None], explained, 0.0), np.where(used, e, 0.0)
+        S0, explained = np.where(_pairs(used), S0, 0.0), np.where(used[..., None], joint.measurement.jacobian() @ cross, 0.0)
         W = np.ones_like(R)
         for _ in range(most):
             S = S0 + (R / W)[..., None] * np.eye(e.shape[-1])
-            fitted = matvec(explained, np.linalg.solve(S, y[..., None])[..., 0])
-            W = np.where(used, weight(np.abs(y - fitted) / np.sqrt(R)), 1.0)
+            fitted = matvec(explained, np.linalg.solve(S, e[..., None])[..., 0])
+            W = np.where(used, weight(np.abs(e - fitted) / np.sqrt(R)), 1.0)
         return memory, joint.inflated(1.0 / np.sqrt(W))
 
     return hook
+
+
+def _noisy(joint: Joint) -> tuple[Array, Array, Array]:
+    """Innovation and variances of the noise, 0 and 1 where a component was not measured or has no noise; where it was and has."""
+    e, noise = np.asarray(joint.innovation), joint.variances()[1]
+    used = ~np.isnan(e) & (noise > 0.0)
+    return np.where(used, e, 0.0), np.where(used, noise, 1.0), used
 
 
 class Estimated(NamedTuple):
@@ -188,9 +187,8 @@ def sage_husa(forgetting: float = 0.95, least: float = 0.25, smallest: float = 0
         d = (1.0 - forgetting) / (1.0 - forgetting ** (count + 1.0))
         seen = np.maximum(np.where(used, e, 0.0) ** 2 - prior, bottom * nominal)
         noise = np.where(used, (1.0 - d) * noise + d * seen, noise)
-        noisy = nominal > 0.0
-        factor = np.sqrt(np.where(noisy, np.maximum(noise, floor * nominal), 1.0) / np.where(noisy, nominal, 1.0))
-        return Estimated(noise, count + used), joint.inflated(factor)
+        ratio = np.maximum(noise, floor * nominal) / np.where(nominal > 0.0, nominal, 1.0)  # of what has no noise 0 stays 0
+        return Estimated(noise, count + used), joint.inflated(np.sqrt(ratio))
 
     return hook
 
@@ -200,18 +198,16 @@ def _residual(joint: Joint) -> tuple[Array, Array, Array, Array]:
     """The part of an innovation that no error of the state explains: what its weighted least-squares fit by all states leaves.
 
     A maneuver, or any other error of the prediction, lies in the range of the measurement matrix and changes nothing here. Returns
-    residuals ``(..., m)``, 0 where not measured, their variances, those of the noise, and which were measured.
+    residuals ``(..., m)`` and their variances, 0 where not measured, those of the noise, and which were measured.
     """
     assert joint.measurement is not None
-    e = np.asarray(joint.innovation)
-    _, noise = joint.variances()
-    used = ~np.isnan(e) & (noise > 0.0)
-    root = np.where(used, np.sqrt(1.0 / np.where(used, noise, 1.0)), 0.0)
+    e, R, used = _noisy(joint)
+    root = np.where(used, np.sqrt(1.0 / R), 0.0)
     Q = range_basis(root[..., None] * joint.measurement.jacobian() * _deviations(joint)[..., None, :], NOTHING)
-    y = root * np.where(used, e, 0.0)
+    y = root * e
     left = y - matvec(Q, matvec(Q.mT, y))
     share = np.maximum(1.0 - np.square(Q).sum(-1), 0.0)
-    return left * np.sqrt(np.where(used, noise, 0.0)), np.where(used, share * noise, 0.0), noise, used
+    return np.where(used, left * np.sqrt(R), 0.0), np.where(used, share * R, 0.0), R, used
 
 
 def _deviations(joint: Joint) -> Array:
@@ -251,16 +247,15 @@ def group_parity(groups: Sequence[ArrayLike], unknowns: int, *, deviations: floa
     number("deviations", deviations, 0.0)
 
     def hook(memory: Any, joint: Joint, _epoch: Any) -> tuple[Any, Joint]:
-        r, _, noise, used = _residual(joint)
+        r, _, R, used = _residual(joint)
         if max(every) >= r.shape[-1]:
             raise ValueError(f"groups: expected components below {r.shape[-1]}, got {max(every)}")
-        factor = np.ones(r.shape)
-        squares = np.where(used, r**2 / np.where(used, noise, 1.0), 0.0)
+        factor, squares = np.ones(r.shape), r**2 / R
         for group in members:
             spare = used[..., group].sum(-1) - unknowns
-            enough = spare >= 2
-            s = squares[..., group].sum(-1) / np.where(enough, spare, 1)
-            bound = 1.0 + deviations * np.sqrt(2.0 / np.where(enough, spare, 1))
+            enough, spare = spare >= 2, np.maximum(spare, 1)
+            s = squares[..., group].sum(-1) / spare
+            bound = 1.0 + deviations * np.sqrt(2.0 / spare)
             factor[..., group] = np.where(enough & (s > bound), s, 1.0)[..., None]
         return memory, joint.inflated(np.sqrt(factor))
 
@@ -275,12 +270,10 @@ def channel_parity(M: int) -> Hook:
     size = integer("M", M)
 
     def hook(memory: Window | None, joint: Joint, epoch: Any) -> tuple[Window, Joint]:
-        r, variances, noise, used = _residual(joint)
-        spare = used & (variances > 1e-6 * noise)  # a component that the fit cannot do without has no residual
+        r, variances, R, _ = _residual(joint)
+        spare = variances > 1e-6 * R  # a component that the fit cannot do without has no residual
         window = _moved(memory, np.where(spare, r**2 / np.where(spare, variances, 1.0), np.nan), epoch, size)
-        full = ~np.isnan(window.samples).any(0)
-        factor = np.where(full, np.maximum(1.0, np.where(full, window.samples, 0.0).mean(0)), 1.0)
-        return window, joint.inflated(np.sqrt(factor))
+        return window, joint.inflated(np.sqrt(np.fmax(1.0, window.samples.mean(0))))
 
     return hook
 
