@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.filters.epochs import Epochs, epochs
+from celnav.filters.epochs import epochs
 from celnav.filters.joint import at
 from celnav.filters.mixing import LOOKED_AT, WATCH
 from celnav.filters.model import Sensor, check_function
@@ -73,25 +73,17 @@ def run(
 
 
 def _epochs(times: Any, z: Any, u: Any) -> Iterable[Epoch]:
-    if isinstance(times, Epochs) or (not (isinstance(times, np.ndarray) or np.isscalar(times)) and _of_epochs(times)):
-        if z is not None or u is not None:
-            raise ValueError("z: expected none beside epochs, which have their measurements and inputs")
-        return times
-    return epochs(times, z, u)
-
-
-def _of_epochs(times: Any) -> bool:
-    """Whether these are records, not numbers; of a stream nothing is taken."""
-    return not isinstance(times, list | tuple) or any(hasattr(one, "dt") for one in times[:1])
+    """Epochs of numbers, or what are epochs already; of a stream nothing is taken."""
+    listed = isinstance(times, list | tuple) and not any(hasattr(one, "dt") for one in times[:1])
+    if listed or isinstance(times, np.ndarray) or np.isscalar(times):
+        return epochs(times, z, u)
+    if z is not None or u is not None:
+        raise ValueError("z: expected none beside epochs, which have their measurements and inputs")
+    return times  # type: ignore[no-any-return]
 
 
 def steps(filter: Filter, prior: Any, epochs: Iterable[Epoch]) -> Iterator[tuple[Epoch, Any, tuple[Info, ...]]]:
     """Stream ``(epoch, state, infos)`` after each step; ``state.belief`` is the estimate.
-
-    Raises
-    ------
-    ValueError: if an interval is negative, not finite, or 0 though time went on, what is given is no filter or no belief, or a
-        model mixes runs, as ``F @ x`` does. An exception of the model carries the step as a note.
 
     >>> for epoch, state, infos in celnav.steps(filter, prior, celnav.epochs(times, z)): ...
     """

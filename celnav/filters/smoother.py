@@ -143,13 +143,11 @@ def pseudo_gain(A: Array, sign: Array, m: int, center: Array | None = None, leas
         noise = EPS * np.abs(center).max(-1) / unit.min(-1)
     bound = np.maximum(4.0 * (S.shape[-1] * EPS + noise), least)
     singular = np.asarray((S.diagonal(0, -2, -1) <= bound[..., None] * unit).any(-1))
-    if not singular.any():
-        U = signed @ solve_lower(S, D_y).mT
-        return solve_upper_transposed(S, U.mT).mT
     eye = np.eye(S.shape[-1])
-    regular = np.where(singular[..., None, None], eye, S)
-    U = signed @ solve_lower(regular, D_y).mT
-    gain = solve_upper_transposed(regular, U.mT).mT
+    regular = np.where(singular[..., None, None], eye, S) if singular.any() else S
+    gain = solve_upper_transposed(regular, (signed @ solve_lower(regular, D_y).mT).mT).mT
+    if not singular.any():
+        return gain
     u, s, _ = np.linalg.svd(np.where(singular[..., None, None], S / unit[..., None], eye))
     kept = s > bound[..., None]
     inverse = np.where(kept, 1.0 / np.where(kept, s, 1.0), 0.0)[..., None]

@@ -174,7 +174,9 @@ class TwoStage:
             raise ValueError(f"first: expected a first stage, such as celnav.filters.two_stage.Plain(filter), got {kind(first)}")
         instance("bias", bias, Gaussian, "celnav.Gaussian(mean, cov)")
         p = bias.mean.shape[-1]
-        slope = check_function("Gamma", Gamma, "(mean, epoch)") if callable(Gamma) else finite("Gamma", Gamma, (..., None, p))
+        slope = check_function("Gamma", Gamma, "(mean, epoch)") if callable(Gamma) else finite("Gamma", Gamma)
+        if not callable(slope) and (slope.ndim < 2 or slope.shape[-1] != p):
+            raise ValueError(f"Gamma: expected shape (..., m, {p}) to go with the bias, got {slope.shape}")
         if boost is not None:
             check_function("boost", boost, "(memory, seen)")
         walk = None if Qb is None else symmetric(Qb, "Qb", p)[1]
