@@ -1,9 +1,8 @@
 """Hooks, which adapt what a filter believes of a measurement before it uses it: gates, windows, robust weights, parity; and a gain.
 
 A hook sees the `Joint` of measurement and state before the update and may replace it; hooks act one after the other, each with its
-own memory, and run by run: a run in a batch gets what it would get alone. What a state correction explains of an innovation is
-taken by the measurement's (statistical) Jacobian. Noise is taken to be of independent components. Arguments that cannot be raise a
-ValueError where a hook is made.
+own memory, and on each run by itself. Noise is taken to be of independent components, and what a correction of the state explains
+of an innovation to be given by the measurement's (statistical) Jacobian.
 """
 
 from __future__ import annotations
@@ -59,16 +58,12 @@ def chi_square_gate(probability: float = 0.999) -> Hook:
         e, V = np.asarray(joint.innovation), joint.measurement_noise
         used, S = ~np.isnan(e), joint.covariances()[0]
         S = S if V is None else S + V @ V.mT
-        S = np.where(_pairs(used), S, np.eye(e.shape[-1]))
+        S = np.where(used[..., None] & used[..., None, :], S, np.eye(e.shape[-1]))
         white = whiten(cholesky(S), np.where(used, e, 0.0))
         beyond = np.einsum("...i,...i->...", white, white) > bounds(e.shape[-1])[used.sum(-1)]
         return memory, joint.leaving_out(beyond[..., None])
 
     return hook
-
-
-def _pairs(used: Array) -> Array:
-    return np.asarray(used[..., :, None] & used[..., None, :])
 
 
 # -- windows -------------------------------------------------------------------------------------------------------------
@@ -82,13 +77,12 @@ class Window(NamedTuple):
 def innovation_window(M: int, gaps: str = "restart") -> Hook:
     """Inflate the measurement noise of each component to what its last ``M`` innovations show.
 
-    With ``C`` the mean square of the last M innovations (the present one included), ``S0`` the innovation's variance without
-    measurement noise and ``R`` that noise's variance, ``C = S0 + A R`` gives ``A = max(1, (C - S0) / R)``; the noise becomes
-    ``A^1/2 R A^1/2``. A component has ``A = 1`` until it has M samples. Innovations enter as they come, before any
-    inflation. The noise is only ever inflated, and a maneuver inflates it too: it needs a process noise that covers those.
+    With C their mean square, the present one included, S0 the innovation's variance without measurement noise and R that noise's,
+    ``C = S0 + A R`` gives the factor ``A = max(1, (C - S0) / R)`` of R; it is 1 until there are M. The noise is only ever inflated,
+    and a maneuver inflates it too: it needs a process noise that covers those.
 
-    ``gaps``: "restart": the samples must be of consecutive epochs, a missing one restarts its component's window. "skip": the
-    last M there were, for sensors that are slower than the epochs.
+    ``gaps``: "restart": a missing sample restarts its component's window. "skip": the last M there were, for sensors that are
+    slower than the epochs.
     """
     size = integer("M", M)
     choice("gaps", gaps, ("restart", "skip"))
@@ -142,7 +136,8 @@ def _reweighted(weight: Callable[[Array], Array], rounds: int) -> Hook:
         assert joint.measurement is not None
         e, R, used = _noisy(joint)
         S0, cross = joint.covariances()
-        S0, explained = np.where(_pairs(used), S0, 0.0), np.where(used[..., None], joint.measurement.jacobian() @ cross, 0.0)
+        S0 = np.where(used[..., None] & used[..., None, :], S0, 0.0)
+        explained = np.where(used[..., None], joint.measurement.jacobian() @ cross, 0.0)
         W = np.ones_like(R)
         for _ in range(most):
             S = S0 + (R / W)[..., None] * np.eye(e.shape[-1])
@@ -195,26 +190,21 @@ def sage_husa(forgetting: float = 0.95, least: float = 0.25, smallest: float = 0
 
 # -- parity --------------------------------------------------------------------------------------------------------------
 def _residual(joint: Joint) -> tuple[Array, Array, Array, Array]:
-    """The part of an innovation that no error of the state explains: what its weighted least-squares fit by all states leaves.
+    """Residuals of an innovation's weighted fit by all states, their variances, the noise's, and which components there are.
 
-    A maneuver, or any other error of the prediction, lies in the range of the measurement matrix and changes nothing here. Returns
-    residuals ``(..., m)`` and their variances, 0 where not measured, those of the noise, and which were measured.
+    A maneuver, or any other error of the prediction, lies in the range of the measurement matrix and changes nothing here.
     """
     assert joint.measurement is not None
     e, R, used = _noisy(joint)
     root = np.where(used, np.sqrt(1.0 / R), 0.0)
-    Q = range_basis(root[..., None] * joint.measurement.jacobian() * _deviations(joint)[..., None, :], NOTHING)
+    D, W = joint.state.columns, joint.process_noise
+    variance = np.einsum("...ij,...ij,j->...i", D, D, np.broadcast_to(joint.sign, D.shape[-1:]))
+    std = np.sqrt(np.maximum(variance if W is None else variance + np.square(W[1]).sum(-1), 0.0))
+    Q = range_basis(root[..., None] * joint.measurement.jacobian() * std[..., None, :], NOTHING)
     y = root * e
     left = y - matvec(Q, matvec(Q.mT, y))
     share = np.maximum(1.0 - np.square(Q).sum(-1), 0.0)
     return np.where(used, left * np.sqrt(R), 0.0), np.where(used, share * R, 0.0), R, used
-
-
-def _deviations(joint: Joint) -> Array:
-    """Standard deviations ``(..., n)`` of the state."""
-    D, W = joint.state.columns, joint.process_noise
-    variance = np.einsum("...ij,...ij,j->...i", D, D, np.broadcast_to(joint.sign, D.shape[-1:]))
-    return np.asarray(np.sqrt(np.maximum(variance if W is None else variance + np.square(W[1]).sum(-1), 0.0)))
 
 
 def range_basis(A: Array, least: float) -> Array:

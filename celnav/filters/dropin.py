@@ -48,16 +48,13 @@ def _late(name: str, doc: str) -> Any:
 
 
 class SigmaPointUKF:
-    """filterpy's UKF in covariance form: its constructor, attributes and methods; see filterpy's documentation for their use.
+    """filterpy's UKF in covariance form, its constructor, attributes and methods; see filterpy's documentation for their use.
 
     ``points``: a filterpy sigma-point object or a celnav `Rule`. ``vectorized``: ``fx`` and ``hx`` take all points ``(p, n)`` at
-    once instead of one point ``(n,)`` after the other. Points lie along the lower Cholesky root, as with filterpy's default, and
-    every update draws its own, so that a second one in a row sees what the first has learned (filterpy's takes those of the
-    prediction). A number as ``Q`` or ``R`` counts in every element of the matrix, as in filterpy, and a warning says so; as ``P``
-    or as the ``R`` of one `update`, it is a variance of every component; None is no noise. A step takes 0.9 to 1.5 times what
-    filterpy takes, the more the smaller the state is (``python -m benchmarks.dropin``); many runs are for `celnav.run`.
-
-    What cannot be raises a ValueError that names it, before anything changes: the object keeps its last good state.
+    once. Points lie along the lower Cholesky root, as with filterpy's default, and every update draws its own (filterpy's takes
+    those of the prediction), so that a second one in a row sees what the first has learned. A number as ``Q`` or ``R`` counts in
+    every element, as in filterpy, and a warning says so; as ``P`` or as the ``R`` of one `update` it is a variance of every
+    component; None is no noise. What is refused changes nothing. Speed: ``python -m benchmarks.dropin``; many runs: `celnav.run`.
     """
 
     _form: Form = Covariance
@@ -369,12 +366,8 @@ def _model_of(vectorized: bool, name: str, function: Function, m: int, given: tu
 
     def model(points: Array, epoch: Any) -> Array:  # noqa: ARG001
         own = points.copy()  # which the function may change
-        if vectorized:
-            values = numbers(name, function(own, *given, **options))
-        else:
-            found = [function(point, *given, **options) for point in own]
-            values = np.asarray(found) if set(map(type, found)) == {np.ndarray} else numbers(name, found)
-            values = values if values.dtype == np.float64 else numbers(name, found)
+        found: Any = function(own, *given, **options) if vectorized else [function(point, *given, **options) for point in own]
+        values = numbers(name, np.asarray(found) if not vectorized and set(map(type, found)) == {np.ndarray} else found)
         if values.shape != (len(own), m):
             values = values.reshape(len(own), -1)
             if values.shape[-1] != m:

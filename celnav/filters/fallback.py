@@ -21,11 +21,9 @@ Step = tuple[State, tuple[Info, ...]]
 class Fallback:
     """Does again, with a second filter, those runs which the first one loses in a prediction or an update.
 
-    ``first``, ``second``: filters of the same motion and sensors with different rules: one of negative weights, say, and one
-    without. Hooks must be the same; their memory is that of the first. The other runs keep the first one's result bit for bit.
-
-    `Info.redone` says which runs were done again, and the `Track` counts them in ``events["redone"]``. A run that both lose stays
-    lost.
+    ``first``, ``second``: filters of the same motion, sensors and hooks with different rules: one of negative weights, say, and one
+    without. The other runs keep the first one's result bit for bit, and the memory of hooks is the first one's. `Info.redone` says
+    which runs were done again, and the `Track` counts them in ``events["redone"]``. A run that both lose stays lost.
 
     >>> filter = Fallback(celnav.sparse_grid_filter(motion, sensor), celnav.ckf(motion, sensor))
     """

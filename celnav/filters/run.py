@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from celnav.filters.epochs import epochs
 from celnav.filters.joint import at
 from celnav.filters.mixing import LOOKED_AT, WATCH
-from celnav.filters.model import Sensor, check_function
+from celnav.filters.model import check_function
 from celnav.filters.records import Epoch, Filter, FilterError, Info
 from celnav.filters.track import Collector, Track
 from celnav.gaussian.belief import settled
@@ -130,10 +130,7 @@ def _check_interval(filter: Any, epoch: Any, before: Any) -> None:
 
 
 def explain(filter: Any, before: Any, after: Any, epoch: Epoch) -> str:
-    """Why a run whose belief was sound before an epoch is lost after it: the step is done once more, and looked at.
-
-    Takes the filter's states before and after; gives a sentence.
-    """
+    """Why a run that was sound in the state before an epoch is lost after it, a sentence: the step is done again, and watched."""
     lost = after.belief.lost() & ~np.broadcast_to(before.belief.lost(), after.belief.mean.shape[:-1])
     for part in epoch.z if isinstance(epoch.z, tuple) else (epoch.z,):
         if part is not None and np.isinf(np.asarray(part, dtype=np.float64)).any():
@@ -161,14 +158,11 @@ def explain(filter: Any, before: Any, after: Any, epoch: Epoch) -> str:
     predicted = filter.predict(before, epoch) if hasattr(filter, "predict") else before
     if epoch.z is None or (predicted.belief.lost() & lost).any():
         return "the covariance lost positive definiteness"
-    noisy = all(_noisy(sensor, predicted.belief.mean, epoch) for sensor in getattr(filter, "sensors", ()))
-    return INDEFINITE + ("" if noisy else _REDUNDANT)
-
-
-def _noisy(sensor: Sensor, mean: Array, epoch: Epoch) -> bool:
-    """Whether each component has noise of its own at an epoch."""
-    columns = at(sensor.noise, mean, epoch)
-    return bool(len(sensor.augment)) or (columns is not None and bool(columns.any(-1).all()))
+    for sensor in getattr(filter, "sensors", ()):
+        columns = at(sensor.noise, predicted.belief.mean, epoch)
+        if not len(sensor.augment) and (columns is None or not columns.any(-1).all()):
+            return INDEFINITE + _REDUNDANT
+    return INDEFINITE
 
 
 INDEFINITE = "the innovation covariance is not positive definite"

@@ -21,24 +21,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Track:
-    """The record of a run, time-major: ``(T, ..., n)`` with the batch axes of the runs between time and component.
+    """The record of a run, time-major: ``(T, ..., n)``, the batch axes of the runs between time and component.
 
     Attributes
     ----------
-    times: ``(T,)`` s, the epochs stored.
-    mean: ``(T, ..., N)``; std: ``(T, ..., n)``. None where they were not kept.
-    belief: means and covariances of all epochs in the filter's form, where ``run(keep="cov")`` kept them: ``track.cov``.
-    innovation, whitened: ``(T, ..., m)`` innovations (nan where not measured) and whitened ones (0 where not used), of all
-        sensors side by side; m is the most that a sensor had at an epoch.
-    used: ``(T, ..., m)`` bool, the components that took part.
-    log_likelihood: ``(...)`` of all measurements of all epochs, also those not stored.
+    times: ``(T,)`` s, of the epochs stored. mean: ``(T, ..., N)``. std: ``(T, ..., n)``. None: not kept.
+    belief: means and covariances in the filter's form, where ``run(keep="cov")`` kept them; see `cov`.
+    innovation, whitened, used: ``(T, ..., m)`` of all sensors side by side, m the most that they had at an epoch: innovations, nan
+        where not measured; whitened ones, 0 where not used; bool, which components took part.
+    log_likelihood: ``(...)`` of all measurements, also of epochs not stored.
     events: counts ``(...)`` over all epochs: "missing" and "rejected" components, "redone" steps. Where ``z`` was None, as many are
         missing as that sensor has at other epochs.
     failed_at: ``(...)`` index of the first epoch at which a run is not finite, -1 for none.
-    nis, dof: properties ``(T, ...)``. cov, sqrt_cov: properties ``(T, ..., n, n)``, where covariances are stored.
-    extra: what ``run(also=...)`` gave. reduced: what ``run(reduce=...)`` ended with.
-    filter, epochs: the filter and the epochs without their measurements, for `celnav.smooth`; a track that was pickled has lost the
-        filter, whose functions cannot be.
+    extra, reduced: what ``run(also=...)`` gave, and what ``run(reduce=...)`` ended with.
+    filter, epochs: for `celnav.smooth`; the epochs have lost their measurements, and a track that was pickled its filter.
     """
 
     times: Array
@@ -60,19 +56,16 @@ class Track:
         return self.__dict__ | {"filter": None}
 
     def __repr__(self) -> str:
-        batch = self.failed_at.shape
+        batch, count = self.failed_at.shape, np.count_nonzero(self.failed_at >= 0)
         runs = "one run" if not batch else f"{batch[0]} runs" if len(batch) == 1 else f"runs {batch}"
-        lost = f", {np.count_nonzero(self.failed_at >= 0)} lost" if (self.failed_at >= 0).any() else ""
+        lost = f", {count} lost" if count else ""
         kept = ", ".join(name for name in ("mean", "std", "belief", "innovation") if getattr(self, name) is not None)
         span = f"{len(self.times)} epochs from {self.times[0]:g} to {self.times[-1]:g} s"
         return f"Track({span}, {runs}{lost}; {kept or 'no rows'} stored)"
 
     @property
     def nis(self) -> Array:
-        """Normalized innovation squared ``(T, ...)``, chi-square with `dof` degrees of freedom; 0 where nothing was used.
-
-        ``nis.sum() / dof.sum()`` is 1 for a consistent filter, whatever was missing.
-        """
+        """Normalized innovation squared ``(T, ...)``, chi-square of `dof`: ``nis.sum() / dof.sum()`` should be 1."""
         white = _stored("nis", self.whitened, "innovations")
         return np.asarray(np.einsum("...i,...i->...", white, white))
 
@@ -82,19 +75,19 @@ class Track:
         return np.asarray(_stored("dof", self.used, "innovations").sum(-1))
 
     @property
-    def sqrt_cov(self) -> Array:
-        """Lower roots ``(T, ..., n, n)`` of the covariances; needs ``run(keep="cov")``."""
-        return np.asarray(_stored("sqrt_cov", self.belief, _NO_COV).sqrt_cov)
-
-    @property
     def cov(self) -> Array:
         """Covariances ``(T, ..., n, n)``; needs ``run(keep="cov")``."""
-        return np.asarray(_stored("cov", self.belief, _NO_COV).cov)
+        return np.asarray(_stored("cov", self.belief, "covariances; run with keep='cov'").cov)
+
+    @property
+    def sqrt_cov(self) -> Array:
+        """Their lower roots."""
+        return np.asarray(_stored("sqrt_cov", self.belief, "covariances; run with keep='cov'").sqrt_cov)
 
     def to_dataframe(self, names: list[str] | None = None) -> pd.DataFrame:
-        """One row per stored epoch and run: time, run, means, standard deviations, NIS. Needs pandas.
+        """A row for each stored epoch and run (batch axes count as one): time, run, means, deviations, NIS. Needs pandas.
 
-        ``names``: of the state's components; default ``x0, x1, ...``. Several batch axes are counted as one.
+        ``names``: of the state's components; default ``x0, x1, ...``.
         """
         import pandas as pd
 
@@ -130,7 +123,6 @@ def _stored(name: str, value: Any, what: str) -> Any:
     return value
 
 
-_NO_COV = "covariances; run with keep='cov'"
 _KEPT = {"nothing": (), "mean": ("mean",), "std": ("mean", "std"), "cov": ("mean", "std", "cov")}
 _BLANK = {"innovation": np.nan, "whitened": 0.0, "used": False}
 """What stands for components that a sensor has at other epochs."""

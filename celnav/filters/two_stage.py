@@ -139,10 +139,8 @@ def two_stage(
         factors, while the covariance itself is not; for one, see `celnav.papers.tstdkf.method.strong_tracking`.
     rule, options: of the first stage, as in `celnav.sigma_point`.
 
-    Returns
-    -------
-    A filter whose belief is about state and bias, ``(..., n + p)``. The prior is about the state alone. Innovations, NIS and
-    likelihood are those of both stages, what the augmented filter would have; gain and Jacobian are of the first.
+    The prior is about the state alone, the filter's belief about state and bias, ``(..., n + p)``. Innovations, NIS and likelihood
+    are those of both stages, what the augmented filter would have; gain and Jacobian are of the first.
 
     >>> filter = celnav.two_stage(motion, sensor, np.eye(3), celnav.Gaussian(np.zeros(3), np.eye(3)))
     """
@@ -185,11 +183,11 @@ class TwoStage:
     def start(self, prior: Gaussian) -> TwoStageState:
         """State before the first epoch."""
         known = self.first.start(prior)
-        batch, n = known.belief.mean.shape[:-1], known.belief.mean.shape[-1]
+        *batch, n = known.belief.mean.shape
         own, p = type(known.belief).of(self.bias), self.bias.mean.shape[-1]
         runs = np.broadcast_shapes(own.mean.shape[:-1], own[1].shape[:-2])
-        if runs and runs != batch:
-            raise ValueError(f"bias: expected one, or one for each run, {batch}, got {runs}")
+        if runs and runs != tuple(batch):
+            raise ValueError(f"bias: expected one, or one for each run, {tuple(batch)}, got {runs}")
         own = type(own)(np.broadcast_to(own.mean, (*batch, p)), np.broadcast_to(own[1], (*batch, p, p)))
         return TwoStageState(known, own, np.zeros((*batch, n, p)))
 
