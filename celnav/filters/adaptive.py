@@ -25,10 +25,10 @@ NOTHING = 1e-6
 
 # -- gates ---------------------------------------------------------------------------------------------------------------
 def gate(gamma: float) -> Hook:
-    """Leave out each component whose innovation exceeds ``gamma`` of its standard deviations; an infinite one leaves out nothing.
+    """Leave out each component whose innovation exceeds ``gamma`` of its standard deviations (``inf`` leaves out nothing).
 
-    Rejected components are nan from there on, for the hooks that follow and for the update; the `Track` counts them in
-    ``events["rejected"]``. A gate that is too narrow for the model's errors locks the filter out of its measurements.
+    What is left out is nan for the hooks that follow and for the update, and counts in ``Track.events["rejected"]``. A gate that is
+    too narrow for the model's errors locks the filter out of its measurements.
 
     >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.gate(4.0)])
     """
@@ -165,10 +165,8 @@ class Estimated(NamedTuple):
 def sage_husa(forgetting: float = 0.95, least: float = 0.25, smallest: float = 0.01) -> Hook:
     """Estimate the noise's variances from innovations with fading memory [Sage & Husa 1969].
 
-    ``R_k+1 = (1 - d) R_k + d max(e^2 - S0, smallest R)`` with ``d = (1 - b) / (1 - b^(k+1))``; what is used is not below
-    ``least R``, so it may lie below the nominal noise. A component that is not measured keeps its estimate.
-
-    ``forgetting``: b, between 0 and 1. ``least``, ``smallest``: parts of the nominal variance.
+    ``R_k+1 = (1 - d) R_k + d max(e^2 - S0, smallest R)`` where measured, with ``d = (1 - b) / (1 - b^(k+1))`` and b the
+    ``forgetting``, between 0 and 1. What is used is at least ``least R``, with R the nominal variance, and may lie below that.
     """
     number("forgetting", forgetting, above=0.0, below=1.0)
     floor, bottom = number("least", least, above=0.0), number("smallest", smallest, above=0.0)
@@ -225,9 +223,9 @@ def range_basis(A: Array, least: float) -> Array:
 def group_parity(groups: Sequence[ArrayLike], unknowns: int, *, deviations: float = 3.0) -> Hook:
     """Inflate the noise of a whole group of components to what no error of the state explains, at once and without a window.
 
-    ``s = sum r^2 / R / (N - unknowns)`` over the residuals r of the N measured components of a group; its noise is inflated by s
-    where that exceeds ``1 + deviations sqrt(2 / (N - unknowns))``. Groups with fewer than ``unknowns + 2`` measured components are
-    left alone. ``groups``: index arrays of the components, such as ranges and rates; ``unknowns``: what a group determines.
+    ``groups``: index arrays of components, such as ranges and rates. ``unknowns``: how many states a group determines. Over the
+    residuals r of its N measured components ``s = sum r^2 / R / (N - unknowns)``; the noise is inflated by s where that exceeds
+    ``1 + deviations sqrt(2 / (N - unknowns))``, and N is at least ``unknowns + 2``.
     """
     members = [np.array(integers("groups", group)) for group in sequence("groups", groups, "[[0, 1], [2, 3]]")]
     every = [i for group in members for i in group.tolist()]

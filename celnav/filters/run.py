@@ -50,16 +50,14 @@ def run(
 
     >>> track = celnav.run(celnav.ukf(motion, gps), celnav.Gaussian(x0, P0), times, z)
     """
-    stored = integer("every", every)
-    choice("keep", keep, ("std", "cov", "mean", "nothing"))
+    collector = Collector(integer("every", every), choice("keep", keep, ("std", "cov", "mean", "nothing")))
     choice("on_failure", on_failure, ("raise", "flag"))
     if also is not None:
         check_function("also", also, "(epoch, state, infos)")
     if reduce is not None:
         check_function("reduce", reduce, "(accumulated, epoch, state, infos)")
-    every_epoch = _epochs(times, z, u)
-    collector, reduced, before = Collector(stored, keep), None, None
-    for epoch, state, infos in steps(filter, prior, every_epoch):
+    reduced, before = None, None
+    for epoch, state, infos in steps(filter, prior, _epochs(times, z, u)):
         more = {} if also is None else instance("also", also(epoch, state, infos), dict, "a dict, such as {'gain': array}")
         lost = collector.add(epoch, state.belief, infos, more)
         if lost is not None and on_failure == "raise":
@@ -107,9 +105,7 @@ def steps(filter: Filter, prior: Any, epochs: Iterable[Epoch]) -> Iterator[tuple
         finally:
             LOOKED_AT.reset(token)
         if "belief" in getattr(state, "_fields", ()):
-            belief = settled(state.belief)
-            if belief is not state.belief:
-                state = state._replace(belief=belief)
+            state = state._replace(belief=settled(state.belief))
         yield epoch, state, infos
 
 

@@ -105,12 +105,11 @@ def back(filter: Sequential, before: Belief, after: Belief, epoch: Epoch) -> tup
     inner, info, _ = condition(form, both, space, gain=partial(pseudo_gain, center=center))
     assert info.gain is not None
     gain = info.gain()
-    ahead = after.sqrt_cov
-    if space.transport is not None:
-        ahead = space.transport(space.minus(center, after.mean)) @ ahead
-    ahead = gain @ ahead
-    if space.transport is not None:
-        ahead = space.transport(space.minus(inner.mean, before.mean)) @ ahead
+
+    def carried(to: Array, at: Array, root: Array) -> Array:
+        return root if space.transport is None else space.transport(space.minus(to, at)) @ root
+
+    ahead = carried(inner.mean, before.mean, gain @ carried(center, after.mean, after.sqrt_cov))
     lost = ~np.isfinite(after.mean).all(-1, keepdims=True)  # not a next state that was not measured
     return form(np.where(lost, np.nan, inner.mean), form.sum(inner[1], ahead)), gain
 
