@@ -1,9 +1,8 @@
 """Hooks, which adapt what a filter believes of a measurement before it uses it: gates, windows, robust weights, parity; and a gain.
 
 A hook sees the `Joint` of measurement and state before the update and may replace it; hooks act one after the other, each with its
-own memory, and run by run: a run in a batch gets what it would get alone. What a state correction explains of an innovation is
-taken by the measurement's (statistical) Jacobian. Noise is taken to be of independent components. Arguments that cannot be raise a
-ValueError where a hook is made.
+own memory, and on each run by itself. Noise is taken to be of independent components, and what a correction of the state explains
+of an innovation to be given by the measurement's (statistical) Jacobian.
 """
 
 from __future__ import annotations
@@ -26,10 +25,10 @@ NOTHING = 1e-6
 
 # -- gates ---------------------------------------------------------------------------------------------------------------
 def gate(gamma: float) -> Hook:
-    """Leave out each component whose innovation exceeds ``gamma`` of its standard deviations; an infinite one leaves out nothing.
+    """Leave out each component whose innovation exceeds ``gamma`` of its standard deviations (``inf`` leaves out nothing).
 
-    Rejected components are nan from there on, for the hooks that follow and for the update; the `Track` counts them in
-    ``events["rejected"]``. A gate that is too narrow for the model's errors locks the filter out of its measurements.
+    What is left out is nan for the hooks that follow and for the update, and counts in ``Track.events["rejected"]``. A gate that is
+    too narrow for the model's errors locks the filter out of its measurements.
 
     >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.gate(4.0)])
     """
@@ -59,16 +58,12 @@ def chi_square_gate(probability: float = 0.999) -> Hook:
         e, V = np.asarray(joint.innovation), joint.measurement_noise
         used, S = ~np.isnan(e), joint.covariances()[0]
         S = S if V is None else S + V @ V.mT
-        S = np.where(_pairs(used), S, 0.0) + np.where(used, 0.0, 1.0)[..., None] * np.eye(e.shape[-1])
+        S = np.where(used[..., None] & used[..., None, :], S, np.eye(e.shape[-1]))
         white = whiten(cholesky(S), np.where(used, e, 0.0))
         beyond = np.einsum("...i,...i->...", white, white) > bounds(e.shape[-1])[used.sum(-1)]
         return memory, joint.leaving_out(beyond[..., None])
 
     return hook
-
-
-def _pairs(used: Array) -> Array:
-    return np.asarray(used[..., :, None] & used[..., None, :])
 
 
 # -- windows -------------------------------------------------------------------------------------------------------------
@@ -82,26 +77,21 @@ class Window(NamedTuple):
 def innovation_window(M: int, gaps: str = "restart") -> Hook:
     """Inflate the measurement noise of each component to what its last ``M`` innovations show.
 
-    With ``C`` the mean square of the last M innovations (the present one included), ``S0`` the innovation's variance without
-    measurement noise and ``R`` that noise's variance, ``C = S0 + A R`` gives ``A = max(1, (C - S0) / R)``; the noise becomes
-    ``A^1/2 R A^1/2``. A component has ``A = 1`` until it has M samples. Innovations enter as they come, before any
-    inflation. The noise is only ever inflated, and a maneuver inflates it too: it needs a process noise that covers those.
+    With C their mean square, the present one included, S0 the innovation's variance without measurement noise and R that noise's,
+    ``C = S0 + A R`` gives the factor ``A = max(1, (C - S0) / R)`` of R; it is 1 until there are M. The noise is only ever inflated,
+    and a maneuver inflates it too: it needs a process noise that covers those.
 
-    ``gaps``: "restart": the samples must be of consecutive epochs, a missing one restarts its component's window. "skip": the
-    last M there were, for sensors that are slower than the epochs.
+    ``gaps``: "restart": a missing sample restarts its component's window. "skip": the last M there were, for sensors that are
+    slower than the epochs.
     """
     size = integer("M", M)
     choice("gaps", gaps, ("restart", "skip"))
 
     def hook(memory: Window | None, joint: Joint, epoch: Any) -> tuple[Window, Joint]:
         window = _moved(memory, np.asarray(joint.innovation), epoch, size, gaps)
-        full = ~np.isnan(window.samples).any(0)
-        if full.any():
-            prior, noise = joint.variances()
-            full = full & (noise > 0.0)
-            A = (np.square(np.where(full, window.samples, 0.0)).mean(0) - prior) / np.where(full, noise, 1.0)
-            joint = joint.inflated(np.sqrt(np.where(full, np.maximum(1.0, A), 1.0)))
-        return window, joint
+        prior, noise = joint.variances()
+        A = (np.square(window.samples).mean(0) - prior) / np.where(noise > 0.0, noise, np.inf)
+        return window, joint.inflated(np.sqrt(np.fmax(1.0, A)))  # A is nan until the window is full
 
     return hook
 
@@ -144,21 +134,25 @@ def _reweighted(weight: Callable[[Array], Array], rounds: int) -> Hook:
 
     def hook(memory: Any, joint: Joint, _epoch: Any) -> tuple[Any, Joint]:
         assert joint.measurement is not None
-        e = np.asarray(joint.innovation)
-        _, noise = joint.variances()
-        used = ~np.isnan(e) & (noise > 0.0)
-        R = np.where(used, noise, 1.0)
+        e, R, used = _noisy(joint)
         S0, cross = joint.covariances()
-        explained = joint.measurement.jacobian() @ cross
-        S0, explained, y = np.where(_pairs(used), S0, 0.0), np.where(used[..., None], explained, 0.0), np.where(used, e, 0.0)
+        S0 = np.where(used[..., None] & used[..., None, :], S0, 0.0)
+        explained = np.where(used[..., None], joint.measurement.jacobian() @ cross, 0.0)
         W = np.ones_like(R)
         for _ in range(most):
             S = S0 + (R / W)[..., None] * np.eye(e.shape[-1])
-            fitted = matvec(explained, np.linalg.solve(S, y[..., None])[..., 0])
-            W = np.where(used, weight(np.abs(y - fitted) / np.sqrt(R)), 1.0)
+            fitted = matvec(explained, np.linalg.solve(S, e[..., None])[..., 0])
+            W = np.where(used, weight(np.abs(e - fitted) / np.sqrt(R)), 1.0)
         return memory, joint.inflated(1.0 / np.sqrt(W))
 
     return hook
+
+
+def _noisy(joint: Joint) -> tuple[Array, Array, Array]:
+    """Innovation and variances of the noise, 0 and 1 where a component was not measured or has no noise; where it was and has."""
+    e, noise = np.asarray(joint.innovation), joint.variances()[1]
+    used = ~np.isnan(e) & (noise > 0.0)
+    return np.where(used, e, 0.0), np.where(used, noise, 1.0), used
 
 
 class Estimated(NamedTuple):
@@ -171,10 +165,8 @@ class Estimated(NamedTuple):
 def sage_husa(forgetting: float = 0.95, least: float = 0.25, smallest: float = 0.01) -> Hook:
     """Estimate the noise's variances from innovations with fading memory [Sage & Husa 1969].
 
-    ``R_k+1 = (1 - d) R_k + d max(e^2 - S0, smallest R)`` with ``d = (1 - b) / (1 - b^(k+1))``; what is used is not below
-    ``least R``, so it may lie below the nominal noise. A component that is not measured keeps its estimate.
-
-    ``forgetting``: b, between 0 and 1. ``least``, ``smallest``: parts of the nominal variance.
+    ``R_k+1 = (1 - d) R_k + d max(e^2 - S0, smallest R)`` where measured, with ``d = (1 - b) / (1 - b^(k+1))`` and b the
+    ``forgetting``, between 0 and 1. What is used is at least ``least R``, with R the nominal variance, and may lie below that.
     """
     number("forgetting", forgetting, above=0.0, below=1.0)
     floor, bottom = number("least", least, above=0.0), number("smallest", smallest, above=0.0)
@@ -188,37 +180,29 @@ def sage_husa(forgetting: float = 0.95, least: float = 0.25, smallest: float = 0
         d = (1.0 - forgetting) / (1.0 - forgetting ** (count + 1.0))
         seen = np.maximum(np.where(used, e, 0.0) ** 2 - prior, bottom * nominal)
         noise = np.where(used, (1.0 - d) * noise + d * seen, noise)
-        noisy = nominal > 0.0
-        factor = np.sqrt(np.where(noisy, np.maximum(noise, floor * nominal), 1.0) / np.where(noisy, nominal, 1.0))
-        return Estimated(noise, count + used), joint.inflated(factor)
+        ratio = np.maximum(noise, floor * nominal) / np.where(nominal > 0.0, nominal, 1.0)  # of what has no noise 0 stays 0
+        return Estimated(noise, count + used), joint.inflated(np.sqrt(ratio))
 
     return hook
 
 
 # -- parity --------------------------------------------------------------------------------------------------------------
 def _residual(joint: Joint) -> tuple[Array, Array, Array, Array]:
-    """The part of an innovation that no error of the state explains: what its weighted least-squares fit by all states leaves.
+    """Residuals of an innovation's weighted fit by all states, their variances, the noise's, and which components there are.
 
-    A maneuver, or any other error of the prediction, lies in the range of the measurement matrix and changes nothing here. Returns
-    residuals ``(..., m)``, 0 where not measured, their variances, those of the noise, and which were measured.
+    A maneuver, or any other error of the prediction, lies in the range of the measurement matrix and changes nothing here.
     """
     assert joint.measurement is not None
-    e = np.asarray(joint.innovation)
-    _, noise = joint.variances()
-    used = ~np.isnan(e) & (noise > 0.0)
-    root = np.where(used, np.sqrt(1.0 / np.where(used, noise, 1.0)), 0.0)
-    Q = range_basis(root[..., None] * joint.measurement.jacobian() * _deviations(joint)[..., None, :], NOTHING)
-    y = root * np.where(used, e, 0.0)
-    left = y - matvec(Q, matvec(Q.mT, y))
-    share = np.maximum(1.0 - np.square(Q).sum(-1), 0.0)
-    return left * np.sqrt(np.where(used, noise, 0.0)), np.where(used, share * noise, 0.0), noise, used
-
-
-def _deviations(joint: Joint) -> Array:
-    """Standard deviations ``(..., n)`` of the state."""
+    e, R, used = _noisy(joint)
+    root = np.where(used, np.sqrt(1.0 / R), 0.0)
     D, W = joint.state.columns, joint.process_noise
     variance = np.einsum("...ij,...ij,j->...i", D, D, np.broadcast_to(joint.sign, D.shape[-1:]))
-    return np.asarray(np.sqrt(np.maximum(variance if W is None else variance + np.square(W[1]).sum(-1), 0.0)))
+    std = np.sqrt(np.maximum(variance if W is None else variance + np.square(W[1]).sum(-1), 0.0))
+    Q = range_basis(root[..., None] * joint.measurement.jacobian() * std[..., None, :], NOTHING)
+    y = root * e
+    left = y - matvec(Q, matvec(Q.mT, y))
+    share = np.maximum(1.0 - np.square(Q).sum(-1), 0.0)
+    return np.where(used, left * np.sqrt(R), 0.0), np.where(used, share * R, 0.0), R, used
 
 
 def range_basis(A: Array, least: float) -> Array:
@@ -239,9 +223,9 @@ def range_basis(A: Array, least: float) -> Array:
 def group_parity(groups: Sequence[ArrayLike], unknowns: int, *, deviations: float = 3.0) -> Hook:
     """Inflate the noise of a whole group of components to what no error of the state explains, at once and without a window.
 
-    ``s = sum r^2 / R / (N - unknowns)`` over the residuals r of the N measured components of a group; its noise is inflated by s
-    where that exceeds ``1 + deviations sqrt(2 / (N - unknowns))``. Groups with fewer than ``unknowns + 2`` measured components are
-    left alone. ``groups``: index arrays of the components, such as ranges and rates; ``unknowns``: what a group determines.
+    ``groups``: index arrays of components, such as ranges and rates. ``unknowns``: how many states a group determines. Over the
+    residuals r of its N measured components ``s = sum r^2 / R / (N - unknowns)``; the noise is inflated by s where that exceeds
+    ``1 + deviations sqrt(2 / (N - unknowns))``, and N is at least ``unknowns + 2``.
     """
     members = [np.array(integers("groups", group)) for group in sequence("groups", groups, "[[0, 1], [2, 3]]")]
     every = [i for group in members for i in group.tolist()]
@@ -251,16 +235,15 @@ def group_parity(groups: Sequence[ArrayLike], unknowns: int, *, deviations: floa
     number("deviations", deviations, 0.0)
 
     def hook(memory: Any, joint: Joint, _epoch: Any) -> tuple[Any, Joint]:
-        r, _, noise, used = _residual(joint)
+        r, _, R, used = _residual(joint)
         if max(every) >= r.shape[-1]:
             raise ValueError(f"groups: expected components below {r.shape[-1]}, got {max(every)}")
-        factor = np.ones(r.shape)
-        squares = np.where(used, r**2 / np.where(used, noise, 1.0), 0.0)
+        factor, squares = np.ones(r.shape), r**2 / R
         for group in members:
             spare = used[..., group].sum(-1) - unknowns
-            enough = spare >= 2
-            s = squares[..., group].sum(-1) / np.where(enough, spare, 1)
-            bound = 1.0 + deviations * np.sqrt(2.0 / np.where(enough, spare, 1))
+            enough, spare = spare >= 2, np.maximum(spare, 1)
+            s = squares[..., group].sum(-1) / spare
+            bound = 1.0 + deviations * np.sqrt(2.0 / spare)
             factor[..., group] = np.where(enough & (s > bound), s, 1.0)[..., None]
         return memory, joint.inflated(np.sqrt(factor))
 
@@ -275,12 +258,10 @@ def channel_parity(M: int) -> Hook:
     size = integer("M", M)
 
     def hook(memory: Window | None, joint: Joint, epoch: Any) -> tuple[Window, Joint]:
-        r, variances, noise, used = _residual(joint)
-        spare = used & (variances > 1e-6 * noise)  # a component that the fit cannot do without has no residual
+        r, variances, R, _ = _residual(joint)
+        spare = variances > 1e-6 * R  # a component that the fit cannot do without has no residual
         window = _moved(memory, np.where(spare, r**2 / np.where(spare, variances, 1.0), np.nan), epoch, size)
-        full = ~np.isnan(window.samples).any(0)
-        factor = np.where(full, np.maximum(1.0, np.where(full, window.samples, 0.0).mean(0)), 1.0)
-        return window, joint.inflated(np.sqrt(factor))
+        return window, joint.inflated(np.sqrt(np.fmax(1.0, window.samples.mean(0))))
 
     return hook
 

@@ -36,7 +36,7 @@ Model = Callable[[Array, Any], Array]
 
 
 def _late(name: str, doc: str) -> Any:
-    """An attribute that may be assigned, and that is made when it is first asked for where the last step left a function."""
+    """An attribute that may be assigned; where a step left a function, it is called when the attribute is first asked for."""
 
     def get(self: Any) -> Any:
         value = self._made[name]
@@ -44,25 +44,17 @@ def _late(name: str, doc: str) -> Any:
             value = self._made[name] = value()
         return value
 
-    def put(self: Any, value: Any) -> None:
-        self._made[name] = value
-        if name in ("Wm", "Wc"):
-            self._rule = None  # to be made of other weights
-
-    return property(get, put, doc=doc)
+    return property(get, lambda self, value: self._made.update({name: value}), doc=doc)
 
 
 class SigmaPointUKF:
-    """filterpy's UKF in covariance form: its constructor, attributes and methods; see filterpy's documentation for their use.
+    """filterpy's UKF in covariance form, its constructor, attributes and methods; see filterpy's documentation for their use.
 
     ``points``: a filterpy sigma-point object or a celnav `Rule`. ``vectorized``: ``fx`` and ``hx`` take all points ``(p, n)`` at
-    once instead of one point ``(n,)`` after the other. Points lie along the lower Cholesky root, as with filterpy's default, and
-    every update draws its own, so that a second one in a row sees what the first has learned (filterpy's takes those of the
-    prediction). A number as ``Q`` or ``R`` counts in every element of the matrix, as in filterpy, and a warning says so; as ``P``
-    or as the ``R`` of one `update`, it is a variance of every component; None is no noise. A step takes 0.9 to 1.5 times what
-    filterpy takes, the more the smaller the state is (``python -m benchmarks.dropin``); many runs are for `celnav.run`.
-
-    What cannot be raises a ValueError that names it, before anything changes: the object keeps its last good state.
+    once. Points lie along the lower Cholesky root, as with filterpy's default, and every update draws its own (filterpy's takes
+    those of the prediction), so that a second one in a row sees what the first has learned. A number as ``Q`` or ``R`` counts in
+    every element, as in filterpy, and a warning says so; as ``P`` or as the ``R`` of one `update` it is a variance of every
+    component; None is no noise. What is refused changes nothing. Speed: ``python -m benchmarks.dropin``; many runs: `celnav.run`.
     """
 
     _form: Form = Covariance
@@ -85,7 +77,8 @@ class SigmaPointUKF:
         vectorized: bool = False,
     ):
         self._dim_x, self._dim_z, self._dt, self._vectorized = dim_x, dim_z, dt, vectorized
-        self._made: dict[str, Any] = {"info": None}  # attributes that are made when asked for, and what the last update found
+        # What is made when asked for, and what is no array: filterpy's Saver makes arrays of all other attributes.
+        self._made: dict[str, Any] = {"info": None}
         self._roots: dict[str, tuple[Any, Array]] = {}  # by name: a matrix as it was, and what its checks made of it
         self.points_fn = points
         self.hx, self.fx = hx, fx
@@ -107,8 +100,6 @@ class SigmaPointUKF:
     K = _late("K", "Gain ``(n, m)`` of the last update.")
     SI = _late("SI", "Inverse ``(m, m)`` of ``S``, by ``inv``.")
     sigmas_f = _late("sigmas_f", "Points ``(p, n)`` of the last prediction.")
-    Wm = _late("Wm", "Weights ``(p,)`` of means.")
-    Wc = _late("Wc", "Weights ``(p,)`` of covariances.")
 
     @property
     def points_fn(self) -> Any:
@@ -123,16 +114,17 @@ class SigmaPointUKF:
         rule.points(np.zeros(rule.n), np.eye(rule.n), EUCLIDEAN)  # which refuses one without points in some dimension
         self._points_fn, self._num_sigmas = points, points.num_sigmas()
         self.Wm, self.Wc = points.Wm, points.Wc
-        self._rule: Rule | None = rule
+        self._made["rule"] = rule, self.Wm, self.Wc
 
     @property
     def rule(self) -> Rule:
         """Points and weights as a rule of celnav."""
-        if self._rule is None:
+        rule, Wm, Wc = self._made["rule"]
+        if Wm is not self.Wm or Wc is not self.Wc:
             points = self._points_fn
-            own = SimpleNamespace(n=points.n, sigma_points=points.sigma_points, Wm=self.Wm, Wc=self.Wc)
-            self._rule = from_filterpy(own)
-        return self._rule
+            rule = from_filterpy(SimpleNamespace(n=points.n, sigma_points=points.sigma_points, Wm=self.Wm, Wc=self.Wc))
+            self._made["rule"] = rule, self.Wm, self.Wc
+        return rule  # type: ignore[no-any-return]
 
     # -- steps ---------------------------------------------------------------------------------------------------------
     def predict(self, dt: Any = None, UT: Function | None = None, fx: Function | None = None, **fx_args: Any) -> None:
@@ -158,15 +150,13 @@ class SigmaPointUKF:
             if measured.shape not in ((), (measured.size, 1)):
                 raise ValueError(f"z: expected shape (m,), got {measured.shape}")
             measured = measured.ravel()
-        nothing = not measured.size
-        if not isfinite(measured.dot(measured)):
-            nothing = bool(np.isnan(measured).all())
+        if not (measured.size and isfinite(measured.dot(measured))):
             if np.isinf(measured).any():
                 raise ValueError("z: expected finite numbers or nan, got an infinite one")
-        if nothing:
-            self.z = np.array([[None] * self._dim_z]).T
-            self.x_post, self.P_post = np.array(self.x, dtype=np.float64), np.array(self.P, dtype=np.float64)
-            return
+            if np.isnan(measured).all():
+                self.z = np.array([[None] * self._dim_z]).T
+                self.x_post, self.P_post = np.array(self.x, dtype=np.float64), np.array(self.P, dtype=np.float64)
+                return
         m, n = len(measured), self._dim_z
         if m != n and hx is None and np.shape(self.R if R is None else R) == (n, n):
             raise ValueError(f"z: expected {n} components, got {m}; another sensor has its own R")
@@ -213,13 +203,17 @@ class SigmaPointUKF:
         """The same by a transform of the user's, which gives a mean and a covariance."""
         if np.isnan(z).any():
             raise ValueError("z: expected every component where UT is given, got nan")
-        points = self._points(belief)
-        images = h(points, None)
-        predicted, S = UT(images, self.Wm, self.Wc, R, self.z_mean, self.residual_z)
+        images, predicted, S, gain = self._through(UT, belief, h, R, self.z_mean, self.residual_z)
         L, innovation = symmetric(S, "S", len(z))[1], np.asarray(self.residual_z(z, predicted))
-        gain = np.linalg.solve(S.T, self.cross_variance(belief.mean, predicted, points, images).T).T
         after = self._from(self.state_add(belief.mean, gain @ innovation), belief.cov - gain @ S @ gain.T)
         return after, images, S, Info(innovation, whiten(L, innovation), np.ones(len(z), bool), L, lambda: gain)
+
+    def _through(self, UT: Any, belief: Any, function: Model, noise: Any, mean: Any, residual: Any) -> tuple[Any, Any, Any, Any]:
+        """The images of the points, the mean and the covariance that a transform makes of them, and the gain on these."""
+        points = self._points(belief)
+        images = function(points, None)
+        y, S = UT(images, self.Wm, self.Wc, noise, mean, residual)
+        return images, y, S, np.linalg.solve(S.T, self._cross(points, belief.mean, images, y, residual).T).T
 
     def compute_process_sigmas(self, dt: Any, fx: Function | None = None, **fx_args: Any) -> None:
         """Put the propagated points in ``sigmas_f``. (An update always draws its points from the present state.)"""
@@ -262,12 +256,9 @@ class SigmaPointUKF:
                 motion = Motion(function, sqrt_Q=self._root("Qs", Qs[k], n), space=self._space())
                 after, gains[k] = back(Sequential(motion, rule=self.rule, form=self._form), belief, after, Epoch())
             else:
-                points = self._points(belief)
-                ahead = function(points, None)
-                mean, cov = UT(ahead, self.Wm, self.Wc, Qs[k], self.x_mean, self.residual_x)
-                gains[k] = np.linalg.solve(cov.T, self._cross(points, xs[k], ahead, mean, self.residual_x).T).T
-                step, less = gains[k] @ self.residual_x(after.mean, mean), gains[k] @ (after.cov - cov) @ gains[k].T
-                after = self._from(self.state_add(xs[k], step), ps[k] + less, "Ps")
+                _, mean, cov, G = self._through(UT, belief, function, Qs[k], self.x_mean, self.residual_x)
+                smoothed = self.state_add(xs[k], G @ self.residual_x(after.mean, mean))
+                after, gains[k] = self._from(smoothed, ps[k] + G @ (after.cov - cov) @ G.T, "Ps"), G
             xs[k], ps[k] = after.mean, after.cov
         return xs, ps, gains
 
@@ -318,14 +309,13 @@ class SigmaPointUKF:
         key = n, given.shape, given.tobytes()
         known = self._roots.get(name)
         if known is None or known[0] != key:
-            full = given
             if given.size == 1:
-                full = np.full((n, n), given.item())
                 if n > 1 and given.any():
                     one, alike = f"the number {given.item():g}", f"{given.item():g} * np.eye({n})"
                     text = f"{name}: {one} counts in every element, as in filterpy; {alike} is a variance of every component"
                     warnings.warn(text, stacklevel=3)
-            known = self._roots[name] = key, symmetric(full, name, n)[1]
+                given = np.full((n, n), given.item())
+            known = self._roots[name] = key, symmetric(given, name, n)[1]
         return known[1]
 
     def _motion(self, dt: Any, fx: Function | None, options: dict[str, Any]) -> Model:
@@ -376,12 +366,8 @@ def _model_of(vectorized: bool, name: str, function: Function, m: int, given: tu
 
     def model(points: Array, epoch: Any) -> Array:  # noqa: ARG001
         own = points.copy()  # which the function may change
-        if vectorized:
-            values = numbers(name, function(own, *given, **options))
-        else:
-            found = [function(point, *given, **options) for point in own]
-            values = np.asarray(found) if set(map(type, found)) == {np.ndarray} else numbers(name, found)
-            values = values if values.dtype == np.float64 else numbers(name, found)
+        found: Any = function(own, *given, **options) if vectorized else [function(point, *given, **options) for point in own]
+        values = numbers(name, np.asarray(found) if not vectorized and set(map(type, found)) == {np.ndarray} else found)
         if values.shape != (len(own), m):
             values = values.reshape(len(own), -1)
             if values.shape[-1] != m:
@@ -400,27 +386,18 @@ def _space_of(add: Function, residual: Function, mean: Function | None) -> Space
 
 
 def _sums(add: Function) -> Function:
-    """Sums of a point and all tangents; ``add`` may change its first argument."""
+    """Sums of a point and all tangents; ``add`` may change its first argument. A mean of its own needs none, with 0."""
     if add is np.add:
         return EUCLIDEAN.plus
-
-    def plus(point: Array, tangent: Any) -> Array:
-        if np.ndim(tangent) == 0:  # a mean of its own needs no shift
-            return point
-        found = [add(point.copy(), row) for row in np.atleast_2d(tangent)]
-        return np.array(found, dtype=np.float64).reshape(tangent.shape)
-
-    return plus
+    return lambda point, tangent: _by_row(lambda row: add(point.copy(), row), tangent) if np.ndim(tangent) else point
 
 
 def _differences(residual: Function) -> Function:
     """Differences of all points ``b`` to one, ``a``."""
     if residual is np.subtract:
         return np.subtract
+    return lambda b, a: _by_row(lambda row: residual(row, a.ravel()), b)
 
-    def minus(b: Array, a: Array) -> Array:
-        origin = a.ravel()
-        found = [residual(row, origin) for row in np.atleast_2d(b)]
-        return np.array(found, dtype=np.float64).reshape(b.shape)
 
-    return minus
+def _by_row(function: Function, rows: Array) -> Array:
+    return np.array([function(row) for row in np.atleast_2d(rows)], dtype=np.float64).reshape(rows.shape)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -32,32 +32,25 @@ class Epochs(Sequence[Epoch]):
         return f"Epochs({len(self)}{span})"
 
     def __getitem__(self, k: Any) -> Any:
-        if not isinstance(k, slice):
-            j = range(len(self))[k]
-            return self._epoch(self._first + j, self._rows[j], self._rows[j - 1] if j else self._before)
-        rows = self._rows[k]
-        if rows.step < 1:
-            raise ValueError(f"epochs: expected a slice that runs forward, got {k}")
-        if rows.step > 1 and self._u is not None:
-            count = rows.step
-            raise ValueError(f"epochs: an interval of {count} epochs has {count} inputs, got one u for each; make epochs anew")
-        at = self._rows.index(rows[0]) if rows else 0
-        before = self._rows[at - 1] if at else self._before
-        return Epochs(self._times, self._z, self._u, self._truth, rows, before, self._first + at)
+        if isinstance(k, slice):
+            rows, count = self._rows[k], self._rows[k].step
+            if count < 1:
+                raise ValueError(f"epochs: expected a slice that runs forward, got {k}")
+            if count > 1 and self._u is not None:
+                raise ValueError(f"epochs: an interval of {count} epochs has {count} inputs, got one u for each; make epochs anew")
+            at = k.indices(len(self))[0]
+            return Epochs(self._times, self._z, self._u, self._truth, rows, self._row_before(at), self._first + at)
+        at = range(len(self))[k]
+        i, before = self._rows[at], self._row_before(at)
+        t = float(self._times[i])
+        dt, u = (t - float(self._times[before]), _at(self._u, before)) if before >= 0 else (0.0, None)
+        return Epoch(self._first + at, t, dt, u, _at(self._z, i), _at(self._truth, i))
 
-    def __iter__(self) -> Iterator[Epoch]:
-        before = self._before
-        for k, i in enumerate(self._rows, self._first):
-            yield self._epoch(k, i, before)
-            before = i
+    def _row_before(self, at: int) -> int:
+        return self._rows[at - 1] if at else self._before
 
     def __add__(self, other: Iterable[Epoch]) -> list[Epoch]:
         return [*self, *other]
-
-    def _epoch(self, k: int, i: int, before: int) -> Epoch:
-        t = float(self._times[i])
-        dt, u = (t - float(self._times[before]), _at(self._u, before)) if before >= 0 else (0.0, None)
-        return Epoch(k, t, dt, u, _at(self._z, i), _at(self._truth, i))
 
 
 def _at(values: Any, k: int) -> Any:
@@ -97,13 +90,13 @@ def epochs(times: ArrayLike, z: Any = None, u: Any = None, truth: Any = None) ->
 def _rows(name: str, values: Any) -> int:
     """How many rows there are."""
     try:
-        rows = -1 if isinstance(values, str) else len(values)
-        if rows > 0:
-            values[0]  # a set or a table has none
+        if not isinstance(values, str):
+            count = len(values)
+            if count:
+                values[0]  # a set or a table has none
+            return count
     except (TypeError, KeyError, IndexError):
-        rows = -1
-    if rows >= 0:
-        return rows
+        pass
     raise ValueError(f"{name}: expected a sequence with a row for each time, got {kind(values)}")
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial, reduce
 from typing import Any
 
 import numpy as np
@@ -22,11 +21,9 @@ Step = tuple[State, tuple[Info, ...]]
 class Fallback:
     """Does again, with a second filter, those runs which the first one loses in a prediction or an update.
 
-    ``first``, ``second``: filters of the same motion and sensors with different rules: one of negative weights, say, and one
-    without. Hooks must be the same; their memory is that of the first. The other runs keep the first one's result bit for bit.
-
-    `Info.redone` says which runs were done again, and the `Track` counts them in ``events["redone"]``. A run that both lose stays
-    lost.
+    ``first``, ``second``: filters of the same motion, sensors and hooks with different rules: one of negative weights, say, and one
+    without. The other runs keep the first one's result bit for bit, and the memory of hooks is the first one's. `Info.redone` says
+    which runs were done again, and the `Track` counts them in ``events["redone"]``. A run that both lose stays lost.
 
     >>> filter = Fallback(celnav.sparse_grid_filter(motion, sensor), celnav.ckf(motion, sensor))
     """
@@ -49,29 +46,26 @@ class Fallback:
         """State before the first epoch."""
         return self.first.start(prior)
 
-    def step(self, state: State, epoch: Epoch) -> tuple[State, tuple[Info, ...]]:
+    def step(self, state: State, epoch: Epoch) -> Step:
         """State after an epoch, and what each sensor did to it."""
-        predicted = self.first.predict(state, epoch), ()
-        ahead, _, moved = self._done(state, predicted, lambda: (self.second.predict(state, epoch), ()))
-        after, infos, updated = self._done(ahead, self.first.update(ahead, epoch), lambda: self.second.update(ahead, epoch))
-        lost = [runs for runs in (moved, updated) if runs is not None]
-        if lost:
-            redone = reduce(np.logical_or, lost)
+        ahead, _, moved = self._done(state, lambda filter: (filter.predict(state, epoch), ()))
+        after, infos, updated = self._done(ahead, lambda filter: filter.update(ahead, epoch))
+        redone = moved | updated
+        if redone.any():
             infos = (infos[0]._replace(redone=redone), *infos[1:]) if infos else (Info(redone=redone),)
         return after, infos
 
-    def _done(self, before: State, found: Step, again: Callable[[], Step]) -> tuple[State, tuple[Info, ...], Array | None]:
-        """What the first filter found, with what the second finds for runs that the first one lost, and which these are."""
-        after, infos = found
-        unsound = _unsound(after.belief)
-        if not unsound.any():
-            return after, infos, None
-        lost = unsound & ~_unsound(before.belief)
-        if not lost.any():
-            return after, infos, None
-        other, others = again()
-        belief = self.first.form(*(_pick(lost, b, a) for a, b in zip(after.belief, other.belief, strict=True)))
-        return after._replace(belief=belief), tuple(_merged(lost, a, b) for a, b in zip(infos, others, strict=True)), lost
+    def _done(self, before: State, step: Callable[[Sequential], Step]) -> tuple[State, tuple[Info, ...], Array]:
+        """A step of the first filter, of the second in runs that the first one loses, and which these are."""
+        after, infos = step(self.first)
+        lost = _unsound(after.belief)
+        if lost.any():
+            lost = lost & ~_unsound(before.belief)
+        if lost.any():
+            other, others = step(self.second)
+            belief = self.first.form(*(_pick(lost, b, a) for a, b in zip(after.belief, other.belief, strict=True)))
+            after, infos = after._replace(belief=belief), tuple(_merged(lost, a, b) for a, b in zip(infos, others, strict=True))
+        return after, infos, lost
 
 
 def _unsound(belief: Belief) -> Array:
@@ -86,13 +80,11 @@ def _pick(where: Array, chosen: Array, otherwise: Array) -> Array:
 
 def _merged(lost: Array, info: Info, other: Info) -> Info:
     """What was done, run by run; gains and Jacobians are merged when asked for."""
-    merged: dict[str, Any] = {}
-    for name in ("innovation", "whitened", "used", "sqrt_S", "gain", "jacobian"):
+
+    def one(name: str) -> Any:
         mine, theirs = getattr(info, name), getattr(other, name)
-        if mine is not None and theirs is not None:
-            merged[name] = partial(_merged_later, lost, mine, theirs) if callable(mine) else _pick(lost, theirs, mine)
-    return info._replace(**merged)
+        if mine is None or theirs is None:
+            return mine
+        return (lambda: _pick(lost, theirs(), mine())) if callable(mine) else _pick(lost, theirs, mine)
 
-
-def _merged_later(lost: Array, mine: Callable[[], Array], theirs: Callable[[], Array]) -> Array:
-    return _pick(lost, theirs(), mine())
+    return info._replace(**{name: one(name) for name in ("innovation", "whitened", "used", "sqrt_S", "gain", "jacobian")})

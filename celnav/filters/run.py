@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.filters.epochs import Epochs, epochs
+from celnav.filters.epochs import epochs
 from celnav.filters.joint import at
 from celnav.filters.mixing import LOOKED_AT, WATCH
-from celnav.filters.model import Sensor, check_function
+from celnav.filters.model import check_function
 from celnav.filters.records import Epoch, Filter, FilterError, Info
 from celnav.filters.track import Collector, Track
 from celnav.gaussian.belief import settled
@@ -50,16 +50,14 @@ def run(
 
     >>> track = celnav.run(celnav.ukf(motion, gps), celnav.Gaussian(x0, P0), times, z)
     """
-    stored = integer("every", every)
-    choice("keep", keep, ("std", "cov", "mean", "nothing"))
+    collector = Collector(integer("every", every), choice("keep", keep, ("std", "cov", "mean", "nothing")))
     choice("on_failure", on_failure, ("raise", "flag"))
     if also is not None:
         check_function("also", also, "(epoch, state, infos)")
     if reduce is not None:
         check_function("reduce", reduce, "(accumulated, epoch, state, infos)")
-    every_epoch = _epochs(times, z, u)
-    collector, reduced, before = Collector(stored, keep), None, None
-    for epoch, state, infos in steps(filter, prior, every_epoch):
+    reduced, before = None, None
+    for epoch, state, infos in steps(filter, prior, _epochs(times, z, u)):
         more = {} if also is None else instance("also", also(epoch, state, infos), dict, "a dict, such as {'gain': array}")
         lost = collector.add(epoch, state.belief, infos, more)
         if lost is not None and on_failure == "raise":
@@ -73,25 +71,17 @@ def run(
 
 
 def _epochs(times: Any, z: Any, u: Any) -> Iterable[Epoch]:
-    if isinstance(times, Epochs) or (not (isinstance(times, np.ndarray) or np.isscalar(times)) and _of_epochs(times)):
-        if z is not None or u is not None:
-            raise ValueError("z: expected none beside epochs, which have their measurements and inputs")
-        return times
-    return epochs(times, z, u)
-
-
-def _of_epochs(times: Any) -> bool:
-    """Whether these are records, not numbers; of a stream nothing is taken."""
-    return not isinstance(times, list | tuple) or any(hasattr(one, "dt") for one in times[:1])
+    """Epochs of numbers, or what are epochs already; of a stream nothing is taken."""
+    listed = isinstance(times, list | tuple) and not any(hasattr(one, "dt") for one in times[:1])
+    if listed or isinstance(times, np.ndarray) or np.isscalar(times):
+        return epochs(times, z, u)
+    if z is not None or u is not None:
+        raise ValueError("z: expected none beside epochs, which have their measurements and inputs")
+    return times  # type: ignore[no-any-return]
 
 
 def steps(filter: Filter, prior: Any, epochs: Iterable[Epoch]) -> Iterator[tuple[Epoch, Any, tuple[Info, ...]]]:
     """Stream ``(epoch, state, infos)`` after each step; ``state.belief`` is the estimate.
-
-    Raises
-    ------
-    ValueError: if an interval is negative, not finite, or 0 though time went on, what is given is no filter or no belief, or a
-        model mixes runs, as ``F @ x`` does. An exception of the model carries the step as a note.
 
     >>> for epoch, state, infos in celnav.steps(filter, prior, celnav.epochs(times, z)): ...
     """
@@ -115,9 +105,7 @@ def steps(filter: Filter, prior: Any, epochs: Iterable[Epoch]) -> Iterator[tuple
         finally:
             LOOKED_AT.reset(token)
         if "belief" in getattr(state, "_fields", ()):
-            belief = settled(state.belief)
-            if belief is not state.belief:
-                state = state._replace(belief=belief)
+            state = state._replace(belief=settled(state.belief))
         yield epoch, state, infos
 
 
@@ -138,10 +126,7 @@ def _check_interval(filter: Any, epoch: Any, before: Any) -> None:
 
 
 def explain(filter: Any, before: Any, after: Any, epoch: Epoch) -> str:
-    """Why a run whose belief was sound before an epoch is lost after it: the step is done once more, and looked at.
-
-    Takes the filter's states before and after; gives a sentence.
-    """
+    """Why a run that was sound in the state before an epoch is lost after it, a sentence: the step is done again, and watched."""
     lost = after.belief.lost() & ~np.broadcast_to(before.belief.lost(), after.belief.mean.shape[:-1])
     for part in epoch.z if isinstance(epoch.z, tuple) else (epoch.z,):
         if part is not None and np.isinf(np.asarray(part, dtype=np.float64)).any():
@@ -169,14 +154,11 @@ def explain(filter: Any, before: Any, after: Any, epoch: Epoch) -> str:
     predicted = filter.predict(before, epoch) if hasattr(filter, "predict") else before
     if epoch.z is None or (predicted.belief.lost() & lost).any():
         return "the covariance lost positive definiteness"
-    noisy = all(_noisy(sensor, predicted.belief.mean, epoch) for sensor in getattr(filter, "sensors", ()))
-    return INDEFINITE + ("" if noisy else _REDUNDANT)
-
-
-def _noisy(sensor: Sensor, mean: Array, epoch: Epoch) -> bool:
-    """Whether each component has noise of its own at an epoch."""
-    columns = at(sensor.noise, mean, epoch)
-    return bool(len(sensor.augment)) or (columns is not None and bool(columns.any(-1).all()))
+    for sensor in getattr(filter, "sensors", ()):
+        columns = at(sensor.noise, predicted.belief.mean, epoch)
+        if not len(sensor.augment) and (columns is None or not columns.any(-1).all()):
+            return INDEFINITE + _REDUNDANT
+    return INDEFINITE
 
 
 INDEFINITE = "the innovation covariance is not positive definite"

@@ -34,15 +34,10 @@ def smooth(track: Track, filter: Any = None, *, gains: bool = False, on_failure:
     filter: the filter of the track, which has it unless it was pickled. Process and measurement noise must be independent: smooth
         colored measurement noise with the track of `celnav.augmented`.
     gains: store the gains ``(T, ..., n, n)``, ``extra["gain"]``: the k-th acts from epoch k + 1 to k, the last is 0.
-    on_failure: "raise" a `FilterError` if the smoother loses a run, or "flag" it (nan from there *back*).
+    on_failure: "raise" a `FilterError` if the smoother loses a run, or "flag" it (nan from there *back*, and ``failed_at``).
 
-    Returns
-    -------
-    The track with smoothed mean, std and covariances; innovations, likelihood and events remain those of the filter. A run that
-    the filter lost is smoothed up to its last good epoch. ``failed_at`` also tells where the smoother lost a run.
-
-    An epoch with ``dt == 0`` shares its state with the one before. Directions of the predicted state that are known (a
-    singular covariance) carry nothing back.
+    Returns the track with smoothed mean, std and covariances; all else remains the filter's. A run that the filter lost is smoothed
+    up to its last good epoch. Directions of the predicted state that are known (a singular covariance) carry nothing back.
 
     >>> smoothed = celnav.smooth(celnav.run(filter, prior, times, z, keep="cov"))
     """
@@ -57,19 +52,16 @@ def smooth(track: Track, filter: Any = None, *, gains: bool = False, on_failure:
         raise ValueError("filter: expected that of the track, which was lost when it was pickled: smooth(track, filter)")
     chosen = chosen.first if isinstance(chosen, Fallback) else chosen
     if not isinstance(chosen, Sequential) or isinstance(chosen, Colored | SingleDraw):
-        raise ValueError(
-            f"filter: expected one whose process and measurement noise are independent, such as ukf, got {kind(chosen)}"
-        )
+        expected = "one whose process and measurement noise are independent, such as ukf"
+        raise ValueError(f"filter: expected {expected}, got {kind(chosen)}")
     epochs = track.epochs
     if any(b.k != a.k + 1 for a, b in pairwise(epochs)):
         raise ValueError("track: expected every epoch, got some of them; run with every=1")
 
-    form, filtered = type(track.belief), track.belief
-    mean, cov, std = filtered.mean.copy(), filtered[1].copy(), np.empty(track.std.shape)
+    form, filtered, failed_at = type(track.belief), track.belief, track.failed_at
+    mean, cov = filtered.mean.copy(), filtered[1].copy()
     G = np.zeros(cov.shape) if gains else None
-    failed_at = track.failed_at.copy()
     after: Any = form(mean[-1], cov[-1])
-    std[-1] = after.std
     for k in range(len(mean) - 2, -1, -1):
         epoch, before = epochs[k + 1], form(filtered.mean[k], filtered[1][k])
         if np.any(epoch.dt):
@@ -84,7 +76,7 @@ def smooth(track: Track, filter: Any = None, *, gains: bool = False, on_failure:
         if lost.any():
             after = form(np.where(lost[..., None], before.mean, after.mean), np.where(lost[..., None, None], before[1], after[1]))
             gain = np.where(lost[..., None, None], 0.0, gain)
-        mean[k], cov[k], std[k] = after.mean, after[1], after.std
+        mean[k], cov[k] = after.mean, after[1]
         if G is not None:
             G[k] = gain
         broken = after.lost() & np.isfinite(filtered.mean[k]).all(-1)
@@ -97,8 +89,8 @@ def smooth(track: Track, filter: Any = None, *, gains: bool = False, on_failure:
                     "smoothed one, is not positive definite (on_failure='flag' lets the other runs go on)"
                 )
             failed_at = np.where(broken & (failed_at < 0), k, failed_at)
-    extra = dict(track.extra) if G is None else {**track.extra, "gain": G}
-    return replace(track, mean=mean, std=std, belief=form(mean, cov), failed_at=failed_at, extra=extra)
+    belief, extra = form(mean, cov), track.extra | ({} if G is None else {"gain": G})
+    return replace(track, mean=mean, std=belief.std, belief=belief, failed_at=failed_at, extra=extra)
 
 
 def back(filter: Sequential, before: Belief, after: Belief, epoch: Epoch) -> tuple[Belief, Array]:
@@ -113,12 +105,11 @@ def back(filter: Sequential, before: Belief, after: Belief, epoch: Epoch) -> tup
     inner, info, _ = condition(form, both, space, gain=partial(pseudo_gain, center=center))
     assert info.gain is not None
     gain = info.gain()
-    ahead = after.sqrt_cov
-    if space.transport is not None:
-        ahead = space.transport(space.minus(center, after.mean)) @ ahead
-    ahead = gain @ ahead
-    if space.transport is not None:
-        ahead = space.transport(space.minus(inner.mean, before.mean)) @ ahead
+
+    def carried(to: Array, at: Array, root: Array) -> Array:
+        return root if space.transport is None else space.transport(space.minus(to, at)) @ root
+
+    ahead = carried(inner.mean, before.mean, gain @ carried(center, after.mean, after.sqrt_cov))
     lost = ~np.isfinite(after.mean).all(-1, keepdims=True)  # not a next state that was not measured
     return form(np.where(lost, np.nan, inner.mean), form.sum(inner[1], ahead)), gain
 
@@ -143,13 +134,11 @@ def pseudo_gain(A: Array, sign: Array, m: int, center: Array | None = None, leas
         noise = EPS * np.abs(center).max(-1) / unit.min(-1)
     bound = np.maximum(4.0 * (S.shape[-1] * EPS + noise), least)
     singular = np.asarray((S.diagonal(0, -2, -1) <= bound[..., None] * unit).any(-1))
-    if not singular.any():
-        U = signed @ solve_lower(S, D_y).mT
-        return solve_upper_transposed(S, U.mT).mT
     eye = np.eye(S.shape[-1])
-    regular = np.where(singular[..., None, None], eye, S)
-    U = signed @ solve_lower(regular, D_y).mT
-    gain = solve_upper_transposed(regular, U.mT).mT
+    regular = np.where(singular[..., None, None], eye, S) if singular.any() else S
+    gain = solve_upper_transposed(regular, (signed @ solve_lower(regular, D_y).mT).mT).mT
+    if not singular.any():
+        return gain
     u, s, _ = np.linalg.svd(np.where(singular[..., None, None], S / unit[..., None], eye))
     kept = s > bound[..., None]
     inverse = np.where(kept, 1.0 / np.where(kept, s, 1.0), 0.0)[..., None]

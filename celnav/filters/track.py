@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,24 +21,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Track:
-    """The record of a run, time-major: ``(T, ..., n)`` with the batch axes of the runs between time and component.
+    """The record of a run, time-major: ``(T, ..., n)``, the batch axes of the runs between time and component.
 
     Attributes
     ----------
-    times: ``(T,)`` s, the epochs stored.
-    mean: ``(T, ..., N)``; std: ``(T, ..., n)``. None where they were not kept.
-    belief: means and covariances of all epochs in the filter's form, where ``run(keep="cov")`` kept them: ``track.cov``.
-    innovation, whitened: ``(T, ..., m)`` innovations (nan where not measured) and whitened ones (0 where not used), of all
-        sensors side by side; m is the most that a sensor had at an epoch.
-    used: ``(T, ..., m)`` bool, the components that took part.
-    log_likelihood: ``(...)`` of all measurements of all epochs, also those not stored.
+    times: ``(T,)`` s, of the epochs stored. mean: ``(T, ..., N)``. std: ``(T, ..., n)``. None: not kept.
+    belief: means and covariances in the filter's form, where ``run(keep="cov")`` kept them; see `cov`.
+    innovation, whitened, used: ``(T, ..., m)`` of all sensors side by side, m the most that they had at an epoch: innovations, nan
+        where not measured; whitened ones, 0 where not used; bool, which components took part.
+    log_likelihood: ``(...)`` of all measurements, also of epochs not stored.
     events: counts ``(...)`` over all epochs: "missing" and "rejected" components, "redone" steps. Where ``z`` was None, as many are
         missing as that sensor has at other epochs.
     failed_at: ``(...)`` index of the first epoch at which a run is not finite, -1 for none.
-    nis, dof: properties ``(T, ...)``. cov, sqrt_cov: properties ``(T, ..., n, n)``, where covariances are stored.
-    extra: what ``run(also=...)`` gave. reduced: what ``run(reduce=...)`` ended with.
-    filter, epochs: the filter and the epochs without their measurements, for `celnav.smooth`; a track that was pickled has lost the
-        filter, whose functions cannot be.
+    extra, reduced: what ``run(also=...)`` gave, and what ``run(reduce=...)`` ended with.
+    filter, epochs: for `celnav.smooth`; the epochs have lost their measurements, and a track that was pickled its filter.
     """
 
     times: Array
@@ -61,49 +56,38 @@ class Track:
         return self.__dict__ | {"filter": None}
 
     def __repr__(self) -> str:
-        batch = self.failed_at.shape
+        batch, count = self.failed_at.shape, np.count_nonzero(self.failed_at >= 0)
         runs = "one run" if not batch else f"{batch[0]} runs" if len(batch) == 1 else f"runs {batch}"
-        lost = f", {np.count_nonzero(self.failed_at >= 0)} lost" if (self.failed_at >= 0).any() else ""
+        lost = f", {count} lost" if count else ""
         kept = ", ".join(name for name in ("mean", "std", "belief", "innovation") if getattr(self, name) is not None)
         span = f"{len(self.times)} epochs from {self.times[0]:g} to {self.times[-1]:g} s"
         return f"Track({span}, {runs}{lost}; {kept or 'no rows'} stored)"
 
     @property
     def nis(self) -> Array:
-        """Normalized innovation squared ``(T, ...)``, chi-square with `dof` degrees of freedom; 0 where nothing was used.
-
-        ``nis.sum() / dof.sum()`` is 1 for a consistent filter, whatever was missing.
-        """
-        if self.whitened is None:
-            raise ValueError("nis: this track stored no innovations")
-        return np.asarray(np.einsum("...i,...i->...", self.whitened, self.whitened))
+        """Normalized innovation squared ``(T, ...)``, chi-square of `dof`: ``nis.sum() / dof.sum()`` should be 1."""
+        white = _stored("nis", self.whitened, "innovations")
+        return np.asarray(np.einsum("...i,...i->...", white, white))
 
     @property
     def dof(self) -> Array:
         """Number of measured components used, ``(T, ...)``."""
-        if self.used is None:
-            raise ValueError("dof: this track stored no innovations")
-        return np.asarray(self.used.sum(-1))
-
-    @property
-    def sqrt_cov(self) -> Array:
-        """Lower roots ``(T, ..., n, n)`` of the covariances; needs ``run(keep="cov")``."""
-        return self._belief("sqrt_cov").sqrt_cov
+        return np.asarray(_stored("dof", self.used, "innovations").sum(-1))
 
     @property
     def cov(self) -> Array:
         """Covariances ``(T, ..., n, n)``; needs ``run(keep="cov")``."""
-        return self._belief("cov").cov
+        return np.asarray(_stored("cov", self.belief, "covariances; run with keep='cov'").cov)
 
-    def _belief(self, name: str) -> Belief:
-        if self.belief is None:
-            raise ValueError(f"{name}: this track stored no covariances; run with keep='cov'")
-        return self.belief
+    @property
+    def sqrt_cov(self) -> Array:
+        """Their lower roots."""
+        return np.asarray(_stored("sqrt_cov", self.belief, "covariances; run with keep='cov'").sqrt_cov)
 
     def to_dataframe(self, names: list[str] | None = None) -> pd.DataFrame:
-        """One row per stored epoch and run: time, run, means, standard deviations, NIS. Needs pandas.
+        """A row for each stored epoch and run (batch axes count as one): time, run, means, deviations, NIS. Needs pandas.
 
-        ``names``: of the state's components; default ``x0, x1, ...``. Several batch axes are counted as one.
+        ``names``: of the state's components; default ``x0, x1, ...``.
         """
         import pandas as pd
 
@@ -118,16 +102,14 @@ class Track:
         write_text(Path(path), "".join(",".join(line) + "\n" for line in lines))
 
     def _columns(self, names: Any) -> dict[str, Array]:
-        if self.mean is None:
-            raise ValueError("to_dataframe: this track stored no means")
-        T, N = len(self.times), self.mean.shape[-1]
-        runs = int(np.prod(self.mean.shape[1:-1]))
+        mean = _stored("to_dataframe", self.mean, "means")
+        T, N, runs = len(mean), mean.shape[-1], int(np.prod(mean.shape[1:-1]))
         names = [f"x{i}" for i in range(N)] if names is None else names
         named = not isinstance(names, str) and isinstance(names, Iterable) and all(isinstance(name, str) for name in names)
         if not named or len(names) != N:
             raise ValueError(f"names: expected {N} words, such as ['x', 'y'], got {names!r:.80}")
         columns = {"t": np.repeat(self.times, runs), "run": np.tile(np.arange(runs), T)}
-        columns |= dict(zip(names, self.mean.reshape(T * runs, N).T, strict=True))
+        columns |= dict(zip(names, mean.reshape(T * runs, N).T, strict=True))
         if self.std is not None:
             std = self.std.reshape(T * runs, -1)
             labels = names if std.shape[-1] == N else [f"d{i}" for i in range(std.shape[-1])]
@@ -135,9 +117,15 @@ class Track:
         return columns if self.whitened is None else columns | {"nis": self.nis.ravel()}
 
 
+def _stored(name: str, value: Any, what: str) -> Any:
+    if value is None:
+        raise ValueError(f"{name}: this track stored no {what}")
+    return value
+
+
 _KEPT = {"nothing": (), "mean": ("mean",), "std": ("mean", "std"), "cov": ("mean", "std", "cov")}
 _BLANK = {"innovation": np.nan, "whitened": 0.0, "used": False}
-"""What stands for an `Info` that was not given, and for components that others have."""
+"""What stands for components that a sensor has at other epochs."""
 
 
 class Collector:
@@ -146,7 +134,7 @@ class Collector:
     def __init__(self, every: int, keep: str):
         self._every, self._keep, self._count = every, keep, 0
         self._form: Any = SquareRoot
-        self._rows: defaultdict[str, list[Any]] = defaultdict(list)
+        self._rows: defaultdict[tuple[str, int], dict[int, Array]] = defaultdict(dict)  # by name and sensor: rows by epoch
         self._extra: defaultdict[str, list[Any]] = defaultdict(list)
         self._times: list[Any] = []
         self._epochs: list[Epoch] = []
@@ -163,14 +151,21 @@ class Collector:
         if self._count % self._every == 0:
             self._store(epoch, belief, infos, extra)
         self._count += 1
-        return self._watch(epoch.k, belief)
+        batch = belief.mean.shape[:-1]
+        if self._failed_at.shape != batch:  # the first epoch, or runs that only a later measurement has
+            self._failed_at = np.broadcast_to(self._failed_at, batch).copy()
+        if not any_lost(belief):
+            return None
+        new = belief.lost() & (self._failed_at < 0)
+        self._failed_at[new] = integer("k", epoch.k, 0, 2**62)
+        return tuple(int(i) for i in np.argwhere(new)[0]) if new.any() else None
 
     def _sum(self, i: int, info: Info) -> None:
         sums, likelihood = self._sums, info.log_likelihood
         if info.silent:
             self._silent[i] += 1
-        elif info.innovation is not None and info.innovation.shape[-1] > self._widths[i]:
-            self._widths[i] = info.innovation.shape[-1]
+        elif info.innovation is not None:
+            self._widths[i] = max(self._widths[i], info.innovation.shape[-1])
         if likelihood is not None:
             assert info.used is not None
             sums["log_likelihood"] = sums["log_likelihood"] + likelihood
@@ -182,28 +177,19 @@ class Collector:
             sums["redone"] = sums["redone"] + info.redone
 
     def _store(self, epoch: Epoch, belief: Belief, infos: tuple[Info, ...], extra: dict[str, Any]) -> None:
+        row = len(self._times)
         self._times.append(epoch.t)
         for name, value in extra.items():
             self._extra[name].append(value)
         for name in _KEPT[self._keep]:
-            self._rows[name].append(belief[1] if name == "cov" else getattr(belief, name))
+            self._rows[name, 0][row] = belief[1] if name == "cov" else getattr(belief, name)
         if self._keep == "cov":
             self._epochs.append(epoch._replace(z=None, truth=None))
         if self._keep != "nothing":
             for name in _BLANK:
-                self._rows[name].append([getattr(info, name) for info in infos])
-
-    def _watch(self, k: int, belief: Belief) -> tuple[int, ...] | None:
-        batch = belief.mean.shape[:-1]
-        if self._failed_at.shape == batch and not any_lost(belief):
-            return None
-        if self._failed_at.shape != batch:  # the first epoch, or runs that only a later measurement has
-            self._failed_at = np.broadcast_to(self._failed_at, batch).copy()
-        new = np.broadcast_to(belief.lost(), batch) & (self._failed_at < 0)
-        if not new.any():
-            return None
-        self._failed_at[new] = integer("k", k, 0, 2**62)
-        return tuple(int(i) for i in np.argwhere(new)[0])
+                for i, info in enumerate(infos):
+                    if (value := getattr(info, name)) is not None:
+                        self._rows[name, i][row] = value
 
     def track(self, reduced: Any, filter: Any) -> Track:
         """Everything gathered, stacked over time."""
@@ -213,14 +199,10 @@ class Collector:
             times = np.array(self._times)
         except ValueError:
             raise ValueError(f"t: expected a number at each epoch, got {self._times[-1]!r:.80}") from None
-        batch = self._failed_at.shape
         self._sums["missing"] = self._sums["missing"] + sum(count * self._widths[i] for i, count in self._silent.items())
-        sums = {name: np.broadcast_to(value, batch) for name, value in self._sums.items()}
-        rows: dict[str, Any] = dict.fromkeys(("mean", "std", "cov", *_BLANK))
-        for name in list(self._rows):
-            own = self._rows.pop(name)
-            rows[name] = _side_by_side(own, batch, _BLANK[name]) if name in _BLANK else _stack(own, batch, axes=1 + (name == "cov"))
-        cov = rows.pop("cov")
+        sums = {name: np.broadcast_to(value, self._failed_at.shape) for name, value in self._sums.items()}
+        rows: dict[str, Any] = {name: self._stacked(name) for name in ("mean", "std", *_BLANK)}
+        cov = self._stacked("cov", axes=2)
         return Track(
             times=times,
             **rows,
@@ -234,28 +216,16 @@ class Collector:
             epochs=tuple(self._epochs),
         )
 
-
-def _side_by_side(rows: list[Any], batch: tuple[int, ...], blank: Any) -> Array | None:
-    """Rows of several sensors, stacked; a sensor that was silent leaves a blank of its own."""
-    parts = [_stack(list(column), batch, blank) for column in zip_longest(*rows)]
-    there = [part for part in parts if part is not None]
-    return None if not there else there[0] if len(there) == 1 else np.concatenate(there, -1)
-
-
-def _stack(rows: list[Any], batch: tuple[int, ...], blank: Any = np.nan, axes: int = 1) -> Array | None:
-    """Rows stacked over time, broadcast to the batch of the last; components that a step has nothing of are blank."""
-    there = [row for row in rows if row is not None]
-    if not there:
-        return None
-    width = max(row.shape[-1] for row in there)
-    out = np.empty((len(rows), *batch, *there[0].shape[-axes:-1], width), there[0].dtype)
-    del there
-    for k, row in enumerate(rows):
-        if row is not None and row.shape[-1] == width:
-            out[k] = row
-        else:
-            out[k] = blank
-            if row is not None:
-                out[k, ..., : row.shape[-1]] = row
-        rows[k] = None  # one copy at a time, not two of everything
-    return out
+    def _stacked(self, name: str, axes: int = 1) -> Array | None:
+        """Rows over time, of all sensors side by side, broadcast to the batch of the last."""
+        parts = []
+        for key in sorted(key for key in self._rows if key[0] == name):
+            rows = self._rows.pop(key)
+            one, width = next(iter(rows.values())), max(row.shape[-1] for row in rows.values())
+            shape = len(self._times), *self._failed_at.shape, *one.shape[-axes:-1], width
+            part = np.full(shape, _BLANK.get(name, np.nan), one.dtype)
+            while rows:  # one copy at a time, not two of everything
+                k, row = rows.popitem()
+                part[k, ..., : row.shape[-1]] = row
+            parts.append(part)
+        return parts[0] if len(parts) == 1 else np.concatenate(parts, -1) if parts else None

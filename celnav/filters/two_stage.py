@@ -3,8 +3,6 @@
 The first stage runs as if the bias were zero. A sensitivity ``Lambda`` says what a unit of bias does to its estimate; its
 innovation, less what the sensitivity explains, is the measurement of the second stage [Friedland 1969]. For a constant bias, or
 one that walks at random [Hsieh & Chen 1999], both together are the augmented Kalman filter.
-
-Any first stage will do that hands on a `Stage` with each step; `two_stage` makes one of a motion and a sensor.
 """
 
 from __future__ import annotations
@@ -12,12 +10,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass
 from functools import partial
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.filters.joint import KEEP, condition, joint, marginal
+from celnav.filters.joint import KEEP, at, condition, joint, marginal
 from celnav.filters.model import Motion, Sensor, check_function, given_back
 from celnav.filters.records import Epoch, Info, State
 from celnav.filters.sequential import Sequential, plain, sigma_point
@@ -36,12 +34,9 @@ KNOWN = 1e-6
 
 
 class Stage(NamedTuple):
-    """What a first stage did in a step.
+    """What a first stage did in a step: its innovation ``(..., m)``, the root ``(..., m, m)`` of that one's covariance, the gain
+    ``(..., n, m)``, the measurement's Jacobian ``H (..., m, n)`` and which components took part ``(..., m)``.
 
-    Attributes
-    ----------
-    innovation: ``(..., m)``. sqrt_S: ``(..., m, m)``, root of its covariance.
-    gain: ``(..., n, m)``. H: ``(..., m, n)``, Jacobian of the measurement. used: ``(..., m)``, the components that took part.
     Omega: ``(..., n, m)``, how the measurement itself enters the prediction; None if it does not.
     lag: ``(m, m)``, what of the last measurement is taken off this one, and before: ``(..., m, n)``, that one's H; None without.
     """
@@ -56,19 +51,6 @@ class Stage(NamedTuple):
     before: Array | None = None
 
 
-class First(Protocol):
-    """A first stage."""
-
-    def start(self, prior: Gaussian) -> Any:
-        """State with a ``belief`` about x."""
-
-    def predict(self, state: Any, epoch: Epoch) -> tuple[Any, Array | None]:
-        """State after the interval and the transition matrix ``Phi (..., n, n)``; None where it does not move."""
-
-    def update(self, state: Any, epoch: Epoch) -> tuple[Any, Stage | None, Info]:
-        """State given the measurement, and what was done; no stage where nothing was measured."""
-
-
 @dataclass(frozen=True, eq=False)
 class Plain:
     """A first stage by an ordinary filter of one sensor: any rule, either form, hooks included. Vector states only."""
@@ -81,32 +63,29 @@ class Plain:
             raise ValueError("filter: expected one sensor and states that are vectors")
 
     def start(self, prior: Gaussian) -> State:
-        """See `First`."""
+        """State before the first epoch."""
         return self.filter.start(prior)
 
     def predict(self, state: State, epoch: Epoch) -> tuple[State, Array | None]:
-        """See `First`."""
+        """State after the interval, and the transition matrix ``(..., n, n)``."""
         if not np.any(epoch.dt):
             return state, None
         moved = self.filter.moved(state.belief, epoch)
         return state._replace(belief=marginal(self.filter.form, moved, EUCLIDEAN)), moved.state.jacobian()
 
     def update(self, state: State, epoch: Epoch) -> tuple[State, Stage | None, Info]:
-        """See `First`."""
-        after, (info,) = self.filter.update(state, epoch)
-        if info.sqrt_S is None or info.gain is None or info.jacobian is None or info.innovation is None or info.used is None:
+        """State given the measurement, and what was done."""
+        after, infos = self.filter.update(state, epoch)
+        info: Any = infos[0]
+        if info.sqrt_S is None:
             return after, None, info
         H = np.where(info.used[..., None], info.jacobian(), 0.0)
         return after, Stage(np.where(info.used, info.innovation, 0.0), info.sqrt_S, info.gain(), H, info.used), info
 
 
 class TwoStageState(NamedTuple):
-    """State of a two-stage filter.
-
-    Attributes
-    ----------
-    first: of the first stage. bias: belief about the bias ``(..., p)``. Lambda: ``(..., n, p)``.
-    Gamma: ``(..., m, p)`` of the last measurement; None before it. memory: of ``boost``.
+    """State of the first stage, belief about the bias ``(..., p)``, sensitivity ``Lambda (..., n, p)``, ``Gamma`` of the last
+    measurement (None before it) and memory of the boost.
     """
 
     first: Any
@@ -127,12 +106,8 @@ class TwoStageState(NamedTuple):
 
 
 class Boost(NamedTuple):
-    """What a boost sees of the bias stage.
-
-    Attributes
-    ----------
-    residual: ``(..., m)``, the innovation less what the estimated bias explains. total: ``(..., m, m)``, its covariance.
-    innovation, own: the same of the first stage alone.
+    """What a boost sees: the innovation less what the estimated bias explains ``(..., m)`` and its covariance ``(..., m, m)``; then
+    both of the first stage alone.
     """
 
     residual: Array
@@ -164,10 +139,8 @@ def two_stage(
         factors, while the covariance itself is not; for one, see `celnav.papers.tstdkf.method.strong_tracking`.
     rule, options: of the first stage, as in `celnav.sigma_point`.
 
-    Returns
-    -------
-    A filter whose belief is about state and bias, ``(..., n + p)``. The prior is about the state alone. Innovations, NIS and
-    likelihood are those of both stages, what the augmented filter would have; gain and Jacobian are of the first.
+    The prior is about the state alone, the filter's belief about state and bias, ``(..., n + p)``. Innovations, NIS and likelihood
+    are those of both stages, what the augmented filter would have; gain and Jacobian are of the first.
 
     >>> filter = celnav.two_stage(motion, sensor, np.eye(3), celnav.Gaussian(np.zeros(3), np.eye(3)))
     """
@@ -176,10 +149,10 @@ def two_stage(
 
 @dataclass(frozen=True, eq=False)
 class TwoStage:
-    """What `two_stage` makes; ``TwoStage.of(first, Gamma, bias)`` makes one of any first stage. See there for the attributes."""
+    """What `two_stage` makes; `of` makes one of any first stage."""
 
     first: Any
-    Gamma: Callable[[Array, Epoch], Array]
+    Gamma: Slope
     bias: Gaussian
     _: KW_ONLY
     walk: Array | None = None
@@ -187,30 +160,34 @@ class TwoStage:
 
     @classmethod
     def of(
-        cls, first: First, Gamma: Slope | ArrayLike, bias: Gaussian, *, Qb: ArrayLike | None = None, boost: Any = None
+        cls, first: Any, Gamma: Slope | ArrayLike, bias: Gaussian, *, Qb: ArrayLike | None = None, boost: Any = None
     ) -> TwoStage:
-        """A filter of any first stage; arguments as in `two_stage`."""
-        given: Any = first
-        if isinstance(given, Sequential) or not all(hasattr(first, name) for name in ("start", "predict", "update")):
+        """A filter of any first stage, such as `Plain`; other arguments as in `two_stage`.
+
+        ``first.start(prior)`` gives a state with a ``belief``, ``first.predict(state, epoch)`` the state after the interval and the
+        transition matrix (None where it does not move), ``first.update(state, epoch)`` state, `Stage` (None where nothing was
+        measured) and `Info`.
+        """
+        if isinstance(first, Sequential) or not all(hasattr(first, name) for name in ("start", "predict", "update")):
             raise ValueError(f"first: expected a first stage, such as celnav.filters.two_stage.Plain(filter), got {kind(first)}")
         instance("bias", bias, Gaussian, "celnav.Gaussian(mean, cov)")
         p = bias.mean.shape[-1]
-        slope: Any = check_function("Gamma", Gamma, "(mean, epoch)") if callable(Gamma) else finite("Gamma", Gamma)
+        slope = check_function("Gamma", Gamma, "(mean, epoch)") if callable(Gamma) else finite("Gamma", Gamma)
+        if not callable(slope) and (slope.ndim < 2 or slope.shape[-1] != p):
+            raise ValueError(f"Gamma: expected shape (..., m, {p}) to go with the bias, got {slope.shape}")
         if boost is not None:
             check_function("boost", boost, "(memory, seen)")
-        if not callable(Gamma) and (slope.ndim < 2 or slope.shape[-1] != p):
-            raise ValueError(f"Gamma: expected shape (..., m, {p}) to go with the bias, got {slope.shape}")
         walk = None if Qb is None else symmetric(Qb, "Qb", p)[1]
-        return cls(first, slope if callable(slope) else lambda _mean, _epoch: slope, bias, walk=walk, boost=boost)
+        return cls(first, slope, bias, walk=walk, boost=boost)
 
     def start(self, prior: Gaussian) -> TwoStageState:
         """State before the first epoch."""
         known = self.first.start(prior)
-        batch, n = known.belief.mean.shape[:-1], known.belief.mean.shape[-1]
+        *batch, n = known.belief.mean.shape
         own, p = type(known.belief).of(self.bias), self.bias.mean.shape[-1]
         runs = np.broadcast_shapes(own.mean.shape[:-1], own[1].shape[:-2])
-        if runs and runs != batch:
-            raise ValueError(f"bias: expected one, or one for each run, {batch}, got {runs}")
+        if runs and runs != tuple(batch):
+            raise ValueError(f"bias: expected one, or one for each run, {tuple(batch)}, got {runs}")
         own = type(own)(np.broadcast_to(own.mean, (*batch, p)), np.broadcast_to(own[1], (*batch, p, p)))
         return TwoStageState(known, own, np.zeros((*batch, n, p)))
 
@@ -225,44 +202,36 @@ class TwoStage:
         first, stage, info = self.first.update(first, epoch)
         if stage is None:
             return TwoStageState(first, own, Lambda, state.Gamma, state.memory), (info,)
-        here = numbers("Gamma", unmasked("Gamma", self.Gamma(first.belief.mean, epoch)))
-        if here.shape[-2:] != (stage.used.shape[-1], own.mean.shape[-1]):
-            raise ValueError(f"Gamma: expected shape (..., {stage.used.shape[-1]}, {own.mean.shape[-1]}), got {here.shape}")
-        seen = here
+        Gamma = unmasked("Gamma", at(self.Gamma, first.belief.mean, epoch))
+        seen = here = numbers("Gamma", Gamma, (..., stage.used.shape[-1], own.mean.shape[-1]))
         if state.Gamma is not None and stage.lag is not None:
             seen = here - stage.lag @ (state.Gamma + stage.before @ state.Lambda)
         if stage.Omega is not None:
             Lambda = Lambda - stage.Omega @ (seen + stage.H @ Lambda)
         S = np.where(stage.used[..., None], stage.H @ Lambda + seen, 0.0)
-        own, memory, both = self._estimate(own, S, stage, state.memory)
+        after, both = _given(own, S, stage)
+        memory = state.memory
+        if self.boost is not None:
+            boost = Boost(both.innovation, outer(both.sqrt_S), stage.innovation, outer(stage.sqrt_S))
+            memory, factors = given_back("boost", self.boost(memory, boost), "memory, factors")
+            p = own.mean.shape[-1]
+            scale = np.sqrt(numbers("boost", factors, (..., p)))[..., None] * np.eye(p)
+            inflated = type(own)(own.mean, own.transported(scale, own[1]))
+            after = after._replace(mean=_given(inflated, S, stage)[0].mean)
         # What a hook left out keeps the innovation of the first stage.
-        innovation = np.where(stage.used, np.asarray(both.innovation), np.asarray(info.innovation))
-        both = info._replace(innovation=innovation, whitened=both.whitened, sqrt_S=both.sqrt_S)
-        return TwoStageState(first, own, Lambda - stage.gain @ S, here, memory), (both,)
+        innovation = np.where(stage.used, both.innovation, np.asarray(info.innovation))
+        info = info._replace(innovation=innovation, whitened=both.whitened, sqrt_S=both.sqrt_S)
+        return TwoStageState(first, after, Lambda - stage.gain @ S, here, memory), (info,)
 
-    def _estimate(self, own: Any, S: Array, stage: Stage, memory: Any) -> tuple[Any, Any, Info]:
-        """The bias stage: condition on the innovation, of which S is the Jacobian; the boosted gain moves the mean only."""
 
-        def given(belief: Any) -> tuple[Any, Info]:
-            seen = joint(LINEAR, belief, ((matvec(S, own.mean), S), KEEP), z=stage.innovation, measurement_noise=stage.sqrt_S)
-            after, info, _ = condition(type(own), seen, EUCLIDEAN)
-            return after, info
-
-        after, info = given(own)
-        if self.boost is None:
-            return after, memory, info
-        assert info.innovation is not None
-        assert info.sqrt_S is not None
-        boost = Boost(info.innovation, outer(info.sqrt_S), stage.innovation, outer(stage.sqrt_S))
-        memory, factors = given_back("boost", self.boost(memory, boost), "memory, factors")
-        p = own.mean.shape[-1]
-        scale = np.sqrt(numbers("boost", factors, (..., p)))[..., None] * np.eye(p)
-        moved, _ = given(type(own)(own.mean, own.transported(scale, own[1])))
-        return after._replace(mean=moved.mean), memory, info
+def _given(own: Any, S: Array, stage: Stage) -> tuple[Any, Any]:
+    """The bias given the innovation of the first stage, of which S is the Jacobian, and the `Info` of that."""
+    seen = joint(LINEAR, own, ((matvec(S, own.mean), S), KEEP), z=stage.innovation, measurement_noise=stage.sqrt_S)
+    return condition(type(own), seen, EUCLIDEAN)[:2]
 
 
 def _walked(first: Any, own: Any, Lambda: Array, walk: Array) -> tuple[Any, Any, Array]:
-    """Sensitivity and first stage before an update when the bias has moved [Hsieh & Chen 1999].
+    """First stage, bias and sensitivity after a step of the bias [Hsieh & Chen 1999].
 
     The bias before its step is conditioned on the one after it: what the sensitivity still explains, and what is left over.
     """

@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from celnav.filters.least_squares import least_squares
 from celnav.filters.model import Sensor
 from celnav.filters.records import Epoch
 from celnav.filters.run import run
@@ -21,6 +20,7 @@ from celnav.models import pseudorange
 from celnav.models.beidou import B1I_HZ, LIGHT
 from celnav.models.pseudorange import GROUND_M
 from celnav.receiver.integrity import Monitored, misfit, monitored, noise_components
+from celnav.receiver.least_squares import least_squares
 
 LEAST_ELEVATION = np.radians(1.0)
 """What delays and deviations are taken for below it."""

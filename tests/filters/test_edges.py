@@ -5,9 +5,9 @@ import pytest
 
 import celnav
 from celnav.filters.adaptive import channel_parity, gate, group_parity, huber, innovation_window, sage_husa, student_t
-from celnav.filters.least_squares import least_squares
 from celnav.filters.run import explain
 from celnav.gaussian.linalg import Covariance
+from celnav.receiver.least_squares import least_squares
 
 EYE = np.eye(2)
 FORMS = pytest.mark.parametrize("form", ["square root", "covariance"])

@@ -9,10 +9,10 @@ import pytest
 import celnav
 from celnav.filters.adaptive import consider, gate
 from celnav.filters.fallback import Fallback
-from celnav.filters.least_squares import least_squares
 from celnav.filters.sequential import SingleDraw
 from celnav.gaussian.attitude import attitude
 from celnav.gaussian.spaces import wrap
+from celnav.receiver.least_squares import least_squares
 
 RUNS, T = 2, 6  # as many runs as states
 RNG = np.random.default_rng(1)

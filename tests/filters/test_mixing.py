@@ -8,9 +8,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import celnav
-from celnav.filters.least_squares import least_squares
 from celnav.filters.sequential import SingleDraw
 from celnav.gaussian.linalg import SquareRoot
+from celnav.receiver.least_squares import least_squares
 
 EYE = np.eye(2)
 RULES = {"points": celnav.unscented(2), "differences": celnav.Taylor(), "Jacobian": celnav.Taylor()}

@@ -63,7 +63,7 @@ def test_a_bias_a_fix_and_what_is_drawn_once_count_what_is_missing_too():
     noisy = celnav.Motion(lambda x, e, *w: x + w[0], augment=(EYE,)), celnav.Sensor(lambda x, e, *w: x + w[-1], augment=(EYE,))
     filters = [
         celnav.two_stage(MOTION, celnav.Sensor(EYE, EYE), EYE, PRIOR),
-        celnav.filters.least_squares.least_squares(celnav.Sensor(EYE, EYE)),
+        celnav.receiver.least_squares.least_squares(celnav.Sensor(EYE, EYE)),
         celnav.filters.sequential.SingleDraw.of(celnav.ukf(*noisy)),
         celnav.colored(MOTION, celnav.Sensor(EYE, EYE), 0.5 * EYE),
         celnav.augmented(MOTION, celnav.Sensor(EYE, EYE), 0.5 * EYE),

@@ -20,12 +20,12 @@ from celnav.filters.adaptive import (
     student_t,
 )
 from celnav.filters.fallback import Fallback
-from celnav.filters.least_squares import least_squares
 from celnav.filters.sequential import Iterated, SingleDraw
 from celnav.filters.two_stage import Plain, TwoStage
 from celnav.gaussian.linalg import Covariance
 from celnav.gaussian.spaces import EUCLIDEAN
 from celnav.papers.tstdkf.method import Differenced, ar1_noise, excess, strong_tracking
+from celnav.receiver.least_squares import least_squares
 
 EYE = np.eye(2)
 PRIOR = celnav.Gaussian(np.zeros(2), EYE)

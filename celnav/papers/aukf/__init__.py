@@ -14,7 +14,7 @@ what                   content                                          here
 measurement            pseudoranges and their rates                     `celnav.models.pseudorange`
 orbits                 broadcast elements, geostationary ones too       `celnav.models.beidou`
 state, its motion      position, velocity, clock; constant velocity     `celnav.models.pseudorange`
-least squares          of each epoch by itself                          `celnav.filters.least_squares`
+least squares          of each epoch by itself                          `celnav.receiver.least_squares`
 AUKF                   noise inflated by a window of innovations        `celnav.filters.adaptive.innovation_window`
 =====================  ===============================================  =================================================
 """

@@ -9,7 +9,6 @@ import numpy as np
 from pymap3d import geodetic2ecef
 
 from celnav.filters.joint import Hook
-from celnav.filters.least_squares import least_squares
 from celnav.filters.model import Motion, Sensor
 from celnav.filters.records import Epoch, Filter
 from celnav.filters.sequential import sigma_point
@@ -20,6 +19,7 @@ from celnav.models import pseudorange
 from celnav.models.beidou import ELLIPSOID, synthetic
 from celnav.papers.aukf.config import Config
 from celnav.receiver.filters import hooks
+from celnav.receiver.least_squares import least_squares
 from celnav.study.montecarlo import normals
 
 TOE_S = 345600.0

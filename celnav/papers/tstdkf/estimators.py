@@ -10,7 +10,7 @@ import numpy as np
 from celnav.filters.model import Motion, Sensor
 from celnav.filters.records import Epoch, Filter, FromFunctions, State
 from celnav.filters.sequential import Sequential, ekf
-from celnav.filters.two_stage import First, Plain, TwoStage
+from celnav.filters.two_stage import Plain, TwoStage
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array, block, matvec, side_by_side
 from celnav.models.orbit import Flow, flow
@@ -124,7 +124,9 @@ def differencing(config: Config, noise: Noise) -> Differenced:
     return Differenced(lambda mean, epoch: flow(mean, epoch.dt), seen.measure, seen.H, noise)
 
 
-def boosted(cases: Config | Sequence[Config], runs: Runs = 1, *, also_plain: bool = False, first: First | None = None) -> Filter:
+def boosted(
+    cases: Config | Sequence[Config], runs: Runs = 1, *, also_plain: bool = False, first: Differenced | None = None
+) -> Filter:
     """TSTDKF. With ``also_plain`` TDKF too: the filters lie along a leading axis, TDKF first. ``first``: another first stage."""
     together = as_cases(cases)
     c = together[0]
