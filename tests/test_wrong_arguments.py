@@ -25,7 +25,7 @@ MODULES = {
     name: import_module(f"celnav.{package}.{name}")
     for package in PACKAGES
     for _, name, _ in iter_modules([f"{celnav.__path__[0]}/{package}"])
-}
+} | {"adaptive_grid": import_module("celnav.papers.aasghqf.adaptive_grid")}
 HOT = """
 attitude: multiply inverse positive matrix rotate exp log angle to_euler to_rodrigues from_rodrigues cross transport
 spaces: wrap
@@ -50,6 +50,7 @@ INSIDE = """
 checks: numbers finite number integer integers whole choice function sequence together instance kind unmasked takes
 drawing: Drawing.set render
 rules: few AnyDimension
+sparse_grid: check_orders univariate
 scores: score merge summarize check_scores
 views: bar_chart text log rows columns tabs blueprint
 figures: band
@@ -140,7 +141,7 @@ CALLS = {
     "sparse_grid.smolyak": dict(n=2, level=2, weights=[1, 2], orders=(1, 3, 7)),
     "sparse_grid.point_count": dict(n=2, level=2, weights=[1, 2], orders=(1, 3, 7)),
     "sparse_grid.integrates": dict(powers=[2, 4], level=2, weights=[1, 2], orders=(1, 3, 7)),
-    "sparse_grid.adapt": dict(function=square, mean=np.zeros(2), root=I2, tolerance=1e-3, most=20, orders=(1, 3, 7)),
+    "adaptive_grid.adapt": dict(function=square, mean=np.zeros(2), root=I2, tolerance=1e-3, most=20, orders=(1, 3, 7)),
     "attitude.unit": dict(q=Q4),
     "attitude.from_euler": dict(angles=np.zeros(3)),
     "attitude.attitude": dict(a=1.0, b=4.0),
@@ -238,7 +239,7 @@ CALLS = {
 GAPS = """curve.values log_curve.values bounds.sigma bounds.center trail.points strips.strips arrow.origins arrow.vectors
 pose.origins pose.quaternions points.points ellipsoids.centers ellipsoids.covariance exact.a"""
 MEANT = {
-    "sparse_grid.adapt most": "a billion",
+    "adaptive_grid.adapt most": "a billion",
     "attitude.from_euler angles": "nan, infinite",
     "belief.Gaussian mean": "deep",
     "belief.Gaussian.sample size": "empty",
