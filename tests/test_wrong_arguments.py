@@ -145,8 +145,6 @@ CALLS = {
     "attitude.unit": dict(q=Q4),
     "attitude.from_euler": dict(angles=np.zeros(3)),
     "attitude.attitude": dict(a=1.0, b=4.0),
-    "attitude.warn_of_wrapping": dict(rule=RULE, sigma=0.1),
-    "attitude.total_attitude": dict(),
     "spaces.angles": dict(components=[0]),
     "spaces.product": (lambda factors: spaces.product(factors), dict(factors=(spaces.EUCLIDEAN, 2, 2))),
     "metrics.rmse": dict(error=np.ones((2, 3, 2)), axis=1),
