@@ -9,7 +9,8 @@ import numpy as np
 from pymap3d import ecef2geodetic
 
 from celnav.models import pseudorange
-from celnav.models.beidou import B1I_HZ, ELLIPSOID, GPS_AHEAD_S, LIGHT, synthetic
+from celnav.models.beidou import B1I_HZ, ELLIPSOID, GPS_AHEAD_S, LIGHT
+from celnav.papers.aukf.constellation import synthetic
 from celnav.receiver.rinex import Observations
 from celnav.receiver.sky import GPS_L1_HZ, klobuchar, local_axes, look, saastamoinen
 

@@ -25,7 +25,10 @@ MODULES = {
     name: import_module(f"celnav.{package}.{name}")
     for package in PACKAGES
     for _, name, _ in iter_modules([f"{celnav.__path__[0]}/{package}"])
-} | {"adaptive_grid": import_module("celnav.papers.aasghqf.adaptive_grid")}
+} | {
+    "adaptive_grid": import_module("celnav.papers.aasghqf.adaptive_grid"),
+    "constellation": import_module("celnav.papers.aukf.constellation"),
+}
 HOT = """
 attitude: multiply inverse positive matrix rotate exp log angle to_euler to_rodrigues from_rodrigues cross transport
 spaces: wrap
@@ -193,7 +196,7 @@ CALLS = {
     "views.space": dict(origin="a", name="a", eye=[1.0, 0.0, 0.0], target=[0.0, 0.0, 0.0], up=[0.0, 0.0, 1.0], growing={"a": 1.0}),
     "views.plot": dict(origin="a", name="a", times=TIMES, limits=(0.0, 1.0)),
     "figures.figure": dict(width=3.0, height=2.0, rows=1, columns=2),
-    "beidou.synthetic": dict(toe=345600.0),
+    "constellation.synthetic": dict(toe=345600.0),
     "ephemeris.Kernel": dict(path=str(ephemeris.de421().path)),
     "ephemeris.Kernel.state": (ephemeris.de421().state, dict(body="sun", date=TDB)),
     "gyro.Gyro": dict(sigma_v=1e-6, sigma_u=1e-9, tau=100.0),

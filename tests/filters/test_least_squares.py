@@ -8,7 +8,7 @@ import pytest
 from celnav import Gaussian, Sensor, epochs, run
 from celnav.filters.least_squares import least_squares
 from celnav.models import pseudorange
-from celnav.models.beidou import synthetic
+from celnav.papers.aukf.constellation import synthetic
 
 H = np.array([[1.0, 0.0], [0.5, 1.0], [0.0, 2.0], [1.0, -1.0]])
 SIGMA = np.array([0.5, 1.0, 2.0, 0.7])

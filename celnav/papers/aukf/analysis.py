@@ -15,8 +15,9 @@ from celnav.filters.sequential import sigma_point
 from celnav.gaussian.linalg import Array
 from celnav.gaussian.rules import unscented
 from celnav.models import pseudorange
-from celnav.models.beidou import LIGHT, ROTATION_RATE, satellites, synthetic
+from celnav.models.beidou import LIGHT, ROTATION_RATE, satellites
 from celnav.papers.aukf.config import Config
+from celnav.papers.aukf.constellation import synthetic
 from celnav.papers.aukf.errata import clipped_mean
 from celnav.papers.aukf.real import as_others
 from celnav.papers.aukf.scenario import EKF, START_S, TOE_S, axes, circle, filters, sensor, simulate, ukf, visible

@@ -17,8 +17,9 @@ from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array
 from celnav.gaussian.rules import Rule, Taylor, unscented
 from celnav.models import pseudorange
-from celnav.models.beidou import ELLIPSOID, synthetic
+from celnav.models.beidou import ELLIPSOID
 from celnav.papers.aukf.config import Config
+from celnav.papers.aukf.constellation import synthetic
 from celnav.receiver.filters import hooks
 from celnav.receiver.sky import local_axes, look
 from celnav.study.montecarlo import normals
