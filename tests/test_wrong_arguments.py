@@ -41,7 +41,7 @@ gyro: Gyro.factor Gyro.rate_std Gyro.drift_std Gyro.process_noise Gyro.propagate
 gyro: Body.nadir Body.rates
 pulsar: Timing.delay Timing.shapiro Timing.shapiro_exact Timing.gradient
 beidou: satellites eccentric_anomaly turned spun
-pseudorange: sources emitted measure jacobian transition process_noise
+pseudorange: sources emitted measure jacobian
 linalg: block cholesky components downdate fan leading matvec outer semidefinite_root side_by_side solve_lower
     solve_upper_transposed tria whiten apply signs weighted factored SquareRoot.lost SquareRoot.factor Covariance.lost
     Covariance.factor

@@ -13,9 +13,6 @@ import numpy as np
 from celnav.gaussian.linalg import Array
 from celnav.models.beidou import LIGHT, ROTATION_RATE, Broadcast, SatelliteState, satellites, spun, turned
 
-CRYSTAL = (LIGHT**2 * 2e-19 / 2.0, 2.0 * np.pi**2 * LIGHT**2 * 2e-20)
-"""A compensated crystal's noise of frequency, white (m^2/s) and walking (m^2/s^3): h0 = 2e-19, h-2 = 2e-20."""
-
 
 class Sources(NamedTuple):
     """Satellites as a receiver sees them: positions ``q (..., S, 3)`` m at emission in the Earth-fixed frame of reception, and
@@ -85,23 +82,3 @@ def jacobian(x: Array, q: Array, w: Array) -> Array:
     one, zero = np.ones_like(distance), np.zeros_like(distance)
     ranges = np.concatenate([-e, np.zeros_like(e), one, zero], -1)
     return np.concatenate([ranges, np.concatenate([-across, -e, zero, one], -1)], -2)
-
-
-def transition(dt: float) -> Array:
-    """Matrix ``(8, 8)`` of a receiver at constant velocity, with a clock of constant drift, over ``dt`` seconds."""
-    F = np.eye(8)
-    F[:3, 3:6] = dt * np.eye(3)
-    F[6, 7] = dt
-    return F
-
-
-def process_noise(dt: float, acceleration: float, white: float, walk: float) -> Array:
-    """Covariance ``(8, 8)`` of what an interval adds to it.
-
-    ``acceleration``: density of the white acceleration, m^2/s^3. ``white``, ``walk``: of the clock, see `CRYSTAL`.
-    """
-    Q, block = np.zeros((8, 8)), np.array([[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]])
-    Q[:6, :6] = acceleration * np.kron(block, np.eye(3))
-    Q[6:, 6:] = walk * block
-    Q[6, 6] += white * dt
-    return Q
