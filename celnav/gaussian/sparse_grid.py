@@ -28,8 +28,7 @@ DELAYED = (1, 3, 3, 7, 7, 7, 15)
 """Orders that rise only when the total degree of the isotropic rule asks for it: fewer points, nested in parts."""
 CANCELED = 1e-12
 """A merged weight is nothing if it is this small against the sum of its absolute terms."""
-Polynomial = dict[int, float]
-"""Coefficients by power."""
+Polynomial = dict[int, float]  # coefficients by power
 
 
 class _Node(NamedTuple):
@@ -49,7 +48,10 @@ class _Pattern(NamedTuple):
 
 
 def smolyak(n: int, level: int, weights: Sequence[int] | None = None, *, orders: Sequence[int] = ORDERS) -> Rule:
-    """Smolyak rule of Gauss-Hermite rules in ``n`` dimensions.
+    """Smolyak rule of Gauss-Hermite rules in ``n`` dimensions: the points whose weight does not cancel, the center first.
+
+    Its weights are partly negative. Channels with ``g_j > (level - 1) min(g)`` have no points: filters refuse such a rule. It is
+    cached. ValueError for a level beyond the orders, or more than `MAX_POINTS` points (before they are made).
 
     Parameters
     ----------
@@ -57,15 +59,6 @@ def smolyak(n: int, level: int, weights: Sequence[int] | None = None, *, orders:
     weights: ``(n,)`` positive integers g, 1 for the channels that matter most; None: all equal (isotropic). Only their ratios
         to the smallest count: weights that are all 2 are isotropic.
     orders: points of the one-dimensional rules by level, see `ORDERS` and `DELAYED`.
-
-    Returns
-    -------
-    A cached rule of the points whose weight does not cancel, the center first. Its weights are partly negative. Channels with
-    ``g_j > (level - 1) min(g)`` have no points: filters refuse such a rule.
-
-    Raises
-    ------
-    ValueError: for a level beyond the orders, or more than `MAX_POINTS` points (before they are made).
 
     >>> filter = celnav.sigma_point(motion, sensor, rule=celnav.smolyak(6, 3, [1, 1, 1, 2, 2, 2]))
     """
@@ -94,6 +87,7 @@ def integrates(powers: Sequence[int], level: int, weights: Sequence[int] | None 
 
 
 def check_orders(orders: object) -> tuple[int, ...]:
+    """Checked points of the one-dimensional rules."""
     sizes = integers("orders", orders, 1, 100)
     if sizes[:1] != (1,):
         raise ValueError(f"orders: expected numbers of points, the first 1, got {orders!r:.80}")
@@ -145,15 +139,6 @@ def _times(a: Polynomial, b: Polynomial, limit: int) -> Polynomial:
     return out
 
 
-def _power(series: Polynomial, exponent: int, limit: int) -> Polynomial:
-    out: Polynomial = {0: 1.0}
-    while exponent:
-        if exponent % 2:
-            out = _times(out, series, limit)
-        series, exponent = _times(series, series, limit), exponent // 2
-    return out
-
-
 @lru_cache(maxsize=256)
 def _patterns(level: int, g: tuple[int, ...], sizes: tuple[int, ...]) -> tuple[tuple[float, ...], tuple[_Pattern, ...]]:
     """Values of the nodes, and the patterns whose weight does not cancel, the center first. A class is channels of one weight."""
@@ -169,10 +154,8 @@ def _patterns(level: int, g: tuple[int, ...], sizes: tuple[int, ...]) -> tuple[t
                 {c * k: of(v) for k, v in series.items() if c * k <= budget}
                 for series in (center, *(nodes[i].series for i in chosen))
             )
-            own = _power(idle, count - len(chosen), budget)
-            for series in active:
-                own = _times(own, series, budget)
-            total = _times(total, own, budget)
+            for series in [idle] * (count - len(chosen)) + active:
+                total = _times(total, series, budget)
         return sum(total.values())
 
     found = []
