@@ -15,22 +15,19 @@ from pymap3d import Ellipsoid
 from celnav.gaussian.checks import finite
 from celnav.gaussian.linalg import Array
 
-GRAVITY_PARAMETER = 3.986004418e14
-"""m^3/s^2."""
-ROTATION_RATE = 7.2921150e-5
-"""rad/s."""
-LIGHT = 299792458.0
-"""m/s."""
-RELATIVITY = -2.0 * np.sqrt(GRAVITY_PARAMETER) / LIGHT**2
-"""s/m^0.5, of the clock's periodic term."""
+GRAVITY_PARAMETER = 3.986004418e14  # m^3/s^2
+ROTATION_RATE = 7.2921150e-5  # rad/s
+LIGHT = 299792458.0  # m/s
+RELATIVITY = -2.0 * np.sqrt(GRAVITY_PARAMETER) / LIGHT**2  # s/m^0.5, of the clock's periodic term
 B1I_HZ = 1561.098e6
 WEEK_S = 604800.0
 GPS_AHEAD_S = 14.0
-ELLIPSOID = Ellipsoid(6378137.0, 6378137.0 * (1.0 - 1.0 / 298.257222101))
-"""Of CGCS2000."""
+ELLIPSOID = Ellipsoid(6378137.0, 6378137.0 * (1.0 - 1.0 / 298.257222101))  # of CGCS2000
 GEO_NUMBERS = frozenset({*range(1, 6), *range(59, 64)})
 TILT = np.radians(5.0)
 """Of the plane that a geostationary orbit's elements refer to: without it their node would be lost."""
+TILTED = np.array([[1.0, 0.0, 0.0], [0.0, np.cos(TILT), np.sin(TILT)], [0.0, -np.sin(TILT), np.cos(TILT)]])
+"""``R_x(TILT)``: a row times it is turned back."""
 
 
 @dataclass(frozen=True)
@@ -135,8 +132,8 @@ def satellites(broadcast: Broadcast, t: Array | float) -> SatelliteState:
     along = [x_dot * cos_O - across_dot * sin_O, x_dot * sin_O + across_dot * cos_O, y_dot * sin_i + y * cos_i * i_dot]
     V = np.stack(along, -1) + spun(P, turning)
     if geo.any():
-        fixed = turned(_tilted_back(P), ROTATION_RATE * tk)
-        moving = turned(_tilted_back(V), ROTATION_RATE * tk) - spun(fixed, ROTATION_RATE)
+        fixed = turned(P @ TILTED, ROTATION_RATE * tk)
+        moving = turned(V @ TILTED, ROTATION_RATE * tk) - spun(fixed, ROTATION_RATE)
         P, V = np.where(geo[:, None], fixed, P), np.where(geo[:, None], moving, V)
     periodic = RELATIVITY * b.e * b.sqrt_a
     clock = b.a0 + dt * (b.a1 + dt * b.a2) + periodic * sin_E - b.tgd
@@ -161,9 +158,3 @@ def spun(places: Array, rate: Array | float) -> Array:
     """Velocities of places ``(..., 3)`` that turn about the axis z by a rate ``(...)`` rad/s."""
     x, y, z = np.moveaxis(places, -1, 0)
     return np.stack([-y * rate, x * rate, np.zeros_like(z)], -1)
-
-
-def _tilted_back(vectors: Array) -> Array:
-    """``R_x(-TILT)`` times vectors ``(..., 3)``."""
-    x, y, z = np.moveaxis(vectors, -1, 0)
-    return np.stack([x, np.cos(TILT) * y - np.sin(TILT) * z, np.cos(TILT) * z + np.sin(TILT) * y], -1)
