@@ -9,8 +9,6 @@ arrays as they are, and only `unit`, `from_euler` and what makes a space check.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -141,10 +139,8 @@ def angle(q: Array) -> Array:
 
 def from_euler(angles: ArrayLike) -> Array:
     """Quaternion of roll, pitch, yaw ``(..., 3)`` rad, ``A = R1(roll) R2(pitch) R3(yaw)``."""
-    half = 0.5 * np.moveaxis(numbers("angles", angles, (..., 3)), -1, 0)
-    zero = np.zeros_like(half[0])
-    roll, pitch, yaw = (np.stack([np.sin(half[i]) if j == i else zero for j in range(3)] + [np.cos(half[i])], -1) for i in range(3))
-    return multiply(roll, multiply(pitch, yaw))
+    turns = exp(numbers("angles", angles, (..., 3))[..., None] * np.eye(3))
+    return multiply(turns[..., 0, :], multiply(turns[..., 1, :], turns[..., 2, :]))
 
 
 def to_euler(q: Array) -> Array:
@@ -216,5 +212,4 @@ def attitude(a: float = 1.0, b: float = 4.0, *, transported: bool = False) -> Sp
     def minus(later: Array, earlier: Array) -> Array:
         return to_rodrigues(multiply(later, inverse(earlier)), a, b)
 
-    moved: Callable[[Array], Array] | None = (lambda p: transport(p, a, b)) if transported else None
-    return Space(plus, minus, moved, check=unit)
+    return Space(plus, minus, (lambda p: transport(p, a, b)) if transported else None, check=unit)

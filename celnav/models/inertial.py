@@ -24,7 +24,6 @@ PHI, VELOCITY, POSITION, DRIFT, BIAS = slice(0, 3), slice(3, 5), slice(5, 7), sl
 STATES = ("phi_x", "phi_y", "phi_z", "dVx", "dVy", "dlon", "dlat", "eps_x", "eps_y", "eps_z", "nabla_x", "nabla_y", "nabla_z")
 SINGULAR = np.radians(89.0)
 """The Euler angles end at phi_x = 90 degrees: sigma points beyond this mean nothing."""
-Components = Iterable[Array]
 FLIGHT = "a Flight, such as celnav.models.earth.turning_flight(times, ...)"
 
 
@@ -62,8 +61,7 @@ def navigation(flight: Flight, at: Array | int | slice, phi: Array, bias: Array)
 
 def misalignment_matrix(phi: Array) -> Array:
     """``C_n^n' (..., 3, 3)`` of Euler angles ``(..., 3)``."""
-    angles = leading(phi)
-    return np.moveaxis(np.array(_rows(np.sin(angles), np.cos(angles))), (0, 1), (-2, -1))
+    return np.moveaxis(np.array(_rows(np.sin(leading(phi)), np.cos(leading(phi)))), (0, 1), (-2, -1))
 
 
 def _rows(s: Array, c: Array) -> tuple[tuple[Array, ...], ...]:
@@ -83,7 +81,7 @@ def misalignment_angles(C: Array) -> Array:
     return np.stack([x, np.arctan2(-C[..., 0, 2], C[..., 2, 2]), np.arctan2(-C[..., 1, 0], C[..., 1, 1])], -1)
 
 
-def _dot(row: Components, v: Components) -> Array:
+def _dot(row: Iterable[Array], v: Iterable[Array]) -> Array:
     """A row of a matrix times a vector: batches of sigma points are several times as fast by components as by small products."""
     (a, b, c), (x, y, z) = row, v
     product: Array = a * x + b * y + c * z
