@@ -134,7 +134,7 @@ def advance(x: Array, nav: Navigation, dt: float) -> Array:
     half, (north, east) = 0.5 * dt, earth.radii(nav.latitude, nav.height_m)
     rate[5] += half * rate[3] / (east * np.cos(nav.latitude))
     rate[6] += half * rate[4] / north
-    return np.moveaxis(X + dt * rate, 0, -1)
+    return (X + dt * rate).transpose((*range(1, x.ndim), 0))
 
 
 def star_residuals(x: Array, attitude: Array, stars: Array) -> Array:
