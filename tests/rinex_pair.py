@@ -9,9 +9,10 @@ import numpy as np
 from pymap3d import ecef2geodetic
 
 from celnav.models import pseudorange
-from celnav.models.beidou import B1I_HZ, ELLIPSOID, GPS_AHEAD_S, LIGHT, synthetic
-from celnav.models.pseudorange import GPS_L1_HZ, klobuchar, saastamoinen
+from celnav.models.beidou import B1I_HZ, ELLIPSOID, GPS_AHEAD_S, LIGHT
+from celnav.papers.aukf.constellation import synthetic
 from celnav.receiver.rinex import Observations
+from celnav.receiver.sky import GPS_L1_HZ, klobuchar, local_axes, look, saastamoinen
 
 WEEK = 755
 TOE = 604800.0 * WEEK + 345600.0
@@ -59,7 +60,7 @@ def measurements(b, times, bias):
     for k, (tag, ahead) in enumerate(zip(times, bias, strict=True)):
         t = tag - ahead / LIGHT
         seen = pseudorange.sources(b, t, PLACE)
-        sky = pseudorange.look(seen.q, PLACE, pseudorange.local_axes(latitude, longitude))
+        sky = look(seen.q, PLACE, local_axes(latitude, longitude))
         above = np.maximum(sky.elevation, 0.05)
         iono = klobuchar(ALPHA, BETA, t + GPS_AHEAD_S, latitude, longitude, above, sky.azimuth)
         z = pseudorange.measure(np.concatenate([PLACE, np.zeros(3), [ahead, 30.0]]), seen.q, seen.w)

@@ -25,6 +25,9 @@ MODULES = {
     name: import_module(f"celnav.{package}.{name}")
     for package in PACKAGES
     for _, name, _ in iter_modules([f"{celnav.__path__[0]}/{package}"])
+} | {
+    "adaptive_grid": import_module("celnav.papers.aasghqf.adaptive_grid"),
+    "constellation": import_module("celnav.papers.aukf.constellation"),
 }
 HOT = """
 attitude: multiply inverse positive matrix rotate exp log angle to_euler to_rodrigues from_rodrigues cross transport
@@ -38,7 +41,7 @@ gyro: Gyro.factor Gyro.rate_std Gyro.drift_std Gyro.process_noise Gyro.propagate
 gyro: Body.nadir Body.rates
 pulsar: Timing.delay Timing.shapiro Timing.shapiro_exact Timing.gradient
 beidou: satellites eccentric_anomaly turned spun
-pseudorange: sources emitted measure jacobian transition process_noise local_axes look dilution klobuchar saastamoinen
+pseudorange: sources emitted measure jacobian
 linalg: block cholesky components downdate fan leading matvec outer semidefinite_root side_by_side solve_lower
     solve_upper_transposed tria whiten apply signs weighted factored SquareRoot.lost SquareRoot.factor Covariance.lost
     Covariance.factor
@@ -50,11 +53,11 @@ INSIDE = """
 checks: numbers finite number integer integers whole choice function sequence together instance kind unmasked takes
 drawing: Drawing.set render
 rules: few AnyDimension
+sparse_grid: check_orders univariate
 scores: score merge summarize check_scores
 views: bar_chart text log rows columns tabs blueprint
 figures: band
 ephemeris: de421
-pseudorange: on_earth
 pulsar: known
 orbit: warn_of_degrees
 beidou: Broadcast Broadcast.chosen
@@ -140,12 +143,10 @@ CALLS = {
     "sparse_grid.smolyak": dict(n=2, level=2, weights=[1, 2], orders=(1, 3, 7)),
     "sparse_grid.point_count": dict(n=2, level=2, weights=[1, 2], orders=(1, 3, 7)),
     "sparse_grid.integrates": dict(powers=[2, 4], level=2, weights=[1, 2], orders=(1, 3, 7)),
-    "sparse_grid.adapt": dict(function=square, mean=np.zeros(2), root=I2, tolerance=1e-3, most=20, orders=(1, 3, 7)),
+    "adaptive_grid.adapt": dict(function=square, mean=np.zeros(2), root=I2, tolerance=1e-3, most=20, orders=(1, 3, 7)),
     "attitude.unit": dict(q=Q4),
     "attitude.from_euler": dict(angles=np.zeros(3)),
     "attitude.attitude": dict(a=1.0, b=4.0),
-    "attitude.warn_of_wrapping": dict(rule=RULE, sigma=0.1),
-    "attitude.total_attitude": dict(),
     "spaces.angles": dict(components=[0]),
     "spaces.product": (lambda factors: spaces.product(factors), dict(factors=(spaces.EUCLIDEAN, 2, 2))),
     "metrics.rmse": dict(error=np.ones((2, 3, 2)), axis=1),
@@ -195,7 +196,7 @@ CALLS = {
     "views.space": dict(origin="a", name="a", eye=[1.0, 0.0, 0.0], target=[0.0, 0.0, 0.0], up=[0.0, 0.0, 1.0], growing={"a": 1.0}),
     "views.plot": dict(origin="a", name="a", times=TIMES, limits=(0.0, 1.0)),
     "figures.figure": dict(width=3.0, height=2.0, rows=1, columns=2),
-    "beidou.synthetic": dict(toe=345600.0),
+    "constellation.synthetic": dict(toe=345600.0),
     "ephemeris.Kernel": dict(path=str(ephemeris.de421().path)),
     "ephemeris.Kernel.state": (ephemeris.de421().state, dict(body="sun", date=TDB)),
     "gyro.Gyro": dict(sigma_v=1e-6, sigma_u=1e-9, tau=100.0),
@@ -238,7 +239,7 @@ CALLS = {
 GAPS = """curve.values log_curve.values bounds.sigma bounds.center trail.points strips.strips arrow.origins arrow.vectors
 pose.origins pose.quaternions points.points ellipsoids.centers ellipsoids.covariance exact.a"""
 MEANT = {
-    "sparse_grid.adapt most": "a billion",
+    "adaptive_grid.adapt most": "a billion",
     "attitude.from_euler angles": "nan, infinite",
     "belief.Gaussian mean": "deep",
     "belief.Gaussian.sample size": "empty",

@@ -16,12 +16,12 @@ def run(options: argparse.Namespace) -> int:
     import numpy as np
 
     from celnav.filters.records import FilterError
-    from celnav.models.pseudorange import on_earth
     from celnav.receiver import filters as positioning_filters
     from celnav.receiver import position as positioning
     from celnav.receiver import report as positioning_report
     from celnav.receiver import rinex
     from celnav.receiver.integrity import probability
+    from celnav.receiver.sky import on_earth
 
     mask, noise = number("mask", options.mask), number("acceleration-noise", options.acceleration_noise)
     alarm = number("false-alarm", options.false_alarm)

@@ -9,15 +9,11 @@ arrays as they are, and only `unit`, `from_euler` and what makes a space check.
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.gaussian.checks import instance, number, numbers
+from celnav.gaussian.checks import number, numbers
 from celnav.gaussian.linalg import Array, components
-from celnav.gaussian.rules import Rule
 from celnav.gaussian.spaces import Space
 
 IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
@@ -143,10 +139,8 @@ def angle(q: Array) -> Array:
 
 def from_euler(angles: ArrayLike) -> Array:
     """Quaternion of roll, pitch, yaw ``(..., 3)`` rad, ``A = R1(roll) R2(pitch) R3(yaw)``."""
-    half = 0.5 * np.moveaxis(numbers("angles", angles, (..., 3)), -1, 0)
-    zero = np.zeros_like(half[0])
-    roll, pitch, yaw = (np.stack([np.sin(half[i]) if j == i else zero for j in range(3)] + [np.cos(half[i])], -1) for i in range(3))
-    return multiply(roll, multiply(pitch, yaw))
+    turns = exp(numbers("angles", angles, (..., 3))[..., None] * np.eye(3))
+    return multiply(turns[..., 0, :], multiply(turns[..., 1, :], turns[..., 2, :]))
 
 
 def to_euler(q: Array) -> Array:
@@ -218,37 +212,4 @@ def attitude(a: float = 1.0, b: float = 4.0, *, transported: bool = False) -> Sp
     def minus(later: Array, earlier: Array) -> Array:
         return to_rodrigues(multiply(later, inverse(earlier)), a, b)
 
-    moved: Callable[[Array], Array] | None = (lambda p: transport(p, a, b)) if transported else None
-    return Space(plus, minus, moved, check=unit)
-
-
-def warn_of_wrapping(rule: Rule, sigma: float) -> None:
-    """Warn if points of a rule lie half a turn or more from a mean known to ``sigma`` rad: they would be other, shorter rotations.
-
-    Such a rule still runs; its covariance is then no longer that of the attitude.
-    """
-    instance("rule", rule, Rule, "a Rule, such as celnav.unscented(3)")
-    reach = np.degrees(np.abs(rule.nodes).max() * number("sigma", sigma, 0.0))
-    if reach > 180.0:
-        text = f"sigma points reach {reach:.0f} deg from the mean, and wrap at 180: take a smaller spread (alpha, kappa)"
-        warnings.warn(text, RuntimeWarning, stacklevel=3)
-
-
-def total_attitude() -> Space:
-    """Space of attitudes whose tangents are differences of modified Rodrigues parameters of the attitudes themselves.
-
-    The sign of the point decides between its two sets of parameters: a model that hands on `positive` quaternions switches to
-    the shadow set in time, and the covariance follows by itself, since every other point is taken on the side of the center.
-    """
-
-    def parameters(q: Array) -> Array:
-        return np.asarray(q[..., :3] / (1.0 + q[..., 3:]))
-
-    def plus(point: Array, tangent: Array) -> Array:
-        return from_rodrigues(parameters(point) + tangent, 1.0, 1.0)
-
-    def minus(later: Array, earlier: Array) -> Array:
-        side = np.copysign(1.0, (later * earlier).sum(-1, keepdims=True))
-        return parameters(later * side) - parameters(earlier)
-
-    return Space(plus, minus, check=unit)
+    return Space(plus, minus, (lambda p: transport(p, a, b)) if transported else None, check=unit)

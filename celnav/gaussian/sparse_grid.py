@@ -1,4 +1,4 @@
-"""Sparse grids of Gauss-Hermite rules: isotropic, anisotropic [Nobile, Tempone & Webster 2008], or fitted to a function.
+"""Sparse grids of Gauss-Hermite rules: isotropic, or anisotropic [Nobile, Tempone & Webster 2008].
 
 A Smolyak rule adds up differences of one-dimensional rules over the multi-indices ``i`` with
 ``sum_j (i_j - 1) g_j <= (level - 1) min(g)``. Channels with a larger weight ``g_j`` get fewer points. Nothing is merged by
@@ -6,23 +6,19 @@ comparing coordinates: each point is enumerated once, as a choice of nodes in a 
 of a generating function. With ``d(v, l)`` the weight of node ``v`` in the rule of level ``l`` minus that of level ``l - 1``,
 
     W(p) = sum over k <= (level - 1) min(g) of [t^k] prod_j sum_l d(p_j, l) t^(g_j (l - 1)).
-
-`adapt` finds the multi-indices for one function instead.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from functools import cache, lru_cache
+from functools import lru_cache
 from itertools import combinations, permutations, product
 from math import factorial, gcd, perm, prod
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from celnav.gaussian import checks
-from celnav.gaussian.checks import finite, integer, integers, number
+from celnav.gaussian.checks import integer, integers
 from celnav.gaussian.linalg import Array
 from celnav.gaussian.rules import MAX_POINTS, Rule, few
 
@@ -32,10 +28,7 @@ DELAYED = (1, 3, 3, 7, 7, 7, 15)
 """Orders that rise only when the total degree of the isotropic rule asks for it: fewer points, nested in parts."""
 CANCELED = 1e-12
 """A merged weight is nothing if it is this small against the sum of its absolute terms."""
-Index = tuple[int, ...]
-"""Levels of the one-dimensional rules of each channel, from 0."""
-Polynomial = dict[int, float]
-"""Coefficients by power."""
+Polynomial = dict[int, float]  # coefficients by power
 
 
 class _Node(NamedTuple):
@@ -54,9 +47,11 @@ class _Pattern(NamedTuple):
     number: int
 
 
-# -- Smolyak rules -------------------------------------------------------------------------------------------------------
 def smolyak(n: int, level: int, weights: Sequence[int] | None = None, *, orders: Sequence[int] = ORDERS) -> Rule:
-    """Smolyak rule of Gauss-Hermite rules in ``n`` dimensions.
+    """Smolyak rule of Gauss-Hermite rules in ``n`` dimensions: the points whose weight does not cancel, the center first.
+
+    Its weights are partly negative. Channels with ``g_j > (level - 1) min(g)`` have no points: filters refuse such a rule. It is
+    cached. ValueError for a level beyond the orders, or more than `MAX_POINTS` points (before they are made).
 
     Parameters
     ----------
@@ -64,15 +59,6 @@ def smolyak(n: int, level: int, weights: Sequence[int] | None = None, *, orders:
     weights: ``(n,)`` positive integers g, 1 for the channels that matter most; None: all equal (isotropic). Only their ratios
         to the smallest count: weights that are all 2 are isotropic.
     orders: points of the one-dimensional rules by level, see `ORDERS` and `DELAYED`.
-
-    Returns
-    -------
-    A cached rule of the points whose weight does not cancel, the center first. Its weights are partly negative. Channels with
-    ``g_j > (level - 1) min(g)`` have no points: filters refuse such a rule.
-
-    Raises
-    ------
-    ValueError: for a level beyond the orders, or more than `MAX_POINTS` points (before they are made).
 
     >>> filter = celnav.sigma_point(motion, sensor, rule=celnav.smolyak(6, 3, [1, 1, 1, 2, 2, 2]))
     """
@@ -100,7 +86,8 @@ def integrates(powers: Sequence[int], level: int, weights: Sequence[int] | None 
     return max(lowest) < depth and sum(k * c for k, c in zip(lowest, g, strict=True)) <= (depth - 1) * min(g)
 
 
-def _orders(orders: object) -> tuple[int, ...]:
+def check_orders(orders: object) -> tuple[int, ...]:
+    """Checked points of the one-dimensional rules."""
     sizes = integers("orders", orders, 1, 100)
     if sizes[:1] != (1,):
         raise ValueError(f"orders: expected numbers of points, the first 1, got {orders!r:.80}")
@@ -108,7 +95,7 @@ def _orders(orders: object) -> tuple[int, ...]:
 
 
 def _checked(n: object, level: object, weights: object, orders: object) -> tuple[int, int, tuple[int, ...], tuple[int, ...]]:
-    dimension, sizes = integer("n", n, 1, MAX_POINTS), _orders(orders)
+    dimension, sizes = integer("n", n, 1, MAX_POINTS), check_orders(orders)
     depth = integer("level", level, 1, len(sizes))
     g = (1,) * dimension if weights is None else integers("weights", weights, 1, count=dimension)
     common = gcd(*g)
@@ -116,7 +103,7 @@ def _checked(n: object, level: object, weights: object, orders: object) -> tuple
 
 
 @lru_cache(maxsize=64)
-def _univariate(order: int) -> tuple[Array, Array]:
+def univariate(order: int) -> tuple[Array, Array]:
     """Gauss-Hermite nodes ``x > 0``, ascending, and weights ``(order // 2 + 1,)``, that of the node 0 (or 0) first."""
     x, w = np.polynomial.hermite_e.hermegauss(order)
     w = w / w.sum()
@@ -130,7 +117,7 @@ def _nodes(sizes: Sequence[int]) -> tuple[Polynomial, list[_Node]]:
     center: Polynomial = {}
     found: dict[tuple[int, int], _Node] = {}
     for level, size in enumerate(sizes):
-        x, w = _univariate(size)
+        x, w = univariate(size)
         nodes = [found.setdefault((size, i), _Node(level, value, {})) for i, value in enumerate(x.tolist())]
         for series, weight in zip((center, *(node.series for node in nodes)), w.tolist(), strict=True):
             _add(series, level, weight)
@@ -152,15 +139,6 @@ def _times(a: Polynomial, b: Polynomial, limit: int) -> Polynomial:
     return out
 
 
-def _power(series: Polynomial, exponent: int, limit: int) -> Polynomial:
-    out: Polynomial = {0: 1.0}
-    while exponent:
-        if exponent % 2:
-            out = _times(out, series, limit)
-        series, exponent = _times(series, series, limit), exponent // 2
-    return out
-
-
 @lru_cache(maxsize=256)
 def _patterns(level: int, g: tuple[int, ...], sizes: tuple[int, ...]) -> tuple[tuple[float, ...], tuple[_Pattern, ...]]:
     """Values of the nodes, and the patterns whose weight does not cancel, the center first. A class is channels of one weight."""
@@ -176,10 +154,8 @@ def _patterns(level: int, g: tuple[int, ...], sizes: tuple[int, ...]) -> tuple[t
                 {c * k: of(v) for k, v in series.items() if c * k <= budget}
                 for series in (center, *(nodes[i].series for i in chosen))
             )
-            own = _power(idle, count - len(chosen), budget)
-            for series in active:
-                own = _times(own, series, budget)
-            total = _times(total, own, budget)
+            for series in [idle] * (count - len(chosen)) + active:
+                total = _times(total, series, budget)
         return sum(total.values())
 
     found = []
@@ -233,126 +209,3 @@ def _rule(n: int, level: int, g: tuple[int, ...], sizes: tuple[int, ...]) -> Rul
         points[rows[..., None], placed[:, :1]] = signs * np.array(values)[placed[:, 1:]]
         row += pattern.number
     return Rule(points, weights)
-
-
-# -- fitted to a function ------------------------------------------------------------------------------------------------
-class Adapted(NamedTuple):
-    """A rule fitted to a function: its multi-indices (from 0) with their coefficients, and what each index contributed."""
-
-    rule: Rule
-    coefficients: dict[Index, int]
-    contributions: dict[Index, float]
-
-
-def adapt(
-    function: Callable[[Array], Array],
-    mean: ArrayLike,
-    root: ArrayLike,
-    *,
-    tolerance: float = 1e-3,
-    most: int = 200,
-    orders: Sequence[int] = ORDERS,
-) -> Adapted:
-    """Dimension-adaptive sparse grid for the mean and covariance of a function of a Gaussian [Gerstner & Griebel 2003].
-
-    It starts from level 2 and adds, again and again, the index that contributes most to the two moments (relative to the
-    standard deviations there), until none that is next to those it has contributes more than ``tolerance``. An index that
-    contributes nothing by itself hides those behind it.
-
-    Parameters
-    ----------
-    function: ``(p, n) -> (p, m)``. mean: ``(n,)``. root: ``(n, n)``, lower. most: indices at the most.
-
-    Raises
-    ------
-    ValueError: if the function is not finite at a point, or ``most`` indices do not reach the tolerance.
-    """
-    checks.function("function", function, "(points)")
-    x, orders = finite("mean", mean, ("n",)), _orders(orders)
-    n = len(x)
-    L, most = finite("root", root, (n, n)), integer("most", most)
-    number("tolerance", tolerance, 0.0)
-    center = finite("function", function(x[None]), (1, "m"))[0]
-    m = len(center)
-
-    @cache
-    def moments(index: Index) -> tuple[Array, Array]:
-        """First and second moment of the function about the image of the center, by a tensor rule."""
-        nodes, weights = _tensor(index, orders)
-        d = finite("function", function(x + nodes @ L.T), (len(nodes), m)) - center
-        return weights @ d, d.T @ (weights[:, None] * d)
-
-    def difference(index: Index) -> tuple[Array, Array]:
-        """What an index adds to both moments."""
-        first, second = np.zeros(m), np.zeros((m, m))
-        for own, sign in _differences(index):
-            a, b = moments(own)
-            first, second = first + sign * a, second + sign * b
-        return first, second
-
-    origin = (0,) * n
-    accepted = {origin, *(_up(origin, j) for j in range(n))}
-    parts = {index: difference(index) for index in accepted}
-    mean_y, second_y = (sum(p[i] for p in parts.values()) for i in (0, 1))
-    std = np.sqrt(np.maximum((second_y - np.outer(mean_y, mean_y)).diagonal(), 0.0))
-    scale = np.where(std > 0.0, std, 1.0)
-
-    def size(part: tuple[Array, Array]) -> float:
-        return float(max(np.abs(part[0] / scale).max(), np.abs(part[1] / np.outer(scale, scale)).max()))
-
-    contributions = {index: size(part) for index, part in parts.items()}
-    border: dict[Index, float] = {}
-    newest = list(accepted)
-    while True:
-        for up in (_up(index, j) for index in newest for j in range(n) if index[j] + 1 < len(orders)):
-            below = all(_up(up, i, -1) in accepted for i in range(n) if up[i])
-            if below and up not in accepted and up not in border:
-                border[up] = size(difference(up))
-        best = max(border, key=lambda i: border[i], default=None)
-        if best is None or border[best] <= tolerance:
-            break
-        if len(accepted) >= most:
-            raise ValueError(f"most: {most} indices do not reach the tolerance of {tolerance:g} ({border[best]:.3g} left)")
-        contributions[best] = border.pop(best)
-        accepted.add(best)
-        newest = [best]
-    coefficients = dict.fromkeys(accepted, 0)
-    for own, sign in (part for index in accepted for part in _differences(index)):
-        coefficients[own] += sign
-    coefficients = {index: c for index, c in coefficients.items() if c}
-    return Adapted(_combined(coefficients, orders), coefficients, contributions)
-
-
-def _up(index: Index, j: int, by: int = 1) -> Index:
-    return (*index[:j], index[j] + by, *index[j + 1 :])
-
-
-def _differences(index: Index) -> Iterator[tuple[Index, int]]:
-    """The tensor rules whose signed sum is the product of the differences between each channel's level and the one below it."""
-    for own in product(*((level, level - 1) if level else (0,) for level in index)):
-        yield own, (-1) ** (sum(index) - sum(own))
-
-
-@lru_cache(maxsize=4096)
-def _tensor(index: Index, orders: tuple[int, ...]) -> tuple[Array, Array]:
-    """Nodes ``(p, n)`` and weights ``(p,)`` of the tensor product of the rules of these levels."""
-    nodes, weights = [], []
-    for order in (orders[level] for level in index):
-        x, w = _univariate(order)
-        odd = order % 2
-        nodes.append([*-x, *[0.0] * odd, *x])
-        weights.append([*w[1:], *w[:odd], *w[1:]])
-    return np.array(list(product(*nodes))), np.array([prod(w) for w in product(*weights)])
-
-
-def _combined(coefficients: dict[Index, int], orders: tuple[int, ...]) -> Rule:
-    """Rule of a combination of tensor rules. Only points whose nodes are of the same rules, or 0, are equal: bit for bit."""
-    merged = {(0.0,) * len(next(iter(coefficients))): (0.0, 0.0)}
-    for index, c in coefficients.items():
-        nodes, weights = _tensor(index, orders)
-        for point, term in zip(map(tuple, nodes.tolist()), (c * weights).tolist(), strict=True):
-            value, scale = merged.get(point, (0.0, 0.0))
-            merged[point] = value + term, scale + abs(term)
-    left = {point: value if abs(value) > CANCELED * scale else 0.0 for point, (value, scale) in merged.items()}
-    kept = {point: value for point, value in left.items() if value or not any(point)}
-    return Rule(list(kept), list(kept.values()))

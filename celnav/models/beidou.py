@@ -11,27 +11,23 @@ from typing import NamedTuple
 
 import numpy as np
 from pymap3d import Ellipsoid
-from scipy.spatial.transform import Rotation
 
-from celnav.gaussian.checks import finite, number
+from celnav.gaussian.checks import finite
 from celnav.gaussian.linalg import Array
 
-GRAVITY_PARAMETER = 3.986004418e14
-"""m^3/s^2."""
-ROTATION_RATE = 7.2921150e-5
-"""rad/s."""
-LIGHT = 299792458.0
-"""m/s."""
-RELATIVITY = -2.0 * np.sqrt(GRAVITY_PARAMETER) / LIGHT**2
-"""s/m^0.5, of the clock's periodic term."""
+GRAVITY_PARAMETER = 3.986004418e14  # m^3/s^2
+ROTATION_RATE = 7.2921150e-5  # rad/s
+LIGHT = 299792458.0  # m/s
+RELATIVITY = -2.0 * np.sqrt(GRAVITY_PARAMETER) / LIGHT**2  # s/m^0.5, of the clock's periodic term
 B1I_HZ = 1561.098e6
 WEEK_S = 604800.0
 GPS_AHEAD_S = 14.0
-ELLIPSOID = Ellipsoid(6378137.0, 6378137.0 * (1.0 - 1.0 / 298.257222101))
-"""Of CGCS2000."""
+ELLIPSOID = Ellipsoid(6378137.0, 6378137.0 * (1.0 - 1.0 / 298.257222101))  # of CGCS2000
 GEO_NUMBERS = frozenset({*range(1, 6), *range(59, 64)})
 TILT = np.radians(5.0)
 """Of the plane that a geostationary orbit's elements refer to: without it their node would be lost."""
+TILTED = np.array([[1.0, 0.0, 0.0], [0.0, np.cos(TILT), np.sin(TILT)], [0.0, -np.sin(TILT), np.cos(TILT)]])
+"""``R_x(TILT)``: a row times it is turned back."""
 
 
 @dataclass(frozen=True)
@@ -136,8 +132,8 @@ def satellites(broadcast: Broadcast, t: Array | float) -> SatelliteState:
     along = [x_dot * cos_O - across_dot * sin_O, x_dot * sin_O + across_dot * cos_O, y_dot * sin_i + y * cos_i * i_dot]
     V = np.stack(along, -1) + spun(P, turning)
     if geo.any():
-        fixed = turned(_tilted_back(P), ROTATION_RATE * tk)
-        moving = turned(_tilted_back(V), ROTATION_RATE * tk) - spun(fixed, ROTATION_RATE)
+        fixed = turned(P @ TILTED, ROTATION_RATE * tk)
+        moving = turned(V @ TILTED, ROTATION_RATE * tk) - spun(fixed, ROTATION_RATE)
         P, V = np.where(geo[:, None], fixed, P), np.where(geo[:, None], moving, V)
     periodic = RELATIVITY * b.e * b.sqrt_a
     clock = b.a0 + dt * (b.a1 + dt * b.a2) + periodic * sin_E - b.tgd
@@ -162,38 +158,3 @@ def spun(places: Array, rate: Array | float) -> Array:
     """Velocities of places ``(..., 3)`` that turn about the axis z by a rate ``(...)`` rad/s."""
     x, y, z = np.moveaxis(places, -1, 0)
     return np.stack([-y * rate, x * rate, np.zeros_like(z)], -1)
-
-
-def _tilted_back(vectors: Array) -> Array:
-    """``R_x(-TILT)`` times vectors ``(..., 3)``."""
-    x, y, z = np.moveaxis(vectors, -1, 0)
-    return np.stack([x, np.cos(TILT) * y - np.sin(TILT) * z, np.cos(TILT) * z + np.sin(TILT) * y], -1)
-
-
-SYNCHRONOUS_M = (GRAVITY_PARAMETER / ROTATION_RATE**2) ** (1.0 / 3.0)
-
-
-def synthetic(toe: float = 345600.0) -> Broadcast:
-    """Broadcast elements of 32 satellites at a reference time, s of BDT, to try things with; their clocks are right.
-
-    Five geostationary, three inclined geosynchronous on one ground track, and a Walker constellation 24/3/1 [Fan2015, chosen].
-    """
-    toe = number("toe", toe)
-    rows: dict[int, tuple[float, ...]] = {}
-    # Number: longitude, inclination, node. Their elements refer to the tilted plane, in which the orbit is never flat.
-    over = {1: (140.0, 1.2, 40.0), 2: (80.0, 1.6, 70.0), 3: (110.5, 1.4, 55.0), 4: (160.0, 0.9, 100.0), 5: (58.75, 1.0, 20.0)}
-    for C, (longitude, i, Omega) in over.items():
-        tilted = Rotation.from_euler("x", -TILT) * Rotation.from_euler("ZXZ", [Omega, i, 30.0], degrees=True)
-        rows[C] = (SYNCHRONOUS_M, 3e-4, *(tilted.as_euler("ZXZ", degrees=True) % 360.0), (longitude - Omega - 30.0) % 360.0)
-    for k, C in enumerate((38, 39, 40)):
-        rows[C] = (SYNCHRONOUS_M, 0.002, 118.0 + 120.0 * k - 95.0, 55.0, 190.0, 95.0 - 120.0 * k - 190.0)
-    for k, C in enumerate(C for C in range(19, 47) if C not in (31, 38, 39, 40)):
-        plane, slot = divmod(k, 8)
-        rows[C] = (27906.1e3, 5e-4, 30.0 + 120.0 * plane, 55.0, 40.0, 45.0 * slot + 15.0 * plane + 10.0 - 40.0)
-    a, e, *angles = np.transpose(list(rows.values()))
-    Omega0, i0, omega, M0 = np.radians(angles)
-    elements = {field.name: np.zeros(len(rows)) for field in fields(Broadcast)} | {
-        "number": np.array(list(rows), float), "sqrt_a": np.sqrt(a), "e": e, "i0": i0, "omega": omega, "M0": M0,
-        "Omega0": Omega0 + ROTATION_RATE * np.mod(toe, WEEK_S), "toe": np.full(len(rows), toe), "toc": np.full(len(rows), toe),
-    }  # fmt: skip
-    return Broadcast(**elements)

@@ -14,12 +14,9 @@ from celnav.gaussian.linalg import Array, matvec
 SEMI_MAJOR_M = 6378137.0
 FLATTENING = 1.0 / 298.257223563
 ECCENTRICITY_SQUARED = FLATTENING * (2.0 - FLATTENING)
-ROTATION_RATE = 7.2921151467e-5
-"""rad/s."""
-GRAVITY_PARAMETER = 3.986004418e14
-"""m^3/s^2."""
-STANDARD_GRAVITY = 9.80665
-"""m/s^2, what a "g" of an accelerometer is."""
+ROTATION_RATE = 7.2921151467e-5  # rad/s
+GRAVITY_PARAMETER = 3.986004418e14  # m^3/s^2
+STANDARD_GRAVITY = 9.80665  # m/s^2, what a "g" of an accelerometer is
 
 
 def meridian_radius(latitude: ArrayLike) -> Array:

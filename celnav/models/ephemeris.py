@@ -61,10 +61,9 @@ class Kernel:
     def state(self, body: str, date: Tdb) -> BodyState:
         """State of one of `BODIES` at dates of any shape; ValueError for a body or a date that the file does not have."""
         choice("body", body, BODIES)
-        pairs = self._spk.pairs
-        if not all(pair in pairs for pair in _SPK[body]):
-            present = ", ".join(sorted(b for b in BODIES if all(pair in pairs for pair in _SPK[b])))
-            raise ValueError(f"{self.path}: no data for {body!r}; it has {present}")
+        present = [b for b in sorted(BODIES) if all(pair in self._spk.pairs for pair in _SPK[b])]
+        if body not in present:
+            raise ValueError(f"{self.path}: no data for {body!r}; it has {', '.join(present)}")
         segments = [self._spk[pair] for pair in _SPK[body]]
         instance("date", date, Tdb, 'a Tdb, such as celnav.models.time.from_utc("2015-10-17")')
         first, last = max(s.start_jd for s in segments), min(s.end_jd for s in segments)
@@ -72,9 +71,8 @@ class Kernel:
         since = ((day - first) + rest).ravel()
         outside = since[~((since >= 0.0) & (since <= last - first))]  # nan too
         if outside.size:
-            raise ValueError(
-                f"date: expected JD TDB between {first} and {last}, which {self.path} covers, got {outside[0] + first:.6f}"
-            )
+            covered = f"between {first} and {last}, which {self.path} covers"
+            raise ValueError(f"date: expected JD TDB {covered}, got {outside[0] + first:.6f}")
         found = (segment.compute_and_differentiate(day.ravel(), rest.ravel()) for segment in segments)
         position, rate = (np.add.reduce(parts).T.reshape(*day.shape, 3) for parts in zip(*found, strict=True))
         return BodyState(position, rate / DAY_S)

@@ -9,13 +9,14 @@ measurements are nonlinear in phi only. `mechanize` steps the whole system, with
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from celnav.gaussian.checks import finite, instance
-from celnav.gaussian.linalg import Array, components, leading, matvec, side_by_side
+from celnav.gaussian.linalg import Array, components, leading, matvec
 from celnav.models import earth
 from celnav.models.earth import Flight
 
@@ -60,19 +61,18 @@ def navigation(flight: Flight, at: Array | int | slice, phi: Array, bias: Array)
 
 def misalignment_matrix(phi: Array) -> Array:
     """``C_n^n' (..., 3, 3)`` of Euler angles ``(..., 3)``."""
-    return _matrix(np.sin(leading(phi)), np.cos(leading(phi)))
+    return np.moveaxis(np.array(_rows(np.sin(leading(phi)), np.cos(leading(phi)))), (0, 1), (-2, -1))
 
 
-def _matrix(s: Array, c: Array) -> Array:
-    """The same of the sines and cosines ``(3, ...)``, of which `derivative` needs some itself."""
+def _rows(s: Array, c: Array) -> tuple[tuple[Array, ...], ...]:
+    """Rows of ``C_n^n'`` from the sines and cosines ``(3, ...)`` of the angles."""
     (sx, sy, sz), (cx, cy, cz) = s, c
     a, b = sy * sx, cy * sx
-    rows = [
-        [cy * cz - a * sz, cy * sz + a * cz, -sy * cx],
-        [-cx * sz, cx * cz, sx],
-        [sy * cz + b * sz, sy * sz - b * cz, cy * cx],
-    ]
-    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+    return (
+        (cy * cz - a * sz, cy * sz + a * cz, -sy * cx),
+        (-cx * sz, cx * cz, sx),
+        (sy * cz + b * sz, sy * sz - b * cz, cy * cx),
+    )
 
 
 def misalignment_angles(C: Array) -> Array:
@@ -81,41 +81,46 @@ def misalignment_angles(C: Array) -> Array:
     return np.stack([x, np.arctan2(-C[..., 0, 2], C[..., 2, 2]), np.arctan2(-C[..., 1, 0], C[..., 1, 1])], -1)
 
 
-def _vector(*parts: Array | float) -> Array:
-    """Components side by side, ``(..., n)``, each in one piece of memory: batches of sigma points are several times as fast so."""
-    return np.moveaxis(np.stack(np.broadcast_arrays(*parts)), 0, -1)
-
-
-def _turned(C: Array, v: Array) -> Array:
-    """``C v`` of matrices ``(..., 3, 3)`` and vectors ``(..., 3)``, in such memory too."""
-    entries = np.ascontiguousarray(leading(leading(C)))
-    return np.moveaxis(np.einsum("ij...,j...->i...", entries, leading(v)), 0, -1)
+def _dot(row: Iterable[Array], v: Iterable[Array]) -> Array:
+    """A row of a matrix times a vector: batches of sigma points are several times as fast by components as by small products."""
+    (a, b, c), (x, y, z) = row, v
+    product: Array = a * x + b * y + c * z
+    return product
 
 
 def derivative(x: Array, nav: Navigation) -> Array:
     """Rate of the state ``(..., 13)``; gyro drift and accelerometer bias are constant [Liang2014, Eqs. 20-25, corrected]."""
-    s, c = np.sin(leading(x[..., PHI])), np.cos(leading(x[..., PHI]))
-    C, Cb, L, (north, east) = _matrix(s, c), nav.attitude, nav.latitude, earth.radii(nav.latitude, nav.height_m)
-    (Vx, Vy), (vx, vy), dL = leading(x[..., VELOCITY]), leading(nav.velocity), x[..., 6]
+    return np.moveaxis(_rates(components(x), nav), 0, -1)
+
+
+def _rates(X: Array, nav: Navigation) -> Array:
+    """The same with the component axis first."""
+    s, c = np.sin(X[PHI]), np.cos(X[PHI])
+    C, Cb, f = _rows(s, c), leading(leading(nav.attitude)), leading(nav.force)
+    L, (north, east) = nav.latitude, earth.radii(nav.latitude, nav.height_m)
+    (Vx, Vy, _, dL), (vx, vy) = X[3:7], leading(nav.velocity)
     secL, tanL = 1.0 / np.cos(L), np.tan(L)
-    ie, en = earth.earth_rate(L), earth.transport_rate(nav.velocity, L, nav.height_m)
+    ie, en = leading(earth.earth_rate(L)), leading(earth.transport_rate(nav.velocity, L, nav.height_m))
 
     # The errors of the computed rates; that of the Earth's rate has no east component.
-    d_ie = _vector(0.0, -ie[..., 2] * dL, ie[..., 1] * dL)
-    d_en = _vector(-Vy / north, Vx / east, Vx * (tanL / east) + dL * (vx * secL * secL / east))
+    d_ie = 0.0, -ie[2] * dL, ie[1] * dL
+    d_en = -Vy / north, Vx / east, Vx * (tanL / east) + dL * (vx * secL * secL / east)
 
     # Rotation of n' against n, on the axes n', and what it makes of the angles.
-    w = ie + en - _turned(C, ie + en) - _turned(Cb, x[..., DRIFT]) + (d_ie + d_en)
+    rate, drift, bias = ie + en, X[DRIFT], X[BIAS]
+    wx, wy, wz = (rate[i] - _dot(C[i], rate) - _dot(Cb[i], drift) + (d_ie[i] + d_en[i]) for i in range(3))
     (sx, sy, _), (cx, cy, _) = s, c
-    turn = cy * w[..., 2] - sy * w[..., 0]
-    d_phi = cy * w[..., 0] + sy * w[..., 2], w[..., 1] - (sx / cx) * turn, turn / cx
+    turn = cy * wz - sy * wx
+    out = np.zeros_like(X, shape=np.broadcast_shapes(X.shape, (13, *wx.shape)))
+    out[0], out[1], out[2] = cy * wx + sy * wz, wy - (sx / cx) * turn, turn / cx
 
     # Velocity: f' - C' (f' - C_b^n' nabla), Coriolis terms of the error and of the rates' errors.
-    change = nav.force - _turned(C.mT, nav.force - _turned(Cb, x[..., BIAS]))
-    spin, error = (2.0 * ie + en)[..., 2], (2.0 * d_ie + d_en)[..., 2]
-    d_V = change[..., 0] + spin * Vy + error * vy, change[..., 1] - spin * Vx - error * vx
-    d_place = (secL / east) * Vx + (vx * secL * tanL / east) * dL, Vy / north
-    return _vector(*d_phi, *d_V, *d_place, *np.zeros(6))
+    true = [f[i] - _dot(Cb[i], bias) for i in range(3)]
+    fx, fy = (f[i] - _dot((C[0][i], C[1][i], C[2][i]), true) for i in range(2))
+    spin, error = 2.0 * ie[2] + en[2], 2.0 * d_ie[2] + d_en[2]
+    out[3], out[4] = fx + spin * Vy + error * vy, fy - spin * Vx - error * vx
+    out[5], out[6] = (secL / east) * Vx + (vx * secL * tanL / east) * dL, Vy / north
+    return out
 
 
 def advance(x: Array, nav: Navigation, dt: float) -> Array:
@@ -123,13 +128,13 @@ def advance(x: Array, nav: Navigation, dt: float) -> Array:
 
     It is not looked at whether a point has come near to phi_x = 90 degrees, see `SINGULAR`.
     """
-    x = np.moveaxis(components(x), 0, -1)
-    rate = derivative(x, nav)
+    X = components(x)
+    rate = _rates(X, nav)
     # The position moves with the velocity error in the middle of the interval.
     half, (north, east) = 0.5 * dt, earth.radii(nav.latitude, nav.height_m)
-    rate[..., 5] += half * rate[..., 3] / (east * np.cos(nav.latitude))
-    rate[..., 6] += half * rate[..., 4] / north
-    return np.asarray(x + dt * rate)
+    rate[5] += half * rate[3] / (east * np.cos(nav.latitude))
+    rate[6] += half * rate[4] / north
+    return (X + dt * rate).transpose((*range(1, x.ndim), 0))
 
 
 def star_residuals(x: Array, attitude: Array, stars: Array) -> Array:
@@ -139,8 +144,16 @@ def star_residuals(x: Array, attitude: Array, stars: Array) -> Array:
     ----------
     x: state ``(..., 13)``. attitude: ``(..., 3, 3)``, C_b^n'. stars: ``(k, 3)`` or ``(..., k, 3)``, unit directions on n.
     """
-    C = misalignment_matrix(x[..., PHI])
-    return side_by_side([_turned(attitude.mT, _turned(C, r) - r) for r in np.moveaxis(stars, -2, 0)])
+    phi, back = components(x)[PHI], leading(leading(attitude.mT))
+    C = _rows(np.sin(phi), np.cos(phi))
+    shape = np.broadcast_shapes(phi.shape[1:], attitude.shape[:-2], stars.shape[:-2])
+    out = np.empty_like(phi, shape=(3 * stars.shape[-2], *shape))
+    for k, r in enumerate(leading(stars.mT)):
+        star = leading(r)
+        moved = [_dot(C[i], star) - star[i] for i in range(3)]
+        for i in range(3):
+            out[3 * k + i] = _dot(back[i], moved)
+    return np.moveaxis(out, 0, -1)
 
 
 def wahba_misalignment(z: Array, attitude: Array, stars: Array) -> Array:
@@ -188,26 +201,17 @@ def mechanize(flight: Flight, attitude: Array, drift: Array, bias: Array) -> Sol
     turn = Rotation.from_matrix(b[first].mT @ b[last]).as_rotvec()
     gyros, forces = turn / dt + matvec(b[middle].mT, spin) + drift, flight.force[middle] + bias
 
-    def rates(C: Array, V: Array, place: Array, force: Array) -> tuple[Array, Array, Array]:
-        """Rates of velocity and place, and of the axes n' against inertial space."""
-        L = place[1]
-        ie, en = earth.earth_rate(L), earth.transport_rate(V, L, h)
-        change = C @ force - np.cross(2.0 * ie + en, np.append(V, 0.0))
-        north, east = earth.radii(L, h)
-        return change[:2], np.array([V[0] / (east * np.cos(L)), V[1] / north]), ie + en
+    def after(dt: float, start: Solution, at: Solution, gyro: Array, force: Array) -> Solution:
+        """What the system computes ``dt`` seconds after the start, with the rates that it has elsewhere."""
+        ie, en = earth.earth_rate(at.latitude), earth.transport_rate(at.velocity, at.latitude, h)
+        change = at.attitude @ force - np.cross(2.0 * ie + en, np.append(at.velocity, 0.0))
+        body, axes = Rotation.from_rotvec(gyro * dt).as_matrix(), Rotation.from_rotvec(-(ie + en) * dt).as_matrix()
+        (Vx, Vy), (north, east), cosine = at.velocity, earth.radii(at.latitude, h), np.cos(at.latitude)
+        longitude, latitude = start.longitude + dt * (Vx / (east * cosine)), start.latitude + dt * (Vy / north)
+        return Solution(axes @ start.attitude @ body, start.velocity + dt * change[:2], longitude, latitude)
 
-    def turned(C: Array, gyro: Array, rate: Array, dt: float) -> Array:
-        """C_b^n' after the body turned by ``gyro`` (on b) and the axes n' by ``rate`` (on n')."""
-        return Rotation.from_rotvec(-rate * dt).as_matrix() @ C @ Rotation.from_rotvec(gyro * dt).as_matrix()
-
-    V, place = flight.velocity[0, :2], np.array([flight.longitude[0], flight.latitude[0]])
-    rows = [(C, V, place)]
-    for gyro, force in zip(gyros, forces, strict=True):
-        # Midpoint rule: half a step on, then the whole step with the rates there.
-        change, moved, rate = rates(C, V, place, force)
-        halfway = turned(C, gyro, rate, 0.5 * dt), V + 0.5 * dt * change, place + 0.5 * dt * moved
-        change, moved, rate = rates(*halfway, force)
-        C, V, place = turned(C, gyro, rate, dt), V + dt * change, place + dt * moved
-        rows.append((C, V, place))
-    attitudes, velocities, places = (np.stack(column) for column in zip(*rows, strict=True))
-    return Solution(attitudes, velocities, places[:, 0], places[:, 1])
+    rows = [Solution(C, flight.velocity[0, :2], flight.longitude[0], flight.latitude[0])]
+    for measured in zip(gyros, forces, strict=True):
+        halfway = after(0.5 * dt, rows[-1], rows[-1], *measured)
+        rows.append(after(dt, rows[-1], halfway, *measured))
+    return Solution(*(np.stack(column) for column in zip(*rows, strict=True)))

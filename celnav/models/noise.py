@@ -26,9 +26,8 @@ def stationary_covariance(Phi: ArrayLike, R: ArrayLike) -> Array:
 
 
 def _covariance(name: str, cov: ArrayLike, m: int) -> Array:
-    """One checked covariance ``(m, m)``, as it was given."""
-    symmetric(cov, name, m)
-    return finite(name, cov, (m, m))
+    """One checked covariance ``(m, m)``."""
+    return finite(name, symmetric(cov, name, m)[0], (m, m))
 
 
 def initial_covariance(initial: str | ArrayLike, Phi: ArrayLike, R: ArrayLike) -> Array:

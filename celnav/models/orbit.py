@@ -185,10 +185,7 @@ class Flow(NamedTuple):
 
 
 class Nodes(NamedTuple):
-    """Gauss-Lobatto nodes ``(N,)`` of [0, 1], and ``(N, N)`` what integrates once and twice from 0 to each of them.
-
-    Exact for polynomials of degree ``2 N - 3`` over the whole, of degree ``N - 1`` to each node.
-    """
+    """Gauss-Lobatto nodes ``(N,)`` of [0, 1], and ``(N, N)`` what integrates once and twice from 0 to each, to degree N - 1."""
 
     at: Array
     once: Array

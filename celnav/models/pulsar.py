@@ -19,11 +19,9 @@ from celnav.gaussian.linalg import Array
 from celnav.gaussian.spaces import Space
 
 LIGHT_KM_S = 299792.458
-GM_SUN = 1.32712440041e11
-"""km^3/s^2."""
+GM_SUN = 1.32712440041e11  # km^3/s^2
 KPC_KM = 3.0856775814913673e16
-BACKGROUND = 0.005
-"""X-ray background, photons / cm^2 / s."""
+BACKGROUND = 0.005  # of X-rays, photons / cm^2 / s
 AREA_CM2 = 1e4
 
 
@@ -117,12 +115,7 @@ class Timing:
     def uncounted(self) -> Space:
         """Measurement space (``Sensor(..., space=)``) of pulses that nobody counted: innovations fold into half a period."""
         periods = LIGHT_KM_S * np.array([p.period_s for p in self.pulsars])
-
-        def minus(b: Array, a: Array) -> Array:
-            difference = np.subtract(b, a)
-            return np.asarray(difference - periods * np.round(difference / periods))
-
-        return Space(minus=minus)
+        return Space(minus=lambda b, a: b - a - periods * np.round((b - a) / periods))
 
     def delay(self, position: Array, sun: Array) -> Array:
         """Delays ``(..., m)`` km of positions ``(..., 3)``; ``sun (..., 3)`` is the Sun's position.

@@ -43,17 +43,14 @@ def from_tt(day: ArrayLike, rest: ArrayLike = 0.0) -> Tdb:
 
 def from_utc(instant: str | datetime) -> Tdb:
     """TDB of an instant in UTC: "2015-10-17T04:00:00" (leap seconds too: 23:59:60), or a datetime that knows its zone."""
-    leap = False
+    when, leap = instant, "23:59:60" in str(instant)
     if isinstance(instant, str):
-        leap = "23:59:60" in instant
         try:
             when = datetime.fromisoformat(instant.strip().replace("23:59:60", "23:59:59"))
         except ValueError as error:
             raise ValueError(f"instant: expected UTC as YYYY-MM-DDTHH:MM:SS, got {instant!r} ({error})") from None
         when = when.replace(tzinfo=when.tzinfo or UTC)
-    elif isinstance(instant, datetime) and instant.tzinfo is not None:
-        when = instant
-    else:
+    if not isinstance(when, datetime) or when.tzinfo is None:
         raise ValueError(f"instant: expected a datetime with a time zone, or UTC as YYYY-MM-DDTHH:MM:SS, got {instant!r:.80}")
     when = when.astimezone(UTC)
     second = when.second + leap + 1e-6 * when.microsecond

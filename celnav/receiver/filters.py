@@ -11,7 +11,30 @@ from celnav.filters.records import Epoch, Filter
 from celnav.filters.sequential import ekf, ukf
 from celnav.gaussian.linalg import Array
 from celnav.models import pseudorange
-from celnav.models.pseudorange import CRYSTAL, process_noise, transition
+from celnav.models.beidou import LIGHT
+
+CRYSTAL = (LIGHT**2 * 2e-19 / 2.0, 2.0 * np.pi**2 * LIGHT**2 * 2e-20)
+"""A compensated crystal's noise of frequency, white (m^2/s) and walking (m^2/s^3): h0 = 2e-19, h-2 = 2e-20."""
+
+
+def transition(dt: float) -> Array:
+    """Matrix ``(8, 8)`` of a receiver at constant velocity, with a clock of constant drift, over ``dt`` seconds."""
+    F = np.eye(8)
+    F[:3, 3:6] = dt * np.eye(3)
+    F[6, 7] = dt
+    return F
+
+
+def process_noise(dt: float, acceleration: float, white: float, walk: float) -> Array:
+    """Covariance ``(8, 8)`` of what an interval adds to it.
+
+    ``acceleration``: density of the white acceleration, m^2/s^3. ``white``, ``walk``: of the clock, see `CRYSTAL`.
+    """
+    Q, block = np.zeros((8, 8)), np.array([[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]])
+    Q[:6, :6] = acceleration * np.kron(block, np.eye(3))
+    Q[6:, 6:] = walk * block
+    Q[6, 6] += white * dt
+    return Q
 
 
 def hooks(S: int, window: int = 10) -> dict[str, tuple[Hook, ...]]:

@@ -18,9 +18,9 @@ from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array
 from celnav.models import pseudorange
 from celnav.models.beidou import B1I_HZ, LIGHT
-from celnav.models.pseudorange import GROUND_M
 from celnav.receiver.integrity import Monitored, misfit, monitored, noise_components
 from celnav.receiver.least_squares import least_squares
+from celnav.receiver.sky import GROUND_M
 
 LEAST_ELEVATION = np.radians(1.0)
 """What delays and deviations are taken for below it."""

@@ -20,9 +20,9 @@ from celnav.gaussian.checks import finite
 from celnav.gaussian.linalg import Array
 from celnav.models import pseudorange
 from celnav.models.beidou import B1I_HZ, ELLIPSOID, GPS_AHEAD_S, LIGHT
-from celnav.models.pseudorange import GPS_L1_HZ, klobuchar, saastamoinen
 from celnav.receiver.fixes import LEAST_ELEVATION, Noise, Seen, estimated, fixed
 from celnav.receiver.rinex import Navigation, Observations
+from celnav.receiver.sky import GPS_L1_HZ, Dilution, dilution, klobuchar, local_axes, look, saastamoinen
 
 CREDIBLE_M = (1.5e7, 5e7)
 """Pseudoranges outside are none."""
@@ -71,7 +71,7 @@ class Log:
     tested: Array
     noise: tuple[Noise, Noise]
     jumps: Array
-    dilution: pseudorange.Dilution
+    dilution: Dilution
     ionosphere: bool
     left_out: dict[str, int]
 
@@ -98,7 +98,7 @@ class Log:
             "jumps",
         )  # fmt: skip
         arrays: dict[str, Any] = {name: getattr(self, name)[which] for name in names}
-        return replace(self, **arrays, dilution=pseudorange.Dilution(*(values[which] for values in self.dilution)))
+        return replace(self, **arrays, dilution=Dilution(*(values[which] for values in self.dilution)))
 
 
 def prepare(
@@ -178,7 +178,7 @@ def prepare(
         times, observations.names, z, found.sigma, seen.q, seen.w, shown * elevation, shown * azimuth, states, found.cov,
         found.misfit, np.concatenate([kind.excluded for kind in found.kinds], -1),
         np.stack([kind.unusable for kind in found.kinds], -1), np.stack([kind.tested for kind in found.kinds], -1), noise, jumps,
-        pseudorange.dilution(seen.q, position, _axes(position), ranged), navigation.klobuchar is not None, left_out,
+        dilution(seen.q, position, _axes(position), ranged), navigation.klobuchar is not None, left_out,
     )  # fmt: skip
     last = int(np.flatnonzero(ranged.any(-1))[-1]) + 1
     return log.part(slice(first, last))
@@ -243,13 +243,13 @@ def _geodetic(position: Array) -> tuple[Array, Array, Array]:
 
 def _axes(position: Array) -> Array:
     latitude, longitude, _ = _geodetic(position)
-    return pseudorange.local_axes(latitude, longitude)
+    return local_axes(latitude, longitude)
 
 
 def _sky(navigation: Navigation, times: Array, q: Array, position: Array) -> tuple[Array, Array, Array]:
     """Elevation, azimuth and the delay of the atmosphere ``(T, S)`` m."""
     latitude, longitude, height = (v[:, None] for v in _geodetic(position))
-    elevation, azimuth = pseudorange.look(q, position, _axes(position))
+    elevation, azimuth = look(q, position, _axes(position))
     above = np.maximum(elevation, LEAST_ELEVATION)
     delay = saastamoinen(latitude, np.clip(height, -1000.0, 11000.0), above)
     if navigation.klobuchar is not None:

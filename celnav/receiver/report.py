@@ -16,13 +16,12 @@ from celnav.files import Outputs
 from celnav.filters.records import FilterError
 from celnav.filters.run import run
 from celnav.gaussian.linalg import Array
-from celnav.models import pseudorange
 from celnav.models.beidou import ELLIPSOID, GEO_NUMBERS
-from celnav.models.pseudorange import GROUND_M, on_earth
 from celnav.receiver.filters import filters
 from celnav.receiver.fixes import Noise
 from celnav.receiver.position import Log
 from celnav.receiver.rinex import BDT_BEGINNING
+from celnav.receiver.sky import GROUND_M, local_axes, on_earth
 from celnav.show import colors
 from celnav.show.figures import figure
 
@@ -78,7 +77,7 @@ class Positioned:
     def axes(self) -> Array:
         """East, north and up there, the rows of ``(3, 3)``."""
         latitude, longitude, _ = ecef2geodetic(*self.origin, ell=ELLIPSOID, deg=False)
-        return pseudorange.local_axes(latitude, longitude)
+        return local_axes(latitude, longitude)
 
     def local(self, positions: Array) -> Array:
         """East, north, up ``(..., 3)`` m of positions ``(..., 3 or more)``."""

@@ -18,7 +18,6 @@ from pymap3d import ecef2geodetic
 from celnav.files import InputError
 from celnav.gaussian.linalg import Array
 from celnav.models.beidou import ELLIPSOID, GEO_NUMBERS, GPS_AHEAD_S, WEEK_S, Broadcast
-from celnav.models.pseudorange import local_axes, on_earth
 from celnav.receiver.rinex_text import (
     Measured,
     Set,
@@ -31,6 +30,7 @@ from celnav.receiver.rinex_text import (
     three_numbers,
     unpacked,
 )
+from celnav.receiver.sky import local_axes, on_earth
 
 BDT_BEGINNING = np.datetime64("2006-01-01T00:00:00", "ns")
 AHEAD_S = {"BDT": 0.0, "GPS": GPS_AHEAD_S, "GAL": GPS_AHEAD_S}

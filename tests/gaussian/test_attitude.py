@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,7 +10,6 @@ from scipy.spatial.transform import Rotation
 
 import celnav
 from celnav.gaussian import attitude as at
-from celnav.gaussian.rules import unscented
 
 RNG = np.random.default_rng(0)
 VECTORS = st.lists(st.floats(-3.0, 3.0), min_size=3, max_size=3).map(np.array)
@@ -144,31 +141,6 @@ def test_checks():
         at.transport(np.zeros(3), 0.5, 3.0)
 
 
-def test_the_total_form_switches_its_parameters_with_the_covariance():
-    total, local = at.total_attitude(), at.attitude()
-    q = at.exp(np.radians([179.0, 0.0, 0.0]))
-    step = at.exp(np.radians([2.0, 0.0, 0.0]))
-    deviations = 1e-5 * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
-    points = total.plus(q, deviations)
-    moved = at.positive(at.multiply(step, points))
-    # The center has switched: its parameters are those of -179 deg. Differences are taken on its side.
-    assert moved[0] @ at.multiply(step, points)[0] < 0.0
-    differences = total.minus(moved, moved[0])
-    assert np.abs(differences).max() < 2e-5
-    tangents = differences @ (4.0 * at.transport(moved[0, :3] / (1.0 + moved[0, 3]), 1.0, 1.0)).T
-    np.testing.assert_allclose(tangents, local.minus(moved, moved[0]), atol=1e-9)
-    covariance = tangents.T @ tangents
-    assert np.linalg.eigvalsh(covariance).min() > 0.0
-
-
-def test_a_total_form_leads_back():
-    total = at.total_attitude()
-    q = at.exp(np.array([[0.5, -1.0, 2.0], [0.0, 0.0, 0.0]]))
-    t = 1e-3 * np.array([[1.0, 2.0, 3.0], [-1.0, 0.5, 0.0]])
-    np.testing.assert_allclose(total.minus(total.plus(q, t), q), t, atol=1e-14)
-    np.testing.assert_allclose(total.minus(-total.plus(q, t), q), t, atol=1e-14)
-
-
 def test_vectors_turn_as_the_matrix_turns_them():
     q = at.exp(np.random.default_rng(3).normal(size=(4, 5, 3)))
     v = np.random.default_rng(4).normal(size=3)
@@ -196,11 +168,3 @@ def test_a_filter_refuses_what_is_no_attitude(bad):
 def test_a_quaternion_that_is_off_by_round_off_is_normalized():
     z = at.exp(np.array([0.1, 0.0, 0.0]))
     np.testing.assert_allclose(seen(at.IDENTITY, z), seen(at.IDENTITY, (1.0 + 5e-7) * z), atol=1e-15)
-
-
-def test_points_that_wrap_are_warned_of():
-    with pytest.warns(RuntimeWarning, match="232 deg"):
-        at.warn_of_wrapping(unscented(15), np.radians(60.0))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        at.warn_of_wrapping(unscented(15), np.radians(40.0))

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from celnav.models import beidou
-from celnav.models.beidou import GRAVITY_PARAMETER, ROTATION_RATE, Broadcast, satellites, synthetic
+from celnav.models.beidou import GRAVITY_PARAMETER, ROTATION_RATE, Broadcast, satellites
+from celnav.papers.aukf.constellation import synthetic
 
 TOE = 345600.0
 

@@ -24,6 +24,7 @@ from celnav.papers.aukf.follow import Kept, follow_cases, watched
 from celnav.papers.aukf.follow import follow as follow_all
 from celnav.papers.aukf.scenario import EKF, adapted, axes, circle, sensor, ukf, visible
 from celnav.receiver.filters import hooks
+from celnav.receiver.sky import dilution
 from celnav.study.claims import dumps
 from celnav.study.montecarlo import effort, generator
 
@@ -52,7 +53,7 @@ def test_the_sky_is_that_of_the_design():
     assert sum(name in ("C01", "C02", "C03", "C04", "C05") for name in seen.names) == 5
     assert sum(name in ("C38", "C39", "C40") for name in seen.names) == 3
     assert (seen.elevation > np.radians(10.0)).all()
-    dop = pseudorange.dilution(seen.q, position, axes(config))
+    dop = dilution(seen.q, position, axes(config))
     for value, near in zip(dop, (1.78, 1.55, 0.73, 1.36, 0.88), strict=True):
         assert np.median(value) == pytest.approx(near, abs=0.02)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -12,11 +13,12 @@ import rerun as rr
 from celnav import run
 from celnav.files import Outputs
 from celnav.gaussian import attitude
+from celnav.gaussian.rules import unscented
 from celnav.models.gyro import Gyro, preintegrate
 from celnav.papers import figures, ssukf
 from celnav.papers.ssukf import PRESETS, filters, simulate, study, variants, vector
 from celnav.papers.ssukf.config import ARCSEC, DEG_PER_H, STANDARD
-from celnav.papers.ssukf.scenario import state_space
+from celnav.papers.ssukf.scenario import state_space, warn_of_wrapping
 from celnav.study.claims import dumps
 from celnav.study.montecarlo import do, effort, generator, joined
 
@@ -332,3 +334,36 @@ def test_the_field_is_a_dipoles():
 def test_filters_warn_of_points_that_wrap():
     with pytest.warns(RuntimeWarning, match="wrap at 180"):
         filters(replace(STANDARD, prior_deg=(60.0, 60.0, 60.0), alpha=1.0))
+
+
+def test_the_total_form_switches_its_parameters_with_the_covariance():
+    total, local = variants.total_attitude(), attitude.attitude()
+    q = attitude.exp(np.radians([179.0, 0.0, 0.0]))
+    step = attitude.exp(np.radians([2.0, 0.0, 0.0]))
+    deviations = 1e-5 * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
+    points = total.plus(q, deviations)
+    moved = attitude.positive(attitude.multiply(step, points))
+    # The center has switched: its parameters are those of -179 deg. Differences are taken on its side.
+    assert moved[0] @ attitude.multiply(step, points)[0] < 0.0
+    differences = total.minus(moved, moved[0])
+    assert np.abs(differences).max() < 2e-5
+    tangents = differences @ (4.0 * attitude.transport(moved[0, :3] / (1.0 + moved[0, 3]), 1.0, 1.0)).T
+    np.testing.assert_allclose(tangents, local.minus(moved, moved[0]), atol=1e-9)
+    covariance = tangents.T @ tangents
+    assert np.linalg.eigvalsh(covariance).min() > 0.0
+
+
+def test_a_total_form_leads_back():
+    total = variants.total_attitude()
+    q = attitude.exp(np.array([[0.5, -1.0, 2.0], [0.0, 0.0, 0.0]]))
+    t = 1e-3 * np.array([[1.0, 2.0, 3.0], [-1.0, 0.5, 0.0]])
+    np.testing.assert_allclose(total.minus(total.plus(q, t), q), t, atol=1e-14)
+    np.testing.assert_allclose(total.minus(-total.plus(q, t), q), t, atol=1e-14)
+
+
+def test_points_that_wrap_are_warned_of():
+    with pytest.warns(RuntimeWarning, match="232 deg"):
+        warn_of_wrapping(unscented(15), np.radians(60.0))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warn_of_wrapping(unscented(15), np.radians(40.0))

@@ -16,8 +16,9 @@ from celnav.filters.run import run
 from celnav.gaussian.linalg import Array
 from celnav.gaussian.rules import Rule, gauss_hermite
 from celnav.gaussian.spaces import EUCLIDEAN
-from celnav.gaussian.sparse_grid import Adapted, adapt, smolyak
+from celnav.gaussian.sparse_grid import smolyak
 from celnav.models import inertial
+from celnav.papers.aasghqf.adaptive_grid import Adapted, adapt
 from celnav.papers.aasghqf.config import MICRO_G, Config, meters_per_radian
 from celnav.papers.aasghqf.scenario import BORESIGHTS, Inputs, filters, measurement, rules, simulate
 from celnav.study.montecarlo import generator

@@ -15,11 +15,13 @@ from celnav.filters.sequential import sigma_point
 from celnav.gaussian.linalg import Array
 from celnav.gaussian.rules import unscented
 from celnav.models import pseudorange
-from celnav.models.beidou import LIGHT, ROTATION_RATE, satellites, synthetic
+from celnav.models.beidou import LIGHT, ROTATION_RATE, satellites
 from celnav.papers.aukf.config import Config
+from celnav.papers.aukf.constellation import synthetic
 from celnav.papers.aukf.errata import clipped_mean
 from celnav.papers.aukf.real import as_others
 from celnav.papers.aukf.scenario import EKF, START_S, TOE_S, axes, circle, filters, sensor, simulate, ukf, visible
+from celnav.receiver.sky import Dilution, dilution
 from celnav.study.montecarlo import generator
 
 INCLINATIONS_DEG = (55.0, 10.0, 1.0, 0.1, 0.01)
@@ -84,7 +86,7 @@ class Geometry(NamedTuple):
     names: list[str]
     geostationary: int
     inclined: int
-    dilution: pseudorange.Dilution
+    dilution: Dilution
     turn_m: float
     rate_error: float
     misplaced_m: Array
@@ -108,7 +110,7 @@ def geometry(config: Config) -> Geometry:
         seen.names,
         int(used.geostationary.sum()),
         sum(name in ("C38", "C39", "C40") for name in seen.names),
-        pseudorange.dilution(seen.q, position, axes(config)),
+        dilution(seen.q, position, axes(config)),
         float(np.abs(turn).max()),
         float(np.abs((around[1] - around[0]) / (2.0 * step) - rate).max()),
         misplaced,

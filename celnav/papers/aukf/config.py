@@ -8,7 +8,7 @@ import numpy as np
 
 from celnav.gaussian.checks import finite, integer
 from celnav.gaussian.linalg import Array
-from celnav.models.pseudorange import CRYSTAL, process_noise, transition
+from celnav.receiver.filters import CRYSTAL, process_noise, transition
 from celnav.study.montecarlo import steps
 
 TITLE = "Adaptive unscented Kalman filter for BeiDou positioning"

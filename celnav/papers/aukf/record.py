@@ -10,7 +10,8 @@ from pymap3d import geodetic2ecef
 from celnav.analysis.metrics import chi_square_band
 from celnav.gaussian.linalg import Array
 from celnav.models import pseudorange
-from celnav.models.beidou import ELLIPSOID, GRAVITY_PARAMETER, ROTATION_RATE, Broadcast, satellites, synthetic, turned
+from celnav.models.beidou import ELLIPSOID, GRAVITY_PARAMETER, ROTATION_RATE, Broadcast, satellites, turned
+from celnav.papers.aukf.constellation import synthetic
 from celnav.papers.aukf.evidence import AXES, LABELS, size
 from celnav.papers.aukf.figures import COLORS
 from celnav.papers.aukf.scenario import START_S, TOE_S, axes, circle, visible

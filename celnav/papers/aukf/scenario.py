@@ -16,10 +16,12 @@ from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array
 from celnav.gaussian.rules import Rule, Taylor, unscented
 from celnav.models import pseudorange
-from celnav.models.beidou import ELLIPSOID, synthetic
+from celnav.models.beidou import ELLIPSOID
 from celnav.papers.aukf.config import Config
+from celnav.papers.aukf.constellation import synthetic
 from celnav.receiver.filters import hooks
 from celnav.receiver.least_squares import least_squares
+from celnav.receiver.sky import local_axes, look
 from celnav.study.montecarlo import normals
 
 TOE_S = 345600.0
@@ -60,7 +62,7 @@ class Scenario(NamedTuple):
 def axes(config: Config) -> Array:
     """East, north, up at the middle of the circle, the rows of ``(3, 3)``."""
     latitude, longitude = np.radians([config.latitude_deg, config.longitude_deg]).tolist()
-    return pseudorange.local_axes(latitude, longitude)
+    return local_axes(latitude, longitude)
 
 
 def circle(config: Config) -> tuple[Array, Array]:
@@ -76,7 +78,7 @@ def visible(config: Config) -> Satellites:
     """The synthetic constellation along the track, those that are above the mask at some time."""
     broadcast, (position, velocity) = synthetic(TOE_S), circle(config)
     seen = pseudorange.sources(broadcast, START_S + config.times, position, velocity)
-    up = pseudorange.look(seen.q, position, axes(config)).elevation
+    up = look(seen.q, position, axes(config)).elevation
     chosen = (up >= np.radians(config.mask_deg)).any(0)
     return Satellites(broadcast.chosen(chosen).names, seen.q[:, chosen], seen.w[:, chosen], up[:, chosen])
 

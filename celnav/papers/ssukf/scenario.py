@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -187,12 +188,23 @@ def noise_root(gyro: Gyro, dt: float) -> Array:
     return np.diag(np.repeat([gyro.rate_std(dt), gyro.drift_std(dt)], 3))
 
 
+def warn_of_wrapping(rule: Rule, sigma: float) -> None:
+    """Warn if points of a rule lie half a turn or more from a mean known to ``sigma`` rad: they would be other, shorter rotations.
+
+    Such a rule still runs; its covariance is then no longer that of the attitude.
+    """
+    reach = np.degrees(np.abs(rule.nodes).max() * sigma)
+    if reach > 180.0:
+        text = f"sigma points reach {reach:.0f} deg from the mean, and wrap at 180: take a smaller spread (alpha, kappa)"
+        warnings.warn(text, RuntimeWarning, stacklevel=3)
+
+
 def filters(config: Config, *, c: float | None = None, transported: bool = False, form: str = "covariance") -> dict[str, Filter]:
     """The paper's filters and those it is compared with, by name; see `family`.
 
     ``c``: one spread for all rules instead of ``alpha^2 (L + kappa)``. Warns if points of the prior wrap at 180 deg.
     """
-    attitude.warn_of_wrapping(spread(15, config, c=c), float(config.sigma0[:3].max()))
+    warn_of_wrapping(spread(15, config, c=c), float(config.sigma0[:3].max()))
 
     def rule(L: int) -> Rule:
         return spread(L, config, c=c)

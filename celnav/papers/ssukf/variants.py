@@ -34,10 +34,30 @@ def total_prior(prior: Gaussian) -> Gaussian:
     return Gaussian(prior.mean, sqrt_cov=tria(np.linalg.solve(to_tangent(prior.mean[..., :4]), prior.sqrt_cov)))
 
 
+def total_attitude() -> Space:
+    """Space of attitudes whose tangents are differences of modified Rodrigues parameters of the attitudes themselves.
+
+    The sign of the point decides between its two sets of parameters: a model that hands on `positive` quaternions switches to
+    the shadow set in time, and the covariance follows by itself, since every other point is taken on the side of the center.
+    """
+
+    def parameters(q: Array) -> Array:
+        return np.asarray(q[..., :3] / (1.0 + q[..., 3:]))
+
+    def plus(point: Array, tangent: Array) -> Array:
+        return attitude.from_rodrigues(parameters(point) + tangent, 1.0, 1.0)
+
+    def minus(later: Array, earlier: Array) -> Array:
+        side = np.copysign(1.0, (later * earlier).sum(-1, keepdims=True))
+        return parameters(later * side) - parameters(earlier)
+
+    return Space(plus, minus, check=attitude.unit)
+
+
 def total_filters(config: Config, *, c: float | None = None, switched: bool = True, form: str = "covariance") -> dict[str, Filter]:
     """AUKF and SSUKF on the total attitude. Without the switch to the shadow set (``switched``) they meet its singularity."""
     W, V = noise_root(config.gyro, config.step_s), config.sigma_n * np.eye(3)
-    sky = attitude.total_attitude()
+    sky = total_attitude()
     space = product((sky, 4, 3), (EUCLIDEAN, 3, 3))
     moving = dynamics(config.gyro)
 

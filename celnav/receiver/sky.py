@@ -1,0 +1,129 @@
+"""A receiver's place and the sky over it: where satellites stand, what their geometry makes of noise, and what the air delays.
+
+Positions are Earth-fixed, m; angles in rad.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from celnav.gaussian.checks import finite, numbers
+from celnav.gaussian.linalg import Array
+from celnav.models.beidou import LIGHT
+
+GPS_L1_HZ = 1575.42e6
+GROUND_M = (6.3e6, 1e7)
+"""From the middle of the Earth, where receivers are: near its surface or in a low orbit."""
+SINGULAR = 1e-6
+"""Directions this close to each other, rad, or satellites this close to a cone, are no geometry."""
+
+
+def on_earth(name: str, position: Array) -> None:
+    """Raise ValueError unless a position ``(3,)`` may be a receiver's: Earth-fixed meters, near the surface or in a low orbit."""
+    position = numbers(name, position, (3,))
+    if not GROUND_M[0] < math.hypot(*position) < GROUND_M[1]:  # nan is in no interval
+        raise ValueError(f"{name}: expected Earth-fixed meters, 6300 to 10000 km from the middle, got {position}")
+
+
+def local_axes(latitude: Array | float, longitude: Array | float) -> Array:
+    """East, north and up, the rows of ``(..., 3, 3)``, on Earth-fixed axes; geodetic angles."""
+    latitude, longitude, zero = np.broadcast_arrays(latitude, longitude, 0.0)
+    sin_l, cos_l, sin_f, cos_f = np.sin(longitude), np.cos(longitude), np.sin(latitude), np.cos(latitude)
+    rows = [[-sin_l, cos_l, zero], [-sin_f * cos_l, -sin_f * sin_l, cos_f], [cos_f * cos_l, cos_f * sin_l, sin_f]]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+
+def _unit(vectors: Array) -> Array:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
+
+
+class Sky(NamedTuple):
+    """Elevation and azimuth (from north by east) of satellites, rad ``(..., S)``."""
+
+    elevation: Array
+    azimuth: Array
+
+
+def look(q: Array, position: Array, axes: Array) -> Sky:
+    """Where satellites ``q (..., S, 3)`` stand over ``position (..., 3)`` with its `local_axes` ``(..., 3, 3)``."""
+    east, north, up = np.moveaxis(_unit(q - position[..., None, :]) @ axes.mT, -1, 0)
+    return Sky(np.arcsin(up), np.arctan2(east, north) % (2.0 * np.pi))
+
+
+class Dilution(NamedTuple):
+    """Dilution of precision ``(...)``: geometric, position, horizontal, vertical, time."""
+
+    geometric: Array
+    position: Array
+    horizontal: Array
+    vertical: Array
+    time: Array
+
+
+def dilution(q: Array, position: Array, axes: Array, used: Array | None = None) -> Dilution:
+    """What a fix from ranges alone makes of their noise; nan where satellites ``used (..., S)`` do not determine one."""
+    e = _unit(q - position[..., None, :]) @ axes.mT
+    rows = np.concatenate([-e, np.ones_like(e[..., :1])], -1)
+    if used is not None:
+        rows = np.where(used[..., None], rows, 0.0)
+    R: Array = np.linalg.qr(np.concatenate([rows, np.zeros((*rows.shape[:-2], 4, 4))], -2)).R
+    enough = (np.abs(R.diagonal(0, -2, -1)).min(-1) > SINGULAR)[..., None, None]
+    # (R.T R)^-1 has the sums of squares of the rows of R^-1 on its diagonal.
+    root = np.where(enough, np.linalg.inv(np.where(enough, R, np.eye(4))), np.nan)
+    east, north, up, time = np.moveaxis(np.square(root).sum(-1), -1, 0)
+    flat = east + north
+    return Dilution(*(np.sqrt(v) for v in (flat + up + time, flat + up, flat, up, time)))
+
+
+def klobuchar(
+    alpha: ArrayLike,
+    beta: ArrayLike,
+    t: Array | float,
+    latitude: Array | float,
+    longitude: Array | float,
+    elevation: Array,
+    azimuth: Array,
+) -> Array:
+    """Ionospheric delay (m) at GPS L1 [Klobuchar 1987; IS-GPS-200]; at another frequency f it is ``(L1 / f)^2`` times that.
+
+    Parameters
+    ----------
+    alpha, beta: four coefficients each, s and s per semicircle^k, as broadcast (RINEX: GPSA, GPSB).
+    t: seconds of the GPS day or week. latitude, longitude: geodetic, of the receiver. elevation, azimuth: of the satellites.
+    """
+    a, b = finite("alpha", alpha, (4,)), finite("beta", beta, (4,))
+    E = np.asarray(elevation) / np.pi  # all angles in semicircles, as the coefficients are
+    psi = 0.0137 / (E + 0.11) - 0.022
+    phi = np.clip(latitude / np.pi + psi * np.cos(azimuth), -0.416, 0.416)
+    lam = longitude / np.pi + psi * np.sin(azimuth) / np.cos(phi * np.pi)
+    geomagnetic = phi + 0.064 * np.cos((lam - 1.617) * np.pi)
+    local = np.mod(43200.0 * lam + t, 86400.0)
+    powers = geomagnetic[..., None] ** np.arange(4)
+    amplitude, period = np.maximum(powers @ a, 0.0), np.maximum(powers @ b, 72000.0)
+    x = 2.0 * np.pi * (local - 50400.0) / period
+    day = np.where(np.abs(x) < 1.57, amplitude * (1.0 - x**2 / 2.0 + x**4 / 24.0), 0.0)
+    obliquity = 1.0 + 16.0 * (0.53 - E) ** 3
+    return np.asarray(LIGHT * obliquity * (5e-9 + day))
+
+
+def saastamoinen(latitude: Array | float, height_m: Array | float, elevation: Array, *, humidity: float = 0.5) -> Array:
+    """Tropospheric delay (m) of the standard atmosphere, mapped by ``1 / sin(elevation)`` [Saastamoinen 1972].
+
+    ``height_m`` above the sea, from -1000 to 11,000. ``humidity``: relative, of the air at the receiver, from 0 to 1.
+    """
+    height = np.asarray(height_m, dtype=np.float64)
+    if not ((height >= -1000.0) & (height <= 11000.0)).all():
+        raise ValueError(f"height_m: expected a height from -1000 to 11000 m, got {height_m!r}")
+    if not 0.0 <= humidity <= 1.0:
+        raise ValueError(f"humidity: expected a part from 0 to 1, got {humidity!r}")
+    h = np.maximum(height, 0.0)
+    pressure = 1013.25 * (1.0 - 2.2557e-5 * h) ** 5.2568
+    kelvin = 288.15 - 6.5e-3 * h
+    vapor = 6.108 * humidity * np.exp((17.15 * kelvin - 4684.0) / (kelvin - 38.45))
+    dry = 0.0022768 * pressure / (1.0 - 0.00266 * np.cos(2.0 * latitude) - 0.00028e-3 * h)
+    wet = 0.0022768 * (1255.0 / kelvin + 0.05) * vapor
+    return np.asarray((dry + wet) / np.sin(elevation))
