@@ -102,10 +102,14 @@ def follow(trial: Trial, name: str, every: int = 1) -> Followed:
 
     def judged() -> Iterator[tuple[Any, ...]]:
         nonlocal count
-        seen, before, left = 0, filter.start(trial.prior), None
+        seen, before, left = 0, None, None
         for epoch, state, infos in steps(filter, trial.prior, trial.epochs(name)):
             count += 1
-            why, before = _why(filter, before, state, epoch), state
+            why = ""
+            if any_lost(state.belief):  # newly: a filter of single epochs may have had no estimate before
+                start = filter.start(trial.prior) if before is None else before
+                why = explain(filter, start, state, epoch) if (state.belief.lost() & ~start.belief.lost()).any() else ""
+            before = state
             due = epoch.truth is not None and seen % every == 0
             if epoch.truth is not None:
                 seen, left = seen + 1, None if due else (epoch, state.belief, infos)
@@ -136,12 +140,6 @@ def _row(trial: Trial, epoch: Epoch, belief: Belief, infos: tuple[Info, ...]) ->
     nis = sum((value for info in infos if (value := info.nis) is not None), np.zeros(runs))
     dof = sum((info.used.sum(-1) for info in infos if info.used is not None), np.zeros(runs))
     return epoch.t, error, np.broadcast_to(root, (*runs, *root.shape[-2:])), nis, dof
-
-
-def _why(filter: Filter, before: Any, after: Any, epoch: Epoch) -> str:
-    """Why runs were lost in a step; empty if none was, or where a filter of single epochs has no estimate."""
-    lost = any_lost(after.belief) and (after.belief.lost() & ~before.belief.lost()).any()
-    return explain(filter, before, after, epoch) if lost else ""
 
 
 def _watch(lost: dict[int, tuple[float, str]], epoch: Epoch, belief: Belief, why: str = "") -> None:
