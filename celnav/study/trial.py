@@ -63,7 +63,7 @@ def squares(groups: Sequence[Group], values: Array) -> Array:
 
 
 class Noiseless:
-    """A generator whose every number is zero: the run that it gives is the undisturbed one."""
+    """A generator of zeros: the run that it gives is the undisturbed one."""
 
     def standard_normal(self, shape: tuple[int, ...]) -> Array:
         """Zeros."""
@@ -152,11 +152,10 @@ def _watch(lost: dict[int, tuple[float, str]], epoch: Epoch, belief: Belief, why
 
 
 def bound(trial: Trial, every: int = 1) -> Array | None:
-    """Linearized posterior Cramer-Rao bound, from a trial of one `Noiseless` run: mean squares ``(K, groups)``.
+    """Linearized posterior Cramer-Rao bound, from a trial of one `Noiseless` run: mean squares ``(K, groups)``, or None.
 
-    The variances of the reference filter along the undisturbed run, started at the truth: for small process noise and errors
-    that stay in the linear range, no filter with this model and these measurements has smaller mean squares. None without
-    reference.
+    These are the variances of the reference filter along the undisturbed run: for small process noise and errors in the linear
+    range, no filter with this model and these measurements has smaller mean squares.
     """
     instance("trial", trial, Trial, "a Trial, such as problem.trial(filters, rngs)")
     return squares(trial.groups, follow(trial, trial.reference, every).std)[:, 0] if trial.reference else None
