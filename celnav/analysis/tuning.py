@@ -81,7 +81,7 @@ def maximize_likelihood(
     x0 = finite("start", start)
     if x0.ndim != 1 or not len(x0):
         raise ValueError(f"start: expected positive parameters of shape (d,), got {x0!r:.80}")
-    scale = _Scale(_ends(domain, len(x0)), x0)
+    scale = _Scale(domain, x0)
     reach = float(np.log(number("factor", factor, above=1.0)))
     tolerance = number("tolerance", tolerance, above=0.0)
     max_iterations = integer("max_iterations", max_iterations)
@@ -113,9 +113,9 @@ def maximize_likelihood(
             i = int(np.argmax(np.abs(vectors[:, -1])))
             why = f"the data do not determine parameter {i}: the likelihood has no maximum in it"
     errors = scale.slope(s) * np.sqrt(covariance.diagonal())
-    best, tried = likelihood(s), list(likelihood.known.values())
+    tried, converged = list(likelihood.known.values()), bool(found.success) and not why
     failures = int(np.isnan(tried).sum())
-    return Tuned(scale(s), best, errors, covariance, len(tried), bool(found.success) and not why, why or found.message, failures)
+    return Tuned(scale(s), likelihood(s), errors, covariance, len(tried), converged, why or found.message, failures)
 
 
 def _measured(epoch: Any) -> bool:
@@ -124,28 +124,22 @@ def _measured(epoch: Any) -> bool:
     return any(part is not None and bool(np.isfinite(numbers("z", part)).any()) for part in parts)
 
 
-def _ends(domain: Domain | Sequence[Domain], d: int) -> Array:
-    """Lower and upper ends ``(2, d)`` of the parameters."""
-    alone = isinstance(domain, str) or (isinstance(domain, tuple) and not isinstance(domain[0], str | tuple | list))
-    each: Any = [domain] * d if alone else sequence("domain", domain, "['positive', (0.0, 1.0)]")
-    if len(each) != d:
-        raise ValueError(f"domain: expected one for all or {d}, one for each parameter, got {len(each)}")
-    pairs = [DOMAINS.get(one) if isinstance(one, str) else one for one in each]
-    for one, pair in zip(each, pairs, strict=True):
-        if not isinstance(pair, tuple | list) or len(pair) != 2 or not -np.inf < numbers("domain", pair)[0] < pair[1]:
-            raise ValueError(f"domain: expected 'positive', 'unit interval' or (low, high), got {one!r}")
-    return np.array(pairs, dtype=np.float64).T
-
-
 class _Scale:
     """Logarithms ``(d,)``, relative to the start, to parameters: of the distance to the ends of their domain."""
 
-    def __init__(self, ends: Array, start: Array):
-        self._low, self._high = low, high = ends
-        for i in np.flatnonzero((start <= low) | (start >= high)):
-            expected = f"parameter {i} between {low[i]:g} and {high[i]:g}"
-            positive = (low[i], high[i]) == DOMAINS["positive"]
-            raise ValueError(f"start: expected {'positive parameters' if positive else expected}, got {start[i]:g}")
+    def __init__(self, domain: Domain | Sequence[Domain], start: Array):
+        alone = isinstance(domain, str) or (isinstance(domain, tuple) and not isinstance(domain[0], str | tuple | list))
+        each: Any = [domain] * len(start) if alone else sequence("domain", domain, "['positive', (0.0, 1.0)]")
+        if len(each) != len(start):
+            raise ValueError(f"domain: expected one for all or {len(start)}, one for each parameter, got {len(each)}")
+        pairs = [DOMAINS.get(one) if isinstance(one, str) else one for one in each]
+        for i, (one, pair) in enumerate(zip(each, pairs, strict=True)):
+            if not isinstance(pair, tuple | list) or len(pair) != 2 or not -np.inf < numbers("domain", pair)[0] < pair[1]:
+                raise ValueError(f"domain: expected 'positive', 'unit interval' or (low, high), got {one!r}")
+            if not pair[0] < start[i] < pair[1]:
+                interval = f"parameter {i} between {pair[0]:g} and {pair[1]:g}"
+                raise ValueError(f"start: expected {'positive parameters' if one == 'positive' else interval}, got {start[i]:g}")
+        self._low, self._high = low, high = np.array(pairs, np.float64).T
         self._bounded = np.isfinite(high)
         self._origin = np.log((start - low) / np.where(self._bounded, high - start, 1.0))
 

@@ -80,16 +80,16 @@ class Problem:
         for name in ("cov", "R"):
             if getattr(self, name).ndim != 2:
                 raise ValueError(f"{name}: expected a matrix, got shape {getattr(self, name).shape}")
-            symmetric(getattr(self, name), name)
         if self.sqrt_Q.ndim != 2 or len(self.sqrt_Q) != self.n:
             raise ValueError(f"sqrt_Q: expected columns ({self.n}, r), got {self.sqrt_Q.shape}")
         if self.mean.ndim != 1 or (self.space == EUCLIDEAN and len(self.mean) != self.n):
             raise ValueError(f"mean: expected shape ({self.n},) to go with cov, got {self.mean.shape}")
+        _ = self.motion, self.sensor, self.prior  # which check what they are made of
         if self.times.ndim != 1 or len(self.times) < 2 or not (np.diff(self.times) > 0.0).all():
             raise ValueError(f"times: expected two or more increasing numbers, got shape {self.times.shape}")
         epochs(self.times, u=self.u)
         for group in sequence("groups", self.groups, "[Group('position', 'm', slice(0, 3))]"):
-            instance("groups", group, Group, "each a Group, such as Group('position', 'm', slice(0, 3))")
+            instance("groups", group, Group, "each a Group")
             if not isinstance(group.part, slice) or not len(range(self.n)[group.part]):
                 raise ValueError(f"groups: expected a slice of {self.n} components for {group.name}, got {group.part!r}")
 
@@ -124,8 +124,7 @@ class Problem:
         start, walk, noise, lot = normals(rngs, (self.n,), (T, r), (T, m), (T, m))
         walk, noise = walk @ self.sqrt_Q.T, noise @ symmetric(self.R, "R")[1].T
         factor = np.where(np.abs(lot) > (ndtri(1.0 - 0.5 * self.outliers) if self.outliers else np.inf), WILD, 1.0)
-        mean = np.tile(self.mean, (len(start), 1))
-        x, V = self.space.plus(mean, start @ symmetric(self.cov, "cov")[1].T), noise[0]
+        x, V = self.space.plus(np.tile(self.mean, (len(start), 1)), start @ self.prior.sqrt_cov.T), noise[0]
         motion, sensor, truth, z = self.motion, self.sensor, [], []
         for epoch in epochs(self.times, u=self.u):
             if epoch.k:
