@@ -19,19 +19,16 @@ from celnav.gaussian.linalg import Array
 
 Function = Callable[[Array], Array]
 
-_TINY = 1e-30
+_TINY = 1e-30j
+"""The step, along each axis."""
 _NODES = 21
 
 
 def jacobian(function: Function, x: ArrayLike) -> Array:
     """Jacobian ``(m, n)`` at ``x (n,)`` by complex step [Squire1998]."""
     checks.function("function", function, "(points)")
-    return _slopes("function", function, _beside(finite("x", x, ("n",))))
-
-
-def _beside(x: Array) -> Array:
-    """Complex points ``(n, n)``, a tiny imaginary step from x along each axis."""
-    return np.asarray(x + 1j * _TINY * np.eye(len(x)))
+    at = finite("x", x, ("n",))
+    return _slopes("function", function, at + _TINY * np.eye(len(at)))
 
 
 def _slopes(name: str, function: Function, points: Array) -> Array:
@@ -39,7 +36,7 @@ def _slopes(name: str, function: Function, points: Array) -> Array:
     values = function(points)
     if np.asarray(values).dtype.kind not in "iufc":
         raise ValueError(f"{name}: expected values (p, m) at points (p, n), got {checks.kind(values)}")
-    return finite(name, np.imag(values), (len(points), "m")).T / _TINY
+    return finite(name, np.imag(values), (len(points), "m")).T / _TINY.imag
 
 
 def lie_gradients(f: Function, h: Function, x: ArrayLike, order: int, *, window: float = 1.0) -> Array:
@@ -62,7 +59,7 @@ def lie_gradients(f: Function, h: Function, x: ArrayLike, order: int, *, window:
     checks.function("h", h, "(points)")
     nodes = np.cos(np.pi * (np.arange(_NODES) + 0.5) / _NODES)
     forth, back = nodes[nodes >= 0.0][::-1], nodes[nodes < 0.0]
-    start = _beside(at)
+    start = at + _TINY * np.eye(len(at))
     states = _flow(f, start, window * forth) + _flow(f, start, window * back)
     gradients = np.stack([_slopes("h", h, y) for y in states])
     series = [Chebyshev.basis(k) for k in range(_NODES)]
@@ -147,11 +144,10 @@ def nonlinearity_weights(
     tolerance, coarse = number("tolerance", tolerance, 0.0), integer("coarse", coarse)
     if not (functions := sequence("functions", functions, "[f, h]")):
         raise ValueError("functions: expected at least one, got none")
-    n = len(center)
     steps = np.diag(sigma)
     # Not only about the mean: what bends elsewhere within a standard deviation counts, too.
-    centers = center + sigma * np.random.default_rng(0).uniform(-1.0, 1.0, (4, n))
-    bends = np.zeros(n, bool)
+    centers = center + sigma * np.random.default_rng(0).uniform(-1.0, 1.0, (4, len(center)))
+    bends = np.zeros(len(center), bool)
     for function in functions:
         checks.function("functions", function, "(points)")
         for c in centers:

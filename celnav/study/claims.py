@@ -63,14 +63,9 @@ class Claim:
             raise ValueError(f"kind: expected one of {', '.join(KINDS)}, got {self.kind!r}")
 
     @property
-    def absent(self) -> bool:
-        """Whether there is nothing to judge."""
-        return self.value is None or not np.isfinite(self.value)
-
-    @property
     def holds(self) -> bool | None:
         """Whether the value is acceptable; None where that is undecided or an input is absent."""
-        if self.value is None or self.absent:
+        if self.value is None or not np.isfinite(self.value):
             return None
         low, high = (end if bound is None else bound for end, bound in zip((-np.inf, np.inf), self.accept, strict=True))
         least, most = (self.value, self.value) if self.full or self.ci is None else self.ci
@@ -82,7 +77,7 @@ class Claim:
     def verdict(self) -> str:
         """In words, one of `VERDICTS`."""
         if self.holds is None:
-            return "input absent" if self.absent else "undecided"
+            return "input absent" if self.value is None or not np.isfinite(self.value) else "undecided"
         return _VERDICTS[self.kind][0 if self.holds else 1]
 
     @property
@@ -93,7 +88,7 @@ class Claim:
     def to_dict(self) -> dict[str, Any]:
         """As it stands in ``claims.json``; numbers have 6 significant digits."""
         numbers = {key: _plain(getattr(self, key)) for key in ("paper", "value", "ci")}
-        return {key: getattr(self, key) for key in _SHAPE} | numbers | {"accept": list(self.accept)}
+        return {key: getattr(self, key) for key in _TYPES} | numbers | {"accept": list(self.accept)}
 
 
 def _plain(value: Any) -> Any:
@@ -101,15 +96,11 @@ def _plain(value: Any) -> Any:
         return [_plain(part) for part in value]
     if isinstance(value, (bool, str)) or value is None:
         return value
-    number = float(value)
-    return float(f"{number:.6g}") if np.isfinite(number) else None
+    return float(f"{float(value):.6g}") if np.isfinite(value) else None
 
 
 class Judge:
-    """Makes the claims of one run of a study; ``full``: whether it had the full number of runs.
-
-    What else a claim has, such as ``paper``, ``note`` and ``expected``, is named as in `Claim`.
-    """
+    """Makes the claims of a study with the ``full`` number of runs, or not; what else a claim has is named as in `Claim`."""
 
     def __init__(self, full: bool):
         self.full = full
@@ -119,17 +110,10 @@ class Judge:
         return Claim(id, kind, statement, float(value), accept, full=self.full, **more)
 
     def statistic(
-        self,
-        id: str,
-        kind: str,
-        statement: str,
-        statistic: Callable[..., Any],
-        samples: Sequence[Array],
-        accept: Bounds,
-        **more: Any,
+        self, id: str, kind: str, statement: str, of: Callable[..., Any], samples: Sequence[Array], accept: Bounds, **more: Any
     ) -> Claim:
         """A claim on a statistic of runs (the first axis of each sample), with its bootstrap interval."""
-        return self.number(id, kind, statement, statistic(*samples), accept, ci=bootstrap(statistic, *samples), **more)
+        return self.number(id, kind, statement, of(*samples), accept, ci=bootstrap(of, *samples), **more)
 
     def lengthy(self, *arguments: Any, **named: Any) -> Claim:
         """A `statistic` that depends on how long the runs are: undecided where they are shortened."""
@@ -172,39 +156,25 @@ def read_claims(path: str | Path) -> list[dict[str, Any]]:
     for number, claim in enumerate(loaded):
         if not isinstance(claim, dict):
             raise InputError(f"{path}: claim {number}: expected a table, got {claim!r:.80}")
-        for key, right in _SHAPE.items():
-            if key not in claim or not right(claim[key]):
+        for key in _TYPES:
+            if key not in claim or not _right(key, claim[key]):
                 got = f"got {claim[key]!r:.80}" if key in claim else "got none"
                 raise InputError(f"{path}: claim {number}: {key}: not what celnav writes, {got}; reproduce the paper again")
     return loaded
 
 
-def _one_of(*types: Any) -> Callable[[Any], bool]:
-    """Whether a value is of one of the types, bool being no number."""
-    return lambda value: type(value) in types
+_NUMBER = (int, float, NoneType)
+_TYPES: dict[str, tuple[type, ...]] = {
+    "id": (str,), "kind": (str,), "statement": (str,), "paper": (str, bool, *_NUMBER), "value": _NUMBER, "ci": (list, NoneType),
+    "accept": (list,), "expected": (bool,), "holds": (bool, NoneType), "verdict": (str,), "note": (str,),
+}  # fmt: skip
+"""What `Claim.to_dict` writes, in its order. Lists are pairs of numbers."""
 
 
-_maybe = _one_of(int, float, NoneType)
-
-
-def _pair(value: Any) -> bool:
-    return isinstance(value, list) and len(value) == 2 and all(map(_maybe, value))
-
-
-_SHAPE: dict[str, Callable[[Any], bool]] = {
-    "id": _one_of(str),
-    "kind": lambda value: value in KINDS,
-    "statement": _one_of(str),
-    "paper": _one_of(str, bool, int, float, NoneType),
-    "value": _maybe,
-    "ci": lambda value: value is None or _pair(value),
-    "accept": _pair,
-    "expected": _one_of(bool),
-    "holds": _one_of(bool, NoneType),
-    "verdict": lambda value: value in VERDICTS,
-    "note": _one_of(str),
-}
-"""What `Claim.to_dict` writes."""
+def _right(key: str, value: Any) -> bool:
+    known = {"kind": KINDS, "verdict": VERDICTS}.get(key, (value,))
+    pair = not isinstance(value, list) or (len(value) == 2 and all(type(part) in _NUMBER for part in value))
+    return type(value) in _TYPES[key] and value in known and pair
 
 
 COLUMNS = ("claim", "paper", "ours", "interval", "accepted", "verdict")

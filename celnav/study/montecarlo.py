@@ -47,9 +47,7 @@ def normals(rngs: Sequence[np.random.Generator], *shapes: tuple[int, ...]) -> li
 
 def blocks(runs: int, size: int) -> list[range]:
     """Consecutive ranges of at most ``size`` runs."""
-    integer("runs", runs)
-    integer("block", size)
-    return [range(first, min(first + size, runs)) for first in range(0, runs, size)]
+    return [range(first, min(first + size, runs)) for first in range(0, integer("runs", runs), integer("block", size))]
 
 
 def effort(value: str | float | None = None) -> float:
@@ -66,9 +64,8 @@ def effort(value: str | float | None = None) -> float:
 
 def run_count(full: int, runs: int | None, effort: float) -> int:
     """Number of runs of a study: ``runs``, or the full number times the effort, in (0, 1]; at least 2."""
-    part = number("effort", effort, above=0.0, most=1.0)
-    every = integer("full", full)
-    return integer("runs", max(2, round(every * part)) if runs is None else runs, 2)
+    part = integer("full", full) * number("effort", effort, above=0.0, most=1.0)
+    return integer("runs", max(2, round(part)) if runs is None else runs, 2)
 
 
 def steps(name: str, count: float) -> int:

@@ -1,4 +1,4 @@
-"""A problem of one's own, and how filters do on it: a model, the runs that it draws of itself, and filters by their parts.
+"""A problem of one's own, and how filters do on it: a model, and the runs that it draws of itself.
 
 A filter is consistent, and its accuracy can be compared with a bound, where what happens is what it believes: here truth and
 measurements come from the very model that filters are made of, its outliers excepted.
@@ -6,18 +6,17 @@ measurements come from the very model that filters are made of, its outliers exc
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from time import process_time
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import ndtri
 
-from celnav.filters.adaptive import gate, huber, innovation_window, student_t
 from celnav.filters.colored import colored
 from celnav.filters.epochs import epochs
-from celnav.filters.joint import Hook, evaluate
+from celnav.filters.joint import evaluate
 from celnav.filters.model import Model, Motion, Sensor
 from celnav.filters.records import Epoch, Filter
 from celnav.filters.run import steps
@@ -25,15 +24,15 @@ from celnav.filters.sequential import sigma_point
 from celnav.gaussian.belief import Gaussian, symmetric
 from celnav.gaussian.checks import choice, finite, function, instance, integer, number, sequence
 from celnav.gaussian.linalg import Array, Belief
-from celnav.gaussian.rules import Taylor, cubature, gauss_hermite, unscented
+from celnav.gaussian.rules import Taylor
 from celnav.gaussian.spaces import EUCLIDEAN, Space
-from celnav.gaussian.sparse_grid import smolyak
 from celnav.study.montecarlo import generator, normals
 from celnav.study.scores import score, summarize
 from celnav.study.trial import Group, Noiseless, Trial, bound, follow
 
 WILD = 10.0
 """By how much an outlier's noise is larger."""
+PASSES = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +51,7 @@ class Problem:
     space, measurement_space: what a difference of states and of measurements is.
     groups: what is judged, by name; one group of all components if empty.
 
-    >>> rows = compare({"falling body": Problem(f, h, mean, cov, sqrt_Q, R, times)}, runs=200)
+    >>> problem = Problem(f, h, mean, cov, sqrt_Q, R, times)
     """
 
     f: Model
@@ -81,16 +80,16 @@ class Problem:
         for name in ("cov", "R"):
             if getattr(self, name).ndim != 2:
                 raise ValueError(f"{name}: expected a matrix, got shape {getattr(self, name).shape}")
-            symmetric(getattr(self, name), name)
         if self.sqrt_Q.ndim != 2 or len(self.sqrt_Q) != self.n:
             raise ValueError(f"sqrt_Q: expected columns ({self.n}, r), got {self.sqrt_Q.shape}")
         if self.mean.ndim != 1 or (self.space == EUCLIDEAN and len(self.mean) != self.n):
             raise ValueError(f"mean: expected shape ({self.n},) to go with cov, got {self.mean.shape}")
+        _ = self.motion, self.sensor, self.prior  # which check what they are made of
         if self.times.ndim != 1 or len(self.times) < 2 or not (np.diff(self.times) > 0.0).all():
             raise ValueError(f"times: expected two or more increasing numbers, got shape {self.times.shape}")
         epochs(self.times, u=self.u)
         for group in sequence("groups", self.groups, "[Group('position', 'm', slice(0, 3))]"):
-            instance("groups", group, Group, "each a Group, such as Group('position', 'm', slice(0, 3))")
+            instance("groups", group, Group, "each a Group")
             if not isinstance(group.part, slice) or not len(range(self.n)[group.part]):
                 raise ValueError(f"groups: expected a slice of {self.n} components for {group.name}, got {group.part!r}")
 
@@ -125,8 +124,7 @@ class Problem:
         start, walk, noise, lot = normals(rngs, (self.n,), (T, r), (T, m), (T, m))
         walk, noise = walk @ self.sqrt_Q.T, noise @ symmetric(self.R, "R")[1].T
         factor = np.where(np.abs(lot) > (ndtri(1.0 - 0.5 * self.outliers) if self.outliers else np.inf), WILD, 1.0)
-        mean = np.tile(self.mean, (len(start), 1))
-        x, V = self.space.plus(mean, start @ symmetric(self.cov, "cov")[1].T), noise[0]
+        x, V = self.space.plus(np.tile(self.mean, (len(start), 1)), start @ self.prior.sqrt_cov.T), noise[0]
         motion, sensor, truth, z = self.motion, self.sensor, [], []
         for epoch in epochs(self.times, u=self.u):
             if epoch.k:
@@ -157,76 +155,14 @@ def _image(name: str, points: Array, epoch: Epoch) -> Array:
     return np.asarray(points[0])
 
 
-RULES: dict[str, Callable[[int], Any]] = {
-    "Taylor": lambda _n: Taylor(),
-    "unscented": unscented,
-    "cubature 5": lambda n: cubature(n, degree=5),
-    "Gauss-Hermite": gauss_hermite,
-    "sparse grid": lambda n: smolyak(n, 3),
-}
-FORMS = ("square root", "covariance")
-HOOKS: dict[str, Callable[[], Hook]] = {
-    "window": lambda: innovation_window(10),
-    "gate": lambda: gate(4.0),
-    "Huber": huber,
-    "Student": student_t,
-}
-MOST_POINTS = 500
-"""Rules of more points are left out: a product of Gauss-Hermite rules has 3^n."""
-PASSES = 3
-
-
-@dataclass(frozen=True)
-class Composition:
-    """A filter by its parts, of `RULES`, `FORMS` and `HOOKS`; ``colored``: whether it takes measurement noise for what it is."""
-
-    rule: str
-    _: KW_ONLY
-    form: str = "square root"
-    colored: bool = False
-    hook: str = ""
-
-    def __post_init__(self) -> None:
-        for name, known in (("rule", RULES), ("form", FORMS), ("hook", ("", *HOOKS))):
-            choice(name, getattr(self, name), known)
-
-    def __str__(self) -> str:
-        return " · ".join(filter(None, [self.rule, self.form, "colored" if self.colored else "", self.hook]))
-
-
-COMPOSITIONS = (
-    *(Composition(rule, form=form) for rule in RULES for form in FORMS),
-    *(Composition(rule, colored=True) for rule in RULES),
-    *(Composition("unscented", hook=hook) for hook in HOOKS),
-    Composition("sparse grid", hook="Huber"),
-    Composition("sparse grid", colored=True, hook="Huber"),
-)
-
-
-def compose(problem: Problem, parts: Composition) -> Filter | None:
-    """The filter; None where the parts do not go together: the one for colored noise is a filter of vectors, and no rule may have
-    more than `MOST_POINTS` (for colored noise that of the process goes through the points, too).
-    """
-    instance("problem", problem, Problem, "a Problem(f, h, ...)")
-    instance("parts", parts, Composition, "a Composition, such as Composition('unscented')")
-    if parts.colored and not problem.space == problem.measurement_space == EUCLIDEAN:
-        return None
-    if parts.rule == "Gauss-Hermite" and 3 ** (problem.n + parts.colored * problem.sqrt_Q.shape[1]) > MOST_POINTS:
-        return None
-    options: dict[str, Any] = {"rule": RULES[parts.rule], "form": parts.form, "hooks": [HOOKS[parts.hook]()] if parts.hook else []}
-    if parts.colored:
-        return colored(problem.motion, problem.sensor, problem.phi * np.eye(problem.m), **options)
-    return sigma_point(problem.motion, problem.sensor, **options)
-
-
 class Row(NamedTuple):
     """How a filter does on a problem.
 
     Attributes
     ----------
     problem, filter: names. rms: of the first group over the second half of the epochs; rms_low, rms_high: its 95 % interval.
-    efficiency: the linearized posterior Cramer-Rao bound (see `celnav.study.trial.bound`) over it: about 1 if it is as good as can
-        be; a little more by chance, or where process noise leads away from the run about which it is linearized.
+    efficiency: the linearized posterior Cramer-Rao bound over it: about 1 if it is as good as can be; a little more by chance, or
+        where process noise leads away from the run about which it is linearized. nan where there is no bound.
     anees, low, high: NEES over its dimension, 1 if consistent, with its interval. Intervals come from how the runs differ.
     lost: runs without an estimate. us_per_step: CPU time of a run's step, microseconds, the least of `PASSES`.
     """
@@ -245,37 +181,60 @@ class Row(NamedTuple):
 
 
 def compare(
-    problems: Mapping[str, Problem], parts: Iterable[Composition] = COMPOSITIONS, *, runs: int = 200, seed: int = 0
+    problems: Mapping[str, Problem],
+    filters: Mapping[str, Callable[[Problem], Filter | None]],
+    *,
+    runs: int = 200,
+    seed: int = 0,
 ) -> list[Row]:
-    """Fly all compositions on all problems, on the same noise; those that do not go together are left out.
+    """Fly filters on problems, all on the same noise: a `Row` for each problem and filter that go together.
 
-    The bound is the linearized one, of the filter that knows the color (where it can be composed) along the undisturbed run. It
-    takes no notice of outliers.
+    Parameters
+    ----------
+    problems: by name. runs: of each. seed: run r has the generator of ``(seed, 0, r)``.
+    filters: by name, functions of a problem that give a filter, or None where there is none.
 
-    >>> pandas.DataFrame(compare({"falling body": problem}, runs=200))
+    >>> filters = {"UKF": lambda p: celnav.ukf(p.motion, p.sensor), "EKF": lambda p: celnav.ekf(p.motion, p.sensor)}
+    >>> pandas.DataFrame(compare({"falling body": problem}, filters))
     """
-    runs, chosen = integer("runs", runs), sequence("parts", parts, "[Composition('unscented')]")
+    runs = integer("runs", runs)
+    instance("filters", filters, Mapping, "functions by name, such as {'UKF': lambda p: celnav.ukf(p.motion, p.sensor)}")
+    for make in filters.values():
+        function("filters", make, "(problem)")
     rows = []
     for name, problem in instance("problems", problems, Mapping, "problems by name, such as {'turn': problem}").items():
         instance("problems", problem, Problem, "each a Problem(f, h, ...)")
-        best = Composition("Taylor", colored=problem.phi > 0.0)
-        filters = {str(p): made for p in dict.fromkeys([best, *chosen]) if (made := compose(problem, p)) is not None}
-        reference = str(best) if str(best) in filters else ""
-        trial = problem.trial(filters, [generator(seed, 0, run) for run in range(runs)], reference)
-        least = bound(problem.trial(filters, cast(Any, [Noiseless()]), reference))
-        for filter in (str(p) for p in chosen if str(p) in filters):
-            scores, failures = score(follow(trial, filter), trial.groups, settle_s=None, limits={})
-            summary = summarize(scores, least)
-            cost = min(_seconds(filters[filter], trial, filter) for _ in range(PASSES)) / (runs * len(problem.times))
-            first = summary.accuracy[0]
-            accuracy = first.rms, first.low, first.high, first.efficiency
-            rows.append(Row(name, filter, *accuracy, summary.anees, summary.low, summary.high, len(failures), 1e6 * cost))
+        made = {key: filter for key, make in filters.items() if (filter := make(problem)) is not None}
+        trial, least = problem.trial(made, [generator(seed, 0, run) for run in range(runs)]), _bound(problem)
+        for key in made:
+            scores, failures = score(follow(trial, key), trial.groups, settle_s=None, limits={})
+            found = summarize(scores, least)
+            first = found.accuracy[0]
+            seconds = min(_seconds(trial, key) for _ in range(PASSES))
+            rows.append(
+                Row(
+                    name, key, first.rms, first.low, first.high, first.efficiency, found.anees, found.low, found.high,
+                    len(failures), 1e6 * seconds / (runs * len(problem.times)),
+                )
+            )  # fmt: skip
     return rows
 
 
-def _seconds(filter: Filter, trial: Trial, name: str) -> float:
+def _bound(problem: Problem) -> Array | None:
+    """Of the filter that knows the color, outliers aside, along the undisturbed run; None where there is none, on curved spaces."""
+    if problem.phi == 0.0:
+        best: Filter = sigma_point(problem.motion, problem.sensor, rule=Taylor())
+    elif problem.space == problem.measurement_space == EUCLIDEAN:
+        best = colored(problem.motion, problem.sensor, problem.phi * np.eye(problem.m), rule=Taylor())
+    else:
+        return None
+    undisturbed: Sequence[Any] = [Noiseless()]
+    return bound(problem.trial({"best": best}, undisturbed, "best"))
+
+
+def _seconds(trial: Trial, name: str) -> float:
     """CPU time of one pass."""
     start = process_time()
-    for _ in steps(filter, trial.prior, trial.epochs(name)):
+    for _ in steps(trial.filters[name], trial.prior, trial.epochs(name)):
         pass
     return process_time() - start

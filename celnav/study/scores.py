@@ -15,17 +15,17 @@ from celnav.analysis.metrics import chi_square_band
 from celnav.gaussian.linalg import Array
 from celnav.study.trial import Followed, Group, squares
 
-BINS = 20
-"""Bins of the histograms of NEES and NIS, equally probable for a consistent filter."""
 Scores = dict[str, Array]
 """Sums over runs that did not fail.
 
-times ``(K,)`` s. runs ``()``. count, nis, dof ``(K,)`` and square ``(K, groups)``: at each epoch, over the runs that have an
-estimate there. known ``(K,)``, variance ``(K, groups)``: over those with a covariance too; nees ``(K,)``: with one that is positive
-definite. own ``(2, groups)``, own_nees ``(2,)``: of each run's mean over the settled epochs, and of its square; judged ``()``: how
-many runs have a NEES there. settled ``(K,)``: which epochs these are. error ``(n,)``, outer ``(n, n)``: at the last epoch.
-nees_histogram, nis_histogram: ``(BINS,)``.
+times ``(K,)`` s. dimension ``()``: of the error. settled ``(K,)``: which epochs statistics are of. runs ``()``.
+count, nis, dof ``(K,)`` and square ``(K, groups)``: at each epoch, over the runs that have an estimate there. known ``(K,)``,
+variance ``(K, groups)``: over those with a covariance too. own ``(2, groups)``, own_nees ``(2,)``: of each run's mean over the
+settled epochs, and of its square; judged ``()``: how many runs have a NEES there. nees_beyond, nis_beyond ``(2,)``: single values
+above their 95 % quantile, and all.
 """
+CONSTANT = ("times", "dimension", "settled")
+"""Scores that are no sums."""
 
 
 class Failure(NamedTuple):
@@ -63,28 +63,26 @@ def score(
     fail(np.isnan(variance[settled]).all((0, 2)), "no positive definite covariance at any settled epoch")
     good = np.array([run not in failures for run in range(square.shape[1])], bool)
     chosen = slice(None) if good.all() else good
-    block = (square, variance, followed.nees, followed.nis, followed.dof, there, sound)
-    square, variance, nees, nis, dof, there, sound = (values[:, chosen] for values in block)
+    nees, nis, dof = followed.nees[:, chosen], followed.nis[:, chosen], followed.dof[:, chosen]
+    square, variance, there, sound = (values[:, chosen] for values in (square, variance, there, sound))
     known = there & np.isfinite(variance).all(-1)
-    judged, error = sound[settled].any(0), followed.error[-1, good]
+    judged, n = sound[settled].any(0), followed.error.shape[-1]
     scores = {
         "times": times,
+        "dimension": n,
         "settled": settled,
         "runs": good.sum(),
         "count": there.sum(1),
         "square": _only(square, there).sum(1),
         "known": known.sum(1),
         "variance": _only(variance, known).sum(1),
-        "nees": _only(nees, sound).sum(1),
         "nis": _only(nis, there).sum(1),
         "dof": _only(dof, there).sum(1),
         "judged": judged.sum(),
         "own": _moments(_mean(square[settled], there[settled])),
         "own_nees": _moments(_mean(nees[settled], sound[settled])[judged]),
-        "error": error.sum(0),
-        "outer": error.T @ error,
-        "nees_histogram": _histogram(nees[settled], np.full(nees[settled].shape, error.shape[-1])),
-        "nis_histogram": _histogram(nis[settled], np.where(there[settled], dof[settled], 0.0)),
+        "nees_beyond": _beyond(nees[settled], np.full(nees[settled].shape, n)),
+        "nis_beyond": _beyond(nis[settled], np.where(there[settled], dof[settled], 0.0)),
     }
     return {name: np.asarray(value, np.float64) for name, value in scores.items()}, list(failures.values())
 
@@ -105,23 +103,19 @@ def _moments(own: Array) -> Array:
     return np.stack([own.sum(0), np.square(own).sum(0)])
 
 
-def _histogram(values: Array, dof: Array) -> Array:
-    """Counts of chi-square values in `BINS` bins of equal probability."""
-    total = np.zeros(BINS)
-    for freedom in np.unique(dof[dof > 0]):
-        chosen = values[(dof == freedom) & np.isfinite(values)]
-        edges = 2.0 * gammaincinv(0.5 * freedom, np.arange(1, BINS) / BINS)
-        total += np.bincount(np.searchsorted(edges, chosen), minlength=BINS)
-    return total
+def _beyond(values: Array, dof: Array) -> Array:
+    """How many chi-square values are above their 95 % quantile, and how many there are."""
+    there = (dof > 0) & np.isfinite(values)
+    freedom, which = np.unique(dof[there], return_inverse=True)
+    return np.array([(values[there] > 2.0 * gammaincinv(0.5 * freedom, 0.95)[which]).sum(), there.sum()])
 
 
 def check_scores(scores: Scores, groups: int) -> None:
     """Raise ValueError unless these are numbers of the names and shapes that `score` makes for so many groups."""
-    none = np.empty(0)
-    K, G, n = scores.get("times", none).shape[:1], (groups,), scores.get("error", none).shape[:1]
-    shapes = dict.fromkeys(("times", "settled", "count", "known", "nees", "nis", "dof"), K) | {
-        "runs": (), "judged": (), "square": K + G, "variance": K + G, "own": (2, *G), "own_nees": (2,), "error": n, "outer": n + n,
-        "nees_histogram": (BINS,), "nis_histogram": (BINS,),
+    K, G = scores.get("times", np.empty(0)).shape[:1], (groups,)
+    shapes = {
+        "times": K, "settled": K, "count": K, "known": K, "nis": K, "dof": K, "square": K + G, "variance": K + G, "own": (2, *G),
+        "own_nees": (2,), "nees_beyond": (2,), "nis_beyond": (2,), "dimension": (), "runs": (), "judged": (),
     }  # fmt: skip
     if set(scores) != set(shapes):
         raise ValueError(f"expected scores {', '.join(shapes)}, got {', '.join(scores)}")
@@ -136,7 +130,7 @@ def merge(parts: Iterable[Scores]) -> Scores:
     for part in parts:
         if total and not np.array_equal(part["times"], total["times"]):
             raise ValueError("scores: expected the same epochs in all blocks")
-        total = {name: total[name] + part[name] if total and name not in ("times", "settled") else part[name] for name in part}
+        total = {name: total[name] + part[name] if total and name not in CONSTANT else part[name] for name in part}
     if not total:
         raise ValueError("scores: expected at least one block, got none")
     return total
@@ -145,8 +139,7 @@ def merge(parts: Iterable[Scores]) -> Scores:
 class Accuracy(NamedTuple):
     """Root mean squares of a group: over the settled epochs with a 95 % interval, at the end, and what the filter takes it for.
 
-    The interval comes from how the runs differ, so it needs no Gaussian errors; nan with fewer than two runs. ``bound``: the
-    `celnav.study.trial.bound` of the settled epochs; ``efficiency``: bound over rms.
+    The interval comes from how the runs differ: no errors need be Gaussian. ``efficiency``: `celnav.study.trial.bound` over rms.
     """
 
     rms: float
@@ -183,7 +176,7 @@ class Summary(NamedTuple):
 
 def summarize(scores: Scores, bound: Array | None = None) -> Summary:
     """Statistics of scores; ``bound (K, groups)``: mean squares. nan where no run is left."""
-    runs, n = int(scores["runs"]), len(scores["error"])
+    runs, n = int(scores["runs"]), int(scores["dimension"])
     settled = scores["settled"] > 0.0
     rms, low, high = _interval(scores["own"], runs)
     anees, least_anees, most_anees = (float(v[0]) / n for v in _interval(scores["own_nees"][:, None], int(scores["judged"])))
@@ -193,16 +186,16 @@ def summarize(scores: Scores, bound: Array | None = None) -> Summary:
         nis = float(scores["nis"][settled].sum() / scores["dof"][settled].sum())
         least = np.full(len(rms), np.nan) if bound is None else np.sqrt(bound[settled].mean(0))
         columns = np.stack([np.sqrt(rms), np.sqrt(low), np.sqrt(high), final, sigma, least, least / np.sqrt(rms)], -1)
-        nees_beyond, nis_beyond = (float(h[-1] / h.sum()) for h in (scores["nees_histogram"], scores["nis_histogram"]))
+        nees_beyond, nis_beyond = (float(scores[name][0] / scores[name][1]) for name in ("nees_beyond", "nis_beyond"))
     accuracy = tuple(Accuracy(*row) for row in columns.tolist())
     a, b = chi_square_band(n, runs) if runs else (np.nan, np.nan)
     return Summary(runs, accuracy, anees, least_anees, most_anees, (a / n, b / n), nis, nees_beyond, nis_beyond)
 
 
-def _interval(sums: Array, runs: int, level: float = 0.95) -> tuple[Array, Array, Array]:
-    """Mean of positive values from their sum and sum of squares ``(2, ...)``, and its interval, symmetric in the logarithm."""
+def _interval(sums: Array, runs: int) -> tuple[Array, Array, Array]:
+    """Mean of positive values from their sum and sum of squares ``(2, ...)``, and its 95 % interval, symmetric in the logarithm."""
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = sums[0] / runs
         variance = np.maximum(sums[1] / runs - mean**2, 0.0) / (runs - 1)
-        factor = np.exp(stdtrit(runs - 1, 0.5 + level / 2) * np.sqrt(variance) / mean)
+        factor = np.exp(stdtrit(runs - 1, 0.975) * np.sqrt(variance) / mean)
         return mean, mean / factor, mean * factor

@@ -33,7 +33,7 @@ def simulate(
     u: Any = None,
     Phi: Any = None,
 ) -> tuple[Array, Any]:
-    """Draw runs: a start from the prior, process noise in each interval, measurement noise at each epoch.
+    """Truth ``(T, runs, N)`` and measurements ``(T, runs, m)``, a tuple of them for a sequence of sensors.
 
     Parameters
     ----------
@@ -43,14 +43,10 @@ def simulate(
     runs: how many. seed: run r has the generator of ``(seed, 0, r)``, whatever the number of runs.
     Phi: ``(m, m)`` or a function of the epoch, of colored noise ``V' = Phi V + zeta`` of covariance R (one sensor).
 
-    Returns
-    -------
-    The truth ``(T, runs, N)`` and the measurements ``(T, runs, m)``, a tuple of them for a sequence of sensors.
-
     >>> truth, z = celnav.simulate(motion, gps, prior, np.arange(601.0), runs=500)
     """
     instance("motion", motion, Motion, "celnav.Motion(f, Q)")
-    sensors = (sensor,) if isinstance(sensor, Sensor) else tuple(sequence("sensor", sensor, "[celnav.Sensor(h, R)]"))
+    sensors = [sensor] if isinstance(sensor, Sensor) else sequence("sensor", sensor, "[celnav.Sensor(h, R)]")
     if not sensors:
         raise ValueError("sensor: expected one or more, got none")
     for each in sensors:
@@ -63,9 +59,7 @@ def simulate(
     for name, model in (("f", motion.f), *(("h", each.h) for each in sensors)):
         if not callable(model) and model.shape[-1] != len(prior.cov):
             raise ValueError(f"prior: expected {model.shape[-1]} components to go with {name}, got {len(prior.cov)}")
-    when, seed = epochs(times, u=u), integer("seed", seed, 0)
-    runs = integer("runs", runs)
-    if runs > MOST_RUNS:
+    if (runs := integer("runs", runs)) > MOST_RUNS:
         raise ValueError(f"runs: expected at most {MOST_RUNS}, got {runs}")
     rngs = [generator(seed, 0, run) for run in range(runs)]
 
@@ -99,7 +93,7 @@ def simulate(
 
     x = motion.space.plus(np.tile(prior.mean, (runs, 1)), draw(prior.sqrt_cov))
     truth, z = [], []
-    for epoch in when:
+    for epoch in epochs(times, u=u):
         if epoch.dt:
             x = image("Q", motion, x, epoch)
         truth.append(x)

@@ -63,7 +63,7 @@ def squares(groups: Sequence[Group], values: Array) -> Array:
 
 
 class Noiseless:
-    """A generator whose every number is zero: the run that it gives is the undisturbed one."""
+    """A generator of zeros: the run that it gives is the undisturbed one."""
 
     def standard_normal(self, shape: tuple[int, ...]) -> Array:
         """Zeros."""
@@ -102,10 +102,14 @@ def follow(trial: Trial, name: str, every: int = 1) -> Followed:
 
     def judged() -> Iterator[tuple[Any, ...]]:
         nonlocal count
-        seen, before, left = 0, filter.start(trial.prior), None
+        seen, before, left = 0, None, None
         for epoch, state, infos in steps(filter, trial.prior, trial.epochs(name)):
             count += 1
-            why, before = _why(filter, before, state, epoch), state
+            why = ""
+            if any_lost(state.belief):  # newly: a filter of single epochs may have had no estimate before
+                start = filter.start(trial.prior) if before is None else before
+                why = explain(filter, start, state, epoch) if (state.belief.lost() & ~start.belief.lost()).any() else ""
+            before = state
             due = epoch.truth is not None and seen % every == 0
             if epoch.truth is not None:
                 seen, left = seen + 1, None if due else (epoch, state.belief, infos)
@@ -138,12 +142,6 @@ def _row(trial: Trial, epoch: Epoch, belief: Belief, infos: tuple[Info, ...]) ->
     return epoch.t, error, np.broadcast_to(root, (*runs, *root.shape[-2:])), nis, dof
 
 
-def _why(filter: Filter, before: Any, after: Any, epoch: Epoch) -> str:
-    """Why runs were lost in a step; empty if none was, or where a filter of single epochs has no estimate."""
-    lost = any_lost(after.belief) and (after.belief.lost() & ~before.belief.lost()).any()
-    return explain(filter, before, after, epoch) if lost else ""
-
-
 def _watch(lost: dict[int, tuple[float, str]], epoch: Epoch, belief: Belief, why: str = "") -> None:
     """Note the runs that have no estimate, and forget those that have one again: a filter of single epochs comes back."""
     there = np.atleast_1d(np.isfinite(belief.mean).all(-1))
@@ -154,11 +152,10 @@ def _watch(lost: dict[int, tuple[float, str]], epoch: Epoch, belief: Belief, why
 
 
 def bound(trial: Trial, every: int = 1) -> Array | None:
-    """Linearized posterior Cramer-Rao bound, from a trial of one `Noiseless` run: mean squares ``(K, groups)``.
+    """Linearized posterior Cramer-Rao bound, from a trial of one `Noiseless` run: mean squares ``(K, groups)``, or None.
 
-    The variances of the reference filter along the undisturbed run, started at the truth: for small process noise and errors
-    that stay in the linear range, no filter with this model and these measurements has smaller mean squares. None without
-    reference.
+    These are the variances of the reference filter along the undisturbed run: for small process noise and errors in the linear
+    range, no filter with this model and these measurements has smaller mean squares.
     """
     instance("trial", trial, Trial, "a Trial, such as problem.trial(filters, rngs)")
     return squares(trial.groups, follow(trial, trial.reference, every).std)[:, 0] if trial.reference else None
