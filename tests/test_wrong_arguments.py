@@ -87,8 +87,8 @@ MOTION, SENSOR = celnav.Motion(0.9 * I2, I2), celnav.Sensor(I2, I2)
 PRIOR = celnav.Gaussian(np.zeros(2), I2)
 RNGS = [montecarlo.generator(0, 0, run) for run in range(2)]
 DOUBT = dict(
-    f=lambda x, _: 0.9 * x, h=lambda x, _: x, mean=np.zeros(2), cov=I2, sqrt_Q=I2, R=I2, times=TIMES, u=np.zeros((5, 1)), phi=0.5,
-    outliers=0.1, space=spaces.EUCLIDEAN, measurement_space=spaces.EUCLIDEAN, groups=[trial.Group("all", "m", slice(0, 2))],
+    motion=MOTION, sensor=SENSOR, prior=PRIOR, times=TIMES, u=np.zeros((5, 1)), phi=0.5, outliers=0.1,
+    groups=[trial.Group("all", "m", slice(0, 2))],
 )  # fmt: skip
 OWN = problem.Problem(**DOUBT)
 TRIAL = OWN.trial({"ukf": celnav.ukf(OWN.motion, OWN.sensor)}, RNGS, "ukf")

@@ -7,7 +7,7 @@ measurements come from the very model that filters are made of, its outliers exc
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from time import process_time
 from typing import Any, NamedTuple
 
@@ -17,15 +17,15 @@ from scipy.special import ndtri
 from celnav.filters.colored import colored
 from celnav.filters.epochs import epochs
 from celnav.filters.joint import evaluate
-from celnav.filters.model import Model, Motion, Sensor
+from celnav.filters.model import Motion, Sensor
 from celnav.filters.records import Epoch, Filter
 from celnav.filters.run import steps
 from celnav.filters.sequential import sigma_point
-from celnav.gaussian.belief import Gaussian, symmetric
+from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import choice, finite, function, instance, integer, number, sequence
 from celnav.gaussian.linalg import Array, Belief
 from celnav.gaussian.rules import Taylor
-from celnav.gaussian.spaces import EUCLIDEAN, Space
+from celnav.gaussian.spaces import EUCLIDEAN
 from celnav.study.montecarlo import generator, normals
 from celnav.study.scores import score, summarize
 from celnav.study.trial import Group, Noiseless, Trial, bound, follow
@@ -37,54 +37,43 @@ PASSES = 3
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """``x' = f(x, epoch) + w`` and ``z = h(x, epoch) + V`` from a Gaussian start.
+    """What a filter believes, as what happens: a motion, a sensor and a start, whose noise may be colored or wild.
 
     Attributes
     ----------
-    f, h: models of points ``(p, ..., N)`` and `celnav.Epoch`: the state ``(p, ..., N)`` after the interval, and the
-        measurement ``(p, ..., M)``.
-    mean: ``(N,)`` and cov ``(n, n)``: of the start.
-    sqrt_Q: columns ``(n, r)`` of the process noise of an interval. R: covariance ``(m, m)`` of V.
+    motion, sensor: with constant noise beside the models. prior: belief about the start, mean ``(N,)`` and covariance ``(n, n)``.
     times: ``(T,)`` s, increasing. u: inputs, ``epoch.u``: ``u[k]`` acts from ``times[k]`` to ``times[k + 1]``.
-    phi: correlation of V with the last one, in [0, 1): an AR(1) process.
+    phi: correlation of the measurement's noise with the last one, in [0, 1): an AR(1) process.
     outliers: part of the components, in [0, 1), whose noise is `WILD` times as large; filters are not told.
-    space, measurement_space: what a difference of states and of measurements is.
     groups: what is judged, by name; one group of all components if empty.
 
-    >>> problem = Problem(f, h, mean, cov, sqrt_Q, R, times)
+    >>> problem = Problem(motion, sensor, prior, np.arange(601.0), outliers=0.05)
     """
 
-    f: Model
-    h: Model
-    mean: Array
-    cov: Array
-    sqrt_Q: Array
-    R: Array
+    motion: Motion
+    sensor: Sensor
+    prior: Gaussian
     times: Array
     u: Array | None = None
+    _: KW_ONLY
     phi: float = 0.0
     outliers: float = 0.0
-    space: Space = EUCLIDEAN
-    measurement_space: Space = EUCLIDEAN
     groups: Sequence[Group] = ()
 
     def __post_init__(self) -> None:
-        for name in ("mean", "cov", "sqrt_Q", "R", "times"):
-            object.__setattr__(self, name, finite(name, getattr(self, name)))
+        instance("motion", self.motion, Motion, "celnav.Motion(f, Q)")
+        instance("sensor", self.sensor, Sensor, "celnav.Sensor(h, R)")
+        prior = instance("prior", self.prior, Gaussian, "celnav.Gaussian(mean, cov)")
+        for name, noise in (("Q", self.motion.noise), ("R", self.sensor.noise)):
+            if not isinstance(noise, np.ndarray) or noise.ndim != 2:
+                raise ValueError(f"{name}: expected one constant covariance of a noise beside the model, got another")
+        if prior.mean.ndim != 1 or prior.cov.ndim != 2:
+            raise ValueError(f"prior: expected one mean (N,) and covariance (n, n), got {prior.mean.shape} and {prior.cov.shape}")
+        if self.motion.noise.shape[-2] != self.n:  # type: ignore[union-attr]
+            raise ValueError(f"prior: expected a covariance to go with the motion's Q, got {prior.cov.shape}")
         for name in ("phi", "outliers"):
             number(name, getattr(self, name), 0.0, below=1.0)
-        for name in ("f", "h"):
-            function(name, getattr(self, name), "(points, epoch)")
-        for name in ("space", "measurement_space"):
-            instance(name, getattr(self, name), Space, "a Space, such as celnav.angles([0])")
-        for name in ("cov", "R"):
-            if getattr(self, name).ndim != 2:
-                raise ValueError(f"{name}: expected a matrix, got shape {getattr(self, name).shape}")
-        if self.sqrt_Q.ndim != 2 or len(self.sqrt_Q) != self.n:
-            raise ValueError(f"sqrt_Q: expected columns ({self.n}, r), got {self.sqrt_Q.shape}")
-        if self.mean.ndim != 1 or (self.space == EUCLIDEAN and len(self.mean) != self.n):
-            raise ValueError(f"mean: expected shape ({self.n},) to go with cov, got {self.mean.shape}")
-        _ = self.motion, self.sensor, self.prior  # which check what they are made of
+        object.__setattr__(self, "times", finite("times", self.times))
         if self.times.ndim != 1 or len(self.times) < 2 or not (np.diff(self.times) > 0.0).all():
             raise ValueError(f"times: expected two or more increasing numbers, got shape {self.times.shape}")
         epochs(self.times, u=self.u)
@@ -96,43 +85,23 @@ class Problem:
     @property
     def n(self) -> int:
         """Dimension of the state's differences."""
-        return len(self.cov)
-
-    @property
-    def m(self) -> int:
-        """Dimension of the measurement's differences."""
-        return len(self.R)
-
-    @property
-    def motion(self) -> Motion:
-        """What a filter believes of the dynamics."""
-        return Motion(self.f, sqrt_Q=self.sqrt_Q, space=self.space)
-
-    @property
-    def sensor(self) -> Sensor:
-        """What a filter believes of the measurement."""
-        return Sensor(self.h, self.R, space=self.measurement_space)
-
-    @property
-    def prior(self) -> Gaussian:
-        """Belief about the start."""
-        return Gaussian(self.mean, self.cov)
+        return len(self.prior.cov)
 
     def draw(self, rngs: Sequence[np.random.Generator]) -> tuple[Array, Array]:
         """Truth ``(T, runs, N)`` and measurements ``(T, runs, M)`` of one run with each generator."""
-        T, r, m = len(self.times), self.sqrt_Q.shape[1], self.m
-        start, walk, noise, lot = normals(rngs, (self.n,), (T, r), (T, m), (T, m))
-        walk, noise = walk @ self.sqrt_Q.T, noise @ symmetric(self.R, "R")[1].T
+        W, V = np.asarray(self.motion.noise), np.asarray(self.sensor.noise)
+        T, space = len(self.times), self.motion.space
+        start, walk, noise, lot = normals(rngs, (self.n,), (T, W.shape[1]), (T, V.shape[1]), (T, len(V)))
+        walk, noise = walk @ W.T, noise @ V.T
         factor = np.where(np.abs(lot) > (ndtri(1.0 - 0.5 * self.outliers) if self.outliers else np.inf), WILD, 1.0)
-        x, V = self.space.plus(np.tile(self.mean, (len(start), 1)), start @ self.prior.sqrt_cov.T), noise[0]
-        motion, sensor, truth, z = self.motion, self.sensor, [], []
+        x, v = space.plus(np.tile(self.prior.mean, (len(start), 1)), start @ self.prior.sqrt_cov.T), noise[0]
+        truth, z = [], []
         for epoch in epochs(self.times, u=self.u):
             if epoch.k:
-                x = self.space.plus(_image("f", evaluate(motion, x[None].copy(), epoch), epoch), walk[epoch.k])
-                V = self.phi * V + np.sqrt(1.0 - self.phi**2) * noise[epoch.k]
+                x = space.plus(_image(self.motion, x, epoch), walk[epoch.k])
+                v = self.phi * v + np.sqrt(1.0 - self.phi**2) * noise[epoch.k]
             truth.append(x)
-            seen = _image("h", evaluate(sensor, x[None].copy(), epoch, m=m), epoch)
-            z.append(self.measurement_space.plus(seen, factor[epoch.k] * V))
+            z.append(self.sensor.space.plus(_image(self.sensor, x, epoch, len(V)), factor[epoch.k] * v))
         return np.stack(truth), np.stack(z)
 
     def trial(self, filters: Mapping[str, Filter], rngs: Sequence[np.random.Generator], reference: str = "") -> Trial:
@@ -140,19 +109,20 @@ class Problem:
         instance("filters", filters, Mapping, "filters by name, such as {'ukf': filter}")
         choice("reference", reference, ("", *filters))
         truth, z = self.draw(rngs)
-        prior = Gaussian(np.tile(self.mean, (truth.shape[1], 1)), self.cov)
+        prior = Gaussian(np.tile(self.prior.mean, (truth.shape[1], 1)), self.prior.cov)
         every = epochs(self.times, z, self.u, truth)
         groups = tuple(self.groups) or (Group("state", "", slice(0, self.n)),)
         return Trial(groups, filters, prior, lambda _name: every, self._compare, reference)
 
     def _compare(self, truth: Any, belief: Belief) -> tuple[Array, Array]:
-        return -self.space.minus(truth, belief.mean), belief.sqrt_cov  # the root is that of tangents at the mean
+        return -self.motion.space.minus(truth, belief.mean), belief.sqrt_cov  # the root is that of tangents at the mean
 
 
-def _image(name: str, points: Array, epoch: Epoch) -> Array:
-    if not np.isfinite(points).all():
-        raise ValueError(f"{name}: expected finite numbers, got others at t = {epoch.t}")
-    return np.asarray(points[0])
+def _image(model: Motion | Sensor, x: Array, epoch: Epoch, m: int | None = None) -> Array:
+    y = evaluate(model, x[None].copy(), epoch, m=m)[0]
+    if not np.isfinite(y).all():
+        raise ValueError(f"{model.name}: expected finite numbers, got others at t = {epoch.t}")
+    return np.asarray(y)
 
 
 class Row(NamedTuple):
@@ -203,7 +173,7 @@ def compare(
         function("filters", make, "(problem)")
     rows = []
     for name, problem in instance("problems", problems, Mapping, "problems by name, such as {'turn': problem}").items():
-        instance("problems", problem, Problem, "each a Problem(f, h, ...)")
+        instance("problems", problem, Problem, "each a Problem(motion, sensor, prior, times)")
         made = {key: filter for key, make in filters.items() if (filter := make(problem)) is not None}
         trial, least = problem.trial(made, [generator(seed, 0, run) for run in range(runs)]), _bound(problem)
         for key in made:
@@ -224,8 +194,8 @@ def _bound(problem: Problem) -> Array | None:
     """Of the filter that knows the color, outliers aside, along the undisturbed run; None where there is none, on curved spaces."""
     if problem.phi == 0.0:
         best: Filter = sigma_point(problem.motion, problem.sensor, rule=Taylor())
-    elif problem.space == problem.measurement_space == EUCLIDEAN:
-        best = colored(problem.motion, problem.sensor, problem.phi * np.eye(problem.m), rule=Taylor())
+    elif problem.motion.space == problem.sensor.space == EUCLIDEAN:
+        best = colored(problem.motion, problem.sensor, problem.phi * np.eye(problem.sensor.m or 0), rule=Taylor())
     else:
         return None
     undisturbed: Sequence[Any] = [Noiseless()]

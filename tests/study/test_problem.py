@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from celnav import Gaussian, Taylor, colored, cubature, epochs, gauss_hermite, run, sigma_point, smolyak, unscented
+from celnav import Gaussian, Motion, Sensor, Taylor, colored, cubature, epochs, gauss_hermite, run, sigma_point, smolyak, unscented
 from celnav.filters.adaptive import gate, huber, innovation_window, student_t
 from celnav.gaussian import spaces
 from celnav.gaussian.attitude import attitude, rotate
@@ -34,13 +34,13 @@ def composed(rule, form="square root", color="", hook=""):
     """A name, and what makes the filter of a problem: none for colored noise on a curved space, and none of 729 points."""
 
     def make(problem):
-        if color and not problem.space == problem.measurement_space == EUCLIDEAN:
+        if color and problem.motion.space != EUCLIDEAN:
             return None
-        if rule == "Gauss-Hermite" and problem.n + bool(color) * problem.sqrt_Q.shape[1] > 5:
+        if rule == "Gauss-Hermite" and problem.n + bool(color) * problem.motion.noise.shape[1] > 5:
             return None
         options = {"rule": RULES[rule], "form": form, "hooks": [HOOKS[hook]] if hook else []}
         if color:
-            return colored(problem.motion, problem.sensor, problem.phi * np.eye(problem.m), **options)
+            return colored(problem.motion, problem.sensor, problem.phi * np.eye(problem.sensor.m), **options)
         return sigma_point(problem.motion, problem.sensor, **options)
 
     return " · ".join(filter(None, [rule, form, color, hook])), make
@@ -61,33 +61,35 @@ def chosen(*names):
     return {name: COMPOSITIONS[name] for name in names}
 
 
+def f(x, _epoch):
+    return x @ F.T
+
+
+def h(x, _epoch):
+    return x[..., :1]
+
+
+NOISE, R, PRIOR = [[0.05], [0.1]], [[0.25]], Gaussian([1.0, 2.0], [[4.0, 0.5], [0.5, 1.0]])
+
+
 def line(**changes):
     """A body on a line, seen by its position."""
-    problem = Problem(
-        lambda x, epoch: x @ F.T,
-        lambda x, epoch: x[..., :1],
-        mean=[1.0, 2.0],
-        cov=[[4.0, 0.5], [0.5, 1.0]],
-        sqrt_Q=[[0.05], [0.1]],
-        R=[[0.25]],
-        times=np.arange(21.0),
-        groups=[Group("position", "m", slice(0, 1))],
-    )
+    problem = Problem(Motion(f, sqrt_Q=NOISE), Sensor(h, R), PRIOR, np.arange(21.0), groups=[Group("position", "m", slice(0, 1))])
     return replace(problem, **changes)
 
 
 def satellite(**changes):
     gyro = Gyro(1e-5, 1e-6)
     problem = Problem(
-        lambda x, epoch: gyro.propagate(x, epoch.u, epoch.dt),
-        lambda x, epoch: side_by_side([rotate(x[..., :4], star) for star in np.eye(3)[:2]]),
-        mean=[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0],
-        cov=np.diag([0.02] * 3 + [1e-4] * 3) ** 2,
-        sqrt_Q=np.linalg.cholesky(gyro.process_noise(1.0)),
-        R=1e-6 * np.eye(6),
+        Motion(
+            lambda x, epoch: gyro.propagate(x, epoch.u, epoch.dt),
+            sqrt_Q=np.linalg.cholesky(gyro.process_noise(1.0)),
+            space=spaces.product((attitude(), 4, 3), (EUCLIDEAN, 3, 3)),
+        ),
+        Sensor(lambda x, epoch: side_by_side([rotate(x[..., :4], star) for star in np.eye(3)[:2]]), R=1e-6 * np.eye(6)),
+        Gaussian([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], np.diag([0.02] * 3 + [1e-4] * 3) ** 2),
         times=np.arange(31.0),
         u=np.tile([0.0, 1e-3, 0.0], (30, 1)),
-        space=spaces.product((attitude(), 4, 3), (EUCLIDEAN, 3, 3)),
         groups=[Group("attitude", "arcsec", slice(0, 3), 206265.0)],
     )
     return replace(problem, **changes)
@@ -95,12 +97,13 @@ def satellite(**changes):
 
 def kalman(problem, z):
     """The textbook filter: means ``(T, runs, 2)`` and the last covariance."""
-    P, Q, H = problem.cov, problem.sqrt_Q @ problem.sqrt_Q.T, np.array([[1.0, 0.0]])
-    x, out = np.tile(problem.mean, (z.shape[1], 1)), []
+    W = problem.motion.noise
+    P, Q, H = problem.prior.cov, W @ W.T, np.array([[1.0, 0.0]])
+    x, out = np.tile(problem.prior.mean, (z.shape[1], 1)), []
     for k, measured in enumerate(z):
         if k:
             x, P = x @ F.T, F @ P @ F.T + Q
-        K = P @ H.T / (H @ P @ H.T + problem.R)
+        K = P @ H.T / (H @ P @ H.T + R)
         x, P = x + (measured - x @ H.T) @ K.T, P - K @ H @ P
         out.append(x)
     return np.stack(out), P
@@ -111,7 +114,7 @@ def test_on_a_line_every_composition_is_the_kalman_filter(name):
     problem = line()
     _, z = problem.draw([generator(0, 0, r) for r in range(4)])
     mean, P = kalman(problem, z)
-    prior = Gaussian(np.tile(problem.mean, (4, 1)), problem.cov)
+    prior = Gaussian(np.tile(PRIOR.mean, (4, 1)), PRIOR.cov)
     track = run(COMPOSITIONS[name](problem), prior, epochs(problem.times, z), keep="cov")
     np.testing.assert_allclose(track.mean, mean, atol=1e-8)
     np.testing.assert_allclose(track.cov[-1], np.tile(P, (4, 1, 1)), atol=1e-8)
@@ -130,12 +133,12 @@ def test_draws_are_of_the_model():
     problem = line(phi=0.8)
     truth, z = problem.draw([generator(1, 0, r) for r in range(4000)])
     assert truth.shape == (21, 4000, 2)
-    np.testing.assert_allclose(np.cov(truth[0].T), problem.cov, rtol=0.12, atol=0.08)
+    np.testing.assert_allclose(np.cov(truth[0].T), PRIOR.cov, rtol=0.12, atol=0.08)
     V = (z - truth[..., :1])[..., 0]
     np.testing.assert_allclose(V.std(1), 0.5, rtol=0.06)
     assert np.corrcoef(V[9], V[10])[0, 1] == pytest.approx(0.8, abs=0.03)
     w = truth[1:] - truth[:-1] @ F.T
-    np.testing.assert_allclose(np.cov(w.reshape(-1, 2).T), problem.sqrt_Q @ problem.sqrt_Q.T, rtol=0.05)
+    np.testing.assert_allclose(np.cov(w.reshape(-1, 2).T), problem.motion.noise @ problem.motion.noise.T, rtol=0.05)
 
 
 def test_outliers_are_as_many_and_as_large_as_they_are_said_to_be():
@@ -164,16 +167,17 @@ def test_huber_takes_most_of_the_harm_out_of_outliers():
 
 
 def test_models_that_write_to_their_argument_change_nothing():
-    def f(x, _epoch):
+    def moved(x, _epoch):
         x[..., 0] += x[..., 1]
         return x
 
-    def h(x, _epoch):
+    def seen(x, _epoch):
         x[..., 0] -= 100.0
         return x[..., :1]
 
     kinds = chosen("unscented · square root", "unscented · square root · colored", "Taylor · square root · colored")
-    writing, pure = line(f=f, h=h, phi=0.5), line(h=lambda x, _epoch: x[..., :1] - 100.0, phi=0.5)
+    writing = line(motion=Motion(moved, sqrt_Q=NOISE), sensor=Sensor(seen, R), phi=0.5)
+    pure = line(sensor=Sensor(lambda x, _epoch: x[..., :1] - 100.0, R), phi=0.5)
     for mine, other in zip(compare({"line": writing}, kinds, runs=5), compare({"line": pure}, kinds, runs=5), strict=True):
         np.testing.assert_allclose(mine[2:8], other[2:8], rtol=1e-9)
 
@@ -238,15 +242,15 @@ def test_a_row_does_not_depend_on_the_others():
     [
         ({"phi": 1.0}, "^phi: expected a number of at least 0 and below 1, got 1.0"),
         ({"outliers": -0.1}, "^outliers: expected a number of at least 0 and below 1, got -0.1"),
-        ({"cov": [[1.0, 2.0], [2.0, 1.0]]}, r"^cov: expected symmetric positive semidefinite"),
-        ({"R": [[-1.0]]}, r"^R: expected symmetric positive semidefinite"),
-        ({"sqrt_Q": [0.1, 0.1]}, r"^sqrt_Q: expected columns \(2, r\), got \(2,\)"),
-        ({"mean": [np.nan, 0.0]}, r"^mean: expected finite numbers"),
-        ({"mean": [1.0]}, r"^mean: expected shape \(2,\) to go with cov, got \(1,\)"),
-        ({"R": 1.0}, r"^R: expected a matrix, got shape \(\)"),
-        ({"cov": np.ones((3, 2, 2))}, r"^cov: expected a matrix"),
+        ({"motion": f}, r"^motion: expected celnav.Motion\(f, Q\), got function f"),
+        ({"sensor": None}, r"^sensor: expected celnav.Sensor\(h, R\), got NoneType"),
+        ({"prior": [1.0, 2.0]}, r"^prior: expected celnav.Gaussian\(mean, cov\), got list"),
+        ({"motion": Motion(f, lambda mean, epoch: np.eye(2))}, r"^Q: expected one constant covariance"),
+        ({"sensor": Sensor(h, lambda mean, epoch: np.eye(1))}, r"^R: expected one constant covariance"),
+        ({"sensor": Sensor(h, np.ones((3, 1, 1)))}, r"^R: expected one constant covariance"),
+        ({"motion": Motion(f, np.eye(3))}, r"^prior: expected a covariance to go with the motion's Q, got \(2, 2\)"),
+        ({"prior": Gaussian(np.zeros((3, 2)), np.eye(2))}, r"^prior: expected one mean \(N,\) and covariance \(n, n\)"),
         ({"phi": "much"}, "^phi: expected a number of at least 0 and below 1, got 'much'"),
-        ({"f": F}, r"^f: expected a function \(points, epoch\), got ndarray"),
         ({"times": [0.0, 1.0, 1.0]}, r"^times: expected two or more increasing numbers"),
         ({"times": []}, r"^times: expected two or more increasing numbers"),
         ({"u": np.zeros((3, 1))}, r"^u: expected at least 20 rows for 21 times, got 3"),
@@ -261,9 +265,9 @@ def test_a_problem_that_cannot_be_is_refused_by_name(change, message):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"h": lambda x, epoch: x}, r"^h returned shape \(1, 2, 2\), expected \(1, 2, 1\)"),
-        ({"h": lambda x, epoch: x[..., 0]}, r"^h returned shape \(1, 2\), expected"),
-        ({"f": lambda x, epoch: x * 1e200}, r"^f: expected finite numbers, got others at t = "),
+        ({"sensor": Sensor(lambda x, epoch: x, R)}, r"^h returned shape \(1, 2, 2\), expected \(1, 2, 1\)"),
+        ({"sensor": Sensor(lambda x, epoch: x[..., 0], R)}, r"^h returned shape \(1, 2\), expected"),
+        ({"motion": Motion(lambda x, epoch: x * 1e200, sqrt_Q=NOISE)}, r"^f: expected finite numbers, got others at t = "),
     ],
 )
 def test_a_model_that_cannot_be_is_told_when_it_is_drawn(change, message):
