@@ -25,9 +25,8 @@ Sources   ``[Sun2015, Eq. 27]`` in a docstring; citations are in ``celnav.papers
 """
 
 from celnav.filters.colored import augmented, colored, decorrelated
-from celnav.filters.epochs import epochs
 from celnav.filters.model import Linear, Motion, Sensor
-from celnav.filters.records import Epoch, Filter, FilterError
+from celnav.filters.records import Epoch, Filter, FilterError, epochs
 from celnav.filters.run import run, steps
 from celnav.filters.sequential import ckf, ekf, ghkf, sigma_point, sparse_grid_filter, ukf
 from celnav.filters.smoother import smooth

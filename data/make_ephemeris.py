@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.polynomial.chebyshev import chebval
 
-from celnav.models.time import from_utc
+from celnav.models.ephemeris import from_utc
 
 PACKAGES = {"de405": "1997.1", "de406": "1997.1", "de421": "2008.1", "de423": "2010.1"}
 

@@ -16,7 +16,7 @@ import rerun as rr
 import celnav
 from celnav.analysis import bounds, metrics, observability
 from celnav.gaussian import attitude, rules, spaces
-from celnav.models import earth, ephemeris, gyro, noise, orbit, pulsar, sightings, time
+from celnav.models import earth, ephemeris, gyro, noise, orbit, pulsar, sightings
 from celnav.show import recording, views
 from celnav.study import montecarlo, problem, trial
 
@@ -54,7 +54,7 @@ checks: numbers finite number integer integers whole choice function sequence to
 drawing: Drawing.set render
 rules: few AnyDimension
 sparse_grid: check_orders univariate
-scores: score merge summarize check_scores
+trial: score merge summarize check_scores
 views: bar_chart text log rows columns tabs blueprint
 figures: band
 ephemeris: de421
@@ -81,7 +81,7 @@ GYRO = gyro.Gyro(1e-6, 1e-9)
 BODY = gyro.Body(np.diag([1.0, 2.0, 2.5]))
 PULSARS = pulsar.pulsars(["B0531+21"])
 STARS = sightings.star_directions(1.0)
-TDB = time.from_utc("2015-10-17T04:00:00")
+TDB = ephemeris.from_utc("2015-10-17T04:00:00")
 RULE = rules.unscented(2)
 MOTION, SENSOR = celnav.Motion(0.9 * I2, I2), celnav.Sensor(I2, I2)
 PRIOR = celnav.Gaussian(np.zeros(2), I2)
@@ -227,10 +227,10 @@ CALLS = {
     "sightings.position": dict(A=np.array([1.2, 1.2, 2.0]), separation=1.0, hemisphere=1.0, radius_km=6378.0),
     "sightings.jacobian": dict(A=np.array([1.2, 1.2, 2.0]), separation=1.0, hemisphere=1.0, radius_km=6378.0),
     "sightings.pseudo_position_covariance": dict(position_km=np.array([4e3, 3e3, 5e3]), separation=1.0, sigma=np.full(3, 1e-4)),
-    "time.Tdb.after": (TDB.after, dict(seconds=1.0)),
-    "time.Tdb.since": (TDB.since, dict(other=TDB)),
-    "time.from_tt": dict(day=2457300.5, rest=0.1),
-    "time.from_utc": dict(instant="2015-10-17"),
+    "ephemeris.Tdb.after": (TDB.after, dict(seconds=1.0)),
+    "ephemeris.Tdb.since": (TDB.since, dict(other=TDB)),
+    "ephemeris.from_tt": dict(day=2457300.5, rest=0.1),
+    "ephemeris.from_utc": dict(instant="2015-10-17"),
     "earth.turning_flight": dict(times=TIMES, **FLIGHT),
 }  # fmt: skip
 
@@ -277,9 +277,9 @@ MEANT = {
     "sightings.jacobian A": "nan",
     "sightings.position A": "nan",
     "spaces.angles components": "empty",
-    "time.Tdb.after seconds": "empty, several, nan, infinite",
-    "time.from_tt day": "empty, several",
-    "time.from_tt rest": "empty, several",
+    "ephemeris.Tdb.after seconds": "empty, several, nan, infinite",
+    "ephemeris.from_tt day": "empty, several",
+    "ephemeris.from_tt rest": "empty, several",
 }
 """What is meant although it is in the lists below: nan where nothing is known, a batch of none, a large cap."""
 NUMBERS = {

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import expit, logit
 
-from celnav.filters.epochs import Epochs
-from celnav.filters.records import Epoch, Filter
+from celnav.filters.records import Epoch, Epochs, Filter
 from celnav.filters.run import run
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import finite, function, integer, kind, number, numbers, sequence

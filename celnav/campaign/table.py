@@ -13,7 +13,7 @@ import numpy as np
 from celnav.campaign.missions import Configuration, Study
 from celnav.campaign.units import Result
 from celnav.gaussian.linalg import Array
-from celnav.study.scores import Accuracy, Scores, Summary, merge, summarize
+from celnav.study.trial import Accuracy, Scores, Summary, merge, summarize
 
 MOST_LINES = 40
 

@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.filters.epochs import epochs
 from celnav.filters.joint import at
 from celnav.filters.mixing import LOOKED_AT, WATCH
 from celnav.filters.model import check_function
-from celnav.filters.records import Epoch, Filter, FilterError, Info
+from celnav.filters.records import Epoch, Filter, FilterError, Info, epochs
 from celnav.filters.track import Collector, Track
 from celnav.gaussian.belief import settled
 from celnav.gaussian.checks import choice, instance, integer, kind, numbers

@@ -1,25 +1,28 @@
-"""Where Sun, Moon and planets are: JPL's development ephemerides, barycentric, ICRS axes. Units: km, km/s.
+"""Where Sun, Moon and planets are, and when: JPL's ephemerides, barycentric, ICRS axes, and their time, TDB. Units: km, km/s.
 
 `de421` needs no files but those of the package; `Kernel` reads any such SPK file. Planets are their systems' barycenters, except
-the Earth.
+the Earth. An instant is a Julian date TDB in two parts, so that centuries keep their microseconds; the scale is in the type. Leap
+seconds and the difference of TDB and TT come from ERFA. An offline machine in years to come keeps its table and is warned by it.
 """
 
 from __future__ import annotations
 
 import os
+from datetime import UTC, datetime
 from functools import cache
 from importlib.resources import files
 from io import BytesIO
 from pathlib import Path
 from typing import NamedTuple
 
+import erfa
 import numpy as np
 from jplephem.daf import DAF
 from jplephem.spk import SPK
+from numpy.typing import ArrayLike
 
-from celnav.gaussian.checks import choice, instance
+from celnav.gaussian.checks import choice, finite, instance, numbers
 from celnav.gaussian.linalg import Array
-from celnav.models.time import DAY_S, Tdb
 
 GM = {
     "sun": 132712440040.944, "mercury": 22032.090, "venus": 324858.592, "earth": 398600.436233, "moon": 4902.800076,
@@ -44,7 +47,7 @@ class BodyState(NamedTuple):
 class Kernel:
     """A binary SPK file; ValueError names one that is none or is cut off.
 
-    >>> position, velocity = Kernel("de440.bsp").state("mars", celnav.models.time.from_utc("2015-10-17"))
+    >>> position, velocity = Kernel("de440.bsp").state("mars", celnav.models.ephemeris.from_utc("2015-10-17"))
     """
 
     def __init__(self, path: str | Path):
@@ -65,7 +68,7 @@ class Kernel:
         if body not in present:
             raise ValueError(f"{self.path}: no data for {body!r}; it has {', '.join(present)}")
         segments = [self._spk[pair] for pair in _SPK[body]]
-        instance("date", date, Tdb, 'a Tdb, such as celnav.models.time.from_utc("2015-10-17")')
+        instance("date", date, Tdb, 'a Tdb, such as celnav.models.ephemeris.from_utc("2015-10-17")')
         first, last = max(s.start_jd for s in segments), min(s.end_jd for s in segments)
         day, rest = np.broadcast_arrays(np.asarray(date.day, dtype=np.float64), np.asarray(date.rest, dtype=np.float64))
         since = ((day - first) + rest).ravel()
@@ -82,3 +85,45 @@ class Kernel:
 def de421() -> Kernel:
     """DE421 [Folkner et al. 2009], 1899 to 2053, from the package skyfield-data."""
     return Kernel(str(files("skyfield_data") / "data" / "de421.bsp"))
+
+
+DAY_S = 86400.0
+
+
+class Tdb(NamedTuple):
+    """Julian date TDB: whole days (or any fixed day) and the rest, in days; arrays of one shape, or numbers."""
+
+    day: Array | float
+    rest: Array | float
+
+    def after(self, seconds: ArrayLike) -> Tdb:
+        """The instants so many seconds later."""
+        return Tdb(self.day, self.rest + numbers("seconds", seconds) / DAY_S)
+
+    def since(self, other: Tdb) -> Array:
+        """Seconds from another instant."""
+        instance("other", other, Tdb, 'a Tdb, such as celnav.models.ephemeris.from_utc("2015-10-17")')
+        return np.asarray(((self.day - other.day) + (self.rest - other.rest)) * DAY_S)
+
+
+def from_tt(day: ArrayLike, rest: ArrayLike = 0.0) -> Tdb:
+    """TDB of a Julian date in terrestrial time, at the center of the Earth."""
+    one, two = finite("day", day), finite("rest", rest)
+    return Tdb(one, two + erfa.dtdb(one, two, 0.0, 0.0, 0.0, 0.0) / DAY_S)
+
+
+def from_utc(instant: str | datetime) -> Tdb:
+    """TDB of an instant in UTC: "2015-10-17T04:00:00" (leap seconds too: 23:59:60), or a datetime that knows its zone."""
+    when, leap = instant, "23:59:60" in str(instant)
+    if isinstance(instant, str):
+        try:
+            when = datetime.fromisoformat(instant.strip().replace("23:59:60", "23:59:59"))
+        except ValueError as error:
+            raise ValueError(f"instant: expected UTC as YYYY-MM-DDTHH:MM:SS, got {instant!r} ({error})") from None
+        when = when.replace(tzinfo=when.tzinfo or UTC)
+    if not isinstance(when, datetime) or when.tzinfo is None:
+        raise ValueError(f"instant: expected a datetime with a time zone, or UTC as YYYY-MM-DDTHH:MM:SS, got {instant!r:.80}")
+    when = when.astimezone(UTC)
+    second = when.second + leap + 1e-6 * when.microsecond
+    days = erfa.dtf2d("UTC", when.year, when.month, when.day, when.hour, when.minute, second)
+    return from_tt(*erfa.taitt(*erfa.utctai(*days)))

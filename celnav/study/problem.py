@@ -15,10 +15,9 @@ import numpy as np
 from scipy.special import ndtri
 
 from celnav.filters.colored import colored
-from celnav.filters.epochs import epochs
 from celnav.filters.joint import evaluate
 from celnav.filters.model import Motion, Sensor
-from celnav.filters.records import Epoch, Filter
+from celnav.filters.records import Epoch, Filter, epochs
 from celnav.filters.run import steps
 from celnav.filters.sequential import sigma_point
 from celnav.gaussian.belief import Gaussian
@@ -27,8 +26,7 @@ from celnav.gaussian.linalg import Array, Belief
 from celnav.gaussian.rules import Taylor
 from celnav.gaussian.spaces import EUCLIDEAN
 from celnav.study.montecarlo import generator, normals
-from celnav.study.scores import score, summarize
-from celnav.study.trial import Group, Noiseless, Trial, bound, follow
+from celnav.study.trial import Group, Noiseless, Trial, bound, follow, score, summarize
 
 WILD = 10.0
 """By how much an outlier's noise is larger."""

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from celnav.filters.colored import coloring, zeta_of
-from celnav.filters.epochs import epochs
 from celnav.filters.joint import at, evaluate
 from celnav.filters.model import Motion, Sensor
-from celnav.filters.records import Epoch
+from celnav.filters.records import Epoch, epochs
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import instance, integer, sequence
 from celnav.gaussian.linalg import Array, matvec

@@ -12,7 +12,7 @@ from celnav.campaign.missions import study
 from celnav.campaign.units import Unit, VersionError, code, execute, pack, units_of, unpack
 from celnav.filters.records import FromFunctions
 from celnav.papers import csrukf
-from celnav.study.scores import merge
+from celnav.study.trial import merge
 
 TABLE = {"paper": "csrukf", "filters": ["srukf", "csrukf"], "runs": 10, "block": 4, "config": {"steps": 12, "phi": [0.0, 0.8]}}
 

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from celnav.files import data
-from celnav.models import time as time_module
-from celnav.models.ephemeris import BODIES, GM, Kernel, de421
-from celnav.models.time import Tdb, from_utc
+from celnav.models import ephemeris as module
+from celnav.models.ephemeris import BODIES, GM, Kernel, Tdb, de421, from_utc
 
 START = from_utc("2015-10-17T04:00:00")
 BSP = Path(str(files("skyfield_data") / "data" / "de421.bsp"))
@@ -114,5 +113,5 @@ def test_nothing_asks_what_day_it_is(monkeypatch):
         def now(cls, tz=None):
             return datetime(2031, 11, 21, tzinfo=tz)
 
-    monkeypatch.setattr(time_module, "datetime", Later)
+    monkeypatch.setattr(module, "datetime", Later)
     assert from_utc("2015-10-17T04:00:00") == START

@@ -7,7 +7,7 @@ from datetime import UTC, datetime, timedelta, timezone
 import numpy as np
 import pytest
 
-from celnav.models.time import Tdb, from_tt, from_utc
+from celnav.models.ephemeris import Tdb, from_tt, from_utc
 
 
 def test_utc_is_tdb_less_leap_seconds():

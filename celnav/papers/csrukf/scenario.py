@@ -8,9 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from celnav.filters.colored import augmented, colored, decorrelated
-from celnav.filters.epochs import Epochs, epochs
 from celnav.filters.model import Model, Motion, Sensor
-from celnav.filters.records import Filter
+from celnav.filters.records import Epochs, Filter, epochs
 from celnav.filters.sequential import sigma_point
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array, semidefinite_root

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from celnav.filters.epochs import Epochs
-from celnav.filters.records import Filter
+from celnav.filters.records import Epochs, Filter
 from celnav.filters.run import run
 from celnav.gaussian.belief import nees
 from celnav.gaussian.linalg import Array

@@ -9,8 +9,8 @@ import numpy as np
 from celnav.gaussian.checks import finite
 from celnav.gaussian.linalg import Array
 from celnav.models import orbit
+from celnav.models.ephemeris import Tdb, from_utc
 from celnav.models.pulsar import LIGHT_KM_S, Timing, pulsars
-from celnav.models.time import Tdb, from_utc
 from celnav.study.montecarlo import steps
 
 TITLE = "Two-stage strong-tracking differential Kalman filter for X-ray pulsars"

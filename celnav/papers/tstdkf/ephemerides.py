@@ -9,8 +9,7 @@ import numpy as np
 
 from celnav.files import data, read_npz
 from celnav.gaussian.linalg import Array
-from celnav.models.ephemeris import de421
-from celnav.models.time import Tdb
+from celnav.models.ephemeris import Tdb, de421
 
 
 @dataclass(frozen=True)
