@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import expit, logit
+from scipy.special import expit
 
 from celnav.filters.records import Epoch, Epochs, Filter
 from celnav.filters.run import run
@@ -19,10 +19,12 @@ from celnav.gaussian.linalg import Array
 Build = Callable[[Array], tuple[Filter, Gaussian]]
 Domain = str | tuple[float, float]
 DOMAINS = {"positive": (0.0, np.inf), "unit interval": (0.0, 1.0)}
-_NEAR, _FAR = 1e-3, 2e-3
-"""Differences of gradients and of curvatures, in logarithms."""
-_ROUGH = 1e-3
-"""What the last step of the search has gained when Newton's method takes over."""
+STEP = 2e-3
+"""Of differences, in logarithms."""
+ROUGH = 1e-3
+"""What the last step of the search has gained of the log-likelihood when Newton's method takes over."""
+STEPS = 4
+"""Of Newton's method, at most."""
 
 
 class Tuned(NamedTuple):
@@ -30,8 +32,7 @@ class Tuned(NamedTuple):
 
     Attributes
     ----------
-    parameters: ``(d,)`` where the likelihood is largest.
-    log_likelihood: there, of all runs together.
+    parameters: ``(d,)`` where the likelihood is largest. log_likelihood: there, of all runs together.
     standard_errors: ``(d,)`` of the parameters, by the curvature; inf where ``converged`` is False for want of one.
     covariance: ``(d, d)`` of the parameters' *logarithms* (in an interval, of ``log((p - low) / (high - p))``): an interval of a
         positive parameter is ``parameters * exp(+-2 sqrt(diagonal))``.
@@ -63,8 +64,8 @@ def maximize_likelihood(
 ) -> Tuned:
     """Maximize ``Track.log_likelihood``, summed over the runs, over parameters such as standard deviations and correlations.
 
-    The search is on logarithms, so parameters may be of any size: L-BFGS-B, then Newton's method. Parameters at which ``build``
-    or the filter fails count as improbable. For example, of a deviation and a correlation::
+    The search is on logarithms, so parameters may be of any size. Parameters at which ``build`` or the filter fails count as
+    improbable. For example, of a deviation and a correlation::
 
         maximize_likelihood(build, [0.1, 0.5], epochs, domain=["positive", "unit interval"])
 
@@ -78,44 +79,52 @@ def maximize_likelihood(
     tolerance: how much of the log-likelihood may be left to gain; a parameter one standard error off loses 0.5.
     max_iterations: of the optimizer.
     """
+    from scipy.optimize import minimize  # takes a second to import
+
     x0 = finite("start", start)
     if x0.ndim != 1 or not len(x0):
         raise ValueError(f"start: expected positive parameters of shape (d,), got {x0!r:.80}")
-    scale = _Scale(_ends(domain, len(x0)), x0)
+    scale = _Scale(domain, x0)
     reach = float(np.log(number("factor", factor, above=1.0)))
     tolerance = number("tolerance", tolerance, above=0.0)
     max_iterations = integer("max_iterations", max_iterations)
     data = epochs if isinstance(epochs, Epochs) else sequence("epochs", epochs, "celnav.epochs(times, z)")
     if not any(map(_measured, data)):
         raise ValueError("epochs: expected measurements, got none")
-    s = np.zeros(len(x0))
-    likelihood = _Likelihood(function("build", build, "(parameters)"), data, scale, s)
-    for left in (_ROUGH, 1e-3 * tolerance):  # the second where the first ends on a plateau
-        s, converged, message = likelihood.searched(s, reach, left, max_iterations)
-        at_end = np.abs(s) > 0.999 * reach
+    likelihood = _Likelihood(function("build", build, "(parameters)"), data, scale, len(x0))
+    found = minimize(
+        likelihood.cost, np.zeros(len(x0)), jac=True, method="L-BFGS-B", bounds=[(-reach, reach)] * len(x0),
+        options={"maxiter": max_iterations, "gtol": 1e-9, "ftol": ROUGH / max(1.0, abs(likelihood.first))},
+    )  # fmt: skip
+    s = found.x if found.success else likelihood.best()  # beside failures a line search may give up what it has found
+    for _ in range(STEPS):
+        covariance, why = np.full((len(x0), len(x0)), np.inf), ""
+        at_end, curvature = np.abs(s) > 0.999 * reach, likelihood.curvature(s)
         if at_end.any():
+            i = int(np.argmax(at_end))
+            why = f"parameter {i} ran to the end of its range, {scale(s)[i]:.6g}"
             break
-        s, curvature, gain = likelihood.refined(s, tolerance)
-        if gain <= tolerance:
+        if not np.isfinite(curvature).all():
+            why = "the filter fails beside the most probable parameters: they lie at an edge"
             break
-    covariance, why = np.full((len(x0), len(x0)), np.inf), ""
-    if at_end.any():
-        i = int(np.argmax(at_end))
-        why = f"parameter {i} ran to the end of its range, {scale(s)[i]:.6g}"
-    elif not np.isfinite(curvature).all():
-        why = "the filter fails beside the most probable parameters: they lie at an edge"
-    else:
         eigenvalues, vectors = np.linalg.eigh(curvature)
-        if eigenvalues[-1] < 0.0:
-            covariance = (vectors / -eigenvalues) @ vectors.T
-            why = "" if gain <= tolerance else f"{gain:.3g} of the log-likelihood is left to gain; {message}"
-        else:
+        if eigenvalues[-1] >= 0.0:
             i = int(np.argmax(np.abs(vectors[:, -1])))
             why = f"the data do not determine parameter {i}: the likelihood has no maximum in it"
+            break
+        covariance, gradient = (vectors / -eigenvalues) @ vectors.T, likelihood.gradient(s)
+        gain = 0.5 * gradient @ covariance @ gradient
+        if gain <= tolerance:
+            break
+        why = f"{gain:.3g} of the log-likelihood is left to gain; {found.message}"
+        ahead = s + covariance @ gradient
+        if not likelihood(ahead) > likelihood(s):
+            break
+        s = ahead
     errors = scale.slope(s) * np.sqrt(covariance.diagonal())
-    (best,), tried = likelihood([s]).tolist(), list(likelihood.known.values())
+    tried, converged = list(likelihood.known.values()), bool(found.success) and not why
     failures = int(np.isnan(tried).sum())
-    return Tuned(scale(s), best, errors, covariance, len(tried), converged and not why, why or message, failures)
+    return Tuned(scale(s), likelihood(s), errors, covariance, len(tried), converged, why or found.message, failures)
 
 
 def _measured(epoch: Any) -> bool:
@@ -124,60 +133,51 @@ def _measured(epoch: Any) -> bool:
     return any(part is not None and bool(np.isfinite(numbers("z", part)).any()) for part in parts)
 
 
-def _ends(domain: Domain | Sequence[Domain], d: int) -> Array:
-    """Lower and upper ends ``(2, d)`` of the parameters."""
-    alone = isinstance(domain, str) or (isinstance(domain, tuple) and not isinstance(domain[0], str | tuple | list))
-    each: Any = [domain] * d if alone else sequence("domain", domain, "['positive', (0.0, 1.0)]")
-    if len(each) != d:
-        raise ValueError(f"domain: expected one for all or {d}, one for each parameter, got {len(each)}")
-    pairs = [DOMAINS.get(one) if isinstance(one, str) else one for one in each]
-    for one, pair in zip(each, pairs, strict=True):
-        if not isinstance(pair, tuple | list) or len(pair) != 2 or not -np.inf < numbers("domain", pair)[0] < pair[1]:
-            raise ValueError(f"domain: expected 'positive', 'unit interval' or (low, high), got {one!r}")
-    return np.array(pairs, dtype=np.float64).T
-
-
 class _Scale:
     """Logarithms ``(d,)``, relative to the start, to parameters: of the distance to the ends of their domain."""
 
-    def __init__(self, ends: Array, start: Array):
-        low, high = ends
-        inside = (start > low) & (start < high)
-        if not inside.all():
-            i = int(np.argmin(inside))
-            expected = "positive parameters" if (low[i], high[i]) == DOMAINS["positive"] else None
-            raise ValueError(f"start: expected {expected or f'parameter {i} between {low[i]:g} and {high[i]:g}'}, got {start[i]:g}")
-        self._low, self._bounded = low, np.isfinite(high)
-        self._width = np.where(self._bounded, high - low, 1.0)
-        part = (start - low) / self._width
-        self._origin = np.where(self._bounded, logit(np.where(self._bounded, part, 0.5)), np.log(part))
+    def __init__(self, domain: Domain | Sequence[Domain], start: Array):
+        alone = isinstance(domain, str) or (isinstance(domain, tuple) and not isinstance(domain[0], str | tuple | list))
+        each: Any = [domain] * len(start) if alone else sequence("domain", domain, "['positive', (0.0, 1.0)]")
+        if len(each) != len(start):
+            raise ValueError(f"domain: expected one for all or {len(start)}, one for each parameter, got {len(each)}")
+        pairs = [DOMAINS.get(one) if isinstance(one, str) else one for one in each]
+        for i, (one, pair) in enumerate(zip(each, pairs, strict=True)):
+            if not isinstance(pair, tuple | list) or len(pair) != 2 or not -np.inf < numbers("domain", pair)[0] < pair[1]:
+                raise ValueError(f"domain: expected 'positive', 'unit interval' or (low, high), got {one!r}")
+            if not pair[0] < start[i] < pair[1]:
+                interval = f"parameter {i} between {pair[0]:g} and {pair[1]:g}"
+                raise ValueError(f"start: expected {'positive parameters' if one == 'positive' else interval}, got {start[i]:g}")
+        self._low, self._high = low, high = np.array(pairs, np.float64).T
+        self._bounded = np.isfinite(high)
+        self._origin = np.log((start - low) / np.where(self._bounded, high - start, 1.0))
 
     def __call__(self, s: Array) -> Array:
         s = self._origin + s
-        part = np.where(self._bounded, expit(s), np.exp(np.where(self._bounded, 0.0, s)))
-        return np.asarray(self._low + self._width * part)
+        return np.asarray(self._low + np.where(self._bounded, (self._high - self._low) * expit(s), np.exp(s)))
 
     def slope(self, s: Array) -> Array:
         """Derivative of the parameters by their logarithms."""
         above = self(s) - self._low
-        return np.asarray(np.where(self._bounded, above * (1.0 - above / self._width), above))
+        return np.asarray(above * (1.0 - above / (self._high - self._low)))
 
 
 class _Likelihood:
     """Log-likelihood as a function of logarithms relative to the start, nan where there is none, with its derivatives."""
 
-    def __init__(self, build: Build, epochs: Sequence[Epoch], scale: _Scale, start: Array):
+    def __init__(self, build: Build, epochs: Sequence[Epoch], scale: _Scale, d: int):
         self._build, self._epochs, self._scale = build, epochs, scale
-        self.known: dict[bytes, float] = {}
+        start = scale(np.zeros(d))
         try:
-            self.first = self.known[start.tobytes()] = self._flown(scale(start))
+            self.first = self._flown(start)
         except ArithmeticError as error:
             raise ValueError(f"start: expected parameters at which the filter works; {error}") from error
         except ValueError as error:
-            error.add_note(f"at the start, parameters {scale(start)}")
+            error.add_note(f"at the start, parameters {start}")
             raise
         if not np.isfinite(self.first):
             raise ValueError(f"start: expected a finite log-likelihood, got {self.first}")
+        self.known = {(0.0,) * d: self.first}
 
     def _flown(self, parameters: Array) -> float:
         built = self._build(parameters)
@@ -185,73 +185,44 @@ class _Likelihood:
             raise ValueError(f"build: expected a filter and a prior, got {kind(built)}")
         return float(run(*built, self._epochs, keep="nothing").log_likelihood.sum())
 
-    def __call__(self, points: Iterable[Array]) -> Array:
-        """``(k,)`` at k points ``(d,)``."""
-        return np.array([self._at(s) for s in points])
-
-    def _at(self, s: Array) -> float:
-        if s.tobytes() not in self.known:
+    def __call__(self, s: Array) -> float:
+        key = tuple(s.tolist())
+        if key not in self.known:
             try:
                 found = self._flown(self._scale(s))
             except (ValueError, ArithmeticError):
                 found = np.nan
-            self.known[s.tobytes()] = found if np.isfinite(found) else np.nan
-        return self.known[s.tobytes()]
+            self.known[key] = found if np.isfinite(found) else np.nan
+        return self.known[key]
+
+    def best(self) -> Array:
+        """The most probable of what was tried ``(d,)``."""
+        return np.array(max((found, s) for s, found in self.known.items() if not np.isnan(found))[1])
+
+    def _beside(self, s: Array) -> tuple[Array, Array]:
+        """Likelihoods ``(d,)`` a step above and below s."""
+        axes = STEP * np.eye(len(s))
+        return np.array([self(s + axis) for axis in axes]), np.array([self(s - axis) for axis in axes])
+
+    def gradient(self, s: Array) -> Array:
+        """First derivatives ``(d,)``: of the side where the filter works, 0 where it does on none."""
+        above, below = self._beside(s)
+        one, other = above - self(s), self(s) - below
+        mean = 0.5 * (np.where(np.isnan(one), other, one) + np.where(np.isnan(other), one, other))
+        return np.nan_to_num(mean / STEP)
 
     def cost(self, s: Array) -> tuple[float, Array]:
-        """What an optimizer minimizes, and its gradient by differences to one side."""
-        step = 0.1 * _NEAR
-        axes = step * np.eye(len(s))
-        center, *beside = self([s, *(s + axes)])
-        if np.isnan(center):  # finite, so that a line search turns back, and worse the further out
+        """What an optimizer minimizes, and its gradient."""
+        if np.isnan(self(s)):  # finite, so that a line search turns back, and worse the further out
             depth = 1e3 + abs(self.first)
             return depth * (1.0 + float(s @ s)) - self.first, 2.0 * depth * s
-        slope = (np.array(beside) - center) / step
-        for i in np.flatnonzero(np.isnan(slope)):
-            slope[i] = np.nan_to_num((center - self._at(s - axes[i])) / step)
-        return -float(center), -slope
-
-    def searched(self, s: Array, reach: float, left: float, iterations: int) -> tuple[Array, bool, str]:
-        """Where the search from s ends: when a step gains no more than ``left``."""
-        from scipy.optimize import minimize  # takes a second to import
-
-        found = minimize(
-            self.cost, s, jac=True, method="L-BFGS-B", bounds=[(-reach, reach)] * len(s),
-            options={"maxiter": iterations, "gtol": 1e-9, "ftol": left / max(1.0, abs(self.cost(s)[0]))},
-        )  # fmt: skip
-        return np.asarray(found.x), bool(found.success), str(found.message)
-
-    def refined(self, s: Array, tolerance: float) -> tuple[Array, Array, float]:
-        """The maximum by Newton's method, second derivatives ``(d, d)`` there, and what of the likelihood is left to gain.
-
-        Where there is no maximum it stays where it is, and inf is left.
-        """
-        start, curvature, gain = s, self.curvature(s), np.inf
-        axes = _NEAR * np.eye(len(s))
-        for _ in range(10):
-            if not np.isfinite(curvature).all() or (np.linalg.eigvalsh(curvature) >= 0.0).any():
-                return s, curvature, np.inf
-            gradient, here = (self(s + axes) - self(s - axes)) / (2.0 * _NEAR), self._at(s)
-            step = -np.linalg.solve(curvature, gradient)
-            gain = float(0.5 * gradient @ step)
-            if not np.isfinite(gain):
-                return s, np.full(curvature.shape, np.nan), np.inf
-            step *= min(1.0, 0.5 / np.abs(step).max(initial=0.5))
-            least = here - 1e-12 * abs(here)
-            taken = next((part for part in (1.0, 0.25, 0.0625) if self._at(s + part * step) >= least), 0.0)
-            s = s + taken * step
-            if gain <= tolerance or not taken:
-                break
-            if np.abs(s - start).max() > 50.0 * _FAR:
-                start, curvature = s, self.curvature(s)
-        return s, curvature, gain
+        return -self(s), -self.gradient(s)
 
     def curvature(self, s: Array) -> Array:
         """Second derivatives ``(d, d)``, nan where the filter fails beside s."""
-        axes = _FAR * np.eye(len(s))
-        H = np.diag(self(s + axes) - 2.0 * self._at(s) + self(s - axes))
+        axes, here, (above, below) = STEP * np.eye(len(s)), self(s), self._beside(s)
+        H = np.diag(above - 2.0 * here + below)
         for i, j in combinations(range(len(s)), 2):
-            a, b = axes[i], axes[j]
-            corners = self([s + a + b, s + a - b, s - a + b, s - a - b])
-            H[i, j] = H[j, i] = 0.25 * (corners @ [1.0, -1.0, -1.0, 1.0])
-        return np.asarray(H / _FAR**2)
+            both = axes[i] + axes[j]
+            H[i, j] = H[j, i] = 0.5 * (self(s + both) + self(s - both) + 2.0 * here - (above + below)[[i, j]].sum())
+        return np.asarray(H / STEP**2)
