@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import json
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
@@ -175,41 +174,3 @@ def _right(key: str, value: Any) -> bool:
     known = {"kind": KINDS, "verdict": VERDICTS}.get(key, (value,))
     pair = not isinstance(value, list) or (len(value) == 2 and all(type(part) in _NUMBER for part in value))
     return type(value) in _TYPES[key] and value in known and pair
-
-
-COLUMNS = ("claim", "paper", "ours", "interval", "accepted", "verdict")
-
-
-def row(claim: dict[str, Any]) -> tuple[str, ...]:
-    """The cells of one claim (as a dictionary) under `COLUMNS`."""
-    low, high = claim["accept"]
-    accepted = f"≥ {low:g}" if high is None and low is not None else f"≤ {high:g}" if low is None else f"{low:g} … {high:g}"
-    interval = "" if claim["ci"] is None or None in claim["ci"] else f"{claim['ci'][0]:.3g} … {claim['ci'][1]:.3g}"
-    number = "" if claim["value"] is None else f"{claim['value']:.4g}"
-    paper = "" if claim["paper"] is None else f"{claim['paper']:g}" if isinstance(claim["paper"], float | int) else claim["paper"]
-    return claim["statement"], paper, number, interval, accepted, claim["verdict"]
-
-
-def tally(claims: Iterable[dict[str, Any]]) -> dict[str, int]:
-    """How many claims have which verdict, in the order of `VERDICTS`."""
-    count = Counter(claim["verdict"] for claim in claims)
-    return {verdict: count[verdict] for verdict in VERDICTS if count[verdict]}
-
-
-class ClaimsTable:
-    """Claims as a table: for a notebook (HTML), a page (Markdown) or a terminal."""
-
-    def __init__(self, claims: Sequence[Claim]):
-        self._rows = [row(claim.to_dict()) for claim in claims]
-
-    def __str__(self) -> str:
-        return "\n".join(f"{verdict:24} {ours:>10}  {statement}" for statement, _, ours, _, _, verdict in self._rows)
-
-    def _repr_markdown_(self) -> str:
-        lines = [" | ".join(COLUMNS), " | ".join("---" for _ in COLUMNS)] + [" | ".join(cells) for cells in self._rows]
-        return "\n".join(f"| {line} |" for line in lines)
-
-    def _repr_html_(self) -> str:
-        head = "".join(f"<th>{name}</th>" for name in COLUMNS)
-        body = "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in cells) + "</tr>" for cells in self._rows)
-        return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
