@@ -9,8 +9,8 @@ import pytest
 
 from celnav import cli
 from celnav.files import ForeignFileError, InputError, Outputs, read_npz, write_text
-from celnav.papers.page import ClaimsTable
-from celnav.study.claims import Claim, dumps, read_claims
+from celnav.papers.page import ClaimsTable, read_claims
+from celnav.study.claims import Claim, dumps
 
 
 class Payload:

@@ -63,7 +63,7 @@ orbit: warn_of_degrees
 beidou: Broadcast Broadcast.chosen
 belief: symmetric
 montecarlo: blocks steps carry_out do effort joined
-claims: Claim Claim.to_dict Judge Judge.lengthy Judge.number Judge.statistic Judge.whole about dumps order read_claims within
+claims: Claim Claim.to_dict Judge Judge.lengthy Judge.number Judge.statistic Judge.whole about dumps order within
 page: document figure link table
 picture: command end picture
 progress: Progress Progress.close Progress.stage RunProgress

@@ -57,7 +57,7 @@ def bootstrap(
 
     >>> low, high = bootstrap(ratio, squares_of_one_filter, squares_of_another)
     """
-    function("statistic", statistic, "(samples)")
+    function("statistic", statistic, f"({', '.join(['sample'] * max(1, len(samples)))})")
     arrays = [np.atleast_1d(numbers("samples", sample)) for sample in samples]
     runs = min((len(array) for array in arrays), default=0)
     if runs < 2 or any(len(array) != runs for array in arrays):

@@ -23,11 +23,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from celnav.filters.joint import KEEP, Hook, Joint, at, checked, condition, evaluate, joint, linear, marginal, over_runs, rule_for
-from celnav.filters.model import Motion, Noise, Sensor, check_function, check_prior, given_back, noise_of
+from celnav.filters.model import Motion, Noise, Sensor, check_prior, given_back, noise_of
 from celnav.filters.records import Epoch, Info
 from celnav.filters.sequential import Sequential, missing, sigma_point, silent
 from celnav.gaussian.belief import Gaussian, symmetric
-from celnav.gaussian.checks import choice, finite, instance, numbers, together, unmasked
+from celnav.gaussian.checks import choice, finite, function, instance, numbers, together, unmasked
 from celnav.gaussian.linalg import Array, apply, block, matvec, side_by_side, solve_upper_transposed, tria
 from celnav.gaussian.rules import unscented
 from celnav.gaussian.spaces import EUCLIDEAN
@@ -105,7 +105,7 @@ def coloring(Phi: Coloring, m: int | None = None) -> Array | Callable[[Any], Arr
     A spectral radius of 1, a random walk, is allowed: differences then say nothing about position, only about its changes.
     """
     if callable(Phi):
-        return partial(_coloring_at, check_function("Phi", Phi, "(epoch)"), m)
+        return partial(_coloring_at, function("Phi", Phi, "(epoch)"), m)
     matrix = _square(finite("Phi", Phi), m)
     radius = np.abs(np.linalg.eigvals(matrix)).max()
     if radius > 1.0 + 1e-9:

@@ -350,7 +350,7 @@ def condition(
     K: Any = gain
     if gain is not None:
         K = numbers("gain", gain(A, joint.sign, m) if callable(gain) else gain, (..., A.shape[-2] - m, m)) * used[..., None, :]
-    S, U, spread = form.condition(A, joint.sign, m, K, joint.known, joint.measurement_noise)
+    S, U, spread = form.condition(A, joint.sign, m, K, known=joint.known, noise=joint.measurement_noise)
     whitened = whiten(S, innovation)
     step = state.shift + (matvec(U, whitened) if K is None else matvec(K, innovation))
     if space.transport is not None:
@@ -405,11 +405,7 @@ def evaluate(model: Motion | Sensor, x: Array, epoch: Any, noise: Sequence[Array
     """Values ``(p, ..., m)`` of a model at points ``x (p, ..., N)``, as floats of the shape they must have.
 
     ``m``: how many components are measured. The function may change its argument: rules make points for one call, and a caller with
-    two hands out a copy.
-
-    Raises
-    ------
-    ValueError: naming the function, if what it returns has another shape. What it raises itself carries a note of what it got.
+    two hands out a copy. What it raises carries a note of what it got.
     """
     name = model.name
     function: Any = getattr(model, name)

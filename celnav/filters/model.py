@@ -15,7 +15,7 @@ from warnings import warn
 import numpy as np
 
 from celnav.gaussian.belief import Gaussian, symmetric
-from celnav.gaussian.checks import finite, instance, kind, numbers, takes, unmasked
+from celnav.gaussian.checks import finite, function, instance, kind, numbers, takes, unmasked
 from celnav.gaussian.linalg import Array, Covariance, SquareRoot, apply
 from celnav.gaussian.spaces import EUCLIDEAN, Space
 
@@ -37,7 +37,7 @@ class Linear:
     matrix: Callable[[Any], Array]
 
     def __post_init__(self) -> None:
-        check_function("matrix", self.matrix, "(epoch)")
+        function("matrix", self.matrix, "(epoch)")
 
     def __call__(self, x: Array, epoch: Any) -> Array:
         return apply(self.at(epoch, x.shape[-1]), x)
@@ -98,11 +98,8 @@ class Sensor:
     ----------
     h: function ``(points (p, ..., N), epoch) -> (p, ..., m)``, or a matrix ``(..., m, n)``: a linear measurement is exact and cheap
         under any rule.
-    R: covariance ``(..., m, m)`` of the noise, or a function ``(mean, epoch)`` of it. Without noise it is ``np.zeros((m, m))``.
-    sqrt_R: columns ``(..., m, s)`` of the noise instead of ``R``, or a function of them.
+    R, sqrt_R, jacobian, augment: as of a `Motion`, with m rows. Noises through the points may be all the noise there is.
     space: what a difference of measurements is, where they are no vectors: ``celnav.angles([1])`` wraps component 1.
-    jacobian: ``(mean, epoch) -> (..., m, n)``, which an extended filter uses instead of differences.
-    augment: roots ``(k, k)`` of noises that go *through* the points, ``h(x, epoch, *noise)``; these may be all the noise there is.
 
     >>> gps = celnav.Sensor(np.eye(3, 6), R=0.04 * np.eye(3))
     """
@@ -147,7 +144,7 @@ def _check_model(record: Any, name: str, noise: str) -> None:
     elif not any(takes(model, count) for count in range(2, 10)):  # how many noises go through it only the filter knows
         raise ValueError(f"{name}: expected a function (points, epoch, *noise), got {kind(model)} of other arguments")
     if record.jacobian is not None:
-        check_function("jacobian", record.jacobian, "(mean, epoch)", f"; a linear {name} is the matrix itself")
+        function("jacobian", record.jacobian, "(mean, epoch)", f"; a linear {name} is the matrix itself")
     if not isinstance(record.space, Space):
         raise ValueError(f"space: expected a Space, such as celnav.angles([0]), got {kind(record.space)}")
     roots = check_roots("augment", record.augment)
@@ -169,9 +166,9 @@ def noise_of(name: str, cov: Any, sqrt: Any) -> Noise:
     if cov is not None and sqrt is not None:
         raise ValueError(f"{name}: expected one of {name} and sqrt_{name}, got both")
     if callable(sqrt):
-        return partial(_columns_of, check_function(f"sqrt_{name}", sqrt, "(mean, epoch)"), f"sqrt_{name}")
+        return partial(_columns_of, function(f"sqrt_{name}", sqrt, "(mean, epoch)"), f"sqrt_{name}")
     if callable(cov):
-        return partial(_root_of, check_function(name, cov, "(mean, epoch)"), name)
+        return partial(_root_of, function(name, cov, "(mean, epoch)"), name)
     if sqrt is not None:
         return _columns(f"sqrt_{name}", finite(f"sqrt_{name}", sqrt))
     return None if cov is None else symmetric(cov, name)[1]
@@ -189,14 +186,6 @@ def _columns(name: str, columns: Array) -> Array:
     if columns.ndim < 2:
         raise ValueError(f"{name}: expected columns of shape (..., n, r), got {columns.shape}")
     return columns
-
-
-def check_function(name: str, function: Any, arguments: str, hint: str = "") -> Any:
-    """A function that can be called with its ``arguments``, such as "(mean, epoch)"; ValueError names it otherwise."""
-    if not takes(function, arguments.count(",") + 1):
-        other = " of other arguments" if callable(function) else ""
-        raise ValueError(f"{name}: expected a function {arguments}, got {kind(function)}{other}{hint}")
-    return function
 
 
 def check_roots(name: str, roots: Any) -> Sequence[Array]:

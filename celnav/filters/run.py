@@ -10,11 +10,10 @@ from numpy.typing import ArrayLike
 
 from celnav.filters.joint import at
 from celnav.filters.mixing import LOOKED_AT, WATCH
-from celnav.filters.model import check_function
 from celnav.filters.records import Epoch, Filter, FilterError, Info, epochs
 from celnav.filters.track import Collector, Track
 from celnav.gaussian.belief import settled
-from celnav.gaussian.checks import choice, instance, integer, kind, numbers
+from celnav.gaussian.checks import choice, function, instance, integer, kind, numbers
 from celnav.gaussian.linalg import Array
 
 
@@ -52,9 +51,9 @@ def run(
     collector = Collector(integer("every", every), choice("keep", keep, ("std", "cov", "mean", "nothing")))
     choice("on_failure", on_failure, ("raise", "flag"))
     if also is not None:
-        check_function("also", also, "(epoch, state, infos)")
+        function("also", also, "(epoch, state, infos)")
     if reduce is not None:
-        check_function("reduce", reduce, "(accumulated, epoch, state, infos)")
+        function("reduce", reduce, "(accumulated, epoch, state, infos)")
     reduced, before = None, None
     for epoch, state, infos in steps(filter, prior, _epochs(times, z, u)):
         more = {} if also is None else instance("also", also(epoch, state, infos), dict, "a dict, such as {'gain': array}")

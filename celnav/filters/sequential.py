@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from celnav.filters.joint import KEEP, Gain, Hook, Joint, checked, condition, evaluate, joint, marginal, over_runs
-from celnav.filters.model import Motion, Sensor, check_function, check_matrices, check_prior, check_roots, is_linear
+from celnav.filters.model import Motion, Sensor, check_matrices, check_prior, check_roots, is_linear
 from celnav.filters.records import Epoch, Info, State
 from celnav.gaussian.belief import Gaussian
-from celnav.gaussian.checks import choice, finite, instance, integer, kind, number, numbers, takes
+from celnav.gaussian.checks import choice, finite, function, instance, integer, kind, number, numbers, takes
 from celnav.gaussian.linalg import EPS, FORMS, Array, Belief, Form
 from celnav.gaussian.rules import AnyDimension, Taylor, cubature, gauss_hermite, unscented
 from celnav.gaussian.spaces import EUCLIDEAN
@@ -185,8 +185,10 @@ def sigma_point(
         instance("sensors", sensor, Sensor, "celnav.Sensor(h, R)")
     if gain is not None and len(sensors) != 1:
         raise ValueError(f"gain: expected one sensor with it, got {len(sensors)}")
-    gain = check_function("gain", gain, "(A, sign, m)") if callable(gain) else None if gain is None else finite("gain", gain)
-    return Sequential(motion, sensors, rule=rule_of(rule), form=form_of(form), hooks=_each(hooks, len(sensors)), gain=gain)
+    gain = function("gain", gain, "(A, sign, m)") if callable(gain) else None if gain is None else finite("gain", gain)
+    return Sequential(
+        motion, sensors, rule=rule_of(rule), form=FORMS[choice("form", form, FORMS)], hooks=_each(hooks, len(sensors)), gain=gain
+    )
 
 
 def ukf(motion: Motion, *sensors: Sensor, alpha: float = 1.0, beta: float = 0.0, kappa: float = 0.0, **options: Any) -> Sequential:
@@ -240,11 +242,6 @@ def plain(name: str, filter: Any) -> Sequential:
     return made
 
 
-def form_of(name: str) -> Form:
-    """The form of a name."""
-    return FORMS[choice("form", name, FORMS)]
-
-
 def rule_of(rule: Any) -> Any:
     """The rule; of a function of the dimension one that remembers what it has made."""
     if isinstance(rule, type) or not (hasattr(rule, "image") or callable(rule)):
@@ -287,7 +284,7 @@ class Iterated(Sequential):
     def __post_init__(self) -> None:
         integer("iterations", self.iterations, 1, MOST_ITERATIONS)
         if self.first is not None:
-            check_function("first", self.first, "(belief, z, epoch)")
+            function("first", self.first, "(belief, z, epoch)")
 
     def see(
         self, sensor: Sensor, belief: Belief, z: Array, epoch: Epoch, hooks: tuple[Hook, ...], memory: Any

@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from celnav.filters.joint import KEEP, at, condition, joint, marginal
-from celnav.filters.model import Motion, Sensor, check_function, given_back
+from celnav.filters.model import Motion, Sensor, given_back
 from celnav.filters.records import Epoch, Info, State
 from celnav.filters.sequential import Sequential, plain, sigma_point
 from celnav.filters.smoother import pseudo_gain
 from celnav.gaussian.belief import Gaussian, symmetric
-from celnav.gaussian.checks import finite, instance, kind, numbers, unmasked
+from celnav.gaussian.checks import finite, function, instance, kind, numbers, unmasked
 from celnav.gaussian.linalg import Array, SquareRoot, block, matvec, outer, side_by_side, tria
 from celnav.gaussian.rules import Taylor, unscented
 from celnav.gaussian.spaces import EUCLIDEAN
@@ -172,11 +172,11 @@ class TwoStage:
             raise ValueError(f"first: expected a first stage, such as celnav.filters.two_stage.Plain(filter), got {kind(first)}")
         instance("bias", bias, Gaussian, "celnav.Gaussian(mean, cov)")
         p = bias.mean.shape[-1]
-        slope = check_function("Gamma", Gamma, "(mean, epoch)") if callable(Gamma) else finite("Gamma", Gamma)
+        slope = function("Gamma", Gamma, "(mean, epoch)") if callable(Gamma) else finite("Gamma", Gamma)
         if not callable(slope) and (slope.ndim < 2 or slope.shape[-1] != p):
             raise ValueError(f"Gamma: expected shape (..., m, {p}) to go with the bias, got {slope.shape}")
         if boost is not None:
-            check_function("boost", boost, "(memory, seen)")
+            function("boost", boost, "(memory, seen)")
         walk = None if Qb is None else symmetric(Qb, "Qb", p)[1]
         return cls(first, slope, bias, walk=walk, boost=boost)
 

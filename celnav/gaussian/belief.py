@@ -23,11 +23,6 @@ class Gaussian:
         carries one covariance for all its runs.
     sqrt_cov: a lower triangular root of the covariance, instead of it.
 
-    Raises
-    ------
-    ValueError: if a shape is wrong, a number not finite, ``cov`` not symmetric positive semidefinite, or ``sqrt_cov`` not lower
-        triangular.
-
     >>> Gaussian([7000.0, 0.0], np.diag([1.0, 1e-4])).std
     array([1.  , 0.01])
     """

@@ -155,10 +155,11 @@ def together(**batches: tuple[int, ...]) -> tuple[int, ...]:
         raise ValueError(f"{', '.join(batches)}: expected batch axes that go together, got {told}") from None
 
 
-def function(name: str, value: Any, arguments: str = "") -> Any:
-    """Something that can be called; ValueError names it, and the ``arguments`` it would be called with."""
-    if not callable(value):
-        raise ValueError(f"{name}: expected a function{f' {arguments}' if arguments else ''}, got {kind(value)}")
+def function(name: str, value: Any, arguments: str, hint: str = "") -> Any:
+    """A function that can be called with its ``arguments``, such as "(mean, epoch)"; ValueError names it otherwise."""
+    if not takes(value, arguments.count(",") + 1):
+        other = " of other arguments" if callable(value) else ""
+        raise ValueError(f"{name}: expected a function {arguments}, got {kind(value)}{other}{hint}")
     return value
 
 

@@ -33,8 +33,7 @@ POSITIVE = np.ones(1)
 
 def matvec(A: Array, x: Array) -> Array:
     """Product of matrices ``(..., n, m)`` and vectors ``(..., m)``, shape ``(..., n)``."""
-    product: Array = (A @ x[..., None])[..., 0]
-    return product
+    return np.asarray((A @ x[..., None])[..., 0])
 
 
 def apply(matrix: Array, x: Array) -> Array:
@@ -63,8 +62,7 @@ def outer(A: Array) -> Array:
 
     Of a matrix and its own transpose numpy makes one triangle and copies it, which for many small ones takes twice the time.
     """
-    product: Array = A @ (A.mT if A.ndim == 2 else A.mT.copy())
-    return product
+    return np.asarray(A @ (A.mT if A.ndim == 2 else A.mT.copy()))
 
 
 def side_by_side(parts: Sequence[Array]) -> Array:
@@ -84,12 +82,10 @@ def tria(A: Array) -> Array:
     n, q = A.shape[-2:]
     if q < n:
         A = np.concatenate([A, np.zeros((*A.shape[:-1], n - q))], -1)
-    L: Array
     if A.ndim == 2:
-        L = lapack.dgeqrfp(A.T)[0][:n].T  # its diagonal is not negative
-        return L * _lower(n)
+        return np.asarray(lapack.dgeqrfp(A.T)[0][:n].T * _lower(n))  # its diagonal is not negative
     # "raw" leaves R' in the lower triangle and Householder vectors above it.
-    L = np.linalg.qr(A.mT, mode="raw")[0][..., :n]
+    L: Array = np.linalg.qr(A.mT, mode="raw")[0][..., :n]
     # In C order whatever the order of A: products with L then take the same path for every number of runs.
     L = np.multiply(L, np.copysign(1.0, L.diagonal(0, -2, -1))[..., None, :], order="C")
     L *= _lower(n)
@@ -110,8 +106,7 @@ def solve_lower(L: Array, B: Array) -> Array:
     """Solve ``L @ X = B`` for lower triangular ``L (..., n, n)`` and ``B (..., n, k)``; a zero on the diagonal gives nan."""
     diagonal = L.diagonal(0, -2, -1)
     if L.ndim == B.ndim == 2 and 0.0 not in diagonal.tolist():
-        solution: Array = blas.dtrsm(1.0, L, B, lower=1)  # LAPACK's dtrtrs would start threads, however small the matrix
-        return solution
+        return np.asarray(blas.dtrsm(1.0, L, B, lower=1))  # LAPACK's dtrtrs would start threads, however small the matrix
     if not diagonal.all():
         diagonal = np.where(diagonal == 0.0, np.nan, diagonal)
     batch = np.broadcast_shapes(L.shape[:-2], B.shape[:-2])
@@ -332,13 +327,7 @@ class SquareRoot(NamedTuple):
 
     @classmethod
     def condition(
-        cls,
-        A: Array,
-        sign: Array,
-        m: int,
-        gain: Array | None = None,
-        known: Array | None = None,  # noqa: ARG003
-        noise: Array | None = None,  # noqa: ARG003
+        cls, A: Array, sign: Array, m: int, gain: Array | None = None, **_at_hand: Array | None
     ) -> tuple[Array, Array, Array]:
         """Condition the last rows of ``A (..., m + n, q)`` on the first ``m``.
 
@@ -414,13 +403,7 @@ class Covariance(NamedTuple):
 
     @classmethod
     def condition(
-        cls,
-        A: Array,
-        sign: Array,
-        m: int,
-        gain: Array | None = None,
-        known: Array | None = None,
-        noise: Array | None = None,
+        cls, A: Array, sign: Array, m: int, gain: Array | None = None, *, known: Array | None = None, noise: Array | None = None
     ) -> tuple[Array, Array, Array]:
         """S, U and the covariance of the rest."""
         if gain is None and known is not None and noise is not None:

@@ -13,10 +13,10 @@ from types import ModuleType
 from typing import Any
 
 import celnav
-from celnav.files import read_json
+from celnav.files import InputError, read_json
 from celnav.papers import PAPERS, figures, load, tables
 from celnav.show.page import document, figure, link, table
-from celnav.study.claims import KINDS, VERDICTS, Claim, read_claims
+from celnav.study.claims import KINDS, NUMBER, TYPES, VERDICTS, Claim
 
 _HEADINGS = {
     "paper": "What the paper claims",
@@ -211,3 +211,24 @@ class ClaimsTable:
         head = "".join(f"<th>{name}</th>" for name in COLUMNS)
         body = "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in cells) + "</tr>" for cells in self._rows)
         return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def read_claims(path: str | Path) -> list[dict[str, Any]]:
+    """Claims of a ``claims.json`` as dictionaries; InputError names the file, and the claim that is not whole."""
+    loaded = read_json(path)
+    if not isinstance(loaded, list):
+        raise InputError(f"{path}: expected a list of claims")
+    for number, claim in enumerate(loaded):
+        if not isinstance(claim, dict):
+            raise InputError(f"{path}: claim {number}: expected a table, got {claim!r:.80}")
+        for key in TYPES:
+            if key not in claim or not _right(key, claim[key]):
+                got = f"got {claim[key]!r:.80}" if key in claim else "got none"
+                raise InputError(f"{path}: claim {number}: {key}: not what celnav writes, {got}; reproduce the paper again")
+    return loaded
+
+
+def _right(key: str, value: Any) -> bool:
+    known = {"kind": KINDS, "verdict": VERDICTS}.get(key, (value,))
+    pair = not isinstance(value, list) or (len(value) == 2 and all(type(part) in NUMBER for part in value))
+    return type(value) in TYPES[key] and value in known and pair

@@ -6,14 +6,12 @@ import json
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from types import NoneType
 from typing import Any
 
 import numpy as np
 
 from celnav.analysis.metrics import bootstrap
-from celnav.files import InputError, read_json
 from celnav.gaussian.linalg import Array
 
 _VERDICTS = {
@@ -87,7 +85,7 @@ class Claim:
     def to_dict(self) -> dict[str, Any]:
         """As it stands in ``claims.json``; numbers have 6 significant digits."""
         numbers = {key: _plain(getattr(self, key)) for key in ("paper", "value", "ci")}
-        return {key: getattr(self, key) for key in _TYPES} | numbers | {"accept": list(self.accept)}
+        return {key: getattr(self, key) for key in TYPES} | numbers | {"accept": list(self.accept)}
 
 
 def _plain(value: Any) -> Any:
@@ -147,30 +145,9 @@ def dumps(claims: Iterable[Claim]) -> str:
     return json.dumps([claim.to_dict() for claim in listed], indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def read_claims(path: str | Path) -> list[dict[str, Any]]:
-    """Claims of a ``claims.json`` as dictionaries; InputError names the file, and the claim that is not whole."""
-    loaded = read_json(path)
-    if not isinstance(loaded, list):
-        raise InputError(f"{path}: expected a list of claims")
-    for number, claim in enumerate(loaded):
-        if not isinstance(claim, dict):
-            raise InputError(f"{path}: claim {number}: expected a table, got {claim!r:.80}")
-        for key in _TYPES:
-            if key not in claim or not _right(key, claim[key]):
-                got = f"got {claim[key]!r:.80}" if key in claim else "got none"
-                raise InputError(f"{path}: claim {number}: {key}: not what celnav writes, {got}; reproduce the paper again")
-    return loaded
-
-
-_NUMBER = (int, float, NoneType)
-_TYPES: dict[str, tuple[type, ...]] = {
-    "id": (str,), "kind": (str,), "statement": (str,), "paper": (str, bool, *_NUMBER), "value": _NUMBER, "ci": (list, NoneType),
+NUMBER = (int, float, NoneType)
+TYPES: dict[str, tuple[type, ...]] = {
+    "id": (str,), "kind": (str,), "statement": (str,), "paper": (str, bool, *NUMBER), "value": NUMBER, "ci": (list, NoneType),
     "accept": (list,), "expected": (bool,), "holds": (bool, NoneType), "verdict": (str,), "note": (str,),
 }  # fmt: skip
 """What `Claim.to_dict` writes, in its order. Lists are pairs of numbers."""
-
-
-def _right(key: str, value: Any) -> bool:
-    known = {"kind": KINDS, "verdict": VERDICTS}.get(key, (value,))
-    pair = not isinstance(value, list) or (len(value) == 2 and all(type(part) in _NUMBER for part in value))
-    return type(value) in _TYPES[key] and value in known and pair

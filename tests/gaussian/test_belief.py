@@ -85,7 +85,7 @@ def test_condition_with_a_given_gain_is_josephs_form(form, sign):
 def test_conditioning_knows_the_last_rows_if_it_is_told_them(form):
     A = prearray((3,), SIGNS["all positive"])
     known = form.marginal(A[..., 2:, :], np.ones(1))
-    for mine, plain in zip(form.condition(A, np.ones(1), 2, None, known), form.condition(A, np.ones(1), 2), strict=True):
+    for mine, plain in zip(form.condition(A, np.ones(1), 2, None, known=known), form.condition(A, np.ones(1), 2), strict=True):
         np.testing.assert_allclose(mine, plain, atol=1e-12)
 
 

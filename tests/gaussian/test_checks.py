@@ -91,7 +91,7 @@ def test_messages_name_the_argument(call, message):
 
 def test_what_is_right_is_handed_on():
     assert choice("degree", 3.0, [3, 5]) == 3
-    assert function("f", len) is len
+    assert function("f", len, "(x)") is len
     assert instance("space", EUCLIDEAN, Space, "angles([0])") is EUCLIDEAN
     given = np.ones(3)
     assert numbers("x", given) is given

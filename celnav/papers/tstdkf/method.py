@@ -22,11 +22,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.filters.model import check_function, check_prior, given_back
+from celnav.filters.model import check_prior, given_back
 from celnav.filters.records import Epoch, Info
 from celnav.filters.two_stage import Boost, Stage
 from celnav.gaussian.belief import Gaussian, symmetric
-from celnav.gaussian.checks import finite, instance, number, numbers, together, unmasked
+from celnav.gaussian.checks import finite, function, instance, number, numbers, together, unmasked
 from celnav.gaussian.linalg import Array, Covariance, cholesky, matvec, side_by_side, solve_lower, solve_upper_transposed, whiten
 
 Moved = tuple[Array, Array, Array]
@@ -111,7 +111,7 @@ class Differenced:
 
     def __post_init__(self) -> None:
         for name in ("move", "h", "slope"):
-            check_function(name, getattr(self, name), "(mean, epoch)")
+            function(name, getattr(self, name), "(mean, epoch)")
         instance("noise", self.noise, Noise, "a Noise, such as ar1_noise(F, L, J, Xi, E)")
 
     def start(self, prior: Gaussian) -> DifferencedState:
@@ -219,7 +219,7 @@ def strong_tracking(rho: ArrayLike, tau: float, *, factor: Factor = excess) -> A
     weights, length = finite("rho", rho), number("tau", tau, 1.0)
     if weights.ndim == 0 or (weights < 0.0).any():
         raise ValueError(f"rho: expected numbers (..., m) that are not negative, got {rho!r}")
-    check_function("factor", factor, "(ratios, rho)")
+    function("factor", factor, "(ratios, rho)")
 
     def boost(memory: Window | None, seen: Boost) -> tuple[Window, Array]:
         square = seen.residual * seen.residual
