@@ -52,3 +52,17 @@ def test_a_room_imports_lower_ones_only(path):
 def test_only_what_records_and_shows_imports_rerun():
     found = {p for p in ROOT.rglob("*.py") if any(name.split(".")[0] == "rerun" for name in imports(p))}
     assert found == {ROOT / "show" / f"{name}.py" for name in ("recording", "views", "picture")}
+
+
+def lines(path):
+    return len(path.read_text(encoding="utf-8").splitlines())
+
+
+def test_the_house_keeps_its_size():
+    """The core can be read in a day, a module in one sitting; the root is a door, and there are few rooms."""
+    core = sum(lines(p) for room in ("gaussian", "filters", "models", "analysis", "study") for p in (ROOT / room).glob("*.py"))
+    assert core <= 8000, core
+    assert len(list(ROOT.glob("*.py"))) <= 6
+    assert len({p.relative_to(ROOT).parts[0] for p in MODULES}) <= 15
+    long = {str(p.relative_to(ROOT)): lines(p) for p in MODULES if lines(p) > 450 and p.relative_to(ROOT).parts[0] != "papers"}
+    assert not long, long

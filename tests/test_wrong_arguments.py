@@ -31,7 +31,7 @@ MODULES = {
 }
 HOT = """
 attitude: multiply inverse positive matrix rotate exp log angle to_euler to_rodrigues from_rodrigues cross transport
-spaces: wrap
+spaces: wrap leading components
 rules: Rule.points Rule.image Rule.kept Rule.num_sigmas Taylor.points Taylor.image Taylor.kept
 earth: meridian_radius transverse_radius radii normal_gravity earth_rate transport_rate
 orbit: acceleration third_body step transition gradient advance flow
@@ -42,7 +42,7 @@ gyro: Body.nadir Body.rates
 pulsar: Timing.delay Timing.shapiro Timing.shapiro_exact Timing.gradient
 beidou: satellites eccentric_anomaly turned spun
 pseudorange: sources emitted measure jacobian
-linalg: block cholesky components downdate fan leading matvec outer semidefinite_root side_by_side solve_lower
+linalg: block cholesky downdate fan matvec outer semidefinite_root side_by_side solve_lower
     solve_upper_transposed tria whiten apply signs weighted factored SquareRoot.lost SquareRoot.factor Covariance.lost
     Covariance.factor
 belief: any_lost nees settled
@@ -204,7 +204,6 @@ CALLS = {
     "inertial.wahba_misalignment": dict(z=np.zeros(6), attitude=I3, stars=STARS),
     "inertial.mechanize": dict(flight=FLOWN, attitude=I3, drift=np.zeros(3), bias=np.zeros(3)),
     "noise.stationary_covariance": dict(Phi=0.5 * I2, R=I2),
-    "noise.initial_covariance": dict(initial="R", Phi=0.5 * I2, R=I2),
     "noise.effective_covariance": dict(Phi=0.5 * I2, R=I2),
     "noise.ar1": dict(Phi=0.5 * I2, increments=np.ones((3, 2)), first=np.ones(2)),
     "noise.van_loan": dict(F=I2, G=I2, spectral_density=I2, dt=1.0),

@@ -75,7 +75,8 @@ def colored_bound(
     out = [P]
     for f in transitions:
         G = h @ f - phi @ h
-        K = _gain(f @ P @ G.mT + q @ h.T, G @ P @ G.mT + h @ q @ h.T + r)
+        cross, S = f @ P @ G.mT + q @ h.T, G @ P @ G.mT + h @ q @ h.T + r
+        K = np.linalg.solve(S, cross.mT).mT
         A, B = f - K @ G, np.eye(len(f)) - K @ h
         P = A @ P @ A.mT + B @ q @ B.mT + K @ r @ K.mT
         out.append(P)
@@ -95,13 +96,8 @@ def _system(F: ArrayLike, H: ArrayLike, **given: ArrayLike) -> list[Array]:
     return [f, h, *(found | {"P0": np.broadcast_to(found["P0"], (*batch, n, n))}).values()]
 
 
-def _gain(cross: Array, S: Array) -> Array:
-    gain: Array = np.linalg.solve(S, cross.mT).mT
-    return gain
-
-
 def _updated(P: Array, h: Array, r: Array) -> tuple[Array, Array]:
     """Gain and covariance after an update (Joseph form)."""
-    K = _gain(P @ h.T, h @ P @ h.T + r)
+    K = np.linalg.solve(h @ P @ h.T + r, h @ P.mT).mT
     A = np.eye(h.shape[-1]) - K @ h
     return K, A @ P @ A.mT + K @ r @ K.mT

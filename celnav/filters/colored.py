@@ -6,10 +6,8 @@ exact reference. All take any rule and both forms, and a ``Phi`` that may be ful
 epoch.
 
 The sensor's ``R`` is the covariance of V itself, as everywhere. That of the increments zeta follows, ``R - Phi R Phi'``, if V is
-stationary; where it is not (``Phi = I`` is a random walk) it is given, and R is the covariance of the first sample of V.
-
-A missing sample costs `colored` two differences, the one that ends and the one that begins with it: conservative, unbiased, and
-counted.
+stationary; where it is not (``Phi = I`` is a random walk) it is given, and R is the covariance of the first sample of V. A missing
+sample costs `colored` two differences, the one that ends and the one that begins with it.
 """
 
 from __future__ import annotations

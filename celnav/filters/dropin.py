@@ -126,7 +126,6 @@ class SigmaPointUKF:
             self._made["rule"] = rule, self.Wm, self.Wc
         return rule  # type: ignore[no-any-return]
 
-    # -- steps ---------------------------------------------------------------------------------------------------------
     def predict(self, dt: Any = None, UT: Function | None = None, fx: Function | None = None, **fx_args: Any) -> None:
         """Predict over ``dt``, which goes to ``fx``; the points are then drawn anew, as in filterpy 2.0."""
         belief, process, function = self._belief(), self._root("Q", self.Q, self._dim_x), self._motion(dt, fx, fx_args)
@@ -262,7 +261,6 @@ class SigmaPointUKF:
             xs[k], ps[k] = after.mean, after.cov
         return xs, ps, gains
 
-    # -- results -------------------------------------------------------------------------------------------------------
     @property
     def log_likelihood(self) -> float:
         """Logarithm of the density of the last measurement."""
@@ -289,7 +287,6 @@ class SigmaPointUKF:
         self._made = {name: value() if callable(value) else value for name, value in self._made.items()}
         return self.__dict__
 
-    # -- between filterpy's world and ours -----------------------------------------------------------------------------
     def _belief(self) -> Any:
         """The present state, checked; the spread that we kept, unless P was changed since."""
         n, x, P = self._dim_x, numbers("x", self.x), numbers("P", self.P)

@@ -91,7 +91,6 @@ class Sequential:
             infos.append(info)
         return State(belief, tuple(memory)), tuple(infos)
 
-    # -- the two joints ------------------------------------------------------------------------------------------------
     def moved(self, belief: Belief, epoch: Epoch) -> Joint:
         """The joint of a prediction: the state after the interval."""
         motion = self.motion
@@ -159,12 +158,7 @@ def silent(sensor: Sensor, z: Any) -> Info:
 
 # -- made ----------------------------------------------------------------------------------------------------------------
 def sigma_point(
-    motion: Motion,
-    *sensors: Sensor,
-    rule: Any,
-    form: str = "square root",
-    hooks: Sequence[Any] = (),
-    gain: Gain | None = None,
+    motion: Motion, *sensors: Sensor, rule: Any, form: str = "square root", hooks: Sequence[Any] = (), gain: Gain | None = None
 ) -> Sequential:
     """A filter by any rule.
 

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from celnav.gaussian.checks import number, numbers
-from celnav.gaussian.linalg import Array, components
-from celnav.gaussian.spaces import Space
+from celnav.gaussian.linalg import Array
+from celnav.gaussian.spaces import Space, components
 
 IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
 UNIT_TOLERANCE = 1e-6

@@ -4,10 +4,8 @@ Every function accepts leading batch axes (a Monte-Carlo block of runs) and trea
 triangular with a non-negative diagonal, ``P = L @ L.mT``; "columns" means any ``(..., n, q)`` array ``A`` that stands for
 ``P = A @ A.mT``. A matrix of a batch that has no root becomes nan, its neighbors are untouched. `tria`, `cholesky` and
 `solve_lower` carry nearly all of the arithmetic of a filter: they are the seam for a compiled kernel. A single matrix goes to
-LAPACK directly, since numpy's batched functions spend most of a small one's time on preparations.
-
-A form is a mean and its covariance, as a lower root or as it is, with the algebra that goes with it. Nobody else asks which one a
-filter has: the joint of measurement and state comes as columns, and the form condenses them.
+LAPACK directly, since numpy's batched functions spend most of a small one's time on preparations. A form owns its algebra: nobody
+else asks which one a filter has.
 """
 
 from __future__ import annotations
@@ -39,22 +37,6 @@ def matvec(A: Array, x: Array) -> Array:
 def apply(matrix: Array, x: Array) -> Array:
     """A matrix ``(..., m, n)`` on vectors ``(..., n)``: one product for all of them where it is the same for all."""
     return np.asarray(x @ matrix.mT if matrix.ndim == 2 else matvec(matrix, x))
-
-
-def leading(x: Array) -> Array:
-    """``(..., n)`` with the component axis first, as a view; numpy's ``moveaxis`` takes longer than a product of small matrices."""
-    last = x.ndim - 1
-    return x.transpose((last, *range(last)))
-
-
-def components(x: Array) -> Array:
-    """`leading`, with each component in one piece of memory (in any order): models are fast on those.
-
-    Sigma points lie so already; what does not is copied.
-    """
-    first = leading(x)
-    part = first[0].flags
-    return first if part.c_contiguous or part.f_contiguous else np.ascontiguousarray(first)
 
 
 def outer(A: Array) -> Array:

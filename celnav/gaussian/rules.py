@@ -88,7 +88,6 @@ class Rule:
         center = " and a center of weight 0" if self.num_sigmas() < len(self.nodes) else ""
         return f"Rule(n={self.n}, points={self.num_sigmas()}{center}, negative weights={int((self.wc < 0).sum())})"
 
-    # -- what filters ask ----------------------------------------------------------------------------------------------
     def points(self, mean: Array, root: Array, space: Space = EUCLIDEAN, augment: Sequence[Array] = ()) -> list[Array]:
         """Points ``(p, ..., N)`` of ``N(mean, root @ root.mT)``, and ``(p, ..., k)`` of each noise whose root is in ``augment``."""
         first, batch = root.shape[-1], max(mean.ndim - 1, root.ndim - 2)
@@ -128,7 +127,6 @@ class Rule:
         cross = (columns * self.sign) @ self._unit[: root.shape[-1]].T
         return solve_upper_transposed(root, cross.mT).mT
 
-    # -- filterpy's interface ------------------------------------------------------------------------------------------
     @cached_property
     def _filterpy(self) -> slice:
         return slice(1, None) if self.wm[0] == self.wc[0] == 0.0 else slice(None)

@@ -1,4 +1,4 @@
-"""State and measurement spaces: what a sum, a difference and a mean are.
+"""State and measurement spaces: what a sum, a difference and a mean are; and points with their components first.
 
 A filter does its algebra on differences (tangent vectors of dimension ``n``); a space says how they relate to points
 (arrays whose last axis has length ``N``, which need not equal ``n``). Vectors need nothing; angles wrap; attitudes retract.
@@ -118,3 +118,19 @@ def product(*factors: tuple[Space, int, int]) -> Space:
     particular = any(space.check is not None for space, _, _ in factors)
     curved = any(space.transport is not None for space, _, _ in factors)
     return Space(plus, minus, transport if curved else None, check=check if particular else None)
+
+
+def leading(x: Array) -> Array:
+    """``(..., n)`` with the component axis first, as a view; numpy's ``moveaxis`` takes longer than a product of small matrices."""
+    last = x.ndim - 1
+    return x.transpose((last, *range(last)))
+
+
+def components(x: Array) -> Array:
+    """`leading`, with each component in one piece of memory (in any order): models are fast on those.
+
+    Sigma points lie so already; what does not is copied.
+    """
+    first = leading(x)
+    part = first[0].flags
+    return first if part.c_contiguous or part.f_contiguous else np.ascontiguousarray(first)

@@ -16,7 +16,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from celnav.gaussian.checks import finite, instance
-from celnav.gaussian.linalg import Array, components, leading, matvec
+from celnav.gaussian.linalg import Array, matvec
+from celnav.gaussian.spaces import components, leading
 from celnav.models import earth
 from celnav.models.earth import Flight
 
@@ -68,11 +69,7 @@ def _rows(s: Array, c: Array) -> tuple[tuple[Array, ...], ...]:
     """Rows of ``C_n^n'`` from the sines and cosines ``(3, ...)`` of the angles."""
     (sx, sy, sz), (cx, cy, cz) = s, c
     a, b = sy * sx, cy * sx
-    return (
-        (cy * cz - a * sz, cy * sz + a * cz, -sy * cx),
-        (-cx * sz, cx * cz, sx),
-        (sy * cz + b * sz, sy * sz - b * cz, cy * cx),
-    )
+    return ((cy * cz - a * sz, cy * sz + a * cz, -sy * cx), (-cx * sz, cx * cz, sx), (sy * cz + b * sz, sy * sz - b * cz, cy * cx))
 
 
 def misalignment_angles(C: Array) -> Array:

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import expm, solve_discrete_lyapunov
 
 from celnav.gaussian.belief import symmetric
-from celnav.gaussian.checks import choice, finite, number, together
+from celnav.gaussian.checks import finite, number, together
 from celnav.gaussian.linalg import Array
 
 
@@ -17,29 +17,11 @@ def stationary_covariance(Phi: ArrayLike, R: ArrayLike) -> Array:
     It solves ``Sigma = Phi Sigma Phi' + R``. ValueError if the spectral radius of Phi is not below 1: there is none.
     """
     phi = finite("Phi", Phi, ("m", "m"))
-    noise = _covariance("R", R, len(phi))
+    noise = finite("R", symmetric(R, "R", len(phi))[0], phi.shape)
     radius = np.abs(np.linalg.eigvals(phi)).max()
     if radius >= 1.0:
         raise ValueError(f"Phi: expected a spectral radius below 1 for a stationary covariance, got {radius:.6g}")
-    sigma: Array = solve_discrete_lyapunov(phi, noise)
-    return sigma
-
-
-def _covariance(name: str, cov: ArrayLike, m: int) -> Array:
-    """One checked covariance ``(m, m)``."""
-    return finite(name, symmetric(cov, name, m)[0], (m, m))
-
-
-def initial_covariance(initial: str | ArrayLike, Phi: ArrayLike, R: ArrayLike) -> Array:
-    """Covariance ``(m, m)`` of the first value ``V_0``: "R", "stationary", "zero" or a matrix."""
-    m = len(finite("Phi", Phi, ("m", "m")))
-    increments = _covariance("R", R, m)
-    if not isinstance(initial, str):
-        return _covariance("initial", initial, m)
-    choice("initial", initial, ("R", "stationary", "zero"))
-    if initial == "stationary":
-        return stationary_covariance(Phi, R)
-    return increments if initial == "R" else np.zeros_like(increments)
+    return np.asarray(solve_discrete_lyapunov(phi, noise))
 
 
 def effective_covariance(Phi: ArrayLike, R: ArrayLike) -> Array:

@@ -16,7 +16,8 @@ from numpy.polynomial import legendre
 from numpy.typing import ArrayLike
 
 from celnav.gaussian.checks import LIMIT, finite, instance, integer, number
-from celnav.gaussian.linalg import Array, components
+from celnav.gaussian.linalg import Array
+from celnav.gaussian.spaces import components
 
 
 class UnitWarning(UserWarning):

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad_vec
 from scipy.linalg import expm
 
-from celnav.models.noise import ar1, effective_covariance, initial_covariance, stationary_covariance, van_loan
+from celnav.models.noise import ar1, effective_covariance, stationary_covariance, van_loan
 
 PHI = np.array([[0.8, 0.1], [-0.2, 0.5]])
 R = np.array([[1.0, 0.3], [0.3, 0.5]])
@@ -34,13 +34,6 @@ def test_effective_covariance_is_the_spectrum_at_zero():
         spectrum = spectrum + power @ sigma + (power @ sigma).T
     np.testing.assert_allclose(effective_covariance(PHI, R), spectrum, rtol=1e-11)
     np.testing.assert_allclose(effective_covariance(0.8 * np.eye(2), R), R / 0.04, rtol=1e-12)
-
-
-def test_initial_covariance_options():
-    np.testing.assert_array_equal(initial_covariance("R", PHI, R), R)
-    np.testing.assert_array_equal(initial_covariance("zero", PHI, R), np.zeros((2, 2)))
-    np.testing.assert_array_equal(initial_covariance("stationary", PHI, R), stationary_covariance(PHI, R))
-    np.testing.assert_array_equal(initial_covariance(2.0 * R, PHI, R), 2.0 * R)
 
 
 @settings(max_examples=30, deadline=None)
@@ -105,9 +98,6 @@ def test_van_loan_is_the_integral():
         (lambda: stationary_covariance(PHI, np.eye(3)), "R: expected .*got shape"),
         (lambda: stationary_covariance(PHI, -R), "R: expected symmetric positive semidefinite"),
         (lambda: effective_covariance(np.eye(2), R), "Phi"),
-        (lambda: initial_covariance("mean", PHI, R), "initial: expected one of R, stationary, zero"),
-        (lambda: initial_covariance(-R, PHI, R), "initial"),
-        (lambda: initial_covariance("R", PHI, -R), "R: expected symmetric positive semidefinite"),
         (lambda: van_loan(np.ones((2, 3)), np.ones((2, 1)), [[1.0]], 1.0), r"F: expected shape \(n, n\)"),
         (lambda: van_loan(2.0, np.ones((2, 1)), [[1.0]], 1.0), r"F: expected shape \(n, n\)"),
         (lambda: van_loan(np.eye(2), np.ones((2, 1)), [[-1.0]], 1.0), "spectral_density"),

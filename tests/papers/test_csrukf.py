@@ -149,3 +149,10 @@ def test_a_configuration_that_cannot_be_is_refused_by_name(change, name):
 def test_reproduce_refuses_bad_arguments_by_name(bad):
     with pytest.raises(ValueError, match=next(iter(bad))):
         csrukf.reproduce(SHORT, **bad)
+
+
+@pytest.mark.parametrize(("first", "factor"), [("R", 1.0), ("zero", 0.0), ("stationary", 1.0 / 0.36), (None, 1.0)])
+def test_the_first_noise_is_what_is_chosen(first, factor):
+    config = replace(csrukf.Config(), phi=0.8, first_noise=first)
+    np.testing.assert_allclose(config.Sigma0, factor * config.R, rtol=1e-12)
+    np.testing.assert_allclose(np.trace(config.angle_Sigma0), factor * (config.sigma_angles**2).sum(), rtol=1e-12)

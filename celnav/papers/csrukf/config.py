@@ -11,7 +11,7 @@ from celnav.gaussian.checks import finite
 from celnav.gaussian.linalg import Array
 from celnav.gaussian.rules import Rule, unscented
 from celnav.models import orbit
-from celnav.models.noise import initial_covariance
+from celnav.models.noise import stationary_covariance
 from celnav.study.montecarlo import steps
 
 TITLE = "Square-root unscented Kalman filter for colored measurement noise"
@@ -177,16 +177,16 @@ class Config:
     @property
     def Sigma0(self) -> Array:
         """Covariance of the first noise sample, ``(3, 3)`` km^2."""
-        return initial_covariance(self._first, self.Phi, self.R)
+        return self._start(self.R)
 
     @property
     def angle_Sigma0(self) -> Array:
         """The same of measured angles, ``(3, 3)`` rad^2."""
-        return initial_covariance(self._first, self.Phi, np.diag((self.increment * self.sigma_angles) ** 2))
+        return self._start(np.diag((self.increment * self.sigma_angles) ** 2))
 
-    @property
-    def _first(self) -> str:
-        return self.first_noise or ("stationary" if self.noise_level == "stationary" else "R")
+    def _start(self, R: Array) -> Array:
+        first = self.first_noise or ("stationary" if self.noise_level == "stationary" else "R")
+        return stationary_covariance(self.Phi, R) if first == "stationary" else R if first == "R" else 0.0 * R
 
     @property
     def sqrt_Q(self) -> Array:
