@@ -17,7 +17,7 @@ from scipy.special import gammaincinv
 
 from celnav.filters.joint import Gain, Hook, Joint
 from celnav.gaussian.checks import LIMIT, choice, integer, integers, number, sequence
-from celnav.gaussian.linalg import Array, cholesky, matvec, solve_lower, solve_upper_transposed, weighted, whiten
+from celnav.gaussian.linalg import Array, cholesky, matvec, solve_lower, solve_right, weighted, whiten
 
 NOTHING = 1e-6
 """Deviations of the noise by which a state must move a measurement to explain any of it."""
@@ -284,7 +284,7 @@ def consider(n: int, k: int) -> Gain:
             raise ValueError(f"consider: expected a state of {n} + {k} components, got {A.shape[-2] - m}")
         C = weighted(A[..., : m + n, :], sign) @ A[..., :m, :].mT
         S = cholesky(C[..., :m, :])
-        K = solve_upper_transposed(S, solve_lower(S, C[..., m:, :].mT)).mT
+        K = solve_right(S, solve_lower(S, C[..., m:, :].mT).mT)
         return np.concatenate([K, np.zeros((*K.shape[:-2], k, m))], -2)
 
     return gain

@@ -26,7 +26,7 @@ from celnav.filters.records import Epoch, Info
 from celnav.filters.sequential import Sequential, missing, sigma_point, silent
 from celnav.gaussian.belief import Gaussian, symmetric
 from celnav.gaussian.checks import choice, finite, function, instance, numbers, together, unmasked
-from celnav.gaussian.linalg import Array, apply, block, matvec, side_by_side, solve_upper_transposed, tria
+from celnav.gaussian.linalg import POSITIVE, Array, SquareRoot, apply, block, matvec, side_by_side, solve_right, tria
 from celnav.gaussian.rules import unscented
 from celnav.gaussian.spaces import EUCLIDEAN
 
@@ -258,11 +258,9 @@ def decorrelation(H: Array, sqrt_Q: Array, sqrt_R: Array) -> Decorrelation:
     The lower root of ``[[R^1/2, H Q^1/2], [0, Q^1/2]]`` is ``[[R*^1/2, 0], [J R*^1/2, Q*^1/2]]``. Subtracting covariances
     instead, ``Q* = Q - Q H' R*^-1 H Q``, loses every digit once the process noise is 1e8 times the measurement noise.
     """
-    m = H.shape[-2]
-    L = tria(block([[sqrt_R, H @ sqrt_Q], [0, sqrt_Q]]))
-    sqrt_R_star = L[..., :m, :m]
-    J = solve_upper_transposed(sqrt_R_star, L[..., m:, :m].mT).mT
-    return Decorrelation(J, L[..., m:, m:], sqrt_R_star)
+    both = block([[sqrt_R, H @ sqrt_Q], [0, sqrt_Q]])
+    sqrt_R_star, U, sqrt_Q_star = SquareRoot.condition(both, POSITIVE, H.shape[-2])
+    return Decorrelation(solve_right(sqrt_R_star, U), sqrt_Q_star, sqrt_R_star)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

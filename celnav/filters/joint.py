@@ -32,7 +32,7 @@ from celnav.gaussian.linalg import (
     factored,
     matvec,
     side_by_side,
-    solve_upper_transposed,
+    solve_right,
     whiten,
 )
 from celnav.gaussian.rules import Image, Taylor
@@ -357,7 +357,7 @@ def condition(
         spread = form.transported(space.transport(step), spread)
 
     def optimal() -> Array:
-        return solve_upper_transposed(S, U.mT).mT if K is None else K
+        return solve_right(S, U) if K is None else K
 
     info = Info(given, whitened, used, S, optimal, measured.jacobian)
     mean = space.plus(state.center, step)

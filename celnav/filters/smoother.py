@@ -22,7 +22,7 @@ from celnav.filters.records import Epoch, FilterError
 from celnav.filters.sequential import Sequential, SingleDraw
 from celnav.filters.track import Track
 from celnav.gaussian.checks import choice, kind
-from celnav.gaussian.linalg import EPS, Array, Belief, SquareRoot, solve_lower, solve_upper_transposed, weighted
+from celnav.gaussian.linalg import EPS, Array, Belief, SquareRoot, solve_lower, solve_right, weighted
 
 
 def smooth(track: Track, filter: Any = None, *, gains: bool = False, on_failure: str = "raise") -> Track:
@@ -136,7 +136,7 @@ def pseudo_gain(A: Array, sign: Array, m: int, center: Array | None = None, leas
     singular = np.asarray((S.diagonal(0, -2, -1) <= bound[..., None] * unit).any(-1))
     eye = np.eye(S.shape[-1])
     regular = np.where(singular[..., None, None], eye, S) if singular.any() else S
-    gain = solve_upper_transposed(regular, (signed @ solve_lower(regular, D_y).mT).mT).mT
+    gain = solve_right(regular, signed @ solve_lower(regular, D_y).mT)
     if not singular.any():
         return gain
     u, s, _ = np.linalg.svd(np.where(singular[..., None, None], S / unit[..., None], eye))

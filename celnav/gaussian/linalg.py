@@ -116,10 +116,10 @@ def whiten(L: Array, x: Array) -> Array:
     return white
 
 
-def solve_upper_transposed(L: Array, B: Array) -> Array:
-    """Solve ``L.mT @ X = B`` for lower triangular ``L (..., n, n)`` and ``B (..., n, k)``."""
+def solve_right(L: Array, U: Array) -> Array:
+    """Solve ``K @ L = U`` for lower triangular ``L (..., n, n)`` and ``U (..., k, n)``: a gain from what it makes of a root."""
     flipped = L[..., ::-1, ::-1].mT
-    return solve_lower(flipped, B[..., ::-1, :])[..., ::-1, :]
+    return solve_lower(flipped, U.mT[..., ::-1, :])[..., ::-1, :].mT
 
 
 def _scaled(P: Array) -> tuple[Array, Array]:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from celnav.gaussian.checks import LIMIT, choice, finite, instance, integer, kind, number, numbers
-from celnav.gaussian.linalg import EPS, POSITIVE, Array, fan, semidefinite_root, side_by_side, solve_upper_transposed
+from celnav.gaussian.linalg import EPS, POSITIVE, Array, fan, semidefinite_root, side_by_side, solve_right
 from celnav.gaussian.spaces import EUCLIDEAN, Space
 
 MAX_POINTS = 1_000_000
@@ -125,7 +125,7 @@ class Rule:
 
     def _jacobian(self, columns: Array, root: Array) -> Array:
         cross = (columns * self.sign) @ self._unit[: root.shape[-1]].T
-        return solve_upper_transposed(root, cross.mT).mT
+        return solve_right(root, cross)
 
     @cached_property
     def _filterpy(self) -> slice:
@@ -218,7 +218,7 @@ class Taylor:
 
     @staticmethod
     def _jacobian(columns: Array, root: Array) -> Array:
-        return solve_upper_transposed(root, columns[..., : root.shape[-1]].mT).mT
+        return solve_right(root, columns[..., : root.shape[-1]])
 
 
 class AnyDimension:

@@ -13,7 +13,7 @@ from celnav.gaussian.linalg import (
     matvec,
     semidefinite_root,
     solve_lower,
-    solve_upper_transposed,
+    solve_right,
     tria,
 )
 
@@ -66,7 +66,7 @@ def test_substitution_solves(batch):
     rng = np.random.default_rng(4)
     L, B = lower(rng, *batch, 5, 5), rng.normal(size=(*batch, 5, 2))
     np.testing.assert_allclose(L @ solve_lower(L, B), B, atol=1e-13)
-    np.testing.assert_allclose(L.mT @ solve_upper_transposed(L, B), B, atol=1e-13)
+    np.testing.assert_allclose(solve_right(L, B.mT) @ L, B.mT, atol=1e-13)
 
 
 def test_substitution_broadcasts_either_operand():

@@ -27,7 +27,7 @@ from celnav.filters.records import Epoch, Info
 from celnav.filters.two_stage import Boost, Stage
 from celnav.gaussian.belief import Gaussian, symmetric
 from celnav.gaussian.checks import finite, function, instance, number, numbers, together, unmasked
-from celnav.gaussian.linalg import Array, Covariance, cholesky, matvec, side_by_side, solve_lower, solve_upper_transposed, whiten
+from celnav.gaussian.linalg import Array, Covariance, cholesky, matvec, side_by_side, solve_lower, solve_right, whiten
 
 Moved = tuple[Array, Array, Array]
 """State ``(..., n)`` after the interval, its Jacobian ``Phi (..., n, n)`` and the effect ``G (..., n, q)`` of the process noise."""
@@ -166,7 +166,7 @@ class Differenced:
         P = ahead[..., :n] @ Phi1.mT + cross + cross.mT
         HP = H @ P
         root = cholesky(HP @ H.mT + sensor)
-        K = solve_upper_transposed(root, solve_lower(root, HP)).mT
+        K = solve_right(root, solve_lower(root, HP).mT)
         cov = P - K @ HP
         kept = side_by_side([ahead_Q, ahead_V * f_V]) + driven[..., q:]
         kept = kept - K @ (H @ kept)
