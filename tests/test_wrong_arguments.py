@@ -40,7 +40,7 @@ inertial: derivative advance star_residuals misalignment_matrix misalignment_ang
 gyro: Gyro.factor Gyro.rate_std Gyro.drift_std Gyro.process_noise Gyro.propagate Gyro.transition
 gyro: Body.nadir Body.rates
 pulsar: Timing.delay Timing.shapiro Timing.shapiro_exact Timing.gradient
-beidou: satellites eccentric_anomaly turned spun
+beidou: satellites eccentric_anomaly tilted turned spun
 pseudorange: sources emitted measure jacobian
 linalg: block cholesky downdate fan matvec outer semidefinite_root side_by_side solve_lower
     solve_right tria whiten apply signs weighted factored SquareRoot.lost SquareRoot.factor Covariance.lost

@@ -26,8 +26,6 @@ ELLIPSOID = Ellipsoid(6378137.0, 6378137.0 * (1.0 - 1.0 / 298.257222101))  # of 
 GEO_NUMBERS = frozenset({*range(1, 6), *range(59, 64)})
 TILT = np.radians(5.0)
 """Of the plane that a geostationary orbit's elements refer to: without it their node would be lost."""
-TILTED = np.array([[1.0, 0.0, 0.0], [0.0, np.cos(TILT), np.sin(TILT)], [0.0, -np.sin(TILT), np.cos(TILT)]])
-"""``R_x(TILT)``: a row times it is turned back."""
 
 
 @dataclass(frozen=True)
@@ -132,8 +130,8 @@ def satellites(broadcast: Broadcast, t: Array | float) -> SatelliteState:
     along = [x_dot * cos_O - across_dot * sin_O, x_dot * sin_O + across_dot * cos_O, y_dot * sin_i + y * cos_i * i_dot]
     V = np.stack(along, -1) + spun(P, turning)
     if geo.any():
-        fixed = turned(P @ TILTED, ROTATION_RATE * tk)
-        moving = turned(V @ TILTED, ROTATION_RATE * tk) - spun(fixed, ROTATION_RATE)
+        fixed = turned(tilted(P, -TILT), ROTATION_RATE * tk)
+        moving = turned(tilted(V, -TILT), ROTATION_RATE * tk) - spun(fixed, ROTATION_RATE)
         P, V = np.where(geo[:, None], fixed, P), np.where(geo[:, None], moving, V)
     periodic = RELATIVITY * b.e * b.sqrt_a
     clock = b.a0 + dt * (b.a1 + dt * b.a2) + periodic * sin_E - b.tgd
@@ -146,6 +144,12 @@ def eccentric_anomaly(mean: Array, e: Array) -> Array:
     for _ in range(8):
         E = E - (E - e * np.sin(E) - mean) / (1.0 - e * np.cos(E))
     return np.asarray(E)
+
+
+def tilted(vectors: Array, angle: float) -> Array:
+    """``R_x(angle)`` times vectors ``(..., 3)``."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    return np.stack([x, np.cos(angle) * y + np.sin(angle) * z, np.cos(angle) * z - np.sin(angle) * y], -1)
 
 
 def turned(vectors: Array, angle: Array) -> Array:
