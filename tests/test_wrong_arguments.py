@@ -64,6 +64,7 @@ beidou: Broadcast Broadcast.chosen
 belief: symmetric
 montecarlo: blocks steps carry_out do effort joined
 claims: Claim Claim.to_dict Judge Judge.lengthy Judge.number Judge.statistic Judge.whole about dumps order within
+constellation: kepler elements
 page: document figure link table
 picture: command end picture
 progress: Progress Progress.close Progress.stage RunProgress
@@ -157,9 +158,7 @@ CALLS = {
     ),
     "observability.jacobian": dict(function=square, x=np.ones(2)),
     "observability.lie_gradients": dict(f=square, h=square, x=np.ones(2), order=1, window=0.1),
-    "observability.svd_degree": dict(matrix=I2, reference=0),
     "observability.information_degree": dict(P0=I2, F=np.stack([I2]), H=np.stack([I2, I2]), R=I2),
-    "observability.threshold_weights": dict(degree=np.ones(2), threshold=0.5),
     "observability.nonlinearity_weights": dict(functions=[square], mean=np.ones(2), std=np.ones(2), tolerance=1e-6, coarse=2),
     "bounds.riccati": dict(F=np.stack([I2]), H=I2, Q=I2, R=I2, P0=I2),
     "bounds.actual_covariance": dict(

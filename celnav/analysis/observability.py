@@ -87,17 +87,6 @@ def _flow(f: Function, x: Array, times: Array) -> list[Array]:
     return out
 
 
-def svd_degree(matrix: ArrayLike, reference: int | None = None) -> Array:
-    """Degree of observability ``(n,)`` of each state by singular values of an observability matrix ``(rows, n)``.
-
-    State j gets the singular value whose right vector has its largest component there, divided by that of the state
-    ``reference`` [Liang2014, Eq. 15]. It depends on the units of the states; `information_degree` does not.
-    """
-    _, values, Vt = np.linalg.svd(finite("matrix", matrix, ("rows", "n")))
-    degree = np.asarray(values[np.abs(Vt[: len(values)]).argmax(0)])
-    return degree if reference is None else degree / degree[integer("reference", reference, 0, len(degree) - 1)]
-
-
 def information_degree(P0: ArrayLike, F: ArrayLike, H: ArrayLike, R: ArrayLike) -> Array:
     """Prior over posterior standard deviation ``(n,)`` after a window of K epochs without process noise: 1 is not observed.
 
@@ -117,11 +106,6 @@ def information_degree(P0: ArrayLike, F: ArrayLike, H: ArrayLike, R: ArrayLike) 
         information = information + white.T @ white
     posterior = prior @ np.linalg.solve(information, prior.T)
     return np.asarray(np.sqrt(np.square(prior).sum(-1) / posterior.diagonal()))
-
-
-def threshold_weights(degree: ArrayLike, threshold: float) -> tuple[int, ...]:
-    """Weights of a sparse grid by degrees of observability: 1 above the threshold, 2 at and below it [Liang2014, Eq. 16]."""
-    return tuple(np.where(finite("degree", degree, ("n",)) > number("threshold", threshold), 1, 2).tolist())
 
 
 def nonlinearity_weights(

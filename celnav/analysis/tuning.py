@@ -97,7 +97,7 @@ def maximize_likelihood(
         options={"maxiter": max_iterations, "gtol": 1e-9, "ftol": ROUGH / max(1.0, abs(likelihood.first))},
     )  # fmt: skip
     s = found.x if found.success else likelihood.best()  # beside failures a line search may give up what it has found
-    for _ in range(STEPS):
+    for left in range(STEPS, -1, -1):
         covariance, why = np.full((len(x0), len(x0)), np.inf), ""
         at_end, curvature = np.abs(s) > 0.999 * reach, likelihood.curvature(s)
         if at_end.any():
@@ -114,11 +114,9 @@ def maximize_likelihood(
             break
         covariance, gradient = (vectors / -eigenvalues) @ vectors.T, likelihood.gradient(s)
         gain = 0.5 * gradient @ covariance @ gradient
-        if gain <= tolerance:
-            break
-        why = f"{gain:.3g} of the log-likelihood is left to gain; {found.message}"
-        ahead = s + covariance @ gradient
-        if not likelihood(ahead) > likelihood(s):
+        ahead = np.clip(s + covariance @ gradient, -reach, reach)
+        if gain <= tolerance or not left or not likelihood(ahead) > likelihood(s):
+            why = "" if gain <= tolerance else f"{gain:.3g} of the log-likelihood is left to gain; {found.message}"
             break
         s = ahead
     errors = scale.slope(s) * np.sqrt(covariance.diagonal())

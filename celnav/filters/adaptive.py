@@ -103,7 +103,8 @@ def _moved(memory: Window | None, values: Array, epoch: Any, size: int, gaps: st
         if size * values.size > LIMIT:
             raise ValueError(f"M: expected a window of at most {LIMIT} numbers, got {size} samples of {values.size} each")
         memory = Window(np.full((size, *values.shape), np.nan), None)
-    ring = np.broadcast_to(memory.samples, (size, *np.broadcast_shapes(memory.samples.shape[1:], values.shape)))
+    before = memory.samples.reshape(size, *(1,) * (values.ndim + 1 - memory.samples.ndim), *memory.samples.shape[1:])
+    ring = np.broadcast_to(before, (size, *np.broadcast_shapes(before.shape[1:], values.shape)))
     moved = np.concatenate([ring[1:], np.broadcast_to(values, ring.shape[1:])[None]])
     if gaps == "skip":
         moved = np.where(np.isnan(values), ring, moved)

@@ -224,9 +224,9 @@ class Colored(Sequential):
 
     def through(self, Phi: Array, x: Array, epoch: Epoch, w: Array) -> tuple[Array, Array]:
         """``h(f(x) + w) - Phi h(x)`` and ``f(x) + w``."""
-        (sensor,) = self.sensors
+        (sensor,), m = self.sensors, Phi.shape[-1]
         y = evaluate(self.motion, x.copy(order="K"), epoch) + w
-        return evaluate(sensor, y.copy(order="K"), epoch) - apply(Phi, evaluate(sensor, x, epoch)), y
+        return evaluate(sensor, y.copy(order="K"), epoch, m=m) - apply(Phi, evaluate(sensor, x, epoch, m=m)), y
 
     def _measured(self, state: Any, epoch: Epoch) -> Array:
         """The measurement of an epoch, nan where there is none."""

@@ -56,8 +56,8 @@ class Joint(NamedTuple):
     innovation: ``(..., m)``, measurement minus prediction; nan where nothing was measured, or a hook leaves it out. None where
         there is nothing to condition on.
     measurement, state: their images, with columns ``(..., m, q)`` and ``(..., n, q)`` from the prior.
-    sign: ``(q,)``, -1 where a weight is negative; one 1 may stand for all. Where all is linear in covariance form, and
-        no hook looks on, the covariance ``(..., n, n)`` of the state: its columns are then unit vectors.
+    sign: ``(q,)``, -1 where a weight is negative; one 1 may stand for all. Where a measurement is linear in covariance
+        form, and neither hook nor gain looks on, the covariance ``(..., n, n)`` of the state: its columns are then unit vectors.
     process_noise: its columns ``(..., m, r)`` in the measurement, 0 for zeros, and ``(..., n, r)`` in the state; None without.
     measurement_noise: its columns ``(..., m, s)``; None without.
     known: the state's own root or covariance, where the state is that of the belief and nothing was added.
@@ -163,7 +163,7 @@ def joint(
     ----------
     rule: `Rule` or `Taylor`, or a function of the dimension.
     outputs: the measurement (if any) and the state, each a `Motion`, a `Sensor`, `KEEP` (the state itself) or ``(value, matrix)``
-        of what is linear; or a function ``(points, epoch, *noise points)`` of both.
+        of what is linear, if both are; or a function ``(points, epoch, *noise points)`` of both.
     space: of the belief. spaces: of what a function gives; None: vectors.
     z: ``(..., m)``, what was measured; None: there is no measurement among the outputs.
     process_noise: columns ``(..., n, r)`` beside the state, a function ``(mean, epoch)`` of them, or a pair of those beside the
@@ -178,13 +178,16 @@ def joint(
         belief = over_runs("Q", W[1].shape[:-2], belief)  # a model may need the axes that only the noise has
     if V is not None and V.ndim > 2:
         belief = over_runs("R", V.shape[:-2], belief)
+    for E in augment:
+        belief = over_runs("augment", E.shape[:-2], belief)
     mean = belief.mean
 
     noise_first, images = False, []
     first: Any = None if callable(outputs) else outputs[0]
     linear = [] if callable(outputs) else linearized(outputs, rule, mean, epoch, space)
     if linear:
-        root, sign = (belief.sqrt_cov, POSITIVE) if augment else belief.factor()
+        # A prediction factors the covariance even so: whether it is definite is to be noticed.
+        root, sign = belief.factor() if linear[-1][1] is None and not augment else (belief.sqrt_cov, POSITIVE)
         for value, matrix in linear:
             images.append(_linear_image(value, matrix, root, sign, augment))
         noise_first = sign.ndim == 1 and isinstance(first, Sensor) and (not callable(first.h) or isinstance(first.h, Linear))
@@ -206,9 +209,9 @@ def joint(
     known = belief[1] if state.center is mean and W is None else None
     if z is None:
         return Joint(None, None, state, sign, W, None, known)
-    measured, m = images[0], images[0].columns.shape[-2]
+    measured, m = images[0], images[0].center.shape[-1]
     own = spaces[0] if spaces is not None else first.space if isinstance(first, Motion | Sensor) else EUCLIDEAN
-    if own is EUCLIDEAN and z.shape[-1] != m:
+    if z.shape[-1] != m:
         raise ValueError(f"z: expected {m} components to go with h, got {z.shape[-1]}")
     if z.ndim > 1 and z.shape[:-1] != mean.shape[:-1]:
         _joint_batch("z", z.shape[:-1], mean.shape[:-1])
@@ -263,7 +266,10 @@ def linear(model: Motion | Sensor, rule: Any, mean: Array, epoch: Any, space: Sp
         matrix = function.at(epoch, mean.shape[-1])
         if model.name == "f" and matrix.shape[-2] != mean.shape[-1]:
             raise ValueError(f"matrix: expected shape (..., {mean.shape[-1]}, {mean.shape[-1]}), got {matrix.shape}")
-        return apply(matrix, mean), matrix
+        value = apply(matrix, mean)
+        if (look := WATCH.get()) is not None:
+            look(model.name, value[None])
+        return value, matrix
     if model.jacobian is None or not isinstance(rule, Taylor):
         return None
     center = mean if rule.about is None else np.broadcast_to(rule.about, mean.shape)
@@ -272,7 +278,8 @@ def linear(model: Motion | Sensor, rule: Any, mean: Array, epoch: Any, space: Sp
     J = numbers("jacobian", unmasked("jacobian", model.jacobian(center, epoch)))
     if J.ndim < 2 or (model.space is EUCLIDEAN and J.shape[-2] != value.shape[-1]):
         raise ValueError(f"jacobian: expected shape (..., {value.shape[-1]}, n) to go with {model.name}, got {J.shape}")
-    return value if rule.about is None else model.space.plus(value, matvec(J, space.minus(mean, center))), J
+    way = space.minus(mean, center)
+    return value if rule.about is None else model.space.plus(value, matvec(J[..., : way.shape[-1]], way)), J
 
 
 def _linear_image(value: Array, matrix: Array | None, root: Array, sign: Array, augment: Sequence[Array]) -> Image:

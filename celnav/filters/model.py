@@ -148,7 +148,7 @@ def _check_model(record: Any, name: str, noise: str) -> None:
     if not isinstance(record.space, Space):
         raise ValueError(f"space: expected a Space, such as celnav.angles([0]), got {kind(record.space)}")
     roots = check_roots("augment", record.augment)
-    if len(roots) and not callable(model):
+    if len(roots) and is_linear(model):
         raise ValueError(f"augment: expected a function {name}(points, epoch, *noise) with it, got a matrix; {noise} is its noise")
     if getattr(record, noise) is None and getattr(record, f"sqrt_{noise}") is None and not len(roots):
         raise ValueError(f"{noise}: expected the noise's covariance, {noise} or sqrt_{noise}; without noise it is np.zeros((k, k))")

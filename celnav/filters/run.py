@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from celnav.filters.joint import at
 from celnav.filters.mixing import LOOKED_AT, WATCH
 from celnav.filters.records import Epoch, Filter, FilterError, Info, epochs
+from celnav.filters.sequential import Sequential
 from celnav.filters.track import Collector, Track
 from celnav.gaussian.belief import settled
 from celnav.gaussian.checks import choice, function, instance, integer, kind, numbers
@@ -146,10 +147,10 @@ def explain(filter: Any, before: Any, after: Any, epoch: Epoch) -> str:
         WATCH.reset(token)
     if found:
         return found[0]
-    within = getattr(filter, "first", filter)  # of two filters, or of two stages
+    within = filter if hasattr(filter, "sensors") else getattr(filter, "first", filter)  # of two filters, or of two stages
     if not hasattr(getattr(within, "filter", within), "sensors"):
         return "the estimate is not finite"
-    predicted = filter.predict(before, epoch) if hasattr(filter, "predict") else before
+    predicted = filter.predict(before, epoch) if getattr(type(filter), "step", None) is Sequential.step else before
     if epoch.z is None or (predicted.belief.lost() & lost).any():
         return "the covariance lost positive definiteness"
     for sensor in getattr(filter, "sensors", ()):

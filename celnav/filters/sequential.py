@@ -334,9 +334,9 @@ class SingleDraw(Sequential):
         if z is not None:
             z = checked(z, self.sensors[0])
             state = state._replace(belief=over_runs("z", z.shape[:-1], state.belief))
-        motion, (sensor,), belief, space = self.motion, self.sensors, state.belief, self.motion.space
+        (sensor,), belief, space = self.sensors, state.belief, self.motion.space
         if missing(z):
-            ahead = joint(self.rule, belief, (motion,), epoch, space=space, augment=self.noises)
+            ahead = joint(self.rule, belief, self.moves, epoch, space=space, spaces=(space,), augment=self.noises)
             return state._replace(belief=marginal(self.form, ahead, space)), (silent(sensor, z),)
         both = joint(
             self.rule, belief, self.outputs, epoch, space=space, spaces=(sensor.space, space),
@@ -345,6 +345,10 @@ class SingleDraw(Sequential):
         hooks = self.hooks[0] if self.hooks else ()
         after, info, memory = condition(self.form, both, space, hooks=hooks, memory=state.memory[0], epoch=epoch, gain=self.gain)
         return State(after, (memory,)), (info,)
+
+    def moves(self, x: Array, epoch: Epoch, *noise: Array) -> tuple[Array]:
+        """The state at the end of the interval."""
+        return (evaluate(self.motion, x, epoch, noise),)
 
     def outputs(self, x: Array, epoch: Epoch, *noise: Array) -> tuple[Array, Array]:
         """The measurement and the state at the end of the interval, both from the points at its beginning."""

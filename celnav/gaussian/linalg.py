@@ -25,7 +25,7 @@ NEGLIGIBLE = 1e-12
 """Part of the largest deviation, or variance, below which one is round-off."""
 PRECISE = 1e3
 """Deviations of the noise by which an innovation may vary before a difference of covariances loses too many digits."""
-POSITIVE = np.ones(1)
+POSITIVE: Array = np.broadcast_to(1.0, 1)
 """The sign of columns that all count with +1."""
 
 
@@ -76,12 +76,12 @@ def tria(A: Array) -> Array:
 
 @cache
 def _lower(n: int) -> Array:
-    return np.tri(n)
+    return np.broadcast_to(np.tri(n), (n, n))  # read-only, as what is handed out must be
 
 
 @cache
 def _identity(n: int) -> Array:
-    return np.eye(n)
+    return np.broadcast_to(np.eye(n), (n, n))
 
 
 def solve_lower(L: Array, B: Array) -> Array:

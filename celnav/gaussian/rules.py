@@ -30,7 +30,7 @@ class Image(NamedTuple):
     Attributes
     ----------
     center: ``(..., N)``, the image of the center. shift: ``(..., k)``, the mean's distance from there.
-    columns: ``(..., k, q)``, deviations about the mean: the covariance is ``columns @ diag(sign) @ columns.mT``.
+    columns: ``(..., k, q)``, deviations about the mean: the covariance is ``columns @ diag(sign) @ columns.mT``, see `Joint`.
     jacobian: ``() -> (..., k, n)``, the statistical Jacobian ``cov(y, x) cov(x)^-1``.
     """
 
@@ -187,6 +187,7 @@ class Taylor:
         center = mean if self.about is None else self.about
         if center.shape[-1:] != mean.shape[-1:]:
             raise ValueError(f"about: expected shape (..., {mean.shape[-1]}), got {center.shape}")
+        center = np.broadcast_to(center, np.broadcast_shapes(center.shape, mean.shape))
         roots = (root, *augment)
         total, batch = sum(E.shape[-1] for E in roots), max(center.ndim - 1, root.ndim - 2)
         directions = self.step * np.hstack([np.zeros((total, 1)), np.eye(total), -np.eye(total)])

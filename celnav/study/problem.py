@@ -64,9 +64,10 @@ class Problem:
         instance("sensor", self.sensor, Sensor, "celnav.Sensor(h, R)")
         prior = instance("prior", self.prior, Gaussian, "celnav.Gaussian(mean, cov)")
         for name, noise in (("Q", self.motion.noise), ("R", self.sensor.noise)):
-            if not isinstance(noise, np.ndarray) or noise.ndim != 2:
+            if not isinstance(noise, np.ndarray) or noise.ndim != 2 or self.motion.augment or self.sensor.augment:
                 raise ValueError(f"{name}: expected one constant covariance of a noise beside the model, got another")
-        if prior.mean.ndim != 1 or prior.cov.ndim != 2:
+        vectors = self.motion.space == EUCLIDEAN
+        if prior.mean.ndim != 1 or prior.cov.ndim != 2 or (vectors and len(prior.mean) != self.n):
             raise ValueError(f"prior: expected one mean (N,) and covariance (n, n), got {prior.mean.shape} and {prior.cov.shape}")
         if self.motion.noise.shape[-2] != self.n:  # type: ignore[union-attr]
             raise ValueError(f"prior: expected a covariance to go with the motion's Q, got {prior.cov.shape}")

@@ -39,11 +39,6 @@ def test_a_window_that_fits_the_time_scale_keeps_the_digits():
         np.testing.assert_allclose(gradients[k], H @ np.linalg.matrix_power(slow * A, k), atol=1e-8 * slow**k)
 
 
-def test_the_svd_degree_of_a_diagonal_matrix():
-    np.testing.assert_allclose(ob.svd_degree(np.diag([3.0, 0.5, 7.0])), [3.0, 0.5, 7.0])
-    np.testing.assert_allclose(ob.svd_degree(np.diag([3.0, 0.5, 7.0]), 1), [6.0, 1.0, 14.0])
-
-
 def test_the_information_degree_is_that_of_a_kalman_filter_and_ignores_units():
     P0, R, F, rows = np.diag([4.0, 1.0, 2.0]), np.diag([0.1, 0.2]), np.eye(3) + 0.1 * A, np.tile(H, (6, 1, 1))
     mean_P = P0
@@ -65,7 +60,6 @@ def test_the_information_degree_is_that_of_a_kalman_filter_and_ignores_units():
 
 
 def test_selectors():
-    assert ob.threshold_weights([9.8, 5.0, 5.1, 0.0], 5.0) == (1, 2, 1, 2)
 
     def step(x):
         return np.stack([np.sin(x[:, 0]), x[:, 1] * np.cos(x[:, 0]) + x[:, 2], x[:, 2]], -1)

@@ -193,3 +193,9 @@ def test_a_configuration_that_cannot_be_is_refused_by_name(change, name):
 def test_reproduce_refuses_bad_arguments_by_name(bad):
     with pytest.raises(ValueError, match=f"^{next(iter(bad))}"):
         aasghqf.reproduce(**bad)
+
+
+def test_degrees_by_singular_values_and_their_weights():
+    np.testing.assert_allclose(analysis.svd_degree(np.diag([3.0, 0.5, 7.0])), [3.0, 0.5, 7.0])
+    np.testing.assert_allclose(analysis.svd_degree(np.diag([3.0, 0.5, 7.0]), 1), [6.0, 1.0, 14.0])
+    assert analysis.threshold_weights([9.8, 5.0, 5.1, 0.0], 5.0) == (1, 2, 1, 2)

@@ -249,6 +249,8 @@ def test_a_row_does_not_depend_on_the_others():
         ({"sensor": Sensor(h, lambda mean, epoch: np.eye(1))}, r"^R: expected one constant covariance"),
         ({"sensor": Sensor(h, np.ones((3, 1, 1)))}, r"^R: expected one constant covariance"),
         ({"motion": Motion(f, np.eye(3))}, r"^prior: expected a covariance to go with the motion's Q, got \(2, 2\)"),
+        ({"prior": Gaussian(np.zeros(3), np.eye(2))}, r"^prior: expected one mean \(N,\) and covariance \(n, n\)"),
+        ({"motion": Motion(f, np.eye(2), augment=(np.eye(1),))}, r"^Q: expected one constant covariance of a noise beside"),
         ({"prior": Gaussian(np.zeros((3, 2)), np.eye(2))}, r"^prior: expected one mean \(N,\) and covariance \(n, n\)"),
         ({"phi": "much"}, "^phi: expected a number of at least 0 and below 1, got 'much'"),
         ({"times": [0.0, 1.0, 1.0]}, r"^times: expected two or more increasing numbers"),

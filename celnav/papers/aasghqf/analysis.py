@@ -8,6 +8,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.linalg import sqrtm
 
 from celnav.analysis import observability
@@ -25,6 +26,22 @@ from celnav.study.montecarlo import generator
 
 MISALIGNMENTS_DEG = (1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0)
 DIMENSIONS = (2, 4, 6, 8, 10, 13, 16, 20, 25, 30, 40)
+
+
+def svd_degree(matrix: Array, reference: int | None = None) -> Array:
+    """Degree of observability ``(n,)`` of each state by singular values of an observability matrix ``(rows, n)``.
+
+    State j gets the singular value whose right vector has its largest component there, divided by that of the state
+    ``reference`` [Liang2014, Eq. 15]. It depends on the units of the states; `information_degree` does not.
+    """
+    _, values, Vt = np.linalg.svd(matrix)
+    degree = np.asarray(values[np.abs(Vt[: len(values)]).argmax(0)])
+    return degree if reference is None else degree / degree[reference]
+
+
+def threshold_weights(degree: ArrayLike, threshold: float) -> tuple[int, ...]:
+    """Weights of a sparse grid by degrees of observability: 1 above the threshold, 2 at and below it [Liang2014, Eq. 16]."""
+    return tuple(np.where(np.asarray(degree) > threshold, 1, 2).tolist())
 
 
 class Observability(NamedTuple):
@@ -65,7 +82,7 @@ def observe(config: Config, window: int = 60) -> Observability:
             return np.concatenate([z[..., :6], z[..., 6:] * meters], -1)
 
         gradients = observability.lie_gradients(f, h, np.zeros(13), 3)
-        return observability.svd_degree(gradients.reshape(-1, 13), reference=3)
+        return svd_degree(gradients.reshape(-1, 13), reference=3)
 
     in_degrees = np.concatenate([np.full(3, np.radians(1.0)), units[3:]])
     svd, svd_degrees = degree(units), degree(in_degrees)
@@ -81,8 +98,8 @@ def observe(config: Config, window: int = 60) -> Observability:
         svd,
         svd_degrees,
         information,
-        observability.threshold_weights(svd, config.threshold),
-        observability.threshold_weights(svd_degrees, config.threshold),
+        threshold_weights(svd, config.threshold),
+        threshold_weights(svd_degrees, config.threshold),
         nonlinear,
     )
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from celnav.analysis.observability import threshold_weights
 from celnav.gaussian.sparse_grid import point_count, smolyak
+from celnav.papers.aasghqf.analysis import threshold_weights
 from celnav.papers.aasghqf.claims_beyond import beyond_claims
 from celnav.papers.aasghqf.claims_errata import errata_claims
 from celnav.papers.aasghqf.config import PAPER_WEIGHTS

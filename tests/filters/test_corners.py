@@ -1,0 +1,132 @@
+"""Where parts meet that seldom do: each of these once went wrong."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+
+import celnav
+from celnav import Epoch, FilterError, Gaussian, Motion, Sensor, run
+from celnav.analysis.tuning import maximize_likelihood
+from celnav.filters.adaptive import innovation_window
+from celnav.filters.sequential import SingleDraw
+from celnav.gaussian.linalg import POSITIVE
+from celnav.gaussian.spaces import EUCLIDEAN
+
+EYE, PRIOR, TIMES = np.eye(2), Gaussian(np.zeros(2), np.eye(2)), np.arange(3.0)
+
+
+def h(x, _epoch):
+    return x
+
+
+def test_a_measurement_of_another_length_is_refused_on_any_space_and_by_a_pickled_filter():
+    angle = celnav.ukf(Motion(EYE, EYE), Sensor(EYE, EYE, space=celnav.angles([0])))
+    copied = pickle.loads(pickle.dumps(celnav.ukf(Motion(EYE, EYE), Sensor(h, EYE))))
+    assert copied.motion.space is EUCLIDEAN
+    for filter in (angle, copied):
+        with pytest.raises(ValueError, match=r"^z: expected 2 components to go with h, got 1"):
+            run(filter, PRIOR, TIMES, np.ones((3, 1)))
+
+
+def test_a_single_draw_with_jacobians_takes_a_missing_measurement():
+    motion = Motion(lambda x, e, *n: 0.9 * x + n[0], augment=(0.1 * np.eye(1),), jacobian=lambda x, e: np.array([[0.9, 1.0]]))
+    sensor = Sensor(lambda x, e, *n: x + n[-1], augment=(0.1 * np.eye(1),))
+    z = np.array([[1.0], [np.nan], [1.0]])
+    track = run(SingleDraw.of(celnav.ekf(motion, sensor)), Gaussian([0.0], [[1.0]]), TIMES, z)
+    plain = celnav.ukf(Motion([[0.9]], [[0.01]]), Sensor([[1.0]], [[0.01]]))
+    np.testing.assert_allclose(track.mean, run(plain, Gaussian([0.0], [[1.0]]), TIMES, z).mean, atol=1e-9)
+
+
+def test_a_lost_run_of_a_filter_for_colored_noise_is_told_as_one():
+    twice = Sensor(np.array([[1.0, 0.0], [1.0, 0.0]]), EYE)
+    filter = celnav.colored(Motion(EYE, np.zeros((2, 2))), twice, EYE, increments=np.zeros((2, 2)))
+    with pytest.raises(FilterError, match="not positive definite"):
+        run(filter, PRIOR, TIMES, np.ones((3, 2)))
+
+
+def test_why_an_iterated_filter_is_lost_is_told():
+    filter = celnav.ekf(Motion(EYE, np.zeros((2, 2))), Sensor([[1.0, 0.0], [1.0, 0.0]], np.zeros((2, 2))), iterations=3)
+    with pytest.raises(FilterError, match="a measurement without noise must say what is not known"):
+        run(filter, PRIOR, TIMES, np.ones((3, 2)))
+
+
+def test_a_linear_motion_that_is_not_finite_is_blamed():
+    motion = Motion(celnav.Linear(lambda epoch: np.full((2, 2), np.nan) if epoch.k == 2 else EYE), EYE)
+    with pytest.raises(FilterError, match="f is not finite"):
+        run(celnav.ukf(motion, Sensor(EYE, EYE)), PRIOR, TIMES, np.ones((3, 2)))
+
+
+def test_an_iterated_update_with_noise_through_the_points_and_a_jacobian():
+    through = Sensor(lambda x, e, v: x[..., :1] + v, augment=(0.3 * np.eye(1),), jacobian=lambda x, e: np.array([[1.0, 0.0, 1.0]]))
+    beside = Sensor([[1.0, 0.0]], [[0.09]])
+    z = np.ones((3, 1))
+    one, two = (run(celnav.ekf(Motion(EYE, EYE), s, iterations=3), PRIOR, TIMES, z) for s in (through, beside))
+    np.testing.assert_allclose(one.mean, two.mean, atol=1e-9)
+
+
+@pytest.mark.parametrize("runs", [4, 5])
+def test_an_iterated_filter_of_runs_that_only_the_noise_has(runs):
+    R = np.linspace(0.1, 2.0, runs)[:, None, None]
+
+    def flown(noise):
+        sensor = Sensor(lambda x, e: np.sin(x[..., :1]) + x[..., 1:] ** 2, noise)
+        return run(celnav.ekf(Motion(lambda x, e: x, 0.1 * EYE), sensor, iterations=3), PRIOR, TIMES, np.ones((3, 1))).mean
+
+    np.testing.assert_allclose(flown(R), np.stack([flown(each) for each in R], 1), atol=1e-12)
+
+
+def test_a_window_takes_runs_that_come_later():
+    motion = Motion(EYE, np.linspace(1.0, 2.0, 3)[:, None, None] * EYE)
+    track = run(celnav.ukf(motion, Sensor(EYE, EYE), hooks=[innovation_window(2)]), PRIOR, np.arange(5.0), np.ones((5, 2)))
+    assert track.mean.shape == (5, 3, 2)
+
+
+def test_noise_through_the_points_may_differ_from_run_to_run():
+    Q, sensor = np.linspace(1.0, 2.0, 3)[:, None, None] * EYE, Sensor(h, EYE)
+    through = celnav.ukf(Motion(lambda x, e, w: x + w, augment=(np.sqrt(Q),)), sensor)
+    colored = celnav.colored(Motion(lambda x, e: x, Q), sensor, 0.5 * EYE)
+    for filter in (through, colored):
+        assert run(filter, PRIOR, TIMES, np.ones((3, 2))).mean.shape == (3, 3, 2)
+
+
+def test_indefinite_covariances_of_a_linear_filter_are_told():
+    F = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
+    filter = celnav.ukf(Motion(F, np.zeros((3, 3))), Sensor(np.eye(1, 3), [[1e-10]]), form="covariance")
+    track = run(filter, Gaussian(np.zeros(3), 1e8 * np.eye(3)), np.arange(200.0), np.zeros((200, 1)), keep="cov", on_failure="flag")
+    end = len(track.times) if track.failed_at < 0 else int(track.failed_at)
+    assert np.isfinite(track.sqrt_cov[: max(end - 1, 1)]).all()
+
+
+def test_a_function_of_the_wrong_width_is_told_where_noise_is_colored():
+    filter = celnav.colored(Motion(lambda x, e: x, EYE), Sensor(lambda x, e: x[..., :1], EYE), 0.5 * EYE, first=False)
+    with pytest.raises(ValueError, match=r"^h returned shape"):
+        run(filter, PRIOR, TIMES, np.ones((3, 2)))
+
+
+def test_a_hook_cannot_change_what_all_filters_share():
+    def hook(memory, joint, _epoch):
+        joint.sign[...] = -1.0
+        return memory, joint
+
+    filter = celnav.ukf(Motion(EYE, EYE), Sensor(EYE, EYE), hooks=[hook])
+    with pytest.raises(ValueError, match="read-only"):
+        filter.step(filter.start(PRIOR), Epoch(0, 0.0, 0.0, None, np.ones(2)))
+    assert POSITIVE.tolist() == [1.0]
+
+
+def test_a_search_stays_within_its_range():
+    rng, tried = np.random.default_rng(2), []
+    x = np.cumsum(0.02 * rng.standard_normal(60))
+    epochs = celnav.epochs(np.arange(60.0), (x + 0.5 * rng.standard_normal(60))[:, None])
+
+    def build(p):
+        tried.append(p)
+        return celnav.ukf(Motion(np.eye(1), [[p[0] ** 2]]), Sensor(np.eye(1), [[p[1] ** 2]])), Gaussian([0.0], [[1.0]])
+
+    found = maximize_likelihood(build, [1.0, 1.0], epochs)
+    assert 0.00099 < found.parameters[0] < 1001.0
+    assert np.min(tried) > 0.00099
+    assert found.converged or found.message
