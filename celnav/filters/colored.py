@@ -283,8 +283,8 @@ class Decorrelated(Colored):
         used = np.asarray(info.used)
         star = self.system(lagged.mean, epoch, used)
         entering = partial(self.entered, Phi, star.J, np.where(used, z_star, 0.0))
-        ahead = joint(self.rule, lagged, entering, epoch, process_noise=star.sqrt_Q)
-        return ColoredState(marginal(self.form, ahead, EUCLIDEAN), z, lagged, memory), (info,)
+        ahead = marginal(self.form, joint(self.rule, lagged, entering, epoch, process_noise=star.sqrt_Q), EUCLIDEAN)
+        return ColoredState(ahead, z, lagged, memory), (info,)
 
     def past(self, Phi: Array, x: Array, epoch: Epoch) -> tuple[Any, ...]:
         """``H f(x) - Phi H x`` and the state before the interval."""

@@ -126,9 +126,8 @@ class Joint(NamedTuple):
 
     def inflated(self, factor: Array) -> Joint:
         """With measurement noise of standard deviations ``factor (..., m)`` times as large."""
-        return (
-            self if self.measurement_noise is None else self._replace(measurement_noise=factor[..., None] * self.measurement_noise)
-        )
+        V = self.measurement_noise
+        return self if V is None else self._replace(measurement_noise=factor[..., None] * V)
 
     def factored(self) -> Joint:
         """With signs in place of a covariance."""

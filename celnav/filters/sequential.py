@@ -19,8 +19,7 @@ from celnav.gaussian.rules import AnyDimension, Taylor, cubature, gauss_hermite,
 from celnav.gaussian.spaces import EUCLIDEAN
 from celnav.gaussian.sparse_grid import smolyak
 
-MOST_ITERATIONS = 10_000
-"""At every step."""
+MOST_ITERATIONS = 10_000  # at every step
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -180,9 +179,8 @@ def sigma_point(
     if gain is not None and len(sensors) != 1:
         raise ValueError(f"gain: expected one sensor with it, got {len(sensors)}")
     gain = function("gain", gain, "(A, sign, m)") if callable(gain) else None if gain is None else finite("gain", gain)
-    return Sequential(
-        motion, sensors, rule=rule_of(rule), form=FORMS[choice("form", form, FORMS)], hooks=_each(hooks, len(sensors)), gain=gain
-    )
+    kept, every = FORMS[choice("form", form, FORMS)], _each(hooks, len(sensors))
+    return Sequential(motion, sensors, rule=rule_of(rule), form=kept, hooks=every, gain=gain)
 
 
 def ukf(motion: Motion, *sensors: Sensor, alpha: float = 1.0, beta: float = 0.0, kappa: float = 0.0, **options: Any) -> Sequential:

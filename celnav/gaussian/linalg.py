@@ -11,7 +11,7 @@ else asks which one a filter has.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -246,9 +246,20 @@ def fan(E: Array, nodes: Array, batch: int) -> Array:
 
 
 # -- forms ---------------------------------------------------------------------------------------------------------------
-def signs(sign: Array, q: int) -> Array | None:
-    """The signs ``(q,)`` of columns, of which ``sign`` has the first ones and the others count with +1; None if none is -1."""
-    return np.concatenate((sign, np.ones(q - len(sign)))) if -1.0 in sign.tolist() else None
+def signs(sign: Array, q: int) -> tuple[Array, Any, Any] | None:
+    """The signs ``(q,)`` of columns, where they are positive and where negative (slices, so views, where they lie together); None if
+    none is. ``sign`` has the first ones, the others count with +1.
+    """
+    return _signs(np.asarray(sign, np.float64).tobytes(), q)
+
+
+@lru_cache(maxsize=64)
+def _signs(sign: bytes, q: int) -> tuple[Array, Any, Any] | None:
+    given = np.frombuffer(sign)
+    every = np.concatenate((given, np.ones(q - len(given))))
+    positive, negative = (np.flatnonzero(side) for side in (every > 0.0, every < 0.0))
+    first, second = (at if not len(at) or np.ptp(at) >= len(at) else slice(at[0], at[-1] + 1) for at in (positive, negative))
+    return (every, first, second) if len(negative) else None
 
 
 def weighted(A: Array, sign: Array) -> Array:
@@ -256,16 +267,8 @@ def weighted(A: Array, sign: Array) -> Array:
     if sign.ndim > 1:
         n = sign.shape[-1]
         return side_by_side((A[..., :n] @ sign, A[..., n:])) if n < A.shape[-1] else A @ sign
-    every = signs(sign, A.shape[-1])
-    return A if every is None else A * every
-
-
-def _chosen(A: Array, which: Array) -> Array:
-    """Some of the columns; as a view if they lie together, which takes half the time in a QR of many."""
-    places = np.flatnonzero(which)
-    if not len(places) or places[-1] - places[0] + 1 != len(places):
-        return A[..., places]
-    return A[..., places[0] : places[-1] + 1]
+    found = signs(sign, A.shape[-1])
+    return A if found is None else A * found[0]
 
 
 class SquareRoot(NamedTuple):
@@ -304,8 +307,8 @@ class SquareRoot(NamedTuple):
     @staticmethod
     def marginal(A: Array, sign: Array) -> Array:
         """Root of the columns ``A (..., n, q)``, which count with their ``sign``."""
-        every = signs(sign, A.shape[-1])
-        return tria(A) if every is None else downdate(tria(_chosen(A, every > 0.0)), _chosen(A, every < 0.0))
+        found = signs(sign, A.shape[-1])
+        return tria(A) if found is None else downdate(tria(A[..., found[1]]), A[..., found[2]])
 
     @classmethod
     def condition(
@@ -379,7 +382,7 @@ class Covariance(NamedTuple):
     def marginal(A: Array, sign: Array) -> Array:
         """Covariance of columns."""
         if sign.ndim == 1:
-            return outer(A) if -1.0 not in sign.tolist() else weighted(A, sign) @ A.mT
+            return outer(A) if signs(sign, A.shape[-1]) is None else weighted(A, sign) @ A.mT
         P = weighted(A, sign) @ A.mT
         return np.asarray(0.5 * (P + P.mT))
 
