@@ -247,8 +247,8 @@ def fan(E: Array, nodes: Array, batch: int) -> Array:
 
 # -- forms ---------------------------------------------------------------------------------------------------------------
 def signs(sign: Array, q: int) -> tuple[Array, Any, Any] | None:
-    """The signs ``(q,)`` of columns, where they are positive and where negative (slices, so views, where they lie together); None if
-    none is. ``sign`` has the first ones, the others count with +1.
+    """The signs ``(q,)`` of columns, where they are positive and where negative (slices, so views, where they lie together); None
+    if none is. ``sign`` has the first ones, the others count with +1.
     """
     return _signs(np.asarray(sign, np.float64).tobytes(), q)
 
