@@ -64,7 +64,6 @@ beidou: Broadcast Broadcast.chosen
 belief: symmetric
 montecarlo: blocks steps carry_out do effort joined
 claims: Claim Claim.to_dict Judge Judge.lengthy Judge.number Judge.statistic Judge.whole about dumps order within
-constellation: kepler elements
 page: document figure link table
 picture: command end picture
 progress: Progress Progress.close Progress.stage RunProgress
@@ -192,6 +191,8 @@ CALLS = {
     "views.space": dict(origin="a", name="a", eye=[1.0, 0.0, 0.0], target=[0.0, 0.0, 0.0], up=[0.0, 0.0, 1.0], growing={"a": 1.0}),
     "views.plot": dict(origin="a", name="a", times=TIMES, limits=(0.0, 1.0)),
     "figures.figure": dict(width=3.0, height=2.0, rows=1, columns=2),
+    "constellation.kepler": dict(a=7e6, e=0.1, i=0.1, Omega=0.1, omega=0.1, M=0.1),
+    "constellation.elements": dict(position=np.array([7e6, 0.0, 0.0]), velocity=np.array([0.0, 5e3, 5e3])),
     "constellation.synthetic": dict(toe=345600.0),
     "ephemeris.Kernel": dict(path=str(ephemeris.de421().path)),
     "ephemeris.Kernel.state": (ephemeris.de421().state, dict(body="sun", date=TDB)),

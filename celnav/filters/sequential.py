@@ -57,6 +57,8 @@ class Sequential:
         check_matrices(n, f=self.motion.f)
         for sensor in self.sensors:
             check_matrices(n, h=sensor.h)
+            if n != N and not callable(sensor.h):
+                raise ValueError(f"h: expected a function where states have {N} components and {n} deviations, got a matrix")
         batch = np.broadcast_shapes(belief.mean.shape[:-1], belief[1].shape[:-2])
         if batch and not (is_linear(self.motion.f) and all(is_linear(sensor.h) for sensor in self.sensors)):
             # Only a linear filter has one covariance for all its runs, as long as they miss the same measurements.

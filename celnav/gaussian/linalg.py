@@ -370,7 +370,7 @@ class Covariance(NamedTuple):
         return cls(belief.mean, belief.cov)
 
     def factor(self) -> tuple[Array, Array]:
-        """Unit columns, which have the covariance itself for a sign: no root is needed where all is linear."""
+        """Unit columns, which have the covariance itself for a sign: a linear measurement needs no root."""
         return _identity(self.cov.shape[-1]), self.cov
 
     @staticmethod
@@ -381,10 +381,7 @@ class Covariance(NamedTuple):
     @staticmethod
     def marginal(A: Array, sign: Array) -> Array:
         """Covariance of columns."""
-        if sign.ndim == 1:
-            return outer(A) if signs(sign, A.shape[-1]) is None else weighted(A, sign) @ A.mT
-        P = weighted(A, sign) @ A.mT
-        return np.asarray(0.5 * (P + P.mT))
+        return outer(A) if signs(sign, A.shape[-1]) is None else weighted(A, sign) @ A.mT
 
     @classmethod
     def condition(

@@ -73,7 +73,7 @@ def dilution(q: Array, position: Array, axes: Array, used: Array | None = None) 
     R: Array = np.linalg.qr(np.concatenate([rows, np.zeros((*rows.shape[:-2], 4, 4))], -2)).R
     enough = (np.abs(R.diagonal(0, -2, -1)).min(-1) > SINGULAR)[..., None, None]
     # (R.T R)^-1 has the sums of squares of the rows of R^-1 on its diagonal.
-    root = np.where(enough, np.linalg.inv(np.where(enough, R, np.eye(4))), np.nan)
+    root = np.where(enough, np.linalg.solve(np.where(enough, R, np.eye(4)), np.broadcast_to(np.eye(4), R.shape)), np.nan)
     east, north, up, time = np.moveaxis(np.square(root).sum(-1), -1, 0)
     flat = east + north
     return Dilution(*(np.sqrt(v) for v in (flat + up + time, flat + up, flat, up, time)))
