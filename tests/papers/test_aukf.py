@@ -20,6 +20,7 @@ from celnav.gaussian.rules import unscented
 from celnav.models import pseudorange
 from celnav.papers import aukf, figures, tables
 from celnav.papers.aukf import PRESETS, analysis, errata, filters, real, simulate, sweeps
+from celnav.papers.aukf.constellation import elements, kepler
 from celnav.papers.aukf.follow import Kept, follow_cases, watched
 from celnav.papers.aukf.follow import follow as follow_all
 from celnav.papers.aukf.scenario import EKF, adapted, axes, circle, sensor, ukf, visible
@@ -341,3 +342,8 @@ def test_a_real_receiver(result, tmp_path):
         "group parity",
     ]
     assert aukf.record(replace(result, real=day), Outputs(tmp_path / "out")) == aukf.RECORDINGS
+
+
+def test_elements_of_a_place_and_a_velocity_are_those_it_was_made_from():
+    found = elements(*kepler(a=2.8e7, e=0.01, i=0.96, Omega=1.1, omega=0.4, M=2.2))
+    np.testing.assert_allclose(found, [2.8e7, 0.01, 0.96, 1.1, 0.4, 2.2], rtol=1e-12)
