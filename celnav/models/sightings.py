@@ -53,6 +53,15 @@ def observe(position: Array, stars: Array, radius_km: float = EARTH.radius_km) -
     return A
 
 
+def limb(position: Array, toward: Array, radius_km: float = EARTH.radius_km) -> Array:
+    """Points ``(..., 2, 3)`` km where sight lines touch the Earth, in the plane of a position and a direction, both ``(..., 3)``."""
+    r = np.linalg.norm(position, axis=-1, keepdims=True)
+    up = position / r
+    along = toward - np.sum(toward * up, -1, keepdims=True) * up
+    along, sine = along / np.linalg.norm(along, axis=-1, keepdims=True), radius_km / r
+    return radius_km * np.stack([sine * up + side * np.sqrt(1.0 - sine**2) * along for side in (1.0, -1.0)], -2)
+
+
 def position(
     A: ArrayLike, separation: float, hemisphere: ArrayLike = 1.0, *, radius_km: float = EARTH.radius_km, strict: bool = True
 ) -> Array:

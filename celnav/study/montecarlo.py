@@ -76,11 +76,15 @@ def steps(name: str, count: float) -> int:
 
 
 class Unit(NamedTuple):
-    """One piece of work: ``function(*arguments)`` gives a dict of arrays. Units of one ``label`` are joined over runs."""
+    """One piece of work: ``function(*arguments)`` gives a dict of arrays. Units of one ``label`` are joined over runs.
+
+    ``cost``: CPU seconds, roughly, for who waits.
+    """
 
     label: str
     function: Callable[..., dict[str, Array]]
     arguments: tuple[Any, ...]
+    cost: float = 1.0
 
 
 class Outcome(NamedTuple):
@@ -118,7 +122,8 @@ def _joined(outcomes: Sequence[Outcome]) -> dict[str, Array]:
     if len(outcomes) == 1:  # not copied: some are large
         return outcomes[0].arrays
     names = dict.fromkeys(name for outcome in outcomes for name in outcome.arrays)
-    return {name: np.concatenate([o.arrays[name] for o in outcomes if name in o.arrays], 1) for name in names}
+    parts = {name: [o.arrays[name] for o in outcomes if name in o.arrays] for name in names}
+    return {name: np.concatenate(part, 1) if part[0].ndim > 1 else part[0] for name, part in parts.items()}
 
 
 def carry_out(plan: Plan[R], *, jobs: int = 1, progress: Progress | None = None) -> R:

@@ -1,32 +1,189 @@
-"""Truth and measurements of the satellite, and the filters that the paper and this study compare."""
+"""[Sun2015]: a satellite that finds its place by two stars and the Earth's limb, through colored noise.
+
+=============  ======================================================  ===========================================
+equation       content                                                 here
+=============  ======================================================  ===========================================
+38             acceleration with J2                                    `celnav.models.orbit.acceleration`
+40-43          angles and position                                     `celnav.models.sightings`
+1-2            colored measurement noise                               `simulate`, `celnav.models.noise.ar1`
+4-8            differenced measurement                                 `celnav.filters.colored.difference`
+10-20          decorrelation, J, Q*, R*                                `celnav.filters.colored.decorrelation`
+21-37          the filter                                              `celnav.filters.colored.decorrelated`
+=============  ======================================================  ===========================================
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from celnav.filters.colored import augmented, colored, decorrelated
-from celnav.filters.model import Model, Motion, Sensor
+from celnav.filters.model import Motion, Sensor
 from celnav.filters.records import Epochs, Filter, epochs
 from celnav.filters.sequential import sigma_point
 from celnav.gaussian.belief import Gaussian
-from celnav.gaussian.linalg import Array, semidefinite_root
+from celnav.gaussian.linalg import Array, Belief, semidefinite_root
 from celnav.gaussian.rules import Rule, unscented
 from celnav.models import orbit, sightings
-from celnav.models.noise import ar1, effective_covariance
-from celnav.papers.csrukf.config import Config
-from celnav.study.montecarlo import normals
+from celnav.models.noise import ar1, effective_covariance, stationary_covariance
+from celnav.study.montecarlo import MOST_STEPS, normals
+from celnav.study.parameters import Parameters, param
+from celnav.study.trial import Group, Trial
 
+TITLE = "Square-root unscented Kalman filter for colored measurement noise"
+CITATION = """\
+@article{Sun2015,
+  author  = {Sun, Huimin and Zhuang, Chunqing and Xu, Shengzhong},
+  title   = {Square-Root Unscented Kalman Filter for Satellite Autonomous Celestial Navigation System
+             with Colored Measurement Noise},
+  year    = {2015},
+  note    = {in Chinese}
+}"""
 H = np.eye(3, 6)
+FIT = "inferred: by a fit to Tables 1 and 2"
 
 
+# -- parameters --------------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Config(Parameters):
+    """Everything that a run depends on; angles in degrees, as the paper prints them."""
+
+    semi_major_axis_km: float = param(7136.635, "paper", "of the orbit", below=1e6)
+    eccentricity: float = param(0.001, "paper", "of the orbit", least=0.0, below=1.0)
+    inclination_deg: float = param(65.0, "paper", "of the orbit to the equator", least=0.0, most=180.0)
+    raan_deg: float = param(30.0, "paper", "right ascension of the ascending node")
+    argument_of_perigee_deg: float = param(30.0, "paper", "from the ascending node")
+    true_anomaly_deg: float = param(0.0, "chosen: z > 0 for 2499 s", "where on the orbit a run starts, from the perigee")
+    step_s: float = param(1.0, "paper", "interval of the measurements and of the filters' steps", above=0.0)
+    steps: int = param(600, "paper", "in a run", least=1, most=MOST_STEPS)
+    runs: int = param(100, "paper", "of a Monte Carlo", least=1)
+    camera_deg: float = param(0.005, "paper", "accuracy of the Earth's edges, where angles are measured")
+    star_arcsec: float = param(3.0, "paper", "accuracy of the directions to stars, where angles are measured")
+    separation_deg: float = param(90.0, "chosen", "angle between the two stars, where angles are measured")
+    accuracy_sigmas: float = param(3.0, "inferred", "how many standard deviations these accuracies are")
+    sigma_km: float = param(0.2, FIT, "deviation of the noise of a measured position, on each axis; of which, says noise_level", above=0.0)
+    noise_level: str = param(
+        "increments", "inferred: the paper's R",
+        "what sigma_km, or camera_deg and star_arcsec, are the deviation of: the colored noise V itself (stationary), however large "
+        "phi is, or the white increments that drive it, in V' = phi V + increment", one_of=("stationary", "increments"),
+    )  # fmt: skip
+    prior_position_km: float = param(0.15, FIT, "standard deviation of the estimate at the start, on each axis", least=0.0)
+    prior_velocity_m_per_s: float = param(0.035, FIT, "standard deviation of the estimate at the start, on each axis", least=0.0)
+    noise_position_km: float = param(7.5e-3, FIT, "process noise of one step, standard deviation on each axis", least=0.0)
+    noise_velocity_km_per_s: float = param(1e-8, FIT, "process noise of one step, standard deviation on each axis", least=0.0)
+    phi: float = param(0.0, "paper: 0, 0.8, 1", "color of the noise, V' = phi V + increment: 0 is white, 1 a random walk", least=-1.0, most=1.0)
+    measured: str = param("positions", "inferred", "positions, computed from the angles beforehand, or the angles", one_of=("positions", "angles"))
+    first_noise: str | None = param(
+        None, "chosen", "covariance of the first noise: that of the increments (R), of the stationary noise, or zero; left out: as "
+        "noise_level", one_of=("R", "stationary", "zero", None),
+    )  # fmt: skip
+    alpha: float = param(1.0, "chosen: no negative weight", "spread of the sigma points")
+    beta: float = param(0.0, "chosen", "weight of the sigma points' center in the covariance; 2 is best for Gaussians")
+    kappa: float = param(0.0, "chosen", "second parameter of the sigma points' spread")
+
+    def check(self) -> None:
+        """Orbits above the Earth, noise that there is, sigma points that can be."""
+        least = orbit.EARTH.radius_km / (1.0 - self.eccentricity)
+        if self.semi_major_axis_km <= least:
+            raise ValueError(f"semi_major_axis_km: expected an orbit above the Earth, {least:.6g} km, got {self.semi_major_axis_km!r}")
+        for name in ("noise_level", "first_noise"):
+            if getattr(self, name) == "stationary" and abs(self.phi) == 1.0:
+                raise ValueError(f"{name}: expected another where phi is {self.phi:g}: only increments of a random walk have a deviation")
+        unscented(6, self.alpha, self.beta, self.kappa)
+
+    @property
+    def idle(self) -> dict[str, str]:
+        """Parameters without effect in this configuration, and why."""
+        if self.measured == "positions":
+            names = ("camera_deg", "star_arcsec", "separation_deg", "accuracy_sigmas")
+            return dict.fromkeys(names, "where positions are measured (sigma_km is their noise)")
+        return {"sigma_km": "where angles are measured (camera_deg and star_arcsec are their noise)"}
+
+    @property
+    def samples(self) -> int:
+        """Steps of a run."""
+        return self.steps
+
+    @property
+    def times(self) -> Array:
+        """Epochs ``(steps + 1,)`` s."""
+        return self.step_s * np.arange(self.steps + 1)
+
+    @property
+    def end_s(self) -> float:
+        """The last epoch, s."""
+        return self.step_s * self.steps
+
+    @property
+    def Phi(self) -> Array:
+        """Coefficient matrix of the colored noise, ``(3, 3)``."""
+        return self.phi * np.eye(3)
+
+    @property
+    def increment(self) -> float:
+        """Deviation of the noise increments, in those that are given."""
+        return float(np.sqrt(1.0 - self.phi**2)) if self.noise_level == "stationary" else 1.0
+
+    @property
+    def sigma(self) -> Array:
+        """Deviations ``(3,)``, as given, of what is measured: km, or rad of the angles to the stars and of the Earth's diameter."""
+        if self.measured == "positions":
+            return np.full(3, self.sigma_km)
+        camera, star = np.radians(self.camera_deg), np.radians(self.star_arcsec / 3600.0)
+        return np.array([np.hypot(camera, star)] * 2 + [camera]) / self.accuracy_sigmas
+
+    @property
+    def R(self) -> Array:
+        """Covariance of the noise increments, ``(3, 3)`` km^2 or rad^2."""
+        return np.diag((self.increment * self.sigma) ** 2)
+
+    @property
+    def Sigma0(self) -> Array:
+        """Covariance of the first noise sample, ``(3, 3)`` km^2 or rad^2."""
+        first = self.first_noise or ("stationary" if self.noise_level == "stationary" else "R")
+        return stationary_covariance(self.Phi, self.R) if first == "stationary" else self.R if first == "R" else 0.0 * self.R
+
+    @property
+    def sqrt_Q(self) -> Array:
+        """Root of the process noise of one step, ``(6, 6)`` km, km/s."""
+        return np.diag(np.repeat([self.noise_position_km, self.noise_velocity_km_per_s], 3))
+
+    @property
+    def sqrt_P0(self) -> Array:
+        """Root of the prior's covariance, ``(6, 6)`` km, km/s."""
+        return np.diag(np.repeat([self.prior_position_km, 1e-3 * self.prior_velocity_m_per_s], 3))
+
+    @property
+    def rule(self) -> Rule:
+        """Sigma points of the state."""
+        return unscented(6, self.alpha, self.beta, self.kappa)
+
+    def nominal(self, steps: int | None = None) -> Array:
+        """Orbit without process noise, ``(steps + 1, 6)`` km, km/s."""
+        angles = np.radians([self.inclination_deg, self.raan_deg, self.argument_of_perigee_deg, self.true_anomaly_deg])
+        start = orbit.from_elements(self.semi_major_axis_km, self.eccentricity, *angles)
+        return orbit.propagate(start, self.step_s, self.steps if steps is None else steps)
+
+
+P = Config()
+D = replace(P, prior_position_km=10.0, prior_velocity_m_per_s=10.0, noise_position_km=1e-5, noise_velocity_km_per_s=1e-9)
+B = replace(P, sigma_km=0.38, prior_position_km=0.37, noise_position_km=0.0, noise_velocity_km_per_s=5e-9)
+STRESS = replace(P, steps=200, runs=200, noise_position_km=0.2, noise_velocity_km_per_s=1e-6)
+PRESETS = {"P": P, "D": D, "B": B, "stress": STRESS}
+"""Fitted at the end of the runs; a poor prior; fitted over the time; strong process noise."""
+MISSION = {"noise_level": "stationary"}
+"""What a mission begins with instead: how large the noise is then does not depend on its color."""
+
+
+# -- what happens ------------------------------------------------------------------------------------------------------------
 class Scenario(NamedTuple):
-    """Simulated runs, time-major; without a run axis if one generator was given.
+    """Simulated runs, time-major.
 
-    ``truth (T, ..., 6)`` km, km/s; ``z (T, ..., 3)`` km, pseudo-positions; ``noise (T, ..., 3)``, the colored noise V in the
-    units of what was measured; ``angles (T, ..., 3)`` rad where angles were measured, else None.
+    ``truth (T, runs, 6)`` km, km/s; ``z (T, runs, 3)`` km, pseudo-positions; ``noise (T, runs, 3)``, the colored noise V in the
+    units of what was measured; ``angles (T, runs, 3)`` rad where angles were measured, else None.
     """
 
     config: Config
@@ -36,126 +193,76 @@ class Scenario(NamedTuple):
     prior: Gaussian
     angles: Array | None = None
 
-    @property
-    def times(self) -> Array:
-        """Epochs ``(T,)`` s."""
-        return self.config.times
-
-    def epochs(self, *, first: bool = True) -> Epochs:
-        """Epochs with pseudo-positions; ``first=False`` withholds the sample at the start."""
-        return epochs(self.times, self.z if first else _without_first(self.z), truth=self.truth)
-
-    def angle_epochs(self, *, first: bool = True) -> Epochs:
-        """Epochs with angles."""
-        if self.angles is None:
-            raise ValueError("angle_epochs: this scenario measured positions")
-        return epochs(self.times, self.angles if first else _without_first(self.angles), truth=self.truth)
-
-    def epochs_of(self, filter: str) -> Epochs:
+    def epochs(self, filter: str = "") -> Epochs:
         """What a filter of `filters` is given: positions or angles; those that take the noise for white, not the first sample."""
+        z, truth, first = self.z, self.truth, not filter.startswith("srukf")
         if filter.startswith("angles"):
-            return self.angle_epochs(first=filter == "angles+z0" or self.config.phi != 0.0)
-        return self.epochs(first=not filter.startswith("srukf"))
+            z, first = np.asarray(self.angles), filter == "angles+z0" or self.config.phi != 0.0
+        if filter == "lagged":
+            truth = np.concatenate([truth[:1], truth[:-1]])  # its estimate is of the epoch before
+        return epochs(self.config.times, z if first else np.concatenate([np.full_like(z[:1], np.nan), z[1:]]), truth=truth)
 
 
-def _without_first(z: Array) -> Array:
-    out = z.copy()
-    out[0] = np.nan
-    return out
-
-
-def dynamics(config: Config) -> Model:
-    """Model function of one step of the orbit."""
-
-    def f(x: Array, epoch: object) -> Array:  # noqa: ARG001
-        return orbit.step(x, config.step_s)
-
-    return f
-
-
-def simulate(config: Config, rng: np.random.Generator | Sequence[np.random.Generator]) -> Scenario:
-    """Simulate one run, or one run for each generator: orbit with process noise, colored noise, an initial estimate.
+def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
+    """One run for each generator: orbit with process noise, colored noise (Eqs. 1, 2), an initial estimate drawn from the prior.
 
     Where angles are measured, the noise lives on the three of them, and the pseudo-positions are computed from them.
     """
-    single = isinstance(rng, np.random.Generator)
-    rngs = [rng] if isinstance(rng, np.random.Generator) else list(rng)
-    initial, disturbance, first, zeta = normals(rngs, (6,), (config.steps, 6), (3,), (config.steps, 3))
-    truth = np.empty((config.steps + 1, len(rngs), 6))
-    truth[0] = config.initial_state()
-    w = disturbance * config.sqrt_Q.diagonal()
-    for k in range(config.steps):
-        truth[k + 1] = orbit.step(truth[k], config.step_s) + w[k]
-    mean = truth[0] + initial * config.sqrt_P0.diagonal()
-    measured, increment = None, config.increment
-    if config.measured == "angles":
-        noise = ar1(config.Phi, zeta * increment * config.sigma_angles, first * semidefinite_root(config.angle_Sigma0).diagonal())
-        measured = sightings.angles(truth[..., :3], sightings.star_directions(config.separation)) + noise
-        z = sightings.position(measured, config.separation, np.sign(truth[..., 2]), strict=False)
+    c = config
+    initial, w, first, zeta = normals(rngs, (6,), (c.steps, 6), (3,), (c.steps, 3))
+    truth = np.empty((c.steps + 1, len(rngs), 6))
+    truth[0] = c.nominal(0)[0]
+    for k in range(c.steps):
+        truth[k + 1] = orbit.step(truth[k], c.step_s) + w[k] * c.sqrt_Q.diagonal()
+    noise = ar1(c.Phi, zeta * c.increment * c.sigma, first * semidefinite_root(c.Sigma0).diagonal())
+    angles = None
+    if c.measured == "angles":
+        separation = float(np.radians(c.separation_deg))
+        angles = sightings.angles(truth[..., :3], sightings.star_directions(separation)) + noise
+        z = sightings.position(angles, separation, np.sign(truth[..., 2]), strict=False)
     else:
-        noise = ar1(config.Phi, zeta * increment * config.sigma_km, first * semidefinite_root(config.Sigma0).diagonal())
         z = truth[..., :3] + noise
-    if single:
-        truth, z, noise, mean = truth[:, 0], z[:, 0], noise[:, 0], mean[0]
-        measured = None if measured is None else measured[:, 0]
-    return Scenario(config, truth, z, noise, config.prior(mean), measured)
+    return Scenario(c, truth, z, noise, Gaussian(truth[0] + initial * c.sqrt_P0.diagonal(), sqrt_cov=c.sqrt_P0), angles)
+
+
+# -- the filters -------------------------------------------------------------------------------------------------------------
+def orbital(config: Config) -> Motion:
+    """What filters believe of the orbit."""
+    return Motion(lambda x, epoch: orbit.step(x, config.step_s), sqrt_Q=config.sqrt_Q)  # noqa: ARG005
 
 
 def filters(config: Config) -> dict[str, Filter]:
     """The filters, by the names that figures and tables use.
 
-    srukf: white noise assumed. csrukf: the paper's structure, corrected; its state also holds the lagged estimate.
-    csrukf+z0: uses the first sample, in one transform. augmented: the exact reference. srukf-reff: white noise of the same
-    spectrum at zero frequency, where there is one, else srukf-inflated: of half the walk's final variance. openloop: no
-    measurement at all. Where angles are measured see `angle_filters`.
+    srukf: white noise assumed. csrukf: the paper's structure, corrected. csrukf+z0: uses the first sample, in one transform.
+    augmented: the exact reference. srukf-reff: white noise of the same spectrum at zero frequency, where there is one, else
+    srukf-inflated: of half the walk's final variance. openloop: no measurement at all. Where angles are measured see
+    `angle_filters`.
     """
-    if config.measured == "angles":
-        return angle_filters(config)
-    Phi, options = config.Phi, dict[str, Any](increments=config.R, rule=config.rule)
-    motion, sensor = orbital(config), Sensor(H, config.Sigma0)
-    out: dict[str, Filter] = {
-        "srukf": white(config, config.white_R),
-        "csrukf": decorrelated(motion, sensor, Phi, first=False, **options),
-        "csrukf+z0": colored(motion, sensor, Phi, **options),
-        "augmented": augmented(motion, sensor, Phi, increments=config.R),
-        "openloop": open_loop(config),
+    c, motion = config, orbital(config)
+    if c.measured == "angles":
+        return angle_filters(c)
+    sensor, options = Sensor(H, c.Sigma0), dict[str, Any](increments=c.R, rule=c.rule)
+    walk = abs(c.phi) == 1.0
+    return {
+        "srukf": white(c, np.diag(c.sigma**2)),
+        "csrukf": decorrelated(motion, sensor, c.Phi, first=False, **options),
+        "csrukf+z0": colored(motion, sensor, c.Phi, **options),
+        "augmented": augmented(motion, sensor, c.Phi, increments=c.R),
+        "openloop": sigma_point(motion, rule=c.rule),
+        "srukf-inflated" if walk else "srukf-reff": white(c, 0.5 * c.steps * c.R if walk else effective_covariance(c.Phi, c.R)),
     }
-    if abs(config.phi) < 1.0:
-        out["srukf-reff"] = white(config, effective_covariance(Phi, config.R))
-    else:
-        out["srukf-inflated"] = white(config, 0.5 * config.steps * config.R)
-    return out
 
 
-def orbital(config: Config) -> Motion:
-    """What filters believe of the orbit."""
-    return Motion(dynamics(config), sqrt_Q=config.sqrt_Q)
+def white(config: Config, R: Any) -> Filter:
+    """SRUKF that takes the noise for white, of covariance ``R (3, 3)`` or a function of state and epoch."""
+    return sigma_point(orbital(config), Sensor(H, R), rule=config.rule)
 
 
-def at_epoch(R: Array) -> Any:
-    """A covariance ``(3, 3)``, or a function that looks it up in a table ``(T, 3, 3)``."""
-    return R if R.ndim == 2 else lambda _, epoch: R[epoch.k]
-
-
-def open_loop(config: Config) -> Filter:
-    """No measurement at all."""
-    return sigma_point(orbital(config), rule=config.rule)
-
-
-def white(config: Config, R: Array) -> Filter:
-    """SRUKF that takes the noise for white, of covariance ``R (3, 3)`` or a table ``(T, 3, 3)`` of them."""
-    return sigma_point(orbital(config), Sensor(H, at_epoch(R)), rule=config.rule)
-
-
-def single_transform(config: Config, R: Array, filter_phi: Array | None = None) -> Filter:
-    """CSRUKF in one transform with covariances of increments ``R (3, 3)`` or ``(T, 3, 3)``, and any assumed coefficient."""
-    Phi, sensor = config.Phi if filter_phi is None else filter_phi, Sensor(H, np.eye(3))  # the first sample is not used
-    return colored(orbital(config), sensor, Phi, increments=at_epoch(R), first=False, rule=config.rule)
-
-
-def jacobian_covariance(config: Config) -> Array:
-    """Covariances ``(T, 3, 3)`` km^2 of the pseudo-position along the nominal orbit, from the angles' accuracy."""
-    return sightings.pseudo_position_covariance(config.nominal()[:, :3], config.separation, config.sigma_angles)
+def assuming(config: Config, R: Any, Phi: Array | None = None) -> Filter:
+    """CSRUKF in one transform that assumes increments of covariance ``R``, and a coefficient, for pseudo-positions."""
+    sensor = Sensor(H, np.eye(3))  # the first sample is not used
+    return colored(orbital(config), sensor, config.Phi if Phi is None else Phi, increments=R, first=False, rule=config.rule)
 
 
 def angle_filters(config: Config) -> dict[str, Filter]:
@@ -165,25 +272,38 @@ def angle_filters(config: Config) -> dict[str, Filter]:
     pseudo-positions, with the covariance that the angles give them. angles: on the angles themselves; their noise is whitened
     if it has a color. angles+z0: uses the first sample too, the exact reference. openloop: no measurement at all.
     """
-    stars, table, squared = sightings.star_directions(config.separation), jacobian_covariance(config), config.increment**2
+    c, motion, separation = config, orbital(config), float(np.radians(config.separation_deg))
+    stars = sightings.star_directions(separation)
+    table = sightings.pseudo_position_covariance(c.nominal()[:, :3], separation, c.sigma)
     isotropic = np.trace(table, axis1=-2, axis2=-1).mean() / 3.0 * np.eye(3)
-    motion, increments = orbital(config), squared * np.diag(config.sigma_angles**2)
 
     def h(x: Array, epoch: object) -> Array:  # noqa: ARG001
         return sightings.angles(x[..., :3], stars)
 
     def whitened(*, first: bool) -> Filter:
-        return colored(motion, Sensor(h, config.angle_Sigma0), config.Phi, increments=increments, first=first, rule=rule)
+        sensor, rule = Sensor(h, c.Sigma0), lambda n: c.rule if n == 6 else unscented(n)
+        return colored(motion, sensor, c.Phi, increments=c.R, first=first, rule=rule)
 
-    def rule(n: int) -> Rule:
-        return config.rule if n == 6 else unscented(n)
-
-    plain = sigma_point(motion, Sensor(h, sqrt_R=np.diag(config.sigma_angles)), rule=config.rule)
     return {
-        "srukf-isotropic": white(config, isotropic),
-        "csrukf-isotropic": single_transform(config, squared * isotropic),
-        "csrukf-jacobian": single_transform(config, squared * table),
-        "angles": whitened(first=False) if config.phi else plain,
+        "srukf-isotropic": white(c, isotropic),
+        "csrukf-isotropic": assuming(c, c.increment**2 * isotropic),
+        "csrukf-jacobian": assuming(c, lambda _, epoch: c.increment**2 * table[epoch.k]),
+        "angles": whitened(first=False) if c.phi else sigma_point(motion, Sensor(h, sqrt_R=np.diag(c.sigma)), rule=c.rule),
         "angles+z0": whitened(first=True),
-        "openloop": open_loop(config),
+        "openloop": sigma_point(motion, rule=c.rule),
     }
+
+
+# -- how they are judged -----------------------------------------------------------------------------------------------------
+GROUPS = (Group("position", "km", slice(0, 3)), Group("velocity", "m/s", slice(3, 6), 1e3))
+JUDGED = {group.name: group.unit for group in GROUPS}
+
+
+def trial(config: Config, rngs: Sequence[np.random.Generator]) -> Trial:
+    """One run with each generator, for missions, campaigns and the study."""
+    sim, exact = simulate(config, rngs), {"positions": "csrukf+z0", "angles": "angles+z0"}[config.measured]
+    return Trial(GROUPS, filters(config), sim.prior, sim.epochs, _compare, exact, lambda x: x[..., :3])
+
+
+def _compare(truth: Array, belief: Belief) -> tuple[Array, Array]:
+    return belief.mean[..., :6] - truth, belief.sqrt_cov[..., :6, :6]

@@ -1,0 +1,214 @@
+"""The ledger of a paper: what it states, what it prints wrongly, what we found, each decided by numbers with intervals.
+
+A `Row` says how something is decided, and was written before the result; a `Claim` is what came of it. A number that has
+sampling error is accepted only if its whole 95 % interval is, and refused only if none of it is: else it is undecided, with few
+runs as with many.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from types import NoneType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from celnav.analysis.metrics import bootstrap
+from celnav.gaussian.checks import choice
+from celnav.gaussian.linalg import Array
+
+Bounds = tuple[float | None, float | None]
+WORDS: dict[str, tuple[str, str]] = {
+    "statement": ("reproduced", "not reproduced"),
+    "erratum": ("paper in error", "not shown"),
+    "reconstruction": ("reconstructed", "not shown"),
+    "remark": ("noted", "not shown"),
+    "finding": ("shown", "not shown"),
+    "check": ("holds", "does not hold"),
+}
+"""Kind -> verdict where it holds, and where it does not."""
+KINDS = tuple(WORDS)
+BETWEEN = ("reproduced with fitted parameters", "level only", "in part")
+"""Verdicts of a statement that are less than "reproduced", and more than nothing."""
+OPEN = ("undecided", "not addressed", "not decidable", "input absent")
+"""Neither: by the interval; nothing was computed; nothing could be; what it needs was not given."""
+VERDICTS = tuple(dict.fromkeys(["reproduced", *BETWEEN, *(word for pair in WORDS.values() for word in pair), *OPEN]))
+"""All that there are, in the order of tables."""
+
+
+class Number(NamedTuple):
+    """A number that decides something.
+
+    Attributes
+    ----------
+    label: what it is, with its unit. value: nan where an input is absent. accept: ``(low, high)``, either may be None.
+    ci: 95 % interval of ``value``; None for a number without sampling error.
+    printed: what the paper has for it. strict: an interval that contains a bar is refused, not undecided.
+    """
+
+    label: str
+    value: float
+    accept: Bounds = (None, None)
+    ci: tuple[float, float] | None = None
+    printed: float | None = None
+    strict: bool = False
+
+    @property
+    def holds(self) -> bool | None:
+        """Whether it is acceptable; None where its interval does not decide that, or there is no number."""
+        low, high = (end if bound is None else bound for end, bound in zip((-np.inf, np.inf), self.accept, strict=True))
+        least, most = (self.value, self.value) if self.ci is None else self.ci
+        if low <= least and most <= high:
+            return True
+        return False if most < low or least > high or (self.strict and np.isfinite(self.value)) else None
+
+    def __format__(self, spec: str) -> str:
+        """The value and its interval, "0.053 [0.048, 0.059]"; what a ``spec`` other than ".3g" asks for is of each of them."""
+        shown = format(self.value, spec or ".3g")
+        return shown if self.ci is None else f"{shown} [{self.ci[0]:{spec or '.3g'}}, {self.ci[1]:{spec or '.3g'}}]"
+
+
+Tiers = Mapping[str, Sequence[Number]]
+"""Verdict -> numbers that must all hold for it, the best one first; it may need numbers of better ones again."""
+
+
+def estimate(label: str, statistic: Callable[..., Any], samples: Sequence[Array], accept: Bounds = (None, None), **more: Any) -> Number:
+    """A statistic of runs (the first axis of each sample) with its bootstrap interval; ``more``: see `Number`."""
+    return Number(label, float(statistic(*samples)), accept, bootstrap(statistic, *samples), **more)
+
+
+@dataclass(frozen=True)
+class Row:
+    """How something that is said is decided.
+
+    Attributes
+    ----------
+    kind: one of `KINDS`. id: short, unique and stable. place: where the paper says it. says: what, in our words.
+    decide: ``(results) ->`` one `Number`, several that all have to hold, or `Tiers`; None: nothing is computed.
+    why: how the accepted range follows from the paper's words. found: what we find, in a sentence; "{0}" is the first number.
+    printed: what the paper prints, verbatim. expected: the verdict that we know of; empty: that it holds.
+    revised: when and why the accepted range was changed after a result was seen. figure: stem of one that shows it.
+    """
+
+    kind: str
+    id: str
+    says: str
+    decide: Callable[[Any], Number | Sequence[Number] | Tiers] | None = None
+    place: str = ""
+    why: str = ""
+    found: str = ""
+    printed: Any = None
+    expected: str = ""
+    revised: str | None = None
+    figure: str = ""
+
+    def __post_init__(self) -> None:
+        choice("kind", self.kind, KINDS)
+        choice("expected", self.expected, ("", *VERDICTS))
+
+    def judged(self, results: Any) -> Claim:
+        """The verdict: that of the first tier whose numbers all hold; "undecided" if one before it is."""
+        good, bad = WORDS[self.kind]
+        expected = self.expected or good
+        if self.decide is None:
+            verdict = expected if expected in OPEN or self.kind in ("erratum", "reconstruction", "remark") else OPEN[1]
+            return Claim(self, (), verdict, expected)
+        found = self.decide(results)
+        tiers = found if isinstance(found, Mapping) else {good: [found] if isinstance(found, Number) else found}
+        verdict = bad
+        for word, numbers in tiers.items():
+            outcomes = [n.holds for n in numbers]
+            if any(not np.isfinite(n.value) for n in numbers):
+                verdict = "input absent"
+            elif False not in outcomes:
+                verdict = word if all(outcomes) else "undecided"
+            else:
+                continue
+            break
+        told = list(dict.fromkeys(n for numbers in tiers.values() for n in numbers))
+        return Claim(self, tuple(told), choice("verdict", verdict, VERDICTS), expected)
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A row of the ledger with its numbers and verdict."""
+
+    row: Row
+    numbers: tuple[Number, ...]
+    verdict: str
+    expected: str
+
+    @property
+    def id(self) -> str:
+        """As in the `Row`."""
+        return self.row.id
+
+    @property
+    def kind(self) -> str:
+        """As in the `Row`."""
+        return self.row.kind
+
+    @property
+    def holds(self) -> bool | None:
+        """Whether what is said is so, as it is said; None where that is open."""
+        if self.verdict in OPEN:
+            return None
+        return self.verdict == WORDS[self.kind][0] or self.verdict == BETWEEN[0]
+
+    @property
+    def failure(self) -> bool:
+        """Whether the outcome is not the expected one, in either direction."""
+        return self.verdict not in ("undecided", "input absent") and self.verdict != self.expected
+
+    @property
+    def note(self) -> str:
+        """What we find, with the numbers at hand."""
+        return self.row.found.format(*self.numbers) if self.numbers and np.isfinite([n.value for n in self.numbers]).all() else ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """As it stands in ``claims.json``: ``value``, ``ci`` and ``accept`` of the number that decides, all in ``numbers``."""
+        row, first = self.row, next((n for n in self.numbers if not n.holds), self.numbers[0] if self.numbers else None)
+        return {
+            "id": row.id, "kind": row.kind, "place": row.place, "statement": row.says, "printed": plain(row.printed),
+            "value": plain(first and first.value), "ci": plain(first and first.ci), "accept": plain(first.accept if first else (None, None)),
+            "why": row.why, "revised": row.revised, "expected": self.expected, "holds": self.holds, "verdict": self.verdict,
+            "note": self.note or (row.found if "{" not in row.found else ""), "figure": row.figure,
+            "numbers": [{key: plain(value) for key, value in n._asdict().items()} for n in self.numbers],
+        }  # fmt: skip
+
+
+def plain(value: Any) -> Any:
+    """As JSON has it: numbers of 6 significant digits, None for those that are not finite."""
+    if isinstance(value, Mapping):
+        return {key: plain(part) for key, part in value.items()}
+    if isinstance(value, tuple | list | np.ndarray):
+        return [plain(part) for part in value]
+    if isinstance(value, bool | np.bool_ | str) or value is None:
+        return bool(value) if isinstance(value, np.bool_) else value
+    return float(f"{float(value):.6g}") if np.isfinite(value) else None
+
+
+def dumps(claims: Iterable[Claim]) -> str:
+    """The text of ``claims.json`` or ``checks.json``; ValueError if two claims have the same id."""
+    listed = [claim.to_dict() for claim in claims]
+    twice = sorted(id for id, count in Counter(claim["id"] for claim in listed).items() if count > 1)
+    if twice:
+        raise ValueError(f"claims: expected different ids, got {', '.join(twice)} more than once")
+    return json.dumps(listed, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+NUMBER = (int, float, NoneType)
+TYPES: dict[str, tuple[type, ...]] = {
+    "id": (str,), "kind": (str,), "place": (str,), "statement": (str,), "printed": (str, bool, list, dict, *NUMBER), "value": NUMBER,
+    "ci": (list, NoneType), "accept": (list,), "why": (str,), "revised": (str, NoneType), "expected": (str,),
+    "holds": (bool, NoneType), "verdict": (str,), "note": (str,), "figure": (str,), "numbers": (list,),
+}  # fmt: skip
+"""What `Claim.to_dict` writes, in its order."""
+
+
+def order(value: float) -> float:
+    """The power of ten at or above a size of which only that means anything: the digits of round-off differ between machines."""
+    return 10.0 ** float(np.ceil(np.log10(value))) if value > 0.0 else 0.0

@@ -1,0 +1,98 @@
+"""Numbers that decide rows of a ledger, each a function of the results: ratios, levels, consistency, bands of tables.
+
+>>> finding("poor-prior", "…", ratio("without z_0", ("D", "csrukf"), ("D", "srukf"), "position", (1.3, None)))
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from celnav.gaussian.linalg import Array
+from celnav.study.ledger import Bounds, Number, Tiers, estimate
+from celnav.study.study import Results
+
+Decided = Callable[[Results], Number]
+Flown = tuple[str, str]
+"""Part and filter."""
+When = int | slice
+"""An epoch, or those that are averaged over."""
+SAME_ORDER = 3.2
+"""Factor within which two levels are of one order of magnitude."""
+
+
+def ratio(
+    label: str, a: Flown, b: Flown, group: str, accept: Bounds = (None, None), *, at: When = -1, to: When | None = None, **more: Any
+) -> Decided:
+    """RMSE of a group's length: of one flown filter ``at`` epochs over that of another at the same, or at those of ``to``."""
+    both = ((a, at), (b, at if to is None else to))
+    return lambda r: estimate(label, _ratio, [r.squares(*one, group, when).sum(-1) for one, when in both], accept, **more)
+
+
+def rmse(label: str, a: Flown, group: str, accept: Bounds = (None, None), *, at: When = -1, **more: Any) -> Decided:
+    """RMSE of a group's length, in its unit."""
+    return lambda r: estimate(label, _rms, [r.squares(*a, group, at).sum(-1)], accept, **more)
+
+
+def consistency(label: str, a: Flown, accept: Bounds = (None, None), *, at: When = -1, what: str = "nees", **more: Any) -> Decided:
+    """Mean over the runs of NEES or NIS."""
+    return lambda r: estimate(label, np.mean, [r.nees(*a, at, what)], accept, **more)
+
+
+def of(part: str, name: str, label: str, accept: Bounds = (None, None), reduce: Callable[[Array], Any] = np.max) -> Decided:
+    """A number of an array that has no sampling error."""
+    return lambda r: Number(label, float(reduce(r.get(part, name))), accept)
+
+
+def given(label: str, value: float, accept: Bounds = (None, None)) -> Decided:
+    """A number that is known without any run, such as one from what a paper prints."""
+    return lambda _: Number(label, float(value), accept)
+
+
+def all_of(*numbers: Decided) -> Callable[[Results], list[Number]]:
+    """Several numbers, all of which have to hold."""
+    return lambda r: [number(r) for number in numbers]
+
+
+def tiers(**words: Sequence[Decided]) -> Callable[[Results], Tiers]:
+    """Numbers by verdict, the best one first; underscores are spaces."""
+    return lambda r: {word.replace("_", " "): [number(r) for number in numbers] for word, numbers in words.items()}
+
+
+def entries(
+    cells: Sequence[tuple[Flown, Sequence[float]]], groups: Sequence[str], best: str, factor: float, most: int, *, at: When = -1
+) -> Callable[[Results], Tiers]:
+    """A printed table of RMSE by component: ``best`` if at most so many entries leave a factor, else whether the level is right.
+
+    ``cells``: part, filter and what is printed for the components of all groups.
+    """
+    printed = np.concatenate([row for _, row in cells])
+
+    def decide(r: Results) -> Tiers:
+        samples = [r.squares(*flown, group, at) for flown, _ in cells for group in groups]
+
+        def logs(*parts: Array) -> Array:
+            return np.abs(np.log(np.concatenate([np.sqrt(part.mean(0)) for part in parts]) / printed))
+
+        def beyond(*parts: Array) -> float:
+            return float((logs(*parts) > np.log(factor)).sum())
+
+        def farthest(*parts: Array) -> float:
+            return float(np.exp(logs(*parts).max()))
+
+        return {
+            best: [estimate(f"entries of {len(printed)} beyond a factor {factor:g}", beyond, samples, (None, most))],
+            "level only": [estimate("largest factor", farthest, samples, (None, SAME_ORDER))],
+        }
+
+    return decide
+
+
+def _rms(squares: Array) -> float:
+    return float(np.sqrt(squares.mean()))
+
+
+def _ratio(a: Array, b: Array) -> float:
+    return float(np.sqrt(a.mean() / b.mean()))

@@ -1,0 +1,56 @@
+"""Parameters that say what they mean and where they come from, and check themselves."""
+
+from __future__ import annotations
+
+from dataclasses import field, fields
+from typing import Any
+
+import numpy as np
+
+from celnav.gaussian.checks import choice, finite, integer, number
+
+SOURCES = ("paper", "inferred", "chosen")
+"""Printed; follows from what is printed; ours, because nothing is."""
+
+
+def param(value: Any, source: str, meaning: str, *, one_of: tuple[Any, ...] = (), **bounds: float) -> Any:
+    """A parameter of a `Parameters` class, by its default.
+
+    Parameters
+    ----------
+    value: the default; what is given instead has to be of its kind. source: one of `SOURCES`, and why after a colon.
+    meaning: in words; the unit is in the parameter's name. one_of: what it can be, if it is a word.
+    bounds: least, most, above, below, of a number or of each of several.
+
+    >>> step_s: float = param(1.0, "paper", "interval of the measurements", above=0.0)
+    """
+    choice("source", source.partition(":")[0], SOURCES)
+    return field(default=value, metadata={"source": source, "meaning": meaning, "one_of": one_of, "bounds": bounds})
+
+
+class Parameters:
+    """Base of a configuration, a frozen dataclass: every field made by `param` is checked when one is made.
+
+    Raises
+    ------
+    ValueError: naming the parameter, what was expected and what came.
+    """
+
+    def __post_init__(self) -> None:
+        for f in fields(self):  # type: ignore[arg-type]
+            if "source" in f.metadata:
+                _check(f.name, getattr(self, f.name), f.default, **f.metadata)
+        self.check()
+
+    def check(self) -> None:
+        """Refuse what single parameters do not show; for those who have more to say."""
+
+
+def _check(name: str, value: Any, default: Any, one_of: tuple[Any, ...], bounds: dict[str, float], **_: str) -> None:
+    if one_of or isinstance(default, bool):
+        choice(name, value, one_of or (True, False))
+    elif isinstance(default, int):
+        integer(name, value, **bounds)  # type: ignore[arg-type]
+    elif isinstance(default, float | tuple):
+        for part in finite(name, value, np.shape(default)).flat:
+            number(name, float(part), **bounds)
