@@ -75,7 +75,9 @@ Tiers = Mapping[str, Sequence[Number]]
 """Verdict -> numbers that must all hold for it, the best one first; it may need numbers of better ones again."""
 
 
-def estimate(label: str, statistic: Callable[..., Any], samples: Sequence[Array], accept: Bounds = (None, None), **more: Any) -> Number:
+def estimate(
+    label: str, statistic: Callable[..., Any], samples: Sequence[Array], accept: Bounds = (None, None), **more: Any
+) -> Number:
     """A statistic of runs (the first axis of each sample) with its bootstrap interval; ``more``: see `Number`."""
     return Number(label, float(statistic(*samples)), accept, bootstrap(statistic, *samples), **more)
 

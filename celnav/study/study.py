@@ -5,15 +5,17 @@ A paper is data over this: configurations, filters by name, parts, rows of a led
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from celnav.gaussian.checks import choice
 from celnav.gaussian.linalg import Array
 from celnav.study.ledger import Claim, Row
-from celnav.study.montecarlo import Outcome, Plan, Progress, Unit, blocks, carry_out, generator, run_count
+from celnav.study.montecarlo import blocks, generator, run_count
 from celnav.study.trial import Group, Trial, follow
 
 Rngs = Sequence[np.random.Generator]
@@ -75,30 +77,61 @@ class Study:
     parts: Callable[..., Mapping[str, Part]]
     rows: Sequence[Row]
 
-    def plan(self, *, effort: float = 1.0, seed: int = 0, only: Sequence[str] = (), **inputs: Any) -> Plan[Results]:
-        """The units of work, and what makes `Results` of them; ``only``: names of the parts wanted, all if empty."""
-        parts = {name: part for name, part in self.parts(effort, **inputs).items() if not only or name in only}
+    def units(self, *, effort: float = 1.0, seed: int = 0, only: Sequence[str] = (), **inputs: Any) -> list[Unit]:
+        """The work to be done; ``only``: names of the parts wanted, all if empty; ``inputs``: what else `parts` takes."""
+        parts = self.parts(effort, **inputs)
+        for name in only:
+            choice("only", name, parts)
         units = []
         for name, part in parts.items():
-            count = part.runs if part.runs == 1 else run_count(part.runs, None, effort)
-            units += [Unit(name, _do, (part, seed, runs), part.cost * len(runs) / count) for runs in blocks(count, part.block)]
+            if not only or name in only:
+                count = part.runs if part.runs == 1 else run_count(part.runs, None, effort)
+                units += [
+                    Unit(self.name, name, part, seed, runs, part.cost * len(runs) / count) for runs in blocks(count, part.block)
+                ]
+        return units
 
-        def results(outcomes: Mapping[str, Outcome]) -> Results:
-            spent = {name: outcome.cpu_s for name, outcome in outcomes.items()}
-            return Results(self, seed, effort, parts, {name: outcome.arrays for name, outcome in outcomes.items()}, spent)
+    def results(self, units: Sequence[Unit], found: Sequence[dict[str, Array]], *, effort: float = 1.0) -> Results:
+        """What units gave, in their order, joined over runs."""
+        parts: dict[str, list[dict[str, Array]]] = {}
+        for unit, arrays in zip(units, found, strict=True):
+            parts.setdefault(unit.part, []).append(arrays)
+        joined = {name: _joined(arrays) for name, arrays in parts.items()}
+        return Results(self, units[0].seed, effort, {unit.part: unit.work for unit in units}, joined)
 
-        return Plan(units, results)
-
-    def reproduce(self, *, jobs: int = 1, progress: Progress | None = None, **options: Any) -> Results:
-        """Carry out `plan` in ``jobs`` processes; the other arguments are those of `plan`.
+    def reproduce(self, *, effort: float = 1.0, **options: Any) -> Results:
+        """Do all `units` here and now; the command does them in processes, and keeps what is finished.
 
         >>> results = csrukf.STUDY.reproduce(effort=0.1, only=["0", "I"])
         """
-        return carry_out(self.plan(**options), jobs=jobs, progress=progress)
+        units = self.units(effort=effort, **options)
+        return self.results(units, [unit.do() for unit in units], effort=effort)
 
 
-def _do(part: Part, seed: int, runs: range) -> dict[str, Array]:
-    return part.work(part.config, [generator(seed, part.number, run) for run in runs])
+class Unit(NamedTuple):
+    """Some runs of a part: what a process does at a time. ``cost``: CPU seconds, roughly, for who waits."""
+
+    study: str
+    part: str
+    work: Part
+    seed: int
+    runs: range
+    cost: float
+
+    def do(self) -> dict[str, Array]:
+        """The arrays of the part; warnings of its models and filters are errors."""
+        rngs = [generator(self.seed, self.work.number, run) for run in self.runs]
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            return self.work.work(self.work.config, rngs)
+
+
+def _joined(found: Sequence[dict[str, Array]]) -> dict[str, Array]:
+    """Arrays of the blocks of a part, along their runs."""
+    if len(found) == 1:  # not copied: some are large
+        return found[0]
+    parts = {name: [arrays[name] for arrays in found] for name in found[0]}
+    return {name: np.concatenate(part, 1) if part[0].ndim > 1 else part[0] for name, part in parts.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +140,7 @@ class Results:
 
     Attributes
     ----------
-    parts: as flown. data: ``data[part][name]``, arrays as `Part.work` returns them. spent: CPU seconds of each part.
+    parts: as flown. data: ``data[part][name]``, arrays as `Part.work` returns them.
     """
 
     study: Study
@@ -115,7 +148,6 @@ class Results:
     effort: float
     parts: Mapping[str, Part]
     data: Mapping[str, Mapping[str, Array]]
-    spent: Mapping[str, float] = field(default_factory=dict)
 
     def get(self, part: str, name: str) -> Array:
         """An array of a part."""

@@ -57,7 +57,9 @@ def white(i: int, results: Results) -> Figure:
         errors(ax, results, "0", name, line, group, axis, absolute=absolute)
     sigma(ax, results, "0", "csrukf", "CSRUKF", group, axis, absolute=absolute)
     unit, kind = results.group(group).unit, "absolute position error" if absolute else "velocity error"
-    ax.set(xlabel="time (s)", ylabel=f"{kind} ${AXES[i]}$ ({unit})", title=f"Figure {i + 2}: ${AXES[i]}$, $\\Phi = 0$", xlim=(0, None))
+    ax.set(
+        xlabel="time (s)", ylabel=f"{kind} ${AXES[i]}$ ({unit})", title=f"Figure {i + 2}: ${AXES[i]}$, $\\Phi = 0$", xlim=(0, None)
+    )
     ax.legend(ncols=2)
     return fig
 
@@ -158,11 +160,12 @@ def assumed(results: Results) -> Figure:
 
 FIGURES = {
     "figure_01": ("Fig. 1: geometry of the measurement: two stars, the Earth's limb, and the three angles.", geometry),
-    **{f"figure_{i + 2:02d}": (f"Fig. {i + 2}: error of {AXES[i]}, white noise: both filters are one filter.", partial(white, i)) for i in range(6)},
-    **{f"figure_{i + 8:02d}": (f"Fig. {i + 8}: error of {AXES[i]}, noise that walks at random: SRUKF follows it; CSRUKF is the open loop.",
+    **{f"figure_{i + 2:02d}": (f"Fig. {i + 2}: error of {AXES[i]}, white noise: both filters are one filter.", partial(white, i))
+       for i in range(6)},
+    **{f"figure_{i + 8:02d}": (f"Fig. {i + 8}: error of {AXES[i]}, random walk: SRUKF follows the noise, CSRUKF is the open loop.",
                                partial(walk, i)) for i in range(6)},
     "figure_14": ("Beyond the paper: consistency, NEES and NIS averaged over the runs with their 95 % bands.", consistent),
-    "figure_15": ("Beyond the paper: RMSE of the Monte Carlo against exact linear theory, the posterior Cramér-Rao bound of CSRUKF.", against_theory),
+    "figure_15": ("Beyond the paper: RMSE of the runs against exact linear theory, for CSRUKF the Cramér-Rao bound.", against_theory),
     "figure_16": ("Beyond the paper: final position error over Φ, for the fitted prior and a poor one (linear theory).", over_phi),
     "figure_17": ("Beyond the paper: long arcs from a poor prior, SRUKF against the bound.", long_arcs),
     "figure_18": ("Beyond the paper: a wrong coefficient in the filter.", assumed),
