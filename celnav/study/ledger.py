@@ -168,16 +168,18 @@ class Claim:
     @property
     def note(self) -> str:
         """What we find, with the numbers at hand."""
-        return self.row.found.format(*self.numbers) if self.numbers and np.isfinite([n.value for n in self.numbers]).all() else ""
+        known = np.isfinite([n.value for n in self.numbers]).all()
+        return self.row.found.format(*self.numbers) if known and (self.numbers or "{" not in self.row.found) else ""
 
     def to_dict(self) -> dict[str, Any]:
         """As it stands in ``claims.json``: ``value``, ``ci`` and ``accept`` of the number that decides, all in ``numbers``."""
-        row, first = self.row, next((n for n in self.numbers if not n.holds), self.numbers[0] if self.numbers else None)
+        row, deciding = self.row, next((n for n in self.numbers if not n.holds), self.numbers[0] if self.numbers else None)
+        first = deciding or Number("", np.nan)
         return {
             "id": row.id, "kind": row.kind, "place": row.place, "statement": row.says, "printed": plain(row.printed),
-            "value": plain(first and first.value), "ci": plain(first and first.ci), "accept": plain(first.accept if first else (None, None)),
-            "why": row.why, "revised": row.revised, "expected": self.expected, "holds": self.holds, "verdict": self.verdict,
-            "note": self.note or (row.found if "{" not in row.found else ""), "figure": row.figure,
+            "value": plain(first.value), "ci": plain(first.ci), "accept": plain(first.accept), "why": row.why,
+            "revised": row.revised, "expected": self.expected, "holds": self.holds, "verdict": self.verdict,
+            "note": self.note, "figure": row.figure,
             "numbers": [{key: plain(value) for key, value in n._asdict().items()} for n in self.numbers],
         }  # fmt: skip
 
@@ -204,8 +206,8 @@ def dumps(claims: Iterable[Claim]) -> str:
 
 NUMBER = (int, float, NoneType)
 TYPES: dict[str, tuple[type, ...]] = {
-    "id": (str,), "kind": (str,), "place": (str,), "statement": (str,), "printed": (str, bool, list, dict, *NUMBER), "value": NUMBER,
-    "ci": (list, NoneType), "accept": (list,), "why": (str,), "revised": (str, NoneType), "expected": (str,),
+    "id": (str,), "kind": (str,), "place": (str,), "statement": (str,), "printed": (str, bool, list, dict, *NUMBER),
+    "value": NUMBER, "ci": (list, NoneType), "accept": (list,), "why": (str,), "revised": (str, NoneType), "expected": (str,),
     "holds": (bool, NoneType), "verdict": (str,), "note": (str,), "figure": (str,), "numbers": (list,),
 }  # fmt: skip
 """What `Claim.to_dict` writes, in its order."""

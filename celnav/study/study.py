@@ -8,6 +8,8 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from hashlib import sha256
+from time import process_time
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -82,13 +84,13 @@ class Study:
         parts = self.parts(effort, **inputs)
         for name in only:
             choice("only", name, parts)
+        about = f"effort {effort!r}, {sorted((key, str(value)) for key, value in inputs.items())}"
         units = []
         for name, part in parts.items():
             if not only or name in only:
                 count = part.runs if part.runs == 1 else run_count(part.runs, None, effort)
-                units += [
-                    Unit(self.name, name, part, seed, runs, part.cost * len(runs) / count) for runs in blocks(count, part.block)
-                ]
+                for runs in blocks(count, part.block):
+                    units.append(Unit(self.name, name, part, seed, runs, about, part.cost * len(runs) / count))
         return units
 
     def results(self, units: Sequence[Unit], found: Sequence[dict[str, Array]], *, effort: float = 1.0) -> Results:
@@ -109,21 +111,38 @@ class Study:
 
 
 class Unit(NamedTuple):
-    """Some runs of a part: what a process does at a time. ``cost``: CPU seconds, roughly, for who waits."""
+    """Some runs of a part: what a process does at a time. ``about``: what else it depends on; ``cost``: CPU seconds, roughly."""
 
     study: str
     part: str
     work: Part
     seed: int
     runs: range
+    about: str
     cost: float
 
+    @property
+    def title(self) -> str:
+        """Study, part and runs."""
+        return f"{self.study}: {self.part}, runs {self.runs.start} to {self.runs.stop - 1}"
+
+    @property
+    def key(self) -> str:
+        """Hash of everything that determines the result, but the code."""
+        return sha256(f"{self.title}, seed {self.seed}, {self.about}".encode()).hexdigest()[:24]
+
+    def check(self, arrays: dict[str, Array]) -> None:
+        """Raise ValueError unless there are any."""
+        if not arrays:
+            raise ValueError(f"{self.title}: expected arrays, got none")
+
     def do(self) -> dict[str, Array]:
-        """The arrays of the part; warnings of its models and filters are errors."""
-        rngs = [generator(self.seed, self.work.number, run) for run in self.runs]
+        """The arrays of the part, and ``cpu_s (1, 1)``; warnings of its models and filters are errors."""
+        start, rngs = process_time(), [generator(self.seed, self.work.number, run) for run in self.runs]
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            return self.work.work(self.work.config, rngs)
+            arrays = self.work.work(self.work.config, rngs)
+        return arrays | {"cpu_s": np.array([[process_time() - start]])}
 
 
 def _joined(found: Sequence[dict[str, Array]]) -> dict[str, Array]:
