@@ -38,7 +38,7 @@ UNFINISHED = ".unfinished"
 
 def run(options: argparse.Namespace) -> int:
     """Do the papers side by side where there are several processes, and write each as soon as it is done."""
-    from celnav.papers.page import few, index
+    from celnav.commands.index import few, index
 
     chosen = list(dict.fromkeys(options.papers)) or list(papers.PAPERS)
     modules = {paper: module(paper) for paper in chosen}

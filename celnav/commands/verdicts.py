@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from celnav.papers.page import effort_of, few, reproduced, verdicts
+from celnav.commands.index import effort_of, few, reproduced, verdicts
 
 
 def run(options: argparse.Namespace) -> int:

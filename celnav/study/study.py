@@ -71,6 +71,7 @@ class Study:
     name: of the paper. groups: what is judged. rows: the ledger.
     trial: ``(config, rngs) ->`` runs and their filters, see `celnav.study.trial`.
     parts: ``(effort) ->`` parts by name; ``effort``, in (0, 1], may shorten what is long. Runs are scaled by it elsewhere.
+    says, found: what the paper claims as a whole, and our answer, a sentence or two each.
     """
 
     name: str
@@ -78,6 +79,8 @@ class Study:
     trial: Callable[[Any, Rngs], Trial]
     parts: Callable[..., Mapping[str, Part]]
     rows: Sequence[Row]
+    says: str = ""
+    found: str = ""
 
     def units(self, *, effort: float = 1.0, seed: int = 0, only: Sequence[str] = (), **inputs: Any) -> list[Unit]:
         """The work to be done; ``only``: names of the parts wanted, all if empty; ``inputs``: what else `parts` takes."""
