@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from celnav.gaussian.checks import choice, finite, integer, number
+from celnav.gaussian.linalg import Array
 
 SOURCES = ("paper", "inferred", "chosen")
 """Printed; follows from what is printed; ours, because nothing is."""
@@ -44,6 +45,21 @@ class Parameters:
 
     def check(self) -> None:
         """Refuse what single parameters do not show; for those who have more to say."""
+
+    @property
+    def times(self) -> Array:
+        """Epochs ``(T,)`` s of a run."""
+        raise NotImplementedError
+
+    @property
+    def samples(self) -> int:
+        """Steps of a run."""
+        return len(self.times) - 1
+
+    @property
+    def end_s(self) -> float:
+        """The last epoch, s."""
+        return float(self.times[-1])
 
 
 def _check(name: str, value: Any, default: Any, one_of: tuple[Any, ...], bounds: dict[str, float], **_: str) -> None:

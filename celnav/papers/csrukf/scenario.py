@@ -113,19 +113,9 @@ class Config(Parameters):
         return {"sigma_km": "where angles are measured (camera_deg and star_arcsec are their noise)"}
 
     @property
-    def samples(self) -> int:
-        """Steps of a run."""
-        return self.steps
-
-    @property
     def times(self) -> Array:
         """Epochs ``(steps + 1,)`` s."""
         return self.step_s * np.arange(self.steps + 1)
-
-    @property
-    def end_s(self) -> float:
-        """The last epoch, s."""
-        return self.step_s * self.steps
 
     @property
     def Phi(self) -> Array:

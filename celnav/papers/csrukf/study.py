@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import partial
+from itertools import pairwise, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,13 +25,14 @@ from celnav.gaussian.spaces import EUCLIDEAN
 from celnav.models import orbit, sightings
 from celnav.papers.csrukf.scenario import GROUPS, STRESS, Config, D, H, P, assuming, filters, simulate, trial
 from celnav.study.ledger import Bounds, Number, Row, estimate
-from celnav.study.numbers import Decided, all_of, consistency, entries, given, of, ratio, rmse, tiers
+from celnav.study.numbers import Decided, all_of, consistency, entries, given, of, ratio, tiers
 from celnav.study.study import Part, Results, Rngs, Study, fly
 
 UNITS = np.repeat([1.0, 1e3], 3)
 PHIS = {"0": 0.0, "0.8": 0.8, "I": 1.0}
 SWEEP = (-0.5, 0.0, 0.5, 0.8, 0.95, 0.99, 0.999, 1.0)
 STEPS = (0.0, 0.5, 0.8, 0.95, 1.0)
+BOTH, PAIR = ("position", "velocity"), ("csrukf-jacobian", "csrukf-isotropic")
 TABLE_1 = {"SRUKF": [0.0355, 0.0321, 0.0356, 0.0338, 0.0343, 0.0384], "CSRUKF": [0.0340, 0.0356, 0.0363, 0.0382, 0.0349, 0.0359]}
 TABLE_2 = {"SRUKF": [2.7618, 5.4616, 3.7964, 1.3072, 2.4412, 2.6518], "CSRUKF": [0.4071, 0.1994, 0.1565, 0.2672, 0.2743, 0.1969]}
 TABLE_3 = {
@@ -68,10 +70,8 @@ def variants(config: Config) -> dict[str, Filter]:
     """
     csrukf: Any = filters(config)["csrukf"]
     star = decorrelation(H, config.sqrt_Q, np.sqrt(config.R))
-    squared, without = (
-        Decorrelation(star.J, star.sqrt_Q @ star.sqrt_Q.T, star.sqrt_R @ star.sqrt_R.T),
-        star._replace(J=0.0 * star.J, sqrt_Q=config.sqrt_Q),
-    )
+    squared = Decorrelation(star.J, star.sqrt_Q @ star.sqrt_Q.T, star.sqrt_R @ star.sqrt_R.T)
+    without = star._replace(J=0.0 * star.J, sqrt_Q=config.sqrt_Q)
 
     def step(state: Late, epoch: Epoch) -> tuple[Late, Any]:
         after, infos = csrukf.step(state.inner, epoch)
@@ -100,29 +100,20 @@ def walk(config: Config, rngs: Rngs) -> dict[str, Array]:
 
 # -- what needs no runs ------------------------------------------------------------------------------------------------------
 def expected(config: Config, phis: Sequence[float]) -> dict[str, Array]:
-    """Exact deviations ``(T, phis, 6)`` km, m/s along the nominal orbit: SRUKF, CSRUKF, the same with the first sample, open loop."""
+    """Exact deviations ``(T, phis, 6)`` km, m/s along the nominal orbit, by filter."""
     F = orbit.transition(config.nominal()[:-1], config.step_s)
     Phi, R = np.asarray(phis)[:, None, None] * np.eye(3), config.R
     Q, P0 = config.sqrt_Q @ config.sqrt_Q.T, config.sqrt_P0 @ config.sqrt_P0.T
     gains = riccati(F, H, Q, R, P0).gains
-    covs = {
-        "srukf": actual_covariance(F, H, gains, Q, Phi, R, P0, R),
-        "openloop": actual_covariance(F, H, 0.0 * gains, Q, Phi, R, P0, R),
-    }
+    covs = {"srukf": actual_covariance(F, H, gains, Q, Phi, R, P0, R)}
     covs |= {"csrukf": colored_bound(F, H, Phi, Q, R, P0), "csrukf+z0": colored_bound(F, H, Phi, Q, R, P0, R)}
     return {name: UNITS * np.sqrt(cov.diagonal(0, -2, -1)) for name, cov in covs.items()}
 
 
 def theory(long_steps: int, config: Config, _: Rngs) -> dict[str, Array]:
     """`expected` of P and D, and of a long arc from a poor prior without process noise, Phi = I and 0.8 I."""
-    poor = replace(
-        config, prior_position_km=100.0, prior_velocity_m_per_s=100.0, noise_position_km=0.0, noise_velocity_km_per_s=1e-15
-    )
-    wanted = {
-        "P": (config, SWEEP),
-        "D": (D, SWEEP),
-        "long": (replace(poor, steps=long_steps), (1.0, 0.8)),
-    }
+    poor = replace(D, prior_position_km=100.0, prior_velocity_m_per_s=100.0, noise_position_km=0.0, noise_velocity_km_per_s=1e-15)
+    wanted = {"P": (config, SWEEP), "D": (D, SWEEP), "long": (replace(poor, steps=long_steps), (1.0, 0.8))}
     return {f"{key}/{name}": std for key, (c, phis) in wanted.items() for name, std in expected(c, phis).items()}
 
 
@@ -144,10 +135,9 @@ def settings(count: int, config: Config, rngs: Rngs) -> dict[str, Array]:
     gains, variances = riccati(F, H, Q, R, P0).gains, {}
     for case, phi in (("0.8", 0.8), ("I", 1.0)):
         Phi = phi * np.eye(3)
-        variances[case, "SRUKF"] = (
-            actual_covariance(F, H, gains, Q, Phi, R, P0, R * s0[:, None, None] ** 2).diagonal(0, -2, -1).mean(0)
-        )
-        variances[case, "CSRUKF"] = colored_bound(F, H, Phi, Q, R, P0).diagonal(0, -2, -1).mean(0)
+        white = actual_covariance(F, H, gains, Q, Phi, R, P0, R * s0[:, None, None] ** 2)
+        for name, cov in (("SRUKF", white), ("CSRUKF", colored_bound(F, H, Phi, Q, R, P0))):
+            variances[case, name] = cov.diagonal(0, -2, -1).mean(0)
     far = [np.abs(np.log(UNITS * np.sqrt(v) / TABLE_3[case][name])).max(-1) for (case, name), v in variances.items()]
     position = {key: np.sqrt(v[:, :3].sum(-1)) for key, v in variances.items()}
     return {
@@ -160,19 +150,16 @@ def settings(count: int, config: Config, rngs: Rngs) -> dict[str, Array]:
 def geometry(config: Config, _: Rngs) -> dict[str, Array]:
     """Eqs. 40 to 42 over one revolution of the printed orbit, from angles without noise.
 
-    printed, true: the radius (km) by Eq. 41 as printed, and the right one. wrong: error (km) of the position by the printed root
-    at each epoch. corrected: the largest once the hemisphere is known. later: error of the printed root 300 s past the equator.
+    radius: by Eq. 41 as printed, over the right one. wrong: error (km) of the position by the printed root at each epoch.
+    corrected: the largest once the hemisphere is known. later: error of the printed root 300 s past the equator.
     """
     separation = float(np.radians(config.separation_deg))
-    period = 2.0 * np.pi * np.sqrt(config.semi_major_axis_km**3 / orbit.EARTH.mu)
-    path = config.nominal(round(period / config.step_s))[:, :3]
-    angles = sightings.angles(path, sightings.star_directions(separation))
-    wrong = np.linalg.norm(sightings.position(angles, separation, 1.0) - path, axis=-1)
-    right = np.linalg.norm(sightings.position(angles, separation, np.sign(path[:, 2])) - path, axis=-1)
-    return {
-        "printed": 0.5 * orbit.EARTH.radius_km * np.sin(0.5 * angles[:1, 2]), "true": np.linalg.norm(path[:1], axis=-1), "wrong": wrong,
-        "corrected": right[np.abs(path[:, 2]) > 1.0].max(keepdims=True), "later": wrong[np.argmax(path[:, 2] < 0.0) + 300, None],
-    }  # fmt: skip
+    path = config.nominal(round(2.0 * np.pi * np.sqrt(config.semi_major_axis_km**3 / orbit.EARTH.mu) / config.step_s))[:, :3]
+    angles, z = sightings.angles(path, sightings.star_directions(separation)), path[:, 2]
+    wrong, right = (np.linalg.norm(sightings.position(angles, separation, s) - path, axis=-1) for s in (1.0, np.sign(z)))
+    printed = 0.5 * orbit.EARTH.radius_km * np.sin(0.5 * angles[0, 2])
+    numbers = {"radius": printed / np.linalg.norm(path[0]), "corrected": right[np.abs(z) > 1.0].max()}
+    return {"wrong": wrong, **{name: np.array([v]) for name, v in (numbers | {"later": wrong[np.argmax(z < 0.0) + 300]}).items()}}
 
 
 def redrawn(_: Config, rngs: Rngs) -> dict[str, Array]:
@@ -187,9 +174,8 @@ def redrawn(_: Config, rngs: Rngs) -> dict[str, Array]:
 
     old = joint(unscented(6), new.start(prior).belief, both, epoch, z=z, process_noise=eye, measurement_noise=np.eye(3))
     beliefs = {"reused": condition(SquareRoot, old, EUCLIDEAN)[0], "redrawn": after}
-    return {
-        name: np.array([max(np.abs(b.mean - truth.mean).max(), np.abs(b.cov - truth.cov).max())]) for name, b in beliefs.items()
-    }
+    apart = {name: (np.abs(b.mean - truth.mean).max(), np.abs(b.cov - truth.cov).max()) for name, b in beliefs.items()}
+    return {name: np.array([max(pair)]) for name, pair in apart.items()}
 
 
 def linear(_: Config, rngs: Rngs) -> dict[str, Array]:
@@ -208,11 +194,9 @@ def linear(_: Config, rngs: Rngs) -> dict[str, Array]:
         z.append(A @ x + V)
         x, V = F @ x + W @ rng.standard_normal(n), Phi @ V + Z @ rng.standard_normal(m)
     motion, sensor, R, prior = Motion(F, sqrt_Q=W), Sensor(A, sqrt_R=Z), Z @ Z.T, Gaussian(np.zeros(n), np.eye(n))
-    known: dict[str, Filter] = {
-        "exact": augmented(motion, sensor, Phi, increments=R),
-        "corrected": colored(motion, sensor, Phi, increments=R),
-    }
-    known["first sample lost"] = decorrelated(motion, sensor, Phi, increments=R, first=False)
+    known: dict[str, Filter] = {"exact": augmented(motion, sensor, Phi, increments=R)}
+    known |= {"corrected": colored(motion, sensor, Phi, increments=R)}
+    known |= {"first sample lost": decorrelated(motion, sensor, Phi, increments=R, first=False)}
     tracks = {name: run(filter, prior, np.arange(float(T)), np.array(z), keep="cov") for name, filter in known.items()}
     exact = tracks.pop("exact")
     out = {"cross": np.abs(QH - star.J @ star.sqrt_R @ star.sqrt_R.T).max(keepdims=True)[0] / np.abs(QH).max()}
@@ -225,7 +209,6 @@ def linear(_: Config, rngs: Rngs) -> dict[str, Array]:
 def parts(effort: float = 1.0) -> dict[str, Part]:
     """All that is computed; the long arc and the random settings grow with the effort."""
     basic, poor = ("srukf", "csrukf", "csrukf+z0", "openloop"), replace(D, phi=1.0)
-    angles = ("csrukf-isotropic", "csrukf-jacobian")
 
     def flights(names: Sequence[str], config: Config, number: int, runs: int = P.runs) -> Part:
         return Part(partial(flown, names, 1), config, number, runs, 128, 1e-6 * config.steps * runs * 8.0 * len(names))
@@ -240,14 +223,10 @@ def parts(effort: float = 1.0) -> dict[str, Part]:
         "D/I": flights(basic, poor, 3),
         "D/0.8": flights(("srukf",), replace(D, phi=0.8), 12),
     }
-    for number, (name, phi) in enumerate(PHIS.items()):
-        out[f"stress/{name}"] = flights(
-            ("srukf", "csrukf", "lagged", "without J"), replace(STRESS, phi=phi), 4 + number, STRESS.runs
-        )
-        names = (*angles, *(("srukf-isotropic",) if phi == 1.0 else ()))
-        out[f"sensor/P/{name}"] = flights(names, replace(P, phi=phi, measured="angles"), 7 + number)
-    for number, name in ((10, "0"), (11, "I")):
-        out[f"sensor/D/{name}"] = flights((*angles, "angles"), replace(D, phi=PHIS[name], measured="angles"), number)
+    strong = ("srukf", "csrukf", "lagged", "without J")
+    for i, name in enumerate(("0", "I")):
+        out[f"stress/{name}"] = flights(strong, replace(STRESS, phi=PHIS[name]), 4 + 2 * i, STRESS.runs)
+        out[f"sensor/D/{name}"] = flights((*PAIR, "angles"), replace(D, phi=PHIS[name], measured="angles"), 10 + i)
     for number, (name, config) in ((13, ("P", P)), (14, ("D", D))):
         out |= {f"sweep/{name}/{phi:g}": flights(("srukf", "csrukf"), replace(config, phi=phi), number) for phi in STEPS}
     return out | {
@@ -260,7 +239,6 @@ def parts(effort: float = 1.0) -> dict[str, Part]:
 # -- numbers of the ledger ---------------------------------------------------------------------------------------------------
 ALL, LATE = slice(1, None), slice(STRESS.steps // 2, None)
 FITTED = "reproduced with fitted parameters"
-BOTH = ("position", "velocity")
 
 
 def length(printed: Mapping[str, Sequence[float]], filter: str, group: int) -> float:
@@ -279,41 +257,35 @@ def better(case: str, position: float, velocity: float) -> list[Decided]:
 
 
 def changes(r: Results) -> list[Number]:
-    """By how much more SRUKF grows from 0.8 I to I than CSRUKF does."""
-    out = []
-    for i, group in enumerate(GROUPS):
-        a, b, c, d = (
-            r.squares(case, f, group.name).sum(-1)
-            for case, f in (("I", "srukf"), ("0.8", "srukf"), ("I", "csrukf"), ("0.8", "csrukf"))
-        )
-        ours = estimate(
-            f"{group.name}", lambda a, b, c, d: np.sqrt(a.mean() * d.mean() / (b.mean() * c.mean())), [a, b, c, d], (1.0, None)
-        )
-        own = [length(TABLE_3["I"], f, i) / length(TABLE_3["0.8"], f, i) for f in ("SRUKF", "CSRUKF")]
-        out += [ours, Number(f"{group.name}, from the printed numbers", own[0] / own[1], (1.0, None))]
+    """By how much more SRUKF grows from 0.8 I to I than CSRUKF does: ours, and from the printed numbers."""
+
+    def quotient(a: Array, b: Array, c: Array, d: Array) -> float:
+        return float(np.sqrt(a.mean() * d.mean() / (b.mean() * c.mean())))
+
+    out, flown = [], (("I", "srukf"), ("0.8", "srukf"), ("I", "csrukf"), ("0.8", "csrukf"))
+    for i, group in enumerate(BOTH):
+        a, b, c, d = (length(TABLE_3[case], filter.upper(), i) for case, filter in flown)
+        ours = estimate(group, quotient, [r.squares(*one, group).sum(-1) for one in flown], (1.0, None))
+        out += [ours, Number(f"{group}, from the printed numbers", a * d / (b * c), (1.0, None))]
     return out
 
 
 def stepwise(r: Results) -> list[Number]:
     """Every step up in phi, for both filters, priors and groups, on the same noise."""
+    every = product(("srukf", "csrukf"), ("sweep/P", "sweep/D"), BOTH, pairwise(STEPS))
     return [
-        ratio(f"{f}, {g.name}, prior {prior}, {a:g} to {b:g}", (f"sweep/{prior}/{b:g}", f), (f"sweep/{prior}/{a:g}", f), g.name, (1.0, None))(r)
-        for f in ("srukf", "csrukf") for prior in ("P", "D") for g in GROUPS for a, b in zip(STEPS, STEPS[1:], strict=False)
-    ]  # fmt: skip
+        ratio(f"{f}, {g}, {p}, {a:g} to {b:g}", (f"{p}/{b:g}", f), (f"{p}/{a:g}", f), g, (1.0, None))(r)
+        for f, p, g, (a, b) in every
+    ]
 
 
-def converges(r: Results) -> list[Number]:
+def converges(case: str, prior: str) -> list[Decided]:
     """Against the start, and against the open loop: an interval that contains 1 shows no convergence."""
-    out = []
-    for case, prior in (("I", "fitted prior"), ("D/I", "poor prior")):
-        start, end, free = (
-            r.squares(case, f, "position", at).sum(-1) for f, at in (("csrukf", 0), ("csrukf", -1), ("openloop", -1))
-        )
-        for label, other in (("the end over the start", start), ("over the open loop", free)):
-            out.append(
-                estimate(f"{label}, {prior}", lambda a, b: np.sqrt(a.mean() / b.mean()), [end, other], (None, 1.0), strict=True)
-            )
-    return out
+    against = (("the start", (case, "csrukf"), 0), ("the open loop", (case, "openloop"), -1))
+    return [
+        ratio(f"the end over {label}, {prior}", (case, "csrukf"), other, "position", (None, 1.0), to=to, strict=True)
+        for label, other, to in against
+    ]
 
 
 def over_theory(case: str, filter: str) -> Decided:
@@ -360,13 +332,13 @@ STATEMENTS = [
                  for f, name, when in (("csrukf", "same data", SAME), ("lagged", "as printed", PRINTED))
                  for group in BOTH for at, to, w in when)),
         place="§4, case 1, Figs 2-7, Table 1", why="largest axis ratio of the paper's own Table 1", figure="figure_02",
-        found="Given the same data they are one filter ({0:.6f}); as printed the new one has seen a sample more, and errs by {4} of it.",
+        found="Given the same data they are one filter ({0:.6f}); as printed it has seen a sample more: {4} of the error.",
     ),
     statement(
         "table-1-levels", "At Φ = 0 the errors are about 0.03 km and 0.035 m/s in each axis, for both filters.",
         entries([(("0, many", f.lower()), TABLE_1[f]) for f in TABLE_1], BOTH, FITTED, 1.22, 2),
         place="§4, Table 1", why=BAND, printed=TABLE_1, expected=FITTED,
-        found="{0:.0f} of 12 entries leave the band, with σ, P0 and Q fitted to Tables 1 and 2; the velocity never leaves its prior.",
+        found="{0:.0f} of 12 entries leave the band; σ, P0, Q were fitted to Tables 1 and 2, and the velocity stays at its prior.",
     ),
     statement(
         "srukf-diverges", "Under a random walk (Φ = I) the ordinary filter has large errors and diverges.",
@@ -378,20 +350,21 @@ STATEMENTS = [
         figure="figure_08",
     ),
     statement(
-        "csrukf-converges", "Under a random walk the errors of the new filter converge.", converges, place="§4, case 2, Figs 8-13",
+        "csrukf-converges", "Under a random walk the errors of the new filter converge.",
+        all_of(*converges("I", "fitted prior"), *converges("D/I", "poor prior")), place="§4, case 2, Figs 8-13",
         why="below the start and below the open loop; an interval that contains 1 shows none", expected="not reproduced",
-        found="With the fitted prior the error grows to {0} of its start and is that of the open loop ({1}); with a poor one it is {2} "
-        "of its start, {3} of the open loop.", figure="figure_08",
+        found="With the fitted prior the error grows to {0} of its start and is that of the open loop ({1}); with a poor one it "
+        "is {2} of its start, {3} of the open loop.", figure="figure_08",
     ),
     statement(
         "csrukf-far-better", "Under a random walk the errors of the new filter are far smaller than those of the ordinary one.",
         tiers(reproduced=[*better("I", 0.26, 0.34), *better("D/I", 0.26, 0.34)], in_part=better("I", 0.26, 0.34)),
         place="abstract; §4, case 2, Table 2; §5", why=HALF, expected="in part", figure="figure_16",
-        found="For a good prior only: {0} in position, {2} in velocity; from 10 km and 10 m/s the new filter is the worse one ({4}).",
+        found="For a good prior only: {0} in position, {2} in velocity; from 10 km and 10 m/s the new filter is worse ({4}).",
     ),
     statement(
-        "table-2-levels", "At Φ = I the ordinary filter errs by 2.8 to 5.5 km and 1.3 to 2.7 m/s, the new one by 0.16 to 0.41 km and "
-        "0.20 to 0.27 m/s.", entries([(("I", f.lower()), TABLE_2[f]) for f in TABLE_2], BOTH, FITTED, 1.22, 2),
+        "table-2-levels", "At Φ = I the ordinary filter errs by 2.8 to 5.5 km and 1.3 to 2.7 m/s, the new one by 0.16 to 0.41 km "
+        "and 0.20 to 0.27 m/s.", entries([(("I", f.lower()), TABLE_2[f]) for f in TABLE_2], BOTH, FITTED, 1.22, 2),
         place="§4, Table 2", why=BAND, printed=TABLE_2, expected="level only",
         found="{0:.0f} of 12 entries leave the band, none by more than {1:.2f}: the level, not the axes.",
     ),
@@ -412,7 +385,7 @@ STATEMENTS = [
     statement(
         "srukf-changes-more", "From Φ = 0.8 I to I the ordinary filter changes very much, the new one little.", changes,
         place="§4, on Table 3", why="the quotient of the two factors is above 1", printed=[17.346, 40.373, 0.4218, 0.6935],
-        found="SRUKF grows {0} times as much in position and {2} in velocity; by the printed numbers only {1:.2f} and {3:.2f} times.",
+        found="SRUKF grows {0} times as much in position and {2} in velocity; by the printed numbers {1:.2f} and {3:.2f} times.",
     ),
     statement(
         "better-at-both", "At Φ = 0.8 I as at I the new filter is clearly better than the ordinary one.",
@@ -422,42 +395,44 @@ STATEMENTS = [
         found="At I clearly ({4}); at 0.8 I by {0} in position and {2} in velocity, which the cheap remedy below attains as well.",
     ),
     statement(
-        "table-3-levels", "At Φ = 0.8 I the ordinary filter errs by 17 to 19 km, at I by 32 to 40 km; the new one by less than 1 km.",
-        lambda r: {**entries([((case, f.lower()), TABLE_3[case][f]) for case in TABLE_3 for f in TABLE_3[case]], BOTH, "reproduced",
-                             1.22, 3)(r), "not reproduced": [of("settings", "misfit", "the same, of the best of the settings", reduce=np.min)(r)]},
+        "table-3-levels", "At Φ = 0.8 I the ordinary filter errs by 17 to 19 km, at I by 32 to 40; the new one by less than 1.",
+        lambda r: {**entries([((c, f.lower()), row) for c in TABLE_3 for f, row in TABLE_3[c].items()], BOTH, "reproduced", 1.22,
+                             3)(r), "not reproduced": [of("settings", "misfit", "the same, of the best of the settings", reduce=np.min)(r)]},
         place="§4, Table 3", why=BAND, printed=TABLE_3, expected="not reproduced",
-        found="{0:.0f} of 24 entries leave the band, by up to {1:.0f} times; the best of the random settings is off by {2:.0f} times.",
+        found="{0:.0f} of 24 entries leave the band, by up to {1:.0f} times; the best of the random settings by {2:.0f}.",
     ),
     statement(
-        "square-roots-stabilize", "Square roots keep the covariance symmetric and positive definite, and make the filter more stable.",
+        "square-roots-stabilize", "Square roots keep the covariance symmetric and positive definite: the filter is more stable.",
         place="title; abstract; §1; §5", expected="not addressed",
     ),
     statement(
         "geometry-fixes-position", "Two angles to stars and the Earth's angular diameter determine the position completely.",
         all_of(of("geometry", "wrong", "share of a revolution right to 1 m", (1.0, None), lambda x: (x < 1e-3).mean()),
-               of("geometry", "wrong", "largest error, km"), of("geometry", "corrected", "once the hemisphere is known, km", (None, 1e-3))),
+               of("geometry", "wrong", "largest error, km"),
+               of("geometry", "corrected", "once the hemisphere is known, km", (None, 1e-3))),
         place="§3.2, Eqs. 40-42", why="right to 1 m everywhere", expected="not reproduced", figure="figure_01",
-        found="On {0:.2f} of a revolution: the angles do not tell the side of the stars' plane; the printed root is off by up to {1:.0f} km.",
+        found="On {0:.2f} of a revolution: the angles do not tell the side of the stars' plane, and the error reaches {1:.0f} km.",
     ),
     statement(
-        "whitened-and-optimal", "Differencing, and a term that is zero, make the noises white and uncorrelated; a filter of minimum "
-        "variance is built on them.",
+        "whitened-and-optimal", "Differencing, and a term that is zero, make the noises white and uncorrelated; the filter built "
+        "on them has minimum variance.",
         tiers(reproduced=[of("redrawn", "reused", "printed step against the Kalman filter", (None, 1e-9)),
                           of("linear", "first sample lost", "without the first sample, deviations", (None, 1e-9))],
               in_part=[of("linear", "cross", "cross-covariance of the whitened noises", (None, 1e-9)),
                        of("linear", "corrected", "corrected, against exact conditioning, deviations", (None, 1e-9))]),
         place="§1, Eqs. 2-21; §5", why="linear models: equal to rounding, 1e-9", expected="in part",
-        found="Once corrected: the noises are uncorrelated ({2:.0e}), the filter is exact ({3:.0e}); as printed a linear step is off by "
-        "{0:.2g}.",
+        found="Once corrected: the noises are uncorrelated ({2:.0e}), the filter is exact ({3:.0e}); as printed a linear step is "
+        "off by {0:.2g}.",
     ),
 ]  # fmt: skip
 ERRATA = [
     erratum("erratum-radius", "Printed r = (R_e / 2) sin(A3 / 2); right R_e / sin(A3 / 2), as the third line of Eq. 40 has it.",
-            lambda r: Number("printed over right", r.value("geometry", "printed", 0) / r.value("geometry", "true", 0), (0.39, 0.41)),
+            of("geometry", "radius", "printed over right", (0.39, 0.41)),
             place="Eq. 41", found="The satellite would be at {0:.3f} of its radius, inside the Earth."),
     erratum("erratum-hemisphere", "Printed: z is the positive root; right ±, the angles do not give the side of the stars' plane.",
-            of("geometry", "later", "error 300 s past the equator, km", (3900.0, 4100.0)), place="Eq. 42", found="Off by {0:.0f} km."),
-    erratum("erratum-product", "Printed H Φ x; right Φ H x.", given("columns of H less rows of Φ", H.shape[1] - len(P.Phi), (1.0, None)),
+            of("geometry", "later", "km, 300 s past the equator", (3900.0, 4100.0)), place="Eq. 42", found="Off by {0:.0f} km."),
+    erratum("erratum-product", "Printed H Φ x; right Φ H x.",
+            given("columns of H less rows of Φ", H.shape[1] - len(P.Phi), (1.0, None)),
             place="Eqs. 4, 5 (second), 6, after 21, 33", found="Undefined: {0:.0f} columns too many."),
     erratum("erratum-bracket", "Printed J (z* - h) - V*; right J (z* - h - V*).",
             given("rows of J less those of V*", H.shape[1] - len(H), (1.0, None)), place="Eq. 14, line 1",
@@ -466,11 +441,11 @@ ERRATA = [
             of("linear", "cross", "cross-covariance by the right ones", (None, 1e-9)), place="Eqs. 16, 18, 19",
             found="Eqs. 17 and 20 follow from the right ones only (cross-covariance {0:.0e})."),
     erratum("erratum-columns", "Printed S_i for i > n, and ξ_k,i; right S_i-n, and ξ_k-1,i.",
-            given("columns that S lacks", H.shape[1], (1.0, None)), place="Eqs. 24, 25", found="S has n columns: {0:.0f} are not there."),
+            given("columns that S lacks", H.shape[1], (1.0, None)), place="Eqs. 24, 25", found="{0:.0f} of them are not there."),
     erratum("erratum-symbol", "f* without J z*, then with it: the same symbol for two functions.", place="Eqs. 21, 25"),
     erratum("erratum-9-roots-nees", "Printed qr of Q* and R*; right of their roots.",
             all_of(consistency("final NEES, Φ = 0, in km", ("0", "printed roots"), (1e3, None)),
-                   ratio("velocity RMSE against the right filter", ("0", "printed roots"), ("0", "csrukf"), "velocity", (5.0, None))),
+                   ratio("velocity RMSE, over the right one", ("0", "printed roots"), ("0", "csrukf"), "velocity", (5.0, None))),
             place="Eqs. 27, 32", found="NEES {0:.0f} where 6 is consistent."),
     erratum("erratum-11-redraw", "Printed: the points of the prediction again; right: new ones from its mean and root.",
             all_of(of("redrawn", "reused", "one linear step against the Kalman filter", (0.01, None)),
@@ -487,8 +462,8 @@ ERRATA = [
                    of("settings", "gain", "largest gain of any filter at 0.8 I", (None, 5.0))),
             place="Table 3", found="No setting does either: at least {0:.1f} times, at most {1:.2f}."),
     erratum("erratum-all-white", "Printed: all measurement noise is white; right: ζ is, V is not.", place="§4"),
-    erratum("erratum-editorial", "Eq. 5 occurs twice, so references within §1 are one too high; two headings 1.1, heading 2.1 left over; "
-            "CSUKF in Table 1; references 2 and 6 are the same, 3 and 4 change places in the text, 9 is about visual tracking."),
+    erratum("erratum-editorial", "Eq. 5 occurs twice, so references within §1 are one too high; two headings 1.1, heading 2.1 "
+            "left over; CSUKF in Table 1; references 2 and 6 are the same, 3 and 4 change places in the text, 9 is about visual tracking."),
 ]  # fmt: skip
 REMARKS = [
     remark("remark-first-sample", "z_0 is never used, and the loop begins at k = 1.",
@@ -499,11 +474,11 @@ REMARKS = [
                  at=slice(LATE.start + 1, None), to=slice(LATE.start, -1)),
            place="§2, Figs 2-13", found="With strong process noise that leaves {0} of the error."),
     remark("remark-angle-space", "AR(1) noise on pseudo-positions: sensors measure angles, and their color lives there.",
-           ratio("angles whitened over positions", ("sensor/D/I", "angles"), ("sensor/D/I", "csrukf-isotropic"), "position", (None, 0.95)),
+           ratio("angles whitened, over positions", ("sensor/D/I", "angles"), ("sensor/D/I", PAIR[1]), "position", (None, 0.95)),
            place="§3.2", found="Noise that walks in the angles is better whitened there: {0} of the error, poor prior, Φ = I."),
-    remark("remark-unsaid", "σ, P0, Q and the stars' angle are not given, nor whether accuracies are of 1 or 3 σ; the RMSE adds km² and "
-           "(m/s)² and names no instant; axes that differ 2 : 1 are odd for 100 runs if they are alike; cholupdate with a weight, and "
-           "a negative one is a downdate; lower roots are meant; the index of R in Eqs. 2, 10.", place="§3, §4"),
+    remark("remark-unsaid", "σ, P0, Q and the stars' angle are not given, nor whether accuracies are of 1 or 3 σ; the RMSE adds "
+           "km² and (m/s)² and names no instant; axes that differ 2 : 1 are odd for 100 runs if they are alike; cholupdate with a "
+           "weight, where a negative one is a downdate; lower roots are meant; the index of R in Eqs. 2, 10.", place="§3, §4"),
 ]  # fmt: skip
 FINDINGS = [
     finding("openloop-final", "Under a random walk of 600 s the new filter is the open loop of its prior: the sensors add nothing.",
@@ -530,18 +505,17 @@ FINDINGS = [
                    ratio("what that costs in position", ("0.8", "phi 1"), ("0.8", "csrukf"), "position", (2.0, 4.0))),
             found="NEES {0} and {1}; the error is {2} times as large.", figure="figure_18"),
     finding("correlation-matters", "With strong process noise the decorrelation matters: without J the error grows.",
-            ratio("Φ = I", ("stress/I", "without J"), ("stress/I", "csrukf"), "position", (1.2, None), at=LATE), found="By {0}, Φ = I."),
+            ratio("Φ = I", ("stress/I", "without J"), ("stress/I", "csrukf"), "position", (1.2, None), at=LATE), found="By {0}."),
     finding("long-arc", "On long arcs color costs SRUKF little: at 0.8 I no accuracy, at I a factor 2; its covariance is wrong.",
             all_of(long_arc(0, "Φ = I", (1.5, 2.5)), long_arc(1, "Φ = 0.8 I", (1.0, 1.05))),
             found="After 3000 s from a poor prior {0:.2f} and {1:.3f} of the bound.", figure="figure_17"),
 ]  # fmt: skip
-PAIR = ("csrukf-jacobian", "csrukf-isotropic")
 CHECKS = [
-    *(check(f"nis-csrukf-{n}", f"NIS of CSRUKF, Φ = {n} (3 if consistent)", consistency("mean", (n, "csrukf"), (2.8, 3.2), at=ALL, what="nis"))
+    *(check(f"nis-csrukf-{n}", f"Φ = {n}: NIS of CSRUKF (3)", consistency("mean", (n, "csrukf"), (2.8, 3.2), at=ALL, what="nis"))
       for n in PHIS),
     check("nees-srukf-0.8", "Final NEES of SRUKF at Φ = 0.8 I", consistency("NEES", ("0.8", "srukf"), (28.0, 55.0))),
     check("poor-prior-nees-0.8", "The same from a poor prior", consistency("NEES", ("D/0.8", "srukf"), (90.0, 250.0))),
-    check("theory-srukf", "Final position RMSE of SRUKF over exact linear theory", all_of(*(over_theory(n, "srukf") for n in PHIS))),
+    check("theory-srukf", "Final position RMSE of SRUKF over linear theory", all_of(*(over_theory(n, "srukf") for n in PHIS))),
     check("poor-prior-0.999", "Poor prior, Φ = 0.999 I: worse than SRUKF there too (linear theory)",
           lambda r: Number("3-D", theory_length(r, "D/csrukf", 0.999) / theory_length(r, "D/srukf", 0.999), (1.3, None))),
     check("wrong-phi-I-0.99", "True I, assumed 0.99", consistency("time-mean NEES", ("I", "phi 0.99"), (6.0, 12.0), at=ALL)),
@@ -549,31 +523,17 @@ CHECKS = [
     check("wrong-phi-small-cost", "What that costs", ratio("3-D", ("0.8", "phi 0.9"), ("0.8", "csrukf"), "position", (1.0, 1.3))),
     check("stress-decorrelation-0", "Strong process noise, Φ = 0: the error without J",
           ratio("3-D", ("stress/0", "without J"), ("stress/0", "csrukf"), "position", (1.01, 1.1), at=LATE)),
-    check("stress-gain", "Strong process noise, Φ = 0.8 I: CSRUKF over SRUKF",
-          ratio("3-D", ("stress/0.8", "csrukf"), ("stress/0.8", "srukf"), "position", (0.88, 1.0), at=LATE)),
-    *(check(f"stress-{f}-nees-{n}", f"Strong process noise, Φ = {n}", consistency(f"mean NEES of {f.upper()}", (f"stress/{n}", f), accept, at=ALL))
-      for n, f, accept in (("I", "csrukf", (5.0, 7.0)), ("I", "srukf", (300.0, None)),
-                           ("0.8", "csrukf", (5.0, 7.0)), ("0.8", "srukf", (11.0, 20.0)))),
-    *(check(f"sensor-level-{n}", f"Angles measured, Φ = {n}: with the true covariance", rmse("km", (f"sensor/P/{n}", PAIR[0]), "position", level))
-      for n, level in (("0", (0.046, 0.070)), ("0.8", (0.105, 0.160)), ("I", (0.35, 0.53)))),
-    *(check(f"sensor-anisotropy-{n}", "The same over an isotropic one",
-            ratio("3-D", (f"sensor/P/{n}", PAIR[0]), (f"sensor/P/{n}", PAIR[1]), "position", accept))
-      for n, accept in (("0", (0.85, 1.0)), ("0.8", (0.85, 1.0)), ("I", (0.95, 1.05)))),
-    check("sensor-white-I", "Angles measured, Φ = I: SRUKF over CSRUKF",
-          ratio("3-D", ("sensor/P/I", "srukf-isotropic"), ("sensor/P/I", "csrukf-isotropic"), "position", (8.0, None))),
+    check("stress-nees", "Strong process noise, Φ = I", consistency("NEES of CSRUKF", ("stress/I", "csrukf"), (5.0, 7.0), at=ALL)),
+    check("stress-srukf-nees", "The same", consistency("NEES of SRUKF", ("stress/I", "srukf"), (300.0, None), at=ALL)),
     check("sensor-angles-white", "Poor prior, white noise: angles used directly over converted ones",
           ratio("3-D", ("sensor/D/0", "angles"), ("sensor/D/0", PAIR[0]), "position", (0.97, 1.03))),
     check("sensor-nees", "The same, converted: final NEES", consistency("NEES", ("sensor/D/0", PAIR[0]), (5.0, 7.1))),
 ]  # fmt: skip
 STUDY = Study(
-    "csrukf",
-    GROUPS,
-    trial,
-    parts,
-    [*STATEMENTS, *ERRATA, *REMARKS, *FINDINGS, *CHECKS],
-    says="Differencing whitens colored measurement noise. The square-root UKF made of it is as good as the ordinary one where noise "
-    "is white, and converges where that one diverges.",
+    "csrukf", GROUPS, trial, parts, [*STATEMENTS, *ERRATA, *REMARKS, *FINDINGS, *CHECKS],
+    says="Differencing whitens colored measurement noise. The square-root UKF made of it is as good as the ordinary one where "
+    "noise is white, and converges where that one diverges.",
     found="Corrected, the filter is exact and at the bound. Tables 1 and 2 come out together, Table 3 with no parameters at all. "
-    "Under a random walk its accuracy is that of its prior: it is the open loop, and from a poor prior worse than the ordinary "
-    "filter, because it throws the first sample's position away.",
-)
+    "Under a random walk its accuracy is that of its prior: it is the open loop, and from a poor prior worse than the ordinary filter, "
+    "because it throws the first sample's position away.",
+)  # fmt: skip
