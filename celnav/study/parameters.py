@@ -64,9 +64,12 @@ class Parameters:
 
 def _check(name: str, value: Any, default: Any, one_of: tuple[Any, ...], bounds: dict[str, float], **_: str) -> None:
     if one_of or isinstance(default, bool):
-        choice(name, value, one_of or (True, False))
+        if value is not None or None not in one_of:
+            choice(name, value, [word for word in one_of if word is not None] or (True, False))
     elif isinstance(default, int):
         integer(name, value, **bounds)  # type: ignore[arg-type]
-    elif isinstance(default, float | tuple):
+    elif isinstance(default, float):
+        number(name, value, **bounds)
+    elif isinstance(default, tuple) and not isinstance(default[0], str):
         for part in finite(name, value, np.shape(default)).flat:
             number(name, float(part), **bounds)

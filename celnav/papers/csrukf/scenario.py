@@ -94,15 +94,15 @@ class Config(Parameters):
         """Orbits above the Earth, noise that there is, sigma points that can be."""
         least = orbit.EARTH.radius_km / (1.0 - self.eccentricity)
         if self.semi_major_axis_km <= least:
-            raise ValueError(
-                f"semi_major_axis_km: expected an orbit above the Earth, {least:.6g} km, got {self.semi_major_axis_km!r}"
-            )
-        for name in ("noise_level", "first_noise"):
+            found = f"an orbit above the Earth, from {least:.6g} km, got {self.semi_major_axis_km!r}"
+            raise ValueError(f"semi_major_axis_km: expected {found}")
+        for name, other in (("noise_level", "'increments'"), ("first_noise", "R or zero")):
             if getattr(self, name) == "stationary" and abs(self.phi) == 1.0:
-                raise ValueError(
-                    f"{name}: expected another where phi is {self.phi:g}: only increments of a random walk have a deviation"
-                )
+                why = f"where phi is {self.phi:g}: a random walk has no stationary deviation, only its increments have one"
+                raise ValueError(f"{name}: expected {other} {why}")
         unscented(6, self.alpha, self.beta, self.kappa)
+        with np.errstate(over="raise"):
+            self.R, self.sqrt_Q @ self.sqrt_Q, self.sqrt_P0 @ self.sqrt_P0  # noqa: B018
 
     @property
     def idle(self) -> dict[str, str]:
