@@ -54,7 +54,7 @@ def _parameters(paper: str) -> None:
     for key, value in first[1].items():
         if key != "runs":
             meaning, source, words = said[key]
-            known = f" One of {', '.join(map(_written, words))}." if words else ""
+            known = f" One of {', '.join(_written(w) for w in words if w is not None)}." if words else ""
             line = f"  {key:32} {_written(value):24} {unit_of(key):9} {meaning}.{known} [{source}]"
             print(textwrap.fill(line, WIDTH, subsequent_indent=70 * " ", break_on_hyphens=False, break_long_words=False))
     for name, values in others:
