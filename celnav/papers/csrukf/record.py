@@ -35,10 +35,7 @@ GROUPS = (Group("position", "km", slice(0, 3)), Group("velocity", "m/s", slice(3
 
 def record(result: Result, outputs: Outputs) -> list[str]:
     """Write the recordings among ``outputs``; returns their names. Needs rerun."""
-    for case, name in zip(CASES, RECORDINGS, strict=True):
-        with outputs.path_for(name) as path:
-            showcase.record(_case(result, case), path)
-    return RECORDINGS
+    return showcase.write({name: _case(result, case) for case, name in zip(CASES, RECORDINGS, strict=True)}, outputs)
 
 
 def _case(result: Result, case: str) -> Showcase:
