@@ -68,8 +68,8 @@ page: document figure link table
 picture: command end picture
 progress: Progress Progress.close Progress.stage RunProgress
 estimates: Estimate Estimate.error Estimate.sigma estimates
-plots: draw
-scenes: arc behind beside limb sightings track turning
+plots: curves draw
+scenes: arc behind beside constellation limb sigma_points sightings track turning
 showcase: Showcase record write
 """
 """What checks, what has no arguments, and what only celnav calls, or hands to a library that says itself what it takes."""

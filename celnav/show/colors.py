@@ -18,6 +18,8 @@ STAR = "#FFF3C4"
 """Directions to stars, pulsars and the Sun."""
 BODY = "#BBBBBB"
 """Of the sky: Earth, Moon."""
+NEGATIVE = "#FFFFFF"
+"""Points of negative weight."""
 
 NAMES = {
     TRUTH: "green",
@@ -31,6 +33,6 @@ NAMES = {
     SIGMA: "gray",
     STAR: "pale yellow",
     BODY: "light gray",
-    "#FFFFFF": "white",
+    NEGATIVE: "white",
 }
 """As legends call them."""

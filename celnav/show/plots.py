@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -37,6 +37,11 @@ class Plot(NamedTuple):
     limits: tuple[float, float] | None = None
     band: tuple[float, float] | None = None
     legend: bool = True
+
+
+def curves(names: Iterable[str], columns: Iterable[Array], colors: Iterable[str]) -> dict[str, Curve]:
+    """A curve for each name, which is its label too, of a column ``(T,)`` and a color."""
+    return {name: Curve(values, color, name) for name, values, color in zip(names, columns, colors, strict=False)}
 
 
 def draw(out: Recorder, entity: str, plot: Plot) -> None:

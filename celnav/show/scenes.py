@@ -69,6 +69,33 @@ def turning(out: Recorder, entity: str, errors: Mapping[str, tuple[Array, str]],
         out.axes(f"{entity}/{key}", length, [color] * 3, radius=0.7)
 
 
+def constellation(
+    out: Recorder,
+    origin: str,
+    places: Array,
+    orbits: Array,
+    receiver: Array,
+    seen: Array,
+    names: Sequence[str],
+    shades: Sequence[str],
+) -> None:
+    """Satellites at ``places (T, S, 3)`` on ``orbits (points, S, 3)``, with names and colors; sight lines from ``receiver (T, 3)``
+    to those that are ``seen (S,)``."""
+    for s, (name, shade) in enumerate(zip(names, shades, strict=True)):
+        out.path(f"{origin}/orbit/{name}", [orbits[:, s]], shade, radius=0.3)
+        out.points(f"{origin}/sat/{name}", places[:, s], shade, radius=4.0, label=str(name))
+    lines = np.stack([np.broadcast_to(receiver[:, None], places.shape), places], 2)[:, seen]
+    out.strips(f"{origin}/sight", lines, [shade for shade, there in zip(shades, seen, strict=True) if there], radius=0.5)
+    out.points(f"{origin}/receiver", receiver, colors.TRUTH, radius=4.0, label="receiver")
+
+
+def sigma_points(out: Recorder, entity: str, points: Array, weights: Array, color: str) -> None:
+    """Points ``(T, N, 3)`` about the truth at the origin; those of negative weight ``(N,)`` are white."""
+    out.points(f"{entity}/positive", points[:, weights > 0.0], color, radius=2.5)
+    out.points(f"{entity}/negative", points[:, weights < 0.0], colors.NEGATIVE, radius=2.5)
+    out.points(f"{entity}/truth", np.zeros((len(points), 3)), colors.TRUTH, radius=5.0)
+
+
 def limb(position: Array, velocity: Array, radius: float) -> Array:
     """Points ``(T, 2, 3)`` where sight lines in the orbit's plane touch a sphere: p'p = R^2 and p'(p - r) = 0.
 

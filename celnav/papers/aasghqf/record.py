@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from celnav.gaussian.linalg import Array, matvec, semidefinite_root
+from celnav.gaussian.linalg import matvec, semidefinite_root
 from celnav.models import inertial
 from celnav.papers.aasghqf.config import PRESETS
 from celnav.papers.aasghqf.figures import COLORS, LABELS
 from celnav.papers.aasghqf.scenario import BORESIGHTS, rules
 from celnav.papers.aasghqf.study import Result, units
 from celnav.show import colors, scenes, showcase
-from celnav.show.estimates import Estimate, Group, estimates
+from celnav.show.estimates import Group, estimates
 from celnav.show.showcase import Showcase, Space
 
 if TYPE_CHECKING:
@@ -28,15 +28,12 @@ SPACES = (
           growing=("world/aircraft/trail", "world/inertial/trail")),
     *(Space(f"points/{f}", f"sigma points of {LABELS[f]}, σ of SGHQF", (9.0, -9.0, 6.0)) for f in NAMES),
 )  # fmt: skip
-WHITE, STAR_M = "#FFFFFF", 25000.0  # the length of a drawn sight line
+STAR_M = 25000.0  # the length of a drawn sight line
 
 
 def record(result: Result, outputs: Outputs) -> list[str]:
     """Write the recordings among ``outputs``; returns their names. Needs rerun."""
-    for preset, name in CASES.items():
-        with outputs.path_for(name) as path:
-            showcase.record(_case(result, preset), path)
-    return RECORDINGS
+    return showcase.write({name: _case(result, preset) for preset, name in CASES.items()}, outputs)
 
 
 def _case(result: Result, preset: str) -> Showcase:
@@ -44,19 +41,16 @@ def _case(result: Result, preset: str) -> Showcase:
     truth, found = data["truth"][:, 0], estimates(data, NAMES, scale)
     axes = np.diag(c.meters)[[0, 1, 1]] * [[1.0], [1.0], [0.0]]  # east, north, up of a place on the ground
     fix = (data["z"][:, 0, 6:] - truth[:, inertial.POSITION]) @ axes.T
-    groups = [
-        Group(name, unit, part, tuple(scale[part]), names)
-        for name, unit, part, names in (
-            ("attitude", "deg", slice(0, 3), "xyz"),
-            ("velocity", "m/s", slice(3, 5), ("east", "north")),
-            ("position", "m", slice(5, 7), ("longitude", "latitude")),
-        )
-    ]
-    bars = {"coefficients of the adaptive grid": np.array(list(result.facts["adapted"].coefficients.values())),
-            "degree of observability by state": result.facts["observability"].svd}  # fmt: skip
+    groups = (
+        Group("attitude", "deg", slice(0, 3), tuple(scale[:3])),
+        Group("velocity", "m/s", slice(3, 5), 1.0, ("east", "north")),
+        Group("position", "m", slice(5, 7), tuple(scale[5:7]), ("longitude", "latitude")),
+    )
+    adapted, degrees = result.facts["adapted"].coefficients, result.facts["observability"].svd
+    bars = {"coefficients of the adaptive grid": np.array(list(adapted.values())), "degree of observability by state": degrees}
     legend = {
         colors.MEASUREMENT: "fixes by radar, stars where the inertial system expects them", colors.STAR: "stars where they are",
-        colors.SIGMA: "inertial system", WHITE: "points of negative weight",
+        colors.SIGMA: "inertial system", colors.NEGATIVE: "points of negative weight",
     }  # fmt: skip
 
     def scene(out: Recorder) -> None:
@@ -71,24 +65,18 @@ def _case(result: Result, preset: str) -> Showcase:
         for k, star in enumerate(BORESIGHTS, start=1):
             out.arrow(f"world/star{k}/sight", place, STAR_M * (attitude @ star), colors.STAR, f"star {k}")
             out.arrow(f"world/star{k}/expected", place, STAR_M * (computed @ star), colors.MEASUREMENT, "")
-        for key, estimate in found.items():
-            _sigma_points(out, key, estimate, data["sghqf/std"][:, 0, :3] / scale[:3])
+        for key, e in found.items():
+            rule = rules()[key]
+            moved = rule.nodes[:, :3].any(-1) | (np.arange(len(rule.nodes)) == 0)
+            points = e.errors[:, 0, None] + matvec(semidefinite_root(np.asarray(e.cov))[:, None], rule.nodes[moved])
+            std = data["sghqf/std"][:, :1, :3] / scale[:3]
+            scenes.sigma_points(out, f"points/{key}", points[..., :3] / std, rule.wm[moved], e.color)
 
     return Showcase(
         f"aasghqf: {preset}", NOTES.format(preset), result.times(preset), found, groups, truth,
         np.concatenate([np.zeros((3, 5)), axes, np.zeros((3, 6))], 1), "m", fix, scene=scene, spaces=SPACES, bars=bars,
         legend=legend, parameters=vars(c), facts={"paper": "aasghqf", "preset": preset, "seed": result.seed, "runs": result.runs},
     )  # fmt: skip
-
-
-def _sigma_points(out: Recorder, filter: str, estimate: Estimate, std: Array) -> None:
-    """The misalignment of the sigma points about the truth, in deviations ``std (T, 3)`` of SGHQF, by the sign of their weights."""
-    rule, root = rules()[filter], semidefinite_root(np.asarray(estimate.cov))
-    moved = rule.nodes[:, :3].any(-1) | (np.arange(len(rule.nodes)) == 0)
-    for name, chosen, color in (("positive", rule.wm > 0.0, estimate.color), ("negative", rule.wm < 0.0, WHITE)):
-        points = estimate.errors[:, 0, None, :3] + matvec(root[:, None], rule.nodes[moved & chosen][None])[..., :3]
-        out.points(f"points/{filter}/{name}", points / std[:, None], color, radius=2.5)
-    out.points(f"points/{filter}/truth", np.zeros(std.shape), colors.TRUTH, radius=5.0)
 
 
 NOTES = """# Liang et al. (2014), preset {}

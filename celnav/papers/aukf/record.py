@@ -17,7 +17,7 @@ from celnav.papers.aukf.study import Result
 from celnav.receiver.report import KIND_COLORS, kinds, record_positioned
 from celnav.show import colors, scenes, showcase
 from celnav.show.estimates import Group, estimates
-from celnav.show.plots import Curve, Plot
+from celnav.show.plots import Plot, curves
 from celnav.show.showcase import Showcase, Space
 
 if TYPE_CHECKING:
@@ -48,16 +48,13 @@ def _burst(result: Result) -> Showcase:
     names, dilution = result.facts["geometry"].names, result.facts["geometry"].dilution._asdict()
     data = {key.removeprefix("ranges/"): array for key, array in result.data["main"].items() if key.startswith("ranges/")}
     found, local, S = estimates(data, NAMES), axes(c), len(names)
-    factors = {
-        name: {
-            satellite: Curve(A, KIND_COLORS[kind], satellite) for satellite, kind, A in zip(names, kinds(names), part, strict=True)
-        }
-        for name, part in zip(("ranges", "rates"), data["aukf/factor"][:, 0].T.reshape(2, S, -1), strict=True)
+    factor, shades = data["aukf/factor"][:, 0].T.reshape(2, S, -1), [KIND_COLORS[kind] for kind in kinds(names)]
+    adapt = {
+        name: Plot(f"log10 A of the {name}", curves(names, A, shades), log=True) for name, A in zip(("ranges", "rates"), factor)
     }
-    shades = (colors.SIGMA, colors.COMPARISON, colors.TRUTH, colors.ESTIMATE, colors.OPEN_LOOP)
-    curves = {key: Curve(values[: len(t)], color, key) for (key, values), color in zip(dilution.items(), shades, strict=True)}
-    adapt = {name: Plot(f"log10 A of the {name}", factor, log=True) for name, factor in factors.items()}
-    adapt["dilution"] = Plot(f"dilution of precision, {S} satellites", curves)
+    palette = (colors.SIGMA, colors.COMPARISON, colors.TRUTH, colors.ESTIMATE, colors.OPEN_LOOP)
+    values = [v[: len(t)] for v in dilution.values()]
+    adapt["dilution"] = Plot(f"dilution of precision, {S} satellites", curves(dilution, values, palette))
 
     def scene(out: Recorder) -> None:
         _sky(out, c)
@@ -78,18 +75,14 @@ def _burst(result: Result) -> Showcase:
 
 def _sky(out: Recorder, c: Config) -> None:
     """Lengths in 1000 km: those of the ground are lost in the picture anyway."""
-    (position, velocity), broadcast, seen = circle(c), synthetic(TOE_S), visible(c)
-    everywhere = pseudorange.sources(broadcast, START_S + c.times, position, velocity).q / 1e6
+    (position, velocity), broadcast = circle(c), synthetic(TOE_S)
+    places = pseudorange.sources(broadcast, START_S + c.times, position, velocity).q
     period = 2.0 * np.pi * broadcast.sqrt_a**3 / np.sqrt(GRAVITY_PARAMETER)
     away = np.linspace(0.0, 1.0, 91)[:, None] * period  # orbits as they lie in space, on axes that are Earth-fixed at the start
-    orbits = turned(satellites(broadcast, START_S + away).position, -ROTATION_RATE * away) / 1e6
+    orbits = turned(satellites(broadcast, START_S + away).position, -ROTATION_RATE * away)
+    seen, shades = np.isin(broadcast.names, visible(c).names), [KIND_COLORS[kind] for kind in kinds(broadcast.names)]
     out.globe("world/earth", ELLIPSOID.semimajor_axis / 1e6)
-    for s, (name, kind) in enumerate(zip(broadcast.names, kinds(broadcast.names), strict=True)):
-        out.path(f"world/orbit/{name}", [orbits[:, s]], KIND_COLORS[kind], radius=0.3)
-        out.points(f"world/sat/{name}", everywhere[:, s], KIND_COLORS[kind], radius=4.0, label=str(name))
-    sight = np.stack([np.broadcast_to(position[:, None], seen.q.shape), seen.q], 2) / 1e6
-    out.strips("world/sight", sight, [KIND_COLORS[kind] for kind in kinds(seen.names)], radius=0.5)
-    out.points("world/receiver", position / 1e6, colors.TRUTH, radius=4.0, label="receiver")
+    scenes.constellation(out, "world", places / 1e6, orbits / 1e6, position / 1e6, seen, broadcast.names, shades)
 
 
 NOTES = """# Fan et al., {0.burst_sigma:g} m of noise on all ranges from {0.burst_s[0]:g} to {0.burst_s[1]:g} s

@@ -49,9 +49,7 @@ def record(result: Result, outputs: Outputs) -> list[str]:
         legend={colors.MEASUREMENT: "nadir", colors.STAR: "sight lines of the star sensor"},
         facts={"paper": "ssukf", "seed": result.seed, "runs": result.runs, "exaggeration": EXAGGERATION},
     )  # fmt: skip
-    with outputs.path_for(RECORDINGS[0]) as path:
-        showcase.record(run, path)
-    return RECORDINGS
+    return showcase.write({RECORDINGS[0]: run}, outputs)
 
 
 def _scene(out: Recorder, angles: Array, truth: Array, errors: dict[str, Array]) -> None:

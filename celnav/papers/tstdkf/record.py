@@ -1,8 +1,7 @@
-"""Recordings: the first run of setting 1, about the Earth and around the Sun, with its errors; the first run of each trend."""
+"""Recordings: the first run of setting 1, about the Earth and around the Sun, with its errors; the year is in `record_year`."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,11 +12,11 @@ from celnav.papers.tstdkf.config import DAY_S
 from celnav.papers.tstdkf.ephemerides import table
 from celnav.papers.tstdkf.evidence import AXES
 from celnav.papers.tstdkf.figures import COLORS, SHADES
+from celnav.papers.tstdkf.record_year import year
 from celnav.papers.tstdkf.study import Result
-from celnav.papers.tstdkf.year import TRENDS
 from celnav.show import colors, scenes, showcase
 from celnav.show.estimates import Estimate, Group
-from celnav.show.plots import Curve, Plot
+from celnav.show.plots import Curve, Plot, curves
 from celnav.show.showcase import Showcase, Space
 
 if TYPE_CHECKING:
@@ -28,7 +27,6 @@ if TYPE_CHECKING:
 
 RECORDINGS = ["tstdkf.rrd", "tstdkf_year.rrd"]
 SHOWN = ("tstdkf", "aug", "tkf", "ekf")
-TRACKED = {"tkf": "TKF", "C": "TSTDKF, form C", "B": "TSTDKF, form B", "aug": "AUG"}
 ARROW_KM, EARTH_KM, AU_KM, EXAGGERATION = 4000.0, 6378.137, 1.495978707e8, 1000.0
 SPACES = (
     Space("world", f"about the Earth, km (errors x{EXAGGERATION:g})", (15e3, 11e3, 9e3)),
@@ -38,7 +36,7 @@ SPACES = (
 
 def record(result: Result, outputs: Outputs) -> list[str]:
     """Write the recordings among ``outputs``; returns their names. Needs rerun."""
-    return showcase.write(dict(zip(RECORDINGS, (_month(result), _year(result)), strict=True)), outputs)
+    return showcase.write(dict(zip(RECORDINGS, (_month(result), year(result)), strict=True)), outputs)
 
 
 def _month(result: Result) -> Showcase:
@@ -58,12 +56,12 @@ def _month(result: Result) -> Showcase:
     residuals = {}
     for i, pulsar in enumerate(result.config.pulsars):
         std = {"aug": data["aug/first/residual std"][:, i]}
-        curves = {key: Curve(data[f"{key}/first/residual"][:, i], COLORS[key], key.upper(), std.get(key)) for key in SHOWN[:3]}
-        residuals[pulsar] = Plot(f"residual of {pulsar}, km", curves)
+        seen = {key: Curve(data[f"{key}/first/residual"][:, i], COLORS[key], key.upper(), std.get(key)) for key in SHOWN[:3]}
+        residuals[pulsar] = Plot(f"residual of {pulsar}, km", seen)
     models = {
-        "factors": Plot("factors of strong tracking", _curves(AXES, data["tstdkf/first/lambda"].T), limits=(0.0, 12.0)),
-        "pulls": Plot("log10 of third bodies' pull, km/s²", _curves(pulls, sizes), log=True),
-        "ephemeris": Plot("DE405 - DE421 of the Earth, km", _curves(AXES, ephemeris)),
+        "factors": Plot("factors of strong tracking", curves(AXES, data["tstdkf/first/lambda"].T, SHADES), limits=(0.0, 12.0)),
+        "pulls": Plot("log10 of third bodies' pull, km/s²", curves(pulls, sizes, (*SHADES, colors.PAPER)), log=True),
+        "ephemeris": Plot("DE405 - DE421 of the Earth, km", curves(AXES, ephemeris, SHADES)),
     }
 
     def scene(out: Recorder) -> None:
@@ -83,7 +81,7 @@ def _month(result: Result) -> Showcase:
     groups = (
         Group("position", "km", slice(0, 3)),
         Group("velocity", "m/s", slice(3, 6), 1e3),
-        Group("ephemeris error", "km", slice(6, 9), truth=truth[:, 6:]),
+        Group("bias", "km", slice(6, 9), truth=truth[:, 6:]),
     )
     return Showcase(
         "tstdkf", _notes(result), t, found, groups, truth, np.eye(3, 9), "km", nis_dof=3, scene=scene, spaces=SPACES,
@@ -93,17 +91,12 @@ def _month(result: Result) -> Showcase:
     )  # fmt: skip
 
 
-def _curves(names: Iterable[str], values: Iterable[Array]) -> dict[str, Curve]:
-    """Colors without a meaning beyond their plot."""
-    return {name: Curve(v, color, name) for name, v, color in zip(names, values, (*SHADES, colors.PAPER), strict=False)}
-
-
 def _around_the_sun(out: Recorder, c: Config, times: Array, place: Array) -> None:
     earth, sun = (de421().state(body, c.start.after(times)).position / AU_KM for body in ("earth", "sun"))
-    year = c.start.after(np.linspace(0.0, 365.25 * DAY_S, 366))
-    out.path("sun/orbit", [(de421().state("earth", year).position - de421().state("sun", year).position) / AU_KM], colors.FAINT)
+    days = c.start.after(np.linspace(0.0, 365.25 * DAY_S, 366))
+    out.path("sun/orbit", [(de421().state("earth", days).position - de421().state("sun", days).position) / AU_KM], colors.FAINT)
     out.points("sun/sun", np.zeros_like(earth), colors.STAR, radius=9.0, label="Sun")
-    out.points("sun/barycenter", -sun, "#FFFFFF", radius=3.0, label="barycenter")
+    out.points("sun/barycenter", -sun, colors.BODY, radius=3.0, label="barycenter")
     out.points("sun/earth", earth - sun, colors.BODY, radius=5.0, label="Earth")
     for name, direction in zip(c.pulsars, c.timing.directions, strict=True):
         out.arrow(f"sun/pulsar/{name}", earth - sun, np.tile(0.5 * direction, (len(times), 1)), colors.STAR, name)
@@ -120,31 +113,7 @@ def _notes(result: Result) -> str:
   {size["tkf-fair"]:.4f} km, TSTDKF to {size["tstdkf"]:.4f} km.
 * **The exact filter (AUG) takes what is there:** {size["aug"]:.4f} km.
 
-A satellite times three pulsars; the Earth's ephemeris is wrong by some hundred meters, the noise is colored and correlated. Lines:
-the last orbit and what the filters made of it, errors {EXAGGERATION:g} times as large. Arrows: the pulls of Sun and Moon.
+A satellite times three pulsars; the Earth's ephemeris is wrong by some hundred meters (bias), the noise is colored and correlated.
+Lines: the last orbit and what the filters made of it, errors {EXAGGERATION:g} times as large. Arrows: the pulls of Sun and Moon.
 Occultation by the Earth, exclusion near the Sun and one detector for three pulsars are left out, as in the paper.
-"""
-
-
-def _year(result: Result) -> Showcase:
-    data = result.data["year"]
-    rows, runs = slice(None, None, 6 if len(data["times"]) > 120 else 1), data["bias"].shape[1] // len(TRENDS)
-    plots: dict[str, dict[str, Plot]] = {}
-    for k, trend in enumerate(TRENDS):
-        place = {key: Curve(np.sqrt(data[f"{key}/position"][rows, k * runs]), COLORS[key], TRACKED[key]) for key in TRACKED}
-        row = plots.setdefault(trend, {})
-        for i, axis in enumerate(AXES):
-            curves = {key: Curve(data[f"{key}/bias"][rows, k * runs, i], COLORS[key], TRACKED[key]) for key in TRACKED}
-            curves["truth"] = Curve(data["bias"][rows, k * runs, i], colors.TRUTH, "truth")
-            row[axis] = Plot(f"{trend}: ephemeris error {axis}, km", curves, limits=(-0.4, 0.4))
-        row["position"] = Plot(f"{trend}: position error, km", place)
-    facts, legend = {"paper": "tstdkf", "seed": result.seed, "runs": result.runs}, {COLORS[key]: TRACKED[key] for key in TRACKED}
-    return Showcase("tstdkf year", YEAR, data["times"][rows, 0], plots=plots, legend=legend, facts=facts, counter="step")
-
-
-YEAR = """# A year of three trends
-
-The ephemeris error on three axes along a sine, a growing and a triangular trend. The two-stage filter (TKF) takes it for constant
-and does not follow. Strong tracking follows in form B, hardly in form C. The exact filter (AUG), told of a random walk, follows
-best. Position errors are the rms of an hour. Computed by the linear driver.
 """
