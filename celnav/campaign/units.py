@@ -20,11 +20,12 @@ from threadpoolctl import threadpool_limits
 
 import celnav
 from celnav.campaign.missions import Study
+from celnav.campaign.scores import Failure, Scores, check_scores, merge, score
 from celnav.files import data
 from celnav.gaussian.linalg import Array
 from celnav.papers import load
 from celnav.study.montecarlo import blocks, generator
-from celnav.study.trial import Failure, Noiseless, Scores, Trial, bound, check_scores, follow, merge, score
+from celnav.study.trial import Noiseless, Trial, bound, follow
 
 STUDY = 0
 """Of `celnav.study.montecarlo.generator`, for all configurations: they share their random numbers, so differences are sharp."""

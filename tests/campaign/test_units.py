@@ -9,10 +9,10 @@ import pytest
 
 from celnav.campaign import units
 from celnav.campaign.missions import study
+from celnav.campaign.scores import merge
 from celnav.campaign.units import Unit, VersionError, code, execute, pack, units_of, unpack
 from celnav.filters.records import FromFunctions
 from celnav.papers import csrukf
-from celnav.study.trial import merge
 
 TABLE = {"paper": "csrukf", "filters": ["srukf", "csrukf"], "runs": 10, "block": 4, "config": {"steps": 12, "phi": [0.0, 0.8]}}
 

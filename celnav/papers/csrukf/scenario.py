@@ -102,7 +102,7 @@ class Config(Parameters):
                 raise ValueError(f"{name}: expected {other} {why}")
         unscented(6, self.alpha, self.beta, self.kappa)
         with np.errstate(over="raise"):
-            self.R, self.sqrt_Q @ self.sqrt_Q, self.sqrt_P0 @ self.sqrt_P0  # noqa: B018
+            self.R, self.sqrt_Q @ self.sqrt_Q, self.sqrt_P0 @ self.sqrt_P0
 
     @property
     def idle(self) -> dict[str, str]:
