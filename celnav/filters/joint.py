@@ -27,7 +27,6 @@ from celnav.gaussian.linalg import (
     Array,
     Belief,
     Form,
-    apply,
     block,
     factored,
     matvec,
@@ -260,12 +259,12 @@ def linear(model: Motion | Sensor, rule: Any, mean: Array, epoch: Any, space: Sp
     """
     function: Any = getattr(model, model.name)
     if not callable(function):
-        return apply(function, mean), function
+        return matvec(function, mean), function
     if isinstance(function, Linear):
         matrix = function.at(epoch, mean.shape[-1])
         if model.name == "f" and matrix.shape[-2] != mean.shape[-1]:
             raise ValueError(f"matrix: expected shape (..., {mean.shape[-1]}, {mean.shape[-1]}), got {matrix.shape}")
-        value = apply(matrix, mean)
+        value = matvec(matrix, mean)
         if (look := WATCH.get()) is not None:
             look(model.name, value[None])
         return value, matrix
@@ -416,7 +415,7 @@ def evaluate(model: Motion | Sensor, x: Array, epoch: Any, noise: Sequence[Array
     name = model.name
     function: Any = getattr(model, name)
     if not callable(function):
-        return apply(function, x)
+        return matvec(function, x)
     vectors = not isinstance(model, Motion) and model.space is EUCLIDEAN and model.m in (None, m)
     dimension = x.shape[-1] if isinstance(model, Motion) else m if vectors else None
     copies = [array.copy(order="K") for array in (x, *noise)] if x.ndim > 2 and unknown(function, x) else None
