@@ -18,7 +18,8 @@ from celnav.commands.index import index, verdicts
 from celnav.files import Outputs
 from celnav.show.drawing import render
 from celnav.show.figures import figure as empty
-from celnav.study.ledger import Number, Row, dumps
+from celnav.show.ledger import dumps, written
+from celnav.study.ledger import Number, Row
 
 BROWSER = next((found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None)
 PROBE = """<script>addEventListener("load", () => { const images = [...document.images];
@@ -91,7 +92,7 @@ def test_only_what_holds_is_green(page, verdict, style):
 
 
 def test_verdicts_of_statements_are_counted():
-    row = Row("statement", "a", "It is so", lambda _: Number("x", 1.0, (0.0, 1.5))).judged(None).to_dict()
+    row = written(Row("statement", "a", "It is so", lambda _: Number("x", 1.0, (0.0, 1.5))).judged(None))
     assert verdicts({"one": [row, row | {"kind": "check"}], "two": []}).splitlines() == [
         "| paper | statements | reproduced |", "| --- | ---: | ---: |", "| `one` | 1 | 1 |", "| `two` | 0 |  |",
     ]  # fmt: skip

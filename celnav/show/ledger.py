@@ -1,15 +1,19 @@
-"""The ledger as people read it: rows with place, printed number, ours, verdict; for a page, a notebook, a terminal."""
+"""The ledger as people read it, and as it lies in files: rows with place, printed number, ours, verdict."""
 
 from __future__ import annotations
 
 import html
+import json
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from types import NoneType
 from typing import Any
 
+import numpy as np
+
 from celnav.files import InputError, read_json
-from celnav.study.ledger import BETWEEN, KINDS, NUMBER, OPEN, TYPES, VERDICTS, WORDS, Claim
+from celnav.study.ledger import BETWEEN, KINDS, OPEN, VERDICTS, WORDS, Claim, Number
 
 COLUMNS = ("place", "what is said", "printed", "ours", "verdict")
 _GOOD = {words[0] for kind, words in WORDS.items() if kind in ("statement", "finding", "check")} | {BETWEEN[0]}
@@ -102,7 +106,7 @@ class Ledger:
     """Claims as a table: for a notebook (HTML), a page (Markdown) or a terminal."""
 
     def __init__(self, claims: Sequence[Claim], kind: str = "statement"):
-        self._claims = [claim.to_dict() for claim in claims if claim.kind == kind]
+        self._claims = [written(claim) for claim in claims if claim.kind == kind]
 
     def __str__(self) -> str:
         return "\n".join(f"{c['verdict']:24} {_ours(c):26}  {c['statement']}" for c in self._claims)
@@ -113,6 +117,49 @@ class Ledger:
 
     def _repr_html_(self) -> str:
         return table(self._claims)
+
+
+# -- files -------------------------------------------------------------------------------------------------------------------
+def written(claim: Claim) -> dict[str, Any]:
+    """As it stands in ``claims.json``: ``value``, ``ci`` and ``accept`` of the number that decides, all in ``numbers``."""
+    row, deciding = claim.row, next((n for n in claim.numbers if not n.holds), claim.numbers[0] if claim.numbers else None)
+    first = deciding or Number("", np.nan)
+    return {
+        "id": row.id, "kind": row.kind, "place": row.place, "statement": row.says, "printed": plain(row.printed),
+        "value": plain(first.value), "ci": plain(first.ci), "accept": plain(first.accept), "why": row.why,
+        "revised": row.revised, "expected": claim.expected, "holds": claim.holds, "verdict": claim.verdict,
+        "note": claim.note, "figure": row.figure,
+        "numbers": [{key: plain(value) for key, value in n._asdict().items()} for n in claim.numbers],
+    }  # fmt: skip
+
+
+def plain(value: Any) -> Any:
+    """As JSON has it: numbers of 6 significant digits, None for those that are not finite."""
+    if isinstance(value, Mapping):
+        return {key: plain(part) for key, part in value.items()}
+    if isinstance(value, tuple | list | np.ndarray):
+        return [plain(part) for part in value]
+    if isinstance(value, bool | np.bool_ | str) or value is None:
+        return bool(value) if isinstance(value, np.bool_) else value
+    return float(f"{float(value):.6g}") if np.isfinite(value) else None
+
+
+def dumps(claims: Iterable[Claim]) -> str:
+    """The text of ``claims.json`` or ``checks.json``; ValueError if two claims have the same id."""
+    listed = [written(claim) for claim in claims]
+    twice = sorted(id for id, count in Counter(claim["id"] for claim in listed).items() if count > 1)
+    if twice:
+        raise ValueError(f"claims: expected different ids, got {', '.join(twice)} more than once")
+    return json.dumps(listed, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+NUMBER = (int, float, NoneType)
+TYPES: dict[str, tuple[type, ...]] = {
+    "id": (str,), "kind": (str,), "place": (str,), "statement": (str,), "printed": (str, bool, list, dict, *NUMBER),
+    "value": NUMBER, "ci": (list, NoneType), "accept": (list,), "why": (str,), "revised": (str, NoneType), "expected": (str,),
+    "holds": (bool, NoneType), "verdict": (str,), "note": (str,), "figure": (str,), "numbers": (list,),
+}  # fmt: skip
+"""What `written` writes, in its order."""
 
 
 def read_claims(path: str | Path) -> list[dict[str, Any]]:

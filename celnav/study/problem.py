@@ -186,7 +186,8 @@ def compare(
                 seconds.append(process_time() - start)
             rows.append(
                 Row(
-                    name, key, *_interval(rms, square), np.nan if least is None else np.sqrt(least[half:, 0].mean() / square.mean()),
+                    name, key, *_interval(rms, square),
+                    np.nan if least is None else float(np.sqrt(least[half:, 0].mean() / square.mean())),
                     *_interval(np.mean, nees), int((~kept).sum()), 1e6 * min(seconds) / (runs * len(problem.times)),
                 )
             )  # fmt: skip

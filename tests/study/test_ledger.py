@@ -7,7 +7,8 @@ import json
 import numpy as np
 import pytest
 
-from celnav.study.ledger import KINDS, TYPES, VERDICTS, WORDS, Number, Row, dumps, estimate, order, plain
+from celnav.show.ledger import TYPES, dumps, plain, written
+from celnav.study.ledger import KINDS, VERDICTS, WORDS, Number, Row, estimate, order
 
 
 def claim(*numbers, kind="finding", **more):
@@ -36,7 +37,7 @@ def test_all_numbers_have_to_hold_and_one_that_does_not_decides():
     assert claim(good, good).verdict == "shown"
     assert claim(good, open_).verdict == "undecided"
     assert claim(good, open_, bad).verdict == "not shown"
-    assert claim(good, bad).to_dict()["value"] == 2.0
+    assert written(claim(good, bad))["value"] == 2.0
 
 
 TIERS = [
