@@ -24,7 +24,11 @@ from celnav.study.study import Part, Study
 
 def numbers(size, rngs):
     """Arrays of a part: ``size`` numbers a run, under a name that is stored."""
-    return {"times": np.arange(3.0), "kf/nees": np.stack([rng.random((3, size)).mean(1) for rng in rngs], 1), "x/nees": np.ones((size, 2))}
+    return {
+        "times": np.arange(3.0),
+        "kf/nees": np.stack([rng.random((3, size)).mean(1) for rng in rngs], 1),
+        "x/nees": np.ones((size, 2)),
+    }
 
 
 def tiny(failing=False, work=numbers, size=4, blocks=2):

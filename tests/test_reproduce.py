@@ -87,7 +87,17 @@ def test_a_killed_one_leaves_no_process_and_another_goes_on_from_there(tmp_path)
     done = len(list((tmp_path / "out").rglob("*.npz")))
     before = len((tmp_path / "log").read_text())
     assert done >= 2
-    command = [sys.executable, str(tmp_path / "script.py"), "reproduce", "--out", str(tmp_path / "out"), "--effort", "1", "--jobs", "2"]
+    command = [
+        sys.executable,
+        str(tmp_path / "script.py"),
+        "reproduce",
+        "--out",
+        str(tmp_path / "out"),
+        "--effort",
+        "1",
+        "--jobs",
+        "2",
+    ]
     again = subprocess.run(command, capture_output=True, text=True, check=True)
     assert "was done before" in again.stdout
     assert len((tmp_path / "log").read_text()) - before == 8 - done

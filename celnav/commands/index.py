@@ -51,6 +51,13 @@ def reproduced(out: Path) -> dict[str, list[dict[str, Any]]]:
     }
 
 
+def words(papers: Sequence[str]) -> str:
+    """A table in Markdown of what papers say and what we find."""
+    rows = [["paper", "what it says", "what we find"], ["---"] * 3]
+    rows += [[f"`{paper}`: {(module := load(paper)).CITED}", module.STUDY.says, module.STUDY.found] for paper in papers]
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+
+
 def verdicts(found: Mapping[str, Claims]) -> str:
     """A table in Markdown of how many statements of each paper have which verdict."""
     counts = {paper: tally(_of(claims, "statement")) for paper, claims in found.items()}

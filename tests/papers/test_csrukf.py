@@ -6,7 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import rerun as rr
 
+from celnav.files import Outputs
 from celnav.filters.run import run
 from celnav.papers import csrukf
 from celnav.papers.csrukf import scenario, study
@@ -15,8 +17,9 @@ from celnav.study.montecarlo import generator
 from celnav.study.study import Part
 
 SHORT = replace(csrukf.PRESETS["P"], steps=40)
-STATEMENTS = """white-alike table-1-levels srukf-diverges csrukf-converges csrukf-far-better table-2-levels little-change larger-phi-worse
-srukf-changes-more better-at-both table-3-levels square-roots-stabilize geometry-fixes-position whitened-and-optimal"""
+STATEMENTS = """white-alike table-1-levels srukf-diverges csrukf-converges csrukf-far-better table-2-levels little-change
+larger-phi-worse srukf-changes-more better-at-both table-3-levels square-roots-stabilize
+geometry-fixes-position whitened-and-optimal"""
 PRINTED = """
 0.0355 0.0321 0.0356 0.0338 0.0343 0.0384
 0.0340 0.0356 0.0363 0.0382 0.0349 0.0359
@@ -139,7 +142,9 @@ def test_filters_coincide_where_they_must():
     config = replace(SHORT, phi=0.8)
     sim = scenario.simulate(config, [generator(1, 1, r) for r in range(4)])
     known = scenario.filters(config) | {"single": scenario.assuming(config, config.R)}
-    mean = {name: run(known[name], sim.prior, sim.epochs()).mean[..., :6] for name in ("csrukf+z0", "augmented", "csrukf", "single")}
+    mean = {
+        name: run(known[name], sim.prior, sim.epochs()).mean[..., :6] for name in ("csrukf+z0", "augmented", "csrukf", "single")
+    }
     assert np.abs(mean["csrukf+z0"] - mean["augmented"]).max() < 1e-7
     assert np.abs(mean["csrukf"] - mean["single"]).max() < 1e-6
 
@@ -205,6 +210,20 @@ def test_a_configuration_that_cannot_be_is_refused_by_name(change, name):
 def test_the_first_noise_is_what_is_chosen(first, factor, measured):
     config = replace(csrukf.Config(), phi=0.8, first_noise=first, measured=measured)
     np.testing.assert_allclose(config.Sigma0, factor * config.R, rtol=1e-12)
+
+
+def test_recordings_hold_the_first_run_and_the_monte_carlo(results, tmp_path):
+    assert csrukf.record(results, Outputs(tmp_path)) == csrukf.RECORDINGS
+    assert {p.name for p in tmp_path.glob("*.rrd")} == set(csrukf.RECORDINGS)
+    chunks = rr.chunk.RrdReader(tmp_path / "csrukf_P_08.rrd").stream().to_chunks()
+    found = {str(c.entity_path): c for c in chunks if not c.is_static}
+    error = np.array(found["/state/csrukf"].to_record_batch().column("error").to_pylist())
+    np.testing.assert_allclose(error[:, :3], results.error("0.8", "csrukf", "position")[:, 0])
+    rmse = found["/plots/rmse/position/srukf"].to_record_batch().column("Scalars:scalars").to_pylist()
+    wanted = np.sqrt(np.square(results.error("0.8", "srukf", "position")).sum(-1).mean(1))
+    np.testing.assert_allclose(10.0 ** np.ravel(rmse), wanted)
+    drawn = {"/world/limb", "/world/stars/i2", "/world/angles", "/world/z", "/error/openloop/ellipsoid", "/plots/V/x/augmented"}
+    assert drawn <= set(found)
 
 
 def test_rows_are_data():

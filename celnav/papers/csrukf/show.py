@@ -223,7 +223,7 @@ def _case(results: Results, case: str) -> Showcase:
         scenes.sightings(out, "world", truth[:, :3], truth[:, 3:], stars, EARTH.radius_km)
         out.points("world/z", z, colors.MEASUREMENT, radius=1.0)
         for key, estimate in found.items():
-            scenes.track(out, f"world/{key}", truth[:, :3] + estimate.errors[:, 0, :3], estimate.color)
+            out.trail(f"world/{key}/trail", truth[:, :3] + estimate.errors[:, 0, :3], estimate.color, radius=1.2)
 
     phi = case.rpartition("/")[2]
     bound = np.linalg.norm(results.get("theory", f"{'D' if '/' in case else 'P'}/csrukf")[:, SWEEP.index(PHIS[phi]), :3], axis=-1)
