@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import html
 import os
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
@@ -54,8 +55,18 @@ def reproduced(out: Path) -> dict[str, list[dict[str, Any]]]:
 def words(papers: Sequence[str]) -> str:
     """A table in Markdown of what papers say and what we find."""
     rows = [["paper", "what it says", "what we find"], ["---"] * 3]
-    rows += [[f"`{paper}`: {(module := load(paper)).CITED}", module.STUDY.says, module.STUDY.found] for paper in papers]
+    rows += [[f"`{p}`: {cited(load(p).CITATION)}, {load(p).TITLE}", load(p).STUDY.says, load(p).STUDY.found] for p in papers]
     return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+
+
+def cited(citation: str) -> str:
+    """Authors and year of a BibTeX entry."""
+    authors, year = (
+        found[1] if (found := re.search(rf"{key} *= *{{(.*?)}}", citation, re.DOTALL)) else "" for key in ("author", "year")
+    )
+    names = [name.partition(",")[0].strip() for name in authors.split(" and ")]
+    told = f"{names[0]} et al." if len(names) > 4 else " & ".join([", ".join(names[:-1]), names[-1]] if names[1:] else names)
+    return f"{told} ({year})" if year else told
 
 
 def verdicts(found: Mapping[str, Claims]) -> str:
@@ -90,7 +101,7 @@ def _paper(out: Path, paper: str, claims: Claims) -> str:
     listed = " · ".join(link(f"{paper}/{name}", name) for name in files)
     findings = _of(claims, "finding")
     parts = [
-        f'<section id="{paper}"><h2>{html.escape(module.TITLE)}</h2><p><small>{html.escape(module.CITATION.partition(chr(10))[0])}'
+        f'<section id="{paper}"><h2>{html.escape(module.TITLE)}</h2><p><small>{html.escape(cited(module.CITATION))}'
         f" · {_notebook(out, paper)}</small></p>",
         table(_of(claims, "statement"), figures),
         '<div class="grid">',
