@@ -81,8 +81,9 @@ def walk(i: int, results: Results) -> Figure:
         for name, line in lines.items():
             errors(ax, results, "I", name, line, group, axis, absolute=absolute, runs=1 if name == "openloop" else 4, spread=True)
         ax.set(xlabel="time (s)", xlim=(0, None))
-        ax.legend(fontsize=6.5)
     sigma(right, results, "I", "csrukf", "CSRUKF", group, axis, absolute=absolute)
+    for ax in (left, right):
+        ax.legend(fontsize=6.5)
     unit, kind = results.group(group).unit, "absolute position error" if absolute else "velocity error"
     left.set(ylabel=f"{kind} ${AXES[i]}$ ({unit})", title=f"Figure {i + 8}: ${AXES[i]}$, $\\Phi = I$")
     right.set_title("CSRUKF against open loop")
