@@ -51,8 +51,7 @@ MICRO_G = 1e-6 * earth.STANDARD_GRAVITY
 ARCMIN, DEGREE = float(np.radians(1.0)) / 60.0, float(np.radians(1.0))
 BORESIGHTS = np.sqrt(0.5) * np.array([[0.0, 1.0, 1.0], [0.0, -1.0, 1.0]])
 """Directions of the star sensors on body axes, one forward and up, one aft and up; the stars are seen along them."""
-FORM = "covariance"
-"""Of all filters here."""
+FORM = "covariance"  # of all filters here
 UNSAID = "chosen: not printed"
 
 
@@ -110,15 +109,10 @@ class Config(Parameters):
     @cached_property
     def flight(self) -> Flight:
         """Truth at the epochs and in the middles between them, ``2 steps + 1`` epochs."""
-        return self.flight_at(0.5 * self.step_s * np.arange(2 * self.steps + 1))
-
-    def flight_at(self, times: Array) -> Flight:
-        """Truth at ``times (T,)`` s, the start first."""
-        names = ("longitude_deg", "latitude_deg", "heading_deg", "turn_rate_deg_per_s")
-        longitude, latitude, heading, turn = (float(np.radians(getattr(self, name))) for name in names)
+        angles = {name: float(np.radians(getattr(self, f"{name}_deg"))) for name in ("longitude", "latitude", "heading")}
         return earth.turning_flight(
-            times, longitude=longitude, latitude=latitude, height_m=self.height_m, speed=self.speed_m_per_s, heading=heading,
-            acceleration=self.acceleration_m_per_s2, turn_rate=turn,
+            0.5 * self.step_s * np.arange(2 * self.steps + 1), **angles, height_m=self.height_m, speed=self.speed_m_per_s,
+            acceleration=self.acceleration_m_per_s2, turn_rate=float(np.radians(self.turn_rate_deg_per_s)),
         )  # fmt: skip
 
     def meters_at(self, latitude: float) -> Array:
@@ -143,7 +137,7 @@ class Config(Parameters):
         """Columns ``(13, 5)`` of the process noise of one step: misalignment and velocity walk."""
         angle = np.radians(self.angle_walk_deg_per_sqrt_h) / 60.0
         velocity = self.velocity_walk_ug_per_sqrt_hz * MICRO_G
-        return np.asarray(np.eye(13, 5) * (np.repeat([angle, velocity], [3, 2]) * np.sqrt(self.step_s)))
+        return np.eye(13, 5) * (np.repeat([angle, velocity], [3, 2]) * np.sqrt(self.step_s))
 
     def sigma_z(self, latitude: float) -> Array:
         """Deviations ``(8,)`` of all measurements at a latitude: two star vectors, longitude, latitude."""
@@ -152,23 +146,18 @@ class Config(Parameters):
 
 A = Config()
 A_SLOW = replace(A, star_interval=10, sar_interval=20)
-T3 = replace(
-    A, misalignment_deg=(25.0, 20.0, 12.0), star_interval=30, sar_interval=25, angle_walk_deg_per_sqrt_h=1.0,
-    velocity_walk_ug_per_sqrt_hz=50.0,
-)  # fmt: skip
-T3_ARCMIN = replace(T3, misalignment_deg=(20.0, 15.0, 7.0), star_arcsec=1200.0, star_interval=20, sar_interval=10)
+NOISY = replace(A, angle_walk_deg_per_sqrt_h=1.0, velocity_walk_ug_per_sqrt_hz=50.0)
+T3 = replace(NOISY, misalignment_deg=(25.0, 20.0, 12.0), star_interval=30, sar_interval=25)
+T3_ARCMIN = replace(NOISY, misalignment_deg=(20.0, 15.0, 7.0), star_arcsec=1200.0, star_interval=20, sar_interval=10)
 PRESETS = {"T3": T3, "A": A, "A-slow": A_SLOW, "T3-arcmin": T3_ARCMIN}
 """Fitted so that the levels of Table 3 come out; fixes at every step; slow fixes; star noise misread as arc minutes, fitted too."""
 
 
 # -- what happens ------------------------------------------------------------------------------------------------------------
 class Inputs(NamedTuple):
-    """What the filters know at an epoch.
+    """What the filters know at an epoch: of the ``interval`` that ends here (None at the first), and now.
 
-    Attributes
-    ----------
-    interval: of the interval that ends here; None at the first epoch. attitude: ``(runs, 3, 3)``, C_b^n' now.
-    stars: ``(2, 3)``, directions on n. sqrt_R: ``(8, 8)``.
+    ``attitude (runs, 3, 3)``: C_b^n'. ``stars (2, 3)``: directions on n. ``sqrt_R (8, 8)``.
     """
 
     interval: Navigation | None
@@ -192,18 +181,15 @@ class Scenario(NamedTuple):
         """Epochs, each with its `Inputs`."""
         times = self.config.times
         for k, t in enumerate(times):
-            before = self.truth[k - 1] if k else None
-            u = inputs(self.config, k, self.truth[k], before)
+            u = inputs(self.config, k, self.truth[k], self.truth[k - 1] if k else None)
             yield Epoch(k, float(t), float(t - times[k - 1]) if k else 0.0, u, self.z[k], self.truth[k])
 
 
 def inputs(config: Config, k: int, truth: Array, before: Array | None) -> Inputs:
     """What is known at epoch k: the system's attitude and force follow from its errors, now and an epoch before."""
-    flight, at = config.flight, 2 * k
-    interval = None if before is None else interval_before(config, k, before)
-    attitude = inertial.misalignment_matrix(truth[..., inertial.PHI]) @ flight.attitude[at]
-    sqrt_R = np.diag(config.sigma_z(float(flight.latitude[at])))
-    return Inputs(interval, attitude, BORESIGHTS @ flight.attitude[at].T, sqrt_R)
+    true, sigma = config.flight.attitude[2 * k], config.sigma_z(float(config.flight.latitude[2 * k]))
+    attitude = inertial.misalignment_matrix(truth[..., inertial.PHI]) @ true
+    return Inputs(None if before is None else interval_before(config, k, before), attitude, BORESIGHTS @ true.T, np.diag(sigma))
 
 
 def interval_before(config: Config, k: int, truth: Array) -> Navigation:
@@ -244,14 +230,9 @@ def measurement(x: Array, epoch: Epoch) -> Array:
     return out
 
 
-def sqrt_R(_: Array, epoch: Epoch) -> Array:
-    """Root of the measurement noise at an epoch."""
-    return np.asarray(epoch.u.sqrt_R)
-
-
 def model(config: Config) -> tuple[Motion, Sensor]:
     """What filters believe."""
-    return Motion(dynamics, sqrt_Q=config.sqrt_Q), Sensor(measurement, sqrt_R=sqrt_R)
+    return Motion(dynamics, sqrt_Q=config.sqrt_Q), Sensor(measurement, sqrt_R=lambda _, epoch: epoch.u.sqrt_R)
 
 
 @cache
@@ -261,19 +242,12 @@ def rules(level: int = 3) -> dict[str, Any]:
     ukf: kappa = 3 - n. sghqf: isotropic sparse grid. aasghqf: Table 2's weights. nonlinear: weights 1 for the misalignment only.
     delayed: orders 1, 3, 3. ckf, ckf5: cubature. ghqf3, ghqf5: tensor rules marginalized over the ten linear states.
     """
-    linear = simplex(10)
     return {
-        "ukf": unscented(13, kappa=-10.0),
-        "sghqf": smolyak(13, level),
-        "aasghqf": smolyak(13, level, PAPER_WEIGHTS),
-        "nonlinear": smolyak(13, level, NONLINEAR_WEIGHTS),
-        "delayed": smolyak(13, level, orders=DELAYED),
-        "ckf": cubature(13),
-        "ckf5": cubature(13, 5),
-        "ghqf3": tensor_product(gauss_hermite(3, 3), linear),
-        "ghqf5": tensor_product(gauss_hermite(3, 5), linear),
-        "ekf": Taylor(),
-    }
+        "ukf": unscented(13, kappa=-10.0), "sghqf": smolyak(13, level), "aasghqf": smolyak(13, level, PAPER_WEIGHTS),
+        "nonlinear": smolyak(13, level, NONLINEAR_WEIGHTS), "delayed": smolyak(13, level, orders=DELAYED), "ckf": cubature(13),
+        "ckf5": cubature(13, 5), "ghqf3": tensor_product(gauss_hermite(3, 3), simplex(10)),
+        "ghqf5": tensor_product(gauss_hermite(3, 5), simplex(10)), "ekf": Taylor(),
+    }  # fmt: skip
 
 
 def quadrature_filter(rule: Any, config: Config) -> Filter:
@@ -290,13 +264,11 @@ def filters(config: Config) -> dict[str, Filter]:
     iekf: six Gauss-Newton steps at each of the first five epochs. triad-ekf: the first star fix is linearized about the attitude
     that it gives by itself (Wahba's problem).
     """
-    out = {name: quadrature_filter(rule, config) for name, rule in rules(config.level).items()}
-    motion, sensor = model(config)
-    plain = ekf(motion, sensor, form=FORM)
-    iterated = Iterated(motion, (sensor,), rule=plain.rule, form=plain.form)
-    out["iekf"] = _first(5, iterated, plain)
-    out["triad-ekf"] = _first(1, replace(iterated, iterations=1, first=wahba_start), plain)
-    return out
+    plain = ekf(*model(config), form=FORM)
+    iterated = Iterated(plain.motion, plain.sensors, rule=plain.rule, form=plain.form)
+    return {name: quadrature_filter(rule, config) for name, rule in rules(config.level).items()} | {
+        "iekf": _first(5, iterated, plain), "triad-ekf": _first(1, replace(iterated, iterations=1, first=wahba_start), plain),
+    }  # fmt: skip
 
 
 def _first(epochs: int, start: Filter, later: Filter) -> Filter:
