@@ -155,5 +155,5 @@ def svd_degree(matrix: ArrayLike, reference: int) -> Array:
 
 
 def threshold_weights(degree: ArrayLike, threshold: float) -> tuple[int, ...]:
-    """Weights of a sparse grid by degrees ``(n,)`` of observability: 1 above the threshold, 2 at and below it [Liang2014, Eq. 19]."""
+    """Weights of a sparse grid by degrees of observability ``(n,)``: 1 above the threshold, 2 up to it [Liang2014, Eq. 19]."""
     return tuple(np.where(finite("degree", degree, ("n",)) > number("threshold", threshold), 1, 2).tolist())

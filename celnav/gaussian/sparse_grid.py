@@ -87,7 +87,7 @@ def integrates(powers: Sequence[int], level: int, weights: Sequence[int] | None 
 
 
 def index_set(level: int, weights: Sequence[int]) -> dict[tuple[int, ...], int]:
-    """Multi-indices, from 1, whose tensor rules make up a `smolyak` rule, and their coefficients, 0 for some [Liang2014, Eqs. 16, 17].
+    """Multi-indices, from 1, of the tensor rules of a `smolyak` rule, and their coefficients, 0 for some [Liang2014, Eqs. 16, 17].
 
     >>> index_set(3, (2, 1))
     {(1, 1): -1, (1, 2): 0, (1, 3): 1, (2, 1): 1}

@@ -1,13 +1,7 @@
 """[Liang2014]: an aircraft whose inertial system is badly misaligned, and is corrected by two star sensors and by SAR images.
 
-=============  ======================================================  ===========================================
-equation       content                                                 here
-=============  ======================================================  ===========================================
-11-14, 16-18   sparse rules, isotropic and anisotropic                 `celnav.gaussian.sparse_grid.smolyak`
-15, 19         degree of observability, weights by a threshold         `celnav.papers.aasghqf.study.degrees`
-20-25          errors of the inertial system, the state                `celnav.models.inertial.derivative`
-26-28          star sensors                                            `celnav.models.inertial.star_residuals`
-=============  ======================================================  ===========================================
+Eqs. 11-14, 16-18, sparse rules: `celnav.gaussian.sparse_grid`. Eqs. 15, 19, degrees of observability and weights by a threshold:
+`celnav.analysis.observability`. Eqs. 20-28, errors of the inertial system, its state, star sensors: `celnav.models.inertial`.
 """
 
 from __future__ import annotations
@@ -43,12 +37,10 @@ CITATION = """\
   year    = {2014},
   note    = {in Chinese; received May 2014, revised August 2014}
 }"""
-PAPER_WEIGHTS = (1, 1, 2, 2, 2, 1, 1, 2, 2, 2, 2, 2, 2)
-"""Weights of the sparse grid [Liang2014, Table 2]: 75 points."""
-NONLINEAR_WEIGHTS = (1, 1, 1) + (2,) * 10
-"""Weights by nonlinearity: 57 points."""
+PAPER_WEIGHTS = (1, 1, 2, 2, 2, 1, 1, 2, 2, 2, 2, 2, 2)  # of the sparse grid [Liang2014, Table 2]: 75 points
+NONLINEAR_WEIGHTS = (1, 1, 1) + (2,) * 10  # by nonlinearity: 57 points
 MICRO_G = 1e-6 * earth.STANDARD_GRAVITY
-ARCMIN, DEGREE = float(np.radians(1.0)) / 60.0, float(np.radians(1.0))
+DEGREE = float(np.radians(1.0))
 BORESIGHTS = np.sqrt(0.5) * np.array([[0.0, 1.0, 1.0], [0.0, -1.0, 1.0]])
 """Directions of the star sensors on body axes, one forward and up, one aft and up; the stars are seen along them."""
 FORM = "covariance"  # of all filters here
@@ -71,9 +63,8 @@ class Config(Parameters):
     steps: int = param(500, "paper", "in a run", least=1, most=MOST_STEPS)
     runs: int = param(50, "paper", "of a Monte Carlo", least=1)
     level: int = param(3, "paper", "accuracy level of the sparse grids", least=1)
-    threshold: float = param(5.0, "paper", "degree of observability beyond which a state is weighted 1, in Table 2")
     misalignment_deg: tuple[float, float, float] = param(
-        (10.0, 10.0, 10.0), "chosen: large", "of the platform at the start, standard deviations east, north and up", above=0.0
+        (10.0, 10.0, 10.0), "chosen: large", "of the platform at the start, standard deviations east, north, up", above=0.0
     )
     velocity_m_per_s: float = param(1.0, UNSAID, "standard deviation of the velocity at the start, east and north", above=0.0)
     position_m: float = param(50.0, UNSAID, "standard deviation of the position at the start, east and north", above=0.0)
@@ -85,11 +76,6 @@ class Config(Parameters):
     sar_m: float = param(18.0, "paper", "noise of a fix by radar, standard deviation east and north", above=0.0)
     star_interval: int = param(1, UNSAID, "steps from one star fix to the next", least=1)
     sar_interval: int = param(1, UNSAID, "steps from one radar fix to the next", least=1)
-
-    @property
-    def idle(self) -> dict[str, str]:
-        """Parameters without effect, and why."""
-        return {"threshold": "on filters: it belongs to the paper's Table 2"}
 
     @property
     def samples(self) -> int:
@@ -287,7 +273,7 @@ def wahba_start(belief: Belief, z: Array, epoch: Epoch) -> Array:
 JUDGED = {"misalignment": "arcmin", "velocity": "m/s", "position": "m", "drift": "deg/h", "bias": "ug"}
 
 
-def groups(config: Config, angle: float = ARCMIN, unit: str = "arcmin") -> tuple[Group, ...]:
+def groups(config: Config, angle: float = DEGREE / 60.0, unit: str = "arcmin") -> tuple[Group, ...]:
     """What is judged; the misalignment in a unit of so many radians."""
     east, north = config.meters.tolist()
     return (
