@@ -125,7 +125,8 @@ def record(showcase: Showcase, path: str | os.PathLike[str]) -> None:
         if showcase.truth is not None:
             out.exact("state/truth", mean=showcase.truth)
         for key, e in showcase.estimates.items():
-            out.exact(f"state/{key}", error=e.errors[:, 0], **({} if e.cov is None else {"covariance": e.cov}))
+            spread = {} if e.cov is None else {"covariance" if e.cov.ndim == 3 else "variance": e.cov}
+            out.exact(f"state/{key}", error=e.errors[:, 0], **spread)
 
 
 def _entity(*names: str) -> str:

@@ -192,9 +192,10 @@ def test_a_group_about_its_truth_shows_the_states(case, tmp_path):
 def test_variances_alone_have_bounds_and_no_ellipsoids(case, tmp_path):
     e = case.estimates["own"]
     record(changed(case, "own", cov=e.cov.diagonal(0, -2, -1)), tmp_path / "a.rrd")
-    found = {str(c.entity_path) for c in chunks(tmp_path / "a.rrd")}
-    assert "/plots/position/x/own/-3s" in found
-    assert "/error/own/ellipsoid" not in found
+    found = {(str(c.entity_path), name) for c in chunks(tmp_path / "a.rrd") for name in c.to_record_batch().schema.names}
+    assert ("/plots/position/x/own/-3s", "Scalars:scalars") in found
+    assert ("/state/own", "variance") in found
+    assert not any(entity == "/error/own/ellipsoid" for entity, _ in found)
 
 
 def test_a_failed_filter_leaves_gaps(case, tmp_path):

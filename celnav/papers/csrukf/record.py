@@ -51,7 +51,7 @@ def _case(result: Result, case: str) -> Showcase:
         scenes.sightings(out, "world", truth[:, :3], truth[:, 3:], star_directions(c.separation), EARTH.radius_km)
         out.points("world/z", z, colors.MEASUREMENT, radius=1.0)
         for key, estimate in found.items():
-            scenes.track(out, f"world/{key}", truth[:, :3] + estimate.errors[:, 0, :3], estimate.color)
+            out.trail(f"world/{key}/trail", truth[:, :3] + estimate.errors[:, 0, :3], estimate.color, radius=1.2)
 
     growing = ["world/z", *(f"world/{key}/trail" for key in ("truth", *NAMES))]
     bound = theory.position(result.theory[f"sweep/{case[0]}"].csrukf[:, theory.SWEEP.index(phi)])
