@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from celnav.analysis.observability import threshold_weights
+from celnav.gaussian.linalg import matvec, semidefinite_root
 from celnav.gaussian.sparse_grid import point_count, smolyak
 from celnav.models import inertial
+from celnav.papers.aasghqf import study
 from celnav.papers.aasghqf.scenario import BORESIGHTS, NONLINEAR_WEIGHTS, PAPER_WEIGHTS, PRESETS, rules
-from celnav.papers.aasghqf.study import COMPARED, GROUPS, MISALIGNMENTS_DEG, ONE, POINTS, SEVEN, START, THRESHOLD
-from celnav.papers.aasghqf.study import TABLE_1, TABLE_1_WEIGHTS, TABLE_2, TABLE_3, TABLE_4, threshold_weights
+from celnav.papers.aasghqf.study import COMPARED, GROUPS, MISALIGNMENTS_DEG, TABLE_1, TABLE_2, TABLE_3, TABLE_4
 from celnav.show import colors, scenes
 from celnav.show.estimates import Group, again
 from celnav.show.figures import Line, band, consistency, errors, figure, rmse, sigma
@@ -31,7 +33,6 @@ LINES = {
     "ghqf3": Line("GHQF, 3 points", "#8C6BB1"), "ghqf5": Line("GHQF, 5 points", "#B15928"), "ekf": Line("EKF", "#D55E00"),
     "triad-ekf": Line("EKF started by Wahba", "#000000"),
 }  # fmt: skip
-DIMENSIONS = (2, 4, 6, 8, 10, 13, 16, 20, 25, 30, 40)
 COLUMNS = ("phi_x_deg", "phi_y_deg", "phi_z_deg", "v_east_m_per_s", "v_north_m_per_s", "longitude_m", "latitude_m")
 Row = dict[str, str | float]
 
@@ -63,8 +64,7 @@ def one_run(group: str, first: int, count: int, results: Results) -> Figure:
                 late = 3.0 * np.abs(error[len(t) // 10 :]).max() + 9.0 * std[-1]
                 ax.set_ylim(-late, late)
             ax.set_xlim(0.0, t[-1] if title == "whole flight" else min(60.0, t[-1]))
-            if column == 0:
-                ax.set_ylabel(f"{SEVEN[first + i]} error ({results.group(group).unit})")
+            axes[i, 0].set_ylabel(f"{study.SEVEN[first + i]} error ({results.group(group).unit})")
         axes[0, column].set_title(f"{part}, {title}")
         axes[-1, column].set_xlabel("time (s)")
     fig.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=4)
@@ -74,7 +74,7 @@ def one_run(group: str, first: int, count: int, results: Results) -> Figure:
 def against_bound(results: Results) -> Figure:
     """RMSE of the misalignment over the runs, and of the closed solution that starts an EKF."""
     fig, axes = figure(9.0, 3.0, 1, 3, sharey=True)
-    for ax, part in zip(axes, ("A", "A-slow", "T3"), strict=True):
+    for ax, part in zip(axes, ("A", "A-slow", "T3")):
         for name in (*COMPARED, "nonlinear", "triad-ekf"):
             rmse(ax, results, part, name, LINES[name], "misalignment")
         ax.set(title=part, xlabel="time (s)")
@@ -88,7 +88,7 @@ def against_bound(results: Results) -> Figure:
 def consistent(results: Results) -> Figure:
     """Consistency over time."""
     fig, axes = figure(9.0, 3.0, 1, 3, sharey=True)
-    for ax, part in zip(axes, ("A", "A-slow", "T3"), strict=True):
+    for ax, part in zip(axes, ("A", "A-slow", "T3")):
         names = (*COMPARED, *(("ckf", "ekf") if part != "T3" else ()), "triad-ekf")
         consistency(ax, results, part, {name: LINES[name] for name in names}, "nees", 13)
         ax.set(title=part, xlabel="time (s)")
@@ -100,15 +100,15 @@ def consistent(results: Results) -> Figure:
 def first_fix(results: Results) -> Figure:
     """The first star fix; from 45 deg on some draws lie beyond the chart of the angles, where Wahba's takes another branch."""
     fig, axes = figure(9.0, 3.4, 1, 2)
-    for name in START:
+    for name in study.START:
         look: dict[str, Any] = {"color": LINES[name].color, "linestyle": LINES[name].style, "marker": "."}
         after = [results.get(f"start/{angle:g}", f"{name}/nees")[0].mean() for angle in MISALIGNMENTS_DEG]
         axes[0].loglog(MISALIGNMENTS_DEG, after, **look, label=LINES[name].label)
         if name != "triad-ekf":
             least = results.get("fixes", f"{name}/least")
             axes[1].loglog(MISALIGNMENTS_DEG, np.where(least > 0.0, least, np.nan), **look)
-    exact: dict[str, Any] = {"color": "black", "linewidth": 2.5, "zorder": 0, "alpha": 0.4, "label": "exact moments"}
-    axes[1].loglog(MISALIGNMENTS_DEG, results.get("fixes", "exact/least"), **exact)
+    exact = results.get("fixes", "exact/least")
+    axes[1].loglog(MISALIGNMENTS_DEG, exact, color=colors.SIGMA, linewidth=2.5, zorder=0, label="exact moments")
     axes[0].axhline(13.0, color=colors.SIGMA, linestyle=":")
     axes[0].set(xlabel="misalignment, 1σ of each angle (deg)", ylabel="NEES after the first star fix (-)")
     axes[1].set(xlabel="misalignment, 1σ of each angle (deg)", ylabel="least variance of the misalignment,\nposterior to prior (-)")
@@ -120,13 +120,12 @@ def first_fix(results: Results) -> Figure:
 def growth(_: Results) -> Figure:
     """How points and weights grow with the dimension."""
     fig, axes = figure(7.0, 3.0, 1, 2)
-    for level, most, color in ((3, 40, colors.COMPARISON), (4, 30, colors.ESTIMATE)):
-        grids = {n: smolyak(n, level) for n in DIMENSIONS if n <= most}
-        for ax, size in zip(axes, (lambda rule: rule.num_sigmas(), lambda rule: np.abs(rule.wm).sum()), strict=True):
-            ax.loglog(list(grids), [size(rule) for rule in grids.values()], color=color, marker="o", label=f"level {level}")
-            ax.set_xlabel("dimension n (-)")
-    axes[0].set_ylabel("points (-)")
-    axes[1].set_ylabel("sum of |weights|: amplification of noise (-)")
+    for level, n, color in ((3, (2, 4, 7, 13, 20, 40), colors.COMPARISON), (4, (2, 4, 7, 13, 20, 30), colors.ESTIMATE)):
+        weights = [smolyak(k, level).wm for k in n]
+        axes[0].loglog(n, [len(w) for w in weights], color=color, marker="o", label=f"level {level}")
+        axes[1].loglog(n, [np.abs(w).sum() for w in weights], color=color, marker="o")
+    axes[0].set(xlabel="dimension n (-)", ylabel="points (-)")
+    axes[1].set(xlabel="dimension n (-)", ylabel="sum of |weights|: amplification of noise (-)")
     axes[0].legend()
     return fig
 
@@ -136,7 +135,7 @@ def moments(results: Results) -> Figure:
     fig, ax = figure(7.0, 3.6)
     names = ("ukf", "ckf", "aasghqf", "ckf5", "delayed", "ghqf3", "sghqf", "nonlinear")
     for what, color, shift in (("mean", colors.TRUTH, -0.2), ("cov", colors.ESTIMATE, 0.2)):
-        heights = [results.value("fixes", f"{name}/{what}", ONE) for name in names]
+        heights = [results.value("fixes", f"{name}/{what}", study.ONE) for name in names]
         ax.bar(np.arange(len(names)) + shift, heights, 0.4, color=color, label={"cov": "covariance"}.get(what, what))
     ax.set_xticks(range(len(names)), [LINES[name].label for name in names], rotation=30, ha="right")
     ax.set(yscale="log", ylabel="relative error at 10° (-)", title="moments of the star residuals")
@@ -147,7 +146,7 @@ def moments(results: Results) -> Figure:
 def quantiles(results: Results) -> Figure:
     """The runs behind Table 3: quantiles of the misalignment error at T3."""
     fig, axes = figure(9.0, 3.0, 1, 3, sharey=True)
-    for ax, name in zip(axes, COMPARED, strict=True):
+    for ax, name in zip(axes, COMPARED):
         size = np.linalg.norm(results.error("T3", name, "misalignment"), axis=-1)
         low, middle, high = np.quantile(size, [0.05, 0.5, 0.95], axis=1)
         band(ax, results.times("T3"), low, high, color=LINES[name].color, label="5-95 % of the runs")
@@ -159,7 +158,7 @@ def quantiles(results: Results) -> Figure:
 
 
 FIGURES = {
-    "figure_01": ("Fig. 1: points of the isotropic rule, n = 2, level 3.", partial(points, (1, 1), "isotropic, level 3: 21 points")),
+    "figure_01": ("Fig. 1: points of the isotropic rule, n = 2, level 3.", partial(points, (1, 1), "level 3: 21 points")),
     "figure_02": ("Fig. 2: points of the rule with weights 2, 1.", partial(points, (2, 1), "weights 2, 1, level 3: 9 points")),
     "figure_03": ("Fig. 3: misalignment errors of one run, presets A-slow and T3.", partial(one_run, "misalignment", 0, 3)),
     "figure_04": ("Fig. 4: velocity errors of one run.", partial(one_run, "velocity", 3, 2)),
@@ -176,16 +175,16 @@ FIGURES = {
 # -- tables ------------------------------------------------------------------------------------------------------------------
 def table_1(_: Results) -> list[Row]:
     """Points of the sparse grids, n = 1 to 6."""
-    both = [(n, f, g) for n, own in enumerate(TABLE_1_WEIGHTS, 1) for f, g in (("SGHQF", (1,) * n), ("AASGHQF", own))]
-    return [{"n": n, "filter": f, "weights": "".join(map(str, g)), "paper": TABLE_1[f][n - 1], "ours": point_count(n, 3, g)}
-            for n, f, g in both]  # fmt: skip
+    rows = [(f, g) for n, own in enumerate(study.WEIGHTS, 1) for f, g in (("SGHQF", (1,) * n), ("AASGHQF", own))]
+    return [{"n": (n := len(g)), "filter": f, "weights": "".join(map(str, g)), "paper": TABLE_1[f][n - 1],
+             "ours": point_count(n, 3, g)} for f, g in rows]  # fmt: skip
 
 
 def table_2(results: Results) -> list[Row]:
     """Degree of observability and weight of each state, ours in two units, and weights by nonlinearity."""
     columns: dict[str, Any] = {"degree, paper": TABLE_2, "weight, paper": PAPER_WEIGHTS}
     for unit, degree in (("rad", results.get("observability", "every")[0]), ("deg", results.get("observability", "in degrees"))):
-        columns |= {f"degree (phi in {unit})": degree, f"weight (phi in {unit})": threshold_weights(degree, THRESHOLD)}
+        columns |= {f"degree (phi in {unit})": degree, f"weight (phi in {unit})": threshold_weights(degree, study.THRESHOLD)}
     columns["weight by nonlinearity"] = NONLINEAR_WEIGHTS
     return [{"state": s} | {name: float(column[i]) for name, column in columns.items()} for i, s in enumerate(inertial.STATES)]
 
@@ -196,7 +195,7 @@ def table_3(results: Results) -> list[Row]:
     for f, printed in TABLE_3.items():
         ours = {f"ours, {p}": np.sqrt(np.square(results.get(p, f"{f.lower()}/error")[..., :7]).mean(1)).mean(0) for p in PRESETS}
         for source, values in {"paper": np.array(printed), **ours}.items():
-            rows.append({"filter": f, "source": source, **dict(zip(COLUMNS, values.tolist(), strict=True))})
+            rows.append({"filter": f, "source": source, **dict(zip(COLUMNS, values.tolist()))})
     return rows
 
 
@@ -205,7 +204,7 @@ def table_4(results: Results) -> list[Row]:
     alone, among = ({f: float(results.get("timings", f"{f.lower()}, {runs}").min()) for f in TABLE_4} for runs in (1, 50))
     return [
         {"filter": f, "points, paper": TABLE_4[f][0], "points, ours": point_count(13, level, g), "cycle, paper (s)": TABLE_4[f][1],
-         "one run alone (s)": alone[f], "one run among 50 (s)": among[f]} for f, level, g in POINTS
+         "one run alone (s)": alone[f], "one run among 50 (s)": among[f]} for f, level, g in study.POINTS
     ]  # fmt: skip
 
 
@@ -220,24 +219,20 @@ TABLES = {
 # -- recordings --------------------------------------------------------------------------------------------------------------
 CASES = {"A-slow": "aasghqf_A_slow.rrd", "T3": "aasghqf_T3.rrd"}
 RECORDINGS = list(CASES.values())
-WHITE, STAR_M = "#FFFFFF", 25000.0  # the length of a drawn sight line
 AXES = {"misalignment": "xyz", "velocity": ("east", "north"), "position": ("longitude", "latitude")}
 SPACES = (
     Space("world", "flight, m (east, north, up)", (60e3, -70e3, 70e3), (90e3, 20e3, 0.0),
           growing=("world/aircraft/trail", "world/inertial/trail")),
     *(Space(f"points/{f}", f"sigma points of {LINES[f].label}, σ of SGHQF", (9.0, -9.0, 6.0)) for f in COMPARED),
 )  # fmt: skip
-LEGEND = {
-    colors.MEASUREMENT: "fixes by radar, stars where the inertial system expects them", colors.STAR: "stars where they are",
-    colors.SIGMA: "inertial system", WHITE: "points of negative weight",
-}  # fmt: skip
+LEGEND = {colors.MEASUREMENT: "fixes by radar, stars where the system expects them", colors.STAR: "stars where they are",
+          colors.SIGMA: "inertial system", colors.NEGATIVE: "points of negative weight"}  # fmt: skip
 NOTES = """# Liang et al. (2014), preset {}
 
 **The UKF's first star fix leaves it overconfident, and it takes minutes to forget; 57 points are as good as 417.**
 
-An aircraft turns at 200 m/s and 20 km. Its inertial system starts with a large misalignment and drifts away while star sensors and
-SAR fixes let filters estimate its error. Left above: the flight, and the sigma points of the misalignment about the truth.
-"""
+An aircraft turns; its inertial system starts with a large misalignment and drifts away while star sensors and SAR fixes let filters
+estimate its error. Left above: the flight, and the sigma points of the misalignment about the truth."""
 
 
 def record(results: Results, outputs: Outputs) -> list[str]:
@@ -254,16 +249,14 @@ def showcase(results: Results, part: str) -> Showcase:
     def scene(out: Recorder) -> None:
         flight, at = c.flight, 2 * np.arange(len(truth))
         way = np.stack([flight.longitude - flight.longitude[0], flight.latitude - flight.latitude[0]], -1)[at]
-        place, drifted = (x @ axes.T for x in (way, way + truth[:, inertial.POSITION]))
-        scenes.track(out, "world/aircraft", place, colors.TRUTH, "aircraft", radius=2.5)
-        scenes.track(out, "world/inertial", drifted, colors.SIGMA, "inertial system", radius=1.5)
-        out.points("world/sar_fix", np.where(np.isfinite(fix), place, np.nan), colors.MEASUREMENT, radius=3.0)
         computed = inertial.misalignment_matrix(truth[:, inertial.PHI]) @ flight.attitude[at]
-        for k, star in enumerate(BORESIGHTS, start=1):
-            out.arrow(f"world/star{k}/sight", place, STAR_M * (flight.attitude[at] @ star), colors.STAR, f"star {k}")
-            out.arrow(f"world/star{k}/expected", place, STAR_M * (computed @ star), colors.MEASUREMENT, "")
-        for name, estimate in found.items():
-            scenes.sigma_points(out, f"points/{name}", estimate, rules()[name], inertial.PHI, found["sghqf"], WHITE)
+        scenes.flight(out, "world", way @ axes.T, (way + truth[:, inertial.POSITION]) @ axes.T, np.isfinite(fix[:, 0]),
+                      25000.0 * flight.attitude[at] @ BORESIGHTS.T, 25000.0 * computed @ BORESIGHTS.T)  # fmt: skip
+        std = np.sqrt(np.asarray(found["sghqf"].cov).diagonal(0, -2, -1))[:, None, :3]
+        for name, e in found.items():
+            rule, moved = rules()[name], rules()[name].nodes[:, :3].any(-1)
+            places = e.errors[:, 0, None] + matvec(semidefinite_root(np.asarray(e.cov))[:, None], rule.nodes[moved])
+            scenes.sigma_points(out, f"points/{name}", places[..., :3] / std, rule.wm[moved], e.color)
 
     groups = [Group(g.name, g.unit, g.part, g.scale, AXES[g.name]) for g in GROUPS if g.name in AXES]
     return Showcase(
