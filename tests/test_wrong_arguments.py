@@ -243,6 +243,7 @@ MEANT = {
     "attitude.from_euler angles": "nan, infinite",
     "belief.Gaussian mean": "deep",
     "belief.Gaussian.sample size": "empty",
+    "observability.svd_degree matrix": "deep",
     "problem.compare runs": "a billion",
     "problem.compare seed": "a billion",
     "montecarlo.generator seed": "a billion",

@@ -92,7 +92,9 @@ def index_set(level: int, weights: Sequence[int]) -> dict[tuple[int, ...], int]:
     >>> index_set(3, (2, 1))
     {(1, 1): -1, (1, 2): 0, (1, 3): 1, (2, 1): 1}
     """
-    _, depth, g, _ = _checked(len(integers("weights", weights, 1)), level, weights, ORDERS)
+    if not (count := len(integers("weights", weights, 1))):
+        raise ValueError("weights: expected at least one, got none")
+    _, depth, g, _ = _checked(count, level, weights, ORDERS)
     budget, c = (depth - 1) * min(g), np.ones(1)
     for weight in g:  # a coefficient depends on the slack alone: [t^slack] prod_j (1 - t^g_j) / (1 - t)
         c = np.convolve(c, [1, *[0] * (weight - 1), -1])

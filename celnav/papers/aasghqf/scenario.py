@@ -41,8 +41,7 @@ PAPER_WEIGHTS = (1, 1, 2, 2, 2, 1, 1, 2, 2, 2, 2, 2, 2)  # of the sparse grid [L
 NONLINEAR_WEIGHTS = (1, 1, 1) + (2,) * 10  # by nonlinearity: 57 points
 MICRO_G = 1e-6 * earth.STANDARD_GRAVITY
 DEGREE = float(np.radians(1.0))
-BORESIGHTS = np.sqrt(0.5) * np.array([[0.0, 1.0, 1.0], [0.0, -1.0, 1.0]])
-"""Directions of the star sensors on body axes, one forward and up, one aft and up; the stars are seen along them."""
+BORESIGHTS = np.sqrt(0.5) * np.array([[0.0, 1.0, 1.0], [0.0, -1.0, 1.0]])  # of the star sensors on body axes, and of the stars
 FORM = "covariance"  # of all filters here
 UNSAID = "chosen: not printed"
 
@@ -178,9 +177,9 @@ def interval_before(config: Config, k: int, truth: Array) -> Navigation:
 
 def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
     """One run for each generator: initial errors drawn from the prior, process and measurement noise."""
-    T, runs = config.steps + 1, len(rngs)
+    T = config.steps + 1
     initial, walk, noise = normals(rngs, (13,), (config.steps, 5), (T, 8))
-    truth, z = np.empty((T, runs, 13)), np.empty((T, runs, 8))
+    truth, z = np.empty((T, len(rngs), 13)), np.empty_like(noise)
     truth[0], w = initial * config.sigma0, walk @ config.sqrt_Q.T
     for k in range(T):
         if k:

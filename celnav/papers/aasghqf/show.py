@@ -89,8 +89,7 @@ def consistent(results: Results) -> Figure:
     """Consistency over time."""
     fig, axes = figure(9.0, 3.0, 1, 3, sharey=True)
     for ax, part in zip(axes, ("A", "A-slow", "T3")):
-        names = (*COMPARED, *(("ckf", "ekf") if part != "T3" else ()), "triad-ekf")
-        consistency(ax, results, part, {name: LINES[name] for name in names}, "nees", 13)
+        consistency(ax, results, part, {name: LINES[name] for name in study.FLOWN[part]}, "nees", 13)
         ax.set(title=part, xlabel="time (s)")
     axes[0].set_ylabel("NEES, mean over the runs (-)")
     axes[1].legend(loc="upper right")
@@ -102,7 +101,7 @@ def first_fix(results: Results) -> Figure:
     fig, axes = figure(9.0, 3.4, 1, 2)
     for name in study.START:
         look: dict[str, Any] = {"color": LINES[name].color, "linestyle": LINES[name].style, "marker": "."}
-        after = [results.get(f"start/{angle:g}", f"{name}/nees")[0].mean() for angle in MISALIGNMENTS_DEG]
+        after = [results.nees(f"start/{angle:g}", name, 0).mean() for angle in MISALIGNMENTS_DEG]
         axes[0].loglog(MISALIGNMENTS_DEG, after, **look, label=LINES[name].label)
         if name != "triad-ekf":
             least = results.get("fixes", f"{name}/least")
@@ -202,10 +201,8 @@ def table_3(results: Results) -> list[Row]:
 def table_4(results: Results) -> list[Row]:
     """Points, and CPU time of a cycle, on the machine at hand: the least of all rounds."""
     alone, among = ({f: float(results.get("timings", f"{f.lower()}, {runs}").min()) for f in TABLE_4} for runs in (1, 50))
-    return [
-        {"filter": f, "points, paper": TABLE_4[f][0], "points, ours": point_count(13, level, g), "cycle, paper (s)": TABLE_4[f][1],
-         "one run alone (s)": alone[f], "one run among 50 (s)": among[f]} for f, level, g in study.POINTS
-    ]  # fmt: skip
+    return [{"filter": f, "points, paper": TABLE_4[f][0], "points, ours": point_count(13, n, g), "cycle, paper (s)": TABLE_4[f][1],
+             "one run alone (s)": alone[f], "one run among 50 (s)": among[f]} for f, n, g in study.POINTS]  # fmt: skip
 
 
 TABLES = {
@@ -220,11 +217,9 @@ TABLES = {
 CASES = {"A-slow": "aasghqf_A_slow.rrd", "T3": "aasghqf_T3.rrd"}
 RECORDINGS = list(CASES.values())
 AXES = {"misalignment": "xyz", "velocity": ("east", "north"), "position": ("longitude", "latitude")}
-SPACES = (
-    Space("world", "flight, m (east, north, up)", (60e3, -70e3, 70e3), (90e3, 20e3, 0.0),
-          growing=("world/aircraft/trail", "world/inertial/trail")),
-    *(Space(f"points/{f}", f"sigma points of {LINES[f].label}, σ of SGHQF", (9.0, -9.0, 6.0)) for f in COMPARED),
-)  # fmt: skip
+TRAILS = ("world/aircraft/trail", "world/inertial/trail")
+SPACES = (Space("world", "flight, m (east, north, up)", (60e3, -70e3, 70e3), (90e3, 20e3, 0.0), growing=TRAILS),
+          *(Space(f"points/{f}", f"sigma points of {LINES[f].label}, σ of SGHQF", (9.0, -9.0, 6.0)) for f in COMPARED))  # fmt: skip
 LEGEND = {colors.MEASUREMENT: "fixes by radar, stars where the system expects them", colors.STAR: "stars where they are",
           colors.SIGMA: "inertial system", colors.NEGATIVE: "points of negative weight"}  # fmt: skip
 NOTES = """# Liang et al. (2014), preset {}
