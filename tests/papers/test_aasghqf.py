@@ -24,7 +24,8 @@ from celnav.study.montecarlo import generator
 
 STATEMENTS = """
 table-1-counts points-for-two-states degrees-of-observability threshold-weights observability-is-the-criterion
-adapts-along-the-flight better-than-ukf higher-order-is-why alike-sghqf table-3-levels table-4-points one-millisecond-more cheaper-than-sghqf saving-grows
+adapts-along-the-flight better-than-ukf higher-order-is-why alike-sghqf table-3-levels
+table-4-points one-millisecond-more cheaper-than-sghqf saving-grows
 """
 TABLE_1 = "7, 21, 37, 57, 81, 109, 7, 9, 23, 25, 41, 43"
 TABLE_2 = "9.845 9.845 4.635 1.0 1.0 9.639 9.639 6.984e-5 6.937e-6 5.937e-5 6.686e-6 3.795e-5 3.652e-7"
