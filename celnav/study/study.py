@@ -67,8 +67,8 @@ def together(trial: Trial, priors: Mapping[str, Gaussian], names: Sequence[str],
 
     def epochs(name: str) -> Iterator[Epoch]:
         for epoch in trial.epochs(name):
-            parts = (None if part is None else np.tile(part, (count, 1)) for part in (epoch.u, epoch.z, epoch.truth))
-            yield epoch._replace(**dict(zip(("u", "z", "truth"), parts, strict=True)))
+            u, z, truth = (None if part is None else np.tile(part, (count, 1)) for part in (epoch.u, epoch.z, epoch.truth))
+            yield epoch._replace(u=u, z=z, truth=truth)
 
     prior = Gaussian(np.concatenate([prior.mean for prior in each]), np.concatenate(covs))
     flown = fly(trial._replace(prior=prior, epochs=epochs), names, every)
