@@ -20,10 +20,20 @@ from celnav.gaussian import attitude
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.rules import unscented
 from celnav.models.gyro import Gyro, preintegrate
-from celnav.papers import ssukf
 from celnav.papers.ssukf import PRESETS, STUDY, filters, show, simulate, study
 from celnav.papers.ssukf.scenario import (
-    ARCSEC, DEG_PER_H, MU, RADIUS_KM, STANDARD, Scenario, dynamics, errors, family, noise_root, spread, star, state_space,
+    ARCSEC,
+    DEG_PER_H,
+    MU,
+    RADIUS_KM,
+    STANDARD,
+    Scenario,
+    dynamics,
+    family,
+    noise_root,
+    spread,
+    star,
+    state_space,
     warn_of_wrapping,
 )  # fmt: skip
 from celnav.study.ledger import KINDS, dumps
@@ -174,22 +184,17 @@ def test_what_has_no_sampling_error_is_decided_by_any_number_of_runs(result):
     listed = json.loads(dumps(result.claims()))
     assert {c["kind"] for c in listed} == set(KINDS)
     found = {c["id"]: c for c in listed}
-    for id in ("third-less-time", "large-error-faster", "numbers-of-points", "measurement-noise-idle", "component-mean-fails",
-               "equal-accuracy", "erratum-lambda", "gyro-numbers", "ordinary-cheaper", "integrated-gyro", "identity-mekf"):  # fmt: skip
+    exact = """third-less-time large-error-faster numbers-of-points measurement-noise-idle component-mean-fails equal-accuracy
+        erratum-lambda gyro-numbers ordinary-cheaper integrated-gyro identity-mekf"""
+    for id in exact.split():
         assert found[id]["verdict"] == found[id]["expected"], id
 
 
 def test_the_block_size_changes_nothing():
-    whole, split = (replace(study.parts(duration_s=3.0)["runs"].config, duration_s=3.0), [generator(0, 0, r) for r in range(3)])
-    together, parts = study.main(whole, split), [study.main(whole, split_by) for split_by in _fresh(2, 1)]
+    config = replace(STANDARD, duration_s=3.0)
+    whole, *parts = (study.main(config, [generator(0, 0, r) for r in runs]) for runs in (range(3), range(2), range(2, 3)))
     for name in ("ssukf/error", "local/nees"):
-        np.testing.assert_allclose(np.concatenate([part[name] for part in parts], 1), together[name], rtol=1e-6, atol=1e-9)
-
-
-def _fresh(*counts):
-    """Generators of the first runs anew, in groups."""
-    first = np.cumsum([0, *counts])
-    return [[generator(0, 0, r) for r in range(a, b)] for a, b in zip(first, first[1:], strict=False)]
+        np.testing.assert_allclose(np.concatenate([part[name] for part in parts], 1), whole[name], rtol=1e-6, atol=1e-9)
 
 
 def test_a_run_does_not_depend_on_how_many_there_are():
@@ -399,7 +404,7 @@ def test_one_vector_separates_the_filters_and_equal_spread_unites_them(monkeypat
         def made(gyro, dt, sensor, _rule, **options):
             return family(gyro, dt, sensor, lambda L: unscented(L, 1.0, beta, c - L), **options)
 
-        monkeypatch.setattr(study, "family", made)
+        monkeypatch.setattr(study.scenario, "family", made)
         return study.vector(30, ("mekf", "usque", "ssukf", "aukf"), STANDARD, rngs)
 
     wide, same = filters_of(15.0, 2.0), filters_of(7.0, 0.0)

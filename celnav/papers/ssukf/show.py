@@ -12,10 +12,9 @@ from celnav.gaussian import attitude
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array
 from celnav.gaussian.spaces import wrap
+from celnav.papers.ssukf import study
 from celnav.papers.ssukf.scenario import ARCSEC, RADIUS_KM, STANDARD, path
-from celnav.papers.ssukf.study import (
-    ALPHAS, AXES, CORRELATIONS, FIELD, FIELD_DEG, LARGE, PRIORS_DEG, TIMED, TURNS_DEG, UNITS, readings, saved,
-)  # fmt: skip
+from celnav.papers.ssukf.study import ALPHAS, AXES, FIELD, FIELD_DEG, LARGE, PRIORS_DEG, TIMED, TURNS_DEG, UNITS, readings, saved
 from celnav.show import colors, scenes, showcase
 from celnav.show.estimates import Group, estimates
 from celnav.show.figures import Line, consistency, figure
@@ -179,7 +178,7 @@ def drawing_anew(results: Results) -> Figure:
     for k, (name, (label, color)) in enumerate(shown.items()):
         heights = np.sqrt(results.get("correlated", name).reshape(3, -1).mean(1))
         ax.bar(np.arange(3) + 0.2 * k - 0.3, heights, 0.18, color=color, label=label)
-    ax.set_xticks(range(3), [f"{rho:g}" for rho in CORRELATIONS])
+    ax.set_xticks(range(3), [f"{rho:g}" for rho in study.CORRELATIONS])
     ax.set(xlabel="correlation of the noises (-)", ylabel="RMSE (-)")
     ax.legend()
     return fig
@@ -245,16 +244,16 @@ def vectors(results: Results) -> list[Cells]:
 
 
 FIGURES = {
-    **{f"figure_{i + 1:02d}": (f"Fig. {i + 1}: error of {axis}: AUKF and SSUKF lie on each other; right, over the time that computing takes.", partial(angle, i))
-       for i, axis in enumerate(AXES)},
+    **{f"figure_{i + 1:02d}": (f"Fig. {i + 1}: error of {axis}: AUKF and SSUKF lie on each other; right, over computing time.",
+                               partial(angle, i)) for i, axis in enumerate(AXES)},
     "figure_04": ("Beyond the paper: what the model allows, and what is reached.", accuracy),
     "figure_05": ("Beyond the paper: consistency, initial errors drawn from the prior.", consistent),
-    "figure_06": ("Beyond the paper: one measured vector separates the filters; dotted, the covariance follows the reference.", one_vector),
+    "figure_06": ("Beyond the paper: one measured vector; dotted, the covariance follows the reference.", one_vector),
     "figure_07": ("Beyond the paper: how far apart filters are that are the same.", differences),
     "figure_08": ("Beyond the paper: cost from one star sample to the next, in points and in time.", cost),
-    "figure_09": ("Beyond the paper: what does not matter: the prior, the initial error, alpha; and from where on it does.", sensitivity),
+    "figure_09": ("Beyond the paper: what does not matter: prior, initial error and alpha.", sensitivity),
     "figure_10": ("Beyond the paper: what drawing anew loses: noise common to dynamics and sensor.", drawing_anew),
-    "figure_11": ("Beyond the paper: the total attitude as the state, in a spin past 360°, with and without the switch.", spinning),
+    "figure_11": ("Beyond the paper: the total attitude as the state, in a spin past 360°.", spinning),
 }  # fmt: skip
 TABLES = {
     "table_1": ("Table 1: cost from one star sample to the next; the paper's numbers are lost, it says about 1/3 less.", costs),
