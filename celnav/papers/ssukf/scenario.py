@@ -1,15 +1,7 @@
 """[Wu2012]: a satellite whose gyros and star sensor give its attitude.
 
-The equations of the text at hand are lost; the parts of the filters are
-
-===================================  ==========================================================================
-content                              here
-===================================  ==========================================================================
-augmented, switching, additive UKF   `celnav.filters.sequential.sigma_point`, models with ``augment``
-AUKF drawn once                      `celnav.filters.sequential.SingleDraw`
-attitude as a state                  `celnav.gaussian.attitude.attitude`
-gyro and its drift, satellite        `celnav.models.gyro`
-===================================  ==========================================================================
+The equations of the text at hand are lost. Filters are made of `celnav.filters.sequential.sigma_point` and models with ``augment``,
+on attitudes of `celnav.gaussian.attitude`; gyro and satellite are those of `celnav.models.gyro`.
 """
 
 from __future__ import annotations
@@ -183,10 +175,9 @@ class Scenario(NamedTuple):
             yield Epoch(n, n * c.step_s, c.step_s, sample, seen, truth)
 
     def integrated(self) -> Scenario:
-        """The same runs with one gyro sample from star to star, integrated from those in between.
+        """The same runs with one gyro sample from star to star, integrated once for all filters.
 
-        They are composed about a drift of zero, once for all filters: by a drift of 1 deg/h the order of such small turns
-        matters less than 1e-12 rad.
+        It is done about a drift of zero: by a drift of 1 deg/h the order of such small turns matters less than 1e-12 rad.
         """
         c = self.config
         each = self.gyro.reshape(-1, c.ratio, *self.gyro.shape[1:]).swapaxes(0, 1)
@@ -249,10 +240,9 @@ def dynamics(gyro: Gyro) -> Model:
 
 
 class Sensing(NamedTuple):
-    """What is measured: ``h(x, epoch, *noise)``, whose last noise is the sensor's, of the root given.
+    """What is measured: ``h(x, epoch, *noise)``, whose last noise, of the root given, is the sensor's; its Jacobian.
 
-    ``slope(x, epoch)`` is its Jacobian ``(..., m, 6)``. The spaces of the measurement are those of filters in modified Rodrigues
-    parameters and in the Gibbs vector.
+    The spaces of the measurement are those of filters in modified Rodrigues parameters and in the Gibbs vector.
     """
 
     h: Model
@@ -280,10 +270,7 @@ def noise_root(gyro: Gyro, dt: float) -> Array:
 
 
 def warn_of_wrapping(rule: Rule, sigma: float) -> None:
-    """Warn if points of a rule lie half a turn or more from a mean known to ``sigma`` rad: they would be other, shorter rotations.
-
-    Such a rule still runs; its covariance is then no longer that of the attitude.
-    """
+    """Warn if points of a rule lie half a turn or more from a mean known to ``sigma`` rad: they would be shorter rotations."""
     reach = np.degrees(np.abs(rule.nodes).max() * sigma)
     if reach > 180.0:
         text = f"sigma points reach {reach:.0f} deg from the mean, and wrap at 180: take a smaller spread (alpha, kappa)"
@@ -311,11 +298,7 @@ def family(
     aukf: process and measurement noise through the points of both parts (15 dimensions, 31 points). aukf-1: the same, drawn
     once for both parts. ssukf: each noise where it acts (12 and 9 dimensions, 25 and 19 points). additive: neither
     (6 dimensions, 13 points). usque: half of the process noise before the prediction, half after it. mekf: linearized, in the
-    Gibbs vector.
-
-    Parameters
-    ----------
-    rule: the rule of a dimension. transported: the covariance follows the reference after an update. form: of all filters.
+    Gibbs vector. ``rule``: of a dimension. ``transported``: the covariance follows the reference after an update.
     """
     space, gibbs = state_space(transported=transported), state_space(transported=transported, a=0.0, b=2.0)
     W, V, Q = noise_root(gyro, dt), sensor.root, gyro.process_noise(dt)

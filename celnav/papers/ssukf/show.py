@@ -69,7 +69,7 @@ def angle(axis: int, results: Results) -> Figure:
         axes[0].axhline(level, color=colors.SIGMA, linewidth=0.6, linestyle=":")
     axes[0].set(xlabel="time (s)", ylabel=f"{AXES[axis]} error (arcsec)", title=f"RMSE of {error.shape[1]} runs")
     axes[1].set(xlabel="time (s)", xlim=(-0.2, 10.0), title="one run, the first 10 s")
-    axes[2].set(xlabel="CPU time of one run alone at 100 Hz (s)", title="RMSE over the time it takes to compute")
+    axes[2].set(xlabel="CPU time of one run alone at 100 Hz (s)", title="RMSE over computing time")
     for ax in axes[:2]:
         ax.legend()
     return fig
@@ -98,7 +98,8 @@ def consistent(results: Results) -> Figure:
             mean = results.get("runs", f"{name} drawn/{what}")[1:].mean(1)
             ax.plot(results.times("runs")[1 : len(mean) + 1], mean, **style(name) | {"linewidth": 0.6})
         ax.set(xlabel="time (s)", ylabel=f"{what.upper()}, mean over the runs (-)", yscale="linear")
-    axes[0].legend(loc="lower right")
+    axes[0].margins(y=0.3)
+    axes[0].legend(loc="lower right", ncols=3, fontsize=6.5)
     return fig
 
 
@@ -113,7 +114,7 @@ def one_vector(results: Results) -> Figure:
             ax.loglog(1.0 + np.arange(len(size)), size, color=LINES[base].color, linestyle=":" if rest else "-", label=label)
         ax.set(xlabel="time (s), from 1", title=f"prior {degrees:g} deg on each axis")
     axes[0].set_ylabel("total attitude error, RMS (deg)")
-    axes[0].legend()
+    axes[2].legend(loc="lower left", fontsize=6.5)
     return fig
 
 
