@@ -8,7 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from celnav.filters.run import run
 from celnav.gaussian.linalg import Array
+from celnav.study.study import Results
 
 
 class Group(NamedTuple):
@@ -70,3 +72,16 @@ def estimates(data: Mapping[str, Array], names: Mapping[str, tuple[str, str]], u
         name: Estimate(label, color, data[f"{name}/error"] / units, *(first(f"{name}/{key}") for key in ("cov", "nees", "nis")))
         for name, (label, color) in names.items()
     }
+
+
+def first_run(results: Results, part: str, names: Mapping[str, tuple[str, str]]) -> dict[str, Estimate]:
+    """Filters of a part, for names with their label and color: errors of all runs, and the first flown again for covariances."""
+    trial, units = results.first(part), np.ones(results.get(part, f"{next(iter(names))}/error").shape[-1])
+    for group in trial.groups:
+        units[group.part] = group.scale
+    n, found = len(units), {}
+    for name, (label, color) in names.items():
+        error, *ratios = (results.get(part, f"{name}/{key}") for key in ("error", "nees", "nis"))
+        cov = run(trial.filters[name], trial.prior, trial.epochs(name), keep="cov").cov[:, 0, :n, :n]
+        found[name] = Estimate(label, color, error / units, cov, *(values[:, 0] for values in ratios))
+    return found

@@ -107,8 +107,8 @@ def entries(
     def decide(r: Results) -> Tiers:
         samples = [r.squares(*flown, group, at) for flown, _ in cells for group in groups]
 
-        def logs(*parts: Array) -> Any:
-            return np.abs(np.log(np.concatenate([np.sqrt(part.mean(0)) for part in parts]) / printed))
+        def logs(*parts: Array) -> Array:
+            return np.asarray(np.abs(np.log(np.concatenate([np.sqrt(part.mean(0)) for part in parts]) / printed)))
 
         def beyond(*parts: Array) -> float:
             return float((logs(*parts) > np.log(factor)).sum())

@@ -36,7 +36,8 @@ from celnav.papers.ssukf.scenario import (
     state_space,
     warn_of_wrapping,
 )  # fmt: skip
-from celnav.study.ledger import KINDS, dumps
+from celnav.show.ledger import dumps
+from celnav.study.ledger import KINDS
 from celnav.study.montecarlo import effort, generator, normals
 
 SHORT = replace(STANDARD, duration_s=10.0)

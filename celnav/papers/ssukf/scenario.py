@@ -345,10 +345,10 @@ GROUPS = (Group("attitude", "arcsec", slice(0, 3), 1.0 / ARCSEC), Group("drift",
 JUDGED = {group.name: group.unit for group in GROUPS}
 
 
-def trial(config: Config, rngs: Sequence[np.random.Generator]) -> Trial:
-    """One run with each generator; the initial errors are drawn from the prior."""
+def trial(config: Config, rngs: Sequence[np.random.Generator], *, drawn: bool = True) -> Trial:
+    """One run with each generator; the initial errors are drawn from the prior, or those of the paper."""
     sim = simulate(config, rngs)
-    return Trial(GROUPS, filters(config), sim.drawn, sim.epochs, compare, "mekf")
+    return Trial(GROUPS, filters(config), sim.drawn if drawn else sim.prior, sim.epochs, compare, "mekf")
 
 
 def errors(truth: Array, mean: Array) -> Array:

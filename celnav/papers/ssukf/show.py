@@ -7,16 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from celnav.filters.run import run
 from celnav.gaussian import attitude
-from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array
 from celnav.gaussian.spaces import wrap
 from celnav.papers.ssukf import study
 from celnav.papers.ssukf.scenario import ARCSEC, RADIUS_KM, STANDARD, path
 from celnav.papers.ssukf.study import ALPHAS, AXES, FIELD, FIELD_DEG, LARGE, PRIORS_DEG, TIMED, TURNS_DEG, UNITS, readings, saved
 from celnav.show import colors, scenes, showcase
-from celnav.show.estimates import Group, estimates
+from celnav.show.estimates import Group, first_run
 from celnav.show.figures import Line, consistency, figure
 from celnav.show.plots import Curve, Plot
 from celnav.study.study import Results
@@ -284,13 +282,10 @@ sample takes an error of degrees to {2.star_arcsec:g} arcsec: what follows is sh
 
 def record(results: Results, outputs: Outputs) -> list[str]:
     """Write the recording among ``outputs``; returns its name. Needs rerun."""
-    t, data, c, one = results.times("runs"), dict(results.data["runs"]), results.parts["runs"].config, results.first("runs")
-    start = Gaussian(np.append(attitude.IDENTITY, np.zeros(3))[None], one.prior.cov)
-    truth = np.array([epoch.truth[0] for epoch in one.epochs("")])
-    data |= {f"{key}/cov": run(one.filters[key], start, one.epochs(key), keep="cov").cov for key in NAMES}
-    found = estimates(data, NAMES, 1.0 / UNITS)
+    t, c, found = results.times("runs"), results.parts["runs"].config, first_run(results, "runs", NAMES)
+    truth = np.array([epoch.truth[0] for epoch in results.first("runs").epochs("")])
     drift = Group("drift", "deg/h", slice(3, 6), 1.0 / UNITS[3], truth=truth[:, 4:] / UNITS[3])
-    apart = np.abs(data["ssukf/error"] - data["aukf/error"])[:, 0, :3].max(1)
+    apart = np.abs(found["ssukf"].errors - found["aukf"].errors)[:, 0, :3].max(1) / ARCSEC
     points = {key: results.get("facts", f"{key}, {c.ratio}:1").sum() * np.arange(len(t)) / 1e3 for key in NAMES}
     cost = {
         "difference": Plot("log10 |SSUKF - AUKF|, arcsec", {"apart": Curve(apart, colors.ESTIMATE, "SSUKF - AUKF")}, log=True),
@@ -302,7 +297,7 @@ def record(results: Results, outputs: Outputs) -> list[str]:
         spaces=SPACES, plots={"cost": cost}, counter="star_epoch", parameters=vars(c),
         scene=lambda out: scene(out, c.orbit_rate_rad_per_s * t, truth[:, :4], {k: found[k].errors[:, 0, :3] for k in NAMES}),
         legend={colors.MEASUREMENT: "nadir", colors.STAR: "sight lines of the star sensor"},
-        facts={"paper": "ssukf", "seed": results.seed, "runs": data["ssukf/error"].shape[1], "exaggeration": EXAGGERATION},
+        facts={"paper": "ssukf", "seed": results.seed, "runs": found["ssukf"].errors.shape[1], "exaggeration": EXAGGERATION},
     )  # fmt: skip
     return showcase.write({RECORDINGS[0]: shown}, outputs)
 

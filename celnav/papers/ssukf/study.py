@@ -200,8 +200,8 @@ def starts(degrees: Sequence[float], names: Sequence[str], axis: Array | None, c
 
 def augmented(config: Config, rngs: Rngs) -> dict[str, Array]:
     """AUKF and the UKF that adds Q and R at one spread, and the MEKF, from the paper's initial error."""
-    sim = simulate(config, rngs)
-    return fly(Trial(GROUPS, filters(config, c=15.0), sim.prior, sim.epochs, scenario.compare), ("aukf", "additive", "mekf"))
+    one = scenario.trial(config, rngs, drawn=False)
+    return fly(one._replace(filters=filters(config, c=15.0)), ("aukf", "additive", "mekf"))
 
 
 def means(sim: Scenario, name: str, **options: Any) -> Array:
@@ -659,4 +659,11 @@ CHECKS = [
     check("multiplied-once", "Noise in an exponential: one draw", example("", "multiplied", "aukf-1", "aukf", (0.998, 1.002))),
     check("multiplied-equal", "SSUKF over AUKF, at one spread", example("", "multiplied", "ssukf", "aukf", (1 - 1e-10, 1 + 1e-10))),
 ]  # fmt: skip
-STUDY = Study("ssukf", GROUPS, scenario.trial, parts, [*STATEMENTS, *ERRATA, *FINDINGS, *CHECKS])
+STUDY = Study(
+    "ssukf", GROUPS, partial(scenario.trial, drawn=False), parts, [*STATEMENTS, *ERRATA, *FINDINGS, *CHECKS],
+    says="Appending only the noise that acts makes a UKF as accurate as the fully augmented one, in a third less time, and faster "
+    "to converge.",
+    found="As accurate: at one spread of the points both are one filter, so neither converges faster. Counted in points it saves "
+    "less than a third, and less still at the paper's own 25 predictions to a star sample. An MEKF, or a UKF that adds Q and R, "
+    "gives the same estimate in this scenario with fewer.",
+)  # fmt: skip
