@@ -6,7 +6,7 @@ A paper is data over this: configurations, filters by name, parts, rows of a led
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from time import process_time
@@ -14,6 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from celnav.filters.records import Epoch
+from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import choice
 from celnav.gaussian.linalg import Array
 from celnav.study.ledger import Claim, Row
@@ -59,6 +61,25 @@ def fly(trial: Trial, names: Sequence[str], every: int = 1) -> dict[str, Array]:
         nis = np.where(found.dof > 0, found.nis, np.nan)
         each = {"error": found.error * scale, "std": found.std * scale, "nees": found.nees, "nis": nis}
         out |= {"times": found.times} | {f"{name}/{what}": values for what, values in each.items()}
+    return out
+
+
+def together(trial: Trial, priors: Mapping[str, Gaussian], names: Sequence[str], every: int = 1) -> dict[str, Array]:
+    """Filters of a trial from several priors, on the same runs and in one batch: what `fly` gives, by ``<filter>, <prior>``."""
+    count, each = len(priors), list(priors.values())
+    covs = [np.broadcast_to(prior.cov, (len(prior.mean), *prior.cov.shape[-2:])) for prior in each]
+
+    def epochs(name: str) -> Iterator[Epoch]:
+        for epoch in trial.epochs(name):
+            u, z, truth = (None if part is None else np.tile(part, (count, 1)) for part in (epoch.u, epoch.z, epoch.truth))
+            yield epoch._replace(u=u, z=z, truth=truth)
+
+    prior = Gaussian(np.concatenate([prior.mean for prior in each]), np.concatenate(covs))
+    flown = fly(trial._replace(prior=prior, epochs=epochs), names, every)
+    out = {"times": flown.pop("times")}
+    for key, values in flown.items():
+        name, what = key.split("/")
+        out |= {f"{name}, {label}/{what}": part for label, part in zip(priors, np.split(values, count, 1), strict=True)}
     return out
 
 
