@@ -75,18 +75,24 @@ def estimates(data: Mapping[str, Array], names: Mapping[str, tuple[str, str]], u
     }
 
 
-def again(results: Results, part: str, lines: Mapping[str, Line]) -> tuple[dict[str, Estimate], Array, Array]:
-    """The first run of a part flown again in full by these filters, among the errors of all runs; its truth and measurements.
-
-    Of one prior, of vectors, and of epochs that are the same for all filters: truth ``(T, n)``, z ``(T, m)``.
-    """
+def first_run(results: Results, part: str, lines: Mapping[str, Line]) -> dict[str, Estimate]:
+    """Filters of a part: the errors of all runs, and the first run flown again in full for its covariances."""
     first, scale = results.first(part), np.ones(results.get(part, f"{next(iter(lines))}/error").shape[-1])
     for group in results.study.groups:
         scale[group.part] = group.scale
-    n, found, epochs = len(scale), {}, []
+    n, found = len(scale), {}
     for name, line in lines.items():
-        epochs = list(first.epochs(name))
-        cov = np.asarray(run(first.filters[name], first.prior, epochs, keep="cov").cov)[:, 0, :n, :n]
+        cov = np.asarray(run(first.filters[name], first.prior, first.epochs(name), keep="cov").cov)[:, 0, :n, :n]
         error, nees, nis = (results.get(part, f"{name}/{what}") for what in ("error", "nees", "nis"))
         found[name] = Estimate(line.label, line.color, error / scale, cov, nees[:, 0], nis[:, 0])
-    return found, np.stack([epoch.truth[0] for epoch in epochs]), np.stack([epoch.z[0] for epoch in epochs])
+    return found
+
+
+def again(results: Results, part: str, lines: Mapping[str, Line]) -> tuple[dict[str, Estimate], Array, Array]:
+    """`first_run`, its truth ``(T, n)`` and its measurements ``(T, m)``, of epochs that are the same for all filters."""
+    epochs = list(results.first(part).epochs(next(iter(lines))))
+    return (
+        first_run(results, part, lines),
+        np.stack([epoch.truth[0] for epoch in epochs]),
+        np.stack([epoch.z[0] for epoch in epochs]),
+    )

@@ -66,7 +66,7 @@ def test_following_twice_gives_the_same_and_every_second_epoch_is_a_part():
 def test_the_numbers_are_those_of_their_definitions():
     config = replace(csrukf.PRESETS["P"], **SMALL["csrukf"])
     sim = csrukf.simulate(config, [generator(1, 0, r) for r in range(RUNS)])
-    track = run(csrukf.filters(config)["srukf"], sim.prior, sim.epochs_of("srukf"), keep="cov")
+    track = run(csrukf.filters(config)["srukf"], sim.prior, sim.epochs("srukf"), keep="cov")
     found = follow(csrukf.trial(config, [generator(1, 0, r) for r in range(RUNS)]), "srukf")
     error = track.mean - sim.truth
     np.testing.assert_array_equal(found.error, error)

@@ -13,7 +13,7 @@ from celnav.models.orbit import EARTH
 from celnav.papers.csrukf.scenario import filters, simulate
 from celnav.papers.csrukf.study import PHIS, SWEEP, TABLE_1, TABLE_2, TABLE_3
 from celnav.show import colors, scenes, showcase
-from celnav.show.estimates import Group, again
+from celnav.show.estimates import Group, first_run
 from celnav.show.figures import Line, consistency, errors, figure, rmse, rmse_table, sigma
 from celnav.show.plots import Curve, Plot
 from celnav.show.showcase import Showcase
@@ -210,7 +210,7 @@ def record(results: Results, outputs: Outputs) -> list[str]:
 def _case(results: Results, case: str) -> Showcase:
     c, number = results.parts[case].config, results.parts[case].number
     sim = simulate(c, [generator(results.seed, number, 0)])
-    found = again(results, case, {"csrukf": CSRUKF, "srukf": SRUKF, "openloop": OPEN})[0]
+    found = first_run(results, case, {"csrukf": CSRUKF, "srukf": SRUKF, "openloop": OPEN})
     truth, z, V = sim.truth[:, 0], sim.z[:, 0], sim.noise[:, 0]
     track = run(filters(c)["augmented"], sim.prior, sim.epochs(), keep="std")
     noise = {}

@@ -263,7 +263,7 @@ TABLES = {
 
 # -- the recording: the first run, satellite and sensors as they turn, the errors as if under a microscope -------------------
 RECORDINGS = ["ssukf.rrd"]
-NAMES = {key: (LINES[key].label, LINES[key].color) for key in ("ssukf", "aukf", "mekf")}
+NAMES = {key: LINES[key] for key in ("ssukf", "aukf", "mekf")}
 ARM_KM, EXAGGERATION = 1500.0, 1000.0
 SPACES = (
     showcase.Space("world", "orbit, km (inertial axes)", (11e3, -9e3, -15e3), (1e3, 0.0, -2e3), (0.0, -1.0, 0.0)),
@@ -289,7 +289,9 @@ def record(results: Results, outputs: Outputs) -> list[str]:
     points = {key: results.get("facts", f"{key}, {c.ratio}:1").sum() * np.arange(len(t)) / 1e3 for key in NAMES}
     cost = {
         "difference": Plot("log10 |SSUKF - AUKF|, arcsec", {"apart": Curve(apart, colors.ESTIMATE, "SSUKF - AUKF")}, log=True),
-        "points": Plot("points evaluated at 100 Hz, thousands", {key: Curve(points[key], *NAMES[key][::-1]) for key in NAMES}),
+        "points": Plot(
+            "points evaluated at 100 Hz, thousands", {key: Curve(points[key], NAMES[key].color, NAMES[key].label) for key in NAMES}
+        ),
     }
     shown = showcase.Showcase(
         "ssukf", NOTES.format(saved(1)(results).value, saved(c.ratio)(results).value, c), t, found,
@@ -314,6 +316,6 @@ def scene(out: Recorder, angles: Array, truth: Array, errors: dict[str, Array]) 
     sights = np.sqrt(2.0) * ARM_KM * np.array([[[0.0, 0.0, 0.0], [0.0, sign, -1.0]] for sign in (1.0, -1.0)])
     out.path("world/sat/boresights", list(sights), colors.STAR, radius=1.0)
     out.axes("body/truth", 1.0, [colors.TRUTH] * 3, AXES, radius=1.0)
-    turned = {key: (error, NAMES[key][1]) for key, error in errors.items()}
+    turned = {key: (error, NAMES[key].color) for key, error in errors.items()}
     scenes.turning(out, "world/sat", turned, 0.8 * ARM_KM)
     scenes.turning(out, "body", turned, 0.9, EXAGGERATION)
