@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 COLORS = {
     "ekf": colors.OPEN_LOOP, "tkf": colors.COMPARISON, "tkf-fair": colors.MEASUREMENT, "tdkf": colors.FAINT,
-    "tstdkf": colors.ESTIMATE, "aug": colors.TRUTH, "B": colors.PAPER, "C": colors.ESTIMATE,
+    "tstdkf": colors.ESTIMATE, "aug": colors.REFERENCE, "B": colors.PAPER, "C": colors.ESTIMATE,
 }  # fmt: skip
 SHADES = (colors.COMPARISON, colors.ESTIMATE, colors.TRUTH)
 """Of axes and of pulsars."""
@@ -304,7 +304,7 @@ def figure_14(result: Result) -> Figure:
     rows = (
         ("white/tkf", "TKF, left to white noise", colors.COMPARISON),
         ("colored/tdkf", "TDKF, AR(1) noise that matches", colors.FAINT),
-        ("colored/aug", "AUG, AR(1) noise that matches", colors.TRUTH),
+        ("colored/aug", "AUG, AR(1) noise that matches", colors.REFERENCE),
         ("modeled/tkf", "TKF, modeled", colors.ESTIMATE),
     )
     for key, label, color in rows:
