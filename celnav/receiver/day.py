@@ -81,7 +81,7 @@ def flown(files: Files, names: Sequence[str], sigma: float, mask_deg: float, rng
     Returns
     -------
     times ``(T,)`` s of BDT; during ``(T,)``, the burst and `AFTER` epochs more. Of each filter, and of ls, ``<filter>`` and
-    ``burst/<filter>``: from the header's position to theirs, east, north and up ``(T, 3)`` m. nis ``(1,)``: of the first filter, per
+    ``burst/<filter>``: from the header's position to theirs, east, north, up ``(T, 3)`` m. nis ``(1,)``: of the first filter, per
     degree of freedom. consecutive: distances (m) between positions of geostationary satellites by consecutive sets. others: between
     those by the formula of other satellites and by their own, half an hour on.
 
@@ -96,7 +96,9 @@ def flown(files: Files, names: Sequence[str], sigma: float, mask_deg: float, rng
         log = _prepared(part, navigation, mask_deg)
         known, frame = filters(len(log.names)), Positioned(log, "ls", log.fixes, log.fix_cov, reference)
         tracks = {name: run(known[name], log.prior(), log.epochs(), keep="mean") for name in names}
-        out |= {label + name: frame.local(mean) for name, mean in {"ls": log.fixes, **{n: t.mean for n, t in tracks.items()}}.items()}
+        out |= {
+            label + name: frame.local(mean) for name, mean in {"ls": log.fixes, **{n: t.mean for n, t in tracks.items()}}.items()
+        }
         if not label:
             judged = half.times[(k >= first) & (k < first + EPOCHS + AFTER)]
             nis = np.array([tracks[names[0]].nis.sum() / tracks[names[0]].dof.sum()])

@@ -7,30 +7,77 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from celnav.papers.aukf.scenario import STANDARD
+from celnav.filters.run import run
+from celnav.models import pseudorange
+from celnav.models.beidou import ELLIPSOID, GRAVITY_PARAMETER, ROTATION_RATE, satellites, turned
+from celnav.papers.aukf.scenario import STANDARD, START_S, axes, circle, filters, middle, simulate, visible
 from celnav.papers.aukf.study import (
-    AXES, BOTH, BURST, FILTERS, INCLINATIONS_DEG, INITIAL_KM, MATCHED, NONE, NORMAL_ERROR, PROCESS_NOISE, TIMED, WINDOWS, Flown, medians,
-    noise, squares, when, window,
+    AXES,
+    FILTERS,
+    INCLINATIONS_DEG,
+    INITIAL_KM,
+    NORMAL_ERROR,
+    PROCESS_NOISE,
+    TIMED,
+    WINDOWS,
+    Flown,
+    medians,
+    noise,
+    squares,
+    variants,
+    when,
+    window,
 )  # fmt: skip
 from celnav.receiver import day
-from celnav.show import colors
+from celnav.receiver.constellation import synthetic
+from celnav.receiver.report import KIND_COLORS, kinds, record_positioned
+from celnav.receiver.sky import dilution
+from celnav.show import colors, scenes, showcase
+from celnav.show.estimates import Group, estimates
 from celnav.show.figures import Line, band, errors, figure
+from celnav.show.plots import Plot, curves
+from celnav.show.showcase import Showcase, Space
+from celnav.study.montecarlo import generator
 from celnav.study.study import Results
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from celnav.files import Outputs
+    from celnav.papers.aukf.scenario import Config
+    from celnav.show.recording import Recorder
+
 LINES = {
-    "ls": Line("LS", colors.MEASUREMENT), "ekf": Line("EKF", colors.SIGMA, width=2.4), "ukf": Line("UKF", colors.COMPARISON, width=0.9),
-    "aukf": Line("AUKF", colors.ESTIMATE), "group": Line("group parity", colors.TRUTH, "--"), "channel": Line("channel parity", colors.OPEN_LOOP),
+    "ls": Line("LS", colors.MEASUREMENT), "ekf": Line("EKF", colors.SIGMA, width=2.4),
+    "ukf": Line("UKF", colors.COMPARISON, width=0.9),
+    "aukf": Line("AUKF", colors.ESTIMATE), "group": Line("group parity", colors.TRUTH, "--"),
+    "channel": Line("channel parity", colors.OPEN_LOOP),
     "sage-husa": Line("Sage–Husa", "#332288"), "student": Line("Student", "#8C564B"), "huber": Line("Huber", colors.PAPER),
     "gate": Line("gate", colors.FAINT, ":"), "no redraw": Line("UKF, no redraw", colors.FAINT),
     "from a fix": Line("EKF from a fix", colors.TRUTH), "small": Line("UKF, α = 0.001", colors.OPEN_LOOP),
 }  # fmt: skip
-CASES = {"ranges": "burst on all ranges", "both": "burst on ranges and rates", "one": "burst on one range", "mistuned": "mistuned R"}
-BLOCKS = ("antenna", "radio\nfrequency", "intermediate\nfrequency", "carrier and code\nwipe-off", "navigation\nmessage", "positioning")
-STARTED = {"ekf": ("ekf", 1.0), "ukf": ("ukf", 1.0), "small": ("ukf", 1e-3), "aukf": ("aukf", 1.0), "from a fix": ("from a fix", 1.0)}
+CASES = {
+    "ranges": "burst on all ranges",
+    "both": "burst on ranges and rates",
+    "one": "burst on one range",
+    "mistuned": "mistuned R",
+}
+BLOCKS = (
+    "antenna",
+    "radio\nfrequency",
+    "intermediate\nfrequency",
+    "carrier and code\nwipe-off",
+    "navigation\nmessage",
+    "positioning",
+)
+STARTED = {
+    "ekf": ("ekf", 1.0),
+    "ukf": ("ukf", 1.0),
+    "small": ("ukf", 1e-3),
+    "aukf": ("aukf", 1.0),
+    "from a fix": ("from a fix", 1.0),
+}
 """Line -> filter and its alpha."""
 Row = dict[str, str | float]
 
@@ -88,7 +135,8 @@ def polar(results: Results) -> Figure:
     m, angle = results.data["polar"], np.linspace(0.0, 2.0 * np.pi, 121)
     axes[0].plot(*m["draws"].T, ".", markersize=1.0, color=colors.SIGMA, alpha=0.6)
     axes[0].plot(*m["images"].T, "o", markersize=4, color=colors.PAPER, label="images of the points (gray: draws)")
-    for kind, color, label in (("linear", colors.OPEN_LOOP, "linearized"), ("exact", colors.TRUTH, "exact mean, deviation of draws"),
+    for kind, color, label in (("linear", colors.OPEN_LOOP, "linearized"),
+                               ("exact", colors.TRUTH, "exact mean, deviation of draws"),
                                ("unscented", colors.COMPARISON, "unscented")):  # fmt: skip
         mean, std = m[f"{kind} mean"], m[f"{kind} std"]
         for ax in axes:
@@ -125,8 +173,9 @@ def quiet(i: int, results: Results) -> Figure:
 
 def struck(i: int, case: str, results: Results) -> Figure:
     """An error with the burst on all ranges, or on the rates as well."""
-    aukf, ukf, limits, channels = {"ranges": (BURST("aukf"), BURST("ukf"), (20.0, 3.0), "ranges"),
-                                   "both": (BOTH("aukf"), BOTH("ukf"), (150.0, 60.0), "ranges and rates")}[case]  # fmt: skip
+    aukf, ukf, limits, channels = {"ranges": (("main", "ranges/aukf"), ("main", "ranges/ukf"), (20.0, 3.0), "ranges"),
+                                   "both": (("disturbed", "both/aukf"), ("disturbed", "both/ukf"), (150.0, 60.0),
+                                            "ranges and rates")}[case]  # fmt: skip
     fig, axes = figure(9.5, 2.9, 1, 2, width_ratios=(3, 2))
     (start, end), name = results.parts[aukf[0]].config.burst_s, AXES[i].name
     for ax, limit in zip(axes, limits, strict=True):
@@ -197,9 +246,9 @@ def densities(results: Results) -> Figure:
 
 def lengths(results: Results) -> dict[tuple[str, str], float]:
     """RMSE (m) in the burst and after it by label and filter, "M = 5" or a name."""
-    out = {}
+    out: dict[tuple[str, str], float] = {}
     for (label, _, q), Ms in WINDOWS.items():
-        others = {name: BURST(name) if q is None else window(label, 10, name) for name in ("ukf", "group")}
+        others = {name: ("main", f"ranges/{name}") if q is None else window(label, 10, name) for name in ("ukf", "group")}
         flown = {"ukf": others["ukf"], **{f"M = {M}": window(label, M) for M in sorted(Ms)}, "group": others["group"]}
         out |= {(label, name): rms(results, a, "late") for name, a in flown.items()}
     return out
@@ -219,8 +268,8 @@ def windows_and_starts(results: Results) -> Figure:
     axes[0].legend()
     for km, style in zip(INITIAL_KM, (":", "-.", "--", "-"), strict=True):
         for key, (name, alpha) in STARTED.items():
-            label = LINES[key].label if km == INITIAL_KM[-1] else None
-            axes[1].semilogy(medians(results, km, name, alpha), color=LINES[key].color, linestyle=style, label=label)
+            named = {"label": LINES[key].label} if km == INITIAL_KM[-1] else {}
+            axes[1].semilogy(medians(results, km, name, alpha), color=LINES[key].color, linestyle=style, **named)
     title = "initial error " + ", ".join(f"{km:g}" for km in INITIAL_KM) + " km"
     axes[1].set(xlabel="epoch (1 Hz)", ylabel="median position error (m)", title=title)
     axes[1].legend()
@@ -235,9 +284,10 @@ def half_day(results: Results) -> Figure | None:
 # -- tables --------------------------------------------------------------------------------------------------------------------
 def table_1(r: Results) -> list[Row]:
     """RMSE by axis; the paper's numbers are lost."""
-    flown = [("as tuned", name, NONE(name)) for name in ("ls", "ekf", "ukf", "aukf")]
+    flown = [("as tuned", name, ("main", f"none/{name}")) for name in ("ls", "ekf", "ukf", "aukf")]
     flown += [("noise of ranges mistuned", name, ("disturbed", f"mistuned/{name}")) for name in ("ukf", "aukf")]
-    return [{"case": text, "filter": LINES[name].label, "paper": "lost", **{f"{g.name} (m)": rms(r, a, "all", g.name) for g in AXES}}
+    return [{"case": text, "filter": LINES[name].label, "paper": "lost",
+             **{f"{g.name} (m)": rms(r, a, "all", g.name) for g in AXES}}
             for text, name, a in flown]  # fmt: skip
 
 
@@ -256,7 +306,7 @@ def table_2(r: Results) -> list[Row]:
 def table_3(r: Results) -> list[Row]:
     """Quiet, by interval and process noise."""
     rows: list[Row] = []
-    for T, q in ((T, q) for T in PROCESS_NOISE for q in PROCESS_NOISE[T]):
+    for T, q in [(interval, density) for interval, some in PROCESS_NOISE.items() for density in some]:
         nis, factor = (r.get(*noise(T, q, what))[when(r, *noise(T, q, "ekf"), "quiet")] for what in ("ekf/nis", "aukf/factor"))
         row: Row = {"interval (s)": T, "process noise (m^2/s^3)": q, "NIS / dof, EKF": float(nis.mean() / factor.shape[-1])}
         row |= {f"{LINES[name].label} (m)": rms(r, noise(T, q, name), "quiet") for name in ("ekf", "aukf", "group")}
@@ -267,25 +317,29 @@ def table_3(r: Results) -> list[Row]:
 def table_4(r: Results) -> list[Row]:
     """Burst and after it, by rate and length of the window."""
     density = {label: q or STANDARD.acceleration_noise for label, _, q in WINDOWS}
-    return [{"rate": label, "process noise (m^2/s^3)": density[label], "filter": f"AUKF, {name}" if name.startswith("M") else LINES[name].label,
+    return [{"rate": label, "process noise (m^2/s^3)": density[label],
+             "filter": f"AUKF, {name}" if name.startswith("M") else LINES[name].label,
              "RMSE (m)": value} for (label, name), value in lengths(r).items()]  # fmt: skip
 
 
 def table_5(r: Results) -> list[Row]:
     """Medians after the first updates, by the initial error."""
-    return [{"initial error (km)": km, "filter": LINES[key].label, **{f"after epoch {k} (m)": float(medians(r, km, *how)[k]) for k in (0, 1, 5, 30)}}
-            for km in INITIAL_KM for key, how in STARTED.items()]  # fmt: skip
+    rows: list[Row] = []
+    for km, (key, how) in [(km, line) for km in INITIAL_KM for line in STARTED.items()]:
+        after = {f"after epoch {k} (m)": float(medians(r, km, *how)[k]) for k in (0, 1, 5, 30)}
+        rows.append({"initial error (km)": km, "filter": LINES[key].label, **after})
+    return rows
 
 
 def table_6(r: Results) -> list[Row]:
     """Consistency where the truth moves as the filters think it does."""
     rows: list[Row] = []
     for name in ("ekf", "ukf", "aukf", "group", "channel", "no redraw"):
-        at = when(r, *MATCHED(name), "all")
-        nees, nis = (float(r.get(*MATCHED(f"{name}/{what}"))[at].mean()) for what in ("nees", "nis"))
+        at = when(r, "matched", f"1 Hz/{name}", "all")
+        nees, nis = (float(r.get("matched", f"1 Hz/{name}/{what}")[at].mean()) for what in ("nees", "nis"))
         bound = float(np.sqrt(np.square(r.get("bound", "std")[at]).sum(-1).mean()))
         rows.append({"filter": LINES[name].label, "NEES (8 if consistent)": nees, "NIS / dof": nis / 30.0,
-                     "position RMSE / bound": rms(r, MATCHED(name), "all") / bound})  # fmt: skip
+                     "position RMSE / bound": rms(r, ("matched", f"1 Hz/{name}"), "all") / bound})  # fmt: skip
     return rows
 
 
@@ -298,7 +352,8 @@ def table_7(r: Results) -> list[Row]:
 def table_8(r: Results) -> list[Row]:
     """A real receiver; no rows if its files were not given."""
     found = r.data.get("real", {})
-    return [{"filter": LINES[name].label, "RMS (m)": day.rms(found, name), "RMS with an added burst (m)": day.rms(found, f"burst/{name}")}
+    return [{"filter": LINES[name].label, "RMS (m)": day.rms(found, name),
+             "RMS with an added burst (m)": day.rms(found, f"burst/{name}")}
             for name in LINES if name in found]  # fmt: skip
 
 
@@ -306,15 +361,18 @@ FIGURES = {
     "figure_01": ("Fig. 1: the receiver, from the antenna to a position.", receiver),
     "figure_02": ("Fig. 2: an orbit's plane against the equator: the flatter it lies, the less is its node known.", planes),
     "figure_03": ("Fig. 3: the unscented transform, from polar to Cartesian coordinates.", polar),
-    **{f"figure_{i + 4:02d}": (f"Fig. {i + 4}: error of {axis.name}, without a burst; and where the noise is larger than the filters think.",
+    **{f"figure_{i + 4:02d}": (f"Fig. {i + 4}: error of {axis.name}, without a burst; and where the noise is larger than the "
+                               f"filters think.",
                                partial(quiet, i)) for i, axis in enumerate(AXES)},
     **{f"figure_{i + 7:02d}{end}": (f"{text} error of {axis.name} with the burst on {channels}.", partial(struck, i, case))
        for i, axis in enumerate(AXES)
-       for end, case, text, channels in (("", "ranges", f"Fig. {i + 7}:", "all ranges"), ("b", "both", "Beyond the paper:", "ranges and rates"))},
+       for end, case, text, channels in (("", "ranges", f"Fig. {i + 7}:", "all ranges"),
+                                         ("b", "both", "Beyond the paper:", "ranges and rates"))},
     "figure_10": ("Beyond the paper: what the filter multiplies the noise by.", factors),
     "figure_11": ("Beyond the paper: stronger baselines, by where the disturbance is.", bars),
     "figure_12": ("Beyond the paper: with little process noise the turn is taken for noise of the rates.", densities),
-    "figure_13": ("Beyond the paper: the window must be shorter than the burst; the initial error that a UKF helps with.", windows_and_starts),
+    "figure_13": ("Beyond the paper: the window must be shorter than the burst; the initial error that a UKF helps with.",
+                  windows_and_starts),
     "figure_14": ("Beyond the paper: half a day of a real receiver, and a burst that is added to it.", half_day),
 }  # fmt: skip
 """A drawing of what was not given is None, a table of it has no rows."""
@@ -328,3 +386,84 @@ TABLES = {
     "table_7": ("Beyond the paper: CPU time of a step on the machine at hand.", table_7),
     "table_8": ("Beyond the paper: the first half of a real receiver's day, position from the header's.", table_8),
 }  # fmt: skip
+
+
+# -- recordings ----------------------------------------------------------------------------------------------------------------
+RECORDINGS = ["aukf_burst.rrd", "aukf_real.rrd"]
+NAMES = {"aukf": ("AUKF", colors.ESTIMATE), "ekf": ("EKF, as UKF", colors.COMPARISON), "group": ("group parity", colors.TRUTH),
+         "ls": ("each epoch by itself", colors.MEASUREMENT)}  # fmt: skip
+SHOWN = 8
+"""Runs that are flown again: the first in full, the others as points."""
+
+
+def record(results: Results, outputs: Outputs) -> list[str]:
+    """Write the recordings among ``outputs``; returns their names. Needs rerun."""
+    written = showcase.write({RECORDINGS[0]: _burst(results)}, outputs)
+    if "real" not in results.parts:
+        return written
+    with outputs.path_for(RECORDINGS[1]) as path:
+        record_positioned(day.positioned(results.parts["real"].config, "aukf", STANDARD.mask_deg), path)
+    return RECORDINGS
+
+
+def _burst(results: Results) -> Showcase:
+    """Runs of "baselines" with the burst on all ranges, which come first there."""
+    part = results.parts["baselines"]
+    c, local = part.config, axes(part.config)
+    sim = simulate(c, [generator(results.seed, part.number, run) for run in range(SHOWN)])
+    S, data = len(sim.satellites.names), dict[str, Any]()
+    known = {**filters(c, S), "aukf": variants(c, S, c.Q)["aukf, watched"]}
+    for name in NAMES:
+        also = (lambda _e, state, _i: {"factor": state.memory[0][0][1][0]}) if name == "aukf" else None
+        track = run(known[name], sim.prior, sim.epochs(), keep="cov", also=also, on_failure="flag")
+        data |= {f"{name}/error": track.mean - sim.truth, f"{name}/nis": track.nis, f"{name}/cov": track.cov[:, :1]}
+        data |= track.extra
+    del data["ls/cov"]  # a line through estimates of single epochs says nothing
+    found, shades = estimates(data, NAMES), [KIND_COLORS[kind] for kind in kinds(sim.satellites.names)]
+    adapt = {name: Plot(f"log10 A of the {name}", curves(sim.satellites.names, A, shades), log=True)
+             for name, A in zip(("ranges", "rates"), data["factor"].T.reshape(2, S, -1), strict=True)}  # fmt: skip
+    dop = dilution(sim.satellites.q, circle(c)[0], local)._asdict()
+    palette = (colors.SIGMA, colors.COMPARISON, colors.TRUTH, colors.ESTIMATE, colors.OPEN_LOOP)
+    adapt["dilution"] = Plot(f"dilution of precision, {S} satellites", curves(dop, dop.values(), palette))
+
+    def scene(out: Recorder) -> None:
+        _sky(out, c)
+        truth = (circle(c)[0] - middle(c)) @ local.T
+        out.trail("track/truth/trail", truth, colors.TRUTH, radius=2.0)
+        for key, e in found.items():
+            cov = None if e.cov is None else local @ e.cov[:, :3, :3] @ local.T
+            scenes.track(out, f"track/{key}", truth + e.errors[:, 0, :3] @ local.T, e.color, e.label, cov=cov)
+
+    growing = [f"track/{name}/trail" for name in ("truth", *NAMES)]
+    spaces = (Space("world", "satellites, 1000 km (Earth-fixed)", (-45.0, 68.0, 40.0)),
+              Space("track", "track, m (east, north, up)", (0.0, -9e3, 9e3), growing=growing))  # fmt: skip
+    groups = [Group("position", "m", slice(0, 3), axes="XYZ"), Group("velocity", "m/s", slice(3, 6), axes="XYZ")]
+    start, end = c.burst_s
+    return Showcase(
+        "aukf: burst", NOTES.format(c), c.times, found, groups, None, np.concatenate([local, np.zeros((3, 5))], 1),
+        "m, east, north, up",
+        nis_dof=2 * S, scene=scene, spaces=spaces, plots={"adaptation": adapt},
+        events=[(start, f"{c.burst_sigma:g} m of noise on all ranges begin"), (end, "they end")], parameters=vars(c),
+        facts={"paper": "aukf", "preset": "burst", "seed": results.seed, "runs": SHOWN},
+    )  # fmt: skip
+
+
+def _sky(out: Recorder, c: Config) -> None:
+    """Lengths in 1000 km: those of the ground are lost in the picture anyway."""
+    (position, velocity), broadcast = circle(c), synthetic()
+    places = pseudorange.sources(broadcast, START_S + c.times, position, velocity).q
+    period = 2.0 * np.pi * broadcast.sqrt_a**3 / np.sqrt(GRAVITY_PARAMETER)
+    away = np.linspace(0.0, 1.0, 91)[:, None] * period  # orbits as they lie in space, on axes that are Earth-fixed at the start
+    orbits = turned(satellites(broadcast, START_S + away).position, -ROTATION_RATE * away)
+    seen, shades = np.isin(broadcast.names, visible(c).names), [KIND_COLORS[kind] for kind in kinds(broadcast.names)]
+    out.globe("world/earth", ELLIPSOID.semimajor_axis / 1e6)
+    scenes.constellation(out, "world", places / 1e6, orbits / 1e6, position / 1e6, seen, broadcast.names, shades)
+
+
+NOTES = """# Fan et al., {0.burst_sigma:g} m of noise on all ranges from {0.burst_s[0]:g} to {0.burst_s[1]:g} s
+
+**Adapting the noise of the measurement shrugs the burst off; the EKF, which equals the UKF, takes it for position.**
+
+A receiver circles with {0.acceleration_g:g} g at {0.speed_m_per_s:g} m/s. Group parity knows the noise from what no position
+explains, and needs no window. Satellites: GEO red, IGSO orange, MEO blue.
+"""
