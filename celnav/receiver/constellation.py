@@ -9,6 +9,7 @@ from dataclasses import fields
 
 import numpy as np
 
+from celnav.gaussian import checks
 from celnav.gaussian.linalg import Array
 from celnav.models.beidou import GRAVITY_PARAMETER, ROTATION_RATE, TILT, Broadcast, eccentric_anomaly, tilted
 from celnav.models.orbit import Earth, from_elements, to_elements
@@ -26,7 +27,8 @@ TOE_S = 345600.0
 
 def geostationary(number: int, elapsed_s: float = 0.0) -> Array:
     """State ``(6,)`` km, km/s some time after the reference time; the axes are those that are Earth-fixed at that, and stay."""
-    longitude, i, Omega = np.radians(GEOSTATIONARY[number]).tolist()
+    longitude, i, Omega = np.radians(GEOSTATIONARY[checks.choice("number", number, GEOSTATIONARY)]).tolist()
+    elapsed_s = checks.number("elapsed_s", elapsed_s)
     e, omega = 3e-4, np.radians(30.0)
     E = float(eccentric_anomaly(np.array(longitude - Omega - omega + ROTATION_RATE * elapsed_s), np.array(e)))
     nu = 2.0 * np.arctan(np.sqrt((1.0 + e) / (1.0 - e)) * np.tan(0.5 * E))
@@ -38,6 +40,7 @@ def synthetic(toe: float = TOE_S) -> Broadcast:
 
     Five geostationary, three inclined geosynchronous on one ground track, and a Walker constellation 24/3/1.
     """
+    toe = checks.number("toe", toe)
     rows: dict[int, tuple[float, ...]] = {}
     for number in GEOSTATIONARY:
         # Elements that refer to the tilted plane, in which the orbit is never flat.

@@ -95,7 +95,7 @@ def plans(c: Config) -> dict[str, tuple[int, int, int, float, Sequence[str], Cas
     starts: dict[str, Case] = {}
     for start in STARTS:
         true, taken = map(float, start.split("/"))
-        change = {"duration_s": 120.0 if taken == 1e6 else 60.0, "deviation": (true, *c.deviation[1:]), "assumed_m": taken}
+        change = {"duration_s": 120.0 if true == 1e6 else 60.0, "deviation": (true, *c.deviation[1:]), "assumed_m": taken}
         starts[start] = ({**slow, **change}, ("ekf", *PAIR))
     short, a2T = {**QUIET, "duration_s": 15.0}, c.acceleration_noise
     wrong: dict[str, Case] = {f"near/Q {part:g}": ({**short, "acceleration_noise_m2_per_s3": part * a2T}, PAIR) for part in WRONG_Q}
