@@ -118,13 +118,6 @@ def test_a_satellite_that_is_not_there_is_told():
         simulate(replace(SHORT, burst="one", burst_satellite=20), runs(1))
 
 
-def test_a_clipped_mean_of_squares_exceeds_one():
-    for M, exact in ((5, 0.244), (10, 0.176), (30, 0.102)):
-        assert study.clipped(M) == pytest.approx(exact, abs=6e-4)
-    draws = np.maximum(1.0, np.square(np.random.default_rng(0).normal(size=(200_000, 10))).mean(1))
-    assert study.clipped(10) == pytest.approx(draws.mean() - 1.0, abs=3e-3)
-
-
 def test_some_of_the_ranges_are_struck_evenly():
     hit = scenario.burst(replace(SHORT, burst="one", burst_count=3), 15)[25]
     np.testing.assert_array_equal(np.flatnonzero(hit), [2, 7, 12])

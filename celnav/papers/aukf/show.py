@@ -57,6 +57,8 @@ LINES = {
     "gate": Line("gate", colors.FAINT, ":"), "no redraw": Line("UKF, no redraw", colors.FAINT),
     "from a fix": Line("EKF from a fix", colors.TRUTH), "small": Line("UKF, α = 0.001", colors.OPEN_LOOP),
 }  # fmt: skip
+LABELS = {"ukf": "EKF, UKF"}
+"""Where the EKF was not flown, as it is the UKF."""
 CASES = {
     "ranges": "burst on all ranges",
     "both": "burst on ranges and rates",
@@ -217,16 +219,11 @@ def bars(results: Results) -> Figure:
         values = [rms(results, ("baselines", f"{case}/{name}"), "all" if case == "mistuned" else "burst") for name in names]
         ax.barh(range(len(names)), values, color=[LINES[name].color for name in names], log=True)
         ax.set(title=text, xlabel="position RMSE (m)", xlim=(0.3 * min(values), 4.0 * max(values)))
-        ax.set_yticks(range(len(names)), [labeled(name) for name in names] if case == "ranges" else [])
+        ax.set_yticks(range(len(names)), [LABELS.get(name, LINES[name].label) for name in names] if case == "ranges" else [])
         ax.invert_yaxis()
         for i, value in enumerate(values):
             ax.text(value * 1.1, i, f"{value:.3g}", va="center", fontsize=6.5)
     return fig
-
-
-def labeled(name: str) -> str:
-    """Where the EKF was not flown, as it is the UKF."""
-    return "EKF, UKF" if name == "ukf" else LINES[name].label
 
 
 def densities(results: Results) -> Figure:
@@ -299,7 +296,7 @@ def table_2(r: Results) -> list[Row]:
             a = ("baselines", f"{case}/{name}")
             peak = np.sqrt(np.square(r.error(*a, "position")[when(r, *a, "burst")]).sum(-1)).max(0).mean()
             values = {f"{during} (m)": rms(r, a, during) for during in ("quiet", "burst", "after", "all")}
-            rows.append({"case": text, "filter": labeled(name), **values, "peak (m)": float(peak)})
+            rows.append({"case": text, "filter": LABELS.get(name, LINES[name].label), **values, "peak (m)": float(peak)})
     return rows
 
 
