@@ -70,6 +70,9 @@ STARTS = ("10/10", "1e3/1e3", "1e3/10", "1e5/1e5", "1e5/10", "1e6/1e6", "1e6/10"
 WRONG_Q, WRONG_R = (0.01, 0.1, 1.0, 10.0, 100.0), (0.3, 3.0)
 """Parts of the process noise of the turn, and of the ranges' true deviation, that filters assume."""
 TIMED = ("ekf", "ukf", "aukf", "group", "huber")
+REACHED = (0.92, 1.06)
+BOUND = {"ekf": REACHED, "ukf": REACHED, "aukf": (1.03, 1.2), "group": REACHED, "channel": REACHED, "no redraw": (1.5, 1.72)}
+"""Flown on truth from the model -> what part of the bound's error is accepted."""
 QUIET, MISTUNED = {"burst": "none"}, {"burst": "none", "true_sigma_range_m": PRESETS["mistuned"].true_sigma_range_m}
 BURSTS = {case: {"burst": case} for case in ("ranges", "both", "one")}
 
@@ -112,8 +115,7 @@ def plans(c: Config) -> dict[str, tuple[int, int, int, float, Sequence[str], Cas
         "process noise": (2, 20, 20, STANDARD.burst_s[0], ("nis", "factor"), densities),
         "windows": (3, 20, 20, c.burst_s[1] + AFTER_S, (), lengths),
         "initial errors": (4, 20, 20, np.inf, (), first),
-        "matched": (5, 40, 40, np.inf, ("nis", "nees", "factor"), {"1 Hz": (model,
-                                                                            ("ekf", *PAIR, "group", "channel", "no redraw"))}),
+        "matched": (5, 40, 40, np.inf, ("nis", "nees", "factor"), {"1 Hz": (model, tuple(BOUND))}),
         "redraw": (6, 20, 20, c.burst_s[0], ("nees",), {"none": (QUIET, ("ukf", "no redraw"))}),
         "disturbed": (7, c.runs, 50, np.inf, (), {"both": (BURSTS["both"], PAIR), "mistuned": (MISTUNED, PAIR)}),
         "bursts, 1 Hz": (8, c.runs, 50, np.inf, (), {k: ({**v, **second}, PAIR) for k, v in BURSTS.items()}),
@@ -733,9 +735,9 @@ STATEMENTS = [
 OTHERS = [
     Row("erratum", "erratum-editorial", "A wrong character in pseudorange throughout; V and W, then w and v for the two noises.",
         place="throughout"),
-    Row("reconstruction", "recon-adaptive", "The adaptive matrix: mean squares of the last M innovations less what the state "
-                                            "explains, over R, on the diagonal, "
-        "clipped at 1.", place="Eqs. 12-20"),
+    Row("reconstruction", "recon-adaptive",
+        "The adaptive matrix: mean squares of the last M innovations less what the state explains, over R, clipped at 1.",
+        place="Eqs. 12-20"),
     Row("reconstruction", "erratum-6-worse", "Points are drawn anew for the measurement: else the gain lacks the process noise.",
         all_of(over("quiet RMSE without over with", ("redraw", "none/no redraw"), ("redraw", "none/ukf"), "quiet", (5.0, None)),
                average("NEES without", ("redraw", "none/no redraw/nees"), "quiet", (80.0, None)),
@@ -752,52 +754,45 @@ OTHERS = [
            all_of(over("AUKF in the burst, on ranges and rates over on ranges", ("baselines", "both/aukf"),
                        ("baselines", "ranges/aukf"), "burst", (10.0, None))),
            place="text on Figs 7-9", found="{0} times the error."),
-    remark("remark-unsaid", "Adaptive fading inflates the noise of the measurement here, where fading means that of the "
-                            "prediction. Rate, M, Q, R and alpha are not "
-           "given, one run is shown, and least squares is no row of Table 1.", place="throughout"),
+    remark("remark-unsaid", "Adaptive fading here inflates the noise of the measurement; fading means that of the prediction. "
+           "Rate, M, Q, R and alpha are not given, one run is shown, and least squares is no row of Table 1.", place="throughout"),
 ]  # fmt: skip
 FINDINGS = [
-    finding("baselines-group-ranges", "A factor from what no position explains (group parity) needs no window and is as good in "
-                                      "the burst, and better on rates too.",
+    finding("baselines-group-ranges",
+            "A factor from what no position explains (group parity) needs no window, is as good in the burst, better on rates too.",
             all_of(over("burst on ranges, over AUKF", ("main", "ranges/group"), ("main", "ranges/aukf"), "burst", (None, 1.1)),
-                   *(over(f"on rates too, over AUKF, {w}", ("baselines", "both/group"), ("baselines", "both/aukf"), w,
-                          (None, b)) for w, b in (("burst", 1.1), ("after", 0.5)))),
+                   over("on rates too, in it", ("baselines", "both/group"), ("baselines", "both/aukf"), "burst", (None, 1.1)),
+                   over("on rates too, after it", ("baselines", "both/group"), ("baselines", "both/aukf"), "after", (None, 0.5))),
             found="{0} of the AUKF's error, {1} with the rates and {2} after it.", figure="figure_11"),
     finding("baselines-group-one", "On one range it inflates everybody: there a factor of each channel is better.",
-            all_of(over("burst on one range, over AUKF", ("baselines", "one/group"), ("baselines", "one/aukf"), "burst",
-                        (1.1, None))), found="{0} of the AUKF's error.", figure="figure_11"),
+            all_of(over("over AUKF", ("baselines", "one/group"), ("baselines", "one/aukf"), "burst", (1.1, None))),
+            found="{0} of the AUKF's error.", figure="figure_11"),
     finding("figure-7b-gate",
             "A gate locks itself out where ranges and rates are struck, and loses to no gate where R is too small.",
             all_of(level("burst on ranges and rates, m", ("baselines", "both/gate"), "burst", (100.0, None)),
                    over("mistuned, over UKF", ("baselines", "mistuned/gate"), ("baselines", "mistuned/ukf"), "all", (1.0, None))),
             found="{0:.0f} m, and {1} times the UKF's error.", figure="figure_11"),
-    finding("erratum-4-aukf", "With little process noise the AUKF takes the turn for noise of the rates and diverges by "
-                              "kilometers, where the EKF is at its best.",
+    finding("erratum-4-aukf",
+            "With little process noise the AUKF takes the turn for noise and diverges by kilometers, where the EKF is at its best.",
             all_of(level("AUKF, m", noise(0.1, 1.0, "aukf"), "quiet", (1e3, None)),
                    level("EKF, m", noise(0.1, 1.0, "ekf"), "quiet", (None, 1.0))),
             found="{0:.0f} m for the AUKF and {1} m for the EKF.", figure="figure_12"),
     finding("figure-4-mistuned", "Where ranges are noisier than assumed the gap that the paper shows appears.",
-            all_of(over("10 m for 3 m, over UKF", ("disturbed", "mistuned/aukf"), ("disturbed", "mistuned/ukf"), "all",
-                        (None, 0.85))), found="{0} of the UKF's error.",
-            figure="figure_04"),
+            all_of(over("10 m for 3 m", ("disturbed", "mistuned/aukf"), ("disturbed", "mistuned/ukf"), "all", (None, 0.85))),
+            found="{0} of the UKF's error.", figure="figure_04"),
     finding("windows-10hz-1", "The window has to be shorter than the burst, and longer than one epoch.",
-            all_of(*(over(f"M = {M} over M = 3", window("default", M), window("default", 3), "late", (1.05, None)) for M in (1, 50,
-                                                                                                                             100)),
+            all_of(*(over(f"M = {M}", window("default", M), window("default", 3), "late", (1.05, None)) for M in (1, 50, 100)),
                    over("1 Hz, M = 10 over UKF", window("1 Hz", 10), window("1 Hz", 10, "ukf"), "late", (0.75, 1.25))),
             found="{0}, {1} and {2} times the error with 1, 50 and 100 epochs for 3.", figure="figure_13"),
-    finding("start-ahead", "The UKF's only merit here is its start from 100 km and more, and an EKF that starts at the first fix "
-                           "needs no such.",
+    finding("start-ahead", "The UKF's only merit is its start from 100 km and more; an EKF from the first fix needs none.",
             lambda r: [Number("EKF over UKF from 1000 km after epoch 5", ahead(r, 1e3), (2.0, None)),
                        Number("EKF from a fix, m, worst", float(max(medians(r, km, "from a fix")[0] for km in INITIAL_KM)),
                               (None, 10.0))],
             found="{0:.0f} times the UKF's median error; {1:.1f} m.", figure="figure_13"),
-    finding("matched-bound-ukf", "With truth from the filters' own model UKF and EKF are consistent and reach the Cramér-Rao "
-                                 "bound; AUKF does not.",
-            all_of(*(over_bound(name, accept) for name, accept in (("ukf", (0.92, 1.06)), ("ekf", (0.92, 1.06)),
-                                                                   ("group", (0.92, 1.06)),
-                                                                   ("channel", (0.92, 1.06)), ("aukf", (1.03, 1.2)),
-                                                                   ("no redraw", (1.5, 1.72))))),
-            found="{0} of the bound for the UKF, {4} for the AUKF, {5} without drawing anew."),
+    finding("matched-bound-ukf",
+            "With truth from the filters' own model UKF and EKF are consistent and reach the Cramér-Rao bound; AUKF does not.",
+            all_of(*(over_bound(name, accept) for name, accept in BOUND.items())),
+            found="{1} of the bound for the UKF, {2} for the AUKF, {5} without drawing anew."),
 ]  # fmt: skip
 CHECKS = [
     check("figure-7-factor", "Mean factor of the ranges in the burst, where 279 are right",
@@ -807,11 +802,11 @@ CHECKS = [
     check("process-none-lost", "Largest quiet error of the AUKF in any run (m)",
           peak("m", ("main", "none/aukf"), "quiet", (None, 3.0))),
     check("process-group", "Group parity does not mind: over the EKF, by process noise",
-          all_of(*(over(f"{T:g} s, {q:g}", noise(T, q, "group"), noise(T, q, "ekf"), "quiet",
-                        (0.97, 1.03)) for T in PROCESS_NOISE for q in PROCESS_NOISE[T]))),
+          all_of(*(over(f"{T:g} s, {q:g}", noise(T, q, "group"), noise(T, q, "ekf"), "quiet", (0.97, 1.03))
+                   for T in PROCESS_NOISE for q in PROCESS_NOISE[T]))),
     check("process-nis", "NIS of the EKF (30 if consistent) falls with the process noise: 180 and 26.7 by a prototype",
-          all_of(*(average(f"{q:g}", noise(0.1, q, "ekf/nis"), "quiet", accept) for q,
-                   accept in ((1.0, (171.0, 189.0)), (1e3, (25.5, 27.9)))))),
+          all_of(average("1", noise(0.1, 1.0, "ekf/nis"), "quiet", (171.0, 189.0)),
+                 average("1000", noise(0.1, 1e3, "ekf/nis"), "quiet", (25.5, 27.9)))),
     check("process-factor", "The turn is read as noise of the rates: mean factor, 6800 by a prototype",
           all_of(average("A", noise(0.1, 10.0, "aukf/factor"), "quiet", (4800.0, 8800.0), HALVES["rates"]))),
     check("matched-nees-ukf", "NEES of the UKF, truth from the model (8 if consistent)",
