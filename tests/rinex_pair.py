@@ -10,7 +10,7 @@ from pymap3d import ecef2geodetic
 
 from celnav.models import pseudorange
 from celnav.models.beidou import B1I_HZ, ELLIPSOID, GPS_AHEAD_S, LIGHT
-from celnav.papers.aukf.constellation import synthetic
+from celnav.receiver.constellation import synthetic
 from celnav.receiver.rinex import Observations
 from celnav.receiver.sky import GPS_L1_HZ, klobuchar, local_axes, look, saastamoinen
 

@@ -26,7 +26,7 @@ MODULES = {
     for package in PACKAGES
     for _, name, _ in iter_modules([f"{celnav.__path__[0]}/{package}"])
 } | {
-    "constellation": import_module("celnav.papers.aukf.constellation"),
+    "constellation": import_module("celnav.receiver.constellation"),
 }
 HOT = """
 attitude: multiply inverse positive matrix rotate exp log angle to_euler to_rodrigues from_rodrigues cross transport
@@ -196,8 +196,7 @@ CALLS = {
     "views.space": dict(origin="a", name="a", eye=[1.0, 0.0, 0.0], target=[0.0, 0.0, 0.0], up=[0.0, 0.0, 1.0], growing={"a": 1.0}),
     "views.plot": dict(origin="a", name="a", times=TIMES, limits=(0.0, 1.0)),
     "figures.figure": dict(width=3.0, height=2.0, rows=1, columns=2),
-    "constellation.kepler": dict(a=7e6, e=0.1, i=0.1, Omega=0.1, omega=0.1, M=0.1),
-    "constellation.elements": dict(position=np.array([7e6, 0.0, 0.0]), velocity=np.array([0.0, 5e3, 5e3])),
+    "constellation.geostationary": dict(number=1, elapsed_s=60.0),
     "constellation.synthetic": dict(toe=345600.0),
     "ephemeris.Kernel": dict(path=str(ephemeris.de421().path)),
     "ephemeris.Kernel.state": (ephemeris.de421().state, dict(body="sun", date=TDB)),

@@ -90,6 +90,7 @@ class Row:
     why: how the accepted range follows from the paper's words. found: what we find, in a sentence; "{0}" is the first number.
     printed: what the paper prints, verbatim. expected: the verdict that we know of; empty: that it holds.
     revised: when and why the accepted range was changed after a result was seen. figure: stem of one that shows it.
+    needs: a part without which nothing is said, as that of an optional input.
     """
 
     kind: str
@@ -103,6 +104,7 @@ class Row:
     expected: str = ""
     revised: str | None = None
     figure: str = ""
+    needs: str = ""
 
     def __post_init__(self) -> None:
         choice("kind", self.kind, KINDS)

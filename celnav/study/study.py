@@ -233,5 +233,5 @@ class Results:
         return self.effort == 1.0
 
     def claims(self, rows: Sequence[Row] = ()) -> list[Claim]:
-        """All rows of the ledger, or some, judged."""
-        return [row.judged(self) for row in rows or self.study.rows]
+        """All rows of the ledger, or some, judged; those that need a part which is absent are left out."""
+        return [row.judged(self) for row in rows or self.study.rows if not row.needs or row.needs in self.data]

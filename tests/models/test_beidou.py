@@ -9,7 +9,7 @@ import pytest
 
 from celnav.models import beidou
 from celnav.models.beidou import GRAVITY_PARAMETER, ROTATION_RATE, Broadcast, satellites
-from celnav.papers.aukf.constellation import synthetic
+from celnav.receiver.constellation import synthetic
 
 TOE = 345600.0
 

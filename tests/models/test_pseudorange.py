@@ -7,7 +7,7 @@ import pytest
 
 from celnav.models import pseudorange
 from celnav.models.beidou import LIGHT, ROTATION_RATE, satellites
-from celnav.papers.aukf.constellation import synthetic
+from celnav.receiver.constellation import synthetic
 
 TOE = 345600.0
 PLACE = np.array([-2613000.0, 4739000.0, 3365000.0])

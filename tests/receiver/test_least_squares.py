@@ -7,7 +7,7 @@ import pytest
 
 from celnav import Gaussian, Sensor, epochs, run
 from celnav.models import pseudorange
-from celnav.papers.aukf.constellation import synthetic
+from celnav.receiver.constellation import synthetic
 from celnav.receiver.least_squares import least_squares
 
 H = np.array([[1.0, 0.0], [0.5, 1.0], [0.0, 2.0], [1.0, -1.0]])

@@ -1,8 +1,22 @@
-"""Truth, satellites, measurements, and the filters that the paper and this study compare."""
+"""[Fan]: a receiver that circles with 4 g finds its place by BeiDou's pseudoranges and their rates.
+
+The display equations and Table 1 of the text at hand are lost; what stands for them is
+
+=====================  ===============================================  =================================================
+what                   content                                          here
+=====================  ===============================================  =================================================
+measurement            pseudoranges and their rates                     `celnav.models.pseudorange`
+orbits                 broadcast elements, geostationary ones too       `celnav.models.beidou`, `synthetic`
+state, its motion      position, velocity, clock; constant velocity     `celnav.receiver.filters.transition`
+least squares          of each epoch by itself                          `celnav.receiver.least_squares`
+AUKF                   noise inflated by a window of innovations        `celnav.filters.adaptive.innovation_window`
+=====================  ===============================================  =================================================
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,18 +27,157 @@ from celnav.filters.model import Motion, Sensor
 from celnav.filters.records import Epoch, Filter
 from celnav.filters.sequential import sigma_point
 from celnav.gaussian.belief import Gaussian
-from celnav.gaussian.linalg import Array
+from celnav.gaussian.checks import number
+from celnav.gaussian.linalg import Array, Belief
 from celnav.gaussian.rules import Rule, Taylor, unscented
 from celnav.models import pseudorange
 from celnav.models.beidou import ELLIPSOID
-from celnav.papers.aukf.config import Config
-from celnav.papers.aukf.constellation import synthetic
-from celnav.receiver.filters import hooks
+from celnav.receiver.constellation import TOE_S, synthetic
+from celnav.receiver.filters import CRYSTAL, hooks, process_noise, transition
 from celnav.receiver.least_squares import least_squares
 from celnav.receiver.sky import local_axes, look
-from celnav.study.montecarlo import normals
+from celnav.study.montecarlo import normals, steps
+from celnav.study.parameters import Parameters, param
+from celnav.study.trial import Group, Trial
 
-TOE_S = 345600.0
+TITLE = "Adaptive unscented Kalman filter for BeiDou positioning"
+CITATION = """\
+@article{Fan,
+  author  = {Fan, L. and Chen, A. and Chen, S. and Han, L.},
+  title   = {An adaptive unscented {Kalman} filter for {BeiDou} receiver positioning},
+  note    = {in Chinese; year and journal are not in the text available, which has lost its display equations and Table 1}
+}"""
+STANDARD_GRAVITY = 9.80665
+
+
+# -- parameters --------------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Config(Parameters):
+    """Everything that a run depends on."""
+
+    speed_m_per_s: float = param(400.0, "paper", "of the receiver, on a level circle", above=0.0)
+    acceleration_g: float = param(4.0, "paper", "towards the circle's center", above=0.0)
+    height_m: float = param(800.0, "paper", "above the ellipsoid")
+    latitude_deg: float = param(32.03, "inferred: the authors' city", "of the circle", least=-90.0, most=90.0)
+    longitude_deg: float = param(118.85, "inferred: the authors' city", "of the circle", least=-360.0, most=360.0)
+    interval_s: float = param(0.1, "chosen: at 10 Hz the paper's result in the burst appears", "of the measurements", above=0.0)
+    duration_s: float = param(90.0, "chosen", "of a run", above=0.0)
+    mask_deg: float = param(10.0, "chosen", "least elevation of satellites", least=0.0, below=90.0)
+    sigma_range_m: float = param(3.0, "chosen", "noise of a range, standard deviation: what the filters take it for", above=0.0)
+    sigma_rate_m_per_s: float = param(0.1, "chosen", "noise of a range rate, standard deviation", above=0.0)
+    true_sigma_range_m: float = param(3.0, "chosen", "noise of a range, standard deviation: what it is", above=0.0)
+    burst: str = param(
+        "ranges", "chosen: the paper does not say which channels",
+        "which measurements a burst disturbs: none, all ranges, both ranges and rates, or the range of one satellite",
+        one_of=("none", "ranges", "both", "one"),
+    )  # fmt: skip
+    motion: str = param(
+        "circle", "paper", "how the receiver moves: on the circle, or at random, as the filters think", one_of=("circle", "model"),
+    )  # fmt: skip
+    burst_s: tuple[float, float] = param((60.0, 70.0), "paper", "start and end of the burst")
+    burst_sigma: float = param(50.0, "paper: without a unit", "size of the burst, m on ranges and m/s on rates", above=0.0)
+    burst_satellite: int = param(2, "chosen", "which satellite a burst on one disturbs, counted from 0", least=0)
+    burst_count: int = param(1, "chosen", "how many satellites it is, evenly spread from there on, where it is not all", least=1)
+    acceleration_noise_m2_per_s3: float | None = param(
+        None, "inferred: makes up for a constant acceleration",
+        "density of the white acceleration in the filters; left out: the square of the true one, times interval_s",
+    )  # fmt: skip
+    clock_white_m2_per_s: float = param(CRYSTAL[0], "chosen", "density of the white noise of the clock's frequency", least=0.0)
+    clock_walk_m2_per_s3: float = param(CRYSTAL[1], "chosen", "density of the random walk of the clock's frequency", least=0.0)
+    bias_m: float = param(3e4, "chosen", "true error of the receiver's clock at the start, as a range")
+    drift_m_per_s: float = param(30.0, "chosen", "true rate of that error at the start")
+    deviation: tuple[float, float, float, float] = param(
+        (10.0, 1.0, 10.0, 1.0), "chosen",
+        "standard deviations at the start: position (m), velocity (m/s), clock (m), its rate (m/s)",
+        above=0.0,
+    )  # fmt: skip
+    assumed_m: float | None = param(None, "chosen", "what filters take the position's deviation for; left out: as it is")
+    window: int = param(10, "chosen: the paper says M", "epochs over which the adaptive filter averages", least=1, most=100_000)
+    alpha: float = param(1.0, "chosen", "spread of the sigma points", above=0.0)
+    beta: float = param(2.0, "paper", "weight of the sigma points' center in the covariance; 2 is best for Gaussians")
+    runs: int = param(100, "chosen: the paper shows one", "of a Monte Carlo", least=1)
+
+    def check(self) -> None:
+        """A density that can be, a burst that begins before it ends, a run of some epochs."""
+        if self.acceleration_noise < 0.0:
+            got = self.acceleration_noise_m2_per_s3
+            raise ValueError(f"acceleration_noise_m2_per_s3: expected a number that is not negative, got {got!r}")
+        if self.assumed_m is not None:
+            number("assumed_m", self.assumed_m, above=0.0)
+        if self.burst_s[0] >= self.burst_s[1]:
+            raise ValueError(f"burst_s: expected a start before an end, got {self.burst_s!r}")
+        steps("duration_s", self.duration_s / self.interval_s)
+
+    @property
+    def idle(self) -> dict[str, str]:
+        """Parameters without effect in this configuration, and why."""
+        if self.burst == "none":
+            return dict.fromkeys(("burst_s", "burst_sigma", "burst_satellite", "burst_count"), "without a burst")
+        which = ("burst_satellite", "burst_count")
+        return {} if self.burst == "one" else dict.fromkeys(which, "where the burst is not on one satellite")
+
+    @property
+    def samples(self) -> int:
+        """Steps of a run."""
+        return round(self.duration_s / self.interval_s)
+
+    @property
+    def end_s(self) -> float:
+        """The last epoch, s."""
+        return self.interval_s * self.samples
+
+    @property
+    def times(self) -> Array:
+        """Epochs ``(T,)`` s."""
+        return self.interval_s * np.arange(self.samples + 1)
+
+    @property
+    def radius_m(self) -> float:
+        """Of the circle."""
+        return self.speed_m_per_s**2 / (self.acceleration_g * STANDARD_GRAVITY)
+
+    @property
+    def turn_rate(self) -> float:
+        """rad/s."""
+        return self.acceleration_g * STANDARD_GRAVITY / self.speed_m_per_s
+
+    def sigma(self, S: int) -> Array:
+        """What filters take for the deviations of S ranges and S rates, ``(2 S,)`` m and m/s."""
+        return np.repeat([self.sigma_range_m, self.sigma_rate_m_per_s], S)
+
+    @property
+    def F(self) -> Array:
+        """Constant velocity and clock drift over an interval, ``(8, 8)``."""
+        return transition(self.interval_s)
+
+    @property
+    def acceleration_noise(self) -> float:
+        """Density of the white acceleration, m^2/s^3: ``a^2 T``, if it is not given, makes up for a constant one."""
+        given = self.acceleration_noise_m2_per_s3
+        return given if given is not None else (self.acceleration_g * STANDARD_GRAVITY) ** 2 * self.interval_s
+
+    @property
+    def Q(self) -> Array:
+        """Process noise of an interval, ``(8, 8)``."""
+        return process_noise(self.interval_s, self.acceleration_noise, self.clock_white_m2_per_s, self.clock_walk_m2_per_s3)
+
+    @property
+    def P0(self) -> Array:
+        """Covariance of the prior, ``(8, 8)``, as filters take it."""
+        position, velocity, bias, drift = self.deviation
+        return np.diag(np.square([self.assumed_m or position] * 3 + [velocity] * 3 + [bias, drift]))
+
+
+STANDARD = Config()
+PRESETS = {
+    "burst": STANDARD,
+    "quiet": replace(STANDARD, burst="none"),
+    "mistuned": replace(STANDARD, burst="none", true_sigma_range_m=10.0),
+    "1 Hz": replace(STANDARD, interval_s=1.0),
+}
+
+
+# -- satellites --------------------------------------------------------------------------------------------------------------
 START_S = TOE_S + 1800.0
 """First epoch, BDT seconds of its first week."""
 
@@ -38,6 +191,35 @@ class Satellites(NamedTuple):
     elevation: Array
 
 
+def axes(config: Config) -> Array:
+    """East, north, up at the middle of the circle, the rows of ``(3, 3)``."""
+    latitude, longitude = np.radians([config.latitude_deg, config.longitude_deg]).tolist()
+    return local_axes(latitude, longitude)
+
+
+def middle(config: Config) -> Array:
+    """Of the circle, ``(3,)`` m, Earth-fixed."""
+    return np.array(geodetic2ecef(config.latitude_deg, config.longitude_deg, config.height_m, ell=ELLIPSOID))
+
+
+def circle(config: Config) -> tuple[Array, Array]:
+    """Positions and velocities ``(T, 3)`` on the track, Earth-fixed."""
+    east, north, _ = axes(config)
+    angle = (config.turn_rate * config.times)[:, None]
+    position = middle(config) + config.radius_m * (np.cos(angle) * east + np.sin(angle) * north)
+    return position, config.speed_m_per_s * (np.cos(angle) * north - np.sin(angle) * east)
+
+
+def visible(config: Config) -> Satellites:
+    """The synthetic constellation along the track, those that are above the mask at some time."""
+    broadcast, (position, velocity) = synthetic(), circle(config)
+    seen = pseudorange.sources(broadcast, START_S + config.times, position, velocity)
+    up = look(seen.q, position, axes(config)).elevation
+    chosen = (up >= np.radians(config.mask_deg)).any(0)
+    return Satellites(broadcast.chosen(chosen).names, seen.q[:, chosen], seen.w[:, chosen], up[:, chosen])
+
+
+# -- what happens ------------------------------------------------------------------------------------------------------------
 class Scenario(NamedTuple):
     """Simulated runs, time-major.
 
@@ -59,47 +241,23 @@ class Scenario(NamedTuple):
             yield Epoch(k, t, dt if k else 0.0, (self.satellites.q[k], self.satellites.w[k]), z, truth)
 
 
-def axes(config: Config) -> Array:
-    """East, north, up at the middle of the circle, the rows of ``(3, 3)``."""
-    latitude, longitude = np.radians([config.latitude_deg, config.longitude_deg]).tolist()
-    return local_axes(latitude, longitude)
-
-
-def circle(config: Config) -> tuple[Array, Array]:
-    """Positions and velocities ``(T, 3)`` on the track, Earth-fixed."""
-    east, north, _ = axes(config)
-    angle = (config.turn_rate * config.times)[:, None]
-    middle = np.array(geodetic2ecef(config.latitude_deg, config.longitude_deg, config.height_m, ell=ELLIPSOID))
-    position = middle + config.radius_m * (np.cos(angle) * east + np.sin(angle) * north)
-    return position, config.speed_m_per_s * (np.cos(angle) * north - np.sin(angle) * east)
-
-
-def visible(config: Config) -> Satellites:
-    """The synthetic constellation along the track, those that are above the mask at some time."""
-    broadcast, (position, velocity) = synthetic(TOE_S), circle(config)
-    seen = pseudorange.sources(broadcast, START_S + config.times, position, velocity)
-    up = look(seen.q, position, axes(config)).elevation
-    chosen = (up >= np.radians(config.mask_deg)).any(0)
-    return Satellites(broadcast.chosen(chosen).names, seen.q[:, chosen], seen.w[:, chosen], up[:, chosen])
-
-
 def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
     """Simulate one run with each generator: the track is the same, clock, noise and initial error are its own."""
     c, satellites, (position, velocity) = config, visible(config), circle(config)
     T, S, runs = len(c.times), len(satellites.names), len(rngs)
     first, walk, noise, extra = normals(rngs, (8,), (T, 2), (T, 2 * S), (T, 2 * S))
-    F, root = c.F[6:, 6:], np.linalg.cholesky(c.Q[6:, 6:])
-    truth = np.empty((T, runs, 8))
-    truth[..., :3], truth[..., 3:6] = position[:, None], velocity[:, None]
-    clock = np.tile([c.bias_m, c.drift_m_per_s], (runs, 1))
-    for k in range(T):
-        if k:
-            clock = clock @ F.T + walk[k] @ root.T
-        truth[k, :, 6:] = clock
+    truth, root = np.empty((T, runs, 8)), np.linalg.cholesky(c.Q[6:, 6:])
+    truth[..., :3], truth[..., 3:6], truth[0, :, 6:] = position[:, None], velocity[:, None], [c.bias_m, c.drift_m_per_s]
+    for k in range(1, T):
+        truth[k, :, 6:] = truth[k - 1, :, 6:] @ c.F[6:, 6:].T + walk[k] @ root.T
+    if c.motion == "model":  # satellites are where they would be for the circle
+        first, walk, noise = normals(rngs, (8,), (T, 8), (T, 2 * S))
+        for k in range(1, T):
+            truth[k] = truth[k - 1] @ c.F.T + walk[k] @ np.linalg.cholesky(c.Q).T
     z = pseudorange.measure(truth, satellites.q[:, None], satellites.w[:, None])
     z += np.repeat([c.true_sigma_range_m, c.sigma_rate_m_per_s], S) * noise + burst(c, S)[:, None] * extra
     z[np.tile(satellites.elevation < np.radians(c.mask_deg), 2)[:, None].repeat(runs, 1)] = np.nan
-    prior = truth[0] + first * np.sqrt(c.P0.diagonal())
+    prior = truth[0] + first * np.repeat(c.deviation, (3, 3, 1, 1))
     return Scenario(c, truth, z, satellites, Gaussian(prior, np.broadcast_to(c.P0, (runs, 8, 8))))
 
 
@@ -115,35 +273,14 @@ def burst(config: Config, S: int) -> Array:
     if config.burst == "one":
         if config.burst_satellite >= S:
             raise ValueError(f"burst_satellite: expected a place below {S}, the number of satellites, got {config.burst_satellite}")
-        hit[config.burst_satellite] = 1.0
+        hit[(config.burst_satellite + S * np.arange(config.burst_count) // config.burst_count) % S] = 1.0
     elif config.burst != "none":
         hit[: S if config.burst == "ranges" else 2 * S] = 1.0
     return np.asarray(config.burst_sigma * during[:, None] * hit)
 
 
-def side_by_side(sims: Sequence[Scenario]) -> Scenario:
-    """Scenarios of the same epochs and satellites as one, their runs one after the other."""
-    truth, z = (np.concatenate([getattr(sim, name) for sim in sims], 1) for name in ("truth", "z"))
-    mean, cov = (np.concatenate([getattr(sim.prior, name) for sim in sims]) for name in ("mean", "cov"))
-    return sims[0]._replace(truth=truth, z=z, prior=Gaussian(mean, cov))
-
-
+# -- filters -----------------------------------------------------------------------------------------------------------------
 EKF = Taylor()
-
-
-def _measured(x: Array, epoch: Epoch) -> Array:
-    return pseudorange.measure(x, *epoch.u)
-
-
-def _slope(x: Array, epoch: Epoch) -> Array:
-    return pseudorange.jacobian(x, *epoch.u)
-
-
-def _late_slope(x: Array, epoch: Epoch) -> Array:
-    """At where the receiver was an interval ago."""
-    before = x.copy()
-    before[..., :3] -= epoch.dt * x[..., 3:6]
-    return _slope(before, epoch)
 
 
 def ukf(config: Config) -> Rule:
@@ -151,27 +288,50 @@ def ukf(config: Config) -> Rule:
     return unscented(8, config.alpha, config.beta, 0.0)
 
 
-def sensor(sigma: Array, *, late: bool = False) -> Sensor:
-    """Ranges and rates with deviations ``sigma (2 S,)``; ``late``: their Jacobian is that at the last estimate."""
-    return Sensor(_measured, np.diag(sigma**2), jacobian=_late_slope if late else _slope)
+def sensor(sigma: Array) -> Sensor:
+    """Ranges and rates with deviations ``sigma (2 S,)``."""
+
+    def slope(x: Array, epoch: Epoch) -> Array:
+        return pseudorange.jacobian(x, *epoch.u)
+
+    return Sensor(measured, np.diag(sigma**2), jacobian=slope)
 
 
-def adapted(config: Config, S: int, rule: Any, *hook: Hook, Q: Array | None = None, late: bool = False) -> Filter:
+def measured(x: Array, epoch: Epoch) -> Array:
+    """Ranges and rates ``(..., 2 S)`` of states."""
+    return pseudorange.measure(x, *epoch.u)
+
+
+def adapted(config: Config, S: int, rule: Any, *hook: Hook, Q: Array | None = None) -> Filter:
     """A filter of the paper's model: constant velocity, which every rule moves alike, and the measurement by a rule.
 
-    ``Q``: process noise ``(..., 8, 8)`` instead of the configuration's, with one for each run if it has that axis. ``late``: see
-    `sensor`.
+    ``Q``: process noise ``(..., 8, 8)`` instead of the configuration's, with one for each run if it has that axis.
     """
     motion = Motion(config.F, config.Q if Q is None else Q)
-    return sigma_point(motion, sensor(config.sigma(S), late=late), rule=rule, form="covariance", hooks=hook)
+    return sigma_point(motion, sensor(config.sigma(S)), rule=rule, form="covariance", hooks=hook)
 
 
-def filters(config: Config) -> dict[str, Filter]:
-    """The filters by name, for the satellites that are visible in this configuration.
+def filters(config: Config, S: int | None = None, Q: Array | None = None) -> dict[str, Filter]:
+    """The filters by name, for ``S`` satellites, those that are visible in this configuration; ``Q``: see `adapted`.
 
     ls: every epoch by itself. ekf, ukf. aukf: the paper's, adapted by a window of innovations. group, channel: adapted by what no
     state explains. gate, huber, student, sage-husa: baselines. Those after ukf are unscented too.
     """
-    S = len(visible(config).names)
-    out: dict[str, Filter] = {"ls": least_squares(sensor(config.sigma(S))), "ekf": adapted(config, S, EKF)}
-    return out | {name: adapted(config, S, ukf(config), *hook) for name, hook in hooks(S, config.window).items()}
+    S, rule = len(visible(config).names) if S is None else S, ukf(config)
+    out: dict[str, Filter] = {"ls": least_squares(sensor(config.sigma(S))), "ekf": adapted(config, S, EKF, Q=Q)}
+    return out | {name: adapted(config, S, rule, *hook, Q=Q) for name, hook in hooks(S, config.window).items()}
+
+
+# -- how they are judged -----------------------------------------------------------------------------------------------------
+GROUPS = (Group("position", "m", slice(0, 3)), Group("velocity", "m/s", slice(3, 6)))
+JUDGED = {group.name: group.unit for group in GROUPS}
+
+
+def trial(config: Config, rngs: Sequence[np.random.Generator]) -> Trial:
+    """One run with each generator. There is no bound: the turns of the track are not drawn from the filters' model."""
+    sim = simulate(config, rngs)
+    return Trial(GROUPS, filters(config), sim.prior, lambda _name: sim.epochs(), _compare)
+
+
+def _compare(truth: Array, belief: Belief) -> tuple[Array, Array]:
+    return belief.mean - truth, belief.sqrt_cov

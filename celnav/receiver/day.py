@@ -1,0 +1,170 @@
+"""Half a day of a station: what filters do with it, what a burst that is added does, and the orbits that were sent."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from celnav.files import InputError
+from celnav.filters.run import run
+from celnav.gaussian.linalg import Array
+from celnav.models.beidou import Broadcast, satellites
+from celnav.receiver.filters import filters
+from celnav.receiver.fixes import GIVEN
+from celnav.receiver.position import Log, prepare
+from celnav.receiver.report import Positioned
+from celnav.receiver.rinex import Navigation, Observations, read_navigation, read_observations
+from celnav.show.figures import figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+HALF_DAY_S = 43200.0
+EPOCHS, AFTER = 40, 10
+"""Length of the burst that is added, and of what is judged after it."""
+CONSECUTIVE_S = (1800.0, 5400.0)
+"""How far apart reference times of consecutive sets may be; positions are compared half-way."""
+
+
+class Files(NamedTuple):
+    """A station's pair of RINEX files."""
+
+    observations: Path
+    navigation: Path
+
+
+def found(folder: Path | None) -> Files | None:
+    """The files in a folder, or in ``rinex`` here, if there is one; FileNotFoundError if a folder is named that has none."""
+    where = Path("rinex") if folder is None else Path(folder)
+    pair = [sorted(where.glob(pattern)) for pattern in ("*_MO.*", "*_MN.*")] if where.is_dir() else [[], []]
+    if all(pair):
+        return Files(pair[0][0], pair[1][0])
+    if folder is None:
+        return None
+    raise FileNotFoundError(f"{where}: expected a RINEX observation file (*_MO.*) and a navigation file (*_MN.*)")
+
+
+def _read(files: Files) -> tuple[Observations, Navigation, Array]:
+    """The first half day, broadcast elements, and the position ``(3,)`` m in the header."""
+    observations, navigation = read_observations(files.observations), read_navigation(files.navigation)
+    reference = observations.reference()
+    if reference is None:
+        raise InputError(f"{files.observations}: expected the receiver's position in the header to compare with, got none")
+    return observations.part(observations.times < observations.times[0] + HALF_DAY_S), navigation, reference
+
+
+def _prepared(half: Observations, navigation: Navigation, mask_deg: float) -> Log:
+    """What a burst does is the filters' to weather: nothing is excluded, and the noise is what is taken for it."""
+    return prepare(half, navigation, mask_deg=mask_deg, sigma=GIVEN, false_alarm=0.0)
+
+
+def positioned(files: Files, filter: str, mask_deg: float) -> Positioned:
+    """The receiver's track by a filter.
+
+    Raises
+    ------
+    OSError, InputError: naming the file, if one cannot be read or has no position in its header.
+    """
+    half, navigation, reference = _read(files)
+    log = _prepared(half, navigation, mask_deg)
+    track = run(filters(len(log.names))[filter], log.prior(), log.epochs(), keep="cov")
+    return Positioned(log, filter, track.mean, track.cov[:, :3, :3], reference)
+
+
+def flown(files: Files, names: Sequence[str], sigma: float, mask_deg: float, rng: np.random.Generator) -> dict[str, Array]:
+    """Filters on the half day as it is, and with noise of ``sigma`` m added to all ranges for `EPOCHS` in its middle.
+
+    Returns
+    -------
+    times ``(T,)`` s of BDT; during ``(T,)``, the burst and `AFTER` epochs more. Of each filter, and of ls, ``<filter>`` and
+    ``burst/<filter>``: from the header's position to theirs, east, north, up ``(T, 3)`` m. nis ``(1,)``: of the first filter, per
+    degree of freedom. consecutive: distances (m) between positions of geostationary satellites by consecutive sets. others: between
+    those by the formula of other satellites and by their own, half an hour on.
+
+    Raises
+    ------
+    OSError, InputError: naming the file, if one cannot be read or has no position in its header.
+    """
+    half, navigation, reference = _read(files)
+    k, first, out = np.arange(len(half.times)), len(half.times) // 2, dict[str, Array]()
+    noise = sigma * rng.standard_normal(half.code.shape) * ((k >= first) & (k < first + EPOCHS))[:, None]
+    for label, part in (("", half), ("burst/", replace(half, code=half.code + noise))):
+        log = _prepared(part, navigation, mask_deg)
+        known, frame = filters(len(log.names)), Positioned(log, "ls", log.fixes, log.fix_cov, reference)
+        tracks = {name: run(known[name], log.prior(), log.epochs(), keep="mean") for name in names}
+        out |= {
+            label + name: frame.local(mean) for name, mean in {"ls": log.fixes, **{n: t.mean for n, t in tracks.items()}}.items()
+        }
+        if not label:
+            judged = half.times[(k >= first) & (k < first + EPOCHS + AFTER)]
+            nis = np.array([tracks[names[0]].nis.sum() / tracks[names[0]].dof.sum()])
+            out |= {"times": log.times, "during": np.isin(log.times, judged), "nis": nis}
+    own = navigation.sets.chosen(navigation.sets.geostationary & (navigation.sets.health == 0.0))
+    own = own.chosen(np.lexsort((own.toe, own.number)))
+    apart = np.where(np.diff(own.number) == 0.0, np.diff(own.toe), 0.0)
+    k = np.flatnonzero((apart >= CONSECUTIVE_S[0]) & (apart <= CONSECUTIVE_S[1]))
+    before, after = (satellites(own.chosen(rows), 0.5 * (own.toe[k] + own.toe[k + 1])).position for rows in (k, k + 1))
+    misplaced = as_others(own, own.toe + 1800.0) - satellites(own, own.toe + 1800.0).position
+    return out | {"consecutive": np.linalg.norm(after - before, axis=-1), "others": np.linalg.norm(misplaced, axis=-1)}
+
+
+def as_others(broadcast: Broadcast, t: Array | float) -> Array:
+    """Positions ``(S, 3)`` of geostationary satellites by the formula of the others: the Earth's turn in the node, no tilt."""
+    return satellites(replace(broadcast, number=np.full(len(broadcast), 19.0)), t).position
+
+
+def rms(found: Mapping[str, Array], key: str) -> float:
+    """Root mean square distance (m) from the header's position; with the burst in it and after it alone."""
+    chosen = found["during"] if key.startswith("burst") else slice(None)
+    return float(np.sqrt(np.nanmean(np.square(found[key][chosen]).sum(-1))))
+
+
+JUDGED: dict[str, tuple[str, tuple[float | None, float | None]]] = {
+    "ls": ("LS, 3-D RMS from the header's position (m)", (None, 2.5)),
+    "ekf": ("EKF over LS", (None, 1.0)),
+    "ukf": ("UKF over LS", (None, 1.0)),
+    "aukf": ("AUKF over LS", (None, 1.0)),
+    "group": ("group parity over LS", (None, 1.0)),
+    "same": ("EKF and UKF, largest difference (m)", (None, 1e-3)),
+    "burst": ("AUKF over UKF in an added burst", (None, 0.5)),
+    "nis": ("NIS of the EKF per measurement: the noise is taken for generously", (None, 0.1)),
+    "consecutive": ("geostationary satellites by consecutive sets, largest distance (m)", (None, 2.0)),
+    "formula": ("geostationary satellites by the others' formula, least distance (km)", (1e3, None)),
+}
+"""What is judged of `flown`, and what is accepted."""
+
+
+def judged(found: Mapping[str, Array]) -> list[float]:
+    """Values of `JUDGED`; nan where the log has no such satellites."""
+    ls = rms(found, "ls")
+    over = [rms(found, name) / ls for name in ("ekf", "ukf", "aukf", "group")]
+    burst = rms(found, "burst/aukf") / rms(found, "burst/ukf")
+    same, nis = float(np.abs(found["ekf"] - found["ukf"]).max()), float(found["nis"][0])
+    consecutive, others = (found[name] if found[name].size else np.array([np.nan]) for name in ("consecutive", "others"))
+    return [ls, *over, same, burst, nis, float(consecutive.max()), 1e-3 * float(others.min())]
+
+
+def drawn(found: Mapping[str, Array], lines: Mapping[str, Any], sigma: float) -> Figure:
+    """The half day, and the burst; ``lines``: label and color of each filter."""
+    fig, axes = figure(10.0, 3.2, 1, 3)
+    hours = (found["times"] - found["times"][0]) / 3600.0
+    for name in ("ls", "aukf"):
+        east, north, up = found[name].T
+        axes[0].plot(east, north, ".", markersize=2.0, color=lines[name].color, label=lines[name].label)
+        axes[1].plot(hours, up, color=lines[name].color, linewidth=0.7, label=f"{lines[name].label}: up")
+    axes[0].set(xlabel="east (m)", ylabel="north (m)", aspect="equal", title="position from the header's")
+    axes[1].set(xlabel="hours", ylabel="up (m)", title=f"3-D RMS of LS {rms(found, 'ls'):.2f} m")
+    late = np.flatnonzero(found["during"])
+    shown = slice(max(late[0] - 10, 0), late[-1] + 20)
+    for name in (name for name in lines if name in found):
+        away = np.linalg.norm(found[f"burst/{name}"][shown], axis=-1)
+        axes[2].semilogy(hours[shown], away, color=lines[name].color, label=lines[name].label)
+    axes[2].set(xlabel="hours", ylabel="distance (m)", title=f"with {sigma:g} m added to the ranges")
+    axes[0].legend(markerscale=3)
+    axes[1].legend()
+    axes[2].legend(loc="lower center", ncols=2)
+    return fig
