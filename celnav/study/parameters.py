@@ -51,6 +51,6 @@ def _check(name: str, value: Any, default: Any, one_of: tuple[Any, ...], bounds:
         choice(name, value, one_of or (True, False))
     elif isinstance(default, int):
         integer(name, value, **bounds)  # type: ignore[arg-type]
-    elif isinstance(default, float | tuple):
+    elif isinstance(default, float | tuple) and not isinstance(np.ravel(default)[0], str):  # names are checked where they are used
         for part in finite(name, value, np.shape(default)).flat:
             number(name, float(part), **bounds)
