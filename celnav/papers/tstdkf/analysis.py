@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from celnav.filters.two_stage import TwoStage
+from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array
 from celnav.models.pulsar import LIGHT_KM_S, pulsars
 from celnav.papers.tstdkf import errata
 from celnav.papers.tstdkf.config import DAY_S, SETTINGS, YEAR_S, Config, Setting
 from celnav.papers.tstdkf.ephemerides import table
+from celnav.papers.tstdkf.estimators import bias_prior, differencing, filters
 from celnav.papers.tstdkf.forces import accelerations, spectrum
-from celnav.papers.tstdkf.linear import differenced, exact, gain, plain, start_differenced, start_exact, start_plain, steps
+from celnav.papers.tstdkf.linear import LINEAR, epochs
 from celnav.papers.tstdkf.scenario import noise_of, nominal_orbit, sky
+from celnav.papers.tstdkf.sweeps import undifferenced
 
 COLORS = (0.3, 0.5, 0.8, 0.9)
 """Coefficients F at which a differenced filter is compared with what is possible."""
@@ -32,9 +37,9 @@ def facts(config: Config) -> dict[str, Any]:
         "spectrum": spectrum(np.asarray(sum(pulls.values()))[:-1], config.step_s),  # a whole month of samples
         "conjunctions": errata.conjunctions(config),
         "parallax": errata.parallax(config),
-        "bounds": {i: bounds(replace(config, setting=setting)) for i, setting in SETTINGS.items()},
+        "bounds": dict(zip(SETTINGS, bounds([replace(config, setting=setting) for setting in SETTINGS.values()]), strict=True)),
         "bias deviations": bias_deviations(replace(month, setting=SETTINGS[5])),
-        "overconfidence": {F: overconfidence(replace(config, days=min(config.days, 10.0)), F) for F in COLORS},
+        "overconfidence": overconfidence(replace(config, days=min(config.days, 10.0)), COLORS),
         "lost correlation": lost_correlation(replace(config, days=min(config.days, 3.0))),
         "sensitivity": sensitivity(replace(config, days=min(config.days, 1.0), setting=SETTINGS[1])),
     }
@@ -105,38 +110,37 @@ def timing_deviations(config: Config, seconds: float) -> Array:
     return LIGHT_KM_S * np.array([p.timing_std(seconds) for p in pulsars(config.pulsars)])
 
 
-def bounds(config: Config) -> Array:
-    """Posterior Cramer-Rao bounds of position (km), velocity (km/s) and bias (km), ``(K, 3)``: the exact filter's covariance."""
-    state, found = start_exact(config, 1), []
-    for at in steps(config):
-        state = exact(state, at, np.zeros((1, 3)))
-        found.append(state.P.diagonal())
-    variances = np.stack(found)
-    return np.asarray(np.sqrt(np.stack([variances[:, part].sum(1) for part in (slice(3), slice(3, 6), slice(15, 18))], 1)))
+def _covariances(cases: Sequence[Config], name: str) -> Iterator[Any]:
+    """States of a filter along the nominal orbit, of each case or one; covariances are the same whatever is measured."""
+    filter, c, nothing = filters(cases, seen=LINEAR)[name], cases[0], np.zeros((len(cases), 3))
+    state = filter.start(Gaussian(np.zeros((len(cases), 6)), np.diag(c.deviation**2)))
+    for epoch in epochs(c):
+        state, _ = filter.step(state, epoch._replace(z=nothing))
+        yield state
+
+
+def bounds(cases: Sequence[Config]) -> Array:
+    """Posterior Cramer-Rao bounds of position (km), velocity (km/s) and bias (km), ``(cases, K, 3)``: the exact filter's."""
+    std = np.stack([np.atleast_2d(state.belief.std) for state in _covariances(cases, "aug")], 1)
+    return np.stack([np.linalg.norm(std[..., part], axis=-1) for part in (slice(3), slice(3, 6), slice(15, 18))], -1)
 
 
 def bias_deviations(config: Config) -> Array:
     """Deviations (km) of the two-stage filter's bias after each timing, ``(K, 3)``."""
-    state, noise, found = start_plain(config, 1), noise_of(config), []
-    for at in steps(config):
-        state = plain(state, at, np.zeros((1, 3)), noise)
-        found.append(np.sqrt(state.M.diagonal()))
-    return np.stack(found)
+    return np.stack([state.bias.std for state in _covariances([config], "tkf")])
 
 
-def _unboosted(memory: None, seen: Any) -> tuple[None, Array]:
-    return memory, np.ones_like(seen.residual)
+def _position(belief: Any) -> Array:
+    """Trace of the position's covariance."""
+    return np.asarray(np.square(belief.std[..., :3]).sum(-1))
 
 
-def overconfidence(config: Config, F: float) -> float:
-    """Trace of the position's covariance as the differenced filter has it to the least possible one, without a bias."""
-    c = replace(config, setting=Setting(F, 0.0, 0.0), bias_prior_km=1e-9, walk_km=0.0)
-    noise, said, least = noise_of(c), start_differenced(c, 1, 1), start_exact(c, 1)
-    z = np.zeros((1, 3))
-    for k, at in enumerate(steps(c)):
-        said = differenced(said, at, z, noise, _unboosted, k == 0)
-        least = exact(least, at, z)
-    return float(np.trace(said.P[:3, :3]) / np.trace(least.P[:3, :3]))
+def overconfidence(config: Config, colors: Sequence[float]) -> dict[float, float]:
+    """Trace of the position's covariance as the differenced filter has it to the least possible one, by color; without a bias."""
+    cases = [replace(config, setting=Setting(F, 0.0, 0.0), bias_prior_km=1e-9, walk_km=0.0) for F in colors]
+    *_, said = _covariances(cases, "tdkf")
+    *_, least = _covariances(cases, "aug")
+    return dict(zip(colors, (_position(said.first.belief) / _position(least.belief)).tolist(), strict=True))
 
 
 class Lost(NamedTuple):
@@ -149,14 +153,14 @@ class Lost(NamedTuple):
 def lost_correlation(config: Config, L: float = 0.9) -> Lost:
     """Colored process noise alone."""
     c = replace(config, setting=Setting(0.0, L, 0.0), bias_prior_km=1e-9, walk_km=0.0)
-    noise, z = noise_of(c), np.zeros((1, 3))
-    kept, dropped, least = start_differenced(c, 1, 1), start_differenced(c, 1, 1), start_exact(c, 1)
-    for k, at in enumerate(steps(c)):
-        kept = differenced(kept, at, z, noise, _unboosted, k == 0)
-        dropped = differenced(dropped, at, z, noise, _unboosted, k == 0)._replace(DQ=np.zeros((6, 6)))
-        least = exact(least, at, z)
-    best, with_it, without = (np.trace(s.P[:3, :3]) for s in (least, kept, dropped))
-    return Lost(float(with_it / best), float(without / best))
+    *_, kept = _covariances([c], "tdkf")
+    *_, least = _covariances([c], "aug")
+    stage = differencing(LINEAR, noise_of(c))
+    state = stage.start(Gaussian(np.zeros(6), np.diag(c.deviation**2)))
+    for epoch in epochs(c):
+        state, _ = stage.predict(state._replace(DQ=np.zeros((6, 6))), epoch)
+        state, _, _ = stage.update(state, epoch._replace(z=np.zeros(3)))
+    return Lost(*(float(_position(belief) / _position(least.belief)) for belief in (kept.first.belief, state.belief)))
 
 
 class Sensitivity(NamedTuple):
@@ -167,15 +171,12 @@ class Sensitivity(NamedTuple):
 
 
 def sensitivity(config: Config) -> Sensitivity:
-    """Against what a bias of 1 km on each axis does to the differenced filter."""
-    noise, s = noise_of(config), start_differenced(config, 3, 1)
-    s, prose, right, wrong = s._replace(x=np.zeros((3, 6))), np.zeros((6, 3)), 0.0, 0.0
-    for k, at in enumerate(steps(config)):
-        ahead = s
-        s = differenced(s, at, at.Gamma.T, noise, _unboosted, k == 0)
-        # Both sensitivities go through the same gain, which takes U - K (H U + Gamma') to what it became.
-        K = gain(ahead, at, noise, first=k == 0)
-        U = at.Phi1 @ prose
-        prose = U - K @ (at.H @ U + at.Gamma)
-        right, wrong = (max(worst, float(np.abs(s.x.T + L)[:3].max())) for worst, L in ((right, s.Lambda), (wrong, prose)))
-    return Sensitivity(right, wrong)
+    """Against what a bias of 1 km on each axis, a run of its own, does to the differenced filter."""
+    noise, prior = noise_of(config), Gaussian(np.zeros((3, 6)), np.diag(config.deviation**2))
+    stages = differencing(LINEAR, noise), undifferenced(LINEAR, noise)
+    both = [TwoStage.of(stage, LINEAR.Gamma, bias_prior((config,), 1)) for stage in stages]
+    states, worst = [filter.start(prior) for filter in both], np.zeros(2)
+    for epoch in epochs(config):
+        states = [filter.step(s, epoch._replace(z=epoch.u.Gamma.T))[0] for filter, s in zip(both, states, strict=True)]
+        worst = np.maximum(worst, [np.abs(s.first.belief.mean.T + s.Lambda)[:3].max() for s in states])
+    return Sensitivity(*worst.tolist())

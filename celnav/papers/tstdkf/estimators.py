@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.filters.model import Motion, Sensor
+from celnav.filters.model import Linear, Motion, Sensor
 from celnav.filters.records import Epoch, Filter, FromFunctions, State
 from celnav.filters.sequential import Sequential, ekf
 from celnav.filters.two_stage import Plain, TwoStage
@@ -43,11 +44,17 @@ class Orbit:
         return self._last[2]
 
 
-class Timings(NamedTuple):
-    """The timings as filters see them, km, with the Earth where they believe it: ``(mean (..., 6 or more), epoch) -> array``."""
+class Models(NamedTuple):
+    """Orbit and timings (km, with the Earth where it is believed to be) as filters see them, of ``(mean (..., 6 or more), epoch)``.
 
+    ``Gamma (..., m, 3)`` is the slope with respect to the position, and to an error of the Earth's. ``linear``: whether they are
+    products with their derivatives, which are then the same for every mean.
+    """
+
+    move: Callable[[Array, Epoch], Flow]
     measure: Callable[[Array, Epoch], Array]
     Gamma: Callable[[Array, Epoch], Array]
+    linear: bool = False
 
     def H(self, mean: Array, epoch: Epoch) -> Array:
         """``[Gamma 0]``."""
@@ -55,10 +62,11 @@ class Timings(NamedTuple):
         return np.concatenate([Gamma, np.zeros_like(Gamma)], -1)
 
 
-def timings(config: Config) -> Timings:
-    """``Gamma (..., m, 3)`` is the slope with respect to the position, and to an error of the Earth's."""
+def models(config: Config, pulled: bool = False) -> Models:
+    """The models of a configuration; those along its nominal orbit are `celnav.papers.tstdkf.linear.LINEAR`."""
     timing = config.timing
-    return Timings(
+    return Models(
+        Orbit(pulled),
         lambda x, epoch: timing.delay(epoch.u[0] + x[..., :3], epoch.u[1]),
         lambda x, epoch: timing.gradient(epoch.u[0] + x[..., :3], epoch.u[1]),
     )
@@ -86,19 +94,29 @@ def bias_prior(cases: Sequence[Config], runs: Runs) -> Gaussian:
     return Gaussian(np.zeros((*std.shape[:-1], 3)), std[..., None] ** 2 * np.eye(3))
 
 
-def kalman(config: Config, white: White, pulled: bool = False) -> Sequential:
+def kalman(seen: Models, white: White) -> Sequential:
     """An EKF that takes all noise for white."""
     Q, R = white
-    motion, root, seen = Orbit(pulled), np.linalg.cholesky(Q), timings(config)
+    move, root = seen.move, np.linalg.cholesky(Q)
 
     def f(x: Array, epoch: Epoch) -> Array:
-        return motion(x[0], epoch).state[None]
+        return move(x[0], epoch).state[None]
 
     def noise(mean: Array, epoch: Epoch) -> Array:
-        return motion(mean, epoch).G @ root
+        return move(mean, epoch).G @ root
 
-    believed = Motion(f, sqrt_Q=noise, jacobian=lambda x, epoch: motion(x, epoch).Phi)
-    return ekf(believed, Sensor(seen.measure, R, jacobian=seen.H), form="covariance")
+    def transition(mean: Array, epoch: Epoch) -> Array:
+        return move(mean, epoch).Phi
+
+    motion = _differentiated(Motion, seen, f, transition, sqrt_Q=noise)
+    return ekf(motion, _differentiated(Sensor, seen, seen.measure, seen.H, R=R), form="covariance")
+
+
+def _differentiated(kind: Any, seen: Models, function: Any, jacobian: Any, **noise: Any) -> Any:
+    """A `Motion` or `Sensor` of a function and its Jacobian, which is all of it where it is linear."""
+    if seen.linear:
+        return kind(Linear(partial(jacobian, np.zeros(6))), **noise)
+    return kind(function, jacobian=jacobian, **noise)
 
 
 def driving(config: Config) -> White:
@@ -112,22 +130,29 @@ def stationary(config: Config) -> White:
     return noise.Q + noise.J @ noise.V @ noise.J.mT, noise.V
 
 
-def two_stages(cases: Sequence[Config], runs: Runs, whites: Sequence[White], pulled: bool = False) -> Filter:
-    """TKF, whose first stage is EKF, of several cases with covariances of their own."""
-    first = Plain(kalman(cases[0], _of_all(whites, runs), pulled))
-    return TwoStage.of(first, timings(cases[0]).Gamma, bias_prior(cases, runs))
+def two_stages(cases: Sequence[Config], runs: Runs, whites: Sequence[White], seen: Models | None = None) -> Filter:
+    """TKF, whose first stage is EKF, of several cases with covariances of their own. ``seen``: other models."""
+    seen = seen or models(cases[0])
+    return TwoStage.of(Plain(kalman(seen, _of_all(whites, runs))), seen.Gamma, bias_prior(cases, runs))
 
 
-def differencing(config: Config, noise: Noise) -> Differenced:
+def differencing(seen: Models, noise: Noise) -> Differenced:
     """The first stage of TDKF and TSTDKF."""
-    seen = timings(config)
-    return Differenced(lambda mean, epoch: flow(mean, epoch.dt), seen.measure, seen.H, noise)
+    return Differenced(seen.move, seen.measure, seen.H, noise)
 
 
 def boosted(
-    cases: Config | Sequence[Config], runs: Runs = 1, *, also_plain: bool = False, first: Differenced | None = None
+    cases: Config | Sequence[Config],
+    runs: Runs = 1,
+    *,
+    also_plain: bool = False,
+    first: Differenced | None = None,
+    seen: Models | None = None,
 ) -> Filter:
-    """TSTDKF. With ``also_plain`` TDKF too: the filters lie along a leading axis, TDKF first. ``first``: another first stage."""
+    """TSTDKF. With ``also_plain`` TDKF too: the filters lie along a leading axis, TDKF first.
+
+    ``first``: another first stage. ``seen``: other models.
+    """
     together = as_cases(cases)
     c = together[0]
     rho = _each(together, runs, "rho")
@@ -140,12 +165,13 @@ def boosted(
         return np.where(chosen[:, None], proportional(ratios, weights), excess(ratios, weights))
 
     form = FORMS[c.factor] if (forms == forms[0]).all() else factor
-    stage = first or differencing(c, noises(together, runs))
-    return TwoStage.of(stage, timings(c).Gamma, bias_prior(together, runs), boost=strong_tracking(rho, c.tau, factor=form))
+    seen = seen or models(c)
+    stage = first or differencing(seen, noises(together, runs))
+    return TwoStage.of(stage, seen.Gamma, bias_prior(together, runs), boost=strong_tracking(rho, c.tau, factor=form))
 
 
-def filters(cases: Config | Sequence[Config], runs: Runs = 1) -> dict[str, Filter]:
-    """The filters by name, for priors ``(all runs, 6)``; for one case of any batch shape.
+def filters(cases: Config | Sequence[Config], runs: Runs = 1, seen: Models | None = None) -> dict[str, Any]:
+    """The filters by name, for priors ``(all runs, 6)``; for one case of any batch shape. ``seen``: other models.
 
     ekf, tkf: ignorance and two stages, with the covariances of the driving noise; the first stage of tkf is ekf. ekf-fair,
     tkf-fair: the same with the stationary covariances. tdkf, tstdkf: two stages on differenced measurements, without and with
@@ -153,68 +179,67 @@ def filters(cases: Config | Sequence[Config], runs: Runs = 1) -> dict[str, Filte
     ``(r, v, V, Q, b)``, of the others about ``(r, v, b)``.
     """
     together = as_cases(cases)
-    c, own, fair = together[0], [driving(case) for case in together], [stationary(case) for case in together]
+    own, fair = [driving(case) for case in together], [stationary(case) for case in together]
+    seen = seen or models(together[0])
     return {
-        "ekf": kalman(c, _of_all(own, runs)),
-        "ekf-fair": kalman(c, _of_all(fair, runs)),
-        "tkf": two_stages(together, runs, own),
-        "tkf-fair": two_stages(together, runs, fair),
-        "tdkf": TwoStage.of(differencing(c, noises(together, runs)), timings(c).Gamma, bias_prior(together, runs)),
-        "tstdkf": boosted(together, runs),
-        "aug": augmented(together, runs),
+        "ekf": kalman(seen, _of_all(own, runs)),
+        "ekf-fair": kalman(seen, _of_all(fair, runs)),
+        "tkf": two_stages(together, runs, own, seen),
+        "tkf-fair": two_stages(together, runs, fair, seen),
+        "tdkf": TwoStage.of(differencing(seen, noises(together, runs)), seen.Gamma, bias_prior(together, runs)),
+        "tstdkf": boosted(together, runs, seen=seen),
+        "aug": augmented(together, runs, seen=seen),
     }
 
 
-def augmented(cases: Config | Sequence[Config], runs: Runs = 1, *, noise: Noise | None = None) -> Filter:
+def augmented(
+    cases: Config | Sequence[Config], runs: Runs = 1, *, noise: Noise | None = None, seen: Models | None = None
+) -> Filter:
     """The exact filter: 18 states ``(x, V, Q, b)``, the bias a random walk, and no noise left in the measurement.
 
-    ``noise``: other noises than those of the cases.
+    ``noise``: other noises than those of the cases. ``seen``: other models.
 
     In square-root form: after an update V is known from the rest, so the covariance is singular.
     """
     together = as_cases(cases)
-    n, seen = noise or noises(together, runs), timings(together[0])
-    motion, JF, bias = Orbit(), n.J @ n.F, bias_prior(together, runs)
+    n, seen = noise or noises(together, runs), seen or models(together[0])
+    move, JF, bias = seen.move, n.J @ n.F, bias_prior(together, runs)
 
     def f(x: Array, epoch: Epoch) -> Array:
         mean = x[0]
-        moved = motion(mean, epoch)
+        moved = move(mean, epoch)
         V, Q, b = mean[..., 6:9], mean[..., 9:15], mean[..., 15:]
         rates = matvec(JF, V) + matvec(n.L, Q)
         return np.concatenate([moved.state + matvec(moved.G, rates), matvec(n.F, V), matvec(n.L, Q), b], -1)[None]
 
     walk = _each(together, runs, "walk_km")[..., None] * np.eye(3)
-    fixed = block([[np.eye(6), 0, 0, 0], [0, n.F, 0, 0], [0, 0, n.L, 0], [0, 0, 0, np.eye(3)]])
-    driving = block([[np.zeros((6, 3)), 0, 0], [np.sqrt(n.Xi), 0, 0], [0, np.sqrt(n.E), 0], [0, 0, walk]])
+    color, steps, constant = block([[n.F, 0], [0, n.L]]), block([[np.sqrt(n.Xi), 0], [0, np.sqrt(n.E)]]), np.eye(3)
     into, through = side_by_side([JF, n.L]), side_by_side([n.J @ np.sqrt(n.Xi), np.sqrt(n.E)])
 
     def transition(x: Array, epoch: Epoch) -> Array:
-        Phi, G = motion(x, epoch)[1:]
-        A = np.broadcast_to(fixed, (*Phi.shape[:-2], 18, 18)).copy()
-        A[..., :6, :6], A[..., :6, 6:15] = Phi, G @ into
-        return A
+        Phi, G = move(x, epoch)[1:]
+        return block([[Phi, G @ into, 0], [0, color, 0], [0, 0, constant]])
 
     def columns(mean: Array, epoch: Epoch) -> Array:
-        G = motion(mean, epoch).G
-        B = np.broadcast_to(driving, (*G.shape[:-2], 18, 12)).copy()
-        B[..., :6, :9] = G @ through
-        return B
+        return block([[move(mean, epoch).G @ through, 0], [steps, 0], [0, walk]])
 
     def h(x: Array, epoch: Epoch) -> Array:
         return np.asarray(seen.measure(x, epoch) + x[..., 6:9] + matvec(seen.Gamma(x, epoch), x[..., 15:]))
 
     def jacobian(x: Array, epoch: Epoch) -> Array:
         Gamma = seen.Gamma(x, epoch)
-        rest = np.broadcast_to(np.hstack([np.zeros((3, 3)), np.eye(3), np.zeros((3, 6))]), (*Gamma.shape[:-1], 12))
-        return np.concatenate([Gamma, rest, Gamma], -1)
+        H = np.zeros((*Gamma.shape[:-1], 18))
+        H[..., :3], H[..., 6:9], H[..., 15:] = Gamma, np.eye(3), Gamma
+        return H
 
-    exact = ekf(Motion(f, sqrt_Q=columns, jacobian=transition), Sensor(h, sqrt_R=np.zeros((3, 1)), jacobian=jacobian))
+    motion = _differentiated(Motion, seen, f, transition, sqrt_Q=columns)
+    exact = ekf(motion, _differentiated(Sensor, seen, h, jacobian, sqrt_R=np.zeros((3, 1))))
 
     def start(prior: Gaussian) -> State:
         batch = prior.mean.shape[:-1]
         mean = np.concatenate([prior.mean, np.zeros((*batch, 12))], -1)
         parts = [np.asarray(part) for part in (prior.cov, n.V, n.Q, bias.cov)]
         P = block([[part if i == j else 0 for j in range(4)] for i, part in enumerate(parts)])
-        return exact.start(Gaussian(mean, np.broadcast_to(P, (*batch, 18, 18))))
+        return exact.start(Gaussian(mean, P))
 
     return FromFunctions(start, exact.step)

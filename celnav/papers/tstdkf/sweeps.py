@@ -14,7 +14,7 @@ from celnav.filters.two_stage import Stage
 from celnav.gaussian.linalg import Array
 from celnav.papers.tstdkf import year
 from celnav.papers.tstdkf.config import KAPPA, SETTINGS, Config, Setting
-from celnav.papers.tstdkf.estimators import augmented, boosted, differencing, driving, stationary, two_stages
+from celnav.papers.tstdkf.estimators import Models, augmented, boosted, differencing, driving, models, stationary, two_stages
 from celnav.papers.tstdkf.follow import Found, follow
 from celnav.papers.tstdkf.forces import accelerations, spectrum
 from celnav.papers.tstdkf.method import Differenced, Noise, ar1_noise
@@ -106,7 +106,7 @@ def ten_days(config: Config, rngs: Rngs) -> Found:
     for name in ("tkf", "tstdkf", "aug"):
         out |= _named(names, follow(name, sim, believed=believed + strong))
     c = sim.cases[KNOWN]
-    variant = follow("tstdkf", sim.case(KNOWN), filter=boosted(c, also_plain=True, first=undifferenced(c)))
+    variant = follow("tstdkf", sim.case(KNOWN), filter=boosted(c, also_plain=True, first=undifferenced(models(c), noise_of(c))))
     return out | _named(["plain slope"], variant)
 
 
@@ -128,9 +128,9 @@ class Undifferenced(Differenced):
         return after, None if done is None else done._replace(Omega=None, lag=None, before=None), info
 
 
-def undifferenced(config: Config) -> Undifferenced:
+def undifferenced(seen: Models, noise: Noise) -> Undifferenced:
     """The first stage of the variant "plain slope"."""
-    stage = differencing(config, noise_of(config))
+    stage = differencing(seen, noise)
     return Undifferenced(stage.move, stage.h, stage.slope, stage.noise)
 
 
@@ -148,8 +148,8 @@ def forces(config: Config, rngs: Rngs) -> Found:
     c = replace(config, setting=SETTINGS[5], pulled=True)
     sim, out = simulate(c, rngs), Found()
     matched = matched_noise(c)
-    modeled = two_stages((c,), 1, [driving(c)], pulled=True)
-    colored = boosted(c, also_plain=True, first=differencing(c, matched))
+    modeled = two_stages((c,), 1, [driving(c)], models(c, pulled=True))
+    colored = boosted(c, also_plain=True, first=differencing(models(c), matched))
     for label, name, filter in (
         ("modeled", "tkf", modeled),
         ("white", "tkf", None),

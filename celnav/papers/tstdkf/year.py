@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from itertools import islice
 from typing import Any
 
 import numpy as np
 
+from celnav.filters.records import Epoch
 from celnav.filters.two_stage import Boost
-from celnav.gaussian.linalg import Array
+from celnav.gaussian.belief import Gaussian
+from celnav.gaussian.linalg import Array, matvec
 from celnav.papers.tstdkf.config import Config
-from celnav.papers.tstdkf.linear import (
-    differenced,
-    exact,
-    plain,
-    start_differenced,
-    start_exact,
-    start_plain,
-    steps,
-)
+from celnav.papers.tstdkf.estimators import filters
+from celnav.papers.tstdkf.linear import LINEAR, epochs
 from celnav.papers.tstdkf.method import excess, proportional, strong_tracking
 from celnav.papers.tstdkf.scenario import noise_of
 from celnav.study.montecarlo import normals
@@ -28,27 +24,49 @@ TRENDS = ("sine", "growing", "triangle")
 FORMS = ("tdkf", "C", "B", "A")
 """Of the differenced filter: without strong tracking, and with the three forms of its factors."""
 NAMES = ("ekf", "tkf", *FORMS, "aug")
-CHUNK = 128
-"""How many times as many steps as are kept together have their estimates evaluated together."""
 HOUR = 12
 """Steps."""
+CHUNK = 16
+"""How many times as many steps as are kept together a filter takes at once."""
 
 
 def _boost(config: Config) -> Callable[[Any, Boost], tuple[Any, Array]]:
     """All `FORMS` at once: form A is B of the innovations of the first stage."""
 
     def factor(ratios: Array, rho: Array) -> Array:
-        return np.concatenate([excess(ratios[:1], rho), proportional(ratios[1:], rho)])
+        return np.concatenate([excess(ratios[:2], rho[:2]), proportional(ratios[2:], rho[2:])])
 
-    boosts = strong_tracking(config.rho, config.tau, factor=factor)
+    rho = np.multiply.outer([0.0, 1.0, 1.0, 1.0], np.array([config.rho]))
+    boosts = strong_tracking(rho, config.tau, factor=factor)
 
     def boost(memory: Any, seen: Boost) -> tuple[Any, Array]:
-        residual = np.concatenate([seen.residual[1:3], seen.innovation[None]])
-        total = np.stack([seen.total, seen.total, seen.own])[:, None]
-        memory, factors = boosts(memory, seen._replace(residual=residual, total=total))
-        return memory, np.concatenate([np.ones_like(factors[:1]), factors])
+        residual = np.empty((len(FORMS), *seen.innovation.shape))
+        residual[:] = seen.residual  # one for all forms as long as they have one estimate
+        residual[-1] = seen.innovation
+        total = np.stack([seen.total, seen.total, seen.total, seen.own])[:, None]
+        result: tuple[Any, Array] = boosts(memory, seen._replace(residual=residual, total=total))
+        return result
 
     return boost
+
+
+def simulate(config: Config, rngs: Sequence[np.random.Generator], trends: Sequence[str]) -> Iterator[Epoch]:
+    """Epochs of the linear driver, ``truth`` the error of the position and the ephemeris error ``(trends * rngs, 6)`` km."""
+    c, noise, T, count = config, noise_of(config), config.steps + 1, len(trends)
+    xi, e, start, _ = normals(rngs, (T, 3), (T, 6), (9,), (9,))
+    xi *= c.sigma_km
+    e *= c.process_std
+    same, times = np.tile(np.arange(len(rngs)), count), c.step_s * np.arange(T)
+    bias = np.repeat(np.stack([replace(c, trend=name).bias(times) for name in trends], 1), len(rngs), 1)
+    V, Q = start[same, :3] * np.sqrt(noise.V.diagonal()), start[same, 3:] * np.sqrt(noise.Q.diagonal())
+    x = np.zeros((len(same), 6))
+    for epoch in epochs(c):
+        k, at = epoch.k, epoch.u
+        V = V @ noise.F + xi[k, same]
+        Q = Q @ noise.L + e[k, same]
+        x = x @ at.Phi.T + (V @ noise.J.T + Q) @ at.G.T
+        z = (x[:, :3] + bias[k]) @ at.Gamma.T + V
+        yield epoch._replace(z=z, truth=np.concatenate([x[:, :3], bias[k]], 1))
 
 
 def track(
@@ -62,49 +80,39 @@ def track(
     `NAMES` ``<filter>/bias``, as estimated there, and the means over them of the squared errors ``<filter>/position`` and
     ``<filter>/error``, of the bias, ``(K, trends * rngs)`` km^2.
     """
-    c, noise, T, count = config, noise_of(config), config.steps + 1, len(trends)
-    xi, e, start, _ = normals(rngs, (T, 3), (T, 6), (9,), (9,))
-    xi *= c.sigma_km
-    e *= c.process_std
-    same, runs = np.tile(np.arange(len(rngs)), count), count * len(rngs)
-    times = c.step_s * np.arange(T)
-    bias = np.concatenate([np.tile(replace(c, trend=name).bias(times)[:, None], (1, len(rngs), 1)) for name in trends], 1)
-    V, Q = start[same, :3] * np.sqrt(noise.V.diagonal()), start[same, 3:] * np.sqrt(noise.Q.diagonal())
-    truth = np.zeros((runs, 6))
-    s1, s2, s3 = start_plain(c, runs), start_differenced(c, runs, len(FORMS)), start_exact(c, runs)
-    boost, K = _boost(c), T - 1
-    ends = np.append(np.arange(every, K, every), K)  # of a few steps each, the last of them maybe fewer
-    out = {"times": times[ends, None], "bias": bias[ends]}
-    for name in NAMES:
-        out[f"{name}/bias"] = np.empty((len(ends), runs, 3))
-        out |= {f"{name}/{what}": np.empty((len(ends), runs)) for what in ("position", "error")}
-    found: list[tuple[Array, ...]] = []
-    for k, at in enumerate(steps(config), start=1):
-        V = V @ noise.F + xi[k, same]
-        Q = Q @ noise.L + e[k, same]
-        truth = truth @ at.Phi.T + (V @ noise.J.T + Q) @ at.G.T
-        z = (truth[:, :3] + bias[k]) @ at.Gamma.T + V
-        s1 = plain(s1, at, z, noise)
-        s2 = differenced(s2, at, z, noise, boost, k == 1)
-        s3 = exact(s3, at, z)
-        found.append((truth, bias[k], s1.x, s1.b, s1.Lambda, s2.x, s2.b, s2.Lambda, s3.x))
-        if len(found) == CHUNK * every or k == K:  # a year of whole states would not fit into memory
-            _keep(out, (k - len(found)) // every, every, *(np.stack(column) for column in zip(*found, strict=True)))
-            found = []
-    return out
+    c, runs = config, len(trends) * len(rngs)
+    believed = filters(c, seen=LINEAR)
+    flown = believed["tkf"], replace(believed["tdkf"], boost=_boost(c)), believed["aug"]
+    prior = Gaussian(np.tile(c.deviation, (runs, 1)), np.diag(c.deviation**2))  # one covariance for all of them
+    states = [filter.start(prior) for filter in flown]
+    rows: list[tuple[Array, ...]] = []
+    stream = simulate(c, rngs, trends)
+    while part := list(islice(stream, CHUNK * every)):
+        starts = np.arange(0, len(part), every)
+        counts = np.diff(starts, append=len(part))
+        ends, truth = starts + counts - 1, np.stack([epoch.truth for epoch in part])
+        row = [np.array([part[end].t for end in ends])[:, None], truth[ends, :, 3:]]
+        for i, filter in enumerate(flown):  # one after the other is faster than all at each step
+            states[i], found = _fly(filter, states[i], part)
+            error = (found - truth[:, None]).reshape(*found.shape[:3], 2, 3)
+            means = np.add.reduceat(np.vecdot(error, error), starts) / counts[:, None, None, None]
+            for j in range(found.shape[1]):
+                row += [found[ends, j, :, 3:], means[:, j, :, 0], means[:, j, :, 1]]
+        rows.append(tuple(row))
+    keys = ["times", "bias", *(f"{name}/{what}" for name in NAMES for what in ("bias", "position", "error"))]
+    return {key: np.concatenate(column) for key, column in zip(keys, zip(*rows, strict=True), strict=True)}
 
 
-def _keep(
-    out: dict[str, Array], first: int, every: int, truth: Array, bias: Array,
-    x1: Array, b1: Array, L1: Array, x2: Array, b2: Array, L2: Array, x3: Array,
-) -> None:  # fmt: skip
-    """Write what is kept of some steps: first stages ``x``, biases and sensitivities of TKF, of all `FORMS`, and the exact one."""
-    estimates = {"ekf": (x1, np.zeros_like(b1)), "tkf": (x1 + b1 @ L1.mT, b1), "aug": (x3[..., :6], x3[..., 15:])}
-    estimates |= {form: (x2 + b2[:, i] @ L2.mT, b2[:, i]) for i, form in enumerate(FORMS)}
-    starts = np.arange(0, len(truth), every)
-    counts = np.diff(starts, append=len(truth))
-    part, ends = slice(first, first + len(starts)), starts + counts - 1
-    for name, (x, b) in estimates.items():
-        out[f"{name}/bias"][part] = b[ends]
-        for what, error in (("position", x[..., :3] - truth[..., :3]), ("error", b - bias)):
-            out[f"{name}/{what}"][part] = np.add.reduceat(np.square(error).sum(-1), starts) / counts[:, None]
+def _fly(filter: Any, state: Any, epochs: Sequence[Epoch]) -> tuple[Any, Array]:
+    """State after some epochs, and errors of the position and biases ``(epochs, filters, runs, 6)`` as estimated on the way."""
+    found = []
+    for epoch in epochs:
+        state, _ = filter.step(state, epoch)
+        if not hasattr(state, "bias"):
+            mean = state.belief.mean
+            found.append(np.concatenate([mean[None, :, :3], mean[None, :, 15:]], -1))
+            continue
+        b = state.bias.mean
+        b = b if b.ndim > 2 else np.stack([np.zeros_like(b), b])  # EKF is TKF without its bias
+        found.append(np.concatenate([state.first.belief.mean[:, :3] + matvec(state.Lambda[:3], b), b], -1))
+    return state, np.stack(found)
