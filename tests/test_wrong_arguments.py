@@ -43,7 +43,7 @@ pulsar: Timing.delay Timing.shapiro Timing.shapiro_exact Timing.gradient
 beidou: satellites eccentric_anomaly tilted turned spun
 pseudorange: sources emitted measure jacobian
 linalg: block cholesky downdate fan matvec outer semidefinite_root side_by_side solve_lower
-    solve_right tria whiten apply signs weighted factored SquareRoot.lost SquareRoot.factor Covariance.lost
+    solve_right tria whiten signs weighted factored SquareRoot.lost SquareRoot.factor Covariance.lost
     Covariance.factor
 belief: any_lost nees settled
 trial: squares Noiseless.standard_normal

@@ -26,7 +26,7 @@ from celnav.filters.records import Epoch, Info
 from celnav.filters.sequential import Sequential, missing, sigma_point, silent
 from celnav.gaussian.belief import Gaussian, symmetric
 from celnav.gaussian.checks import choice, finite, function, instance, numbers, together, unmasked
-from celnav.gaussian.linalg import POSITIVE, Array, SquareRoot, apply, block, matvec, side_by_side, solve_right, tria
+from celnav.gaussian.linalg import POSITIVE, Array, SquareRoot, block, matvec, side_by_side, solve_right, tria
 from celnav.gaussian.rules import unscented
 from celnav.gaussian.spaces import EUCLIDEAN
 
@@ -209,7 +209,7 @@ class Colored(Sequential):
         before = None if moved is None else linear(sensor, rule, mean, epoch)
         if moved is not None and after is not None and before is not None:
             (y, F), (h_y, H), (h_x, H_x) = moved, after, before
-            outputs, beside = ((h_y - apply(Phi, h_x), H @ F - Phi @ H_x), (y, F)), (H @ W, W)
+            outputs, beside = ((h_y - matvec(Phi, h_x), H @ F - Phi @ H_x), (y, F)), (H @ W, W)
         elif not callable(sensor.h):
             beside = (sensor.h @ W, W)
         else:  # the process noise enters the measurement through h, so it goes through the points
@@ -220,13 +220,13 @@ class Colored(Sequential):
         """``H f(x) - Phi H x`` and ``f(x)``."""
         H = self.sensors[0].h
         y = evaluate(self.motion, x.copy(order="K"), epoch)
-        return apply(H, y) - apply(Phi @ H, x), y
+        return matvec(H, y) - matvec(Phi @ H, x), y
 
     def through(self, Phi: Array, x: Array, epoch: Epoch, w: Array) -> tuple[Array, Array]:
         """``h(f(x) + w) - Phi h(x)`` and ``f(x) + w``."""
         (sensor,), m = self.sensors, Phi.shape[-1]
         y = evaluate(self.motion, x.copy(order="K"), epoch) + w
-        return evaluate(sensor, y.copy(order="K"), epoch, m=m) - apply(Phi, evaluate(sensor, x, epoch, m=m)), y
+        return evaluate(sensor, y.copy(order="K"), epoch, m=m) - matvec(Phi, evaluate(sensor, x, epoch, m=m)), y
 
     def _measured(self, state: Any, epoch: Epoch) -> Array:
         """The measurement of an epoch, nan where there is none."""
@@ -353,7 +353,7 @@ def augmented(
         moved, Phi = evaluate(motion, x[..., :-m].copy(order="K"), epoch), phi(epoch) if callable(phi) else phi
         if Phi.ndim > 2:
             together(points=x.shape[1:-1], Phi=Phi.shape[:-2])
-        return side_by_side([moved, apply(Phi, x[..., -m:])])
+        return side_by_side([moved, matvec(Phi, x[..., -m:])])
 
     def noise(mean: Array, epoch: Any) -> Array:
         return block([[at(motion.noise, mean[..., :-m], epoch), 0], [0, at(zeta, mean, epoch)]])

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from celnav.filters.joint import whole
 from celnav.filters.model import Motion
 from celnav.filters.records import Epoch, Info, State
 from celnav.filters.sequential import Sequential, plain
@@ -44,7 +45,8 @@ class Fallback:
 
     def start(self, prior: Gaussian) -> State:
         """State before the first epoch."""
-        return self.first.start(prior)
+        state = self.first.start(prior)
+        return state._replace(belief=whole(self.first.form, *state.belief))  # runs are done again one by one
 
     def step(self, state: State, epoch: Epoch) -> Step:
         """State after an epoch, and what each sensor did to it."""

@@ -19,7 +19,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from celnav.filters.mixing import POINTS, WATCH, check_runs_apart, unknown
-from celnav.filters.model import Linear, Motion, Noise, Sensor, as_floats, given_back
+from celnav.filters.model import Linear, Motion, Noise, Sensor, as_floats, given_back, is_linear
 from celnav.filters.records import Info
 from celnav.gaussian.checks import instance, numbers, unmasked
 from celnav.gaussian.linalg import (
@@ -27,7 +27,6 @@ from celnav.gaussian.linalg import (
     Array,
     Belief,
     Form,
-    apply,
     block,
     factored,
     matvec,
@@ -253,32 +252,37 @@ def linearized(outputs: Sequence[Any], rule: Any, mean: Array, epoch: Any, space
     return found
 
 
+def by_matrix(model: Any, rule: Any) -> bool:
+    """Whether a model enters by its matrix alone: it is linear, or the rule asks for derivatives that are known."""
+    return is_linear(getattr(model, model.name)) or (model.jacobian is not None and isinstance(rule, Taylor))
+
+
 def linear(model: Motion | Sensor, rule: Any, mean: Array, epoch: Any, space: Space = EUCLIDEAN) -> tuple[Array, Array] | None:
     """Value at the mean and matrix, where a model is linear or the rule asks for derivatives that are known; None elsewhere.
 
     ``space``: that of the state.
     """
     function: Any = getattr(model, model.name)
-    if not callable(function):
-        return apply(function, mean), function
-    if isinstance(function, Linear):
-        matrix = function.at(epoch, mean.shape[-1])
+    if not by_matrix(model, rule):
+        return None
+    if is_linear(function):
+        matrix = function.at(epoch, mean.shape[-1]) if callable(function) else function
         if model.name == "f" and matrix.shape[-2] != mean.shape[-1]:
             raise ValueError(f"matrix: expected shape (..., {mean.shape[-1]}, {mean.shape[-1]}), got {matrix.shape}")
-        value = apply(matrix, mean)
+        value = matvec(matrix, mean)
         if (look := WATCH.get()) is not None:
             look(model.name, value[None])
         return value, matrix
-    if model.jacobian is None or not isinstance(rule, Taylor):
-        return None
     center = mean if rule.about is None else np.broadcast_to(rule.about, mean.shape)
     none = [np.zeros((1, *center.shape[:-1], E.shape[-2])) for E in model.augment]
     value = evaluate(model, center[None].copy(), epoch, none)[0]
-    J = numbers("jacobian", unmasked("jacobian", model.jacobian(center, epoch)))
+    J = numbers("jacobian", unmasked("jacobian", model.jacobian(center, epoch)))  # type: ignore[misc]
     if J.ndim < 2 or (model.space is EUCLIDEAN and J.shape[-2] != value.shape[-1]):
         raise ValueError(f"jacobian: expected shape (..., {value.shape[-1]}, n) to go with {model.name}, got {J.shape}")
+    if rule.about is None:
+        return value, J
     way = space.minus(mean, center)
-    return value if rule.about is None else model.space.plus(value, matvec(J[..., : way.shape[-1]], way)), J
+    return model.space.plus(value, matvec(J[..., : way.shape[-1]], way)), J
 
 
 def _linear_image(value: Array, matrix: Array | None, root: Array, sign: Array, augment: Sequence[Array]) -> Image:
@@ -314,7 +318,7 @@ def over_runs(name: str, batch: tuple[int, ...], belief: Belief) -> Belief:
     return belief if together == runs else belief._replace(mean=np.broadcast_to(belief.mean, (*together, belief.mean.shape[-1])))
 
 
-def _whole(form: Form, mean: Array, spread: Array) -> Belief:
+def whole(form: Form, mean: Array, spread: Array) -> Belief:
     """The belief, where mean and covariance differ from run to run in axes of their own."""
     batch = _joint_batch("Q, R", spread.shape[:-2], mean.shape[:-1])
     return form(np.broadcast_to(mean, (*batch, mean.shape[-1])), np.broadcast_to(spread, (*batch, *spread.shape[-2:])))
@@ -323,7 +327,7 @@ def _whole(form: Form, mean: Array, spread: Array) -> Belief:
 def marginal(form: Form, joint: Joint, space: Space) -> Belief:
     """The belief about the state, with nothing to condition on: a prediction."""
     mean, spread = space.plus(joint.state.center, joint.state.shift), form.marginal(joint.columns(), joint.sign)
-    return form(mean, spread) if spread.ndim == 2 or spread.shape[:-2] == mean.shape[:-1] else _whole(form, mean, spread)
+    return form(mean, spread) if spread.ndim == 2 or spread.shape[:-2] == mean.shape[:-1] else whole(form, mean, spread)
 
 
 def condition(
@@ -350,12 +354,12 @@ def condition(
     assert innovation is not None
     assert measured is not None
     used, m = innovation == innovation, innovation.shape[-1]
-    A = joint.columns()
-    if not used.all():
-        A, innovation = _left_out(A, innovation, used)
+    A, mask = joint.columns(), alike(used)
+    if not mask.all():
+        A, innovation = _left_out(A, innovation, mask)
     K: Any = gain
     if gain is not None:
-        K = numbers("gain", gain(A, joint.sign, m) if callable(gain) else gain, (..., A.shape[-2] - m, m)) * used[..., None, :]
+        K = numbers("gain", gain(A, joint.sign, m) if callable(gain) else gain, (..., A.shape[-2] - m, m)) * mask[..., None, :]
     S, U, spread = form.condition(A, joint.sign, m, K, known=joint.known, noise=joint.measurement_noise)
     whitened = whiten(S, innovation)
     step = state.shift + (matvec(U, whitened) if K is None else matvec(K, innovation))
@@ -367,8 +371,8 @@ def condition(
 
     info = Info(given, whitened, used, S, optimal, measured.jacobian)
     mean = space.plus(state.center, step)
-    whole = spread.ndim == 2 or spread.shape[:-2] == mean.shape[:-1]
-    return form(mean, spread) if whole else _whole(form, mean, spread), info, memory
+    together = spread.ndim == 2 or spread.shape[:-2] == mean.shape[:-1]
+    return form(mean, spread) if together else whole(form, mean, spread), info, memory
 
 
 def _adapted(joint: Joint, hooks: Sequence[Hook], memory: Any, epoch: Any) -> tuple[Joint, Any]:
@@ -396,15 +400,16 @@ def _adapted(joint: Joint, hooks: Sequence[Hook], memory: Any, epoch: Any) -> tu
     return joint, tuple(memories)
 
 
+def alike(used: Array) -> Array:
+    """A mask ``(..., m)`` as one, ``(m,)``, where it is that of all runs: what they share then stays one for all."""
+    every: Array = np.logical_and.reduce(used, tuple(range(used.ndim - 1)))
+    return every if every.all() or (used == every).all() else used
+
+
 def _left_out(A: Array, innovation: Array, used: Array) -> tuple[Array, Array]:
     """Rows that were not measured: no columns from the prior, a unit noise of their own and a zero innovation."""
-    m, rows = used.shape[-1], A.shape[-2]
-    batch = np.broadcast_shapes(A.shape[:-2], used.shape[:-1])
-    keep = np.ones((*batch, rows, 1))
-    keep[..., :m, 0] = used
-    unit = np.zeros((*batch, rows, m))
-    unit[..., np.arange(m), np.arange(m)] = ~used
-    return np.concatenate([A * keep, unit], -1), np.where(used, innovation, 0.0)
+    m, here = used.shape[-1], used[..., None]
+    return block([[A[..., :m, :] * here, np.eye(m) * ~here], [A[..., m:, :], 0]]), np.where(used, innovation, 0.0)
 
 
 def evaluate(model: Motion | Sensor, x: Array, epoch: Any, noise: Sequence[Array] = (), m: int | None = None) -> Array:
@@ -416,7 +421,7 @@ def evaluate(model: Motion | Sensor, x: Array, epoch: Any, noise: Sequence[Array
     name = model.name
     function: Any = getattr(model, name)
     if not callable(function):
-        return apply(function, x)
+        return matvec(function, x)
     vectors = not isinstance(model, Motion) and model.space is EUCLIDEAN and model.m in (None, m)
     dimension = x.shape[-1] if isinstance(model, Motion) else m if vectors else None
     copies = [array.copy(order="K") for array in (x, *noise)] if x.ndim > 2 and unknown(function, x) else None

@@ -16,7 +16,7 @@ import numpy as np
 
 from celnav.gaussian.belief import Gaussian, symmetric
 from celnav.gaussian.checks import finite, function, instance, kind, numbers, takes, unmasked
-from celnav.gaussian.linalg import Array, Covariance, SquareRoot, apply
+from celnav.gaussian.linalg import Array, Covariance, SquareRoot, matvec
 from celnav.gaussian.spaces import EUCLIDEAN, Space
 
 Model = Callable[..., Any]
@@ -40,7 +40,7 @@ class Linear:
         function("matrix", self.matrix, "(epoch)")
 
     def __call__(self, x: Array, epoch: Any) -> Array:
-        return apply(self.at(epoch, x.shape[-1]), x)
+        return matvec(self.at(epoch, x.shape[-1]), x)
 
     def at(self, epoch: Any, n: int) -> Array:
         """The matrix ``(..., m, n)`` of an epoch."""

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from celnav.filters.joint import KEEP, Gain, Hook, Joint, checked, condition, evaluate, joint, marginal, over_runs
-from celnav.filters.model import Motion, Sensor, check_matrices, check_prior, check_roots, is_linear
+from celnav.filters.joint import KEEP, Gain, Hook, Joint, by_matrix, checked, condition, evaluate, joint, marginal, over_runs, whole
+from celnav.filters.model import Motion, Sensor, check_matrices, check_prior, check_roots
 from celnav.filters.records import Epoch, Info, State
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import choice, finite, function, instance, integer, kind, number, numbers, takes
@@ -59,10 +59,8 @@ class Sequential:
             check_matrices(n, h=sensor.h)
             if n != N and not callable(sensor.h):
                 raise ValueError(f"h: expected a function where states have {N} components and {n} deviations, got a matrix")
-        batch = np.broadcast_shapes(belief.mean.shape[:-1], belief[1].shape[:-2])
-        if batch and not (is_linear(self.motion.f) and all(is_linear(sensor.h) for sensor in self.sensors)):
-            # Only a linear filter has one covariance for all its runs, as long as they miss the same measurements.
-            belief = self.form(np.broadcast_to(belief.mean, (*batch, N)), np.broadcast_to(belief[1], (*batch, n, n)))
+        if not all(by_matrix(model, self.rule) for model in (self.motion, *self.sensors)):
+            belief = whole(self.form, *belief)  # a covariance of all runs stays one where their matrices are
         return State(belief, (None,) * len(self.sensors))
 
     def step(self, state: State, epoch: Epoch) -> tuple[State, tuple[Info, ...]]:
@@ -121,17 +119,18 @@ class Sequential:
         exact = np.ones(1, bool) if V is None else np.asarray(~V.any(-1))
         if not exact.any():
             return after
-        if callable(sensor.h):
-            n = belief[1].shape[-1]
-            axes = np.moveaxis(belief.std[..., None] * np.eye(n), -1, 0)
+        if by_matrix(sensor, self.rule):
+            deviation, size = (np.abs(measured.jacobian()) * belief.std[..., None, :]).max(-1), np.zeros(1)
+        else:
+            axes = np.moveaxis(belief.std[..., None] * np.eye(belief[1].shape[-1]), -1, 0)
             y = evaluate(sensor, self.motion.space.plus(belief.mean, np.concatenate([0.0 * axes[:1], axes])), epoch)
             deviation = np.abs(sensor.space.minus(y[1:], y[:1])).max(0)
             size = np.abs(measured.center) if measured.center.shape == deviation.shape else np.zeros(1)
-        else:
-            deviation, size = (np.abs(sensor.h) @ np.abs(belief.sqrt_cov)).max(-1), np.zeros(1)
         # What is left of a deviation, or of a large number, after cancellation is round-off.
         least = 16.0 * (self.form.rounding() * deviation + EPS * size)
         known = (exact & np.asarray(info.used) & (np.asarray(info.sqrt_S).diagonal(0, -2, -1) <= least)).any(-1)
+        if not known.any():
+            return after
         return self.form(np.where(known[..., None], np.nan, after.mean), np.where(known[..., None, None], np.nan, after[1]))
 
 

@@ -15,14 +15,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.filters.joint import KEEP, at, condition, joint, marginal
+from celnav.filters.joint import KEEP, alike, at, condition, joint, marginal
 from celnav.filters.model import Motion, Sensor, given_back
 from celnav.filters.records import Epoch, Info, State
 from celnav.filters.sequential import Sequential, plain, sigma_point
 from celnav.filters.smoother import pseudo_gain
 from celnav.gaussian.belief import Gaussian, symmetric
 from celnav.gaussian.checks import finite, function, instance, kind, numbers, unmasked
-from celnav.gaussian.linalg import Array, SquareRoot, block, matvec, outer, side_by_side, tria
+from celnav.gaussian.linalg import Array, SquareRoot, block, matvec, outer, side_by_side, solve_lower, tria, whiten
 from celnav.gaussian.rules import Taylor, unscented
 from celnav.gaussian.spaces import EUCLIDEAN
 
@@ -79,8 +79,9 @@ class Plain:
         info: Any = infos[0]
         if info.sqrt_S is None:
             return after, None, info
-        H = np.where(info.used[..., None], info.jacobian(), 0.0)
-        return after, Stage(np.where(info.used, info.innovation, 0.0), info.sqrt_S, info.gain(), H, info.used), info
+        used = alike(info.used)
+        H = np.where(used[..., None], info.jacobian(), 0.0)
+        return after, Stage(np.where(used, info.innovation, 0.0), info.sqrt_S, info.gain(), H, used), info
 
 
 class TwoStageState(NamedTuple):
@@ -140,7 +141,8 @@ def two_stage(
     rule, options: of the first stage, as in `celnav.sigma_point`.
 
     The prior is about the state alone, the filter's belief about state and bias, ``(..., n + p)``. Innovations, NIS and likelihood
-    are those of both stages, what the augmented filter would have; gain and Jacobian are of the first.
+    are those of both stages, what the augmented filter would have; gain and Jacobian are of the first. What runs of a linear model
+    share, covariances and sensitivity, has no axis of runs if the prior's covariance has none.
 
     >>> filter = celnav.two_stage(motion, sensor, np.eye(3), celnav.Gaussian(np.zeros(3), np.eye(3)))
     """
@@ -188,8 +190,8 @@ class TwoStage:
         runs = np.broadcast_shapes(own.mean.shape[:-1], own[1].shape[:-2])
         if runs and runs != tuple(batch):
             raise ValueError(f"bias: expected one, or one for each run, {tuple(batch)}, got {runs}")
-        own = type(own)(np.broadcast_to(own.mean, (*batch, p)), np.broadcast_to(own[1], (*batch, p, p)))
-        return TwoStageState(known, own, np.zeros((*batch, n, p)))
+        # Covariance and sensitivity get an axis of runs where the models' matrices have one.
+        return TwoStageState(known, own._replace(mean=np.broadcast_to(own.mean, (*batch, p))), np.zeros((n, p)))
 
     def step(self, state: TwoStageState, epoch: Epoch) -> tuple[TwoStageState, tuple[Info, ...]]:
         """State after an epoch, and what its measurement did."""
@@ -214,10 +216,8 @@ class TwoStage:
         if self.boost is not None:
             boost = Boost(both.innovation, outer(both.sqrt_S), stage.innovation, outer(stage.sqrt_S))
             memory, factors = given_back("boost", self.boost(memory, boost), "memory, factors")
-            p = own.mean.shape[-1]
-            scale = np.sqrt(numbers("boost", factors, (..., p)))[..., None] * np.eye(p)
-            inflated = type(own)(own.mean, own.transported(scale, own[1]))
-            after = after._replace(mean=_given(inflated, S, stage)[0].mean)
+            root = np.sqrt(numbers("boost", factors, (..., own.mean.shape[-1])))
+            after = after._replace(mean=own.mean + _boosted(own.cov, root, S, stage.sqrt_S, both.innovation))
         # What a hook left out keeps the innovation of the first stage.
         innovation = np.where(stage.used, both.innovation, np.asarray(info.innovation))
         info = info._replace(innovation=innovation, whitened=both.whitened, sqrt_S=both.sqrt_S)
@@ -228,6 +228,15 @@ def _given(own: Any, S: Array, stage: Stage) -> tuple[Any, Any]:
     """The bias given the innovation of the first stage, of which S is the Jacobian, and the `Info` of that."""
     seen = joint(LINEAR, own, ((matvec(S, own.mean), S), KEEP), z=stage.innovation, measurement_noise=stage.sqrt_S)
     return condition(type(own), seen, EUCLIDEAN)[:2]
+
+
+def _boosted(M: Array, d: Array, S: Array, root: Array, residual: Array) -> Array:
+    """What a residual moves a bias of covariance ``D M D``: by ``D M (I + D W D M)^-1 D S' R^-1 residual``, ``W = S' R^-1 S``."""
+    Y, p = solve_lower(root, S), d.shape[-1]
+    terms = (Y.mT @ Y)[..., :, None, :] * M.mT[..., None, :, :]  # W D M is linear in d, by a matrix that runs may share
+    WDM = matvec(terms.reshape(*terms.shape[:-3], p * p, p), d).reshape(*d.shape, p)
+    white = d * matvec(Y.mT, whiten(root, residual))
+    return d * matvec(M, np.linalg.solve(np.eye(p) + d[..., None] * WDM, white[..., None])[..., 0])
 
 
 def _walked(first: Any, own: Any, Lambda: Array, walk: Array) -> tuple[Any, Any, Array]:

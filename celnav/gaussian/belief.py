@@ -19,8 +19,8 @@ class Gaussian:
     Parameters
     ----------
     mean: ``(..., N)``; a run of a batch has a mean of its own.
-    cov: covariance ``(..., n, n)``, which may be singular. It may be one and the same for many means: a linear filter then
-        carries one covariance for all its runs.
+    cov: covariance ``(..., n, n)``, which may be singular. It may be one ``(n, n)`` for many means: a filter whose matrices,
+        constant or of the epoch, are the same for all runs then carries one, until these miss different measurements.
     sqrt_cov: a lower triangular root of the covariance, instead of it.
 
     >>> Gaussian([7000.0, 0.0], np.diag([1.0, 1e-4])).std

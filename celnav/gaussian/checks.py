@@ -58,6 +58,8 @@ def _fits(lengths: tuple[int, ...], shape: Shape) -> bool:
     if shape[:1] == (...,):
         shape = shape[1:]
         lengths = lengths[max(len(lengths) - len(shape), 0) :]
+    if lengths == shape:
+        return True
     letters: dict[str, int] = {}
     return len(lengths) == len(shape) and all(
         length > 0 and letters.setdefault(axis, length) == length if isinstance(axis, str) else axis in (None, length)

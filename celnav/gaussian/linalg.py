@@ -30,13 +30,8 @@ POSITIVE: Array = np.broadcast_to(1.0, 1)
 
 
 def matvec(A: Array, x: Array) -> Array:
-    """Product of matrices ``(..., n, m)`` and vectors ``(..., m)``, shape ``(..., n)``."""
-    return np.asarray((A @ x[..., None])[..., 0])
-
-
-def apply(matrix: Array, x: Array) -> Array:
-    """A matrix ``(..., m, n)`` on vectors ``(..., n)``: one product for all of them where it is the same for all."""
-    return np.asarray(x @ matrix.mT if matrix.ndim == 2 else matvec(matrix, x))
+    """Product ``(..., n)`` of matrices ``(..., n, m)`` and vectors ``(..., m)``: one for all of them where the matrix is."""
+    return np.asarray(x @ A.mT if A.ndim == 2 else (A @ x[..., None])[..., 0])
 
 
 def outer(A: Array) -> Array:
@@ -103,8 +98,8 @@ def solve_lower(L: Array, B: Array) -> Array:
 
 def whiten(L: Array, x: Array) -> Array:
     """``L^-1 x`` for lower triangular ``L (..., n, n)`` and vectors ``(..., n)``; a zero on the diagonal gives nan."""
-    if L.ndim == 2 and x.ndim == 1:
-        return solve_lower(L, x[:, None])[:, 0]
+    if L.ndim == 2:
+        return solve_lower(L, x.reshape(-1, x.shape[-1]).T).T.reshape(x.shape)
     # By rows, for which products of matrices take twice the time.
     white = np.empty(np.broadcast_shapes(x.shape, L.shape[:-1]))
     diagonal = L.diagonal(0, -2, -1)
@@ -122,61 +117,49 @@ def solve_right(L: Array, U: Array) -> Array:
     return solve_lower(flipped, U.mT[..., ::-1, :])[..., ::-1, :].mT
 
 
-def _scaled(P: Array) -> tuple[Array, Array]:
-    """Scales ``(..., n)`` and ``P`` in units of them: kilometers and radians in one matrix then weigh alike."""
-    diagonal = P.diagonal(0, -2, -1)
-    if P.ndim > 2 or not min(diagonal.tolist(), default=1.0) > 0.0:
-        diagonal = np.where(diagonal > 0.0, diagonal, 1.0)
-    scale = np.sqrt(diagonal)
-    C = P / scale[..., None]
-    C /= scale if P.ndim == 2 else scale[..., None, :]
-    return scale, C
-
-
-def _single(C: Array) -> Array | None:
-    """Root of one matrix, by LAPACK itself; None where it has none."""
-    L, info = lapack.dpotrf(C, lower=1)
+def _root(P: Array) -> Array | None:
+    """Roots of positive definite matrices; None where one of them has none."""
+    if P.ndim > 2:
+        try:
+            return np.linalg.cholesky(P)
+        except np.linalg.LinAlgError:
+            return None
+    L, info = lapack.dpotrf(P, lower=1)
     return L if info == 0 and (L.size == 0 or L[-1, -1] > 0.0) else None  # a nan anywhere leads to one in the last place
+
+
+def _scaled(P: Array) -> tuple[Array, Array]:
+    """Scales ``(..., n)``, and P in units of them, which weighs kilometers and radians alike; what is not finite is minus one."""
+    diagonal = P.diagonal(0, -2, -1)
+    scale = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
+    C = P / scale[..., None] / scale[..., None, :]
+    return scale, np.where(np.isfinite(C).all((-2, -1), keepdims=True), C, -np.eye(P.shape[-1]))
 
 
 def cholesky(P: Array) -> Array:
     """Lower root of positive definite ``P (..., n, n)``; nan for each matrix that is not positive definite."""
-    scale, C = _scaled(P)
-    if P.ndim == 2:
-        root = _single(C)
-        return np.full(P.shape, np.nan) if root is None else scale[:, None] * root
-    try:
-        L = np.linalg.cholesky(C)
-    except np.linalg.LinAlgError:  # numpy gives up on the whole block: find the culprits, keep the rest
-        eye = np.eye(C.shape[-1])
-        finite = np.asarray(np.isfinite(C).all((-2, -1)))[..., None, None]
-        smallest = np.linalg.eigvalsh(np.where(finite, C, -eye))[..., :1, None]
-        bad = smallest <= 4 * len(eye) * EPS
-        L = np.where(bad, np.nan, np.linalg.cholesky(np.where(bad, eye, C)))
-    return scale[..., None] * L
+    root = _root(P)
+    if root is not None or P.ndim == 2:
+        return np.full(P.shape, np.nan) if root is None else root
+    # LAPACK gives up on the whole block: find the culprits, keep the rest.
+    bad = np.linalg.eigvalsh(_scaled(P)[1])[..., :1, None] <= 4 * P.shape[-1] * EPS
+    return np.where(bad, np.nan, np.linalg.cholesky(np.where(bad, np.eye(P.shape[-1]), P)))
 
 
 def semidefinite_root(P: Array) -> Array:
     """Lower root of a covariance ``P (..., n, n)`` that may be singular; nan where it is indefinite beyond round-off."""
+    root, least = _root(P), 1e-5  # below, a singular matrix may have slipped through on a rounding error
+    if root is not None and (root.diagonal(0, -2, -1) > least * np.sqrt(P.diagonal(0, -2, -1))).all():
+        return root
     scale, C = _scaled(P)
-    least = 1e-5  # below, a singular matrix may have slipped through on a rounding error
-    if P.ndim == 2 and (one := _single(C)) is not None and min(one.diagonal().tolist(), default=1.0) > least:
-        return scale[:, None] * one
+    eigenvalues, vectors = np.linalg.eigh(C)
     nothing = 4 * C.shape[-1] * EPS  # what is left of a variance that is none
-    try:
-        L = np.linalg.cholesky(C)
-        if L.diagonal(0, -2, -1).min(initial=1.0) > least:
-            return scale[..., None] * L
-    except np.linalg.LinAlgError:
-        pass
-    finite = np.asarray(np.isfinite(C).all((-2, -1)))
-    eigenvalues, vectors = np.linalg.eigh(np.where(finite[..., None, None], C, -np.eye(C.shape[-1])))
     indefinite = eigenvalues[..., 0] < -64 * C.shape[-1] * EPS * np.maximum(eigenvalues[..., -1], 1.0)
     kept = np.where(eigenvalues > nothing, eigenvalues, 0.0)
     root = tria(scale[..., None] * vectors * np.sqrt(kept)[..., None, :])
     singular = eigenvalues[..., :1, None] <= nothing
     if not singular.all():  # the neighbors get what they would get alone
-        root = np.where(singular, root, scale[..., None] * np.linalg.cholesky(np.where(singular, np.eye(C.shape[-1]), C)))
+        root = np.where(singular, root, np.linalg.cholesky(np.where(singular, np.eye(C.shape[-1]), P)))
     return np.where(indefinite[..., None, None], np.nan, root)
 
 
@@ -187,8 +170,6 @@ def downdate(L: Array, V: Array) -> Array:
     """
     W = solve_lower(L, V)
     rest = _identity(L.shape[-1]) - outer(W)
-    if rest.ndim == 2 and (one := _single(rest)) is not None:
-        return np.asarray(L @ one)
     root: Array = L @ cholesky(rest)
     lost = np.isnan(root[..., 0, 0])
     if not lost.any():

@@ -113,7 +113,7 @@ def test_cholesky_takes_units_as_they_come():
     scale = np.array([1e6, 1e-9, 1.0])
     C = np.array([[1.0, 0.5, 0.2], [0.5, 1.0, 0.1], [0.2, 0.1, 1.0]])
     L = cholesky(scale[:, None] * C * scale)
-    np.testing.assert_allclose(L / scale[:, None], np.linalg.cholesky(C), rtol=1e-13)
+    np.testing.assert_allclose(L / scale[:, None], np.linalg.cholesky(C), rtol=1e-13, atol=1e-15)
 
 
 @pytest.mark.parametrize("root", [cholesky, semidefinite_root])

@@ -17,7 +17,7 @@ from celnav.papers import figures, tables, tstdkf
 from celnav.papers.tstdkf import PRESETS, SETTINGS, Setting, analysis, filters, simulate, sweeps
 from celnav.papers.tstdkf.config import TABLE_5
 from celnav.papers.tstdkf.ephemerides import table
-from celnav.papers.tstdkf.estimators import driving, kalman
+from celnav.papers.tstdkf.estimators import driving, kalman, models
 from celnav.papers.tstdkf.follow import follow as follow_all
 from celnav.papers.tstdkf.forces import accelerations, spectrum
 from celnav.papers.tstdkf.scenario import noise_of
@@ -242,7 +242,7 @@ def test_the_bound_is_the_exact_filters_covariance():
     config = replace(SHORT, days=0.25)
     sim = simulate(config, runs(1))
     track = run(filters(config)["aug"], sim.prior, sim.epochs())
-    bounds = analysis.bounds(config)
+    (bounds,) = analysis.bounds([config])
     # The filter begins 1.7 km off the nominal orbit, where gravity's gradient is another by 3 * 1.7 / 7136.
     np.testing.assert_allclose(np.linalg.norm(track.std[:, 0, :3], axis=1), bounds[:, 0], rtol=5e-3)
     np.testing.assert_allclose(np.linalg.norm(track.std[:, 0, 15:], axis=1), bounds[:, 2], rtol=5e-3)
@@ -266,7 +266,7 @@ def test_what_pulls_in_the_truth_is_what_the_filter_may_model():
     with_them, without = (simulate(replace(config, pulled=pulled), runs(2)) for pulled in (True, False))
     assert np.abs(with_them.truth - without.truth)[-1, :, :3].max() > 0.01  # km
     c = with_them.cases[0]
-    knowing = kalman(c, driving(c), pulled=True)
+    knowing = kalman(models(c, pulled=True), driving(c))
     one = run(knowing, with_them.prior, with_them.epochs(), keep="mean").mean - with_them.truth[1:]
     two = run(filters(config)["ekf"], without.prior, without.epochs(), keep="mean").mean - without.truth[1:]
     np.testing.assert_allclose(one[..., :3], two[..., :3], atol=1e-5)

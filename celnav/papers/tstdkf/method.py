@@ -118,8 +118,8 @@ class Differenced:
         """State before the first epoch."""
         check_prior(prior)
         belief, (q, m) = Covariance.of(prior), self.noise.J.shape[-2:]
-        shape = belief.mean.shape
-        V = np.full((*shape[:-1], m), np.nan)
+        shape = belief.cov.shape[:-1]
+        V = np.full((*belief.mean.shape[:-1], m), np.nan)
         return DifferencedState(belief, np.zeros((*shape, m)), np.zeros((*shape, q)), V, np.zeros((*shape[:-1], m, shape[-1])))
 
     def predict(self, state: DifferencedState, epoch: Epoch) -> tuple[DifferencedState, Array | None]:
@@ -175,7 +175,7 @@ class Differenced:
         belief = Covariance(mean + matvec(K, innovation), 0.5 * (cov + cov.mT))
         after = DifferencedState(belief, DV, DQ, z - self._seen(belief.mean, epoch), H)
         used = np.ones(innovation.shape, bool)
-        stage = Stage(innovation, root, K, H, used, Omega, None if first else F, None if first else state.H)
+        stage = Stage(innovation, root, K, H, used[(0,) * (used.ndim - 1)], Omega, None if first else F, None if first else state.H)
         return after, stage, Info(innovation, whiten(root, innovation), used, root, lambda: K)
 
     def _seen(self, x: Array, epoch: Epoch) -> Array:
@@ -229,7 +229,7 @@ def strong_tracking(rho: ArrayLike, tau: float, *, factor: Factor = excess) -> A
         before = np.zeros_like(square) if memory is None else memory.squares
         squares = before + (square - before) / min(count, length)
         found = numbers("factor", factor(squares / seen.total.diagonal(0, -2, -1), weights), (..., square.shape[-1]))
-        factors = np.clip(np.where(np.isfinite(found), found, 1.0), 1.0, LARGEST)
+        factors = np.minimum(np.maximum(np.where(np.isfinite(found), found, 1.0), 1.0), LARGEST)
         return Window(count, squares, factors), factors
 
     return boost
