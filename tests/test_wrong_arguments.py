@@ -67,6 +67,10 @@ claims: Claim Claim.to_dict Judge Judge.lengthy Judge.number Judge.statistic Jud
 page: document figure link table
 picture: command end picture
 progress: Progress Progress.close Progress.stage RunProgress
+estimates: Estimate Estimate.error Estimate.sigma estimates
+plots: curves draw
+scenes: arc behind beside constellation limb sigma_points sightings track turning
+showcase: Showcase record write
 """
 """What checks, what has no arguments, and what only celnav calls, or hands to a library that says itself what it takes."""
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_PANELS = 12
-PALETTE = (colors.ESTIMATE, colors.COMPARISON, colors.OPEN_LOOP, colors.TRUTH, colors.PAPER, colors.MEASUREMENT)
+PALETTE = (colors.ESTIMATE, colors.COMPARISON, colors.OPEN_LOOP, colors.REFERENCE, colors.PAPER, colors.MEASUREMENT)
 MARKERS = "osD^vP"
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from os import PathLike
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -15,38 +15,29 @@ from celnav.campaign.units import STUDY
 from celnav.gaussian.linalg import Array
 from celnav.models.earth import SEMI_MAJOR_M
 from celnav.papers import load
-from celnav.show import colors
+from celnav.show import colors, scenes
+from celnav.show import showcase as showcases
+from celnav.show.estimates import Estimate, Group
 from celnav.show.figures import figure
+from celnav.show.plots import Curve, Plot
 from celnav.study.montecarlo import generator
-from celnav.study.trial import Followed, Group, Trial, follow
+from celnav.study.trial import Followed, Trial, follow
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from celnav.show.recording import Recorder
+
 
 class Showcase(NamedTuple):
-    """The first run: ``truth (K, 3)`` km at the judged epochs, None where the state is no orbit; what each filter made of it; the
-    ``components`` that are shown, and their ``scale``."""
+    """The first run: what each filter made of it at the judged epochs ``times (K,)`` s, and its ``truth (K, 3)`` km, None where the
+    state is no orbit."""
 
     study: Study
+    times: Array
     groups: tuple[Group, ...]
     truth: Array | None
-    filters: dict[str, Followed]
-    components: Array
-    scale: Array
-
-    @property
-    def times(self) -> Array:
-        """The judged epochs ``(K,)`` s."""
-        return next(iter(self.filters.values())).times
-
-    def error(self, name: str) -> Array:
-        """Of a filter, ``(K, components)`` in the units of the groups."""
-        return np.asarray(self.filters[name].error[:, 0, self.components] * self.scale)
-
-    def std(self, name: str) -> Array:
-        """What a filter takes for the deviations of `error`."""
-        return np.asarray(self.filters[name].std[:, 0, self.components] * self.scale)
+    estimates: dict[str, Estimate]
 
 
 def showcase(study: Study) -> Showcase | None:
@@ -63,36 +54,36 @@ def showcase(study: Study) -> Showcase | None:
     if trial.place is not None:
         epochs = trial.epochs(next(iter(filters)))
         truth = np.stack([trial.place(epoch.truth)[0] for epoch in epochs if epoch.truth is not None])
-    components = np.concatenate([np.arange(g.part.start, g.part.stop) for g in trial.groups])
-    scale = np.concatenate([np.broadcast_to(g.scale, g.part.stop - g.part.start) for g in trial.groups])
-    return Showcase(study, trial.groups, truth, filters, components, scale)
+    groups = []
+    for name, unit, part, scale in trial.groups:
+        numbered = tuple(str(i) for i in range(1, part.stop - part.start + 1))
+        groups.append(Group(name, unit, part, scale, ("x", "y", "z") if len(numbered) == 3 else numbered))
+    estimates = {name: Estimate(name, _color(study, name), f.error, f.std[:, 0] ** 2, f.nees[:, 0]) for name, f in filters.items()}
+    return Showcase(study, next(iter(filters.values())).times, tuple(groups), truth, estimates)
 
 
-def _parts(groups: tuple[Group, ...]) -> list[slice]:
-    """Where the groups lie in the components that are shown."""
-    ends = np.cumsum([g.part.stop - g.part.start for g in groups]).tolist()
-    return [slice(start, end) for start, end in zip([0, *ends], ends, strict=False)]
+def _color(study: Study, filter: str) -> str:
+    return PALETTE[study.filters.index(filter) % len(PALETTE)]
 
 
 def errors(shown: Showcase) -> Figure:
     """Errors of the first run, a row for each group and a column for each filter."""
-    names = list(shown.filters)
-    fig, axes = figure(max(5.0, 2.6 * len(names)), 2.0 * len(shown.groups) + 0.4, len(shown.groups), len(names), squeeze=False,
-                       sharex=True, sharey="row")  # fmt: skip
+    rows, columns = len(shown.groups), len(shown.estimates)
+    fig, axes = figure(max(5.0, 2.6 * columns), 2.0 * rows + 0.4, rows, columns, squeeze=False, sharex=True, sharey="row")
     late = slice(len(shown.times) // 4, None)
-    for row, group, part in zip(axes, shown.groups, _parts(shown.groups), strict=True):
-        for ax, name in zip(row, names, strict=True):
-            error, reach = shown.error(name)[:, part], 3.0 * shown.std(name)[:, part].max(1)
+    for row, group in zip(axes, shown.groups, strict=True):
+        top = 0.0
+        for ax, estimate in zip(row, shown.estimates.values(), strict=True):
+            error, reach = estimate.error(group)[:, 0], 3.0 * np.asarray(estimate.sigma(group)).max(1)
             ax.plot(shown.times, reach, color=colors.SIGMA, linewidth=0.8, label="±3σ, the largest of them")
             ax.plot(shown.times, -reach, color=colors.SIGMA, linewidth=0.8)
             for i, component in enumerate(error.T):
                 ax.plot(shown.times, component, color=PALETTE[i % 6], linewidth=0.8, label=f"component {i + 1}")
+            top = max(top, 1.2 * float(np.nanmax(np.abs([*error[late].T, reach[late]]), initial=0.0)))
         row[0].set_ylabel(f"{group.name} error ({group.unit})")
-        seen = [np.abs([shown.error(name)[late, part], 3.0 * shown.std(name)[late, part]]) for name in names]
-        top = 1.2 * float(np.nanmax(seen, initial=0.0))
         if top > 0.0:
             row[0].set_ylim(-top, top)
-    for ax, name in zip(axes[0], names, strict=True):
+    for ax, name in zip(axes[0], shown.estimates, strict=True):
         ax.set_title(name)
     for ax in axes[-1]:
         ax.set_xlabel("time (s)")
@@ -108,51 +99,38 @@ def record(shown: Showcase, outcome: Outcome, path: str | PathLike[str]) -> None
     ------
     OSError: if ``path`` cannot be written. ValueError: if it is a file that celnav did not make.
     """
-    from celnav.show import recording, views
+    study, truth, spaces = shown.study, shown.truth, []
+    if truth is not None:
+        eye = float(np.abs(truth).max()) * np.array([2.2, -1.8, 1.4])
+        spaces = [showcases.Space("orbit", "orbit, km", eye, growing=["orbit/satellite/trail"])]
 
-    times, study = shown.times, shown.study
-    palette = {name: PALETTE[i % 6] for i, name in enumerate(study.filters)}
-    plots = [views.plot(f"rms/{g.name}", f"{g.name}: rms of {study.runs} runs, log10 of {g.unit}", times) for g in shown.groups]
-    tabs = [
-        views.rows(
-            *(views.plot(f"first/{f}/{g.name}", f"{f}: {g.name} of the first run, {g.unit}", times) for g in shown.groups), name=f
-        )
-        for f in shown.filters
-    ]
-    left: list[Any] = [views.text("info", "about"), views.plot("nees", "NEES over its dimension, first run, log10", times)]
-    if shown.truth is not None:
-        reach = float(np.abs(shown.truth).max())
-        eye = reach * np.array([2.2, -1.8, 1.4])
-        left.insert(0, views.space("orbit", "orbit, km", eye=eye, growing={"orbit/truth": np.inf}))
-    layout = views.columns(views.rows(*left), views.tabs(views.rows(*plots, name="all runs"), *tabs), shares=(2, 3))
-    facts = {"paper": study.paper, "runs": study.runs, "seed": study.seed, "filters": ", ".join(study.filters)}
-    with recording.recording(path, times, name=f"mission {study.title}", layout=layout, properties=facts) as out:
-        out.text("info", _about(study, outcome))
-        if shown.truth is not None:
+    def scene(out: Recorder) -> None:
+        if truth is not None:
             out.globe("orbit/earth", 1e-3 * SEMI_MAJOR_M)
-            out.trail("orbit/truth", shown.truth, colors.TRUTH)
-            out.points("orbit/here", shown.truth, colors.TRUTH, radius=6.0, label="satellite")
-        for name, found in shown.filters.items():
-            for group, part in zip(shown.groups, _parts(shown.groups), strict=True):
-                for i, component in enumerate(shown.error(name)[:, part].T):
-                    out.curve(f"first/{name}/{group.name}/{i + 1}", component, PALETTE[i % 6], f"component {i + 1}")
-                out.bounds(f"first/{name}/{group.name}/sigma", shown.std(name)[:, part].max(1), "largest")
-            out.log_curve(f"nees/{name}", found.nees[:, 0] / found.error.shape[-1], palette[name], name)
-        _rms(out, shown, outcome, palette)
+            scenes.track(out, "orbit/satellite", truth, colors.TRUTH, "satellite")
+
+    run = showcases.Showcase(
+        f"mission {study.title}", _about(study, outcome), shown.times, shown.estimates, shown.groups, scene=scene, spaces=spaces,
+        plots={"all runs": _rms(shown, outcome)},
+        facts={"paper": study.paper, "runs": study.runs, "seed": study.seed, "filters": ", ".join(study.filters)},
+    )  # fmt: skip
+    showcases.record(run, path)
 
 
-def _rms(out: Any, shown: Showcase, outcome: Outcome, palette: dict[str, str]) -> None:
-    """Errors of all runs, at the epochs that were scored."""
-    found = outcome.first[0][1]
+def _rms(shown: Showcase, outcome: Outcome) -> dict[str, Plot]:
+    """Errors of all runs, at the epochs that were scored, by group."""
+    found, plots = outcome.first[0][1], {}
     for i, group in enumerate(shown.groups):
+        curves = {}
         for name, scores in found.scores.items():
             if scores is not None:
                 with np.errstate(invalid="ignore", divide="ignore"):
                     rms = np.sqrt(scores["square"][:, i] / scores["count"])
-                out.log_curve(f"rms/{group.name}/{name}", _spread(shown, rms), palette[name], name)
+                curves[name] = Curve(_spread(shown, rms), _color(shown.study, name), name)
         if found.bound is not None:
-            bound = _spread(shown, np.sqrt(found.bound[:, i]))
-            out.log_curve(f"rms/{group.name}/bound", bound, colors.BOUND, "bound", width=1.0)
+            curves["bound"] = Curve(_spread(shown, np.sqrt(found.bound[:, i])), colors.BOUND, "bound", width=1.0)
+        plots[group.name] = Plot(f"log10 rms of {shown.study.runs} runs: {group.name}, {group.unit}", curves, log=True)
+    return plots
 
 
 def _spread(shown: Showcase, values: Array) -> Array:

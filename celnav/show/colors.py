@@ -1,13 +1,38 @@
-"""Okabe-Ito colors by meaning, the same in figures and recordings."""
+"""Okabe-Ito colors by meaning, the same in figures and recordings, and what is no filter's: stars and bodies."""
 
 TRUTH = "#009E73"
 ESTIMATE = "#E69F00"
 COMPARISON = "#0072B2"
 """The method compared with."""
 OPEN_LOOP = "#CC79A7"
+"""No measurements, or a third method."""
+REFERENCE = "#999933"
+"""A method beyond the paper, such as the exact filter."""
 MEASUREMENT = "#56B4E9"
 PAPER = "#D55E00"
 """The paper's value."""
 BOUND = "#F0E442"
 SIGMA = "#888888"
 FAINT = "#5A6478"
+STAR = "#FFF3C4"
+"""Directions to stars, pulsars and the Sun."""
+BODY = "#BBBBBB"
+"""Of the sky: Earth, Moon."""
+NEGATIVE = "#FFFFFF"
+"""Points of negative weight."""
+
+NAMES = {
+    TRUTH: "green",
+    ESTIMATE: "orange",
+    COMPARISON: "blue",
+    OPEN_LOOP: "purple",
+    REFERENCE: "olive",
+    MEASUREMENT: "sky blue",
+    PAPER: "red",
+    BOUND: "yellow",
+    SIGMA: "gray",
+    STAR: "pale yellow",
+    BODY: "light gray",
+    NEGATIVE: "white",
+}
+"""As legends call them."""

@@ -7,8 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import rerun as rr
 
 from celnav import Epoch, Gaussian, Motion, run, sigma_point
+from celnav.files import Outputs
 from celnav.gaussian.rules import gauss_hermite, simplex, tensor_product
 from celnav.papers import aasghqf, figures
 from celnav.papers.aasghqf import analysis, errata, scenario, study
@@ -199,3 +201,12 @@ def test_degrees_by_singular_values_and_their_weights():
     np.testing.assert_allclose(analysis.svd_degree(np.diag([3.0, 0.5, 7.0])), [3.0, 0.5, 7.0])
     np.testing.assert_allclose(analysis.svd_degree(np.diag([3.0, 0.5, 7.0]), 1), [6.0, 1.0, 14.0])
     assert analysis.threshold_weights([9.8, 5.0, 5.1, 0.0], 5.0) == (1, 2, 1, 2)
+
+
+def test_recordings_hold_what_the_filters_gave(result, tmp_path):
+    assert aasghqf.record(result, Outputs(tmp_path)) == aasghqf.RECORDINGS
+    found = {str(c.entity_path): c for c in rr.chunk.RrdReader(tmp_path / "aasghqf_T3.rrd").stream().to_chunks() if not c.is_static}
+    nees = found["/plots/consistency/nees/ukf"].to_record_batch().column("Scalars:scalars").to_pylist()
+    np.testing.assert_allclose(10.0 ** np.ravel(nees), result.data["T3"]["ukf/nees"][:, 0] / 13.0)
+    drawn = {"/world/star1/expected", "/points/ukf/negative", "/error/sghqf/ellipsoid", "/error/measured/points"}
+    assert drawn <= set(found)

@@ -318,6 +318,9 @@ def test_a_recording_of_the_burst_is_written_and_none_of_an_absent_receiver(resu
     assert aukf.record(result, Outputs(tmp_path)) == ["aukf_burst.rrd"]
     (found,) = rr.chunk.RrdReader(tmp_path / "aukf_burst.rrd").recordings()
     assert found.application_id == "celnav-aukf-burst"
+    drawn = {str(c.entity_path) for c in rr.chunk.RrdReader(tmp_path / "aukf_burst.rrd").stream().to_chunks() if not c.is_static}
+    assert {"/world/sight", "/track/aukf/ellipsoid", "/error/group/estimate", "/plots/consistency/nis/ekf", "/events"} <= drawn
+    assert "/error/ls/ellipsoid" not in drawn  # it has no covariance
     assert not (tmp_path / "aukf_real.rrd").exists()
 
 

@@ -7,7 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import rerun as rr
 
+from celnav.files import Outputs
 from celnav.papers import csrukf, figures, tables
 from celnav.papers.csrukf import errata, scenario, study, theory
 from celnav.study.claims import dumps
@@ -156,3 +158,18 @@ def test_the_first_noise_is_what_is_chosen(first, factor):
     config = replace(csrukf.Config(), phi=0.8, first_noise=first)
     np.testing.assert_allclose(config.Sigma0, factor * config.R, rtol=1e-12)
     np.testing.assert_allclose(np.trace(config.angle_Sigma0), factor * (config.sigma_angles**2).sum(), rtol=1e-12)
+
+
+def test_recordings_hold_the_first_run_and_the_monte_carlo(short, tmp_path):
+    assert csrukf.record(short, Outputs(tmp_path)) == csrukf.RECORDINGS
+    assert {p.name for p in tmp_path.glob("*.rrd")} == set(csrukf.RECORDINGS)
+    found = {
+        str(c.entity_path): c for c in rr.chunk.RrdReader(tmp_path / "csrukf_P_08.rrd").stream().to_chunks() if not c.is_static
+    }
+    data = short.data["P/0.8"]
+    error = np.array(found["/state/csrukf"].to_record_batch().column("error").to_pylist())
+    np.testing.assert_allclose(error, data["csrukf/error"][:, 0] / theory.UNITS)
+    rmse = found["/plots/rmse/position/srukf"].to_record_batch().column("Scalars:scalars").to_pylist()
+    np.testing.assert_allclose(10.0 ** np.ravel(rmse), np.sqrt(np.square(data["srukf/error"][..., :3]).sum(-1).mean(1)))
+    drawn = {"/world/limb", "/world/stars/i2", "/world/angles", "/world/z", "/error/openloop/ellipsoid", "/plots/V/x/augmented"}
+    assert drawn <= set(found)

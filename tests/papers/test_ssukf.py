@@ -17,7 +17,7 @@ from celnav.gaussian.rules import unscented
 from celnav.models.gyro import Gyro, preintegrate
 from celnav.papers import figures, ssukf
 from celnav.papers.ssukf import PRESETS, filters, simulate, study, variants, vector
-from celnav.papers.ssukf.config import ARCSEC, DEG_PER_H, STANDARD
+from celnav.papers.ssukf.config import ARCSEC, DEG_PER_H, STANDARD, UNITS
 from celnav.papers.ssukf.scenario import state_space, warn_of_wrapping
 from celnav.study.claims import dumps
 from celnav.study.montecarlo import do, effort, generator, joined
@@ -180,6 +180,10 @@ def test_a_recording_holds_what_the_filters_gave(result, tmp_path):
     assert ssukf.record(result, Outputs(tmp_path)) == ["ssukf.rrd"]
     (found,) = rr.chunk.RrdReader(tmp_path / "ssukf.rrd").recordings()
     assert found.application_id == "celnav-ssukf"
+    chunks = {str(c.entity_path): c for c in rr.chunk.RrdReader(tmp_path / "ssukf.rrd").stream().to_chunks() if not c.is_static}
+    drift = chunks["/plots/drift/y/ssukf"].to_record_batch().column("Scalars:scalars").to_pylist()
+    np.testing.assert_allclose(np.ravel(drift), result.data["paper"]["ssukf/mean"][:, 0, 5] / UNITS[3], rtol=1e-9, atol=1e-12)
+    assert {"/world/sat", "/body/aukf", "/error/mekf/ellipsoid", "/plots/cost/points/ssukf"} <= set(chunks)
 
 
 # -- against forms written down anew ------------------------------------------------------------------------------------------

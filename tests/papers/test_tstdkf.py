@@ -352,6 +352,13 @@ def test_recordings_are_written_under_their_names(result, tmp_path):
     for name, id in zip(tstdkf.RECORDINGS, ("celnav-tstdkf", "celnav-tstdkf-year"), strict=True):
         (found,) = rr.chunk.RrdReader(tmp_path / name).recordings()
         assert found.application_id == id
+    month, year = (
+        {str(c.entity_path) for c in rr.chunk.RrdReader(tmp_path / name).stream().to_chunks() if not c.is_static}
+        for name in tstdkf.RECORDINGS
+    )
+    assert {"/world/sat/orbits", "/world/pull/moon", "/sun/earth", "/error/aug/ellipsoid", "/plots/bias/x/tstdkf"} <= month
+    assert "/plots/bias/x/ekf" not in month  # it does not estimate it
+    assert {f"/plots/{trend}/z/B" for trend in ("sine", "growing", "triangle")} <= year
 
 
 def test_a_run_that_is_lost_is_told(sim):

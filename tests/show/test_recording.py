@@ -251,7 +251,9 @@ def test_celnav_alone_pulls_in_neither_rerun_nor_matplotlib():
 
 def test_filters_and_models_work_without_rerun():
     modules = "celnav.filters.run, celnav.filters.colored, celnav.models.orbit, celnav.models.sightings, celnav.papers.csrukf"
-    done = python(f"import sys; sys.modules['rerun'] = None; import {modules}, celnav.papers.csrukf.showcase; print('ok')")
+    done = python(
+        f"import sys; sys.modules['rerun'] = None; import {modules}, celnav.papers.csrukf.record, celnav.show.scenes; print('ok')"
+    )
     assert (done.stdout.strip(), done.returncode) == ("ok", 0), done.stderr
     done = python("import sys; sys.modules['rerun'] = None; import celnav.show.recording")
     assert "rerun" in done.stderr

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLORS = {
-    "ls": colors.MEASUREMENT, "ekf": colors.SIGMA, "ukf": colors.COMPARISON, "aukf": colors.ESTIMATE, "group": colors.TRUTH,
+    "ls": colors.MEASUREMENT, "ekf": colors.SIGMA, "ukf": colors.COMPARISON, "aukf": colors.ESTIMATE, "group": colors.REFERENCE,
     "channel": colors.OPEN_LOOP, "gate": colors.FAINT, "huber": colors.PAPER, "student": "#8C564B", "sage-husa": "#332288",
 }  # fmt: skip
 UNDER_START = {

@@ -1,0 +1,72 @@
+"""What filters made of runs, as a showcase takes it: errors, covariances and consistency, in groups of components."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from celnav.gaussian.linalg import Array
+
+
+class Group(NamedTuple):
+    """Components of the error that are drawn together: ``part`` of them, times ``scale``, is in ``unit``.
+
+    ``axes``: names of the components. ``truth (T, k)``, in ``unit``: if given, estimates are drawn about it, else their errors are.
+    """
+
+    name: str
+    unit: str
+    part: slice
+    scale: float | Sequence[float] = 1.0
+    axes: Sequence[str] = ("x", "y", "z")
+    truth: Array | None = None
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What one filter made of the runs, in the units of the state.
+
+    Attributes
+    ----------
+    label, color: in legends.
+    errors: means minus truth ``(T, runs, n)``, the first of them of the run that is shown in full.
+    cov: covariance ``(T, n, n)`` of that run, or only the variances ``(T, n)``; None: not known.
+    nees, nis: ``(T,)`` of that run, nan where there is none; None: never.
+    """
+
+    label: str
+    color: str
+    errors: Array
+    cov: Array | None = None
+    nees: Array | None = None
+    nis: Array | None = None
+
+    def error(self, group: Group) -> Array:
+        """Of all runs in a group, ``(T, runs, k)`` in its unit; k is 0 if the filter does not estimate it."""
+        return np.asarray(self.errors[..., group.part] * np.asarray(group.scale))
+
+    def sigma(self, group: Group) -> Array | None:
+        """Deviations ``(T, k)`` in a group, in its unit."""
+        if self.cov is None:
+            return None
+        variance = (self.cov if self.cov.ndim == 2 else self.cov.diagonal(0, -2, -1))[:, group.part]
+        return np.asarray(np.sqrt(np.where(variance >= 0.0, variance, np.nan)) * np.asarray(group.scale))
+
+
+def estimates(data: Mapping[str, Array], names: Mapping[str, tuple[str, str]], units: Any = 1.0) -> dict[str, Estimate]:
+    """Out of arrays of a Monte Carlo, for names with their label and color.
+
+    ``data``: ``name/error (T, runs, n)``, divided by ``units``, and where there are, of the first run ``name/cov (T, 1, n, n)``,
+    and ``name/nees``, ``name/nis`` ``(T, runs)``.
+    """
+
+    def first(key: str) -> Array | None:
+        return data[key][:, 0] if key in data else None
+
+    return {
+        name: Estimate(label, color, data[f"{name}/error"] / units, *(first(f"{name}/{key}") for key in ("cov", "nees", "nis")))
+        for name, (label, color) in names.items()
+    }

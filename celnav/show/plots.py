@@ -1,0 +1,61 @@
+"""Plots of a recording: curves with three deviations about them, or their logarithms, and a band."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from celnav.gaussian.linalg import Array
+
+if TYPE_CHECKING:
+    from celnav.show.recording import Recorder
+
+
+class Curve(NamedTuple):
+    """Values ``(T,)`` and, if given, three deviations ``sigma (T,)`` about a ``center``.
+
+    Unless ``shown`` the deviations, or the values if they have none, are hidden until clicked in the legend.
+    """
+
+    values: Array
+    color: str
+    label: str
+    sigma: Array | None = None
+    center: Array | float = 0.0
+    shown: bool = True
+    width: float = 1.5
+
+
+class Plot(NamedTuple):
+    """Curves by name; of their decimal logarithms if ``log``. ``band``: where a consistent filter stays."""
+
+    title: str
+    curves: Mapping[str, Curve]
+    log: bool = False
+    limits: tuple[float, float] | None = None
+    band: tuple[float, float] | None = None
+    legend: bool = True
+
+
+def curves(names: Iterable[str], columns: Iterable[Array], colors: Iterable[str]) -> dict[str, Curve]:
+    """A curve for each name, which is its label too, of a column ``(T,)`` and a color."""
+    return {name: Curve(values, color, name) for name, values, color in zip(names, columns, colors, strict=False)}
+
+
+def draw(out: Recorder, entity: str, plot: Plot) -> None:
+    """Record a plot: each curve below ``entity`` under its name."""
+    for name, c in plot.curves.items():
+        path = f"{entity}/{name}"
+        if plot.log:
+            out.log_curve(path, c.values, c.color, c.label, width=c.width)
+            if c.sigma is not None:
+                out.log_curve(f"{path}/3s", 3.0 * c.sigma, c.color, f"3σ {c.label}", width=0.8)
+        else:
+            out.curve(path, c.values, c.color, c.label, width=c.width, shown=c.shown or c.sigma is not None)
+            if c.sigma is not None:
+                out.bounds(path, c.sigma, c.label, center=c.center, shown=c.shown, color=c.color)
+    if plot.band is not None:
+        for end, level in zip(("low", "high"), plot.band, strict=True):
+            out.level(f"{entity}/band/{end}", float(np.log10(level)) if plot.log else level, f"95 % band, {end}")

@@ -1,0 +1,311 @@
+"""Showcases: one run in full as a recording, with its scene, its errors about the origin, plots with bounds and exact states.
+
+A study gives arrays and draws its own scene; names, layout and legend are the same for all. rerun is imported when a showcase is
+recorded, not before.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from celnav.analysis.metrics import chi_square_band
+from celnav.gaussian.checks import finite, numbers
+from celnav.gaussian.linalg import Array
+from celnav.show import colors
+from celnav.show.estimates import Estimate, Group
+from celnav.show.plots import Curve, Plot, draw
+
+if TYPE_CHECKING:
+    from celnav.files import Outputs
+    from celnav.show.recording import Recorder
+
+ENSEMBLE = 20
+"""Runs that are drawn as points."""
+FAR = 20.0
+"""Errors so much larger than their view are left out, as those of the start may be."""
+
+
+class Space(NamedTuple):
+    """A view of a study's own entities below ``origin``, from ``eye`` to ``target``; of those ``growing`` the past is seen too."""
+
+    origin: str
+    title: str
+    eye: Any
+    target: Any = (0.0, 0.0, 0.0)
+    up: Any = (0.0, 0.0, 1.0)
+    growing: Sequence[str] = ()
+
+
+@dataclass(frozen=True)
+class Showcase:
+    """One run in full, and the Monte Carlo behind it.
+
+    Attributes
+    ----------
+    name: what the viewer calls the recording. notes: Markdown. times: ``(T,)`` s.
+    estimates: by name, the study's own first: of the first two bounds are seen at first.
+    groups: of the error's components. truth: the states ``(T, m)``, to be read back.
+    axes: the linear map ``(3, n)`` from errors to the space of errors, in ``unit``; None: no such space.
+    measured: errors ``(T, 3)`` of the measurements there, nan where there is none. nis_dof: components of a measurement.
+    bound: of the RMSE, ``(T,)`` by name of the group, in its unit.
+    scene: draws what the ``spaces`` show. plots: further ones by name, in rows by name.
+    bars: values ``(k,)`` by title. events: seconds, and what happens then.
+    legend: what colors mean that are not of estimates. parameters: of the study, those that are no numbers or texts are left out.
+    facts: about the recording. counter: name of a second timeline, of steps.
+    """
+
+    name: str
+    notes: str
+    times: Array
+    estimates: Mapping[str, Estimate] = field(default_factory=dict)
+    groups: Sequence[Group] = ()
+    truth: Array | None = None
+    axes: Array | None = None
+    unit: str = ""
+    measured: Array | None = None
+    nis_dof: int = 1
+    bound: Mapping[str, Array] = field(default_factory=dict)
+    scene: Callable[[Recorder], None] | None = None
+    spaces: Sequence[Space] = ()
+    plots: Mapping[str, Mapping[str, Plot]] = field(default_factory=dict)
+    bars: Mapping[str, Array] = field(default_factory=dict)
+    events: Sequence[tuple[float, str]] = ()
+    legend: Mapping[str, str] = field(default_factory=dict)
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    counter: str = ""
+
+    @property
+    def main(self) -> list[str]:
+        """The estimates whose bounds are seen at first."""
+        return list(self.estimates)[:2]
+
+
+def write(showcases: Mapping[str, Showcase], outputs: Outputs) -> list[str]:
+    """`record` showcases under their file names; returns these."""
+    for name, showcase in showcases.items():
+        with outputs.path_for(name) as path:
+            record(showcase, path)
+    return list(showcases)
+
+
+def record(showcase: Showcase, path: str | os.PathLike[str]) -> None:
+    """Write the recording; see `celnav.show.recording.recording` for what is replaced. Needs rerun.
+
+    Raises
+    ------
+    ValueError: if an array does not go with the others, or ``path`` is a file that celnav did not make.
+    OSError: if ``path`` cannot be written.
+    """
+    from celnav.show.recording import recording
+
+    _check(showcase)
+    rows = {**_errors(showcase), **showcase.plots, **_statistics(showcase)}
+    mapped, size = _mapped(showcase)
+    facts, counter = showcase.facts, showcase.counter
+    layout = _layout(showcase, rows, size)
+    with recording(path, showcase.times, name=showcase.name, layout=layout, properties=facts, counter=counter) as out:
+        out.text("info", f"{showcase.notes}\n\n{_legend(showcase)}")
+        if showcase.scene is not None:
+            showcase.scene(out)
+        if mapped:
+            _draw_errors(out, showcase, mapped, size)
+        for row, plots in rows.items():
+            for name, plot in plots.items():
+                draw(out, _entity("plots", row, name), plot)
+        for title, values in showcase.bars.items():
+            out.bars(_entity("bars", title), values, colors.ESTIMATE)
+        for seconds, message in showcase.events:
+            out.event("events", seconds, message)
+        if showcase.truth is not None:
+            out.exact("state/truth", mean=showcase.truth)
+        for key, e in showcase.estimates.items():
+            spread = {} if e.cov is None else {"covariance" if e.cov.ndim == 3 else "variance": e.cov}
+            out.exact(f"state/{key}", error=e.errors[:, 0], **spread)
+
+
+def _entity(*names: str) -> str:
+    """The path of names, which may have spaces."""
+    return "/".join(name.replace(" ", "_") for name in names)
+
+
+def _check(showcase: Showcase) -> None:
+    """What the recorder would not find, or not name."""
+    T = len(finite("times", showcase.times, ("T",)))
+    for key, e in showcase.estimates.items():
+        n = numbers(f"estimates {key} errors", e.errors, (T, "runs", "n")).shape[-1]
+        if e.cov is not None:
+            numbers(f"estimates {key} cov", e.cov, (T, n) if np.ndim(e.cov) == 2 else (T, n, n))
+    if showcase.axes is not None:
+        finite("axes", showcase.axes, (3, "n"))
+
+
+def _legend(showcase: Showcase) -> str:
+    """What colors mean, and how to look at it."""
+    meant = [(colors.TRUTH, "truth"), *((e.color, e.label) for e in showcase.estimates.values()), *showcase.legend.items()]
+    meant += [(colors.BOUND, "Cramér–Rao bound")] * bool(showcase.bound) + [(colors.SIGMA, "95 % band")] * bool(showcase.estimates)
+    lines = ["**Colors.** " + " · ".join(f"{colors.NAMES.get(color, color)}: {text}" for color, text in meant) + "."]
+    if showcase.axes is not None:
+        lines.append(
+            "**Errors.** Estimate minus truth. A consistent filter keeps the origin in its 3σ ellipsoid. Points: other runs."
+        )
+    lines.append("Space bar: play. Tabs: other axes. Double-click in a plot: all of its range.")
+    rows = [f"| {name} | {text} |" for name, value in showcase.parameters.items() if (text := _plain(value))]
+    return "\n\n".join(lines) + "\n\n" + "\n".join(["| parameter | |", "|---|---|", *rows] if rows else [])
+
+
+def _plain(value: Any) -> str:
+    """A parameter's value; empty if it is no number, text or tuple of these."""
+    if isinstance(value, tuple):
+        parts = [_plain(part) for part in value]
+        return ", ".join(parts) if all(parts) else ""
+    return f"{value:g}" if isinstance(value, float) else str(value) if isinstance(value, int | str) else ""
+
+
+def _largest(values: Array, quantile: float = 1.0) -> float:
+    """A quantile of the magnitudes of the finite values; 0 if there are none."""
+    magnitudes = np.abs(values[np.isfinite(values)])
+    return float(np.quantile(magnitudes, quantile)) if magnitudes.size else 0.0
+
+
+def _reach(errors: Sequence[Array], sigmas: Sequence[Array | None], quantile: float) -> float:
+    """Room for errors and for three deviations ``(T, ...)``, neither so much that the other shrinks to a line, nor all for the
+    start: three deviations count at most twice what they come to after the first quarter of the run, and errors only from there."""
+    late = slice(len(errors[0]) // 4 if errors else 0, None)
+    known = [s for s in sigmas if s is not None]
+    bound = 3.0 * max((min(_largest(s), 2.0 * _largest(s[late]) or np.inf) for s in known), default=0.0)
+    error = max((_largest(e[late], quantile) for e in errors), default=0.0)
+    return max(bound, min(error, 3.0 * bound) if bound else error)
+
+
+def _errors(showcase: Showcase) -> dict[str, dict[str, Plot]]:
+    """A row of plots for each group: one for each axis, and one of sizes."""
+    rows: dict[str, dict[str, Plot]] = {}
+    for group in showcase.groups:
+        found = {key: (e.error(group)[:, 0], e.sigma(group)) for key, e in showcase.estimates.items() if e.error(group).size}
+        main = [found[key] for key in showcase.main if key in found]
+        reach = 1.05 * _reach([error for error, _ in main], [sigma for _, sigma in main], 1.0)
+        about = np.zeros((len(showcase.times), len(group.axes))) if group.truth is None else group.truth
+        limits = (float(np.nanmin(about)) - reach, float(np.nanmax(about)) + reach) if reach > 0.0 else None
+        row = rows.setdefault(group.name, {})
+        for i, axis in enumerate(group.axes):
+            curves = {} if group.truth is None else {"truth": Curve(about[:, i], colors.TRUTH, "truth")}
+            for key, (error, sigma) in found.items():
+                center = 0.0 if group.truth is None else about[:, i] + error[:, i]
+                curves[key] = _curve(showcase, key, about[:, i] + error[:, i], None if sigma is None else sigma[:, i], center)
+            row[axis] = Plot(f"{group.name} {'error ' * (group.truth is None)}{axis}, {group.unit}", curves, limits=limits)
+        sizes = {
+            key: _curve(showcase, key, *(None if part is None else np.linalg.norm(part, axis=1) for part in found[key]))
+            for key in found
+        }
+        row["size"] = Plot(f"log10 |{group.name} error|, {group.unit}", sizes, log=True)
+    return rows
+
+
+def _curve(showcase: Showcase, key: str, values: Any, sigma: Array | None = None, center: Any = 0.0) -> Curve:
+    """In the color of an estimate. The viewer draws by name, so wide curves are seen below those they coincide with."""
+    e, below = showcase.estimates[key], sorted(showcase.estimates).index(key)
+    return Curve(values, e.color, e.label, sigma, center, shown=key in showcase.main, width=max(1.2, 3.2 - below))
+
+
+def _statistics(showcase: Showcase) -> dict[str, dict[str, Plot]]:
+    """NEES and NIS over their dimensions, and the RMSE of all runs."""
+    rows: dict[str, dict[str, Plot]] = {"consistency": {}, "rmse": {}}
+    n = max((e.errors.shape[-1] for e in showcase.estimates.values()), default=1)
+    for name, dimension in (("nees", n), ("nis", showcase.nis_dof)):
+        found = {key: getattr(e, name) for key, e in showcase.estimates.items()}
+        curves = {key: _curve(showcase, key, values / dimension) for key, values in found.items() if values is not None}
+        low, high = (limit / dimension for limit in chi_square_band(dimension, 1))
+        if curves:
+            title = f"log10 {name.upper()} / {dimension}"
+            rows["consistency"][name] = Plot(title, curves, log=True, band=(low, high), legend=False)
+    for group in showcase.groups:
+        errors = {key: e.error(group) for key, e in showcase.estimates.items()}
+        rmse = {
+            key: _curve(showcase, key, np.sqrt(np.square(error).sum(-1).mean(1)))
+            for key, error in errors.items()
+            if error.size and error.shape[1] > 1
+        }
+        if group.name in showcase.bound:
+            rmse["bound"] = Curve(showcase.bound[group.name], colors.BOUND, "Cramér–Rao bound", width=1.2)
+        if rmse:
+            rows["rmse"][group.name] = Plot(f"log10 RMSE of {group.name}, {group.unit}", rmse, log=True, legend=False)
+    return {row: plots for row, plots in rows.items() if plots}
+
+
+class _Mapped(NamedTuple):
+    """An estimate in the space of errors: all runs ``(T, runs, 3)``, covariances ``(T, 3, 3)`` of the first."""
+
+    errors: Array
+    cov: Array | None
+
+
+def _mapped(showcase: Showcase) -> tuple[dict[str, _Mapped], float]:
+    """Estimates in the space of errors, and the size of what is to be seen of it."""
+    if showcase.axes is None:
+        return {}, 1.0
+    found = {}
+    for key, e in showcase.estimates.items():
+        A = showcase.axes[:, : e.errors.shape[-1]]
+        found[key] = _Mapped(e.errors @ A.T, A @ e.cov @ A.T if e.cov is not None and e.cov.ndim == 3 else None)
+    main = [found[key] for key in showcase.main]
+    sigmas = [None if m.cov is None else np.sqrt(np.fmax(m.cov.diagonal(0, -2, -1), 0.0)) for m in main]
+    return found, _reach([np.linalg.norm(m.errors[:, : ENSEMBLE + 1], axis=-1) for m in main], sigmas, 0.9) or 1.0
+
+
+def _draw_errors(out: Recorder, showcase: Showcase, mapped: Mapping[str, _Mapped], size: float) -> None:
+    """About the origin, since single precision on the scale of an orbit would hide them."""
+    length = 10.0 ** np.floor(np.log10(size))
+    out.path("error/axes", list(length * np.stack([np.zeros((3, 3)), np.eye(3)], 1)), colors.SIGMA)
+    out.points("error/truth", np.zeros((len(out.times), 3)), colors.TRUTH, radius=6.0)
+    if showcase.measured is not None:
+        out.points("error/measured/points", showcase.measured, colors.MEASUREMENT, radius=1.5)
+        out.trail("error/measured/trail", showcase.measured, colors.MEASUREMENT, radius=0.4)
+    for key, (errors, cov) in mapped.items():
+        color = showcase.estimates[key].color
+        near = np.where(np.linalg.norm(errors, axis=-1, keepdims=True) < FAR * size, errors, np.nan)
+        if showcase.estimates[key].cov is not None:  # a line through estimates of single epochs says nothing
+            out.trail(f"error/{key}/trail", near[:, 0], color, radius=0.6)
+        out.points(f"error/{key}/estimate", near[:, 0], color, radius=3.0)
+        if errors.shape[1] > 1:
+            out.points(f"error/{key}/ensemble", near[:, 1 : ENSEMBLE + 1], color, radius=1.5)
+        if cov is not None:
+            small = np.trace(cov, axis1=1, axis2=2)[:, None] < (FAR * size) ** 2
+            out.ellipsoids(f"error/{key}/ellipsoid", np.where(small, near[:, 0], np.nan), cov, color)
+
+
+def _layout(showcase: Showcase, rows: Mapping[str, Mapping[str, Plot]], size: float) -> Any:
+    """Scene and errors at the left, plots at the right."""
+    from celnav.show import views
+
+    times = showcase.times
+    about = [views.text("info", "about"), *(views.bar_chart(_entity("bars", title), title) for title in showcase.bars)]
+    about += [views.log("events", "events")] if showcase.events else []
+    left: list[Any] = [views.tabs(*about)]
+    if showcase.axes is not None:
+        growing = {f"error/measured/{what}": 0.05 * float(times[-1] - times[0]) for what in ("points", "trail")}
+        growing |= {f"error/{key}/trail": np.inf for key in showcase.estimates}
+        eye = size * np.array([1.7, -1.5, 1.1])
+        left = [views.columns(views.space("error", f"errors, {showcase.unit} (origin: truth)", eye=eye, growing=growing), *left,
+                              shares=(3, 2))]  # fmt: skip
+    if showcase.spaces:
+        scenes = [views.space(s.origin, s.title, eye=s.eye, target=s.target, up=s.up, growing=dict.fromkeys(s.growing, np.inf))
+                  for s in showcase.spaces]  # fmt: skip
+        left = [views.tabs(*scenes), *left]
+    # Where there is no scene, there is room for all plots of a row at once.
+    arranged = views.tabs if showcase.spaces else views.columns
+    right = {
+        row: [
+            views.plot(_entity("plots", row, name), p.title, times, limits=p.limits, legend=p.legend) for name, p in plots.items()
+        ]
+        for row, plots in rows.items()
+    }
+    below = [views.tabs(*right.pop(row)) for row in ("consistency", "rmse") if row in right]
+    drawn = [*(arranged(*plots) for plots in right.values()), *([views.columns(*below)] if below else [])]
+    shares = (11, 10) if showcase.spaces else (1, 4)
+    return views.columns(views.rows(*left, shares=(5, 4)[: len(left)]), views.rows(*drawn), shares=shares)

@@ -1,0 +1,60 @@
+"""Geometry of scenes, against what sensors measure."""
+
+import numpy as np
+import pytest
+
+from celnav.models.orbit import EARTH, from_elements, propagate
+from celnav.models.sightings import angles, star_directions
+from celnav.show import scenes
+
+ORBIT = propagate(from_elements(7136.635, 1e-3, *np.deg2rad([65.0, 30.0, 30.0]), 0.0), 10.0, 60)
+
+
+class Drawn:
+    """A recorder that keeps what it is given."""
+
+    def __init__(self):
+        self.given = {}
+
+    def __getattr__(self, name):
+        return lambda entity, *arrays, **rest: self.given.__setitem__(entity, arrays)
+
+
+def test_sight_lines_touch_the_earth_at_the_measured_angles():
+    position, stars, out = ORBIT[:, :3], star_directions(1.2), Drawn()
+    scenes.sightings(out, "world", position, ORBIT[:, 3:], stars, EARTH.radius_km)
+    lines = out.given["world/limb"][0]
+    start, direction = lines[:, :, 0], lines[:, :, 1] - lines[:, :, 0]
+    np.testing.assert_allclose(start, np.repeat(position[:, None], 2, 1), rtol=1e-12)
+    unit = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
+    # The distance of the Earth's center from the line is its radius.
+    np.testing.assert_allclose(np.linalg.norm(np.cross(start, unit), axis=-1), EARTH.radius_km, rtol=1e-12)
+    A = angles(position, stars)
+    np.testing.assert_allclose(np.arccos(np.sum(unit[:, 0] * unit[:, 1], -1)), A[:, 2], atol=1e-9)
+    arcs = out.given["world/angles"][0] - position[:, None, None]
+    ends = arcs[:, :, [0, -1]] / np.linalg.norm(arcs[:, :, [0, -1]], axis=-1, keepdims=True)
+    np.testing.assert_allclose(np.arccos(np.sum(ends[:, :, 0] * ends[:, :, 1], -1)), A, atol=1e-9)
+    for i, star in enumerate(stars, start=1):
+        origins, vectors = out.given[f"world/stars/i{i}"][:2]
+        np.testing.assert_array_equal(origins, position)
+        np.testing.assert_allclose(vectors / np.linalg.norm(vectors, axis=1, keepdims=True), np.tile(star, (61, 1)))
+
+
+def test_an_earth_that_holds_the_satellite_is_told():
+    with pytest.raises(ValueError, match=r"radius: expected less than the distance 71\d\d\.?\d* of the satellite, got 8000"):
+        scenes.limb(ORBIT[:, :3], ORBIT[:, 3:], 8000.0)
+
+
+def test_the_line_behind_is_as_long_as_there_is():
+    points = np.arange(30.0).reshape(10, 3)
+    behind = scenes.behind(points, 4, every=3)
+    assert behind.shape == (4, 5, 3)
+    np.testing.assert_array_equal(behind[0], np.repeat(points[:1], 5, 0))
+    np.testing.assert_array_equal(behind[2], points[2:7])
+
+
+def test_a_view_from_the_side_looks_at_the_orbit_from_above_the_equator():
+    space = scenes.beside("world", "scene", ORBIT[0], EARTH.radius_km, ["world/a/trail"])
+    assert np.linalg.norm(space.eye) > EARTH.radius_km
+    assert space.eye[2] > space.target[2]
+    assert space.growing == ["world/a/trail"]
