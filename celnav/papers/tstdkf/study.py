@@ -79,8 +79,8 @@ def flown(names: Sequence[str], name: str, sim: Scenario, filter: Any = None, be
     """Errors ``<case>/<filter>/error (T, runs, 3)``, see `LENGTHS`, of a filter of `scenario.filters` over cases of these names.
 
     "tkf" gives "ekf" too, "tstdkf" "tdkf". filter: a variant, run in its place. believed: the cases as it takes them. judged:
-    filters whose ``nees`` is kept (of orbit and bias for aug, with its ``nis``; of the orbit for the others). ``bias (T, 1, 3)`` km
-    is what is estimated in the first run of each case. FilterError if a run is lost.
+    filters whose ``nees`` is kept (of orbit and bias for aug, of the orbit for the others). Of the first run of each case: ``first
+    (T, 1, 9)`` as estimated, and ``residual (T, 1, 3)`` km, ``nis (T, 1)`` (of all runs if judged). FilterError if a run is lost.
     """
     cases = tuple(believed) or sim.cases
     filter = filter or (s.boosted(cases, sim.runs, plain=True) if name == "tstdkf" else s.filters(cases, sim.runs)[name])
@@ -95,13 +95,17 @@ def flown(names: Sequence[str], name: str, sim: Scenario, filter: Any = None, be
         for label, mean in zip(LABELS[name], means(state), strict=True):
             error = mean - epoch.truth
             keep(k, f"{label}/error", lengths(error))
-            keep(k, f"{label}/bias", mean[:: sim.runs, 6:])
+            keep(k, f"{label}/first", mean[:: sim.runs])
             if label in judged:
                 part, cov = EXACT_PART if label == "aug" else np.arange(6), (state.first if label == "ekf" else state).belief.cov
                 cov = cov[0] if cov.ndim > 3 else cov  # TDKF and TSTDKF differ in the mean alone
                 keep(k, f"{label}/nees", nees(error[..., : len(part)], cholesky(cov[..., part[:, None], part])))
-        if "aug" in judged and name == "aug":
-            keep(k, "aug/nis", np.square(info.whitened).sum(-1))
+        # Of TDKF and TSTDKF, once they differ, the latter.
+        residual, white = (part[(-1,) * (part.ndim - 2)] for part in (info.innovation, info.whitened))
+        keep(k, f"{name}/residual", residual[:: sim.runs])
+        keep(k, f"{name}/nis", np.square(white if name in judged else white[:: sim.runs]).sum(-1))
+        if name == "tstdkf":
+            keep(k, "tstdkf/factors", state.memory.factors[-1, :: sim.runs])
     out: Found = {"times": sim.cases[0].times[1:]}
     for key, track in tracks.items():
         if not (sound := np.isfinite(track).reshape(len(track), -1).all(1)).all():
@@ -134,6 +138,7 @@ def month(config: Config, rngs: Rngs) -> Found:
     sim, whites = simulate([*cases, cases[0]], rngs), [*map(s.driving, cases), s.stationary(cases[0])]
     five, names = sim.only(0, 5), list(map(str, SETTINGS))
     out = flown([*names, "fair"], "tkf", sim, s.two_stages(sim.cases, sim.runs, whites, s.models(config)))
+    out["1/truth"] = np.concatenate([sim.truth, sim.bias], -1)[1:, :1]
     return out | flown(names, "tstdkf", five) | flown(names[:1], "aug", sim.only(0), judged=("aug",)) | flown(names[1:], "aug", sim.only(1, 4))
 
 
@@ -225,7 +230,7 @@ def disturbed(biases: Biases, config: Config, rngs: Rngs) -> Iterator[Epoch]:
 
 
 def along(cases: Sequence[str], biases: Biases, every: int, names: Sequence[str], config: Config, rngs: Rngs) -> Found:
-    """What `flown` gives, RMS over ``every`` steps, of filters that share their covariances; and ``<case>/truth (K, 1, 3)`` of the bias.
+    """What `flown` gives, RMS over ``every`` steps, of filters that share their covariances; and ``<case>/truth (K, 1, 9)``.
 
     cases: the names of ``biases``. names: of "tkf" (with ekf), "tdkf" (all `FORMS`), "aug".
     """
@@ -234,9 +239,9 @@ def along(cases: Sequence[str], biases: Biases, every: int, names: Sequence[str]
     count, stream = len(cases) * len(rngs), disturbed(biases, config, rngs)
     prior = Gaussian(np.tile(config.deviation, (count, 1)), np.diag(config.deviation**2))  # one covariance for all of them
     states, rows = {name: known[name].start(prior) for name in names}, dict[str, list[Array]]()
-    while len(chunk := list(islice(stream, every * max(1, 100_000 // (every * count))))) >= every:  # whole rows; the rest is left
+    while len(chunk := list(islice(stream, every * max(1, 16_000 // (every * count))))) >= every:  # whole rows; the rest is left
         truth, last = np.stack([epoch.truth for epoch in chunk]), len(chunk) // every * every
-        rows.setdefault("truth", []).append(truth[every - 1 : last : every, :: len(rngs), 6:])
+        rows.setdefault("truth", []).append(truth[every - 1 : last : every, :: len(rngs)])
         for name in names:  # one after the other is faster than all at each step
             found = np.empty((len(chunk), len(LABELS[name]), count, 9))
             for k, epoch in enumerate(chunk):
@@ -245,7 +250,7 @@ def along(cases: Sequence[str], biases: Biases, every: int, names: Sequence[str]
             squares = np.square(lengths(found[:last] - truth[:last, None])).reshape(-1, every, *found.shape[1:3], 3).mean(1)
             for i, label in enumerate(LABELS[name]):
                 rows.setdefault(f"{label}/error", []).append(np.sqrt(squares[:, i]))
-                rows.setdefault(f"{label}/bias", []).append(found[every - 1 : last : every, i, :: len(rngs), 6:])
+                rows.setdefault(f"{label}/first", []).append(found[every - 1 : last : every, i, :: len(rngs)])
     columns = {key: np.split(np.concatenate(pieces), len(cases), 1) for key, pieces in rows.items()}
     return {"times": config.times[every::every]} | {f"{case}/{key}": parts[i] for key, parts in columns.items() for i, case in enumerate(cases)}
 
@@ -329,28 +334,28 @@ def sky_facts(config: Config, _: Rngs) -> Found:
     return ephemerides()[1] | {"speed": np.linalg.norm(velocity[:1], axis=1), "shapiro": np.abs(wrong).max(0), "solar": np.abs(solar).max(0)}
 
 
-def deviations(config: Config, name: str = "aug", scale: float = 1.0) -> Array:
-    """Deviations ``(T, 9)`` km, km/s of orbit and bias that a filter has along the nominal orbit: for aug, the posterior Cramer-Rao bound.
-
-    They need no data: that nothing but zeros is measured changes no covariance.
-    """
-    known, found = s.filters(config, seen=LINEAR)[name], []
-    state = known.start(Gaussian(np.zeros((1, 6)), scale**2 * np.diag(config.deviation**2)))
-    for epoch in s.nominal_epochs(config):
-        state = known.step(state, epoch._replace(z=np.zeros((1, 3))))[0]
-        variances = state.belief.cov.diagonal(0, -2, -1)
-        found.append(np.sqrt(variances.reshape(-1, variances.shape[-1])[0][EXACT_PART if name == "aug" else slice(9)]))
+def deviations(cases: Sequence[Config], name: str) -> Array:
+    """Covariances ``(T, cases, 9, 9)`` of orbit and bias along the nominal orbit, whatever is measured: for aug, the posterior
+    Cramer-Rao bound."""
+    known, found, nothing = s.filters(cases, seen=LINEAR)[name], [], np.zeros((len(cases), 3))
+    state = known.start(Gaussian(np.zeros((len(cases), 6)), np.diag(cases[0].deviation**2)))
+    part = EXACT_PART if name == "aug" else np.arange(9)
+    for epoch in s.nominal_epochs(cases[0]):
+        state = known.step(state, epoch._replace(z=nothing))[0]
+        cov = state.belief.cov
+        found.append((cov if cov.ndim > 2 else cov[None])[:, part[:, None], part])
     return np.stack(found)
 
 
 def covariances(config: Config, _: Rngs) -> Found:
-    """`deviations` of aug by setting; trace of the position's covariance as the differenced filter has it to the least possible one."""
-    out = {f"bound {i}": deviations(replace(config, setting=setting)) for i, setting in SETTINGS.items()}
-    for F in COLORS:
-        c = replace(config, days=config.days / 3.0, setting=Setting(F, 0.0, 0.0), bias_prior_km=1e-9, walk_km=0.0)
-        said, least = (np.square(deviations(c, name)[-1, :3]).sum() for name in ("tdkf", "aug"))
-        out[f"trace {F:g}"] = np.array([said / least])
-    return out
+    """Covariances in the settings, ``<setting>/aug``; trace of the position's covariance as the differenced filter has it to the least
+    possible one, by color, without a bias."""
+    every = deviations([replace(config, setting=setting) for setting in SETTINGS.values()], "aug")
+    out = {f"{i}/aug": every[:, k] for k, i in enumerate(SETTINGS)} | {f"1/{f}": deviations([config], f)[:, 0] for f in ("tkf", "tstdkf")}
+    short = replace(config, days=config.days / 3.0, bias_prior_km=1e-9, walk_km=0.0)
+    cases = [replace(short, setting=Setting(F, 0.0, 0.0)) for F in COLORS]
+    said, least = (deviations(cases, name)[-1, :, :3, :3].trace(axis1=1, axis2=2) for name in ("tdkf", "aug"))
+    return out | {"trace": said / least}
 
 
 COLORS = (0.3, 0.5, 0.8, 0.9)
@@ -484,7 +489,7 @@ def tracked(r: Results) -> Tiers:
     more = left("B", None, False)
     more += [over(f"form B, sine, quarter {q + 1}", "year", "sine/B", "sine/ekf", "bias", span=(q / 4, (q + 1) / 4))(r) for q in range(4)]
     for trend in TRENDS:
-        rising = np.diff(r.get("year", f"{trend}/truth")[:, 0], axis=0) > 0.0
+        rising = np.diff(r.get("year", f"{trend}/truth")[:, 0, 6:], axis=0) > 0.0
         turns = np.flatnonzero((rising[1:] != rising[:-1]).any(1)) if len(rising) > 1 else np.empty(0, int)
         hours = np.arange(len(rising) + 1)
         near, late = (np.abs(hours[:, None] - turns) < 240).any(1), hours >= AFTER[0] * len(hours)
@@ -586,7 +591,7 @@ def steadier(r: Results, other: str) -> list[Number]:
 
 def at_bound(r: Results, i: int) -> Number:
     """Position RMSE of the exact filter over its covariance on the nominal orbit: a mean over a prior that is wider than the true bias."""
-    size = np.square(r.get("covariances", f"bound {i}")[:, :3]).sum(1).mean()
+    size = r.get("covariances", f"{i}/aug")[:, :3, :3].trace(axis1=1, axis2=2).mean()
     return estimate(f"setting {i}", rms, [squares(r, "month", f"{i}/aug") / size], (0.85, 1.0))
 
 
@@ -670,7 +675,7 @@ RECONSTRUCTIONS = [
                   all_of(*(lambda r, i=i, near=near: Number(f"error near the Sun, pulsar {i + 1}, km", float(r.get("sky", "shapiro")[i]), near) for i, near in ((0, (5.7, 6.0)), (1, (7.8, 8.1)))),
                          of("sky", "solar", "terms of b, km", (1e-4, 0.0013))), place="Eq. 2", found="Off by up to {0:.2f} and {1:.2f} km near the Sun; the terms are {2:.1g} km."),
     lost_equation("reconstruction-differencing", "Eqs 21-56, rebuilt as differencing with the last estimate: Z' has the error of that in it, so the covariance is too small.",
-                  all_of(*(of("covariances", f"trace {F:g}", f"trace over the least possible one, F = {F:g}", (None, 0.99)) for F in COLORS),
+                  all_of(*(of("covariances", "trace", f"trace over the least possible one, F = {F:g}", (None, 0.99), lambda x, i=i: x[i]) for i, F in enumerate(COLORS)),
                          judged("NEES of TDKF, setting 1 (6 if consistent)", "1/tdkf/nees", (12.0, None))),
                   place="Eqs 21-56", found="{0:.2f}, {1:.2f}, {2:.2f} and {3:.2f} of what is possible for F = 0.3 to 0.9; NEES {4} for 6."),
     lost_equation("reconstruction-slope", "Γ' = Γ - F (Γ + H Λ), and -ΩΓ' in the prediction; with the Γ of the prose the sensitivity to the bias is wrong.",
