@@ -60,7 +60,9 @@ TUNED = "chosen: with the other tuned one, so that setting 1 gives the paper's p
 class Setting(Parameters):
     """One row of Table 4."""
 
-    F: float = param(0.5, "chosen", "color of the measurement noise, V' = F V + increment; the increments are as large as pulsars are timed")
+    F: float = param(
+        0.5, "chosen", "color of the measurement noise, V' = F V + increment; the increments are as large as pulsars are timed"
+    )
     L: float = param(0.5, "chosen", "color of the process noise, likewise")
     kappa: float = param(KAPPA, TUNED, "how strongly the increments of both are correlated")
 
@@ -74,7 +76,9 @@ class Config(Parameters):
     """Everything that a run depends on."""
 
     start_utc: str = param("2015-10-17T04:00:00", "paper", "date and time of the start, UTC")
-    step_s: float = param(300.0, "paper", "interval of the measurements; pulses are timed over it, so a longer one is timed better", above=0.0)
+    step_s: float = param(
+        300.0, "paper", "interval of the measurements; pulses are timed over it, so a longer one is timed better", above=0.0
+    )
     days: float = param(30.0, "paper", "length of a run, days", above=0.0)
     runs: int = param(50, "paper", "of a Monte Carlo", least=1)
     pulsars: tuple[str, ...] = param(("B0531+21", "B1821-24", "B1937+21"), "paper", "names of the three that are timed")
@@ -82,25 +86,40 @@ class Config(Parameters):
         (7136.635, 1.809e-3, 65.0, 30.0, 30.0, 0.0), "chosen: common in this literature",
         "of the orbit: semi-major axis (km), eccentricity, inclination, node, perigee and true anomaly (deg)",
     )  # fmt: skip
-    error_km: tuple[float, float, float] = param((1.0,) * 3, "paper", "of the position at the start, each axis, and its deviation in the prior", above=0.0)
+    error_km: tuple[float, float, float] = param(
+        (1.0,) * 3, "paper", "of the position at the start, each axis, and its deviation in the prior", above=0.0
+    )
     error_m_per_s: tuple[float, float, float] = param((0.02,) * 3, "paper", "the same of the velocity", above=0.0)
-    rate_noise_km_per_s: float = param(1e-8, "paper: unit inferred", "process noise that drives the position's rate, deviation on each axis", above=0.0)
-    acceleration_noise_km_per_s2: float = param(1e-10, "paper: unit inferred", "process noise that drives the velocity's rate, likewise", above=0.0)
+    rate_noise_km_per_s: float = param(
+        1e-8, "paper: unit inferred", "process noise that drives the position's rate, deviation on each axis", above=0.0
+    )
+    acceleration_noise_km_per_s2: float = param(
+        1e-10, "paper: unit inferred", "process noise that drives the velocity's rate, likewise", above=0.0
+    )
     setting: Setting = SETTINGS[1]
     amplitude_km: tuple[float, float, float] = param((0.09, 0.12, 0.075), TUNED, "of the error of the Earth's ephemeris, each axis")
     phase: tuple[float, float, float] = param((0.0, 0.5 * np.pi, 0.25 * np.pi), "chosen", "of that error's year, each axis, rad")
     trend: str = param(
-        "sine", "inferred: Eqs 17, 69, 70", "how that error goes on: over a year's sine, growing, a triangle, or constant and drawn from its prior",
+        "sine", "inferred: Eqs 17, 69, 70", "how it goes on: a year's sine, growing, a triangle, or constant, drawn from its prior",
         one_of=("sine", "growing", "triangle", "constant"),
     )  # fmt: skip
-    initial: str = param("paper", "inferred", "whether every run starts with the error above or with one drawn from the prior", one_of=("paper", "drawn"))
+    initial: str = param(
+        "paper",
+        "inferred",
+        "whether every run starts with the error above or with one drawn from the prior",
+        one_of=("paper", "drawn"),
+    )
     pulled: bool = param(False, "inferred", "whether Sun and Moon pull at the satellite")
-    bias_prior_km: float = param(0.3, "chosen", "deviation of the ephemeris error at the start, on each axis, in the filters", above=0.0)
-    walk_km: float = param(5e-5, "chosen", "how far the exact filter lets that error walk in a step, deviation on each axis", least=0.0)
+    bias_prior_km: float = param(
+        0.3, "chosen", "deviation of the ephemeris error at the start, on each axis, in the filters", above=0.0
+    )
+    walk_km: float = param(
+        5e-5, "chosen", "how far the exact filter lets that error walk in a step, deviation on each axis", least=0.0
+    )
     rho: tuple[float, float, float] = param((8.0, 15.0, 9.0), "paper", "how strongly the fading factors answer, each pulsar")
     tau: float = param(100.0, "paper", "window of the fading factors, in measurements")
     factor: str = param(
-        "excess", "chosen: form C, after setting 5 was seen; proportional is form B", "fading factors of what residuals exceed, or proportional to them",
+        "excess", "chosen: form C, after setting 5; B is the other", "fading factors of what residuals exceed, or in proportion",
         one_of=("excess", "proportional"),
     )  # fmt: skip
 
@@ -169,7 +188,7 @@ class Config(Parameters):
         return ar1_noise(s.F * np.eye(3), s.L * np.eye(6), J, np.diag(self.sigma_km**2), np.diag(std**2))
 
     def bias(self, t: Array) -> Array:
-        """Error ``(..., 3)`` km of the Earth's ephemeris, ``t`` s after the start [Xu2024, Eqs 17, 69, 70; inferred], if not constant."""
+        """Error ``(..., 3)`` km of the ephemeris, ``t`` s after the start [Xu2024, Eqs 17, 69, 70; inferred], if not constant."""
         angle = 2.0 * np.pi / YEAR_S * np.asarray(t)[..., None]
         A, phase = np.asarray(self.amplitude_km), np.asarray(self.phase)
         if self.trend == "sine":
@@ -426,7 +445,9 @@ def two_stages(cases: Sequence[Config], runs: int, whites: Sequence[White], seen
     return TwoStage.of(Plain(kalman(seen, whites, runs)), seen.Gamma, bias_prior(cases, runs))
 
 
-def boosted(cases: Cases, runs: int = 1, *, plain: bool = False, first: Differenced | None = None, seen: Models | None = None) -> TwoStage:
+def boosted(
+    cases: Cases, runs: int = 1, *, plain: bool = False, first: Differenced | None = None, seen: Models | None = None
+) -> TwoStage:
     """TSTDKF. ``plain``: along a leading axis TDKF too, first of both. ``first``: another first stage. ``seen``: other models."""
     together = as_cases(cases)
     seen, rho = seen or models(together[0]), each([case.rho for case in together], runs)
@@ -451,7 +472,7 @@ def filters(cases: Cases, runs: int = 1, seen: Models | None = None) -> dict[str
     """
     together = as_cases(cases)
     seen = seen or models(together[0])
-    tstdkf, out = boosted(together, runs, seen=seen), {}
+    tstdkf, out = boosted(together, runs, seen=seen), dict[str, Any]()
     for name, white in (("", driving), ("-fair", stationary)):
         believed = [white(case) for case in together]
         out |= {f"ekf{name}": kalman(seen, believed, runs), f"tkf{name}": two_stages(together, runs, believed, seen)}

@@ -14,7 +14,18 @@ from celnav.models.pulsar import LIGHT_KM_S, pulsars
 from celnav.papers.tstdkf import scenario as s
 from celnav.papers.tstdkf.scenario import DAY_S, SETTINGS, Config
 from celnav.papers.tstdkf.study import (
-    BOTH, COMPARED, COUPLINGS, LARGER, LATE, PRINTED, PULLING, TRENDS, VARIANTS, ephemerides, squares,
+    ALL,
+    BOTH,
+    COMPARED,
+    COUPLINGS,
+    LARGER,
+    LATE,
+    PRINTED,
+    PULLING,
+    TRENDS,
+    VARIANTS,
+    ephemerides,
+    squares,
 )  # fmt: skip
 from celnav.show import colors, scenes, showcase
 from celnav.show.estimates import Estimate, Group
@@ -31,11 +42,19 @@ if TYPE_CHECKING:
     from celnav.show.recording import Recorder
 
 AXES, TKF, EKF = ("x", "y", "z"), colors.COMPARISON, colors.OPEN_LOOP
-COLORS = {"ekf": EKF, "tkf": TKF, "fair": colors.MEASUREMENT, "tdkf": colors.FAINT, "tstdkf": colors.ESTIMATE, "aug": colors.REFERENCE, "B": colors.PAPER,
-          "C": colors.ESTIMATE}  # fmt: skip
+COLORS = {
+    "ekf": EKF, "tkf": TKF, "fair": colors.MEASUREMENT, "tdkf": colors.FAINT, "tstdkf": colors.ESTIMATE, "aug": colors.REFERENCE,
+    "B": colors.PAPER, "C": colors.ESTIMATE,
+}  # fmt: skip
 SHADES = (colors.COMPARISON, colors.ESTIMATE, colors.TRUTH)
 """Of axes and of pulsars."""
 DAYS, BESIDE = "time (days)", {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0)}
+
+
+def config(results: Results) -> Config:
+    """Of the month."""
+    found: Config = results.parts["month"].config
+    return found
 
 
 # -- figures -----------------------------------------------------------------------------------------------------------------
@@ -56,10 +75,12 @@ def lines(ax: Axes, t: Array, values: Array, names: Any = AXES, **style: Any) ->
 
 def principle(results: Results) -> Figure:
     """What a timing measures, in the plane of Earth and pulsar."""
-    c, (fig, ax) = results.parts["month"].config, figure(6.2, 4.2)
+    c, (fig, ax) = config(results), figure(6.2, 4.2)
     seen, timing = s.sky(c), c.timing
     earth, n, place = seen.earth[0], timing.directions[0], seen.earth[0] + c.orbit[:3]
-    delay, roemer, shapiro = (float(x) / LIGHT_KM_S for x in (timing.delay(place, seen.sun[0])[0], n @ place, timing.shapiro(place, seen.sun[0])[0]))
+    delay, roemer, shapiro = (
+        float(x) / LIGHT_KM_S for x in (timing.delay(place, seen.sun[0])[0], n @ place, timing.shapiro(place, seen.sun[0])[0])
+    )
     across = earth - (earth @ n) * n
     plane = np.stack([n, across / np.linalg.norm(across)])
     at = plane @ earth / np.linalg.norm(earth)
@@ -84,7 +105,7 @@ def principle(results: Results) -> Figure:
 
 def difference(ax: Axes, values: Array, title: str) -> None:
     """A difference of ephemerides and its norm."""
-    t = ephemerides()[0].since(ephemerides()[0]._replace(rest=ephemerides()[0].rest[0]))
+    t = ephemerides()[0].since(ephemerides()[0]._replace(rest=np.asarray(ephemerides()[0].rest)[0]))
     lines(ax, t, values)
     ax.plot(t / DAY_S, np.linalg.norm(values, axis=1), color="black", linewidth=0.8, linestyle="--", label="norm")
     ax.set(title=title)
@@ -140,7 +161,7 @@ def three_trends(results: Results) -> Figure:
 
 def model_error(results: Results) -> Figure:
     """What the ephemeris error makes of the timings."""
-    c, (fig, ax) = results.parts["month"].config, figure(6.5, 3.0)
+    c, (fig, ax) = config(results), figure(6.5, 3.0)
     seen = s.sky(c)
     Gamma = c.timing.gradient(seen.earth + s.nominal_orbit(c)[:, :3], seen.sun)
     lines(ax, c.times, (Gamma @ c.bias(c.times)[..., None])[..., 0], c.pulsars)
@@ -166,7 +187,13 @@ def spectrum(results: Results) -> Figure:
     """Two groups of lines."""
     (fig, ax), power = figure(6.5, 3.2), results.get("pulls", "power")
     lines(ax, DAY_S * results.get("pulls", "cycles")[1:], power[1:] / power.max(), linewidth=0.7)
-    ax.set(xlabel="frequency (cycles/day)", ylabel="power (-)", xlim=(0.0, 60.0), yscale="log", title="Figure 8: spectrum of the acceleration")
+    ax.set(
+        xlabel="frequency (cycles/day)",
+        ylabel="power (-)",
+        xlim=(0.0, 60.0),
+        yscale="log",
+        title="Figure 8: spectrum of the acceleration",
+    )
     ax.legend()
     return fig
 
@@ -189,14 +216,14 @@ def one_month(results: Results) -> Figure:
 
 def one_run(results: Results) -> Figure:
     """The first run's bias as estimated."""
-    (fig, axes), t, config = figure(10.0, 3.0, 1, 3), results.times("month"), results.parts["month"].config
+    (fig, axes), t = figure(10.0, 3.0, 1, 3), results.times("month")
     std = 3.0 * np.sqrt(results.get("covariances", "1/aug").diagonal(0, 1, 2)[:, 6:])
     for i, (ax, axis) in enumerate(zip(axes, AXES, strict=True)):
         for filter in ("tkf", "tstdkf", "aug"):
             ax.plot(t / DAY_S, results.get("month", f"1/{filter}/first")[:, 0, 6 + i], color=COLORS[filter], label=filter.upper())
         mean = results.get("month", "1/aug/first")[:, 0, 6 + i]
         ax.fill_between(t / DAY_S, mean - std[:, i], mean + std[:, i], color=COLORS["aug"], alpha=0.3, label="±3σ AUG")
-        ax.plot(t / DAY_S, config.bias(t)[:, i], color="black", label="truth")
+        ax.plot(t / DAY_S, config(results).bias(t)[:, i], color="black", label="truth")
         ax.set(xlabel=DAYS, title=axis, ylim=(-0.35, 0.35))
     axes[0].set_ylabel("ephemeris error (km)")
     axes[0].legend()
@@ -211,7 +238,10 @@ def one_year(results: Results) -> Figure:
     (fig, axes), t = figure(10.0, 6.4, 3, 3, sharex=True), results.times("year") / DAY_S
     for row, trend in zip(axes, TRENDS, strict=True):
         for i, (ax, axis) in enumerate(zip(row, AXES, strict=True)):
-            for key, color, label in (*((f"{f}/first", COLORS[f], label) for f, label in TRACKED.items()), ("truth", "black", "truth")):
+            for key, color, label in (
+                *((f"{f}/first", COLORS[f], label) for f, label in TRACKED.items()),
+                ("truth", "black", "truth"),
+            ):
                 ax.plot(t[::24], results.get("year", f"{trend}/{key}")[::24, 0, 6 + i], color=color, linewidth=0.9, label=label)
             ax.set(ylim=(-0.3, 0.3), title=f"{trend}, {axis}")
         row[0].set_ylabel("ephemeris error (km)")
@@ -239,7 +269,9 @@ def consistent(results: Results) -> Figure:
     (fig, axes), t = figure(9.0, 3.0, 1, 2, sharey=True), results.times("consistency") / DAY_S
     for case, ax, title in zip(("1", "5"), axes, ("setting 1", "white noise"), strict=True):
         for filter, dof in (("ekf", 6), ("tkf", 6), ("tdkf", 6), ("aug", 9)):
-            ax.semilogy(t, results.get("consistency", f"{case}/{filter}/nees").mean(1) / dof, color=COLORS[filter], label=filter.upper())
+            ax.semilogy(
+                t, results.get("consistency", f"{case}/{filter}/nees").mean(1) / dof, color=COLORS[filter], label=filter.upper()
+            )
         ax.axhline(1.0, color="black", linestyle=":", label="consistent")
         ax.set(xlabel=DAYS, title=title)
     axes[0].set_ylabel("NEES to its dimension (-)")
@@ -282,13 +314,19 @@ FIGURES = {
     "figure_01": ("Fig. 1: principle: what a timing measures, drawn from the vectors of the start (not to scale).", principle),
     "figure_02": ("Fig. 2: position of the Earth, DE405 - DE421: not tens of kilometers but less than two.", newer),
     "figure_02b": ("Beyond the paper: other ephemerides, the Sun, and the Earth seen from the Sun.", others),
-    "figure_03": ("Fig. 3: position RMSE of the EKF under an ephemeris error, over an orbit each.", partial(ignorant, 3, "position", "km")),
+    "figure_03": (
+        "Fig. 3: position RMSE of the EKF under an ephemeris error, over an orbit each.",
+        partial(ignorant, 3, "position", "km"),
+    ),
     "figure_04": ("Fig. 4: velocity RMSE of the EKF under an ephemeris error.", partial(ignorant, 4, "velocity", "m/s")),
     "figure_05": ("Fig. 5: the ephemeris error, and the two other trends of Fig. 10.", three_trends),
     "figure_06": ("Fig. 6: what the ephemeris error makes of the timings.", model_error),
     "figure_07": ("Fig. 7: acceleration by Sun, Moon and planets, and of each body its largest.", third_bodies),
     "figure_08": ("Fig. 8: its spectrum: two groups of lines, not colored noise.", spectrum),
-    "figure_09": ("Fig. 9: setting 1 over the month: position, velocity and bias; with the exact filter and the fair TKF.", one_month),
+    "figure_09": (
+        "Fig. 9: setting 1 over the month: position, velocity and bias; with the exact filter and the fair TKF.",
+        one_month,
+    ),
     "figure_09b": ("Beyond the paper: the estimates of the first run's bias; three deviations of the exact filter.", one_run),
     "figure_10": ("Fig. 10: a year of three trends: the bias as TKF, TSTDKF (forms B and C) and AUG see it.", one_year),
     "figure_11": ("Beyond the paper: Table 5 as bars: position RMSE of the month in the five settings.", bars),
@@ -304,9 +342,12 @@ Rows = list[dict[str, str | float]]
 
 def parameters(results: Results) -> Rows:
     """The other parameters, with their sources."""
-    c, names = results.parts["month"].config, ("step_s", "error_km", "error_m_per_s", "rho", "tau", "rate_noise_km_per_s", "acceleration_noise_km_per_s2")
+    c, names = (
+        config(results),
+        ("step_s", "error_km", "error_m_per_s", "rho", "tau", "rate_noise_km_per_s", "acceleration_noise_km_per_s2"),
+    )
     known = c.__dataclass_fields__
-    return [{"parameter": name, "meaning": known[name].metadata["meaning"], "value": str(getattr(c, name)), "source": known[name].metadata["source"]}
+    return [{"parameter": name, "value": str(getattr(c, name)), **{key: known[name].metadata[key] for key in ("meaning", "source")}}
             for name in (*names, "amplitude_km", "bias_prior_km", "walk_km")]  # fmt: skip
 
 
@@ -327,10 +368,11 @@ def compared(results: Results) -> Rows:
 
 def setting_1(results: Results) -> Rows:
     """Setting 1 with every filter."""
-    columns = {"position (km)": ("position", (0.0, 1.0)), "velocity (m/s)": ("velocity", (0.0, 1.0)), "position, second half (km)": ("position", LATE),
-               "bias, second half (km)": ("bias", LATE)}  # fmt: skip
+    columns = {"position (km)": ("position", ALL), "velocity (m/s)": ("velocity", ALL)}
+    columns |= {f"{group}, second half (km)": (group, LATE) for group in ("position", "bias")}
     return [
-        {"filter": f.upper().replace("1/", "").replace("FAIR/", "fair "), **{name: rms(squares(results, "month", f, *what)) for name, what in columns.items()}}
+        {"filter": f.upper().replace("1/", "").replace("FAIR/", "fair ")}
+        | {name: rms(squares(results, "month", f, *what)) for name, what in columns.items()}
         for f in ("fair/ekf", "fair/tkf", *(f"1/{f}" for f in COMPARED))
     ]  # fmt: skip
 
@@ -341,27 +383,31 @@ def changed(results: Results) -> Rows:
     for i, label in enumerate(VARIANTS):
         found = {f: rms(squares(results, "variants", f"{i}/{f}")) for f in ("ekf", "tkf", "tdkf", "tstdkf")}
         below = {f"TSTDKF below {f.upper()} (%)": 100.0 * (1.0 - found["tstdkf"] / found[f]) for f in ("ekf", "tkf")}
-        rows.append({"changed": label} | {f"{f.upper()} (km)": value for f, value in found.items()} | below)
+        rows.append({"changed": label, **{f"{f.upper()} (km)": value for f, value in found.items()}, **below})
     return rows
 
 
 def taken(results: Results) -> Rows:
     """The coupling, and what filters take it for."""
-    return [{"κ": true, "taken for": other} | {f.upper(): rms(squares(results, "ten days", f"{i}/{f}", span=LATE)) for f in ("tkf", "tstdkf", "aug")}
-            for i, (true, other) in enumerate(COUPLINGS)]  # fmt: skip
+    rows: Rows = []
+    for i, (true, other) in enumerate(COUPLINGS):
+        sizes = {f.upper(): rms(squares(results, "ten days", f"{i}/{f}", span=LATE)) for f in ("tkf", "tstdkf", "aug")}
+        rows.append({"κ": true, "taken for": other, **sizes})
+    return rows
 
 
 ELEMENTS = ("a (km)", "e (-)", "i (deg)", "Ω (deg)", "ω (deg)", "ν (deg)")
 TABLES = {
-    "table_1": ("Table 1: elements of the orbit (chosen).", lambda r: [dict(zip(ELEMENTS, r.parts["month"].config.elements, strict=True))]),
+    "table_1": ("Table 1: elements of the orbit (chosen).", lambda r: [dict(zip(ELEMENTS, config(r).elements, strict=True))]),
     "table_2": ("Table 2: parameters of the pulsars (inferred), and the deviation of a timing.",
-                lambda r: [vars(p) | {"deviation_km": float(d)} for p, d in zip(pulsars(r.parts["month"].config.pulsars), r.parts["month"].config.sigma_km)]),
+                lambda r: [{**vars(p), "deviation_km": float(d)} for p, d in zip(pulsars(config(r).pulsars), config(r).sigma_km)]),
     "table_3": ("Table 3: the other parameters.", parameters),
-    "table_4": ("Table 4: the five settings of the noise (inferred).", lambda _: [{"setting": i, "F": c.F, "L": c.L, "κ": c.kappa} for i, c in SETTINGS.items()]),
+    "table_4": ("Table 4: the five settings of the noise (inferred).",
+                lambda _: [{"setting": i, "F": c.F, "L": c.L, "κ": c.kappa} for i, c in SETTINGS.items()]),
     "table_5": ("Table 5: RMSE of position and velocity of all filters in the five settings, and TSTDKF to the others.", compared),
     "table_6": ("Beyond the paper: setting 1 with every filter.", setting_1),
     "table_7": ("Beyond the paper: what the percentages depend on: setting 1 with one thing changed.", changed),
-    "table_8": ("Beyond the paper: the coupling κ of the noises, and what filters take it for: position (km), second half of ten days.", taken),
+    "table_8": ("Beyond the paper: the coupling κ, and what filters take it for: position (km), second half of ten days.", taken),
 }  # fmt: skip
 
 
@@ -369,7 +415,10 @@ TABLES = {
 RECORDINGS = ["tstdkf.rrd", "tstdkf_year.rrd"]
 SHOWN = ("tstdkf", "aug", "tkf", "ekf")
 ARROW_KM, EARTH_KM, AU_KM, EXAGGERATION = 4000.0, 6378.137, 1.495978707e8, 1000.0
-SPACES = (Space("world", f"about the Earth, km (errors x{EXAGGERATION:g})", (15e3, 11e3, 9e3)), Space("sun", "around the Sun, AU", (0.5, -2.2, 1.6)))
+SPACES = (
+    Space("world", f"about the Earth, km (errors x{EXAGGERATION:g})", (15e3, 11e3, 9e3)),
+    Space("sun", "around the Sun, AU", (0.5, -2.2, 1.6)),
+)
 
 
 def record(results: Results, outputs: Outputs) -> list[str]:
@@ -380,20 +429,27 @@ def record(results: Results, outputs: Outputs) -> list[str]:
 def month(results: Results) -> Showcase:
     """The first run of setting 1, about the Earth and around the Sun."""
     every = 9 if len(results.times("month")) > 180 else 1  # an orbit has 20 steps: every tenth would show two of its places only
-    config, t = results.parts["month"].config, results.times("month")[::every]
+    c, t = config(results), results.times("month")[::every]
     whole = {key: results.get("month", f"1/{key}")[:, 0] for key in ("truth", *(f"{f}/first" for f in SHOWN))}
     truth, found = whole["truth"][::every], {}
     for key in SHOWN:
         n = 6 if key == "ekf" else 9
-        nis, cov = ((None, None) if key == "ekf" else (results.get("month", f"1/{key}/nis")[::every, 0], results.get("covariances", f"1/{key}")[::every]))
+        nis, cov = (
+            (None, None)
+            if key == "ekf"
+            else (results.get("month", f"1/{key}/nis")[::every, 0], results.get("covariances", f"1/{key}")[::every])
+        )
         found[key] = Estimate(key.upper(), COLORS[key], (whole[f"{key}/first"][::every] - truth)[:, None, :n], cov, nis=nis)
     pulls = {body: results.get("pulls", body)[1 : 1 + len(whole["truth"]) : every] for body in ("moon", "sun", "venus", "jupiter")}
     sizes, days = [np.linalg.norm(pull, axis=1) for pull in pulls.values()], np.asarray(ephemerides()[0].rest)
     # The table has an instant every five hours; between them the difference is smooth to a meter.
     ephemeris = [np.interp(t, (days - days[0]) * DAY_S, column) for column in results.get("sky", "de405/earth").T]
     residuals = {
-        pulsar: Plot(f"residual of {pulsar}, km", {f: Curve(results.get("month", f"1/{f}/residual")[::every, 0, i], COLORS[f], f.upper()) for f in SHOWN[:3]})
-        for i, pulsar in enumerate(config.pulsars)
+        pulsar: Plot(
+            f"residual of {pulsar}, km",
+            {f: Curve(results.get("month", f"1/{f}/residual")[::every, 0, i], COLORS[f], f.upper()) for f in SHOWN[:3]},
+        )
+        for i, pulsar in enumerate(c.pulsars)
     }
     factors = curves(AXES, results.get("month", "1/tstdkf/factors")[::every, 0].T, SHADES)
     others = {
@@ -408,23 +464,38 @@ def month(results: Results) -> Showcase:
         orbits = np.stack([scenes.behind(points, 20, every) for points in tracks.values()], 1)
         out.globe("world/earth", EARTH_KM)
         out.points("world/sat/truth", truth[:, :3], colors.TRUTH, radius=5.0)
-        out.strips("world/sat/orbits", orbits, [colors.TRUTH, *(COLORS[key] for key in SHOWN)], labels=[key.upper() for key in tracks])
-        out.ellipsoids("world/sat/aug", truth[:, :3], EXAGGERATION**2 * results.get("covariances", "1/aug")[::every, :3, :3], COLORS["aug"], alpha=0.1)
+        out.strips(
+            "world/sat/orbits", orbits, [colors.TRUTH, *(COLORS[key] for key in SHOWN)], labels=[key.upper() for key in tracks]
+        )
+        out.ellipsoids(
+            "world/sat/aug",
+            truth[:, :3],
+            EXAGGERATION**2 * results.get("covariances", "1/aug")[::every, :3, :3],
+            COLORS["aug"],
+            alpha=0.1,
+        )
         for body, color in (("sun", colors.STAR), ("moon", colors.BODY)):
-            out.arrow(f"world/pull/{body}", truth[:, :3], ARROW_KM / max(size.max() for size in sizes[:2]) * pulls[body], color, body)
-        around_the_sun(out, config, t, truth[:, :3])
+            out.arrow(
+                f"world/pull/{body}", truth[:, :3], ARROW_KM / max(size.max() for size in sizes[:2]) * pulls[body], color, body
+            )
+        around_the_sun(out, c, t, truth[:, :3])
 
-    groups = (Group("position", "km", slice(0, 3)), Group("velocity", "m/s", slice(3, 6), 1e3), Group("bias", "km", slice(6, 9), truth=truth[:, 6:]))
+    groups = (
+        Group("position", "km", slice(0, 3)),
+        Group("velocity", "m/s", slice(3, 6), 1e3),
+        Group("bias", "km", slice(6, 9), truth=truth[:, 6:]),
+    )
     return Showcase(
         "tstdkf", notes(results), t, found, groups, truth, np.eye(3, 9), "km", nis_dof=3, scene=scene, spaces=SPACES,
-        plots={"residuals": residuals, "models": others}, legend={colors.STAR: "Sun, pulsars", colors.BODY: "Moon, Earth"}, parameters=vars(config),
-        counter="step", facts={"paper": "tstdkf", "seed": results.seed, "exaggeration": EXAGGERATION},
+        plots={"residuals": residuals, "models": others},
+        legend={colors.STAR: "Sun, pulsars", colors.BODY: "Moon, Earth"}, parameters=vars(c), counter="step",
+        facts={"paper": "tstdkf", "seed": results.seed, "exaggeration": EXAGGERATION},
     )  # fmt: skip
 
 
 def around_the_sun(out: Recorder, c: Config, times: Array, place: Array) -> None:
     """Earth, Sun, barycenter and the directions of the pulsars."""
-    start = c.dates._replace(rest=c.dates.rest[0])
+    start = c.dates._replace(rest=np.asarray(c.dates.rest)[0])
     earth, sun = (de421().state(body, start.after(times)).position / AU_KM for body in ("earth", "sun"))
     days = start.after(np.linspace(0.0, 365.25 * DAY_S, 366))
     out.path("sun/orbit", [(de421().state("earth", days).position - de421().state("sun", days).position) / AU_KM], colors.FAINT)
@@ -449,8 +520,8 @@ def notes(results: Results) -> str:
 
 A satellite times three pulsars; the Earth's ephemeris is wrong by some hundred meters (bias), the noise is colored and correlated.
 Lines: the last orbit and what the filters made of it, errors {EXAGGERATION:g} times as large. Arrows: the pulls of Sun and Moon.
-Deviations are those along the undisturbed orbit. Occultation by the Earth, exclusion near the Sun and one detector for three pulsars
-are left out, as in the paper.
+Deviations are those along the undisturbed orbit. Occultation by the Earth, exclusion near the Sun and one detector for three
+pulsars are left out, as in the paper.
 """
 
 
@@ -460,7 +531,9 @@ def year(results: Results) -> Showcase:
     for trend in TRENDS:
         first = {key: results.get("year", f"{trend}/{key}")[rows, 0] for key in ("truth", *(f"{f}/first" for f in TRACKED))}
         place = {f: results.error("year", f"{trend}/{f}", "position")[rows, 0, 0] for f in TRACKED}
-        plots[trend] = {"position": Plot(f"{trend}: position error, km", {f: Curve(place[f], COLORS[f], label) for f, label in TRACKED.items()})}
+        plots[trend] = {
+            "position": Plot(f"{trend}: position error, km", {f: Curve(place[f], COLORS[f], label) for f, label in TRACKED.items()})
+        }
         for i, axis in enumerate(AXES, start=6):
             tracks = {f: Curve(first[f"{f}/first"][:, i], COLORS[f], label) for f, label in TRACKED.items()}
             tracks["truth"] = Curve(first["truth"][:, i], colors.TRUTH, "truth")
