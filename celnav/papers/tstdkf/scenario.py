@@ -60,9 +60,7 @@ TUNED = "chosen: with the other tuned one, so that setting 1 gives the paper's p
 class Setting(Parameters):
     """One row of Table 4."""
 
-    F: float = param(
-        0.5, "chosen", "color of the measurement noise, V' = F V + increment; the increments are as large as pulsars are timed"
-    )
+    F: float = param(0.5, "chosen", "color of the measurement noise, V' = F V + increment, which is as large as pulsars are timed")
     L: float = param(0.5, "chosen", "color of the process noise, likewise")
     kappa: float = param(KAPPA, TUNED, "how strongly the increments of both are correlated")
 
@@ -76,9 +74,7 @@ class Config(Parameters):
     """Everything that a run depends on."""
 
     start_utc: str = param("2015-10-17T04:00:00", "paper", "date and time of the start, UTC")
-    step_s: float = param(
-        300.0, "paper", "interval of the measurements; pulses are timed over it, so a longer one is timed better", above=0.0
-    )
+    step_s: float = param(300.0, "paper", "interval of the measurements, over which pulses are timed", above=0.0)
     days: float = param(30.0, "paper", "length of a run, days", above=0.0)
     runs: int = param(50, "paper", "of a Monte Carlo", least=1)
     pulsars: tuple[str, ...] = param(("B0531+21", "B1821-24", "B1937+21"), "paper", "names of the three that are timed")
@@ -86,37 +82,22 @@ class Config(Parameters):
         (7136.635, 1.809e-3, 65.0, 30.0, 30.0, 0.0), "chosen: common in this literature",
         "of the orbit: semi-major axis (km), eccentricity, inclination, node, perigee and true anomaly (deg)",
     )  # fmt: skip
-    error_km: tuple[float, float, float] = param(
-        (1.0,) * 3, "paper", "of the position at the start, each axis, and its deviation in the prior", above=0.0
-    )
-    error_m_per_s: tuple[float, float, float] = param((0.02,) * 3, "paper", "the same of the velocity", above=0.0)
-    rate_noise_km_per_s: float = param(
-        1e-8, "paper: unit inferred", "process noise that drives the position's rate, deviation on each axis", above=0.0
-    )
-    acceleration_noise_km_per_s2: float = param(
-        1e-10, "paper: unit inferred", "process noise that drives the velocity's rate, likewise", above=0.0
-    )
+    error_km: tuple[float, ...] = param((1.0,) * 3, "paper", "of the position at the start, each axis, and in the prior", above=0.0)
+    error_m_per_s: tuple[float, ...] = param((0.02,) * 3, "paper", "the same of the velocity", above=0.0)
+    rate_noise_km_per_s: float = param(1e-8, "paper: unit inferred", "process noise of the position's rate, each axis", above=0.0)
+    acceleration_noise_km_per_s2: float = param(1e-10, "paper: unit inferred", "the same of the velocity's rate", above=0.0)
     setting: Setting = SETTINGS[1]
-    amplitude_km: tuple[float, float, float] = param((0.09, 0.12, 0.075), TUNED, "of the error of the Earth's ephemeris, each axis")
-    phase: tuple[float, float, float] = param((0.0, 0.5 * np.pi, 0.25 * np.pi), "chosen", "of that error's year, each axis, rad")
+    amplitude_km: tuple[float, ...] = param((0.09, 0.12, 0.075), TUNED, "of the error of the Earth's ephemeris, each axis")
+    phase: tuple[float, ...] = param((0.0, 0.5 * np.pi, 0.25 * np.pi), "chosen", "of that error's year, each axis, rad")
     trend: str = param(
         "sine", "inferred: Eqs 17, 69, 70", "how it goes on: a year's sine, growing, a triangle, or constant, drawn from its prior",
         one_of=("sine", "growing", "triangle", "constant"),
     )  # fmt: skip
-    initial: str = param(
-        "paper",
-        "inferred",
-        "whether every run starts with the error above or with one drawn from the prior",
-        one_of=("paper", "drawn"),
-    )
+    initial: str = param("paper", "inferred", "initial errors: those above, or drawn from the prior", one_of=("paper", "drawn"))
     pulled: bool = param(False, "inferred", "whether Sun and Moon pull at the satellite")
-    bias_prior_km: float = param(
-        0.3, "chosen", "deviation of the ephemeris error at the start, on each axis, in the filters", above=0.0
-    )
-    walk_km: float = param(
-        5e-5, "chosen", "how far the exact filter lets that error walk in a step, deviation on each axis", least=0.0
-    )
-    rho: tuple[float, float, float] = param((8.0, 15.0, 9.0), "paper", "how strongly the fading factors answer, each pulsar")
+    bias_prior_km: float = param(0.3, "chosen", "deviation of that error at the start, each axis, in the filters", above=0.0)
+    walk_km: float = param(5e-5, "chosen", "deviation of the steps of that error in the exact filter, each axis", least=0.0)
+    rho: tuple[float, ...] = param((8.0, 15.0, 9.0), "paper", "how strongly the fading factors answer, each pulsar")
     tau: float = param(100.0, "paper", "window of the fading factors, in measurements")
     factor: str = param(
         "excess", "chosen: form C, after setting 5; B is the other", "fading factors of what residuals exceed, or in proportion",
@@ -134,10 +115,7 @@ class Config(Parameters):
         """Measurements."""
         return round(self.days * DAY_S / self.step_s)
 
-    @property
-    def samples(self) -> int:
-        """Steps of a run."""
-        return self.steps
+    samples = steps
 
     @property
     def end_s(self) -> float:
@@ -200,7 +178,7 @@ class Config(Parameters):
 
 TABLE_5 = Config()
 WHITE = replace(TABLE_5, setting=SETTINGS[5])
-YEAR = replace(TABLE_5, days=365.0, runs=24, setting=Setting(kappa=4.5), walk_km=1e-4)
+YEAR = replace(TABLE_5, days=365.0, runs=3, setting=Setting(kappa=4.5), walk_km=1e-4)
 PRESETS = {"table5": TABLE_5, "white": WHITE, "year": YEAR}
 
 
@@ -260,7 +238,7 @@ def _undisturbed(elements: tuple[float, ...], step_s: float, steps: int) -> Arra
 
 class Scenario(NamedTuple):
     """Simulated runs, time-major: configurations and how many ``runs`` of each; ``truth (T, all runs, 6)`` km, km/s; ``bias (T, all
-    runs, 3)`` km, the error of the Earth's ephemeris; ``z (T, all runs, m)`` km, nan at the start."""
+    runs, 3)`` km; ``z (T, all runs, m)`` km, nan at the start."""
 
     cases: tuple[Config, ...]
     runs: int
