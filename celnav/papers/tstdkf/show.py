@@ -187,13 +187,8 @@ def spectrum(results: Results) -> Figure:
     """Two groups of lines."""
     (fig, ax), power = figure(6.5, 3.2), results.get("pulls", "power")
     lines(ax, DAY_S * results.get("pulls", "cycles")[1:], power[1:] / power.max(), linewidth=0.7)
-    ax.set(
-        xlabel="frequency (cycles/day)",
-        ylabel="power (-)",
-        xlim=(0.0, 60.0),
-        yscale="log",
-        title="Figure 8: spectrum of the acceleration",
-    )
+    ax.set(xlim=(0.0, 60.0), yscale="log", title="Figure 8: spectrum of the acceleration")
+    ax.set(xlabel="frequency (cycles/day)", ylabel="power (-)")
     ax.legend()
     return fig
 
@@ -238,11 +233,10 @@ def one_year(results: Results) -> Figure:
     (fig, axes), t = figure(10.0, 6.4, 3, 3, sharex=True), results.times("year") / DAY_S
     for row, trend in zip(axes, TRENDS, strict=True):
         for i, (ax, axis) in enumerate(zip(row, AXES, strict=True)):
-            for key, color, label in (
-                *((f"{f}/first", COLORS[f], label) for f, label in TRACKED.items()),
-                ("truth", "black", "truth"),
-            ):
-                ax.plot(t[::24], results.get("year", f"{trend}/{key}")[::24, 0, 6 + i], color=color, linewidth=0.9, label=label)
+            for f, label in TRACKED.items():
+                first = results.get("year", f"{trend}/{f}/first")
+                ax.plot(t[::24], first[::24, 0, 6 + i], color=COLORS[f], linewidth=0.9, label=label)
+            ax.plot(t[::24], results.get("year", f"{trend}/truth")[::24, 0, 6 + i], color="black", linewidth=0.9, label="truth")
             ax.set(ylim=(-0.3, 0.3), title=f"{trend}, {axis}")
         row[0].set_ylabel("ephemeris error (km)")
     for ax in axes[-1]:
@@ -269,9 +263,8 @@ def consistent(results: Results) -> Figure:
     (fig, axes), t = figure(9.0, 3.0, 1, 2, sharey=True), results.times("consistency") / DAY_S
     for case, ax, title in zip(("1", "5"), axes, ("setting 1", "white noise"), strict=True):
         for filter, dof in (("ekf", 6), ("tkf", 6), ("tdkf", 6), ("aug", 9)):
-            ax.semilogy(
-                t, results.get("consistency", f"{case}/{filter}/nees").mean(1) / dof, color=COLORS[filter], label=filter.upper()
-            )
+            values = results.get("consistency", f"{case}/{filter}/nees").mean(1) / dof
+            ax.semilogy(t, values, color=COLORS[filter], label=filter.upper())
         ax.axhline(1.0, color="black", linestyle=":", label="consistent")
         ax.set(xlabel=DAYS, title=title)
     axes[0].set_ylabel("NEES to its dimension (-)")
@@ -314,19 +307,13 @@ FIGURES = {
     "figure_01": ("Fig. 1: principle: what a timing measures, drawn from the vectors of the start (not to scale).", principle),
     "figure_02": ("Fig. 2: position of the Earth, DE405 - DE421: not tens of kilometers but less than two.", newer),
     "figure_02b": ("Beyond the paper: other ephemerides, the Sun, and the Earth seen from the Sun.", others),
-    "figure_03": (
-        "Fig. 3: position RMSE of the EKF under an ephemeris error, over an orbit each.",
-        partial(ignorant, 3, "position", "km"),
-    ),
+    "figure_03": ("Fig. 3: position RMSE of the EKF under an ephemeris error.", partial(ignorant, 3, "position", "km")),
     "figure_04": ("Fig. 4: velocity RMSE of the EKF under an ephemeris error.", partial(ignorant, 4, "velocity", "m/s")),
     "figure_05": ("Fig. 5: the ephemeris error, and the two other trends of Fig. 10.", three_trends),
     "figure_06": ("Fig. 6: what the ephemeris error makes of the timings.", model_error),
     "figure_07": ("Fig. 7: acceleration by Sun, Moon and planets, and of each body its largest.", third_bodies),
     "figure_08": ("Fig. 8: its spectrum: two groups of lines, not colored noise.", spectrum),
-    "figure_09": (
-        "Fig. 9: setting 1 over the month: position, velocity and bias; with the exact filter and the fair TKF.",
-        one_month,
-    ),
+    "figure_09": ("Fig. 9: setting 1 over the month: position, velocity and bias; the exact filter, the fair TKF.", one_month),
     "figure_09b": ("Beyond the paper: the estimates of the first run's bias; three deviations of the exact filter.", one_run),
     "figure_10": ("Fig. 10: a year of three trends: the bias as TKF, TSTDKF (forms B and C) and AUG see it.", one_year),
     "figure_11": ("Beyond the paper: Table 5 as bars: position RMSE of the month in the five settings.", bars),
@@ -342,11 +329,8 @@ Rows = list[dict[str, str | float]]
 
 def parameters(results: Results) -> Rows:
     """The other parameters, with their sources."""
-    c, names = (
-        config(results),
-        ("step_s", "error_km", "error_m_per_s", "rho", "tau", "rate_noise_km_per_s", "acceleration_noise_km_per_s2"),
-    )
-    known = c.__dataclass_fields__
+    names = ("step_s", "error_km", "error_m_per_s", "rho", "tau", "rate_noise_km_per_s", "acceleration_noise_km_per_s2")
+    c, known = config(results), Config.__dataclass_fields__
     return [{"parameter": name, "value": str(getattr(c, name)), **{key: known[name].metadata[key] for key in ("meaning", "source")}}
             for name in (*names, "amplitude_km", "bias_prior_km", "walk_km")]  # fmt: skip
 
@@ -433,24 +417,18 @@ def month(results: Results) -> Showcase:
     whole = {key: results.get("month", f"1/{key}")[:, 0] for key in ("truth", *(f"{f}/first" for f in SHOWN))}
     truth, found = whole["truth"][::every], {}
     for key in SHOWN:
-        n = 6 if key == "ekf" else 9
-        nis, cov = (
-            (None, None)
-            if key == "ekf"
-            else (results.get("month", f"1/{key}/nis")[::every, 0], results.get("covariances", f"1/{key}")[::every])
-        )
-        found[key] = Estimate(key.upper(), COLORS[key], (whole[f"{key}/first"][::every] - truth)[:, None, :n], cov, nis=nis)
+        error = (whole[f"{key}/first"][::every] - truth)[:, None, : 6 if key == "ekf" else 9]
+        known = results.data["covariances"].get(f"1/{key}"), results.data["month"].get(f"1/{key}/nis")
+        cov, nis = (None if part is None else part[::every] for part in known)
+        found[key] = Estimate(key.upper(), COLORS[key], error, cov, nis=None if nis is None else nis[:, 0])
     pulls = {body: results.get("pulls", body)[1 : 1 + len(whole["truth"]) : every] for body in ("moon", "sun", "venus", "jupiter")}
     sizes, days = [np.linalg.norm(pull, axis=1) for pull in pulls.values()], np.asarray(ephemerides()[0].rest)
     # The table has an instant every five hours; between them the difference is smooth to a meter.
     ephemeris = [np.interp(t, (days - days[0]) * DAY_S, column) for column in results.get("sky", "de405/earth").T]
-    residuals = {
-        pulsar: Plot(
-            f"residual of {pulsar}, km",
-            {f: Curve(results.get("month", f"1/{f}/residual")[::every, 0, i], COLORS[f], f.upper()) for f in SHOWN[:3]},
-        )
-        for i, pulsar in enumerate(c.pulsars)
-    }
+    residuals = {}
+    for i, pulsar in enumerate(c.pulsars):
+        each = {f: Curve(results.get("month", f"1/{f}/residual")[::every, 0, i], COLORS[f], f.upper()) for f in SHOWN[:3]}
+        residuals[pulsar] = Plot(f"residual of {pulsar}, km", each)
     factors = curves(AXES, results.get("month", "1/tstdkf/factors")[::every, 0].T, SHADES)
     others = {
         "factors": Plot("factors of strong tracking", factors, limits=(0.0, 12.0)),
@@ -464,29 +442,18 @@ def month(results: Results) -> Showcase:
         orbits = np.stack([scenes.behind(points, 20, every) for points in tracks.values()], 1)
         out.globe("world/earth", EARTH_KM)
         out.points("world/sat/truth", truth[:, :3], colors.TRUTH, radius=5.0)
-        out.strips(
-            "world/sat/orbits", orbits, [colors.TRUTH, *(COLORS[key] for key in SHOWN)], labels=[key.upper() for key in tracks]
-        )
-        out.ellipsoids(
-            "world/sat/aug",
-            truth[:, :3],
-            EXAGGERATION**2 * results.get("covariances", "1/aug")[::every, :3, :3],
-            COLORS["aug"],
-            alpha=0.1,
-        )
+        shades, cov = [colors.TRUTH, *(COLORS[key] for key in SHOWN)], results.get("covariances", "1/aug")[::every, :3, :3]
+        out.strips("world/sat/orbits", orbits, shades, labels=[key.upper() for key in tracks])
+        out.ellipsoids("world/sat/aug", truth[:, :3], EXAGGERATION**2 * cov, COLORS["aug"], alpha=0.1)
         for body, color in (("sun", colors.STAR), ("moon", colors.BODY)):
-            out.arrow(
-                f"world/pull/{body}", truth[:, :3], ARROW_KM / max(size.max() for size in sizes[:2]) * pulls[body], color, body
-            )
+            arrow = ARROW_KM / max(size.max() for size in sizes[:2]) * pulls[body]
+            out.arrow(f"world/pull/{body}", truth[:, :3], arrow, color, body)
         around_the_sun(out, c, t, truth[:, :3])
 
-    groups = (
-        Group("position", "km", slice(0, 3)),
-        Group("velocity", "m/s", slice(3, 6), 1e3),
-        Group("bias", "km", slice(6, 9), truth=truth[:, 6:]),
-    )
+    orbit = Group("position", "km", slice(0, 3)), Group("velocity", "m/s", slice(3, 6), 1e3)
     return Showcase(
-        "tstdkf", notes(results), t, found, groups, truth, np.eye(3, 9), "km", nis_dof=3, scene=scene, spaces=SPACES,
+        "tstdkf", notes(results), t, found, (*orbit, Group("bias", "km", slice(6, 9), truth=truth[:, 6:])), truth, np.eye(3, 9), "km",
+        nis_dof=3, scene=scene, spaces=SPACES,
         plots={"residuals": residuals, "models": others},
         legend={colors.STAR: "Sun, pulsars", colors.BODY: "Moon, Earth"}, parameters=vars(c), counter="step",
         facts={"paper": "tstdkf", "seed": results.seed, "exaggeration": EXAGGERATION},
