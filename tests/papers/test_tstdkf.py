@@ -315,20 +315,20 @@ def test_the_bound_is_the_exact_filters_covariance():
     config = replace(SHORT, days=0.25)
     sim = simulate(config, runs(1))
     std = run(filters(config)["aug"], sim.prior, sim.epochs()).std[:, 0]
-    bounds = np.sqrt(study.deviations([config], "aug")[:, 0].diagonal(0, 1, 2))
+    bounds = np.sqrt(study.nominal_covariances([config], "aug")[:, 0].diagonal(0, 1, 2))
     # The filter begins 1.7 km off the nominal orbit, where gravity's gradient is another by 3 * 1.7 / 7136.
     for a, b in ((slice(3), slice(3)), (slice(15, 18), slice(6, 9))):
         np.testing.assert_allclose(np.linalg.norm(std[:, a], axis=1), np.linalg.norm(bounds[:, b], axis=1), rtol=5e-3)
 
 
 def test_the_bias_is_told_from_the_orbit_by_axis():
-    std = np.sqrt(study.deviations([replace(WHITE, days=1.0)], "tkf")[-1, 0].diagonal()[6:])
+    std = np.sqrt(study.nominal_covariances([replace(WHITE, days=1.0)], "tkf")[-1, 0].diagonal()[6:])
     np.testing.assert_allclose(std, [0.105, 0.027, 0.078], atol=6e-4)
 
 
 def test_color_of_the_process_noise_alone_is_nearly_exact():
     config = replace(SHORT, days=3.0, setting=Setting(0.0, 0.9, 0.0), bias_prior_km=1e-9, walk_km=0.0)
-    kept, least = (study.deviations([config], name)[-1, 0, :3, :3].trace() for name in ("tdkf", "aug"))
+    kept, least = (study.nominal_covariances([config], name)[-1, 0, :3, :3].trace() for name in ("tdkf", "aug"))
     assert abs(kept / least - 1.0) < 5e-5
 
 

@@ -450,10 +450,10 @@ def month(results: Results) -> Showcase:
             out.arrow(f"world/pull/{body}", truth[:, :3], arrow, color, body)
         around_the_sun(out, c, t, truth[:, :3])
 
-    orbit = Group("position", "km", slice(0, 3)), Group("velocity", "m/s", slice(3, 6), 1e3)
+    bias = Group("bias", "km", slice(6, 9), truth=truth[:, 6:])
+    groups = (Group("position", "km", slice(0, 3)), Group("velocity", "m/s", slice(3, 6), 1e3), bias)
     return Showcase(
-        "tstdkf", notes(results), t, found, (*orbit, Group("bias", "km", slice(6, 9), truth=truth[:, 6:])), truth, np.eye(3, 9), "km",
-        nis_dof=3, scene=scene, spaces=SPACES,
+        "tstdkf", notes(results), t, found, groups, truth, np.eye(3, 9), "km", nis_dof=3, scene=scene, spaces=SPACES,
         plots={"residuals": residuals, "models": others},
         legend={colors.STAR: "Sun, pulsars", colors.BODY: "Moon, Earth"}, parameters=vars(c), counter="step",
         facts={"paper": "tstdkf", "seed": results.seed, "exaggeration": EXAGGERATION},

@@ -312,7 +312,7 @@ def sky_facts(config: Config, _: Rngs) -> Found:
     return ephemerides()[1] | found
 
 
-def deviations(cases: Sequence[Config], name: str) -> Array:
+def nominal_covariances(cases: Sequence[Config], name: str) -> Array:
     """Covariances ``(T, cases, 9, 9)`` of orbit and bias along the nominal orbit, whatever is measured: for aug, the posterior
     Cramer-Rao bound."""
     known, found, nothing = s.filters(cases, seen=LINEAR)[name], [], np.zeros((len(cases), 3))
@@ -328,12 +328,12 @@ def deviations(cases: Sequence[Config], name: str) -> Array:
 def covariances(config: Config, _: Rngs) -> Found:
     """Covariances in the settings, ``<setting>/aug``; by color, without a bias, trace of the position's covariance of TDKF over the
     least possible one."""
-    every = deviations([replace(config, setting=setting) for setting in SETTINGS.values()], "aug")
+    every = nominal_covariances([replace(config, setting=setting) for setting in SETTINGS.values()], "aug")
     out = {f"{i}/aug": every[:, k] for k, i in enumerate(SETTINGS)}
-    out |= {f"1/{f}": deviations([config], f)[:, 0] for f in ("tkf", "tstdkf")}
+    out |= {f"1/{f}": nominal_covariances([config], f)[:, 0] for f in ("tkf", "tstdkf")}
     short = replace(config, days=config.days / 3.0, bias_prior_km=1e-9, walk_km=0.0)
     cases = [replace(short, setting=Setting(F, 0.0, 0.0)) for F in COLORS]
-    said, least = (deviations(cases, name)[-1, :, :3, :3].trace(axis1=1, axis2=2) for name in ("tdkf", "aug"))
+    said, least = (nominal_covariances(cases, name)[-1, :, :3, :3].trace(axis1=1, axis2=2) for name in ("tdkf", "aug"))
     return out | {"trace": said / least}
 
 
@@ -654,7 +654,7 @@ ERRATA = [
     rebuilt("reconstruction-shapiro", "The usual delay: its Shapiro term takes |r + b| for |r| + |b|, and with terms of b "
             "distances count from the Sun.", all_of(of("sky", "shapiro", "error near the Sun, B1821-24, km", (7.8, 8.1)), of("sky",
             "shapiro", "B0531+21", (5.7, 6.0), lambda x: x[0]), of("sky", "solar", "terms of b, km", (1e-4, 0.0013))),
-            place="Eq. 2", found="Off by up to {1:.2f} and {0:.2f} km near the Sun; {2:.1g} km."),
+            place="Eq. 2", found="Off by up to {1:.2f} and {0:.2f} km near the Sun; the terms of b are {2:.1g} km."),
     rebuilt("reconstruction-differencing", "Z' with the last estimate has the error of that in it, which the covariance overlooks.",
             lambda r: [*(Number(f"trace over the least possible one, F = {F:g}", x, (None, 0.99)) for F, x in zip(COLORS,
             r.get("covariances", "trace"))), judged("NEES of TDKF, setting 1", "1/tdkf/nees", (12.0, None))(r)], place="Eqs 21-56",
