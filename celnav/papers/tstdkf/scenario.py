@@ -292,7 +292,7 @@ def simulate(cases: Cases, rngs: Sequence[np.random.Generator]) -> Scenario:
     c, count, runs = together[0], len(together), len(rngs)
     T, timing, seen = c.steps + 1, c.timing, sky(c)
     xi, e, first, drawn = (np.tile(draw, (count, 1)) for draw in normals(rngs, (T, 3), (T, 6), (9,), (9,)))
-    noise = noises(together, runs)
+    noise, sigma, std = noises(together, runs), c.sigma_km, c.process_std
     V, Q = (part * np.sqrt(cov.diagonal(0, -2, -1)) for part, cov in ((first[:, :3], noise.V), (first[:, 3:], noise.Q)))
     bias = np.empty((T, count * runs, 3))
     for i, case in enumerate(together):
@@ -303,8 +303,7 @@ def simulate(cases: Cases, rngs: Sequence[np.random.Generator]) -> Scenario:
     truth, z = np.empty((T, count * runs, 6)), np.full((T, count * runs, 3), np.nan)
     truth[0] = c.orbit
     for k in range(1, T):
-        V = matvec(noise.F, V) + c.sigma_km * xi[k]
-        Q = matvec(noise.L, Q) + c.process_std * e[k]
+        V, Q = matvec(noise.F, V) + sigma * xi[k], matvec(noise.L, Q) + std * e[k]
         extra = pull(None if seen.bodies is None else seen.bodies[k])
         truth[k] = advance(truth[k - 1], c.step_s, extra=extra) + (matvec(noise.J, V) + Q) @ G[k - 1].T
         z[k] = timing.delay(seen.earth[k] + bias[k] + truth[k, :, :3], seen.sun[k]) + V

@@ -202,13 +202,15 @@ def disturbed(biases: Biases, config: Config, rngs: Rngs) -> Iterator[Epoch]:
     """Epochs of the nominal orbit along errors of the ephemeris, on the same noise for each; ``truth`` is less that orbit."""
     c, noise, T, n = config, config.noise, config.steps + 1, len(rngs)
     xi, e, start, drawn = normals(rngs, (T, 3), (T, 6), (9,), (9,))
+    xi *= c.sigma_km
+    e *= c.process_std
     bias = np.concatenate([np.broadcast_to(b, (T, n, 3)) for b in biases(c, drawn[:, 6:]).values()], 1)
     same = np.tile(np.arange(n), bias.shape[1] // n)
     V, Q = start[same, :3] * np.sqrt(noise.V.diagonal()), start[same, 3:] * np.sqrt(noise.Q.diagonal())
     x = np.zeros((len(same), 6))
     for epoch in s.nominal_epochs(c):
         (Phi, G, Gamma), k = epoch.u, epoch.k
-        V, Q = V @ noise.F + c.sigma_km * xi[k, same], Q @ noise.L + c.process_std * e[k, same]
+        V, Q = V @ noise.F + xi[k, same], Q @ noise.L + e[k, same]
         x = x @ Phi.T + (V @ noise.J.T + Q) @ G.T
         yield epoch._replace(z=(x[:, :3] + bias[k]) @ Gamma.T + V, truth=np.concatenate([x, bias[k]], 1))
 
