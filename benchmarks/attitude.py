@@ -18,10 +18,16 @@ from time import perf_counter, process_time
 
 import numpy as np
 
+from celnav.filters.model import Motion, Sensor
+from celnav.filters.records import Epoch, Filter, FromFunctions, Info, State
 from celnav.filters.run import run
-from celnav.papers.ssukf import PRESETS, compare, filters, simulate
-from celnav.papers.ssukf.variants import dense_filters
+from celnav.filters.sequential import Sequential, sigma_point
+from celnav.gaussian import attitude
+from celnav.gaussian.linalg import Array, block
+from celnav.gaussian.spaces import EUCLIDEAN, product
+from celnav.papers.ssukf.scenario import PRESETS, Config, dynamics, filters, noise_root, simulate, spread, star, state_space, trial
 from celnav.study.montecarlo import blocks, generator
+from celnav.study.study import fly
 
 Matrix = list[list[float]]
 
@@ -42,7 +48,7 @@ def cholesky(P: Matrix) -> Matrix:
     return L
 
 
-def product(q: list[float], p: list[float]) -> list[float]:
+def times(q: list[float], p: list[float]) -> list[float]:
     """Quaternion product, scalar last."""
     a, b, c, d = q
     x, y, z, w = p
@@ -124,11 +130,11 @@ class Scalar:
         for s in found:
             drift = [b[0] + s[3], b[1] + s[4], b[2] + s[5]]
             step = turn(*((rate[i] - drift[i] - s[6 + i]) * dt for i in range(3)))
-            moved = product(step, product(from_p(s[0], s[1], s[2]), q))
+            moved = times(step, times(from_p(s[0], s[1], s[2]), q))
             if not origin:
                 back = [-moved[0], -moved[1], -moved[2], moved[3]]
                 origin = moved
-            rows.append(to_p(product(moved, back)) + [f * drift[i] + s[9 + i] for i in range(3)])
+            rows.append(to_p(times(moved, back)) + [f * drift[i] + s[9 + i] for i in range(3)])
         mean = [rows[0][i] + other * sum(row[i] - rows[0][i] for row in rows[1:]) for i in range(6)]
         P = [[0.0] * 6 for _ in range(6)]
         for k, row in enumerate(rows):
@@ -141,13 +147,13 @@ class Scalar:
         for i in range(6):
             for j in range(i):
                 P[j][i] = P[i][j]
-        self.P, self.q, self.b = P, product(from_p(*mean[:3]), origin), mean[3:]
+        self.P, self.q, self.b = P, times(from_p(*mean[:3]), origin), mean[3:]
 
     def update(self, measured: list[float]) -> None:
         """One star sample."""
         found, center, other = self.points(self.sigma_measured)
         first = len(self.sigma_measured) + 3
-        rows = [to_p(product(turn(*s[first : first + 3]), from_p(s[0], s[1], s[2]))) for s in found]
+        rows = [to_p(times(turn(*s[first : first + 3]), from_p(s[0], s[1], s[2]))) for s in found]
         mean = [rows[0][i] + other * sum(row[i] - rows[0][i] for row in rows[1:]) for i in range(3)]
         S, C = [[0.0] * 3 for _ in range(3)], [[0.0] * 3 for _ in range(6)]
         for k, (row, s) in enumerate(zip(rows, found, strict=True)):
@@ -160,12 +166,12 @@ class Scalar:
                 for j in range(3):
                     C[i][j] += s[i] * d[j]
         L = cholesky(S)
-        z = to_p(product(measured, [-self.q[0], -self.q[1], -self.q[2], self.q[3]]))
+        z = to_p(times(measured, [-self.q[0], -self.q[1], -self.q[2], self.q[3]]))
         white = solve(L, [z[i] - mean[i] for i in range(3)])
         gains = [solve(L, row) for row in C]
         d = [sum(g[i] * white[i] for i in range(3)) for g in gains]
         self.P = [[self.P[i][j] - sum(gains[i][k] * gains[j][k] for k in range(3)) for j in range(6)] for i in range(6)]
-        self.q, self.b = product(from_p(*d[:3]), self.q), [self.b[i] + d[3 + i] for i in range(3)]
+        self.q, self.b = times(from_p(*d[:3]), self.q), [self.b[i] + d[3 + i] for i in range(3)]
 
 
 def solve(L: Matrix, b: list[float]) -> list[float]:
@@ -179,15 +185,15 @@ def solve(L: Matrix, b: list[float]) -> list[float]:
 def scalar_work(noise: tuple[int, int], dense: bool, per: int) -> Callable[[], float]:
     """One star interval of a filter, point by point; returns CPU seconds."""
     config = replace(PRESETS["100 Hz"], duration_s=0.25)
-    sim = simulate(config, generator(0, 0, 0))
-    rates, star = sim.gyro.tolist(), sim.stars[1].tolist()
+    sim = simulate(config, [generator(0, 0, 0)])
+    rates, measured = sim.gyro[:, 0].tolist(), sim.stars[1, 0].tolist()
 
     def once() -> float:
         filter = Scalar(*noise, dense)
         start = process_time()
         for rate in rates[:per]:
             filter.predict(rate)
-        filter.update(star)
+        filter.update(measured)
         return process_time() - start
 
     return once
@@ -196,14 +202,63 @@ def scalar_work(noise: tuple[int, int], dense: bool, per: int) -> Callable[[], f
 def agreement() -> float:
     """Largest difference of the point-by-point SSUKF from that of the package after a star interval (rad)."""
     config = replace(PRESETS["100 Hz"], duration_s=0.25)
-    sim = simulate(config, generator(0, 0, 0))
+    sim = simulate(config, [generator(0, 0, 0)])
     scalar = Scalar(6, 3, dense=False)
-    for rate in sim.gyro.tolist():
+    for rate in sim.gyro[:, 0].tolist():
         scalar.predict(rate)
-    scalar.update(sim.stars[1].tolist())
+    scalar.update(sim.stars[1, 0].tolist())
     mean = run(filters(config)["ssukf"], sim.prior, sim.epochs(), keep="mean").mean
     assert mean is not None
-    return float(np.abs(np.abs(mean[-1, :4]) - np.abs(scalar.q)).max())
+    return float(np.abs(np.abs(mean[-1, 0, :4]) - np.abs(scalar.q)).max())
+
+
+# -- dense roots: the joint covariance of state and noise is factored as a whole, as the paper writes it ------------------------
+def dense_filters(config: Config, *, form: str = "covariance") -> dict[str, Filter]:
+    """AUKF and SSUKF that factor the whole augmented covariance."""
+    w, v = noise_root(config.gyro, config.step_s).diagonal(), np.full(3, config.sigma_n)
+    time = {"aukf": np.concatenate([w, v]), "ssukf": w}
+    measured = {"aukf": np.concatenate([w, v]), "ssukf": v}
+    return {name: _dense(config, time[name], measured[name], form) for name in time}
+
+
+def _dense(config: Config, time: Array, measured: Array, form: str) -> Filter:
+    """A filter that takes the noise into the state before each of its parts, and out of it after."""
+    through = dynamics(config.gyro)
+
+    def f(x: Array, epoch: Epoch) -> Array:
+        return np.concatenate([through(x[..., :7], epoch, x[..., 7:]), x[..., 7:]], -1)
+
+    def h(x: Array, epoch: Epoch) -> Array:
+        return star(x[..., :7], epoch, x[..., 7:][..., -3:])
+
+    def part(noise: Array) -> Sequential:  # the noise is in the state
+        n = 6 + len(noise)
+        space = product((state_space(), 7, 6), (EUCLIDEAN, len(noise), len(noise)))
+        motion = Motion(f, sqrt_Q=np.zeros((n, 0)), space=space)
+        seen = Sensor(h, sqrt_R=np.zeros((3, 0)), space=attitude.attitude())
+        return sigma_point(motion, seen, rule=lambda n: spread(n, config), form=form)
+
+    forward, back = part(time), part(measured)
+
+    def step(state: State, epoch: Epoch) -> tuple[State, tuple[Info, ...]]:
+        if epoch.dt:
+            state = _reduced(forward.predict(_augmented(state, time), epoch))
+        after, infos = back.update(_augmented(state, measured), epoch)
+        return _reduced(after), infos
+
+    return FromFunctions(lambda prior: State(forward.form.of(prior), (None,)), step)
+
+
+def _augmented(state: State, noise: Array) -> State:
+    belief, form = state.belief, type(state.belief)
+    mean = np.concatenate([belief.mean, np.zeros((*belief.mean.shape[:-1], len(noise)))], -1)
+    return state._replace(belief=form(mean, block([[belief[1], 0], [0, form.marginal(np.diag(noise), np.ones(1))]])))
+
+
+def _reduced(state: State) -> State:
+    """About attitude and drift alone: of a lower root, too, the first rows are all there is of them."""
+    belief = state.belief
+    return state._replace(belief=type(belief)(belief.mean[..., :7], belief[1][..., :6, :6]))
 
 
 # -- arrays --------------------------------------------------------------------------------------------------------------------
@@ -254,7 +309,8 @@ def full_rate(runs: int = 200) -> dict[str, float]:
     """The paper's 100 Hz over 600 s: CPU and wall seconds, and how far AUKF and SSUKF are apart (arcsec)."""
     cpu, wall, apart, first = process_time(), perf_counter(), 0.0, 0.0
     for part in blocks(runs, 200):
-        found = compare(PRESETS["100 Hz"], [generator(0, 0, r) for r in part])
+        one = trial(PRESETS["100 Hz"], [generator(0, 0, r) for r in part])
+        found = fly(one, ("aukf", "ssukf"))
         difference = np.abs(found["aukf/error"] - found["ssukf/error"])[1:, :, :3]
         apart = max(apart, float(difference.max()))
         first += float(np.square(found["ssukf/error"][1, :, :3]).sum())

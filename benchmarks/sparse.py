@@ -24,7 +24,7 @@ from celnav.gaussian.linalg import Array
 from celnav.gaussian.rules import Rule
 from celnav.gaussian.sparse_grid import smolyak
 from celnav.papers.aasghqf import scenario
-from celnav.papers.aasghqf.config import PAPER_WEIGHTS, A
+from celnav.papers.aasghqf.scenario import PAPER_WEIGHTS, A
 from celnav.study.montecarlo import generator
 
 RUNS, STEPS = 50, 10
@@ -62,7 +62,7 @@ def work(rule: Rule, block: int) -> Callable[[], tuple[float, float, float]]:
     parts = [scenario.simulate(config, [generator(0, 0, r) for r in range(i, min(i + block, RUNS))]) for i in firsts]
     epochs: list[list[Epoch]] = [list(part.epochs()) for part in parts]
     f, h = Timed(scenario.dynamics), Timed(scenario.measurement)
-    motion, sensor = Motion(f, sqrt_Q=config.sqrt_Q), Sensor(h, sqrt_R=scenario.sqrt_R)
+    motion, sensor = Motion(f, sqrt_Q=config.sqrt_Q), Sensor(h, sqrt_R=lambda _, epoch: epoch.u.sqrt_R)
     filter = sigma_point(motion, sensor, rule=rule, form=scenario.FORM)
     points: list[Array] = [rule.points(part.prior.mean, 1e-3 * part.prior.sqrt_cov)[0] for part in parts]
 

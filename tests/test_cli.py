@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,40 +15,46 @@ import pytest
 import celnav
 from celnav import cli, papers
 from celnav.campaign.missions import flat
-from celnav.campaign.typed import meanings, unit_of
+from celnav.campaign.typed import described, unit_of
 from celnav.papers import load
 from celnav.show.figures import figure
-from celnav.study.claims import Claim
-from celnav.study.montecarlo import Plan, Unit
+from celnav.study.ledger import Number, Row
+from celnav.study.study import Part, Study
 
 
-def numbers(start):
-    return {"x": np.full((3, 1), float(start))}
+def numbers(size, rngs):
+    """Arrays of a part: ``size`` numbers a run, under a name that is stored."""
+    return {
+        "times": np.arange(3.0),
+        "kf/nees": np.stack([rng.random((3, size)).mean(1) for rng in rngs], 1),
+        "x/nees": np.ones((size, 2)),
+    }
 
 
-def tiny(failing=False):
+def tiny(failing=False, work=numbers, size=4, blocks=2):
     """A paper that takes no time."""
 
-    def plan(*, effort, seed):
-        def result(outcomes):
-            return SimpleNamespace(arrays=lambda: {"x": outcomes["all"].arrays["x"]}, timings={"cpu_s": effort})
-
-        return Plan([Unit("all", numbers, (seed + i,)) for i in range(2)], result)
-
-    def draw(result):
+    def draw(results):
         fig, ax = figure(2.0, 2.0)
         ax.plot([0, 1])
         return fig
 
-    def record(result, outputs):
+    def record(results, outputs):
         with outputs.path_for("tiny.rrd") as path:
             path.write_bytes(b"RRF2")
 
+    value = 2.0 if failing else 1.0
+    rows = [
+        Row("statement", "one", "It is so", lambda _: Number("x", value, (0.0, 1.5))),
+        Row("erratum", "two", "1 < 0"),
+        Row("check", "three", "It is so", lambda r: Number("x", float(r.get("all", "kf/nees").mean()), (0.0, 1.0))),
+    ]
+    parts = {"all": Part(work, size, 0, 2 * blocks, 2, 1.0)}
     return SimpleNamespace(
-        TITLE="Tiny <study>", CITATION="@tiny", ERRATA=(("1 < 0", "0 < 1"),), PRESETS={"P": None},
-        RECORDINGS=["tiny.rrd"], plan=plan, figure_1=draw,
-        figure_2b=draw, table_1=lambda result: [{"a": 1.0, "b": "x"}], record=record, filters=lambda config: {"kf": None},
-        claims=lambda result: [Claim("one", "paper", "It is so", 2.0 if failing else 1.0, (0.0, 1.5), True)],
+        TITLE="Tiny <study>", CITATION="@tiny", PRESETS={"P": None}, RECORDINGS=["tiny.rrd"], record=record,
+        STUDY=Study("tiny", (), None, lambda effort: parts, rows, "It says so.", "It is so."),
+        FIGURES={"figure_01": ("A figure.", draw), "figure_02b": ("Another.", draw)},
+        TABLES={"table_1": ("A table.", lambda results: [{"a": 1.0, "b": "x"}])}, filters=lambda config: {"kf": None},
     )  # fmt: skip
 
 
@@ -57,7 +63,7 @@ def study(monkeypatch):
     def use(**options):
         module = tiny(**options)
         monkeypatch.setattr(papers, "PAPERS", {"tiny": "tiny"})
-        monkeypatch.setattr("celnav.papers.page.PAPERS", {"tiny": "tiny"})
+        monkeypatch.setattr("celnav.commands.index.PAPERS", {"tiny": "tiny"})
         monkeypatch.setattr("celnav.papers.import_module", lambda name: module)
 
     use()
@@ -70,7 +76,7 @@ def test_reproduce_writes_everything_and_replaces_its_own(study, tmp_path, capsy
         assert cli.main(["reproduce", "--out", str(out)]) == 0
     written = {str(p.relative_to(out)) for p in out.rglob("*") if p.is_file() and not p.name.startswith(".")}
     assert written == {
-        "index.html", "tiny/claims.json", "tiny/timings.json", "tiny/result.npz", "tiny/tiny.rrd", "tiny/tables/table_1.csv",
+        "index.html", "tiny/claims.json", "tiny/checks.json", "tiny/timings.json", "tiny/result.npz", "tiny/tiny.rrd", "tiny/tables/table_1.csv",
         "tiny/figures/figure_01.png", "tiny/figures/figure_01.svg", "tiny/figures/figure_02b.png", "tiny/figures/figure_02b.svg",
     }  # fmt: skip
     assert json.loads((out / "tiny/claims.json").read_text())[0]["verdict"] == "reproduced"
@@ -274,9 +280,9 @@ def test_list_says_what_each_parameter_means_and_its_unit(paper, capsys):
     assert cli.main(["list", paper]) == 0
     listed = " ".join(capsys.readouterr().out.partition("[config]")[2].split())
     start = next(iter(load(paper).PRESETS.values()))
-    said = meanings(type(start))
+    said = {name: meaning for name, (meaning, _, _) in described(type(start)).items()}
     for name in flat(asdict(start)):
-        assert said[name].endswith(".")
+        assert said[name]
         assert name == "runs" or f"{unit_of(name)} {said[name]}".strip() in listed
     units = {"inertia": "kg m^2", "wheels": "N m s", "torque": "N m", "elements": "(km)", "phase": "rad", "deviation": "(m)"}
     for name, unit in (units | {"burst_sigma": "m/s", "days": "days"}).items():
@@ -292,10 +298,10 @@ def test_bare_celnav_shows_the_help(capsys):
 
 
 def test_a_lack_of_memory_is_one_line(study, tmp_path, monkeypatch, capsys):
-    def plan(**_):
+    def parts(_effort):
         raise MemoryError("Unable to allocate 80 GiB")
 
-    monkeypatch.setattr(load("tiny"), "plan", plan)
+    monkeypatch.setattr(load("tiny"), "STUDY", replace(load("tiny").STUDY, parts=parts))
     assert cli.main(["reproduce", "--out", str(tmp_path)]) == 1
     assert capsys.readouterr().err == (
         "celnav: not enough memory (Unable to allocate 80 GiB); fewer runs at once, or fewer --jobs, need less\n"

@@ -26,7 +26,6 @@ MODULES = {
     for package in PACKAGES
     for _, name, _ in iter_modules([f"{celnav.__path__[0]}/{package}"])
 } | {
-    "adaptive_grid": import_module("celnav.papers.aasghqf.adaptive_grid"),
     "constellation": import_module("celnav.papers.aukf.constellation"),
 }
 HOT = """
@@ -67,9 +66,9 @@ claims: Claim Claim.to_dict Judge Judge.lengthy Judge.number Judge.statistic Jud
 page: document figure link table
 picture: command end picture
 progress: Progress Progress.close Progress.stage RunProgress
-estimates: Estimate Estimate.error Estimate.sigma estimates
+estimates: Estimate Estimate.error Estimate.sigma again estimates
 plots: curves draw
-scenes: arc behind beside constellation limb sigma_points sightings track turning
+scenes: arc behind beside constellation flight limb sigma_points sightings track turning
 showcase: Showcase record write
 """
 """What checks, what has no arguments, and what only celnav calls, or hands to a library that says itself what it takes."""
@@ -144,7 +143,7 @@ CALLS = {
     "sparse_grid.smolyak": dict(n=2, level=2, weights=[1, 2], orders=(1, 3, 7)),
     "sparse_grid.point_count": dict(n=2, level=2, weights=[1, 2], orders=(1, 3, 7)),
     "sparse_grid.integrates": dict(powers=[2, 4], level=2, weights=[1, 2], orders=(1, 3, 7)),
-    "adaptive_grid.adapt": dict(function=square, mean=np.zeros(2), root=I2, tolerance=1e-3, most=20, orders=(1, 3, 7)),
+    "sparse_grid.index_set": dict(level=2, weights=[1, 2]),
     "attitude.unit": dict(q=Q4),
     "attitude.from_euler": dict(angles=np.zeros(3)),
     "attitude.attitude": dict(a=1.0, b=4.0),
@@ -162,6 +161,8 @@ CALLS = {
     "observability.jacobian": dict(function=square, x=np.ones(2)),
     "observability.lie_gradients": dict(f=square, h=square, x=np.ones(2), order=1, window=0.1),
     "observability.information_degree": dict(P0=I2, F=np.stack([I2]), H=np.stack([I2, I2]), R=I2),
+    "observability.svd_degree": dict(matrix=I2, reference=0),
+    "observability.threshold_weights": dict(degree=[1.0, 9.0], threshold=5.0),
     "observability.nonlinearity_weights": dict(functions=[square], mean=np.ones(2), std=np.ones(2), tolerance=1e-6, coarse=2),
     "bounds.riccati": dict(F=np.stack([I2]), H=I2, Q=I2, R=I2, P0=I2),
     "bounds.actual_covariance": dict(
@@ -239,10 +240,10 @@ CALLS = {
 GAPS = """curve.values log_curve.values bounds.sigma bounds.center trail.points strips.strips arrow.origins arrow.vectors
 pose.origins pose.quaternions points.points ellipsoids.centers ellipsoids.covariance exact.a"""
 MEANT = {
-    "adaptive_grid.adapt most": "a billion",
     "attitude.from_euler angles": "nan, infinite",
     "belief.Gaussian mean": "deep",
     "belief.Gaussian.sample size": "empty",
+    "observability.svd_degree matrix": "deep",
     "problem.compare runs": "a billion",
     "problem.compare seed": "a billion",
     "montecarlo.generator seed": "a billion",

@@ -140,3 +140,20 @@ def nonlinearity_weights(
             second = np.abs(0.5 * (up + down) - y0)
             bends |= (second > tolerance * scale).any(-1)
     return tuple(np.where(bends, 1, coarse).tolist())
+
+
+def svd_degree(matrix: ArrayLike, reference: int) -> Array:
+    """Degrees of observability ``(..., n)`` by singular values of observability matrices ``(..., rows, n)`` [Liang2014, Eq. 15].
+
+    A state gets the singular value whose right vector has its largest component there, over that of the state ``reference``. It
+    depends on the units of the states; `information_degree` does not.
+    """
+    rows = finite("matrix", matrix, (..., "rows", "n"))
+    _, values, Vt = np.linalg.svd(rows, full_matrices=False)
+    degree = np.take_along_axis(values, np.abs(Vt).argmax(-2), -1)
+    return np.asarray(degree / degree[..., integer("reference", reference, 0, rows.shape[-1] - 1), None])
+
+
+def threshold_weights(degree: ArrayLike, threshold: float) -> tuple[int, ...]:
+    """Weights of a sparse grid by degrees of observability ``(n,)``: 1 above the threshold, 2 up to it [Liang2014, Eq. 19]."""
+    return tuple(np.where(finite("degree", degree, ("n",)) > number("threshold", threshold), 1, 2).tolist())

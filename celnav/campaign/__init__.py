@@ -16,8 +16,9 @@ from celnav.campaign.executors import Workers, dask, given, processes, serial
 from celnav.campaign.missions import Configuration, Study
 from celnav.campaign.store import Store, StoreError, open_store
 from celnav.campaign.table import Merged, Row, merged, rows_of
-from celnav.campaign.units import Result, Unit, VersionError, WorkError, units_of
+from celnav.campaign.units import Result, Unit, VersionError, WorkError, units_of, unpack
 from celnav.files import locked
+from celnav.gaussian.linalg import Array
 from celnav.lazy import modules
 
 __getattr__, __dir__ = modules(__name__)
@@ -95,7 +96,7 @@ def campaign(
         if not todo:
             progress(done, total)
 
-        def keep(unit: Unit, result: Result) -> None:
+        def keep(unit: Unit, result: dict[str, Array]) -> None:
             nonlocal done
             store.write(unit, result)
             done += unit.runs
@@ -103,7 +104,7 @@ def campaign(
 
         compute(todo, workers or serial(), keep, lambda: progress(done, total))
         try:
-            return _outcome(study, store.read)
+            return _outcome(study, lambda unit: unpack(store.read(unit), unit.filters))
         except (ValueError, IndexError) as error:
             raise StoreError(f"{folder}: its units do not go together ({error}); remove the folder") from None
 
@@ -114,14 +115,14 @@ def fly(study: Study, workers: Workers | None = None, *, progress: Progress = _s
     total, found = sum(unit.runs for units in plan for unit in units), {}
     done = 0
 
-    def keep(unit: Unit, result: Result) -> None:
+    def keep(unit: Unit, result: dict[str, Array]) -> None:
         nonlocal done
         found[unit] = result
         done += unit.runs
         progress(done, total)
 
     compute([unit for units in plan for unit in units], workers or serial(), keep, lambda: progress(0, total))
-    return _outcome(study, found.__getitem__)
+    return _outcome(study, lambda unit: unpack(found[unit], unit.filters))
 
 
 def _kept(store: Store, unit: Unit, say: Say) -> bool:

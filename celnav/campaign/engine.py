@@ -7,12 +7,13 @@ from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, 
 from typing import Any, TypeVar
 
 from celnav.campaign.executors import Workers
-from celnav.campaign.units import Result, Unit, VersionError, WorkError, code, execute
+from celnav.campaign.units import VersionError, Work, WorkError, code, execute
+from celnav.gaussian.linalg import Array
 
 ATTEMPTS = 3
 """How often in a row workers may die, and no unit be finished, before units are tried one by one."""
 
-Keep = Callable[[Unit, Result], None]
+W = TypeVar("W", bound=Work)
 U = TypeVar("U")
 R = TypeVar("R")
 
@@ -25,7 +26,9 @@ def _nothing() -> None:
     """Nobody asked."""
 
 
-def compute(units: Iterable[Unit], workers: Workers, keep: Keep, opened: Callable[[], None] = _nothing) -> None:
+def compute(
+    units: Iterable[W], workers: Workers, keep: Callable[[W, dict[str, Array]], None], opened: Callable[[], None] = _nothing
+) -> None:
     """Do all units and give each result to ``keep`` as it comes, in any order; ``opened()`` is called once there are workers.
 
     Raises
@@ -64,8 +67,8 @@ def compute(units: Iterable[Unit], workers: Workers, keep: Keep, opened: Callabl
         raise UnfinishedError(f"{count} not done: {'; '.join(unfinished[:3])}{rest}")
 
 
-def _told(unit: Unit, why: str) -> str:
-    return f"runs {unit.first} to {unit.last - 1} of unit {unit.key} ({why})"
+def _told(unit: Work, why: str) -> str:
+    return f"{unit.title} ({why})"
 
 
 def _said(error: Exception) -> str:

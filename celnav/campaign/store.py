@@ -1,4 +1,4 @@
-"""The store of a campaign: a folder with a manifest and one checksummed file for each finished unit.
+"""The store: a folder with a manifest and one checksummed file for each finished unit.
 
 Every file is written under a temporary name and renamed, so the folder is right after any interruption.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import shutil
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from celnav.campaign.missions import Study
-from celnav.campaign.units import Result, Unit, code, pack, unpack
+from celnav.campaign.units import Work, code
 from celnav.files import InputError, Outputs, read_json, read_npz, remove_leftovers, write_bytes, write_text
 from celnav.gaussian.linalg import Array
 
@@ -28,23 +29,22 @@ class StoreError(InputError):
 
 
 class Store:
-    """Finished units of a study in ``folder / "units"``; see `open_store`."""
+    """Finished units in ``folder / "units"``; see `open_store` and `resumed`."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
-    def path(self, unit: Unit) -> Path:
+    def path(self, unit: Work) -> Path:
         """Where a unit's result is."""
         return self.folder / "units" / f"{unit.key}.npz"
 
-    def write(self, unit: Unit, result: Result) -> None:
+    def write(self, unit: Work, arrays: Mapping[str, Array]) -> None:
         """Keep a result. OSError names the file if it cannot be written."""
-        arrays = pack(result)
         buffer = io.BytesIO()
         np.savez(buffer, allow_pickle=False, **arrays, checksum=np.array(_checksum(unit, arrays)))
         write_bytes(self.path(unit), buffer.getvalue())
 
-    def has(self, unit: Unit) -> bool:
+    def has(self, unit: Work) -> bool:
         """Whether a unit is finished and whole.
 
         Raises
@@ -53,7 +53,11 @@ class Store:
         """
         return self.path(unit).exists() and bool(self.read(unit))
 
-    def read(self, unit: Unit) -> Result:
+    def remove(self, unit: Work) -> None:
+        """Forget a result that is needed no more."""
+        self.path(unit).unlink(missing_ok=True)
+
+    def read(self, unit: Work) -> dict[str, Array]:
         """The result of a finished unit.
 
         Raises
@@ -66,12 +70,13 @@ class Store:
         if stored is None or str(stored) != _checksum(unit, arrays):
             raise ValueError(f"{path}: checksum does not agree with the contents and the name")
         try:
-            return unpack(arrays, unit.filters)
+            unit.check(arrays)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
+        return arrays
 
 
-def _checksum(unit: Unit, arrays: Mapping[str, Array]) -> str:
+def _checksum(unit: Work, arrays: Mapping[str, Array]) -> str:
     """Of the key too: a copy of another unit is no result of this one."""
     digest = hashlib.sha256(f"{unit.key} ".encode())
     for name in sorted(arrays):
@@ -112,6 +117,21 @@ def open_store(folder: str | Path, study: Study) -> Store:
     about = {"format": FORMAT, "study": wanted, "code": code()}
     write_text(manifest, json.dumps(about, indent=1, ensure_ascii=False) + "\n")
     return Store(path)
+
+
+def resumed(folder: Path) -> Store:
+    """A store of units that are not all done yet, in a folder that is locked; what another celnav left there is removed."""
+    manifest, wanted = folder / MANIFEST, {"format": FORMAT, "code": code()}
+    try:
+        same = read_json(manifest) == wanted
+    except (OSError, ValueError):
+        same = False
+    if not same:
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
+        write_text(manifest, json.dumps(wanted, indent=1) + "\n")
+    remove_leftovers(folder, folder / "units")
+    return Store(folder)
 
 
 def _read_manifest(path: Path) -> dict[str, Any]:

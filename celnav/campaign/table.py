@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from celnav.campaign.missions import Configuration, Study
+from celnav.campaign.scores import Accuracy, Scores, Summary, merge, summarize
 from celnav.campaign.units import Result
 from celnav.gaussian.linalg import Array
-from celnav.study.trial import Accuracy, Scores, Summary, merge, summarize
 
 MOST_LINES = 40
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import inspect
-import re
 import types
 import typing
-from dataclasses import is_dataclass
+from dataclasses import fields, is_dataclass
 from typing import Any
 
 _DIMENSIONS = ("km", "m", "s", "deg", "arcsec", "h", "hz", "g", "ug", "rad", "m2", "s2", "s3", "sqrt_h", "sqrt_hz")
@@ -36,13 +34,15 @@ def type_depth(hint: Any) -> int:
     return 1 + type_depth(typing.get_args(hint)[0]) if typing.get_origin(hint) is tuple else 0
 
 
-def meanings(of: type) -> dict[str, str]:
-    """What the attributes of a class mean, from that section of its documentation; those of a class within it are dotted."""
-    section = inspect.cleandoc(of.__doc__ or "").partition("\nAttributes\n----------\n")[2].partition("\n\n")[0]
-    found = {m[1]: " ".join(m[2].split()) for m in re.finditer(r"^(\w+): (.*(?:\n .*)*)", section, re.MULTILINE)}
-    for name, hint in typing.get_type_hints(of).items():
-        if is_dataclass(hint) and isinstance(hint, type):
-            found |= {f"{name}.{key}": text for key, text in meanings(hint).items()}
+def described(of: type) -> dict[str, tuple[str, str, tuple[Any, ...]]]:
+    """What the parameters of a configuration mean, where they come from, and what words they can be; nested ones are dotted."""
+    found: dict[str, tuple[str, str, tuple[Any, ...]]] = {}
+    hints = typing.get_type_hints(of)
+    for f in fields(of):
+        if is_dataclass(hints[f.name]) and isinstance(hints[f.name], type):
+            found |= {f"{f.name}.{key}": told for key, told in described(hints[f.name]).items()}
+        else:
+            found[f.name] = f.metadata.get("meaning", ""), f.metadata.get("source", ""), f.metadata.get("one_of", ())
     return found
 
 

@@ -1,4 +1,4 @@
-"""Work units: a block of runs of one configuration, all filters on the same noise, scored and forgotten."""
+"""Work units: what a process does at a time, here a block of runs of one configuration, all filters on the same noise."""
 
 from __future__ import annotations
 
@@ -13,18 +13,19 @@ from functools import cache
 from importlib import metadata
 from pathlib import Path
 from time import process_time
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 import celnav
 from celnav.campaign.missions import Study
+from celnav.campaign.scores import Failure, Scores, check_scores, merge, score
 from celnav.files import data
 from celnav.gaussian.linalg import Array
 from celnav.papers import load
 from celnav.study.montecarlo import blocks, generator
-from celnav.study.trial import Failure, Noiseless, Scores, Trial, bound, check_scores, follow, merge, score
+from celnav.study.trial import Noiseless, Trial, bound, follow
 
 STUDY = 0
 """Of `celnav.study.montecarlo.generator`, for all configurations: they share their random numbers, so differences are sharp."""
@@ -38,9 +39,27 @@ class VersionError(WorkError):
     """A worker runs another celnav than the one that handed out the work."""
 
 
+class Work(Protocol):
+    """A unit of any kind: the engine hands it out, the store keeps what it gives."""
+
+    @property
+    def key(self) -> str:
+        """Hash of everything that determines the result, but the code."""
+
+    @property
+    def title(self) -> str:
+        """What it is, for people."""
+
+    def do(self) -> dict[str, Array]:
+        """The result, as arrays by name."""
+
+    def check(self, arrays: dict[str, Array]) -> None:
+        """Raise ValueError unless these can be its result."""
+
+
 @dataclass(frozen=True)
 class Unit:
-    """Runs ``first`` to ``last - 1`` of a configuration."""
+    """Runs ``first`` to ``last - 1`` of a configuration, which are scored and forgotten."""
 
     paper: str
     config: Any
@@ -61,9 +80,24 @@ class Unit:
         return hashlib.sha256(text.encode("utf-8")).hexdigest()[:24]
 
     @property
+    def title(self) -> str:
+        """Runs and key."""
+        return f"runs {self.first} to {self.last - 1} of unit {self.key}"
+
+    @property
     def runs(self) -> int:
         """How many."""
         return self.last - self.first
+
+    def do(self) -> dict[str, Array]:
+        """Arrays of the `Result`. Exceptions of models and filters are failures of their runs."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # said once, where the study is read
+            return pack(_Flight(self).result())
+
+    def check(self, arrays: dict[str, Array]) -> None:
+        """Raise ValueError unless a `Result` can be made of them."""
+        unpack(arrays, self.filters)
 
 
 @dataclass(frozen=True)
@@ -114,19 +148,18 @@ def code() -> dict[str, str]:
     }
 
 
-def execute(unit: Unit, made_by: dict[str, str]) -> Result:
+def execute(unit: Work, made_by: dict[str, str]) -> dict[str, Array]:
     """Do a unit, on one thread of linear algebra: the same numbers wherever it runs.
 
     Raises
     ------
-    VersionError: if this is another celnav than ``made_by``. Exceptions of models and filters are failures of their runs.
+    VersionError: if this is another celnav than ``made_by``. Whatever the unit raises.
     """
     if made_by != code():
         theirs, ours = (", ".join(f"{k} {c[k]}" for k in c if made_by.get(k) != code().get(k)) for c in (code(), made_by))
         raise VersionError(f"the worker on {platform.node()} has {theirs}, this has {ours}; install the same on both")
-    with threadpool_limits(1), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # said once, where the study is read
-        return _Flight(unit).result()
+    with threadpool_limits(1):
+        return unit.do()
 
 
 class _Flight:

@@ -9,7 +9,7 @@ from typing import Any
 
 from celnav import papers
 from celnav.commands.arguments import module
-from celnav.papers import figures, load, tables
+from celnav.papers import load
 
 WIDTH = 132
 """Of lines."""
@@ -28,8 +28,8 @@ def _everything() -> None:
     for paper in papers.PAPERS:
         study = load(paper)
         print(f"{paper}: {study.TITLE}\n")
-        for stem, function in {**figures(study), **tables(study)}.items():
-            print(f"  {stem:12} {(function.__doc__ or '').partition(chr(10))[0]}")
+        for stem, (caption, _) in {**study.FIGURES, **study.TABLES}.items():
+            print(f"  {stem:12} {caption}")
         print(f"\n  filters: {', '.join(study.filters(next(iter(study.PRESETS.values()))))}")
         print(f"  presets: {', '.join(study.PRESETS)}")
         print(f"  parameters: celnav list {paper}\n")
@@ -40,10 +40,9 @@ def _everything() -> None:
 def _parameters(paper: str) -> None:
     """What stands under ``[config]`` of a mission, with units and what each preset changes."""
     from celnav.campaign.missions import flat
-    from celnav.campaign.typed import meanings, unit_of
+    from celnav.campaign.typed import described, unit_of
 
     study = module(paper)
-    choices: dict[str, tuple[Any, ...]] = getattr(study, "CHOICES", {})
     start: dict[str, Any] = getattr(study, "MISSION", {})
     presets: dict[str, dict[str, Any]] = {name: flat(asdict(replace(c, **start))) for name, c in study.PRESETS.items()}
     first, *others = presets.items()
@@ -51,11 +50,12 @@ def _parameters(paper: str) -> None:
     for name, unit in study.JUDGED.items():
         print(f"  limits.{name:25} {'':24} {unit:9} largest error at the end, of the vector's length")
     print(f"\n[config] of a mission, with the values of preset {first[0]}:\n")
-    said = meanings(type(study.PRESETS[first[0]]))
+    said = described(type(study.PRESETS[first[0]]))
     for key, value in first[1].items():
         if key != "runs":
-            known = f" One of {', '.join(map(_written, choices[key]))}." if key in choices else ""
-            line = f"  {key:32} {_written(value):24} {unit_of(key):9} {said.get(key, '')}{known}"
+            meaning, source, words = said[key]
+            known = f" One of {', '.join(_written(w) for w in words if w is not None)}." if words else ""
+            line = f"  {key:32} {_written(value):24} {unit_of(key):9} {meaning}.{known} [{source}]"
             print(textwrap.fill(line, WIDTH, subsequent_indent=70 * " ", break_on_hyphens=False, break_long_words=False))
     for name, values in others:
         changed = [f"{key} = {_written(value)}" for key, value in values.items() if value != first[1][key]]

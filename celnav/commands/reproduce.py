@@ -1,4 +1,4 @@
-"""``celnav reproduce``: run papers, write everything that they show."""
+"""``celnav reproduce``: do the studies of papers, write everything that they show."""
 
 from __future__ import annotations
 
@@ -7,60 +7,79 @@ import csv
 import io
 import json
 import platform
+import shutil
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import BrokenExecutor
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from functools import partial
 from importlib import metadata
 from pathlib import Path
 from time import process_time
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any
+
+import numpy as np
 
 import celnav
 from celnav import papers
-from celnav.campaign.engine import results
-from celnav.campaign.executors import Workers
+from celnav.campaign.engine import compute
+from celnav.campaign.store import Store, resumed
 from celnav.commands.arguments import UsageError, cores, fraction, module, whole, workers
 from celnav.files import Outputs, locked, remove_leftovers
-from celnav.papers import figures, tables
+from celnav.gaussian.linalg import Array
 from celnav.show.progress import Progress
-from celnav.study.montecarlo import Outcome, Plan, Unit, do, joined
+from celnav.study.study import Results, Unit
 
 KINDS = ("png", "svg")
 """Of each figure."""
-FIRST = ("tstdkf", "aukf", "aasghqf")
-"""Papers with the longest units: the end is then made of short ones, and all processes are busy until it."""
+UNFINISHED = ".unfinished"
+"""Folder of what is done of papers that are not: the same command goes on from there."""
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the papers, side by side where there are several processes."""
-    from celnav.papers.page import few, index
+    """Do the papers side by side where there are several processes, and write each as soon as it is done."""
+    from celnav.commands.index import few, index
 
     chosen = list(dict.fromkeys(options.papers)) or list(papers.PAPERS)
     modules = {paper: module(paper) for paper in chosen}
     part, seed = fraction(options.effort), whole("seed", options.seed, 0)
     pool = workers(options.jobs)
-    if options.rinex is not None and not any("rinex" in getattr(study, "INPUTS", ()) for study in modules.values()):
+    if options.rinex is not None and not any("rinex" in getattr(one, "INPUTS", ()) for one in modules.values()):
         raise UsageError(f"--rinex: expected a paper that takes a receiver's log (aukf), got {', '.join(chosen)}")
     out = Path(options.out)
     top, folders = Outputs(out), {paper: Outputs(out / paper) for paper in chosen}
     top.check(["index.html"])
-    for paper, study in modules.items():
-        _check(study, folders[paper])
+    for paper, one in modules.items():
+        _check(one, folders[paper])
     surprises = 0
-    with locked(out):
+    with locked(out), closing(Progress("celnav")) as progress:
         remove_leftovers(out, *(out / paper / below for paper in chosen for below in ("", "figures", "tables")))
-        plans = {paper: study.plan(effort=part, seed=seed, **_inputs(study, options)) for paper, study in modules.items()}
-        with closing(Progress("celnav")) as progress:
-            for paper, outcomes in _found(plans, pool, progress):
-                plan = plans[paper]
-                result = partial(plan.result, joined(plan.units, outcomes))
-                spent = sum(outcome.cpu_s for outcome in outcomes)
-                surprises += _write(paper, modules[paper], result, folders[paper], part, spent, progress)
-                del outcomes, result
+        store = resumed(out / UNFINISHED)
+        units = {paper: one.STUDY.units(effort=part, seed=seed, **_inputs(one, options)) for paper, one in modules.items()}
+        left = {paper: [unit for unit in own if not _kept(store, unit)] for paper, own in units.items()}
+        total = sum(unit.cost for own in units.values() for unit in own)
+        progress.begin(total, total - sum(unit.cost for own in left.values() for unit in own))
+
+        def written(paper: str) -> None:
+            nonlocal surprises
+            own = units.pop(paper)
+            results = modules[paper].STUDY.results(own, [store.read(unit) for unit in own], effort=part)
+            surprises += _write(paper, modules[paper], results, folders[paper], progress)
+            for unit in own:
+                store.remove(unit)
+
+        def keep(unit: Unit, arrays: dict[str, Array]) -> None:
+            store.write(unit, arrays)
+            left[unit.study].remove(unit)
+            progress.add(unit.cost, f"{unit.study}: {unit.part}")
+            if not left[unit.study]:
+                written(unit.study)
+
+        for paper in [paper for paper, own in left.items() if not own]:
+            written(paper)
+        # The longest first: the end is then made of short ones, and all processes are busy until it.
+        compute(sorted((unit for own in left.values() for unit in own), key=lambda unit: -unit.cost), pool, keep)
+        shutil.rmtree(out / UNFINISHED)
         top.text("index.html", index(out))
     print(f"wrote {out / 'index.html'}")
     if part < 1.0:
@@ -68,56 +87,31 @@ def run(options: argparse.Namespace) -> int:
     return 1 if options.strict and surprises else 0
 
 
-def _inputs(study: ModuleType, options: argparse.Namespace) -> dict[str, Path]:
-    return {name: Path(given) for name in getattr(study, "INPUTS", ()) if (given := getattr(options, name)) is not None}
+def _inputs(one: ModuleType, options: argparse.Namespace) -> dict[str, Path]:
+    return {name: Path(given) for name in getattr(one, "INPUTS", ()) if (given := getattr(options, name)) is not None}
 
 
-def _check(study: ModuleType, outputs: Outputs) -> None:
+def _check(one: ModuleType, outputs: Outputs) -> None:
     """Refuse what could not be written before anything is computed."""
-    outputs.check(f"figures/{stem}.{kind}" for stem in figures(study) for kind in KINDS)
-    outputs.check(f"tables/{stem}.csv" for stem in tables(study))
-    outputs.check(["claims.json", "timings.json", "result.npz", *study.RECORDINGS])
+    outputs.check(f"figures/{stem}.{kind}" for stem in one.FIGURES for kind in KINDS)
+    outputs.check(f"tables/{stem}.csv" for stem in one.TABLES)
+    outputs.check(["claims.json", "checks.json", "timings.json", "result.npz", *one.RECORDINGS])
 
 
-def _found(plans: Mapping[str, Plan[Any]], workers: Workers, progress: Progress) -> Iterator[tuple[str, list[Outcome]]]:
-    """Papers with the outcomes of all of their units, as soon as they are done."""
-    order = sorted(plans, key=lambda paper: FIRST.index(paper) if paper in FIRST else len(FIRST))
-    todo = [_Task(paper, i, unit) for paper in order for i, unit in enumerate(plans[paper].units)]
-    found: dict[str, dict[int, Outcome]] = {paper: {} for paper in plans}
-    count = 0
+def _kept(store: Store, unit: Unit) -> bool:
     try:
-        with workers.open() as executor:
-            for task, outcome in results(executor, _do, todo, workers.ahead):
-                if isinstance(outcome, Exception):
-                    raise outcome
-                found[task.paper][task.number] = outcome
-                del outcome  # a gigabyte is not to be held here while the next paper is computed
-                count += 1
-                progress(count, len(todo), f"{task.paper}: {task.unit.label}")
-                if len(found[task.paper]) == len(plans[task.paper].units):
-                    yield task.paper, [own for _, own in sorted(found.pop(task.paper).items())]
-    except BrokenExecutor:
-        raise OSError("a worker process was killed, perhaps for want of memory; fewer --jobs need less") from None
+        return store.has(unit)
+    except ValueError as error:
+        print(f"celnav: {error}; it is computed again", file=sys.stderr)
+        return False
 
 
-class _Task(NamedTuple):
-    paper: str
-    number: int
-    unit: Unit
-
-
-def _do(task: _Task) -> Outcome:
-    return do(task.unit)
-
-
-def _write(
-    paper: str, study: ModuleType, result: Callable[[], Any], outputs: Outputs, effort: float, spent: float, progress: Progress
-) -> int:
-    """Write everything that a paper shows; ``spent``: CPU seconds so far. Returns how many claims are not as expected."""
+def _write(paper: str, one: ModuleType, results: Results, outputs: Outputs, progress: Progress) -> int:
+    """Write everything that a paper shows. Returns how many claims are not as expected."""
     from celnav.show.drawing import render
-    from celnav.study.claims import dumps
+    from celnav.show.ledger import dumps
 
-    timings = {"cpu_s units": spent}
+    timings: dict[str, float] = {f"cpu_s {part}": float(arrays["cpu_s"].sum()) for part, arrays in results.data.items()}
 
     def stage(name: str, work: Callable[[], Any]) -> Any:
         progress.stage(f"{paper}: {name}")
@@ -126,38 +120,54 @@ def _write(
         timings[f"cpu_s {name}"] = process_time() - start
         return value
 
-    found = stage("analysis", result)
-    claims = stage("claims", lambda: study.claims(found))
-    outputs.text("claims.json", dumps(claims))
-    outputs.npz("result.npz", found.arrays())
-    for stem, function in tables(study).items():
-        outputs.text(f"tables/{stem}.csv", _csv(function(found)))
+    claims = stage("ledger", results.claims)
+    outputs.text("claims.json", dumps(claim for claim in claims if claim.kind != "check"))
+    outputs.text("checks.json", dumps(claim for claim in claims if claim.kind == "check"))
+    outputs.npz("result.npz", _arrays(results.data))
+    for stem, (_, function) in one.TABLES.items():
+        outputs.text(f"tables/{stem}.csv", _csv(function(results)))
 
     def draw() -> None:
-        for stem, function in figures(study).items():
-            drawing = function(found)
+        for stem, (_, function) in one.FIGURES.items():
+            drawing = function(results)
             for kind in KINDS:
                 outputs.bytes(f"figures/{stem}.{kind}", render(drawing, kind))
 
     stage("figures", draw)
     try:
-        stage("recordings", lambda: study.record(found, outputs))
+        stage("recordings", lambda: one.record(results, outputs))
     except (ImportError, OSError, RuntimeError) as error:
         print(f"celnav: {paper}: no recordings ({error}); everything else is written", file=sys.stderr)
-    versions = {name: metadata.version(name) for name in ("numpy", "scipy", "filterpy", "matplotlib")}
+    versions = {name: metadata.version(name) for name in ("numpy", "scipy", "matplotlib")}
     machine = f"{platform.system()} {platform.machine()}, {cores()} cores"
     about = {"celnav": celnav.__version__, "python": platform.python_version(), **versions, "machine": machine}
-    record = {"about": about, "effort": effort, "cpu_s": sum(timings.values()), "timings": timings | found.timings}
+    record = {"about": about, "effort": results.effort, "cpu_s": sum(timings.values()), "timings": timings}
     outputs.text("timings.json", json.dumps(record, indent=1) + "\n")
-    for verdict, number in sorted(Counter(claim.verdict for claim in claims).items()):
-        print(f"{paper}: {number:4} {verdict}")
+    for kind in ("statement", "check"):
+        count = Counter(claim.verdict for claim in claims if claim.kind == kind)
+        print(f"{paper}: {kind}s: {', '.join(f'{number} {verdict}' for verdict, number in sorted(count.items()))}")
     failures = [claim for claim in claims if claim.failure]
     for claim in failures:
-        print(f"{paper}: not as expected: {claim.id} = {claim.value:.4g}, accepted {claim.accept}: {claim.statement}")
+        print(f"{paper}: not as expected: {claim.id}: {claim.verdict}, expected {claim.expected}: {claim.row.says}")
     return len(failures)
 
 
-def _csv(rows: list[dict[str, Any]]) -> str:
+def _arrays(data: Mapping[str, Mapping[str, Array]]) -> dict[str, Array]:
+    """What is stored: times, and over the runs the root mean squares of errors and the means of NEES and NIS."""
+    out = {}
+    for part, arrays in data.items():
+        for name, values in arrays.items():
+            what = name.rpartition("/")[2]
+            if what == "error":
+                out[f"{part}/{name} rms"] = np.sqrt(np.square(values).mean(1))
+            elif what in ("nees", "nis"):
+                out[f"{part}/{name}"] = values.mean(1)
+            elif what == "times":
+                out[f"{part}/times"] = values
+    return out
+
+
+def _csv(rows: Sequence[dict[str, Any]]) -> str:
     text = io.StringIO()
     writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
     writer.writeheader()

@@ -1,4 +1,4 @@
-"""``celnav verdicts``: what holds, as a table in Markdown."""
+"""``celnav verdicts``: what papers say and what holds, as tables in Markdown."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from celnav.papers.page import effort_of, few, reproduced, verdicts
+from celnav.commands.index import effort_of, few, reproduced, verdicts, words
 
 
 def run(options: argparse.Namespace) -> int:
@@ -14,7 +14,7 @@ def run(options: argparse.Namespace) -> int:
     found = reproduced(Path(options.out))
     if not found:
         raise FileNotFoundError(f"{options.out}: no paper was reproduced there; use: celnav reproduce --out {options.out}")
-    print(verdicts(found))
+    print(verdicts(found), words(list(found)), sep="\n\n")
     for paper in found:
         if (part := effort_of(Path(options.out, paper))) is not None and part < 1.0:
             print(f"celnav: {paper}: {few(part)}", file=sys.stderr)

@@ -86,6 +86,23 @@ def integrates(powers: Sequence[int], level: int, weights: Sequence[int] | None 
     return max(lowest) < depth and sum(k * c for k, c in zip(lowest, g, strict=True)) <= (depth - 1) * min(g)
 
 
+def index_set(level: int, weights: Sequence[int]) -> dict[tuple[int, ...], int]:
+    """Multi-indices, from 1, of the tensor rules of a `smolyak` rule, and their coefficients, 0 for some [Liang2014, Eqs. 16, 17].
+
+    >>> index_set(3, (2, 1))
+    {(1, 1): -1, (1, 2): 0, (1, 3): 1, (2, 1): 1}
+    """
+    if not (count := len(integers("weights", weights, 1))):
+        raise ValueError("weights: expected at least one, got none")
+    _, depth, g, _ = _checked(count, level, weights, ORDERS)
+    budget, c = (depth - 1) * min(g), np.ones(1)
+    for weight in g:  # a coefficient depends on the slack alone: [t^slack] prod_j (1 - t^g_j) / (1 - t)
+        c = np.convolve(c, [1, *[0] * (weight - 1), -1])
+    every = product(*(range(1, budget // weight + 2) for weight in g))
+    slack = {index: budget - sum((i - 1) * weight for i, weight in zip(index, g, strict=True)) for index in every}
+    return {index: int(c[: left + 1].sum()) for index, left in slack.items() if left >= 0}
+
+
 def check_orders(orders: object) -> tuple[int, ...]:
     """Checked points of the one-dimensional rules."""
     sizes = integers("orders", orders, 1, 100)

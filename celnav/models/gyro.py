@@ -53,6 +53,14 @@ class Gyro:
             return self.sigma_u * float(np.sqrt(dt))
         return self.sigma_u * float(np.sqrt(-0.5 * self.tau * np.expm1(-2.0 * dt / self.tau)))
 
+    def drift(self, start: Array, walk: Array, dt: float) -> Array:
+        """Drift ``(T, ..., 3)`` rad/s from ``start (..., 3)``, with standard normal ``walk (T - 1, ..., 3)``, steps of ``dt`` s."""
+        drift = [np.broadcast_to(start, walk.shape[1:])]
+        factor, deviation = self.factor(dt), self.drift_std(dt)
+        for one in walk:
+            drift.append(factor * drift[-1] + deviation * one)
+        return np.array(drift)
+
     def process_noise(self, dt: float) -> Array:
         """Covariance ``(6, 6)`` of the errors of rotation vector and drift over ``dt`` seconds [Crassidis & Markley 2003]."""
         u2 = self.sigma_u**2

@@ -54,7 +54,7 @@ def observe(position: Array, stars: Array, radius_km: float = EARTH.radius_km) -
 
 
 def limb(position: Array, toward: Array, radius_km: float = EARTH.radius_km) -> Array:
-    """Points ``(..., 2, 3)`` km where sight lines touch the Earth, in the plane of a position and a direction, both ``(..., 3)``."""
+    """Points ``(..., 2, 3)`` km where sight lines touch the Earth, in the plane of a position and a direction ``(..., 3)``."""
     r = np.linalg.norm(position, axis=-1, keepdims=True)
     up = position / r
     along = toward - np.sum(toward * up, -1, keepdims=True) * up

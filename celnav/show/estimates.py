@@ -8,7 +8,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from celnav.filters.run import run
 from celnav.gaussian.linalg import Array
+from celnav.show.figures import Line
+from celnav.study.study import Results
 
 
 class Group(NamedTuple):
@@ -70,3 +73,20 @@ def estimates(data: Mapping[str, Array], names: Mapping[str, tuple[str, str]], u
         name: Estimate(label, color, data[f"{name}/error"] / units, *(first(f"{name}/{key}") for key in ("cov", "nees", "nis")))
         for name, (label, color) in names.items()
     }
+
+
+def again(results: Results, part: str, lines: Mapping[str, Line]) -> tuple[dict[str, Estimate], Array, Array]:
+    """The first run of a part flown again in full by these filters, among the errors of all runs; its truth and measurements.
+
+    Of one prior, of vectors, and of epochs that are the same for all filters: truth ``(T, n)``, z ``(T, m)``.
+    """
+    first, scale = results.first(part), np.ones(results.get(part, f"{next(iter(lines))}/error").shape[-1])
+    for group in results.study.groups:
+        scale[group.part] = group.scale
+    n, found, epochs = len(scale), {}, []
+    for name, line in lines.items():
+        epochs = list(first.epochs(name))
+        cov = np.asarray(run(first.filters[name], first.prior, epochs, keep="cov").cov)[:, 0, :n, :n]
+        error, nees, nis = (results.get(part, f"{name}/{what}") for what in ("error", "nees", "nis"))
+        found[name] = Estimate(line.label, line.color, error / scale, cov, nees[:, 0], nis[:, 0])
+    return found, np.stack([epoch.truth[0] for epoch in epochs]), np.stack([epoch.z[0] for epoch in epochs])

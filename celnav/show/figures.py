@@ -74,7 +74,9 @@ def sigma(ax: Axes, results: Results, part: str, filter: str, name: str, group: 
 def rmse(ax: Axes, results: Results, part: str, filter: str, line: Line, group: str) -> None:
     """Root mean square length of a group's error over the runs, against time."""
     square = np.square(results.error(part, filter, group)).sum(-1)
-    ax.semilogy(results.times(part), np.sqrt(square.mean(1)), color=line.color, linestyle=line.style, linewidth=line.width, label=line.label)
+    ax.semilogy(
+        results.times(part), np.sqrt(square.mean(1)), color=line.color, linestyle=line.style, linewidth=line.width, label=line.label
+    )
 
 
 def consistency(ax: Axes, results: Results, part: str, lines: Mapping[str, Line], what: str, dof: int) -> None:

@@ -7,12 +7,14 @@ import html
 from collections.abc import Iterable
 
 _STYLE = """
-:root{color-scheme:light dark;--line:#8884;--bad:#d55e00;--good:#009e73}
+:root{color-scheme:light dark;--line:#8884;--bad:#d55e00;--good:#009e73;--part:#e69f00;--error:#cc79a7;--open:#888}
 body{font:15px/1.5 system-ui,sans-serif;max-width:72rem;margin:0 auto;padding:1rem}
 table{border-collapse:collapse;display:block;overflow-x:auto;font-size:13px;margin:1rem 0}
 td,th{border-bottom:1px solid var(--line);padding:.3rem .5rem;text-align:left;vertical-align:top}
 figure{margin:1rem 0}img{max-width:100%;background:#fff;border-radius:4px}
-pre{overflow-x:auto;font-size:12px}.bad{color:var(--bad);font-weight:600}.good{color:var(--good)}
+pre{overflow-x:auto;font-size:12px}.bad{color:var(--bad);font-weight:600}.good{color:var(--good);font-weight:600}
+.part{color:var(--part);font-weight:600}.error{color:var(--error)}.open{color:var(--open)}.numbers{border:0;padding:0}
+.numbers summary{font-weight:400;font-size:12px;opacity:.7}.numbers ul{font-size:12px;margin:.2rem 0}
 .wide figure{overflow-x:auto}.wide img{min-width:36rem}
 details{border-bottom:1px solid var(--line);padding:.4rem 0}summary{cursor:pointer;font-weight:600}
 h1,h2{line-height:1.2}section{margin-top:3rem}figcaption{font-size:13px}a{color:inherit}

@@ -11,36 +11,54 @@ EVERY_S = 5.0
 
 
 class Progress:
-    """Of units of work, and of what is made of them meanwhile."""
+    """Of work of known cost, with the time left, and of what is made of it meanwhile."""
 
     def __init__(self, name: str):
         self._name = name
         self._bar: Any = None
         self._terminal = sys.stderr.isatty()
+        self._total, self._done, self._start, self._before = 1.0, 0.0, monotonic(), 0.0
+
+    def begin(self, total: float, done: float) -> None:
+        """So much is to be done in all, in any unit, and so much of it was done before."""
+        self._total, self._done, self._before, self._start = max(total, 1e-9), done, done, monotonic()
+        if done > 0.0:
+            self._say(f"{done / self._total:.0%} was done before")
 
     def stage(self, name: str) -> None:
         """Something else begins."""
         if not self._terminal:
-            print(f"{self._name}: {name}", flush=True)
+            self._say(name)
         elif self._bar is not None:
             self._bar.set_postfix_str(name)
 
-    def __call__(self, done: int, total: int, label: str) -> None:
-        """So many units are done."""
+    def add(self, cost: float, label: str) -> None:
+        """So much more is done."""
+        self._done += cost
         if not self._terminal:
-            print(f"{self._name}: {done}/{total} {label}", flush=True)
+            passed, here = monotonic() - self._start, self._done - self._before
+            left = passed * (self._total - self._done) / here
+            self._say(f"{self._done / self._total:.0%}, {_duration(left)} left: {label}")
             return
         if self._bar is None:
             from tqdm import tqdm
 
-            self._bar = tqdm(total=total, desc=self._name, file=sys.stderr)
-        self._bar.update(done - self._bar.n)
+            form = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}{postfix}"
+            self._bar = tqdm(total=self._total, initial=self._before, desc=self._name, file=sys.stderr, bar_format=form)
+        self._bar.update(cost)
         self._bar.set_postfix_str(label)
 
     def close(self) -> None:
         """Nothing more comes."""
         if self._bar is not None:
             self._bar.close()
+
+    def _say(self, line: str) -> None:
+        print(f"{self._name}: {line}", flush=True)
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} min"
 
 
 class RunProgress:

@@ -89,6 +89,17 @@ def constellation(
     out.points(f"{origin}/receiver", receiver, colors.TRUTH, radius=4.0, label="receiver")
 
 
+def flight(out: Recorder, origin: str, place: Array, computed: Array, fixed: Array, sights: Array, expected: Array) -> None:
+    """An aircraft at ``place (T, 3)``, where its inertial system takes it to be, and its fixes ``(T,)``; sight lines to stars,
+    and where the system expects them, ``(T, 3, k)``. The view must list the trails of aircraft and inertial as growing."""
+    track(out, f"{origin}/aircraft", place, colors.TRUTH, "aircraft", radius=2.5)
+    track(out, f"{origin}/inertial", computed, colors.SIGMA, "inertial system", radius=1.5)
+    out.points(f"{origin}/fix", np.where(fixed[:, None], place, np.nan), colors.MEASUREMENT, radius=3.0)
+    for k in range(sights.shape[-1]):
+        out.arrow(f"{origin}/star{k + 1}/sight", place, sights[..., k], colors.STAR, f"star {k + 1}")
+        out.arrow(f"{origin}/star{k + 1}/expected", place, expected[..., k], colors.MEASUREMENT, "")
+
+
 def sigma_points(out: Recorder, entity: str, points: Array, weights: Array, color: str) -> None:
     """Points ``(T, N, 3)`` about the truth at the origin; those of negative weight ``(N,)`` are white."""
     out.points(f"{entity}/positive", points[:, weights > 0.0], color, radius=2.5)

@@ -7,11 +7,8 @@ runs as with many.
 
 from __future__ import annotations
 
-import json
-from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from types import NoneType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -75,7 +72,9 @@ Tiers = Mapping[str, Sequence[Number]]
 """Verdict -> numbers that must all hold for it, the best one first; it may need numbers of better ones again."""
 
 
-def estimate(label: str, statistic: Callable[..., Any], samples: Sequence[Array], accept: Bounds = (None, None), **more: Any) -> Number:
+def estimate(
+    label: str, statistic: Callable[..., Any], samples: Sequence[Array], accept: Bounds = (None, None), **more: Any
+) -> Number:
     """A statistic of runs (the first axis of each sample) with its bootstrap interval; ``more``: see `Number`."""
     return Number(label, float(statistic(*samples)), accept, bootstrap(statistic, *samples), **more)
 
@@ -166,47 +165,8 @@ class Claim:
     @property
     def note(self) -> str:
         """What we find, with the numbers at hand."""
-        return self.row.found.format(*self.numbers) if self.numbers and np.isfinite([n.value for n in self.numbers]).all() else ""
-
-    def to_dict(self) -> dict[str, Any]:
-        """As it stands in ``claims.json``: ``value``, ``ci`` and ``accept`` of the number that decides, all in ``numbers``."""
-        row, first = self.row, next((n for n in self.numbers if not n.holds), self.numbers[0] if self.numbers else None)
-        return {
-            "id": row.id, "kind": row.kind, "place": row.place, "statement": row.says, "printed": plain(row.printed),
-            "value": plain(first and first.value), "ci": plain(first and first.ci), "accept": plain(first.accept if first else (None, None)),
-            "why": row.why, "revised": row.revised, "expected": self.expected, "holds": self.holds, "verdict": self.verdict,
-            "note": self.note or (row.found if "{" not in row.found else ""), "figure": row.figure,
-            "numbers": [{key: plain(value) for key, value in n._asdict().items()} for n in self.numbers],
-        }  # fmt: skip
-
-
-def plain(value: Any) -> Any:
-    """As JSON has it: numbers of 6 significant digits, None for those that are not finite."""
-    if isinstance(value, Mapping):
-        return {key: plain(part) for key, part in value.items()}
-    if isinstance(value, tuple | list | np.ndarray):
-        return [plain(part) for part in value]
-    if isinstance(value, bool | np.bool_ | str) or value is None:
-        return bool(value) if isinstance(value, np.bool_) else value
-    return float(f"{float(value):.6g}") if np.isfinite(value) else None
-
-
-def dumps(claims: Iterable[Claim]) -> str:
-    """The text of ``claims.json`` or ``checks.json``; ValueError if two claims have the same id."""
-    listed = [claim.to_dict() for claim in claims]
-    twice = sorted(id for id, count in Counter(claim["id"] for claim in listed).items() if count > 1)
-    if twice:
-        raise ValueError(f"claims: expected different ids, got {', '.join(twice)} more than once")
-    return json.dumps(listed, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-
-
-NUMBER = (int, float, NoneType)
-TYPES: dict[str, tuple[type, ...]] = {
-    "id": (str,), "kind": (str,), "place": (str,), "statement": (str,), "printed": (str, bool, list, dict, *NUMBER), "value": NUMBER,
-    "ci": (list, NoneType), "accept": (list,), "why": (str,), "revised": (str, NoneType), "expected": (str,),
-    "holds": (bool, NoneType), "verdict": (str,), "note": (str,), "figure": (str,), "numbers": (list,),
-}  # fmt: skip
-"""What `Claim.to_dict` writes, in its order."""
+        known = np.isfinite([n.value for n in self.numbers]).all()
+        return self.row.found.format(*self.numbers) if known and (self.numbers or "{" not in self.row.found) else ""
 
 
 def order(value: float) -> float:

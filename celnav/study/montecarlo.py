@@ -1,31 +1,21 @@
-"""Monte Carlo: how many runs, one generator for each, blocks of them that stay in cache, and work spread over processes.
+"""Monte Carlo: how many runs, one generator for each, and blocks of them that stay in cache.
 
 A run's random numbers depend on ``(seed, study, run)`` alone, where ``study`` numbers the configuration: not on the size of a
-block, the number of processes or the order of the work. Every array that a block returns has its run axis second,
-``(T, runs, ...)``.
+block, the number of processes or the order of the work.
 """
 
 from __future__ import annotations
 
 import os
-import warnings
-from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import nullcontext
-from multiprocessing import get_context
-from time import process_time
-from typing import Any, Generic, NamedTuple, TypeVar
+from collections.abc import Sequence
 
 import numpy as np
 
 from celnav.gaussian.checks import integer, kind, number, sequence
 from celnav.gaussian.linalg import Array
 
-R = TypeVar("R")
 MOST_STEPS = 10_000_000
 """Of one run, at its finest rate: more take a day, and gigabytes."""
-Progress = Callable[[int, int, str], None]
-"""``(done, total, label)``, called when a unit of work is done."""
 
 
 def generator(seed: int, study: int, run: int) -> np.random.Generator:
@@ -73,66 +63,3 @@ def steps(name: str, count: float) -> int:
     if not 0.5 < count <= MOST_STEPS:
         raise ValueError(f"{name}: expected a run of 1 to {MOST_STEPS} steps, got {count:.10g}")
     return round(count)
-
-
-class Unit(NamedTuple):
-    """One piece of work: ``function(*arguments)`` gives a dict of arrays. Units of one ``label`` are joined over runs.
-
-    ``cost``: CPU seconds, roughly, for who waits.
-    """
-
-    label: str
-    function: Callable[..., dict[str, Array]]
-    arguments: tuple[Any, ...]
-    cost: float = 1.0
-
-
-class Outcome(NamedTuple):
-    """Joined arrays of one label, and the CPU time they took in seconds."""
-
-    arrays: dict[str, Array]
-    cpu_s: float
-
-
-class Plan(NamedTuple, Generic[R]):
-    """A study before it is carried out: its units of work, in order, and what makes the result of their outcomes by label."""
-
-    units: list[Unit]
-    result: Callable[[dict[str, Outcome]], R]
-
-
-def do(unit: Unit) -> Outcome:
-    """The outcome of one unit; warnings of its models and filters are errors."""
-    start = process_time()
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        arrays = unit.function(*unit.arguments)
-    return Outcome(arrays, process_time() - start)
-
-
-def joined(units: Sequence[Unit], outcomes: Sequence[Outcome]) -> dict[str, Outcome]:
-    """Outcomes of units of one label, joined along the run axis in the order given."""
-    parts: dict[str, list[Outcome]] = {}
-    for unit, outcome in zip(units, outcomes, strict=True):
-        parts.setdefault(unit.label, []).append(outcome)
-    return {label: Outcome(_joined(found), sum(outcome.cpu_s for outcome in found)) for label, found in parts.items()}
-
-
-def _joined(outcomes: Sequence[Outcome]) -> dict[str, Array]:
-    if len(outcomes) == 1:  # not copied: some are large
-        return outcomes[0].arrays
-    names = dict.fromkeys(name for outcome in outcomes for name in outcome.arrays)
-    parts = {name: [o.arrays[name] for o in outcomes if name in o.arrays] for name in names}
-    return {name: np.concatenate(part, 1) if part[0].ndim > 1 else part[0] for name, part in parts.items()}
-
-
-def carry_out(plan: Plan[R], *, jobs: int = 1, progress: Progress | None = None) -> R:
-    """Do the units of a plan, in ``jobs`` processes, and give its result."""
-    count, several = len(plan.units), integer("jobs", jobs) > 1 and len(plan.units) > 1
-    with ProcessPoolExecutor(min(jobs, count), mp_context=get_context("spawn")) if several else nullcontext() as pool:
-        outcomes = []
-        for unit, outcome in zip(plan.units, pool.map(do, plan.units) if pool else map(do, plan.units), strict=True):
-            outcomes.append(outcome)
-            if progress is not None:
-                progress(len(outcomes), count, unit.label)
-    return plan.result(joined(plan.units, outcomes))

@@ -24,16 +24,50 @@ SAME_ORDER = 3.2
 
 
 def ratio(
-    label: str, a: Flown, b: Flown, group: str, accept: Bounds = (None, None), *, at: When = -1, to: When | None = None, **more: Any
+    label: str, a: Flown, b: Flown, group: str, accept: Bounds = (None, None), *, at: When = -1, to: When | None = None,
+    axes: slice = slice(None), median: bool = False, **more: Any,
+) -> Decided:  # fmt: skip
+    """RMSE of a group's length: of one flown filter ``at`` epochs over that of another at the same, or at those of ``to``.
+
+    ``axes``: of some components only. ``median``: of medians over the runs instead.
+    """
+    both, statistic = ((a, at), (b, at if to is None else to)), _medians if median else _ratio
+    return lambda r: estimate(
+        label, statistic, [r.squares(*one, group, when)[:, axes].sum(-1) for one, when in both], accept, **more
+    )
+
+
+def rmse(
+    label: str, a: Flown, group: str, accept: Bounds = (None, None), *, at: When = -1, each: bool = False, **more: Any
 ) -> Decided:
-    """RMSE of a group's length: of one flown filter ``at`` epochs over that of another at the same, or at those of ``to``."""
-    both = ((a, at), (b, at if to is None else to))
-    return lambda r: estimate(label, _ratio, [r.squares(*one, group, when).sum(-1) for one, when in both], accept, **more)
+    """RMSE of a group's length, or with ``each`` of its components taken together, in its unit."""
+    over = np.mean if each else np.sum
+    return lambda r: estimate(label, _rms, [over(r.squares(*a, group, at), axis=-1)], accept, **more)
 
 
-def rmse(label: str, a: Flown, group: str, accept: Bounds = (None, None), *, at: When = -1, **more: Any) -> Decided:
-    """RMSE of a group's length, in its unit."""
-    return lambda r: estimate(label, _rms, [r.squares(*a, group, at).sum(-1)], accept, **more)
+def settling(
+    label: str, a: Flown, group: str, level: float, accept: Bounds = (None, None), *, sooner: Flown | None = None,
+    axes: slice = slice(None), window: slice = slice(None), **more: Any,
+) -> Decided:  # fmt: skip
+    """From when (s) the RMSE of a group's components stays below a level, or how much ``sooner`` that of another filter does.
+
+    ``window``: epochs that are looked at, to the end of which it has to stay there.
+    """
+    flown = [a] if sooner is None else [a, sooner]
+
+    def number(r: Results) -> Number:
+        t = r.times(a[0])[window]
+        times = np.append(t, 2.0 * t[-1] - t[-2])  # where it never does
+
+        def settled(*squares: Array) -> float:
+            above = [np.flatnonzero(np.append(True, one.mean(0) >= level**2))[-1] for one in squares]
+            return float(times[above[0]] - (times[above[1]] if len(above) > 1 else 0.0))
+
+        return estimate(
+            label, settled, [np.square(r.error(*one, group)[window, :, axes]).mean(-1).T for one in flown], accept, **more
+        )
+
+    return number
 
 
 def consistency(label: str, a: Flown, accept: Bounds = (None, None), *, at: When = -1, what: str = "nees", **more: Any) -> Decided:
@@ -74,7 +108,7 @@ def entries(
         samples = [r.squares(*flown, group, at) for flown, _ in cells for group in groups]
 
         def logs(*parts: Array) -> Array:
-            return np.abs(np.log(np.concatenate([np.sqrt(part.mean(0)) for part in parts]) / printed))
+            return np.asarray(np.abs(np.log(np.concatenate([np.sqrt(part.mean(0)) for part in parts]) / printed)))
 
         def beyond(*parts: Array) -> float:
             return float((logs(*parts) > np.log(factor)).sum())
@@ -92,6 +126,10 @@ def entries(
 
 def _rms(squares: Array) -> float:
     return float(np.sqrt(squares.mean()))
+
+
+def _medians(a: Array, b: Array) -> float:
+    return float(np.sqrt(np.median(a) / np.median(b)))
 
 
 def _ratio(a: Array, b: Array) -> float:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from celnav.gaussian.checks import choice, finite, integer, number
+from celnav.gaussian.linalg import Array
 
 SOURCES = ("paper", "inferred", "chosen")
 """Printed; follows from what is printed; ours, because nothing is."""
@@ -45,12 +46,30 @@ class Parameters:
     def check(self) -> None:
         """Refuse what single parameters do not show; for those who have more to say."""
 
+    @property
+    def times(self) -> Array:
+        """Epochs ``(T,)`` s of a run."""
+        raise NotImplementedError
+
+    @property
+    def samples(self) -> int:
+        """Steps of a run."""
+        return len(self.times) - 1
+
+    @property
+    def end_s(self) -> float:
+        """The last epoch, s."""
+        return float(self.times[-1])
+
 
 def _check(name: str, value: Any, default: Any, one_of: tuple[Any, ...], bounds: dict[str, float], **_: str) -> None:
     if one_of or isinstance(default, bool):
-        choice(name, value, one_of or (True, False))
+        if value is not None or None not in one_of:
+            choice(name, value, [word for word in one_of if word is not None] or (True, False))
     elif isinstance(default, int):
         integer(name, value, **bounds)  # type: ignore[arg-type]
-    elif isinstance(default, float | tuple) and not isinstance(np.ravel(default)[0], str):  # names are checked where they are used
+    elif isinstance(default, float):
+        number(name, value, **bounds)
+    elif isinstance(default, tuple) and not isinstance(default[0], str):
         for part in finite(name, value, np.shape(default)).flat:
             number(name, float(part), **bounds)

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import ndtri
 
+from celnav.analysis.metrics import bootstrap, rms
 from celnav.filters.colored import colored
 from celnav.filters.joint import evaluate
 from celnav.filters.model import Motion, Sensor
@@ -27,7 +28,7 @@ from celnav.gaussian.linalg import Array, Belief
 from celnav.gaussian.rules import Taylor
 from celnav.gaussian.spaces import EUCLIDEAN
 from celnav.study.montecarlo import generator, normals
-from celnav.study.trial import Group, Noiseless, Trial, bound, follow, score, summarize
+from celnav.study.trial import Group, Noiseless, Trial, bound, follow, squares
 
 WILD = 10.0
 """By how much an outlier's noise is larger."""
@@ -173,9 +174,11 @@ def compare(
         made = {key: filter for key, make in filters.items() if (filter := make(problem)) is not None}
         trial, least = problem.trial(made, [generator(seed, 0, run) for run in range(runs)]), _bound(problem)
         for key in made:
-            scores, failures = score(follow(trial, key), trial.groups, settle_s=None, limits={})
-            found = summarize(scores, least)
-            first = found.accuracy[0]
+            found = follow(trial, key)
+            half, n = len(found.times) // 2, found.error.shape[-1]
+            kept = np.isfinite(found.nees[half:]).all(0)
+            square = squares(trial.groups[:1], found.error)[half:, kept, 0].mean(0)
+            nees = found.nees[half:, kept].mean(0) / n
             seconds = []
             for _ in range(PASSES):
                 start = process_time()
@@ -183,11 +186,19 @@ def compare(
                 seconds.append(process_time() - start)
             rows.append(
                 Row(
-                    name, key, first.rms, first.low, first.high, first.efficiency, found.anees, found.low, found.high,
-                    len(failures), 1e6 * min(seconds) / (runs * len(problem.times)),
+                    name, key, *_interval(rms, square),
+                    np.nan if least is None else float(np.sqrt(least[half:, 0].mean() / square.mean())),
+                    *_interval(np.mean, nees), int((~kept).sum()), 1e6 * min(seconds) / (runs * len(problem.times)),
                 )
             )  # fmt: skip
     return rows
+
+
+def _interval(statistic: Callable[[Array], Any], samples: Array) -> tuple[float, float, float]:
+    """A statistic of runs and its interval; nan where too few are left."""
+    if len(samples) < 2:
+        return (float(statistic(samples)) if len(samples) else np.nan, np.nan, np.nan)
+    return (float(statistic(samples)), *bootstrap(statistic, samples))
 
 
 def _bound(problem: Problem) -> Array | None:

@@ -5,15 +5,21 @@ A paper is data over this: configurations, filters by name, parts, rows of a led
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+from time import process_time
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from celnav.filters.records import Epoch
+from celnav.gaussian.belief import Gaussian
+from celnav.gaussian.checks import choice
 from celnav.gaussian.linalg import Array
 from celnav.study.ledger import Claim, Row
-from celnav.study.montecarlo import Outcome, Plan, Progress, Unit, blocks, carry_out, generator, run_count
+from celnav.study.montecarlo import blocks, generator, run_count
 from celnav.study.trial import Group, Trial, follow
 
 Rngs = Sequence[np.random.Generator]
@@ -58,6 +64,25 @@ def fly(trial: Trial, names: Sequence[str], every: int = 1) -> dict[str, Array]:
     return out
 
 
+def together(trial: Trial, priors: Mapping[str, Gaussian], names: Sequence[str], every: int = 1) -> dict[str, Array]:
+    """Filters of a trial from several priors, on the same runs and in one batch: what `fly` gives, by ``<filter>, <prior>``."""
+    count, each = len(priors), list(priors.values())
+    covs = [np.broadcast_to(prior.cov, (len(prior.mean), *prior.cov.shape[-2:])) for prior in each]
+
+    def epochs(name: str) -> Iterator[Epoch]:
+        for epoch in trial.epochs(name):
+            u, z, truth = (None if part is None else np.tile(part, (count, 1)) for part in (epoch.u, epoch.z, epoch.truth))
+            yield epoch._replace(u=u, z=z, truth=truth)
+
+    prior = Gaussian(np.concatenate([prior.mean for prior in each]), np.concatenate(covs))
+    flown = fly(trial._replace(prior=prior, epochs=epochs), names, every)
+    out = {"times": flown.pop("times")}
+    for key, values in flown.items():
+        name, what = key.split("/")
+        out |= {f"{name}, {label}/{what}": part for label, part in zip(priors, np.split(values, count, 1), strict=True)}
+    return out
+
+
 @dataclass(frozen=True, eq=False)
 class Study:
     """What is computed for a paper, and what is said of it.
@@ -67,6 +92,7 @@ class Study:
     name: of the paper. groups: what is judged. rows: the ledger.
     trial: ``(config, rngs) ->`` runs and their filters, see `celnav.study.trial`.
     parts: ``(effort) ->`` parts by name; ``effort``, in (0, 1], may shorten what is long. Runs are scaled by it elsewhere.
+    says, found: what the paper claims as a whole, and our answer, a sentence or two each.
     """
 
     name: str
@@ -74,31 +100,81 @@ class Study:
     trial: Callable[[Any, Rngs], Trial]
     parts: Callable[..., Mapping[str, Part]]
     rows: Sequence[Row]
+    says: str = ""
+    found: str = ""
 
-    def plan(self, *, effort: float = 1.0, seed: int = 0, only: Sequence[str] = (), **inputs: Any) -> Plan[Results]:
-        """The units of work, and what makes `Results` of them; ``only``: names of the parts wanted, all if empty."""
-        parts = {name: part for name, part in self.parts(effort, **inputs).items() if not only or name in only}
+    def units(self, *, effort: float = 1.0, seed: int = 0, only: Sequence[str] = (), **inputs: Any) -> list[Unit]:
+        """The work to be done; ``only``: names of the parts wanted, all if empty; ``inputs``: what else `parts` takes."""
+        parts = self.parts(effort, **inputs)
+        for name in only:
+            choice("only", name, parts)
+        about = f"effort {effort!r}, {sorted((key, str(value)) for key, value in inputs.items())}"
         units = []
         for name, part in parts.items():
-            count = part.runs if part.runs == 1 else run_count(part.runs, None, effort)
-            units += [Unit(name, _do, (part, seed, runs), part.cost * len(runs) / count) for runs in blocks(count, part.block)]
+            if not only or name in only:
+                count = part.runs if part.runs == 1 else run_count(part.runs, None, effort)
+                for runs in blocks(count, part.block):
+                    units.append(Unit(self.name, name, part, seed, runs, about, part.cost * len(runs) / count))
+        return units
 
-        def results(outcomes: Mapping[str, Outcome]) -> Results:
-            spent = {name: outcome.cpu_s for name, outcome in outcomes.items()}
-            return Results(self, seed, effort, parts, {name: outcome.arrays for name, outcome in outcomes.items()}, spent)
+    def results(self, units: Sequence[Unit], found: Sequence[dict[str, Array]], *, effort: float = 1.0) -> Results:
+        """What units gave, in their order, joined over runs."""
+        parts: dict[str, list[dict[str, Array]]] = {}
+        for unit, arrays in zip(units, found, strict=True):
+            parts.setdefault(unit.part, []).append(arrays)
+        joined = {name: _joined(arrays) for name, arrays in parts.items()}
+        return Results(self, units[0].seed, effort, {unit.part: unit.work for unit in units}, joined)
 
-        return Plan(units, results)
-
-    def reproduce(self, *, jobs: int = 1, progress: Progress | None = None, **options: Any) -> Results:
-        """Carry out `plan` in ``jobs`` processes; the other arguments are those of `plan`.
+    def reproduce(self, *, effort: float = 1.0, **options: Any) -> Results:
+        """Do all `units` here and now; the command does them in processes, and keeps what is finished.
 
         >>> results = csrukf.STUDY.reproduce(effort=0.1, only=["0", "I"])
         """
-        return carry_out(self.plan(**options), jobs=jobs, progress=progress)
+        units = self.units(effort=effort, **options)
+        return self.results(units, [unit.do() for unit in units], effort=effort)
 
 
-def _do(part: Part, seed: int, runs: range) -> dict[str, Array]:
-    return part.work(part.config, [generator(seed, part.number, run) for run in runs])
+class Unit(NamedTuple):
+    """Some runs of a part: what a process does at a time. ``about``: what else it depends on; ``cost``: CPU seconds, roughly."""
+
+    study: str
+    part: str
+    work: Part
+    seed: int
+    runs: range
+    about: str
+    cost: float
+
+    @property
+    def title(self) -> str:
+        """Study, part and runs."""
+        return f"{self.study}: {self.part}, runs {self.runs.start} to {self.runs.stop - 1}"
+
+    @property
+    def key(self) -> str:
+        """Hash of everything that determines the result, but the code."""
+        return sha256(f"{self.title}, seed {self.seed}, {self.about}".encode()).hexdigest()[:24]
+
+    def check(self, arrays: dict[str, Array]) -> None:
+        """Raise ValueError unless there are any."""
+        if not arrays:
+            raise ValueError(f"{self.title}: expected arrays, got none")
+
+    def do(self) -> dict[str, Array]:
+        """The arrays of the part, and ``cpu_s (1, 1)``; warnings of its models and filters are errors."""
+        start, rngs = process_time(), [generator(self.seed, self.work.number, run) for run in self.runs]
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            arrays = self.work.work(self.work.config, rngs)
+        return arrays | {"cpu_s": np.array([[process_time() - start]])}
+
+
+def _joined(found: Sequence[dict[str, Array]]) -> dict[str, Array]:
+    """Arrays of the blocks of a part, along their runs."""
+    if len(found) == 1:  # not copied: some are large
+        return found[0]
+    parts = {name: [arrays[name] for arrays in found] for name in found[0]}
+    return {name: np.concatenate(part, 1) if part[0].ndim > 1 else part[0] for name, part in parts.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +183,7 @@ class Results:
 
     Attributes
     ----------
-    parts: as flown. data: ``data[part][name]``, arrays as `Part.work` returns them. spent: CPU seconds of each part.
+    parts: as flown. data: ``data[part][name]``, arrays as `Part.work` returns them.
     """
 
     study: Study
@@ -115,7 +191,6 @@ class Results:
     effort: float
     parts: Mapping[str, Part]
     data: Mapping[str, Mapping[str, Array]]
-    spent: Mapping[str, float] = field(default_factory=dict)
 
     def get(self, part: str, name: str) -> Array:
         """An array of a part."""

@@ -9,10 +9,10 @@ import pytest
 
 from celnav.campaign import units
 from celnav.campaign.missions import study
+from celnav.campaign.scores import merge
 from celnav.campaign.units import Unit, VersionError, code, execute, pack, units_of, unpack
 from celnav.filters.records import FromFunctions
 from celnav.papers import csrukf
-from celnav.study.trial import merge
 
 TABLE = {"paper": "csrukf", "filters": ["srukf", "csrukf"], "runs": 10, "block": 4, "config": {"steps": 12, "phi": [0.0, 0.8]}}
 
@@ -68,8 +68,13 @@ def test_the_key_is_that_of_what_determines_the_result(unit):
     assert len({unit.key, *(u.key for u in others)}) == 10
 
 
+def flown(unit):
+    """What a unit comes to, read from its arrays."""
+    return unpack(execute(unit, code()), unit.filters)
+
+
 def test_a_unit_gives_the_same_numbers_again_and_survives_packing(unit):
-    one, two = (execute(unit, code()) for _ in range(2))
+    one, two = (flown(unit) for _ in range(2))
     again = unpack({name: np.asarray(array) for name, array in pack(one).items()}, unit.filters)
     assert set(one.scores) == {"srukf", "csrukf"}
     for name, scores in one.scores.items():
@@ -83,29 +88,29 @@ def test_a_unit_gives_the_same_numbers_again_and_survives_packing(unit):
 
 
 def test_a_result_is_as_small_for_many_runs_as_for_few(unit):
-    few, many = (pack(execute(replace(unit, last=last), code())) for last in (2, 40))
+    few, many = (execute(replace(unit, last=last), code()) for last in (2, 40))
     assert {n: a.shape for n, a in few.items()} == {n: a.shape for n, a in many.items()}
 
 
 def test_only_the_first_block_knows_the_bound():
     plan = units_of(study(TABLE))[0]
-    assert [execute(u, code()).bound is None for u in plan] == [False, True, True]
+    assert [flown(u).bound is None for u in plan] == [False, True, True]
 
 
 def test_a_run_that_raises_in_a_filter_fails_alone(unit, broken):
     broken("filter", {2})
-    found = execute(unit, code())
+    found = flown(unit)
     assert found.failures["srukf"] == []
     assert [(f.run, f.why) for f in found.failures["csrukf"]] == [(2, "ValueError: no such star")]
     assert found.scores["csrukf"]["runs"] == 3
     assert "no such star" in found.trace
-    singles = [execute(replace(unit, first=r, last=r + 1), code()).scores["csrukf"] for r in (0, 1, 3)]
+    singles = [flown(replace(unit, first=r, last=r + 1)).scores["csrukf"] for r in (0, 1, 3)]
     np.testing.assert_allclose(found.scores["csrukf"]["square"], merge(singles)["square"], rtol=1e-9)
 
 
 def test_a_run_that_cannot_be_simulated_fails_in_every_filter(unit, broken):
     broken("trial", {1})
-    found = execute(unit, code())
+    found = flown(unit)
     for name in unit.filters:
         assert [(f.run, f.why) for f in found.failures[name]] == [(1, "ValueError: the orbit ends in the ground")]
         assert found.scores[name]["runs"] == 3
@@ -114,21 +119,21 @@ def test_a_run_that_cannot_be_simulated_fails_in_every_filter(unit, broken):
 
 def test_a_unit_of_failures_only_has_no_scores_but_reasons(unit, broken):
     broken("trial", range(4))
-    found = unpack(pack(execute(unit, code())), unit.filters)
+    found = flown(unit)
     assert found.scores == {}
     assert found.groups == ()
     assert [len(found.failures[name]) for name in unit.filters] == [4, 4]
 
 
 def test_a_filter_that_a_configuration_does_not_have_is_no_failure(unit):
-    found = execute(replace(unit, filters=("srukf", "srukf-inflated")), code())
+    found = flown(replace(unit, filters=("srukf", "srukf-inflated")))
     assert found.failures["srukf-inflated"] == []
     assert list(found.scores) == ["srukf"]
     assert found.scores["srukf"]["runs"] == 4
 
 
 def test_settled_epochs_that_do_not_exist_are_the_reason_of_every_run(unit):
-    found = execute(replace(unit, settle_s=1e6), code())
+    found = flown(replace(unit, settle_s=1e6))
     for name in unit.filters:
         assert len(found.failures[name]) == 4
         assert "settle_s: expected a time of at most" in found.failures[name][0].why

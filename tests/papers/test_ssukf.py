@@ -10,17 +10,35 @@ import numpy as np
 import pytest
 import rerun as rr
 
+from benchmarks.attitude import dense_filters
 from celnav import run
 from celnav.files import Outputs
+from celnav.filters.model import Motion, Sensor
+from celnav.filters.records import Epoch
+from celnav.filters.sequential import ukf
 from celnav.gaussian import attitude
+from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.rules import unscented
 from celnav.models.gyro import Gyro, preintegrate
-from celnav.papers import figures, ssukf
-from celnav.papers.ssukf import PRESETS, filters, simulate, study, variants, vector
-from celnav.papers.ssukf.config import ARCSEC, DEG_PER_H, STANDARD, UNITS
-from celnav.papers.ssukf.scenario import state_space, warn_of_wrapping
-from celnav.study.claims import dumps
-from celnav.study.montecarlo import do, effort, generator, joined
+from celnav.papers.ssukf import PRESETS, STUDY, filters, show, simulate, study
+from celnav.papers.ssukf.scenario import (
+    ARCSEC,
+    DEG_PER_H,
+    MU,
+    RADIUS_KM,
+    STANDARD,
+    Scenario,
+    dynamics,
+    family,
+    noise_root,
+    spread,
+    star,
+    state_space,
+    warn_of_wrapping,
+)  # fmt: skip
+from celnav.show.ledger import dumps
+from celnav.study.ledger import KINDS
+from celnav.study.montecarlo import effort, generator, normals
 
 SHORT = replace(STANDARD, duration_s=10.0)
 
@@ -113,77 +131,135 @@ def test_a_configuration_that_cannot_be_is_refused_by_name(change, name):
 
 
 # -- the study ---------------------------------------------------------------------------------------------------------------
-QUICK = replace(STANDARD, duration_s=12.0)
+PRINTED = {
+    "third-less-time": "1/3", "small-errors-fast": [1, 2], "large-error-faster": 10,
+    "numbers-of-points": "4n + 2m + 1, 4n + 1, 2n + 2m + 1",
+}  # fmt: skip
+SAYS = {
+    "equal-accuracy": "reproduced", "third-less-time": "not addressed", "small-errors-fast": "reproduced",
+    "large-error-faster": "not reproduced", "numbers-of-points": "reproduced", "measurement-noise-idle": "reproduced",
+    "augmentation-more-accurate": "in part", "component-mean-fails": "reproduced", "mrp-switch-cures": "in part",
+    "quaternions-cheaper-to-propagate": "not addressed",
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
 def result():
-    return ssukf.reproduce(QUICK, effort=effort())
+    return STUDY.reproduce(effort=min(effort(), 0.03), duration_s=12.0)
 
 
-def test_every_figure_draws(result):
-    drawn = {name: function(result) for name, function in figures(ssukf).items()}
-    assert len(drawn) == 11
-    for fig in drawn.values():
-        assert all(ax.get_xlabel() or ax.get_ylabel() or ax.get_title() for ax in fig.axes)
+def test_every_figure_draws_what_its_axes_say(result):
+    assert list(show.FIGURES) == [f"figure_{i:02d}" for i in range(1, 12)]
+    for stem, (caption, draw) in show.FIGURES.items():
+        fig = draw(result)
+        assert caption, stem
+        assert all(ax.get_xlabel() or ax.get_ylabel() or ax.get_title() for ax in fig.axes), stem
+
+
+def test_figures_draw_euler_angles(result):
+    np.testing.assert_allclose(np.abs(show.euler(result, "ssukf")[0]) / 3600.0, [[1.0, 2.0, 10.0]] * 6, rtol=1e-9)
 
 
 def test_tables(result):
-    rows = {(row["updates of time to measurement"], row["filter"]): row for row in ssukf.table_1(result)}
-    assert [rows["1:1", name]["points"] for name in ("AUKF", "SSUKF", "ADDITIVE")] == [62, 44, 26]
-    assert [rows["25:1", name]["points"] for name in ("AUKF", "SSUKF", "ADDITIVE")] == [806, 644, 338]
-    settled = {row["reading"]: (row["attitude (arcsec)"], row["drift (deg/h)"]) for row in ssukf.table_2(result)}
+    first, second, third = (table(result) for _, table in show.TABLES.values())
+    points = {(row["updates of time to measurement"], row["filter"]): row["points"] for row in first}
+    assert [points["1:1", name] for name in ("AUKF", "SSUKF", "ADDITIVE")] == [62, 44, 26]
+    assert [points["25:1", name] for name in ("AUKF", "SSUKF", "ADDITIVE")] == [806, 644, 338]
+    settled = {row["reading"]: (row["attitude (arcsec)"], row["drift (deg/h)"]) for row in second}
     for reading, attitude_arcsec, drift in (
         ("A", 1.031, 0.00695), ("A, tau = 100 s", 1.281, 0.0180), ("A, tau = 10 h", 0.858, 0.0033), ("E", 0.978, 0.0056),
         ("F", 2.50, 0.112), ("C", 2.82, 0.126), ("B", 4.41, 0.63), ("D", 14.4, 0.10),
     ):  # fmt: skip
         assert settled[reading] == (pytest.approx(attitude_arcsec, rel=5e-3), pytest.approx(drift, rel=0.02)), reading
-    assert [row["filter"] for row in ssukf.table_3(result)][:2] == ["MEKF", "MEKF, transported"]
+    assert [row["filter"] for row in third][:2] == ["MEKF", "MEKF, transported"]
 
 
-def test_claims_are_plain_json_and_exact_ones_hold_at_any_effort(result):
-    listed = json.loads(dumps(ssukf.claims(result)))
-    assert {c["kind"] for c in listed} == {"paper", "calibrated", "erratum", "beyond"}
+def test_the_ledger_has_every_statement_as_printed():
+    statements = {row.id: row for row in STUDY.rows if row.kind == "statement"}
+    assert {id: row.expected or "reproduced" for id, row in statements.items()} == SAYS
+    assert {id: row.printed for id, row in statements.items() if row.printed is not None} == PRINTED
+    assert all(row.why for row in statements.values() if row.decide)
+
+
+def test_what_has_no_sampling_error_is_decided_by_any_number_of_runs(result):
+    listed = json.loads(dumps(result.claims()))
+    assert {c["kind"] for c in listed} == set(KINDS)
     found = {c["id"]: c for c in listed}
-    assert not any(word in i for i in found for word in ("cpu", "seconds"))
-    for id, c in found.items():
-        if c["ci"] is None and c["kind"] != "calibrated" and not id.startswith(("exact-aukf", "exact-ssukf", "riccati-")):
-            assert c["holds"] == c["expected"], (id, c["value"], c["accept"])
-    assert found["figure-3-faster"]["verdict"] == "not reproduced"
-    assert found["erratum-6-prediction"]["value"] == 6
-    assert found["erratum-6-update"]["value"] == 12
+    exact = """third-less-time large-error-faster numbers-of-points measurement-noise-idle component-mean-fails equal-accuracy
+        erratum-lambda gyro-numbers ordinary-cheaper integrated-gyro"""
+    for id in exact.split():
+        assert found[id]["verdict"] == found[id]["expected"], id
 
 
-def test_the_block_size_changes_no_byte_of_the_claims(result):
-    units = [unit for unit in study._units(QUICK, 0, result.runs, 4, effort()) if unit.label == "runs"]  # all others are one block
-    assert len(units) > 1
-    again = replace(result, data=result.data | study.by_kind(joined(units, [do(unit) for unit in units])["runs"].arrays))
-    assert dumps(ssukf.claims(again)) == dumps(ssukf.claims(result))
+def test_the_block_size_changes_nothing():
+    config = replace(STANDARD, duration_s=3.0)
+    whole, *parts = (study.main(config, [generator(0, 0, r) for r in runs]) for runs in (range(3), range(2), range(2, 3)))
+    for name in ("ssukf/error", "local/nees"):
+        np.testing.assert_allclose(np.concatenate([part[name] for part in parts], 1), whole[name], rtol=1e-6, atol=1e-9)
 
 
-def test_every_erratum_has_its_number(result):
-    numbers = {int(c.id.split("-")[1]) for c in ssukf.claims(result) if c.id.startswith("erratum-")}
-    assert numbers == set(range(1, len(ssukf.ERRATA) + 1)) - {8, 12}  # 8 and 12 are about words
+def test_a_run_does_not_depend_on_how_many_there_are():
+    three, one = (simulate(SHORT, [generator(5, 0, r) for r in runs]) for runs in (range(3), (2,)))
+    for name in ("truth", "gyro", "stars"):
+        np.testing.assert_array_equal(getattr(three, name)[:, 2], getattr(one, name)[:, 0])
 
 
-def test_the_full_rate_is_a_preset():
-    config = replace(ssukf.PRESETS["100 Hz"], duration_s=1.0)
-    out = ssukf.compare(config, [generator(0, 0, r) for r in range(3)])
-    assert out["aukf/error"].shape == (5, 3, 6)
-    apart = np.abs(out["aukf/error"] - out["ssukf/error"])[1:]
-    assert apart[..., :3].max() < 1e-6
-    one = ssukf.compare(config, [generator(0, 0, 2)])
-    np.testing.assert_allclose(one["ssukf/error"][:, 0], out["ssukf/error"][:, 2], rtol=1e-9, atol=1e-9)
+def test_the_full_rate_is_a_preset_and_changes_nothing():
+    config = replace(PRESETS["100 Hz"], duration_s=1.0)
+    difference = study.rates(config, [generator(0, 0, r) for r in range(3)])
+    assert difference["ssukf"][0].max() < 1e-4
+    full = simulate(config, [generator(0, 0, r) for r in range(3)])
+    a, b = (study.means(full, name) for name in ("aukf", "ssukf"))
+    assert a.shape == (5, 3, 7)
+    assert study.apart(a, b)[0].max() < 1e-6
 
 
 def test_a_recording_holds_what_the_filters_gave(result, tmp_path):
-    assert ssukf.record(result, Outputs(tmp_path)) == ["ssukf.rrd"]
+    assert show.record(result, Outputs(tmp_path)) == ["ssukf.rrd"]
     (found,) = rr.chunk.RrdReader(tmp_path / "ssukf.rrd").recordings()
     assert found.application_id == "celnav-ssukf"
     chunks = {str(c.entity_path): c for c in rr.chunk.RrdReader(tmp_path / "ssukf.rrd").stream().to_chunks() if not c.is_static}
     drift = chunks["/plots/drift/y/ssukf"].to_record_batch().column("Scalars:scalars").to_pylist()
-    np.testing.assert_allclose(np.ravel(drift), result.data["paper"]["ssukf/mean"][:, 0, 5] / UNITS[3], rtol=1e-9, atol=1e-12)
+    truth = simulate(replace(STANDARD, duration_s=12.0), [generator(0, 0, 0)]).truth[:, 0, 5] / DEG_PER_H
+    np.testing.assert_allclose(np.ravel(drift), truth + result.error("runs", "ssukf", "drift")[:, 0, 1], rtol=1e-9, atol=1e-12)
     assert {"/world/sat", "/body/aukf", "/error/mekf/ellipsoid", "/plots/cost/points/ssukf"} <= set(chunks)
+
+
+def test_points_along_noise_that_a_function_ignores_are_the_center_again():
+    sim = simulate(replace(SHORT, duration_s=0.25), [generator(0, 0, 0)])
+    epoch, noises = list(sim.epochs())[-1], (noise_root(STANDARD.gyro, 0.25), STANDARD.sigma_n * np.eye(3))
+    x, *noise = spread(15, STANDARD).points(sim.prior.mean[0], sim.prior.sqrt_cov, state_space(), noises)
+    for y, copies in ((dynamics(STANDARD.gyro)(x, epoch, *noise), 6), (np.hstack([star(x, epoch, *noise), x]), 12)):
+        assert (y[1:] == y[0]).all(-1).sum() == copies
+
+
+def test_the_orbit_at_800_km_turns_faster_than_is_printed():
+    assert np.sqrt(MU / RADIUS_KM**3) == pytest.approx(1.0381e-3, rel=1e-4)
+
+
+def test_filters_are_the_linear_kalman_filter_where_all_is_small():
+    """A satellite at rest and errors of an arc minute."""
+    c, gyro, T, runs = STANDARD, STANDARD.gyro, 101, 3
+    initial, white, walk, noise = normals([generator(0, 7, r) for r in range(runs)], (6,), (T - 1, 3), (T - 1, 3), (T, 3))
+    deviation = np.concatenate([np.full(3, 60.0 * ARCSEC), c.sigma0[3:]])
+    drift = gyro.drift(deviation[3:] * initial[:, 3:], walk, 0.25)
+    q = np.broadcast_to(attitude.IDENTITY, (T, runs, 4))
+    samples, turned = gyro.measure(q, drift, white, 0.25), c.sigma_n * noise
+    start, zero = -deviation[:3] * initial[:, :3], np.zeros((runs, 3))
+    prior = Gaussian(np.concatenate([attitude.exp(start), zero], -1), np.diag(deviation**2))
+    sim = Scenario(replace(c, duration_s=25.0), np.concatenate([q, drift], -1), samples, attitude.exp(turned), prior, prior)
+
+    def f(x, epoch):
+        return np.concatenate([x[..., :3] + (epoch.u - x[..., 3:]) * epoch.dt, gyro.factor(0.25) * x[..., 3:]], -1)
+
+    exact = ukf(Motion(f, gyro.process_noise(0.25)), Sensor(np.eye(3, 6), sqrt_R=c.sigma_n * np.eye(3)), form="covariance")
+    epochs = [Epoch(k, 0.25 * k, 0.25 if k else 0.0, samples[k - 1] if k else None, turned[k] if k else None) for k in range(T)]
+    flat = run(exact, Gaussian(np.concatenate([start, zero], -1), np.diag(deviation**2)), epochs).mean
+    reference = np.concatenate([attitude.exp(flat[..., :3]), flat[..., 3:]], -1)
+    for name in ("aukf", "ssukf", "additive", "usque", "mekf"):
+        found, drifts = study.apart(reference, study.means(sim, name))
+        assert found.max() < 1e-3, name
+        assert drifts.max() < 2e-4, name
 
 
 # -- against forms written down anew ------------------------------------------------------------------------------------------
@@ -299,16 +375,22 @@ def test_jacobians_of_the_gyro_are_the_differences():
 def test_dense_roots_and_total_attitudes_are_the_same_filters(sim):
     known = filters(sim.config)
     plain = {name: run(known[name], sim.prior, sim.epochs()) for name in ("aukf", "ssukf")}
-    for name, filter in variants.dense_filters(sim.config).items():
+    for name, filter in dense_filters(sim.config).items():
         assert apart(plain[name], run(filter, sim.prior, sim.epochs())) < 1e-6
-    total = [run(f, variants.total_prior(sim.prior), sim.epochs()) for f in variants.total_filters(sim.config).values()]
-    assert apart(*total) < 1e-6
-    assert 1e-4 < apart(plain["ssukf"], total[1]) < 0.2
+    total = run(study.total_filter(sim.config), study.total_prior(sim.prior), sim.epochs(), keep="cov")
+    assert 1e-4 < apart(plain["ssukf"], total) < 0.2
+    G, local = study.to_tangent(total.mean[-1, :, :4]), run(known["ssukf"], sim.prior, sim.epochs(), keep="cov").cov[-1]
+    scale = np.sqrt(local.diagonal(0, -2, -1))
+    assert (np.abs(G @ total.cov[-1] @ G.mT - local) / (scale[..., :, None] * scale[..., None, :])).max() < 1e-3
 
 
 def test_variants_give_the_same_in_square_root_form(sim):
     """A covariance under the name of a root lost all runs, or ten times the accuracy."""
-    for made, prior in ((variants.dense_filters, sim.prior), (variants.total_filters, variants.total_prior(sim.prior))):
+
+    def total(config, form):
+        return {"ssukf": study.total_filter(config, form=form)}
+
+    for made, prior in ((dense_filters, sim.prior), (total, study.total_prior(sim.prior))):
         in_forms = [made(sim.config, form=form) for form in ("covariance", "square root")]
         for name in in_forms[0]:
             one, other = (run(filters[name], prior, sim.epochs()) for filters in in_forms)
@@ -316,20 +398,28 @@ def test_variants_give_the_same_in_square_root_form(sim):
             np.testing.assert_allclose(one.std, other.std, rtol=1e-6)
 
 
-def test_one_vector_separates_the_filters_and_equal_spread_unites_them():
+def test_one_vector_separates_the_filters_and_equal_spread_unites_them(monkeypatch):
     rngs = [generator(3, 70, r) for r in range(4)]
-    out = vector.compare(STANDARD, rngs, ("mekf", "usque", "ssukf, c = 7", "ssukf, c = 15", "aukf"), 30)
+
+    def filters_of(c, beta):
+        def made(gyro, dt, sensor, _rule, **options):
+            return family(gyro, dt, sensor, lambda L: unscented(L, 1.0, beta, c - L), **options)
+
+        monkeypatch.setattr(study.scenario, "family", made)
+        return study.vector(30, ("mekf", "usque", "ssukf", "aukf"), STANDARD, rngs)
+
+    wide, same = filters_of(15.0, 2.0), filters_of(7.0, 0.0)
     for degrees in (10, 30):
-        error = {name: out[f"{name}/{degrees}/error"] for name in ("mekf", "usque", "ssukf, c = 7", "ssukf, c = 15", "aukf")}
-        np.testing.assert_allclose(error["usque"], error["ssukf, c = 7"], atol=1e-6)
-        np.testing.assert_allclose(error["aukf"], error["ssukf, c = 15"], atol=1e-6)
-        assert np.abs(error["mekf"] - error["usque"])[5:].max() > 0.01
+        for out, name, other in ((wide, "aukf", "ssukf"), (same, "usque", "ssukf")):
+            a, b = (out[f"{one}, {degrees}/error"][..., :3] for one in (name, other))
+            np.testing.assert_allclose(a, b, atol=4e-3)  # arcsec, of degrees
+        assert np.abs(same[f"mekf, {degrees}/error"] - same[f"usque, {degrees}/error"])[5:, :, :3].max() > 36.0
 
 
 def test_the_field_is_a_dipoles():
     u = 0.3
     up = np.array([np.cos(u), np.sin(u) * 0.5, np.sin(u) * np.sqrt(0.75)])
-    field = vector.field(300.0, 1e-3)
+    field = study.field(300.0, 1e-3)
     assert np.linalg.norm(field) == pytest.approx(1.0)
     # tan(dip) = 2 tan(latitude).
     assert field @ up / np.linalg.norm(field - (field @ up) * up) == pytest.approx(2.0 * np.tan(np.arcsin(up[2])))
@@ -341,7 +431,7 @@ def test_filters_warn_of_points_that_wrap():
 
 
 def test_the_total_form_switches_its_parameters_with_the_covariance():
-    total, local = variants.total_attitude(), attitude.attitude()
+    total, local = study.total_attitude(), attitude.attitude()
     q = attitude.exp(np.radians([179.0, 0.0, 0.0]))
     step = attitude.exp(np.radians([2.0, 0.0, 0.0]))
     deviations = 1e-5 * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
@@ -358,7 +448,7 @@ def test_the_total_form_switches_its_parameters_with_the_covariance():
 
 
 def test_a_total_form_leads_back():
-    total = variants.total_attitude()
+    total = study.total_attitude()
     q = attitude.exp(np.array([[0.5, -1.0, 2.0], [0.0, 0.0, 0.0]]))
     t = 1e-3 * np.array([[1.0, 2.0, 3.0], [-1.0, 0.5, 0.0]])
     np.testing.assert_allclose(total.minus(total.plus(q, t), q), t, atol=1e-14)

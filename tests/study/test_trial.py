@@ -12,7 +12,7 @@ from celnav.analysis.metrics import chi_square_band
 from celnav.filters.records import FromFunctions, Info, State
 from celnav.gaussian.linalg import SquareRoot
 from celnav.papers import PAPERS, csrukf, load
-from celnav.papers.csrukf import theory
+from celnav.papers.csrukf import study as ledger
 from celnav.study.montecarlo import generator
 from celnav.study.trial import Group, Noiseless, Trial, bound, follow, squares
 
@@ -82,7 +82,7 @@ def test_the_numbers_are_those_of_their_definitions():
 @pytest.mark.parametrize("phi", [0.0, 0.8, 1.0])
 def test_the_bound_is_that_of_linear_analysis(phi):
     config = replace(csrukf.PRESETS["P"], steps=60, phi=phi)
-    expected = theory.expected(config, (phi,)).first[:, 0]
+    expected = ledger.expected(config, (phi,))["csrukf+z0"][:, 0]
     least = np.sqrt(bound(csrukf.trial(config, [Noiseless()])))
     np.testing.assert_allclose(least[:, 0], np.linalg.norm(expected[:, :3], axis=1), rtol=1e-6)
     np.testing.assert_allclose(least[:, 1], np.linalg.norm(expected[:, 3:], axis=1), rtol=1e-6)

@@ -7,15 +7,24 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from celnav.filters.run import run
 from celnav.models import sightings
 from celnav.models.orbit import EARTH
+from celnav.papers.csrukf.scenario import filters, simulate
 from celnav.papers.csrukf.study import PHIS, SWEEP, TABLE_1, TABLE_2, TABLE_3
-from celnav.show import colors
+from celnav.show import colors, scenes, showcase
+from celnav.show.estimates import Group, again
 from celnav.show.figures import Line, consistency, errors, figure, rmse, rmse_table, sigma
+from celnav.show.plots import Curve, Plot
+from celnav.show.showcase import Showcase
+from celnav.study.montecarlo import generator
 from celnav.study.study import Results
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from celnav.files import Outputs
+    from celnav.show.recording import Recorder
 
 SRUKF, CSRUKF = Line("SRUKF", colors.COMPARISON), Line("CSRUKF", colors.ESTIMATE)
 LATE, OPEN = Line("CSRUKF lagged (has seen the next sample)", colors.TRUTH, width=0.7), Line("open loop", colors.OPEN_LOOP, "--")
@@ -57,7 +66,9 @@ def white(i: int, results: Results) -> Figure:
         errors(ax, results, "0", name, line, group, axis, absolute=absolute)
     sigma(ax, results, "0", "csrukf", "CSRUKF", group, axis, absolute=absolute)
     unit, kind = results.group(group).unit, "absolute position error" if absolute else "velocity error"
-    ax.set(xlabel="time (s)", ylabel=f"{kind} ${AXES[i]}$ ({unit})", title=f"Figure {i + 2}: ${AXES[i]}$, $\\Phi = 0$", xlim=(0, None))
+    ax.set(
+        xlabel="time (s)", ylabel=f"{kind} ${AXES[i]}$ ({unit})", title=f"Figure {i + 2}: ${AXES[i]}$, $\\Phi = 0$", xlim=(0, None)
+    )
     ax.legend(ncols=2)
     return fig
 
@@ -70,8 +81,9 @@ def walk(i: int, results: Results) -> Figure:
         for name, line in lines.items():
             errors(ax, results, "I", name, line, group, axis, absolute=absolute, runs=1 if name == "openloop" else 4, spread=True)
         ax.set(xlabel="time (s)", xlim=(0, None))
-        ax.legend(fontsize=6.5)
     sigma(right, results, "I", "csrukf", "CSRUKF", group, axis, absolute=absolute)
+    for ax in (left, right):
+        ax.legend(fontsize=6.5)
     unit, kind = results.group(group).unit, "absolute position error" if absolute else "velocity error"
     left.set(ylabel=f"{kind} ${AXES[i]}$ ({unit})", title=f"Figure {i + 8}: ${AXES[i]}$, $\\Phi = I$")
     right.set_title("CSRUKF against open loop")
@@ -158,11 +170,12 @@ def assumed(results: Results) -> Figure:
 
 FIGURES = {
     "figure_01": ("Fig. 1: geometry of the measurement: two stars, the Earth's limb, and the three angles.", geometry),
-    **{f"figure_{i + 2:02d}": (f"Fig. {i + 2}: error of {AXES[i]}, white noise: both filters are one filter.", partial(white, i)) for i in range(6)},
-    **{f"figure_{i + 8:02d}": (f"Fig. {i + 8}: error of {AXES[i]}, noise that walks at random: SRUKF follows it; CSRUKF is the open loop.",
+    **{f"figure_{i + 2:02d}": (f"Fig. {i + 2}: error of {AXES[i]}, white noise: both filters are one filter.", partial(white, i))
+       for i in range(6)},
+    **{f"figure_{i + 8:02d}": (f"Fig. {i + 8}: error of {AXES[i]}, random walk: SRUKF follows the noise, CSRUKF is the open loop.",
                                partial(walk, i)) for i in range(6)},
     "figure_14": ("Beyond the paper: consistency, NEES and NIS averaged over the runs with their 95 % bands.", consistent),
-    "figure_15": ("Beyond the paper: RMSE of the Monte Carlo against exact linear theory, the posterior Cramér-Rao bound of CSRUKF.", against_theory),
+    "figure_15": ("Beyond the paper: RMSE of the runs against linear theory, for CSRUKF the Cramér-Rao bound.", against_theory),
     "figure_16": ("Beyond the paper: final position error over Φ, for the fitted prior and a poor one (linear theory).", over_phi),
     "figure_17": ("Beyond the paper: long arcs from a poor prior, SRUKF against the bound.", long_arcs),
     "figure_18": ("Beyond the paper: a wrong coefficient in the filter.", assumed),
@@ -173,3 +186,54 @@ TABLES = {
     "table_3": ("Table 3: RMSE under Φ = 0.8 I and Φ = I.",
                 lambda r: [row for name, rows in TABLE_3.items() for row in rmse_table(r, name, rows, GROUPS, COLUMNS, Phi=name)]),
 }  # fmt: skip
+
+
+# -- recordings --------------------------------------------------------------------------------------------------------------
+CASES = {
+    "0.8": "SRUKF looks well but its covariance is far too small; CSRUKF is consistent and a third better in position.",
+    "0": "White noise: both filters are the same filter; 3σ holds.",
+    "I": "SRUKF follows the wandering noise. CSRUKF stays near the truth because it ignores the sensors, as the open loop does.",
+    "D/I": "With a poor prior the paper's filter is worse than SRUKF: differences throw the first sample's position away.",
+}
+RECORDINGS = ["csrukf_P_08.rrd", "csrukf_P_0.rrd", "csrukf_P_I.rrd", "csrukf_D_I.rrd"]
+NOTES = """
+One satellite, two stars and the Earth's limb give a pseudo-position each second; its noise is colored, V' = Φ V + ζ.
+Left above: the directions i1, i2 of the stars, their angles A1, A2 to the position vector, and the sight lines to the limb, A3
+apart. Estimates and truth differ by less than a line's width; hence the view of errors below."""
+
+
+def record(results: Results, outputs: Outputs) -> list[str]:
+    """Write the recordings among ``outputs``: the first run of four cases in full; returns their names. Needs rerun."""
+    return showcase.write({name: _case(results, case) for case, name in zip(CASES, RECORDINGS, strict=True)}, outputs)
+
+
+def _case(results: Results, case: str) -> Showcase:
+    c, number = results.parts[case].config, results.parts[case].number
+    sim = simulate(c, [generator(results.seed, number, 0)])
+    found = again(results, case, {"csrukf": CSRUKF, "srukf": SRUKF, "openloop": OPEN})[0]
+    truth, z, V = sim.truth[:, 0], sim.z[:, 0], sim.noise[:, 0]
+    track = run(filters(c)["augmented"], sim.prior, sim.epochs(), keep="std")
+    noise = {}
+    for i, axis in enumerate("xyz"):
+        mean, std = np.asarray(track.mean)[:, 0, 6 + i], np.asarray(track.std)[:, 0, 6 + i]
+        augmented = Curve(mean, colors.REFERENCE, "augmented filter", std, mean)
+        noise[axis] = Plot(f"colored noise V {axis}, km", {"truth": Curve(V[:, i], colors.TRUTH, "true V"), "augmented": augmented})
+
+    def scene(out: Recorder) -> None:
+        stars = sightings.star_directions(float(np.radians(c.separation_deg)))
+        scenes.sightings(out, "world", truth[:, :3], truth[:, 3:], stars, EARTH.radius_km)
+        out.points("world/z", z, colors.MEASUREMENT, radius=1.0)
+        for key, estimate in found.items():
+            out.trail(f"world/{key}/trail", truth[:, :3] + estimate.errors[:, 0, :3], estimate.color, radius=1.2)
+
+    phi = case.rpartition("/")[2]
+    bound = np.linalg.norm(results.get("theory", f"{'D' if '/' in case else 'P'}/csrukf")[:, SWEEP.index(PHIS[phi]), :3], axis=-1)
+    growing = ["world/z", *(f"world/{key}/trail" for key in ("truth", *found))]
+    return Showcase(
+        f"csrukf: {case}", f"# Sun, Zhuang & Xu (2015), Φ = {phi}\n\n**{CASES[case]}**\n{NOTES}",
+        results.times(case), found, [Group(*group) for group in results.study.groups], truth, np.eye(3, 6), "km",
+        z - truth[:, :3], 3, {"position": bound}, scene,
+        [scenes.beside("world", "scene, km", truth[len(truth) // 2], EARTH.radius_km, growing)], {"V": noise},
+        legend={colors.MEASUREMENT: "pseudo-positions", colors.STAR: "stars"}, parameters=vars(c),
+        facts={"paper": "csrukf", "case": case, "seed": results.seed, "runs": results.parts[case].runs},
+    )  # fmt: skip

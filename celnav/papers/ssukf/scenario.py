@@ -1,4 +1,8 @@
-"""Truth and measurements of the satellite's attitude, and the filters that the paper and this study compare."""
+"""[Wu2012]: a satellite whose gyros and star sensor give its attitude.
+
+The equations of the text at hand are lost. Filters are made of `celnav.filters.sequential.sigma_point` and models with ``augment``,
+on attitudes of `celnav.gaussian.attitude`; gyro and satellite are those of `celnav.models.gyro`.
+"""
 
 from __future__ import annotations
 
@@ -15,14 +19,133 @@ from celnav.filters.records import Epoch, Filter, State
 from celnav.filters.sequential import Sequential, SingleDraw, ekf, sigma_point, ukf
 from celnav.gaussian import attitude
 from celnav.gaussian.belief import Gaussian
-from celnav.gaussian.linalg import Array
+from celnav.gaussian.linalg import Array, Belief
 from celnav.gaussian.rules import Rule, unscented
-from celnav.gaussian.spaces import EUCLIDEAN, Space, product, wrap
-from celnav.models.gyro import Gyro, preintegrate
-from celnav.papers.ssukf.config import DEG_PER_H, Config
-from celnav.study.montecarlo import normals
+from celnav.gaussian.spaces import EUCLIDEAN, Space, product
+from celnav.models.gyro import Body, Gyro, preintegrate
+from celnav.study.montecarlo import normals, steps
+from celnav.study.parameters import Parameters, param
+from celnav.study.trial import Group, Trial
+
+TITLE = "State-switching unscented Kalman filter for attitude"
+CITATION = """\
+@article{Wu2012,
+  author  = {Wu, Bo and Xu, Huan and Qiao, Xiangwei},
+  title   = {State-switching unscented Kalman filter for attitude determination of a satellite},
+  year    = {2012},
+  note    = {in Chinese; the text available has lost its equations, curves and the numbers of Table 1}
+}"""
+ARCSEC = np.pi / 648000.0
+"""rad."""
+DEG_PER_H = np.pi / 648000.0
+"""rad/s."""
+RADIUS_KM, MU = 6378.137 + 800.0, 398600.4418
+"""Of the orbit, km, and of the Earth, km^3/s^2."""
 
 
+# -- parameters --------------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Config(Parameters):
+    """Everything that a run depends on; angles in degrees, as the paper prints them."""
+
+    orbit_rate_rad_per_s: float = param(1e-3, "paper", "of the circular orbit; gravity turns the body with it")
+    attitude_deg: tuple[float, float, float] = param((1.0, 2.0, 10.0), "paper", "true roll, pitch and yaw at the start")
+    rate_deg_per_s: tuple[float, float, float] = param((0.01, 0.01, 0.05), "paper", "true inertial rate at the start, body axes")
+    inertia: tuple[tuple[float, float, float], ...] = param(
+        ((52.0, 1.2, -0.8), (1.2, 47.0, 0.6), (-0.8, 0.6, 61.0)), "chosen: lost", "tensor of inertia, body axes, kg m^2"
+    )
+    wheels: tuple[float, float, float] = param((0.0, -2.0, 0.0), "chosen", "angular momentum of the wheels, body axes, N m s")
+    torque: tuple[float, float, float] = param((1e-6, -1e-6, 0.5e-6), "chosen", "constant disturbance, body axes, N m")
+    gyro_hz: float = param(100.0, "paper", "samples of the gyro; a whole number for each star sample", above=0.0)
+    star_hz: float = param(4.0, "paper", "samples of the star sensor", above=0.0)
+    gyro_deg_per_h: float = param(0.5, "paper: of a sample, inferred", "white noise of a sample, deviation, each axis", least=0.0)
+    drift_deg_per_h: float = param(0.02, "paper: inferred", "stationary deviation of the gyro's drift, each axis", least=0.0)
+    tau_s: float = param(3600.0, "chosen", "correlation time of the drift", above=0.0)
+    bias_deg_per_h: tuple[float, float, float] = param((1.0, 1.0, 1.0), "paper", "true drift at the start, each axis")
+    star_arcsec: float = param(20.0, "paper", "noise of the star sensor, standard deviation on each axis", above=0.0)
+    prior_deg: tuple[float, float, float] = param(
+        (1.0, 2.0, 10.0), "chosen", "deviations of roll, pitch, yaw at the start", above=0.0
+    )
+    prior_drift_deg_per_h: float = param(1.0, "chosen", "standard deviation of the drift at the start, on each axis", above=0.0)
+    alpha: float = param(0.1, "chosen: small", "spread of the sigma points", above=0.0)
+    kappa: float = param(0.0, "paper", "second parameter of the sigma points' spread")
+    beta: float = param(2.0, "chosen", "weight of the sigma points' center in the covariance; 2 is best for Gaussians")
+    duration_s: float = param(600.0, "chosen", "of a run", above=0.0)
+    runs: int = param(200, "chosen", "of a Monte Carlo", least=1)
+    preintegrated: bool = param(True, "chosen", "whether gyro samples between two star samples make one time update")
+
+    def check(self) -> None:
+        """Whole numbers of samples, not too many of them, and a body that can be."""
+        each = self.gyro_hz / self.star_hz
+        if abs(each - self.ratio) > 1e-9:
+            raise ValueError(f"gyro_hz: expected a whole number of samples for each star sample, got {each:g}")
+        for rate in (self.star_hz, self.gyro_hz):
+            steps("duration_s", self.duration_s * rate)
+        Body(self.inertia)
+
+    @property
+    def ratio(self) -> int:
+        """Gyro samples for each star sample."""
+        return round(self.gyro_hz / self.star_hz)
+
+    @property
+    def gyro_dt(self) -> float:
+        """Interval of the gyro's samples, s."""
+        return 1.0 / self.gyro_hz
+
+    @property
+    def step_s(self) -> float:
+        """Interval of the filters' time updates, s."""
+        return 1.0 / self.star_hz if self.preintegrated else self.gyro_dt
+
+    @property
+    def star_epochs(self) -> int:
+        """Star samples in a run."""
+        return round(self.duration_s * self.star_hz)
+
+    @property
+    def samples(self) -> int:
+        """Gyro samples in a run."""
+        return self.star_epochs * self.ratio
+
+    @property
+    def end_s(self) -> float:
+        """The last star sample, s."""
+        return (self.star_epochs if self.preintegrated else self.samples) * self.step_s
+
+    @property
+    def gyro(self) -> Gyro:
+        """The gyro: white noise of a sample and stationary drift, as densities."""
+        sigma_v = self.gyro_deg_per_h * DEG_PER_H * float(np.sqrt(self.gyro_dt))
+        return Gyro(sigma_v, self.drift_deg_per_h * DEG_PER_H * float(np.sqrt(2.0 / self.tau_s)), self.tau_s)
+
+    @property
+    def body(self) -> Body:
+        """The satellite."""
+        return Body(self.inertia, self.wheels, self.torque, self.orbit_rate_rad_per_s)
+
+    @property
+    def start(self) -> Array:
+        """True quaternion and angular velocity (rad/s) at the start, ``(7,)``."""
+        return np.append(attitude.from_euler(np.radians(self.attitude_deg)), np.radians(self.rate_deg_per_s))
+
+    @property
+    def sigma_n(self) -> float:
+        """Deviation of the star sensor on each axis, rad."""
+        return self.star_arcsec * ARCSEC
+
+    @property
+    def sigma0(self) -> Array:
+        """Deviations ``(6,)`` of the prior: rotation (rad) and drift (rad/s)."""
+        return np.concatenate([np.radians(self.prior_deg), np.full(3, self.prior_drift_deg_per_h * DEG_PER_H)])
+
+
+STANDARD = Config()
+FULL_RATE = replace(STANDARD, preintegrated=False)
+PRESETS = {"standard": STANDARD, "100 Hz": FULL_RATE}
+
+
+# -- what happens ------------------------------------------------------------------------------------------------------------
 class Scenario(NamedTuple):
     """Simulated runs, time-major.
 
@@ -41,8 +164,8 @@ class Scenario(NamedTuple):
     prior: Gaussian
     drawn: Gaussian
 
-    def epochs(self) -> Iterator[Epoch]:
-        """Epochs of the filters: a time update for each row of ``gyro``, a star sample after every ``updates``-th."""
+    def epochs(self, _filter: str = "") -> Iterator[Epoch]:
+        """Epochs of the filters: a time update for each row of ``gyro``, a star sample after every so many of them."""
         c, per = self.config, len(self.gyro) // (len(self.truth) - 1)
         nothing = np.full_like(self.stars[0], np.nan)
         yield Epoch(0, 0.0, 0.0, None, nothing, self.truth[0])
@@ -51,92 +174,51 @@ class Scenario(NamedTuple):
             seen, truth = (nothing, None) if rest else (self.stars[k], self.truth[k])
             yield Epoch(n, n * c.step_s, c.step_s, sample, seen, truth)
 
-    def shortened(self, seconds: float) -> Scenario:
-        """The first part of the same runs."""
-        c = self.config
-        if seconds >= c.duration_s:
-            return self
-        T = round(seconds * c.star_hz) + 1
-        samples = (T - 1) * (len(self.gyro) // (len(self.truth) - 1))
-        config = replace(c, duration_s=seconds)
-        return self._replace(config=config, truth=self.truth[:T], gyro=self.gyro[:samples], stars=self.stars[:T])
-
     def integrated(self) -> Scenario:
-        """The same runs with one gyro sample from star to star, integrated from those in between.
+        """The same runs with one gyro sample from star to star, integrated once for all filters.
 
-        They are composed about a drift of zero, once for all filters: by a drift of 1 deg/h the order of such small turns
-        matters less than 1e-12 rad.
+        It is done about a drift of zero: by a drift of 1 deg/h the order of such small turns matters less than 1e-12 rad.
         """
         c = self.config
         each = self.gyro.reshape(-1, c.ratio, *self.gyro.shape[1:]).swapaxes(0, 1)
         return self._replace(config=replace(c, preintegrated=True), gyro=preintegrate(each, np.zeros(3), c.gyro_dt))
 
 
-def simulate(config: Config, rng: np.random.Generator | Sequence[np.random.Generator]) -> Scenario:
-    """Simulate one run, or one for each generator."""
-    single = isinstance(rng, np.random.Generator)
-    rngs = [rng] if isinstance(rng, np.random.Generator) else list(rng)
-    c, samples = config, config.star_epochs * config.ratio
-    T = c.star_epochs + 1
-    initial, white, walk, star, sign = normals(rngs, (6,), (samples, 3), (samples, 3), (T, 3), (T, 1))
-    q = _path(c)[:, None]
-    drift = np.empty((samples + 1, len(rngs), 3))
-    drift[0] = np.asarray(c.bias_deg_per_h) * DEG_PER_H
-    factor, deviation = c.gyro.factor(c.gyro_dt), c.gyro.drift_std(c.gyro_dt)
-    for k in range(samples):
-        drift[k + 1] = factor * drift[k] + deviation * walk[k]
+def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
+    """One run for each generator."""
+    c, T = config, config.star_epochs + 1
+    initial, white, walk, star, sign = normals(rngs, (6,), (c.samples, 3), (c.samples, 3), (T, 3), (T, 1))
+    q, drift = path(c)[:, None], c.gyro.drift(np.asarray(c.bias_deg_per_h) * DEG_PER_H, walk, c.gyro_dt)
     gyro = c.gyro.measure(q, drift, white, c.gyro_dt)
     at = np.arange(T) * c.ratio
     stars = np.where(sign < 0.0, -1.0, 1.0) * attitude.multiply(attitude.exp(c.sigma_n * star), q[at])
     stars[0] = np.nan
     truth = np.concatenate([np.broadcast_to(q[at], (T, len(rngs), 4)), drift[at]], -1)
-    P = np.diag(c.sigma0**2)
-    error = initial * c.sigma0
-    turned = attitude.multiply(attitude.inverse(attitude.exp(error[:, :3])), truth[0][:, :4])
-    moved = np.concatenate([turned, truth[0][:, 4:] - error[:, 3:]], -1)
+    drawn, P = displaced(truth[0], initial * c.sigma0), np.diag(c.sigma0**2)
     mean = np.tile(np.append(attitude.IDENTITY, np.zeros(3)), (len(rngs), 1))
-    if single:
-        truth, gyro, stars, mean, moved = truth[:, 0], gyro[:, 0], stars[:, 0], mean[0], moved[0]
-    every = Scenario(replace(c, preintegrated=False), truth, gyro, stars, Gaussian(mean, P), Gaussian(moved, P))
+    every = Scenario(replace(c, preintegrated=False), truth, gyro, stars, Gaussian(mean, P), Gaussian(drawn, P))
     return every.integrated() if c.preintegrated else every
 
 
-def repeated(sim: Scenario, count: int) -> Scenario:
-    """The same runs several times, one after the other."""
-    truth, gyro, stars = (np.tile(array, (1, count, 1)) for array in (sim.truth, sim.gyro, sim.stars))
-    prior, drawn = (Gaussian(np.tile(b.mean, (count, 1)), b.cov) for b in (sim.prior, sim.drawn))
-    return Scenario(sim.config, truth, gyro, stars, prior, drawn)
+def displaced(truth: Array, error: Array) -> Array:
+    """States ``(..., 7)`` that err by less than nothing: what has to be turned and moved by ``error (..., 6)`` to be the truth."""
+    turned = attitude.multiply(attitude.inverse(attitude.exp(error[..., :3])), truth[..., :4])
+    return np.concatenate([turned, truth[..., 4:] - error[..., 3:]], -1)
 
 
 @lru_cache(4)
-def _path(config: Config) -> Array:
+def path(config: Config) -> Array:
     """True attitudes ``(samples + 1, 4)`` at the gyro's rate, the same in every run."""
-    path = config.body.propagate(start(config), config.gyro_dt, config.star_epochs * config.ratio)[:, :4]
-    path.flags.writeable = False
-    return path
+    found = config.body.propagate(config.start, config.gyro_dt, config.samples)[:, :4]
+    found.flags.writeable = False
+    return found
 
 
-def start(config: Config) -> Array:
-    """True quaternion and angular velocity (rad/s) at the start, ``(7,)``."""
-    return np.append(attitude.from_euler(np.radians(config.attitude_deg)), np.radians(config.rate_deg_per_s))
-
-
-def errors(truth: Array, mean: Array) -> Array:
-    """Rotation vector (rad, body axes) and drift (rad/s) of estimates, less those of the truth, ``(..., 6)``."""
-    turned = attitude.log(attitude.multiply(mean[..., :4], attitude.inverse(truth[..., :4])))
-    return np.concatenate([turned, mean[..., 4:] - truth[..., 4:]], -1)
-
-
-def euler_errors(truth: Array, mean: Array) -> Array:
-    """Errors ``(..., 3)`` rad of roll, pitch and yaw with respect to the orbital frame at the start, as the paper draws them."""
-    return np.asarray(wrap(attitude.to_euler(mean[..., :4]) - attitude.to_euler(truth[..., :4])))
-
-
+# -- the filters -------------------------------------------------------------------------------------------------------------
 def spread(dimension: int, config: Config, *, c: float | None = None) -> Rule:
     """Scaled unscented rule; ``c``: with the spread ``alpha^2 (L + kappa)`` given, the same for every dimension."""
-    if c is None:
-        return unscented(dimension, config.alpha, config.beta, config.kappa)
-    return unscented(dimension, config.alpha, config.beta, c / config.alpha**2 - dimension)
+    kappa = config.kappa if c is None else c / config.alpha**2 - dimension
+    return unscented(dimension, config.alpha, config.beta, kappa)
 
 
 def state_space(*, transported: bool = False, a: float = 1.0, b: float = 4.0) -> Space:
@@ -158,10 +240,9 @@ def dynamics(gyro: Gyro) -> Model:
 
 
 class Sensing(NamedTuple):
-    """What is measured: ``h(x, epoch, *noise)``, whose last noise is the sensor's, of the root given.
+    """What is measured: ``h(x, epoch, *noise)``, whose last noise, of the root given, is the sensor's; its Jacobian.
 
-    ``slope(x, epoch)`` is its Jacobian ``(..., m, 6)``. The spaces of the measurement are those of filters in modified Rodrigues
-    parameters and in the Gibbs vector.
+    The spaces of the measurement are those of filters in modified Rodrigues parameters and in the Gibbs vector.
     """
 
     h: Model
@@ -189,10 +270,7 @@ def noise_root(gyro: Gyro, dt: float) -> Array:
 
 
 def warn_of_wrapping(rule: Rule, sigma: float) -> None:
-    """Warn if points of a rule lie half a turn or more from a mean known to ``sigma`` rad: they would be other, shorter rotations.
-
-    Such a rule still runs; its covariance is then no longer that of the attitude.
-    """
+    """Warn if points of a rule lie half a turn or more from a mean known to ``sigma`` rad: they would be shorter rotations."""
     reach = np.degrees(np.abs(rule.nodes).max() * sigma)
     if reach > 180.0:
         text = f"sigma points reach {reach:.0f} deg from the mean, and wrap at 180: take a smaller spread (alpha, kappa)"
@@ -220,11 +298,7 @@ def family(
     aukf: process and measurement noise through the points of both parts (15 dimensions, 31 points). aukf-1: the same, drawn
     once for both parts. ssukf: each noise where it acts (12 and 9 dimensions, 25 and 19 points). additive: neither
     (6 dimensions, 13 points). usque: half of the process noise before the prediction, half after it. mekf: linearized, in the
-    Gibbs vector.
-
-    Parameters
-    ----------
-    rule: the rule of a dimension. transported: the covariance follows the reference after an update. form: of all filters.
+    Gibbs vector. ``rule``: of a dimension. ``transported``: the covariance follows the reference after an update.
     """
     space, gibbs = state_space(transported=transported), state_space(transported=transported, a=0.0, b=2.0)
     W, V, Q = noise_root(gyro, dt), sensor.root, gyro.process_noise(dt)
@@ -240,12 +314,14 @@ def family(
         Sensor(sensor.h, sqrt_R=V, space=sensor.gibbs, jacobian=sensor.slope),
         form=form,
     )
+    half = 0.5 * np.diag(np.repeat([gyro.sigma_v**2 * dt - gyro.sigma_u**2 * dt**3 / 6.0, gyro.sigma_u**2 * dt], 3))
+    crassidis = ukf(Motion(f, half, space=space), Sensor(sensor.h, sqrt_R=V, space=sensor.space), kappa=1.0, form=form)
     return {
         "aukf": through((W, V), (W, V)),
         "aukf-1": SingleDraw.of(through((W,), (V,))),
         "ssukf": through((W,), (V,)),
         "additive": through((), ()),
-        "usque": _halved(f, sensor, gyro, dt, space, form),
+        "usque": Halved(crassidis.motion, crassidis.sensors, rule=crassidis.rule, form=crassidis.form),
         "mekf": mekf,
     }
 
@@ -264,9 +340,23 @@ class Halved(Sequential):
         return super().predict(state._replace(belief=noisier), epoch)
 
 
-def _halved(f: Model, sensor: Sensing, gyro: Gyro, dt: float, space: Space, form: str) -> Filter:
-    u2 = gyro.sigma_u**2
-    half = 0.5 * np.diag(np.repeat([gyro.sigma_v**2 * dt - u2 * dt**3 / 6.0, u2 * dt], 3))
-    seen = Sensor(sensor.h, sqrt_R=sensor.root, space=sensor.space)
-    crassidis = ukf(Motion(f, half, space=space), seen, kappa=1.0, form=form)
-    return Halved(crassidis.motion, crassidis.sensors, rule=crassidis.rule, form=crassidis.form)
+# -- how they are judged -----------------------------------------------------------------------------------------------------
+GROUPS = (Group("attitude", "arcsec", slice(0, 3), 1.0 / ARCSEC), Group("drift", "deg/h", slice(3, 6), 1.0 / DEG_PER_H))
+JUDGED = {group.name: group.unit for group in GROUPS}
+
+
+def trial(config: Config, rngs: Sequence[np.random.Generator], *, drawn: bool = True) -> Trial:
+    """One run with each generator; the initial errors are drawn from the prior, or those of the paper."""
+    sim = simulate(config, rngs)
+    return Trial(GROUPS, filters(config), sim.drawn if drawn else sim.prior, sim.epochs, compare, "mekf")
+
+
+def errors(truth: Array, mean: Array) -> Array:
+    """Rotation vector (rad, body axes) and drift (rad/s) of estimates, less those of the truth, ``(..., 6)``."""
+    turned = attitude.log(attitude.multiply(mean[..., :4], attitude.inverse(truth[..., :4])))
+    return np.concatenate([turned, mean[..., 4:] - truth[..., 4:]], -1)
+
+
+def compare(truth: Array, belief: Belief) -> tuple[Array, Array]:
+    """Errors of a belief ``(runs, 6)`` and the root of what it takes for their covariance."""
+    return errors(truth, belief.mean), belief.sqrt_cov

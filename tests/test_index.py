@@ -10,16 +10,16 @@ import subprocess
 import numpy as np
 import pytest
 
-from celnav import papers
 from celnav.campaign import campaign
 from celnav.campaign.figures import figures
 from celnav.campaign.missions import study
 from celnav.campaign.page import write
+from celnav.commands.index import index, verdicts
 from celnav.files import Outputs
-from celnav.papers.page import index
 from celnav.show.drawing import render
 from celnav.show.figures import figure as empty
-from celnav.study.claims import Claim, dumps
+from celnav.show.ledger import dumps, written
+from celnav.study.ledger import Number, Row
 
 BROWSER = next((found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None)
 PROBE = """<script>addEventListener("load", () => { const images = [...document.images];
@@ -45,12 +45,18 @@ def page(tmp_path_factory):
     out = tmp_path_factory.mktemp("out")
     for paper in ("csrukf", "aukf"):
         outputs = Outputs(out / paper)
-        listed = [
-            Claim("figure-1-a", "paper", "It is <so> & long, " + "so " * 60 + "long", 1.0, (0.0, 1.5), True, paper="1 & 2"),
-            Claim("figure-1-b", "paper", "It is so too", 2.0, (0.0, 1.5), True, ci=(1.9, 2.1), note="a note"),
-            Claim("figure-10-a", "beyond", "It was never said", 0.5, (None, 1.5), True),
-        ]
-        outputs.text("claims.json", dumps(listed))
+        rows = [
+            Row("statement", "a", "It is <so> & long, " + "so " * 60 + "long", lambda _: Number("x", 1.0, (0.0, 1.5)), "§1",
+                "because", "It is {0}.", "1 & 2", figure="figure_01"),
+            Row("statement", "b", "It is so too", lambda _: Number("y", 2.0, (0.0, 1.5), (1.9, 2.1)), revised="2026-01-01: wider"),
+            Row("statement", "c", "Nobody knows", lambda _: Number("z", 1.5, (0.0, 1.5), (1.0, 2.0))),
+            Row("erratum", "d", "1 < 0"),
+            Row("finding", "e", "It was never said", lambda _: [Number("u", 1.0), Number("v", 0.5, (None, 1.0))]),
+            Row("check", "f", "It holds", lambda _: Number("w", 1.0, (0.5, 2.0))),
+        ]  # fmt: skip
+        claims = [row.judged(None) for row in rows]
+        outputs.text("claims.json", dumps(claim for claim in claims if claim.kind != "check"))
+        outputs.text("checks.json", dumps(claim for claim in claims if claim.kind == "check"))
         outputs.text("timings.json", json.dumps({"about": {"numpy": "2.2"}, "effort": 1.0, "cpu_s": 12.3, "timings": {}}))
         for number in (1, 10):
             fig, ax = empty(4.0, 3.0)
@@ -60,19 +66,36 @@ def page(tmp_path_factory):
     return index(out)
 
 
-def test_it_has_every_verdict_figure_table_and_erratum_and_needs_nothing_else(page):
+def test_it_opens_with_sentences_and_has_every_row_and_needs_nothing_else(page):
+    assert page.index("The paper: ") < page.index("We find: ") < page.index("<section")
     assert page.count("<img ") == 4
-    assert page.count("1 reproduced, 1 not reproduced, 1 shown") == 2  # in the overview
-    assert page.count("Claims: 1 reproduced, 1 not reproduced.") == 2 * 2  # caption and alternative text
-    assert page.count("Claims: 1 shown.") == 2 * 2
-    assert "1 not as expected" in page
-    assert "&lt;2&gt;" in page
-    assert "numpy 2.2; effort 1, 12 s of CPU time" in page
+    assert page.count("3 statements: 1 reproduced, 1 not reproduced, 1 undecided.") == 2
+    assert page.count("1 not as expected.") == 2
+    assert page.count("1 checks: 1 holds") == 2
+    for text in ("1 &lt; 0", "&lt;2&gt;", "Accepted because: because", "Accepted range revised: 2026-01-01: wider", "v: 0.5 (≤ 1)",
+                 "u: 1 (told only)", "2 [1.9, 2.1]", "1 &amp; 2", "numpy 2.2; effort 1, 12 s of CPU time"):  # fmt: skip
+        assert text in page, text
     for paper in ("csrukf", "aukf"):
-        assert f"Errata of the paper, {len(papers.load(paper).ERRATA)}" in page
         assert f'href="#{paper}"' in page
         assert f'id="{paper}"' in page
+        assert f'href="{paper}/figures/figure_01.svg">figure' in page
     assert not re.search(r'(src|href)="(https?:)?//', page)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "style"),
+    [("reproduced", "good"), ("shown", "good"), ("not reproduced", "bad"), ("undecided", "open"), ("paper in error", "error")],
+)
+def test_only_what_holds_is_green(page, verdict, style):
+    assert re.search(rf'<td class="{style}">{verdict}', page)
+    assert not re.search(rf'<td class="(?!{style})[a-z]+">{verdict}', page)
+
+
+def test_verdicts_of_statements_are_counted():
+    row = written(Row("statement", "a", "It is so", lambda _: Number("x", 1.0, (0.0, 1.5))).judged(None))
+    assert verdicts({"one": [row, row | {"kind": "check"}], "two": []}).splitlines() == [
+        "| paper | statements | reproduced |", "| --- | ---: | ---: |", "| `one` | 1 | 1 |", "| `two` | 0 |  |",
+    ]  # fmt: skip
 
 
 def test_nothing_reproduced_is_said(tmp_path):

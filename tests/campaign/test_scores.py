@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from celnav.study.trial import Followed, Group, merge, score, squares, summarize
+from celnav.campaign.scores import merge, score, summarize
+from celnav.study.trial import Followed, Group, squares
 
 GROUPS = (Group("position", "km", slice(0, 2)), Group("rate", "m/s", slice(2, 3), 1e3))
 STD = np.array([2.0, 1.0, 1e-3])

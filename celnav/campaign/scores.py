@@ -1,0 +1,201 @@
+"""Scores: sums over runs, enough for every statistic of a campaign, so that no track is ever kept.
+
+A block of runs is scored, scores of blocks are merged by adding, in whatever number they come, and a `Summary` reads the sum.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.special import gammaincinv, stdtrit
+
+from celnav.analysis.metrics import chi_square_band
+from celnav.gaussian.linalg import Array
+from celnav.study.trial import Followed, Group, squares
+
+Scores = dict[str, Array]
+"""Sums over runs that did not fail.
+
+times ``(K,)`` s. dimension ``()``: of the error. settled ``(K,)``: which epochs statistics are of. runs ``()``.
+count, nis, dof ``(K,)`` and square ``(K, groups)``: at each epoch, over the runs that have an estimate there. known ``(K,)``,
+variance ``(K, groups)``: over those with a covariance too. own ``(2, groups)``, own_nees ``(2,)``: of each run's mean over the
+settled epochs, and of its square; judged ``()``: how many runs have a NEES there. nees_beyond, nis_beyond ``(2,)``: single values
+above their 95 % quantile, and all.
+"""
+CONSTANT = ("times", "dimension", "settled")
+"""Scores that are no sums."""
+
+
+class Failure(NamedTuple):
+    """A run that is not scored: when its estimate was lost, and why."""
+
+    run: int
+    t: float
+    why: str
+
+
+def score(
+    followed: Followed, groups: tuple[Group, ...], *, settle_s: float | None, limits: Mapping[str, float]
+) -> tuple[Scores, list[Failure]]:
+    """Scores of a block, and its runs that failed: lost their estimate, or ended with an error above the limit of its group.
+
+    ``settle_s``: the mean over time begins here, not after the last epoch; None: in the middle of the run.
+    """
+    times, end = followed.times, float(followed.times[-1])
+    if settle_s is not None and settle_s > end:
+        raise ValueError(f"settle_s: expected a time of at most {end:g} s, the last epoch, got {settle_s:g}")
+    settled = np.arange(len(times)) >= len(times) // 2 if settle_s is None else times >= settle_s
+    square, variance = squares(groups, followed.error), squares(groups, followed.std)
+    there = np.asarray(np.isfinite(square).all(-1))
+    sound = there & np.isfinite(followed.nees)
+    failures = {run: Failure(run, t, why) for run, t, why in followed.lost}
+
+    def fail(which: Any, why: str) -> None:
+        for run in np.flatnonzero(which).tolist():
+            failures.setdefault(run, Failure(run, end, why))
+
+    for group, last in zip(groups, square[-1].T, strict=True):
+        limit = limits.get(group.name, np.inf)
+        fail(last > limit**2, f"{group.name}: error above {limit:g} {group.unit} at the end")
+    fail(~there[settled].any(0), "no estimate at any settled epoch")
+    fail(np.isnan(variance[settled]).all((0, 2)), "no positive definite covariance at any settled epoch")
+    good = np.array([run not in failures for run in range(square.shape[1])], bool)
+    chosen = slice(None) if good.all() else good
+    nees, nis, dof = followed.nees[:, chosen], followed.nis[:, chosen], followed.dof[:, chosen]
+    square, variance, there, sound = (values[:, chosen] for values in (square, variance, there, sound))
+    known = there & np.isfinite(variance).all(-1)
+    judged, n = sound[settled].any(0), followed.error.shape[-1]
+    scores = {
+        "times": times,
+        "dimension": n,
+        "settled": settled,
+        "runs": good.sum(),
+        "count": there.sum(1),
+        "square": _only(square, there).sum(1),
+        "known": known.sum(1),
+        "variance": _only(variance, known).sum(1),
+        "nis": _only(nis, there).sum(1),
+        "dof": _only(dof, there).sum(1),
+        "judged": judged.sum(),
+        "own": _moments(_mean(square[settled], there[settled])),
+        "own_nees": _moments(_mean(nees[settled], sound[settled])[judged]),
+        "nees_beyond": _beyond(nees[settled], np.full(nees[settled].shape, n)),
+        "nis_beyond": _beyond(nis[settled], np.where(there[settled], dof[settled], 0.0)),
+    }
+    return {name: np.asarray(value, np.float64) for name, value in scores.items()}, list(failures.values())
+
+
+def _only(values: Array, there: Array) -> Array:
+    """Zero where nothing is; ``there`` has the first axes of the values."""
+    return values if there.all() else np.where(there.reshape(*there.shape, *(1,) * (values.ndim - 2)), values, 0.0)
+
+
+def _mean(values: Array, there: Array) -> Array:
+    """Mean over time of what is there, for each run; zero where nothing is."""
+    count = np.maximum(there.sum(0), 1)
+    return np.asarray(_only(values, there).sum(0) / count.reshape(-1, *(1,) * (values.ndim - 2)))
+
+
+def _moments(own: Array) -> Array:
+    """Sums over the runs of values and of their squares."""
+    return np.stack([own.sum(0), np.square(own).sum(0)])
+
+
+def _beyond(values: Array, dof: Array) -> Array:
+    """How many chi-square values are above their 95 % quantile, and how many there are."""
+    there = (dof > 0) & np.isfinite(values)
+    freedom, which = np.unique(dof[there], return_inverse=True)
+    return np.array([(values[there] > 2.0 * gammaincinv(0.5 * freedom, 0.95)[which]).sum(), there.sum()])
+
+
+def check_scores(scores: Scores, groups: int) -> None:
+    """Raise ValueError unless these are numbers of the names and shapes that `score` makes for so many groups."""
+    K, G = scores.get("times", np.empty(0)).shape[:1], (groups,)
+    shapes = {
+        "times": K, "settled": K, "count": K, "known": K, "nis": K, "dof": K, "square": K + G, "variance": K + G, "own": (2, *G),
+        "own_nees": (2,), "nees_beyond": (2,), "nis_beyond": (2,), "dimension": (), "runs": (), "judged": (),
+    }  # fmt: skip
+    if set(scores) != set(shapes):
+        raise ValueError(f"expected scores {', '.join(shapes)}, got {', '.join(scores)}")
+    for name, shape in shapes.items():
+        if scores[name].shape != shape or scores[name].dtype != np.float64:
+            raise ValueError(f"{name}: expected numbers of shape {shape}, got {scores[name].dtype} of {scores[name].shape}")
+
+
+def merge(parts: Iterable[Scores]) -> Scores:
+    """Sum of scores of the same epochs, one or more, in the order given."""
+    total: Scores = {}
+    for part in parts:
+        if total and not np.array_equal(part["times"], total["times"]):
+            raise ValueError("scores: expected the same epochs in all blocks")
+        total = {name: total[name] + part[name] if total and name not in CONSTANT else part[name] for name in part}
+    if not total:
+        raise ValueError("scores: expected at least one block, got none")
+    return total
+
+
+class Accuracy(NamedTuple):
+    """Root mean squares of a group: over the settled epochs with a 95 % interval, at the end, and what the filter takes it for.
+
+    The interval comes from how the runs differ: no errors need be Gaussian. ``efficiency``: `celnav.study.trial.bound` over rms.
+    """
+
+    rms: float
+    low: float
+    high: float
+    final: float
+    sigma: float
+    bound: float
+    efficiency: float
+
+
+class Summary(NamedTuple):
+    """What scores say.
+
+    Attributes
+    ----------
+    runs: scored. accuracy: of each group.
+    anees, low, high: NEES averaged over runs and settled epochs, over its dimension (1 if consistent), with a 95 % interval from
+        how the runs differ. band: where the mean over the runs at a single epoch lies with 95 %, if consistent.
+    nis: NIS over its degrees of freedom, averaged over the settled epochs.
+    nees_beyond, nis_beyond: part of single values above their 95 % quantiles, .05 if consistent.
+    """
+
+    runs: int
+    accuracy: tuple[Accuracy, ...]
+    anees: float
+    low: float
+    high: float
+    band: tuple[float, float]
+    nis: float
+    nees_beyond: float
+    nis_beyond: float
+
+
+def summarize(scores: Scores, bound: Array | None = None) -> Summary:
+    """Statistics of scores; ``bound (K, groups)``: mean squares. nan where no run is left."""
+    runs, n = int(scores["runs"]), int(scores["dimension"])
+    settled = scores["settled"] > 0.0
+    rms, low, high = _interval(scores["own"], runs)
+    anees, least_anees, most_anees = (float(v[0]) / n for v in _interval(scores["own_nees"][:, None], int(scores["judged"])))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        final = np.sqrt(scores["square"][-1] / scores["count"][-1])
+        sigma = np.sqrt(scores["variance"][settled].sum(0) / scores["known"][settled].sum())
+        nis = float(scores["nis"][settled].sum() / scores["dof"][settled].sum())
+        least = np.full(len(rms), np.nan) if bound is None else np.sqrt(bound[settled].mean(0))
+        columns = np.stack([np.sqrt(rms), np.sqrt(low), np.sqrt(high), final, sigma, least, least / np.sqrt(rms)], -1)
+        nees_beyond, nis_beyond = (float(scores[name][0] / scores[name][1]) for name in ("nees_beyond", "nis_beyond"))
+    accuracy = tuple(Accuracy(*row) for row in columns.tolist())
+    a, b = chi_square_band(n, runs) if runs else (np.nan, np.nan)
+    return Summary(runs, accuracy, anees, least_anees, most_anees, (a / n, b / n), nis, nees_beyond, nis_beyond)
+
+
+def _interval(sums: Array, runs: int) -> tuple[Array, Array, Array]:
+    """Mean of positive values from their sum and sum of squares ``(2, ...)``, and its 95 % interval, symmetric in the logarithm."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = sums[0] / runs
+        variance = np.maximum(sums[1] / runs - mean**2, 0.0) / (runs - 1)
+        factor = np.exp(stdtrit(runs - 1, 0.975) * np.sqrt(variance) / mean)
+        return mean, mean / factor, mean * factor

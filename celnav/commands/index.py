@@ -1,0 +1,167 @@
+"""``out/index.html``: one page that opens from disk: what papers say, what we find, every row of their ledgers, every figure."""
+
+from __future__ import annotations
+
+import csv
+import html
+import os
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import celnav
+from celnav.files import read_json
+from celnav.papers import PAPERS, load
+from celnav.show.ledger import counted, read_claims, surprise, table, tally
+from celnav.show.page import document, figure, link
+from celnav.show.page import table as plain_table
+from celnav.study.ledger import VERDICTS
+
+_FOLDED = {
+    "erratum": "Errata",
+    "reconstruction": "Reconstructed: lost or unreadable in our text",
+    "remark": "Remarks",
+}
+
+Claims = Sequence[Mapping[str, Any]]
+
+
+def index(out: Path) -> str:
+    """The page for whatever papers lie under ``out``."""
+    done = reproduced(out)
+    if not done:
+        return document("celnav: what holds", "<h1>celnav</h1>", "<p>Nothing reproduced yet.</p>")
+    return document(
+        "celnav: what holds",
+        "<h1>What papers say, and what holds</h1>",
+        *(_opening(paper, claims) for paper, claims in done.items()),
+        "<p><small>Each statement is judged by numbers computed here. The accepted range and its reason were written before the "
+        "result, from the paper's own words; a number with sampling error decides only if its whole 95 % interval does. Where a "
+        "range was changed afterwards, the row says so.</small></p>",
+        *(_paper(out, paper, claims) for paper, claims in done.items()),
+    )
+
+
+def reproduced(out: Path) -> dict[str, list[dict[str, Any]]]:
+    """Claims and checks of whatever papers lie under ``out``."""
+    found = {paper: out / paper for paper in PAPERS if (out / paper / "claims.json").exists()}
+    return {
+        paper: [c for name in ("claims", "checks") for c in read_claims(folder / f"{name}.json")] for paper, folder in found.items()
+    }
+
+
+def words(papers: Sequence[str]) -> str:
+    """A table in Markdown of what papers say and what we find."""
+    rows = [["paper", "what it says", "what we find"], ["---"] * 3]
+    rows += [[f"`{p}`: {cited(load(p).CITATION)}, {load(p).TITLE}", load(p).STUDY.says, load(p).STUDY.found] for p in papers]
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+
+
+def cited(citation: str) -> str:
+    """Authors and year of a BibTeX entry."""
+    authors, year = (
+        found[1] if (found := re.search(rf"{key} *= *{{(.*?)}}", citation, re.DOTALL)) else "" for key in ("author", "year")
+    )
+    names = [name.partition(",")[0].strip() for name in authors.split(" and ")]
+    told = f"{names[0]} et al." if len(names) > 4 else " & ".join([", ".join(names[:-1]), names[-1]] if names[1:] else names)
+    return f"{told} ({year})" if year else told
+
+
+def verdicts(found: Mapping[str, Claims]) -> str:
+    """A table in Markdown of how many statements of each paper have which verdict."""
+    counts = {paper: tally(_of(claims, "statement")) for paper, claims in found.items()}
+    shown = [verdict for verdict in VERDICTS if any(verdict in count for count in counts.values())]
+    rows = [["paper", "statements", *shown], ["---", *["---:"] * (len(shown) + 1)]]
+    rows += [[f"`{p}`", str(sum(count.values())), *(str(count.get(v, "")) for v in shown)] for p, count in counts.items()]
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+
+
+def _of(claims: Claims, kind: str) -> list[Mapping[str, Any]]:
+    return [claim for claim in claims if claim["kind"] == kind]
+
+
+def _opening(paper: str, claims: Claims) -> str:
+    """What a paper says and what we find, in sentences."""
+    module = load(paper)
+    odd = [claim for claim in claims if surprise(claim)]
+    told = f' <b class="bad">{len(odd)} not as expected.</b>' if odd else ""
+    statements = _of(claims, "statement")
+    count = f"{len(statements)} statements: {counted(statements)}."
+    return (
+        f'<p><a href="#{paper}"><b>{html.escape(module.TITLE)}</b></a><br>The paper: {html.escape(module.STUDY.says)}<br>'
+        f"We find: {html.escape(module.STUDY.found)}<br><small>{count}</small>{told}</p>"
+    )
+
+
+def _paper(out: Path, paper: str, claims: Claims) -> str:
+    module, folder, figures = load(paper), out / paper, f"{paper}/figures/"
+    files = [p.name for p in sorted(folder.iterdir()) if p.suffix in (".rrd", ".json", ".npz") and not p.name.startswith(".")]
+    listed = " · ".join(link(f"{paper}/{name}", name) for name in files)
+    findings = _of(claims, "finding")
+    parts = [
+        f'<section id="{paper}"><h2>{html.escape(module.TITLE)}</h2><p><small>{html.escape(cited(module.CITATION))}'
+        f" · {_notebook(out, paper)}</small></p>",
+        table(_of(claims, "statement"), figures),
+        '<div class="grid">',
+        *(_drawing(path, paper, module) for path in sorted((folder / "figures").glob("*.png"))),
+        "</div>",
+        *(_listing(path, module) for path in sorted((folder / "tables").glob("*.csv"))),
+    ]
+    for kind, heading in _FOLDED.items():
+        if own := _of(claims, kind):
+            opened = " open" if kind == "erratum" else ""
+            parts.append(f"<details{opened}><summary>{heading}: {len(own)}</summary>{table(own, figures)}</details>")
+    if findings:
+        parts.append(f"<h3>Found besides</h3>{table(findings, figures)}")
+    if checks := _of(claims, "check"):
+        parts.append(f"<details><summary>{len(checks)} checks: {counted(checks)}</summary>{table(checks, figures)}</details>")
+    parts += [
+        f"<p><small>Files: {listed}. A recording opens with <code>celnav view {paper}</code>, offline. "
+        f"{html.escape(_about(folder / 'timings.json'))}</small></p>",
+        f"<details><summary>Citation</summary><pre>{html.escape(module.CITATION)}</pre></details></section>",
+    ]
+    return "\n".join(parts)
+
+
+def _notebook(out: Path, paper: str) -> str:
+    """A link to it in the checkout, if there is one."""
+    name = f"{list(PAPERS).index(paper) + 1:02d}_{paper}.ipynb"
+    path = Path(celnav.__file__).resolve().parents[1] / "notebooks" / name
+    return link(Path(os.path.relpath(path, out.resolve())).as_posix(), name) if path.exists() else f"notebooks/{name}"
+
+
+def effort_of(folder: Path) -> float | None:
+    """With what part of its runs a paper was reproduced; None if there is no record of it."""
+    try:
+        return float(read_json(folder / "timings.json")["effort"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def few(part: float) -> str:
+    """What less than the whole effort means."""
+    return f"only {part:.3g} of the runs: intervals are wide, and what they do not decide is undecided"
+
+
+def _about(path: Path) -> str:
+    """Versions, machine and time of a ``timings.json``."""
+    try:
+        found = read_json(path)
+        versions = ", ".join(f"{name} {version}" for name, version in found["about"].items())
+        return f"{versions}; effort {found['effort']:g}, {found['cpu_s']:.0f} s of CPU time"
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return "no record of versions"
+
+
+def _listing(path: Path, module: ModuleType) -> str:
+    with path.open(encoding="utf-8", newline="") as file:
+        head, *rows = csv.reader(file)
+    caption = module.TABLES.get(path.stem, (path.stem,))[0]
+    return f"<details><summary>{html.escape(caption)}</summary>{plain_table(head, rows)}</details>"
+
+
+def _drawing(path: Path, paper: str, module: ModuleType) -> str:
+    caption = module.FIGURES.get(path.stem, (path.stem.replace("_", " "),))[0]
+    return figure(caption, path.read_bytes(), f"{paper}/figures/{path.stem}.svg")

@@ -1,0 +1,171 @@
+"""Studies: parts in blocks, results by name, numbers that decide, parameters that check themselves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+import celnav
+from celnav.study.ledger import Row
+from celnav.study.numbers import all_of, consistency, entries, given, of, ratio, rmse, tiers
+from celnav.study.parameters import Parameters, param
+from celnav.study.problem import Problem
+from celnav.study.study import Part, Study, Unit, fly
+from celnav.study.trial import Group
+
+GROUPS = (Group("position", "m", slice(0, 1)), Group("velocity", "mm/s", slice(1, 2), 1e3))
+F, H = np.array([[1.0, 1.0], [0.0, 1.0]]), np.eye(1, 2)
+
+
+def problem(sigma):
+    motion, sensor = celnav.Motion(F, 0.01 * np.eye(2)), celnav.Sensor(H, sigma**2 * np.eye(1))
+    return Problem(motion, sensor, celnav.Gaussian(np.zeros(2), np.eye(2)), np.arange(6.0), groups=GROUPS)
+
+
+def trial(sigma, rngs):
+    one = problem(sigma)
+    filters = {"kf": celnav.ukf(one.motion, one.sensor), "blind": celnav.ukf(one.motion)}
+    return one.trial(filters, rngs)
+
+
+def work(sigma, rngs):
+    return fly(trial(sigma, rngs), ("kf", "blind"))
+
+
+def facts(value, rngs):
+    return {"values": np.arange(3) * value, "lot": rngs[0].normal(size=2)}
+
+
+def parts(effort, scale=1.0):
+    return {"good": Part(work, 0.5, 3, 40, 16, 2.0), "bad": Part(work, 5.0, 4, 40, 16), "facts": Part(facts, scale, 9)}
+
+
+STUDY = Study("tiny", GROUPS, trial, parts, [Row("finding", "one", "It is so", of("facts", "values", "x", (None, 3.0)))])
+
+
+@pytest.fixture(scope="module")
+def results():
+    return STUDY.reproduce(seed=2)
+
+
+def test_the_block_size_changes_nothing(results):
+    other = replace(STUDY, parts=lambda effort: {"good": Part(work, 0.5, 3, 40, 7)}).reproduce(seed=2)
+    for name in ("kf/error", "blind/std", "kf/nees", "kf/nis"):
+        np.testing.assert_allclose(other.get("good", name), results.get("good", name), rtol=1e-12)
+    assert results.get("good", "kf/error").shape == (6, 40, 2)
+    np.testing.assert_array_equal(results.times("good"), np.arange(6.0))
+
+
+def test_errors_are_in_the_units_of_the_groups(results):
+    sim = trial(0.5, [celnav.study.montecarlo.generator(2, 3, r) for r in range(40)])
+    track = celnav.run(sim.filters["kf"], sim.prior, sim.epochs("kf"))
+    truth = np.stack([epoch.truth for epoch in sim.epochs("kf")])
+    np.testing.assert_allclose(results.error("good", "kf", "velocity")[..., 0], 1e3 * (track.mean - truth)[..., 1], rtol=1e-9)
+    np.testing.assert_allclose(results.error("good", "kf", "position", "std")[..., 0], track.std[..., 0], rtol=1e-9)
+    np.testing.assert_allclose(results.get("good", "kf/nis"), track.nis, rtol=1e-9)
+    assert np.isnan(results.get("good", "blind/nis")).all()
+
+
+def test_the_effort_scales_runs_and_only_takes_parts():
+    units = STUDY.units(effort=0.1, seed=1, only=["good", "facts"])
+    assert [(unit.part, len(unit.runs)) for unit in units] == [("good", 4), ("facts", 1)]
+    assert sum(unit.cost for unit in STUDY.units() if unit.part == "good") == pytest.approx(2.0)
+    with pytest.raises(ValueError, match=r"^only: expected one of good, bad, facts, got 'god'; did you mean good"):
+        STUDY.units(only=["god"])
+
+
+def test_a_unit_has_a_key_of_all_that_it_depends_on():
+    def keys(**options):
+        return {unit.key for unit in STUDY.units(**options)}
+
+    every = [keys(), keys(seed=1), keys(effort=0.5), keys(scale=2.0)]
+    assert [len(one) for one in every] == [7, 7, 5, 7]
+    assert len(set.union(*every)) == sum(map(len, every))
+    assert keys() == keys()
+
+
+def test_a_warning_of_a_unit_is_an_error():
+    unit = Unit("tiny", "bad", Part(lambda config, rngs: {"x": np.log(np.zeros(2))}, None), 0, range(1), "", 1.0)
+    with pytest.raises(RuntimeWarning, match="divide by zero"):
+        unit.do()
+    with pytest.raises(ValueError, match="expected arrays"):
+        unit.check({})
+
+
+def test_the_first_run_can_be_flown_again(results):
+    again = results.first("good")
+    track = celnav.run(again.filters["kf"], again.prior, again.epochs("kf"), keep="mean")
+    truth = np.stack([epoch.truth for epoch in again.epochs("kf")])
+    np.testing.assert_allclose((track.mean - truth)[:, 0, 0], results.error("good", "kf", "position")[:, 0, 0], atol=1e-12)
+
+
+def test_ratios_and_levels_are_those_of_the_runs(results):
+    kf, blind = (np.square(results.error("good", name, "position")[..., 0]) for name in ("kf", "blind"))
+    at_end = ratio("x", ("good", "kf"), ("good", "blind"), "position")(results)
+    assert at_end.value == pytest.approx(np.sqrt(kf[-1].mean() / blind[-1].mean()))
+    assert at_end.ci[0] < at_end.value < at_end.ci[1] < 1.0
+    late = ratio("x", ("good", "kf"), ("good", "kf"), "position", at=slice(3, None), to=0)(results)
+    assert late.value == pytest.approx(np.sqrt(kf[3:].mean() / kf[0].mean()))
+    level = rmse("x", ("bad", "kf"), "velocity", (None, 1.0))(results)
+    assert level.value == pytest.approx(np.sqrt(np.square(results.error("bad", "kf", "velocity")[-1]).mean()))
+    assert consistency("x", ("good", "kf"), at=slice(None))(results).value == pytest.approx(results.get("good", "kf/nees").mean())
+    assert results.nees("good", "kf", -1, "nis").shape == (40,)
+
+
+def test_a_table_is_in_its_band_or_of_its_level_or_neither(results):
+    exact = np.sqrt(np.concatenate([results.squares("good", "kf", g.name).mean(0) for g in GROUPS]))
+    for factor, verdict in ((1.0, "reproduced"), (2.0, "level only"), (9.0, "not reproduced")):
+        decide = entries([(("good", "kf"), factor * exact)], ("position", "velocity"), "reproduced", 1.5, 0)
+        assert Row("statement", "t", "A table", decide).judged(results).verdict == verdict
+
+
+def test_numbers_go_together(results):
+    both = all_of(given("a", 2.0), of("facts", "values", "b", reduce=np.sum))(results)
+    assert [number.value for number in both] == [2.0, 3.0]
+    assert list(tiers(in_part=[given("a", 1.0)])(results)) == ["in part"]
+    assert [claim.verdict for claim in results.claims()] == ["shown"]
+
+
+@dataclass(frozen=True)
+class Config(Parameters):
+    """Something."""
+
+    step_s: float = param(1.0, "paper", "interval", above=0.0)
+    runs: int = param(3, "chosen: why not", "how many", least=1)
+    kind: str | None = param(None, "inferred", "which", one_of=("a", "b", None))
+    shape: tuple[float, float] = param((1.0, 2.0), "paper", "of it", least=0.0)
+    loud: bool = param(False, "chosen", "whether")
+
+    def check(self):
+        if self.step_s > self.runs:
+            raise ValueError(f"step_s: expected at most {self.runs}, got {self.step_s}")
+
+    @property
+    def times(self):
+        return self.step_s * np.arange(self.runs + 1)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"step_s": 0.0}, r"^step_s: expected a positive number, got 0.0"),
+        ({"step_s": np.nan}, r"^step_s: expected a positive number"),
+        ({"runs": 1.5}, r"^runs: expected a positive integer, got 1.5"),
+        ({"kind": "c"}, r"^kind: expected one of a, b, got 'c'"),
+        ({"shape": (1.0, -2.0)}, r"^shape: expected a number of at least 0, got -2"),
+        ({"shape": (1.0,)}, r"^shape: expected shape"),
+        ({"loud": 3}, r"^loud: expected one of True, False"),
+        ({"step_s": 4.0}, r"^step_s: expected at most 3"),
+    ],
+)
+def test_a_parameter_that_cannot_be_is_refused_by_name(change, message):
+    with pytest.raises(ValueError, match=message):
+        Config(**change)
+
+
+def test_a_configuration_knows_its_length():
+    assert (Config().samples, Config(step_s=0.5).end_s) == (3, 1.5)
+    with pytest.raises(ValueError, match=r"^source: expected one of paper, inferred, chosen"):
+        param(1.0, "guessed", "x")
