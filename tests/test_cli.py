@@ -76,7 +76,8 @@ def test_reproduce_writes_everything_and_replaces_its_own(study, tmp_path, capsy
         assert cli.main(["reproduce", "--out", str(out)]) == 0
     written = {str(p.relative_to(out)) for p in out.rglob("*") if p.is_file() and not p.name.startswith(".")}
     assert written == {
-        "index.html", "tiny/claims.json", "tiny/checks.json", "tiny/timings.json", "tiny/result.npz", "tiny/tiny.rrd", "tiny/tables/table_1.csv",
+        "index.html", "tiny/claims.json", "tiny/checks.json", "tiny/timings.json", "tiny/result.npz", "tiny/tiny.rrd",
+        "tiny/tables/table_1.csv",
         "tiny/figures/figure_01.png", "tiny/figures/figure_01.svg", "tiny/figures/figure_02b.png", "tiny/figures/figure_02b.svg",
     }  # fmt: skip
     assert json.loads((out / "tiny/claims.json").read_text())[0]["verdict"] == "reproduced"

@@ -9,8 +9,8 @@ import pytest
 
 from celnav import cli
 from celnav.files import ForeignFileError, InputError, Outputs, read_npz, write_text
-from celnav.papers.page import ClaimsTable, read_claims
-from celnav.study.claims import Claim, dumps
+from celnav.show.ledger import Ledger, dumps, read_claims
+from celnav.study.ledger import Number, Row
 
 
 class Payload:
@@ -71,53 +71,15 @@ def test_text_is_written_in_utf8(tmp_path):
     assert (tmp_path / "σ.txt").read_bytes().decode() == "±3σ"
 
 
-def claim(value=1.0, accept=(0.5, 1.5), ci=None, full=True, expected=True, kind="paper"):
-    return Claim("id", kind, "says", value, accept, expected, ci=ci, full=full)
+def claim(id="one", value=1.0, kind="statement", **more):
+    return Row(kind, id, "It is so", lambda _: Number("x", value, (None, 1.5), (0.5, 1.2)), **more).judged(None)
 
 
-@pytest.mark.parametrize(
-    ("given", "holds", "verdict"),
-    [
-        (claim(), True, "reproduced"),
-        (claim(2.0), False, "not reproduced"),
-        (claim(1.5), True, "reproduced"),
-        (claim(ci=(0.0, 9.0)), True, "reproduced"),
-        (claim(ci=(0.6, 1.4), full=False), True, "reproduced"),
-        (claim(ci=(0.4, 1.4), full=False), None, "undecided"),
-        (claim(ci=(1.6, 1.9), full=False), False, "not reproduced"),
-        (claim(full=False), True, "reproduced"),
-        (claim(None), None, "input absent"),
-        (claim(float("nan")), None, "input absent"),
-        (claim(accept=(None, 2.0), kind="erratum"), True, "paper in error"),
-        (claim(accept=(2.0, None), kind="erratum"), False, "not shown"),
-        (claim(kind="calibrated"), True, "reproduced (calibrated)"),
-        (claim(kind="beyond"), True, "shown"),
-    ],
-)
-def test_one_rule_decides(given, holds, verdict):
-    assert given.holds is holds
-    assert given.verdict == verdict
-
-
-def test_a_failure_is_any_outcome_that_was_not_expected():
-    assert claim(2.0).failure
-    assert claim(expected=False).failure
-    assert not claim(2.0, expected=False).failure
-    assert not claim(None).failure
-
-
-def test_claims_json_has_the_agreed_keys_and_no_bare_nan(tmp_path):
-    text = dumps([claim(float("inf")), Claim("other", "beyond", "s", 1 / 3, (None, 1.0), True, ci=(0.0, 1.0))])
-    assert list(json.loads(text)[1]) == [
-        "id", "kind", "statement", "paper", "value", "ci", "accept", "expected", "holds", "verdict", "note",
-    ]  # fmt: skip
-    assert json.loads(text)[1]["value"] == 0.333333
-    write_text(tmp_path / "claims.json", text)
-    assert read_claims(tmp_path / "claims.json")[0]["value"] is None
-    with pytest.raises(ValueError, match="id"):
-        dumps([claim(), claim()])
-    with pytest.raises(ValueError, match=r"^kind"):
-        claim(kind="guess")
+def test_claims_can_be_read_again(tmp_path):
+    write_text(tmp_path / "claims.json", dumps([claim(), claim("other", float("nan"), printed=[1.0, "a"])]))
+    first, second = read_claims(tmp_path / "claims.json")
+    assert (first["value"], first["verdict"]) == (1.0, "reproduced")
+    assert (second["value"], second["verdict"], second["printed"]) == (None, "input absent", [1.0, "a"])
     write_text(tmp_path / "bad.json", "{}")
     with pytest.raises(ValueError, match=r"bad\.json"):
         read_claims(tmp_path / "bad.json")
@@ -126,7 +88,7 @@ def test_claims_json_has_the_agreed_keys_and_no_bare_nan(tmp_path):
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        *((key, None) for key in ("id", "kind", "statement", "accept", "expected", "verdict", "note")),
+        *((key, None) for key in ("id", "kind", "place", "statement", "accept", "expected", "verdict", "note", "numbers")),
         ("verdict", "well"),
         ("verdict", []),
         ("kind", {}),
@@ -136,13 +98,15 @@ def test_claims_json_has_the_agreed_keys_and_no_bare_nan(tmp_path):
         ("ci", 3),
         ("accept", [1, "x"]),
         ("holds", 3),
-        ("paper", [1]),
+        ("expected", True),
+        ("numbers", [3]),
+        ("numbers", [{"label": "x", "value": "y", "accept": [None, None], "ci": None}]),
         ("id", ...),
         ("ci", ...),
     ],
 )
 def test_a_claim_that_is_not_whole_is_named(tmp_path, key, value):
-    claims = json.loads(dumps([claim(), Claim("other", "beyond", "s", None, (None, 1.0), True, paper="12 %", ci=(0.0, 1.0))]))
+    claims = json.loads(dumps([claim(), claim("other", kind="finding", printed="12 %")]))
     write_text(tmp_path / "claims.json", json.dumps(claims))
     assert read_claims(tmp_path / "claims.json") == claims
     claims[1][key] = value
@@ -165,6 +129,7 @@ def test_damaged_files_of_celnav_are_one_line(tmp_path, capsys, text):
     assert str(folder / "claims.json") in error
     assert error.count("\n") == 1
     (folder / "claims.json").write_text(dumps([claim()]))
+    (folder / "checks.json").write_text("[]")
     assert cli.main(["verdicts", "--out", str(tmp_path)]) == 0
     capsys.readouterr()
     (folder / ".celnav.json").write_text(text)
@@ -172,10 +137,10 @@ def test_damaged_files_of_celnav_are_one_line(tmp_path, capsys, text):
     assert capsys.readouterr().err == f"celnav: {folder / '.celnav.json'}: not a manifest of celnav\n"
 
 
-def test_a_table_of_claims_shows_itself_everywhere():
-    table = ClaimsTable([Claim("a", "paper", "x < y", 1.0, (0.0, 2.0), True)])
-    assert "x &lt; y" in table._repr_html_()
-    assert "reproduced" in str(table)
+def test_a_ledger_shows_itself_everywhere():
+    table = Ledger([claim(found="x < {0:.0f}"), claim("other", kind="erratum")])
+    assert "x &lt; 1 [0, 1]" in table._repr_html_()
+    assert str(table).count("reproduced") == 1
     assert table._repr_markdown_().count("\n") == 2
 
 

@@ -53,20 +53,25 @@ checks: numbers finite number integer integers whole choice function sequence to
 drawing: Drawing.set render
 rules: few AnyDimension
 sparse_grid: check_orders univariate
-trial: score merge summarize check_scores
 views: bar_chart text log rows columns tabs blueprint
-figures: band
+figures: band Line consistency errors rmse rmse_table sigma
 ephemeris: de421
 pulsar: known
 orbit: warn_of_degrees
 beidou: Broadcast Broadcast.chosen
 belief: symmetric
-montecarlo: blocks steps carry_out do effort joined
-claims: Claim Claim.to_dict Judge Judge.lengthy Judge.number Judge.statistic Judge.whole about dumps order within
+montecarlo: blocks steps effort
+gyro: Gyro.drift
+ledger: Ledger accepted counted dumps plain read_claims row style surprise table tally written
+numbers: all_of consistency entries given of ratio rmse settling tiers
+parameters: Parameters.check param
+sightings: limb
+study: Results Results.claims Results.error Results.first Results.get Results.group Results.nees Results.squares
+    Results.times Results.value Study Study.reproduce Study.results Study.units Unit.check Unit.do fly together
 page: document figure link table
 picture: command end picture
-progress: Progress Progress.close Progress.stage RunProgress
-estimates: Estimate Estimate.error Estimate.sigma again estimates
+progress: Progress Progress.add Progress.begin Progress.close Progress.stage RunProgress
+estimates: Estimate Estimate.error Estimate.sigma again estimates first_run
 plots: curves draw
 scenes: arc behind beside constellation flight limb sigma_points sightings track turning
 showcase: Showcase record write
