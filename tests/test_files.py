@@ -9,7 +9,7 @@ import pytest
 
 from celnav import cli
 from celnav.files import ForeignFileError, InputError, Outputs, read_npz, write_text
-from celnav.show.ledger import Ledger, dumps, read_claims
+from celnav.show.claims import Ledger, dumps, read_claims
 from celnav.study.ledger import Number, Row
 
 

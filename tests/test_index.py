@@ -16,9 +16,9 @@ from celnav.campaign.missions import study
 from celnav.campaign.page import write
 from celnav.commands.index import index, verdicts
 from celnav.files import Outputs
+from celnav.show.claims import dumps, written
 from celnav.show.drawing import render
 from celnav.show.figures import figure as empty
-from celnav.show.ledger import dumps, written
 from celnav.study.ledger import Number, Row
 
 BROWSER = next((found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None)

@@ -54,15 +54,16 @@ drawing: Drawing.set render
 rules: few AnyDimension
 sparse_grid: check_orders univariate
 views: bar_chart text log rows columns tabs blueprint
-figures: band Line consistency errors rmse rmse_table sigma
+figures: band consistency errors rmse rmse_table sigma
 ephemeris: de421
 pulsar: known
 orbit: warn_of_degrees
 beidou: Broadcast Broadcast.chosen
 belief: symmetric
 montecarlo: blocks steps effort
+claims: Ledger accepted counted dumps plain read_claims row style surprise table tally written
 gyro: Gyro.drift
-ledger: Ledger accepted counted dumps plain read_claims row style surprise table tally written
+ledger: Claim Row Row.judged estimate order
 numbers: all_of consistency entries given of ratio rmse settling tiers
 parameters: Parameters.check param
 sightings: limb

@@ -14,7 +14,7 @@ from typing import Any
 import celnav
 from celnav.files import read_json
 from celnav.papers import PAPERS, load
-from celnav.show.ledger import counted, read_claims, surprise, table, tally
+from celnav.show.claims import counted, read_claims, surprise, table, tally
 from celnav.show.page import document, figure, link
 from celnav.show.page import table as plain_table
 from celnav.study.ledger import VERDICTS

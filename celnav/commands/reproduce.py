@@ -108,8 +108,8 @@ def _kept(store: Store, unit: Unit) -> bool:
 
 def _write(paper: str, one: ModuleType, results: Results, outputs: Outputs, progress: Progress) -> int:
     """Write everything that a paper shows. Returns how many claims are not as expected."""
+    from celnav.show.claims import dumps
     from celnav.show.drawing import render
-    from celnav.show.ledger import dumps
 
     timings: dict[str, float] = {f"cpu_s {part}": float(arrays["cpu_s"].sum()) for part, arrays in results.data.items()}
 

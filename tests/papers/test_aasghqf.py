@@ -19,7 +19,7 @@ from celnav.models import inertial
 from celnav.papers import aasghqf
 from celnav.papers.aasghqf import scenario, show, study
 from celnav.papers.aasghqf.scenario import DEGREE, NONLINEAR_WEIGHTS, PAPER_WEIGHTS, PRESETS, A
-from celnav.show.ledger import dumps
+from celnav.show.claims import dumps
 from celnav.study.montecarlo import generator
 
 STATEMENTS = """

@@ -36,7 +36,7 @@ from celnav.papers.ssukf.scenario import (
     state_space,
     warn_of_wrapping,
 )  # fmt: skip
-from celnav.show.ledger import dumps
+from celnav.show.claims import dumps
 from celnav.study.ledger import KINDS
 from celnav.study.montecarlo import effort, generator, normals
 

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from celnav.show.ledger import TYPES, dumps, plain, written
+from celnav.show.claims import TYPES, dumps, plain, written
 from celnav.study.ledger import KINDS, VERDICTS, WORDS, Number, Row, estimate, order
 
 
