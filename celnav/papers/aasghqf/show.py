@@ -92,7 +92,7 @@ def consistent(results: Results) -> Figure:
         consistency(ax, results, part, {name: LINES[name] for name in study.FLOWN[part]}, "nees", 13)
         ax.set(title=part, xlabel="time (s)")
     axes[0].set_ylabel("NEES, mean over the runs (-)")
-    axes[1].legend(loc="upper right")
+    fig.legend(*axes[1].get_legend_handles_labels(), loc="outside right center")
     return fig
 
 

@@ -322,7 +322,7 @@ STATEMENTS = [
         "threshold-weights", "By a threshold of 5 the tilts, longitude and latitude get weight 1, all others 2.", classes,
         place="§2, Eq. 19; Table 2", printed=PAPER_WEIGHTS, why="all 13, from printed and computed degrees", expected="in part",
         found="From the printed degrees {0:.0f} of 13 differ; from the computed ones {1:.0f}, longitude and latitude. In other "
-        "units {2:.0f} to {3:.0f}: none where positions are in rad and their fixes in m, with degrees of 6e6."),
+        "units {2:.0f} to {3:.0f}: none where positions are in rad and their fixes in m."),
     statement(
         "observability-is-the-criterion", "Observability tells how many points a channel deserves, however nonlinear it is.",
         criterion, place="introduction; §2", why="no choice of at most 75 points is better with its interval",
@@ -334,7 +334,7 @@ STATEMENTS = [
     statement(
         "better-than-ukf", "Both sparse filters estimate all states better than the UKF.", better_than_ukf, figure="figure_03",
         place="abstract; §4, Table 3", printed=TABLE_3, why="all 95 % intervals above 1; in part, none below",
-        found="AASGHQF is worse in φy ({4.label}: {4}). Of 56 ratios {0:.0f} are below 1, {1:.0f} not above; the least to SGHQF is "
+        found="AASGHQF is worse ({4.label}: {4}). Of 56 ratios {0:.0f} are below 1, {1:.0f} not above; the least to SGHQF is "
         "{3} ({3.label}), and {2:.0f} of seven at T3 are above half-way to the printed ones.", expected="not reproduced"),
     statement(
         "higher-order-is-why", "The sparse filters are better since they reach a higher order of the Taylor expansion.", lambda r: {
@@ -367,9 +367,9 @@ STATEMENTS = [
         found="By {0:.0e} s; of one run alone its points are not what takes time: {1:.2f} (50 at once {2:.2f})."),
     statement(
         "cheaper-than-sghqf", "The anisotropic filter needs far fewer points and less time than the isotropic one.", tiers(
-            reproduced=[cycle("one run alone", "sghqf", "aasghqf", 1, (1.52, None)), BATCH, given("points", 417 / 75)],
-            in_part=[BATCH]), place="abstract; §4, Table 4; §5", printed=[0.0065, 0.0028], expected="in part",
-        why="1.52, half-way to the printed ratio of times, 2.32",
+            reproduced=[cycle("one run alone", "sghqf", "aasghqf", 1, (1.52, None)), BATCH,
+                        given("points", point_count(13, 3) / point_count(13, 3, PAPER_WEIGHTS))], in_part=[BATCH]),
+        place="abstract; §4, Table 4; §5", printed=[0.0065, 0.0028], why="1.52, half-way to the printed 2.32", expected="in part",
         found="In batches only: {2:.2f} times the points take {1:.2f} times as long with 50 runs, {0:.2f} with one."),
     statement(
         "saving-grows", "The more states, the more points the anisotropic grid saves.", savings, place="§4, end",
