@@ -115,13 +115,6 @@ class Config(Parameters):
         """Measurements."""
         return round(self.days * DAY_S / self.step_s)
 
-    samples = steps
-
-    @property
-    def end_s(self) -> float:
-        """The last measurement, s."""
-        return self.step_s * self.steps
-
     @property
     def times(self) -> Array:
         """Seconds since the start, ``(steps + 1,)``; nothing is measured at the first."""
