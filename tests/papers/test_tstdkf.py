@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import rerun as rr
-from celnav.show.ledger import dumps
 
 from celnav import Epoch, FilterError, Gaussian, run
 from celnav.files import Outputs, data
@@ -17,6 +16,7 @@ from celnav.models.orbit import flow
 from celnav.models.pulsar import LIGHT_KM_S, pulsars
 from celnav.papers.tstdkf import PRESETS, SETTINGS, STUDY, Setting, filters, show, simulate, study
 from celnav.papers.tstdkf.scenario import TABLE_5, YEAR, driving, kalman, models, nominal_orbit, sky, trial
+from celnav.show.claims import dumps
 from celnav.study.montecarlo import generator
 
 SHORT = replace(TABLE_5, days=0.5)
