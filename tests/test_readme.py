@@ -11,24 +11,34 @@ import nbformat
 import pytest
 
 import celnav
-from celnav.papers import PAPERS
-from celnav.papers.page import verdicts
+from celnav.commands.index import verdicts, words
+from celnav.papers import PAPERS, load
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 def found(paper):
-    """Verdicts in the table of claims of a paper's notebook, which was executed with all runs."""
+    """Verdicts in the ledger of a paper's notebook, which was executed with all runs."""
     path = ROOT / "notebooks" / f"{list(PAPERS).index(paper) + 1:02d}_{paper}.ipynb"
     cells = nbformat.read(path, as_version=4).cells
     pages = [o.data.get("text/html", "") for c in cells if c.cell_type == "code" for o in c.outputs if "data" in o]
-    (table,) = [page for page in pages if "<th>verdict</th>" in page]
-    return [{"verdict": verdict} for verdict in re.findall(r"<td>([^<]*)</td></tr>", table)]
+    ledger = next(page for page in pages if "<th>verdict</th>" in page)
+    found = re.findall(r'<tr id="([^"]*)">.*?<td class="\w+">([^<]*)</td></tr>', ledger)
+    return [{"kind": "statement", "id": id, "verdict": verdict} for id, verdict in found]
 
 
 def test_the_table_of_verdicts_is_not_stale():
     assert verdicts({paper: found(paper) for paper in PAPERS}) in README
+
+
+def test_the_words_are_those_of_the_page():
+    assert words(list(PAPERS)) in README
+
+
+@pytest.mark.parametrize("paper", PAPERS)
+def test_a_notebook_shows_every_statement(paper):
+    assert [claim["id"] for claim in found(paper)] == [row.id for row in load(paper).STUDY.rows if row.kind == "statement"]
 
 
 def test_links_and_pictures_are_there():

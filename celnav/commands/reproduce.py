@@ -125,13 +125,14 @@ def _write(paper: str, one: ModuleType, results: Results, outputs: Outputs, prog
     outputs.text("checks.json", dumps(claim for claim in claims if claim.kind == "check"))
     outputs.npz("result.npz", _arrays(results.data))
     for stem, (_, function) in one.TABLES.items():
-        outputs.text(f"tables/{stem}.csv", _csv(function(results)))
+        if rows := function(results):  # none without what a person may give
+            outputs.text(f"tables/{stem}.csv", _csv(rows))
 
     def draw() -> None:
         for stem, (_, function) in one.FIGURES.items():
-            drawing = function(results)
-            for kind in KINDS:
-                outputs.bytes(f"figures/{stem}.{kind}", render(drawing, kind))
+            if (drawing := function(results)) is not None:
+                for kind in KINDS:
+                    outputs.bytes(f"figures/{stem}.{kind}", render(drawing, kind))
 
     stage("figures", draw)
     try:

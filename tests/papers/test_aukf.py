@@ -22,6 +22,7 @@ from celnav.papers.aukf.scenario import adapted, axes, circle, sensor, ukf, visi
 from celnav.receiver import day
 from celnav.receiver.filters import hooks
 from celnav.receiver.sky import dilution
+from celnav.show.claims import dumps
 from celnav.study.montecarlo import effort, generator
 
 SHORT = replace(PRESETS["burst"], duration_s=4.0, burst_s=(2.0, 3.0))
@@ -331,7 +332,7 @@ def test_every_statement_is_in_the_ledger_and_nothing_surprises(results):
     assert {id for id, c in claims.items() if c.failure} <= {"no-extra-computation"}  # which is a matter of time
     assert not any(id.startswith("real-") for id in claims)  # without its files nothing is said of the receiver
     assert len([c for c in claims.values() if c.kind == "finding"]) <= 10
-    json.dumps([c.to_dict() for c in claims.values()], allow_nan=False)
+    dumps(claims.values())
 
 
 def test_printed_numbers_are_the_papers():

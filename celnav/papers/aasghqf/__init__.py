@@ -6,8 +6,12 @@ we find. `show`: figures, tables, recordings.
 
 from celnav.lazy import modules
 from celnav.papers.aasghqf.scenario import CITATION, JUDGED, PRESETS, TITLE, Config, filters, simulate, trial
+from celnav.papers.aasghqf.show import FIGURES, RECORDINGS, TABLES, record
 from celnav.papers.aasghqf.study import STUDY
 
 __getattr__, __dir__ = modules(__name__)
 
-__all__ = ["CITATION", "JUDGED", "PRESETS", "STUDY", "TITLE", "Config", "filters", "simulate", "trial"]
+__all__ = [
+    "CITATION", "FIGURES", "JUDGED", "PRESETS", "RECORDINGS", "STUDY", "TABLES", "TITLE", "Config", "filters", "record",
+    "simulate", "trial",
+]  # fmt: skip

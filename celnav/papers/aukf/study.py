@@ -826,4 +826,12 @@ CHECKS = [
 ]  # fmt: skip
 CHECKS += [check(f"real-{id}", f"Real receiver: {text}", real_number(i, accept), needs="real")
            for i, (id, (text, accept)) in enumerate(day.JUDGED.items())]  # fmt: skip
-STUDY = Study("aukf", (*GROUPS, *AXES), trial, parts, [*STATEMENTS, *OTHERS, *FINDINGS, *CHECKS])
+STUDY = Study(
+    "aukf", (*GROUPS, *AXES), trial, parts, [*STATEMENTS, *OTHERS, *FINDINGS, *CHECKS],
+    says="A UKF that adapts its measurement noise to the last innovations has smaller errors than EKF and UKF, converges faster, "
+    "and hardly notices a burst of noise.",
+    found="In a burst on the ranges at 10 Hz it has a tenth of the UKF's error, and recovers at once. Without one it gains a few "
+    "percent, from clipping. EKF and UKF are the same. It takes maneuvers and wrong process noise for measurement noise, "
+    "converges later from far away, and can err by kilometers; a factor made of what no position explains needs no window "
+    "and does not.",
+)  # fmt: skip

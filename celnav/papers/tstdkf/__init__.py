@@ -6,8 +6,12 @@ flown, what the paper states and what we find. `show`: figures, tables, recordin
 
 from celnav.lazy import modules
 from celnav.papers.tstdkf.scenario import CITATION, JUDGED, PRESETS, SETTINGS, TITLE, Config, Setting, filters, simulate, trial
+from celnav.papers.tstdkf.show import FIGURES, RECORDINGS, TABLES, record
 from celnav.papers.tstdkf.study import STUDY
 
 __getattr__, __dir__ = modules(__name__)
 
-__all__ = ["CITATION", "JUDGED", "PRESETS", "SETTINGS", "STUDY", "TITLE", "Config", "Setting", "filters", "simulate", "trial"]
+__all__ = [
+    "CITATION", "FIGURES", "JUDGED", "PRESETS", "RECORDINGS", "SETTINGS", "STUDY", "TABLES", "TITLE", "Config", "Setting",
+    "filters", "record", "simulate", "trial",
+]  # fmt: skip
