@@ -63,7 +63,7 @@ TEXTS += [*(ROOT / "celnav").rglob("*.py"), *(ROOT / "notebooks").glob("*.ipynb"
 def test_import_celnav_is_enough_for_every_name_with_dots():
     """Names of the README, the docs, the notebooks and all docstrings, in a fresh process that imports nothing else."""
     names = {name for path in TEXTS for name in re.findall(r"`(celnav(?:\.\w+)+)\b", path.read_text(encoding="utf-8"))}
-    assert len(names) > 80
+    assert len(names) > 70
     program = "import sys, celnav\nfor name in sys.argv[1:]:\n    eval(name)\n"
     done = subprocess.run([sys.executable, "-c", program, *sorted(names)], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
