@@ -62,8 +62,18 @@ def lines(path):
 def test_the_house_keeps_its_size():
     """The core can be read in a day, a module in one sitting; the root is a door, and there are few rooms."""
     core = sum(lines(p) for room in ("gaussian", "filters", "models", "analysis", "study") for p in (ROOT / room).glob("*.py"))
-    assert core <= 8000, core
+    assert core <= 8300, core
     assert len(list(ROOT.glob("*.py"))) <= 6
     assert len({p.relative_to(ROOT).parts[0] for p in MODULES}) <= 15
     long = {str(p.relative_to(ROOT)): lines(p) for p in MODULES if lines(p) > 450 and p.relative_to(ROOT).parts[0] != "papers"}
     assert not long, long
+
+
+@pytest.mark.parametrize(
+    ("paper", "most"), [("csrukf", 1110), ("ssukf", 1390), ("tstdkf", 2040), ("aasghqf", 1010), ("aukf", 1660)]
+)
+def test_a_paper_is_data_in_few_files(paper, most):
+    """A door, a scenario, a study, and what is shown; a method only where the filter is too particular for the library."""
+    files = sorted((ROOT / "papers" / paper).glob("*.py"))
+    assert {p.stem for p in files} - {"method"} == {"__init__", "scenario", "show", "study"}
+    assert sum(map(lines, files)) <= most
