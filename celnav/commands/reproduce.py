@@ -159,7 +159,9 @@ def _arrays(data: Mapping[str, Mapping[str, Array]]) -> dict[str, Array]:
     for part, arrays in data.items():
         for name, values in arrays.items():
             what = name.rpartition("/")[2]
-            if what == "error":
+            if what in ("error", "nees", "nis") and values.ndim < 2:  # without runs
+                out[f"{part}/{name}"] = values
+            elif what == "error":
                 out[f"{part}/{name} rms"] = np.sqrt(np.square(values).mean(1))
             elif what in ("nees", "nis"):
                 out[f"{part}/{name}"] = values.mean(1)
