@@ -227,7 +227,7 @@ def along(cases: Sequence[str], biases: Biases, every: int, names: Sequence[str]
     states, rows = {name: known[name].start(prior) for name in names}, dict[str, list[Array]]()
     while len(chunk := list(islice(stream, every * max(1, 16_000 // (every * count))))) >= every:  # whole rows; the rest is left
         truth, last = np.stack([epoch.truth for epoch in chunk]), len(chunk) // every * every
-        rows.setdefault("truth", []).append(truth[every - 1 : last : every, :: len(rngs)])
+        rows.setdefault("truth", []).append(truth[every - 1 : last : every, :: len(rngs)].copy())  # a view would keep all of it
         for name in names:  # one after the other is faster than all at each step
             tracks = np.empty((len(chunk), len(LABELS[name]), count, 9))
             for k, epoch in enumerate(chunk):
@@ -236,7 +236,7 @@ def along(cases: Sequence[str], biases: Biases, every: int, names: Sequence[str]
             squares = np.square(lengths(tracks[:last] - truth[:last, None])).reshape(-1, every, *tracks.shape[1:3], 3).mean(1)
             for i, label in enumerate(LABELS[name]):
                 rows.setdefault(f"{label}/error", []).append(np.sqrt(squares[:, i]))
-                rows.setdefault(f"{label}/first", []).append(tracks[every - 1 : last : every, i, :: len(rngs)])
+                rows.setdefault(f"{label}/first", []).append(tracks[every - 1 : last : every, i, :: len(rngs)].copy())
     columns = {key: np.split(np.concatenate(pieces), len(cases), 1) for key, pieces in rows.items()}
     found = {f"{case}/{key}": parts[i] for key, parts in columns.items() for i, case in enumerate(cases)}
     return found | {"times": config.times[every::every]}
