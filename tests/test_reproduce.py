@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -154,3 +155,21 @@ def test_a_full_disk_is_one_line_and_leaves_whole_files(study, tmp_path, capsys)
         assert ".npz" in error[0]
         left = {p.name for p in (tmp_path / "small").rglob("*") if p.is_file()}
     assert left <= {".celnav.lock", "manifest.json"}
+
+
+def test_what_fails_is_one_line_and_the_rest_is_kept(study, tmp_path, monkeypatch, capsys):
+    def bad(size, rngs):
+        raise ValueError("no such star")
+
+    monkeypatch.setattr("celnav.papers.import_module", lambda name: tiny(work=bad))
+    assert cli.main(["reproduce", "--out", str(tmp_path), "--effort", "1", "--jobs", "1"]) == 1
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "2 units are not done: tiny: all, runs 0 to 1 (ValueError: no such star); " in error
+
+
+@pytest.mark.parametrize("paper", papers.PAPERS)
+def test_units_of_every_paper_can_be_handed_to_another_process(paper):
+    units = papers.load(paper).STUDY.units(effort=0.01)
+    assert [pickle.loads(pickle.dumps(unit)).key for unit in units] == [unit.key for unit in units]
+    assert len({unit.key for unit in units}) == len(units)

@@ -22,7 +22,7 @@ import numpy as np
 
 import celnav
 from celnav import papers
-from celnav.campaign.engine import compute
+from celnav.campaign.engine import UnfinishedError, compute
 from celnav.campaign.store import Store, resumed
 from celnav.commands.arguments import UsageError, cores, fraction, module, whole, workers
 from celnav.files import Outputs, locked, remove_leftovers
@@ -78,7 +78,10 @@ def run(options: argparse.Namespace) -> int:
         for paper in [paper for paper, own in left.items() if not own]:
             written(paper)
         # The longest first: the end is then made of short ones, and all processes are busy until it.
-        compute(sorted((unit for own in left.values() for unit in own), key=lambda unit: -unit.cost), pool, keep)
+        try:
+            compute(sorted((unit for own in left.values() for unit in own), key=lambda unit: -unit.cost), pool, keep)
+        except UnfinishedError as error:
+            raise OSError(f"{error}; what is finished is kept: the same command goes on from there") from None
         shutil.rmtree(out / UNFINISHED)
         top.text("index.html", index(out))
     print(f"wrote {out / 'index.html'}")

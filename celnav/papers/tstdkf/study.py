@@ -247,6 +247,11 @@ def trends(config: Config, _: Array) -> Found:
     return {trend: replace(config, trend=trend).bias(config.times)[:, None] for trend in TRENDS}
 
 
+def sine(config: Config, _: Array) -> Found:
+    """The first of them."""
+    return {TRENDS[0]: config.bias(config.times)[:, None]}
+
+
 def constant(_: Config, drawn: Array) -> Found:
     """1 km along each axis, and in the other runs along random directions."""
     unit = drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
@@ -360,7 +365,7 @@ def parts(effort: float = 1.0) -> dict[str, Part]:
     def days(config: Config, full: float) -> Config:
         return replace(config, days=min(full, max(0.5, round(full * effort * 288.0) / 288.0)))
 
-    many = partial(along, TRENDS[:1], lambda c, _: {"sine": c.bias(c.times)[:, None]}, 72, ("tkf", "tstdkf"))
+    many = partial(along, TRENDS[:1], sine, 72, ("tkf", "tstdkf"))
     month = days(TABLE_5, 30.0)
     return {
         "month": Part(five, month, 0, 50, 50, 150.0),
