@@ -37,9 +37,9 @@ def index(out: Path) -> str:
         "celnav: what holds",
         "<h1>What papers say, and what holds</h1>",
         *(_opening(paper, claims) for paper, claims in done.items()),
-        "<p><small>Each statement is judged by numbers computed here. The accepted range and its reason were written before the "
-        "result, from the paper's own words; a number with sampling error decides only if its whole 95 % interval does. Where a "
-        "range was changed afterwards, the row says so.</small></p>",
+        "<p><small>Each statement is judged by numbers computed here. The accepted range follows from the paper's own words, or "
+        "from a convention that the row names; first results were known when it was written, and where it was changed since, the "
+        "row says so. A number with sampling error decides only if its whole 95 % interval does.</small></p>",
         *(_paper(out, paper, claims) for paper, claims in done.items()),
     )
 
