@@ -79,7 +79,7 @@ def test_claims_can_be_read_again(tmp_path):
     write_text(tmp_path / "claims.json", dumps([claim(), claim("other", float("nan"), printed=[1.0, "a"])]))
     first, second = read_claims(tmp_path / "claims.json")
     assert (first["value"], first["verdict"]) == (1.0, "reproduced")
-    assert (second["value"], second["verdict"], second["printed"]) == (None, "input absent", [1.0, "a"])
+    assert (second["value"], second["verdict"], second["printed"]) == (None, "no number", [1.0, "a"])
     write_text(tmp_path / "bad.json", "{}")
     with pytest.raises(ValueError, match=r"bad\.json"):
         read_claims(tmp_path / "bad.json")

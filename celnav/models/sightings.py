@@ -1,6 +1,6 @@
 """Celestial sightings: angles between the Earth's center and stars, and the Earth's angular diameter. Units: km, rad.
 
-Three angles ``(A1, A2, A3)`` fix a position up to the side of the plane of the two stars [Sun2015, Eqs. 39-42, corrected]::
+Three angles ``(A1, A2, A3)`` fix a position up to the side of the plane of the two stars [Sun2015, Eqs. 40-43, corrected]::
 
     A1, A2: between the satellite's position vector and the stars     A3 = 2 arcsin(R_e / r): the Earth's diameter
 

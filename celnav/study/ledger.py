@@ -1,6 +1,6 @@
 """The ledger of a paper: what it states, what it prints wrongly, what we found, each decided by numbers with intervals.
 
-A `Row` says how something is decided, and was written before the result; a `Claim` is what came of it. A number that has
+A `Row` says how something is decided, and if that was changed after a result; a `Claim` is what came of it. A number that has
 sampling error is accepted only if its whole 95 % interval is, and refused only if none of it is: else it is undecided, with few
 runs as with many.
 """
@@ -30,8 +30,8 @@ WORDS: dict[str, tuple[str, str]] = {
 KINDS = tuple(WORDS)
 BETWEEN = ("reproduced with fitted parameters", "level only", "in part")
 """Verdicts of a statement that are less than "reproduced", and more than nothing."""
-OPEN = ("undecided", "not addressed", "not decidable", "input absent")
-"""Neither: by the interval; nothing was computed; nothing could be; what it needs was not given."""
+OPEN = ("undecided", "not addressed", "not decidable", "no number")
+"""Neither: by the interval; nothing was computed; nothing could be; what was computed is nan."""
 VERDICTS = tuple(dict.fromkeys(["reproduced", *BETWEEN, *(word for pair in WORDS.values() for word in pair), *OPEN]))
 """All that there are, in the order of tables."""
 
@@ -41,9 +41,10 @@ class Number(NamedTuple):
 
     Attributes
     ----------
-    label: what it is, with its unit. value: nan where an input is absent. accept: ``(low, high)``, either may be None.
+    label: what it is, with its unit. value: nan where there is none. accept: ``(low, high)``, either may be None.
     ci: 95 % interval of ``value``; None for a number without sampling error.
-    printed: what the paper has for it. strict: an interval that contains a bar is refused, not undecided.
+    printed: what the paper has for it: a statement is not reproduced by a number whose interval excludes that.
+    strict: an interval that contains a bar is refused, not undecided.
     """
 
     label: str
@@ -61,6 +62,12 @@ class Number(NamedTuple):
         if low <= least and most <= high:
             return True
         return False if most < low or least > high or (self.strict and np.isfinite(self.value)) else None
+
+    @property
+    def reproduces(self) -> bool | None:
+        """Whether it `holds` and its interval has the printed number in it."""
+        excluded = self.printed is not None and self.ci is not None and not self.ci[0] <= self.printed <= self.ci[1]
+        return False if excluded else self.holds
 
     def __format__(self, spec: str) -> str:
         """The value and its interval, "0.053 [0.048, 0.059]"; what a ``spec`` other than ".3g" asks for is of each of them."""
@@ -121,9 +128,9 @@ class Row:
         tiers = found if isinstance(found, Mapping) else {good: [found] if isinstance(found, Number) else found}
         verdict = bad
         for word, numbers in tiers.items():
-            outcomes = [n.holds for n in numbers]
+            outcomes = [n.reproduces if word in (WORDS["statement"][0], BETWEEN[0]) else n.holds for n in numbers]
             if any(not np.isfinite(n.value) for n in numbers):
-                verdict = "input absent"
+                verdict = "no number"
             elif False not in outcomes:
                 verdict = word if all(outcomes) else "undecided"
             else:
@@ -162,7 +169,7 @@ class Claim:
     @property
     def failure(self) -> bool:
         """Whether the outcome is not the expected one, in either direction."""
-        return self.verdict not in ("undecided", "input absent") and self.verdict != self.expected
+        return self.verdict not in ("undecided", self.expected)
 
     @property
     def note(self) -> str:

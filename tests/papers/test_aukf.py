@@ -375,7 +375,7 @@ def test_a_receivers_files_make_a_part_of_their_own(tmp_path):
     claims = {c.id: c for c in results.claims([row for row in aukf.STUDY.rows if row.needs])}
     assert len(claims) == 10
     assert claims["real-ls"].verdict == claims["real-burst"].verdict == "holds"
-    assert claims["real-consecutive"].verdict == "input absent"  # one set of each satellite
+    assert claims["real-consecutive"].verdict == "no number"  # one set of each satellite
     assert [row["filter"] for row in show.TABLES["table_8"][1](results)] == ["LS", "EKF", "UKF", "AUKF", "group parity"]
     assert len(show.FIGURES["figure_14"][1](results).axes) == 3
     found = day.positioned(results.parts["real"].config, "aukf", 10.0)

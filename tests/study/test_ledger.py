@@ -55,6 +55,18 @@ def test_the_verdict_is_that_of_the_first_tier_that_holds(value, verdict):
     assert found.failure is (verdict not in ("reproduced", "undecided"))
 
 
+def test_a_statement_is_not_reproduced_by_an_interval_that_excludes_what_is_printed():
+    number = Number("x", 0.5, (0.0, 1.0), (0.4, 0.6), printed=0.55)
+    for printed, verdict in ((0.55, "reproduced"), (0.7, "not reproduced")):
+        assert claim(number._replace(printed=printed), kind="statement").verdict == verdict
+    assert claim(number._replace(printed=0.7), kind="erratum").verdict == "paper in error"
+
+
+def test_a_number_that_could_not_be_computed_is_a_failure():
+    found = claim(Number("x", np.nan), kind="check")
+    assert (found.verdict, found.holds, found.failure) == ("no number", None, True)
+
+
 def test_what_is_expected_is_no_surprise_and_a_success_may_be_one():
     bad = Number("x", 2.0, (0.0, 1.0))
     assert not claim(bad, kind="statement", expected="not reproduced").failure
@@ -65,7 +77,7 @@ def test_a_row_without_numbers_says_so():
     assert Row("statement", "one", "It is so", expected="not decidable").judged(None).verdict == "not decidable"
     assert Row("statement", "one", "It is so").judged(None).verdict == "not addressed"
     assert Row("erratum", "one", "It is so").judged(None).verdict == "paper in error"
-    assert Row("statement", "one", "It is so", lambda _: Number("x", np.nan)).judged(None).verdict == "input absent"
+    assert Row("statement", "one", "It is so", lambda _: Number("x", np.nan)).judged(None).verdict == "no number"
 
 
 def test_kinds_and_verdicts_are_checked():
