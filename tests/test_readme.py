@@ -34,6 +34,8 @@ def test_the_table_of_verdicts_is_not_stale():
 
 def test_the_words_are_those_of_the_page():
     assert words(list(PAPERS)) in README
+    count = sum(row.kind == "statement" for paper in PAPERS for row in load(paper).STUDY.rows)
+    assert f"make {count} statements" in README
 
 
 @pytest.mark.parametrize("paper", PAPERS)
