@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -138,6 +139,10 @@ class Row:
             break
         told = list(dict.fromkeys(n for numbers in tiers.values() for n in numbers))
         return Claim(self, tuple(told), choice("verdict", verdict, VERDICTS), expected)
+
+
+statement, erratum, reconstruction = partial(Row, "statement"), partial(Row, "erratum"), partial(Row, "reconstruction")
+remark, finding, check = partial(Row, "remark"), partial(Row, "finding"), partial(Row, "check")
 
 
 @dataclass(frozen=True)

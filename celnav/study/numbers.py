@@ -12,13 +12,11 @@ import numpy as np
 
 from celnav.gaussian.linalg import Array
 from celnav.study.ledger import Bounds, Number, Tiers, estimate
-from celnav.study.study import Results
+from celnav.study.study import Results, When
 
 Decided = Callable[[Results], Number]
 Flown = tuple[str, str]
 """Part and filter."""
-When = int | slice
-"""An epoch, or those that are averaged over."""
 SAME_ORDER = 3.2
 """Factor within which two levels are of one order of magnitude."""
 

@@ -23,6 +23,8 @@ from celnav.study.montecarlo import blocks, generator, run_count
 from celnav.study.trial import Group, Trial, follow
 
 Rngs = Sequence[np.random.Generator]
+When = int | slice | str
+"""An epoch, those that are averaged over, or the name of a window, see `Study`."""
 
 
 class Part(NamedTuple):
@@ -93,6 +95,7 @@ class Study:
     trial: ``(config, rngs) ->`` runs and their filters, see `celnav.study.trial`.
     parts: ``(effort) ->`` parts by name; ``effort``, in (0, 1], may shorten what is long. Runs are scaled by it elsewhere.
     says, found: what the paper claims as a whole, and our answer, a sentence or two each.
+    windows: ``(config, times) ->`` parts of the time by name, as slices of the epochs that are judged.
     """
 
     name: str
@@ -102,6 +105,7 @@ class Study:
     rows: Sequence[Row]
     says: str = ""
     found: str = ""
+    windows: Callable[[Any, Array], Mapping[str, slice]] = lambda _config, _times: {}
 
     def units(self, *, effort: float = 1.0, seed: int = 0, only: Sequence[str] = (), **inputs: Any) -> list[Unit]:
         """The work to be done; ``only``: names of the parts wanted, all if empty; ``inputs``: what else `parts` takes."""
@@ -208,14 +212,21 @@ class Results:
         """Errors, or with ``what="std"`` what the filter takes for their deviations, ``(T, runs, k)`` in the unit of a group."""
         return self.data[part][f"{filter}/{what}"][..., self.group(group).part]
 
-    def squares(self, part: str, filter: str, group: str, at: int | slice = -1) -> Array:
-        """Squared errors ``(runs, k)`` of a group's components at an epoch, or their means over a slice of epochs."""
-        square = np.square(self.error(part, filter, group)[at])
+    def at(self, part: str, when: When) -> int | slice:
+        """An epoch or some of them, that of a name as the study has it."""
+        if not isinstance(when, str):
+            return when
+        windows = self.study.windows(self.parts[part].config, self.times(part))
+        return windows[choice("at", when, windows)]
+
+    def squares(self, part: str, filter: str, group: str, at: When = -1) -> Array:
+        """Squared errors ``(runs, k)`` of a group's components at an epoch, or their means over some of them."""
+        square = np.square(self.error(part, filter, group)[self.at(part, at)])
         return square if isinstance(at, int) else np.asarray(square.mean(0))
 
-    def nees(self, part: str, filter: str, at: int | slice = -1, what: str = "nees") -> Array:
-        """NEES, or with ``what="nis"`` NIS, of each run ``(runs,)`` at an epoch, or its mean over a slice of them."""
-        values = self.data[part][f"{filter}/{what}"][at]
+    def nees(self, part: str, filter: str, at: When = -1, what: str = "nees") -> Array:
+        """NEES, or with ``what="nis"`` NIS, of each run ``(runs,)`` at an epoch, or its mean over some of them."""
+        values = self.data[part][f"{filter}/{what}"][self.at(part, at)]
         return values if isinstance(at, int) else np.asarray(values.mean(0))
 
     def group(self, name: str) -> Group:
