@@ -107,10 +107,10 @@ class Config(Parameters):
     @property
     def idle(self) -> dict[str, str]:
         """Parameters without effect in this configuration, and why."""
-        if self.measured == "positions":
-            names = ("camera_deg", "star_arcsec", "separation_deg", "accuracy_sigmas")
-            return dict.fromkeys(names, "where positions are measured (sigma_km is their noise)")
-        return {"sigma_km": "where angles are measured (camera_deg and star_arcsec are their noise)"}
+        if self.measured == "angles":
+            return {"sigma_km": "where angles are measured (camera_deg and star_arcsec are their noise)"}
+        names = ("camera_deg", "star_arcsec", "separation_deg", "accuracy_sigmas")
+        return dict.fromkeys(names, "where positions are measured (sigma_km is their noise)")
 
     @property
     def times(self) -> Array:
@@ -160,6 +160,11 @@ class Config(Parameters):
     def rule(self) -> Rule:
         """Sigma points of the state."""
         return unscented(6, self.alpha, self.beta, self.kappa)
+
+    @property
+    def separation(self) -> float:
+        """Angle between the stars, rad."""
+        return float(np.radians(self.separation_deg))
 
     def nominal(self, steps: int | None = None) -> Array:
         """Orbit without process noise, ``(steps + 1, 6)`` km, km/s."""
@@ -215,13 +220,10 @@ def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
     for k in range(c.steps):
         truth[k + 1] = orbit.step(truth[k], c.step_s) + w[k] * c.sqrt_Q.diagonal()
     noise = ar1(c.Phi, zeta * c.increment * c.sigma, first * semidefinite_root(c.Sigma0).diagonal())
-    angles = None
+    angles, z = None, truth[..., :3] + noise
     if c.measured == "angles":
-        separation = float(np.radians(c.separation_deg))
-        angles = sightings.angles(truth[..., :3], sightings.star_directions(separation)) + noise
-        z = sightings.position(angles, separation, np.sign(truth[..., 2]), strict=False)
-    else:
-        z = truth[..., :3] + noise
+        angles = sightings.angles(truth[..., :3], sightings.star_directions(c.separation)) + noise
+        z = sightings.position(angles, c.separation, np.sign(truth[..., 2]), strict=False)
     return Scenario(c, truth, z, noise, Gaussian(truth[0] + initial * c.sqrt_P0.diagonal(), sqrt_cov=c.sqrt_P0), angles)
 
 
@@ -229,29 +231,6 @@ def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
 def orbital(config: Config) -> Motion:
     """What filters believe of the orbit."""
     return Motion(lambda x, epoch: orbit.step(x, config.step_s), sqrt_Q=config.sqrt_Q)  # noqa: ARG005
-
-
-def filters(config: Config) -> dict[str, Filter]:
-    """The filters, by the names that figures and tables use.
-
-    srukf: white noise assumed. csrukf: the paper's structure, corrected. csrukf+z0: uses the first sample, in one transform.
-    augmented: the exact reference. srukf-reff: white noise of the same spectrum at zero frequency, where there is one, else
-    srukf-inflated: of half the walk's final variance. openloop: no measurement at all. Where angles are measured see
-    `angle_filters`.
-    """
-    c, motion = config, orbital(config)
-    if c.measured == "angles":
-        return angle_filters(c)
-    sensor, options = Sensor(H, c.Sigma0), dict[str, Any](increments=c.R, rule=c.rule)
-    walk = abs(c.phi) == 1.0
-    return {
-        "srukf": white(c, np.diag(c.sigma**2)),
-        "csrukf": decorrelated(motion, sensor, c.Phi, first=False, **options),
-        "csrukf+z0": colored(motion, sensor, c.Phi, **options),
-        "augmented": augmented(motion, sensor, c.Phi, increments=c.R),
-        "openloop": sigma_point(motion, rule=c.rule),
-        "srukf-inflated" if walk else "srukf-reff": white(c, 0.5 * c.steps * c.R if walk else effective_covariance(c.Phi, c.R)),
-    }
 
 
 def white(config: Config, R: Any) -> Filter:
@@ -265,32 +244,46 @@ def assuming(config: Config, R: Any, Phi: Array | None = None) -> Filter:
     return colored(orbital(config), sensor, config.Phi if Phi is None else Phi, increments=R, first=False, rule=config.rule)
 
 
-def angle_filters(config: Config) -> dict[str, Filter]:
-    """Filters where angles are measured, by name.
+def filters(config: Config) -> dict[str, Filter]:
+    """The filters, by the names that figures and tables use; openloop: no measurement at all.
 
-    srukf-isotropic, csrukf-isotropic: on pseudo-positions, all components taken for equally good. csrukf-jacobian: on
-    pseudo-positions, with the covariance that the angles give them. angles: on the angles themselves; their noise is whitened
-    if it has a color. angles+z0: uses the first sample too, the exact reference. openloop: no measurement at all.
+    Of positions: srukf: white noise assumed. csrukf: the paper's structure, corrected. csrukf+z0: uses the first sample, in one
+    transform. augmented: the exact reference. srukf-reff: white noise of the same spectrum at zero frequency, where there is one,
+    else srukf-inflated: of half the walk's final variance.
+
+    Where angles are measured: srukf-isotropic, csrukf-isotropic: on pseudo-positions, all components taken for equally good.
+    csrukf-jacobian: with the covariance that the angles give them. angles: on the angles themselves; their noise is whitened if it
+    has a color. angles+z0: uses the first sample too, the exact reference.
     """
-    c, motion, separation = config, orbital(config), float(np.radians(config.separation_deg))
-    stars = sightings.star_directions(separation)
-    table = sightings.pseudo_position_covariance(c.nominal()[:, :3], separation, c.sigma)
+    c, motion = config, orbital(config)
+    openloop = {"openloop": sigma_point(motion, rule=c.rule)}
+    if c.measured == "positions":
+        sensor, options = Sensor(H, c.Sigma0), dict[str, Any](increments=c.R, rule=c.rule)
+        other = "srukf-inflated" if abs(c.phi) == 1.0 else "srukf-reff"
+        return openloop | {
+            "srukf": white(c, np.diag(c.sigma**2)),
+            "csrukf": decorrelated(motion, sensor, c.Phi, first=False, **options),
+            "csrukf+z0": colored(motion, sensor, c.Phi, **options),
+            "augmented": augmented(motion, sensor, c.Phi, increments=c.R),
+            other: white(c, effective_covariance(c.Phi, c.R) if other == "srukf-reff" else 0.5 * c.steps * c.R),
+        }
+    stars = sightings.star_directions(c.separation)
+    table = sightings.pseudo_position_covariance(c.nominal()[:, :3], c.separation, c.sigma)
     isotropic = np.trace(table, axis1=-2, axis2=-1).mean() / 3.0 * np.eye(3)
 
     def h(x: Array, epoch: object) -> Array:  # noqa: ARG001
         return sightings.angles(x[..., :3], stars)
 
     def whitened(*, first: bool) -> Filter:
-        sensor, rule = Sensor(h, c.Sigma0), lambda n: c.rule if n == 6 else unscented(n)
-        return colored(motion, sensor, c.Phi, increments=c.R, first=first, rule=rule)
+        rule = lambda n: c.rule if n == 6 else unscented(n)  # noqa: E731
+        return colored(motion, Sensor(h, c.Sigma0), c.Phi, increments=c.R, first=first, rule=rule)
 
-    return {
+    return openloop | {
         "srukf-isotropic": white(c, isotropic),
         "csrukf-isotropic": assuming(c, c.increment**2 * isotropic),
         "csrukf-jacobian": assuming(c, lambda _, epoch: c.increment**2 * table[epoch.k]),
         "angles": whitened(first=False) if c.phi else sigma_point(motion, Sensor(h, sqrt_R=np.diag(c.sigma)), rule=c.rule),
         "angles+z0": whitened(first=True),
-        "openloop": sigma_point(motion, rule=c.rule),
     }
 
 
