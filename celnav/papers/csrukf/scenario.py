@@ -29,19 +29,13 @@ from celnav.gaussian.linalg import Array, Belief, semidefinite_root
 from celnav.gaussian.rules import Rule, unscented
 from celnav.models import orbit, sightings
 from celnav.models.noise import ar1, effective_covariance, stationary_covariance
+from celnav.papers import citation
 from celnav.study.montecarlo import MOST_STEPS, normals
 from celnav.study.parameters import Parameters, param
 from celnav.study.trial import Group, Trial
 
 TITLE = "Square-root unscented Kalman filter for colored measurement noise"
-CITATION = """\
-@article{Sun2015,
-  author  = {Sun, Huimin and Zhuang, Chunqing and Xu, Shengzhong},
-  title   = {Square-Root Unscented Kalman Filter for Satellite Autonomous Celestial Navigation System
-             with Colored Measurement Noise},
-  year    = {2015},
-  note    = {in Chinese}
-}"""
+CITATION = citation("Sun2015")
 H = np.eye(3, 6)
 FIT = "inferred: by a fit to Tables 1 and 2"
 
