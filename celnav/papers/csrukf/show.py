@@ -31,6 +31,7 @@ LINES = {"srukf": SRUKF, "csrukf": CSRUKF}
 WHITE = {"srukf": SRUKF._replace(width=2.2), "csrukf": CSRUKF._replace(style="--"),
          "lagged": Line("CSRUKF lagged (has seen the next sample)", colors.TRUTH, width=0.7)}  # fmt: skip
 AXES, TIME = ("x", "y", "z", "v_x", "v_y", "v_z"), "time (s)"
+QUANTITIES = [f"absolute position error ${a}$ (km)" for a in AXES[:3]] + [f"velocity error ${a}$ (m/s)" for a in AXES[3:]]
 COLUMNS = ("x_km", "y_km", "z_km", "vx_m_per_s", "vy_m_per_s", "vz_m_per_s")
 
 
@@ -64,22 +65,17 @@ def component(r: Results, part: str, i: int, lines: dict[str, Line], shown: str 
     return [*items, sigma(r, part, shown, lines[shown].label, *at, absolute=i < 3)] if shown else items
 
 
-def quantity(i: int) -> str:
-    """What a component's axis says."""
-    return f"absolute position error ${AXES[i]}$ (km)" if i < 3 else f"velocity error ${AXES[i]}$ (m/s)"
-
-
 def white(i: int, r: Results) -> Figure:
     """An error under white noise."""
     title, items = f"Figure {i + 2}: ${AXES[i]}$, $\\Phi = 0$", component(r, "0", i, WHITE, "csrukf")
-    return panels(Panel(title, items, TIME, quantity(i)), size=(7.0, 3.6))
+    return panels(Panel(title, items, TIME, QUANTITIES[i]), size=(7.0, 3.6))
 
 
 def walk(i: int, r: Results) -> Figure:
     """An error under random-walk noise."""
     four, loop = component(r, "I", i, LINES, runs=4, spread=True), component(r, "I", i, {"openloop": OPEN})
     right = [*component(r, "I", i, {"csrukf": CSRUKF}, "csrukf", runs=4, spread=True), *loop]
-    left = Panel(f"Figure {i + 8}: ${AXES[i]}$, $\\Phi = I$", four, TIME, quantity(i))
+    left = Panel(f"Figure {i + 8}: ${AXES[i]}$, $\\Phi = I$", four, TIME, QUANTITIES[i])
     return panels([left, Panel("CSRUKF against open loop", right, TIME)], size=(7.0, 3.8))
 
 
