@@ -58,24 +58,20 @@ class Config(Parameters):
     star_arcsec: float = param(3.0, "paper", "accuracy of the directions to stars, where angles are measured")
     separation_deg: float = param(90.0, "chosen", "angle between the two stars, where angles are measured")
     accuracy_sigmas: float = param(3.0, "inferred", "how many standard deviations these accuracies are")
-    sigma_km: float = param(
-        0.2, FIT, "deviation of the noise of a measured position, on each axis; of which, says noise_level", above=0.0
-    )
+    sigma_km: float = param(0.2, FIT, "deviation of a measured position's noise, each axis; of which, says noise_level", above=0.0)
     noise_level: str = param(
         "increments", "inferred: the paper's R",
-        "what sigma_km, or camera_deg and star_arcsec, are the deviation of: the colored noise V itself (stationary), however "
-        "large phi is, or the white increments that drive it, in V' = phi V + increment", one_of=("stationary", "increments"),
+        "what sigma_km, or camera_deg and star_arcsec, are the deviation of: the colored noise V itself (stationary), or the white "
+        "increments that drive it", one_of=("stationary", "increments"),
     )  # fmt: skip
     prior_position_km: float = param(0.15, FIT, "standard deviation of the estimate at the start, on each axis", least=0.0)
     prior_velocity_m_per_s: float = param(0.035, FIT, "standard deviation of the estimate at the start, on each axis", least=0.0)
     noise_position_km: float = param(7.5e-3, FIT, "process noise of one step, standard deviation on each axis", least=0.0)
     noise_velocity_km_per_s: float = param(1e-8, FIT, "process noise of one step, standard deviation on each axis", least=0.0)
     phi: float = param(
-        0.0, "paper: 0, 0.8, 1", "color of the noise, V' = phi V + increment: 0 is white, 1 a random walk", least=-1.0, most=1.0
+        0.0, "paper: 0, 0.8, 1", "color of the noise, V' = phi V + increment; 1: a random walk", least=-1.0, most=1.0
     )
-    measured: str = param(
-        "positions", "inferred", "positions, computed from the angles beforehand, or the angles", one_of=("positions", "angles")
-    )
+    measured: str = param("positions", "inferred", "positions, made of the angles, or the angles", one_of=("positions", "angles"))
     first_noise: str | None = param(
         None, "chosen", "covariance of the first noise: that of the increments (R), of the stationary noise, or zero; left out: as "
         "noise_level", one_of=("R", "stationary", "zero", None),
@@ -86,10 +82,8 @@ class Config(Parameters):
 
     def check(self) -> None:
         """Orbits above the Earth, noise that there is, sigma points that can be."""
-        least = orbit.EARTH.radius_km / (1.0 - self.eccentricity)
-        if self.semi_major_axis_km <= least:
-            found = f"an orbit above the Earth, from {least:.6g} km, got {self.semi_major_axis_km!r}"
-            raise ValueError(f"semi_major_axis_km: expected {found}")
+        if (a := self.semi_major_axis_km) <= (least := orbit.EARTH.radius_km / (1.0 - self.eccentricity)):
+            raise ValueError(f"semi_major_axis_km: expected an orbit above the Earth, from {least:.6g} km, got {a!r}")
         for name, other in (("noise_level", "'increments'"), ("first_noise", "R or zero")):
             if getattr(self, name) == "stationary" and abs(self.phi) == 1.0:
                 why = f"where phi is {self.phi:g}: a random walk has no stationary deviation, only its increments have one"
