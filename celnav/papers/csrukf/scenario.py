@@ -244,15 +244,16 @@ def filters(config: Config) -> dict[str, Filter]:
     has a color. angles+z0: uses the first sample too, the exact reference.
     """
     c, motion = config, orbital(config)
-    openloop = {"openloop": sigma_point(motion, rule=c.rule)}
+    openloop = sigma_point(motion, rule=c.rule)
     if c.measured == "positions":
         sensor, options = Sensor(H, c.Sigma0), dict[str, Any](increments=c.R, rule=c.rule)
         other = "srukf-inflated" if abs(c.phi) == 1.0 else "srukf-reff"
-        return openloop | {
+        return {
             "srukf": white(c, np.diag(c.sigma**2)),
             "csrukf": decorrelated(motion, sensor, c.Phi, first=False, **options),
             "csrukf+z0": colored(motion, sensor, c.Phi, **options),
             "augmented": augmented(motion, sensor, c.Phi, increments=c.R),
+            "openloop": openloop,
             other: white(c, effective_covariance(c.Phi, c.R) if other == "srukf-reff" else 0.5 * c.steps * c.R),
         }
     stars = sightings.star_directions(c.separation)
@@ -266,12 +267,13 @@ def filters(config: Config) -> dict[str, Filter]:
         rule = lambda n: c.rule if n == 6 else unscented(n)  # noqa: E731
         return colored(motion, Sensor(h, c.Sigma0), c.Phi, increments=c.R, first=first, rule=rule)
 
-    return openloop | {
+    return {
         "srukf-isotropic": white(c, isotropic),
         "csrukf-isotropic": assuming(c, c.increment**2 * isotropic),
         "csrukf-jacobian": assuming(c, lambda _, epoch: c.increment**2 * table[epoch.k]),
         "angles": whitened(first=False) if c.phi else sigma_point(motion, Sensor(h, sqrt_R=np.diag(c.sigma)), rule=c.rule),
         "angles+z0": whitened(first=True),
+        "openloop": openloop,
     }
 
 
