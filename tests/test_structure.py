@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import ast
+import re
 from pathlib import Path
 
 import pytest
 
 import celnav
+from celnav.papers import citation
 
 ROOT = Path(celnav.__file__).parent
 ROOMS = [
@@ -77,3 +79,12 @@ def test_a_paper_is_data_in_few_files(paper, most):
     files = sorted((ROOT / "papers" / paper).glob("*.py"))
     assert {p.stem for p in files} - {"method"} == {"__init__", "scenario", "show", "study"}
     assert sum(map(lines, files)) <= most
+
+
+def test_every_source_that_is_cited_is_in_the_bibliography():
+    cited = {key for p in ROOT.rglob("*.py") for key in re.findall(r"\[([A-Z][A-Za-z]+\d{4})\b", p.read_text(encoding="utf-8"))}
+    assert len(cited) > 9
+    for key in sorted(cited):
+        assert citation(key).startswith("@"), key
+    with pytest.raises(ValueError, match=r"key: expected one of Sun2015, .*, got 'Moon2015'"):
+        citation("Moon2015")

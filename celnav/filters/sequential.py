@@ -295,7 +295,7 @@ class Iterated(Sequential):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SingleDraw(Sequential):
-    """Predict and update on one set of points: the augmented form of [van der Merwe 2004], without drawing anew in between.
+    """Predict and update on one set of points: the augmented form of [Merwe2004], without drawing anew in between.
 
     Noise goes through the points: ``f(x, epoch, *noise)`` and ``h(f(x), epoch, *noise)`` both get all the noises of the motion and
     then of its only sensor. Additive process noise would not reach the measurement, and is not offered. An epoch with ``dt == 0``

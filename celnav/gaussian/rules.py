@@ -257,7 +257,7 @@ def _axes(n: int, radius: float) -> Array:
 
 
 def unscented(n: int, alpha: float = 1.0, beta: float = 0.0, kappa: float = 0.0) -> Rule:
-    """Scaled unscented rule of ``2n + 1`` points [van der Merwe 2004]; the defaults have no negative weight.
+    """Scaled unscented rule of ``2n + 1`` points [Merwe2004]; the defaults have no negative weight.
 
     With the defaults the center has no weight, and the rule is ``cubature(n)``, that of the cubature Kalman filter. The customary
     ``kappa = 3 - n`` matches fourth moments on the axes; a small ``alpha`` with ``beta = 2`` keeps the points near the mean.

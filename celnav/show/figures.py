@@ -69,7 +69,7 @@ def panels(*rows: Panel | Sequence[Panel], size: tuple[float, float], legend: An
         for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
             known.setdefault(label, handle)
     if known and legend:
-        each = max(map(len, known)) * 0.055 + 0.45  # inches that a label takes
+        each = max(map(len, known)) * 0.06 + 0.55  # inches that a label takes
         columns = 1 if "right" in str(legend) else max(1, min(len(known), int(size[0] / each)))
         fig.legend(known.values(), known, loc=legend, ncols=columns)
     return fig

@@ -175,15 +175,15 @@ def test_the_lagged_estimate_is_that_of_the_epoch_before():
 
 def test_reused_points_are_wrong_and_redrawn_ones_right():
     found = study.redrawn(SHORT, [np.random.default_rng(4)])
-    assert found["reused"][0] > 0.01
-    assert found["redrawn"][0] < 1e-12
+    assert found["reused"].max() > 0.01
+    assert found["redrawn"].max() < 1e-12
 
 
 def test_the_whitened_system_is_exact_once_corrected():
     found = study.linear(SHORT, [np.random.default_rng(4)])
-    assert found["cross"][0] < 1e-12
-    assert found["corrected"][0] < 1e-10
-    assert found["first sample lost"][0] > 0.1
+    assert found["cross"].max() < 1e-12
+    assert found["corrected"].max() < 1e-10
+    assert found["first sample lost"].max() > 0.1
 
 
 @pytest.mark.parametrize(
