@@ -1,8 +1,4 @@
-"""[Wu2012]: a satellite whose gyros and star sensor give its attitude.
-
-The equations of the text at hand are lost. Filters are made of `celnav.filters.sequential.sigma_point` and models with ``augment``,
-on attitudes of `celnav.gaussian.attitude`; gyro and satellite are those of `celnav.models.gyro`.
-"""
+"""[Wu2012]: a satellite whose gyros and star sensor give its attitude. The equations of the text at hand are lost."""
 
 from __future__ import annotations
 
@@ -35,12 +31,9 @@ CITATION = """\
   year    = {2012},
   note    = {in Chinese; the text available has lost its equations, curves and the numbers of Table 1}
 }"""
-ARCSEC = np.pi / 648000.0
-"""rad."""
-DEG_PER_H = np.pi / 648000.0
-"""rad/s."""
+ARCSEC = DEG_PER_H = np.pi / 648000.0
+"""rad, and rad/s."""
 RADIUS_KM = 6378.137 + 800.0
-"""Of the orbit."""
 
 
 # -- parameters --------------------------------------------------------------------------------------------------------------
@@ -52,8 +45,7 @@ class Config(Parameters):
     attitude_deg: tuple[float, float, float] = param((1.0, 2.0, 10.0), "paper", "true roll, pitch and yaw at the start")
     rate_deg_per_s: tuple[float, float, float] = param((0.01, 0.01, 0.05), "paper", "true inertial rate at the start, body axes")
     inertia: tuple[tuple[float, float, float], ...] = param(
-        ((52.0, 1.2, -0.8), (1.2, 47.0, 0.6), (-0.8, 0.6, 61.0)), "chosen: lost", "tensor of inertia, body axes, kg m^2"
-    )
+        ((52.0, 1.2, -0.8), (1.2, 47.0, 0.6), (-0.8, 0.6, 61.0)), "chosen: lost", "inertia, body axes, kg m^2")  # fmt: skip
     wheels: tuple[float, float, float] = param((0.0, -2.0, 0.0), "chosen", "angular momentum of the wheels, body axes, N m s")
     torque: tuple[float, float, float] = param((1e-6, -1e-6, 0.5e-6), "chosen", "constant disturbance, body axes, N m")
     gyro_hz: float = param(100.0, "paper", "samples of the gyro; a whole number for each star sample", above=0.0)
@@ -157,11 +149,8 @@ class Scenario(NamedTuple):
             yield Epoch(n, n * c.step_s, c.step_s, sample, seen, truth)
 
     def integrated(self) -> Scenario:
-        """The same runs with one gyro sample from star to star, integrated once for all filters.
-
-        It is done about a drift of zero: by a drift of 1 deg/h the order of such small turns matters less than 1e-12 rad.
-        """
-        c = self.config
+        """The same runs with one gyro sample from star to star, integrated once for all filters."""
+        c = self.config  # about a drift of zero: by one of 1 deg/h the order of such small turns matters less than 1e-12 rad
         each = self.gyro.reshape(-1, c.ratio, *self.gyro.shape[1:]).swapaxes(0, 1)
         return self._replace(config=replace(c, preintegrated=True), gyro=preintegrate(each, np.zeros(3), c.step_s))
 
@@ -234,14 +223,6 @@ def noise_root(gyro: Gyro, dt: float) -> Array:
     return np.diag(np.repeat([gyro.rate_std(dt), gyro.drift_std(dt)], 3))
 
 
-def warn_of_wrapping(rule: Rule, sigma: float) -> None:
-    """Warn if points of a rule lie half a turn or more from a mean known to ``sigma`` rad: they would be shorter rotations."""
-    reach = np.degrees(np.abs(rule.nodes).max() * sigma)
-    if reach > 180.0:
-        text = f"sigma points reach {reach:.0f} deg from the mean, and wrap at 180: take a smaller spread (alpha, kappa)"
-        warnings.warn(text, RuntimeWarning, stacklevel=3)
-
-
 def filters(
     config: Config, *, c: float | None = None, transported: bool = False, form: str = "covariance", vector: Sensor | None = None
 ) -> dict[str, Sequential]:
@@ -255,7 +236,10 @@ def filters(
     ``c``: one spread for all rules instead of ``alpha^2 (L + kappa)``. ``transported``: the covariance follows the reference after
     an update. ``vector``: a sensor instead of that of stars.
     """
-    warn_of_wrapping(spread(15, config, c=c), float(config.sigma0[:3].max()))
+    reach = np.degrees(np.abs(spread(15, config, c=c).nodes).max() * config.sigma0[:3].max())
+    if reach > 180.0:  # points would be shorter rotations
+        text = f"sigma points reach {reach:.0f} deg from the mean, and wrap at 180: take a smaller spread (alpha, kappa)"
+        warnings.warn(text, RuntimeWarning, stacklevel=2)
     gyro, dt, f = config.gyro, config.step_s, dynamics(config.gyro)
     W, V, Q = noise_root(gyro, dt), config.sigma_n * np.eye(3), gyro.process_noise(dt)
     half = 0.5 * np.diag(np.repeat([gyro.sigma_v**2 * dt - gyro.sigma_u**2 * dt**3 / 6.0, gyro.sigma_u**2 * dt], 3))

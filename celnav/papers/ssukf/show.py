@@ -12,11 +12,10 @@ from celnav.gaussian import attitude
 from celnav.gaussian.linalg import Array
 from celnav.gaussian.spaces import wrap
 from celnav.papers.ssukf.scenario import ARCSEC, DEG_PER_H, GROUPS, RADIUS_KM, STANDARD, path
-from celnav.papers.ssukf.study import AXES, FIELD, FIELD_DEG, LARGE, PRIORS_DEG, STUDY, TIMED, TURNS_DEG, points, readings
+from celnav.papers.ssukf.study import AXES, FIELD, FIELD_DEG, STUDY, TIMED, points
 from celnav.show import colors, scenes, showcase
 from celnav.show.estimates import Group, again
 from celnav.show.figures import Item, Line, Panel, Rows, consistency, curve, level, panels, rmse
-from celnav.show.plots import Curve, Plot
 from celnav.study.study import Results
 
 if TYPE_CHECKING:
@@ -30,10 +29,10 @@ LINES = {
     "mekf": Line("MEKF", colors.OPEN_LOOP), "usque": Line("USQUE", colors.TRUTH),
 }  # fmt: skip
 FORMS = {
-    "unswitched": Line("total MRP, never switched", colors.PAPER), "switched": Line("total MRP, switched", colors.COMPARISON, width=3.0),
+    "unswitched": Line("total form, never switched", colors.PAPER), "switched": Line("total form", colors.COMPARISON, width=3.0),
     "local": Line("local form", colors.ESTIMATE, "--"),
 }  # fmt: skip
-EXACT = {"color": colors.BOUND, "linewidth": 4.0, "label": "exact deviation"}
+EXACT = Line("exact deviation", colors.BOUND, width=4.0)
 
 
 def euler(results: Results, filter: str) -> Array:
@@ -49,11 +48,12 @@ def angle(axis: int, results: Results) -> Figure:
     names, t, exact = ("aukf", "ssukf"), results.times("runs"), results.get("facts", "exact")[1:, 0]
     errors = {name: euler(results, name)[..., axis] for name in names}
     size = {name: np.sqrt(np.square(errors[name]).mean(1)) for name in names}
-    spent = {name: results.value("timings", f"{name}, {STANDARD.ratio}:1", 0) * np.arange(len(t)) for name in names}
-    sizes = [curve(t[1:], exact[: len(t) - 1], **EXACT), *(curve(t, size[name], LINES[name]) for name in names), level(10.0, 5.0, 2.0)]
+    spent = {name: results.value("costs", f"seconds, {name}, {STANDARD.ratio}:1", 0) * np.arange(len(t)) for name in names}
+    sizes = [curve(t, size[name], LINES[name]) for name in names]
     first = [curve(t, np.abs(errors[name][:, 0]), LINES[name]) for name in names]
     return panels([
-        Panel(f"RMSE of {errors['aukf'].shape[1]} runs", sizes, "time (s)", f"{AXES[axis]} error (arcsec)", "y"),
+        Panel(f"RMSE of {errors['aukf'].shape[1]} runs", [curve(t[1:], exact[: len(t) - 1], EXACT), *sizes, level(10.0, 5.0, 2.0)],
+              "time (s)", f"{AXES[axis]} error (arcsec)", "y"),
         Panel("one run, the first 10 s", first, "time (s)", log="y", more={"xlim": (-0.2, 10.0)}),
         Panel("RMSE over computing time", [curve(spent[name], size[name], LINES[name]) for name in names],
               "CPU time of one run alone at 100 Hz (s)", log="y"),
@@ -62,11 +62,11 @@ def angle(axis: int, results: Results) -> Figure:
 
 def accuracy(results: Results) -> Figure:
     """What the model allows, and what is reached: attitude and drift."""
-    t, exact, limits = results.times("runs")[1:], results.get("facts", "exact")[1:], results.get("facts", "limits")[0]
+    t, exact, limits = results.times("runs")[1:], results.get("facts", "exact")[1:], results.get("facts", "limits")[-1]
 
     def items(i: int, group: str) -> list[Item]:
         reached = [rmse(results, "runs", name, LINES[name], group, each=True, start=1) for name in ("aukf", "ssukf", "mekf")]
-        return [curve(t, exact[: len(t), i], **EXACT), *reached, level(limits[i], label="limit (Riccati)")]
+        return [curve(t, exact[: len(t), i], EXACT), *reached, level(limits[i], label="limit (Riccati)")]
 
     return panels([Panel(group.name, items(i, group.name), "time (s)", f"RMSE on an axis ({group.unit})", "xy")
                    for i, group in enumerate(GROUPS)], size=(9.0, 3.5))  # fmt: skip
@@ -85,10 +85,10 @@ def one_vector(results: Results) -> Figure:
     def item(name: str, degrees: float) -> Item:
         base, _, moved = name.partition(" ")
         error = results.error("vector", f"{name}, {degrees:g}", "attitude")[1:] / 3600.0
-        look = LINES[base].look | {"label": f"{LINES[base].label} {moved}", "linestyle": ":" if moved else "-", "linewidth": 1.1}
-        return curve(results.times("vector")[1:], np.sqrt(np.square(error).sum(-1).mean(1)), **look)
+        line = LINES[base]._replace(label=f"{LINES[base].label} {moved}".strip(), style=":" if moved else "-", width=1.1)
+        return curve(results.times("vector")[1:], np.sqrt(np.square(error).sum(-1).mean(1)), line)
 
-    return panels([Panel(f"prior {d:g}° on each axis", [item(name, d) for name in FIELD], "time (s)", "attitude error, RMS (deg)", "xy")
+    return panels([Panel(f"prior {d:g}° on each axis", [item(name, d) for name in FIELD], "time (s)", "attitude, RMS (deg)", "xy")
                    for d in FIELD_DEG], size=(10.0, 3.5))  # fmt: skip
 
 
@@ -96,54 +96,29 @@ def differences(results: Results) -> Figure:
     """How far apart filters are that are the same: SSUKF and MEKF from AUKF."""
     t, error = results.times("runs")[1:], {name: results.error("runs", name, "attitude")[1:] for name in ("aukf", "ssukf", "mekf")}
     apart = {LINES[name].label: np.abs(error[name] - error["aukf"]).max(2) for name in ("ssukf", "mekf")}
-    return panels([Panel(f"{label} and AUKF", [curve(t, each.max(1), label="largest of the runs", color=colors.ESTIMATE),
-                                               curve(t, np.median(each, 1), label="median", color=colors.SIGMA)],
-                         "time (s)", "difference (arcsec)", "y") for label, each in apart.items()],
-                  size=(9.0, 3.3), sharey=True)  # fmt: skip
-
-
-def sensitivity(results: Results) -> Figure:
-    """What does not matter: the prior, and from where on it does; the initial error."""
-
-    def size(part: str, name: str, at: int) -> float:
-        return float(np.sqrt(results.squares(part, name, "attitude", at).mean()))
-
-    degrees, shades = sorted(PRIORS_DEG), {1: colors.COMPARISON, 40: colors.ESTIMATE, 240: colors.TRUTH}
-    left = [curve(degrees, [size("priors", f"ssukf, {d:g}", k) for d in degrees], color=shade, marker="o", label=f"SSUKF after {k / 4:g} s")
-            for k, shade in shades.items()]  # fmt: skip
-    right = [curve(TURNS_DEG, [size("turns", f"{name}, {d:g}", 1) for d in TURNS_DEG], LINES[name], marker=marker)
-             for name, marker in zip(LARGE, "ox+.", strict=True)]  # fmt: skip
-    return panels([
-        Panel("initial error of 1, 2, 10°", left, "prior, each axis (deg)", "attitude, RMSE on an axis (arcsec)", "xy"),
-        Panel("after the first star sample", right, "initial error (deg)", more={"ylim": (0.0, 40.0)}),
-    ], size=(9.0, 3.6))  # fmt: skip
+    looks = Line("largest of the runs", colors.ESTIMATE), Line("median", colors.SIGMA)
+    return panels([Panel(f"{label} and AUKF", [curve(t, each.max(1), looks[0]), curve(t, np.median(each, 1), looks[1])], "time (s)",
+                         "difference (arcsec)", "y") for label, each in apart.items()], size=(9.0, 3.3), sharey=True)  # fmt: skip
 
 
 def spinning(results: Results) -> Figure:
     """The total attitude as the state, in a spin past 360 deg, with and without the switch."""
-    t, error = results.times("crossing"), {name: np.linalg.norm(results.error("crossing", name, "attitude"), axis=-1) for name in FORMS}
-    return panels(Panel("a turn past 360°", [curve(t, error[name].max(1), line) for name, line in FORMS.items()],
-                        "time (s); 360° at 10 s", "largest error of the runs (arcsec)", "y"), size=(6.5, 3.4))  # fmt: skip
+    t, errors = results.times("crossing"), {name: results.error("crossing", name, "attitude") for name in FORMS}
+    items = [curve(t, np.linalg.norm(errors[name], axis=-1).max(1), line) for name, line in FORMS.items()]
+    return panels(Panel("", items, "time (s); 360° at 10 s", "largest error of the runs (arcsec)", "y"), size=(6.5, 3.4))
 
 
-def costs(results: Results) -> Rows:
+def table(results: Results) -> Rows:
     """Points and seconds of one run alone from star sample to star sample; seconds are those of the machine at hand."""
     rows: Rows = []
     for per in (1, STANDARD.ratio):
-        seconds = {name: results.value("timings", f"{name}, {per}:1", 0) for name in TIMED}
+        seconds = {name: results.value("costs", f"seconds, {name}, {per}:1", 0) for name in TIMED}
         for name in TIMED:
             label, count = "MEKF (and Jacobians)" if name == "mekf" else name.upper(), points(results, name, per)
             rows.append({"updates of time to measurement": f"{per}:1", "filter": label, "points": int(count),
                          "points to AUKF": count / points(results, "aukf", per), "one run alone (s)": seconds[name],
                          "to AUKF": seconds[name] / seconds["aukf"]})  # fmt: skip
     return rows
-
-
-def read(results: Results) -> Rows:
-    """Readings of the gyro's numbers, and what settles with each of them."""
-    return [{"reading": name, "sigma_v (rad/s^0.5)": gyro.sigma_v, "sigma_u (rad/s^1.5)": gyro.sigma_u, "tau (s)": gyro.tau,
-             "attitude (arcsec)": float(limit[0]), "drift (deg/h)": float(limit[1])}
-            for (name, gyro), limit in zip(readings(STANDARD).items(), results.get("facts", "limits"), strict=True)]  # fmt: skip
 
 
 FIGURES = {
@@ -153,13 +128,9 @@ FIGURES = {
     "figure_05": ("Beyond the paper: consistency, initial errors drawn from the prior.", consistent),
     "figure_06": ("Beyond the paper: one measured vector; dotted, the covariance follows the reference.", one_vector),
     "figure_07": ("Beyond the paper: how far apart filters are that are the same.", differences),
-    "figure_08": ("Beyond the paper: what does not matter: prior and initial error.", sensitivity),
-    "figure_09": ("Beyond the paper: the total attitude as the state, in a spin past 360°.", spinning),
+    "figure_08": ("Beyond the paper: the total attitude as the state, in a spin past 360°.", spinning),
 }  # fmt: skip
-TABLES = {
-    "table_1": ("Table 1: cost from one star sample to the next; the paper's numbers are lost, it says about 1/3 less.", costs),
-    "table_2": ("Beyond the paper: readings of its gyro numbers, and what settles with each of them.", read),
-}
+TABLES = {"table_1": ("Table 1: cost from star sample to star sample; the paper's numbers are lost: about 1/3 less.", table)}
 
 
 # -- the recording: the first run, satellite and sensors as they turn, the errors as if under a microscope -------------------
@@ -184,11 +155,9 @@ def record(results: Results, outputs: Outputs) -> list[str]:
     found, truth, _ = again(results, "runs", lines)
     t, c, (attitude, drift) = results.times("runs"), results.parts["runs"].config, GROUPS
     errors = {name: (found[name].errors[:, 0, :3], line.color) for name, line in lines.items()}
-    apart = np.abs(errors["ssukf"][0] - errors["aukf"][0]).max(1) / ARCSEC
     shown = showcase.Showcase(
         "ssukf", NOTES, t, found, (Group(*attitude, AXES), Group(*drift, truth=truth[:, 4:] / DEG_PER_H)), truth,
         np.eye(3, 6) / ARCSEC, "arcsec", nis_dof=3, spaces=SPACES, counter="star_epoch", parameters=vars(c),
-        plots={"cost": {"difference": Plot("log10 |SSUKF - AUKF|, arcsec", {"apart": Curve(apart, colors.ESTIMATE, "SSUKF - AUKF")}, log=True)}},
         scene=lambda out: scene(out, c.orbit_rate_rad_per_s * t, truth[:, :4], errors),
         legend={colors.MEASUREMENT: "nadir", colors.STAR: "sight lines of the star sensor"},
         facts={"paper": "ssukf", "seed": results.seed, "runs": found["ssukf"].errors.shape[1], "exaggeration": EXAGGERATION},
@@ -198,7 +167,8 @@ def record(results: Results, outputs: Outputs) -> list[str]:
 
 def scene(out: Recorder, angles: Array, truth: Array, errors: Mapping[str, tuple[Array, str]]) -> None:
     """The satellite at ``angles (T,)`` along its orbit, its attitudes ``(T, 4)``, and their errors ``(T, 3)`` with their colors."""
-    place, orbit = (RADIUS_KM * np.stack([np.sin(at), 0.0 * at, -np.cos(at)], -1) for at in (angles, np.linspace(0.0, 2.0 * np.pi, 181)))
+    turn = np.linspace(0.0, 2.0 * np.pi, 181)
+    place, orbit = (RADIUS_KM * np.stack([np.sin(at), 0.0 * at, -np.cos(at)], -1) for at in (angles, turn))
     out.globe("world/earth", 6378.0)
     out.path("world/orbit", [orbit], colors.FAINT)
     out.arrow("world/nadir", place, -0.6 * ARM_KM / RADIUS_KM * place, colors.MEASUREMENT, "nadir")
