@@ -65,7 +65,7 @@ def accuracy(results: Results) -> Figure:
     t, exact, limits = results.times("runs")[1:], results.get("facts", "exact")[1:], results.get("facts", "limits")[-1]
 
     def items(i: int, group: str) -> list[Item]:
-        reached = [rmse(results, "runs", name, LINES[name], group, each=True, start=1) for name in ("aukf", "ssukf", "mekf")]
+        reached = [rmse(results, "runs", name, LINES[name], group, each=True, start=1) for name in ("mekf", "aukf", "ssukf")]
         return [curve(t, exact[: len(t), i], EXACT), *reached, level(limits[i], label="limit (Riccati)")]
 
     return panels([Panel(group.name, items(i, group.name), "time (s)", f"RMSE on an axis ({group.unit})", "xy")

@@ -81,7 +81,7 @@ def apart(a: Array, b: Array) -> Array:
 
 
 def changes(config: Config, rngs: Rngs) -> dict[str, Array]:
-    """Differences ``(2, runs)``, see `apart`: of the SSUKF at 100 and at 4 Hz, of the AUKF with the right and the printed lambda."""
+    """Differences ``(2, runs)``, see `apart`: of the SSUKF at 100 and at 4 Hz, of the AUKF with either lambda."""
     full = simulate(config, rngs)
     sim = full.integrated()
     return {"ssukf": apart(means(full, "ssukf"), means(sim, "ssukf")),
@@ -145,7 +145,7 @@ def total_filter(config: Config, *, switched: bool = True, form: str = "covarian
 
 
 def forms(made: Callable[[Config, Rngs], Scenario], names: Sequence[str], config: Config, rngs: Rngs) -> dict[str, Array]:
-    """The SSUKF in `FORMS`, "local" and on the total attitude with and without the switch, from drawn initial errors. Beside errors,
+    """The SSUKF in `FORMS`, local and on the total attitude with and without the switch, from drawn initial errors. Beside errors,
     NEES and NIS: what the norm of a quaternion lacks to 1, and the condition of the attitude's covariance in its parameters."""
     sim, out = made(config, rngs), {"times": config.times}
     for name in names:
