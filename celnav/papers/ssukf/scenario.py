@@ -229,9 +229,9 @@ def filters(
     """The paper's filters and those it is compared with, by name; warns if points of the prior wrap at 180 deg.
 
     aukf: process and measurement noise through the points of both parts (15 dimensions, 31 points). aukf-1: the same, drawn
-    once for both parts. ssukf: each noise where it acts (12 and 9 dimensions, 25 and 19 points). additive: neither
-    (6 dimensions, 13 points). usque: half of the process noise before the prediction, half after it. mekf: linearized, in the
-    Gibbs vector.
+    once for both parts, which keeps what noise they have in common. ssukf: each noise where it acts (12 and 9 dimensions, 25 and
+    19 points). additive: neither (6 dimensions, 13 points). usque: half of the process noise before the prediction, half after
+    it. mekf: linearized, in the Gibbs vector.
 
     ``c``: one spread for all rules instead of ``alpha^2 (L + kappa)``. ``transported``: the covariance follows the reference after
     an update. ``vector``: a sensor instead of that of stars.

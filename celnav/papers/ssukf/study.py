@@ -448,7 +448,7 @@ FINDINGS = [
     finding("overconfident-prior", "A prior of 20 arcsec for an error of 10° is not made good in a minute.",
         all_of(ratio("over 10°", ("priors", "ssukf, 0.00555556"), ("priors", "ssukf, 10"), "attitude", (20.0, None)),
                ratio("180° over 1°", ("priors", "ssukf, 180"), ("priors", "ssukf, 1"), "attitude", (0.999, 1.001))),
-        found="{0} times the error; a prior of 180° does as well as one of 1° ({1})."),
+        found="{0} times the error; a prior of 180° does as well as one of 1° ({1:.4f})."),
 ]  # fmt: skip
 CHECKS = [
     check(f"steady-{group}-ssukf", f"RMSE of the SSUKF's {group} on an axis, last third",
