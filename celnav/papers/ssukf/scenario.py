@@ -19,18 +19,13 @@ from celnav.gaussian.linalg import Array, Belief
 from celnav.gaussian.rules import Rule, unscented
 from celnav.gaussian.spaces import EUCLIDEAN, Space, product
 from celnav.models.gyro import Body, Gyro, preintegrate
+from celnav.papers import citation
 from celnav.study.montecarlo import normals, steps
 from celnav.study.parameters import Parameters, param
 from celnav.study.trial import Group, Trial
 
 TITLE = "State-switching unscented Kalman filter for attitude"
-CITATION = """\
-@article{Wu2012,
-  author  = {Wu, Bo and Xu, Huan and Qiao, Xiangwei},
-  title   = {State-switching unscented Kalman filter for attitude determination of a satellite},
-  year    = {2012},
-  note    = {in Chinese; the text available has lost its equations, curves and the numbers of Table 1}
-}"""
+CITATION = citation("Wu2012")
 ARCSEC = DEG_PER_H = np.pi / 648000.0
 """rad, and rad/s."""
 RADIUS_KM = 6378.137 + 800.0
