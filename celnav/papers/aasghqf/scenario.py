@@ -23,19 +23,13 @@ from celnav.gaussian.rules import Rule, Taylor, cubature, gauss_hermite, simplex
 from celnav.gaussian.sparse_grid import DELAYED, smolyak
 from celnav.models import earth, inertial
 from celnav.models.inertial import BIAS, DRIFT, PHI, POSITION, VELOCITY, Navigation
+from celnav.papers import citation
 from celnav.study.montecarlo import MOST_STEPS, normals
 from celnav.study.parameters import Parameters, param
 from celnav.study.trial import Group, Trial
 
 TITLE = "Adaptive anisotropic sparse Gauss-Hermite quadrature filter for star, SAR and inertial navigation"
-CITATION = """\
-@article{Liang2014,
-  author  = {Liang, H. and Mu, R. and Cui, N. and Wang, D.},
-  title   = {Adaptive anisotropic SGHQF and its application to integrated navigation},
-  journal = {Control and Decision},
-  year    = {2014},
-  note    = {in Chinese; received May 2014, revised August 2014}
-}"""
+CITATION = citation("Liang2014")
 PAPER_WEIGHTS = (1, 1, 2, 2, 2, 1, 1, 2, 2, 2, 2, 2, 2)  # of the sparse grid [Liang2014, Table 2]: 75 points
 NONLINEAR_WEIGHTS = (1, 1, 1) + (2,) * 10  # by nonlinearity: 57 points
 MICRO_G = 1e-6 * earth.STANDARD_GRAVITY
