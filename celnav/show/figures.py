@@ -57,7 +57,10 @@ class Panel(NamedTuple):
 
 
 def panels(*rows: Panel | Sequence[Panel], size: tuple[float, float], legend: Any = "outside lower center", **axes: Any) -> Figure:
-    """A figure of rows of panels, and below them one legend of all labels; ``axes``: as of `figure`, such as ``sharex="col"``."""
+    """A figure of rows of panels, and below them one legend of all labels.
+
+    ``axes``: as of `figure`; where they share x or y (``sharex="col"``) the outer ones alone are labeled.
+    """
     from matplotlib import rc_context
 
     from celnav.show.drawing import STYLE
@@ -70,7 +73,12 @@ def panels(*rows: Panel | Sequence[Panel], size: tuple[float, float], legend: An
             for item in panel.items:
                 item(ax)
             scales = {f"{axis}scale": "log" for axis in panel.log}
-            ax.set(title=panel.title, xlabel=panel.x, ylabel=panel.y, **scales, **panel.more)
+            x, y = panel.x, panel.y
+            if axes.get("sharex") and not ax.get_subplotspec().is_last_row():
+                x = ""
+            if axes.get("sharey") and not ax.get_subplotspec().is_first_col():
+                y = ""
+            ax.set(title=panel.title, xlabel=x, ylabel=y, **scales, **panel.more)
             for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
                 known.setdefault(label, handle)
         if known and legend:
