@@ -25,7 +25,7 @@ from celnav.filters.model import Motion, Noise, Sensor, check_prior, given_back,
 from celnav.filters.records import Epoch, Info
 from celnav.filters.sequential import Sequential, missing, sigma_point, silent
 from celnav.gaussian.belief import Gaussian, symmetric
-from celnav.gaussian.checks import choice, finite, function, instance, numbers, together, unmasked
+from celnav.gaussian.checks import Shape, choice, finite, function, instance, numbers, together, unmasked
 from celnav.gaussian.linalg import POSITIVE, Array, SquareRoot, block, matvec, side_by_side, solve_right, tria
 from celnav.gaussian.rules import unscented
 from celnav.gaussian.spaces import EUCLIDEAN
@@ -59,20 +59,16 @@ def colored(
 
     >>> filter = celnav.colored(motion, celnav.Sensor(H, R), 0.9 * np.eye(3))
     """
-    made: Colored = _made(Colored, motion, sensor, Phi, increments, first, rule, options)
-    return made
+    plain = sigma_point(motion, sensor, rule=rule, **options)
+    if motion.space != EUCLIDEAN or sensor.space != EUCLIDEAN:
+        raise ValueError("space: expected states and measurements that are vectors; carry the noise in the state: celnav.augmented")
+    phi, once = coloring(Phi, sensor.m), bool(choice("first", first, (False, True)))
+    if callable(sensor.h) and (callable(motion.Q) or callable(motion.sqrt_Q)):
+        raise ValueError("Q: expected a constant where the measurement is a function")
+    return Colored(**vars(plain), Phi=phi, zeta=zeta_of(sensor, Phi, increments), first_sample=once)
 
 
-def decorrelated(
-    motion: Motion,
-    sensor: Sensor,
-    Phi: Coloring,
-    *,
-    increments: Any = None,
-    first: bool = True,
-    rule: Any = unscented,
-    **options: Any,
-) -> Decorrelated:
+def decorrelated(motion: Motion, sensor: Sensor, Phi: Coloring, **options: Any) -> Decorrelated:
     """The filter of [Sun2015] with its errata corrected: update the past state, then predict; arguments as in `colored`.
 
     ``x* = f(x) + J (z* - h(x))`` and ``h(x) = H f(x) - Phi H x`` [Sun2015, Eqs. 8, 14]. The state after an epoch holds two
@@ -83,18 +79,7 @@ def decorrelated(
     """
     if callable(instance("sensor", sensor, Sensor, "celnav.Sensor(h, R)").h):
         raise ValueError("sensor: expected a measurement matrix (m, n), got a function; `colored` takes one")
-    made: Decorrelated = _made(Decorrelated, motion, sensor, Phi, increments, first, rule, options)
-    return made
-
-
-def _made(kind: Any, motion: Motion, sensor: Sensor, Phi: Coloring, increments: Any, first: bool, rule: Any, options: Any) -> Any:
-    plain = sigma_point(motion, sensor, rule=rule, **options)
-    if motion.space != EUCLIDEAN or sensor.space != EUCLIDEAN:
-        raise ValueError("space: expected states and measurements that are vectors; carry the noise in the state: celnav.augmented")
-    phi, once = coloring(Phi, sensor.m), bool(choice("first", first, (False, True)))
-    if callable(sensor.h) and (callable(motion.Q) or callable(motion.sqrt_Q)):
-        raise ValueError("Q: expected a constant where the measurement is a function")
-    return kind(**vars(plain), Phi=phi, zeta=zeta_of(sensor, Phi, increments), first_sample=once)
+    return Decorrelated(**vars(colored(motion, sensor, Phi, **options)))
 
 
 def coloring(Phi: Coloring, m: int | None = None) -> Array | Callable[[Any], Array]:
@@ -102,24 +87,18 @@ def coloring(Phi: Coloring, m: int | None = None) -> Array | Callable[[Any], Arr
 
     A spectral radius of 1, a random walk, is allowed: differences then say nothing about position, only about its changes.
     """
+    shape = (..., m or "m", m or "m")
     if callable(Phi):
-        return partial(_coloring_at, function("Phi", Phi, "(epoch)"), m)
-    matrix = _square(finite("Phi", Phi), m)
+        return partial(_coloring_at, function("Phi", Phi, "(epoch)"), shape)
+    matrix = finite("Phi", Phi, shape)
     radius = np.abs(np.linalg.eigvals(matrix)).max()
     if radius > 1.0 + 1e-9:
         raise ValueError(f"Phi: expected a spectral radius of at most 1, got {radius:.6g}")
     return matrix
 
 
-def _coloring_at(Phi: Callable[[Any], Array], m: int | None, epoch: Any) -> Array:
-    return _square(numbers("Phi", unmasked("Phi", Phi(epoch))), m)
-
-
-def _square(Phi: Array, m: int | None) -> Array:
-    if Phi.ndim < 2 or Phi.shape[-1] != Phi.shape[-2] or (m is not None and Phi.shape[-1] != m):
-        size = "m, m" if m is None else f"{m}, {m}"
-        raise ValueError(f"Phi: expected shape (..., {size}), got {Phi.shape}")
-    return Phi
+def _coloring_at(Phi: Callable[[Any], Array], shape: Shape, epoch: Any) -> Array:
+    return numbers("Phi", unmasked("Phi", Phi(epoch)), shape)
 
 
 def zeta_of(sensor: Sensor, Phi: Coloring, increments: Any) -> Noise:

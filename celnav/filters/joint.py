@@ -21,19 +21,8 @@ import numpy as np
 from celnav.filters.mixing import POINTS, WATCH, check_runs_apart, unknown
 from celnav.filters.model import Linear, Motion, Noise, Sensor, as_floats, given_back, is_linear
 from celnav.filters.records import Info
-from celnav.gaussian.checks import instance, numbers, unmasked
-from celnav.gaussian.linalg import (
-    POSITIVE,
-    Array,
-    Belief,
-    Form,
-    block,
-    factored,
-    matvec,
-    side_by_side,
-    solve_right,
-    whiten,
-)
+from celnav.gaussian.checks import beside, instance, numbers, unmasked
+from celnav.gaussian.linalg import POSITIVE, Array, Belief, Form, block, factored, matvec, side_by_side, solve_right, whiten
 from celnav.gaussian.rules import Image, Taylor
 from celnav.gaussian.spaces import EUCLIDEAN, Space
 
@@ -212,7 +201,7 @@ def joint(
     if z.shape[-1] != m:
         raise ValueError(f"z: expected {m} components to go with h, got {z.shape[-1]}")
     if z.ndim > 1 and z.shape[:-1] != mean.shape[:-1]:
-        _joint_batch("z", z.shape[:-1], mean.shape[:-1])
+        beside("z", z.shape[:-1], mean.shape[:-1], "the belief")
     if own is EUCLIDEAN:
         innovation = z - measured.center - measured.shift
     else:  # the mean may lie across a seam from the center
@@ -302,25 +291,18 @@ def _linear_image(value: Array, matrix: Array | None, root: Array, sign: Array, 
     return Image(value, np.zeros(matrix.shape[-2]), columns, partial(np.asarray, matrix[..., :n]))
 
 
-def _joint_batch(name: str, batch: tuple[int, ...], runs: tuple[int, ...]) -> tuple[int, ...]:
-    try:
-        return np.broadcast_shapes(batch, runs)
-    except ValueError:
-        raise ValueError(f"{name}: batch axes {batch} do not go with those of the belief, {runs}") from None
-
-
 def over_runs(name: str, batch: tuple[int, ...], belief: Belief) -> Belief:
     """The belief, with a mean for each of the runs that only an argument has; ValueError names one that does not go with it."""
     runs = belief.mean.shape[:-1]
     if not batch or batch == runs:
         return belief
-    together = _joint_batch(name, batch, runs)
+    together = beside(name, batch, runs, "the belief")
     return belief if together == runs else belief._replace(mean=np.broadcast_to(belief.mean, (*together, belief.mean.shape[-1])))
 
 
 def whole(form: Form, mean: Array, spread: Array) -> Belief:
     """The belief, where mean and covariance differ from run to run in axes of their own."""
-    batch = _joint_batch("Q, R", spread.shape[:-2], mean.shape[:-1])
+    batch = beside("Q, R", spread.shape[:-2], mean.shape[:-1], "the belief")
     return form(np.broadcast_to(mean, (*batch, mean.shape[-1])), np.broadcast_to(spread, (*batch, *spread.shape[-2:])))
 
 
@@ -356,7 +338,10 @@ def condition(
     used, m = innovation == innovation, innovation.shape[-1]
     A, mask = joint.columns(), alike(used)
     if not mask.all():
-        A, innovation = _left_out(A, innovation, mask)
+        # Rows that were not measured: no columns from the prior, a unit noise of their own and a zero innovation.
+        here = mask[..., None]
+        A = block([[A[..., :m, :] * here, np.eye(m) * ~here], [A[..., m:, :], 0]])
+        innovation = np.where(mask, innovation, 0.0)
     K: Any = gain
     if gain is not None:
         K = numbers("gain", gain(A, joint.sign, m) if callable(gain) else gain, (..., A.shape[-2] - m, m)) * mask[..., None, :]
@@ -404,12 +389,6 @@ def alike(used: Array) -> Array:
     """A mask ``(..., m)`` as one, ``(m,)``, where it is that of all runs: what they share then stays one for all."""
     every: Array = np.logical_and.reduce(used, tuple(range(used.ndim - 1)))
     return every if every.all() or (used == every).all() else used
-
-
-def _left_out(A: Array, innovation: Array, used: Array) -> tuple[Array, Array]:
-    """Rows that were not measured: no columns from the prior, a unit noise of their own and a zero innovation."""
-    m, here = used.shape[-1], used[..., None]
-    return block([[A[..., :m, :] * here, np.eye(m) * ~here], [A[..., m:, :], 0]]), np.where(used, innovation, 0.0)
 
 
 def evaluate(model: Motion | Sensor, x: Array, epoch: Any, noise: Sequence[Array] = (), m: int | None = None) -> Array:

@@ -145,8 +145,7 @@ def _check_model(record: Any, name: str, noise: str) -> None:
         raise ValueError(f"{name}: expected a function (points, epoch, *noise), got {kind(model)} of other arguments")
     if record.jacobian is not None:
         function("jacobian", record.jacobian, "(mean, epoch)", f"; a linear {name} is the matrix itself")
-    if not isinstance(record.space, Space):
-        raise ValueError(f"space: expected a Space, such as celnav.angles([0]), got {kind(record.space)}")
+    instance("space", record.space, Space, "a Space, such as celnav.angles([0])")
     roots = check_roots("augment", record.augment)
     if len(roots) and is_linear(model):
         raise ValueError(f"augment: expected a function {name}(points, epoch, *noise) with it, got a matrix; {noise} is its noise")
@@ -166,26 +165,20 @@ def noise_of(name: str, cov: Any, sqrt: Any) -> Noise:
     if cov is not None and sqrt is not None:
         raise ValueError(f"{name}: expected one of {name} and sqrt_{name}, got both")
     if callable(sqrt):
-        return partial(_columns_of, function(f"sqrt_{name}", sqrt, "(mean, epoch)"), f"sqrt_{name}")
+        return partial(_columns_at, function(f"sqrt_{name}", sqrt, "(mean, epoch)"), f"sqrt_{name}")
     if callable(cov):
-        return partial(_root_of, function(name, cov, "(mean, epoch)"), name)
+        return partial(_root_at, function(name, cov, "(mean, epoch)"), name)
     if sqrt is not None:
-        return _columns(f"sqrt_{name}", finite(f"sqrt_{name}", sqrt))
+        return finite(f"sqrt_{name}", sqrt, (..., "n", None))
     return None if cov is None else symmetric(cov, name)[1]
 
 
-def _columns_of(function: Any, name: str, mean: Array, epoch: Any) -> Array:
-    return _columns(name, numbers(name, unmasked(name, function(mean, epoch))))
+def _columns_at(function: Any, name: str, mean: Array, epoch: Any) -> Array:
+    return numbers(name, unmasked(name, function(mean, epoch)), (..., "n", None))
 
 
-def _root_of(function: Any, name: str, mean: Array, epoch: Any) -> Array:
+def _root_at(function: Any, name: str, mean: Array, epoch: Any) -> Array:
     return symmetric(unmasked(name, function(mean, epoch)), name)[1]
-
-
-def _columns(name: str, columns: Array) -> Array:
-    if columns.ndim < 2:
-        raise ValueError(f"{name}: expected columns of shape (..., n, r), got {columns.shape}")
-    return columns
 
 
 def check_roots(name: str, roots: Any) -> Sequence[Array]:
@@ -223,8 +216,6 @@ def as_floats(name: str, values: Any, points: Array) -> Array:
         differences, moved = np.ptp(y, 0), np.ptp(points, 0) > 0.0
         moved = moved if moved.shape == differences.shape else moved.any(-1, keepdims=True)
         if (moved & (differences < 1e3 * np.finfo(dtype).eps * np.abs(y).max(0))).any():
-            text = (
-                f"{name} returns {dtype}: its values differ from point to point by little more than round-off. Compute in float64."
-            )
-            warn(text, RuntimeWarning, stacklevel=4)
+            text = "its values differ from point to point by little more than round-off. Compute in float64."
+            warn(f"{name} returns {dtype}: {text}", RuntimeWarning, stacklevel=4)
     return y

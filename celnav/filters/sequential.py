@@ -69,8 +69,7 @@ class Sequential:
 
     def predict(self, state: State, epoch: Epoch) -> State:
         """State at the end of the interval, before anything is measured."""
-        if not isinstance(state, State):
-            raise ValueError(f"state: expected what the filter's start(prior) or last step gave, got {kind(state)}")
+        instance("state", state, State, "what the filter's start(prior) or last step gave")
         if not hasattr(epoch, "dt"):
             raise ValueError(f"epoch: expected a record like celnav.Epoch, got {kind(epoch)}")
         if not (epoch.dt if isinstance(epoch.dt, float) else np.any(epoch.dt)):
@@ -180,8 +179,13 @@ def sigma_point(
     if gain is not None and len(sensors) != 1:
         raise ValueError(f"gain: expected one sensor with it, got {len(sensors)}")
     gain = function("gain", gain, "(A, sign, m)") if callable(gain) else None if gain is None else finite("gain", gain)
-    kept, every = FORMS[choice("form", form, FORMS)], _each(hooks, len(sensors))
-    return Sequential(motion, sensors, rule=rule_of(rule), form=kept, hooks=every, gain=gain)
+    if isinstance(rule, type) or not (hasattr(rule, "image") or callable(rule)):
+        hint = " (celnav.from_filterpy makes it one)" if hasattr(rule, "sigma_points") else ""
+        raise ValueError(f"rule: expected a rule, such as celnav.unscented(n) or celnav.unscented, got {kind(rule)}{hint}")
+    rule = rule if hasattr(rule, "image") else AnyDimension(rule)
+    return Sequential(
+        motion, sensors, rule=rule, form=FORMS[choice("form", form, FORMS)], hooks=_each(hooks, len(sensors)), gain=gain
+    )
 
 
 def ukf(motion: Motion, *sensors: Sensor, alpha: float = 1.0, beta: float = 0.0, kappa: float = 0.0, **options: Any) -> Sequential:
@@ -221,26 +225,15 @@ def ekf(motion: Motion, *sensors: Sensor, iterations: int = 1, **options: Any) -
     """
     count = integer("iterations", iterations, 1, MOST_ITERATIONS)
     plain = sigma_point(motion, *sensors, rule=Taylor(), **options)
-    if count == 1:
-        return plain
-    return Iterated(**vars(plain), iterations=count)
+    return plain if count == 1 else Iterated(**vars(plain), iterations=count)
 
 
 def plain(name: str, filter: Any) -> Sequential:
     """A filter that predicts, then updates, and does nothing else; ValueError names another."""
-    instance(name, filter, Sequential, "celnav.ukf(motion, sensor)")
-    if type(filter).step is not Sequential.step:
+    made: Sequential = instance(name, filter, Sequential, "celnav.ukf(motion, sensor)")
+    if type(made).step is not Sequential.step:
         raise ValueError(f"{name}: expected a filter that predicts, then updates, such as celnav.ukf, got {kind(filter)}")
-    made: Sequential = filter
     return made
-
-
-def rule_of(rule: Any) -> Any:
-    """The rule; of a function of the dimension one that remembers what it has made."""
-    if isinstance(rule, type) or not (hasattr(rule, "image") or callable(rule)):
-        hint = " (celnav.from_filterpy makes it one)" if hasattr(rule, "sigma_points") else ""
-        raise ValueError(f"rule: expected a rule, such as celnav.unscented(n) or celnav.unscented, got {kind(rule)}{hint}")
-    return rule if hasattr(rule, "image") else AnyDimension(rule)
 
 
 def _each(hooks: Any, sensors: int) -> tuple[tuple[Hook, ...], ...]:
@@ -248,13 +241,12 @@ def _each(hooks: Any, sensors: int) -> tuple[tuple[Hook, ...], ...]:
     if isinstance(hooks, str) or not isinstance(hooks, Sequence):
         raise ValueError(f"hooks: expected a list of hooks, such as [celnav.filters.adaptive.gate(4.0)], got {kind(hooks)}")
     lists = [hook for hook in hooks if isinstance(hook, list | tuple)]
-    if (lists and len(lists) != len(hooks)) or (lists and len(lists) != sensors):
+    if lists and not len(lists) == len(hooks) == sensors:
         raise ValueError(f"hooks: expected hooks, or {sensors} lists of them, one for each sensor, got {len(lists)} lists")
     each = tuple(tuple(own) for own in hooks) if lists else (tuple(hooks),) * sensors
-    for own in each:
-        for hook in own:
-            if not takes(hook, 3):
-                raise ValueError(f"hooks: expected functions (memory, joint, epoch), got {kind(hook)}")
+    wrong = [hook for own in each for hook in own if not takes(hook, 3)]
+    if wrong:
+        raise ValueError(f"hooks: expected functions (memory, joint, epoch), got {kind(wrong[0])}")
     return each
 
 

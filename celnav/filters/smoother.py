@@ -21,7 +21,7 @@ from celnav.filters.joint import KEEP, condition, joint
 from celnav.filters.records import Epoch, FilterError
 from celnav.filters.sequential import Sequential, SingleDraw
 from celnav.filters.track import Track
-from celnav.gaussian.checks import choice, kind
+from celnav.gaussian.checks import choice, instance, kind
 from celnav.gaussian.linalg import EPS, Array, Belief, SquareRoot, solve_lower, solve_right, weighted
 
 
@@ -41,9 +41,7 @@ def smooth(track: Track, filter: Any = None, *, gains: bool = False, on_failure:
 
     >>> smoothed = celnav.smooth(celnav.run(filter, prior, times, z, keep="cov"))
     """
-    if not isinstance(track, Track):
-        raise ValueError(f"track: expected what celnav.run gave, got {kind(track)}")
-    if track.belief is None:
+    if instance("track", track, Track, "what celnav.run gave").belief is None:
         raise ValueError("track: expected stored covariances, got none; run with keep='cov'")
     choice("on_failure", on_failure, ("raise", "flag"))
     choice("gains", gains, (False, True))

@@ -157,6 +157,14 @@ def together(**batches: tuple[int, ...]) -> tuple[int, ...]:
         raise ValueError(f"{', '.join(batches)}: expected batch axes that go together, got {told}") from None
 
 
+def beside(name: str, batch: tuple[int, ...], own: tuple[int, ...], whose: str) -> tuple[int, ...]:
+    """Joint batch axes of an argument and of what it goes with; ValueError names it if they do not broadcast."""
+    try:
+        return np.broadcast_shapes(batch, own)
+    except ValueError:
+        raise ValueError(f"{name}: batch axes {batch} do not go with those of {whose}, {own}") from None
+
+
 def function(name: str, value: Any, arguments: str, hint: str = "") -> Any:
     """A function that can be called with its ``arguments``, such as "(mean, epoch)"; ValueError names it otherwise."""
     if not takes(value, arguments.count(",") + 1):
