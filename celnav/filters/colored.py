@@ -152,12 +152,10 @@ class Colored(Sequential):
     first_sample: bool
 
     def start(self, prior: Gaussian) -> Any:
-        """State before the first epoch."""
         belief = super().start(prior).belief
         return ColoredState(belief, None, belief)
 
     def step(self, state: Any, epoch: Epoch) -> tuple[Any, tuple[Info, ...]]:
-        """State after an epoch, and what its measurement did."""
         (sensor,) = self.sensors
         z = self._measured(state, epoch)
         if state.z is None:
@@ -257,22 +255,21 @@ class Decorrelated(Colored):
         """Update the past state [Sun2015, Eqs. 24-32], then predict [Sun2015, Eqs. 33-37]."""
         gates = [partial(_leaving_out, hook) for hook in self.hooks[0]]
         noise = self.system(state.belief.mean, epoch, np.ones(1, bool)).sqrt_R
-        past = joint(self.rule, state.belief, partial(self.past, Phi), epoch, z=z_star, measurement_noise=noise)
+        past = joint(
+            self.rule, state.belief, lambda x, epoch: (self.rows(Phi, x, epoch)[0], KEEP), epoch, z=z_star, measurement_noise=noise
+        )
         lagged, info, memory = condition(self.form, past, EUCLIDEAN, hooks=gates, memory=state.memory, epoch=epoch, gain=self.gain)
         used = np.asarray(info.used)
         star = self.system(lagged.mean, epoch, used)
-        entering = partial(self.entered, Phi, star.J, np.where(used, z_star, 0.0))
+        z_star = np.where(used, z_star, 0.0)
+
+        def entering(x: Array, epoch: Epoch) -> tuple[Array]:
+            """``f(x) + J (z* - h(x))``."""
+            h, y = self.rows(Phi, x, epoch)
+            return (y + matvec(star.J, z_star - h),)
+
         ahead = marginal(self.form, joint(self.rule, lagged, entering, epoch, process_noise=star.sqrt_Q), EUCLIDEAN)
         return ColoredState(ahead, z, lagged, memory), (info,)
-
-    def past(self, Phi: Array, x: Array, epoch: Epoch) -> tuple[Any, ...]:
-        """``H f(x) - Phi H x`` and the state before the interval."""
-        return self.rows(Phi, x, epoch)[0], KEEP
-
-    def entered(self, Phi: Array, J: Array, z: Array, x: Array, epoch: Epoch) -> tuple[Array]:
-        """``f(x) + J (z* - h(x))``."""
-        h, y = self.rows(Phi, x, epoch)
-        return (y + matvec(J, z - h),)
 
     def system(self, mean: Array, epoch: Epoch, used: Array) -> Decorrelation:
         """The decorrelated system; a row that was not measured has no part in ``J`` (its noise is its own)."""
@@ -304,7 +301,6 @@ class Augmented(Sequential):
     runs: tuple[int, ...] = ()
 
     def start(self, prior: Gaussian) -> Any:
-        """State before the first epoch."""
         check_prior(prior)
         mean, root, V = prior.mean, prior.sqrt_cov, self.sqrt_V
         batch = together(prior=mean.shape[:-1], R=V.shape[:-2], Phi=self.runs)

@@ -379,14 +379,12 @@ def _space_of(add: Function, residual: Function, mean: Function | None) -> Space
     if add is np.add and residual is np.subtract and mean is None:
         return EUCLIDEAN
     own = None if mean is None else lambda points, weights: np.asarray(mean(points, weights), dtype=np.float64)
-    return Space(_sums(add), _differences(residual), None, own)
 
+    def plus(point: Array, tangent: Any) -> Array:
+        """Sums of a point and all tangents; ``add`` may change its first argument. A mean of its own needs none, with 0."""
+        return _by_row(lambda row: add(point.copy(), row), tangent) if np.ndim(tangent) else point
 
-def _sums(add: Function) -> Function:
-    """Sums of a point and all tangents; ``add`` may change its first argument. A mean of its own needs none, with 0."""
-    if add is np.add:
-        return EUCLIDEAN.plus
-    return lambda point, tangent: _by_row(lambda row: add(point.copy(), row), tangent) if np.ndim(tangent) else point
+    return Space(EUCLIDEAN.plus if add is np.add else plus, _differences(residual), None, own)
 
 
 def _differences(residual: Function) -> Function:

@@ -26,13 +26,7 @@ from celnav.gaussian.linalg import POSITIVE, Array, Belief, Form, block, factore
 from celnav.gaussian.rules import Image, Taylor
 from celnav.gaussian.spaces import EUCLIDEAN, Space
 
-
-class _Keep:
-    def __repr__(self) -> str:
-        return "KEEP"
-
-
-KEEP: Final = _Keep()
+KEEP: Final = object()
 """Stands for "the state itself" among the outputs of a function: its columns are then exact, on any space."""
 
 

@@ -53,7 +53,50 @@ def is_linear(model: Any) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class _Model:
+    """What a `Motion` and a `Sensor` have in common: a function or a matrix, whose space is one, and a noise that is said."""
+
+    name: ClassVar[str]
+    noise_name: ClassVar[str]
+    _: KW_ONLY
+    space: Space = EUCLIDEAN
+    jacobian: Jacobian | None = None
+    augment: Sequence[Array] = ()
+
+    def __post_init__(self) -> None:
+        name, noise = self.name, self.noise_name
+        model, columns = getattr(self, name), self.noise
+        if not callable(model):
+            matrix = finite(name, model)
+            if matrix.ndim < 2 or (name == "f" and matrix.shape[-1] != matrix.shape[-2]):
+                shape = "(..., n, n)" if name == "f" else "(..., m, n)"
+                raise ValueError(f"{name}: expected a function (points, epoch) or a matrix {shape}, got shape {matrix.shape}")
+            if isinstance(columns, np.ndarray) and columns.shape[-2] != matrix.shape[-2]:
+                raise ValueError(f"{noise}: expected {matrix.shape[-2]} rows to go with {name}, got {columns.shape[-2]}")
+            object.__setattr__(self, name, matrix)
+        elif not any(takes(model, count) for count in range(2, 10)):  # how many noises go through it only the filter knows
+            raise ValueError(f"{name}: expected a function (points, epoch, *noise), got {kind(model)} of other arguments")
+        if self.jacobian is not None:
+            function("jacobian", self.jacobian, "(mean, epoch)", f"; a linear {name} is the matrix itself")
+        instance("space", self.space, Space, "a Space, such as celnav.angles([0])")
+        roots = check_roots("augment", self.augment)
+        if len(roots) and is_linear(model):
+            raise ValueError(
+                f"augment: expected a function {name}(points, epoch, *noise) with it, got a matrix; {noise} is its noise"
+            )
+        if columns is None and not len(roots):
+            raise ValueError(
+                f"{noise}: expected the noise's covariance, {noise} or sqrt_{noise}; without noise it is np.zeros((k, k))"
+            )
+
+    @cached_property
+    def noise(self) -> Noise:
+        """Columns ``(..., k, r)`` of the noise, or a function ``(mean, epoch)`` of them."""
+        return noise_of(self.noise_name, getattr(self, self.noise_name), getattr(self, f"sqrt_{self.noise_name}"))
+
+
+@dataclass(frozen=True, eq=False)
+class Motion(_Model):
     """What is believed of the dynamics: ``x' = f(x, epoch) + w``, ``w ~ N(0, Q)``.
 
     Parameters
@@ -70,28 +113,20 @@ class Motion:
     >>> motion = celnav.Motion(lambda x, epoch: orbit.step(x, epoch.dt), Q=1e-8 * np.eye(6))
     """
 
-    name: ClassVar[str] = "f"
+    name, noise_name = "f", "Q"
     f: Any
     Q: Any = None
     _: KW_ONLY
     sqrt_Q: Any = None
-    space: Space = EUCLIDEAN
-    jacobian: Jacobian | None = None
-    augment: Sequence[Array] = ()
 
     def __post_init__(self) -> None:
-        _check_model(self, "f", "Q")
+        super().__post_init__()
         if not callable(self.f) and self.space != EUCLIDEAN:
             raise ValueError("f: expected a function where states are no vectors, got a matrix")
 
-    @cached_property
-    def noise(self) -> Noise:
-        """Columns ``(..., n, r)`` of the noise, or a function ``(mean, epoch)`` of them."""
-        return noise_of("Q", self.Q, self.sqrt_Q)
-
 
 @dataclass(frozen=True, eq=False)
-class Sensor:
+class Sensor(_Model):
     """What is believed of a measurement: ``z = h(x, epoch) + v``, ``v ~ N(0, R)``.
 
     Parameters
@@ -104,22 +139,11 @@ class Sensor:
     >>> gps = celnav.Sensor(np.eye(3, 6), R=0.04 * np.eye(3))
     """
 
-    name: ClassVar[str] = "h"
+    name, noise_name = "h", "R"
     h: Any
     R: Any = None
     _: KW_ONLY
     sqrt_R: Any = None
-    space: Space = EUCLIDEAN
-    jacobian: Jacobian | None = None
-    augment: Sequence[Array] = ()
-
-    def __post_init__(self) -> None:
-        _check_model(self, "h", "R")
-
-    @cached_property
-    def noise(self) -> Noise:
-        """Columns ``(..., m, s)`` of the noise, or a function ``(mean, epoch)`` of them."""
-        return noise_of("R", self.R, self.sqrt_R)
 
     @cached_property
     def m(self) -> int | None:
@@ -130,30 +154,6 @@ class Sensor:
     def noisy(self) -> bool:
         """Whether each component is known to have noise of its own: only what is exact can be of what is known already."""
         return bool(len(self.augment)) or (isinstance(self.noise, np.ndarray) and bool(self.noise.any(-1).all()))
-
-
-def _check_model(record: Any, name: str, noise: str) -> None:
-    """A model is a function or a matrix, its noise is said, its space is one."""
-    model = getattr(record, name)
-    if not callable(model):
-        matrix = finite(name, model)
-        if matrix.ndim < 2 or (name == "f" and matrix.shape[-1] != matrix.shape[-2]):
-            shape = "(..., n, n)" if name == "f" else "(..., m, n)"
-            raise ValueError(f"{name}: expected a function (points, epoch) or a matrix {shape}, got shape {matrix.shape}")
-        object.__setattr__(record, name, matrix)
-    elif not any(takes(model, count) for count in range(2, 10)):  # how many noises go through it only the filter knows
-        raise ValueError(f"{name}: expected a function (points, epoch, *noise), got {kind(model)} of other arguments")
-    if record.jacobian is not None:
-        function("jacobian", record.jacobian, "(mean, epoch)", f"; a linear {name} is the matrix itself")
-    instance("space", record.space, Space, "a Space, such as celnav.angles([0])")
-    roots = check_roots("augment", record.augment)
-    if len(roots) and is_linear(model):
-        raise ValueError(f"augment: expected a function {name}(points, epoch, *noise) with it, got a matrix; {noise} is its noise")
-    if getattr(record, noise) is None and getattr(record, f"sqrt_{noise}") is None and not len(roots):
-        raise ValueError(f"{noise}: expected the noise's covariance, {noise} or sqrt_{noise}; without noise it is np.zeros((k, k))")
-    columns = record.noise
-    if isinstance(columns, np.ndarray) and not callable(model) and columns.shape[-2] != matrix.shape[-2]:
-        raise ValueError(f"{noise}: expected {matrix.shape[-2]} rows to go with {name}, got {columns.shape[-2]}")
 
 
 Noise = Array | Callable[[Array, Any], Array] | None

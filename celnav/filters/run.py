@@ -153,15 +153,12 @@ def explain(filter: Any, before: Any, after: Any, epoch: Epoch) -> str:
     predicted = filter.predict(before, epoch) if getattr(type(filter), "step", None) is Sequential.step else before
     if epoch.z is None or (predicted.belief.lost() & lost).any():
         return "the covariance lost positive definiteness"
+    why = "the innovation covariance is not positive definite"
     for sensor in getattr(filter, "sensors", ()):
         columns = at(sensor.noise, predicted.belief.mean, epoch)
         if not len(sensor.augment) and (columns is None or not columns.any(-1).all()):
-            return INDEFINITE + _REDUNDANT
-    return INDEFINITE
-
-
-INDEFINITE = "the innovation covariance is not positive definite"
-_REDUNDANT = (
-    "; a measurement without noise must say what is not known already: of redundant sensors, or of a constraint that is repeated, "
-    "leave out all but one (z is nan) or give them a small R"
-)
+            return (
+                f"{why}; a measurement without noise must say what is not known already: of redundant sensors, or of a "
+                "constraint that is repeated, leave out all but one (z is nan) or give them a small R"
+            )
+    return why

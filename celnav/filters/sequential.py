@@ -28,11 +28,6 @@ class Sequential:
 
     ``start(prior)`` gives a state, ``step(state, epoch)`` the next one and an `Info` of each sensor; ``state.belief`` has ``mean``,
     ``cov`` and ``std``. An epoch with ``dt == 0`` does not predict: the first one is an update of the prior.
-
-    Attributes
-    ----------
-    motion, sensors: what is believed. rule: of any dimension, or one that fits. form: of the belief.
-    hooks: of each sensor. gain: a prescribed one, or None.
     """
 
     motion: Motion
@@ -274,7 +269,7 @@ class Iterated(Sequential):
     def see(
         self, sensor: Sensor, belief: Belief, z: Array, epoch: Epoch, hooks: tuple[Hook, ...], memory: Any
     ) -> tuple[Belief, Info, Any]:
-        """The belief given one measurement; see `Sequential.see`."""
+
         at, space = belief.mean, self.motion.space
         if self.first is not None:
             at = numbers("first", self.first(belief, z, epoch), (..., at.shape[-1]))
@@ -318,7 +313,6 @@ class SingleDraw(Sequential):
         return self.joint_noise or (*self.motion.augment, *self.sensors[0].augment)
 
     def step(self, state: State, epoch: Epoch) -> tuple[State, tuple[Info, ...]]:
-        """State after an epoch, and what the sensor did to it."""
         (z,) = measurements(epoch.z, 1)
         if not np.any(epoch.dt):
             return super().step(state, epoch)

@@ -41,7 +41,8 @@ def smooth(track: Track, filter: Any = None, *, gains: bool = False, on_failure:
 
     >>> smoothed = celnav.smooth(celnav.run(filter, prior, times, z, keep="cov"))
     """
-    if instance("track", track, Track, "what celnav.run gave").belief is None:
+    instance("track", track, Track, "what celnav.run gave")
+    if track.belief is None:
         raise ValueError("track: expected stored covariances, got none; run with keep='cov'")
     choice("on_failure", on_failure, ("raise", "flag"))
     choice("gains", gains, (False, True))

@@ -205,13 +205,16 @@ class TwoStage:
         if stage is None:
             return TwoStageState(first, own, Lambda, state.Gamma, state.memory), (info,)
         Gamma = unmasked("Gamma", at(self.Gamma, first.belief.mean, epoch))
-        seen = here = numbers("Gamma", Gamma, (..., stage.used.shape[-1], own.mean.shape[-1]))
+        direct = here = numbers("Gamma", Gamma, (..., stage.used.shape[-1], own.mean.shape[-1]))
         if state.Gamma is not None and stage.lag is not None:
-            seen = here - stage.lag @ (state.Gamma + stage.before @ state.Lambda)
+            direct = here - stage.lag @ (state.Gamma + stage.before @ state.Lambda)
         if stage.Omega is not None:
-            Lambda = Lambda - stage.Omega @ (seen + stage.H @ Lambda)
-        S = np.where(stage.used[..., None], stage.H @ Lambda + seen, 0.0)
-        after, both = _given(own, S, stage)
+            Lambda = Lambda - stage.Omega @ (direct + stage.H @ Lambda)
+        S = np.where(stage.used[..., None], stage.H @ Lambda + direct, 0.0)
+        # The bias given the innovation of the first stage, of which S is the Jacobian.
+        seen = joint(LINEAR, own, ((matvec(S, own.mean), S), KEEP), z=stage.innovation, measurement_noise=stage.sqrt_S)
+        given: Any = condition(type(own), seen, EUCLIDEAN)
+        after, both, _ = given
         memory = state.memory
         if self.boost is not None:
             boost = Boost(both.innovation, outer(both.sqrt_S), stage.innovation, outer(stage.sqrt_S))
@@ -222,12 +225,6 @@ class TwoStage:
         innovation = np.where(stage.used, both.innovation, np.asarray(info.innovation))
         info = info._replace(innovation=innovation, whitened=both.whitened, sqrt_S=both.sqrt_S)
         return TwoStageState(first, after, Lambda - stage.gain @ S, here, memory), (info,)
-
-
-def _given(own: Any, S: Array, stage: Stage) -> tuple[Any, Any]:
-    """The bias given the innovation of the first stage, of which S is the Jacobian, and the `Info` of that."""
-    seen = joint(LINEAR, own, ((matvec(S, own.mean), S), KEEP), z=stage.innovation, measurement_noise=stage.sqrt_S)
-    return condition(type(own), seen, EUCLIDEAN)[:2]
 
 
 def _boosted(M: Array, d: Array, S: Array, root: Array, residual: Array) -> Array:

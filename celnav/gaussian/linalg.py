@@ -2,10 +2,9 @@
 
 Every function accepts leading batch axes (a Monte-Carlo block of runs) and treats the last two as a matrix. Roots are *lower*
 triangular with a non-negative diagonal, ``P = L @ L.mT``; "columns" means any ``(..., n, q)`` array ``A`` that stands for
-``P = A @ A.mT``. A matrix of a batch that has no root becomes nan, its neighbors are untouched. `tria`, `cholesky` and
-`solve_lower` carry nearly all of the arithmetic of a filter: they are the seam for a compiled kernel. A single matrix goes to
-LAPACK directly, since numpy's batched functions spend most of a small one's time on preparations. A form owns its algebra: nobody
-else asks which one a filter has.
+``P = A @ A.mT``. A matrix of a batch that has no root becomes nan, its neighbors are untouched. A single matrix goes to LAPACK
+directly, since numpy's batched functions spend most of a small one's time on preparations. A form owns its algebra: nobody else
+asks which one a filter has.
 """
 
 from __future__ import annotations
@@ -323,7 +322,7 @@ class SquareRoot(NamedTuple):
 
 
 class Covariance(NamedTuple):
-    """A belief in covariance form: ``mean (..., N)`` and ``cov (..., n, n)``. See `SquareRoot` for what its parts do.
+    """A belief in covariance form: ``mean (..., N)`` and ``cov (..., n, n)``. What its parts do is said at `SquareRoot`.
 
     Fewer operations, half of the digits: only the innovation covariance is factored, and the state's where a rule needs a root or a
     measurement is precise.
@@ -347,7 +346,6 @@ class Covariance(NamedTuple):
 
     @classmethod
     def of(cls, belief: Any) -> Self:
-        """Any Gaussian in this form."""
         return cls(belief.mean, belief.cov)
 
     def factor(self) -> tuple[Array, Array]:
@@ -356,19 +354,17 @@ class Covariance(NamedTuple):
 
     @staticmethod
     def rounding() -> float:
-        """Part of a standard deviation that is round-off."""
         return float(EPS**0.5)
 
     @staticmethod
     def marginal(A: Array, sign: Array) -> Array:
-        """Covariance of columns."""
         return outer(A) if signs(sign, A.shape[-1]) is None else weighted(A, sign) @ A.mT
 
     @classmethod
     def condition(
         cls, A: Array, sign: Array, m: int, gain: Array | None = None, *, known: Array | None = None, noise: Array | None = None
     ) -> tuple[Array, Array, Array]:
-        """S, U and the covariance of the rest."""
+
         if gain is None and known is not None and noise is not None:
             C = weighted(A[..., :m, :], sign) @ A.mT
             S = cholesky(C[..., :m])
@@ -392,12 +388,12 @@ class Covariance(NamedTuple):
 
     @staticmethod
     def transported(matrix: Array, cov: Array) -> Array:
-        """Covariance of deviations carried by a matrix."""
+
         return np.asarray(matrix @ cov @ matrix.mT)
 
     @staticmethod
     def sum(cov: Array, columns: Array) -> Array:
-        """Covariance of a sum."""
+
         return np.asarray(cov + outer(columns))
 
     def lost(self) -> Array:

@@ -52,7 +52,7 @@ class Rule:
 
     Attributes
     ----------
-    nodes, wm, wc: as given, read-only. n: the dimension. sign: ``(q,)``, -1 for columns of negative weight, else 1.
+    n: the dimension. sign: ``(q,)``, -1 for columns of negative weight, else 1.
     """
 
     def __init__(self, nodes: ArrayLike, wm: ArrayLike, wc: ArrayLike | None = None):
@@ -206,7 +206,7 @@ class Taylor:
         return points + [np.broadcast_to(D, (*points[0].shape[:-1], D.shape[-1])) for D in deviations[1:]]
 
     def image(self, y: Array, space: Space, root: Array) -> Image:
-        """See `Rule.image`."""
+
         d = space.minus(y, y[0])
         total = (len(d) - 1) // 2 if self.about is None else (len(d) - 3) // 2
         columns = np.moveaxis(d[1 : total + 1] - d[total + 1 : 2 * total + 1], 0, -1) / (2.0 * self.step)
@@ -214,7 +214,7 @@ class Taylor:
         return Image(y[0], shift, columns, partial(self._jacobian, columns, root))
 
     def kept(self, root: Array, augment: Sequence[Array]) -> Array:
-        """See `Rule.kept`."""
+
         return side_by_side([root, *(np.zeros((root.shape[-2], E.shape[-1])) for E in augment)]) if augment else root
 
     @staticmethod
@@ -327,9 +327,9 @@ def tensor_product(*rules: Rule) -> Rule:
     """
     for rule in rules:
         instance("rules", rule, Rule, "a Rule, such as celnav.unscented(2)")
-    count = prod(rule.num_sigmas() for rule in rules)
-    if not rules or count > MAX_POINTS:
-        raise ValueError(f"rules: expected a product of at most {MAX_POINTS} points, got {count} of {len(rules)} rules")
+    if not rules:
+        raise ValueError("rules: expected at least one, got none")
+    few("rules", prod(rule.num_sigmas() for rule in rules), sum(rule.n for rule in rules))
     nodes: Array = np.zeros((1, 0))
     wm: Array = np.ones(1)
     wc: Array = np.ones(1)

@@ -87,9 +87,8 @@ def product(*factors: tuple[Space, int, int]) -> Space:
     parts = [
         (space, slice(points[i], points[i + 1]), slice(tangents[i], tangents[i + 1])) for i, (space, _, _) in enumerate(factors)
     ]
-    for space, _, _ in factors:
-        if space.mean is not None:
-            raise ValueError("factors: a space with its own mean cannot be part of a product")
+    if any(space.mean is not None for space, _, _ in factors):
+        raise ValueError("factors: a space with its own mean cannot be part of a product")
 
     def checked(vector: Array, length: int, what: str) -> Array:
         if vector.shape[-1] != length:

@@ -183,8 +183,10 @@ def _patterns(level: int, g: tuple[int, ...], sizes: tuple[int, ...]) -> tuple[t
         own = weight(choice, float)
         canceled = abs(own) <= CANCELED * weight(choice, abs)
         if not canceled or not any(choice):  # a rule has its center first, be its weight 0
-            number = prod(_ways(count, chosen) for (_, count), chosen in zip(classes, choice, strict=True))
-            found.append(_Pattern(choice, 0.0 if canceled else own, number))
+            # Ways to give the nodes of each class, and a sign to each, to different ones of its channels.
+            alike = prod(factorial(chosen.count(i)) for chosen in choice for i in set(chosen))
+            ways = prod(perm(count, len(chosen)) << len(chosen) for (_, count), chosen in zip(classes, choice, strict=True))
+            found.append(_Pattern(choice, 0.0 if canceled else own, ways // alike))
     found.sort(key=lambda p: sum(map(len, p.nodes)))
     return tuple(node.value for node in nodes), tuple(found)
 
@@ -198,12 +200,6 @@ def _multisets(nodes: Sequence[_Node], budget: int, most: int, first: int = 0) -
         if nodes[i].level <= budget:
             for cost, rest in _multisets(nodes, budget - nodes[i].level, most - 1, i):
                 yield cost + nodes[i].level, (i, *rest)
-
-
-def _ways(count: int, chosen: tuple[int, ...]) -> int:
-    """Ways to give nodes, and a sign to each, to different ones of ``count`` channels."""
-    alike, signs = prod(factorial(chosen.count(i)) for i in set(chosen)), 1 << len(chosen)
-    return perm(count, len(chosen)) // alike * signs
 
 
 @lru_cache(maxsize=32)

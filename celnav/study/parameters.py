@@ -30,12 +30,7 @@ def param(value: Any, source: str, meaning: str, *, one_of: tuple[Any, ...] = ()
 
 
 class Parameters:
-    """Base of a configuration, a frozen dataclass: every field made by `param` is checked when one is made.
-
-    Raises
-    ------
-    ValueError: naming the parameter, what was expected and what came.
-    """
+    """Base of a configuration, a frozen dataclass: every field made by `param` is checked when one is made."""
 
     def __post_init__(self) -> None:
         for f in fields(self):  # type: ignore[arg-type]
