@@ -126,9 +126,7 @@ def nonlinearity_weights(
     if (sigma <= 0.0).any():
         raise ValueError(f"std: expected {len(center)} positive numbers, got {std!r}")
     tolerance, coarse = number("tolerance", tolerance, 0.0), integer("coarse", coarse)
-    if not (functions := sequence("functions", functions, "[f, h]")):
-        raise ValueError("functions: expected at least one, got none")
-    steps = np.diag(sigma)
+    functions, steps = sequence("functions", functions, "[f, h]", least=1), np.diag(sigma)
     # Not only about the mean: what bends elsewhere within a standard deviation counts, too.
     centers = center + sigma * np.random.default_rng(0).uniform(-1.0, 1.0, (4, len(center)))
     bends = np.zeros(len(center), bool)

@@ -5,9 +5,7 @@ conditions on it in one transform; `decorrelated` does in two steps what [Sun201
 exact reference. All take any rule and both forms, and a ``Phi`` that may be full, differ from run to run, or be a function of the
 epoch.
 
-The sensor's ``R`` is the covariance of V itself, as everywhere. That of the increments zeta follows, ``R - Phi R Phi'``, if V is
-stationary; where it is not (``Phi = I`` is a random walk) it is given, and R is the covariance of the first sample of V. A missing
-sample costs `colored` two differences, the one that ends and the one that begins with it.
+A missing sample costs `colored` two differences, the one that ends and the one that begins with it.
 """
 
 from __future__ import annotations
@@ -52,7 +50,8 @@ def colored(
         are vectors: the difference of two measurements knows nothing of a seam. Where an angle is measured, use `augmented`.
     Phi: ``(..., m, m)``, or a function of the epoch: what carries the noise from one measurement to the next; its spectral radius
         is at most 1.
-    increments: covariance ``(..., m, m)`` of ``V' - Phi V``, or a function ``(mean, epoch)`` of it; None: that of stationary noise.
+    increments: covariance ``(..., m, m)`` of ``V' - Phi V``, or a function ``(mean, epoch)`` of it; None: that of stationary noise,
+        ``R - Phi R Phi'``. Where V is not stationary (``Phi = I`` is a random walk) R is the covariance of its first sample.
     first: whether the first measurement updates the prior. Otherwise it only anchors the first difference, as in the paper, which
         is the limit of a large R.
     rule, options: as in `celnav.sigma_point`. Where ``h`` is a function the process noise goes through the points with the state.

@@ -56,10 +56,7 @@ class Joint(NamedTuple):
     noise_first: bool = False
 
     def columns(self) -> Array:
-        """The pre-array ``(..., m + n, q + r + s)``.
-
-        [ D_z  W_z  V ]   m rows
-        [ D_x  W_x  0 ]   n rows
+        """The pre-array ``(..., m + n, q + r + s)``, drawn above.
 
         Small columns after large ones keep their digits in a QR, and noise is what may be small. Only where the state is kept and
         its measurement linear V comes first: most reflections are then short or nothing, which takes half the time.
@@ -164,12 +161,15 @@ def joint(
     mean = belief.mean
 
     noise_first, images = False, []
-    first: Any = None if callable(outputs) else outputs[0]
-    linear = [] if callable(outputs) else linearized(outputs, rule, mean, epoch, space)
-    if linear:
+    models: Sequence[Any] = () if callable(outputs) else outputs
+    first: Any = models[0] if models else None
+    found: list[Any] = [
+        (mean, None) if one is KEEP else one if type(one) is tuple else linear(one, rule, mean, epoch, space) for one in models
+    ]
+    if found and all(found):  # values and matrices
         # A prediction factors the covariance even so: whether it is definite is to be noticed.
-        root, sign = belief.factor() if linear[-1][1] is None and not augment else (belief.sqrt_cov, POSITIVE)
-        for value, matrix in linear:
+        root, sign = belief.factor() if found[-1][1] is None and not augment else (belief.sqrt_cov, POSITIVE)
+        for value, matrix in found:
             images.append(_linear_image(value, matrix, root, sign, augment))
         noise_first = sign.ndim == 1 and isinstance(first, Sensor) and (not callable(first.h) or isinstance(first.h, Linear))
     else:
@@ -222,17 +222,6 @@ def checked(z: Any, sensor: Sensor) -> Array:
 def at(noise: Any, mean: Array, epoch: Any) -> Any:
     """Columns of a noise at an epoch."""
     return noise(mean, epoch) if callable(noise) else noise
-
-
-def linearized(outputs: Sequence[Any], rule: Any, mean: Array, epoch: Any, space: Space) -> list[tuple[Any, Any]]:
-    """Value at the mean and matrix of each output, `KEEP` alone; nothing if one of them asks for points."""
-    found: list[tuple[Any, Any]] = []
-    for output in outputs:
-        one = (mean, None) if output is KEEP else output if type(output) is tuple else linear(output, rule, mean, epoch, space)
-        if one is None:
-            return []
-        found.append(one)
-    return found
 
 
 def by_matrix(model: Any, rule: Any) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import isfinite
 
 import numpy as np
@@ -29,6 +29,7 @@ class Gaussian:
 
     mean: Array
     cov: Array
+    sqrt_cov: Array = field(init=False, repr=False)
 
     def __init__(self, mean: ArrayLike, cov: ArrayLike | None = None, *, sqrt_cov: ArrayLike | None = None):
         x = finite("mean", mean, (..., None))
@@ -44,14 +45,8 @@ class Gaussian:
         if P.shape[-1] > x.shape[-1]:
             raise ValueError(f"mean: expected shape (..., {P.shape[-1]}) to go with the covariance, got {x.shape}")
         beside("mean", x.shape[:-1], P.shape[:-2], "the covariance")
-        for name, value in (("mean", x), ("cov", P), ("_root", root)):
+        for name, value in (("mean", x), ("cov", P), ("sqrt_cov", root)):
             object.__setattr__(self, name, value)
-
-    @property
-    def sqrt_cov(self) -> Array:
-        """Lower root ``(..., n, n)`` of the covariance."""
-        root: Array = self.__dict__["_root"]
-        return root
 
     @property
     def std(self) -> Array:

@@ -138,11 +138,14 @@ def choice(name: str, value: Any, known: Iterable[Any]) -> Any:
     raise ValueError(f"{name}: expected one of {', '.join(map(str, names))}, got {value!r:.80}{hint}")
 
 
-def sequence(name: str, value: Any, example: str) -> list[Any]:
+def sequence(name: str, value: Any, example: str, least: int = 0) -> list[Any]:
     """The parts of a list or of what can be made one, but no text or table; ValueError names it, with an ``example``."""
     try:
         if not isinstance(value, str | bytes | dict):
-            return list(value)
+            parts = list(value)
+            if len(parts) < least:
+                raise ValueError(f"{name}: expected at least {least}, got {len(parts)}")
+            return parts
     except TypeError:
         pass
     raise ValueError(f"{name}: expected a sequence, such as {example}, got {value!r:.80}")

@@ -182,12 +182,14 @@ class Taylor:
     def points(self, mean: Array, root: Array, space: Space = EUCLIDEAN, augment: Sequence[Array] = ()) -> list[Array]:
         """The center and its neighbors; noise points vary in their own directions only.
 
-        With a center of its own, the last two points lie on the way from there to the mean, a step to either side.
+        With a center of its own, the way from there to the mean is a direction like those of the columns, after them.
         """
         center = mean if self.about is None else self.about
         if center.shape[-1:] != mean.shape[-1:]:
             raise ValueError(f"about: expected shape (..., {mean.shape[-1]}), got {center.shape}")
         center = np.broadcast_to(center, np.broadcast_shapes(center.shape, mean.shape))
+        if self.about is not None:
+            root = side_by_side([root, space.minus(mean, center)[..., None]])
         roots = (root, *augment)
         total, batch = sum(E.shape[-1] for E in roots), max(center.ndim - 1, root.ndim - 2)
         directions = self.step * np.hstack([np.zeros((total, 1)), np.eye(total), -np.eye(total)])
@@ -195,22 +197,18 @@ class Taylor:
         for E in roots:
             deviations.append(fan(E, directions[first : first + E.shape[-1]], batch))
             first += E.shape[-1]
-        if self.about is not None:
-            way = self.step * space.minus(mean, center)
-            ways = [way, *(np.zeros(way.shape[:-1] + E.shape[-2:-1]) for E in augment)]
-            ways = [np.broadcast_to(w, np.broadcast_shapes(w.shape, D.shape[1:])) for w, D in zip(ways, deviations, strict=True)]
-            deviations = [
-                np.concatenate([np.broadcast_to(D, (len(D), *w.shape)), [w, -w]]) for w, D in zip(ways, deviations, strict=True)
-            ]
+
         points = [deviations[0] + center if space is EUCLIDEAN else space.plus(center, deviations[0])]
         return points + [np.broadcast_to(D, (*points[0].shape[:-1], D.shape[-1])) for D in deviations[1:]]
 
     def image(self, y: Array, space: Space, root: Array) -> Image:
 
         d = space.minus(y, y[0])
-        total = (len(d) - 1) // 2 if self.about is None else (len(d) - 3) // 2
-        columns = np.moveaxis(d[1 : total + 1] - d[total + 1 : 2 * total + 1], 0, -1) / (2.0 * self.step)
-        shift = np.zeros(d.shape[-1]) if self.about is None else (d[-2] - d[-1]) / (2.0 * self.step)
+        total, shift = (len(d) - 1) // 2, np.zeros(d.shape[-1])
+        columns = np.moveaxis(d[1 : total + 1] - d[total + 1 :], 0, -1) / (2.0 * self.step)
+        if self.about is not None:
+            n = root.shape[-1]
+            shift, columns = columns[..., n], np.delete(columns, n, -1)
         return Image(y[0], shift, columns, partial(self._jacobian, columns, root))
 
     def kept(self, root: Array, augment: Sequence[Array]) -> Array:

@@ -65,11 +65,9 @@ def _difference(places: tuple[int, ...] | None, b: Array, a: Array) -> Array:
 
 def _wrapped(vector: Array, places: tuple[int, ...] | None) -> Array:
     """The vector, its angles wrapped in place."""
-    if places is None:
-        return np.asarray(wrap(vector))
     if places and max(places) >= vector.shape[-1]:
         raise ValueError(f"angles: expected components below {vector.shape[-1]}, the length of the vector, got {max(places)}")
-    chosen = list(places)
+    chosen = slice(None) if places is None else list(places)
     vector[..., chosen] = wrap(vector[..., chosen])
     return vector
 

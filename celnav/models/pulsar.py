@@ -101,9 +101,7 @@ class Timing:
     """
 
     def __init__(self, pulsars: Sequence[Pulsar]):
-        chosen = sequence("pulsars", pulsars, 'celnav.models.pulsar.pulsars(["B1937+21"])')
-        if not chosen:
-            raise ValueError("pulsars: expected at least one, got none")
+        chosen = sequence("pulsars", pulsars, 'celnav.models.pulsar.pulsars(["B1937+21"])', least=1)
         example = 'a Pulsar, such as known()["B1937+21"]'
         self.pulsars: tuple[Pulsar, ...] = tuple(instance("pulsars", p, Pulsar, example) for p in chosen)
         self.directions = np.stack([p.direction for p in self.pulsars])

@@ -45,9 +45,7 @@ def simulate(
     >>> truth, z = celnav.simulate(motion, gps, prior, np.arange(601.0), runs=500)
     """
     instance("motion", motion, Motion, "celnav.Motion(f, Q)")
-    sensors = [sensor] if isinstance(sensor, Sensor) else sequence("sensor", sensor, "[celnav.Sensor(h, R)]")
-    if not sensors:
-        raise ValueError("sensor: expected one or more, got none")
+    sensors = [sensor] if isinstance(sensor, Sensor) else sequence("sensor", sensor, "[celnav.Sensor(h, R)]", least=1)
     for each in sensors:
         instance("sensor", each, Sensor, "celnav.Sensor(h, R)")
     if Phi is not None and len(sensors) != 1:
