@@ -30,7 +30,7 @@ MODULES = {
 }
 HOT = """
 attitude: multiply inverse positive matrix rotate exp log angle to_euler to_rodrigues from_rodrigues cross transport
-spaces: wrap leading components
+spaces: wrap leading trailing components
 rules: Rule.points Rule.image Rule.kept Rule.num_sigmas Taylor.points Taylor.image Taylor.kept
 earth: meridian_radius transverse_radius radii normal_gravity earth_rate transport_rate
 orbit: acceleration third_body step transition gradient advance flow

@@ -46,8 +46,6 @@ def lie_gradients(f: Function, h: Function, x: ArrayLike, order: int, *, window:
     gradient are computed at Chebyshev nodes of ``[-window, window]`` s, and a polynomial through them is differentiated. The
     system is observable at ``x`` where the rows together have rank n. At an equilibrium they are ``H A^k``.
 
-    Parameters
-    ----------
     f: rate of the state, of time itself independent. h: measurement. x: ``(n,)``.
     window: half the time, s, over which flow and measurement are smooth; k-th derivatives lose ``window^-k`` of their digits.
     """

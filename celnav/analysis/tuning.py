@@ -30,8 +30,6 @@ STEPS = 4
 class Tuned(NamedTuple):
     """The maximum of a likelihood.
 
-    Attributes
-    ----------
     parameters: ``(d,)`` where the likelihood is largest. log_likelihood: there, of all runs together.
     standard_errors: ``(d,)`` of the parameters, by the curvature; inf where ``converged`` is False for want of one.
     covariance: ``(d, d)`` of the parameters' *logarithms* (in an interval, of ``log((p - low) / (high - p))``): an interval of a
@@ -69,8 +67,6 @@ def maximize_likelihood(
 
         maximize_likelihood(build, [0.1, 0.5], epochs, domain=["positive", "unit interval"])
 
-    Parameters
-    ----------
     build: ``parameters (d,) -> (filter, prior)``.
     start: ``(d,)``, within the domain, where the filter works.
     epochs: the data; the same for all parameters.

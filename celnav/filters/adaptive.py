@@ -131,7 +131,6 @@ def _reweighted(weight: Callable[[Array], Array], rounds: int) -> Hook:
     most = integer("rounds", rounds, 1, 10_000)
 
     def hook(memory: Any, joint: Joint, _epoch: Any) -> tuple[Any, Joint]:
-        assert joint.measurement is not None
         e, R, used = _noisy(joint)
         S0, cross = joint.covariances()
         S0 = np.where(used[..., None] & used[..., None, :], S0, 0.0)
@@ -190,7 +189,6 @@ def _residual(joint: Joint) -> tuple[Array, Array, Array, Array]:
 
     A maneuver, or any other error of the prediction, lies in the range of the measurement matrix and changes nothing here.
     """
-    assert joint.measurement is not None
     e, R, used = _noisy(joint)
     root = np.where(used, np.sqrt(1.0 / R), 0.0)
     D, W = joint.state.columns, joint.process_noise

@@ -33,8 +33,6 @@ KEEP: Final = object()
 class Joint(NamedTuple):
     """The joint of a measurement (m rows) and a state (n rows): what a hook sees and may replace.
 
-    Attributes
-    ----------
     innovation: ``(..., m)``, measurement minus prediction; nan where nothing was measured, or a hook leaves it out. None where
         there is nothing to condition on.
     measurement, state: their images, with columns ``(..., m, q)`` and ``(..., n, q)`` from the prior.
@@ -46,8 +44,8 @@ class Joint(NamedTuple):
     noise_first: whether the measurement noise stands first among the `columns`; no sign may be negative then.
     """
 
-    innovation: Array | None
-    measurement: Image | None
+    innovation: Any
+    measurement: Any
     state: Image
     sign: Array
     process_noise: tuple[Any, Any] | None = None
@@ -79,7 +77,6 @@ class Joint(NamedTuple):
 
     def covariances(self) -> tuple[Array, Array]:
         """Of the innovation without measurement noise ``(..., m, m)``, and of state and innovation ``(..., n, m)``."""
-        assert self.measurement is not None
         D_z, D_x = self.measurement.columns, self.state.columns
         S0, cross = (D_z * self.sign) @ D_z.mT, (D_x * self.sign) @ D_z.mT
         if self.process_noise is not None:
@@ -91,7 +88,6 @@ class Joint(NamedTuple):
 
     def variances(self) -> tuple[Array, Array]:
         """Variances ``(..., m)`` of the innovation without measurement noise, and of that noise."""
-        assert self.measurement is not None
         D = self.measurement.columns
         prior = np.einsum("...ij,...ij,j->...i", D, D, np.broadcast_to(self.sign, D.shape[-1:]))
         if self.process_noise is not None and type(self.process_noise[0]) is not int:
@@ -101,7 +97,7 @@ class Joint(NamedTuple):
 
     def leaving_out(self, mask: Array) -> Joint:
         """Without the components of the measurement where ``mask (..., m)`` is True."""
-        return self._replace(innovation=np.where(mask, np.nan, np.asarray(self.innovation)))
+        return self._replace(innovation=np.where(mask, np.nan, self.innovation))
 
     def inflated(self, factor: Array) -> Joint:
         """With measurement noise of standard deviations ``factor (..., m)`` times as large."""
@@ -137,8 +133,6 @@ def joint(
 ) -> Joint:
     """Push a belief through models, and set the noise beside what comes out.
 
-    Parameters
-    ----------
     rule: `Rule` or `Taylor`, or a function of the dimension.
     outputs: the measurement (if any) and the state, each a `Motion`, a `Sensor`, `KEEP` (the state itself) or ``(value, matrix)``
         of what is linear, if both are; or a function ``(points, epoch, *noise points)`` of both.
@@ -316,8 +310,7 @@ def condition(
     if hooks:
         joint, memory = _adapted(joint, hooks, memory, epoch)
     innovation, measured, state = joint.innovation, joint.measurement, joint.state
-    assert innovation is not None
-    assert measured is not None
+
     used, m = innovation == innovation, innovation.shape[-1]
     A, mask = joint.columns(), alike(used)
     if not mask.all():
@@ -345,7 +338,6 @@ def condition(
 
 def _adapted(joint: Joint, hooks: Sequence[Hook], memory: Any, epoch: Any) -> tuple[Joint, Any]:
     """The joint after its hooks, which may replace its arrays or write into them, and their memories."""
-    assert joint.measurement is not None
     columns, memories = joint.state.columns, []
     measurement, state = (image._replace(columns=image.columns.copy()) for image in (joint.measurement, joint.state))
     W: Any = joint.process_noise

@@ -99,8 +99,6 @@ class _Model:
 class Motion(_Model):
     """What is believed of the dynamics: ``x' = f(x, epoch) + w``, ``w ~ N(0, Q)``.
 
-    Parameters
-    ----------
     f: function ``(points (p, ..., N), epoch) -> (p, ..., N)``, or a matrix ``(..., n, n)``, or a `Linear` one of the epoch.
         ``epoch.dt`` is the interval, ``epoch.u`` the input.
     Q: covariance ``(..., n, n)`` of the process noise of an interval, or a function ``(mean, epoch)`` of it. Without noise it is
@@ -129,8 +127,6 @@ class Motion(_Model):
 class Sensor(_Model):
     """What is believed of a measurement: ``z = h(x, epoch) + v``, ``v ~ N(0, R)``.
 
-    Parameters
-    ----------
     h: function ``(points (p, ..., N), epoch) -> (p, ..., m)``, or a matrix ``(..., m, n)``: a linear measurement is exact and cheap
         under any rule.
     R, sqrt_R, jacobian, augment: as of a `Motion`, with m rows. Noises through the points may be all the noise there is.
@@ -188,11 +184,11 @@ def check_roots(name: str, roots: Any) -> Sequence[Array]:
     return roots
 
 
-def check_matrices(n: int, **models: Any) -> None:
+def check_matrices(n: int, *models: Motion | Sensor) -> None:
     """Matrices among models of a state go with its ``n`` deviations; ValueError names one that does not."""
-    for name, model in models.items():
-        if not callable(model) and model.shape[-1] != n:
-            raise ValueError(f"{name}: expected a matrix ({'n' if name == 'f' else 'm'}, {n}), got {model.shape[-2:]}")
+    for name, matrix in ((model.name, getattr(model, model.name)) for model in models):
+        if not callable(matrix) and matrix.shape[-1] != n:
+            raise ValueError(f"{name}: expected a matrix ({'n' if name == 'f' else 'm'}, {n}), got {matrix.shape[-2:]}")
 
 
 def check_prior(prior: Any) -> None:

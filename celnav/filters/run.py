@@ -33,8 +33,6 @@ def run(
 ) -> Track:
     """Run a filter over epochs and collect a `Track`.
 
-    Parameters
-    ----------
     filter: any filter. prior: a `celnav.Gaussian` of any batch shape.
     times: ``(T,)`` s, with measurements ``z (T, ..., m)`` (nan where missing; a tuple for several sensors) and inputs ``u``; or,
         instead of the three, epochs that are made already (`celnav.epochs`), or any iterable of `Epoch`.

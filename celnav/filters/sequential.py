@@ -49,11 +49,9 @@ class Sequential:
         N, n = belief.mean.shape[-1], belief[1].shape[-1]
         if n != N and self.motion.space == EUCLIDEAN:
             raise ValueError(f"space: expected one for states of {N} components with {n} deviations, got vectors")
-        check_matrices(n, f=self.motion.f)
-        for sensor in self.sensors:
-            check_matrices(n, h=sensor.h)
-            if n != N and not callable(sensor.h):
-                raise ValueError(f"h: expected a function where states have {N} components and {n} deviations, got a matrix")
+        check_matrices(n, self.motion, *self.sensors)
+        if n != N and not all(callable(sensor.h) for sensor in self.sensors):
+            raise ValueError(f"h: expected a function where states have {N} components and {n} deviations, got a matrix")
         if not all(by_matrix(model, self.rule) for model in (self.motion, *self.sensors)):
             belief = whole(self.form, *belief)  # a covariance of all runs stays one where their matrices are
         return State(belief, (None,) * len(self.sensors))
@@ -109,7 +107,6 @@ class Sequential:
     def _told(self, sensor: Sensor, belief: Belief, seen: Joint, after: Belief, info: Info, epoch: Epoch) -> Belief:
         """The belief, but nan for runs in which a measurement without noise is of what was known already."""
         V, measured = seen.measurement_noise, seen.measurement
-        assert measured is not None
         exact = np.ones(1, bool) if V is None else np.asarray(~V.any(-1))
         if not exact.any():
             return after
@@ -156,8 +153,6 @@ def sigma_point(
 ) -> Sequential:
     """A filter by any rule.
 
-    Parameters
-    ----------
     motion, sensors: what is believed. Without sensors it is the open loop. Of several sensors each has its own part of ``z``, a
         tuple, and nan where it is silent, so sensors of different rates need nothing else.
     rule: a `Rule`, `Taylor`, or a function ``n -> rule`` of the dimension: the state's, and of noise that goes through the points.
@@ -250,8 +245,6 @@ def _each(hooks: Any, sensors: int) -> tuple[tuple[Hook, ...], ...]:
 class Iterated(Sequential):
     """An extended filter whose updates are Gauss-Newton steps to the mode of the posterior [Bell1993].
 
-    Attributes
-    ----------
     iterations: linearizations of each update. One with a ``first`` is an update linearized about a point known otherwise, from a
         closed solution of the measurements, say; the prior counts in full all the same.
     first: ``(belief, z, epoch) -> (..., N)``, the first point to linearize about; None: the prior's mean.
@@ -288,8 +281,6 @@ class SingleDraw(Sequential):
     then of its only sensor. Additive process noise would not reach the measurement, and is not offered. An epoch with ``dt == 0``
     is an ordinary update. Make it of a filter: ``SingleDraw.of(celnav.ukf(motion, sensor))``.
 
-    Attributes
-    ----------
     joint_noise: roots of the noises that reach both functions instead, where those of process and measurement are correlated.
     """
 

@@ -28,8 +28,6 @@ from celnav.gaussian.linalg import EPS, Array, Belief, SquareRoot, solve_lower, 
 def smooth(track: Track, filter: Any = None, *, gains: bool = False, on_failure: str = "raise") -> Track:
     """Estimates of all states given *all* measurements, from the track of a filter.
 
-    Parameters
-    ----------
     track: of ``run(..., keep="cov")``, every epoch stored.
     filter: the filter of the track, which has it unless it was pickled. Process and measurement noise must be independent: smooth
         colored measurement noise with the track of `celnav.augmented`.
@@ -99,7 +97,7 @@ def back(filter: Sequential, before: Belief, after: Belief, epoch: Epoch) -> tup
         filter.rule, before, (motion, KEEP), epoch, space=space,
         z=after.mean, measurement_noise=motion.noise, augment=motion.augment,
     )  # fmt: skip
-    center = both.measurement.center  # type: ignore[union-attr]
+    center = both.measurement.center
 
     inner, info, _ = condition(form, both, space, gain=partial(pseudo_gain, center=center))
     assert info.gain is not None

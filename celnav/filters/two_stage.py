@@ -130,8 +130,6 @@ def two_stage(
 ) -> TwoStage:
     """A filter of a state and, in a second stage, a bias of the measurement.
 
-    Parameters
-    ----------
     motion, sensor: what the first stage believes, which knows of no bias.
     Gamma: ``(..., m, p)``, derivative of the measurement with respect to the bias, or a function ``(mean, epoch)`` of it.
     bias: what is known of the bias ``(p,)`` at the start.

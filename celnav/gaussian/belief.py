@@ -16,8 +16,6 @@ from celnav.gaussian.linalg import Array, Belief, SquareRoot, matvec, outer, sem
 class Gaussian:
     """A Gaussian that somebody knows: the prior of a filter, say. It is checked here, once.
 
-    Parameters
-    ----------
     mean: ``(..., N)``; a run of a batch has a mean of its own.
     cov: covariance ``(..., n, n)``, which may be singular. It may be one ``(n, n)`` for many means: a filter whose matrices,
         constant or of the epoch, are the same for all runs then carries one, until these miss different measurements.

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from celnav.gaussian.checks import LIMIT, choice, finite, instance, integer, kind, number, numbers
 from celnav.gaussian.linalg import EPS, POSITIVE, Array, fan, semidefinite_root, side_by_side, solve_right
-from celnav.gaussian.spaces import EUCLIDEAN, Space
+from celnav.gaussian.spaces import EUCLIDEAN, Space, trailing
 
 MAX_POINTS = 1_000_000
 
@@ -27,8 +27,6 @@ MAX_POINTS = 1_000_000
 class Image(NamedTuple):
     """One output of a function of a Gaussian.
 
-    Attributes
-    ----------
     center: ``(..., N)``, the image of the center. shift: ``(..., k)``, the mean's distance from there.
     columns: ``(..., k, q)``, deviations about the mean: the covariance is ``columns @ diag(sign) @ columns.mT``, see `Joint`.
     jacobian: ``() -> (..., k, n)``, the statistical Jacobian ``cov(y, x) cov(x)^-1``.
@@ -43,15 +41,11 @@ class Image(NamedTuple):
 class Rule:
     """Nodes and weights for expectations under ``N(0, I)``.
 
-    Parameters
-    ----------
     nodes: ``(p, n)``; node 0 is the center (its weights may be 0).
     wm: ``(p,)`` weights of the mean; they sum to 1, and ``sum wm nodes = 0``.
     wc: ``(p,)`` weights of the covariance (None: ``wm``); ``sum wc nodes nodes' = I``. They may be negative. A rule without
         nodes in some dimension is a quadrature, but no filter takes it: it would lose that variance.
 
-    Attributes
-    ----------
     n: the dimension. sign: ``(q,)``, -1 for columns of negative weight, else 1.
     """
 
@@ -109,7 +103,7 @@ class Rule:
         """What a function with the values ``y (p, ..., M)`` at the points makes of ``N(mean, root @ root.mT)``."""
         center = y[0] if space.mean is None else space.mean(y, self.wm)
         values = (y if space is EUCLIDEAN else space.minus(y, center))[self._used]
-        values = values.T if values.ndim == 2 else values.transpose((*range(1, values.ndim), 0))  # (..., k, q)
+        values = values.T if values.ndim == 2 else trailing(values)  # (..., k, q)
         columns = np.subtract(values, center[..., None] if space is EUCLIDEAN else 0.0, order="C")
         if space.mean is None:
             shift = columns @ self._wm
@@ -163,8 +157,6 @@ class Taylor:
     It serves any dimension. Where a `Motion` or a `Sensor` has a ``jacobian`` that is used; else central differences along the
     columns of the root are.
 
-    Parameters
-    ----------
     step: length of the difference, in standard deviations.
     about: ``(..., N)``, the point to expand about instead of the mean, as an iterated filter does. The belief stays where it
         is: its mean is mapped by the linear function.

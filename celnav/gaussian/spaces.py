@@ -19,8 +19,6 @@ from celnav.gaussian.linalg import Array, side_by_side
 class Space(NamedTuple):
     """How points and differences relate. Every function broadcasts over leading axes.
 
-    Attributes
-    ----------
     plus: ``(point (..., N), tangent (..., n)) -> point``.
     minus: ``(b, a) -> tangent`` at ``a`` that leads to ``b``: ``plus(a, minus(b, a)) == b``.
     transport: optional ``tangent -> (..., n, n)``, the matrix that carries deviations at a point to the point moved by
@@ -124,6 +122,11 @@ def leading(x: Array) -> Array:
     """``(..., n)`` with the component axis first, as a view; numpy's ``moveaxis`` takes longer than a product of small matrices."""
     last = x.ndim - 1
     return x.transpose((last, *range(last)))
+
+
+def trailing(x: Array) -> Array:
+    """``(n, ...)`` with the component axis last, as a view: what undoes `leading`."""
+    return x.transpose((*range(1, x.ndim), 0))
 
 
 def components(x: Array) -> Array:

@@ -53,8 +53,6 @@ def smolyak(n: int, level: int, weights: Sequence[int] | None = None, *, orders:
     Its weights are partly negative. Channels with ``g_j > (level - 1) min(g)`` have no points: filters refuse such a rule. It is
     cached. ValueError for a level beyond the orders, or more than `MAX_POINTS` points (before they are made).
 
-    Parameters
-    ----------
     n: dimension. level: 1 is the center alone, 2 of equal weights the unscented rule with ``kappa = 3 - n``.
     weights: ``(n,)`` positive integers g, 1 for the channels that matter most; None: all equal (isotropic). Only their ratios
         to the smallest count: weights that are all 2 are isotropic.

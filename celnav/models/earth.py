@@ -61,8 +61,6 @@ def transport_rate(velocity: Array, latitude: ArrayLike, height_m: ArrayLike) ->
 class Flight(NamedTuple):
     """Truth ``(T, ...)`` of a flight, on east, north, up axes n and body axes b: right, front, up.
 
-    Attributes
-    ----------
     times: ``(T,)`` s. longitude, latitude: ``(T,)`` rad. height_m: constant.
     velocity: ``(T, 3)`` m/s. attitude: ``(T, 3, 3)``, C_b^n. force: ``(T, 3)`` m/s^2, the specific force on body axes.
     """

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from celnav.gaussian.checks import LIMIT, finite, instance, integer, number
 from celnav.gaussian.linalg import Array
-from celnav.gaussian.spaces import components
+from celnav.gaussian.spaces import components, trailing
 
 
 class UnitWarning(UserWarning):
@@ -91,7 +91,7 @@ def step(state: Array, dt: float, earth: Earth = EARTH) -> Array:
     out = np.empty_like(x)
     out[:3] = end + (dt * dt / 6.0) * (a1 + middle)
     out[3:] = velocity + (dt / 6.0) * (a1 + 2.0 * middle + a4)
-    return out.transpose((*range(1, state.ndim), 0))
+    return trailing(out)
 
 
 def transition(state: Array, dt: float, earth: Earth = EARTH) -> Array:

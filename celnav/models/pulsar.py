@@ -29,8 +29,6 @@ AREA_CM2 = 1e4
 class Pulsar:
     """A pulsar.
 
-    Attributes
-    ----------
     right_ascension_deg, declination_deg: J2000. distance_kpc: from the Sun.
     period_s: of the pulses. width_s: of a pulse. flux: photons / cm^2 / s. pulsed_fraction: of the flux.
     """

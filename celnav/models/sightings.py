@@ -67,8 +67,6 @@ def position(
 ) -> Array:
     """Pseudo-position ``(..., 3)`` from three angles ``(..., 3)``, see `angles` [Sun2015, Eqs. 41-42, corrected].
 
-    Parameters
-    ----------
     A: angles, ``A3`` between 0 and pi; nan components give nan. separation: between the stars, rad.
     hemisphere: +1 or -1, the sign of z ``(...)``: the angles cannot tell.
     strict: raise ValueError for angles that no position has, as noise may leave them; otherwise nan stands there.

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from celnav.filters.colored import coloring, zeta_of
 from celnav.filters.joint import at, evaluate
-from celnav.filters.model import Motion, Sensor
+from celnav.filters.model import Motion, Sensor, check_matrices
 from celnav.filters.records import Epoch, epochs
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import instance, integer, sequence
@@ -34,8 +34,6 @@ def simulate(
 ) -> tuple[Array, Any]:
     """Truth ``(T, runs, N)`` and measurements ``(T, runs, m)``, a tuple of them for a sequence of sensors.
 
-    Parameters
-    ----------
     motion, sensor: what a filter of them believes; of several sensors a sequence. Noise through the points is drawn, too.
     prior: mean ``(N,)`` and covariance ``(n, n)`` of the start.
     times: ``(T,)`` s. u: inputs, as in `celnav.epochs`.
@@ -53,9 +51,7 @@ def simulate(
     instance("prior", prior, Gaussian, "celnav.Gaussian(mean, cov)")
     if prior.mean.ndim != 1 or prior.cov.ndim != 2:
         raise ValueError(f"prior: expected one mean (N,) and covariance (n, n), got {prior.mean.shape} and {prior.cov.shape}")
-    for name, model in (("f", motion.f), *(("h", each.h) for each in sensors)):
-        if not callable(model) and model.shape[-1] != len(prior.cov):
-            raise ValueError(f"prior: expected {model.shape[-1]} components to go with {name}, got {len(prior.cov)}")
+    check_matrices(len(prior.cov), motion, *sensors)
     if (runs := integer("runs", runs)) > MOST_RUNS:
         raise ValueError(f"runs: expected at most {MOST_RUNS}, got {runs}")
     rngs = [generator(seed, 0, run) for run in range(runs)]

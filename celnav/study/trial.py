@@ -37,8 +37,6 @@ class Group(NamedTuple):
 class Trial(NamedTuple):
     """Simulated runs of a configuration.
 
-    Attributes
-    ----------
     groups: what is judged. filters: by name. prior: of all runs, ``(runs, n)``.
     epochs: ``name ->`` epochs for the filter of that name, from the start at every call. Those with a ``truth`` are judged.
     compare: ``(truth, belief) ->`` errors ``(runs, n)`` and roots ``(runs, n, n)`` of what the belief takes for their covariance.
@@ -73,8 +71,6 @@ class Noiseless:
 class Followed(NamedTuple):
     """A filter's runs at the ``K`` epochs that were judged; nan where a run has no estimate.
 
-    Attributes
-    ----------
     times: ``(K,)`` s. error: ``(K, runs, n)``, and std: what the filter takes for its deviations.
     nees, nis, dof: ``(K, runs)``; ``dof`` is the number of measured components behind ``nis``.
     lost: ``(run, t, why)`` of each run whose estimate ceased to be finite. epochs: of the filter, judged or not.
