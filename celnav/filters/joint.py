@@ -119,18 +119,10 @@ Gain = Array | Callable[[Array, Array, int], Array]
 
 
 def joint(
-    rule: Any,
-    belief: Belief,
-    outputs: Sequence[Any] | Callable[..., tuple[Any, ...]],
-    epoch: Any = None,
-    *,
-    space: Space = EUCLIDEAN,
-    spaces: Sequence[Space] | None = None,
-    z: Array | None = None,
-    process_noise: Any = None,
-    measurement_noise: Noise = None,
-    augment: Sequence[Array] = (),
-) -> Joint:
+    rule: Any, belief: Belief, outputs: Sequence[Any] | Callable[..., tuple[Any, ...]], epoch: Any = None, *,
+    space: Space = EUCLIDEAN, spaces: Sequence[Space] | None = None, z: Array | None = None,
+    process_noise: Any = None, measurement_noise: Noise = None, augment: Sequence[Array] = (),
+) -> Joint:  # fmt: skip
     """Push a belief through models, and set the noise beside what comes out.
 
     rule: `Rule` or `Taylor`, or a function of the dimension.
@@ -290,15 +282,9 @@ def marginal(form: Form, joint: Joint, space: Space) -> Belief:
 
 
 def condition(
-    form: Form,
-    joint: Joint,
-    space: Space,
-    *,
-    hooks: Sequence[Hook] = (),
-    memory: Any = None,
-    epoch: Any = None,
-    gain: Gain | None = None,
-) -> tuple[Belief, Info, Any]:
+    form: Form, joint: Joint, space: Space, *,
+    hooks: Sequence[Hook] = (), memory: Any = None, epoch: Any = None, gain: Gain | None = None,
+) -> tuple[Belief, Info, Any]:  # fmt: skip
     """The belief about the state given the innovation, what was done, and the hooks' memory.
 
     Components that are nan are marginalized exactly, in each run by itself. With a prescribed ``gain`` the covariance is that of a

@@ -75,17 +75,9 @@ class Flight(NamedTuple):
 
 
 def turning_flight(
-    times: Array,
-    *,
-    longitude: float,
-    latitude: float,
-    height_m: float,
-    speed: float,
-    heading: float,
-    acceleration: float,
-    turn_rate: float,
-    substep: float = 0.5,
-) -> Flight:
+    times: Array, *, longitude: float, latitude: float, height_m: float,
+    speed: float, heading: float, acceleration: float, turn_rate: float, substep: float = 0.5,
+) -> Flight:  # fmt: skip
     """Level flight at ``times (T,)`` s, increasing, with constant acceleration along the track and a constant turn.
 
     From a place (rad, m) at the first time, there with ``speed`` m/s and ``heading`` rad, clockwise from north; acceleration in
