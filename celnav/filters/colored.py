@@ -18,10 +18,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.filters.joint import KEEP, Hook, Joint, at, checked, condition, evaluate, joint, linear, marginal, over_runs, rule_for
+from celnav.filters.joint import KEEP, Hook, Joint, at, by_matrix, condition, evaluate, joint, linear, marginal, over_runs, rule_for
 from celnav.filters.model import Motion, Noise, Sensor, check_prior, given_back, noise_of
 from celnav.filters.records import Epoch, Info
-from celnav.filters.sequential import Sequential, missing, sigma_point, silent
+from celnav.filters.sequential import Sequential, checked, missing, sigma_point, silent
 from celnav.gaussian.belief import Gaussian, symmetric
 from celnav.gaussian.checks import Shape, choice, finite, function, instance, numbers, together, unmasked
 from celnav.gaussian.linalg import POSITIVE, Array, SquareRoot, block, matvec, side_by_side, solve_right, tria
@@ -167,8 +167,7 @@ class Colored(Sequential):
 
     def advance(self, state: Any, Phi: Array, z_star: Array, epoch: Epoch, z: Array) -> tuple[Any, tuple[Info, ...]]:
         """State after an interval, given the difference ``z_star`` of the measurements at its ends."""
-        hooks = self.hooks[0]
-        both = self.fused(state.belief, Phi, z_star, epoch)
+        both, (hooks,) = self.fused(state.belief, Phi, z_star, epoch), self.hooks
         belief, info, memory = condition(self.form, both, EUCLIDEAN, hooks=hooks, memory=state.memory, epoch=epoch, gain=self.gain)
         return ColoredState(belief, z, state.lagged, memory), (info,)
 
@@ -178,11 +177,9 @@ class Colored(Sequential):
         W, Z, rule = at(motion.noise, mean, epoch), at(self.zeta, mean, epoch), rule_for(self.rule, belief)
         outputs: Any = partial(self.rows, Phi)
         augment: tuple[Array, ...] = ()
-        moved = linear(motion, rule, mean, epoch)
-        after = None if moved is None else linear(sensor, rule, moved[0], epoch)
-        before = None if moved is None else linear(sensor, rule, mean, epoch)
-        if moved is not None and after is not None and before is not None:
-            (y, F), (h_y, H), (h_x, H_x) = moved, after, before
+        if by_matrix(motion, rule) and by_matrix(sensor, rule):
+            y, F = linear(motion, rule, mean, epoch)
+            (h_y, H), (h_x, H_x) = linear(sensor, rule, y, epoch), linear(sensor, rule, mean, epoch)
             outputs, beside = ((h_y - matvec(Phi, h_x), H @ F - Phi @ H_x), (y, F)), (H @ W, W)
         elif not callable(sensor.h):
             beside = (sensor.h @ W, W)

@@ -149,10 +149,10 @@ def joint(
     noise_first, images = False, []
     models: Sequence[Any] = () if callable(outputs) else outputs
     first: Any = models[0] if models else None
-    found: list[Any] = [
-        (mean, None) if one is KEEP else one if type(one) is tuple else linear(one, rule, mean, epoch, space) for one in models
-    ]
-    if found and all(found):  # values and matrices
+    if models and all(one is KEEP or type(one) is tuple or by_matrix(one, rule) for one in models):
+        found: list[Any] = [
+            (mean, None) if one is KEEP else one if type(one) is tuple else linear(one, rule, mean, epoch, space) for one in models
+        ]
         # A prediction factors the covariance even so: whether it is definite is to be noticed.
         root, sign = belief.factor() if found[-1][1] is None and not augment else (belief.sqrt_cov, POSITIVE)
         for value, matrix in found:
@@ -197,14 +197,6 @@ def rule_for(rule: Any, belief: Belief, augment: Sequence[Array] = ()) -> Any:
     return rule(n + sum([E.shape[-1] for E in augment]) if augment else n)
 
 
-def checked(z: Any, sensor: Sensor) -> Array:
-    """A measurement ``(..., m)`` as floats."""
-    measured = z if type(z) is np.ndarray and z.dtype == np.float64 else numbers("z", z)
-    if measured.ndim == 0:
-        raise ValueError(f"z: expected shape (..., m), got the number {measured}; one component is [z]")
-    return measured if sensor.space.check is None else sensor.space.check(measured, "z")
-
-
 def at(noise: Any, mean: Array, epoch: Any) -> Any:
     """Columns of a noise at an epoch."""
     return noise(mean, epoch) if callable(noise) else noise
@@ -215,14 +207,9 @@ def by_matrix(model: Any, rule: Any) -> bool:
     return is_linear(getattr(model, model.name)) or (model.jacobian is not None and isinstance(rule, Taylor))
 
 
-def linear(model: Motion | Sensor, rule: Any, mean: Array, epoch: Any, space: Space = EUCLIDEAN) -> tuple[Array, Array] | None:
-    """Value at the mean and matrix, where a model is linear or the rule asks for derivatives that are known; None elsewhere.
-
-    ``space``: that of the state.
-    """
+def linear(model: Motion | Sensor, rule: Any, mean: Array, epoch: Any, space: Space = EUCLIDEAN) -> tuple[Array, Array]:
+    """Value at the mean and matrix of a model that enters `by_matrix`; ``space``: that of the state."""
     function: Any = getattr(model, model.name)
-    if not by_matrix(model, rule):
-        return None
     if is_linear(function):
         matrix = function.at(epoch, mean.shape[-1]) if callable(function) else function
         if model.name == "f" and matrix.shape[-2] != mean.shape[-1]:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from celnav.filters.joint import KEEP, Gain, Hook, Joint, by_matrix, checked, condition, evaluate, joint, marginal, over_runs, whole
+from celnav.filters.joint import KEEP, Gain, Hook, Joint, by_matrix, condition, evaluate, joint, marginal, over_runs, whole
 from celnav.filters.model import Motion, Sensor, check_matrices, check_prior, check_roots
 from celnav.filters.records import Epoch, Info, State
 from celnav.gaussian.belief import Gaussian
@@ -131,6 +131,14 @@ def measurements(z: Any, sensors: int) -> tuple[Any, ...]:
     if len(each) != sensors and sensors:
         raise ValueError(f"z: expected {sensors} measurements, got {len(each)}")
     return each[:sensors]
+
+
+def checked(z: Any, sensor: Sensor) -> Array:
+    """A measurement ``(..., m)`` as floats."""
+    measured = numbers("z", z)
+    if measured.ndim == 0:
+        raise ValueError(f"z: expected shape (..., m), got the number {measured}; one component is [z]")
+    return measured if sensor.space.check is None else sensor.space.check(measured, "z")
 
 
 def missing(z: Any) -> bool:

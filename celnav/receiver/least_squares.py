@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from celnav.filters.joint import at, checked, evaluate
+from celnav.filters.joint import at, evaluate
 from celnav.filters.model import Sensor, check_matrices, check_prior
 from celnav.filters.records import Epoch, Info, State
+from celnav.filters.sequential import checked
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import instance, integer, numbers, together, unmasked
 from celnav.gaussian.linalg import Array, Covariance, matvec, outer
