@@ -52,8 +52,8 @@ class Info(NamedTuple):
     whitened: Array | None = None
     used: Array | None = None
     sqrt_S: Array | None = None
-    gain: Callable[[], Array] | None = None
-    jacobian: Callable[[], Array] | None = None
+    gain: Any = None
+    jacobian: Any = None
     redone: Array | None = None
     silent: bool = False
 

@@ -100,7 +100,7 @@ def back(filter: Sequential, before: Belief, after: Belief, epoch: Epoch) -> tup
     center = both.measurement.center
 
     inner, info, _ = condition(form, both, space, gain=partial(pseudo_gain, center=center))
-    assert info.gain is not None
+
     gain = info.gain()
 
     def carried(to: Array, at: Array, root: Array) -> Array:

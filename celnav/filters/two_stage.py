@@ -242,7 +242,7 @@ def _walked(first: Any, own: Any, Lambda: Array, walk: Array) -> tuple[Any, Any,
     form, eye = type(own), np.eye(own.mean.shape[-1])
     both = joint(LINEAR, own, ((own.mean, eye), KEEP), z=own.mean, measurement_noise=walk)
     left, info, _ = condition(form, both, EUCLIDEAN, gain=partial(pseudo_gain, least=KNOWN))
-    assert info.gain is not None
+
     after, less = form(own.mean, form.sum(own[1], walk)), Lambda @ info.gain()
     belief = first.belief
     free = type(belief)(belief.mean + matvec(Lambda - less, own.mean), type(belief).sum(belief[1], Lambda @ left.sqrt_cov))

@@ -50,19 +50,12 @@ def wrap(angle: Any) -> Any:
 def angles(components: Iterable[int] | None = None) -> Space:
     """Vectors of which some ``components`` (None: all) are angles in radians, wrapped to ``[-pi, pi)``."""
     places = None if components is None else integers("components", sequence("components", components, "[0]"))
-    return Space(partial(_sum, places), partial(_difference, places))
+    return Space(partial(_wrapped, np.add, places), partial(_wrapped, np.subtract, places))
 
 
-def _sum(places: tuple[int, ...] | None, point: Array, tangent: Array) -> Array:
-    return _wrapped(np.add(tangent, point, dtype=np.float64), places)
-
-
-def _difference(places: tuple[int, ...] | None, b: Array, a: Array) -> Array:
-    return _wrapped(np.subtract(b, a, dtype=np.float64), places)
-
-
-def _wrapped(vector: Array, places: tuple[int, ...] | None) -> Array:
-    """The vector, its angles wrapped in place."""
+def _wrapped(operation: Any, places: tuple[int, ...] | None, a: Array, b: Array) -> Array:
+    """The sum or difference of vectors, its angles wrapped."""
+    vector: Array = operation(a, b, dtype=np.float64)
     if places and max(places) >= vector.shape[-1]:
         raise ValueError(f"angles: expected components below {vector.shape[-1]}, the length of the vector, got {max(places)}")
     chosen = slice(None) if places is None else list(places)
