@@ -51,15 +51,9 @@ class Tuned(NamedTuple):
 
 
 def maximize_likelihood(
-    build: Build,
-    start: ArrayLike,
-    epochs: Iterable[Epoch],
-    *,
-    domain: Domain | Sequence[Domain] = "positive",
-    factor: float = 1e3,
-    tolerance: float = 1e-6,
-    max_iterations: int = 100,
-) -> Tuned:
+    build: Build, start: ArrayLike, epochs: Iterable[Epoch], *,
+    domain: Domain | Sequence[Domain] = "positive", factor: float = 1e3, tolerance: float = 1e-6, max_iterations: int = 100,
+) -> Tuned:  # fmt: skip
     """Maximize ``Track.log_likelihood``, summed over the runs, over parameters such as standard deviations and correlations.
 
     The search is on logarithms, so parameters may be of any size. Parameters at which ``build`` or the filter fails count as

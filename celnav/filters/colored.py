@@ -33,15 +33,9 @@ Coloring = ArrayLike | Callable[[Any], Array]
 
 
 def colored(
-    motion: Motion,
-    sensor: Sensor,
-    Phi: Coloring,
-    *,
-    increments: Any = None,
-    first: bool = True,
-    rule: Any = unscented,
-    **options: Any,
-) -> Colored:
+    motion: Motion, sensor: Sensor, Phi: Coloring, *,
+    increments: Any = None, first: bool = True, rule: Any = unscented, **options: Any,
+) -> Colored:  # fmt: skip
     """A filter for colored measurement noise, in one transform: condition ``x' = f(x) + w`` on ``z' - Phi z`` directly.
 
     motion, sensor: what is believed; ``sensor.R`` is the covariance ``(m, m)`` of the colored noise itself. States and measurements

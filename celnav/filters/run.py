@@ -19,18 +19,11 @@ from celnav.gaussian.linalg import Array
 
 
 def run(
-    filter: Filter,
-    prior: Any,
-    times: ArrayLike | Iterable[Epoch],
-    z: Any = None,
-    u: Any = None,
-    *,
-    every: int = 1,
-    keep: str = "std",
+    filter: Filter, prior: Any, times: ArrayLike | Iterable[Epoch], z: Any = None, u: Any = None, *,
+    every: int = 1, keep: str = "std", on_failure: str = "raise",
     also: Callable[[Epoch, Any, tuple[Info, ...]], dict[str, Any]] | None = None,
     reduce: Callable[[Any, Epoch, Any, tuple[Info, ...]], Any] | None = None,
-    on_failure: str = "raise",
-) -> Track:
+) -> Track:  # fmt: skip
     """Run a filter over epochs and collect a `Track`.
 
     filter: any filter. prior: a `celnav.Gaussian` of any batch shape.

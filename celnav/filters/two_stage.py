@@ -118,16 +118,10 @@ class Boost(NamedTuple):
 
 
 def two_stage(
-    motion: Motion,
-    sensor: Sensor,
-    Gamma: Slope | ArrayLike,
-    bias: Gaussian,
-    *,
-    Qb: ArrayLike | None = None,
-    boost: Callable[[Any, Boost], tuple[Any, Array]] | None = None,
-    rule: Any = unscented,
+    motion: Motion, sensor: Sensor, Gamma: Slope | ArrayLike, bias: Gaussian, *,
+    Qb: ArrayLike | None = None, boost: Callable[[Any, Boost], tuple[Any, Array]] | None = None, rule: Any = unscented,
     **options: Any,
-) -> TwoStage:
+) -> TwoStage:  # fmt: skip
     """A filter of a state and, in a second stage, a bias of the measurement.
 
     motion, sensor: what the first stage believes, which knows of no bias.

@@ -22,16 +22,9 @@ MOST_RUNS = 1_000_000
 
 
 def simulate(
-    motion: Motion,
-    sensor: Sensor | Sequence[Sensor],
-    prior: Gaussian,
-    times: ArrayLike,
-    *,
-    runs: int,
-    seed: int = 0,
-    u: Any = None,
-    Phi: Any = None,
-) -> tuple[Array, Any]:
+    motion: Motion, sensor: Sensor | Sequence[Sensor], prior: Gaussian, times: ArrayLike, *,
+    runs: int, seed: int = 0, u: Any = None, Phi: Any = None,
+) -> tuple[Array, Any]:  # fmt: skip
     """Truth ``(T, runs, N)`` and measurements ``(T, runs, m)``, a tuple of them for a sequence of sensors.
 
     motion, sensor: what a filter of them believes; of several sensors a sequence. Noise through the points is drawn, too.
