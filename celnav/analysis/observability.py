@@ -19,8 +19,7 @@ from celnav.gaussian.linalg import Array
 
 Function = Callable[[Array], Array]
 
-_TINY = 1e-30j
-"""The step, along each axis."""
+_TINY = 1e-30j  # the step, along each axis
 _NODES = 21
 
 

@@ -19,12 +19,9 @@ from celnav.gaussian.linalg import Array
 Build = Callable[[Array], tuple[Filter, Gaussian]]
 Domain = str | tuple[float, float]
 DOMAINS = {"positive": (0.0, np.inf), "unit interval": (0.0, 1.0)}
-STEP = 2e-3
-"""Of differences, in logarithms."""
-ROUGH = 1e-3
-"""What the last step of the search has gained of the log-likelihood when Newton's method takes over."""
-STEPS = 4
-"""Of Newton's method, at most."""
+STEP = 2e-3  # of differences, in logarithms
+ROUGH = 1e-3  # what the last step of the search has gained of the log-likelihood when Newton's method takes over
+STEPS = 4  # of Newton's method, at most
 
 
 class Tuned(NamedTuple):

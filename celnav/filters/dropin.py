@@ -152,9 +152,10 @@ class SigmaPointUKF:
         noise = self.R if R is None else numbers("R", R) * np.eye(m) if np.isscalar(R) else R
         root, belief = self._root("R", noise, m), self._belief()
         h = _model_of(self._vectorized, "hx", self.hx if hx is None else hx, m, (), hx_args)
-        found = self._conditioned(belief, measured, h, root) if UT is None else self._transformed(UT, belief, measured, h, noise)
-        info: Any
-        after, images, S, info = found
+        done: Any = (
+            self._conditioned(belief, measured, h, root) if UT is None else self._transformed(UT, belief, measured, h, noise)
+        )
+        after, images, S, info = done
         self._keep(after)
         self.sigmas_h, self.S, self.y = np.array(images[-self._num_sigmas :]), S, np.asarray(info.innovation)
         self._made |= {"K": info.gain, "SI": lambda: self.inv(S), "mahalanobis": lambda: float(np.sqrt(info.nis))}

@@ -313,8 +313,7 @@ def _adapted(joint: Joint, hooks: Sequence[Hook], memory: Any, epoch: Any) -> tu
     """The joint after its hooks, which may replace its arrays or write into them, and their memories."""
     columns, memories = joint.state.columns, []
     measurement, state = (image._replace(columns=image.columns.copy()) for image in (joint.measurement, joint.state))
-    W: Any = joint.process_noise
-    V = joint.measurement_noise
+    W, V = joint.process_noise, joint.measurement_noise
     given = joint = joint._replace(
         innovation=np.array(joint.innovation),
         measurement=measurement,

@@ -204,9 +204,7 @@ def given_back(name: str, value: Any, what: str) -> Any:
 
 
 def as_floats(name: str, values: Any, points: Array) -> Array:
-    """What a model gave as float64. It warns of single precision whose differences, all that a filter has, are hardly more than
-    round-off, and refuses what is masked: what is missing at one point has no mean.
-    """
+    """What a model gave as float64, with a warning of single precision whose differences are hardly more than round-off."""
     dtype, y = np.asarray(values).dtype, numbers(name, unmasked(name, values))
     if dtype.kind == "f" and dtype.itemsize < y.itemsize and len(points) > 1 and y.size:
         differences, moved = np.ptp(y, 0), np.ptp(points, 0) > 0.0

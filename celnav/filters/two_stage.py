@@ -29,8 +29,7 @@ from celnav.gaussian.spaces import EUCLIDEAN
 Slope = Array | Callable[[Array, Epoch], Array]
 """``Gamma (..., m, p)``: derivative of the measurement with respect to the bias; constant or ``(mean, epoch) -> matrix``."""
 LINEAR = Taylor()
-KNOWN = 1e-6
-"""Part of a deviation below which a direction of the bias is taken for known: the round-off of many steps."""
+KNOWN = 1e-6  # part of a deviation below which a direction of the bias is taken for known: the round-off of many steps
 
 
 class Stage(NamedTuple):
@@ -63,7 +62,6 @@ class Plain:
             raise ValueError("filter: expected one sensor and states that are vectors")
 
     def start(self, prior: Gaussian) -> State:
-        """State before the first epoch."""
         return self.filter.start(prior)
 
     def predict(self, state: State, epoch: Epoch) -> tuple[State, Array | None]:
@@ -85,9 +83,7 @@ class Plain:
 
 
 class TwoStageState(NamedTuple):
-    """State of the first stage, belief about the bias ``(..., p)``, sensitivity ``Lambda (..., n, p)``, ``Gamma`` of the last
-    measurement (None before it) and memory of the boost.
-    """
+    """State of the first stage, bias ``(..., p)``, sensitivity ``(..., n, p)``, last measurement's Gamma, memory of the boost."""
 
     first: Any
     bias: Any
@@ -107,9 +103,7 @@ class TwoStageState(NamedTuple):
 
 
 class Boost(NamedTuple):
-    """What a boost sees: the innovation less what the estimated bias explains ``(..., m)`` and its covariance ``(..., m, m)``; then
-    both of the first stage alone.
-    """
+    """What a boost sees: the innovation less what the bias explains ``(..., m)``, its covariance; both of the first stage alone."""
 
     residual: Array
     total: Array
@@ -175,7 +169,6 @@ class TwoStage:
         return cls(first, slope, bias, walk=walk, boost=boost)
 
     def start(self, prior: Gaussian) -> TwoStageState:
-        """State before the first epoch."""
         known = self.first.start(prior)
         *batch, n = known.belief.mean.shape
         own, p = type(known.belief).of(self.bias), self.bias.mean.shape[-1]
@@ -186,7 +179,6 @@ class TwoStage:
         return TwoStageState(known, own._replace(mean=np.broadcast_to(own.mean, (*batch, p))), np.zeros((n, p)))
 
     def step(self, state: TwoStageState, epoch: Epoch) -> tuple[TwoStageState, tuple[Info, ...]]:
-        """State after an epoch, and what its measurement did."""
         first, Phi = self.first.predict(state.first, epoch)
         own, Lambda = state.bias, state.Lambda
         if Phi is not None:

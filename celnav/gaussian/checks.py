@@ -15,8 +15,7 @@ import numpy as np
 
 from celnav.gaussian.linalg import Array
 
-LIMIT = 1_000_000_000
-"""Numbers (8 GB) that one argument may ask for."""
+LIMIT = 1_000_000_000  # numbers (8 GB) that one argument may ask for
 Shape = tuple[Any, ...]
 """Lengths of axes: an integer, a letter (1 or more, the same wherever it stands), None (any); ``...`` in front is any batch."""
 

@@ -20,10 +20,8 @@ from scipy.linalg import blas, lapack
 Array = NDArray[Any]
 
 EPS = float(np.finfo(np.float64).eps)
-NEGLIGIBLE = 1e-12
-"""Part of the largest deviation, or variance, below which one is round-off."""
-PRECISE = 1e3
-"""Deviations of the noise by which an innovation may vary before a difference of covariances loses too many digits."""
+NEGLIGIBLE = 1e-12  # part of the largest deviation, or variance, below which one is round-off
+PRECISE = 1e3  # deviations of the noise by which an innovation may vary before a difference of covariances loses too many digits
 POSITIVE: Array = np.broadcast_to(1.0, 1)
 """The sign of columns that all count with +1."""
 
@@ -227,9 +225,7 @@ def fan(E: Array, nodes: Array, batch: int) -> Array:
 
 # -- forms ---------------------------------------------------------------------------------------------------------------
 def signs(sign: Array, q: int) -> tuple[Array, Any, Any] | None:
-    """The signs ``(q,)`` of columns, where they are positive and where negative (slices, so views, where they lie together); None
-    if none is. ``sign`` has the first ones, the others count with +1.
-    """
+    """Signs ``(q,)`` of columns, those that ``sign`` lacks +1, and where they are positive and where negative; None if none is."""
     return _signs(np.asarray(sign, np.float64).tobytes(), q)
 
 
@@ -238,6 +234,7 @@ def _signs(sign: bytes, q: int) -> tuple[Array, Any, Any] | None:
     given = np.frombuffer(sign)
     every = np.concatenate((given, np.ones(q - len(given))))
     positive, negative = (np.flatnonzero(side) for side in (every > 0.0, every < 0.0))
+    # Slices, so views, where they lie together.
     first, second = (at if not len(at) or np.ptp(at) >= len(at) else slice(at[0], at[-1] + 1) for at in (positive, negative))
     return (every, first, second) if len(negative) else None
 

@@ -46,7 +46,7 @@ class Rule:
     wc: ``(p,)`` weights of the covariance (None: ``wm``); ``sum wc nodes nodes' = I``. They may be negative. A rule without
         nodes in some dimension is a quadrature, but no filter takes it: it would lose that variance.
 
-    n: the dimension. sign: ``(q,)``, -1 for columns of negative weight, else 1.
+    They are read-only then; ``n`` is the dimension, ``sign (q,)`` -1 for columns of negative weight, else 1.
     """
 
     def __init__(self, nodes: ArrayLike, wm: ArrayLike, wc: ArrayLike | None = None):

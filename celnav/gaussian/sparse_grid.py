@@ -26,8 +26,7 @@ ORDERS = (1, 3, 7, 15, 31, 63)
 """Points of the one-dimensional rules of level 1, 2, ...: a level more doubles the number and the degree."""
 DELAYED = (1, 3, 3, 7, 7, 7, 15)
 """Orders that rise only when the total degree of the isotropic rule asks for it: fewer points, nested in parts."""
-CANCELED = 1e-12
-"""A merged weight is nothing if it is this small against the sum of its absolute terms."""
+CANCELED = 1e-12  # a merged weight is nothing if it is this small against the sum of its absolute terms
 Polynomial = dict[int, float]  # coefficients by power
 
 

@@ -114,10 +114,7 @@ class Timing:
         return Space(minus=lambda b, a: b - a - periods * np.round((b - a) / periods))
 
     def delay(self, position: Array, sun: Array) -> Array:
-        """Delays ``(..., m)`` km of positions ``(..., 3)``; ``sun (..., 3)`` is the Sun's position.
-
-        The Shapiro term is the printed one; `shapiro_exact` is what it stands for.
-        """
+        """Delays ``(..., m)`` km of positions ``(..., 3)``; ``sun (..., 3)`` is the Sun's position. See `shapiro`."""
         b = -np.asarray(sun)
         along, of_b = position @ self.directions.T, b @ self.directions.T
         square, cross = (part.sum(-1)[..., None] for part in (np.square(position), b * position))
@@ -125,7 +122,7 @@ class Timing:
         return np.asarray(along + parallax + self.shapiro(position, sun))
 
     def shapiro(self, position: Array, sun: Array) -> Array:
-        """Shapiro delay ``(..., m)`` km in the form usually printed, which takes ``|r + b|`` for ``|r| + |b|``."""
+        """Shapiro delay ``(..., m)`` km as usually printed, with ``|r| + |b|`` for the ``|r + b|`` of `shapiro_exact`."""
         ratio = self._reach(position) / self._reach(-np.asarray(sun))
         return np.asarray(2.0 * GM_SUN / LIGHT_KM_S**2 * np.log(np.abs(ratio + 1.0)))
 

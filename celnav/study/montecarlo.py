@@ -14,8 +14,7 @@ import numpy as np
 from celnav.gaussian.checks import integer, kind, number, sequence
 from celnav.gaussian.linalg import Array
 
-MOST_STEPS = 10_000_000
-"""Of one run, at its finest rate: more take a day, and gigabytes."""
+MOST_STEPS = 10_000_000  # of one run, at its finest rate: more take a day, and gigabytes
 
 
 def generator(seed: int, study: int, run: int) -> np.random.Generator:

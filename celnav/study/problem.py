@@ -30,8 +30,7 @@ from celnav.gaussian.spaces import EUCLIDEAN
 from celnav.study.montecarlo import generator, normals
 from celnav.study.trial import Group, Noiseless, Trial, bound, follow, squares
 
-WILD = 10.0
-"""By how much an outlier's noise is larger."""
+WILD = 10.0  # by how much an outlier's noise is larger
 PASSES = 3
 
 
@@ -190,9 +189,8 @@ def compare(
 
 def _interval(statistic: Callable[[Array], Any], samples: Array) -> tuple[float, float, float]:
     """A statistic of runs and its interval; nan where too few are left."""
-    if len(samples) < 2:
-        return (float(statistic(samples)) if len(samples) else np.nan, np.nan, np.nan)
-    return (float(statistic(samples)), *bootstrap(statistic, samples))
+    value = float(statistic(samples)) if len(samples) else np.nan
+    return value, *(bootstrap(statistic, samples) if len(samples) > 1 else (np.nan, np.nan))
 
 
 def _bound(problem: Problem) -> Array | None:

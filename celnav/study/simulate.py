@@ -17,8 +17,7 @@ from celnav.gaussian.checks import instance, integer, sequence
 from celnav.gaussian.linalg import Array, matvec
 from celnav.study.montecarlo import generator
 
-MOST_RUNS = 1_000_000
-"""Generators of numbers take time and memory."""
+MOST_RUNS = 1_000_000  # generators of numbers take time and memory
 
 
 def simulate(

@@ -18,8 +18,7 @@ from celnav.gaussian.belief import Gaussian, any_lost, nees
 from celnav.gaussian.checks import choice, instance, integer
 from celnav.gaussian.linalg import Array, Belief
 
-TOGETHER = 8
-"""Epochs whose roots are evaluated at once; with more of them the filter's own arrays leave the cache."""
+TOGETHER = 8  # epochs whose roots are evaluated at once; with more of them the filter's own arrays leave the cache
 
 
 class Group(NamedTuple):
