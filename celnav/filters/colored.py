@@ -74,10 +74,7 @@ def decorrelated(motion: Motion, sensor: Sensor, Phi: Coloring, **options: Any) 
 
 
 def coloring(Phi: Coloring, m: int | None = None) -> Array | Callable[[Any], Array]:
-    """Phi ``(..., m, m)``, checked, or a function of the epoch that checks it.
-
-    A spectral radius of 1, a random walk, is allowed: differences then say nothing about position, only about its changes.
-    """
+    """Phi ``(..., m, m)``, checked, or a function of the epoch that checks it. A spectral radius of 1 is that of a random walk."""
     shape = (..., m or "m", m or "m")
     if callable(Phi):
         return partial(_coloring_at, function("Phi", Phi, "(epoch)"), shape)

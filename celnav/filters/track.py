@@ -6,7 +6,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from celnav.filters.records import Epoch, Info
 from celnav.gaussian.belief import any_lost
 from celnav.gaussian.checks import integer
 from celnav.gaussian.linalg import Array, Belief, SquareRoot
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True)
@@ -79,8 +82,8 @@ class Track:
         """Their lower roots."""
         return np.asarray(_stored("sqrt_cov", self.belief, "covariances; run with keep='cov'").sqrt_cov)
 
-    def to_dataframe(self, names: list[str] | None = None) -> Any:
-        """A data frame with a row for each stored epoch and run (batch axes count as one): time, run, means, deviations, NIS.
+    def to_dataframe(self, names: list[str] | None = None) -> pd.DataFrame:
+        """A row for each stored epoch and run (batch axes count as one): time, run, means, deviations, NIS. Needs pandas.
 
         ``names``: of the state's components; default ``x0, x1, ...``.
         """

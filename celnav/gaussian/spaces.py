@@ -123,10 +123,7 @@ def trailing(x: Array) -> Array:
 
 
 def components(x: Array) -> Array:
-    """`leading`, with each component in one piece of memory (in any order): models are fast on those.
-
-    Sigma points lie so already; what does not is copied.
-    """
+    """`leading`, each component in one piece of memory, which models are fast on: sigma points lie so, what does not is copied."""
     first = leading(x)
     part = first[0].flags
     return first if part.c_contiguous or part.f_contiguous else np.ascontiguousarray(first)

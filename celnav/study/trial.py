@@ -86,10 +86,7 @@ class Followed(NamedTuple):
 
 
 def follow(trial: Trial, name: str, every: int = 1) -> Followed:
-    """Run the filter of a name and judge it at each ``every``-th of the epochs that have a truth, and at the last.
-
-    Whatever the models raise passes through, with the step as a note.
-    """
+    """Run the filter of a name and judge it at each ``every``-th of the epochs that have a truth, and at the last."""
     instance("trial", trial, Trial, "a Trial, such as problem.trial(filters, rngs)")
     filter, every = trial.filters[choice("name", name, trial.filters)], integer("every", every)
     lost: dict[int, tuple[float, str]] = {}
