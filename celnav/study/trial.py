@@ -94,12 +94,13 @@ def follow(trial: Trial, name: str, every: int = 1) -> Followed:
 
     def judged() -> Iterator[tuple[Any, ...]]:
         nonlocal count
-        seen, before, left = 0, filter.start(trial.prior), None
+        seen, before, left = 0, None, None
         for epoch, state, infos in steps(filter, trial.prior, trial.epochs(name)):
             count += 1
             why = ""
             if any_lost(state.belief):  # newly: a filter of single epochs may have had no estimate before
-                why = explain(filter, before, state, epoch) if (state.belief.lost() & ~before.belief.lost()).any() else ""
+                start = filter.start(trial.prior) if before is None else before
+                why = explain(filter, start, state, epoch) if (state.belief.lost() & ~start.belief.lost()).any() else ""
             before = state
             due = epoch.truth is not None and seen % every == 0
             if epoch.truth is not None:
