@@ -184,17 +184,24 @@ class Flow(NamedTuple):
     G: Array
 
 
-def _lobatto(count: int) -> tuple[Array, Array, Array]:
+class Nodes(NamedTuple):
     """Gauss-Lobatto nodes ``(N,)`` of [0, 1], and ``(N, N)`` what integrates once and twice from 0 to each, to degree N - 1."""
+
+    at: Array
+    once: Array
+    twice: Array
+
+
+def _lobatto(count: int) -> Nodes:
     top = np.eye(count)[-1]
     x = np.concatenate([[-1.0], np.sort(legendre.legroots(legendre.legder(top)).real), [1.0]])
     series = np.linalg.solve(legendre.legvander(x, count - 1), np.eye(count))  # of the polynomials that are 1 at one node
     once = 0.5 * legendre.legint(series, lbnd=-1.0)
     twice = 0.5 * legendre.legint(once, lbnd=-1.0)
-    return 0.5 * (x + 1.0), legendre.legval(x, once).T, legendre.legval(x, twice).T
+    return Nodes(0.5 * (x + 1.0), *(np.asarray(legendre.legval(x, values).T) for values in (once, twice)))
 
 
-NODES, ONCE, TWICE = _lobatto(6)
+NODES = _lobatto(6)
 ROUNDS, ROUNDS_PHI = 6, 3
 """Picard iterations of the orbit and of its transition."""
 Extra = Callable[[Array, Array], Array]
@@ -230,8 +237,8 @@ def flow(state: Array, dt: float, earth: Earth = EARTH, extra: Extra | None = No
     r, end = _orbit(state, dt, earth, extra)
     A = gradient(r, earth)
     # Positions Y and velocities Z of the transition's columns at the nodes: Y'' = A Y, to begin with Y = [I, t I].
-    times, i = dt * NODES[:, None], np.arange(3)
-    twice, once = dt * dt * TWICE, dt * ONCE
+    times, i = dt * NODES.at[:, None], np.arange(3)
+    twice, once = dt * dt * NODES.twice, dt * NODES.once
     bent = np.concatenate([A, times * A], 1)
     for _ in range(ROUNDS_PHI):
         Y = twice @ bent
@@ -242,7 +249,7 @@ def flow(state: Array, dt: float, earth: Earth = EARTH, extra: Extra | None = No
     Z[i, 3 + i] += 1.0
     last = np.concatenate([Y[:, :, -1], Z[:, :, -1]])
     # The inverse of the transition, which is symplectic, is made of its blocks: its mean is made of their means.
-    y, z = ONCE[-1] @ Y, ONCE[-1] @ Z
+    y, z = NODES.once[-1] @ Y, NODES.once[-1] @ Z
     a, b, c, d = (np.swapaxes(block, 0, 1) for block in (y[:, :3], y[:, 3:], z[:, :3], z[:, 3:]))
     inverse = np.concatenate([np.concatenate([d, -b], 1), np.concatenate([-c, a], 1)])
     Phi, mean = (np.ascontiguousarray(m.transpose(2, 0, 1)).reshape(*state.shape[:-1], 6, 6) for m in (last, inverse))
@@ -252,10 +259,10 @@ def flow(state: Array, dt: float, earth: Earth = EARTH, extra: Extra | None = No
 def _orbit(state: Array, dt: float, earth: Earth, extra: Extra | None) -> tuple[Array, Array]:
     """Positions ``(3, N, runs)`` at the nodes, and the state ``(..., 6)`` at the end."""
     x = components(state).reshape(6, -1)
-    times = dt * NODES
+    times = dt * NODES.at
     start = x[:3, None] + times[:, None] * x[3:, None]
     r = x[:3, None] + np.zeros_like(start)
-    twice, once = dt * dt * TWICE, dt * ONCE[-1]
+    twice, once = dt * dt * NODES.twice, dt * NODES.once[-1]
     for _ in range(ROUNDS):
         a = acceleration(r, earth)
         if extra is not None:
