@@ -30,7 +30,7 @@ MODULES = {
 }
 HOT = """
 attitude: multiply inverse positive matrix rotate exp log angle to_euler to_rodrigues from_rodrigues cross transport
-spaces: wrap leading components
+spaces: wrap leading trailing components
 rules: Rule.points Rule.image Rule.kept Rule.num_sigmas Taylor.points Taylor.image Taylor.kept
 earth: meridian_radius transverse_radius radii normal_gravity earth_rate transport_rate
 orbit: acceleration third_body step transition gradient advance flow
@@ -49,7 +49,7 @@ trial: squares Noiseless.standard_normal
 """
 """What a filter calls at every step takes arrays as they are: a look at each would cost more than the product it makes."""
 INSIDE = """
-checks: numbers finite number integer integers whole choice function sequence together instance kind unmasked takes
+checks: numbers finite number integer integers whole choice function sequence together beside instance kind unmasked takes
 drawing: Drawing.set render
 rules: few AnyDimension
 sparse_grid: check_orders univariate
