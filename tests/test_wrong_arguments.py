@@ -54,7 +54,7 @@ drawing: Drawing.set render
 rules: few AnyDimension
 sparse_grid: check_orders univariate
 views: bar_chart text log rows columns tabs blueprint
-figures: band consistency errors rmse rmse_table sigma
+figures: band bars components consistency curve errors interval level panels quantiles rmse rmse_table sigma
 ephemeris: de421
 pulsar: known
 orbit: warn_of_degrees
@@ -67,7 +67,7 @@ ledger: Claim Row Row.judged estimate order
 numbers: all_of consistency entries given of ratio rmse settling tiers
 parameters: Parameters.check param
 sightings: limb
-study: Results Results.claims Results.error Results.first Results.get Results.group Results.nees Results.squares
+study: Results Results.at Results.claims Results.error Results.first Results.get Results.group Results.nees Results.squares
     Results.times Results.value Study Study.reproduce Study.results Study.units Unit.check Unit.do fly together
 page: document figure link table
 picture: command end picture
