@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from readable import faults
 
 from celnav import Epoch, Gaussian, Motion, run, sigma_point
 from celnav.analysis.observability import nonlinearity_weights, svd_degree, threshold_weights
@@ -103,7 +104,8 @@ def test_averages_are_those_of_their_definition(results):
 def test_every_figure_draws(results):
     assert [f"figure_{i:02d}" for i in range(1, 8)] == list(show.FIGURES)
     drawn = {stem: draw(results) for stem, (_, draw) in show.FIGURES.items()}
-    for fig in drawn.values():
+    for stem, fig in drawn.items():
+        assert not faults(fig), stem
         assert all(ax.get_xlabel() or ax.get_ylabel() or ax.get_title() or ax.lines for ax in fig.axes)
     for stem in ("figure_03", "figure_04", "figure_05"):
         assert len(drawn[stem].axes[0].lines) == 5

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import rerun as rr
+from readable import faults
 
 from celnav.files import Outputs
 from celnav.filters.run import run
@@ -50,6 +51,7 @@ def test_every_figure_draws_what_its_axes_say(results):
         labels = [label for ax in fig.axes for label in (ax.get_xlabel(), ax.get_ylabel()) if label]
         assert any("(" in label for label in labels), (stem, labels)
         assert caption.endswith(".")
+        assert not faults(fig), stem
 
 
 def test_figure_2_draws_the_errors_of_the_first_run(results):

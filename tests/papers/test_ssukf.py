@@ -10,6 +10,7 @@ from functools import partial
 import numpy as np
 import pytest
 import rerun as rr
+from readable import faults
 
 from benchmarks.attitude import dense_filters
 from celnav import run
@@ -150,6 +151,7 @@ def test_every_figure_draws_what_its_axes_say(result):
     for stem, (caption, draw) in show.FIGURES.items():
         fig = draw(result)
         assert caption, stem
+        assert not faults(fig), stem
         assert all(ax.get_xlabel() or ax.get_ylabel() or ax.get_title() for ax in fig.axes), stem
 
 
