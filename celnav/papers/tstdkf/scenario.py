@@ -1,18 +1,8 @@
 """[Xu2024]: a satellite of the Earth that times three pulsars, with colored noise and an error of the Earth's ephemeris.
 
-The display equations of the text at hand are lost; what was inferred is
-
-=============  ======================================================  ===========================================
-equation       content                                                 here
-=============  ======================================================  ===========================================
-2              delay of a pulse                                        `celnav.models.pulsar.Timing`
-3-4            orbit and its derivatives                               `celnav.models.orbit`
-17, 69, 70     ephemeris error                                         `Config.bias`
-19             deviation of a timing                                   `celnav.models.pulsar.Pulsar.timing_std`
-21-56          colored, correlated noise; differencing                 `celnav.papers.tstdkf.method.Differenced`
-57-61          strong tracking                                         `celnav.papers.tstdkf.method.strong_tracking`
-(Friedland)    two stages                                              `celnav.filters.two_stage`
-=============  ======================================================  ===========================================
+The display equations of the text at hand are lost. Inferred are Eq. 2, delay of a pulse (`celnav.models.pulsar.Timing`); 3-4, orbit
+(`celnav.models.orbit`); 17, 69, 70, ephemeris error (`Config.bias`); 19, deviation of a timing (`Pulsar.timing_std`); 21-56 and 57-61,
+differencing and strong tracking (`celnav.papers.tstdkf.method`), on two stages [Friedland 1969] (`celnav.filters.two_stage`).
 
 Several configurations may be flown together, as *cases* along an axis before that of the runs, on the same random numbers: what a
 step costs is mostly what its first run costs. They share times, orbit and pulsars.
@@ -41,6 +31,7 @@ from celnav.models.pulsar import LIGHT_KM_S, Timing, pulsars
 from celnav.papers.tstdkf.method import Differenced, Noise, ar1_noise, strong_tracking
 from celnav.study.montecarlo import normals, steps
 from celnav.study.parameters import Parameters, param
+from celnav.study.study import Rngs
 from celnav.study.trial import Group, Trial
 
 TITLE = "Two-stage strong-tracking differential Kalman filter for X-ray pulsars"
@@ -112,14 +103,9 @@ class Config(Parameters):
         steps("days", self.days * DAY_S / self.step_s)
 
     @property
-    def steps(self) -> int:
-        """Measurements."""
-        return round(self.days * DAY_S / self.step_s)
-
-    @property
     def times(self) -> Array:
-        """Seconds since the start, ``(steps + 1,)``; nothing is measured at the first."""
-        return self.step_s * np.arange(self.steps + 1)
+        """Seconds since the start, ``(T,)``; nothing is measured at the first."""
+        return self.step_s * np.arange(round(self.days * DAY_S / self.step_s) + 1)
 
     @property
     def dates(self) -> Tdb:
@@ -187,8 +173,8 @@ def stacked(cases: Cases, of: Callable[[Config], Any]) -> Array:
     return np.asarray(of(cases)) if isinstance(cases, Config) else np.stack([np.asarray(of(case)) for case in cases])[:, None]
 
 
-def first_of(cases: Cases) -> Config:
-    """The configuration whose times, orbit and pulsars are those of all."""
+def one_of(cases: Cases) -> Config:
+    """That whose times, orbit and pulsars are those of all."""
     return cases if isinstance(cases, Config) else cases[0]
 
 
@@ -199,67 +185,43 @@ def noises(cases: Cases) -> Noise:
     return Noise(*(np.stack(part)[:, None] for part in zip(*(case.noise for case in cases), strict=True)))
 
 
-class Sky(NamedTuple):
-    """Where Earth and Sun are at each epoch, ``(T, 3)`` km: what the filters believe.
-
-    ``bodies``: Sun and Moon from the Earth's center at the nodes of the step before each epoch, ``(T, 2, N, 3)``, if they pull.
-    """
-
-    earth: Array
-    sun: Array
-    bodies: Array | None
-
-
-def sky(config: Config) -> Sky:
-    """Earth and Sun, and what pulls, by DE421."""
+def sky(config: Config) -> tuple[Array, Array, Array | None]:
+    """By DE421 where Earth and Sun are at each epoch, ``(T, 3)`` km: what the filters believe; and Sun and Moon from the Earth's center
+    at the nodes of the step before each epoch, ``(T, 2, N, 3)``, if they pull."""
     earth, sun = (de421().state(body, config.dates).position for body in ("earth", "sun"))
     if not config.pulled:
-        return Sky(earth, sun, None)
+        return earth, sun, None
     nodes = from_utc(config.start_utc).after(config.times[:, None] - config.step_s * (1.0 - NODES.at))
     center = de421().state("earth", nodes).position
-    return Sky(earth, sun, np.stack([de421().state(body, nodes).position - center for body in PULLING], 1))
+    return earth, sun, np.stack([de421().state(body, nodes).position - center for body in PULLING], 1)
 
 
 def pull(bodies: Array | None) -> Extra | None:
     """What Sun and Moon, at ``(2, N, 3)`` during a step, add to the acceleration."""
     if bodies is None:
         return None
-
-    def extra(r: Array, _times: Array) -> Array:
-        position = np.moveaxis(r, 0, -1)
-        pulls = (third_body(position, at[:, None], GM[body]) for body, at in zip(PULLING, bodies, strict=True))
-        return np.moveaxis(sum(pulls, np.zeros(3)), -1, 0)
-
-    return extra
+    both = [(at[:, None], GM[body]) for body, at in zip(PULLING, bodies, strict=True)]
+    return lambda r, _: np.moveaxis(sum((third_body(np.moveaxis(r, 0, -1), *one) for one in both), np.zeros(3)), -1, 0)
 
 
-def nominal_orbit(config: Config) -> Array:
-    """States ``(T, 6)`` of the undisturbed orbit; not to be written to."""
-    return _coasted(tuple(config.orbit.tolist()), config.step_s, config.steps)
+def nominal(config: Config) -> Flow:
+    """The undisturbed orbit ``(T, 6)``, and ``Phi`` and ``G`` of each step, ``(T - 1, 6, 6)``; not to be written to."""
+    return _coasted(tuple(config.orbit.tolist()), config.step_s, config.samples)
 
 
 @lru_cache(maxsize=4)
-def _coasted(start: tuple[float, ...], step_s: float, steps: int) -> Array:
-    out = np.empty((steps + 1, 6))
-    out[0] = start
+def _coasted(start: tuple[float, ...], step_s: float, steps: int) -> Flow:
+    x = np.empty((steps + 1, 6))
+    x[0] = start
     for k in range(steps):
-        out[k + 1] = advance(out[k], step_s)
-    out.flags.writeable = False
-    return out
-
-
-def derivatives(config: Config) -> tuple[Array, Array, Array]:
-    """Of the nominal orbit: ``Phi`` and ``G`` of each step, ``(T - 1, 6, 6)``, and ``Gamma (T - 1, m, 3)`` at its end."""
-    x, seen = nominal_orbit(config), sky(config)
-    pieces = [flow(part, config.step_s)[1:] for part in np.array_split(x[:-1], 1 + len(x) // 4096)]  # that stay in the cache
-    Phi, G = (np.concatenate(part) for part in zip(*pieces, strict=True))
-    return Phi, G, config.timing.gradient(seen.earth + x[:, :3], seen.sun)[1:]
+        x[k + 1] = advance(x[k], step_s)
+    pieces = [flow(part, step_s)[1:] for part in np.array_split(x[:-1], 1 + steps // 4096)]  # that stay in the cache
+    return Flow(x, *map(np.concatenate, zip(*pieces, strict=True)))
 
 
 class Scenario(NamedTuple):
     """Simulated runs, time-major, of one configuration or of several ``(cases, runs)``: ``truth (T, ..., 6)`` km, km/s; ``bias (T,
-    ..., 3)`` km; ``z (T, ..., m)`` km, nothing at the start; ``inputs``: arrays ``(T - 1, ...)`` that the models are given.
-    """
+    ..., 3)`` km; ``z (T, ..., m)`` km, of which the first is not used; ``inputs``: arrays ``(T - 1, ...)`` for the models."""
 
     truth: Array
     bias: Array
@@ -275,131 +237,120 @@ class Scenario(NamedTuple):
             yield Epoch(k, k * self.step_s, self.step_s, u, self.z[k], side_by_side([self.truth[k], self.bias[k]]))
 
 
-def colored(cases: Cases, rngs: Sequence[np.random.Generator]) -> tuple[Array, Array, Array]:
-    """AR(1) noises V ``(T, ..., runs, 3)`` km and Q ``(T, ..., runs, 6)``, and what else is drawn for a run, ``(runs, 9)``."""
-    c, noise = first_of(cases), noises(cases)
-    xi, e, first, drawn = normals(rngs, (c.steps + 1, 3), (c.steps + 1, 6), (9,), (9,))
-    out = []
-    for increments, start, a, cov in (
-        (xi * c.sigma_km, first[:, :3], noise.F, noise.V), (e * c.process_std, first[:, 3:], noise.L, noise.Q),
-    ):  # fmt: skip
-        a, std = a.diagonal(0, -2, -1), np.sqrt(cov.diagonal(0, -2, -1))
-        values = np.empty((c.steps + 1, *(start * std).shape))
-        values[0] = start * std
+def drawn(cases: Cases, rngs: Rngs) -> tuple[Array, Array, Array, Array]:
+    """AR(1) noises V ``(T, ..., runs, 3)`` km and Q ``(T, ..., runs, 6)``; drawn for each run ``(runs, 6)``, and for its bias."""
+    c, noise, out = one_of(cases), noises(cases), []
+    xi, e, first, rest = normals(rngs, (c.samples + 1, 3), (c.samples + 1, 6), (9,), (9,))
+    V, Q = (xi * c.sigma_km, first[:, :3], noise.F, noise.V), (e * c.process_std, first[:, 3:], noise.L, noise.Q)
+    for increments, start, color, cov in (V, Q):
+        start, color = start * np.sqrt(cov.diagonal(0, -2, -1)), color.diagonal(0, -2, -1)
+        values = np.empty((len(increments), *start.shape))
+        values[0] = start
         for k in range(1, len(values)):
-            values[k] = a * values[k - 1] + increments[k]
+            values[k] = color * values[k - 1] + increments[k]
         out.append(values)
-    return out[0], out[1], drawn
+    return out[0], out[1], rest[:, :6], rest[:, 6:]
 
 
-def simulate(cases: Cases, rngs: Sequence[np.random.Generator]) -> Scenario:
+def simulate(cases: Cases, rngs: Rngs) -> Scenario:
     """Simulate one run of each case with each generator."""
-    c, noise, seen = first_of(cases), noises(cases), sky(first_of(cases))
-    (V, Q, drawn), timing = colored(cases, rngs), c.timing
-    each = [c] if isinstance(cases, Config) else cases
-    constant = (case.bias_prior_km * drawn[:, 6:] for case in each)
-    errors = [one[None] if case.trend == "constant" else case.bias(c.times)[:, None] for case, one in zip(each, constant, strict=True)]
+    c, noise, (V, Q, begun, constant) = one_of(cases), noises(cases), drawn(cases, rngs)
+    timing, (earth, sun, bodies), each = c.timing, sky(c), [c] if isinstance(cases, Config) else cases
+    errors = [case.bias_prior_km * constant if case.trend == "constant" else case.bias(c.times)[:, None] for case in each]
     bias = np.stack([np.broadcast_to(error, (len(V), len(rngs), 3)) for error in errors], 1).reshape(V.shape)
     # The disturbance is mapped by the nominal orbit's G, from which that of a run differs by 1e-4 of itself.
-    G, truth, z = flow(nominal_orbit(c)[:-1], c.step_s).G, np.empty_like(Q), np.full_like(V, np.nan)
+    G, truth, z = nominal(c).G, np.empty_like(Q), np.full_like(V, np.nan)
     truth[0] = c.orbit
     for k in range(1, len(truth)):
-        extra = pull(None if seen.bodies is None else seen.bodies[k])
+        extra = pull(None if bodies is None else bodies[k])
         truth[k] = advance(truth[k - 1], c.step_s, extra=extra) + (matvec(noise.J, V[k]) + Q[k]) @ G[k - 1].T
-        z[k] = timing.delay(seen.earth[k] + bias[k] + truth[k, ..., :3], seen.sun[k]) + V[k]
+        z[k] = timing.delay(earth[k] + bias[k] + truth[k, ..., :3], sun[k]) + V[k]
     deviation = stacked(cases, lambda case: case.deviation)
-    start = np.where(stacked(cases, lambda case: [case.initial == "drawn"]), drawn[:, :6], 1.0)
+    start = np.where(stacked(cases, lambda case: [case.initial == "drawn"]), begun, 1.0)
     prior = Gaussian(c.orbit + start * deviation, deviation[..., None] ** 2 * np.eye(6))
-    return Scenario(truth, bias, z, tuple(None if part is None else part[1:] for part in seen), prior, c.step_s)
+    return Scenario(truth, bias, z, (earth[1:], sun[1:], None if bodies is None else bodies[1:]), prior, c.step_s)
 
 
-def linearized(config: Config, rngs: Sequence[np.random.Generator], errors: Callable[[Config, Array], Array]) -> Scenario:
-    """Runs of errors about the nominal orbit, for `Linearized` models: their filters' covariances are those of all runs.
+def linearized(cases: Sequence[Config], rngs: Rngs) -> Scenario:
+    """Runs of errors about the nominal orbit, for `LINEAR` models, whose filters have one covariance for all runs.
 
-    ``errors``: of the ephemeris, ``(config, drawn (runs, 3)) -> (T or 1, cases, runs or 1, 3)`` km.
+    The cases may differ in their ephemeris error alone; a constant one is 1 km along an axis in each of the first runs, and along
+    random directions in others.
     """
-    (V, Q, drawn), (Phi, G, Gamma) = colored(config, rngs), derivatives(config)
-    x, J = np.zeros_like(Q), config.noise.J
+    c, (V, Q, _, constant) = cases[0], drawn(cases[0], rngs)
+    (orbit, Phi, G), (earth, sun, _), J = nominal(c), sky(c), c.noise.J
+    x, Gamma = np.zeros_like(Q), c.timing.gradient(earth + orbit[:, :3], sun)
     for k in range(1, len(x)):
         x[k] = x[k - 1] @ Phi[k - 1].T + (V[k] @ J.T + Q[k]) @ G[k - 1].T
-    bias = errors(config, drawn[:, 6:])
-    batch = len(x), bias.shape[1], len(rngs)
+    unit, batch = constant / np.linalg.norm(constant, axis=1, keepdims=True), (len(x), len(cases), len(rngs))
+    unit[:3] = np.eye(3)[: len(unit)]
+    errors = [unit[None] if case.trend == "constant" else case.bias(c.times)[:, None] for case in cases]
+    bias = np.stack([np.broadcast_to(error, (len(x), *error.shape[1:])) for error in errors], 1)
     truth, bias = np.broadcast_to(x[:, None], (*batch, 6)), np.broadcast_to(bias, (*batch, 3))
-    z = np.full((*batch, 3), np.nan)
-    z[1:] = (truth[1:, ..., :3] + bias[1:]) @ Gamma[:, None].mT + V[1:, None]
-    prior = Gaussian(np.broadcast_to(config.deviation, (*batch[1:], 6)), np.diag(config.deviation**2))
-    return Scenario(truth, bias, z, (Phi, G, Gamma), prior, config.step_s)
+    z = (truth[..., :3] + bias) @ Gamma[:, None].mT + V[:, None]
+    prior = Gaussian(np.broadcast_to(c.deviation, (*batch[1:], 6)), np.diag(c.deviation**2))
+    return Scenario(truth, bias, z, (Phi, G, Gamma[1:]), prior, c.step_s)
 
 
 # -- models ------------------------------------------------------------------------------------------------------------------
-class Models:
+class Models(NamedTuple):
     """Orbit and timings (km, with the Earth where it is believed to be) as filters see them, of ``(mean (..., 6 or more), epoch)``.
 
-    ``pulled``: whether they know of Sun and Moon.
+    ``Gamma (..., m, 3)`` is the slope with respect to the position, and to an error of the Earth's. ``linear``: whether they are
+    products with their derivatives, the same for every mean.
     """
 
-    def __init__(self, timing: Timing, pulled: bool = False) -> None:
-        self._timing, self._pulled = timing, pulled
-        self._last: tuple[Array, int, Flow] | None = None
-
-    def move(self, mean: Array, epoch: Epoch) -> Flow:
-        """Flow of the orbit. The last one is remembered: what follows, Jacobian and noise input come from one integration."""
-        x = mean[..., :6]
-        if self._last is None or self._last[1] != epoch.k or not np.array_equal(self._last[0], x):
-            self._last = x.copy(), epoch.k, flow(x, epoch.dt, extra=pull(epoch.u[2] if self._pulled else None))
-        return self._last[2]
-
-    def measure(self, mean: Array, epoch: Epoch) -> Array:
-        """Delays ``(..., m)`` km."""
-        return self._timing.delay(epoch.u[0] + mean[..., :3], epoch.u[1])
-
-    def Gamma(self, mean: Array, epoch: Epoch) -> Array:
-        """Slope ``(..., m, 3)`` with respect to the position, and to an error of the Earth's."""
-        return self._timing.gradient(epoch.u[0] + mean[..., :3], epoch.u[1])
+    move: Callable[[Array, Epoch], Flow]
+    measure: Callable[[Array, Epoch], Array]
+    Gamma: Callable[[Array, Epoch], Array]
+    linear: bool = False
 
     def H(self, mean: Array, epoch: Epoch) -> Array:
         """``[Gamma 0]``."""
-        Gamma = self.Gamma(mean, epoch)
-        return np.concatenate([Gamma, np.zeros_like(Gamma)], -1)
+        return block([[self.Gamma(mean, epoch), np.zeros((3, 3))]])
 
     def believed(self, kind: Any, function: Any, jacobian: Any, **noise: Any) -> Any:
-        """A `Motion` or `Sensor`."""
-        return kind(function, jacobian=jacobian, **noise)
+        """A `Motion` or `Sensor` of a function and its Jacobian, which is all of it where it is linear."""
+        return kind(Linear(partial(jacobian, np.zeros(6))), **noise) if self.linear else kind(function, jacobian=jacobian, **noise)
 
 
-class Linearized(Models):
-    """Models of errors about the nominal orbit; ``epoch.u`` has the `derivatives`."""
+def models(config: Config, pulled: bool = False) -> Models:
+    """The models of a configuration. ``pulled``: whether they know of Sun and Moon."""
+    timing, last = config.timing, [np.zeros(0), -1, None]
 
-    def __init__(self) -> None:
-        pass
+    def move(mean: Array, epoch: Epoch) -> Any:  # what follows, Jacobian and noise input come from one integration
+        if last[1] != epoch.k or not np.array_equal(last[0], mean[..., :6]):
+            last[:] = mean[..., :6].copy(), epoch.k, flow(mean[..., :6], epoch.dt, extra=pull(epoch.u[2] if pulled else None))
+        return last[2]
 
-    def move(self, mean: Array, epoch: Epoch) -> Flow:
-        """By Phi."""
-        return Flow(matvec(epoch.u[0], mean[..., :6]), epoch.u[0], epoch.u[1])
+    return Models(
+        move,
+        lambda x, epoch: timing.delay(epoch.u[0] + x[..., :3], epoch.u[1]),
+        lambda x, epoch: timing.gradient(epoch.u[0] + x[..., :3], epoch.u[1]),
+    )
 
-    def measure(self, mean: Array, epoch: Epoch) -> Array:
-        """By Gamma."""
-        return matvec(epoch.u[2], mean[..., :3])
 
-    def Gamma(self, mean: Array, epoch: Epoch) -> Array:  # noqa: ARG002
-        """The same for every mean."""
-        return np.asarray(epoch.u[2])
-
-    def believed(self, kind: Any, function: Any, jacobian: Any, **noise: Any) -> Any:  # noqa: ARG002
-        """The Jacobian is all there is."""
-        return kind(Linear(partial(jacobian, np.zeros(6))), **noise)
+LINEAR = Models(
+    lambda error, epoch: Flow(matvec(epoch.u[0], error[..., :6]), epoch.u[0], epoch.u[1]),
+    lambda error, epoch: matvec(epoch.u[2], error[..., :3]),
+    lambda _, epoch: epoch.u[2],
+    linear=True,
+)
+"""Models of errors about the nominal orbit; ``epoch.u`` is ``(Phi, G, Gamma)``."""
 
 
 # -- the filters -------------------------------------------------------------------------------------------------------------
-def filters(cases: Cases, seen: Models | None = None, noise: Noise | None = None) -> dict[str, Any]:
-    """The filters by name. ``seen``, ``noise``: other models and noises than those of the cases.
+def filters(
+    cases: Cases, seen: Models | None = None, noise: Noise | None = None, *, on: ArrayLike = 1.0
+) -> dict[str, Any]:
+    """The filters by name. ``seen``, ``noise``: other models and noises than those of the cases. ``on``: factor of rho.
 
     ekf, tkf: ignorance and two stages, with the covariances of the driving noise, the paper's (inferred) choice; the first stage of
     tkf is ekf. ekf-fair, tkf-fair: the same with the covariances that the noises really have. tdkf, tstdkf: two stages on differenced
     measurements, without and with strong tracking. aug: all noises and the bias among the states, exact. Beliefs of ekf are about
     ``(r, v)``, of aug about ``(r, v, V, Q, b)``, of the others about ``(r, v, b)``.
     """
-    seen, n = seen or Models(first_of(cases).timing), noise or noises(cases)
+    seen, n = seen or models(one_of(cases)), noise or noises(cases)
     bias = Gaussian(np.zeros(3), stacked(cases, lambda case: case.bias_prior_km**2 * np.eye(3)))
     out: dict[str, Any] = {}
     for name, Q, R in (("", n.E, n.Xi), ("-fair", n.Q + n.J @ n.V @ n.J.mT, n.V)):
@@ -407,13 +358,9 @@ def filters(cases: Cases, seen: Models | None = None, noise: Noise | None = None
         out[f"tkf{name}"] = TwoStage.of(Plain(out[f"ekf{name}"]), seen.Gamma, bias)
     tdkf = TwoStage.of(Differenced(seen.move, seen.measure, seen.H, n), seen.Gamma, bias)
     walk = stacked(cases, lambda case: case.walk_km * np.eye(3))
-    return out | {"tdkf": tdkf, "tstdkf": replace(tdkf, boost=boost(cases)), "aug": augmented(seen, n, bias, walk)}
-
-
-def boost(cases: Cases, on: ArrayLike = 1.0) -> Any:
-    """Strong tracking of the cases; ``on``: what rho is multiplied by."""
     rho, form = stacked(cases, lambda case: case.rho), stacked(cases, lambda case: [case.factor == "proportional"])
-    return strong_tracking(on * rho, first_of(cases).tau, proportional=form)
+    boost = strong_tracking(on * rho, one_of(cases).tau, proportional=form)
+    return out | {"tdkf": tdkf, "tstdkf": replace(tdkf, boost=boost), "aug": augmented(seen, n, bias, walk)}
 
 
 def kalman(seen: Models, Q: Array, R: Array) -> Sequential:
@@ -450,13 +397,11 @@ def augmented(seen: Models, n: Noise, bias: Gaussian, walk: Array) -> Filter:
     def h(x: Array, epoch: Epoch) -> Array:
         return np.asarray(seen.measure(x, epoch) + x[..., 6:9] + matvec(seen.Gamma(x, epoch), x[..., 15:]))
 
-    def jacobian(x: Array, epoch: Epoch) -> Array:
+    def slope(x: Array, epoch: Epoch) -> Array:
         Gamma = seen.Gamma(x, epoch)
-        H = np.zeros((*Gamma.shape[:-1], 18))
-        H[..., :3], H[..., 6:9], H[..., 15:] = Gamma, np.eye(3), Gamma
-        return H
+        return block([[Gamma, np.zeros((3, 3)), np.eye(3, 9), Gamma]])
 
-    sensor = seen.believed(Sensor, h, jacobian, sqrt_R=np.zeros((3, 1)))
+    sensor = seen.believed(Sensor, h, slope, sqrt_R=np.zeros((3, 1)))
     exact = ekf(seen.believed(Motion, f, transition, sqrt_Q=columns), sensor)
 
     def start(prior: Gaussian) -> State:
@@ -472,7 +417,7 @@ GROUPS = (Group("position", "km", slice(0, 3)), Group("velocity", "m/s", slice(3
 JUDGED = {group.name: group.unit for group in GROUPS}
 
 
-def trial(config: Config, rngs: Sequence[np.random.Generator]) -> Trial:
+def trial(config: Config, rngs: Rngs) -> Trial:
     """One run with each generator, for missions, campaigns and the study. The orbit is judged, which all filters estimate.
 
     There is a bound where what is simulated is what the exact filter believes: initial errors and a constant ephemeris error that

@@ -1,3 +1,348 @@
-FIGURES = TABLES = {}
-RECORDINGS = []
-def record(*a): return []
+"""[Xu2024] shown: figures and tables as the paper numbers them, those beyond it, recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from celnav.analysis.metrics import rms
+from celnav.filters.run import run
+from celnav.models.ephemeris import de421, from_utc
+from celnav.models.pulsar import LIGHT_KM_S, pulsars
+from celnav.papers.tstdkf import scenario as s
+from celnav.papers.tstdkf.scenario import DAY_S, SETTINGS, Config
+from celnav.papers.tstdkf.study import (
+    BOTH, COMPARED, COUPLINGS, EXACT_PART, LARGER, PRINTED, TRENDS, VARIANTS, accelerations, squares,
+)  # fmt: skip
+from celnav.show import colors, scenes, showcase
+from celnav.show.estimates import Estimate, Group
+from celnav.show.figures import Item, Line, Panel, bars, components, curve, figure, level, panels
+from celnav.show.plots import Curve, Plot
+from celnav.show.showcase import Showcase, Space
+from celnav.study.study import Results
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from celnav.files import Outputs
+    from celnav.show.recording import Recorder
+
+AXES, SHADES, DAYS = ("x", "y", "z"), (colors.COMPARISON, colors.ESTIMATE, colors.TRUTH), "time (days)"
+LINES = {
+    "ekf": Line("EKF", colors.OPEN_LOOP), "tkf": Line("TKF", colors.COMPARISON), "tdkf": Line("TDKF", colors.FAINT, "--"),
+    "tstdkf": Line("TSTDKF", colors.ESTIMATE), "aug": Line("AUG (exact)", colors.REFERENCE),
+    "fair": Line("TKF, stationary covariances", colors.MEASUREMENT, "--"),
+    "C": Line("TSTDKF, form C", colors.ESTIMATE), "B": Line("TSTDKF, form B", colors.PAPER),
+}  # fmt: skip
+
+
+def config(results: Results) -> Config:
+    """Of the month."""
+    found: Config = results.parts["month"].config
+    return found
+
+
+# -- figures -----------------------------------------------------------------------------------------------------------------
+def orbital(results: Results, part: str, filter: str, group: str, line: Line | None = None) -> Item:
+    """RMSE over the runs and an orbit, in which it swings."""
+    square = np.square(results.error(part, filter, group)[..., 0]).mean(1)
+    width, name = min(20, len(square)), filter.split("/")[-1]
+    values = np.sqrt(np.convolve(square, np.full(width, 1.0 / width), "valid"))
+    return curve(results.times(part)[width - 1 :] / DAY_S, values, line or LINES[name])
+
+
+def principle(results: Results) -> Figure:
+    """What a timing measures, in the plane of Earth and pulsar."""
+    c, (fig, ax) = config(results), figure(6.2, 4.2)
+    (earth, sun), n = (part[0] for part in s.sky(c)[:2]), c.timing.directions[0]
+    place, across = earth + c.orbit[:3], earth - (earth @ n) * n
+    delay, shapiro = (float(x[0]) / LIGHT_KM_S for x in (c.timing.delay(place, sun), c.timing.shapiro(place, sun)))
+    roemer, plane = float(n @ place) / LIGHT_KM_S, np.stack([n, across / np.linalg.norm(across)])
+    zero, ahead, at = np.zeros(2), np.array([0.45, 0.0]), plane @ earth / np.linalg.norm(earth)
+    satellite = at + 0.35 * (plane @ c.orbit[:3]) / np.linalg.norm(c.orbit[:3])
+    for start, end, label, color in (
+        (zero, at, "Earth (ephemeris)", colors.COMPARISON), (at, satellite, "orbit", colors.ESTIMATE),
+        (zero, ahead, "", colors.SIGMA), (satellite, satellite + ahead, f"to {c.pulsars[0]}", colors.SIGMA),
+    ):  # fmt: skip
+        ax.annotate("", end, start, arrowprops={"arrowstyle": "->", "color": color, "lw": 1.6})
+        ax.annotate(label, 0.5 * (start + end), color=color, xytext=(6, -10), textcoords="offset points")
+    for name, where in (("barycenter", zero), ("Earth", at), ("satellite", satellite)):
+        ax.annotate(name, where, xytext=(-4, 6), textcoords="offset points", ha="right")
+    ax.plot(*np.stack([zero, at, satellite], 1), "o", color="black", markersize=4)
+    ax.plot([satellite[0]] * 2, [satellite[1], 0.0], color=colors.SIGMA, linestyle=":", linewidth=1.0)
+    ax.plot([0.0, satellite[0]], [-0.06, -0.06], color=colors.PAPER, linewidth=2.0)
+    terms = f"n·r {roemer:.6f} s, parallax {1e6 * (delay - roemer - shapiro):.3f} µs, Shapiro {1e6 * shapiro:.2f} µs"
+    ax.text(0.0, -0.11, f"Δt = {delay:.6f} s\n{terms}", color=colors.PAPER, va="top")
+    ax.set(xlim=(-0.45, satellite[0] + 0.7), ylim=(-0.45, max(at[1], satellite[1]) + 0.2), title="Figure 1: the delay of a pulse")
+    ax.set_axis_off()
+    return fig
+
+
+def difference(results: Results, title: str, name: str, less: str = "") -> Panel:
+    """A difference of ephemerides from DE421, every 5 hours, and its norm."""
+    values = results.get("sky", name) - (results.get("sky", less) if less else 0.0)
+    t, norm = np.arange(len(values)) * 5.0 / 24.0, np.linalg.norm(values, axis=1)
+    items = [*components(t, values, AXES, SHADES), curve(t, norm, color="black", linewidth=0.8, linestyle="--", label="norm")]
+    return Panel(title, items, "days since 2015-10-17 04:00 UTC", "difference (km)")
+
+
+def others(results: Results) -> Figure:
+    """Other ephemerides, the Sun, and the Earth seen from the Sun."""
+    show = partial(difference, results)
+    above = show("Earth, DE423 − DE421", "de423/earth"), show("Earth, DE406 − DE421", "de406/earth")
+    below = show("Sun, DE405 − DE421", "de405/sun"), show("Earth from the Sun, DE405 − DE421", "de405/earth", "de405/sun")
+    return panels(above, below, size=(10.0, 6.0), sharex=True)
+
+
+def ignorant(number: int, group: str, unit: str, results: Results) -> Figure:
+    """RMSE of an EKF that ignores the ephemeris error."""
+    shown = {
+        ("month", "5/ekf"): Line("EKF, ephemeris error", colors.COMPARISON),
+        ("variants", f"white, ephemeris error × {LARGER:.3g}/ekf"): Line(f"error {LARGER:.3g} times as large", colors.PAPER),
+        ("variants", "white, no ephemeris error/ekf"): Line("no ephemeris error", colors.TRUTH),
+    }
+    items = [orbital(results, *flown, group, line) for flown, line in shown.items()]
+    if group == "position":
+        items.append(orbital(results, "month", "5/tkf", group, Line("TKF, ephemeris error", colors.ESTIMATE)))
+        items.append(orbital(results, "month", "5/ekf", "bias", Line("size of the ephemeris error", colors.SIGMA, ":")))
+    title = f"Figure {number}: what an ephemeris error does (white noise)"
+    return panels(Panel(title, items, DAYS, f"{group} RMSE ({unit})", "y"), size=(7.5, 3.6))
+
+
+def three_trends(results: Results) -> Figure:
+    """The ephemeris error."""
+    c, t = results.parts["year"].config, results.times("year")
+    errors = {f"Eq. {i}: {name}": replace(c, trend=name).bias(t) for i, name in zip((17, 69, 70), TRENDS, strict=True)}
+    row = [Panel(title, components(t / DAY_S, e, AXES, SHADES), DAYS, "ephemeris error (km)") for title, e in errors.items()]
+    return panels(row, size=(9.0, 3.2), sharey=True)
+
+
+def model_error(results: Results) -> Figure:
+    """What the ephemeris error makes of the timings."""
+    c, (earth, sun, _) = config(results), s.sky(config(results))
+    Gamma = c.timing.gradient(earth + s.nominal(c).state[:, :3], sun)
+    items = components(c.times / DAY_S, (Gamma @ c.bias(c.times)[..., None])[..., 0], c.pulsars, SHADES)
+    return panels(Panel("Figure 6: model error of the timings", items, DAYS, "c B = Γ δr (km)"), size=(6.5, 3.4))
+
+
+def third_bodies(results: Results) -> Figure:
+    """Acceleration by Sun, Moon and planets, and of each body its largest."""
+    c = results.parts["pulls"].config
+    each = accelerations(c)
+    total = components(c.times / DAY_S, 1e9 * np.asarray(sum(each.values())), AXES, SHADES, linewidth=0.4, alpha=0.7)
+    sizes = sorted(((float(np.linalg.norm(a, axis=1).max()), body) for body, a in each.items()), reverse=True)
+    largest = bars([body for _, body in sizes], {"": ([size for size, _ in sizes], colors.MEASUREMENT)}, across=True)
+    left = Panel("Figure 7: third bodies", total, DAYS, "acceleration (10⁻⁹ km/s²)")
+    return panels([left, Panel("", [largest], "largest (km/s²)", log="x")], size=(10.0, 3.6), width_ratios=(2, 1))
+
+
+def spectrum(results: Results) -> Figure:
+    """Two groups of lines."""
+    power, cycles = results.get("pulls", "power")[1:], DAY_S * results.get("pulls", "cycles")[1:]
+    items = components(cycles, power / power.max(), AXES, SHADES, linewidth=0.7)
+    title, more = "Figure 8: spectrum of the acceleration", {"xlim": (0.0, 60.0)}
+    return panels(Panel(title, items, "frequency (cycles/day)", "power (-)", "y", more), size=(6.5, 3.6))
+
+
+def one_month(results: Results) -> Figure:
+    """Setting 1: position, velocity and bias."""
+    t, bound = results.times("month") / DAY_S, results.get("covariances", "1/aug").diagonal(0, 1, 2)
+    row = []
+    for i, (group, unit, scale) in enumerate((("position", "km", 1.0), ("velocity", "m/s", 1e3), ("bias", "km", 1.0))):
+        std = scale * np.sqrt(bound[:, 3 * i : 3 * i + 3].sum(1))
+        items = [orbital(results, "month", f"1/{f}", group) for f in COMPARED if (f, group) != ("ekf", "bias")]
+        items += [orbital(results, "month", "fair/tkf", group, LINES["fair"])]
+        items += [curve(t, std, color=colors.SIGMA, linewidth=3.0, alpha=0.5, zorder=0, label="bound")]
+        row.append(Panel("Figure 9: setting 1" if i == 1 else "", items, DAYS, f"{group} RMSE ({unit})", "y"))
+    return panels(row, size=(10.0, 3.8))
+
+
+def one_year(results: Results) -> Figure:
+    """The bias of the first run along three trends."""
+    t, rows = results.times("year")[::24], []
+    for trend in TRENDS:
+        first = {LINES[f]: results.get("year", f"{trend}/{f}/first")[::24, 0, 6:] for f in TRACKED}
+        first[Line("truth", "black")] = replace(results.parts["year"].config, trend=trend).bias(t)
+        items = [[curve(t / DAY_S, values[:, i], line) for line, values in first.items()] for i in range(3)]
+        more = {"ylim": (-0.3, 0.3)}
+        rows.append([Panel(f"{trend}, {axis}", each, DAYS, "error (km)", "", more) for axis, each in zip(AXES, items, strict=True)])
+    return panels(*rows, size=(10.0, 7.5), sharex=True)
+
+
+TRACKED = ("tkf", "C", "B", "aug")
+
+
+def in_settings(results: Results) -> Figure:
+    """Table 5 as bars."""
+    heights = {f: [rms(squares(results, "month", f"{i}/{f}")) for i in SETTINGS] for f in COMPARED}
+    heights["fair"] = [rms(squares(results, "month", "fair/tkf")), *[np.nan] * 4]
+    ticks = [f"{i}: F {c.F:g}, L {c.L:g}, κ {c.kappa:g}" for i, c in SETTINGS.items()]
+    item = bars(ticks, {LINES[f].label: (values, LINES[f].color) for f, values in heights.items()})
+    return panels(Panel("Table 5", [item], "", "position RMSE (km)"), size=(9.5, 3.6))
+
+
+def consistent(results: Results) -> Figure:
+    """NEES of errors and biases drawn from their priors."""
+    t, row = results.times("consistency") / DAY_S, []
+    for case, title in (("1", "setting 1"), ("5", "white noise")):
+        nees = {f: results.get("consistency", f"{case}/{f}/nees").mean(1) / (9 if f == "aug" else 6) for f in ("ekf", "tkf", "tdkf", "aug")}
+        items = [*(curve(t, values, LINES[f]) for f, values in nees.items()), level(1.0, label="consistent", color="black")]
+        row.append(Panel(title, items, DAYS, "NEES to its dimension (-)", "y"))
+    return panels(row, size=(9.0, 3.6), sharey=True)
+
+
+def depends(results: Results) -> Figure:
+    """Setting 1 with one thing changed, and a coupling that is taken for another."""
+
+    def heights(part: str, names: Iterable[Any], at: str, filters: Iterable[str]) -> dict[str, tuple[list[float], str]]:
+        sizes = {f: [rms(squares(results, part, f"{name}/{f}", at=at)) for name in names] for f in filters}
+        return {LINES[f].label: (values, LINES[f].color) for f, values in sizes.items()}
+
+    left = bars(list(VARIANTS), heights("variants", VARIANTS, "all", ("ekf", "tkf", "tstdkf")), across=True)
+    right = bars([f"{a:g} → {b:g}" for a, b in COUPLINGS], heights("ten days", range(6), "late", ("tkf", "tstdkf", "aug")))
+    row = Panel("", [left], "position RMSE (km)", log="x"), Panel("", [right], "κ, and what filters take it for", "position RMSE (km)")
+    return panels(row, size=(11.0, 4.6))
+
+
+FIGURES = {
+    "figure_01": ("Fig. 1: principle: what a timing measures, drawn from the vectors of the start (not to scale).", principle),
+    "figure_02": ("Fig. 2: position of the Earth, DE405 - DE421: not tens of kilometers but less than two.",
+                  lambda r: panels(difference(r, "Figure 2: Earth, DE405 − DE421", "de405/earth"), size=(6.5, 3.6))),
+    "figure_02b": ("Beyond the paper: other ephemerides, the Sun, and the Earth seen from the Sun.", others),
+    "figure_03": ("Fig. 3: position RMSE of the EKF under an ephemeris error.", partial(ignorant, 3, "position", "km")),
+    "figure_04": ("Fig. 4: velocity RMSE of the EKF under an ephemeris error.", partial(ignorant, 4, "velocity", "m/s")),
+    "figure_05": ("Fig. 5: the ephemeris error, and the two other trends of Fig. 10.", three_trends),
+    "figure_06": ("Fig. 6: what the ephemeris error makes of the timings.", model_error),
+    "figure_07": ("Fig. 7: acceleration by Sun, Moon and planets, and of each body its largest.", third_bodies),
+    "figure_08": ("Fig. 8: its spectrum: two groups of lines, not colored noise.", spectrum),
+    "figure_09": ("Fig. 9: setting 1 over the month: position, velocity and bias; the exact filter, the fair TKF.", one_month),
+    "figure_10": ("Fig. 10: a year of three trends: the bias as TKF, TSTDKF (forms B and C) and AUG see it.", one_year),
+    "figure_11": ("Beyond the paper: Table 5 as bars: position RMSE of the month in the five settings.", in_settings),
+    "figure_12": ("Beyond the paper: consistency: NEES of errors and biases drawn from their priors.", consistent),
+    "figure_13": ("Beyond the paper: setting 1 with one thing changed, and a coupling that is taken for another.", depends),
+}  # fmt: skip
+
+
+# -- tables ------------------------------------------------------------------------------------------------------------------
+Rows = list[dict[str, Any]]
+
+
+def parameters(results: Results) -> Rows:
+    """The other parameters, with their sources."""
+    names = ("step_s", "error_km", "error_m_per_s", "rho", "tau", "rate_noise_km_per_s", "acceleration_noise_km_per_s2")
+    known = {name: Config.__dataclass_fields__[name].metadata for name in (*names, "amplitude_km", "bias_prior_km", "walk_km")}
+    return [{"parameter": name, "value": str(getattr(config(results), name)), "meaning": about["meaning"], "source": about["source"]}
+            for name, about in known.items()]  # fmt: skip
+
+
+def compared(results: Results) -> Rows:
+    """RMSE of all filters in the five settings, and TSTDKF to the others."""
+    rows: Rows = []
+    for i in SETTINGS:
+        size = {(f, g): rms(squares(results, "month", f"{i}/{f}", g)) for f in COMPARED for g in BOTH}
+        rows.append({"setting": i} | {f"{f.upper()} ({unit})": size[f, g] for f in COMPARED for g, unit in zip(BOTH, ("km", "m/s"))})
+        for g in BOTH:
+            for f, printed in zip(("ekf", "tkf"), PRINTED[g], strict=True):
+                rows[-1][f"{g}, below {f.upper()} (%)"] = 100.0 * (1.0 - size["tstdkf", g] / size[f, g])
+                rows[-1][f"the paper's, {g}, {f.upper()}"] = printed if i == 1 else ""
+    return rows
+
+
+ELEMENTS = ("a (km)", "e (-)", "i (deg)", "Ω (deg)", "ω (deg)", "ν (deg)")
+TABLES = {
+    "table_1": ("Table 1: elements of the orbit (chosen).", lambda r: [dict(zip(ELEMENTS, config(r).elements, strict=True))]),
+    "table_2": ("Table 2: parameters of the pulsars (inferred), and the deviation of a timing.",
+                lambda r: [{**vars(p), "deviation_km": float(d)} for p, d in zip(pulsars(config(r).pulsars), config(r).sigma_km)]),
+    "table_3": ("Table 3: the other parameters.", parameters),
+    "table_4": ("Table 4: the five settings of the noise (inferred).",
+                lambda _: [{"setting": i, "F": c.F, "L": c.L, "κ": c.kappa} for i, c in SETTINGS.items()]),
+    "table_5": ("Table 5: RMSE of position and velocity of all filters in the five settings, and TSTDKF to the others.", compared),
+}  # fmt: skip
+
+
+# -- recordings --------------------------------------------------------------------------------------------------------------
+RECORDINGS = ["tstdkf.rrd", "tstdkf_year.rrd"]
+SHOWN = {"tstdkf": np.arange(9), "aug": EXACT_PART, "tkf": np.arange(9), "ekf": np.arange(6)}
+"""Filters, and where orbit and bias lie in their states."""
+ARROW_KM, EARTH_KM, AU_KM, EXAGGERATION = 4000.0, 6378.137, 1.495978707e8, 1000.0
+SPACES = (
+    Space("world", f"about the Earth, km (errors x{EXAGGERATION:g})", (15e3, 11e3, 9e3)),
+    Space("sun", "around the Sun, AU", (0.5, -2.2, 1.6)),
+)
+MONTH = f"""# Xu et al. (2024): two stages and strong tracking for X-ray pulsars
+
+A satellite times three pulsars; the Earth's ephemeris is wrong by some hundred meters (bias), the noise is colored and correlated.
+Lines: the last orbit and what the filters made of it, errors {EXAGGERATION:g} times as large. Arrows: the pulls of Sun and Moon.
+Occultation by the Earth, exclusion near the Sun and one detector for three pulsars are left out, as in the paper.
+"""
+ONE_YEAR = """# A year of three trends
+
+The two-stage filter (TKF) takes the ephemeris error for constant and does not follow. Strong tracking follows in form B, hardly in
+form C. The exact filter (AUG), told of a random walk, follows best.
+"""
+
+
+def record(results: Results, outputs: Outputs) -> list[str]:
+    """Write the recordings among ``outputs``; returns their names. Needs rerun."""
+    return showcase.write(dict(zip(RECORDINGS, (month(results), year(results)), strict=True)), outputs)
+
+
+def month(results: Results) -> Showcase:
+    """The first run of setting 1, about the Earth and around the Sun, flown again in full."""
+    c, first = config(results), results.first("month")
+    epochs, found = list(first.epochs("")), {}
+    truth, t = np.stack([epoch.truth[0] for epoch in epochs]), c.times[1:]
+    rows = slice(None, None, 9 if len(t) > 180 else 1)  # an orbit has 20 steps: every tenth would show two of its places only
+    tracks = {"TRUTH": (colors.TRUTH, truth[:, :3])}
+    for key, part in SHOWN.items():
+        track, color = run(first.filters[key], first.prior, epochs, keep="cov"), LINES[key].color
+        error, cov = track.mean[:, :1, part] - truth[:, None, : len(part)], track.cov[rows, 0][:, part[:, None], part]
+        found[key] = Estimate(key.upper(), color, error[rows], cov, nis=track.nis[rows, 0])
+        tracks[key.upper()] = color, truth[:, :3] + EXAGGERATION * error[:, 0, :3]
+
+    def scene(out: Recorder) -> None:
+        place, pulls = truth[rows, :3], accelerations(c)
+        out.globe("world/earth", EARTH_KM)
+        out.points("world/sat/truth", place, colors.TRUTH, radius=5.0)
+        orbits = np.stack([scenes.behind(points, 20, rows.step) for _, points in tracks.values()], 1)
+        out.strips("world/sat/orbits", orbits, [color for color, _ in tracks.values()], labels=list(tracks))
+        out.ellipsoids("world/sat/aug", place, EXAGGERATION**2 * found["aug"].cov[:, :3, :3], LINES["aug"].color, alpha=0.1)
+        for body, color in (("sun", colors.STAR), ("moon", colors.BODY)):
+            arrow = ARROW_KM / np.linalg.norm(pulls["moon"], axis=1).max() * pulls[body][1:][rows]
+            out.arrow(f"world/pull/{body}", place, arrow, color, body)
+        earth, sun = (de421().state(body, from_utc(c.start_utc).after(t[rows])).position / AU_KM for body in ("earth", "sun"))
+        days = from_utc(c.start_utc).after(np.linspace(0.0, s.YEAR_S, 366))
+        out.path("sun/orbit", [(de421().state("earth", days).position - de421().state("sun", days).position) / AU_KM], colors.FAINT)
+        out.points("sun/sun", 0.0 * earth, colors.STAR, radius=9.0, label="Sun")
+        out.points("sun/barycenter", -sun, colors.BODY, radius=3.0, label="barycenter")
+        out.points("sun/earth", earth - sun, colors.BODY, radius=5.0, label="Earth")
+        for name, direction in zip(c.pulsars, c.timing.directions, strict=True):
+            out.arrow(f"sun/pulsar/{name}", earth - sun, np.tile(0.5 * direction, (len(earth), 1)), colors.STAR, name)
+            out.arrow(f"world/pulsar/{name}", place, np.tile(ARROW_KM * direction, (len(earth), 1)), colors.STAR, name)
+
+    bias = Group("bias", "km", slice(6, 9), truth=truth[rows, 6:])
+    groups = (Group("position", "km", slice(0, 3)), Group("velocity", "m/s", slice(3, 6), 1e3), bias)
+    return Showcase(
+        "tstdkf", MONTH, t[rows], found, groups, truth[rows], np.eye(3, 9), "km", nis_dof=3, scene=scene, spaces=SPACES,
+        legend={colors.STAR: "Sun, pulsars", colors.BODY: "Moon, Earth"}, parameters=vars(c), counter="step",
+        facts={"paper": "tstdkf", "seed": results.seed, "exaggeration": EXAGGERATION},
+    )  # fmt: skip
+
+
+def year(results: Results) -> Showcase:
+    """The first run of each trend: plots alone."""
+    rows = slice(None, None, 6 if len(results.times("year")) > 120 else 1)
+    t, plots, facts = results.times("year")[rows], dict[str, dict[str, Plot]](), {"paper": "tstdkf", "seed": results.seed}
+    for trend in TRENDS:
+        first = {f: results.get("year", f"{trend}/{f}/first")[rows, 0, 6:] for f in TRACKED}
+        first["truth"] = replace(results.parts["year"].config, trend=trend).bias(t)
+        look = {f: (line.color, line.label) for f, line in LINES.items()} | {"truth": (colors.TRUTH, "truth")}
+        for i, axis in enumerate(AXES):
+            tracks = {f: Curve(values[:, i], *look[f]) for f, values in first.items()}
+            plots.setdefault(trend, {})[axis] = Plot(f"{trend}: ephemeris error {axis}, km", tracks, limits=(-0.4, 0.4))
+    legend = {LINES[f].color: LINES[f].label for f in TRACKED}
+    return Showcase("tstdkf year", ONE_YEAR, t, plots=plots, legend=legend, facts=facts, counter="step")

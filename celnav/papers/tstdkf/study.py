@@ -25,7 +25,7 @@ from celnav.papers.tstdkf.scenario import DAY_S, KAPPA, SETTINGS, TABLE_5, YEAR,
 from celnav.study.ledger import Bounds, Number, Row, Tiers, check, erratum, estimate, finding, reconstruction, remark, statement
 from celnav.study.numbers import Decided, all_of, consistency, of, ratio, rmse, tiers
 from celnav.study.study import Part, Results, Rngs, Study, When
-from celnav.study.trial import Group, Noiseless
+from celnav.study.trial import Group
 
 Found = dict[str, Array]
 LENGTHS = (Group("position", "km", slice(0, 1)), Group("velocity", "m/s", slice(1, 2)), Group("bias", "km", slice(2, 3)))
@@ -33,7 +33,10 @@ LENGTHS = (Group("position", "km", slice(0, 1)), Group("velocity", "m/s", slice(
 EXACT_PART = np.r_[0:6, 15:18]
 TRENDS, FORMS = ("sine", "growing", "triangle"), ("tdkf", "C", "B", "A")
 LARGER = 20.0 / 3.0
-VARIANTS: dict[str, dict[str, Any]] = {
+Changes = Mapping[str, Mapping[str, Any]]
+"""Configurations by name: what of one is replaced."""
+FIVE: Changes = {str(i): {"setting": setting} for i, setting in SETTINGS.items()}
+VARIANTS: Changes = {
     "as it is": {}, "M0 = (0.03 km)²": {"bias_prior_km": 0.03}, "M0 = (1 km)²": {"bias_prior_km": 1.0},
     "κ = 8, M0 = (1 km)²": {"setting": Setting(kappa=8.0), "bias_prior_km": 1.0}, "F = 0.8": {"setting": Setting(0.8)},
     "form B": {"factor": "proportional"}, "white, form B": {"setting": SETTINGS[5], "factor": "proportional"},
@@ -41,15 +44,19 @@ VARIANTS: dict[str, dict[str, Any]] = {
     f"white, ephemeris error × {LARGER:.3g}": {"setting": SETTINGS[5], "amplitude_km": (0.6, 0.8, 0.5)},
     "white, no ephemeris error": {"setting": SETTINGS[5], "amplitude_km": (0.0, 0.0, 0.0)},
 }  # fmt: skip
-"""Setting 1 with something changed."""
-STRONG = {"F = 0.8": Setting(0.8), "F = L = 0.8": Setting(0.8, 0.8, 0.5), "F = 0.9, L = 0.8": Setting(0.9, 0.8, 0.5)}
+STRONG: Changes = {
+    name: {"setting": setting, "factor": "proportional"} for name, setting in
+    {"F = 0.8": Setting(0.8), "F = L = 0.8": Setting(0.8, 0.8, 0.5), "F = 0.9, L = 0.8": Setting(0.9, 0.8, 0.5)}.items()
+}  # fmt: skip
 COUPLINGS = ((0.0, 0.0), (0.0, KAPPA), (KAPPA, 0.0), (KAPPA, 0.5 * KAPPA), (KAPPA, KAPPA), (KAPPA, -KAPPA))
 """Coupling of the noises, and what the filters take it for."""
+COUPLED, TAKEN = ({str(i): {"setting": Setting(kappa=pair[k])} for i, pair in enumerate(COUPLINGS)} for k in (0, 1))
 COLORS, PRIORS = (0.3, 0.5, 0.8, 0.9), {0.03: 50, 0.3: 800, 1.0: 50}
 """Of the measurement noise; deviations (km) of the ephemeris error in the filters at the start, and runs of setting 1 with them."""
 
 
 # -- filters on runs ---------------------------------------------------------------------------------------------------------
+BESIDE = np.arange(2.0).reshape(2, 1, 1, 1)
 LABELS = {"tkf": ("ekf", "tkf"), "tstdkf": ("tdkf", "tstdkf"), "tdkf": FORMS, "aug": ("aug",)}
 """The filters inside of a filter: EKF is the first stage of TKF, TDKF lies beside TSTDKF, `FORMS` of the factors side by side."""
 
@@ -76,12 +83,6 @@ def normalized(name: str, state: Any, error: Array, cases: int) -> Array:
         cov = np.stack([state.first.belief.cov, cov[..., :6, :6]])
     cov = cov if cov.ndim > error.ndim else cov[None]
     return nees(error[:, :cases, :, : len(part)], cholesky(cov[:, :cases, :, part[:, None], part]))
-
-
-def beside(cases: s.Cases, **more: Any) -> dict[str, Any]:
-    """`filters`, with TDKF beside TSTDKF along a leading axis."""
-    known = filters(cases, **more)
-    return known | {"tstdkf": replace(known["tstdkf"], boost=s.boost(cases, np.arange(2.0).reshape(2, 1, 1, 1)))}
 
 
 def flown(
@@ -117,42 +118,29 @@ def flown(
     return out
 
 
+def apart(
+    changes: Changes, of: Sequence[str], config: Config, rngs: Rngs, *, taken: Changes = {}, judged: int = 0
+) -> Found:
+    """Configurations that differ side by side; ``taken``: what the filters take them for, where that is something else."""
+    cases, believed = ([replace(config, **by.get(name, own)) for name, own in changes.items()] for by in (changes, taken))
+    return flown(list(changes), simulate(cases, rngs), filters(believed, on=BESIDE), of, judged=judged)
+
+
 def five(config: Config, rngs: Rngs) -> Found:
     """The five settings; in the first, EKF and TKF with the stationary covariances too."""
-    cases = [replace(config, setting=setting) for setting in SETTINGS.values()]
-    sim, known, names = simulate(cases, rngs), beside(cases), list(map(str, SETTINGS))
+    cases = [replace(config, **changes) for changes in FIVE.values()]
+    sim, known = simulate(cases, rngs), filters(cases, on=BESIDE)
     truth, bias, z = (part[:, :1] for part in (sim.truth, sim.bias, sim.z))
     one = sim._replace(truth=truth, bias=bias, z=z, prior=Gaussian(sim.prior.mean[:1], sim.prior.cov[:1]))
     fair = flown(["fair"], one, {"tkf": filters(cases[:1])["tkf-fair"]}, ["tkf"])
-    return fair | flown(names, sim, known, ("tkf", "tstdkf")) | flown(names, sim, known, ["aug"], judged=1)
-
-
-def variants(config: Config, rngs: Rngs) -> Found:
-    """`VARIANTS`, by their names."""
-    cases = [replace(config, **changes) for changes in VARIANTS.values()]
-    return flown(list(VARIANTS), simulate(cases, rngs), beside(cases), ("tkf", "tstdkf"))
-
-
-def ten_days(config: Config, rngs: Rngs) -> Found:
-    """Filters that know the coupling, or not; strong colors with form B."""
-    coupled, believed = ([replace(config, setting=Setting(kappa=pair[i])) for pair in COUPLINGS] for i in (0, 1))
-    strong = [replace(config, setting=setting, factor="proportional") for setting in STRONG.values()]
-    names = [*map(str, range(len(COUPLINGS))), *STRONG]
-    return flown(names, simulate(coupled + strong, rngs), beside(believed + strong), ("tkf", "tstdkf", "aug"))
-
-
-def honest(config: Config, rngs: Rngs) -> Found:
-    """Initial errors and constant biases drawn from their priors, in settings 1 and 5."""
-    drawn = replace(config, trend="constant", initial="drawn", walk_km=0.0)
-    cases = [replace(drawn, setting=SETTINGS[i]) for i in (1, 5)]
-    return flown(("1", "5"), simulate(cases, rngs), beside(cases), ("tkf", "tstdkf", "aug"), judged=2)
+    return fair | flown(list(FIVE), sim, known, ("tkf", "tstdkf")) | flown(list(FIVE), sim, known, ["aug"], judged=1)
 
 
 def forces(config: Config, rngs: Rngs) -> Found:
-    """Sun and Moon pull; all other noise is white. Who models them, and who leaves them to white or to AR(1) noise."""
+    """Sun and Moon pull; all other noise is white. Who models them, and who leaves them to AR(1) noise."""
     cases = [replace(config, setting=SETTINGS[5], pulled=True)]
-    sim, modeled = simulate(cases, rngs), filters(cases, s.Models(config.timing, pulled=True))
-    colored = beside(cases, noise=matched_noise(cases[0]))
+    sim, modeled = simulate(cases, rngs), filters(cases, s.models(config, pulled=True))
+    colored = filters(cases, noise=matched_noise(cases[0]), on=BESIDE)
     return flown(["modeled"], sim, modeled, ["tkf"]) | flown(["colored"], sim, colored, ("tstdkf", "aug"))
 
 
@@ -182,32 +170,21 @@ def forms(config: Config) -> Callable[[Any, Boost], tuple[Any, Array]]:
     return boost
 
 
-def linear(names: Sequence[str], errors: Any, every: int, of: Sequence[str], config: Config, rngs: Rngs) -> Found:
-    """`flown` along errors of the ephemeris, see `scenario.linearized`; "tdkf" in all `FORMS`."""
-    known = beside(config, seen=s.Linearized())
+def linear(names: Sequence[str], every: int, of: Sequence[str], config: Config, rngs: Rngs) -> Found:
+    """`flown` along trends of the ephemeris error: the paper's, or of 1 km along each axis, and in other runs random directions."""
+    known = filters(config, s.LINEAR, on=BESIDE)
     known["tdkf"] = replace(known["tdkf"], boost=forms(config))
-    return flown(names, s.linearized(config, rngs, errors), known, of, every=every)
-
-
-def trends(names: Sequence[str], config: Config, _: Array) -> Array:
-    """The paper's three."""
-    return np.stack([replace(config, trend=trend).bias(config.times) for trend in names], 1)[:, :, None]
-
-
-def constant(_: Config, drawn: Array) -> Array:
-    """1 km along each axis, and in the other runs along random directions."""
-    unit = drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
-    unit[:3] = np.eye(3)[: len(unit)]
-    return np.asarray(unit[None, None])
+    cases = [replace(config, trend=trend) for trend in names]
+    return flown(names, s.linearized(cases, rngs), known, of, every=every)
 
 
 def nominal_covariances(cases: Sequence[Config], name: str) -> Array:
     """Covariances ``(T, cases, 9, 9)`` of orbit and bias along the nominal orbit, whatever is measured: for aug, the posterior
     Cramer-Rao bound."""
-    sim = s.linearized(cases[0], [Noiseless()], partial(trends, TRENDS[:1]))
+    sim = s.linearized([cases[0]], [np.random.default_rng(0)])
     prior = Gaussian(np.zeros((len(cases), 1, 6)), np.diag(cases[0].deviation ** 2))
     part = EXACT_PART if name == "aug" else np.arange(9)
-    cov = run(filters(cases, s.Linearized())[name], prior, sim.epochs(), keep="cov").cov
+    cov = run(filters(cases, s.LINEAR)[name], prior, sim.epochs(), keep="cov").cov
     return np.asarray(cov)[:, :, 0, part[:, None], part]
 
 
@@ -236,7 +213,7 @@ def alike(config: Config, rngs: Rngs) -> Found:
 # -- what needs no Monte Carlo -------------------------------------------------------------------------------------------------
 def accelerations(config: Config) -> Found:
     """Acceleration ``(T, 3)`` km/s^2 of the satellite on its nominal orbit by each body, relative to the Earth's."""
-    earth, place = de421().state("earth", config.dates).position, s.nominal_orbit(config)[:, :3]
+    earth, place = de421().state("earth", config.dates).position, s.nominal(config).state[:, :3]
     return {body: third_body(place, de421().state(body, config.dates).position - earth, GM[body]) for body in BODIES if body != "earth"}
 
 
@@ -299,16 +276,18 @@ def parts(effort: float = 1.0) -> dict[str, Part]:
     def days(config: Config, full: float) -> Config:
         return replace(config, days=min(full, max(0.5, round(full * effort * 288.0) / 288.0)))
 
-    month, many = days(TABLE_5, 30.0), partial(linear, TRENDS[:1], partial(trends, TRENDS[:1]), 72, ("tkf", "tstdkf"))
+    month, ten_days, three, pair = days(TABLE_5, 30.0), days(TABLE_5, 10.0), days(TABLE_5, 3.0), ("tkf", "tstdkf")
+    honest = replace(three, trend="constant", initial="drawn", walk_km=0.0)
     return {
         "month": Part(five, month, 0, 50, 50, 120.0),
-        "year": Part(partial(linear, TRENDS, partial(trends, TRENDS), 12, ("tkf", "tdkf", "aug")), days(YEAR, 365.0), 7, 24, 24, 120.0),
-        "variants": Part(variants, month, 1, 8, 50, 30.0),
-        "ten days": Part(ten_days, days(TABLE_5, 10.0), 4, 12, 50, 20.0),
-        "forces": Part(forces, days(TABLE_5, 10.0), 6, 20, 50, 10.0),
-        **{f"many {m0:g}": Part(many, replace(month, bias_prior_km=m0), 9, runs, 400, 10.0) for m0, runs in PRIORS.items()},
-        "consistency": Part(honest, days(TABLE_5, 3.0), 5, 40, 50, 6.0),
-        "constant": Part(partial(linear, ["constant"], constant, 12, ["tkf"]), replace(month, setting=SETTINGS[5]), 10, 23, 23),
+        "year": Part(partial(linear, TRENDS, 12, ("tkf", "tdkf", "aug")), days(YEAR, 365.0), 7, 24, 24, 120.0),
+        "variants": Part(partial(apart, VARIANTS, pair), month, 1, 8, 50, 25.0),
+        "ten days": Part(partial(apart, {**COUPLED, **STRONG}, (*pair, "aug"), taken=TAKEN), ten_days, 4, 12, 50, 20.0),
+        "forces": Part(forces, ten_days, 6, 20, 50, 10.0),
+        **{f"many {m0:g}": Part(partial(linear, TRENDS[:1], 72, pair), replace(month, bias_prior_km=m0), 9, runs, 400, 10.0)
+           for m0, runs in PRIORS.items()},
+        "consistency": Part(partial(apart, {i: FIVE[i] for i in "15"}, (*pair, "aug"), judged=2), honest, 5, 40, 50, 6.0),
+        "constant": Part(partial(linear, ["constant"], 12, ["tkf"]), replace(month, setting=SETTINGS[5]), 10, 23, 23),
         "covariances": Part(covariances, month, cost=6.0),
         "alike": Part(alike, replace(TABLE_5, days=1.0), 11), "pulls": Part(pulls, TABLE_5, 12), "sky": Part(sky_facts, TABLE_5),
     }  # fmt: skip
@@ -632,7 +611,7 @@ LINEAR_STUDY = {
     "aug": (0.0737, 0.0663, 0.0606, 0.0455, 0.0417),
 }  # fmt: skip
 """Position RMSE (km) in the five settings by an independent linear study."""
-COUPLED = (
+COUPLING_STUDY = (
     (0.068, 0.074, 0.066), (0.068, 0.087, 0.115), (0.158, 0.179, 0.155), (0.158, 0.123, 0.100), (0.158, 0.095, 0.085),
     (0.158, 0.139, 0.265),
 )  # fmt: skip
@@ -641,7 +620,7 @@ CHECKS = [
     *(check(f"table-5-position-{f}", f"Table 5: {f.upper()} in five settings, against an independent study",
             within("month", {f"{i}/{f}": x for i, x in zip(SETTINGS, row)}, 0.1)) for f, row in LINEAR_STUDY.items()),
     *(check(f"coupling-{i}", f"κ = {pair[0]:g} taken for {pair[1]:g}, against that study", within("ten days", {f"{i}/{f}": x for f, x
-            in zip(("tkf", "tstdkf", "aug"), row)}, 0.3, "late"), revised=WIDER) for i, (pair, row) in enumerate(zip(COUPLINGS, COUPLED))),
+            in zip(("tkf", "tstdkf", "aug"), row)}, 0.3, "late"), revised=WIDER) for i, (pair, row) in enumerate(zip(COUPLINGS, COUPLING_STUDY))),
     check("forces", "Sun and Moon pull, against that study",
           within("forces", {"modeled/tkf": 0.041, "colored/tdkf": 0.132, "colored/aug": 0.134}, 0.15, "late")),
     check("figure-3-larger", "Fig. 3: an ephemeris error 6.67 times as large, against that study",
