@@ -62,11 +62,8 @@ def ar1_noise(F: ArrayLike, L: ArrayLike, J: ArrayLike, Xi: ArrayLike, E: ArrayL
 
 
 class DifferencedState(NamedTuple):
-    """State of the stage: belief about x in covariance form, and covariance ``cross (..., n, q + m)`` of its error with Q and V.
-
-    V: ``(..., m)``, the last measurement's noise as estimated, nan before the first, and H: ``(..., m, n)``, its Jacobian. moved:
-    what the model said of the interval, until the update.
-    """
+    """Belief about x in covariance form; covariance ``cross (..., n, q + m)`` of its error with Q and V; ``V (..., m)``, the last
+    measurement's noise as estimated, nan before the first; its Jacobian ``H (..., m, n)``; and what `Differenced.move` gave."""
 
     belief: Covariance
     cross: Array
@@ -81,8 +78,7 @@ class Differenced:
 
     Attributes
     ----------
-    move: ``(mean, epoch) ->`` state ``(..., n)`` after the interval, its Jacobian ``Phi (..., n, n)`` and the effect ``G (..., n,
-        q)`` of the process noise.
+    move: ``(mean, epoch) ->`` state ``(..., n)`` after the interval, its Jacobian ``Phi``, effect ``G (..., n, q)`` of the noise.
     h, slope: ``(mean, epoch) ->`` measurement ``(..., m)`` and its Jacobian ``(..., m, n)``. noise: see `ar1_noise`.
 
     It raises a ValueError for a measurement that is missing in part, or where ``I + H G J`` is singular (determinant below 1e-12).
@@ -116,15 +112,14 @@ class Differenced:
     def update(self, state: DifferencedState, epoch: Epoch) -> tuple[DifferencedState, Stage | None, Info]:
         """State at the end of the interval given its measurement, and what was done."""
         assert state.moved is not None
-        (x, Phi, G), noise, first = state.moved, self.noise, bool(np.isnan(state.V).all())
-        n, (q, m) = x.shape[-1], noise.J.shape[-2:]
+        (x, Phi, G), (F, L, J, Xi, E, V, Q) = state.moved, self.noise
+        n, (q, m), first = x.shape[-1], J.shape[-2:], bool(np.isnan(state.V).all())
         z = numbers("z", epoch.z, () if epoch.z is None else (..., m))
         together(prior=x.shape[:-1], z=z.shape[:-1])
         if np.isnan(z).any():
             raise ValueError("z: expected a whole measurement at every epoch: what was missed cannot be differenced")
         if first:  # nothing to difference with: all of V is new
-            noise = noise._replace(F=np.zeros_like(noise.F), Xi=noise.V)
-        F, L, J, Xi, E, V, Q = noise
+            F, Xi = np.zeros_like(F), V
         y = z - self._seen(x, epoch) - (0.0 if first else matvec(F, state.V))
 
         # What correlates process and measurement goes into the prediction, by Omega.
@@ -133,20 +128,21 @@ class Differenced:
         if np.abs(np.linalg.det(coupled)).min() < 1e-12:
             raise ValueError("J: expected I + H G J to have an inverse, got a singular matrix")
         Omega = np.linalg.solve(coupled.mT, (G @ J).mT).mT
-        into = matvec(Omega, y)
-        Phi1, G1 = Phi - Omega @ (H @ Phi), G - Omega @ (H @ G)
+        into, Phi1, G1 = matvec(Omega, y), Phi - Omega @ (H @ Phi), G - Omega @ (H @ G)
 
         # The joint of (x, Q, V): x = Phi1 x + G1 (J F V + L Q + e), Q = L Q + e, and V waits for xi, which is measured with H x.
-        marginals, driven = block([[Q, 0], [0, V]]), G1 @ E
-        moves = side_by_side([Phi1, G1 @ side_by_side([L, J @ F])])
-        ahead = moves @ block([[state.belief.cov, state.cross], [state.cross.mT, marginals]])
+        moves, marginals = side_by_side([Phi1, G1 @ side_by_side([L, J @ F])]), block([[Q, 0], [0, V]])
+        ahead, driven = moves @ block([[state.belief.cov, state.cross], [state.cross.mT, marginals]]), G1 @ E
         P, cross = ahead @ moves.mT + driven @ G1.mT, side_by_side([ahead[..., n : n + q] @ L + driven, ahead[..., n + q :]])
-        cov = block([[0.5 * (P + P.mT), cross], [cross.mT, marginals]])
-        moved, measured = Covariance(side_by_side([x + into, np.zeros(q + m)]), cov), (np.zeros(m), side_by_side([H, np.zeros((m, q + m))]))
-        seen = joint(LINEAR, moved, (measured, KEEP), z=y - matvec(H, into), measurement_noise=np.linalg.cholesky(Xi))
+        cov, nothing = block([[0.5 * (P + P.mT), cross], [cross.mT, marginals]]), np.zeros(q + m)
+        moved, sensor = Covariance(side_by_side([x + into, nothing]), cov), (nothing[:m], side_by_side([H, np.zeros((m, q + m))]))
+        seen = joint(LINEAR, moved, (sensor, KEEP), z=y - matvec(H, into), measurement_noise=np.linalg.cholesky(Xi))
         both, info, _ = condition(Covariance, seen, EUCLIDEAN)
-        assert seen.innovation is not None and info.sqrt_S is not None and info.gain is not None
-        # Of this only what concerns x is kept: Q and V have their stationary marginals again. xi is what H x leaves over of z.
+        assert seen.innovation is not None
+        assert info.sqrt_S is not None
+        assert info.gain is not None
+
+        # Kept is what concerns x; Q and V have their stationary marginals again. V = F V + xi, and xi is what H x leaves over of z.
         belief, cross = Covariance(both.mean[..., :n], both[1][..., :n, :n]), both[1][..., :n, n:]
         cross = side_by_side([cross[..., :q], cross[..., q:] @ F - belief.cov @ H.mT])
         after = DifferencedState(belief, cross, z - self._seen(belief.mean, epoch), H)
@@ -170,13 +166,10 @@ class Window(NamedTuple):
 
 
 def strong_tracking(rho: ArrayLike, tau: float, *, proportional: ArrayLike = False) -> Any:
-    """A boost for `celnav.filters.two_stage.two_stage`: factors ``1 + rho (ratio - 1)`` of a squared residual's ratio to its variance.
+    """A boost for `celnav.filters.two_stage.two_stage`: factors ``1 + rho (ratio - 1)``, of squared residuals over variances.
 
-    Parameters
-    ----------
     rho: ``(..., m)``, not negative; 0 switches a component off. tau: length of the window, in measurements, at least 1.
-    proportional: whether factors are ``rho ratio`` instead, the reading closest to the prose: near ``rho`` even while the filter
-        is consistent; of the shape of ``rho``, or one that goes with it.
+    proportional: where factors are ``rho ratio`` instead, closest to the prose: near ``rho`` even while the filter is consistent.
 
     >>> filter = celnav.two_stage(motion, sensor, Gamma, bias, boost=strong_tracking([8.0, 15.0, 9.0], 100.0))
     """

@@ -1,8 +1,8 @@
 """[Xu2024]: a satellite of the Earth that times three pulsars, with colored noise and an error of the Earth's ephemeris.
 
-The display equations of the text at hand are lost. Inferred are Eq. 2, delay of a pulse (`celnav.models.pulsar.Timing`); 3-4, orbit
-(`celnav.models.orbit`); 17, 69, 70, ephemeris error (`Config.bias`); 19, deviation of a timing (`Pulsar.timing_std`); 21-56 and 57-61,
-differencing and strong tracking (`celnav.papers.tstdkf.method`), on two stages [Friedland 1969] (`celnav.filters.two_stage`).
+The display equations of the text at hand are lost. Inferred are Eq. 2, delay of a pulse (`celnav.models.pulsar.Timing`); 3-4,
+orbit (`celnav.models.orbit`); 17, 69, 70, ephemeris error (`Config.bias`); 19, deviation of a timing (`Pulsar.timing_std`); 21-56
+and 57-61, differencing and strong tracking (`celnav.papers.tstdkf.method`), on two stages (`celnav.filters.two_stage`).
 
 Several configurations may be flown together, as *cases* along an axis before that of the runs, on the same random numbers: what a
 step costs is mostly what its first run costs. They share times, orbit and pulsars.
@@ -186,8 +186,8 @@ def noises(cases: Cases) -> Noise:
 
 
 def sky(config: Config) -> tuple[Array, Array, Array | None]:
-    """By DE421 where Earth and Sun are at each epoch, ``(T, 3)`` km: what the filters believe; and Sun and Moon from the Earth's center
-    at the nodes of the step before each epoch, ``(T, 2, N, 3)``, if they pull."""
+    """By DE421 where Earth and Sun are at each epoch, ``(T, 3)`` km: what the filters believe; and Sun and Moon from the Earth's
+    center at the nodes of the step before each epoch, ``(T, 2, N, 3)``, if they pull."""
     earth, sun = (de421().state(body, config.dates).position for body in ("earth", "sun"))
     if not config.pulled:
         return earth, sun, None
@@ -316,7 +316,7 @@ class Models(NamedTuple):
 
 def models(config: Config, pulled: bool = False) -> Models:
     """The models of a configuration. ``pulled``: whether they know of Sun and Moon."""
-    timing, last = config.timing, [np.zeros(0), -1, None]
+    timing, last = config.timing, list[Any]([np.zeros(0), -1, None])
 
     def move(mean: Array, epoch: Epoch) -> Any:  # what follows, Jacobian and noise input come from one integration
         if last[1] != epoch.k or not np.array_equal(last[0], mean[..., :6]):
@@ -340,15 +340,13 @@ LINEAR = Models(
 
 
 # -- the filters -------------------------------------------------------------------------------------------------------------
-def filters(
-    cases: Cases, seen: Models | None = None, noise: Noise | None = None, *, on: ArrayLike = 1.0
-) -> dict[str, Any]:
+def filters(cases: Cases, seen: Models | None = None, noise: Noise | None = None, *, on: ArrayLike = 1.0) -> dict[str, Any]:
     """The filters by name. ``seen``, ``noise``: other models and noises than those of the cases. ``on``: factor of rho.
 
     ekf, tkf: ignorance and two stages, with the covariances of the driving noise, the paper's (inferred) choice; the first stage of
-    tkf is ekf. ekf-fair, tkf-fair: the same with the covariances that the noises really have. tdkf, tstdkf: two stages on differenced
-    measurements, without and with strong tracking. aug: all noises and the bias among the states, exact. Beliefs of ekf are about
-    ``(r, v)``, of aug about ``(r, v, V, Q, b)``, of the others about ``(r, v, b)``.
+    tkf is ekf. ekf-fair, tkf-fair: the same with the covariances that the noises really have. tdkf, tstdkf: two stages on
+    differenced measurements, without and with strong tracking. aug: all noises and the bias among the states, exact. Beliefs of ekf
+    are about ``(r, v)``, of aug about ``(r, v, V, Q, b)``, of the others about ``(r, v, b)``.
     """
     seen, n = seen or models(one_of(cases)), noise or noises(cases)
     bias = Gaussian(np.zeros(3), stacked(cases, lambda case: case.bias_prior_km**2 * np.eye(3)))
@@ -370,7 +368,8 @@ def kalman(seen: Models, Q: Array, R: Array) -> Sequential:
     def f(x: Array, epoch: Epoch) -> Array:
         return seen.move(x[0], epoch).state[None]
 
-    motion = seen.believed(Motion, f, lambda x, epoch: seen.move(x, epoch).Phi, sqrt_Q=lambda x, epoch: seen.move(x, epoch).G @ root)
+    noise = {"sqrt_Q": lambda x, epoch: seen.move(x, epoch).G @ root}
+    motion = seen.believed(Motion, f, lambda x, epoch: seen.move(x, epoch).Phi, **noise)
     return ekf(motion, seen.believed(Sensor, seen.measure, seen.H, R=R), form="covariance")
 
 

@@ -16,7 +16,16 @@ from celnav.models.pulsar import LIGHT_KM_S, pulsars
 from celnav.papers.tstdkf import scenario as s
 from celnav.papers.tstdkf.scenario import DAY_S, SETTINGS, Config
 from celnav.papers.tstdkf.study import (
-    BOTH, COMPARED, COUPLINGS, EXACT_PART, LARGER, PRINTED, TRENDS, VARIANTS, accelerations, squares,
+    BOTH,
+    COMPARED,
+    COUPLINGS,
+    EXACT_PART,
+    LARGER,
+    PRINTED,
+    TRENDS,
+    VARIANTS,
+    accelerations,
+    squares,
 )  # fmt: skip
 from celnav.show import colors, scenes, showcase
 from celnav.show.estimates import Estimate, Group
@@ -40,12 +49,6 @@ LINES = {
 }  # fmt: skip
 
 
-def config(results: Results) -> Config:
-    """Of the month."""
-    found: Config = results.parts["month"].config
-    return found
-
-
 # -- figures -----------------------------------------------------------------------------------------------------------------
 def orbital(results: Results, part: str, filter: str, group: str, line: Line | None = None) -> Item:
     """RMSE over the runs and an orbit, in which it swings."""
@@ -57,7 +60,7 @@ def orbital(results: Results, part: str, filter: str, group: str, line: Line | N
 
 def principle(results: Results) -> Figure:
     """What a timing measures, in the plane of Earth and pulsar."""
-    c, (fig, ax) = config(results), figure(6.2, 4.2)
+    c, (fig, ax) = results.parts["month"].config, figure(6.2, 4.2)
     (earth, sun), n = (part[0] for part in s.sky(c)[:2]), c.timing.directions[0]
     place, across = earth + c.orbit[:3], earth - (earth @ n) * n
     delay, shapiro = (float(x[0]) / LIGHT_KM_S for x in (c.timing.delay(place, sun), c.timing.shapiro(place, sun)))
@@ -117,13 +120,14 @@ def three_trends(results: Results) -> Figure:
     """The ephemeris error."""
     c, t = results.parts["year"].config, results.times("year")
     errors = {f"Eq. {i}: {name}": replace(c, trend=name).bias(t) for i, name in zip((17, 69, 70), TRENDS, strict=True)}
-    row = [Panel(title, components(t / DAY_S, e, AXES, SHADES), DAYS, "ephemeris error (km)") for title, e in errors.items()]
+    row = [Panel(title, components(t / DAY_S, e, AXES, SHADES), DAYS) for title, e in errors.items()]
+    row[0] = row[0]._replace(y="ephemeris error (km)")
     return panels(row, size=(9.0, 3.2), sharey=True)
 
 
 def model_error(results: Results) -> Figure:
     """What the ephemeris error makes of the timings."""
-    c, (earth, sun, _) = config(results), s.sky(config(results))
+    c, (earth, sun, _) = results.parts["month"].config, s.sky(results.parts["month"].config)
     Gamma = c.timing.gradient(earth + s.nominal(c).state[:, :3], sun)
     items = components(c.times / DAY_S, (Gamma @ c.bias(c.times)[..., None])[..., 0], c.pulsars, SHADES)
     return panels(Panel("Figure 6: model error of the timings", items, DAYS, "c B = Γ δr (km)"), size=(6.5, 3.4))
@@ -133,7 +137,7 @@ def third_bodies(results: Results) -> Figure:
     """Acceleration by Sun, Moon and planets, and of each body its largest."""
     c = results.parts["pulls"].config
     each = accelerations(c)
-    total = components(c.times / DAY_S, 1e9 * np.asarray(sum(each.values())), AXES, SHADES, linewidth=0.4, alpha=0.7)
+    total = components(c.times / DAY_S, 1e9 * np.asarray(sum(each.values())), AXES, SHADES, linewidth=0.6)
     sizes = sorted(((float(np.linalg.norm(a, axis=1).max()), body) for body, a in each.items()), reverse=True)
     largest = bars([body for _, body in sizes], {"": ([size for size, _ in sizes], colors.MEASUREMENT)}, across=True)
     left = Panel("Figure 7: third bodies", total, DAYS, "acceleration (10⁻⁹ km/s²)")
@@ -142,7 +146,7 @@ def third_bodies(results: Results) -> Figure:
 
 def spectrum(results: Results) -> Figure:
     """Two groups of lines."""
-    power, cycles = results.get("pulls", "power")[1:], DAY_S * results.get("pulls", "cycles")[1:]
+    power, cycles = results.get("pulls", "power")[1:], results.get("pulls", "cycles")[1:]
     items = components(cycles, power / power.max(), AXES, SHADES, linewidth=0.7)
     title, more = "Figure 8: spectrum of the acceleration", {"xlim": (0.0, 60.0)}
     return panels(Panel(title, items, "frequency (cycles/day)", "power (-)", "y", more), size=(6.5, 3.6))
@@ -189,8 +193,9 @@ def consistent(results: Results) -> Figure:
     """NEES of errors and biases drawn from their priors."""
     t, row = results.times("consistency") / DAY_S, []
     for case, title in (("1", "setting 1"), ("5", "white noise")):
-        nees = {f: results.get("consistency", f"{case}/{f}/nees").mean(1) / (9 if f == "aug" else 6) for f in ("ekf", "tkf", "tdkf", "aug")}
-        items = [*(curve(t, values, LINES[f]) for f, values in nees.items()), level(1.0, label="consistent", color="black")]
+        nees = {f: results.get("consistency", f"{case}/{f}/nees").mean(1) for f in ("ekf", "tkf", "tdkf", "aug")}
+        items = [curve(t, values / (9 if f == "aug" else 6), LINES[f]) for f, values in nees.items()]
+        items.append(level(1.0, label="consistent", color="black"))
         row.append(Panel(title, items, DAYS, "NEES to its dimension (-)", "y"))
     return panels(row, size=(9.0, 3.6), sharey=True)
 
@@ -204,8 +209,8 @@ def depends(results: Results) -> Figure:
 
     left = bars(list(VARIANTS), heights("variants", VARIANTS, "all", ("ekf", "tkf", "tstdkf")), across=True)
     right = bars([f"{a:g} → {b:g}" for a, b in COUPLINGS], heights("ten days", range(6), "late", ("tkf", "tstdkf", "aug")))
-    row = Panel("", [left], "position RMSE (km)", log="x"), Panel("", [right], "κ, and what filters take it for", "position RMSE (km)")
-    return panels(row, size=(11.0, 4.6))
+    taken = Panel("", [right], "κ, and what filters take it for", "position RMSE (km)")
+    return panels((Panel("", [left], "position RMSE (km)", log="x"), taken), size=(11.0, 4.6))
 
 
 FIGURES = {
@@ -231,11 +236,11 @@ FIGURES = {
 Rows = list[dict[str, Any]]
 
 
-def parameters(results: Results) -> Rows:
+def parameters(_: Results) -> Rows:
     """The other parameters, with their sources."""
     names = ("step_s", "error_km", "error_m_per_s", "rho", "tau", "rate_noise_km_per_s", "acceleration_noise_km_per_s2")
     known = {name: Config.__dataclass_fields__[name].metadata for name in (*names, "amplitude_km", "bias_prior_km", "walk_km")}
-    return [{"parameter": name, "value": str(getattr(config(results), name)), "meaning": about["meaning"], "source": about["source"]}
+    return [{"parameter": name, "value": str(getattr(s.TABLE_5, name)), **{key: about[key] for key in ("meaning", "source")}}
             for name, about in known.items()]  # fmt: skip
 
 
@@ -244,7 +249,8 @@ def compared(results: Results) -> Rows:
     rows: Rows = []
     for i in SETTINGS:
         size = {(f, g): rms(squares(results, "month", f"{i}/{f}", g)) for f in COMPARED for g in BOTH}
-        rows.append({"setting": i} | {f"{f.upper()} ({unit})": size[f, g] for f in COMPARED for g, unit in zip(BOTH, ("km", "m/s"))})
+        units = dict(zip(BOTH, ("km", "m/s"), strict=True))
+        rows.append({"setting": i} | {f"{f.upper()} ({units[g]})": size[f, g] for f in COMPARED for g in BOTH})
         for g in BOTH:
             for f, printed in zip(("ekf", "tkf"), PRINTED[g], strict=True):
                 rows[-1][f"{g}, below {f.upper()} (%)"] = 100.0 * (1.0 - size["tstdkf", g] / size[f, g])
@@ -254,9 +260,9 @@ def compared(results: Results) -> Rows:
 
 ELEMENTS = ("a (km)", "e (-)", "i (deg)", "Ω (deg)", "ω (deg)", "ν (deg)")
 TABLES = {
-    "table_1": ("Table 1: elements of the orbit (chosen).", lambda r: [dict(zip(ELEMENTS, config(r).elements, strict=True))]),
+    "table_1": ("Table 1: elements of the orbit (chosen).", lambda _: [dict(zip(ELEMENTS, s.TABLE_5.elements, strict=True))]),
     "table_2": ("Table 2: parameters of the pulsars (inferred), and the deviation of a timing.",
-                lambda r: [{**vars(p), "deviation_km": float(d)} for p, d in zip(pulsars(config(r).pulsars), config(r).sigma_km)]),
+                lambda _: [{**vars(p), "deviation_km": float(d)} for p, d in zip(pulsars(s.TABLE_5.pulsars), s.TABLE_5.sigma_km)]),
     "table_3": ("Table 3: the other parameters.", parameters),
     "table_4": ("Table 4: the five settings of the noise (inferred).",
                 lambda _: [{"setting": i, "F": c.F, "L": c.L, "κ": c.kappa} for i, c in SETTINGS.items()]),
@@ -293,7 +299,7 @@ def record(results: Results, outputs: Outputs) -> list[str]:
 
 def month(results: Results) -> Showcase:
     """The first run of setting 1, about the Earth and around the Sun, flown again in full."""
-    c, first = config(results), results.first("month")
+    c, first = results.parts["month"].config, results.first("month")
     epochs, found = list(first.epochs("")), {}
     truth, t = np.stack([epoch.truth[0] for epoch in epochs]), c.times[1:]
     rows = slice(None, None, 9 if len(t) > 180 else 1)  # an orbit has 20 steps: every tenth would show two of its places only
@@ -310,7 +316,9 @@ def month(results: Results) -> Showcase:
         out.points("world/sat/truth", place, colors.TRUTH, radius=5.0)
         orbits = np.stack([scenes.behind(points, 20, rows.step) for _, points in tracks.values()], 1)
         out.strips("world/sat/orbits", orbits, [color for color, _ in tracks.values()], labels=list(tracks))
-        out.ellipsoids("world/sat/aug", place, EXAGGERATION**2 * found["aug"].cov[:, :3, :3], LINES["aug"].color, alpha=0.1)
+        out.ellipsoids(
+            "world/sat/aug", place, EXAGGERATION**2 * np.asarray(found["aug"].cov)[:, :3, :3], LINES["aug"].color, alpha=0.1
+        )
         for body, color in (("sun", colors.STAR), ("moon", colors.BODY)):
             arrow = ARROW_KM / np.linalg.norm(pulls["moon"], axis=1).max() * pulls[body][1:][rows]
             out.arrow(f"world/pull/{body}", place, arrow, color, body)
