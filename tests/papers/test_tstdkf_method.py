@@ -125,10 +125,10 @@ def test_conditioning_is_the_filter_that_is_written_out(F, L, coupling):
     """Gain and all, without a joint belief: correlations of the estimate with Q and V by their own recursions."""
     noise, first = stage(F, L, coupling)
     z, mean, P, DQ, DV = measured(runs=1)[:, 0], np.zeros(N), P0, np.zeros((N, N)), np.zeros((N, M))
-    found = alone(first, z[:, None])
+    found, last = alone(first, z[:, None]), np.zeros(M)
     for k in range(T):
         color, sensor = (noise.F, noise.Xi) if k else (0.0 * noise.F, noise.V)
-        y = z[k] - H @ PHI @ mean - (color @ last if k else 0.0)
+        y = z[k] - H @ PHI @ mean - color @ last
         Omega = G @ noise.J @ np.linalg.inv(np.eye(M) + H @ G @ noise.J)
         D, JF = np.eye(N) - Omega @ H, noise.J @ color
         A, B = D @ PHI, D @ G
