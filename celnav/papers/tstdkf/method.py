@@ -176,7 +176,9 @@ def strong_tracking(rho: ArrayLike, tau: float, *, proportional: ArrayLike = Fal
     weights, length = finite("rho", rho), number("tau", tau, 1.0)
     if weights.ndim == 0 or (weights < 0.0).any():
         raise ValueError(f"rho: expected numbers (..., m) that are not negative, got {rho!r}")
-    least = np.where(numbers("proportional", proportional) > 0.0, 0.0, 1.0 - weights)
+    form = finite("proportional", proportional)
+    together(rho=weights.shape, proportional=form.shape)
+    least = np.where(form > 0.0, 0.0, 1.0 - weights)
 
     def boost(memory: Window | None, seen: Boost) -> tuple[Window, Array]:
         square = seen.residual * seen.residual
