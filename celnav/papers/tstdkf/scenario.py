@@ -363,13 +363,13 @@ def filters(cases: Cases, seen: Models | None = None, noise: Noise | None = None
 
 def kalman(seen: Models, Q: Array, R: Array) -> Sequential:
     """An EKF that takes all noise for white, of covariances Q ``(..., 6, 6)`` of the rates and R ``(..., m, m)``."""
-    root = np.linalg.cholesky(Q)
-
-    def f(x: Array, epoch: Epoch) -> Array:
-        return seen.move(x[0], epoch).state[None]
-
-    noise = {"sqrt_Q": lambda x, epoch: seen.move(x, epoch).G @ root}
-    motion = seen.believed(Motion, f, lambda x, epoch: seen.move(x, epoch).Phi, **noise)
+    move, root = seen.move, np.linalg.cholesky(Q)
+    f, Phi, noise = (
+        lambda x, epoch: move(x[0], epoch).state[None],
+        lambda x, epoch: move(x, epoch).Phi,
+        lambda x, epoch: move(x, epoch).G @ root,
+    )
+    motion = seen.believed(Motion, f, Phi, sqrt_Q=noise)
     return ekf(motion, seen.believed(Sensor, seen.measure, seen.H, R=R), form="covariance")
 
 
@@ -390,18 +390,15 @@ def augmented(seen: Models, n: Noise, bias: Gaussian, walk: Array) -> Filter:
         _, Phi, G = seen.move(x, epoch)
         return block([[Phi, G @ into, 0], [0, color, 0], [0, 0, np.eye(3)]])
 
-    def columns(x: Array, epoch: Epoch) -> Array:
-        return block([[seen.move(x, epoch).G @ through, 0], [drives, 0], [0, walk]])
-
     def h(x: Array, epoch: Epoch) -> Array:
         return np.asarray(seen.measure(x, epoch) + x[..., 6:9] + matvec(seen.Gamma(x, epoch), x[..., 15:]))
 
     def slope(x: Array, epoch: Epoch) -> Array:
-        Gamma = seen.Gamma(x, epoch)
-        return block([[Gamma, np.zeros((3, 3)), np.eye(3, 9), Gamma]])
+        return block([[seen.H(x, epoch), np.eye(3, 9), seen.Gamma(x, epoch)]])
 
-    sensor = seen.believed(Sensor, h, slope, sqrt_R=np.zeros((3, 1)))
-    exact = ekf(seen.believed(Motion, f, transition, sqrt_Q=columns), sensor)
+    noise = {"sqrt_Q": lambda x, epoch: block([[seen.move(x, epoch).G @ through, 0], [drives, 0], [0, walk]])}
+    motion, sensor = seen.believed(Motion, f, transition, **noise), seen.believed(Sensor, h, slope, sqrt_R=np.zeros((3, 1)))
+    exact = ekf(motion, sensor)
 
     def start(prior: Gaussian) -> State:
         mean = side_by_side([prior.mean, np.zeros(12)])
@@ -423,9 +420,9 @@ def trial(config: Config, rngs: Rngs) -> Trial:
     are drawn from their priors.
     """
     sim, known = simulate(config, rngs), filters(config)
-    believed = config.initial == "drawn" and config.trend == "constant"
-    return Trial(GROUPS, known, sim.prior, lambda _name: sim.epochs(), _compare, "aug" if believed else "", lambda x: x[..., :3])
+    reference = "aug" if config.initial == "drawn" and config.trend == "constant" else ""
 
+    def compare(truth: Array, belief: Belief) -> tuple[Array, Array]:
+        return belief.mean[..., :6] - truth[..., :6], cholesky(belief.cov[..., :6, :6])
 
-def _compare(truth: Array, belief: Belief) -> tuple[Array, Array]:
-    return belief.mean[..., :6] - truth[..., :6], cholesky(belief.cov[..., :6, :6])
+    return Trial(GROUPS, known, sim.prior, lambda _name: sim.epochs(), compare, reference, lambda x: x[..., :3])
