@@ -14,19 +14,9 @@ from celnav.filters.run import run
 from celnav.models.ephemeris import de421, from_utc
 from celnav.models.pulsar import LIGHT_KM_S, pulsars
 from celnav.papers.tstdkf import scenario as s
+from celnav.papers.tstdkf import study
 from celnav.papers.tstdkf.scenario import DAY_S, SETTINGS, Config
-from celnav.papers.tstdkf.study import (
-    BOTH,
-    COMPARED,
-    COUPLINGS,
-    EXACT_PART,
-    LARGER,
-    PRINTED,
-    TRENDS,
-    VARIANTS,
-    accelerations,
-    squares,
-)  # fmt: skip
+from celnav.papers.tstdkf.study import BOTH, COMPARED, EXACT_PART, LARGER, TRENDS, VARIANTS, accelerations, squares
 from celnav.show import colors, scenes, showcase
 from celnav.show.estimates import Estimate, Group
 from celnav.show.figures import Item, Line, Panel, bars, components, curve, figure, level, panels
@@ -208,7 +198,7 @@ def depends(results: Results) -> Figure:
         return {LINES[f].label: (values, LINES[f].color) for f, values in sizes.items()}
 
     left = bars(list(VARIANTS), heights("variants", VARIANTS, "all", ("ekf", "tkf", "tstdkf")), across=True)
-    right = bars([f"{a:g} → {b:g}" for a, b in COUPLINGS], heights("ten days", range(6), "late", ("tkf", "tstdkf", "aug")))
+    right = bars([f"{a:g} → {b:g}" for a, b in study.COUPLINGS], heights("ten days", range(6), "late", ("tkf", "tstdkf", "aug")))
     taken = Panel("", [right], "κ, and what filters take it for", "position RMSE (km)")
     return panels((Panel("", [left], "position RMSE (km)", log="x"), taken), size=(11.0, 4.6))
 
@@ -252,7 +242,7 @@ def compared(results: Results) -> Rows:
         units = dict(zip(BOTH, ("km", "m/s"), strict=True))
         rows.append({"setting": i} | {f"{f.upper()} ({units[g]})": size[f, g] for f in COMPARED for g in BOTH})
         for g in BOTH:
-            for f, printed in zip(("ekf", "tkf"), PRINTED[g], strict=True):
+            for f, printed in zip(("ekf", "tkf"), study.PRINTED[g], strict=True):
                 rows[-1][f"{g}, below {f.upper()} (%)"] = 100.0 * (1.0 - size["tstdkf", g] / size[f, g])
                 rows[-1][f"the paper's, {g}, {f.upper()}"] = printed if i == 1 else ""
     return rows
