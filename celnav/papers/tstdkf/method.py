@@ -5,10 +5,9 @@ Differencing (Eqs. 21-56) is for AR(1) noise of measurement and process that are
     V_k = F V_k-1 + xi_k,   Q_k = L Q_k-1 + e_k,   x_k = f(x_k-1) + G_k (J V_k + Q_k),   z_k = h(x_k) + V_k
 
 The colored part of the last measurement's noise is taken off this one, ``Z' = z_k - F (z_k-1 - h(x_k-1))``, with the last
-*estimate* in place of the state. What then correlates process and measurement is removed by taking ``Z'`` into the prediction as an
-input, ``x + Omega (Z' - h(x))``, and the correlations of the estimate with the AR(1) noises are carried along. Exact for ``F = L =
-0``, whatever J. With ``F`` the error of the last estimate is overlooked: the filter is then overconfident, the more the nearer
-``F`` is to 1.
+*estimate* in place of the state; what then correlates process and measurement goes into the prediction, ``x + Omega (Z' - h(x))``,
+and the estimate's correlations with V and Q are carried along. Exact for ``F = L = 0``, whatever J. With ``F`` the error of the
+last estimate is overlooked: the filter is then overconfident, the more the nearer ``F`` is to 1.
 
 Strong tracking (Eqs. 57-61) keeps an average of squared residuals over the last ``tau`` measurements and compares it with what
 it should be. Component i of the residual acts on component i of the bias; nothing else connects the two.

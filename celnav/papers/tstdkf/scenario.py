@@ -364,12 +364,10 @@ def filters(cases: Cases, seen: Models | None = None, noise: Noise | None = None
 def kalman(seen: Models, Q: Array, R: Array) -> Sequential:
     """An EKF that takes all noise for white, of covariances Q ``(..., 6, 6)`` of the rates and R ``(..., m, m)``."""
     move, root = seen.move, np.linalg.cholesky(Q)
-    f, Phi, noise = (
-        lambda x, epoch: move(x[0], epoch).state[None],
-        lambda x, epoch: move(x, epoch).Phi,
-        lambda x, epoch: move(x, epoch).G @ root,
-    )
-    motion = seen.believed(Motion, f, Phi, sqrt_Q=noise)
+    motion = seen.believed(
+        Motion, lambda x, epoch: move(x[0], epoch).state[None], lambda x, epoch: move(x, epoch).Phi,
+        sqrt_Q=lambda x, epoch: move(x, epoch).G @ root,
+    )  # fmt: skip
     return ekf(motion, seen.believed(Sensor, seen.measure, seen.H, R=R), form="covariance")
 
 

@@ -163,7 +163,8 @@ def one_year(results: Results) -> Figure:
         first[Line("truth", "black")] = replace(results.parts["year"].config, trend=trend).bias(t)
         items = [[curve(t / DAY_S, values[:, i], line) for line, values in first.items()] for i in range(3)]
         more = {"ylim": (-0.3, 0.3)}
-        rows.append([Panel(f"{trend}, {axis}", each, DAYS, "error (km)", "", more) for axis, each in zip(AXES, items, strict=True)])
+        y = {"x": "error (km)"}
+        rows.append([Panel(f"{trend}, {i}", each, DAYS, y.get(i, ""), "", more) for i, each in zip(AXES, items, strict=True)])
     return panels(*rows, size=(10.0, 7.5), sharex=True)
 
 
@@ -186,7 +187,7 @@ def consistent(results: Results) -> Figure:
         nees = {f: results.get("consistency", f"{case}/{f}/nees").mean(1) for f in ("ekf", "tkf", "tdkf", "aug")}
         items = [curve(t, values / (9 if f == "aug" else 6), LINES[f]) for f, values in nees.items()]
         items.append(level(1.0, label="consistent", color="black"))
-        row.append(Panel(title, items, DAYS, "NEES to its dimension (-)", "y"))
+        row.append(Panel(title, items, DAYS, "" if row else "NEES to its dimension (-)", "y"))
     return panels(row, size=(9.0, 3.6), sharey=True)
 
 
