@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from celnav.analysis.metrics import rms
-from celnav.filters.run import run
 from celnav.models.ephemeris import de421, from_utc
 from celnav.models.pulsar import LIGHT_KM_S, pulsars
 from celnav.papers.tstdkf import scenario as s
 from celnav.papers.tstdkf import study
 from celnav.papers.tstdkf.scenario import DAY_S, SETTINGS, Config
-from celnav.papers.tstdkf.study import BOTH, COMPARED, EXACT_PART, LARGER, TRENDS, VARIANTS, accelerations, squares
+from celnav.papers.tstdkf.study import BOTH, COMPARED, LARGER, TRENDS, VARIANTS, accelerations, squares
 from celnav.show import colors, scenes, showcase
 from celnav.show.estimates import Estimate, Group
 from celnav.show.figures import Item, Line, Panel, bars, components, curve, figure, level, panels
@@ -127,7 +126,7 @@ def third_bodies(results: Results) -> Figure:
     """Acceleration by Sun, Moon and planets, and of each body its largest."""
     c = results.parts["pulls"].config
     each = accelerations(c)
-    total = components(c.times / DAY_S, 1e9 * np.asarray(sum(each.values())), AXES, SHADES, linewidth=0.6)
+    total = components(c.times / DAY_S, 1e9 * np.asarray(sum(each.values())), AXES, SHADES, linewidth=0.6, alpha=0.7)
     sizes = sorted(((float(np.linalg.norm(a, axis=1).max()), body) for body, a in each.items()), reverse=True)
     largest = bars([body for _, body in sizes], {"": ([size for size, _ in sizes], colors.MEASUREMENT)}, across=True)
     left = Panel("Figure 7: third bodies", total, DAYS, "acceleration (10⁻⁹ km/s²)")
@@ -182,7 +181,7 @@ def in_settings(results: Results) -> Figure:
 
 def consistent(results: Results) -> Figure:
     """NEES of errors and biases drawn from their priors."""
-    t, row = results.times("consistency") / DAY_S, []
+    t, row = results.times("consistency") / DAY_S, list[Panel]()
     for case, title in (("1", "setting 1"), ("5", "white noise")):
         nees = {f: results.get("consistency", f"{case}/{f}/nees").mean(1) for f in ("ekf", "tkf", "tdkf", "aug")}
         items = [curve(t, values / (9 if f == "aug" else 6), LINES[f]) for f, values in nees.items()]
@@ -263,8 +262,8 @@ TABLES = {
 
 # -- recordings --------------------------------------------------------------------------------------------------------------
 RECORDINGS = ["tstdkf.rrd", "tstdkf_year.rrd"]
-SHOWN = {"tstdkf": np.arange(9), "aug": EXACT_PART, "tkf": np.arange(9), "ekf": np.arange(6)}
-"""Filters, and where orbit and bias lie in their states."""
+SHOWN = {"tstdkf": 9, "aug": 9, "tkf": 9, "ekf": 6}
+"""Filters, and how many components they estimate of orbit and bias."""
 ARROW_KM, EARTH_KM, AU_KM, EXAGGERATION = 4000.0, 6378.137, 1.495978707e8, 1000.0
 SPACES = (
     Space("world", f"about the Earth, km (errors x{EXAGGERATION:g})", (15e3, 11e3, 9e3)),
@@ -289,16 +288,14 @@ def record(results: Results, outputs: Outputs) -> list[str]:
 
 
 def month(results: Results) -> Showcase:
-    """The first run of setting 1, about the Earth and around the Sun, flown again in full."""
-    c, first = results.parts["month"].config, results.first("month")
-    epochs, found = list(first.epochs("")), {}
-    truth, t = np.stack([epoch.truth[0] for epoch in epochs]), c.times[1:]
+    """The first run of setting 1, about the Earth and around the Sun; deviations along the nominal orbit."""
+    c, found, known = results.parts["month"].config, dict[str, Estimate](), results.data["covariances"]
+    truth, t = np.stack([epoch.truth[0] for epoch in results.first("month").epochs("")]), c.times[1:]
     rows = slice(None, None, 9 if len(t) > 180 else 1)  # an orbit has 20 steps: every tenth would show two of its places only
     tracks = {"TRUTH": (colors.TRUTH, truth[:, :3])}
-    for key, part in SHOWN.items():
-        track, color = run(first.filters[key], first.prior, epochs, keep="cov"), LINES[key].color
-        error, cov = track.mean[:, :1, part] - truth[:, None, : len(part)], track.cov[rows, 0][:, part[:, None], part]
-        found[key] = Estimate(key.upper(), color, error[rows], cov, nis=track.nis[rows, 0])
+    for key, n in SHOWN.items():
+        error, color = results.get("month", f"1/{key}/first")[..., :n] - truth[:, None, :n], LINES[key].color
+        found[key] = Estimate(key.upper(), color, error[rows], known[f"1/{key}"][rows] if f"1/{key}" in known else None)
         tracks[key.upper()] = color, truth[:, :3] + EXAGGERATION * error[:, 0, :3]
 
     def scene(out: Recorder) -> None:
@@ -307,9 +304,7 @@ def month(results: Results) -> Showcase:
         out.points("world/sat/truth", place, colors.TRUTH, radius=5.0)
         orbits = np.stack([scenes.behind(points, 20, rows.step) for _, points in tracks.values()], 1)
         out.strips("world/sat/orbits", orbits, [color for color, _ in tracks.values()], labels=list(tracks))
-        out.ellipsoids(
-            "world/sat/aug", place, EXAGGERATION**2 * np.asarray(found["aug"].cov)[:, :3, :3], LINES["aug"].color, alpha=0.1
-        )
+        out.ellipsoids("world/sat/aug", place, EXAGGERATION**2 * known["1/aug"][rows, :3, :3], LINES["aug"].color, alpha=0.1)
         for body, color in (("sun", colors.STAR), ("moon", colors.BODY)):
             arrow = ARROW_KM / np.linalg.norm(pulls["moon"], axis=1).max() * pulls[body][1:][rows]
             out.arrow(f"world/pull/{body}", place, arrow, color, body)
@@ -326,7 +321,7 @@ def month(results: Results) -> Showcase:
     bias = Group("bias", "km", slice(6, 9), truth=truth[rows, 6:])
     groups = (Group("position", "km", slice(0, 3)), Group("velocity", "m/s", slice(3, 6), 1e3), bias)
     return Showcase(
-        "tstdkf", MONTH, t[rows], found, groups, truth[rows], np.eye(3, 9), "km", nis_dof=3, scene=scene, spaces=SPACES,
+        "tstdkf", MONTH, t[rows], found, groups, truth[rows], np.eye(3, 9), "km", scene=scene, spaces=SPACES,
         legend={colors.STAR: "Sun, pulsars", colors.BODY: "Moon, Earth"}, parameters=vars(c), counter="step",
         facts={"paper": "tstdkf", "seed": results.seed, "exaggeration": EXAGGERATION},
     )  # fmt: skip

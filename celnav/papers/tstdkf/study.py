@@ -181,13 +181,14 @@ def nominal_covariances(cases: Sequence[Config], name: str) -> Array:
 
 
 def covariances(config: Config, _: Rngs) -> Found:
-    """Covariances of aug in the settings, ``<setting>/aug``; by color, without a bias, trace of the position's covariance of TDKF
-    over the least possible one."""
+    """Covariances of aug in the settings, ``<setting>/aug``, and of tstdkf; by color, without a bias, trace of the position's
+    covariance of TDKF over the least possible one."""
     known = nominal_covariances([replace(config, setting=setting) for setting in SETTINGS.values()], "aug")
     short = replace(config, days=config.days / 3.0, bias_prior_km=1e-9, walk_km=0.0)
     cases = [replace(short, setting=Setting(F, 0.0, 0.0)) for F in COLORS]
     said, least = (nominal_covariances(cases, name)[-1, :, :3, :3].trace(axis1=1, axis2=2) for name in ("tdkf", "aug"))
-    return {f"{i}/aug": known[:, k] for k, i in enumerate(SETTINGS)} | {"trace": said / least}
+    own = nominal_covariances([config], "tstdkf")[:, 0]
+    return {f"{i}/aug": known[:, k] for k, i in enumerate(SETTINGS)} | {"1/tstdkf": own, "trace": said / least}
 
 
 def alike(config: Config, rngs: Rngs) -> Found:
