@@ -24,7 +24,7 @@ from celnav.filters.sequential import Iterated, SingleDraw
 from celnav.filters.two_stage import Plain, TwoStage
 from celnav.gaussian.linalg import Covariance
 from celnav.gaussian.spaces import EUCLIDEAN
-from celnav.papers.tstdkf.method import Differenced, ar1_noise, excess, strong_tracking
+from celnav.papers.tstdkf.method import Differenced, ar1_noise, strong_tracking
 from celnav.receiver.least_squares import least_squares
 
 EYE = np.eye(2)
@@ -145,7 +145,7 @@ DOORS = {
     "Plain": (lambda **a: flown(TwoStage.of(Plain(**a), EYE, BIAS)), {"filter": FILTER}),
     "strong_tracking": (
         lambda **a: flown(celnav.two_stage(MOTION, SENSOR, EYE, BIAS, boost=strong_tracking(**a))),
-        {"rho": [1.0, 1.0], "tau": 5.0, "factor": excess},
+        {"rho": [1.0, 1.0], "tau": 5.0, "proportional": False},
     ),
     "ar1_noise": (lambda **a: ar1_noise(**a), AR1),
     "Differenced": (

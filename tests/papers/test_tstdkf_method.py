@@ -8,7 +8,7 @@ import pytest
 from celnav import Epoch, Gaussian, Motion, Sensor, two_stage, ukf
 from celnav.filters.sequential import SingleDraw
 from celnav.filters.two_stage import Boost, TwoStage
-from celnav.papers.tstdkf.method import LARGEST, Differenced, ar1_noise, excess, proportional, strong_tracking
+from celnav.papers.tstdkf.method import LARGEST, Differenced, ar1_noise, strong_tracking
 
 RNG = np.random.default_rng(0)
 T, N, M, B = 30, 4, 2, 3
@@ -117,8 +117,30 @@ def test_its_covariances_are_those_of_a_consider_filter(F, L, coupling):
         left = np.eye(n + m + q) - gain @ R
         joint = left @ moved @ left.T + gain @ sensor @ gain.T - left @ with_xi @ gain.T - gain @ with_xi.T @ left.T
         np.testing.assert_allclose(state.belief.cov[0], joint[:n, :n], atol=1e-10)
-        np.testing.assert_allclose(state.DQ[0], joint[:n, n + m :], atol=1e-10)
-        np.testing.assert_allclose(state.DV[0], joint[:n, n : n + m], atol=1e-10)
+        np.testing.assert_allclose(state.cross[0], np.hstack([joint[:n, n + m :], joint[:n, n : n + m]]), atol=1e-10)
+
+
+@pytest.mark.parametrize(("F", "L", "coupling"), [(0.5, 0.5, 1.0), (0.8, 0.3, 0.5), (0.0, 0.9, 2.0)])
+def test_conditioning_is_the_filter_that_is_written_out(F, L, coupling):
+    """Gain and all, without a joint belief: correlations of the estimate with Q and V by their own recursions."""
+    noise, first = stage(F, L, coupling)
+    z, mean, P, DQ, DV = measured(runs=1)[:, 0], np.zeros(N), P0, np.zeros((N, N)), np.zeros((N, M))
+    found, last = alone(first, z[:, None]), np.zeros(M)
+    for k in range(T):
+        color, sensor = (noise.F, noise.Xi) if k else (0.0 * noise.F, noise.V)
+        y = z[k] - H @ PHI @ mean - color @ last
+        Omega = G @ noise.J @ np.linalg.inv(np.eye(M) + H @ G @ noise.J)
+        D, JF = np.eye(N) - Omega @ H, noise.J @ color
+        A, B = D @ PHI, D @ G
+        cross = A @ (DQ @ noise.L + DV @ JF.T) @ B.T
+        P = A @ P @ A.T + B @ (noise.Q + JF @ noise.V @ JF.T) @ B.T + cross + cross.T
+        DQ, DV = A @ DQ @ noise.L + B @ noise.Q, A @ DV @ color + B @ JF @ noise.V @ color
+        K = P @ H.T @ np.linalg.inv(H @ P @ H.T + sensor)
+        mean = PHI @ mean + Omega @ y + K @ (y - H @ Omega @ y)
+        left = np.eye(N) - K @ H
+        P, DQ, DV, last = left @ P, left @ DQ, left @ DV - K @ sensor, z[k] - H @ mean
+        np.testing.assert_allclose(found[0][k, 0], mean, atol=1e-9)
+        np.testing.assert_allclose(found[1][k, 0], P, atol=1e-9)
 
 
 @pytest.mark.parametrize(("F", "L"), [(0.8, 0.0), (0.5, 0.9), (-0.9, 0.5)])
@@ -136,8 +158,7 @@ def test_the_first_measurement_is_exact(F, L):
     state, stage_, info = first.update(state, at(0, z))
     np.testing.assert_allclose(state.belief.mean, z[0] @ (W @ K).T, atol=1e-12)
     np.testing.assert_allclose(state.belief.cov[0], W @ left @ W.T, atol=1e-12)
-    np.testing.assert_allclose(state.DV[0], (W @ left)[:, N : N + M], atol=1e-12)
-    np.testing.assert_allclose(state.DQ[0], (W @ left)[:, N + M :], atol=1e-12)
+    np.testing.assert_allclose(state.cross[0], np.hstack([(W @ left)[:, N + M :], (W @ left)[:, N : N + M]]), atol=1e-12)
     # The density of the innovation is that of z, which it is a linear function of: D z, D = I - H Omega.
     D = np.eye(M) - H @ stage_.Omega
     np.testing.assert_allclose(info.innovation, z[0] @ D.T, atol=1e-12)
@@ -194,7 +215,7 @@ class Forgetful(Differenced):
 
     def update(self, state, epoch):
         state, seen, info = super().update(state, epoch)
-        return state._replace(DQ=np.zeros_like(state.DQ)), seen, info
+        return state._replace(cross=np.hstack([np.zeros((N, N)), state.cross[0, :, N:]])[None]), seen, info
 
 
 def test_the_sensitivity_to_a_bias_is_the_derivative():
@@ -241,12 +262,11 @@ def test_factors_compare_a_window_of_residuals_with_their_variances():
 def test_forms_of_the_factor():
     S, residual = np.diag([1.0, 1.0]), np.array([2.0, 0.5])
     _, c = strong_tracking([8.0, 15.0], 100.0)(None, seen(residual, S))
-    _, b = strong_tracking([8.0, 15.0], 100.0, factor=proportional)(None, seen(residual, S))
+    _, b = strong_tracking([8.0, 15.0], 100.0, proportional=True)(None, seen(residual, S))
     np.testing.assert_allclose(c, [25.0, 1.0])
     np.testing.assert_allclose(b, [32.0, 3.75])
-    _, off = strong_tracking([0.0, 0.0], 1.0, factor=proportional)(None, seen(residual, S))
+    _, off = strong_tracking([0.0, 0.0], 1.0, proportional=True)(None, seen(residual, S))
     np.testing.assert_array_equal(off, 1.0)
-    assert excess(np.array([1.0]), np.array([8.0])) == 1.0
 
 
 @pytest.mark.parametrize("residual", [0.0, np.nan, np.inf, 1e200])

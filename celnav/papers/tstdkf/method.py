@@ -5,9 +5,9 @@ Differencing (Eqs. 21-56) is for AR(1) noise of measurement and process that are
     V_k = F V_k-1 + xi_k,   Q_k = L Q_k-1 + e_k,   x_k = f(x_k-1) + G_k (J V_k + Q_k),   z_k = h(x_k) + V_k
 
 The colored part of the last measurement's noise is taken off this one, ``Z' = z_k - F (z_k-1 - h(x_k-1))``, with the last
-*estimate* in place of the state. What then correlates process and measurement is removed by taking ``Z'`` into the prediction
-as an input, and the correlations of the estimate with the AR(1) noises are carried along. Exact for ``F = L = 0``, whatever J.
-With ``F`` the error of the last estimate is overlooked: the filter is then overconfident, the more the nearer ``F`` is to 1.
+*estimate* in place of the state; what then correlates process and measurement goes into the prediction, ``x + Omega (Z' - h(x))``,
+and the estimate's correlations with V and Q are carried along. Exact for ``F = L = 0``, whatever J. With ``F`` the error of the
+last estimate is overlooked: the filter is then overconfident, the more the nearer ``F`` is to 1.
 
 Strong tracking (Eqs. 57-61) keeps an average of squared residuals over the last ``tau`` measurements and compares it with what
 it should be. Component i of the residual acts on component i of the bias; nothing else connects the two.
@@ -22,25 +22,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from celnav.filters.joint import KEEP, condition, joint
 from celnav.filters.model import check_prior, given_back
 from celnav.filters.records import Epoch, Info
-from celnav.filters.two_stage import Boost, Stage
+from celnav.filters.two_stage import LINEAR, Boost, Stage
 from celnav.gaussian.belief import Gaussian, symmetric
 from celnav.gaussian.checks import finite, function, instance, number, numbers, together, unmasked
-from celnav.gaussian.linalg import Array, Covariance, cholesky, matvec, side_by_side, solve_lower, solve_right, whiten
-
-Moved = tuple[Array, Array, Array]
-"""State ``(..., n)`` after the interval, its Jacobian ``Phi (..., n, n)`` and the effect ``G (..., n, q)`` of the process noise."""
+from celnav.gaussian.linalg import Array, Covariance, block, matvec, side_by_side
+from celnav.gaussian.spaces import EUCLIDEAN
 
 
 class Noise(NamedTuple):
-    """AR(1) noises and how they are connected, as `ar1_noise` makes them; see the module.
-
-    Attributes
-    ----------
-    F: ``(m, m)``. L: ``(q, q)``. J: ``(q, m)``. Xi: ``(m, m)``, covariance of ``xi``. E: ``(q, q)``, covariance of ``e``.
-    V, Q: stationary covariances ``(m, m)`` and ``(q, q)``.
-    """
+    """AR(1) noises and how they are connected, as `ar1_noise` makes them: ``F (m, m)``, ``L (q, q)``, ``J (q, m)``, covariances
+    ``Xi (m, m)`` of ``xi`` and ``E (q, q)`` of ``e``, and the stationary ones ``V (m, m)`` and ``Q (q, q)``."""
 
     F: Array
     L: Array
@@ -52,43 +46,29 @@ class Noise(NamedTuple):
 
 
 def ar1_noise(F: ArrayLike, L: ArrayLike, J: ArrayLike, Xi: ArrayLike, E: ArrayLike) -> Noise:
-    """Checked noises, with their stationary covariances.
-
-    ValueError names what cannot be: ``F`` or ``L`` that is not diagonal with magnitudes below 1, or no covariance.
-    """
+    """Checked noises; ValueError for ``F`` or ``L`` that is not diagonal with magnitudes below 1, and for no covariance."""
     xi, e = finite("Xi", Xi, ("m", "m")), finite("E", E, ("q", "q"))
     m, q = len(xi), len(e)
+    colors = finite("F", F, (m, m)), finite("L", L, (q, q))
+    for name, a in zip("FL", colors, strict=True):
+        if np.any(a - np.diag(a.diagonal())) or np.abs(a).max() >= 1.0:
+            raise ValueError(f"{name}: expected a diagonal matrix of magnitudes below 1, got {a!r:.80}")
     if np.linalg.eigvalsh(symmetric(xi, "Xi", m)[0])[0] <= 0.0:
         raise ValueError("Xi: expected a positive definite covariance")
     symmetric(e, "E", q)
-    F, L = _coefficients("F", F, m), _coefficients("L", L, q)
-    V, Q = (cov / (1.0 - np.outer(a.diagonal(), a.diagonal())) for cov, a in ((xi, F), (e, L)))
-    return Noise(F, L, finite("J", J, (q, m)), xi, e, V, Q)
-
-
-def _coefficients(name: str, value: ArrayLike, size: int) -> Array:
-    matrix = finite(name, value, (size, size))
-    if np.any(matrix - np.diag(matrix.diagonal())) or np.abs(matrix).max() >= 1.0:
-        raise ValueError(f"{name}: expected a diagonal matrix of magnitudes below 1, got {value!r:.80}")
-    return matrix
+    V, Q = (cov / (1.0 - np.outer(a.diagonal(), a.diagonal())) for cov, a in zip((xi, e), colors, strict=True))
+    return Noise(*colors, finite("J", J, (q, m)), xi, e, V, Q)
 
 
 class DifferencedState(NamedTuple):
-    """State of the stage.
-
-    Attributes
-    ----------
-    belief: about x, in covariance form. DV: ``(..., n, m)`` and DQ: ``(..., n, q)``, covariances of its error with V and Q.
-    V: ``(..., m)``, the last measurement's noise as estimated; nan before the first. H: ``(..., m, n)``, its Jacobian.
-    moved: what the model said of the interval, until the update.
-    """
+    """Belief about x in covariance form; covariance ``cross (..., n, q + m)`` of its error with Q and V; ``V (..., m)``, the last
+    measurement's noise as estimated, nan before the first; its Jacobian ``H (..., m, n)``; and what `Differenced.move` gave."""
 
     belief: Covariance
-    DV: Array
-    DQ: Array
+    cross: Array
     V: Array
     H: Array
-    moved: Moved | None = None
+    moved: tuple[Array, Array, Array] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,14 +77,13 @@ class Differenced:
 
     Attributes
     ----------
-    move: ``(mean, epoch) -> (state, Phi, G)``; see `Moved`.
+    move: ``(mean, epoch) ->`` state ``(..., n)`` after the interval, its Jacobian ``Phi``, effect ``G (..., n, q)`` of the noise.
     h, slope: ``(mean, epoch) ->`` measurement ``(..., m)`` and its Jacobian ``(..., m, n)``. noise: see `ar1_noise`.
 
-    Its belief is in covariance form. It raises a ValueError for a measurement that is missing in part, or where ``I + H G J`` is
-    singular (determinant below 1e-12).
+    It raises a ValueError for a measurement that is missing in part, or where ``I + H G J`` is singular (determinant below 1e-12).
     """
 
-    move: Callable[[Array, Epoch], Moved]
+    move: Callable[[Array, Epoch], tuple[Array, Array, Array]]
     h: Callable[[Array, Epoch], Array]
     slope: Callable[[Array, Epoch], Array]
     noise: Noise
@@ -118,9 +97,8 @@ class Differenced:
         """State before the first epoch."""
         check_prior(prior)
         belief, (q, m) = Covariance.of(prior), self.noise.J.shape[-2:]
-        shape = belief.cov.shape[:-1]
-        V = np.full((*belief.mean.shape[:-1], m), np.nan)
-        return DifferencedState(belief, np.zeros((*shape, m)), np.zeros((*shape, q)), V, np.zeros((*shape[:-1], m, shape[-1])))
+        n, V = belief.mean.shape[-1], np.full((*belief.mean.shape[:-1], m), np.nan)
+        return DifferencedState(belief, np.zeros((n, q + m)), V, np.zeros((m, n)))
 
     def predict(self, state: DifferencedState, epoch: Epoch) -> tuple[DifferencedState, Array | None]:
         """State that knows what the model says of the interval, and the transition matrix."""
@@ -133,16 +111,15 @@ class Differenced:
     def update(self, state: DifferencedState, epoch: Epoch) -> tuple[DifferencedState, Stage | None, Info]:
         """State at the end of the interval given its measurement, and what was done."""
         assert state.moved is not None
-        x, Phi, G = state.moved
-        F, L, J, Xi, _, V, Q = self.noise
-        JF, f_V, f_Q = J @ F, *(matrix.diagonal(0, -2, -1)[..., None, :] for matrix in (F, L))
-        n, (q, m) = x.shape[-1], J.shape[-2:]
+        (x, Phi, G), (F, L, J, Xi, E, V, Q) = state.moved, self.noise
+        n, (q, m), first = x.shape[-1], J.shape[-2:], bool(np.isnan(state.V).all())
         z = numbers("z", epoch.z, () if epoch.z is None else (..., m))
         together(prior=x.shape[:-1], z=z.shape[:-1])
         if np.isnan(z).any():
             raise ValueError("z: expected a whole measurement at every epoch: what was missed cannot be differenced")
-        first = bool(np.isnan(state.V).all())
-        Z, sensor = (z, V) if first else (z - matvec(F, state.V), Xi)
+        if first:  # nothing to difference with: all of V is new
+            F, Xi = np.zeros_like(F), V
+        y = z - self._seen(x, epoch) - (0.0 if first else matvec(F, state.V))
 
         # What correlates process and measurement goes into the prediction, by Omega.
         H = numbers("slope", unmasked("slope", self.slope(x, epoch)), (..., m, n))
@@ -150,33 +127,26 @@ class Differenced:
         if np.abs(np.linalg.det(coupled)).min() < 1e-12:
             raise ValueError("J: expected I + H G J to have an inverse, got a singular matrix")
         Omega = np.linalg.solve(coupled.mT, (G @ J).mT).mT
-        both = side_by_side([Phi, G])
-        both = both - Omega @ (H @ both)
-        Phi1, G1 = both[..., :n], both[..., n:]
-        y = Z - self._seen(x, epoch)
-        into = matvec(Omega, y)
-        mean, innovation = x + into, y - matvec(H, into)
+        into, Phi1, G1 = matvec(Omega, y), Phi - Omega @ (H @ Phi), G - Omega @ (H @ G)
 
-        ahead = Phi1 @ side_by_side([state.belief.cov, state.DQ, state.DV])
-        ahead_Q, ahead_V = ahead[..., n : n + q] * f_Q, ahead[..., n + q :]
-        # What the noises add to the state, and to DQ and DV; the first measurement has taken all of J V into the prediction.
-        carried = np.zeros_like(JF) if first else JF @ V
-        driven = G1 @ side_by_side([0.5 * (Q + carried @ JF.mT), Q, carried * f_V])
-        cross = (ahead_Q + ahead_V @ JF.mT + driven[..., :q]) @ G1.mT
-        P = ahead[..., :n] @ Phi1.mT + cross + cross.mT
-        HP = H @ P
-        root = cholesky(HP @ H.mT + sensor)
-        K = solve_right(root, solve_lower(root, HP).mT)
-        cov = P - K @ HP
-        kept = side_by_side([ahead_Q, ahead_V * f_V]) + driven[..., q:]
-        kept = kept - K @ (H @ kept)
-        DQ, DV = kept[..., :q], kept[..., q:] - K @ sensor
+        # The joint of (x, Q, V): x = Phi1 x + G1 (J F V + L Q + e), Q = L Q + e, and V waits for xi, which is measured with H x.
+        moves, marginals = side_by_side([Phi1, G1 @ side_by_side([L, J @ F])]), block([[Q, 0], [0, V]])
+        ahead, driven = moves @ block([[state.belief.cov, state.cross], [state.cross.mT, marginals]]), G1 @ E
+        P, cross = ahead @ moves.mT + driven @ G1.mT, side_by_side([ahead[..., n : n + q] @ L + driven, ahead[..., n + q :]])
+        cov, nothing = block([[0.5 * (P + P.mT), cross], [cross.mT, marginals]]), np.zeros(q + m)
+        moved, sensor = Covariance(side_by_side([x + into, nothing]), cov), (nothing[:m], side_by_side([H, np.zeros((m, q + m))]))
+        seen = joint(LINEAR, moved, (sensor, KEEP), z=y - matvec(H, into), measurement_noise=np.linalg.cholesky(Xi))
+        both, info, _ = condition(Covariance, seen, EUCLIDEAN)
+        assert seen.innovation is not None
+        assert info.sqrt_S is not None
+        assert info.gain is not None
 
-        belief = Covariance(mean + matvec(K, innovation), 0.5 * (cov + cov.mT))
-        after = DifferencedState(belief, DV, DQ, z - self._seen(belief.mean, epoch), H)
-        used = np.ones(innovation.shape, bool)
-        stage = Stage(innovation, root, K, H, used[(0,) * (used.ndim - 1)], Omega, None if first else F, None if first else state.H)
-        return after, stage, Info(innovation, whiten(root, innovation), used, root, lambda: K)
+        # Kept is what concerns x; Q and V have their stationary marginals again. V = F V + xi, and xi is what H x leaves over of z.
+        belief, cross = Covariance(both.mean[..., :n], both[1][..., :n, :n]), both[1][..., :n, n:]
+        cross = side_by_side([cross[..., :q], cross[..., q:] @ F - belief.cov @ H.mT])
+        after = DifferencedState(belief, cross, z - self._seen(belief.mean, epoch), H)
+        lag = (None, None) if first else (F, state.H)
+        return after, Stage(seen.innovation, info.sqrt_S, info.gain()[..., :n, :], H, np.ones(m, bool), Omega, *lag), info
 
     def _seen(self, x: Array, epoch: Epoch) -> Array:
         return numbers("h", unmasked("h", self.h(x, epoch)), (..., self.noise.F.shape[-1]))
@@ -184,8 +154,6 @@ class Differenced:
 
 LARGEST = 1e6
 """Factors lie between 1 and this; what is not a number counts as 1."""
-Factor = Callable[[Array, Array], Array]
-"""``(ratios (..., m), rho (m,)) -> factors`` from the ratios of squared residuals to their variances."""
 
 
 class Window(NamedTuple):
@@ -196,30 +164,20 @@ class Window(NamedTuple):
     factors: Array
 
 
-def excess(ratios: Array, rho: Array) -> Array:
-    """``1 + rho (ratio - 1)``: near 1 while the filter is consistent."""
-    return np.asarray(1.0 + rho * (ratios - 1.0))
+def strong_tracking(rho: ArrayLike, tau: float, *, proportional: ArrayLike = False) -> Any:
+    """A boost for `celnav.filters.two_stage.two_stage`: factors ``1 + rho (ratio - 1)``, of squared residuals over variances.
 
-
-def proportional(ratios: Array, rho: Array) -> Array:
-    """``rho ratio``: near ``rho`` even while the filter is consistent, the reading closest to the prose; 1 where ``rho`` is 0."""
-    return np.where(rho > 0.0, rho * ratios, 1.0)
-
-
-def strong_tracking(rho: ArrayLike, tau: float, *, factor: Factor = excess) -> Any:
-    """A boost for `celnav.filters.two_stage.two_stage`.
-
-    Parameters
-    ----------
     rho: ``(..., m)``, not negative; 0 switches a component off. tau: length of the window, in measurements, at least 1.
-    factor: `excess` or `proportional`.
+    proportional: where factors are ``rho ratio`` instead, closest to the prose: near ``rho`` even while the filter is consistent.
 
     >>> filter = celnav.two_stage(motion, sensor, Gamma, bias, boost=strong_tracking([8.0, 15.0, 9.0], 100.0))
     """
     weights, length = finite("rho", rho), number("tau", tau, 1.0)
     if weights.ndim == 0 or (weights < 0.0).any():
         raise ValueError(f"rho: expected numbers (..., m) that are not negative, got {rho!r}")
-    function("factor", factor, "(ratios, rho)")
+    form = finite("proportional", proportional)
+    together(rho=weights.shape, proportional=form.shape)
+    least = np.where(form > 0.0, 0.0, 1.0 - weights)
 
     def boost(memory: Window | None, seen: Boost) -> tuple[Window, Array]:
         square = seen.residual * seen.residual
@@ -228,7 +186,7 @@ def strong_tracking(rho: ArrayLike, tau: float, *, factor: Factor = excess) -> A
         count = 1 if memory is None else memory.length + 1
         before = np.zeros_like(square) if memory is None else memory.squares
         squares = before + (square - before) / min(count, length)
-        found = numbers("factor", factor(squares / seen.total.diagonal(0, -2, -1), weights), (..., square.shape[-1]))
+        found = least + weights * (squares / seen.total.diagonal(0, -2, -1))
         factors = np.minimum(np.maximum(np.where(np.isfinite(found), found, 1.0), 1.0), LARGEST)
         return Window(count, squares, factors), factors
 

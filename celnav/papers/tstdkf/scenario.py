@@ -1,21 +1,11 @@
 """[Xu2024]: a satellite of the Earth that times three pulsars, with colored noise and an error of the Earth's ephemeris.
 
-The display equations of the text at hand are lost; what was inferred is
+The display equations of the text at hand are lost. Inferred are Eq. 2, delay of a pulse (`celnav.models.pulsar.Timing`); 3-4,
+orbit (`celnav.models.orbit`); 17, 69, 70, ephemeris error (`Config.bias`); 19, deviation of a timing (`Pulsar.timing_std`); 21-56
+and 57-61, differencing and strong tracking (`celnav.papers.tstdkf.method`), on two stages (`celnav.filters.two_stage`).
 
-=============  ======================================================  ===========================================
-equation       content                                                 here
-=============  ======================================================  ===========================================
-2              delay of a pulse                                        `celnav.models.pulsar.Timing`
-3-4            orbit and its derivatives                               `celnav.models.orbit`
-17, 69, 70     ephemeris error                                         `Config.bias`
-19             deviation of a timing                                   `celnav.models.pulsar.Pulsar.timing_std`
-21-56          colored, correlated noise; differencing                 `celnav.papers.tstdkf.method.Differenced`
-57-61          strong tracking                                         `celnav.papers.tstdkf.method.strong_tracking`
-(Friedland)    two stages                                              `celnav.filters.two_stage`
-=============  ======================================================  ===========================================
-
-Several configurations are flown side by side, as *cases* on the same random numbers: what a step costs is mostly what its first
-run costs. They share times, orbit and pulsars; the runs of one case lie after those of another.
+Several configurations may be flown together, as *cases* along an axis before that of the runs, on the same random numbers: what a
+step costs is mostly what its first run costs. They share times, orbit and pulsars.
 """
 
 from __future__ import annotations
@@ -26,6 +16,7 @@ from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from celnav.filters.model import Linear, Motion, Sensor
 from celnav.filters.records import Epoch, Filter, FromFunctions, State
@@ -37,9 +28,10 @@ from celnav.models import orbit
 from celnav.models.ephemeris import GM, Tdb, de421, from_utc
 from celnav.models.orbit import NODES, Extra, Flow, advance, flow, third_body
 from celnav.models.pulsar import LIGHT_KM_S, Timing, pulsars
-from celnav.papers.tstdkf.method import Differenced, Noise, ar1_noise, excess, proportional, strong_tracking
+from celnav.papers.tstdkf.method import Differenced, Noise, ar1_noise, strong_tracking
 from celnav.study.montecarlo import normals, steps
 from celnav.study.parameters import Parameters, param
+from celnav.study.study import Rngs
 from celnav.study.trial import Group, Trial
 
 TITLE = "Two-stage strong-tracking differential Kalman filter for X-ray pulsars"
@@ -111,14 +103,9 @@ class Config(Parameters):
         steps("days", self.days * DAY_S / self.step_s)
 
     @property
-    def steps(self) -> int:
-        """Measurements."""
-        return round(self.days * DAY_S / self.step_s)
-
-    @property
     def times(self) -> Array:
-        """Seconds since the start, ``(steps + 1,)``; nothing is measured at the first."""
-        return self.step_s * np.arange(self.steps + 1)
+        """Seconds since the start, ``(T,)``; nothing is measured at the first."""
+        return self.step_s * np.arange(round(self.days * DAY_S / self.step_s) + 1)
 
     @property
     def dates(self) -> Tdb:
@@ -176,134 +163,133 @@ PRESETS = {"table5": TABLE_5, "white": WHITE, "year": YEAR}
 
 
 # -- what happens ------------------------------------------------------------------------------------------------------------
+Cases = Config | Sequence[Config]
+"""One configuration, or several that are flown together."""
 PULLING = ("sun", "moon")
-SHARED = ("start_utc", "step_s", "days", "pulsars", "elements", "rate_noise_km_per_s", "acceleration_noise_km_per_s2", "pulled")
 
 
-class Sky(NamedTuple):
-    """Where Earth and Sun are at each epoch, ``(T, 3)`` km: what the filters believe.
-
-    ``bodies``: Sun and Moon from the Earth's center at the nodes of the step before each epoch, ``(T, 2, N, 3)``, if they pull.
-    """
-
-    earth: Array
-    sun: Array
-    bodies: Array | None
+def stacked(cases: Cases, of: Callable[[Config], Any]) -> Array:
+    """A parameter: of one configuration as it is, of several ``(cases, 1, ...)``, which broadcasts over the runs."""
+    return np.asarray(of(cases)) if isinstance(cases, Config) else np.stack([np.asarray(of(case)) for case in cases])[:, None]
 
 
-def sky(config: Config) -> Sky:
-    """Earth and Sun, and what pulls, by DE421."""
+def one_of(cases: Cases) -> Config:
+    """That whose times, orbit and pulsars are those of all."""
+    return cases if isinstance(cases, Config) else cases[0]
+
+
+def noises(cases: Cases) -> Noise:
+    """Noises, `stacked`."""
+    if isinstance(cases, Config):
+        return cases.noise
+    return Noise(*(np.stack(part)[:, None] for part in zip(*(case.noise for case in cases), strict=True)))
+
+
+def sky(config: Config) -> tuple[Array, Array, Array | None]:
+    """By DE421 where Earth and Sun are at each epoch, ``(T, 3)`` km: what the filters believe; and Sun and Moon from the Earth's
+    center at the nodes of the step before each epoch, ``(T, 2, N, 3)``, if they pull."""
     earth, sun = (de421().state(body, config.dates).position for body in ("earth", "sun"))
     if not config.pulled:
-        return Sky(earth, sun, None)
+        return earth, sun, None
     nodes = from_utc(config.start_utc).after(config.times[:, None] - config.step_s * (1.0 - NODES.at))
     center = de421().state("earth", nodes).position
-    return Sky(earth, sun, np.stack([de421().state(body, nodes).position - center for body in PULLING], 1))
+    return earth, sun, np.stack([de421().state(body, nodes).position - center for body in PULLING], 1)
 
 
 def pull(bodies: Array | None) -> Extra | None:
     """What Sun and Moon, at ``(2, N, 3)`` during a step, add to the acceleration."""
     if bodies is None:
         return None
-
-    def extra(r: Array, _times: Array) -> Array:
-        position = np.moveaxis(r, 0, -1)
-        pulls = (third_body(position, at[:, None], GM[body]) for body, at in zip(PULLING, bodies, strict=True))
-        return np.moveaxis(sum(pulls, np.zeros(3)), -1, 0)
-
-    return extra
+    both = [(at[:, None], GM[body]) for body, at in zip(PULLING, bodies, strict=True)]
+    return lambda r, _: np.moveaxis(sum((third_body(np.moveaxis(r, 0, -1), *one) for one in both), np.zeros(3)), -1, 0)
 
 
-def nominal_orbit(config: Config) -> Array:
-    """States ``(T, 6)`` of the undisturbed orbit; not to be written to."""
-    return _undisturbed(config.elements, config.step_s, config.steps)
+def nominal(config: Config) -> Flow:
+    """The undisturbed orbit ``(T, 6)``, and ``Phi`` and ``G`` of each step, ``(T - 1, 6, 6)``; not to be written to."""
+    return _coasted(tuple(config.orbit.tolist()), config.step_s, config.samples)
 
 
 @lru_cache(maxsize=4)
-def _undisturbed(elements: tuple[float, ...], step_s: float, steps: int) -> Array:
-    out = np.empty((steps + 1, 6))
-    out[0] = Config(elements=elements).orbit
+def _coasted(start: tuple[float, ...], step_s: float, steps: int) -> Flow:
+    x = np.empty((steps + 1, 6))
+    x[0] = start
     for k in range(steps):
-        out[k + 1] = advance(out[k], step_s)
-    out.flags.writeable = False
-    return out
+        x[k + 1] = advance(x[k], step_s)
+    pieces = [flow(part, step_s)[1:] for part in np.array_split(x[:-1], 1 + steps // 4096)]  # that stay in the cache
+    return Flow(x, *map(np.concatenate, zip(*pieces, strict=True)))
 
 
 class Scenario(NamedTuple):
-    """Simulated runs, time-major: configurations and how many ``runs`` of each; ``truth (T, all runs, 6)`` km, km/s; ``bias (T, all
-    runs, 3)`` km; ``z (T, all runs, m)`` km, nan at the start."""
+    """Simulated runs, time-major, of one configuration or of several ``(cases, runs)``: ``truth (T, ..., 6)`` km, km/s; ``bias (T,
+    ..., 3)`` km; ``z (T, ..., m)`` km, of which the first is not used; ``inputs``: arrays ``(T - 1, ...)`` for the models."""
 
-    cases: tuple[Config, ...]
-    runs: int
     truth: Array
     bias: Array
     z: Array
-    sky: Sky
+    inputs: tuple[Array | None, ...]
     prior: Gaussian
+    step_s: float
 
     def epochs(self) -> Iterator[Epoch]:
-        """Epochs from the first measurement on; ``u`` is ``(earth, sun, bodies)``, ``truth`` state and bias ``(runs, 9)``."""
-        dt = self.cases[0].step_s
+        """Epochs from the first measurement on; ``truth`` is state and bias ``(..., 9)``."""
         for k in range(1, len(self.truth)):
-            bodies = None if self.sky.bodies is None else self.sky.bodies[k]
-            truth = np.concatenate([self.truth[k], self.bias[k]], -1)
-            yield Epoch(k, k * dt, dt, (self.sky.earth[k], self.sky.sun[k], bodies), self.z[k], truth)
-
-    def only(self, first: int, count: int = 1) -> Scenario:
-        """Some of the cases."""
-        part = slice(first * self.runs, (first + count) * self.runs)
-        truth, bias, z = (values[:, part] for values in (self.truth, self.bias, self.z))
-        prior = Gaussian(self.prior.mean[part], self.prior.cov[part])
-        return Scenario(self.cases[first : first + count], self.runs, truth, bias, z, self.sky, prior)
+            u = tuple(None if part is None else part[k - 1] for part in self.inputs)
+            yield Epoch(k, k * self.step_s, self.step_s, u, self.z[k], side_by_side([self.truth[k], self.bias[k]]))
 
 
-Cases = Config | Sequence[Config]
+def drawn(cases: Cases, rngs: Rngs) -> tuple[Array, Array, Array, Array]:
+    """AR(1) noises V ``(T, ..., runs, 3)`` km and Q ``(T, ..., runs, 6)``; drawn for each run ``(runs, 6)``, and for its bias."""
+    c, noise, out = one_of(cases), noises(cases), []
+    xi, e, first, rest = normals(rngs, (c.samples + 1, 3), (c.samples + 1, 6), (9,), (9,))
+    V, Q = (xi * c.sigma_km, first[:, :3], noise.F, noise.V), (e * c.process_std, first[:, 3:], noise.L, noise.Q)
+    for increments, start, color, cov in (V, Q):
+        start, color = start * np.sqrt(cov.diagonal(0, -2, -1)), color.diagonal(0, -2, -1)
+        values = np.empty((len(increments), *start.shape))
+        values[0] = start
+        for k in range(1, len(values)):
+            values[k] = color * values[k - 1] + increments[k]
+        out.append(values)
+    return out[0], out[1], rest[:, :6], rest[:, 6:]
 
 
-def as_cases(cases: Cases) -> tuple[Config, ...]:
-    """One configuration or several; ValueError names what they must share."""
-    together = (cases,) if isinstance(cases, Config) else tuple(cases)
-    for name in SHARED:
-        if len({getattr(case, name) for case in together}) != 1:
-            raise ValueError(f"{name}: expected the same in all cases, got {', '.join(str(getattr(c, name)) for c in together)}")
-    return together
-
-
-def each(values: Sequence[Any], runs: int) -> Array:
-    """Arrays of the cases, with an axis of all runs; that of a single case as it is."""
-    return np.asarray(values[0]) if len(values) == 1 else np.repeat(np.stack([np.asarray(value) for value in values]), runs, 0)
-
-
-def noises(cases: Sequence[Config], runs: int) -> Noise:
-    """Noises of cases, see `each`."""
-    return Noise(*(each(same, runs) for same in zip(*(case.noise for case in cases), strict=True)))
-
-
-def simulate(cases: Cases, rngs: Sequence[np.random.Generator]) -> Scenario:
+def simulate(cases: Cases, rngs: Rngs) -> Scenario:
     """Simulate one run of each case with each generator."""
-    together = as_cases(cases)
-    c, count, runs = together[0], len(together), len(rngs)
-    T, timing, seen = c.steps + 1, c.timing, sky(c)
-    xi, e, first, drawn = (np.tile(draw, (count, 1)) for draw in normals(rngs, (T, 3), (T, 6), (9,), (9,)))
-    noise, sigma, std = noises(together, runs), c.sigma_km, c.process_std
-    V, Q = (part * np.sqrt(cov.diagonal(0, -2, -1)) for part, cov in ((first[:, :3], noise.V), (first[:, 3:], noise.Q)))
-    bias = np.empty((T, count * runs, 3))
-    for i, case in enumerate(together):
-        own = slice(i * runs, (i + 1) * runs)
-        bias[:, own] = case.bias_prior_km * drawn[own, 6:] if case.trend == "constant" else case.bias(c.times)[:, None]
+    c, noise, (V, Q, begun, constant) = one_of(cases), noises(cases), drawn(cases, rngs)
+    timing, (earth, sun, bodies), each = c.timing, sky(c), [c] if isinstance(cases, Config) else cases
+    errors = [case.bias_prior_km * constant if case.trend == "constant" else case.bias(c.times)[:, None] for case in each]
+    bias = np.stack([np.broadcast_to(error, (len(V), len(rngs), 3)) for error in errors], 1).reshape(V.shape)
     # The disturbance is mapped by the nominal orbit's G, from which that of a run differs by 1e-4 of itself.
-    G = flow(nominal_orbit(c)[:-1], c.step_s).G
-    truth, z = np.empty((T, count * runs, 6)), np.full((T, count * runs, 3), np.nan)
+    G, truth, z = nominal(c).G, np.empty_like(Q), np.full_like(V, np.nan)
     truth[0] = c.orbit
-    for k in range(1, T):
-        V, Q = matvec(noise.F, V) + sigma * xi[k], matvec(noise.L, Q) + std * e[k]
-        extra = pull(None if seen.bodies is None else seen.bodies[k])
-        truth[k] = advance(truth[k - 1], c.step_s, extra=extra) + (matvec(noise.J, V) + Q) @ G[k - 1].T
-        z[k] = timing.delay(seen.earth[k] + bias[k] + truth[k, :, :3], seen.sun[k]) + V
-    deviation = np.repeat([case.deviation for case in together], runs, 0)
-    start = np.where(np.repeat([case.initial == "drawn" for case in together], runs)[:, None], drawn[:, :6], 1.0)
+    for k in range(1, len(truth)):
+        extra = pull(None if bodies is None else bodies[k])
+        truth[k] = advance(truth[k - 1], c.step_s, extra=extra) + (matvec(noise.J, V[k]) + Q[k]) @ G[k - 1].T
+        z[k] = timing.delay(earth[k] + bias[k] + truth[k, ..., :3], sun[k]) + V[k]
+    deviation = stacked(cases, lambda case: case.deviation)
+    start = np.where(stacked(cases, lambda case: [case.initial == "drawn"]), begun, 1.0)
     prior = Gaussian(c.orbit + start * deviation, deviation[..., None] ** 2 * np.eye(6))
-    return Scenario(together, runs, truth, bias, z, seen, prior)
+    return Scenario(truth, bias, z, (earth[1:], sun[1:], None if bodies is None else bodies[1:]), prior, c.step_s)
+
+
+def linearized(cases: Sequence[Config], rngs: Rngs) -> Scenario:
+    """Runs of errors about the nominal orbit, for `LINEAR` models, whose filters have one covariance for all runs.
+
+    The cases may differ in their ephemeris error alone; a constant one is 1 km along an axis in each of the first runs, and along
+    random directions in others.
+    """
+    c, (V, Q, _, constant) = cases[0], drawn(cases[0], rngs)
+    (orbit, Phi, G), (earth, sun, _), J = nominal(c), sky(c), c.noise.J
+    x, Gamma = np.zeros_like(Q), c.timing.gradient(earth + orbit[:, :3], sun)
+    for k in range(1, len(x)):
+        x[k] = x[k - 1] @ Phi[k - 1].T + (V[k] @ J.T + Q[k]) @ G[k - 1].T
+    unit, batch = constant / np.linalg.norm(constant, axis=1, keepdims=True), (len(x), len(cases), len(rngs))
+    unit[:3] = np.eye(3)[: len(unit)]
+    errors = [unit[None] if case.trend == "constant" else case.bias(c.times)[:, None] for case in cases]
+    bias = np.stack([np.broadcast_to(error, (len(x), *error.shape[1:])) for error in errors], 1)
+    truth, bias = np.broadcast_to(x[:, None], (*batch, 6)), np.broadcast_to(bias, (*batch, 3))
+    z = (truth[..., :3] + bias) @ Gamma[:, None].mT + V[:, None]
+    prior = Gaussian(np.broadcast_to(c.deviation, (*batch[1:], 6)), np.diag(c.deviation**2))
+    return Scenario(truth, bias, z, (Phi, G, Gamma[1:]), prior, c.step_s)
 
 
 # -- models ------------------------------------------------------------------------------------------------------------------
@@ -321,30 +307,24 @@ class Models(NamedTuple):
 
     def H(self, mean: Array, epoch: Epoch) -> Array:
         """``[Gamma 0]``."""
-        Gamma = self.Gamma(mean, epoch)
-        return np.concatenate([Gamma, np.zeros_like(Gamma)], -1)
+        return block([[self.Gamma(mean, epoch), np.zeros((3, 3))]])
 
-
-class Orbit:
-    """The orbit's flow about the last state asked for: what follows, Jacobian and noise input come from one integration."""
-
-    def __init__(self, pulled: bool = False) -> None:
-        self._pulled = pulled
-        self._last: tuple[Array, int, Flow] | None = None
-
-    def __call__(self, mean: Array, epoch: Epoch) -> Flow:
-        """Flow of an interval from the orbit in ``mean (..., 6 or more)``."""
-        x = mean[..., :6]
-        if self._last is None or self._last[1] != epoch.k or not np.array_equal(self._last[0], x):
-            self._last = x.copy(), epoch.k, flow(x, epoch.dt, extra=pull(epoch.u[2] if self._pulled else None))
-        return self._last[2]
+    def believed(self, kind: Any, function: Any, jacobian: Any, **noise: Any) -> Any:
+        """A `Motion` or `Sensor` of a function and its Jacobian, which is all of it where it is linear."""
+        return kind(Linear(partial(jacobian, np.zeros(6))), **noise) if self.linear else kind(function, jacobian=jacobian, **noise)
 
 
 def models(config: Config, pulled: bool = False) -> Models:
     """The models of a configuration. ``pulled``: whether they know of Sun and Moon."""
-    timing = config.timing
+    timing, last = config.timing, list[Any]([np.zeros(0), -1, None])
+
+    def move(mean: Array, epoch: Epoch) -> Any:  # what follows, Jacobian and noise input come from one integration
+        if last[1] != epoch.k or not np.array_equal(last[0], mean[..., :6]):
+            last[:] = mean[..., :6].copy(), epoch.k, flow(mean[..., :6], epoch.dt, extra=pull(epoch.u[2] if pulled else None))
+        return last[2]
+
     return Models(
-        Orbit(pulled),
+        move,
         lambda x, epoch: timing.delay(epoch.u[0] + x[..., :3], epoch.u[1]),
         lambda x, epoch: timing.gradient(epoch.u[0] + x[..., :3], epoch.u[1]),
     )
@@ -356,141 +336,71 @@ LINEAR = Models(
     lambda _, epoch: epoch.u[2],
     linear=True,
 )
-"""Models of errors about the nominal orbit, for `nominal_epochs`: all runs have the same covariances, which are computed once."""
-
-
-def nominal_epochs(config: Config, chunk: int = 4096) -> Iterator[Epoch]:
-    """Epochs of the nominal orbit, linearized some at a time; ``u`` is ``(Phi, G, Gamma)``, and nothing is measured yet."""
-    x, seen, dt = nominal_orbit(config), sky(config), config.step_s
-    for first in range(0, config.steps, chunk):
-        part = slice(first, first + chunk + 1)
-        _, Phi, G = flow(x[part][:-1], dt)
-        Gamma = config.timing.gradient(seen.earth[part] + x[part, :3], seen.sun[part])[1:]
-        for k, step in enumerate(zip(Phi, G, Gamma, strict=True), start=first + 1):
-            yield Epoch(k, k * dt, dt, step)
+"""Models of errors about the nominal orbit; ``epoch.u`` is ``(Phi, G, Gamma)``."""
 
 
 # -- the filters -------------------------------------------------------------------------------------------------------------
-White = tuple[Array, Array]
-"""Covariances ``(..., 6, 6)`` and ``(..., m, m)`` of rates and timings, for a filter that takes all noise for white."""
-FORMS = {"excess": excess, "proportional": proportional}
+def filters(cases: Cases, seen: Models | None = None, noise: Noise | None = None, *, on: ArrayLike = 1.0) -> dict[str, Any]:
+    """The filters by name. ``seen``, ``noise``: other models and noises than those of the cases. ``on``: factor of rho.
 
-
-def driving(config: Config) -> White:
-    """The covariances of the driving noise, the paper's (inferred) choice."""
-    return config.noise.E, config.noise.Xi
-
-
-def stationary(config: Config) -> White:
-    """The covariances that the noises really have."""
-    noise = config.noise
-    return noise.Q + noise.J @ noise.V @ noise.J.mT, noise.V
-
-
-def kalman(seen: Models, whites: Sequence[White], runs: int = 1) -> Sequential:
-    """An EKF that takes all noise for white."""
-    Q, R = (each(same, runs) for same in zip(*whites, strict=True))
-    move, root = seen.move, np.linalg.cholesky(Q)
-
-    def f(x: Array, epoch: Epoch) -> Array:
-        return move(x[0], epoch).state[None]
-
-    motion = derived(Motion, seen, f, lambda x, epoch: move(x, epoch).Phi, sqrt_Q=lambda x, epoch: move(x, epoch).G @ root)
-    return ekf(motion, derived(Sensor, seen, seen.measure, seen.H, R=R), form="covariance")
-
-
-def derived(kind: Any, seen: Models, function: Any, jacobian: Any, **noise: Any) -> Any:
-    """A `Motion` or `Sensor` of a function and its Jacobian, which is all of it where it is linear."""
-    return kind(Linear(partial(jacobian, np.zeros(6))), **noise) if seen.linear else kind(function, jacobian=jacobian, **noise)
-
-
-def bias_prior(cases: Sequence[Config], runs: int) -> Gaussian:
-    """Belief about the ephemeris error at the start."""
-    cov = each([case.bias_prior_km**2 * np.eye(3) for case in cases], runs)
-    return Gaussian(np.zeros(cov.shape[:-1]), cov)
-
-
-def two_stages(cases: Sequence[Config], runs: int, whites: Sequence[White], seen: Models) -> TwoStage:
-    """TKF, whose first stage is EKF."""
-    return TwoStage.of(Plain(kalman(seen, whites, runs)), seen.Gamma, bias_prior(cases, runs))
-
-
-def boosted(
-    cases: Cases, runs: int = 1, *, plain: bool = False, first: Differenced | None = None, seen: Models | None = None
-) -> TwoStage:
-    """TSTDKF. ``plain``: along a leading axis TDKF too, first of both. ``first``: another first stage. ``seen``: other models."""
-    together = as_cases(cases)
-    seen, rho = seen or models(together[0]), each([case.rho for case in together], runs)
-    chosen = each([[case.factor == "proportional"] for case in together], runs)
-
-    def factor(ratios: Array, weights: Array) -> Array:
-        return np.where(chosen, proportional(ratios, weights), excess(ratios, weights))
-
-    form = FORMS[together[0].factor] if len({case.factor for case in together}) == 1 else factor
-    boost = strong_tracking(np.stack([0.0 * rho, rho]).reshape(2, -1, 3) if plain else rho, together[0].tau, factor=form)
-    stage = first or Differenced(seen.move, seen.measure, seen.H, noises(together, runs))
-    return TwoStage.of(stage, seen.Gamma, bias_prior(together, runs), boost=boost)
-
-
-def filters(cases: Cases, runs: int = 1, seen: Models | None = None) -> dict[str, Any]:
-    """The filters by name, for priors ``(all runs, 6)``; for one case of any batch shape. ``seen``: other models.
-
-    ekf, tkf: ignorance and two stages, with the covariances of the driving noise; the first stage of tkf is ekf. ekf-fair,
-    tkf-fair: the same with the stationary covariances. tdkf, tstdkf: two stages on differenced measurements, without and with
-    strong tracking. aug: all noises and the bias among the states, exact. Beliefs of ekf are about ``(r, v)``, of aug about
-    ``(r, v, V, Q, b)``, of the others about ``(r, v, b)``.
+    ekf, tkf: ignorance and two stages, with the covariances of the driving noise, the paper's (inferred) choice; the first stage of
+    tkf is ekf. ekf-fair, tkf-fair: the same with the covariances that the noises really have. tdkf, tstdkf: two stages on
+    differenced measurements, without and with strong tracking. aug: all noises and the bias among the states, exact. Beliefs of ekf
+    are about ``(r, v)``, of aug about ``(r, v, V, Q, b)``, of the others about ``(r, v, b)``.
     """
-    together = as_cases(cases)
-    seen = seen or models(together[0])
-    tstdkf, out = boosted(together, runs, seen=seen), dict[str, Any]()
-    for name, white in (("", driving), ("-fair", stationary)):
-        believed = [white(case) for case in together]
-        out |= {f"ekf{name}": kalman(seen, believed, runs), f"tkf{name}": two_stages(together, runs, believed, seen)}
-    return {**out, "tdkf": replace(tstdkf, boost=None), "tstdkf": tstdkf, "aug": augmented(together, runs, seen=seen)}
+    seen, n = seen or models(one_of(cases)), noise or noises(cases)
+    bias = Gaussian(np.zeros(3), stacked(cases, lambda case: case.bias_prior_km**2 * np.eye(3)))
+    out: dict[str, Any] = {}
+    for name, Q, R in (("", n.E, n.Xi), ("-fair", n.Q + n.J @ n.V @ n.J.mT, n.V)):
+        out[f"ekf{name}"] = kalman(seen, Q, R)
+        out[f"tkf{name}"] = TwoStage.of(Plain(out[f"ekf{name}"]), seen.Gamma, bias)
+    tdkf = TwoStage.of(Differenced(seen.move, seen.measure, seen.H, n), seen.Gamma, bias)
+    walk = stacked(cases, lambda case: case.walk_km * np.eye(3))
+    rho, form = stacked(cases, lambda case: case.rho), stacked(cases, lambda case: [case.factor == "proportional"])
+    boost = strong_tracking(on * rho, one_of(cases).tau, proportional=form)
+    return out | {"tdkf": tdkf, "tstdkf": replace(tdkf, boost=boost), "aug": augmented(seen, n, bias, walk)}
 
 
-def augmented(cases: Cases, runs: int = 1, *, noise: Noise | None = None, seen: Models | None = None) -> Filter:
+def kalman(seen: Models, Q: Array, R: Array) -> Sequential:
+    """An EKF that takes all noise for white, of covariances Q ``(..., 6, 6)`` of the rates and R ``(..., m, m)``."""
+    move, root = seen.move, np.linalg.cholesky(Q)
+    motion = seen.believed(
+        Motion, lambda x, epoch: move(x[0], epoch).state[None], lambda x, epoch: move(x, epoch).Phi,
+        sqrt_Q=lambda x, epoch: move(x, epoch).G @ root,
+    )  # fmt: skip
+    return ekf(motion, seen.believed(Sensor, seen.measure, seen.H, R=R), form="covariance")
+
+
+def augmented(seen: Models, n: Noise, bias: Gaussian, walk: Array) -> Filter:
     """The exact filter: 18 states ``(x, V, Q, b)``, the bias a random walk, and no noise left in the measurement.
 
-    ``noise``: other noises than those of the cases. In square-root form: after an update V is known from the rest, so the
-    covariance is singular.
+    In square-root form: after an update V is known from the rest, so the covariance is singular.
     """
-    together = as_cases(cases)
-    n, seen = noise or noises(together, runs), seen or models(together[0])
-    move, JF, bias = seen.move, n.J @ n.F, bias_prior(together, runs)
+    into, through = side_by_side([n.J @ n.F, n.L]), side_by_side([n.J @ np.sqrt(n.Xi), np.sqrt(n.E)])
+    color, drives = block([[n.F, 0], [0, n.L]]), block([[np.sqrt(n.Xi), 0], [0, np.sqrt(n.E)]])
 
     def f(x: Array, epoch: Epoch) -> Array:
-        mean = x[0]
-        moved = move(mean, epoch)
-        V, Q, b = mean[..., 6:9], mean[..., 9:15], mean[..., 15:]
-        rates = matvec(JF, V) + matvec(n.L, Q)
-        return np.concatenate([moved.state + matvec(moved.G, rates), matvec(n.F, V), matvec(n.L, Q), b], -1)[None]
-
-    walk = each([case.walk_km * np.eye(3) for case in together], runs)
-    color, drives, constant = block([[n.F, 0], [0, n.L]]), block([[np.sqrt(n.Xi), 0], [0, np.sqrt(n.E)]]), np.eye(3)
-    into, through = side_by_side([JF, n.L]), side_by_side([n.J @ np.sqrt(n.Xi), np.sqrt(n.E)])
+        moved, rest = seen.move(x[0], epoch), x[0][..., 6:15]
+        state = moved.state + matvec(moved.G, matvec(into, rest))
+        return np.concatenate([state, matvec(color, rest), x[0][..., 15:]], -1)[None]
 
     def transition(x: Array, epoch: Epoch) -> Array:
-        _, Phi, G = move(x, epoch)
-        return block([[Phi, G @ into, 0], [0, color, 0], [0, 0, constant]])
-
-    def columns(x: Array, epoch: Epoch) -> Array:
-        return block([[move(x, epoch).G @ through, 0], [drives, 0], [0, walk]])
+        _, Phi, G = seen.move(x, epoch)
+        return block([[Phi, G @ into, 0], [0, color, 0], [0, 0, np.eye(3)]])
 
     def h(x: Array, epoch: Epoch) -> Array:
         return np.asarray(seen.measure(x, epoch) + x[..., 6:9] + matvec(seen.Gamma(x, epoch), x[..., 15:]))
 
-    def jacobian(x: Array, epoch: Epoch) -> Array:
-        Gamma = seen.Gamma(x, epoch)
-        H = np.zeros((*Gamma.shape[:-1], 18))
-        H[..., :3], H[..., 6:9], H[..., 15:] = Gamma, np.eye(3), Gamma
-        return H
+    def slope(x: Array, epoch: Epoch) -> Array:
+        return block([[seen.H(x, epoch), np.eye(3, 9), seen.Gamma(x, epoch)]])
 
-    exact = ekf(derived(Motion, seen, f, transition, sqrt_Q=columns), derived(Sensor, seen, h, jacobian, sqrt_R=np.zeros((3, 1))))
+    noise = {"sqrt_Q": lambda x, epoch: block([[seen.move(x, epoch).G @ through, 0], [drives, 0], [0, walk]])}
+    motion, sensor = seen.believed(Motion, f, transition, **noise), seen.believed(Sensor, h, slope, sqrt_R=np.zeros((3, 1)))
+    exact = ekf(motion, sensor)
 
     def start(prior: Gaussian) -> State:
-        mean = np.concatenate([prior.mean, np.zeros((*prior.mean.shape[:-1], 12))], -1)
-        parts = [np.asarray(part) for part in (prior.cov, n.V, n.Q, bias.cov)]
+        mean = side_by_side([prior.mean, np.zeros(12)])
+        parts = (prior.cov, n.V, n.Q, bias.cov)
         return exact.start(Gaussian(mean, block([[part if i == j else 0 for j in range(4)] for i, part in enumerate(parts)])))
 
     return FromFunctions(start, exact.step)
@@ -501,16 +411,16 @@ GROUPS = (Group("position", "km", slice(0, 3)), Group("velocity", "m/s", slice(3
 JUDGED = {group.name: group.unit for group in GROUPS}
 
 
-def trial(config: Config, rngs: Sequence[np.random.Generator]) -> Trial:
+def trial(config: Config, rngs: Rngs) -> Trial:
     """One run with each generator, for missions, campaigns and the study. The orbit is judged, which all filters estimate.
 
     There is a bound where what is simulated is what the exact filter believes: initial errors and a constant ephemeris error that
     are drawn from their priors.
     """
     sim, known = simulate(config, rngs), filters(config)
-    believed = config.initial == "drawn" and config.trend == "constant"
-    return Trial(GROUPS, known, sim.prior, lambda _name: sim.epochs(), _compare, "aug" if believed else "", lambda x: x[..., :3])
+    reference = "aug" if config.initial == "drawn" and config.trend == "constant" else ""
 
+    def compare(truth: Array, belief: Belief) -> tuple[Array, Array]:
+        return belief.mean[..., :6] - truth[..., :6], cholesky(belief.cov[..., :6, :6])
 
-def _compare(truth: Array, belief: Belief) -> tuple[Array, Array]:
-    return belief.mean[..., :6] - truth[..., :6], cholesky(belief.cov[..., :6, :6])
+    return Trial(GROUPS, known, sim.prior, lambda _name: sim.epochs(), compare, reference, lambda x: x[..., :3])
