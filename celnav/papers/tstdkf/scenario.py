@@ -28,6 +28,7 @@ from celnav.models import orbit
 from celnav.models.ephemeris import GM, Tdb, de421, from_utc
 from celnav.models.orbit import NODES, Extra, Flow, advance, flow, third_body
 from celnav.models.pulsar import LIGHT_KM_S, Timing, pulsars
+from celnav.papers import citation
 from celnav.papers.tstdkf.method import Differenced, Noise, ar1_noise, strong_tracking
 from celnav.study.montecarlo import normals, steps
 from celnav.study.parameters import Parameters, param
@@ -35,13 +36,7 @@ from celnav.study.study import Rngs
 from celnav.study.trial import Group, Trial
 
 TITLE = "Two-stage strong-tracking differential Kalman filter for X-ray pulsars"
-CITATION = """\
-@article{Xu2024,
-  author  = {Xu, Q. and Cui, H. and Ding, B. and Zhao, A. and Zhao, Y.},
-  title   = {Two-stage strong-tracking differential {Kalman} filter for {X}-ray pulsar navigation considering coloured noise},
-  year    = {2024},
-  note    = {in Chinese; the text available has lost its display equations and the bodies of its tables}
-}"""
+CITATION = citation("Xu2024")
 YEAR_S, DAY_S = 365.25 * 86400.0, 86400.0
 KAPPA = 4.8
 TUNED = "chosen: with the other tuned one, so that setting 1 gives the paper's percentages of position"
