@@ -121,14 +121,11 @@ def struck(i: int, r: Results) -> Figure:
 
 def factors(r: Results) -> Figure:
     """What the filter multiplies the noise by."""
-    t, A = r.times("ranges, 10 Hz"), np.split(r.get("ranges, 10 Hz", "aukf/factor"), 2, -1)
     right = 1.0 + (STANDARD.burst_sigma / STANDARD.sigma_range_m) ** 2
-    known = level(right, label=f"right for ranges in the burst: {right:.0f}", color=colors.PAPER)
-    return panels([
-        Panel(f"A of the {half}", [interval(*STANDARD.burst_s), quantiles(t, each.reshape(len(t), -1), Line("A", colors.ESTIMATE)),
-                                   curve(t, each.mean((1, 2)), Line("A, mean", colors.COMPARISON, "--")), known],
-              "time (s)", "factor (-)", "y") for half, each in zip(HALVES, A, strict=True)
-    ], size=(9.0, 3.2), sharey=True)  # fmt: skip
+    known = [interval(*STANDARD.burst_s), level(right, label=f"right for ranges in the burst: {right:.0f}", color=colors.PAPER)]
+    A, t = Line("mean over satellites", colors.ESTIMATE), r.times("ranges, 10 Hz")
+    return panels([Panel(f"A of the {half}", [*known, quantiles(t, r.get("ranges, 10 Hz", f"aukf/{half}"), A)], "time (s)",
+                         "factor (-)", "y") for half in HALVES], size=(9.0, 3.2), sharey=True)  # fmt: skip
 
 
 def baselines(r: Results) -> Figure:

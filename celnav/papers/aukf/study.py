@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import replace
 from functools import partial
-from itertools import takewhile
 from pathlib import Path
 from time import process_time
 from typing import Any, NamedTuple
@@ -35,7 +34,6 @@ from celnav.study.trial import Group
 
 Arrays = dict[str, Array]
 Change = Mapping[str, Any]
-"""Of a configuration."""
 INPUTS = ("rinex",)
 """Arguments of `parts` that a person may give on the command line: folders."""
 AXES = tuple(Group(name, "m", slice(i, i + 1)) for i, name in enumerate("XYZ"))
@@ -68,15 +66,12 @@ READINGS = tuple(f"{channels}, {rate}" for rate in ("10 Hz", "1 Hz") for channel
 class Flight(NamedTuple):
     """Filters by name, flown on the standard configuration with a change, and on cases of it with a further one, side by side.
 
-    ``cases``: by a prefix of the filters' names; of the same runs, or of others if drawn ``anew``. ``until``: when it ends, s.
-    ``full``: NIS, NEES and the AUKF's factors are kept.
+    ``cases``: by a prefix of the filters' names; of the same runs, or of others if drawn ``anew``.
     """
 
     names: Sequence[str]
     change: Change = {}  # noqa: RUF012
     cases: Mapping[str, Change] = {"": {}}
-    until: float = np.inf
-    full: bool = False
     anew: bool = False
 
 
@@ -89,15 +84,15 @@ def parts(_effort: float = 1.0, rinex: Path | None = None) -> dict[str, Part]:
     wrong |= {f"near/R {k:g}": {"sigma_range_m": k * STANDARD.sigma_range_m} for k in (0.3, 3.0)}
     # Number, runs, and what is drawn one after the other; parts in the same braces share their random numbers.
     plan: list[tuple[int, int, list[dict[str, Flight]]]] = [
-        (0, many, [{"none": Flight(("ls", *THREE), quiet, full=True)}, {"ranges, 10 Hz": Flight((*THREE, "group"), full=True)}]),
+        (0, many, [{"none": Flight(("ls", *THREE), quiet)}, {"ranges, 10 Hz": Flight((*THREE, "group"))}]),
         (1, few, [{"baselines": Flight(FILTERS, {}, {**bursts, "mistuned/": {**quiet, **mistuned}}, anew=True)}]),
         (2, few, [{f"densities, {rate}": Flight(("ekf", "aukf", "group"), slow if rate == "1 Hz" else quiet,
-                                                {f"{q:g}/": {Q: q} for q in some}, STANDARD.burst_s[0], full=True)}
+                                                {f"{q:g}/": {Q: q} for q in some})}
                   for rate, some in DENSITIES.items()]),
         (4, few, [{f"{km:g} km": Flight(("ls", *THREE), {**slow, "deviation": (1e3 * km, *rest), "duration_s": 30.0})}
                   for km in INITIAL_KM]),
-        (5, 2 * few, [{"matched": Flight(("ukf", "no redraw"), {**slow, Q: 100.0, "motion": "model"}, full=True)}]),
-        (6, few, [{"redraw": Flight(("ukf", "no redraw"), quiet, until=STANDARD.burst_s[0], full=True)}]),
+        (5, 2 * few, [{"matched": Flight(("ukf", "no redraw"), {**slow, Q: 100.0, "motion": "model"})}]),
+        (6, few, [{"redraw": Flight(("ukf", "no redraw"), quiet)}]),
         (7, many, [{"ranges and rates, 10 Hz": Flight(PAIR, bursts["both/"])}, {"mistuned": Flight(PAIR, {**quiet, **mistuned})}]),
         (8, many, [{part: Flight(PAIR, {**burst, **second})} for part, burst in zip(READINGS[3:], bursts.values(), strict=True)]),
         (9, many, [{"one range, 10 Hz": Flight(PAIR, {**one, "duration_s": 40.0})}]),
@@ -129,9 +124,8 @@ def flown(flight: Flight, drawn: Sequence[Config], config: Config, rngs: Rngs) -
 
     Returns
     -------
-    times ``(T,)`` s; of each filter ``<case><filter>/error (T, runs, 3)`` m of the position, nan once a run is lost; of a full
-    flight nis and nees ``(T, runs)``, and of the AUKF factor ``(T, runs, 2 S)``, its means over ranges and rates, and what part
-    of them is above 1.
+    times ``(T,)`` s; of each filter ``<case><filter>/error (T, runs, 3)`` m of the position, nan once a run is lost; nis, nees, and
+    of the AUKF means of its factors over ranges and rates, and what part of them is above 1, ``(T, runs)``.
     """
     for before in drawn:
         simulate(before, rngs)
@@ -139,20 +133,19 @@ def flown(flight: Flight, drawn: Sequence[Config], config: Config, rngs: Rngs) -
     truth, z = (np.stack([getattr(sim, what) for sim in sims], 1) for what in ("truth", "z"))  # (T, cases, runs, ...)
     prior = Gaussian(*(np.stack([getattr(sim.prior, what) for sim in sims]) for what in ("mean", "cov")))
     S, Q = len(sims[0].satellites.names), np.stack([sim.config.Q for sim in sims])[:, None]
-    known = {**filters(config, S, Q), **({"aukf": watched(config, S, Q)} if flight.full else {}), "no redraw": no_redraw(config, S)}
+    known = {**filters(config, S, Q), "aukf": watched(config, S, Q), "no redraw": no_redraw(config, S)}
 
     def also(name: str, epoch: Epoch, state: Any, infos: tuple[Info, ...]) -> Arrays:
         error = state.belief.mean - epoch.truth
-        more = {"nis": infos[0].nis, "nees": nees(error, state.belief.sqrt_cov)} if flight.full else {}
-        return {"error": error[..., :3]} | more | ({"factor": state.memory[0][0][1]} if more and name == "aukf" else {})
+        out = {"error": error[..., :3], "nis": np.asarray(infos[0].nis), "nees": nees(error, state.belief.sqrt_cov)}
+        for half, A in zip(HALVES, np.split(state.memory[0][0][1], 2, -1) if name == "aukf" else (), strict=False):
+            out |= {half: A.mean(-1), f"{half} above 1": (A > 1.0).mean(-1)}
+        return out
 
-    out = {"times": config.times[config.times < flight.until]}
+    out = {"times": config.times}
     for name in flight.names:
-        epochs = takewhile(lambda epoch: epoch.t < flight.until, sims[0]._replace(truth=truth, z=z).epochs())
+        epochs = sims[0]._replace(truth=truth, z=z).epochs()
         track = run(known[name], prior, epochs, keep="nothing", also=partial(also, name), on_failure="flag").extra
-        if "factor" in track:
-            for what, A in zip(HALVES, np.split(track["factor"], 2, -1), strict=True):
-                track |= {what: A.mean(-1), f"{what} above 1": (A > 1.0).mean(-1)}
         for i, case in enumerate(flight.cases):
             out |= {f"{case}{name}/{what}": values[:, i] for what, values in track.items()}
     return out
