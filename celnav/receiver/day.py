@@ -76,7 +76,9 @@ def positioned(files: Files, filter: str, mask_deg: float) -> Positioned:
     return Positioned(log, filter, track.mean, track.cov[:, :3, :3], reference)
 
 
-def flown(files: Files, names: Sequence[str], sigma: float, mask_deg: float, rng: np.random.Generator) -> dict[str, Array]:
+def flown(
+    files: Files, rngs: Sequence[np.random.Generator], names: Sequence[str], sigma: float, mask_deg: float
+) -> dict[str, Array]:
     """Filters on the half day as it is, and with noise of ``sigma`` m added to all ranges for `EPOCHS` in its middle.
 
     Returns
@@ -92,7 +94,7 @@ def flown(files: Files, names: Sequence[str], sigma: float, mask_deg: float, rng
     """
     half, navigation, reference = _read(files)
     k, first, out = np.arange(len(half.times)), len(half.times) // 2, dict[str, Array]()
-    noise = sigma * rng.standard_normal(half.code.shape) * ((k >= first) & (k < first + EPOCHS))[:, None]
+    noise = sigma * rngs[0].standard_normal(half.code.shape) * ((k >= first) & (k < first + EPOCHS))[:, None]
     for label, part in (("", half), ("burst/", replace(half, code=half.code + noise))):
         log = _prepared(part, navigation, mask_deg)
         known, frame = filters(len(log.names)), Positioned(log, "ls", log.fixes, log.fix_cov, reference)
@@ -119,7 +121,7 @@ def as_others(broadcast: Broadcast, t: Array | float) -> Array:
     return satellites(replace(broadcast, number=np.full(len(broadcast), 19.0)), t).position
 
 
-def formulas(times: Array) -> dict[str, Array]:
+def formulas(times: Array, _rngs: Sequence[np.random.Generator] = ()) -> dict[str, Array]:
     """Positions of the synthetic geostationary satellites against two bodies in space: distances ``(..., 5)`` m.
 
     others: by the formula of the others, at ``times`` from half an hour after the reference time. minute, half hour: by that and

@@ -95,28 +95,26 @@ def polar(r: Results) -> Figure:
                   size=(9.0, 3.4))  # fmt: skip
 
 
-def run_of(r: Results, part: str, i: int, title: str, at: str, limit: float, **more: Any) -> Panel:
+def run_of(r: Results, i: int, part: str, title: str, at: str, limit: float, **more: Any) -> Panel:
     """The first run of EKF, UKF and AUKF, and the quantiles of all of the last; how much better that is."""
     ratio = rms(r, part, "aukf", at, AXES[i].name) / rms(r, part, "ukf", at, AXES[i].name)
     flown = [name for name in ("ekf", "ukf", "aukf") if f"{name}/error" in r.data[part]]
     shown = [errors(r, part, name, LINES[name], "position", i, spread=name == "aukf") for name in flown]
     burst = [interval(*STANDARD.burst_s)] if at == "burst" else []
-    title = f"{title}: AUKF {ratio:.2f} of UKF"
-    return Panel(title, [*burst, *shown], "time (s)", f"error of {AXES[i].name} (m)", more={"ylim": (-limit, limit), **more})
+    return Panel(f"{title}: AUKF {ratio:.2f} of UKF", [*burst, *shown], "time (s)", f"error of {AXES[i].name} (m)",
+                 more={"ylim": (-limit, limit), **more})  # fmt: skip
 
 
 def quiet(i: int, r: Results) -> Figure:
     """An error without a burst; and where the noise is larger than the filters think."""
-    both = [run_of(r, "none", i, f"Figure {i + 4}", "all", 2.0), run_of(r, "mistuned", i, "10 m of noise for 3 m", "all", 4.0)]
-    return panels(both, size=(10.0, 3.2))
+    mistuned = run_of(r, i, "mistuned", "10 m of noise for 3 m", "all", 4.0)
+    return panels([run_of(r, i, "none", f"Figure {i + 4}", "all", 2.0), mistuned], size=(10.0, 3.2))
 
 
 def struck(i: int, r: Results) -> Figure:
     """An error with the burst on all ranges."""
-    start, end = STANDARD.burst_s
-    return panels([run_of(r, "ranges, 10 Hz", i, f"Figure {i + 7}", "burst", 20.0),
-                   run_of(r, "ranges, 10 Hz", i, "the burst", "burst", 3.0, xlim=(start - 2.0, end + 8.0))],
-                  size=(10.0, 3.2), width_ratios=(3, 2))  # fmt: skip
+    near = run_of(r, i, "ranges, 10 Hz", "the burst", "burst", 3.0, xlim=(58.0, 78.0))
+    return panels([run_of(r, i, "ranges, 10 Hz", f"Figure {i + 7}", "burst", 20.0), near], size=(10.0, 3.2), width_ratios=(3, 2))
 
 
 def factors(r: Results) -> Figure:
@@ -168,11 +166,6 @@ def starts(r: Results) -> Figure:
     return panels(Panel(title, shown, "time (s)", "median position error (m)", "y"), size=(7.0, 3.6))
 
 
-def half_day(r: Results) -> Figure | None:
-    """A real receiver, and a burst that is added to it; None if its files were not given."""
-    return day.drawn(r.data["real"], LINES, STANDARD.burst_sigma) if "real" in r.data else None
-
-
 # -- tables --------------------------------------------------------------------------------------------------------------------
 def table_1(r: Results) -> Rows:
     """RMSE by axis; the paper's numbers are lost."""
@@ -201,7 +194,8 @@ FIGURES = {
     "figure_11": ("Beyond the paper: stronger baselines, by where the disturbance is.", baselines),
     "figure_12": ("Beyond the paper: with little process noise the turn is taken for noise of the rates.", densities),
     "figure_13": ("Beyond the paper: the initial error that a UKF helps with.", starts),
-    "figure_14": ("Beyond the paper: half a day of a real receiver, and a burst that is added to it.", half_day),
+    "figure_14": ("Beyond the paper: half a day of a real receiver, and a burst that is added to it.",
+                  lambda r: day.drawn(r.data["real"], LINES, STANDARD.burst_sigma) if "real" in r.data else None),
 }  # fmt: skip
 """A drawing of what was not given is None, a table of it has no rows."""
 TABLES = {
