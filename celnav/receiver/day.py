@@ -20,6 +20,7 @@ from celnav.receiver.position import Log, prepare
 from celnav.receiver.report import Positioned
 from celnav.receiver.rinex import Navigation, Observations, read_navigation, read_observations
 from celnav.show.figures import Line, Panel, curve, panels
+from celnav.study.study import Rngs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -76,9 +77,7 @@ def positioned(files: Files, filter: str, mask_deg: float) -> Positioned:
     return Positioned(log, filter, track.mean, track.cov[:, :3, :3], reference)
 
 
-def flown(
-    files: Files, rngs: Sequence[np.random.Generator], names: Sequence[str], sigma: float, mask_deg: float
-) -> dict[str, Array]:
+def flown(files: Files, rngs: Rngs, names: Sequence[str], sigma: float, mask_deg: float) -> dict[str, Array]:
     """Filters on the half day as it is, and with noise of ``sigma`` m added to all ranges for `EPOCHS` in its middle.
 
     Returns
@@ -121,7 +120,7 @@ def as_others(broadcast: Broadcast, t: Array | float) -> Array:
     return satellites(replace(broadcast, number=np.full(len(broadcast), 19.0)), t).position
 
 
-def formulas(times: Array, _rngs: Sequence[np.random.Generator] = ()) -> dict[str, Array]:
+def formulas(times: Array, _rngs: Rngs = ()) -> dict[str, Array]:
     """Positions of the synthetic geostationary satellites against two bodies in space: distances ``(..., 5)`` m.
 
     others: by the formula of the others, at ``times`` from half an hour after the reference time. minute, half hour: by that and

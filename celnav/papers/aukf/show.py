@@ -101,7 +101,7 @@ def run_of(r: Results, i: int, part: str, title: str, at: str, limit: float, **m
     flown = [name for name in ("ekf", "ukf", "aukf") if f"{name}/error" in r.data[part]]
     shown = [errors(r, part, name, LINES[name], "position", i, spread=name == "aukf") for name in flown]
     burst = [interval(*STANDARD.burst_s)] if at == "burst" else []
-    return Panel(f"{title}: AUKF {ratio:.2f} of UKF", [*burst, *shown], "time (s)", f"error of {AXES[i].name} (m)",
+    return Panel(f"{title}: AUKF / UKF {ratio:.2f}", [*burst, *shown], "time (s)", f"error of {AXES[i].name} (m)",
                  more={"ylim": (-limit, limit), **more})  # fmt: skip
 
 
