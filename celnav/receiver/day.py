@@ -174,7 +174,7 @@ def drawn(found: Mapping[str, Array], lines: Mapping[str, Line], sigma: float) -
     """The half day, and the burst; ``lines``: looks of the filters."""
     hours, late = (found["times"] - found["times"][0]) / 3600.0, np.flatnonzero(found["during"])
     shown, known = slice(max(late[0] - 10, 0), late[-1] + 20), {name: line for name, line in lines.items() if name in found}
-    two, dots = {name: lines[name] for name in ("ls", "aukf")}, dict[str, Any](linestyle="", marker=".", label=None)
+    two, dots = {name: lines[name] for name in ("ls", "aukf")}, dict[str, Any](linestyle="", marker=".", ms=3, label=None)
     return panels([
         Panel("position from the header's",
               [curve(found[name][:, 0], found[name][:, 1], line, **dots) for name, line in two.items()],

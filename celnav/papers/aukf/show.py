@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from celnav.filters.run import run
-from celnav.models import pseudorange
-from celnav.models.beidou import ELLIPSOID, GRAVITY_PARAMETER, ROTATION_RATE, satellites, turned
-from celnav.papers.aukf.scenario import STANDARD, START_S, axes, circle, filters, simulate, visible
+from celnav.models.beidou import ELLIPSOID, satellites
+from celnav.papers.aukf.scenario import STANDARD, START_S, axes, circle, filters, simulate
 from celnav.papers.aukf.study import AXES, DENSITIES, FILTERS, HALVES, INITIAL_KM, NORMAL_ERROR, TILTS_DEG, medians, rms, watched
 from celnav.receiver import day
 from celnav.receiver.constellation import synthetic
@@ -27,7 +26,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from celnav.files import Outputs
-    from celnav.papers.aukf.scenario import Config
     from celnav.show.recording import Recorder
 
 LINES = {
@@ -237,8 +235,12 @@ def _burst(results: Results) -> Showcase:
              for half, A in zip(HALVES, data["factor"].T.reshape(2, S, -1), strict=True)}  # fmt: skip
 
     def scene(out: Recorder) -> None:
-        _sky(out, c)
-        truth = (circle(c)[0] - circle(c)[0][0]) @ local.T
+        broadcast, position = synthetic(), circle(c)[0]
+        seen = broadcast.chosen(np.isin(broadcast.names, sim.satellites.names))
+        paths = satellites(seen, START_S + np.linspace(0.0, 86400.0, 145)[:, None]).position / 1e6  # of a day, Earth-fixed
+        out.globe("world/earth", ELLIPSOID.semimajor_axis / 1e6)
+        scenes.constellation(out, "world", sim.satellites.q / 1e6, paths, position / 1e6, np.ones(S, bool), seen.names, shades)
+        truth = (position - position[0]) @ local.T
         out.trail("track/truth/trail", truth, colors.TRUTH, radius=2.0)
         for key, e in found.items():
             cov = None if e.cov is None else local @ e.cov[:, :3, :3] @ local.T
@@ -255,18 +257,6 @@ def _burst(results: Results) -> Showcase:
         plots={"adaptation": adapt}, events=[(start, f"{c.burst_sigma:g} m of noise on all ranges begin"), (end, "they end")],
         parameters=vars(c), facts={"paper": "aukf", "preset": "burst", "seed": results.seed, "runs": SHOWN},
     )  # fmt: skip
-
-
-def _sky(out: Recorder, c: Config) -> None:
-    """Lengths in 1000 km: those of the ground are lost in the picture anyway."""
-    (position, velocity), broadcast = circle(c), synthetic()
-    places = pseudorange.sources(broadcast, START_S + c.times, position, velocity).q
-    period = 2.0 * np.pi * broadcast.sqrt_a**3 / np.sqrt(GRAVITY_PARAMETER)
-    away = np.linspace(0.0, 1.0, 91)[:, None] * period  # orbits as they lie in space, on axes that are Earth-fixed at the start
-    orbits = turned(satellites(broadcast, START_S + away).position, -ROTATION_RATE * away)
-    seen, shades = np.isin(broadcast.names, visible(c).names), [KIND_COLORS[kind] for kind in kinds(broadcast.names)]
-    out.globe("world/earth", ELLIPSOID.semimajor_axis / 1e6)
-    scenes.constellation(out, "world", places / 1e6, orbits / 1e6, position / 1e6, seen, broadcast.names, shades)
 
 
 NOTES = """# Fan et al., {0.burst_sigma:g} m of noise on all ranges from {0.burst_s[0]:g} to {0.burst_s[1]:g} s

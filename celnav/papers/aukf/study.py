@@ -527,8 +527,6 @@ CHECKS = [
     check("process-nis", "NIS of the EKF (30 if consistent) falls with the process noise: 180 and 26.7 by a prototype",
         all_of(*(consistency(q, ("densities, 10 Hz", f"{q}/ekf"), bounds, at="quiet", what="nis")
                  for q, bounds in (("1", (171.0, 189.0)), ("1000", (25.5, 27.9)))))),
-    check("process-factor", "The turn is read as noise of the rates: mean factor, 6800 by a prototype",
-        consistency("A", ("densities, 10 Hz", "10/aukf"), (4800.0, 8800.0), at="quiet", what="rates")),
     check("matched-nees-ukf", "NEES of the UKF, truth from the model (8 if consistent)",
         consistency("NEES", ("matched", "ukf"), (7.4, 8.6), at="all")),
     *(check(f"real-{id}", f"Real receiver: {text}", of("real", f"judged/{id}", "", accept), needs="real")
