@@ -87,7 +87,7 @@ class Scalar:
     def __init__(self, noise_time: int, noise_measured: int, dense: bool):
         self.time, self.measured, self.dense = noise_time, noise_measured, dense
         config = PRESETS["100 Hz"]
-        gyro, self.dt = config.gyro, config.gyro_dt
+        gyro, self.dt = config.gyro, 1.0 / config.gyro_hz
         self.factor = gyro.factor(self.dt)
         w = [gyro.rate_std(self.dt)] * 3 + [gyro.drift_std(self.dt)] * 3
         v = [config.sigma_n] * 3
@@ -272,7 +272,7 @@ def array_work(name: str, runs: int, per: int, dense: bool) -> Callable[[], floa
     def once() -> float:
         start = process_time()
         run(filter, sim.prior, epochs, keep="nothing")
-        return (process_time() - start) / config.star_epochs
+        return (process_time() - start) / (len(config.times) - 1)
 
     return once
 

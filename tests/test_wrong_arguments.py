@@ -30,7 +30,7 @@ MODULES = {
 }
 HOT = """
 attitude: multiply inverse positive matrix rotate exp log angle to_euler to_rodrigues from_rodrigues cross transport
-spaces: wrap leading components
+spaces: wrap leading trailing components
 rules: Rule.points Rule.image Rule.kept Rule.num_sigmas Taylor.points Taylor.image Taylor.kept
 earth: meridian_radius transverse_radius radii normal_gravity earth_rate transport_rate
 orbit: acceleration third_body step transition gradient advance flow
@@ -49,12 +49,12 @@ trial: squares Noiseless.standard_normal
 """
 """What a filter calls at every step takes arrays as they are: a look at each would cost more than the product it makes."""
 INSIDE = """
-checks: numbers finite number integer integers whole choice function sequence together instance kind unmasked takes
+checks: numbers finite number integer integers whole choice function sequence together beside instance kind unmasked takes
 drawing: Drawing.set render
 rules: few AnyDimension
 sparse_grid: check_orders univariate
 views: bar_chart text log rows columns tabs blueprint
-figures: band consistency errors rmse rmse_table sigma
+figures: band bars components consistency curve errors interval level panels quantiles rmse rmse_table sigma
 ephemeris: de421
 pulsar: known
 orbit: warn_of_degrees
@@ -67,7 +67,7 @@ ledger: Claim Row Row.judged estimate order
 numbers: all_of consistency entries given of ratio rmse settling tiers
 parameters: Parameters.check param
 sightings: limb
-study: Results Results.claims Results.error Results.first Results.get Results.group Results.nees Results.squares
+study: Results Results.at Results.claims Results.error Results.first Results.get Results.group Results.nees Results.squares
     Results.times Results.value Study Study.reproduce Study.results Study.units Unit.check Unit.do fly together
 page: document figure link table
 picture: command end picture

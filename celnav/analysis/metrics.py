@@ -62,7 +62,7 @@ def bootstrap(
     runs = min((len(array) for array in arrays), default=0)
     if runs < 2 or any(len(array) != runs for array in arrays):
         raise ValueError(f"samples: expected two runs or more, as many in each, got {[len(array) for array in arrays]}")
-    level = _level(level)
+    level = number("level", level, above=0.0, below=1.0)
     resamples = integer("resamples", resamples, 1, LIMIT // runs)
     index = np.random.default_rng(integer("seed", seed, 0)).integers(0, runs, (resamples, runs))
 
@@ -93,12 +93,8 @@ def _samples(name: str, values: ArrayLike) -> Array:
     return array
 
 
-def _level(level: float) -> float:
-    return number("level", level, above=0.0, below=1.0)
-
-
 def _chi_square(level: float, dof: float) -> tuple[float, float]:
     """Central interval of a chi-square variable."""
-    level = _level(level)
+    level = number("level", level, above=0.0, below=1.0)
     low, high = 2.0 * gammaincinv(0.5 * dof, [0.5 - level / 2, 0.5 + level / 2])
     return float(low), float(high)

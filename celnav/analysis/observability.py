@@ -19,8 +19,7 @@ from celnav.gaussian.linalg import Array
 
 Function = Callable[[Array], Array]
 
-_TINY = 1e-30j
-"""The step, along each axis."""
+_TINY = 1e-30j  # the step, along each axis
 _NODES = 21
 
 
@@ -46,8 +45,6 @@ def lie_gradients(f: Function, h: Function, x: ArrayLike, order: int, *, window:
     gradient are computed at Chebyshev nodes of ``[-window, window]`` s, and a polynomial through them is differentiated. The
     system is observable at ``x`` where the rows together have rank n. At an equilibrium they are ``H A^k``.
 
-    Parameters
-    ----------
     f: rate of the state, of time itself independent. h: measurement. x: ``(n,)``.
     window: half the time, s, over which flow and measurement are smooth; k-th derivatives lose ``window^-k`` of their digits.
     """
@@ -126,9 +123,7 @@ def nonlinearity_weights(
     if (sigma <= 0.0).any():
         raise ValueError(f"std: expected {len(center)} positive numbers, got {std!r}")
     tolerance, coarse = number("tolerance", tolerance, 0.0), integer("coarse", coarse)
-    if not (functions := sequence("functions", functions, "[f, h]")):
-        raise ValueError("functions: expected at least one, got none")
-    steps = np.diag(sigma)
+    functions, steps = sequence("functions", functions, "[f, h]", least=1), np.diag(sigma)
     # Not only about the mean: what bends elsewhere within a standard deviation counts, too.
     centers = center + sigma * np.random.default_rng(0).uniform(-1.0, 1.0, (4, len(center)))
     bends = np.zeros(len(center), bool)

@@ -19,19 +19,14 @@ from celnav.gaussian.linalg import Array
 Build = Callable[[Array], tuple[Filter, Gaussian]]
 Domain = str | tuple[float, float]
 DOMAINS = {"positive": (0.0, np.inf), "unit interval": (0.0, 1.0)}
-STEP = 2e-3
-"""Of differences, in logarithms."""
-ROUGH = 1e-3
-"""What the last step of the search has gained of the log-likelihood when Newton's method takes over."""
-STEPS = 4
-"""Of Newton's method, at most."""
+STEP = 2e-3  # of differences, in logarithms
+ROUGH = 1e-3  # what the last step of the search has gained of the log-likelihood when Newton's method takes over
+STEPS = 4  # of Newton's method, at most
 
 
 class Tuned(NamedTuple):
     """The maximum of a likelihood.
 
-    Attributes
-    ----------
     parameters: ``(d,)`` where the likelihood is largest. log_likelihood: there, of all runs together.
     standard_errors: ``(d,)`` of the parameters, by the curvature; inf where ``converged`` is False for want of one.
     covariance: ``(d, d)`` of the parameters' *logarithms* (in an interval, of ``log((p - low) / (high - p))``): an interval of a
@@ -53,15 +48,9 @@ class Tuned(NamedTuple):
 
 
 def maximize_likelihood(
-    build: Build,
-    start: ArrayLike,
-    epochs: Iterable[Epoch],
-    *,
-    domain: Domain | Sequence[Domain] = "positive",
-    factor: float = 1e3,
-    tolerance: float = 1e-6,
-    max_iterations: int = 100,
-) -> Tuned:
+    build: Build, start: ArrayLike, epochs: Iterable[Epoch], *,
+    domain: Domain | Sequence[Domain] = "positive", factor: float = 1e3, tolerance: float = 1e-6, max_iterations: int = 100,
+) -> Tuned:  # fmt: skip
     """Maximize ``Track.log_likelihood``, summed over the runs, over parameters such as standard deviations and correlations.
 
     The search is on logarithms, so parameters may be of any size. Parameters at which ``build`` or the filter fails count as
@@ -69,8 +58,6 @@ def maximize_likelihood(
 
         maximize_likelihood(build, [0.1, 0.5], epochs, domain=["positive", "unit interval"])
 
-    Parameters
-    ----------
     build: ``parameters (d,) -> (filter, prior)``.
     start: ``(d,)``, within the domain, where the filter works.
     epochs: the data; the same for all parameters.

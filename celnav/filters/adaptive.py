@@ -19,9 +19,6 @@ from celnav.filters.joint import Gain, Hook, Joint
 from celnav.gaussian.checks import LIMIT, choice, integer, integers, number, sequence
 from celnav.gaussian.linalg import Array, cholesky, matvec, solve_lower, solve_right, weighted, whiten
 
-NOTHING = 1e-6
-"""Deviations of the noise by which a state must move a measurement to explain any of it."""
-
 
 # -- gates ---------------------------------------------------------------------------------------------------------------
 def gate(gamma: float) -> Hook:
@@ -134,7 +131,6 @@ def _reweighted(weight: Callable[[Array], Array], rounds: int) -> Hook:
     most = integer("rounds", rounds, 1, 10_000)
 
     def hook(memory: Any, joint: Joint, _epoch: Any) -> tuple[Any, Joint]:
-        assert joint.measurement is not None
         e, R, used = _noisy(joint)
         S0, cross = joint.covariances()
         S0 = np.where(used[..., None] & used[..., None, :], S0, 0.0)
@@ -193,13 +189,13 @@ def _residual(joint: Joint) -> tuple[Array, Array, Array, Array]:
 
     A maneuver, or any other error of the prediction, lies in the range of the measurement matrix and changes nothing here.
     """
-    assert joint.measurement is not None
     e, R, used = _noisy(joint)
     root = np.where(used, np.sqrt(1.0 / R), 0.0)
     D, W = joint.state.columns, joint.process_noise
     variance = np.einsum("...ij,...ij,j->...i", D, D, np.broadcast_to(joint.sign, D.shape[-1:]))
     std = np.sqrt(np.maximum(variance if W is None else variance + np.square(W[1]).sum(-1), 0.0))
-    Q = range_basis(root[..., None] * joint.measurement.jacobian() * std[..., None, :], NOTHING)
+    # A state that moves a measurement by less than 1e-6 deviations of its noise explains nothing of it.
+    Q = range_basis(root[..., None] * joint.measurement.jacobian() * std[..., None, :], 1e-6)
     y = root * e
     left = y - matvec(Q, matvec(Q.mT, y))
     share = np.maximum(1.0 - np.square(Q).sum(-1), 0.0)

@@ -5,9 +5,7 @@ conditions on it in one transform; `decorrelated` does in two steps what [Sun201
 exact reference. All take any rule and both forms, and a ``Phi`` that may be full, differ from run to run, or be a function of the
 epoch.
 
-The sensor's ``R`` is the covariance of V itself, as everywhere. That of the increments zeta follows, ``R - Phi R Phi'``, if V is
-stationary; where it is not (``Phi = I`` is a random walk) it is given, and R is the covariance of the first sample of V. A missing
-sample costs `colored` two differences, the one that ends and the one that begins with it.
+A missing sample costs `colored` two differences, the one that ends and the one that begins with it.
 """
 
 from __future__ import annotations
@@ -20,12 +18,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.filters.joint import KEEP, Hook, Joint, at, checked, condition, evaluate, joint, linear, marginal, over_runs, rule_for
+from celnav.filters.joint import KEEP, Hook, Joint, at, by_matrix, condition, evaluate, joint, linear, marginal, over_runs, rule_for
 from celnav.filters.model import Motion, Noise, Sensor, check_prior, given_back, noise_of
 from celnav.filters.records import Epoch, Info
-from celnav.filters.sequential import Sequential, missing, sigma_point, silent
+from celnav.filters.sequential import Sequential, checked, missing, sigma_point, silent
 from celnav.gaussian.belief import Gaussian, symmetric
-from celnav.gaussian.checks import choice, finite, function, instance, numbers, together, unmasked
+from celnav.gaussian.checks import Shape, choice, finite, function, instance, numbers, together, unmasked
 from celnav.gaussian.linalg import POSITIVE, Array, SquareRoot, block, matvec, side_by_side, solve_right, tria
 from celnav.gaussian.rules import unscented
 from celnav.gaussian.spaces import EUCLIDEAN
@@ -35,44 +33,33 @@ Coloring = ArrayLike | Callable[[Any], Array]
 
 
 def colored(
-    motion: Motion,
-    sensor: Sensor,
-    Phi: Coloring,
-    *,
-    increments: Any = None,
-    first: bool = True,
-    rule: Any = unscented,
-    **options: Any,
-) -> Colored:
+    motion: Motion, sensor: Sensor, Phi: Coloring, *,
+    increments: Any = None, first: bool = True, rule: Any = unscented, **options: Any,
+) -> Colored:  # fmt: skip
     """A filter for colored measurement noise, in one transform: condition ``x' = f(x) + w`` on ``z' - Phi z`` directly.
 
-    Parameters
-    ----------
     motion, sensor: what is believed; ``sensor.R`` is the covariance ``(m, m)`` of the colored noise itself. States and measurements
         are vectors: the difference of two measurements knows nothing of a seam. Where an angle is measured, use `augmented`.
     Phi: ``(..., m, m)``, or a function of the epoch: what carries the noise from one measurement to the next; its spectral radius
         is at most 1.
-    increments: covariance ``(..., m, m)`` of ``V' - Phi V``, or a function ``(mean, epoch)`` of it; None: that of stationary noise.
+    increments: covariance ``(..., m, m)`` of ``V' - Phi V``, or a function ``(mean, epoch)`` of it; None: that of stationary noise,
+        ``R - Phi R Phi'``. Where V is not stationary (``Phi = I`` is a random walk) R is the covariance of its first sample.
     first: whether the first measurement updates the prior. Otherwise it only anchors the first difference, as in the paper, which
         is the limit of a large R.
     rule, options: as in `celnav.sigma_point`. Where ``h`` is a function the process noise goes through the points with the state.
 
     >>> filter = celnav.colored(motion, celnav.Sensor(H, R), 0.9 * np.eye(3))
     """
-    made: Colored = _made(Colored, motion, sensor, Phi, increments, first, rule, options)
-    return made
+    plain = sigma_point(motion, sensor, rule=rule, **options)
+    if motion.space != EUCLIDEAN or sensor.space != EUCLIDEAN:
+        raise ValueError("space: expected states and measurements that are vectors; carry the noise in the state: celnav.augmented")
+    phi, once = coloring(Phi, sensor.m), bool(choice("first", first, (False, True)))
+    if callable(sensor.h) and (callable(motion.Q) or callable(motion.sqrt_Q)):
+        raise ValueError("Q: expected a constant where the measurement is a function")
+    return Colored(**vars(plain), Phi=phi, zeta=zeta_of(sensor, Phi, increments), first_sample=once)
 
 
-def decorrelated(
-    motion: Motion,
-    sensor: Sensor,
-    Phi: Coloring,
-    *,
-    increments: Any = None,
-    first: bool = True,
-    rule: Any = unscented,
-    **options: Any,
-) -> Decorrelated:
+def decorrelated(motion: Motion, sensor: Sensor, Phi: Coloring, **options: Any) -> Decorrelated:
     """The filter of [Sun2015] with its errata corrected: update the past state, then predict; arguments as in `colored`.
 
     ``x* = f(x) + J (z* - h(x))`` and ``h(x) = H f(x) - Phi H x`` [Sun2015, Eqs. 8, 14]. The state after an epoch holds two
@@ -83,43 +70,23 @@ def decorrelated(
     """
     if callable(instance("sensor", sensor, Sensor, "celnav.Sensor(h, R)").h):
         raise ValueError("sensor: expected a measurement matrix (m, n), got a function; `colored` takes one")
-    made: Decorrelated = _made(Decorrelated, motion, sensor, Phi, increments, first, rule, options)
-    return made
-
-
-def _made(kind: Any, motion: Motion, sensor: Sensor, Phi: Coloring, increments: Any, first: bool, rule: Any, options: Any) -> Any:
-    plain = sigma_point(motion, sensor, rule=rule, **options)
-    if motion.space != EUCLIDEAN or sensor.space != EUCLIDEAN:
-        raise ValueError("space: expected states and measurements that are vectors; carry the noise in the state: celnav.augmented")
-    phi, once = coloring(Phi, sensor.m), bool(choice("first", first, (False, True)))
-    if callable(sensor.h) and (callable(motion.Q) or callable(motion.sqrt_Q)):
-        raise ValueError("Q: expected a constant where the measurement is a function")
-    return kind(**vars(plain), Phi=phi, zeta=zeta_of(sensor, Phi, increments), first_sample=once)
+    return Decorrelated(**vars(colored(motion, sensor, Phi, **options)))
 
 
 def coloring(Phi: Coloring, m: int | None = None) -> Array | Callable[[Any], Array]:
-    """Phi ``(..., m, m)``, checked, or a function of the epoch that checks it.
-
-    A spectral radius of 1, a random walk, is allowed: differences then say nothing about position, only about its changes.
-    """
+    """Phi ``(..., m, m)``, checked, or a function of the epoch that checks it. A spectral radius of 1 is that of a random walk."""
+    shape = (..., m or "m", m or "m")
     if callable(Phi):
-        return partial(_coloring_at, function("Phi", Phi, "(epoch)"), m)
-    matrix = _square(finite("Phi", Phi), m)
+        return partial(_coloring_at, function("Phi", Phi, "(epoch)"), shape)
+    matrix = finite("Phi", Phi, shape)
     radius = np.abs(np.linalg.eigvals(matrix)).max()
     if radius > 1.0 + 1e-9:
         raise ValueError(f"Phi: expected a spectral radius of at most 1, got {radius:.6g}")
     return matrix
 
 
-def _coloring_at(Phi: Callable[[Any], Array], m: int | None, epoch: Any) -> Array:
-    return _square(numbers("Phi", unmasked("Phi", Phi(epoch))), m)
-
-
-def _square(Phi: Array, m: int | None) -> Array:
-    if Phi.ndim < 2 or Phi.shape[-1] != Phi.shape[-2] or (m is not None and Phi.shape[-1] != m):
-        size = "m, m" if m is None else f"{m}, {m}"
-        raise ValueError(f"Phi: expected shape (..., {size}), got {Phi.shape}")
-    return Phi
+def _coloring_at(Phi: Callable[[Any], Array], shape: Shape, epoch: Any) -> Array:
+    return numbers("Phi", unmasked("Phi", Phi(epoch)), shape)
 
 
 def zeta_of(sensor: Sensor, Phi: Coloring, increments: Any) -> Noise:
@@ -173,12 +140,10 @@ class Colored(Sequential):
     first_sample: bool
 
     def start(self, prior: Gaussian) -> Any:
-        """State before the first epoch."""
         belief = super().start(prior).belief
         return ColoredState(belief, None, belief)
 
     def step(self, state: Any, epoch: Epoch) -> tuple[Any, tuple[Info, ...]]:
-        """State after an epoch, and what its measurement did."""
         (sensor,) = self.sensors
         z = self._measured(state, epoch)
         if state.z is None:
@@ -193,8 +158,7 @@ class Colored(Sequential):
 
     def advance(self, state: Any, Phi: Array, z_star: Array, epoch: Epoch, z: Array) -> tuple[Any, tuple[Info, ...]]:
         """State after an interval, given the difference ``z_star`` of the measurements at its ends."""
-        hooks = self.hooks[0]
-        both = self.fused(state.belief, Phi, z_star, epoch)
+        both, (hooks,) = self.fused(state.belief, Phi, z_star, epoch), self.hooks
         belief, info, memory = condition(self.form, both, EUCLIDEAN, hooks=hooks, memory=state.memory, epoch=epoch, gain=self.gain)
         return ColoredState(belief, z, state.lagged, memory), (info,)
 
@@ -204,11 +168,9 @@ class Colored(Sequential):
         W, Z, rule = at(motion.noise, mean, epoch), at(self.zeta, mean, epoch), rule_for(self.rule, belief)
         outputs: Any = partial(self.rows, Phi)
         augment: tuple[Array, ...] = ()
-        moved = linear(motion, rule, mean, epoch)
-        after = None if moved is None else linear(sensor, rule, moved[0], epoch)
-        before = None if moved is None else linear(sensor, rule, mean, epoch)
-        if moved is not None and after is not None and before is not None:
-            (y, F), (h_y, H), (h_x, H_x) = moved, after, before
+        if by_matrix(motion, rule) and by_matrix(sensor, rule):
+            y, F = linear(motion, rule, mean, epoch)
+            (h_y, H), (h_x, H_x) = linear(sensor, rule, y, epoch), linear(sensor, rule, mean, epoch)
             outputs, beside = ((h_y - matvec(Phi, h_x), H @ F - Phi @ H_x), (y, F)), (H @ W, W)
         elif not callable(sensor.h):
             beside = (sensor.h @ W, W)
@@ -278,22 +240,21 @@ class Decorrelated(Colored):
         """Update the past state [Sun2015, Eqs. 24-32], then predict [Sun2015, Eqs. 33-37]."""
         gates = [partial(_leaving_out, hook) for hook in self.hooks[0]]
         noise = self.system(state.belief.mean, epoch, np.ones(1, bool)).sqrt_R
-        past = joint(self.rule, state.belief, partial(self.past, Phi), epoch, z=z_star, measurement_noise=noise)
+        past = joint(
+            self.rule, state.belief, lambda x, epoch: (self.rows(Phi, x, epoch)[0], KEEP), epoch, z=z_star, measurement_noise=noise
+        )
         lagged, info, memory = condition(self.form, past, EUCLIDEAN, hooks=gates, memory=state.memory, epoch=epoch, gain=self.gain)
         used = np.asarray(info.used)
         star = self.system(lagged.mean, epoch, used)
-        entering = partial(self.entered, Phi, star.J, np.where(used, z_star, 0.0))
+        z_star = np.where(used, z_star, 0.0)
+
+        def entering(x: Array, epoch: Epoch) -> tuple[Array]:
+            """``f(x) + J (z* - h(x))``."""
+            h, y = self.rows(Phi, x, epoch)
+            return (y + matvec(star.J, z_star - h),)
+
         ahead = marginal(self.form, joint(self.rule, lagged, entering, epoch, process_noise=star.sqrt_Q), EUCLIDEAN)
         return ColoredState(ahead, z, lagged, memory), (info,)
-
-    def past(self, Phi: Array, x: Array, epoch: Epoch) -> tuple[Any, ...]:
-        """``H f(x) - Phi H x`` and the state before the interval."""
-        return self.rows(Phi, x, epoch)[0], KEEP
-
-    def entered(self, Phi: Array, J: Array, z: Array, x: Array, epoch: Epoch) -> tuple[Array]:
-        """``f(x) + J (z* - h(x))``."""
-        h, y = self.rows(Phi, x, epoch)
-        return (y + matvec(J, z - h),)
 
     def system(self, mean: Array, epoch: Epoch, used: Array) -> Decorrelation:
         """The decorrelated system; a row that was not measured has no part in ``J`` (its noise is its own)."""
@@ -325,7 +286,6 @@ class Augmented(Sequential):
     runs: tuple[int, ...] = ()
 
     def start(self, prior: Gaussian) -> Any:
-        """State before the first epoch."""
         check_prior(prior)
         mean, root, V = prior.mean, prior.sqrt_cov, self.sqrt_V
         batch = together(prior=mean.shape[:-1], R=V.shape[:-2], Phi=self.runs)

@@ -60,25 +60,13 @@ class SigmaPointUKF:
     _form: Form = Covariance
 
     def __init__(
-        self,
-        dim_x: int,
-        dim_z: int,
-        dt: float,
-        hx: Function,
-        fx: Function,
-        points: Any,
-        sqrt_fn: Function | None = None,
-        x_mean_fn: Function | None = None,
-        z_mean_fn: Function | None = None,
-        residual_x: Function | None = None,
-        residual_z: Function | None = None,
-        state_add: Function | None = None,
-        *,
-        vectorized: bool = False,
-    ):
+        self, dim_x: int, dim_z: int, dt: float, hx: Function, fx: Function, points: Any, sqrt_fn: Function | None = None,
+        x_mean_fn: Function | None = None, z_mean_fn: Function | None = None, residual_x: Function | None = None,
+        residual_z: Function | None = None, state_add: Function | None = None, *, vectorized: bool = False,
+    ):  # fmt: skip
         self._dim_x, self._dim_z, self._dt, self._vectorized = dim_x, dim_z, dt, vectorized
         # What is made when asked for, and what is no array: filterpy's Saver makes arrays of all other attributes.
-        self._made: dict[str, Any] = {"info": None}
+        self._made: dict[str, Any] = {"log_likelihood": float(np.log(sys.float_info.min)), "mahalanobis": 0.0}
         self._roots: dict[str, tuple[Any, Array]] = {}  # by name: a matrix as it was, and what its checks made of it
         self.points_fn = points
         self.hx, self.fx = hx, fx
@@ -100,6 +88,8 @@ class SigmaPointUKF:
     K = _late("K", "Gain ``(n, m)`` of the last update.")
     SI = _late("SI", "Inverse ``(m, m)`` of ``S``, by ``inv``.")
     sigmas_f = _late("sigmas_f", "Points ``(p, n)`` of the last prediction.")
+    log_likelihood = _late("log_likelihood", "Logarithm of the density of the last measurement.")
+    mahalanobis = _late("mahalanobis", "Mahalanobis distance of the last measurement; 0 before the first.")
 
     @property
     def points_fn(self) -> Any:
@@ -162,12 +152,14 @@ class SigmaPointUKF:
         noise = self.R if R is None else numbers("R", R) * np.eye(m) if np.isscalar(R) else R
         root, belief = self._root("R", noise, m), self._belief()
         h = _model_of(self._vectorized, "hx", self.hx if hx is None else hx, m, (), hx_args)
-        found = self._conditioned(belief, measured, h, root) if UT is None else self._transformed(UT, belief, measured, h, noise)
-        after, images, S, info = found
+        done: Any = (
+            self._conditioned(belief, measured, h, root) if UT is None else self._transformed(UT, belief, measured, h, noise)
+        )
+        after, images, S, info = done
         self._keep(after)
         self.sigmas_h, self.S, self.y = np.array(images[-self._num_sigmas :]), S, np.asarray(info.innovation)
-        kept = Info(whitened=info.whitened, used=info.used, sqrt_S=info.sqrt_S)  # no functions, which cannot be pickled
-        self._made |= {"K": info.gain, "SI": lambda: self.inv(S), "info": kept}
+        self._made |= {"K": info.gain, "SI": lambda: self.inv(S), "mahalanobis": lambda: float(np.sqrt(info.nis))}
+        self._made["log_likelihood"] = lambda: float(info.log_likelihood)
         self.z = z.copy() if type(z) is np.ndarray else deepcopy(z)
         self.x_post, self.P_post = self.x.copy(), self.P.copy()
 
@@ -262,21 +254,9 @@ class SigmaPointUKF:
         return xs, ps, gains
 
     @property
-    def log_likelihood(self) -> float:
-        """Logarithm of the density of the last measurement."""
-        info = self._made["info"]
-        return float(np.log(sys.float_info.min) if info is None else info.log_likelihood)
-
-    @property
     def likelihood(self) -> float:
         """Density of the last measurement, or the smallest normal number where it is too small for any."""
         return float(np.exp(self.log_likelihood)) or sys.float_info.min
-
-    @property
-    def mahalanobis(self) -> float:
-        """Mahalanobis distance of the last measurement; 0 before the first."""
-        info = self._made["info"]
-        return 0.0 if info is None else float(np.sqrt(info.nis))
 
     def __repr__(self) -> str:
         names = "x P x_prior P_prior Q R S K y log_likelihood likelihood mahalanobis sigmas_f sigmas_h Wm Wc residual_x residual_z"
@@ -379,14 +359,12 @@ def _space_of(add: Function, residual: Function, mean: Function | None) -> Space
     if add is np.add and residual is np.subtract and mean is None:
         return EUCLIDEAN
     own = None if mean is None else lambda points, weights: np.asarray(mean(points, weights), dtype=np.float64)
-    return Space(_sums(add), _differences(residual), None, own)
 
+    def plus(point: Array, tangent: Any) -> Array:
+        """Sums of a point and all tangents; ``add`` may change its first argument. A mean of its own needs none, with 0."""
+        return _by_row(lambda row: add(point.copy(), row), tangent) if np.ndim(tangent) else point
 
-def _sums(add: Function) -> Function:
-    """Sums of a point and all tangents; ``add`` may change its first argument. A mean of its own needs none, with 0."""
-    if add is np.add:
-        return EUCLIDEAN.plus
-    return lambda point, tangent: _by_row(lambda row: add(point.copy(), row), tangent) if np.ndim(tangent) else point
+    return Space(EUCLIDEAN.plus if add is np.add else plus, _differences(residual), None, own)
 
 
 def _differences(residual: Function) -> Function:

@@ -44,12 +44,12 @@ class Fallback:
         return self.first.motion
 
     def start(self, prior: Gaussian) -> State:
-        """State before the first epoch."""
+
         state = self.first.start(prior)
         return state._replace(belief=whole(self.first.form, *state.belief))  # runs are done again one by one
 
     def step(self, state: State, epoch: Epoch) -> Step:
-        """State after an epoch, and what each sensor did to it."""
+
         ahead, _, moved = self._done(state, lambda filter: (filter.predict(state, epoch), ()))
         after, infos, updated = self._done(ahead, lambda filter: filter.update(ahead, epoch))
         redone = moved | updated

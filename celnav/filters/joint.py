@@ -21,37 +21,18 @@ import numpy as np
 from celnav.filters.mixing import POINTS, WATCH, check_runs_apart, unknown
 from celnav.filters.model import Linear, Motion, Noise, Sensor, as_floats, given_back, is_linear
 from celnav.filters.records import Info
-from celnav.gaussian.checks import instance, numbers, unmasked
-from celnav.gaussian.linalg import (
-    POSITIVE,
-    Array,
-    Belief,
-    Form,
-    block,
-    factored,
-    matvec,
-    side_by_side,
-    solve_right,
-    whiten,
-)
+from celnav.gaussian.checks import beside, instance, numbers, unmasked
+from celnav.gaussian.linalg import POSITIVE, Array, Belief, Form, block, factored, matvec, side_by_side, solve_right, whiten
 from celnav.gaussian.rules import Image, Taylor
 from celnav.gaussian.spaces import EUCLIDEAN, Space
 
-
-class _Keep:
-    def __repr__(self) -> str:
-        return "KEEP"
-
-
-KEEP: Final = _Keep()
+KEEP: Final = object()
 """Stands for "the state itself" among the outputs of a function: its columns are then exact, on any space."""
 
 
 class Joint(NamedTuple):
     """The joint of a measurement (m rows) and a state (n rows): what a hook sees and may replace.
 
-    Attributes
-    ----------
     innovation: ``(..., m)``, measurement minus prediction; nan where nothing was measured, or a hook leaves it out. None where
         there is nothing to condition on.
     measurement, state: their images, with columns ``(..., m, q)`` and ``(..., n, q)`` from the prior.
@@ -63,8 +44,8 @@ class Joint(NamedTuple):
     noise_first: whether the measurement noise stands first among the `columns`; no sign may be negative then.
     """
 
-    innovation: Array | None
-    measurement: Image | None
+    innovation: Any
+    measurement: Any
     state: Image
     sign: Array
     process_noise: tuple[Any, Any] | None = None
@@ -73,10 +54,7 @@ class Joint(NamedTuple):
     noise_first: bool = False
 
     def columns(self) -> Array:
-        """The pre-array ``(..., m + n, q + r + s)``.
-
-        [ D_z  W_z  V ]   m rows
-        [ D_x  W_x  0 ]   n rows
+        """The pre-array ``(..., m + n, q + r + s)``, drawn above.
 
         Small columns after large ones keep their digits in a QR, and noise is what may be small. Only where the state is kept and
         its measurement linear V comes first: most reflections are then short or nothing, which takes half the time.
@@ -99,7 +77,6 @@ class Joint(NamedTuple):
 
     def covariances(self) -> tuple[Array, Array]:
         """Of the innovation without measurement noise ``(..., m, m)``, and of state and innovation ``(..., n, m)``."""
-        assert self.measurement is not None
         D_z, D_x = self.measurement.columns, self.state.columns
         S0, cross = (D_z * self.sign) @ D_z.mT, (D_x * self.sign) @ D_z.mT
         if self.process_noise is not None:
@@ -111,7 +88,6 @@ class Joint(NamedTuple):
 
     def variances(self) -> tuple[Array, Array]:
         """Variances ``(..., m)`` of the innovation without measurement noise, and of that noise."""
-        assert self.measurement is not None
         D = self.measurement.columns
         prior = np.einsum("...ij,...ij,j->...i", D, D, np.broadcast_to(self.sign, D.shape[-1:]))
         if self.process_noise is not None and type(self.process_noise[0]) is not int:
@@ -121,7 +97,7 @@ class Joint(NamedTuple):
 
     def leaving_out(self, mask: Array) -> Joint:
         """Without the components of the measurement where ``mask (..., m)`` is True."""
-        return self._replace(innovation=np.where(mask, np.nan, np.asarray(self.innovation)))
+        return self._replace(innovation=np.where(mask, np.nan, self.innovation))
 
     def inflated(self, factor: Array) -> Joint:
         """With measurement noise of standard deviations ``factor (..., m)`` times as large."""
@@ -143,22 +119,12 @@ Gain = Array | Callable[[Array, Array, int], Array]
 
 
 def joint(
-    rule: Any,
-    belief: Belief,
-    outputs: Sequence[Any] | Callable[..., tuple[Any, ...]],
-    epoch: Any = None,
-    *,
-    space: Space = EUCLIDEAN,
-    spaces: Sequence[Space] | None = None,
-    z: Array | None = None,
-    process_noise: Any = None,
-    measurement_noise: Noise = None,
-    augment: Sequence[Array] = (),
-) -> Joint:
+    rule: Any, belief: Belief, outputs: Sequence[Any] | Callable[..., tuple[Any, ...]], epoch: Any = None, *,
+    space: Space = EUCLIDEAN, spaces: Sequence[Space] | None = None, z: Array | None = None,
+    process_noise: Any = None, measurement_noise: Noise = None, augment: Sequence[Array] = (),
+) -> Joint:  # fmt: skip
     """Push a belief through models, and set the noise beside what comes out.
 
-    Parameters
-    ----------
     rule: `Rule` or `Taylor`, or a function of the dimension.
     outputs: the measurement (if any) and the state, each a `Motion`, a `Sensor`, `KEEP` (the state itself) or ``(value, matrix)``
         of what is linear, if both are; or a function ``(points, epoch, *noise points)`` of both.
@@ -181,12 +147,15 @@ def joint(
     mean = belief.mean
 
     noise_first, images = False, []
-    first: Any = None if callable(outputs) else outputs[0]
-    linear = [] if callable(outputs) else linearized(outputs, rule, mean, epoch, space)
-    if linear:
+    models: Sequence[Any] = () if callable(outputs) else outputs
+    first: Any = models[0] if models else None
+    if models and all(one is KEEP or type(one) is tuple or by_matrix(one, rule) for one in models):
+        found: list[Any] = [
+            (mean, None) if one is KEEP else one if type(one) is tuple else linear(one, rule, mean, epoch, space) for one in models
+        ]
         # A prediction factors the covariance even so: whether it is definite is to be noticed.
-        root, sign = belief.factor() if linear[-1][1] is None and not augment else (belief.sqrt_cov, POSITIVE)
-        for value, matrix in linear:
+        root, sign = belief.factor() if found[-1][1] is None and not augment else (belief.sqrt_cov, POSITIVE)
+        for value, matrix in found:
             images.append(_linear_image(value, matrix, root, sign, augment))
         noise_first = sign.ndim == 1 and isinstance(first, Sensor) and (not callable(first.h) or isinstance(first.h, Linear))
     else:
@@ -212,7 +181,7 @@ def joint(
     if z.shape[-1] != m:
         raise ValueError(f"z: expected {m} components to go with h, got {z.shape[-1]}")
     if z.ndim > 1 and z.shape[:-1] != mean.shape[:-1]:
-        _joint_batch("z", z.shape[:-1], mean.shape[:-1])
+        beside("z", z.shape[:-1], mean.shape[:-1], "the belief")
     if own is EUCLIDEAN:
         innovation = z - measured.center - measured.shift
     else:  # the mean may lie across a seam from the center
@@ -228,28 +197,9 @@ def rule_for(rule: Any, belief: Belief, augment: Sequence[Array] = ()) -> Any:
     return rule(n + sum([E.shape[-1] for E in augment]) if augment else n)
 
 
-def checked(z: Any, sensor: Sensor) -> Array:
-    """A measurement ``(..., m)`` as floats."""
-    measured = z if type(z) is np.ndarray and z.dtype == np.float64 else numbers("z", z)
-    if measured.ndim == 0:
-        raise ValueError(f"z: expected shape (..., m), got the number {measured}; one component is [z]")
-    return measured if sensor.space.check is None else sensor.space.check(measured, "z")
-
-
 def at(noise: Any, mean: Array, epoch: Any) -> Any:
     """Columns of a noise at an epoch."""
     return noise(mean, epoch) if callable(noise) else noise
-
-
-def linearized(outputs: Sequence[Any], rule: Any, mean: Array, epoch: Any, space: Space) -> list[tuple[Any, Any]]:
-    """Value at the mean and matrix of each output, `KEEP` alone; nothing if one of them asks for points."""
-    found: list[tuple[Any, Any]] = []
-    for output in outputs:
-        one = (mean, None) if output is KEEP else output if type(output) is tuple else linear(output, rule, mean, epoch, space)
-        if one is None:
-            return []
-        found.append(one)
-    return found
 
 
 def by_matrix(model: Any, rule: Any) -> bool:
@@ -257,14 +207,9 @@ def by_matrix(model: Any, rule: Any) -> bool:
     return is_linear(getattr(model, model.name)) or (model.jacobian is not None and isinstance(rule, Taylor))
 
 
-def linear(model: Motion | Sensor, rule: Any, mean: Array, epoch: Any, space: Space = EUCLIDEAN) -> tuple[Array, Array] | None:
-    """Value at the mean and matrix, where a model is linear or the rule asks for derivatives that are known; None elsewhere.
-
-    ``space``: that of the state.
-    """
+def linear(model: Motion | Sensor, rule: Any, mean: Array, epoch: Any, space: Space = EUCLIDEAN) -> tuple[Array, Array]:
+    """Value at the mean and matrix of a model that enters `by_matrix`; ``space``: that of the state."""
     function: Any = getattr(model, model.name)
-    if not by_matrix(model, rule):
-        return None
     if is_linear(function):
         matrix = function.at(epoch, mean.shape[-1]) if callable(function) else function
         if model.name == "f" and matrix.shape[-2] != mean.shape[-1]:
@@ -302,25 +247,18 @@ def _linear_image(value: Array, matrix: Array | None, root: Array, sign: Array, 
     return Image(value, np.zeros(matrix.shape[-2]), columns, partial(np.asarray, matrix[..., :n]))
 
 
-def _joint_batch(name: str, batch: tuple[int, ...], runs: tuple[int, ...]) -> tuple[int, ...]:
-    try:
-        return np.broadcast_shapes(batch, runs)
-    except ValueError:
-        raise ValueError(f"{name}: batch axes {batch} do not go with those of the belief, {runs}") from None
-
-
 def over_runs(name: str, batch: tuple[int, ...], belief: Belief) -> Belief:
     """The belief, with a mean for each of the runs that only an argument has; ValueError names one that does not go with it."""
     runs = belief.mean.shape[:-1]
     if not batch or batch == runs:
         return belief
-    together = _joint_batch(name, batch, runs)
+    together = beside(name, batch, runs, "the belief")
     return belief if together == runs else belief._replace(mean=np.broadcast_to(belief.mean, (*together, belief.mean.shape[-1])))
 
 
 def whole(form: Form, mean: Array, spread: Array) -> Belief:
     """The belief, where mean and covariance differ from run to run in axes of their own."""
-    batch = _joint_batch("Q, R", spread.shape[:-2], mean.shape[:-1])
+    batch = beside("Q, R", spread.shape[:-2], mean.shape[:-1], "the belief")
     return form(np.broadcast_to(mean, (*batch, mean.shape[-1])), np.broadcast_to(spread, (*batch, *spread.shape[-2:])))
 
 
@@ -331,15 +269,9 @@ def marginal(form: Form, joint: Joint, space: Space) -> Belief:
 
 
 def condition(
-    form: Form,
-    joint: Joint,
-    space: Space,
-    *,
-    hooks: Sequence[Hook] = (),
-    memory: Any = None,
-    epoch: Any = None,
-    gain: Gain | None = None,
-) -> tuple[Belief, Info, Any]:
+    form: Form, joint: Joint, space: Space, *,
+    hooks: Sequence[Hook] = (), memory: Any = None, epoch: Any = None, gain: Gain | None = None,
+) -> tuple[Belief, Info, Any]:  # fmt: skip
     """The belief about the state given the innovation, what was done, and the hooks' memory.
 
     Components that are nan are marginalized exactly, in each run by itself. With a prescribed ``gain`` the covariance is that of a
@@ -351,12 +283,14 @@ def condition(
     if hooks:
         joint, memory = _adapted(joint, hooks, memory, epoch)
     innovation, measured, state = joint.innovation, joint.measurement, joint.state
-    assert innovation is not None
-    assert measured is not None
+
     used, m = innovation == innovation, innovation.shape[-1]
     A, mask = joint.columns(), alike(used)
     if not mask.all():
-        A, innovation = _left_out(A, innovation, mask)
+        # Rows that were not measured: no columns from the prior, a unit noise of their own and a zero innovation.
+        here = mask[..., None]
+        A = block([[A[..., :m, :] * here, np.eye(m) * ~here], [A[..., m:, :], 0]])
+        innovation = np.where(mask, innovation, 0.0)
     K: Any = gain
     if gain is not None:
         K = numbers("gain", gain(A, joint.sign, m) if callable(gain) else gain, (..., A.shape[-2] - m, m)) * mask[..., None, :]
@@ -377,11 +311,9 @@ def condition(
 
 def _adapted(joint: Joint, hooks: Sequence[Hook], memory: Any, epoch: Any) -> tuple[Joint, Any]:
     """The joint after its hooks, which may replace its arrays or write into them, and their memories."""
-    assert joint.measurement is not None
     columns, memories = joint.state.columns, []
     measurement, state = (image._replace(columns=image.columns.copy()) for image in (joint.measurement, joint.state))
-    W: Any = joint.process_noise
-    V = joint.measurement_noise
+    W, V = joint.process_noise, joint.measurement_noise
     given = joint = joint._replace(
         innovation=np.array(joint.innovation),
         measurement=measurement,
@@ -404,12 +336,6 @@ def alike(used: Array) -> Array:
     """A mask ``(..., m)`` as one, ``(m,)``, where it is that of all runs: what they share then stays one for all."""
     every: Array = np.logical_and.reduce(used, tuple(range(used.ndim - 1)))
     return every if every.all() or (used == every).all() else used
-
-
-def _left_out(A: Array, innovation: Array, used: Array) -> tuple[Array, Array]:
-    """Rows that were not measured: no columns from the prior, a unit noise of their own and a zero innovation."""
-    m, here = used.shape[-1], used[..., None]
-    return block([[A[..., :m, :] * here, np.eye(m) * ~here], [A[..., m:, :], 0]]), np.where(used, innovation, 0.0)
 
 
 def evaluate(model: Motion | Sensor, x: Array, epoch: Any, noise: Sequence[Array] = (), m: int | None = None) -> Array:

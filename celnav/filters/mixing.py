@@ -15,8 +15,7 @@ import numpy as np
 
 from celnav.gaussian.linalg import Array
 
-MOST = 16
-"""Models looked at in a run of a filter: some are made anew at every step."""
+MOST = 16  # models looked at in a run of a filter: some are made anew at every step
 LOOKED_AT: ContextVar[list[Any] | None] = ContextVar("looked_at", default=None)
 """The models looked at so far; None where none is to be."""
 WATCH: ContextVar[Callable[[str, Array], None] | None] = ContextVar("watch", default=None)

@@ -53,11 +53,52 @@ def is_linear(model: Any) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class _Model:
+    """What a `Motion` and a `Sensor` have in common: a function or a matrix, whose space is one, and a noise that is said."""
+
+    name: ClassVar[str]
+    noise_name: ClassVar[str]
+    _: KW_ONLY
+    space: Space = EUCLIDEAN
+    jacobian: Jacobian | None = None
+    augment: Sequence[Array] = ()
+
+    def __post_init__(self) -> None:
+        name, noise = self.name, self.noise_name
+        model, columns = getattr(self, name), self.noise
+        if not callable(model):
+            matrix = finite(name, model)
+            if matrix.ndim < 2 or (name == "f" and matrix.shape[-1] != matrix.shape[-2]):
+                shape = "(..., n, n)" if name == "f" else "(..., m, n)"
+                raise ValueError(f"{name}: expected a function (points, epoch) or a matrix {shape}, got shape {matrix.shape}")
+            if isinstance(columns, np.ndarray) and columns.shape[-2] != matrix.shape[-2]:
+                raise ValueError(f"{noise}: expected {matrix.shape[-2]} rows to go with {name}, got {columns.shape[-2]}")
+            object.__setattr__(self, name, matrix)
+        elif not any(takes(model, count) for count in range(2, 10)):  # how many noises go through it only the filter knows
+            raise ValueError(f"{name}: expected a function (points, epoch, *noise), got {kind(model)} of other arguments")
+        if self.jacobian is not None:
+            function("jacobian", self.jacobian, "(mean, epoch)", f"; a linear {name} is the matrix itself")
+        instance("space", self.space, Space, "a Space, such as celnav.angles([0])")
+        roots = check_roots("augment", self.augment)
+        if len(roots) and is_linear(model):
+            raise ValueError(
+                f"augment: expected a function {name}(points, epoch, *noise) with it, got a matrix; {noise} is its noise"
+            )
+        if columns is None and not len(roots):
+            raise ValueError(
+                f"{noise}: expected the noise's covariance, {noise} or sqrt_{noise}; without noise it is np.zeros((k, k))"
+            )
+
+    @cached_property
+    def noise(self) -> Noise:
+        """Columns ``(..., k, r)`` of the noise, or a function ``(mean, epoch)`` of them."""
+        return noise_of(self.noise_name, getattr(self, self.noise_name), getattr(self, f"sqrt_{self.noise_name}"))
+
+
+@dataclass(frozen=True, eq=False)
+class Motion(_Model):
     """What is believed of the dynamics: ``x' = f(x, epoch) + w``, ``w ~ N(0, Q)``.
 
-    Parameters
-    ----------
     f: function ``(points (p, ..., N), epoch) -> (p, ..., N)``, or a matrix ``(..., n, n)``, or a `Linear` one of the epoch.
         ``epoch.dt`` is the interval, ``epoch.u`` the input.
     Q: covariance ``(..., n, n)`` of the process noise of an interval, or a function ``(mean, epoch)`` of it. Without noise it is
@@ -70,32 +111,22 @@ class Motion:
     >>> motion = celnav.Motion(lambda x, epoch: orbit.step(x, epoch.dt), Q=1e-8 * np.eye(6))
     """
 
-    name: ClassVar[str] = "f"
+    name, noise_name = "f", "Q"
     f: Any
     Q: Any = None
     _: KW_ONLY
     sqrt_Q: Any = None
-    space: Space = EUCLIDEAN
-    jacobian: Jacobian | None = None
-    augment: Sequence[Array] = ()
 
     def __post_init__(self) -> None:
-        _check_model(self, "f", "Q")
+        super().__post_init__()
         if not callable(self.f) and self.space != EUCLIDEAN:
             raise ValueError("f: expected a function where states are no vectors, got a matrix")
 
-    @cached_property
-    def noise(self) -> Noise:
-        """Columns ``(..., n, r)`` of the noise, or a function ``(mean, epoch)`` of them."""
-        return noise_of("Q", self.Q, self.sqrt_Q)
-
 
 @dataclass(frozen=True, eq=False)
-class Sensor:
+class Sensor(_Model):
     """What is believed of a measurement: ``z = h(x, epoch) + v``, ``v ~ N(0, R)``.
 
-    Parameters
-    ----------
     h: function ``(points (p, ..., N), epoch) -> (p, ..., m)``, or a matrix ``(..., m, n)``: a linear measurement is exact and cheap
         under any rule.
     R, sqrt_R, jacobian, augment: as of a `Motion`, with m rows. Noises through the points may be all the noise there is.
@@ -104,22 +135,11 @@ class Sensor:
     >>> gps = celnav.Sensor(np.eye(3, 6), R=0.04 * np.eye(3))
     """
 
-    name: ClassVar[str] = "h"
+    name, noise_name = "h", "R"
     h: Any
     R: Any = None
     _: KW_ONLY
     sqrt_R: Any = None
-    space: Space = EUCLIDEAN
-    jacobian: Jacobian | None = None
-    augment: Sequence[Array] = ()
-
-    def __post_init__(self) -> None:
-        _check_model(self, "h", "R")
-
-    @cached_property
-    def noise(self) -> Noise:
-        """Columns ``(..., m, s)`` of the noise, or a function ``(mean, epoch)`` of them."""
-        return noise_of("R", self.R, self.sqrt_R)
 
     @cached_property
     def m(self) -> int | None:
@@ -132,31 +152,6 @@ class Sensor:
         return bool(len(self.augment)) or (isinstance(self.noise, np.ndarray) and bool(self.noise.any(-1).all()))
 
 
-def _check_model(record: Any, name: str, noise: str) -> None:
-    """A model is a function or a matrix, its noise is said, its space is one."""
-    model = getattr(record, name)
-    if not callable(model):
-        matrix = finite(name, model)
-        if matrix.ndim < 2 or (name == "f" and matrix.shape[-1] != matrix.shape[-2]):
-            shape = "(..., n, n)" if name == "f" else "(..., m, n)"
-            raise ValueError(f"{name}: expected a function (points, epoch) or a matrix {shape}, got shape {matrix.shape}")
-        object.__setattr__(record, name, matrix)
-    elif not any(takes(model, count) for count in range(2, 10)):  # how many noises go through it only the filter knows
-        raise ValueError(f"{name}: expected a function (points, epoch, *noise), got {kind(model)} of other arguments")
-    if record.jacobian is not None:
-        function("jacobian", record.jacobian, "(mean, epoch)", f"; a linear {name} is the matrix itself")
-    if not isinstance(record.space, Space):
-        raise ValueError(f"space: expected a Space, such as celnav.angles([0]), got {kind(record.space)}")
-    roots = check_roots("augment", record.augment)
-    if len(roots) and is_linear(model):
-        raise ValueError(f"augment: expected a function {name}(points, epoch, *noise) with it, got a matrix; {noise} is its noise")
-    if getattr(record, noise) is None and getattr(record, f"sqrt_{noise}") is None and not len(roots):
-        raise ValueError(f"{noise}: expected the noise's covariance, {noise} or sqrt_{noise}; without noise it is np.zeros((k, k))")
-    columns = record.noise
-    if isinstance(columns, np.ndarray) and not callable(model) and columns.shape[-2] != matrix.shape[-2]:
-        raise ValueError(f"{noise}: expected {matrix.shape[-2]} rows to go with {name}, got {columns.shape[-2]}")
-
-
 Noise = Array | Callable[[Array, Any], Array] | None
 """Columns ``(..., k, r)`` of a noise, or a function ``(mean, epoch)`` of them; None: without."""
 
@@ -166,26 +161,20 @@ def noise_of(name: str, cov: Any, sqrt: Any) -> Noise:
     if cov is not None and sqrt is not None:
         raise ValueError(f"{name}: expected one of {name} and sqrt_{name}, got both")
     if callable(sqrt):
-        return partial(_columns_of, function(f"sqrt_{name}", sqrt, "(mean, epoch)"), f"sqrt_{name}")
+        return partial(_columns_at, function(f"sqrt_{name}", sqrt, "(mean, epoch)"), f"sqrt_{name}")
     if callable(cov):
-        return partial(_root_of, function(name, cov, "(mean, epoch)"), name)
+        return partial(_root_at, function(name, cov, "(mean, epoch)"), name)
     if sqrt is not None:
-        return _columns(f"sqrt_{name}", finite(f"sqrt_{name}", sqrt))
+        return finite(f"sqrt_{name}", sqrt, (..., "n", None))
     return None if cov is None else symmetric(cov, name)[1]
 
 
-def _columns_of(function: Any, name: str, mean: Array, epoch: Any) -> Array:
-    return _columns(name, numbers(name, unmasked(name, function(mean, epoch))))
+def _columns_at(function: Any, name: str, mean: Array, epoch: Any) -> Array:
+    return numbers(name, unmasked(name, function(mean, epoch)), (..., "n", None))
 
 
-def _root_of(function: Any, name: str, mean: Array, epoch: Any) -> Array:
+def _root_at(function: Any, name: str, mean: Array, epoch: Any) -> Array:
     return symmetric(unmasked(name, function(mean, epoch)), name)[1]
-
-
-def _columns(name: str, columns: Array) -> Array:
-    if columns.ndim < 2:
-        raise ValueError(f"{name}: expected columns of shape (..., n, r), got {columns.shape}")
-    return columns
 
 
 def check_roots(name: str, roots: Any) -> Sequence[Array]:
@@ -195,11 +184,11 @@ def check_roots(name: str, roots: Any) -> Sequence[Array]:
     return roots
 
 
-def check_matrices(n: int, **models: Any) -> None:
+def check_matrices(n: int, *models: Motion | Sensor) -> None:
     """Matrices among models of a state go with its ``n`` deviations; ValueError names one that does not."""
-    for name, model in models.items():
-        if not callable(model) and model.shape[-1] != n:
-            raise ValueError(f"{name}: expected a matrix ({'n' if name == 'f' else 'm'}, {n}), got {model.shape[-2:]}")
+    for name, matrix in ((model.name, getattr(model, model.name)) for model in models):
+        if not callable(matrix) and matrix.shape[-1] != n:
+            raise ValueError(f"{name}: expected a matrix ({'n' if name == 'f' else 'm'}, {n}), got {matrix.shape[-2:]}")
 
 
 def check_prior(prior: Any) -> None:
@@ -215,16 +204,12 @@ def given_back(name: str, value: Any, what: str) -> Any:
 
 
 def as_floats(name: str, values: Any, points: Array) -> Array:
-    """What a model gave as float64. It warns of single precision whose differences, all that a filter has, are hardly more than
-    round-off, and refuses what is masked: what is missing at one point has no mean.
-    """
+    """What a model gave as float64, with a warning of single precision whose differences are hardly more than round-off."""
     dtype, y = np.asarray(values).dtype, numbers(name, unmasked(name, values))
     if dtype.kind == "f" and dtype.itemsize < y.itemsize and len(points) > 1 and y.size:
         differences, moved = np.ptp(y, 0), np.ptp(points, 0) > 0.0
         moved = moved if moved.shape == differences.shape else moved.any(-1, keepdims=True)
         if (moved & (differences < 1e3 * np.finfo(dtype).eps * np.abs(y).max(0))).any():
-            text = (
-                f"{name} returns {dtype}: its values differ from point to point by little more than round-off. Compute in float64."
-            )
-            warn(text, RuntimeWarning, stacklevel=4)
+            text = "its values differ from point to point by little more than round-off. Compute in float64."
+            warn(f"{name} returns {dtype}: {text}", RuntimeWarning, stacklevel=4)
     return y

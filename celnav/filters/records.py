@@ -22,8 +22,6 @@ class FilterError(ArithmeticError):
 class Epoch(NamedTuple):
     """What is known about the interval ``(t - dt, t]`` and the sample at its end.
 
-    Attributes
-    ----------
     k: index. t: time, s. dt: length of the interval, s.
     u: the input that acts over the interval.
     z: one measurement ``(..., m)`` or a tuple of them, one for each sensor; nan or None where there is none.
@@ -41,8 +39,6 @@ class Epoch(NamedTuple):
 class Info(NamedTuple):
     """What one measurement did to a belief.
 
-    Attributes
-    ----------
     innovation: ``(..., m)`` measurement minus its prediction, before hooks; nan where nothing was measured.
     whitened: ``(..., m)`` ``S^-1 innovation`` with the lower root S of the innovation covariance; 0 where not used.
     used: ``(..., m)`` bool, the components that took part.
@@ -56,8 +52,8 @@ class Info(NamedTuple):
     whitened: Array | None = None
     used: Array | None = None
     sqrt_S: Array | None = None
-    gain: Callable[[], Array] | None = None
-    jacobian: Callable[[], Array] | None = None
+    gain: Any = None
+    jacobian: Any = None
     redone: Array | None = None
     silent: bool = False
 
@@ -151,8 +147,6 @@ def _at(values: Any, k: int) -> Any:
 def epochs(times: ArrayLike, z: Any = None, u: Any = None, truth: Any = None) -> Epochs:
     """Epochs at ``times (T,)``, which may be irregular.
 
-    Parameters
-    ----------
     times: s, not decreasing. The first epoch has ``dt = 0``: it updates the prior.
     z: measurements ``(T, ..., m)``, time-major, nan where missing; a tuple of such arrays for several sensors.
     u: inputs; ``u[k]`` acts from ``times[k]`` to ``times[k + 1]``. A tuple is taken apart.

@@ -19,22 +19,13 @@ from celnav.gaussian.linalg import Array
 
 
 def run(
-    filter: Filter,
-    prior: Any,
-    times: ArrayLike | Iterable[Epoch],
-    z: Any = None,
-    u: Any = None,
-    *,
-    every: int = 1,
-    keep: str = "std",
+    filter: Filter, prior: Any, times: ArrayLike | Iterable[Epoch], z: Any = None, u: Any = None, *,
+    every: int = 1, keep: str = "std", on_failure: str = "raise",
     also: Callable[[Epoch, Any, tuple[Info, ...]], dict[str, Any]] | None = None,
     reduce: Callable[[Any, Epoch, Any, tuple[Info, ...]], Any] | None = None,
-    on_failure: str = "raise",
-) -> Track:
+) -> Track:  # fmt: skip
     """Run a filter over epochs and collect a `Track`.
 
-    Parameters
-    ----------
     filter: any filter. prior: a `celnav.Gaussian` of any batch shape.
     times: ``(T,)`` s, with measurements ``z (T, ..., m)`` (nan where missing; a tuple for several sensors) and inputs ``u``; or,
         instead of the three, epochs that are made already (`celnav.epochs`), or any iterable of `Epoch`.
@@ -153,15 +144,12 @@ def explain(filter: Any, before: Any, after: Any, epoch: Epoch) -> str:
     predicted = filter.predict(before, epoch) if getattr(type(filter), "step", None) is Sequential.step else before
     if epoch.z is None or (predicted.belief.lost() & lost).any():
         return "the covariance lost positive definiteness"
+    why = "the innovation covariance is not positive definite"
     for sensor in getattr(filter, "sensors", ()):
         columns = at(sensor.noise, predicted.belief.mean, epoch)
         if not len(sensor.augment) and (columns is None or not columns.any(-1).all()):
-            return INDEFINITE + _REDUNDANT
-    return INDEFINITE
-
-
-INDEFINITE = "the innovation covariance is not positive definite"
-_REDUNDANT = (
-    "; a measurement without noise must say what is not known already: of redundant sensors, or of a constraint that is repeated, "
-    "leave out all but one (z is nan) or give them a small R"
-)
+            return (
+                f"{why}; a measurement without noise must say what is not known already: of redundant sensors, or of a "
+                "constraint that is repeated, leave out all but one (z is nan) or give them a small R"
+            )
+    return why

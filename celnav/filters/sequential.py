@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from celnav.filters.joint import KEEP, Gain, Hook, Joint, by_matrix, checked, condition, evaluate, joint, marginal, over_runs, whole
+from celnav.filters.joint import KEEP, Gain, Hook, Joint, by_matrix, condition, evaluate, joint, marginal, over_runs, whole
 from celnav.filters.model import Motion, Sensor, check_matrices, check_prior, check_roots
 from celnav.filters.records import Epoch, Info, State
 from celnav.gaussian.belief import Gaussian
@@ -28,11 +28,6 @@ class Sequential:
 
     ``start(prior)`` gives a state, ``step(state, epoch)`` the next one and an `Info` of each sensor; ``state.belief`` has ``mean``,
     ``cov`` and ``std``. An epoch with ``dt == 0`` does not predict: the first one is an update of the prior.
-
-    Attributes
-    ----------
-    motion, sensors: what is believed. rule: of any dimension, or one that fits. form: of the belief.
-    hooks: of each sensor. gain: a prescribed one, or None.
     """
 
     motion: Motion
@@ -54,11 +49,9 @@ class Sequential:
         N, n = belief.mean.shape[-1], belief[1].shape[-1]
         if n != N and self.motion.space == EUCLIDEAN:
             raise ValueError(f"space: expected one for states of {N} components with {n} deviations, got vectors")
-        check_matrices(n, f=self.motion.f)
-        for sensor in self.sensors:
-            check_matrices(n, h=sensor.h)
-            if n != N and not callable(sensor.h):
-                raise ValueError(f"h: expected a function where states have {N} components and {n} deviations, got a matrix")
+        check_matrices(n, self.motion, *self.sensors)
+        if n != N and not all(callable(sensor.h) for sensor in self.sensors):
+            raise ValueError(f"h: expected a function where states have {N} components and {n} deviations, got a matrix")
         if not all(by_matrix(model, self.rule) for model in (self.motion, *self.sensors)):
             belief = whole(self.form, *belief)  # a covariance of all runs stays one where their matrices are
         return State(belief, (None,) * len(self.sensors))
@@ -69,8 +62,7 @@ class Sequential:
 
     def predict(self, state: State, epoch: Epoch) -> State:
         """State at the end of the interval, before anything is measured."""
-        if not isinstance(state, State):
-            raise ValueError(f"state: expected what the filter's start(prior) or last step gave, got {kind(state)}")
+        instance("state", state, State, "what the filter's start(prior) or last step gave")
         if not hasattr(epoch, "dt"):
             raise ValueError(f"epoch: expected a record like celnav.Epoch, got {kind(epoch)}")
         if not (epoch.dt if isinstance(epoch.dt, float) else np.any(epoch.dt)):
@@ -115,7 +107,6 @@ class Sequential:
     def _told(self, sensor: Sensor, belief: Belief, seen: Joint, after: Belief, info: Info, epoch: Epoch) -> Belief:
         """The belief, but nan for runs in which a measurement without noise is of what was known already."""
         V, measured = seen.measurement_noise, seen.measurement
-        assert measured is not None
         exact = np.ones(1, bool) if V is None else np.asarray(~V.any(-1))
         if not exact.any():
             return after
@@ -142,6 +133,14 @@ def measurements(z: Any, sensors: int) -> tuple[Any, ...]:
     return each[:sensors]
 
 
+def checked(z: Any, sensor: Sensor) -> Array:
+    """A measurement ``(..., m)`` as floats."""
+    measured = numbers("z", z)
+    if measured.ndim == 0:
+        raise ValueError(f"z: expected shape (..., m), got the number {measured}; one component is [z]")
+    return measured if sensor.space.check is None else sensor.space.check(measured, "z")
+
+
 def missing(z: Any) -> bool:
     """Whether nothing was measured, in any run."""
     return z is None or (type(z) is np.ndarray and z.dtype == np.float64 and bool(np.isnan(z).all()))
@@ -162,8 +161,6 @@ def sigma_point(
 ) -> Sequential:
     """A filter by any rule.
 
-    Parameters
-    ----------
     motion, sensors: what is believed. Without sensors it is the open loop. Of several sensors each has its own part of ``z``, a
         tuple, and nan where it is silent, so sensors of different rates need nothing else.
     rule: a `Rule`, `Taylor`, or a function ``n -> rule`` of the dimension: the state's, and of noise that goes through the points.
@@ -180,8 +177,13 @@ def sigma_point(
     if gain is not None and len(sensors) != 1:
         raise ValueError(f"gain: expected one sensor with it, got {len(sensors)}")
     gain = function("gain", gain, "(A, sign, m)") if callable(gain) else None if gain is None else finite("gain", gain)
-    kept, every = FORMS[choice("form", form, FORMS)], _each(hooks, len(sensors))
-    return Sequential(motion, sensors, rule=rule_of(rule), form=kept, hooks=every, gain=gain)
+    if isinstance(rule, type) or not (hasattr(rule, "image") or callable(rule)):
+        hint = " (celnav.from_filterpy makes it one)" if hasattr(rule, "sigma_points") else ""
+        raise ValueError(f"rule: expected a rule, such as celnav.unscented(n) or celnav.unscented, got {kind(rule)}{hint}")
+    rule = rule if hasattr(rule, "image") else AnyDimension(rule)
+    return Sequential(
+        motion, sensors, rule=rule, form=FORMS[choice("form", form, FORMS)], hooks=_each(hooks, len(sensors)), gain=gain
+    )
 
 
 def ukf(motion: Motion, *sensors: Sensor, alpha: float = 1.0, beta: float = 0.0, kappa: float = 0.0, **options: Any) -> Sequential:
@@ -221,26 +223,15 @@ def ekf(motion: Motion, *sensors: Sensor, iterations: int = 1, **options: Any) -
     """
     count = integer("iterations", iterations, 1, MOST_ITERATIONS)
     plain = sigma_point(motion, *sensors, rule=Taylor(), **options)
-    if count == 1:
-        return plain
-    return Iterated(**vars(plain), iterations=count)
+    return plain if count == 1 else Iterated(**vars(plain), iterations=count)
 
 
 def plain(name: str, filter: Any) -> Sequential:
     """A filter that predicts, then updates, and does nothing else; ValueError names another."""
-    instance(name, filter, Sequential, "celnav.ukf(motion, sensor)")
-    if type(filter).step is not Sequential.step:
+    made: Sequential = instance(name, filter, Sequential, "celnav.ukf(motion, sensor)")
+    if type(made).step is not Sequential.step:
         raise ValueError(f"{name}: expected a filter that predicts, then updates, such as celnav.ukf, got {kind(filter)}")
-    made: Sequential = filter
     return made
-
-
-def rule_of(rule: Any) -> Any:
-    """The rule; of a function of the dimension one that remembers what it has made."""
-    if isinstance(rule, type) or not (hasattr(rule, "image") or callable(rule)):
-        hint = " (celnav.from_filterpy makes it one)" if hasattr(rule, "sigma_points") else ""
-        raise ValueError(f"rule: expected a rule, such as celnav.unscented(n) or celnav.unscented, got {kind(rule)}{hint}")
-    return rule if hasattr(rule, "image") else AnyDimension(rule)
 
 
 def _each(hooks: Any, sensors: int) -> tuple[tuple[Hook, ...], ...]:
@@ -248,13 +239,12 @@ def _each(hooks: Any, sensors: int) -> tuple[tuple[Hook, ...], ...]:
     if isinstance(hooks, str) or not isinstance(hooks, Sequence):
         raise ValueError(f"hooks: expected a list of hooks, such as [celnav.filters.adaptive.gate(4.0)], got {kind(hooks)}")
     lists = [hook for hook in hooks if isinstance(hook, list | tuple)]
-    if (lists and len(lists) != len(hooks)) or (lists and len(lists) != sensors):
+    if lists and not len(lists) == len(hooks) == sensors:
         raise ValueError(f"hooks: expected hooks, or {sensors} lists of them, one for each sensor, got {len(lists)} lists")
     each = tuple(tuple(own) for own in hooks) if lists else (tuple(hooks),) * sensors
-    for own in each:
-        for hook in own:
-            if not takes(hook, 3):
-                raise ValueError(f"hooks: expected functions (memory, joint, epoch), got {kind(hook)}")
+    wrong = [hook for own in each for hook in own if not takes(hook, 3)]
+    if wrong:
+        raise ValueError(f"hooks: expected functions (memory, joint, epoch), got {kind(wrong[0])}")
     return each
 
 
@@ -263,8 +253,6 @@ def _each(hooks: Any, sensors: int) -> tuple[tuple[Hook, ...], ...]:
 class Iterated(Sequential):
     """An extended filter whose updates are Gauss-Newton steps to the mode of the posterior [Bell1993].
 
-    Attributes
-    ----------
     iterations: linearizations of each update. One with a ``first`` is an update linearized about a point known otherwise, from a
         closed solution of the measurements, say; the prior counts in full all the same.
     first: ``(belief, z, epoch) -> (..., N)``, the first point to linearize about; None: the prior's mean.
@@ -282,7 +270,7 @@ class Iterated(Sequential):
     def see(
         self, sensor: Sensor, belief: Belief, z: Array, epoch: Epoch, hooks: tuple[Hook, ...], memory: Any
     ) -> tuple[Belief, Info, Any]:
-        """The belief given one measurement; see `Sequential.see`."""
+
         at, space = belief.mean, self.motion.space
         if self.first is not None:
             at = numbers("first", self.first(belief, z, epoch), (..., at.shape[-1]))
@@ -295,14 +283,12 @@ class Iterated(Sequential):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SingleDraw(Sequential):
-    """Predict and update on one set of points: the augmented form of [van der Merwe 2004], without drawing anew in between.
+    """Predict and update on one set of points: the augmented form of [Merwe2004], without drawing anew in between.
 
     Noise goes through the points: ``f(x, epoch, *noise)`` and ``h(f(x), epoch, *noise)`` both get all the noises of the motion and
     then of its only sensor. Additive process noise would not reach the measurement, and is not offered. An epoch with ``dt == 0``
     is an ordinary update. Make it of a filter: ``SingleDraw.of(celnav.ukf(motion, sensor))``.
 
-    Attributes
-    ----------
     joint_noise: roots of the noises that reach both functions instead, where those of process and measurement are correlated.
     """
 
@@ -326,7 +312,6 @@ class SingleDraw(Sequential):
         return self.joint_noise or (*self.motion.augment, *self.sensors[0].augment)
 
     def step(self, state: State, epoch: Epoch) -> tuple[State, tuple[Info, ...]]:
-        """State after an epoch, and what the sensor did to it."""
         (z,) = measurements(epoch.z, 1)
         if not np.any(epoch.dt):
             return super().step(state, epoch)

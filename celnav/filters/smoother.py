@@ -21,15 +21,13 @@ from celnav.filters.joint import KEEP, condition, joint
 from celnav.filters.records import Epoch, FilterError
 from celnav.filters.sequential import Sequential, SingleDraw
 from celnav.filters.track import Track
-from celnav.gaussian.checks import choice, kind
+from celnav.gaussian.checks import choice, instance, kind
 from celnav.gaussian.linalg import EPS, Array, Belief, SquareRoot, solve_lower, solve_right, weighted
 
 
 def smooth(track: Track, filter: Any = None, *, gains: bool = False, on_failure: str = "raise") -> Track:
     """Estimates of all states given *all* measurements, from the track of a filter.
 
-    Parameters
-    ----------
     track: of ``run(..., keep="cov")``, every epoch stored.
     filter: the filter of the track, which has it unless it was pickled. Process and measurement noise must be independent: smooth
         colored measurement noise with the track of `celnav.augmented`.
@@ -41,8 +39,7 @@ def smooth(track: Track, filter: Any = None, *, gains: bool = False, on_failure:
 
     >>> smoothed = celnav.smooth(celnav.run(filter, prior, times, z, keep="cov"))
     """
-    if not isinstance(track, Track):
-        raise ValueError(f"track: expected what celnav.run gave, got {kind(track)}")
+    instance("track", track, Track, "what celnav.run gave")
     if track.belief is None:
         raise ValueError("track: expected stored covariances, got none; run with keep='cov'")
     choice("on_failure", on_failure, ("raise", "flag"))
@@ -100,10 +97,10 @@ def back(filter: Sequential, before: Belief, after: Belief, epoch: Epoch) -> tup
         filter.rule, before, (motion, KEEP), epoch, space=space,
         z=after.mean, measurement_noise=motion.noise, augment=motion.augment,
     )  # fmt: skip
-    center = both.measurement.center  # type: ignore[union-attr]
+    center = both.measurement.center
 
     inner, info, _ = condition(form, both, space, gain=partial(pseudo_gain, center=center))
-    assert info.gain is not None
+
     gain = info.gain()
 
     def carried(to: Array, at: Array, root: Array) -> Array:

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 class Track:
     """The record of a run, time-major: ``(T, ..., n)``, the batch axes of the runs between time and component.
 
-    Attributes
-    ----------
     times: ``(T,)`` s, of the epochs stored. mean: ``(T, ..., N)``. std: ``(T, ..., n)``. None: not kept.
     belief: means and covariances in the filter's form, where ``run(keep="cov")`` kept them; see `cov`.
     innovation, whitened, used: ``(T, ..., m)`` of all sensors side by side, m the most that they had at an epoch: innovations, nan

@@ -29,8 +29,7 @@ from celnav.gaussian.spaces import EUCLIDEAN
 Slope = Array | Callable[[Array, Epoch], Array]
 """``Gamma (..., m, p)``: derivative of the measurement with respect to the bias; constant or ``(mean, epoch) -> matrix``."""
 LINEAR = Taylor()
-KNOWN = 1e-6
-"""Part of a deviation below which a direction of the bias is taken for known: the round-off of many steps."""
+KNOWN = 1e-6  # part of a deviation below which a direction of the bias is taken for known: the round-off of many steps
 
 
 class Stage(NamedTuple):
@@ -63,7 +62,6 @@ class Plain:
             raise ValueError("filter: expected one sensor and states that are vectors")
 
     def start(self, prior: Gaussian) -> State:
-        """State before the first epoch."""
         return self.filter.start(prior)
 
     def predict(self, state: State, epoch: Epoch) -> tuple[State, Array | None]:
@@ -85,9 +83,7 @@ class Plain:
 
 
 class TwoStageState(NamedTuple):
-    """State of the first stage, belief about the bias ``(..., p)``, sensitivity ``Lambda (..., n, p)``, ``Gamma`` of the last
-    measurement (None before it) and memory of the boost.
-    """
+    """State of the first stage, bias ``(..., p)``, sensitivity ``(..., n, p)``, last measurement's Gamma, memory of the boost."""
 
     first: Any
     bias: Any
@@ -107,9 +103,7 @@ class TwoStageState(NamedTuple):
 
 
 class Boost(NamedTuple):
-    """What a boost sees: the innovation less what the estimated bias explains ``(..., m)`` and its covariance ``(..., m, m)``; then
-    both of the first stage alone.
-    """
+    """What a boost sees: the innovation less what the bias explains ``(..., m)``, its covariance; both of the first stage alone."""
 
     residual: Array
     total: Array
@@ -118,20 +112,12 @@ class Boost(NamedTuple):
 
 
 def two_stage(
-    motion: Motion,
-    sensor: Sensor,
-    Gamma: Slope | ArrayLike,
-    bias: Gaussian,
-    *,
-    Qb: ArrayLike | None = None,
-    boost: Callable[[Any, Boost], tuple[Any, Array]] | None = None,
-    rule: Any = unscented,
+    motion: Motion, sensor: Sensor, Gamma: Slope | ArrayLike, bias: Gaussian, *,
+    Qb: ArrayLike | None = None, boost: Callable[[Any, Boost], tuple[Any, Array]] | None = None, rule: Any = unscented,
     **options: Any,
-) -> TwoStage:
+) -> TwoStage:  # fmt: skip
     """A filter of a state and, in a second stage, a bias of the measurement.
 
-    Parameters
-    ----------
     motion, sensor: what the first stage believes, which knows of no bias.
     Gamma: ``(..., m, p)``, derivative of the measurement with respect to the bias, or a function ``(mean, epoch)`` of it.
     bias: what is known of the bias ``(p,)`` at the start.
@@ -183,7 +169,6 @@ class TwoStage:
         return cls(first, slope, bias, walk=walk, boost=boost)
 
     def start(self, prior: Gaussian) -> TwoStageState:
-        """State before the first epoch."""
         known = self.first.start(prior)
         *batch, n = known.belief.mean.shape
         own, p = type(known.belief).of(self.bias), self.bias.mean.shape[-1]
@@ -194,7 +179,6 @@ class TwoStage:
         return TwoStageState(known, own._replace(mean=np.broadcast_to(own.mean, (*batch, p))), np.zeros((n, p)))
 
     def step(self, state: TwoStageState, epoch: Epoch) -> tuple[TwoStageState, tuple[Info, ...]]:
-        """State after an epoch, and what its measurement did."""
         first, Phi = self.first.predict(state.first, epoch)
         own, Lambda = state.bias, state.Lambda
         if Phi is not None:
@@ -205,13 +189,16 @@ class TwoStage:
         if stage is None:
             return TwoStageState(first, own, Lambda, state.Gamma, state.memory), (info,)
         Gamma = unmasked("Gamma", at(self.Gamma, first.belief.mean, epoch))
-        seen = here = numbers("Gamma", Gamma, (..., stage.used.shape[-1], own.mean.shape[-1]))
+        direct = here = numbers("Gamma", Gamma, (..., stage.used.shape[-1], own.mean.shape[-1]))
         if state.Gamma is not None and stage.lag is not None:
-            seen = here - stage.lag @ (state.Gamma + stage.before @ state.Lambda)
+            direct = here - stage.lag @ (state.Gamma + stage.before @ state.Lambda)
         if stage.Omega is not None:
-            Lambda = Lambda - stage.Omega @ (seen + stage.H @ Lambda)
-        S = np.where(stage.used[..., None], stage.H @ Lambda + seen, 0.0)
-        after, both = _given(own, S, stage)
+            Lambda = Lambda - stage.Omega @ (direct + stage.H @ Lambda)
+        S = np.where(stage.used[..., None], stage.H @ Lambda + direct, 0.0)
+        # The bias given the innovation of the first stage, of which S is the Jacobian.
+        seen = joint(LINEAR, own, ((matvec(S, own.mean), S), KEEP), z=stage.innovation, measurement_noise=stage.sqrt_S)
+        given: Any = condition(type(own), seen, EUCLIDEAN)
+        after, both, _ = given
         memory = state.memory
         if self.boost is not None:
             boost = Boost(both.innovation, outer(both.sqrt_S), stage.innovation, outer(stage.sqrt_S))
@@ -222,12 +209,6 @@ class TwoStage:
         innovation = np.where(stage.used, both.innovation, np.asarray(info.innovation))
         info = info._replace(innovation=innovation, whitened=both.whitened, sqrt_S=both.sqrt_S)
         return TwoStageState(first, after, Lambda - stage.gain @ S, here, memory), (info,)
-
-
-def _given(own: Any, S: Array, stage: Stage) -> tuple[Any, Any]:
-    """The bias given the innovation of the first stage, of which S is the Jacobian, and the `Info` of that."""
-    seen = joint(LINEAR, own, ((matvec(S, own.mean), S), KEEP), z=stage.innovation, measurement_noise=stage.sqrt_S)
-    return condition(type(own), seen, EUCLIDEAN)[:2]
 
 
 def _boosted(M: Array, d: Array, S: Array, root: Array, residual: Array) -> Array:
@@ -247,7 +228,7 @@ def _walked(first: Any, own: Any, Lambda: Array, walk: Array) -> tuple[Any, Any,
     form, eye = type(own), np.eye(own.mean.shape[-1])
     both = joint(LINEAR, own, ((own.mean, eye), KEEP), z=own.mean, measurement_noise=walk)
     left, info, _ = condition(form, both, EUCLIDEAN, gain=partial(pseudo_gain, least=KNOWN))
-    assert info.gain is not None
+
     after, less = form(own.mean, form.sum(own[1], walk)), Lambda @ info.gain()
     belief = first.belief
     free = type(belief)(belief.mean + matvec(Lambda - less, own.mean), type(belief).sum(belief[1], Lambda @ left.sqrt_cov))

@@ -2,9 +2,8 @@
 
 Conventions. ``q = [rho, q4]``; ``matrix(q)`` takes inertial components to body components; ``matrix(multiply(q, p)) ==
 matrix(q) @ matrix(p)``; an error is ``multiply(q, inverse(q_hat))``, in body axes. These are the inverse of scipy's rotations:
-``Rotation.from_quat(q).as_matrix()`` is the transpose of ``matrix(q)``. All functions take leading batch axes and are smooth at
-the identity, and batches are several times faster here than through scipy's objects. Filters call them at every step: they take
-arrays as they are, and only `unit`, `from_euler` and what makes a space check.
+``Rotation.from_quat(q).as_matrix()`` is the transpose of ``matrix(q)``. All functions take leading batch axes, are several times as
+fast as scipy's objects, and smooth at the identity. Only `unit`, `from_euler` and what makes a space check what they are given.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from celnav.gaussian.checks import number, numbers
 from celnav.gaussian.linalg import Array
-from celnav.gaussian.spaces import Space, components
+from celnav.gaussian.spaces import Space, components, trailing
 
 IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
 UNIT_TOLERANCE = 1e-6
@@ -26,11 +25,6 @@ def _rows(count: int, like: Array) -> Array:
     if like.flags.f_contiguous and not like.flags.c_contiguous:
         return np.empty((count, *like.shape[::-1])).transpose((0, *range(like.ndim, 0, -1)))
     return np.empty((count, *like.shape))
-
-
-def _last(rows: Array) -> Array:
-    """From components first to components last."""
-    return rows.transpose((*range(1, rows.ndim), 0))
 
 
 def unit(q: ArrayLike, name: str = "q") -> Array:
@@ -70,7 +64,7 @@ def multiply(q: Array, p: Array) -> Array:
     if backwards:
         pairs = pairs.transpose((0, 1, *range(pairs.ndim - 1, 1, -1)))
     rows = (_PRODUCT @ pairs.reshape(16, -1)).reshape(4, *pairs.shape[2:])
-    return rows.T if backwards else _last(rows)
+    return rows.T if backwards else trailing(rows)
 
 
 def inverse(q: Array) -> Array:
@@ -100,7 +94,7 @@ def rotate(q: Array, v: ArrayLike) -> Array:
     # t = 2 v x rho, then v + q4 t + t x rho.
     tx, ty, tz = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
     rows = (x + d * tx + ty * c - tz * b, y + d * ty + tz * a - tx * c, z + d * tz + tx * b - ty * a)
-    return _last(np.stack(rows))
+    return trailing(np.stack(rows))
 
 
 def exp(phi: Array) -> Array:
@@ -113,7 +107,7 @@ def exp(phi: Array) -> Array:
     rows = _rows(4, np.asarray(t))
     np.multiply(vector, t / (quarter * (2.0 + 2.0 * t2)), out=rows[:3])
     np.divide(1.0 - t2, 1.0 + t2, out=rows[3, ...])
-    return _last(rows)
+    return trailing(rows)
 
 
 def _square(vector: Array) -> Array:
@@ -157,7 +151,7 @@ def to_rodrigues(q: Array, a: float = 1.0, b: float = 4.0) -> Array:
     to first order. The defaults are ``4 tan(angle / 4)`` along the axis.
     """
     of_q = components(q)
-    return _last(of_q[:3] * (np.copysign(b, of_q[3]) / (a + np.abs(of_q[3]))))
+    return trailing(of_q[:3] * (np.copysign(b, of_q[3]) / (a + np.abs(of_q[3]))))
 
 
 def from_rodrigues(p: Array, a: float = 1.0, b: float = 4.0) -> Array:
@@ -168,7 +162,7 @@ def from_rodrigues(p: Array, a: float = 1.0, b: float = 4.0) -> Array:
     rows = _rows(4, square)
     np.divide(b * root - a * square, b * b + square, out=rows[3, ...])
     np.multiply(vector, (a + rows[3]) / b, out=rows[:3])
-    return _last(rows)
+    return trailing(rows)
 
 
 def cross(v: Array) -> Array:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import isfinite
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.gaussian.checks import finite, integers, kind
+from celnav.gaussian.checks import beside, finite, integers, kind
 from celnav.gaussian.linalg import Array, Belief, SquareRoot, matvec, outer, semidefinite_root, whiten
 
 
@@ -16,8 +16,6 @@ from celnav.gaussian.linalg import Array, Belief, SquareRoot, matvec, outer, sem
 class Gaussian:
     """A Gaussian that somebody knows: the prior of a filter, say. It is checked here, once.
 
-    Parameters
-    ----------
     mean: ``(..., N)``; a run of a batch has a mean of its own.
     cov: covariance ``(..., n, n)``, which may be singular. It may be one ``(n, n)`` for many means: a filter whose matrices,
         constant or of the epoch, are the same for all runs then carries one, until these miss different measurements.
@@ -29,38 +27,24 @@ class Gaussian:
 
     mean: Array
     cov: Array
+    sqrt_cov: Array = field(init=False, repr=False)
 
     def __init__(self, mean: ArrayLike, cov: ArrayLike | None = None, *, sqrt_cov: ArrayLike | None = None):
-        x = finite("mean", mean)
+        x = finite("mean", mean, (..., None))
         if (cov is None) == (sqrt_cov is None):
             raise ValueError("Gaussian: expected exactly one of cov and sqrt_cov")
         if cov is not None:
             P, root = symmetric(cov, "cov")
         else:
-            root = finite("sqrt_cov", sqrt_cov)
-            if root.ndim < 2 or root.shape[-1] != root.shape[-2]:
-                raise ValueError(f"sqrt_cov: expected shape (..., n, n), got {root.shape}")
+            root = finite("sqrt_cov", sqrt_cov, (..., "n", "n"))
             if np.triu(root, 1).any():
-                raise ValueError(
-                    "sqrt_cov: expected a lower triangular matrix (`celnav.gaussian.linalg.tria` makes one of any root)"
-                )
+                raise ValueError("sqrt_cov: expected a lower triangular matrix (celnav.gaussian.linalg.tria makes one of any root)")
             P = outer(root)
-        if x.ndim == 0:
-            raise ValueError("mean: expected shape (..., n), got a scalar")
         if P.shape[-1] > x.shape[-1]:
             raise ValueError(f"mean: expected shape (..., {P.shape[-1]}) to go with the covariance, got {x.shape}")
-        try:
-            np.broadcast_shapes(x.shape[:-1], P.shape[:-2])
-        except ValueError:
-            raise ValueError(f"mean: batch axes {x.shape[:-1]} do not go with those of the covariance, {P.shape[:-2]}") from None
-        for name, value in (("mean", x), ("cov", P), ("_root", root)):
+        beside("mean", x.shape[:-1], P.shape[:-2], "the covariance")
+        for name, value in (("mean", x), ("cov", P), ("sqrt_cov", root)):
             object.__setattr__(self, name, value)
-
-    @property
-    def sqrt_cov(self) -> Array:
-        """Lower root ``(..., n, n)`` of the covariance."""
-        root: Array = self.__dict__["_root"]
-        return root
 
     @property
     def std(self) -> Array:

@@ -15,8 +15,7 @@ import numpy as np
 
 from celnav.gaussian.linalg import Array
 
-LIMIT = 1_000_000_000
-"""Numbers (8 GB) that one argument may ask for."""
+LIMIT = 1_000_000_000  # numbers (8 GB) that one argument may ask for
 Shape = tuple[Any, ...]
 """Lengths of axes: an integer, a letter (1 or more, the same wherever it stands), None (any); ``...`` in front is any batch."""
 
@@ -138,11 +137,14 @@ def choice(name: str, value: Any, known: Iterable[Any]) -> Any:
     raise ValueError(f"{name}: expected one of {', '.join(map(str, names))}, got {value!r:.80}{hint}")
 
 
-def sequence(name: str, value: Any, example: str) -> list[Any]:
+def sequence(name: str, value: Any, example: str, least: int = 0) -> list[Any]:
     """The parts of a list or of what can be made one, but no text or table; ValueError names it, with an ``example``."""
     try:
         if not isinstance(value, str | bytes | dict):
-            return list(value)
+            parts = list(value)
+            if len(parts) < least:
+                raise ValueError(f"{name}: expected at least {least}, got {len(parts)}")
+            return parts
     except TypeError:
         pass
     raise ValueError(f"{name}: expected a sequence, such as {example}, got {value!r:.80}")
@@ -155,6 +157,14 @@ def together(**batches: tuple[int, ...]) -> tuple[int, ...]:
     except ValueError:
         told = ", ".join(map(str, batches.values()))
         raise ValueError(f"{', '.join(batches)}: expected batch axes that go together, got {told}") from None
+
+
+def beside(name: str, batch: tuple[int, ...], own: tuple[int, ...], whose: str) -> tuple[int, ...]:
+    """Joint batch axes of an argument and of what it goes with; ValueError names it if they do not broadcast."""
+    try:
+        return np.broadcast_shapes(batch, own)
+    except ValueError:
+        raise ValueError(f"{name}: batch axes {batch} do not go with those of {whose}, {own}") from None
 
 
 def function(name: str, value: Any, arguments: str, hint: str = "") -> Any:

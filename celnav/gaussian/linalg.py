@@ -2,10 +2,9 @@
 
 Every function accepts leading batch axes (a Monte-Carlo block of runs) and treats the last two as a matrix. Roots are *lower*
 triangular with a non-negative diagonal, ``P = L @ L.mT``; "columns" means any ``(..., n, q)`` array ``A`` that stands for
-``P = A @ A.mT``. A matrix of a batch that has no root becomes nan, its neighbors are untouched. `tria`, `cholesky` and
-`solve_lower` carry nearly all of the arithmetic of a filter: they are the seam for a compiled kernel. A single matrix goes to
-LAPACK directly, since numpy's batched functions spend most of a small one's time on preparations. A form owns its algebra: nobody
-else asks which one a filter has.
+``P = A @ A.mT``. A matrix of a batch that has no root becomes nan, its neighbors are untouched. A single matrix goes to LAPACK
+directly, since numpy's batched functions spend most of a small one's time on preparations. A form owns its algebra: nobody else
+asks which one a filter has.
 """
 
 from __future__ import annotations
@@ -21,10 +20,8 @@ from scipy.linalg import blas, lapack
 Array = NDArray[Any]
 
 EPS = float(np.finfo(np.float64).eps)
-NEGLIGIBLE = 1e-12
-"""Part of the largest deviation, or variance, below which one is round-off."""
-PRECISE = 1e3
-"""Deviations of the noise by which an innovation may vary before a difference of covariances loses too many digits."""
+NEGLIGIBLE = 1e-12  # part of the largest deviation, or variance, below which one is round-off
+PRECISE = 1e3  # deviations of the noise by which an innovation may vary before a difference of covariances loses too many digits
 POSITIVE: Array = np.broadcast_to(1.0, 1)
 """The sign of columns that all count with +1."""
 
@@ -228,9 +225,7 @@ def fan(E: Array, nodes: Array, batch: int) -> Array:
 
 # -- forms ---------------------------------------------------------------------------------------------------------------
 def signs(sign: Array, q: int) -> tuple[Array, Any, Any] | None:
-    """The signs ``(q,)`` of columns, where they are positive and where negative (slices, so views, where they lie together); None
-    if none is. ``sign`` has the first ones, the others count with +1.
-    """
+    """Signs ``(q,)`` of columns, those that ``sign`` lacks +1, and where they are positive and where negative; None if none is."""
     return _signs(np.asarray(sign, np.float64).tobytes(), q)
 
 
@@ -239,6 +234,7 @@ def _signs(sign: bytes, q: int) -> tuple[Array, Any, Any] | None:
     given = np.frombuffer(sign)
     every = np.concatenate((given, np.ones(q - len(given))))
     positive, negative = (np.flatnonzero(side) for side in (every > 0.0, every < 0.0))
+    # Slices, so views, where they lie together.
     first, second = (at if not len(at) or np.ptp(at) >= len(at) else slice(at[0], at[-1] + 1) for at in (positive, negative))
     return (every, first, second) if len(negative) else None
 
@@ -323,7 +319,7 @@ class SquareRoot(NamedTuple):
 
 
 class Covariance(NamedTuple):
-    """A belief in covariance form: ``mean (..., N)`` and ``cov (..., n, n)``. See `SquareRoot` for what its parts do.
+    """A belief in covariance form: ``mean (..., N)`` and ``cov (..., n, n)``. What its parts do is said at `SquareRoot`.
 
     Fewer operations, half of the digits: only the innovation covariance is factored, and the state's where a rule needs a root or a
     measurement is precise.
@@ -347,7 +343,6 @@ class Covariance(NamedTuple):
 
     @classmethod
     def of(cls, belief: Any) -> Self:
-        """Any Gaussian in this form."""
         return cls(belief.mean, belief.cov)
 
     def factor(self) -> tuple[Array, Array]:
@@ -356,19 +351,17 @@ class Covariance(NamedTuple):
 
     @staticmethod
     def rounding() -> float:
-        """Part of a standard deviation that is round-off."""
         return float(EPS**0.5)
 
     @staticmethod
     def marginal(A: Array, sign: Array) -> Array:
-        """Covariance of columns."""
         return outer(A) if signs(sign, A.shape[-1]) is None else weighted(A, sign) @ A.mT
 
     @classmethod
     def condition(
         cls, A: Array, sign: Array, m: int, gain: Array | None = None, *, known: Array | None = None, noise: Array | None = None
     ) -> tuple[Array, Array, Array]:
-        """S, U and the covariance of the rest."""
+
         if gain is None and known is not None and noise is not None:
             C = weighted(A[..., :m, :], sign) @ A.mT
             S = cholesky(C[..., :m])
@@ -392,12 +385,12 @@ class Covariance(NamedTuple):
 
     @staticmethod
     def transported(matrix: Array, cov: Array) -> Array:
-        """Covariance of deviations carried by a matrix."""
+
         return np.asarray(matrix @ cov @ matrix.mT)
 
     @staticmethod
     def sum(cov: Array, columns: Array) -> Array:
-        """Covariance of a sum."""
+
         return np.asarray(cov + outer(columns))
 
     def lost(self) -> Array:

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from celnav.gaussian.checks import LIMIT, choice, finite, instance, integer, kind, number, numbers
 from celnav.gaussian.linalg import EPS, POSITIVE, Array, fan, semidefinite_root, side_by_side, solve_right
-from celnav.gaussian.spaces import EUCLIDEAN, Space
+from celnav.gaussian.spaces import EUCLIDEAN, Space, trailing
 
 MAX_POINTS = 1_000_000
 
@@ -27,8 +27,6 @@ MAX_POINTS = 1_000_000
 class Image(NamedTuple):
     """One output of a function of a Gaussian.
 
-    Attributes
-    ----------
     center: ``(..., N)``, the image of the center. shift: ``(..., k)``, the mean's distance from there.
     columns: ``(..., k, q)``, deviations about the mean: the covariance is ``columns @ diag(sign) @ columns.mT``, see `Joint`.
     jacobian: ``() -> (..., k, n)``, the statistical Jacobian ``cov(y, x) cov(x)^-1``.
@@ -43,16 +41,12 @@ class Image(NamedTuple):
 class Rule:
     """Nodes and weights for expectations under ``N(0, I)``.
 
-    Parameters
-    ----------
     nodes: ``(p, n)``; node 0 is the center (its weights may be 0).
     wm: ``(p,)`` weights of the mean; they sum to 1, and ``sum wm nodes = 0``.
     wc: ``(p,)`` weights of the covariance (None: ``wm``); ``sum wc nodes nodes' = I``. They may be negative. A rule without
         nodes in some dimension is a quadrature, but no filter takes it: it would lose that variance.
 
-    Attributes
-    ----------
-    nodes, wm, wc: as given, read-only. n: the dimension. sign: ``(q,)``, -1 for columns of negative weight, else 1.
+    They are read-only then; ``n`` is the dimension, ``sign (q,)`` -1 for columns of negative weight, else 1.
     """
 
     def __init__(self, nodes: ArrayLike, wm: ArrayLike, wc: ArrayLike | None = None):
@@ -109,7 +103,7 @@ class Rule:
         """What a function with the values ``y (p, ..., M)`` at the points makes of ``N(mean, root @ root.mT)``."""
         center = y[0] if space.mean is None else space.mean(y, self.wm)
         values = (y if space is EUCLIDEAN else space.minus(y, center))[self._used]
-        values = values.T if values.ndim == 2 else values.transpose((*range(1, values.ndim), 0))  # (..., k, q)
+        values = values.T if values.ndim == 2 else trailing(values)  # (..., k, q)
         columns = np.subtract(values, center[..., None] if space is EUCLIDEAN else 0.0, order="C")
         if space.mean is None:
             shift = columns @ self._wm
@@ -163,8 +157,6 @@ class Taylor:
     It serves any dimension. Where a `Motion` or a `Sensor` has a ``jacobian`` that is used; else central differences along the
     columns of the root are.
 
-    Parameters
-    ----------
     step: length of the difference, in standard deviations.
     about: ``(..., N)``, the point to expand about instead of the mean, as an iterated filter does. The belief stays where it
         is: its mean is mapped by the linear function.
@@ -182,12 +174,14 @@ class Taylor:
     def points(self, mean: Array, root: Array, space: Space = EUCLIDEAN, augment: Sequence[Array] = ()) -> list[Array]:
         """The center and its neighbors; noise points vary in their own directions only.
 
-        With a center of its own, the last two points lie on the way from there to the mean, a step to either side.
+        With a center of its own, the way from there to the mean is a direction like those of the columns, after them.
         """
         center = mean if self.about is None else self.about
         if center.shape[-1:] != mean.shape[-1:]:
             raise ValueError(f"about: expected shape (..., {mean.shape[-1]}), got {center.shape}")
         center = np.broadcast_to(center, np.broadcast_shapes(center.shape, mean.shape))
+        if self.about is not None:
+            root = side_by_side([root, space.minus(mean, center)[..., None]])
         roots = (root, *augment)
         total, batch = sum(E.shape[-1] for E in roots), max(center.ndim - 1, root.ndim - 2)
         directions = self.step * np.hstack([np.zeros((total, 1)), np.eye(total), -np.eye(total)])
@@ -195,26 +189,22 @@ class Taylor:
         for E in roots:
             deviations.append(fan(E, directions[first : first + E.shape[-1]], batch))
             first += E.shape[-1]
-        if self.about is not None:
-            way = self.step * space.minus(mean, center)
-            ways = [way, *(np.zeros(way.shape[:-1] + E.shape[-2:-1]) for E in augment)]
-            ways = [np.broadcast_to(w, np.broadcast_shapes(w.shape, D.shape[1:])) for w, D in zip(ways, deviations, strict=True)]
-            deviations = [
-                np.concatenate([np.broadcast_to(D, (len(D), *w.shape)), [w, -w]]) for w, D in zip(ways, deviations, strict=True)
-            ]
+
         points = [deviations[0] + center if space is EUCLIDEAN else space.plus(center, deviations[0])]
         return points + [np.broadcast_to(D, (*points[0].shape[:-1], D.shape[-1])) for D in deviations[1:]]
 
     def image(self, y: Array, space: Space, root: Array) -> Image:
-        """See `Rule.image`."""
+
         d = space.minus(y, y[0])
-        total = (len(d) - 1) // 2 if self.about is None else (len(d) - 3) // 2
-        columns = np.moveaxis(d[1 : total + 1] - d[total + 1 : 2 * total + 1], 0, -1) / (2.0 * self.step)
-        shift = np.zeros(d.shape[-1]) if self.about is None else (d[-2] - d[-1]) / (2.0 * self.step)
+        total, shift = (len(d) - 1) // 2, np.zeros(d.shape[-1])
+        columns = np.moveaxis(d[1 : total + 1] - d[total + 1 :], 0, -1) / (2.0 * self.step)
+        if self.about is not None:
+            n = root.shape[-1]
+            shift, columns = columns[..., n], np.delete(columns, n, -1)
         return Image(y[0], shift, columns, partial(self._jacobian, columns, root))
 
     def kept(self, root: Array, augment: Sequence[Array]) -> Array:
-        """See `Rule.kept`."""
+
         return side_by_side([root, *(np.zeros((root.shape[-2], E.shape[-1])) for E in augment)]) if augment else root
 
     @staticmethod
@@ -257,7 +247,7 @@ def _axes(n: int, radius: float) -> Array:
 
 
 def unscented(n: int, alpha: float = 1.0, beta: float = 0.0, kappa: float = 0.0) -> Rule:
-    """Scaled unscented rule of ``2n + 1`` points [van der Merwe 2004]; the defaults have no negative weight.
+    """Scaled unscented rule of ``2n + 1`` points [Merwe2004]; the defaults have no negative weight.
 
     With the defaults the center has no weight, and the rule is ``cubature(n)``, that of the cubature Kalman filter. The customary
     ``kappa = 3 - n`` matches fourth moments on the axes; a small ``alpha`` with ``beta = 2`` keeps the points near the mean.
@@ -327,9 +317,9 @@ def tensor_product(*rules: Rule) -> Rule:
     """
     for rule in rules:
         instance("rules", rule, Rule, "a Rule, such as celnav.unscented(2)")
-    count = prod(rule.num_sigmas() for rule in rules)
-    if not rules or count > MAX_POINTS:
-        raise ValueError(f"rules: expected a product of at most {MAX_POINTS} points, got {count} of {len(rules)} rules")
+    if not rules:
+        raise ValueError("rules: expected at least one, got none")
+    few("rules", prod(rule.num_sigmas() for rule in rules), sum(rule.n for rule in rules))
     nodes: Array = np.zeros((1, 0))
     wm: Array = np.ones(1)
     wc: Array = np.ones(1)

@@ -19,8 +19,6 @@ from celnav.gaussian.linalg import Array, side_by_side
 class Space(NamedTuple):
     """How points and differences relate. Every function broadcasts over leading axes.
 
-    Attributes
-    ----------
     plus: ``(point (..., N), tangent (..., n)) -> point``.
     minus: ``(b, a) -> tangent`` at ``a`` that leads to ``b``: ``plus(a, minus(b, a)) == b``.
     transport: optional ``tangent -> (..., n, n)``, the matrix that carries deviations at a point to the point moved by
@@ -52,24 +50,15 @@ def wrap(angle: Any) -> Any:
 def angles(components: Iterable[int] | None = None) -> Space:
     """Vectors of which some ``components`` (None: all) are angles in radians, wrapped to ``[-pi, pi)``."""
     places = None if components is None else integers("components", sequence("components", components, "[0]"))
-    return Space(partial(_sum, places), partial(_difference, places))
+    return Space(partial(_wrapped, np.add, places), partial(_wrapped, np.subtract, places))
 
 
-def _sum(places: tuple[int, ...] | None, point: Array, tangent: Array) -> Array:
-    return _wrapped(np.add(tangent, point, dtype=np.float64), places)
-
-
-def _difference(places: tuple[int, ...] | None, b: Array, a: Array) -> Array:
-    return _wrapped(np.subtract(b, a, dtype=np.float64), places)
-
-
-def _wrapped(vector: Array, places: tuple[int, ...] | None) -> Array:
-    """The vector, its angles wrapped in place."""
-    if places is None:
-        return np.asarray(wrap(vector))
+def _wrapped(operation: Any, places: tuple[int, ...] | None, a: Array, b: Array) -> Array:
+    """The sum or difference of vectors, its angles wrapped."""
+    vector: Array = operation(a, b, dtype=np.float64)
     if places and max(places) >= vector.shape[-1]:
         raise ValueError(f"angles: expected components below {vector.shape[-1]}, the length of the vector, got {max(places)}")
-    chosen = list(places)
+    chosen = slice(None) if places is None else list(places)
     vector[..., chosen] = wrap(vector[..., chosen])
     return vector
 
@@ -87,9 +76,8 @@ def product(*factors: tuple[Space, int, int]) -> Space:
     parts = [
         (space, slice(points[i], points[i + 1]), slice(tangents[i], tangents[i + 1])) for i, (space, _, _) in enumerate(factors)
     ]
-    for space, _, _ in factors:
-        if space.mean is not None:
-            raise ValueError("factors: a space with its own mean cannot be part of a product")
+    if any(space.mean is not None for space, _, _ in factors):
+        raise ValueError("factors: a space with its own mean cannot be part of a product")
 
     def checked(vector: Array, length: int, what: str) -> Array:
         if vector.shape[-1] != length:
@@ -129,11 +117,13 @@ def leading(x: Array) -> Array:
     return x.transpose((last, *range(last)))
 
 
-def components(x: Array) -> Array:
-    """`leading`, with each component in one piece of memory (in any order): models are fast on those.
+def trailing(x: Array) -> Array:
+    """``(n, ...)`` with the component axis last, as a view: what undoes `leading`."""
+    return x.transpose((*range(1, x.ndim), 0))
 
-    Sigma points lie so already; what does not is copied.
-    """
+
+def components(x: Array) -> Array:
+    """`leading`, each component in one piece of memory, which models are fast on: sigma points lie so, what does not is copied."""
     first = leading(x)
     part = first[0].flags
     return first if part.c_contiguous or part.f_contiguous else np.ascontiguousarray(first)

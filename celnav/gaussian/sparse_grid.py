@@ -26,8 +26,7 @@ ORDERS = (1, 3, 7, 15, 31, 63)
 """Points of the one-dimensional rules of level 1, 2, ...: a level more doubles the number and the degree."""
 DELAYED = (1, 3, 3, 7, 7, 7, 15)
 """Orders that rise only when the total degree of the isotropic rule asks for it: fewer points, nested in parts."""
-CANCELED = 1e-12
-"""A merged weight is nothing if it is this small against the sum of its absolute terms."""
+CANCELED = 1e-12  # a merged weight is nothing if it is this small against the sum of its absolute terms
 Polynomial = dict[int, float]  # coefficients by power
 
 
@@ -53,8 +52,6 @@ def smolyak(n: int, level: int, weights: Sequence[int] | None = None, *, orders:
     Its weights are partly negative. Channels with ``g_j > (level - 1) min(g)`` have no points: filters refuse such a rule. It is
     cached. ValueError for a level beyond the orders, or more than `MAX_POINTS` points (before they are made).
 
-    Parameters
-    ----------
     n: dimension. level: 1 is the center alone, 2 of equal weights the unscented rule with ``kappa = 3 - n``.
     weights: ``(n,)`` positive integers g, 1 for the channels that matter most; None: all equal (isotropic). Only their ratios
         to the smallest count: weights that are all 2 are isotropic.
@@ -183,8 +180,10 @@ def _patterns(level: int, g: tuple[int, ...], sizes: tuple[int, ...]) -> tuple[t
         own = weight(choice, float)
         canceled = abs(own) <= CANCELED * weight(choice, abs)
         if not canceled or not any(choice):  # a rule has its center first, be its weight 0
-            number = prod(_ways(count, chosen) for (_, count), chosen in zip(classes, choice, strict=True))
-            found.append(_Pattern(choice, 0.0 if canceled else own, number))
+            # Ways to give the nodes of each class, and a sign to each, to different ones of its channels.
+            alike = prod(factorial(chosen.count(i)) for chosen in choice for i in set(chosen))
+            ways = prod(perm(count, len(chosen)) << len(chosen) for (_, count), chosen in zip(classes, choice, strict=True))
+            found.append(_Pattern(choice, 0.0 if canceled else own, ways // alike))
     found.sort(key=lambda p: sum(map(len, p.nodes)))
     return tuple(node.value for node in nodes), tuple(found)
 
@@ -198,12 +197,6 @@ def _multisets(nodes: Sequence[_Node], budget: int, most: int, first: int = 0) -
         if nodes[i].level <= budget:
             for cost, rest in _multisets(nodes, budget - nodes[i].level, most - 1, i):
                 yield cost + nodes[i].level, (i, *rest)
-
-
-def _ways(count: int, chosen: tuple[int, ...]) -> int:
-    """Ways to give nodes, and a sign to each, to different ones of ``count`` channels."""
-    alike, signs = prod(factorial(chosen.count(i)) for i in set(chosen)), 1 << len(chosen)
-    return perm(count, len(chosen)) // alike * signs
 
 
 @lru_cache(maxsize=32)

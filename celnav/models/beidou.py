@@ -32,8 +32,6 @@ TILT = np.radians(5.0)
 class Broadcast:
     """Broadcast elements of satellites, each field ``(S,)``; angles in rad, lengths in m, times in s.
 
-    Attributes
-    ----------
     number: of the satellite, C01 is 1. toe, toc: reference times of orbit and clock, BDT since its beginning.
     sqrt_a, e, i0, Omega0, omega, M0, delta_n, Omega_dot, i_dot, cuc, cus, crc, crs, cic, cis: of the orbit.
     a0, a1, a2: of the clock. tgd: group delay of B1I. health: 0 if well.

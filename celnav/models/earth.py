@@ -61,8 +61,6 @@ def transport_rate(velocity: Array, latitude: ArrayLike, height_m: ArrayLike) ->
 class Flight(NamedTuple):
     """Truth ``(T, ...)`` of a flight, on east, north, up axes n and body axes b: right, front, up.
 
-    Attributes
-    ----------
     times: ``(T,)`` s. longitude, latitude: ``(T,)`` rad. height_m: constant.
     velocity: ``(T, 3)`` m/s. attitude: ``(T, 3, 3)``, C_b^n. force: ``(T, 3)`` m/s^2, the specific force on body axes.
     """
@@ -77,17 +75,9 @@ class Flight(NamedTuple):
 
 
 def turning_flight(
-    times: Array,
-    *,
-    longitude: float,
-    latitude: float,
-    height_m: float,
-    speed: float,
-    heading: float,
-    acceleration: float,
-    turn_rate: float,
-    substep: float = 0.5,
-) -> Flight:
+    times: Array, *, longitude: float, latitude: float, height_m: float,
+    speed: float, heading: float, acceleration: float, turn_rate: float, substep: float = 0.5,
+) -> Flight:  # fmt: skip
     """Level flight at ``times (T,)`` s, increasing, with constant acceleration along the track and a constant turn.
 
     From a place (rad, m) at the first time, there with ``speed`` m/s and ``heading`` rad, clockwise from north; acceleration in

@@ -23,8 +23,6 @@ from celnav.gaussian.linalg import Array, matvec, side_by_side
 class Gyro:
     """Noise of a gyro triad, not negative.
 
-    Attributes
-    ----------
     sigma_v: angle random walk, rad/s^(1/2). sigma_u: drift random walk, rad/s^(3/2).
     tau: correlation time of the drift, s; infinite: a random walk.
     """
@@ -147,8 +145,6 @@ def steady_state(sigma_n: float, gyro: Gyro, interval: float) -> SteadyState:
 class Body:
     """A rigid satellite with momentum wheels on a circular orbit, under gravity gradient. Units: kg m^2, N m s, N m, rad, s.
 
-    Attributes
-    ----------
     inertia: ``(3, 3)``, body axes; ValueError for one that no distribution of mass has. wheels: ``(3,)``, angular momentum of the
         wheels. torque: ``(3,)``, constant.
     orbit_rate: rad/s; the inertial frame is the orbital one at t = 0 (x along the velocity, z to nadir).

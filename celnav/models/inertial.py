@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from celnav.gaussian.checks import finite, instance
 from celnav.gaussian.linalg import Array, matvec
-from celnav.gaussian.spaces import components, leading
+from celnav.gaussian.spaces import components, leading, trailing
 from celnav.models import earth
 from celnav.models.earth import Flight
 
@@ -31,8 +31,6 @@ FLIGHT = "a Flight, such as celnav.models.earth.turning_flight(times, ...)"
 class Navigation(NamedTuple):
     """What the system knows during an interval: inputs of the error model.
 
-    Attributes
-    ----------
     attitude: ``(..., 3, 3)``, C_b^n', computed. force: ``(..., 3)`` m/s^2, measured, on the axes n'.
     velocity: ``(..., 2)`` m/s, east and north (level flight). latitude: ``(...)`` rad. height_m.
     """
@@ -131,14 +129,12 @@ def advance(x: Array, nav: Navigation, dt: float) -> Array:
     half, (north, east) = 0.5 * dt, earth.radii(nav.latitude, nav.height_m)
     rate[5] += half * rate[3] / (east * np.cos(nav.latitude))
     rate[6] += half * rate[4] / north
-    return (X + dt * rate).transpose((*range(1, x.ndim), 0))
+    return trailing(X + dt * rate)
 
 
 def star_residuals(x: Array, attitude: Array, stars: Array) -> Array:
     """Measured minus predicted star vectors on body axes, ``(..., 3 k)``: ``C_n'^b (C_n^n' - I) r`` [Liang2014, Eqs. 26-28].
 
-    Parameters
-    ----------
     x: state ``(..., 13)``. attitude: ``(..., 3, 3)``, C_b^n'. stars: ``(k, 3)`` or ``(..., k, 3)``, unit directions on n.
     """
     phi, back = components(x)[PHI], leading(leading(attitude.mT))

@@ -12,10 +12,7 @@ from celnav.gaussian.linalg import Array
 
 
 def stationary_covariance(Phi: ArrayLike, R: ArrayLike) -> Array:
-    """Covariance ``(m, m)`` of the stationary AR(1) sequence ``V' = Phi V + zeta``, ``zeta ~ N(0, R)``.
-
-    It solves ``Sigma = Phi Sigma Phi' + R``. ValueError if the spectral radius of Phi is not below 1: there is none.
-    """
+    """Covariance ``(m, m)`` of a stationary sequence ``V' = Phi V + zeta``, ``zeta ~ N(0, R)``; ValueError if there is none."""
     phi = finite("Phi", Phi, ("m", "m"))
     noise = finite("R", symmetric(R, "R", len(phi))[0], phi.shape)
     radius = np.abs(np.linalg.eigvals(phi)).max()

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from celnav.gaussian.checks import LIMIT, finite, instance, integer, number
 from celnav.gaussian.linalg import Array
-from celnav.gaussian.spaces import components
+from celnav.gaussian.spaces import components, trailing
 
 
 class UnitWarning(UserWarning):
@@ -64,8 +64,7 @@ def acceleration(position: Array, earth: Earth = EARTH) -> Array:
 def third_body(position: Array, body: Array, gm: float) -> Array:
     """Acceleration ``(..., 3)`` of a satellite at ``position (..., 3)`` by a ``body (..., 3)`` of ``gm`` km^3/s^2, both geocentric.
 
-    Relative to the Earth's center, in Battin's form, which does not subtract attractions that are nearly the same [Battin 1987,
-    Eq. 8.61].
+    In the form that does not subtract attractions which are nearly the same [Battin 1987, Eq. 8.61].
     """
     q = ((position * (position - 2.0 * body)).sum(-1) / np.square(body).sum(-1))[..., None]
     f = q * (3.0 + q * (3.0 + q)) / (1.0 + (1.0 + q) ** 1.5)
@@ -91,7 +90,7 @@ def step(state: Array, dt: float, earth: Earth = EARTH) -> Array:
     out = np.empty_like(x)
     out[:3] = end + (dt * dt / 6.0) * (a1 + middle)
     out[3:] = velocity + (dt / 6.0) * (a1 + 2.0 * middle + a4)
-    return out.transpose((*range(1, state.ndim), 0))
+    return trailing(out)
 
 
 def transition(state: Array, dt: float, earth: Earth = EARTH) -> Array:

@@ -29,8 +29,6 @@ AREA_CM2 = 1e4
 class Pulsar:
     """A pulsar.
 
-    Attributes
-    ----------
     right_ascension_deg, declination_deg: J2000. distance_kpc: from the Sun.
     period_s: of the pulses. width_s: of a pulse. flux: photons / cm^2 / s. pulsed_fraction: of the flux.
     """
@@ -101,9 +99,7 @@ class Timing:
     """
 
     def __init__(self, pulsars: Sequence[Pulsar]):
-        chosen = sequence("pulsars", pulsars, 'celnav.models.pulsar.pulsars(["B1937+21"])')
-        if not chosen:
-            raise ValueError("pulsars: expected at least one, got none")
+        chosen = sequence("pulsars", pulsars, 'celnav.models.pulsar.pulsars(["B1937+21"])', least=1)
         example = 'a Pulsar, such as known()["B1937+21"]'
         self.pulsars: tuple[Pulsar, ...] = tuple(instance("pulsars", p, Pulsar, example) for p in chosen)
         self.directions = np.stack([p.direction for p in self.pulsars])
@@ -118,10 +114,7 @@ class Timing:
         return Space(minus=lambda b, a: b - a - periods * np.round((b - a) / periods))
 
     def delay(self, position: Array, sun: Array) -> Array:
-        """Delays ``(..., m)`` km of positions ``(..., 3)``; ``sun (..., 3)`` is the Sun's position.
-
-        The Shapiro term is the printed one; `shapiro_exact` is what it stands for.
-        """
+        """Delays ``(..., m)`` km of positions ``(..., 3)``; ``sun (..., 3)`` is the Sun's position. See `shapiro`."""
         b = -np.asarray(sun)
         along, of_b = position @ self.directions.T, b @ self.directions.T
         square, cross = (part.sum(-1)[..., None] for part in (np.square(position), b * position))
@@ -129,7 +122,7 @@ class Timing:
         return np.asarray(along + parallax + self.shapiro(position, sun))
 
     def shapiro(self, position: Array, sun: Array) -> Array:
-        """Shapiro delay ``(..., m)`` km in the form usually printed, which takes ``|r + b|`` for ``|r| + |b|``."""
+        """Shapiro delay ``(..., m)`` km as usually printed, with ``|r| + |b|`` for the ``|r + b|`` of `shapiro_exact`."""
         ratio = self._reach(position) / self._reach(-np.asarray(sun))
         return np.asarray(2.0 * GM_SUN / LIGHT_KM_S**2 * np.log(np.abs(ratio + 1.0)))
 

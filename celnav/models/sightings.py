@@ -29,10 +29,7 @@ def star_directions(separation: float) -> Array:
 
 
 def angles(position: Array, stars: Array, radius_km: float = EARTH.radius_km) -> Array:
-    """Angles ``(..., k + 1)`` of positions ``(..., 3)``: to each star ``(k, 3)`` of unit length, then the Earth's diameter.
-
-    nan inside the Earth, where there is nothing to see.
-    """
+    """Angles ``(..., k + 1)`` of positions: to stars ``(k, 3)`` of unit length, then the Earth's diameter; nan inside the Earth."""
     r = np.sqrt(np.einsum("...i,...i->...", position, position))[..., None]
     cosines, ratio = np.clip(position / r @ stars.T, -1.0, 1.0), radius_km / r
     diameter = 2.0 * np.arcsin(np.where(ratio <= 1.0, ratio, np.nan))
@@ -67,8 +64,6 @@ def position(
 ) -> Array:
     """Pseudo-position ``(..., 3)`` from three angles ``(..., 3)``, see `angles` [Sun2015, Eqs. 41-42, corrected].
 
-    Parameters
-    ----------
     A: angles, ``A3`` between 0 and pi; nan components give nan. separation: between the stars, rad.
     hemisphere: +1 or -1, the sign of z ``(...)``: the angles cannot tell.
     strict: raise ValueError for angles that no position has, as noise may leave them; otherwise nan stands there.
@@ -115,10 +110,7 @@ def jacobian(A: Array, separation: float, hemisphere: ArrayLike = 1.0, radius_km
 
 
 def pseudo_position_covariance(position_km: Array, separation: float, sigma: ArrayLike) -> Array:
-    """Covariance ``(..., 3, 3)`` km^2 of the pseudo-position for angle deviations ``sigma (3,)`` rad.
-
-    Warns (`UnitWarning`) of deviations beyond 1 rad.
-    """
+    """Covariance ``(..., 3, 3)`` km^2 of the pseudo-position for angle deviations ``sigma (3,)`` rad, with a warning beyond 1."""
     deviations, position_km = finite("sigma", sigma, (3,)), finite("position_km", position_km, (..., 3))
     if (np.abs(deviations) > 1.0).any():
         text = f"sigma: a deviation of {np.abs(deviations).max():.6g} rad tells nothing; angles are in radians"

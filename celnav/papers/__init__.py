@@ -9,9 +9,11 @@ that the study takes. ``MISSION``, if there: parameters that a mission has by de
 from __future__ import annotations
 
 import difflib
+import re
 from importlib import import_module
 from types import ModuleType
 
+from celnav.files import data
 from celnav.lazy import modules
 
 __getattr__, __dir__ = modules(__name__)
@@ -32,3 +34,19 @@ def load(paper: str) -> ModuleType:
         hint = f"; did you mean {close[0]}?" if close else ""
         raise ValueError(f"unknown paper {paper!r}: expected one of {', '.join(PAPERS)}{hint}")
     return import_module(PAPERS[paper])
+
+
+def citation(key: str) -> str:
+    """The BibTeX entry of a source that docstrings cite, of all that are in ``data/references.bib``.
+
+    >>> print(celnav.papers.citation("Sun2015"))
+
+    Raises
+    ------
+    ValueError: for an unknown key; the message lists the known ones.
+    """
+    text = data("references.bib").read_text(encoding="utf-8")
+    entries = {entry.partition("{")[2].partition(",")[0]: entry.strip() for entry in re.split(r"\n(?=@)", text)}
+    if key not in entries:
+        raise ValueError(f"key: expected one of {', '.join(entries)}, got {key!r}")
+    return entries[key]

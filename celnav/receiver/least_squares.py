@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from celnav.filters.joint import at, checked, evaluate
+from celnav.filters.joint import at, evaluate
 from celnav.filters.model import Sensor, check_matrices, check_prior
 from celnav.filters.records import Epoch, Info, State
+from celnav.filters.sequential import checked
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import instance, integer, numbers, together, unmasked
 from celnav.gaussian.linalg import Array, Covariance, matvec, outer
@@ -56,7 +57,7 @@ class LeastSquares:
     def start(self, prior: Gaussian) -> State:
         """State before the first epoch."""
         check_prior(prior)
-        check_matrices(prior.mean.shape[-1], h=self.sensor.h)
+        check_matrices(prior.mean.shape[-1], self.sensor)
         return State(Covariance.of(prior), (prior.mean,))
 
     def step(self, state: State, epoch: Epoch) -> tuple[State, tuple[Info, ...]]:

@@ -57,21 +57,34 @@ class Panel(NamedTuple):
 
 
 def panels(*rows: Panel | Sequence[Panel], size: tuple[float, float], legend: Any = "outside lower center", **axes: Any) -> Figure:
-    """A figure of rows of panels, and below them one legend of all labels; ``axes``: as of `figure`, such as ``sharex="col"``."""
+    """A figure of rows of panels, and below them one legend of all labels.
+
+    ``axes``: as of `figure`; where they share x or y (``sharex="col"``) the outer ones alone are labeled.
+    """
+    from matplotlib import rc_context
+
+    from celnav.show.drawing import STYLE
+
     grid = [[row] if isinstance(row, Panel) else list(row) for row in rows]
     fig, drawn = figure(*size, len(grid), len(grid[0]), squeeze=False, **axes)
     known: dict[str, Any] = {}
-    for ax, panel in zip(drawn.flat, (panel for row in grid for panel in row), strict=True):
-        for item in panel.items:
-            item(ax)
-        scales = {f"{axis}scale": "log" for axis in panel.log}
-        ax.set(title=panel.title, xlabel=panel.x, ylabel=panel.y, **scales, **panel.more)
-        for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
-            known.setdefault(label, handle)
-    if known and legend:
-        each = max(map(len, known)) * 0.055 + 0.45  # inches that a label takes
-        columns = 1 if "right" in str(legend) else max(1, min(len(known), int(size[0] / each)))
-        fig.legend(known.values(), known, loc=legend, ncols=columns)
+    with rc_context(STYLE):
+        for ax, panel in zip(drawn.flat, (panel for row in grid for panel in row), strict=True):
+            for item in panel.items:
+                item(ax)
+            scales = {f"{axis}scale": "log" for axis in panel.log}
+            x, y = panel.x, panel.y
+            if axes.get("sharex") and not ax.get_subplotspec().is_last_row():
+                x = ""
+            if axes.get("sharey") and not ax.get_subplotspec().is_first_col():
+                y = ""
+            ax.set(title=panel.title, xlabel=x, ylabel=y, **scales, **panel.more)
+            for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
+                known.setdefault(label, handle)
+        if known and legend:
+            each = max(map(len, known)) * 0.05 + 0.45  # inches that a label takes
+            columns = 1 if "right" in str(legend) else max(1, min(len(known), int(size[0] / each)))
+            fig.legend(known.values(), known, loc=legend, ncols=columns)
     return fig
 
 

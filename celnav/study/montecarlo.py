@@ -14,8 +14,7 @@ import numpy as np
 from celnav.gaussian.checks import integer, kind, number, sequence
 from celnav.gaussian.linalg import Array
 
-MOST_STEPS = 10_000_000
-"""Of one run, at its finest rate: more take a day, and gigabytes."""
+MOST_STEPS = 10_000_000  # of one run, at its finest rate: more take a day, and gigabytes
 
 
 def generator(seed: int, study: int, run: int) -> np.random.Generator:
@@ -26,11 +25,10 @@ def generator(seed: int, study: int, run: int) -> np.random.Generator:
 
 def normals(rngs: Sequence[np.random.Generator], *shapes: tuple[int, ...]) -> list[Array]:
     """Standard normal arrays, one of each shape from each generator, with the run axis before the last: ``(..., runs, n)``."""
-    for rng in (every := sequence("rngs", rngs, "[celnav.study.montecarlo.generator(seed, study, run)]")):
+    for rng in (every := sequence("rngs", rngs, "[celnav.study.montecarlo.generator(seed, study, run)]", least=1)):
         if not hasattr(rng, "standard_normal"):
             raise ValueError(f"rngs: expected generators, such as np.random.default_rng(0), got {kind(rng)}")
-    if not every:
-        raise ValueError("rngs: expected at least one generator, got none")
+
     draws = [[rng.standard_normal(shape) for shape in shapes] for rng in every]
     return [np.stack(column, -2) for column in zip(*draws, strict=True)]
 

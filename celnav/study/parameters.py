@@ -17,8 +17,6 @@ SOURCES = ("paper", "inferred", "chosen")
 def param(value: Any, source: str, meaning: str, *, one_of: tuple[Any, ...] = (), **bounds: float) -> Any:
     """A parameter of a `Parameters` class, by its default.
 
-    Parameters
-    ----------
     value: the default; what is given instead has to be of its kind. source: one of `SOURCES`, and why after a colon.
     meaning: in words; the unit is in the parameter's name. one_of: what it can be, if it is a word.
     bounds: least, most, above, below, of a number or of each of several.
@@ -30,12 +28,7 @@ def param(value: Any, source: str, meaning: str, *, one_of: tuple[Any, ...] = ()
 
 
 class Parameters:
-    """Base of a configuration, a frozen dataclass: every field made by `param` is checked when one is made.
-
-    Raises
-    ------
-    ValueError: naming the parameter, what was expected and what came.
-    """
+    """Base of a configuration, a frozen dataclass: every field made by `param` is checked when one is made."""
 
     def __post_init__(self) -> None:
         for f in fields(self):  # type: ignore[arg-type]

@@ -30,8 +30,7 @@ from celnav.gaussian.spaces import EUCLIDEAN
 from celnav.study.montecarlo import generator, normals
 from celnav.study.trial import Group, Noiseless, Trial, bound, follow, squares
 
-WILD = 10.0
-"""By how much an outlier's noise is larger."""
+WILD = 10.0  # by how much an outlier's noise is larger
 PASSES = 3
 
 
@@ -39,8 +38,6 @@ PASSES = 3
 class Problem:
     """What a filter believes, as what happens: a motion, a sensor and a start, whose noise may be colored or wild.
 
-    Attributes
-    ----------
     motion, sensor: with constant noise beside the models. prior: belief about the start, mean ``(N,)`` and covariance ``(n, n)``.
     times: ``(T,)`` s, increasing. u: inputs, ``epoch.u``: ``u[k]`` acts from ``times[k]`` to ``times[k + 1]``.
     phi: correlation of the measurement's noise with the last one, in [0, 1): an AR(1) process.
@@ -129,8 +126,6 @@ def _image(model: Motion | Sensor, x: Array, epoch: Epoch, m: int | None = None)
 class Row(NamedTuple):
     """How a filter does on a problem.
 
-    Attributes
-    ----------
     problem, filter: names. rms: of the first group over the second half of the epochs; rms_low, rms_high: its 95 % interval.
     efficiency: the linearized posterior Cramer-Rao bound over it: about 1 if it is as good as can be; a little more by chance, or
         where process noise leads away from the run about which it is linearized. nan where there is no bound.
@@ -156,8 +151,6 @@ def compare(
 ) -> list[Row]:
     """Fly filters on problems, all on the same noise: a `Row` for each problem and filter that go together.
 
-    Parameters
-    ----------
     problems: by name. runs: of each. seed: run r has the generator of ``(seed, 0, r)``.
     filters: by name, functions of a problem that give a filter, or None where there is none.
 
@@ -196,9 +189,8 @@ def compare(
 
 def _interval(statistic: Callable[[Array], Any], samples: Array) -> tuple[float, float, float]:
     """A statistic of runs and its interval; nan where too few are left."""
-    if len(samples) < 2:
-        return (float(statistic(samples)) if len(samples) else np.nan, np.nan, np.nan)
-    return (float(statistic(samples)), *bootstrap(statistic, samples))
+    value = float(statistic(samples)) if len(samples) else np.nan
+    return value, *(bootstrap(statistic, samples) if len(samples) > 1 else (np.nan, np.nan))
 
 
 def _bound(problem: Problem) -> Array | None:

@@ -10,32 +10,22 @@ from numpy.typing import ArrayLike
 
 from celnav.filters.colored import coloring, zeta_of
 from celnav.filters.joint import at, evaluate
-from celnav.filters.model import Motion, Sensor
+from celnav.filters.model import Motion, Sensor, check_matrices
 from celnav.filters.records import Epoch, epochs
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import instance, integer, sequence
 from celnav.gaussian.linalg import Array, matvec
 from celnav.study.montecarlo import generator
 
-MOST_RUNS = 1_000_000
-"""Generators of numbers take time and memory."""
+MOST_RUNS = 1_000_000  # generators of numbers take time and memory
 
 
 def simulate(
-    motion: Motion,
-    sensor: Sensor | Sequence[Sensor],
-    prior: Gaussian,
-    times: ArrayLike,
-    *,
-    runs: int,
-    seed: int = 0,
-    u: Any = None,
-    Phi: Any = None,
-) -> tuple[Array, Any]:
+    motion: Motion, sensor: Sensor | Sequence[Sensor], prior: Gaussian, times: ArrayLike, *,
+    runs: int, seed: int = 0, u: Any = None, Phi: Any = None,
+) -> tuple[Array, Any]:  # fmt: skip
     """Truth ``(T, runs, N)`` and measurements ``(T, runs, m)``, a tuple of them for a sequence of sensors.
 
-    Parameters
-    ----------
     motion, sensor: what a filter of them believes; of several sensors a sequence. Noise through the points is drawn, too.
     prior: mean ``(N,)`` and covariance ``(n, n)`` of the start.
     times: ``(T,)`` s. u: inputs, as in `celnav.epochs`.
@@ -45,9 +35,7 @@ def simulate(
     >>> truth, z = celnav.simulate(motion, gps, prior, np.arange(601.0), runs=500)
     """
     instance("motion", motion, Motion, "celnav.Motion(f, Q)")
-    sensors = [sensor] if isinstance(sensor, Sensor) else sequence("sensor", sensor, "[celnav.Sensor(h, R)]")
-    if not sensors:
-        raise ValueError("sensor: expected one or more, got none")
+    sensors = [sensor] if isinstance(sensor, Sensor) else sequence("sensor", sensor, "[celnav.Sensor(h, R)]", least=1)
     for each in sensors:
         instance("sensor", each, Sensor, "celnav.Sensor(h, R)")
     if Phi is not None and len(sensors) != 1:
@@ -55,9 +43,7 @@ def simulate(
     instance("prior", prior, Gaussian, "celnav.Gaussian(mean, cov)")
     if prior.mean.ndim != 1 or prior.cov.ndim != 2:
         raise ValueError(f"prior: expected one mean (N,) and covariance (n, n), got {prior.mean.shape} and {prior.cov.shape}")
-    for name, model in (("f", motion.f), *(("h", each.h) for each in sensors)):
-        if not callable(model) and model.shape[-1] != len(prior.cov):
-            raise ValueError(f"prior: expected {model.shape[-1]} components to go with {name}, got {len(prior.cov)}")
+    check_matrices(len(prior.cov), motion, *sensors)
     if (runs := integer("runs", runs)) > MOST_RUNS:
         raise ValueError(f"runs: expected at most {MOST_RUNS}, got {runs}")
     rngs = [generator(seed, 0, run) for run in range(runs)]

@@ -105,7 +105,7 @@ class Study:
     rows: Sequence[Row]
     says: str = ""
     found: str = ""
-    windows: Callable[[Any, Array], Mapping[str, slice]] = lambda _config, _times: {}
+    windows: Callable[[Any, Array], Mapping[str, slice]] | None = None
 
     def units(self, *, effort: float = 1.0, seed: int = 0, only: Sequence[str] = (), **inputs: Any) -> list[Unit]:
         """The work to be done; ``only``: names of the parts wanted, all if empty; ``inputs``: what else `parts` takes."""
@@ -216,7 +216,7 @@ class Results:
         """An epoch or some of them, that of a name as the study has it."""
         if not isinstance(when, str):
             return when
-        windows = self.study.windows(self.parts[part].config, self.times(part))
+        windows = self.study.windows(self.parts[part].config, self.times(part)) if self.study.windows else {}
         return windows[choice("at", when, windows)]
 
     def squares(self, part: str, filter: str, group: str, at: When = -1) -> Array:

@@ -18,8 +18,7 @@ from celnav.gaussian.belief import Gaussian, any_lost, nees
 from celnav.gaussian.checks import choice, instance, integer
 from celnav.gaussian.linalg import Array, Belief
 
-TOGETHER = 8
-"""Epochs whose roots are evaluated at once; with more of them the filter's own arrays leave the cache."""
+TOGETHER = 8  # epochs whose roots are evaluated at once; with more of them the filter's own arrays leave the cache
 
 
 class Group(NamedTuple):
@@ -37,8 +36,6 @@ class Group(NamedTuple):
 class Trial(NamedTuple):
     """Simulated runs of a configuration.
 
-    Attributes
-    ----------
     groups: what is judged. filters: by name. prior: of all runs, ``(runs, n)``.
     epochs: ``name ->`` epochs for the filter of that name, from the start at every call. Those with a ``truth`` are judged.
     compare: ``(truth, belief) ->`` errors ``(runs, n)`` and roots ``(runs, n, n)`` of what the belief takes for their covariance.
@@ -73,8 +70,6 @@ class Noiseless:
 class Followed(NamedTuple):
     """A filter's runs at the ``K`` epochs that were judged; nan where a run has no estimate.
 
-    Attributes
-    ----------
     times: ``(K,)`` s. error: ``(K, runs, n)``, and std: what the filter takes for its deviations.
     nees, nis, dof: ``(K, runs)``; ``dof`` is the number of measured components behind ``nis``.
     lost: ``(run, t, why)`` of each run whose estimate ceased to be finite. epochs: of the filter, judged or not.
@@ -91,10 +86,7 @@ class Followed(NamedTuple):
 
 
 def follow(trial: Trial, name: str, every: int = 1) -> Followed:
-    """Run the filter of a name and judge it at each ``every``-th of the epochs that have a truth, and at the last.
-
-    Whatever the models raise passes through, with the step as a note.
-    """
+    """Run the filter of a name and judge it at each ``every``-th of the epochs that have a truth, and at the last."""
     instance("trial", trial, Trial, "a Trial, such as problem.trial(filters, rngs)")
     filter, every = trial.filters[choice("name", name, trial.filters)], integer("every", every)
     lost: dict[int, tuple[float, str]] = {}

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import rerun as rr
+from readable import faults
 
 from celnav.files import Outputs
 from celnav.filters.run import run
@@ -50,6 +51,7 @@ def test_every_figure_draws_what_its_axes_say(results):
         labels = [label for ax in fig.axes for label in (ax.get_xlabel(), ax.get_ylabel()) if label]
         assert any("(" in label for label in labels), (stem, labels)
         assert caption.endswith(".")
+        assert not faults(fig), stem
 
 
 def test_figure_2_draws_the_errors_of_the_first_run(results):
@@ -175,15 +177,15 @@ def test_the_lagged_estimate_is_that_of_the_epoch_before():
 
 def test_reused_points_are_wrong_and_redrawn_ones_right():
     found = study.redrawn(SHORT, [np.random.default_rng(4)])
-    assert found["reused"][0] > 0.01
-    assert found["redrawn"][0] < 1e-12
+    assert found["reused"].max() > 0.01
+    assert found["redrawn"].max() < 1e-12
 
 
 def test_the_whitened_system_is_exact_once_corrected():
     found = study.linear(SHORT, [np.random.default_rng(4)])
-    assert found["cross"][0] < 1e-12
-    assert found["corrected"][0] < 1e-10
-    assert found["first sample lost"][0] > 0.1
+    assert found["cross"].max() < 1e-12
+    assert found["corrected"].max() < 1e-10
+    assert found["first sample lost"].max() > 0.1
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ Eqs. 11-14, 16-18, sparse rules: `celnav.gaussian.sparse_grid`. Eqs. 15, 19, deg
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from typing import Any, NamedTuple
@@ -22,21 +22,14 @@ from celnav.gaussian.linalg import Array, Belief
 from celnav.gaussian.rules import Rule, Taylor, cubature, gauss_hermite, simplex, tensor_product, unscented
 from celnav.gaussian.sparse_grid import DELAYED, smolyak
 from celnav.models import earth, inertial
-from celnav.models.earth import Flight
-from celnav.models.inertial import Navigation
+from celnav.models.inertial import BIAS, DRIFT, PHI, POSITION, VELOCITY, Navigation
+from celnav.papers import citation
 from celnav.study.montecarlo import MOST_STEPS, normals
 from celnav.study.parameters import Parameters, param
 from celnav.study.trial import Group, Trial
 
 TITLE = "Adaptive anisotropic sparse Gauss-Hermite quadrature filter for star, SAR and inertial navigation"
-CITATION = """\
-@article{Liang2014,
-  author  = {Liang, H. and Mu, R. and Cui, N. and Wang, D.},
-  title   = {Adaptive anisotropic SGHQF and its application to integrated navigation},
-  journal = {Control and Decision},
-  year    = {2014},
-  note    = {in Chinese; received May 2014, revised August 2014}
-}"""
+CITATION = citation("Liang2014")
 PAPER_WEIGHTS = (1, 1, 2, 2, 2, 1, 1, 2, 2, 2, 2, 2, 2)  # of the sparse grid [Liang2014, Table 2]: 75 points
 NONLINEAR_WEIGHTS = (1, 1, 1) + (2,) * 10  # by nonlinearity: 57 points
 MICRO_G = 1e-6 * earth.STANDARD_GRAVITY
@@ -75,22 +68,12 @@ class Config(Parameters):
     sar_interval: int = param(1, UNSAID, "steps from one radar fix to the next", least=1)
 
     @property
-    def samples(self) -> int:
-        """Of the trajectory, in a run."""
-        return 2 * self.steps
-
-    @property
-    def end_s(self) -> float:
-        """The last epoch, s."""
-        return self.step_s * self.steps
-
-    @property
     def times(self) -> Array:
         """Epochs ``(steps + 1,)`` s."""
         return self.step_s * np.arange(self.steps + 1)
 
     @cached_property
-    def flight(self) -> Flight:
+    def flight(self) -> earth.Flight:
         """Truth at the epochs and in the middles between them, ``2 steps + 1`` epochs."""
         angles = {name: float(np.radians(getattr(self, f"{name}_deg"))) for name in ("longitude", "latitude", "heading")}
         return earth.turning_flight(
@@ -98,20 +81,16 @@ class Config(Parameters):
             acceleration=self.acceleration_m_per_s2, turn_rate=float(np.radians(self.turn_rate_deg_per_s)),
         )  # fmt: skip
 
-    def meters_at(self, latitude: float) -> Array:
-        """Meters per radian of longitude and latitude, ``(2,)``."""
-        north, east = earth.radii(latitude, self.height_m)
-        return np.array([east * np.cos(latitude), north])
-
-    @property
-    def meters(self) -> Array:
-        """Meters per radian of longitude and latitude at the start, ``(2,)``."""
-        return self.meters_at(float(np.radians(self.latitude_deg)))
+    def meters(self, latitude: float | None = None) -> Array:
+        """Meters per radian of longitude and latitude, ``(2,)``, at a latitude, rad, or at the start."""
+        at = float(np.radians(self.latitude_deg)) if latitude is None else latitude
+        north, east = earth.radii(at, self.height_m)
+        return np.array([east * np.cos(at), north])
 
     @property
     def sigma0(self) -> Array:
         """Standard deviations ``(13,)`` of the prior."""
-        angles, position = np.radians(self.misalignment_deg), self.position_m / self.meters
+        angles, position = np.radians(self.misalignment_deg), self.position_m / self.meters()
         drift, bias = np.radians(self.drift_deg_per_h) / 3600.0, self.bias_ug * MICRO_G
         return np.concatenate([angles, [self.velocity_m_per_s] * 2, position, [drift] * 3, [bias] * 3])
 
@@ -121,10 +100,6 @@ class Config(Parameters):
         angle = np.radians(self.angle_walk_deg_per_sqrt_h) / 60.0
         velocity = self.velocity_walk_ug_per_sqrt_hz * MICRO_G
         return np.asarray(np.eye(13, 5) * (np.repeat([angle, velocity], [3, 2]) * np.sqrt(self.step_s)))
-
-    def sigma_z(self, latitude: float) -> Array:
-        """Deviations ``(8,)`` of all measurements at a latitude: two star vectors, longitude, latitude."""
-        return np.concatenate([np.full(6, np.radians(self.star_arcsec / 3600.0)), self.sar_m / self.meters_at(latitude)])
 
 
 A = Config()
@@ -156,39 +131,32 @@ class Scenario(NamedTuple):
     prior: Gaussian
 
     def epochs(self) -> Iterator[Epoch]:
-        """Epochs, each with its `Inputs`."""
-        times = self.config.times
-        for k, t in enumerate(times):
-            u = inputs(self.config, k, self.truth[k], self.truth[k - 1] if k else None)
-            yield Epoch(k, float(t), float(t - times[k - 1]) if k else 0.0, u, self.z[k], self.truth[k])
-
-
-def inputs(config: Config, k: int, truth: Array, before: Array | None) -> Inputs:
-    """What is known at epoch k: the system's attitude and force follow from its errors, now and an epoch before."""
-    true, sigma = config.flight.attitude[2 * k], config.sigma_z(float(config.flight.latitude[2 * k]))
-    attitude = inertial.misalignment_matrix(truth[..., inertial.PHI]) @ true
-    return Inputs(None if before is None else interval_before(config, k, before), attitude, BORESIGHTS @ true.T, np.diag(sigma))
-
-
-def interval_before(config: Config, k: int, truth: Array) -> Navigation:
-    """What the system knows in the middle of the interval that ends at epoch k; ``truth``: its errors at the start of it."""
-    return inertial.navigation(config.flight, 2 * k - 1, truth[..., inertial.PHI], truth[..., inertial.BIAS])
+        """Epochs with their `Inputs`: what the system knows follows from its errors, now and an epoch before."""
+        config, flight, truth = self.config, self.config.flight, self.truth
+        star = np.full(6, np.radians(config.star_arcsec / 3600.0))
+        for k, t in enumerate(config.times.tolist()):
+            true, meters = flight.attitude[2 * k], config.meters(float(flight.latitude[2 * k]))
+            interval = inertial.navigation(flight, 2 * k - 1, truth[k - 1, :, PHI], truth[k - 1, :, BIAS]) if k else None
+            attitude = inertial.misalignment_matrix(truth[k, :, PHI]) @ true
+            u = Inputs(interval, attitude, BORESIGHTS @ true.T, np.diag([*star, *config.sar_m / meters]))
+            yield Epoch(k, t, config.step_s if k else 0.0, u, self.z[k], truth[k])
 
 
 def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
     """One run for each generator: initial errors drawn from the prior, process and measurement noise."""
     T = config.steps + 1
-    initial, walk, noise = normals(rngs, (13,), (config.steps, 5), (T, 8))
-    truth, z = np.empty((T, len(rngs), 13)), np.empty_like(noise)
-    truth[0], w = initial * config.sigma0, walk @ config.sqrt_Q.T
-    for k in range(T):
-        if k:
-            truth[k] = inertial.advance(truth[k - 1], interval_before(config, k, truth[k - 1]), config.step_s) + w[k - 1]
-        u = inputs(config, k, truth[k], None)
-        z[k] = measurement(truth[k], Epoch(u=u)) + noise[k] * u.sqrt_R.diagonal()
+    initial, walk, z = normals(rngs, (13,), (config.steps, 5), (T, 8))
+    truth, w = np.empty((T, len(rngs), 13)), walk @ config.sqrt_Q.T
+    truth[0] = initial * config.sigma0
+    for k in range(1, T):
+        middle = inertial.navigation(config.flight, 2 * k - 1, truth[k - 1, :, PHI], truth[k - 1, :, BIAS])
+        truth[k] = inertial.advance(truth[k - 1], middle, config.step_s) + w[k - 1]
+    runs = Scenario(config, truth, z, Gaussian(np.zeros(truth.shape[1:]), np.diag(config.sigma0**2)))
+    for epoch in runs.epochs():
+        z[epoch.k] = measurement(epoch.truth, epoch) + epoch.z * epoch.u.sqrt_R.diagonal()
     z[np.arange(T) % config.star_interval != 0, :, :6] = np.nan
     z[np.arange(T) % config.sar_interval != 0, :, 6:] = np.nan
-    return Scenario(config, truth, z, Gaussian(np.zeros(truth.shape[1:]), np.diag(config.sigma0**2)))
+    return runs
 
 
 # -- the filters -------------------------------------------------------------------------------------------------------------
@@ -204,7 +172,7 @@ def measurement(x: Array, epoch: Epoch) -> Array:
     """Two star residuals and the position, ``(..., 8)`` [Liang2014, Eqs. 26-28]."""
     out = np.empty_like(x, shape=(*x.shape[:-1], 8))  # in the order of x in memory
     out[..., :6] = inertial.star_residuals(x, epoch.u.attitude, epoch.u.stars)
-    out[..., 6:] = x[..., inertial.POSITION]
+    out[..., 6:] = x[..., POSITION]
     return out
 
 
@@ -215,11 +183,8 @@ def model(config: Config) -> tuple[Motion, Sensor]:
 
 @cache
 def rules(level: int = 3) -> dict[str, Any]:
-    """Rules by the names that figures and tables use; those of the full state have 13 dimensions.
-
-    ukf: kappa = 3 - n. sghqf: isotropic sparse grid. aasghqf: Table 2's weights. nonlinear: weights 1 for the misalignment only.
-    delayed: orders 1, 3, 3. ckf, ckf5: cubature. ghqf3, ghqf5: tensor rules marginalized over the ten linear states.
-    """
+    """Rules of 13 dimensions. ukf: kappa = 3 - n. sghqf: isotropic sparse grid. aasghqf: Table 2's weights. nonlinear: weights 1
+    for the misalignment only. delayed: orders 1, 3, 3. ghqf3, ghqf5: tensor rules marginalized over the ten linear states."""
     return {
         "ukf": unscented(13, kappa=-10.0), "sghqf": smolyak(13, level), "aasghqf": smolyak(13, level, PAPER_WEIGHTS),
         "nonlinear": smolyak(13, level, NONLINEAR_WEIGHTS), "delayed": smolyak(13, level, orders=DELAYED), "ckf": cubature(13),
@@ -231,9 +196,9 @@ def rules(level: int = 3) -> dict[str, Any]:
 def quadrature_filter(rule: Any, config: Config) -> Filter:
     """A filter by any rule. Where negative weights lose definiteness, a run is done again with the positive rule "ghqf3"."""
     first = sigma_point(*model(config), rule=rule, form=FORM)
-    if isinstance(rule, Rule) and (rule.wc < 0.0).any():
-        return Fallback(first, sigma_point(*model(config), rule=rules(config.level)["ghqf3"], form=FORM))
-    return first
+    if not isinstance(rule, Rule) or (rule.wc >= 0.0).all():
+        return first
+    return Fallback(first, sigma_point(*model(config), rule=rules(config.level)["ghqf3"], form=FORM))
 
 
 def filters(config: Config) -> dict[str, Filter]:
@@ -241,20 +206,22 @@ def filters(config: Config) -> dict[str, Filter]:
     first star fix is linearized about the attitude that it gives by itself (Wahba's problem)."""
     plain = ekf(*model(config), form=FORM)
     iterated = Iterated(plain.motion, plain.sensors, rule=plain.rule, form=plain.form)
+    wahba = replace(iterated, iterations=1, first=wahba_start)
     return {name: quadrature_filter(rule, config) for name, rule in rules(config.level).items()} | {
-        "iekf": _first(5, iterated, plain), "triad-ekf": _first(1, replace(iterated, iterations=1, first=wahba_start), plain),
-    }  # fmt: skip
+        "iekf": switched(plain, lambda epoch: iterated if epoch.k < 5 else plain),
+        "triad-ekf": switched(plain, lambda epoch: plain if epoch.k else wahba),
+    }
 
 
-def _first(epochs: int, start: Filter, later: Filter) -> Filter:
-    """One filter for the first epochs, another for the rest."""
-    return FromFunctions(start.start, lambda state, epoch: (start if epoch.k < epochs else later).step(state, epoch))
+def switched(start: Filter, choose: Callable[[Epoch], Filter]) -> Filter:
+    """Filters of one kind of state, one at a time: that which is chosen for an epoch."""
+    return FromFunctions(start.start, lambda state, epoch: choose(epoch).step(state, epoch))
 
 
 def wahba_start(belief: Belief, z: Array, epoch: Epoch) -> Array:
-    """The mean, with the misalignment that both star vectors give."""
+    """The mean, with the misalignment that both star vectors give; beyond 90 deg of phi_x on another branch of the angles."""
     at = np.array(np.broadcast_to(belief.mean, (*z.shape[:-1], 13)))
-    at[..., inertial.PHI] = inertial.wahba_misalignment(z[..., :6], epoch.u.attitude, epoch.u.stars)
+    at[..., PHI] = inertial.wahba_misalignment(z[..., :6], epoch.u.attitude, epoch.u.stars)
     return at
 
 
@@ -264,19 +231,14 @@ JUDGED = {"misalignment": "arcmin", "velocity": "m/s", "position": "m", "drift":
 
 def groups(config: Config, angle: float = DEGREE / 60.0, unit: str = "arcmin") -> tuple[Group, ...]:
     """What is judged; the misalignment in a unit of so many radians."""
-    east, north = config.meters.tolist()
-    return (
-        Group("misalignment", unit, inertial.PHI, 1.0 / angle), Group("velocity", "m/s", inertial.VELOCITY),
-        Group("position", "m", inertial.POSITION, (east, north)), Group("drift", "deg/h", inertial.DRIFT, 3600.0 / DEGREE),
-        Group("bias", "ug", inertial.BIAS, 1.0 / MICRO_G),
-    )  # fmt: skip
+    east, north = config.meters().tolist()
+    return (Group("misalignment", unit, PHI, 1.0 / angle), Group("velocity", "m/s", VELOCITY),
+            Group("position", "m", POSITION, (east, north)), Group("drift", "deg/h", DRIFT, 3600.0 / DEGREE),
+            Group("bias", "ug", BIAS, 1.0 / MICRO_G))  # fmt: skip
 
 
 def trial(config: Config, rngs: Sequence[np.random.Generator]) -> Trial:
     """One run with each generator, for missions, campaigns and the study."""
     sim = simulate(config, rngs)
-    return Trial(groups(config), filters(config), sim.prior, lambda _name: sim.epochs(), _compare, "ekf")
-
-
-def _compare(truth: Array, belief: Belief) -> tuple[Array, Array]:
-    return belief.mean - truth, belief.sqrt_cov
+    return Trial(groups(config), filters(config), sim.prior, lambda _name: sim.epochs(),
+                 lambda truth, belief: (belief.mean - truth, belief.sqrt_cov), "ekf")  # fmt: skip

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,10 +13,10 @@ from celnav.gaussian.sparse_grid import point_count, smolyak
 from celnav.models import inertial
 from celnav.papers.aasghqf import study
 from celnav.papers.aasghqf.scenario import BORESIGHTS, NONLINEAR_WEIGHTS, PAPER_WEIGHTS, PRESETS, rules
-from celnav.papers.aasghqf.study import COMPARED, GROUPS, MISALIGNMENTS_DEG, TABLE_1, TABLE_2, TABLE_3, TABLE_4
+from celnav.papers.aasghqf.study import COMPARED, MISALIGNMENTS_DEG, TABLE_1, TABLE_2, TABLE_3, TABLE_4
 from celnav.show import colors, scenes
 from celnav.show.estimates import Group, again
-from celnav.show.figures import Line, band, consistency, errors, figure, rmse, sigma
+from celnav.show.figures import Item, Line, Panel, consistency, curve, errors, panels, rmse, sigma
 from celnav.show.showcase import Showcase, Space, write
 from celnav.study.study import Results
 
@@ -29,199 +29,104 @@ if TYPE_CHECKING:
 LINES = {
     "sghqf": Line("SGHQF, 417", colors.ESTIMATE), "ukf": Line("UKF, 27", colors.COMPARISON),
     "aasghqf": Line("AASGHQF, 75", colors.OPEN_LOOP), "nonlinear": Line("by nonlinearity, 57", colors.TRUTH, "--", 2.0),
-    "ckf": Line("CKF, 26", "#999999"), "ckf5": Line("CKF of degree 5, 339", "#56B4E9"), "delayed": Line("delayed, 339", "#B15928"),
-    "ghqf3": Line("GHQF, 3 points", "#8C6BB1"), "ghqf5": Line("GHQF, 5 points", "#B15928"), "ekf": Line("EKF", "#D55E00"),
-    "triad-ekf": Line("EKF started by Wahba", "#000000"),
+    "triad-ekf": Line("EKF started by Wahba", "#000000"), "ckf": Line("CKF, 26", "#999999"), "ekf": Line("EKF", "#D55E00"),
+    "delayed": Line("delayed, 339", "#56B4E9", "--"), "ghqf3": Line("GHQF, 3 points", "#8C6BB1"),
+    "ghqf5": Line("GHQF, 5 points", "#B15928"),
 }  # fmt: skip
-COLUMNS = ("phi_x_deg", "phi_y_deg", "phi_z_deg", "v_east_m_per_s", "v_north_m_per_s", "longitude_m", "latitude_m")
-Row = dict[str, str | float]
 
 
 # -- figures -----------------------------------------------------------------------------------------------------------------
-def points(weights: tuple[int, int], title: str, _: Results) -> Figure:
+def points(weights: tuple[int, int], _: Results) -> Figure:
     """The points of a rule in two dimensions: area by the weight's magnitude, color by its sign."""
-    fig, ax = figure(3.6, 3.4)
     rule = smolyak(2, 3, weights)
-    for sign, color, label in ((1.0, colors.COMPARISON, "positive weight"), (-1.0, colors.PAPER, "negative weight")):
-        chosen = rule.wm * sign > 0.0
-        ax.scatter(*rule.nodes[chosen].T, s=3.0 + 125.0 * np.sqrt(np.abs(rule.wm[chosen])), color=color, label=label, alpha=0.8)
-    ax.set(xlabel="$x_1$ (-)", ylabel="$x_2$ (-)", title=title, xlim=(-4.2, 4.2), ylim=(-4.2, 4.2), aspect="equal")
-    ax.legend(loc="upper right")
-    return fig
+
+    def dots(sign: float, color: str, label: str) -> Item:
+        own = sign * rule.wm > 0.0
+        (x, y), size = rule.nodes[own].T, 3.0 + 125.0 * np.sqrt(np.abs(rule.wm[own]))
+        return lambda ax: ax.scatter(x, y, size, color=color, label=label, alpha=0.8)
+
+    items = dots(1.0, colors.COMPARISON, "positive weight"), dots(-1.0, colors.PAPER, "negative weight")
+    limits = {"xlim": (-4.2, 4.2), "ylim": (-4.2, 4.2), "aspect": "equal"}
+    title = f"level 3, weights {weights}: {rule.num_sigmas()} points"
+    return panels(Panel(title, items, "$x_1$ (-)", "$x_2$ (-)", more=limits), size=(3.6, 3.8))
 
 
-def one_run(group: str, first: int, count: int, results: Results) -> Figure:
-    """Errors of one run of A-slow and T3: the first minute, and the whole flight."""
-    fig, axes = figure(10.0, 1.9 * count, count, 4, squeeze=False, sharex="col")
-    for column, (part, title) in enumerate((p, title) for p in ("A-slow", "T3") for title in ("first minute", "whole flight")):
-        t = results.times(part)
-        for i, ax in enumerate(axes[:, column]):
-            for name in COMPARED:
-                errors(ax, results, part, name, LINES[name], group, i)
-            sigma(ax, results, part, "sghqf", "SGHQF", group, i)
-            if title == "whole flight":
-                error, std = (results.error(part, "sghqf", group, what)[:, 0, i] for what in ("error", "std"))
-                late = 3.0 * np.abs(error[len(t) // 10 :]).max() + 9.0 * std[-1]
-                ax.set_ylim(-late, late)
-            ax.set_xlim(0.0, t[-1] if title == "whole flight" else min(60.0, t[-1]))
-            axes[i, 0].set_ylabel(f"{study.SEVEN[first + i]} error ({results.group(group).unit})")
-        axes[0, column].set_title(f"{part}, {title}")
-        axes[-1, column].set_xlabel("time (s)")
-    fig.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=4)
-    return fig
+def one_run(group: str, results: Results) -> Figure:
+    """Errors of one run of A-slow and T3: the first minute, and the whole flight on the scale of its end."""
+    states, unit = study.SEVEN[results.group(group).part], results.group(group).unit
+
+    def panel(part: str, zoom: bool, i: int) -> Panel:
+        items = [errors(results, part, f, LINES[f], group, i) for f in COMPARED]
+        late = 12.0 * results.error(part, "sghqf", group, "std")[-30:, 0, i].max()
+        title, view = ("first minute", {"xlim": (0, 60)}) if zoom else ("whole flight", {"ylim": (-late, late)})
+        return Panel(f"{part}, {title}" * (i == 0), [*items, sigma(results, part, "sghqf", "SGHQF", group, i)], "time (s)",
+                     f"{states[i]} error ({unit})", more=view)  # fmt: skip
+
+    rows = [[panel(part, zoom, i) for part in ("A-slow", "T3") for zoom in (True, False)] for i in range(len(states))]
+    return panels(*rows, size=(11.0, 0.4 + 2.2 * len(states)))
 
 
-def against_bound(results: Results) -> Figure:
-    """RMSE of the misalignment over the runs, and of the closed solution that starts an EKF."""
-    fig, axes = figure(9.0, 3.0, 1, 3, sharey=True)
-    for ax, part in zip(axes, ("A", "A-slow", "T3")):
-        for name in (*COMPARED, "nonlinear", "triad-ekf"):
-            rmse(ax, results, part, name, LINES[name], "misalignment")
-        ax.set(title=part, xlabel="time (s)")
+def over_time(results: Results) -> Figure:
+    """RMSE of the misalignment over the runs, with the closed solution that starts an EKF, and consistency."""
+    lines, parts = {f: LINES[f] for f in study.FLOWN}, study.SHOWN
+    accuracy = {p: [rmse(results, p, f, line, "misalignment") for f, line in lines.items()] for p in parts}
     best = np.sqrt(results.get("bound", "square")[:, 0])
-    axes[0].semilogy(results.times("A"), best, color=colors.BOUND, linewidth=2.5, zorder=0, label="Cramér–Rao bound")
-    axes[0].set_ylabel("misalignment, RMSE over the runs (deg)")
-    axes[0].legend()
-    return fig
-
-
-def consistent(results: Results) -> Figure:
-    """Consistency over time."""
-    fig, axes = figure(9.0, 3.0, 1, 3, sharey=True)
-    for ax, part in zip(axes, ("A", "A-slow", "T3")):
-        consistency(ax, results, part, {name: LINES[name] for name in study.FLOWN[part]}, "nees", 13)
-        ax.set(title=part, xlabel="time (s)")
-    axes[0].set_ylabel("NEES, mean over the runs (-)")
-    fig.legend(*axes[1].get_legend_handles_labels(), loc="outside right center")
-    return fig
+    accuracy["A"].append(curve(results.times("A"), best, Line("Cramér–Rao bound", colors.BOUND, width=2.5), zorder=0))
+    return panels(
+        [Panel(p, accuracy[p], "", "misalignment, RMSE (deg)", "y") for p in parts],
+        [Panel("", [consistency(results, p, lines, "nees", 13)], "time (s)", "NEES, mean (-)", "y") for p in parts],
+        size=(9.0, 5.4), sharey="row",
+    )  # fmt: skip
 
 
 def first_fix(results: Results) -> Figure:
-    """The first star fix; from 45 deg on some draws lie beyond the chart of the angles, where Wahba's takes another branch."""
-    fig, axes = figure(9.0, 3.4, 1, 2)
-    for name in study.START:
-        look: dict[str, Any] = {"color": LINES[name].color, "linestyle": LINES[name].style, "marker": "."}
-        after = [results.nees(f"start/{angle:g}", name, 0).mean() for angle in MISALIGNMENTS_DEG]
-        axes[0].loglog(MISALIGNMENTS_DEG, after, **look, label=LINES[name].label)
-        if name != "triad-ekf":
-            least = results.get("fixes", f"{name}/least")
-            axes[1].loglog(MISALIGNMENTS_DEG, np.where(least > 0.0, least, np.nan), **look)
-    exact = results.get("fixes", "exact/least")
-    axes[1].loglog(MISALIGNMENTS_DEG, exact, color=colors.SIGMA, linewidth=2.5, zorder=0, label="exact moments")
-    axes[0].axhline(13.0, color=colors.SIGMA, linestyle=":")
-    axes[0].set(xlabel="misalignment, 1σ of each angle (deg)", ylabel="NEES after the first star fix (-)")
-    axes[1].set(xlabel="misalignment, 1σ of each angle (deg)", ylabel="least variance of the misalignment,\nposterior to prior (-)")
-    fig.legend(*axes[0].get_legend_handles_labels(), loc="outside right center")
-    axes[1].legend()
-    return fig
-
-
-def growth(_: Results) -> Figure:
-    """How points and weights grow with the dimension."""
-    fig, axes = figure(7.0, 3.0, 1, 2)
-    for level, n, color in ((3, (2, 4, 7, 13, 20, 40), colors.COMPARISON), (4, (2, 4, 7, 13, 20, 30), colors.ESTIMATE)):
-        weights = [smolyak(k, level).wm for k in n]
-        axes[0].loglog(n, [len(w) for w in weights], color=color, marker="o", label=f"level {level}")
-        axes[1].loglog(n, [np.abs(w).sum() for w in weights], color=color, marker="o")
-    axes[0].set(xlabel="dimension n (-)", ylabel="points (-)")
-    axes[1].set(xlabel="dimension n (-)", ylabel="sum of |weights|: amplification of noise (-)")
-    axes[0].legend()
-    return fig
-
-
-def moments(results: Results) -> Figure:
-    """Errors of the mean and covariance of the star residuals at 10 deg, by rule."""
-    fig, ax = figure(7.0, 3.6)
-    names = ("ukf", "ckf", "aasghqf", "ckf5", "delayed", "ghqf3", "sghqf", "nonlinear")
-    for what, color, shift in (("mean", colors.TRUTH, -0.2), ("cov", colors.ESTIMATE, 0.2)):
-        heights = [results.value("fixes", f"{name}/{what}", study.ONE) for name in names]
-        ax.bar(np.arange(len(names)) + shift, heights, 0.4, color=color, label={"cov": "covariance"}.get(what, what))
-    ax.set_xticks(range(len(names)), [LINES[name].label for name in names], rotation=30, ha="right")
-    ax.set(yscale="log", ylabel="relative error at 10° (-)", title="moments of the star residuals")
-    ax.legend()
-    return fig
-
-
-def quantiles(results: Results) -> Figure:
-    """The runs behind Table 3: quantiles of the misalignment error at T3."""
-    fig, axes = figure(9.0, 3.0, 1, 3, sharey=True)
-    for ax, name in zip(axes, COMPARED):
-        size = np.linalg.norm(results.error("T3", name, "misalignment"), axis=-1)
-        low, middle, high = np.quantile(size, [0.05, 0.5, 0.95], axis=1)
-        band(ax, results.times("T3"), low, high, color=LINES[name].color, label="5-95 % of the runs")
-        ax.semilogy(results.times("T3"), middle, color=LINES[name].color, label="median")
-        ax.set(title=LINES[name].label, xlabel="time (s)", ylim=(1e-3, 100.0))
-        ax.legend()
-    axes[0].set_ylabel("misalignment error, 3-D (deg)")
-    return fig
+    """Why filters differ: what rules make of the first star fix, against exact moments."""
+    titles = {"least": "least variance, over the right one", "mean": "mean residuals, relative error",
+              "cov": "their covariance, relative error"}  # fmt: skip
+    x, known = "misalignment, 1σ of each angle (deg)", [(f, line) for f, line in LINES.items() if f in rules()]
+    return panels([
+        Panel(title, [curve(MISALIGNMENTS_DEG, results.get("fixes", f"{f}/{what}"), line, marker=".") for f, line in known], x,
+              log="xy") for what, title in titles.items()], size=(10.0, 3.6))  # fmt: skip
 
 
 FIGURES = {
-    "figure_01": ("Fig. 1: points of the isotropic rule, n = 2, level 3.", partial(points, (1, 1), "level 3: 21 points")),
-    "figure_02": ("Fig. 2: points of the rule with weights 2, 1.", partial(points, (2, 1), "weights 2, 1, level 3: 9 points")),
-    "figure_03": ("Fig. 3: misalignment errors of one run, presets A-slow and T3.", partial(one_run, "misalignment", 0, 3)),
-    "figure_04": ("Fig. 4: velocity errors of one run.", partial(one_run, "velocity", 3, 2)),
-    "figure_05": ("Fig. 5: position errors of one run.", partial(one_run, "position", 5, 2)),
-    "figure_06": ("Beyond the paper: RMSE of the misalignment, and of an EKF started by a closed solution.", against_bound),
-    "figure_07": ("Beyond the paper: consistency over time.", consistent),
-    "figure_08": ("Beyond the paper: the first star fix over the size of the misalignment.", first_fix),
-    "figure_09": ("Beyond the paper: how points and weights grow with the dimension.", growth),
-    "figure_10": ("Beyond the paper: errors of the moments of the first star fix, by rule.", moments),
-    "figure_11": ("Beyond the paper: the runs behind Table 3, quantiles of the misalignment error at T3.", quantiles),
+    "figure_01": ("Fig. 1: points of the isotropic rule, n = 2, level 3.", partial(points, (1, 1))),
+    "figure_02": ("Fig. 2: points of the rule with weights 2, 1.", partial(points, (2, 1))),
+    "figure_03": ("Fig. 3: misalignment errors of one run, presets A-slow and T3.", partial(one_run, "misalignment")),
+    "figure_04": ("Fig. 4: velocity errors of one run.", partial(one_run, "velocity")),
+    "figure_05": ("Fig. 5: position errors of one run.", partial(one_run, "position")),
+    "figure_06": ("Beyond the paper: RMSE of the misalignment, and consistency over time.", over_time),
+    "figure_07": ("Beyond the paper: the first star fix by rule, over the size of the misalignment.", first_fix),
 }
 
 
 # -- tables ------------------------------------------------------------------------------------------------------------------
-def table_1(_: Results) -> list[Row]:
-    """Points of the sparse grids, n = 1 to 6."""
-    rows = [(f, g) for n, own in enumerate(study.WEIGHTS, 1) for f, g in (("SGHQF", (1,) * n), ("AASGHQF", own))]
-    return [{"n": (n := len(g)), "filter": f, "weights": "".join(map(str, g)), "paper": TABLE_1[f][n - 1],
-             "ours": point_count(n, 3, g)} for f, g in rows]  # fmt: skip
-
-
-def table_2(results: Results) -> list[Row]:
-    """Degree of observability and weight of each state, ours in two units, and weights by nonlinearity."""
-    columns: dict[str, Any] = {"degree, paper": TABLE_2, "weight, paper": PAPER_WEIGHTS}
-    for unit, degree in (("rad", results.get("observability", "every")[0]), ("deg", results.get("observability", "in degrees"))):
-        columns |= {f"degree (phi in {unit})": degree, f"weight (phi in {unit})": threshold_weights(degree, study.THRESHOLD)}
-    columns["weight by nonlinearity"] = NONLINEAR_WEIGHTS
-    return [{"state": s} | {name: float(column[i]) for name, column in columns.items()} for i, s in enumerate(inertial.STATES)]
-
-
-def table_3(results: Results) -> list[Row]:
-    """RMSE over the runs, averaged over the epochs, of the first seven states."""
-    rows: list[Row] = []
-    for f, printed in TABLE_3.items():
-        ours = {f"ours, {p}": np.sqrt(np.square(results.get(p, f"{f.lower()}/error")[..., :7]).mean(1)).mean(0) for p in PRESETS}
-        for source, values in {"paper": np.array(printed), **ours}.items():
-            rows.append({"filter": f, "source": source, **dict(zip(COLUMNS, values.tolist()))})
-    return rows
-
-
-def table_4(results: Results) -> list[Row]:
-    """Points, and CPU time of a cycle, on the machine at hand: the least of all rounds."""
-    alone, among = ({f: float(results.get("timings", f"{f.lower()}, {runs}").min()) for f in TABLE_4} for runs in (1, 50))
-    return [{"filter": f, "points, paper": TABLE_4[f][0], "points, ours": point_count(13, n, g), "cycle, paper (s)": TABLE_4[f][1],
-             "one run alone (s)": alone[f], "one run among 50 (s)": among[f]} for f, n, g in study.POINTS]  # fmt: skip
-
-
+COLUMNS = ("phi_x_deg", "phi_y_deg", "phi_z_deg", "v_east_m_per_s", "v_north_m_per_s", "longitude_m", "latitude_m")
 TABLES = {
-    "table_1": ("Table 1: points of the sparse grids, n = 1 to 6, level 3.", table_1),
-    "table_2": ("Table 2: degree of observability and weight of each state.", table_2),
-    "table_3": ("Table 3: RMSE over the runs, averaged over the epochs, of the first seven states.", table_3),
-    "table_4": ("Table 4: points, and CPU time of a cycle.", table_4),
-}
+    "table_1": ("Table 1: points of the sparse grids, n = 1 to 6, level 3.", lambda _: [
+        {"n": n, "filter": f, "weights": "".join(map(str, g)), "paper": TABLE_1[f][n - 1], "ours": point_count(n, 3, g)}
+        for n, own in enumerate(study.WEIGHTS, 1) for f, g in (("SGHQF", (1,) * n), ("AASGHQF", own))]),
+    "table_2": ("Table 2: degree of observability and weight of each state.", lambda r: [
+        {"state": state, "degree, paper": TABLE_2[i], "weight, paper": PAPER_WEIGHTS[i]}
+        | {f"{what} (phi in {unit})": float(values[i])
+           for unit, found in zip(("rad", "deg"), r.get("observability", "every")[:2, 0])
+           for what, values in (("degree", found), ("weight", threshold_weights(found, study.THRESHOLD)))}
+        | {"weight by nonlinearity": NONLINEAR_WEIGHTS[i]} for i, state in enumerate(inertial.STATES)]),
+    "table_3": ("Table 3: RMSE over the runs, averaged over the epochs, of the first seven states.", lambda r: [
+        {"filter": f, "source": source, **dict(zip(COLUMNS, map(float, values)))} for f, printed in TABLE_3.items()
+        for source, values in (("paper", printed), *(
+            (f"ours, {p}", np.sqrt(np.square(r.get(p, f"{f.lower()}/error")[..., :7]).mean(1)).mean(0)) for p in PRESETS))]),
+    "table_4": ("Table 4: points, and CPU time of a cycle on the machine at hand, the least of all rounds.", lambda r: [
+        {"filter": f, "points, paper": TABLE_4[f][0], "points, ours": point_count(13, n, g), "cycle, paper (s)": TABLE_4[f][1]}
+        | {f"one run {how} (s)": float(r.get("timings", f"{f.lower()}, {runs}").min()) for how, runs in (
+            ("alone", 1), ("among 50", 50))} for f, n, g in study.POINTS]),
+}  # fmt: skip
 
 
 # -- recordings --------------------------------------------------------------------------------------------------------------
 CASES = {"A-slow": "aasghqf_A_slow.rrd", "T3": "aasghqf_T3.rrd"}
 RECORDINGS = list(CASES.values())
 AXES = {"misalignment": "xyz", "velocity": ("east", "north"), "position": ("longitude", "latitude")}
-TRAILS = ("world/aircraft/trail", "world/inertial/trail")
-SPACES = (Space("world", "flight, m (east, north, up)", (60e3, -70e3, 70e3), (90e3, 20e3, 0.0), growing=TRAILS),
-          *(Space(f"points/{f}", f"sigma points of {LINES[f].label}, σ of SGHQF", (9.0, -9.0, 6.0)) for f in COMPARED))  # fmt: skip
-LEGEND = {colors.MEASUREMENT: "fixes by radar, stars where the system expects them", colors.STAR: "stars where they are",
-          colors.SIGMA: "inertial system", colors.NEGATIVE: "points of negative weight"}  # fmt: skip
 NOTES = """# Liang et al. (2014), preset {}
 
 **The UKF's first star fix leaves it overconfident, and it takes minutes to forget; 57 points are as good as 417.**
@@ -238,25 +143,30 @@ def record(results: Results, outputs: Outputs) -> list[str]:
 def showcase(results: Results, part: str) -> Showcase:
     """The first run of a part, flown again in full, among the others."""
     c, (found, truth, z) = results.parts[part].config, again(results, part, {f: LINES[f] for f in ("sghqf", "ukf", "aasghqf")})
-    axes = np.diag(c.meters)[[0, 1, 1]] * [[1.0], [1.0], [0.0]]  # east, north, up of a place on the ground
-    fix = (z[:, 6:] - truth[:, inertial.POSITION]) @ axes.T
+    ground = np.diag(c.meters()) @ np.eye(2, 3)  # from longitude and latitude to east, north, up
+    axes, fix = np.zeros((3, 13)), (z[:, 6:] - truth[:, inertial.POSITION]) @ ground
+    axes[:, inertial.POSITION] = ground.T
 
     def scene(out: Recorder) -> None:
-        flight, at = c.flight, 2 * np.arange(len(truth))
+        flight, at, phi = c.flight, slice(None, None, 2), truth[:, inertial.PHI]
         way = np.stack([flight.longitude - flight.longitude[0], flight.latitude - flight.latitude[0]], -1)[at]
-        computed = inertial.misalignment_matrix(truth[:, inertial.PHI]) @ flight.attitude[at]
-        scenes.flight(out, "world", way @ axes.T, (way + truth[:, inertial.POSITION]) @ axes.T, np.isfinite(fix[:, 0]),
-                      25000.0 * flight.attitude[at] @ BORESIGHTS.T, 25000.0 * computed @ BORESIGHTS.T)  # fmt: skip
+        stars = 25000.0 * flight.attitude[at] @ BORESIGHTS.T
+        scenes.flight(out, "world", way @ ground, (way + truth[:, inertial.POSITION]) @ ground, np.isfinite(fix[:, 0]), stars,
+                      inertial.misalignment_matrix(phi) @ stars)  # fmt: skip
         std = np.sqrt(np.asarray(found["sghqf"].cov).diagonal(0, -2, -1))[:, None, :3]
         for name, e in found.items():
             rule, moved = rules()[name], rules()[name].nodes[:, :3].any(-1)
             places = e.errors[:, 0, None] + matvec(semidefinite_root(np.asarray(e.cov))[:, None], rule.nodes[moved])
             scenes.sigma_points(out, f"points/{name}", places[..., :3] / std, rule.wm[moved], e.color)
 
-    groups = [Group(g.name, g.unit, g.part, g.scale, AXES[g.name]) for g in GROUPS if g.name in AXES]
+    groups = [Group(g.name, g.unit, g.part, g.scale, AXES[g.name]) for g in results.study.groups if g.name in AXES]
+    trails = "world/aircraft/trail", "world/inertial/trail"
+    spaces = [Space("world", "flight, m (east, north, up)", (60e3, -70e3, 70e3), (90e3, 20e3, 0.0), growing=trails),
+              *(Space(f"points/{f}", f"sigma points of {LINES[f].label}, σ of SGHQF", (9, -9, 6)) for f in COMPARED)]  # fmt: skip
+    legend = {colors.MEASUREMENT: "fixes by radar, stars where the system expects them", colors.STAR: "stars where they are",
+              colors.SIGMA: "inertial system", colors.NEGATIVE: "points of negative weight"}  # fmt: skip
     return Showcase(
-        f"aasghqf: {part}", NOTES.format(part), results.times(part), found, groups, truth,
-        np.concatenate([np.zeros((3, 5)), axes, np.zeros((3, 6))], 1), "m", fix, scene=scene, spaces=SPACES, legend=LEGEND,
-        bars={"degree of observability by state": results.get("observability", "every")[0]}, parameters=vars(c),
-        facts={"paper": "aasghqf", "preset": part, "seed": results.seed, "runs": found["ukf"].errors.shape[1]},
+        f"aasghqf: {part}", NOTES.format(part), results.times(part), found, groups, truth, axes, "m", fix, scene=scene,
+        spaces=spaces, legend=legend, bars={"degree of observability by state": results.get("observability", "every")[0, 0]},
+        parameters=vars(c), facts={"paper": "aasghqf", "preset": part, "seed": results.seed, "runs": found["ukf"].errors.shape[1]},
     )  # fmt: skip

@@ -29,19 +29,13 @@ from celnav.gaussian.linalg import Array, Belief, semidefinite_root
 from celnav.gaussian.rules import Rule, unscented
 from celnav.models import orbit, sightings
 from celnav.models.noise import ar1, effective_covariance, stationary_covariance
+from celnav.papers import citation
 from celnav.study.montecarlo import MOST_STEPS, normals
 from celnav.study.parameters import Parameters, param
 from celnav.study.trial import Group, Trial
 
 TITLE = "Square-root unscented Kalman filter for colored measurement noise"
-CITATION = """\
-@article{Sun2015,
-  author  = {Sun, Huimin and Zhuang, Chunqing and Xu, Shengzhong},
-  title   = {Square-Root Unscented Kalman Filter for Satellite Autonomous Celestial Navigation System
-             with Colored Measurement Noise},
-  year    = {2015},
-  note    = {in Chinese}
-}"""
+CITATION = citation("Sun2015")
 H = np.eye(3, 6)
 FIT = "inferred: by a fit to Tables 1 and 2"
 
@@ -64,24 +58,20 @@ class Config(Parameters):
     star_arcsec: float = param(3.0, "paper", "accuracy of the directions to stars, where angles are measured")
     separation_deg: float = param(90.0, "chosen", "angle between the two stars, where angles are measured")
     accuracy_sigmas: float = param(3.0, "inferred", "how many standard deviations these accuracies are")
-    sigma_km: float = param(
-        0.2, FIT, "deviation of the noise of a measured position, on each axis; of which, says noise_level", above=0.0
-    )
+    sigma_km: float = param(0.2, FIT, "deviation of a measured position's noise, each axis; of which, says noise_level", above=0.0)
     noise_level: str = param(
         "increments", "inferred: the paper's R",
-        "what sigma_km, or camera_deg and star_arcsec, are the deviation of: the colored noise V itself (stationary), however "
-        "large phi is, or the white increments that drive it, in V' = phi V + increment", one_of=("stationary", "increments"),
+        "what sigma_km, or camera_deg and star_arcsec, are the deviation of: the colored noise V itself (stationary), or the white "
+        "increments that drive it", one_of=("stationary", "increments"),
     )  # fmt: skip
     prior_position_km: float = param(0.15, FIT, "standard deviation of the estimate at the start, on each axis", least=0.0)
     prior_velocity_m_per_s: float = param(0.035, FIT, "standard deviation of the estimate at the start, on each axis", least=0.0)
     noise_position_km: float = param(7.5e-3, FIT, "process noise of one step, standard deviation on each axis", least=0.0)
     noise_velocity_km_per_s: float = param(1e-8, FIT, "process noise of one step, standard deviation on each axis", least=0.0)
     phi: float = param(
-        0.0, "paper: 0, 0.8, 1", "color of the noise, V' = phi V + increment: 0 is white, 1 a random walk", least=-1.0, most=1.0
+        0.0, "paper: 0, 0.8, 1", "color of the noise, V' = phi V + increment; 1: a random walk", least=-1.0, most=1.0
     )
-    measured: str = param(
-        "positions", "inferred", "positions, computed from the angles beforehand, or the angles", one_of=("positions", "angles")
-    )
+    measured: str = param("positions", "inferred", "positions, made of the angles, or the angles", one_of=("positions", "angles"))
     first_noise: str | None = param(
         None, "chosen", "covariance of the first noise: that of the increments (R), of the stationary noise, or zero; left out: as "
         "noise_level", one_of=("R", "stationary", "zero", None),
@@ -92,10 +82,8 @@ class Config(Parameters):
 
     def check(self) -> None:
         """Orbits above the Earth, noise that there is, sigma points that can be."""
-        least = orbit.EARTH.radius_km / (1.0 - self.eccentricity)
-        if self.semi_major_axis_km <= least:
-            found = f"an orbit above the Earth, from {least:.6g} km, got {self.semi_major_axis_km!r}"
-            raise ValueError(f"semi_major_axis_km: expected {found}")
+        if (a := self.semi_major_axis_km) <= (least := orbit.EARTH.radius_km / (1.0 - self.eccentricity)):
+            raise ValueError(f"semi_major_axis_km: expected an orbit above the Earth, from {least:.6g} km, got {a!r}")
         for name, other in (("noise_level", "'increments'"), ("first_noise", "R or zero")):
             if getattr(self, name) == "stationary" and abs(self.phi) == 1.0:
                 why = f"where phi is {self.phi:g}: a random walk has no stationary deviation, only its increments have one"
@@ -107,10 +95,10 @@ class Config(Parameters):
     @property
     def idle(self) -> dict[str, str]:
         """Parameters without effect in this configuration, and why."""
-        if self.measured == "positions":
-            names = ("camera_deg", "star_arcsec", "separation_deg", "accuracy_sigmas")
-            return dict.fromkeys(names, "where positions are measured (sigma_km is their noise)")
-        return {"sigma_km": "where angles are measured (camera_deg and star_arcsec are their noise)"}
+        if self.measured == "angles":
+            return {"sigma_km": "where angles are measured (camera_deg and star_arcsec are their noise)"}
+        names = ("camera_deg", "star_arcsec", "separation_deg", "accuracy_sigmas")
+        return dict.fromkeys(names, "where positions are measured (sigma_km is their noise)")
 
     @property
     def times(self) -> Array:
@@ -160,6 +148,11 @@ class Config(Parameters):
     def rule(self) -> Rule:
         """Sigma points of the state."""
         return unscented(6, self.alpha, self.beta, self.kappa)
+
+    @property
+    def separation(self) -> float:
+        """Angle between the stars, rad."""
+        return float(np.radians(self.separation_deg))
 
     def nominal(self, steps: int | None = None) -> Array:
         """Orbit without process noise, ``(steps + 1, 6)`` km, km/s."""
@@ -215,13 +208,10 @@ def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
     for k in range(c.steps):
         truth[k + 1] = orbit.step(truth[k], c.step_s) + w[k] * c.sqrt_Q.diagonal()
     noise = ar1(c.Phi, zeta * c.increment * c.sigma, first * semidefinite_root(c.Sigma0).diagonal())
-    angles = None
+    angles, z = None, truth[..., :3] + noise
     if c.measured == "angles":
-        separation = float(np.radians(c.separation_deg))
-        angles = sightings.angles(truth[..., :3], sightings.star_directions(separation)) + noise
-        z = sightings.position(angles, separation, np.sign(truth[..., 2]), strict=False)
-    else:
-        z = truth[..., :3] + noise
+        angles = sightings.angles(truth[..., :3], sightings.star_directions(c.separation)) + noise
+        z = sightings.position(angles, c.separation, np.sign(truth[..., 2]), strict=False)
     return Scenario(c, truth, z, noise, Gaussian(truth[0] + initial * c.sqrt_P0.diagonal(), sqrt_cov=c.sqrt_P0), angles)
 
 
@@ -229,29 +219,6 @@ def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
 def orbital(config: Config) -> Motion:
     """What filters believe of the orbit."""
     return Motion(lambda x, epoch: orbit.step(x, config.step_s), sqrt_Q=config.sqrt_Q)  # noqa: ARG005
-
-
-def filters(config: Config) -> dict[str, Filter]:
-    """The filters, by the names that figures and tables use.
-
-    srukf: white noise assumed. csrukf: the paper's structure, corrected. csrukf+z0: uses the first sample, in one transform.
-    augmented: the exact reference. srukf-reff: white noise of the same spectrum at zero frequency, where there is one, else
-    srukf-inflated: of half the walk's final variance. openloop: no measurement at all. Where angles are measured see
-    `angle_filters`.
-    """
-    c, motion = config, orbital(config)
-    if c.measured == "angles":
-        return angle_filters(c)
-    sensor, options = Sensor(H, c.Sigma0), dict[str, Any](increments=c.R, rule=c.rule)
-    walk = abs(c.phi) == 1.0
-    return {
-        "srukf": white(c, np.diag(c.sigma**2)),
-        "csrukf": decorrelated(motion, sensor, c.Phi, first=False, **options),
-        "csrukf+z0": colored(motion, sensor, c.Phi, **options),
-        "augmented": augmented(motion, sensor, c.Phi, increments=c.R),
-        "openloop": sigma_point(motion, rule=c.rule),
-        "srukf-inflated" if walk else "srukf-reff": white(c, 0.5 * c.steps * c.R if walk else effective_covariance(c.Phi, c.R)),
-    }
 
 
 def white(config: Config, R: Any) -> Filter:
@@ -265,24 +232,40 @@ def assuming(config: Config, R: Any, Phi: Array | None = None) -> Filter:
     return colored(orbital(config), sensor, config.Phi if Phi is None else Phi, increments=R, first=False, rule=config.rule)
 
 
-def angle_filters(config: Config) -> dict[str, Filter]:
-    """Filters where angles are measured, by name.
+def filters(config: Config) -> dict[str, Filter]:
+    """The filters, by the names that figures and tables use; openloop: no measurement at all.
 
-    srukf-isotropic, csrukf-isotropic: on pseudo-positions, all components taken for equally good. csrukf-jacobian: on
-    pseudo-positions, with the covariance that the angles give them. angles: on the angles themselves; their noise is whitened
-    if it has a color. angles+z0: uses the first sample too, the exact reference. openloop: no measurement at all.
+    Of positions: srukf: white noise assumed. csrukf: the paper's structure, corrected. csrukf+z0: uses the first sample, in one
+    transform. augmented: the exact reference. srukf-reff: white noise of the same spectrum at zero frequency, where there is one,
+    else srukf-inflated: of half the walk's final variance.
+
+    Where angles are measured: srukf-isotropic, csrukf-isotropic: on pseudo-positions, all components taken for equally good.
+    csrukf-jacobian: with the covariance that the angles give them. angles: on the angles themselves; their noise is whitened if it
+    has a color. angles+z0: uses the first sample too, the exact reference.
     """
-    c, motion, separation = config, orbital(config), float(np.radians(config.separation_deg))
-    stars = sightings.star_directions(separation)
-    table = sightings.pseudo_position_covariance(c.nominal()[:, :3], separation, c.sigma)
+    c, motion = config, orbital(config)
+    openloop = sigma_point(motion, rule=c.rule)
+    if c.measured == "positions":
+        sensor, options = Sensor(H, c.Sigma0), dict[str, Any](increments=c.R, rule=c.rule)
+        other = "srukf-inflated" if abs(c.phi) == 1.0 else "srukf-reff"
+        return {
+            "srukf": white(c, np.diag(c.sigma**2)),
+            "csrukf": decorrelated(motion, sensor, c.Phi, first=False, **options),
+            "csrukf+z0": colored(motion, sensor, c.Phi, **options),
+            "augmented": augmented(motion, sensor, c.Phi, increments=c.R),
+            "openloop": openloop,
+            other: white(c, effective_covariance(c.Phi, c.R) if other == "srukf-reff" else 0.5 * c.steps * c.R),
+        }
+    stars = sightings.star_directions(c.separation)
+    table = sightings.pseudo_position_covariance(c.nominal()[:, :3], c.separation, c.sigma)
     isotropic = np.trace(table, axis1=-2, axis2=-1).mean() / 3.0 * np.eye(3)
 
     def h(x: Array, epoch: object) -> Array:  # noqa: ARG001
         return sightings.angles(x[..., :3], stars)
 
     def whitened(*, first: bool) -> Filter:
-        sensor, rule = Sensor(h, c.Sigma0), lambda n: c.rule if n == 6 else unscented(n)
-        return colored(motion, sensor, c.Phi, increments=c.R, first=first, rule=rule)
+        rule = lambda n: c.rule if n == 6 else unscented(n)  # noqa: E731
+        return colored(motion, Sensor(h, c.Sigma0), c.Phi, increments=c.R, first=first, rule=rule)
 
     return {
         "srukf-isotropic": white(c, isotropic),
@@ -290,7 +273,7 @@ def angle_filters(config: Config) -> dict[str, Filter]:
         "csrukf-jacobian": assuming(c, lambda _, epoch: c.increment**2 * table[epoch.k]),
         "angles": whitened(first=False) if c.phi else sigma_point(motion, Sensor(h, sqrt_R=np.diag(c.sigma)), rule=c.rule),
         "angles+z0": whitened(first=True),
-        "openloop": sigma_point(motion, rule=c.rule),
+        "openloop": openloop,
     }
 
 

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from celnav.filters.run import run
+from celnav.gaussian.linalg import Array
 from celnav.models import sightings
 from celnav.models.orbit import EARTH
 from celnav.papers.csrukf.scenario import filters, simulate
-from celnav.papers.csrukf.study import PHIS, SWEEP, TABLE_1, TABLE_2, TABLE_3
+from celnav.papers.csrukf.study import BOTH, PHIS, SWEEP, TABLE_1, TABLE_2, TABLE_3
 from celnav.show import colors, scenes, showcase
 from celnav.show.estimates import Group, first_run
-from celnav.show.figures import Line, consistency, errors, figure, rmse, rmse_table, sigma
+from celnav.show.figures import Item, Line, Panel, consistency, curve, errors, figure, level, panels, rmse, rmse_table, sigma
 from celnav.show.plots import Curve, Plot
-from celnav.show.showcase import Showcase
 from celnav.study.montecarlo import generator
 from celnav.study.study import Results
 
@@ -26,146 +26,118 @@ if TYPE_CHECKING:
     from celnav.files import Outputs
     from celnav.show.recording import Recorder
 
-SRUKF, CSRUKF = Line("SRUKF", colors.COMPARISON), Line("CSRUKF", colors.ESTIMATE)
-LATE, OPEN = Line("CSRUKF lagged (has seen the next sample)", colors.TRUTH, width=0.7), Line("open loop", colors.OPEN_LOOP, "--")
-AXES = ("x", "y", "z", "v_x", "v_y", "v_z")
+SRUKF, CSRUKF, OPEN = Line("SRUKF", colors.COMPARISON), Line("CSRUKF", colors.ESTIMATE), Line("open loop", colors.OPEN_LOOP, "--")
+LINES = {"srukf": SRUKF, "csrukf": CSRUKF}
+WHITE = {"srukf": SRUKF._replace(width=2.2), "csrukf": CSRUKF._replace(style="--"),
+         "lagged": Line("CSRUKF lagged (has seen the next sample)", colors.TRUTH, width=0.7)}  # fmt: skip
+AXES, TIME = ("x", "y", "z", "v_x", "v_y", "v_z"), "time (s)"
+QUANTITIES = [f"absolute position error ${a}$ (km)" for a in AXES[:3]] + [f"velocity error ${a}$ (m/s)" for a in AXES[3:]]
 COLUMNS = ("x_km", "y_km", "z_km", "vx_m_per_s", "vy_m_per_s", "vz_m_per_s")
-GROUPS = ("position", "velocity")
 
 
-def geometry(results: Results) -> Figure:
+# -- figures -----------------------------------------------------------------------------------------------------------------
+def geometry(r: Results) -> Figure:
     """Two stars, the Earth's limb, and the three angles."""
-    fig, ax = figure(6.0, 5.2, subplot_kw={"projection": "3d"})
-    config = results.parts["0"].config
-    path, separation = config.nominal()[:, :3], float(np.radians(config.separation_deg))
-    r, stars = path[0], sightings.star_directions(separation)
-    u, v = np.mgrid[0 : 2 * np.pi : 25j, 0 : np.pi : 13j]
+    (fig, ax), c = figure(6.0, 5.2, subplot_kw={"projection": "3d"}), r.parts["0"].config
+    path, stars = c.nominal()[:, :3], sightings.star_directions(c.separation)
+    here, (u, v) = path[0], np.mgrid[0 : 2 * np.pi : 25j, 0 : np.pi : 13j]
     globe = EARTH.radius_km * np.stack([np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)])
     ax.plot_wireframe(*globe, color=colors.MEASUREMENT, linewidth=0.4, alpha=0.6)
     ax.plot(*path.T, color=colors.TRUTH, label="orbit, 600 s")
-    ax.plot(*np.stack([np.zeros(3), r]).T, color=colors.SIGMA, linestyle="--", linewidth=1)
-    A = np.degrees(sightings.angles(r, stars))
+    ax.plot(*np.stack([np.zeros(3), here]).T, color=colors.SIGMA, linestyle="--", linewidth=1)
+    for limb in sightings.limb(here, np.cross(here, [0.0, 0.0, 1.0])):
+        ax.plot(*np.stack([here, limb]).T, color=colors.ESTIMATE)
+    A = np.degrees(sightings.angles(here, stars))
     for i, star in enumerate(stars):
-        ax.quiver(*r, *(5000.0 * star), color=colors.COMPARISON, arrow_length_ratio=0.1)
-        ax.text(*(r + 5600.0 * star), f"star {i + 1}, $A_{i + 1}$ = {A[i]:.2f}°", fontsize=8)
-    for limb in sightings.limb(r, np.cross(r, [0.0, 0.0, 1.0])):
-        ax.plot(*np.stack([r, limb]).T, color=colors.ESTIMATE)
-    ax.text(*(r * 1.03), f"satellite, $A_3$ = {A[2]:.2f}°", fontsize=8)
-    ax.set(xlabel="x (km)", ylabel="y (km)", zlabel="z (km)", title="Figure 1: measured angles")
-    ax.set_aspect("equal")
+        ax.quiver(*here, *(5000.0 * star), color=colors.COMPARISON, arrow_length_ratio=0.1)
+        ax.text(*(here + 5600.0 * star), f"star {i + 1}, $A_{i + 1}$ = {A[i]:.2f}°", fontsize=8)
+    ax.text(*(here * 1.03), f"satellite, $A_3$ = {A[2]:.2f}°", fontsize=8)
+    ax.set(xlabel="x (km)", ylabel="y (km)", zlabel="z (km)", title="Figure 1: measured angles", aspect="equal")
     ax.view_init(22, 15)
     ax.legend(loc="upper left")
     return fig
 
 
-def white(i: int, results: Results) -> Figure:
+def component(r: Results, part: str, i: int, lines: dict[str, Line], shown: str = "", **look: Any) -> list[Item]:
+    """Errors of one of the six components, of positions without sign as the paper has them; 3 sigma of the filter ``shown``."""
+    at: Any = (BOTH[i // 3], i % 3)
+    items = [errors(r, part, name, line, *at, absolute=i < 3, **look) for name, line in lines.items()]
+    return [*items, sigma(r, part, shown, lines[shown].label, *at, absolute=i < 3)] if shown else items
+
+
+def white(i: int, r: Results) -> Figure:
     """An error under white noise."""
-    fig, ax = figure(7.0, 3.2)
-    group, axis, absolute = GROUPS[i // 3], i % 3, i < 3
-    for name, line in (("srukf", SRUKF._replace(width=2.2)), ("csrukf", CSRUKF._replace(style="--")), ("lagged", LATE)):
-        errors(ax, results, "0", name, line, group, axis, absolute=absolute)
-    sigma(ax, results, "0", "csrukf", "CSRUKF", group, axis, absolute=absolute)
-    unit, kind = results.group(group).unit, "absolute position error" if absolute else "velocity error"
-    ax.set(
-        xlabel="time (s)", ylabel=f"{kind} ${AXES[i]}$ ({unit})", title=f"Figure {i + 2}: ${AXES[i]}$, $\\Phi = 0$", xlim=(0, None)
-    )
-    ax.legend(ncols=2)
-    return fig
+    title, items = f"Figure {i + 2}: ${AXES[i]}$, $\\Phi = 0$", component(r, "0", i, WHITE, "csrukf")
+    return panels(Panel(title, items, TIME, QUANTITIES[i]), size=(7.0, 3.6))
 
 
-def walk(i: int, results: Results) -> Figure:
+def walk(i: int, r: Results) -> Figure:
     """An error under random-walk noise."""
-    fig, (left, right) = figure(7.0, 3.4, 1, 2)
-    group, axis, absolute = GROUPS[i // 3], i % 3, i < 3
-    for ax, lines in ((left, {"srukf": SRUKF, "csrukf": CSRUKF}), (right, {"csrukf": CSRUKF, "openloop": OPEN})):
-        for name, line in lines.items():
-            errors(ax, results, "I", name, line, group, axis, absolute=absolute, runs=1 if name == "openloop" else 4, spread=True)
-        ax.set(xlabel="time (s)", xlim=(0, None))
-    sigma(right, results, "I", "csrukf", "CSRUKF", group, axis, absolute=absolute)
-    for ax in (left, right):
-        ax.legend(fontsize=6.5)
-    unit, kind = results.group(group).unit, "absolute position error" if absolute else "velocity error"
-    left.set(ylabel=f"{kind} ${AXES[i]}$ ({unit})", title=f"Figure {i + 8}: ${AXES[i]}$, $\\Phi = I$")
-    right.set_title("CSRUKF against open loop")
-    return fig
+    four, loop = component(r, "I", i, LINES, runs=4, spread=True), component(r, "I", i, {"openloop": OPEN})
+    right = [*component(r, "I", i, {"csrukf": CSRUKF}, "csrukf", runs=4, spread=True), *loop]
+    left = Panel(f"Figure {i + 8}: ${AXES[i]}$, $\\Phi = I$", four, TIME, QUANTITIES[i])
+    return panels([left, Panel("CSRUKF against open loop", right, TIME)], size=(7.0, 3.8))
 
 
-def consistent(results: Results) -> Figure:
+def consistent(r: Results) -> Figure:
     """NEES and NIS averaged over the runs with their 95 % bands."""
-    fig, axes = figure(7.0, 4.6, 2, 3, sharex=True)
-    for column, name in enumerate(PHIS):
-        for row, (what, dof) in enumerate((("nees", 6), ("nis", 3))):
-            consistency(axes[row, column], results, name, {"srukf": SRUKF, "csrukf": CSRUKF}, what, dof)
-        axes[0, column].set_title(f"$\\Phi = {name}$")
-        axes[1, column].set_xlabel("time (s)")
-    axes[0, 0].set_ylabel("mean NEES (-)")
-    axes[1, 0].set_ylabel("mean NIS (-)")
-    axes[0, 0].legend()
-    return fig
+    nees = [Panel(f"$\\Phi = {n}$", [consistency(r, n, LINES, "nees", 6)], y="mean NEES (-)" * (n == "0"), log="y") for n in PHIS]
+    nis = [Panel("", [consistency(r, n, LINES, "nis", 3)], TIME, "mean NIS (-)" * (n == "0"), log="y") for n in PHIS]
+    return panels(nees, nis, size=(7.0, 4.8), sharex=True)
 
 
-def against_theory(results: Results) -> Figure:
+def length(std: Array) -> Array:
+    """Of the position's deviations ``(..., 6)``."""
+    return np.asarray(np.linalg.norm(std[..., :3], axis=-1))
+
+
+def against_theory(r: Results) -> Figure:
     """RMSE of the Monte Carlo against exact linear theory."""
-    fig, axes = figure(7.0, 3.0, 1, 3)
-    for ax, (name, phi) in zip(axes, PHIS.items(), strict=True):
-        for filter, line in (("srukf", SRUKF), ("csrukf", CSRUKF)):
-            rmse(ax, results, name, filter, line._replace(label=f"{line.label}, runs"), "position")
-            std = np.linalg.norm(results.get("theory", f"P/{filter}")[:, SWEEP.index(phi), :3], axis=-1)
-            ax.semilogy(results.times(name), std, color=line.color, linestyle=":", label="theory")
-        ax.set(xlabel="time (s)", title=f"$\\Phi = {name}$")
-    axes[0].set_ylabel("3-D position RMSE (km)")
-    axes[0].legend()
-    return fig
+    row = []
+    for name, phi in PHIS.items():
+        items = [rmse(r, name, filter, line, "position") for filter, line in LINES.items()]
+        for filter, line in LINES.items():
+            std = length(r.get("theory", f"P/{filter}")[:, SWEEP.index(phi)])
+            items.append(curve(r.times(name), std, color=line.color, linestyle=":", label=f"{line.label}, theory"))
+        row.append(Panel(f"$\\Phi = {name}$", items, TIME, "3-D position RMSE (km)" * (name == "0"), "y"))
+    return panels(row, size=(7.0, 3.2))
 
 
-def over_phi(results: Results) -> Figure:
+def over_phi(r: Results) -> Figure:
     """Final position error over Phi, for the fitted prior and a poor one, by linear theory."""
-    fig, axes = figure(7.0, 3.2, 1, 2, sharex=True)
-    first, place = Line("CSRUKF with the first sample", colors.TRUTH), np.arange(len(SWEEP))
-    for ax, preset, title in zip(axes, ("P", "D"), ("prior 0.15 km, 0.035 m/s", "prior 10 km, 10 m/s"), strict=True):
-        for name, line, marker in (("srukf", SRUKF, "o"), ("csrukf", CSRUKF, "s"), ("csrukf+z0", first, "^")):
-            std = np.linalg.norm(results.get("theory", f"{preset}/{name}")[-1, :, :3], axis=-1)
-            ax.semilogy(place, std, color=line.color, marker=marker, markersize=4, label=line.label)
-        ax.set_xticks(place, [f"{phi:g}" for phi in SWEEP])
-        ax.set(xlabel="coefficient φ of $\\Phi = \\varphi I$ (-)", title=title)
-    axes[0].set_ylabel("final 3-D position error (km)")
-    axes[0].legend()
-    return fig
+    row, ticks = [], {"xticks": range(len(SWEEP)), "xticklabels": [f"{phi:g}" for phi in SWEEP]}
+    lines = {"srukf": (SRUKF, "o"), "csrukf": (CSRUKF, "s"), "csrukf+z0": (Line("CSRUKF with the first sample", colors.TRUTH), "^")}
+    for preset, title in (("P", "prior 0.15 km, 0.035 m/s"), ("D", "prior 10 km, 10 m/s")):
+        items = [curve(range(len(SWEEP)), length(r.get("theory", f"{preset}/{name}")[-1]), line, marker=marker, markersize=4)
+                 for name, (line, marker) in lines.items()]  # fmt: skip
+        row.append(Panel(title, items, "φ of $\\Phi = \\varphi I$ (-)", "final 3-D position error (km)", "y", ticks))
+    return panels(row, size=(7.0, 3.5))
 
 
-def long_arcs(results: Results) -> Figure:
+def long_arcs(r: Results) -> Figure:
     """Long arcs from a poor prior, SRUKF against the bound."""
-    fig, ax = figure(5.5, 3.4)
+    items = []
     for i, (name, style) in enumerate((("I", "-"), ("0.8 I", "--"))):
-        for key, line, label in (("srukf", SRUKF, "SRUKF"), ("csrukf+z0", CSRUKF, "bound")):
-            std = np.linalg.norm(results.get("theory", f"long/{key}")[1:, i, :3], axis=-1)
-            ax.loglog(np.arange(1, len(std) + 1), std, color=line.color, linestyle=style, label=f"{label}, $\\Phi = {name}$")
-    ax.set(xlabel="time (s)", ylabel="3-D position error (km)", title="prior 100 km, 100 m/s, first sample used")
-    ax.legend()
-    return fig
+        for key, color, label in (("srukf", SRUKF.color, "SRUKF"), ("csrukf+z0", CSRUKF.color, "bound")):
+            std = length(r.get("theory", f"long/{key}")[1:, i])
+            items.append(curve(np.arange(1, len(std) + 1), std, Line(f"{label}, $\\Phi = {name}$", color, style)))
+    return panels(Panel("prior 100 km, 100 m/s, first sample used", items, TIME, "3-D position error (km)", "xy"), size=(5.5, 3.6))
 
 
-def assumed(results: Results) -> Figure:
+def assumed(r: Results) -> Figure:
     """A wrong coefficient in the filter: error and consistency."""
-    fig, axes = figure(7.0, 3.0, 1, 2)
-    phis = (0.8, 0.9, 0.95, 0.99, 1.0)
-    for part, color, names in (
-        ("I", colors.COMPARISON, {0.95: "phi 0.95", 0.99: "phi 0.99", 1.0: "csrukf"}),
-        ("0.8", colors.ESTIMATE, {0.8: "csrukf", 0.9: "phi 0.9", 1.0: "phi 1"}),
-    ):
-        final = [np.sqrt(results.squares(part, name, "position").sum(-1).mean()) for name in names.values()]
-        mean = [results.nees(part, name, slice(1, None)).mean() for name in names.values()]
-        place, true = [phis.index(phi) for phi in names], list(names).index(PHIS[part])
-        for ax, values in zip(axes, (final, mean), strict=True):
-            ax.semilogy(place, values, color=color, marker="o", label=f"true φ = {PHIS[part]:g}")
-            ax.semilogy(place[true], values[true], color=color, marker="o", markersize=9, fillstyle="none")
-            ax.set_xticks(range(len(phis)), [f"{phi:g}" for phi in phis])
-            ax.set_xlabel("φ assumed by the filter (circle: the true one)")
-    axes[0].set_ylabel("final 3-D position RMSE (km)")
-    axes[1].set_ylabel("time-mean NEES (-)")
-    axes[1].axhline(6.0, color=colors.SIGMA, linestyle=":", label="consistent")
-    axes[1].legend()
-    return fig
+    phis, error, nees = (0.8, 0.9, 0.95, 0.99, 1.0), list[Item](), [level(6.0, label="consistent")]
+    flown = {"I": (SRUKF.color, ("phi 0.95", "phi 0.99", "csrukf")), "0.8": (CSRUKF.color, ("csrukf", "phi 0.9", "phi 1"))}
+    for part, (color, names) in flown.items():
+        place = [phis.index(PHIS[part] if name == "csrukf" else float(name[4:])) for name in names]
+        final = [np.sqrt(r.squares(part, name, "position").sum(-1).mean()) for name in names]
+        mean, true = [r.nees(part, name, slice(1, None)).mean() for name in names], names.index("csrukf")
+        for items, values in ((error, final), (nees, mean)):
+            items.append(curve(place, values, color=color, marker="o", label=f"true φ = {PHIS[part]:g}"))
+            items.append(curve(place[true], values[true], color=color, marker="o", markersize=9, fillstyle="none"))
+    x, more = "φ assumed by the filter (circle: the true one)", {"xticks": range(5), "xticklabels": [f"{phi:g}" for phi in phis]}
+    row = ((error, "final 3-D position RMSE (km)"), (nees, "time-mean NEES (-)"))
+    return panels([Panel("", items, x, y, "y", more) for items, y in row], size=(7.0, 3.3))
 
 
 FIGURES = {
@@ -181,10 +153,10 @@ FIGURES = {
     "figure_18": ("Beyond the paper: a wrong coefficient in the filter.", assumed),
 }  # fmt: skip
 TABLES = {
-    "table_1": ("Table 1: RMSE under white noise, Φ = 0.", lambda r: rmse_table(r, "0", TABLE_1, GROUPS, COLUMNS)),
-    "table_2": ("Table 2: RMSE under random-walk noise, Φ = I.", lambda r: rmse_table(r, "I", TABLE_2, GROUPS, COLUMNS)),
+    "table_1": ("Table 1: RMSE under white noise, Φ = 0.", lambda r: rmse_table(r, "0", TABLE_1, BOTH, COLUMNS)),
+    "table_2": ("Table 2: RMSE under random-walk noise, Φ = I.", lambda r: rmse_table(r, "I", TABLE_2, BOTH, COLUMNS)),
     "table_3": ("Table 3: RMSE under Φ = 0.8 I and Φ = I.",
-                lambda r: [row for name, rows in TABLE_3.items() for row in rmse_table(r, name, rows, GROUPS, COLUMNS, Phi=name)]),
+                lambda r: [row for name, rows in TABLE_3.items() for row in rmse_table(r, name, rows, BOTH, COLUMNS, Phi=name)]),
 }  # fmt: skip
 
 
@@ -207,29 +179,27 @@ def record(results: Results, outputs: Outputs) -> list[str]:
     return showcase.write({name: _case(results, case) for case, name in zip(CASES, RECORDINGS, strict=True)}, outputs)
 
 
-def _case(results: Results, case: str) -> Showcase:
-    c, number = results.parts[case].config, results.parts[case].number
+def _case(results: Results, case: str) -> showcase.Showcase:
+    c, number, phi = results.parts[case].config, results.parts[case].number, case.rpartition("/")[2]
     sim = simulate(c, [generator(results.seed, number, 0)])
     found = first_run(results, case, {"csrukf": CSRUKF, "srukf": SRUKF, "openloop": OPEN})
     truth, z, V = sim.truth[:, 0], sim.z[:, 0], sim.noise[:, 0]
-    track = run(filters(c)["augmented"], sim.prior, sim.epochs(), keep="std")
-    noise = {}
+    track, noise = run(filters(c)["augmented"], sim.prior, sim.epochs(), keep="std"), {}
     for i, axis in enumerate("xyz"):
         mean, std = np.asarray(track.mean)[:, 0, 6 + i], np.asarray(track.std)[:, 0, 6 + i]
         augmented = Curve(mean, colors.REFERENCE, "augmented filter", std, mean)
         noise[axis] = Plot(f"colored noise V {axis}, km", {"truth": Curve(V[:, i], colors.TRUTH, "true V"), "augmented": augmented})
 
     def scene(out: Recorder) -> None:
-        stars = sightings.star_directions(float(np.radians(c.separation_deg)))
+        stars = sightings.star_directions(c.separation)
         scenes.sightings(out, "world", truth[:, :3], truth[:, 3:], stars, EARTH.radius_km)
         out.points("world/z", z, colors.MEASUREMENT, radius=1.0)
         for key, estimate in found.items():
             out.trail(f"world/{key}/trail", truth[:, :3] + estimate.errors[:, 0, :3], estimate.color, radius=1.2)
 
-    phi = case.rpartition("/")[2]
-    bound = np.linalg.norm(results.get("theory", f"{'D' if '/' in case else 'P'}/csrukf")[:, SWEEP.index(PHIS[phi]), :3], axis=-1)
+    bound = length(results.get("theory", f"{'D' if '/' in case else 'P'}/csrukf")[:, SWEEP.index(PHIS[phi])])
     growing = ["world/z", *(f"world/{key}/trail" for key in ("truth", *found))]
-    return Showcase(
+    return showcase.Showcase(
         f"csrukf: {case}", f"# Sun, Zhuang & Xu (2015), Φ = {phi}\n\n**{CASES[case]}**\n{NOTES}",
         results.times(case), found, [Group(*group) for group in results.study.groups], truth, np.eye(3, 6), "km",
         z - truth[:, :3], 3, {"position": bound}, scene,

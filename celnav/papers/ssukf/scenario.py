@@ -1,13 +1,9 @@
-"""[Wu2012]: a satellite whose gyros and star sensor give its attitude.
-
-The equations of the text at hand are lost. Filters are made of `celnav.filters.sequential.sigma_point` and models with ``augment``,
-on attitudes of `celnav.gaussian.attitude`; gyro and satellite are those of `celnav.models.gyro`.
-"""
+"""[Wu2012]: a satellite whose gyros and star sensor give its attitude. The equations of the text at hand are lost."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -15,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from celnav.filters.model import Model, Motion, Sensor
-from celnav.filters.records import Epoch, Filter, State
+from celnav.filters.records import Epoch, State
 from celnav.filters.sequential import Sequential, SingleDraw, ekf, sigma_point, ukf
 from celnav.gaussian import attitude
 from celnav.gaussian.belief import Gaussian
@@ -23,24 +19,16 @@ from celnav.gaussian.linalg import Array, Belief
 from celnav.gaussian.rules import Rule, unscented
 from celnav.gaussian.spaces import EUCLIDEAN, Space, product
 from celnav.models.gyro import Body, Gyro, preintegrate
+from celnav.papers import citation
 from celnav.study.montecarlo import normals, steps
 from celnav.study.parameters import Parameters, param
 from celnav.study.trial import Group, Trial
 
 TITLE = "State-switching unscented Kalman filter for attitude"
-CITATION = """\
-@article{Wu2012,
-  author  = {Wu, Bo and Xu, Huan and Qiao, Xiangwei},
-  title   = {State-switching unscented Kalman filter for attitude determination of a satellite},
-  year    = {2012},
-  note    = {in Chinese; the text available has lost its equations, curves and the numbers of Table 1}
-}"""
-ARCSEC = np.pi / 648000.0
-"""rad."""
-DEG_PER_H = np.pi / 648000.0
-"""rad/s."""
-RADIUS_KM, MU = 6378.137 + 800.0, 398600.4418
-"""Of the orbit, km, and of the Earth, km^3/s^2."""
+CITATION = citation("Wu2012")
+ARCSEC = DEG_PER_H = np.pi / 648000.0
+"""rad, and rad/s."""
+RADIUS_KM = 6378.137 + 800.0
 
 
 # -- parameters --------------------------------------------------------------------------------------------------------------
@@ -52,8 +40,7 @@ class Config(Parameters):
     attitude_deg: tuple[float, float, float] = param((1.0, 2.0, 10.0), "paper", "true roll, pitch and yaw at the start")
     rate_deg_per_s: tuple[float, float, float] = param((0.01, 0.01, 0.05), "paper", "true inertial rate at the start, body axes")
     inertia: tuple[tuple[float, float, float], ...] = param(
-        ((52.0, 1.2, -0.8), (1.2, 47.0, 0.6), (-0.8, 0.6, 61.0)), "chosen: lost", "tensor of inertia, body axes, kg m^2"
-    )
+        ((52.0, 1.2, -0.8), (1.2, 47.0, 0.6), (-0.8, 0.6, 61.0)), "chosen: lost", "inertia, body axes, kg m^2")  # fmt: skip
     wheels: tuple[float, float, float] = param((0.0, -2.0, 0.0), "chosen", "angular momentum of the wheels, body axes, N m s")
     torque: tuple[float, float, float] = param((1e-6, -1e-6, 0.5e-6), "chosen", "constant disturbance, body axes, N m")
     gyro_hz: float = param(100.0, "paper", "samples of the gyro; a whole number for each star sample", above=0.0)
@@ -63,9 +50,7 @@ class Config(Parameters):
     tau_s: float = param(3600.0, "chosen", "correlation time of the drift", above=0.0)
     bias_deg_per_h: tuple[float, float, float] = param((1.0, 1.0, 1.0), "paper", "true drift at the start, each axis")
     star_arcsec: float = param(20.0, "paper", "noise of the star sensor, standard deviation on each axis", above=0.0)
-    prior_deg: tuple[float, float, float] = param(
-        (1.0, 2.0, 10.0), "chosen", "deviations of roll, pitch, yaw at the start", above=0.0
-    )
+    prior_deg: tuple[float, float, float] = param((1.0, 2.0, 10.0), "chosen", "initial deviations, roll, pitch, yaw", above=0.0)
     prior_drift_deg_per_h: float = param(1.0, "chosen", "standard deviation of the drift at the start, on each axis", above=0.0)
     alpha: float = param(0.1, "chosen: small", "spread of the sigma points", above=0.0)
     kappa: float = param(0.0, "paper", "second parameter of the sigma points' spread")
@@ -89,45 +74,30 @@ class Config(Parameters):
         return round(self.gyro_hz / self.star_hz)
 
     @property
-    def gyro_dt(self) -> float:
-        """Interval of the gyro's samples, s."""
-        return 1.0 / self.gyro_hz
+    def updates(self) -> int:
+        """Time updates for each star sample."""
+        return 1 if self.preintegrated else self.ratio
 
     @property
     def step_s(self) -> float:
-        """Interval of the filters' time updates, s."""
-        return 1.0 / self.star_hz if self.preintegrated else self.gyro_dt
+        """Interval of the time updates, s."""
+        return 1.0 / (self.star_hz if self.preintegrated else self.gyro_hz)
 
     @property
-    def star_epochs(self) -> int:
-        """Star samples in a run."""
-        return round(self.duration_s * self.star_hz)
+    def times(self) -> Array:
+        """Epochs ``(T,)`` s of the star samples, the start first."""
+        return np.arange(round(self.duration_s * self.star_hz) + 1) * self.updates * self.step_s
 
     @property
     def samples(self) -> int:
         """Gyro samples in a run."""
-        return self.star_epochs * self.ratio
-
-    @property
-    def end_s(self) -> float:
-        """The last star sample, s."""
-        return (self.star_epochs if self.preintegrated else self.samples) * self.step_s
+        return (len(self.times) - 1) * self.ratio
 
     @property
     def gyro(self) -> Gyro:
-        """The gyro: white noise of a sample and stationary drift, as densities."""
-        sigma_v = self.gyro_deg_per_h * DEG_PER_H * float(np.sqrt(self.gyro_dt))
+        """White noise of a sample and stationary drift, as densities."""
+        sigma_v = self.gyro_deg_per_h * DEG_PER_H * float(np.sqrt(1.0 / self.gyro_hz))
         return Gyro(sigma_v, self.drift_deg_per_h * DEG_PER_H * float(np.sqrt(2.0 / self.tau_s)), self.tau_s)
-
-    @property
-    def body(self) -> Body:
-        """The satellite."""
-        return Body(self.inertia, self.wheels, self.torque, self.orbit_rate_rad_per_s)
-
-    @property
-    def start(self) -> Array:
-        """True quaternion and angular velocity (rad/s) at the start, ``(7,)``."""
-        return np.append(attitude.from_euler(np.radians(self.attitude_deg)), np.radians(self.rate_deg_per_s))
 
     @property
     def sigma_n(self) -> float:
@@ -151,7 +121,7 @@ class Scenario(NamedTuple):
 
     Attributes
     ----------
-    truth: ``(T, runs, 7)`` at the star epochs, the start first: quaternion and drift (rad/s).
+    truth: ``(T, runs, 7)`` at the star epochs: quaternion and drift (rad/s).
     gyro: ``(time updates, runs, 3)`` rad/s, samples of the gyro or what they are integrated to from star to star.
     stars: ``(T, runs, 4)``, of random sign; nan at the start.
     prior: with the paper's initial error. drawn: with one that is drawn from the prior, as consistency asks for.
@@ -166,42 +136,38 @@ class Scenario(NamedTuple):
 
     def epochs(self, _filter: str = "") -> Iterator[Epoch]:
         """Epochs of the filters: a time update for each row of ``gyro``, a star sample after every so many of them."""
-        c, per = self.config, len(self.gyro) // (len(self.truth) - 1)
-        nothing = np.full_like(self.stars[0], np.nan)
+        c, nothing = self.config, np.full_like(self.stars[0], np.nan)
         yield Epoch(0, 0.0, 0.0, None, nothing, self.truth[0])
         for n, sample in enumerate(self.gyro, start=1):
-            k, rest = divmod(n, per)
+            k, rest = divmod(n, c.updates)
             seen, truth = (nothing, None) if rest else (self.stars[k], self.truth[k])
             yield Epoch(n, n * c.step_s, c.step_s, sample, seen, truth)
 
     def integrated(self) -> Scenario:
-        """The same runs with one gyro sample from star to star, integrated once for all filters.
-
-        It is done about a drift of zero: by a drift of 1 deg/h the order of such small turns matters less than 1e-12 rad.
-        """
-        c = self.config
+        """The same runs with one gyro sample from star to star, integrated once for all filters."""
+        c = self.config  # about a drift of zero: by one of 1 deg/h the order of such small turns matters less than 1e-12 rad
         each = self.gyro.reshape(-1, c.ratio, *self.gyro.shape[1:]).swapaxes(0, 1)
-        return self._replace(config=replace(c, preintegrated=True), gyro=preintegrate(each, np.zeros(3), c.gyro_dt))
+        return self._replace(config=replace(c, preintegrated=True), gyro=preintegrate(each, np.zeros(3), c.step_s))
 
 
 def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
     """One run for each generator."""
-    c, T = config, config.star_epochs + 1
+    c, T, dt = replace(config, preintegrated=False), len(config.times), 1.0 / config.gyro_hz
     initial, white, walk, star, sign = normals(rngs, (6,), (c.samples, 3), (c.samples, 3), (T, 3), (T, 1))
-    q, drift = path(c)[:, None], c.gyro.drift(np.asarray(c.bias_deg_per_h) * DEG_PER_H, walk, c.gyro_dt)
-    gyro = c.gyro.measure(q, drift, white, c.gyro_dt)
-    at = np.arange(T) * c.ratio
-    stars = np.where(sign < 0.0, -1.0, 1.0) * attitude.multiply(attitude.exp(c.sigma_n * star), q[at])
+    q, drift = path(config)[:, None], c.gyro.drift(np.asarray(c.bias_deg_per_h) * DEG_PER_H, walk, dt)
+    gyro = c.gyro.measure(q, drift, white, dt)
+    q, drift = q[:: c.ratio], drift[:: c.ratio]
+    stars = np.where(sign < 0.0, -1.0, 1.0) * attitude.multiply(attitude.exp(c.sigma_n * star), q)
     stars[0] = np.nan
-    truth = np.concatenate([np.broadcast_to(q[at], (T, len(rngs), 4)), drift[at]], -1)
+    truth = np.concatenate([np.broadcast_to(q, stars.shape), drift], -1)
     drawn, P = displaced(truth[0], initial * c.sigma0), np.diag(c.sigma0**2)
     mean = np.tile(np.append(attitude.IDENTITY, np.zeros(3)), (len(rngs), 1))
-    every = Scenario(replace(c, preintegrated=False), truth, gyro, stars, Gaussian(mean, P), Gaussian(drawn, P))
-    return every.integrated() if c.preintegrated else every
+    every = Scenario(c, truth, gyro, stars, Gaussian(mean, P), Gaussian(drawn, P))
+    return every.integrated() if config.preintegrated else every
 
 
 def displaced(truth: Array, error: Array) -> Array:
-    """States ``(..., 7)`` that err by less than nothing: what has to be turned and moved by ``error (..., 6)`` to be the truth."""
+    """States ``(..., 7)`` that have to be turned and moved by ``error (..., 6)`` to be the truth."""
     turned = attitude.multiply(attitude.inverse(attitude.exp(error[..., :3])), truth[..., :4])
     return np.concatenate([turned, truth[..., 4:] - error[..., 3:]], -1)
 
@@ -209,7 +175,9 @@ def displaced(truth: Array, error: Array) -> Array:
 @lru_cache(4)
 def path(config: Config) -> Array:
     """True attitudes ``(samples + 1, 4)`` at the gyro's rate, the same in every run."""
-    found = config.body.propagate(config.start, config.gyro_dt, config.samples)[:, :4]
+    start = np.append(attitude.from_euler(np.radians(config.attitude_deg)), np.radians(config.rate_deg_per_s))
+    body = Body(config.inertia, config.wheels, config.torque, config.orbit_rate_rad_per_s)
+    found = body.propagate(start, 1.0 / config.gyro_hz, config.samples)[:, :4]
     found.flags.writeable = False
     return found
 
@@ -239,29 +207,10 @@ def dynamics(gyro: Gyro) -> Model:
     return f
 
 
-class Sensing(NamedTuple):
-    """What is measured: ``h(x, epoch, *noise)``, whose last noise, of the root given, is the sensor's; its Jacobian.
-
-    The spaces of the measurement are those of filters in modified Rodrigues parameters and in the Gibbs vector.
-    """
-
-    h: Model
-    slope: Callable[[Array, Epoch], Array]
-    root: Array
-    space: Space
-    gibbs: Space
-
-
 def star(x: Array, _epoch: Any, *noise: Array) -> Array:
     """Measured quaternion; the last three noise components turn it, about body axes."""
     q = x[..., :4]
     return attitude.multiply(attitude.exp(noise[-1]), q) if noise else q
-
-
-def star_sensor(config: Config) -> Sensing:
-    """The paper's: a whole attitude."""
-    H = np.eye(3, 6)
-    return Sensing(star, lambda _x, _epoch: H, config.sigma_n * np.eye(3), attitude.attitude(), attitude.attitude(0.0, 2.0))
 
 
 def noise_root(gyro: Gyro, dt: float) -> Array:
@@ -269,61 +218,41 @@ def noise_root(gyro: Gyro, dt: float) -> Array:
     return np.diag(np.repeat([gyro.rate_std(dt), gyro.drift_std(dt)], 3))
 
 
-def warn_of_wrapping(rule: Rule, sigma: float) -> None:
-    """Warn if points of a rule lie half a turn or more from a mean known to ``sigma`` rad: they would be shorter rotations."""
-    reach = np.degrees(np.abs(rule.nodes).max() * sigma)
-    if reach > 180.0:
-        text = f"sigma points reach {reach:.0f} deg from the mean, and wrap at 180: take a smaller spread (alpha, kappa)"
-        warnings.warn(text, RuntimeWarning, stacklevel=3)
-
-
-def filters(config: Config, *, c: float | None = None, transported: bool = False, form: str = "covariance") -> dict[str, Filter]:
-    """The paper's filters and those it is compared with, by name; see `family`.
-
-    ``c``: one spread for all rules instead of ``alpha^2 (L + kappa)``. Warns if points of the prior wrap at 180 deg.
-    """
-    warn_of_wrapping(spread(15, config, c=c), float(config.sigma0[:3].max()))
-
-    def rule(L: int) -> Rule:
-        return spread(L, config, c=c)
-
-    return family(config.gyro, config.step_s, star_sensor(config), rule, transported=transported, form=form)
-
-
-def family(
-    gyro: Gyro, dt: float, sensor: Sensing, rule: Callable[[int], Rule], *, transported: bool = False, form: str = "covariance"
-) -> dict[str, Filter]:
-    """Filters of attitude and drift for any sensor, by name.
+def filters(
+    config: Config, *, c: float | None = None, transported: bool = False, form: str = "covariance", vector: Sensor | None = None
+) -> dict[str, Sequential]:
+    """The paper's filters and those it is compared with, by name; warns if points of the prior wrap at 180 deg.
 
     aukf: process and measurement noise through the points of both parts (15 dimensions, 31 points). aukf-1: the same, drawn
-    once for both parts. ssukf: each noise where it acts (12 and 9 dimensions, 25 and 19 points). additive: neither
-    (6 dimensions, 13 points). usque: half of the process noise before the prediction, half after it. mekf: linearized, in the
-    Gibbs vector. ``rule``: of a dimension. ``transported``: the covariance follows the reference after an update.
+    once for both parts, which keeps what noise they have in common. ssukf: each noise where it acts (12 and 9 dimensions, 25 and
+    19 points). additive: neither (6 dimensions, 13 points). usque: half of the process noise before the prediction, half after
+    it. mekf: linearized, in the Gibbs vector.
+
+    ``c``: one spread for all rules instead of ``alpha^2 (L + kappa)``. ``transported``: the covariance follows the reference after
+    an update. ``vector``: a sensor instead of that of stars.
     """
-    space, gibbs = state_space(transported=transported), state_space(transported=transported, a=0.0, b=2.0)
-    W, V, Q = noise_root(gyro, dt), sensor.root, gyro.process_noise(dt)
-    f = dynamics(gyro)
+    reach = np.degrees(np.abs(spread(15, config, c=c).nodes).max() * config.sigma0[:3].max())
+    if reach > 180.0:  # points would be shorter rotations
+        text = f"sigma points reach {reach:.0f} deg from the mean, and wrap at 180: take a smaller spread (alpha, kappa)"
+        warnings.warn(text, RuntimeWarning, stacklevel=2)
+    gyro, dt, f = config.gyro, config.step_s, dynamics(config.gyro)
+    W, V, Q = noise_root(gyro, dt), config.sigma_n * np.eye(3), gyro.process_noise(dt)
+    half = 0.5 * np.diag(np.repeat([gyro.sigma_v**2 * dt - gyro.sigma_u**2 * dt**3 / 6.0, gyro.sigma_u**2 * dt], 3))
+    space, gibbs = (state_space(transported=transported, a=a, b=2.0 * (a + 1.0)) for a in (1.0, 0.0))
+    seen = vector or Sensor(star, sqrt_R=V, space=attitude.attitude())
+    linear = vector or Sensor(star, sqrt_R=V, space=attitude.attitude(0.0, 2.0), jacobian=lambda _x, _epoch: np.eye(3, 6))
 
     def through(time: tuple[Array, ...], measured: tuple[Array, ...]) -> Sequential:
         motion = Motion(f, augment=time, space=space) if time else Motion(f, Q, space=space)
-        seen = Sensor(sensor.h, sqrt_R=None if measured else V, augment=measured, space=sensor.space)
-        return sigma_point(motion, seen, rule=rule, form=form)
+        sensor = replace(seen, sqrt_R=None, augment=measured) if measured else seen
+        return sigma_point(motion, sensor, rule=lambda L: spread(L, config, c=c), form=form)
 
-    mekf = ekf(
-        Motion(f, Q, space=gibbs, jacobian=lambda x, epoch: gyro.transition(x, epoch.u, epoch.dt)),
-        Sensor(sensor.h, sqrt_R=V, space=sensor.gibbs, jacobian=sensor.slope),
-        form=form,
-    )
-    half = 0.5 * np.diag(np.repeat([gyro.sigma_v**2 * dt - gyro.sigma_u**2 * dt**3 / 6.0, gyro.sigma_u**2 * dt], 3))
-    crassidis = ukf(Motion(f, half, space=space), Sensor(sensor.h, sqrt_R=V, space=sensor.space), kappa=1.0, form=form)
+    mekf = Motion(f, Q, space=gibbs, jacobian=lambda x, epoch: gyro.transition(x, epoch.u, epoch.dt))
     return {
-        "aukf": through((W, V), (W, V)),
-        "aukf-1": SingleDraw.of(through((W,), (V,))),
-        "ssukf": through((W,), (V,)),
-        "additive": through((), ()),
-        "usque": Halved(crassidis.motion, crassidis.sensors, rule=crassidis.rule, form=crassidis.form),
-        "mekf": mekf,
-    }
+        "aukf": through((W, V), (W, V)), "aukf-1": SingleDraw.of(through((W,), (V,))), "ssukf": through((W,), (V,)),
+        "additive": through((), ()), "usque": Halved(**vars(ukf(Motion(f, half, space=space), seen, kappa=1.0, form=form))),
+        "mekf": ekf(mekf, linear, form=form),
+    }  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -332,10 +261,9 @@ class Halved(Sequential):
 
     def predict(self, state: State, epoch: Epoch) -> State:
         """State at the end of the interval."""
-        columns = self.motion.noise
+        columns, belief = self.motion.noise, state.belief
         if not np.any(epoch.dt) or not isinstance(columns, np.ndarray):
             return state
-        belief = state.belief
         noisier = self.form(belief.mean, self.form.sum(belief[1], columns))
         return super().predict(state._replace(belief=noisier), epoch)
 
@@ -345,10 +273,10 @@ GROUPS = (Group("attitude", "arcsec", slice(0, 3), 1.0 / ARCSEC), Group("drift",
 JUDGED = {group.name: group.unit for group in GROUPS}
 
 
-def trial(config: Config, rngs: Sequence[np.random.Generator], *, drawn: bool = True) -> Trial:
-    """One run with each generator; the initial errors are drawn from the prior, or those of the paper."""
+def trial(config: Config, rngs: Sequence[np.random.Generator], *, drawn: bool = True, **options: Any) -> Trial:
+    """One run with each generator; the initial errors are drawn from the prior, or those of the paper; options of `filters`."""
     sim = simulate(config, rngs)
-    return Trial(GROUPS, filters(config), sim.drawn if drawn else sim.prior, sim.epochs, compare, "mekf")
+    return Trial(GROUPS, filters(config, **options), sim.drawn if drawn else sim.prior, sim.epochs, compare, "mekf")
 
 
 def errors(truth: Array, mean: Array) -> Array:
