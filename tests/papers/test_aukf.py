@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import rerun as rr
+from readable import faults
 from rinex_pair import TOE, constellation, navigation, observations, written
 
 from celnav import Gaussian, Motion, Sensor, ekf, run, sigma_point
@@ -307,6 +308,7 @@ def test_every_figure_draws(results):
             assert fig is None  # the receiver's files were not given
         else:
             assert any(ax.get_xlabel() or ax.get_title() or ax.texts for ax in fig.axes), stem
+            assert not faults(fig), stem
 
 
 def test_tables(results):

@@ -51,7 +51,7 @@ def receiver(_: Results) -> Figure:
     ax.annotate("", (3.0, -0.4), (5.0, -0.4), arrowprops={**arrow, "connectionstyle": "bar,fraction=-0.08"})
     ax.text(4.0, -0.8, "expected delay and Doppler", color=colors.FAINT, **look)
     ax.text(2.5, 0.7, "baseband: the third and fourth block run once for each satellite", color=colors.FAINT, **look)
-    ax.set(xlim=(-0.5, 5.5), ylim=(-0.9, 0.8), title="Figure 1: a receiver")
+    ax.set(xlim=(-0.5, 5.5), ylim=(-0.9, 0.8), xticks=[], yticks=[], title="Figure 1: a receiver")
     ax.set_axis_off()
     return fig
 
