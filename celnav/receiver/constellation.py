@@ -36,10 +36,7 @@ def geostationary(number: int, elapsed_s: float = 0.0) -> Array:
 
 
 def synthetic(toe: float = TOE_S) -> Broadcast:
-    """Broadcast elements of 32 satellites at a reference time, s of BDT; their clocks are right.
-
-    Five geostationary, three inclined geosynchronous on one ground track, and a Walker constellation 24/3/1.
-    """
+    """Broadcast elements of the 32 satellites at a reference time, s of BDT; their clocks are right."""
     toe = checks.number("toe", toe)
     rows: dict[int, tuple[float, ...]] = {}
     for number in GEOSTATIONARY:

@@ -12,13 +12,15 @@ import numpy as np
 from celnav.files import InputError
 from celnav.filters.run import run
 from celnav.gaussian.linalg import Array
-from celnav.models.beidou import Broadcast, satellites
+from celnav.models.beidou import ROTATION_RATE, TILT, Broadcast, satellites, tilted, turned
+from celnav.receiver.constellation import GEOSTATIONARY, TOE_S, geostationary, synthetic
 from celnav.receiver.filters import filters
 from celnav.receiver.fixes import GIVEN
 from celnav.receiver.position import Log, prepare
 from celnav.receiver.report import Positioned
 from celnav.receiver.rinex import Navigation, Observations, read_navigation, read_observations
-from celnav.show.figures import figure
+from celnav.show.figures import Line, Panel, curve, panels
+from celnav.study.study import Rngs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -75,7 +77,7 @@ def positioned(files: Files, filter: str, mask_deg: float) -> Positioned:
     return Positioned(log, filter, track.mean, track.cov[:, :3, :3], reference)
 
 
-def flown(files: Files, names: Sequence[str], sigma: float, mask_deg: float, rng: np.random.Generator) -> dict[str, Array]:
+def flown(files: Files, rngs: Rngs, names: Sequence[str], sigma: float, mask_deg: float) -> dict[str, Array]:
     """Filters on the half day as it is, and with noise of ``sigma`` m added to all ranges for `EPOCHS` in its middle.
 
     Returns
@@ -91,7 +93,7 @@ def flown(files: Files, names: Sequence[str], sigma: float, mask_deg: float, rng
     """
     half, navigation, reference = _read(files)
     k, first, out = np.arange(len(half.times)), len(half.times) // 2, dict[str, Array]()
-    noise = sigma * rng.standard_normal(half.code.shape) * ((k >= first) & (k < first + EPOCHS))[:, None]
+    noise = sigma * rngs[0].standard_normal(half.code.shape) * ((k >= first) & (k < first + EPOCHS))[:, None]
     for label, part in (("", half), ("burst/", replace(half, code=half.code + noise))):
         log = _prepared(part, navigation, mask_deg)
         known, frame = filters(len(log.names)), Positioned(log, "ls", log.fixes, log.fix_cov, reference)
@@ -100,21 +102,42 @@ def flown(files: Files, names: Sequence[str], sigma: float, mask_deg: float, rng
             label + name: frame.local(mean) for name, mean in {"ls": log.fixes, **{n: t.mean for n, t in tracks.items()}}.items()
         }
         if not label:
-            judged = half.times[(k >= first) & (k < first + EPOCHS + AFTER)]
+            during = half.times[(k >= first) & (k < first + EPOCHS + AFTER)]
             nis = np.array([tracks[names[0]].nis.sum() / tracks[names[0]].dof.sum()])
-            out |= {"times": log.times, "during": np.isin(log.times, judged), "nis": nis}
+            out |= {"times": log.times, "during": np.isin(log.times, during), "nis": nis}
     own = navigation.sets.chosen(navigation.sets.geostationary & (navigation.sets.health == 0.0))
     own = own.chosen(np.lexsort((own.toe, own.number)))
     apart = np.where(np.diff(own.number) == 0.0, np.diff(own.toe), 0.0)
     k = np.flatnonzero((apart >= CONSECUTIVE_S[0]) & (apart <= CONSECUTIVE_S[1]))
     before, after = (satellites(own.chosen(rows), 0.5 * (own.toe[k] + own.toe[k + 1])).position for rows in (k, k + 1))
     misplaced = as_others(own, own.toe + 1800.0) - satellites(own, own.toe + 1800.0).position
-    return out | {"consecutive": np.linalg.norm(after - before, axis=-1), "others": np.linalg.norm(misplaced, axis=-1)}
+    out |= {"consecutive": np.linalg.norm(after - before, axis=-1), "others": np.linalg.norm(misplaced, axis=-1)}
+    return out | judged(out)
 
 
 def as_others(broadcast: Broadcast, t: Array | float) -> Array:
     """Positions ``(S, 3)`` of geostationary satellites by the formula of the others: the Earth's turn in the node, no tilt."""
     return satellites(replace(broadcast, number=np.full(len(broadcast), 19.0)), t).position
+
+
+def formulas(times: Array, _rngs: Rngs = ()) -> dict[str, Array]:
+    """Positions of the synthetic geostationary satellites against two bodies in space: distances ``(..., 5)`` m.
+
+    others: by the formula of the others, at ``times`` from half an hour after the reference time. minute, half hour: by that and
+    one more rotation, so long after it. right: the rotation with the node held in space, half an hour after it.
+    """
+    own = synthetic()
+    own = own.chosen(own.geostationary)
+
+    def off(t: float, position: Array) -> Array:
+        exact = [turned(1e3 * geostationary(n, t)[:3], ROTATION_RATE * np.array(t)) for n in GEOSTATIONARY]
+        return np.asarray(np.linalg.norm(position - exact, axis=-1))
+
+    def rotated(t: float) -> Array:
+        return off(t, turned(tilted(as_others(own, TOE_S + t), -TILT), ROTATION_RATE * np.array(t)))
+
+    return {"others": np.stack([off(t, as_others(own, TOE_S + t)) for t in (1800.0 + times).tolist()]), "minute": rotated(60.0),
+            "half hour": rotated(1800.0), "right": off(1800.0, satellites(own, TOE_S + 1800.0).position)}  # fmt: skip
 
 
 def rms(found: Mapping[str, Array], key: str) -> float:
@@ -138,33 +161,27 @@ JUDGED: dict[str, tuple[str, tuple[float | None, float | None]]] = {
 """What is judged of `flown`, and what is accepted."""
 
 
-def judged(found: Mapping[str, Array]) -> list[float]:
-    """Values of `JUDGED`; nan where the log has no such satellites."""
+def judged(found: Mapping[str, Array]) -> dict[str, Array]:
+    """Values ``(1,)`` of `JUDGED`; nan where the log has no such satellites."""
     ls = rms(found, "ls")
-    over = [rms(found, name) / ls for name in ("ekf", "ukf", "aukf", "group")]
-    burst = rms(found, "burst/aukf") / rms(found, "burst/ukf")
-    same, nis = float(np.abs(found["ekf"] - found["ukf"]).max()), float(found["nis"][0])
-    consecutive, others = (found[name] if found[name].size else np.array([np.nan]) for name in ("consecutive", "others"))
-    return [ls, *over, same, burst, nis, float(consecutive.max()), 1e-3 * float(others.min())]
+    values = {name: rms(found, name) / ls for name in ("ekf", "ukf", "aukf", "group")} | {"ls": ls, "nis": float(found["nis"][0])}
+    values |= {"burst": rms(found, "burst/aukf") / rms(found, "burst/ukf"), "same": np.abs(found["ekf"] - found["ukf"]).max()}
+    values |= {"consecutive": found["consecutive"].max(initial=-np.inf), "formula": 1e-3 * found["others"].min(initial=np.inf)}
+    return {f"judged/{name}": np.array([value if np.isfinite(value) else np.nan]) for name, value in values.items()}
 
 
-def drawn(found: Mapping[str, Array], lines: Mapping[str, Any], sigma: float) -> Figure:
-    """The half day, and the burst; ``lines``: label and color of each filter."""
-    fig, axes = figure(10.0, 3.2, 1, 3)
-    hours = (found["times"] - found["times"][0]) / 3600.0
-    for name in ("ls", "aukf"):
-        east, north, up = found[name].T
-        axes[0].plot(east, north, ".", markersize=2.0, color=lines[name].color, label=lines[name].label)
-        axes[1].plot(hours, up, color=lines[name].color, linewidth=0.7, label=f"{lines[name].label}: up")
-    axes[0].set(xlabel="east (m)", ylabel="north (m)", aspect="equal", title="position from the header's")
-    axes[1].set(xlabel="hours", ylabel="up (m)", title=f"3-D RMS of LS {rms(found, 'ls'):.2f} m")
-    late = np.flatnonzero(found["during"])
-    shown = slice(max(late[0] - 10, 0), late[-1] + 20)
-    for name in (name for name in lines if name in found):
-        away = np.linalg.norm(found[f"burst/{name}"][shown], axis=-1)
-        axes[2].semilogy(hours[shown], away, color=lines[name].color, label=lines[name].label)
-    axes[2].set(xlabel="hours", ylabel="distance (m)", title=f"with {sigma:g} m added to the ranges")
-    axes[0].legend(markerscale=3)
-    axes[1].legend()
-    axes[2].legend(loc="lower center", ncols=2)
-    return fig
+def drawn(found: Mapping[str, Array], lines: Mapping[str, Line], sigma: float) -> Figure:
+    """The half day, and the burst; ``lines``: looks of the filters."""
+    hours, late = (found["times"] - found["times"][0]) / 3600.0, np.flatnonzero(found["during"])
+    shown, known = slice(max(late[0] - 10, 0), late[-1] + 20), {name: line for name, line in lines.items() if name in found}
+    two, dots = {name: lines[name] for name in ("ls", "aukf")}, dict[str, Any](linestyle="", marker=".", ms=3, label=None)
+    return panels([
+        Panel("position from the header's",
+              [curve(found[name][:, 0], found[name][:, 1], line, **dots) for name, line in two.items()],
+              "east (m)", "north (m)", more={"aspect": "equal"}),
+        Panel(f"3-D RMS of LS {rms(found, 'ls'):.2f} m", [curve(hours, found[name][:, 2], line) for name, line in two.items()],
+              "hours", "up (m)"),
+        Panel(f"with {sigma:g} m added to the ranges",
+              [curve(hours[shown], np.linalg.norm(found[f"burst/{name}"][shown], axis=-1), line) for name, line in known.items()],
+              "hours", "distance (m)", "y"),
+    ], size=(10.0, 3.6))  # fmt: skip

@@ -130,13 +130,9 @@ class _Kind(NamedTuple):
 
 
 def _kind(
-    model: Callable[[Array, Array], tuple[Array, Array]],
-    possible: Callable[[Array], Array],
-    z: Array,
-    sigma: Array,
-    start: Array,
+    model: Callable[[Array, Array], tuple[Array, Array]], possible: Callable[[Array], Array], z: Array, sigma: Array, start: Array,
     false_alarm: float,
-) -> _Kind:
+) -> _Kind:  # fmt: skip
     """Fixes of one kind: ``model``: ``(epochs, states) ->`` measurements and Jacobians; ``possible`` makes others nan."""
 
     def solve(rows: Array, kept: Array) -> tuple[Array, Array]:

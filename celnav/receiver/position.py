@@ -102,13 +102,9 @@ class Log:
 
 
 def prepare(
-    observations: Observations,
-    navigation: Navigation,
-    *,
-    mask_deg: float = 10.0,
-    sigma: ArrayLike | None = None,
+    observations: Observations, navigation: Navigation, *, mask_deg: float = 10.0, sigma: ArrayLike | None = None,
     false_alarm: float = 1e-5,
-) -> Log:
+) -> Log:  # fmt: skip
     """Satellites and corrected measurements of a log. Nothing is taken from the header's position.
 
     Parameters

@@ -23,7 +23,7 @@ from celnav.receiver.position import Log
 from celnav.receiver.rinex import BDT_BEGINNING
 from celnav.receiver.sky import GROUND_M, local_axes, on_earth
 from celnav.show import colors
-from celnav.show.figures import figure
+from celnav.show.figures import Panel, components, curve, figure, panels
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -225,20 +225,20 @@ def figures(found: Positioned) -> dict[str, Figure]:
 
 
 def _track(found: Positioned) -> Figure:
-    fig, axes = figure(10.0, 4.2, 1, 2, width_ratios=(2, 3))
-    alone, local, minutes = found.local(found.log.fixes), found.local(found.mean), found.minutes
-    axes[0].plot(alone[:, 0], alone[:, 1], ".", markersize=2.0, color=colors.MEASUREMENT, label="each epoch by itself")
-    axes[0].plot(local[:, 0], local[:, 1], ".", markersize=2.0, color=colors.ESTIMATE, label=found.filter)
-    origin = "known position" if found.reference is not None else "mean position"
-    axes[0].set(xlabel="east (m)", ylabel="north (m)", aspect="equal", title=f"from the {origin}")
-    fig.legend(*axes[0].get_legend_handles_labels(), loc="outside lower left", markerscale=3, ncols=2)
-    for i, (name, color) in enumerate(
-        zip(("east", "north", "up"), (colors.COMPARISON, colors.TRUTH, colors.ESTIMATE), strict=True)
-    ):
-        axes[1].plot(minutes, local[:, i], color=color, linewidth=0.9, label=name)
-    axes[1].set(xlabel="time since the first fix (min)", ylabel="position (m)", title=f"{found.filter}: {len(minutes)} epochs")
-    fig.legend(*axes[1].get_legend_handles_labels(), loc="outside lower right", ncols=3)
-    return fig
+    alone, local, dots = (
+        found.local(found.log.fixes),
+        found.local(found.mean),
+        dict[str, Any](linestyle="", marker=".", markersize=2.0),
+    )
+    both = [curve(alone[:, 0], alone[:, 1], color=colors.MEASUREMENT, label="each epoch by itself", **dots),
+            curve(local[:, 0], local[:, 1], color=colors.ESTIMATE, label=found.filter, **dots)]  # fmt: skip
+    shades = (colors.COMPARISON, colors.TRUTH, colors.ESTIMATE)
+    moved = components(found.minutes, local, ("east", "north", "up"), shades, linewidth=0.9)
+    title = f"from the {'known' if found.reference is not None else 'mean'} position"
+    return panels([
+        Panel(title, both, "east (m)", "north (m)", more={"aspect": "equal"}),
+        Panel(f"{found.filter}: {len(local)} epochs", moved, "time since the first fix (min)", "position (m)"),
+    ], size=(10.0, 4.4), width_ratios=(2, 3))  # fmt: skip
 
 
 def _sky(found: Positioned) -> Figure:
@@ -296,13 +296,10 @@ def record_positioned(found: Positioned, path: Any) -> None:
     middle = local[found.measured].mean(0)
     spread = 3.0 * max(_rms(local[found.measured] - middle), 0.1)
     growing = {"track/alone": np.inf, "track/filter": np.inf}
-    scatter = views.space(
-        "track", "east, north, up, m", eye=middle + np.array([0.0, -spread, 4.0 * spread]), target=middle, growing=growing
-    )
-    left = views.rows(
-        scatter,
-        views.tabs(views.space("sky", "sky over the receiver", eye=(0.0, -2.2, 1.6), growing={}), views.text("info", "about")),
-    )
+    eye = middle + np.array([0.0, -spread, 4.0 * spread])
+    scatter = views.space("track", "east, north, up, m", eye=eye, target=middle, growing=growing)
+    sky = views.space("sky", "sky over the receiver", eye=(0.0, -2.2, 1.6), growing={})
+    left = views.rows(scatter, views.tabs(sky, views.text("info", "about")))
     plots = [views.plot(name, f"{name}, m", times) for name in ("east", "north", "up")]
     layout = views.columns(left, views.rows(*plots, views.plot("sats", "satellites and PDOP", times)), shares=(1, 1))
     facts = {"filter": found.filter, "first": civil(log.times[0]), "epochs": len(times)}

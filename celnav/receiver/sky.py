@@ -80,14 +80,9 @@ def dilution(q: Array, position: Array, axes: Array, used: Array | None = None) 
 
 
 def klobuchar(
-    alpha: ArrayLike,
-    beta: ArrayLike,
-    t: Array | float,
-    latitude: Array | float,
-    longitude: Array | float,
-    elevation: Array,
+    alpha: ArrayLike, beta: ArrayLike, t: Array | float, latitude: Array | float, longitude: Array | float, elevation: Array,
     azimuth: Array,
-) -> Array:
+) -> Array:  # fmt: skip
     """Ionospheric delay (m) at GPS L1 [Klobuchar 1987; IS-GPS-200]; at another frequency f it is ``(L1 / f)^2`` times that.
 
     Parameters

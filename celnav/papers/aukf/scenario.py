@@ -1,22 +1,15 @@
 """[Fan]: a receiver that circles with 4 g finds its place by BeiDou's pseudoranges and their rates.
 
-The display equations and Table 1 of the text at hand are lost; what stands for them is
-
-=====================  ===============================================  =================================================
-what                   content                                          here
-=====================  ===============================================  =================================================
-measurement            pseudoranges and their rates                     `celnav.models.pseudorange`
-orbits                 broadcast elements, geostationary ones too       `celnav.models.beidou`, `synthetic`
-state, its motion      position, velocity, clock; constant velocity     `celnav.receiver.filters.transition`
-least squares          of each epoch by itself                          `celnav.receiver.least_squares`
-AUKF                   noise inflated by a window of innovations        `celnav.filters.adaptive.innovation_window`
-=====================  ===============================================  =================================================
+The display equations and Table 1 of the text at hand are lost. What stands for them: `celnav.models.pseudorange` and
+`celnav.models.beidou` (measurements, orbits), `celnav.receiver.filters.transition` (constant velocity),
+`celnav.receiver.least_squares` (each epoch by itself) and `celnav.filters.adaptive.innovation_window` (the adaptive filter).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,10 +18,10 @@ from pymap3d import geodetic2ecef
 from celnav.filters.joint import Hook
 from celnav.filters.model import Motion, Sensor
 from celnav.filters.records import Epoch, Filter
-from celnav.filters.sequential import sigma_point
+from celnav.filters.sequential import Sequential, sigma_point
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import number
-from celnav.gaussian.linalg import Array, Belief
+from celnav.gaussian.linalg import Array
 from celnav.gaussian.rules import Rule, Taylor, unscented
 from celnav.models import pseudorange
 from celnav.models.beidou import ELLIPSOID
@@ -50,7 +43,6 @@ CITATION = """\
 STANDARD_GRAVITY = 9.80665
 
 
-# -- parameters --------------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Config(Parameters):
     """Everything that a run depends on."""
@@ -66,31 +58,25 @@ class Config(Parameters):
     sigma_range_m: float = param(3.0, "chosen", "noise of a range, standard deviation: what the filters take it for", above=0.0)
     sigma_rate_m_per_s: float = param(0.1, "chosen", "noise of a range rate, standard deviation", above=0.0)
     true_sigma_range_m: float = param(3.0, "chosen", "noise of a range, standard deviation: what it is", above=0.0)
-    burst: str = param(
-        "ranges", "chosen: the paper does not say which channels",
-        "which measurements a burst disturbs: none, all ranges, both ranges and rates, or the range of one satellite",
-        one_of=("none", "ranges", "both", "one"),
-    )  # fmt: skip
-    motion: str = param(
-        "circle", "paper", "how the receiver moves: on the circle, or at random, as the filters think", one_of=("circle", "model"),
-    )  # fmt: skip
+    burst: str = param("ranges", "chosen: the paper does not say which channels",
+                       "which measurements a burst disturbs: none, all ranges, both ranges and rates, the range of one satellite",
+                       one_of=("none", "ranges", "both", "one"))  # fmt: skip
+    motion: str = param("circle", "paper", "how the receiver moves: on the circle, or at random, as the filters think",
+                        one_of=("circle", "model"))  # fmt: skip
     burst_s: tuple[float, float] = param((60.0, 70.0), "paper", "start and end of the burst")
     burst_sigma: float = param(50.0, "paper: without a unit", "size of the burst, m on ranges and m/s on rates", above=0.0)
     burst_satellite: int = param(2, "chosen", "which satellite a burst on one disturbs, counted from 0", least=0)
     burst_count: int = param(1, "chosen", "how many satellites it is, evenly spread from there on, where it is not all", least=1)
     acceleration_noise_m2_per_s3: float | None = param(
         None, "inferred: makes up for a constant acceleration",
-        "density of the white acceleration in the filters; left out: the square of the true one, times interval_s",
-    )  # fmt: skip
+        "density of the white acceleration in the filters; left out: the square of the true one, times interval_s")  # fmt: skip
     clock_white_m2_per_s: float = param(CRYSTAL[0], "chosen", "density of the white noise of the clock's frequency", least=0.0)
     clock_walk_m2_per_s3: float = param(CRYSTAL[1], "chosen", "density of the random walk of the clock's frequency", least=0.0)
     bias_m: float = param(3e4, "chosen", "true error of the receiver's clock at the start, as a range")
     drift_m_per_s: float = param(30.0, "chosen", "true rate of that error at the start")
     deviation: tuple[float, float, float, float] = param(
         (10.0, 1.0, 10.0, 1.0), "chosen",
-        "standard deviations at the start: position (m), velocity (m/s), clock (m), its rate (m/s)",
-        above=0.0,
-    )  # fmt: skip
+        "standard deviations at the start: position (m), velocity (m/s), clock (m), its rate (m/s)", above=0.0)  # fmt: skip
     assumed_m: float | None = param(None, "chosen", "what filters take the position's deviation for; left out: as it is")
     window: int = param(10, "chosen: the paper says M", "epochs over which the adaptive filter averages", least=1, most=100_000)
     alpha: float = param(1.0, "chosen", "spread of the sigma points", above=0.0)
@@ -113,37 +99,22 @@ class Config(Parameters):
         """Parameters without effect in this configuration, and why."""
         if self.burst == "none":
             return dict.fromkeys(("burst_s", "burst_sigma", "burst_satellite", "burst_count"), "without a burst")
-        which = ("burst_satellite", "burst_count")
-        return {} if self.burst == "one" else dict.fromkeys(which, "where the burst is not on one satellite")
-
-    @property
-    def samples(self) -> int:
-        """Steps of a run."""
-        return round(self.duration_s / self.interval_s)
-
-    @property
-    def end_s(self) -> float:
-        """The last epoch, s."""
-        return self.interval_s * self.samples
+        why = "where the burst is not on one satellite"
+        return {} if self.burst == "one" else {"burst_satellite": why, "burst_count": why}
 
     @property
     def times(self) -> Array:
         """Epochs ``(T,)`` s."""
-        return self.interval_s * np.arange(self.samples + 1)
+        return self.interval_s * np.arange(round(self.duration_s / self.interval_s) + 1)
 
     @property
-    def radius_m(self) -> float:
-        """Of the circle."""
-        return self.speed_m_per_s**2 / (self.acceleration_g * STANDARD_GRAVITY)
+    def acceleration(self) -> float:
+        """Towards the circle's center, m/s^2."""
+        return self.acceleration_g * STANDARD_GRAVITY
 
-    @property
-    def turn_rate(self) -> float:
-        """rad/s."""
-        return self.acceleration_g * STANDARD_GRAVITY / self.speed_m_per_s
-
-    def sigma(self, S: int) -> Array:
-        """What filters take for the deviations of S ranges and S rates, ``(2 S,)`` m and m/s."""
-        return np.repeat([self.sigma_range_m, self.sigma_rate_m_per_s], S)
+    def R(self, S: int) -> Array:
+        """What filters take for the covariance of S ranges and S rates, ``(2 S, 2 S)``."""
+        return np.diag(np.repeat([self.sigma_range_m, self.sigma_rate_m_per_s], S) ** 2)
 
     @property
     def F(self) -> Array:
@@ -154,7 +125,7 @@ class Config(Parameters):
     def acceleration_noise(self) -> float:
         """Density of the white acceleration, m^2/s^3: ``a^2 T``, if it is not given, makes up for a constant one."""
         given = self.acceleration_noise_m2_per_s3
-        return given if given is not None else (self.acceleration_g * STANDARD_GRAVITY) ** 2 * self.interval_s
+        return self.acceleration**2 * self.interval_s if given is None else given
 
     @property
     def Q(self) -> Array:
@@ -177,9 +148,21 @@ PRESETS = {
 }
 
 
-# -- satellites --------------------------------------------------------------------------------------------------------------
 START_S = TOE_S + 1800.0
 """First epoch, BDT seconds of its first week."""
+
+
+def axes(config: Config) -> Array:
+    """East, north, up at the middle of the circle, the rows of ``(3, 3)``."""
+    return local_axes(*np.radians([config.latitude_deg, config.longitude_deg]).tolist())
+
+
+def circle(config: Config) -> tuple[Array, Array]:
+    """Positions and velocities ``(T, 3)`` on the track, Earth-fixed."""
+    (east, north, _), v, a = axes(config), config.speed_m_per_s, config.acceleration
+    angle = (a / v * config.times)[:, None]
+    middle = np.array(geodetic2ecef(config.latitude_deg, config.longitude_deg, config.height_m, ell=ELLIPSOID))
+    return middle + v**2 / a * (np.cos(angle) * east + np.sin(angle) * north), v * (np.cos(angle) * north - np.sin(angle) * east)
 
 
 class Satellites(NamedTuple):
@@ -191,25 +174,7 @@ class Satellites(NamedTuple):
     elevation: Array
 
 
-def axes(config: Config) -> Array:
-    """East, north, up at the middle of the circle, the rows of ``(3, 3)``."""
-    latitude, longitude = np.radians([config.latitude_deg, config.longitude_deg]).tolist()
-    return local_axes(latitude, longitude)
-
-
-def middle(config: Config) -> Array:
-    """Of the circle, ``(3,)`` m, Earth-fixed."""
-    return np.array(geodetic2ecef(config.latitude_deg, config.longitude_deg, config.height_m, ell=ELLIPSOID))
-
-
-def circle(config: Config) -> tuple[Array, Array]:
-    """Positions and velocities ``(T, 3)`` on the track, Earth-fixed."""
-    east, north, _ = axes(config)
-    angle = (config.turn_rate * config.times)[:, None]
-    position = middle(config) + config.radius_m * (np.cos(angle) * east + np.sin(angle) * north)
-    return position, config.speed_m_per_s * (np.cos(angle) * north - np.sin(angle) * east)
-
-
+@lru_cache(maxsize=32)
 def visible(config: Config) -> Satellites:
     """The synthetic constellation along the track, those that are above the mask at some time."""
     broadcast, (position, velocity) = synthetic(), circle(config)
@@ -219,14 +184,8 @@ def visible(config: Config) -> Satellites:
     return Satellites(broadcast.chosen(chosen).names, seen.q[:, chosen], seen.w[:, chosen], up[:, chosen])
 
 
-# -- what happens ------------------------------------------------------------------------------------------------------------
 class Scenario(NamedTuple):
-    """Simulated runs, time-major.
-
-    Attributes
-    ----------
-    truth: ``(T, runs, 8)``. z: ``(T, runs, 2 S)``, ranges then rates, nan below the mask.
-    """
+    """Simulated runs: ``truth (T, runs, 8)``, and ``z (T, runs, 2 S)``, ranges then rates, nan below the mask."""
 
     config: Config
     truth: Array
@@ -246,14 +205,14 @@ def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
     c, satellites, (position, velocity) = config, visible(config), circle(config)
     T, S, runs = len(c.times), len(satellites.names), len(rngs)
     first, walk, noise, extra = normals(rngs, (8,), (T, 2), (T, 2 * S), (T, 2 * S))
-    truth, root = np.empty((T, runs, 8)), np.linalg.cholesky(c.Q[6:, 6:])
+    truth, moved = np.empty((T, runs, 8)), slice(6, 8)
     truth[..., :3], truth[..., 3:6], truth[0, :, 6:] = position[:, None], velocity[:, None], [c.bias_m, c.drift_m_per_s]
-    for k in range(1, T):
-        truth[k, :, 6:] = truth[k - 1, :, 6:] @ c.F[6:, 6:].T + walk[k] @ root.T
     if c.motion == "model":  # satellites are where they would be for the circle
         first, walk, noise = normals(rngs, (8,), (T, 8), (T, 2 * S))
-        for k in range(1, T):
-            truth[k] = truth[k - 1] @ c.F.T + walk[k] @ np.linalg.cholesky(c.Q).T
+        moved = slice(0, 8)
+    F, root = c.F[moved, moved], np.linalg.cholesky(c.Q[moved, moved])
+    for k in range(1, T):
+        truth[k, :, moved] = truth[k - 1, :, moved] @ F.T + walk[k] @ root.T
     z = pseudorange.measure(truth, satellites.q[:, None], satellites.w[:, None])
     z += np.repeat([c.true_sigma_range_m, c.sigma_rate_m_per_s], S) * noise + burst(c, S)[:, None] * extra
     z[np.tile(satellites.elevation < np.radians(c.mask_deg), 2)[:, None].repeat(runs, 1)] = np.nan
@@ -262,12 +221,7 @@ def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
 
 
 def burst(config: Config, S: int) -> Array:
-    """Deviations ``(T, 2 S)`` of the noise that the burst adds.
-
-    Raises
-    ------
-    ValueError: if there is no such satellite.
-    """
+    """Deviations ``(T, 2 S)`` of the noise that the burst adds; ValueError if there is no such satellite."""
     during = (config.times >= config.burst_s[0]) & (config.times < config.burst_s[1])
     hit = np.zeros(2 * S)
     if config.burst == "one":
@@ -279,36 +233,20 @@ def burst(config: Config, S: int) -> Array:
     return np.asarray(config.burst_sigma * during[:, None] * hit)
 
 
-# -- filters -----------------------------------------------------------------------------------------------------------------
-EKF = Taylor()
-
-
 def ukf(config: Config) -> Rule:
     """The rule of all unscented filters."""
     return unscented(8, config.alpha, config.beta, 0.0)
 
 
-def sensor(sigma: Array) -> Sensor:
-    """Ranges and rates with deviations ``sigma (2 S,)``."""
-
-    def slope(x: Array, epoch: Epoch) -> Array:
-        return pseudorange.jacobian(x, *epoch.u)
-
-    return Sensor(measured, np.diag(sigma**2), jacobian=slope)
-
-
-def measured(x: Array, epoch: Epoch) -> Array:
-    """Ranges and rates ``(..., 2 S)`` of states."""
-    return pseudorange.measure(x, *epoch.u)
-
-
-def adapted(config: Config, S: int, rule: Any, *hook: Hook, Q: Array | None = None) -> Filter:
-    """A filter of the paper's model: constant velocity, which every rule moves alike, and the measurement by a rule.
+def adapted(config: Config, S: int, rule: Any, *hook: Hook, Q: Array | None = None) -> Sequential:
+    """A filter of the paper's model for S satellites: constant velocity, which all rules move alike, and the measurement by a rule.
 
     ``Q``: process noise ``(..., 8, 8)`` instead of the configuration's, with one for each run if it has that axis.
     """
-    motion = Motion(config.F, config.Q if Q is None else Q)
-    return sigma_point(motion, sensor(config.sigma(S)), rule=rule, form="covariance", hooks=hook)
+    sensor = Sensor(
+        lambda x, epoch: pseudorange.measure(x, *epoch.u), config.R(S), jacobian=lambda x, epoch: pseudorange.jacobian(x, *epoch.u)
+    )
+    return sigma_point(Motion(config.F, config.Q if Q is None else Q), sensor, rule=rule, form="covariance", hooks=hook)
 
 
 def filters(config: Config, S: int | None = None, Q: Array | None = None) -> dict[str, Filter]:
@@ -318,11 +256,11 @@ def filters(config: Config, S: int | None = None, Q: Array | None = None) -> dic
     state explains. gate, huber, student, sage-husa: baselines. Those after ukf are unscented too.
     """
     S, rule = len(visible(config).names) if S is None else S, ukf(config)
-    out: dict[str, Filter] = {"ls": least_squares(sensor(config.sigma(S))), "ekf": adapted(config, S, EKF, Q=Q)}
-    return out | {name: adapted(config, S, rule, *hook, Q=Q) for name, hook in hooks(S, config.window).items()}
+    ekf = adapted(config, S, Taylor(), Q=Q)
+    known = {name: adapted(config, S, rule, *hook, Q=Q) for name, hook in hooks(S, config.window).items()}
+    return {"ls": least_squares(*ekf.sensors), "ekf": ekf, **known}
 
 
-# -- how they are judged -----------------------------------------------------------------------------------------------------
 GROUPS = (Group("position", "m", slice(0, 3)), Group("velocity", "m/s", slice(3, 6)))
 JUDGED = {group.name: group.unit for group in GROUPS}
 
@@ -330,8 +268,6 @@ JUDGED = {group.name: group.unit for group in GROUPS}
 def trial(config: Config, rngs: Sequence[np.random.Generator]) -> Trial:
     """One run with each generator. There is no bound: the turns of the track are not drawn from the filters' model."""
     sim = simulate(config, rngs)
-    return Trial(GROUPS, filters(config), sim.prior, lambda _name: sim.epochs(), _compare)
-
-
-def _compare(truth: Array, belief: Belief) -> tuple[Array, Array]:
-    return belief.mean - truth, belief.sqrt_cov
+    return Trial(
+        GROUPS, filters(config), sim.prior, lambda _: sim.epochs(), lambda truth, belief: (belief.mean - truth, belief.sqrt_cov)
+    )
