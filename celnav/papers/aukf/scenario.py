@@ -25,6 +25,7 @@ from celnav.gaussian.linalg import Array
 from celnav.gaussian.rules import Rule, Taylor, unscented
 from celnav.models import pseudorange
 from celnav.models.beidou import ELLIPSOID
+from celnav.papers import citation
 from celnav.receiver.constellation import TOE_S, synthetic
 from celnav.receiver.filters import CRYSTAL, hooks, process_noise, transition
 from celnav.receiver.least_squares import least_squares
@@ -34,12 +35,7 @@ from celnav.study.parameters import Parameters, param
 from celnav.study.trial import Group, Trial
 
 TITLE = "Adaptive unscented Kalman filter for BeiDou positioning"
-CITATION = """\
-@article{Fan,
-  author  = {Fan, L. and Chen, A. and Chen, S. and Han, L.},
-  title   = {An adaptive unscented {Kalman} filter for {BeiDou} receiver positioning},
-  note    = {in Chinese; year and journal are not in the text available, which has lost its display equations and Table 1}
-}"""
+CITATION = citation("Fan")
 STANDARD_GRAVITY = 9.80665
 
 

@@ -610,7 +610,7 @@ STUDY = Study(
     "position error of an EKF and two thirds of a two-stage filter's, is best in five settings of the noise, and tracks that error "
     "for a year.",
     found="Both percentages come out to a point with two fitted parameters; most of the second is owed to baselines that are "
-    "given the wrong covariances. It is best in one setting of five, and worse than a plain two-stage filter where the noise is white. It "
-    "tracks in a stronger form only than the one that makes the table come out. The exact filter beats all, and is the only "
-    "consistent one; the ephemerides differ by less than 2 km, not by tens.",
+    "given the wrong covariances. It is best in one setting of five, and worse than a plain two-stage filter where the noise is "
+    "white. It tracks in a stronger form only than the one that makes the table come out. The exact filter beats all, and is the "
+    "only consistent one; the ephemerides differ by less than 2 km, not by tens.",
 )  # fmt: skip
