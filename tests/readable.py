@@ -21,7 +21,7 @@ def faults(fig):
 
     solid = {text for ax in fig.axes if ax.name == "3d" for text in ax.findobj(Text)}  # whose boxes are known in space only
     hidden = {label for ax in flat for axis in _axes(ax) for label in _labels(axis, all_of_them=True)} | solid
-    shown = {label for ax in flat for axis in _axes(ax) for label in _labels(axis)}
+    shown = {label for ax in flat if ax.axison for axis in _axes(ax) for label in _labels(axis)}
     texts = [text for text in fig.findobj(Text) if text.get_visible() and text.get_text() and (text in shown or text not in hidden)]
     for text in texts:
         b = box(text)

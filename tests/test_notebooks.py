@@ -7,6 +7,8 @@ from pathlib import Path
 import nbformat
 import pytest
 
+from celnav.papers import PAPERS
+
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
 
 
@@ -23,7 +25,7 @@ def test_a_notebook_is_read_in_one_sitting_and_executed(path):
     assert not any(output.output_type == "error" for cell in cells for output in cell.outputs)
 
 
-LESSONS = [path for path in NOTEBOOKS if path.stem in ("01_csrukf",)]
+LESSONS = [path for path in NOTEBOOKS if path.stem[3:] in PAPERS]
 
 
 @pytest.mark.parametrize("path", LESSONS, ids=lambda p: p.stem)

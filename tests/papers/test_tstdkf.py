@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import rerun as rr
+from readable import faults
 
 from celnav import Epoch, FilterError, run, steps
 from celnav.files import Outputs, data
@@ -350,9 +351,11 @@ def results():
 def test_every_figure_draws(results):
     assert list(show.FIGURES)[:3] == ["figure_01", "figure_02", "figure_02b"]
     assert len(show.FIGURES) == 14
-    for caption, draw in show.FIGURES.values():
+    for stem, (caption, draw) in show.FIGURES.items():
+        fig = draw(results)
         assert caption.endswith(".")
-        assert all(ax.get_xlabel() or ax.get_ylabel() or ax.get_title() for ax in draw(results).axes)
+        assert all(ax.get_xlabel() or ax.get_ylabel() or ax.get_title() for ax in fig.axes)
+        assert not faults(fig), stem
 
 
 def test_tables(results):
