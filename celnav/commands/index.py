@@ -1,4 +1,4 @@
-"""``out/index.html``: one page that opens from disk: what papers say, what we find, every row of their ledgers, every figure."""
+"""``out/index.html``: a page that opens from disk: what papers say, what we find, every row of their ledgers, every figure."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import celnav
 from celnav.files import read_json
 from celnav.papers import PAPERS, load
 from celnav.show.claims import counted, read_claims, surprise, table, tally
-from celnav.show.page import document, figure, link
+from celnav.show.page import document, link, linked
 from celnav.show.page import table as plain_table
 from celnav.study.ledger import VERDICTS
 
@@ -164,4 +164,4 @@ def _listing(path: Path, module: ModuleType) -> str:
 
 def _drawing(path: Path, paper: str, module: ModuleType) -> str:
     caption = module.FIGURES.get(path.stem, (path.stem.replace("_", " "),))[0]
-    return figure(caption, path.read_bytes(), f"{paper}/figures/{path.stem}.svg")
+    return linked(caption, *(f"{paper}/figures/{path.stem}.{kind}" for kind in ("png", "svg")))

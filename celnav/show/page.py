@@ -1,4 +1,4 @@
-"""Pages that open from disk: one file each, with their style and pictures inside."""
+"""Pages that open from disk, with their style inside, and their pictures inside or in files beside them."""
 
 from __future__ import annotations
 
@@ -52,4 +52,11 @@ def figure(title: str, png: bytes, svg: str) -> str:
     data = base64.b64encode(png).decode("ascii")
     name = html.escape(title)
     picture = f'<img alt="{name}" src="data:image/png;base64,{data}">'
+    return f"<figure>{picture}<figcaption>{name} ({link(svg, 'svg')})</figcaption></figure>"
+
+
+def linked(title: str, png: str, svg: str) -> str:
+    """A picture in a file ``png`` beside the page, loaded when it is scrolled to; a click enlarges it, to the file ``svg``."""
+    name, target, source = (html.escape(text, quote=True) for text in (title, svg, png))
+    picture = f'<a href="{target}"><img alt="{name}" loading="lazy" src="{source}"></a>'
     return f"<figure>{picture}<figcaption>{name} ({link(svg, 'svg')})</figcaption></figure>"

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 LINES = {
     "sghqf": Line("SGHQF, 417", colors.ESTIMATE), "ukf": Line("UKF, 27", colors.COMPARISON),
-    "aasghqf": Line("AASGHQF, 75", colors.OPEN_LOOP), "nonlinear": Line("by nonlinearity, 57", colors.TRUTH, "--", 2.0),
+    "aasghqf": Line("AASGHQF, 75", colors.OPEN_LOOP, width=2.2), "nonlinear": Line("by nonlinearity, 57", colors.TRUTH, "--", 2.0),
     "triad-ekf": Line("EKF started by Wahba", "#000000"), "ckf": Line("CKF, 26", "#999999"), "ekf": Line("EKF", "#D55E00"),
     "delayed": Line("delayed, 339", "#56B4E9", "--"), "ghqf3": Line("GHQF, 3 points", "#8C6BB1"),
     "ghqf5": Line("GHQF, 5 points", "#B15928"),
@@ -52,18 +52,19 @@ def points(weights: tuple[int, int], _: Results) -> Figure:
 
 
 def one_run(group: str, results: Results) -> Figure:
-    """Errors of one run of A-slow and T3: the first minute, and the whole flight on the scale of its end."""
+    """Errors of one run, as the paper has them over the flight; the scale is that of its end. Beside it the start, and A-slow."""
     states, unit = study.SEVEN[results.group(group).part], results.group(group).unit
 
     def panel(part: str, zoom: bool, i: int) -> Panel:
-        items = [errors(results, part, f, LINES[f], group, i) for f in COMPARED]
+        items = [errors(results, part, f, LINES[f], group, i) for f in ("ukf", "aasghqf", "sghqf")]
         late = 12.0 * results.error(part, "sghqf", group, "std")[-30:, 0, i].max()
         title, view = ("first minute", {"xlim": (0, 60)}) if zoom else ("whole flight", {"ylim": (-late, late)})
         return Panel(f"{part}, {title}" * (i == 0), [*items, sigma(results, part, "sghqf", "SGHQF", group, i)], "time (s)",
                      f"{states[i]} error ({unit})", more=view)  # fmt: skip
 
-    rows = [[panel(part, zoom, i) for part in ("A-slow", "T3") for zoom in (True, False)] for i in range(len(states))]
-    return panels(*rows, size=(11.0, 0.4 + 2.2 * len(states)))
+    rows = [[panel(part, zoom, i) for part, zoom in (("T3", False), ("T3", True), ("A-slow", False))]
+            for i in range(len(states))]  # fmt: skip
+    return panels(*rows, size=(10.0, 0.4 + 2.2 * len(states)))
 
 
 def over_time(results: Results) -> Figure:

@@ -65,17 +65,23 @@ def component(r: Results, part: str, i: int, lines: dict[str, Line], shown: str 
     return [*items, sigma(r, part, shown, lines[shown].label, *at, absolute=i < 3)] if shown else items
 
 
+def printed(table: dict[str, list[float]], i: int) -> Item:
+    """The RMSE of a component that the paper prints, of both filters."""
+    return level(*(row[i] for row in table.values()), label="the paper's RMSE, of each filter", color=colors.PAPER, style="--")
+
+
 def white(i: int, r: Results) -> Figure:
     """An error under white noise."""
-    title, items = f"Figure {i + 2}: ${AXES[i]}$, $\\Phi = 0$", component(r, "0", i, WHITE, "csrukf")
-    return panels(Panel(title, items, TIME, QUANTITIES[i]), size=(7.0, 3.6))
+    title, items = f"Figure {i + 2}: ${AXES[i]}$, $\\Phi = 0$", [*component(r, "0", i, WHITE, "csrukf"), printed(TABLE_1, i)]
+    top = {"ylim": (0.0 if i < 3 else -0.15, 0.2 if i < 3 else 0.15)}
+    return panels(Panel(title, items, TIME, QUANTITIES[i], more=top), size=(7.0, 3.6))
 
 
 def walk(i: int, r: Results) -> Figure:
     """An error under random-walk noise."""
-    four, loop = component(r, "I", i, LINES, runs=4, spread=True), component(r, "I", i, {"openloop": OPEN})
+    four, loop = component(r, "I", i, LINES, "srukf", runs=4, spread=True), component(r, "I", i, {"openloop": OPEN})
     right = [*component(r, "I", i, {"csrukf": CSRUKF}, "csrukf", runs=4, spread=True), *loop]
-    left = Panel(f"Figure {i + 8}: ${AXES[i]}$, $\\Phi = I$", four, TIME, QUANTITIES[i])
+    left = Panel(f"Figure {i + 8}: ${AXES[i]}$, $\\Phi = I$", [*four, printed(TABLE_2, i)], TIME, QUANTITIES[i])
     return panels([left, Panel("CSRUKF against open loop", right, TIME)], size=(7.0, 3.8))
 
 

@@ -44,19 +44,19 @@ def euler(results: Results, filter: str) -> Array:
 
 
 def angle(axis: int, results: Results) -> Figure:
-    """An Euler angle's error: its RMSE, the first run at its beginning, and the RMSE over computing time."""
-    names, t, exact = ("aukf", "ssukf"), results.times("runs"), results.get("facts", "exact")[1:, 0]
-    errors = {name: euler(results, name)[..., axis] for name in names}
+    """An Euler angle's error: of the first run, as the paper draws it; RMSE over time, and over computing time."""
+    names, t, exact = ("aukf", "ssukf"), results.times("runs")[1:], results.get("facts", "exact")[1:, 0]
+    errors = {name: euler(results, name)[1:, ..., axis] for name in names}
     size = {name: np.sqrt(np.square(errors[name]).mean(1)) for name in names}
-    spent = {name: results.value("costs", f"seconds, {name}, {STANDARD.ratio}:1", 0) * np.arange(len(t)) for name in names}
-    sizes = [curve(t, size[name], LINES[name]) for name in names]
-    first = [curve(t, np.abs(errors[name][:, 0]), LINES[name]) for name in names]
+    spent = {name: results.value("costs", f"seconds, {name}, {STANDARD.ratio}:1", 0) * np.arange(1, len(t) + 1) for name in names}
+    first = [curve(t, errors[name][:, 0], LINES[name]) for name in names]
+    sizes = [curve(t, exact[: len(t)], EXACT), *(curve(t, size[name], LINES[name]) for name in names)]
+    start = f"Figure {axis + 1}: one run, from {STANDARD.attitude_deg[axis]:g}°"
     return panels([
-        Panel(f"RMSE of {errors['aukf'].shape[1]} runs", [curve(t[1:], exact[: len(t) - 1], EXACT), *sizes, level(10.0, 5.0, 2.0)],
-              "time (s)", f"{AXES[axis]} error (arcsec)", "y"),
-        Panel("one run, the first 10 s", first, "time (s)", log="y", more={"xlim": (-0.2, 10.0)}),
+        Panel(start, first, "time (s)", f"{AXES[axis]} error (arcsec)", more={"ylim": (-30.0, 30.0)}),
+        Panel(f"RMSE of {errors['aukf'].shape[1]} runs", [*sizes, level(10.0, 5.0, 2.0, label="10, 5, 2")], "time (s)", log="xy"),
         Panel("RMSE over computing time", [curve(spent[name], size[name], LINES[name]) for name in names],
-              "CPU time of one run alone at 100 Hz (s)", log="y"),
+              "CPU time of one run at 100 Hz (s)", log="xy"),
     ], size=(10.0, 3.4))  # fmt: skip
 
 

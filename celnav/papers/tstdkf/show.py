@@ -97,9 +97,9 @@ def ignorant(number: int, group: str, unit: str, results: Results) -> Figure:
         ("variants", f"white, ephemeris error × {LARGER:.3g}/ekf"): Line(f"error {LARGER:.3g} times as large", colors.PAPER),
         ("variants", "white, no ephemeris error/ekf"): Line("no ephemeris error", colors.TRUTH),
     }
+    shown["month", "5/tkf"] = Line("TKF, ephemeris error", colors.ESTIMATE)
     items = [orbital(results, *flown, group, line) for flown, line in shown.items()]
     if group == "position":
-        items.append(orbital(results, "month", "5/tkf", group, Line("TKF, ephemeris error", colors.ESTIMATE)))
         items.append(orbital(results, "month", "5/ekf", "bias", Line("size of the ephemeris error", colors.SIGMA, ":")))
     title = f"Figure {number}: what an ephemeris error does (white noise)"
     return panels(Panel(title, items, DAYS, f"{group} RMSE ({unit})", "y"), size=(7.5, 3.6))
@@ -115,22 +115,24 @@ def three_trends(results: Results) -> Figure:
 
 
 def model_error(results: Results) -> Figure:
-    """What the ephemeris error makes of the timings."""
-    c, (earth, sun, _) = results.parts["month"].config, s.sky(results.parts["month"].config)
-    Gamma = c.timing.gradient(earth + s.nominal(c).state[:, :3], sun)
-    items = components(c.times / DAY_S, (Gamma @ c.bias(c.times)[..., None])[..., 0], c.pulsars, SHADES)
+    """What the ephemeris error makes of the timings in a year, from the Earth's center: an orbit changes nothing of it."""
+    c, t = results.parts["month"].config, np.arange(0.0, 366.0 * DAY_S, 0.5 * DAY_S)
+    earth, sun = (de421().state(body, from_utc(c.start_utc).after(t)).position for body in ("earth", "sun"))
+    items = components(t / DAY_S, (c.timing.gradient(earth, sun) @ c.bias(t)[..., None])[..., 0], c.pulsars, SHADES)
     return panels(Panel("Figure 6: model error of the timings", items, DAYS, "c B = Γ δr (km)"), size=(6.5, 3.4))
 
 
 def third_bodies(results: Results) -> Figure:
-    """Acceleration by Sun, Moon and planets, and of each body its largest."""
+    """Acceleration by Sun, Moon and planets on a day, and of each body its largest of the month."""
     c = results.parts["pulls"].config
-    each = accelerations(c)
-    total = components(c.times / DAY_S, 1e9 * np.asarray(sum(each.values())), AXES, SHADES, linewidth=0.6, alpha=0.7)
-    sizes = sorted(((float(np.linalg.norm(a, axis=1).max()), body) for body, a in each.items()), reverse=True)
-    largest = bars([body for _, body in sizes], {"": ([size for size, _ in sizes], colors.MEASUREMENT)}, across=True)
-    left = Panel("Figure 7: third bodies", total, DAYS, "acceleration (10⁻⁹ km/s²)")
-    return panels([left, Panel("", [largest], "largest (km/s²)", log="x")], size=(10.0, 3.6), width_ratios=(2, 1))
+    each, day = accelerations(c), slice(0, round(DAY_S / c.step_s) + 1)
+    total = 1e9 * np.asarray(sum(each.values()))[day]
+    row = [Panel(f"Figure 7: third bodies, {axis}", [curve(c.times[day] / 3600.0, total[:, i], color=SHADES[i])], "time (h)")
+           for i, axis in enumerate(AXES)]  # fmt: skip
+    row[0] = row[0]._replace(y="acceleration (10⁻⁹ km/s²)")
+    sizes = sorted((float(np.linalg.norm(a, axis=1).max()), body) for body, a in each.items())
+    largest = curve([size for size, _ in sizes], [body for _, body in sizes], color=colors.FAINT, marker="o", linestyle="")
+    return panels([*row, Panel("largest of each", [largest], "km/s²", log="x")], size=(11.0, 3.2))
 
 
 def spectrum(results: Results) -> Figure:
