@@ -63,7 +63,7 @@ def finished(folder, out):
     assert (out / "tiny/claims.json").exists()
     assert not list(out.rglob(".celnav-*"))
     assert not list(out.rglob("*.tmp"))
-    assert not (out / ".unfinished").exists()
+    assert len(list((out / "tiny/.results/units").iterdir())) == 8
 
 
 @LINUX
@@ -173,3 +173,16 @@ def test_units_of_every_paper_can_be_handed_to_another_process(paper):
     units = papers.load(paper).STUDY.units(effort=0.01)
     assert [pickle.loads(pickle.dumps(unit)).key for unit in units] == [unit.key for unit in units]
     assert len({unit.key for unit in units}) == len(units)
+
+
+def test_what_the_command_has_done_is_not_done_again(study, tmp_path, monkeypatch):
+    module = papers.load("tiny")
+    assert cli.main(["reproduce", "--out", str(tmp_path), "--effort", "0.5", "--jobs", "1"]) == 0
+    fresh = module.STUDY.reproduce(effort=0.5)
+    monkeypatch.setattr("celnav.study.study.Unit.do", lambda unit: pytest.fail(f"{unit.title} is computed again"))
+    for part, arrays in module.STUDY.reproduce(effort=0.5, out=tmp_path).data.items():
+        for name in set(arrays) - {"cpu_s"}:
+            assert arrays[name].tobytes() == fresh.get(part, name).tobytes()
+    assert cli.main(["reproduce", "--out", str(tmp_path), "--effort", "0.5", "--jobs", "1"]) == 0
+    with pytest.raises(pytest.fail.Exception, match="computed again"):
+        module.STUDY.reproduce(effort=0.5, seed=1, out=tmp_path)

@@ -14,12 +14,13 @@ from typing import NamedTuple
 from celnav.campaign.engine import UnfinishedError, compute
 from celnav.campaign.executors import Workers, dask, given, processes, serial
 from celnav.campaign.missions import Configuration, Study
-from celnav.campaign.store import Store, StoreError, open_store
+from celnav.campaign.store import StoreError, open_store
 from celnav.campaign.table import Merged, Row, merged, rows_of
 from celnav.campaign.units import Result, Unit, VersionError, WorkError, units_of, unpack
 from celnav.files import locked
 from celnav.gaussian.linalg import Array
 from celnav.lazy import modules
+from celnav.store import Store
 
 __getattr__, __dir__ = modules(__name__)
 

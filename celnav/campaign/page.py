@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 from celnav.campaign import Outcome
 from celnav.campaign.table import columns, costs, plain, to_csv, to_parquet
-from celnav.campaign.units import code
 from celnav.files import Outputs
 from celnav.show.drawing import render
 from celnav.show.page import document, figure, link, table
+from celnav.store import code
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

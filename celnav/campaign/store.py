@@ -1,89 +1,19 @@
-"""The store: a folder with a manifest and one checksummed file for each finished unit.
-
-Every file is written under a temporary name and renamed, so the folder is right after any interruption.
-"""
+"""The store of a campaign: `celnav.store`, whose manifest says which study it is of."""
 
 from __future__ import annotations
 
-import hashlib
-import io
 import json
-import shutil
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from celnav.campaign.missions import Study
-from celnav.campaign.units import Work, code
-from celnav.files import InputError, Outputs, read_json, read_npz, remove_leftovers, write_bytes, write_text
-from celnav.gaussian.linalg import Array
-
-FORMAT = 2
-MANIFEST = "manifest.json"
+from celnav.files import InputError, Outputs, read_json, remove_leftovers, write_text
+from celnav.store import FORMAT, MANIFEST, Store, code
 
 
 class StoreError(InputError):
     """A folder that does not belong to this study."""
-
-
-class Store:
-    """Finished units in ``folder / "units"``; see `open_store` and `resumed`."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-
-    def path(self, unit: Work) -> Path:
-        """Where a unit's result is."""
-        return self.folder / "units" / f"{unit.key}.npz"
-
-    def write(self, unit: Work, arrays: Mapping[str, Array]) -> None:
-        """Keep a result. OSError names the file if it cannot be written."""
-        buffer = io.BytesIO()
-        np.savez(buffer, allow_pickle=False, **arrays, checksum=np.array(_checksum(unit, arrays)))
-        write_bytes(self.path(unit), buffer.getvalue())
-
-    def has(self, unit: Work) -> bool:
-        """Whether a unit is finished and whole.
-
-        Raises
-        ------
-        ValueError: see `read`.
-        """
-        return self.path(unit).exists() and bool(self.read(unit))
-
-    def remove(self, unit: Work) -> None:
-        """Forget a result that is needed no more."""
-        self.path(unit).unlink(missing_ok=True)
-
-    def read(self, unit: Work) -> dict[str, Array]:
-        """The result of a finished unit.
-
-        Raises
-        ------
-        ValueError: naming the file, if it is damaged: nothing in it is used. OSError: if it is not there.
-        """
-        path = self.path(unit)
-        arrays = read_npz(path)
-        stored = arrays.pop("checksum", None)
-        if stored is None or str(stored) != _checksum(unit, arrays):
-            raise ValueError(f"{path}: checksum does not agree with the contents and the name")
-        try:
-            unit.check(arrays)
-        except ValueError as error:
-            raise ValueError(f"{path}: {error}") from None
-        return arrays
-
-
-def _checksum(unit: Work, arrays: Mapping[str, Array]) -> str:
-    """Of the key too: a copy of another unit is no result of this one."""
-    digest = hashlib.sha256(f"{unit.key} ".encode())
-    for name in sorted(arrays):
-        array = np.ascontiguousarray(arrays[name])
-        digest.update(f"{name} {array.dtype.str} {array.shape} ".encode())
-        digest.update(array.tobytes())
-    return digest.hexdigest()
 
 
 def open_store(folder: str | Path, study: Study) -> Store:
@@ -117,21 +47,6 @@ def open_store(folder: str | Path, study: Study) -> Store:
     about = {"format": FORMAT, "study": wanted, "code": code()}
     write_text(manifest, json.dumps(about, indent=1, ensure_ascii=False) + "\n")
     return Store(path)
-
-
-def resumed(folder: Path) -> Store:
-    """A store of units that are not all done yet, in a folder that is locked; what another celnav left there is removed."""
-    manifest, wanted = folder / MANIFEST, {"format": FORMAT, "code": code()}
-    try:
-        same = read_json(manifest) == wanted
-    except (OSError, ValueError):
-        same = False
-    if not same:
-        shutil.rmtree(folder, ignore_errors=True)
-        folder.mkdir(parents=True)
-        write_text(manifest, json.dumps(wanted, indent=1) + "\n")
-    remove_leftovers(folder, folder / "units")
-    return Store(folder)
 
 
 def _read_manifest(path: Path) -> dict[str, Any]:

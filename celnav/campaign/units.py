@@ -9,21 +9,17 @@ import traceback
 import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from functools import cache
-from importlib import metadata
-from pathlib import Path
 from time import process_time
 from typing import Any, Protocol
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-import celnav
 from celnav.campaign.missions import Study
 from celnav.campaign.scores import Failure, Scores, check_scores, merge, score
-from celnav.files import data
 from celnav.gaussian.linalg import Array
 from celnav.papers import load
+from celnav.store import code
 from celnav.study.montecarlo import blocks, generator
 from celnav.study.trial import Noiseless, Trial, bound, follow
 
@@ -132,20 +128,6 @@ def units_of(study: Study) -> list[list[Unit]]:
         ]
         for point in study.configurations
     ]
-
-
-@cache
-def code() -> dict[str, str]:
-    """What determines the numbers: versions of celnav, with a hash of its sources and data, and of what it computes with."""
-    root = Path(celnav.__file__).parent
-    digest = hashlib.sha256()
-    for path in [*sorted(root.rglob("*.py")), data("pulsars.toml"), data("ephemeris_2015.npz")]:
-        digest.update(path.name.encode("utf-8") + path.read_bytes())
-    return {
-        "celnav": celnav.__version__,
-        "code": digest.hexdigest()[:12],
-        **{name: metadata.version(name) for name in ("numpy", "scipy")},
-    }
 
 
 def execute(unit: Work, made_by: dict[str, str]) -> dict[str, Array]:

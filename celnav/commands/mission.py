@@ -63,7 +63,7 @@ def _origin(file: str) -> str:
 
 def _check_origin(folder: Path, file: str) -> None:
     """Another mission's results, or a campaign's, are not overwritten."""
-    from celnav.campaign.store import MANIFEST
+    from celnav.store import MANIFEST
 
     if (folder / MANIFEST).exists():
         raise InputError(f"{folder}: holds a campaign; choose another --out, or remove the folder")

@@ -7,7 +7,6 @@ import csv
 import io
 import json
 import platform
-import shutil
 import sys
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -23,17 +22,15 @@ import numpy as np
 import celnav
 from celnav import papers
 from celnav.campaign.engine import UnfinishedError, compute
-from celnav.campaign.store import Store, resumed
 from celnav.commands.arguments import UsageError, cores, fraction, module, whole, workers
 from celnav.files import Outputs, locked, remove_leftovers
 from celnav.gaussian.linalg import Array
 from celnav.show.progress import Progress
+from celnav.store import RESULTS, Store, resumed
 from celnav.study.study import Results, Unit
 
 KINDS = ("png", "svg")
 """Of each figure."""
-UNFINISHED = ".unfinished"
-"""Folder of what is done of papers that are not: the same command goes on from there."""
 
 
 def run(options: argparse.Namespace) -> int:
@@ -54,22 +51,21 @@ def run(options: argparse.Namespace) -> int:
     surprises = 0
     with locked(out), closing(Progress("celnav")) as progress:
         remove_leftovers(out, *(out / paper / below for paper in chosen for below in ("", "figures", "tables")))
-        store = resumed(out / UNFINISHED)
+        stores = {paper: resumed(out / paper / RESULTS) for paper in modules}
         units = {paper: one.STUDY.units(effort=part, seed=seed, **_inputs(one, options)) for paper, one in modules.items()}
-        left = {paper: [unit for unit in own if not _kept(store, unit)] for paper, own in units.items()}
+        left = {paper: [unit for unit in own if not _kept(stores[paper], unit)] for paper, own in units.items()}
         total = sum(unit.cost for own in units.values() for unit in own)
         progress.begin(total, total - sum(unit.cost for own in left.values() for unit in own))
 
         def written(paper: str) -> None:
             nonlocal surprises
             own = units.pop(paper)
-            results = modules[paper].STUDY.results(own, [store.read(unit) for unit in own], effort=part)
+            results = modules[paper].STUDY.results(own, [stores[paper].read(unit) for unit in own], effort=part)
             surprises += _write(paper, modules[paper], results, folders[paper], progress)
-            for unit in own:
-                store.remove(unit)
+            stores[paper].forget_all_but(own)
 
         def keep(unit: Unit, arrays: dict[str, Array]) -> None:
-            store.write(unit, arrays)
+            stores[unit.study].write(unit, arrays)
             left[unit.study].remove(unit)
             progress.add(unit.cost, f"{unit.study}: {unit.part}")
             if not left[unit.study]:
@@ -82,7 +78,6 @@ def run(options: argparse.Namespace) -> int:
             compute(sorted((unit for own in left.values() for unit in own), key=lambda unit: -unit.cost), pool, keep)
         except UnfinishedError as error:
             raise OSError(f"{error}; what is finished is kept: the same command goes on from there") from None
-        shutil.rmtree(out / UNFINISHED)
         top.text("index.html", index(out))
     print(f"wrote {out / 'index.html'}")
     if part < 1.0:

@@ -9,6 +9,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
+from pathlib import Path
 from time import process_time
 from typing import Any, NamedTuple
 
@@ -18,6 +19,7 @@ from celnav.filters.records import Epoch
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import choice
 from celnav.gaussian.linalg import Array
+from celnav.store import RESULTS, existing
 from celnav.study.ledger import Claim, Row
 from celnav.study.montecarlo import blocks, generator, run_count
 from celnav.study.trial import Group, Trial, follow
@@ -129,13 +131,15 @@ class Study:
         joined = {name: _joined(arrays) for name, arrays in parts.items()}
         return Results(self, units[0].seed, effort, {unit.part: unit.work for unit in units}, joined)
 
-    def reproduce(self, *, effort: float = 1.0, **options: Any) -> Results:
-        """Do all `units` here and now; the command does them in processes, and keeps what is finished.
+    def reproduce(self, *, effort: float = 1.0, out: str | Path | None = None, **options: Any) -> Results:
+        """Do all `units` here and now, but for those that ``celnav reproduce --out`` has done with this code; nothing is written.
 
-        >>> results = csrukf.STUDY.reproduce(effort=0.1, only=["0", "I"])
+        >>> results = csrukf.STUDY.reproduce(effort=0.1, only=["0", "I"], out="out")
         """
         units = self.units(effort=effort, **options)
-        return self.results(units, [unit.do() for unit in units], effort=effort)
+        store = None if out is None else existing(Path(out) / self.name / RESULTS)
+        found = [store.read(unit) if store is not None and store.has(unit) else unit.do() for unit in units]
+        return self.results(units, found, effort=effort)
 
 
 class Unit(NamedTuple):

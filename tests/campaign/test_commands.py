@@ -12,9 +12,9 @@ import pandas as pd
 import pytest
 from machine import mounted
 
+import celnav.store as stores
 from celnav import cli
 from celnav.campaign import campaign, serial
-from celnav.campaign import store as stores
 from celnav.campaign.figures import figures
 from celnav.campaign.missions import read
 from celnav.campaign.page import write

@@ -11,6 +11,7 @@ import zipfile
 import numpy as np
 import pytest
 
+import celnav.store as store_room
 from celnav.campaign import StoreError, campaign, serial
 from celnav.campaign import store as stores
 from celnav.campaign.missions import study
@@ -95,7 +96,7 @@ def sealed(**change):
             arrays = {name: stored[name] for name in stored.files if name != "checksum"}
         for name, value in change.items():
             arrays[name] = value(arrays[name]) if callable(value) else value
-        np.savez(path, **arrays, checksum=np.array(stores._checksum(unit, arrays)))
+        np.savez(path, **arrays, checksum=np.array(store_room._checksum(unit, arrays)))
 
     return damage
 
