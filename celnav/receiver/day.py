@@ -120,7 +120,7 @@ def as_others(broadcast: Broadcast, t: Array | float) -> Array:
     return satellites(replace(broadcast, number=np.full(len(broadcast), 19.0)), t).position
 
 
-def formulas(times: Array, _rngs: Rngs = ()) -> dict[str, Array]:
+def formulas(times: Sequence[float], _rngs: Rngs = ()) -> dict[str, Array]:
     """Positions of the synthetic geostationary satellites against two bodies in space: distances ``(..., 5)`` m.
 
     others: by the formula of the others, at ``times`` from half an hour after the reference time. minute, half hour: by that and
@@ -136,7 +136,7 @@ def formulas(times: Array, _rngs: Rngs = ()) -> dict[str, Array]:
     def rotated(t: float) -> Array:
         return off(t, turned(tilted(as_others(own, TOE_S + t), -TILT), ROTATION_RATE * np.array(t)))
 
-    return {"others": np.stack([off(t, as_others(own, TOE_S + t)) for t in (1800.0 + times).tolist()]), "minute": rotated(60.0),
+    return {"others": np.stack([off(t, as_others(own, TOE_S + t)) for t in np.add(1800.0, times).tolist()]), "minute": rotated(60.0),
             "half hour": rotated(1800.0), "right": off(1800.0, satellites(own, TOE_S + 1800.0).position)}  # fmt: skip
 
 

@@ -37,7 +37,7 @@ class Progress:
         self._done += cost
         if not self._terminal:
             passed, here = monotonic() - self._start, self._done - self._before
-            left = passed * (self._total - self._done) / here
+            left = passed * max(self._total - self._done, 0.0) / here
             self._say(f"{self._done / self._total:.0%}, {_duration(left)} left: {label}")
             return
         if self._bar is None:

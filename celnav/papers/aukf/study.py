@@ -114,7 +114,7 @@ def parts(_effort: float = 1.0, rinex: Path | None = None) -> dict[str, Part]:
                 out[name] = Part(partial(flown, flight, tuple(drawn)), c, number, runs, cost=cost)
             drawn.append(c)
     out |= {work.__name__: Part(work, STANDARD, 50 + i) for i, work in enumerate((nodes, polar, transform, timings))}
-    out["orbits"] = Part(day.formulas, STANDARD.times[::100])
+    out["orbits"] = Part(day.formulas, tuple(STANDARD.times[::100].tolist()))
     if (files := day.found(rinex)) is not None:
         real = partial(day.flown, names=(*THREE, "group"), sigma=STANDARD.burst_sigma, mask_deg=STANDARD.mask_deg)
         out["real"] = Part(real, files, 60, cost=15.0)
