@@ -53,10 +53,12 @@ def reproduced(out: Path) -> dict[str, list[dict[str, Any]]]:
 
 
 def words(papers: Sequence[str]) -> str:
-    """A table in Markdown of what papers say and what we find."""
-    rows = [["paper", "what it says", "what we find"], ["---"] * 3]
-    rows += [[f"`{p}`: {cited(load(p).CITATION)}, {load(p).TITLE}", load(p).STUDY.says, load(p).STUDY.found] for p in papers]
-    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+    """Paragraphs in Markdown: what papers say and what we find."""
+    every = {paper: (load(paper), load(paper).STUDY) for paper in papers}
+    return "\n\n".join(
+        f"**{one.TITLE}** (`{paper}`: {cited(one.CITATION)}). The paper: {study.says}\n*We find:* {study.found}"
+        for paper, (one, study) in every.items()
+    )
 
 
 def cited(citation: str) -> str:

@@ -1,4 +1,4 @@
-"""``celnav verdicts``: what papers say and what holds, as tables in Markdown."""
+"""``celnav verdicts``: what papers say and what holds, in Markdown: a table and paragraphs."""
 
 from __future__ import annotations
 
