@@ -136,7 +136,8 @@ def formulas(times: Sequence[float], _rngs: Rngs = ()) -> dict[str, Array]:
     def rotated(t: float) -> Array:
         return off(t, turned(tilted(as_others(own, TOE_S + t), -TILT), ROTATION_RATE * np.array(t)))
 
-    return {"others": np.stack([off(t, as_others(own, TOE_S + t)) for t in np.add(1800.0, times).tolist()]), "minute": rotated(60.0),
+    along = np.add(1800.0, times).tolist()
+    return {"others": np.stack([off(t, as_others(own, TOE_S + t)) for t in along]), "minute": rotated(60.0),
             "half hour": rotated(1800.0), "right": off(1800.0, satellites(own, TOE_S + 1800.0).position)}  # fmt: skip
 
 
