@@ -68,7 +68,7 @@ numbers: all_of consistency entries given of ratio rmse settling tiers
 parameters: Parameters.check param
 sightings: limb
 study: Results Results.at Results.claims Results.error Results.first Results.get Results.group Results.nees Results.squares
-    Results.times Results.value Study Study.reproduce Study.results Study.units Unit.check Unit.do fly together
+    Results.times Results.value Study Study.at_hand Study.reproduce Study.results Study.units Unit.check Unit.do fly together
 page: document figure link linked table
 picture: command end picture
 progress: Progress Progress.add Progress.begin Progress.close Progress.stage RunProgress

@@ -79,7 +79,7 @@ def run(options: argparse.Namespace) -> int:
         except UnfinishedError as error:
             raise OSError(f"{error}; what is finished is kept: the same command goes on from there") from None
         top.text("index.html", index(out))
-    print(f"wrote {out / 'index.html'}")
+    print(f"wrote {out / 'index.html'}: {f'{surprises} not as expected, see above' if surprises else 'all as expected'}")
     if part < 1.0:
         print(f"celnav: {few(part)}", file=sys.stderr)
     return 1 if options.strict and surprises else 0

@@ -38,9 +38,9 @@ def blocks(runs: int, size: int) -> list[range]:
     return [range(first, min(first + size, runs)) for first in range(0, integer("runs", runs), integer("block", size))]
 
 
-def effort(value: str | float | None = None) -> float:
-    """A fraction in (0, 1] of the Monte-Carlo runs: the argument, else ``CELNAV_EFFORT``, which is read here only, else 1."""
-    name, given = ("effort", value) if value is not None else ("CELNAV_EFFORT", os.environ.get("CELNAV_EFFORT", "1"))
+def effort(value: str | float | None = None, default: float = 1.0) -> float:
+    """A fraction in (0, 1] of the Monte-Carlo runs: the argument, else ``CELNAV_EFFORT``, which is read here only, else a default."""
+    name, given = ("effort", value) if value is not None else ("CELNAV_EFFORT", os.environ.get("CELNAV_EFFORT", default))
     try:
         fraction = float(given)
     except (TypeError, ValueError):

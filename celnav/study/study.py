@@ -21,7 +21,7 @@ from celnav.gaussian.checks import choice
 from celnav.gaussian.linalg import Array
 from celnav.store import RESULTS, existing
 from celnav.study.ledger import Claim, Row
-from celnav.study.montecarlo import blocks, generator, run_count
+from celnav.study.montecarlo import blocks, effort, generator, run_count
 from celnav.study.trial import Group, Trial, follow
 
 Rngs = Sequence[np.random.Generator]
@@ -140,6 +140,15 @@ class Study:
         store = None if out is None else existing(Path(out) / self.name / RESULTS)
         found = [store.read(unit) if store is not None and store.has(unit) else unit.do() for unit in units]
         return self.results(units, found, effort=effort)
+
+    def at_hand(self, out: str | Path = "out", *, small: float = 0.02) -> Results:
+        """All results, if ``celnav reproduce --out`` has computed them with this code; else those of a ``small`` part of the runs.
+
+        ``CELNAV_EFFORT``, where it is set, says how large a part is taken, whatever is there.
+        """
+        store = existing(Path(out) / self.name / RESULTS)
+        there = store is not None and all(store.path(unit).exists() for unit in self.units())
+        return self.reproduce(effort=effort(default=1.0 if there else small), out=out)
 
 
 class Unit(NamedTuple):

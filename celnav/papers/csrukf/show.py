@@ -44,17 +44,22 @@ def geometry(r: Results) -> Figure:
     globe = EARTH.radius_km * np.stack([np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)])
     ax.plot_wireframe(*globe, color=colors.MEASUREMENT, linewidth=0.4, alpha=0.6)
     ax.plot(*path.T, color=colors.TRUTH, label="orbit, 600 s")
-    ax.plot(*np.stack([np.zeros(3), here]).T, color=colors.SIGMA, linestyle="--", linewidth=1)
-    for limb in sightings.limb(here, np.cross(here, [0.0, 0.0, 1.0])):
-        ax.plot(*np.stack([here, limb]).T, color=colors.ESTIMATE)
+    ax.plot(*np.stack([np.zeros(3), 1.5 * here]).T, color=colors.SIGMA, linestyle="--", linewidth=1, label="position vector")
+    edges = np.array(sightings.limb(here, np.cross(here, [0.0, 0.0, 1.0])))
+    for i, limb in enumerate(edges):
+        ax.plot(*np.stack([here, limb]).T, color=colors.ESTIMATE, label=None if i else "sight lines to the limb")
+    rays, s = [*stars, *(edges - here), here], np.linspace(0.0, 1.0, 31)[:, None]
+    for a, b in ((0, 4), (1, 4), (2, 3)):  # the angles as arcs
+        arc = (1.0 - s) * rays[a] / np.linalg.norm(rays[a]) + s * rays[b] / np.linalg.norm(rays[b])
+        ax.plot(*(here + 2500.0 * arc / np.linalg.norm(arc, axis=1, keepdims=True)).T, color=colors.PAPER, linewidth=1.0)
     A = np.degrees(sightings.angles(here, stars))
     for i, star in enumerate(stars):
         ax.quiver(*here, *(5000.0 * star), color=colors.COMPARISON, arrow_length_ratio=0.1)
         ax.text(*(here + 5600.0 * star), f"star {i + 1}, $A_{i + 1}$ = {A[i]:.2f}°", fontsize=8)
-    ax.text(*(here * 1.03), f"satellite, $A_3$ = {A[2]:.2f}°", fontsize=8)
+    ax.text(*np.add(here, (0.0, 0.0, 1200.0)), f"satellite, $A_3$ = {A[2]:.2f}°", fontsize=8)
     ax.set(xlabel="x (km)", ylabel="y (km)", zlabel="z (km)", title="Figure 1: measured angles", aspect="equal")
-    ax.view_init(22, 15)
-    ax.legend(loc="upper left")
+    ax.view_init(45, 100)
+    ax.legend(loc="upper left", fontsize=7)
     return fig
 
 
