@@ -39,7 +39,7 @@ def blocks(runs: int, size: int) -> list[range]:
 
 
 def effort(value: str | float | None = None, default: float = 1.0) -> float:
-    """A fraction in (0, 1] of the Monte-Carlo runs: the argument, else ``CELNAV_EFFORT``, which is read here only, else a default."""
+    """A fraction in (0, 1] of the Monte-Carlo runs: the argument, else ``CELNAV_EFFORT``, which is read only here, or a default."""
     name, given = ("effort", value) if value is not None else ("CELNAV_EFFORT", os.environ.get("CELNAV_EFFORT", default))
     try:
         fraction = float(given)
