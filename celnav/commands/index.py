@@ -104,7 +104,7 @@ def _opening(out: Path, paper: str, claims: Claims) -> str:
     )
 
 
-_FILTER = """<p class="filter"><label>Show what is <select id="shown"><option value="">of any verdict</option>{}</select></label></p>
+_FILTER = """<p class="filter"><label>Show rows <select id="shown"><option value="">of any verdict</option>{}</select></label></p>
 <script>document.getElementById("shown").onchange = (event) => document.querySelectorAll("tr[data-verdict]").forEach(
 (row) => row.hidden = event.target.value && row.dataset.verdict != event.target.value)</script>"""
 
