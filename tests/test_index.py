@@ -29,7 +29,7 @@ document.documentElement.scrollWidth, getComputedStyle(document.documentElement)
 
 def seen(page, tmp_path, width):
     """What a browser makes of a page: images, loaded images, width of the contents, color scheme, and what its console says."""
-    probed = tmp_path / "probed.html"
+    probed = tmp_path / "probed.html"  # beside its pictures
     probed.write_text(page.replace("</body>", f"{PROBE}</body>"), encoding="utf-8")
     command = [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", f"--window-size={width},900",
                f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=20000", "--dump-dom", probed.as_uri()]  # fmt: skip
@@ -40,7 +40,7 @@ def seen(page, tmp_path, width):
 
 
 @pytest.fixture(scope="module")
-def page(tmp_path_factory):
+def folder(tmp_path_factory):
     """The page of csrukf and aukf, with invented claims, a real figure and a real table."""
     out = tmp_path_factory.mktemp("out")
     for paper in ("csrukf", "aukf"):
@@ -63,7 +63,12 @@ def page(tmp_path_factory):
             ax.plot(np.arange(5))
             outputs.bytes(f"figures/figure_{number:02d}.png", render(fig, "png"))
         outputs.text("tables/table_1.csv", "a,b\n1,<2>\n")
-    return index(out)
+    return out
+
+
+@pytest.fixture(scope="module")
+def page(folder):
+    return index(folder)
 
 
 def test_it_opens_with_sentences_and_has_every_row_and_needs_nothing_else(page):
@@ -104,8 +109,8 @@ def test_nothing_reproduced_is_said(tmp_path):
 
 @pytest.mark.skipif(BROWSER is None, reason="no browser is installed")
 @pytest.mark.parametrize("width", [390, 1200])
-def test_a_browser_finds_every_image_no_error_and_nothing_beside_the_screen(page, tmp_path, width):
-    images, loaded, needed, scheme, said = seen(page, tmp_path, width)
+def test_a_browser_finds_every_image_no_error_and_nothing_beside_the_screen(page, folder, width):
+    images, loaded, needed, scheme, said = seen(page, folder, width)
     assert images == loaded == 4
     assert needed <= max(width, 500)  # the least that a headless window has
     assert "dark" in scheme

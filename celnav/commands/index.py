@@ -36,7 +36,10 @@ def index(out: Path) -> str:
     return document(
         "celnav: what holds",
         "<h1>What papers say, and what holds</h1>",
-        *(_opening(paper, claims) for paper, claims in done.items()),
+        '<div class="grid">',
+        *(_opening(out, paper, claims) for paper, claims in done.items()),
+        "</div>",
+        _filter([claim for claims in done.values() for claim in _of(claims, "statement")]),
         "<p><small>Each statement is judged by numbers computed here. The accepted range follows from the paper's own words, or "
         "from a convention that the row names; first results were known when it was written, and where it was changed since, the "
         "row says so. A number with sampling error decides only if its whole 95 % interval does.</small></p>",
@@ -84,17 +87,31 @@ def _of(claims: Claims, kind: str) -> list[Mapping[str, Any]]:
     return [claim for claim in claims if claim["kind"] == kind]
 
 
-def _opening(paper: str, claims: Claims) -> str:
-    """What a paper says and what we find, in sentences."""
+def _opening(out: Path, paper: str, claims: Claims) -> str:
+    """A card: what a paper says and what we find, in sentences, the figure that decides, its first recording."""
     module = load(paper)
     odd = [claim for claim in claims if surprise(claim)]
     told = f' <b class="bad">{len(odd)} not as expected.</b>' if odd else ""
-    statements = _of(claims, "statement")
-    count = f"{len(statements)} statements: {counted(statements)}."
-    return (
-        f'<p><a href="#{paper}"><b>{html.escape(module.TITLE)}</b></a><br>The paper: {html.escape(module.STUDY.says)}<br>'
-        f"We find: {html.escape(module.STUDY.found)}<br><small>{count}</small>{told}</p>"
+    statements, stem = _of(claims, "statement"), module.STUDY.figure
+    drawn = (
+        _drawing(out / paper / "figures" / f"{stem}.png", paper, module) if (out / paper / f"figures/{stem}.png").exists() else ""
     )
+    shown = [link(f"{paper}/{name}", name) for name in module.RECORDINGS[:1] if (out / paper / name).exists()]
+    return (
+        f'<article class="card"><h3><a href="#{paper}">{html.escape(module.TITLE)}</a></h3>{drawn}'
+        f"<p>The paper: {html.escape(module.STUDY.says)}</p><p>We find: {html.escape(module.STUDY.found)}</p>"
+        f"<p><small>{' · '.join([f'{len(statements)} statements: {counted(statements)}.{told}', *shown])}</small></p></article>"
+    )
+
+
+_FILTER = """<p class="filter"><label>Show rows <select id="shown"><option value="">of any verdict</option>{}</select></label></p>
+<script>document.getElementById("shown").onchange = (event) => document.querySelectorAll("tr[data-verdict]").forEach(
+(row) => row.hidden = event.target.value && row.dataset.verdict != event.target.value)</script>"""
+
+
+def _filter(claims: Claims) -> str:
+    """A choice of verdicts; rows of other ones are hidden."""
+    return _FILTER.format("".join(f"<option>{html.escape(verdict)}</option>" for verdict in tally(claims)))
 
 
 def _paper(out: Path, paper: str, claims: Claims) -> str:

@@ -95,7 +95,8 @@ def _line(claim: Mapping[str, Any], link: str) -> str:
     odd = " <b>(not as expected)</b>" if surprise(claim) else ""
     cells = {"place": place, "what is said": "<br>".join([says, *told]), "printed": printed, "ours": ours}
     named = "".join(f'<td data-name="{name}">{cell}</td>' if cell else "<td></td>" for name, cell in cells.items())
-    return f'<tr id="{html.escape(claim["id"])}">{named}<td class="{style(claim["verdict"])}">{verdict}{odd}{figure}</td></tr>'
+    said = f'<td class="{style(claim["verdict"])}">{verdict}{odd}{figure}</td>'
+    return f'<tr id="{html.escape(claim["id"])}" data-verdict="{verdict}">{named}{said}</tr>'
 
 
 def _number(number: Mapping[str, Any]) -> str:

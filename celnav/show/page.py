@@ -22,6 +22,8 @@ h1,h2{line-height:1.2}section{margin-top:3rem}figcaption{font-size:13px}a{color:
 .cards td{display:inline;border:0;padding:0 .6rem 0 0}.cards td:first-child{display:block}
 .cards td[data-name]:not(:first-child)::before{content:attr(data-name)": ";opacity:.6}}
 @media(min-width:44rem){.cards td:not(:first-child){white-space:nowrap}}
+.card{border:1px solid var(--line);border-radius:6px;padding:.2rem 1rem 1rem}.card figcaption{opacity:.7}
+select{font:inherit}@media print{select,.filter{display:none}details::details-content{content-visibility:visible}}
 .grid{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(24rem,100%),1fr));gap:1rem}
 """
 

@@ -97,6 +97,7 @@ class Study:
     trial: ``(config, rngs) ->`` runs and their filters, see `celnav.study.trial`.
     parts: ``(effort) ->`` parts by name; ``effort``, in (0, 1], may shorten what is long. Runs are scaled by it elsewhere.
     says, found: what the paper claims as a whole, and our answer, a sentence or two each.
+    figure: stem of the one that decides.
     windows: ``(config, times) ->`` parts of the time by name, as slices of the epochs that are judged.
     """
 
@@ -107,6 +108,7 @@ class Study:
     rows: Sequence[Row]
     says: str = ""
     found: str = ""
+    figure: str = ""
     windows: Callable[[Any, Array], Mapping[str, slice]] | None = None
 
     def units(self, *, effort: float = 1.0, seed: int = 0, only: Sequence[str] = (), **inputs: Any) -> list[Unit]:

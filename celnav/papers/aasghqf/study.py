@@ -394,6 +394,7 @@ ROWS = [
 ]  # fmt: skip
 STUDY = Study(
     "aasghqf", scenario.groups(A, DEGREE, "deg"), judged, parts, ROWS,
+    figure="figure_06",
     says="A sparse grid with its points where states are observable beats the UKF, equals 417 points with 99, and is cheaper.",
     found="The isotropic grid beats the UKF, whose first star fix leaves it overconfident. The 99 points are 75, and worse in one "
     "misalignment, whose weight is spared though it is nonlinear: 57 points chosen by nonlinearity are as good as 417. An EKF that "

@@ -533,11 +533,11 @@ CHECKS = [
       for id, (text, accept) in day.JUDGED.items()),
 ]  # fmt: skip
 STUDY = Study(
-    "aukf", (*GROUPS, *AXES), trial, parts, [*STATEMENTS, *OTHERS, *FINDINGS, *CHECKS],
-    "A UKF that adapts its measurement noise to the last innovations has smaller errors than EKF and UKF, converges faster, and "
-    "hardly notices a burst of noise.",
-    "In a burst on the ranges at 10 Hz it has a tenth of the UKF's error, and recovers at once. Without one it gains a few "
+    "aukf", (*GROUPS, *AXES), trial, parts, [*STATEMENTS, *OTHERS, *FINDINGS, *CHECKS], figure="figure_07",
+    says="A UKF that adapts its measurement noise to the last innovations has smaller errors than EKF and UKF, converges faster, "
+    "and hardly notices a burst of noise.",
+    found="In a burst on the ranges at 10 Hz it has a tenth of the UKF's error, and recovers at once. Without one it gains a few "
     "percent, from clipping. EKF and UKF are the same. It takes maneuvers and wrong process noise for measurement noise, converges "
     "later from far away, and can err by kilometers; a factor made of what no position explains needs no window and does not.",
-    windows,
+    windows=windows,
 )  # fmt: skip

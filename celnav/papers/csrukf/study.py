@@ -433,6 +433,7 @@ FINDINGS = [
 ]  # fmt: skip
 STUDY = Study(
     "csrukf", GROUPS, trial, parts, [*STATEMENTS, *ERRATA, *REMARKS, *FINDINGS],
+    figure="figure_08",
     says="Differencing whitens colored measurement noise. The square-root UKF made of it is as good as the ordinary one where "
     "noise is white, and converges where that one diverges.",
     found="Corrected, the filter is exact and at the bound. Tables 1 and 2 come out together, Table 3 with no parameters at all. "

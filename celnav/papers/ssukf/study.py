@@ -457,6 +457,7 @@ CHECKS = [
 ]  # fmt: skip
 STUDY = Study(
     "ssukf", GROUPS, partial(scenario.trial, drawn=False), parts, [*STATEMENTS, *ERRATA, *FINDINGS, *CHECKS],
+    figure="figure_03",
     says="Appending only the noise that acts makes a UKF as accurate as the fully augmented one, in a third less time, and faster "
     "to converge.",
     found="As accurate: at one spread of the points both are one filter, so neither converges faster. Counted in points it saves "

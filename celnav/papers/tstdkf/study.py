@@ -606,6 +606,7 @@ def open_if_short(row: Row) -> Row:
 
 STUDY = Study(
     "tstdkf", LENGTHS, s.trial, parts, [open_if_short(row) for row in (*ROWS, *CHECKS)], windows=windows,
+    figure="figure_09",
     says="A two-stage filter that differences colored timings and boosts its estimate of the Earth's ephemeris error has half the "
     "position error of an EKF and two thirds of a two-stage filter's, is best in five settings of the noise, and tracks that error "
     "for a year.",
