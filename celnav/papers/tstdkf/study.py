@@ -273,7 +273,7 @@ def parts(effort: float = 1.0) -> dict[str, Part]:
         "variants": Part(partial(apart, VARIANTS, pair), month, 1, 8, 50, 25.0),
         "ten days": Part(partial(apart, {**COUPLED, **STRONG}, (*pair, "aug"), taken=TAKEN), ten_days, 4, 12, 50, 20.0),
         "forces": Part(forces, ten_days, 6, 20, 50, 10.0),
-        **{f"many {m0:g}": Part(partial(linear, TRENDS[:1], 72, pair), replace(month, bias_prior_km=m0), 9, runs, 800,
+        **{f"many {m0:g}": Part(partial(linear, TRENDS[:1], 72, pair), replace(month, bias_prior_km=m0), 9, runs, 400,
                                 8.0 + 0.02 * runs) for m0, runs in PRIORS.items()},
         "consistency": Part(partial(apart, {i: FIVE[i] for i in "15"}, (*pair, "aug"), judged=2), honest, 5, 40, 50, 6.0),
         "constant": Part(partial(linear, ["constant"], 12, ["tkf"]), replace(month, setting=SETTINGS[5]), 10, 23, 23),
