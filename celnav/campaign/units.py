@@ -19,7 +19,7 @@ from celnav.campaign.missions import Study
 from celnav.campaign.scores import Failure, Scores, check_scores, merge, score
 from celnav.gaussian.linalg import Array
 from celnav.papers import load
-from celnav.store import code
+from celnav.store import Keyed, code
 from celnav.study.montecarlo import blocks, generator
 from celnav.study.trial import Noiseless, Trial, bound, follow
 
@@ -35,12 +35,8 @@ class VersionError(WorkError):
     """A worker runs another celnav than the one that handed out the work."""
 
 
-class Work(Protocol):
+class Work(Keyed, Protocol):
     """A unit of any kind: the engine hands it out, the store keeps what it gives."""
-
-    @property
-    def key(self) -> str:
-        """Hash of everything that determines the result, but the code."""
 
     @property
     def title(self) -> str:
@@ -48,9 +44,6 @@ class Work(Protocol):
 
     def do(self) -> dict[str, Array]:
         """The result, as arrays by name."""
-
-    def check(self, arrays: dict[str, Array]) -> None:
-        """Raise ValueError unless these can be its result."""
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ REFERENCE = "#999933"
 MEASUREMENT = "#56B4E9"
 PAPER = "#D55E00"
 """The paper's value."""
-BOUND = "#C9B400"
+BOUND = "#C9B400"  # a darker yellow than Okabe and Ito's, which is lost on white paper
 SIGMA = "#888888"
 FAINT = "#5A6478"
 STAR = "#FFF3C4"
