@@ -25,6 +25,7 @@ Sources   ``[Sun2015, Eq. 27]`` in a docstring; citations are in ``celnav.papers
 """
 
 from celnav.filters.colored import augmented, colored, decorrelated
+from celnav.filters.compiled import compiled
 from celnav.filters.model import Linear, Motion, Sensor
 from celnav.filters.records import Epoch, Filter, FilterError, epochs
 from celnav.filters.run import run, steps
@@ -61,6 +62,7 @@ __all__ = [
     "augmented",
     "ckf",
     "colored",
+    "compiled",
     "cubature",
     "decorrelated",
     "ekf",

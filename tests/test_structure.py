@@ -14,7 +14,7 @@ from celnav.papers import citation
 ROOT = Path(celnav.__file__).parent
 ROOMS = [
     {"lazy", "files"},
-    {"store"},
+    {"store", "tape"},
     {"gaussian"},
     {"filters", "models"},
     {"analysis"},

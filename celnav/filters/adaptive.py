@@ -34,7 +34,7 @@ def gate(gamma: float) -> Hook:
 
     def hook(memory: Any, joint: Joint, _epoch: Any) -> tuple[Any, Joint]:
         prior, noise = joint.variances()
-        return memory, joint.leaving_out(np.asarray(joint.innovation) ** 2 > gamma**2 * (prior + noise))
+        return memory, joint.leaving_out(np.asanyarray(joint.innovation) ** 2 > gamma**2 * (prior + noise))
 
     return hook
 
@@ -52,7 +52,7 @@ def chi_square_gate(probability: float = 0.999) -> Hook:
         return np.concatenate([[np.inf], 2.0 * gammaincinv(0.5 * np.arange(1, m + 1), probability)])
 
     def hook(memory: Any, joint: Joint, _epoch: Any) -> tuple[Any, Joint]:
-        e, V = np.asarray(joint.innovation), joint.measurement_noise
+        e, V = np.asanyarray(joint.innovation), joint.measurement_noise
         used, S = ~np.isnan(e), joint.covariances()[0]
         S = S if V is None else S + V @ V.mT
         S = np.where(used[..., None] & used[..., None, :], S, np.eye(e.shape[-1]))
@@ -85,7 +85,7 @@ def innovation_window(M: int, gaps: str = "restart") -> Hook:
     choice("gaps", gaps, ("restart", "skip"))
 
     def hook(memory: Window | None, joint: Joint, epoch: Any) -> tuple[Window, Joint]:
-        window = _moved(memory, np.asarray(joint.innovation), epoch, size, gaps)
+        window = _moved(memory, np.asanyarray(joint.innovation), epoch, size, gaps)
         prior, noise = joint.variances()
         A = (np.square(window.samples).mean(0) - prior) / np.where(noise > 0.0, noise, np.inf)
         return window, joint.inflated(np.sqrt(np.fmax(1.0, A)))  # A is nan until the window is full
@@ -147,7 +147,7 @@ def _reweighted(weight: Callable[[Array], Array], rounds: int) -> Hook:
 
 def _noisy(joint: Joint) -> tuple[Array, Array, Array]:
     """Innovation and variances of the noise, 0 and 1 where a component was not measured or has no noise; where it was and has."""
-    e, noise = np.asarray(joint.innovation), joint.variances()[1]
+    e, noise = np.asanyarray(joint.innovation), joint.variances()[1]
     used = ~np.isnan(e) & (noise > 0.0)
     return np.where(used, e, 0.0), np.where(used, noise, 1.0), used
 
@@ -169,7 +169,7 @@ def sage_husa(forgetting: float = 0.95, least: float = 0.25, smallest: float = 0
     floor, bottom = number("least", least, above=0.0), number("smallest", smallest, above=0.0)
 
     def hook(memory: Estimated | None, joint: Joint, _epoch: Any) -> tuple[Estimated, Joint]:
-        e = np.asarray(joint.innovation)
+        e = np.asanyarray(joint.innovation)
         prior, nominal = joint.variances()
         shape = np.broadcast_shapes(e.shape, nominal.shape)
         noise, count = (np.broadcast_to(nominal, shape), np.zeros(shape)) if memory is None else memory
@@ -209,10 +209,10 @@ def range_basis(A: Array, least: float) -> Array:
     """
     Q, R = np.linalg.qr(A)
     # Far from dependence QR will do. Near it a column without a direction of its own would lend an arbitrary one to the others.
-    lost = np.asarray(~np.isfinite(A).all((-2, -1)))
+    lost = np.asanyarray(~np.isfinite(A).all((-2, -1)))
     clear = lost | (np.abs(R.diagonal(0, -2, -1)).min(-1) > 1e3 * least)
     if clear.all():
-        return np.asarray(Q)
+        return np.asanyarray(Q)
     U, s, _ = np.linalg.svd(np.where(lost[..., None, None], 0.0, A), full_matrices=False)
     return np.where(clear[..., None, None], Q, np.where(s[..., None, :] > least, U, 0.0))
 

@@ -20,11 +20,11 @@ from numpy.typing import ArrayLike
 
 from celnav.filters.joint import KEEP, Hook, Joint, at, by_matrix, condition, evaluate, joint, linear, marginal, over_runs, rule_for
 from celnav.filters.model import Motion, Noise, Sensor, check_prior, given_back, noise_of
-from celnav.filters.records import Epoch, Info
+from celnav.filters.records import Epoch, Info, still
 from celnav.filters.sequential import Sequential, checked, missing, sigma_point, silent
 from celnav.gaussian.belief import Gaussian, symmetric
 from celnav.gaussian.checks import Shape, choice, finite, function, instance, numbers, together, unmasked
-from celnav.gaussian.linalg import POSITIVE, Array, SquareRoot, block, matvec, side_by_side, solve_right, tria
+from celnav.gaussian.linalg import POSITIVE, Array, SquareRoot, block, matvec, side_by_side, solve_right, surely, tria
 from celnav.gaussian.rules import unscented
 from celnav.gaussian.spaces import EUCLIDEAN
 
@@ -111,10 +111,10 @@ def _stationary(noise: Noise, Phi: Any, mean: Array, epoch: Any) -> Array:
 def difference(Phi: Array, z: Array, z_next: Array) -> Array:
     """``z_next - Phi z (..., m)``. A missing component spoils those differences that it enters, not the others."""
     absent = np.isnan(z)
-    if not absent.any():
-        return np.asarray(z_next - matvec(Phi, z))
+    if surely(~absent.any()):
+        return np.asanyarray(z_next - matvec(Phi, z))
     spoiled = matvec((Phi != 0.0).astype(float), absent.astype(float)) > 0.0
-    return np.asarray(np.where(spoiled, np.nan, z_next - matvec(Phi, np.where(absent, 0.0, z))))
+    return np.asanyarray(np.where(spoiled, np.nan, z_next - matvec(Phi, np.where(absent, 0.0, z))))
 
 
 class ColoredState(NamedTuple):
@@ -194,7 +194,7 @@ class Colored(Sequential):
         """The measurement of an epoch, nan where there is none."""
         first = state.z is None
         # Nothing leads up to the first sample; each later one ends an interval.
-        if bool(np.any(epoch.dt)) is first:
+        if still(epoch) is not first:
             expected = "0 at the first epoch (start from a prior at that time)" if first else "an interval after the first epoch"
             raise ValueError(f"dt: expected {expected}, got {epoch.dt!r}")
         m = self.sensors[0].m
@@ -244,7 +244,7 @@ class Decorrelated(Colored):
             self.rule, state.belief, lambda x, epoch: (self.rows(Phi, x, epoch)[0], KEEP), epoch, z=z_star, measurement_noise=noise
         )
         lagged, info, memory = condition(self.form, past, EUCLIDEAN, hooks=gates, memory=state.memory, epoch=epoch, gain=self.gain)
-        used = np.asarray(info.used)
+        used = np.asanyarray(info.used)
         star = self.system(lagged.mean, epoch, used)
         z_star = np.where(used, z_star, 0.0)
 
@@ -258,10 +258,10 @@ class Decorrelated(Colored):
 
     def system(self, mean: Array, epoch: Epoch, used: Array) -> Decorrelation:
         """The decorrelated system; a row that was not measured has no part in ``J`` (its noise is its own)."""
-        if used.all() and self._constant is not None:
+        if surely(used.all()) and self._constant is not None:
             return self._constant
         H, W, Z = self.sensors[0].h, at(self.motion.noise, mean, epoch), at(self.zeta, mean, epoch)
-        if used.all():
+        if surely(used.all()):
             return decorrelation(H, W, Z)
         unit = used[..., None] * 1.0
         return decorrelation(H * unit, W, np.concatenate([Z * unit, np.eye(H.shape[-2]) * (1.0 - unit)], -1))
@@ -319,9 +319,9 @@ def augmented(
         return block([[at(motion.noise, mean[..., :-m], epoch), 0], [0, at(zeta, mean, epoch)]])
 
     def seen(x: Array, epoch: Any) -> Array:
-        return np.asarray(sensor.space.plus(h(x[..., :-m], epoch), x[..., -m:]))
+        return np.asanyarray(sensor.space.plus(h(x[..., :-m], epoch), x[..., -m:]))
 
     measured = seen if callable(h) else np.concatenate([h, np.broadcast_to(np.eye(m), (*h.shape[:-2], m, m))], -1)
     both = Sensor(measured, sqrt_R=np.zeros((m, 0)), space=sensor.space)
     made = sigma_point(Motion(f, sqrt_Q=noise), both, rule=rule, **options)
-    return Augmented(**vars(made), sqrt_V=tria(np.asarray(sensor.noise)), runs=() if callable(Phi) else np.shape(Phi)[:-2])
+    return Augmented(**vars(made), sqrt_V=tria(np.asanyarray(sensor.noise)), runs=() if callable(Phi) else np.shape(Phi)[:-2])

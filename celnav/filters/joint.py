@@ -22,7 +22,7 @@ from celnav.filters.mixing import POINTS, WATCH, check_runs_apart, unknown
 from celnav.filters.model import Linear, Motion, Noise, Sensor, as_floats, given_back, is_linear
 from celnav.filters.records import Info
 from celnav.gaussian.checks import beside, instance, numbers, unmasked
-from celnav.gaussian.linalg import POSITIVE, Array, Belief, Form, block, factored, matvec, side_by_side, solve_right, whiten
+from celnav.gaussian.linalg import POSITIVE, Array, Belief, Form, block, factored, matvec, side_by_side, solve_right, surely, whiten
 from celnav.gaussian.rules import Image, Taylor
 from celnav.gaussian.spaces import EUCLIDEAN, Space
 
@@ -244,7 +244,7 @@ def _linear_image(value: Array, matrix: Array | None, root: Array, sign: Array, 
         columns = side_by_side([matrix[..., end - E.shape[-2] : end] @ E for end, E in zip(ends, (root, *augment), strict=True)])
     else:
         columns = matrix if sign.ndim > 1 else matrix @ root
-    return Image(value, np.zeros(matrix.shape[-2]), columns, partial(np.asarray, matrix[..., :n]))
+    return Image(value, np.zeros(matrix.shape[-2]), columns, partial(np.asanyarray, matrix[..., :n]))
 
 
 def over_runs(name: str, batch: tuple[int, ...], belief: Belief) -> Belief:
@@ -286,7 +286,7 @@ def condition(
 
     used, m = innovation == innovation, innovation.shape[-1]
     A, mask = joint.columns(), alike(used)
-    if not mask.all():
+    if not surely(mask.all()):
         # Rows that were not measured: no columns from the prior, a unit noise of their own and a zero innovation.
         here = mask[..., None]
         A = block([[A[..., :m, :] * here, np.eye(m) * ~here], [A[..., m:, :], 0]])
@@ -315,7 +315,7 @@ def _adapted(joint: Joint, hooks: Sequence[Hook], memory: Any, epoch: Any) -> tu
     measurement, state = (image._replace(columns=image.columns.copy()) for image in (joint.measurement, joint.state))
     W, V = joint.process_noise, joint.measurement_noise
     given = joint = joint._replace(
-        innovation=np.array(joint.innovation),
+        innovation=joint.innovation.copy(),
         measurement=measurement,
         state=state,
         process_noise=W and (W[0] if type(W[0]) is int else W[0].copy(), W[1].copy()),
@@ -335,7 +335,7 @@ def _adapted(joint: Joint, hooks: Sequence[Hook], memory: Any, epoch: Any) -> tu
 def alike(used: Array) -> Array:
     """A mask ``(..., m)`` as one, ``(m,)``, where it is that of all runs: what they share then stays one for all."""
     every: Array = np.logical_and.reduce(used, tuple(range(used.ndim - 1)))
-    return every if every.all() or (used == every).all() else used
+    return every if used.ndim == 1 or every.all() or (used == every).all() else used
 
 
 def evaluate(model: Motion | Sensor, x: Array, epoch: Any, noise: Sequence[Array] = (), m: int | None = None) -> Array:
@@ -369,4 +369,4 @@ def evaluate(model: Motion | Sensor, x: Array, epoch: Any, noise: Sequence[Array
     if copies is not None:
         y = y.copy(order="K")  # it may be a buffer of the model's
         check_runs_apart(name, function, copies, epoch, y)
-    return np.asarray(y)
+    return np.asanyarray(y)

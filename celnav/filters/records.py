@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import finite, kind, numbers
-from celnav.gaussian.linalg import Array
+from celnav.gaussian.linalg import Array, surely
 
 _LOG_2PI = float(np.log(2.0 * np.pi))
 
@@ -34,6 +34,11 @@ class Epoch(NamedTuple):
     u: Any = None
     z: Any = None
     truth: Any = None
+
+
+def still(epoch: Any) -> bool:
+    """Whether the interval of an epoch is known to be nothing, in every run."""
+    return epoch.dt == 0.0 if isinstance(epoch.dt, float) else surely(~np.any(epoch.dt))
 
 
 class Info(NamedTuple):
@@ -131,6 +136,17 @@ class Epochs(Sequence[Epoch]):
         dt, u = (t - float(self._times[before]), _at(self._u, before)) if before >= 0 else (0.0, None)
         return Epoch(self._first + at, t, dt, u, _at(self._z, i), _at(self._truth, i))
 
+    def columns(self, sensors: int) -> tuple[Array, Array, Array, list[Any], tuple[Any, ...]]:
+        """All epochs at once: ``k``, ``t``, ``dt`` ``(T,)``, inputs, and of each sensor the measurements ``(T, ..., m)``."""
+        at = np.array(self._rows)
+        before = np.array([self._row_before(0), *at[:-1]])
+        t = self._times[at]
+        dt = np.where(before >= 0, t - self._times[before], 0.0)
+        z = self._z if isinstance(self._z, tuple) else (self._z,) * max(sensors, 1)
+        each = tuple([None] * len(at) if part is None else part[at[0] : at[-1] + 1 : self._rows.step] for part in z[:sensors])
+        u = [None if i < 0 or self._u is None else _at(self._u, i) for i in before.tolist()]
+        return self._first + np.arange(len(at)), t, dt, u, each
+
     def _row_before(self, at: int) -> int:
         return self._rows[at - 1] if at else self._before
 
@@ -192,3 +208,20 @@ def _measurements(z: ArrayLike, length: int) -> Array:
         k = int(np.argwhere(np.isinf(measured))[0, 0])
         raise ValueError(f"z: expected finite numbers or nan, got an infinite one at index {k}")
     return measured
+
+
+def check_interval(filter: Any, epoch: Any, before: Any) -> None:
+    """Raise a ValueError if the interval of an epoch is none, or does not lead up to it from the time ``before``."""
+    dt = getattr(epoch, "dt", None)
+    if isinstance(dt, float) and 0.0 < dt < np.inf:
+        return
+    if dt is None:
+        raise ValueError(f"epochs: expected celnav.epochs(times, z), or records like celnav.Epoch, got {kind(epoch)}")
+    interval = numbers("dt", dt)
+    if before is not None and not interval.any() and np.any(np.asarray(epoch.t) > before):
+        raise ValueError(f"dt: expected the interval since t = {before}, got 0 at t = {epoch.t}")
+    if not (np.isfinite(interval) & (interval >= 0.0)).all():
+        raise ValueError(f"dt: expected a non-negative number, got {dt!r} at step {epoch.k}")
+    motion = getattr(filter, "motion", None)
+    if np.any(dt) and not np.all(dt) and motion is not None and not (callable(motion.Q) or callable(motion.sqrt_Q)):
+        raise ValueError("dt: expected an interval for every run or for none where Q is constant, got 0 for some of them")

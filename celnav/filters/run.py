@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,11 +11,11 @@ from numpy.typing import ArrayLike
 
 from celnav.filters.joint import at
 from celnav.filters.mixing import LOOKED_AT, WATCH
-from celnav.filters.records import Epoch, Filter, FilterError, Info, epochs
+from celnav.filters.records import Epoch, Epochs, Filter, FilterError, Info, check_interval, epochs
 from celnav.filters.sequential import Sequential
 from celnav.filters.track import Collector, Track
 from celnav.gaussian.belief import settled
-from celnav.gaussian.checks import choice, function, instance, integer, kind, numbers
+from celnav.gaussian.checks import choice, function, instance, integer, kind
 from celnav.gaussian.linalg import Array
 
 
@@ -23,6 +24,7 @@ def run(
     every: int = 1, keep: str = "std", on_failure: str = "raise",
     also: Callable[[Epoch, Any, tuple[Info, ...]], dict[str, Any]] | None = None,
     reduce: Callable[[Any, Epoch, Any, tuple[Info, ...]], Any] | None = None,
+    engine: str = "numpy", jobs: int = 1,
 ) -> Track:  # fmt: skip
     """Run a filter over epochs and collect a `Track`.
 
@@ -35,11 +37,15 @@ def run(
     also: ``(epoch, state, infos) -> dict`` of further arrays to store, as ``Track.extra``.
     reduce: ``(accumulated, epoch, state, infos) -> accumulated``, from None; the end is ``Track.reduced``. With it a study of any
         length runs in the memory of one step.
+    engine: "numpy"; "compiled": the filter's own step as machine code, see `celnav.compiled`; "auto": compiled where that can be, and
+        ``Track.engine`` says why not. jobs: threads of compiled code.
     on_failure: "raise" a `FilterError` for the first run that is lost, or "flag" it: it becomes nan from there
         (``Track.failed_at``), the other runs go on.
 
     >>> track = celnav.run(celnav.ukf(motion, gps), celnav.Gaussian(x0, P0), times, z)
     """
+    if choice("engine", engine, ("numpy", "compiled", "auto")) != "numpy":
+        return _compiled(locals())
     collector = Collector(integer("every", every), choice("keep", keep, ("std", "cov", "mean", "nothing")))
     choice("on_failure", on_failure, ("raise", "flag"))
     if also is not None:
@@ -47,7 +53,7 @@ def run(
     if reduce is not None:
         function("reduce", reduce, "(accumulated, epoch, state, infos)")
     reduced, before = None, None
-    for epoch, state, infos in steps(filter, prior, _epochs(times, z, u)):
+    for epoch, state, infos in steps(filter, prior, as_epochs(times, z, u)):
         more = {} if also is None else instance("also", also(epoch, state, infos), dict, "a dict, such as {'gain': array}")
         lost = collector.add(epoch, state.belief, infos, more)
         if lost is not None and on_failure == "raise":
@@ -60,7 +66,25 @@ def run(
     return collector.track(reduced, filter)
 
 
-def _epochs(times: Any, z: Any, u: Any) -> Iterable[Epoch]:
+def _compiled(given: dict[str, Any]) -> Track:
+    """`run` with another engine, of its arguments."""
+    from celnav.filters.compiled import CannotCompile, compiled
+
+    engine, jobs, also, reduce, filter, prior = (given.pop(x) for x in ("engine", "jobs", "also", "reduce", "filter", "prior"))
+    times = given["times"] = as_epochs(given.pop("times"), given.pop("z"), given.pop("u"))
+    if not isinstance(times, Epochs):
+        times = given["times"] = list(times)
+    try:
+        if also is not None or reduce is not None:
+            raise CannotCompile("also, reduce: expected none with engine='compiled', which keeps no states between epochs")
+        return compiled(filter, jobs=jobs).run(prior, **given)
+    except (CannotCompile, ImportError) as error:
+        if engine == "compiled":
+            raise
+        return replace(run(filter, prior, **given, also=also, reduce=reduce), engine=f"numpy: {error}")
+
+
+def as_epochs(times: Any, z: Any, u: Any) -> Iterable[Epoch]:
     """Epochs of numbers, or what are epochs already; of a stream nothing is taken."""
     listed = isinstance(times, list | tuple) and not any(hasattr(one, "dt") for one in times[:1])
     if listed or isinstance(times, np.ndarray) or np.isscalar(times):
@@ -84,7 +108,7 @@ def steps(filter: Filter, prior: Any, epochs: Iterable[Epoch]) -> Iterator[tuple
         raise ValueError(f"epochs: expected celnav.epochs(times, z), or records like celnav.Epoch, got {kind(epochs)}") from None
     models: list[Any] = []
     for epoch in every:
-        _check_interval(filter, epoch, before)
+        check_interval(filter, epoch, before)
         before = epoch.t
         token = LOOKED_AT.set(models)
         try:
@@ -97,22 +121,6 @@ def steps(filter: Filter, prior: Any, epochs: Iterable[Epoch]) -> Iterator[tuple
         if "belief" in getattr(state, "_fields", ()):
             state = state._replace(belief=settled(state.belief))
         yield epoch, state, infos
-
-
-def _check_interval(filter: Any, epoch: Any, before: Any) -> None:
-    dt = getattr(epoch, "dt", None)
-    if isinstance(dt, float) and 0.0 < dt < np.inf:
-        return
-    if dt is None:
-        raise ValueError(f"epochs: expected celnav.epochs(times, z), or records like celnav.Epoch, got {kind(epoch)}")
-    interval = numbers("dt", dt)
-    if before is not None and not interval.any() and np.any(np.asarray(epoch.t) > before):
-        raise ValueError(f"dt: expected the interval since t = {before}, got 0 at t = {epoch.t}")
-    if not (np.isfinite(interval) & (interval >= 0.0)).all():
-        raise ValueError(f"dt: expected a non-negative number, got {dt!r} at step {epoch.k}")
-    motion = getattr(filter, "motion", None)
-    if np.any(dt) and not np.all(dt) and motion is not None and not (callable(motion.Q) or callable(motion.sqrt_Q)):
-        raise ValueError("dt: expected an interval for every run or for none where Q is constant, got 0 for some of them")
 
 
 def explain(filter: Any, before: Any, after: Any, epoch: Epoch) -> str:

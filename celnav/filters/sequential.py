@@ -11,10 +11,10 @@ import numpy as np
 
 from celnav.filters.joint import KEEP, Gain, Hook, Joint, by_matrix, condition, evaluate, joint, marginal, over_runs, whole
 from celnav.filters.model import Motion, Sensor, check_matrices, check_prior, check_roots
-from celnav.filters.records import Epoch, Info, State
+from celnav.filters.records import Epoch, Info, State, still
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import choice, finite, function, instance, integer, kind, number, numbers, takes
-from celnav.gaussian.linalg import EPS, FORMS, Array, Belief, Form
+from celnav.gaussian.linalg import EPS, FORMS, Array, Belief, Form, surely
 from celnav.gaussian.rules import AnyDimension, Taylor, cubature, gauss_hermite, unscented
 from celnav.gaussian.spaces import EUCLIDEAN
 from celnav.gaussian.sparse_grid import smolyak
@@ -65,7 +65,7 @@ class Sequential:
         instance("state", state, State, "what the filter's start(prior) or last step gave")
         if not hasattr(epoch, "dt"):
             raise ValueError(f"epoch: expected a record like celnav.Epoch, got {kind(epoch)}")
-        if not (epoch.dt if isinstance(epoch.dt, float) else np.any(epoch.dt)):
+        if still(epoch):
             return state
         return state._replace(belief=marginal(self.form, self.moved(state.belief, epoch), self.motion.space))
 
@@ -107,8 +107,8 @@ class Sequential:
     def _told(self, sensor: Sensor, belief: Belief, seen: Joint, after: Belief, info: Info, epoch: Epoch) -> Belief:
         """The belief, but nan for runs in which a measurement without noise is of what was known already."""
         V, measured = seen.measurement_noise, seen.measurement
-        exact = np.ones(1, bool) if V is None else np.asarray(~V.any(-1))
-        if not exact.any():
+        exact = np.ones(1, bool) if V is None else np.asanyarray(~V.any(-1))
+        if surely(~exact.any()):
             return after
         if by_matrix(sensor, self.rule):
             deviation, size = (np.abs(measured.jacobian()) * belief.std[..., None, :]).max(-1), np.zeros(1)
@@ -119,8 +119,8 @@ class Sequential:
             size = np.abs(measured.center) if measured.center.shape == deviation.shape else np.zeros(1)
         # What is left of a deviation, or of a large number, after cancellation is round-off.
         least = 16.0 * (self.form.rounding() * deviation + EPS * size)
-        known = (exact & np.asarray(info.used) & (np.asarray(info.sqrt_S).diagonal(0, -2, -1) <= least)).any(-1)
-        if not known.any():
+        known = (exact & np.asanyarray(info.used) & (np.asanyarray(info.sqrt_S).diagonal(0, -2, -1) <= least)).any(-1)
+        if surely(~known.any()):
             return after
         return self.form(np.where(known[..., None], np.nan, after.mean), np.where(known[..., None, None], np.nan, after[1]))
 
@@ -313,7 +313,7 @@ class SingleDraw(Sequential):
 
     def step(self, state: State, epoch: Epoch) -> tuple[State, tuple[Info, ...]]:
         (z,) = measurements(epoch.z, 1)
-        if not np.any(epoch.dt):
+        if still(epoch):
             return super().step(state, epoch)
         if z is not None:
             z = checked(z, self.sensors[0])

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from celnav.filters.joint import KEEP, alike, at, condition, joint, marginal
 from celnav.filters.model import Motion, Sensor, given_back
-from celnav.filters.records import Epoch, Info, State
+from celnav.filters.records import Epoch, Info, State, still
 from celnav.filters.sequential import Sequential, plain, sigma_point
 from celnav.filters.smoother import pseudo_gain
 from celnav.gaussian.belief import Gaussian, symmetric
@@ -66,7 +66,7 @@ class Plain:
 
     def predict(self, state: State, epoch: Epoch) -> tuple[State, Array | None]:
         """State after the interval, and the transition matrix ``(..., n, n)``."""
-        if not np.any(epoch.dt):
+        if still(epoch):
             return state, None
         moved = self.filter.moved(state.belief, epoch)
         return state._replace(belief=marginal(self.filter.form, moved, EUCLIDEAN)), moved.state.jacobian()
@@ -206,7 +206,7 @@ class TwoStage:
             root = np.sqrt(numbers("boost", factors, (..., own.mean.shape[-1])))
             after = after._replace(mean=own.mean + _boosted(own.cov, root, S, stage.sqrt_S, both.innovation))
         # What a hook left out keeps the innovation of the first stage.
-        innovation = np.where(stage.used, both.innovation, np.asarray(info.innovation))
+        innovation = np.where(stage.used, both.innovation, np.asanyarray(info.innovation))
         info = info._replace(innovation=innovation, whitened=both.whitened, sqrt_S=both.sqrt_S)
         return TwoStageState(first, after, Lambda - stage.gain @ S, here, memory), (info,)
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from celnav.gaussian.checks import number, numbers
-from celnav.gaussian.linalg import Array
+from celnav.gaussian.linalg import Array, surely
 from celnav.gaussian.spaces import Space, components, trailing
 
 IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
@@ -23,8 +23,8 @@ _TINY = 1e-300
 def _rows(count: int, like: Array) -> Array:
     """Empty components ``(count, ...)``, each in one piece of memory of the same order as ``like``."""
     if like.flags.f_contiguous and not like.flags.c_contiguous:
-        return np.empty((count, *like.shape[::-1])).transpose((0, *range(like.ndim, 0, -1)))
-    return np.empty((count, *like.shape))
+        return np.empty((count, *like.shape[::-1]), like=like).transpose((0, *range(like.ndim, 0, -1)))
+    return np.empty((count, *like.shape), like=like)
 
 
 def unit(q: ArrayLike, name: str = "q") -> Array:
@@ -40,7 +40,7 @@ def unit(q: ArrayLike, name: str = "q") -> Array:
     wrong = np.abs(norm - 1.0) > UNIT_TOLERANCE
     if wrong.any():
         raise ValueError(f"{name}: expected unit quaternions, got a norm of {norm[wrong][0]:.6g}")
-    return np.asarray(array / norm)
+    return np.asanyarray(array / norm)
 
 
 # Component k of a product q p is the sum of sign q_i p_j over the rows (k, i, j, sign).
@@ -69,12 +69,12 @@ def multiply(q: Array, p: Array) -> Array:
 
 def inverse(q: Array) -> Array:
     """The opposite rotation."""
-    return np.asarray(q * np.array([-1.0, -1.0, -1.0, 1.0]))
+    return np.asanyarray(q * np.array([-1.0, -1.0, -1.0, 1.0]))
 
 
 def positive(q: Array) -> Array:
     """The one of q and -q, which are the same attitude, whose scalar is not negative."""
-    return np.asarray(q * np.copysign(1.0, q[..., 3:]))
+    return np.asanyarray(q * np.copysign(1.0, q[..., 3:]))
 
 
 def matrix(q: Array) -> Array:
@@ -90,7 +90,7 @@ def matrix(q: Array) -> Array:
 
 def rotate(q: Array, v: ArrayLike) -> Array:
     """Components ``(..., 3)`` on body axes of vectors ``v (..., 3)`` given on inertial ones: ``matrix(q) @ v``."""
-    (a, b, c, d), (x, y, z) = components(q), components(np.asarray(v, dtype=np.float64))
+    (a, b, c, d), (x, y, z) = components(q), components(numbers("v", v))
     # t = 2 v x rho, then v + q4 t + t x rho.
     tx, ty, tz = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
     rows = (x + d * tx + ty * c - tz * b, y + d * ty + tz * a - tx * c, z + d * tz + tx * b - ty * a)
@@ -104,7 +104,7 @@ def exp(phi: Array) -> Array:
     # By the tangent of a quarter of the angle: as exact as sine and cosine, and several times as fast.
     t = np.tan(quarter)
     t2 = t * t
-    rows = _rows(4, np.asarray(t))
+    rows = _rows(4, np.asanyarray(t))
     np.multiply(vector, t / (quarter * (2.0 + 2.0 * t2)), out=rows[:3])
     np.divide(1.0 - t2, 1.0 + t2, out=rows[3, ...])
     return trailing(rows)
@@ -113,7 +113,7 @@ def exp(phi: Array) -> Array:
 def _square(vector: Array) -> Array:
     """Square of the norm of components ``(3, ...)``."""
     x, y, z = vector
-    return np.asarray(x * x + y * y + z * z)
+    return np.asanyarray(x * x + y * y + z * z)
 
 
 def log(q: Array) -> Array:
@@ -123,12 +123,12 @@ def log(q: Array) -> Array:
     angle = 2.0 * np.arctan2(sine, p[..., 3:])
     small = sine < 1e-9
     factor = np.where(small, 2.0, angle / np.where(small, 1.0, sine))
-    return np.asarray(factor * p[..., :3])
+    return np.asanyarray(factor * p[..., :3])
 
 
 def angle(q: Array) -> Array:
     """Rotation angle ``(...)`` rad, between 0 and pi."""
-    return np.asarray(np.linalg.norm(log(q), axis=-1))
+    return np.asanyarray(np.linalg.norm(log(q), axis=-1))
 
 
 def from_euler(angles: ArrayLike) -> Array:
@@ -182,9 +182,9 @@ def transport(p: Array, a: float = 1.0, b: float = 4.0) -> Array:
     s = p / b
     square = np.square(s).sum(-1)[..., None, None]
     if a == 0.0:
-        return np.asarray((np.eye(3) - cross(s)) / (1.0 + square))
+        return np.asanyarray((np.eye(3) - cross(s)) / (1.0 + square))
     B = (1.0 - square) * np.eye(3) + 2.0 * cross(s) + 2.0 * s[..., :, None] * s[..., None, :]
-    return np.asarray(B.mT / (1.0 + square) ** 2)
+    return np.asanyarray(B.mT / (1.0 + square) ** 2)
 
 
 def attitude(a: float = 1.0, b: float = 4.0, *, transported: bool = False) -> Space:
@@ -199,7 +199,7 @@ def attitude(a: float = 1.0, b: float = 4.0, *, transported: bool = False) -> Sp
 
     def plus(point: Array, tangent: Array) -> Array:
         square = np.square(point).sum(-1, keepdims=True)
-        if np.abs(square - 1.0).max(initial=0.0) > 2.0 * UNIT_TOLERANCE:
+        if surely(np.abs(square - 1.0).max(initial=0.0) > 2.0 * UNIT_TOLERANCE):
             raise ValueError(f"state: expected unit quaternions, got a norm of {np.sqrt(square.max()):.6g}")
         return multiply(from_rodrigues(tangent, a, b), point * (1.5 - 0.5 * square))  # round-off does not add up
 

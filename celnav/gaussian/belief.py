@@ -63,7 +63,7 @@ class Gaussian:
 
 def settled(belief: Belief) -> Belief:
     """The belief, nan as a whole in runs that are lost."""
-    if not any_lost(belief):
+    if not belief[1].dtype.hasobject and not any_lost(belief):
         return belief
     lost = belief.lost()
     return type(belief)(np.where(lost[..., None], np.nan, belief.mean), np.where(lost[..., None, None], np.nan, belief[1]))
@@ -85,6 +85,8 @@ def symmetric(cov: ArrayLike, name: str, n: int | None = None) -> tuple[Array, A
         alone = f"; [[{P:g}]] of one component, {P:g} * np.eye(n) of n alike" if P.ndim == 0 else ""
         hint = alone or ("; variances alone are np.diag(...)" if P.ndim == 1 else "")
         raise ValueError(f"{name}: expected {expected}, got shape {P.shape}{hint}")
+    if P.dtype.hasobject:  # what is recorded is checked when it is flown
+        return P, semidefinite_root(P)
     scale = np.sqrt(np.abs(P.diagonal(0, -2, -1)))
     skew = np.abs(P - P.mT)
     if (skew > 1e-8 * scale[..., :, None] * scale[..., None, :] + 1e-300).any():
@@ -99,4 +101,4 @@ def symmetric(cov: ArrayLike, name: str, n: int | None = None) -> tuple[Array, A
 def nees(error: Array, root: Array) -> Array:
     """Normalized estimation error squared ``e' P^-1 e``, shape ``(...)``, from ``error (..., n)`` and a root of P."""
     white = whiten(root, error)
-    return np.asarray(np.vecdot(white, white))
+    return np.asanyarray(np.vecdot(white, white))

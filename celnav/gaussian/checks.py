@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from celnav.gaussian.linalg import Array
+from celnav.tape.numbers import recorded
 
 LIMIT = 1_000_000_000  # numbers (8 GB) that one argument may ask for
 Shape = tuple[Any, ...]
@@ -33,6 +34,8 @@ def numbers(name: str, value: Any, shape: Shape | None = None) -> Array:
 
 
 def _as_floats(name: str, value: Any) -> Any:
+    if (found := recorded(value)) is not None:
+        return found
     kind = "none"
     try:
         if isinstance(value, list | tuple) and any(isinstance(part, np.ma.MaskedArray) for part in value):
@@ -69,6 +72,8 @@ def _fits(lengths: tuple[int, ...], shape: Shape) -> bool:
 def finite(name: str, value: Any, shape: Shape | None = None) -> Array:
     """A float64 copy of ``value``; ValueError names it if some of it is not finite, or it is not of a `Shape`."""
     array = numbers(name, value, shape).copy()
+    if array.dtype.hasobject:
+        return array
     if not np.isfinite(array).all():
         raise ValueError(f"{name}: expected finite numbers, got {np.count_nonzero(~np.isfinite(array))} that are not")
     return array

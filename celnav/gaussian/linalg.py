@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import blas, lapack
 
+from celnav.gaussian import recorded
+
 Array = NDArray[Any]
 
 EPS = float(np.finfo(np.float64).eps)
@@ -26,9 +28,14 @@ POSITIVE: Array = np.broadcast_to(1.0, 1)
 """The sign of columns that all count with +1."""
 
 
+def surely(condition: Any) -> bool:
+    """Whether a condition on numbers holds; False while a step is recorded, where it is not known: for shortcuts and checks."""
+    return isinstance(condition, bool | np.bool_) and bool(condition)
+
+
 def matvec(A: Array, x: Array) -> Array:
     """Product ``(..., n)`` of matrices ``(..., n, m)`` and vectors ``(..., m)``: one for all of them where the matrix is."""
-    return np.asarray(x @ A.mT if A.ndim == 2 else (A @ x[..., None])[..., 0])
+    return np.asanyarray(x @ A.mT if A.ndim == 2 else (A @ x[..., None])[..., 0])
 
 
 def outer(A: Array) -> Array:
@@ -36,7 +43,7 @@ def outer(A: Array) -> Array:
 
     Of a matrix and its own transpose numpy makes one triangle and copies it, which for many small ones takes twice the time.
     """
-    return np.asarray(A @ (A.mT if A.ndim == 2 else A.mT.copy()))
+    return np.asanyarray(A @ (A.mT if A.ndim == 2 else A.mT.copy()))
 
 
 def side_by_side(parts: Sequence[Array]) -> Array:
@@ -53,11 +60,13 @@ def tria(A: Array) -> Array:
 
     No product ``A @ A.mT`` is formed, so half of the digits that a Cholesky factorization would lose are kept.
     """
+    if A.dtype.hasobject:
+        return recorded.tria(A)
     n, q = A.shape[-2:]
     if q < n:
         A = np.concatenate([A, np.zeros((*A.shape[:-1], n - q))], -1)
     if A.ndim == 2:
-        return np.asarray(lapack.dgeqrfp(A.T)[0][:n].T * _lower(n))  # its diagonal is not negative
+        return np.asanyarray(lapack.dgeqrfp(A.T)[0][:n].T * _lower(n))  # its diagonal is not negative
     # "raw" leaves R' in the lower triangle and Householder vectors above it.
     L: Array = np.linalg.qr(A.mT, mode="raw")[0][..., :n]
     # In C order whatever the order of A: products with L then take the same path for every number of runs.
@@ -78,9 +87,11 @@ def _identity(n: int) -> Array:
 
 def solve_lower(L: Array, B: Array) -> Array:
     """Solve ``L @ X = B`` for lower triangular ``L (..., n, n)`` and ``B (..., n, k)``; a zero on the diagonal gives nan."""
+    if L.dtype.hasobject or B.dtype.hasobject:
+        return recorded.solve_lower(L, B)
     diagonal = L.diagonal(0, -2, -1)
     if L.ndim == B.ndim == 2 and 0.0 not in diagonal.tolist():
-        return np.asarray(blas.dtrsm(1.0, L, B, lower=1))  # LAPACK's dtrtrs would start threads, however small the matrix
+        return np.asanyarray(blas.dtrsm(1.0, L, B, lower=1))  # LAPACK's dtrtrs would start threads, however small the matrix
     if not diagonal.all():
         diagonal = np.where(diagonal == 0.0, np.nan, diagonal)
     batch = np.broadcast_shapes(L.shape[:-2], B.shape[:-2])
@@ -135,6 +146,8 @@ def _scaled(P: Array) -> tuple[Array, Array]:
 
 def cholesky(P: Array) -> Array:
     """Lower root of positive definite ``P (..., n, n)``; nan for each matrix that is not positive definite."""
+    if P.dtype.hasobject:
+        return recorded.cholesky(P)
     root = _root(P)
     if root is not None or P.ndim == 2:
         return np.full(P.shape, np.nan) if root is None else root
@@ -145,6 +158,8 @@ def cholesky(P: Array) -> Array:
 
 def semidefinite_root(P: Array) -> Array:
     """Lower root of a covariance ``P (..., n, n)`` that may be singular; nan where it is indefinite beyond round-off."""
+    if P.dtype.hasobject:
+        return recorded.semidefinite_root(P, 64 * P.shape[-1] * EPS)
     root, least = _root(P), 1e-5  # below, a singular matrix may have slipped through on a rounding error
     if root is not None and (root.diagonal(0, -2, -1) > least * np.sqrt(P.diagonal(0, -2, -1))).all():
         return root
@@ -169,35 +184,37 @@ def downdate(L: Array, V: Array) -> Array:
     rest = _identity(L.shape[-1]) - outer(W)
     root: Array = L @ cholesky(rest)
     lost = np.isnan(root[..., 0, 0])
-    if not lost.any():
+    if root.dtype.hasobject or not lost.any():
         return root
     # Of what solves L W = V for a singular L the shortest decides, which substitution does not find.
-    lost = np.asarray(lost & np.isfinite(L).all((-2, -1)) & np.isfinite(V).all((-2, -1)))[..., None, None]
+    lost = np.asanyarray(lost & np.isfinite(L).all((-2, -1)) & np.isfinite(V).all((-2, -1)))[..., None, None]
     size = np.sqrt(np.vecdot(L, L))[..., None]
     size = np.where(size > 0.0, size, 1.0)
     safe, wanted = np.where(lost, L, 0.0) / size, np.where(lost, V, 0.0) / size
     U, s, Qt = np.linalg.svd(safe)
     kept = s > NEGLIGIBLE * s[..., :1]
     W = Qt.mT @ (np.where(kept, 1.0 / np.where(kept, s, 1.0), 0.0)[..., None] * (U.mT @ wanted))
-    outside = np.asarray((np.abs(wanted - safe @ W) > NEGLIGIBLE * np.maximum(1.0, np.abs(wanted))).any((-2, -1)))
+    outside = np.asanyarray((np.abs(wanted - safe @ W) > NEGLIGIBLE * np.maximum(1.0, np.abs(wanted))).any((-2, -1)))
     again = np.where(outside[..., None, None], np.nan, L @ cholesky(np.eye(L.shape[-1]) - outer(W)))
     return np.where(lost, again, root)
 
 
 def block(rows: Sequence[Sequence[Any]]) -> Array:
     """Block matrix of matrices ``(..., k, q)`` whose batch axes broadcast; a plain ``0`` is a block of zeros that fits."""
-    heights, widths, batch = [0] * len(rows), [0] * len(rows[0]), None
+    heights, widths, batch, one = [0] * len(rows), [0] * len(rows[0]), None, np.empty(0)
     for i, row in enumerate(rows):
         for j, cell in enumerate(row):
             if type(cell) is not int:
                 shape = cell.shape
+                if cell.dtype.hasobject:
+                    one = cell
                 heights[i], widths[j] = shape[-2:]
                 if batch is None:
                     batch = shape[:-2]
                 elif shape[:-2] != batch:
                     batch = np.broadcast_shapes(batch, shape[:-2])
     assert batch is not None
-    out = np.zeros((*batch, sum(heights), sum(widths)))
+    out = np.zeros((*batch, sum(heights), sum(widths)), like=one)
     top = 0
     for row, height in zip(rows, heights, strict=True):
         left = 0
@@ -265,7 +282,7 @@ class SquareRoot(NamedTuple):
     @property
     def std(self) -> Array:
         """Standard deviations ``(..., n)``."""
-        return np.asarray(np.sqrt(np.vecdot(self.sqrt_cov, self.sqrt_cov)))
+        return np.asanyarray(np.sqrt(np.vecdot(self.sqrt_cov, self.sqrt_cov)))
 
     @classmethod
     def of(cls, belief: Any) -> Self:
@@ -315,7 +332,7 @@ class SquareRoot(NamedTuple):
 
     def lost(self) -> Array:
         """Runs ``(...)`` that are not finite."""
-        return np.asarray(~(np.isfinite(self.mean).all(-1) & np.isfinite(self.sqrt_cov).all((-2, -1))))
+        return np.asanyarray(~(np.isfinite(self.mean).all(-1) & np.isfinite(self.sqrt_cov).all((-2, -1))))
 
 
 class Covariance(NamedTuple):
@@ -337,9 +354,9 @@ class Covariance(NamedTuple):
     def std(self) -> Array:
         """Standard deviations ``(..., n)``; nan where a variance is negative."""
         variances = self.cov.diagonal(0, -2, -1)
-        if variances.min(initial=0.0) >= 0.0:
-            return np.asarray(np.sqrt(variances))
-        return np.asarray(np.sqrt(np.where(variances < 0.0, np.where(_negligible(variances), 0.0, np.nan), variances)))
+        if surely(variances.min(initial=0.0) >= 0.0):
+            return np.asanyarray(np.sqrt(variances))
+        return np.asanyarray(np.sqrt(np.where(variances < 0.0, np.where(_negligible(variances), 0.0, np.nan), variances)))
 
     @classmethod
     def of(cls, belief: Any) -> Self:
@@ -368,9 +385,9 @@ class Covariance(NamedTuple):
             U = solve_lower(S, C[..., m:]).mT
             left = known - outer(U)
             precise = S.diagonal(0, -2, -1) > PRECISE * np.sqrt(np.vecdot(noise, noise))
-            if not np.logical_or.reduce(precise, None):
+            if surely(~np.logical_or.reduce(precise, None)):
                 return S, U, left
-            again, chosen = cls.condition(A, sign, m), np.asarray(precise.any(-1))[..., None, None]
+            again, chosen = cls.condition(A, sign, m), np.asanyarray(precise.any(-1))[..., None, None]
             return np.where(chosen, again[0], S), np.where(chosen, again[1], U), np.where(chosen, again[2], left)
         if sign.ndim > 1:
             A, sign = factored(A, sign)
@@ -386,17 +403,17 @@ class Covariance(NamedTuple):
     @staticmethod
     def transported(matrix: Array, cov: Array) -> Array:
 
-        return np.asarray(matrix @ cov @ matrix.mT)
+        return np.asanyarray(matrix @ cov @ matrix.mT)
 
     @staticmethod
     def sum(cov: Array, columns: Array) -> Array:
 
-        return np.asarray(cov + outer(columns))
+        return np.asanyarray(cov + outer(columns))
 
     def lost(self) -> Array:
         """Runs ``(...)`` that are not finite, or have a negative variance beyond round-off of the matrix's largest."""
         finite = np.isfinite(self.mean).all(-1) & np.isfinite(self.cov).all((-2, -1))
-        return np.asarray(~(finite & _negligible(self.cov.diagonal(0, -2, -1)).all(-1)))
+        return np.asanyarray(~(finite & _negligible(self.cov.diagonal(0, -2, -1)).all(-1)))
 
 
 def factored(A: Array, sign: Array) -> tuple[Array, Array]:
@@ -407,7 +424,7 @@ def factored(A: Array, sign: Array) -> tuple[Array, Array]:
 
 def _negligible(variances: Array) -> Array:
     """Which variances are not negative, or no more than by round-off."""
-    return np.asarray(variances >= -NEGLIGIBLE * np.abs(variances).max(-1, keepdims=True, initial=0.0))
+    return np.asanyarray(variances >= -NEGLIGIBLE * np.abs(variances).max(-1, keepdims=True, initial=0.0))
 
 
 Belief = SquareRoot | Covariance

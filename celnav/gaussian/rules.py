@@ -115,7 +115,7 @@ class Rule:
 
     def kept(self, root: Array, augment: Sequence[Array]) -> Array:  # noqa: ARG002
         """Columns ``(..., n, q)`` of the state itself, where it is kept as it is."""
-        return np.asarray(root @ self._unit[: root.shape[-1]])
+        return np.asanyarray(root @ self._unit[: root.shape[-1]])
 
     def _jacobian(self, columns: Array, root: Array) -> Array:
         cross = (columns * self.sign) @ self._unit[: root.shape[-1]].T

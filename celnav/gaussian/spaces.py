@@ -43,7 +43,7 @@ EUCLIDEAN = Space()
 
 def wrap(angle: Any) -> Any:
     """Angle in radians, wrapped to ``[-pi, pi)``."""
-    wrapped = (np.asarray(angle) + np.pi) % (2.0 * np.pi) - np.pi
+    wrapped = (np.asanyarray(angle) + np.pi) % (2.0 * np.pi) - np.pi
     return np.where(wrapped == np.pi, -np.pi, wrapped)[()]  # just below -pi the remainder rounds up to a full turn
 
 
@@ -95,7 +95,7 @@ def product(*factors: tuple[Space, int, int]) -> Space:
 
     def transport(tangent: Array) -> Array:
         n = tangents[-1]
-        matrix = np.zeros((*tangent.shape[:-1], n, n))
+        matrix = np.zeros((*tangent.shape[:-1], n, n), like=tangent)
         for space, _, by in parts:
             width = by.stop - by.start
             matrix[..., by, by] = np.eye(width) if space.transport is None else space.transport(tangent[..., by])

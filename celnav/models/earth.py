@@ -22,13 +22,13 @@ STANDARD_GRAVITY = 9.80665  # m/s^2, what a "g" of an accelerometer is
 def meridian_radius(latitude: ArrayLike) -> Array:
     """Radius of curvature along a meridian, R_M, m."""
     s = np.sin(latitude)
-    return np.asarray(SEMI_MAJOR_M * (1.0 - ECCENTRICITY_SQUARED) / (1.0 - ECCENTRICITY_SQUARED * s * s) ** 1.5)
+    return np.asanyarray(SEMI_MAJOR_M * (1.0 - ECCENTRICITY_SQUARED) / (1.0 - ECCENTRICITY_SQUARED * s * s) ** 1.5)
 
 
 def transverse_radius(latitude: ArrayLike) -> Array:
     """Radius of curvature across the meridian, R_N, m."""
     s = np.sin(latitude)
-    return np.asarray(SEMI_MAJOR_M / np.sqrt(1.0 - ECCENTRICITY_SQUARED * s * s))
+    return np.asanyarray(SEMI_MAJOR_M / np.sqrt(1.0 - ECCENTRICITY_SQUARED * s * s))
 
 
 def radii(latitude: ArrayLike, height_m: ArrayLike) -> tuple[Array, Array]:
@@ -42,7 +42,7 @@ def normal_gravity(latitude: ArrayLike, height_m: ArrayLike) -> Array:
     surface = 9.7803253359 * (1.0 + 0.00193185265241 * s2) / np.sqrt(1.0 - ECCENTRICITY_SQUARED * s2)
     m = ROTATION_RATE**2 * SEMI_MAJOR_M**3 * (1.0 - FLATTENING) / GRAVITY_PARAMETER
     h = np.asarray(height_m) / SEMI_MAJOR_M
-    return np.asarray(surface * (1.0 - 2.0 * (1.0 + FLATTENING + m - 2.0 * FLATTENING * s2) * h + 3.0 * h * h))
+    return np.asanyarray(surface * (1.0 - 2.0 * (1.0 + FLATTENING + m - 2.0 * FLATTENING * s2) * h + 3.0 * h * h))
 
 
 def earth_rate(latitude: ArrayLike) -> Array:

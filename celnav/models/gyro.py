@@ -75,7 +75,7 @@ class Gyro:
         if drift.ndim > 1 and len(drift) >= len(turns):  # one of each attitude: the last has no sample
             drift = drift[: len(turns)]
         together(q=turns.shape[:-1], drift=drift.shape[:-1], noise=noise.shape[:-1])
-        return np.asarray(turns / dt + drift + self.rate_std(dt) * noise)
+        return np.asanyarray(turns / dt + drift + self.rate_std(dt) * noise)
 
     def propagate(self, x: Array, measured: Array, dt: float, rate_noise: Array | float = 0.0) -> Array:
         """State ``(..., 7)`` after an interval with the sample ``measured (..., 3)``, less drift and ``rate_noise``."""
@@ -110,7 +110,7 @@ def preintegrate(measured: Array, drift: Array, dt: float) -> Array:
     turned = exp((measured[0] - drift) * dt)
     for sample in measured[1:]:
         turned = multiply(exp((sample - drift) * dt), turned)
-    return np.asarray(log(turned) / (len(measured) * dt) + drift)
+    return np.asanyarray(log(turned) / (len(measured) * dt) + drift)
 
 
 class SteadyState(NamedTuple):
@@ -195,4 +195,4 @@ class Body:
         solved = solve_ivp(rates, (0.0, times[-1]), start.ravel(), method="DOP853", t_eval=times, rtol=1e-12, atol=1e-14)
         out = solved.y.T.reshape(steps + 1, *start.shape)
         out[..., :4] /= np.linalg.norm(out[..., :4], axis=-1, keepdims=True)
-        return np.asarray(out)
+        return np.asanyarray(out)

@@ -58,7 +58,7 @@ def acceleration(position: Array, earth: Earth = EARTH) -> Array:
     oblate = ((earth.j2 * earth.radius_km**2) * k) * inverse
     out = position * (k - oblate * ((7.5 * squares[2]) * inverse - 1.5))
     out[2] += (3.0 * oblate) * position[2]
-    return np.asarray(out)
+    return np.asanyarray(out)
 
 
 def third_body(position: Array, body: Array, gm: float) -> Array:
@@ -69,7 +69,7 @@ def third_body(position: Array, body: Array, gm: float) -> Array:
     q = ((position * (position - 2.0 * body)).sum(-1) / np.square(body).sum(-1))[..., None]
     f = q * (3.0 + q * (3.0 + q)) / (1.0 + (1.0 + q) ** 1.5)
     cube = np.square(position - body).sum(-1)[..., None] ** 1.5
-    return np.asarray(-gm / cube * (position + f * body))
+    return np.asanyarray(-gm / cube * (position + f * body))
 
 
 def step(state: Array, dt: float, earth: Earth = EARTH) -> Array:
@@ -162,7 +162,7 @@ def to_elements(state: ArrayLike, earth: Earth = EARTH) -> Array:
 
     def angle(start: Array, end: Array) -> Array:
         """From start to end, in the sense of the motion."""
-        return np.asarray(np.arctan2(np.vecdot(np.cross(start, end), h) / size, np.vecdot(start, end)) % (2.0 * np.pi))
+        return np.asanyarray(np.arctan2(np.vecdot(np.cross(start, end), h) / size, np.vecdot(start, end)) % (2.0 * np.pi))
 
     a = 1.0 / (2.0 / radius[..., 0] - np.vecdot(v, v) / earth.mu)
     inclination = np.arctan2(np.hypot(h[..., 0], h[..., 1]), h[..., 2])

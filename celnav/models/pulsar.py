@@ -119,21 +119,21 @@ class Timing:
         along, of_b = position @ self.directions.T, b @ self.directions.T
         square, cross = (part.sum(-1)[..., None] for part in (np.square(position), b * position))
         parallax = (along * along - square + 2.0 * of_b * along - 2.0 * cross) / (2.0 * self.distances)
-        return np.asarray(along + parallax + self.shapiro(position, sun))
+        return np.asanyarray(along + parallax + self.shapiro(position, sun))
 
     def shapiro(self, position: Array, sun: Array) -> Array:
         """Shapiro delay ``(..., m)`` km as usually printed, with ``|r| + |b|`` for the ``|r + b|`` of `shapiro_exact`."""
         ratio = self._reach(position) / self._reach(-np.asarray(sun))
-        return np.asarray(2.0 * GM_SUN / LIGHT_KM_S**2 * np.log(np.abs(ratio + 1.0)))
+        return np.asanyarray(2.0 * GM_SUN / LIGHT_KM_S**2 * np.log(np.abs(ratio + 1.0)))
 
     def shapiro_exact(self, position: Array, sun: Array) -> Array:
         """Shapiro delay ``(..., m)`` km between the barycenter and the position, with the distance from the Sun as it is."""
         b = -np.asarray(sun)
-        return np.asarray(2.0 * GM_SUN / LIGHT_KM_S**2 * np.log(self._reach(position + b) / self._reach(b)))
+        return np.asanyarray(2.0 * GM_SUN / LIGHT_KM_S**2 * np.log(self._reach(position + b) / self._reach(b)))
 
     def _reach(self, v: Array) -> Array:
         """``n.v + |v|`` for each pulsar, ``(..., m)`` km."""
-        return np.asarray(v @ self.directions.T + np.linalg.norm(v, axis=-1, keepdims=True))
+        return np.asanyarray(v @ self.directions.T + np.linalg.norm(v, axis=-1, keepdims=True))
 
     def gradient(self, position: Array, sun: Array) -> Array:
         """Jacobian ``(..., m, 3)`` of `delay` with respect to the position."""
@@ -144,4 +144,4 @@ class Timing:
         parallax = (along * n - position[..., None, :] + of_b * n - b[..., None, :]) / self.distances[:, None]
         unit = position[..., None, :] / radius
         shapiro = 2.0 * GM_SUN / LIGHT_KM_S**2 * (n + unit) / (along + radius + of_b + far)
-        return np.asarray(n + parallax + shapiro)
+        return np.asanyarray(n + parallax + shapiro)

@@ -40,7 +40,7 @@ def visible(position: Array, stars: Array, radius_km: float = EARTH.radius_km) -
     """Which stars ``(..., k)`` the Earth does not hide from positions ``(..., 3)``; True where in view."""
     A = angles(position, stars, radius_km)
     # Seen from the satellite the Earth's center lies opposite to the position vector.
-    return np.asarray(np.pi - A[..., :-1] > 0.5 * A[..., -1:])
+    return np.asanyarray(np.pi - A[..., :-1] > 0.5 * A[..., -1:])
 
 
 def observe(position: Array, stars: Array, radius_km: float = EARTH.radius_km) -> Array:
@@ -116,4 +116,4 @@ def pseudo_position_covariance(position_km: Array, separation: float, sigma: Arr
         text = f"sigma: a deviation of {np.abs(deviations).max():.6g} rad tells nothing; angles are in radians"
         warnings.warn(text, UnitWarning, stacklevel=2)
     half = deviations * jacobian(angles(position_km, star_directions(separation)), separation, np.sign(position_km[..., 2]))
-    return np.asarray(half @ half.mT)
+    return np.asanyarray(half @ half.mT)

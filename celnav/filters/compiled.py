@@ -1,0 +1,200 @@
+"""A filter as machine code: `celnav.compiled`, and what ``celnav.run(engine="compiled")`` does.
+
+Runs that are lost are flown again by the numpy engine, which is the reference and knows why.
+"""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from celnav.filters.engine import NONE, Data, Engine, Flight, as_data, each_run, entries, fly
+from celnav.filters.records import Epoch, Epochs, FilterError
+from celnav.filters.run import as_epochs, run
+from celnav.filters.track import Track
+from celnav.gaussian.belief import Gaussian
+from celnav.gaussian.checks import choice, integer, together
+from celnav.gaussian.linalg import Array, Covariance
+from celnav.tape.numbers import CannotCompile
+
+CHECKED = 3  # epochs of the first run that are compared with the numpy engine when a step was recorded
+
+
+class Compiled:
+    """A filter as machine code; what `celnav.compiled` makes.
+
+    The steps that were recorded are kept: a model that looks at something which changes meanwhile, a global number say, goes on with
+    what it saw first. `celnav.run` with ``engine="compiled"`` records anew at every call.
+    """
+
+    def __init__(self, filter: Any, jobs: int):
+        self.filter, self.jobs, self._kept = filter, jobs, dict[Any, Any]()
+
+    def __repr__(self) -> str:
+        return f"Compiled({self.filter!r})"
+
+    def run(
+        self, prior: Any, times: Any, z: Any = None, u: Any = None, *, every: int = 1, keep: str = "std", on_failure: str = "raise"
+    ) -> Track:
+        """The track, as `celnav.run` gives it with these arguments."""
+        choice("keep", keep, ("std", "cov", "mean", "nothing"))
+        choice("on_failure", on_failure, ("raise", "flag"))
+        every = integer("every", every)
+        epochs = as_epochs(times, z, u)
+        epochs = epochs if isinstance(epochs, Epochs) else list(epochs)
+        data = as_data(self.filter, epochs)
+        try:
+            engine = Engine(self.filter, prior, data, keep, self._kept)
+            flight = fly(engine, data, every, self.jobs)
+        except CannotCompile:
+            raise
+        except (ArithmeticError, AttributeError, IndexError, LookupError, TypeError, ValueError) as error:
+            run(self.filter, prior, epochs[:CHECKED], every=every, keep=keep)  # what is wrong anyhow is told as ever
+            raise CannotCompile(f"{error}{_place(error)}") from error
+        track = _track(engine, data, flight, every)
+        if keep == "cov":
+            stored = tuple(epoch._replace(z=None, truth=None) for epoch in epochs[::every])
+            track = replace(track, epochs=stored)
+        track = replace(track, filter=self.filter)
+        if engine.fresh:
+            self._compare(track, engine, prior, data)
+        lost = np.flatnonzero(track.failed_at.ravel() >= 0)
+        return self._again(track, engine, prior, data, lost, every, keep, on_failure) if len(lost) else track
+
+    def _compare(self, track: Track, engine: Engine, prior: Any, data: Data) -> None:
+        """Raise `CannotCompile` if the first run's first epochs are not what the numpy engine gives: nothing is taken on trust."""
+        if track.mean is None or track.failed_at.ravel()[0] in range(CHECKED):
+            return
+        part = _of(self.filter, prior, data, engine.batch, [0])
+        known = run(*part[:2], part[2][:CHECKED], on_failure="flag")
+        rows = np.flatnonzero(np.isin(track.times, known.times))[:CHECKED]
+        for name in ("mean", "std"):
+            mine, theirs = getattr(track, name), getattr(known, name)[np.isin(known.times, track.times)]
+            if mine is not None:
+                mine = mine.reshape(len(mine), -1, mine.shape[-1])[rows, 0]
+                scale = known.std[: len(rows)].max() if name == "std" else np.abs(theirs).max() + known.std.max()
+                if not np.allclose(mine, theirs.reshape(mine.shape)[: len(rows)], rtol=1e-6, atol=1e-6 * float(scale)):
+                    raise CannotCompile("the model gives other values when it is recorded: it looks at what kind of array it is given")
+
+    def _again(
+        self, track: Track, engine: Engine, prior: Any, data: Data, lost: Array, every: int, keep: str, on_failure: str
+    ) -> Track:
+        """The track, with the runs that were lost flown by the numpy engine."""
+        filter, own, epochs = _of(self.filter, prior, data, engine.batch, lost)
+        if not engine.batch:
+            return replace(run(filter, own, epochs, every=every, keep=keep, on_failure=on_failure), engine="compiled")
+        again = run(filter, own, epochs, every=every, keep=keep, on_failure="flag")
+        still = np.flatnonzero(again.failed_at >= 0)
+        if len(still) and on_failure == "raise":
+            first = lost[still[np.argmin(again.failed_at[still])]]
+            try:
+                run(*_of(self.filter, prior, data, engine.batch, [first]))
+            except FilterError as error:
+                at = tuple(int(i) for i in np.unravel_index(first, engine.batch))
+                raise FilterError(str(error).replace("run (0,)", f"run {at}", 1)) from None
+        for name in ("mean", "std", "innovation", "whitened", "used"):
+            if (rows := getattr(track, name)) is not None:
+                rows.reshape(len(rows), -1, rows.shape[-1])[:, lost] = getattr(again, name)
+        if track.belief is not None and again.belief is not None:
+            n = track.belief[1].shape[-1]
+            track.belief[1].reshape(len(track.times), -1, n, n)[:, lost] = again.belief[1]
+        for mine, theirs in ((track.failed_at, again.failed_at), (track.log_likelihood, again.log_likelihood),
+                             *((track.events[name], again.events[name]) for name in track.events)):  # fmt: skip
+            mine.reshape(-1)[lost] = theirs
+        return track
+
+
+def _track(engine: Engine, data: Data, flight: Flight, every: int) -> Track:
+    """The record of a flight."""
+    rows = {name: x.reshape(len(x), *engine.batch, x.shape[-1]) for name, x in flight.rows.items()}
+    sensors = [i for i, m in enumerate(engine.innovations) if m]
+
+    def beside(name: str) -> Any:
+        parts = [rows[f"{name}/{i}"] for i in sensors if f"{name}/{i}" in rows]
+        return parts[0] if len(parts) == 1 else np.concatenate(parts, -1) if parts else None
+
+    belief = None
+    if "spread" in rows:
+        lower = rows["spread"]
+        n = rows["std"].shape[-1]
+        spread = np.zeros((*lower.shape[:-1], n, n))
+        i, j = np.array(entries((n, n), "lower")).T
+        spread[..., i, j] = lower
+        if engine.form is Covariance:
+            spread[..., j, i] = lower
+        belief = engine.form(rows["mean"], spread)
+    likelihood, missing, rejected, failed = (x.reshape(engine.batch) for x in flight.tally.T.copy())
+    silent = sum(
+        m * sum(data.known[kind].z[i] == NONE for kind in data.kinds) for i, m in enumerate(engine.innovations)
+    )
+    used = beside("used")
+    return Track(
+        times=data.t[::every].copy(),
+        mean=rows.get("mean"),  # type: ignore[arg-type]
+        std=rows.get("std"),  # type: ignore[arg-type]
+        belief=belief,
+        innovation=beside("innovation"),
+        whitened=beside("whitened"),
+        used=None if used is None else used != 0.0,  # type: ignore[arg-type]
+        log_likelihood=likelihood,
+        events={"missing": missing.astype(int) + silent, "rejected": rejected.astype(int), "redone": np.zeros(engine.batch, int)},
+        failed_at=failed.astype(int),
+        engine="compiled",
+    )
+
+
+def _of(filter: Any, prior: Any, data: Data, batch: tuple[int, ...], runs: Any) -> tuple[Any, Any, list[Epoch]]:
+    """Filter, prior and epochs of some runs, which are numbered over all axes of a batch; of all where there is one run alone."""
+
+    def part(x: Array, own: int) -> Array:
+        """Of an array with ``own`` axes after those of the runs."""
+        if not batch:
+            return x
+        whole = np.broadcast_to(x, (*batch, *x.shape[x.ndim - own :]))
+        return whole.reshape(-1, *whole.shape[len(batch) :])[runs]
+
+    mean, root = part(prior.mean, 1), part(prior.sqrt_cov, 2)
+    some = Covariance(mean, part(prior.cov, 2)) if isinstance(prior, Covariance) else Gaussian(mean, sqrt_cov=root)
+    epochs = []
+    for i, kind in enumerate(data.kinds):
+        there = data.known[kind]
+        z = tuple(None if what == NONE else part(values[i], 1) for what, values in zip(there.z, data.z, strict=True))
+        dt = data.dt[i]
+        epochs.append(Epoch(int(data.k[i]), float(data.t[i]), part(dt, 0) if dt.ndim else float(dt), _input(data, i, batch, part), z))
+    return each_run(filter, lambda x: part(x, 2)), some, epochs
+
+
+def _input(data: Data, i: int, batch: tuple[int, ...], part: Any) -> Any:
+    """The input of an epoch, of some runs."""
+    tree, _ = data.known[data.kinds[i]].u
+    from celnav.filters.engine import rebuilt
+
+    leaves = data.u[data.known[data.kinds[i]].u][i]
+    own = [part(x, x.ndim - len(batch)) if batch and x.shape[: len(batch)] == batch else x for x in leaves]
+    return rebuilt(tree, iter(own))
+
+
+def _place(error: BaseException) -> str:
+    """Where a model asked for what cannot be recorded."""
+    package = Path(__file__).parents[1]
+    frames = [f for f in traceback.extract_tb(error.__traceback__) if "numpy" not in Path(f.filename).parts]
+    mine = [f for f in frames if package not in Path(f.filename).parents] or frames
+    return f" ({Path(mine[-1].filename).name}, line {mine[-1].lineno}: {mine[-1].line})" if mine else ""
+
+
+def compiled(filter: Any, *, jobs: int = 1) -> Compiled:
+    """A filter as machine code, compiled when it first runs; needs ``pip install 'celnav[compiled]'``.
+
+    filter: of `celnav.ukf` and its siblings, `celnav.colored`, `celnav.augmented`, `celnav.two_stage`. Its models are recorded as
+        they are: arithmetic, and numpy's functions of it. What asks for the value of a number, an ``if`` or a ``float(x)``, cannot
+        be: `CannotCompile` says which line.
+    jobs: threads. The bytes of the result do not depend on them.
+
+    >>> flown = celnav.compiled(celnav.ukf(motion, gps)).run(prior, times, z)
+    """
+    return Compiled(filter, integer("jobs", jobs))

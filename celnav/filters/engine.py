@@ -1,0 +1,496 @@
+"""The compiled engine: a filter's own step is recorded, on numbers that have no values yet, compiled, and flown over all epochs.
+
+What is recorded is `Sequential.step`, or that of another filter, as it stands: there is no second copy. A step is recorded anew for
+each *kind* of epoch (with an interval or none; each sensor complete, in parts or silent) and each shape that the filter's memory
+takes. Runs that are lost are flown again by the numpy engine, which is the reference and knows why.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from copy import copy
+from dataclasses import fields, is_dataclass
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from celnav.filters.records import Epoch, Epochs, Info, check_interval
+from celnav.filters.sequential import checked, measurements
+from celnav.gaussian.belief import Gaussian, settled
+from celnav.gaussian.checks import numbers as as_floats
+from celnav.gaussian.checks import together
+from celnav.gaussian.linalg import Array, Covariance, SquareRoot
+from celnav.tape import llvm
+from celnav.tape.numbers import CannotCompile, Number, Numbers, Tape, do
+
+TALLY = ("log_likelihood", "missing", "rejected", "failed_at")
+"""What each run counts, first in its state."""
+FEW = 3  # rows of a flight that keeps nothing, by which it is checked
+CHUNK = 1 << 22  # bytes of measurements and rows of the runs that are flown together
+
+
+# -- trees: nested tuples of arrays ----------------------------------------------------------------------------------------
+def leaves(tree: Any, what: str = "") -> Iterator[tuple[Any, str]]:
+    """Arrays of a tree, and what each is: "lower" a root, "symmetric" a covariance, "belief" a mean, "" anything else."""
+    if isinstance(tree, SquareRoot | Covariance):
+        yield tree[0], "belief"
+        yield tree[1], "lower" if isinstance(tree, SquareRoot) else "symmetric"
+    elif isinstance(tree, tuple | list):
+        for part in tree:
+            yield from leaves(part, what)
+    elif tree is not None:
+        yield tree, what
+
+
+def rebuilt(tree: Any, parts: Iterator[Any]) -> Any:
+    """The tree with other arrays, in the order of `leaves`."""
+    if tree is None:
+        return None
+    if not isinstance(tree, tuple | list):
+        return next(parts)
+    inner = [rebuilt(part, parts) for part in tree]
+    return type(tree)(*inner) if hasattr(tree, "_fields") else type(tree)(inner)
+
+
+def entries(shape: tuple[int, ...], what: str) -> list[tuple[int, ...]]:
+    """Places of the numbers that an array is kept as: of a root or covariance the lower triangle."""
+    places = list(np.ndindex(*shape))
+    return [at for at in places if at[-1] <= at[-2]] if what in ("lower", "symmetric") else places
+
+
+class Shape(NamedTuple):
+    """Shape of a filter's state: its tree with names for arrays, and of each array shape, kind and which entries may be absent."""
+
+    tree: Any
+    arrays: tuple[tuple[tuple[int, ...], str, tuple[bool, ...]], ...]
+
+    @property
+    def size(self) -> int:
+        """How many numbers it is kept as."""
+        return sum(len(entries(shape, what)) for shape, what, _ in self.arrays)
+
+    @classmethod
+    def of(cls, state: Any) -> Shape:
+        """The shape of a state of one run."""
+        found = []
+        for array, what in leaves(state):
+            x = np.asanyarray(array)
+            kept = entries(x.shape, what)
+            absent = tuple(not what and _absent(x[at]) for at in kept)
+            found.append((x.shape, what, absent))
+        return cls(rebuilt(state, iter(range(len(found)))), tuple(found))
+
+
+def _absent(x: Any) -> bool:
+    """Whether a number may be missing."""
+    return x.tape.absent[x.i] if isinstance(x, Number) else bool(x != x)
+
+
+# -- kinds of epochs -------------------------------------------------------------------------------------------------------
+FULL, PART, SILENT, NONE = range(4)
+"""What an epoch has of a sensor: all components of all runs; some; nan only; nothing at all."""
+
+
+class Kind(NamedTuple):
+    """What must be alike in epochs for one record to serve them. ``z``: what there is of each sensor; ``u``: shape of the input."""
+
+    moves: bool
+    z: tuple[int, ...]
+    u: Any
+
+
+class Data(NamedTuple):
+    """Epochs as columns.
+
+    k, t, dt: ``(T,)``. kinds: of each epoch, an index into ``known``. z: ``(T, ..., m)`` of each sensor.
+    u: by the shape of an input, and by the epochs that have one of it, the arrays that it consists of.
+    """
+
+    k: Array
+    t: Array
+    dt: Array
+    kinds: list[int]
+    known: list[Kind]
+    z: list[Array]
+    u: dict[Any, dict[int, list[Array]]]
+
+
+class Recorded(NamedTuple):
+    """A kernel, the shape of the state after it, and how rows are made of what it keeps."""
+
+    kernel: llvm.Kernel
+    after: Shape
+    address: int
+
+
+class Engine:
+    """Records, compiles and flies the steps of a filter, for runs with the batch axes ``batch``."""
+
+    def __init__(self, filter: Any, prior: Any, data: Data, keep: str, kept: dict[Any, Recorded]):
+        self.filter, self.kept, self.fresh = filter, kept, False
+        self.keep = "mean" if keep == "nothing" else keep
+        self.few = keep == "nothing"  # rows of the first epochs only
+        constants: list[Array] = []
+        each_run(filter, lambda array: constants.append(array) or array)  # type: ignore[func-returns-value]
+        axes = {f"z{i}": z.shape[1:-1] for i, z in enumerate(data.z)}
+        axes |= {f"matrix {i}": array.shape[:-2] for i, array in enumerate(constants)}
+        self.batch = together(mean=prior.mean.shape[:-1], cov=prior.cov.shape[:-2], dt=data.dt.shape[1:], **axes)
+        self.constants = [np.broadcast_to(array, (*self.batch, *array.shape[-2:])) for array in constants]
+        self.held = len(TALLY) + sum(int(np.prod(array.shape[-2:])) for array in constants)
+        # The length of an interval is a number of the program where it is always the same.
+        moving = np.unique(data.dt[data.dt != 0.0])
+        self.dt = float(moving[0]) if len(moving) == 1 and data.dt.ndim == 1 else None
+        self.widths = [z.shape[-1] for z in data.z]
+        self.innovations = [sensor.space.minus(z[:1], z[:1]).shape[-1] if z.shape[-1] else 0
+                            for sensor, z in zip(sensors(filter), data.z, strict=True)]  # fmt: skip
+        one = each_run(filter, lambda array: array[(0,) * (array.ndim - 2)])
+        state = one.start(_first_run(prior))
+        self.belief, self.form, self.begin = state.belief, type(state.belief), Shape.of(state)
+        own = [shape for shape, _, _ in self.begin.arrays]
+        self.values = [
+            np.broadcast_to(np.asarray(x, np.float64), (*self.batch, *shape))
+            for (x, _), shape in zip(leaves(filter.start(prior)), own, strict=True)
+        ]
+
+    def columns(self) -> dict[str, int]:
+        """Names of the rows and how many numbers each has."""
+        (N,), (n, _) = (np.shape(x) for x in (self.belief.mean, self.belief[1]))
+        names = {"mean": N}
+        names |= {"std": n} if self.keep in ("std", "cov") else {}
+        names |= {"spread": n * (n + 1) // 2} if self.keep == "cov" else {}
+        for i, m in enumerate(self.innovations):
+            names |= {f"{name}/{i}": m for name in ("innovation", "whitened", "used")}
+        return names
+
+    def start(self) -> list[Array]:
+        """State of all runs before the first epoch, ``(runs, ...)``, in the order in which it is kept."""
+        runs = int(np.prod(self.batch))
+        tally = np.zeros((runs, len(TALLY)))
+        tally[:, TALLY.index("failed_at")] = -1.0
+        parts = [tally, *(x.reshape(runs, -1) for x in self.constants)]
+        for x, (shape, what, _) in zip(self.values, self.begin.arrays, strict=True):
+            at = tuple(np.array(entries(shape, what), int).reshape(-1, len(shape)).T)
+            parts.append(x[(..., *at)].reshape(runs, -1))
+        return parts
+
+    def inputs(self, found: dict[int, list[Array]], count: int) -> list[tuple[Array, bool]]:
+        """The parts of an input over ``count`` epochs, zeros where there are none, and which of them are of each run."""
+        out = []
+        for parts in zip(*found.values(), strict=True):
+            values = np.zeros((count, *parts[0].shape))
+            values[list(found)] = parts
+            shape = parts[0].shape
+            if self.batch and shape == self.batch:
+                raise CannotCompile(f"u: expected an axis of components after that of the runs, got {shape} of {self.batch} runs")
+            own = bool(self.batch) and shape[: len(self.batch)] == self.batch
+            out.append((values, own))
+        return out
+
+    def recorded_as(self, before: Shape, kind: Kind, u: list[tuple[Array, bool]], lanes: int) -> Recorded:
+        """The step, recorded and compiled."""
+        shapes = tuple((x.shape[1 + len(self.batch) * own :], own) for x, own in u)
+        key = (before, kind, shapes, self.keep, self.dt, tuple(self.widths), lanes)
+        if key not in self.kept:
+            made = self.record(before, kind, u)
+            address, new = llvm.kernel_address(made.kernel, lanes)
+            self.kept[key] = made._replace(address=address)
+            self.fresh |= new
+        return self.kept[key]
+
+    def record(self, before: Shape, kind: Kind, u: list[tuple[Array, bool]]) -> Recorded:
+        """The step from a state of a shape over an epoch of a kind."""
+        tape, inputs = Tape(), list[tuple[str, int]]()
+
+        def take(place: str, at: int, absent: bool = False) -> Number:
+            inputs.append((place, at))
+            return tape.input(absent)
+
+        tally = [take("state", i) for i in range(len(TALLY))]
+        held = iter(range(len(TALLY), self.held))
+
+        def constant(array: Array) -> Numbers:
+            out = Numbers(array.shape[-2:])
+            for at in np.ndindex(*out.shape):
+                out[at] = take("state", next(held))
+            return out
+
+        filter = each_run(self.filter, constant)
+        at, arrays = self.held, []
+        for shape, what, absent in before.arrays:
+            x = Numbers(shape)
+            for place, missing in zip(entries(shape, what), absent, strict=True):
+                x[place] = take("state", at, missing)
+                if what == "symmetric":
+                    x[place[::-1]] = x[place]
+                at += 1
+            arrays.append(x)
+        state = rebuilt(before.tree, iter(arrays))
+
+        z: list[Any] = []
+        first = 0
+        for m, there in zip(self.widths, kind.z, strict=True):
+            if there in (FULL, PART):
+                x = Numbers((m,))
+                for i in range(m):
+                    x[i] = take("own", first + i, there == PART)
+                z.append(x)
+            else:
+                z.append(np.full(m, np.nan) if there == SILENT else None)
+            first += m
+        shared, parts = 3, []
+        for values, own in u:
+            shape = values.shape[1 + len(self.batch) * own :]
+            x = Numbers(shape)
+            for i in np.ndindex(*shape):
+                x[i] = take("own" if own else "shared", first if own else shared)
+                first, shared = first + own, shared + (not own)
+            parts.append(x if shape else x[()])
+        k, t = take("shared", 0), take("shared", 1)
+        dt: Any = 0.0 if not kind.moves else take("shared", 2) if self.dt is None else self.dt
+        epoch = Epoch(k, t, dt, rebuilt(kind.u, iter(parts)), z[0] if len(z) == 1 else tuple(z) if z else None)
+
+        state, infos = filter.step(state, epoch)
+        after = Shape.of(state)
+        if "belief" in getattr(state, "_fields", ()):
+            state = state._replace(belief=_settled(state.belief))
+        tally = self._counted(tally, state.belief, infos, k)
+        stored = [(i, x) for i, x in enumerate(tally)]
+        at = self.held
+        for array, what in leaves(state):
+            x = np.asanyarray(array)
+            for place in entries(x.shape, what):
+                stored.append((at, x[place]))
+                at += 1
+        kernel = llvm.Kernel(tape, inputs, stored, list(self._rows(state.belief, infos)))
+        return Recorded(kernel, after, 0)
+
+    def _counted(self, tally: list[Any], belief: Any, infos: Sequence[Info], k: Any) -> list[Any]:
+        """Likelihood, missing and rejected components, and when the run was lost; see `celnav.filters.track.Collector`."""
+        likelihood, missing, rejected, failed = tally
+        for info in infos:
+            if (more := info.log_likelihood) is not None:
+                likelihood = do("add", likelihood, _alone(more))
+                absent = np.isnan(np.asanyarray(info.innovation))
+                missing = do("add", missing, _alone(np.add.reduce(absent, -1, int)))
+                rejected = do("add", rejected, _alone(np.add.reduce(~np.asanyarray(info.used) & ~absent, -1, int)))
+        lost = do("and", _alone(belief.lost()), do("lt", failed, 0.0))
+        return [likelihood, missing, rejected, do("select", lost, k, failed)]
+
+    def _rows(self, belief: Any, infos: Sequence[Info]) -> Iterator[Any]:
+        """What is kept of an epoch, in the order in which `columns` names it."""
+        yield from belief.mean
+        if self.keep in ("std", "cov"):
+            yield from belief.std
+        if self.keep == "cov":
+            yield from (belief[1][at] for at in entries(belief[1].shape, "lower"))
+        for info, m in zip(infos, self.innovations, strict=True):
+            for name, blank in (("innovation", np.nan), ("whitened", 0.0), ("used", 0.0)):
+                value = getattr(info, name)
+                yield from np.full(m, blank) if value is None else value
+
+
+def _alone(x: Any) -> Any:
+    """A number that may have come as an array of one."""
+    return x[()] if isinstance(x, np.ndarray) else x
+
+
+def _settled(belief: Any) -> Any:
+    """`settled`, of what is recorded."""
+    return settled(belief) if belief[1].dtype.hasobject else belief
+
+
+def each_run(thing: Any, function: Callable[[Array], Array]) -> Any:
+    """A filter with other arrays in place of those that each run has of its own: matrices ``(..., n, m)`` with axes of runs."""
+    if isinstance(thing, np.ndarray):
+        return function(thing) if thing.ndim > 2 else thing
+    if isinstance(thing, partial):
+        inner = [each_run(x, function) for x in (thing.func, *thing.args)]
+        same = all(a is b for a, b in zip(inner, (thing.func, *thing.args), strict=True))
+        return thing if same else partial(*inner, **thing.keywords)
+    if isinstance(thing, tuple):
+        parts = [each_run(part, function) for part in thing]
+        if all(a is b for a, b in zip(parts, thing, strict=True)):
+            return thing
+        return type(thing)(*parts) if hasattr(thing, "_fields") else tuple(parts)
+    if not is_dataclass(thing) or isinstance(thing, type | Gaussian):
+        return thing
+    names = {field.name for field in fields(thing)} | set(vars(thing))
+    changed = {}
+    for name in sorted(names):
+        before = getattr(thing, name)
+        after = each_run(before, function)
+        if after is not before:
+            changed[name] = after
+    if not changed:
+        return thing
+    other = copy(thing)
+    other.__dict__.update(changed)
+    return other
+
+
+def _first_run(prior: Any) -> Any:
+    """The prior of the first run alone."""
+    mean, P = prior.mean, prior.cov
+    mean, P = mean[(0,) * (mean.ndim - 1)], P[(0,) * (P.ndim - 2)]
+    root = prior.sqrt_cov[(0,) * (prior.sqrt_cov.ndim - 2)]
+    return Gaussian(mean, sqrt_cov=root) if isinstance(prior, Gaussian | SquareRoot) else Covariance(mean, P)
+
+
+# -- data ------------------------------------------------------------------------------------------------------------------
+def sensors(filter: Any) -> Sequence[Any]:
+    """Sensors of a filter, or of its first stage."""
+    inner = filter if hasattr(filter, "sensors") else getattr(getattr(filter, "first", None), "filter", None)
+    if inner is None:
+        raise CannotCompile(f"{type(filter).__name__}: expected a filter such as celnav.ukf(motion, sensor)")
+    found: Sequence[Any] = inner.sensors
+    return found
+
+
+def as_data(filter: Any, epochs: Epochs | Sequence[Epoch]) -> Data:
+    """Epochs as columns."""
+    own = sensors(filter)
+    if isinstance(epochs, Epochs):
+        k, t, dt, u, z = epochs.columns(len(own))
+    else:
+        rows, before = epochs, None
+        if not rows:
+            raise ValueError("epochs: expected at least one, got none")
+        for row in rows:
+            check_interval(filter, row, before)
+            before = row.t
+        k, t = (np.array([getattr(row, name) for row in rows], np.float64) for name in ("k", "t"))
+        dt = np.stack(np.broadcast_arrays(*(np.asarray(row.dt, np.float64) for row in rows)))
+        u = [row.u for row in rows]
+        z = list(zip(*(measurements(row.z, len(own)) for row in rows), strict=True))
+    found = [_measured(sensor, parts) for sensor, parts in zip(own, z, strict=True)]
+    shapes: dict[Any, int] = {}
+    inputs: list[dict[int, list[Array]]] = []
+    which = np.zeros(len(k), int)
+    for i, one in enumerate(u):
+        parts = [_input(x) for x, _ in leaves(one)]
+        shape = rebuilt(one, iter(range(len(parts)))), tuple(x.shape for x in parts)
+        which[i] = shapes.setdefault(shape, len(inputs))
+        if which[i] == len(inputs):
+            inputs.append({})
+        inputs[which[i]][i] = parts
+    moves = (dt.reshape(len(k), -1) != 0.0).any(-1)
+    rows = np.stack([moves, which, *(status for status, _ in found)], -1)
+    different, kinds = np.unique(rows, axis=0, return_inverse=True)
+    trees = list(shapes)
+    known = [Kind(bool(moves), tuple(z), trees[at]) for moves, at, *z in different.tolist()]
+    return Data(k, t, dt, kinds.tolist(), known, [values for _, values in found], dict(zip(trees, inputs, strict=True)))
+
+
+def _input(x: Any) -> Array:
+    """A part of an input."""
+    try:
+        return as_floats("u", x)
+    except ValueError as error:
+        raise CannotCompile(f"an input that is no array of numbers cannot be compiled: {error}") from None
+
+
+def _measured(sensor: Any, parts: Any) -> tuple[Array, Array]:
+    """What there is of a sensor at each epoch, and its measurements ``(T, ..., m)``."""
+    count = len(parts)
+    present = np.array([part is not None for part in parts]) if not isinstance(parts, np.ndarray) else np.ones(count, bool)
+    if not present.any():
+        return np.full(count, NONE), np.zeros((count, 0))
+    if not isinstance(parts, np.ndarray):
+        one = np.full(np.shape(parts[int(np.argmax(present))]), np.nan)
+        parts = np.stack(np.broadcast_arrays(*(one if part is None else as_floats("z", part) for part in parts)))
+    values = checked(parts, sensor)
+    if np.isfinite(np.add.reduce(values, None)):
+        return np.where(present, FULL, NONE), values
+    missing = np.isnan(values)
+    axes = tuple(range(1, values.ndim))
+    there = np.where(missing.all(axes), SILENT, np.where(missing.any(axes), PART, FULL))
+    return np.where(present, there, NONE), values
+
+
+# -- the flight ------------------------------------------------------------------------------------------------------------
+class Flight(NamedTuple):
+    """What a flight leaves: rows ``(K, runs, ...)`` by name, and the tally of each run ``(runs, 4)``."""
+
+    rows: dict[str, Array]
+    tally: Array
+
+
+def fly(engine: Engine, data: Data, every: int, jobs: int) -> Flight:
+    """All runs through all epochs."""
+    runs = int(np.prod(engine.batch))
+    lanes = 1 if runs == 1 else llvm.lanes()
+    inputs = {shape: engine.inputs(found, len(data.k)) for shape, found in data.u.items()}
+    ids: dict[Shape, int] = {engine.begin: 0}
+    plan: dict[tuple[int, int], tuple[int, int]] = {}
+    records: list[Recorded] = []
+    shape, steps = engine.begin, []
+    for kind in data.kinds:
+        at = ids.setdefault(shape, len(ids))
+        if (at, kind) not in plan:
+            made = engine.recorded_as(shape, data.known[kind], inputs[data.known[kind].u], lanes)
+            plan[at, kind] = len(records), ids.setdefault(made.after, len(ids))
+            records.append(made)
+        number, _ = plan[at, kind]
+        steps.append(number)
+        shape = records[number].after
+    size = engine.held + max(x.size for x in ids)
+    E = 3 + max(sum(x[0].size for x, own in parts if not own) for parts in inputs.values())
+    own_sizes = [sum(int(np.prod(x.shape[1 + len(engine.batch) :])) for x, own in parts if own) for parts in inputs.values()]
+    M, T = sum(engine.widths) + max(own_sizes) + (data.dt.ndim > 1), len(data.k)
+    shared = np.zeros((T, E))
+    shared[:, 0], shared[:, 1] = data.k, data.t
+    if data.dt.ndim == 1:
+        shared[:, 2] = data.dt
+    for parts in inputs.values():
+        flat = [x.reshape(T, -1) for x, own in parts if not own]
+        if flat:
+            values = np.concatenate(flat, -1)
+            shared[:, 3 : 3 + values.shape[1]] += values
+    stored = np.where(np.arange(T) % every == 0, np.arange(T) // every, -1)
+    if engine.few:
+        stored[FEW:] = -1
+    names = engine.columns()
+    O, K = sum(names.values()), int(stored.max()) + 1
+    rows = {name: np.empty((K, runs, count)) for name, count in names.items()}
+    tally = np.empty((runs, len(TALLY)))
+    table = (np.array([record.address for record in records], np.uint64), np.array(steps, np.int32), stored.astype(np.int64))
+    z = [np.broadcast_to(x, (T, *engine.batch, x.shape[-1])).reshape(T, runs, -1) if x.ndim > 2 and x.shape[1:-1] != engine.batch
+         else x.reshape(T, -1, x.shape[-1]) for x in data.z if x.shape[-1]]  # fmt: skip
+    per_run = [x.reshape(T, runs, -1) for parts in inputs.values() for x, own in parts if own]
+    loop = llvm.fly()
+
+    def some(first: int, last: int) -> None:
+        count = last - first
+        width = -(-count // lanes) * lanes
+        own = np.empty((T, M, width))
+        at = 0
+        for x in (*z, *per_run):
+            part = x if x.shape[1] == 1 else x[:, first:last]
+            own[:, at : at + x.shape[-1], :count] = part.transpose(0, 2, 1)
+            at += x.shape[-1]
+        own[..., count:] = own[..., count - 1 : count]
+        state = np.zeros((width // lanes, size, lanes))
+        start = np.concatenate([x[first:last] for x in engine.start()], 1)
+        start = np.concatenate([start, np.repeat(start[-1:], width - count, 0)])
+        state[:, : start.shape[1]] = start.reshape(-1, lanes, start.shape[1]).transpose(0, 2, 1)
+        kept = np.empty((K, O, width))
+        pointers = (x.ctypes.data for x in (*table, state, shared, own, kept))
+        loop(*pointers, size, E, M, O, width, lanes, 0, width // lanes, T)
+        at = 0
+        for name, number in names.items():
+            rows[name][:, first:last] = kept[:, at : at + number, :count].transpose(0, 2, 1)
+            at += number
+        tally[first:last] = state[:, : len(TALLY)].transpose(0, 2, 1).reshape(width, -1)[:count]
+
+    chunk = max(lanes, min(-(-runs // jobs), CHUNK // (8 * T * (O + M))) // lanes * lanes)
+    parts = [(first, min(first + chunk, runs)) for first in range(0, runs, chunk)]
+    if jobs > 1 and len(parts) > 1:
+        with ThreadPoolExecutor(jobs) as pool:
+            list(pool.map(lambda part: some(*part), parts))
+    else:
+        for part in parts:
+            some(*part)
+    return Flight(rows, tally)
+
