@@ -57,8 +57,9 @@ def chi_square_gate(probability: float = 0.999) -> Hook:
         S = S if V is None else S + V @ V.mT
         S = np.where(used[..., None] & used[..., None, :], S, np.eye(e.shape[-1]))
         white = whiten(cholesky(S), np.where(used, e, 0.0))
-        beyond = np.einsum("...i,...i->...", white, white) > bounds(e.shape[-1])[used.sum(-1)]
-        return memory, joint.leaving_out(beyond[..., None])
+        count = np.arange(e.shape[-1] + 1)
+        most = np.where(used.sum(-1)[..., None] == count, bounds(e.shape[-1]), 0.0).sum(-1)
+        return memory, joint.leaving_out((np.vecdot(white, white) > most)[..., None])
 
     return hook
 
@@ -106,8 +107,8 @@ def _moved(memory: Window | None, values: Array, epoch: Any, size: int, gaps: st
     if gaps == "skip":
         moved = np.where(np.isnan(values), ring, moved)
     # A hook is not called where the whole block has no measurement: that is a gap of every component as well.
-    elif k is not None and memory.k is not None and k > memory.k + 1:
-        moved[:-1] = np.nan
+    elif k is not None and memory.k is not None:
+        moved[:-1] = np.where(k > memory.k + 1, np.nan, moved[:-1])
     return Window(moved, k)
 
 

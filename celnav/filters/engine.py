@@ -249,7 +249,7 @@ class Engine:
             parts.append(x if shape else x[()])
         k, t = take("shared", 0), take("shared", 1)
         dt: Any = 0.0 if not kind.moves else take("shared", 2) if self.dt is None else self.dt
-        epoch = Epoch(k, t, dt, rebuilt(kind.u, iter(parts)), z[0] if len(z) == 1 else tuple(z) if z else None)
+        epoch = Epoch(k, t, dt, rebuilt(kind.u[0], iter(parts)), z[0] if len(z) == 1 else tuple(z) if z else None)
 
         state, infos = filter.step(state, epoch)
         after = Shape.of(state)

@@ -138,7 +138,7 @@ def checked(z: Any, sensor: Sensor) -> Array:
     measured = numbers("z", z)
     if measured.ndim == 0:
         raise ValueError(f"z: expected shape (..., m), got the number {measured}; one component is [z]")
-    return measured if sensor.space.check is None else sensor.space.check(measured, "z")
+    return measured if sensor.space.check is None or measured.dtype.hasobject else sensor.space.check(measured, "z")
 
 
 def missing(z: Any) -> bool:

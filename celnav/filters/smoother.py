@@ -22,7 +22,7 @@ from celnav.filters.records import Epoch, FilterError
 from celnav.filters.sequential import Sequential, SingleDraw
 from celnav.filters.track import Track
 from celnav.gaussian.checks import choice, instance, kind
-from celnav.gaussian.linalg import EPS, Array, Belief, SquareRoot, solve_lower, solve_right, weighted
+from celnav.gaussian.linalg import EPS, Array, Belief, SquareRoot, solve_lower, solve_right, surely, weighted
 
 
 def smooth(track: Track, filter: Any = None, *, gains: bool = False, on_failure: str = "raise") -> Track:
@@ -130,11 +130,12 @@ def pseudo_gain(A: Array, sign: Array, m: int, center: Array | None = None, leas
     else:
         noise = EPS * np.abs(center).max(-1) / unit.min(-1)
     bound = np.maximum(4.0 * (S.shape[-1] * EPS + noise), least)
-    singular = np.asarray((S.diagonal(0, -2, -1) <= bound[..., None] * unit).any(-1))
-    eye = np.eye(S.shape[-1])
-    regular = np.where(singular[..., None, None], eye, S) if singular.any() else S
+    singular = np.asanyarray((S.diagonal(0, -2, -1) <= bound[..., None] * unit).any(-1))
+    eye, none = np.eye(S.shape[-1]), surely(~singular.any())
+    recorded = S.dtype.hasobject  # there a singular run is lost: the numpy engine flies it again
+    regular = S if none else np.where(singular[..., None, None], np.nan if recorded else eye, S)
     gain = solve_right(regular, signed @ solve_lower(regular, D_y).mT)
-    if not singular.any():
+    if none or recorded:
         return gain
     u, s, _ = np.linalg.svd(np.where(singular[..., None, None], S / unit[..., None], eye))
     kept = s > bound[..., None]

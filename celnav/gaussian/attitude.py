@@ -20,11 +20,11 @@ UNIT_TOLERANCE = 1e-6
 _TINY = 1e-300
 
 
-def _rows(count: int, like: Array) -> Array:
-    """Empty components ``(count, ...)``, each in one piece of memory of the same order as ``like``."""
+def _rows(count: int, like: Array, of: Array) -> Array:
+    """Empty components ``(count, ...)`` of a vector, each in one piece of memory of the same order as ``like``."""
     if like.flags.f_contiguous and not like.flags.c_contiguous:
-        return np.empty((count, *like.shape[::-1]), like=like).transpose((0, *range(like.ndim, 0, -1)))
-    return np.empty((count, *like.shape), like=like)
+        return np.empty((count, *like.shape[::-1]), like=of).transpose((0, *range(like.ndim, 0, -1)))
+    return np.empty((count, *like.shape), like=of)
 
 
 def unit(q: ArrayLike, name: str = "q") -> Array:
@@ -104,7 +104,7 @@ def exp(phi: Array) -> Array:
     # By the tangent of a quarter of the angle: as exact as sine and cosine, and several times as fast.
     t = np.tan(quarter)
     t2 = t * t
-    rows = _rows(4, np.asanyarray(t))
+    rows = _rows(4, np.asanyarray(t), vector)
     np.multiply(vector, t / (quarter * (2.0 + 2.0 * t2)), out=rows[:3])
     np.divide(1.0 - t2, 1.0 + t2, out=rows[3, ...])
     return trailing(rows)
@@ -159,7 +159,7 @@ def from_rodrigues(p: Array, a: float = 1.0, b: float = 4.0) -> Array:
     vector = components(p)
     square = _square(vector)
     root = b if a == 1.0 else np.sqrt(b * b + (1.0 - a * a) * square)
-    rows = _rows(4, square)
+    rows = _rows(4, square, vector)
     np.divide(b * root - a * square, b * b + square, out=rows[3, ...])
     np.multiply(vector, (a + rows[3]) / b, out=rows[:3])
     return trailing(rows)

@@ -20,6 +20,8 @@ from numpy.typing import ArrayLike
 from celnav.gaussian.checks import LIMIT, choice, finite, instance, integer, kind, number, numbers
 from celnav.gaussian.linalg import EPS, POSITIVE, Array, fan, semidefinite_root, side_by_side, solve_right
 from celnav.gaussian.spaces import EUCLIDEAN, Space, trailing
+from celnav.tape.derivative import at_zero, variables
+from celnav.tape.numbers import tape_of
 
 MAX_POINTS = 1_000_000
 
@@ -183,6 +185,8 @@ class Taylor:
         if self.about is not None:
             root = side_by_side([root, space.minus(mean, center)[..., None]])
         roots = (root, *augment)
+        if (tape := tape_of(center, *roots) if root.dtype.hasobject or center.dtype.hasobject else None) is not None:
+            return self._variable(tape, center, roots, space)
         total, batch = sum(E.shape[-1] for E in roots), max(center.ndim - 1, root.ndim - 2)
         directions = self.step * np.hstack([np.zeros((total, 1)), np.eye(total), -np.eye(total)])
         deviations, first = [], 0
@@ -193,15 +197,30 @@ class Taylor:
         points = [deviations[0] + center if space is EUCLIDEAN else space.plus(center, deviations[0])]
         return points + [np.broadcast_to(D, (*points[0].shape[:-1], D.shape[-1])) for D in deviations[1:]]
 
+    @staticmethod
+    def _variable(tape: Any, center: Array, roots: Sequence[Array], space: Space) -> list[Array]:
+        """One point, which may be differentiated along the columns."""
+        unit, first, parts = variables(tape, sum(E.shape[-1] for E in roots)), 0, []
+        for E in roots:
+            parts.append((E @ unit[first : first + E.shape[-1]])[None])
+            first += E.shape[-1]
+        return [space.plus(center, parts[0]), *parts[1:]]
+
     def image(self, y: Array, space: Space, root: Array) -> Image:
 
+        if y.dtype.hasobject:
+            (center,), _ = at_zero(y)
+            return self._linear(center, at_zero(space.minus(y[0], center))[1], root)
         d = space.minus(y, y[0])
-        total, shift = (len(d) - 1) // 2, np.zeros(d.shape[-1])
-        columns = np.moveaxis(d[1 : total + 1] - d[total + 1 :], 0, -1) / (2.0 * self.step)
+        total = (len(d) - 1) // 2
+        return self._linear(y[0], np.moveaxis(d[1 : total + 1] - d[total + 1 :], 0, -1) / (2.0 * self.step), root)
+
+    def _linear(self, center: Array, columns: Array, root: Array) -> Image:
+        shift = np.zeros(columns.shape[-2])
         if self.about is not None:
             n = root.shape[-1]
-            shift, columns = columns[..., n], np.delete(columns, n, -1)
-        return Image(y[0], shift, columns, partial(self._jacobian, columns, root))
+            shift, columns = columns[..., n], np.concatenate([columns[..., :n], columns[..., n + 1 :]], -1)
+        return Image(center, shift, columns, partial(self._jacobian, columns, root))
 
     def kept(self, root: Array, augment: Sequence[Array]) -> Array:
 

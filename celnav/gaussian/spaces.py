@@ -124,6 +124,8 @@ def trailing(x: Array) -> Array:
 
 def components(x: Array) -> Array:
     """`leading`, each component in one piece of memory, which models are fast on: sigma points lie so, what does not is copied."""
+    if x.ndim == 1:
+        return x
     first = leading(x)
     part = first[0].flags
     return first if part.c_contiguous or part.f_contiguous else np.ascontiguousarray(first)

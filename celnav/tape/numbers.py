@@ -28,7 +28,7 @@ def refused(what: str) -> CannotCompile:
     """The error, with the line of the model, or else of the package, that led to it."""
     frame: Any = sys._getframe(1)
     inside, place = Path(__file__).parents[1], ""
-    while frame is not None:
+    while frame is not None and not isinstance(frame.f_locals.get("tape"), Tape):  # below who records
         path = Path(frame.f_code.co_filename)
         if path.parent != Path(__file__).parent and "numpy" not in path.parts:
             line = linecache.getline(str(path), frame.f_lineno).strip()
@@ -64,6 +64,7 @@ class Tape:
     def __init__(self) -> None:
         self.ops: list[tuple[Any, ...]] = []
         self.absent: list[bool] = []
+        self.variables: list[Number] = []  # see `celnav.tape.derivative`
         self._known: dict[Any, int] = {}
         self._inputs = 0
 
@@ -95,7 +96,7 @@ class Tape:
             if at == MOST:
                 raise CannotCompile(f"a step of more than {MOST} operations takes longer to compile than it saves")
             self.ops.append(op)
-            self.absent.append(op[1] != op[1] if op[0] == "const" else op[0] != "in" and any(self.absent[a] for a in op[1:]))
+            self.absent.append(op[1] != op[1] if op[0] == "const" else op[0] not in ("in", "var") and any(self.absent[a] for a in op[1:]))
         return Number(self, at)
 
     def lift(self, x: Scalar) -> Number:
@@ -338,10 +339,15 @@ class Number:
     __int__ = __index__ = __float__  # type: ignore[assignment]
     __hash__ = object.__hash__
 
-    # What numpy asks of the parts of an array of objects.
-    def conjugate(self) -> Number:
-        """Itself."""
+    def __getitem__(self, at: Any) -> Any:
+        return numbers(np.asarray(self, object))[at]
+
+    def any(self, *_arguments: Any, **_options: Any) -> Number:
+        """Itself, as that of an array of one; `all` is the same."""
         return self
+
+    all = conjugate = any
+    shape, ndim, dtype = (), 0, np.dtype(object)
 
 
 def _operator(function: Callable[..., Scalar], swapped: bool = False) -> Any:
@@ -409,8 +415,15 @@ def _axis(arguments: Any, options: dict[str, Any]) -> tuple[Any, ...]:
 
 
 def numbers(array: Any) -> Any:
-    """An array of objects as `Numbers`; one number by itself as it is."""
+    """An array of objects as `Numbers`; one by itself too."""
+    if isinstance(array, Number):
+        array = np.asarray(array, object)
     return array.view(Numbers) if isinstance(array, np.ndarray) and array.dtype.hasobject else array
+
+
+def tape_of(*arrays: Any) -> Tape | None:
+    """The tape on which some of the numbers of arrays are; None where all are known."""
+    return next((x.tape for array in arrays for x in _bare(array).flat if isinstance(x, Number)), None)
 
 
 def recorded(value: Any) -> Any:
@@ -484,7 +497,7 @@ def _reduced(
         result[at] = reduce(function, parts)
     if keepdims:
         result = result.reshape([1 if i in axes else bare.shape[i] for i in range(bare.ndim)])
-    return numbers(result) if result.ndim else result[()]
+    return numbers(result)
 
 
 def _products(ufunc: Any, a: Any, b: Any) -> Any:
