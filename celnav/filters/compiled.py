@@ -6,21 +6,21 @@ Runs that are lost are flown again by the numpy engine, which is the reference a
 from __future__ import annotations
 
 import traceback
-from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from celnav.filters.engine import NONE, Data, Engine, Flight, as_data, each_run, entries, fly
+from celnav.filters.engine import NONE, Data, Engine, each_run, entries, rebuilt
+from celnav.filters.flight import Flight, as_data, fly
 from celnav.filters.records import Epoch, Epochs, FilterError
 from celnav.filters.run import as_epochs, run
 from celnav.filters.track import Track
 from celnav.gaussian.belief import Gaussian
-from celnav.gaussian.checks import choice, integer, together
+from celnav.gaussian.checks import choice, integer
 from celnav.gaussian.linalg import Array, Covariance
-from celnav.tape.numbers import CannotCompile
+from celnav.tape.tape import CannotCompile
 
 CHECKED = 3  # epochs of the first run that are compared with the numpy engine when a step was recorded
 
@@ -28,8 +28,8 @@ CHECKED = 3  # epochs of the first run that are compared with the numpy engine w
 class Compiled:
     """A filter as machine code; what `celnav.compiled` makes.
 
-    The steps that were recorded are kept: a model that looks at something which changes meanwhile, a global number say, goes on with
-    what it saw first. `celnav.run` with ``engine="compiled"`` records anew at every call.
+    The steps that were recorded are kept: a model that looks at something which changes meanwhile, a global number say, goes on
+    with what it saw first. `celnav.run` with ``engine="compiled"`` records anew at every call.
     """
 
     def __init__(self, filter: Any, jobs: int):
@@ -79,7 +79,9 @@ class Compiled:
                 mine = mine.reshape(len(mine), -1, mine.shape[-1])[rows, 0]
                 scale = known.std[: len(rows)].max() if name == "std" else np.abs(theirs).max() + known.std.max()
                 if not np.allclose(mine, theirs.reshape(mine.shape)[: len(rows)], rtol=1e-6, atol=1e-6 * float(scale)):
-                    raise CannotCompile("the model gives other values when it is recorded: it looks at what kind of array it is given")
+                    raise CannotCompile(
+                        "the model gives other values when it is recorded: it looks at what kind of array it is given"
+                    )
 
     def _again(
         self, track: Track, engine: Engine, prior: Any, data: Data, lost: Array, every: int, keep: str, on_failure: str
@@ -128,10 +130,8 @@ def _track(engine: Engine, data: Data, flight: Flight, every: int) -> Track:
         if engine.form is Covariance:
             spread[..., j, i] = lower
         belief = engine.form(rows["mean"], spread)
-    likelihood, missing, rejected, failed = (x.reshape(engine.batch) for x in flight.tally.T.copy())
-    silent = sum(
-        m * sum(data.known[kind].z[i] == NONE for kind in data.kinds) for i, m in enumerate(engine.innovations)
-    )
+    likelihood, missing, rejected, redone, failed = (x.reshape(engine.batch) for x in flight.tally.T.copy())
+    silent = sum(m * sum(data.known[kind].z[i] == NONE for kind in data.kinds) for i, m in enumerate(engine.innovations))
     used = beside("used")
     return Track(
         times=data.t[::every].copy(),
@@ -142,7 +142,7 @@ def _track(engine: Engine, data: Data, flight: Flight, every: int) -> Track:
         whitened=beside("whitened"),
         used=None if used is None else used != 0.0,  # type: ignore[arg-type]
         log_likelihood=likelihood,
-        events={"missing": missing.astype(int) + silent, "rejected": rejected.astype(int), "redone": np.zeros(engine.batch, int)},
+        events={"missing": missing.astype(int) + silent, "rejected": rejected.astype(int), "redone": redone.astype(int)},
         failed_at=failed.astype(int),
         engine="compiled",
     )
@@ -155,8 +155,8 @@ def _of(filter: Any, prior: Any, data: Data, batch: tuple[int, ...], runs: Any) 
         """Of an array with ``own`` axes after those of the runs."""
         if not batch:
             return x
-        whole = np.broadcast_to(x, (*batch, *x.shape[x.ndim - own :]))
-        return whole.reshape(-1, *whole.shape[len(batch) :])[runs]
+        whole: Array = np.broadcast_to(x, (*batch, *x.shape[x.ndim - own :]))
+        return np.asarray(whole.reshape(-1, *whole.shape[len(batch) :])[runs])
 
     mean, root = part(prior.mean, 1), part(prior.sqrt_cov, 2)
     some = Covariance(mean, part(prior.cov, 2)) if isinstance(prior, Covariance) else Gaussian(mean, sqrt_cov=root)
@@ -165,15 +165,15 @@ def _of(filter: Any, prior: Any, data: Data, batch: tuple[int, ...], runs: Any) 
         there = data.known[kind]
         z = tuple(None if what == NONE else part(values[i], 1) for what, values in zip(there.z, data.z, strict=True))
         dt = data.dt[i]
-        epochs.append(Epoch(int(data.k[i]), float(data.t[i]), part(dt, 0) if dt.ndim else float(dt), _input(data, i, batch, part), z))
+        epochs.append(
+            Epoch(int(data.k[i]), float(data.t[i]), part(dt, 0) if dt.ndim else float(dt), _input(data, i, batch, part), z)
+        )
     return each_run(filter, lambda x: part(x, 2)), some, epochs
 
 
 def _input(data: Data, i: int, batch: tuple[int, ...], part: Any) -> Any:
     """The input of an epoch, of some runs."""
     tree, _ = data.known[data.kinds[i]].u
-    from celnav.filters.engine import rebuilt
-
     leaves = data.u[data.known[data.kinds[i]].u][i]
     own = [part(x, x.ndim - len(batch)) if batch and x.shape[: len(batch)] == batch else x for x in leaves]
     return rebuilt(tree, iter(own))

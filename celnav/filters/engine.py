@@ -8,7 +8,6 @@ takes. Runs that are lost are flown again by the numpy engine, which is the refe
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import fields, is_dataclass
 from functools import partial
@@ -16,19 +15,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.filters.records import Epoch, Epochs, Info, check_interval
-from celnav.filters.sequential import checked, measurements
+from celnav.filters.records import Epoch, Info
 from celnav.gaussian.belief import Gaussian, settled
-from celnav.gaussian.checks import numbers as as_floats
 from celnav.gaussian.checks import together
 from celnav.gaussian.linalg import Array, Covariance, SquareRoot
 from celnav.tape import llvm
-from celnav.tape.numbers import CannotCompile, Number, Numbers, Tape, do
+from celnav.tape.numbers import Numbers
+from celnav.tape.tape import CannotCompile, Number, Tape, as_number, do
 
-TALLY = ("log_likelihood", "missing", "rejected", "failed_at")
+TALLY = ("log_likelihood", "missing", "rejected", "redone", "failed_at")
 """What each run counts, first in its state."""
-FEW = 3  # rows of a flight that keeps nothing, by which it is checked
-CHUNK = 1 << 22  # bytes of measurements and rows of the runs that are flown together
 
 
 # -- trees: nested tuples of arrays ----------------------------------------------------------------------------------------
@@ -113,6 +109,7 @@ class Data(NamedTuple):
     dt: Array
     kinds: list[int]
     known: list[Kind]
+    sensors: Sequence[Any]
     z: list[Array]
     u: dict[Any, dict[int, list[Array]]]
 
@@ -144,7 +141,7 @@ class Engine:
         self.dt = float(moving[0]) if len(moving) == 1 and data.dt.ndim == 1 else None
         self.widths = [z.shape[-1] for z in data.z]
         self.innovations = [sensor.space.minus(z[:1], z[:1]).shape[-1] if z.shape[-1] else 0
-                            for sensor, z in zip(sensors(filter), data.z, strict=True)]  # fmt: skip
+                            for sensor, z in zip(data.sensors, data.z, strict=True)]  # fmt: skip
         one = each_run(filter, lambda array: array[(0,) * (array.ndim - 2)])
         state = one.start(_first_run(prior))
         self.belief, self.form, self.begin = state.belief, type(state.belief), Shape.of(state)
@@ -171,8 +168,8 @@ class Engine:
         tally[:, TALLY.index("failed_at")] = -1.0
         parts = [tally, *(x.reshape(runs, -1) for x in self.constants)]
         for x, (shape, what, _) in zip(self.values, self.begin.arrays, strict=True):
-            at = tuple(np.array(entries(shape, what), int).reshape(-1, len(shape)).T)
-            parts.append(x[(..., *at)].reshape(runs, -1))
+            at: Any = (..., *np.array(entries(shape, what), int).reshape(-1, len(shape)).T)
+            parts.append(x[at].reshape(runs, -1))
         return parts
 
     def inputs(self, found: dict[int, list[Array]], count: int) -> list[tuple[Array, bool]]:
@@ -243,11 +240,12 @@ class Engine:
         for values, own in u:
             shape = values.shape[1 + len(self.batch) * own :]
             x = Numbers(shape)
-            for i in np.ndindex(*shape):
-                x[i] = take("own" if own else "shared", first if own else shared)
+            for where in np.ndindex(*shape):
+                x[where] = take("own" if own else "shared", first if own else shared)
                 first, shared = first + own, shared + (not own)
             parts.append(x if shape else x[()])
-        k, t = take("shared", 0), take("shared", 1)
+        k: Any = take("shared", 0)
+        t = take("shared", 1)
         dt: Any = 0.0 if not kind.moves else take("shared", 2) if self.dt is None else self.dt
         epoch = Epoch(k, t, dt, rebuilt(kind.u[0], iter(parts)), z[0] if len(z) == 1 else tuple(z) if z else None)
 
@@ -268,15 +266,17 @@ class Engine:
 
     def _counted(self, tally: list[Any], belief: Any, infos: Sequence[Info], k: Any) -> list[Any]:
         """Likelihood, missing and rejected components, and when the run was lost; see `celnav.filters.track.Collector`."""
-        likelihood, missing, rejected, failed = tally
+        likelihood, missing, rejected, redone, failed = tally
         for info in infos:
             if (more := info.log_likelihood) is not None:
                 likelihood = do("add", likelihood, _alone(more))
                 absent = np.isnan(np.asanyarray(info.innovation))
                 missing = do("add", missing, _alone(np.add.reduce(absent, -1, int)))
                 rejected = do("add", rejected, _alone(np.add.reduce(~np.asanyarray(info.used) & ~absent, -1, int)))
+            if info.redone is not None:
+                redone = do("add", redone, as_number(_alone(info.redone)))
         lost = do("and", _alone(belief.lost()), do("lt", failed, 0.0))
-        return [likelihood, missing, rejected, do("select", lost, k, failed)]
+        return [likelihood, missing, rejected, redone, do("select", lost, k, failed)]
 
     def _rows(self, belief: Any, infos: Sequence[Info]) -> Iterator[Any]:
         """What is kept of an epoch, in the order in which `columns` names it."""
@@ -310,14 +310,15 @@ def each_run(thing: Any, function: Callable[[Array], Array]) -> Any:
         same = all(a is b for a, b in zip(inner, (thing.func, *thing.args), strict=True))
         return thing if same else partial(*inner, **thing.keywords)
     if isinstance(thing, tuple):
+        make: Any = type(thing)
         parts = [each_run(part, function) for part in thing]
         if all(a is b for a, b in zip(parts, thing, strict=True)):
             return thing
-        return type(thing)(*parts) if hasattr(thing, "_fields") else tuple(parts)
+        return make(*parts) if hasattr(thing, "_fields") else tuple(parts)
     if not is_dataclass(thing) or isinstance(thing, type | Gaussian):
         return thing
     names = {field.name for field in fields(thing)} | set(vars(thing))
-    changed = {}
+    changed: dict[str, Any] = {}
     for name in sorted(names):
         before = getattr(thing, name)
         after = each_run(before, function)
@@ -336,161 +337,3 @@ def _first_run(prior: Any) -> Any:
     mean, P = mean[(0,) * (mean.ndim - 1)], P[(0,) * (P.ndim - 2)]
     root = prior.sqrt_cov[(0,) * (prior.sqrt_cov.ndim - 2)]
     return Gaussian(mean, sqrt_cov=root) if isinstance(prior, Gaussian | SquareRoot) else Covariance(mean, P)
-
-
-# -- data ------------------------------------------------------------------------------------------------------------------
-def sensors(filter: Any) -> Sequence[Any]:
-    """Sensors of a filter, or of its first stage."""
-    inner = filter if hasattr(filter, "sensors") else getattr(getattr(filter, "first", None), "filter", None)
-    if inner is None:
-        raise CannotCompile(f"{type(filter).__name__}: expected a filter such as celnav.ukf(motion, sensor)")
-    found: Sequence[Any] = inner.sensors
-    return found
-
-
-def as_data(filter: Any, epochs: Epochs | Sequence[Epoch]) -> Data:
-    """Epochs as columns."""
-    own = sensors(filter)
-    if isinstance(epochs, Epochs):
-        k, t, dt, u, z = epochs.columns(len(own))
-    else:
-        rows, before = epochs, None
-        if not rows:
-            raise ValueError("epochs: expected at least one, got none")
-        for row in rows:
-            check_interval(filter, row, before)
-            before = row.t
-        k, t = (np.array([getattr(row, name) for row in rows], np.float64) for name in ("k", "t"))
-        dt = np.stack(np.broadcast_arrays(*(np.asarray(row.dt, np.float64) for row in rows)))
-        u = [row.u for row in rows]
-        z = list(zip(*(measurements(row.z, len(own)) for row in rows), strict=True))
-    found = [_measured(sensor, parts) for sensor, parts in zip(own, z, strict=True)]
-    shapes: dict[Any, int] = {}
-    inputs: list[dict[int, list[Array]]] = []
-    which = np.zeros(len(k), int)
-    for i, one in enumerate(u):
-        parts = [_input(x) for x, _ in leaves(one)]
-        shape = rebuilt(one, iter(range(len(parts)))), tuple(x.shape for x in parts)
-        which[i] = shapes.setdefault(shape, len(inputs))
-        if which[i] == len(inputs):
-            inputs.append({})
-        inputs[which[i]][i] = parts
-    moves = (dt.reshape(len(k), -1) != 0.0).any(-1)
-    rows = np.stack([moves, which, *(status for status, _ in found)], -1)
-    different, kinds = np.unique(rows, axis=0, return_inverse=True)
-    trees = list(shapes)
-    known = [Kind(bool(moves), tuple(z), trees[at]) for moves, at, *z in different.tolist()]
-    return Data(k, t, dt, kinds.tolist(), known, [values for _, values in found], dict(zip(trees, inputs, strict=True)))
-
-
-def _input(x: Any) -> Array:
-    """A part of an input."""
-    try:
-        return as_floats("u", x)
-    except ValueError as error:
-        raise CannotCompile(f"an input that is no array of numbers cannot be compiled: {error}") from None
-
-
-def _measured(sensor: Any, parts: Any) -> tuple[Array, Array]:
-    """What there is of a sensor at each epoch, and its measurements ``(T, ..., m)``."""
-    count = len(parts)
-    present = np.array([part is not None for part in parts]) if not isinstance(parts, np.ndarray) else np.ones(count, bool)
-    if not present.any():
-        return np.full(count, NONE), np.zeros((count, 0))
-    if not isinstance(parts, np.ndarray):
-        one = np.full(np.shape(parts[int(np.argmax(present))]), np.nan)
-        parts = np.stack(np.broadcast_arrays(*(one if part is None else as_floats("z", part) for part in parts)))
-    values = checked(parts, sensor)
-    if np.isfinite(np.add.reduce(values, None)):
-        return np.where(present, FULL, NONE), values
-    missing = np.isnan(values)
-    axes = tuple(range(1, values.ndim))
-    there = np.where(missing.all(axes), SILENT, np.where(missing.any(axes), PART, FULL))
-    return np.where(present, there, NONE), values
-
-
-# -- the flight ------------------------------------------------------------------------------------------------------------
-class Flight(NamedTuple):
-    """What a flight leaves: rows ``(K, runs, ...)`` by name, and the tally of each run ``(runs, 4)``."""
-
-    rows: dict[str, Array]
-    tally: Array
-
-
-def fly(engine: Engine, data: Data, every: int, jobs: int) -> Flight:
-    """All runs through all epochs."""
-    runs = int(np.prod(engine.batch))
-    lanes = 1 if runs == 1 else llvm.lanes()
-    inputs = {shape: engine.inputs(found, len(data.k)) for shape, found in data.u.items()}
-    ids: dict[Shape, int] = {engine.begin: 0}
-    plan: dict[tuple[int, int], tuple[int, int]] = {}
-    records: list[Recorded] = []
-    shape, steps = engine.begin, []
-    for kind in data.kinds:
-        at = ids.setdefault(shape, len(ids))
-        if (at, kind) not in plan:
-            made = engine.recorded_as(shape, data.known[kind], inputs[data.known[kind].u], lanes)
-            plan[at, kind] = len(records), ids.setdefault(made.after, len(ids))
-            records.append(made)
-        number, _ = plan[at, kind]
-        steps.append(number)
-        shape = records[number].after
-    size = engine.held + max(x.size for x in ids)
-    E = 3 + max(sum(x[0].size for x, own in parts if not own) for parts in inputs.values())
-    own_sizes = [sum(int(np.prod(x.shape[1 + len(engine.batch) :])) for x, own in parts if own) for parts in inputs.values()]
-    M, T = sum(engine.widths) + max(own_sizes) + (data.dt.ndim > 1), len(data.k)
-    shared = np.zeros((T, E))
-    shared[:, 0], shared[:, 1] = data.k, data.t
-    if data.dt.ndim == 1:
-        shared[:, 2] = data.dt
-    for parts in inputs.values():
-        flat = [x.reshape(T, -1) for x, own in parts if not own]
-        if flat:
-            values = np.concatenate(flat, -1)
-            shared[:, 3 : 3 + values.shape[1]] += values
-    stored = np.where(np.arange(T) % every == 0, np.arange(T) // every, -1)
-    if engine.few:
-        stored[FEW:] = -1
-    names = engine.columns()
-    O, K = sum(names.values()), int(stored.max()) + 1
-    rows = {name: np.empty((K, runs, count)) for name, count in names.items()}
-    tally = np.empty((runs, len(TALLY)))
-    table = (np.array([record.address for record in records], np.uint64), np.array(steps, np.int32), stored.astype(np.int64))
-    z = [np.broadcast_to(x, (T, *engine.batch, x.shape[-1])).reshape(T, runs, -1) if x.ndim > 2 and x.shape[1:-1] != engine.batch
-         else x.reshape(T, -1, x.shape[-1]) for x in data.z if x.shape[-1]]  # fmt: skip
-    per_run = [x.reshape(T, runs, -1) for parts in inputs.values() for x, own in parts if own]
-    loop = llvm.fly()
-
-    def some(first: int, last: int) -> None:
-        count = last - first
-        width = -(-count // lanes) * lanes
-        own = np.empty((T, M, width))
-        at = 0
-        for x in (*z, *per_run):
-            part = x if x.shape[1] == 1 else x[:, first:last]
-            own[:, at : at + x.shape[-1], :count] = part.transpose(0, 2, 1)
-            at += x.shape[-1]
-        own[..., count:] = own[..., count - 1 : count]
-        state = np.zeros((width // lanes, size, lanes))
-        start = np.concatenate([x[first:last] for x in engine.start()], 1)
-        start = np.concatenate([start, np.repeat(start[-1:], width - count, 0)])
-        state[:, : start.shape[1]] = start.reshape(-1, lanes, start.shape[1]).transpose(0, 2, 1)
-        kept = np.empty((K, O, width))
-        pointers = (x.ctypes.data for x in (*table, state, shared, own, kept))
-        loop(*pointers, size, E, M, O, width, lanes, 0, width // lanes, T)
-        at = 0
-        for name, number in names.items():
-            rows[name][:, first:last] = kept[:, at : at + number, :count].transpose(0, 2, 1)
-            at += number
-        tally[first:last] = state[:, : len(TALLY)].transpose(0, 2, 1).reshape(width, -1)[:count]
-
-    chunk = max(lanes, min(-(-runs // jobs), CHUNK // (8 * T * (O + M))) // lanes * lanes)
-    parts = [(first, min(first + chunk, runs)) for first in range(0, runs, chunk)]
-    if jobs > 1 and len(parts) > 1:
-        with ThreadPoolExecutor(jobs) as pool:
-            list(pool.map(lambda part: some(*part), parts))
-    else:
-        for part in parts:
-            some(*part)
-    return Flight(rows, tally)
-

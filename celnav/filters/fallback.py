@@ -13,7 +13,7 @@ from celnav.filters.model import Motion
 from celnav.filters.records import Epoch, Info, State
 from celnav.filters.sequential import Sequential, plain
 from celnav.gaussian.belief import Gaussian
-from celnav.gaussian.linalg import Array, Belief
+from celnav.gaussian.linalg import Array, Belief, surely
 
 Step = tuple[State, tuple[Info, ...]]
 
@@ -53,7 +53,7 @@ class Fallback:
         ahead, _, moved = self._done(state, lambda filter: (filter.predict(state, epoch), ()))
         after, infos, updated = self._done(ahead, lambda filter: filter.update(ahead, epoch))
         redone = moved | updated
-        if redone.any():
+        if not surely(~redone.any()):
             infos = (infos[0]._replace(redone=redone), *infos[1:]) if infos else (Info(redone=redone),)
         return after, infos
 
@@ -61,9 +61,9 @@ class Fallback:
         """A step of the first filter, of the second in runs that the first one loses, and which these are."""
         after, infos = step(self.first)
         lost = _unsound(after.belief)
-        if lost.any():
+        if not surely(~lost.any()):
             lost = lost & ~_unsound(before.belief)
-        if lost.any():
+        if not surely(~lost.any()):
             other, others = step(self.second)
             belief = self.first.form(*(_pick(lost, b, a) for a, b in zip(after.belief, other.belief, strict=True)))
             after, infos = after._replace(belief=belief), tuple(_merged(lost, a, b) for a, b in zip(infos, others, strict=True))
@@ -72,7 +72,7 @@ class Fallback:
 
 def _unsound(belief: Belief) -> Array:
     """Runs ``(...)`` whose belief is not finite or, in covariance form too, not definite."""
-    return np.asarray(~(np.isfinite(belief.mean).all(-1) & np.isfinite(belief.sqrt_cov).all((-2, -1))))
+    return np.asanyarray(~(np.isfinite(belief.mean).all(-1) & np.isfinite(belief.sqrt_cov).all((-2, -1))))
 
 
 def _pick(where: Array, chosen: Array, otherwise: Array) -> Array:

@@ -37,8 +37,8 @@ def run(
     also: ``(epoch, state, infos) -> dict`` of further arrays to store, as ``Track.extra``.
     reduce: ``(accumulated, epoch, state, infos) -> accumulated``, from None; the end is ``Track.reduced``. With it a study of any
         length runs in the memory of one step.
-    engine: "numpy"; "compiled": the filter's own step as machine code, see `celnav.compiled`; "auto": compiled where that can be, and
-        ``Track.engine`` says why not. jobs: threads of compiled code.
+    engine: "numpy"; "compiled": the filter's own step as machine code, see `celnav.compiled`; "auto": compiled where that can be,
+        and ``Track.engine`` says why not. jobs: threads of compiled code.
     on_failure: "raise" a `FilterError` for the first run that is lost, or "flag" it: it becomes nan from there
         (``Track.failed_at``), the other runs go on.
 
@@ -68,7 +68,8 @@ def run(
 
 def _compiled(given: dict[str, Any]) -> Track:
     """`run` with another engine, of its arguments."""
-    from celnav.filters.compiled import CannotCompile, compiled
+    from celnav.filters.compiled import compiled
+    from celnav.tape.tape import CannotCompile
 
     engine, jobs, also, reduce, filter, prior = (given.pop(x) for x in ("engine", "jobs", "also", "reduce", "filter", "prior"))
     times = given["times"] = as_epochs(given.pop("times"), given.pop("z"), given.pop("u"))

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.linalg import blas, lapack
 
 from celnav.gaussian import recorded
+from celnav.tape.numbers import numbers
 
 Array = NDArray[Any]
 
@@ -61,7 +62,7 @@ def tria(A: Array) -> Array:
     No product ``A @ A.mT`` is formed, so half of the digits that a Cholesky factorization would lose are kept.
     """
     if A.dtype.hasobject:
-        return recorded.tria(A)
+        return np.asanyarray(recorded.tria(A))
     n, q = A.shape[-2:]
     if q < n:
         A = np.concatenate([A, np.zeros((*A.shape[:-1], n - q))], -1)
@@ -88,7 +89,7 @@ def _identity(n: int) -> Array:
 def solve_lower(L: Array, B: Array) -> Array:
     """Solve ``L @ X = B`` for lower triangular ``L (..., n, n)`` and ``B (..., n, k)``; a zero on the diagonal gives nan."""
     if L.dtype.hasobject or B.dtype.hasobject:
-        return recorded.solve_lower(L, B)
+        return np.asanyarray(recorded.solve_lower(L, B))
     diagonal = L.diagonal(0, -2, -1)
     if L.ndim == B.ndim == 2 and 0.0 not in diagonal.tolist():
         return np.asanyarray(blas.dtrsm(1.0, L, B, lower=1))  # LAPACK's dtrtrs would start threads, however small the matrix
@@ -147,7 +148,7 @@ def _scaled(P: Array) -> tuple[Array, Array]:
 def cholesky(P: Array) -> Array:
     """Lower root of positive definite ``P (..., n, n)``; nan for each matrix that is not positive definite."""
     if P.dtype.hasobject:
-        return recorded.cholesky(P)
+        return np.asanyarray(recorded.cholesky(P))
     root = _root(P)
     if root is not None or P.ndim == 2:
         return np.full(P.shape, np.nan) if root is None else root
@@ -159,7 +160,7 @@ def cholesky(P: Array) -> Array:
 def semidefinite_root(P: Array) -> Array:
     """Lower root of a covariance ``P (..., n, n)`` that may be singular; nan where it is indefinite beyond round-off."""
     if P.dtype.hasobject:
-        return recorded.semidefinite_root(P, 64 * P.shape[-1] * EPS)
+        return np.asanyarray(recorded.semidefinite_root(P, 64 * P.shape[-1] * EPS))
     root, least = _root(P), 1e-5  # below, a singular matrix may have slipped through on a rounding error
     if root is not None and (root.diagonal(0, -2, -1) > least * np.sqrt(P.diagonal(0, -2, -1))).all():
         return root
@@ -207,7 +208,7 @@ def block(rows: Sequence[Sequence[Any]]) -> Array:
             if type(cell) is not int:
                 shape = cell.shape
                 if cell.dtype.hasobject:
-                    one = cell
+                    one = numbers(cell)
                 heights[i], widths[j] = shape[-2:]
                 if batch is None:
                     batch = shape[:-2]

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from celnav.tape.numbers import Numbers, do, total
+from celnav.tape.numbers import Numbers
+from celnav.tape.tape import do, total
 
 Array = Any
 SMALLEST = 1e-290  # squares below are no reflection
@@ -76,7 +77,8 @@ def cholesky(P: Array) -> Array:
 
 
 def semidefinite_root(P: Array, nothing: float) -> Array:
-    """Lower root of a matrix that may be singular: a column of zeros where a pivot is ``nothing`` of its variance, nan below minus that."""
+    """Lower root of a matrix that may be singular: a pivot that is ``nothing`` of its variance has a column of zeros, one below
+    minus that is lost."""
     n = len(P)
     L = Numbers((n, n))
     for j in range(n):

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.gaussian.checks import finite, number
+from celnav.gaussian.checks import finite, number, numbers
 from celnav.gaussian.linalg import Array, matvec
 
 SEMI_MAJOR_M = 6378137.0
@@ -41,13 +41,13 @@ def normal_gravity(latitude: ArrayLike, height_m: ArrayLike) -> Array:
     s2 = np.square(np.sin(latitude))
     surface = 9.7803253359 * (1.0 + 0.00193185265241 * s2) / np.sqrt(1.0 - ECCENTRICITY_SQUARED * s2)
     m = ROTATION_RATE**2 * SEMI_MAJOR_M**3 * (1.0 - FLATTENING) / GRAVITY_PARAMETER
-    h = np.asarray(height_m) / SEMI_MAJOR_M
+    h = np.asanyarray(height_m) / SEMI_MAJOR_M
     return np.asanyarray(surface * (1.0 - 2.0 * (1.0 + FLATTENING + m - 2.0 * FLATTENING * s2) * h + 3.0 * h * h))
 
 
 def earth_rate(latitude: ArrayLike) -> Array:
     """Rotation of the Earth on east, north, up axes, ``(..., 3)`` rad/s."""
-    L = np.asarray(latitude, dtype=np.float64)
+    L = numbers("latitude", latitude)
     return np.stack([np.zeros_like(L), ROTATION_RATE * np.cos(L), ROTATION_RATE * np.sin(L)], -1)
 
 

@@ -94,7 +94,7 @@ class Gyro:
         T, eye = cross(turn), np.eye(3)
         square = T @ T
         # The matrix of a rotation vector, and its integral over the interval.
-        matrix = np.zeros((*turn.shape[:-1], 6, 6))
+        matrix = np.zeros((*turn.shape[:-1], 6, 6), like=turn)
         matrix[..., :3, :3] = eye - np.sinc(angle / np.pi) * T + first * square
         matrix[..., :3, 3:] = -dt * (eye - first * T + second * square)
         matrix[..., 3:, 3:] = self.factor(dt) * eye

@@ -218,7 +218,7 @@ def gradient(position: Array, earth: Earth = EARTH) -> Array:
     plain = cube * (1.0 + k * (1.0 - 5.0 * s))
     outer = cube * inverse * (-3.0 - 5.0 * k + 35.0 * k * s)
     mixed = -10.0 * cube * k * inverse * z
-    out = np.empty((3, *position.shape))
+    out = np.empty((3, *position.shape), like=position)
     out[0, 0], out[1, 1] = plain + outer * x * x, plain + outer * y * y
     out[0, 1] = out[1, 0] = outer * x * y
     out[0, 2] = out[2, 0] = (outer * z + mixed) * x

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from celnav.tape.numbers import Number, Numbers, Scalar, Tape, do
+from celnav.tape.numbers import Numbers
+from celnav.tape.tape import Number, Scalar, Tape, do
 
 Slopes = dict[int, Scalar]
 """Derivatives with respect to some variables, by their number; of the others it is 0."""
@@ -56,7 +57,9 @@ def _carried(x: Number, known: dict[int, tuple[Scalar, Slopes]]) -> tuple[Scalar
             stack += missing
             continue
         values, slopes = [known[a][0] for a in arguments], [known[a][1] for a in arguments]
-        value = Number(tape, i) if all(v is not None and _same(tape, a, v) for a, v in zip(arguments, values)) else do(name, *values)
+        value = (
+            Number(tape, i) if all(v is not None and _same(tape, a, v) for a, v in zip(arguments, values)) else do(name, *values)
+        )
         known[i] = (value, _chained(name, value, values, slopes))
     return known[x.i]
 

@@ -21,12 +21,13 @@ from collections.abc import Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
-from celnav.tape.numbers import LOGICAL, Number, Scalar, Tape, as_number
+from celnav.tape.tape import Number, Scalar, Tape, as_number
 
 LIBM = (
     "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "exp", "log", "pow", "sinh", "cosh", "tanh", "exp2", "log2", "log10",
     "log1p", "expm1", "cbrt",
 )  # fmt: skip
+BLOCK = 4000  # lines of a basic block
 _BINARY = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
 _COMPARED = {"lt": "olt", "le": "ole", "eq": "oeq", "ne": "une"}
 
@@ -57,13 +58,16 @@ def source(kernel: Kernel, lanes: int, fused: bool) -> str:
     uses.update(x.i for *_, x in results)
     vector = f"<{lanes} x double>" if lanes > 1 else "double"
     code = _Code(lanes, vector, ops)
-    skipped = _fused(needed, ops, uses) if fused else {}
+    joined = _fused(needed, ops, uses) if fused else {}
+    within = set(joined.values())
     for i in needed:
         if ops[i][0] == "in":
             place, at = kernel.inputs[ops[i][1]]
             code.load(i, place, at)
-        elif ops[i][0] != "const" and i not in skipped.values():
-            code.operation(i, skipped.get(i))
+        elif ops[i][0] != "const" and i not in within:
+            code.operation(i, joined.get(i))
+        if len(code.lines) > BLOCK * (code.blocks + 1):
+            code.new_block()
     for place, at, x in results:
         if place == "state":
             code.store(place, at, x.i)
@@ -101,6 +105,12 @@ class _Code:
     def __init__(self, lanes: int, vector: str, ops: Sequence[tuple[Any, ...]]):
         self.lanes, self.vector, self.ops, self.lines = lanes, vector, ops, list[str]()
         self.suffix = f"v{lanes}f64" if lanes > 1 else "f64"
+        self.blocks = 0
+
+    def new_block(self) -> None:
+        """Go on in another basic block: the time that one takes to compile grows faster than its length."""
+        self.blocks += 1
+        self.lines += [f"br label %b{self.blocks}", f"b{self.blocks}:"]
 
     def value(self, i: int) -> str:
         """The name of a number, or the number."""
@@ -278,7 +288,9 @@ def compiled(text: str, name: str) -> tuple[int, Any]:
     module = binding.parse_assembly(text)
     module.verify()
     target = binding.Target.from_default_triple()
-    machine = target.create_target_machine(cpu=binding.get_host_cpu_name(), features=binding.get_host_cpu_features().flatten(), opt=1)
+    machine = target.create_target_machine(
+        cpu=binding.get_host_cpu_name(), features=binding.get_host_cpu_features().flatten(), opt=1
+    )
     engine = binding.create_mcjit_compiler(module, machine)
     engine.finalize_object()
     return engine.get_function_address(name), engine

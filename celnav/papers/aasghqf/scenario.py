@@ -18,7 +18,7 @@ from celnav.filters.model import Motion, Sensor
 from celnav.filters.records import Epoch, Filter, FromFunctions
 from celnav.filters.sequential import Iterated, ekf, sigma_point
 from celnav.gaussian.belief import Gaussian
-from celnav.gaussian.linalg import Array, Belief
+from celnav.gaussian.linalg import Array, Belief, surely
 from celnav.gaussian.rules import Rule, Taylor, cubature, gauss_hermite, simplex, tensor_product, unscented
 from celnav.gaussian.sparse_grid import DELAYED, smolyak
 from celnav.models import earth, inertial
@@ -163,7 +163,7 @@ def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
 def dynamics(x: Array, epoch: Epoch) -> Array:
     """One step of the error model; a point beyond 89 degrees of phi_x is lost (nan), and with it its run."""
     y = inertial.advance(x, epoch.u.interval, epoch.dt)
-    if np.abs(x[..., 0]).max() >= inertial.SINGULAR:
+    if surely(np.abs(x[..., 0]).max() >= inertial.SINGULAR):
         y = np.where(np.abs(x[..., :1]) < inertial.SINGULAR, y, np.nan)
     return y
 

@@ -311,11 +311,11 @@ class Models(NamedTuple):
 
 def models(config: Config, pulled: bool = False) -> Models:
     """The models of a configuration. ``pulled``: whether they know of Sun and Moon."""
-    timing, last = config.timing, list[Any]([np.zeros(0), -1, None])
+    timing, last = config.timing, list[Any]([np.zeros(0), None, None])
 
     def move(mean: Array, epoch: Epoch) -> Any:  # what follows, Jacobian and noise input come from one integration
-        if last[1] != epoch.k or not np.array_equal(last[0], mean[..., :6]):
-            last[:] = mean[..., :6].copy(), epoch.k, flow(mean[..., :6], epoch.dt, extra=pull(epoch.u[2] if pulled else None))
+        if last[1] is not epoch or not np.array_equal(last[0], mean[..., :6]):
+            last[:] = mean[..., :6].copy(), epoch, flow(mean[..., :6], epoch.dt, extra=pull(epoch.u[2] if pulled else None))
         return last[2]
 
     return Models(
