@@ -308,7 +308,7 @@ def each_run(thing: Any, function: Callable[[Array], Array]) -> Any:
     if isinstance(thing, partial):
         inner = [each_run(x, function) for x in (thing.func, *thing.args)]
         same = all(a is b for a, b in zip(inner, (thing.func, *thing.args), strict=True))
-        return thing if same else partial(*inner, **thing.keywords)
+        return thing if same else partial(inner[0], *inner[1:], **thing.keywords)
     if isinstance(thing, tuple):
         make: Any = type(thing)
         parts = [each_run(part, function) for part in thing]
