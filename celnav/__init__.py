@@ -26,6 +26,7 @@ Sources   ``[Sun2015, Eq. 27]`` in a docstring; citations are in ``celnav.papers
 
 from celnav.filters.colored import augmented, colored, decorrelated
 from celnav.filters.compiled import compiled
+from celnav.filters.export import export_c
 from celnav.filters.model import Linear, Motion, Sensor
 from celnav.filters.records import Epoch, Filter, FilterError, epochs
 from celnav.filters.run import run, steps
@@ -67,6 +68,7 @@ __all__ = [
     "decorrelated",
     "ekf",
     "epochs",
+    "export_c",
     "from_filterpy",
     "gauss_hermite",
     "ghkf",
