@@ -77,20 +77,20 @@ def planes(r: Results) -> Figure:
 
 
 def polar(r: Results) -> Figure:
-    """The unscented transform, from polar to Cartesian coordinates."""
+    """The unscented transform, from polar to Cartesian coordinates: points, their images, what is made of those."""
     angle, ellipses = np.linspace(0.0, 2.0 * np.pi, 121), list[Item]()
-    for kind, color, text, style in (("linearized", colors.OPEN_LOOP, "linearized", "-"),
-                                     ("exact", colors.TRUTH, "exact mean, deviation of draws", "-"),
-                                     ("unscented", colors.COMPARISON, "unscented", "--")):  # fmt: skip
+    methods = ("linearized", colors.OPEN_LOOP, "-"), ("exact", colors.TRUTH, "-"), ("unscented", colors.COMPARISON, "--")
+    for kind, color, style in methods:
         mean, std = r.get("polar", kind)
         x, y = mean[:, None] + std[:, None] * np.stack([np.cos(angle), np.sin(angle)])
-        ellipses += [curve(*mean, marker="x", color=color), curve(x, y, Line(f"{text}: mean y = {mean[1]:.4f}", color, style))]
-    points: dict[str, Any] = {"marker": ".", "linestyle": ""}
-    draws = curve(*r.get("polar", "draws").T, markersize=1.0, color=colors.SIGMA, alpha=0.6, **points)
-    images = curve(*r.get("polar", "images").T, color=colors.PAPER, label="images of the points (gray: draws)", **points)
-    return panels([Panel("Figure 3: r = 1 ± 0.02, θ = 90° ± 15°", [draws, images, *ellipses], "x (-)", "y (-)"),
-                   Panel("means and deviations", ellipses, "x (-)", more={"xlim": (-0.3, 0.3), "ylim": (0.9, 1.04)})],
-                  size=(9.0, 3.4))  # fmt: skip
+        ellipses += [curve(*mean, marker="x", color=color), curve(x, y, Line(f"{kind}: mean y = {mean[1]:.4f}", color, style))]
+    dots = Line("draws", colors.SIGMA, ""), Line("sigma points", colors.PAPER, "")
+    clouds = [(r.get("polar", what).T, line, size) for what, line, size in zip(("draws", "images"), dots, (1.0, 6.0))]
+    given = [curve(np.degrees(np.arctan2(y, x)), np.hypot(x, y), dot, marker=".", ms=size) for (x, y), dot, size in clouds]
+    moved = [curve(x, y, dot, marker=".", ms=size) for (x, y), dot, size in clouds]
+    return panels([Panel("Figure 3: r = 1 ± 0.02, θ = 90° ± 15°", given, "θ (deg)", "r (-)", more={"xlim": (150.0, 30.0)}),
+                   Panel("x = r cos θ, y = r sin θ", [*moved, *ellipses], "x (-)", "y (-)"),
+                   Panel("means and deviations", ellipses, "x (-)")], size=(10.0, 3.3))  # fmt: skip
 
 
 def run_of(r: Results, i: int, part: str, title: str, at: str, limit: float, **more: Any) -> Panel:
