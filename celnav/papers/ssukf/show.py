@@ -54,9 +54,10 @@ def angle(axis: int, results: Results) -> Figure:
     start = f"Figure {axis + 1}: one run, from {STANDARD.attitude_deg[axis]:g}°"
     return panels([
         Panel(start, first, "time (s)", f"{AXES[axis]} error (arcsec)", more={"ylim": (-30.0, 30.0)}),
-        Panel(f"RMSE of {errors['aukf'].shape[1]} runs", [*sizes, level(10.0, 5.0, 2.0, label="10, 5, 2")], "time (s)", log="xy"),
+        Panel(f"RMSE of {errors['aukf'].shape[1]} runs", [*sizes, level(10.0, 5.0, 2.0, label="10, 5, 2 arcsec")], "time (s)",
+              "RMSE (arcsec)", "xy"),
         Panel("RMSE over computing time", [curve(spent[name], size[name], LINES[name]) for name in names],
-              "CPU time of one run at 100 Hz (s)", log="xy"),
+              "CPU time of one run at 100 Hz (s)", "RMSE (arcsec)", "xy"),
     ], size=(10.0, 3.4))  # fmt: skip
 
 
