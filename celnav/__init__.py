@@ -38,7 +38,9 @@ from celnav.gaussian.rules import Rule, Taylor, cubature, from_filterpy, gauss_h
 from celnav.gaussian.spaces import EUCLIDEAN, angles, product
 from celnav.gaussian.sparse_grid import smolyak
 from celnav.lazy import modules
+from celnav.study.problem import Problem, compare
 from celnav.study.simulate import simulate
+from celnav.study.trial import Group
 
 __version__ = "0.1.0"
 
@@ -50,8 +52,10 @@ __all__ = [
     "Filter",
     "FilterError",
     "Gaussian",
+    "Group",
     "Linear",
     "Motion",
+    "Problem",
     "Rule",
     "Sensor",
     "Taylor",
@@ -61,6 +65,7 @@ __all__ = [
     "augmented",
     "ckf",
     "colored",
+    "compare",
     "cubature",
     "decorrelated",
     "ekf",
