@@ -42,7 +42,7 @@ def test_a_lesson_has_the_algorithm_and_something_to_try(path):
     assert (ended - begun).total_seconds() < 5.0
 
 
-LINKED = ["csrukf", "ssukf"]
+LINKED = ["csrukf", "ssukf", "tstdkf"]
 
 
 @pytest.mark.parametrize("path", [path for path in LESSONS if path.stem[3:] in LINKED], ids=lambda p: p.stem)
