@@ -42,10 +42,7 @@ def test_a_lesson_has_the_algorithm_and_something_to_try(path):
     assert (ended - begun).total_seconds() < 5.0
 
 
-LINKED = ["csrukf", "ssukf", "aasghqf", "aukf"]
-
-
-@pytest.mark.parametrize("path", [path for path in LESSONS if path.stem[3:] in LINKED], ids=lambda p: p.stem)
+@pytest.mark.parametrize("path", LESSONS, ids=lambda p: p.stem)
 def test_each_verdict_leads_to_the_cell_that_decides_it(path):
     cells = nbformat.read(path, as_version=4).cells
     statements = sorted(row.id for row in load(path.stem[3:]).STUDY.rows if row.kind == "statement")

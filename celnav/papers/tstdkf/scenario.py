@@ -144,11 +144,9 @@ class Config(Parameters):
         """Error ``(..., 3)`` km of the ephemeris, ``t`` s after the start [Xu2024, Eqs 17, 69, 70; inferred], if not constant."""
         angle = 2.0 * np.pi / YEAR_S * np.asarray(t)[..., None]
         A, phase = np.asarray(self.amplitude_km), np.asarray(self.phase)
-        if self.trend == "sine":
-            return np.asarray(A * np.sin(angle + phase))
-        if self.trend == "growing":
-            return np.asarray(A * (1.5 * angle / (2.0 * np.pi) - 0.75 + 0.5 * np.sin(2.0 * angle + phase)))
-        return np.asarray(A * (2.0 / np.pi) * np.arcsin(np.cos(angle + phase)))
+        growing = 1.5 * angle / (2.0 * np.pi) - 0.75 + 0.5 * np.sin(2.0 * angle + phase)
+        triangle = (2.0 / np.pi) * np.arcsin(np.cos(angle + phase))
+        return np.asarray(A * {"sine": np.sin(angle + phase), "growing": growing}.get(self.trend, triangle))
 
 
 TABLE_5 = Config()
