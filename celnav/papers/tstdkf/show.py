@@ -33,9 +33,10 @@ if TYPE_CHECKING:
 AXES, SHADES, DAYS = ("x", "y", "z"), (colors.COMPARISON, colors.ESTIMATE, colors.TRUTH), "time (days)"
 ERROR, TRACKED = "ephemeris error (km)", ("tkf", "C", "B", "aug")
 LINES = {
-    "ekf": Line("EKF", colors.OPEN_LOOP), "tkf": Line("TKF", colors.COMPARISON), "tdkf": Line("TDKF", colors.FAINT, "--", 1.6),
-    "tstdkf": Line("TSTDKF", colors.ESTIMATE), "aug": Line("AUG (exact)", colors.REFERENCE), "B": Line("its form B", colors.PAPER),
-    "C": Line("TSTDKF, form C", colors.ESTIMATE), "fair": Line("TKF, stationary covariances", colors.MEASUREMENT, "--"),
+    "ekf": Line("EKF", colors.OPEN_LOOP), "tkf": Line("TKF", colors.COMPARISON), "tdkf": Line("TDKF", colors.FAINT, "--", 0.9),
+    "tstdkf": Line("TSTDKF", colors.ESTIMATE, width=1.9), "aug": Line("AUG (exact)", colors.REFERENCE),
+    "fair": Line("TKF, stationary covariances", colors.MEASUREMENT, "--"),
+    "C": Line("TSTDKF, form C", colors.ESTIMATE), "B": Line("TSTDKF, form B", colors.PAPER),
 }  # fmt: skip
 
 
@@ -62,7 +63,7 @@ def principle(results: Results) -> Figure:
         (zero, ahead, "", colors.SIGMA), (satellite, satellite + ahead, f"to {c.pulsars[0]}", colors.SIGMA),
     ):  # fmt: skip
         ax.annotate("", end, start, arrowprops={"arrowstyle": "->", "color": color, "lw": 1.6})
-        ax.annotate(label, 0.5 * (start + end), color=color, xytext=(6, -10), textcoords="offset points")
+        ax.annotate(label, 0.5 * (start + end), color=color, xytext=(6, -13), textcoords="offset points")
     for name, where in (("barycenter", zero), ("Earth", at), ("satellite", satellite)):
         ax.annotate(name, where, xytext=(-4, 6), textcoords="offset points", ha="right")
     ax.plot(*np.stack([zero, at, satellite], 1), "o", color="black", markersize=4)
@@ -267,8 +268,7 @@ TABLES = {
 
 # -- recordings --------------------------------------------------------------------------------------------------------------
 RECORDINGS = ["tstdkf.rrd", "tstdkf_year.rrd"]
-SHOWN = {"tstdkf": 9, "aug": 9, "tkf": 9, "ekf": 6}
-"""Filters, and how many components they estimate of orbit and bias."""
+SHOWN = {"tstdkf": 9, "aug": 9, "tkf": 9, "ekf": 6}  # filters, and how many components they estimate of orbit and bias
 ARROW_KM, EARTH_KM, AU_KM, EXAGGERATION = 4000.0, 6378.137, 1.495978707e8, 1000.0
 SPACES = (
     Space("world", f"about the Earth, km (errors x{EXAGGERATION:g})", (15e3, 11e3, 9e3)),
