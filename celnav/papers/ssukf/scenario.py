@@ -21,7 +21,7 @@ from celnav.gaussian.spaces import EUCLIDEAN, Space, product
 from celnav.models.gyro import Body, Gyro, preintegrate
 from celnav.papers import citation
 from celnav.study.montecarlo import normals, steps
-from celnav.study.parameters import Parameters, param
+from celnav.study.parameters import Timed, param
 from celnav.study.trial import Group, Trial
 
 TITLE = "State-switching unscented Kalman filter for attitude"
@@ -33,7 +33,7 @@ RADIUS_KM = 6378.137 + 800.0
 
 # -- parameters --------------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
-class Config(Parameters):
+class Config(Timed):
     """Everything that a run depends on; angles in degrees, as the paper prints them."""
 
     orbit_rate_rad_per_s: float = param(1e-3, "paper", "of the circular orbit; gravity turns the body with it")

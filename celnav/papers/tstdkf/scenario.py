@@ -31,7 +31,7 @@ from celnav.models.pulsar import LIGHT_KM_S, Timing, pulsars
 from celnav.papers import citation
 from celnav.papers.tstdkf.method import Differenced, Noise, ar1_noise, strong_tracking
 from celnav.study.montecarlo import normals, steps
-from celnav.study.parameters import Parameters, param
+from celnav.study.parameters import Parameters, Timed, param
 from celnav.study.study import Rngs
 from celnav.study.trial import Group, Trial
 
@@ -57,7 +57,7 @@ SETTINGS = {1: Setting(), 2: Setting(kappa=0.0), 3: Setting(0.5, 0.0, 0.0), 4: S
 
 
 @dataclass(frozen=True)
-class Config(Parameters):
+class Config(Timed):
     """Everything that a run depends on."""
 
     start_utc: str = param("2015-10-17T04:00:00", "paper", "date and time of the start, UTC")
