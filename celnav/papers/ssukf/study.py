@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from copy import deepcopy
 from dataclasses import replace
 from functools import partial
 from operator import itemgetter
@@ -82,8 +83,7 @@ def apart(a: Array, b: Array) -> Array:
 
 def changes(config: Config, rngs: Rngs) -> dict[str, Array]:
     """Differences ``(2, runs)``, see `apart`: of the SSUKF at 100 and at 4 Hz, of the AUKF with either lambda."""
-    full = simulate(config, rngs)
-    sim = full.integrated()
+    full, sim = (simulate(replace(config, preintegrated=whether), deepcopy(rngs)) for whether in (False, True))
     return {"ssukf": apart(means(full, "ssukf"), means(sim, "ssukf")),
             "as printed": apart(means(sim, "aukf"), means(sim, "aukf", c=PRINTED_SPREAD))}  # fmt: skip
 
