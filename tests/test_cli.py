@@ -193,7 +193,7 @@ def test_a_picture_that_cannot_be_is_one_line(tmp_path, monkeypatch, capsys, opt
     from celnav.show import recording, views
 
     monkeypatch.chdir(tmp_path)
-    with recording.recording(tmp_path / "a.rrd", np.arange(3.0), name="a", layout=views.text("info", "info")) as out:
+    with recording.recording(tmp_path / "a.rrd", np.arange(3.0), name="a", layout=views.text(origin="info")) as out:
         out.curve("x", np.arange(3.0), "#000000", "x")
     assert cli.main(["view", "a.rrd", *options]) == 2
     assert capsys.readouterr().err == f"celnav: {text}\n"
