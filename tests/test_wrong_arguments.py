@@ -200,7 +200,7 @@ CALLS = {
     "recording.Recorder.event": dict(entity="a", seconds=1.0, message="a"),
     "recording.Recorder.exact": dict(entity="a", a=TIMES),
     "views.space": dict(origin="a", name="a", eye=[1.0, 0.0, 0.0], target=[0.0, 0.0, 0.0], up=[0.0, 0.0, 1.0], growing={"a": 1.0}),
-    "views.plot": dict(origin="a", name="a", times=TIMES, limits=(0.0, 1.0)),
+    "views.plot": dict(origin="a", name="a", times=TIMES, limits=(0.0, 1.0), legend=0.1),
     "figures.figure": dict(width=3.0, height=2.0, rows=1, columns=2),
     "constellation.geostationary": dict(number=1, elapsed_s=60.0),
     "constellation.synthetic": dict(toe=345600.0),

@@ -35,7 +35,7 @@ def sightings(out: Recorder, origin: str, position: Array, velocity: Array, star
     ``stars (k, 3)``, the sphere's limb, and the angles between the vertical and the stars, and between the limb's sight lines."""
     out.globe(f"{origin}/earth", radius)
     out.path(f"{origin}/orbit", [position], colors.FAINT)
-    track(out, f"{origin}/truth", position, colors.TRUTH, "satellite", radius=3.5)
+    track(out, f"{origin}/truth", position, colors.TRUTH, radius=3.5)
     for i, star in enumerate(stars, start=1):
         out.arrow(f"{origin}/stars/i{i}", position, np.broadcast_to(0.9 * radius * star, position.shape), colors.STAR, f"i{i}")
     touched = limb(position, velocity, radius)

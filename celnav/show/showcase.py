@@ -285,9 +285,9 @@ def _layout(showcase: Showcase, rows: Mapping[str, Mapping[str, Plot]], size: fl
         scenes = [views.space(s.origin, s.title, eye=s.eye, target=s.target, up=s.up, growing=dict.fromkeys(s.growing, np.inf))
                   for s in showcase.spaces]  # fmt: skip
         left = [views.tabs(*scenes), *left]
-    # Where there is no scene, there is room for all plots of a row at once.
-    arranged = views.tabs if showcase.spaces else views.columns
-    right = {row: [views.plot(_entity("plots", row, name), p.title, times, limits=p.limits, legend=p.legend)
+    # Where there is no scene, there is room for all plots of a row at once, in which a legend takes more.
+    arranged, legend = (views.tabs, 0.24) if showcase.spaces else (views.columns, 0.42)
+    right = {row: [views.plot(_entity("plots", row, name), p.title, times, limits=p.limits, legend=legend * p.legend)
                    for name, p in plots.items()] for row, plots in rows.items()}  # fmt: skip
     below = [views.tabs(*right.pop(row)) for row in ("consistency", "rmse") if row in right]
     drawn = [*(arranged(*plots) for plots in right.values()), *([views.columns(*below)] if below else [])]

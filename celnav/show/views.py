@@ -14,7 +14,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import ArrayLike
 
-from celnav.gaussian.checks import finite, instance, numbers
+from celnav.gaussian.checks import finite, instance, number, numbers
 from celnav.gaussian.linalg import Array
 
 TIMELINE = "t"
@@ -63,20 +63,21 @@ def space(
     )
 
 
-def plot(origin: str, name: str, times: Array, *, limits: tuple[float, float] | None = None, legend: bool = True) -> Any:
+def plot(origin: str, name: str, times: Array, *, limits: tuple[float, float] | None = None, legend: float = 0.24) -> Any:
     """A plot of the curves below ``origin`` over the whole run (by default the viewer scrolls), with ``limits`` of its y axis.
 
-    The legend takes a part of the time axis after the run, where it hides nothing.
+    ``legend``: so much of the run the time axis goes on after it, where the legend hides nothing; 0: no legend.
     """
+    legend = number("legend", legend, 0.0)
     times = finite("times", times, ("T",))
     span = float(times[-1] - times[0])
-    ends = times[0] - 0.02 * span, times[-1] + (0.24 if legend else 0.06) * span
+    ends = times[0] - 0.02 * span, times[-1] + (legend or 0.06) * span
     start, end = (rrb.TimeRangeBoundary.absolute(seconds=float(t)) for t in ends)
     return rrb.TimeSeriesView(
         **_named(origin, name),
         axis_x=rrb.TimeAxis(view_range=rr.TimeRange(start=start, end=end)),
         axis_y=None if limits is None else rrb.ScalarAxis(range=finite("limits", limits, (2,)).tolist()),
-        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=legend),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=legend > 0.0),
     )
 
 

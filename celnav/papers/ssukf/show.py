@@ -173,7 +173,7 @@ def scene(out: Recorder, angles: Array, truth: Array, errors: Mapping[str, tuple
     out.path("world/orbit", [orbit], colors.FAINT)
     out.arrow("world/nadir", place, -0.6 * ARM_KM / RADIUS_KM * place, colors.MEASUREMENT, "nadir")
     out.pose("world/sat", place, truth)
-    out.axes("world/sat/body", ARM_KM, ("#E63946", "#2A9D8F", "#457B9D"), AXES)
+    out.axes("world/sat/body", ARM_KM, ("#E63946", "#2A9D8F", "#457B9D"))
     sights = np.sqrt(2.0) * ARM_KM * np.array([[[0.0, 0.0, 0.0], [0.0, sign, -1.0]] for sign in (1.0, -1.0)])
     out.path("world/sat/boresights", list(sights), colors.STAR, radius=1.0)
     out.axes("body/truth", 1.0, [colors.TRUTH] * 3, AXES, radius=1.0)

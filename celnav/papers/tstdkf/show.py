@@ -269,9 +269,9 @@ TABLES = {
 # -- recordings --------------------------------------------------------------------------------------------------------------
 RECORDINGS = ["tstdkf.rrd", "tstdkf_year.rrd"]
 SHOWN = {"tstdkf": 9, "aug": 9, "tkf": 9, "ekf": 6}  # filters, and how many components they estimate of orbit and bias
-ARROW_KM, EARTH_KM, AU_KM, EXAGGERATION = 4000.0, 6378.137, 1.495978707e8, 1000.0
+ARROW_KM, EARTH_KM, AU_KM, EXAGGERATION = 6000.0, 6378.137, 1.495978707e8, 1000.0
 SPACES = (
-    Space("world", f"about the Earth, km (errors x{EXAGGERATION:g})", (15e3, 11e3, 9e3)),
+    Space("world", f"about the Earth, km (errors x{EXAGGERATION:g})", (20e3, 15e3, 12e3)),
     Space("sun", "around the Sun, AU", (0.5, -2.2, 1.6)),
 )
 MONTH = f"""# Xu et al. (2024): two stages and strong tracking for X-ray pulsars
@@ -308,11 +308,11 @@ def month(results: Results) -> Showcase:
         out.globe("world/earth", EARTH_KM)
         out.points("world/sat/truth", place, colors.TRUTH, radius=5.0)
         orbits = np.stack([scenes.behind(points, 20, rows.step) for _, points in tracks.values()], 1)
-        out.strips("world/sat/orbits", orbits, [color for color, _ in tracks.values()], labels=list(tracks))
+        out.strips("world/sat/orbits", orbits, [color for color, _ in tracks.values()])
         out.ellipsoids("world/sat/aug", place, EXAGGERATION**2 * known["1/aug"][rows, :3, :3], LINES["aug"].color, alpha=0.1)
         for body, color in (("sun", colors.STAR), ("moon", colors.BODY)):
             arrow = ARROW_KM / np.linalg.norm(pulls["moon"], axis=1).max() * pulls[body][1:][rows]
-            out.arrow(f"world/pull/{body}", place, arrow, color, body)
+            out.arrow(f"world/pull/{body}", place, arrow, color, "")
         earth, sun = (de421().state(body, from_utc(c.start_utc).after(t[rows])).position / AU_KM for body in ("earth", "sun"))
         days = from_utc(c.start_utc).after(np.linspace(0.0, s.YEAR_S, 366))
         out.path("sun/orbit", [(de421().state("earth", days).position - de421().state("sun", days).position) / AU_KM], colors.FAINT)
@@ -321,7 +321,7 @@ def month(results: Results) -> Showcase:
         out.points("sun/earth", earth - sun, colors.BODY, radius=5.0, label="Earth")
         for name, direction in zip(c.pulsars, c.timing.directions, strict=True):
             out.arrow(f"sun/pulsar/{name}", earth - sun, np.tile(0.5 * direction, (len(earth), 1)), colors.STAR, name)
-            out.arrow(f"world/pulsar/{name}", place, np.tile(ARROW_KM * direction, (len(earth), 1)), colors.STAR, name)
+            out.arrow(f"world/pulsar/{name}", place, np.tile(2.0 * ARROW_KM * direction, (len(earth), 1)), colors.STAR, name)
 
     groups = (*(Group(*group) for group in s.GROUPS), Group("bias", "km", slice(6, 9), truth=truth[rows, 6:]))
     return Showcase(
