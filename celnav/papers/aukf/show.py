@@ -247,8 +247,7 @@ def _burst(results: Results) -> Showcase:
             cov = None if e.cov is None else local @ e.cov[:, :3, :3] @ local.T
             scenes.track(out, f"track/{key}", truth + e.errors[:, 0, :3] @ local.T, e.color, e.label, cov=cov)
 
-    growing = [f"track/{name}/trail" for name in ("truth", *NAMES)]
-    start, end = c.burst_s
+    growing, (start, end) = [f"track/{name}/trail" for name in ("truth", *NAMES)], c.burst_s
     return Showcase(
         "aukf: burst", NOTES.format(c), c.times, found,
         [Group("position", "m", slice(0, 3), axes="XYZ"), Group("velocity", "m/s", slice(3, 6), axes="XYZ")],

@@ -194,8 +194,7 @@ def _case(results: Results, case: str) -> showcase.Showcase:
     c, number, phi = results.parts[case].config, results.parts[case].number, case.rpartition("/")[2]
     sim = simulate(c, [generator(results.seed, number, 0)])
     found, truth, z = again(results, case, {"csrukf": CSRUKF, "srukf": SRUKF, "openloop": OPEN})
-    V = sim.noise[:, 0]
-    track, noise = run(filters(c)["augmented"], sim.prior, sim.epochs(), keep="std"), {}
+    track, V, noise = run(filters(c)["augmented"], sim.prior, sim.epochs(), keep="std"), sim.noise[:, 0], {}
     for i, axis in enumerate("xyz"):
         mean, std = np.asarray(track.mean)[:, 0, 6 + i], np.asarray(track.std)[:, 0, 6 + i]
         augmented = Curve(mean, colors.REFERENCE, "augmented filter", std, mean)

@@ -158,13 +158,12 @@ def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
 
     few = [sampled(rngs[k : k + 50]) for k in range(0, len(rngs), 50)]  # more at the gyro's rate take gigabytes
     (initial,), gyro, drift, star, sign = (np.concatenate(part, 1) for part in zip(*few, strict=True))
-    q = q[:: c.ratio]
+    q, P = q[:: c.ratio], np.diag(c.sigma0**2)
     stars = np.where(sign < 0.0, -1.0, 1.0) * attitude.multiply(attitude.exp(c.sigma_n * star), q)
     stars[0] = np.nan
     truth = np.concatenate([np.broadcast_to(q, stars.shape), drift], -1)
-    drawn, P = displaced(truth[0], initial * c.sigma0), np.diag(c.sigma0**2)
     mean = np.tile(np.append(attitude.IDENTITY, np.zeros(3)), (len(rngs), 1))
-    return Scenario(c, truth, gyro, stars, Gaussian(mean, P), Gaussian(drawn, P))
+    return Scenario(c, truth, gyro, stars, Gaussian(mean, P), Gaussian(displaced(truth[0], initial * c.sigma0), P))
 
 
 def displaced(truth: Array, error: Array) -> Array:
