@@ -609,10 +609,10 @@ STUDY = Study(
     "tstdkf", LENGTHS, s.trial, parts, [open_if_short(row) for row in (*ROWS, *CHECKS)], windows=windows,
     figure="figure_09",
     says="A two-stage filter that differences colored timings and boosts its estimate of the Earth's ephemeris error has half the "
-    "position error of an EKF and two thirds of a two-stage filter's, is best in five settings of the noise, and tracks that error "
-    "for a year.",
-    found="Both percentages come out to a point with two fitted parameters; most of the second is owed to baselines that are "
-    "given the wrong covariances. It is best in one setting of five, and worse than a plain two-stage filter where the noise is "
-    "white. It tracks in a stronger form only than the one that makes the table come out. The exact filter beats all, and is the "
-    "only consistent one; the ephemerides differ by less than 2 km, not by tens.",
+    "position error of an EKF, and two thirds of a two-stage filter's. It is best in five settings of the noise, and tracks that "
+    "error for a year.",
+    found="With two fitted parameters both percentages come out to a point, but most of the second is owed to baselines with "
+    "wrong covariances. It is best in one setting of five; in white noise a plain two-stage filter is better. The form that gives "
+    "the table does not track, a stronger one does. The exact filter beats all, and it alone is consistent. The ephemerides "
+    "differ by less than 2 km, not by tens.",
 )  # fmt: skip
