@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from dataclasses import asdict, replace
@@ -68,6 +69,14 @@ def study(monkeypatch):
 
     use()
     return use
+
+
+def test_reproduce_tells_the_share_and_the_time_left_of_figures_and_recordings_too(study, tmp_path, capsys):
+    assert cli.main(["reproduce", "--out", str(tmp_path), "--effort", "1", "--jobs", "1"]) == 0
+    told = [line for line in capsys.readouterr().out.splitlines() if line.startswith("celnav: ")]
+    assert [line.rpartition(": ")[2] for line in told] == ["all", "all", "ledger", "figures", "recordings"]
+    shares = [int(re.match(r"celnav: (\d+)%, .* left: ", line)[1]) for line in told]
+    assert shares == [5, 9, 9, 18, 64]  # one CPU second of runs, ten of what is made of them
 
 
 def test_reproduce_writes_everything_and_replaces_its_own(study, tmp_path, capsys):

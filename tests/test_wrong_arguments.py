@@ -71,7 +71,7 @@ study: Results Results.at Results.claims Results.error Results.first Results.get
     Results.times Results.value Study Study.at_hand Study.reproduce Study.results Study.units Unit.check Unit.do fly together
 page: document figure link linked table
 picture: command end picture
-progress: Progress Progress.add Progress.close RunProgress
+progress: Progress Progress.add Progress.close Progress.say RunProgress
 estimates: Estimate Estimate.error Estimate.sigma again
 plots: draw
 scenes: arc behind beside constellation flight sigma_points sightings track turning unit

@@ -148,10 +148,10 @@ def _write(paper: str, one: ModuleType, results: Results, outputs: Outputs, prog
     outputs.text("timings.json", json.dumps(record, indent=1) + "\n")
     for kind in ("statement", "check"):
         count = Counter(claim.verdict for claim in claims if claim.kind == kind)
-        print(f"{paper}: {kind}s: {', '.join(f'{number} {verdict}' for verdict, number in sorted(count.items()))}")
+        progress.say(f"{paper}: {kind}s: {', '.join(f'{number} {verdict}' for verdict, number in sorted(count.items()))}")
     failures = [claim for claim in claims if claim.failure]
     for claim in failures:
-        print(f"{paper}: not as expected: {claim.id}: {claim.verdict}, expected {claim.expected}: {claim.row.says}")
+        progress.say(f"{paper}: not as expected: {claim.id}: {claim.verdict}, expected {claim.expected}: {claim.row.says}")
     return len(failures)
 
 

@@ -20,7 +20,7 @@ class Progress:
             from tqdm import tqdm
 
             form = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}{postfix}"
-            self._bar = tqdm(total=self._total, initial=done, desc=name, file=sys.stderr, bar_format=form)
+            self._bar = tqdm(total=self._total, initial=done, desc=name, file=sys.stderr, bar_format=form, smoothing=0.0)
         elif done > 0.0:
             print(f"{name}: {done / self._total:.0%} was done before", flush=True)
 
@@ -34,6 +34,12 @@ class Progress:
         elif label:
             time = f", {_duration((monotonic() - self._start) * left / here)} left" if here else ""
             print(f"{self._name}: {self._done / self._total:.0%}{time}: {label}", flush=True)
+
+    def say(self, line: str) -> None:
+        """A line of its own."""
+        if self._bar is not None:
+            self._bar.clear()
+        print(line, flush=True)
 
     def close(self) -> None:
         """Nothing more comes."""
