@@ -40,7 +40,9 @@ from celnav.gaussian.rules import Rule, Taylor, cubature, from_filterpy, gauss_h
 from celnav.gaussian.spaces import EUCLIDEAN, angles, product
 from celnav.gaussian.sparse_grid import smolyak
 from celnav.lazy import modules
+from celnav.study.problem import Problem, compare
 from celnav.study.simulate import simulate
+from celnav.study.trial import Group
 
 __version__ = "0.1.0"
 
@@ -52,8 +54,10 @@ __all__ = [
     "Filter",
     "FilterError",
     "Gaussian",
+    "Group",
     "Linear",
     "Motion",
+    "Problem",
     "Rule",
     "Sensor",
     "Taylor",
@@ -63,6 +67,7 @@ __all__ = [
     "augmented",
     "ckf",
     "colored",
+    "compare",
     "compiled",
     "cubature",
     "decorrelated",

@@ -6,9 +6,10 @@ A paper is data over this: configurations, filters by name, parts, rows of a led
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
+from itertools import groupby
 from pathlib import Path
 from time import process_time
 from typing import Any, NamedTuple
@@ -37,7 +38,7 @@ class Part(NamedTuple):
     work: ``(config, rngs) ->`` arrays by name. Those of two axes or more have the runs second, ``(T, runs, ...)``, and are joined
         over blocks; the others have to be the same in all of them.
     config: first argument of ``work``. number: of its random numbers. runs: at full effort.
-    block: runs computed together at most; it changes nothing beyond round-off. cost: CPU seconds of the whole, roughly.
+    block: runs computed together at most; it changes nothing beyond round-off. cost: CPU seconds of them all, roughly.
     """
 
     work: Callable[[Any, Rngs], dict[str, Array]]
@@ -122,15 +123,13 @@ class Study:
             if not only or name in only:
                 count = part.runs if part.runs == 1 else run_count(part.runs, None, effort)
                 for runs in blocks(count, part.block):
-                    units.append(Unit(self.name, name, part, seed, runs, about, part.cost * len(runs) / count))
+                    units.append(Unit(self.name, name, part, seed, runs, about, part.cost * len(runs) / part.runs))
         return units
 
-    def results(self, units: Sequence[Unit], found: Sequence[dict[str, Array]], *, effort: float = 1.0) -> Results:
-        """What units gave, in their order, joined over runs."""
-        parts: dict[str, list[dict[str, Array]]] = {}
-        for unit, arrays in zip(units, found, strict=True):
-            parts.setdefault(unit.part, []).append(arrays)
-        joined = {name: _joined(arrays) for name, arrays in parts.items()}
+    def results(self, units: Sequence[Unit], found: Iterable[dict[str, Array]], *, effort: float = 1.0) -> Results:
+        """What units gave, in their order, joined over runs. One part is joined before the next is asked for: they are large."""
+        parts = groupby(zip(units, found, strict=True), lambda pair: pair[0].part)
+        joined = {name: _joined([arrays for _, arrays in pairs]) for name, pairs in parts}
         return Results(self, units[0].seed, effort, {unit.part: unit.work for unit in units}, joined)
 
     def reproduce(self, *, effort: float = 1.0, out: str | Path | None = None, **options: Any) -> Results:
@@ -140,7 +139,7 @@ class Study:
         """
         units = self.units(effort=effort, **options)
         store = None if out is None else existing(Path(out) / self.name / RESULTS)
-        found = [store.read(unit) if store is not None and store.has(unit) else unit.do() for unit in units]
+        found = (store.read(unit) if store is not None and store.has(unit) else unit.do() for unit in units)
         return self.results(units, found, effort=effort)
 
     def at_hand(self, out: str | Path = "out", *, small: float = 0.02) -> Results:
@@ -189,11 +188,11 @@ class Unit(NamedTuple):
 
 
 def _joined(found: Sequence[dict[str, Array]]) -> dict[str, Array]:
-    """Arrays of the blocks of a part, along their runs."""
-    if len(found) == 1:  # not copied: some are large
+    """Arrays of the blocks of a part, along their runs; they are taken out of ``found``, so that none is there twice for long."""
+    if len(found) == 1:
         return found[0]
-    parts = {name: [arrays[name] for arrays in found] for name in found[0]}
-    return {name: np.concatenate(part, 1) if part[0].ndim > 1 else part[0] for name, part in parts.items()}
+    parts = ((name, [arrays.pop(name) for arrays in found]) for name in list(found[0]))
+    return {name: np.concatenate(part, 1) if part[0].ndim > 1 else part[0] for name, part in parts}
 
 
 @dataclass(frozen=True, eq=False)

@@ -47,8 +47,8 @@ _FOLD: dict[str, Callable[..., Any]] = {
     "lt": np.less, "le": np.less_equal, "eq": np.equal, "ne": np.not_equal, "and": np.logical_and, "or": np.logical_or,
     "not": np.logical_not, "select": lambda c, a, b: a if c else b,
 }  # fmt: skip
+"""What operations do to numbers that are known; "pow2" is two to a whole number, "exponent" the one of a normal number."""
 MOST = 50_000  # operations on a tape: some five seconds of compiling
-"""Also, as parts of others: "pow2" two to a whole number, "exponent" the one of a normal number."""
 LOGICAL: Final = frozenset(("lt", "le", "eq", "ne", "and", "or", "not"))
 """Operations whose results are true or false."""
 
