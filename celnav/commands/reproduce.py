@@ -24,6 +24,7 @@ from celnav import papers
 from celnav.campaign.engine import UnfinishedError, compute
 from celnav.commands.arguments import UsageError, cores, fraction, module, whole, workers
 from celnav.files import Outputs, locked, remove_leftovers
+from celnav.filters.run import ENGINE
 from celnav.gaussian.linalg import Array
 from celnav.show.progress import Progress
 from celnav.store import RESULTS, Store, resumed
@@ -54,7 +55,9 @@ def run(options: argparse.Namespace) -> int:
     with locked(out):
         remove_leftovers(out, *(out / paper / below for paper in chosen for below in ("", "figures", "tables")))
         stores = {paper: resumed(out / paper / RESULTS) for paper in modules}
+        token = ENGINE.set(options.engine)
         units = {paper: one.STUDY.units(effort=part, seed=seed, **_inputs(one, options)) for paper, one in modules.items()}
+        ENGINE.reset(token)
         left = {paper: [unit for unit in own if not _kept(stores[paper], unit)] for paper, own in units.items()}
         total, missing = (sum(unit.cost for own in which.values() for unit in own) for which in (units, left))
         progress = Progress("celnav", total + len(units) * sum(WRITING_S.values()), total - missing)

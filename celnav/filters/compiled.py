@@ -54,7 +54,9 @@ class Compiled:
         except CannotCompile:
             raise
         except (ArithmeticError, AttributeError, IndexError, LookupError, TypeError, ValueError) as error:
-            run(self.filter, prior, epochs[:CHECKED], every=every, keep=keep)  # what is wrong anyhow is told as ever
+            run(
+                self.filter, prior, epochs[:CHECKED], every=every, keep=keep, engine="numpy"
+            )  # what is wrong anyhow is told as ever
             raise CannotCompile(f"{error}{_place(error)}") from error
         track = _track(engine, data, flight, every)
         if keep == "cov":
@@ -71,7 +73,7 @@ class Compiled:
         if track.mean is None or track.failed_at.ravel()[0] in range(CHECKED):
             return
         part = _of(self.filter, prior, data, engine.batch, [0])
-        known = run(*part[:2], part[2][:CHECKED], on_failure="flag")
+        known = run(*part[:2], part[2][:CHECKED], on_failure="flag", engine="numpy")
         rows = np.flatnonzero(np.isin(track.times, known.times))[:CHECKED]
         for name in ("mean", "std"):
             mine, theirs = getattr(track, name), getattr(known, name)[np.isin(known.times, track.times)]
@@ -89,13 +91,15 @@ class Compiled:
         """The track, with the runs that were lost flown by the numpy engine."""
         filter, own, epochs = _of(self.filter, prior, data, engine.batch, lost)
         if not engine.batch:
-            return replace(run(filter, own, epochs, every=every, keep=keep, on_failure=on_failure), engine="compiled")
-        again = run(filter, own, epochs, every=every, keep=keep, on_failure="flag")
+            return replace(
+                run(filter, own, epochs, every=every, keep=keep, on_failure=on_failure, engine="numpy"), engine="compiled"
+            )
+        again = run(filter, own, epochs, every=every, keep=keep, on_failure="flag", engine="numpy")
         still = np.flatnonzero(again.failed_at >= 0)
         if len(still) and on_failure == "raise":
             first = lost[still[np.argmin(again.failed_at[still])]]
             try:
-                run(*_of(self.filter, prior, data, engine.batch, [first]))
+                run(*_of(self.filter, prior, data, engine.batch, [first]), engine="numpy")
             except FilterError as error:
                 at = tuple(int(i) for i in np.unravel_index(first, engine.batch))
                 raise FilterError(str(error).replace("run (0,)", f"run {at}", 1)) from None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from contextvars import ContextVar
 from dataclasses import replace
 from typing import Any
 
@@ -18,13 +19,17 @@ from celnav.gaussian.belief import settled
 from celnav.gaussian.checks import choice, function, instance, integer, kind
 from celnav.gaussian.linalg import Array
 
+ENGINES = ("numpy", "compiled", "auto")
+ENGINE: ContextVar[str] = ContextVar("engine", default="numpy")
+"""What `run` and the studies take where nobody says: ``celnav reproduce --engine`` sets it."""
+
 
 def run(
     filter: Filter, prior: Any, times: ArrayLike | Iterable[Epoch], z: Any = None, u: Any = None, *,
     every: int = 1, keep: str = "std", on_failure: str = "raise",
     also: Callable[[Epoch, Any, tuple[Info, ...]], dict[str, Any]] | None = None,
     reduce: Callable[[Any, Epoch, Any, tuple[Info, ...]], Any] | None = None,
-    engine: str = "numpy", jobs: int = 1,
+    engine: str | None = None, jobs: int = 1,
 ) -> Track:  # fmt: skip
     """Run a filter over epochs and collect a `Track`.
 
@@ -37,15 +42,15 @@ def run(
     also: ``(epoch, state, infos) -> dict`` of further arrays to store, as ``Track.extra``.
     reduce: ``(accumulated, epoch, state, infos) -> accumulated``, from None; the end is ``Track.reduced``. With it a study of any
         length runs in the memory of one step.
-    engine: "numpy"; "compiled": the filter's own step as machine code, see `celnav.compiled`; "auto": compiled where that can be,
-        and ``Track.engine`` says why not. jobs: threads of compiled code.
+    engine: "numpy" (unless `ENGINE` says otherwise); "compiled": the filter's own step as machine code, see `celnav.compiled`;
+        "auto": compiled where that can be, and ``Track.engine`` says why not. jobs: threads of compiled code.
     on_failure: "raise" a `FilterError` for the first run that is lost, or "flag" it: it becomes nan from there
         (``Track.failed_at``), the other runs go on.
 
     >>> track = celnav.run(celnav.ukf(motion, gps), celnav.Gaussian(x0, P0), times, z)
     """
-    if choice("engine", engine, ("numpy", "compiled", "auto")) != "numpy":
-        return _compiled(locals())
+    if choice("engine", engine or ENGINE.get(), ENGINES) != "numpy":
+        return _compiled(locals() | {"engine": engine or ENGINE.get()})
     collector = Collector(integer("every", every), choice("keep", keep, ("std", "cov", "mean", "nothing")))
     choice("on_failure", on_failure, ("raise", "flag"))
     if also is not None:
@@ -82,7 +87,7 @@ def _compiled(given: dict[str, Any]) -> Track:
     except (CannotCompile, ImportError) as error:
         if engine == "compiled":
             raise
-        return replace(run(filter, prior, **given, also=also, reduce=reduce), engine=f"numpy: {error}")
+        return replace(run(filter, prior, **given, also=also, reduce=reduce, engine="numpy"), engine=f"numpy: {error}")
 
 
 def as_epochs(times: Any, z: Any, u: Any) -> Iterable[Epoch]:

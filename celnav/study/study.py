@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from celnav.filters.records import Epoch
+from celnav.filters.run import ENGINE
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import choice
 from celnav.gaussian.linalg import Array
@@ -117,13 +118,15 @@ class Study:
         parts = self.parts(effort, **inputs)
         for name in only:
             choice("only", name, parts)
+        engine = ENGINE.get()
         about = f"effort {effort!r}, {sorted((key, str(value)) for key, value in inputs.items())}"
+        about += "" if engine == "numpy" else f", engine {engine}"
         units = []
         for name, part in parts.items():
             if not only or name in only:
                 count = part.runs if part.runs == 1 else run_count(part.runs, None, effort)
                 for runs in blocks(count, part.block):
-                    units.append(Unit(self.name, name, part, seed, runs, about, part.cost * len(runs) / part.runs))
+                    units.append(Unit(self.name, name, part, seed, runs, about, part.cost * len(runs) / part.runs, engine))
         return units
 
     def results(self, units: Sequence[Unit], found: Iterable[dict[str, Array]], *, effort: float = 1.0) -> Results:
@@ -162,6 +165,7 @@ class Unit(NamedTuple):
     runs: range
     about: str
     cost: float
+    engine: str = "numpy"
 
     @property
     def title(self) -> str:
@@ -180,10 +184,14 @@ class Unit(NamedTuple):
 
     def do(self) -> dict[str, Array]:
         """The arrays of the part, and ``cpu_s (1, 1)``; warnings of its models and filters are errors."""
+        token = ENGINE.set(self.engine)
         start, rngs = process_time(), [generator(self.seed, self.work.number, run) for run in self.runs]
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            arrays = self.work.work(self.work.config, rngs)
+            try:
+                arrays = self.work.work(self.work.config, rngs)
+            finally:
+                ENGINE.reset(token)
         return arrays | {"cpu_s": np.array([[process_time() - start]])}
 
 

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.filters.records import Epoch, Filter, Info
-from celnav.filters.run import explain, steps
+from celnav.filters.records import Epoch, Filter, Info, State
+from celnav.filters.run import ENGINE, explain, run, steps
 from celnav.gaussian.belief import Gaussian, any_lost, nees
 from celnav.gaussian.checks import choice, instance, integer
 from celnav.gaussian.linalg import Array, Belief
@@ -89,13 +89,14 @@ def follow(trial: Trial, name: str, every: int = 1) -> Followed:
     """Run the filter of a name and judge it at each ``every``-th of the epochs that have a truth, and at the last."""
     instance("trial", trial, Trial, "a Trial, such as problem.trial(filters, rngs)")
     filter, every = trial.filters[choice("name", name, trial.filters)], integer("every", every)
+    flown = _compiled(trial, name) if ENGINE.get() != "numpy" else None
     lost: dict[int, tuple[float, str]] = {}
     count = 0
 
     def judged() -> Iterator[tuple[Any, ...]]:
         nonlocal count
         seen, before, left = 0, None, None
-        for epoch, state, infos in steps(filter, trial.prior, trial.epochs(name)):
+        for epoch, state, infos in flown or steps(filter, trial.prior, trial.epochs(name)):
             count += 1
             why = ""
             if any_lost(state.belief):  # newly: a filter of single epochs may have had no estimate before
@@ -124,6 +125,20 @@ def follow(trial: Trial, name: str, every: int = 1) -> Followed:
     return Followed(times, error, std, normalized, nis, dof, [(run, *what) for run, what in sorted(lost.items())], count)
 
 
+def _compiled(trial: Trial, name: str) -> list[tuple[Epoch, State, tuple[Info, ...]]] | None:
+    """What `celnav.steps` gives, from compiled code; None if the filter cannot be compiled, or loses runs: why is to be told."""
+    epochs = list(trial.epochs(name))
+    track = run(trial.filters[name], trial.prior, epochs, keep="cov", on_failure="flag", engine="auto")
+    if track.engine != "compiled" or track.belief is None or (track.failed_at >= 0).any():
+        if ENGINE.get() == "compiled" and track.engine != "compiled":
+            raise ValueError(f"engine: {name} cannot be compiled: {track.engine.removeprefix('numpy: ')}")
+        return None
+    form, whitened = type(track.belief), track.whitened
+    infos = [Info()] * len(epochs) if whitened is None else map(Info, track.innovation, whitened, track.used)
+    rows = zip(epochs, *track.belief, infos, strict=True)
+    return [(epoch, State(form(mean, spread)), (info,)) for epoch, mean, spread, info in rows]
+
+
 def _row(trial: Trial, epoch: Epoch, belief: Belief, infos: tuple[Info, ...]) -> tuple[Any, ...]:
     """Time, errors and their roots, NIS and the components behind it, at an epoch."""
     with np.errstate(invalid="ignore"):
@@ -137,10 +152,10 @@ def _row(trial: Trial, epoch: Epoch, belief: Belief, infos: tuple[Info, ...]) ->
 def _watch(lost: dict[int, tuple[float, str]], epoch: Epoch, belief: Belief, why: str = "") -> None:
     """Note the runs that have no estimate, and forget those that have one again: a filter of single epochs comes back."""
     there = np.atleast_1d(np.isfinite(belief.mean).all(-1))
-    for run in np.flatnonzero(~there).tolist():
-        lost.setdefault(run, (float(epoch.t), why or "the estimate is not finite"))
-    for run in [run for run in lost if there[run]]:
-        del lost[run]
+    for i in np.flatnonzero(~there).tolist():
+        lost.setdefault(i, (float(epoch.t), why or "the estimate is not finite"))
+    for i in [i for i in lost if there[i]]:
+        del lost[i]
 
 
 def bound(trial: Trial, every: int = 1) -> Array | None:
