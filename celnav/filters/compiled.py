@@ -6,6 +6,7 @@ Runs that are lost are flown again by the numpy engine, which is the reference a
 from __future__ import annotations
 
 import traceback
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,8 @@ import numpy as np
 
 from celnav.filters.engine import NONE, Data, Engine, each_run, entries, rebuilt
 from celnav.filters.flight import Flight, as_data, fly
-from celnav.filters.records import Epoch, Epochs, FilterError
-from celnav.filters.run import as_epochs, run
+from celnav.filters.records import Epoch, Epochs, FilterError, Info, State
+from celnav.filters.run import as_epochs, run, steps
 from celnav.filters.track import Track
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import choice, integer
@@ -202,3 +203,36 @@ def compiled(filter: Any, *, jobs: int = 1) -> Compiled:
     >>> flown = celnav.compiled(celnav.ukf(motion, gps)).run(prior, times, z)
     """
     return Compiled(filter, integer("jobs", jobs))
+
+
+def run_by(
+    engine: str, filter: Any, prior: Any, epochs: Iterable[Epoch], jobs: int, also: Any, reduce: Any, **options: Any
+) -> Track:
+    """`celnav.run` with an engine that is "compiled", or "auto": numpy where that cannot be."""
+    epochs = epochs if isinstance(epochs, Epochs) else list(epochs)
+    try:
+        if also is not None or reduce is not None:
+            raise CannotCompile("also, reduce: expected none with engine='compiled', which keeps no states between epochs")
+        return compiled(filter, jobs=jobs).run(prior, epochs, **options)
+    except (CannotCompile, ImportError) as error:
+        if engine == "compiled":
+            raise
+        track = run(filter, prior, epochs, also=also, reduce=reduce, engine="numpy", **options)
+        return replace(track, engine=f"numpy: {error}")
+
+
+def steps_by(engine: str, filter: Any, prior: Any, epochs: Iterable[Epoch]) -> Iterable[tuple[Epoch, State, tuple[Info, ...]]]:
+    """`celnav.steps` likewise; by numpy too where a run is lost, since why is to be told. An `Info` is of all sensors together."""
+    epochs = epochs if isinstance(epochs, Epochs) else list(epochs)
+    try:
+        track = compiled(filter).run(prior, epochs, keep="cov", on_failure="flag")
+    except (CannotCompile, ImportError):
+        if engine == "compiled":
+            raise
+        return steps(filter, prior, epochs)
+    if track.belief is None or (track.failed_at >= 0).any():
+        return steps(filter, prior, epochs)
+    form, whitened = type(track.belief), track.whitened
+    infos = [Info()] * len(epochs) if whitened is None else map(Info, track.innovation, whitened, track.used)
+    rows = zip(epochs, *track.belief, infos, strict=True)
+    return ((epoch, State(form(mean, spread)), (info,)) for epoch, mean, spread, info in rows)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from contextvars import ContextVar
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from celnav.filters.joint import at
 from celnav.filters.mixing import LOOKED_AT, WATCH
-from celnav.filters.records import Epoch, Epochs, Filter, FilterError, Info, check_interval, epochs
+from celnav.filters.records import Epoch, Filter, FilterError, Info, check_interval, epochs
 from celnav.filters.sequential import Sequential
 from celnav.filters.track import Collector, Track
 from celnav.gaussian.belief import settled
@@ -49,8 +48,11 @@ def run(
 
     >>> track = celnav.run(celnav.ukf(motion, gps), celnav.Gaussian(x0, P0), times, z)
     """
-    if choice("engine", engine or ENGINE.get(), ENGINES) != "numpy":
-        return _compiled(locals() | {"engine": engine or ENGINE.get()})
+    if (engine := choice("engine", engine or ENGINE.get(), ENGINES)) != "numpy":
+        from celnav.filters.compiled import run_by
+
+        given = as_epochs(times, z, u)
+        return run_by(engine, filter, prior, given, jobs, also, reduce, every=every, keep=keep, on_failure=on_failure)
     collector = Collector(integer("every", every), choice("keep", keep, ("std", "cov", "mean", "nothing")))
     choice("on_failure", on_failure, ("raise", "flag"))
     if also is not None:
@@ -69,25 +71,6 @@ def run(
             reduced = reduce(reduced, epoch, state, infos)
         before = state
     return collector.track(reduced, filter)
-
-
-def _compiled(given: dict[str, Any]) -> Track:
-    """`run` with another engine, of its arguments."""
-    from celnav.filters.compiled import compiled
-    from celnav.tape.tape import CannotCompile
-
-    engine, jobs, also, reduce, filter, prior = (given.pop(x) for x in ("engine", "jobs", "also", "reduce", "filter", "prior"))
-    times = given["times"] = as_epochs(given.pop("times"), given.pop("z"), given.pop("u"))
-    if not isinstance(times, Epochs):
-        times = given["times"] = list(times)
-    try:
-        if also is not None or reduce is not None:
-            raise CannotCompile("also, reduce: expected none with engine='compiled', which keeps no states between epochs")
-        return compiled(filter, jobs=jobs).run(prior, **given)
-    except (CannotCompile, ImportError) as error:
-        if engine == "compiled":
-            raise
-        return replace(run(filter, prior, **given, also=also, reduce=reduce, engine="numpy"), engine=f"numpy: {error}")
 
 
 def as_epochs(times: Any, z: Any, u: Any) -> Iterable[Epoch]:

@@ -12,8 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.filters.records import Epoch, Filter, Info, State
-from celnav.filters.run import ENGINE, explain, run, steps
+from celnav.filters.compiled import steps_by
+from celnav.filters.records import Epoch, Filter, Info
+from celnav.filters.run import ENGINE, explain, steps
 from celnav.gaussian.belief import Gaussian, any_lost, nees
 from celnav.gaussian.checks import choice, instance, integer
 from celnav.gaussian.linalg import Array, Belief
@@ -89,7 +90,7 @@ def follow(trial: Trial, name: str, every: int = 1) -> Followed:
     """Run the filter of a name and judge it at each ``every``-th of the epochs that have a truth, and at the last."""
     instance("trial", trial, Trial, "a Trial, such as problem.trial(filters, rngs)")
     filter, every = trial.filters[choice("name", name, trial.filters)], integer("every", every)
-    flown = _compiled(trial, name) if ENGINE.get() != "numpy" else None
+    flown = steps_by(ENGINE.get(), filter, trial.prior, trial.epochs(name)) if ENGINE.get() != "numpy" else None
     lost: dict[int, tuple[float, str]] = {}
     count = 0
 
@@ -123,20 +124,6 @@ def follow(trial: Trial, name: str, every: int = 1) -> Followed:
         raise ValueError("epochs: expected some with a truth, got none")
     times, error, std, normalized, nis, dof = (np.concatenate(column) for column in zip(*blocks, strict=True))
     return Followed(times, error, std, normalized, nis, dof, [(run, *what) for run, what in sorted(lost.items())], count)
-
-
-def _compiled(trial: Trial, name: str) -> list[tuple[Epoch, State, tuple[Info, ...]]] | None:
-    """What `celnav.steps` gives, from compiled code; None if the filter cannot be compiled, or loses runs: why is to be told."""
-    epochs = list(trial.epochs(name))
-    track = run(trial.filters[name], trial.prior, epochs, keep="cov", on_failure="flag", engine="auto")
-    if track.engine != "compiled" or track.belief is None or (track.failed_at >= 0).any():
-        if ENGINE.get() == "compiled" and track.engine != "compiled":
-            raise ValueError(f"engine: {name} cannot be compiled: {track.engine.removeprefix('numpy: ')}")
-        return None
-    form, whitened = type(track.belief), track.whitened
-    infos = [Info()] * len(epochs) if whitened is None else map(Info, track.innovation, whitened, track.used)
-    rows = zip(epochs, *track.belief, infos, strict=True)
-    return [(epoch, State(form(mean, spread)), (info,)) for epoch, mean, spread, info in rows]
 
 
 def _row(trial: Trial, epoch: Epoch, belief: Belief, infos: tuple[Info, ...]) -> tuple[Any, ...]:
