@@ -136,7 +136,9 @@ def _track(engine: Engine, data: Data, flight: Flight, every: int) -> Track:
             spread[..., j, i] = lower
         belief = engine.form(rows["mean"], spread)
     likelihood, missing, rejected, redone, failed = (x.reshape(engine.batch) for x in flight.tally.T.copy())
-    silent = sum(m * sum(data.known[kind].z[i] == NONE for kind in data.kinds) for i, m in enumerate(engine.innovations))
+    often = np.bincount(data.kinds, minlength=len(data.known))
+    silent = sum(int(count) * m for count, kind in zip(often, data.known, strict=True)
+                 for m, what in zip(engine.innovations, kind.z, strict=True) if what == NONE)  # fmt: skip
     used = beside("used")
     return Track(
         times=data.t[::every].copy(),

@@ -51,8 +51,8 @@ def as_data(filter: Any, epochs: Epochs | Sequence[Epoch]) -> Data:
     inputs: list[dict[int, list[Array]]] = []
     which = np.zeros(len(k), int)
     for i, one in enumerate(u):
-        parts = [_input(x) for x, _ in leaves(one)]
-        shape = rebuilt(one, iter(range(len(parts)))), tuple(x.shape for x in parts)
+        parts = [] if one is None else [_input(x) for x, _ in leaves(one)]
+        shape = rebuilt(one, iter(range(len(parts)))) if parts else None, tuple(x.shape for x in parts)
         which[i] = shapes.setdefault(shape, len(inputs))
         if which[i] == len(inputs):
             inputs.append({})
