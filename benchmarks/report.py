@@ -102,8 +102,8 @@ def markdown(result: dict[str, Any]) -> str:
         "# Speed",
         "",
         f"{machine['cpu']}; Python {machine['python']}; {packages}.",
-        f"CPU time per run-step on one thread, medians of {settings['rounds']} interleaved rounds; load of the machine over 1, 5 and "
-        f"15 minutes: {machine['load']}.",
+        f"Load of the machine over 1, 5 and 15 minutes: {', '.join(f'{x:.1f}' for x in machine['load'] or [])}.",
+        f"CPU time per run-step on one thread, medians of {settings['rounds']} interleaved rounds.",
         "",
         "| engine | runs | steps | us per run-step | least | in the loop | numpy / compiled | over model floor | compile, s "
         "| difference, km | km/s |",
