@@ -24,6 +24,8 @@ from celnav.gaussian.linalg import Array
 SIZES = (9, 13, 15)
 """Components of a Lorenz-96 state."""
 STEP = 0.01
+ATTAINED = 1.7
+"""Where two processes are so much faster than one, the machine gives both of its cores."""
 PARTS, PART = 50, 2000
 """A campaign is flown in so many parts, of so many runs each."""
 
@@ -118,8 +120,11 @@ def threads(rounds: int, runs: int = 4096, steps: int = 240) -> dict[str, Any]:
             turns = [wall(work) for work in works[:: 1 - 2 * (i % 2)]]
             found.append(turns[:: 1 - 2 * (i % 2)])
     s = np.array(found)
+    gains, attained = s[:, 0] / s[:, 1], 2.0 * s[:, 2] / s[:, 3]
+    quiet = gains[attained >= ATTAINED].tolist()
     return {"runs": runs, "steps": steps, "one_s": float(np.median(s[:, 0])), "two_s": float(np.median(s[:, 1])),
-            "threads": float(np.median(s[:, 0] / s[:, 1])), "processes": float(np.median(2.0 * s[:, 2] / s[:, 3]))}  # fmt: skip
+            "threads": float(np.median(gains)), "processes": float(np.median(attained)),
+            "rounds": len(gains), "quiet": len(quiet), "quiet_threads": float(np.median(quiet)) if quiet else None}  # fmt: skip
 
 
 # -- a campaign ----------------------------------------------------------------------------------------------------------------
@@ -144,7 +149,7 @@ def campaign(parts: int = PARTS, steps: int = 600) -> dict[str, Any]:
 
 def report(rounds: int, parts: int) -> dict[str, Any]:
     """All three."""
-    return {"dimensions": dimensions(rounds), "threads": threads(rounds), "campaign": campaign(parts) if parts else None}
+    return {"dimensions": dimensions(rounds), "threads": threads(3 * rounds), "campaign": campaign(parts) if parts else None}
 
 
 def lines(found: dict[str, Any]) -> Iterator[str]:
@@ -159,7 +164,9 @@ def lines(found: dict[str, Any]) -> Iterator[str]:
     yield ""
     yield (
         f"Two threads: {two['runs']} runs of {two['steps']} steps take {two['one_s']:.2f} s with one and {two['two_s']:.2f} s with "
-        f"two, {two['threads']:.2f} times faster; two processes that know nothing of each other attain {two['processes']:.2f}."
+        f"two, {two['threads']:.2f} times faster; two processes that know nothing of each other attain {two['processes']:.2f}. "
+        f"They attain {ATTAINED} in {two['quiet']} of {two['rounds']} rounds"
+        + (f", and two threads {two['quiet_threads']:.2f} in those." if two["quiet"] else ".")
     )
     if many is not None:
         yield ""
