@@ -130,10 +130,10 @@ def _track(engine: Engine, data: Data, flight: Flight, every: int) -> Track:
         lower = rows["spread"]
         n = rows["std"].shape[-1]
         spread = np.zeros((*lower.shape[:-1], n, n))
-        i, j = np.array(entries((n, n), "lower")).T
-        spread[..., i, j] = lower
-        if engine.form is Covariance:
-            spread[..., j, i] = lower
+        for k, (i, j) in enumerate(entries((n, n), "lower")):  # one by one, which is several times as fast as all by their indices
+            spread[..., i, j] = lower[..., k]
+            if engine.form is Covariance:
+                spread[..., j, i] = lower[..., k]
         belief = engine.form(rows["mean"], spread)
     likelihood, missing, rejected, redone, failed = (x.reshape(engine.batch) for x in flight.tally.T.copy())
     often = np.bincount(data.kinds, minlength=len(data.known))
@@ -181,7 +181,7 @@ def _of(filter: Any, prior: Any, data: Data, batch: tuple[int, ...], runs: Any) 
 def _input(data: Data, i: int, batch: tuple[int, ...], part: Any) -> Any:
     """The input of an epoch, of some runs."""
     tree, _ = data.known[data.kinds[i]].u
-    leaves = data.u[data.known[data.kinds[i]].u][i]
+    leaves = data.u[data.known[data.kinds[i]].u].get(i, [])
     own = [part(x, x.ndim - len(batch)) if batch and x.shape[: len(batch)] == batch else x for x in leaves]
     return rebuilt(tree, iter(own))
 

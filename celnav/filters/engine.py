@@ -176,7 +176,7 @@ class Engine:
     def inputs(self, found: dict[int, list[Array]], count: int) -> list[tuple[Array, bool]]:
         """The parts of an input over ``count`` epochs, zeros where there are none, and which of them are of each run."""
         out = []
-        for parts in zip(*found.values(), strict=True):
+        for parts in zip(*found.values(), strict=True) if any(found.values()) else ():
             values = np.zeros((count, *parts[0].shape))
             values[list(found)] = parts
             shape = parts[0].shape

@@ -50,7 +50,8 @@ def as_data(filter: Any, epochs: Epochs | Sequence[Epoch]) -> Data:
     shapes: dict[Any, int] = {}
     inputs: list[dict[int, list[Array]]] = []
     which = np.zeros(len(k), int)
-    for i, one in enumerate(u):
+    none = all(one is None for one in u)
+    for i, one in [(0, None)] if none else enumerate(u):
         parts = [] if one is None else [_input(x) for x, _ in leaves(one)]
         shape = rebuilt(one, iter(range(len(parts)))) if parts else None, tuple(x.shape for x in parts)
         which[i] = shapes.setdefault(shape, len(inputs))
@@ -58,11 +59,12 @@ def as_data(filter: Any, epochs: Epochs | Sequence[Epoch]) -> Data:
             inputs.append({})
         inputs[which[i]][i] = parts
     moves = (dt.reshape(len(k), -1) != 0.0).any(-1)
-    rows = np.stack([moves, which, *(status for status, _ in found)], -1)
-    different, kinds = np.unique(rows, axis=0, return_inverse=True)
+    numbered: dict[tuple[int, ...], int] = {}
+    rows = zip(moves.tolist(), which.tolist(), *(status.tolist() for status, _ in found), strict=True)
+    kinds = [numbered.setdefault(row, len(numbered)) for row in rows]
     trees = list(shapes)
-    known = [Kind(bool(moves), tuple(z), trees[at]) for moves, at, *z in different.tolist()]
-    return Data(k, t, dt, kinds.tolist(), known, own, [values for _, values in found], dict(zip(trees, inputs, strict=True)))
+    known = [Kind(bool(moves), tuple(z), trees[at]) for moves, at, *z in numbered]
+    return Data(k, t, dt, kinds, known, own, [values for _, values in found], dict(zip(trees, inputs, strict=True)))
 
 
 def _input(x: Any) -> Array:
@@ -147,18 +149,16 @@ def fly(engine: Engine, data: Data, every: int, jobs: int) -> Flight:
 def _planned(engine: Engine, data: Data, inputs: dict[Any, Any], lanes: int) -> tuple[list[Recorded], list[int], int]:
     """The records that are needed, which of them each epoch takes, and how many numbers a state is kept as."""
     ids: dict[Shape, int] = {engine.begin: 0}
-    records: dict[tuple[int, int], tuple[int, Recorded]] = {}
-    shape, steps = engine.begin, []
+    records: dict[tuple[int, int], tuple[int, int, Recorded]] = {}  # by the shape before and the kind; with the shape after
+    at, steps = 0, []
     for kind in data.kinds:
-        key = ids.setdefault(shape, len(ids)), kind
-        if key not in records:
+        if (at, kind) not in records:
             there = data.known[kind]
-            records[key] = len(records), engine.recorded_as(shape, there, inputs[there.u], lanes)
-        number, made = records[key]
+            made = engine.recorded_as(list(ids)[at], there, inputs[there.u], lanes)
+            records[at, kind] = len(records), ids.setdefault(made.after, len(ids)), made
+        number, at, _ = records[at, kind]
         steps.append(number)
-        shape = made.after
-    ids.setdefault(shape, len(ids))
-    return [made for _, made in records.values()], steps, engine.held + max(x.size for x in ids)
+    return [made for *_, made in records.values()], steps, engine.held + max(x.size for x in ids)
 
 
 def _shared(data: Data, inputs: dict[Any, list[tuple[Array, bool]]]) -> Array:
