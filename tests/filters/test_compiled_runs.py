@@ -15,7 +15,7 @@ from hypothesis.extra.numpy import arrays
 from twice import FIELDS, assert_same, told, twice
 
 import celnav
-from celnav.filters.adaptive import innovation_window
+from celnav.filters.adaptive import gate, huber, innovation_window
 from celnav.filters.fallback import Fallback
 from celnav.tape.tape import CannotCompile
 
@@ -266,6 +266,40 @@ def test_negative_weights_that_lose_runs(form):
     assert known.events["redone"].any()
     assert not (known.failed_at >= 0).any()
     assert_same(known, found)
+
+
+# -- matrices of each run, hooks together, what is singular ---------------------------------------------------
+OWN = np.linspace(0.5, 0.9, 4)[:, None, None] * EYE
+HOLED = np.where(RNG.random(Z.shape) < 0.3, np.nan, Z)
+ODD = {
+    "f of runs": (celnav.ukf(celnav.Motion(OWN, 0.01 * EYE), SENSOR), PRIOR),
+    "h of runs": (celnav.ukf(MOTION, celnav.Sensor(OWN, 0.05 * EYE)), PRIOR),
+    "both, by Jacobians": (celnav.ekf(celnav.Motion(OWN, 0.01 * EYE), celnav.Sensor(OWN, 0.05 * EYE)), PRIOR),
+    "decorrelated of runs": (celnav.decorrelated(MOTION, celnav.Sensor(EYE, 0.05 * EYE), OWN), PRIOR),
+    "bias of runs": (celnav.two_stage(MOTION, SENSOR, OWN, PRIOR), PRIOR),
+    "three hooks": (celnav.ukf(MOTION, SENSOR, hooks=[gate(3.0), huber(), innovation_window(2)]), PRIOR),
+    "a hook that counts": (celnav.ukf(MOTION, SENSOR, hooks=[lambda n, joint, _: ((0 if n is None else n) + 1, joint)]), PRIOR),
+    "a certain component": (FILTER, celnav.Gaussian([0.0, 1.0], np.diag([0.0, 0.3]))),
+    "a certain state": (celnav.ukf(MOTION, SENSOR, form="covariance"), celnav.Gaussian([0.0, 1.0], 0.0 * EYE)),
+    "no noise": (celnav.ukf(celnav.Motion(lambda x, _epoch: x[..., [0, 0]], 0.0 * EYE), SENSOR), PRIOR),
+}
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_what_is_seldom(name):
+    assert_same(*twice(*ODD[name], TIMES, HOLED if "certain" not in name and "noise" not in name else Z, keep="cov"))
+
+
+def test_hooks_of_each_sensor():
+    filter = celnav.ukf(MOTION, SENSOR, OTHER, hooks=[[gate(1.0)], [huber()]])
+    assert_same(*twice(filter, PRIOR, TIMES, (HOLED, np.abs(Z[..., :1]) + 1.0), keep="cov"))
+
+
+def test_matrices_that_are_functions_of_the_epoch():
+    motion = celnav.Motion(celnav.Linear(lambda epoch: EYE * np.exp(-0.1 * epoch.dt) + 0.01 * np.eye(2, k=1) * epoch.t), 0.01 * EYE)
+    sensor = celnav.Sensor(celnav.Linear(lambda epoch: EYE * (1.0 + 0.1 * np.sin(epoch.t))), 0.05 * EYE)
+    for make in (celnav.ukf, celnav.ekf):
+        assert_same(*twice(make(motion, sensor), PRIOR, np.cumsum([0.0, 0.5, 0.7, 0.1, 2.0, 1.0]), HOLED, keep="cov"))
 
 
 # -- what cannot be compiled -----------------------------------------------------------------------------------------------------
