@@ -1,4 +1,4 @@
-"""``python -m benchmarks``: CPU time of celnav and its peers on one workload, one thread."""
+"""``python -m benchmarks``: CPU time of celnav and its peers on one workload, one thread; more of the compiled engine."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from benchmarks import compiled
 from benchmarks.engines import celnav_engines
 from benchmarks.measure import measure
 from benchmarks.peers import peer_engines
@@ -20,6 +21,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--rounds", type=int, default=7, help="interleaved rounds (default 7)")
     parser.add_argument("--only", default="", help="comma-separated parts of engine names, such as 'square root,filterpy'")
     parser.add_argument("--runs", default="1,100,512,4096", help="run counts of the batched engines (default 1,100,512,4096)")
+    parser.add_argument("--parts", type=int, default=compiled.PARTS, help="of the campaign, 2000 runs each (default 50; 0: none)")
     parser.add_argument("--out", type=Path, default=Path("out/benchmarks"), help="folder of the results")
     options = parser.parse_args(arguments)
     counts = [int(count) for count in options.runs.split(",")]
@@ -33,6 +35,8 @@ def main(arguments: list[str] | None = None) -> int:
     workload = Workload(options.steps, max(e.runs for e in engines))
     rows, absent = measure(engines, workload, options.rounds, lambda text: print(text, file=sys.stderr, flush=True))
     result = report(rows, absent, options.steps, options.rounds)
+    if not wanted:
+        result["compiled"] = compiled.report(options.rounds, options.parts)
     print(markdown(result))
     write(result, options.out)
     return 0 if result["agree"] else 1

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from benchmarks.workload import BLOCK, P0, SQRT_Q, X0, H, R
+from celnav.filters.compiled import compiled
 from celnav.filters.model import Motion, Sensor
 from celnav.filters.run import run
-from celnav.filters.sequential import ukf
+from celnav.filters.sequential import Sequential, ukf
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import FORMS, Array
 from celnav.gaussian.rules import unscented
 from celnav.models import orbit
+from celnav.tape import llvm
 
 Work = Callable[[], Array | None]
 """One timed pass; returns the means ``(steps + 1, runs, 6)``, or None where there is no estimate."""
@@ -26,15 +29,39 @@ class Engine(NamedTuple):
     name: str
     runs: int
     prepare: Callable[[Array], Work]
+    compiles: bool = False
+
+
+class Inside:
+    """CPU seconds inside the loops of compiled filters, since it was last set to zero."""
+
+    def __init__(self) -> None:
+        self.seconds, self.loop = 0.0, llvm.fly
+        llvm.fly = self.fly
+
+    def fly(self) -> Callable[..., None]:
+        """The package's own loop, with a clock around it."""
+        loop = self.loop()
+
+        def timed(*arguments: Any) -> None:
+            begin = time.process_time()
+            loop(*arguments)
+            self.seconds += time.process_time() - begin
+
+        return timed
+
+
+INSIDE = Inside()
 
 
 def celnav_engines(counts: Sequence[int]) -> Iterator[Engine]:
-    """Both forms, the measurement as a matrix (the normal way) and as a function, and the floor."""
+    """Both forms, the measurement as a matrix (the normal way) and as a function; with a matrix also compiled; and the floor."""
     measurements: tuple[tuple[str, Any], ...] = (("H matrix", H), ("h function", lambda x, _epoch: x[..., :3]))
     for runs in counts:
         for form in FORMS:
             for kind, h in measurements:
                 yield Engine(f"celnav {form}, {kind}", runs, _filter(form, h))
+            yield Engine(f"celnav {form}, compiled", runs, _compiled(form), compiles=True)
         yield Engine("model floor", runs, _floor)
 
 
@@ -43,9 +70,19 @@ def dynamics(x: Array, _epoch: Any) -> Array:
     return orbit.step(x, 1.0)
 
 
+def orbit_filter(form: str = "square root", h: Any = H) -> Sequential:
+    """The filter of the common workload."""
+    return ukf(Motion(dynamics, sqrt_Q=SQRT_Q), Sensor(h, R), form=form)
+
+
+def prior(runs: int) -> Gaussian:
+    """The same for all runs."""
+    return Gaussian(np.broadcast_to(X0, (runs, 6)), P0)
+
+
 def _filter(form: str, h: Any) -> Callable[[Array], Work]:
     def prepare(z: Array) -> Work:
-        filter = ukf(Motion(dynamics, sqrt_Q=SQRT_Q), Sensor(h, R), form=form)
+        filter = orbit_filter(form, h)
         times, runs = np.arange(len(z)), z.shape[1]
 
         def work() -> Array:
@@ -54,11 +91,21 @@ def _filter(form: str, h: Any) -> Callable[[Array], Work]:
             tracks = []
             for first in range(0, runs, BLOCK):
                 part = z[:, first : first + BLOCK]
-                prior = Gaussian(np.broadcast_to(X0, (part.shape[1], 6)), P0)
-                tracks.append(_means(run(filter, prior, times, part).mean))
+                tracks.append(_means(run(filter, prior(part.shape[1]), times, part).mean))
             return tracks[0] if len(tracks) == 1 else np.concatenate(tracks, 1)
 
         return work
+
+    return prepare
+
+
+def _compiled(form: str) -> Callable[[Array], Work]:
+    def prepare(z: Array) -> Work:
+        flown = compiled(orbit_filter(form))
+        times, runs = np.arange(len(z)), z.shape[1]
+        if runs == 1:
+            return lambda: _means(flown.run(Gaussian(X0, P0), times, z[:, 0]).mean)[:, None]
+        return lambda: _means(flown.run(prior(runs), times, z).mean)
 
     return prepare
 

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.engines import Engine, estimate
+from benchmarks.engines import INSIDE, Engine, celnav_engines, estimate
+from benchmarks.peers import peer_engines
 from benchmarks.workload import BLOCK, Workload
 from celnav.gaussian.linalg import Array
 
@@ -18,8 +21,9 @@ class Row(NamedTuple):
 
     Attributes
     ----------
-    us: CPU time per run-step, of each round.
-    start_s: what the first pass takes longer than a later one, which is compilation; imports do not count.
+    us: CPU time per run-step, of each round. inside: what of it is spent inside the compiled loop.
+    start_s: what the first pass of a fresh process takes longer than the second, which is compilation; imports of the peer do
+        not count; None: nothing is compiled.
     difference: largest difference ``(position km, velocity km/s)`` to celnav's square-root estimate; None: no estimate.
     """
 
@@ -27,8 +31,31 @@ class Row(NamedTuple):
     runs: int
     steps: int
     us: list[float]
-    start_s: float
+    inside: list[float]
+    start_s: float | None
     difference: tuple[float, float] | None
+
+
+def seconds(work: Callable[[], object]) -> tuple[float, float]:
+    """CPU time of one pass, and what of it is inside a compiled loop."""
+    INSIDE.seconds, begin = 0.0, time.process_time()
+    work()
+    return time.process_time() - begin, INSIDE.seconds
+
+
+def first_pass(name: str, z: Array) -> float:
+    """CPU seconds that the first pass of an engine takes longer than its second."""
+    runs = z.shape[1]
+    engine = next(e for e in (*peer_engines([runs]), *celnav_engines([runs])) if e.name == name)
+    work = engine.prepare(z)
+    first, second = (seconds(work)[0] for _ in range(2))
+    return max(0.0, first - second)
+
+
+def fresh(function: Callable[..., Any], *arguments: Any) -> Any:
+    """What a function gives in a process of its own, where nothing is compiled yet."""
+    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+        return pool.submit(function, *arguments).result()
 
 
 def measure(
@@ -44,13 +71,12 @@ def measure(
         z = workload.measurements(engine.runs)
         try:
             work = engine.prepare(z)
-            begin = time.process_time()
             means = work()
         except ImportError as error:
             absent[engine.name] = str(error)
             say(f"absent: {engine.name} ({error})")
             continue
-        starts.append(time.process_time() - begin)
+        starts.append(fresh(first_pass, engine.name, z) if engine.compiles else None)
         works.append((engine, work, len(z) - 1))
         difference = None
         if means is not None:
@@ -62,15 +88,13 @@ def measure(
             difference = (float(apart[..., :3].max()), float(apart[..., 3:].max()))
         differences.append(difference)
         say(f"ready: {engine.name}, {engine.runs} runs")
-    times: list[list[float]] = [[] for _ in works]
+    times: list[list[tuple[float, float]]] = [[] for _ in works]
     for i in range(rounds):
-        for (engine, work, steps), own in zip(works, times, strict=True):
-            begin = time.process_time()
-            work()
-            own.append((time.process_time() - begin) / (steps * engine.runs) * 1e6)
+        for (_, work, _), own in zip(works, times, strict=True):
+            own.append(seconds(work))
         say(f"round {i + 1} of {rounds}")
     rows = []
     for (engine, _, steps), own, start, difference in zip(works, times, starts, differences, strict=True):
-        once = float(np.median(own)) * 1e-6 * steps * engine.runs
-        rows.append(Row(engine.name, engine.runs, steps, own, max(0.0, start - once), difference))
+        us, inside = (1e6 * np.transpose(own) / (steps * engine.runs)).tolist()
+        rows.append(Row(engine.name, engine.runs, steps, us, inside, start, difference))
     return rows, absent

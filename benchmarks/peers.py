@@ -21,10 +21,10 @@ CHUNK = 128
 def peer_engines(counts: Sequence[int]) -> Iterator[Engine]:
     """One run of each, and dynamax mapped over runs."""
     yield Engine("filterpy, numpy model", 1, lambda z: _filterpy(z, lambda x, dt: orbit.step(x, dt)))
-    yield Engine("filterpy, numba model", 1, lambda z: _filterpy(z, numba_model()))
+    yield Engine("filterpy, numba model", 1, lambda z: _filterpy(z, numba_model()), compiles=True)
     yield Engine("Stone Soup, numpy model", 1, _stonesoup)
     for runs in counts:
-        yield Engine("dynamax, jit" if runs == 1 else "dynamax, vmap", runs, _dynamax)
+        yield Engine("dynamax, jit" if runs == 1 else "dynamax, vmap", runs, _dynamax, compiles=True)
 
 
 def numba_model() -> Callable[..., Array]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import platform
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
@@ -11,11 +12,12 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import compiled
 from benchmarks.measure import Row
 
 AGREE_KM, AGREE_KM_S = 1e-6, 1e-9
 """Engines that are further apart than this did not compute the same thing (dynamax adds 1e-9 to each diagonal by itself)."""
-PACKAGES = ("celnav", "numpy", "scipy", "filterpy", "numba", "stonesoup", "dynamax", "jax")
+PACKAGES = ("celnav", "numpy", "scipy", "llvmlite", "filterpy", "numba", "stonesoup", "dynamax", "jax")
 
 
 def report(rows: Sequence[Row], absent: dict[str, str], steps: int, rounds: int) -> dict[str, Any]:
@@ -25,7 +27,14 @@ def report(rows: Sequence[Row], absent: dict[str, str], steps: int, rounds: int)
         "settings": {"steps": steps, "rounds": rounds, "unit": "us of CPU time per run-step, one thread"},
         "machine": _machine(),
         "rows": [
-            {**row._asdict(), "median_us": float(np.median(row.us)), "min_us": min(row.us), "over_floor": _over_floor(row, rows)}
+            {
+                **row._asdict(),
+                "median_us": float(np.median(row.us)),
+                "min_us": min(row.us),
+                "inside_us": float(np.median(row.inside)),
+                "over_floor": _over_floor(row, rows),
+                "over_numpy": _over_numpy(row, rows),
+            }
             for row in rows
         ],
         "ratios": _ratios(rows),
@@ -46,7 +55,8 @@ def _machine() -> dict[str, Any]:
     info = Path("/proc/cpuinfo")
     if info.exists():
         cpu = next((line.split(":", 1)[1].strip() for line in info.read_text().splitlines() if line.startswith("model name")), cpu)
-    return {"cpu": cpu, "python": platform.python_version(), "system": platform.system(), "packages": found}
+    load = list(os.getloadavg()) if hasattr(os, "getloadavg") else None  # over 1, 5 and 15 minutes
+    return {"cpu": cpu, "python": platform.python_version(), "system": platform.system(), "load": load, "packages": found}
 
 
 def _ratio(slow: Row, fast: Row) -> float:
@@ -57,6 +67,13 @@ def _ratio(slow: Row, fast: Row) -> float:
 def _over_floor(row: Row, rows: Sequence[Row]) -> float | None:
     floor = next((r for r in rows if r.engine == "model floor" and r.runs == row.runs), None)
     return None if floor is None or not row.engine.startswith("celnav") else _ratio(row, floor)
+
+
+def _over_numpy(row: Row, rows: Sequence[Row]) -> float | None:
+    """How many times faster the compiled engine is than the same filter in numpy."""
+    numpy = row.engine.replace("compiled", "H matrix")
+    other = next((r for r in rows if r.engine == numpy and r.runs == row.runs), row)
+    return None if other is row else _ratio(other, row)
 
 
 def _ratios(rows: Sequence[Row]) -> list[dict[str, Any]]:
@@ -85,18 +102,21 @@ def markdown(result: dict[str, Any]) -> str:
         "# Speed",
         "",
         f"{machine['cpu']}; Python {machine['python']}; {packages}.",
+        f"Load of the machine over 1, 5 and 15 minutes: {', '.join(f'{x:.1f}' for x in machine['load'] or [])}.",
         f"CPU time per run-step on one thread, medians of {settings['rounds']} interleaved rounds.",
         "",
-        "| engine | runs | steps | us per run-step | least | over model floor | compile, s | difference, km | km/s |",
-        "|---|--:|--:|--:|--:|--:|--:|--:|--:|",
+        "| engine | runs | steps | us per run-step | least | in the loop | numpy / compiled | over model floor | compile, s "
+        "| difference, km | km/s |",
+        "|---|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|",
     ]
     for row in result["rows"]:
-        floor = "" if row["over_floor"] is None else f"{row['over_floor']:.2f}"
+        over, floor, start = ("" if x is None else f"{x:.2f}" for x in (row["over_numpy"], row["over_floor"], row["start_s"]))
+        inside = f"{row['inside_us']:.2f}" if row["inside_us"] else ""
         apart = ["", ""] if row["difference"] is None else [f"{d:.1e}" for d in row["difference"]]
-        cells = [row["engine"], row["runs"], row["steps"], f"{row['median_us']:.2f}", f"{row['min_us']:.2f}", floor]
-        lines.append(_line([*cells, f"{row['start_s']:.2f}", *apart]))
+        cells = [row["engine"], row["runs"], row["steps"], f"{row['median_us']:.2f}", f"{row['min_us']:.2f}"]
+        lines.append(_line([*cells, inside, over, floor, start, *apart]))
     for name, reason in result["absent"].items():
-        lines.append(_line([name, *[""] * 3, f"absent: {reason}", *[""] * 4]))
+        lines.append(_line([name, *[""] * 3, f"absent: {reason}", *[""] * 6]))
     peers = list(dict.fromkeys((r["peer"], r["peer_runs"]) for r in result["ratios"]))
     if peers:
         lines += ["", "How many times faster a run-step of celnav is (ratios within rounds, their median):", ""]
@@ -110,6 +130,8 @@ def markdown(result: dict[str, Any]) -> str:
         for r in result["ratios"]:
             if r["runs"] == 100 and r["peer_runs"] == 1 and r["engine"] == "celnav square root, H matrix":
                 lines.append(f"- 100 runs of {r['engine']} cost as much as {r['batch_in_peer_runs']:.2f} runs of {r['peer']}.")
+    if "compiled" in result:
+        lines += compiled.lines(result["compiled"])
     if result["max_difference"] is not None:
         verdict = "the estimates agree" if result["agree"] else "THE ESTIMATES DISAGREE"
         position, velocity = result["max_difference"]

@@ -15,7 +15,7 @@ R = SIGMA**2 * np.eye(3)
 H = np.eye(3, 6)
 BLOCK = 512
 """Runs that a batched engine takes at once."""
-RUN_STEPS = 100_000
+RUN_STEPS = 250_000
 """A batch of many runs takes fewer steps, so that a round stays short: the cost of a run-step does not depend on them."""
 
 

@@ -26,6 +26,7 @@ Sources   ``[Sun2015, Eq. 27]`` in a docstring; citations are in ``celnav.papers
 
 from celnav.filters.colored import augmented, colored, decorrelated
 from celnav.filters.compiled import compiled
+from celnav.filters.export import export_c
 from celnav.filters.model import Linear, Motion, Sensor
 from celnav.filters.records import Epoch, Filter, FilterError, epochs
 from celnav.filters.run import run, steps
@@ -39,7 +40,9 @@ from celnav.gaussian.rules import Rule, Taylor, cubature, from_filterpy, gauss_h
 from celnav.gaussian.spaces import EUCLIDEAN, angles, product
 from celnav.gaussian.sparse_grid import smolyak
 from celnav.lazy import modules
+from celnav.study.problem import Problem, compare
 from celnav.study.simulate import simulate
+from celnav.study.trial import Group
 
 __version__ = "0.1.0"
 
@@ -51,8 +54,10 @@ __all__ = [
     "Filter",
     "FilterError",
     "Gaussian",
+    "Group",
     "Linear",
     "Motion",
+    "Problem",
     "Rule",
     "Sensor",
     "Taylor",
@@ -62,11 +67,13 @@ __all__ = [
     "augmented",
     "ckf",
     "colored",
+    "compare",
     "compiled",
     "cubature",
     "decorrelated",
     "ekf",
     "epochs",
+    "export_c",
     "from_filterpy",
     "gauss_hermite",
     "ghkf",

@@ -15,6 +15,7 @@ from typing import NoReturn
 import celnav
 from celnav.commands.arguments import UsageError
 from celnav.files import ForeignFileError, InputError
+from celnav.filters.run import ENGINES
 
 EXIT = "Exit status: 0, done; 1, it could not be done; 2, what was given cannot be used; 130, interrupted."
 BAD_INPUT = (InputError, ForeignFileError, FileNotFoundError, IsADirectoryError, NotADirectoryError, PermissionError)
@@ -105,6 +106,7 @@ def _parser() -> tuple[_Parser, dict[str, _Parser]]:
     reproduce.add_argument("papers", nargs="*", metavar="PAPER", help="which papers (none: all)")
     reproduce.add_argument("--seed", default="0", metavar="S", help="seed, a whole number that is not negative (default: 0)")
     reproduce.add_argument("--out", default="out", metavar="DIR", help="where to write (default: out)")
+    reproduce.add_argument("--engine", default="numpy", choices=ENGINES, help="what flies the filters (default: numpy)")
     reproduce.add_argument("--strict", action="store_true", help="exit 1 if a claim is not as expected")
     reproduce.add_argument("--rinex", metavar="DIR", help="folder of a receiver's RINEX files, for aukf (default: rinex, if there)")
 

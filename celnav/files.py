@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import errno
 import hashlib
-import io
 import json
 import os
 import secrets
@@ -215,9 +214,8 @@ class Outputs:
 
     def npz(self, name: str, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Write arrays."""
-        buffer = io.BytesIO()
-        np.savez(buffer, allow_pickle=False, **dict(arrays))
-        self.bytes(name, buffer.getvalue())
+        with self.path_for(name) as path:
+            np.savez(path, allow_pickle=False, **dict(arrays))
 
 
 def _sha256(path: Path) -> str:

@@ -7,7 +7,6 @@ made the results: another one's are not used.
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import shutil
 from collections.abc import Iterable, Mapping
@@ -20,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import celnav
-from celnav.files import data, read_json, read_npz, remove_leftovers, write_bytes, write_text
+from celnav.files import data, read_json, read_npz, remove_leftovers, replacing, write_text
 
 FORMAT = 2
 MANIFEST, RESULTS = "manifest.json", ".results"
@@ -65,9 +64,8 @@ class Store:
 
     def write(self, unit: Keyed, arrays: Mapping[str, Array]) -> None:
         """Keep a result. OSError names the file if it cannot be written."""
-        buffer = io.BytesIO()
-        np.savez(buffer, allow_pickle=False, **arrays, checksum=np.array(_checksum(unit, arrays)))
-        write_bytes(self.path(unit), buffer.getvalue())
+        with replacing(self.path(unit)) as path:
+            np.savez(path, allow_pickle=False, **arrays, checksum=np.array(_checksum(unit, arrays)))
 
     def has(self, unit: Keyed) -> bool:
         """Whether a unit is finished and whole.
@@ -110,7 +108,7 @@ def _checksum(unit: Keyed, arrays: Mapping[str, Array]) -> str:
     for name in sorted(arrays):
         array = np.ascontiguousarray(arrays[name])
         digest.update(f"{name} {array.dtype.str} {array.shape} ".encode())
-        digest.update(array.tobytes())
+        digest.update(array.data)
     return digest.hexdigest()
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from dataclasses import asdict, replace
@@ -68,6 +69,14 @@ def study(monkeypatch):
 
     use()
     return use
+
+
+def test_reproduce_tells_the_share_and_the_time_left_of_figures_and_recordings_too(study, tmp_path, capsys):
+    assert cli.main(["reproduce", "--out", str(tmp_path), "--effort", "1", "--jobs", "1"]) == 0
+    told = [line for line in capsys.readouterr().out.splitlines() if line.startswith("celnav: ")]
+    assert [line.rpartition(": ")[2] for line in told] == ["all", "all", "ledger", "figures", "recordings"]
+    shares = [int(re.match(r"celnav: (\d+)%, .* left: ", line)[1]) for line in told]
+    assert shares == [5, 9, 9, 18, 64]  # one CPU second of runs, ten of what is made of them
 
 
 def test_reproduce_writes_everything_and_replaces_its_own(study, tmp_path, capsys):
@@ -193,7 +202,7 @@ def test_a_picture_that_cannot_be_is_one_line(tmp_path, monkeypatch, capsys, opt
     from celnav.show import recording, views
 
     monkeypatch.chdir(tmp_path)
-    with recording.recording(tmp_path / "a.rrd", np.arange(3.0), name="a", layout=views.text("info", "info")) as out:
+    with recording.recording(tmp_path / "a.rrd", np.arange(3.0), name="a", layout=views.text(origin="info")) as out:
         out.curve("x", np.arange(3.0), "#000000", "x")
     assert cli.main(["view", "a.rrd", *options]) == 2
     assert capsys.readouterr().err == f"celnav: {text}\n"

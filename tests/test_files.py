@@ -140,6 +140,7 @@ def test_damaged_files_of_celnav_are_one_line(tmp_path, capsys, text):
 def test_a_ledger_shows_itself_everywhere():
     table = Ledger([claim(found="x < {0:.0f}"), claim("other", kind="erratum")])
     assert "x &lt; 1 [0, 1]" in table._repr_html_()
+    assert table._repr_html_().count('href="#say-') == 1
     assert str(table).count("reproduced") == 1
     assert table._repr_markdown_().count("\n") == 2
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from datetime import datetime
 from pathlib import Path
 
 import nbformat
 import pytest
 
-from celnav.papers import PAPERS
+from celnav.papers import PAPERS, load
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
 
@@ -39,6 +40,17 @@ def test_a_lesson_has_the_algorithm_and_something_to_try(path):
     (one,) = [cell.metadata.execution for cell in cells if "try-it" in cell.metadata.get("tags", ())]
     begun, ended = (datetime.fromisoformat(one[when]) for when in ("iopub.execute_input", "shell.execute_reply"))
     assert (ended - begun).total_seconds() < 5.0
+
+
+@pytest.mark.parametrize("path", LESSONS, ids=lambda p: p.stem)
+def test_each_verdict_leads_to_the_cell_that_decides_it(path):
+    cells = nbformat.read(path, as_version=4).cells
+    statements = sorted(row.id for row in load(path.stem[3:]).STUDY.rows if row.kind == "statement")
+    told = [i for i, cell in enumerate(cells) if cell.cell_type == "markdown" and "<a id=" in cell.source]
+    assert sorted(id for i in told for id in re.findall(r'<a id="say-([\w-]+)"></a>', cells[i].source)) == statements
+    assert all(cells[i + 1].cell_type == "code" for i in told)
+    shown = [output.get("data", {}).get("text/html", "") for cell in cells for output in cell.get("outputs", ())]
+    assert sorted(id for text in shown for id in re.findall(r'href="#say-([\w-]+)"', text)) == statements
 
 
 def test_there_are_notebooks():

@@ -24,7 +24,7 @@ def found(paper):
     cells = nbformat.read(path, as_version=4).cells
     pages = [o.data.get("text/html", "") for c in cells if c.cell_type == "code" for o in c.outputs if "data" in o]
     ledger = next(page for page in pages if "<th>verdict</th>" in page)
-    found = re.findall(r'<tr id="([^"]*)"[^>]*>.*?<td class="\w+">([^<]*)</td></tr>', ledger)
+    found = re.findall(r'<tr id="([^"]*)"[^>]*>.*?<td class="\w+">(?:<a [^>]*>)?([^<]*)(?:</a>)?</td></tr>', ledger)
     return [{"kind": "statement", "id": id, "verdict": verdict} for id, verdict in found]
 
 

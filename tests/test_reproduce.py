@@ -47,7 +47,7 @@ def start(folder, out):
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     process = subprocess.Popen(command, **pipes, text=True, start_new_session=True)
     seen = ""
-    while "25%" not in seen:
+    while seen.count("tiny: all") < 2:
         line = process.stdout.readline()
         assert line, f"{seen}{process.communicate()}"
         seen += line

@@ -53,7 +53,7 @@ checks: numbers finite number integer integers whole choice function sequence to
 drawing: Drawing.set render
 rules: few AnyDimension
 sparse_grid: check_orders univariate
-views: bar_chart text log rows columns tabs blueprint
+views: blueprint
 figures: band bars components consistency curve errors interval level panels quantiles rmse rmse_table sigma
 ephemeris: de421
 pulsar: known
@@ -71,10 +71,10 @@ study: Results Results.at Results.claims Results.error Results.first Results.get
     Results.times Results.value Study Study.at_hand Study.reproduce Study.results Study.units Unit.check Unit.do fly together
 page: document figure link linked table
 picture: command end picture
-progress: Progress Progress.add Progress.begin Progress.close Progress.stage RunProgress
-estimates: Estimate Estimate.error Estimate.sigma again estimates first_run
-plots: curves draw
-scenes: arc behind beside constellation flight limb sigma_points sightings track turning
+progress: Progress Progress.add Progress.close Progress.say RunProgress
+estimates: Estimate Estimate.error Estimate.sigma again
+plots: draw
+scenes: arc behind beside constellation flight sigma_points sightings track turning unit
 showcase: Showcase record write
 """
 """What checks, what has no arguments, and what only celnav calls, or hands to a library that says itself what it takes."""
@@ -94,6 +94,7 @@ RULE = rules.unscented(2)
 MOTION, SENSOR = celnav.Motion(0.9 * I2, I2), celnav.Sensor(I2, I2)
 PRIOR = celnav.Gaussian(np.zeros(2), I2)
 RNGS = [montecarlo.generator(0, 0, run) for run in range(2)]
+LAYOUT = views.text(origin="a")
 DOUBT = dict(
     motion=MOTION, sensor=SENSOR, prior=PRIOR, times=TIMES, u=np.zeros((5, 1)), phi=0.5, outliers=0.1,
     groups=[trial.Group("all", "m", slice(0, 2))],
@@ -177,10 +178,9 @@ CALLS = {
     "bounds.colored_bound": dict(F=np.stack([I2]), H=I2, Phi=0.5 * I2, Q=I2, R=I2, P0=I2, Sigma0=I2),
     "recording.rgba": dict(color="#112233", alpha=0.5),
     "recording.ellipsoid_axes": dict(covariance=I3, sigmas=3.0),
-    "recording.recording": (record, dict(path="@", times=TIMES, name="a", layout=views.text("a", "a"), properties={}, counter="k")),
+    "recording.recording": (record, dict(path="@", times=TIMES, name="a", layout=LAYOUT, properties={}, counter="k")),
     "recording.Recorder.text": dict(entity="a", markdown="text"),
     "recording.Recorder.curve": dict(entity="a", values=TIMES, color="#112233", name="a", width=1.0),
-    "recording.Recorder.log_curve": dict(entity="a", values=TIMES, color="#112233", name="a", width=1.0),
     "recording.Recorder.bounds": dict(entity="a", sigma=TIMES, name="a", center=0.0, color="#112233"),
     "recording.Recorder.level": dict(entity="a", value=1.0, name="a", color="#112233"),
     "recording.Recorder.trail": dict(entity="a", points=np.ones((5, 3)), color="#112233", radius=1.0),
@@ -200,7 +200,7 @@ CALLS = {
     "recording.Recorder.event": dict(entity="a", seconds=1.0, message="a"),
     "recording.Recorder.exact": dict(entity="a", a=TIMES),
     "views.space": dict(origin="a", name="a", eye=[1.0, 0.0, 0.0], target=[0.0, 0.0, 0.0], up=[0.0, 0.0, 1.0], growing={"a": 1.0}),
-    "views.plot": dict(origin="a", name="a", times=TIMES, limits=(0.0, 1.0)),
+    "views.plot": dict(origin="a", name="a", times=TIMES, limits=(0.0, 1.0), legend=0.1),
     "figures.figure": dict(width=3.0, height=2.0, rows=1, columns=2),
     "constellation.geostationary": dict(number=1, elapsed_s=60.0),
     "constellation.synthetic": dict(toe=345600.0),
@@ -242,7 +242,7 @@ CALLS = {
     "earth.turning_flight": dict(times=TIMES, **FLIGHT),
 }  # fmt: skip
 
-GAPS = """curve.values log_curve.values bounds.sigma bounds.center trail.points strips.strips arrow.origins arrow.vectors
+GAPS = """curve.values bounds.sigma bounds.center trail.points strips.strips arrow.origins arrow.vectors
 pose.origins pose.quaternions points.points ellipsoids.centers ellipsoids.covariance exact.a"""
 MEANT = {
     "attitude.from_euler angles": "nan, infinite",

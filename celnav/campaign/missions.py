@@ -27,6 +27,8 @@ from typing import Any
 
 from celnav.campaign.typed import depth, named, type_depth, typed
 from celnav.files import InputError
+from celnav.filters.run import ENGINES
+from celnav.gaussian.checks import choice
 from celnav.papers import PAPERS, load
 from celnav.study.montecarlo import run_count
 
@@ -39,7 +41,7 @@ MOST_SAMPLES = 200_000_000
 """Of all runs of a block, which are simulated at once: more take tens of gigabytes."""
 BLOCK = 100
 """Runs of a work unit, unless a file says otherwise: larger ones are hardly faster, and a campaign grows by whole ones."""
-KEYS = ("title", "paper", "preset", "filters", "runs", "seed", "block", "every", "settle_s", "limits", "config")
+KEYS = ("title", "paper", "preset", "filters", "runs", "seed", "block", "every", "settle_s", "limits", "engine", "config")
 
 
 class MissionError(InputError):
@@ -63,6 +65,7 @@ class Study:
     seed: all configurations share the random numbers.
     block: runs of a work unit. every: how many judged epochs lie from one that is scored to the next.
     settle_s: where means over time begin; None: in the middle. limits: largest error at the end, by group.
+    engine: that of `celnav.run`.
     swept: dotted key -> values. configurations: every combination, the last key changing fastest.
     """
 
@@ -75,6 +78,7 @@ class Study:
     every: int
     settle_s: float | None
     limits: dict[str, float]
+    engine: str
     swept: dict[str, tuple[Any, ...]]
     configurations: tuple[Configuration, ...]
 
@@ -149,11 +153,12 @@ def study(table: Mapping[str, Any]) -> Study:
     for key in (*swept, *fixed):
         if all(key in names for names in idle):
             raise ValueError(f"{named(f'config.{key}')}: has no effect {idle[0][key]}")
-    usual = {"title": module.TITLE, "runs": start.runs, "seed": 0, "block": BLOCK, "every": 1, "settle_s": None}
+    usual = {"title": module.TITLE, "runs": start.runs, "seed": 0, "block": BLOCK, "every": 1, "settle_s": None, "engine": "numpy"}
     options: dict[str, Any] = usual | given | {"limits": _limits(table, module.JUDGED)}
     for name, least in (("runs", 1), ("seed", 0), ("block", 1), ("every", 1)):
         if options[name] < least:
             raise ValueError(f"{name}: expected a whole number of at least {least}, got {options[name]}")
+    choice("engine", options["engine"], ENGINES)
     units = len(points) * -(-options["runs"] // options["block"])
     if units > MOST_UNITS:
         raise ValueError(f"runs: expected at most {MOST_UNITS} blocks of runs in all, got {units}; fewer runs, or a larger block")
@@ -162,7 +167,7 @@ def study(table: Mapping[str, Any]) -> Study:
     return Study(paper=paper, filters=names, swept=swept, configurations=points, **options)
 
 
-_OPTIONS: dict[str, Any] = {"title": str, "runs": int, "seed": int, "block": int, "every": int, "settle_s": float}
+_OPTIONS: dict[str, Any] = {"title": str, "runs": int, "seed": int, "block": int, "every": int, "settle_s": float, "engine": str}
 
 
 def _check_flights(points: Sequence[Configuration], options: Mapping[str, Any]) -> None:

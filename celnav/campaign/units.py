@@ -17,6 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from celnav.campaign.missions import Study
 from celnav.campaign.scores import Failure, Scores, check_scores, merge, score
+from celnav.filters.run import ENGINE
 from celnav.gaussian.linalg import Array
 from celnav.papers import load
 from celnav.store import Keyed, code
@@ -59,6 +60,7 @@ class Unit:
     every: int
     settle_s: float | None
     limits: tuple[tuple[str, float], ...]
+    engine: str = "numpy"
 
     @property
     def key(self) -> str:
@@ -80,9 +82,13 @@ class Unit:
 
     def do(self) -> dict[str, Array]:
         """Arrays of the `Result`. Exceptions of models and filters are failures of their runs."""
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # said once, where the study is read
-            return pack(_Flight(self).result())
+        token = ENGINE.set(self.engine)
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # said once, where the study is read
+                return pack(_Flight(self).result())
+        finally:
+            ENGINE.reset(token)
 
     def check(self, arrays: dict[str, Array]) -> None:
         """Raise ValueError unless a `Result` can be made of them."""
@@ -116,7 +122,18 @@ def units_of(study: Study) -> list[list[Unit]]:
     limits = tuple(sorted(study.limits.items()))
     return [
         [
-            Unit(study.paper, point.config, study.filters, study.seed, part.start, part.stop, study.every, study.settle_s, limits)
+            Unit(
+                study.paper,
+                point.config,
+                study.filters,
+                study.seed,
+                part.start,
+                part.stop,
+                study.every,
+                study.settle_s,
+                limits,
+                study.engine,
+            )
             for part in blocks(study.runs, study.block)
         ]
         for point in study.configurations

@@ -88,19 +88,17 @@ def _of(claims: Claims, kind: str) -> list[Mapping[str, Any]]:
 
 
 def _opening(out: Path, paper: str, claims: Claims) -> str:
-    """A card: what a paper says and what we find, in sentences, the figure that decides, its first recording."""
+    """A card: what a paper says and what we find, in sentences, and the figure that decides with the recordings."""
     module = load(paper)
     odd = [claim for claim in claims if surprise(claim)]
     told = f' <b class="bad">{len(odd)} not as expected.</b>' if odd else ""
     statements, stem = _of(claims, "statement"), module.STUDY.figure
-    drawn = (
-        _drawing(out / paper / "figures" / f"{stem}.png", paper, module) if (out / paper / f"figures/{stem}.png").exists() else ""
-    )
-    shown = [link(f"{paper}/{name}", name) for name in module.RECORDINGS[:1] if (out / paper / name).exists()]
+    picture = out / paper / "figures" / f"{stem}.png"
+    drawn = _drawing(picture, paper, module) if picture.exists() else ""
     return (
         f'<article class="card"><h3><a href="#{paper}">{html.escape(module.TITLE)}</a></h3>{drawn}'
         f"<p>The paper: {html.escape(module.STUDY.says)}</p><p>We find: {html.escape(module.STUDY.found)}</p>"
-        f"<p><small>{' · '.join([f'{len(statements)} statements: {counted(statements)}.{told}', *shown])}</small></p></article>"
+        f"<p><small>{len(statements)} statements: {counted(statements)}.{told}</small></p></article>"
     )
 
 
@@ -111,7 +109,8 @@ _FILTER = """<p class="filter"><label>Show rows <select id="shown"><option value
 
 def _filter(claims: Claims) -> str:
     """A choice of verdicts; rows of other ones are hidden."""
-    return _FILTER.format("".join(f"<option>{html.escape(verdict)}</option>" for verdict in tally(claims)))
+    options = (f'<option value="{verdict}">{verdict} ({count})' for verdict, count in tally(claims).items())
+    return _FILTER.format("".join(options))
 
 
 def _paper(out: Path, paper: str, claims: Claims) -> str:
@@ -182,5 +181,8 @@ def _listing(path: Path, module: ModuleType) -> str:
 
 
 def _drawing(path: Path, paper: str, module: ModuleType) -> str:
+    """A figure of a paper; beside the one that decides, what recordings there are."""
     caption = module.FIGURES.get(path.stem, (path.stem.replace("_", " "),))[0]
-    return linked(caption, *(f"{paper}/figures/{path.stem}.{kind}" for kind in ("png", "svg")))
+    names = [n for n in module.RECORDINGS if path.stem == module.STUDY.figure and (path.parents[1] / n).exists()]
+    png, svg = (f"{paper}/figures/{path.stem}.{kind}" for kind in ("png", "svg"))
+    return linked(caption, png, svg, [link(f"{paper}/{name}", name) for name in names])

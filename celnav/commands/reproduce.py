@@ -24,6 +24,7 @@ from celnav import papers
 from celnav.campaign.engine import UnfinishedError, compute
 from celnav.commands.arguments import UsageError, cores, fraction, module, whole, workers
 from celnav.files import Outputs, locked, remove_leftovers
+from celnav.filters.run import ENGINE
 from celnav.gaussian.linalg import Array
 from celnav.show.progress import Progress
 from celnav.store import RESULTS, Store, resumed
@@ -31,6 +32,8 @@ from celnav.study.study import Results, Unit
 
 KINDS = ("png", "svg")
 """Of each figure."""
+WRITING_S = {"ledger": 1.0, "figures": 5.0, "recordings": 4.0}
+"""CPU seconds of what is made of a paper's results, roughly, whatever the effort."""
 
 
 def run(options: argparse.Namespace) -> int:
@@ -49,18 +52,20 @@ def run(options: argparse.Namespace) -> int:
     for paper, one in modules.items():
         _check(one, folders[paper])
     surprises = 0
-    with locked(out), closing(Progress("celnav")) as progress:
+    with locked(out):
         remove_leftovers(out, *(out / paper / below for paper in chosen for below in ("", "figures", "tables")))
         stores = {paper: resumed(out / paper / RESULTS) for paper in modules}
+        token = ENGINE.set(options.engine)
         units = {paper: one.STUDY.units(effort=part, seed=seed, **_inputs(one, options)) for paper, one in modules.items()}
+        ENGINE.reset(token)
         left = {paper: [unit for unit in own if not _kept(stores[paper], unit)] for paper, own in units.items()}
-        total = sum(unit.cost for own in units.values() for unit in own)
-        progress.begin(total, total - sum(unit.cost for own in left.values() for unit in own))
+        total, missing = (sum(unit.cost for own in which.values() for unit in own) for which in (units, left))
+        progress = Progress("celnav", total + len(units) * sum(WRITING_S.values()), total - missing)
 
         def written(paper: str) -> None:
             nonlocal surprises
             own = units.pop(paper)
-            results = modules[paper].STUDY.results(own, [stores[paper].read(unit) for unit in own], effort=part)
+            results = modules[paper].STUDY.results(own, map(stores[paper].read, own), effort=part)
             surprises += _write(paper, modules[paper], results, folders[paper], progress)
             stores[paper].forget_all_but(own)
 
@@ -71,13 +76,14 @@ def run(options: argparse.Namespace) -> int:
             if not left[unit.study]:
                 written(unit.study)
 
-        for paper in [paper for paper, own in left.items() if not own]:
-            written(paper)
-        # The longest first: the end is then made of short ones, and all processes are busy until it.
-        try:
-            compute(sorted((unit for own in left.values() for unit in own), key=lambda unit: -unit.cost), pool, keep)
-        except UnfinishedError as error:
-            raise OSError(f"{error}; what is finished is kept: the same command goes on from there") from None
+        with closing(progress):
+            for paper in [paper for paper, own in left.items() if not own]:
+                written(paper)
+            # The longest first: the end is then made of short ones, and all processes are busy until it.
+            try:
+                compute(sorted((unit for own in left.values() for unit in own), key=lambda unit: -unit.cost), pool, keep)
+            except UnfinishedError as error:
+                raise OSError(f"{error}; what is finished is kept: the same command goes on from there") from None
         top.text("index.html", index(out))
     print(f"wrote {out / 'index.html'}: {f'{surprises} not as expected, see above' if surprises else 'all as expected'}")
     if part < 1.0:
@@ -112,10 +118,11 @@ def _write(paper: str, one: ModuleType, results: Results, outputs: Outputs, prog
     timings: dict[str, float] = {f"cpu_s {part}": float(arrays["cpu_s"].sum()) for part, arrays in results.data.items()}
 
     def stage(name: str, work: Callable[[], Any]) -> Any:
-        progress.stage(f"{paper}: {name}")
+        progress.add(0.0, f"{paper}: {name}")
         start = process_time()
         value = work()
         timings[f"cpu_s {name}"] = process_time() - start
+        progress.add(WRITING_S[name])
         return value
 
     claims = stage("ledger", results.claims)
@@ -144,10 +151,10 @@ def _write(paper: str, one: ModuleType, results: Results, outputs: Outputs, prog
     outputs.text("timings.json", json.dumps(record, indent=1) + "\n")
     for kind in ("statement", "check"):
         count = Counter(claim.verdict for claim in claims if claim.kind == kind)
-        print(f"{paper}: {kind}s: {', '.join(f'{number} {verdict}' for verdict, number in sorted(count.items()))}")
+        progress.say(f"{paper}: {kind}s: {', '.join(f'{number} {verdict}' for verdict, number in sorted(count.items()))}")
     failures = [claim for claim in claims if claim.failure]
     for claim in failures:
-        print(f"{paper}: not as expected: {claim.id}: {claim.verdict}, expected {claim.expected}: {claim.row.says}")
+        progress.say(f"{paper}: not as expected: {claim.id}: {claim.verdict}, expected {claim.expected}: {claim.row.says}")
     return len(failures)
 
 

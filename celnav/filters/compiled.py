@@ -6,6 +6,7 @@ Runs that are lost are flown again by the numpy engine, which is the reference a
 from __future__ import annotations
 
 import traceback
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,8 @@ import numpy as np
 
 from celnav.filters.engine import NONE, Data, Engine, each_run, entries, rebuilt
 from celnav.filters.flight import Flight, as_data, fly
-from celnav.filters.records import Epoch, Epochs, FilterError
-from celnav.filters.run import as_epochs, run
+from celnav.filters.records import Epoch, Epochs, FilterError, Info, State
+from celnav.filters.run import as_epochs, run, steps
 from celnav.filters.track import Track
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import choice, integer
@@ -54,7 +55,9 @@ class Compiled:
         except CannotCompile:
             raise
         except (ArithmeticError, AttributeError, IndexError, LookupError, TypeError, ValueError) as error:
-            run(self.filter, prior, epochs[:CHECKED], every=every, keep=keep)  # what is wrong anyhow is told as ever
+            run(
+                self.filter, prior, epochs[:CHECKED], every=every, keep=keep, engine="numpy"
+            )  # what is wrong anyhow is told as ever
             raise CannotCompile(f"{error}{_place(error)}") from error
         track = _track(engine, data, flight, every)
         if keep == "cov":
@@ -71,7 +74,7 @@ class Compiled:
         if track.mean is None or track.failed_at.ravel()[0] in range(CHECKED):
             return
         part = _of(self.filter, prior, data, engine.batch, [0])
-        known = run(*part[:2], part[2][:CHECKED], on_failure="flag")
+        known = run(*part[:2], part[2][:CHECKED], on_failure="flag", engine="numpy")
         rows = np.flatnonzero(np.isin(track.times, known.times))[:CHECKED]
         for name in ("mean", "std"):
             mine, theirs = getattr(track, name), getattr(known, name)[np.isin(known.times, track.times)]
@@ -89,13 +92,15 @@ class Compiled:
         """The track, with the runs that were lost flown by the numpy engine."""
         filter, own, epochs = _of(self.filter, prior, data, engine.batch, lost)
         if not engine.batch:
-            return replace(run(filter, own, epochs, every=every, keep=keep, on_failure=on_failure), engine="compiled")
-        again = run(filter, own, epochs, every=every, keep=keep, on_failure="flag")
+            return replace(
+                run(filter, own, epochs, every=every, keep=keep, on_failure=on_failure, engine="numpy"), engine="compiled"
+            )
+        again = run(filter, own, epochs, every=every, keep=keep, on_failure="flag", engine="numpy")
         still = np.flatnonzero(again.failed_at >= 0)
         if len(still) and on_failure == "raise":
             first = lost[still[np.argmin(again.failed_at[still])]]
             try:
-                run(*_of(self.filter, prior, data, engine.batch, [first]))
+                run(*_of(self.filter, prior, data, engine.batch, [first]), engine="numpy")
             except FilterError as error:
                 at = tuple(int(i) for i in np.unravel_index(first, engine.batch))
                 raise FilterError(str(error).replace("run (0,)", f"run {at}", 1)) from None
@@ -131,7 +136,9 @@ def _track(engine: Engine, data: Data, flight: Flight, every: int) -> Track:
             spread[..., j, i] = lower
         belief = engine.form(rows["mean"], spread)
     likelihood, missing, rejected, redone, failed = (x.reshape(engine.batch) for x in flight.tally.T.copy())
-    silent = sum(m * sum(data.known[kind].z[i] == NONE for kind in data.kinds) for i, m in enumerate(engine.innovations))
+    often = np.bincount(data.kinds, minlength=len(data.known))
+    silent = sum(int(count) * m for count, kind in zip(often, data.known, strict=True)
+                 for m, what in zip(engine.innovations, kind.z, strict=True) if what == NONE)  # fmt: skip
     used = beside("used")
     return Track(
         times=data.t[::every].copy(),
@@ -198,3 +205,36 @@ def compiled(filter: Any, *, jobs: int = 1) -> Compiled:
     >>> flown = celnav.compiled(celnav.ukf(motion, gps)).run(prior, times, z)
     """
     return Compiled(filter, integer("jobs", jobs))
+
+
+def run_by(
+    engine: str, filter: Any, prior: Any, epochs: Iterable[Epoch], jobs: int, also: Any, reduce: Any, **options: Any
+) -> Track:
+    """`celnav.run` with an engine that is "compiled", or "auto": numpy where that cannot be."""
+    epochs = epochs if isinstance(epochs, Epochs) else list(epochs)
+    try:
+        if also is not None or reduce is not None:
+            raise CannotCompile("also, reduce: expected none with engine='compiled', which keeps no states between epochs")
+        return compiled(filter, jobs=jobs).run(prior, epochs, **options)
+    except (CannotCompile, ImportError) as error:
+        if engine == "compiled":
+            raise
+        track = run(filter, prior, epochs, also=also, reduce=reduce, engine="numpy", **options)
+        return replace(track, engine=f"numpy: {error}")
+
+
+def steps_by(engine: str, filter: Any, prior: Any, epochs: Iterable[Epoch]) -> Iterable[tuple[Epoch, State, tuple[Info, ...]]]:
+    """`celnav.steps` likewise; by numpy too where a run is lost, since why is to be told. An `Info` is of all sensors together."""
+    epochs = epochs if isinstance(epochs, Epochs) else list(epochs)
+    try:
+        track = compiled(filter).run(prior, epochs, keep="cov", on_failure="flag")
+    except (CannotCompile, ImportError):
+        if engine == "compiled":
+            raise
+        return steps(filter, prior, epochs)
+    if track.belief is None or (track.failed_at >= 0).any():
+        return steps(filter, prior, epochs)
+    form, whitened = type(track.belief), track.whitened
+    infos = [Info()] * len(epochs) if whitened is None else map(Info, track.innovation, whitened, track.used)
+    rows = zip(epochs, *track.belief, infos, strict=True)
+    return ((epoch, State(form(mean, spread)), (info,)) for epoch, mean, spread, info in rows)

@@ -138,7 +138,8 @@ class Engine:
         self.held = len(TALLY) + sum(int(np.prod(array.shape[-2:])) for array in constants)
         # The length of an interval is a number of the program where it is always the same.
         moving = np.unique(data.dt[data.dt != 0.0])
-        self.dt = float(moving[0]) if len(moving) == 1 and data.dt.ndim == 1 else None
+        self.dt = float(moving[0]) if len(moving) == 1 else None
+        self.apart = data.dt.ndim > 1  # each run has an interval of its own
         self.widths = [z.shape[-1] for z in data.z]
         self.innovations = [sensor.space.minus(z[:1], z[:1]).shape[-1] if z.shape[-1] else 0
                             for sensor, z in zip(data.sensors, data.z, strict=True)]  # fmt: skip
@@ -236,6 +237,7 @@ class Engine:
             else:
                 z.append(np.full(m, np.nan) if there == SILENT else None)
             first += m
+        at_dt, first = first, first + self.apart
         shared, parts = 3, []
         for values, own in u:
             shape = values.shape[1 + len(self.batch) * own :]
@@ -246,7 +248,9 @@ class Engine:
             parts.append(x if shape else x[()])
         k: Any = take("shared", 0)
         t = take("shared", 1)
-        dt: Any = 0.0 if not kind.moves else take("shared", 2) if self.dt is None else self.dt
+        dt: Any = 0.0
+        if kind.moves:
+            dt = self.dt if self.dt is not None else take("own", at_dt) if self.apart else take("shared", 2)
         epoch = Epoch(k, t, dt, rebuilt(kind.u[0], iter(parts)), z[0] if len(z) == 1 else tuple(z) if z else None)
 
         state, infos = filter.step(state, epoch)

@@ -51,8 +51,8 @@ def as_data(filter: Any, epochs: Epochs | Sequence[Epoch]) -> Data:
     inputs: list[dict[int, list[Array]]] = []
     which = np.zeros(len(k), int)
     for i, one in enumerate(u):
-        parts = [_input(x) for x, _ in leaves(one)]
-        shape = rebuilt(one, iter(range(len(parts)))), tuple(x.shape for x in parts)
+        parts = [] if one is None else [_input(x) for x, _ in leaves(one)]
+        shape = rebuilt(one, iter(range(len(parts)))) if parts else None, tuple(x.shape for x in parts)
         which[i] = shapes.setdefault(shape, len(inputs))
         if which[i] == len(inputs):
             inputs.append({})
@@ -100,77 +100,99 @@ class Flight(NamedTuple):
 
 def fly(engine: Engine, data: Data, every: int, jobs: int) -> Flight:
     """All runs through all epochs."""
-    runs = int(np.prod(engine.batch))
+    runs, T = int(np.prod(engine.batch)), len(data.k)
     lanes = 1 if runs == 1 else llvm.lanes()
-    inputs = {shape: engine.inputs(found, len(data.k)) for shape, found in data.u.items()}
-    ids: dict[Shape, int] = {engine.begin: 0}
-    plan: dict[tuple[int, int], tuple[int, int]] = {}
-    records: list[Recorded] = []
-    shape, steps = engine.begin, []
-    for kind in data.kinds:
-        at = ids.setdefault(shape, len(ids))
-        if (at, kind) not in plan:
-            made = engine.recorded_as(shape, data.known[kind], inputs[data.known[kind].u], lanes)
-            plan[at, kind] = len(records), ids.setdefault(made.after, len(ids))
-            records.append(made)
-        number, _ = plan[at, kind]
-        steps.append(number)
-        shape = records[number].after
-    size = engine.held + max(x.size for x in ids)
-    E = 3 + max(sum(x[0].size for x, own in parts if not own) for parts in inputs.values())
-    own_sizes = [sum(int(np.prod(x.shape[1 + len(engine.batch) :])) for x, own in parts if own) for parts in inputs.values()]
-    M, T = sum(engine.widths) + max(own_sizes) + (data.dt.ndim > 1), len(data.k)
-    shared = np.zeros((T, E))
-    shared[:, 0], shared[:, 1] = data.k, data.t
-    if data.dt.ndim == 1:
-        shared[:, 2] = data.dt
-    for parts in inputs.values():
-        flat = [x.reshape(T, -1) for x, own in parts if not own]
-        if flat:
-            values = np.concatenate(flat, -1)
-            shared[:, 3 : 3 + values.shape[1]] += values
+    inputs = {shape: engine.inputs(found, T) for shape, found in data.u.items()}
+    records, steps, size = _planned(engine, data, inputs, lanes)
+    shared, own = _shared(data, inputs), _own(engine, data, inputs, runs)
     stored = np.where(np.arange(T) % every == 0, np.arange(T) // every, -1)
     if engine.few:
         stored[FEW:] = -1
-    names = engine.columns()
-    kept, K = sum(names.values()), int(stored.max()) + 1
+    names, K, M = engine.columns(), int(stored.max()) + 1, max((at + x.shape[-1] for at, x in own), default=1)
+    kept = sum(names.values())
     rows = {name: np.empty((K, runs, count)) for name, count in names.items()}
-    tally = np.empty((runs, len(TALLY)))
+    tally, start = np.empty((runs, len(TALLY))), np.concatenate(engine.start(), 1)
     table = (np.array([record.address for record in records], np.uint64), np.array(steps, np.int32), stored.astype(np.int64))
-    z = [np.broadcast_to(x, (T, *engine.batch, x.shape[-1])).reshape(T, runs, -1) if x.ndim > 2 and x.shape[1:-1] != engine.batch
-         else x.reshape(T, -1, x.shape[-1]) for x in data.z if x.shape[-1]]  # fmt: skip
-    per_run = [x.reshape(T, runs, -1) for parts in inputs.values() for x, own in parts if own]
     loop = llvm.fly()
 
-    def some(first: int, last: int) -> None:
-        count = last - first
-        width = -(-count // lanes) * lanes
-        own = np.empty((T, M, width))
-        at = 0
-        for x in (*z, *per_run):
-            part = x if x.shape[1] == 1 else x[:, first:last]
-            own[:, at : at + x.shape[-1], :count] = part.transpose(0, 2, 1)
-            at += x.shape[-1]
-        own[..., count:] = own[..., count - 1 : count]
-        state = np.zeros((width // lanes, size, lanes))
-        start = np.concatenate([x[first:last] for x in engine.start()], 1)
-        start = np.concatenate([start, np.repeat(start[-1:], width - count, 0)])
-        state[:, : start.shape[1]] = start.reshape(-1, lanes, start.shape[1]).transpose(0, 2, 1)
-        out = np.empty((K, kept, width))
-        pointers = (x.ctypes.data for x in (*table, state, shared, own, out))
-        loop(*pointers, size, E, M, kept, width, lanes, 0, width // lanes, T)
+    def some(first: int) -> None:
+        """A chunk of runs."""
+        part = slice(first, min(first + chunk, runs))
+        count = part.stop - first
+        width = -(-count // lanes) * lanes  # the last run fills a block that is not full
+        values, state, out = np.zeros((T, M, width)), np.zeros((width // lanes, size, lanes)), np.empty((K, kept, width))
+        for at, x in own:
+            values[:, at : at + x.shape[-1], :count] += (x if x.shape[1] == 1 else x[:, part]).transpose(0, 2, 1)
+        values[..., count:] = values[..., count - 1 : count]
+        begin = np.concatenate([start[part], np.repeat(start[part.stop - 1 : part.stop], width - count, 0)])
+        state[:, : start.shape[1]] = begin.reshape(-1, lanes, start.shape[1]).transpose(0, 2, 1)
+        pointers = (x.ctypes.data for x in (*table, state, shared, values, out))
+        loop(*pointers, size, shared.shape[1], M, kept, width, lanes, 0, width // lanes, T)
         at = 0
         for name, number in names.items():
-            rows[name][:, first:last] = out[:, at : at + number, :count].transpose(0, 2, 1)
+            rows[name][:, part] = out[:, at : at + number, :count].transpose(0, 2, 1)
             at += number
-        tally[first:last] = state[:, : len(TALLY)].transpose(0, 2, 1).reshape(width, -1)[:count]
+        tally[part] = state[:, : len(TALLY)].transpose(0, 2, 1).reshape(width, -1)[:count]
 
     chunk = max(lanes, min(-(-runs // jobs), CHUNK // (8 * T * (kept + M))) // lanes * lanes)
-    firsts = range(0, runs, chunk)
-    if jobs > 1 and len(firsts) > 1:
+    if jobs > 1 and runs > chunk:
         with ThreadPoolExecutor(jobs) as pool:
-            list(pool.map(lambda first: some(first, min(first + chunk, runs)), firsts))
+            list(pool.map(some, range(0, runs, chunk)))
     else:
-        for first in firsts:
-            some(first, min(first + chunk, runs))
+        for first in range(0, runs, chunk):
+            some(first)
     return Flight(rows, tally)
+
+
+def _planned(engine: Engine, data: Data, inputs: dict[Any, Any], lanes: int) -> tuple[list[Recorded], list[int], int]:
+    """The records that are needed, which of them each epoch takes, and how many numbers a state is kept as."""
+    ids: dict[Shape, int] = {engine.begin: 0}
+    records: dict[tuple[int, int], tuple[int, Recorded]] = {}
+    shape, steps = engine.begin, []
+    for kind in data.kinds:
+        key = ids.setdefault(shape, len(ids)), kind
+        if key not in records:
+            there = data.known[kind]
+            records[key] = len(records), engine.recorded_as(shape, there, inputs[there.u], lanes)
+        number, made = records[key]
+        steps.append(number)
+        shape = made.after
+    ids.setdefault(shape, len(ids))
+    return [made for _, made in records.values()], steps, engine.held + max(x.size for x in ids)
+
+
+def _shared(data: Data, inputs: dict[Any, list[tuple[Array, bool]]]) -> Array:
+    """What all runs have in common at each epoch ``(T, E)``: index, time, interval, inputs."""
+    T = len(data.k)
+    flat = [np.concatenate([np.zeros((T, 0)), *(x.reshape(T, -1) for x, own in parts if not own)], 1) for parts in inputs.values()]
+    out = np.zeros((T, 3 + max(x.shape[1] for x in flat)))
+    out[:, 0], out[:, 1] = data.k, data.t
+    if data.dt.ndim == 1:
+        out[:, 2] = data.dt
+    for x in flat:  # an epoch has one of them, and zeros of the others
+        out[:, 3 : 3 + x.shape[1]] += x
+    return out
+
+
+def _own(engine: Engine, data: Data, inputs: dict[Any, list[tuple[Array, bool]]], runs: int) -> list[tuple[int, Array]]:
+    """What each run has of its own at each epoch, ``(T, runs or 1, ...)``, and where it stands: measurements, interval, inputs."""
+    T, out, at = len(data.k), list[tuple[int, Array]](), 0
+    values = [*data.z, data.dt[..., None]] if engine.apart else data.z
+    for x in values:
+        if x.shape[-1]:
+            alone = x.ndim == 2 or x.shape[1:-1] == (1,)
+            out.append((at, x.reshape(T, 1, -1) if alone else _flat(x, engine.batch, runs)))
+            at += x.shape[-1]
+    for parts in inputs.values():
+        end = at
+        for x, own in parts:
+            if own:
+                out.append((end, x.reshape(T, runs, -1)))
+                end += out[-1][1].shape[-1]
+    return out
+
+
+def _flat(x: Array, batch: tuple[int, ...], runs: int) -> Array:
+    """``(T, runs, k)`` of values ``(T, ..., k)``."""
+    whole: Array = np.broadcast_to(x, (len(x), *batch, x.shape[-1]))
+    return whole.reshape(len(x), runs, -1)

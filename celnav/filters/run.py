@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
+from contextvars import ContextVar
 from typing import Any
 
 import numpy as np
@@ -11,12 +11,16 @@ from numpy.typing import ArrayLike
 
 from celnav.filters.joint import at
 from celnav.filters.mixing import LOOKED_AT, WATCH
-from celnav.filters.records import Epoch, Epochs, Filter, FilterError, Info, check_interval, epochs
+from celnav.filters.records import Epoch, Filter, FilterError, Info, check_interval, epochs
 from celnav.filters.sequential import Sequential
 from celnav.filters.track import Collector, Track
 from celnav.gaussian.belief import settled
 from celnav.gaussian.checks import choice, function, instance, integer, kind
 from celnav.gaussian.linalg import Array
+
+ENGINES = ("numpy", "compiled", "auto")
+ENGINE: ContextVar[str] = ContextVar("engine", default="numpy")
+"""What `run` and the studies take where nobody says: ``celnav reproduce --engine`` sets it."""
 
 
 def run(
@@ -24,7 +28,7 @@ def run(
     every: int = 1, keep: str = "std", on_failure: str = "raise",
     also: Callable[[Epoch, Any, tuple[Info, ...]], dict[str, Any]] | None = None,
     reduce: Callable[[Any, Epoch, Any, tuple[Info, ...]], Any] | None = None,
-    engine: str = "numpy", jobs: int = 1,
+    engine: str | None = None, jobs: int = 1,
 ) -> Track:  # fmt: skip
     """Run a filter over epochs and collect a `Track`.
 
@@ -37,15 +41,18 @@ def run(
     also: ``(epoch, state, infos) -> dict`` of further arrays to store, as ``Track.extra``.
     reduce: ``(accumulated, epoch, state, infos) -> accumulated``, from None; the end is ``Track.reduced``. With it a study of any
         length runs in the memory of one step.
-    engine: "numpy"; "compiled": the filter's own step as machine code, see `celnav.compiled`; "auto": compiled where that can be,
-        and ``Track.engine`` says why not. jobs: threads of compiled code.
+    engine: "numpy" (unless `ENGINE` says otherwise); "compiled": the filter's own step as machine code, see `celnav.compiled`;
+        "auto": compiled where that can be, and ``Track.engine`` says why not. jobs: threads of compiled code.
     on_failure: "raise" a `FilterError` for the first run that is lost, or "flag" it: it becomes nan from there
         (``Track.failed_at``), the other runs go on.
 
     >>> track = celnav.run(celnav.ukf(motion, gps), celnav.Gaussian(x0, P0), times, z)
     """
-    if choice("engine", engine, ("numpy", "compiled", "auto")) != "numpy":
-        return _compiled(locals())
+    if (engine := choice("engine", engine or ENGINE.get(), ENGINES)) != "numpy":
+        from celnav.filters.compiled import run_by
+
+        given = as_epochs(times, z, u)
+        return run_by(engine, filter, prior, given, jobs, also, reduce, every=every, keep=keep, on_failure=on_failure)
     collector = Collector(integer("every", every), choice("keep", keep, ("std", "cov", "mean", "nothing")))
     choice("on_failure", on_failure, ("raise", "flag"))
     if also is not None:
@@ -64,25 +71,6 @@ def run(
             reduced = reduce(reduced, epoch, state, infos)
         before = state
     return collector.track(reduced, filter)
-
-
-def _compiled(given: dict[str, Any]) -> Track:
-    """`run` with another engine, of its arguments."""
-    from celnav.filters.compiled import compiled
-    from celnav.tape.tape import CannotCompile
-
-    engine, jobs, also, reduce, filter, prior = (given.pop(x) for x in ("engine", "jobs", "also", "reduce", "filter", "prior"))
-    times = given["times"] = as_epochs(given.pop("times"), given.pop("z"), given.pop("u"))
-    if not isinstance(times, Epochs):
-        times = given["times"] = list(times)
-    try:
-        if also is not None or reduce is not None:
-            raise CannotCompile("also, reduce: expected none with engine='compiled', which keeps no states between epochs")
-        return compiled(filter, jobs=jobs).run(prior, **given)
-    except (CannotCompile, ImportError) as error:
-        if engine == "compiled":
-            raise
-        return replace(run(filter, prior, **given, also=also, reduce=reduce), engine=f"numpy: {error}")
 
 
 def as_epochs(times: Any, z: Any, u: Any) -> Iterable[Epoch]:

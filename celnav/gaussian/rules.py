@@ -20,8 +20,7 @@ from numpy.typing import ArrayLike
 from celnav.gaussian.checks import LIMIT, choice, finite, instance, integer, kind, number, numbers
 from celnav.gaussian.linalg import EPS, POSITIVE, Array, fan, semidefinite_root, side_by_side, solve_right
 from celnav.gaussian.spaces import EUCLIDEAN, Space, trailing
-from celnav.tape.derivative import at_zero, variables
-from celnav.tape.numbers import tape_of
+from celnav.tape.derivative import along, at_zero
 
 MAX_POINTS = 1_000_000
 
@@ -185,8 +184,9 @@ class Taylor:
         if self.about is not None:
             root = side_by_side([root, space.minus(mean, center)[..., None]])
         roots = (root, *augment)
-        if (tape := tape_of(center, *roots) if root.dtype.hasobject or center.dtype.hasobject else None) is not None:
-            return self._variable(tape, center, roots, space)
+        if root.dtype.hasobject or center.dtype.hasobject:
+            first, *noise = along(center, roots)
+            return [space.plus(center, first), *noise]
         total, batch = sum(E.shape[-1] for E in roots), max(center.ndim - 1, root.ndim - 2)
         directions = self.step * np.hstack([np.zeros((total, 1)), np.eye(total), -np.eye(total)])
         deviations, first = [], 0
@@ -196,15 +196,6 @@ class Taylor:
 
         points = [deviations[0] + center if space is EUCLIDEAN else space.plus(center, deviations[0])]
         return points + [np.broadcast_to(D, (*points[0].shape[:-1], D.shape[-1])) for D in deviations[1:]]
-
-    @staticmethod
-    def _variable(tape: Any, center: Array, roots: Sequence[Array], space: Space) -> list[Array]:
-        """One point, which may be differentiated along the columns."""
-        unit, first, parts = variables(tape, sum(E.shape[-1] for E in roots)), 0, []
-        for E in roots:
-            parts.append((E @ unit[first : first + E.shape[-1]])[None])
-            first += E.shape[-1]
-        return [space.plus(center, parts[0]), *parts[1:]]
 
     def image(self, y: Array, space: Space, root: Array) -> Image:
 

@@ -53,11 +53,11 @@ class Gyro:
 
     def drift(self, start: Array, walk: Array, dt: float) -> Array:
         """Drift ``(T, ..., 3)`` rad/s from ``start (..., 3)``, with standard normal ``walk (T - 1, ..., 3)``, steps of ``dt`` s."""
-        drift = [np.broadcast_to(start, walk.shape[1:])]
-        factor, deviation = self.factor(dt), self.drift_std(dt)
-        for one in walk:
-            drift.append(factor * drift[-1] + deviation * one)
-        return np.array(drift)
+        drift = np.empty((len(walk) + 1, *walk.shape[1:]))
+        drift[0], factor, deviation = start, self.factor(dt), self.drift_std(dt)
+        for k, one in enumerate(walk):
+            drift[k + 1] = factor * drift[k] + deviation * one
+        return drift
 
     def process_noise(self, dt: float) -> Array:
         """Covariance ``(6, 6)`` of the errors of rotation vector and drift over ``dt`` seconds [Crassidis & Markley 2003]."""

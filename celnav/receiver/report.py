@@ -299,9 +299,9 @@ def record_positioned(found: Positioned, path: Any) -> None:
     eye = middle + np.array([0.0, -spread, 4.0 * spread])
     scatter = views.space("track", "east, north, up, m", eye=eye, target=middle, growing=growing)
     sky = views.space("sky", "sky over the receiver", eye=(0.0, -2.2, 1.6), growing={})
-    left = views.rows(scatter, views.tabs(sky, views.text("info", "about")))
+    left = views.rows(scatter, views.tabs(sky, views.text(origin="info", name="about")))
     plots = [views.plot(name, f"{name}, m", times) for name in ("east", "north", "up")]
-    layout = views.columns(left, views.rows(*plots, views.plot("sats", "satellites and PDOP", times)), shares=(1, 1))
+    layout = views.columns(left, views.rows(*plots, views.plot("sats", "satellites and PDOP", times)), column_shares=(1, 1))
     facts = {"filter": found.filter, "first": civil(log.times[0]), "epochs": len(times)}
     with recording.recording(path, times, name="position", layout=layout, properties=facts) as out:
         out.text("info", "```\n" + summary(found) + "\n```")

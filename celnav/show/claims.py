@@ -76,17 +76,17 @@ def surprise(claim: Mapping[str, Any]) -> bool:
     return claim["verdict"] not in ("undecided", claim["expected"])
 
 
-def table(claims: Sequence[Mapping[str, Any]], link: str = "") -> str:
-    """Rows as HTML, what we find under what is said, every number behind a fold; ``link``: where figures lie."""
+def table(claims: Sequence[Mapping[str, Any]], link: str = "", cell: str = "") -> str:
+    """Rows as HTML, every number behind a fold; ``link``: where figures lie, ``cell``: what is before an id where it is decided."""
     head = "".join(f"<th>{name}</th>" for name in COLUMNS)
-    return f'<table class="cards"><thead><tr>{head}</tr></thead><tbody>{"".join(_line(c, link) for c in claims)}</tbody></table>'
+    lines = "".join(_line(claim, link, cell) for claim in claims)
+    return f'<table class="cards"><thead><tr>{head}</tr></thead><tbody>{lines}</tbody></table>'
 
 
-def _line(claim: Mapping[str, Any], link: str) -> str:
-    place, says, printed, ours, verdict = (html.escape(cell) for cell in row(claim))
-    told = [f"<small>{html.escape(claim['note'])}</small>"] if claim["note"] else []
-    if claim["revised"]:
-        told.append(f"<small>Accepted range revised: {html.escape(claim['revised'])}</small>")
+def _line(claim: Mapping[str, Any], link: str, cell: str) -> str:
+    place, says, printed, ours, verdict = (html.escape(text) for text in row(claim))
+    notes = claim["note"], claim["revised"] and f"Accepted range revised: {claim['revised']}"
+    told = [f"<small>{html.escape(note)}</small>" for note in notes if note]
     if len(claim["numbers"]) > 1 or claim["why"]:
         listed = "".join(f"<li>{html.escape(_number(number))}</li>" for number in claim["numbers"])
         why = f"<p>Accepted because: {html.escape(claim['why'])}</p>" if claim["why"] else ""
@@ -94,8 +94,9 @@ def _line(claim: Mapping[str, Any], link: str) -> str:
     figure = f' <a href="{link}{claim["figure"]}.svg">figure</a>' if claim["figure"] and link else ""
     odd = " <b>(not as expected)</b>" if surprise(claim) else ""
     cells = {"place": place, "what is said": "<br>".join([says, *told]), "printed": printed, "ours": ours}
-    named = "".join(f'<td data-name="{name}">{cell}</td>' if cell else "<td></td>" for name, cell in cells.items())
-    said = f'<td class="{style(claim["verdict"])}">{verdict}{odd}{figure}</td>'
+    named = "".join(f'<td data-name="{name}">{text}</td>' if text else "<td></td>" for name, text in cells.items())
+    shown = f'<a href="{cell}{html.escape(claim["id"])}">{verdict}</a>' if cell and claim["kind"] == "statement" else verdict
+    said = f'<td class="{style(claim["verdict"])}">{shown}{odd}{figure}</td>'
     return f'<tr id="{html.escape(claim["id"])}" data-verdict="{verdict}">{named}{said}</tr>'
 
 
@@ -104,7 +105,7 @@ def _number(number: Mapping[str, Any]) -> str:
 
 
 class Ledger:
-    """Claims as a table: for a notebook (HTML), a page (Markdown) or a terminal."""
+    """Claims as a table: for a notebook (HTML; a statement's verdict leads to the cell that decides it), Markdown or a terminal."""
 
     def __init__(self, claims: Sequence[Claim], kind: str = "statement"):
         self._claims = [written(claim) for claim in claims if claim.kind == kind]
@@ -117,14 +118,13 @@ class Ledger:
         return "\n".join(f"| {line} |" for line in lines)
 
     def _repr_html_(self) -> str:
-        return table(self._claims)
+        return table(self._claims, cell="#say-")
 
 
 # -- files -------------------------------------------------------------------------------------------------------------------
 def written(claim: Claim) -> dict[str, Any]:
     """As it stands in ``claims.json``: ``value``, ``ci`` and ``accept`` of the number that decides, all in ``numbers``."""
-    row, deciding = claim.row, next((n for n in claim.numbers if not n.holds), claim.numbers[0] if claim.numbers else None)
-    first = deciding or Number("", np.nan)
+    row, first = claim.row, next((n for n in claim.numbers if not n.holds), (*claim.numbers, Number("", np.nan))[0])
     return {
         "id": row.id, "kind": row.kind, "place": row.place, "statement": row.says, "printed": plain(row.printed),
         "value": plain(first.value), "ci": plain(first.ci), "accept": plain(first.accept), "why": row.why,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -59,40 +59,16 @@ class Estimate:
         return np.asarray(np.sqrt(np.where(variance >= 0.0, variance, np.nan)) * np.asarray(group.scale))
 
 
-def estimates(data: Mapping[str, Array], names: Mapping[str, tuple[str, str]], units: Any = 1.0) -> dict[str, Estimate]:
-    """Out of arrays of a Monte Carlo, for names with their label and color.
-
-    ``data``: ``name/error (T, runs, n)``, divided by ``units``, and where there are, of the first run ``name/cov (T, 1, n, n)``,
-    and ``name/nees``, ``name/nis`` ``(T, runs)``.
-    """
-
-    def first(key: str) -> Array | None:
-        return data[key][:, 0] if key in data else None
-
-    return {
-        name: Estimate(label, color, data[f"{name}/error"] / units, *(first(f"{name}/{key}") for key in ("cov", "nees", "nis")))
-        for name, (label, color) in names.items()
-    }
-
-
-def first_run(results: Results, part: str, lines: Mapping[str, Line]) -> dict[str, Estimate]:
-    """Filters of a part: the errors of all runs, and the first run flown again in full for its covariances."""
+def again(results: Results, part: str, lines: Mapping[str, Line]) -> tuple[dict[str, Estimate], Array, Array]:
+    """Filters of a part: the errors of all runs, and the first run flown again in full for its covariances; its truth ``(T, n)``
+    and its measurements ``(T, m)``, of epochs that are the same for all filters."""
     first, scale = results.first(part), np.ones(results.get(part, f"{next(iter(lines))}/error").shape[-1])
     for group in results.study.groups:
         scale[group.part] = group.scale
     n, found = len(scale), {}
     for name, line in lines.items():
-        cov = np.asarray(run(first.filters[name], first.prior, first.epochs(name), keep="cov").cov)[:, 0, :n, :n]
+        epochs = list(first.epochs(name))
+        cov = np.asarray(run(first.filters[name], first.prior, epochs, keep="cov").cov)[:, 0, :n, :n]
         error, nees, nis = (results.get(part, f"{name}/{what}") for what in ("error", "nees", "nis"))
         found[name] = Estimate(line.label, line.color, error / scale, cov, nees[:, 0], nis[:, 0])
-    return found
-
-
-def again(results: Results, part: str, lines: Mapping[str, Line]) -> tuple[dict[str, Estimate], Array, Array]:
-    """`first_run`, its truth ``(T, n)`` and its measurements ``(T, m)``, of epochs that are the same for all filters."""
-    epochs = list(results.first(part).epochs(next(iter(lines))))
-    return (
-        first_run(results, part, lines),
-        np.stack([epoch.truth[0] for epoch in epochs]),
-        np.stack([epoch.z[0] for epoch in epochs]),
-    )
+    return found, np.stack([epoch.truth[0] for epoch in epochs]), np.stack([epoch.z[0] for epoch in epochs])

@@ -12,19 +12,21 @@ body{font:15px/1.5 system-ui,sans-serif;max-width:72rem;margin:0 auto;padding:1r
 table{border-collapse:collapse;display:block;overflow-x:auto;font-size:13px;margin:1rem 0}
 td,th{border-bottom:1px solid var(--line);padding:.3rem .5rem;text-align:left;vertical-align:top}
 figure{margin:1rem 0}img{max-width:100%;background:#fff;border-radius:4px}
-pre{overflow-x:auto;font-size:12px}.bad{color:var(--bad);font-weight:600}.good{color:var(--good);font-weight:600}
+[hidden]{display:none!important}pre{overflow-x:auto;font-size:12px}.bad{color:var(--bad);font-weight:600}.good{color:var(--good);font-weight:600}
 .part{color:var(--part);font-weight:600}.error{color:var(--error)}.open{color:var(--open)}.numbers{border:0;padding:0}
 .numbers summary{font-weight:400;font-size:12px;opacity:.7}.numbers ul{font-size:12px;margin:.2rem 0}
 .wide figure{overflow-x:auto}.wide img{min-width:36rem}
 details{border-bottom:1px solid var(--line);padding:.4rem 0}summary{cursor:pointer;font-weight:600}
 h1,h2{line-height:1.2}section{margin-top:3rem}figcaption{font-size:13px}a{color:inherit}
-@media(max-width:44rem){.cards thead{display:none}.cards tr{display:block;border-bottom:1px solid var(--line);padding:.4rem 0}
+@media print,(max-width:44rem){.cards thead{display:none}
+.cards tr{display:block;border-bottom:1px solid var(--line);padding:.4rem 0}
 .cards td{display:inline;border:0;padding:0 .6rem 0 0}.cards td:first-child{display:block}
 .cards td[data-name]:not(:first-child)::before{content:attr(data-name)": ";opacity:.6}}
-@media(min-width:44rem){.cards td:not(:first-child){white-space:nowrap}}
+@media screen and (min-width:44rem){.cards td:nth-child(n+4){white-space:nowrap}}
 .card{border:1px solid var(--line);border-radius:6px;padding:.2rem 1rem 1rem}.card figcaption{opacity:.7}
-select{font:inherit}@media print{select,.filter{display:none}details::details-content{content-visibility:visible}}
-.grid{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(24rem,100%),1fr));gap:1rem}
+.grid{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(24rem,100%),1fr));gap:1rem}select{font:inherit}
+@media print{body{font-size:11px}.filter{display:none}details:not(.numbers)::details-content{content-visibility:visible}
+.grid{grid-template-columns:1fr 1fr}figure,tr,.card{break-inside:avoid}table{font-size:9px}}
 """
 
 
@@ -57,8 +59,9 @@ def figure(title: str, png: bytes, svg: str) -> str:
     return f"<figure>{picture}<figcaption>{name} ({link(svg, 'svg')})</figcaption></figure>"
 
 
-def linked(title: str, png: str, svg: str) -> str:
-    """A picture in a file ``png`` beside the page, loaded when it is scrolled to; a click enlarges it, to the file ``svg``."""
+def linked(title: str, png: str, svg: str, more: Iterable[str] = ()) -> str:
+    """A picture in a file ``png`` beside the page, loaded when it is scrolled to; a click enlarges it, to the file ``svg``.
+    ``more``: links that stand beside the one to it."""
     name, target, source = (html.escape(text, quote=True) for text in (title, svg, png))
     picture = f'<a href="{target}"><img alt="{name}" loading="lazy" src="{source}"></a>'
-    return f"<figure>{picture}<figcaption>{name} ({link(svg, 'svg')})</figcaption></figure>"
+    return f"<figure>{picture}<figcaption>{name} ({' · '.join([link(svg, 'svg'), *more])})</figcaption></figure>"

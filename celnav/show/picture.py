@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import os
 import signal
 import socket
@@ -15,6 +16,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import rerun as rr
+from PIL import Image
 from rerun.experimental import ViewerClient
 
 from celnav.files import InputError, replacing
@@ -28,6 +30,8 @@ SETTLE_S = 8.0
 """How long the viewer shows notes about itself."""
 LEAST_BYTES = 20_000
 """Of a picture that shows more than an empty window."""
+BAR = 31 / 900
+"""Part of the window that is the viewer's own: its menu, and what it says of the machine."""
 
 
 def end(recording: str | Path) -> float:
@@ -48,7 +52,7 @@ def end(recording: str | Path) -> float:
 
 
 def picture(recording: str | Path, path: str | Path, at: float, width: int = 1600) -> None:
-    """Write a PNG of a recording at a time.
+    """Write a PNG of a recording at a time, without the viewer's own bar.
 
     Needs a Vulkan driver; one in software will do (``mesa-vulkan-drivers`` of Debian).
 
@@ -65,7 +69,8 @@ def picture(recording: str | Path, path: str | Path, at: float, width: int = 160
             with _viewer() as viewer:
                 viewer.open(str(Path(recording).resolve()))
                 viewer.set_time(TIMELINE, duration=at, play_state="paused")
-                target.write_bytes(_drawn(viewer, width))
+                drawn = Image.open(io.BytesIO(_drawn(viewer, width)))
+                drawn.crop((0, round(BAR * drawn.height), *drawn.size)).save(target, "PNG")
         except (RuntimeError, ConnectionError, TimeoutError) as error:
             said = " ".join(str(error).split())[:200]
             raise OSError(f"{recording}: the viewer gave no picture ({said}); it needs a Vulkan driver") from None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -39,23 +39,15 @@ class Plot(NamedTuple):
     legend: bool = True
 
 
-def curves(names: Iterable[str], columns: Iterable[Array], colors: Iterable[str]) -> dict[str, Curve]:
-    """A curve for each name, which is its label too, of a column ``(T,)`` and a color."""
-    return {name: Curve(values, color, name) for name, values, color in zip(names, columns, colors, strict=False)}
-
-
 def draw(out: Recorder, entity: str, plot: Plot) -> None:
     """Record a plot: each curve below ``entity`` under its name."""
     for name, c in plot.curves.items():
-        path = f"{entity}/{name}"
-        if plot.log:
-            out.log_curve(path, c.values, c.color, c.label, width=c.width)
-            if c.sigma is not None:
-                out.log_curve(f"{path}/3s", 3.0 * c.sigma, c.color, f"3σ {c.label}", width=0.8)
-        else:
-            out.curve(path, c.values, c.color, c.label, width=c.width, shown=c.shown or c.sigma is not None)
-            if c.sigma is not None:
-                out.bounds(path, c.sigma, c.label, center=c.center, shown=c.shown, color=c.color)
+        path, shown = f"{entity}/{name}", plot.log or c.shown or c.sigma is not None
+        out.curve(path, c.values, c.color, c.label, width=c.width, shown=shown, log=plot.log)
+        if c.sigma is not None and plot.log:
+            out.curve(f"{path}/3s", 3.0 * c.sigma, c.color, f"3σ {c.label}", width=0.8, log=True)
+        elif c.sigma is not None:
+            out.bounds(path, c.sigma, c.label, center=c.center, shown=c.shown, color=c.color)
     if plot.band is not None:
         for end, level in zip(("low", "high"), plot.band, strict=True):
             out.level(f"{entity}/band/{end}", float(np.log10(level)) if plot.log else level, f"95 % band, {end}")

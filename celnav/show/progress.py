@@ -4,57 +4,47 @@ from __future__ import annotations
 
 import sys
 from time import monotonic
-from typing import Any, Self
+from typing import Any, Self, cast
 
 EVERY_S = 5.0
 """Between plain lines about runs."""
 
 
 class Progress:
-    """Of work of known cost, with the time left, and of what is made of it meanwhile."""
+    """Of work of known cost in any unit, ``total`` in all, ``done`` of it before: the share, the time left, and what is done."""
 
-    def __init__(self, name: str):
-        self._name = name
-        self._bar: Any = None
-        self._terminal = sys.stderr.isatty()
-        self._total, self._done, self._start, self._before = 1.0, 0.0, monotonic(), 0.0
-
-    def begin(self, total: float, done: float) -> None:
-        """So much is to be done in all, in any unit, and so much of it was done before."""
-        self._total, self._done, self._before, self._start = max(total, 1e-9), done, done, monotonic()
-        if done > 0.0:
-            self._say(f"{done / self._total:.0%} was done before")
-
-    def stage(self, name: str) -> None:
-        """Something else begins."""
-        if not self._terminal:
-            self._say(name)
-        elif self._bar is not None:
-            self._bar.set_postfix_str(name)
-
-    def add(self, cost: float, label: str) -> None:
-        """So much more is done."""
-        self._done += cost
-        if not self._terminal:
-            passed, here = monotonic() - self._start, self._done - self._before
-            left = passed * max(self._total - self._done, 0.0) / here
-            self._say(f"{self._done / self._total:.0%}, {_duration(left)} left: {label}")
-            return
-        if self._bar is None:
+    def __init__(self, name: str, total: float, done: float = 0.0):
+        self._name, self._total, self._done, self._before = name, max(total, 1e-9), done, done
+        self._start, self._bar = monotonic(), cast(Any, None)
+        if sys.stderr.isatty():
             from tqdm import tqdm
 
             form = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}{postfix}"
-            self._bar = tqdm(total=self._total, initial=self._before, desc=self._name, file=sys.stderr, bar_format=form)
-        self._bar.update(cost)
-        self._bar.set_postfix_str(label)
+            self._bar = tqdm(total=self._total, initial=done, desc=name, file=sys.stderr, bar_format=form, smoothing=0.0)
+        elif done > 0.0:
+            print(f"{name}: {done / self._total:.0%} was done before", flush=True)
+
+    def add(self, cost: float, label: str = "") -> None:
+        """So much more is done; ``label``: what it was, or what begins now."""
+        self._done += cost
+        here, left = self._done - self._before, max(self._total - self._done, 0.0)
+        if self._bar is not None:
+            self._bar.update(cost)
+            self._bar.set_postfix_str(label or self._bar.postfix)
+        elif label:
+            time = f", {_duration((monotonic() - self._start) * left / here)} left" if here else ""
+            print(f"{self._name}: {self._done / self._total:.0%}{time}: {label}", flush=True)
+
+    def say(self, line: str) -> None:
+        """A line of its own."""
+        if self._bar is not None:
+            self._bar.clear()
+        print(line, flush=True)
 
     def close(self) -> None:
         """Nothing more comes."""
         if self._bar is not None:
             self._bar.close()
-
-    def _say(self, line: str) -> None:
-        print(f"{self._name}: {line}", flush=True)
 
 
 def _duration(seconds: float) -> str:

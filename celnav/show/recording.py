@@ -105,20 +105,19 @@ class Recorder:
         """A text panel."""
         self._style(entity, rr.TextDocument(_text("markdown", markdown), media_type="text/markdown"))
 
-    def curve(self, entity: str, values: ArrayLike, color: str, name: str, *, width: float = 1.5, shown: bool = True) -> None:
-        """A curve ``(T,)`` in a plot, with gaps at nan; hidden until clicked in the legend unless ``shown``."""
+    def curve(
+        self, entity: str, values: ArrayLike, color: str, name: str, *, width: float = 1.5, shown: bool = True, log: bool = False
+    ) -> None:
+        """A curve ``(T,)`` in a plot, with gaps at nan; hidden until clicked in the legend unless ``shown``; ``log``: of decimal
+        logarithms, since plots have no logarithmic axis."""
         scalars = self._array(entity, "values", values, ())
+        if log:
+            scalars = np.log10(scalars, out=np.full(scalars.shape, np.nan), where=scalars > 0.0)
         style = {"colors": rgba(color), "widths": number("width", width, 0.0), "names": _text("name", name)}
         self._style(entity, rr.SeriesLines(**style, visible_series=shown))
         # An empty row is a gap too, and two files with a nan never compare equal.
         there = np.isfinite(scalars)
         self._send(entity, rr.Scalars.columns(scalars=scalars[there]).partition(there.astype(int)))
-
-    def log_curve(self, entity: str, values: ArrayLike, color: str, name: str, *, width: float = 1.5) -> None:
-        """A curve of the decimal logarithms of values ``(T,)``, since plots have no logarithmic axis; gaps where there is none."""
-        array = self._array(entity, "values", values, ())
-        logarithm = np.log10(array, out=np.full(array.shape, np.nan), where=array > 0.0)
-        self.curve(entity, logarithm, color, name, width=width)
 
     def bounds(
         self, entity: str, sigma: ArrayLike, name: str, *, center: ArrayLike = 0.0, shown: bool = True, color: str = colors.SIGMA
@@ -239,7 +238,7 @@ class Recorder:
         columns: list[Any] = []
         for name, value in values.items():
             rows = numbers(f"{entity} {name}", value)
-            if rows.ndim == 0 or len(rows) != len(self.times):
+            if rows.shape[:1] != self.times.shape:
                 raise ValueError(f"{entity} {name}: expected {len(self.times)} rows, got shape {rows.shape}")
             rows = rows.reshape(len(rows), -1)
             columns += rr.AnyValues.columns(**{name: rows.ravel()}).partition(np.full(len(rows), rows.shape[1]))
@@ -254,24 +253,15 @@ def _sphere(latitude: ArrayLike, longitude: ArrayLike) -> Array:
 
 @contextlib.contextmanager
 def recording(
-    path: str | os.PathLike[str],
-    times: ArrayLike,
-    *,
-    name: str,
-    layout: Any,
-    properties: Mapping[str, Any] | None = None,
-    counter: str = "",
+    path: str | os.PathLike[str], times: ArrayLike, *, name: str, layout: Any, properties: Mapping[str, Any] = {}, counter: str = ""
 ) -> Iterator[Recorder]:
     """Write a recording when the block ends: to a temporary file beside ``path`` that then takes its place, or not at all.
 
     Parameters
     ----------
-    path: of the file. One that celnav recorded before is replaced, any other is left alone.
-    times: ``(T,)`` s, increasing.
-    name: what the viewer calls it, and its id.
-    layout: a view or container of `celnav.show.views`.
-    properties: facts about the whole recording, such as parameters and seed.
-    counter: name of a second timeline that counts the rows; none if empty.
+    path: of the file. One that celnav recorded before is replaced, any other is left alone. times: ``(T,)`` s, increasing.
+    name: what the viewer calls it, and its id. layout: a view or container of `celnav.show.views`.
+    properties: facts about the whole recording. counter: name of a second timeline that counts the rows; none if empty.
 
     Raises
     ------
@@ -284,30 +274,25 @@ def recording(
     target = Path(instance("path", path, str | os.PathLike, "a path, such as 'flight.rrd'"))
     _text("name", name)
     _text("counter", counter)
-    instance("properties", {} if properties is None else properties, Mapping, "a table, such as {'seed': 0}")
+    instance("properties", properties, Mapping, "a table, such as {'seed': 0}")
     if target.suffix != ".rrd":
         raise ValueError(f"path: expected the name of an .rrd file, got {str(target)!r}")
     _check_ours(target)
-    strict = strict_mode()
-    # Otherwise a wrong call is only a warning and its data are missing.
-    rr.set_strict_mode(True)
-    try:
+    with contextlib.ExitStack() as stack:
+        stack.callback(rr.set_strict_mode, strict_mode())
+        rr.set_strict_mode(True)  # or a wrong call is only a warning and its data are missing
         stream = rr.RecordingStream(_slug(f"{APPLICATION} {name}"), recording_id=_slug(name), send_properties=False)
+        stack.callback(stream.disconnect)
         # Not to a file: its writer works in the background, keeps a full disk to itself and then waits for ever.
         memory = stream.memory_recording()
-        try:
-            stream.set_log_time_enabled(False)
-            with stream:
-                stream.send_blueprint(blueprint(layout, t), make_active=False, make_default=True)
-                stream.send_recording_name(name)
-                if properties:
-                    stream.send_property("study", rr.AnyValues(**properties))
-                yield Recorder(stream, t, counter)
-            write_bytes(target, memory.drain_as_bytes())
-        finally:
-            stream.disconnect()
-    finally:
-        rr.set_strict_mode(strict)
+        stream.set_log_time_enabled(False)
+        with stream:
+            stream.send_blueprint(blueprint(layout, t), make_active=False, make_default=True)
+            stream.send_recording_name(name)
+            if properties:
+                stream.send_property("study", rr.AnyValues(**properties))
+            yield Recorder(stream, t, counter)
+        write_bytes(target, memory.drain_as_bytes())
 
 
 def _slug(name: str) -> str:

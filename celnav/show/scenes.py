@@ -9,6 +9,7 @@ import numpy as np
 
 from celnav.gaussian import attitude
 from celnav.gaussian.linalg import Array
+from celnav.models.sightings import limb
 from celnav.show import colors
 from celnav.show.showcase import Space
 
@@ -34,14 +35,13 @@ def sightings(out: Recorder, origin: str, position: Array, velocity: Array, star
     ``stars (k, 3)``, the sphere's limb, and the angles between the vertical and the stars, and between the limb's sight lines."""
     out.globe(f"{origin}/earth", radius)
     out.path(f"{origin}/orbit", [position], colors.FAINT)
-    track(out, f"{origin}/truth", position, colors.TRUTH, "satellite", radius=3.5)
+    track(out, f"{origin}/truth", position, colors.TRUTH, radius=3.5)
     for i, star in enumerate(stars, start=1):
         out.arrow(f"{origin}/stars/i{i}", position, np.broadcast_to(0.9 * radius * star, position.shape), colors.STAR, f"i{i}")
     touched = limb(position, velocity, radius)
     lines = touched - position[:, None]
     out.strips(f"{origin}/limb", np.stack([touched - lines, touched], 2), [colors.MEASUREMENT] * 2, radius=1.5)
-    up = position / np.linalg.norm(position, axis=1, keepdims=True)
-    lines = lines / np.linalg.norm(lines, axis=-1, keepdims=True)
+    up, lines = unit(position), unit(lines)
     arcs = [*(arc(up, np.broadcast_to(star, up.shape)) for star in stars), arc(lines[:, 0], lines[:, 1])]
     around = position[:, None, None] + 0.2 * radius * np.stack(arcs, 1)
     shades = [*[colors.STAR] * len(stars), colors.MEASUREMENT]
@@ -51,11 +51,9 @@ def sightings(out: Recorder, origin: str, position: Array, velocity: Array, star
 
 def beside(origin: str, title: str, state: Array, radius: float, growing: Sequence[str]) -> Space:
     """A view of a satellite's scene with an orbit's plane from its side, from above the equator; ``state (6)`` is on the orbit."""
-    up = state[:3] / np.linalg.norm(state[:3])
-    side = np.cross(up, state[3:] / np.linalg.norm(state[3:]))
-    toward = np.copysign(1.0, side[2]) * side + np.array([0.0, 0.0, 0.8])
-    target = 0.8 * radius * up
-    eye = target + 1.7 * radius * toward / np.linalg.norm(toward)
+    side = np.cross(unit(state[:3]), unit(state[3:]))
+    target = 0.8 * radius * unit(state[:3])
+    eye = target + 1.7 * radius * unit(np.copysign(1.0, side[2]) * side + np.array([0.0, 0.0, 0.8]))
     return Space(origin, title, eye, target, growing=growing)
 
 
@@ -63,29 +61,19 @@ def turning(out: Recorder, entity: str, errors: Mapping[str, tuple[Array, str]],
     """Axes of estimates below ``entity``, whose axes are the truth's: rotation vectors ``(T, 3)`` rad with their colors, drawn
     ``factor`` times as large; not those that would then turn by more than a right angle."""
     for key, (error, color) in errors.items():
-        turned = factor * error
-        small = np.linalg.norm(turned, axis=1, keepdims=True) < 0.5 * np.pi
-        out.pose(f"{entity}/{key}", np.zeros(turned.shape), attitude.exp(np.where(small, turned, 0.0)))
+        small = np.linalg.norm(error, axis=1, keepdims=True) < 0.5 * np.pi / factor
+        out.pose(f"{entity}/{key}", np.zeros(error.shape), attitude.exp(np.where(small, factor * error, 0.0)))
         out.axes(f"{entity}/{key}", length, [color] * 3, radius=0.7)
 
 
 def constellation(
-    out: Recorder,
-    origin: str,
-    places: Array,
-    orbits: Array,
-    receiver: Array,
-    seen: Array,
-    names: Sequence[str],
-    shades: Sequence[str],
+    out: Recorder, origin: str, places: Array, orbits: Array, receiver: Array, names: Sequence[str], shades: Sequence[str]
 ) -> None:
-    """Satellites at ``places (T, S, 3)`` on ``orbits (points, S, 3)``, with names and colors; sight lines from ``receiver (T, 3)``
-    to those that are ``seen (S,)``."""
+    """Satellites at ``places (T, S, 3)`` on ``orbits (points, S, 3)``, with names and colors, seen from ``receiver (T, 3)``."""
     for s, (name, shade) in enumerate(zip(names, shades, strict=True)):
         out.path(f"{origin}/orbit/{name}", [orbits[:, s]], shade, radius=0.3)
         out.points(f"{origin}/sat/{name}", places[:, s], shade, radius=4.0, label=str(name))
-    lines = np.stack([np.broadcast_to(receiver[:, None], places.shape), places], 2)[:, seen]
-    out.strips(f"{origin}/sight", lines, [shade for shade, there in zip(shades, seen, strict=True) if there], radius=0.5)
+    out.strips(f"{origin}/sight", np.stack([np.broadcast_to(receiver[:, None], places.shape), places], 2), shades, radius=0.5)
     out.points(f"{origin}/receiver", receiver, colors.TRUTH, radius=4.0, label="receiver")
 
 
@@ -107,30 +95,17 @@ def sigma_points(out: Recorder, entity: str, points: Array, weights: Array, colo
     out.points(f"{entity}/truth", np.zeros((len(points), 3)), colors.TRUTH, radius=5.0)
 
 
-def limb(position: Array, velocity: Array, radius: float) -> Array:
-    """Points ``(T, 2, 3)`` where sight lines in the orbit's plane touch a sphere: p'p = R^2 and p'(p - r) = 0.
-
-    Raises
-    ------
-    ValueError: if the sphere, of ``radius`` about the origin, holds some ``position (T, 3)``.
-    """
-    r = np.linalg.norm(position, axis=1, keepdims=True)
-    if not 0.0 < radius < r.min():
-        raise ValueError(f"radius: expected less than the distance {r.min():.6g} of the satellite, got {radius!r}")
-    up = position / r
-    along = velocity - np.sum(velocity * up, 1, keepdims=True) * up
-    along = along / np.linalg.norm(along, axis=1, keepdims=True)
-    sine = radius / r
-    return np.asarray(radius * np.stack([sine * up + sign * np.sqrt(1.0 - sine * sine) * along for sign in (1.0, -1.0)], 1))
+def unit(vectors: Array) -> Array:
+    """Vectors ``(..., 3)`` of length 1."""
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
 def arc(start: Array, end: Array, points: int = 13) -> Array:
     """Great-circle arcs ``(T, points, 3)`` between unit vectors ``(T, 3)`` that are not parallel."""
     angle = np.arccos(np.clip(np.sum(start * end, 1), -1.0, 1.0))[:, None, None]
     part = np.linspace(0.0, 1.0, points)[:, None]
-    across = end - np.cos(angle[:, 0]) * start
-    across = across / np.linalg.norm(across, axis=1, keepdims=True)
-    return np.asarray(np.cos(part * angle) * start[:, None] + np.sin(part * angle) * across[:, None])
+    across = unit(end - np.cos(angle[:, 0]) * start)[:, None]
+    return np.asarray(np.cos(part * angle) * start[:, None] + np.sin(part * angle) * across)
 
 
 def behind(points: Array, steps: int, every: int = 1) -> Array:

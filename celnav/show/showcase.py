@@ -107,9 +107,8 @@ def record(showcase: Showcase, path: str | os.PathLike[str]) -> None:
     _check(showcase)
     rows = {**_errors(showcase), **showcase.plots, **_statistics(showcase)}
     mapped, size = _mapped(showcase)
-    facts, counter = showcase.facts, showcase.counter
-    layout = _layout(showcase, rows, size)
-    with recording(path, showcase.times, name=showcase.name, layout=layout, properties=facts, counter=counter) as out:
+    about: Any = {"name": showcase.name, "properties": showcase.facts, "counter": showcase.counter}
+    with recording(path, showcase.times, layout=_layout(showcase, rows, size), **about) as out:
         out.text("info", f"{showcase.notes}\n\n{_legend(showcase)}")
         if showcase.scene is not None:
             showcase.scene(out)
@@ -150,10 +149,8 @@ def _legend(showcase: Showcase) -> str:
     meant = [(colors.TRUTH, "truth"), *((e.color, e.label) for e in showcase.estimates.values()), *showcase.legend.items()]
     meant += [(colors.BOUND, "Cramér–Rao bound")] * bool(showcase.bound) + [(colors.SIGMA, "95 % band")] * bool(showcase.estimates)
     lines = ["**Colors.** " + " · ".join(f"{colors.NAMES.get(color, color)}: {text}" for color, text in meant) + "."]
-    if showcase.axes is not None:
-        lines.append(
-            "**Errors.** Estimate minus truth. A consistent filter keeps the origin in its 3σ ellipsoid. Points: other runs."
-        )
+    errors = "**Errors.** Estimate minus truth. A consistent filter keeps the origin in its 3σ ellipsoid. Points: other runs."
+    lines += [errors] * (showcase.axes is not None)
     lines.append("Space bar: play. Tabs: other axes. Double-click in a plot: all of its range.")
     rows = [f"| {name} | {text} |" for name, value in showcase.parameters.items() if (text := _plain(value))]
     return "\n\n".join(lines) + "\n\n" + "\n".join(["| parameter | |", "|---|---|", *rows] if rows else [])
@@ -162,8 +159,7 @@ def _legend(showcase: Showcase) -> str:
 def _plain(value: Any) -> str:
     """A parameter's value; empty if it is no number, text or tuple of these."""
     if isinstance(value, tuple):
-        parts = [_plain(part) for part in value]
-        return ", ".join(parts) if all(parts) else ""
+        return ", ".join(parts) if all(parts := [_plain(part) for part in value]) else ""
     return f"{value:g}" if isinstance(value, float) else str(value) if isinstance(value, int | str) else ""
 
 
@@ -199,10 +195,8 @@ def _errors(showcase: Showcase) -> dict[str, dict[str, Plot]]:
                 center = 0.0 if group.truth is None else about[:, i] + error[:, i]
                 curves[key] = _curve(showcase, key, about[:, i] + error[:, i], None if sigma is None else sigma[:, i], center)
             row[axis] = Plot(f"{group.name} {'error ' * (group.truth is None)}{axis}, {group.unit}", curves, limits=limits)
-        sizes = {
-            key: _curve(showcase, key, *(None if part is None else np.linalg.norm(part, axis=1) for part in found[key]))
-            for key in found
-        }
+        lengths = {key: [None if part is None else np.linalg.norm(part, axis=1) for part in both] for key, both in found.items()}
+        sizes = {key: _curve(showcase, key, *both) for key, both in lengths.items()}
         row["size"] = Plot(f"log10 |{group.name} error|, {group.unit}", sizes, log=True)
     return rows
 
@@ -216,21 +210,17 @@ def _curve(showcase: Showcase, key: str, values: Any, sigma: Array | None = None
 def _statistics(showcase: Showcase) -> dict[str, dict[str, Plot]]:
     """NEES and NIS over their dimensions, and the RMSE of all runs."""
     rows: dict[str, dict[str, Plot]] = {"consistency": {}, "rmse": {}}
-    n = max((e.errors.shape[-1] for e in showcase.estimates.values()), default=1)
+    every = showcase.estimates.items()
+    n = max((e.errors.shape[-1] for _, e in every), default=1)
     for name, dimension in (("nees", n), ("nis", showcase.nis_dof)):
-        found = {key: getattr(e, name) for key, e in showcase.estimates.items()}
-        curves = {key: _curve(showcase, key, values / dimension) for key, values in found.items() if values is not None}
+        curves = {key: _curve(showcase, key, values / dimension) for key, e in every if (values := getattr(e, name)) is not None}
         low, high = (limit / dimension for limit in chi_square_band(dimension, 1))
         if curves:
             title = f"log10 {name.upper()} / {dimension}"
             rows["consistency"][name] = Plot(title, curves, log=True, band=(low, high), legend=False)
     for group in showcase.groups:
-        errors = {key: e.error(group) for key, e in showcase.estimates.items()}
-        rmse = {
-            key: _curve(showcase, key, np.sqrt(np.square(error).sum(-1).mean(1)))
-            for key, error in errors.items()
-            if error.size and error.shape[1] > 1
-        }
+        errors = {key: error for key, e in every if (error := e.error(group)).size and error.shape[1] > 1}
+        rmse = {key: _curve(showcase, key, np.sqrt(np.square(error).sum(-1).mean(1))) for key, error in errors.items()}
         if group.name in showcase.bound:
             rmse["bound"] = Curve(showcase.bound[group.name], colors.BOUND, "Cramér–Rao bound", width=1.2)
         if rmse:
@@ -238,27 +228,24 @@ def _statistics(showcase: Showcase) -> dict[str, dict[str, Plot]]:
     return {row: plots for row, plots in rows.items() if plots}
 
 
-class _Mapped(NamedTuple):
-    """An estimate in the space of errors: all runs ``(T, runs, 3)``, covariances ``(T, 3, 3)`` of the first."""
-
-    errors: Array
-    cov: Array | None
+_Mapped = dict[str, tuple[Array, Array | None]]
+"""Estimates in the space of errors: all runs ``(T, runs, 3)``, covariances ``(T, 3, 3)`` of the first."""
 
 
-def _mapped(showcase: Showcase) -> tuple[dict[str, _Mapped], float]:
+def _mapped(showcase: Showcase) -> tuple[_Mapped, float]:
     """Estimates in the space of errors, and the size of what is to be seen of it."""
     if showcase.axes is None:
         return {}, 1.0
-    found = {}
+    found: _Mapped = {}
     for key, e in showcase.estimates.items():
         A = showcase.axes[:, : e.errors.shape[-1]]
-        found[key] = _Mapped(e.errors @ A.T, A @ e.cov @ A.T if e.cov is not None and e.cov.ndim == 3 else None)
-    main = [found[key] for key in showcase.main]
-    sigmas = [None if m.cov is None else np.sqrt(np.fmax(m.cov.diagonal(0, -2, -1), 0.0)) for m in main]
-    return found, _reach([np.linalg.norm(m.errors[:, : ENSEMBLE + 1], axis=-1) for m in main], sigmas, 0.9) or 1.0
+        found[key] = e.errors @ A.T, A @ e.cov @ A.T if e.cov is not None and e.cov.ndim == 3 else None
+    errors, covs = zip(*(found[key] for key in showcase.main), strict=True) if found else ((), ())
+    sigmas = [None if cov is None else np.sqrt(np.fmax(cov.diagonal(0, -2, -1), 0.0)) for cov in covs]
+    return found, _reach([np.linalg.norm(e[:, : ENSEMBLE + 1], axis=-1) for e in errors], sigmas, 0.9) or 1.0
 
 
-def _draw_errors(out: Recorder, showcase: Showcase, mapped: Mapping[str, _Mapped], size: float) -> None:
+def _draw_errors(out: Recorder, showcase: Showcase, mapped: _Mapped, size: float) -> None:
     """About the origin, since single precision on the scale of an orbit would hide them."""
     length = 10.0 ** np.floor(np.log10(size))
     out.path("error/axes", list(length * np.stack([np.zeros((3, 3)), np.eye(3)], 1)), colors.SIGMA)
@@ -284,28 +271,25 @@ def _layout(showcase: Showcase, rows: Mapping[str, Mapping[str, Plot]], size: fl
     from celnav.show import views
 
     times = showcase.times
-    about = [views.text("info", "about"), *(views.bar_chart(_entity("bars", title), title) for title in showcase.bars)]
-    about += [views.log("events", "events")] if showcase.events else []
+    about = [views.text(origin="info", name="about")]
+    about += [views.bar_chart(origin=_entity("bars", title), name=title) for title in showcase.bars]
+    about += [views.log(origin="events", name="events")] if showcase.events else []
     left: list[Any] = [views.tabs(*about)]
     if showcase.axes is not None:
         growing = {f"error/measured/{what}": 0.05 * float(times[-1] - times[0]) for what in ("points", "trail")}
         growing |= {f"error/{key}/trail": np.inf for key in showcase.estimates}
         eye = size * np.array([1.7, -1.5, 1.1])
         left = [views.columns(views.space("error", f"errors, {showcase.unit} (origin: truth)", eye=eye, growing=growing), *left,
-                              shares=(3, 2))]  # fmt: skip
+                              column_shares=(3, 2))]  # fmt: skip
     if showcase.spaces:
         scenes = [views.space(s.origin, s.title, eye=s.eye, target=s.target, up=s.up, growing=dict.fromkeys(s.growing, np.inf))
                   for s in showcase.spaces]  # fmt: skip
         left = [views.tabs(*scenes), *left]
-    # Where there is no scene, there is room for all plots of a row at once.
-    arranged = views.tabs if showcase.spaces else views.columns
-    right = {
-        row: [
-            views.plot(_entity("plots", row, name), p.title, times, limits=p.limits, legend=p.legend) for name, p in plots.items()
-        ]
-        for row, plots in rows.items()
-    }
+    # Where there is no scene, there is room for all plots of a row at once, in which a legend takes more.
+    arranged, legend = (views.tabs, 0.24) if showcase.spaces else (views.columns, 0.42)
+    right = {row: [views.plot(_entity("plots", row, name), p.title, times, limits=p.limits, legend=legend * p.legend)
+                   for name, p in plots.items()] for row, plots in rows.items()}  # fmt: skip
     below = [views.tabs(*right.pop(row)) for row in ("consistency", "rmse") if row in right]
     drawn = [*(arranged(*plots) for plots in right.values()), *([views.columns(*below)] if below else [])]
     shares = (11, 10) if showcase.spaces else (1, 4)
-    return views.columns(views.rows(*left, shares=(5, 4)[: len(left)]), views.rows(*drawn), shares=shares)
+    return views.columns(views.rows(*left, row_shares=(5, 4)[: len(left)]), views.rows(*drawn), column_shares=shares)

@@ -5,7 +5,8 @@ Imports rerun; import it late, where a recording is made (`celnav.show.recording
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,12 +14,17 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import ArrayLike
 
-from celnav.gaussian.checks import finite, instance, numbers
+from celnav.gaussian.checks import finite, instance, number, numbers
 from celnav.gaussian.linalg import Array
 
 TIMELINE = "t"
 """Of every recording, seconds."""
 _SPACE = [13, 16, 24]
+
+text, log, bar_chart = rrb.TextDocumentView, rrb.TextLogView, rrb.BarChartView
+"""Views of a text, of the events and of the bars below ``origin``."""
+rows, columns, tabs = rrb.Vertical, rrb.Horizontal, partial(rrb.Tabs, active_tab=0)
+"""Views one below the other, side by side, and one behind the other, the first in front."""
 
 
 def _named(origin: str, name: str) -> dict[str, Any]:
@@ -34,7 +40,7 @@ def space(
     eye: ArrayLike,
     target: ArrayLike = (0.0, 0.0, 0.0),
     up: ArrayLike = (0.0, 0.0, 1.0),
-    growing: Mapping[str, float] | None = None,
+    growing: Mapping[str, float] = {},
 ) -> Any:
     """A view of the space below ``origin`` from ``eye (3,)`` towards ``target (3,)``.
 
@@ -47,7 +53,7 @@ def space(
         return rrb.VisibleTimeRanges(timeline=TIMELINE, start=start, end=boundary.cursor_relative(seconds=0.0))
 
     controls = {"position": ("eye", eye), "look_target": ("target", target), "eye_up": ("up", up)}
-    growing = instance("growing", {} if growing is None else growing, Mapping, "a table, such as {'trail': inf}")
+    growing = instance("growing", growing, Mapping, "a table, such as {'trail': inf}")
     return rrb.Spatial3DView(
         **_named(origin, name),
         background=_SPACE,
@@ -57,60 +63,27 @@ def space(
     )
 
 
-def plot(origin: str, name: str, times: Array, *, limits: tuple[float, float] | None = None, legend: bool = True) -> Any:
+def plot(origin: str, name: str, times: Array, *, limits: tuple[float, float] | None = None, legend: float = 0.24) -> Any:
     """A plot of the curves below ``origin`` over the whole run (by default the viewer scrolls), with ``limits`` of its y axis.
 
-    The legend takes a part of the time axis after the run, where it hides nothing.
+    ``legend``: so much of the run the time axis goes on after it, where the legend hides nothing; 0: no legend.
     """
+    legend = number("legend", legend, 0.0)
     times = finite("times", times, ("T",))
     span = float(times[-1] - times[0])
-    ends = times[0] - 0.02 * span, times[-1] + (0.24 if legend else 0.06) * span
+    ends = times[0] - 0.02 * span, times[-1] + (legend or 0.06) * span
     start, end = (rrb.TimeRangeBoundary.absolute(seconds=float(t)) for t in ends)
-    if limits is not None:
-        limits = tuple(finite("limits", limits, (2,)).tolist())
     return rrb.TimeSeriesView(
         **_named(origin, name),
         axis_x=rrb.TimeAxis(view_range=rr.TimeRange(start=start, end=end)),
-        axis_y=None if limits is None else rrb.ScalarAxis(range=limits),
-        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=legend),
+        axis_y=None if limits is None else rrb.ScalarAxis(range=finite("limits", limits, (2,)).tolist()),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=legend > 0.0),
     )
-
-
-def bar_chart(origin: str, name: str) -> Any:
-    """The bars at ``origin``."""
-    return rrb.BarChartView(**_named(origin, name))
-
-
-def text(origin: str, name: str) -> Any:
-    """A panel for the text at ``origin``."""
-    return rrb.TextDocumentView(**_named(origin, name))
-
-
-def log(origin: str, name: str) -> Any:
-    """The events below ``origin``."""
-    return rrb.TextLogView(**_named(origin, name))
-
-
-def rows(*views: Any, shares: Sequence[float] | None = None, name: str | None = None) -> Any:
-    """Views one below the other; the name is that of a tab."""
-    return rrb.Vertical(*views, row_shares=shares, name=name)
-
-
-def columns(*views: Any, shares: Sequence[float] | None = None) -> Any:
-    """Views side by side."""
-    return rrb.Horizontal(*views, column_shares=shares)
-
-
-def tabs(*views: Any, name: str | None = None) -> Any:
-    """Views one behind the other, the first in front."""
-    return rrb.Tabs(*views, active_tab=0, name=name)
 
 
 def blueprint(layout: Any, times: Array) -> rrb.Blueprint:
     """The layout, the time panel paused and small, and the run played in about twenty seconds."""
-    instance(
-        "layout", layout, rrb.View | rrb.Container, "a view or container of celnav.show.views, such as celnav.show.views.text(...)"
-    )
+    instance("layout", layout, rrb.View | rrb.Container, "a view or container, such as celnav.show.views.text(...)")
     speed = max(float(times[-1] - times[0]) / 20.0, 1e-3)
     panel = rrb.TimePanel(state="collapsed", timeline=TIMELINE, playback_speed=speed, play_state="paused")
     return rrb.Blueprint(layout, panel, collapse_panels=True)

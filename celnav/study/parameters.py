@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import field, fields
 from typing import Any
 
@@ -28,7 +29,7 @@ def param(value: Any, source: str, meaning: str, *, one_of: tuple[Any, ...] = ()
 
 
 class Parameters:
-    """Base of a configuration, a frozen dataclass: every field made by `param` is checked when one is made."""
+    """Base of a frozen dataclass whose fields made by `param` are checked when one is made."""
 
     def __post_init__(self) -> None:
         for f in fields(self):  # type: ignore[arg-type]
@@ -39,10 +40,14 @@ class Parameters:
     def check(self) -> None:
         """Refuse what single parameters do not show; for those who have more to say."""
 
+
+class Timed(Parameters, ABC):
+    """Base of a configuration: parameters that say when a run's epochs are."""
+
     @property
+    @abstractmethod
     def times(self) -> Array:
         """Epochs ``(T,)`` s of a run."""
-        raise NotImplementedError
 
     @property
     def samples(self) -> int:

@@ -6,9 +6,10 @@ A paper is data over this: configurations, filters by name, parts, rows of a led
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
+from itertools import groupby
 from pathlib import Path
 from time import process_time
 from typing import Any, NamedTuple
@@ -16,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from celnav.filters.records import Epoch
+from celnav.filters.run import ENGINE
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import choice
 from celnav.gaussian.linalg import Array
@@ -37,7 +39,7 @@ class Part(NamedTuple):
     work: ``(config, rngs) ->`` arrays by name. Those of two axes or more have the runs second, ``(T, runs, ...)``, and are joined
         over blocks; the others have to be the same in all of them.
     config: first argument of ``work``. number: of its random numbers. runs: at full effort.
-    block: runs computed together at most; it changes nothing beyond round-off. cost: CPU seconds of the whole, roughly.
+    block: runs computed together at most; it changes nothing beyond round-off. cost: CPU seconds of them all, roughly.
     """
 
     work: Callable[[Any, Rngs], dict[str, Array]]
@@ -116,21 +118,21 @@ class Study:
         parts = self.parts(effort, **inputs)
         for name in only:
             choice("only", name, parts)
+        engine = ENGINE.get()
         about = f"effort {effort!r}, {sorted((key, str(value)) for key, value in inputs.items())}"
+        about += "" if engine == "numpy" else f", engine {engine}"
         units = []
         for name, part in parts.items():
             if not only or name in only:
                 count = part.runs if part.runs == 1 else run_count(part.runs, None, effort)
                 for runs in blocks(count, part.block):
-                    units.append(Unit(self.name, name, part, seed, runs, about, part.cost * len(runs) / count))
+                    units.append(Unit(self.name, name, part, seed, runs, about, part.cost * len(runs) / part.runs, engine))
         return units
 
-    def results(self, units: Sequence[Unit], found: Sequence[dict[str, Array]], *, effort: float = 1.0) -> Results:
-        """What units gave, in their order, joined over runs."""
-        parts: dict[str, list[dict[str, Array]]] = {}
-        for unit, arrays in zip(units, found, strict=True):
-            parts.setdefault(unit.part, []).append(arrays)
-        joined = {name: _joined(arrays) for name, arrays in parts.items()}
+    def results(self, units: Sequence[Unit], found: Iterable[dict[str, Array]], *, effort: float = 1.0) -> Results:
+        """What units gave, in their order, joined over runs. One part is joined before the next is asked for: they are large."""
+        parts = groupby(zip(units, found, strict=True), lambda pair: pair[0].part)
+        joined = {name: _joined([arrays for _, arrays in pairs]) for name, pairs in parts}
         return Results(self, units[0].seed, effort, {unit.part: unit.work for unit in units}, joined)
 
     def reproduce(self, *, effort: float = 1.0, out: str | Path | None = None, **options: Any) -> Results:
@@ -140,7 +142,7 @@ class Study:
         """
         units = self.units(effort=effort, **options)
         store = None if out is None else existing(Path(out) / self.name / RESULTS)
-        found = [store.read(unit) if store is not None and store.has(unit) else unit.do() for unit in units]
+        found = (store.read(unit) if store is not None and store.has(unit) else unit.do() for unit in units)
         return self.results(units, found, effort=effort)
 
     def at_hand(self, out: str | Path = "out", *, small: float = 0.02) -> Results:
@@ -163,6 +165,7 @@ class Unit(NamedTuple):
     runs: range
     about: str
     cost: float
+    engine: str = "numpy"
 
     @property
     def title(self) -> str:
@@ -181,19 +184,23 @@ class Unit(NamedTuple):
 
     def do(self) -> dict[str, Array]:
         """The arrays of the part, and ``cpu_s (1, 1)``; warnings of its models and filters are errors."""
+        token = ENGINE.set(self.engine)
         start, rngs = process_time(), [generator(self.seed, self.work.number, run) for run in self.runs]
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            arrays = self.work.work(self.work.config, rngs)
+            try:
+                arrays = self.work.work(self.work.config, rngs)
+            finally:
+                ENGINE.reset(token)
         return arrays | {"cpu_s": np.array([[process_time() - start]])}
 
 
 def _joined(found: Sequence[dict[str, Array]]) -> dict[str, Array]:
-    """Arrays of the blocks of a part, along their runs."""
-    if len(found) == 1:  # not copied: some are large
+    """Arrays of the blocks of a part, along their runs; they are taken out of ``found``, so that none is there twice for long."""
+    if len(found) == 1:
         return found[0]
-    parts = {name: [arrays[name] for arrays in found] for name in found[0]}
-    return {name: np.concatenate(part, 1) if part[0].ndim > 1 else part[0] for name, part in parts.items()}
+    parts = ((name, [arrays.pop(name) for arrays in found]) for name in list(found[0]))
+    return {name: np.concatenate(part, 1) if part[0].ndim > 1 else part[0] for name, part in parts}
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,8 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from celnav.filters.compiled import steps_by
 from celnav.filters.records import Epoch, Filter, Info
-from celnav.filters.run import explain, steps
+from celnav.filters.run import ENGINE, explain, steps
 from celnav.gaussian.belief import Gaussian, any_lost, nees
 from celnav.gaussian.checks import choice, instance, integer
 from celnav.gaussian.linalg import Array, Belief
@@ -89,13 +90,14 @@ def follow(trial: Trial, name: str, every: int = 1) -> Followed:
     """Run the filter of a name and judge it at each ``every``-th of the epochs that have a truth, and at the last."""
     instance("trial", trial, Trial, "a Trial, such as problem.trial(filters, rngs)")
     filter, every = trial.filters[choice("name", name, trial.filters)], integer("every", every)
+    flown = steps_by(ENGINE.get(), filter, trial.prior, trial.epochs(name)) if ENGINE.get() != "numpy" else None
     lost: dict[int, tuple[float, str]] = {}
     count = 0
 
     def judged() -> Iterator[tuple[Any, ...]]:
         nonlocal count
         seen, before, left = 0, None, None
-        for epoch, state, infos in steps(filter, trial.prior, trial.epochs(name)):
+        for epoch, state, infos in flown or steps(filter, trial.prior, trial.epochs(name)):
             count += 1
             why = ""
             if any_lost(state.belief):  # newly: a filter of single epochs may have had no estimate before
@@ -137,10 +139,10 @@ def _row(trial: Trial, epoch: Epoch, belief: Belief, infos: tuple[Info, ...]) ->
 def _watch(lost: dict[int, tuple[float, str]], epoch: Epoch, belief: Belief, why: str = "") -> None:
     """Note the runs that have no estimate, and forget those that have one again: a filter of single epochs comes back."""
     there = np.atleast_1d(np.isfinite(belief.mean).all(-1))
-    for run in np.flatnonzero(~there).tolist():
-        lost.setdefault(run, (float(epoch.t), why or "the estimate is not finite"))
-    for run in [run for run in lost if there[run]]:
-        del lost[run]
+    for i in np.flatnonzero(~there).tolist():
+        lost.setdefault(i, (float(epoch.t), why or "the estimate is not finite"))
+    for i in [i for i in lost if there[i]]:
+        del lost[i]
 
 
 def bound(trial: Trial, every: int = 1) -> Array | None:

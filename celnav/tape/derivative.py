@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from math import log
 from typing import Any
 
 import numpy as np
 
-from celnav.tape.numbers import Numbers
+from celnav.tape.numbers import Numbers, tape_of
 from celnav.tape.tape import Number, Scalar, Tape, do
 
 Slopes = dict[int, Scalar]
 """Derivatives with respect to some variables, by their number; of the others it is 0."""
 
 
-def variables(tape: Tape, count: int) -> Numbers:
-    """Numbers ``(count,)`` that are 0, and that `at_zero` differentiates by."""
-    tape.variables = [tape.node("var", object()) for _ in range(count)]
-    out = Numbers((count,))
-    for k, x in enumerate(tape.variables):
-        out[k] = x
-    return out
+def along(center: Any, roots: Sequence[Any]) -> list[Any]:
+    """One point ``(1, n)`` of each root ``(n, q)``, its columns times variables that are 0, which `at_zero` differentiates by."""
+    tape = tape_of(center, *roots)
+    assert tape is not None
+    tape.variables = [tape.node("var", object()) for _ in range(sum(E.shape[-1] for E in roots))]
+    unit, first, parts = np.array(tape.variables, object).view(Numbers), 0, []
+    for E in roots:
+        parts.append((E @ unit[first : first + E.shape[-1]])[None])
+        first += E.shape[-1]
+    return parts
 
 
 def at_zero(y: Any) -> tuple[Numbers, Numbers]:

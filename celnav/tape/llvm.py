@@ -21,6 +21,7 @@ from collections.abc import Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
+from celnav.tape.elementary import lowered
 from celnav.tape.tape import Number, Scalar, Tape, as_number
 
 LIBM = (
@@ -49,9 +50,18 @@ class Kernel(NamedTuple):
         pairs = [("state", i, x) for i, x in self.state] + [("rows", i, x) for i, x in enumerate(self.rows)]
         return [(place, i, self.tape.lift(as_number(x))) for place, i, x in pairs]
 
+    def lowered(self) -> Kernel:
+        """With elementary functions as arithmetic."""
+        tape, known = lowered(self.tape, [x for *_, x in self.results()])
+        found = {(place, i): known[x.i] for place, i, x in self.results()}
+        state = [(i, found["state", i]) for i, _ in self.state]
+        return Kernel(tape, self.inputs, state, [found["rows", i] for i in range(len(self.rows))])
+
 
 def source(kernel: Kernel, lanes: int, fused: bool) -> str:
     """LLVM assembly of a kernel, as the function ``step(state, shared, own, rows, runs)``; no rows are stored if that is null."""
+    if fused:  # without that their ranges are reduced less exactly than the C library does it
+        kernel = kernel.lowered()
     tape, ops, results = kernel.tape, kernel.tape.ops, kernel.results()
     needed = tape.needed([x for *_, x in results])
     uses = Counter(a for i in needed if ops[i][0] not in ("in", "const") for a in ops[i][1:])
@@ -78,7 +88,7 @@ def source(kernel: Kernel, lanes: int, fused: bool) -> str:
     called = {ops[i][0] for i in needed} & set(LIBM)
     intrinsics = [
         f"declare {vector} @llvm.{name}.{code.suffix}({', '.join([vector] * count)})"
-        for name, count in (("sqrt", 1), ("fabs", 1), ("floor", 1), ("copysign", 2), ("fma", 3))
+        for name, count in (("sqrt", 1), ("fabs", 1), ("floor", 1), ("rint", 1), ("copysign", 2), ("fma", 3))
     ]
     signature = "define void @step(ptr noalias %state, ptr %shared, ptr %own, ptr noalias %rows, i64 %runs)"
     return "\n".join([
@@ -176,9 +186,33 @@ class _Code:
         elif name == "not":
             ones = "<" + ", ".join(["i1 true"] * self.lanes) + ">" if self.lanes > 1 else "true"
             put(f"%t{i} = xor {logical} {value[0]}, {ones}")
+        elif name in ("pow2", "exponent"):
+            self.bits(i, name, value[0])
         else:
             called = f"@{name}.{self.suffix}" if name in LIBM else f"@llvm.{ {'abs': 'fabs'}.get(name, name) }.{self.suffix}"
             put(f"%t{i} = call {vector} {called}({', '.join(f'{vector} {x}' for x in value)})")
+
+    def bits(self, i: int, name: str, x: str) -> None:
+        """Two to a whole number, or the exponent of a number, by the bits of a float."""
+        whole = f"<{self.lanes} x i64>" if self.lanes > 1 else "i64"
+
+        def all_of(kind: str, value: str) -> str:
+            return "<" + ", ".join([f"{kind} {value}"] * self.lanes) + ">" if self.lanes > 1 else value
+
+        put, vector = self.lines.append, self.vector
+        if name == "pow2":  # 1.5 2^52 has the number in its last bits, and 1 is the exponent field 1023
+            put(f"%w{i} = fadd {vector} {x}, {all_of('double', '0x4338000000000000')}")
+            put(f"%x{i} = bitcast {vector} %w{i} to {whole}")
+            put(f"%y{i} = shl {whole} %x{i}, {all_of('i64', '52')}")
+            put(f"%z{i} = add {whole} %y{i}, {all_of('i64', '4607182418800017408')}")
+            put(f"%t{i} = bitcast {whole} %z{i} to {vector}")
+            return
+        put(f"%w{i} = bitcast {vector} {x} to {whole}")
+        put(f"%x{i} = lshr {whole} %w{i}, {all_of('i64', '52')}")
+        put(f"%y{i} = and {whole} %x{i}, {all_of('i64', '2047')}")
+        put(f"%z{i} = or {whole} %y{i}, {all_of('i64', '4841369599423283200')}")  # 2^52 with the field in its last bits
+        put(f"%v{i} = bitcast {whole} %z{i} to {vector}")
+        put(f"%t{i} = fsub {vector} %v{i}, {all_of('double', '0x43300000000003FF')}")
 
 
 def _libm(name: str, lanes: int, vector: str) -> str:

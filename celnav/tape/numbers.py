@@ -36,11 +36,14 @@ def _power(x: Scalar, y: Scalar) -> Scalar:
     if type(y) is Number or type(x) is not Number:
         return do("pow", x, y)
     half = 2.0 * float(y)
-    if half != int(half) or abs(half) > 16:
+    if half != int(half) or abs(half) > 128:
         return do("pow", x, y)
     out: Scalar = do("sqrt", x) if int(half) % 2 else 1.0
-    for _ in range(int(abs(half)) // 2):
-        out = do("mul", out, x)
+    count, square = int(abs(half)) // 2, x
+    while count:
+        if count % 2:
+            out = do("mul", out, square)
+        count, square = count // 2, do("mul", square, square)
     return do("div", 1.0, out) if half < 0 else out
 
 

@@ -245,20 +245,20 @@ def test_a_foreign_file_is_told_before_anything_is_computed(sweep, tmp_path, cap
 
 
 def test_a_full_disk_names_the_file_and_keeps_what_is_done(sweep, tmp_path, capsys, monkeypatch):
-    write, count = stores.write_bytes, []
+    replacing, count = stores.replacing, []
 
-    def full(path, content):
+    def full(path):
         count.append(path)
         if len(count) == 4:
             raise OSError(28, "no space left to write the file", str(path))
-        write(path, content)
+        return replacing(path)
 
-    monkeypatch.setattr(stores, "write_bytes", full)
+    monkeypatch.setattr(stores, "replacing", full)
     assert cli.main(["campaign", str(sweep), "--out", "here", "--jobs", "1"]) == 1
     error = capsys.readouterr().err
     assert error == f"celnav: {count[3]}: no space left to write the file\n"
     assert len(list((tmp_path / "here" / "units").iterdir())) == 3
-    monkeypatch.setattr(stores, "write_bytes", write)
+    monkeypatch.setattr(stores, "replacing", replacing)
     done = []
     campaign(read(sweep), tmp_path / "here", progress=lambda runs, total: done.append(runs))
     assert done == [36, 48, 60, 72]

@@ -79,8 +79,8 @@ def test_transport_hardly_matters_where_attitude_is_measured_whole(sim):
 
 
 def test_preintegrated_samples_do_what_single_ones_do():
-    full = simulate(replace(SHORT, duration_s=4.0, preintegrated=False), [generator(0, 0, r) for r in range(3)])
-    sim = full.integrated()
+    short = replace(SHORT, duration_s=4.0)
+    full, sim = (simulate(replace(short, preintegrated=p), [generator(0, 0, r) for r in range(3)]) for p in (False, True))
     few = run(filters(sim.config)["ssukf"], sim.prior, sim.epochs())
     many = run(filters(full.config)["ssukf"], full.prior, full.epochs())
     turned = attitude.multiply(few.mean[1:, ..., :4], attitude.inverse(many.mean[25::25, ..., :4]))

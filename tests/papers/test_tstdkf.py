@@ -360,11 +360,13 @@ def test_every_figure_draws(results):
 
 def test_tables(results):
     rows = {name: make(results) for name, (_, make) in show.TABLES.items()}
-    assert list(rows) == [f"table_{i}" for i in range(1, 6)]
-    assert [row["setting"] for row in rows["table_5"]] == list(SETTINGS)
+    assert list(rows) == [f"table_{i}" for i in (*range(1, 6), "5b")]
+    assert all(row["source"] for i in range(1, 5) for row in rows[f"table_{i}"])
+    for table in (rows["table_5"], rows["table_5b"]):
+        assert [row["setting"] for row in table] == [i for i in SETTINGS for _ in range(2)]
     one = rows["table_5"][0]
-    assert one["position, below TKF (%)"] == pytest.approx(100.0 * (1.0 - one["TSTDKF (km)"] / one["TKF (km)"]))
-    assert one["the paper's, position, TKF"] == 35.18
+    assert one["below TKF (%)"] == pytest.approx(100.0 * (1.0 - one["TSTDKF"] / one["TKF"]))
+    assert one["below TKF, the paper's (%)"] == 35.18
 
 
 def test_the_ledger_has_every_statement_with_what_is_printed(results):

@@ -139,7 +139,7 @@ def test_the_file_is_verified_says_the_same_twice_and_holds_its_layout(tmp_path)
         out.ellipsoids("world/p", np.zeros((20, 3)), covariances(np.random.default_rng(0)), colors.TRUTH)
 
     space = views.space("/world", "world", eye=(5.0, 0.0, 0.0), growing={"world/p": 3.0, "world/q": np.inf})
-    layout = views.columns(space, views.rows(views.tabs(views.plot("/plots", "p", TIMES)), views.text("/i", "i")))
+    layout = views.columns(space, views.rows(views.tabs(views.plot("/plots", "p", TIMES)), views.text(origin="/i")))
     first, second = (write(tmp_path / f"{i}.rrd", draw, layout=layout) for i in range(2))
     assert verify(first) == 0
     reader = rr.chunk.RrdReader(first)
@@ -229,7 +229,7 @@ def test_unwritable_paths_are_named(tmp_path):
 @pytest.mark.parametrize("times", [[0.0], [0.0, 0.0], [0.0, np.nan], [[0.0, 1.0]]])
 def test_bad_times(tmp_path, times):
     with pytest.raises(ValueError, match="times: expected two or more finite, increasing seconds"):
-        write(tmp_path / "a.rrd", lambda out: None, times=np.array(times), layout=views.text("/info", "info"))
+        write(tmp_path / "a.rrd", lambda out: None, times=np.array(times), layout=views.text(origin="/info"))
 
 
 def test_strict_mode_holds_inside_and_is_given_back(tmp_path):

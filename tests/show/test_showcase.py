@@ -13,7 +13,7 @@ from celnav.analysis.metrics import chi_square_band
 from celnav.models.orbit import EARTH, from_elements, propagate
 from celnav.models.sightings import star_directions
 from celnav.show import colors, scenes
-from celnav.show.estimates import Estimate, Group, estimates
+from celnav.show.estimates import Estimate, Group
 from celnav.show.plots import Curve, Plot
 from celnav.show.showcase import Showcase, record
 
@@ -275,18 +275,3 @@ def test_an_estimate_that_does_not_fit_is_named(case, tmp_path, change, message)
     with pytest.raises(ValueError, match=message):
         record(changed(case, "own", **change), tmp_path / "a.rrd")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_estimates_out_of_arrays_of_a_monte_carlo():
-    rng = np.random.default_rng(0)
-    data = {
-        "a/error": rng.standard_normal((4, 3, 2)),
-        "a/cov": np.ones((4, 1, 2, 2)),
-        "b/error": np.ones((4, 3, 2)),
-        "b/nis": np.ones((4, 3)),
-    }
-    found = estimates(data, {"a": ("A", colors.ESTIMATE), "b": ("B", colors.COMPARISON)}, units=np.array([1.0, 10.0]))
-    np.testing.assert_array_equal(found["a"].errors[..., 1], data["a/error"][..., 1] / 10.0)
-    assert found["a"].cov.shape == (4, 2, 2)
-    assert found["a"].nis is None
-    assert (found["b"].cov, found["b"].nis.shape) == (None, (4,))

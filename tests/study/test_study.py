@@ -10,7 +10,7 @@ import pytest
 import celnav
 from celnav.study.ledger import Row
 from celnav.study.numbers import all_of, consistency, entries, given, of, ratio, rmse, tiers
-from celnav.study.parameters import Parameters, param
+from celnav.study.parameters import Parameters, Timed, param
 from celnav.study.problem import Problem
 from celnav.study.study import Part, Study, Unit, fly
 from celnav.study.trial import Group
@@ -129,7 +129,7 @@ def test_numbers_go_together(results):
 
 
 @dataclass(frozen=True)
-class Config(Parameters):
+class Config(Timed):
     """Something."""
 
     step_s: float = param(1.0, "paper", "interval", above=0.0)
@@ -145,6 +145,13 @@ class Config(Parameters):
     @property
     def times(self):
         return self.step_s * np.arange(self.runs + 1)
+
+
+def test_a_configuration_says_when_its_epochs_are():
+    assert (Config().samples, Config().end_s) == (3, 3.0)
+    with pytest.raises(TypeError, match="times"):
+        dataclass(frozen=True)(type("Timeless", (Timed,), {}))()
+    assert not hasattr(Parameters, "times")
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,7 @@ from celnav.models import earth, inertial
 from celnav.models.inertial import BIAS, DRIFT, PHI, POSITION, VELOCITY, Navigation
 from celnav.papers import citation
 from celnav.study.montecarlo import MOST_STEPS, normals
-from celnav.study.parameters import Parameters, param
+from celnav.study.parameters import Timed, param
 from celnav.study.trial import Group, Trial
 
 TITLE = "Adaptive anisotropic sparse Gauss-Hermite quadrature filter for star, SAR and inertial navigation"
@@ -41,7 +41,7 @@ UNSAID = "chosen: not printed"
 
 # -- parameters --------------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
-class Config(Parameters):
+class Config(Timed):
     """Everything that a run depends on."""
 
     longitude_deg: float = param(110.0, "paper", "of the start")

@@ -43,7 +43,7 @@ def points(weights: tuple[int, int], _: Results) -> Figure:
     def dots(sign: float, color: str, label: str) -> Item:
         own = sign * rule.wm > 0.0
         (x, y), size = rule.nodes[own].T, 3.0 + 125.0 * np.sqrt(np.abs(rule.wm[own]))
-        return lambda ax: ax.scatter(x, y, size, color=color, label=label, alpha=0.8)
+        return lambda ax: ax.scatter(x, y, size, color=color, label=label if own.any() else "_none", alpha=0.8)
 
     items = dots(1.0, colors.COMPARISON, "positive weight"), dots(-1.0, colors.PAPER, "negative weight")
     limits = {"xlim": (-4.2, 4.2), "ylim": (-4.2, 4.2), "aspect": "equal"}

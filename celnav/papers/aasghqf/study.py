@@ -397,6 +397,6 @@ STUDY = Study(
     figure="figure_06",
     says="A sparse grid with its points where states are observable beats the UKF, equals 417 points with 99, and is cheaper.",
     found="The isotropic grid beats the UKF, whose first star fix leaves it overconfident. The 99 points are 75, and worse in one "
-    "misalignment, whose weight is spared though it is nonlinear: 57 points chosen by nonlinearity are as good as 417. An EKF that "
-    "the closed solution of Wahba's problem starts beats them all.",
+    "misalignment, which is nonlinear but gets few points; 57 chosen by nonlinearity are as good as 417. An EKF started by the "
+    "closed solution of Wahba's problem beats them all.",
 )  # fmt: skip

@@ -31,7 +31,7 @@ from celnav.receiver.filters import CRYSTAL, hooks, process_noise, transition
 from celnav.receiver.least_squares import least_squares
 from celnav.receiver.sky import local_axes, look
 from celnav.study.montecarlo import normals, steps
-from celnav.study.parameters import Parameters, param
+from celnav.study.parameters import Timed, param
 from celnav.study.trial import Group, Trial
 
 TITLE = "Adaptive unscented Kalman filter for BeiDou positioning"
@@ -40,7 +40,7 @@ STANDARD_GRAVITY = 9.80665
 
 
 @dataclass(frozen=True)
-class Config(Parameters):
+class Config(Timed):
     """Everything that a run depends on."""
 
     speed_m_per_s: float = param(400.0, "paper", "of the receiver, on a level circle", above=0.0)

@@ -15,9 +15,9 @@ from celnav.receiver import day
 from celnav.receiver.constellation import synthetic
 from celnav.receiver.report import KIND_COLORS, kinds, record_positioned
 from celnav.show import colors, scenes, showcase
-from celnav.show.estimates import Group, estimates
+from celnav.show.estimates import Estimate, Group
 from celnav.show.figures import Item, Line, Panel, Rows, curve, errors, figure, interval, level, panels, quantiles
-from celnav.show.plots import Plot, curves
+from celnav.show.plots import Curve, Plot
 from celnav.show.showcase import Showcase, Space
 from celnav.study.montecarlo import generator
 from celnav.study.study import Results
@@ -77,20 +77,20 @@ def planes(r: Results) -> Figure:
 
 
 def polar(r: Results) -> Figure:
-    """The unscented transform, from polar to Cartesian coordinates."""
+    """The unscented transform, from polar to Cartesian coordinates: points, their images, what is made of those."""
     angle, ellipses = np.linspace(0.0, 2.0 * np.pi, 121), list[Item]()
-    for kind, color, text, style in (("linearized", colors.OPEN_LOOP, "linearized", "-"),
-                                     ("exact", colors.TRUTH, "exact mean, deviation of draws", "-"),
-                                     ("unscented", colors.COMPARISON, "unscented", "--")):  # fmt: skip
+    methods = ("linearized", colors.OPEN_LOOP, "-"), ("exact", colors.TRUTH, "-"), ("unscented", colors.COMPARISON, "--")
+    for kind, color, style in methods:
         mean, std = r.get("polar", kind)
         x, y = mean[:, None] + std[:, None] * np.stack([np.cos(angle), np.sin(angle)])
-        ellipses += [curve(*mean, marker="x", color=color), curve(x, y, Line(f"{text}: mean y = {mean[1]:.4f}", color, style))]
-    points: dict[str, Any] = {"marker": ".", "linestyle": ""}
-    draws = curve(*r.get("polar", "draws").T, markersize=1.0, color=colors.SIGMA, alpha=0.6, **points)
-    images = curve(*r.get("polar", "images").T, color=colors.PAPER, label="images of the points (gray: draws)", **points)
-    return panels([Panel("Figure 3: r = 1 ± 0.02, θ = 90° ± 15°", [draws, images, *ellipses], "x (-)", "y (-)"),
-                   Panel("means and deviations", ellipses, "x (-)", more={"xlim": (-0.3, 0.3), "ylim": (0.9, 1.04)})],
-                  size=(9.0, 3.4))  # fmt: skip
+        ellipses += [curve(*mean, marker="x", color=color), curve(x, y, Line(f"{kind}: mean y = {mean[1]:.4f}", color, style))]
+    dots = Line("draws", colors.SIGMA, ""), Line("sigma points", colors.PAPER, "")
+    clouds = [(r.get("polar", what).T, line, size) for what, line, size in zip(("draws", "images"), dots, (1.0, 6.0))]
+    given = [curve(np.degrees(np.arctan2(y, x)), np.hypot(x, y), dot, marker=".", ms=size) for (x, y), dot, size in clouds]
+    moved = [curve(x, y, dot, marker=".", ms=size) for (x, y), dot, size in clouds]
+    return panels([Panel("Figure 3: r = 1 ± 0.02, θ = 90° ± 15°", given, "θ (deg)", "r (-)", more={"xlim": (150.0, 30.0)}),
+                   Panel("x = r cos θ, y = r sin θ", [*moved, *ellipses], "x (-)", "y (-)"),
+                   Panel("means and deviations", ellipses, "x (-)")], size=(10.0, 3.3))  # fmt: skip
 
 
 def run_of(r: Results, i: int, part: str, title: str, at: str, limit: float, **more: Any) -> Panel:
@@ -224,35 +224,35 @@ def _burst(results: Results) -> Showcase:
     """Runs of "baselines" with the burst on all ranges, which come first there."""
     c, number = results.parts["baselines"].config, results.parts["baselines"].number
     sim, local = simulate(c, [generator(results.seed, number, run) for run in range(SHOWN)]), axes(c)
-    S, data = len(sim.satellites.names), dict[str, Any]()
+    found, names, S, factor = dict[str, Estimate](), list(sim.satellites.names), len(sim.satellites.names), np.zeros(0)
     for name, filter in {**{name: filters(c, S)[name] for name in NAMES}, "aukf": watched(c, S, c.Q)}.items():
         also = (lambda _e, state, _i: {"factor": state.memory[0][0][1][0]}) if name == "aukf" else None
         track = run(filter, sim.prior, sim.epochs(), keep="cov", also=also, on_failure="flag")
-        data |= {f"{name}/error": track.mean - sim.truth, f"{name}/nis": track.nis, f"{name}/cov": track.cov[:, :1], **track.extra}
-    del data["ls/cov"]  # a line through estimates of single epochs says nothing
-    found, shades = estimates(data, NAMES), [KIND_COLORS[kind] for kind in kinds(sim.satellites.names)]
-    adapt = {half: Plot(f"log10 A of the {half}", curves(sim.satellites.names, A, shades), log=True)
-             for half, A in zip(HALVES, data["factor"].T.reshape(2, S, -1), strict=True)}  # fmt: skip
+        cov = None if name == "ls" else track.cov[:, 0]  # a line through estimates of single epochs says nothing
+        found[name] = Estimate(*NAMES[name], np.asarray(track.mean - sim.truth), cov, nis=track.nis[:, 0])
+        factor = track.extra.get("factor", factor)
+    shades = [KIND_COLORS[kind] for kind in kinds(names)]
+    adapt = {half: Plot(f"log10 A of the {half}", {a[2]: Curve(*a) for a in zip(A, shades, names, strict=True)}, log=True)
+             for half, A in zip(HALVES, factor.T.reshape(2, S, -1), strict=True)}  # fmt: skip
 
     def scene(out: Recorder) -> None:
         broadcast, position = synthetic(), circle(c)[0]
-        seen = broadcast.chosen(np.isin(broadcast.names, sim.satellites.names))
+        seen = broadcast.chosen(np.isin(broadcast.names, names))
         paths = satellites(seen, START_S + np.linspace(0.0, 86400.0, 145)[:, None]).position / 1e6  # of a day, Earth-fixed
         out.globe("world/earth", ELLIPSOID.semimajor_axis / 1e6)
-        scenes.constellation(out, "world", sim.satellites.q / 1e6, paths, position / 1e6, np.ones(S, bool), seen.names, shades)
+        scenes.constellation(out, "world", sim.satellites.q / 1e6, paths, position / 1e6, seen.names, shades)
         truth = (position - position[0]) @ local.T
         out.trail("track/truth/trail", truth, colors.TRUTH, radius=2.0)
         for key, e in found.items():
             cov = None if e.cov is None else local @ e.cov[:, :3, :3] @ local.T
             scenes.track(out, f"track/{key}", truth + e.errors[:, 0, :3] @ local.T, e.color, e.label, cov=cov)
 
-    growing = [f"track/{name}/trail" for name in ("truth", *NAMES)]
-    start, end = c.burst_s
+    growing, (start, end) = [f"track/{name}/trail" for name in ("truth", *NAMES)], c.burst_s
     return Showcase(
         "aukf: burst", NOTES.format(c), c.times, found,
         [Group("position", "m", slice(0, 3), axes="XYZ"), Group("velocity", "m/s", slice(3, 6), axes="XYZ")],
         axes=np.concatenate([local, np.zeros((3, 5))], 1), unit="m, east, north, up", nis_dof=2 * S, scene=scene,
-        spaces=(Space("world", "satellites, 1000 km (Earth-fixed)", (-45.0, 68.0, 40.0)),
+        spaces=(Space("world", "satellites, 1000 km (Earth-fixed)", (-50.0, 75.0, 45.0)),
                 Space("track", "track, m (east, north, up)", (-4e3, -9e3, 9e3), (-4e3, 0.0, 0.0), growing=growing)),
         plots={"adaptation": adapt}, events=[(start, f"{c.burst_sigma:g} m of noise on all ranges begin"), (end, "they end")],
         parameters=vars(c), facts={"paper": "aukf", "preset": "burst", "seed": results.seed, "runs": SHOWN},

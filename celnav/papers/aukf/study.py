@@ -537,7 +537,8 @@ STUDY = Study(
     says="A UKF that adapts its measurement noise to the last innovations has smaller errors than EKF and UKF, converges faster, "
     "and hardly notices a burst of noise.",
     found="In a burst on the ranges at 10 Hz it has a tenth of the UKF's error, and recovers at once. Without one it gains a few "
-    "percent, from clipping. EKF and UKF are the same. It takes maneuvers and wrong process noise for measurement noise, converges "
-    "later from far away, and can err by kilometers; a factor made of what no position explains needs no window and does not.",
+    "percent, from clipping. EKF and UKF are the same. It takes maneuvers and wrong process noise for measurement noise, "
+    "converges later from far away, and can err by kilometers. A factor of what no position explains needs no window, and does "
+    "not mind the process noise.",
     windows=windows,
 )  # fmt: skip

@@ -31,7 +31,7 @@ from celnav.models import orbit, sightings
 from celnav.models.noise import ar1, effective_covariance, stationary_covariance
 from celnav.papers import citation
 from celnav.study.montecarlo import MOST_STEPS, normals
-from celnav.study.parameters import Parameters, param
+from celnav.study.parameters import Timed, param
 from celnav.study.trial import Group, Trial
 
 TITLE = "Square-root unscented Kalman filter for colored measurement noise"
@@ -42,7 +42,7 @@ FIT = "inferred: by a fit to Tables 1 and 2"
 
 # -- parameters --------------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
-class Config(Parameters):
+class Config(Timed):
     """Everything that a run depends on; angles in degrees, as the paper prints them."""
 
     semi_major_axis_km: float = param(7136.635, "paper", "of the orbit", below=1e6)

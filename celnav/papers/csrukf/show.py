@@ -14,7 +14,7 @@ from celnav.models.orbit import EARTH
 from celnav.papers.csrukf.scenario import filters, simulate
 from celnav.papers.csrukf.study import BOTH, PHIS, SWEEP, TABLE_1, TABLE_2, TABLE_3
 from celnav.show import colors, scenes, showcase
-from celnav.show.estimates import Group, first_run
+from celnav.show.estimates import Group, again
 from celnav.show.figures import Item, Line, Panel, consistency, curve, errors, figure, level, panels, rmse, rmse_table, sigma
 from celnav.show.plots import Curve, Plot
 from celnav.study.montecarlo import generator
@@ -193,9 +193,8 @@ def record(results: Results, outputs: Outputs) -> list[str]:
 def _case(results: Results, case: str) -> showcase.Showcase:
     c, number, phi = results.parts[case].config, results.parts[case].number, case.rpartition("/")[2]
     sim = simulate(c, [generator(results.seed, number, 0)])
-    found = first_run(results, case, {"csrukf": CSRUKF, "srukf": SRUKF, "openloop": OPEN})
-    truth, z, V = sim.truth[:, 0], sim.z[:, 0], sim.noise[:, 0]
-    track, noise = run(filters(c)["augmented"], sim.prior, sim.epochs(), keep="std"), {}
+    found, truth, z = again(results, case, {"csrukf": CSRUKF, "srukf": SRUKF, "openloop": OPEN})
+    track, V, noise = run(filters(c)["augmented"], sim.prior, sim.epochs(), keep="std"), sim.noise[:, 0], {}
     for i, axis in enumerate("xyz"):
         mean, std = np.asarray(track.mean)[:, 0, 6 + i], np.asarray(track.std)[:, 0, 6 + i]
         augmented = Curve(mean, colors.REFERENCE, "augmented filter", std, mean)

@@ -436,7 +436,7 @@ STUDY = Study(
     figure="figure_08",
     says="Differencing whitens colored measurement noise. The square-root UKF made of it is as good as the ordinary one where "
     "noise is white, and converges where that one diverges.",
-    found="Corrected, the filter is exact and at the bound. Tables 1 and 2 come out together, Table 3 with no parameters at all. "
-    "Under a random walk its accuracy is that of its prior: it is the open loop, and from a poor prior worse than the ordinary "
-    "filter, because it throws the first sample's position away.",
+    found="Once corrected, the filter is exact and at the bound. Tables 1 and 2 come out together, Table 3 with no parameters at "
+    "all. Under a random walk it is no better than the open loop, and from a poor prior worse than the ordinary filter, because "
+    "it throws the first sample's position away.",
 )  # fmt: skip

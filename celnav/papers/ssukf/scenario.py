@@ -21,7 +21,7 @@ from celnav.gaussian.spaces import EUCLIDEAN, Space, product
 from celnav.models.gyro import Body, Gyro, preintegrate
 from celnav.papers import citation
 from celnav.study.montecarlo import normals, steps
-from celnav.study.parameters import Parameters, param
+from celnav.study.parameters import Timed, param
 from celnav.study.trial import Group, Trial
 
 TITLE = "State-switching unscented Kalman filter for attitude"
@@ -33,7 +33,7 @@ RADIUS_KM = 6378.137 + 800.0
 
 # -- parameters --------------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
-class Config(Parameters):
+class Config(Timed):
     """Everything that a run depends on; angles in degrees, as the paper prints them."""
 
     orbit_rate_rad_per_s: float = param(1e-3, "paper", "of the circular orbit; gravity turns the body with it")
@@ -143,27 +143,27 @@ class Scenario(NamedTuple):
             seen, truth = (nothing, None) if rest else (self.stars[k], self.truth[k])
             yield Epoch(n, n * c.step_s, c.step_s, sample, seen, truth)
 
-    def integrated(self) -> Scenario:
-        """The same runs with one gyro sample from star to star, integrated once for all filters."""
-        c = self.config  # about a drift of zero: by one of 1 deg/h the order of such small turns matters less than 1e-12 rad
-        each = self.gyro.reshape(-1, c.ratio, *self.gyro.shape[1:]).swapaxes(0, 1)
-        return self._replace(config=replace(c, preintegrated=True), gyro=preintegrate(each, np.zeros(3), c.step_s))
-
 
 def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
     """One run for each generator."""
-    c, T, dt = replace(config, preintegrated=False), len(config.times), 1.0 / config.gyro_hz
-    initial, white, walk, star, sign = normals(rngs, (6,), (c.samples, 3), (c.samples, 3), (T, 3), (T, 1))
-    q, drift = path(config)[:, None], c.gyro.drift(np.asarray(c.bias_deg_per_h) * DEG_PER_H, walk, dt)
-    gyro = c.gyro.measure(q, drift, white, dt)
-    q, drift = q[:: c.ratio], drift[:: c.ratio]
+    c, T, dt, q = config, len(config.times), 1.0 / config.gyro_hz, path(config)[:, None]
+
+    def sampled(rngs: Sequence[np.random.Generator]) -> tuple[Array, ...]:
+        initial, white, walk, star, sign = normals(rngs, (6,), (c.samples, 3), (c.samples, 3), (T, 3), (T, 1))
+        drift = c.gyro.drift(np.asarray(c.bias_deg_per_h) * DEG_PER_H, walk, dt)
+        gyro = c.gyro.measure(q, drift, white, dt)
+        if c.preintegrated:  # about a drift of zero: by one of 1 deg/h the order of such small turns matters less than 1e-12 rad
+            gyro = preintegrate(gyro.reshape(-1, c.ratio, *gyro.shape[1:]).swapaxes(0, 1), np.zeros(3), dt)
+        return initial[None], gyro, drift[:: c.ratio].copy(), star, sign
+
+    few = [sampled(rngs[k : k + 50]) for k in range(0, len(rngs), 50)]  # more at the gyro's rate take gigabytes
+    (initial,), gyro, drift, star, sign = (np.concatenate(part, 1) for part in zip(*few, strict=True))
+    q, P = q[:: c.ratio], np.diag(c.sigma0**2)
     stars = np.where(sign < 0.0, -1.0, 1.0) * attitude.multiply(attitude.exp(c.sigma_n * star), q)
     stars[0] = np.nan
     truth = np.concatenate([np.broadcast_to(q, stars.shape), drift], -1)
-    drawn, P = displaced(truth[0], initial * c.sigma0), np.diag(c.sigma0**2)
     mean = np.tile(np.append(attitude.IDENTITY, np.zeros(3)), (len(rngs), 1))
-    every = Scenario(c, truth, gyro, stars, Gaussian(mean, P), Gaussian(drawn, P))
-    return every.integrated() if config.preintegrated else every
+    return Scenario(c, truth, gyro, stars, Gaussian(mean, P), Gaussian(displaced(truth[0], initial * c.sigma0), P))
 
 
 def displaced(truth: Array, error: Array) -> Array:

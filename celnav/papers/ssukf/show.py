@@ -32,7 +32,7 @@ FORMS = {
     "unswitched": Line("total form, never switched", colors.PAPER), "switched": Line("total form", colors.COMPARISON, width=3.0),
     "local": Line("local form", colors.ESTIMATE, "--"),
 }  # fmt: skip
-EXACT = Line("exact deviation", colors.BOUND, width=4.0)
+EXACT, SIZE = Line("exact deviation", colors.BOUND, width=4.0), "RMSE (arcsec)"
 
 
 def euler(results: Results, filter: str) -> Array:
@@ -54,9 +54,9 @@ def angle(axis: int, results: Results) -> Figure:
     start = f"Figure {axis + 1}: one run, from {STANDARD.attitude_deg[axis]:g}°"
     return panels([
         Panel(start, first, "time (s)", f"{AXES[axis]} error (arcsec)", more={"ylim": (-30.0, 30.0)}),
-        Panel(f"RMSE of {errors['aukf'].shape[1]} runs", [*sizes, level(10.0, 5.0, 2.0, label="10, 5, 2")], "time (s)", log="xy"),
-        Panel("RMSE over computing time", [curve(spent[name], size[name], LINES[name]) for name in names],
-              "CPU time of one run at 100 Hz (s)", log="xy"),
+        Panel(f"{errors['aukf'].shape[1]} runs", [*sizes, level(10.0, 5.0, 2.0, label="10, 5, 2")], "time (s)", SIZE, "xy"),
+        Panel("the same over computing time", [curve(spent[name], size[name], LINES[name]) for name in names],
+              "CPU time of one run at 100 Hz (s)", SIZE, "xy"),
     ], size=(10.0, 3.4))  # fmt: skip
 
 
@@ -173,7 +173,7 @@ def scene(out: Recorder, angles: Array, truth: Array, errors: Mapping[str, tuple
     out.path("world/orbit", [orbit], colors.FAINT)
     out.arrow("world/nadir", place, -0.6 * ARM_KM / RADIUS_KM * place, colors.MEASUREMENT, "nadir")
     out.pose("world/sat", place, truth)
-    out.axes("world/sat/body", ARM_KM, ("#E63946", "#2A9D8F", "#457B9D"), AXES)
+    out.axes("world/sat/body", ARM_KM, ("#E63946", "#2A9D8F", "#457B9D"))
     sights = np.sqrt(2.0) * ARM_KM * np.array([[[0.0, 0.0, 0.0], [0.0, sign, -1.0]] for sign in (1.0, -1.0)])
     out.path("world/sat/boresights", list(sights), colors.STAR, radius=1.0)
     out.axes("body/truth", 1.0, [colors.TRUTH] * 3, AXES, radius=1.0)

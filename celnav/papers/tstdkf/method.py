@@ -28,7 +28,7 @@ from celnav.filters.records import Epoch, Info
 from celnav.filters.two_stage import LINEAR, Boost, Stage
 from celnav.gaussian.belief import Gaussian, symmetric
 from celnav.gaussian.checks import finite, function, instance, number, numbers, together, unmasked
-from celnav.gaussian.linalg import Array, Covariance, block, matvec, side_by_side
+from celnav.gaussian.linalg import Array, Covariance, block, matvec, side_by_side, surely
 from celnav.gaussian.spaces import EUCLIDEAN
 
 
@@ -62,11 +62,11 @@ def ar1_noise(F: ArrayLike, L: ArrayLike, J: ArrayLike, Xi: ArrayLike, E: ArrayL
 
 class DifferencedState(NamedTuple):
     """Belief about x in covariance form; covariance ``cross (..., n, q + m)`` of its error with Q and V; ``V (..., m)``, the last
-    measurement's noise as estimated, nan before the first; its Jacobian ``H (..., m, n)``; and what `Differenced.move` gave."""
+    measurement's noise as estimated, None before the first; its Jacobian ``H (..., m, n)``; and what `Differenced.move` gave."""
 
     belief: Covariance
     cross: Array
-    V: Array
+    V: Array | None
     H: Array
     moved: tuple[Array, Array, Array] | None = None
 
@@ -97,8 +97,8 @@ class Differenced:
         """State before the first epoch."""
         check_prior(prior)
         belief, (q, m) = Covariance.of(prior), self.noise.J.shape[-2:]
-        n, V = belief.mean.shape[-1], np.full((*belief.mean.shape[:-1], m), np.nan)
-        return DifferencedState(belief, np.zeros((n, q + m)), V, np.zeros((m, n)))
+        n = belief.mean.shape[-1]
+        return DifferencedState(belief, np.zeros((n, q + m)), None, np.zeros((m, n)))
 
     def predict(self, state: DifferencedState, epoch: Epoch) -> tuple[DifferencedState, Array | None]:
         """State that knows what the model says of the interval, and the transition matrix."""
@@ -112,19 +112,19 @@ class Differenced:
         """State at the end of the interval given its measurement, and what was done."""
         assert state.moved is not None
         (x, Phi, G), (F, L, J, Xi, E, V, Q) = state.moved, self.noise
-        n, (q, m), first = x.shape[-1], J.shape[-2:], bool(np.isnan(state.V).all())
+        n, (q, m), first = x.shape[-1], J.shape[-2:], state.V is None
         z = numbers("z", epoch.z, () if epoch.z is None else (..., m))
         together(prior=x.shape[:-1], z=z.shape[:-1])
-        if np.isnan(z).any():
+        if surely(np.isnan(z).any()):
             raise ValueError("z: expected a whole measurement at every epoch: what was missed cannot be differenced")
         if first:  # nothing to difference with: all of V is new
             F, Xi = np.zeros_like(F), V
-        y = z - self._seen(x, epoch) - (0.0 if first else matvec(F, state.V))
+        y = z - self._seen(x, epoch) - (0.0 if state.V is None else matvec(F, state.V))
 
         # What correlates process and measurement goes into the prediction, by Omega.
         H = numbers("slope", unmasked("slope", self.slope(x, epoch)), (..., m, n))
         coupled = np.eye(m) + H @ G @ J
-        if np.abs(np.linalg.det(coupled)).min() < 1e-12:
+        if not coupled.dtype.hasobject and np.abs(np.linalg.det(coupled)).min() < 1e-12:
             raise ValueError("J: expected I + H G J to have an inverse, got a singular matrix")
         Omega = np.linalg.solve(coupled.mT, (G @ J).mT).mT
         into, Phi1, G1 = matvec(Omega, y), Phi - Omega @ (H @ Phi), G - Omega @ (H @ G)
@@ -159,7 +159,7 @@ LARGEST = 1e6
 class Window(NamedTuple):
     """Memory: how many residuals were seen, mean of their squares ``(..., m)``, and the factors last used."""
 
-    length: int
+    length: float
     squares: Array
     factors: Array
 
@@ -183,9 +183,9 @@ def strong_tracking(rho: ArrayLike, tau: float, *, proportional: ArrayLike = Fal
         square = seen.residual * seen.residual
         if square.shape[-1] != weights.shape[-1]:
             raise ValueError(f"rho: expected {square.shape[-1]} numbers to go with the measurement, got {weights.shape[-1]}")
-        count = 1 if memory is None else memory.length + 1
+        count = 1.0 if memory is None else memory.length + 1.0
         before = np.zeros_like(square) if memory is None else memory.squares
-        squares = before + (square - before) / min(count, length)
+        squares = before + (square - before) / np.minimum(count, length)
         found = least + weights * (squares / seen.total.diagonal(0, -2, -1))
         factors = np.minimum(np.maximum(np.where(np.isfinite(found), found, 1.0), 1.0), LARGEST)
         return Window(count, squares, factors), factors

@@ -31,7 +31,7 @@ from celnav.models.pulsar import LIGHT_KM_S, Timing, pulsars
 from celnav.papers import citation
 from celnav.papers.tstdkf.method import Differenced, Noise, ar1_noise, strong_tracking
 from celnav.study.montecarlo import normals, steps
-from celnav.study.parameters import Parameters, param
+from celnav.study.parameters import Parameters, Timed, param
 from celnav.study.study import Rngs
 from celnav.study.trial import Group, Trial
 
@@ -57,7 +57,7 @@ SETTINGS = {1: Setting(), 2: Setting(kappa=0.0), 3: Setting(0.5, 0.0, 0.0), 4: S
 
 
 @dataclass(frozen=True)
-class Config(Parameters):
+class Config(Timed):
     """Everything that a run depends on."""
 
     start_utc: str = param("2015-10-17T04:00:00", "paper", "date and time of the start, UTC")
@@ -144,11 +144,9 @@ class Config(Parameters):
         """Error ``(..., 3)`` km of the ephemeris, ``t`` s after the start [Xu2024, Eqs 17, 69, 70; inferred], if not constant."""
         angle = 2.0 * np.pi / YEAR_S * np.asarray(t)[..., None]
         A, phase = np.asarray(self.amplitude_km), np.asarray(self.phase)
-        if self.trend == "sine":
-            return np.asarray(A * np.sin(angle + phase))
-        if self.trend == "growing":
-            return np.asarray(A * (1.5 * angle / (2.0 * np.pi) - 0.75 + 0.5 * np.sin(2.0 * angle + phase)))
-        return np.asarray(A * (2.0 / np.pi) * np.arcsin(np.cos(angle + phase)))
+        growing = 1.5 * angle / (2.0 * np.pi) - 0.75 + 0.5 * np.sin(2.0 * angle + phase)
+        triangle = (2.0 / np.pi) * np.arcsin(np.cos(angle + phase))
+        return np.asarray(A * {"sine": np.sin(angle + phase), "growing": growing}.get(self.trend, triangle))
 
 
 TABLE_5 = Config()

@@ -1,0 +1,98 @@
+"""A filter as C: `export_c` writes its step as one file for flight software."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from celnav.files import write_text
+from celnav.filters.engine import PART, TALLY, Engine, Kind, Shape, entries
+from celnav.filters.flight import as_data, sensors
+from celnav.filters.records import Epoch
+from celnav.gaussian.checks import integers, number
+from celnav.tape import c
+from celnav.tape.tape import CannotCompile
+
+
+def export_c(
+    filter: Any, path: str | Path, prior: Any, *, u: Any = None, m: Sequence[int] | None = None, dt: float | None = None,
+    name: str = "filter",
+) -> None:  # fmt: skip
+    """Write a filter's step as one C99 file: no allocation, no loop, no branch, no library but ``math.h``.
+
+    filter: as for `celnav.compiled`. path: of the file. prior: of one run; it becomes ``<name>_start``.
+    u: an example of the input, where the models take one. m: length of each measurement, where the sensors' R does not say it.
+    dt: length of every interval, s; None: it is an argument of ``<name>_step``. name: what the functions' names begin with.
+
+    The functions are ``<name>_start(state)``, ``<name>_first(state, in, z, out)`` for a measurement at the time of the prior, and
+    ``<name>_step(state, in, z, out)`` for the end of an interval; sizes and orders stand at the head of the file. A component of
+    ``z`` that is nan was not measured. A state of nan is a run that is lost. ValueError names an argument that is not as it should
+    be, `CannotCompile` the line of a model that cannot be recorded.
+
+    >>> celnav.export_c(celnav.ukf(motion, gps), "filter.c", celnav.Gaussian(x0, P0), dt=1.0)
+    """
+    if not re.fullmatch(r"[A-Za-z_]\w*", name):
+        raise ValueError(f"name: expected an identifier of C, got {name!r:.80}")
+    if np.ndim(prior.mean) != 1:
+        raise ValueError(f"prior: expected that of one run, a mean (N,), got {np.shape(prior.mean)}")
+    every = None if dt is None else number("dt", dt, above=0.0)
+    own = sensors(filter, None)
+    widths = [sensor.m for sensor in own] if m is None else list(integers("m", m, 1, count=len(own)))
+    if None in widths:
+        raise ValueError(f"m: expected the length of each of {len(own)} measurements, which R does not say")
+    z = tuple(np.zeros(int(width or 0)) for width in widths)
+    data = as_data(filter, [Epoch(0, 0.0, 0.0, None, z), Epoch(1, every or 1.0, every or 1.0, u, z)])
+    engine = Engine(filter, prior, data, "std", {})
+    engine.dt = every
+    inputs = {shape: engine.inputs(found, 2) for shape, found in data.u.items()}
+    part = (PART,) * len(own)
+    before, moving = Kind(False, part, data.known[data.kinds[0]].u), Kind(True, part, data.known[data.kinds[1]].u)
+    first = engine.record(engine.begin, before, inputs[before.u])
+    step = engine.record(first.after, moving, inputs[moving.u])
+    if step.after != first.after:  # what may be missing is known after a step only
+        step = engine.record(step.after, moving, inputs[moving.u])
+        if [shape for shape, *_ in step.after.arrays] != [shape for shape, *_ in first.after.arrays]:
+            raise CannotCompile("a memory that changes its shape after the first step cannot be exported")
+    size = engine.held + max(shape.size for shape in (engine.begin, first.after, step.after))
+    count = 3 + sum(x[0].size for x, _ in inputs[moving.u])
+    places = {"state": "state", "shared": "in", "own": "z", "rows": "out"}
+    start = np.concatenate([x.ravel() for x in engine.start()])
+    sizes = {"STATE": size, "IN": count, "Z": sum(engine.widths), "OUT": sum(engine.columns().values())}
+    text = [
+        _head(name, engine, first.after, every),
+        "#include <math.h>\n",
+        *(f"#define {name.upper()}_{what} {number}" for what, number in sizes.items()),
+        f"\nvoid {name}_start(double *state)\n{{",
+        *(f"    state[{i}] = {x.hex()};" for i, x in enumerate(start.tolist())),
+        *(f"    state[{i}] = 0.0;" for i in range(len(start), size)),
+        "}\n",
+        c.function(first.kernel, f"{name}_first", places, ["A measurement at the time of the prior."]),
+        c.function(step.kernel, f"{name}_step", places, ["An interval, and the measurement at its end."]),
+    ]
+    write_text(Path(path), "\n".join(text))
+
+
+def _head(name: str, engine: Engine, after: Shape, dt: float | None) -> str:
+    """What the file is, and where each number stands."""
+    lines = [f"A navigation filter in C99, recorded from celnav: {engine.filter!r}.", ""]
+    lines.append(f"state[{name.upper()}_STATE], to be kept from call to call:")
+    lines += [f"  {at}: {what}" for at, what in enumerate(TALLY)]
+    at = engine.held
+    for shape, what, _ in after.arrays:
+        size = len(entries(shape, what))
+        kind = {"belief": "mean", "lower": "root of the covariance", "symmetric": "covariance"}.get(what, "memory")
+        order = ", lower triangle by rows" if what in ("lower", "symmetric") else ""
+        lines.append(f"  {at} to {at + size - 1}: {kind} {'x'.join(map(str, shape))}{order}")
+        at += size
+    interval = "not used: every interval is " + f"{dt:g} s" if dt is not None else "length of the interval, s"
+    lines += [f"in[{name.upper()}_IN]: index of the epoch, its time, {interval}; then the inputs u."]
+    lines += [f"z[{name.upper()}_Z]: the measurements of all sensors; nan is what was not measured.", f"out[{name.upper()}_OUT]:"]
+    at = 0
+    for what, size in engine.columns().items():
+        lines.append(f"  {at} to {at + size - 1}: {what}")
+        at += size
+    return "\n".join(["/*", *(f" * {line}".rstrip() for line in lines), " */"])

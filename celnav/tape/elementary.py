@@ -1,0 +1,164 @@
+"""Sine, cosine, arctangent, exponential and logarithm as arithmetic on a tape: all runs of a vector at once, and on any device.
+
+`lowered` writes a tape anew with them. They are within two units in the last place of the C library's (three for the tangent). An
+argument out of range, 1e9 rad for sine and cosine, gives nan: a run that is lost is flown again by the numpy engine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from math import factorial, inf, nan, pi
+
+from celnav.tape.tape import Number, Scalar, Tape, do
+
+LN2 = (6.93147180369123816490e-01, 1.90821492927058770002e-10)
+HALF_PI = (1.5707963267948966, 6.123233995736766e-17, -1.4973849048591833e-33)
+"""As sums, the first of which is as much as a float holds (of the logarithm: with zeros at its end)."""
+_SINE = (-1.66666666666666324348e-01, 8.33333333332248946124e-03, -1.98412698298579493134e-04, 2.75573137070700676789e-06,
+         -2.50507602534068634195e-08, 1.58969099521155010221e-10)  # fmt: skip
+_COSINE = (4.16666666666666019037e-02, -1.38888888888741095749e-03, 2.48015872894767294178e-05, -2.75573143513906633035e-07,
+           2.08757232129817482790e-09, -1.13596475577881948265e-11)  # fmt: skip
+_EXP = tuple(1.0 / factorial(k) for k in range(14))
+_LOG = (6.666666666666735130e-01, 3.999999999940941908e-01, 2.857142874366239149e-01, 2.222219843214978396e-01,
+        1.818357216161805012e-01, 1.531383769920937332e-01, 1.479819860511658591e-01)  # fmt: skip
+_ATAN = (-6.485021904942025371773e1, -1.228866684490136173410e2, -7.500855792314704667340e1, -1.615753718733365076637e1,
+         -8.750608600031904122785e-1)  # fmt: skip
+_ATAN_BELOW = (1.945506571482613964425e2, 4.853903996359136964868e2, 4.328810604912902668951e2, 1.650270098316988542046e2,
+               2.485846490142306297962e1, 1.0)  # fmt: skip
+"""Polynomials on the reduced ranges, by rising powers [fdlibm; Cephes]."""
+
+
+def lowered(tape: Tape, outputs: Sequence[Number]) -> tuple[Tape, dict[int, Scalar]]:
+    """A tape without these functions, and what has become of each number that the outputs need."""
+    new = Tape()
+    known: dict[int, Scalar] = {}
+    for i in tape.needed(outputs):
+        name, *at = tape.ops[i]
+        if name == "in":
+            known[i] = new.node("in", at[0])
+            new.absent[known[i].i] = tape.absent[i]
+        elif name == "const":
+            known[i] = at[0]
+        else:
+            own = _LOWERED.get(name)
+            values = [known[a] for a in at]
+            known[i] = do(name, *values) if own is None else own(*values)
+    return new, known
+
+
+def _polynomial(x: Scalar, coefficients: Sequence[float]) -> Scalar:
+    out: Scalar = coefficients[-1]
+    for c in coefficients[-2::-1]:
+        out = do("add", do("mul", out, x), c)
+    return out
+
+
+def _select(condition: Scalar, a: Scalar, b: Scalar) -> Scalar:
+    return do("select", condition, a, b)
+
+
+def _quarters(x: Scalar) -> tuple[Scalar, Scalar, Scalar, Scalar]:
+    """Sine and cosine of what is left of an angle after whole quarters of a turn, their number modulo 4, and whether it is odd."""
+    n = do("rint", do("mul", x, 2.0 / pi))
+    r = x
+    for part in HALF_PI:
+        r = do("sub", r, do("mul", n, part))
+    r = _select(do("le", do("abs", x), 1e9), r, nan)
+    z = do("mul", r, r)
+    sine = do("add", r, do("mul", do("mul", r, z), _polynomial(z, _SINE)))
+    cosine = do("add", do("sub", 1.0, do("mul", 0.5, z)), do("mul", do("mul", z, z), _polynomial(z, _COSINE)))
+    q = do("sub", n, do("mul", 4.0, do("floor", do("mul", n, 0.25))))
+    return sine, cosine, q, do("or", do("eq", q, 1.0), do("eq", q, 3.0))
+
+
+def sin(x: Scalar) -> Scalar:
+    """Sine."""
+    s, c, q, odd = _quarters(x)
+    value = _select(odd, c, s)
+    return _select(do("lt", q, 2.0), value, do("neg", value))
+
+
+def cos(x: Scalar) -> Scalar:
+    """Cosine."""
+    s, c, q, odd = _quarters(x)
+    value = _select(odd, s, c)
+    return _select(do("or", do("eq", q, 1.0), do("eq", q, 2.0)), do("neg", value), value)
+
+
+def exp(x: Scalar) -> Scalar:
+    """Exponential: of ``x = n ln 2 + r``, 2 to the n times a polynomial of r."""
+    n = do("rint", do("mul", _select(do("lt", do("abs", x), 800.0), x, do("copysign", 800.0, x)), 1.4426950408889634))
+    value = _times_pow2(_polynomial(do("sub", do("sub", x, do("mul", n, LN2[0])), do("mul", n, LN2[1])), _EXP), n)
+    return _select(do("lt", x, -745.1332191019412), 0.0, _select(do("lt", 709.782712893384, x), inf, value))
+
+
+def exp2(x: Scalar) -> Scalar:
+    """Two to the power of a number."""
+    n = do("rint", _select(do("lt", do("abs", x), 1100.0), x, do("copysign", 1100.0, x)))
+    value = _times_pow2(_polynomial(do("mul", do("sub", x, n), 0.6931471805599453), _EXP), n)
+    return _select(do("lt", x, -1074.0), 0.0, _select(do("lt", x, 1024.0), value, do("mul", x, inf)))
+
+
+def _times_pow2(x: Scalar, n: Scalar) -> Scalar:
+    """``x 2^n``, in two factors, since one of them may not be a normal number."""
+    half = do("floor", do("mul", n, 0.5))
+    return do("mul", do("mul", x, do("pow2", half)), do("pow2", do("sub", n, half)))
+
+
+def log(x: Scalar) -> Scalar:
+    """Logarithm: of ``x = 2^k m``, with m near 1 by ``2 artanh``."""
+    small = do("lt", x, 1e-300)
+    whole = _select(small, do("mul", x, 2.0**54), x)
+    k = do("exponent", whole)
+    m = _times_pow2(whole, do("neg", k))
+    large = do("lt", 1.4142135623730951, m)
+    m, k = _select(large, do("mul", 0.5, m), m), do("add", k, _select(large, 1.0, 0.0))
+    k = do("sub", k, _select(small, 54.0, 0.0))
+    f = do("sub", m, 1.0)
+    s = do("div", f, do("add", 2.0, f))
+    z = do("mul", s, s)
+    series, square = do("mul", z, _polynomial(z, _LOG)), do("mul", 0.5, do("mul", f, f))
+    rest = do("sub", square, do("add", do("mul", s, do("add", square, series)), do("mul", k, LN2[1])))
+    value = do("sub", do("mul", k, LN2[0]), do("sub", rest, f))
+    value = _select(do("lt", x, inf), value, x)
+    return _select(do("lt", 0.0, x), value, _select(do("eq", x, 0.0), -inf, nan))
+
+
+def atan2(y: Scalar, x: Scalar) -> Scalar:
+    """Angle of a point, from -pi to pi."""
+    across, along = do("abs", y), do("abs", x)
+    steep = do("lt", along, across)
+    low, high = _select(steep, along, across), _select(steep, across, along)
+    t = do("div", low, _select(do("eq", high, 0.0), 1.0, high))
+    t = _select(do("and", do("eq", low, inf), do("eq", high, inf)), 1.0, t)
+    beyond = do("lt", 0.66, t)
+    t = _select(beyond, do("div", do("sub", t, 1.0), do("add", t, 1.0)), t)
+    z = do("mul", t, t)
+    ratio = do("div", do("mul", z, _polynomial(z, _ATAN)), _polynomial(z, _ATAN_BELOW))
+    angle = do("add", do("mul", t, ratio), t)
+    angle = do("add", angle, _select(beyond, 0.25 * pi, 0.0))
+    angle = _select(steep, do("sub", 0.5 * pi, angle), angle)
+    behind = do("lt", do("copysign", 1.0, x), 0.0)
+    return do("copysign", _select(behind, do("sub", pi, angle), angle), y)
+
+
+def _root(x: Scalar) -> Scalar:
+    """Of ``1 - x^2``, by factors: it keeps its digits near 1."""
+    return do("sqrt", do("mul", do("sub", 1.0, x), do("add", 1.0, x)))
+
+
+_LOWERED: dict[str, Callable[..., Scalar]] = {
+    "sin": sin,
+    "cos": cos,
+    "tan": lambda x: do("div", sin(x), cos(x)),
+    "exp": exp,
+    "exp2": exp2,
+    "log": log,
+    "log2": lambda x: do("mul", log(x), 1.4426950408889634),
+    "log10": lambda x: do("mul", log(x), 0.4342944819032518),
+    "atan2": atan2,
+    "atan": lambda x: atan2(x, 1.0),
+    "asin": lambda x: atan2(x, _root(x)),
+    "acos": lambda x: atan2(_root(x), x),
+    "pow": lambda x, y: exp(do("mul", y, log(x))),
+}
