@@ -1,0 +1,123 @@
+"""What is refused by one engine is refused by the other, in the same words."""
+
+from __future__ import annotations
+
+import warnings
+from itertools import product
+
+import numpy as np
+import pytest
+import test_arguments
+import test_wrong_filter_arguments as doors
+from twice import told
+
+import celnav
+
+pytest.importorskip("llvmlite")
+
+RUN = celnav.run
+NOT_COMPILED = {
+    "two_stage",
+    "strong_tracking",
+    "Differenced",
+    "least_squares",
+    "least_squares of",
+    "group_parity",
+    "channel_parity",
+}
+"""Their models look at what they are given."""
+DATA = {("epoch", "k"), ("epoch", "t"), ("epoch", "dt"), ("epoch", "u"), ("epoch", "z"), ("epochs", "u"), ("run", "u"),
+        ("Taylor", "about")}  # fmt: skip
+"""What need not be numbers for numpy, which never looks at it, or not at that of all epochs."""
+
+
+@pytest.fixture
+def compiled(monkeypatch):
+    """A switch to the other engine for whatever calls `celnav.run` without naming one."""
+
+    def switched(on):
+        monkeypatch.setattr(celnav, "run", (lambda *a, **more: RUN(*a, **({"engine": "compiled"} | more))) if on else RUN)
+
+    return switched
+
+
+def outcomes(compiled, call, make):
+    """How a call ends with either engine, of arguments that are made anew."""
+    found = []
+    for on in (False, True):
+        compiled(on)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            found.append(told(call, **make()))
+    compiled(False)
+    return found
+
+
+@pytest.mark.parametrize("door", [door for door in doors.DOORS if door not in NOT_COMPILED])
+def test_wrong_arguments_end_alike(door, compiled):
+    """What numpy refuses is refused in its words; what it accepts is compiled, or said not to be."""
+    call, good = doors.DOORS[door]
+    if door == "run":
+        good = {name: value for name, value in good.items() if name not in ("also", "reduce")}
+    known, found = outcomes(compiled, call, lambda: good)
+    assert known == found == ""
+    for argument, (what, wrong) in product(good, doors.WRONG.items()):
+        if (door, argument) in DATA:
+            continue
+        value = (lambda: (i for i in range(3))) if what == "generator" else (lambda wrong=wrong: wrong)
+        known, found = outcomes(compiled, call, lambda argument=argument, value=value: good | {argument: value()})
+        if known != found:
+            assert (known, found[:14]) == ("", "CannotCompile:"), (argument, what)
+
+
+def test_arguments_that_are_told_alike(compiled):
+    """The cases of another file, as they stand."""
+    compiled(True)
+    for mark in test_arguments.test_other_arguments.pytestmark:
+        for make, text in mark.args[1]:
+            assert text in told(make)
+    test_arguments.test_batches_that_do_not_go_together()
+    test_arguments.test_what_is_masked_is_missing()
+    test_arguments.test_a_model_that_takes_the_epoch_for_its_interval_is_told_what_it_gets()
+
+
+@pytest.mark.parametrize("runs", [(), (4,)])
+def test_models_of_one_vector_are_told_alike(runs, compiled):
+    marks = {mark.args[0]: mark for mark in test_arguments.test_a_model_of_one_vector_is_told_what_points_are.pytestmark}
+    compiled(True)
+    for model in marks["model"].args[1]:
+        test_arguments.test_a_model_of_one_vector_is_told_what_points_are(model, runs)
+
+
+def divided(x, epoch):
+    return x / (1 / 0)
+
+
+def beyond(x, epoch):
+    return x[..., [0, 5]]
+
+
+def short(x, epoch):
+    return x[..., :1]
+
+
+def unknown(x, epoch):
+    return {}["x"]
+
+
+def nothing(x, epoch):
+    return None
+
+
+def text(x, epoch):
+    return "x"
+
+
+@pytest.mark.parametrize("model", [divided, beyond, short, unknown, nothing, text])
+def test_models_that_are_at_fault_end_alike(model, compiled):
+    arguments = celnav.Gaussian(np.zeros((3, 2)), np.eye(2)), doors.TIMES, np.ones((3, 2))
+    for motion, sensor in ((celnav.Motion(model, np.eye(2)), doors.SENSOR), (doors.MOTION, celnav.Sensor(model, np.eye(2)))):
+        filter = celnav.ukf(motion, sensor)
+        known, found = (told(RUN, filter, *arguments, engine=engine) for engine in ("numpy", "compiled"))
+        assert known == found
+        assert known != "" or model is short

@@ -1,0 +1,352 @@
+"""numpy's functions of numbers that are not known yet, against the same functions of floats."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+import pytest
+from taped import inputs, recorded
+
+from celnav.tape.numbers import Numbers
+from celnav.tape.numbers import recorded as as_recorded
+from celnav.tape.tape import MOST, CannotCompile, Number, Tape, do
+
+NAN, INF = np.nan, np.inf
+X = np.array([0.0, -0.0, 1.0, -1.0, 0.5, -2.5, 3.7, 7.0, -7.0, 1e-5, 1e100, INF, -INF, NAN])
+PLAIN = X[np.isfinite(X)]
+RNG = np.random.default_rng(7)
+V, W, M, S, T = (RNG.standard_normal(shape) for shape in ((4,), (4,), (3, 4), (3, 3), (2, 3, 3)))
+HOLES = np.where(np.eye(3, 4) > 0.0, NAN, M)
+ONE = """absolute fabs negative positive sqrt square reciprocal floor ceil sin cos tan arcsin arccos arctan exp log sinh cosh tanh
+exp2 log2 log10 log1p expm1 cbrt isfinite isnan isinf logical_not conjugate deg2rad rad2deg radians degrees"""
+TWO = """add subtract multiply divide arctan2 copysign maximum minimum fmax fmin less less_equal greater greater_equal equal
+not_equal logical_and logical_or"""
+
+
+def swapped(function, y, x):
+    return function(x, y)
+
+
+def assert_alike(function, *arrays, rtol=1e-13):
+    with np.errstate(all="ignore"):
+        expected = np.asarray(function(*arrays), float)
+    found = recorded(function, *arrays)
+    assert found.shape == expected.shape
+    np.testing.assert_allclose(found, expected, rtol=rtol, atol=rtol)
+
+
+@pytest.mark.parametrize("name", ONE.split())
+def test_functions_of_one_number(name):
+    assert_alike(getattr(np, name), X)
+
+
+@pytest.mark.parametrize("name", TWO.split())
+def test_functions_of_two_numbers(name):
+    function = getattr(np, name)
+    assert_alike(function, *(x.ravel() for x in np.meshgrid(X, X)))
+    for known in (2.0, -0.5, 3):
+        assert_alike(partial(function, known), X)
+        assert_alike(partial(swapped, function, known), X)
+
+
+@pytest.mark.parametrize("known", [NAN, INF])
+@pytest.mark.parametrize("name", ["maximum", "minimum", "fmax", "fmin", "less", "less_equal", "equal", "not_equal"])
+def test_what_is_known_may_be_nan(name, known):
+    assert_alike(partial(getattr(np, name), known), X)
+    assert_alike(partial(swapped, getattr(np, name), known), X)
+
+
+@pytest.mark.parametrize("power", [-8, -3, -2, -1, 0, 1, 2, 3, 8, 9, 20, 0.3, -0.7])
+def test_powers(power):
+    assert_alike(lambda x: x**power, X)
+    assert_alike(lambda x: np.float_power(x, power), X)
+
+
+@pytest.mark.parametrize("power", [-2.5, -1.5, -0.5, 0.5, 1.5, 2.5])
+def test_powers_of_roots(power):
+    assert_alike(lambda x: x**power, np.array([1e-3, 0.5, 1.0, 7.0, -1.0, INF, NAN]))
+
+
+def test_powers_that_are_numbers():
+    assert_alike(lambda x: 2.0**x, X)
+    assert_alike(lambda x, y: x**y, *(x.ravel() for x in np.meshgrid([0.5, 1.0, 3.0, NAN], [-1.5, 0.0, 2.0, NAN])))
+
+
+def test_hypot_and_sign_and_remainders():
+    assert_alike(np.hypot, *(x.ravel() for x in np.meshgrid(PLAIN, PLAIN)))
+    assert_alike(np.sign, X[~np.isnan(X)])
+    some = np.array([0.0, 1.0, -1.0, 3.2, -3.2, 100.0, -100.0])
+    for period in (0.7, -0.7, 2.0 * np.pi, 360.0):
+        assert_alike(partial(swapped, np.mod, period), some, rtol=1e-12)
+    assert_alike(np.remainder, some, some[::-1] + 0.3, rtol=1e-12)
+
+
+def test_a_remainder_lies_below_its_period():
+    x = np.concatenate([np.nextafter(np.arange(-3.0, 4.0), s) for s in (-INF, INF)] + [np.array([-1e-20, 1e-20])])
+    found = recorded(lambda x: x % 1.0, x)
+    assert (found >= 0.0).all()
+    assert (found < 1.0).all()
+
+
+REDUCED = {
+    "sum": np.sum,
+    "sum of an axis": lambda x: x.sum(0),
+    "sum kept": lambda x: x.sum(-1, keepdims=True),
+    "sum with a start": lambda x: np.sum(x, 1, initial=0.5),
+    "sum of nothing": lambda x: x[:0].sum(0),
+    "product": lambda x: x.prod(1),
+    "mean": lambda x: x.mean(),
+    "mean of an axis": lambda x: np.mean(x, 0),
+    "deviation": lambda x: x.std(1),
+    "deviation of a sample": lambda x: np.std(x, 0, ddof=1),
+    "variance": np.var,
+    "largest": np.max,
+    "largest of an axis": lambda x: x.max(1),
+    "smallest": lambda x: np.min(x, 0),
+    "largest with a start": lambda x: np.max(x, 1, initial=0.5),
+    "range": lambda x: np.ptp(x, 1),
+    "fmax": lambda x: np.fmax.reduce(x, 1),
+    "any": lambda x: (x > 0.0).any(1),
+    "any kept": lambda x: (x > 0.0).any(1, keepdims=True),
+    "all": lambda x: (x > -1.0).all(),
+    "all of an axis": lambda x: np.all(x > -1.0, 0),
+    "any of floats": lambda x: np.any(x, 1),
+    "any of none": lambda x: (x[:0] > 0.0).any(0),
+    "count": lambda x: (x > 0.0).sum(1),
+    "part": lambda x: (x > 0.0).mean(1),
+    "running sum": lambda x: np.cumsum(x, 1),
+    "running product": lambda x: x.cumprod(0),
+    "running maximum": lambda x: np.maximum.accumulate(x, 1),
+    "differences": lambda x: np.diff(x, axis=1),
+    "trapezoids": lambda x: np.trapezoid(x, dx=0.1),
+    "weighted": lambda x: np.average(x, 0, [1, 2, 3.0]),
+}
+
+
+@pytest.mark.parametrize("name", REDUCED)
+def test_reductions(name):
+    assert_alike(REDUCED[name], M)
+    if "deviation" not in name:
+        assert_alike(REDUCED[name], HOLES)
+
+
+def test_reductions_over_several_axes():
+    assert_alike(lambda x: x.sum((0, 2)), T)
+    assert_alike(lambda x: x.mean((-1, -2)), T)
+    assert_alike(lambda x: np.max(x, (0, 1)), T)
+
+
+PRODUCTS = {
+    "matrices": (lambda a, b: a @ b, S, M),
+    "matrix and vector": (lambda a, b: a @ b, M, V),
+    "vector and matrix": (lambda a, b: b @ a.T, M, V),
+    "vectors": (lambda a, b: a @ b, V, W),
+    "batch": (lambda a, b: a @ b, T, M),
+    "batch on the right": (lambda a, b: a @ b, S, T),
+    "known": (lambda a: np.tri(3) @ a, M),
+    "known on the right": (lambda a: a @ np.tri(4), M),
+    "vecdot": (np.vecdot, M, V),
+    "dot": (np.dot, S, M),
+    "inner": (np.inner, M, V),
+    "outer": (np.outer, V, W),
+    "tensordot": (lambda a, b: np.tensordot(a, b, 1), S, M),
+    "trace": (np.trace, S),
+    "cross": (lambda a: np.cross(a[0], a[1]), S),
+    "ij,jk": (lambda a, b: np.einsum("ij,jk->ik", a, b), S, M),
+    "transposed": (lambda a, b: np.einsum("ij,jk->ki", a, b), S, M),
+    "...ij,...j": (lambda a, b: np.einsum("...ij,...j->...i", a, b), T, S[:2]),
+    "...ij,jk": (lambda a, b: np.einsum("...ij,jk->...ik", a, b), T, S),
+    "i,ij,j": (lambda a, b: np.einsum("i, ij, j ->", a, b, a), V[:3], S),
+    "ij->j": (lambda a: np.einsum("ij->j", a), S),
+    "ij->": (lambda a: np.einsum("ij->", a), S),
+    "i,j->ij": (lambda a, b: np.einsum("i,j->ij", a, b), V, W),
+    "...j->...": (lambda a: np.einsum("...j->...", a), T),
+    "i...->...i": (lambda a: np.einsum("i...->...i", a), T),
+    "known i": (lambda a: np.einsum("ij,jk->ik", np.tri(3), a), M),
+    "optimize": (lambda a, b: np.einsum("ij,jk->ik", a, b, optimize=True), S, M),
+    "solve": (np.linalg.solve, S, M),
+    "inverse": (np.linalg.inv, S),
+    "solve, permuted": (lambda b: np.linalg.solve(np.eye(3)[[1, 2, 0]], b), M),
+    "solve, a zero pivot": (lambda a, b: np.linalg.solve(a * (1.0 - np.eye(3)), b), S, M),
+    "inverse of one": (np.linalg.inv, S[:1, :1]),
+    "length": (np.linalg.norm, V),
+    "lengths": (lambda a: np.linalg.norm(a, axis=-1), M),
+    "lengths kept": (lambda a: np.linalg.norm(a, 2, 0, True), M),
+}
+
+
+@pytest.mark.parametrize("name", PRODUCTS)
+def test_products_and_systems(name):
+    function, *arrays = PRODUCTS[name]
+    assert_alike(function, *arrays, rtol=1e-11)
+
+
+def test_a_system_that_has_no_solution_is_not_finite():
+    assert not np.isfinite(recorded(np.linalg.solve, np.ones((2, 2)), np.array([[1.0], [2.0]]))).any()
+
+
+def written(x):
+    y = np.zeros_like(x)
+    y[0], y[1:, 1] = x[1], 2.0
+    y[2] += x[0]
+    y *= 2.0
+    return y
+
+
+SHAPED = {
+    "where": lambda x: np.where(x > 0.0, x, -1.0),
+    "where of a column": lambda x: np.where(x[:, :1] > 0.0, x, x[0]),
+    "where it is known": lambda x: np.where([True, False, True, False], x, 0.0),
+    "where nan": lambda x: np.where(np.isnan(x), 0.0, x),
+    "where a number": lambda x: np.where(x, 1.0, 2.0),
+    "where of truth": lambda x: np.where(x > 0.0, x > 1.0, x < -1.0),
+    "clip": lambda x: np.clip(x, -0.5, 0.5),
+    "clip from below": lambda x: x.clip(min=0.0),
+    "clip from above": lambda x: np.clip(x, None, 0.5),
+    "joined": lambda x: np.concatenate([x, np.ones((3, 1))], 1),
+    "stacked": lambda x: np.stack([np.zeros((3, 4)), x]),
+    "blocks": lambda x: np.block([[x, np.zeros((3, 3))], [np.ones((1, 7))]]),
+    "padded": lambda x: np.pad(x, 1),
+    "rolled": lambda x: np.roll(x, 1),
+    "repeated": lambda x: np.repeat(x, 2, 0),
+    "tiled": lambda x: np.tile(x, 2),
+    "flipped": lambda x: np.flip(x, 1),
+    "split": lambda x: np.split(x, 2, 1)[1],
+    "taken": lambda x: np.take(x, [2, 0], 1),
+    "chosen": lambda x: x[[2, 0]][:, [1]],
+    "crossed": lambda x: x[np.ix_([0, 2], [1, 3])],
+    "broadcast": lambda x: np.broadcast_to(x, (2, 3, 4)),
+    "moved": lambda x: np.moveaxis(x[None], 0, -1),
+    "lower": np.tril,
+    "diagonal": np.diag,
+    "written": written,
+    "filled": lambda x: np.full_like(x, 2.0) + x,
+    "copied": lambda x: np.copy(x) * 2.0,
+    "array of rows": lambda x: np.array([x[0], x[1]]) * 2.0,
+    "function of an array of rows": lambda x: np.exp(np.array([x[0], x[1]])),
+    "array of numbers": lambda x: np.array([[v + 1.0 for v in row] for row in x]),
+    "truth as numbers": lambda x: (x > 0.0).astype(float) * 2.0,
+    "truth less truth": lambda x: 1 - (x > 0.0),
+    "truth times": lambda x: (x > 0.0) * np.where(np.isnan(x), 1.0, x),
+    "both": lambda x: (x > 0.0) & ~(x > 1.0) | (x < -1.0),
+    "truth as weights": lambda x: (x > 0.0) @ np.ones(4),
+    "single": lambda x: x * np.float32(0.5),
+    "sinc": np.sinc,
+    "polynomial": lambda x: np.polyval([1.0, 2.0, 3.0], x),
+    "close": lambda x: np.isclose(x, x + 1e-9),
+}
+
+
+@pytest.mark.parametrize("name", SHAPED)
+def test_choices_and_shapes(name):
+    assert_alike(SHAPED[name], M)
+    assert_alike(SHAPED[name], HOLES)
+
+
+SINGLE = {
+    "a number": lambda x: 2.0 * x + x**2 - 1.0 / x,
+    "swapped": lambda x: 3.0 - x,
+    "numpy's": lambda x: np.float64(2.0) * x - np.int64(1),
+    "compared": lambda x: np.float64(2.0) > x,
+    "functions": lambda x: np.hypot(np.sin(x), np.exp(-x)),
+    "remainder": lambda x: x % 0.3,
+    "array times": lambda x: np.arange(3.0) * x,
+    "stacked": lambda x: np.stack([x, 1.0 + x]),
+    "largest": lambda x: np.maximum(x, 0.1),
+    "minus": lambda x: -abs(x),
+    "swapped power": lambda x: 2.0**x,
+    "sum": lambda x: sum([x, x, 1.0]),
+}
+
+
+@pytest.mark.parametrize("name", SINGLE)
+def test_one_number_by_itself(name):
+    for x in (0.7, -0.7):
+        assert_alike(lambda a: SINGLE[name](a[0]), np.array([x]))
+
+
+# -- what a tape does without being asked ------------------------------------------------------------------------------------------
+def place(x):
+    """Of a number on its tape."""
+    return np.asarray(x)[()].i
+
+
+def test_nothing_is_done_twice_and_what_is_known_at_once():
+    tape = Tape()
+    (x,) = inputs(tape, (2,))
+    first = place(np.sin(x[0]) + x[1])
+    count = len(tape.ops)
+    assert place(np.sin(x[0]) + x[1]) == place(x[1] + np.sin(x[0])) == first
+    assert len(tape.ops) == count
+    for same in (x[0] * 1.0, x[0] + 0.0, x[0] - 0.0, np.negative(-x[0]), x[0] / 1.0, np.where(True, x[0], x[1])):
+        assert place(same) == place(x[0])
+    assert do("sub", 2.0, 3.0) == -1.0
+    assert x[0] * 0.0 == 0.0
+    assert Numbers((2,)) @ x == 0.0
+    assert len(tape.ops) == count + 1  # -x
+
+
+def test_what_may_be_missing_is_not_taken_to_equal_itself():
+    tape = Tape()
+    maybe, sure = tape.input(absent=True), tape.input()
+    assert (sure == sure) is True
+    assert (sure != sure) is False
+    assert isinstance(maybe == maybe, Number)
+    assert isinstance(maybe + sure == maybe + sure, Number)
+
+
+def test_constants_that_are_not_alike_are_two():
+    tape = Tape()
+    assert len({tape.lift(x).i for x in (0.0, -0.0, 1.0, np.nan, np.inf, -np.inf)}) == 6
+    assert tape.lift(np.nan).i == tape.lift(np.nan).i
+
+
+def test_tapes_have_the_same_key_if_they_are_the_same():
+    def key(factor):
+        tape = Tape()
+        (x,) = inputs(tape, (2,))
+        np.exp(factor * x[0]) + x[1]
+        return tape.key
+
+    assert key(2.0) == key(2.0) != key(3.0)
+
+
+REFUSED = {
+    "if": (lambda x: 1.0 if x[0] > 0.0 else 2.0, "a branch depends on a number"),
+    "float": (lambda x: float(x[0]), "is asked for as a float"),
+    "index": (lambda x: [1.0, 2.0][x[0]], "is asked for as a float"),
+    "svd": (lambda x: np.linalg.svd(x[:, None]), r"numpy\.linalg\.svd is not arithmetic"),
+    "rint": (np.rint, r"numpy\.rint cannot be recorded"),
+    "sort": (np.sort, "a branch depends on a number"),
+    "into floats": (lambda x: np.add(x, 1.0, out=np.zeros(2)), "is written into an array of floats"),
+    "norm of a matrix": (lambda x: np.linalg.norm(x[:, None] * x), r"numpy\.linalg\.norm is recorded for lengths of vectors only"),
+    "a part": (lambda x: np.sum(x, where=np.array([True, False])), "over a part cannot be recorded"),
+    "outer": (lambda x: np.add.outer(x, x), r"numpy\.add\.outer cannot be recorded"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_is_no_arithmetic_is_refused_with_its_line(name):
+    function, why = REFUSED[name]
+    tape = Tape()
+    (x,) = inputs(tape, (2,))
+    with pytest.raises(CannotCompile, match=why):
+        function(x)
+
+
+def test_a_tape_that_is_too_long_is_refused():
+    tape = Tape()
+    with pytest.raises(CannotCompile, match=f"a step of more than {MOST} operations"):
+        inputs(tape, (MOST + 1,))
+
+
+def test_what_holds_numbers_is_recognized():
+    tape = Tape()
+    (x,) = inputs(tape, (2,))
+    assert type(as_recorded([x[0], 1.0])) is Numbers
+    assert type(as_recorded(x[0])) is Numbers
+    assert type(as_recorded(np.array([x[0], 1.0], object))) is Numbers
+    assert as_recorded([1.0, 2.0]) is None
+    assert as_recorded(np.ones(2)) is None
+    assert as_recorded(np.array([object()])) is None

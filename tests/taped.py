@@ -1,0 +1,50 @@
+"""What is on a tape, worked out in floats."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from celnav.tape.numbers import Numbers
+from celnav.tape.tape import Number, Tape
+
+FUNCTIONS = {
+    "add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "neg": np.negative, "abs": np.abs, "sqrt": np.sqrt,
+    "copysign": np.copysign, "floor": np.floor, "sin": np.sin, "cos": np.cos, "tan": np.tan, "asin": np.arcsin, "acos": np.arccos,
+    "atan": np.arctan, "atan2": np.arctan2, "exp": np.exp, "log": np.log, "pow": np.power, "sinh": np.sinh, "cosh": np.cosh,
+    "tanh": np.tanh, "exp2": np.exp2, "log2": np.log2, "log10": np.log10, "log1p": np.log1p, "expm1": np.expm1, "cbrt": np.cbrt,
+    "lt": np.less, "le": np.less_equal, "eq": np.equal, "ne": np.not_equal, "and": np.logical_and, "or": np.logical_or,
+    "not": np.logical_not, "select": np.where, "rint": np.rint, "pow2": np.exp2, "exponent": lambda x: np.frexp(x)[1] - 1.0,
+}  # fmt: skip
+
+
+def inputs(tape, *shapes, absent=True):
+    """An array of inputs of each shape."""
+    found = []
+    for shape in shapes:
+        x = Numbers(shape)
+        for at in np.ndindex(*shape):
+            x[at] = tape.input(absent)
+        found.append(x)
+    return found
+
+
+def values(tape, given, y):
+    """An array of numbers as floats, where the tape's inputs are ``given``."""
+    known = []
+    for name, *arguments in tape.ops:
+        if name == "in":
+            known.append(np.float64(given[arguments[0]]))
+        elif name == "const":
+            known.append(np.float64(arguments[0]))
+        else:
+            known.append(FUNCTIONS[name](*(known[a] for a in arguments)))
+    array = np.asarray(y, object)
+    return np.array([float(known[x.i]) if isinstance(x, Number) else float(x) for x in array.flat]).reshape(array.shape)
+
+
+def recorded(function, *arrays):
+    """What a function of arrays gives when it is recorded on `Numbers` and worked out afterwards."""
+    tape = Tape()
+    y = function(*inputs(tape, *map(np.shape, arrays)))
+    with np.errstate(all="ignore"):
+        return values(tape, np.concatenate([np.ravel(x) for x in arrays]), y)
