@@ -33,7 +33,7 @@ def leaves(tree: Any, what: str = "") -> Iterator[tuple[Any, str]]:
     if isinstance(tree, SquareRoot | Covariance):
         yield tree[0], "belief"
         yield tree[1], "lower" if isinstance(tree, SquareRoot) else "symmetric"
-    elif isinstance(tree, tuple | list):
+    elif isinstance(tree, tuple):
         for part in tree:
             yield from leaves(part, what)
     elif tree is not None:
@@ -44,10 +44,11 @@ def rebuilt(tree: Any, parts: Iterator[Any]) -> Any:
     """The tree with other arrays, in the order of `leaves`."""
     if tree is None:
         return None
-    if not isinstance(tree, tuple | list):
+    if not isinstance(tree, tuple):
         return next(parts)
+    make: Any = type(tree)
     inner = [rebuilt(part, parts) for part in tree]
-    return type(tree)(*inner) if hasattr(tree, "_fields") else type(tree)(inner)
+    return make(*inner) if hasattr(tree, "_fields") else tuple(inner)
 
 
 def entries(shape: tuple[int, ...], what: str) -> list[tuple[int, ...]]:
@@ -134,6 +135,8 @@ class Engine:
         axes = {f"z{i}": z.shape[1:-1] for i, z in enumerate(data.z)}
         axes |= {f"matrix {i}": array.shape[:-2] for i, array in enumerate(constants)}
         self.batch = together(mean=prior.mean.shape[:-1], cov=prior.cov.shape[:-2], dt=data.dt.shape[1:], **axes)
+        if 0 in self.batch:
+            raise CannotCompile("there are no runs")
         self.constants = [np.broadcast_to(array, (*self.batch, *array.shape[-2:])) for array in constants]
         self.held = len(TALLY) + sum(int(np.prod(array.shape[-2:])) for array in constants)
         # The length of an interval is a number of the program where it is always the same.
@@ -179,10 +182,8 @@ class Engine:
         for parts in zip(*found.values(), strict=True) if any(found.values()) else ():
             values = np.zeros((count, *parts[0].shape))
             values[list(found)] = parts
-            shape = parts[0].shape
-            if self.batch and shape == self.batch:
-                raise CannotCompile(f"u: expected an axis of components after that of the runs, got {shape} of {self.batch} runs")
-            own = bool(self.batch) and shape[: len(self.batch)] == self.batch
+            shape, axes = parts[0].shape, len(self.batch)
+            own = 0 < axes < len(shape) and shape[:axes] == self.batch
             out.append((values, own))
         return out
 
@@ -192,9 +193,9 @@ class Engine:
         key = (before, kind, shapes, self.keep, self.dt, tuple(self.widths), lanes)
         if key not in self.kept:
             made = self.record(before, kind, u)
-            address, new = llvm.kernel_address(made.kernel, lanes)
+            address = llvm.kernel_address(made.kernel, lanes)
             self.kept[key] = made._replace(address=address)
-            self.fresh |= new
+            self.fresh = True
         return self.kept[key]
 
     def record(self, before: Shape, kind: Kind, u: list[tuple[Array, bool]]) -> Recorded:

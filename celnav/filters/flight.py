@@ -42,7 +42,7 @@ def as_data(filter: Any, epochs: Epochs | Sequence[Epoch]) -> Data:
         for epoch in epochs:
             check_interval(filter, epoch, before)
             before = epoch.t
-        k, t = (np.array([getattr(epoch, name) for epoch in epochs], np.float64) for name in ("k", "t"))
+        k, t = np.array([epoch.k for epoch in epochs], np.float64), np.array([epoch.t for epoch in epochs])
         dt = np.stack(np.broadcast_arrays(*(np.asarray(epoch.dt, np.float64) for epoch in epochs)))
         u = [epoch.u for epoch in epochs]
         z = tuple(zip(*(measurements(epoch.z, len(own)) for epoch in epochs), strict=True))
@@ -194,5 +194,6 @@ def _own(engine: Engine, data: Data, inputs: dict[Any, list[tuple[Array, bool]]]
 
 def _flat(x: Array, batch: tuple[int, ...], runs: int) -> Array:
     """``(T, runs, k)`` of values ``(T, ..., k)``."""
-    whole: Array = np.broadcast_to(x, (len(x), *batch, x.shape[-1]))
+    spread = x.reshape(len(x), *(1,) * (len(batch) + 2 - x.ndim), *x.shape[1:])
+    whole: Array = np.broadcast_to(spread, (len(x), *batch, x.shape[-1]))
     return whole.reshape(len(x), runs, -1)

@@ -48,6 +48,10 @@ def run(
 
     >>> track = celnav.run(celnav.ukf(motion, gps), celnav.Gaussian(x0, P0), times, z)
     """
+    if also is not None:
+        function("also", also, "(epoch, state, infos)")
+    if reduce is not None:
+        function("reduce", reduce, "(accumulated, epoch, state, infos)")
     if (engine := choice("engine", engine or ENGINE.get(), ENGINES)) != "numpy":
         from celnav.filters.compiled import run_by
 
@@ -55,10 +59,6 @@ def run(
         return run_by(engine, filter, prior, given, jobs, also, reduce, every=every, keep=keep, on_failure=on_failure)
     collector = Collector(integer("every", every), choice("keep", keep, ("std", "cov", "mean", "nothing")))
     choice("on_failure", on_failure, ("raise", "flag"))
-    if also is not None:
-        function("also", also, "(epoch, state, infos)")
-    if reduce is not None:
-        function("reduce", reduce, "(accumulated, epoch, state, infos)")
     reduced, before = None, None
     for epoch, state, infos in steps(filter, prior, as_epochs(times, z, u)):
         more = {} if also is None else instance("also", also(epoch, state, infos), dict, "a dict, such as {'gain': array}")

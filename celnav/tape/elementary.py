@@ -1,7 +1,7 @@
 """Sine, cosine, arctangent, exponential and logarithm as arithmetic on a tape: all runs of a vector at once, and on any device.
 
 `lowered` writes a tape anew with them. They are within two units in the last place of the C library's (three for the tangent). An
-argument out of range, 1e9 rad for sine and cosine, gives nan: a run that is lost is flown again by the numpy engine.
+argument of sine and cosine beyond 1e14 rad gives nan: a run that is lost is flown again by the numpy engine.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from math import factorial, inf, nan, pi
 
 from celnav.tape.tape import Number, Scalar, Tape, do
 
+FARTHEST = 1e14  # rad; one float is a hundredth of a radian from the next there
 LN2 = (6.93147180369123816490e-01, 1.90821492927058770002e-10)
 HALF_PI = (1.5707963267948966, 6.123233995736766e-17, -1.4973849048591833e-33)
 """As sums, the first of which is as much as a float holds (of the logarithm: with zeros at its end)."""
@@ -63,7 +64,7 @@ def _quarters(x: Scalar) -> tuple[Scalar, Scalar, Scalar, Scalar]:
     r = x
     for part in HALF_PI:
         r = do("sub", r, do("mul", n, part))
-    r = _select(do("le", do("abs", x), 1e9), r, nan)
+    r = _select(do("le", do("abs", x), FARTHEST), r, nan)
     z = do("mul", r, r)
     sine = do("add", r, do("mul", do("mul", r, z), _polynomial(z, _SINE)))
     cosine = do("add", do("sub", 1.0, do("mul", 0.5, z)), do("mul", do("mul", z, z), _polynomial(z, _COSINE)))

@@ -333,14 +333,13 @@ def compiled(text: str, name: str) -> tuple[int, Any]:
 _ADDRESSES: dict[Any, int] = {}
 
 
-def kernel_address(kernel: Kernel, lanes: int) -> tuple[int, bool]:
-    """Of its compiled function, and whether it is new: what is the same operation by operation is compiled once."""
+def kernel_address(kernel: Kernel, lanes: int) -> int:
+    """Of its compiled function; what is the same operation by operation is compiled once."""
     results = tuple((place, i, x.i) for place, i, x in kernel.results())
     key = (lanes, tuple(kernel.inputs), results, kernel.tape.key)
-    new = key not in _ADDRESSES
-    if new:
+    if key not in _ADDRESSES:
         _ADDRESSES[key] = compiled(source(kernel, lanes, features().get("fma", False)), "step")[0]
-    return _ADDRESSES[key], new
+    return _ADDRESSES[key]
 
 
 def fly() -> Any:

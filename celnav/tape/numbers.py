@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import reduce
+from math import nan
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ def _maximum(a: Scalar, b: Scalar) -> Scalar:
 
 
 def _minimum(a: Scalar, b: Scalar) -> Scalar:
-    return do("neg", _maximum(do("neg", a), do("neg", b)))
+    return do("neg", _maximum(do("neg", as_number(a)), do("neg", as_number(b))))
 
 
 def _fmax(a: Scalar, b: Scalar) -> Scalar:
@@ -49,6 +50,8 @@ def _power(x: Scalar, y: Scalar) -> Scalar:
 
 def _remainder(x: Scalar, y: Scalar) -> Scalar:
     """Python's ``x % y``, of the sign of y, within round-off of x."""
+    if is_known(y, 0.0):
+        return nan
     left = do("sub", x, do("mul", do("floor", do("div", x, y)), y))
     left = do("select", do("lt", do("mul", left, do("copysign", 1.0, y)), 0.0), do("add", left, y), left)
     return do("select", do("le", do("abs", y), do("abs", left)), do("sub", left, y), left)
@@ -63,12 +66,17 @@ def _logical(x: Scalar) -> Scalar:
     return x if type(x) is bool or getattr(x, "logical", False) else do("ne", x, 0.0)
 
 
+def _both_logical(a: Scalar, b: Scalar) -> bool:
+    return all(isinstance(x, bool | np.bool_) or getattr(x, "logical", False) for x in (a, b))
+
+
 def _op(name: str) -> Callable[..., Scalar]:
     return lambda *arguments: do(name, *arguments)
 
 
 _UFUNCS: dict[Any, Callable[..., Scalar]] = {
-    np.add: _op("add"), np.subtract: _op("sub"), np.multiply: _op("mul"), np.divide: _op("div"), np.negative: _op("neg"),
+    np.add: lambda a, b: do("or" if _both_logical(a, b) else "add", a, b), np.subtract: _op("sub"),
+    np.multiply: lambda a, b: do("and" if _both_logical(a, b) else "mul", a, b), np.divide: _op("div"), np.negative: _op("neg"),
     np.absolute: _op("abs"), np.fabs: _op("abs"), np.sqrt: _op("sqrt"), np.copysign: _op("copysign"), np.floor: _op("floor"),
     np.sin: _op("sin"), np.cos: _op("cos"), np.tan: _op("tan"), np.arcsin: _op("asin"), np.arccos: _op("acos"),
     np.arctan: _op("atan"), np.arctan2: _op("atan2"), np.exp: _op("exp"), np.log: _op("log"), np.sinh: _op("sinh"),
@@ -83,7 +91,9 @@ _UFUNCS: dict[Any, Callable[..., Scalar]] = {
     np.power: _power, np.float_power: _power, np.remainder: _remainder,
     np.square: lambda x: do("mul", x, x), np.reciprocal: lambda x: do("div", 1.0, x),
     np.hypot: lambda a, b: do("sqrt", do("add", do("mul", a, a), do("mul", b, b))),
-    np.sign: lambda x: do("select", do("eq", x, 0.0), x, do("add", do("copysign", 1.0, x), do("mul", 0.0, x))),
+    np.sign: lambda x: do("select", do("lt", 0.0, x), 1.0, do("select", do("lt", x, 0.0), -1.0, x)),
+    np.floor_divide: lambda a, b: do("floor", do("div", a, b)), np.rint: _op("rint"),
+    np.trunc: lambda x: do("copysign", do("floor", do("abs", x)), x),
     np.ceil: lambda x: do("neg", do("floor", do("neg", x))),
     np.isfinite: _finite, np.isnan: lambda x: do("ne", x, x),
     np.isinf: lambda x: do("and", do("eq", x, x), do("not", _finite(x))),
@@ -116,8 +126,13 @@ class Numbers(np.ndarray):
         return type(found)(map(numbers, found)) if type(found) in (tuple, list) else numbers(found)
 
     def astype(self, dtype: Any, *arguments: Any, **options: Any) -> Any:  # noqa: ARG002
-        """Itself, with what is true or false as 1 or 0."""
-        return numbers(np.frompyfunc(as_number, 1, 1)(self.view(np.ndarray))) if dtype not in (bool, np.bool_) else self
+        """As floats, whole numbers or truth values; they stay numbers of full precision, so no other type will do."""
+        kind = np.dtype(dtype)
+        if kind.kind not in "biuO" and kind != np.float64:
+            raise refused(f"numbers are recorded as float64, not as {kind}")
+        one = _logical if kind.kind == "b" else as_number
+        floats = numbers(np.frompyfunc(one, 1, 1)(self.view(np.ndarray)))
+        return np.trunc(floats) if kind.kind in "iu" else floats
 
     def any(self, *arguments: Any, **options: Any) -> Any:
         """Whether one of them is true."""
@@ -211,6 +226,8 @@ def _reduced(ufunc: Any, array: Any, axis: Any = 0, dtype: Any = None, out: Any 
     result = np.empty(rows.shape[1:], object)
     for at in np.ndindex(*rows.shape[1:]):
         parts = [rows[(i, *at)] for i in range(len(rows))]
+        if ufunc in (np.logical_or, np.logical_and):
+            parts = [_logical(x) for x in parts]
         if initial is not None and initial is not np._NoValue:
             parts = [initial, *parts]
         result[at] = reduce(function, parts)
@@ -286,6 +303,12 @@ def _broadcast_to(array: Any, shape: Any, **_options: Any) -> Any:
     return numbers(np.broadcast_to(_bare(array), shape))
 
 
+def _dot(a: Any, b: Any) -> Any:
+    if np.ndim(a) > 2 or np.ndim(b) > 2:
+        raise refused("numpy.dot is recorded for vectors and matrices; a @ b takes batches of them")
+    return np.matmul(a, b)
+
+
 def _norm(x: Any, ord: Any = None, axis: Any = None, keepdims: bool = False) -> Any:
     if ord not in (None, 2) or (axis is None and np.ndim(x) > 1):
         raise refused("numpy.linalg.norm is recorded for lengths of vectors only")
@@ -328,7 +351,7 @@ _FUNCTIONS: dict[Any, Callable[..., Any]] = {
     np.linalg.norm: _norm,
     np.linalg.solve: _solve,
     np.linalg.inv: lambda A: _solve(A, np.eye(len(A))),
-    np.dot: np.matmul,
+    np.dot: _dot,
     np.abs: np.absolute,
 }
 
@@ -356,9 +379,22 @@ for _of in _UFUNCS:  # an array of objects that has lost its class calls methods
         setattr(Number, _of.__name__, _operator(_UFUNCS[_of]))
 
 
+def _through(_self: Number, function: Any, _types: Any, arguments: Any, options: Any) -> Any:
+    """numpy's functions of single numbers: as of arrays without axes."""
+
+    def whole(x: Any) -> Any:
+        return numbers(x) if isinstance(x, Number) else type(x)(map(whole, x)) if type(x) in (tuple, list) else x
+
+    return function(*map(whole, arguments), **{name: whole(x) for name, x in options.items()})
+
+
 def _as_array(_self: Number, ufunc: Any, method: str, *inputs: Any, **options: Any) -> Any:
     return _ufunc(ufunc, method, inputs, options)
 
 
-for _name, _method in (("__array_ufunc__", _as_array), ("__getitem__", lambda self, at: numbers(np.asarray(self, object))[at])):
+for _name, _method in (
+    ("__array_ufunc__", _as_array),
+    ("__array_function__", _through),
+    ("__getitem__", lambda self, at: numbers(np.asarray(self, object))[at]),
+):
     setattr(Number, _name, _method)

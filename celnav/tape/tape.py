@@ -158,9 +158,6 @@ def _mul(a: Scalar, b: Scalar) -> Scalar | None:
     if type(b) is not Number:
         # A structural zero: what is not finite shows elsewhere.
         return 0.0 if b == 0.0 else a if b == 1.0 else do("neg", a) if b == -1.0 else None
-    for x, y in ((a, b), (b, a)):
-        if x.logical:
-            return do("select", x, y, 0.0)
     return None
 
 

@@ -317,7 +317,7 @@ REFUSED = {
     "float": (lambda x: float(x[0]), "is asked for as a float"),
     "index": (lambda x: [1.0, 2.0][x[0]], "is asked for as a float"),
     "svd": (lambda x: np.linalg.svd(x[:, None]), r"numpy\.linalg\.svd is not arithmetic"),
-    "rint": (np.rint, r"numpy\.rint cannot be recorded"),
+    "spacing": (np.spacing, r"numpy\.spacing cannot be recorded"),
     "sort": (np.sort, "a branch depends on a number"),
     "into floats": (lambda x: np.add(x, 1.0, out=np.zeros(2)), "is written into an array of floats"),
     "norm of a matrix": (lambda x: np.linalg.norm(x[:, None] * x), r"numpy\.linalg\.norm is recorded for lengths of vectors only"),
