@@ -41,9 +41,10 @@ gyro: Body.nadir Body.rates
 pulsar: Timing.delay Timing.shapiro Timing.shapiro_exact Timing.gradient
 beidou: satellites eccentric_anomaly tilted turned spun
 pseudorange: sources emitted measure jacobian
-linalg: block cholesky downdate fan matvec outer semidefinite_root side_by_side solve_lower
+linalg: block cholesky downdate fan matvec outer semidefinite_root side_by_side solve_lower surely
     solve_right tria whiten signs weighted factored SquareRoot.lost SquareRoot.factor Covariance.lost
     Covariance.factor
+recorded: cholesky semidefinite_root solve_lower tria
 belief: any_lost nees settled
 trial: squares Noiseless.standard_normal
 """

@@ -198,7 +198,7 @@ def _place(error: BaseException) -> str:
 
 
 def compiled(filter: Any, *, jobs: int = 1) -> Compiled:
-    """A filter as machine code, compiled when it first runs; needs ``pip install 'celnav[compiled]'``.
+    """A filter as machine code, compiled when it first runs; needs ``.venv/bin/pip install -c constraints.txt -e ".[compiled]"``.
 
     filter: of `celnav.ukf` and its siblings, `celnav.colored`, `celnav.augmented`, `celnav.two_stage`. Its models are recorded as
         they are: arithmetic, and numpy's functions of it. What asks for the value of a number, an ``if`` or a ``float(x)``, cannot

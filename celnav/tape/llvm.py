@@ -294,7 +294,8 @@ def _binding() -> Any:
     try:
         import llvmlite.binding as binding
     except ImportError:
-        raise ImportError("engine='compiled': expected llvmlite, which pip install 'celnav[compiled]' brings") from None
+        cure = '.venv/bin/pip install -c constraints.txt -e ".[compiled]"'
+        raise ImportError(f"engine='compiled': expected llvmlite, which {cure} brings") from None
     binding.initialize_native_target()
     binding.initialize_native_asmprinter()
     library = ctypes.CDLL("ucrtbase" if sys.platform == "win32" else None)
