@@ -49,17 +49,20 @@ def geometry(r: Results) -> Figure:
     for i, limb in enumerate(edges):
         ax.plot(*np.stack([here, limb]).T, color=colors.ESTIMATE, label=None if i else "sight lines to the limb")
     rays, s = [*stars, *(edges - here), here], np.linspace(0.0, 1.0, 31)[:, None]
-    for a, b in ((0, 4), (1, 4), (2, 3)):  # the angles as arcs
-        arc = (1.0 - s) * rays[a] / np.linalg.norm(rays[a]) + s * rays[b] / np.linalg.norm(rays[b])
-        ax.plot(*(here + 2500.0 * arc / np.linalg.norm(arc, axis=1, keepdims=True)).T, color=colors.PAPER, linewidth=1.0)
     A = np.degrees(sightings.angles(here, stars))
+    for i, (a, b) in enumerate(((0, 4), (1, 4), (2, 3))):  # the angles as arcs
+        arc = (1.0 - s) * rays[a] / np.linalg.norm(rays[a]) + s * rays[b] / np.linalg.norm(rays[b])
+        where = (here + (2500.0 - 600.0 * i) * arc / np.linalg.norm(arc, axis=1, keepdims=True)).T
+        ax.plot(
+            *where, color=(colors.PAPER, colors.OPEN_LOOP, colors.REFERENCE)[i], linewidth=1.4, label=f"$A_{i + 1}$ = {A[i]:.2f}°"
+        )
     for i, star in enumerate(stars):
         ax.quiver(*here, *(5000.0 * star), color=colors.COMPARISON, arrow_length_ratio=0.1)
-        ax.text(*(here + 5600.0 * star), f"star {i + 1}, $A_{i + 1}$ = {A[i]:.2f}°", fontsize=8)
-    ax.text(*np.add(here, (0.0, 0.0, 1200.0)), f"satellite, $A_3$ = {A[2]:.2f}°", fontsize=8)
+        ax.text(*(here + 5600.0 * star), f"star {i + 1}", fontsize=8)
     ax.set(xlabel="x (km)", ylabel="y (km)", zlabel="z (km)", title="Figure 1: measured angles", aspect="equal")
     ax.view_init(45, 100)
     ax.legend(loc="upper left", fontsize=7)
+    fig.set_layout_engine("constrained", rect=(0.0, 0.05, 1.0, 0.95))  # it knows nothing of the axes' labels in space
     return fig
 
 
