@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from celnav.filters.engine import NONE, Data, Engine, each_run, entries, rebuilt
+from celnav.filters.engine import NONE, Data, Engine, each_run, entries, is_own, rebuilt
 from celnav.filters.flight import Flight, as_data, fly
 from celnav.filters.records import Epoch, Epochs, FilterError, Info, State
 from celnav.filters.run import as_epochs, run, steps
@@ -23,7 +23,7 @@ from celnav.gaussian.checks import choice, integer
 from celnav.gaussian.linalg import Array, Covariance
 from celnav.tape.tape import CannotCompile
 
-CHECKED = 3  # epochs of the first run that are compared with the numpy engine when a step was recorded
+CHECKED = 3  # epochs of some runs that are compared with the numpy engine when a step was recorded
 
 
 class Compiled:
@@ -185,7 +185,7 @@ def _input(data: Data, i: int, batch: tuple[int, ...], part: Any) -> Any:
     """The input of an epoch, of some runs."""
     tree, _ = data.known[data.kinds[i]].u
     leaves = data.u[data.known[data.kinds[i]].u].get(i, [])
-    own = [part(x, x.ndim - len(batch)) if batch and x.shape[: len(batch)] == batch else x for x in leaves]
+    own = [part(x, x.ndim - len(batch)) if is_own(x, batch) else x for x in leaves]
     return rebuilt(tree, iter(own))
 
 

@@ -182,9 +182,7 @@ class Engine:
         for parts in zip(*found.values(), strict=True) if any(found.values()) else ():
             values = np.zeros((count, *parts[0].shape))
             values[list(found)] = parts
-            shape, axes = parts[0].shape, len(self.batch)
-            own = 0 < axes < len(shape) and shape[:axes] == self.batch
-            out.append((values, own))
+            out.append((values, is_own(parts[0], self.batch)))
         return out
 
     def recorded_as(self, before: Shape, kind: Kind, u: list[tuple[Array, bool]], lanes: int) -> Recorded:
@@ -294,6 +292,11 @@ class Engine:
             for name, blank in (("innovation", np.nan), ("whitened", 0.0), ("used", 0.0)):
                 value = getattr(info, name)
                 yield from np.full(m, blank) if value is None else value
+
+
+def is_own(x: Array, batch: tuple[int, ...]) -> bool:
+    """Whether an input has axes of runs before its own: what has no other axis is shared."""
+    return 0 < len(batch) < x.ndim and x.shape[: len(batch)] == batch
 
 
 def _alone(x: Any) -> Any:
