@@ -75,8 +75,7 @@ class Compiled:
     def _compare(self, track: Track, engine: Engine, prior: Any, data: Data, every: int) -> None:
         """Raise `CannotCompile` if the first epochs of some runs are not what the numpy engine gives: nothing is taken on trust."""
         few = sorted({0, track.failed_at.size // 2, track.failed_at.size - 1})
-        filter, own, epochs = _of(self.filter, prior, data, engine.batch, few)
-        known = run(filter, own, epochs[:CHECKED], every=every, on_failure="flag", engine="numpy")
+        known = run(*_of(self.filter, prior, data, engine.batch, few, CHECKED), every=every, on_failure="flag", engine="numpy")
         sound = (track.failed_at.ravel()[few] < 0) & (known.failed_at.ravel() < 0)
         for name in ("mean", "std") if sound.any() else ():
             if (rows := getattr(track, name)) is not None:
@@ -156,8 +155,10 @@ def _track(engine: Engine, data: Data, flight: Flight, every: int) -> Track:
     )
 
 
-def _of(filter: Any, prior: Any, data: Data, batch: tuple[int, ...], runs: Any) -> tuple[Any, Any, list[Epoch]]:
-    """Filter, prior and epochs of some runs, which are numbered over all axes of a batch; of all where there is one run alone."""
+def _of(
+    filter: Any, prior: Any, data: Data, batch: tuple[int, ...], runs: Any, count: int | None = None
+) -> tuple[Any, Any, list[Epoch]]:
+    """Filter, prior and the first epochs, None: all, of some runs, numbered over all axes of a batch, or of one run alone."""
 
     def part(x: Array, own: int) -> Array:
         """Of an array with ``own`` axes after those of the runs."""
@@ -171,7 +172,7 @@ def _of(filter: Any, prior: Any, data: Data, batch: tuple[int, ...], runs: Any) 
     root, cov = (x if x.ndim == 2 else part(x, 2) for x in (prior.sqrt_cov, prior.cov))
     some = Covariance(mean, cov) if isinstance(prior, Covariance) else Gaussian(mean, sqrt_cov=root)
     epochs = []
-    for i, kind in enumerate(data.kinds):
+    for i, kind in enumerate(data.kinds[:count]):
         there = data.known[kind]
         z = tuple(None if what == NONE else part(values[i], 1) for what, values in zip(there.z, data.z, strict=True))
         dt = data.dt[i]

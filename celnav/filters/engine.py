@@ -116,11 +116,11 @@ class Data(NamedTuple):
 
 
 class Recorded(NamedTuple):
-    """A kernel, the shape of the state after it, and how rows are made of what it keeps."""
+    """A kernel, the shape of the state after it, and the address of its machine code; 0: not compiled."""
 
     kernel: llvm.Kernel
     after: Shape
-    address: int
+    address: int = 0
 
 
 class Engine:
@@ -191,8 +191,7 @@ class Engine:
         key = (before, kind, shapes, self.keep, self.dt, tuple(self.widths), lanes)
         if key not in self.kept:
             made = self.record(before, kind, u)
-            address = llvm.kernel_address(made.kernel, lanes)
-            self.kept[key] = made._replace(address=address)
+            self.kept[key] = made._replace(address=llvm.kernel_address(made.kernel, lanes))
             self.fresh = True
         return self.kept[key]
 
@@ -255,7 +254,7 @@ class Engine:
         state, infos = filter.step(state, epoch)
         after = Shape.of(state)
         if "belief" in getattr(state, "_fields", ()):
-            state = state._replace(belief=_settled(state.belief))
+            state = state._replace(belief=settled(state.belief))
         tally = self._counted(tally, state.belief, infos, k)
         stored = [(i, x) for i, x in enumerate(tally)]
         at = self.held
@@ -265,7 +264,7 @@ class Engine:
                 stored.append((at, x[place]))
                 at += 1
         kernel = llvm.Kernel(tape, inputs, stored, list(self._rows(state.belief, infos)))
-        return Recorded(kernel, after, 0)
+        return Recorded(kernel, after)
 
     def _counted(self, tally: list[Any], belief: Any, infos: Sequence[Info], k: Any) -> list[Any]:
         """Likelihood, missing and rejected components, and when the run was lost; see `celnav.filters.track.Collector`."""
@@ -302,11 +301,6 @@ def is_own(x: Array, batch: tuple[int, ...]) -> bool:
 def _alone(x: Any) -> Any:
     """A number that may have come as an array of one."""
     return x[()] if isinstance(x, np.ndarray) else x
-
-
-def _settled(belief: Any) -> Any:
-    """`settled`, of what is recorded."""
-    return settled(belief) if belief[1].dtype.hasobject else belief
 
 
 def each_run(thing: Any, function: Callable[[Array], Array]) -> Any:

@@ -94,7 +94,7 @@ def _measured(sensor: Any, parts: Any) -> tuple[Array, Array]:
 
 
 class Flight(NamedTuple):
-    """What a flight leaves: rows ``(K, runs, ...)`` by name, and the tally of each run ``(runs, 4)``."""
+    """What a flight leaves: rows ``(K, runs, ...)`` by name, and the tally of each run ``(runs, 5)``."""
 
     rows: dict[str, Array]
     tally: Array

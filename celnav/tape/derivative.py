@@ -19,7 +19,7 @@ def along(center: Any, roots: Sequence[Any]) -> list[Any]:
     """One point ``(1, n)`` of each root ``(n, q)``, its columns times variables that are 0, which `at_zero` differentiates by."""
     tape = tape_of(center, *roots)
     assert tape is not None
-    tape.variables = [tape.node("var", object()) for _ in range(sum(E.shape[-1] for E in roots))]
+    tape.variables = [tape.node("var", len(tape.ops)) for _ in range(sum(E.shape[-1] for E in roots))]
     unit, first, parts = np.array(tape.variables, object).view(Numbers), 0, []
     for E in roots:
         parts.append((E @ unit[first : first + E.shape[-1]])[None])

@@ -19,6 +19,7 @@ import sys
 from collections import Counter
 from collections.abc import Sequence
 from functools import cache
+from hashlib import sha256
 from typing import Any, NamedTuple
 
 from celnav.tape.elementary import lowered
@@ -316,9 +317,8 @@ def lanes() -> int:
     return 8 if features().get("avx512f") else 4
 
 
-@cache
-def compiled(text: str, name: str) -> tuple[int, Any]:
-    """Address of the function of a ``name``, and what keeps it in memory; each text is compiled once."""
+def compiled(text: str, name: str) -> int:
+    """Address of the function of a ``name``."""
     binding = _binding()
     module = binding.parse_assembly(text)
     module.verify()
@@ -328,21 +328,26 @@ def compiled(text: str, name: str) -> tuple[int, Any]:
     )
     engine = binding.create_mcjit_compiler(module, machine)
     engine.finalize_object()
-    return engine.get_function_address(name), engine
+    _ENGINES.append(engine)
+    return int(engine.get_function_address(name))
 
 
-_ADDRESSES: dict[Any, int] = {}
+_ENGINES: list[Any] = []
+"""They own the machine code, which stays as long as the process."""
+_ADDRESSES: dict[bytes, int] = {}
+"""Of kernels, by the hash of their operations."""
 
 
 def kernel_address(kernel: Kernel, lanes: int) -> int:
     """Of its compiled function; what is the same operation by operation is compiled once."""
     results = tuple((place, i, x.i) for place, i, x in kernel.results())
-    key = (lanes, tuple(kernel.inputs), results, kernel.tape.key)
+    key = sha256(repr((lanes, kernel.inputs, results, kernel.tape.key)).encode()).digest()
     if key not in _ADDRESSES:
-        _ADDRESSES[key] = compiled(source(kernel, lanes, features().get("fma", False)), "step")[0]
+        _ADDRESSES[key] = compiled(source(kernel, lanes, features().get("fma", False)), "step")
     return _ADDRESSES[key]
 
 
+@cache
 def fly() -> Any:
     """The function that takes blocks of runs through steps; Python's lock is free while it works."""
-    return _FLY(compiled(LOOP, "fly")[0])
+    return _FLY(compiled(LOOP, "fly"))

@@ -352,7 +352,6 @@ _FUNCTIONS: dict[Any, Callable[..., Any]] = {
     np.linalg.solve: _solve,
     np.linalg.inv: lambda A: _solve(A, np.eye(len(A))),
     np.dot: _dot,
-    np.abs: np.absolute,
 }
 
 

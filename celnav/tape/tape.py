@@ -176,20 +176,16 @@ def _select(c: Scalar, a: Scalar, b: Scalar) -> Scalar | None:
     return a if same else None
 
 
-def _and(a: Scalar, b: Scalar) -> Scalar | None:
-    if type(a) is not Number:
-        return b if a else False
-    if type(b) is not Number:
-        return a if b else False
-    return a if a.i == b.i else None
+def _joined(neutral: bool) -> Callable[[Scalar, Scalar], Scalar | None]:
+    """ "and" or "or", by the truth value that changes nothing in it."""
 
+    def short(a: Scalar, b: Scalar) -> Scalar | None:
+        for x, y in ((a, b), (b, a)):
+            if type(x) is not Number:
+                return y if bool(x) is neutral else not neutral
+        return a if a.i == b.i else None
 
-def _or(a: Scalar, b: Scalar) -> Scalar | None:
-    if type(a) is not Number:
-        return True if a else b
-    if type(b) is not Number:
-        return True if b else a
-    return a if a.i == b.i else None
+    return short
 
 
 def _alike(alike: bool) -> Callable[[Scalar, Scalar], Scalar | None]:
@@ -205,9 +201,8 @@ def _undone(name: str) -> Callable[[Scalar], Scalar | None]:
 
 
 _SHORT: dict[str, Callable[..., Scalar | None]] = {
-    "add": _add, "sub": _sub, "mul": _mul, "div": _div, "select": _select, "and": _and, "or": _or, "eq": _alike(True),
-    "ne": _alike(False),
-    "neg": _undone("neg"), "not": _undone("not"),
+    "add": _add, "sub": _sub, "mul": _mul, "div": _div, "select": _select, "and": _joined(True), "or": _joined(False),
+    "eq": _alike(True), "ne": _alike(False), "neg": _undone("neg"), "not": _undone("not"),
 }  # fmt: skip
 
 

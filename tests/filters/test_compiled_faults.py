@@ -7,6 +7,7 @@ import pytest
 from twice import assert_same, twice
 
 import celnav
+from celnav.tape import llvm
 from celnav.tape.tape import CannotCompile
 
 RNG = np.random.default_rng(5)
@@ -92,3 +93,11 @@ def test_what_is_kept_is_that_of_numpy():
         known, found = twice(filter, PRIOR, TIMES, Z, keep=keep, every=2)
         assert_same(known, found)
         assert [(e.k, e.t, e.dt) for e in known.epochs] == [(e.k, e.t, e.dt) for e in found.epochs]
+
+
+@pytest.mark.parametrize("make", [celnav.ukf, celnav.ekf])
+def test_what_was_compiled_once_is_not_compiled_again(make, monkeypatch):
+    filter = make(MOTION, celnav.Sensor(lambda x, _epoch: np.sin(x), R))
+    first = celnav.run(filter, PRIOR, TIMES, Z, engine="compiled")
+    monkeypatch.setattr(llvm, "source", lambda *_: pytest.fail("compiled again"))
+    np.testing.assert_array_equal(celnav.run(filter, PRIOR, TIMES, Z, engine="compiled").mean, first.mean)

@@ -23,7 +23,7 @@ ALONE = [name for name, function in FUNCTIONS.items() if getattr(function, "nin"
 
 
 def addressed(kernel, lanes, fused):
-    return llvm.compiled(llvm.source(kernel, lanes, fused), "step")[0]
+    return llvm.compiled(llvm.source(kernel, lanes, fused), "step")
 
 
 def flown(addresses, kinds, at, state, shared, own, kept, lanes):
