@@ -9,10 +9,13 @@ from typing import Any
 import numpy as np
 
 from celnav.tape.numbers import Numbers, tape_of
-from celnav.tape.tape import Number, Scalar, Tape, do
+from celnav.tape.routine import Routine
+from celnav.tape.tape import Number, Scalar, Tape, do, operands
 
 Slopes = dict[int, Scalar]
 """Derivatives with respect to some variables, by their number; of the others it is 0."""
+Carried = tuple[Scalar, Slopes]
+"""A value and its derivatives."""
 
 
 def along(center: Any, roots: Sequence[Any]) -> list[Any]:
@@ -35,7 +38,7 @@ def at_zero(y: Any) -> tuple[Numbers, Numbers]:
     if found is None:
         value[...] = y
         return value, slope
-    known: dict[int, tuple[Scalar, Slopes]] = {x.i: (0.0, {k: 1.0}) for k, x in enumerate(found.tape.variables)}
+    known: dict[int, Carried] = {x.i: (0.0, {k: 1.0}) for k, x in enumerate(found.tape.variables)}
     for at in np.ndindex(*y.shape):
         value[at], slopes = _carried(y[at], known) if isinstance(y[at], Number) else (y[at], {})
         for k, x in slopes.items():
@@ -43,28 +46,58 @@ def at_zero(y: Any) -> tuple[Numbers, Numbers]:
     return value, slope
 
 
-def _carried(x: Number, known: dict[int, tuple[Scalar, Slopes]]) -> tuple[Scalar, Slopes]:
+def _carried(x: Number, known: dict[int, Carried]) -> Carried:
     """Value and derivatives of a number; ``known``: those found already."""
     tape, stack = x.tape, [x.i]
+    memory: dict[int, list[Carried] | None] = {}
     while stack:
         i = stack[-1]
-        if i in known:
+        if i in known or i in memory:
             stack.pop()
             continue
-        name, *arguments = tape.ops[i]
-        if name in ("in", "const"):
-            known[i] = (Number(tape, i) if name == "in" else arguments[0], {})
-            continue
-        missing = [a for a in arguments if a not in known]
+        op = tape.ops[i]
+        missing = [a for a in operands(op) if a not in known and a not in memory]
         if missing:
             stack += missing
             continue
-        values, slopes = [known[a][0] for a in arguments], [known[a][1] for a in arguments]
-        value = (
-            Number(tape, i) if all(v is not None and _same(tape, a, v) for a, v in zip(arguments, values)) else do(name, *values)
-        )
-        known[i] = (value, _chained(name, value, values, slopes))
+        name, *arguments = op
+        if name == "call":
+            given = [known[a] for a in arguments[1:]]
+            same = all(_same(tape, a, value) for a, (value, _) in zip(arguments[1:], given, strict=True))
+            memory[i] = None if same and not any(slopes for _, slopes in given) else _inside(arguments[0], given)
+        elif name == "part":
+            cells = memory[arguments[0]]
+            known[i] = (Number(tape, i), {}) if cells is None else cells[arguments[1]]
+        elif name in ("in", "const"):
+            known[i] = (Number(tape, i) if name == "in" else arguments[0], {})
+        else:
+            values, slopes = [known[a][0] for a in arguments], [known[a][1] for a in arguments]
+            same = all(_same(tape, a, value) for a, value in zip(arguments, values, strict=True))
+            value = Number(tape, i) if same else do(name, *values)
+            known[i] = (value, _chained(name, value, values, slopes))
     return known[x.i]
+
+
+def _inside(routine: Routine, given: Sequence[Carried]) -> list[Carried]:
+    """Cells of a routine after it, row by row."""
+    cells: list[Any] = [*given, *[None] * (routine.cells - len(given))]
+    for stage in routine.stages:
+        for row in range(stage.rows):
+            at = {place: first + row * stride for place, (first, stride) in stage.places.items()}
+            known: list[Carried] = []
+            for name, *arguments in stage.tape.ops:
+                if name == "in":
+                    place, index = stage.inputs[arguments[0]]
+                    known.append(cells[at[place] + index])
+                elif name == "const":
+                    known.append((arguments[0], {}))
+                else:
+                    values, slopes = [known[a][0] for a in arguments], [known[a][1] for a in arguments]
+                    value = do(name, *values)
+                    known.append((value, _chained(name, value, values, slopes)))
+            for place, index, x in stage.results:
+                cells[at[place] + index] = known[x.i]
+    return cells
 
 
 def _same(tape: Tape, i: int, value: Scalar) -> bool:
