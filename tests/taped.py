@@ -36,10 +36,27 @@ def values(tape, given, y):
             known.append(np.float64(given[arguments[0]]))
         elif name == "const":
             known.append(np.float64(arguments[0]))
+        elif name == "call":
+            known.append(_left(arguments[0], [known[a] for a in arguments[1:]]))
+        elif name == "part":
+            known.append(known[arguments[0]][arguments[1]])
         else:
             known.append(FUNCTIONS[name](*(known[a] for a in arguments)))
     array = np.asarray(y, object)
     return np.array([float(known[x.i]) if isinstance(x, Number) else float(x) for x in array.flat]).reshape(array.shape)
+
+
+def _left(routine, given):
+    """The memory of a routine after it."""
+    cells = np.full(routine.cells, np.nan)
+    cells[: len(given)] = given
+    for stage in routine.stages:
+        for row in range(stage.rows):
+            at = [stage.places[place][0] + row * stage.places[place][1] + index for place, index in stage.inputs]
+            found = values(stage.tape, cells[at], [x for *_, x in stage.results])
+            for (place, index, _), x in zip(stage.results, found, strict=True):
+                cells[stage.places[place][0] + row * stage.places[place][1] + index] = x
+    return cells
 
 
 def recorded(function, *arrays):

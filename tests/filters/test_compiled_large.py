@@ -15,9 +15,9 @@ from celnav.tape.tape import CannotCompile
 
 pytest.importorskip("llvmlite")
 
-N = 12
+N = 8
 TIMES = 0.02 * np.arange(9)
-RNG = np.random.default_rng(12)
+RNG = np.random.default_rng(8)
 
 
 def ring(x, epoch):
@@ -53,9 +53,8 @@ def calls(filter, prior, epochs):
     return {op[1] for op in kernel.tape.ops if op[0] == "call"}
 
 
-@pytest.mark.parametrize("noisy", [False, True])
-@pytest.mark.parametrize("form", ["square root", "covariance"])
 @pytest.mark.parametrize("rule", [celnav.unscented(N, alpha=1.0, kappa=1.0), celnav.cubature(N), celnav.smolyak(N, 2)])
+@pytest.mark.parametrize(("form", "noisy"), [("square root", True), ("covariance", False)])
 def test_a_model_is_a_loop_over_the_points(rule, form, noisy):
     filter, prior, epochs = flight(form, rule, noisy)
     assert calls(filter, prior, list(epochs))
@@ -67,23 +66,9 @@ def test_factorizations_and_products_are_loops_where_they_are_long(form, monkeyp
     filter, prior, epochs = flight(form, noisy=True)
     before = calls(filter, prior, list(epochs))
     for module, name in ((recorded, "LONG"), (recorded, "LONG_SOLUTION"), (numbers, "LONG_PRODUCT")):
-        monkeypatch.setattr(module, name, 1000)
+        monkeypatch.setattr(module, name, 500)
     assert len(calls(filter, prior, list(epochs))) > len(before)
     assert_same(*twice(filter, prior, epochs))
-
-
-def test_derivatives_of_a_model_with_a_long_product():
-    M = np.eye(40) + 0.01 * RNG.standard_normal((40, 40))
-
-    def turned(x, _epoch):
-        return x @ np.array(M @ np.diag(np.ones(40))) + 0.01 * np.sin(x)
-
-    filter = celnav.ekf(celnav.Motion(turned, sqrt_Q=0.1 * np.eye(40)), celnav.Sensor(np.eye(2, 40), np.eye(2)))
-    prior = celnav.Gaussian(np.linspace(-1.0, 1.0, 40), np.eye(40))
-    known, found = twice(filter, prior, np.arange(3.0), RNG.standard_normal((3, 2)))
-    assert found.engine == "compiled"
-    np.testing.assert_allclose(found.mean, known.mean, atol=1e-7)
-    np.testing.assert_allclose(found.std, known.std, rtol=1e-7)
 
 
 def test_what_is_too_long_is_left_to_numpy_unless_it_is_asked_for(monkeypatch):

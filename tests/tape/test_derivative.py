@@ -7,6 +7,7 @@ import pytest
 from taped import FUNCTIONS, inputs, values
 
 from celnav.tape.derivative import along, at_zero
+from celnav.tape.numbers import each_row
 from celnav.tape.tape import Tape
 
 STEP = 1e-200
@@ -111,6 +112,31 @@ def test_derivatives_where_there_are_branches(name):
     value, slope = slopes(function, POINT)
     np.testing.assert_allclose(value, function(POINT), rtol=1e-13)
     np.testing.assert_allclose(slope, expected, rtol=1e-13, atol=1e-14)
+
+
+def test_loops_over_rows():
+    def row(x):
+        return np.stack([np.sin(x[..., 0]) * x[..., 1], x[..., 1] / x[..., 2], 0.0 * x[..., 0] + 1.0], -1)
+
+    def whole(x, each=lambda function, rows: function(rows)):
+        return each(row, np.stack([x, x[::-1] ** 2, np.array([1.0, 2.0, 3.0]) + x[0]]))
+
+    def rolled(x):
+        y = whole(x, lambda function, rows: each_row(function, rows, least=0))
+        assert any(op[0] == "call" for op in x.flat[0].tape.ops)
+        return y
+
+    for mine, exact in zip(slopes(rolled, POINT), complex_slopes(whole, POINT), strict=True):
+        np.testing.assert_allclose(mine, exact, rtol=1e-14, atol=1e-15)
+
+
+def test_a_loop_over_what_does_not_change_stays_one():
+    tape = Tape()
+    center, other = inputs(tape, (2,), (3, 2), absent=False)
+    x = center + along(center, [np.eye(2)])[0][0]
+    value, slope = at_zero(x + each_row(lambda rows: rows[..., ::-1] * np.cos(rows), other, least=0)[1])
+    assert {tape.ops[i][0] for i in tape.needed(list(value.flat))} >= {"call", "part"}
+    np.testing.assert_array_equal(slope.astype(float), np.eye(2))
 
 
 def test_what_is_far_away_has_no_part():
