@@ -85,7 +85,7 @@ class Driver:
 
     @property
     def held(self):
-        return sum(map(len, self.memory.values()))
+        return sum(map(len, list(self.memory.values())))
 
     def cuMemAlloc_v2(self, place, size):
         if not size.value:

@@ -205,8 +205,8 @@ def compiled(filter: Any, *, jobs: int = 1, engine: str = "compiled") -> Compile
         they are: arithmetic, and numpy's functions of it. What asks for the value of a number, an ``if`` or a ``float(x)``, cannot
         be: `CannotCompile` says which line.
     jobs: threads. The bytes of the result do not depend on them.
-    engine: "compiled" for this processor; "cuda" for an NVIDIA device of compute capability 7.0 or higher, which takes a run in each
-        of its threads, while ``jobs`` arrange and copy. RuntimeError says what is missing, or which call of its driver failed.
+    engine: "compiled" for this processor; "cuda" for an NVIDIA device (compute capability 7.0 or higher), with a run in each of its
+        threads, while ``jobs`` arrange and copy. RuntimeError says what is missing, or which call of the driver failed.
 
     >>> flown = celnav.compiled(celnav.ukf(motion, gps)).run(prior, times, z)
     """
