@@ -8,6 +8,7 @@ from collections import Counter
 from functools import cache
 
 import numpy as np
+from ptx_machine import Machine
 
 from celnav.tape import cuda, llvm, ptx
 
@@ -22,10 +23,13 @@ _NAMES = ("block", "width", "thread")
 
 
 class Driver:
-    """``failing``: the status that a function returns, from its n-th call on; ``free``: bytes that the device has."""
+    """``failing``: the status that a function returns, from its n-th call on; ``free``: bytes that the device has.
 
-    def __init__(self, free=1 << 26, capability=(9, 0), failing=None, log=b""):
-        self.free, self.capability, self.failing, self.log = free, capability, failing or {}, log
+    ``literal``: the PTX itself is done, line by line.
+    """
+
+    def __init__(self, free=1 << 26, capability=(9, 0), failing=None, log=b"", literal=False):
+        self.free, self.capability, self.failing, self.log, self.literal = free, capability, failing or {}, log, literal
         self.calls, self.memory, self.most, self.sources, self.entries = Counter(), {}, 0, {}, []
 
     def __getattribute__(self, name):
@@ -70,7 +74,8 @@ class Driver:
         return 0
 
     def cuModuleLoadDataEx(self, module, image, count, options, values):
-        self.entries.append(on_the_host(self.sources[image.value.decode()]))
+        text = image.value.decode()
+        self.entries.append(Machine(text) if self.literal else on_the_host(self.sources[text]))
         module._obj.value = len(self.entries)
         return 0
 

@@ -33,6 +33,12 @@ def driver(monkeypatch):
     assert not found.memory
 
 
+@pytest.fixture
+def reader(monkeypatch):
+    """A driver that does what the PTX says, line by line."""
+    return installed(monkeypatch, Driver(literal=True))
+
+
 def flown(*arguments, **options):
     """A flight by numpy and one by the device, which agree."""
     known, found = twice(*arguments, engine="cuda", **options)
@@ -68,10 +74,10 @@ FALLS = (
 
 
 @pytest.mark.parametrize("name", FALLS)
-def test_filters_of_a_falling_body(name, driver, tmp_path):
+def test_filters_of_a_falling_body(name, reader, tmp_path):
     filter, z = bodies.FALLS[name]
     flown(filter, bodies.MANY, bodies.TIMES, z, keep="cov")
-    (text,) = driver.sources
+    (text,) = reader.sources
     sound(text, tmp_path)
 
 
@@ -110,10 +116,15 @@ OTHERS = {
 
 
 @pytest.mark.parametrize("name", OTHERS)
-def test_other_filters(name, driver, tmp_path):
+def test_other_filters(name, reader, tmp_path):
     flown(*OTHERS[name](), keep="cov")
-    (text,) = driver.sources
+    (text,) = reader.sources
     sound(text, tmp_path)
+
+
+@pytest.mark.parametrize("name", ["two sensors", "window skip hook, cov"])
+def test_the_same_program_as_machine_code(name, driver):
+    flown(bodies.FALLS[name][0], bodies.MANY, bodies.TIMES, bodies.FALLS[name][1], keep="cov")
 
 
 @pytest.mark.parametrize("name", llvm.LIBM)
