@@ -16,6 +16,7 @@ from taped import FUNCTIONS
 from twice import assert_same, told, twice
 
 import celnav
+from celnav.cli import main
 from celnav.filters.run import ENGINE
 from celnav.models import orbit
 from celnav.tape import cuda, llvm, ptx
@@ -236,15 +237,20 @@ def fly(engine="cuda", **options):
     return celnav.run(runs.FILTER, runs.PRIOR, runs.TIMES, runs.Z, engine=engine, **options)
 
 
-def test_without_a_driver(monkeypatch):
-    def absent(name):
-        raise OSError(f"{name}: cannot open shared object file")
+def test_without_a_driver(monkeypatch, capsys, tmp_path):
+    def absent(name, *arguments, known=ctypes.CDLL, **options):
+        if "cuda" in str(name):
+            raise OSError(f"{name}: cannot open shared object file")
+        return known(name, *arguments, **options)
 
     monkeypatch.setattr(ctypes, "CDLL", absent)
     cuda.device.cache_clear()
     with pytest.raises(RuntimeError, match=r"^engine='cuda': expected the driver of an NVIDIA device, \S+, got none \(\S+: cannot"):
         fly()
     assert fly("auto").engine == "compiled"
+    assert main(["reproduce", "csrukf", "--engine", "cuda", "--out", str(tmp_path / "out")]) == 1
+    assert capsys.readouterr().err.startswith("celnav: engine='cuda': expected the driver of an NVIDIA device")
+    assert not (tmp_path / "out").exists()
 
 
 FAULTS = {
