@@ -16,6 +16,7 @@ import celnav
 from celnav.commands.arguments import UsageError
 from celnav.files import ForeignFileError, InputError
 from celnav.filters.run import ENGINES
+from celnav.tape.cuda import CudaError
 
 EXIT = "Exit status: 0, done; 1, it could not be done; 2, what was given cannot be used; 130, interrupted."
 BAD_INPUT = (InputError, ForeignFileError, FileNotFoundError, IsADirectoryError, NotADirectoryError, PermissionError)
@@ -38,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
-    except (OSError, ImportError, InputError) as error:
+    except (OSError, ImportError, InputError, CudaError) as error:
         print(f"celnav: {_told(error)}", file=sys.stderr)
         return 2 if isinstance(error, BAD_INPUT) else 1
     except MemoryError as error:

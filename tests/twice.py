@@ -9,16 +9,16 @@ import celnav
 FIELDS = ("times", "mean", "std", "innovation", "whitened", "used", "log_likelihood", "failed_at")
 
 
-def twice(filter, *arguments, of=None, **options):
-    """Tracks of the numpy engine and of the compiled one; ``of``: another filter for the numpy engine."""
+def twice(filter, *arguments, of=None, engine="compiled", **options):
+    """Tracks of the numpy engine and of another one; ``of``: another filter for the numpy engine."""
     options = {"on_failure": "flag"} | options
     known = celnav.run(filter if of is None else of, *arguments, **options)
-    return known, celnav.run(filter, *arguments, engine="compiled", **options)
+    return known, celnav.run(filter, *arguments, engine=engine, **options)
 
 
-def assert_same(known, found, least=1e-9):
+def assert_same(known, found, least=1e-9, engine="compiled"):
     """Every field: means and deviations within ``least`` of value and deviation, what is counted exactly."""
-    assert found.engine == "compiled"
+    assert found.engine == engine
     assert repr(found) == repr(known)
     mine, theirs = ({name: getattr(track, name) for name in FIELDS} | track.events for track in (found, known))
     assert mine.keys() == theirs.keys()

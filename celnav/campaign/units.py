@@ -23,6 +23,7 @@ from celnav.papers import load
 from celnav.store import Keyed, code
 from celnav.study.montecarlo import blocks, generator
 from celnav.study.trial import Noiseless, Trial, bound, follow
+from celnav.tape.cuda import CudaError
 
 STUDY = 0
 """Of `celnav.study.montecarlo.generator`, for all configurations: they share their random numbers, so differences are sharp."""
@@ -213,7 +214,7 @@ class _Flight:
             followed = follow(trial, name, unit.every)
             seconds = process_time() - start
             scores, failed = score(followed, trial.groups, settle_s=unit.settle_s, limits=dict(unit.limits))
-        except MemoryError:
+        except (MemoryError, CudaError):
             raise
         except Exception as error:
             self._note()

@@ -29,6 +29,7 @@ from celnav.gaussian.linalg import Array
 from celnav.show.progress import Progress
 from celnav.store import RESULTS, Store, resumed
 from celnav.study.study import Results, Unit
+from celnav.tape.cuda import device
 
 KINDS = ("png", "svg")
 """Of each figure."""
@@ -46,6 +47,8 @@ def run(options: argparse.Namespace) -> int:
     pool = workers(options.jobs)
     if options.rinex is not None and not any("rinex" in getattr(one, "INPUTS", ()) for one in modules.values()):
         raise UsageError(f"--rinex: expected a paper that takes a receiver's log (aukf), got {', '.join(chosen)}")
+    if options.engine == "cuda":
+        device()  # told at once, not by each unit
     out = Path(options.out)
     top, folders = Outputs(out), {paper: Outputs(out / paper) for paper in chosen}
     top.check(["index.html"])

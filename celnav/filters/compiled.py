@@ -1,4 +1,4 @@
-"""A filter as machine code: `celnav.compiled`, and what ``celnav.run(engine="compiled")`` does.
+"""A filter as machine code: `celnav.compiled`, and what ``celnav.run`` does with ``engine="compiled"`` or ``"cuda"``.
 
 Runs that are lost are flown again by the numpy engine, which is the reference and knows why.
 """
@@ -21,9 +21,10 @@ from celnav.filters.track import Track
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import choice, integer
 from celnav.gaussian.linalg import Array, Covariance
+from celnav.tape.cuda import CudaError, device
 from celnav.tape.tape import MOST, CannotCompile
 
-WORTH = 50_000  # operations of a step, the most that engine="auto" compiles: some five seconds
+WORTH = 50_000  # operations of a step, the most that engine="auto" compiles, in some five seconds, and a device takes
 CHECKED = 3  # epochs of some runs that are compared with the numpy engine when a step was recorded
 
 
@@ -31,11 +32,11 @@ class Compiled:
     """A filter as machine code; what `celnav.compiled` makes.
 
     The steps that were recorded are kept: a model that looks at something which changes meanwhile, a global number say, goes on
-    with what it saw first. `celnav.run` with ``engine="compiled"`` records anew at every call.
+    with what it saw first. `celnav.run` records anew at every call.
     """
 
-    def __init__(self, filter: Any, jobs: int, most: int = MOST):
-        self.filter, self.jobs, self._most, self._kept = filter, jobs, most, dict[Any, Any]()
+    def __init__(self, filter: Any, jobs: int, engine: str, most: int):
+        self.filter, self.jobs, self.engine, self._most, self._kept = filter, jobs, engine, most, dict[Any, Any]()
 
     def __repr__(self) -> str:
         return f"Compiled({self.filter!r})"
@@ -53,9 +54,9 @@ class Compiled:
         try:
             data = as_data(self.filter, epochs)
             some = epochs[:CHECKED]
-            engine = Engine(self.filter, prior, data, keep, self._kept, most=self._most)
-            flight = fly(engine, data, every, self.jobs)
-        except (CannotCompile, ImportError):
+            engine = Engine(self.filter, prior, data, keep, self._kept, most=self._most, rolled=self.engine != "cuda")
+            flight = fly(engine, data, every, self.jobs, device() if self.engine == "cuda" else None)
+        except (CannotCompile, CudaError, ImportError):
             raise
         except Exception as error:
             run(self.filter, prior, some, every=every, keep=keep, engine="numpy")  # what is wrong anyhow is told as ever
@@ -64,7 +65,7 @@ class Compiled:
         if keep == "cov":
             stored = tuple(epoch._replace(z=None, truth=None) for i, epoch in enumerate(epochs) if i % every == 0)
             track = replace(track, epochs=stored)
-        track = replace(track, filter=self.filter)
+        track = replace(track, filter=self.filter, engine=self.engine)
         if engine.fresh:
             self._compare(track, engine, prior, data, every)
         if keep == "nothing":
@@ -94,7 +95,7 @@ class Compiled:
         filter, own, epochs = _of(self.filter, prior, data, engine.batch, lost)
         if not engine.batch:
             return replace(
-                run(filter, own, epochs, every=every, keep=keep, on_failure=on_failure, engine="numpy"), engine="compiled"
+                run(filter, own, epochs, every=every, keep=keep, on_failure=on_failure, engine="numpy"), engine=self.engine
             )
         again = run(filter, own, epochs, every=every, keep=keep, on_failure="flag", engine="numpy")
         still = np.flatnonzero(again.failed_at >= 0)
@@ -152,7 +153,6 @@ def _track(engine: Engine, data: Data, flight: Flight, every: int) -> Track:
         log_likelihood=likelihood,
         events={"missing": missing.astype(int) + silent, "rejected": rejected.astype(int), "redone": redone.astype(int)},
         failed_at=failed.astype(int),
-        engine="compiled",
     )
 
 
@@ -199,30 +199,39 @@ def _place(error: BaseException) -> str:
     return f" ({Path(mine[-1].filename).name}, line {mine[-1].lineno}: {mine[-1].line})" if mine else ""
 
 
-def compiled(filter: Any, *, jobs: int = 1) -> Compiled:
+def compiled(filter: Any, *, jobs: int = 1, engine: str = "compiled") -> Compiled:
     """A filter as machine code, compiled when it first runs; needs ``.venv/bin/pip install -c constraints.txt -e ".[compiled]"``.
 
     filter: of `celnav.ukf` and its siblings, `celnav.colored`, `celnav.augmented`, `celnav.two_stage`. Its models are recorded as
         they are: arithmetic, and numpy's functions of it. What asks for the value of a number, an ``if`` or a ``float(x)``, cannot
         be: `CannotCompile` says which line.
     jobs: threads. The bytes of the result do not depend on them.
+    engine: "compiled" for this processor; "cuda" for an NVIDIA device (compute capability 7.0 or higher), with a run in each of its
+        threads, while ``jobs`` arrange and copy. RuntimeError says what is missing, or which call of the driver failed.
 
     >>> flown = celnav.compiled(celnav.ukf(motion, gps)).run(prior, times, z)
     """
-    return Compiled(filter, integer("jobs", jobs))
+    choice("engine", engine, ("compiled", "cuda"))
+    return Compiled(filter, integer("jobs", jobs), engine, MOST if engine == "compiled" else WORTH)
+
+
+def _chosen(engine: str, filter: Any, jobs: int) -> Compiled:
+    """By an engine; "auto" compiles what is worth it, and takes a device only where that is asked for."""
+    made = compiled(filter, jobs=jobs, engine="compiled" if engine == "auto" else engine)
+    return Compiled(filter, made.jobs, made.engine, WORTH) if engine == "auto" else made
 
 
 def run_by(
     engine: str, filter: Any, prior: Any, epochs: Iterable[Epoch], jobs: int, also: Any, reduce: Any, **options: Any
 ) -> Track:
-    """`celnav.run` with an engine that is "compiled", or "auto": numpy where that cannot be."""
+    """`celnav.run` with an engine that is "compiled" or "cuda", or "auto": compiled, and numpy where that cannot be."""
     epochs = epochs if isinstance(epochs, Epochs) else list(epochs)
     try:
         if also is not None or reduce is not None:
-            raise CannotCompile("also, reduce: expected none with engine='compiled', which keeps no states between epochs")
-        return Compiled(filter, integer("jobs", jobs), WORTH if engine == "auto" else MOST).run(prior, epochs, **options)
+            raise CannotCompile(f"also, reduce: expected none with engine={engine!r}, which keeps no states between epochs")
+        return _chosen(engine, filter, jobs).run(prior, epochs, **options)
     except (CannotCompile, ImportError) as error:
-        if engine == "compiled":
+        if engine != "auto":
             raise
         track = run(filter, prior, epochs, also=also, reduce=reduce, engine="numpy", **options)
         return replace(track, engine=f"numpy: {error}")
@@ -232,9 +241,9 @@ def steps_by(engine: str, filter: Any, prior: Any, epochs: Iterable[Epoch]) -> I
     """`celnav.steps` likewise; by numpy too where a run is lost, since why is to be told. An `Info` is of all sensors together."""
     epochs = epochs if isinstance(epochs, Epochs) else list(epochs)
     try:
-        track = Compiled(filter, 1, WORTH if engine == "auto" else MOST).run(prior, epochs, keep="cov", on_failure="flag")
+        track = _chosen(engine, filter, 1).run(prior, epochs, keep="cov", on_failure="flag")
     except (CannotCompile, ImportError):
-        if engine == "compiled":
+        if engine != "auto":
             raise
         return steps(filter, prior, epochs)
     if track.belief is None or (track.failed_at >= 0).any():

@@ -192,12 +192,12 @@ class Engine:
         return out
 
     def recorded_as(self, before: Shape, kind: Kind, u: list[tuple[Array, bool]], lanes: int) -> Recorded:
-        """The step, recorded and compiled."""
+        """The step, recorded and compiled; for 0 lanes recorded only."""
         shapes = tuple((x.shape[1 + len(self.batch) * own :], own) for x, own in u)
         key = (before, kind, shapes, self.keep, self.dt, tuple(self.widths), lanes)
         if key not in self.kept:
             made = self.record(before, kind, u)
-            self.kept[key] = made._replace(address=llvm.kernel_address(made.kernel, lanes))
+            self.kept[key] = made._replace(address=llvm.kernel_address(made.kernel, lanes)) if lanes else made
             self.fresh = True
         return self.kept[key]
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +15,8 @@ from celnav.filters.records import Epoch, Epochs, check_interval
 from celnav.filters.sequential import checked, measurements
 from celnav.gaussian.checks import numbers
 from celnav.gaussian.linalg import Array
-from celnav.tape import llvm
+from celnav.tape import llvm, ptx
+from celnav.tape.cuda import Device
 from celnav.tape.tape import CannotCompile
 
 FEW = 3  # rows of a flight that keeps nothing, by which it is checked
@@ -100,10 +102,10 @@ class Flight(NamedTuple):
     tally: Array
 
 
-def fly(engine: Engine, data: Data, every: int, jobs: int) -> Flight:
-    """All runs through all epochs."""
+def fly(engine: Engine, data: Data, every: int, jobs: int, device: Device | None) -> Flight:
+    """All runs through all epochs, on a device, or None: on this processor."""
     runs, T = int(np.prod(engine.batch)), len(data.k)
-    lanes = 1 if runs == 1 else llvm.lanes()
+    lanes = 0 if device else 1 if runs == 1 else llvm.lanes()
     inputs = {shape: engine.inputs(found, T) for shape, found in data.u.items()}
     records, steps, size = _planned(engine, data, inputs, lanes)
     shared, own = _shared(data, inputs), _own(engine, data, inputs, runs)
@@ -114,30 +116,30 @@ def fly(engine: Engine, data: Data, every: int, jobs: int) -> Flight:
     kept = sum(names.values())
     rows = {name: np.empty((K, runs, count)) for name, count in names.items()}
     tally, start = np.empty((runs, len(TALLY))), np.concatenate(engine.start(), 1)
-    table = (np.array([record.address for record in records], np.uint64), np.array(steps, np.int32), stored.astype(np.int64))
-    loop, cells = llvm.fly(), max(record.kernel.cells for record in records)
+    table, loop = (np.array(steps, np.int32), stored.astype(np.int64)), _loop(records, size, device)
 
     def some(first: int) -> None:
         """A chunk of runs."""
         part = slice(first, min(first + chunk, runs))
         count = part.stop - first
-        width = -(-count // lanes) * lanes  # the last run fills a block that is not full
-        values, state, out = np.zeros((T, M, width)), np.zeros((width // lanes, size, lanes)), np.empty((K, kept, width))
-        memory = llvm.aligned((cells, lanes))
+        vector = lanes or count  # a device has all of them side by side
+        width = -(-count // vector) * vector  # the last run fills a block that is not full
+        values, state, out = np.zeros((T, M, width)), np.zeros((width // vector, size, vector)), np.empty((K, kept, width))
         for at, x in own:
             values[:, at : at + x.shape[-1], :count] += (x if x.shape[1] == 1 else x[:, part]).transpose(0, 2, 1)
         values[..., count:] = values[..., count - 1 : count]
         begin = np.concatenate([start[part], np.repeat(start[part.stop - 1 : part.stop], width - count, 0)])
-        state[:, : start.shape[1]] = begin.reshape(-1, lanes, start.shape[1]).transpose(0, 2, 1)
-        pointers = (x.ctypes.data for x in (*table, state, shared, values, out, memory))
-        loop(*pointers, size, shared.shape[1], M, kept, width, lanes, 0, width // lanes, T)
+        state[:, : start.shape[1]] = begin.reshape(-1, vector, start.shape[1]).transpose(0, 2, 1)
+        loop(*table, state, shared, values, out)
         at = 0
         for name, number in names.items():
             rows[name][:, part] = out[:, at : at + number, :count].transpose(0, 2, 1)
             at += number
         tally[part] = state[:, : len(TALLY)].transpose(0, 2, 1).reshape(width, -1)[:count]
 
-    chunk = max(lanes, min(-(-runs // jobs), CHUNK // (8 * T * (kept + M))) // lanes * lanes)
+    room = device.room() // jobs // (8 * (T * M + K * kept + size)) if device else CHUNK // (8 * T * (kept + M))
+    unit = lanes or 1
+    chunk = max(unit, min(-(-runs // jobs), room) // unit * unit)
     if jobs > 1 and runs > chunk:
         with ThreadPoolExecutor(jobs) as pool:
             list(pool.map(some, range(0, runs, chunk)))
@@ -145,6 +147,23 @@ def fly(engine: Engine, data: Data, every: int, jobs: int) -> Flight:
         for first in range(0, runs, chunk):
             some(first)
     return Flight(rows, tally)
+
+
+def _loop(records: Sequence[Recorded], size: int, device: Device | None) -> Callable[..., None]:
+    """What takes ``(kinds, at, state, shared, own, rows)`` through all epochs; a state is of ``size`` numbers."""
+    if device is not None:
+        return partial(device.fly, device.entry(ptx.program([record.kernel for record in records], size)))
+    addresses, loop = np.array([record.address for record in records], np.uint64), llvm.fly()
+    cells = max(record.kernel.cells for record in records)
+
+    def flown(*arrays: Array) -> None:
+        *_, state, shared, own, rows = arrays
+        blocks, size, lanes = state.shape
+        memory = llvm.aligned((cells, lanes))
+        pointers = (x.ctypes.data for x in (addresses, *arrays, memory))
+        loop(*pointers, size, shared.shape[1], own.shape[1], rows.shape[1], own.shape[2], lanes, 0, blocks, len(own))
+
+    return flown
 
 
 def _planned(engine: Engine, data: Data, inputs: dict[Any, Any], lanes: int) -> tuple[list[Recorded], list[int], int]:

@@ -18,7 +18,7 @@ from celnav.gaussian.belief import settled
 from celnav.gaussian.checks import choice, function, instance, integer, kind
 from celnav.gaussian.linalg import Array
 
-ENGINES = ("numpy", "compiled", "auto")
+ENGINES = ("numpy", "compiled", "cuda", "auto")
 ENGINE: ContextVar[str] = ContextVar("engine", default="numpy")
 """What `run` and the studies take where nobody says: ``celnav reproduce --engine`` sets it."""
 
@@ -42,7 +42,8 @@ def run(
     reduce: ``(accumulated, epoch, state, infos) -> accumulated``, from None; the end is ``Track.reduced``. With it a study of any
         length runs in the memory of one step.
     engine: "numpy" (unless `ENGINE` says otherwise); "compiled": the filter's own step as machine code, see `celnav.compiled`;
-        "auto": compiled where that can be, and ``Track.engine`` says why not. jobs: threads of compiled code.
+        "cuda": on an NVIDIA device; "auto": compiled where that can be, and ``Track.engine`` says why not.
+    jobs: threads of compiled code.
     on_failure: "raise" a `FilterError` for the first run that is lost, or "flag" it: it becomes nan from there
         (``Track.failed_at``), the other runs go on.
 

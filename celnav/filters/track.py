@@ -32,7 +32,7 @@ class Track:
         missing as that sensor has at other epochs.
     failed_at: ``(...)`` index of the first epoch at which a run is not finite, -1 for none.
     extra, reduced: what ``run(also=...)`` gave, and what ``run(reduce=...)`` ended with.
-    engine: what flew it, "numpy" or "compiled"; with ``run(engine="auto")`` also why it was not compiled.
+    engine: what flew it, "numpy", "compiled" or "cuda"; with ``run(engine="auto")`` also why it was not compiled.
     filter, epochs: for `celnav.smooth`; the epochs have lost their measurements, and a track that was pickled its filter.
     """
 

@@ -1,7 +1,8 @@
-"""Sine, cosine, arctangent, exponential and logarithm as arithmetic on a tape: all runs of a vector at once, and on any device.
+"""Functions of the C library as arithmetic on a tape: all runs of a vector at once, and on any device.
 
-`lowered` writes a tape anew with them. They are within two units in the last place of the C library's (three for the tangent). An
-argument of sine and cosine beyond 1e14 rad gives nan: a run that is lost is flown again by the numpy engine.
+`lowered` writes a tape anew with them. They are within two units in the last place of the C library's (three for the tangent
+and for hyperbolic sine and tangent), a power ``x^y`` within ``2 + 2 |y log x|`` units. An argument of
+sine and cosine beyond 1e14 rad gives nan: a run that is lost is flown again by the numpy engine.
 """
 
 from __future__ import annotations
@@ -110,6 +111,58 @@ def _times_pow2(x: Scalar, n: Scalar) -> Scalar:
     return do("mul", do("mul", x, do("pow2", half)), do("pow2", do("sub", n, half)))
 
 
+def _less_one(x: Scalar) -> tuple[Scalar, Scalar]:
+    """Numbers m and n, with which the exponential less one is ``m 2^n``: ``m = (e^r - 1) + (1 - 2^-n)``, of ``x = n ln 2 + r``."""
+    x = _select(do("lt", 800.0, do("abs", x)), do("copysign", 800.0, x), x)
+    n = do("rint", do("mul", x, 1.4426950408889634))
+    r = do("sub", do("sub", x, do("mul", n, LN2[0])), do("mul", n, LN2[1]))
+    clipped = _select(do("lt", 60.0, do("abs", n)), do("copysign", 60.0, n), n)
+    return do("add", do("mul", r, _polynomial(r, _EXP[1:])), do("sub", 1.0, do("pow2", do("neg", clipped)))), n
+
+
+def expm1(x: Scalar) -> Scalar:
+    """Exponential less one."""
+    return _select(do("lt", x, -40.0), -1.0, _times_pow2(*_less_one(x)))
+
+
+def sinh(x: Scalar) -> Scalar:
+    """Hyperbolic sine: ``t + t / (2 t + 1)``, with t half of the exponential less one."""
+    size = do("abs", x)
+    m, n = _less_one(size)
+    t = _times_pow2(m, do("sub", n, 1.0))
+    rest = _select(do("lt", t, 1e20), do("div", t, do("add", do("add", t, t), 1.0)), 0.0)
+    return do("copysign", _select(do("lt", size, 1e-9), size, do("add", t, rest)), x)  # half of a small number may have lost a bit
+
+
+def cosh(x: Scalar) -> Scalar:
+    """Hyperbolic cosine: ``h + 1 / (4 h)``, with h half of the exponential."""
+    m, n = _less_one(do("abs", x))
+    h = do("add", _times_pow2(m, do("sub", n, 1.0)), 0.5)
+    return do("add", h, do("div", 0.25, h))
+
+
+def tanh(x: Scalar) -> Scalar:
+    """Hyperbolic tangent: ``t / (t + 2)``, with t the exponential of 2 x less one."""
+    size = do("abs", x)
+    t = _times_pow2(*_less_one(do("add", size, size)))
+    return do("copysign", _select(do("lt", 22.0, size), 1.0, do("div", t, do("add", t, 2.0))), x)
+
+
+def log1p(x: Scalar) -> Scalar:
+    """Logarithm of one more: of the sum as it is rounded, and what that lacks."""
+    more = do("add", 1.0, x)
+    inside = do("and", do("lt", 0.0, more), do("lt", more, inf))
+    return do("add", log(more), _select(inside, do("div", do("sub", x, do("sub", more, 1.0)), more), 0.0))
+
+
+def cbrt(x: Scalar) -> Scalar:
+    """Cube root, by logarithm, and a step of Newton's."""
+    size = do("abs", x)
+    y = exp(do("mul", log(size), 1.0 / 3.0))
+    y = do("sub", y, do("mul", do("sub", y, do("div", size, do("mul", y, y))), 1.0 / 3.0))
+    return _select(do("and", do("lt", 0.0, size), do("lt", size, inf)), do("copysign", y, x), x)
+
+
 def log(x: Scalar) -> Scalar:
     """Logarithm: of ``x = 2^k m``, with m near 1 by ``2 artanh``."""
     small = do("lt", x, 1e-300)
@@ -166,4 +219,10 @@ _LOWERED: dict[str, Callable[..., Scalar]] = {
     "asin": lambda x: atan2(x, _root(x)),
     "acos": lambda x: atan2(_root(x), x),
     "pow": lambda x, y: exp(do("mul", y, log(x))),
+    "expm1": expm1,
+    "log1p": log1p,
+    "sinh": sinh,
+    "cosh": cosh,
+    "tanh": tanh,
+    "cbrt": cbrt,
 }

@@ -342,13 +342,13 @@ _FLY = ctypes.CFUNCTYPE(None, *[_POINTER] * 8, *[_LONG] * 9)
 
 
 @cache
-def _binding() -> Any:
+def toolchain() -> Any:
     """llvmlite, ready to compile for this processor."""
     try:
         import llvmlite.binding as binding
     except ImportError:
         cure = '.venv/bin/pip install -c constraints.txt -e ".[compiled]"'
-        raise ImportError(f"engine='compiled': expected llvmlite, which {cure} brings") from None
+        raise ImportError(f"machine code: expected llvmlite, which {cure} brings") from None
     binding.initialize_native_target()
     binding.initialize_native_asmprinter()
     library = ctypes.CDLL("ucrtbase" if sys.platform == "win32" else None)
@@ -360,7 +360,7 @@ def _binding() -> Any:
 @cache
 def features() -> dict[str, bool]:
     """Of this processor."""
-    return dict(_binding().get_host_cpu_features())
+    return dict(toolchain().get_host_cpu_features())
 
 
 @cache
@@ -379,7 +379,7 @@ def aligned(shape: tuple[int, ...]) -> Any:
 
 def compiled(text: str, name: str) -> int:
     """Address of the function of a ``name``."""
-    binding = _binding()
+    binding = toolchain()
     module = binding.parse_assembly(text)
     module.verify()
     target = binding.Target.from_default_triple()
@@ -397,14 +397,19 @@ def compiled(text: str, name: str) -> int:
 
 _ENGINES: list[Any] = []
 """They own the machine code, which stays as long as the process."""
-_ADDRESSES: dict[bytes, int] = {}
-"""Of kernels, by the hash of their operations."""
+_ADDRESSES: dict[tuple[bytes, int], int] = {}
+"""Of kernels, by the hash of their operations, and lanes."""
+
+
+def digest(kernel: Kernel) -> bytes:
+    """The same for kernels that are the same operation by operation."""
+    results = tuple((place, i, x.i) for place, i, x in kernel.results())
+    return sha256(repr((kernel.inputs, results, kernel.tape.key)).encode()).digest()
 
 
 def kernel_address(kernel: Kernel, lanes: int) -> int:
-    """Of its compiled function; what is the same operation by operation is compiled once."""
-    results = tuple((place, i, x.i) for place, i, x in kernel.results())
-    key = sha256(repr((lanes, kernel.inputs, results, kernel.tape.key)).encode()).digest()
+    """Of its compiled function; the same is compiled once."""
+    key = digest(kernel), lanes
     if key not in _ADDRESSES:
         _ADDRESSES[key] = compiled(source(kernel, lanes, features().get("fma", False)), "step")
     return _ADDRESSES[key]

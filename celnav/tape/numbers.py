@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from celnav.tape.routine import Recorder, Routine
-from celnav.tape.tape import Number, Scalar, Tape, as_number, do, is_known, operands, refused, total
+from celnav.tape.routine import rolled
+from celnav.tape.tape import Number, Scalar, Tape, as_number, do, is_known, refused, total
 
 LONG = 1000
 """Operations that are written out even so, where rows are treated alike."""
@@ -283,37 +283,9 @@ def each_row(function: Callable[..., Any], *points: Any, least: int = LONG) -> A
     one = [np.array([variables[end - n : end]], object).view(Numbers) for end, n in zip(ends, widths, strict=True)]
     y = function(*one)
     outputs = [tape.lift(as_number(x)) for x in np.asarray(y, object).flat]
-    body, inside = [], {x.i for x in variables}
-    for i in tape.needed(outputs):
-        if any(a in inside for a in operands(tape.ops[i])):
-            body.append(i)
-            inside.add(i)
-    if len(body) * count < least or np.shape(y)[:-1] != (1,) or any(tape.ops[i][0] in ("call", "part") for i in body):
-        return function(*points)
-    n, m = len(variables), len(outputs)
-    common = sorted({a for i in body for a in operands(tape.ops[i])} - inside | {x.i for x in outputs} - inside)
-    common = [i for i in common if tape.ops[i][0] != "const"]
-    at = len(common)
-    recorder = Recorder(count, common=(0, 0), given=(at, n), made=(at + n * count, m))
-    known = {i: recorder.take("common", k, tape.absent[i]) for k, i in enumerate(common)}
-    known |= {x.i: recorder.take("given", k) for k, x in enumerate(variables)}
-
-    def moved(i: int) -> int:
-        """Of a number on the tape, the one on that of the row."""
-        if i not in known:
-            known[i] = recorder.tape.lift(tape.ops[i][1])  # a constant
-        return known[i].i
-
-    for i in body:
-        known[i] = recorder.tape.node(tape.ops[i][0], *map(moved, tape.ops[i][1:]))
-    for k, x in enumerate(outputs):
-        moved(x.i)
-        recorder.put("made", k, known[x.i])
-    cells = at + (n + m) * count
-    routine = Routine([recorder.stage()], cells, range(at + n * count, cells))
-    rows = np.concatenate([np.asarray(x, object) for x in points], -1)
-    left = routine(tape, [*(Number(tape, i) for i in common), *rows.flat])
-    return np.array(left, object).reshape(count, m).view(Numbers)
+    rows = np.concatenate([_bare(x) for x in points], -1)
+    left = rolled(tape, variables, outputs, rows.tolist(), least) if np.shape(y)[:-1] == (1,) else None
+    return function(*points) if left is None else numbers(np.array(left, object).reshape(count, len(outputs)))
 
 
 # -- functions that are no ufuncs ------------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ from hashlib import sha256
 from typing import NamedTuple
 
 from celnav.tape.elementary import lowered
-from celnav.tape.tape import Number, Scalar, Tape, as_number
+from celnav.tape.tape import Number, Scalar, Tape, as_number, operands
 
 
 class Stage(NamedTuple):
@@ -87,3 +87,33 @@ class Recorder:
     def stage(self) -> Stage:
         """What was recorded."""
         return Stage(self.rows, self.places, self.tape, self.inputs, self.results)
+
+
+def rolled(
+    tape: Tape, variables: Sequence[Number], outputs: Sequence[Number], rows: Sequence[Sequence[Scalar]], least: int
+) -> list[Number] | None:
+    """Numbers that come of variables, for rows of values of these, one row after the other; None: it is better written out.
+
+    least: operations of all rows together that are worth a loop.
+    """
+    body, inside, ops = list[int](), {x.i for x in variables}, tape.ops
+    for i in tape.needed(outputs):
+        if any(a in inside for a in operands(ops[i])):
+            body.append(i)
+            inside.add(i)
+    if len(body) * len(rows) < least or any(ops[i][0] in ("call", "part") for i in body):
+        return None
+    n, m, used = len(variables), len(outputs), {a for i in body for a in operands(ops[i])} | {x.i for x in outputs}
+    common = sorted(i for i in used - inside if ops[i][0] != "const")
+    at, made = len(common), len(common) + n * len(rows)
+    stage = Recorder(len(rows), common=(0, 0), given=(at, n), made=(made, m))
+    known = {i: stage.take("common", k, tape.absent[i]) for k, i in enumerate(common)}
+    known |= {x.i: stage.take("given", k) for k, x in enumerate(variables)}
+    known |= {i: stage.tape.lift(ops[i][1]) for i in used - inside if ops[i][0] == "const"}
+    for i in body:
+        known[i] = stage.tape.node(ops[i][0], *(known[a].i for a in ops[i][1:]))
+    for k, x in enumerate(outputs):
+        stage.put("made", k, known[x.i])
+    cells = made + m * len(rows)
+    arguments = [*(Number(tape, i) for i in common), *(x for row in rows for x in row)]
+    return Routine([stage.stage()], cells, range(made, cells))(tape, arguments)

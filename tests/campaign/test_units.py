@@ -13,6 +13,7 @@ from celnav.campaign.scores import merge
 from celnav.campaign.units import Unit, VersionError, code, execute, pack, units_of, unpack
 from celnav.filters.records import FromFunctions
 from celnav.papers import csrukf
+from celnav.tape.cuda import CudaError
 
 TABLE = {"paper": "csrukf", "filters": ["srukf", "csrukf"], "runs": 10, "block": 4, "config": {"steps": 12, "phi": [0.0, 0.8]}}
 
@@ -146,6 +147,15 @@ def test_lack_of_memory_is_not_a_failure_of_the_run(unit, monkeypatch):
     monkeypatch.setattr(csrukf, "trial", trial)
     with pytest.raises(MemoryError):
         execute(unit, code())
+
+
+def test_the_lack_of_a_device_is_not_either(unit, monkeypatch):
+    def absent():
+        raise CudaError("engine='cuda': expected the driver")
+
+    monkeypatch.setattr("celnav.filters.compiled.device", absent)
+    with pytest.raises(CudaError, match="expected the driver"):
+        execute(replace(unit, engine="cuda"), code())
 
 
 def test_another_celnav_is_refused(unit):

@@ -377,7 +377,7 @@ def test_which_engine_flew():
     tracks = {name: celnav.run(FILTER, PRIOR, TIMES, Z, engine=name) for name in ("numpy", "compiled", "auto")}
     assert {name: track.engine for name, track in tracks.items()} == {"numpy": "numpy", "compiled": "compiled", "auto": "compiled"}
     assert_same(tracks["numpy"], tracks["auto"])
-    with pytest.raises(ValueError, match=r"^engine: expected one of numpy, compiled, auto, got 'fast'"):
+    with pytest.raises(ValueError, match=r"^engine: expected one of numpy, compiled, cuda, auto, got 'fast'"):
         celnav.run(FILTER, PRIOR, TIMES, Z, engine="fast")
 
 
@@ -385,7 +385,7 @@ def test_without_llvmlite_numpy_flies(monkeypatch):
     def absent():
         raise ImportError("engine='compiled': expected llvmlite")
 
-    monkeypatch.setattr("celnav.tape.llvm._binding", absent)
+    monkeypatch.setattr("celnav.tape.llvm.toolchain", absent)
     filter = celnav.ukf(celnav.Motion(lambda x, _epoch: 0.123 * x, EYE), SENSOR)
     for cached in (celnav.tape.llvm.lanes, celnav.tape.llvm.features):
         cached.cache_clear()
