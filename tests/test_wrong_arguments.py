@@ -134,7 +134,10 @@ CALLS = {
     "rules.Taylor": dict(step=1e-3),
     "tuning.maximize_likelihood": dict(
         build=built, start=np.ones(1), epochs=celnav.epochs(TIMES, np.ones((5, 2))), domain="positive", factor=10.0, tolerance=1e-3,
-        max_iterations=2,
+        max_iterations=2, engine="numpy",
+    ),
+    "tuning.likelihood_gradient": dict(
+        build=built, parameters=np.ones(1), epochs=celnav.epochs(TIMES, np.ones((5, 2))), engine="numpy"
     ),
     "problem.compare": dict(problems={"own": OWN}, filters={"EKF": lambda p: celnav.ekf(p.motion, p.sensor)}, runs=2, seed=0),
     "montecarlo.generator": dict(seed=1, study=2, run=3),

@@ -94,7 +94,7 @@ def _measured(sensor: Any, parts: Any) -> tuple[Array, Array]:
 
 
 class Flight(NamedTuple):
-    """What a flight leaves: rows ``(K, runs, ...)`` by name, and the tally of each run ``(runs, 5)``."""
+    """What a flight leaves: rows ``(K, runs, ...)`` by name, and the tally of each run ``(runs, 5 stride)``."""
 
     rows: dict[str, Array]
     tally: Array
@@ -113,7 +113,8 @@ def fly(engine: Engine, data: Data, every: int, jobs: int) -> Flight:
     names, K, M = engine.columns(), int(stored.max()) + 1, max((at + x.shape[-1] for at, x in own), default=1)
     kept = sum(names.values())
     rows = {name: np.empty((K, runs, count)) for name, count in names.items()}
-    tally, start = np.empty((runs, len(TALLY))), np.concatenate(engine.start(), 1)
+    counts = len(TALLY) * engine.stride
+    tally, start = np.empty((runs, counts)), np.concatenate(engine.start(), 1)
     table = (np.array([record.address for record in records], np.uint64), np.array(steps, np.int32), stored.astype(np.int64))
     loop = llvm.fly()
 
@@ -134,7 +135,7 @@ def fly(engine: Engine, data: Data, every: int, jobs: int) -> Flight:
         for name, number in names.items():
             rows[name][:, part] = out[:, at : at + number, :count].transpose(0, 2, 1)
             at += number
-        tally[part] = state[:, : len(TALLY)].transpose(0, 2, 1).reshape(width, -1)[:count]
+        tally[part] = state[:, :counts].transpose(0, 2, 1).reshape(width, -1)[:count]
 
     chunk = max(lanes, min(-(-runs // jobs), CHUNK // (8 * T * (kept + M))) // lanes * lanes)
     if jobs > 1 and runs > chunk:
@@ -158,7 +159,7 @@ def _planned(engine: Engine, data: Data, inputs: dict[Any, Any], lanes: int) -> 
             records[at, kind] = len(records), ids.setdefault(made.after, len(ids)), made
         number, at, _ = records[at, kind]
         steps.append(number)
-    return [made for *_, made in records.values()], steps, engine.held + max(x.size for x in ids)
+    return [made for *_, made in records.values()], steps, (engine.held + max(x.size for x in ids)) * engine.stride
 
 
 def _shared(data: Data, inputs: dict[Any, list[tuple[Array, bool]]]) -> Array:

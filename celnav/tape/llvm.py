@@ -338,10 +338,15 @@ _ADDRESSES: dict[bytes, int] = {}
 """Of kernels, by the hash of their operations."""
 
 
+def signature(kernel: Kernel, lanes: int) -> bytes:
+    """The same for kernels that are the same operation by operation."""
+    results = tuple((place, i, x.i) for place, i, x in kernel.results())
+    return sha256(repr((lanes, kernel.inputs, results, kernel.tape.key)).encode()).digest()
+
+
 def kernel_address(kernel: Kernel, lanes: int) -> int:
     """Of its compiled function; what is the same operation by operation is compiled once."""
-    results = tuple((place, i, x.i) for place, i, x in kernel.results())
-    key = sha256(repr((lanes, kernel.inputs, results, kernel.tape.key)).encode()).digest()
+    key = signature(kernel, lanes)
     if key not in _ADDRESSES:
         _ADDRESSES[key] = compiled(source(kernel, lanes, features().get("fma", False)), "step")
     return _ADDRESSES[key]
