@@ -7,6 +7,9 @@ derivatives come of differences, which cost no flight. From there on the step ca
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import fields, is_dataclass
+from functools import partial
+from types import FunctionType
 from typing import Any
 
 import numpy as np
@@ -15,6 +18,7 @@ from celnav.filters.engine import TALLY, Data, Engine, Kind, Recorded, Shape, ea
 from celnav.filters.flight import as_data, fly
 from celnav.filters.records import Epoch, Epochs
 from celnav.gaussian.linalg import Array
+from celnav.gaussian.rules import AnyDimension
 from celnav.tape.derivative import with_slopes
 from celnav.tape.llvm import signature
 from celnav.tape.tape import CannotCompile
@@ -30,7 +34,8 @@ Build = Callable[[Array], tuple[Any, Any]]
 class Slopes:
     """Log-likelihood and gradient as a function of parameters, of a filter and prior that ``build (d,)`` makes of them.
 
-    What was compiled is kept. At other parameters the step is recorded again and must be the same, operation by operation.
+    What was compiled is kept. At other parameters the step is recorded again and must be the same, operation by operation, unless
+    the models are known to be the same functions of the same numbers.
 
     flights: how many flights of the numpy engine one of these is to stand for; what takes longer to compile is refused.
     """
@@ -40,6 +45,7 @@ class Slopes:
         self.kept: dict[Any, Recorded] = {}
         self.recorded: list[tuple[Shape, Kind, Any, bytes]] = []
         self.seeds = np.zeros(0, bool)
+        self.first: Any = None
 
     def __call__(self, x: Array, lengths: Array) -> tuple[Array, Array]:
         """Value ``(...)`` of each run, nan where it is lost, and gradient ``(..., d)``.
@@ -60,12 +66,12 @@ class Slopes:
         if len(seeds) != len(self.seeds) or (seeds & ~self.seeds).any():  # what had no derivative has one now
             self.seeds, self.kept, engine.kept, self.recorded = seeds, {}, {}, []
         engine.seeds = set(np.flatnonzero(self.seeds).tolist())
-        for one in self.recorded:
+        for one in () if alike(self.first, built[0]) else self.recorded:
             engine.check(engine, *one)
         flown = []
         for engine.slopes in slopes:
             flown.append(fly(engine, data, 1, 1).tally.reshape(-1, len(TALLY), 2))
-        self.kept, self.recorded = engine.kept, self.recorded + engine.recorded
+        self.kept, self.recorded, self.first = engine.kept, self.recorded + engine.recorded, self.first or built[0]
         lost = flown[0][:, TALLY.index("failed_at"), 0] >= 0.0
         batch = () if built[1].mean.ndim == 1 and engine.batch == (1,) else engine.batch
         gradient = np.stack([tally[:, 0, 1] for tally in flown], -1)
@@ -136,6 +142,30 @@ def _lifted(filter: Any, held: set[int]) -> Any:
 def _start(built: tuple[Any, Any], held: set[int], data: Any) -> Array:
     """The state before the first epoch ``(runs, numbers)``, the filter's matrices first."""
     return np.concatenate(Engine(_lifted(built[0], held), built[1], data, "nothing", {}).start(), 1)
+
+
+def alike(a: Any, b: Any, matrices: bool = True) -> bool:
+    """Whether parts of two filters are known to be the same program: the same data, but for the filters' own ``matrices``, and
+    functions of the same code with the same values in their closures."""
+    if a is b:
+        return True
+    if type(a) is not type(b):
+        return False
+    if isinstance(a, np.ndarray):
+        return a.shape == b.shape and ((matrices and a.ndim > 1) or np.array_equal(a, b))
+    if isinstance(a, str | float | int):
+        return bool(a == b)
+    if isinstance(a, tuple | list):
+        return len(a) == len(b) and all(alike(x, y, matrices) for x, y in zip(a, b, strict=True))
+    if isinstance(a, dict):
+        return list(a) == list(b) and all(alike(a[name], b[name], matrices) for name in a)
+    if isinstance(a, partial):
+        return alike((a.func, a.args, a.keywords), (b.func, b.args, b.keywords), matrices)
+    if isinstance(a, FunctionType):
+        x, y = ([f.__defaults__, f.__kwdefaults__, [cell.cell_contents for cell in f.__closure__ or ()]] for f in (a, b))
+        return a.__code__ is b.__code__ and alike(x, y, matrices=False)
+    names = ["make"] if isinstance(a, AnyDimension) else [field.name for field in fields(a)] if is_dataclass(a) else []
+    return bool(names) and all(alike(getattr(a, name), getattr(b, name), matrices) for name in names)
 
 
 def fourth_order(values: Sequence[Array], step: float, smooth: float | None = None) -> Array:

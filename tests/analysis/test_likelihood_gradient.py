@@ -10,6 +10,7 @@ import celnav
 from celnav import Gaussian, Motion, Sensor, epochs
 from celnav.analysis.tuning import likelihood_gradient, maximize_likelihood
 from celnav.filters import adaptive
+from celnav.filters.slopes import alike
 from celnav.tape import llvm
 from celnav.tape.derivative import with_slopes
 from celnav.tape.llvm import Kernel
@@ -236,3 +237,19 @@ def test_bad_parameters_are_refused_by_name():
         likelihood_gradient(linear, 1.0, epochs(TIMES, Z))
     with pytest.raises(ValueError, match="build: expected a filter and a prior, got Gaussian"):
         likelihood_gradient(lambda p: prior(), POINT, epochs(TIMES, Z))
+
+
+def test_what_is_known_to_be_the_same_program():
+    """Functions of one code over equal values, data but for matrices; everything else is looked at again."""
+
+    def made(gain, Q=1.0, table=(1.0, 2.0)):
+        table = np.array(table)
+        return celnav.ukf(Motion(lambda x, _, k=2.0: gain * k * x + table[0], Q * np.eye(1)), Sensor([[1.0]], [[1.0]]))
+
+    assert alike(made(0.5), made(0.5))
+    assert alike(made(0.5), made(0.5, Q=2.0))
+    assert not alike(made(0.5), made(0.6))
+    assert not alike(made(0.5), made(0.5, table=(1.0, 3.0)))
+    assert not alike(made([0.5]), made([0.6]))
+    assert not alike(made(0.5), celnav.ckf(made(0.5).motion, made(0.5).sensors[0]))
+    assert not alike(object(), object())
