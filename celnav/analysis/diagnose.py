@@ -23,7 +23,7 @@ from celnav.filters.records import epochs
 from celnav.filters.run import run
 from celnav.filters.sequential import Sequential
 from celnav.filters.track import Track
-from celnav.gaussian.checks import finite, integer, kind, number, numbers, sequence
+from celnav.gaussian.checks import finite, integer, number, numbers, sequence
 from celnav.gaussian.linalg import FORMS, Array
 from celnav.gaussian.spaces import EUCLIDEAN
 
@@ -188,22 +188,26 @@ def diagnose(
         x, w = (np.where(residuals.used, rows, np.nan) for rows in (residuals.innovation, residuals.whitened))
     else:
         x = numbers("residuals", residuals)
-        if x.ndim < 2 or not x.size or np.isinf(x).any():
-            raise ValueError(f"residuals: expected shape (T, ..., m), finite or nan, got {kind(residuals)} {x.shape}")
         if times is None:
             raise ValueError("times: expected them with an array of residuals, got None")
-        t = finite("times", times, (len(x),))
-        claimed = None if std is None else np.broadcast_to(numbers("std", std), x.shape)
-        if claimed is not None and not (claimed[np.isfinite(x)] > 0.0).all():
-            raise ValueError("std: expected positive deviations wherever there is a residual")
+        t = finite("times", times, ("T",))
+        if x.ndim < 2 or len(x) != len(t) or not x.size or np.isinf(x).any():
+            raise ValueError(f"residuals: expected shape ({len(t)}, ..., m) to go with the times, finite or nan, got {x.shape}")
+        if std is not None:
+            claimed = numbers("std", std)
+            if claimed.ndim > x.ndim or any(k not in (1, n) for k, n in zip(claimed.shape[::-1], x.shape[::-1], strict=False)):
+                raise ValueError(f"std: expected deviations that go with residuals {x.shape}, got {claimed.shape}")
+            claimed = np.broadcast_to(claimed, x.shape)
+            if not ((claimed > 0.0) & (claimed < np.inf))[np.isfinite(x)].all():
+                raise ValueError("std: expected positive deviations wherever there is a residual")
         w = x if claimed is None else x / claimed
     if (np.diff(t) <= 0.0).any():
         raise ValueError("times: expected them to increase")
     T, m = len(t), x.shape[-1]
     x, w = x.reshape(T, -1, m), w.reshape(T, -1, m)
-    called = [f"z{i}" for i in range(m)] if names is None else [str(one) for one in sequence("names", names, "['x', 'y']")]
-    if len(called) != m:
-        raise ValueError(f"names: expected {m}, one for each component, got {len(called)}")
+    called = [f"z{i}" for i in range(m)] if names is None else list(sequence("names", names, "['x', 'y']"))
+    if len(called) != m or not all(isinstance(name, str) for name in called):
+        raise ValueError(f"names: expected {m} words, one for each component, such as ['x', 'y'], got {names!r:.80}")
     place, step = _places(t)
     widths = _widths(filter, m)
     sensor = np.repeat(range(len(widths)), widths)
@@ -294,7 +298,8 @@ def _component(
         what = f"{N} samples" if N < LEAST else f"only {x[there][0]:g}"
         raise ValueError(f"residuals: expected at least {LEAST} samples that vary of each component, got {what} of {name}")
     lags = max(1, min(lags, N // 5, int(place[-1]) // 2))
-    rho, pairs, _, squares = _correlated(w, place, lags)
+    even = w if claimed is None else (x - np.nanmean(x)) / claimed  # a bias over a claim that changes is no noise
+    rho, pairs, _, squares = _correlated(even, place, lags)
     *_, longer, _ = _correlated(x, place, lags)
     statistic, p = _ljung_box(rho, pairs, N)
     mean, deviation = float(np.nanmean(x)), float(np.nanstd(x))

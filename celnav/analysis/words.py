@@ -21,7 +21,7 @@ def page(found: Diagnosis) -> str:
     runs = "one run" if found.runs == 1 else f"{found.runs} runs"
     missing = found.runs * T * len(found.components) - sum(c.samples for c in found.components)
     gaps = f"; {missing} components missing" if missing else ""
-    said = [("size", _size(sensor, found.level)) for sensor in found.sensors]
+    said = [("size", _size(sensor, found)) for sensor in found.sensors]
     said += [("bias", line) for line in _bias(found)] + [("white", line) for line in _white(found)]
     if found.model is not None:
         said += [("take", line) for line in _taken(found.model, found.level)]
@@ -29,7 +29,7 @@ def page(found: Diagnosis) -> str:
         said += [("noise", line) for c in found.components if found.white(c) == "colored" for line in _noise(c, found)]
         said += [("take", found.why)] if found.why else []
     lines = [textwrap.fill(f"{head:8} {line}", WIDTH, subsequent_indent=9 * " ") for head, line in said]
-    return "\n".join([f"{runs}, {T} epochs from {t[0]:.6g} to {t[-1]:.6g} s, {spaced}{gaps}", "", *_table(found), "", *lines])
+    return "\n".join([f"{runs}, {T} epochs over {t[-1] - t[0]:.6g} s, {spaced}{gaps}", "", *_table(found), "", *lines])
 
 
 def _table(found: Diagnosis) -> list[str]:
@@ -49,13 +49,15 @@ def _p(p: float) -> str:
     return "< 1e-15" if p < 1e-15 else f"{p:.2g}"
 
 
-def _size(sensor: Sensed, level: float) -> str:
+def _size(sensor: Sensed, found: Diagnosis) -> str:
     names, (low, high) = ", ".join(sensor.names), sensor.band
+    sizes = [f"{c.name} {np.sqrt(c.size):.3g}" for c in found.components if c.name in sensor.names and c.size is not None]
     if np.isnan(sensor.nis):
         return f"{names}: no deviations are claimed, so nothing is said of it"
     said = "" if low <= sensor.nis <= high else f"{np.sqrt(sensor.nis):.3g} times "
-    band = f"{low:.3g} to {high:.3g} ({100 * level:.3g} %, correlation counted) if claims are right"
-    return f"{names}: {said}as large as claimed; NIS over its degrees of freedom is {sensor.nis:.3g}, {band}"
+    band = f"{low:.3g} to {high:.3g} ({100 * found.level:.3g} %, correlation counted) if claims are right"
+    each = f" ({', '.join(sizes)})" if len(sizes) > 1 else ""
+    return f"{names}: {said}as large as claimed{each}; NIS over its degrees of freedom is {sensor.nis:.3g}, {band}"
 
 
 def _bias(found: Diagnosis) -> list[str]:

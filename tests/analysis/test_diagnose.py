@@ -121,7 +121,7 @@ def test_bias_size_and_whiteness_are_told_apart():
     unknown = diagnose(white, T, level=0.999)
     assert sound.sound
     assert [biased.biased(c) for c in biased.components] == [False, True, False]
-    assert "north_m: 0.5" in str(biased)
+    assert f"bias     north_m: {biased.components[1].bias:.3g} (" in str(biased)
     assert "as large as claimed" in str(sound)
     assert not large.sound
     assert "times as large as claimed" in str(large)
@@ -209,7 +209,9 @@ def test_the_figure(claimed):
         ((RNG.standard_normal((10, 1)), T[:10]), {}, "got 10 samples of z0"),
         ((RNG.standard_normal((300, 1)), None), {}, "times: expected them with an array"),
         ((RNG.standard_normal((300, 1)), T[::-1]), {}, "times: expected them to increase"),
-        ((RNG.standard_normal(300), T), {}, r"residuals: expected shape \(T, ..., m\)"),
+        ((RNG.standard_normal(300), T), {}, r"residuals: expected shape \(300, ..., m\)"),
+        ((RNG.standard_normal((300, 2)), T[1:]), {}, r"residuals: expected shape \(299, ..., m\)"),
+        ((RNG.standard_normal((300, 2)), T), {"std": np.ones(3)}, r"std: expected deviations that go with residuals \(300, 2\)"),
         ((RNG.standard_normal((300, 1)), T), {"std": 0.0}, "std: expected positive"),
         ((RNG.standard_normal((300, 2)), T), {"names": ["x"]}, "names: expected 2"),
         ((RNG.standard_normal((300, 2)), T), {"lags": 0}, "lags"),
