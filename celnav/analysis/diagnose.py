@@ -53,12 +53,12 @@ class Component(NamedTuple):
 
     sensor: index. samples: that exist. rms: of residuals. claimed: rms of the deviations that are claimed, None if unknown.
     bias, bias_interval: the mean. bias_p: the probability of one as far from 0 if there is none.
-    effective: independent samples that know a mean as well.
+    effective: independent samples that know a mean as well, of what is normalized by its claim.
     size, size_band: mean square of what is normalized by its claim, None if unknown, and where it lies if the claim is right.
     effective_squares: independent samples that know a mean square as well.
     autocorrelation, band: ``(lags,)``, of lags 1, 2, ..., and the half width of the band in which one of white noise lies.
     ljung_box, p: the statistic, and the probability of one as large if the noise is white.
-    coloring: what noise it would be, if it is not white.
+    coloring: what noise it would be, if it is not white; of a track that of the whitened innovations.
     """
 
     name: str
@@ -299,7 +299,7 @@ def _component(
         raise ValueError(f"residuals: expected at least {LEAST} samples that vary of each component, got {what} of {name}")
     lags = max(1, min(lags, N // 5, int(place[-1]) // 2))
     even = w if claimed is None else (x - np.nanmean(x)) / claimed  # a bias over a claim that changes is no noise
-    rho, pairs, _, squares = _correlated(even, place, lags)
+    rho, pairs, shared, squares = _correlated(even, place, lags)
     *_, longer, _ = _correlated(x, place, lags)
     statistic, p = _ljung_box(rho, pairs, N)
     mean, deviation = float(np.nanmean(x)), float(np.nanstd(x))
@@ -309,10 +309,10 @@ def _component(
     return Component(
         name, sensor, N, float(np.sqrt(np.nanmean(x**2))),
         None if claimed is None else float(np.sqrt(np.mean(claimed[there] ** 2))),
-        mean, (mean - half, mean + half), float(2.0 * stdtr(freedom, -abs(mean) / doubt)), N / longer,
+        mean, (mean - half, mean + half), float(2.0 * stdtr(freedom, -abs(mean) / doubt)), N / shared,
         float(np.nanmean(w**2)) if scaled else None, chi_square_band(1.0, N / squares, level), N / squares,
         rho, z / np.sqrt(np.maximum(pairs, 1)), statistic, p,
-        first_order(x, place, lags, level) if p < 1.0 - level else None,
+        first_order(w if claimed is None else x, place, lags, level) if p < 1.0 - level else None,
     )  # fmt: skip
 
 
@@ -403,9 +403,10 @@ def _model(
     first = np.clip([c.autocorrelation[0] for c in found], 0.05, 0.95)
     start = np.concatenate([first if own == m else [first.mean()], np.ones(own)])
     try:
-        tuned = maximize_likelihood(build, start, data, domain=[(-1.0, 1.0)] * own + ["positive"] * own)
-        constant = isinstance(motion.noise, np.ndarray)
-        other = maximize_likelihood(white, [1.0, 1.0], data).log_likelihood if constant else np.nan
+        with np.errstate(all="ignore"):  # a search goes far
+            tuned = maximize_likelihood(build, start, data, domain=[(-1.0, 1.0)] * own + ["positive"] * own)
+            constant = isinstance(motion.noise, np.ndarray)
+            other = maximize_likelihood(white, [1.0, 1.0], data).log_likelihood if constant else np.nan
         tracks = [run(*each, data) for each in (build(tuned.parameters), (filter, prior))]
     except (ValueError, ArithmeticError) as error:
         return None, f"the filter for colored noise could not be fitted: {error}"

@@ -86,12 +86,15 @@ def _noise(c: Component, found: Diagnosis) -> list[str]:
     slow = found.step is not None and 0.0 < fit.phi < 1.0
     time = f", a correlation time of {-found.step / np.log(fit.phi):.3g} s," if slow else ""  # type: ignore[operator]
     rest = "leaves white noise over" if fit.rest_p >= found.doubt else "does not explain all: what it leaves over is not white"
+    lines = [f"{c.name}: a first-order noise {rest} (p {_p(fit.rest_p)})"]
+    if c.size is not None and c.claimed is None:  # innovations are not the noise itself
+        return [f"{c.name}: Phi of the innovations is {fit.phi:.3f} ({low:.3f} to {high:.3f}, {percent}){time.rstrip(',')}", *lines]
     R, sigma = f"{fit.sigma**2:.4g}", f"{fit.sigma:.4g} ({least:.4g} to {most:.4g})"
     claim, white = (fit.sigma / np.sqrt(n) for n in (c.effective, c.samples))
     take = f"celnav.colored(motion, sensor, Phi=[[{fit.phi:.3f}]]) with R=[[{R}]]"
     return [
         f"{c.name}: Phi = {fit.phi:.3f} ({low:.3f} to {high:.3f}, {percent}){time} and R = {R}, a deviation of {sigma}",
-        f"{c.name}: a first-order noise {rest} (p {_p(fit.rest_p)})",
+        *lines,
         f"{c.name}: take {take}: of the mean of these samples it would claim {claim:.3g} instead of {white:.3g}",
     ]
 

@@ -180,6 +180,20 @@ def test_without_data_or_a_model_it_says_so():
     assert "one sensor of vectors" in diagnose(both, prior=flown.prior, z=flown.z).why
 
 
+def test_a_large_first_innovation_hides_no_color():
+    """What is normalized by its claim decides, not what is large because the prior was wide; Phi and R come of the likelihood."""
+    motion, radar = celnav.Motion([[1.0]], [[1e-4]]), celnav.Sensor([[1.0]], [[0.25]])
+    start = celnav.Gaussian([0.0], [[1e6]])
+    _, z = celnav.simulate(motion, radar, start, T, runs=5, seed=2, Phi=[[0.8]])
+    found = diagnose(celnav.run(celnav.ukf(motion, radar), start, T, z), prior=start, z=z, level=0.99)
+    assert found.white(found.components[0]) == "colored"
+    assert found.model.phi_interval[0, 0] < 0.8 < found.model.phi_interval[0, 1]
+    assert found.model.sigma_interval[0, 0] < 0.5 < found.model.sigma_interval[0, 1]
+    alone = diagnose(celnav.run(celnav.ukf(motion, radar), start, T, z))
+    assert "Phi of the innovations is" in str(alone)
+    assert "with R=" not in str(alone)
+
+
 def test_sensors_and_runs_that_are_lost():
     """Each sensor has a size of its own; what was not used is not there."""
     motion, start = celnav.Motion(np.eye(2), 0.01 * np.eye(2)), celnav.Gaussian(np.zeros(2), np.eye(2))
