@@ -21,8 +21,9 @@ from celnav.filters.track import Track
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import choice, integer
 from celnav.gaussian.linalg import Array, Covariance
-from celnav.tape.tape import CannotCompile
+from celnav.tape.tape import MOST, CannotCompile
 
+WORTH = 50_000  # operations of a step, the most that engine="auto" compiles: some five seconds
 CHECKED = 3  # epochs of some runs that are compared with the numpy engine when a step was recorded
 
 
@@ -33,8 +34,8 @@ class Compiled:
     with what it saw first. `celnav.run` with ``engine="compiled"`` records anew at every call.
     """
 
-    def __init__(self, filter: Any, jobs: int):
-        self.filter, self.jobs, self._kept = filter, jobs, dict[Any, Any]()
+    def __init__(self, filter: Any, jobs: int, most: int = MOST):
+        self.filter, self.jobs, self._most, self._kept = filter, jobs, most, dict[Any, Any]()
 
     def __repr__(self) -> str:
         return f"Compiled({self.filter!r})"
@@ -52,7 +53,7 @@ class Compiled:
         try:
             data = as_data(self.filter, epochs)
             some = epochs[:CHECKED]
-            engine = Engine(self.filter, prior, data, keep, self._kept)
+            engine = Engine(self.filter, prior, data, keep, self._kept, most=self._most)
             flight = fly(engine, data, every, self.jobs)
         except (CannotCompile, ImportError):
             raise
@@ -219,7 +220,7 @@ def run_by(
     try:
         if also is not None or reduce is not None:
             raise CannotCompile("also, reduce: expected none with engine='compiled', which keeps no states between epochs")
-        return compiled(filter, jobs=jobs).run(prior, epochs, **options)
+        return Compiled(filter, integer("jobs", jobs), WORTH if engine == "auto" else MOST).run(prior, epochs, **options)
     except (CannotCompile, ImportError) as error:
         if engine == "compiled":
             raise
@@ -231,7 +232,7 @@ def steps_by(engine: str, filter: Any, prior: Any, epochs: Iterable[Epoch]) -> I
     """`celnav.steps` likewise; by numpy too where a run is lost, since why is to be told. An `Info` is of all sensors together."""
     epochs = epochs if isinstance(epochs, Epochs) else list(epochs)
     try:
-        track = compiled(filter).run(prior, epochs, keep="cov", on_failure="flag")
+        track = Compiled(filter, 1, WORTH if engine == "auto" else MOST).run(prior, epochs, keep="cov", on_failure="flag")
     except (CannotCompile, ImportError):
         if engine == "compiled":
             raise

@@ -21,7 +21,7 @@ from celnav.gaussian.checks import together
 from celnav.gaussian.linalg import Array, Covariance, SquareRoot
 from celnav.tape import llvm
 from celnav.tape.numbers import Numbers
-from celnav.tape.tape import CannotCompile, Number, Tape, as_number, do
+from celnav.tape.tape import MOST, CannotCompile, Number, Tape, as_number, do
 
 TALLY = ("log_likelihood", "missing", "rejected", "redone", "failed_at")
 """What each run counts, first in its state."""
@@ -126,13 +126,17 @@ class Recorded(NamedTuple):
 class Engine:
     """Records, compiles and flies the steps of a filter, for runs with the batch axes ``batch``.
 
+    most: operations of a step. rolled: whether long code that is the same for several rows becomes a loop.
     ``stride``: how many numbers of the state stand for one of the filter's.
     """
 
     stride = 1
 
-    def __init__(self, filter: Any, prior: Any, data: Data, keep: str, kept: dict[Any, Recorded]):
+    def __init__(
+        self, filter: Any, prior: Any, data: Data, keep: str, kept: dict[Any, Recorded], *, most: int = MOST, rolled: bool = True
+    ):
         self.filter, self.kept, self.fresh = filter, kept, False
+        self.most, self.rolled = most, rolled
         self.keep = "mean" if keep == "nothing" else keep
         self.few = keep == "nothing"  # rows of the first epochs only
         constants: list[Array] = []
@@ -202,7 +206,7 @@ class Engine:
 
     def record(self, before: Shape, kind: Kind, u: list[tuple[Array, bool]]) -> Recorded:
         """The step from a state of a shape over an epoch of a kind."""
-        tape, inputs = Tape(), list[tuple[str, int]]()
+        tape, inputs = Tape(self.rolled), list[tuple[str, int]]()
 
         def take(place: str, at: int, absent: bool = False) -> Number:
             inputs.append((place, at))
@@ -269,6 +273,8 @@ class Engine:
                 stored.append((at, x[place]))
                 at += 1
         kernel = llvm.Kernel(tape, inputs, stored, list(self._rows(state.belief, infos)))
+        if (count := len(tape.needed([x for *_, x in kernel.results()]))) > self.most:
+            raise CannotCompile(f"a step of {count} operations takes longer than it saves: at most {self.most} are compiled")
         return Recorded(kernel, after)
 
     def _counted(self, tally: list[Any], belief: Any, infos: Sequence[Info], k: Any) -> list[Any]:

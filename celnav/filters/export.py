@@ -46,7 +46,7 @@ def export_c(
         raise ValueError(f"m: expected the length of each of {len(own)} measurements, which R does not say")
     z = tuple(np.zeros(int(width or 0)) for width in widths)
     data = as_data(filter, [Epoch(0, 0.0, 0.0, None, z), Epoch(1, every or 1.0, every or 1.0, u, z)])
-    engine = Engine(filter, prior, data, "std", {})
+    engine = Engine(filter, prior, data, "std", {}, rolled=False)
     engine.dt = every
     inputs = {shape: engine.inputs(found, 2) for shape, found in data.u.items()}
     part = (PART,) * len(own)

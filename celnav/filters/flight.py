@@ -116,7 +116,7 @@ def fly(engine: Engine, data: Data, every: int, jobs: int) -> Flight:
     counts = len(TALLY) * engine.stride
     tally, start = np.empty((runs, counts)), np.concatenate(engine.start(), 1)
     table = (np.array([record.address for record in records], np.uint64), np.array(steps, np.int32), stored.astype(np.int64))
-    loop = llvm.fly()
+    loop, cells = llvm.fly(), max(record.kernel.cells for record in records)
 
     def some(first: int) -> None:
         """A chunk of runs."""
@@ -124,12 +124,13 @@ def fly(engine: Engine, data: Data, every: int, jobs: int) -> Flight:
         count = part.stop - first
         width = -(-count // lanes) * lanes  # the last run fills a block that is not full
         values, state, out = np.zeros((T, M, width)), np.zeros((width // lanes, size, lanes)), np.empty((K, kept, width))
+        memory = llvm.aligned((cells, lanes))
         for at, x in own:
             values[:, at : at + x.shape[-1], :count] += (x if x.shape[1] == 1 else x[:, part]).transpose(0, 2, 1)
         values[..., count:] = values[..., count - 1 : count]
         begin = np.concatenate([start[part], np.repeat(start[part.stop - 1 : part.stop], width - count, 0)])
         state[:, : start.shape[1]] = begin.reshape(-1, lanes, start.shape[1]).transpose(0, 2, 1)
-        pointers = (x.ctypes.data for x in (*table, state, shared, values, out))
+        pointers = (x.ctypes.data for x in (*table, state, shared, values, out, memory))
         loop(*pointers, size, shared.shape[1], M, kept, width, lanes, 0, width // lanes, T)
         at = 0
         for name, number in names.items():

@@ -25,6 +25,7 @@ from celnav.gaussian.checks import beside, instance, numbers, unmasked
 from celnav.gaussian.linalg import POSITIVE, Array, Belief, Form, block, factored, matvec, side_by_side, solve_right, surely, whiten
 from celnav.gaussian.rules import Image, Taylor
 from celnav.gaussian.spaces import EUCLIDEAN, Space
+from celnav.tape.numbers import each_row
 
 KEEP: Final = object()
 """Stands for "the state itself" among the outputs of a function: its columns are then exact, on any space."""
@@ -352,7 +353,10 @@ def evaluate(model: Motion | Sensor, x: Array, epoch: Any, noise: Sequence[Array
     dimension = x.shape[-1] if isinstance(model, Motion) else m if vectors else None
     copies = [array.copy(order="K") for array in (x, *noise)] if x.ndim > 2 and unknown(function, x) else None
     try:
-        y: Any = function(x, epoch, *noise)
+        if x.dtype.hasobject:
+            y: Any = each_row(lambda x, *noise: function(x, epoch, *noise), x, *noise)
+        else:
+            y = function(x, epoch, *noise)
         if type(y) is not np.ndarray or y.dtype != np.float64:
             y = as_floats(name, y, x)
     except (AttributeError, IndexError, TypeError, ValueError) as error:

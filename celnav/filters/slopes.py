@@ -88,7 +88,7 @@ class _Sloped(Engine):
     flown: float
 
     def __init__(self, built: tuple[Any, Any], data: Data, kept: dict[Any, Recorded]):
-        super().__init__(*built, data, "nothing", kept)
+        super().__init__(*built, data, "nothing", kept, rolled=False)
         self.recorded: list[tuple[Shape, Kind, Any, bytes]] = []
 
     def columns(self) -> dict[str, int]:

@@ -5,14 +5,21 @@ One matrix each: while a step is recorded there is no axis of runs. What is know
 
 from __future__ import annotations
 
-from typing import Any
+from functools import cache
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.tape.numbers import Numbers
+from celnav.tape.numbers import Numbers, each_row, tape_of
+from celnav.tape.routine import Recorder, Routine, Stage
 from celnav.tape.tape import do, total
 
 Array = Any
+SUMS = 4
+LONG = 20_000
+"""Operations of a factorization that is written out: a loop takes a third more time, but no longer to compile."""
+LONG_SOLUTION = 10_000
+"""Likewise of a triangular system."""
 SMALLEST = 1e-290  # squares below are no reflection
 
 
@@ -20,46 +27,111 @@ def _zero(x: Any) -> bool:
     return isinstance(x, float) and x == 0.0
 
 
+def _product(a: list[Any], b: list[Any]) -> Any:
+    """Of two rows; in several sums, none of which waits for another."""
+    return total(total(do("mul", x, y) for x, y in zip(a[k::SUMS], b[k::SUMS], strict=True)) for k in range(SUMS))
+
+
+class Mirror(NamedTuple):
+    """A reflection that takes a row ``(a, rest)`` to ``(length, 0, ...)``; ``there``: whether there is a rest, if that is known."""
+
+    a: Any
+    rest: list[Any]
+    length: Any
+    inverse: Any
+    scale: Any
+    there: Any
+
+
+def _mirror(a: Any, rest: list[Any]) -> Mirror:
+    """By I - v v' / (length (length - a)), where v is the row but v_i = a - length = -s / (length + a): of these two forms the one
+    without cancellation."""
+    if not rest:
+        return Mirror(a, rest, do("abs", a), 0.0, 0.0, False)
+    s = _product(rest, rest)
+    length = do("sqrt", s if _zero(a) else do("add", s, do("mul", a, a)))
+    there = do("lt", SMALLEST, do("mul", length, length) if _zero(a) else s)
+    inverse = do("div", 1.0, length)
+    if _zero(a):
+        return Mirror(a, rest, length, inverse, inverse, there)
+    grown, positive = do("add", length, do("abs", a)), do("lt", 0.0, a)
+    scale = do("div", do("select", positive, grown, 1.0), do("select", positive, s, grown))
+    return Mirror(a, rest, length, inverse, scale, there)
+
+
+def _reflected(mirror: Mirror, along: Any, rest: list[Any]) -> tuple[Any, list[Any]]:
+    """What becomes of another row."""
+    turned = do("mul", do("copysign", 1.0, mirror.a), along)
+    if mirror.there is False:
+        return turned, rest
+    across = _product(rest, mirror.rest)
+    inner = across if _zero(mirror.a) or _zero(along) else do("add", across, do("mul", mirror.a, along))
+    d = do("mul", do("sub", do("mul", across, mirror.scale), along), mirror.inverse)
+    first = do("select", mirror.there, do("mul", inner, mirror.inverse), turned)
+    if _zero(d):
+        return first, rest
+    d = do("select", mirror.there, d, 0.0)
+    return first, [do("sub", x, do("mul", d, y)) for x, y in zip(rest, mirror.rest, strict=True)]
+
+
 def tria(A: Array) -> Array:
     """Lower root with a diagonal that is not negative, by Householder reflections [Golub & Van Loan 1996, 5.1]."""
     n, q = A.shape
     rows = [[A[i, j] for j in range(q)] + [0.0] * max(n - q, 0) for i in range(n)]
-    L = Numbers((n, n))
+    tape, L = tape_of(A), Numbers((n, n))
+    if tape is not None and tape.rolled and 4 * sum((n - i) * max(q - i, 0) for i in range(n)) >= LONG:
+        routine, places = _rolled(tuple(tuple(not _zero(x) for x in row) for row in rows))
+        for at, x in zip(places, routine(tape, (x for row in rows for x in row)), strict=True):
+            L[at] = x
+        return L
     for i in range(n):
-        row = rows[i]
-        rest = [j for j in range(i + 1, len(row)) if not _zero(row[j])]
-        a, below = row[i], range(i + 1, n)
-        if not rest:
-            L[i, i] = do("abs", a)
-            sign = do("copysign", 1.0, a)
-            for r in below:
-                L[r, i] = do("mul", sign, rows[r][i])
-            continue
-        s = total(do("mul", row[j], row[j]) for j in rest)
-        length = do("sqrt", s if _zero(a) else do("add", s, do("mul", a, a)))
-        there = do("lt", SMALLEST, do("mul", length, length) if _zero(a) else s)
-        L[i, i] = length
-        # I - v v' / (length (length - a)) takes the row to (length, 0, ...), with v = row but v_i = a - length = -s / (length + a):
-        # of the two forms of v_i the one without cancellation.
-        inverse = do("div", 1.0, length)
-        if _zero(a):
-            scale = inverse
-        else:
-            grown, positive = do("add", length, do("abs", a)), do("lt", 0.0, a)
-            scale = do("div", do("select", positive, grown, 1.0), do("select", positive, s, grown))
-        for r in below:
-            across = total(do("mul", rows[r][j], row[j]) for j in rest)
-            along = rows[r][i]
-            inner = across if _zero(a) or _zero(along) else do("add", across, do("mul", a, along))
-            moved = do("mul", inner, inverse)
-            d = do("mul", do("sub", do("mul", across, scale), along), inverse)
-            L[r, i] = do("select", there, moved, do("mul", do("copysign", 1.0, a), along))
-            if _zero(d):
-                continue
-            d = do("select", there, d, 0.0)
-            for j in rest:
-                rows[r][j] = do("sub", rows[r][j], do("mul", d, row[j]))
+        rest = [j for j in range(i + 1, len(rows[i])) if not _zero(rows[i][j])]
+        mirror = _mirror(rows[i][i], [rows[i][j] for j in rest])
+        L[i, i] = mirror.length
+        for r in range(i + 1, n):
+            L[r, i], moved = _reflected(mirror, rows[r][i], [rows[r][j] for j in rest])
+            for j, x in zip(rest, moved, strict=True):
+                rows[r][j] = x
     return L
+
+
+@cache
+def _rolled(there: tuple[tuple[bool, ...], ...]) -> tuple[Routine, list[tuple[int, int]]]:
+    """The same as loops over rows, and the places that it fills; ``there``: what is not known to be zero."""
+    n, q = len(there), len(there[0])
+    full: Array = np.array(there)
+    stages, places = list[Stage](), list[tuple[int, int]]()
+    left, kept = n * q, n * q + n * n
+    for i in range(n):
+        rest, below = i + 1 + np.flatnonzero(full[i, i + 1 :]), np.any(full[i + 1 :], axis=0)
+        pivot = {"pivot": (i * q, 0), "kept": (kept, 0)}
+
+        def row(stage: Recorder, place: str, which: Array, i: int = i, rest: Array = rest) -> tuple[Any, list[Any]]:
+            first, *others = (stage.take(place, j) if which[j] else 0.0 for j in (i, *rest.tolist()))
+            return first, others
+
+        stage = Recorder(1, left=(left + i * n + i, 0), **pivot)
+        mirror = _mirror(*row(stage, "pivot", full[i]))
+        stage.put("left", 0, mirror.length)
+        for k, x in enumerate((mirror.inverse, mirror.scale, mirror.there)):
+            stage.put("kept", k, x)
+        stages.append(stage.stage())
+        places.append((i, i))
+        if below[[i, *rest]].any():
+            stage = Recorder(n - i - 1, row=((i + 1) * q, q), left=(left + (i + 1) * n + i, n), **pivot)
+            a, others = row(stage, "pivot", full[i])
+            mirror = mirror._replace(a=a, rest=others)
+            if mirror.there is not False:
+                inverse, scale, known = (stage.take("kept", k) for k in range(3))
+                mirror = mirror._replace(inverse=inverse, scale=scale, there=do("ne", known, 0.0))
+            first, moved = _reflected(mirror, *row(stage, "row", below))
+            stage.put("left", 0, first)
+            for j, x in zip(rest.tolist(), moved, strict=True):
+                stage.put("row", j, x)
+            stages.append(stage.stage())
+            places += [(r, i) for r in range(i + 1, n)]
+            full[i + 1 :, rest] = True
+    return Routine(stages, kept + 3, [left + i * n + j for i, j in places]), places
 
 
 def cholesky(P: Array) -> Array:
@@ -95,10 +167,15 @@ def semidefinite_root(P: Array, nothing: float) -> Array:
 def solve_lower(L: Array, B: Array) -> Array:
     """``L^-1 B``, by substitution; what a zero on the diagonal gives is not finite."""
     n = len(L)
-    X = Numbers(B.shape)
     inverse = [do("div", 1.0, L[i, i]) for i in range(n)]
-    for i in range(n):
-        for k in np.ndindex(*B.shape[1:]):
-            left = do("sub", B[(i, *k)], total(do("mul", L[i, j], X[(j, *k)]) for j in range(i)))
-            X[(i, *k)] = do("mul", left, inverse[i])
-    return X
+
+    def column(b: Array) -> Array:
+        """The solution ``(..., n)`` of one of B, both as rows."""
+        X = Numbers(b.shape)
+        for i in range(n):
+            for k in np.ndindex(*b.shape[:-1]):
+                left = do("sub", b[(*k, i)], total(do("mul", L[i, j], X[(*k, j)]) for j in range(i)))
+                X[(*k, i)] = do("mul", left, inverse[i])
+        return X
+
+    return each_row(column, B.T, least=LONG_SOLUTION).T if B.ndim == 2 else column(B)

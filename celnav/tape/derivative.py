@@ -13,10 +13,13 @@ import numpy as np
 
 from celnav.tape.llvm import Kernel
 from celnav.tape.numbers import Numbers, tape_of
-from celnav.tape.tape import Number, Scalar, Tape, do
+from celnav.tape.routine import Routine
+from celnav.tape.tape import Number, Scalar, Tape, do, operands
 
 Slopes = dict[int, Scalar]
 """Derivatives with respect to some variables, by their number; of the others it is 0."""
+Carried = tuple[Scalar, Slopes]
+"""A value and its derivatives."""
 
 
 def along(center: Any, roots: Sequence[Any]) -> list[Any]:
@@ -39,7 +42,7 @@ def at_zero(y: Any) -> tuple[Numbers, Numbers]:
     if found is None:
         value[...] = y
         return value, slope
-    known: dict[int, tuple[Scalar, Slopes]] = {x.i: (0.0, {k: 1.0}) for k, x in enumerate(found.tape.variables)}
+    known: dict[int, Carried] = {x.i: (0.0, {k: 1.0}) for k, x in enumerate(found.tape.variables)}
     for at in np.ndindex(*y.shape):
         value[at], slopes = _carried(y[at], known) if isinstance(y[at], Number) else (y[at], {})
         for k, x in slopes.items():
@@ -53,7 +56,7 @@ def with_slopes(kernel: Kernel, seeds: Collection[int]) -> Kernel:
     Number ``i`` of the state stands at ``2 i``, its derivative after it. seeds: the numbers before the step, by index, whose
     derivative may not be 0.
     """
-    tape, known = kernel.tape, dict[int, tuple[Scalar, Slopes]]()
+    tape, known = kernel.tape, dict[int, Carried]()
     inputs = [(place, 2 * at if place == "state" else at) for place, at in kernel.inputs]
     for number, (place, at) in enumerate(kernel.inputs):
         if place == "state" and at in seeds:
@@ -67,30 +70,60 @@ def with_slopes(kernel: Kernel, seeds: Collection[int]) -> Kernel:
     return Kernel(tape, inputs, state, [])
 
 
-def _carried(
-    x: Number, known: dict[int, tuple[Scalar, Slopes]], partials: Mapping[str, Partials] | None = None
-) -> tuple[Scalar, Slopes]:
+def _carried(x: Number, known: dict[int, Carried], partials: Mapping[str, Partials] | None = None) -> Carried:
     """Value and derivatives of a number; ``known``: those found already; ``partials``: of operations, None: `_PARTIALS`."""
     tape, stack = x.tape, [x.i]
+    memory: dict[int, list[Carried] | None] = {}
     while stack:
         i = stack[-1]
-        if i in known:
+        if i in known or i in memory:
             stack.pop()
             continue
-        name, *arguments = tape.ops[i]
-        if name in ("in", "const"):
-            known[i] = (Number(tape, i) if name == "in" else arguments[0], {})
-            continue
-        missing = [a for a in arguments if a not in known]
+        op = tape.ops[i]
+        missing = [a for a in operands(op) if a not in known and a not in memory]
         if missing:
             stack += missing
             continue
-        values, slopes = [known[a][0] for a in arguments], [known[a][1] for a in arguments]
-        value = (
-            Number(tape, i) if all(v is not None and _same(tape, a, v) for a, v in zip(arguments, values)) else do(name, *values)
-        )
-        known[i] = (value, _chained(name, value, values, slopes, partials or _PARTIALS))
+        name, *arguments = op
+        if name == "call":
+            given = [known[a] for a in arguments[1:]]
+            same = all(_same(tape, a, value) for a, (value, _) in zip(arguments[1:], given, strict=True))
+            memory[i] = (
+                None if same and not any(slopes for _, slopes in given) else _inside(arguments[0], given, partials or _PARTIALS)
+            )
+        elif name == "part":
+            cells = memory[arguments[0]]
+            known[i] = (Number(tape, i), {}) if cells is None else cells[arguments[1]]
+        elif name in ("in", "const"):
+            known[i] = (Number(tape, i) if name == "in" else arguments[0], {})
+        else:
+            values, slopes = [known[a][0] for a in arguments], [known[a][1] for a in arguments]
+            same = all(_same(tape, a, value) for a, value in zip(arguments, values, strict=True))
+            value = Number(tape, i) if same else do(name, *values)
+            known[i] = (value, _chained(name, value, values, slopes, partials or _PARTIALS))
     return known[x.i]
+
+
+def _inside(routine: Routine, given: Sequence[Carried], partials: Mapping[str, Partials]) -> list[Carried]:
+    """Cells of a routine after it, row by row."""
+    cells: list[Any] = [*given, *[None] * (routine.cells - len(given))]
+    for stage in routine.stages:
+        for row in range(stage.rows):
+            at = {place: first + row * stride for place, (first, stride) in stage.places.items()}
+            known: list[Carried] = []
+            for name, *arguments in stage.tape.ops:
+                if name == "in":
+                    place, index = stage.inputs[arguments[0]]
+                    known.append(cells[at[place] + index])
+                elif name == "const":
+                    known.append((arguments[0], {}))
+                else:
+                    values, slopes = [known[a][0] for a in arguments], [known[a][1] for a in arguments]
+                    value = do(name, *values)
+                    known.append((value, _chained(name, value, values, slopes, partials)))
+            for place, index, x in stage.results:
+                cells[at[place] + index] = known[x.i]
+    return cells
 
 
 def _same(tape: Tape, i: int, value: Scalar) -> bool:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from math import factorial, inf, nan, pi
 
-from celnav.tape.tape import Number, Scalar, Tape, do
+from celnav.tape.tape import Number, Scalar, Tape, as_number, do
 
 FARTHEST = 1e14  # rad; one float is a hundredth of a radian from the next there
 LN2 = (6.93147180369123816490e-01, 1.90821492927058770002e-10)
@@ -40,6 +40,10 @@ def lowered(tape: Tape, outputs: Sequence[Number]) -> tuple[Tape, dict[int, Scal
             new.absent[known[i].i] = tape.absent[i]
         elif name == "const":
             known[i] = at[0]
+        elif name == "call":
+            known[i] = new.node(name, at[0].lowered(), *(new.lift(as_number(known[a])).i for a in at[1:]))
+        elif name == "part":
+            known[i] = new.node(name, known[at[0]].i, at[1])
         else:
             own = _LOWERED.get(name)
             values = [known[a] for a in at]

@@ -6,6 +6,7 @@ A `Kernel` is one step. Its numbers come from, and go to, four places::
     shared  (steps, E)               inputs that all runs have in common
     own     (steps, M, runs)         inputs of each run
     rows    (rows stored, O, runs)   what is kept of a step
+    cells   (C, lanes)               the memory of routines
 
 `fly` takes blocks of ``lanes`` runs, one after the other, through all steps. Every operation is IEEE arithmetic in a fixed order
 (products and sums fused only where this module says so): a run has the same bytes in any block, lane or thread.
@@ -22,14 +23,18 @@ from functools import cache
 from hashlib import sha256
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from celnav.tape.elementary import lowered
-from celnav.tape.tape import Number, Scalar, Tape, as_number
+from celnav.tape.tape import Number, Scalar, Tape, as_number, operands
 
 LIBM = (
     "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "exp", "log", "pow", "sinh", "cosh", "tanh", "exp2", "log2", "log10",
     "log1p", "expm1", "cbrt",
 )  # fmt: skip
-BLOCK = 4000  # lines of a basic block
+LINE = 64  # bytes
+QUICK = 30_000  # lines of a module that are compiled without optimization: a tenth of the time, and code that takes a third more
+BLOCK = 500  # lines of a basic block
 _BINARY = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
 _COMPARED = {"lt": "olt", "le": "ole", "eq": "oeq", "ne": "une"}
 
@@ -51,6 +56,11 @@ class Kernel(NamedTuple):
         pairs = [("state", i, x) for i, x in self.state] + [("rows", i, x) for i, x in enumerate(self.rows)]
         return [(place, i, self.tape.lift(as_number(x))) for place, i, x in pairs]
 
+    @property
+    def cells(self) -> int:
+        """How many numbers its routines have in memory."""
+        return sum(op[1].cells for op in self.tape.ops if op[0] == "call")
+
     def lowered(self) -> Kernel:
         """With elementary functions as arithmetic."""
         tape, known = lowered(self.tape, [x for *_, x in self.results()])
@@ -60,43 +70,50 @@ class Kernel(NamedTuple):
 
 
 def source(kernel: Kernel, lanes: int, fused: bool) -> str:
-    """LLVM assembly of a kernel, as the function ``step(state, shared, own, rows, runs)``; no rows are stored if that is null."""
+    """LLVM assembly of a kernel: ``step(state, shared, own, rows, runs, cells)``, which stores no rows where that is null."""
     if fused:  # without that their ranges are reduced less exactly than the C library does it
         kernel = kernel.lowered()
-    tape, ops, results = kernel.tape, kernel.tape.ops, kernel.results()
-    needed = tape.needed([x for *_, x in results])
-    uses = Counter(a for i in needed if ops[i][0] not in ("in", "const") for a in ops[i][1:])
-    uses.update(x.i for *_, x in results)
-    vector = f"<{lanes} x double>" if lanes > 1 else "double"
-    code = _Code(lanes, vector, ops)
-    joined = _fused(needed, ops, uses) if fused else {}
-    within = set(joined.values())
-    for i in needed:
-        if ops[i][0] == "in":
-            place, at = kernel.inputs[ops[i][1]]
-            code.load(i, place, at)
-        elif ops[i][0] != "const" and i not in within:
-            code.operation(i, joined.get(i))
-        if len(code.lines) > BLOCK * (code.blocks + 1):
-            code.new_block()
+    tape, results = kernel.tape, kernel.results()
+    code = _Code(lanes, fused, kernel.inputs)
+    code.body(tape, [x for *_, x in results])
     for place, at, x in results:
         if place == "state":
             code.store(place, at, x.i)
-    kept = _Code(lanes, vector, ops)
+    code.lines += ["%none = icmp eq ptr %rows, null", "br i1 %none, label %done, label %keep", "keep:"]
     for place, at, x in results:
         if place == "rows":
-            kept.store(place, at, x.i)
-    called = {ops[i][0] for i in needed} & set(LIBM)
+            code.store(place, at, x.i)
+    called, functions = code.called, list[str]()
+    for routine in code.routines:
+        for k, stage in enumerate(routine.stages):
+            inner = _stage(stage, lanes, fused)
+            called |= inner.called
+            functions += [f"define internal void @{routine.name}.{k}(ptr noalias %cells) noinline", "{", *inner.lines, "}"]
     intrinsics = [
-        f"declare {vector} @llvm.{name}.{code.suffix}({', '.join([vector] * count)})"
+        f"declare {code.vector} @llvm.{name}.{code.suffix}({', '.join([code.vector] * count)})"
         for name, count in (("sqrt", 1), ("fabs", 1), ("floor", 1), ("rint", 1), ("copysign", 2), ("fma", 3))
     ]
-    signature = "define void @step(ptr noalias %state, ptr %shared, ptr %own, ptr noalias %rows, i64 %runs)"
+    signature = "define void @step(ptr noalias %state, ptr %shared, ptr %own, ptr noalias %rows, i64 %runs, ptr noalias %cells)"
     return "\n".join([
-        *intrinsics, *(_libm(name, lanes, vector) for name in sorted(called)), signature, "{", *code.lines,
-        "%none = icmp eq ptr %rows, null", "br i1 %none, label %done, label %keep", "keep:", *kept.lines,
-        "br label %done", "done:", "ret void", "}",
+        *intrinsics, *(_libm(name, lanes, code.vector) for name in sorted(called)), *functions,
+        signature, "{", *code.lines, "br label %done", "done:", "ret void", "}",
     ])  # fmt: skip
+
+
+def _stage(stage: Any, lanes: int, fused: bool) -> _Code:
+    """Lines of a loop over the rows of a routine's stage."""
+    code = _Code(lanes, fused, stage.inputs)
+    code.lines += ["start:", "br label %loop", "loop:", "%r = phi i64 [0, %start], [%r1, %end]"]
+    for place, (first, stride) in stage.places.items():
+        code.lines.append(f"%{place}o = mul i64 %r, {stride * lanes}")
+        code.lines.append(f"%{place}a = add i64 %{place}o, {first * lanes}")
+        code.lines.append(f"%{place} = getelementptr double, ptr %cells, i64 %{place}a")
+    code.body(stage.tape, [x for *_, x in stage.results])
+    for place, at, x in stage.results:
+        code.store(place, at, x.i)
+    code.lines += ["br label %end", "end:", "%r1 = add i64 %r, 1", f"%more = icmp slt i64 %r1, {stage.rows}"]
+    code.lines += ["br i1 %more, label %loop, label %done", "done:", "ret void"]
+    return code
 
 
 def _fused(needed: Sequence[int], ops: Sequence[tuple[Any, ...]], uses: Counter[int]) -> dict[int, int]:
@@ -111,15 +128,51 @@ def _fused(needed: Sequence[int], ops: Sequence[tuple[Any, ...]], uses: Counter[
 
 
 class _Code:
-    """Lines of a function, as they are written."""
+    """Lines of a function, as they are written; ``called``: functions of the C library, and ``routines``, that it calls."""
 
-    def __init__(self, lanes: int, vector: str, ops: Sequence[tuple[Any, ...]]):
-        self.lanes, self.vector, self.ops, self.lines = lanes, vector, ops, list[str]()
-        self.suffix = f"v{lanes}f64" if lanes > 1 else "f64"
-        self.blocks = 0
+    def __init__(self, lanes: int, fused: bool, inputs: Sequence[tuple[str, int]]):
+        self.lanes, self.fused, self.inputs, self.lines = lanes, fused, inputs, list[str]()
+        self.vector, self.suffix = (f"<{lanes} x double>", f"v{lanes}f64") if lanes > 1 else ("double", "f64")
+        self.blocks, self.cells = 0, 0
+        self.called, self.routines = set[str](), dict[Any, None]()
+        self.memory = dict[int, int]()  # where that of a call begins
 
-    def new_block(self) -> None:
-        """Go on in another basic block: the time that one takes to compile grows faster than its length."""
+    def body(self, tape: Tape, outputs: Sequence[Number]) -> None:
+        """All operations that outputs need."""
+        self.ops, needed = tape.ops, tape.needed(outputs)
+        uses = Counter(a for i in needed for a in operands(tape.ops[i]))
+        uses.update(x.i for x in outputs)
+        joined = _fused(needed, tape.ops, uses) if self.fused else {}
+        within = set(joined.values())
+        for i in needed:
+            name, *at = self.ops[i]
+            if name == "in":
+                self.load(i, *self.inputs[at[0]])
+            elif name == "call":
+                self.call(i, *at)
+            elif name == "part":
+                self.load(i, "cells", self.memory[at[0]] + at[1])
+            elif name != "const" and i not in within:
+                self.operation(i, joined.get(i))
+                self.called |= {name} & set(LIBM)
+            self.divide()
+
+    def call(self, i: int, routine: Any, *arguments: int) -> None:
+        """A routine, on memory of its own."""
+        self.routines[routine] = None
+        self.memory[i] = self.cells
+        for k, a in enumerate(arguments):
+            self.address(f"%c{i}_{k}", "cells", self.cells + k)
+            self.lines.append(f"store {self.vector} {self.value(a)}, ptr %c{i}_{k}, align 8")
+            self.divide()
+        self.address(f"%c{i}", "cells", self.cells)
+        self.lines += [f"call void @{routine.name}.{k}(ptr %c{i})" for k in range(len(routine.stages))]
+        self.cells += routine.cells
+
+    def divide(self) -> None:
+        """Go on in another basic block after a while: the time that one takes to compile grows faster than its length."""
+        if len(self.lines) <= BLOCK * (self.blocks + 1):
+            return
         self.blocks += 1
         self.lines += [f"br label %b{self.blocks}", f"b{self.blocks}:"]
 
@@ -132,16 +185,14 @@ class _Code:
 
     def address(self, name: str, place: str, at: int) -> None:
         """Where a number lies."""
-        if place == "state":
-            self.lines.append(f"{name} = getelementptr double, ptr %state, i64 {at * self.lanes}")
-        elif place == "shared":
-            self.lines.append(f"{name} = getelementptr double, ptr %shared, i64 {at}")
-        else:
+        if place in ("own", "rows"):
             self.lines.append(f"{name}o = mul i64 %runs, {at}")
             self.lines.append(f"{name} = getelementptr double, ptr %{place}, i64 {name}o")
+        else:
+            self.lines.append(f"{name} = getelementptr double, ptr %{place}, i64 {at * (1 if place == 'shared' else self.lanes)}")
 
     def load(self, i: int, place: str, at: int) -> None:
-        """Take an input."""
+        """Take a number from where it lies."""
         self.address(f"%p{i}", place, at)
         if place == "shared" and self.lanes > 1:
             self.lines += [
@@ -154,8 +205,9 @@ class _Code:
 
     def store(self, place: str, at: int, i: int) -> None:
         """Hand a result on."""
-        self.address(f"%{place}{at}", place, at)
-        self.lines.append(f"store {self.vector} {self.value(i)}, ptr %{place}{at}, align 8")
+        name = f"%{place}{at}_{i}"
+        self.address(name, place, at)
+        self.lines.append(f"store {self.vector} {self.value(i)}, ptr {name}, align 8")
 
     def operation(self, i: int, product: int | None) -> None:
         """One operation; a sum together with its ``product``."""
@@ -238,7 +290,7 @@ def _libm(name: str, lanes: int, vector: str) -> str:
 
 
 LOOP = """
-define void @fly(ptr %kernels, ptr %kinds, ptr %at, ptr %state, ptr %shared, ptr %own, ptr %rows,
+define void @fly(ptr %kernels, ptr %kinds, ptr %at, ptr %state, ptr %shared, ptr %own, ptr %rows, ptr %cells,
                  i64 %S, i64 %E, i64 %M, i64 %O, i64 %runs, i64 %lanes, i64 %first, i64 %last, i64 %steps)
 {
 start:
@@ -271,7 +323,7 @@ epoch:
   %o1 = add i64 %o0, %run
   %o2 = getelementptr double, ptr %rows, i64 %o1
   %o = select i1 %not, ptr null, ptr %o2
-  call void %f(ptr %s, ptr %e, ptr %m, ptr %o, i64 %runs)
+  call void %f(ptr %s, ptr %e, ptr %m, ptr %o, i64 %runs, ptr %cells)
   br label %stepped
 stepped:
   %k1 = add i64 %k, 1
@@ -286,7 +338,7 @@ done:
 }
 """
 _LONG, _POINTER = ctypes.c_int64, ctypes.c_void_p
-_FLY = ctypes.CFUNCTYPE(None, *[_POINTER] * 7, *[_LONG] * 9)
+_FLY = ctypes.CFUNCTYPE(None, *[_POINTER] * 8, *[_LONG] * 9)
 
 
 @cache
@@ -317,14 +369,25 @@ def lanes() -> int:
     return 8 if features().get("avx512f") else 4
 
 
+def aligned(shape: tuple[int, ...]) -> Any:
+    """An array of floats that begins where a line of the cache does: no vector then lies across two."""
+    size = 8 * int(np.prod(shape))
+    memory = np.empty(size + LINE, np.uint8)
+    first = -memory.ctypes.data % LINE
+    return memory[first : first + size].view(np.float64).reshape(shape)
+
+
 def compiled(text: str, name: str) -> int:
     """Address of the function of a ``name``."""
     binding = _binding()
     module = binding.parse_assembly(text)
     module.verify()
     target = binding.Target.from_default_triple()
+    level = 0 if text.count("\n") > QUICK else 1
     machine = target.create_target_machine(
-        cpu=binding.get_host_cpu_name(), features=binding.get_host_cpu_features().flatten(), opt=1
+        cpu=binding.get_host_cpu_name(),
+        features=binding.get_host_cpu_features().flatten(),
+        opt=level,
     )
     engine = binding.create_mcjit_compiler(module, machine)
     engine.finalize_object()

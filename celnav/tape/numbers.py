@@ -12,7 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from celnav.tape.tape import Number, Scalar, Tape, as_number, do, is_known, refused, total
+from celnav.tape.routine import Recorder, Routine
+from celnav.tape.tape import Number, Scalar, Tape, as_number, do, is_known, operands, refused, total
+
+LONG = 1000
+"""Operations that are written out even so, where rows are treated alike."""
+LONG_PRODUCT = 10_000
+"""Likewise of a product of matrices."""
 
 
 def _maximum(a: Scalar, b: Scalar) -> Scalar:
@@ -242,8 +248,16 @@ def _products(ufunc: Any, a: Any, b: Any) -> Any:
         return _contracted(np.broadcast_arrays(a, b))
     columns, row = b.ndim == 1, a.ndim == 1
     a, b = a[None] if row else a, b[:, None] if columns else b
-    out = _contracted(np.broadcast_arrays(a[..., :, None, :], np.swapaxes(b, -1, -2)[..., None, :, :]))
+    if a.ndim == b.ndim == 2 and 2 * a.size * b.shape[1] >= LONG_PRODUCT:
+        out = each_row(lambda row: _product(_bare(row), b), numbers(a), least=LONG_PRODUCT)
+    else:
+        out = _product(a, b)
     return out[..., 0, 0] if row and columns else out[..., 0, :] if row else out[..., 0] if columns else out
+
+
+def _product(a: Any, b: Any) -> Any:
+    """Of two matrices, in pairs of rows and columns."""
+    return _contracted(np.broadcast_arrays(a[..., :, None, :], np.swapaxes(b, -1, -2)[..., None, :, :]))
 
 
 def _contracted(pair: Sequence[Any]) -> Any:
@@ -252,6 +266,54 @@ def _contracted(pair: Sequence[Any]) -> Any:
     for at in np.ndindex(*a.shape[:-1]):
         out[at] = total(do("mul", as_number(x), as_number(y)) for x, y in zip(a[at], b[at], strict=True))
     return out if out.ndim else out[()]
+
+
+def each_row(function: Callable[..., Any], *points: Any, least: int = LONG) -> Any:
+    """Values ``(p, m)`` of a function at points ``(p, n)``, each of its values that of one point.
+
+    It is recorded for one of them. Code of ``least`` operations or more becomes a loop over the points; what is shorter is written
+    out, where what points have in common is done once.
+    """
+    tape, count = tape_of(*points), len(points[0])
+    if tape is None or count == 1 or not tape.rolled:
+        return function(*points)
+    widths = [x.shape[-1] for x in points]
+    variables = [tape.node("var", len(tape.ops)) for _ in range(sum(widths))]
+    ends = np.cumsum(widths)
+    one = [np.array([variables[end - n : end]], object).view(Numbers) for end, n in zip(ends, widths, strict=True)]
+    y = function(*one)
+    outputs = [tape.lift(as_number(x)) for x in np.asarray(y, object).flat]
+    body, inside = [], {x.i for x in variables}
+    for i in tape.needed(outputs):
+        if any(a in inside for a in operands(tape.ops[i])):
+            body.append(i)
+            inside.add(i)
+    if len(body) * count < least or np.shape(y)[:-1] != (1,) or any(tape.ops[i][0] in ("call", "part") for i in body):
+        return function(*points)
+    n, m = len(variables), len(outputs)
+    common = sorted({a for i in body for a in operands(tape.ops[i])} - inside | {x.i for x in outputs} - inside)
+    common = [i for i in common if tape.ops[i][0] != "const"]
+    at = len(common)
+    recorder = Recorder(count, common=(0, 0), given=(at, n), made=(at + n * count, m))
+    known = {i: recorder.take("common", k, tape.absent[i]) for k, i in enumerate(common)}
+    known |= {x.i: recorder.take("given", k) for k, x in enumerate(variables)}
+
+    def moved(i: int) -> int:
+        """Of a number on the tape, the one on that of the row."""
+        if i not in known:
+            known[i] = recorder.tape.lift(tape.ops[i][1])  # a constant
+        return known[i].i
+
+    for i in body:
+        known[i] = recorder.tape.node(tape.ops[i][0], *map(moved, tape.ops[i][1:]))
+    for k, x in enumerate(outputs):
+        moved(x.i)
+        recorder.put("made", k, known[x.i])
+    cells = at + (n + m) * count
+    routine = Routine([recorder.stage()], cells, range(at + n * count, cells))
+    rows = np.concatenate([np.asarray(x, object) for x in points], -1)
+    left = routine(tape, [*(Number(tape, i) for i in common), *rows.flat])
+    return np.array(left, object).reshape(count, m).view(Numbers)
 
 
 # -- functions that are no ufuncs ------------------------------------------------------------------------------------------

@@ -48,19 +48,29 @@ _FOLD: dict[str, Callable[..., Any]] = {
     "not": np.logical_not, "select": lambda c, a, b: a if c else b,
 }  # fmt: skip
 """What operations do to numbers that are known; "pow2" is two to a whole number, "exponent" the one of a normal number."""
-MOST = 50_000  # operations on a tape: some five seconds of compiling
+MOST = 400_000  # operations on a tape, those that are not needed in the end included
 LOGICAL: Final = frozenset(("lt", "le", "eq", "ne", "and", "or", "not"))
 """Operations whose results are true or false."""
+
+
+_OPERANDS: Final = {"in": slice(0), "const": slice(0), "var": slice(0), "call": slice(2, None), "part": slice(1, 2)}
+
+
+def operands(op: tuple[Any, ...]) -> tuple[int, ...]:
+    """Indices of the earlier operations that one needs."""
+    return op[_OPERANDS.get(op[0], slice(1, None))]
 
 
 class Tape:
     """Operations in the order in which they were first done, each once.
 
     ``ops[i]`` is ``(name, *arguments)``: indices of earlier ones; ``("in", k)`` is the k-th input, ``("const", x)`` a number.
+    ``("call", routine, *arguments)`` leaves a memory, ``("part", i, cell)`` is a cell of it; ``rolled``: whether there may be such.
     ``absent[i]``: whether it comes of something that may be missing, nan; of other numbers ``x == x`` is true.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, rolled: bool = True) -> None:
+        self.rolled = rolled
         self.ops: list[tuple[Any, ...]] = []
         self.absent: list[bool] = []
         self.variables: list[Number] = []  # see `celnav.tape.derivative`
@@ -86,11 +96,9 @@ class Tape:
         if at is None:
             at = self._known[key] = len(self.ops)
             if at == MOST:
-                raise CannotCompile(f"a step of more than {MOST} operations takes longer to compile than it saves")
+                raise CannotCompile(f"a step of more than {MOST} operations is too long to be compiled")
             self.ops.append(op)
-            self.absent.append(
-                op[1] != op[1] if op[0] == "const" else op[0] not in ("in", "var") and any(self.absent[a] for a in op[1:])
-            )
+            self.absent.append(op[1] != op[1] if op[0] == "const" else any(self.absent[a] for a in operands(op)))
         return Number(self, at)
 
     def lift(self, x: Scalar) -> Number:
@@ -108,8 +116,7 @@ class Tape:
             elif i not in seen:
                 seen.add(i)
                 stack.append((i, True))
-                if self.ops[i][0] not in ("in", "const"):
-                    stack += [(a, False) for a in reversed(self.ops[i][1:])]
+                stack += [(a, False) for a in reversed(operands(self.ops[i]))]
         return order
 
 

@@ -18,6 +18,7 @@ pytest.importorskip("llvmlite")
 NAN, INF = np.nan, np.inf
 X = np.array([0.0, -0.0, 1.0, -1.0, 0.5, -2.5, 3.7, 8.0, -7.0, 1e-5, 1e-310, -1e-310, 1e300, -1e300, INF, -INF, NAN])
 LANES, FUSED = [1, 4, 8], [False, True]
+CELLS = 10_000
 LOGICAL = ("and", "or", "not")
 ALONE = [name for name, function in FUNCTIONS.items() if getattr(function, "nin", 3) == 1]
 
@@ -36,7 +37,8 @@ def flown(addresses, kinds, at, state, shared, own, kept, lanes):
     rows = np.full((max(at) + 1, kept, width), -99.0)
     table = np.array(addresses, np.uint64), np.array(kinds, np.int32), np.array(at, np.int64)
     shared = np.ascontiguousarray(shared, float)
-    pointers = (x.ctypes.data for x in (*table, blocks, shared, own, rows))
+    cells = llvm.aligned((CELLS, lanes))
+    pointers = (x.ctypes.data for x in (*table, blocks, shared, own, rows, cells))
     llvm.fly()(*pointers, len(state), shared.shape[1], own.shape[1], kept, width, lanes, 0, width // lanes, len(own))
     return rows[..., :runs], blocks.swapaxes(0, 1).reshape(len(state), -1)[:, :runs]
 

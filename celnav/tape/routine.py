@@ -1,0 +1,89 @@
+"""The same straight-line code for one row of a memory after the other: what would take long to compile if it were written out.
+
+A `Routine` is called with numbers, which are the first cells of its memory, and leaves others there. On a `Tape` its call is one
+operation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from functools import cached_property
+from hashlib import sha256
+from typing import NamedTuple
+
+from celnav.tape.elementary import lowered
+from celnav.tape.tape import Number, Scalar, Tape, as_number
+
+
+class Stage(NamedTuple):
+    """Code for a number of ``rows``.
+
+    places: by name ``(first, stride)``: where a place begins for the first row, and how much later for each of the next.
+    inputs: ``(place, index)`` of each input of the tape. results: ``(place, index, number)`` of what is written.
+    """
+
+    rows: int
+    places: dict[str, tuple[int, int]]
+    tape: Tape
+    inputs: Sequence[tuple[str, int]]
+    results: Sequence[tuple[str, int, Number]]
+
+
+class Routine:
+    """Stages on one memory of ``cells`` numbers, the first of which are the arguments; ``left``: cells that it gives back."""
+
+    def __init__(self, stages: Sequence[Stage], cells: int, left: Sequence[int]):
+        self.stages, self.cells, self.left = tuple(stages), cells, tuple(left)
+
+    @cached_property
+    def name(self) -> str:
+        """Made of its operations: what does the same has the same name."""
+        parts = [(s.rows, s.places, s.inputs, [(p, i, x.i) for p, i, x in s.results], s.tape.key) for s in self.stages]
+        return "r" + sha256(repr((parts, self.cells, self.left)).encode()).hexdigest()[:16]
+
+    def __repr__(self) -> str:
+        return self.name
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Routine) and other.name == self.name
+
+    def __hash__(self) -> int:
+        return hash(self.name)
+
+    def lowered(self) -> Routine:
+        """With elementary functions as arithmetic."""
+        stages = []
+        for stage in self.stages:
+            tape, known = lowered(stage.tape, [x for *_, x in stage.results])
+            results = [(place, i, tape.lift(as_number(known[x.i]))) for place, i, x in stage.results]
+            stages.append(stage._replace(tape=tape, results=results))
+        return Routine(stages, self.cells, self.left)
+
+    def __call__(self, tape: Tape, arguments: Iterable[Scalar]) -> list[Number]:
+        """What is left of arguments, on a tape."""
+        call = tape.node("call", self, *(tape.lift(as_number(x)).i for x in arguments))
+        return [tape.node("part", call.i, cell) for cell in self.left]
+
+
+class Recorder:
+    """A stage while it is recorded: numbers are taken from places, and written there."""
+
+    def __init__(self, rows: int, **places: tuple[int, int]):
+        self.rows, self.places, self.tape = rows, places, Tape()
+        self.inputs, self.results = list[tuple[str, int]](), list[tuple[str, int, Number]]()
+        self._taken = dict[tuple[str, int], Number]()
+
+    def take(self, place: str, index: int, absent: bool = False) -> Number:
+        """The number in a place of the row."""
+        if (place, index) not in self._taken:
+            self.inputs.append((place, index))
+            self._taken[place, index] = self.tape.input(absent)
+        return self._taken[place, index]
+
+    def put(self, place: str, index: int, value: Scalar) -> None:
+        """Write a number there."""
+        self.results.append((place, index, self.tape.lift(as_number(value))))
+
+    def stage(self) -> Stage:
+        """What was recorded."""
+        return Stage(self.rows, self.places, self.tape, self.inputs, self.results)

@@ -1,0 +1,164 @@
+"""Loops over rows: the same values as code that is written out, whatever rows have in common."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_llvm import computed
+
+from celnav.gaussian import recorded
+from celnav.tape import llvm, numbers
+from celnav.tape.numbers import Numbers, each_row
+from celnav.tape.tape import Tape
+
+RUNS = 11
+
+
+@pytest.fixture(autouse=True)
+def _everything_rolled(monkeypatch):
+    monkeypatch.setattr(recorded, "LONG", 0)
+    monkeypatch.setattr(recorded, "LONG_SOLUTION", 0)
+    monkeypatch.setattr(numbers, "LONG_PRODUCT", 0)
+    fresh = llvm.aligned
+
+    def nothing(shape):
+        memory = fresh(shape)
+        memory.fill(np.nan)  # what was not written is seen
+        return memory
+
+    monkeypatch.setattr(llvm, "aligned", nothing)
+
+
+def inputs(tape, *shape):
+    """Numbers of a shape, the next inputs of a tape."""
+    x = Numbers(shape)
+    for at in np.ndindex(*shape):
+        x[at] = tape.input()
+    return x
+
+
+def values(count, seed=0):
+    return np.random.default_rng(seed).standard_normal((count, RUNS))
+
+
+def calls(tape):
+    return [op[1] for op in tape.ops if op[0] == "call"]
+
+
+def flown(tape, y, given, lanes=8, fused=True):
+    out = np.asarray(y, object).ravel().tolist()
+    return computed(tape, [tape.lift(x) for x in out], given, lanes, fused).reshape(*np.shape(y), RUNS)
+
+
+def model(x, w, scale):
+    """Of rows ``(p, 3)`` and ``(p, 1)``: sines, a length, a choice, a constant, and something that all rows share."""
+    length = np.sqrt(np.sum(np.square(x), -1, keepdims=True) + np.square(w))
+    chosen = np.where(x[..., :1] > 0.0, scale * np.sin(x[..., 1:2]), np.exp(-np.abs(x[..., 2:])))
+    shared = np.broadcast_to(scale, (*x.shape[:-1], 1)) if np.ndim(scale) == 0 else scale
+    return np.concatenate([length, chosen, x[..., 1:2], 0.0 * x[..., :1] + 2.5, shared], -1)
+
+
+@pytest.mark.parametrize("fused", [False, True])
+@pytest.mark.parametrize("lanes", [1, 4, 8])
+def test_each_row(lanes, fused):
+    given = values(7 * 3 + 7 + 1)
+    tape = Tape()
+    x, w, scale = inputs(tape, 7, 3), inputs(tape, 7, 1), inputs(tape)[()]
+    y = each_row(lambda x, w: model(x, w, scale), x, w, least=0)
+    (routine,) = calls(tape)
+    assert routine.stages[0].rows == 7
+    expected = model(
+        given[:21].reshape(7, 3, RUNS).transpose(2, 0, 1),
+        given[21:28].T[..., None],
+        given[28][:, None, None] * np.ones((RUNS, 7, 1)),
+    )
+    np.testing.assert_allclose(flown(tape, y, given, lanes, fused).transpose(2, 0, 1), expected, rtol=1e-14, atol=1e-15)
+
+
+def test_short_code_is_written_out_and_a_tape_may_ask_for_that():
+    for tape, least in ((Tape(), 10_000), (Tape(rolled=False), 0)):
+        x = inputs(tape, 4, 3)
+        y = each_row(lambda x: np.cumsum(x, -1), x, least=least)
+        assert not calls(tape)
+        given = values(12)
+        expected = np.cumsum(given.reshape(4, 3, RUNS), 1)
+        np.testing.assert_allclose(flown(tape, y, given), expected, rtol=1e-15)
+
+
+def test_a_loop_is_compiled_once_and_its_size_does_not_depend_on_the_rows():
+    def lines(rows):
+        tape = Tape()
+        x = inputs(tape, rows, 2)
+        y = each_row(lambda x: np.sin(x) + np.cos(x[..., ::-1]), x, least=0)
+        z = each_row(lambda x: np.sin(x) + np.cos(x[..., ::-1]), y, least=0)
+        first, second = calls(tape)
+        assert first == second
+        assert repr(first) == repr(second)
+        assert hash(first) == hash(second)
+        kernel = llvm.Kernel(tape, [("own", i) for i in range(2 * rows)], [], list(z.flat))
+        assert kernel.cells == 2 * first.cells == 8 * rows
+        text = llvm.source(kernel, 4, True)
+        assert text.count("define internal void @r") == 1
+        return text[text.index("define internal void @r") : text.index("define void @step")].count("\n")
+
+    assert lines(3) == lines(30)
+
+
+def test_loops_of_other_code_are_others():
+    tape = Tape()
+    x = inputs(tape, 4, 2)
+    each_row(np.sin, x, least=0), each_row(np.cos, x, least=0), each_row(np.sin, x[:3], least=0)
+    assert len(set(calls(tape))) == 3
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 4), (3, 3), (4, 2), (5, 9), (9, 21)])
+@pytest.mark.parametrize("pattern", ["full", "lower", "holes", "empty rows"])
+def test_factorization(shape, pattern):
+    n, q = shape
+    rng = np.random.default_rng(n + q)
+    there = np.ones(shape, bool)
+    if pattern == "lower":
+        there = np.tril(there)
+    elif pattern == "holes":
+        there = rng.random(shape) < 0.5
+    elif pattern == "empty rows":
+        there[::2] = False
+    given = values(n * q, seed=q) * np.geomspace(1.0, 1e-6, n * q)[:, None]
+    tape = Tape()
+    A = inputs(tape, n, q)
+    A[~there] = 0.0
+    L = flown(tape, recorded.tria(A), given).transpose(2, 0, 1)
+    assert calls(tape) or not there.any()
+    dense = np.where(there, given.reshape(n, q, RUNS).transpose(2, 0, 1), 0.0)
+    assert (np.triu(L, 1) == 0.0).all()
+    assert (L.diagonal(0, 1, 2) >= 0.0).all()
+    size = np.sqrt(np.square(dense).sum(-1))
+    error = np.abs(L @ L.mT - dense @ dense.mT)
+    assert (error <= 1e-13 * size[:, :, None] * size[:, None, :]).all()
+
+
+def test_a_factorization_of_zeros_that_are_known_only_later():
+    given = np.zeros((12, RUNS))
+    given[:, 1] = np.random.default_rng(0).standard_normal(12)
+    given[[0, 4, 8], 2] = -2.0
+    tape = Tape()
+    L = flown(tape, recorded.tria(inputs(tape, 3, 4)), given)
+    assert (L[..., 0] == 0.0).all()
+    assert np.isfinite(L).all()
+    np.testing.assert_allclose(L[..., 2], [[2.0, 0.0, 0.0], [2.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
+
+
+@pytest.mark.parametrize("lanes", [1, 8])
+def test_products_and_triangular_systems(lanes):
+    n, k = 6, 4
+    given = values(n * n + n * k, seed=3)
+    given[: n * n : n + 1] += 5.0
+    tape = Tape()
+    A, B = inputs(tape, n, n), inputs(tape, n, k)
+    L = A.copy()
+    L[np.triu_indices(n, 1)] = 0.0
+    product, solved = A @ B, recorded.solve_lower(L, B)
+    assert len(calls(tape)) == 2
+    a, b = given[: n * n].reshape(n, n, RUNS).transpose(2, 0, 1), given[n * n :].reshape(n, k, RUNS).transpose(2, 0, 1)
+    np.testing.assert_allclose(flown(tape, product, given, lanes).transpose(2, 0, 1), a @ b, rtol=1e-13, atol=1e-13)
+    np.testing.assert_allclose(flown(tape, solved, given, lanes).transpose(2, 0, 1), np.linalg.solve(np.tril(a), b), rtol=1e-11)
