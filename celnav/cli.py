@@ -1,4 +1,4 @@
-"""The command line: ``celnav list | reproduce | verdicts | view | run | campaign | position``."""
+"""The command line: ``celnav list | reproduce | verdicts | view | run | campaign | position | diagnose``."""
 
 from __future__ import annotations
 
@@ -173,4 +173,14 @@ def _parser() -> tuple[_Parser, dict[str, _Parser]]:
         help="probability that a sound epoch fails the test for faulty satellites; 0: no test (default: 1e-5)",
     )
     position.add_argument("--out", default="out/position", metavar="DIR", help="where to write (default: out/position)")
+
+    diagnose = command(
+        "diagnose", "say whether residuals are white, without bias, and as large as claimed; and which noise they have"
+    )
+    diagnose.add_argument("residuals", metavar="RESIDUALS.csv", help="a line of names: t, components x, their claims std_x, run")
+    diagnose.add_argument("--time", metavar="NAME", help="column of times, s (default: t, time_..., seconds_...)")
+    diagnose.add_argument("--columns", nargs="+", metavar="NAME", help="components (default: those with claims, or else all)")
+    diagnose.add_argument("--lags", default="20", metavar="N", help="of the autocorrelation (default: 20)")
+    diagnose.add_argument("--level", default="0.95", metavar="P", help="of intervals and bands (default: 0.95)")
+    diagnose.add_argument("--out", metavar="DIR", help="where to write words, numbers and a figure (default: nowhere)")
     return parser, commands.choices

@@ -65,10 +65,10 @@ def lines(path):
 def test_the_house_keeps_its_size():
     """The core can be read in a day, a module in one sitting; the root is a door, and there are few rooms."""
     core = {p: lines(p) for room in ("gaussian", "filters", "models", "analysis", "study") for p in (ROOT / room).glob("*.py")}
-    engine = {p: core.pop(p) for p in list(core) if p.stem in ("engine", "flight", "compiled", "export", "recorded")}
+    engine = {p: core.pop(p) for p in list(core) if p.stem in ("engine", "flight", "compiled", "export", "recorded", "slopes")}
     engine |= {p: lines(p) for p in (ROOT / "tape").glob("*.py")}
-    assert sum(core.values()) <= 8050, sum(core.values())
-    assert sum(engine.values()) <= 2950, sum(engine.values())
+    assert sum(core.values()) <= 8700, sum(core.values())
+    assert sum(engine.values()) <= 3300, sum(engine.values())
     assert len(list(ROOT.glob("*.py"))) <= 6
     assert len({p.relative_to(ROOT).parts[0] for p in MODULES}) <= 15
     long = {str(p.relative_to(ROOT)): lines(p) for p in MODULES if lines(p) > 450 and p.relative_to(ROOT).parts[0] != "papers"}

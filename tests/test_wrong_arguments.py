@@ -75,11 +75,15 @@ picture: command end picture
 progress: Progress Progress.add Progress.close Progress.say RunProgress
 estimates: Estimate Estimate.error Estimate.sigma again
 plots: draw
+diagnose: Diagnosis.biased Diagnosis.white first_order
+words: page
+diagnosis: figure
 scenes: arc behind beside constellation flight sigma_points sightings track turning unit
 showcase: Showcase record write
 """
 """What checks, what has no arguments, and what only celnav calls, or hands to a library that says itself what it takes."""
 
+LOG = np.random.default_rng(0).standard_normal((60, 2))
 I2, I3, I6 = np.eye(2), np.eye(3), np.eye(6)
 Q4 = attitude.IDENTITY
 X6 = np.array([7000.0, 0.0, 0.0, 0.0, 7.5, 0.0])
@@ -134,7 +138,11 @@ CALLS = {
     "rules.Taylor": dict(step=1e-3),
     "tuning.maximize_likelihood": dict(
         build=built, start=np.ones(1), epochs=celnav.epochs(TIMES, np.ones((5, 2))), domain="positive", factor=10.0, tolerance=1e-3,
-        max_iterations=2,
+        max_iterations=2, engine="numpy",
+    ),
+    "diagnose.diagnose": dict(residuals=LOG, times=np.arange(60.0), std=np.ones(2), names=["a", "b"], lags=5, level=0.9),
+    "tuning.likelihood_gradient": dict(
+        build=built, parameters=np.ones(1), epochs=celnav.epochs(TIMES, np.ones((5, 2))), engine="numpy"
     ),
     "problem.compare": dict(problems={"own": OWN}, filters={"EKF": lambda p: celnav.ekf(p.motion, p.sensor)}, runs=2, seed=0),
     "montecarlo.generator": dict(seed=1, study=2, run=3),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from itertools import combinations
 from typing import Any, NamedTuple
 
@@ -11,15 +12,19 @@ from numpy.typing import ArrayLike
 from scipy.special import expit
 
 from celnav.filters.records import Epoch, Epochs, Filter
-from celnav.filters.run import run
+from celnav.filters.run import ENGINES, run
+from celnav.filters.slopes import Slopes, fourth_order
 from celnav.gaussian.belief import Gaussian
-from celnav.gaussian.checks import finite, function, integer, kind, number, numbers, sequence
+from celnav.gaussian.checks import choice, finite, function, integer, kind, number, numbers, sequence
 from celnav.gaussian.linalg import Array
+from celnav.tape.tape import CannotCompile
 
 Build = Callable[[Array], tuple[Filter, Gaussian]]
 Domain = str | tuple[float, float]
 DOMAINS = {"positive": (0.0, np.inf), "unit interval": (0.0, 1.0)}
 STEP = 2e-3  # of differences, in logarithms
+WIDE = 3e-3  # of differences of the fourth order, part of each parameter
+FLIGHTS = 20  # that a search takes, about, for each parameter twice and once more
 ROUGH = 1e-3  # what the last step of the search has gained of the log-likelihood when Newton's method takes over
 STEPS = 4  # of Newton's method, at most
 
@@ -35,6 +40,7 @@ class Tuned(NamedTuple):
     converged: whether the parameters are an inner maximum of the likelihood.
     message: what the optimizer said, or why there is no such maximum.
     failures: how many of the parameters tried made no filter, or one that failed; they count as improbable.
+    engine: "compiled" where one flight gave likelihood and gradient, "numpy" where differences did; with "auto" also why.
     """
 
     parameters: Array
@@ -45,11 +51,51 @@ class Tuned(NamedTuple):
     converged: bool
     message: str
     failures: int = 0
+    engine: str = "numpy"
+
+
+class LikelihoodGradient(NamedTuple):
+    """The log-likelihood ``value (...)`` of each run, and its ``gradient (..., d)``. engine: as of `Tuned`."""
+
+    value: Array
+    gradient: Array
+    engine: str
+
+
+def likelihood_gradient(
+    build: Build, parameters: ArrayLike, epochs: Iterable[Epoch], *, engine: str = "auto"
+) -> LikelihoodGradient:
+    """The log-likelihood of each run, and its derivatives by parameters.
+
+    build: ``parameters (d,) -> (filter, prior)``; it is called beside the parameters too, up to a hundredth of each away.
+    parameters: ``(d,)``. epochs: the data.
+    engine: "compiled": one flight gives both, exactly, where the parameters are in matrices of the filter or in the prior; "numpy":
+        by differences of flights, to some seven digits; "auto": compiled where that can be.
+
+    >>> value, gradient, engine = likelihood_gradient(build, [0.1, 0.5], epochs)
+    """
+    x = finite("parameters", parameters)
+    if x.ndim != 1 or not len(x):
+        raise ValueError(f"parameters: expected shape (d,), got {x.shape}")
+    data, build = _data(epochs), function("build", build, "(parameters)")
+    lengths, why = np.where(x == 0.0, 1.0, np.abs(x)), ""
+    here = _flight(build, x, data)
+    if choice("engine", engine, ENGINES) != "numpy":
+        try:
+            return LikelihoodGradient(*_checked(Slopes(partial(_built, build), data), x, lengths, here), "compiled")
+        except (CannotCompile, ImportError) as error:
+            if engine == "compiled":
+                raise
+            why = f": {error}"
+    steps = WIDE * np.diag(lengths)
+    each = [fourth_order([_flight(build, x + j * step, data) for j in (-2, -1, 1, 2)], WIDE) for step in steps]
+    return LikelihoodGradient(here, np.stack(each, -1) / lengths, f"numpy{why}")
 
 
 def maximize_likelihood(
     build: Build, start: ArrayLike, epochs: Iterable[Epoch], *,
     domain: Domain | Sequence[Domain] = "positive", factor: float = 1e3, tolerance: float = 1e-6, max_iterations: int = 100,
+    engine: str = "auto",
 ) -> Tuned:  # fmt: skip
     """Maximize ``Track.log_likelihood``, summed over the runs, over parameters such as standard deviations and correlations.
 
@@ -65,6 +111,7 @@ def maximize_likelihood(
     factor: the search stays within ``start / factor`` and ``start * factor``; in an interval, of the distances to its ends.
     tolerance: how much of the log-likelihood may be left to gain; a parameter one standard error off loses 0.5.
     max_iterations: of the optimizer.
+    engine: as of `likelihood_gradient`; "auto" is "numpy" also where compiling would take longer than it saves.
     """
     from scipy.optimize import minimize  # takes a second to import
 
@@ -75,10 +122,8 @@ def maximize_likelihood(
     reach = float(np.log(number("factor", factor, above=1.0)))
     tolerance = number("tolerance", tolerance, above=0.0)
     max_iterations = integer("max_iterations", max_iterations)
-    data = epochs if isinstance(epochs, Epochs) else sequence("epochs", epochs, "celnav.epochs(times, z)")
-    if not any(map(_measured, data)):
-        raise ValueError("epochs: expected measurements, got none")
-    likelihood = _Likelihood(function("build", build, "(parameters)"), data, scale, len(x0))
+    data = _data(epochs)
+    likelihood = _Likelihood(function("build", build, "(parameters)"), data, scale, len(x0), choice("engine", engine, ENGINES))
     found = minimize(
         likelihood.cost, np.zeros(len(x0)), jac=True, method="L-BFGS-B", bounds=[(-reach, reach)] * len(x0),
         options={"maxiter": max_iterations, "gtol": 1e-9, "ftol": ROUGH / max(1.0, abs(likelihood.first))},
@@ -109,7 +154,42 @@ def maximize_likelihood(
     errors = scale.slope(s) * np.sqrt(covariance.diagonal())
     tried, converged = list(likelihood.known.values()), bool(found.success) and not why
     failures = int(np.isnan(tried).sum())
-    return Tuned(scale(s), likelihood(s), errors, covariance, len(tried), converged, why or found.message, failures)
+    return Tuned(
+        scale(s), likelihood(s), errors, covariance, len(tried), converged, why or found.message, failures, likelihood.engine
+    )
+
+
+def _data(epochs: Iterable[Epoch]) -> Sequence[Epoch]:
+    """Epochs that have measurements."""
+    data = epochs if isinstance(epochs, Epochs) else sequence("epochs", epochs, "celnav.epochs(times, z)")
+    if not any(map(_measured, data)):
+        raise ValueError("epochs: expected measurements, got none")
+    return data
+
+
+def _built(build: Build, parameters: Array) -> tuple[Filter, Gaussian]:
+    built = build(parameters)
+    if not (isinstance(built, tuple) and len(built) == 2):
+        raise ValueError(f"build: expected a filter and a prior, got {kind(built)}")
+    return built
+
+
+def _flight(build: Build, parameters: Array, epochs: Sequence[Epoch]) -> Array:
+    """Log-likelihood ``(...)`` of each run, by the numpy engine."""
+    return run(*_built(build, parameters), epochs, keep="nothing", engine="numpy").log_likelihood
+
+
+def _checked(slopes: Slopes, x: Array, lengths: Array, known: Array) -> tuple[Array, Array]:
+    """What a compiled flight gives, if the value is the numpy engine's, and differences of values are as the gradient says."""
+    value, gradient = slopes(x, lengths)
+    above, below = (slopes(x + step * lengths, lengths)[0].sum() for step in (STEP, -STEP))
+    rise, each = (above - below) / (2.0 * STEP), gradient.reshape(-1, len(x)).sum(0) * lengths
+    size = np.abs(known).sum()
+    if not (np.abs(value - known) <= 1e-6 * (1.0 + np.abs(known))).all():
+        raise CannotCompile("the model gives other values when it is recorded: it looks at what it is given")
+    if not np.abs(rise - each.sum()) <= 1e-3 * np.abs(each).sum() + 1e-5 * (1.0 + size):
+        raise CannotCompile("the likelihood is not smooth in the parameters")
+    return value, gradient
 
 
 def _measured(epoch: Any) -> bool:
@@ -150,11 +230,12 @@ class _Scale:
 class _Likelihood:
     """Log-likelihood as a function of logarithms relative to the start, nan where there is none, with its derivatives."""
 
-    def __init__(self, build: Build, epochs: Sequence[Epoch], scale: _Scale, d: int):
-        self._build, self._epochs, self._scale = build, epochs, scale
+    def __init__(self, build: Build, epochs: Sequence[Epoch], scale: _Scale, d: int, engine: str):
+        self._build, self._epochs, self._scale, self._ones = build, epochs, scale, np.ones(d)
         start = scale(np.zeros(d))
         try:
-            self.first = self._flown(start)
+            here = _flight(build, start, epochs)
+            self.first = float(here.sum())
         except ArithmeticError as error:
             raise ValueError(f"start: expected parameters at which the filter works; {error}") from error
         except ValueError as error:
@@ -162,23 +243,44 @@ class _Likelihood:
             raise
         if not np.isfinite(self.first):
             raise ValueError(f"start: expected a finite log-likelihood, got {self.first}")
-        self.known = {(0.0,) * d: self.first}
+        self.known, self.slopes = {(0.0,) * d: self.first}, dict[tuple[float, ...], Array]()
+        self.engine, self._compiled = engine.replace("auto", "compiled"), None
+        if engine != "numpy":
+            flights = FLIGHTS * (1 + 2 * d) if engine == "auto" else np.inf
+            compiled = Slopes(lambda s: _built(build, scale(s)), epochs, flights)
+            try:
+                _, gradient = _checked(compiled, np.zeros(d), self._ones, here)
+                self._compiled, self.slopes[(0.0,) * d] = compiled, gradient.reshape(-1, d).sum(0)
+            except (ValueError, ArithmeticError, ImportError) as error:
+                if engine == "compiled":
+                    raise
+                self.engine = f"numpy: {error}"
 
-    def _flown(self, parameters: Array) -> float:
-        built = self._build(parameters)
-        if not (isinstance(built, tuple) and len(built) == 2):
-            raise ValueError(f"build: expected a filter and a prior, got {kind(built)}")
-        return float(run(*built, self._epochs, keep="nothing").log_likelihood.sum())
+    def _flown(self, s: Array, key: tuple[float, ...]) -> float:
+        if self._compiled is not None:
+            try:
+                value, gradient = self._compiled(s, self._ones)
+                if np.isfinite(value).all() and np.isfinite(gradient).all():
+                    self.slopes[key] = gradient.reshape(-1, len(s)).sum(0)
+                    return float(value.sum())
+            except (ValueError, ArithmeticError):  # the numpy engine decides whether there is no filter, or only no gradient
+                pass
+        return float(_flight(self._build, self._scale(s), self._epochs).sum())
 
     def __call__(self, s: Array) -> float:
         key = tuple(s.tolist())
         if key not in self.known:
             try:
-                found = self._flown(self._scale(s))
+                found = self._flown(s, key)
             except (ValueError, ArithmeticError):
                 found = np.nan
             self.known[key] = found if np.isfinite(found) else np.nan
         return self.known[key]
+
+    def exact(self, s: Array) -> Array | None:
+        """First derivatives ``(d,)`` by the compiled step, None where it gives none."""
+        self(s)
+        return self.slopes.get(tuple(s.tolist()))
 
     def best(self) -> Array:
         """The most probable of what was tried ``(d,)``."""
@@ -190,11 +292,23 @@ class _Likelihood:
         return np.array([self(s + axis) for axis in axes]), np.array([self(s - axis) for axis in axes])
 
     def gradient(self, s: Array) -> Array:
-        """First derivatives ``(d,)``: of the side where the filter works, 0 where it does on none."""
+        """First derivatives ``(d,)``; by differences those of the side where the filter works, 0 where it does on none."""
+        if (found := self.exact(s)) is not None:
+            return found
         above, below = self._beside(s)
         one, other = above - self(s), self(s) - below
         mean = 0.5 * (np.where(np.isnan(one), other, one) + np.where(np.isnan(other), one, other))
         return np.nan_to_num(mean / STEP)
+
+    def _differences(self, s: Array) -> Array | None:
+        """Of exact gradients ``(d, d)``, None where one is missing."""
+        rows = []
+        for axis in STEP * np.eye(len(s)):
+            above, below = (self.exact(at) if self._compiled else None for at in (s + axis, s - axis))
+            if above is None or below is None:
+                return None
+            rows.append((above - below) / (2.0 * STEP))
+        return np.array(rows)
 
     def cost(self, s: Array) -> tuple[float, Array]:
         """What an optimizer minimizes, and its gradient."""
@@ -205,6 +319,8 @@ class _Likelihood:
 
     def curvature(self, s: Array) -> Array:
         """Second derivatives ``(d, d)``, nan where the filter fails beside s."""
+        if (rows := self._differences(s)) is not None:
+            return 0.5 * (rows + rows.T)
         axes, here, (above, below) = STEP * np.eye(len(s)), self(s), self._beside(s)
         H = np.diag(above - 2.0 * here + below)
         for i, j in combinations(range(len(s)), 2):

@@ -127,7 +127,10 @@ class Engine:
     """Records, compiles and flies the steps of a filter, for runs with the batch axes ``batch``.
 
     most: operations of a step. rolled: whether long code that is the same for several rows becomes a loop.
+    ``stride``: how many numbers of the state stand for one of the filter's.
     """
+
+    stride = 1
 
     def __init__(
         self, filter: Any, prior: Any, data: Data, keep: str, kept: dict[Any, Recorded], *, most: int = MOST, rolled: bool = True
@@ -313,15 +316,20 @@ def _alone(x: Any) -> Any:
 
 def each_run(thing: Any, function: Callable[[Array], Array]) -> Any:
     """A filter with other arrays in place of those that each run has of its own: matrices ``(..., n, m)`` with axes of runs."""
+    return each_array(thing, lambda array: function(array) if array.ndim > 2 else array)
+
+
+def each_array(thing: Any, function: Callable[[Array], Array]) -> Any:
+    """A filter with other arrays; itself where all stay the same."""
     if isinstance(thing, np.ndarray):
-        return function(thing) if thing.ndim > 2 else thing
+        return function(thing)
     if isinstance(thing, partial):
-        inner = [each_run(x, function) for x in (thing.func, *thing.args)]
+        inner = [each_array(x, function) for x in (thing.func, *thing.args)]
         same = all(a is b for a, b in zip(inner, (thing.func, *thing.args), strict=True))
         return thing if same else partial(inner[0], *inner[1:], **thing.keywords)
     if isinstance(thing, tuple):
         make: Any = type(thing)
-        parts = [each_run(part, function) for part in thing]
+        parts = [each_array(part, function) for part in thing]
         if all(a is b for a, b in zip(parts, thing, strict=True)):
             return thing
         return make(*parts) if hasattr(thing, "_fields") else tuple(parts)
@@ -331,7 +339,7 @@ def each_run(thing: Any, function: Callable[[Array], Array]) -> Any:
     changed: dict[str, Any] = {}
     for name in sorted(names):
         before = getattr(thing, name)
-        after = each_run(before, function)
+        after = each_array(before, function)
         if after is not before:
             changed[name] = after
     if not changed:

@@ -96,13 +96,13 @@ def _measured(sensor: Any, parts: Any) -> tuple[Array, Array]:
 
 
 class Flight(NamedTuple):
-    """What a flight leaves: rows ``(K, runs, ...)`` by name, and the tally of each run ``(runs, 5)``."""
+    """What a flight leaves: rows ``(K, runs, ...)`` by name, and the tally of each run ``(runs, 5 stride)``."""
 
     rows: dict[str, Array]
     tally: Array
 
 
-def fly(engine: Engine, data: Data, every: int, jobs: int, device: Device | None) -> Flight:
+def fly(engine: Engine, data: Data, every: int, jobs: int, device: Device | None = None) -> Flight:
     """All runs through all epochs, on a device, or None: on this processor."""
     runs, T = int(np.prod(engine.batch)), len(data.k)
     lanes = 0 if device else 1 if runs == 1 else llvm.lanes()
@@ -115,7 +115,8 @@ def fly(engine: Engine, data: Data, every: int, jobs: int, device: Device | None
     names, K, M = engine.columns(), int(stored.max()) + 1, max((at + x.shape[-1] for at, x in own), default=1)
     kept = sum(names.values())
     rows = {name: np.empty((K, runs, count)) for name, count in names.items()}
-    tally, start = np.empty((runs, len(TALLY))), np.concatenate(engine.start(), 1)
+    counts = len(TALLY) * engine.stride
+    tally, start = np.empty((runs, counts)), np.concatenate(engine.start(), 1)
     table, loop = (np.array(steps, np.int32), stored.astype(np.int64)), _loop(records, size, device)
 
     def some(first: int) -> None:
@@ -135,7 +136,7 @@ def fly(engine: Engine, data: Data, every: int, jobs: int, device: Device | None
         for name, number in names.items():
             rows[name][:, part] = out[:, at : at + number, :count].transpose(0, 2, 1)
             at += number
-        tally[part] = state[:, : len(TALLY)].transpose(0, 2, 1).reshape(width, -1)[:count]
+        tally[part] = state[:, :counts].transpose(0, 2, 1).reshape(width, -1)[:count]
 
     room = device.room() // jobs // (8 * (T * M + K * kept + size)) if device else CHUNK // (8 * T * (kept + M))
     unit = lanes or 1
@@ -178,7 +179,7 @@ def _planned(engine: Engine, data: Data, inputs: dict[Any, Any], lanes: int) -> 
             records[at, kind] = len(records), ids.setdefault(made.after, len(ids)), made
         number, at, _ = records[at, kind]
         steps.append(number)
-    return [made for *_, made in records.values()], steps, engine.held + max(x.size for x in ids)
+    return [made for *_, made in records.values()], steps, (engine.held + max(x.size for x in ids)) * engine.stride
 
 
 def _shared(data: Data, inputs: dict[Any, list[tuple[Array, bool]]]) -> Array:

@@ -141,6 +141,10 @@ class Sensor(_Model):
     _: KW_ONLY
     sqrt_R: Any = None
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _ = self.noisy  # looked at now: while a step is recorded the numbers of R may have no values
+
     @cached_property
     def m(self) -> int | None:
         """How many components the noise says there are; None if it does not say."""

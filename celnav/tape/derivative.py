@@ -1,13 +1,17 @@
-"""Derivatives of what is on a tape, by the chain rule forward: exact, where differences would cost half of the digits."""
+"""Derivatives of what is on a tape, by the chain rule forward: exact, where differences would cost half of the digits.
+
+`along` and `at_zero` differentiate by variables of a model, `with_slopes` a whole step by a parameter of its filter.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from math import log
 from typing import Any
 
 import numpy as np
 
+from celnav.tape.llvm import Kernel
 from celnav.tape.numbers import Numbers, tape_of
 from celnav.tape.routine import Routine
 from celnav.tape.tape import Number, Scalar, Tape, do, operands
@@ -46,8 +50,28 @@ def at_zero(y: Any) -> tuple[Numbers, Numbers]:
     return value, slope
 
 
-def _carried(x: Number, known: dict[int, Carried]) -> Carried:
-    """Value and derivatives of a number; ``known``: those found already."""
+def with_slopes(kernel: Kernel, seeds: Collection[int]) -> Kernel:
+    """The step that carries with each number of its state the derivative by one parameter; it keeps no rows.
+
+    Number ``i`` of the state stands at ``2 i``, its derivative after it. seeds: the numbers before the step, by index, whose
+    derivative may not be 0.
+    """
+    tape, known = kernel.tape, dict[int, Carried]()
+    inputs = [(place, 2 * at if place == "state" else at) for place, at in kernel.inputs]
+    for number, (place, at) in enumerate(kernel.inputs):
+        if place == "state" and at in seeds:
+            x = tape.node("in", number)
+            known[x.i] = x, {0: tape.input()}
+            inputs.append(("state", 2 * at + 1))
+    state = []
+    for at, y in kernel.state:
+        slopes = _carried(y, known, _SMOOTH)[1] if isinstance(y, Number) and not y.logical else {}
+        state += [(2 * at, y), (2 * at + 1, slopes.get(0, 0.0))]
+    return Kernel(tape, inputs, state, [])
+
+
+def _carried(x: Number, known: dict[int, Carried], partials: Mapping[str, Partials] | None = None) -> Carried:
+    """Value and derivatives of a number; ``known``: those found already; ``partials``: of operations, None: `_PARTIALS`."""
     tape, stack = x.tape, [x.i]
     memory: dict[int, list[Carried] | None] = {}
     while stack:
@@ -64,7 +88,9 @@ def _carried(x: Number, known: dict[int, Carried]) -> Carried:
         if name == "call":
             given = [known[a] for a in arguments[1:]]
             same = all(_same(tape, a, value) for a, (value, _) in zip(arguments[1:], given, strict=True))
-            memory[i] = None if same and not any(slopes for _, slopes in given) else _inside(arguments[0], given)
+            memory[i] = (
+                None if same and not any(slopes for _, slopes in given) else _inside(arguments[0], given, partials or _PARTIALS)
+            )
         elif name == "part":
             cells = memory[arguments[0]]
             known[i] = (Number(tape, i), {}) if cells is None else cells[arguments[1]]
@@ -74,11 +100,11 @@ def _carried(x: Number, known: dict[int, Carried]) -> Carried:
             values, slopes = [known[a][0] for a in arguments], [known[a][1] for a in arguments]
             same = all(_same(tape, a, value) for a, value in zip(arguments, values, strict=True))
             value = Number(tape, i) if same else do(name, *values)
-            known[i] = (value, _chained(name, value, values, slopes))
+            known[i] = (value, _chained(name, value, values, slopes, partials or _PARTIALS))
     return known[x.i]
 
 
-def _inside(routine: Routine, given: Sequence[Carried]) -> list[Carried]:
+def _inside(routine: Routine, given: Sequence[Carried], partials: Mapping[str, Partials]) -> list[Carried]:
     """Cells of a routine after it, row by row."""
     cells: list[Any] = [*given, *[None] * (routine.cells - len(given))]
     for stage in routine.stages:
@@ -94,7 +120,7 @@ def _inside(routine: Routine, given: Sequence[Carried]) -> list[Carried]:
                 else:
                     values, slopes = [known[a][0] for a in arguments], [known[a][1] for a in arguments]
                     value = do(name, *values)
-                    known.append((value, _chained(name, value, values, slopes)))
+                    known.append((value, _chained(name, value, values, slopes, partials)))
             for place, index, x in stage.results:
                 cells[at[place] + index] = known[x.i]
     return cells
@@ -104,18 +130,21 @@ def _same(tape: Tape, i: int, value: Scalar) -> bool:
     return (isinstance(value, Number) and value.i == i) or tape.ops[i][0] == "const"
 
 
-def _chained(name: str, value: Scalar, values: list[Scalar], slopes: list[Slopes]) -> Slopes:
+def _chained(name: str, value: Scalar, values: list[Scalar], slopes: list[Slopes], partials: Mapping[str, Partials]) -> Slopes:
     """Derivatives of an operation."""
     if name == "select":
         _, a, b = slopes
         return {k: do("select", values[0], a.get(k, 0.0), b.get(k, 0.0)) for k in sorted(a.keys() | b.keys())}
     out: Slopes = {}
-    for partial, slope in zip(_PARTIALS.get(name, ()), slopes, strict=False):
+    for partial, slope in zip(partials.get(name, ()), slopes, strict=False):
         if slope:
             factor = partial(value, *values)
             for k, x in slope.items():
                 out[k] = do("add", out.get(k, 0.0), do("mul", factor, x))
     return out
+
+
+Partials = tuple[Callable[..., Scalar], ...]
 
 
 def _one(*_: Scalar) -> Scalar:
@@ -134,7 +163,7 @@ def _scaled(factor: float) -> Callable[..., Scalar]:
     return lambda _value, x: do("div", factor, x)
 
 
-_PARTIALS: dict[str, tuple[Callable[..., Scalar], ...]] = {
+_PARTIALS: dict[str, Partials] = {
     "add": (_one, _one),
     "sub": (_one, lambda *_: -1.0),
     "mul": (lambda _v, _a, b: b, lambda _v, a, _b: a),
@@ -169,3 +198,5 @@ _PARTIALS: dict[str, tuple[Callable[..., Scalar], ...]] = {
         lambda v, a, _b: do("mul", v, do("log", a)),
     ),
 }
+_SMOOTH = _PARTIALS | {"sqrt": (lambda v, _a: do("select", do("eq", v, 0.0), 0.0, _over(0.5, v)),)}
+"""The length of a row of zeros, which a singular root has, stays 0."""

@@ -397,3 +397,13 @@ def test_without_llvmlite_numpy_flies(monkeypatch):
         monkeypatch.undo()
         for cached in (celnav.tape.llvm.lanes, celnav.tape.llvm.features):
             cached.cache_clear()
+
+
+def test_a_measurement_noise_of_each_run_that_nobody_has_looked_at():
+    """Compiled before numpy has flown it: whether R is singular is known before the step is recorded."""
+    R = np.array([0.5, 1.0, 2.0])[:, None, None]
+    z = np.random.default_rng(4).standard_normal((6, 3, 1))
+    motion, prior = celnav.Motion(np.eye(1), 0.1 * np.eye(1)), celnav.Gaussian(np.zeros((3, 1)), np.eye(1))
+    found = celnav.compiled(celnav.ukf(motion, celnav.Sensor(np.eye(1), R))).run(prior, np.arange(6.0), z)
+    known = celnav.run(celnav.ukf(motion, celnav.Sensor(np.eye(1), R)), prior, np.arange(6.0), z)
+    np.testing.assert_allclose(found.mean, known.mean, rtol=1e-12, atol=1e-14)

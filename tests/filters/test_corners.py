@@ -142,6 +142,6 @@ def test_a_search_stays_within_its_range():
 
     found = maximize_likelihood(build, [1.0, 1.0], epochs)
     assert found.parameters[0] * (1.0 + 1e-12) >= 1e-3
-    assert np.min(tried) >= 1e-3 * np.exp(-STEP) * (1.0 - 1e-12)  # a difference may look over the edge
+    assert np.min(tried) >= 1e-3 * np.exp(-2.0 * STEP) * (1.0 - 1e-12)  # differences may look over the edge
     assert not found.converged
     assert found.message == "parameter 0 ran to the end of its range, 0.001"

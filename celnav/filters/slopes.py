@@ -1,0 +1,176 @@
+"""The log-likelihood of data and its gradient by parameters of a filter, from one flight of the compiled step.
+
+The arrays of a filter that depend on the parameters, and its prior, are numbers of the state before the first epoch; their
+derivatives come of differences, which cost no flight. From there on the step carries them by the chain rule.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import fields, is_dataclass
+from functools import partial
+from types import FunctionType
+from typing import Any
+
+import numpy as np
+
+from celnav.filters.engine import TALLY, Data, Engine, Kind, Recorded, Shape, each_array
+from celnav.filters.flight import as_data, fly
+from celnav.filters.records import Epoch, Epochs
+from celnav.gaussian.linalg import Array
+from celnav.gaussian.rules import AnyDimension
+from celnav.tape.derivative import with_slopes
+from celnav.tape.llvm import digest
+from celnav.tape.tape import CannotCompile
+
+STEP = 1e-3
+"""Of the differences of arrays, of fourth order: round-off and what they leave out are below 1e-12."""
+SMOOTH = 1e-3  # of the largest derivative, that differences of two steps may be apart
+COMPILE_S, CALL_S, OPERATION_S = 3e-4, 3e-4, 1.4e-9
+"""What compiling takes for an operation of a step, and numpy for a step and for an operation of it in one run; about, s."""
+Build = Callable[[Array], tuple[Any, Any]]
+
+
+class Slopes:
+    """Log-likelihood and gradient as a function of parameters, of a filter and prior that ``build (d,)`` makes of them.
+
+    What was compiled is kept. At other parameters the step is recorded again and must be the same, operation by operation, unless
+    the models are known to be the same functions of the same numbers.
+
+    flights: how many flights of the numpy engine one of these is to stand for; what takes longer to compile is refused.
+    """
+
+    def __init__(self, build: Build, epochs: Epochs | Sequence[Epoch], flights: float = np.inf):
+        self.build, self.epochs, self.flights = build, epochs, flights
+        self.kept: dict[Any, Recorded] = {}
+        self.recorded: list[tuple[Shape, Kind, Any, bytes]] = []
+        self.seeds = np.zeros(0, bool)
+        self.first: Any = None
+
+    def __call__(self, x: Array, lengths: Array) -> tuple[Array, Array]:
+        """Value ``(...)`` of each run, nan where it is lost, and gradient ``(..., d)``.
+
+        lengths: ``(d,)``, over which the arrays of a filter are smooth; their differences take thousandths. `CannotCompile` says
+        why there is no gradient: a model that cannot be recorded, or that knows the parameters otherwise than by matrices of the
+        filter. ImportError says that there is no compiler.
+        """
+        built, beside = self.build(x), [[self.build(x + j * STEP * axis) for j in (-2, -1, 1, 2)] for axis in np.diag(lengths)]
+        held = _varying([built[0], *(filter for four in beside for filter, _ in four)])
+        data = as_data(built[0], self.epochs)
+        starts = [[_start(one, held, data) for one in four] for four in beside]
+        other, _ = self.build(x + STEP * lengths * np.linspace(0.5, 1.0, len(x)))
+        engine, twin = (_Sloped((_lifted(filter, held), built[1]), data, self.kept) for filter in (built[0], other))
+        engine.twin, engine.flown = twin, self.flights * len(data.k)
+        slopes = [fourth_order(four, STEP, SMOOTH) / length for four, length in zip(starts, lengths, strict=True)]
+        seeds = np.any(slopes, (0, 1))
+        if len(seeds) != len(self.seeds) or (seeds & ~self.seeds).any():  # what had no derivative has one now
+            self.seeds, self.kept, engine.kept, self.recorded = seeds, {}, {}, []
+        engine.seeds = set(np.flatnonzero(self.seeds).tolist())
+        for one in () if alike(self.first, built[0]) else self.recorded:
+            engine.check(engine, *one)
+        flown = []
+        for engine.slopes in slopes:
+            flown.append(fly(engine, data, 1, 1).tally.reshape(-1, len(TALLY), 2))
+        self.kept, self.recorded, self.first = engine.kept, self.recorded + engine.recorded, self.first or built[0]
+        lost = flown[0][:, TALLY.index("failed_at"), 0] >= 0.0
+        batch = () if built[1].mean.ndim == 1 and engine.batch == (1,) else engine.batch
+        gradient = np.stack([tally[:, 0, 1] for tally in flown], -1)
+        return np.where(lost, np.nan, flown[0][:, 0, 0]).reshape(batch), gradient.reshape(*batch, len(x))
+
+
+class _Sloped(Engine):
+    """An engine whose state has beside each number its derivative, before the first epoch ``slopes (runs, numbers)``."""
+
+    stride = 2
+    slopes: Array
+    seeds: set[int]
+    twin: _Sloped
+    flown: float
+
+    def __init__(self, built: tuple[Any, Any], data: Data, kept: dict[Any, Recorded]):
+        super().__init__(*built, data, "nothing", kept, rolled=False)
+        self.recorded: list[tuple[Shape, Kind, Any, bytes]] = []
+
+    def columns(self) -> dict[str, int]:
+        return {}
+
+    def start(self) -> list[Array]:
+        values = np.concatenate(super().start(), 1)
+        return [np.stack(np.broadcast_arrays(values, self.slopes), -1).reshape(len(values), -1)]
+
+    def plain(self, before: Shape, kind: Kind, u: list[tuple[Array, bool]]) -> tuple[Recorded, bytes]:
+        """The step without derivatives, and what it is known by."""
+        made = super().record(before, kind, u)
+        return made, digest(made.kernel)
+
+    def check(self, engine: _Sloped, before: Shape, kind: Kind, u: list[tuple[Array, bool]], known: bytes) -> None:
+        """Raise `CannotCompile` where another filter's step is not the same."""
+        if engine.plain(before, kind, u)[1] != known:
+            raise CannotCompile("a model knows the parameters otherwise than by matrices of the filter")
+
+    def record(self, before: Shape, kind: Kind, u: list[tuple[Array, bool]]) -> Recorded:
+        made, known = self.plain(before, kind, u)
+        self.check(self.twin, before, kind, u, known)
+        size = len(made.kernel.tape.ops)
+        if COMPILE_S * size > self.flown * (CALL_S + OPERATION_S * size * float(np.prod(self.batch))):
+            raise CannotCompile(f"a step of {size} operations takes longer to compile than it saves")
+        self.recorded.append((before, kind, u, known))
+        seeds = {0, *(at for at in range(self.held) if at in self.seeds), *range(self.held, self.held + before.size)}
+        return made._replace(kernel=with_slopes(made.kernel, seeds))
+
+
+def _arrays(filter: Any) -> list[Array]:
+    found: list[Array] = []
+    each_array(filter, lambda array: found.append(array) or array)  # type: ignore[func-returns-value]
+    return found
+
+
+def _varying(filters: Sequence[Any]) -> set[int]:
+    """Which arrays of filters differ, by the order in which they come."""
+    first, *others = map(_arrays, filters)
+    if any([x.shape for x in other] != [x.shape for x in first] for other in others):
+        raise CannotCompile("the filter's arrays change their shapes with the parameters")
+    return {i for other in others for i, (x, y) in enumerate(zip(first, other, strict=True)) if not np.array_equal(x, y)}
+
+
+def _lifted(filter: Any, held: set[int]) -> Any:
+    """The filter, with matrices as those that each run has of its own."""
+    count = iter(range(10**6))
+    return each_array(filter, lambda x: x[None] if next(count) in held and x.ndim == 2 else x)
+
+
+def _start(built: tuple[Any, Any], held: set[int], data: Any) -> Array:
+    """The state before the first epoch ``(runs, numbers)``, the filter's matrices first."""
+    return np.concatenate(Engine(_lifted(built[0], held), built[1], data, "nothing", {}).start(), 1)
+
+
+def alike(a: Any, b: Any, matrices: bool = True) -> bool:
+    """Whether parts of two filters are known to be the same program: the same data, but for the filters' own ``matrices``, and
+    functions of the same code with the same values in their closures."""
+    if a is b:
+        return True
+    if type(a) is not type(b):
+        return False
+    if isinstance(a, np.ndarray):
+        return a.shape == b.shape and ((matrices and a.ndim > 1) or np.array_equal(a, b))
+    if isinstance(a, str | float | int):
+        return bool(a == b)
+    if isinstance(a, tuple | list):
+        return len(a) == len(b) and all(alike(x, y, matrices) for x, y in zip(a, b, strict=True))
+    if isinstance(a, dict):
+        return list(a) == list(b) and all(alike(a[name], b[name], matrices) for name in a)
+    if isinstance(a, partial):
+        return alike((a.func, a.args, a.keywords), (b.func, b.args, b.keywords), matrices)
+    if isinstance(a, FunctionType):
+        x, y = ([f.__defaults__, f.__kwdefaults__, [cell.cell_contents for cell in f.__closure__ or ()]] for f in (a, b))
+        return a.__code__ is b.__code__ and alike(x, y, matrices=False)
+    names = ["make"] if isinstance(a, AnyDimension) else [field.name for field in fields(a)] if is_dataclass(a) else []
+    return bool(names) and all(alike(getattr(a, name), getattr(b, name), matrices) for name in names)
+
+
+def fourth_order(values: Sequence[Array], step: float, smooth: float | None = None) -> Array:
+    """The derivative by values at -2, -1, 1 and 2 steps; `CannotCompile` where those of one and of two are too far apart."""
+    far, near = (values[3] - values[0]) / (4.0 * step), (values[2] - values[1]) / (2.0 * step)
+    if smooth and not np.abs(far - near).max() <= smooth * np.abs(near).max() + 1e-9 * np.abs(values[0]).max():
+        raise CannotCompile("matrices of the filter, or the prior, do not change smoothly with the parameters")
+    return np.asarray((4.0 * near - far) / 3.0)
