@@ -80,18 +80,9 @@ class Fixed(NamedTuple):
     left: tuple[Array, Array]
     G: tuple[Array, Array]
 
-    @property
-    def kept(self) -> Array:
-        """Measurements that may be used ``(T, 2 S)``."""
-        return self._measurements("kept")
-
-    @property
-    def excluded(self) -> Array:
-        """Faulty ones ``(T, 2 S)``."""
-        return self._measurements("excluded")
-
-    def _measurements(self, name: str) -> Array:
-        return np.concatenate([getattr(kind, name)[:, : self.sigma.shape[-1] // 2] for kind in self.kinds], -1)
+    def measurements(self, what: str) -> Array:
+        """Of ranges and rates ``(T, 2 S)``, whether they are "kept" or "excluded"."""
+        return np.concatenate([getattr(kind, what)[:, : self.sigma.shape[-1] // 2] for kind in self.kinds], -1)
 
     @property
     def misfit(self) -> Array:
@@ -160,8 +151,8 @@ def _kind(
     model: Callable[[Array, Array], tuple[Array, Array]], possible: Callable[[Array], Array], comparable: Callable[[Array], Array],
     z: Array, sigma: Array, start: Array, false_alarm: float,
 ) -> _Kind:  # fmt: skip
-    """Fixes of one kind: ``model``: ``(epochs, states) ->`` measurements and Jacobians; ``possible`` makes others nan;
-    ``comparable``: of measurements ``(K, S)`` that there are, those that are not alone, and what takes the place of others.
+    """Fixes of one kind: ``model``: ``(epochs, states) ->`` measurements and Jacobians; ``possible`` makes other states nan;
+    ``comparable``: those of the measurements ``(K, S)`` that are not alone.
     """
 
     def solve(rows: Array, kept: Array) -> tuple[Array, Array]:

@@ -112,11 +112,7 @@ class Log:
 
     def part(self, which: slice) -> Log:
         """Some of the epochs."""
-        names = (
-            "times", "z", "sigma", "q", "w", "elevation", "azimuth", "fixes", "fix_cov", "misfit", "excluded", "unusable", "tested",
-            "jumps",
-        )  # fmt: skip
-        arrays: dict[str, Any] = {name: getattr(self, name)[which] for name in names}
+        arrays: dict[str, Any] = {k: v[which] for k, v in vars(self).items() if isinstance(v, np.ndarray)}
         return replace(self, **arrays, dilution=Dilution(*(values[which] for values in self.dilution)))
 
 
@@ -187,9 +183,10 @@ def prepare(
         near = found.states[_nearest(there)]
         position, velocity, clock = near[:, :3], np.nan_to_num(near[:, 3:6]), near[:, 6]
     left_out["below the mask"] = int((usable & ~used).sum())
-    lone = np.isfinite(z) & ~found.kept & ~found.excluded & ~np.repeat(found.kinds[0].unusable, z.shape[-1]).reshape(z.shape)
-    left_out["the only range of a system, which nothing tests"] = int(lone[:, : len(observations.names)].sum())
-    z = np.where(found.kept, z, np.nan)
+    kept, excluded = found.measurements("kept"), found.measurements("excluded")
+    lone = (np.isfinite(z) & ~kept & ~excluded)[:, : code.shape[-1]] & ~found.kinds[0].unusable[:, None]
+    left_out["the only range of a system, which nothing tests"] = int(lone.sum())
+    z = np.where(kept, z, np.nan)
     first = int(np.argmax(there & found.kinds[0].tested)) if (there & found.kinds[0].tested).any() else int(np.argmax(there))
     z, states, jumps = _without_jumps(z, found.states, times)
     ranged = np.isfinite(z[:, : len(observations.names)])
@@ -197,7 +194,7 @@ def prepare(
     shown = np.where(usable, 1.0, np.nan)
     log = Log(
         times, observations.names, z, found.sigma, seen.q, seen.w, shown * elevation, shown * azimuth, states, found.cov,
-        found.misfit, found.excluded,
+        found.misfit, excluded,
         np.stack([kind.unusable for kind in found.kinds], -1), np.stack([kind.tested for kind in found.kinds], -1), noise, jumps,
         dilution(seen.q, position, _axes(position), ranged, second), navigation.klobuchar is not None, left_out, others,
         (str(observations.path), *str(navigation.path).split(", ")),
@@ -212,12 +209,7 @@ def _second(names: list[str]) -> Array | None:
 
 
 def chosen(systems: str | None) -> str:
-    """Letters of systems, in the order of `SYSTEMS`; None: all.
-
-    Raises
-    ------
-    ValueError: for others.
-    """
+    """Letters of systems, in the order of `SYSTEMS`; None: all. ValueError for others."""
     if systems is not None and (not systems or set(systems) - set(SYSTEMS)):
         known = ", ".join(f"{letter} ({system.name})" for letter, system in SYSTEMS.items())
         raise ValueError(f"systems: expected letters of {known}, got {systems!r}")
@@ -239,12 +231,7 @@ def _of_systems(
 
 
 def deviations(sigma: ArrayLike | None) -> tuple[Noise, Noise] | None:
-    """Noise of ranges and rates by their deviations at the zenith, m and m/s; None: to be estimated.
-
-    Raises
-    ------
-    ValueError: unless both are positive.
-    """
+    """Noise of ranges and rates by deviations at the zenith, m, m/s; None: to be estimated. ValueError unless they are positive."""
     if sigma is None:
         return None
     given = finite("sigma", sigma, (2,))
@@ -254,12 +241,7 @@ def deviations(sigma: ArrayLike | None) -> tuple[Noise, Noise] | None:
 
 
 def mask(degrees: float) -> float:
-    """A least elevation in rad.
-
-    Raises
-    ------
-    ValueError: unless it is from 0 to below 90 degrees.
-    """
+    """A least elevation in rad; ValueError unless it is from 0 to below 90 degrees."""
     if not 0.0 <= degrees < 90.0:
         raise ValueError(f"mask_deg: expected degrees from 0 to below 90, got {degrees!r}")
     return float(np.radians(degrees))

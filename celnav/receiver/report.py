@@ -34,9 +34,10 @@ IGSO_NUMBERS = frozenset({*range(6, 11), 13, 16, 31, 38, 39, 40, 56})
 
 def kinds(names: Sequence[str]) -> Array:
     """GEO, IGSO or MEO of BeiDou, or GPS, of satellites by name."""
-    numbers = [(name[0], int(name[1:])) for name in names]
-    own = ["GPS" if s == "G" else "GEO" if n in GEO_NUMBERS else "IGSO" if n in IGSO_NUMBERS else "MEO" for s, n in numbers]
-    return np.array(own)
+    named = [(name[0], int(name[1:])) for name in names]
+    return np.array(
+        ["GPS" if s == "G" else "GEO" if n in GEO_NUMBERS else "IGSO" if n in IGSO_NUMBERS else "MEO" for s, n in named]
+    )
 
 
 @dataclass(frozen=True)

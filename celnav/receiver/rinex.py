@@ -33,7 +33,6 @@ from celnav.receiver.rinex_text import (
 )
 from celnav.receiver.sky import local_axes, on_earth
 
-BDT_BEGINNING = np.datetime64("2006-01-01T00:00:00", "ns")
 AHEAD_S = {"BDT": 0.0, "GPS": GPS_AHEAD_S, "GAL": GPS_AHEAD_S}
 """How far time systems of observation files are ahead of BDT."""
 
@@ -127,15 +126,10 @@ class Navigation:
         return np.where(good, best, -1)
 
 
-def codes_of(system: str, version: float) -> tuple[str, ...]:
-    """Codes of a system's signal by their RINEX names; version 3.02 alone called B1I's band 1, which is B1C's since."""
-    return SYSTEMS[system].codes + (("C1X", "C1Q") if system == "C" and version < 3.03 else ())
-
-
 def read_observations(path: str | Path) -> Observations:
     """Code and Doppler of B1I and L1 C/A of an observation file, plain, gzipped or in Hatanaka's compression.
 
-    Where a satellite has several codes of a carrier, the first of `codes_of` that is there is taken.
+    Where a satellite has several codes of a carrier, the first of its `System` that is there is taken.
 
     Raises
     ------
@@ -145,9 +139,10 @@ def read_observations(path: str | Path) -> Observations:
     text, called = unpacked(file)
     header, start = header_of(called, text, "O")
     places: dict[str, list[tuple[int, int]]] = {}
+    older = ("C1X", "C1Q") if float(text[:9]) < 3.03 else ()  # version 3.02 alone called B1I's band 1, which is B1C's since
     for system in SYSTEMS:
         kinds = kinds_of(called, header, system)
-        codes = [code for code in codes_of(system, float(text[:9])) if code in kinds]
+        codes = [code for code in SYSTEMS[system].codes + older * (system == "C") if code in kinds]
         if codes:
             places[system] = [(kinds.index(c), kinds.index("D" + c[1:]) if "D" + c[1:] in kinds else -1) for c in codes]
         if any(line[2:6].strip() not in ("", "1") for line in of_system(header.get("SYS / SCALE FACTOR", []), system)):
@@ -270,12 +265,7 @@ def _columns(read: list[Set]) -> dict[str, Array]:
 
 
 def read_ionosphere(path: str | Path) -> tuple[Array, Array]:
-    """Klobuchar's coefficients from the header of a navigation file of RINEX 2 or 3, of GPS or mixed.
-
-    Raises
-    ------
-    InputError: naming the file, if its header has none. OSError: if it cannot be read.
-    """
+    """Klobuchar's coefficients from a header of RINEX 2 or 3; InputError naming the file if there are none."""
     text, called = unpacked(Path(path))
     found = _klobuchar(path, header_of(called, text, "N", oldest=2)[0])
     if found is None:
@@ -284,12 +274,7 @@ def read_ionosphere(path: str | Path) -> tuple[Array, Array]:
 
 
 def ionosphere(called: str | Path, numbers: ArrayLike) -> tuple[Array, Array]:
-    """Klobuchar's coefficients of eight numbers, alpha and beta.
-
-    Raises
-    ------
-    InputError: if no message can hold them.
-    """
+    """Klobuchar's coefficients of eight numbers, alpha and beta; InputError if no message can hold them."""
     alpha, beta = np.asarray(numbers, dtype=np.float64).reshape(2, 4)
     if not ((np.abs(alpha) <= MOST_ALPHA).all() and (np.abs(beta) <= MOST_BETA).all()):
         raise InputError(f"{called}: expected coefficients of the ionosphere that a message can hold, got {alpha} and {beta}")

@@ -15,7 +15,7 @@ from importlib import import_module
 from importlib.resources import as_file, files
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -59,8 +59,12 @@ def unpacked(path: Path) -> tuple[str, str]:
 
 def _decompressed(path: Path, raw: bytes, most: int) -> bytes:
     """By the program of hatanaka, which is stopped after ``most`` bytes: its own function would hold all that comes."""
-    imported("hatanaka")
-    program = files("hatanaka.bin") / ("crx2rnx.exe" if os.name == "nt" else "crx2rnx")
+    try:
+        import_module("hatanaka")
+        program = files("hatanaka.bin") / ("crx2rnx.exe" if os.name == "nt" else "crx2rnx")
+    except ImportError as error:
+        hint = '.venv/bin/pip install -c constraints.txt -e ".[rinex]"'
+        raise ImportError(f"{error}; compressed receiver logs need it: in the folder of celnav, {hint}") from None
     with tempfile.TemporaryFile() as given, tempfile.TemporaryFile() as told, as_file(program) as executable:
         given.write(raw)
         given.seek(0)
@@ -76,15 +80,6 @@ def _decompressed(path: Path, raw: bytes, most: int) -> bytes:
         line = said.splitlines()[-1].strip() if said else f"exit status {process.returncode}"
         raise InputError(f"{path}: expected a whole file in Hatanaka's compression ({line})")
     return out
-
-
-def imported(name: str) -> Any:
-    """A package that only receiver logs need; ImportError says how to get it."""
-    try:
-        return import_module(name)
-    except ImportError as error:
-        hint = '.venv/bin/pip install -c constraints.txt -e ".[rinex]"'
-        raise ImportError(f"{error}; compressed receiver logs need it: in the folder of celnav, {hint}") from None
 
 
 def header_of(called: str, text: str, kind: str, oldest: int = 3) -> tuple[dict[str, list[str]], int]:
@@ -194,12 +189,7 @@ def _epoch(called: str, k: int, line: str) -> tuple[int, int, float]:
 
 
 def _seconds(date: list[str]) -> float:
-    """Of BDT, of a date in six parts; nan of none.
-
-    Raises
-    ------
-    ValueError: if it is no date.
-    """
+    """Of BDT, of a date in six parts; nan of none, ValueError of what is no date."""
     if not date:
         return math.nan
     year, month, day, hour, minute = (int(part) for part in date[:5])
@@ -265,12 +255,7 @@ def _number(called: str, k: int, field: str) -> float:
 
 
 def finite_number(text: str) -> float:
-    """A number; what else Python takes for one, no file has: 1_0, nan and infinity.
-
-    Raises
-    ------
-    ValueError: if it is none.
-    """
+    """A number, or ValueError; what else Python takes for one, no file has: 1_0, nan and infinity."""
     value = float(text.replace("D", "E").replace("d", "e"))
     if "_" in text or not math.isfinite(value):
         raise ValueError

@@ -5,7 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from datetime import timedelta
 from functools import reduce
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -16,7 +17,7 @@ from pymap3d import ecef2geodetic
 import celnav
 from celnav.gaussian.linalg import Array
 from celnav.models.gnss import ELLIPSOID, GPS_AHEAD_S, WEEK_S
-from celnav.receiver.rinex import BDT_BEGINNING
+from celnav.receiver.rinex_text import EPOCH_ZERO
 from celnav.receiver.sky import local_axes
 
 if TYPE_CHECKING:
@@ -32,10 +33,9 @@ COLUMNS = ("time_bdt", "seconds_bdt", "x_m", "y_m", "z_m", "vx_m_per_s", "vy_m_p
            "integrity", "excluded")  # fmt: skip
 
 
-def civil(t: float, form: str = "{}-{}-{}T{}:{}:{}", digits: int = 0) -> str:
-    """Date and time of seconds of BDT, or of another time scale on the same calendar; ``digits`` of the second, 0 or 3."""
-    text = str(BDT_BEGINNING + np.timedelta64(round(t * 1e3), "ms"))[: 23 if digits else 19]
-    return form.format(text[:4], text[5:7], text[8:10], text[11:13], text[14:16], text[17:])
+def civil(t: float, form: str = "%Y-%m-%dT%H:%M:%S") -> str:
+    """Date and time of seconds of BDT; of GPS time, with those by which it is ahead."""
+    return (EPOCH_ZERO + timedelta(milliseconds=round(t * 1e3))).strftime(form)
 
 
 def table(found: Positioned) -> str:
@@ -67,7 +67,7 @@ def table(found: Positioned) -> str:
 
 
 class Place(NamedTuple):
-    """A measured epoch: s of BDT, degrees and m above the ellipsoid, velocity and covariance by east, north and up."""
+    """A measured epoch: s of BDT, degrees, m above the ellipsoid; velocity and covariance by east, north and up."""
 
     time: float
     latitude: float
@@ -79,25 +79,23 @@ class Place(NamedTuple):
     hdop: float
 
 
-def places(found: Positioned) -> Iterator[Place]:
-    """Of all epochs whose position some range went into."""
-    k = np.flatnonzero(found.measured)
+def places(found: Positioned) -> list[Place]:
+    """All epochs whose position some range went into."""
+    k, log = np.flatnonzero(found.measured), found.log
     latitude, longitude, height = (np.reshape(v, k.size) for v in ecef2geodetic(*found.mean[k, :3].T, ell=ELLIPSOID))
     axes = local_axes(np.radians(latitude), np.radians(longitude))
     velocity, cov = (axes @ found.mean[k, 3:6, None])[..., 0], axes @ found.cov[k] @ axes.mT
-    several = zip(latitude.tolist(), longitude.tolist(), height.tolist(), strict=True)
-    for i, (row, at) in enumerate(zip(k, several, strict=True)):
-        used, hdop = int(found.log.used[row].sum()), float(found.log.dilution.horizontal[row])
-        yield Place(float(found.log.times[row]), *at, velocity[i], cov[i], used, hdop)
+    columns = log.times[k], latitude, longitude, height, velocity, cov, log.used[k].sum(1), log.dilution.horizontal[k]
+    return [Place(*row) for row in zip(*columns, strict=True)]
 
 
 def pos(found: Positioned) -> str:
     """RTKLIB's solution file, in GPS time: latitude, longitude and height with their deviations; every solution is a single one."""
-    rows, slash = list(places(found)), "{}/{}/{} {}:{}:{}"
+    rows, form = places(found), "%Y/%m/%d %H:%M:%S.%f"
     lines = [f"% program   : celnav {celnav.__version__} {found.filter}", *(f"% inp file  : {name}" for name in found.log.files)]
     for name, place in (("start", rows[0]), ("end  ", rows[-1])):
         week, second = divmod(place.time + GPS_AHEAD_S, WEEK_S)
-        when = civil(place.time + GPS_AHEAD_S, slash, 3)[:-2]
+        when = civil(place.time + GPS_AHEAD_S, form)[:-5]
         lines.append(f"% obs {name} : {when} GPST (week{GPS_WEEK + int(week):04d} {second:8.1f}s)")
     systems = " ".join({"C": "beidou", "G": "gps"}[letter] for letter in found.log.systems[::-1])
     lines += [
@@ -115,7 +113,7 @@ def pos(found: Positioned) -> str:
         (ee, en, eu), (_, nn, nu), (_, _, uu) = place.cov
         deviations = "".join(f" {np.copysign(np.sqrt(abs(v)), v):8.4f}" for v in (nn, ee, uu, en, eu, nu))
         lines.append(
-            f"{civil(place.time + GPS_AHEAD_S, slash, 3)} {place.latitude:14.9f} {place.longitude:14.9f} {place.height:10.4f}"
+            f"{civil(place.time + GPS_AHEAD_S, form)[:-3]} {place.latitude:14.9f} {place.longitude:14.9f} {place.height:10.4f}"
             f"   5 {place.satellites:3d}{deviations} {0.0:6.2f} {0.0:6.1f}"
         )
     return "\n".join(lines) + "\n"
@@ -131,7 +129,7 @@ def utc(times: Array) -> list[str]:
 
 def geojson(found: Positioned) -> str:
     """A line of longitude, latitude (degrees) and height above the ellipsoid (m) [RFC 7946], with its times in UTC."""
-    rows = list(places(found))
+    rows = places(found)
     line = [[round(row.longitude, 9), round(row.latitude, 9), round(row.height, 4)] for row in rows]
     shape = {"type": "LineString", "coordinates": line} if len(line) > 1 else {"type": "Point", "coordinates": line[0]}
     about = {"filter": found.filter, "coordTimes": utc(np.array([row.time for row in rows]))}
@@ -142,8 +140,7 @@ def geojson(found: Positioned) -> str:
 def nmea(found: Positioned) -> str:
     """GGA and RMC of each epoch, in UTC. Heights are above the ellipsoid, with a separation of 0: no geoid is known here."""
     talker = {"C": "GB", "G": "GP"}.get(found.log.systems, "GN")
-    rows = list(places(found))
-    lines = []
+    rows, lines = places(found), []
     for row, when in zip(rows, utc(np.array([row.time for row in rows])), strict=True):
         clock, date = when[11:-1].replace(":", ""), when[8:10] + when[5:7] + when[2:4]
         at = f"{_angle(row.latitude, 2, 'NS')},{_angle(row.longitude, 3, 'EW')}"
@@ -158,7 +155,7 @@ def nmea(found: Positioned) -> str:
 def _angle(degrees: float, digits: int, signs: str) -> str:
     """Degrees and minutes, as NMEA writes them."""
     whole, minutes = divmod(round(abs(degrees) * 60.0, 6), 60.0)
-    return f"{int(whole):0{digits}d}{minutes:09.6f},{signs[degrees < 0.0]}"
+    return f"{int(whole):0{digits}d}{minutes:09.6f},{signs[int(degrees < 0.0)]}"
 
 
 FORMATS: dict[str, Callable[[Positioned], str]] = {".csv": table, ".pos": pos, ".geojson": geojson, ".nmea": nmea}

@@ -43,7 +43,7 @@ def test_a_solution_of_rtklib_has_its_columns_and_its_time(found):
     assert len(rows) == 6
     for k, row in enumerate(rows):
         assert len(row) == len(names)
-        assert row[:23] == tracks.civil(LONG[k] + 14.0, "{}/{}/{} {}:{}:{}", 3)
+        assert row[:23] == tracks.civil(LONG[k] + 14.0, "%Y/%m/%d %H:%M:%S.000")
         latitude, longitude, height, q, ns, *std = (float(v) for v in row[23:].split())
         np.testing.assert_allclose(geodetic2ecef(latitude, longitude, height, ell=ELLIPSOID), found.mean[k, :3], atol=2e-4)
         assert (q, ns) == (5.0, found.log.used[k].sum())
