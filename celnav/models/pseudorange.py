@@ -1,8 +1,8 @@
 """Pseudoranges and their rates: where satellites were when they sent, and what a receiver then measures.
 
 Positions are Earth-fixed at the time of reception, m; clocks are in m (times the speed of light). The state of a receiver is
-``(p, v, b, d)``: position, velocity, clock bias and drift; with a second system of satellites ``(p, v, b, d, o)``, whose clock has
-the bias ``b + o``. A measurement has all ranges first, then all rates.
+``(p, v, b, d)``: position, velocity, clock bias and drift; with a second system of satellites ``(p, v, b, d, o)``, of which ranges
+have the bias ``b + o``. A measurement has all ranges first, then all rates.
 """
 
 from __future__ import annotations

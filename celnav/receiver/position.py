@@ -1,7 +1,7 @@
 """From a receiver's log to what a filter takes: satellites, corrected measurements, first fixes.
 
-State: position (m, Earth-fixed), velocity (m/s), clock bias (m) and drift (m/s), and with two systems the offset of the second
-one's clock (m), as in `celnav.models.pseudorange`.
+State: position (m, Earth-fixed), velocity (m/s), clock bias (m) and drift (m/s), and with two systems what the bias of the second
+one is more (m), as in `celnav.models.pseudorange`.
 """
 
 from __future__ import annotations

@@ -166,7 +166,8 @@ def _systems(found: Positioned) -> str:
     words = " and ".join(f"{SYSTEMS[letter].name} {SYSTEMS[letter].signal}" for letter in found.log.systems)
     if found.log.second is not None:
         offsets = found.mean[np.isfinite(found.mean[:, 8]), 8]
-        words += f", whose clock is ahead by {np.median(offsets) if offsets.size else np.nan:.2f} m (median)"
+        longer = np.median(offsets) if offsets.size else np.nan
+        words += f", whose ranges are longer by {longer:.2f} m (median): its clock, and the receiver's delays"
     return words + (f"; not used: {', '.join(found.log.others)}" if found.log.others else "")
 
 
@@ -232,7 +233,7 @@ def _sky(found: Positioned) -> Figure:
             polar.annotate(log.names[s], (log.azimuth[last, s], seen[last]), fontsize=6)
     polar.set_rlim(0.0, 90.0)
     polar.set_title("sky: zenith in the middle, north up")
-    fig.legend(*polar.get_legend_handles_labels(), loc="outside lower left", markerscale=4, ncols=3)
+    fig.legend(*polar.get_legend_handles_labels(), loc="outside lower left", markerscale=4, ncols=4)
     axes[1].step(found.minutes, log.used.sum(1), color=colors.COMPARISON, label="satellites", where="post")
     axes[1].plot(found.minutes, log.dilution.position, color=colors.ESTIMATE, label="PDOP", linewidth=0.9)
     high = max(float(log.used.sum(1).max()), 1.0)
