@@ -141,9 +141,9 @@ def _parser() -> tuple[_Parser, dict[str, _Parser]]:
     view.add_argument("--picture", metavar="FILE.png", help="write a picture instead of opening a window; needs no display")
     view.add_argument("--at", metavar="S", help="time in the recording that a picture shows, s (default: its end)")
 
-    position = command("position", "position a BeiDou receiver from its RINEX 3 files")
+    position = command("position", "position a receiver of BeiDou and GPS from its RINEX 3 files")
     position.add_argument("observations", metavar="OBS", help="observation file, plain, .gz or .crx")
-    position.add_argument("navigation", metavar="NAV", help="navigation file of the same day")
+    position.add_argument("navigation", metavar="NAV", nargs="+", help="navigation files of the same day")
     position.add_argument(
         "--filter",
         default="aukf",
@@ -155,6 +155,12 @@ def _parser() -> tuple[_Parser, dict[str, _Parser]]:
         nargs=3,
         metavar=("X", "Y", "Z"),
         help="known position of the marker, m, Earth-fixed; the header's offset of the antenna is added (default: the header's)",
+    )
+    position.add_argument("--systems", metavar="G,C", help="GPS, BeiDou or both (default: what has both ranges and orbits)")
+    position.add_argument(
+        "--ion",
+        metavar="FILE",
+        help="navigation file whose header corrects the ionosphere, or its eight numbers, A0,A1,...,B3 (default: NAV)",
     )
     position.add_argument("--mask", default="10", metavar="DEG", help="least elevation of satellites (default: 10)")
     position.add_argument(
@@ -172,7 +178,12 @@ def _parser() -> tuple[_Parser, dict[str, _Parser]]:
         metavar="P",
         help="probability that a sound epoch fails the test for faulty satellites; 0: no test (default: 1e-5)",
     )
-    position.add_argument("--out", default="out/position", metavar="DIR", help="where to write (default: out/position)")
+    position.add_argument(
+        "--out",
+        default="out/position",
+        metavar="DIR",
+        help="folder for everything, or a file for the track: .csv, .pos (RTKLIB), .geojson or .nmea (default: out/position)",
+    )
 
     diagnose = command(
         "diagnose", "say whether residuals are white, without bias, and as large as claimed; and which noise they have"

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 from pymap3d import ecef2geodetic
 
 from celnav.models import pseudorange
-from celnav.models.beidou import B1I_HZ, ELLIPSOID, GPS_AHEAD_S, LIGHT
+from celnav.models.gnss import B1I_HZ, ELLIPSOID, GPS_AHEAD_S, L1_HZ, LIGHT
 from celnav.receiver.constellation import synthetic
 from celnav.receiver.rinex import Observations
-from celnav.receiver.sky import GPS_L1_HZ, klobuchar, local_axes, look, saastamoinen
+from celnav.receiver.sky import klobuchar, local_axes, look, saastamoinen
 
 WEEK = 755
 TOE = 604800.0 * WEEK + 345600.0
@@ -26,6 +26,20 @@ def constellation():
     return replace(b, a0=1e-4 * rng.normal(size=len(b)), a1=1e-11 * rng.normal(size=len(b)), tgd=1e-8 * rng.normal(size=len(b)))
 
 
+def gps():
+    """Satellites of GPS: four in each of six planes."""
+    b = constellation()
+    b, k = b.chosen(b.number >= 19.0).chosen(np.arange(24)), np.arange(24)
+    angles = {"Omega0": np.radians(60.0 * (k // 4) + 25.0), "M0": np.radians(90.0 * (k % 4) + 37.0 * (k // 4))}
+    return replace(b, number=k + 1.0, gps=np.ones(24), sqrt_a=np.full(24, np.sqrt(26560e3)), e=np.full(24, 0.01), **angles)
+
+
+def both():
+    """Of BeiDou and of GPS."""
+    parts = constellation(), gps()
+    return type(parts[0])(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(parts[0])))
+
+
 def label(text, name):
     return f"{text:<60}{name:<20}\n"
 
@@ -37,15 +51,16 @@ def civil(t):
 
 def navigation(b, toe=TOE):
     """A navigation file of the sets."""
-    text = label(f"{3.04:9.2f}{'':11}{'N: GNSS NAV DATA':<20}{'C: BDS':<20}", "RINEX VERSION / TYPE")
+    text = label(f"{3.04:9.2f}{'':11}{'N: GNSS NAV DATA':<20}{'M: MIXED' if b.gps.any() else 'C: BDS':<20}", "RINEX VERSION / TYPE")
     for name, row in (("GPSA", ALPHA), ("GPSB", BETA)):
         text += label(f"{name} " + "".join(f"{v:12.4E}" for v in row), "IONOSPHERIC CORR")
     text += label("", "END OF HEADER")
     for s, name in enumerate(b.names):
-        y, mo, d, h, mi, sec = civil(toe)
+        ahead = 14.0 * b.gps[s]
+        y, mo, d, h, mi, sec = civil(toe + ahead)
         rows = [
             [b.a0[s], b.a1[s], b.a2[s]], [1.0, b.crs[s], b.delta_n[s], b.M0[s]], [b.cuc[s], b.e[s], b.cus[s], b.sqrt_a[s]],
-            [b.toe[s] % 604800.0, b.cic[s], b.Omega0[s], b.cis[s]], [b.i0[s], b.crc[s], b.omega[s], b.Omega_dot[s]],
+            [(b.toe[s] + ahead) % 604800.0, b.cic[s], b.Omega0[s], b.cis[s]], [b.i0[s], b.crc[s], b.omega[s], b.Omega_dot[s]],
             [b.i_dot[s], 0.0, float(WEEK), 0.0], [2.0, b.health[s], b.tgd[s], 0.0], [345600.0, 0.0],
         ]  # fmt: skip
         text += f"{name} {y} {mo} {d} {h} {mi} {sec}" + "".join(f"{v:19.12E}" for v in rows[0]) + "\n"
@@ -53,8 +68,12 @@ def navigation(b, toe=TOE):
     return text
 
 
-def measurements(b, times, bias):
-    """Pseudoranges and Doppler ``(T, S)`` at `PLACE`, by a clock ahead by ``bias`` m, with the atmosphere, in a plain loop."""
+def measurements(b, times, bias, offset=0.0):
+    """Pseudoranges and Doppler ``(T, S)`` at `PLACE`, by a clock ahead by ``bias`` m, with the atmosphere, in a plain loop.
+
+    ``offset``: m, by which it is further ahead of the clock of GPS.
+    """
+    hz = np.where(b.gps == 1.0, L1_HZ, B1I_HZ)
     latitude, longitude, height = ecef2geodetic(*PLACE, ell=ELLIPSOID, deg=False)
     code, doppler = np.empty((len(times), len(b))), np.empty((len(times), len(b)))
     for k, (tag, ahead) in enumerate(zip(times, bias, strict=True)):
@@ -64,12 +83,12 @@ def measurements(b, times, bias):
         above = np.maximum(sky.elevation, 0.05)
         iono = klobuchar(ALPHA, BETA, t + GPS_AHEAD_S, latitude, longitude, above, sky.azimuth)
         z = pseudorange.measure(np.concatenate([PLACE, np.zeros(3), [ahead, 30.0]]), seen.q, seen.w)
-        code[k] = z[: len(b)] - seen.clock + (GPS_L1_HZ / B1I_HZ) ** 2 * iono + saastamoinen(latitude, height, above)
-        doppler[k] = -(z[len(b) :] - seen.drift) * B1I_HZ / LIGHT
+        code[k] = z[: len(b)] - seen.clock + (L1_HZ / hz) ** 2 * iono + saastamoinen(latitude, height, above) + offset * b.gps
+        doppler[k] = -(z[len(b) :] - seen.drift) * hz / LIGHT
     return code, doppler
 
 
-def observations(b, times, ahead=14.0, system="GPS"):
+def observations(b, times, ahead=14.0, system="GPS", offset=0.0):
     """An observation file at times (s of BDT), and its pseudoranges and Doppler: C19 is away at the second epoch, G01 is there."""
     text = label(f"{3.04:9.2f}{'':11}{'OBSERVATION DATA':<20}{'M: Mixed':<20}", "RINEX VERSION / TYPE")
     text += label("TEST", "MARKER NAME")
@@ -80,16 +99,20 @@ def observations(b, times, ahead=14.0, system="GPS"):
     text += label(f"  {y}    {mo}    {d}    {h}    {mi}   {sec}.0000000     {system}", "TIME OF FIRST OBS") + label(
         "", "END OF HEADER"
     )
-    code, doppler = measurements(b, times, 3e4 + 30.0 * (times - times[0]))
+    code, doppler = measurements(b, times, 3e4 + 30.0 * (times - times[0]), offset)
     for k, t in enumerate(times):
         rows = [
-            f"{name}{code[k, s]:14.3f}  {'':14}  {doppler[k, s]:14.3f}" for s, name in enumerate(b.names) if (k, name) != (1, "C19")
+            f"{name}{code[k, s]:14.3f}  {'' if name[0] == 'G' else ' ' * 16}{doppler[k, s]:14.3f}"
+            for s, name in enumerate(b.names)
+            if (k, name) != (1, "C19")
         ]
+        if not b.gps.any():
+            rows = ["G01  22000000.000        1000.000", *rows]
         if k == 1:
             code[k, b.names.index("C19")] = doppler[k, b.names.index("C19")] = np.nan
         y, mo, d, h, mi, sec = civil(t + ahead)
-        text += f"> {y} {mo} {d} {h} {mi} {sec}.0000000  0{len(rows) + 1:3d}\n"
-        text += "\n".join(["G01  22000000.000        1000.000", *rows]) + "\n"
+        text += f"> {y} {mo} {d} {h} {mi} {sec}.0000000  0{len(rows):3d}\n"
+        text += "\n".join(rows) + "\n"
     return text, code, doppler
 
 
@@ -102,6 +125,6 @@ def written(tmp_path, text, name="file.rnx"):
     return path
 
 
-def observed(b, times, bias):
-    """A log of a receiver at `PLACE` whose clock is ahead by ``bias`` m."""
-    return Observations(Path("obs.rnx"), "TEST", PLACE, times, b.names, *measurements(b, times, bias))
+def observed(b, times, bias, offset=0.0):
+    """A log of a receiver at `PLACE` whose clock is ahead by ``bias`` m, of GPS's by ``offset`` more."""
+    return Observations(Path("obs.rnx"), "TEST", PLACE, times, b.names, *measurements(b, times, bias, offset))

@@ -39,7 +39,7 @@ inertial: derivative advance star_residuals misalignment_matrix misalignment_ang
 gyro: Gyro.factor Gyro.rate_std Gyro.drift_std Gyro.process_noise Gyro.propagate Gyro.transition
 gyro: Body.nadir Body.rates
 pulsar: Timing.delay Timing.shapiro Timing.shapiro_exact Timing.gradient
-beidou: satellites eccentric_anomaly tilted turned spun
+gnss: satellites eccentric_anomaly tilted turned spun
 pseudorange: sources emitted measure jacobian
 linalg: block cholesky downdate fan matvec outer semidefinite_root side_by_side solve_lower surely
     solve_right tria whiten signs weighted factored SquareRoot.lost SquareRoot.factor Covariance.lost
@@ -59,7 +59,7 @@ figures: band bars components consistency curve errors interval level panels qua
 ephemeris: de421
 pulsar: known
 orbit: warn_of_degrees
-beidou: Broadcast Broadcast.chosen
+gnss: Broadcast Broadcast.chosen
 belief: symmetric
 montecarlo: blocks steps effort
 claims: Ledger accepted counted dumps plain read_claims row style surprise table tally written

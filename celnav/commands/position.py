@@ -5,10 +5,19 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from celnav.commands.arguments import UsageError, number
 from celnav.files import InputError, Outputs
+
+if TYPE_CHECKING:
+    from celnav.gaussian.linalg import Array
+
+NO_TRACKS = (".kml", ".gpx", ".json", ".txt")
+"""Nobody means a folder by these."""
 
 
 def run(options: argparse.Namespace) -> int:
@@ -22,6 +31,7 @@ def run(options: argparse.Namespace) -> int:
     from celnav.receiver import rinex
     from celnav.receiver.integrity import probability
     from celnav.receiver.sky import on_earth
+    from celnav.receiver.tracks import FORMATS
 
     mask, noise = number("mask", options.mask), number("acceleration-noise", options.acceleration_noise)
     alarm = number("false-alarm", options.false_alarm)
@@ -36,10 +46,19 @@ def run(options: argparse.Namespace) -> int:
     names = ["ls", *positioning_filters.filters(4)]
     if options.filter not in names:
         raise UsageError(f"--filter: expected one of {', '.join(names)}, got {options.filter!r}")
-    outputs = Outputs(options.out)
-    outputs.check([*positioning_report.FILES, positioning_report.RECORDING])
-    navigation, observations = rinex.read_navigation(options.navigation), rinex.read_observations(options.observations)
-    log = positioning.prepare(observations, navigation, mask_deg=mask, sigma=sigma, false_alarm=alarm)
+    systems = None if options.systems is None else options.systems.replace(",", "").upper()
+    _checked("--systems", lambda: positioning.chosen(systems))
+    out = Path(options.out)
+    track = FORMATS.get(out.suffix.lower())
+    if out.suffix.lower() in NO_TRACKS:
+        raise UsageError(f"--out: expected a folder, or a file with one of {', '.join(FORMATS)}, got {options.out!r}")
+    outputs = Outputs(out if track is None else out.parent)
+    outputs.check([*positioning_report.FILES, positioning_report.RECORDING] if track is None else [out.name])
+    ionosphere = None if options.ion is None else _ionosphere(options.ion)
+    navigation, observations = rinex.read_navigation(*options.navigation), rinex.read_observations(options.observations)
+    if ionosphere is not None:
+        navigation = replace(navigation, klobuchar=ionosphere)
+    log = positioning.prepare(observations, navigation, systems=systems, mask_deg=mask, sigma=sigma, false_alarm=alarm)
     east, north, up = observations.antenna
     of = f"the marker's by {'the header' if given is None else '--position'} and the header's offset, {east:.3f} m east, "
     of += f"{north:.3f} north, {up:.3f} up"
@@ -48,6 +67,10 @@ def run(options: argparse.Namespace) -> int:
     except FilterError as error:
         raise InputError(f"{options.filter} is lost on {options.observations}: {str(error).partition(' (on_failure')[0]}") from None
     print(positioning_report.summary(found))
+    if track is not None:
+        outputs.text(out.name, track(found))
+        print(f"wrote {out}")
+        return 0
     positioning_report.write(found, outputs)
     try:
         with outputs.path_for(positioning_report.RECORDING) as path:
@@ -56,6 +79,18 @@ def run(options: argparse.Namespace) -> int:
         print(f"celnav: no recording ({error}); everything else is written", file=sys.stderr)
     print(f"wrote {outputs.directory}")
     return 0
+
+
+def _ionosphere(given: str) -> tuple[Array, Array]:
+    """Klobuchar's coefficients, of a file's header or of eight numbers."""
+    from celnav.receiver.rinex import ionosphere, read_ionosphere
+
+    parts = given.split(",")
+    if len(parts) == 1 or Path(given).exists():
+        return read_ionosphere(given)
+    if len(parts) != 8:
+        raise UsageError(f"--ion: expected a navigation file, or eight numbers with commas between, got {len(parts)}")
+    return ionosphere("--ion", [number("ion", part) for part in parts])
 
 
 def _checked(option: str, check: Callable[[], object]) -> None:

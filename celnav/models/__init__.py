@@ -1,6 +1,6 @@
 """Physics without filters.
 
-`orbit` and `sightings` of a satellite · `pulsar` and `ephemeris` of its X-ray timings · `beidou` and `pseudorange` of a
+`orbit` and `sightings` of a satellite · `pulsar` and `ephemeris` of its X-ray timings · `gnss` and `pseudorange` of a
 receiver · `earth` and `inertial` of an aircraft · `gyro` of attitudes · `noise`.
 """
 

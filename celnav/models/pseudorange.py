@@ -1,7 +1,8 @@
 """Pseudoranges and their rates: where satellites were when they sent, and what a receiver then measures.
 
 Positions are Earth-fixed at the time of reception, m; clocks are in m (times the speed of light). The state of a receiver is
-``(p, v, b, d)``: position, velocity, clock bias and drift. A measurement has all ranges first, then all rates.
+``(p, v, b, d)``: position, velocity, clock bias and drift; with a second system of satellites ``(p, v, b, d, o)``, of which ranges
+have the bias ``b + o``. A measurement has all ranges first, then all rates.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from celnav.gaussian.linalg import Array
-from celnav.models.beidou import LIGHT, ROTATION_RATE, Broadcast, SatelliteState, satellites, spun, turned
+from celnav.models.gnss import LIGHT, ROTATION_RATE, Broadcast, SatelliteState, satellites, spun, turned
 
 
 class Sources(NamedTuple):
@@ -65,20 +66,28 @@ def _seen(state: SatelliteState, q: Array, delay: Array, place: Array, velocity:
     return Sources(q, moved - rate[..., None] / LIGHT * inertial, LIGHT * state.clock, LIGHT * state.drift)
 
 
-def measure(x: Array, q: Array, w: Array) -> Array:
-    """Ranges (m) and rates (m/s) ``(..., 2 S)`` of states ``x (..., 8)`` from satellites ``q, w (..., S, 3)``."""
+def measure(x: Array, q: Array, w: Array, second: Array | None = None) -> Array:
+    """Ranges (m) and rates (m/s) ``(..., 2 S)`` of states ``x (..., 8)`` from satellites ``q, w (..., S, 3)``.
+
+    ``second (S,)``: with states ``(..., 9)``, 1 for satellites of the second system, 0 for those of the first.
+    """
     away = q - x[..., None, :3]
     distance = np.linalg.norm(away, axis=-1)
     rate = (away * (w - x[..., None, 3:6])).sum(-1) / distance
-    return np.concatenate([distance + x[..., 6:7], rate + x[..., 7:8]], -1)
+    bias = x[..., 6:7] if second is None else x[..., 6:7] + x[..., 8:9] * second
+    return np.concatenate([distance + bias, rate + x[..., 7:8]], -1)
 
 
-def jacobian(x: Array, q: Array, w: Array) -> Array:
-    """Derivative ``(..., 2 S, 8)`` of `measure`."""
+def jacobian(x: Array, q: Array, w: Array, second: Array | None = None) -> Array:
+    """Derivative ``(..., 2 S, 8 or 9)`` of `measure`."""
     away, relative = q - x[..., None, :3], w - x[..., None, 3:6]
     distance = np.linalg.norm(away, axis=-1, keepdims=True)
     e = away / distance
     across = (relative - (e * relative).sum(-1, keepdims=True) * e) / distance
     one, zero = np.ones_like(distance), np.zeros_like(distance)
     ranges = np.concatenate([-e, np.zeros_like(e), one, zero], -1)
-    return np.concatenate([ranges, np.concatenate([-across, -e, zero, one], -1)], -2)
+    J = np.concatenate([ranges, np.concatenate([-across, -e, zero, one], -1)], -2)
+    if second is None:
+        return J
+    column = np.concatenate([second, np.zeros_like(second)])[:, None]
+    return np.concatenate([J, np.broadcast_to(column, (*J.shape[:-1], 1))], -1)

@@ -11,7 +11,7 @@ import numpy as np
 
 from celnav.gaussian import checks
 from celnav.gaussian.linalg import Array
-from celnav.models.beidou import GRAVITY_PARAMETER, ROTATION_RATE, TILT, Broadcast, eccentric_anomaly, tilted
+from celnav.models.gnss import GRAVITY_PARAMETER, ROTATION_RATE, TILT, Broadcast, eccentric_anomaly, tilted
 from celnav.models.orbit import Earth, from_elements, to_elements
 
 POINT = Earth(mu=1e-9 * GRAVITY_PARAMETER, j2=0.0)

@@ -12,7 +12,7 @@ import numpy as np
 from celnav.files import InputError
 from celnav.filters.run import run
 from celnav.gaussian.linalg import Array
-from celnav.models.beidou import ROTATION_RATE, TILT, Broadcast, satellites, tilted, turned
+from celnav.models.gnss import ROTATION_RATE, TILT, Broadcast, satellites, tilted, turned
 from celnav.receiver.constellation import GEOSTATIONARY, TOE_S, geostationary, synthetic
 from celnav.receiver.filters import filters
 from celnav.receiver.fixes import GIVEN
@@ -51,8 +51,8 @@ def found(folder: Path | None) -> Files | None:
 
 
 def _read(files: Files) -> tuple[Observations, Navigation, Array]:
-    """The first half day, broadcast elements, and the position ``(3,)`` m in the header."""
-    observations, navigation = read_observations(files.observations), read_navigation(files.navigation)
+    """The first half day of BeiDou's satellites, broadcast elements, and the position ``(3,)`` m in the header."""
+    observations, navigation = read_observations(files.observations).of("C"), read_navigation(files.navigation)
     reference = observations.reference()
     if reference is None:
         raise InputError(f"{files.observations}: expected the receiver's position in the header to compare with, got none")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from celnav.filters.adaptive import channel_parity, gate, group_parity, huber, innovation_window, sage_husa, student_t
 from celnav.filters.joint import Hook
@@ -11,10 +12,12 @@ from celnav.filters.records import Epoch, Filter
 from celnav.filters.sequential import ekf, ukf
 from celnav.gaussian.linalg import Array
 from celnav.models import pseudorange
-from celnav.models.beidou import LIGHT
+from celnav.models.gnss import LIGHT
 
 CRYSTAL = (LIGHT**2 * 2e-19 / 2.0, 2.0 * np.pi**2 * LIGHT**2 * 2e-20)
 """A compensated crystal's noise of frequency, white (m^2/s) and walking (m^2/s^3): h0 = 2e-19, h-2 = 2e-20."""
+OFFSET_WALK = 1e-5
+"""Of the offset between two systems' clocks, m^2/s: a meter a day, as their times and orbits wander."""
 
 
 def transition(dt: float) -> Array:
@@ -37,12 +40,17 @@ def process_noise(dt: float, acceleration: float, white: float, walk: float) -> 
     return Q
 
 
-def hooks(S: int, window: int = 10) -> dict[str, tuple[Hook, ...]]:
-    """What each filter does to the noise of S ranges and S rates before it uses them; the ukf nothing."""
+def hooks(S: int, window: int = 10, systems: int = 1) -> dict[str, tuple[Hook, ...]]:
+    """What each filter does to the noise of S ranges and S rates before it uses them; the ukf nothing.
+
+    ``systems``: of satellites, one or two: so many clocks do the ranges determine.
+    """
+    ranges, rates = range(S), range(S, 2 * S)
+    parity = (group_parity((ranges, rates), 4),) if systems == 1 else (group_parity((ranges,), 5), group_parity((rates,), 4))
     return {
         "ukf": (),
         "aukf": (innovation_window(window),),
-        "group": (parity_of_groups(S),),
+        "group": parity,
         "channel": (channel_parity(window),),
         "gate": (gate(4.0),),
         "huber": (huber(),),
@@ -51,14 +59,10 @@ def hooks(S: int, window: int = 10) -> dict[str, tuple[Hook, ...]]:
     }
 
 
-def parity_of_groups(S: int) -> Hook:
-    """The hook of the filter "group": ranges and rates of S satellites, each for a vector and a clock."""
-    return group_parity((range(S), range(S, 2 * S)), 4)
-
-
-def filters(S: int, *, acceleration: float = 0.01, window: int = 10) -> dict[str, Filter]:
+def filters(S: int, *, second: Array | None = None, acceleration: float = 0.01, window: int = 10) -> dict[str, Filter]:
     """Filters of a `Log` by name: ekf, and the unscented ones of `hooks`.
 
+    ``second (S,)``: which satellites are of a second system, whose clock has an offset, the ninth state; None: none.
     ``acceleration``: density of the white acceleration, m^2/s^3: 0.01 for a receiver at rest or nearly so, ``a^2 T`` for one that
     turns with the acceleration a, measured each T seconds.
 
@@ -70,16 +74,18 @@ def filters(S: int, *, acceleration: float = 0.01, window: int = 10) -> dict[str
         raise ValueError(f"acceleration: expected a positive density in m^2/s^3, got {acceleration!r}")
 
     def root(_mean: Array, epoch: Epoch) -> Array:
-        return np.linalg.cholesky(process_noise(epoch.dt, acceleration, *CRYSTAL))
+        return np.linalg.cholesky(block_diag(process_noise(epoch.dt, acceleration, *CRYSTAL), OFFSET_WALK * epoch.dt * offset))
 
-    motion = Motion(Linear(lambda epoch: transition(epoch.dt)), sqrt_Q=root)
-    sensor = Sensor(_measured, sqrt_R=_noise, jacobian=lambda x, epoch: pseudorange.jacobian(x, *epoch.u[:2]))
-    unscented = {name: ukf(motion, sensor, beta=2.0, form="covariance", hooks=hook) for name, hook in hooks(S, window).items()}
+    offset = np.eye(0 if second is None else 1)
+    motion = Motion(Linear(lambda epoch: block_diag(transition(epoch.dt), offset)), sqrt_Q=root)
+    sensor = Sensor(
+        lambda x, epoch: pseudorange.measure(x, epoch.u[0], epoch.u[1], second),
+        sqrt_R=_noise,
+        jacobian=lambda x, epoch: pseudorange.jacobian(x, epoch.u[0], epoch.u[1], second),
+    )
+    every = hooks(S, window, 1 + len(offset)).items()
+    unscented = {name: ukf(motion, sensor, beta=2.0, form="covariance", hooks=hook) for name, hook in every}
     return {"ekf": ekf(motion, sensor, form="covariance"), **unscented}
-
-
-def _measured(x: Array, epoch: Epoch) -> Array:
-    return pseudorange.measure(x, *epoch.u[:2])
 
 
 def _noise(_mean: Array, epoch: Epoch) -> Array:

@@ -1,7 +1,8 @@
 """Fixes of all epochs at once, each by itself: position and clock of ranges, velocity and drift of rates, without faulty ones.
 
-Also how large the noise is that their residuals show. Epochs ``T`` lead, satellites ``S`` follow; a kind of measurement, ranges or
-rates, is a tuple's or an axis' place 0 or 1.
+Also how large the noise is that their residuals show. With a second system of satellites a fix has the offset of its clock besides,
+where both are seen; a system's only range says nothing of the position, nothing tests it, and it is not used. Epochs ``T`` lead,
+satellites ``S`` follow; a kind of measurement, ranges or rates, is a tuple's or an axis' place 0 or 1.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from celnav.filters.run import run
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array
 from celnav.models import pseudorange
-from celnav.models.beidou import B1I_HZ, LIGHT
+from celnav.models.gnss import B1I_HZ, LIGHT
 from celnav.receiver.integrity import Monitored, misfit, monitored, noise_components
 from celnav.receiver.least_squares import least_squares
 from celnav.receiver.sky import GROUND_M
@@ -34,7 +35,6 @@ ENOUGH = 100
 """Redundant measurements to estimate noise of."""
 MOST_EPOCHS = 1000
 """That it is estimated of, evenly: more say nothing new."""
-UNKNOWNS = 4
 
 
 class Noise(NamedTuple):
@@ -53,20 +53,24 @@ class Noise(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """Measurements ``z (T, 2 S)``, nan where there is none, of satellites ``q, w, elevation`` near ``position (T, 3)``."""
+    """Measurements ``z (T, 2 S)``, nan where there is none, of satellites ``q, w, elevation`` near ``position (T, 3)``.
+
+    ``second (S,)``: 1 for those of a second system, 0 for those of the first; None: there is one system.
+    """
 
     z: Array
     q: Array
     w: Array
     elevation: Array
     position: Array
+    second: Array | None = None
 
 
 class Fixed(NamedTuple):
-    """States ``(T, 8)`` and covariances of positions ``(T, 3, 3)``, nan where there is no fix; deviations ``sigma (T, 2 S)``.
+    """States ``(T, 8 or 9)`` and covariances of positions ``(T, 3, 3)``, nan where there is no fix; deviations ``sigma (T, 2 S)``.
 
     ``kinds``: of ranges and rates, what is left of them; ``left`` and ``G``: residuals ``(T, S)`` and Jacobians ``(T, S, 4)``, in
-    deviations.
+    deviations. With a second system ranges have a place more, for "the offset is zero", which is kept where one system is missing.
     """
 
     states: Array
@@ -76,10 +80,9 @@ class Fixed(NamedTuple):
     left: tuple[Array, Array]
     G: tuple[Array, Array]
 
-    @property
-    def kept(self) -> Array:
-        """Measurements that may be used ``(T, 2 S)``."""
-        return np.concatenate([kind.kept for kind in self.kinds], -1)
+    def measurements(self, what: str) -> Array:
+        """Of ranges and rates ``(T, 2 S)``, whether they are "kept" or "excluded"."""
+        return np.concatenate([getattr(kind, what)[:, : self.sigma.shape[-1] // 2] for kind in self.kinds], -1)
 
     @property
     def misfit(self) -> Array:
@@ -89,25 +92,39 @@ class Fixed(NamedTuple):
 
 def fixed(seen: Seen, noise: tuple[Noise, Noise], false_alarm: float) -> Fixed:
     """Fixes of all epochs; a satellite whose range is faulty is not asked for its rate either."""
-    S = seen.q.shape[-2]
+    S, second = seen.q.shape[-2], seen.second
+    offset = 0 if second is None else 1
     sigma = np.concatenate([kind.deviations(seen.elevation) for kind in noise], -1)
     away = np.where(np.isfinite(seen.z[:, :S, None]), seen.q, 0.0).sum(-2)
     below = GROUND_M[0] * away / np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), 1.0)
     near = np.where(np.linalg.norm(seen.position, axis=-1, keepdims=True) > 1.0, seen.position, below)
 
     def states(x: Array) -> Array:
-        return np.concatenate([x[..., :3], np.zeros((*x.shape[:-1], 3)), x[..., 3:], np.zeros((*x.shape[:-1], 1))], -1)
+        zeros = np.zeros((*x.shape[:-1], 3))
+        return np.concatenate([x[..., :3], zeros, x[..., 3:4], zeros[..., :1], x[..., 4:]], -1)
 
     def ranges(rows: Array, x: Array) -> tuple[Array, Array]:
         at, q, w = states(x), seen.q[rows], seen.w[rows]
-        return pseudorange.measure(at, q, w)[..., :S], pseudorange.jacobian(at, q, w)[..., :S, [0, 1, 2, 6]]
+        G = pseudorange.jacobian(at, q, w, second)[..., :S, [0, 1, 2, 6] + [8] * offset]
+        zero = np.broadcast_to(np.eye(4 + offset)[4:], (*G.shape[:-2], offset, 4 + offset))
+        return np.concatenate([pseudorange.measure(at, q, w, second)[..., :S], x[..., 4:]], -1), np.concatenate([G, zero], -2)
 
     def on_earth(x: Array) -> Array:
         size = np.linalg.norm(x[..., :3], axis=-1, keepdims=True)
         return np.where((size > GROUND_M[0]) & (size < GROUND_M[1]), x, np.nan)
 
-    start = np.concatenate([near, np.zeros((len(near), 1))], -1)
-    one = _kind(ranges, on_earth, seen.z[:, :S], sigma[:, :S], start, false_alarm)
+    def comparable(there: Array) -> Array:
+        if second is None:
+            return there
+        there = there[:, :S]
+        for system in (second == 0.0, second == 1.0):
+            there = there & ~(system & ((there & system).sum(-1, keepdims=True) == 1))
+        both = (there & (second == 0.0)).any(-1) & (there & (second == 1.0)).any(-1)
+        return np.concatenate([there, ~both[:, None]], -1)
+
+    start = np.concatenate([near, np.zeros((len(near), 1 + offset))], -1)
+    z, deviation = (np.pad(v[:, :S], ((0, 0), (0, offset)), constant_values=c) for v, c in ((seen.z, 0.0), (sigma, 1.0)))
+    one = _kind(ranges, on_earth, comparable, z, deviation, start, false_alarm)
     here = np.concatenate([np.where(np.isfinite(one.x[:, :3]), one.x[:, :3], near), np.zeros((len(near), 5))], -1)
     towards = pseudorange.jacobian(here, seen.q, seen.w)[:, S:, [3, 4, 5, 7]]
     still = pseudorange.measure(here, seen.q, seen.w)[:, S:]
@@ -115,9 +132,10 @@ def fixed(seen: Seen, noise: tuple[Noise, Noise], false_alarm: float) -> Fixed:
     def rates(rows: Array, x: Array) -> tuple[Array, Array]:
         return still[rows] + (towards[rows] @ x[..., None])[..., 0], towards[rows]
 
-    z = np.where(one.kind.excluded, np.nan, seen.z[:, S:])
-    two = _kind(rates, lambda x: x, z, sigma[:, S:], np.zeros((len(near), 4)), false_alarm)
-    found = np.concatenate([one.x[:, :3], two.x[:, :3], one.x[:, 3:], two.x[:, 3:]], -1)
+    z = np.where(one.kind.excluded[:, :S], np.nan, seen.z[:, S:])
+    two = _kind(rates, lambda x: x, lambda there: there, z, sigma[:, S:], np.zeros((len(near), 4)), false_alarm)
+    apart = np.where(one.kind.kept[:, S:], np.nan, one.x[:, 4:])
+    found = np.concatenate([one.x[:, :3], two.x[:, :3], one.x[:, 3:4], two.x[:, 3:], apart], -1)
     return Fixed(found, one.cov[:, :3, :3], sigma, (one.kind, two.kind), (one.left, two.left), (one.G, two.G))
 
 
@@ -130,20 +148,22 @@ class _Kind(NamedTuple):
 
 
 def _kind(
-    model: Callable[[Array, Array], tuple[Array, Array]], possible: Callable[[Array], Array], z: Array, sigma: Array, start: Array,
-    false_alarm: float,
+    model: Callable[[Array, Array], tuple[Array, Array]], possible: Callable[[Array], Array], comparable: Callable[[Array], Array],
+    z: Array, sigma: Array, start: Array, false_alarm: float,
 ) -> _Kind:  # fmt: skip
-    """Fixes of one kind: ``model``: ``(epochs, states) ->`` measurements and Jacobians; ``possible`` makes others nan."""
+    """Fixes of one kind: ``model``: ``(epochs, states) ->`` measurements and Jacobians; ``possible`` makes other states nan;
+    ``comparable``: those of the measurements ``(K, S)`` that are not alone.
+    """
 
     def solve(rows: Array, kept: Array) -> tuple[Array, Array]:
         sensor = Sensor(
             lambda x, _epoch: model(rows, x[0])[0][None],
-            sqrt_R=sigma[rows][..., None] * np.eye(sigma.shape[-1]),
+            sqrt_R=lambda _x, _epoch: sigma[rows][..., None] * np.eye(sigma.shape[-1]),
             jacobian=lambda x, _epoch: model(rows, x)[1],
         )
         filter = least_squares(sensor, rounds=20)
         epoch = Epoch(z=np.where(kept, z[rows], np.nan))
-        track = run(filter, Gaussian(start[rows], np.eye(UNKNOWNS)), [epoch], keep="cov", on_failure="flag")
+        track = run(filter, Gaussian(start[rows], np.eye(start.shape[-1])), [epoch], keep="cov", on_failure="flag")
         assert track.mean is not None
         return possible(track.mean[0]), track.cov[0]
 
@@ -151,8 +171,11 @@ def _kind(
         values, G = model(rows, x)
         return np.nan_to_num((z[rows] - values) / sigma[rows]), G / sigma[rows][..., None]
 
-    every = np.arange(len(z))
-    kind = monitored(lambda rows, kept: solve(rows, kept)[0], linear, np.isfinite(z), start, false_alarm=false_alarm)
+    every, used = np.arange(len(z)), comparable(np.isfinite(z))
+    kind = monitored(lambda rows, kept: solve(rows, kept)[0], linear, used, start, false_alarm=false_alarm)
+    kept = comparable(kind.kept)
+    # Of two of a system that contradict each other nothing tells the faulty one: both go.
+    kind = kind._replace(kept=kept, excluded=used & ~kept & ~kind.unusable[:, None])
     x, cov = solve(every, kind.kept)
     return _Kind(x, cov, kind, *linear(every, np.where(np.isfinite(x), x, start)))
 
@@ -163,7 +186,8 @@ def estimated(seen: Seen, false_alarm: float) -> tuple[Noise, Noise]:
     It is first taken for small, and for twice as large as long as most fixes contradict themselves.
     """
     some = slice(None, None, -(-len(seen.z) // MOST_EPOCHS))
-    seen, usual = Seen(*(part[some] for part in seen)), (Noise(0.0, GIVEN[0]), Noise(0.0, GIVEN[1]))
+    seen = Seen(seen.z[some], seen.q[some], seen.w[some], seen.elevation[some], seen.position[some], seen.second)
+    usual = (Noise(0.0, GIVEN[0]), Noise(0.0, GIVEN[1]))
     noise = (Noise(0.0, QUIETEST * GIVEN[0]), Noise(0.0, QUIETEST * GIVEN[1]))
     found = fixed(seen, noise, false_alarm)
     while any(loud := [2 * int(kind.unusable.sum()) > int(kind.tested.sum()) for kind in found.kinds]):
@@ -186,12 +210,15 @@ def _louder(noise: Noise, loud: bool) -> Noise:
 
 def _estimated(found: Fixed, elevation: Array, kind: int) -> Noise | None:
     S = elevation.shape[-1]
-    kept, sigma = found.kinds[kind].kept, found.sigma[:, kind * S : (kind + 1) * S]
-    spare = np.where(np.isfinite(found.states[:, (6, 7)[kind]]), kept.sum(-1) - UNKNOWNS, 0)
+    kept, left, G = found.kinds[kind].kept, found.left[kind], found.G[kind]
+    more = ((0, 0), (0, kept.shape[-1] - S))
+    sigma = np.pad(found.sigma[:, kind * S : (kind + 1) * S], more, constant_values=1.0)
+    elevation = np.pad(elevation, more, constant_values=1.0)
+    spare = np.where(np.isfinite(found.states[:, (6, 7)[kind]]), kept.sum(-1) - G.shape[-1], 0)
     rows = np.flatnonzero(spare > 0)
     if spare.sum() < ENOUGH:
         return None
     up = np.sin(np.maximum(elevation[rows], LEAST_ELEVATION))
     parts = np.stack([np.square(1.0 / sigma[rows]), np.square(1.0 / (sigma[rows] * up))])
-    level, zenith = np.sqrt(noise_components(found.left[kind][rows], found.G[kind][rows], kept[rows], parts))
+    level, zenith = np.sqrt(noise_components(left[rows], G[rows], kept[rows], parts))
     return Noise(max(float(level), RESOLUTION[kind]), float(zenith), int(spare.sum()))

@@ -46,12 +46,7 @@ class Monitored(NamedTuple):
 
 
 def probability(false_alarm: float) -> float:
-    """Of a false alarm.
-
-    Raises
-    ------
-    ValueError: unless it is from 0 to below 1.
-    """
+    """Of a false alarm; ValueError unless it is from 0 to below 1."""
     if not 0.0 <= false_alarm < 1.0:
         raise ValueError(f"false_alarm: expected a probability from 0 to below 1, got {false_alarm!r}")
     return false_alarm

@@ -1,6 +1,7 @@
 """From a receiver's log to what a filter takes: satellites, corrected measurements, first fixes.
 
-State: position (m, Earth-fixed), velocity (m/s), clock bias (m) and drift (m/s), as in `celnav.models.pseudorange`.
+State: position (m, Earth-fixed), velocity (m/s), clock bias (m) and drift (m/s), and with two systems what the bias of the second
+one is more (m), as in `celnav.models.pseudorange`.
 """
 
 from __future__ import annotations
@@ -19,10 +20,10 @@ from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import finite
 from celnav.gaussian.linalg import Array
 from celnav.models import pseudorange
-from celnav.models.beidou import B1I_HZ, ELLIPSOID, GPS_AHEAD_S, LIGHT
+from celnav.models.gnss import ELLIPSOID, GPS_AHEAD_S, L1_HZ, LIGHT
 from celnav.receiver.fixes import LEAST_ELEVATION, Noise, Seen, estimated, fixed
-from celnav.receiver.rinex import Navigation, Observations
-from celnav.receiver.sky import GPS_L1_HZ, Dilution, dilution, klobuchar, local_axes, look, saastamoinen
+from celnav.receiver.rinex import OTHERS, SYSTEMS, Navigation, Observations
+from celnav.receiver.sky import Dilution, dilution, klobuchar, local_axes, look, saastamoinen
 
 CREDIBLE_M = (1.5e7, 5e7)
 """Pseudoranges outside are none."""
@@ -32,8 +33,8 @@ COARSE = (100.0, 1.0)
 """Deviations (m, m/s) of measurements while nobody knows which satellites are low, and what their delays are."""
 MILLISECOND_M = 1e-3 * LIGHT
 """By whole ones of these many receivers set their clock."""
-START = (100.0, 10.0, 100.0, 10.0)
-"""Deviations about the first fix: m, m/s, m, m/s."""
+START = (100.0, 100.0, 100.0, 10.0, 10.0, 10.0, 100.0, 10.0, 100.0)
+"""Deviations about the first fix: m, m/s, m, m/s, and of the offset m."""
 
 
 @dataclass(frozen=True)
@@ -42,17 +43,18 @@ class Log:
 
     Attributes
     ----------
-    times: ``(T,)`` s of BDT. names: of the satellites, ``S``.
+    times: ``(T,)`` s of BDT. names: of the satellites, ``S``, those of the first system first.
     z: ``(T, 2 S)`` ranges (m) and rates (m/s) without clocks of satellites, atmosphere and jumps of the receiver's clock; nan where
         there is none. sigma: ``(T, 2 S)`` their deviations. q, w: ``(T, S, 3)``, see `celnav.models.pseudorange.Sources`.
     elevation, azimuth: ``(T, S)`` rad, nan of satellites that cannot be used.
-    fixes, fix_cov: ``(T, 8)`` and of positions ``(T, 3, 3)`` m^2, of each epoch by itself, nan where it has none.
-    misfit: ``(T,)``, squared residuals of the fixes' ranges, in deviations: chi-square with as many degrees as ranges beyond four.
+    fixes, fix_cov: ``(T, 8 or 9)`` and of positions ``(T, 3, 3)`` m^2, of each epoch by itself, nan where it has none.
+    misfit: ``(T,)``, squared residuals of the fixes' ranges, in deviations: chi-square with `spare` degrees.
     excluded: ``(T, 2 S)``, the faulty ones. unusable: ``(T, 2)``, whether all ranges, all rates are left out, as they contradict
-        each other and nothing tells which are faulty. tested: ``(T, 2)``, whether there were more than four.
+        each other and nothing tells which are faulty. tested: ``(T, 2)``, whether there was redundancy.
     noise: of ranges and of rates. jumps: ``(T,)`` m, what the receiver has set its clock by since the start, which was taken off
         ranges and fixes. dilution: of each epoch ``(T,)``. ionosphere: whether the broadcast model's coefficients were there to
-        correct it by. left_out: why measurements are not used, and how many.
+        correct it by. left_out: why measurements are not used, and how many. others: systems in the files that are not used.
+    files: names of what was read.
     """
 
     times: Array
@@ -74,11 +76,29 @@ class Log:
     dilution: Dilution
     ionosphere: bool
     left_out: dict[str, int]
+    others: tuple[str, ...] = ()
+    files: tuple[str, ...] = ()
 
     @property
     def used(self) -> Array:
         """Which ranges there are, ``(T, S)``."""
         return np.isfinite(self.z[:, : len(self.names)])
+
+    @property
+    def systems(self) -> str:
+        """Letters of the systems, one or two."""
+        return "".join(dict.fromkeys(name[0] for name in self.names))
+
+    @property
+    def second(self) -> Array | None:
+        """1 for satellites of the second system ``(S,)``, 0 for those of the first; None: there is one."""
+        return _second(self.names)
+
+    @property
+    def spare(self) -> Array:
+        """Ranges beyond what a fix needs, ``(T,)``: four, and one for the offset where both systems are seen."""
+        used, second = self.used, np.zeros(len(self.names)) if self.second is None else self.second
+        return np.asarray(used.sum(-1) - 4 - ((used & (second == 0.0)).any(-1) & (used & (second == 1.0)).any(-1)))
 
     def epochs(self) -> Iterator[Epoch]:
         """Epochs for `filters`; ``u`` is ``(q, w, sigma)`` at the epoch's time."""
@@ -87,29 +107,25 @@ class Log:
             yield Epoch(k, t, dt, (self.q[k], self.w[k], self.sigma[k]), self.z[k])
 
     def prior(self) -> Gaussian:
-        """About the first fix, ``(8,)``."""
-        position, velocity, bias, drift = START
-        return Gaussian(np.nan_to_num(self.fixes[0]), np.diag(np.square([position] * 3 + [velocity] * 3 + [bias, drift])))
+        """About the first fix, ``(8,)`` or ``(9,)``."""
+        return Gaussian(np.nan_to_num(self.fixes[0]), np.diag(np.square(START[: self.fixes.shape[-1]])))
 
     def part(self, which: slice) -> Log:
         """Some of the epochs."""
-        names = (
-            "times", "z", "sigma", "q", "w", "elevation", "azimuth", "fixes", "fix_cov", "misfit", "excluded", "unusable", "tested",
-            "jumps",
-        )  # fmt: skip
-        arrays: dict[str, Any] = {name: getattr(self, name)[which] for name in names}
+        arrays: dict[str, Any] = {k: v[which] for k, v in vars(self).items() if isinstance(v, np.ndarray)}
         return replace(self, **arrays, dilution=Dilution(*(values[which] for values in self.dilution)))
 
 
 def prepare(
-    observations: Observations, navigation: Navigation, *, mask_deg: float = 10.0, sigma: ArrayLike | None = None,
-    false_alarm: float = 1e-5,
+    observations: Observations, navigation: Navigation, *, systems: str | None = None, mask_deg: float = 10.0,
+    sigma: ArrayLike | None = None, false_alarm: float = 1e-5,
 ) -> Log:  # fmt: skip
     """Satellites and corrected measurements of a log. Nothing is taken from the header's position.
 
     Parameters
     ----------
-    observations, navigation: what was read from the two files.
+    observations, navigation: what was read from the files.
+    systems: letters of those to use, "C", "G" or "CG"; None: all that have both ranges and orbits.
     mask_deg: satellites below this elevation are not used, from 0 to below 90.
     sigma: deviations of range (m) and rate (m/s) at the zenith; elsewhere divided by the sine of the elevation. None: estimated, by
         elevation, from the residuals of the fixes.
@@ -118,16 +134,20 @@ def prepare(
 
     Raises
     ------
-    ValueError: for a mask, deviations or a probability that cannot be. InputError: naming the files, if no epoch has a fix.
+    ValueError: for systems, a mask, deviations or a probability that cannot be. InputError: naming the files, if no epoch has a
+        fix, or a system that is asked for no ranges or no orbits.
     """
     least = mask(mask_deg)
     given = deviations(sigma)
+    files = f"{observations.path}, {navigation.path}"
+    observations, others = _of_systems(observations, navigation, systems, files)
     times, code = observations.times, observations.code
+    hz, second = np.array([SYSTEMS[name[0]].hz for name in observations.names]), _second(observations.names)
     rows = np.stack([navigation.nearest(name, times) for name in observations.names], -1)
     there = np.isfinite(code)
     credible = (np.nan_to_num(code) > CREDIBLE_M[0]) & (np.nan_to_num(code) < CREDIBLE_M[1])
     with np.errstate(over="ignore"):
-        measured = -observations.doppler * LIGHT / B1I_HZ
+        measured = -observations.doppler * LIGHT / hz
     wild = np.abs(np.nan_to_num(measured)) > CREDIBLE_M_PER_S
     usable = credible & (rows >= 0)
     named = ", ".join(f"{name} {many}" for name, many in navigation.left_out.items())
@@ -140,7 +160,6 @@ def prepare(
         "pseudorange out of all bounds": int((there & ~credible & (rows >= 0)).sum()),
         "rate out of all bounds": int((usable & wild).sum()),
     }
-    files = f"{observations.path}, {navigation.path}"
     refusal = InputError(f"{files}: expected an epoch with four satellites above the mask whose ranges agree, got none")
     if usable.sum(-1).max(initial=0) < 4:
         raise refusal
@@ -151,10 +170,10 @@ def prepare(
         ranges, rates = code + sources.clock, np.where(wild, np.nan, measured) + sources.drift
         used, elevation, azimuth, delay = usable, np.full(code.shape, np.pi / 2.0), np.zeros(code.shape), np.zeros(code.shape)
         if known:
-            elevation, azimuth, delay = _sky(navigation, times - clock / LIGHT, sources.q, position)
+            elevation, azimuth, delay = _sky(navigation, times - clock / LIGHT, sources.q, position, hz)
             used = usable & (elevation >= least)
         z = np.concatenate([np.where(used, ranges - delay, np.nan), np.where(used, rates, np.nan)], -1)
-        seen = Seen(z, sources.q, sources.w, elevation, position)
+        seen = Seen(z, sources.q, sources.w, elevation, position, second)
         if known:
             noise = estimated(seen, false_alarm) if given is None else given
         found = fixed(seen, noise, false_alarm)
@@ -164,7 +183,10 @@ def prepare(
         near = found.states[_nearest(there)]
         position, velocity, clock = near[:, :3], np.nan_to_num(near[:, 3:6]), near[:, 6]
     left_out["below the mask"] = int((usable & ~used).sum())
-    z = np.where(found.kept, z, np.nan)
+    kept, excluded = found.measurements("kept"), found.measurements("excluded")
+    lone = (np.isfinite(z) & ~kept & ~excluded)[:, : code.shape[-1]] & ~found.kinds[0].unusable[:, None]
+    left_out["the only range of a system, which nothing tests"] = int(lone.sum())
+    z = np.where(kept, z, np.nan)
     first = int(np.argmax(there & found.kinds[0].tested)) if (there & found.kinds[0].tested).any() else int(np.argmax(there))
     z, states, jumps = _without_jumps(z, found.states, times)
     ranged = np.isfinite(z[:, : len(observations.names)])
@@ -172,21 +194,44 @@ def prepare(
     shown = np.where(usable, 1.0, np.nan)
     log = Log(
         times, observations.names, z, found.sigma, seen.q, seen.w, shown * elevation, shown * azimuth, states, found.cov,
-        found.misfit, np.concatenate([kind.excluded for kind in found.kinds], -1),
+        found.misfit, excluded,
         np.stack([kind.unusable for kind in found.kinds], -1), np.stack([kind.tested for kind in found.kinds], -1), noise, jumps,
-        dilution(seen.q, position, _axes(position), ranged), navigation.klobuchar is not None, left_out,
+        dilution(seen.q, position, _axes(position), ranged, second), navigation.klobuchar is not None, left_out, others,
+        (str(observations.path), *str(navigation.path).split(", ")),
     )  # fmt: skip
     last = int(np.flatnonzero(ranged.any(-1))[-1]) + 1
     return log.part(slice(first, last))
 
 
-def deviations(sigma: ArrayLike | None) -> tuple[Noise, Noise] | None:
-    """Noise of ranges and rates by their deviations at the zenith, m and m/s; None: to be estimated.
+def _second(names: list[str]) -> Array | None:
+    mask = np.array([float(name[0] != names[0][0]) for name in names])
+    return mask if mask.any() else None
 
-    Raises
-    ------
-    ValueError: unless both are positive.
-    """
+
+def chosen(systems: str | None) -> str:
+    """Letters of systems, in the order of `SYSTEMS`; None: all. ValueError for others."""
+    if systems is not None and (not systems or set(systems) - set(SYSTEMS)):
+        known = ", ".join(f"{letter} ({system.name})" for letter, system in SYSTEMS.items())
+        raise ValueError(f"systems: expected letters of {known}, got {systems!r}")
+    return "".join(letter for letter in SYSTEMS if systems is None or letter in systems)
+
+
+def _of_systems(
+    observations: Observations, navigation: Navigation, systems: str | None, files: str
+) -> tuple[Observations, tuple[str, ...]]:
+    """The satellites of the systems that are to be used, and the names of others."""
+    own = {"ranges": {name[0] for name in observations.names}, "orbits": {name[0] for name in navigation.sets.names}}
+    wanted = chosen(systems)
+    used = [letter for letter in wanted if all(letter in there for there in own.values())]
+    missing = [f"{SYSTEMS[letter].name}'s {what}" for letter in wanted for what, there in own.items() if letter not in there]
+    if not used or (systems is not None and missing):
+        raise InputError(f"{files}: expected ranges and orbits of one system, got no {' and no '.join(missing)}")
+    others = [SYSTEMS[letter].name for letter in SYSTEMS if letter in own["ranges"] and letter not in used]
+    return observations.of("".join(used)), (*others, *(OTHERS.get(letter, letter) for letter in observations.others))
+
+
+def deviations(sigma: ArrayLike | None) -> tuple[Noise, Noise] | None:
+    """Noise of ranges and rates by deviations at the zenith, m, m/s; None: to be estimated. ValueError unless they are positive."""
     if sigma is None:
         return None
     given = finite("sigma", sigma, (2,))
@@ -196,12 +241,7 @@ def deviations(sigma: ArrayLike | None) -> tuple[Noise, Noise] | None:
 
 
 def mask(degrees: float) -> float:
-    """A least elevation in rad.
-
-    Raises
-    ------
-    ValueError: unless it is from 0 to below 90 degrees.
-    """
+    """A least elevation in rad; ValueError unless it is from 0 to below 90 degrees."""
     if not 0.0 <= degrees < 90.0:
         raise ValueError(f"mask_deg: expected degrees from 0 to below 90, got {degrees!r}")
     return float(np.radians(degrees))
@@ -242,7 +282,7 @@ def _axes(position: Array) -> Array:
     return local_axes(latitude, longitude)
 
 
-def _sky(navigation: Navigation, times: Array, q: Array, position: Array) -> tuple[Array, Array, Array]:
+def _sky(navigation: Navigation, times: Array, q: Array, position: Array, hz: Array) -> tuple[Array, Array, Array]:
     """Elevation, azimuth and the delay of the atmosphere ``(T, S)`` m."""
     latitude, longitude, height = (v[:, None] for v in _geodetic(position))
     elevation, azimuth = look(q, position, _axes(position))
@@ -251,7 +291,7 @@ def _sky(navigation: Navigation, times: Array, q: Array, position: Array) -> tup
     if navigation.klobuchar is not None:
         alpha, beta = navigation.klobuchar
         at_l1 = klobuchar(alpha, beta, times[:, None] + GPS_AHEAD_S, latitude, longitude, above, azimuth)
-        delay = delay + (GPS_L1_HZ / B1I_HZ) ** 2 * at_l1
+        delay = delay + (L1_HZ / hz) ** 2 * at_l1
     return elevation, azimuth, delay
 
 

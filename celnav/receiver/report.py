@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,27 +14,30 @@ from celnav.files import Outputs
 from celnav.filters.records import FilterError
 from celnav.filters.run import run
 from celnav.gaussian.linalg import Array
-from celnav.models.beidou import ELLIPSOID, GEO_NUMBERS
+from celnav.models.gnss import ELLIPSOID, GEO_NUMBERS
 from celnav.receiver.filters import filters
 from celnav.receiver.fixes import Noise
 from celnav.receiver.position import Log
-from celnav.receiver.rinex import BDT_BEGINNING
+from celnav.receiver.rinex import SYSTEMS
 from celnav.receiver.sky import GROUND_M, local_axes, on_earth
+from celnav.receiver.tracks import civil, table
 from celnav.show import colors
 from celnav.show.figures import Panel, components, curve, figure, panels
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-KIND_COLORS = {"GEO": colors.PAPER, "IGSO": colors.ESTIMATE, "MEO": colors.COMPARISON}
+KIND_COLORS = {"GEO": colors.PAPER, "IGSO": colors.ESTIMATE, "MEO": colors.COMPARISON, "GPS": colors.TRUTH}
 IGSO_NUMBERS = frozenset({*range(6, 11), 13, 16, 31, 38, 39, 40, 56})
 """Inclined geosynchronous satellites of BeiDou-2 and -3."""
 
 
 def kinds(names: Sequence[str]) -> Array:
-    """GEO, IGSO or MEO, of satellites by name."""
-    numbers = [int(name[1:]) for name in names]
-    return np.array(["GEO" if n in GEO_NUMBERS else "IGSO" if n in IGSO_NUMBERS else "MEO" for n in numbers])
+    """GEO, IGSO or MEO of BeiDou, or GPS, of satellites by name."""
+    named = [(name[0], int(name[1:])) for name in names]
+    return np.array(
+        ["GPS" if s == "G" else "GEO" if n in GEO_NUMBERS else "IGSO" if n in IGSO_NUMBERS else "MEO" for s, n in named]
+    )
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class Positioned:
 
     Attributes
     ----------
-    log: what the filter took. filter: its name. mean: ``(T, 8)`` states. cov: ``(T, 3, 3)`` m^2 of the position.
+    log: what the filter took. filter: its name. mean: ``(T, 8 or 9)`` states. cov: ``(T, 3, 3)`` m^2 of the position.
     reference: ``(3,)`` m, a known position of the antenna to compare with; None if there is none. of: where that is from.
     nis: squared innovations, of fixes residuals, in the deviations that are claimed for them, per degree of freedom.
     """
@@ -98,11 +99,11 @@ def position(log: Log, filter: str, reference: Array | None, *, acceleration: fl
     ------
     ValueError: for an unknown filter, or a reference that is far from the Earth's surface. FilterError: if the filter is lost.
     """
-    known = filters(len(log.names), acceleration=acceleration)
+    known = filters(len(log.names), second=log.second, acceleration=acceleration)
     if reference is not None:
         on_earth("reference", reference)
     if filter == "ls":
-        spare = np.where(np.isfinite(log.misfit), np.maximum(log.used.sum(-1) - 4, 0), 0).sum()
+        spare = np.where(np.isfinite(log.misfit), np.maximum(log.spare, 0), 0).sum()
         return Positioned(log, filter, log.fixes, log.fix_cov, reference, of, float(np.nansum(log.misfit) / max(spare, 1)))
     if filter not in known:
         raise ValueError(f"filter: expected one of ls, {', '.join(known)}, got {filter!r}")
@@ -131,13 +132,14 @@ def summary(found: Positioned) -> str:
     lines = [
         f"epochs       {len(log.times)}, {civil(log.times[0])} to {civil(log.times[-1])} BDT; {measured.sum()} with a position, "
         f"{(there & ~measured).sum()} more predicted without a range, {(~there).sum()} without a position",
+        f"systems      {_systems(found)}",
         f"satellites   {len(names)} ({', '.join(names)}); {count.min()} to {count.max()} at a time, mean {count.mean():.1f}",
-        f"alone        {(fixed & (count == 4)).sum()} epochs with four, no redundancy; {(~fixed).sum()} without a fix",
+        f"alone        {(fixed & (log.spare == 0)).sum()} epochs with no more than a fix needs; {(~fixed).sum()} without a fix",
         f"integrity    {_integrity(log)}",
         f"DOP          median PDOP {np.nanmedian(log.dilution.position):.2f}, HDOP {np.nanmedian(log.dilution.horizontal):.2f}, "
         f"VDOP {np.nanmedian(log.dilution.vertical):.2f}",
         f"left out     {'; '.join(f'{number} {reason}' for reason, number in log.left_out.items() if number) or 'nothing'}",
-        f"ionosphere   {'by the broadcast coefficients' if log.ionosphere else 'not corrected: the header has no GPSA and GPSB'}",
+        f"ionosphere   {'by the broadcast coefficients' if log.ionosphere else 'not corrected: no header has GPSA and GPSB'}",
         f"noise        ranges {_noise(log.noise[0], 'm')}; rates {_noise(log.noise[1], 'm/s')}",
         f"clock        set {np.count_nonzero(np.diff(log.jumps))} times by whole milliseconds",
         f"filter       {found.filter}; NIS {found.nis:.3f} a degree of freedom, 1 where noise and motion are as taken",
@@ -157,6 +159,16 @@ def summary(found: Positioned) -> str:
             "deviations are right, which are of noise alone: what all satellites share shows in no residual",
         ]
     return "\n".join(lines)
+
+
+def _systems(found: Positioned) -> str:
+    """Which are used, how their clocks differ, and which are not."""
+    words = " and ".join(f"{SYSTEMS[letter].name} {SYSTEMS[letter].signal}" for letter in found.log.systems)
+    if found.log.second is not None:
+        offsets = found.mean[np.isfinite(found.mean[:, 8]), 8]
+        longer = np.median(offsets) if offsets.size else np.nan
+        words += f", whose ranges are longer by {longer:.2f} m (median): its clock, and the receiver's delays"
+    return words + (f"; not used: {', '.join(found.log.others)}" if found.log.others else "")
 
 
 def _integrity(log: Log) -> str:
@@ -179,44 +191,6 @@ def _noise(noise: Noise, unit: str) -> str:
     level = f"{noise.level:.4g} {unit} and " if noise.level else ""
     known = f"estimated from {noise.redundancy} redundant ones" if noise.redundancy else "not estimated"
     return f"{level}{noise.zenith:.4g} {unit} / sin(elevation), {known}"
-
-
-def civil(t: float) -> str:
-    """Date and time of seconds of BDT."""
-    return str(BDT_BEGINNING + np.timedelta64(round(t * 1e3), "ms"))[:19]
-
-
-COLUMNS = ("time_bdt", "seconds_bdt", "x_m", "y_m", "z_m", "vx_m_per_s", "vy_m_per_s", "vz_m_per_s", "clock_m", "drift_m_per_s",
-           "east_m", "north_m", "up_m", "std_east_m", "std_north_m", "std_up_m", "satellites", "pdop",
-           "integrity", "excluded")  # fmt: skip
-
-
-def table(found: Positioned) -> str:
-    """All epochs as CSV; empty where there is nothing. ``clock_m`` is the receiver's clock with what it was set by.
-
-    ``integrity``, of the ranges: "tested", "excluded" (consistent without what ``excluded`` names), "contradiction" (none is used),
-    "untested" (no redundancy) or "no ranges". ``excluded``: satellites whose range was; with "rate", whose rate alone was.
-    """
-    local, log = found.local(found.mean), found.log
-    std = np.sqrt((found.axes @ found.cov @ found.axes.T).diagonal(0, -2, -1))
-    mean = found.mean.copy()
-    mean[:, 6] += log.jumps
-    numbers = np.column_stack([log.times, mean, local, std, log.used.sum(1), log.dilution.position])
-    ranges, rates = np.split(log.excluded, 2, -1)
-    states = np.select(
-        [log.unusable[:, 0], ranges.any(1), ~log.used.any(1), log.tested[:, 0]],
-        ["contradiction", "excluded", "no ranges", "tested"],
-        "untested",
-    )
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    for k, row in enumerate(numbers):
-        cells = [f"{v:.4f}".rstrip("0").rstrip(".") if np.isfinite(v) else "" for v in row]
-        named = [n for n, out in zip(log.names, ranges[k], strict=True) if out]
-        named += [f"{n} rate" for n, out in zip(log.names, rates[k], strict=True) if out]
-        writer.writerow([civil(log.times[k]), *cells, states[k], ", ".join(named)])
-    return text.getvalue()
 
 
 def figures(found: Positioned) -> dict[str, Figure]:
@@ -259,7 +233,7 @@ def _sky(found: Positioned) -> Figure:
             polar.annotate(log.names[s], (log.azimuth[last, s], seen[last]), fontsize=6)
     polar.set_rlim(0.0, 90.0)
     polar.set_title("sky: zenith in the middle, north up")
-    fig.legend(*polar.get_legend_handles_labels(), loc="outside lower left", markerscale=4, ncols=3)
+    fig.legend(*polar.get_legend_handles_labels(), loc="outside lower left", markerscale=4, ncols=4)
     axes[1].step(found.minutes, log.used.sum(1), color=colors.COMPARISON, label="satellites", where="post")
     axes[1].plot(found.minutes, log.dilution.position, color=colors.ESTIMATE, label="PDOP", linewidth=0.9)
     high = max(float(log.used.sum(1).max()), 1.0)

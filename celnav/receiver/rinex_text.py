@@ -1,4 +1,4 @@
-"""RINEX files as text: unpacked, their headers, and BeiDou's records, each checked: damage is told by its line."""
+"""RINEX files as text: unpacked, their headers, and the records of some systems, each checked: damage is told by its line."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from importlib import import_module
 from importlib.resources import as_file, files
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -59,8 +59,12 @@ def unpacked(path: Path) -> tuple[str, str]:
 
 def _decompressed(path: Path, raw: bytes, most: int) -> bytes:
     """By the program of hatanaka, which is stopped after ``most`` bytes: its own function would hold all that comes."""
-    imported("hatanaka")
-    program = files("hatanaka.bin") / ("crx2rnx.exe" if os.name == "nt" else "crx2rnx")
+    try:
+        import_module("hatanaka")
+        program = files("hatanaka.bin") / ("crx2rnx.exe" if os.name == "nt" else "crx2rnx")
+    except ImportError as error:
+        hint = '.venv/bin/pip install -c constraints.txt -e ".[rinex]"'
+        raise ImportError(f"{error}; compressed receiver logs need it: in the folder of celnav, {hint}") from None
     with tempfile.TemporaryFile() as given, tempfile.TemporaryFile() as told, as_file(program) as executable:
         given.write(raw)
         given.seek(0)
@@ -78,17 +82,8 @@ def _decompressed(path: Path, raw: bytes, most: int) -> bytes:
     return out
 
 
-def imported(name: str) -> Any:
-    """A package that only receiver logs need; ImportError says how to get it."""
-    try:
-        return import_module(name)
-    except ImportError as error:
-        hint = '.venv/bin/pip install -c constraints.txt -e ".[rinex]"'
-        raise ImportError(f"{error}; compressed receiver logs need it: in the folder of celnav, {hint}") from None
-
-
-def header_of(called: str, text: str, kind: str) -> tuple[dict[str, list[str]], int]:
-    """Header lines by label, and how many there are; the file is one of ``kind``, "O" or "N"."""
+def header_of(called: str, text: str, kind: str, oldest: int = 3) -> tuple[dict[str, list[str]], int]:
+    """Header lines by label, and how many there are; the file is one of ``kind``, "O" or "N", in a version from ``oldest`` to 3."""
     lines = text.split("\n")
     words = {"O": "an observation file", "N": "a navigation file"}
     if len(lines[0]) < 60 or "RINEX VERSION" not in lines[0][60:]:
@@ -97,12 +92,12 @@ def header_of(called: str, text: str, kind: str) -> tuple[dict[str, list[str]], 
         version = float(lines[0][:9])
     except ValueError:
         raise InputError(f"{called}, line 1: expected a version number, got {lines[0][:9]!r}") from None
-    if not 3.0 <= version < 4.0:
+    if not oldest <= version < 4.0:
         raise InputError(f"{called}, line 1: expected RINEX 3, got version {version:g}")
     if lines[0][20:21] != kind:
         raise InputError(f"{called}, line 1: expected {words[kind]}, got {lines[0][20:40].strip()!r}")
-    if lines[0][40:41] not in ("C", "M", " ", ""):
-        raise InputError(f"{called}, line 1: expected BeiDou (C) or mixed (M) data, got system {lines[0][40:41]!r}")
+    if lines[0][40:41] not in ("C", "G", "M", " ", ""):
+        raise InputError(f"{called}, line 1: expected BeiDou (C), GPS (G) or mixed (M) data, got system {lines[0][40:41]!r}")
     header: dict[str, list[str]] = {}
     for k, line in enumerate(lines):
         label = line[60:].strip()
@@ -144,14 +139,14 @@ def three_numbers(path: Path, header: dict[str, list[str]], label: str) -> Array
 
 
 class Measured(NamedTuple):
-    """An epoch: s since the beginning of BDT by the clock of the file, and fields of BeiDou's satellites, nan where blank or 0."""
+    """An epoch: s since the beginning of BDT by the clock of the file, and fields of satellites, nan where blank or 0."""
 
     time: float
     fields: dict[str, list[float]]
 
 
-def epochs(called: str, text: str, start: int) -> Iterator[Measured]:
-    """Epochs with a satellite of BeiDou, every line of them checked; events are left out. ``start``: lines of the header."""
+def epochs(called: str, text: str, start: int, systems: str) -> Iterator[Measured]:
+    """Epochs with a satellite of ``systems``, every line of them checked; events are left out. ``start``: lines of the header."""
     lines = text.rstrip("\n").split("\n")
     k = start
     while k < len(lines):
@@ -162,7 +157,7 @@ def epochs(called: str, text: str, start: int) -> Iterator[Measured]:
         if flag <= 1:
             own: dict[str, list[float]] = {}
             for i, row in enumerate(rows):
-                if row[:1] == "C":
+                if row and row[0] in systems:
                     name, values = _satellite(called, k + 1 + i, row)
                     if name in own:
                         raise InputError(f"{called}, line {k + 2 + i}: expected each satellite once in an epoch, got {name} again")
@@ -194,12 +189,7 @@ def _epoch(called: str, k: int, line: str) -> tuple[int, int, float]:
 
 
 def _seconds(date: list[str]) -> float:
-    """Of BDT, of a date in six parts; nan of none.
-
-    Raises
-    ------
-    ValueError: if it is no date.
-    """
+    """Of BDT, of a date in six parts; nan of none, ValueError of what is no date."""
     if not date:
         return math.nan
     year, month, day, hour, minute = (int(part) for part in date[:5])
@@ -219,25 +209,25 @@ def _satellite(called: str, k: int, row: str) -> tuple[str, list[float]]:
 
 def _name(called: str, k: int, line: str) -> str:
     name = line[:3].replace(" ", "0")
-    if len(name) < 3 or not name[1:].isdigit() or name == "C00":
+    if len(name) < 3 or not name[1:].isdigit() or name[1:] == "00":
         raise InputError(f"{called}, line {k + 1}: expected a satellite (C01), got {line[:3]!r}")
     return name
 
 
 class Set(NamedTuple):
-    """A broadcast set: whose, s of BDT of its clock, and its numbers in the order of the file, nan where blank."""
+    """A broadcast set: whose, s of its clock by its system's time, and its numbers in the order of the file, nan where blank."""
 
     name: str
     toc: float
     numbers: list[float]
 
 
-def sets(called: str, text: str, start: int) -> Iterator[Set]:
-    """BeiDou's sets, checked that each has all its lines and that these are numbers. ``start``: lines of the header."""
+def sets(called: str, text: str, start: int, systems: str) -> Iterator[Set]:
+    """Sets of ``systems``, checked that each has all its lines and that these are numbers. ``start``: lines of the header."""
     lines = text.rstrip("\n").split("\n")
     heads = [k for k in range(start, len(lines)) if lines[k][:1].strip()]
     for k, end in pairwise([*heads, len(lines)]):
-        if lines[k][:1] != "C":
+        if lines[k][0] not in systems:
             continue
         name = _name(called, k, lines[k])
         if end - k != SET_LINES:
@@ -265,12 +255,7 @@ def _number(called: str, k: int, field: str) -> float:
 
 
 def finite_number(text: str) -> float:
-    """A number; what else Python takes for one, no file has: 1_0, nan and infinity.
-
-    Raises
-    ------
-    ValueError: if it is none.
-    """
+    """A number, or ValueError; what else Python takes for one, no file has: 1_0, nan and infinity."""
     value = float(text.replace("D", "E").replace("d", "e"))
     if "_" in text or not math.isfinite(value):
         raise ValueError

@@ -13,9 +13,8 @@ from numpy.typing import ArrayLike
 
 from celnav.gaussian.checks import finite, numbers
 from celnav.gaussian.linalg import Array
-from celnav.models.beidou import LIGHT
+from celnav.models.gnss import LIGHT
 
-GPS_L1_HZ = 1575.42e6
 GROUND_M = (6.3e6, 1e7)
 """From the middle of the Earth, where receivers are: near its surface or in a low orbit."""
 SINGULAR = 1e-6
@@ -64,17 +63,27 @@ class Dilution(NamedTuple):
     time: Array
 
 
-def dilution(q: Array, position: Array, axes: Array, used: Array | None = None) -> Dilution:
-    """What a fix from ranges alone makes of their noise; nan where satellites ``used (..., S)`` do not determine one."""
+def dilution(q: Array, position: Array, axes: Array, used: Array | None = None, second: Array | None = None) -> Dilution:
+    """What a fix from ranges alone makes of their noise; nan where satellites ``used (..., S)`` do not determine one.
+
+    ``second (S,)``: 1 for satellites of a second system, the offset of whose clock is found where both are used.
+    """
     e = _unit(q - position[..., None, :]) @ axes.mT
     rows = np.concatenate([-e, np.ones_like(e[..., :1])], -1)
+    if second is not None:
+        rows = np.concatenate([rows, np.broadcast_to(second[:, None], (*rows.shape[:-1], 1))], -1)
     if used is not None:
         rows = np.where(used[..., None], rows, 0.0)
-    R: Array = np.linalg.qr(np.concatenate([rows, np.zeros((*rows.shape[:-2], 4, 4))], -2)).R
+    n = rows.shape[-1]
+    more = np.zeros((*rows.shape[:-2], n, n))
+    if second is not None:  # where one system is missing the offset counts as known
+        count, of_second = np.moveaxis(rows[..., 3:].sum(-2), -1, 0)
+        more[..., 4, 4] = (of_second == 0.0) | (of_second == count)
+    R: Array = np.linalg.qr(np.concatenate([rows, more], -2)).R
     enough = (np.abs(R.diagonal(0, -2, -1)).min(-1) > SINGULAR)[..., None, None]
     # (R.T R)^-1 has the sums of squares of the rows of R^-1 on its diagonal.
-    root = np.where(enough, np.linalg.solve(np.where(enough, R, np.eye(4)), np.broadcast_to(np.eye(4), R.shape)), np.nan)
-    east, north, up, time = np.moveaxis(np.square(root).sum(-1), -1, 0)
+    root = np.where(enough, np.linalg.solve(np.where(enough, R, np.eye(n)), np.broadcast_to(np.eye(n), R.shape)), np.nan)
+    east, north, up, time, *_ = np.moveaxis(np.square(root).sum(-1), -1, 0)
     flat = east + north
     return Dilution(*(np.sqrt(v) for v in (flat + up + time, flat + up, flat, up, time)))
 

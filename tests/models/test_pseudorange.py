@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from celnav.models import pseudorange
-from celnav.models.beidou import LIGHT, ROTATION_RATE, satellites
+from celnav.models.gnss import LIGHT, ROTATION_RATE, satellites
 from celnav.receiver.constellation import synthetic
 
 TOE = 345600.0

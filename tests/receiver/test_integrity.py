@@ -11,7 +11,7 @@ import pytest
 from rinex_pair import ALPHA, BETA, PLACE, TOE, constellation, observed
 
 from celnav.files import InputError
-from celnav.models.beidou import B1I_HZ, LIGHT
+from celnav.models.gnss import B1I_HZ, LIGHT
 from celnav.receiver import position as positioning
 from celnav.receiver import report as positioning_report
 from celnav.receiver.rinex import Navigation

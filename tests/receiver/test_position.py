@@ -13,7 +13,7 @@ from rinex_pair import ALPHA, BETA, PLACE, TOE, constellation, observed
 
 from celnav.files import InputError
 from celnav.filters.run import run
-from celnav.models.beidou import LIGHT
+from celnav.models.gnss import LIGHT
 from celnav.receiver import filters as positioning_filters
 from celnav.receiver import position as positioning
 from celnav.receiver import report as positioning_report

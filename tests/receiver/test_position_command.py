@@ -7,13 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rinex_pair import PLACE, TIMES, constellation, navigation, observations, written
+from rinex_pair import PLACE, TIMES, both, constellation, navigation, observations, written
 
 from celnav import cli
 from celnav.files import InputError, Outputs
 from celnav.receiver import position as positioning
 from celnav.receiver import report as positioning_report
 from celnav.receiver.rinex import read_navigation, read_observations
+from celnav.receiver.tracks import FORMATS
 
 
 @pytest.fixture
@@ -159,8 +160,8 @@ def test_damaged_orbits_are_told(name, tmp_path):
         (lambda t: t.replace("     3.04", "     2.11", 1), "line 1: expected RINEX 3, got version 2.11"),
         (lambda t: t.replace("     3.04", "     4.00", 1), "line 1: expected RINEX 3, got version 4"),
         (
-            lambda t: t.replace("C: BDS  ", "G: GPS  ", 1).replace("M: Mixed", "G: GPS  ", 1),
-            "line 1: expected BeiDou (C) or mixed (M)",
+            lambda t: t.replace("C: BDS  ", "R: GLO  ", 1).replace("M: Mixed", "R: GLO  ", 1),
+            "line 1: expected BeiDou (C), GPS (G) or mixed (M)",
         ),
     ],
 )
@@ -218,13 +219,14 @@ def damaged(text, rng):
         case "end":
             return text[: int(rng.integers(len(text)))]
         case "name":
-            lines[k] = str(rng.choice(["Cxx", "C00", "C 1", "X01"])) + lines[k][3:]
+            lines[k] = str(rng.choice(["Cxx", "C00", "C 1", "X01", "G1", "Gxx", "G99", "C05"])) + lines[k][3:]
     return "\n".join(lines)
 
 
+@pytest.mark.parametrize("make", [constellation, both])
 @pytest.mark.parametrize("which", ["observations", "navigation"])
-def test_damage_is_an_error_of_input_or_is_told_in_the_summary(tmp_path, which):
-    b = constellation()
+def test_damage_is_an_error_of_input_or_is_told_in_the_summary(tmp_path, which, make):
+    b = make()
     texts = {"observations": observations(b, TIMES)[0], "navigation": navigation(b)}
     refused = []
     for n in range(60):
@@ -237,7 +239,8 @@ def test_damage_is_an_error_of_input_or_is_told_in_the_summary(tmp_path, which):
             refused.append(str(error))
         else:
             positioning_report.summary(result)
-            positioning_report.table(result)
+            for track in FORMATS.values():
+                track(result)
             assert np.nanmax(np.linalg.norm(result.mean[:, :3] - PLACE, axis=-1)) < 30.0, n
     assert 10 < len(refused) < 60
     assert all("rnx" in line for line in refused)

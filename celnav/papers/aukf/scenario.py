@@ -1,7 +1,7 @@
 """[Fan]: a receiver that circles with 4 g finds its place by BeiDou's pseudoranges and their rates.
 
 The display equations and Table 1 of the text at hand are lost. What stands for them: `celnav.models.pseudorange` and
-`celnav.models.beidou` (measurements, orbits), `celnav.receiver.filters.transition` (constant velocity),
+`celnav.models.gnss` (measurements, orbits), `celnav.receiver.filters.transition` (constant velocity),
 `celnav.receiver.least_squares` (each epoch by itself) and `celnav.filters.adaptive.innovation_window` (the adaptive filter).
 """
 
@@ -24,7 +24,7 @@ from celnav.gaussian.checks import number
 from celnav.gaussian.linalg import Array
 from celnav.gaussian.rules import Rule, Taylor, unscented
 from celnav.models import pseudorange
-from celnav.models.beidou import ELLIPSOID
+from celnav.models.gnss import ELLIPSOID
 from celnav.papers import citation
 from celnav.receiver.constellation import TOE_S, synthetic
 from celnav.receiver.filters import CRYSTAL, hooks, process_noise, transition

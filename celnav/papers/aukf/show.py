@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from celnav.filters.run import run
-from celnav.models.beidou import ELLIPSOID, satellites
+from celnav.models.gnss import ELLIPSOID, satellites
 from celnav.papers.aukf.scenario import STANDARD, START_S, axes, circle, filters, simulate
 from celnav.papers.aukf.study import AXES, DENSITIES, FILTERS, HALVES, INITIAL_KM, NORMAL_ERROR, TILTS_DEG, medians, rms, watched
 from celnav.receiver import day

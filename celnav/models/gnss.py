@@ -1,7 +1,8 @@
-"""BeiDou's broadcast orbits and clocks (B1I): medium (MEO), inclined (IGSO) and geostationary (GEO) satellites [BDS-SIS-ICD].
+"""Broadcast orbits and clocks of BeiDou (B1I; MEO, IGSO and GEO) [BDS-SIS-ICD] and of GPS (L1 C/A) [IS-GPS-200].
 
-Positions are CGCS2000, Earth-fixed at their own time, m. Times are seconds of BDT since its beginning, 2006-01-01 (week times
-604,800 plus seconds of week); GPS time is ahead by 14 s. Satellites lie along the last axis of every element.
+Positions are Earth-fixed at their own time, m; CGCS2000 and WGS 84 are the same to centimeters. Times are seconds of BDT since its
+beginning, 2006-01-01 (week times 604,800 plus seconds of week); GPS time is ahead by 14 s. Satellites lie along the last axis of
+every element.
 """
 
 from __future__ import annotations
@@ -17,9 +18,9 @@ from celnav.gaussian.linalg import Array
 
 GRAVITY_PARAMETER = 3.986004418e14  # m^3/s^2
 ROTATION_RATE = 7.2921150e-5  # rad/s
+GPS_GRAVITY_PARAMETER, GPS_ROTATION_RATE = 3.986005e14, 7.2921151467e-5  # with which GPS's elements are made
 LIGHT = 299792458.0  # m/s
-RELATIVITY = -2.0 * np.sqrt(GRAVITY_PARAMETER) / LIGHT**2  # s/m^0.5, of the clock's periodic term
-B1I_HZ = 1561.098e6
+B1I_HZ, L1_HZ = 1561.098e6, 1575.42e6
 WEEK_S = 604800.0
 GPS_AHEAD_S = 14.0
 ELLIPSOID = Ellipsoid(6378137.0, 6378137.0 * (1.0 - 1.0 / 298.257222101))  # of CGCS2000
@@ -32,12 +33,13 @@ TILT = np.radians(5.0)
 class Broadcast:
     """Broadcast elements of satellites, each field ``(S,)``; angles in rad, lengths in m, times in s.
 
-    number: of the satellite, C01 is 1. toe, toc: reference times of orbit and clock, BDT since its beginning.
+    number: of the satellite, C01 is 1. gps: 1 of GPS's, 0 of BeiDou's. toe, toc: reference times of orbit and clock, BDT.
     sqrt_a, e, i0, Omega0, omega, M0, delta_n, Omega_dot, i_dot, cuc, cus, crc, crs, cic, cis: of the orbit.
-    a0, a1, a2: of the clock. tgd: group delay of B1I. health: 0 if well.
+    a0, a1, a2: of the clock. tgd: group delay of B1I or L1. health: 0 if well.
     """
 
     number: Array
+    gps: Array
     toe: Array
     sqrt_a: Array
     e: Array
@@ -75,13 +77,13 @@ class Broadcast:
 
     @property
     def names(self) -> list[str]:
-        """C01, C02, ..."""
-        return [f"C{int(n):02d}" for n in self.number]
+        """C01, G02, ..."""
+        return [f"{'CG'[int(gps)]}{int(n):02d}" for gps, n in zip(self.gps, self.number, strict=True)]
 
     @property
     def geostationary(self) -> Array:
         """Mask ``(S,)`` of the satellites whose elements refer to the tilted plane."""
-        return np.isin(self.number.astype(int), sorted(GEO_NUMBERS))
+        return np.isin(self.number * (1.0 - self.gps), sorted(GEO_NUMBERS))
 
     def chosen(self, which: Array) -> Broadcast:
         """Some of the satellites, by index or mask."""
@@ -101,7 +103,9 @@ def satellites(broadcast: Broadcast, t: Array | float) -> SatelliteState:
     """States of all satellites at times ``t (..., S)`` or one time; velocities are exact derivatives."""
     b, t = broadcast, np.asarray(t, dtype=np.float64)
     tk, dt = ((since - WEEK_S * np.round(since / WEEK_S)) for since in (t - b.toe, t - b.toc))  # within half a week
-    n = np.sqrt(GRAVITY_PARAMETER) / b.sqrt_a**3 + b.delta_n
+    root_mu = np.sqrt(np.where(b.gps, GPS_GRAVITY_PARAMETER, GRAVITY_PARAMETER))
+    spin = np.where(b.gps, GPS_ROTATION_RATE, ROTATION_RATE)
+    n = root_mu / b.sqrt_a**3 + b.delta_n
     E = eccentric_anomaly(b.M0 + n * tk, b.e)
     sin_E, cos_E = np.sin(E), np.cos(E)
     shrunk = 1.0 - b.e * cos_E
@@ -120,8 +124,8 @@ def satellites(broadcast: Broadcast, t: Array | float) -> SatelliteState:
 
     # In space, about a node that turns with the Earth; that of a geostationary orbit stays in the tilted plane until the end.
     geo = b.geostationary
-    turning = b.Omega_dot - np.where(geo, 0.0, ROTATION_RATE)
-    node = b.Omega0 + turning * tk - ROTATION_RATE * np.mod(b.toe, WEEK_S)
+    turning = b.Omega_dot - np.where(geo, 0.0, spin)
+    node = b.Omega0 + turning * tk - spin * np.mod(b.toe + GPS_AHEAD_S * b.gps, WEEK_S)  # of the week of its own time
     cos_O, sin_O, cos_i, sin_i = np.cos(node), np.sin(node), np.cos(i), np.sin(i)
     across, across_dot = y * cos_i, y_dot * cos_i - y * sin_i * i_dot
     P = np.stack([x * cos_O - across * sin_O, x * sin_O + across * cos_O, y * sin_i], -1)
@@ -131,7 +135,7 @@ def satellites(broadcast: Broadcast, t: Array | float) -> SatelliteState:
         fixed = turned(tilted(P, -TILT), ROTATION_RATE * tk)
         moving = turned(tilted(V, -TILT), ROTATION_RATE * tk) - spun(fixed, ROTATION_RATE)
         P, V = np.where(geo[:, None], fixed, P), np.where(geo[:, None], moving, V)
-    periodic = RELATIVITY * b.e * b.sqrt_a
+    periodic = -2.0 * root_mu / LIGHT**2 * b.e * b.sqrt_a
     clock = b.a0 + dt * (b.a1 + dt * b.a2) + periodic * sin_E - b.tgd
     return SatelliteState(P, V, clock, b.a1 + 2.0 * b.a2 * dt + periodic * cos_E * E_dot)
 

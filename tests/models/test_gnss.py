@@ -6,9 +6,11 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
 
-from celnav.models import beidou
-from celnav.models.beidou import GRAVITY_PARAMETER, ROTATION_RATE, Broadcast, satellites
+from celnav.models import gnss
+from celnav.models.gnss import GRAVITY_PARAMETER, ROTATION_RATE, Broadcast, satellites
 from celnav.receiver.constellation import synthetic
 
 TOE = 345600.0
@@ -31,7 +33,7 @@ def broadcast(**changes):
 
 
 def test_velocities_and_drifts_are_derivatives():
-    b, h = broadcast(), 0.5
+    b, h = broadcast(gps=np.array([1.0, 0.0, 0.0])), 0.5
     for t in (TOE - 3000.0, TOE, TOE + 1234.5):
         steps = [satellites(b, t + k * h) for k in (-2, -1, 1, 2)]
         for value, rate, size in (("position", "velocity", 1e-5), ("clock", "drift", 1e-17)):
@@ -63,6 +65,42 @@ def textbook(b, s, t):
         Rz = np.array([[np.cos(w), np.sin(w), 0], [-np.sin(w), np.cos(w), 0], [0, 0, 1]])
         P = Rz @ Rx @ P
     return P
+
+
+def of_gps(b, s, t):
+    """A satellite of GPS [IS-GPS-200, Table 20-IV] by rotations of its radius, t and toe in seconds of GPS's week."""
+    mu, earth = 3.986005e14, 7.2921151467e-5
+    toe, A = (b.toe[s] + 14.0) % 604800.0, b.sqrt_a[s] ** 2
+    tk = (t - toe + 302400.0) % 604800.0 - 302400.0
+    M = b.M0[s] + (np.sqrt(mu / A**3) + b.delta_n[s]) * tk
+    E = brentq(lambda E: E - b.e[s] * np.sin(E) - M, M - 1.0, M + 1.0, xtol=1e-15, rtol=1e-15)
+    anomaly = 2.0 * np.arctan(np.sqrt((1.0 + b.e[s]) / (1.0 - b.e[s])) * np.tan(E / 2.0))
+    wave = np.exp(2j * (anomaly + b.omega[s]))
+    u, r, i = (
+        base + cosine * wave.real + sine * wave.imag
+        for base, cosine, sine in (
+            (anomaly + b.omega[s], b.cuc[s], b.cus[s]), (A * (1.0 - b.e[s] * np.cos(E)), b.crc[s], b.crs[s]),
+            (b.i0[s] + b.i_dot[s] * tk, b.cic[s], b.cis[s]),
+        )
+    )  # fmt: skip
+    node = b.Omega0[s] + b.Omega_dot[s] * tk - earth * (tk + toe)
+    clock = b.a0[s] + b.a1[s] * tk + b.a2[s] * tk**2 - 4.442807633e-10 * b.e[s] * b.sqrt_a[s] * np.sin(E) - b.tgd[s]
+    return Rotation.from_euler("ZXZ", [node, i, u]).apply([r, 0.0, 0.0]), clock
+
+
+@pytest.mark.parametrize("toe", [345600.0, 0.0, -14.0, 604786.0, 604800.0 * 955 + 597600.0 - 14.0])
+@pytest.mark.parametrize("after", [-7200.0, 0.0, 5400.0])
+def test_satellites_of_gps_are_those_of_their_interface_document(toe, after):
+    """Also at the ends of the week, which is GPS's own, 14 s before BeiDou's."""
+    when = np.full(3, toe)
+    b = broadcast(gps=np.ones(3), e=np.array([0.01, 2e-3, 3e-4]), sqrt_a=np.full(3, 5153.7), toe=when, toc=when)
+    found = satellites(b, toe + after)
+    for s in range(3):
+        place, clock = of_gps(b, s, (toe + 14.0 + after) % 604800.0)
+        np.testing.assert_allclose(found.position[s], place, rtol=0, atol=1e-5)
+        np.testing.assert_allclose(found.clock[s], clock, rtol=0, atol=1e-17)  # the constant has ten digits
+    assert b.names == ["G21", "G38", "G03"]
+    assert not b.geostationary.any()
 
 
 @pytest.mark.parametrize("week", [0, 756])
@@ -141,5 +179,5 @@ def test_names_and_kinds():
     assert b.names == ["C21", "C38", "C03"]
     np.testing.assert_array_equal(b.geostationary, [False, False, True])
     assert b.chosen(b.geostationary).names == ["C03"]
-    assert {1, 5, 59, 63} <= beidou.GEO_NUMBERS
-    assert 6 not in beidou.GEO_NUMBERS
+    assert {1, 5, 59, 63} <= gnss.GEO_NUMBERS
+    assert 6 not in gnss.GEO_NUMBERS

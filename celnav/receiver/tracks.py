@@ -1,0 +1,162 @@
+"""Tracks as they are exchanged: CSV with all that is known of an epoch, RTKLIB's solutions, GeoJSON, and NMEA 0183."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Callable
+from datetime import timedelta
+from functools import reduce
+from typing import TYPE_CHECKING, NamedTuple
+
+import erfa
+import numpy as np
+from pymap3d import ecef2geodetic
+
+import celnav
+from celnav.gaussian.linalg import Array
+from celnav.models.gnss import ELLIPSOID, GPS_AHEAD_S, WEEK_S
+from celnav.receiver.rinex_text import EPOCH_ZERO
+from celnav.receiver.sky import local_axes
+
+if TYPE_CHECKING:
+    from celnav.receiver.report import Positioned
+
+GPS_WEEK = 1356
+"""In which BDT began, by the count of GPS."""
+BDT_DAY, TAI_AHEAD_S = 2453736.5, 33.0
+"""Julian date of that beginning, and how far TAI is ahead of BDT."""
+KNOT = 1852.0 / 3600.0
+COLUMNS = ("time_bdt", "seconds_bdt", "x_m", "y_m", "z_m", "vx_m_per_s", "vy_m_per_s", "vz_m_per_s", "clock_m", "drift_m_per_s",
+           "east_m", "north_m", "up_m", "std_east_m", "std_north_m", "std_up_m", "satellites", "pdop",
+           "integrity", "excluded")  # fmt: skip
+
+
+def civil(t: float, form: str = "%Y-%m-%dT%H:%M:%S") -> str:
+    """Date and time of seconds of BDT; of GPS time, with those by which it is ahead."""
+    return (EPOCH_ZERO + timedelta(milliseconds=round(t * 1e3))).strftime(form)
+
+
+def table(found: Positioned) -> str:
+    """All epochs as CSV; empty where there is nothing. ``clock_m`` is the receiver's clock with what it was set by.
+
+    ``integrity``, of the ranges: "tested", "excluded" (consistent without what ``excluded`` names), "contradiction" (none is used),
+    "untested" (no redundancy) or "no ranges". ``excluded``: satellites whose range was; with "rate", whose rate alone was.
+    """
+    local, log = found.local(found.mean), found.log
+    std = np.sqrt((found.axes @ found.cov @ found.axes.T).diagonal(0, -2, -1))
+    mean = found.mean[:, :8].copy()
+    mean[:, 6] += log.jumps
+    numbers = np.column_stack([log.times, mean, local, std, log.used.sum(1), log.dilution.position])
+    ranges, rates = np.split(log.excluded, 2, -1)
+    states = np.select(
+        [log.unusable[:, 0], ranges.any(1), ~log.used.any(1), log.tested[:, 0]],
+        ["contradiction", "excluded", "no ranges", "tested"],
+        "untested",
+    )
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for k, row in enumerate(numbers):
+        cells = [f"{v:.4f}".rstrip("0").rstrip(".") if np.isfinite(v) else "" for v in row]
+        named = [n for n, out in zip(log.names, ranges[k], strict=True) if out]
+        named += [f"{n} rate" for n, out in zip(log.names, rates[k], strict=True) if out]
+        writer.writerow([civil(log.times[k]), *cells, states[k], ", ".join(named)])
+    return text.getvalue()
+
+
+class Place(NamedTuple):
+    """A measured epoch: s of BDT, degrees, m above the ellipsoid; velocity and covariance by east, north and up."""
+
+    time: float
+    latitude: float
+    longitude: float
+    height: float
+    velocity: Array
+    cov: Array
+    satellites: int
+    hdop: float
+
+
+def places(found: Positioned) -> list[Place]:
+    """All epochs whose position some range went into."""
+    k, log = np.flatnonzero(found.measured), found.log
+    latitude, longitude, height = (np.reshape(v, k.size) for v in ecef2geodetic(*found.mean[k, :3].T, ell=ELLIPSOID))
+    axes = local_axes(np.radians(latitude), np.radians(longitude))
+    velocity, cov = (axes @ found.mean[k, 3:6, None])[..., 0], axes @ found.cov[k] @ axes.mT
+    columns = log.times[k], latitude, longitude, height, velocity, cov, log.used[k].sum(1), log.dilution.horizontal[k]
+    return [Place(*row) for row in zip(*columns, strict=True)]
+
+
+def pos(found: Positioned) -> str:
+    """RTKLIB's solution file, in GPS time: latitude, longitude and height with their deviations; every solution is a single one."""
+    rows, form = places(found), "%Y/%m/%d %H:%M:%S.%f"
+    lines = [f"% program   : celnav {celnav.__version__} {found.filter}", *(f"% inp file  : {name}" for name in found.log.files)]
+    for name, place in (("start", rows[0]), ("end  ", rows[-1])):
+        week, second = divmod(place.time + GPS_AHEAD_S, WEEK_S)
+        when = civil(place.time + GPS_AHEAD_S, form)[:-5]
+        lines.append(f"% obs {name} : {when} GPST (week{GPS_WEEK + int(week):04d} {second:8.1f}s)")
+    systems = " ".join({"C": "beidou", "G": "gps"}[letter] for letter in found.log.systems[::-1])
+    lines += [
+        "% pos mode  : single",
+        f"% ionos opt : {'broadcast' if found.log.ionosphere else 'off'}",
+        "% tropo opt : saastamoinen",
+        "% ephemeris : broadcast",
+        f"% navi sys  : {systems}",
+        "%",
+        "% (lat/lon/height=WGS84/ellipsoidal,Q=1:fix,2:float,3:sbas,4:dgps,5:single,6:ppp,ns=# of satellites)",
+        "%  GPST                  latitude(deg) longitude(deg)  height(m)   Q  ns"
+        "   sdn(m)   sde(m)   sdu(m)  sdne(m)  sdeu(m)  sdun(m) age(s)  ratio",
+    ]
+    for place in rows:
+        (ee, en, eu), (_, nn, nu), (_, _, uu) = place.cov
+        deviations = "".join(f" {np.copysign(np.sqrt(abs(v)), v):8.4f}" for v in (nn, ee, uu, en, eu, nu))
+        lines.append(
+            f"{civil(place.time + GPS_AHEAD_S, form)[:-3]} {place.latitude:14.9f} {place.longitude:14.9f} {place.height:10.4f}"
+            f"   5 {place.satellites:3d}{deviations} {0.0:6.2f} {0.0:6.1f}"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def utc(times: Array) -> list[str]:
+    """Date and time in UTC of seconds of BDT, to a millisecond: "2020-06-25T00:00:00.000Z"."""
+    days = erfa.taiutc(BDT_DAY, (times + TAI_AHEAD_S) / 86400.0)
+    year, month, day, clock = erfa.d2dtf("UTC", 3, *days)
+    parts = zip(year, month, day, clock["h"], clock["m"], clock["s"], clock["f"], strict=True)
+    return ["{}-{:02d}-{:02d}T{:02d}:{:02d}:{:02d}.{:03d}Z".format(*(int(v) for v in part)) for part in parts]
+
+
+def geojson(found: Positioned) -> str:
+    """A line of longitude, latitude (degrees) and height above the ellipsoid (m) [RFC 7946], with its times in UTC."""
+    rows = places(found)
+    line = [[round(row.longitude, 9), round(row.latitude, 9), round(row.height, 4)] for row in rows]
+    shape = {"type": "LineString", "coordinates": line} if len(line) > 1 else {"type": "Point", "coordinates": line[0]}
+    about = {"filter": found.filter, "coordTimes": utc(np.array([row.time for row in rows]))}
+    feature = {"type": "Feature", "geometry": shape, "properties": about}
+    return json.dumps({"type": "FeatureCollection", "features": [feature]}) + "\n"
+
+
+def nmea(found: Positioned) -> str:
+    """GGA and RMC of each epoch, in UTC. Heights are above the ellipsoid, with a separation of 0: no geoid is known here."""
+    talker = {"C": "GB", "G": "GP"}.get(found.log.systems, "GN")
+    rows, lines = places(found), []
+    for row, when in zip(rows, utc(np.array([row.time for row in rows])), strict=True):
+        clock, date = when[11:-1].replace(":", ""), when[8:10] + when[5:7] + when[2:4]
+        at = f"{_angle(row.latitude, 2, 'NS')},{_angle(row.longitude, 3, 'EW')}"
+        east, north, _ = row.velocity
+        moving = f"{np.hypot(east, north) / KNOT:.2f},{np.degrees(np.arctan2(east, north)) % 360.0:.2f}" if east == east else ","
+        hdop = f"{row.hdop:.2f}" if np.isfinite(row.hdop) else ""
+        lines.append(f"{talker}GGA,{clock},{at},1,{row.satellites:02d},{hdop},{row.height:.3f},M,0.0,M,,")
+        lines.append(f"{talker}RMC,{clock},A,{at},{moving},{date},,,A")
+    return "".join(f"${line}*{reduce(lambda a, b: a ^ b, line.encode('ascii')):02X}\r\n" for line in lines)
+
+
+def _angle(degrees: float, digits: int, signs: str) -> str:
+    """Degrees and minutes, as NMEA writes them."""
+    whole, minutes = divmod(round(abs(degrees) * 60.0, 6), 60.0)
+    return f"{int(whole):0{digits}d}{minutes:09.6f},{signs[int(degrees < 0.0)]}"
+
+
+FORMATS: dict[str, Callable[[Positioned], str]] = {".csv": table, ".pos": pos, ".geojson": geojson, ".nmea": nmea}
+"""By the suffix of the file."""
