@@ -164,7 +164,7 @@ CALLS = {
     "metrics.chi_square_band": dict(dof=2, runs=10, level=0.9),
     "metrics.bootstrap": (
         lambda statistic, samples, **more: metrics.bootstrap(statistic, samples, **more),
-        dict(statistic=np.mean, samples=np.ones(3), level=0.9, resamples=10, seed=0),
+        dict(statistic=np.mean, samples=np.ones(3), block=1, level=0.9, resamples=10, seed=0),
     ),
     "observability.jacobian": dict(function=square, x=np.ones(2)),
     "observability.lie_gradients": dict(f=square, h=square, x=np.ones(2), order=1, window=0.1),
