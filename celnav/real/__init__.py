@@ -17,7 +17,9 @@ from celnav.lazy import modules
 
 __getattr__, __dir__ = modules(__name__)
 
-STUDIES: dict[str, str] = {}
+STUDIES: dict[str, str] = {
+    "nanograv": "pulsars' arrival times (daily_averages.npz)",
+}
 """Identifier, which is also the option of ``celnav reproduce`` and the module -> what the folder holds."""
 
 
