@@ -19,6 +19,7 @@ __getattr__, __dir__ = modules(__name__)
 
 STUDIES: dict[str, str] = {
     "nanograv": "pulsars' arrival times (daily_averages.npz)",
+    "rxte": "photons of a pulsar, the satellite's orbit, a timing model (*.fits, FPorbit*, *.par)",
 }
 """Identifier, which is also the option of ``celnav reproduce`` and the module -> what the folder holds."""
 

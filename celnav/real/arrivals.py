@@ -2,8 +2,8 @@
 
 An Earth that is ``d`` from where its ephemeris has it meets pulses ``n.d`` km early. Each pulsar has a timing model: phase, spin
 and spin-down, position, proper motion and parallax, each a column of a linear model, with white noise beyond the claimed one and
-a spin that walks at random, sized by restricted likelihood. What a fit of them takes for its own it hides: a constant or yearly error
-of the Earth, and most of a slow one [Blandford1984].
+a spin that walks at random, sized by restricted likelihood. What a fit of them takes for its own it hides: a constant or yearly
+error of the Earth, and most of a slow one [Blandford1984].
 
 Residuals are as released [Agazie2023], of models fitted on all years. Refitting on some of them undoes that for the columns above,
 exactly; orbits of binaries and dispersion keep what all years gave.

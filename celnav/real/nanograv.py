@@ -207,7 +207,7 @@ def parts(_effort: float = 1.0, nanograv: Path | None = None) -> dict[str, Part]
 def squares(r: Results, part: str, name: str) -> Array:
     """Squared lengths ``(T,)`` of errors, of filters after their first year."""
     square = np.square(r.get(part, f"{name}/error")).sum((1, 2))
-    return square if part in ("fixes", "window") else square[r.times(part) > YEAR * DAY_S]
+    return np.asarray(square if part in ("fixes", "window") else square[r.times(part) > YEAR * DAY_S])
 
 
 def rms(part: str, name: str, low: float | None, most: float | None) -> Decided:
@@ -287,8 +287,8 @@ ROWS = (
         why="What the paper says of every setting with colored noise.", found="Its error is {0} and {1} times as large.",
     ),
     finding(
-        "nanograv-claims", "Filters that take fixes of different weeks for independent claim too much; one that knows that errors of "
-        "timing models stay is consistent.",
+        "nanograv-claims", "Filters that take fixes of different weeks for independent claim too much; one that knows that those "
+        "of timing models stay is consistent.",
         all_of(consistency("DE440", "ekf", 2.0, None), *(consistency(by, "clocks", None, 1.5) for by in ("DE440", "DE405"))),
         figure="figure_03", why="Twice the claimed variance, and no more than one and a half times.",
         found="NEES / 3 of the EKF is {0} where its ephemeris is right, that of the other {1}, and {2} with DE405.",
@@ -302,8 +302,8 @@ ROWS = (
 
 STUDY = Study(
     "nanograv", GROUPS, trial, parts, ROWS,
-    says="NANOGrav's millisecond pulsars, timed until 2017, tell where the Earth was in the years after. What can they see of it, and "
-    "what do the filters of the pulsar paper make of ephemerides that were really wrong?",
+    says="NANOGrav's millisecond pulsars, timed until 2017, tell where the Earth was in the years after. What can they see of it, "
+    "and what do the filters of the pulsar paper make of ephemerides that were really wrong?",
     found="",
     figure="figure_02",
 )  # fmt: skip
