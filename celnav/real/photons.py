@@ -6,6 +6,7 @@ import re
 import warnings
 from collections.abc import Mapping
 from functools import lru_cache
+from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -73,10 +74,11 @@ def table(path: Path, extension: str, columns: tuple[str, ...]) -> tuple[Mapping
     except ImportError as error:
         command = '.venv/bin/pip install -c constraints.txt -e ".[real]"'
         raise ImportError(f"{path}: expected astropy for FITS files ({error}); install it: {command}") from None
+    content = path.read_bytes()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            with fits.open(path, memmap=False) as file:
+            with fits.open(BytesIO(content)) as file:
                 hdu = file[extension]
                 values = [np.asarray(hdu.data[name], np.float64) for name in columns]
                 header = {key: hdu.header[key] for key in ("MJDREFI", "MJDREFF", "TIMEZERO", "TIMESYS")}
