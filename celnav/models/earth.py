@@ -1,4 +1,7 @@
-"""The ellipsoid WGS-84 (radii of curvature, rotation, normal gravity) and the flight of an aircraft over it. Units: m, s, rad."""
+"""The ellipsoid WGS-84 (radii of curvature, rotation, normal gravity), axes that turn with the Earth, an aircraft's flight.
+
+Units: m, s, rad.
+"""
 
 from __future__ import annotations
 
@@ -56,6 +59,28 @@ def transport_rate(velocity: Array, latitude: ArrayLike, height_m: ArrayLike) ->
     north, east = radii(latitude, height_m)
     spin = velocity[..., 0] / east
     return np.stack([-velocity[..., 1] / north, spin, spin * np.tan(latitude)], -1)
+
+
+def inertial_forces(position: Array, velocity: Array, pole: tuple[float, float] = (0.0, 0.0)) -> Array:
+    """Centrifugal and Coriolis acceleration ``(..., 3)`` m/s^2 on axes that turn with the Earth; m and m/s on these.
+
+    pole: x and y of its motion, rad: where the axis of rotation lies, along (x, -y, 1).
+    """
+    x, y, z = ROTATION_RATE * pole[0], -ROTATION_RATE * pole[1], ROTATION_RATE
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.asanyarray(-(position @ (cross @ cross).T + velocity @ (2.0 * cross).T))
+
+
+def orientation(tt: ArrayLike, ut1: ArrayLike, pole: tuple[float, float] = (0.0, 0.0)) -> Array:
+    """Rotations ``(..., 3, 3)`` that take celestial components (GCRS) to terrestrial ones (ITRS): IAU 2006/2000A, by ERFA.
+
+    tt, ut1: Julian dates in terrestrial time and in UT1, ``(..., 2)``: days and the rest. pole: x and y of its motion, rad.
+    """
+    import erfa  # only who asks for it has it imported
+
+    one, two = finite("tt", tt, (..., 2)), finite("ut1", ut1, (..., 2))
+    xp, yp = finite("pole", pole, (2,))
+    return np.asarray(erfa.c2t06a(one[..., 0], one[..., 1], two[..., 0], two[..., 1], xp, yp))
 
 
 class Flight(NamedTuple):

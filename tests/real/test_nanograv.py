@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 from pathlib import Path
 
 import numpy as np
@@ -164,6 +165,11 @@ def test_the_table_of_ephemerides_is_that_of_the_longer_one_where_both_are():
     for body in ("earth", "sun"):
         ours = nanograv.differences()[f"de421/{body}"](mjd) - nanograv.differences()[f"de405/{body}"](mjd)
         np.testing.assert_allclose(ours, other[f"de405-de421/{body}"], atol=1e-4)
+
+
+def test_the_table_is_the_one_that_the_readme_names():
+    digest = hashlib.sha256(data("ephemeris_years.npz").read_bytes()).hexdigest()
+    assert digest in data("README.md").read_text(encoding="utf-8")
 
 
 def test_errors_of_the_orbit_grow_as_those_of_the_orbit_itself():
