@@ -1,4 +1,4 @@
-"""Arrival times of millisecond pulsars, what their timing models know of the years before, and weekly fixes of the Earth.
+"""Arrival times of millisecond pulsars, what their timing models know of the years before, fixes of the Earth; ephemerides.
 
 An Earth that is ``d`` from where its ephemeris has it meets pulses ``n.d`` km early. Each pulsar has a timing model: phase, spin
 and spin-down, position, proper motion and parallax, each a column of a linear model, with white noise beyond the claimed one and
@@ -17,11 +17,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 from scipy.linalg import block_diag, solve_triangular
 from scipy.optimize import minimize
 
-from celnav.files import InputError, read_npz
+from celnav.files import InputError, data, read_npz
 from celnav.gaussian.linalg import Array
+from celnav.models.ephemeris import DAY_S, GM, Tdb, de421
 from celnav.models.pulsar import LIGHT_KM_S
 from celnav.real import found
 
@@ -224,3 +226,30 @@ def remembered(heard: Sequence[Clock], early: Sequence[Array], day: Array, moves
     padded = (np.concatenate([every[week == k], np.zeros((13, 13))]) for k in range(len(day)))
     R = np.stack([np.linalg.qr(part, mode="r")[:12] for part in padded])
     return np.asarray(np.linalg.solve(moves.mT, R[..., :12].mT).mT), R[..., 12]
+
+
+# -- ephemerides -----------------------------------------------------------------------------------------------------------------
+@lru_cache(maxsize=1)
+def differences() -> dict[str, CubicSpline]:
+    """``data/ephemeris_years.npz``: DE440 less an older ephemeris, ``(T, 3)`` km at days (MJD), of Earth and Sun: "de405/sun"."""
+    t = read_npz(data("ephemeris_years.npz"))
+    new = {body: t[f"de440-de421/{body}"] for body in ("earth", "sun")}
+    old = {f"de405/{body}": difference - t[f"de405-de421/{body}"] for body, difference in new.items()}
+    return {name: CubicSpline(t["mjd"], d) for name, d in ({f"de421/{body}": d for body, d in new.items()} | old).items()}
+
+
+def transition(start: float, end: float) -> Array:
+    """What becomes of a small error of the Earth's orbit about the Sun ``(6, 6)``, from one day (MJD) to another."""
+    steps = max(1, round(2.0 * (end - start)))
+    at = Tdb(2400000.5, start + (end - start) * np.arange(2 * steps + 1) / (2 * steps))
+    r = de421().state("earth", at).position - de421().state("sun", at).position
+    size, A = np.linalg.norm(r, axis=1)[:, None, None], np.zeros((len(r), 6, 6))
+    A[:, :3, 3:] = np.eye(3)
+    A[:, 3:, :3] = GM["sun"] * (3.0 * r[:, :, None] * r[:, None] / size**5 - np.eye(3) / size**3)
+    Phi, h = np.eye(6), (end - start) * DAY_S / steps
+    for a, b, c in zip(A[:-1:2], A[1::2], A[2::2], strict=True):  # Runge and Kutta
+        k1 = a @ Phi
+        k2 = b @ (Phi + 0.5 * h * k1)
+        k3 = b @ (Phi + 0.5 * h * k2)
+        Phi = Phi + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + c @ (Phi + h * k3))
+    return Phi

@@ -245,7 +245,7 @@ def test_the_whole_study_on_made_arrivals(folder, tmp_path):
     assert verdicts["nanograv-fixes"] == verdicts["nanograv-ignored"] == verdicts["nanograv-swallowed"] == "shown"
     for _, draw in nanograv.FIGURES.values():
         assert render(draw(results), "png")[:4] == b"\x89PNG"
-    assert len(nanograv.TABLES["table_1"][1](results)) == 18
+    assert len(nanograv.TABLES["table_1"][1](results)) == 21
     assert nanograv.parts() == {}
 
 
