@@ -33,7 +33,7 @@ from celnav.models.ephemeris import DAY_S, Tdb, de421
 from celnav.papers import citation
 from celnav.papers.tstdkf import scenario as paper
 from celnav.papers.tstdkf.method import ar1_noise
-from celnav.real.arrivals import YEAR, Weeks, clocks, differences, remembered, transition, weekly
+from celnav.real.arrivals import YEAR, Weeks, clocks, differences, read, remembered, transition, weekly
 from celnav.show import colors
 from celnav.show.figures import Line, Panel, Rows, curve, level, panels
 from celnav.show.showcase import Showcase, Space, write
@@ -176,6 +176,7 @@ def parts(_effort: float = 1.0, nanograv: Path | None = None) -> dict[str, Part]
     """All that is computed; ``nanograv``: folder of the arrival times."""
     if nanograv is None:
         return {}
+    read(nanograv)  # what is no such folder is refused before anything is computed
     flown = {name: Part(fly_all, Flight(nanograv, old), cost=4.0) for name, old in FLIGHTS.items()}
     return {"fixes": Part(fixes, nanograv, cost=4.0), "window": Part(window, nanograv, cost=3.0), **flown}
 

@@ -149,7 +149,10 @@ BLOCK, PIECES = 4, 3
 
 def parts(_effort: float = 1.0, rxte: Path | None = None) -> dict[str, Part]:
     """All that is computed; ``rxte``: folder of photons, orbit and timing model."""
-    return {} if rxte is None else {"folded": Part(folded, rxte, cost=5.0), "placed": Part(placed, rxte, cost=3.0)}
+    if rxte is None:
+        return {}
+    read(rxte)  # what is no such folder is refused before anything is computed
+    return {"folded": Part(folded, rxte, cost=5.0), "placed": Part(placed, rxte, cost=3.0)}
 
 
 def sharper(one: str, other: str) -> Decided:
