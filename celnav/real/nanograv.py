@@ -35,7 +35,7 @@ from celnav.papers.tstdkf import scenario as paper
 from celnav.papers.tstdkf.method import ar1_noise
 from celnav.real.arrivals import YEAR, Weeks, clocks, differences, read, remembered, transition, weekly
 from celnav.show import colors
-from celnav.show.figures import Line, Panel, Rows, curve, level, panels
+from celnav.show.figures import Line, Panel, Rows, bars, curve, level, panels
 from celnav.show.showcase import Showcase, Space, write
 from celnav.study.ledger import Number, estimate, finding
 from celnav.study.numbers import Decided, all_of, of
@@ -221,9 +221,14 @@ def consistency(part: str, name: str, low: float | None, most: float | None) -> 
     return number
 
 
+def length(errors: Array) -> float:
+    """RMS length of errors ``(T, 1, 3)``."""
+    return float(np.sqrt(np.square(errors).sum((1, 2)).mean()))
+
+
 def size(name: str, label: str, low: float | None, most: float | None) -> Decided:
     """RMS length of an array of the window, km: no sampling error."""
-    return of("window", name, f"{label} (km)", (low, most), lambda x: np.sqrt(np.square(x).sum((1, 2)).mean()))
+    return of("window", name, f"{label} (km)", (low, most), length)
 
 
 def share(period: float, low: float | None, most: float | None) -> Decided:
@@ -309,7 +314,7 @@ STUDY = Study(
 AXES, SHADES = ("x", "y", "z"), (colors.COMPARISON, colors.ESTIMATE, colors.TRUTH)
 LINES = {
     "ekf": Line("EKF", colors.OPEN_LOOP), "tkf": Line("TKF", colors.COMPARISON), "tdkf": Line("TDKF", colors.FAINT, "--", 0.9),
-    "tstdkf": Line("TSTDKF", colors.ESTIMATE), "aug": Line("exact for fixes", colors.REFERENCE),
+    "tstdkf": Line("TSTDKF", colors.ESTIMATE), "aug": Line("augmented", colors.REFERENCE),
     "drift": Line("Sun's error grows evenly", colors.MEASUREMENT, width=1.9),
     "clocks": Line("so, and knows its clocks", colors.TRUTH, width=1.9),
 }  # fmt: skip
@@ -337,14 +342,12 @@ def weeks(r: Results) -> Figure:
 
 def hidden(r: Results) -> Figure:
     """What is left of a swing, and of the errors of old ephemerides."""
-    items = [curve(r.get("window", "periods"), r.get("window", "share"), color=colors.COMPARISON), level(1.0)]
-    ends = [np.sqrt(np.square(r.get("window", f"{old}/{what}")).sum((1, 2)).mean()) for old, what in product(
-        ("de405", "de421"), ("earth", "earth shown"))]  # fmt: skip
-    names = ("DE405 is off", "DE405, left to see", "DE421 is off", "DE421, left to see")
-    marks = [curve(ends, names, color=colors.PAPER, marker="o", linestyle="")]
+    swing = [curve(r.get("window", "periods"), r.get("window", "share"), color=colors.COMPARISON), level(1.0)]
+    off, left = ([length(r.get("window", f"{old}/{what}")) for old in ("de405", "de421")] for what in ("earth", "earth shown"))
+    error = bars(("DE405", "DE421"), {"how wrong it is": (off, colors.PAPER), "left to see": (left, colors.COMPARISON)})
     return panels(
-        [Panel("What timing models leave of a swing", items, "period (years)", "share that is seen", "xy"),
-         Panel("Earth, 2017 to 2020", marks, "RMS (km)", "", "x")], size=(10.0, 3.6),
+        [Panel("What timing models leave of a swing", swing, "period (years)", "share that is seen", "xy"),
+         Panel("The Earth's place, 2017 to 2020", [error], "", "RMS (km)", "y", {"ylim": (0.05, 500.0)})], size=(10.0, 3.6),
     )  # fmt: skip
 
 
