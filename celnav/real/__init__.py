@@ -17,7 +17,9 @@ from celnav.lazy import modules
 
 __getattr__, __dir__ = modules(__name__)
 
-STUDIES: dict[str, str] = {}
+STUDIES: dict[str, str] = {
+    "grace": "GPS fixes and positions of GRACE-A, August 2008, and a gravity field",
+}
 """Identifier, which is also the option of ``celnav reproduce`` and the module -> what the folder holds."""
 
 
