@@ -12,7 +12,20 @@ from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array, matvec
 from celnav.models import earth, gravity
 from celnav.real.grace.positions import STEP_S, aligned, axes, read
-from celnav.real.grace.study import BEST, DEGREE, DEGREES, NAMES, POLE, REVOLUTION, SETTINGS, column, fixes, flights, prior
+from celnav.real.grace.study import (
+    BEST,
+    DEGREE,
+    DEGREES,
+    NAMES,
+    REVOLUTION,
+    SETTINGS,
+    around,
+    column,
+    fixes,
+    flights,
+    orientation,
+    prior,
+)
 from celnav.show import colors, scenes, showcase
 from celnav.show.estimates import Estimate, Group
 from celnav.show.figures import Line, Panel, Rows, band, bars, curve, level, panels
@@ -139,13 +152,11 @@ def _shown(results: Results) -> Showcase:
     log, field, keep = read(files.fixes[0]), gravity.read(files.field, DEGREE), slice(None, None, THIN)
     truth = aligned(log, read(files.truth))
     t, start, frame = log.times - log.times[0], prior(log), axes(truth)[keep]
-    tt = np.stack([np.full(t.shape, 2451545.0), (log.times + 51.184) / 86400.0], -1)[keep]  # GPS is TT less 51.184 s
-    ut1 = tt - [0.0, (51.184 + 14.0 + 0.458) / 86400.0]
-    still = earth.orientation(tt, ut1, POLE).mT
+    still, u = orientation(log.times[keep])[0].mT, around(log.times)
     est, place = dict[str, Estimate](), matvec(still, truth[keep]) / 1e6
     drawn: dict[str, tuple[Array, Array]] = {}
     for (name,), filter in ((own, f) for kind in ("white", "colored") for own, f in flights(field, [kind]).items()):
-        track = run(filter, Gaussian(start.mean[None], start.cov), t, log.z[:, None], keep="cov")
+        track = run(filter, Gaussian(start.mean[None], start.cov), t, log.z[:, None], u, keep="cov")
         error, cov = (track.mean[:, 0, :3] - truth)[keep], track.cov[keep, 0, :3, :3]
         nees, nis = (results.get(BEST, f"{name}/{what}")[keep, 0] for what in ("nees", "nis"))
         local = matvec(frame, error)[:, None]

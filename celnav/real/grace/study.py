@@ -25,7 +25,7 @@ from celnav.filters.run import run
 from celnav.filters.sequential import ukf
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array, matvec
-from celnav.models import earth, gravity
+from celnav.models import earth, ephemeris, gravity, orbit
 from celnav.real import found
 from celnav.real.grace.positions import STEP_S, Positions, aligned, axes, read
 from celnav.study.ledger import Bounds, Number, check, finding
@@ -44,16 +44,42 @@ INPUTS = ("grace",)
 FIXES = tuple(f"*2008-08-0{day}*.pos.spp*" for day in (1, 2, 3))
 TRUTH, FIELD = "*2008-08-01*.svr.*", "*.gfc"
 POLE = (0.24 * np.pi / 648000.0, 0.47 * np.pi / 648000.0)
-"""x and y of the pole's motion, rad."""
+TT_GPS_S, GPS_UTC_S, UT1_UTC_S = 51.184, 14.0, -0.458
+"""Motion of the pole, x and y, rad; differences of time scales."""
 
 
 # -- what is believed ----------------------------------------------------------------------------------------------------------
+class Around(NamedTuple):
+    """By epoch, on Earth-fixed axes ``(T, 3)``: how these turn (rad/s), Sun and Moon from the Earth's center (m)."""
+
+    spin: Array
+    sun: Array
+    moon: Array
+
+
+def orientation(times: Array) -> tuple[Array, Array]:
+    """Rotations ``(T, 3, 3)`` from celestial to Earth-fixed axes at GPS seconds since 2000-01-01 12:00, and TT ``(T, 2)``."""
+    tt = np.stack([np.full(times.shape, 2451545.0), (times + TT_GPS_S) / 86400.0], -1)
+    return earth.orientation(tt, tt - [0.0, (TT_GPS_S + GPS_UTC_S - UT1_UTC_S) / 86400.0], POLE), tt
+
+
+def around(times: Array) -> Around:
+    """What acts besides gravity at GPS seconds."""
+    fixed, tt = orientation(np.append(times, times[-1] + STEP_S))
+    date, kernel = ephemeris.from_tt(*tt[:-1].T), ephemeris.de421()
+    center, *bodies = (kernel.state(body, date).position for body in ("earth", "sun", "moon"))
+    sun, moon = (matvec(fixed[:-1], 1e3 * (body - center)) for body in bodies)
+    return Around(earth.spin(fixed, STEP_S), sun, moon)
+
+
 def step(x: Array, epoch: Any, field: gravity.Gravity) -> Array:
     """State ``(..., 6)`` m, m/s on Earth-fixed axes after an interval: one Runge-Kutta step of order 4 (10 s: 0.01 mm)."""
     h, r, v = epoch.dt, x[..., :3], x[..., 3:]
+    spin, sun, moon = epoch.u
 
     def pull(r: Array, v: Array) -> Array:
-        return field.acceleration(r) + earth.inertial_forces(r, v, POLE)
+        bodies = orbit.third_body(r, sun, 1e9 * ephemeris.GM["sun"]) + orbit.third_body(r, moon, 1e9 * ephemeris.GM["moon"])
+        return np.asanyarray(field.acceleration(r) + earth.inertial_forces(r, v, spin) + bodies)
 
     a1 = pull(r, v)
     v2 = v + 0.5 * h * a1
@@ -114,10 +140,11 @@ SCREEN, SCREENED_M = Setting(4.0, 0.95, 1e-4), 6.0
 
 
 class Training(NamedTuple):
-    """Two days of fixes as two runs: seconds ``(T,)``, fixes ``(T, 2, 3)``, prior of both."""
+    """Two days of fixes as two runs: seconds ``(T,)``, fixes ``(T, 2, 3)``, what is `around`, ``(T, 2, 3)`` each, prior of both."""
 
     times: Array
     z: Array
+    u: Around
     prior: Gaussian
 
 
@@ -127,10 +154,11 @@ def training(paths: Sequence[Path], field: gravity.Gravity, count: int) -> Train
     each = [prior(log) for log in logs]
     both = Gaussian(np.stack([one.mean for one in each]), each[0].cov)
     times, z = STEP_S * np.arange(count), np.stack([log.z[:count] for log in logs], 1)
+    u = Around(*(np.stack(parts, 1) for parts in zip(*(around(log.times[:count]) for log in logs), strict=True)))
     M, S, Phi = believed(field, SCREEN)
-    far = np.abs(run(colored(M, S, Phi), both, times, z, keep="mean").innovation) > SCREENED_M
+    far = np.abs(run(colored(M, S, Phi), both, times, z, u, keep="mean").innovation) > SCREENED_M
     far[0] = False
-    return Training(times, np.where(far.any(-1, keepdims=True), np.nan, z), both)
+    return Training(times, np.where(far.any(-1, keepdims=True), np.nan, z), u, both)
 
 
 def fitted(data: Training, field: gravity.Gravity, start: Setting, color: bool = True) -> Tuned:
@@ -142,7 +170,7 @@ def fitted(data: Training, field: gravity.Gravity, start: Setting, color: bool =
         return (colored(M, S, Phi) if color else ukf(M, S)), data.prior
 
     first, domain = [start.sigma, start.q, *([start.phi] * color)], ["positive", "positive", *(["unit interval"] * color)]
-    return maximize_likelihood(build, first, epochs(data.times, data.z), domain=domain, factor=4.0, tolerance=0.1)
+    return maximize_likelihood(build, first, epochs(data.times, data.z, data.u), domain=domain, factor=4.0, tolerance=0.1)
 
 
 # -- what is flown -------------------------------------------------------------------------------------------------------------
@@ -187,11 +215,11 @@ def flown(names: Sequence[str], degree: int, files: Files, _rngs: Rngs) -> dict[
     """
     log, field = read(files.fixes[0]), gravity.read(files.field, degree)
     truth, times = aligned(log, read(files.truth)), log.times - log.times[0]
-    frame, start = axes(truth), prior(log)
+    frame, start, u = axes(truth), prior(log), around(log.times)
     out = {"times": times, "fixes": matvec(frame, log.z - truth)}
     for own, filter in flights(field, names).items():
         runs = Gaussian(np.tile(start.mean, (len(own), 1)), start.cov)
-        track = run(filter, runs, times, np.tile(log.z[:, None], (1, len(own), 1)), keep="cov")
+        track = run(filter, runs, times, np.tile(log.z[:, None], (1, len(own), 1)), u, keep="cov")
         for i, name in enumerate(own):
             error, cov = matvec(frame, track.mean[:, i, :3] - truth), frame @ track.cov[:, i, :3, :3] @ frame.mT
             used = track.used[:, i]
@@ -220,10 +248,14 @@ def judged(files: Files, _rngs: Rngs) -> dict[str, Array]:
     tried = np.stack([best[0] * factors[:, 0], 1.0 - (1.0 - best[1]) * factors[:, 1], best[2] * factors[:, 2]])
     M, S, Phi = believed(field, np.repeat(tried, 2, 1))
     both = Gaussian(np.tile(data.prior.mean, (7, 1)), data.prior.cov)
-    track = run(colored(M, S, Phi), both, data.times, np.tile(data.z, (1, 7, 1)), keep="nothing")
+    track = run(colored(M, S, Phi), both, data.times, np.tile(data.z, (1, 7, 1)), _tiled(data.u, 7), keep="nothing")
     M, S, _ = believed(field, SETTINGS["white, by NIS"])
-    white = run(ukf(M, S), data.prior, data.times, data.z, keep="mean")
+    white = run(ukf(M, S), data.prior, data.times, data.z, data.u, keep="mean")
     return {"likelihood": track.log_likelihood.reshape(7, 2).sum(1), "nis": np.array([white.nis.sum() / white.dof.sum()])}
+
+
+def _tiled(u: Around, count: int) -> Around:
+    return Around(*(np.tile(part, (1, count, 1)) for part in u))
 
 
 DEGREES = (2, 8, DEGREE)
