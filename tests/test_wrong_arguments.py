@@ -238,6 +238,7 @@ CALLS = {
     "sightings.jacobian": dict(A=np.array([1.2, 1.2, 2.0]), separation=1.0, hemisphere=1.0, radius_km=6378.0),
     "sightings.pseudo_position_covariance": dict(position_km=np.array([4e3, 3e3, 5e3]), separation=1.0, sigma=np.full(3, 1e-4)),
     "earth.orientation": dict(tt=[2454679.5, 0.1], ut1=[2454679.5, 0.1], pole=[1e-6, 2e-6]),
+    "earth.spin": dict(orientations=np.stack([I3, I3]), interval=1.0),
     "gravity.Gravity": dict(gm=1.0, radius=1.0, C=np.eye(2), S=np.zeros((2, 2))),
     "gravity.Gravity.truncated": (gravity.Gravity(1.0, 1.0, I2, I2).truncated, dict(degree=1)),
     "gravity.read": dict(path="@field", degree=1),

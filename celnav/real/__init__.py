@@ -18,6 +18,7 @@ from celnav.lazy import modules
 __getattr__, __dir__ = modules(__name__)
 
 STUDIES: dict[str, str] = {
+    "grace": "GPS fixes and positions of GRACE-A, August 2008, and a gravity field",
     "nanograv": "pulsars' arrival times (daily_averages.npz)",
     "rxte": "photons of a pulsar, the satellite's orbit, a timing model (*.fits, FPorbit*, *.par)",
 }
