@@ -13,6 +13,7 @@ from collections.abc import Iterable, Sequence
 from typing import NoReturn
 
 import celnav
+from celnav import real
 from celnav.commands.arguments import UsageError
 from celnav.files import ForeignFileError, InputError
 from celnav.filters.run import ENGINES
@@ -103,13 +104,17 @@ def _parser() -> tuple[_Parser, dict[str, _Parser]]:
     lists = command("list", "papers, figures, filters and rules, or the parameters of a paper")
     lists.add_argument("paper", nargs="?", metavar="PAPER", help="whose parameters (none: everything else)")
 
-    reproduce = command("reproduce", "run papers; write figures, tables, claims and recordings")
-    reproduce.add_argument("papers", nargs="*", metavar="PAPER", help="which papers (none: all)")
+    reproduce = command("reproduce", "run papers, and studies on real data; write figures, tables, claims and recordings")
+    reproduce.add_argument(
+        "papers", nargs="*", metavar="PAPER", help="which ones (none: all, and the studies whose data are given)"
+    )
     reproduce.add_argument("--seed", default="0", metavar="S", help="seed, a whole number that is not negative (default: 0)")
     reproduce.add_argument("--out", default="out", metavar="DIR", help="where to write (default: out)")
     reproduce.add_argument("--engine", default="numpy", choices=ENGINES, help="what flies the filters (default: numpy)")
     reproduce.add_argument("--strict", action="store_true", help="exit 1 if a claim is not as expected")
     reproduce.add_argument("--rinex", metavar="DIR", help="folder of a receiver's RINEX files, for aukf (default: rinex, if there)")
+    for study, holds in real.STUDIES.items():
+        reproduce.add_argument(f"--{study}", metavar="DIR", help=f"for the study {study}: folder of {holds}")
 
     mission = command("run", "fly a mission: figures, a table and a recording", "mission")
     mission.add_argument("mission", metavar="MISSION.toml", help="a paper's parameters with your changes; see data/missions")

@@ -43,7 +43,7 @@ def code() -> dict[str, str]:
     """What determines the numbers: versions of celnav, with a hash of its sources and data, and of what it computes with."""
     root = Path(celnav.__file__).parent
     digest = hashlib.sha256()
-    for path in [*sorted(root.rglob("*.py")), data("pulsars.toml"), data("ephemeris_2015.npz")]:
+    for path in [*sorted(root.rglob("*.py")), data("pulsars.toml"), data("ephemeris_2015.npz"), data("ephemeris_years.npz")]:
         digest.update(path.name.encode("utf-8") + path.read_bytes())
     return {
         "celnav": celnav.__version__,

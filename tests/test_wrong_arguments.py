@@ -16,7 +16,7 @@ import rerun as rr
 import celnav
 from celnav.analysis import bounds, metrics, observability
 from celnav.gaussian import attitude, rules, spaces
-from celnav.models import earth, ephemeris, gyro, noise, orbit, pulsar, sightings
+from celnav.models import earth, ephemeris, gravity, gyro, noise, orbit, pulsar, sightings
 from celnav.show import recording, views
 from celnav.study import montecarlo, problem, trial
 
@@ -32,7 +32,8 @@ HOT = """
 attitude: multiply inverse positive matrix rotate exp log angle to_euler to_rodrigues from_rodrigues cross transport
 spaces: wrap leading trailing components
 rules: Rule.points Rule.image Rule.kept Rule.num_sigmas Taylor.points Taylor.image Taylor.kept
-earth: meridian_radius transverse_radius radii normal_gravity earth_rate transport_rate
+earth: meridian_radius transverse_radius radii normal_gravity earth_rate transport_rate inertial_forces
+gravity: Gravity.potential Gravity.acceleration Gravity.gradient
 orbit: acceleration third_body step transition gradient advance flow
 sightings: angles visible observe
 inertial: derivative advance star_residuals misalignment_matrix misalignment_angles
@@ -172,7 +173,7 @@ CALLS = {
     "metrics.chi_square_band": dict(dof=2, runs=10, level=0.9),
     "metrics.bootstrap": (
         lambda statistic, samples, **more: metrics.bootstrap(statistic, samples, **more),
-        dict(statistic=np.mean, samples=np.ones(3), level=0.9, resamples=10, seed=0),
+        dict(statistic=np.mean, samples=np.ones(3), block=1, level=0.9, resamples=10, seed=0),
     ),
     "observability.jacobian": dict(function=square, x=np.ones(2)),
     "observability.lie_gradients": dict(f=square, h=square, x=np.ones(2), order=1, window=0.1),
@@ -244,6 +245,11 @@ CALLS = {
     "sightings.position": dict(A=np.array([1.2, 1.2, 2.0]), separation=1.0, hemisphere=1.0, radius_km=6378.0),
     "sightings.jacobian": dict(A=np.array([1.2, 1.2, 2.0]), separation=1.0, hemisphere=1.0, radius_km=6378.0),
     "sightings.pseudo_position_covariance": dict(position_km=np.array([4e3, 3e3, 5e3]), separation=1.0, sigma=np.full(3, 1e-4)),
+    "earth.orientation": dict(tt=[2454679.5, 0.1], ut1=[2454679.5, 0.1], pole=[1e-6, 2e-6]),
+    "earth.spin": dict(orientations=np.stack([I3, I3]), interval=1.0),
+    "gravity.Gravity": dict(gm=1.0, radius=1.0, C=np.eye(2), S=np.zeros((2, 2))),
+    "gravity.Gravity.truncated": (gravity.Gravity(1.0, 1.0, I2, I2).truncated, dict(degree=1)),
+    "gravity.read": dict(path="@field", degree=1),
     "ephemeris.Tdb.after": (TDB.after, dict(seconds=1.0)),
     "ephemeris.Tdb.since": (TDB.since, dict(other=TDB)),
     "ephemeris.from_tt": dict(day=2457300.5, rest=0.1),
@@ -355,6 +361,9 @@ def resolve(name, tmp_path):
         found = getattr(found, part)
     if "path" in arguments and arguments["path"] == "@":
         arguments = arguments | {"path": str(tmp_path / "a.rrd")}
+    if "path" in arguments and arguments["path"] == "@field":
+        (tmp_path / "a.gfc").write_text("earth_gravity_constant 1\nradius 1\nend_of_head\ngfc 0 0 1 0\ngfc 1 0 0 0\n")
+        arguments = arguments | {"path": str(tmp_path / "a.gfc")}
     return call or found, found, arguments
 
 

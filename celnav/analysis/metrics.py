@@ -48,12 +48,15 @@ def chi_square_band(dof: float, runs: float, level: float = 0.95) -> tuple[float
 
 
 def bootstrap(
-    statistic: Callable[..., Any], *samples: Array, level: float = 0.95, resamples: int = 400, seed: int = 0
+    statistic: Callable[..., Any], *samples: Array, block: int = 1, level: float = 0.95, resamples: int = 400, seed: int = 0
 ) -> tuple[float, float]:
     """Expanded percentile interval of ``statistic(*samples)``, resampling the runs of all samples together.
 
     Each sample has its runs first, at least two. The same runs are drawn for all of them, so ratios of paired quantities keep what
     they gain from common noise. The interval is widened about the value as Student's t asks for few runs [Hesterberg 2015].
+
+    block: how many that follow one another are drawn together, in a circle [Politis1992]: for samples that are epochs of one run
+        instead of runs. Several times as long as errors are correlated; the samples must be many blocks long.
 
     >>> low, high = bootstrap(ratio, squares_of_one_filter, squares_of_another)
     """
@@ -62,18 +65,21 @@ def bootstrap(
     runs = min((len(array) for array in arrays), default=0)
     if runs < 2 or any(len(array) != runs for array in arrays):
         raise ValueError(f"samples: expected two runs or more, as many in each, got {[len(array) for array in arrays]}")
+    block = integer("block", block, 1, runs // 2)
+    blocks = runs / block
     level = number("level", level, above=0.0, below=1.0)
     resamples = integer("resamples", resamples, 1, LIMIT // runs)
-    index = np.random.default_rng(integer("seed", seed, 0)).integers(0, runs, (resamples, runs))
+    starts = np.random.default_rng(integer("seed", seed, 0)).integers(0, runs, (resamples, -(-runs // block)))
 
     def value_of(*parts: Array) -> float:
         return float(numbers("statistic", _samples("statistic", statistic(*parts)), ()))
 
     value = value_of(*arrays)
-    values = [value_of(*(array[rows] for array in arrays)) for rows in index]
+    drawn = (((start[:, None] + np.arange(block)) % runs).ravel()[:runs] for start in starts)
+    values = [value_of(*(array[rows] for array in arrays)) for rows in drawn]
     upper = 0.5 + level / 2
     low, high = np.quantile(values, [0.5 - level / 2, upper])
-    wider = float(np.sqrt(runs / (runs - 1)) * stdtrit(runs - 1, upper) / ndtri(upper))
+    wider = float(np.sqrt(blocks / (blocks - 1)) * stdtrit(blocks - 1, upper) / ndtri(upper))
     return value + wider * float(low - value), value + wider * float(high - value)
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
 
-from celnav.papers import load
+from celnav import papers, real
 from celnav.study.montecarlo import effort
 
 if TYPE_CHECKING:
@@ -26,9 +26,9 @@ class UsageError(Exception):
 
 
 def module(paper: str) -> ModuleType:
-    """The module of a paper, or UsageError."""
+    """The module of a paper or of a study on real data, or UsageError."""
     try:
-        return load(paper)
+        return real.load(paper) if paper in real.STUDIES else papers.load(paper, others=real.STUDIES)
     except ValueError as error:
         raise UsageError(error) from None
 

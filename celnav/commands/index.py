@@ -1,4 +1,7 @@
-"""``out/index.html``: a page that opens from disk: what papers say, what we find, every row of their ledgers, every figure."""
+"""``out/index.html``: a page that opens from disk: what papers say, what we find, every row of their ledgers, every figure.
+
+Studies on real data follow the papers.
+"""
 
 from __future__ import annotations
 
@@ -6,14 +9,16 @@ import csv
 import html
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import celnav
+from celnav.commands.arguments import module as module_of
 from celnav.files import read_json
 from celnav.papers import PAPERS, load
+from celnav.real import STUDIES
 from celnav.show.claims import counted, read_claims, surprise, table, tally
 from celnav.show.page import document, link, linked
 from celnav.show.page import table as plain_table
@@ -29,9 +34,9 @@ Claims = Sequence[Mapping[str, Any]]
 
 
 def index(out: Path) -> str:
-    """The page for whatever papers lie under ``out``."""
-    done = reproduced(out)
-    if not done:
+    """The page for whatever papers and studies lie under ``out``."""
+    done, real = reproduced(out), reproduced(out, STUDIES)
+    if not done and not real:
         return document("celnav: what holds", "<h1>celnav</h1>", "<p>Nothing reproduced yet.</p>")
     return document(
         "celnav: what holds",
@@ -44,12 +49,28 @@ def index(out: Path) -> str:
         "from a convention that the row names; first results were known when it was written, and where it was changed since, the "
         "row says so. A number with sampling error decides only if its whole 95 % interval does.</small></p>",
         *(_paper(out, paper, claims) for paper, claims in done.items()),
+        *_on_real_data(out, real),
     )
 
 
-def reproduced(out: Path) -> dict[str, list[dict[str, Any]]]:
-    """Claims and checks of whatever papers lie under ``out``."""
-    found = {paper: out / paper for paper in PAPERS if (out / paper / "claims.json").exists()}
+def _on_real_data(out: Path, done: Mapping[str, Claims]) -> list[str]:
+    """What real data say, and what could be added."""
+    absent = [f"{html.escape(holds)} (<code>--{name} DIR</code>)" for name, holds in STUDIES.items() if name not in done]
+    parts = ["<section><h2>On real data</h2>"] if STUDIES else []
+    if done:
+        parts += [
+            "<p><small>Nothing here was stated by a paper: rows are what we find, each number with its 95 % interval by a "
+            "bootstrap over blocks of time. What settings were chosen by is other data than what judges them.</small></p>",
+            '<div class="grid">', *(_opening(out, study, claims) for study, claims in done.items()), "</div>",
+        ]  # fmt: skip
+    if absent:
+        parts.append(f"<p><small><code>celnav reproduce</code> adds a study for a folder of {'; of '.join(absent)}.</small></p>")
+    return [*parts, *(_paper(out, study, claims) for study, claims in done.items()), "</section>" if STUDIES else ""]
+
+
+def reproduced(out: Path, among: Iterable[str] | None = None) -> dict[str, list[dict[str, Any]]]:
+    """Claims and checks of whatever papers, or studies ``among`` others, lie under ``out``."""
+    found = {name: out / name for name in (PAPERS if among is None else among) if (out / name / "claims.json").exists()}
     return {
         paper: [c for name in ("claims", "checks") for c in read_claims(folder / f"{name}.json")] for paper, folder in found.items()
     }
@@ -89,17 +110,23 @@ def _of(claims: Claims, kind: str) -> list[Mapping[str, Any]]:
 
 def _opening(out: Path, paper: str, claims: Claims) -> str:
     """A card: what a paper says and what we find, in sentences, and the figure that decides with the recordings."""
-    module = load(paper)
+    module = module_of(paper)
     odd = [claim for claim in claims if surprise(claim)]
     told = f' <b class="bad">{len(odd)} not as expected.</b>' if odd else ""
-    statements, stem = _of(claims, "statement"), module.STUDY.figure
+    kind, stem = _kind(paper), module.STUDY.figure
+    rows, whose = _of(claims, kind), "The paper: " if kind == "statement" else ""
     picture = out / paper / "figures" / f"{stem}.png"
     drawn = _drawing(picture, paper, module) if picture.exists() else ""
     return (
         f'<article class="card"><h3><a href="#{paper}">{html.escape(module.TITLE)}</a></h3>{drawn}'
-        f"<p>The paper: {html.escape(module.STUDY.says)}</p><p>We find: {html.escape(module.STUDY.found)}</p>"
-        f"<p><small>{len(statements)} statements: {counted(statements)}.{told}</small></p></article>"
+        f"<p>{whose}{html.escape(module.STUDY.says)}</p><p>We find: {html.escape(module.STUDY.found)}</p>"
+        f"<p><small>{len(rows)} {kind}s: {counted(rows)}.{told}</small></p></article>"
     )
+
+
+def _kind(name: str) -> str:
+    """Of the rows that decide: what a paper states, or what is found in data."""
+    return "finding" if name in STUDIES else "statement"
 
 
 _FILTER = """<p class="filter"><label>Show rows <select id="shown"><option value="">of any verdict</option>{}</select></label></p>
@@ -114,14 +141,14 @@ def _filter(claims: Claims) -> str:
 
 
 def _paper(out: Path, paper: str, claims: Claims) -> str:
-    module, folder, figures = load(paper), out / paper, f"{paper}/figures/"
+    module, folder, figures, kind = module_of(paper), out / paper, f"{paper}/figures/", _kind(paper)
     files = [p.name for p in sorted(folder.iterdir()) if p.suffix in (".rrd", ".json", ".npz") and not p.name.startswith(".")]
     listed = " · ".join(link(f"{paper}/{name}", name) for name in files)
-    findings = _of(claims, "finding")
+    findings = _of(claims, "finding") if kind == "statement" else []
     parts = [
         f'<section id="{paper}"><h2>{html.escape(module.TITLE)}</h2><p><small>{html.escape(cited(module.CITATION))}'
         f" · {_notebook(out, paper)}</small></p>",
-        table(_of(claims, "statement"), figures),
+        table(_of(claims, kind), figures),
         '<div class="grid">',
         *(_drawing(path, paper, module) for path in sorted((folder / "figures").glob("*.png"))),
         "</div>",
@@ -145,7 +172,7 @@ def _paper(out: Path, paper: str, claims: Claims) -> str:
 
 def _notebook(out: Path, paper: str) -> str:
     """A link to it in the checkout, if there is one."""
-    name = f"{list(PAPERS).index(paper) + 1:02d}_{paper}.ipynb"
+    name = "07_real_data.ipynb" if paper in STUDIES else f"{list(PAPERS).index(paper) + 1:02d}_{paper}.ipynb"
     path = Path(celnav.__file__).resolve().parents[1] / "notebooks" / name
     return link(Path(os.path.relpath(path, out.resolve())).as_posix(), name) if path.exists() else f"notebooks/{name}"
 

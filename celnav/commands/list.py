@@ -5,9 +5,10 @@ from __future__ import annotations
 import argparse
 import textwrap
 from dataclasses import asdict, replace
+from types import ModuleType
 from typing import Any
 
-from celnav import papers
+from celnav import papers, real
 from celnav.commands.arguments import module
 from celnav.papers import load
 
@@ -19,6 +20,8 @@ def run(options: argparse.Namespace) -> int:
     """Print papers, figures, filters and rules, or the parameters of a paper."""
     if options.paper is None:
         _everything()
+    elif options.paper in real.STUDIES:
+        _on_real_data(options.paper)
     else:
         _parameters(options.paper)
     return 0
@@ -27,14 +30,25 @@ def run(options: argparse.Namespace) -> int:
 def _everything() -> None:
     for paper in papers.PAPERS:
         study = load(paper)
-        print(f"{paper}: {study.TITLE}\n")
-        for stem, (caption, _) in {**study.FIGURES, **study.TABLES}.items():
-            print(f"  {stem:12} {caption}")
+        _drawn(paper, study)
         print(f"\n  filters: {', '.join(study.filters(next(iter(study.PRESETS.values()))))}")
         print(f"  presets: {', '.join(study.PRESETS)}")
         print(f"  parameters: celnav list {paper}\n")
+    for name in real.STUDIES:
+        _on_real_data(name)
     print("rules: unscented (by default cubature of degree 3), simplex, cubature (degree 3 and 5),")
     print("  gauss_hermite, smolyak, from_filterpy, Taylor (EKF)")
+
+
+def _drawn(name: str, study: ModuleType) -> None:
+    print(f"{name}: {study.TITLE}\n")
+    for stem, (caption, _) in {**study.FIGURES, **study.TABLES}.items():
+        print(f"  {stem:12} {caption}")
+
+
+def _on_real_data(name: str) -> None:
+    _drawn(name, module(name))
+    print(f"\n  on real data: celnav reproduce {name} --{name} DIR, folder of {real.STUDIES[name]}\n")
 
 
 def _parameters(paper: str) -> None:

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 import celnav
-from celnav import papers
+from celnav import papers, real
 from celnav.campaign.engine import UnfinishedError, compute
 from celnav.commands.arguments import UsageError, cores, fraction, module, whole, workers
 from celnav.files import Outputs, locked, remove_leftovers
@@ -41,12 +41,18 @@ def run(options: argparse.Namespace) -> int:
     """Do the papers side by side where there are several processes, and write each as soon as it is done."""
     from celnav.commands.index import few, index
 
-    chosen = list(dict.fromkeys(options.papers)) or list(papers.PAPERS)
+    chosen = list(dict.fromkeys(options.papers)) or [*papers.PAPERS, *(s for s in real.STUDIES if getattr(options, s) is not None)]
     modules = {paper: module(paper) for paper in chosen}
     part, seed = fraction(options.effort), whole("seed", options.seed, 0)
     pool = workers(options.jobs)
-    if options.rinex is not None and not any("rinex" in getattr(one, "INPUTS", ()) for one in modules.values()):
-        raise UsageError(f"--rinex: expected a paper that takes a receiver's log (aukf), got {', '.join(chosen)}")
+    for name, taken in {
+        "rinex": "a paper that takes a receiver's log (aukf)",
+        **{s: f"the study {s}" for s in real.STUDIES},
+    }.items():
+        if getattr(options, name) is not None and not any(name in getattr(one, "INPUTS", ()) for one in modules.values()):
+            raise UsageError(f"--{name}: expected {taken}, got {', '.join(chosen)}")
+        if name in chosen and getattr(options, name) is None:
+            raise UsageError(f"{name}: expected --{name} DIR with it, a folder of {real.STUDIES[name]}")
     if options.engine == "cuda":
         device()  # told at once, not by each unit
     out = Path(options.out)

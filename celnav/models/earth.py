@@ -1,4 +1,7 @@
-"""The ellipsoid WGS-84 (radii of curvature, rotation, normal gravity) and the flight of an aircraft over it. Units: m, s, rad."""
+"""The ellipsoid WGS-84 (radii of curvature, rotation, normal gravity), axes that turn with the Earth, an aircraft's flight.
+
+Units: m, s, rad.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +18,7 @@ SEMI_MAJOR_M = 6378137.0
 FLATTENING = 1.0 / 298.257223563
 ECCENTRICITY_SQUARED = FLATTENING * (2.0 - FLATTENING)
 ROTATION_RATE = 7.2921151467e-5  # rad/s
+SPIN = np.array([0.0, 0.0, ROTATION_RATE])
 GRAVITY_PARAMETER = 3.986004418e14  # m^3/s^2
 STANDARD_GRAVITY = 9.80665  # m/s^2, what a "g" of an accelerometer is
 
@@ -56,6 +60,41 @@ def transport_rate(velocity: Array, latitude: ArrayLike, height_m: ArrayLike) ->
     north, east = radii(latitude, height_m)
     spin = velocity[..., 0] / east
     return np.stack([-velocity[..., 1] / north, spin, spin * np.tan(latitude)], -1)
+
+
+def inertial_forces(position: Array, velocity: Array, spin: Array = SPIN) -> Array:
+    """Centrifugal and Coriolis acceleration ``(..., 3)`` m/s^2 on axes that turn by ``spin (..., 3)`` rad/s; m, m/s on these."""
+    return np.asanyarray(-_cross(spin, 2.0 * velocity + _cross(spin, position)))
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Vector products, recorded numbers too."""
+    (x, y, z), (u, v, w) = ([part[..., i] for i in range(3)] for part in (a, b))
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], -1)
+
+
+def orientation(tt: ArrayLike, ut1: ArrayLike, pole: tuple[float, float] = (0.0, 0.0)) -> Array:
+    """Rotations ``(..., 3, 3)`` that take celestial components (GCRS) to terrestrial ones (ITRS): IAU 2006/2000A, by ERFA.
+
+    tt, ut1: Julian dates in terrestrial time and in UT1, ``(..., 2)``: days and the rest. pole: x and y of its motion, rad.
+    """
+    import erfa  # only who asks for it has it imported
+
+    one, two = finite("tt", tt, (..., 2)), finite("ut1", ut1, (..., 2))
+    xp, yp = finite("pole", pole, (2,))
+    return np.asarray(erfa.c2t06a(one[..., 0], one[..., 1], two[..., 0], two[..., 1], xp, yp))
+
+
+def spin(orientations: Array, interval: float) -> Array:
+    """Rotation ``(T - 1, 3)`` rad/s of axes from one ``interval`` (s) to the next, on these axes: precession, nutation and all.
+
+    orientations: ``(T, 3, 3)``, as `orientation` has them, of turns below a right angle.
+    """
+    given = finite("orientations", orientations, ("T", 3, 3))
+    turn = given[:-1] @ given[1:].mT  # of vectors that stay, seen from the axes: the other way round
+    sine = 0.5 * np.stack([turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0], turn[:, 1, 0] - turn[:, 0, 1]], -1)
+    size = np.linalg.norm(sine, axis=-1, keepdims=True)
+    return np.asarray(sine * np.arcsin(size) / np.where(size > 0.0, size, 1.0) / number("interval", interval, above=0.0))
 
 
 class Flight(NamedTuple):

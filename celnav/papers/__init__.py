@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import difflib
 import re
+from collections.abc import Iterable
 from importlib import import_module
 from types import ModuleType
 
@@ -22,17 +23,18 @@ PAPERS = {name: f"celnav.papers.{name}" for name in ("csrukf", "ssukf", "tstdkf"
 """Identifier -> module."""
 
 
-def load(paper: str) -> ModuleType:
-    """The module of a paper.
+def load(paper: str, others: Iterable[str] = ()) -> ModuleType:
+    """The module of a paper; ``others``: identifiers that are known where it is asked for.
 
     Raises
     ------
     ValueError: for an unknown identifier; the message lists the known ones.
     """
     if paper not in PAPERS:
-        close = difflib.get_close_matches(paper, PAPERS, 1)
+        known = [*PAPERS, *others]
+        close = difflib.get_close_matches(paper, known, 1)
         hint = f"; did you mean {close[0]}?" if close else ""
-        raise ValueError(f"unknown paper {paper!r}: expected one of {', '.join(PAPERS)}{hint}")
+        raise ValueError(f"unknown paper {paper!r}: expected one of {', '.join(known)}{hint}")
     return import_module(PAPERS[paper])
 
 

@@ -77,13 +77,17 @@ def surprise(claim: Mapping[str, Any]) -> bool:
 
 
 def table(claims: Sequence[Mapping[str, Any]], link: str = "", cell: str = "") -> str:
-    """Rows as HTML, every number behind a fold; ``link``: where figures lie, ``cell``: what is before an id where it is decided."""
-    head = "".join(f"<th>{name}</th>" for name in COLUMNS)
-    lines = "".join(_line(claim, link, cell) for claim in claims)
+    """Rows as HTML, every number behind a fold; ``link``: where figures lie, ``cell``: what is before an id where it is decided.
+
+    A column in which no row has anything, as "printed" of what nobody printed, is left out.
+    """
+    shown = [name for i, name in enumerate(COLUMNS) if not claims or any(row(claim)[i] for claim in claims)]
+    head = "".join(f"<th>{name}</th>" for name in shown)
+    lines = "".join(_line(claim, link, cell, shown) for claim in claims)
     return f'<table class="cards"><thead><tr>{head}</tr></thead><tbody>{lines}</tbody></table>'
 
 
-def _line(claim: Mapping[str, Any], link: str, cell: str) -> str:
+def _line(claim: Mapping[str, Any], link: str, cell: str, columns: Sequence[str]) -> str:
     place, says, printed, ours, verdict = (html.escape(text) for text in row(claim))
     notes = claim["note"], claim["revised"] and f"Accepted range revised: {claim['revised']}"
     told = [f"<small>{html.escape(note)}</small>" for note in notes if note]
@@ -94,7 +98,8 @@ def _line(claim: Mapping[str, Any], link: str, cell: str) -> str:
     figure = f' <a href="{link}{claim["figure"]}.svg">figure</a>' if claim["figure"] and link else ""
     odd = " <b>(not as expected)</b>" if surprise(claim) else ""
     cells = {"place": place, "what is said": "<br>".join([says, *told]), "printed": printed, "ours": ours}
-    named = "".join(f'<td data-name="{name}">{text}</td>' if text else "<td></td>" for name, text in cells.items())
+    known = ((name, text) for name, text in cells.items() if name in columns)
+    named = "".join(f'<td data-name="{name}">{text}</td>' if text else "<td></td>" for name, text in known)
     shown = f'<a href="{cell}{html.escape(claim["id"])}">{verdict}</a>' if cell and claim["kind"] == "statement" else verdict
     said = f'<td class="{style(claim["verdict"])}">{shown}{odd}{figure}</td>'
     return f'<tr id="{html.escape(claim["id"])}" data-verdict="{verdict}">{named}{said}</tr>'

@@ -22,7 +22,7 @@ h1,h2{line-height:1.2}section{margin-top:3rem}figcaption{font-size:13px}a{color:
 .cards tr{display:block;border-bottom:1px solid var(--line);padding:.4rem 0}
 .cards td{display:inline;border:0;padding:0 .6rem 0 0}.cards td:first-child{display:block}
 .cards td[data-name]:not(:first-child)::before{content:attr(data-name)": ";opacity:.6}}
-@media screen and (min-width:44rem){.cards td:nth-child(n+4){white-space:nowrap}}
+@media screen and (min-width:44rem){.cards td[data-name=printed],.cards td[data-name=ours],.cards td:last-child{white-space:nowrap}}
 .card{border:1px solid var(--line);border-radius:6px;padding:.2rem 1rem 1rem}.card figcaption{opacity:.7}
 .grid{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(24rem,100%),1fr));gap:1rem}select{font:inherit}
 @media print{body{font-size:11px}.filter{display:none}details:not(.numbers)::details-content{content-visibility:visible}

@@ -81,10 +81,13 @@ Tiers = Mapping[str, Sequence[Number]]
 
 
 def estimate(
-    label: str, statistic: Callable[..., Any], samples: Sequence[Array], accept: Bounds = (None, None), **more: Any
+    label: str, statistic: Callable[..., Any], samples: Sequence[Array], accept: Bounds = (None, None), block: int = 1, **more: Any
 ) -> Number:
-    """A statistic of runs (the first axis of each sample) with its bootstrap interval; ``more``: see `Number`."""
-    return Number(label, float(statistic(*samples)), accept, bootstrap(statistic, *samples), **more)
+    """A statistic of runs (the first axis of each sample) with its bootstrap interval; ``more``: see `Number`.
+
+    Of one run the samples are its epochs, drawn in blocks of so many.
+    """
+    return Number(label, float(statistic(*samples)), accept, bootstrap(statistic, *samples, block=block), **more)
 
 
 @dataclass(frozen=True)

@@ -73,6 +73,35 @@ def consistency(label: str, a: Flown, accept: Bounds = (None, None), *, at: When
     return lambda r: estimate(label, np.mean, [r.nees(*a, at, what)], accept, **more)
 
 
+def over_time(
+    label: str, statistic: Callable[..., float], columns: Callable[[Results], Sequence[Array]], accept: Bounds = (None, None), *,
+    start: int = 0, block: int, **more: Any,
+) -> Decided:  # fmt: skip
+    """A statistic of one run: of columns ``(T, ...)`` from the epoch ``start`` on, at those where all of them are known.
+
+    ``block``: epochs that the bootstrap draws together, several times as many as errors are correlated over.
+    """
+
+    def decide(r: Results) -> Number:
+        each = [np.asarray(column)[start:] for column in columns(r)]
+        known = np.all([np.isfinite(column.reshape(len(column), -1)).all(-1) for column in each], 0)
+        return estimate(label, statistic, [column[known] for column in each], accept, block=block, **more)
+
+    return decide
+
+
+def lagged(values: Array, lag: int = 1) -> tuple[Array, Array]:
+    """A column ``(T, ...)`` and itself so many epochs later, nan at the end: what `correlation` takes."""
+    later = np.full(values.shape, np.nan)
+    later[:-lag] = values[lag:]
+    return values, later
+
+
+def correlation(a: Array, b: Array) -> float:
+    """Correlation about zero of two columns, all their components together."""
+    return float((a * b).sum() / np.sqrt(np.square(a).sum() * np.square(b).sum()))
+
+
 def of(part: str, name: str, label: str, accept: Bounds = (None, None), reduce: Callable[[Array], Any] = np.max) -> Decided:
     """A number of an array that has no sampling error."""
     return lambda r: Number(label, float(reduce(r.get(part, name))), accept)

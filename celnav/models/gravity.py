@@ -1,0 +1,185 @@
+"""Gravity by spherical harmonics, in Earth-fixed axes, without a singularity at the poles [Cunningham1970]. Units: m, s.
+
+The potential is a sum of solid harmonics, and each derivative of one is a sum of those of the next degree
+[Montenbruck2000, Eq. 3.33]. So acceleration and gradient are fields of coefficients themselves, made once; at a place only the
+harmonics are evaluated, by recursion over the degree with all orders together.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from functools import cache, cached_property
+from pathlib import Path
+
+import numpy as np
+
+from celnav.files import InputError
+from celnav.gaussian.checks import finite, instance, integer, number
+from celnav.gaussian.linalg import Array
+
+MOST_DEGREE = 2190
+"""Of what a file may have; its coefficients take 80 MB."""
+
+
+@dataclass(frozen=True, eq=False)
+class Gravity:
+    """A field of gravity: ``gm`` m^3/s^2, ``radius`` m of reference, coefficients ``C``, ``S (N + 1, N + 1)`` by degree and order.
+
+    Coefficients are fully normalized; those with an order above the degree are not looked at. The acceleration is that of the
+    masses alone: rotating axes have more (`celnav.models.earth.inertial_forces`).
+
+    >>> field = celnav.models.gravity.read("EGM2008.gfc", degree=8)
+    >>> field.acceleration(np.array([6.8e6, 0.0, 0.0]))  # m/s^2
+    """
+
+    gm: float
+    radius: float
+    C: Array
+    S: Array
+
+    def __post_init__(self) -> None:
+        number("gm", self.gm, above=0.0), number("radius", self.radius, above=0.0)
+        for name in ("C", "S"):
+            object.__setattr__(self, name, finite(name, getattr(self, name), ("N", "N")))
+        if self.C.shape != self.S.shape:
+            raise ValueError(f"S: expected the shape of C, {self.C.shape}, got {self.S.shape}")
+
+    @property
+    def degree(self) -> int:
+        """The highest one."""
+        return len(self.C) - 1
+
+    def truncated(self, degree: int) -> Gravity:
+        """The field to a lower degree."""
+        count = integer("degree", degree, 0, self.degree) + 1
+        return Gravity(self.gm, self.radius, self.C[:count, :count], self.S[:count, :count])
+
+    def potential(self, position: Array) -> Array:
+        """Positive potential ``(...)`` m^2/s^2 at positions ``(..., 3)`` m."""
+        return self._sum((self.gm / self.radius) * np.stack([self.C, self.S])[None], position)[..., 0]
+
+    def acceleration(self, position: Array) -> Array:
+        """Acceleration ``(..., 3)`` m/s^2 at positions ``(..., 3)`` m, on the same axes."""
+        return self._sum(self._first, position)
+
+    def gradient(self, position: Array) -> Array:
+        """Derivative ``(..., 3, 3)`` 1/s^2 of `acceleration`, symmetric and of trace zero."""
+        xx, xy, xz, yy, yz, zz = np.moveaxis(self._sum(self._second, position), -1, 0)
+        return np.stack([np.stack(row, -1) for row in ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))], -2)
+
+    @cached_property
+    def _first(self) -> Array:
+        """Coefficients ``(3, 2, N + 2, N + 2)`` of the acceleration."""
+        return (self.gm / self.radius**2) * _derivatives(np.stack([self.C, self.S]))
+
+    @cached_property
+    def _second(self) -> Array:
+        """Coefficients ``(6, 2, N + 3, N + 3)`` of the derivatives xx, xy, xz, yy, yz, zz."""
+        x, y, z = (_derivatives(part) for part in _derivatives(np.stack([self.C, self.S])))
+        return (self.gm / self.radius**3) * np.concatenate([x, y[1:], z[2:]])
+
+    def _sum(self, fields: Array, position: Array) -> Array:
+        """Values ``(..., k)`` of fields of coefficients ``(k, 2, N + 1, N + 1)`` at places."""
+        place = np.moveaxis(position, -1, 0)
+        harmonics = _harmonics(place.reshape(3, -1) / self.radius, fields.shape[-1] - 1)
+        values = fields.reshape(len(fields), -1) @ harmonics.reshape(-1, harmonics.shape[-1])
+        return np.asanyarray(np.moveaxis(values.reshape(-1, *place.shape[1:]), 0, -1))
+
+
+def _harmonics(place: Array, degree: int) -> Array:
+    """Solid harmonics ``(2, N + 1, N + 1, K)``: with cosines and with sines, by degree and order; ``place (3, K)`` in radii."""
+    inverse = 1.0 / (place[0] * place[0] + place[1] * place[1] + place[2] * place[2])
+    x, y, z = place * inverse
+    out = np.zeros((2, degree + 1, degree + 1, place.shape[-1]), like=place)
+    out[0, 0, 0] = np.sqrt(inverse)
+    for n, (once, twice, corner) in enumerate(_recursion(degree), 1):
+        out[:, n, :n] = (once * z) * out[:, n - 1, :n]
+        if n > 1:
+            out[:, n, : n - 1] -= (twice * inverse) * out[:, n - 2, : n - 1]
+        c, s = out[:, n - 1, n - 1]
+        out[0, n, n], out[1, n, n] = corner * (x * c - y * s), corner * (x * s + y * c)
+    return out
+
+
+@cache
+def _recursion(degree: int) -> list[tuple[Array, Array, float]]:
+    """Factors that lead to each degree n from 1: of degree n - 1 ``(n, 1)`` and n - 2 ``(n - 1, 1)`` by order, and to order n."""
+    factors = []
+    for n in range(1, degree + 1):
+        m = np.arange(n)[:, None]
+        across = (n - m) * (n + m) / (2 * n + 1)
+        k = m[:-1]
+        twice = np.sqrt((n + k - 1) * (n - k - 1) / ((2 * n - 3) * across[:-1]))
+        factors.append((np.sqrt((2 * n - 1) / across), twice, float(np.sqrt((2 * n + 1) / (2 * n) if n > 1 else 3.0))))
+    return factors
+
+
+def _derivatives(coefficients: Array) -> Array:
+    """Of a field ``(2, N + 1, N + 1)`` by x, y and z, times the radius: ``(3, 2, N + 2, N + 2)`` [Montenbruck2000, Eq. 3.33]."""
+    N = coefficients.shape[-1]
+    n, m = np.mgrid[:N, :N]
+    C, S = np.where(m <= n, coefficients, 0.0)
+    S, m = np.where(m > 0, S, 0.0), np.minimum(m, n)  # the sine of order 0 is none, whatever its coefficient
+    # A harmonic's normalization over that of the next degree, times the factor of the equation, by what becomes of the order.
+    scale = (2 * n + 1) / (2 * n + 3)
+    up = np.sqrt(scale * (n + m + 1) * (n + m + 2) * np.where(m == 0, 2.0, 1.0)) * 0.5
+    down = np.sqrt(scale * (n - m + 1) * (n - m + 2) * np.where(m == 1, 2.0, 1.0)) * 0.5
+    same = np.sqrt(scale * (n + m + 1) * (n - m + 1))
+    out = np.zeros((3, 2, N + 1, N + 1))
+    out[:2, :, 1:, 1:] = [[-up * C, -up * S], [up * S, -up * C]]
+    out[:2, :, 1:, : N - 1] += np.array([[down * C, down * S], [down * S, -down * C]])[..., 1:]
+    out[2, :, 1:, :N] = -same * C, -same * S
+    return out
+
+
+def read(path: str | Path, degree: int | None = None) -> Gravity:
+    """The field in a file of ICGEM's format, ``.gfc``, to a degree or all of it.
+
+    Rates and other parts that change with time are not taken: records but ``gfc`` and ``gfct`` are skipped.
+
+    Raises
+    ------
+    InputError: naming file and line, of what is no such file. OSError: if it cannot be read.
+    """
+    most = MOST_DEGREE if degree is None else integer("degree", degree, 0, MOST_DEGREE)
+    head: dict[str, str] = {}
+    found: list[tuple[int, int, float, float]] = []
+    body = False
+    lines = Path(instance("path", path, str | os.PathLike, "a path, such as 'EGM2008.gfc'")).read_text("latin-1").splitlines()
+    for number_, line in enumerate(lines, 1):
+        words = line.replace("D", "e").replace("d", "e").split() if body else line.split()
+        if not body:
+            body = bool(words) and words[0] == "end_of_head"
+            head |= {words[0]: words[1]} if len(words) > 1 else {}
+        elif words and words[0] in ("gfc", "gfct"):
+            try:
+                n, m, c, s = int(words[1]), int(words[2]), float(words[3]), float(words[4])
+            except (IndexError, ValueError):
+                raise InputError(f"{path}: line {number_}: expected gfc, degree, order, C, S, got {line[:60]!r}") from None
+            if not (0 <= m <= n <= MOST_DEGREE and np.isfinite([c, s]).all()):
+                raise InputError(f"{path}: line {number_}: expected 0 <= order <= degree and finite numbers, got {line[:60]!r}")
+            if n <= most:
+                found.append((n, m, c, s))
+    if not body:
+        raise InputError(f"{path}: expected a gravity field in ICGEM's format, with a line end_of_head, got none")
+    return _field(path, head, found, degree)
+
+
+def _field(path: str | Path, head: dict[str, str], found: list[tuple[int, int, float, float]], degree: int | None) -> Gravity:
+    """A field of what a file has."""
+    sizes = []
+    for key in ("earth_gravity_constant", "radius"):
+        try:
+            sizes.append(float(head[key].replace("D", "e").replace("d", "e")))
+        except (KeyError, ValueError):
+            raise InputError(f"{path}: expected {key} with a number in the head, got {head.get(key, 'none')!r}") from None
+    if (norm := head.get("norm", "fully_normalized")) != "fully_normalized":
+        raise InputError(f"{path}: norm: expected fully_normalized, got {norm!r}")
+    highest = max((n for n, *_ in found), default=-1)
+    if highest < (degree or 0):
+        raise InputError(f"{path}: expected coefficients to degree {degree or 0}, got them to {highest}")
+    C, S = np.zeros((2, highest + 1, highest + 1))
+    for n, m, c, s in found:
+        C[n, m], S[n, m] = c, s
+    return Gravity(sizes[0], sizes[1], C, S)

@@ -1,0 +1,189 @@
+"""What is shown of GRACE-A: errors beside what is claimed, correlations, sizes, a table, a recording."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from celnav.files import Outputs
+from celnav.filters.run import run
+from celnav.gaussian.belief import Gaussian
+from celnav.gaussian.linalg import Array, matvec
+from celnav.models import earth, gravity
+from celnav.real.grace.positions import STEP_S, aligned, axes, read
+from celnav.real.grace.study import (
+    BEST,
+    DEGREE,
+    DEGREES,
+    NAMES,
+    REVOLUTION,
+    SETTINGS,
+    around,
+    column,
+    fixes,
+    flights,
+    orientation,
+    prior,
+)
+from celnav.show import colors, scenes, showcase
+from celnav.show.estimates import Estimate, Group
+from celnav.show.figures import Line, Panel, Rows, band, bars, curve, level, panels
+from celnav.show.showcase import Showcase, Space
+from celnav.study.numbers import correlation, lagged
+from celnav.study.study import Results
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from celnav.show.recording import Recorder
+
+LINES = {
+    "white": Line("fixes taken for white", colors.COMPARISON), "colored": Line("told of the correlation", colors.ESTIMATE),
+    "white, by NIS": Line("white, R by NIS", colors.OPEN_LOOP),
+    "white, by likelihood": Line("white, R and Q by likelihood", colors.SIGMA),
+    "colored, by correlation": Line("colored, set by correlation", colors.REFERENCE),
+    "augmented": Line("noise in the state", colors.TRUTH), "without z_0": Line("without the first fix", colors.PAPER),
+}  # fmt: skip
+BAND = 1.96
+
+
+def fixed(r: Results) -> float:
+    """RMS of the fixes' errors, m, without outliers."""
+    return float(np.sqrt(np.nanmean(np.square(fixes(r)[REVOLUTION:]).sum(1))))
+
+
+def day(r: Results) -> Figure:
+    """Errors beside what is claimed, over the day."""
+    hours, limit = r.times(BEST) / 3600.0, 16.0
+
+    def panel(name: str) -> Panel:
+        error, std = (r.get(BEST, f"{name}/{what}")[:, 0, 0] for what in ("error", "std"))
+        inside = np.mean((np.abs(error) < BAND * std)[np.isfinite(error)])
+
+        def claimed(ax: Any) -> None:
+            band(ax, hours, -BAND * std, BAND * std, color=LINES[name].color, label=f"95 % claimed, {LINES[name].label}")
+
+        title = f"{LINES[name].label}: {inside:.0%} of the errors inside the 95 % that are claimed"
+        return Panel(title, [claimed, curve(hours, error, LINES[name]._replace(label="error", color="black", width=0.6))],
+                     "hours of 1 August 2008", "radial (m)", more={"ylim": (-limit, limit), "xlim": (0.0, 24.0)})  # fmt: skip
+
+    return panels([panel("white")], [panel("colored")], size=(9.0, 5.2), sharex="col")
+
+
+def autocorrelations(r: Results) -> Figure:
+    """Of the fixes' errors, and of whitened innovations."""
+    lags, minutes = np.unique(np.geomspace(1.0, min(600.0, 0.3 * len(r.times(BEST))), 60).astype(int)), STEP_S / 60.0
+
+    def of_lags(values: Array, lags: Array) -> list[float]:
+        pairs = [lagged(values[REVOLUTION:], lag) for lag in lags.tolist()]
+        return [correlation(a[known], b[known]) for a, b in pairs for known in [np.isfinite(a * b)]]
+
+    modeled = SETTINGS["colored"].phi ** lags
+    found = [
+        curve(minutes * lags, of_lags(fixes(r)[:, i], lags), Line(name, shade)) for i, (name, shade) in enumerate(SHADES.items())
+    ]
+    found += [curve(minutes * lags, modeled, Line("as the filter has it", colors.ESTIMATE, "--"))]
+    near = np.arange(1, 31)
+    left = [
+        curve(STEP_S * near, of_lags(r.get(BEST, f"{name}/white"), near), LINES[name], marker=".") for name in ("white", "colored")
+    ]
+    return panels([Panel("errors of the fixes", found, "minutes apart", "correlation", "x"),
+                   Panel("whitened innovations", [*left, level(0.0)], "seconds apart", "correlation")],
+                  size=(9.0, 3.4))  # fmt: skip
+
+
+SHADES = {"radial": colors.PAPER, "along the track": colors.COMPARISON, "across": colors.TRUTH}
+
+
+def sizes(r: Results) -> Figure:
+    """What filters err and claim, by filter and by degree."""
+    names = {f"{LINES[name].label}": (BEST, name) for name in NAMES if name != "without z_0"}
+    degrees = {f"{n}, {LINES[name].label}": (f"degree {n}", name) for n in DEGREES for name in ("white", "colored")}
+
+    def panel(title: str, flown: dict[str, tuple[str, str]]) -> Panel:
+        each = [
+            [float(np.sqrt(np.nanmean(column(r, *one, what)[REVOLUTION:]))) for one in flown.values()] for what in ("error", "std")
+        ]
+        heights = {"RMSE": (each[0], colors.COMPARISON), "claimed": (each[1], colors.ESTIMATE)}
+        return Panel(title, [bars(list(flown), heights, across=True), *known], "position (m)")
+
+    known = [level(fixed(r), label="fixes", color=colors.MEASUREMENT, upright=True)]
+    return panels([panel(f"gravity to degree {DEGREE}", names), panel("by degree of gravity", degrees)], size=(10.5, 3.6))
+
+
+def table_1(r: Results) -> Rows:
+    """Filters by degree."""
+
+    def known(part: str, name: str, what: str) -> float:
+        return float(np.nanmean(column(r, part, name, what)[REVOLUTION:]))
+
+    rows: Rows = [{"gravity": "", "filter": "fixes", "RMSE (m)": fixed(r)}]
+    rows[0] |= dict.fromkeys(("claimed (m)", "NEES/3", "NIS/3", "left out"), "")
+    for n in DEGREES:
+        for name in NAMES if n == DEGREE else ("white", "colored"):
+            part = f"degree {n}"
+            rows.append({
+                "gravity": part, "filter": name, "RMSE (m)": known(part, name, "error") ** 0.5,
+                "claimed (m)": known(part, name, "std") ** 0.5, "NEES/3": known(part, name, "nees"),
+                "NIS/3": known(part, name, "nis"), "left out": r.value(part, f"{name}/rejected", 0),
+            })  # fmt: skip
+    return rows
+
+
+FIGURES = {
+    "figure_01": ("Radial errors of a real satellite's estimated position, beside the 95 % that each filter claims.", day),
+    "figure_02": ("Correlation of the fixes' errors, and of what is left of them in innovations.", autocorrelations),
+    "figure_03": ("What filters err and what they claim, by filter and by degree of gravity.", sizes),
+}
+TABLES = {"table_1": ("Filters on 1 August after the first revolution.", table_1)}
+RECORDINGS = ["grace.rrd"]
+LARGER, THIN = 1e5, 3
+"""Errors in the scene are drawn so many times as large; one epoch in so many is recorded."""
+
+
+def record(results: Results, outputs: Outputs) -> list[str]:
+    """Write the recording among ``outputs``; returns its name. Needs rerun."""
+    return showcase.write({RECORDINGS[0]: _shown(results)}, outputs)
+
+
+def _shown(results: Results) -> Showcase:
+    files = results.parts[BEST].config
+    log, field, keep = read(files.fixes[0]), gravity.read(files.field, DEGREE), slice(None, None, THIN)
+    truth = aligned(log, read(files.truth))
+    t, start, frame = log.times - log.times[0], prior(log), axes(truth)[keep]
+    still, u = orientation(log.times[keep])[0].mT, around(log.times)
+    est, place = dict[str, Estimate](), matvec(still, truth[keep]) / 1e6
+    drawn: dict[str, tuple[Array, Array]] = {}
+    for (name,), filter in ((own, f) for kind in ("white", "colored") for own, f in flights(field, [kind]).items()):
+        track = run(filter, Gaussian(start.mean[None], start.cov), t, log.z[:, None], u, keep="cov")
+        error, cov = (track.mean[:, 0, :3] - truth)[keep], track.cov[keep, 0, :3, :3]
+        nees, nis = (results.get(BEST, f"{name}/{what}")[keep, 0] for what in ("nees", "nis"))
+        local = matvec(frame, error)[:, None]
+        est[name] = Estimate(LINES[name].label, LINES[name].color, local, np.nan_to_num(frame @ cov @ frame.mT), nees, nis)
+        drawn[name] = matvec(still, error) * LARGER / 1e6, still @ cov @ still.mT * (LARGER / 1e6) ** 2
+
+    def scene(out: Recorder) -> None:
+        out.globe("world/earth", earth.SEMI_MAJOR_M / 1e6)
+        scenes.track(out, "world/truth", place, colors.TRUTH, "GRACE-A")
+        out.points("world/fix", place + matvec(still, (log.z - truth)[keep]) * LARGER / 1e6, colors.MEASUREMENT, radius=2.0)
+        for key, (error, cov) in drawn.items():
+            scenes.track(out, f"world/{key}", place + error, LINES[key].color, cov=cov, radius=0.6)
+
+    growing = [f"world/{name}/trail" for name in ("truth", *drawn)]
+    return Showcase(
+        "grace", NOTES, t[keep], est, [Group("position", "m", slice(0, 3), axes=("radial", "along", "across"))], axes=np.eye(3),
+        unit="m, radial, along, across", measured=results.get(BEST, "fixes")[keep], nis_dof=3, scene=scene,
+        spaces=[Space("world", f"orbit, 1000 km, errors {LARGER:,.0f} times as large", (12.0, -16.0, 9.0), growing=growing)],
+        legend={colors.MEASUREMENT: "GPS fixes"}, parameters={key: tuple(value) for key, value in SETTINGS.items()},
+        facts={"data": "GRACE-A, 2008-08-01"},
+    )  # fmt: skip
+
+
+NOTES = """# GRACE-A, 1 August 2008: real GPS fixes, and where the satellite was
+
+**Errors of fixes follow one another. The blue filter takes them for white, and is far outside of what it claims; the orange one is
+told of their correlation.**
+
+Fixes every 10 s without any model of the orbit; truth from the carrier's phase, good to 3 to 6 cm.
+"""

@@ -1,0 +1,248 @@
+"""GRACE-A: made files of the same formats, files that are none, parts of filters against independent forms, real files."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from celnav.files import InputError
+from celnav.filters.records import Epoch
+from celnav.filters.run import run
+from celnav.gaussian.belief import Gaussian
+from celnav.models import earth, ephemeris, gravity
+from celnav.real import grace
+from celnav.real.grace import positions, study
+
+REAL = Path(__file__).parents[3] / "shared" / "data" / "grace"
+START, COUNT = 270820800.0, 320
+HEAD = "earth_gravity_constant 0.3986004415E+15\nradius 0.63781363E+07\nnorm fully_normalized\nend_of_head\n"
+
+
+def field_text():
+    """A field to degree 16: two bodies, the Earth's flattening, and a little of every degree."""
+    lines = ["gfc 0 0 1.0 0.0", "gfc 2 0 -0.484165143790815d-03 0.0"]
+    rng = np.random.default_rng(1)
+    for n in range(2, 17):
+        lines += [f"gfc {n} {m} {c:.15e} {s:.15e}" for m in range(1, n + 1) for c, s in [1e-6 / n**2 * rng.standard_normal(2)]]
+    return HEAD + "\n".join(lines) + "\n"
+
+
+def orbit(field, count):
+    """States at every 10 s on Earth-fixed axes, integrated in space by a method of high order: not as filters do it."""
+    bodies, center = [], ephemeris.de421().state("earth", ephemeris.from_tt(*study.orientation(np.array([START]))[1][0]))
+    for name in ("sun", "moon"):
+        state = ephemeris.de421().state(name, ephemeris.from_tt(*study.orientation(np.array([START]))[1][0]))
+        place, moving = 1e3 * (state.position - center.position), 1e3 * (state.velocity - center.velocity)
+        bodies.append((1e9 * ephemeris.GM[name], place, moving))
+
+    def turned(t):
+        return study.orientation(np.array([START + t]))[0][0]
+
+    def rate(t, x):
+        R = turned(t)
+        pull = R.T @ field.acceleration(R @ x[:3])
+        for gm, place, moving in bodies:
+            s = place + moving * t
+            pull = pull + gm * ((s - x[:3]) / np.linalg.norm(s - x[:3]) ** 3 - s / np.linalg.norm(s) ** 3)
+        return np.concatenate([x[3:], pull])
+
+    R, spin = turned(0.0), earth.spin(np.stack([turned(0.0), turned(10.0)]), 10.0)[0]
+    r, v = np.array([686123.6, -6771705.2, 734394.0]), np.array([-280.0, -860.0, -7540.0])
+    start = np.concatenate([R.T @ r, R.T @ (v + np.cross(spin, r))])
+    times = study.STEP_S * np.arange(count)
+    found = solve_ivp(rate, (0.0, times[-1]), start, "DOP853", times, rtol=1e-12, atol=1e-6).y.T
+    fixed = [turned(t) for t in times]
+    r = np.stack([A @ x[:3] for A, x in zip(fixed, found, strict=True)])
+    v = np.stack([A @ x[3:] for A, x in zip(fixed, found, strict=True)]) - np.cross(spin, r)
+    return np.concatenate([r, v], 1)
+
+
+def written(path, times, xyz, pack=True):
+    text = "".join(
+        f"{t:14.3f} {x:14.3f} {y:14.3f} {z:14.3f} {1.0:13.3f}\n" for t, (x, y, z) in zip(times, xyz, strict=True) if x == x
+    )
+    path.write_bytes(gzip.compress(text.encode()) if pack else text.encode())
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Three days of 320 fixes with errors of 4 m that are correlated by 0.98, a gap, an outlier; and where the satellite was."""
+    where = tmp_path_factory.mktemp("grace")
+    (where / "made.gfc").write_text(field_text())
+    truth = orbit(gravity.read(where / "made.gfc"), COUNT)[:, :3]
+    rng = np.random.default_rng(0)
+    for day in (1, 2, 3):
+        noise = rng.standard_normal((COUNT, 3))
+        for k in range(1, COUNT):
+            noise[k] = 0.98 * noise[k - 1] + np.sqrt(1.0 - 0.98**2) * noise[k]
+        fixes = truth + 4.0 * noise
+        fixes[40:45], fixes[100] = np.nan, fixes[100] + 60.0
+        times = START + 86400.0 * (day - 1) + 10.0 * np.arange(COUNT)
+        written(where / f"GPS1B_2008-08-0{day}_A_01.pos.spp.gz", times, fixes)
+        if day == 1:
+            written(where / "GPS1B_2008-08-01_A_01.pos.RCDL3.svr.atx05.gz", times[2:], truth[2:])
+    return where
+
+
+@pytest.fixture(scope="module")
+def results(folder):
+    """The study of the made files, in which a revolution is an eighth of the day."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(study, "REVOLUTION", 40)
+        patch.setattr(study, "TRAINED", 100)
+        yield grace.STUDY.reproduce(grace=folder)
+
+
+def test_a_file_is_what_was_written(folder, tmp_path):
+    log = positions.read(folder / "GPS1B_2008-08-01_A_01.pos.spp.gz")
+    assert log.times[0] == START
+    assert log.z.shape == (COUNT, 3)
+    assert np.isnan(log.z[40:45]).all()
+    assert np.isfinite(np.delete(log.z, slice(40, 45), 0)).all()
+    truth = positions.read(folder / "GPS1B_2008-08-01_A_01.pos.RCDL3.svr.atx05.gz")
+    there = positions.aligned(log, truth)
+    assert np.isnan(there[:2]).all()
+    np.testing.assert_array_equal(there[2:], truth.z)
+    written(tmp_path / "plain", log.times, log.z, pack=False)
+    np.testing.assert_array_equal(positions.read(tmp_path / "plain").z, log.z)
+
+
+LINE = " 270820800.000    686124.068  -6771707.196    734394.068         0.974\n"
+
+
+def lines(count):
+    return [LINE.replace("270820800", str(270820800 + 10 * k)) for k in range(count)]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "expected at least 100 positions, got 0"),
+        ("".join(lines(99)), "expected at least 100 positions, got 99"),
+        ("".join([*lines(5), "garbage\n"]), "line 6: expected five numbers, seconds x y z quality, got 'garbage'"),
+        ("".join([*lines(5), " 270820850.0 1 2 3\n"]), "line 6: expected five numbers"),
+        ("".join([*lines(5), " 270820850.0 1 2 3 4 5\n"]), "line 6: expected five numbers"),
+        ("".join([*lines(5), " 270820850.0 nan 2 3 4\n"]), "line 6: expected five numbers"),
+        ("".join([*lines(5), "\n"]), "line 6: expected five numbers"),
+        ("".join([*lines(5), lines(5)[4]]), "line 6: expected increasing seconds at steps of 10, got 270820840"),
+        ("".join([*lines(5), LINE.replace("00.000", "53.000")]), "line 6: expected increasing seconds at steps of 10"),
+        ("".join([*lines(5), LINE.replace("270820800", "970820800")]), "line 6: expected increasing seconds"),
+        ("".join(lines(120)).replace("686124.068", "686.124").replace("-6771707.196", "-6771.7").replace("734394.068", "734.4"),
+         "expected positions in m from the Earth's center, got a distance of 6845.88"),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("pack", [False, True], ids=["plain", "gzipped"])
+def test_what_is_no_such_file_is_refused_by_file_and_line(tmp_path, text, message, pack):
+    path = tmp_path / "log"
+    path.write_bytes(gzip.compress(text.encode()) if pack else text.encode())
+    with pytest.raises(InputError) as error:
+        positions.read(path)
+    assert str(error.value).startswith(f"{path}: ")
+    assert message in str(error.value)
+
+
+def test_a_file_that_is_cut_off_garbled_or_too_large_is_refused(folder, tmp_path):
+    content = (folder / "GPS1B_2008-08-02_A_01.pos.spp.gz").read_bytes()
+    path = tmp_path / "log"
+    for bad in (content[: len(content) // 2], content[:2], content[:200] + b"\0" * 50 + content[250:]):
+        path.write_bytes(bad)
+        with pytest.raises(InputError, match=r"log: expected a whole gzipped file|log: line \d+: expected"):
+            positions.read(path)
+    path.write_bytes(gzip.compress(b" " * 20_000_000))
+    with pytest.raises(InputError, match="expected at most 10,000,000 bytes when unpacked"):
+        positions.read(path)
+    rng = np.random.default_rng(3)
+    whole, told = gzip.decompress(content), []
+    for _ in range(100):
+        spoiled = bytearray(whole)
+        for k in rng.integers(0, len(spoiled), 3):
+            spoiled[k] = rng.integers(0, 256)
+        path.write_bytes(bytes(spoiled))
+        try:
+            assert np.isfinite(positions.read(path).times).all()
+        except InputError as error:
+            told.append(str(error))
+    assert len(told) > 50
+    assert all(text.startswith(f"{path}: ") for text in told)
+
+
+def test_a_step_is_the_orbit(folder):
+    """Against an integrator of high order in space, over three minutes."""
+    field = gravity.read(folder / "made.gfc")
+    states, u = orbit(field, 20), study.around(START + study.STEP_S * np.arange(20))
+    x = states[0]
+    for k in range(19):
+        x = study.step(x, Epoch(dt=study.STEP_S, u=tuple(part[k] for part in u)), field)
+    assert np.abs(x - states[-1])[:3].max() < 1e-3
+
+
+def test_axes_are_radial_along_and_across(folder):
+    truth = orbit(gravity.read(folder / "made.gfc"), 30)
+    frame = positions.axes(truth[:, :3])
+    np.testing.assert_allclose(frame @ frame.mT, np.broadcast_to(np.eye(3), frame.shape), atol=1e-12)
+    np.testing.assert_allclose(np.einsum("tij,tj->ti", frame, truth[:, :3])[:, 1:], 0.0, atol=1e-6)
+    moving = np.einsum("tij,tj->ti", frame, truth[:, 3:] + np.cross([0.0, 0.0, earth.ROTATION_RATE], truth[:, :3]))
+    assert (moving[:, 1] > 7e3).all()
+    assert np.abs(moving[1:-1, 2]).max() < 0.05  # differences over 20 s
+
+
+def test_the_study_judges_made_files(results):
+    """Errors as they were made: correlated by 0.98, one outlier of the fixes, which the gate finds."""
+    claims = {claim.id: claim for claim in results.claims()}
+    assert set(claims) == {row.id for row in grace.STUDY.rows}
+    assert claims["fixes-colored"].numbers[0].value == pytest.approx(0.98, abs=0.03)
+    assert all(number.ci is None or number.ci[0] <= number.value <= number.ci[1] for c in claims.values() for number in c.numbers)
+    assert claims["white-overconfident"].holds
+    for name in study.NAMES:
+        part = study.BEST
+        assert np.isfinite(results.get(part, f"{name}/std")[4:40]).all()
+        assert 0.0 < results.value(part, f"{name}/rejected", 0) < 0.05, name
+    assert np.isnan(results.get(study.BEST, "colored/nis")[42, 0])
+    assert results.get("settings", "likelihood").shape == (7,)
+
+
+def test_what_is_shown_can_be_drawn(results, tmp_path):
+    for _, function in grace.FIGURES.values():
+        function(results).savefig(tmp_path / "a.png")
+    (table,) = (function(results) for _, function in grace.TABLES.values())
+    assert len(table) == 1 + len(study.NAMES) + 4
+    assert len({tuple(row) for row in table}) == 1
+
+
+def test_the_filters_of_a_batch_are_those_alone(folder, results):
+    """Three settings as three runs: one of them flown by itself gives the same."""
+    field, log = gravity.read(folder / "made.gfc", 2), positions.read(folder / "GPS1B_2008-08-01_A_01.pos.spp.gz")
+    times = log.times - log.times[0]
+    several, alone = study.flights(field, study.WHITE), study.flights(field, study.WHITE[1:2])
+    assert list(several) == [study.WHITE]
+    start = study.prior(log)
+    (one,), (other,) = several.values(), alone.values()
+    u = study.around(log.times[:50])
+    a = run(one, Gaussian(np.tile(start.mean, (3, 1)), start.cov), times[:50], np.tile(log.z[:50, None], (1, 3, 1)), u)
+    b = run(other, Gaussian(start.mean[None], start.cov), times[:50], log.z[:50, None], u)
+    np.testing.assert_allclose(a.mean[:, 1], b.mean[:, 0], rtol=0, atol=1e-6)
+
+
+def test_likelihood_finds_what_made_the_fixes(folder):
+    """On a few fixes, with gravity of the truth: within what so few say."""
+    field = gravity.read(folder / "made.gfc", 2)
+    data = study.training([folder / f"GPS1B_2008-08-0{day}_A_01.pos.spp.gz" for day in (2, 3)], field, 120)
+    assert np.isnan(data.z[100]).all()  # the outlier
+    assert np.isnan(data.z).sum() == 2 * 3 * (5 + 2)  # and the fix that is compared with it
+    found = study.fitted(data, field, study.Setting(3.0, 0.97, 3e-4))
+    sigma, _, phi = found.parameters
+    assert sigma * np.sqrt(1.0 - phi**2) == pytest.approx(4.0 * np.sqrt(1.0 - 0.98**2), rel=0.25)
+
+
+@pytest.mark.skipif(not REAL.is_dir(), reason="no real files beside the checkout")
+def test_the_real_files_are_as_their_source_says():
+    fixes = positions.read(next(REAL.glob(study.FIXES[0])))
+    truth = positions.read(next(REAL.glob(study.TRUTH)))
+    assert (np.isfinite(fixes.z[:, 0]).sum(), np.isfinite(truth.z[:, 0]).sum()) == (8600, 8579)
+    assert fixes.times[0] == truth.times[0] == START
+    field = gravity.read(next(REAL.glob(study.FIELD)), 8)
+    assert field.C[2, 0] == -0.484165143790815e-3
