@@ -17,7 +17,7 @@ from celnav.lazy import modules
 
 __getattr__, __dir__ = modules(__name__)
 
-STUDIES: dict[str, str] = {}
+STUDIES: dict[str, str] = {"broad": "trials of BROAD (MATLAB files)"}
 """Identifier, which is also the option of ``celnav reproduce`` and the module -> what the folder holds."""
 
 

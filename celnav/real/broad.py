@@ -1,319 +1,245 @@
 """BROAD [Laidig2021]: attitude from gyro, accelerometer and magnetometer in a hand, judged by cameras.
 
-Earth axes are east, north (of the magnetic field) and up; a sensor's state is its attitude, the drift of its gyro, the acceleration
-of the hand, the field's disturbance, and constants. Eight samples make a step: gyro samples are integrated, the others turned to
-its end and averaged, those of the magnetometer as of `LAG` samples before.
-
-The split. `SETTINGS` are where the innovations of the trials `TUNED` are most probable; no truth was used for them. Only the
-other trials are held out, and all eight are flown with these.
+The split. Settings are where the innovations of the trials `TUNED` are most probable; no truth was used for them, and they were
+written down before any was looked at. The deviations of `handheld.together` were not: they came after heading had been seen to err
+by tens of degrees with those of `handheld.apart`, and left the settings as they were.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import fields, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.io import loadmat
-from scipy.spatial.transform import Rotation
 
-from celnav.files import InputError
-from celnav.filters.adaptive import student_t
-from celnav.filters.model import Motion, Sensor
-from celnav.filters.records import Epoch, epochs
-from celnav.filters.sequential import Sequential, ekf, ukf
+from celnav.analysis.metrics import ratio, rms
+from celnav.filters.run import run
 from celnav.gaussian import attitude
-from celnav.gaussian.belief import Gaussian
-from celnav.gaussian.linalg import Array, Belief, side_by_side, tria
-from celnav.gaussian.spaces import EUCLIDEAN, product
-from celnav.models.gyro import Gyro
+from celnav.gaussian.linalg import Array
 from celnav.papers import citation
-from celnav.real import found
-from celnav.study.trial import Group, Trial
+from celnav.real.handheld import GROUPS, SETTINGS, TRIALS, TUNED, Flight, Q, Settings, filters, judged, trial
+from celnav.show import colors, scenes, showcase
+from celnav.show import estimates as estimated
+from celnav.show.figures import Item, Line, Panel, Rows, bars, curve, level, panels
+from celnav.study.ledger import Bounds, Number, check, estimate, finding
+from celnav.study.numbers import Decided, all_of, of
+from celnav.study.study import Part, Results, Study, fly
 
 if TYPE_CHECKING:
-    pass
+    from matplotlib.figure import Figure
+
+    from celnav.files import Outputs
+    from celnav.show.recording import Recorder
 
 TITLE = "Attitude from a sensor in a hand"
 CITATION = citation("Laidig2021")
 INPUTS = ("broad",)
-TRIALS = (
-    "01_undisturbed_slow_rotation_A", "02_undisturbed_slow_rotation_B", "06_undisturbed_fast_rotation_A",
-    "10_undisturbed_slow_translation_A", "15_undisturbed_fast_translation_A", "21_undisturbed_fast_combined",
-    "24_disturbed_tapping_A", "28_disturbed_stationary_magnet_A",
-)  # fmt: skip
-TUNED = (TRIALS[0], TRIALS[3], TRIALS[5])
 PUBLISHED = {
     "Madgwick": (2.3096, 1.4968, 2.3070, 3.5689, 12.3043, 7.1584, 1.7684, 8.3286),
     "Mahony": (3.4222, 2.9662, 4.2889, 2.7642, 9.1997, 12.4438, 2.1462, 6.3297),
 }
-"""RMSE of the total error, deg, of each trial, with the one setting of each filter that has the least mean over all 39 trials, chosen
-by truth: "tagp_parameters" of the ``results_*_average_rmse.json`` that come with the data."""
-GRAVITY = 9.8127  # m/s^2, in Berlin
-STEP, LAG = 8, 4  # samples
+"""RMSE of the total error, deg, of each trial, with the one setting of each filter that truth finds best in the mean over all 39:
+"tagp_parameters" of the ``results_*_average_rmse.json`` that come with the data."""
 
 
-# -- what was recorded -------------------------------------------------------------------------------------------------------
-class Log(NamedTuple):
-    """A trial in steps of ``dt`` s.
-
-    rate: ``(T, 3)`` rad/s, turns as the samples of a step do together. acc, mag: ``(T, 3)`` m/s^2 and uT, means of the step on the
-    axes at its end. lively: ``(T, 1)`` m/s^2, by how much the accelerations of the last second were no gravity, in the mean.
-    truth: ``(T, 4)``, nan where the cameras lost it. moving: ``(T,)``, where the benchmark judges.
-    """
-
-    rate: Array
-    acc: Array
-    mag: Array
-    lively: Array
-    truth: Array
-    moving: Array
-    dt: float
+# -- what is flown, and what is found ----------------------------------------------------------------------------------------
+BLOCK_S = 10.0  # of the bootstrap: errors of heading are correlated over seconds
+LOOSE, KINDS = ("turning", "push", "tau", "wash", "field", "far"), ("total", "heading", "inclination")
+UNDISTURBED = range(6)
 
 
-def read(path: Path, lag: int = LAG) -> Log:
-    """A trial from its MATLAB file; ``lag``: of the magnetometer, samples.
-
-    Raises InputError, naming the file and the field, for one that is damaged.
-    """
-    try:
-        every = loadmat(path)
-    except FileNotFoundError:
-        raise
-    except Exception as error:  # whatever it stumbles over
-        raise InputError(f"{path}: expected a file of MATLAB 5, got another ({error})") from None
-
-    def field(name: str, columns: int, least: int = 2 * STEP + lag) -> Array:
-        if name not in every:
-            raise InputError(f"{path}: expected a field {name}, got {', '.join(key for key in every if key[0] != '_')}")
-        values = every[name]
-        if values.dtype.kind not in "fiub" or values.ndim != 2 or values.shape[1] != columns or len(values) < least:
-            raise InputError(f"{path}: {name}: expected numbers ({least} or more, {columns}), got {values.dtype} {values.shape}")
-        if not np.isfinite(values).any(0).all() or np.isinf(values).any():
-            raise InputError(f"{path}: {name}: expected finite numbers or nan, got infinite ones or a column of nan only")
-        return np.asarray(values, np.float64)
-
-    named = {"imu_gyr": 3, "imu_acc": 3, "imu_mag": 3, "opt_quat": 4, "movement": 1}
-    gyr, acc, mag, q, moving = (field(name, columns) for name, columns in named.items())
-    hz = float(field("sampling_rate", 1, 1)[0, 0])
-    for name, values in zip(named, (gyr, acc, mag, q, moving), strict=True):
-        if len(values) != len(gyr):
-            raise InputError(f"{path}: {name}: expected as many rows as imu_gyr has, {len(gyr)}, got {len(values)}")
-    if np.isnan(gyr).any() or not hz > 0.0:
-        raise InputError(f"{path}: expected an imu_gyr without nan and a positive sampling_rate, got others")
-    if not (moving > 0.0).any():
-        raise InputError(f"{path}: movement: expected some samples that are to be judged, got none")
-    return steps(gyr, acc, mag, hz, lag)._replace(truth=_unit(q)[STEP - 1 :: STEP], moving=moving[STEP - 1 :: STEP, 0] > 0.0)
+def flown(name: str, config: Flight, _rngs: Sequence[Any]) -> dict[str, Array]:
+    """A filter on all trials, see `celnav.study.study.fly`; and ``judged (T, trials, 3)`` deg, nan where the benchmark does not."""
+    out = fly(trial(config, on_earth=name not in ("apart", "transported")), [name])
+    moving = np.stack([log.moving for log in config.logs()], 1)[..., None]
+    return out | {"judged": np.where(moving, judged(out[f"{name}/error"]), np.nan)}
 
 
-def _unit(q: Array) -> Array:
-    """Quaternions, which files have scalar first; nan where there is none."""
-    norm = np.linalg.norm(q, axis=-1, keepdims=True)
-    return np.asarray(np.roll(q, -1, -1) / np.where(norm > 0.5, norm, np.nan))
+def probable(config: Flight, _rngs: Sequence[Any]) -> dict[str, Array]:
+    """Log-likelihood of `TUNED` at the settings, and with each of `LOOSE` 1.25 times as large, then as small."""
+    tried = [SETTINGS]
+    tried += [replace(SETTINGS, **{name: by * getattr(SETTINGS, name)}) for name in LOOSE for by in (1.25, 0.8)]
+    each = {one.name: np.repeat([getattr(s, one.name) for s in tried], len(TUNED))[:, None] for one in fields(Settings)}
+    flight = trial(replace(config, trials=TUNED * len(tried)), s=Settings(**each))
+    track = run(flight.filters["mekf"], flight.prior, flight.epochs("mekf"), keep="nothing")
+    return {"log_likelihood": track.log_likelihood.reshape(-1, len(TUNED)).sum(1)}
 
 
-def steps(gyr: Array, acc: Array, mag: Array, hz: float, lag: int = LAG) -> Log:
-    """Samples ``(S, 3)`` in steps of `STEP`, without their truth."""
-    T = len(gyr) // STEP
-    turned = np.concatenate([np.tile(attitude.IDENTITY, (lag, 1)), attitude.exp(gyr[: T * STEP] / hz)])
-    turn, sums = np.tile(attitude.IDENTITY, (T, 1)), np.zeros((2, T, 3))
-    rate = np.zeros((T, 3))
-    for i in range(STEP - 1, -lag - 1, -1):  # of a sample in its step, or before it; `turn` leads from there to the end
-        for total, values, late in zip(sums, (acc, mag), (0, lag), strict=True):
-            if 0 <= i + late < STEP:
-                total += attitude.rotate(turn, values[i + late : T * STEP : STEP])
-        turn = attitude.multiply(turn, turned[i + lag :: STEP][:T])
-        rate = attitude.log(turn) * hz / STEP if i == 0 else rate
-    mean, dt = sums / STEP, STEP / hz
-    odd = np.nan_to_num((np.linalg.norm(mean[0], axis=-1, keepdims=True) - GRAVITY) ** 2)
-    width = max(1, round(1.0 / dt))
-    total = np.cumsum(np.concatenate([np.zeros((width, 1)), odd]), 0)
-    lively = np.sqrt(np.maximum(total[width:] - total[:-width], 0.0) / width)
-    return Log(rate, mean[0], mean[1], lively, np.full((T, 4), np.nan), np.ones(T, bool), dt)
+def parts(effort: float, broad: Path) -> dict[str, Part]:
+    """A part for each filter; ``effort`` shortens the trials, but for the minute at rest at their start."""
+    config = Flight(Path(broad), part=0.3 + 0.7 * effort)
+    every = {name: Part(partial(flown, name), config, 0, 1, 1, 20.0) for name in filters()}
+    return every | ({"settings": Part(probable, config, 0, 1, 1, 40.0)} if effort == 1.0 else {})
 
 
-# -- what is believed ----------------------------------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class Settings:
-    """Deviations and times, each one for all trials (or one for each run, ``(runs, 1)``).
-
-    gyro: angle random walk, rad/s^(1/2). turning: that of errors which grow with the rate, for each rad/s.
-    shaking, push: white noise of a step, and deviation of the hand's acceleration, each for 1 m/s^2 of `Log.lively`.
-    acc, rest: the same of a sensor at rest, m/s^2. tau, wash: times s of that acceleration: it is ``s - l``, with s a Gauss-Markov
-    process and l what follows it, so that it has no mean: a hand comes back.
-    mag: white noise of a step, uT. field, far: deviation, uT, and time, s, of the field's disturbance on Earth axes.
-    acc_bias, mag_bias: deviations, m/s^2 and uT, of constants on the sensor's axes.
-    """
-
-    gyro: Any
-    turning: Any
-    acc: Any
-    shaking: Any
-    rest: Any
-    push: Any
-    tau: Any
-    wash: Any
-    mag: Any
-    field: Any
-    far: Any
-    acc_bias: Any
-    mag_bias: Any
+def squares(r: Results, name: str, trials: Sequence[int], kind: int = 0) -> Array:
+    """Squares of the errors that are judged, deg^2, of some trials one after the other."""
+    values = r.get(name, "judged")[:, list(trials), kind].T.ravel()
+    return np.asarray(np.square(values[np.isfinite(values)]))
 
 
-DRIFT, DRIFT_WALK = 0.01, 1e-5  # rad/s at the start, and rad/s^(3/2)
-SETTINGS = Settings(
-    gyro=7.43e-05, turning=0.00562, acc=0.0119, shaking=0.0355, rest=0.00142, push=1.02, tau=0.107, wash=0.338,
-    mag=0.433, field=1.05, far=6.34, acc_bias=0.0746, mag_bias=0.379,
+def over(label: str, name: str, other: str | float, trials: Sequence[int], accept: Bounds, kind: int = 0) -> Decided:
+    """RMSE of a filter over that of another, or over a number of degrees."""
+
+    def number(r: Results) -> Number:
+        both = [squares(r, one, trials, kind) for one in ((name, other) if isinstance(other, str) else (name,))]
+        block = min(round(BLOCK_S / np.diff(r.times(name)[:2])[0]), len(both[0]) // 2)
+        return estimate(
+            label, lambda *ab: rms(ab[0]) / (other if isinstance(other, float) else rms(ab[1])), both, accept, block=block
+        )
+
+    return number
+
+
+def claimed(label: str, name: str, trials: Sequence[int], part: slice, accept: Bounds) -> Decided:
+    """RMS error of components on Earth axes over what a filter takes for it."""
+
+    def number(r: Results) -> Number:
+        there = np.isfinite(r.get(name, "judged")[..., 0])[:, list(trials)].T
+        both = (r.error(name, name, "attitude", what)[:, list(trials), part] for what in ("error", "std"))
+        a, b = (np.square(values).sum(-1).T[there] for values in both)
+        return estimate(label, ratio, [a, b], accept, block=min(round(BLOCK_S / np.diff(r.times(name)[:2])[0]), len(a) // 2))
+
+    return number
+
+
+def better(i: int, name: str) -> Decided:
+    """A filter against the better one of those published."""
+    least = min(PUBLISHED, key=lambda one: PUBLISHED[one][i])
+    return over(f"total RMSE over that of {least}", name, PUBLISHED[least][i], [i], (None, 1.0))
+
+
+WHY = "below 1 the filter is better; each published one has one setting for all trials, too, but one that was chosen by truth"
+TESTS = ("shown", "shown", "not shown", "shown", "shown", "shown")
+ROWS = [
+    *(finding(f"better-{TRIALS[i][:2]}", f"{TRIALS[i][3:].replace('_', ' ')}: the MEKF is better than both published filters.",
+              better(i, "mekf"), why=WHY, expected=TESTS[i], figure="figure_01") for i in UNDISTURBED),
+    finding("disturbed", "Tapped upon, and beside a magnet, the MEKF with Student's t for the noise is better than both.",
+            all_of(better(6, "robust"), better(7, "robust")), why=WHY, figure="figure_01",
+            found="Without it the magnet misleads the filter by tens of degrees."),
+    finding("axes", "Deviations that leave the hand's acceleration on Earth axes behind cost several times the error in heading.",
+            over("heading RMSE over the MEKF's", "apart", "mekf", UNDISTURBED, (2.0, None), 1),
+            found="{0}: each correction of the acceleration pretends to have seen a turn about the vertical."),
+    finding("transported", "Transporting the covariance after each update does not heal that.",
+            over("heading RMSE over the MEKF's", "transported", "mekf", UNDISTURBED, (2.0, None), 1)),
+    finding("acceleration", "Acceleration that is taken for white noise costs most where a hand moves to and fro.",
+            over("total RMSE over the MEKF's, translations", "white", "mekf", (3, 4), (2.0, None)), figure="figure_01"),
+    finding("sigma-points", "Sigma points change little.",
+            over("total RMSE of the UKF over the MEKF's", "ukf", "mekf", UNDISTURBED, (0.9, 1.1))),
+    finding("student", "Where nothing disturbs, Student's t changes little.",
+            over("total RMSE over the MEKF's", "robust", "mekf", UNDISTURBED, (0.9, 1.1))),
+    finding("heading", "Heading errs by no more than the filter claims.",
+            claimed("RMS error over claimed deviation", "mekf", UNDISTURBED, slice(2, 3), (None, 1.0)), figure="figure_03"),
+    finding("overconfident", "In a slow translation inclination errs by more than twice what is claimed.",
+            claimed("RMS error over claimed deviation", "mekf", (3,), slice(0, 2), (2.0, None)), figure="figure_03",
+            found="{0}: a hand's acceleration is no stationary process."),
+    check("settings", "A quarter more or less of a setting makes the innovations of the three trials less probable.",
+          of("settings", "log_likelihood", "largest gain of log-likelihood", (None, 0.0), lambda x: np.max(x[1:] - x[0])),
+          needs="settings"),
+]  # fmt: skip
+STUDY = Study(
+    "broad", GROUPS, trial, parts, ROWS,
+    "Eight trials of a benchmark: an inertial and magnetic sensor in a hand, judged by cameras, beside two published filters.",
+    "With settings that no truth has chosen an MEKF with colored acceleration is better than both published filters in five of "
+    "six undisturbed trials, and in both disturbed ones with Student's t for the noise. Its deviations turn acceleration along "
+    "with the attitude: where they keep it on Earth axes, the error in heading is several times as large.",
+    "figure_01",
 )  # fmt: skip
-WHITE = replace(SETTINGS, turning=0.00646, acc=0.00324, shaking=0.923, rest=0.0, push=0.0, mag=0.432, field=0.995, far=5.71,
-                acc_bias=0.0831, mag_bias=0.294)  # fmt: skip
-"""The same for a filter to which the hand's acceleration is white noise: where that one's innovations are most probable."""
-Q, BIAS, S, L, D, H, V, ACC, MAG = (
-    slice(0, 4), slice(4, 7), slice(7, 10), slice(10, 13), slice(13, 16), slice(16, 17), slice(17, 18), slice(18, 21), slice(21, 24)
-)  # fmt: skip
-"""Of a state ``(..., 24)``: attitude, drift (rad/s), both parts of the acceleration (m/s^2), disturbance, horizontal and downward
-part of the field (uT), constants of both sensors. Of deviations ``(..., 23)`` those of the attitude are three."""
-N, NOISY = 23, np.eye(23)[:, [*range(9), *range(12, 15)]]
 
 
-def motion(s: Settings, transported: bool = False) -> Motion:
-    """How a state goes on; ``epoch.u`` is rate ``(..., 3)`` and `Log.lively` ``(..., 1)``."""
-    perfect = Gyro(0.0, 0.0)
-
-    def decays(dt: float) -> tuple[Any, Any, Any]:
-        return np.exp(-dt / s.tau), np.exp(-dt / s.wash), np.exp(-dt / s.far)
-
-    def f(x: Array, epoch: Epoch) -> Array:
-        tau, wash, far = decays(epoch.dt)
-        followed = wash * x[..., L] + (1.0 - wash) * x[..., S]
-        turned = perfect.propagate(x[..., : BIAS.stop], epoch.u[0], epoch.dt)
-        return side_by_side([turned, tau * x[..., S], followed, far * x[..., D], x[..., D.stop :]])
-
-    def slope(x: Array, epoch: Epoch) -> Array:
-        tau, wash, far = (np.asarray(part)[..., None] * np.eye(3) for part in decays(epoch.dt))
-        F = np.zeros((*x.shape[:-1], N, N), like=x)
-        F[..., :6, :6] = perfect.transition(x[..., : BIAS.stop], epoch.u[0], epoch.dt)
-        F[..., 6:9, 6:9], F[..., 9:12, 6:9], F[..., 9:12, 9:12] = tau, np.eye(3) - wash, wash
-        F[..., 12:15, 12:15], F[..., 15:, 15:] = far, np.eye(N - 15)
-        return F
-
-    def noise(_mean: Array, epoch: Epoch) -> Array:
-        (rate, lively), dt = epoch.u, epoch.dt
-        turn = np.sqrt((s.gyro**2 + s.turning**2 * (rate * rate).sum(-1)[..., None]) * dt)
-        push = np.sqrt((s.rest**2 + (s.push * lively) ** 2) * (1.0 - np.exp(-2.0 * dt / s.tau)))
-        field = s.field * np.sqrt(1.0 - np.exp(-2.0 * dt / s.far))
-        std = side_by_side([part + 0.0 * turn for part in (turn, DRIFT_WALK * np.sqrt(dt), push, field)])
-        return np.repeat(std, 3, -1)[..., None, :] * NOISY
-
-    space = product((attitude.attitude(0.0, 2.0, transported=transported), 4, 3), (EUCLIDEAN, N - 3, N - 3))
-    return Motion(f, sqrt_Q=noise, space=space, jacobian=slope)
+# -- shown -------------------------------------------------------------------------------------------------------------------
+LINES = {
+    "mekf": Line("MEKF", colors.ESTIMATE), "robust": Line("MEKF, Student's t", colors.REFERENCE), "ukf": Line("UKF", colors.TRUTH),
+    "white": Line("white acceleration", colors.COMPARISON), "apart": Line("kept on Earth axes", colors.PAPER),
+    "transported": Line("the same, transported", colors.OPEN_LOOP),
+}  # fmt: skip
+TICKS = [name.replace("_disturbed_", " ").replace("_undisturbed_", " ").replace("_", " ") for name in TRIALS]
+SHOWN = 4  # a trial that was held out
 
 
-def sensors(s: Settings) -> tuple[Sensor, Sensor]:
-    """Accelerometer and magnetometer."""
-
-    def force(x: Array) -> Array:
-        return np.asarray(x[..., S] - x[..., L] + np.array([0.0, 0.0, GRAVITY]))
-
-    def field(x: Array) -> Array:
-        return side_by_side([x[..., 13:14], x[..., 14:15] + x[..., H], x[..., 15:16] - x[..., V]])
-
-    def acc_slope(x: Array, _epoch: Epoch) -> Array:
-        J, A = np.zeros((*x.shape[:-1], 3, N), like=x), attitude.matrix(x[..., Q])
-        J[..., :3], J[..., 6:9], J[..., 9:12] = attitude.cross(attitude.rotate(x[..., Q], force(x))), A, -A
-        J[..., 17:20] = np.eye(3)
-        return J
-
-    def mag_slope(x: Array, _epoch: Epoch) -> Array:
-        J, A = np.zeros((*x.shape[:-1], 3, N), like=x), attitude.matrix(x[..., Q])
-        J[..., :3], J[..., 12:15] = attitude.cross(attitude.rotate(x[..., Q], field(x))), A
-        J[..., 15], J[..., 16], J[..., 20:] = A[..., 1], -A[..., 2], np.eye(3)
-        return J
-
-    def acc_noise(_mean: Array, epoch: Epoch) -> Array:
-        return np.asarray(np.sqrt(s.acc**2 + (s.shaking * epoch.u[1]) ** 2)[..., None] * np.eye(3))
-
-    return (
-        Sensor(lambda x, _: attitude.rotate(x[..., Q], force(x)) + x[..., ACC], sqrt_R=acc_noise, jacobian=acc_slope),
-        Sensor(
-            lambda x, _: attitude.rotate(x[..., Q], field(x)) + x[..., MAG],
-            sqrt_R=lambda _mean, _: np.asarray(s.mag)[..., None] * np.eye(3), jacobian=mag_slope,
-        ),
-    )  # fmt: skip
+def level_of(r: Results, name: str, i: int, kind: int = 0) -> float:
+    """RMSE of a trial, deg."""
+    return rms(squares(r, name, [i], kind))
 
 
-def filters(s: Settings = SETTINGS, white: Settings = WHITE) -> dict[str, Sequential]:
-    """The filters that are compared, by name; all but "white" believe the same."""
-    believed = motion(s), *sensors(s)
-    return {
-        "mekf": ekf(*believed), "ukf": ukf(*believed), "transported": ekf(motion(s, transported=True), *believed[1:]),
-        "robust": ekf(*believed, hooks=[student_t()]), "white": ekf(motion(white), *sensors(white)),
-    }  # fmt: skip
+def beside(r: Results) -> Figure:
+    """RMSE of each trial."""
+    ours = {line.label: ([level_of(r, name, i) for i in range(8)], line.color) for name, line in list(LINES.items())[:2]}
+    shades = colors.SIGMA, colors.COMPARISON
+    known: dict[str, Any] = {one: (PUBLISHED[one], shade) for one, shade in zip(PUBLISHED, shades, strict=True)}
+    return panels(Panel("", [bars(TICKS, known | ours, across=True)], "RMSE of the total error (deg)", "", "x"), size=(8.0, 5.0))
 
 
-def prior(logs: Sequence[Log], s: Settings = SETTINGS) -> Gaussian:
-    """What is believed at the start of each trial, made of its first second, at rest, and of the field in a building."""
-    count = round(1.0 / logs[0].dt)
-    up, mag = (np.stack([np.nanmean(values[:count], 0) for values in each]) for each in zip(*((x.acc, x.mag) for x in logs)))
-    east = np.cross(mag, up)
-    axes = np.stack([part / np.linalg.norm(part, axis=-1, keepdims=True) for part in (east, np.cross(up, east), up)], -1)
-    mean = np.zeros((len(logs), N + 1))
-    mean[:, Q], mean[:, H], mean[:, V] = Rotation.from_matrix(axes.mT).as_quat(), 18.0, 40.0
-    std = [0.1, 0.1, 0.3, DRIFT, s.rest, s.field, 4.0, s.acc_bias, s.mag_bias]
-    each = side_by_side([np.zeros((len(logs), 1)) + part for part in std])
-    return Gaussian(mean, np.square(np.repeat(each, [1, 1, 1, 3, 6, 3, 2, 3, 3], -1))[..., None] * np.eye(N))
+def over_time(r: Results) -> Figure:
+    """Errors about Earth axes in one trial, with what the filter claims."""
+    t = r.times("mekf")
+
+    def items(axis: int) -> list[Item]:
+        error, std = (r.error("mekf", "mekf", "attitude", what)[:, SHOWN, axis] for what in ("error", "std"))
+        bounds = [curve(t, sign * 2.0 * std, Line("±2 claimed deviations", colors.SIGMA, ":")) for sign in (1.0, -1.0)]
+        return [curve(t, error, LINES["mekf"]), *bounds]
+
+    return panels(*[[Panel(TICKS[SHOWN] if axis == 2 else "", items(axis), "time (s)", f"about {name} (deg)")]
+                    for axis, name in ((2, "the vertical"), (0, "east"))], size=(8.0, 5.0), sharex="col")  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Flight:
-    """Trials that are flown together, as runs, in a ``folder``; ``part`` of their time. ``lag``: see `read`."""
+def consistent(r: Results) -> Figure:
+    """RMS errors over what is claimed."""
 
-    folder: Path
-    trials: tuple[str, ...] = TRIALS
-    lag: int = LAG
-    part: float = 1.0
+    def panel(title: str, part: slice) -> Panel:
+        every = {name: [claimed("", name, (i,), part, (None, None))(r).value for i in range(8)] for name in ("mekf", "robust")}
+        heights: Any = {LINES[name].label: (values, LINES[name].color) for name, values in every.items()}
+        return Panel(title, [bars(TICKS, heights, across=True), level(1.0, upright=True)], "RMS error over claimed deviation")
 
-    def logs(self) -> list[Log]:
-        """The trials, as long as the longest: nothing is measured after the end of the others."""
-        logs = [_log(path, self.lag) for path in found(self.folder, [f"{name}.mat" for name in self.trials])]
-        if max(log.dt for log in logs) > 1.001 * min(log.dt for log in logs):
-            raise InputError(f"{self.folder}: sampling_rate: expected the same in all trials, got {[STEP / x.dt for x in logs]} Hz")
-        T = round(self.part * max(len(log.rate) for log in logs))
-        return [Log(**{name: _padded(getattr(log, name), T, fill) for name, fill in PADDING.items()}, dt=log.dt) for log in logs]
+    return panels([panel("heading", slice(2, 3)), panel("inclination", slice(0, 2))], size=(10.0, 4.5), sharey=True)
 
 
-_log = lru_cache(64)(read)
-PADDING: dict[str, Any] = {"rate": 0.0, "acc": np.nan, "mag": np.nan, "lively": 0.0, "truth": np.nan, "moving": False}
+def table(r: Results) -> Rows:
+    """RMSE of all filters."""
+    rows: Rows = []
+    for i, name in ((i, name) for i in range(8) for name in LINES):
+        errors = {f"{kind} (deg)": level_of(r, name, i, k) for k, kind in enumerate(KINDS)}
+        rows.append({"trial": TRIALS[i], "filter": LINES[name].label, **errors})
+    return rows
 
 
-def _padded(values: Array, T: int, fill: Any) -> Array:
-    more = np.full((max(0, T - len(values)), *values.shape[1:]), fill)
-    return np.concatenate([values[:T], more])
+FIGURES = {
+    "figure_01": ("RMSE in eight trials, beside what is published of two filters.", beside),
+    "figure_02": ("Errors in a trial that was held out, and what the filter takes them to be.", over_time),
+    "figure_03": ("How errors compare with what is claimed: 1 is honest.", consistent),
+}
+TABLES = {"table_1": ("RMSE of each filter in each trial.", table)}
+RECORDINGS = ["broad.rrd"]
+SPACES = (showcase.Space("body", "the sensor on Earth axes (x east, z up): truth, and estimates", (2.0, -2.5, 1.5)),)
 
 
-GROUPS = (Group("attitude", "deg", slice(0, 3), 180.0 / np.pi),)
+def record(results: Results, outputs: Outputs) -> list[str]:
+    """Write the recording of one trial among ``outputs``; returns its name. Needs rerun."""
+    config = replace(results.parts["mekf"].config, trials=(TRIALS[SHOWN],))
+    flight, every, estimates, scene = trial(config), slice(None, None, 2), {}, {}
+    truth = config.logs()[0].truth
+    for name in ("mekf", "white"):
+        track = run(flight.filters[name], flight.prior, flight.epochs(name), keep="cov")
+        q, (label, color, *_) = track.mean[:, 0, Q], LINES[name]
+        error = attitude.log(attitude.multiply(attitude.inverse(truth), q))
+        estimates[name] = estimated.Estimate(
+            label, color, error[every, None], track.cov[every, 0, :3, :3], None, track.nis[every, 0]
+        )
+        scene[name] = np.nan_to_num(attitude.log(attitude.multiply(q, attitude.inverse(truth))))[every], color
+    there = np.maximum.accumulate(np.where(np.isfinite(truth[:, 0]), np.arange(len(truth)), 0))
+    posed, t = np.nan_to_num(truth[there])[every], track.times[every]
 
+    def draw(out: Recorder) -> None:
+        out.axes("body", 1.2, [colors.FAINT] * 3, ("east", "north", "up"), radius=0.7)
+        out.pose("body/sensor", np.zeros((len(t), 3)), posed)
+        out.axes("body/sensor", 1.0, [colors.TRUTH] * 3, ("x", "y", "z"))
+        scenes.turning(out, "body/sensor", scene, 0.9)
 
-def trial(config: Flight, _rngs: Sequence[Any], s: Settings = SETTINGS) -> Trial:
-    """The trials, with the filters; errors are rotation vectors on Earth axes."""
-    logs = config.logs()
-    rate, acc, mag, lively, truth = (np.stack(part, 1) for part in list(zip(*logs, strict=True))[:5])
-    acc[0] = mag[0] = np.nan  # the start is made of it
-    every = epochs(logs[0].dt * np.arange(len(rate)), (acc, mag), (rate[1:], lively[1:]), truth)
-    return Trial(GROUPS, filters(s), prior(logs, s), lambda _name: every, compare)
-
-
-def compare(truth: Array, belief: Belief) -> tuple[Array, Array]:
-    """Errors ``(runs, 3)`` rad on Earth axes [Laidig2021, Eq. 2], and the root of what a belief takes for their covariance."""
-    q = belief.mean[..., Q]
-    return attitude.log(attitude.multiply(attitude.inverse(truth), q)), tria(attitude.matrix(q).mT @ belief.sqrt_cov[..., :3, :])
-
-
-def judged(error: Array) -> Array:
-    """Total, heading and inclination errors ``(..., 3)`` deg of rotation vectors ``(..., 3)`` deg on Earth axes [Laidig2021]."""
-    q = np.abs(attitude.exp(np.radians(error)))
-    inclined = 2.0 * np.arccos(np.minimum(np.hypot(q[..., 2], q[..., 3]), 1.0))
-    return np.degrees(np.stack([2.0 * np.arccos(np.minimum(q[..., 3], 1.0)), 2.0 * np.arctan2(q[..., 2], q[..., 3]), inclined], -1))
+    notes = f"# {TITLE}\n\n{STUDY.found}\n\n{TICKS[SHOWN]}: what the cameras lost stands still."
+    shown = showcase.Showcase("broad", notes, t, estimates, (estimated.Group(*GROUPS[0], ("east", "north", "up")),), posed,
+                              np.degrees(np.eye(3)), "deg", nis_dof=6, spaces=SPACES, scene=draw, parameters=vars(SETTINGS),
+                              facts={"study": "broad", "trial": TRIALS[SHOWN]})  # fmt: skip
+    return showcase.write({RECORDINGS[0]: shown}, outputs)
