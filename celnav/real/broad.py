@@ -47,7 +47,7 @@ PUBLISHED = {
 
 # -- what is flown, and what is found ----------------------------------------------------------------------------------------
 BLOCK_S = 10.0  # of the bootstrap: errors of heading are correlated over seconds
-LOOSE, KINDS = ("turning", "push", "tau", "wash", "field", "far"), ("total", "heading", "inclination")
+LOOSE, KINDS = ("turning", "push", "field"), ("total", "heading", "inclination")
 UNDISTURBED = range(6)
 
 
@@ -113,12 +113,12 @@ def better(i: int, name: str) -> Decided:
 
 
 WHY = "below 1 the filter is better; each published one has one setting for all trials, too, but one that was chosen by truth"
-TESTS = ("shown", "shown", "not shown", "shown", "shown", "shown")
+EXPECTED = ("undecided", "shown", "not shown", "shown", "shown", "shown")
 ROWS = [
     *(finding(f"better-{TRIALS[i][:2]}", f"{TRIALS[i][3:].replace('_', ' ')}: the MEKF is better than both published filters.",
-              better(i, "mekf"), why=WHY, expected=TESTS[i], figure="figure_01") for i in UNDISTURBED),
+              better(i, "mekf"), why=WHY, expected=EXPECTED[i], figure="figure_01") for i in UNDISTURBED),
     finding("disturbed", "Tapped upon, and beside a magnet, the MEKF with Student's t for the noise is better than both.",
-            all_of(better(6, "robust"), better(7, "robust")), why=WHY, figure="figure_01",
+            all_of(better(6, "robust"), better(7, "robust")), why=WHY, expected="undecided", figure="figure_01",
             found="Without it the magnet misleads the filter by tens of degrees."),
     finding("axes", "Deviations that leave the hand's acceleration on Earth axes behind cost several times the error in heading.",
             over("heading RMSE over the MEKF's", "apart", "mekf", UNDISTURBED, (2.0, None), 1),
@@ -136,16 +136,16 @@ ROWS = [
     finding("overconfident", "In a slow translation inclination errs by more than twice what is claimed.",
             claimed("RMS error over claimed deviation", "mekf", (3,), slice(0, 2), (2.0, None)), figure="figure_03",
             found="{0}: a hand's acceleration is no stationary process."),
-    check("settings", "A quarter more or less of a setting makes the innovations of the three trials less probable.",
+    check("settings", "A quarter more or less of any of three settings makes the innovations of the three trials less probable.",
           of("settings", "log_likelihood", "largest gain of log-likelihood", (None, 0.0), lambda x: np.max(x[1:] - x[0])),
           needs="settings"),
 ]  # fmt: skip
 STUDY = Study(
     "broad", GROUPS, trial, parts, ROWS,
     "Eight trials of a benchmark: an inertial and magnetic sensor in a hand, judged by cameras, beside two published filters.",
-    "With settings that no truth has chosen an MEKF with colored acceleration is better than both published filters in five of "
-    "six undisturbed trials, and in both disturbed ones with Student's t for the noise. Its deviations turn acceleration along "
-    "with the attitude: where they keep it on Earth axes, the error in heading is several times as large.",
+    "With settings that no truth has chosen, an MEKF with colored acceleration errs less than both published filters in five of "
+    "six undisturbed trials, beyond chance in four; a fast rotation it loses to Madgwick's. A magnet misleads it, unless "
+    "noise is Student's t. Deviations turn acceleration along with attitude: else heading errs six times as much.",
     "figure_01",
 )  # fmt: skip
 
@@ -170,15 +170,20 @@ def beside(r: Results) -> Figure:
     ours = {line.label: ([level_of(r, name, i) for i in range(8)], line.color) for name, line in list(LINES.items())[:2]}
     shades = colors.SIGMA, colors.COMPARISON
     known: dict[str, Any] = {one: (PUBLISHED[one], shade) for one, shade in zip(PUBLISHED, shades, strict=True)}
-    return panels(Panel("", [bars(TICKS, known | ours, across=True)], "RMSE of the total error (deg)", "", "x"), size=(8.0, 5.0))
+    return panels(
+        Panel("", [bars(TICKS, known | ours, across=True)], "RMSE of the total error (deg)", "", "x", {"xlim": (0.5, 60.0)}),
+        size=(8.0, 5.0),
+    )
 
 
 def over_time(r: Results) -> Figure:
     """Errors about Earth axes in one trial, with what the filter claims."""
-    t = r.times("mekf")
+    known = np.flatnonzero(np.isfinite(r.error("mekf", "mekf", "attitude")[:, SHOWN, 0]))
+    own = slice(round(1.0 / np.diff(r.times("mekf")[:2])[0]), int(known[-1]) + 1)  # from a second on, to the end of the trial
+    t = r.times("mekf")[own]
 
     def items(axis: int) -> list[Item]:
-        error, std = (r.error("mekf", "mekf", "attitude", what)[:, SHOWN, axis] for what in ("error", "std"))
+        error, std = (r.error("mekf", "mekf", "attitude", what)[own, SHOWN, axis] for what in ("error", "std"))
         bounds = [curve(t, sign * 2.0 * std, Line("±2 claimed deviations", colors.SIGMA, ":")) for sign in (1.0, -1.0)]
         return [curve(t, error, LINES["mekf"]), *bounds]
 
@@ -194,7 +199,7 @@ def consistent(r: Results) -> Figure:
         heights: Any = {LINES[name].label: (values, LINES[name].color) for name, values in every.items()}
         return Panel(title, [bars(TICKS, heights, across=True), level(1.0, upright=True)], "RMS error over claimed deviation")
 
-    return panels([panel("heading", slice(2, 3)), panel("inclination", slice(0, 2))], size=(10.0, 4.5), sharey=True)
+    return panels([panel("heading", slice(2, 3)), panel("inclination", slice(0, 2))], size=(12.0, 4.5))
 
 
 def table(r: Results) -> Rows:
@@ -218,7 +223,7 @@ SPACES = (showcase.Space("body", "the sensor on Earth axes (x east, z up): truth
 
 def record(results: Results, outputs: Outputs) -> list[str]:
     """Write the recording of one trial among ``outputs``; returns its name. Needs rerun."""
-    config = replace(results.parts["mekf"].config, trials=(TRIALS[SHOWN],))
+    config = replace(results.parts["mekf"].config, trials=(TRIALS[SHOWN],), part=0.5 * results.parts["mekf"].config.part)
     flight, every, estimates, scene = trial(config), slice(None, None, 2), {}, {}
     truth = config.logs()[0].truth
     for name in ("mekf", "white"):

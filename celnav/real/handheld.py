@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -265,14 +264,13 @@ class Flight:
 
     def logs(self) -> list[Log]:
         """The trials, as long as the longest: nothing is measured after the end of the others."""
-        logs = [_log(path, self.lag) for path in found(self.folder, [f"{name}.mat" for name in self.trials])]
+        logs = [read(path, self.lag) for path in found(self.folder, [f"{name}.mat" for name in self.trials])]
         if max(log.dt for log in logs) > 1.001 * min(log.dt for log in logs):
             raise InputError(f"{self.folder}: sampling_rate: expected the same in all trials, got {[STEP / x.dt for x in logs]} Hz")
         T = round(self.part * max(len(log.rate) for log in logs))
         return [Log(**{name: _padded(getattr(log, name), T, fill) for name, fill in PADDING.items()}, dt=log.dt) for log in logs]
 
 
-_log = lru_cache(64)(read)
 PADDING: dict[str, Any] = {"rate": 0.0, "acc": np.nan, "mag": np.nan, "lively": 0.0, "truth": np.nan, "moving": False}
 
 
