@@ -21,6 +21,7 @@ STUDIES: dict[str, str] = {
     "grace": "GPS fixes and positions of GRACE-A, August 2008, and a gravity field",
     "nanograv": "pulsars' arrival times (daily_averages.npz)",
     "rxte": "photons of a pulsar, the satellite's orbit, a timing model (*.fits, FPorbit*, *.par)",
+    "broad": "trials of BROAD (MATLAB files)",
 }
 """Identifier, which is also the option of ``celnav reproduce`` and the module -> what the folder holds."""
 
