@@ -20,7 +20,7 @@ from celnav.tape.cuda import Device
 from celnav.tape.tape import CannotCompile
 
 FEW = 3  # rows of a flight that keeps nothing, by which it is checked
-CHUNK = 1 << 22  # bytes of measurements and rows of the runs that are flown together
+CHUNK = 1 << 21  # bytes of measurements and rows of the runs that are flown together
 
 
 def sensors(filter: Any, z: Any) -> Sequence[Any]:
