@@ -177,8 +177,8 @@ def _shown(results: Results) -> Showcase:
 
 NOTES = """# GRACE-A, 1 August 2008: real GPS fixes, and where the satellite was
 
-**Errors of fixes follow one another. The blue filter takes them for white, and is far outside of what it claims; the orange one is
-told of their correlation.**
+**Errors of fixes follow one another. The blue filter takes them for white, and leaves what it claims; the orange one is told of
+their correlation, and leaves it only in four bursts.**
 
 Fixes every 10 s without any model of the orbit; truth from the carrier's phase, good to 3 to 6 cm.
 """
