@@ -37,6 +37,7 @@ LINES = {
     "white": Line("fixes taken for white", colors.COMPARISON), "colored": Line("told of the correlation", colors.ESTIMATE),
     "white, by NIS": Line("white, R by NIS", colors.OPEN_LOOP),
     "white, by likelihood": Line("white, R and Q by likelihood", colors.SIGMA),
+    "white, of four hours": Line("white, set by four hours", colors.BODY),
     "colored, by correlation": Line("colored, set by correlation", colors.REFERENCE),
     "colored, of four hours": Line("colored, set by four hours", colors.BOUND),
     "augmented": Line("noise in the state", colors.TRUTH), "without z_0": Line("without the first fix", colors.PAPER),
