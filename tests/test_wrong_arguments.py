@@ -66,7 +66,7 @@ montecarlo: blocks steps effort
 claims: Ledger accepted counted dumps plain read_claims row style surprise table tally written
 gyro: Gyro.drift
 ledger: Claim Row Row.judged estimate order
-numbers: all_of consistency entries given of ratio rmse settling tiers
+numbers: all_of consistency correlation entries given lagged of over_time ratio rmse settling tiers
 parameters: Parameters.check param
 sightings: limb
 study: Results Results.at Results.claims Results.error Results.first Results.get Results.group Results.nees Results.squares

@@ -214,7 +214,7 @@ def test_what_is_shown_can_be_drawn(results, tmp_path):
 
 
 def test_the_filters_of_a_batch_are_those_alone(folder, results):
-    """Three settings as three runs: one of them flown by itself gives the same."""
+    """Settings as runs: one of them flown by itself gives the same."""
     field, log = gravity.read(folder / "made.gfc", 2), positions.read(folder / "GPS1B_2008-08-01_A_01.pos.spp.gz")
     times = log.times - log.times[0]
     several, alone = study.flights(field, study.WHITE), study.flights(field, study.WHITE[1:2])
@@ -222,7 +222,7 @@ def test_the_filters_of_a_batch_are_those_alone(folder, results):
     start = study.prior(log)
     (one,), (other,) = several.values(), alone.values()
     u = study.around(log.times[:50])
-    a = run(one, Gaussian(np.tile(start.mean, (3, 1)), start.cov), times[:50], np.tile(log.z[:50, None], (1, 3, 1)), u)
+    a = run(one, Gaussian(np.tile(start.mean, (4, 1)), start.cov), times[:50], np.tile(log.z[:50, None], (1, 4, 1)), u)
     b = run(other, Gaussian(start.mean[None], start.cov), times[:50], log.z[:50, None], u)
     np.testing.assert_allclose(a.mean[:, 1], b.mean[:, 0], rtol=0, atol=1e-6)
 

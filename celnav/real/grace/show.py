@@ -7,10 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from celnav.files import Outputs
-from celnav.filters.run import run
-from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array, matvec
-from celnav.models import earth, gravity
+from celnav.models import earth
 from celnav.real.grace.positions import STEP_S, aligned, axes, read
 from celnav.real.grace.study import (
     BEST,
@@ -19,12 +17,9 @@ from celnav.real.grace.study import (
     NAMES,
     REVOLUTION,
     SETTINGS,
-    around,
     column,
     fixes,
-    flights,
     orientation,
-    prior,
 )
 from celnav.show import colors, scenes, showcase
 from celnav.show.estimates import Estimate, Group
@@ -42,7 +37,9 @@ LINES = {
     "white": Line("fixes taken for white", colors.COMPARISON), "colored": Line("told of the correlation", colors.ESTIMATE),
     "white, by NIS": Line("white, R by NIS", colors.OPEN_LOOP),
     "white, by likelihood": Line("white, R and Q by likelihood", colors.SIGMA),
+    "white, of four hours": Line("white, set by four hours", colors.BODY),
     "colored, by correlation": Line("colored, set by correlation", colors.REFERENCE),
+    "colored, of four hours": Line("colored, set by four hours", colors.BOUND),
     "augmented": Line("noise in the state", colors.TRUTH), "without z_0": Line("without the first fix", colors.PAPER),
 }  # fmt: skip
 BAND = 1.96
@@ -101,15 +98,15 @@ def sizes(r: Results) -> Figure:
     names = {f"{LINES[name].label}": (BEST, name) for name in NAMES if name != "without z_0"}
     degrees = {f"{n}, {LINES[name].label}": (f"degree {n}", name) for n in DEGREES for name in ("white", "colored")}
 
-    def panel(title: str, flown: dict[str, tuple[str, str]]) -> Panel:
+    def panel(title: str, flown: dict[str, tuple[str, str]], log: str = "") -> Panel:
         each = [
             [float(np.sqrt(np.nanmean(column(r, *one, what)[REVOLUTION:]))) for one in flown.values()] for what in ("error", "std")
         ]
         heights = {"RMSE": (each[0], colors.COMPARISON), "claimed": (each[1], colors.ESTIMATE)}
-        return Panel(title, [bars(list(flown), heights, across=True), *known], "position (m)")
+        return Panel(title, [bars(list(flown), heights, across=True), *known], "position (m)", "", log)
 
     known = [level(fixed(r), label="fixes", color=colors.MEASUREMENT, upright=True)]
-    return panels([panel(f"gravity to degree {DEGREE}", names), panel("by degree of gravity", degrees)], size=(10.5, 3.6))
+    return panels([panel(f"gravity to degree {DEGREE}", names), panel("by degree of gravity", degrees, "x")], size=(10.5, 3.6))
 
 
 def table_1(r: Results) -> Rows:
@@ -148,31 +145,30 @@ def record(results: Results, outputs: Outputs) -> list[str]:
 
 
 def _shown(results: Results) -> Showcase:
-    files = results.parts[BEST].config
-    log, field, keep = read(files.fixes[0]), gravity.read(files.field, DEGREE), slice(None, None, THIN)
+    files, keep = results.parts[BEST].config, slice(None, None, THIN)
+    log = read(files.fixes[0])
     truth = aligned(log, read(files.truth))
-    t, start, frame = log.times - log.times[0], prior(log), axes(truth)[keep]
-    still, u = orientation(log.times[keep])[0].mT, around(log.times)
-    est, place = dict[str, Estimate](), matvec(still, truth[keep]) / 1e6
-    drawn: dict[str, tuple[Array, Array]] = {}
-    for (name,), filter in ((own, f) for kind in ("white", "colored") for own, f in flights(field, [kind]).items()):
-        track = run(filter, Gaussian(start.mean[None], start.cov), t, log.z[:, None], u, keep="cov")
-        error, cov = (track.mean[:, 0, :3] - truth)[keep], track.cov[keep, 0, :3, :3]
-        nees, nis = (results.get(BEST, f"{name}/{what}")[keep, 0] for what in ("nees", "nis"))
-        local = matvec(frame, error)[:, None]
-        est[name] = Estimate(LINES[name].label, LINES[name].color, local, np.nan_to_num(frame @ cov @ frame.mT), nees, nis)
-        drawn[name] = matvec(still, error) * LARGER / 1e6, still @ cov @ still.mT * (LARGER / 1e6) ** 2
+    still = orientation(log.times[keep])[0].mT
+    place, local = matvec(still, truth[keep]) / 1e6, still @ axes(truth)[keep].mT
+    est, drawn = dict[str, Estimate](), dict[str, tuple[Array, Array]]()
+    for name in ("white", "colored"):
+        error, cov, nees, nis = (results.get(BEST, f"{name}/{what}")[keep] for what in ("error", "cov", "nees", "nis"))
+        est[name] = Estimate(LINES[name].label, LINES[name].color, error, cov[:, 0], nees[:, 0], nis[:, 0])
+        scale = LARGER / 1e6
+        drawn[name] = matvec(local, error[:, 0]) * scale, local @ cov[:, 0] @ local.mT * scale**2
+    fixed = matvec(local, results.get(BEST, "fixes")[keep]) * LARGER / 1e6
 
     def scene(out: Recorder) -> None:
         out.globe("world/earth", earth.SEMI_MAJOR_M / 1e6)
         scenes.track(out, "world/truth", place, colors.TRUTH, "GRACE-A")
-        out.points("world/fix", place + matvec(still, (log.z - truth)[keep]) * LARGER / 1e6, colors.MEASUREMENT, radius=2.0)
+        out.points("world/fix", place + fixed, colors.MEASUREMENT, radius=2.0)
         for key, (error, cov) in drawn.items():
             scenes.track(out, f"world/{key}", place + error, LINES[key].color, cov=cov, radius=0.6)
 
     growing = [f"world/{name}/trail" for name in ("truth", *drawn)]
     return Showcase(
-        "grace", NOTES, t[keep], est, [Group("position", "m", slice(0, 3), axes=("radial", "along", "across"))], axes=np.eye(3),
+        "grace", NOTES, results.times(BEST)[keep], est,
+        [Group("position", "m", slice(0, 3), axes=("radial", "along", "across"))], axes=np.eye(3),
         unit="m, radial, along, across", measured=results.get(BEST, "fixes")[keep], nis_dof=3, scene=scene,
         spaces=[Space("world", f"orbit, 1000 km, errors {LARGER:,.0f} times as large", (12.0, -16.0, 9.0), growing=growing)],
         legend={colors.MEASUREMENT: "GPS fixes"}, parameters={key: tuple(value) for key, value in SETTINGS.items()},
@@ -182,8 +178,8 @@ def _shown(results: Results) -> Showcase:
 
 NOTES = """# GRACE-A, 1 August 2008: real GPS fixes, and where the satellite was
 
-**Errors of fixes follow one another. The blue filter takes them for white, and is far outside of what it claims; the orange one is
-told of their correlation.**
+**Errors of fixes follow one another. The blue filter takes them for white, and leaves what it claims; the orange one is told of
+their correlation, and leaves it only in four bursts.**
 
 Fixes every 10 s without any model of the orbit; truth from the carrier's phase, good to 3 to 6 cm.
 """
