@@ -272,7 +272,7 @@ class Engine:
             for place in entries(x.shape, what):
                 stored.append((at, x[place]))
                 at += 1
-        kernel = llvm.Kernel(tape, inputs, stored, list(self._rows(state.belief, infos)))
+        kernel = llvm.Kernel(tape, inputs, stored, list(self._rows(state.belief, infos)), tuple(self.columns().values()))
         if (count := len(tape.needed([x for *_, x in kernel.results()]))) > self.most:
             raise CannotCompile(f"a step of {count} operations takes longer than it saves: at most {self.most} are compiled")
         return Recorded(kernel, after)

@@ -113,8 +113,9 @@ def fly(engine: Engine, data: Data, every: int, jobs: int, device: Device | None
     if engine.few:
         stored[FEW:] = -1
     names, K, M = engine.columns(), int(stored.max()) + 1, max((at + x.shape[-1] for at, x in own), default=1)
-    kept = sum(names.values())
-    rows = {name: np.empty((K, runs, count)) for name, count in names.items()}
+    unit = lanes or 1
+    kept, whole = sum(names.values()), -(-runs // unit) * unit  # the last run fills a vector that is not full
+    rows = {name: np.empty((K, whole, count)) for name, count in names.items()}
     counts = len(TALLY) * engine.stride
     tally, start = np.empty((runs, counts)), np.concatenate(engine.start(), 1)
     table, loop = (np.array(steps, np.int32), stored.astype(np.int64)), _loop(records, size, device)
@@ -124,22 +125,17 @@ def fly(engine: Engine, data: Data, every: int, jobs: int, device: Device | None
         part = slice(first, min(first + chunk, runs))
         count = part.stop - first
         vector = lanes or count  # a device has all of them side by side
-        width = -(-count // vector) * vector  # the last run fills a block that is not full
-        values, state, out = np.zeros((T, M, width)), np.zeros((width // vector, size, vector)), np.empty((K, kept, width))
+        width = -(-count // vector) * vector
+        values, state = np.zeros((T, M, width)), np.zeros((width // vector, size, vector))
         for at, x in own:
             values[:, at : at + x.shape[-1], :count] += (x if x.shape[1] == 1 else x[:, part]).transpose(0, 2, 1)
         values[..., count:] = values[..., count - 1 : count]
         begin = np.concatenate([start[part], np.repeat(start[part.stop - 1 : part.stop], width - count, 0)])
         state[:, : start.shape[1]] = begin.reshape(-1, vector, start.shape[1]).transpose(0, 2, 1)
-        loop(*table, state, shared, values, out)
-        at = 0
-        for name, number in names.items():
-            rows[name][:, part] = out[:, at : at + number, :count].transpose(0, 2, 1)
-            at += number
+        loop(*table, state, shared, values, rows, first)
         tally[part] = state[:, :counts].transpose(0, 2, 1).reshape(width, -1)[:count]
 
     room = device.room() // jobs // (8 * (T * M + K * kept + size)) if device else CHUNK // (8 * T * (kept + M))
-    unit = lanes or 1
     chunk = max(unit, min(-(-runs // jobs), room) // unit * unit)
     if jobs > 1 and runs > chunk:
         with ThreadPoolExecutor(jobs) as pool:
@@ -147,24 +143,36 @@ def fly(engine: Engine, data: Data, every: int, jobs: int, device: Device | None
     else:
         for first in range(0, runs, chunk):
             some(first)
-    return Flight(rows, tally)
+    return Flight({name: np.ascontiguousarray(x[:, :runs]) for name, x in rows.items()}, tally)
 
 
 def _loop(records: Sequence[Recorded], size: int, device: Device | None) -> Callable[..., None]:
-    """What takes ``(kinds, at, state, shared, own, rows)`` through all epochs; a state is of ``size`` numbers."""
+    """What takes ``(kinds, at, state, shared, own)`` through all epochs, and writes the rows of runs from the ``first`` on; a state
+    is of ``size`` numbers."""
     if device is not None:
-        return partial(device.fly, device.entry(ptx.program([record.kernel for record in records], size)))
+        return partial(_abroad, device, device.entry(ptx.program([record.kernel for record in records], size)))
     addresses, loop = np.array([record.address for record in records], np.uint64), llvm.fly()
     cells = max(record.kernel.cells for record in records)
 
-    def flown(*arrays: Array) -> None:
-        *_, state, shared, own, rows = arrays
+    def flown(kinds: Array, at: Array, state: Array, shared: Array, own: Array, rows: dict[str, Array], first: int) -> None:
         blocks, size, lanes = state.shape
-        memory = llvm.aligned((cells, lanes))
-        pointers = (x.ctypes.data for x in (addresses, *arrays, memory))
-        loop(*pointers, size, shared.shape[1], own.shape[1], rows.shape[1], own.shape[2], lanes, 0, blocks, len(own))
+        memory, fields = llvm.aligned((cells, lanes)), np.array([x.ctypes.data for x in rows.values()], np.uint64)
+        pointers = (x.ctypes.data for x in (addresses, kinds, at, state, shared, own, fields, memory))
+        runs = next((x.shape[1] for x in rows.values()), 0)
+        loop(*pointers, size, shared.shape[1], own.shape[1], runs, first, own.shape[2], lanes, 0, blocks, len(own))
 
     return flown
+
+
+def _abroad(device: Device, entry: Any, *given: Any) -> None:
+    """The same on a device."""
+    *arrays, rows, first = given
+    shapes = [(len(x), arrays[-1].shape[2], x.shape[2]) for x in rows.values()]
+    ends = np.cumsum([int(np.prod(shape)) for shape in shapes])
+    out = np.empty(max(ends, default=0))
+    device.fly(entry, *arrays, out)
+    for x, shape, part in zip(rows.values(), shapes, np.split(out, ends[:-1]), strict=True):
+        x[:, first : first + shape[1]] = part.reshape(shape)
 
 
 def _planned(engine: Engine, data: Data, inputs: dict[Any, Any], lanes: int) -> tuple[list[Recorded], list[int], int]:

@@ -77,7 +77,7 @@ class Device:
         return min(free.value // 2, MOST)
 
     def fly(self, entry: Any, kinds: NDArray[np.int32], at: NDArray[np.int64], *arrays: NDArray[np.float64]) -> None:
-        """Call an entry with the ``arrays`` state, shared, own and rows, contiguous; state and rows come back."""
+        """Call an entry with the ``arrays`` state, shared, own and rows (of all fields), contiguous; state and rows come back."""
         state, shared, own, rows = arrays
         self._do("cuCtxSetCurrent", self._context)
         given: tuple[NDArray[Any], ...] = kinds, at, state, shared, own
@@ -85,7 +85,7 @@ class Device:
             for place, x in zip(places, given, strict=False):
                 self._do("cuMemcpyHtoD_v2", place, ctypes.c_void_p(x.ctypes.data), ctypes.c_size_t(x.nbytes))
             steps, width, runs = own.shape
-            values = [*places, *map(ctypes.c_int64, (shared.shape[1], width, rows.shape[1], runs, steps))]
+            values = [*places, *map(ctypes.c_int64, (shared.shape[1], width, int(at.max()) + 1, runs, steps))]
             pointers = (ctypes.c_void_p * len(values))(*map(ctypes.addressof, values))
             grid = (-(-runs // THREADS), 1, 1, THREADS, 1, 1, 0)
             self._do("cuLaunchKernel", entry, *map(ctypes.c_uint, grid), None, pointers, None)

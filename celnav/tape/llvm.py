@@ -5,7 +5,7 @@ A `Kernel` is one step. Its numbers come from, and go to, four places::
     state   (blocks, S, lanes)       what a run carries from step to step; read and written
     shared  (steps, E)               inputs that all runs have in common
     own     (steps, M, runs)         inputs of each run
-    rows    (rows stored, O, runs)   what is kept of a step
+    rows    (rows stored, runs, n)   what is kept of a step, an array for each field
     cells   (C, lanes)               the memory of routines
 
 `fly` takes blocks of ``lanes`` runs, one after the other, through all steps. Every operation is IEEE arithmetic in a fixed order
@@ -33,6 +33,7 @@ LIBM = (
     "log1p", "expm1", "cbrt",
 )  # fmt: skip
 LINE = 64  # bytes
+TILE = 16  # blocks that go through an epoch together: what is stored of neighbors then lies on the same pages of memory
 QUICK = 30_000  # lines of a module that are compiled without optimization: a tenth of the time, and code that takes a third more
 BLOCK = 500  # lines of a basic block
 _BINARY = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
@@ -43,13 +44,14 @@ class Kernel(NamedTuple):
     """One step: a tape, where its inputs come from and where its results go.
 
     inputs: ``(place, index)`` of each input, place "state", "shared" or "own". state: ``(index, result)`` of what is written.
-    rows: results that are kept.
+    rows: results that are kept. fields: how many of them stand together, in their order; () for all.
     """
 
     tape: Tape
     inputs: Sequence[tuple[str, int]]
     state: Sequence[tuple[int, Scalar]]
     rows: Sequence[Scalar]
+    fields: tuple[int, ...] = ()
 
     def results(self) -> list[tuple[str, int, Number]]:
         """Where each result goes, "state" or "rows" and an index, and the result."""
@@ -66,11 +68,18 @@ class Kernel(NamedTuple):
         tape, known = lowered(self.tape, [x for *_, x in self.results()])
         found = {(place, i): known[x.i] for place, i, x in self.results()}
         state = [(i, found["state", i]) for i, _ in self.state]
-        return Kernel(tape, self.inputs, state, [found["rows", i] for i in range(len(self.rows))])
+        return Kernel(tape, self.inputs, state, [found["rows", i] for i in range(len(self.rows))], self.fields)
+
+    def columns(self) -> list[tuple[int, int]]:
+        """Field of each row, and its place there."""
+        return [(field, i) for field, count in enumerate(self.fields or (len(self.rows),)) for i in range(count)]
 
 
 def source(kernel: Kernel, lanes: int, fused: bool) -> str:
-    """LLVM assembly of a kernel: ``step(state, shared, own, rows, runs, cells)``, which stores no rows where that is null."""
+    """LLVM assembly of a kernel: ``step(state, shared, own, rows, runs, cells, at)``.
+
+    rows: pointers to the fields, where row and run of the first lane stand ``at``; nothing is stored where that is negative.
+    """
     if fused:  # without that their ranges are reduced less exactly than the C library does it
         kernel = kernel.lowered()
     tape, results = kernel.tape, kernel.results()
@@ -79,10 +88,8 @@ def source(kernel: Kernel, lanes: int, fused: bool) -> str:
     for place, at, x in results:
         if place == "state":
             code.store(place, at, x.i)
-    code.lines += ["%none = icmp eq ptr %rows, null", "br i1 %none, label %done, label %keep", "keep:"]
-    for place, at, x in results:
-        if place == "rows":
-            code.store(place, at, x.i)
+    code.lines += ["%none = icmp slt i64 %at, 0", "br i1 %none, label %done, label %keep", "keep:"]
+    code.keep(kernel.columns(), [x.i for place, _, x in results if place == "rows"])
     called, functions = code.called, list[str]()
     for routine in code.routines:
         for k, stage in enumerate(routine.stages):
@@ -93,7 +100,12 @@ def source(kernel: Kernel, lanes: int, fused: bool) -> str:
         f"declare {code.vector} @llvm.{name}.{code.suffix}({', '.join([code.vector] * count)})"
         for name, count in (("sqrt", 1), ("fabs", 1), ("floor", 1), ("rint", 1), ("copysign", 2), ("fma", 3))
     ]
-    signature = "define void @step(ptr noalias %state, ptr %shared, ptr %own, ptr noalias %rows, i64 %runs, ptr noalias %cells)"
+    if lanes > 1:
+        pointers = f"<{lanes} x ptr>"
+        intrinsics.append(
+            f"declare void @llvm.masked.scatter.{code.suffix}.v{lanes}p0({code.vector}, {pointers}, i32, <{lanes} x i1>)"
+        )
+    signature = "define void @step(ptr noalias %state, ptr %shared, ptr %own, ptr %rows, i64 %runs, ptr noalias %cells, i64 %at)"
     return "\n".join([
         *intrinsics, *(_libm(name, lanes, code.vector) for name in sorted(called)), *functions,
         signature, "{", *code.lines, "br label %done", "done:", "ret void", "}",
@@ -185,7 +197,7 @@ class _Code:
 
     def address(self, name: str, place: str, at: int) -> None:
         """Where a number lies."""
-        if place in ("own", "rows"):
+        if place == "own":
             self.lines.append(f"{name}o = mul i64 %runs, {at}")
             self.lines.append(f"{name} = getelementptr double, ptr %{place}, i64 {name}o")
         else:
@@ -208,6 +220,27 @@ class _Code:
         name = f"%{place}{at}_{i}"
         self.address(name, place, at)
         self.lines.append(f"store {self.vector} {self.value(i)}, ptr {name}, align 8")
+
+    def keep(self, columns: Sequence[tuple[int, int]], values: Sequence[int]) -> None:
+        """Store what is kept: of each field the numbers of a run stand side by side."""
+        count = Counter(field for field, _ in columns)
+        for field, n in count.items():
+            self.lines += [
+                f"%to{field} = getelementptr ptr, ptr %rows, i64 {field}",
+                f"%field{field} = load ptr, ptr %to{field}",
+                f"%from{field} = mul i64 %at, {n}",
+                f"%row{field} = getelementptr double, ptr %field{field}, i64 %from{field}",
+            ]
+        every = "<" + ", ".join(["i1 true"] * self.lanes) + ">"
+        for k, ((field, j), i) in enumerate(zip(columns, values, strict=True)):
+            if self.lanes == 1:
+                self.lines.append(f"%kept{k} = getelementptr double, ptr %row{field}, i64 {j}")
+                self.lines.append(f"store double {self.value(i)}, ptr %kept{k}, align 8")
+                continue
+            places = ", ".join(f"i64 {lane * count[field] + j}" for lane in range(self.lanes))
+            self.lines.append(f"%kept{k} = getelementptr double, ptr %row{field}, <{self.lanes} x i64> <{places}>")
+            pointers, scatter = f"<{self.lanes} x ptr> %kept{k}", f"@llvm.masked.scatter.{self.suffix}.v{self.lanes}p0"
+            self.lines.append(f"call void {scatter}({self.vector} {self.value(i)}, {pointers}, i32 8, <{self.lanes} x i1> {every})")
 
     def operation(self, i: int, product: int | None) -> None:
         """One operation; a sum together with its ``product``."""
@@ -291,22 +324,21 @@ def _libm(name: str, lanes: int, vector: str) -> str:
 
 LOOP = """
 define void @fly(ptr %kernels, ptr %kinds, ptr %at, ptr %state, ptr %shared, ptr %own, ptr %rows, ptr %cells,
-                 i64 %S, i64 %E, i64 %M, i64 %O, i64 %runs, i64 %lanes, i64 %first, i64 %last, i64 %steps)
+                 i64 %S, i64 %E, i64 %M, i64 %all, i64 %before, i64 %runs, i64 %lanes, i64 %first, i64 %last, i64 %steps)
 {
 start:
   %size = mul i64 %S, %lanes
   %M_runs = mul i64 %M, %runs
-  %O_runs = mul i64 %O, %runs
   %any = icmp slt i64 %first, %last
-  br i1 %any, label %block, label %done
-block:
-  %b = phi i64 [%first, %start], [%b1, %next]
-  %s0 = mul i64 %b, %size
-  %s = getelementptr double, ptr %state, i64 %s0
-  %run = mul i64 %b, %lanes
+  br i1 %any, label %tile, label %done
+tile:
+  %from = phi i64 [%first, %start], [%to, %flown]
+  %far = add i64 %from, @TILE
+  %less = icmp slt i64 %far, %last
+  %to = select i1 %less, i64 %far, i64 %last
   br label %epoch
 epoch:
-  %k = phi i64 [0, %block], [%k1, %stepped]
+  %k = phi i64 [0, %tile], [%k1, %stepped]
   %kp = getelementptr i32, ptr %kinds, i64 %k
   %kind = load i32, ptr %kp
   %fp = getelementptr ptr, ptr %kernels, i32 %kind
@@ -314,31 +346,36 @@ epoch:
   %e0 = mul i64 %k, %E
   %e = getelementptr double, ptr %shared, i64 %e0
   %m0 = mul i64 %k, %M_runs
-  %m1 = add i64 %m0, %run
-  %m = getelementptr double, ptr %own, i64 %m1
   %rp = getelementptr i64, ptr %at, i64 %k
   %row = load i64, ptr %rp
-  %not = icmp slt i64 %row, 0
-  %o0 = mul i64 %row, %O_runs
-  %o1 = add i64 %o0, %run
-  %o2 = getelementptr double, ptr %rows, i64 %o1
-  %o = select i1 %not, ptr null, ptr %o2
-  call void %f(ptr %s, ptr %e, ptr %m, ptr %o, i64 %runs, ptr %cells)
-  br label %stepped
+  %o0 = mul i64 %row, %all
+  %o1 = add i64 %o0, %before
+  br label %block
+block:
+  %b = phi i64 [%from, %epoch], [%b1, %block]
+  %s0 = mul i64 %b, %size
+  %s = getelementptr double, ptr %state, i64 %s0
+  %run = mul i64 %b, %lanes
+  %m1 = add i64 %m0, %run
+  %m = getelementptr double, ptr %own, i64 %m1
+  %o2 = add i64 %o1, %run
+  call void %f(ptr %s, ptr %e, ptr %m, ptr %rows, i64 %runs, ptr %cells, i64 %o2)
+  %b1 = add i64 %b, 1
+  %again = icmp slt i64 %b1, %to
+  br i1 %again, label %block, label %stepped
 stepped:
   %k1 = add i64 %k, 1
   %more = icmp slt i64 %k1, %steps
-  br i1 %more, label %epoch, label %next
-next:
-  %b1 = add i64 %b, 1
-  %again = icmp slt i64 %b1, %last
-  br i1 %again, label %block, label %done
+  br i1 %more, label %epoch, label %flown
+flown:
+  %left = icmp slt i64 %to, %last
+  br i1 %left, label %tile, label %done
 done:
   ret void
 }
 """
 _LONG, _POINTER = ctypes.c_int64, ctypes.c_void_p
-_FLY = ctypes.CFUNCTYPE(None, *[_POINTER] * 8, *[_LONG] * 9)
+_FLY = ctypes.CFUNCTYPE(None, *[_POINTER] * 8, *[_LONG] * 10)
 
 
 @cache
@@ -404,7 +441,7 @@ _ADDRESSES: dict[tuple[bytes, int], int] = {}
 def digest(kernel: Kernel) -> bytes:
     """The same for kernels that are the same operation by operation."""
     results = tuple((place, i, x.i) for place, i, x in kernel.results())
-    return sha256(repr((kernel.inputs, results, kernel.tape.key)).encode()).digest()
+    return sha256(repr((kernel.inputs, kernel.fields, results, kernel.tape.key)).encode()).digest()
 
 
 def kernel_address(kernel: Kernel, lanes: int) -> int:
@@ -418,4 +455,4 @@ def kernel_address(kernel: Kernel, lanes: int) -> int:
 @cache
 def fly() -> Any:
     """The function that takes blocks of runs through steps; Python's lock is free while it works."""
-    return _FLY(compiled(LOOP, "fly"))
+    return _FLY(compiled(LOOP.replace("@TILE", str(TILE)), "fly"))

@@ -6,7 +6,7 @@ through together. Neighboring threads read and write neighboring numbers::
     state   (S, runs)                what a run carries from step to step: its thread has it in registers meanwhile
     shared  (steps, E)               inputs that all runs have in common
     own     (steps, M, runs)         inputs of each run
-    rows    (rows stored, O, runs)   what is kept of a step
+    rows    (rows stored, runs, n)   what is kept of a step, one field after the other
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from celnav.tape import llvm
 
 TARGET, TRIPLE = (7, 0), "nvptx64-nvidia-cuda"
 """Compute capability of the oldest device that will do; the driver compiles for the one that is there."""
-_ARGUMENTS = "ptr %kinds, ptr %at, ptr %state, ptr %shared, ptr %own, ptr %rows, i64 %E, i64 %M, i64 %O, i64 %runs, i64 %steps"
+_ARGUMENTS = "ptr %kinds, ptr %at, ptr %state, ptr %shared, ptr %own, ptr %rows, i64 %E, i64 %M, i64 %K, i64 %runs, i64 %steps"
 _FLY = """
 define void @fly(@ARGUMENTS, i64 %run)
 {
@@ -26,7 +26,9 @@ start:
   %c = alloca [@CELLS x double]
 @LOAD
   %M_runs = mul i64 %M, %runs
-  %O_runs = mul i64 %O, %runs
+  %f = alloca [@COUNT x ptr]
+  %K_runs = mul i64 %K, %runs
+@FIELDS
   br label %epoch
 epoch:
   %k = phi i64 [0, %start], [%k1, %stepped]
@@ -39,11 +41,8 @@ epoch:
   %m = getelementptr double, ptr %own, i64 %m1
   %rp = getelementptr i64, ptr %at, i64 %k
   %row = load i64, ptr %rp
-  %not = icmp slt i64 %row, 0
-  %o0 = mul i64 %row, %O_runs
+  %o0 = mul i64 %row, %runs
   %o1 = add i64 %o0, %run
-  %o2 = getelementptr double, ptr %rows, i64 %o1
-  %o = select i1 %not, ptr null, ptr %o2
   switch i32 %kind, label %stepped [@CASES]
 @STEPS
 stepped:
@@ -63,9 +62,13 @@ _LOAD = """  %i# = mul i64 %runs, #
   store double %x#, ptr %to#"""
 _STORE = """  %y# = load double, ptr %to#
   store double %y#, ptr %from#"""
+_FIELD = """  %b# = mul i64 %K_runs, @BEFORE
+  %c# = getelementptr double, ptr %rows, i64 %b#
+  %d# = getelementptr ptr, ptr %f, i64 #
+  store ptr %c#, ptr %d#"""
 _CASE = "i32 #, label %kind#"
 _STEP = """kind#:
-  call void @step#(ptr %s, ptr %e, ptr %m, ptr %o, i64 %runs, ptr %c)
+  call void @step#(ptr %s, ptr %e, ptr %m, ptr %f, i64 %runs, ptr %c, i64 %o1)
   br label %stepped"""
 _ENTRY = """
 declare i32 @llvm.nvvm.read.ptx.sreg.ctaid.x()
@@ -91,7 +94,7 @@ done:
 
 
 def program(kernels: Sequence[llvm.Kernel], size: int) -> str:
-    """PTX of the entry ``entry(kinds, at, state, shared, own, rows, E, M, O, runs, steps)``; the same is made once.
+    """PTX of the entry ``entry(kinds, at, state, shared, own, rows, E, M, K, runs, steps)``; the same is made once.
 
     kernels: which of them each epoch takes say its ``kinds``, and ``at`` which row it stores, -1 for none. size: S.
     """
@@ -108,11 +111,14 @@ def source(kernels: Sequence[llvm.Kernel], size: int) -> str:
     """LLVM assembly of a program; the steps stand in the loop itself, where a state of registers is all the memory they need."""
     binding, text = llvm.toolchain(), _FLY + _ENTRY
     parts = {"@ARGUMENTS": (_ARGUMENTS, 1), "@SIZE": (str(size), 1), "@LOAD": (_LOAD, size), "@STORE": (_STORE, size)}
+    fields = kernels[0].fields or (len(kernels[0].rows),)
+    where = [_FIELD.replace("@BEFORE", str(sum(fields[:i]))).replace("#", str(i)) for i in range(len(fields))]
     parts |= {"@CELLS": (str(max(kernel.cells for kernel in kernels)), 1)}
+    parts |= {"@COUNT": (str(len(fields)), 1), "@FIELDS": ("\n".join(where), 1)}
     parts |= {name: (part, len(kernels)) for name, part in (("@CASES", _CASE), ("@STEPS", _STEP))}
     for name, (part, count) in parts.items():
         text = text.replace(name, "\n".join(part.replace("#", str(i)) for i in range(count)))
-    declared = (f"declare void @step{i}(ptr noalias, ptr, ptr, ptr noalias, i64, ptr noalias)" for i in range(len(kernels)))
+    declared = (f"declare void @step{i}(ptr noalias, ptr, ptr, ptr, i64, ptr noalias, i64)" for i in range(len(kernels)))
     module = binding.parse_assembly("\n".join([*declared, text]))
     for i, kernel in enumerate(kernels):
         part = binding.parse_assembly(llvm.source(kernel, 1, True))

@@ -34,13 +34,14 @@ def flown(addresses, kinds, at, state, shared, own, kept, lanes):
     own = np.ascontiguousarray(np.pad(own, ((0, 0), (0, 0), (0, width - runs)), "edge"))
     wide = np.pad(state, ((0, 0), (0, width - runs)), "edge")
     blocks = np.ascontiguousarray(wide.reshape(len(state), -1, lanes).swapaxes(0, 1))
-    rows = np.full((max(at) + 1, kept, width), -99.0)
+    rows = np.full((max(at) + 1, width, kept), -99.0)
     table = np.array(addresses, np.uint64), np.array(kinds, np.int32), np.array(at, np.int64)
     shared = np.ascontiguousarray(shared, float)
     cells = llvm.aligned((CELLS, lanes))
-    pointers = (x.ctypes.data for x in (*table, blocks, shared, own, rows, cells))
-    llvm.fly()(*pointers, len(state), shared.shape[1], own.shape[1], kept, width, lanes, 0, width // lanes, len(own))
-    return rows[..., :runs], blocks.swapaxes(0, 1).reshape(len(state), -1)[:, :runs]
+    fields = np.array([rows.ctypes.data], np.uint64)
+    pointers = (x.ctypes.data for x in (*table, blocks, shared, own, fields, cells))
+    llvm.fly()(*pointers, len(state), shared.shape[1], own.shape[1], width, 0, width, lanes, 0, width // lanes, len(own))
+    return rows[:, :runs].transpose(0, 2, 1), blocks.swapaxes(0, 1).reshape(len(state), -1)[:, :runs]
 
 
 def computed(tape, y, given, lanes, fused):
