@@ -20,7 +20,7 @@ from celnav.tape.cuda import Device
 from celnav.tape.tape import CannotCompile
 
 FEW = 3  # rows of a flight that keeps nothing, by which it is checked
-CHUNK = 1 << 21  # bytes of measurements and rows of the runs that are flown together
+CHUNK = 1 << 21  # bytes of the measurements of runs that are flown together: they stay in the cache
 
 
 def sensors(filter: Any, z: Any) -> Sequence[Any]:
@@ -135,7 +135,7 @@ def fly(engine: Engine, data: Data, every: int, jobs: int, device: Device | None
         loop(*table, state, shared, values, rows, first)
         tally[part] = state[:, :counts].transpose(0, 2, 1).reshape(width, -1)[:count]
 
-    room = device.room() // jobs // (8 * (T * M + K * kept + size)) if device else CHUNK // (8 * T * (kept + M))
+    room = device.room() // jobs // (8 * (T * M + K * kept + size)) if device else CHUNK // (8 * T * M)
     chunk = max(unit, min(-(-runs // jobs), room) // unit * unit)
     if jobs > 1 and runs > chunk:
         with ThreadPoolExecutor(jobs) as pool:
