@@ -69,7 +69,7 @@ def test_the_house_keeps_its_size():
     engine = {p: core.pop(p) for p in list(core) if p.stem in ("engine", "flight", "compiled", "export", "recorded", "slopes")}
     engine |= {p: lines(p) for p in (ROOT / "tape").glob("*.py")}
     assert sum(core.values()) <= 9100, sum(core.values())
-    assert sum(engine.values()) <= 3300, sum(engine.values())
+    assert sum(engine.values()) <= 3360, sum(engine.values())
     assert len(list(ROOT.glob("*.py"))) <= 6
     assert len({p.relative_to(ROOT).parts[0] for p in MODULES}) <= 16
     long = {str(p.relative_to(ROOT)): lines(p) for p in MODULES if lines(p) > 450 and p.relative_to(ROOT).parts[0] != "papers"}

@@ -20,6 +20,7 @@ from celnav.gaussian.belief import Gaussian, settled
 from celnav.gaussian.checks import together
 from celnav.gaussian.linalg import Array, Covariance, SquareRoot
 from celnav.tape import llvm
+from celnav.tape.kernel import Kernel
 from celnav.tape.numbers import Numbers
 from celnav.tape.tape import MOST, CannotCompile, Number, Tape, as_number, do
 
@@ -118,7 +119,7 @@ class Data(NamedTuple):
 class Recorded(NamedTuple):
     """A kernel, the shape of the state after it, and the address of its machine code; 0: not compiled."""
 
-    kernel: llvm.Kernel
+    kernel: Kernel
     after: Shape
     address: int = 0
 
@@ -272,7 +273,7 @@ class Engine:
             for place in entries(x.shape, what):
                 stored.append((at, x[place]))
                 at += 1
-        kernel = llvm.Kernel(tape, inputs, stored, list(self._rows(state.belief, infos)), tuple(self.columns().values()))
+        kernel = Kernel(tape, inputs, stored, list(self._rows(state.belief, infos)), tuple(self.columns().values()))
         if (count := len(tape.needed([x for *_, x in kernel.results()]))) > self.most:
             raise CannotCompile(f"a step of {count} operations takes longer than it saves: at most {self.most} are compiled")
         return Recorded(kernel, after)

@@ -20,7 +20,7 @@ from celnav.filters.records import Epoch, Epochs
 from celnav.gaussian.linalg import Array
 from celnav.gaussian.rules import AnyDimension
 from celnav.tape.derivative import with_slopes
-from celnav.tape.llvm import digest
+from celnav.tape.kernel import digest
 from celnav.tape.tape import CannotCompile
 
 STEP = 1e-3

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from celnav.tape.llvm import Kernel
+from celnav.tape.kernel import Kernel
 from celnav.tape.numbers import Numbers, tape_of
 from celnav.tape.routine import Routine
 from celnav.tape.tape import Number, Scalar, Tape, do, operands

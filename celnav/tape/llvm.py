@@ -20,13 +20,12 @@ import sys
 from collections import Counter
 from collections.abc import Sequence
 from functools import cache
-from hashlib import sha256
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from celnav.tape.elementary import lowered
-from celnav.tape.tape import Number, Scalar, Tape, as_number, operands
+from celnav.tape.kernel import Kernel, digest
+from celnav.tape.tape import Number, Tape, operands
 
 LIBM = (
     "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "exp", "log", "pow", "sinh", "cosh", "tanh", "exp2", "log2", "log10",
@@ -38,41 +37,6 @@ QUICK = 30_000  # lines of a module that are compiled without optimization: a te
 BLOCK = 500  # lines of a basic block
 _BINARY = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
 _COMPARED = {"lt": "olt", "le": "ole", "eq": "oeq", "ne": "une"}
-
-
-class Kernel(NamedTuple):
-    """One step: a tape, where its inputs come from and where its results go.
-
-    inputs: ``(place, index)`` of each input, place "state", "shared" or "own". state: ``(index, result)`` of what is written.
-    rows: results that are kept. fields: how many of them stand together, in their order; () for all.
-    """
-
-    tape: Tape
-    inputs: Sequence[tuple[str, int]]
-    state: Sequence[tuple[int, Scalar]]
-    rows: Sequence[Scalar]
-    fields: tuple[int, ...] = ()
-
-    def results(self) -> list[tuple[str, int, Number]]:
-        """Where each result goes, "state" or "rows" and an index, and the result."""
-        pairs = [("state", i, x) for i, x in self.state] + [("rows", i, x) for i, x in enumerate(self.rows)]
-        return [(place, i, self.tape.lift(as_number(x))) for place, i, x in pairs]
-
-    @property
-    def cells(self) -> int:
-        """How many numbers its routines have in memory."""
-        return sum(op[1].cells for op in self.tape.ops if op[0] == "call")
-
-    def lowered(self) -> Kernel:
-        """With elementary functions as arithmetic."""
-        tape, known = lowered(self.tape, [x for *_, x in self.results()])
-        found = {(place, i): known[x.i] for place, i, x in self.results()}
-        state = [(i, found["state", i]) for i, _ in self.state]
-        return Kernel(tape, self.inputs, state, [found["rows", i] for i in range(len(self.rows))], self.fields)
-
-    def columns(self) -> list[tuple[int, int]]:
-        """Field of each row, and its place there."""
-        return [(field, i) for field, count in enumerate(self.fields or (len(self.rows),)) for i in range(count)]
 
 
 def source(kernel: Kernel, lanes: int, fused: bool) -> str:
@@ -436,12 +400,6 @@ _ENGINES: list[Any] = []
 """They own the machine code, which stays as long as the process."""
 _ADDRESSES: dict[tuple[bytes, int], int] = {}
 """Of kernels, by the hash of their operations, and lanes."""
-
-
-def digest(kernel: Kernel) -> bytes:
-    """The same for kernels that are the same operation by operation."""
-    results = tuple((place, i, x.i) for place, i, x in kernel.results())
-    return sha256(repr((kernel.inputs, kernel.fields, results, kernel.tape.key)).encode()).digest()
 
 
 def kernel_address(kernel: Kernel, lanes: int) -> int:

@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from celnav.tape import llvm
+from celnav.tape.kernel import Kernel, digest
 
 TARGET, TRIPLE = (7, 0), "nvptx64-nvidia-cuda"
 """Compute capability of the oldest device that will do; the driver compiles for the one that is there."""
@@ -93,12 +94,12 @@ done:
 """
 
 
-def program(kernels: Sequence[llvm.Kernel], size: int) -> str:
+def program(kernels: Sequence[Kernel], size: int) -> str:
     """PTX of the entry ``entry(kinds, at, state, shared, own, rows, E, M, K, runs, steps)``; the same is made once.
 
     kernels: which of them each epoch takes say its ``kinds``, and ``at`` which row it stores, -1 for none. size: S.
     """
-    key = tuple(llvm.digest(kernel) for kernel in kernels), size
+    key = tuple(digest(kernel) for kernel in kernels), size
     if key not in _PROGRAMS:
         _PROGRAMS[key] = assembled(source(kernels, size))
     return _PROGRAMS[key]
@@ -107,7 +108,7 @@ def program(kernels: Sequence[llvm.Kernel], size: int) -> str:
 _PROGRAMS: dict[tuple[tuple[bytes, ...], int], str] = {}
 
 
-def source(kernels: Sequence[llvm.Kernel], size: int) -> str:
+def source(kernels: Sequence[Kernel], size: int) -> str:
     """LLVM assembly of a program; the steps stand in the loop itself, where a state of registers is all the memory they need."""
     binding, text = llvm.toolchain(), _FLY + _ENTRY
     parts = {"@ARGUMENTS": (_ARGUMENTS, 1), "@SIZE": (str(size), 1), "@LOAD": (_LOAD, size), "@STORE": (_STORE, size)}

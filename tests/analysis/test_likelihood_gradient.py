@@ -13,7 +13,7 @@ from celnav.filters import adaptive
 from celnav.filters.slopes import alike
 from celnav.tape import llvm
 from celnav.tape.derivative import with_slopes
-from celnav.tape.llvm import Kernel
+from celnav.tape.kernel import Kernel
 from celnav.tape.numbers import Numbers
 from celnav.tape.tape import CannotCompile, Tape
 
