@@ -2,7 +2,7 @@
 
 `records` what filters are made of and pass on · `joint` the one joint and the one conditioning · `sequential` predict and update,
 one sensor after the other · `colored` colored measurement noise · `two_stage` a bias beside the state · `adaptive` hooks ·
-`run`, `track` the driver and its record · `smoother` fixed interval · `dropin` filterpy's interface.
+`run`, `track` the driver and its record · `smoother` fixed interval · `fixed_lag` late samples · `dropin` filterpy's interface.
 """
 
 from celnav.lazy import modules

@@ -1,4 +1,4 @@
-"""Hooks, which adapt what a filter believes of a measurement before it uses it: gates, windows, robust weights, parity; and a gain.
+"""Hooks, which adapt what a filter believes of a measurement before it uses it: gates, windows, weights, parity; and a gain.
 
 A hook sees the `Joint` of measurement and state before the update and may replace it; hooks act one after the other, each with its
 own memory, and on each run by itself. Noise is taken to be of independent components, and what a correction of the state explains
@@ -17,7 +17,17 @@ from scipy.special import gammaincinv
 
 from celnav.filters.joint import Gain, Hook, Joint
 from celnav.gaussian.checks import LIMIT, choice, integer, integers, number, sequence
-from celnav.gaussian.linalg import Array, cholesky, matvec, solve_lower, solve_right, weighted, whiten
+from celnav.gaussian.linalg import (
+    Array,
+    cholesky,
+    matvec,
+    semidefinite_root,
+    side_by_side,
+    solve_lower,
+    solve_right,
+    weighted,
+    whiten,
+)
 
 
 # -- gates ---------------------------------------------------------------------------------------------------------------
@@ -128,6 +138,15 @@ def student_t(dof: float = 4.0, rounds: int = 6) -> Hook:
     return _reweighted(lambda u: (nu + 1.0) / (nu + u * u), rounds)
 
 
+def correntropy(bandwidth: float = 2.0, rounds: int = 6) -> Hook:
+    """Weigh a component by ``exp(-u^2 / (2 bandwidth^2))``: the maximum correntropy criterion [Chen2017]; see `huber`.
+
+    Chen's filter weighs the prediction in the same way; here only the measurement is doubted. No weight is below 1e-9.
+    """
+    sigma = number("bandwidth", bandwidth, above=0.0)
+    return _reweighted(lambda u: np.maximum(np.exp(-0.5 * (u / sigma) ** 2), 1e-9), rounds)
+
+
 def _reweighted(weight: Callable[[Array], Array], rounds: int) -> Hook:
     most = integer("rounds", rounds, 1, 10_000)
 
@@ -180,6 +199,67 @@ def sage_husa(forgetting: float = 0.95, least: float = 0.25, smallest: float = 0
         noise = np.where(used, (1.0 - d) * noise + d * seen, noise)
         ratio = np.maximum(noise, floor * nominal) / np.where(nominal > 0.0, nominal, 1.0)  # of what has no noise 0 stays 0
         return Estimated(noise, count + used), joint.inflated(np.sqrt(ratio))
+
+    return hook
+
+
+class InverseGamma(NamedTuple):
+    """Memory of `variational_bayes`: shape and scale ``(..., m)`` of the variances' distribution, in nominal variances."""
+
+    alpha: Array
+    beta: Array
+
+
+def variational_bayes(forgetting: float = 0.95, samples: float = 2.0, rounds: int = 3) -> Hook:
+    """Estimate the noise's variances together with the state, by variational Bayes [Sarkka2009; nonlinear: Sarkka2013].
+
+    The variance of a component has an inverse-gamma distribution; the update takes ``R = beta / alpha``. A sample turns these into
+    ``(b alpha + 1/2, b beta + E[v^2] / 2)``, with b the ``forgetting``, above 0 and at most 1, and the mean square of the noise v
+    given the innovation e, ``E[v^2] = (R S^-1 e)^2 + R - R S^-1 R``, in ``rounds`` of a fixed-point iteration. (Of a linear h these
+    are the paper's terms, ``z - h`` and the variance of h after the update; of others its integral, with h linearized
+    statistically as it was for the update.) At first the nominal variances are worth ``samples``. What was not measured forgets
+    nothing.
+
+    >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.variational_bayes(0.98)])
+    """
+    b, first = number("forgetting", forgetting, above=0.0, most=1.0), 0.5 * number("samples", samples, above=0.0)
+    most = integer("rounds", rounds, 1, 10_000)
+
+    def hook(memory: InverseGamma | None, joint: Joint, _epoch: Any) -> tuple[InverseGamma, Joint]:
+        e, nominal, used = _noisy(joint)
+        S0 = np.where(used[..., None] & used[..., None, :], joint.covariances()[0], 0.0)
+        eye, start = np.eye(e.shape[-1]), np.full(e.shape, first)
+        alpha, beta = (start, start) if memory is None else memory
+        alpha, before = np.where(used, b * alpha + 0.5, alpha), np.where(used, b * beta, beta)
+        beta = before
+        for _ in range(most):
+            factor = beta / alpha
+            R = factor * nominal
+            white = solve_lower(cholesky(S0 + R[..., None] * eye), eye)  # S^-1 = white' white
+            v, variance = R * matvec(white.mT, matvec(white, e)), R - R**2 * np.square(white).sum(-2)
+            beta = np.where(used, before + 0.5 * (v**2 + variance) / nominal, beta)
+        return InverseGamma(alpha, beta), joint.inflated(np.sqrt(factor))
+
+    return hook
+
+
+# -- underweighting ------------------------------------------------------------------------------------------------------
+def underweighting(beta: float = 0.2, share: float = 0.5) -> Hook:
+    """Lear's underweighting: of a poor prior ``beta`` times its part of the innovation covariance counts as noise [Carpenter2018].
+
+    ``S = (1 + beta) S0 + R``, with S0 the innovation covariance without measurement noise, in runs where S0 is more than ``share``,
+    below 1, of the variance of any measured component (0: always). Precise measurements then pull a poor prior in by steps, which
+    leaves room for what a linearization neglects. The covariance after the update is that of the gain used. It comes after gates.
+    """
+    factor, least = number("beta", beta, above=0.0), number("share", share, 0.0, below=1.0)
+
+    def hook(memory: Any, joint: Joint, _epoch: Any) -> tuple[Any, Joint]:
+        prior, noise = joint.variances()
+        poor = (~np.isnan(np.asanyarray(joint.innovation)) & (prior > least * (prior + noise))).any(-1)
+        S0, V = joint.covariances()[0], joint.measurement_noise
+        root = semidefinite_root(factor * np.where(np.abs(S0) < np.inf, S0, 0.0))  # of a lost run it is all the same
+        extra = np.where(poor[..., None, None], root, 0.0)
+        return memory, joint._replace(measurement_noise=extra if V is None else side_by_side([V, extra]))
 
     return hook
 

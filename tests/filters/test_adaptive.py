@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import chi2, norm
 
 from celnav import Epoch, Gaussian, Motion, Sensor, epochs, run, sigma_point, steps
-from celnav.filters.adaptive import chi_square_gate, consider, gate, innovation_window
+from celnav.filters.adaptive import chi_square_gate, consider, gate, innovation_window, underweighting
 from celnav.gaussian.rules import Taylor, unscented
 
 A = np.array([[1.0, 0.2], [-0.1, 0.9]])
@@ -243,6 +243,67 @@ def test_adaptation_helps_in_a_burst():
 
 @RULES
 @FORMS
+@pytest.mark.parametrize("share", [0.0, 0.6, 0.75])
+def test_underweighting_follows_its_formula(form, rule, share):
+    """``K = P H' ((1 + beta) H P H' + R)^-1`` where the prior has the larger share, with Joseph's covariance of that gain and all
+    of the underweighting as noise; components and runs that miss are left out."""
+    beta, poor = 0.3, []
+    z = simulate(np.random.default_rng(11), 20, 2)
+    z[3, 0, 1] = z[4, 1] = np.nan
+    z[5, 0, :2] = np.nan
+    track = run(make([underweighting(beta, share)], rule, form), prior(2), epochs(np.arange(20), z), keep="cov")
+    for i in range(2):
+        x, P = np.zeros(2), P0
+        for k in range(20):
+            if k:
+                x, P = A @ x, A @ P @ A.T + Q
+            u = ~np.isnan(z[k, i])
+            if u.any():
+                S0, Ru = H[u] @ P @ H[u].T, R[np.ix_(u, u)]
+                poor.append((np.diag(S0) / np.diag(S0 + Ru) > share).any())
+                extra = beta * S0 if poor[-1] else 0.0 * S0
+                K = P @ H[u].T @ np.linalg.inv(S0 + extra + Ru)
+                J = np.eye(2) - K @ H[u]
+                x, P = x + K @ (z[k, i, u] - H[u] @ x), J @ P @ J.T + K @ (Ru + extra) @ K.T
+            np.testing.assert_allclose(track.mean[k, i], x, rtol=0, atol=1e-9)
+            np.testing.assert_allclose(track.cov[k, i], P, rtol=0, atol=1e-9)
+    assert any(poor)
+    assert all(poor) == (share == 0.0)
+
+
+def ranges(x, _epoch=None):
+    """Distances from two stations."""
+    return np.stack([np.hypot(x[..., 0], x[..., 1]), np.hypot(x[..., 0] - 6.0, x[..., 1] - 1.0)], -1)
+
+
+def test_underweighting_leaves_room_for_curvature():
+    """Precise ranges and a poor prior: an extended filter claims a hundred times too little; underweighted, about what it errs."""
+    rng, runs = np.random.default_rng(12), 2000
+    center = np.array([3.0, 0.0])
+    truth = center + rng.normal(size=(runs, 2))
+    z = ranges(truth) + 0.01 * rng.normal(size=(runs, 2))
+    nees = []
+    for hooks in ((), (underweighting(),)):
+        filter = sigma_point(Motion(np.eye(2), np.eye(2)), Sensor(ranges, 1e-4 * np.eye(2)), rule=Taylor(), hooks=hooks)
+        belief, _ = seen(filter, Gaussian(np.tile(center, (runs, 1)), np.eye(2)), z)
+        error = belief.mean - truth
+        nees.append(np.median(np.vecdot(error, np.linalg.solve(belief.cov, error[..., None])[..., 0])))
+    assert nees[0] > 100.0
+    assert nees[1] < 2.0 * chi2.median(2)
+
+
+def test_a_lost_run_is_not_underweighted_for_its_neighbors():
+    z = simulate(np.random.default_rng(13), 5, 2)
+    alone = run(make([underweighting()]), prior(), epochs(np.arange(5), z[:, 0]))
+    far = Gaussian([[0.0, 0.0], [1e308, 1e308]], P0)
+    with np.errstate(all="ignore"):
+        both = run(make([underweighting()]), far, epochs(np.arange(5), z), on_failure="flag")
+    np.testing.assert_array_equal(both.failed_at >= 0, [False, True])
+    np.testing.assert_allclose(both.mean[:, 0], alone.mean, rtol=0, atol=1e-12)
+
+
+@RULES
+@FORMS
 @pytest.mark.parametrize("missing", [False, True])
 def test_consider_is_schmidt_kalman(form, rule, missing):
     """The Schmidt-Kalman equations in blocks: states x with P_x, considered p with P_p, and their cross-covariance C."""
@@ -313,6 +374,9 @@ def test_fixed_gain(form):
         (lambda: innovation_window(0), "M"),
         (lambda: innovation_window(2.5), "M"),
         (lambda: innovation_window(3, "ignore"), "gaps"),
+        (lambda: underweighting(0.0), "beta"),
+        (lambda: underweighting(0.2, 1.0), "share"),
+        (lambda: underweighting(0.2, -0.1), "share"),
         (lambda: consider(0, 2), "n"),
         (lambda: consider(2, -1), "k"),
         (lambda: seen(make(gain=consider(2, 2)), prior(), np.zeros(3)), "consider"),

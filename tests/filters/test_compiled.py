@@ -7,7 +7,18 @@ import pytest
 from twice import assert_same, twice
 
 import celnav
-from celnav.filters.adaptive import chi_square_gate, consider, gate, huber, innovation_window, sage_husa, student_t
+from celnav.filters.adaptive import (
+    chi_square_gate,
+    consider,
+    correntropy,
+    gate,
+    huber,
+    innovation_window,
+    sage_husa,
+    student_t,
+    underweighting,
+    variational_bayes,
+)
 from celnav.filters.fallback import Fallback
 from celnav.filters.sequential import SingleDraw
 from celnav.gaussian.attitude import attitude, rotate
@@ -68,6 +79,7 @@ BIAS = celnav.Gaussian([0.0], [[50.0**2]])
 HOOKS = {
     "gate": gate(1.0), "chi-square": chi_square_gate(0.5), "window": innovation_window(5),
     "window skip": innovation_window(5, "skip"), "Huber": huber(), "Student": student_t(), "Sage-Husa": sage_husa(),
+    "correntropy": correntropy(), "variational": variational_bayes(), "underweighted": underweighting(0.3, 0.2),
 }  # fmt: skip
 RULES = {
     "unscented": celnav.unscented, "unscented alpha": lambda n: celnav.unscented(n, 0.5, 2.0), "simplex": celnav.simplex,

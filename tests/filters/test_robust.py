@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from celnav import Gaussian, Motion, Sensor, epochs, run, sigma_point
-from celnav.filters.adaptive import channel_parity, group_parity, huber, sage_husa, student_t
+from celnav.filters.adaptive import channel_parity, correntropy, group_parity, huber, sage_husa, student_t, variational_bayes
 from celnav.gaussian.rules import Taylor, cubature, unscented
 
 A = np.array([[1.0, 0.2], [-0.1, 0.9]])
@@ -21,7 +21,7 @@ EVERY_RULE = pytest.mark.parametrize("rule", RULES)
 GROUPS = (range(3), range(3, 6))
 HOOKS = {
     "huber": huber(), "student": student_t(4.0), "sage-husa": sage_husa(0.9), "group": group_parity(GROUPS, 1, deviations=1.0),
-    "channel": channel_parity(4),
+    "channel": channel_parity(4), "correntropy": correntropy(2.0), "variational": variational_bayes(0.9),
 }  # fmt: skip
 ALL = pytest.mark.parametrize("name", HOOKS)
 
@@ -92,6 +92,28 @@ class Husa:
         return np.maximum(self.R, 0.25 * R.diagonal()) / R.diagonal()
 
 
+class Variational:
+    """The algorithm of Sarkka and Nummenmaa (2009), for the components that were measured."""
+
+    def __init__(self, rho=0.9, N=3):
+        self.rho, self.N, self.alpha, self.beta = rho, N, np.ones(m), R.diagonal().copy()
+
+    def __call__(self, _k, e, P, used):
+        Hu, alpha = H[used], self.rho * self.alpha[used] + 0.5
+        beta_ahead = self.rho * self.beta[used]
+        beta = beta_ahead.copy()
+        for _ in range(self.N):
+            noise = beta / alpha
+            K = P @ Hu.T @ np.linalg.inv(Hu @ P @ Hu.T + np.diag(noise))
+            x, after = K @ e[used], P - K @ Hu @ P
+            for i in range(len(beta)):
+                beta[i] = beta_ahead[i] + 0.5 * (e[used][i] - Hu[i] @ x) ** 2 + 0.5 * Hu[i] @ after @ Hu[i]
+        self.alpha[used], self.beta[used] = alpha, beta
+        factor = np.ones(m)
+        factor[used] = noise / R.diagonal()[used]
+        return factor
+
+
 def residuals(e, used):
     Hu, W = H[used], np.diag(1.0 / R.diagonal()[used])
     fit = np.linalg.solve(Hu.T @ W @ Hu, Hu.T @ W)
@@ -129,7 +151,8 @@ class Channels:
 
 PLAIN = {
     "huber": lambda: reweighted(lambda u: np.minimum(1.0, 1.345 / u)), "student": lambda: reweighted(lambda u: 5.0 / (4.0 + u * u)),
-    "sage-husa": Husa, "group": lambda: grouped, "channel": Channels,
+    "sage-husa": Husa, "variational": Variational,
+    "correntropy": lambda: reweighted(lambda u: np.exp(-u * u / 8.0)), "group": lambda: grouped, "channel": Channels,
 }  # fmt: skip
 
 
@@ -198,6 +221,9 @@ def test_hooks_help_in_a_burst(name):
     [
         (lambda: huber(0.0), "threshold"), (lambda: huber(1.0, 0), "rounds"), (lambda: student_t(np.nan), "dof"),
         (lambda: sage_husa(1.0), "forgetting"), (lambda: sage_husa(0.9, 0.0), "least"), (lambda: group_parity((), 4), "groups"),
+        (lambda: correntropy(0.0), "bandwidth"), (lambda: variational_bayes(0.0), "forgetting"),
+        (lambda: variational_bayes(1.1), "forgetting"), (lambda: variational_bayes(0.9, 0.0), "samples"),
+        (lambda: variational_bayes(0.9, rounds=0), "rounds"),
         (lambda: group_parity(([0, 1], [1, 2]), 4), "groups"), (lambda: group_parity(([0, 1],), 0), "unknowns"),
         (lambda: group_parity(([0, 1],), 1, deviations=-1.0), "deviations"), (lambda: channel_parity(0), "M"),
     ],
@@ -210,3 +236,71 @@ def test_bad_input_is_refused_by_name(make, name):
 def test_groups_beyond_the_measurement_are_refused():
     with pytest.raises(ValueError, match=r"^groups: expected components below 6, got 7"):
         run(filter_of(group_parity(([0, 7],), 1)), prior(), epochs(np.arange(T), measured()))
+
+
+def test_correntropy_ends_at_a_stationary_point():
+    """Of ``(x - x0)' P0^-1 (x - x0) / 2 - b^2 sum exp(-u^2 / (2 b^2))``, with outliers: no gradient is left."""
+    z, b = 3.0 * measured(50, seed=3)[0], 1.5
+    z[:, 2] += 20.0
+    z[7, 4] = np.nan
+    x = run(filter_of(correntropy(b, 5000)), prior(50), epochs([0.0], z[None])).mean[0]
+    u = np.nan_to_num((z - x @ H.T) / np.sqrt(R.diagonal()))
+    gradient = x @ np.linalg.inv(P0) - (np.exp(-0.5 * (u / b) ** 2) * u / np.sqrt(R.diagonal())) @ H
+    assert np.abs(u).max() > 10.0
+    np.testing.assert_allclose(gradient, 0.0, atol=1e-6)
+
+
+def test_correntropy_of_a_wide_kernel_is_the_plain_filter():
+    z = measured()
+    plain = run(filter_of(lambda memory, joint, _epoch: (memory, joint)), prior(), epochs(np.arange(T), z)).mean
+    wide = run(filter_of(correntropy(1e7)), prior(), epochs(np.arange(T), z)).mean
+    np.testing.assert_allclose(wide, plain, rtol=0, atol=1e-10)
+
+
+def bent(x, _epoch=None):
+    """A measurement that is not linear."""
+    return x @ H.T + 0.4 * np.sin(2.0 * x[..., :1])
+
+
+def noises(hook, z, h=H):
+    """Variances in nominal ones that a hook gives, ``(T, runs, m)``, by a hook that looks on after it."""
+    seen = []
+
+    def look(memory, joint, _epoch):
+        seen.append(joint.variances()[1] / R.diagonal())
+        return memory, joint
+
+    filter = sigma_point(Motion(A, Q), Sensor(h, R), rule=unscented, hooks=[hook, look])
+    run(filter, prior(z.shape[1]), epochs(np.arange(len(z)), z))
+    return np.array(seen)
+
+
+def drawn(scale, runs=100, h=lambda x: x @ H.T):
+    """Measurements whose noise has ``scale (T,)`` times the nominal variance."""
+    rng = np.random.default_rng(8)
+    x, z = rng.normal(size=(runs, 2)) @ np.linalg.cholesky(P0).T, []
+    for k, factor in enumerate(scale):
+        if k:
+            x = x @ A.T + rng.normal(size=(runs, 2)) @ np.linalg.cholesky(Q).T
+        z.append(h(x) + rng.normal(size=(runs, m)) * np.sqrt(factor * R.diagonal()))
+    return np.array(z)
+
+
+@pytest.mark.parametrize("true", [0.5, 1.0, 6.0])
+def test_the_noise_is_found_and_followed(true):
+    """Nominal noise, then ``true`` times its variance: ten time constants later the mean over runs is within a tenth."""
+    found = noises(variational_bayes(0.98), drawn(np.where(np.arange(1000) < 500, 1.0, true)))
+    np.testing.assert_allclose(found[490:500].mean((0, 1)), 1.0, atol=0.1)
+    np.testing.assert_allclose(found[990:].mean((0, 1)), true, rtol=0.1)
+
+
+def test_the_noise_of_a_bent_measurement_is_found():
+    found = noises(variational_bayes(0.98), drawn(np.full(500, 3.0), h=bent), bent)
+    np.testing.assert_allclose(found[490:].mean((0, 1)), 3.0, rtol=0.1)
+
+
+def test_a_constant_noise_is_learned_without_forgetting():
+    """With 1 the estimate's scatter over runs shrinks as samples come, and the truth lies within."""
+    found = noises(variational_bayes(1.0), drawn(np.full(400, 3.0)))
+    assert (found[399].std(0) < 0.6 * found[99].std(0)).all()
+    np.testing.assert_allclose(found[399].mean(0), 3.0, rtol=0.1)

@@ -12,14 +12,18 @@ from celnav.filters.adaptive import (
     channel_parity,
     chi_square_gate,
     consider,
+    correntropy,
     gate,
     group_parity,
     huber,
     innovation_window,
     sage_husa,
     student_t,
+    underweighting,
+    variational_bayes,
 )
 from celnav.filters.fallback import Fallback
+from celnav.filters.fixed_lag import FixedLag
 from celnav.filters.sequential import Iterated, SingleDraw
 from celnav.filters.two_stage import Plain, TwoStage
 from celnav.gaussian.linalg import Covariance
@@ -56,6 +60,7 @@ FILTER, OTHER = celnav.ukf(MOTION, SENSOR), celnav.ekf(MOTION, SENSOR)
 NOISY = celnav.Motion(noisy, augment=(EYE,))
 TRACK = celnav.run(FILTER, PRIOR, WHEN, keep="cov")
 BIAS = celnav.Gaussian(np.zeros(2), EYE)
+AGO = FixedLag(FILTER, 2).step(FixedLag(FILTER, 2).start(PRIOR), WHEN[0]._replace(z=None))[0]
 AR1 = {"F": 0.5 * EYE, "L": 0.5 * EYE, "J": 0.1 * EYE, "Xi": EYE, "E": EYE}
 COLORED = {"motion": MOTION, "Phi": 0.5 * EYE, "increments": EYE, "rule": celnav.unscented}
 
@@ -156,6 +161,10 @@ DOORS = {
         "sensor": celnav.Sensor(f, EYE, jacobian=one), "rounds": 3, "prior": PRIOR}),
     "least_squares of": (lambda **a: flown(least_squares(celnav.Sensor(**a))), {"h": f, "R": EYE, "jacobian": one}),
     "Fallback": (lambda prior=PRIOR, **a: flown(Fallback(**a), prior), {"first": FILTER, "second": OTHER, "prior": PRIOR}),
+    "FixedLag": (lambda **a: flown(FixedLag(**a)), {"filter": FILTER, "lag": 2}),
+    "FixedLag.step": (lambda **a: FixedLag(FILTER, 2).step(**a), {"state": FixedLag(FILTER, 2).start(PRIOR), "epoch": WHEN[0]}),
+    "FixedLag.late": (lambda **a: FixedLag(FILTER, 2).late(**a), {"state": AGO, "k": 0, "z": np.ones(2)}),
+    "FixedLag.track": (lambda **a: celnav.smooth(FixedLag(FILTER, 2).track(**a)), {"state": AGO}),
     "SingleDraw": (lambda **a: flown(SingleDraw.of(**a)), {"filter": celnav.ukf(NOISY, SENSOR)}),
     "SingleDraw noise": (
         lambda **a: flown(replace(SingleDraw.of(celnav.ukf(NOISY, SENSOR)), **a)), {"joint_noise": (EYE,)}),
@@ -179,6 +188,9 @@ HOOKS = {
     huber: {"threshold": 1.0, "rounds": 2},
     student_t: {"dof": 1.0, "rounds": 2},
     sage_husa: {"forgetting": 0.9, "least": 0.5, "smallest": 0.1},
+    correntropy: {"bandwidth": 1.0, "rounds": 2},
+    variational_bayes: {"forgetting": 1.0, "samples": 3.0, "rounds": 2},
+    underweighting: {"beta": 0.2, "share": 0.0},
     group_parity: {"groups": [[0, 1]], "unknowns": 1, "deviations": 3.0},
     channel_parity: {"M": 2},
 }
@@ -257,6 +269,8 @@ def hooked(hook):
     ("make", "told"),
     [
         (lambda: huber(rounds=10**9), "rounds: expected an integer from 1 to 10000, got 1000000000"),
+        (lambda: variational_bayes(rounds=10**9), "rounds: expected an integer from 1 to 10000"),
+        (lambda: correntropy(rounds=10**9), "rounds: expected an integer from 1 to 10000"),
         (lambda: student_t(rounds=10**9), "rounds: expected an integer from 1 to 10000"),
         (lambda: least_squares(MATRIX, rounds=10**9), "rounds: expected an integer from 1 to 10000"),
         (lambda: celnav.ekf(MOTION, SENSOR, iterations=10**9), "iterations: expected an integer from 1 to 10000"),

@@ -1,0 +1,248 @@
+"""Samples that come late end where they would have ended on time; what is kept smooths as a whole track cut there does."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import celnav
+from celnav.filters.adaptive import huber, innovation_window
+from celnav.filters.fixed_lag import FixedLag, Held
+from celnav.gaussian.belief import nees
+from celnav.tape.tape import CannotCompile
+
+T, RUNS, LAG = 24, 5, 6
+RNG = np.random.default_rng(1)
+TIMES = np.cumsum(RNG.uniform(0.5, 1.5, T))
+ONE = celnav.Gaussian([0.0, 1.0], np.diag([1.0, 0.5]))
+PRIOR = celnav.Gaussian(ONE.mean + RNG.standard_normal((RUNS, 2)), ONE.cov)
+MOTION = celnav.Motion(lambda x, e: np.stack([x[..., 0] + e.dt * np.sin(x[..., 1]), x[..., 1]], -1), np.diag([0.02, 0.05]))
+RADAR = celnav.Sensor(lambda x, e: np.stack([np.hypot(x[..., 0], 3.0), x[..., 1] ** 3], -1), np.diag([0.1, 0.3]))
+GPS = celnav.Sensor([[1.0, 0.0]], [[0.2]])
+MATRICES = celnav.Motion([[1.0, 0.1], [0.0, 0.9]], np.diag([0.02, 0.05]))
+TRUTH, (Z, FIXES) = celnav.simulate(MOTION, [RADAR, GPS], ONE, TIMES, runs=RUNS, seed=2)
+Z = np.where(RNG.random(Z.shape) < 0.2, np.nan, Z)
+Z[9] = np.nan
+FILTERS = {
+    "ukf": celnav.ukf(MOTION, RADAR),
+    "covariance": celnav.ukf(MOTION, RADAR, form="covariance"),
+    "ekf, iterated": celnav.ekf(MOTION, RADAR, iterations=3),
+    "matrices": celnav.ukf(MATRICES, celnav.Sensor(np.eye(2), np.eye(2))),
+    "hooks": celnav.ukf(MOTION, RADAR, hooks=[huber(), innovation_window(3)]),
+    "colored": celnav.colored(MOTION, RADAR, 0.5 * np.eye(2)),
+    "two stages": celnav.two_stage(MOTION, RADAR, np.eye(2), celnav.Gaussian(np.zeros(2), np.eye(2))),
+}
+EVERY = pytest.mark.parametrize("name", FILTERS)
+
+
+def arriving(filter, prior, z, delay, lag=LAG, times=TIMES):
+    """State of a filter whose samples ``z (T, ..., m)`` come ``delay (T, ...)`` epochs late, one after the other."""
+    fixed = FixedLag(filter, lag)
+    k = np.arange(len(times)).reshape(-1, *(1,) * (delay.ndim - 1))
+    on_time = np.where((delay == 0)[..., None], z, np.nan)
+    state = fixed.start(prior)
+    for epoch in celnav.epochs(times, on_time):
+        state, infos = fixed.step(state, epoch)
+        for late in range(1, lag + 1):
+            come = delay[max(epoch.k - late, 0)] == late
+            if late <= epoch.k and come.any():
+                state, infos = fixed.late(state, epoch.k - late, np.where(come[..., None], z[epoch.k - late], np.nan))
+    assert delay.max() <= lag
+    assert (k + delay <= len(times) - 1).all()
+    return state, infos
+
+
+def delays(*shape):
+    """None for the most part, 1 to LAG for others, nothing beyond the end."""
+    late = np.where(RNG.random((T, *shape)) < 0.4, RNG.integers(1, LAG + 1, (T, *shape)), 0)
+    return np.minimum(late, (T - 1 - np.arange(T)).reshape(-1, *(1,) * len(shape)))
+
+
+@EVERY
+def test_late_is_as_on_time(name):
+    """Each run has delays of its own; mean, covariance and what the last update did are those of the filter in order."""
+    filter = FILTERS[name]
+    state, infos = arriving(filter, PRIOR, Z, delays(RUNS))
+    *_, (_, expected, told) = celnav.steps(filter, PRIOR, celnav.epochs(TIMES, Z))
+    np.testing.assert_allclose(state.belief.mean, expected.belief.mean, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(state.belief.cov, expected.belief.cov, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(infos[0].whitened, told[0].whitened, rtol=0, atol=1e-12)
+
+
+@EVERY
+def test_a_run_is_late_by_itself(name):
+    """Samples of different epochs that come to all runs at once: in a batch as alone."""
+    late = np.array([3, 7, 5, 4, 7])
+    z = Z.copy()
+    z[late, np.arange(RUNS)] = np.nan
+    come = np.where(np.isnan(Z[late, np.arange(RUNS)]), 0.3, Z[late, np.arange(RUNS)])
+    fixed = FixedLag(FILTERS[name], LAG)
+
+    def flown(prior, z, k, come):
+        state = fixed.start(prior)
+        for epoch in celnav.epochs(TIMES[:9], z[:9]):
+            state, _ = fixed.step(state, epoch)
+        return fixed.late(state, k, come)[0].belief
+
+    batch = flown(PRIOR, z, late, come)
+    for i in range(RUNS):
+        alone = flown(celnav.Gaussian(PRIOR.mean[i], PRIOR.cov), z[:, i], int(late[i]), come[i])
+        np.testing.assert_allclose(batch.mean[i], alone.mean, rtol=0, atol=1e-11)
+        cov = np.broadcast_to(batch.cov, (RUNS, *batch.cov.shape[-2:]))[i]
+        np.testing.assert_allclose(cov, alone.cov, rtol=0, atol=1e-11)
+
+
+def test_sensors_that_are_late_by_themselves():
+    """One is on time, the other always five epochs late, and it has no part in the epochs until then."""
+    filter = celnav.ukf(MOTION, RADAR, GPS)
+    fixed = FixedLag(filter, 5)
+    state = fixed.start(PRIOR)
+    for epoch in celnav.epochs(TIMES, Z):
+        state, infos = fixed.step(state, epoch._replace(z=(epoch.z, None)))
+        if epoch.k >= 5:
+            state, infos = fixed.late(state, epoch.k - 5, (None, FIXES[epoch.k - 5]))
+    fixes = FIXES.copy()
+    fixes[-5:] = np.nan
+    expected = celnav.run(filter, PRIOR, TIMES, (Z, fixes), keep="cov")
+    np.testing.assert_allclose(state.belief.mean, expected.mean[-1], rtol=0, atol=1e-13)
+    np.testing.assert_allclose(state.belief.cov, expected.cov[-1], rtol=0, atol=1e-13)
+    assert infos[1].silent
+
+
+def test_what_never_comes_late_changes_no_bit():
+    known, found = (celnav.run(filter, PRIOR, TIMES, Z, keep="cov") for filter in (FILTERS["ukf"], FixedLag(FILTERS["ukf"], 3)))
+    np.testing.assert_array_equal(found.mean, known.mean)
+    np.testing.assert_array_equal(found.belief[1], known.belief[1])
+    np.testing.assert_array_equal(found.log_likelihood, known.log_likelihood)
+
+
+def test_it_is_flown_by_numpy():
+    fixed = FixedLag(FILTERS["ukf"], 3)
+    with pytest.raises(CannotCompile, match="keeps its last epochs"):
+        celnav.run(fixed, PRIOR, TIMES, Z, engine="compiled")
+    assert celnav.run(fixed, PRIOR, TIMES, Z, engine="auto").engine.startswith("numpy: a filter that keeps its last epochs")
+
+
+def test_a_measurement_may_be_a_buffer():
+    """What is kept of an epoch does not change when its array is used again."""
+    fixed, buffer, z = FixedLag(FILTERS["ukf"], LAG), np.empty((RUNS, 2)), Z.copy()
+    z[8] = np.nan
+    state = fixed.start(PRIOR)
+    for epoch in celnav.epochs(TIMES, z):
+        buffer[...] = epoch.z
+        state, _ = fixed.step(state, epoch._replace(z=buffer))
+        if epoch.k == 12:
+            state, _ = fixed.late(state, 8, Z[8])
+    expected = celnav.run(FILTERS["ukf"], PRIOR, TIMES, Z)
+    np.testing.assert_allclose(state.belief.mean, expected.mean[-1], rtol=0, atol=1e-13)
+
+
+def test_a_lost_run_is_lost_alone():
+    prior = celnav.Gaussian(np.where(np.arange(RUNS)[:, None] == 2, 1e200, PRIOR.mean), PRIOR.cov)
+    with np.errstate(all="ignore"):
+        state, _ = arriving(FILTERS["ukf"], prior, Z, delays(RUNS))
+        known = celnav.run(FILTERS["ukf"], prior, TIMES, Z, on_failure="flag")
+    np.testing.assert_array_equal(known.failed_at >= 0, np.arange(RUNS) == 2)
+    np.testing.assert_allclose(state.belief.mean, known.mean[-1], rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("form", ["square root", "covariance"])
+def test_fixed_lag_is_the_smoother_of_the_track_cut(form):
+    """At every epoch, late samples included: means and covariances of the last epochs as `smooth` has them."""
+    filter = celnav.ukf(MOTION, RADAR, form=form)
+    fixed, z = FixedLag(filter, LAG), Z.copy()
+    z[10] = np.nan
+    state = fixed.start(PRIOR)
+    for epoch in celnav.epochs(TIMES, z):
+        state, _ = fixed.step(state, epoch)
+        if epoch.k == 13:
+            z[10] = Z[10]
+            state, _ = fixed.late(state, 10, Z[10])
+        cut = celnav.run(filter, PRIOR, TIMES[: epoch.k + 1], z[: epoch.k + 1], keep="cov")
+        expected, found = celnav.smooth(cut), celnav.smooth(fixed.track(state))
+        rows = min(LAG + 1, epoch.k + 1)
+        assert found.mean.shape == (rows, RUNS, 2)
+        np.testing.assert_array_equal(found.times, TIMES[epoch.k + 1 - rows : epoch.k + 1])
+        np.testing.assert_allclose(found.mean, expected.mean[-rows:], rtol=0, atol=1e-13)
+        np.testing.assert_allclose(found.cov, expected.cov[-rows:], rtol=0, atol=1e-13)
+        np.testing.assert_array_equal(fixed.track(state).nis, cut.nis[-rows:])
+
+
+def test_the_past_is_known_better_and_honestly():
+    """Over 400 runs the fixed-lag estimate errs less than the filter at the same epoch, by what it claims."""
+    runs = 400
+    prior = celnav.Gaussian(np.array([0.0, 0.6]), np.diag([0.3, 0.05]))
+    motion, sensor = MATRICES, celnav.Sensor(np.eye(2), np.eye(2))
+    truth, z = celnav.simulate(motion, sensor, prior, TIMES, runs=runs, seed=5)
+    fixed = FixedLag(celnav.ukf(motion, sensor), LAG)
+    prior = celnav.Gaussian(np.tile(prior.mean, (runs, 1)), prior.cov)
+    state = fixed.start(prior)
+    for epoch in celnav.epochs(TIMES, z):
+        state, _ = fixed.step(state, epoch)
+    then = fixed.track(state)
+    smoothed = celnav.smooth(then)
+    errors = smoothed.mean[0] - truth[T - 1 - LAG]
+    assert np.square(errors).mean() < 0.9 * np.square(then.mean[0] - truth[T - 1 - LAG]).mean()
+    assert nees(errors, smoothed.sqrt_cov[0]).mean() == pytest.approx(2.0, abs=4.0 * 2.0 / np.sqrt(runs))
+
+
+def test_it_holds_no_more_than_the_lag():
+    fixed = FixedLag(FILTERS["ukf"], 2)
+    state = fixed.start(PRIOR)
+    assert isinstance(state, Held)
+    for epoch in celnav.epochs(TIMES, Z):
+        state, _ = fixed.step(state, epoch)
+        assert len(state.epochs) == len(state.infos) == len(state.states) - 1 == min(epoch.k + 1, 3)
+
+
+def after(k, lag=LAG, z=Z):
+    """A filter and its state after epoch ``k``."""
+    fixed = FixedLag(FILTERS["ukf"], lag)
+    state = fixed.start(PRIOR)
+    for epoch in celnav.epochs(TIMES, z)[: k + 1]:
+        state, _ = fixed.step(state, epoch)
+    return fixed, state
+
+
+FIXED, STATE = after(12)
+NEW = np.full((RUNS, 2), np.nan)
+TWICE = NEW.copy()
+TWICE[3, 1] = 0.5
+THERE = Z.copy()
+THERE[10, 3, 1] = 0.4
+
+
+@pytest.mark.parametrize(
+    ("make", "told"),
+    [
+        (lambda: FIXED.late(STATE, 5, np.ones(2)), r"k: expected an epoch that is kept, 6 to 12 \(lag = 6\), got 5"),
+        (lambda: FIXED.late(STATE, 13, np.ones(2)), r"k: expected an epoch that is kept, 6 to 12 \(lag = 6\), got 13"),
+        (lambda: FIXED.late(STATE, 9.5, np.ones(2)), "k: expected an epoch that is kept, 6 to 12 .* got 9.5"),
+        (lambda: FIXED.late(STATE, [9, 9, 9, 2, 9], np.ones((5, 2))), "k: expected an epoch that is kept, 6 to 12 .* got 2"),
+        (lambda: FIXED.late(FIXED.start(PRIOR), 0, np.ones(2)), "k: expected none before the first step, got 0"),
+        (
+            lambda: after(12, z=THERE)[0].late(after(12, z=THERE)[1], 10, TWICE),
+            r"z: .* epoch 10 .* got component \[3, 1\] a second",
+        ),
+        (lambda: FIXED.late(STATE, 10, np.ones(3)), r"z: expected shape \(\.\.\., 2\), got \(3,\)"),
+        (lambda: FIXED.late(STATE, 10, (np.ones(2), np.ones(2))), "z: expected 1 measurements, one for each sensor, got 2"),
+        (lambda: FIXED.late(STATE, 10, [np.inf, 0.0]), "z: expected finite numbers or nan, got an infinite one"),
+        (lambda: FIXED.late(STATE, 9, np.ones((4, 2))), r"z: batch axes \(4,\) do not go with those of epoch 9, \(5,\)"),
+        (lambda: FIXED.late(STATE, [9, 9], np.ones((4, 2))), r"z: batch axes \(4,\) do not go with those of k, \(2,\)"),
+        (lambda: FIXED.step(STATE, celnav.Epoch(12)), "epoch: expected one with k = 13, after the last, got Epoch"),
+        (lambda: FIXED.step(PRIOR, celnav.Epoch(0)), "state: expected what the filter's start.* got Gaussian"),
+        (lambda: FIXED.track(FIXED.start(PRIOR)), "state: expected one after a step, got one before the first"),
+        (lambda: FixedLag(MOTION, 3), r"filter: expected a filter, such as celnav.ukf\(motion, sensor\), got Motion"),
+        (lambda: FixedLag(FILTERS["ukf"], -1), "lag: expected an integer from 0 to 1000000, got -1"),
+    ],
+)
+def test_bad_input_is_refused_by_name(make, told):
+    with pytest.raises(ValueError, match=f"^{told}"):
+        make()
+
+
+def test_runs_without_a_sample_need_no_epoch():
+    """Where nothing has come, whatever ``k`` says, nothing changes."""
+    state, _ = FIXED.late(STATE, np.full(RUNS, -1), NEW)
+    np.testing.assert_array_equal(state.belief.mean, STATE.belief.mean)
+    assert state.epochs == STATE.epochs
