@@ -51,7 +51,7 @@ def moved(mean, epoch):
 
 
 MOTION, SENSOR, MATRIX = celnav.Motion(f, EYE), celnav.Sensor(f, EYE), celnav.Sensor(EYE, EYE)
-OPTIONS = {"form": "square root", "hooks": (), "gain": 0.5 * EYE}
+OPTIONS = {"form": "square root", "hooks": (), "gain": 0.5 * EYE, "iterations": 2}
 FILTER, OTHER = celnav.ukf(MOTION, SENSOR), celnav.ekf(MOTION, SENSOR)
 NOISY = celnav.Motion(noisy, augment=(EYE,))
 TRACK = celnav.run(FILTER, PRIOR, WHEN, keep="cov")
@@ -121,10 +121,14 @@ DOORS = {
     "ckf": (made(celnav.ckf), PARTS | OPTIONS | {"degree": 3}),
     "ghkf": (made(celnav.ghkf), PARTS | OPTIONS | {"order": 3}),
     "sparse_grid_filter": (made(celnav.sparse_grid_filter), PARTS | OPTIONS | {"level": 3, "weights": [1, 2]}),
-    "ekf": (made(celnav.ekf), PARTS | OPTIONS | {"iterations": 2}),
+    "ekf": (made(celnav.ekf), PARTS | OPTIONS),
     "ekf matrix": (lambda **a: flown(celnav.ekf(celnav.Motion(EYE, EYE), MATRIX, **a)), {"gain": lambda A, sign, m: 0.5 * EYE}),
     "Iterated": (
         lambda **a: flown(Iterated(MOTION, (SENSOR,), rule=celnav.Taylor(), form=Covariance, **a)),
+        {"iterations": 2, "first": lambda belief, z, epoch: belief.mean},
+    ),
+    "Iterated points": (
+        lambda **a: flown(Iterated(MOTION, (SENSOR,), rule=celnav.unscented(2), form=Covariance, **a)),
         {"iterations": 2, "first": lambda belief, z, epoch: belief.mean},
     ),
     "hook": (lambda **a: seen([a["hook"]]), {"hook": lambda memory, joint, epoch: (memory, joint)}),
