@@ -2,7 +2,7 @@
 
 `records` what filters are made of and pass on · `joint` the one joint and the one conditioning · `regression` linear over a
 belief · `sequential` predict and update, one sensor after the other · `colored` colored measurement noise · `two_stage` a bias
-beside the state · `adaptive` hooks · `run`, `track` the driver and its record · `smoother` fixed
+beside the state · `imm` models that take turns · `adaptive` hooks · `run`, `track` the driver and its record · `smoother` fixed
 interval · `dropin` filterpy's interface.
 """
 

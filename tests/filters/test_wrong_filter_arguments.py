@@ -131,6 +131,10 @@ DOORS = {
         lambda **a: flown(Iterated(MOTION, (SENSOR,), rule=celnav.unscented(2), form=Covariance, **a)),
         {"iterations": 2, "first": lambda belief, z, epoch: belief.mean},
     ),
+    "imm": (
+        lambda prior=PRIOR, **a: flown(celnav.imm(**a), prior),
+        {"filters": [FILTER, OTHER], "transition": 0.5 * np.ones((2, 2)), "initial": [0.5, 0.5], "prior": [PRIOR, PRIOR]},
+    ),
     "hook": (lambda **a: seen([a["hook"]]), {"hook": lambda memory, joint, epoch: (memory, joint)}),
     "smooth": (lambda **a: celnav.smooth(**a), {"track": TRACK, "filter": FILTER, "gains": False, "on_failure": "raise"}),
     "colored": (made(celnav.colored), COLORED | {"sensor": SENSOR, "first": True, "form": "covariance", "hooks": [gate(3.0)]}),
