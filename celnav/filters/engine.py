@@ -140,7 +140,7 @@ class Engine:
         self.keep = "mean" if keep == "nothing" else keep
         self.few = keep == "nothing"  # rows of the first epochs only
         if not hasattr(prior, "mean"):
-            raise CannotCompile(f"prior: expected one Gaussian, for all models, got {kind(prior)}")
+            raise TypeError(f"prior: expected one Gaussian, for all models, got {kind(prior)}")
         constants: list[Array] = []
         each_run(filter, lambda array: constants.append(array) or array)  # type: ignore[func-returns-value]
         axes = {f"z{i}": z.shape[1:-1] for i, z in enumerate(data.z)}

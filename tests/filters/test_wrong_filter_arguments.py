@@ -133,7 +133,7 @@ DOORS = {
     ),
     "imm": (
         lambda prior=PRIOR, **a: flown(celnav.imm(**a), prior),
-        {"filters": [FILTER, OTHER], "transition": 0.5 * np.ones((2, 2)), "initial": [0.5, 0.5], "prior": [PRIOR, PRIOR]},
+        {"filters": [FILTER, OTHER], "transition": 0.5 * np.ones((2, 2)), "initial": [0.5, 0.5], "prior": PRIOR},
     ),
     "hook": (lambda **a: seen([a["hook"]]), {"hook": lambda memory, joint, epoch: (memory, joint)}),
     "smooth": (lambda **a: celnav.smooth(**a), {"track": TRACK, "filter": FILTER, "gains": False, "on_failure": "raise"}),
