@@ -290,9 +290,9 @@ class Iterated(Sequential):
         """The joint of the measurement and of the state as ``belief`` has it, by a regression over the belief ``about``."""
         if isinstance(self.rule, Taylor):
             return self.measured(Taylor(self.rule.step, about=about.mean), sensor, belief, z, epoch)
-        seen = self.measured(self.rule, sensor, about, z, epoch)
         if about is belief or by_matrix(sensor, self.rule):
             return self.measured(self.rule, sensor, belief, z, epoch)
+        seen = self.measured(self.rule, sensor, about, z, epoch)
         return regressed(seen, belief, self.motion.space.minus(belief.mean, about.mean))
 
 

@@ -248,6 +248,27 @@ def test_mixtures_on_angles_and_attitudes():
     np.testing.assert_allclose(both.cov, np.diag([0.01, 0.01, 0.01 + half**2]), atol=1e-6)
 
 
+@FORMS
+@pytest.mark.parametrize("transported", [False, True])
+def test_attitudes_that_are_turned_by_one_of_two_motions(form, transported):
+    """Quaternions of either sign, of which some are not measured: a batch is its runs, and who turns is found out."""
+    still, turn = np.array([0.0, 0.0, 0.0]), np.array([0.02, 0.0, 0.05])
+    space = celnav.attitude(transported=transported)
+    motions = [celnav.Motion(lambda x, e, w=w: multiply(exp(w), x), 1e-6 * np.eye(3), space=space) for w in (still, turn)]
+    sensor, times = celnav.Sensor(lambda x, e: x, 1e-4 * np.eye(3), space=celnav.attitude()), np.arange(12.0)
+    one = celnav.Gaussian([0.0, 0.0, 0.0, 1.0], 0.01 * np.eye(3))
+    prior = celnav.Gaussian(np.tile(one.mean, (6, 1)), one.cov)
+    z = celnav.simulate(motions[1], sensor, one, times, runs=6)[1] * np.array([1.0, -1.0] * 3)[:, None]
+    z[5, ::2] = np.nan
+    filter = celnav.imm([celnav.ukf(motion, sensor, form=form) for motion in motions], [[0.9, 0.1], [0.1, 0.9]])
+    many = celnav.run(filter, prior, times, z, keep="cov", also=probable)
+    assert (many.extra["probabilities"][-1, :, 1] > 0.9).all()
+    for i in range(6):
+        alone = celnav.run(filter, one, times, z[:, i], keep="cov")
+        np.testing.assert_allclose(many.mean[:, i], alone.mean, atol=1e-10)
+        np.testing.assert_allclose(many.cov[:, i], alone.cov, atol=1e-12)
+
+
 def test_filters_of_any_kind():
     points = [Fallback(a, b) for a, b in zip(models(), models(by=celnav.ekf), strict=True)]
     colored = [celnav.colored(celnav.Motion(F, Q), celnav.Sensor(H, R), 0.0 * np.eye(2)) for Q in NOISES]
