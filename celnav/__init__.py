@@ -27,6 +27,7 @@ Sources   ``[Sun2015, Eq. 27]`` in a docstring; citations are in ``celnav.papers
 from celnav.filters.colored import augmented, colored, decorrelated
 from celnav.filters.compiled import compiled
 from celnav.filters.export import export_c
+from celnav.filters.imm import imm
 from celnav.filters.model import Linear, Motion, Sensor
 from celnav.filters.records import Epoch, Filter, FilterError, epochs
 from celnav.filters.run import run, steps
@@ -77,6 +78,7 @@ __all__ = [
     "from_filterpy",
     "gauss_hermite",
     "ghkf",
+    "imm",
     "product",
     "run",
     "sigma_point",

@@ -51,6 +51,8 @@ def colored(
     >>> filter = celnav.colored(motion, celnav.Sensor(H, R), 0.9 * np.eye(3))
     """
     plain = sigma_point(motion, sensor, rule=rule, **options)
+    if type(plain) is not Sequential:
+        raise ValueError("iterations: expected 1, since process and measurement are one function here; celnav.augmented takes more")
     if motion.space != EUCLIDEAN or sensor.space != EUCLIDEAN:
         raise ValueError("space: expected states and measurements that are vectors; carry the noise in the state: celnav.augmented")
     phi, once = coloring(Phi, sensor.m), bool(choice("first", first, (False, True)))

@@ -17,7 +17,7 @@ import numpy as np
 
 from celnav.filters.records import Epoch, Info
 from celnav.gaussian.belief import Gaussian, settled
-from celnav.gaussian.checks import together
+from celnav.gaussian.checks import kind, together
 from celnav.gaussian.linalg import Array, Covariance, SquareRoot
 from celnav.tape import llvm
 from celnav.tape.kernel import Kernel
@@ -140,6 +140,8 @@ class Engine:
         self.most, self.rolled = most, rolled
         self.keep = "mean" if keep == "nothing" else keep
         self.few = keep == "nothing"  # rows of the first epochs only
+        if not hasattr(prior, "mean"):
+            raise TypeError(f"prior: expected one Gaussian, for all models, got {kind(prior)}")
         constants: list[Array] = []
         each_run(filter, lambda array: constants.append(array) or array)  # type: ignore[func-returns-value]
         axes = {f"z{i}": z.shape[1:-1] for i, z in enumerate(data.z)}

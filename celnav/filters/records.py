@@ -51,6 +51,7 @@ class Info(NamedTuple):
     gain, jacobian: ``() -> (..., n, m)`` and ``() -> (..., m, n)``, the measurement's (statistical) Jacobian.
     redone: ``(...)`` bool, the runs that a `celnav.filters.fallback.Fallback` did again; None if there was none.
     silent: whether there was no measurement at all, not even nan.
+    mixture: ``(...)``, the log-likelihood where the density is no Gaussian, of which ``whitened`` then has the moments; else None.
     """
 
     innovation: Array | None = None
@@ -61,6 +62,7 @@ class Info(NamedTuple):
     jacobian: Any = None
     redone: Array | None = None
     silent: bool = False
+    mixture: Array | None = None
 
     @property
     def nis(self) -> Array | None:
@@ -70,8 +72,8 @@ class Info(NamedTuple):
     @property
     def log_likelihood(self) -> Array | None:
         """Logarithm of the density of the components used, ``(...)``."""
-        if self.whitened is None or self.used is None:
-            return None
+        if self.whitened is None or self.used is None or self.mixture is not None:
+            return self.mixture
         value: Array = -0.5 * (self.nis + np.add.reduce(self.used, -1, int) * _LOG_2PI)
         if self.sqrt_S is not None:
             with np.errstate(divide="ignore"):  # a lost run has a nan in `whitened`

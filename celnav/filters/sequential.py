@@ -12,6 +12,7 @@ import numpy as np
 from celnav.filters.joint import KEEP, Gain, Hook, Joint, by_matrix, condition, evaluate, joint, marginal, over_runs, whole
 from celnav.filters.model import Motion, Sensor, check_matrices, check_prior, check_roots
 from celnav.filters.records import Epoch, Info, State, still
+from celnav.filters.regression import regressed
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import choice, finite, function, instance, integer, kind, number, numbers, takes
 from celnav.gaussian.linalg import EPS, FORMS, Array, Belief, Form, surely
@@ -157,8 +158,9 @@ def silent(sensor: Sensor, z: Any) -> Info:
 
 # -- made ----------------------------------------------------------------------------------------------------------------
 def sigma_point(
-    motion: Motion, *sensors: Sensor, rule: Any, form: str = "square root", hooks: Sequence[Any] = (), gain: Gain | None = None
-) -> Sequential:
+    motion: Motion, *sensors: Sensor, rule: Any, form: str = "square root", hooks: Sequence[Any] = (), gain: Gain | None = None,
+    iterations: int = 1,
+) -> Sequential:  # fmt: skip
     """A filter by any rule.
 
     motion, sensors: what is believed. Without sensors it is the open loop. Of several sensors each has its own part of ``z``, a
@@ -168,6 +170,8 @@ def sigma_point(
     hooks: ``(memory, joint, epoch) -> (memory, joint)``, one after the other at each sensor: each sees the `Joint` of measurement
         and state and may replace it. Ready ones are in `celnav.filters.adaptive`. For other hooks at each sensor a list of lists.
     gain: a prescribed gain ``(..., n, m)`` instead of the optimal one, or ``(A, sign, m) -> gain``; for one sensor.
+    iterations: of each update; with more than one it linearizes again over the posterior that the last led to: the posterior
+        linearization filter [Garcia2015], of Taylor's rule the iterated EKF [Bell1993].
 
     >>> celnav.sigma_point(motion, gps, rule=lambda n: celnav.smolyak(n, 3), hooks=[celnav.filters.adaptive.gate(4.0)])
     """
@@ -181,9 +185,11 @@ def sigma_point(
         hint = " (celnav.from_filterpy makes it one)" if hasattr(rule, "sigma_points") else ""
         raise ValueError(f"rule: expected a rule, such as celnav.unscented(n) or celnav.unscented, got {kind(rule)}{hint}")
     rule = rule if hasattr(rule, "image") else AnyDimension(rule)
-    return Sequential(
+    plain = Sequential(
         motion, sensors, rule=rule, form=FORMS[choice("form", form, FORMS)], hooks=_each(hooks, len(sensors)), gain=gain
     )
+    count = integer("iterations", iterations, 1, MOST_ITERATIONS)
+    return plain if count == 1 else Iterated(**vars(plain), iterations=count)
 
 
 def ukf(motion: Motion, *sensors: Sensor, alpha: float = 1.0, beta: float = 0.0, kappa: float = 0.0, **options: Any) -> Sequential:
@@ -215,15 +221,12 @@ def sparse_grid_filter(
     return sigma_point(motion, *sensors, rule=partial(smolyak, level=level, weights=weights), **options)
 
 
-def ekf(motion: Motion, *sensors: Sensor, iterations: int = 1, **options: Any) -> Sequential:
-    """The extended Kalman filter; ``options`` as in `sigma_point`.
+def ekf(motion: Motion, *sensors: Sensor, **options: Any) -> Sequential:
+    """The extended Kalman filter, iterated with ``iterations=6``, say; ``options`` as in `sigma_point`.
 
-    It linearizes by the ``jacobian`` of motion and sensors, or by differences where there is none. With more ``iterations`` each
-    update linearizes again where the last has led [Bell1993].
+    It linearizes by the ``jacobian`` of motion and sensors, or by differences where there is none.
     """
-    count = integer("iterations", iterations, 1, MOST_ITERATIONS)
-    plain = sigma_point(motion, *sensors, rule=Taylor(), **options)
-    return plain if count == 1 else Iterated(**vars(plain), iterations=count)
+    return sigma_point(motion, *sensors, rule=Taylor(), **options)
 
 
 def plain(name: str, filter: Any) -> Sequential:
@@ -251,7 +254,11 @@ def _each(hooks: Any, sensors: int) -> tuple[tuple[Hook, ...], ...]:
 # -- variants ------------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False, repr=False)
 class Iterated(Sequential):
-    """An extended filter whose updates are Gauss-Newton steps to the mode of the posterior [Bell1993].
+    """A filter that linearizes each update again about the posterior that the last one led to.
+
+    An extended filter does so at the posterior's mean: its updates are Gauss-Newton steps to the mode [Bell1993]. Of points it is a
+    statistical linear regression over the whole posterior, whose residual is noise [Garcia2015]: where the posterior is narrow
+    that noise is small, and what the prior's points take for a nonlinearity no longer counts.
 
     iterations: linearizations of each update. One with a ``first`` is an update linearized about a point known otherwise, from a
         closed solution of the measurements, say; the prior counts in full all the same.
@@ -271,14 +278,22 @@ class Iterated(Sequential):
         self, sensor: Sensor, belief: Belief, z: Array, epoch: Epoch, hooks: tuple[Hook, ...], memory: Any
     ) -> tuple[Belief, Info, Any]:
 
-        at, space = belief.mean, self.motion.space
+        about = belief
         if self.first is not None:
-            at = numbers("first", self.first(belief, z, epoch), (..., at.shape[-1]))
+            about = about._replace(mean=numbers("first", self.first(belief, z, epoch), (..., belief.mean.shape[-1])))
         for _ in range(self.iterations):
-            seen = self.measured(Taylor(self.rule.step, about=at), sensor, belief, z, epoch)
-            after, info, remembered = condition(self.form, seen, space, hooks=hooks, memory=memory, epoch=epoch, gain=self.gain)
-            at = after.mean
-        return after, info, remembered
+            seen, space = self.relinearized(about, sensor, belief, z, epoch), self.motion.space
+            about, info, remembered = condition(self.form, seen, space, hooks=hooks, memory=memory, epoch=epoch, gain=self.gain)
+        return about, info, remembered
+
+    def relinearized(self, about: Belief, sensor: Sensor, belief: Belief, z: Array, epoch: Epoch) -> Joint:
+        """The joint of the measurement and of the state as ``belief`` has it, by a regression over the belief ``about``."""
+        if isinstance(self.rule, Taylor):
+            return self.measured(Taylor(self.rule.step, about=about.mean), sensor, belief, z, epoch)
+        if about is belief or by_matrix(sensor, self.rule):
+            return self.measured(self.rule, sensor, belief, z, epoch)
+        seen = self.measured(self.rule, sensor, about, z, epoch)
+        return regressed(seen, belief, self.motion.space.minus(belief.mean, about.mean))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -304,6 +319,8 @@ class SingleDraw(Sequential):
         plain("filter", filter)
         if len(filter.sensors) != 1 or filter.motion.Q is not None or filter.motion.sqrt_Q is not None:
             raise ValueError("filter: expected one sensor, and process noise through the points only")
+        if isinstance(filter, Iterated):
+            raise ValueError("filter: expected one of a single iteration, since points are drawn once")
         return cls(filter.motion, filter.sensors, rule=filter.rule, form=filter.form, hooks=filter.hooks, gain=filter.gain)
 
     @property

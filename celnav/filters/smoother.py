@@ -19,10 +19,11 @@ from celnav.filters.colored import Colored
 from celnav.filters.fallback import Fallback
 from celnav.filters.joint import KEEP, condition, joint
 from celnav.filters.records import Epoch, FilterError
+from celnav.filters.regression import pseudo_gain
 from celnav.filters.sequential import Sequential, SingleDraw
 from celnav.filters.track import Track
 from celnav.gaussian.checks import choice, instance, kind
-from celnav.gaussian.linalg import EPS, Array, Belief, SquareRoot, solve_lower, solve_right, surely, weighted
+from celnav.gaussian.linalg import Array, Belief
 
 
 def smooth(track: Track, filter: Any = None, *, gains: bool = False, on_failure: str = "raise") -> Track:
@@ -109,38 +110,3 @@ def back(filter: Sequential, before: Belief, after: Belief, epoch: Epoch) -> tup
     ahead = carried(inner.mean, before.mean, gain @ carried(center, after.mean, after.sqrt_cov))
     lost = ~np.isfinite(after.mean).all(-1, keepdims=True)  # not a next state that was not measured
     return form(np.where(lost, np.nan, inner.mean), form.sum(inner[1], ahead)), gain
-
-
-def pseudo_gain(A: Array, sign: Array, m: int, center: Array | None = None, least: float = 0.0) -> Array:
-    """Gain ``cov(x, y) cov(y)^+ (..., n, m)`` of columns of y and x; the pseudo-inverse where the covariance of y is singular.
-
-    ``center``: where y lies, whose round-off the columns carry. ``least``: part of a deviation below which a direction is known.
-    """
-    D_y, D_x = A[..., :m, :], A[..., m:, :]
-    S = SquareRoot.marginal(D_y, sign)
-    signed = weighted(D_x, sign)
-    std = np.sqrt(np.einsum("...ij,...ij->...i", S, S))
-    known = std == 0.0
-    unit = np.where(known, 1.0, std)
-    # Differences of images carry the round-off of the images: below it a direction of y is known, not merely well known.
-    if center is None:
-        noise: Any = 0.0
-    elif center.shape[-1] == S.shape[-1]:
-        noise = EPS * np.where(known, 0.0, np.abs(center) / unit).max(-1)
-    else:
-        noise = EPS * np.abs(center).max(-1) / unit.min(-1)
-    bound = np.maximum(4.0 * (S.shape[-1] * EPS + noise), least)
-    singular = np.asanyarray((S.diagonal(0, -2, -1) <= bound[..., None] * unit).any(-1))
-    eye, none = np.eye(S.shape[-1]), surely(~singular.any())
-    recorded = S.dtype.hasobject  # there a singular run is lost: the numpy engine flies it again
-    regular = S if none else np.where(singular[..., None, None], np.nan if recorded else eye, S)
-    gain = solve_right(regular, signed @ solve_lower(regular, D_y).mT)
-    if none or recorded:
-        return gain
-    u, s, _ = np.linalg.svd(np.where(singular[..., None, None], S / unit[..., None], eye))
-    kept = s > bound[..., None]
-    inverse = np.where(kept, 1.0 / np.where(kept, s, 1.0), 0.0)[..., None]
-    # S = unit u s v': cov(y)^+ = (u / s) (u / s)' in units of the standard deviations
-    half = inverse * (u.mT / unit[..., None, :])
-    pseudo = (signed @ (half @ D_y).mT) @ half
-    return np.where(singular[..., None, None], pseudo, gain)

@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike
 from celnav.filters.joint import KEEP, alike, at, condition, joint, marginal
 from celnav.filters.model import Motion, Sensor, given_back
 from celnav.filters.records import Epoch, Info, State, still
+from celnav.filters.regression import pseudo_gain
 from celnav.filters.sequential import Sequential, plain, sigma_point
-from celnav.filters.smoother import pseudo_gain
 from celnav.gaussian.belief import Gaussian, symmetric
 from celnav.gaussian.checks import finite, function, instance, kind, numbers, unmasked
 from celnav.gaussian.linalg import Array, SquareRoot, block, matvec, outer, side_by_side, solve_lower, tria, whiten

@@ -331,6 +331,12 @@ class SquareRoot(NamedTuple):
         """Root of the sum of two independent parts, one of them given by its columns."""
         return tria(block([[root, columns]]))
 
+    @staticmethod
+    def mixed(roots: Sequence[Array], weights: Array, columns: Array) -> Array:
+        """Root of covariances that count with their ``weights (..., k)``, and of columns ``(..., n, k)`` between their means."""
+        scale = np.sqrt(weights)[..., None, None, :]
+        return tria(block([[*(root * scale[..., i] for i, root in enumerate(roots)), columns]]))
+
     def lost(self) -> Array:
         """Runs ``(...)`` that are not finite."""
         return np.asanyarray(~(np.isfinite(self.mean).all(-1) & np.isfinite(self.sqrt_cov).all((-2, -1))))
@@ -410,6 +416,12 @@ class Covariance(NamedTuple):
     def sum(cov: Array, columns: Array) -> Array:
 
         return np.asanyarray(cov + outer(columns))
+
+    @staticmethod
+    def mixed(covs: Sequence[Array], weights: Array, columns: Array) -> Array:
+
+        scale = weights[..., None, None, :]
+        return np.asanyarray(sum([cov * scale[..., i] for i, cov in enumerate(covs)], outer(columns)))
 
     def lost(self) -> Array:
         """Runs ``(...)`` that are not finite, or have a negative variance beyond round-off of the matrix's largest."""

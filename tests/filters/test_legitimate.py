@@ -263,6 +263,8 @@ FILTERS = {
     "matrices": lambda form: celnav.ukf(*MATRICES, form=form),
     "two sensors": lambda form: celnav.ukf(MOVED, SEEN, FUNCTION, form=form),
     "iterated": lambda form: celnav.ekf(MOVED, FUNCTION, iterations=3, form=form),
+    "posterior linearization": lambda form: celnav.ukf(MOVED, FUNCTION, iterations=3, form=form),
+    "models": lambda form: celnav.imm([celnav.ukf(MOVED, s, form=form) for s in (SEEN, FUNCTION)], [[0.9, 0.1], [0.2, 0.8]]),
     "fallback": lambda form: Fallback(celnav.ukf(MOVED, SEEN, form=form), celnav.ekf(MOVED, SEEN, form=form)),
     "single draw": lambda form: SingleDraw.of(celnav.ukf(THROUGH, celnav.Sensor(lambda x, e, *w: x @ H.T, R), form=form)),
     "colored": lambda form: celnav.colored(MOVED, FUNCTION, PHI, form=form),

@@ -55,7 +55,7 @@ def moved(mean, epoch):
 
 
 MOTION, SENSOR, MATRIX = celnav.Motion(f, EYE), celnav.Sensor(f, EYE), celnav.Sensor(EYE, EYE)
-OPTIONS = {"form": "square root", "hooks": (), "gain": 0.5 * EYE}
+OPTIONS = {"form": "square root", "hooks": (), "gain": 0.5 * EYE, "iterations": 2}
 FILTER, OTHER = celnav.ukf(MOTION, SENSOR), celnav.ekf(MOTION, SENSOR)
 NOISY = celnav.Motion(noisy, augment=(EYE,))
 TRACK = celnav.run(FILTER, PRIOR, WHEN, keep="cov")
@@ -126,11 +126,19 @@ DOORS = {
     "ckf": (made(celnav.ckf), PARTS | OPTIONS | {"degree": 3}),
     "ghkf": (made(celnav.ghkf), PARTS | OPTIONS | {"order": 3}),
     "sparse_grid_filter": (made(celnav.sparse_grid_filter), PARTS | OPTIONS | {"level": 3, "weights": [1, 2]}),
-    "ekf": (made(celnav.ekf), PARTS | OPTIONS | {"iterations": 2}),
+    "ekf": (made(celnav.ekf), PARTS | OPTIONS),
     "ekf matrix": (lambda **a: flown(celnav.ekf(celnav.Motion(EYE, EYE), MATRIX, **a)), {"gain": lambda A, sign, m: 0.5 * EYE}),
     "Iterated": (
         lambda **a: flown(Iterated(MOTION, (SENSOR,), rule=celnav.Taylor(), form=Covariance, **a)),
         {"iterations": 2, "first": lambda belief, z, epoch: belief.mean},
+    ),
+    "Iterated points": (
+        lambda **a: flown(Iterated(MOTION, (SENSOR,), rule=celnav.unscented(2), form=Covariance, **a)),
+        {"iterations": 2, "first": lambda belief, z, epoch: belief.mean},
+    ),
+    "imm": (
+        lambda prior=PRIOR, **a: flown(celnav.imm(**a), prior),
+        {"filters": [FILTER, OTHER], "transition": 0.5 * np.ones((2, 2)), "initial": [0.5, 0.5], "prior": PRIOR},
     ),
     "hook": (lambda **a: seen([a["hook"]]), {"hook": lambda memory, joint, epoch: (memory, joint)}),
     "smooth": (lambda **a: celnav.smooth(**a), {"track": TRACK, "filter": FILTER, "gains": False, "on_failure": "raise"}),
