@@ -158,9 +158,9 @@ def _write(paper: str, one: ModuleType, results: Results, outputs: Outputs, prog
     about = {"celnav": celnav.__version__, "python": platform.python_version(), **versions, "machine": machine}
     record = {"about": about, "effort": results.effort, "cpu_s": sum(timings.values()), "timings": timings}
     outputs.text("timings.json", json.dumps(record, indent=1) + "\n")
-    for kind in ("statement", "check"):
-        count = Counter(claim.verdict for claim in claims if claim.kind == kind)
-        progress.say(f"{paper}: {kind}s: {', '.join(f'{number} {verdict}' for verdict, number in sorted(count.items()))}")
+    for kind in ("statement", "finding", "check"):
+        if count := Counter(claim.verdict for claim in claims if claim.kind == kind):
+            progress.say(f"{paper}: {kind}s: {', '.join(f'{number} {verdict}' for verdict, number in sorted(count.items()))}")
     failures = [claim for claim in claims if claim.failure]
     for claim in failures:
         progress.say(f"{paper}: not as expected: {claim.id}: {claim.verdict}, expected {claim.expected}: {claim.row.says}")

@@ -17,6 +17,7 @@ pytest.importorskip("llvmlite")
 
 RUN = celnav.run
 NOT_COMPILED = {
+    "FixedLag",
     "two_stage",
     "strong_tracking",
     "Differenced",
