@@ -36,6 +36,7 @@ from celnav.papers.tstdkf.method import ar1_noise
 from celnav.real.arrivals import YEAR, Weeks, clocks, differences, read, remembered, transition, weekly
 from celnav.show import colors
 from celnav.show.figures import Line, Panel, Rows, bars, curve, level, panels
+from celnav.show.plots import Curve, Plot
 from celnav.show.showcase import Showcase, Space, write
 from celnav.study.ledger import Number, estimate, finding
 from celnav.study.numbers import Decided, all_of, of
@@ -392,7 +393,11 @@ def record(r: Results, outputs: Outputs) -> list[str]:
         out.points("sky/earth/now", earth, colors.COMPARISON, radius=5.0, label="Earth")
         out.points("sky/fix", earth + error / 15.0, colors.ESTIMATE, radius=4.0, label="fix, errors times 10 million")
 
+    plots = {axis: Plot(f"fix {axis}, error in km", {"fix": Curve(error[:, i], colors.ESTIMATE, "weekly fix")})
+             for i, axis in enumerate("xyz")}  # fmt: skip
     notes = "# The Earth by millisecond pulsars\nRays point to the pulsars; units are AU."
     sky = Space("sky", "Earth and pulsars", (2.5, -2.5, 1.8), growing=("sky/earth",))
-    show = Showcase("nanograv", notes, DAY_S * (day - day[0]), scene=scene, spaces=[sky], legend={"pulsars": colors.STAR})
+    show = Showcase(
+        "nanograv", notes, DAY_S * (day - day[0]), scene=scene, spaces=[sky], legend={colors.STAR: "pulsars"}, plots={"fix": plots}
+    )
     return write({"nanograv.rrd": show}, outputs)

@@ -25,6 +25,7 @@ from celnav.papers import citation
 from celnav.real.photons import read
 from celnav.show import colors
 from celnav.show.figures import Line, Panel, Rows, curve, level, panels
+from celnav.show.plots import Curve, Plot
 from celnav.show.showcase import Showcase, Space, write
 from celnav.study.ledger import Number, estimate, finding
 from celnav.study.numbers import Decided, all_of
@@ -293,7 +294,11 @@ def record(r: Results, outputs: Outputs) -> list[str]:
         out.strips("sky/fix", np.stack([at, at + off], 1)[:, None], [colors.ESTIMATE])
         out.points("sky/by_photons", at + off, colors.ESTIMATE, radius=4.0, label="by two minutes of photons")
 
+    found, truth = (r.get("placed", what) / 1e3 for what in ("place", "truth"))
+    curves = {"orbit": Curve(truth, colors.TRUTH, "orbit"),
+              "found": Curve(found, colors.ESTIMATE, "by photons", r.get("placed", "std") / 1e3, found)}  # fmt: skip
+    plots = {"line": Plot("toward the pulsar, 1000 km from the Earth's center", curves)}
     notes = "# A satellite by the photons of a pulsar\nThe ray points to PSR B1509-58, in 1000 km. Across it photons say nothing."
     space = Space("sky", "RXTE and a pulsar", (-14.0, -22.0, 8.0), growing=("sky/orbit",))
-    show = Showcase("rxte", notes, t, scene=scene, spaces=[space], legend={"pulsar": colors.STAR})
+    show = Showcase("rxte", notes, t, scene=scene, spaces=[space], legend={colors.STAR: "pulsar"}, plots={"place": plots})
     return write({"rxte.rrd": show}, outputs)
