@@ -221,11 +221,18 @@ def _chosen(engine: str, filter: Any, jobs: int) -> Compiled:
     return Compiled(filter, made.jobs, made.engine, WORTH) if engine == "auto" else made
 
 
+def _listed(filter: Any, prior: Any, epochs: Any) -> Epochs | list[Epoch]:
+    """Epochs that can be gone through twice; what is none is told as the numpy engine does."""
+    if not isinstance(epochs, Epochs) and not hasattr(epochs, "__iter__") and not hasattr(epochs, "__getitem__"):
+        run(filter, prior, epochs, engine="numpy")
+    return epochs if isinstance(epochs, Epochs) else list(epochs)
+
+
 def run_by(
     engine: str, filter: Any, prior: Any, epochs: Iterable[Epoch], jobs: int, also: Any, reduce: Any, **options: Any
 ) -> Track:
     """`celnav.run` with an engine that is "compiled" or "cuda", or "auto": compiled, and numpy where that cannot be."""
-    epochs = epochs if isinstance(epochs, Epochs) else list(epochs)
+    epochs = _listed(filter, prior, epochs)
     try:
         if also is not None or reduce is not None:
             raise CannotCompile(f"also, reduce: expected none with engine={engine!r}, which keeps no states between epochs")
@@ -239,7 +246,7 @@ def run_by(
 
 def steps_by(engine: str, filter: Any, prior: Any, epochs: Iterable[Epoch]) -> Iterable[tuple[Epoch, State, tuple[Info, ...]]]:
     """`celnav.steps` likewise; by numpy too where a run is lost, since why is to be told. An `Info` is of all sensors together."""
-    epochs = epochs if isinstance(epochs, Epochs) else list(epochs)
+    epochs = _listed(filter, prior, epochs)
     try:
         track = _chosen(engine, filter, 1).run(prior, epochs, keep="cov", on_failure="flag")
     except (CannotCompile, ImportError):

@@ -44,6 +44,8 @@ def as_data(filter: Any, epochs: Epochs | Sequence[Epoch]) -> Data:
         for epoch in epochs:
             check_interval(filter, epoch, before)
             before = epoch.t
+            if not isinstance(epoch.k, int | float | np.integer | np.floating):
+                raise CannotCompile(f"epochs: expected numbers k, got {epoch.k!r}")
         k, t = np.array([epoch.k for epoch in epochs], np.float64), np.array([epoch.t for epoch in epochs])
         dt = np.stack(np.broadcast_arrays(*(np.asarray(epoch.dt, np.float64) for epoch in epochs)))
         u = [epoch.u for epoch in epochs]

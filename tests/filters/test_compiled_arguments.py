@@ -122,3 +122,18 @@ def test_models_that_are_at_fault_end_alike(model, compiled):
         known, found = (told(RUN, filter, *arguments, engine=engine) for engine in ("numpy", "compiled"))
         assert known == found
         assert known != "" or model is short
+
+
+@pytest.mark.parametrize("epochs", [None, 3.0])
+def test_what_is_no_sequence_of_epochs_is_told_alike(epochs):
+    filter, prior = celnav.ukf(doors.MOTION, doors.SENSOR), celnav.Gaussian(np.zeros((3, 2)), np.eye(2))
+    known, *found = (told(RUN, filter, prior, epochs, engine=engine) for engine in ("numpy", "compiled", "auto"))
+    assert found == [known, known]
+    assert known.startswith("ValueError: ")
+
+
+def test_an_epoch_without_a_number_is_left_to_numpy():
+    filter, prior = celnav.ukf(doors.MOTION, doors.SENSOR), celnav.Gaussian(np.zeros((3, 2)), np.eye(2))
+    epochs = [celnav.Epoch(None, 0.0, 0.0, None, np.ones((3, 2))), celnav.Epoch(None, 1.0, 1.0, None, np.ones((3, 2)))]
+    assert told(RUN, filter, prior, epochs, engine="compiled") == "CannotCompile: epochs: expected numbers k, got None"
+    assert RUN(filter, prior, epochs, engine="auto").engine.startswith("numpy: epochs: expected numbers k")
