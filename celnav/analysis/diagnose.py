@@ -157,7 +157,7 @@ class Diagnosis(NamedTuple):
         return quiet and all(np.isnan(s.nis) or s.band[0] <= s.nis <= s.band[1] for s in self.sensors)
 
     def __str__(self) -> str:
-        from celnav.analysis.words import page
+        from celnav.analysis.diagnosis_text import page
 
         return page(self)
 

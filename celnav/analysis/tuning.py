@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import expit
 
+from celnav.filters.gradient import Gradient, fourth_order
 from celnav.filters.records import Epoch, Epochs, Filter
 from celnav.filters.run import ENGINES, run
-from celnav.filters.slopes import Slopes, fourth_order
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import choice, finite, function, integer, kind, number, numbers, sequence
 from celnav.gaussian.linalg import Array
@@ -82,7 +82,7 @@ def likelihood_gradient(
     here = _flight(build, x, data)
     if choice("engine", engine, ENGINES) != "numpy":
         try:
-            return LikelihoodGradient(*_checked(Slopes(partial(_built, build), data), x, lengths, here), "compiled")
+            return LikelihoodGradient(*_checked(Gradient(partial(_built, build), data), x, lengths, here), "compiled")
         except (CannotCompile, ImportError) as error:
             if engine == "compiled":
                 raise
@@ -179,10 +179,10 @@ def _flight(build: Build, parameters: Array, epochs: Sequence[Epoch]) -> Array:
     return run(*_built(build, parameters), epochs, keep="nothing", engine="numpy").log_likelihood
 
 
-def _checked(slopes: Slopes, x: Array, lengths: Array, known: Array) -> tuple[Array, Array]:
+def _checked(compiled: Gradient, x: Array, lengths: Array, known: Array) -> tuple[Array, Array]:
     """What a compiled flight gives, if the value is the numpy engine's, and differences of values are as the gradient says."""
-    value, gradient = slopes(x, lengths)
-    above, below = (slopes(x + step * lengths, lengths)[0].sum() for step in (STEP, -STEP))
+    value, gradient = compiled(x, lengths)
+    above, below = (compiled(x + step * lengths, lengths)[0].sum() for step in (STEP, -STEP))
     rise, each = (above - below) / (2.0 * STEP), gradient.reshape(-1, len(x)).sum(0) * lengths
     size = np.abs(known).sum()
     if not (np.abs(value - known) <= 1e-6 * (1.0 + np.abs(known))).all():
@@ -247,7 +247,7 @@ class _Likelihood:
         self.engine, self._compiled = engine.replace("auto", "compiled"), None
         if engine != "numpy":
             flights = FLIGHTS * (1 + 2 * d) if engine == "auto" else np.inf
-            compiled = Slopes(lambda s: _built(build, scale(s)), epochs, flights)
+            compiled = Gradient(lambda s: _built(build, scale(s)), epochs, flights)
             try:
                 _, gradient = _checked(compiled, np.zeros(d), self._ones, here)
                 self._compiled, self.slopes[(0.0,) * d] = compiled, gradient.reshape(-1, d).sum(0)

@@ -152,7 +152,7 @@ def _loop(records: Sequence[Recorded], size: int, device: Device | None) -> Call
     """What takes ``(kinds, at, state, shared, own)`` through all epochs, and writes the rows of runs from the ``first`` on; a state
     is of ``size`` numbers."""
     if device is not None:
-        return partial(_abroad, device, device.entry(ptx.program([record.kernel for record in records], size)))
+        return partial(_on_device, device, device.entry(ptx.program([record.kernel for record in records], size)))
     addresses, loop = np.array([record.address for record in records], np.uint64), llvm.fly()
     cells = max(record.kernel.cells for record in records)
 
@@ -166,7 +166,7 @@ def _loop(records: Sequence[Recorded], size: int, device: Device | None) -> Call
     return flown
 
 
-def _abroad(device: Device, entry: Any, *given: Any) -> None:
+def _on_device(device: Device, entry: Any, *given: Any) -> None:
     """The same on a device."""
     *arrays, rows, first = given
     shapes = [(len(x), arrays[-1].shape[2], x.shape[2]) for x in rows.values()]

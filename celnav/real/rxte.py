@@ -143,7 +143,6 @@ def placed(folder: Path, _rngs: Rngs) -> Arrays:
 
 
 # -- what is found ---------------------------------------------------------------------------------------------------------------
-NO_FILTERS: Any = None
 BLOCK, PIECES = 4, 3
 """Short blocks, and pieces, that are drawn together."""
 
@@ -219,7 +218,7 @@ ROWS = (
 )  # fmt: skip
 
 STUDY = Study(
-    "rxte", GROUPS, NO_FILTERS, parts, ROWS,
+    "rxte", GROUPS, None, parts, ROWS,
     says="RXTE counted photons of a young pulsar for an hour. Do they show where the satellite was, and how well do they know it?",
     found="Two minutes of photons place it to 1100 km along the line of sight, as they claim; the orbit's rise and fall is seen. "
     "The Earth's place sharpens the pulse beyond doubt; that the orbit does could be the chance of this hour.",

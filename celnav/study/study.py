@@ -96,7 +96,7 @@ class Study:
     Attributes
     ----------
     name: of the paper. groups: what is judged. rows: the ledger.
-    trial: ``(config, rngs) ->`` runs and their filters, see `celnav.study.trial`.
+    trial: ``(config, rngs) ->`` runs and their filters, see `celnav.study.trial`; None where nothing is drawn.
     parts: ``(effort) ->`` parts by name; ``effort``, in (0, 1], may shorten what is long. Runs are scaled by it elsewhere.
     says, found: what the paper claims as a whole, and our answer, a sentence or two each.
     figure: stem of the one that decides.
@@ -105,7 +105,7 @@ class Study:
 
     name: str
     groups: tuple[Group, ...]
-    trial: Callable[[Any, Rngs], Trial]
+    trial: Callable[[Any, Rngs], Trial] | None
     parts: Callable[..., Mapping[str, Part]]
     rows: Sequence[Row]
     says: str = ""
@@ -258,6 +258,7 @@ class Results:
     def first(self, part: str) -> Trial:
         """The first run of a part alone, with its filters, to be flown again in full."""
         config, number = self.parts[part].config, self.parts[part].number
+        assert self.study.trial is not None, "a study that draws nothing has no runs to be flown again"
         return self.study.trial(config, [generator(self.seed, number, 0)])
 
     @property

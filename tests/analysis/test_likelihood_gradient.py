@@ -10,7 +10,7 @@ import celnav
 from celnav import Gaussian, Motion, Sensor, epochs
 from celnav.analysis.tuning import likelihood_gradient, maximize_likelihood
 from celnav.filters import adaptive
-from celnav.filters.slopes import alike
+from celnav.filters.gradient import alike
 from celnav.tape import llvm
 from celnav.tape.derivative import with_slopes
 from celnav.tape.kernel import Kernel

@@ -31,7 +31,7 @@ from celnav.real.grace.positions import STEP_S, Positions, aligned, axes, read
 from celnav.study.ledger import Bounds, Number, check, finding
 from celnav.study.numbers import Decided, all_of, correlation, lagged, of, over_time
 from celnav.study.study import Part, Results, Rngs, Study
-from celnav.study.trial import Group, Trial
+from celnav.study.trial import Group
 
 CITATION = """@misc{GRACE2008,
   author = {Zhang, Shoujian},
@@ -357,7 +357,7 @@ def correlated(lag: int, accept: Bounds = (None, None)) -> Decided:
 
 
 HONEST = (0.5, 2.0)
-"""Of NEES over its dimension. This and all ranges below were written before the truth was looked at."""
+"""Of NEES over its dimension. It, and all ranges of rows that are not ``revised``, were written before the truth was looked at."""
 FINDINGS = [
     finding("fixes-colored", "Errors of real fixes are correlated from one to the next.",
         all_of(correlated(1, (0.9, None)), correlated(30), correlated(90)), figure="figure_02",
@@ -420,19 +420,12 @@ def early(r: Results, name: str) -> float:
     return float(np.sqrt(np.nanmean(column(r, BEST, name, "error")[:REVOLUTION])))
 
 
-def again(config: Files, _rngs: Rngs) -> Trial:
-    """The day is flown once, and is no trial that could be drawn."""
-    raise NotImplementedError(f"{config.truth}: real data are flown by STUDY.parts")
-
-
 STUDY = Study(
-    "grace", (Group("position", "m", slice(0, 3)),), again, parts, [*FINDINGS, *CHECKS], figure="figure_01",
+    "grace", (Group("position", "m", slice(0, 3)),), None, parts, [*FINDINGS, *CHECKS], figure="figure_01",
     says="A satellite's GPS fixes have errors that follow one another. Is a filter honest that takes them for white, and one that "
     "is told?",
-    found="In a typical epoch the first is not; the second is, or claims a little too much error: 65 % and 90 % of the errors lie "
-    "inside of what has 95 % by their claim, and median NEES is 4.4 and 0.67 times a consistent filter's. But four bursts of the "
-    "fixes' errors, of up to 40 m over minutes, are on no day that the filters were set by. They rule all means, which decide "
-    "little, and throw off both: the white one to an RMSE of 19 m, since its gate locks it out, the other to 4.9, where the fixes "
-    "have 4.1. With more R and less Q the white one has 4.8 too, and claims 1.4. Neither NIS nor likelihood makes it honest, and "
-    "what four hours called most probable failed.",
+    found="In a typical epoch the first is not; the second is, or claims a little too much error. But four bursts of the fixes' "
+    "errors rule all means, which decide little, and throw off both: the white one further, since its gate locks it out. With "
+    "more R and less Q it errs like the other, and claims less. Neither NIS nor likelihood makes it honest, and what four hours "
+    "called most probable failed.",
 )  # fmt: skip

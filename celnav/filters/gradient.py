@@ -31,7 +31,7 @@ COMPILE_S, CALL_S, OPERATION_S = 3e-4, 3e-4, 1.4e-9
 Build = Callable[[Array], tuple[Any, Any]]
 
 
-class Slopes:
+class Gradient:
     """Log-likelihood and gradient as a function of parameters, of a filter and prior that ``build (d,)`` makes of them.
 
     What was compiled is kept. At other parameters the step is recorded again and must be the same, operation by operation, unless
@@ -59,7 +59,7 @@ class Slopes:
         data = as_data(built[0], self.epochs)
         starts = [[_start(one, held, data) for one in four] for four in beside]
         other, _ = self.build(x + STEP * lengths * np.linspace(0.5, 1.0, len(x)))
-        engine, twin = (_Sloped((_lifted(filter, held), built[1]), data, self.kept) for filter in (built[0], other))
+        engine, twin = (_WithGradient((_lifted(filter, held), built[1]), data, self.kept) for filter in (built[0], other))
         engine.twin, engine.flown = twin, self.flights * len(data.k)
         slopes = [fourth_order(four, STEP, SMOOTH) / length for four, length in zip(starts, lengths, strict=True)]
         seeds = np.any(slopes, (0, 1))
@@ -78,13 +78,13 @@ class Slopes:
         return np.where(lost, np.nan, flown[0][:, 0, 0]).reshape(batch), gradient.reshape(*batch, len(x))
 
 
-class _Sloped(Engine):
+class _WithGradient(Engine):
     """An engine whose state has beside each number its derivative, before the first epoch ``slopes (runs, numbers)``."""
 
     stride = 2
     slopes: Array
     seeds: set[int]
-    twin: _Sloped
+    twin: _WithGradient
     flown: float
 
     def __init__(self, built: tuple[Any, Any], data: Data, kept: dict[Any, Recorded]):
@@ -103,7 +103,7 @@ class _Sloped(Engine):
         made = super().record(before, kind, u)
         return made, digest(made.kernel)
 
-    def check(self, engine: _Sloped, before: Shape, kind: Kind, u: list[tuple[Array, bool]], known: bytes) -> None:
+    def check(self, engine: _WithGradient, before: Shape, kind: Kind, u: list[tuple[Array, bool]], known: bytes) -> None:
         """Raise `CannotCompile` where another filter's step is not the same."""
         if engine.plain(before, kind, u)[1] != known:
             raise CannotCompile("a model knows the parameters otherwise than by matrices of the filter")
