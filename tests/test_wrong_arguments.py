@@ -77,7 +77,7 @@ progress: Progress Progress.add Progress.close Progress.say RunProgress
 estimates: Estimate Estimate.error Estimate.sigma again
 plots: draw
 diagnose: Diagnosis.biased Diagnosis.white first_order
-words: page
+diagnosis_text: page
 diagnosis: figure
 scenes: arc behind beside constellation flight sigma_points sightings track turning unit
 showcase: Showcase record write
