@@ -31,7 +31,7 @@ def test_every_source_is_on_the_page_of_sources():
     assert len(entries) > 20
     for entry in entries:
         assert entry.count("{") == entry.count("}"), entry[:60]
-        assert "\\" not in entry, entry[:60]
+        assert "\\" not in entry.replace("\\&", ""), entry[:60]  # letters are Unicode's
     assert {entry.split("{")[1].split(",")[0] for entry in entries} == set(re.findall(r"^\((\w+)\)=$", sources(), re.MULTILINE))
 
 
