@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,8 +12,9 @@ from celnav.filters.run import run
 from celnav.gaussian.linalg import Array
 from celnav.models import sightings
 from celnav.models.orbit import EARTH
+from celnav.papers.csrukf.method import FORMS
 from celnav.papers.csrukf.scenario import filters, simulate
-from celnav.papers.csrukf.study import BOTH, PHIS, SWEEP, TABLE_1, TABLE_2, TABLE_3
+from celnav.papers.csrukf.study import BOTH, COLORS, HELD, PHIS, RATIOS, SWEEP, TABLE_1, TABLE_2, TABLE_3
 from celnav.show import colors, scenes, showcase
 from celnav.show.estimates import Group, again
 from celnav.show.figures import Item, Line, Panel, consistency, curve, errors, figure, level, panels, rmse, rmse_table, sigma
@@ -154,6 +156,36 @@ def assumed(r: Results) -> Figure:
     return panels([Panel("", items, x, y, "y", more) for items, y in row], size=(7.0, 3.3))
 
 
+def forms(r: Results) -> Figure:
+    """Runs that each form of the covariance loses, and how far it is from the exact one, by how much better than the prior z is."""
+    hues = (colors.COMPARISON, colors.TRUTH, colors.OPEN_LOOP, colors.PAPER, colors.ESTIMATE)
+    lines = {f: Line(FORMS[f], hue, style) for f, hue, style in zip(FORMS, hues, ("-", "--", "-", "--", "-"), strict=True)}
+
+    def items(what: str, precision: str) -> list[Item]:
+        reduce: Any = np.median if what == "apart" else np.mean
+        found = {f: reduce(r.get("forms/ratios", f"{f}, {precision}/{what}"), 1) for f in lines}
+        return [curve(10.0**RATIOS, y, lines[f], marker=".") for f, y in found.items()]
+
+    x, both = "deviation of the prior over that of a measurement", ("double", "single")
+    lost = [
+        Panel(f"{kind} precision", items("lost", kind), "", "share of runs lost (-)" * (kind == "double"), "x") for kind in both
+    ]
+    apart = [Panel("", items("apart", kind), x, "error (deviations)" * (kind == "double"), "xy") for kind in both]
+    return panels(lost, apart, size=(7.0, 5.0), sharex="col")
+
+
+def over_held(r: Results) -> Figure:
+    """Final position error over Phi, by what stays the same while it grows."""
+    row, ticks = list[Panel](), {"xticks": range(len(COLORS)), "xticklabels": [f"{phi:g}" for phi in COLORS]}
+    for held in HELD:
+        items = []
+        for (name, line), (prior, start, style) in product(LINES.items(), (("P", "0.15 km", "-"), ("D", "10 km", "--"))):
+            std = length(r.get("theory", f"{held}/{prior}/{name}")[-1])
+            items.append(curve(range(len(COLORS)), std, Line(f"{line.label}, prior {start}", line.color, style), marker="."))
+        row.append(Panel(f"{held} held", items, "φ (-)", "final 3-D position error (km)" * (not row), "y", ticks))
+    return panels(row, size=(7.0, 3.4), sharey=True)
+
+
 FIGURES = {
     "figure_01": ("Fig. 1: geometry of the measurement: two stars, the Earth's limb, and the three angles.", geometry),
     **{f"figure_{i + 2:02d}": (f"Fig. {i + 2}: error of {AXES[i]}, white noise: both filters are one filter.", partial(white, i))
@@ -165,6 +197,8 @@ FIGURES = {
     "figure_16": ("Beyond the paper: final position error over Φ, for the fitted prior and a poor one (linear theory).", over_phi),
     "figure_17": ("Beyond the paper: long arcs from a poor prior, SRUKF against the bound.", long_arcs),
     "figure_18": ("Beyond the paper: a wrong coefficient in the filter.", assumed),
+    "figure_19": ("Beyond the paper: the covariance in five forms and two precisions, twenty steps from a prior of 10 km.", forms),
+    "figure_20": ("Beyond the paper: final position error over Φ, by what is held fixed (linear theory).", over_held),
 }  # fmt: skip
 TABLES = {
     "table_1": ("Table 1: RMSE under white noise, Φ = 0.", lambda r: rmse_table(r, "0", TABLE_1, BOTH, COLUMNS)),
