@@ -20,7 +20,6 @@ from celnav.papers.csrukf.scenario import Config, H, Scenario, simulate
 
 Cases = Sequence[tuple[Config, float]]
 """Configurations of as many steps, and how many of the units of length, in which all is computed, are a kilometer."""
-Model = Callable[[Array], Array]
 
 FORMS = {
     "plain": "P - K S K'", "symmetrized": "symmetrized", "Joseph": "Joseph's form", "downdated": "QR and downdate, as printed",
@@ -78,12 +77,6 @@ def _solve(L: Array, B: Array) -> Array:
     return X
 
 
-def summed(form: str, E: Array, noise: Array) -> Array:
-    """Covariance, or root, of deviations ``(..., n, q)`` and of independent noise [Sun2015, Eq. 27]."""
-    A = side_by_side([E, noise])
-    return tria(A) if form in ROOTS else outer(A)
-
-
 def updated(form: str, spread: Array, D: Array, E: Array, sqrt_R: Array) -> tuple[Array, Array]:
     """Gain ``(..., n, m)``, and the covariance or root given a measurement [Sun2015, Eqs. 32-37].
 
@@ -91,8 +84,7 @@ def updated(form: str, spread: Array, D: Array, E: Array, sqrt_R: Array) -> tupl
     """
     m, noisy = E.shape[-2], side_by_side([sqrt_R, E])
     if form == "array":
-        below = side_by_side([np.zeros((D.shape[-2], sqrt_R.shape[-1]), D.dtype), D])
-        L = tria(np.concatenate([noisy, below], -2))
+        L = tria(np.concatenate([noisy, side_by_side([np.zeros((D.shape[-2], sqrt_R.shape[-1]), D.dtype), D])], -2))
         S, U, after = L[..., :m, :m], L[..., m:, :m], L[..., m:, m:]
     else:
         S = tria(noisy) if form == "downdated" else cholesky(outer(noisy))
@@ -108,77 +100,69 @@ def updated(form: str, spread: Array, D: Array, E: Array, sqrt_R: Array) -> tupl
     return K, after
 
 
-def step(form: str, x: Array, spread: Array, model: Model, noise: Array, z: Array | None = None) -> tuple[Array, Array]:
-    """Mean, and covariance or root, after a motion; or, with ``z``, given a measurement."""
+def step(form: str, x: Array, spread: Array, model: Callable[[Array], Array], noise: Array, z: Any = None) -> tuple[Array, Array]:
+    """Mean, and covariance or root, after a motion [Sun2015, Eqs. 24-27]; or, with ``z``, given a measurement."""
     S = (spread if form in ROOTS else cholesky(spread)).mT
-    X = x[..., None, :] + np.sqrt(S.dtype.type(S.shape[-1])) * np.concatenate([S, -S], -2)  # no center: its weight is 0 [Eq. 24]
+    X = x[..., None, :] + np.sqrt(S.dtype.type(S.shape[-1])) * np.concatenate([S, -S], -2)  # no center: its weight is 0
     Y, root = model(X), np.sqrt(S.dtype.type(X.shape[-2]))
     y = Y[..., 0, :] + (Y - Y[..., :1, :]).mean(-2)
     D, E = ((points - mean[..., None, :]).mT / root for points, mean in ((X, x), (Y, y)))
     if z is None:
-        return y, summed(form, E, noise)
+        A = side_by_side([E, noise])
+        return y, tria(A) if form in ROOTS else outer(A)
     K, after = updated(form, spread, D, E, noise)
     return x + matvec(K, z - y), after
 
 
-def fly(form: str, precision: str, cases: Cases, sims: Sequence[Scenario]) -> Iterator[tuple[Array, ...]]:
-    """Mean, covariance or root, and the latter after the update, of each epoch, ``(cases, runs, ...)`` in the cases' own units.
+def fly(form: str, precision: str, cases: Cases, sims: Sequence[Scenario]) -> Iterator[tuple[Array, Array]]:
+    """CSRUKF [Sun2015, Eqs. 21-37], corrected; of angles SRUKF, for white noise.
 
-    The filter is CSRUKF [Sun2015, Eqs. 21-37], corrected; of angles SRUKF, for white noise.
+    Yields mean, and covariance or root, at each epoch but the first, ``(cases, runs, ...)`` in km and km/s.
     """
-    c, angles, stars = cases[0][0], sims[0].angles is not None, sightings.star_directions(cases[0][0].separation).astype(precision)
-    one = [
-        (u, d.phi, s.prior.mean * u, d.sqrt_P0 * u, s.z * u if s.angles is None else s.angles, star.J, star.sqrt_Q * u,
-         star.sqrt_R * (1.0 if angles else u))
-        for (d, u), s in zip(cases, sims, strict=True)
-        for star in [decorrelation(0.0 * H if angles else H, d.sqrt_Q, np.sqrt(d.R))]
-    ]  # fmt: skip
-    u, phi, x, S, seen, J, sqrt_Q, sqrt_R = (np.stack(each).astype(precision) for each in zip(*one, strict=True))
-    u, phi, S, J, sqrt_Q, sqrt_R = u[:, None, None, None], phi[:, None, None, None], *(m[:, None] for m in (S, J, sqrt_Q, sqrt_R))
-    spread, seen = np.broadcast_to(S if form in ROOTS else outer(S), (*x.shape, 6)), seen.swapaxes(0, 1)
-    after = spread
+    c, angles, one, rows = cases[0][0], sims[0].angles is not None, np.ones((1, 1, 1)), list[tuple[Any, ...]]()
+    for (d, u), s in zip(cases, sims, strict=True):
+        star = decorrelation(0.0 * H if angles else H, d.sqrt_Q, np.sqrt(d.R))
+        seen, sqrt_R = (s.angles, star.sqrt_R) if angles else (s.z * u, star.sqrt_R * u)
+        rows.append((u * one, d.phi * one, s.prior.mean * u, seen, d.sqrt_P0 * u, star.J, star.sqrt_Q * u, sqrt_R))
+    units, phi, x, z, *matrices = (np.stack(each).astype(precision) for each in zip(*rows, strict=True))
+    S, J, sqrt_Q, sqrt_R = (matrix[:, None] for matrix in matrices)
+    spread, stars = np.broadcast_to(S if form in ROOTS else outer(S), (*x.shape, 6)), sightings.star_directions(c.separation)
 
     def f(X: Array) -> Array:
-        return np.asarray(orbit.step(X / u, c.step_s) * u)
+        return np.asarray(orbit.step(X / units, c.step_s) * units)
 
     def h(X: Array) -> Array:
-        return sightings.angles(X[..., :3] / u, stars) if angles else np.asarray(f(X)[..., :3] - phi * X[..., :3])
+        return sightings.angles(X[..., :3] / units, stars.astype(precision)) if angles else f(X)[..., :3] - phi * X[..., :3]
 
     def moved(z: Array, X: Array) -> Array:
         Y = f(X)
         return np.asarray(Y + (z[..., None, :] - Y[..., :3] + phi * X[..., :3]) @ J.mT)
 
-    for before, now in pairwise(seen):
-        z = now if angles else now - phi[..., 0] * before
-        both: list[tuple[Any, ...]] = [(h, sqrt_R, z), (f if angles else partial(moved, z), sqrt_Q)]
+    for before, now in pairwise(z.swapaxes(0, 1)):
+        what = now if angles else now - phi[..., 0] * before
+        both = (h, sqrt_R, what), (partial(moved, what), sqrt_Q, None)  # of angles J is zero
         for operation in reversed(both) if angles else both:
             x, spread = step(form, x, spread, *operation)
-            after = after if operation[1] is sqrt_Q else spread
-        yield x, spread, after
+        yield x / units[..., 0], spread / (units if form in ROOTS else units * units)
 
 
 def compared(cases: Cases, _: Config, rngs: Sequence[np.random.Generator]) -> dict[str, Array]:
     """The filter in every form, in double and in single precision throughout, on the same data.
 
-    Of each, as ``<form>, <precision>/...`` ``(cases, runs)``: lost, 1 where a factorization failed, or the halves of a covariance
-    differed by half the digits of its deviations; square, the mean square of the 3-D position error, km^2; apart, the largest
-    difference from the array form in double precision, in its deviations.
+    Of each, as ``<form>, <precision>/...`` ``(cases, runs)``: lost, 1 where a factorization failed; square, the mean square of the
+    3-D position error, km^2; apart, the largest difference from the array form in double precision, in its deviations.
     """
     sims, out, exact = [simulate(c, rngs) for c, _ in cases], dict[str, Array](), list[tuple[Array, Array]]()
-    truth, units = np.stack([s.truth for s in sims], 1), np.array([unit for _, unit in cases])[:, None, None]
+    truth = np.stack([s.truth for s in sims], 1)
     for precision, form in product(("double", "single"), reversed(FORMS)):
-        square, apart, skew = (np.zeros(truth.shape[1:3]) for _ in range(3))
+        square, apart = np.zeros((2, *truth.shape[1:3]))
         with np.errstate(all="ignore"):
-            for k, (x, spread, after) in enumerate(fly(form, precision, cases, sims)):
+            for k, (x, spread) in enumerate(fly(form, precision, cases, sims)):
                 if len(exact) == k:
-                    exact.append((x / units, np.sqrt(np.vecdot(spread, spread)) / units))
-                square = square + np.square(x / units - truth[k + 1])[..., :3].sum(-1) / cases[0][0].steps
-                apart = np.maximum(apart, (np.abs(x / units - exact[k][0]) / exact[k][1]).max(-1))
-                if form == "plain":
-                    std = np.sqrt(after.diagonal(0, -2, -1))
-                    skew = np.maximum(skew, (np.abs(after - after.mT) / std[..., None] / std[..., None, :]).max((-2, -1)))
-            lost = ~np.isfinite(square) | ~np.isfinite(spread if form in ROOTS else cholesky(spread)).all((-2, -1))
-            lost |= skew > np.sqrt(np.finfo(precision).eps)
-        found = {"lost": lost.astype(float), "square": square, "apart": apart}
+                    exact.append((x, np.sqrt(np.vecdot(spread, spread))))
+                square += np.square(x - truth[k + 1])[..., :3].sum(-1) / cases[0][0].steps
+                apart = np.maximum(apart, (np.abs(x - exact[k][0]) / exact[k][1]).max(-1))
+            failed = ~np.isfinite(square) | ~np.isfinite(spread if form in ROOTS else cholesky(spread)).all((-2, -1))
+        found = {"lost": failed.astype(float), "square": square, "apart": apart}
         out |= {f"{form}, {precision}/{what}": values for what, values in found.items()}
     return out

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import partial
-from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -120,14 +119,18 @@ def against_theory(r: Results) -> Figure:
 
 
 def over_phi(r: Results) -> Figure:
-    """Final position error over Phi, for the fitted prior and a poor one, by linear theory."""
-    row, ticks = [], {"xticks": range(len(SWEEP)), "xticklabels": [f"{phi:g}" for phi in SWEEP]}
+    """Final position error over Phi, for the fitted prior and a poor one, by linear theory and what is held fixed."""
     lines = {"srukf": (SRUKF, "o"), "csrukf": (CSRUKF, "s"), "csrukf+z0": (Line("CSRUKF with the first sample", colors.TRUTH), "^")}
-    for preset, title in (("P", "prior 0.15 km, 0.035 m/s"), ("D", "prior 10 km, 10 m/s")):
-        items = [curve(range(len(SWEEP)), length(r.get("theory", f"{preset}/{name}")[-1]), line, marker=marker, markersize=4)
-                 for name, (line, marker) in lines.items()]  # fmt: skip
-        row.append(Panel(title, items, "φ of $\\Phi = \\varphi I$ (-)", "final 3-D position error (km)", "y", ticks))
-    return panels(row, size=(7.0, 3.5))
+    rows: list[list[Panel]] = []
+    for held, phis in {"": SWEEP, **dict.fromkeys(HELD, COLORS)}.items():
+        rows.append([])
+        ticks = {"xticks": range(len(phis)), "xticklabels": [f"{phi:g}" for phi in phis]}
+        for preset, title in (("P", "prior 0.15 km, 0.035 m/s"), ("D", "prior 10 km, 10 m/s")):
+            found = {name: length(r.get("theory", f"{held}/{preset}/{name}".lstrip("/"))[-1]) for name in lines}
+            items = [curve(range(len(phis)), y, lines[name][0], marker=lines[name][1], markersize=4) for name, y in found.items()]
+            y = f"{held or 'increments'} held\nfinal 3-D position error (km)" * (not rows[-1])
+            rows[-1].append(Panel("" if held else title, items, "φ of $\\Phi = \\varphi I$ (-)", y, "y", ticks))
+    return panels(*rows, size=(7.0, 7.5))
 
 
 def long_arcs(r: Results) -> Figure:
@@ -157,33 +160,18 @@ def assumed(r: Results) -> Figure:
 
 
 def forms(r: Results) -> Figure:
-    """Runs that each form of the covariance loses, and how far it is from the exact one, by how much better than the prior z is."""
+    """Runs that each form of the covariance loses, and what rounding does to the others, by how precise a measurement is."""
     hues = (colors.COMPARISON, colors.TRUTH, colors.OPEN_LOOP, colors.PAPER, colors.ESTIMATE)
-    lines = {f: Line(FORMS[f], hue, style) for f, hue, style in zip(FORMS, hues, ("-", "--", "-", "--", "-"), strict=True)}
-
-    def items(what: str, precision: str) -> list[Item]:
-        reduce: Any = np.median if what == "apart" else np.mean
-        found = {f: reduce(r.get("forms/ratios", f"{f}, {precision}/{what}"), 1) for f in lines}
-        return [curve(10.0**RATIOS, y, lines[f], marker=".") for f, y in found.items()]
-
-    x, both = "deviation of the prior over that of a measurement", ("double", "single")
-    lost = [
-        Panel(f"{kind} precision", items("lost", kind), "", "share of runs lost (-)" * (kind == "double"), "x") for kind in both
-    ]
-    apart = [Panel("", items("apart", kind), x, "error (deviations)" * (kind == "double"), "xy") for kind in both]
-    return panels(lost, apart, size=(7.0, 5.0), sharex="col")
-
-
-def over_held(r: Results) -> Figure:
-    """Final position error over Phi, by what stays the same while it grows."""
-    row, ticks = list[Panel](), {"xticks": range(len(COLORS)), "xticklabels": [f"{phi:g}" for phi in COLORS]}
-    for held in HELD:
-        items = []
-        for (name, line), (prior, start, style) in product(LINES.items(), (("P", "0.15 km", "-"), ("D", "10 km", "--"))):
-            std = length(r.get("theory", f"{held}/{prior}/{name}")[-1])
-            items.append(curve(range(len(COLORS)), std, Line(f"{line.label}, prior {start}", line.color, style), marker="."))
-        row.append(Panel(f"{held} held", items, "φ (-)", "final 3-D position error (km)" * (not row), "y", ticks))
-    return panels(row, size=(7.0, 3.4), sharey=True)
+    looks = zip(FORMS, hues, ("-", "-", "-", "--", "-"), (4.0, 2.2, 4.0, 1.1, 1.1), strict=True)  # several lie upon each other
+    lines, rows = {f: Line(FORMS[f], hue, style, width) for f, hue, style, width in looks}, list[list[Panel]]()
+    for what, y, log in (("lost", "share of runs lost (-)", "x"), ("apart", "largest error by rounding (deviations)", "xy")):
+        rows.append([])
+        for precision in ("double", "single"):
+            found = {f: r.get("forms/ratios", f"{f}, {precision}/{what}").mean(1) for f in FORMS}
+            items = [curve(10.0**RATIOS, np.where((x > 0.0) | (log == "x"), x, np.nan), lines[f]) for f, x in found.items()]
+            title, x = f"{precision} precision" * (what == "lost"), "deviation of the prior over that of a measurement"
+            rows[-1].append(Panel(title, items, x, y * (precision == "double"), log))
+    return panels(*rows, size=(7.0, 5.0), sharex="col")
 
 
 FIGURES = {
@@ -198,7 +186,6 @@ FIGURES = {
     "figure_17": ("Beyond the paper: long arcs from a poor prior, SRUKF against the bound.", long_arcs),
     "figure_18": ("Beyond the paper: a wrong coefficient in the filter.", assumed),
     "figure_19": ("Beyond the paper: the covariance in five forms and two precisions, twenty steps from a prior of 10 km.", forms),
-    "figure_20": ("Beyond the paper: final position error over Φ, by what is held fixed (linear theory).", over_held),
 }  # fmt: skip
 TABLES = {
     "table_1": ("Table 1: RMSE under white noise, Φ = 0.", lambda r: rmse_table(r, "0", TABLE_1, BOTH, COLUMNS)),
