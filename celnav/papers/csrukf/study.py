@@ -215,11 +215,11 @@ def parts(effort: float = 1.0) -> dict[str, Part]:
         "geometry": Part(geometry, P), "redrawn": Part(redrawn, P, 21), "linear": Part(linear, P, 23),
     }  # fmt: skip
     starts, exact = list(product((P, D), PHIS.values())), replace(D, noise_position_km=0.0, noise_velocity_km_per_s=0.0, steps=20)
-    many, some, day = (max(20, round(steps * effort)) for steps in (600, 200, 480))
+    many, some, day = (max(20, round(steps * effort)) for steps in (600, 200, 360))
     cases = {
         "paper": [(replace(c, phi=phi, steps=many), unit) for c, phi in starts for unit in (1.0, 1e3)],
         "small": [(replace(c, phi=phi, sigma_km=s, steps=some), 1.0) for c, phi in starts for s in SMALL],
-        "long": [(replace(c, phi=phi, steps=day, step_s=180.0), 1.0) for c, phi in starts],
+        "long": [(replace(c, phi=phi, steps=day, step_s=240.0), 1.0) for c, phi in starts],
         "angles": [(replace(c, measured="angles", camera_deg=0.005 * s, star_arcsec=3.0 * s, steps=some), 1.0)
                    for c in (P, D) for s in (1.0, 1e-3)],
         "ratios": [(replace(exact, sigma_km=D.prior_position_km * 10.0**-e), 1.0) for e in RATIOS],
