@@ -27,7 +27,7 @@ from celnav.filters.model import check_prior, given_back
 from celnav.filters.records import Epoch, Info
 from celnav.filters.two_stage import LINEAR, Boost, Stage
 from celnav.gaussian.belief import Gaussian, symmetric
-from celnav.gaussian.checks import finite, function, instance, number, numbers, together, unmasked
+from celnav.gaussian.checks import finite, function, instance, numbers, together, unmasked
 from celnav.gaussian.linalg import Array, Covariance, block, matvec, side_by_side, surely
 from celnav.gaussian.spaces import EUCLIDEAN
 
@@ -43,6 +43,11 @@ class Noise(NamedTuple):
     E: Array
     V: Array
     Q: Array
+
+    @property
+    def whites(self) -> tuple[tuple[Array, Array], ...]:
+        """Covariances of process and measurement for who takes them for white: the driving ones, and the stationary."""
+        return (self.E, self.Xi), (self.Q + self.J @ self.V @ self.J.mT, self.V)
 
 
 def ar1_noise(F: ArrayLike, L: ArrayLike, J: ArrayLike, Xi: ArrayLike, E: ArrayLike) -> Noise:
@@ -164,19 +169,21 @@ class Window(NamedTuple):
     factors: Array
 
 
-def strong_tracking(rho: ArrayLike, tau: float, *, proportional: ArrayLike = False) -> Any:
+def strong_tracking(rho: ArrayLike, tau: ArrayLike, *, proportional: ArrayLike = False) -> Any:
     """A boost for `celnav.filters.two_stage.two_stage`: factors ``1 + rho (ratio - 1)``, of squared residuals over variances.
 
-    rho: ``(..., m)``, not negative; 0 switches a component off. tau: length of the window, in measurements, at least 1.
+    rho: ``(..., m)``, not negative; 0 switches a component off. tau: ``(..., 1)``, length of the window in measurements.
     proportional: where factors are ``rho ratio`` instead, closest to the prose: near ``rho`` even while the filter is consistent.
 
     >>> filter = celnav.two_stage(motion, sensor, Gamma, bias, boost=strong_tracking([8.0, 15.0, 9.0], 100.0))
     """
-    weights, length = finite("rho", rho), number("tau", tau, 1.0)
+    weights, length = finite("rho", rho), finite("tau", tau)
+    if (length < 1.0).any():
+        raise ValueError(f"tau: expected numbers of at least 1, got {tau!r}")
     if weights.ndim == 0 or (weights < 0.0).any():
         raise ValueError(f"rho: expected numbers (..., m) that are not negative, got {rho!r}")
     form = finite("proportional", proportional)
-    together(rho=weights.shape, proportional=form.shape)
+    together(rho=weights.shape, tau=length.shape, proportional=form.shape)
     least = np.where(form > 0.0, 0.0, 1.0 - weights)
 
     def boost(memory: Window | None, seen: Boost) -> tuple[Window, Array]:

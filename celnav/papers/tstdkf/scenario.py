@@ -77,8 +77,8 @@ class Config(Timed):
     amplitude_km: tuple[float, ...] = param((0.09, 0.12, 0.075), TUNED, "of the error of the Earth's ephemeris, each axis")
     phase: tuple[float, ...] = param((0.0, 0.5 * np.pi, 0.25 * np.pi), "chosen", "of that error's year, each axis, rad")
     trend: str = param(
-        "sine", "inferred: Eqs 17, 69, 70", "how it goes on: a year's sine, growing, a triangle, or constant, drawn from its prior",
-        one_of=("sine", "growing", "triangle", "constant"),
+        "sine", "inferred: Eqs 17, 69, 70", "how it goes on: a year's sine, growing, a triangle; constant, drawn from its prior; "
+        "or none until half time, then its prior's deviation", one_of=("sine", "growing", "triangle", "constant", "step"),
     )  # fmt: skip
     initial: str = param("paper", "inferred", "initial errors: those above, or drawn from the prior", one_of=("paper", "drawn"))
     pulled: bool = param(False, "inferred", "whether Sun and Moon pull at the satellite")
@@ -142,6 +142,8 @@ class Config(Timed):
 
     def bias(self, t: Array) -> Array:
         """Error ``(..., 3)`` km of the ephemeris, ``t`` s after the start [Xu2024, Eqs 17, 69, 70; inferred], if not constant."""
+        if self.trend == "step":
+            return self.bias_prior_km * np.ones(3) * (np.asarray(t)[..., None] > 0.5 * self.days * DAY_S)
         angle = 2.0 * np.pi / YEAR_S * np.asarray(t)[..., None]
         A, phase = np.asarray(self.amplitude_km), np.asarray(self.phase)
         growing = 1.5 * angle / (2.0 * np.pi) - 0.75 + 0.5 * np.sin(2.0 * angle + phase)
@@ -338,17 +340,19 @@ def filters(cases: Cases, seen: Models | None = None, noise: Noise | None = None
 
     ekf, tkf: ignorance and two stages, with the covariances of the driving noise, the paper's (inferred) choice; the first stage of
     tkf is ekf. ekf-fair, tkf-fair: the same with the covariances that the noises really have. tdkf, tstdkf: two stages on
-    differenced measurements, without and with strong tracking. aug: all noises and the bias among the states, exact. Beliefs of ekf
-    are about ``(r, v)``, of aug about ``(r, v, V, Q, b)``, of the others about ``(r, v, b)``.
+    differenced measurements, without and with strong tracking. aug9: ekf with the bias appended, a random walk. aug: all noises and
+    the bias among the states, exact. Beliefs of ekf are about ``(r, v)``, of aug about ``(r, v, V, Q, b)``, of the others about
+    ``(r, v, b)``.
     """
     seen, n = seen or models(one_of(cases)), noise or noises(cases)
     bias = Gaussian(np.zeros(3), stacked(cases, lambda case: case.bias_prior_km**2 * np.eye(3)))
     out: dict[str, Any] = {}
-    for name, Q, R in (("", n.E, n.Xi), ("-fair", n.Q + n.J @ n.V @ n.J.mT, n.V)):
+    for name, (Q, R) in zip(("", "-fair"), n.whites, strict=True):
         out[f"ekf{name}"] = kalman(seen, Q, R)
         out[f"tkf{name}"] = TwoStage.of(Plain(out[f"ekf{name}"]), seen.Gamma, bias)
     tdkf = TwoStage.of(Differenced(seen.move, seen.measure, seen.H, n), seen.Gamma, bias)
     walk = stacked(cases, lambda case: case.walk_km * np.eye(3))
+    out["aug9"] = appended(seen, n.E, n.Xi, bias, walk)
     rho, form = stacked(cases, lambda case: case.rho), stacked(cases, lambda case: [case.factor == "proportional"])
     boost = strong_tracking(on * rho, one_of(cases).tau, proportional=form)
     return out | {"tdkf": tdkf, "tstdkf": replace(tdkf, boost=boost), "aug": augmented(seen, n, bias, walk)}
@@ -362,6 +366,36 @@ def kalman(seen: Models, Q: Array, R: Array) -> Sequential:
         sqrt_Q=lambda x, epoch: move(x, epoch).G @ root,
     )  # fmt: skip
     return ekf(motion, seen.believed(Sensor, seen.measure, seen.H, R=R), form="covariance")
+
+
+def appended(seen: Models, Q: Array, R: Array, bias: Gaussian, walk: Array) -> Filter:
+    """`kalman` with the bias among its nine states ``(r, v, b)``; ``walk (..., 3, 3)``: root of the covariance of its steps."""
+    root, eye = np.linalg.cholesky(Q), np.eye(3)
+
+    def f(x: Array, epoch: Epoch) -> Array:
+        return np.concatenate([seen.move(x[0], epoch).state, x[0][..., 6:]], -1)[None]
+
+    def h(x: Array, epoch: Epoch) -> Array:
+        return np.asarray(seen.measure(x, epoch) + matvec(seen.Gamma(x, epoch), x[..., 6:]))
+
+    motion = seen.believed(
+        Motion, f, lambda x, epoch: block([[seen.move(x, epoch).Phi, 0], [0, eye]]),
+        sqrt_Q=lambda x, epoch: block([[seen.move(x, epoch).G @ root, 0], [0, walk]]),
+    )  # fmt: skip
+    sensor = seen.believed(Sensor, h, lambda x, epoch: block([[seen.H(x, epoch), seen.Gamma(x, epoch)]]), R=R)
+    return started(ekf(motion, sensor, form="covariance"), bias.cov)
+
+
+def started(filter: Any, *covs: Array) -> Filter:
+    """A filter of more states than the orbit's, which start at zero with these covariances."""
+
+    def start(prior: Gaussian) -> State:
+        parts = (prior.cov, *covs)
+        cov = block([[part if i == j else 0 for j in range(len(parts))] for i, part in enumerate(parts)])
+        started: State = filter.start(Gaussian(side_by_side([prior.mean, np.zeros(cov.shape[-1] - 6)]), cov))
+        return started
+
+    return FromFunctions(start, filter.step)
 
 
 def augmented(seen: Models, n: Noise, bias: Gaussian, walk: Array) -> Filter:
@@ -389,14 +423,7 @@ def augmented(seen: Models, n: Noise, bias: Gaussian, walk: Array) -> Filter:
 
     noise = {"sqrt_Q": lambda x, epoch: block([[seen.move(x, epoch).G @ through, 0], [drives, 0], [0, walk]])}
     motion, sensor = seen.believed(Motion, f, transition, **noise), seen.believed(Sensor, h, slope, sqrt_R=np.zeros((3, 1)))
-    exact = ekf(motion, sensor)
-
-    def start(prior: Gaussian) -> State:
-        mean = side_by_side([prior.mean, np.zeros(12)])
-        parts = (prior.cov, n.V, n.Q, bias.cov)
-        return exact.start(Gaussian(mean, block([[part if i == j else 0 for j in range(4)] for i, part in enumerate(parts)])))
-
-    return FromFunctions(start, exact.step)
+    return started(ekf(motion, sensor), n.V, n.Q, bias.cov)
 
 
 # -- how they are judged -----------------------------------------------------------------------------------------------------

@@ -38,6 +38,9 @@ LINES = {
     "fair": Line("TKF, stationary covariances", colors.MEASUREMENT, "--"),
     "C": Line("TSTDKF, form C", colors.ESTIMATE), "B": Line("TSTDKF, form B", colors.PAPER),
 }  # fmt: skip
+STEPPED = {"tdkf": LINES["tdkf"], "C": LINES["C"], "B": LINES["B"], "aug9 0": Line("nine states, constant", colors.COMPARISON),
+           "aug9 0.0001": Line("nine states, walk 0.1 m", colors.REFERENCE)}  # fmt: skip
+SWEPT = (colors.ESTIMATE, colors.ESTIMATE, colors.PAPER, colors.PAPER, colors.REFERENCE)
 
 
 # -- figures -----------------------------------------------------------------------------------------------------------------
@@ -208,6 +211,22 @@ def depends(results: Results) -> Figure:
     return panels(row, size=(11.0, 4.6))
 
 
+def trade_off(results: Results) -> Figure:
+    """A step of the ephemeris error: how soon it is followed and how noisy the estimate is before it; and the way there."""
+    left, names = list[Item](), {f"{form}, {what}": [key for key in study.SWEEP if key.startswith(f"{form}, {what}")]
+                                 for form in "CB" for what in "ρτ"}  # fmt: skip
+    for (label, keys), color in zip((names | {"nine states, walk": list(study.NINE)[:-1]}).items(), SWEPT, strict=True):
+        days = study.exceeding(results, *study.after_step(results, *keys))
+        size = [rms(squares(results, "sweep", f"step/{key}", "bias", "steady")) for key in keys]
+        left.append(curve(days, size, color=color, marker="o", linestyle="--" if "τ" in label else "-", label=f"form {label}"))
+    right = [orbital(results, "sweep", f"step/{key}", "bias", line) for key, line in STEPPED.items()]
+    row = (
+        Panel("", left, "days until half of the step is followed", "bias RMSE of the days before it (km)", "y"),
+        Panel("", right, DAYS, "bias RMSE (km)", "y"),
+    )
+    return panels(row, size=(11.0, 4.2))
+
+
 FIGURES = {
     "figure_01": ("Fig. 1: principle: what a timing measures, drawn from the vectors of the start (not to scale).", principle),
     "figure_02": ("Fig. 2: position of the Earth, DE405 - DE421: not tens of kilometers but less than two.",
@@ -223,6 +242,7 @@ FIGURES = {
     "figure_10": ("Fig. 10: a year of three trends: the bias as TKF, TSTDKF (forms B and C) and AUG see it.", one_year),
     "figure_11": ("Beyond the paper: Table 5 as bars: position RMSE of the month in the five settings.", in_settings),
     "figure_12": ("Beyond the paper: consistency: NEES of errors and biases drawn from their priors.", consistent),
+    "figure_14": ("Beyond the paper: a step of the ephemeris error: how soon it is followed, and at what noise.", trade_off),
     "figure_13": ("Beyond the paper: setting 1 with one thing changed, and a coupling that is taken for another.", depends),
 }  # fmt: skip
 
