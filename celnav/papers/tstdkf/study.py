@@ -630,6 +630,6 @@ STUDY = Study(
     "error for a year.",
     found="With two fitted parameters both percentages come out to a point, but most of the second is owed to baselines with "
     "wrong covariances. It is best in one setting of five; in white noise a plain two-stage filter is better. The form that gives "
-    "the table does not track, a stronger one does. The exact filter beats all, and it alone is consistent. The ephemerides "
-    "differ by less than 2 km, not by tens.",
+    "the table does not track, a stronger one does, and nine states told of a walk do it better. The exact filter beats all, and "
+    "it alone is consistent. The ephemerides differ by less than 2 km, not by tens.",
 )  # fmt: skip
