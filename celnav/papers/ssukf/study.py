@@ -320,17 +320,17 @@ def counted(function: Callable[..., Any], *shapes: tuple[int, ...]) -> Array:
 
 def operations(config: Config, _rngs: Rngs) -> dict[str, Array]:
     """What `counted` gives of an iteration, by filter, predictions to an update, and roots: of all that is augmented (whole), or
-    of the state alone (block); and of ways to propagate an attitude, see `propagations`."""
+    of the state alone (block), without the sums that add Q and R; and of ways to propagate an attitude, see `propagations`."""
     f, space, sky, out = scenario.dynamics(config.gyro), scenario.state_space(), attitude.attitude(), propagations(config.step_s)
-    for name, noises in (("aukf", (9, 9)), ("ssukf", (6, 3))):
+    for name, noises in zip(SIDES, ((9, 9), (6, 3), (6, 0), (0, 3), (0, 0)), strict=True):
         rules = [scenario.spread(6 + width, config) for width in noises]
 
         def predict(x: Array, d: Array, u: Array, rule: Rule = rules[0]) -> tuple[Array, ...]:
-            image = rule.image(f(space.plus(x, d[:, :6]), Epoch(1, 0.0, config.step_s, u), d[:, 6:]), space, d)
+            image = rule.image(f(space.plus(x, d[:, :6]), Epoch(1, 0.0, config.step_s, u), *([d[:, 6:]] * (rule.n > 6))), space, d)
             return space.plus(image.center, image.shift), Covariance.marginal(image.columns, rule.sign)
 
         def update(x: Array, d: Array, P: Array, z: Array, rule: Rule = rules[1]) -> tuple[Array, ...]:
-            image = rule.image(scenario.star(space.plus(x, d[:, :6]), None, d[:, -3:]), sky, d)
+            image = rule.image(scenario.star(space.plus(x, d[:, :6]), None, *([d[:, -3:]] * (rule.n > 6))), sky, d)
             S, cross = Joint(None, image, image._replace(center=x, shift=0.0, columns=d[:, :6].T), rule.sign).covariances()
             root = cholesky(S)
             U = solve_lower(root, cross.mT).mT
