@@ -52,7 +52,7 @@ FIELD = ("mekf", "mekf transported", "usque", "usque transported", "ssukf", "auk
 COARSE = replace(STANDARD, gyro_hz=4.0, preintegrated=False, gyro_deg_per_h=5000.0, star_arcsec=7200.0, duration_s=60.0, alpha=1.0,
                  beta=0.0, rate_deg_per_s=(10.0, 10.0, 50.0))  # fmt: skip
 """Chosen: a gyro ten thousand times as rough, stars to 2 deg, a fast turn."""
-ABOUT, HEADS = 8.0, {"one head": (0.0,), "30° apart": (15.0, -15.0), "90° apart": (45.0, -45.0)}
+ABOUT, HEADS = 8.0, {"one head": (0.0,), "90° apart": (45.0, -45.0)}
 """Chosen: noise about a head's line of sight over that across it; where heads look, degrees from x to y."""
 RATES_DEG_PER_S = (float(np.linalg.norm(STANDARD.rate_deg_per_s)), 1.0)
 ROOTS = ("whole", "block")
@@ -422,7 +422,7 @@ def parts(_effort: float = 1.0, duration_s: float = STANDARD.duration_s) -> dict
         "drawn": Part(partial(forms, simulate, FORMS[:2]), minute, 11, 1000, 200, 12.0),
         "crossing": Part(partial(forms, turning, FORMS), replace(c, duration_s=20.0), 24, 800, 200, 4.0),
         "coarse": Part(partial(flown, tuple(SIDES), c=15.0), COARSE, 25, 200, 200, 4.0),
-        "heads": Part(heads, replace(c, duration_s=duration_s), 26, 200, 200, 18.0),
+        "heads": Part(heads, replace(c, duration_s=duration_s), 26, 400, 200, 28.0),
         "components": Part(by_components, minute, 27, 100), "operations": Part(operations, FULL_RATE),
         "multiplied": Part(multiplied, c, 21), "facts": Part(facts, c), "costs": Part(costs, c),
     }  # fmt: skip
@@ -468,7 +468,7 @@ def cheaper(way: int, accuracy: float) -> Decided:
     return number
 
 
-def weak_axis(name: str, accept: Any = (None, None)) -> Decided:
+def weak_axis(name: str, accept: Any) -> Decided:
     """RMSE of the worst axis over that of the best one, with heads as in `HEADS`."""
 
     def worst(squares: Array) -> float:
@@ -636,9 +636,9 @@ FINDINGS = [
         "eigenvector, which knows no signs, is {4:.2f} rad off at 60° an axis: with negative weights it is another there.",
         revised="2026-11-23: 1.1 times the error was first asked at alpha = 0.1, and the eigenvector to agree with other means"),
     finding("two-heads", "Two heads at right angles have no weak axis, as the paper takes it.",
-        all_of(weak_axis("90° apart", (None, 1.5)), weak_axis("one head", (3.0, None)), weak_axis("30° apart")),
+        all_of(weak_axis("90° apart", (None, 1.5)), weak_axis("one head", (3.0, None))),
         found="With noise 8 times as large about a line of sight as across it the RMSE on the worst axis is {0} times that on the "
-        "best, {2} times if the heads are 30° apart, {1} times with one head."),
+        "best, with one head {1} times.", revised="2026-11-23: 400 runs, since 200 left it undecided"),
     finding("at-the-bound", "Every filter here is as good as any can be: the error is that of the exact covariance.",
         at_the_bound, found="RMSE over it after 10 and 60 s: {0} and {1}.", figure="figure_04"),
     finding("one-vector-transport", "Where one vector is measured filters differ; a covariance that follows the reference helps.",
