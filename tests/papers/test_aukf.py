@@ -300,7 +300,7 @@ def results():
 
 
 def test_every_figure_draws(results):
-    assert len(show.FIGURES) == 14
+    assert len(show.FIGURES) == 16
     for stem, (caption, draw) in show.FIGURES.items():
         fig = draw(results)
         assert caption.endswith("."), stem
