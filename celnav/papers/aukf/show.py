@@ -169,25 +169,23 @@ def sizes(r: Results) -> Figure:
     """How long the window may be."""
     spans = {"quiet": colors.TRUTH, "burst": colors.ESTIMATE, "after": colors.OPEN_LOOP}
 
-    def over(part: str, at: str) -> list[float]:
-        return [rms(r, part, f"M {m}", at) / rms(r, part, "ukf", at) for m in study.WINDOWS]
-
     def panel(rate: str) -> Panel:
-        drawn = [curve(study.WINDOWS, over(f"windows, {rate}", at), Line(at, spans[at]), marker="o", ms=3) for at in spans]
-        return Panel(rate, [level(1.0, label="UKF"), *drawn], "window (epochs)", "position RMSE over the UKF's (-)", "xy")
+        size = partial(rms, r, part := f"windows, {rate}")
+        drawn = [curve(study.WINDOWS, [size(f"M {m}", at) / size("ukf", at) for m in study.WINDOWS], Line(at, color), marker=".")
+                 for at, color in spans.items()]  # fmt: skip
+        return Panel(part, [level(1.0, label="UKF"), *drawn], "window (epochs)", "position RMSE over the UKF's (-)", "xy")
 
     return panels([panel("10 Hz"), panel("1 Hz")], size=(9.0, 3.2), sharey=True)
 
 
 def outliers(r: Results) -> Figure:
     """So many bad ranges at once, and what filters make of them."""
-
-    def error(flown: str, at: str = "burst") -> list[float]:
-        return [rms(r, "struck", flown.format(k), at) for k in study.STRUCK]
+    size = partial(rms, r, "struck")
+    twice = level(2.0 * size("noise 1/aukf", "before"), label="twice the AUKF's without")
 
     def panel(shape: str, title: str) -> Panel:
-        drawn = [curve(study.STRUCK, error(f"{shape} {{}}/{name}"), LINES[name], marker="o", ms=3) for name in study.ROBUST]
-        twice = level(2.0 * error("noise {}/aukf", "before")[0], label="twice the AUKF's without")
+        drawn = [curve(study.STRUCK, [size(f"{shape} {k}/{name}", "burst") for k in study.STRUCK], LINES[name], marker=".")
+                 for name in study.ROBUST]  # fmt: skip
         return Panel(title, [twice, *drawn], "bad ranges of 12", "position RMSE (m)", "y")
 
     return panels([panel("noise", "50 m of noise"), panel("constant", "50 m too long")], size=(9.0, 3.4), sharey=True)
