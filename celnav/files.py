@@ -43,7 +43,7 @@ class InputError(ValueError):
 def replacing(path: str | Path) -> Iterator[Path]:
     """A path of the same name in a temporary folder beside ``path``; it takes the place of ``path`` at the end, or is removed.
 
-    What is no file but a device or a pipe, such as /dev/null, stays and is written to. OSError names ``path`` when the disk is full.
+    A device or a pipe, such as /dev/null, stays and is written to. OSError names ``path`` when the disk is full.
     """
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
