@@ -7,6 +7,8 @@ from hypothesis import strategies as st
 
 from celnav.filters.adaptive import range_basis
 from celnav.gaussian.linalg import (
+    POSITIVE,
+    SquareRoot,
     block,
     cholesky,
     downdate,
@@ -163,6 +165,17 @@ def test_downdate_fails_exactly_where_the_difference_is_indefinite():
     lost = np.isnan(downdate(L, V)).all((-2, -1))
     np.testing.assert_array_equal(lost, size > 1.0)
     assert not np.isnan(downdate(L, V)[~lost]).any()
+
+
+@pytest.mark.parametrize(("noise_first", "rtol"), [(False, 1e-12), (True, 1e-6)])
+def test_an_update_keeps_what_a_downdate_loses(noise_first, rtol):
+    """A variance of 1, measured with a deviation of 1e-9: what is left of it is below the rounding of 1."""
+    noise = 1e-9
+    exact, parts = noise / np.hypot(1.0, noise), [np.array([[1.0], [1.0]]), np.array([[noise], [0.0]])]
+    S, U, left = SquareRoot.condition(np.concatenate(parts[::-1] if noise_first else parts, -1), POSITIVE, 1)
+    np.testing.assert_allclose((S, U, left), [[[1.0]], [[1.0]], [[exact]]], rtol=rtol)
+    assert np.isnan(downdate(np.eye(1), U)).all()
+    assert 1.0 - 1.0 / (1.0 + noise**2) == 0.0
 
 
 def test_downdate_of_a_singular_root():
