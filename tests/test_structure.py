@@ -1,4 +1,4 @@
-"""The order of imports: lower rooms know nothing of higher ones, filters and models nothing of each other."""
+"""The order of imports: lower rooms know nothing of higher ones, filters nothing of models."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ ROOMS = [
     {"lazy", "files"},
     {"store", "tape"},
     {"gaussian"},
-    {"filters", "models"},
+    {"filters"},
+    {"models"},
     {"analysis"},
     {"study"},
     {"show"},
