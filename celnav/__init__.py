@@ -41,6 +41,7 @@ from celnav.gaussian.rules import Rule, Taylor, cubature, from_filterpy, gauss_h
 from celnav.gaussian.spaces import EUCLIDEAN, angles, product
 from celnav.gaussian.sparse_grid import smolyak
 from celnav.lazy import modules
+from celnav.show.report import report
 from celnav.study.problem import Problem, compare
 from celnav.study.simulate import simulate
 from celnav.study.trial import Group
@@ -80,6 +81,7 @@ __all__ = [
     "ghkf",
     "imm",
     "product",
+    "report",
     "run",
     "sigma_point",
     "simplex",

@@ -76,9 +76,10 @@ picture: command end picture
 progress: Progress Progress.add Progress.close Progress.say RunProgress
 estimates: Estimate Estimate.error Estimate.sigma again
 plots: draw
-diagnose: Diagnosis.biased Diagnosis.white first_order
+diagnose: Diagnosis.biased Diagnosis.white correlated first_order places
 diagnosis_text: page
-diagnosis: figure
+diagnosis: figure size
+report: Report.figure
 scenes: arc behind beside constellation flight sigma_points sightings track turning unit
 showcase: Showcase record write
 """
@@ -107,6 +108,7 @@ DOUBT = dict(
 )  # fmt: skip
 OWN = problem.Problem(**DOUBT)
 TRIAL = OWN.trial({"ukf": celnav.ukf(OWN.motion, OWN.sensor)}, RNGS, "ukf")
+FLOWN_TRACK = celnav.run(TRIAL.filters["ukf"], TRIAL.prior, TRIAL.epochs("ukf"), keep="cov")
 
 
 def square(x):
@@ -142,6 +144,9 @@ CALLS = {
         max_iterations=2, engine="numpy",
     ),
     "diagnose.diagnose": dict(residuals=LOG, times=np.arange(60.0), std=np.ones(2), names=["a", "b"], lags=5, level=0.9),
+    "report.report": dict(
+        track=FLOWN_TRACK, truth=np.zeros((5, 2, 2)), names=["a", "b"], start=1.0, space=spaces.EUCLIDEAN, level=0.9
+    ),
     "tuning.likelihood_gradient": dict(
         build=built, parameters=np.ones(1), epochs=celnav.epochs(TIMES, np.ones((5, 2))), engine="numpy"
     ),
@@ -288,6 +293,7 @@ MEANT = {
     "gyro.Gyro.measure q": "nan",
     "inertial.navigation at": "empty",
     "metrics.bootstrap seed": "a billion",
+    "report.report truth": "nan",
     "motion.constant_velocity q": "several",
     "motion.constant_acceleration q": "several",
     "metrics.chi_square_band dof": "a billion, a half",

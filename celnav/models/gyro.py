@@ -56,7 +56,7 @@ class Gyro:
             return cls(float(white), float(walk), tau)
         if walk:
             raise ValueError(f"rate_random_walk: expected 0 where bias_instability is given, got {rate_random_walk!r}")
-        time = number("tau", tau, above=0.0)  # over which a drift of such a deviation changes: no data sheet goes without
+        time = number("tau", tau, above=0.0)  # a deviation without it is no process
         return cls(float(white), float(np.radians(bias_instability / 3600.0) * np.sqrt(2.0 / time)), time)
 
     def factor(self, dt: float) -> float:
