@@ -13,11 +13,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from celnav.filters.compiled import steps_by
-from celnav.filters.records import Epoch, Filter, Info
+from celnav.filters.records import Epoch, Filter, Info, epochs
 from celnav.filters.run import ENGINE, explain, steps
 from celnav.gaussian.belief import Gaussian, any_lost, nees
-from celnav.gaussian.checks import choice, instance, integer
+from celnav.gaussian.checks import choice, finite, instance, integer
 from celnav.gaussian.linalg import Array, Belief
+from celnav.gaussian.spaces import EUCLIDEAN, Space
 
 TOGETHER = 8  # epochs whose roots are evaluated at once; with more of them the filter's own arrays leave the cache
 
@@ -51,6 +52,31 @@ class Trial(NamedTuple):
     compare: Callable[[Any, Belief], tuple[Array, Array]]
     reference: str = ""
     place: Callable[[Array], Array] | None = None
+
+
+def drawn(
+    groups: Sequence[Group], filters: Mapping[str, Filter], prior: Gaussian, times: Array, z: Any, truth: Array, *,
+    u: Any = None, space: Space = EUCLIDEAN, reference: str = "",
+) -> Trial:  # fmt: skip
+    """A trial of runs that were drawn: of the states themselves, which are judged as their space has it.
+
+    prior: of one run. times: ``(T,)`` s. z, u: as `celnav.epochs` takes them. truth: ``(T, runs, N)``. The rest: see `Trial`.
+
+    >>> truth, z = celnav.simulate(motion, radar, prior, times, runs=rngs)
+    >>> trial = celnav.study.trial.drawn(groups, {"ukf": celnav.ukf(motion, radar)}, prior, times, z, truth)
+    """
+    instance("filters", filters, Mapping, "filters by name, such as {'ukf': filter}")
+    choice("reference", reference, ("", *filters))
+    instance("prior", prior, Gaussian, "celnav.Gaussian(mean, cov)")
+    instance("space", space, Space, "a Space, such as celnav.attitude()")
+    states = finite("truth", truth, (None, None, prior.mean.shape[-1]))
+    every = epochs(times, z, u, states)
+
+    def compare(truth: Any, belief: Belief) -> tuple[Array, Array]:
+        return -space.minus(truth, belief.mean), belief.sqrt_cov  # the root is that of tangents at the mean
+
+    start = Gaussian(np.tile(prior.mean, (states.shape[1], 1)), prior.cov)
+    return Trial(tuple(groups), filters, start, lambda _name: every, compare, reference)
 
 
 def squares(groups: Sequence[Group], values: Array) -> Array:
