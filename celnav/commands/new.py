@@ -19,6 +19,8 @@ def run(options: argparse.Namespace) -> int:
         raise UsageError(f"{path}: expected the name of a file that ends in .py, such as study.py")
     if (name := name_of(options.file)) in (*PAPERS, *STUDIES):
         raise UsageError(f"{path}: expected another name than {name}, which celnav has")
+    if not path.parent.is_dir():
+        raise UsageError(f"{path.parent}: no such folder; make it first")
     try:
         with path.open("x", encoding="utf-8") as file:
             file.write(data("own/study.py").read_text(encoding="utf-8").replace("study.py", path.name))

@@ -46,7 +46,7 @@ def run(options: argparse.Namespace) -> int:
     modules = {own.name_of(word): module(word) for word in words}
     chosen, files = list(modules), {own.name_of(word): word for word in words if own.is_own(word)}
     if len(chosen) < len(words):
-        raise UsageError(f"{', '.join(files.values())}: expected files of different names; rename one")
+        raise UsageError(f"{', '.join(filter(own.is_own, words))}: expected files of different names; rename one")
     part, seed = fraction(options.effort), whole("seed", options.seed, 0)
     pool = workers(options.jobs)
     for name, taken in {

@@ -133,18 +133,22 @@ class _Finder:
 sys.meta_path.append(_Finder)
 
 
-def place(error: BaseException) -> tuple[str, int, str] | None:
-    """Where in a file of one's own, or in one beside it, an error came about: file, line and what it says; None if in none."""
-    folders = {Path(file).parent for name, m in sys.modules.items() if name.startswith(f"{__name__}.") and (file := m.__file__)}
+def place(error: BaseException, *paths: Path) -> tuple[str, int, str] | None:
+    """Where in a file of one's own, or in one beside it, an error came about: file, line and what it says; None if in none.
+
+    paths: of files that are no modules yet.
+    """
+    loaded = (Path(m.__file__ or "") for name, m in list(sys.modules.items()) if name.startswith(f"{__name__}."))
+    folders = {path.parent for path in (*loaded, *paths)}
     frames = [f for f in traceback.extract_tb(error.__traceback__) if Path(f.filename).parent in folders]
     return (Path(frames[-1].filename).name, frames[-1].lineno or 0, frames[-1].line or "") if frames else None
 
 
-def told(error: BaseException, path: Path | None = None) -> str:
-    """An error with its line in a file of one's own, ``path`` if it could not even be read; empty if it has none there."""
-    if isinstance(error, SyntaxError) and path is not None and error.filename:
+def told(error: BaseException, *paths: Path) -> str:
+    """An error with its line in a file of one's own, ``paths`` if they are no modules yet; empty if it has none there."""
+    if isinstance(error, SyntaxError) and paths and error.filename:
         found: Any = Path(error.filename).name, error.lineno, (error.text or "").strip()
-    elif (found := place(error)) is None:
+    elif (found := place(error, *paths)) is None:
         return ""
     file, line, text = found
     said = error.msg if isinstance(error, SyntaxError) else str(error)

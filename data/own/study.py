@@ -75,11 +75,10 @@ ROWS = [
               why="that of a consistent filter with four states is 4", figure="figure_01"),
 ]  # fmt: skip
 SAYS = {
-    "says": "A poor bearing bends the uncertainty, and sigma points know it.",
-    "found": "Derivatives do not.",
-    "figure": "figure_01",
+    "says": "An extended filter takes the arc of a poor bearing for a line.",
+    "found": "Until others have settled the position.",
 }
-STUDY = Study(Path(__file__).stem, GROUPS, trial, lambda effort: PARTS, ROWS, **SAYS)
+STUDY = Study(Path(__file__).stem, GROUPS, trial, lambda effort: PARTS, ROWS, **SAYS, figure="figure_01")
 LINES = {"ekf": Line("EKF", COMPARISON), "ukf": Line("UKF", ESTIMATE)}
 
 
