@@ -47,7 +47,7 @@ linalg: block cholesky downdate fan matvec outer semidefinite_root side_by_side 
     Covariance.factor
 recorded: cholesky semidefinite_root solve_lower tria
 belief: any_lost nees settled
-trial: squares Noiseless.standard_normal
+trial: check_groups squares Noiseless.standard_normal
 """
 """What a filter calls at every step takes arrays as they are: a look at each would cost more than the product it makes."""
 INSIDE = """
@@ -157,6 +157,10 @@ CALLS = {
     "problem.Problem": (lambda **arguments: problem.Problem(**arguments).draw(RNGS), DOUBT),
     "problem.Problem.draw": (OWN.draw, dict(rngs=RNGS)),
     "problem.Problem.trial": (OWN.trial, dict(filters=TRIAL.filters, rngs=RNGS, reference="ukf")),
+    "trial.drawn": dict(
+        groups=OWN.groups, filters=TRIAL.filters, prior=PRIOR, times=TIMES, z=np.zeros((5, 2, 2)), truth=np.zeros((5, 2, 2)),
+        u=np.zeros((5, 1)), space=spaces.EUCLIDEAN, reference="ukf",
+    ),
     "trial.follow": dict(trial=TRIAL, name="ukf", every=2),
     "trial.bound": dict(trial=TRIAL, every=2),
     "simulate.simulate": dict(
@@ -282,6 +286,9 @@ MEANT = {
     "montecarlo.run_count runs": "a billion, None",
     "problem.Problem groups": "empty",
     "problem.Problem u": "nan, infinite, complex",
+    "trial.drawn groups": "empty",
+    "trial.drawn z": "None, nan",
+    "trial.drawn u": "nan, infinite, complex",
     "simulate.simulate seed": "a billion",
     "simulate.simulate Phi": "a function",
     "simulate.simulate u": "nan, infinite, complex",

@@ -16,7 +16,7 @@ from celnav.filters.compiled import steps_by
 from celnav.filters.records import Epoch, Filter, Info, epochs
 from celnav.filters.run import ENGINE, explain, steps
 from celnav.gaussian.belief import Gaussian, any_lost, nees
-from celnav.gaussian.checks import choice, finite, instance, integer
+from celnav.gaussian.checks import choice, finite, instance, integer, sequence
 from celnav.gaussian.linalg import Array, Belief
 from celnav.gaussian.spaces import EUCLIDEAN, Space
 
@@ -54,6 +54,14 @@ class Trial(NamedTuple):
     place: Callable[[Array], Array] | None = None
 
 
+def check_groups(groups: Any, n: int) -> None:
+    """Groups of components, of which there are ``n``; ValueError names what is none."""
+    for group in sequence("groups", groups, "[Group('position', 'm', slice(0, 3))]"):
+        instance("groups", group, Group, "each a Group")
+        if not isinstance(group.part, slice) or not len(range(n)[group.part]):
+            raise ValueError(f"groups: expected a slice of {n} components for {group.name}, got {group.part!r}")
+
+
 def drawn(
     groups: Sequence[Group], filters: Mapping[str, Filter], prior: Gaussian, times: Array, z: Any, truth: Array, *,
     u: Any = None, space: Space = EUCLIDEAN, reference: str = "",
@@ -68,6 +76,7 @@ def drawn(
     instance("filters", filters, Mapping, "filters by name, such as {'ukf': filter}")
     choice("reference", reference, ("", *filters))
     instance("prior", prior, Gaussian, "celnav.Gaussian(mean, cov)")
+    check_groups(groups, prior.cov.shape[-1])
     instance("space", space, Space, "a Space, such as celnav.attitude()")
     states = finite("truth", truth, (None, None, prior.mean.shape[-1]))
     every = epochs(times, z, u, states)
