@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 from scipy.special import chdtrc, ndtri, stdtr, stdtrit
 
 from celnav.analysis.metrics import chi_square_band
-from celnav.analysis.tuning import maximize_likelihood
 from celnav.filters.colored import colored
 from celnav.filters.model import Sensor
 from celnav.filters.records import epochs
@@ -368,6 +367,8 @@ def _model(
     filter: Any, prior: Any, t: Array, z: Any, u: Any, found: Sequence[Component], level: float
 ) -> tuple[Model | None, str]:  # fmt: skip
     """The filter for colored noise, and why there is none."""
+    from celnav.analysis.tuning import maximize_likelihood  # only a search needs what searches
+
     if filter is None:
         return None, ""
     sensors: Any = getattr(filter, "sensors", ())
