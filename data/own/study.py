@@ -76,7 +76,7 @@ ROWS = [
 ]  # fmt: skip
 SAYS = {
     "says": "An extended filter takes the arc of a poor bearing for a line.",
-    "found": "Until others have settled the position.",
+    "found": "It does, until later bearings have settled the position.",
 }
 STUDY = Study(Path(__file__).stem, GROUPS, trial, lambda effort: PARTS, ROWS, **SAYS, figure="figure_01")
 LINES = {"ekf": Line("EKF", COMPARISON), "ukf": Line("UKF", ESTIMATE)}
