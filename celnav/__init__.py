@@ -9,8 +9,8 @@ Rules     `unscented`, `cubature`, `gauss_hermite`, `simplex`, `smolyak`, `from_
 Run       `run` gives a `Track`, `steps` and `epochs` go one by one, a lost run is a `FilterError`; `compiled` and `export_c` make
           code of a filter.
 Smooth    `smooth`, `iterated_smoother`.
-Judge     `simulate` draws truth and measurements, `compare` flies filters on a `Problem`; ``celnav.analysis`` has metrics, tuning,
-          bounds, observability and ``diagnose.diagnose``, which asks a log.
+Judge     `simulate` draws truth and measurements, `report` holds a track against the truth, `compare` flies filters on a `Problem`;
+          ``celnav.analysis`` has metrics, tuning, bounds, observability and ``diagnose.diagnose``, which asks a log.
 
 Conventions, stated once
 ------------------------
