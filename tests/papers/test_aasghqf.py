@@ -11,7 +11,7 @@ import pytest
 from readable import faults
 
 from celnav import Epoch, Gaussian, Motion, run, sigma_point
-from celnav.analysis.observability import nonlinearity_weights, svd_degree, threshold_weights
+from celnav.analysis.observability import nonlinearity_weights, state_singular_values, threshold_weights
 from celnav.files import Outputs
 from celnav.gaussian.linalg import Covariance
 from celnav.gaussian.rules import gauss_hermite, simplex, tensor_product
@@ -146,9 +146,8 @@ def test_tensor_rules_with_their_coefficients_are_the_smolyak_rule(level, weight
 
 
 def test_degrees_by_singular_values_and_their_weights():
-    np.testing.assert_allclose(svd_degree(np.diag([3.0, 0.5, 7.0]), 1), [6.0, 1.0, 14.0])
-    both = svd_degree(np.stack([np.diag([3.0, 0.5, 7.0]), np.diag([1.0, 2.0, 4.0])]), 0)
-    np.testing.assert_allclose(both, [[1.0, 0.5 / 3.0, 7.0 / 3.0], [1.0, 2.0, 4.0]])
+    both = np.stack([np.diag([3.0, 0.5, 7.0]), np.diag([1.0, 2.0, 4.0])])
+    np.testing.assert_allclose(state_singular_values(both), [[3.0, 0.5, 7.0], [1.0, 2.0, 4.0]])
     assert threshold_weights([9.8, 5.0, 5.1, 0.0], 5.0) == (1, 2, 1, 2)
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from celnav.analysis.observability import lie_gradients, svd_degree, threshold_weights
+from celnav.analysis.observability import lie_gradients, state_singular_values, threshold_weights
 from celnav.filters.joint import condition
 from celnav.filters.model import Sensor
 from celnav.filters.run import run
@@ -92,7 +92,8 @@ def degrees(config: Config, _: Rngs) -> dict[str, Array]:
     )))  # fmt: skip
     states, outputs = np.split(unit * np.repeat(scales, [3, 2, 2, 3, 3, 6, 2], axis=1)[:, None], [13], axis=-1)
     every = outputs[..., None] * found * states[:, None]
-    return {"every": svd_degree(every.reshape(4, 72, -1, 13), 3)}
+    values = state_singular_values(every.reshape(4, 72, -1, 13))
+    return {"every": values / values[..., 3:4]}
 
 
 def first_fixes(config: Config, _: Rngs) -> dict[str, Array]:
