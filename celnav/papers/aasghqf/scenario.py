@@ -255,7 +255,7 @@ def observability(x: Array, epoch: Epoch, units: tuple[Array, Array], order: int
     return observability_matrix(rates, jacobian(lambda x: measurement(x, epoch), x) * states * outputs[:, None], order)
 
 
-def by_observability(config: Config, threshold: float = 5.0, *, weigh: bool = False, band: float = 1.0) -> Choose:
+def by_observability(config: Config, threshold: float = 5.0, *, weigh: bool = False, band: float = 1.1) -> Choose:
     """Weights by Eqs. 15 and 19 at the estimate, over the degree of the east velocity; ``weigh``: by the belief's covariance.
 
     Where no state is above the threshold, the weights stay: all 2 would be the isotropic rule, which it begins with.

@@ -92,8 +92,8 @@ def first_fix(results: Results) -> Figure:
 
 def along(results: Results) -> Figure:
     """Degrees of the misalignment on both flights, and points and errors of filters whose weights are chosen on line."""
-    slow, t, shades = "A-slow, on line", results.times("A-slow"), (colors.ESTIMATE, colors.COMPARISON, colors.OPEN_LOOP)
-    lines = {"weighed": Line("by observability, weighed", colors.PAPER), "bends": Line("by nonlinearity, on line", colors.TRUTH)}
+    slow, t, shades = "A-slow, on line", results.times("A-slow"), ("#000000", "#56B4E9", "#8C6BB1")
+    lines = {"weighed": Line("by observability", colors.PAPER, "--"), "bends": Line("by nonlinearity", colors.TRUTH, "--", 2.0)}
     degrees = [[curve(t, d[:, i], Line(study.SEVEN[i], shades[i])) for i in range(3)] for d in results.get("along", "degrees")]
     known = [rmse(results, "A-slow", f, LINES[f], "misalignment") for f in ("ukf", "aasghqf", "sghqf")]
     return panels([
@@ -105,21 +105,6 @@ def along(results: Results) -> Figure:
               "misalignment, RMSE (deg)", "y")], size=(12.0, 3.2))  # fmt: skip
 
 
-def mounting(results: Results) -> Figure:
-    """Errors of the angles and NEES at the end, over the size of mounting errors."""
-    sizes = [size for size, common in study.MOUNTINGS if not common]
-
-    def over(name: str, what: str) -> Item:
-        cells = [results.get("mounting", f"{name}, {size}/{what}")[study.LAST] for size in sizes]
-        values = [np.sqrt(np.square(c[..., :3]).sum(-1).mean()) if what == "error" else c.mean() for c in cells]
-        return curve(sizes, values, LINES[name], marker=".")
-
-    filters, x = ("ukf", "aasghqf", "nonlinear"), "mounting errors, 1σ (arcsec)"
-    return panels([Panel(title, [over(f, what) for f in filters], x, label, "y")
-                   for what, title, label in (("error", "misalignment, last 100 s", "RMSE (deg)"),
-                                              ("nees", "consistency, last 100 s", "NEES, mean (-)"))], size=(8.0, 3.2))  # fmt: skip
-
-
 FIGURES = {
     "figure_01": ("Fig. 1: points of the isotropic rule, n = 2, level 3.", partial(points, (1, 1))),
     "figure_02": ("Fig. 2: points of the rule with weights 2, 1.", partial(points, (2, 1))),
@@ -129,7 +114,6 @@ FIGURES = {
     "figure_06": ("Beyond the paper: RMSE of the misalignment, and consistency over time.", over_time),
     "figure_07": ("Beyond the paper: the first star fix by rule, over the size of the misalignment.", first_fix),
     "figure_08": ("Beyond the paper: degrees of observability along the flight, and weights that change with them.", along),
-    "figure_09": ("Beyond the paper: star sensors whose mounting is not known.", mounting),
 }
 
 
