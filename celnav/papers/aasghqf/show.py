@@ -133,7 +133,7 @@ TABLES = {
         {"filter": f, "source": source, **dict(zip(COLUMNS, map(float, values)))} for f, printed in TABLE_3.items()
         for source, values in (("paper", printed), *(
             (f"ours, {p}", np.sqrt(np.square(r.get(p, f"{f.lower()}/error")[..., :7]).mean(1)).mean(0)) for p in PRESETS))]),
-    "table_4": ("Table 4: points, and arithmetic operations of a cycle (of SGHQF at least: recording ends there).", lambda r: [
+    "table_4": ("Table 4: points, and arithmetic operations of a cycle (of SGHQF at least).", lambda r: [
         {"filter": f, "points, paper": TABLE_4[f][0], "points, ours": point_count(13, n, g), "cycle, paper (s)": TABLE_4[f][1],
          "operations": int(r.get("operations", f.lower())[0])} for f, n, g in study.POINTS]),
 }  # fmt: skip
