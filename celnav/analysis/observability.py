@@ -26,7 +26,12 @@ _NODES = 21
 
 
 def jacobian(function: Function, x: ArrayLike) -> Array:
-    """Jacobian ``(..., m, n)`` at ``x (..., n)`` by complex step [Squire1998]."""
+    """Jacobian ``(..., m, n)`` at ``x (..., n)`` by complex step [Squire1998].
+
+    >>> celnav.analysis.observability.jacobian(lambda x: np.sin(x), [0.0, 0.0])
+    array([[1., 0.],
+           [0., 1.]])
+    """
     checks.function("function", function, "(points)")
     at = finite("x", x, (..., "n"))
     return _slopes("function", function, at + _TINY * _axes(at))
@@ -54,6 +59,10 @@ def lie_gradients(f: Function, h: Function, x: ArrayLike, order: int, *, window:
 
     f: rate of the state, of time itself independent. h: measurement. x: ``(n,)``.
     window: half the time, s, over which flow and measurement are smooth; k-th derivatives lose ``window^-k`` of their digits.
+
+    >>> rows = celnav.analysis.observability.lie_gradients(lambda x: x @ A.T, lambda x: x[..., :1], [0.0, 1.0], order=1)
+    >>> bool(np.linalg.matrix_rank(rows.reshape(-1, 2)) == 2)  # observable
+    True
     """
     order, window = integer("order", order, 0, 6), number("window", window, above=0.0)
     at = finite("x", x, ("n",))
@@ -95,6 +104,8 @@ def information_degree(P0: ArrayLike, F: ArrayLike, H: ArrayLike, R: ArrayLike) 
     """Prior over posterior standard deviation ``(n,)`` after a window of K epochs without process noise: 1 is not observed.
 
     P0: ``(n, n)``. F: ``(K - 1, n, n)``, transitions between the epochs. H: ``(K, m, n)``. R: ``(m, m)`` or ``(K, m, m)``.
+
+    >>> degree = celnav.analysis.observability.information_degree(P0, np.tile(F, (9, 1, 1)), np.tile(H, (10, 1, 1)), R)
     """
     rows = finite("H", H, ("K", "m", "n"))
     K, m, n = rows.shape
@@ -123,7 +134,7 @@ def nonlinearity_weights(
 
     functions: of real points, such as the step and the measurement. mean, std: ``(n,)`` of the belief.
 
-    >>> rule = celnav.smolyak(13, 3, nonlinearity_weights([step, measure], prior.mean, prior.std))
+    >>> rule = celnav.smolyak(6, 3, nonlinearity_weights([step, measure], prior.mean, prior.std))
     """
     center = finite("mean", mean, ("n",))
     sigma = _positive("std", std, center.shape)
@@ -150,7 +161,8 @@ def nonlinearity_degree(function: Function, mean: ArrayLike, std: ArrayLike, sca
 
     mean, std: ``(..., n)`` of the beliefs. scale: ``(..., m)``, such as the deviations of the measurement's noise.
 
-    >>> fine = nonlinearity_degree(lambda x: h(x, epoch), belief.mean, belief.std, [0.1, 0.1]) > 0.1
+    >>> celnav.analysis.observability.nonlinearity_degree(lambda x: x**2, [1.0, 1.0], [0.1, 1.0], [0.1, 0.1])
+    array([ 0.1, 10. ])
     """
     checks.function("function", function, "(points)")
     center = finite("mean", mean, (..., "n"))
@@ -175,7 +187,9 @@ def observability_matrix(A: ArrayLike, H: ArrayLike, order: int) -> Array:
 
     A: ``(..., n, n)``, 1/s. H: ``(..., m, n)``.
 
-    >>> O = observability_matrix(jacobian(f, track.mean), jacobian(h, track.mean), 3)
+    >>> celnav.analysis.observability.observability_matrix(A, [[1.0, 0.0]], order=1)
+    array([[1., 0.],
+           [0., 1.]])
     """
     rows = [finite("H", H, (..., "m", "n"))]
     rate = finite("A", A, (..., rows[0].shape[-1], rows[0].shape[-1]))
@@ -191,6 +205,9 @@ def state_singular_values(matrix: ArrayLike, cov: ArrayLike | None = None) -> Ar
     vector has its largest component there; 0 if nothing is seen of that vector. ``cov (..., n, n)``: of the initial state, which
     then weighs the vectors by how much it has of them, in the mean square. All depends on the units of the states, which
     `information_degree` does not.
+
+    >>> celnav.analysis.observability.state_singular_values([[2.0, 0.0], [0.0, 0.5]])
+    array([2. , 0.5])
     """
     rows = finite("matrix", matrix, (..., "rows", "n"))
     n = rows.shape[-1]
@@ -204,11 +221,19 @@ def state_singular_values(matrix: ArrayLike, cov: ArrayLike | None = None) -> Ar
 
 
 def threshold_weights(degree: ArrayLike, threshold: float) -> tuple[int, ...]:
-    """Weights of a sparse grid by degrees of observability ``(n,)``: 1 above the threshold, 2 up to it [Liang2014, Eq. 19]."""
+    """Weights of a sparse grid by degrees of observability ``(n,)``: 1 above the threshold, 2 up to it [Liang2014, Eq. 19].
+
+    >>> celnav.analysis.observability.threshold_weights([9.6, 1.0, 0.2], 5.0)
+    (1, 2, 2)
+    """
     return tuple(np.where(finite("degree", degree, ("n",)) > number("threshold", threshold), 1, 2).tolist())
 
 
 def hysteresis(degree: ArrayLike, threshold: float, before: ArrayLike, band: float = 1.1) -> Array:
-    """Which degrees ``(..., n)`` are above a threshold: within a factor ``band`` of it they stay as ``before (..., n)``."""
+    """Which degrees ``(..., n)`` are above a threshold: within a factor ``band`` of it they stay as ``before (..., n)``.
+
+    >>> celnav.analysis.observability.hysteresis([9.6, 5.2, 5.2], 5.0, before=[0, 0, 1])
+    array([ True, False,  True])
+    """
     found, limit, factor = finite("degree", degree, (..., "n")), number("threshold", threshold), number("band", band, 1.0)
     return np.where(finite("before", before, (..., found.shape[-1])) > 0.0, found > limit / factor, found > limit * factor)

@@ -33,7 +33,9 @@ class Switching:
 
     The step of a run is bit for bit that of its filter. All runs together cost as much as every filter that one of them has chosen.
 
-    >>> filter = Switching([fine, coarse].__getitem__, lambda belief, epoch, chosen: (belief.std[..., 0] < 0.1).astype(int))
+    >>> filters = [celnav.ghkf(motion, gps), celnav.ekf(motion, gps)]
+    >>> narrow = lambda belief, epoch, chosen: (belief.std[..., 0] < 0.1).astype(int)
+    >>> filter = celnav.filters.switching.Switching(filters.__getitem__, narrow)
     >>> track = celnav.run(filter, prior, times, z, also=lambda epoch, state, infos: {"chosen": state.chosen})
     """
 
@@ -62,4 +64,4 @@ class Switching:
                 own = chosen == number
                 belief = type(belief)(*(pick(own, b, a) for a, b in zip(belief, after.belief, strict=True)))
                 infos = tuple(merged(own, a, b) for a, b in zip(infos, more, strict=True))
-        return Turn(belief, state.memory, chosen), infos
+        return Turn(belief, state.memory, np.broadcast_to(chosen, belief.mean.shape[:-1])), infos

@@ -66,6 +66,16 @@ def test_any_sequence_of_rules_on_a_linear_model_is_the_kalman_filter():
     np.testing.assert_array_equal(seen[2], [1, 2, 2])
 
 
+def test_runs_of_the_measurements_choose_for_themselves():
+    """A prior without runs becomes as many as were measured."""
+    own = filters()
+    alone = Gaussian(PRIOR.mean[0], PRIOR.cov)
+    turns = Switching(own.__getitem__, lambda belief, epoch, chosen: (belief.mean[..., 0] > 0.4).astype(int))
+    track = run(turns, alone, TIMES, Z, also=lambda epoch, state, infos: {"chosen": state.chosen})
+    assert track.extra["chosen"].shape == (6, 3)
+    assert set(track.extra["chosen"].ravel().tolist()) == {0, 1}
+
+
 def test_bad_choices_are_refused_by_name():
     own = filters()
     epoch = Epoch(z=Z[0])
