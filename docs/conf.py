@@ -40,7 +40,8 @@ html_theme_options = {
 }
 html_math_renderer = "mathml"  # the browser's own: no script, no net
 
-CITED = re.compile(r"\[([A-Z][A-Za-z]+\d{4})\b([^\]]*)\]")
+CITED = re.compile(r"\[([A-Z][A-Za-z]+\d{4}\b[^\]]*)\]")
+KEY = re.compile(r"\b([A-Z][A-Za-z]+\d{4})\b")
 ARGUMENT = re.compile(r"^(\w+(?:, \w+)*): (?=\S)")
 
 
@@ -50,7 +51,7 @@ def written(_app: Sphinx, _what: str, _name: str, _thing: Any, _options: Any, li
     for line in lines:
         if made and line and not line.strip("-"):  # a heading of a docstring, such as Raises
             made[-1], line = f"**{made[-1]}**", ""
-        line = CITED.sub(r"[:ref:`\1 <\1>`\2]", line)
+        line = CITED.sub(lambda cited: "[" + KEY.sub(r":ref:`\1 <\1>`", cited[1]) + "]", line)
         argument = ARGUMENT.match(line)
         if argument:
             before = next((old for old in reversed(made) if old.strip()), "")

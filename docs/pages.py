@@ -26,6 +26,7 @@ def reference(entry: dict[str, str]) -> str:
         entry.get("journal")
         or entry.get("booktitle")
         or entry.get("publisher")
+        or entry.get("school")
         or entry.get("institution")
         or entry.get("howpublished")
     )
@@ -33,7 +34,7 @@ def reference(entry: dict[str, str]) -> str:
     others = " and others" * ("others" in entry.get("author", ""))
     parts = [", ".join(authors) + others, f"*{entry.get('title', '')}*", " ".join(part for part in (where, volume) if part)]
     parts += [entry["pages"]] if "pages" in entry else []
-    return ". ".join(part for part in parts if part) + f", {entry.get('year', 'n.d.')}."
+    return ". ".join(part for part in parts if part) + f", {entry.get('year', 'no year')}."
 
 
 KINDS = {"erratum": "Printed wrongly", "reconstruction": "Lost or unreadable in the text at hand, and rebuilt", "remark": "Remarks"}

@@ -26,7 +26,7 @@ class Riccati(NamedTuple):
 
 
 def riccati(F: ArrayLike, H: ArrayLike, Q: ArrayLike, R: ArrayLike, P0: ArrayLike) -> Riccati:
-    """Gains and covariances of the Kalman filter, for white measurement noise of covariance R.
+    """Gains ``(T, ..., n, m)`` and covariances ``(T + 1, ..., n, n)`` of the Kalman filter, for white noise; see `Riccati`.
 
     >>> bound = celnav.analysis.bounds.riccati(np.tile(F, (100, 1, 1)), H, Q, R, P0).covariances
     """

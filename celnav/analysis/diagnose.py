@@ -1,7 +1,7 @@
 """Ask the log: are innovations or residuals white, without bias and as large as claimed? If not, what noise would explain them?
 
 Errors that follow each other are not independent, so what is said of a mean or of a size counts an *effective* number of them, by
-their autocorrelation [Geyer 1992]. Whiteness is the test of [Ljung & Box 1978], of pairs of samples that both exist: gaps and
+their autocorrelation [Geyer1992]. Whiteness is the test of [Ljung1978], of pairs of samples that both exist: gaps and
 missing components cost nothing but themselves.
 """
 

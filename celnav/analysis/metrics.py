@@ -16,12 +16,12 @@ __all__ = ["bootstrap", "chi_square_band", "ratio", "rms", "rmse", "rmse_interva
 
 
 def rms(squares: ArrayLike) -> float:
-    """Root of the mean of squares over everything."""
+    """Root of the mean of ``squares`` of any shape over everything, a number."""
     return float(np.sqrt(_samples("squares", squares).mean()))
 
 
 def ratio(a: ArrayLike, b: ArrayLike) -> float:
-    """Ratio of the roots of the means of two sets of squares."""
+    """Ratio of the roots of the means of two sets of squares, a number."""
     return rms(_samples("a", a)) / rms(_samples("b", b))
 
 
@@ -32,7 +32,7 @@ def rmse(error: ArrayLike, axis: int = 1) -> Array:
 
 
 def rmse_interval(error: ArrayLike, level: float = 0.95, axis: int = 1) -> tuple[Array, Array]:
-    """Confidence interval of `rmse` for Gaussian errors of mean zero, independent from run to run."""
+    """Confidence interval of `rmse`, its ends of the same shape, for Gaussian errors of mean zero, independent from run to run."""
     array, axis = _runs(error, axis)
     runs, value = array.shape[axis], rmse(array, axis)
     low, high = _chi_square(level, runs)
@@ -40,7 +40,7 @@ def rmse_interval(error: ArrayLike, level: float = 0.95, axis: int = 1) -> tuple
 
 
 def chi_square_band(dof: float, runs: float, level: float = 0.95) -> tuple[float, float]:
-    """Band in which the mean over ``runs`` of a chi-square variable of ``dof`` lies with probability ``level``.
+    """Band, its two ends, in which the mean over ``runs`` of a chi-square variable of ``dof`` lies with probability ``level``.
 
     For the NEES of a consistent filter ``dof`` is the dimension of the state, for the NIS that of the measurement.
 
@@ -55,10 +55,10 @@ def chi_square_band(dof: float, runs: float, level: float = 0.95) -> tuple[float
 def bootstrap(
     statistic: Callable[..., Any], *samples: Array, block: int = 1, level: float = 0.95, resamples: int = 400, seed: int = 0
 ) -> tuple[float, float]:
-    """Expanded percentile interval of ``statistic(*samples)``, resampling the runs of all samples together.
+    """Expanded percentile interval, its two ends, of ``statistic(*samples)``: the runs of all samples are resampled together.
 
     Each sample has its runs first, at least two. The same runs are drawn for all of them, so ratios of paired quantities keep what
-    they gain from common noise. The interval is widened about the value as Student's t asks for few runs [Hesterberg 2015].
+    they gain from common noise. The interval is widened about the value as Student's t asks for few runs [Hesterberg2015].
 
     block: how many that follow one another are drawn together, in a circle [Politis1992]: for samples that are epochs of one run
         instead of runs. Several times as long as errors are correlated; the samples must be many blocks long.

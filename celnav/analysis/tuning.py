@@ -1,4 +1,4 @@
-"""Noise tuning by the likelihood of the innovations [Schweppe 1965]: the parameters under which the data are most probable."""
+"""Noise tuning by the likelihood of the innovations [Schweppe1965]: the parameters under which the data are most probable."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class LikelihoodGradient(NamedTuple):
 def likelihood_gradient(
     build: Build, parameters: ArrayLike, epochs: Iterable[Epoch], *, engine: str = "auto"
 ) -> LikelihoodGradient:
-    """The log-likelihood of each run, and its derivatives by parameters.
+    """The log-likelihood ``(...)`` of each run, and its derivatives ``(..., d)`` by parameters.
 
     build: ``parameters (d,) -> (filter, prior)``; it is called beside the parameters too, up to a hundredth of each away.
     parameters: ``(d,)``. epochs: the data.
@@ -99,7 +99,7 @@ def maximize_likelihood(
     domain: Domain | Sequence[Domain] = "positive", factor: float = 1e3, tolerance: float = 1e-6, max_iterations: int = 100,
     engine: str = "auto",
 ) -> Tuned:  # fmt: skip
-    """Maximize ``Track.log_likelihood``, summed over the runs, over parameters such as standard deviations and correlations.
+    """`Tuned`: parameters, such as deviations and correlations, that maximize ``Track.log_likelihood``, summed over the runs.
 
     The search is on logarithms, so parameters may be of any size. Parameters at which ``build`` or the filter fails count as
     improbable. For example, of a deviation and a correlation::

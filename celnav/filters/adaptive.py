@@ -133,7 +133,7 @@ def _moved(memory: Window | None, values: Array, epoch: Any, size: int, gaps: st
 
 # -- robust weights ------------------------------------------------------------------------------------------------------
 def huber(threshold: float = 1.345, rounds: int = 6) -> Hook:
-    """Weigh a component by ``min(1, threshold / u)``, u its residual after the update in deviations of its noise [Huber 1964].
+    """Weigh a component by ``min(1, threshold / u)``, u its residual after the update in deviations of its noise [Huber1964].
 
     ``rounds`` of reweighting; the noise variance of a component is divided by its weight.
 
@@ -196,7 +196,7 @@ class Estimated(NamedTuple):
 
 
 def sage_husa(forgetting: float = 0.95, least: float = 0.25, smallest: float = 0.01) -> Hook:
-    """Estimate the noise's variances from innovations with fading memory [Sage & Husa 1969].
+    """Estimate the noise's variances from innovations with fading memory [Sage1969].
 
     ``R_k+1 = (1 - d) R_k + d max(e^2 - S0, smallest R)`` where measured, with ``d = (1 - b) / (1 - b^(k+1))`` and b the
     ``forgetting``, between 0 and 1. What is used is at least ``least R``, with R the nominal variance, and may lie below that.

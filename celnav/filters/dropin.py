@@ -240,7 +240,10 @@ class SigmaPointUKF:
     def rts_smoother(
         self, Xs: Any, Ps: Any, Qs: Any = None, dts: Any = None, UT: Function | None = None
     ) -> tuple[Array, Array, Array]:
-        """Smoothed means, covariances and gains; ``dts[k]`` and ``Qs[k]``, which filterpy does not heed, lead from k to k + 1."""
+        """Smoothed means ``(T, n)``, covariances and gains ``(T, n, n)``.
+
+        ``dts[k]`` and ``Qs[k]``, which filterpy does not heed, lead from k to k + 1.
+        """
         count, n = len(Xs), self._dim_x
         xs, ps, gains = finite("Xs", Xs, (count, n)), finite("Ps", Ps, (count, n, n)), np.zeros((count, n, n))
         Qs, dts = self._each("Qs", Qs, self.Q, count), self._each("dts", dts, self._dt, count)

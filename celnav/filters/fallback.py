@@ -42,7 +42,7 @@ class Fallback:
 
     @property
     def motion(self) -> Motion:
-        """Of both filters."""
+        """The motion of both filters."""
         return self.first.motion
 
     def start(self, prior: Gaussian) -> State:

@@ -65,7 +65,7 @@ class FixedLag:
 
     @property
     def motion(self) -> Any:
-        """The filter's own, if it has one."""
+        """The filter's own `Motion`; None if it has none."""
         return getattr(self.filter, "motion", None)
 
     def start(self, prior: Gaussian) -> Held:
@@ -73,7 +73,7 @@ class FixedLag:
         return Held((self.filter.start(prior),))
 
     def step(self, state: Held, epoch: Epoch) -> tuple[Held, tuple[Info, ...]]:
-        """State after an epoch, and what each sensor did to it."""
+        """State after an epoch, and an `Info` of each sensor."""
         instance("state", state, Held, "what the filter's start(prior) or last step gave")
         if state.belief.mean.dtype.hasobject:
             raise CannotCompile("a filter that keeps its last epochs has a memory that grows")

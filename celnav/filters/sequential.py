@@ -175,7 +175,7 @@ def sigma_point(
     motion: Motion, *sensors: Sensor, rule: Any, form: str = "square root", hooks: Sequence[Any] = (), gain: Gain | None = None,
     iterations: int = 1,
 ) -> Sequential:  # fmt: skip
-    """A filter by any rule.
+    """A filter by any rule, for `celnav.run`.
 
     motion, sensors: what is believed. Without sensors it is the open loop. Of several sensors each has its own part of ``z``, a
         tuple, and nan where it is silent, so sensors of different rates need nothing else.

@@ -1,4 +1,4 @@
-"""The fixed-interval smoother [Rauch, Tung & Striebel 1965; sigma points: Sarkka 2008] for every rule, form and space.
+"""The fixed-interval smoother [Rauch1965; sigma points: Sarkka2008] for every rule, form and space.
 
 It is the core's conditioning once more: with ``g = (f, identity)`` the next state is a measurement of the present one. The belief
 about the present state given the next, and what is left open about the next one carried back by the gain, are independent; their

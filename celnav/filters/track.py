@@ -90,7 +90,7 @@ class Track:
 
     @property
     def sqrt_cov(self) -> Array:
-        """Their lower roots."""
+        """Lower roots ``(T, ..., n, n)`` of the covariances."""
         return np.asarray(_stored("sqrt_cov", self.belief, "covariances; run with keep='cov'").sqrt_cov)
 
     def to_dataframe(self, names: list[str] | None = None) -> pd.DataFrame:

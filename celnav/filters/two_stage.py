@@ -1,8 +1,8 @@
 """Two-stage filters: a filter that knows of no bias, a second one that estimates the bias from what the first leaves over.
 
 The first stage runs as if the bias were zero. A sensitivity ``Lambda`` says what a unit of bias does to its estimate; its
-innovation, less what the sensitivity explains, is the measurement of the second stage [Friedland 1969]. For a constant bias, or
-one that walks at random [Hsieh & Chen 1999], both together are the augmented Kalman filter.
+innovation, less what the sensitivity explains, is the measurement of the second stage [Friedland1969]. For a constant bias, or
+one that walks at random [Hsieh1999], both together are the augmented Kalman filter.
 """
 
 from __future__ import annotations
@@ -223,7 +223,7 @@ def _boosted(M: Array, d: Array, S: Array, root: Array, residual: Array) -> Arra
 
 
 def _walked(first: Any, own: Any, Lambda: Array, walk: Array) -> tuple[Any, Any, Array]:
-    """First stage, bias and sensitivity after a step of the bias [Hsieh & Chen 1999].
+    """First stage, bias and sensitivity after a step of the bias [Hsieh1999].
 
     The bias before its step is conditioned on the one after it: what the sensitivity still explains, and what is left over.
     """

@@ -73,12 +73,12 @@ def multiply(q: Array, p: Array) -> Array:
 
 
 def inverse(q: Array) -> Array:
-    """The opposite rotation."""
+    """The opposite rotation ``(..., 4)``."""
     return np.asanyarray(q * np.array([-1.0, -1.0, -1.0, 1.0]))
 
 
 def positive(q: Array) -> Array:
-    """The one of q and -q, which are the same attitude, whose scalar is not negative."""
+    """The one of q and -q, which are the same attitude, whose scalar is not negative, ``(..., 4)``."""
     return np.asanyarray(q * np.copysign(1.0, q[..., 3:]))
 
 
@@ -150,7 +150,7 @@ def to_euler(q: Array) -> Array:
 
 
 def to_rodrigues(q: Array, a: float = 1.0, b: float = 4.0) -> Array:
-    """Generalized Rodrigues parameters ``b rho / (a + q4)``, ``(..., 3)``, of the shorter rotation [Crassidis & Markley 2003].
+    """Generalized Rodrigues parameters ``b rho / (a + q4)``, ``(..., 3)``, of the shorter rotation [Crassidis2003].
 
     ``a = 0`` is the Gibbs vector, ``a = 1`` the modified Rodrigues parameters; with ``b = 2 (a + 1)`` they are the rotation vector
     to first order. The defaults are ``4 tan(angle / 4)`` along the axis.

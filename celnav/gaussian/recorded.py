@@ -75,7 +75,7 @@ def _reflected(mirror: Mirror, along: Any, rest: list[Any]) -> tuple[Any, list[A
 
 
 def tria(A: Array) -> Array:
-    """Lower root with a diagonal that is not negative, by Householder reflections [Golub & Van Loan 1996, 5.1]."""
+    """Lower root with a diagonal that is not negative, by Householder reflections [Golub1996, Sec. 5.1]."""
     n, q = A.shape
     rows = [[A[i, j] for j in range(q)] + [0.0] * max(n - q, 0) for i in range(n)]
     tape, L = tape_of(A), Numbers((n, n))

@@ -132,12 +132,12 @@ class Rule:
 
     @property
     def Wm(self) -> Array:
-        """Mean weights of the points that `sigma_points` gives."""
+        """Mean weights ``(p,)`` of the points that `sigma_points` gives."""
         return self.wm[self._filterpy]
 
     @property
     def Wc(self) -> Array:
-        """Covariance weights of the points that `sigma_points` gives."""
+        """Covariance weights ``(p,)`` of the points that `sigma_points` gives."""
         return self.wc[self._filterpy]
 
     def num_sigmas(self) -> int:
@@ -179,7 +179,7 @@ class Taylor:
         return "Taylor()"
 
     def points(self, mean: Array, root: Array, space: Space = EUCLIDEAN, augment: Sequence[Array] = ()) -> list[Array]:
-        """The center and its neighbors; noise points vary in their own directions only.
+        """The center and its neighbors ``(p, ..., N)``; noise points ``(p, ..., k)`` vary in their own directions only.
 
         With a center of its own, the way from there to the mean is a direction like those of the columns, after them.
         """
@@ -287,7 +287,7 @@ UNSCENTED = AnyDimension(unscented)
 
 
 def simplex(n: int) -> Rule:
-    """Spherical simplex: ``n + 1`` points of equal weight, the fewest that a covariance needs [Moireau & Chapelle 2011].
+    """Spherical simplex: ``n + 1`` points of equal weight, the fewest that a covariance needs [Moireau2011].
 
     >>> celnav.simplex(6)
     Rule(n=6, points=7 and a center of weight 0, negative weights=0)
@@ -302,7 +302,7 @@ def simplex(n: int) -> Rule:
 
 
 def cubature(n: int, degree: int = 3) -> Rule:
-    """Spherical-radial cubature rule: degree 3 with ``2n`` points, degree 5 with ``2n^2 + 1`` [Jia, Xin & Cheng 2013].
+    """Spherical-radial cubature rule: degree 3 with ``2n`` points, degree 5 with ``2n^2 + 1`` [Jia2013].
 
     The degree-3 rule is ``unscented(n)`` with its defaults. The degree-5 rule has ``2n`` negative weights for ``n > 4``.
 
@@ -368,7 +368,7 @@ def tensor_product(*rules: Rule) -> Rule:
 
 
 def from_filterpy(points: Any) -> Rule:
-    """Rule of a filterpy sigma-point object (Merwe, Julier, Simplex, or any of that interface).
+    """`Rule` of a filterpy sigma-point object (Merwe, Julier, Simplex, or any of that interface).
 
     >>> filter = celnav.sigma_point(motion, gps, rule=celnav.from_filterpy(MerweScaledSigmaPoints(6, 0.1, 2.0, -3.0)))
     """

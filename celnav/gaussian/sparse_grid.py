@@ -1,4 +1,4 @@
-"""Sparse grids of Gauss-Hermite rules: isotropic, or anisotropic [Nobile, Tempone & Webster 2008].
+"""Sparse grids of Gauss-Hermite rules: isotropic, or anisotropic [Nobile2008].
 
 A Smolyak rule adds up differences of one-dimensional rules over the multi-indices ``i`` with
 ``sum_j (i_j - 1) g_j <= (level - 1) min(g)``. Channels with a larger weight ``g_j`` get fewer points. Nothing is merged by

@@ -29,19 +29,19 @@ STANDARD_GRAVITY = 9.80665  # m/s^2, what a "g" of an accelerometer is
 
 
 def meridian_radius(latitude: ArrayLike) -> Array:
-    """Radius of curvature along a meridian, R_M, m."""
+    """Radius of curvature along a meridian, R_M, m, of the shape of ``latitude`` (rad)."""
     s = np.sin(latitude)
     return np.asanyarray(SEMI_MAJOR_M * (1.0 - ECCENTRICITY_SQUARED) / (1.0 - ECCENTRICITY_SQUARED * s * s) ** 1.5)
 
 
 def transverse_radius(latitude: ArrayLike) -> Array:
-    """Radius of curvature across the meridian, R_N, m."""
+    """Radius of curvature across the meridian, R_N, m, of the shape of ``latitude`` (rad)."""
     s = np.sin(latitude)
     return np.asanyarray(SEMI_MAJOR_M / np.sqrt(1.0 - ECCENTRICITY_SQUARED * s * s))
 
 
 def radii(latitude: ArrayLike, height_m: ArrayLike) -> tuple[Array, Array]:
-    """Meters in a radian along and across the meridian at a height: ``R_M + h`` and ``R_N + h``."""
+    """Meters in a radian of arc along and across the meridian at a height: ``R_M + h`` and ``R_N + h``, of the arguments' shape."""
     return meridian_radius(latitude) + height_m, transverse_radius(latitude) + height_m
 
 
@@ -122,7 +122,7 @@ def turning_flight(
     times: Array, *, longitude: float, latitude: float, height_m: float,
     speed: float, heading: float, acceleration: float, turn_rate: float, substep: float = 0.5,
 ) -> Flight:  # fmt: skip
-    """Level flight at ``times (T,)`` s, increasing, with constant acceleration along the track and a constant turn.
+    """A `Flight`, level, at ``times (T,)`` s, increasing, with constant acceleration along the track and a constant turn.
 
     From a place (rad, m) at the first time, there with ``speed`` m/s and ``heading`` rad, clockwise from north; acceleration in
     m/s^2, turn rate in rad/s. The position is integrated by Runge-Kutta steps of at most ``substep`` seconds (to 1e-12 rad in

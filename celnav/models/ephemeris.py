@@ -64,7 +64,7 @@ class Kernel:
             raise ValueError(f"{self.path}: expected {size} bytes, got {len(content)}: the file is cut off")
 
     def state(self, body: str, date: Tdb) -> BodyState:
-        """State of one of `BODIES` at dates of any shape; ValueError for a body or a date that the file does not have."""
+        """`BodyState` of one of `BODIES` at dates of any shape ``(...)``; ValueError for one that the file does not have."""
         choice("body", body, BODIES)
         present = [b for b in sorted(BODIES) if all(pair in self._spk.pairs for pair in _SPK[b])]
         if body not in present:
@@ -85,7 +85,7 @@ class Kernel:
 
 @cache
 def de421() -> Kernel:
-    """DE421 [Folkner et al. 2009], 1899 to 2053, from the package skyfield-data."""
+    """DE421 [Folkner2009], 1899 to 2053, from the package skyfield-data."""
     return Kernel(str(files("skyfield_data") / "data" / "de421.bsp"))
 
 
@@ -99,23 +99,23 @@ class Tdb(NamedTuple):
     rest: Array | float
 
     def after(self, seconds: ArrayLike) -> Tdb:
-        """The instants so many seconds later."""
+        """The `Tdb` so many ``seconds (...)`` later."""
         return Tdb(self.day, self.rest + numbers("seconds", seconds) / DAY_S)
 
     def since(self, other: Tdb) -> Array:
-        """Seconds from another instant."""
+        """Seconds ``(...)`` from another instant."""
         instance("other", other, Tdb, 'a Tdb, such as celnav.models.ephemeris.from_utc("2015-10-17")')
         return np.asarray(((self.day - other.day) + (self.rest - other.rest)) * DAY_S)
 
 
 def from_tt(day: ArrayLike, rest: ArrayLike = 0.0) -> Tdb:
-    """TDB of a Julian date in terrestrial time, at the center of the Earth."""
+    """`Tdb` of a Julian date ``day + rest`` in terrestrial time, at the center of the Earth."""
     one, two = finite("day", day), finite("rest", rest)
     return Tdb(one, two + erfa.dtdb(one, two, 0.0, 0.0, 0.0, 0.0) / DAY_S)
 
 
 def from_utc(instant: str | datetime) -> Tdb:
-    """TDB of an instant in UTC: "2015-10-17T04:00:00" (leap seconds too: 23:59:60), or a datetime that knows its zone."""
+    """`Tdb` of an instant in UTC: "2015-10-17T04:00:00" (leap seconds too: 23:59:60), or a datetime that knows its zone."""
     when, leap = instant, "23:59:60" in str(instant)
     if isinstance(instant, str):
         try:

@@ -79,7 +79,7 @@ class Broadcast:
 
     @property
     def names(self) -> list[str]:
-        """C01, G02, ..."""
+        """Names of the satellites ``(S,)``: C01, G02, ..."""
         return [f"{'CG'[int(gps)]}{int(n):02d}" for gps, n in zip(self.gps, self.number, strict=True)]
 
     @property
@@ -88,7 +88,7 @@ class Broadcast:
         return np.isin(self.number * (1.0 - self.gps), sorted(GEO_NUMBERS))
 
     def chosen(self, which: Array) -> Broadcast:
-        """Some of the satellites, by index or mask."""
+        """The `Broadcast` of some of the satellites, by index or mask."""
         return Broadcast(*(getattr(self, field.name)[which] for field in fields(self)))
 
 
@@ -102,7 +102,7 @@ class SatelliteState(NamedTuple):
 
 
 def satellites(broadcast: Broadcast, t: Array | float) -> SatelliteState:
-    """States of all satellites at times ``t (..., S)`` or one time; velocities are exact derivatives."""
+    """`SatelliteState` of all satellites at times ``t (..., S)`` or one time; velocities are exact derivatives."""
     b, t = broadcast, np.asarray(t, dtype=np.float64)
     tk, dt = ((since - WEEK_S * np.round(since / WEEK_S)) for since in (t - b.toe, t - b.toc))  # within half a week
     root_mu = np.sqrt(np.where(b.gps, GPS_GRAVITY_PARAMETER, GRAVITY_PARAMETER))
@@ -143,7 +143,7 @@ def satellites(broadcast: Broadcast, t: Array | float) -> SatelliteState:
 
 
 def eccentric_anomaly(mean: Array, e: Array) -> Array:
-    """Kepler's equation by Newton's method, to round-off for any e below 0.9."""
+    """Eccentric anomaly (rad) of a mean one, by Newton's method, to round-off for any e below 0.9."""
     E = mean + e * np.sin(mean)
     for _ in range(8):
         E = E - (E - e * np.sin(E) - mean) / (1.0 - e * np.cos(E))

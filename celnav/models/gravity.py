@@ -49,11 +49,11 @@ class Gravity:
 
     @property
     def degree(self) -> int:
-        """The highest one."""
+        """The highest degree of the coefficients."""
         return len(self.C) - 1
 
     def truncated(self, degree: int) -> Gravity:
-        """The field to a lower degree."""
+        """The field to a lower degree, as a `Gravity`."""
         count = integer("degree", degree, 0, self.degree) + 1
         return Gravity(self.gm, self.radius, self.C[:count, :count], self.S[:count, :count])
 
@@ -136,7 +136,7 @@ def _derivatives(coefficients: Array) -> Array:
 
 
 def read(path: str | Path, degree: int | None = None) -> Gravity:
-    """The field in a file of ICGEM's format, ``.gfc``, to a degree or all of it.
+    """The `Gravity` in a file of ICGEM's format, ``.gfc``, to a degree or all of it.
 
     Rates and other parts that change with time are not taken: records but ``gfc`` and ``gfct`` are skipped.
 

@@ -48,7 +48,7 @@ class Navigation(NamedTuple):
 
 
 def navigation(flight: Flight, at: Array | int | slice, phi: Array, bias: Array) -> Navigation:
-    """Inputs at the epochs ``at`` of a flight whose system has a true misalignment and accelerometer bias ``(..., 3)``."""
+    """`Navigation` at the epochs ``at`` of a flight whose system has a true misalignment and accelerometer bias ``(..., 3)``."""
     instance("flight", flight, Flight, FLIGHT)
     phi, bias = finite("phi", phi, (..., 3)), finite("bias", bias, (..., 3))
     try:
@@ -183,7 +183,7 @@ class Solution(NamedTuple):
 
 
 def mechanize(flight: Flight, attitude: Array, drift: Array, bias: Array) -> Solution:
-    """Navigate along a flight from a wrong initial attitude, with gyro drift (rad/s) and accelerometer bias (m/s^2).
+    """The `Solution` along a flight from a wrong initial attitude, with gyro drift (rad/s) and accelerometer bias (m/s^2).
 
     Horizontal channels only: the height is known. The flight is sampled twice per step (at the ends and in the middle), so it
     has an odd number of epochs; one row of the solution per step, the start first.

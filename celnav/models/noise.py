@@ -26,7 +26,7 @@ def stationary_covariance(Phi: ArrayLike, R: ArrayLike) -> Array:
 
 
 def effective_covariance(Phi: ArrayLike, R: ArrayLike) -> Array:
-    """White noise of the same spectrum at zero frequency, ``(I - Phi)^-1 R (I - Phi)^-T``; of stationary sequences only."""
+    """Covariance ``(m, m)`` of white noise with a stationary one's spectrum at frequency 0, ``(I - Phi)^-1 R (I - Phi)^-T``."""
     stationary_covariance(Phi, R)
     phi = finite("Phi", Phi)
     half = np.linalg.solve(np.eye(len(phi)) - phi, symmetric(R, "R")[1])
@@ -49,7 +49,7 @@ def ar1(Phi: ArrayLike, increments: ArrayLike, first: ArrayLike) -> Array:
 
 
 def van_loan(F: ArrayLike, G: ArrayLike, spectral_density: ArrayLike, dt: float) -> tuple[Array, Array]:
-    """Discretize ``dx = F x dt + G dw`` over ``dt >= 0`` s: transition matrix and covariance of the noise [Van Loan 1978].
+    """Discretize ``dx = F x dt + G dw`` over ``dt >= 0`` s: transition matrix and noise covariance ``(n, n)`` [VanLoan1978].
 
     ``F (n, n)`` in 1/s, ``G (n, k)``, and ``spectral_density (k, k)`` of ``w``, two-sided.
 
@@ -79,12 +79,12 @@ class Noise(NamedTuple):
 
     @property
     def whites(self) -> tuple[tuple[Array, Array], ...]:
-        """Covariances of process and measurement for who takes them for white: the driving ones, and the stationary."""
+        """Covariances ``((q, q), (m, m))`` for a filter that takes both noises for white: the driving ones, and the stationary."""
         return (self.E, self.Xi), (self.Q + self.J @ self.V @ self.J.mT, self.V)
 
 
 def ar1_noise(F: ArrayLike, L: ArrayLike, J: ArrayLike, Xi: ArrayLike, E: ArrayLike) -> Noise:
-    """Checked noises; ValueError for ``F`` or ``L`` that is not diagonal with magnitudes below 1, and for no covariance."""
+    """Checked, as a `Noise`; ValueError for ``F`` or ``L`` that is not diagonal with magnitudes below 1, and for no covariance."""
     xi, e = finite("Xi", Xi, ("m", "m")), finite("E", E, ("q", "q"))
     m, q = len(xi), len(e)
     colors = finite("F", F, (m, m)), finite("L", L, (q, q))

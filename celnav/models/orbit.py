@@ -69,7 +69,7 @@ def acceleration(position: Array, earth: Earth = EARTH) -> Array:
 def third_body(position: Array, body: Array, gm: float) -> Array:
     """Acceleration ``(..., 3)`` of a satellite at ``position (..., 3)`` by a ``body (..., 3)`` of ``gm`` km^3/s^2, both geocentric.
 
-    In the form that does not subtract attractions which are nearly the same [Battin 1987, Eq. 8.61].
+    In the form that does not subtract attractions which are nearly the same [Battin1987, Eq. 8.61].
     """
     q = ((position * (position - 2.0 * body)).sum(-1) / np.square(body).sum(-1))[..., None]
     f = q * (3.0 + q * (3.0 + q)) / (1.0 + (1.0 + q) ** 1.5)
@@ -238,7 +238,7 @@ def advance(state: Array, dt: float, earth: Earth = EARTH, extra: Extra | None =
 
 
 def flow(state: Array, dt: float, earth: Earth = EARTH, extra: Extra | None = None) -> Flow:
-    """`advance` with its derivatives, exact to 2e-8 for 300 s in a low orbit; they leave out the gradient of ``extra``."""
+    """`Flow`: `advance` and its derivatives, exact to 2e-8 for 300 s in a low orbit; they leave out the gradient of ``extra``."""
     r, end = _orbit(state, dt, earth, extra)
     A = gradient(r, earth)
     # Positions Y and velocities Z of the transition's columns at the nodes: Y'' = A Y, to begin with Y = [I, t I].

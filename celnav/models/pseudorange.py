@@ -29,7 +29,7 @@ class Sources(NamedTuple):
 
 
 def sources(broadcast: Broadcast, t: Array | float, position: Array, velocity: Array | float = 0.0) -> Sources:
-    """All satellites for a receiver at ``position (..., 3)``, moving by ``velocity``, at times of reception ``t (...)``.
+    """`Sources`: all satellites for a receiver at ``position (..., 3)``, moving by ``velocity``, at times of reception ``t (...)``.
 
     A position that is off by 10 m changes them by less than 1e-5 m, a velocity by 10 m/s hardly at all.
     """

@@ -85,7 +85,7 @@ def known() -> dict[str, Pulsar]:
 
 
 def pulsars(names: Sequence[str]) -> list[Pulsar]:
-    """Pulsars of `known` by name."""
+    """Pulsars of `known` by name, in a list; ValueError names one that is not there."""
     table = known()
     return [table[choice("pulsar", name, table)] for name in sequence("names", names, '["B1937+21"]')]
 

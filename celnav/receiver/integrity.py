@@ -3,7 +3,7 @@
 A fix of m measurements and n unknowns has a sum of squared residuals, in deviations of the noise, that is chi-square with m - n
 degrees of freedom, its redundancy: with none nothing can be tested, with one a fault is detected, with two or more it can be
 excluded. The fewest measurements are excluded that leave a consistent fix, and of as many those whose absence leaves the least
-residuals [Parkinson & Axelrad 1988; Brown 1992]. Fixes ``K`` or ``T`` lead, measurements ``S`` follow.
+residuals [Parkinson1988; Brown1992]. Fixes ``K`` or ``T`` lead, measurements ``S`` follow.
 """
 
 from __future__ import annotations

@@ -92,7 +92,7 @@ def klobuchar(
     alpha: ArrayLike, beta: ArrayLike, t: Array | float, latitude: Array | float, longitude: Array | float, elevation: Array,
     azimuth: Array,
 ) -> Array:  # fmt: skip
-    """Ionospheric delay (m) at GPS L1 [Klobuchar 1987; IS-GPS-200]; at another frequency f it is ``(L1 / f)^2`` times that.
+    """Ionospheric delay (m) at GPS L1 [Klobuchar1987; IS-GPS-200]; at another frequency f it is ``(L1 / f)^2`` times that.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def klobuchar(
 
 
 def saastamoinen(latitude: Array | float, height_m: Array | float, elevation: Array, *, humidity: float = 0.5) -> Array:
-    """Tropospheric delay (m) of the standard atmosphere, mapped by ``1 / sin(elevation)`` [Saastamoinen 1972].
+    """Tropospheric delay (m) of the standard atmosphere, mapped by ``1 / sin(elevation)`` [Saastamoinen1972].
 
     ``height_m`` above the sea, from -1000 to 11,000. ``humidity``: relative, of the air at the receiver, from 0 to 1.
     """

@@ -81,7 +81,7 @@ class Problem:
 
     @property
     def n(self) -> int:
-        """Dimension of the state's differences."""
+        """Dimension n of the state's differences."""
         return len(self.prior.cov)
 
     def draw(self, rngs: Sequence[np.random.Generator]) -> tuple[Array, Array]:
