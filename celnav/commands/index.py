@@ -19,7 +19,7 @@ from celnav.commands.arguments import module as module_of
 from celnav.files import read_json
 from celnav.papers import PAPERS, load
 from celnav.real import STUDIES
-from celnav.show.claims import counted, read_claims, surprise, table, tally
+from celnav.show.claims import answer, counted, read_claims, surprise, table, tally
 from celnav.show.page import document, link, linked
 from celnav.show.page import table as plain_table
 from celnav.study.ledger import VERDICTS
@@ -119,7 +119,7 @@ def _opening(out: Path, paper: str, claims: Claims) -> str:
     drawn = _drawing(picture, paper, module) if picture.exists() else ""
     return (
         f'<article class="card"><h3><a href="#{paper}">{html.escape(module.TITLE)}</a></h3>{drawn}'
-        f"<p>{whose}{html.escape(module.STUDY.says)}</p><p>We find: {html.escape(module.STUDY.found)}</p>"
+        f"<p>{whose}{html.escape(module.STUDY.says)}</p><p>We find: {html.escape(answer(module.STUDY, claims))}</p>"
         f"<p><small>{len(rows)} {kind}s: {counted(rows)}.{told}</small></p></article>"
     )
 
