@@ -28,6 +28,7 @@ from celnav.filters.colored import augmented, colored, decorrelated
 from celnav.filters.compiled import compiled
 from celnav.filters.export import export_c
 from celnav.filters.imm import imm
+from celnav.filters.iterated_smoother import iterated_smoother
 from celnav.filters.model import Linear, Motion, Sensor
 from celnav.filters.records import Epoch, Filter, FilterError, epochs
 from celnav.filters.run import run, steps
@@ -79,6 +80,7 @@ __all__ = [
     "gauss_hermite",
     "ghkf",
     "imm",
+    "iterated_smoother",
     "product",
     "run",
     "sigma_point",

@@ -398,15 +398,21 @@ def record(r: Results, outputs: Outputs) -> list[str]:
 
     def scene(out: Recorder) -> None:
         out.path("sky/pulsars", [np.stack([1.5 * n, 1.9 * n]) for n in stars], colors.STAR)
-        out.trail("sky/earth", earth, colors.COMPARISON)
-        out.points("sky/earth/now", earth, colors.COMPARISON, radius=5.0, label="Earth")
-        out.points("sky/fix", earth + error / 15.0, colors.ESTIMATE, radius=4.0, label="fix, errors times 10 million")
+        out.trail("sky/earth", earth, colors.TRUTH)
+        out.points("sky/earth/now", earth, colors.TRUTH, radius=5.0, label="Earth")
+        out.points("sky/fix", earth + error / 15.0, colors.ESTIMATE, radius=4.0, label="fix")
 
     plots = {axis: Plot(f"fix {axis}, error in km", {"fix": Curve(error[:, i], colors.ESTIMATE, "weekly fix")})
              for i, axis in enumerate("xyz")}  # fmt: skip
     notes = "# The Earth by millisecond pulsars\nRays point to the pulsars; units are AU."
     sky = Space("sky", "Earth and pulsars", (2.5, -2.5, 1.8), growing=("sky/earth",))
     show = Showcase(
-        "nanograv", notes, DAY_S * (day - day[0]), scene=scene, spaces=[sky], legend={colors.STAR: "pulsars"}, plots={"fix": plots}
+        "nanograv",
+        notes,
+        DAY_S * (day - day[0]),
+        scene=scene,
+        spaces=[sky],
+        legend={colors.ESTIMATE: "weekly fixes, errors times 10 million", colors.STAR: "pulsars"},
+        plots={"fix": plots},
     )
     return write({"nanograv.rrd": show}, outputs)

@@ -129,8 +129,9 @@ without its correlation; inflated: with the R that a mean of many fixes so corre
 by NIS: with the R that makes NIS right; by likelihood: the R and Q with which all fixes are most probable as white and normal."""
 _scale, _phi, _q = SETTINGS["robust"]
 _sigma = _scale * float(np.sqrt(DOF / (DOF - 2.0)))
-SETTINGS |= dict.fromkeys(("white", "white, gated"), Setting(_sigma, 0.0, _q)) | {
-    "colored": Setting(_sigma, _phi, _q),
+SETTINGS |= dict.fromkeys(("white", "white, gated"), Setting(_sigma, 0.0, _q))
+SETTINGS |= dict.fromkeys(("colored", "augmented", "without z_0"), Setting(_sigma, _phi, _q))
+SETTINGS |= {
     "white, inflated": Setting(_sigma * float(np.sqrt((1.0 + _phi) / (1.0 - _phi))), 0.0, _q),
 }
 

@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 
 LINES = {
     "white": Line("fixes taken for white", colors.COMPARISON), "colored": Line("told of the correlation", colors.ESTIMATE),
-    "robust": Line("so, with Student's t", colors.TRUTH), "white, gated": Line("white, with a gate", colors.PAPER),
+    "robust": Line("so, with Student's t", colors.REFERENCE), "white, gated": Line("white, with a gate", colors.PAPER),
     "white, inflated": Line("white, R inflated", colors.MEASUREMENT), "white, by NIS": Line("white, R by NIS", colors.OPEN_LOOP),
     "white, by likelihood": Line("white, R and Q by likelihood", colors.SIGMA),
     "screened": Line("colored, set without far fixes", colors.BOUND), "normal": Line("colored, set by all as normal", colors.BODY),
-    "by correlation": Line("colored, set by correlation", colors.REFERENCE),
+    "by correlation": Line("colored, set by correlation", colors.OPEN_LOOP),
     "augmented": Line("noise in the state", colors.FAINT), "without z_0": Line("without the first fix", colors.FAINT, "--"),
 }  # fmt: skip
 BAND = 1.96
@@ -62,8 +62,8 @@ def bursts(r: Results) -> Figure:
         curve(hours, length["fixes"], label="fixes", color=colors.SIGMA, linestyle="", marker=".", markersize=1.5),
         *(curve(hours, length[name], LINES[name]) for name in ("white, gated", "white", "colored", "robust")),
     ]
-    each = {"the day": (0.0, float(hours[-1])), "an hour around the largest error of a fix": (worst - 0.5, worst + 0.5)}
-    row = [Panel(title, drawn, "hours of 1 August 2008", "error (m)", "y", {"xlim": span, "ylim": (0.2, 200.0)})
+    each = {"the day": (0.0, float(hours[-1])), "around the largest error of a fix": (worst - 0.45, worst + 0.65)}
+    row = [Panel(title, drawn, "hours of 1 August 2008", "error (m)", "", {"xlim": span, "ylim": (0.0, 45.0)})
            for title, span in each.items()]  # fmt: skip
     return panels(row, size=(10.5, 4.2), sharey=True)
 
@@ -126,7 +126,10 @@ def table_1(r: Results) -> Rows:
 
 FIGURES = {
     "figure_01": ("Radial errors of a real satellite's estimated position, beside the 95 % that each filter claims.", day),
-    "figure_02": ("Bursts of the fixes' errors: a gate locks a filter out, Student's t does not.", bursts),
+    "figure_02": (
+        "Bursts of errors: a gate locks a filter out, and Student's t mistrusts the steps by which they end.",
+        bursts,
+    ),
     "figure_03": ("Correlation of the fixes' errors, and of what is left of them in innovations.", autocorrelations),
     "figure_04": ("What filters err and what they claim, by filter and by degree of gravity.", sizes),
 }
@@ -176,7 +179,8 @@ def _shown(results: Results) -> Showcase:
 NOTES = """# GRACE-A, 1 August 2008: real GPS fixes, and where the satellite was
 
 **Errors of fixes follow one another. The blue filter takes them for white, and leaves what it claims; the orange one is told of
-their correlation, and leaves it only in four bursts.**
+their correlation, and leaves it only in four bursts. The olive one mistrusts what surprises it: also the steps by which a burst
+ends.**
 
 Fixes every 10 s without any model of the orbit; truth from the carrier's phase, good to 3 to 6 cm.
 """
