@@ -131,9 +131,7 @@ _scale, _phi, _q = SETTINGS["robust"]
 _sigma = _scale * float(np.sqrt(DOF / (DOF - 2.0)))
 SETTINGS |= dict.fromkeys(("white", "white, gated"), Setting(_sigma, 0.0, _q))
 SETTINGS |= dict.fromkeys(("colored", "augmented", "without z_0"), Setting(_sigma, _phi, _q))
-SETTINGS |= {
-    "white, inflated": Setting(_sigma * float(np.sqrt((1.0 + _phi) / (1.0 - _phi))), 0.0, _q),
-}
+SETTINGS["white, inflated"] = Setting(_sigma * float(np.sqrt((1.0 + _phi) / (1.0 - _phi))), 0.0, _q)
 
 
 class Training(NamedTuple):

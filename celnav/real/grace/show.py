@@ -179,7 +179,7 @@ def _shown(results: Results) -> Showcase:
 NOTES = """# GRACE-A, 1 August 2008: real GPS fixes, and where the satellite was
 
 **Errors of fixes follow one another. The blue filter takes them for white, and leaves what it claims; the orange one is told of
-their correlation, and leaves it only in four bursts. The olive one mistrusts what surprises it: also the steps by which a burst
+their correlation, and leaves it in a few bursts only. The olive one mistrusts what surprises it: also the steps by which a burst
 ends.**
 
 Fixes every 10 s without any model of the orbit; truth from the carrier's phase, good to 3 to 6 cm.

@@ -4,7 +4,8 @@ GRACE-A, 1 to 3 August 2008. The fixes of 2 and 3 August decide all that is set 
 1 August, for which there are positions good to 3 to 6 cm. This is a second look. In the first, all filters had a gate of 5
 deviations, and settings by a likelihood without the fixes that were far off; bursts of the fixes' errors locked filters out, and
 what was found was the gate's. So the truth had been looked at when this was written: that there are bursts was known. Settings are
-of 2 and 3 August still, and ranges those of the first look. Units: m, s; errors radial, along and across the track.
+of 2 and 3 August still. Ranges are those of the first look; those of rows that it did not have were written before these were
+computed. Units: m, s; errors radial, along and across the track.
 """
 
 from __future__ import annotations
@@ -330,10 +331,10 @@ STUDY = Study(
     "grace", (Group("position", "m", slice(0, 3)),), None, parts, [*FINDINGS, *CHECKS], figure="figure_01",
     says="A satellite's GPS fixes have errors that follow one another. Is a filter honest that takes them for white, and one that "
     "is told?",
-    found="By the mean of the day it is, if it was told by a likelihood that knows of bursts: NEES/3 {colored-honest[0]:.2f} at "
-    "{colored-honest[2]:.1f} m RMSE, where the white one errs {white-overconfident[2]:.1f} m, {white-overconfident[0]:.1f} times "
-    "its claim. But four bursts of the fixes' errors, up to 40 m, rule that mean, and intervals decide little. Told by normal "
-    "likelihoods, with the bursts or without, it claims less than half as much, and errs no less. Student's t in the filter "
-    "does not weather them ({robust[0]:.2f} of the RMSE), and a gate locks the white one out ({gate-locks[0]:.1f} times its "
-    "RMSE, undecided). This is a second look at that day.",
+    found="By the mean of the day the one that was told is, if a likelihood that knows of bursts told it: NEES/3 "
+    "{colored-honest[0]:.2f} at {colored-honest[2]:.1f} m RMSE; the white one errs {white-overconfident[2]:.1f} m, "
+    "{white-overconfident[0]:.1f} times its claim. But a few bursts of the fixes' errors, up to 40 m, rule that mean, and "
+    "intervals decide little. Told by normal likelihoods, with the bursts or without, it claims less than half as much, and errs no less. "
+    "Student's t in the filter does not weather them ({robust[0]:.2f} of the RMSE), and a gate locks the white one out "
+    "({gate-locks[0]:.1f} times its RMSE, undecided). This is a second look at that day.",
 )  # fmt: skip
