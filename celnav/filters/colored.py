@@ -25,7 +25,7 @@ from celnav.filters.sequential import Sequential, checked, missing, sigma_point,
 from celnav.gaussian.belief import Gaussian, symmetric
 from celnav.gaussian.checks import Shape, choice, finite, function, instance, numbers, together, unmasked
 from celnav.gaussian.linalg import POSITIVE, Array, SquareRoot, block, matvec, side_by_side, solve_right, surely, tria
-from celnav.gaussian.rules import unscented
+from celnav.gaussian.rules import UNSCENTED
 from celnav.gaussian.spaces import EUCLIDEAN
 
 Coloring = ArrayLike | Callable[[Any], Array]
@@ -34,7 +34,7 @@ Coloring = ArrayLike | Callable[[Any], Array]
 
 def colored(
     motion: Motion, sensor: Sensor, Phi: Coloring, *,
-    increments: Any = None, first: bool = True, rule: Any = unscented, **options: Any,
+    increments: Any = None, first: bool = True, rule: Any = UNSCENTED, **options: Any,
 ) -> Colored:  # fmt: skip
     """A filter for colored measurement noise, in one transform: condition ``x' = f(x) + w`` on ``z' - Phi z`` directly.
 
@@ -69,6 +69,8 @@ def decorrelated(motion: Motion, sensor: Sensor, Phi: Coloring, **options: Any) 
     linear model the first is what `colored` gives in one step. The measurement is a matrix. Hooks may leave measurements out, as
     gates do; those that change the noise are for `colored`, since here the noise also decides how the measurement enters the
     prediction.
+
+    >>> filter = celnav.decorrelated(motion, gps, 0.9 * np.eye(3))
     """
     if callable(instance("sensor", sensor, Sensor, "celnav.Sensor(h, R)").h):
         raise ValueError("sensor: expected a measurement matrix (m, n), got a function; `colored` takes one")
@@ -296,12 +298,14 @@ class Augmented(Sequential):
 
 
 def augmented(
-    motion: Motion, sensor: Sensor, Phi: Coloring, *, increments: Any = None, rule: Any = unscented, **options: Any
+    motion: Motion, sensor: Sensor, Phi: Coloring, *, increments: Any = None, rule: Any = UNSCENTED, **options: Any
 ) -> Augmented:
     """The exact reference for colored noise: a filter on ``[x; V] (n + m)`` with no measurement noise of its own.
 
     Arguments as in `colored`; the measurement may be an angle, R is a constant. The belief is that of ``[x; V]``; start it from a
     prior of ``x`` alone. Its covariance is singular after each measurement. A missing sample costs nothing but itself.
+
+    >>> filter = celnav.augmented(motion, gps, 0.9 * np.eye(3))
     """
     instance("motion", motion, Motion, "celnav.Motion(f, Q)")
     instance("sensor", sensor, Sensor, "celnav.Sensor(h, R)")
