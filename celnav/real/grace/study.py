@@ -334,7 +334,8 @@ STUDY = Study(
     found="By the mean of the day the one that was told is, if a likelihood that knows of bursts told it: NEES/3 "
     "{colored-honest[0]:.2f} at {colored-honest[2]:.1f} m RMSE; the white one errs {white-overconfident[2]:.1f} m, "
     "{white-overconfident[0]:.1f} times its claim. But a few bursts of the fixes' errors, up to 40 m, rule that mean, and "
-    "intervals decide little. Told by normal likelihoods, with the bursts or without, it claims less than half as much, and errs no less. "
+    "intervals decide little. Told by normal likelihoods, with the bursts or without, it claims less than half as much, and "
+    "errs no less. "
     "Student's t in the filter does not weather them ({robust[0]:.2f} of the RMSE), and a gate locks the white one out "
     "({gate-locks[0]:.1f} times its RMSE, undecided). This is a second look at that day.",
 )  # fmt: skip
