@@ -400,7 +400,7 @@ def record(r: Results, outputs: Outputs) -> list[str]:
         out.path("sky/pulsars", [np.stack([1.5 * n, 1.9 * n]) for n in stars], colors.STAR)
         out.trail("sky/earth", earth, colors.TRUTH)
         out.points("sky/earth/now", earth, colors.TRUTH, radius=5.0, label="Earth")
-        out.points("sky/fix", earth + error / 15.0, colors.ESTIMATE, radius=4.0, label="fix")
+        out.points("sky/fix", earth + error / 15.0, colors.ESTIMATE, radius=4.0)
 
     plots = {axis: Plot(f"fix {axis}, error in km", {"fix": Curve(error[:, i], colors.ESTIMATE, "weekly fix")})
              for i, axis in enumerate("xyz")}  # fmt: skip
