@@ -9,8 +9,8 @@ Rules     `unscented`, `cubature`, `gauss_hermite`, `simplex`, `smolyak`, `from_
 Run       `run` gives a `Track`, `steps` and `epochs` go one by one, a lost run is a `FilterError`; `compiled` and `export_c` make
           code of a filter.
 Smooth    `smooth`, `iterated_smoother`.
-Judge     `simulate` draws truth and measurements, `compare` flies filters on a `Problem`; ``celnav.analysis`` has metrics, tuning,
-          bounds, observability and ``diagnose.diagnose``, which asks a log.
+Judge     `simulate` draws truth and measurements, `report` holds a track against the truth, `compare` flies filters on a `Problem`;
+          ``celnav.analysis`` has metrics, tuning, bounds, observability and ``diagnose.diagnose``, which asks a log.
 
 Conventions, stated once
 ------------------------
@@ -55,6 +55,7 @@ from celnav.gaussian.rules import Rule, Taylor, cubature, from_filterpy, gauss_h
 from celnav.gaussian.spaces import EUCLIDEAN, angles, product
 from celnav.gaussian.sparse_grid import smolyak
 from celnav.lazy import modules
+from celnav.show.report import report
 from celnav.study.problem import Problem, compare
 from celnav.study.simulate import simulate
 from celnav.study.trial import Group as Group
@@ -94,6 +95,7 @@ __all__ = [
     "imm",
     "iterated_smoother",
     "product",
+    "report",
     "run",
     "sigma_point",
     "simplex",

@@ -76,7 +76,9 @@ def problem():
         "pictures": np.full_like(z, np.nan), "picture": z[18], "problem": celnav.Problem(motion, gps, prior, times),
         "squares_of_one_filter": np.arange(1.0, 9.0), "squares_of_another": np.arange(2.0, 10.0), "ratio": metrics.ratio,
         "epochs": celnav.epochs(times, z), "MerweScaledSigmaPoints": MerweScaledSigmaPoints, "fx": lambda x, dt: x,
-        "infos": filter.step(filter.start(prior), celnav.Epoch(z=z[0]))[1], "step": lambda x: x**2, "measure": lambda x: x[..., :3],
+        "rngs": [np.random.default_rng(i) for i in range(2)], "filters": {"ukf": filter},
+        "groups": (celnav.Group("position", "m", slice(0, 3), 1000.0),), "step": lambda x: x**2, "measure": lambda x: x[..., :3],
+        "infos": filter.step(filter.start(prior), celnav.Epoch(z=z[0]))[1],
     }  # fmt: skip
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 
 import numpy as np
 import pytest
@@ -158,3 +159,16 @@ def test_two_that_write_into_a_folder_know_of_each_other(tmp_path):
     one.text("a.txt", "ours")
     other.text("b.txt", "theirs")
     Outputs(tmp_path).check(["a.txt", "b.txt"])
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
+def test_what_is_no_file_is_written_to_and_stays(tmp_path):
+    """A device such as /dev/null is not replaced by a file, whoever runs celnav."""
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    write_text(pipe, "through")
+    assert os.read(reader, 100) == b"through"
+    os.close(reader)
+    assert pipe.is_fifo()
+    assert [path.name for path in tmp_path.iterdir()] == ["pipe"]

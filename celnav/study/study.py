@@ -102,6 +102,7 @@ class Study:
         the first number of a row.
     figure: stem of the one that decides.
     windows: ``(config, times) ->`` parts of the time by name, as slices of the epochs that are judged.
+    source: hash of the file that it comes from, where that is none of celnav's.
     """
 
     name: str
@@ -113,6 +114,7 @@ class Study:
     found: str = ""
     figure: str = ""
     windows: Callable[[Any, Array], Mapping[str, slice]] | None = None
+    source: str = ""
 
     def units(self, *, effort: float = 1.0, seed: int = 0, only: Sequence[str] = (), **inputs: Any) -> list[Unit]:
         """The work to be done; ``only``: names of the parts wanted, all if empty; ``inputs``: what else `parts` takes."""
@@ -122,6 +124,7 @@ class Study:
         engine = ENGINE.get()
         about = f"effort {effort!r}, {sorted((key, str(value)) for key, value in inputs.items())}"
         about += "" if engine == "numpy" else f", engine {engine}"
+        about += f", source {self.source}" if self.source else ""
         units = []
         for name, part in parts.items():
             if not only or name in only:
