@@ -95,3 +95,12 @@ def test_an_example_runs(name, tmp_path, monkeypatch):
         else:
             got = repr(eval(source, known)) + "\n"
             assert doctest.OutputChecker().check_output(example.want, got, doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE), got
+
+
+def test_modules_name_what_the_reference_shows():
+    """``__all__`` of a module is what is public there; the reference shows nothing else."""
+    shown = [(thing.__module__, name.rsplit(".", 1)[-1]) for name in NAMES for thing in [attrgetter(name)(celnav)]]
+    for module, name in shown:
+        own = import_module(module)
+        assert name in own.__all__, f"{module}.{name}"
+        assert all(hasattr(own, public) for public in own.__all__), module

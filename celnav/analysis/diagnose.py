@@ -26,6 +26,8 @@ from celnav.gaussian.checks import finite, integer, number, numbers, sequence
 from celnav.gaussian.linalg import FORMS, Array
 from celnav.gaussian.spaces import EUCLIDEAN
 
+__all__ = ["Diagnosis", "diagnose", "first_order"]
+
 LEAST = 20  # samples of a component, below which nothing can be said
 SMALL = 1.1  # how much larger a deviation of a mean may be than white noise has it, for noise that is nearly white
 REACH = -3.5, 5.5  # of the inverse hyperbolic tangent of a coefficient

@@ -12,6 +12,8 @@ from scipy.special import gammaincinv, ndtri, stdtrit
 from celnav.gaussian.checks import LIMIT, function, integer, number, numbers
 from celnav.gaussian.linalg import Array
 
+__all__ = ["bootstrap", "chi_square_band", "ratio", "rms", "rmse", "rmse_interval"]
+
 
 def rms(squares: ArrayLike) -> float:
     """Root of the mean of squares over everything."""

@@ -19,6 +19,11 @@ from celnav.gaussian.belief import symmetric
 from celnav.gaussian.checks import finite, integer, number, sequence
 from celnav.gaussian.linalg import Array
 
+__all__ = [
+    "hysteresis", "information_degree", "jacobian", "lie_gradients", "nonlinearity_degree", "nonlinearity_weights",
+    "observability_matrix", "state_singular_values", "threshold_weights",
+]  # fmt: skip
+
 Function = Callable[[Array], Array]
 
 _TINY = 1e-30j  # the step, along each axis

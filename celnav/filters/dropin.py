@@ -29,6 +29,8 @@ from celnav.gaussian.linalg import Array, Covariance, Form, SquareRoot, outer, w
 from celnav.gaussian.rules import Rule, from_filterpy
 from celnav.gaussian.spaces import EUCLIDEAN, Space
 
+__all__ = ["SigmaPointUKF", "SquareRootUKF"]
+
 Function = Callable[..., Any]
 """One of filterpy's, of one vector."""
 Model = Callable[[Array, Any], Array]

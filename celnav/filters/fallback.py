@@ -15,6 +15,8 @@ from celnav.filters.sequential import Sequential, plain
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array, Belief, surely
 
+__all__ = ["Fallback"]
+
 Step = tuple[State, tuple[Info, ...]]
 
 

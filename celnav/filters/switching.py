@@ -14,6 +14,8 @@ from celnav.filters.records import Epoch, Filter, Info, State
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array
 
+__all__ = ["Switching"]
+
 
 class Turn(NamedTuple):
     """State of a `Switching`; ``chosen (...)``: numbers of the filters that made the last step, None before the first."""

@@ -18,6 +18,8 @@ from celnav.gaussian.linalg import Array, Belief, SquareRoot
 if TYPE_CHECKING:
     import pandas as pd
 
+__all__ = ["Track"]
+
 
 @dataclass(frozen=True)
 class Track:

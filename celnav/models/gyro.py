@@ -18,6 +18,8 @@ from celnav.gaussian.attitude import cross, exp, inverse, log, multiply, rotate,
 from celnav.gaussian.checks import LIMIT, finite, instance, integer, number, numbers, together
 from celnav.gaussian.linalg import Array, matvec, side_by_side
 
+__all__ = ["Body", "Gyro", "SteadyState", "preintegrate", "steady_state"]
+
 
 @dataclass(frozen=True)
 class Gyro:

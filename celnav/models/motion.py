@@ -18,6 +18,8 @@ from celnav.filters.model import Linear, Motion
 from celnav.gaussian.checks import finite, integer, number
 from celnav.gaussian.linalg import Array
 
+__all__ = ["constant_acceleration", "constant_velocity", "coordinated_turn", "known_turn"]
+
 MOST_AXES = 100
 
 

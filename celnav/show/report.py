@@ -28,6 +28,8 @@ from celnav.show.figures import Item, Panel, curve, panels
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+__all__ = ["report"]
+
 WIDTH = 110
 MOST_PANELS = 12
 """Components that are drawn."""

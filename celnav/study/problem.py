@@ -30,6 +30,8 @@ from celnav.gaussian.spaces import EUCLIDEAN
 from celnav.study.montecarlo import generator, normals
 from celnav.study.trial import Group, Noiseless, Trial, bound, check_groups, drawn, follow, squares
 
+__all__ = ["Problem", "compare"]
+
 WILD = 10.0  # by how much an outlier's noise is larger
 PASSES = 3
 

@@ -17,6 +17,8 @@ from celnav.gaussian.checks import instance, integer, sequence
 from celnav.gaussian.linalg import Array, matvec
 from celnav.study.montecarlo import generator
 
+__all__ = ["simulate"]
+
 MOST_RUNS = 1_000_000  # generators of numbers take time and memory
 
 

@@ -26,6 +26,8 @@ from celnav.study.ledger import Claim, Row
 from celnav.study.montecarlo import blocks, effort, generator, run_count
 from celnav.study.trial import Group, Trial, follow
 
+__all__ = ["Results", "Study"]
+
 Rngs = Sequence[np.random.Generator]
 When = int | slice | str
 """An epoch, those that are averaged over, or the name of a window, see `Study`."""
