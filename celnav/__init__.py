@@ -24,9 +24,9 @@ Chance    One generator for each run: ``(seed, study, run)`` determines its numb
 Sources   ``[Sun2015, Eq. 27]`` in a docstring; citations are in ``celnav.papers.<id>.CITATION``.
 """
 
+from typing import TYPE_CHECKING
+
 from celnav.filters.colored import augmented, colored, decorrelated
-from celnav.filters.compiled import compiled
-from celnav.filters.export import export_c
 from celnav.filters.imm import imm
 from celnav.filters.model import Linear, Motion, Sensor
 from celnav.filters.records import Epoch, Filter, FilterError, epochs
@@ -45,9 +45,13 @@ from celnav.study.problem import Problem, compare
 from celnav.study.simulate import simulate
 from celnav.study.trial import Group
 
+if TYPE_CHECKING:
+    from celnav.filters.compiled import compiled
+    from celnav.filters.export import export_c
+
 __version__ = "0.1.0"
 
-__getattr__, __dir__ = modules(__name__)
+__getattr__, __dir__ = modules(__name__, compiled="celnav.filters.compiled", export_c="celnav.filters.export")
 
 __all__ = [
     "EUCLIDEAN",

@@ -17,11 +17,24 @@ from celnav import real
 from celnav.commands.arguments import UsageError
 from celnav.files import ForeignFileError, InputError
 from celnav.filters.run import ENGINES
+from celnav.lazy import require
 from celnav.tape.cuda import CudaError
 
 EXIT = "Exit status: 0, done; 1, it could not be done; 2, what was given cannot be used; 130, interrupted."
 BAD_INPUT = (InputError, ForeignFileError, FileNotFoundError, IsADirectoryError, NotADirectoryError, PermissionError)
 """What was given cannot be used, files and folders too: the exit status is 2."""
+PAPERS = ("papers", "jplephem", "erfa", "skyfield_data", "pymap3d", "threadpoolctl")
+RESULTS = ("papers", "matplotlib", "PIL", "tqdm", "filelock", *PAPERS[1:])
+NEEDS = {
+    "list": PAPERS,
+    "verdicts": PAPERS,
+    "reproduce": RESULTS,  # without rerun it says that there are no recordings
+    "run": (*RESULTS, "pyarrow"),
+    "campaign": (*RESULTS, "pyarrow"),
+    "view": ("record", "rerun", "PIL"),
+    "position": ("rinex", "pymap3d", "erfa"),
+}
+"""Commands that need more than numpy and scipy: the extra that brings it, and packages without which they would end."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -31,6 +44,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             stream.reconfigure(errors="replace")
     try:
         options = _options(sys.argv[1:] if arguments is None else arguments)
+        if options.needs:
+            require(*options.needs)
         status: int = importlib.import_module(f"celnav.commands.{options.module}").run(options)
         sys.stdout.flush()
         return status
@@ -98,7 +113,7 @@ def _parser() -> tuple[_Parser, dict[str, _Parser]]:
 
     def command(name: str, help: str, module: str | None = None) -> argparse.ArgumentParser:
         added = commands.add_parser(name, help=help, description=help)
-        added.set_defaults(module=module or name)
+        added.set_defaults(module=module or name, needs=(name, *NEEDS[name]) if name in NEEDS else ())
         return added
 
     lists = command("list", "papers, figures, filters and rules, or the parameters of a paper")

@@ -20,8 +20,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from filelock import FileLock, Timeout
 from numpy.typing import NDArray
+
+from celnav.lazy import needed_by
 
 MANIFEST = ".celnav.json"
 LOCK = ".celnav.lock"
@@ -101,6 +102,9 @@ def locked(folder: str | Path) -> Iterator[None]:
     ------
     BlockingIOError: naming the folder, if another process is there.
     """
+    with needed_by("the lock of a folder", "papers"):
+        from filelock import FileLock, Timeout
+
     lock = FileLock(Path(folder) / LOCK)
     try:
         lock.acquire(blocking=False)

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, cast
 from urllib.parse import urlsplit
 
 from celnav.gaussian.checks import integer
+from celnav.lazy import needed_by
 
 PATIENCE_S = 10.0
 """How long a scheduler may take to answer."""
@@ -139,11 +140,9 @@ def _is_address(text: str) -> bool:
 
 @contextmanager
 def _cluster(address: str | None, jobs: int) -> Iterator[Executor]:
-    try:
+    with needed_by("dask", "cluster"):
         import distributed
-    except ImportError:
-        hint = '.venv/bin/pip install -c constraints.txt -e ".[cluster]"'
-        raise ImportError(f"dask needs the package distributed: in the folder of celnav, {hint}") from None
+
     others, dd = set(active_children()), cast(Any, distributed)
     with contextlib.ExitStack() as stack:
         stack.callback(_kill_but, others)

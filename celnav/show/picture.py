@@ -15,12 +15,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import rerun as rr
-from PIL import Image
-from rerun.experimental import ViewerClient
-
 from celnav.files import InputError, replacing
+from celnav.lazy import needed_by
 from celnav.show.views import TIMELINE
+
+with needed_by("a picture of a recording", "record"):
+    import rerun as rr
+    from PIL import Image
+    from rerun.experimental import ViewerClient
 
 HOST = "127.0.0.1"
 """What the viewer listens to."""
