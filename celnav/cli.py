@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import errno
 import importlib
 import io
 import itertools
@@ -52,10 +53,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except UsageError as error:
         print(f"celnav: {error}", file=sys.stderr)
         return 2
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
     except (OSError, ImportError, InputError, CudaError) as error:
+        if _nobody_reads(error):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return 1
         print(f"celnav: {_told(error)}", file=sys.stderr)
         return 2 if isinstance(error, BAD_INPUT) else 1
     except MemoryError as error:
@@ -64,6 +65,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("celnav: interrupted", file=sys.stderr)
         return 130
+
+
+def _nobody_reads(error: Exception) -> bool:
+    """Whether the pipe that we write to is closed, which Windows calls an invalid argument."""
+    windows = sys.platform == "win32" and isinstance(error, OSError) and error.errno == errno.EINVAL and error.filename is None
+    return windows or isinstance(error, BrokenPipeError)
 
 
 def _told(error: Exception) -> str:

@@ -185,7 +185,7 @@ class Outputs:
 
     def _owned(self, name: str) -> Path:
         path = self.directory / name
-        if Path(name).is_absolute() or ".." in Path(name).parts:
+        if Path(name).anchor or ".." in Path(name).parts:
             raise ValueError(f"name: expected a path inside the folder, got {name!r}")
         for above in list(Path(name).parents)[:-1]:
             if (self.directory / above).is_symlink():

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from importlib.util import find_spec
 from pkgutil import iter_modules
@@ -43,8 +43,10 @@ def modules(package: str, *doors: str, **late: str) -> tuple[Callable[[str], Any
 
     def directory() -> list[str]:
         own = sys.modules[package]
-        public = (name for door in doors for name in vars(import_module(f"{package}.{door}")) if name[0] != "_")
-        return sorted({*vars(own), *late, *(found.name for found in iter_modules(own.__path__)), *public})
+        names = {*vars(own), *late, *(found.name for found in iter_modules(own.__path__))}
+        with suppress(MissingError):
+            names.update(name for door in doors for name in vars(import_module(f"{package}.{door}")) if name[0] != "_")
+        return sorted(names)
 
     return getattribute, directory
 
@@ -79,6 +81,7 @@ def needed_by(what: str, extra: str) -> Iterator[None]:
 
 def require(what: str, extra: str, *packages: str) -> None:
     """Raise `MissingError` if one of the packages is not installed, before work begins that would end there."""
-    for package in packages:
-        if find_spec(package) is None:
-            raise MissingError(what, package, extra)
+    with needed_by(what, extra):
+        for package in packages:
+            if find_spec(package) is None:
+                raise ModuleNotFoundError(name=package)

@@ -17,6 +17,8 @@ from urllib.parse import urlsplit
 from celnav.gaussian.checks import integer
 from celnav.lazy import needed_by
 
+MOST_PROCESSES = 61 if os.name == "nt" else 1_000_000
+"""Windows waits for no more at once."""
 PATIENCE_S = 10.0
 """How long a scheduler may take to answer."""
 
@@ -66,7 +68,7 @@ def processes(jobs: int) -> Workers:
 @contextmanager
 def _pool(jobs: int) -> Iterator[Executor]:
     others = set(active_children())
-    pool = _Pool(jobs, mp_context=get_context("spawn"), initializer=_end_with_the_parent)
+    pool = _Pool(min(jobs, MOST_PROCESSES), mp_context=get_context("spawn"), initializer=_end_with_the_parent)
     try:
         yield pool
         pool.shutdown()

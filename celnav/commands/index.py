@@ -174,7 +174,12 @@ def _notebook(out: Path, paper: str) -> str:
     """A link to it in the checkout, if there is one."""
     name = "07_real_data.ipynb" if paper in STUDIES else f"{list(PAPERS).index(paper) + 1:02d}_{paper}.ipynb"
     path = Path(celnav.__file__).resolve().parents[1] / "notebooks" / name
-    return link(Path(os.path.relpath(path, out.resolve())).as_posix(), name) if path.exists() else f"notebooks/{name}"
+    if not path.exists():
+        return f"notebooks/{name}"
+    try:
+        return link(Path(os.path.relpath(path, out.resolve())).as_posix(), name)
+    except ValueError:  # on another drive of Windows
+        return link(path.as_uri(), name)
 
 
 def effort_of(folder: Path) -> float | None:

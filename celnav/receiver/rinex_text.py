@@ -11,6 +11,7 @@ import tempfile
 import zlib
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
+from importlib import import_module
 from importlib.resources import as_file, files
 from itertools import pairwise
 from pathlib import Path
@@ -60,6 +61,7 @@ def unpacked(path: Path) -> tuple[str, str]:
 def _decompressed(path: Path, raw: bytes, most: int) -> bytes:
     """By the program of hatanaka, which is stopped after ``most`` bytes: its own function would hold all that comes."""
     with needed_by(f"{path}: a log in Hatanaka's compression", "rinex"):
+        import_module("hatanaka")
         program = files("hatanaka.bin") / ("crx2rnx.exe" if os.name == "nt" else "crx2rnx")
     with tempfile.TemporaryFile() as given, tempfile.TemporaryFile() as told, as_file(program) as executable:
         given.write(raw)
