@@ -19,6 +19,8 @@ LONG = 1000
 """Operations that are written out even so, where rows are treated alike."""
 LONG_PRODUCT = 10_000
 """Likewise of a product of matrices."""
+_QUIET = np.errstate(all="ignore")
+"""From numpy 2.5 on a comparison with nan inside of one of our functions would be a warning of the array's."""
 
 
 def _maximum(a: Scalar, b: Scalar) -> Scalar:
@@ -131,6 +133,7 @@ class Numbers(np.ndarray):
         found = super().__array_function__(function, types, arguments, options)
         return type(found)(map(numbers, found)) if type(found) in (tuple, list) else numbers(found)
 
+    @_QUIET
     def astype(self, dtype: Any, *arguments: Any, **options: Any) -> Any:  # noqa: ARG002
         """As floats, whole numbers or truth values; they stay numbers of full precision, so no other type will do."""
         kind = np.dtype(dtype)
@@ -182,6 +185,7 @@ def _bare(x: Any) -> Any:
     return array if array.dtype.hasobject else array.astype(object)
 
 
+@_QUIET
 def _ufunc(ufunc: Any, method: str, inputs: Sequence[Any], options: dict[str, Any]) -> Any:
     given = options.pop("out", None)
     options.pop("dtype", None), options.pop("order", None), options.pop("casting", None)
@@ -190,6 +194,8 @@ def _ufunc(ufunc: Any, method: str, inputs: Sequence[Any], options: dict[str, An
     elif ufunc.__name__ == "clip":
         low, high = inputs[1:]
         found = np.minimum(np.maximum(inputs[0], low), high)
+    elif ufunc.__name__ == "real":  # what numpy 2.5 makes of x.real
+        (found,) = inputs
     elif ufunc not in _UFUNCS:
         raise refused(f"numpy.{ufunc.__name__} cannot be recorded")
     elif method == "__call__":
@@ -289,6 +295,7 @@ def each_row(function: Callable[..., Any], *points: Any, least: int = LONG) -> A
 
 
 # -- functions that are no ufuncs ------------------------------------------------------------------------------------------
+@_QUIET
 def _where(condition: Any, a: Any, b: Any) -> Any:
     choose = np.frompyfunc(lambda c, x, y: do("select", _logical(c), x, y), 3, 1)
     return numbers(choose(_bare(condition), _bare(a), _bare(b)))
