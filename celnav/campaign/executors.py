@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
@@ -17,7 +18,7 @@ from urllib.parse import urlsplit
 from celnav.gaussian.checks import integer
 from celnav.lazy import needed_by
 
-MOST_PROCESSES = 61 if os.name == "nt" else 1_000_000
+MOST_PROCESSES = 61 if sys.platform == "win32" else 1_000_000
 """Windows waits for no more at once."""
 PATIENCE_S = 10.0
 """How long a scheduler may take to answer."""
@@ -94,15 +95,15 @@ class _Pool(ProcessPoolExecutor):
 def _deaf_children() -> Iterator[None]:
     """Processes that are started in here never hear of interrupts from the keyboard, which are for the parent alone: it hears of
     them at the end."""
-    if not hasattr(signal, "pthread_sigmask"):
+    if sys.platform == "win32":
         yield
-        return
-    resource_tracker.ensure_running()  # its start would let the signal through again
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    else:
+        resource_tracker.ensure_running()  # its start would let the signal through again
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _end_with_the_parent() -> None:

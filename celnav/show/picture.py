@@ -112,7 +112,7 @@ def _answers(port: int) -> bool:
 
 def _end(process: subprocess.Popen[bytes]) -> None:
     """End a process and what it started, which on Windows are one."""
-    if os.name == "posix":
+    if sys.platform != "win32":
         for sign in (signal.SIGTERM, signal.SIGKILL):
             with contextlib.suppress(ProcessLookupError, subprocess.TimeoutExpired):
                 os.killpg(process.pid, sign)

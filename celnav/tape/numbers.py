@@ -192,8 +192,7 @@ def _ufunc(ufunc: Any, method: str, inputs: Sequence[Any], options: dict[str, An
     if ufunc in (np.matmul, np.vecdot) and method == "__call__":
         found = numbers(_products(ufunc, *map(_bare, inputs)))
     elif ufunc.__name__ == "clip":
-        low, high = inputs[1:]
-        found = np.minimum(np.maximum(inputs[0], low), high)
+        found = np.minimum(np.maximum(*inputs[:2]), inputs[2])
     elif ufunc.__name__ == "real":  # what numpy 2.5 makes of x.real
         (found,) = inputs
     elif ufunc not in _UFUNCS:
