@@ -1,5 +1,17 @@
 """celnav: navigation filters, batched and in square-root form, and the papers they come from.
 
+What there is
+-------------
+Believe   `Motion`, `Sensor`, `Linear`, `Gaussian`; where a difference is no subtraction `angles`, `attitude`, `product`.
+Filters   `ukf`, `ekf`, `ckf`, `ghkf`, `sparse_grid_filter`, `sigma_point`; `colored`, `augmented`, `decorrelated` for noise that is
+          not white; `two_stage` for a bias; `imm` for models that take turns. ``celnav.filters.adaptive`` has hooks.
+Rules     `unscented`, `cubature`, `gauss_hermite`, `simplex`, `smolyak`, `from_filterpy`; `Rule` is data, `Taylor` expands.
+Run       `run` gives a `Track`, `steps` and `epochs` go one by one, a lost run is a `FilterError`; `compiled` and `export_c` make
+          code of a filter.
+Smooth    `smooth`, `iterated_smoother`.
+Judge     `simulate` draws truth and measurements, `compare` flies filters on a `Problem`; ``celnav.analysis`` has metrics, tuning,
+          bounds, observability and ``diagnose.diagnose``, which asks a log.
+
 Conventions, stated once
 ------------------------
 Belief    `Motion` says what is believed of the dynamics, `Sensor` of a measurement, `Gaussian` of the start. A filter
@@ -28,8 +40,10 @@ from typing import TYPE_CHECKING
 
 from celnav.filters.colored import augmented, colored, decorrelated
 from celnav.filters.imm import imm
+from celnav.filters.iterated_smoother import iterated_smoother
 from celnav.filters.model import Linear, Motion, Sensor
-from celnav.filters.records import Epoch, Filter, FilterError, epochs
+from celnav.filters.records import Epoch as Epoch
+from celnav.filters.records import Filter, FilterError, epochs
 from celnav.filters.run import run, steps
 from celnav.filters.sequential import ckf, ekf, ghkf, sigma_point, sparse_grid_filter, ukf
 from celnav.filters.smoother import smooth
@@ -43,23 +57,22 @@ from celnav.gaussian.sparse_grid import smolyak
 from celnav.lazy import modules
 from celnav.study.problem import Problem, compare
 from celnav.study.simulate import simulate
-from celnav.study.trial import Group
+from celnav.study.trial import Group as Group
 
 if TYPE_CHECKING:
     from celnav.filters.compiled import compiled
     from celnav.filters.export import export_c
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __getattr__, __dir__ = modules(__name__, compiled="celnav.filters.compiled", export_c="celnav.filters.export")
 
+# `Epoch` and `Group` are names of celnav as well; as tuples they would fill its help with methods of tuples.
 __all__ = [
     "EUCLIDEAN",
-    "Epoch",
     "Filter",
     "FilterError",
     "Gaussian",
-    "Group",
     "Linear",
     "Motion",
     "Problem",
@@ -83,6 +96,7 @@ __all__ = [
     "gauss_hermite",
     "ghkf",
     "imm",
+    "iterated_smoother",
     "product",
     "run",
     "sigma_point",

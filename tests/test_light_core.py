@@ -80,6 +80,7 @@ for filter in filters:
     assert hasattr(filter, "step") and isinstance(track, Track) and np.isfinite(track.mean).all(), filter
 smoothed = celnav.smooth(celnav.run(filters[7], prior, times, z, keep="cov"))
 assert (smoothed.std <= celnav.run(filters[7], prior, times, z).std + 1e-12).all()
+assert np.isfinite(celnav.iterated_smoother(filters[7], prior, times, z).mean).all()
 for epoch, state, infos in celnav.steps(filters[0], prior, celnav.epochs(times, z)):
     assert isinstance(epoch, Epoch) and np.isfinite(state.belief.mean).all()
 problem = celnav.Problem(motion, gps, prior, times, groups=[Group("place", "m", slice(0, 1))])

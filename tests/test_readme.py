@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pydoc
 import re
 import subprocess
 import sys
@@ -93,3 +94,10 @@ def test_constraints_say_why_they_have_no_hashes():
     lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
     assert "no hashes" in " ".join(line for line in lines if line.startswith("#"))
     assert not any("--hash" in line for line in lines)
+
+
+def test_help_names_every_public_function_first():
+    """Its first chapter has them by subject, and no method of tuples is in it."""
+    chapter = (celnav.__doc__ or "").split("Conventions")[0]
+    assert set(re.findall(r"`(\w+)`", chapter)) >= set(celnav.__all__) - {"EUCLIDEAN", "Filter"}
+    assert "count(self, value" not in pydoc.plaintext.document(celnav)

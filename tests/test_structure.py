@@ -69,7 +69,7 @@ def test_the_house_keeps_its_size():
     core = {p: lines(p) for room in ("gaussian", "filters", "models", "analysis", "study") for p in (ROOT / room).glob("*.py")}
     engine = {p: core.pop(p) for p in list(core) if p.stem in ("engine", "flight", "compiled", "export", "recorded", "gradient")}
     engine |= {p: lines(p) for p in (ROOT / "tape").glob("*.py")}
-    assert sum(core.values()) <= 9500, sum(core.values())
+    assert sum(core.values()) <= 9600, sum(core.values())
     assert sum(engine.values()) <= 3360, sum(engine.values())
     assert len(list(ROOT.glob("*.py"))) <= 6
     assert len({p.relative_to(ROOT).parts[0] for p in MODULES}) <= 16

@@ -25,7 +25,7 @@ from celnav.filters.sequential import Sequential, checked, missing, sigma_point,
 from celnav.gaussian.belief import Gaussian, symmetric
 from celnav.gaussian.checks import Shape, choice, finite, function, instance, numbers, together, unmasked
 from celnav.gaussian.linalg import POSITIVE, Array, SquareRoot, block, matvec, side_by_side, solve_right, surely, tria
-from celnav.gaussian.rules import unscented
+from celnav.gaussian.rules import UNSCENTED
 from celnav.gaussian.spaces import EUCLIDEAN
 
 Coloring = ArrayLike | Callable[[Any], Array]
@@ -34,7 +34,7 @@ Coloring = ArrayLike | Callable[[Any], Array]
 
 def colored(
     motion: Motion, sensor: Sensor, Phi: Coloring, *,
-    increments: Any = None, first: bool = True, rule: Any = unscented, **options: Any,
+    increments: Any = None, first: bool = True, rule: Any = UNSCENTED, **options: Any,
 ) -> Colored:  # fmt: skip
     """A filter for colored measurement noise, in one transform: condition ``x' = f(x) + w`` on ``z' - Phi z`` directly.
 
@@ -296,7 +296,7 @@ class Augmented(Sequential):
 
 
 def augmented(
-    motion: Motion, sensor: Sensor, Phi: Coloring, *, increments: Any = None, rule: Any = unscented, **options: Any
+    motion: Motion, sensor: Sensor, Phi: Coloring, *, increments: Any = None, rule: Any = UNSCENTED, **options: Any
 ) -> Augmented:
     """The exact reference for colored noise: a filter on ``[x; V] (n + m)`` with no measurement noise of its own.
 

@@ -17,7 +17,7 @@ from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import choice, finite, function, instance, integer, kind, number, numbers, takes
 from celnav.gaussian.linalg import EPS, FORMS, Array, Belief, Form, surely
 from celnav.gaussian.rules import AnyDimension, Taylor, cubature, gauss_hermite, unscented
-from celnav.gaussian.spaces import EUCLIDEAN
+from celnav.gaussian.spaces import EUCLIDEAN, Space
 from celnav.gaussian.sparse_grid import smolyak
 
 MOST_ITERATIONS = 10_000  # at every step
@@ -87,6 +87,18 @@ class Sequential:
         """The joint of a prediction: the state after the interval."""
         motion = self.motion
         return joint(self.rule, belief, (motion,), epoch, space=motion.space, process_noise=motion.noise, augment=motion.augment)
+
+    def onward(self, belief: Belief, epoch: Epoch, after: Array) -> Joint:
+        """The joint of the state after the interval, as if measured to be ``after``, and of the one before it: what smooths."""
+        return self.between(self.rule, belief, epoch, after)
+
+    def between(self, rule: Any, belief: Belief, epoch: Epoch, after: Array) -> Joint:
+        """That joint by any rule."""
+        motion = self.motion
+        return joint(
+            rule, belief, (motion, KEEP), epoch, space=motion.space,
+            z=after, measurement_noise=motion.noise, augment=motion.augment,
+        )  # fmt: skip
 
     def measured(self, rule: Any, sensor: Sensor, belief: Belief, z: Array, epoch: Epoch) -> Joint:
         """The joint of what a sensor measures and of the state."""
@@ -288,12 +300,19 @@ class Iterated(Sequential):
 
     def relinearized(self, about: Belief, sensor: Sensor, belief: Belief, z: Array, epoch: Epoch) -> Joint:
         """The joint of the measurement and of the state as ``belief`` has it, by a regression over the belief ``about``."""
-        if isinstance(self.rule, Taylor):
-            return self.measured(Taylor(self.rule.step, about=about.mean), sensor, belief, z, epoch)
-        if about is belief or by_matrix(sensor, self.rule):
-            return self.measured(self.rule, sensor, belief, z, epoch)
-        seen = self.measured(self.rule, sensor, about, z, epoch)
-        return regressed(seen, belief, self.motion.space.minus(belief.mean, about.mean))
+        space = self.motion.space
+        return over(about, self.rule, belief, sensor, space, lambda rule, belief: self.measured(rule, sensor, belief, z, epoch))
+
+
+def over(
+    about: Belief, rule: Any, belief: Belief, model: Motion | Sensor, space: Space, draw: Callable[[Any, Belief], Joint]
+) -> Joint:
+    """The joint that ``draw(rule, belief)`` gives, with the state as ``belief`` has it and the model linearized over ``about``."""
+    if isinstance(rule, Taylor):
+        return draw(Taylor(rule.step, about=about.mean), belief)
+    if about is belief or by_matrix(model, rule):
+        return draw(rule, belief)
+    return regressed(draw(rule, about), belief, space.minus(belief.mean, about.mean))
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -17,7 +17,7 @@ import numpy as np
 
 from celnav.filters.colored import Colored
 from celnav.filters.fallback import Fallback
-from celnav.filters.joint import KEEP, condition, joint
+from celnav.filters.joint import condition
 from celnav.filters.records import Epoch, FilterError
 from celnav.filters.regression import pseudo_gain
 from celnav.filters.sequential import Sequential, SingleDraw
@@ -93,11 +93,8 @@ def smooth(track: Track, filter: Any = None, *, gains: bool = False, on_failure:
 
 def back(filter: Sequential, before: Belief, after: Belief, epoch: Epoch) -> tuple[Belief, Array]:
     """The belief before an epoch's interval given everything, from the one given the past and the smoothed one after it."""
-    motion, form, space = filter.motion, filter.form, filter.motion.space
-    both = joint(
-        filter.rule, before, (motion, KEEP), epoch, space=space,
-        z=after.mean, measurement_noise=motion.noise, augment=motion.augment,
-    )  # fmt: skip
+    form, space = filter.form, filter.motion.space
+    both = filter.onward(before, epoch, after.mean)
     center = both.measurement.center
 
     inner, info, _ = condition(form, both, space, gain=partial(pseudo_gain, center=center))

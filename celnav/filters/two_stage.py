@@ -23,7 +23,7 @@ from celnav.filters.sequential import Sequential, plain, sigma_point
 from celnav.gaussian.belief import Gaussian, symmetric
 from celnav.gaussian.checks import finite, function, instance, kind, numbers, unmasked
 from celnav.gaussian.linalg import Array, SquareRoot, block, matvec, outer, side_by_side, solve_lower, tria, whiten
-from celnav.gaussian.rules import Taylor, unscented
+from celnav.gaussian.rules import UNSCENTED, Taylor
 from celnav.gaussian.spaces import EUCLIDEAN
 
 Slope = Array | Callable[[Array, Epoch], Array]
@@ -113,7 +113,7 @@ class Boost(NamedTuple):
 
 def two_stage(
     motion: Motion, sensor: Sensor, Gamma: Slope | ArrayLike, bias: Gaussian, *,
-    Qb: ArrayLike | None = None, boost: Callable[[Any, Boost], tuple[Any, Array]] | None = None, rule: Any = unscented,
+    Qb: ArrayLike | None = None, boost: Callable[[Any, Boost], tuple[Any, Array]] | None = None, rule: Any = UNSCENTED,
     **options: Any,
 ) -> TwoStage:  # fmt: skip
     """A filter of a state and, in a second stage, a bias of the measurement.

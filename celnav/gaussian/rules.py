@@ -273,6 +273,10 @@ def unscented(n: int, alpha: float = 1.0, beta: float = 0.0, kappa: float = 0.0)
     return Rule(_axes(n, float(np.sqrt(c))), wm, wc)
 
 
+UNSCENTED = AnyDimension(unscented)
+"""The default of filters that take any rule."""
+
+
 def simplex(n: int) -> Rule:
     """Spherical simplex: ``n + 1`` points of equal weight, the fewest that a covariance needs [Moireau & Chapelle 2011]."""
     n = integer("n", n)

@@ -1,0 +1,91 @@
+"""A smoother that linearizes its models again over what it found: the posterior linearization smoother, and its extended kin.
+
+A filter linearizes over what it knows on the way. Once all is smoothed, more is known of every state: linearize motion and sensors
+over the smoothed beliefs, filter and smooth with these, and do so again. Of points it is the iterated posterior linearization
+smoother [Garcia2017]; of Taylor's rule the iterated extended Kalman smoother, which is Gauss and Newton's method for the most
+probable trajectory [Bell1994].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import KW_ONLY, dataclass, field
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from celnav.filters.joint import Joint
+from celnav.filters.model import Sensor
+from celnav.filters.records import Epoch
+from celnav.filters.run import as_epochs, run
+from celnav.filters.sequential import MOST_ITERATIONS, Sequential, over, plain
+from celnav.filters.smoother import smooth
+from celnav.filters.track import Track
+from celnav.gaussian.belief import Gaussian
+from celnav.gaussian.checks import integer
+from celnav.gaussian.linalg import Array, Belief
+
+
+def iterated_smoother(
+    filter: Sequential, prior: Gaussian, times: ArrayLike | Iterable[Epoch], z: Any = None, u: Any = None, *,
+    iterations: int = 10, gains: bool = False, on_failure: str = "raise",
+) -> Track:  # fmt: skip
+    """Estimates of all states given all measurements, from models that are linearized over these estimates.
+
+    filter: one that predicts, then updates, such as `celnav.ukf` or `celnav.ekf`. prior, times, z, u: as `celnav.run` has them.
+    iterations: flights there and back; one is `celnav.smooth` of the filter's own track. A count, not a tolerance, so that what a
+        run gives does not depend on its neighbors: look whether more of them change anything.
+    gains, on_failure: as `celnav.smooth` has them.
+
+    Returns the `Track` of the last flight, smoothed; its innovations, likelihood and events are of that flight.
+
+    >>> smoothed = celnav.iterated_smoother(celnav.ukf(motion, radar), prior, times, z, iterations=5)
+    """
+    plain("filter", filter)
+    count = integer("iterations", iterations, 1, MOST_ITERATIONS)
+    flown, epochs = filter, list(as_epochs(times, z, u))
+    for left in range(count - 1, -1, -1):
+        track = run(flown, prior, epochs, keep="cov", on_failure=on_failure, engine="numpy")
+        track = smooth(track, gains=gains and not left, on_failure=on_failure)
+        assert track.belief is not None
+        form, (means, spreads) = type(track.belief), track.belief
+        about = {epoch.k: form(mean, spread) for epoch, mean, spread in zip(epochs, means, spreads, strict=True)}
+        flown = Relinearized.of(filter, about)
+    return track
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Relinearized(Sequential):
+    """A filter whose models are linearized over given beliefs, one for each epoch, instead of over its own.
+
+    about: beliefs ``(..., n)`` by the index of the epoch at whose end they hold. Where one is missing it is the filter's own.
+    """
+
+    _: KW_ONLY
+    about: dict[int, Belief] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, filter: Sequential, about: dict[int, Belief]) -> Relinearized:
+        """The same filter, linearized so."""
+        return cls(
+            filter.motion, filter.sensors, rule=filter.rule, form=filter.form, hooks=filter.hooks, gain=filter.gain, about=about
+        )
+
+    def onward(self, belief: Belief, epoch: Epoch, after: Array) -> Joint:
+        """The joint of the state after the interval, as if measured to be ``after``, and of the one before it."""
+        about, motion = self.about.get(epoch.k - 1, belief), self.motion
+        return over(about, self.rule, belief, motion, motion.space, lambda rule, belief: self.between(rule, belief, epoch, after))
+
+    def moved(self, belief: Belief, epoch: Epoch) -> Joint:
+        """The joint of a prediction: the state after the interval."""
+        both = self.onward(belief, epoch, self.about.get(epoch.k, belief).mean)
+        noise = both.measurement_noise
+        return both._replace(
+            innovation=None, measurement=None, state=both.measurement,
+            process_noise=None if noise is None else (0, noise), measurement_noise=None, known=None,
+        )  # fmt: skip
+
+    def measured(self, rule: Any, sensor: Sensor, belief: Belief, z: Array, epoch: Epoch) -> Joint:
+        """The joint of what a sensor measures and of the state."""
+        about, drawn = self.about.get(epoch.k, belief), super().measured
+        return over(about, rule, belief, sensor, self.motion.space, lambda rule, belief: drawn(rule, sensor, belief, z, epoch))

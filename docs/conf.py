@@ -1,0 +1,87 @@
+"""How Sphinx makes the site."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from docutils.nodes import SkipNode
+from latex2mathml.converter import convert
+from sphinx.application import Sphinx
+
+import celnav
+
+project, author, copyright = "celnav", "the celnav authors", "the celnav authors"
+version = release = celnav.__version__
+extensions = ["myst_nb", "sphinx.ext.autodoc"]
+exclude_patterns = ["README.md"]
+
+nb_execution_mode = "off"  # they are shown as they were executed, with all runs
+nb_merge_streams = True
+myst_enable_extensions = ["dollarmath", "deflist", "colon_fence"]
+myst_heading_anchors = 3
+myst_url_schemes = ["http", "https", "mailto"]
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "none"  # shapes and units are in the text; the signature has the types
+autodoc_preserve_defaults = True
+add_module_names = False
+python_use_unqualified_type_names = True
+default_role = "py:obj"  # a name in single ticks is a link where there is something to link to
+
+html_theme = "furo"
+html_title = "celnav"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_copy_source = html_show_sourcelink = html_show_sphinx = False
+html_theme_options = {
+    "light_css_variables": {"color-brand-primary": "#0072b2", "color-brand-content": "#0072b2"},
+    "dark_css_variables": {"color-brand-primary": "#56b4e9", "color-brand-content": "#56b4e9"},
+}
+html_math_renderer = "mathml"  # the browser's own: no script, no net
+
+CITED = re.compile(r"\[([A-Z][A-Za-z]+\d{4})\b([^\]]*)\]")
+ARGUMENT = re.compile(r"^(\w+(?:, \w+)*): (?=\S)")
+
+
+def written(_app: Sphinx, _what: str, _name: str, _thing: Any, _options: Any, lines: list[str]) -> None:
+    """Docstrings, in which a line ``name: what it is`` speaks of an argument, as fields of reStructuredText."""
+    made: list[str] = []
+    for line in lines:
+        if made and line and not line.strip("-"):  # a heading of a docstring, such as Raises
+            made[-1], line = f"**{made[-1]}**", ""
+        line = CITED.sub(r"[:ref:`\1 <\1>`\2]", line)
+        argument = ARGUMENT.match(line)
+        if argument:
+            before = next((old for old in reversed(made) if old.strip()), "")
+            if made and made[-1].strip() and not before.startswith((":", " ")):
+                made.append("")
+            line = f":{argument[1]}: {line[argument.end() :]}"
+        elif line[:1].strip() and made and made[-1].startswith((":", " ")):
+            made.append("")  # a paragraph begins right after an argument
+        made.append(line)
+    lines[:] = made
+
+
+def unsaid(_app: Sphinx, _what: str, _name: str, thing: Any, _skip: bool, _options: Any) -> bool | None:
+    """Leave out fields of named tuples, which the docstring of the whole speaks of."""
+    return True if (getattr(thing, "__doc__", None) or "").startswith("Alias for field number") else None
+
+
+def inline(translator: Any, node: Any) -> None:
+    """A formula within a line."""
+    translator.body.append(convert(node.astext()))
+    raise SkipNode
+
+
+def display(translator: Any, node: Any) -> None:
+    """A formula of its own."""
+    translator.body.append(convert(node.astext(), display="block"))
+    raise SkipNode
+
+
+def setup(app: Sphinx) -> None:
+    """What Sphinx asks for."""
+    app.add_html_math_renderer("mathml", (inline, None), (display, None))
+    app.connect("autodoc-process-docstring", written)
+    app.connect("autodoc-skip-member", unsaid)

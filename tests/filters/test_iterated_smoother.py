@@ -1,0 +1,166 @@
+"""The iterated smoother: against Gauss and Newton on the whole trajectory, and against regressions over the smoothed beliefs."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+import celnav
+from celnav.gaussian.belief import nees
+from celnav.gaussian.rules import gauss_hermite, unscented
+
+FORMS = pytest.mark.parametrize("form", ["square root", "covariance"])
+Q, R = np.diag([0.02, 0.02, 0.01]), np.diag([0.05**2, 0.02**2])
+PRIOR = celnav.Gaussian([4.0, 1.0, 0.4], np.diag([1.0, 1.0, 0.3]))
+TIMES = np.arange(12.0)
+
+
+def f(x, epoch):
+    return np.stack([x[..., 0] + epoch.dt * np.cos(x[..., 2]), x[..., 1] + epoch.dt * np.sin(x[..., 2]), x[..., 2]], -1)
+
+
+def h(x, epoch):
+    return np.stack([np.hypot(x[..., 0], x[..., 1]), np.arctan2(x[..., 1], x[..., 0])], -1)
+
+
+MOTION, RADAR = celnav.Motion(f, Q), celnav.Sensor(h, R)
+TRUTH, Z = celnav.simulate(MOTION, RADAR, PRIOR, TIMES, runs=3, seed=1)
+
+
+def test_taylor_is_gauss_newton_on_the_trajectory():
+    """At the fixed point the means are the most probable trajectory."""
+    track = celnav.iterated_smoother(celnav.ekf(MOTION, RADAR), PRIOR, TIMES, Z, iterations=30)
+    w = [np.linalg.inv(np.linalg.cholesky(C)) for C in (PRIOR.cov, Q, R)]
+
+    def residual(flat, z):
+        x = flat.reshape(-1, 3)
+        ahead = x[1:] - f(x[:-1], celnav.Epoch(dt=1.0))
+        return np.concatenate([w[0] @ (x[0] - PRIOR.mean), (ahead @ w[1].T).ravel(), ((z - h(x, None)) @ w[2].T).ravel()])
+
+    for run in range(3):
+        start = track.mean[:, run] + 0.01
+        best = least_squares(residual, start.ravel(), args=(Z[:, run],), xtol=1e-15, ftol=1e-15, gtol=1e-12)
+        np.testing.assert_allclose(track.mean[:, run], best.x.reshape(-1, 3), atol=2e-6)
+        cov = np.linalg.inv(best.jac.T @ best.jac)
+        for k in range(12):
+            np.testing.assert_allclose(track.cov[k, run], cov[3 * k : 3 * k + 3, 3 * k : 3 * k + 3], rtol=1e-4, atol=1e-7)
+
+
+def regression(function, rule, m, C):
+    """``A, b, Omega`` of a function over ``N(m, C)``, by sums over points."""
+    x = m + rule.nodes @ np.linalg.cholesky(C).T
+    y = function(x)
+    mean = rule.wm @ y
+    A = np.linalg.solve(C, (x - m).T @ (rule.wc[:, None] * (y - mean))).T
+    return A, mean - A @ m, (y - mean).T @ (rule.wc[:, None] * (y - mean)) - A @ C @ A.T
+
+
+def written_out(rule, z, iterations):
+    """The iterated posterior linearization smoother of one run, by covariances [Garcia2017]."""
+    about = None
+    for _ in range(iterations):
+        m, C, filtered, steps = PRIOR.mean, PRIOR.cov, [], []
+        for k in range(len(z)):
+            if k:
+                A, b, Omega = regression(lambda x: f(x, celnav.Epoch(dt=1.0)), rule, *(about[k - 1] if about else (m, C)))
+                steps.append((A, m, C, A @ m + b, A @ C @ A.T + Omega + Q))
+                _, _, _, m, C = steps[-1]
+            if not np.isnan(z[k]).all():
+                A, b, Omega = regression(lambda x: h(x, None), rule, *(about[k] if about else (m, C)))
+                S = A @ C @ A.T + Omega + R
+                K = np.linalg.solve(S, A @ C).T
+                m, C = m + K @ (z[k] - A @ m - b), C - K @ S @ K.T
+            filtered.append((m, C))
+        smoothed = [filtered[-1]]
+        for (m, C), (A, _, _, mp, Cp) in zip(filtered[-2::-1], steps[::-1], strict=True):
+            G = np.linalg.solve(Cp, A @ C).T
+            ms, Cs = smoothed[0]
+            smoothed.insert(0, (m + G @ (ms - mp), C + G @ (Cs - Cp) @ G.T))
+        about = smoothed
+    return np.array([m for m, _ in about]), np.array([C for _, C in about])
+
+
+@FORMS
+@pytest.mark.parametrize("iterations", [1, 2, 4])
+@pytest.mark.parametrize("rule", [partial(unscented, kappa=1.0), partial(gauss_hermite, order=3)])
+def test_is_regression_over_the_smoothed_beliefs(form, iterations, rule):
+    """Also where nothing was measured; three runs at once are three runs by themselves."""
+    z = Z.copy()
+    z[5] = np.nan
+    filter = celnav.sigma_point(MOTION, RADAR, rule=rule, form=form)
+    track = celnav.iterated_smoother(filter, PRIOR, TIMES, z, iterations=iterations)
+    for run in range(3):
+        mean, cov = written_out(rule(3), z[:, run], iterations)
+        np.testing.assert_allclose(track.mean[:, run], mean, atol=1e-8)
+        np.testing.assert_allclose(track.cov[:, run], cov, atol=1e-8)
+        alone = celnav.iterated_smoother(filter, PRIOR, TIMES, z[:, run], iterations=iterations)
+        np.testing.assert_allclose(track.mean[:, run], alone.mean, atol=1e-10)
+
+
+def test_one_iteration_is_the_smoother():
+    filter = celnav.ukf(MOTION, RADAR)
+    expected = celnav.smooth(celnav.run(filter, PRIOR, TIMES, Z, keep="cov"))
+    found = celnav.iterated_smoother(filter, PRIOR, TIMES, Z, iterations=1)
+    np.testing.assert_array_equal(found.mean, expected.mean)
+    np.testing.assert_array_equal(found.cov, expected.cov)
+
+
+def test_linear_models_need_one_iteration():
+    F, H = np.array([[1.0, 1.0], [0.0, 1.0]]), np.eye(1, 2)
+    motion, sensor, prior = celnav.Motion(F, 0.1 * np.eye(2)), celnav.Sensor(H, np.eye(1)), celnav.Gaussian(np.zeros(2), np.eye(2))
+    _, z = celnav.simulate(motion, sensor, prior, TIMES, runs=2)
+    for filter in (celnav.ukf(motion, sensor), celnav.ekf(motion, sensor)):
+        one, many = (celnav.iterated_smoother(filter, prior, TIMES, z, iterations=i, gains=True) for i in (1, 4))
+        np.testing.assert_allclose(many.mean, one.mean, atol=1e-12)
+        np.testing.assert_allclose(many.cov, one.cov, atol=1e-12)
+        np.testing.assert_allclose(many.extra["gain"], one.extra["gain"], atol=1e-12)
+
+
+def test_of_attitudes_is_consistent_and_converges():
+    """Angular deviations of half a radian, two directions measured: the second flights agree, and claim what they err."""
+    space = celnav.attitude()
+
+    def turned(q, epoch):
+        return celnav.gaussian.attitude.multiply(celnav.gaussian.attitude.exp(np.array([0.2, -0.1, 0.3]) * epoch.dt), q)
+
+    def seen(q, epoch):
+        C = celnav.gaussian.attitude.matrix(q)
+        return np.concatenate([C[..., :, 0], C[..., :, 2]], -1)
+
+    motion, sensor = celnav.Motion(turned, 1e-4 * np.eye(3), space=space), celnav.Sensor(seen, 0.05**2 * np.eye(6))
+    prior = celnav.Gaussian([0.0, 0.0, 0.0, 1.0], 0.25 * np.eye(3))
+    times = np.arange(6.0)
+    truth, z = celnav.simulate(motion, sensor, prior, times, runs=400, seed=2)
+    one, many, more = (celnav.iterated_smoother(celnav.ukf(motion, sensor), prior, times, z, iterations=i) for i in (1, 16, 24))
+    assert np.abs(space.minus(many.mean, more.mean)).max() < 1e-5
+    for k in (0, 3, 5):
+        first, last = (nees(space.minus(t.mean[k], truth[k]), t.sqrt_cov[k]).mean() for t in (one, more))
+        assert first > 4.0
+        assert abs(last - 3.0) < 4.0 * np.sqrt(6.0 / 400)
+
+
+def test_a_lost_run_leaves_its_neighbors():
+    def broken(x, epoch):
+        return np.where(x[..., :1] > 100.0, np.nan, h(x, epoch))
+
+    z = Z.copy()
+    z[4, 1] = 1e4, 0.0
+    filter = celnav.ukf(MOTION, celnav.Sensor(broken, R))
+    with pytest.raises(celnav.FilterError, match=r"run \(1,\): h is not finite"):
+        celnav.iterated_smoother(filter, PRIOR, TIMES, z, iterations=3)
+    track = celnav.iterated_smoother(filter, PRIOR, TIMES, z, iterations=3, on_failure="flag")
+    whole = celnav.iterated_smoother(filter, PRIOR, TIMES, Z, iterations=3)
+    np.testing.assert_allclose(track.mean[:, [0, 2]], whole.mean[:, [0, 2]], atol=1e-10)
+    assert track.failed_at[0] == track.failed_at[2] == -1 != track.failed_at[1]
+    assert np.isnan(track.mean[5:, 1]).all()
+
+
+def test_says_what_it_takes():
+    filter = celnav.ukf(MOTION, RADAR)
+    with pytest.raises(ValueError, match="filter: expected"):
+        celnav.iterated_smoother(celnav.augmented(MOTION, RADAR, 0.5 * np.eye(2)).step, PRIOR, TIMES, Z)
+    with pytest.raises(ValueError, match="iterations: expected"):
+        celnav.iterated_smoother(filter, PRIOR, TIMES, Z, iterations=0)
