@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+from threading import Thread
 
 import numpy as np
 import pytest
@@ -16,6 +18,19 @@ from celnav.study.ledger import Number, Row
 class Payload:
     def __reduce__(self):
         return (exec, ("raise SystemExit('run')",))
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names here")
+def test_a_pipe_or_a_device_is_written_and_stays_one(tmp_path):
+    pipe, found = tmp_path / "pipe", []
+    os.mkfifo(pipe)
+    reader = Thread(target=lambda: found.append(pipe.read_bytes()), daemon=True)
+    reader.start()
+    write_text(pipe, "a,b\n")
+    reader.join(10.0)
+    assert found == [b"a,b\n"]
+    assert pipe.is_fifo()
+    assert list(tmp_path.iterdir()) == [pipe]
 
 
 def test_an_npz_with_a_payload_raises_and_does_not_run(tmp_path):
