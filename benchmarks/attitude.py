@@ -30,6 +30,8 @@ from celnav.study.montecarlo import blocks, generator
 from celnav.study.study import fly
 
 Matrix = list[list[float]]
+POINTWISE = {"aukf": (9, 9), "ssukf": (6, 3)}
+"""Dimensions of the noise beside the state in prediction and update."""
 
 
 # -- point by point ------------------------------------------------------------------------------------------------------------
@@ -95,6 +97,7 @@ class Scalar:
         self.alpha2, self.beta = config.alpha**2, config.beta
         self.q, self.b = [0.0, 0.0, 0.0, 1.0], [0.0] * 3
         self.P = np.diag(config.sigma0**2).tolist()
+        self.calls = 0
 
     def points(self, sigma: list[float]) -> tuple[list[list[float]], float, float]:
         """Augmented points about zero, weight of the center in covariances, weight of the others."""
@@ -119,6 +122,7 @@ class Scalar:
         for column in columns:
             found.append([reach * x for x in column])
             found.append([-reach * x for x in column])
+        self.calls += len(found)
         return found, 2.0 - L / c - self.alpha2 + self.beta, 0.5 / c
 
     def predict(self, rate: list[float]) -> None:
@@ -277,6 +281,22 @@ def array_work(name: str, runs: int, per: int, dense: bool) -> Callable[[], floa
     return once
 
 
+def calls(noise: tuple[int, int], per: int) -> int:
+    """Evaluations of f and h in a star interval of a filter, point by point."""
+    filter = Scalar(*noise, dense=False)
+    for _ in range(per):
+        filter.predict([0.0, 0.0, 0.0])
+    filter.update([0.0, 0.0, 0.0, 1.0])
+    return filter.calls
+
+
+def linearity(rounds: int) -> float:
+    """Coefficient of determination of time over calls, point by point with block roots: both filters, 1:1 to 25:1."""
+    cases = [(noise, per) for noise in POINTWISE.values() for per in (1, 5, 10, 15, 20, 25)]
+    found = compared({str(case): scalar_work(case[0], False, case[1]) for case in cases}, rounds)
+    return float(np.corrcoef([calls(*case) for case in cases], list(found.values()))[0, 1] ** 2)
+
+
 def compared(works: dict[str, Callable[[], float]], rounds: int) -> dict[str, float]:
     """Smallest of each over interleaved rounds."""
     best = dict.fromkeys(works, math.inf)
@@ -292,7 +312,7 @@ def table(rounds: int) -> dict[str, dict[str, float]]:
     for dense in (True, False):
         for per in (1, 25):
             root = "dense" if dense else "block"
-            works = {"aukf": scalar_work((9, 9), dense, per), "ssukf": scalar_work((6, 3), dense, per)}
+            works = {name: scalar_work(noise, dense, per) for name, noise in POINTWISE.items()}
             out[f"point by point, {root}, {per}:1"] = compared(works, rounds)
     for runs in (1, 500):
         for per in (1, 25):
@@ -331,7 +351,10 @@ def main() -> int:
     for kind, times in found.items():
         others = ", ".join(f"{name} {1e6 * t:.0f}" for name, t in times.items() if name not in ("aukf", "ssukf"))
         aukf, ssukf = times["aukf"], times["ssukf"]
-        print(f"{kind:40} {1e6 * aukf:10.0f} {1e6 * ssukf:10.0f} {ssukf / aukf:7.2f}   {others}")
+        per = 25 if kind.endswith("25:1") else 1
+        made = ", ".join(f"{name} {calls(noise, per)} calls" for name, noise in POINTWISE.items() if kind.startswith("point"))
+        print(f"{kind:40} {1e6 * aukf:10.0f} {1e6 * ssukf:10.0f} {ssukf / aukf:7.2f}   {others}{made}")
+    print(f"time over calls of f and h, point by point, block roots: r^2 = {linearity(options.rounds):.4f}")
     if options.full:
         found["100 Hz, 600 s, 200 runs, AUKF and SSUKF"] = full_rate()
         print(found["100 Hz, 600 s, 200 runs, AUKF and SSUKF"])

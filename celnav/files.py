@@ -44,19 +44,19 @@ class InputError(ValueError):
 def replacing(path: str | Path) -> Iterator[Path]:
     """A path of the same name in a temporary folder beside ``path``; it takes the place of ``path`` at the end, or is removed.
 
-    A device or a pipe, such as ``/dev/null``, is written and never replaced. OSError names ``path`` when the disk is full.
+    A device or a pipe, such as /dev/null, stays and is written to. OSError names ``path`` when the disk is full.
     """
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
-    special = target.exists() and not target.is_file() and not target.is_dir()
-    beside = None if special else target.parent
+    if target.exists() and not (target.is_file() or target.is_dir()):
+        with tempfile.TemporaryDirectory() as folder:
+            yield (aside := Path(folder) / target.name)
+            target.write_bytes(aside.read_bytes())
+        return
     try:
-        with tempfile.TemporaryDirectory(prefix=_temporary_name(secrets.token_hex(8)), dir=beside) as folder:
+        with tempfile.TemporaryDirectory(prefix=_temporary_name(secrets.token_hex(8)), dir=target.parent) as folder:
             temporary = Path(folder) / target.name
             yield temporary
-            if special:
-                target.write_bytes(temporary.read_bytes())
-                return
             with temporary.open("rb+") as file:
                 os.fsync(file.fileno())
             os.replace(temporary, target)

@@ -227,6 +227,7 @@ CALLS = {
     "noise.effective_covariance": dict(Phi=0.5 * I2, R=I2),
     "noise.ar1": dict(Phi=0.5 * I2, increments=np.ones((3, 2)), first=np.ones(2)),
     "noise.van_loan": dict(F=I2, G=I2, spectral_density=I2, dt=1.0),
+    "noise.ar1_noise": dict(F=0.5 * I2, L=0.5 * I2, J=0.1 * I2, Xi=I2, E=I2),
     "orbit.Earth": dict(mu=398600.4418, radius_km=6378.137, j2=1e-3),
     "orbit.check_orbit": dict(state=X6, earth=orbit.EARTH),
     "orbit.propagate": dict(state=X6, dt=1.0, steps=2, earth=orbit.EARTH),

@@ -24,7 +24,10 @@ class Riccati(NamedTuple):
 
 
 def riccati(F: ArrayLike, H: ArrayLike, Q: ArrayLike, R: ArrayLike, P0: ArrayLike) -> Riccati:
-    """Gains and covariances of the Kalman filter, for white measurement noise of covariance R."""
+    """Gains and covariances of the Kalman filter, for white measurement noise of covariance R.
+
+    >>> bound = celnav.analysis.bounds.riccati(np.tile(F, (100, 1, 1)), H, Q, R, P0).covariances
+    """
     transitions, h, q, r, P = _system(F, H, Q=Q, R=R, P0=P0)
     gains, covariances = [], [P]
     for f in transitions:
@@ -41,6 +44,9 @@ def actual_covariance(
 
     Exact for linear models: the covariance of ``[x_hat - x; V]`` is carried through prediction and update, with
     ``V' = Phi V + zeta``, ``zeta ~ N(0, R)``, ``V_0 ~ N(0, Sigma0)``.
+
+    >>> gains = celnav.analysis.bounds.riccati(Fs, H, Q, R, P0).gains  # of a filter that takes the noise for white
+    >>> cov = celnav.analysis.bounds.actual_covariance(Fs, H, gains, Q, 0.9 * np.eye(3), 0.19 * R, P0, R)
     """
     transitions, h, q, phi, r, P, V = _system(F, H, Q=Q, Phi=Phi, R=R, P0=P0, Sigma0=Sigma0)
     m, n = h.shape
@@ -67,6 +73,8 @@ def colored_bound(
 
     ``Sigma0``: covariance of the first noise sample, if the first measurement is used; without it only differences of measurements
     inform. ``Phi`` and ``R``: as in `actual_covariance`.
+
+    >>> cov = celnav.analysis.bounds.colored_bound(Fs, H, 0.9 * np.eye(3), Q, 0.19 * R, P0, Sigma0=R)
     """
     first = R if Sigma0 is None else Sigma0
     transitions, h, q, phi, r, P, sigma = _system(F, H, Q=Q, Phi=Phi, R=R, P0=P0, Sigma0=first)

@@ -320,6 +320,8 @@ def first_order(x: Array, place: Array, lags: int, level: float) -> Coloring:
     """First-order noise about a mean, of samples ``(T, runs)`` at whole ``place (T,)``, gaps and all.
 
     By the exact likelihood, restricted to what does not depend on the mean; intervals are those of its ratio.
+
+    >>> found = celnav.analysis.diagnose.first_order(z[:, :1, 0], np.arange(len(z)), lags=5, level=0.95)
     """
     from scipy.optimize import brentq, minimize_scalar
 

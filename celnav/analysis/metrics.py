@@ -43,6 +43,9 @@ def chi_square_band(dof: float, runs: float, level: float = 0.95) -> tuple[float
     """Band in which the mean over ``runs`` of a chi-square variable of ``dof`` lies with probability ``level``.
 
     For the NEES of a consistent filter ``dof`` is the dimension of the state, for the NIS that of the measurement.
+
+    >>> celnav.analysis.metrics.chi_square_band(3, 100)  # of the mean NIS of three components over 100 runs
+    (2.539..., 3.498...)
     """
     runs = number("runs", runs, above=0.0)
     low, high = _chi_square(level, number("dof", dof, above=0.0) * runs)

@@ -24,7 +24,12 @@ _NODES = 21
 
 
 def jacobian(function: Function, x: ArrayLike) -> Array:
-    """Jacobian ``(m, n)`` at ``x (n,)`` by complex step [Squire1998]."""
+    """Jacobian ``(m, n)`` at ``x (n,)`` by complex step [Squire1998].
+
+    >>> celnav.analysis.observability.jacobian(lambda x: np.sin(x), [0.0, 0.0])
+    array([[1., 0.],
+           [0., 1.]])
+    """
     checks.function("function", function, "(points)")
     at = finite("x", x, ("n",))
     return _slopes("function", function, at + _TINY * np.eye(len(at)))
@@ -47,6 +52,10 @@ def lie_gradients(f: Function, h: Function, x: ArrayLike, order: int, *, window:
 
     f: rate of the state, of time itself independent. h: measurement. x: ``(n,)``.
     window: half the time, s, over which flow and measurement are smooth; k-th derivatives lose ``window^-k`` of their digits.
+
+    >>> rows = celnav.analysis.observability.lie_gradients(lambda x: x @ A.T, lambda x: x[..., :1], [0.0, 1.0], order=1)
+    >>> bool(np.linalg.matrix_rank(rows.reshape(-1, 2)) == 2)  # observable
+    True
     """
     order, window = integer("order", order, 0, 6), number("window", window, above=0.0)
     at = finite("x", x, ("n",))
@@ -88,6 +97,8 @@ def information_degree(P0: ArrayLike, F: ArrayLike, H: ArrayLike, R: ArrayLike) 
     """Prior over posterior standard deviation ``(n,)`` after a window of K epochs without process noise: 1 is not observed.
 
     P0: ``(n, n)``. F: ``(K - 1, n, n)``, transitions between the epochs. H: ``(K, m, n)``. R: ``(m, m)`` or ``(K, m, m)``.
+
+    >>> degree = celnav.analysis.observability.information_degree(P0, np.tile(F, (9, 1, 1)), np.tile(H, (10, 1, 1)), R)
     """
     rows = finite("H", H, ("K", "m", "n"))
     K, m, n = rows.shape
@@ -116,7 +127,7 @@ def nonlinearity_weights(
 
     functions: of real points, such as the step and the measurement. mean, std: ``(n,)`` of the belief.
 
-    >>> rule = celnav.smolyak(13, 3, nonlinearity_weights([step, measure], prior.mean, prior.std))
+    >>> rule = celnav.smolyak(6, 3, nonlinearity_weights([step, measure], prior.mean, prior.std))
     """
     center = finite("mean", mean, ("n",))
     sigma = finite("std", std, center.shape)
@@ -142,6 +153,8 @@ def svd_degree(matrix: ArrayLike, reference: int) -> Array:
 
     A state gets the singular value whose right vector has its largest component there, over that of the state ``reference``. It
     depends on the units of the states; `information_degree` does not.
+
+    >>> degree = celnav.analysis.observability.svd_degree(np.vstack([H, H @ F]), reference=0)
     """
     rows = finite("matrix", matrix, (..., "rows", "n"))
     _, values, Vt = np.linalg.svd(rows, full_matrices=False)
@@ -150,5 +163,9 @@ def svd_degree(matrix: ArrayLike, reference: int) -> Array:
 
 
 def threshold_weights(degree: ArrayLike, threshold: float) -> tuple[int, ...]:
-    """Weights of a sparse grid by degrees of observability ``(n,)``: 1 above the threshold, 2 up to it [Liang2014, Eq. 19]."""
+    """Weights of a sparse grid by degrees of observability ``(n,)``: 1 above the threshold, 2 up to it [Liang2014, Eq. 19].
+
+    >>> celnav.analysis.observability.threshold_weights([9.6, 1.0, 0.2], 5.0)
+    (1, 2, 2)
+    """
     return tuple(np.where(finite("degree", degree, ("n",)) > number("threshold", threshold), 1, 2).tolist())

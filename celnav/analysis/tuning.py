@@ -112,6 +112,8 @@ def maximize_likelihood(
     tolerance: how much of the log-likelihood may be left to gain; a parameter one standard error off loses 0.5.
     max_iterations: of the optimizer.
     engine: as of `likelihood_gradient`; "auto" is "numpy" also where compiling would take longer than it saves.
+
+    >>> tuned = celnav.analysis.tuning.maximize_likelihood(build, [0.1, 0.5], epochs, domain=["positive", "unit interval"])
     """
     from scipy.optimize import minimize  # takes a second to import
 

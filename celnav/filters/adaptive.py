@@ -54,6 +54,8 @@ def chi_square_gate(probability: float = 0.999) -> Hook:
 
     ``probability``, between 0 and 1, is that of keeping a measurement which the model describes: the bound is the chi-square
     quantile with as many degrees of freedom as the run has measured components.
+
+    >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.chi_square_gate(0.999)])
     """
     number("probability", probability, above=0.0, below=1.0)
 
@@ -91,6 +93,8 @@ def innovation_window(M: int, gaps: str = "restart") -> Hook:
 
     ``gaps``: "restart": a missing sample restarts its component's window. "skip": the last M there were, for sensors that are
     slower than the epochs.
+
+    >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.innovation_window(10)])
     """
     size = integer("M", M)
     choice("gaps", gaps, ("restart", "skip"))
@@ -127,13 +131,18 @@ def huber(threshold: float = 1.345, rounds: int = 6) -> Hook:
     """Weigh a component by ``min(1, threshold / u)``, u its residual after the update in deviations of its noise [Huber 1964].
 
     ``rounds`` of reweighting; the noise variance of a component is divided by its weight.
+
+    >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.huber()])
     """
     bound = number("threshold", threshold, above=0.0)
     return _reweighted(lambda u: bound / np.maximum(u, bound), rounds)
 
 
 def student_t(dof: float = 4.0, rounds: int = 6) -> Hook:
-    """Weigh a component by ``(dof + 1) / (dof + u^2)``, as for noise of Student's t distribution; see `huber`."""
+    """Weigh a component by ``(dof + 1) / (dof + u^2)``, as for noise of Student's t distribution; see `huber`.
+
+    >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.student_t(4.0)])
+    """
     nu = number("dof", dof, above=0.0)
     return _reweighted(lambda u: (nu + 1.0) / (nu + u * u), rounds)
 
@@ -142,6 +151,8 @@ def correntropy(bandwidth: float = 2.0, rounds: int = 6) -> Hook:
     """Weigh a component by ``exp(-u^2 / (2 bandwidth^2))``: the maximum correntropy criterion [Chen2017]; see `huber`.
 
     Chen's filter weighs the prediction in the same way; here only the measurement is doubted. No weight is below 1e-9.
+
+    >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.correntropy()])
     """
     sigma = number("bandwidth", bandwidth, above=0.0)
     return _reweighted(lambda u: np.maximum(np.exp(-0.5 * (u / sigma) ** 2), 1e-9), rounds)
@@ -184,6 +195,8 @@ def sage_husa(forgetting: float = 0.95, least: float = 0.25, smallest: float = 0
 
     ``R_k+1 = (1 - d) R_k + d max(e^2 - S0, smallest R)`` where measured, with ``d = (1 - b) / (1 - b^(k+1))`` and b the
     ``forgetting``, between 0 and 1. What is used is at least ``least R``, with R the nominal variance, and may lie below that.
+
+    >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.sage_husa(0.98)])
     """
     number("forgetting", forgetting, above=0.0, below=1.0)
     floor, bottom = number("least", least, above=0.0), number("smallest", smallest, above=0.0)
@@ -250,6 +263,8 @@ def underweighting(beta: float = 0.2, share: float = 0.5) -> Hook:
     ``S = (1 + beta) S0 + R``, with S0 the innovation covariance without measurement noise, in runs where S0 is more than ``share``,
     below 1, of the variance of any measured component (0: always). Precise measurements then pull a poor prior in by steps, which
     leaves room for what a linearization neglects. The covariance after the update is that of the gain used. It comes after gates.
+
+    >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.underweighting()])
     """
     factor, least = number("beta", beta, above=0.0), number("share", share, 0.0, below=1.0)
 
@@ -304,6 +319,8 @@ def group_parity(groups: Sequence[ArrayLike], unknowns: int, *, deviations: floa
     ``groups``: index arrays of components, such as ranges and rates. ``unknowns``: how many states a group determines. Over the
     residuals r of its N measured components ``s = sum r^2 / R / (N - unknowns)``; the noise is inflated by s where that exceeds
     ``1 + deviations sqrt(2 / (N - unknowns))``, and N is at least ``unknowns + 2``.
+
+    >>> hook = celnav.filters.adaptive.group_parity([[0, 1, 2, 3, 4, 5]], unknowns=4)  # six pseudoranges
     """
     members = [np.array(integers("groups", group)) for group in sequence("groups", groups, "[[0, 1], [2, 3]]")]
     every = [i for group in members for i in group.tolist()]
@@ -332,6 +349,8 @@ def channel_parity(M: int) -> Hook:
     """Inflate the noise of each component to what its last ``M`` residuals of that fit show: by ``max(1, mean r^2 / C)``.
 
     C is the variance of the residual r. A component has factor 1 until it has M samples of consecutive epochs.
+
+    >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.channel_parity(10)])
     """
     size = integer("M", M)
 

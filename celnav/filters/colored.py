@@ -69,6 +69,8 @@ def decorrelated(motion: Motion, sensor: Sensor, Phi: Coloring, **options: Any) 
     linear model the first is what `colored` gives in one step. The measurement is a matrix. Hooks may leave measurements out, as
     gates do; those that change the noise are for `colored`, since here the noise also decides how the measurement enters the
     prediction.
+
+    >>> filter = celnav.decorrelated(motion, gps, 0.9 * np.eye(3))
     """
     if callable(instance("sensor", sensor, Sensor, "celnav.Sensor(h, R)").h):
         raise ValueError("sensor: expected a measurement matrix (m, n), got a function; `colored` takes one")
@@ -302,6 +304,8 @@ def augmented(
 
     Arguments as in `colored`; the measurement may be an angle, R is a constant. The belief is that of ``[x; V]``; start it from a
     prior of ``x`` alone. Its covariance is singular after each measurement. A missing sample costs nothing but itself.
+
+    >>> filter = celnav.augmented(motion, gps, 0.9 * np.eye(3))
     """
     instance("motion", motion, Motion, "celnav.Motion(f, Q)")
     instance("sensor", sensor, Sensor, "celnav.Sensor(h, R)")

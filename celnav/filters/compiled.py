@@ -33,6 +33,9 @@ class Compiled:
 
     The steps that were recorded are kept: a model that looks at something which changes meanwhile, a global number say, goes on
     with what it saw first. `celnav.run` records anew at every call.
+
+    >>> fast = celnav.compiled(celnav.ukf(motion, gps), jobs=2)
+    >>> track = fast.run(prior, times, z)
     """
 
     def __init__(self, filter: Any, jobs: int, engine: str, most: int):

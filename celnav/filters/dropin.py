@@ -58,6 +58,8 @@ class SigmaPointUKF:
     those of the prediction), so that a second one in a row sees what the first has learned. A number as ``Q`` or ``R`` counts in
     every element, as in filterpy, and a warning says so; as ``P`` or as the ``R`` of one `update` it is a variance of every
     component; None is no noise. What is refused changes nothing. Speed: ``python -m benchmarks.dropin``; many runs: `celnav.run`.
+
+    >>> ukf = celnav.filters.dropin.SquareRootUKF(dim_x=6, dim_z=3, dt=1.0, fx=fx, hx=lambda x: x[:3], points=celnav.unscented(6))
     """
 
     _form: Form = Covariance

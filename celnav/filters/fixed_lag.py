@@ -46,7 +46,9 @@ class FixedLag:
     numbered on, as those of `celnav.epochs` are.
 
     >>> filter = celnav.filters.fixed_lag.FixedLag(celnav.ukf(motion, gps, camera), lag=20)
-    >>> state, infos = filter.step(state, epoch)
+    >>> state = filter.start(prior)
+    >>> for epoch in celnav.epochs(times, (z, pictures)):
+    ...     state, infos = filter.step(state, epoch)
     >>> state, infos = filter.late(state, epoch.k - 12, (None, picture))  # it was taken 12 epochs ago
     >>> smoothed = celnav.smooth(filter.track(state))  # the last 21 epochs given everything until now
     """
@@ -90,8 +92,6 @@ class FixedLag:
         z: measurement ``(..., m)``, or a tuple of them, one for each sensor; nan or None where nothing has come.
 
         ValueError if an epoch is not kept any more, or has a measurement of that component already.
-
-        >>> state, infos = filter.late(state, 480, fix)
         """
         instance("state", state, Held, "what the filter's last step gave")
         at = numbers("k", k)

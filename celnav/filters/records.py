@@ -26,6 +26,8 @@ class Epoch(NamedTuple):
     u: the input that acts over the interval.
     z: one measurement ``(..., m)`` or a tuple of them, one for each sensor; nan or None where there is none.
     truth: whatever a simulation wants to hand on.
+
+    >>> state, infos = filter.step(filter.start(prior), celnav.Epoch(t=0.0, z=z[0]))
     """
 
     k: int = 0
@@ -52,6 +54,9 @@ class Info(NamedTuple):
     redone: ``(...)`` bool, the runs that a `celnav.filters.fallback.Fallback` did again; None if there was none.
     silent: whether there was no measurement at all, not even nan.
     mixture: ``(...)``, the log-likelihood where the density is no Gaussian, of which ``whitened`` then has the moments; else None.
+
+    >>> (info,) = infos
+    >>> info.innovation, info.gain()  # what was not expected, and what was made of it
     """
 
     innovation: Array | None = None
@@ -89,7 +94,10 @@ class State(NamedTuple):
 
 
 class FromFunctions(NamedTuple):
-    """A filter of two functions, for what no class here does; see `Filter`."""
+    """A filter of two functions, for what no class here does; see `Filter`.
+
+    >>> filter = celnav.filters.records.FromFunctions(other.start, other.step)
+    """
 
     start: Callable[[Gaussian], Any]
     step: Callable[[Any, Epoch], tuple[Any, tuple[Info, ...]]]

@@ -216,12 +216,18 @@ def ukf(motion: Motion, *sensors: Sensor, alpha: float = 1.0, beta: float = 0.0,
 
 
 def ckf(motion: Motion, *sensors: Sensor, degree: int = 3, **options: Any) -> Sequential:
-    """The cubature Kalman filter, of degree 3 or 5; ``options`` as in `sigma_point`. Of degree 3 it is the default `ukf`."""
+    """The cubature Kalman filter, of degree 3 or 5; ``options`` as in `sigma_point`. Of degree 3 it is the default `ukf`.
+
+    >>> filter = celnav.ckf(motion, gps, degree=5)
+    """
     return sigma_point(motion, *sensors, rule=partial(cubature, degree=choice("degree", degree, (3, 5))), **options)
 
 
 def ghkf(motion: Motion, *sensors: Sensor, order: int = 3, **options: Any) -> Sequential:
-    """The Gauss-Hermite Kalman filter of ``order ** n`` points; ``options`` as in `sigma_point`."""
+    """The Gauss-Hermite Kalman filter of ``order ** n`` points; ``options`` as in `sigma_point`.
+
+    >>> filter = celnav.ghkf(motion, gps, order=3)  # 729 points of six states
+    """
     gauss_hermite(1, order)
     return sigma_point(motion, *sensors, rule=partial(gauss_hermite, order=order), **options)
 
@@ -229,7 +235,10 @@ def ghkf(motion: Motion, *sensors: Sensor, order: int = 3, **options: Any) -> Se
 def sparse_grid_filter(
     motion: Motion, *sensors: Sensor, level: int = 3, weights: Sequence[int] | None = None, **options: Any
 ) -> Sequential:
-    """The sparse-grid Gauss-Hermite filter; ``level, weights`` as in `celnav.smolyak`, ``options`` as in `sigma_point`."""
+    """The sparse-grid Gauss-Hermite filter; ``level, weights`` as in `celnav.smolyak`, ``options`` as in `sigma_point`.
+
+    >>> filter = celnav.sparse_grid_filter(motion, gps, weights=[1, 1, 1, 2, 2, 2])  # positions are nonlinear
+    """
     return sigma_point(motion, *sensors, rule=partial(smolyak, level=level, weights=weights), **options)
 
 
@@ -237,6 +246,8 @@ def ekf(motion: Motion, *sensors: Sensor, **options: Any) -> Sequential:
     """The extended Kalman filter, iterated with ``iterations=6``, say; ``options`` as in `sigma_point`.
 
     It linearizes by the ``jacobian`` of motion and sensors, or by differences where there is none.
+
+    >>> filter = celnav.ekf(celnav.Motion(f, Q, jacobian=lambda x, epoch: F), gps, iterations=3)
     """
     return sigma_point(motion, *sensors, rule=Taylor(), **options)
 
@@ -324,6 +335,8 @@ class SingleDraw(Sequential):
     is an ordinary update. Make it of a filter: ``SingleDraw.of(celnav.ukf(motion, sensor))``.
 
     joint_noise: roots of the noises that reach both functions instead, where those of process and measurement are correlated.
+
+    >>> filter = celnav.filters.sequential.SingleDraw.of(celnav.ukf(celnav.Motion(f, augment=[np.eye(6)]), gps))
     """
 
     _: KW_ONLY

@@ -35,6 +35,9 @@ class Track:
     extra, reduced: what ``run(also=...)`` gave, and what ``run(reduce=...)`` ended with.
     engine: what flew it, "numpy", "compiled" or "cuda"; with ``run(engine="auto")`` also why it was not compiled.
     filter, epochs: for `celnav.smooth`; the epochs have lost their measurements, and a track that was pickled its filter.
+
+    >>> track.nis.sum() / track.dof.sum()  # 1 of a consistent filter
+    >>> track.to_csv("track.csv")
     """
 
     times: Array

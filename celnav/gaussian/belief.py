@@ -99,6 +99,9 @@ def symmetric(cov: ArrayLike, name: str, n: int | None = None) -> tuple[Array, A
 
 
 def nees(error: Array, root: Array) -> Array:
-    """Normalized estimation error squared ``e' P^-1 e``, shape ``(...)``, from ``error (..., n)`` and a root of P."""
+    """Normalized estimation error squared ``e' P^-1 e``, shape ``(...)``, from ``error (..., n)`` and a root of P.
+
+    >>> value = celnav.gaussian.belief.nees(track.mean - truth, track.sqrt_cov)  # (T, ...), of run(keep="cov")
+    """
     white = whiten(root, error)
     return np.asanyarray(np.vecdot(white, white))

@@ -48,6 +48,8 @@ class Rule:
         nodes in some dimension is a quadrature, but no filter takes it: it would lose that variance.
 
     They are read-only then; ``n`` is the dimension, ``sign (q,)`` -1 for columns of negative weight, else 1.
+
+    >>> rule = celnav.Rule([[0.0], [1.0], [-1.0]], [0.0, 0.5, 0.5])
     """
 
     def __init__(self, nodes: ArrayLike, wm: ArrayLike, wc: ArrayLike | None = None):
@@ -161,6 +163,8 @@ class Taylor:
     step: length of the difference, in standard deviations.
     about: ``(..., N)``, the point to expand about instead of the mean, as an iterated filter does. The belief stays where it
         is: its mean is mapped by the linear function.
+
+    >>> filter = celnav.sigma_point(motion, gps, rule=celnav.Taylor())  # celnav.ekf(motion, gps)
     """
 
     sign = POSITIVE
@@ -261,6 +265,9 @@ def unscented(n: int, alpha: float = 1.0, beta: float = 0.0, kappa: float = 0.0)
 
     With the defaults the center has no weight, and the rule is ``cubature(n)``, that of the cubature Kalman filter. The customary
     ``kappa = 3 - n`` matches fourth moments on the axes; a small ``alpha`` with ``beta = 2`` keeps the points near the mean.
+
+    >>> celnav.unscented(6, alpha=0.1, beta=2.0)
+    Rule(n=6, points=13, negative weights=1)
     """
     n = integer("n", n)
     few("n", 2 * n + 1, n)
@@ -278,7 +285,11 @@ UNSCENTED = AnyDimension(unscented)
 
 
 def simplex(n: int) -> Rule:
-    """Spherical simplex: ``n + 1`` points of equal weight, the fewest that a covariance needs [Moireau & Chapelle 2011]."""
+    """Spherical simplex: ``n + 1`` points of equal weight, the fewest that a covariance needs [Moireau & Chapelle 2011].
+
+    >>> celnav.simplex(6)
+    Rule(n=6, points=7 and a center of weight 0, negative weights=0)
+    """
     n = integer("n", n)
     few("n", n + 1, n)
     d = np.arange(1, n + 1)
@@ -292,6 +303,9 @@ def cubature(n: int, degree: int = 3) -> Rule:
     """Spherical-radial cubature rule: degree 3 with ``2n`` points, degree 5 with ``2n^2 + 1`` [Jia, Xin & Cheng 2013].
 
     The degree-3 rule is ``unscented(n)`` with its defaults. The degree-5 rule has ``2n`` negative weights for ``n > 4``.
+
+    >>> celnav.cubature(6, degree=5)
+    Rule(n=6, points=73, negative weights=12)
     """
     n = integer("n", n)
     degree = choice("degree", degree, (3, 5))
@@ -310,7 +324,11 @@ def cubature(n: int, degree: int = 3) -> Rule:
 
 
 def gauss_hermite(n: int, order: int = 3) -> Rule:
-    """Tensor product of Gauss-Hermite rules of ``order`` points: ``order ** n``, at most `MAX_POINTS`; odd orders have a center."""
+    """Tensor product of Gauss-Hermite rules of ``order`` points: ``order ** n``, at most `MAX_POINTS`; odd orders have a center.
+
+    >>> celnav.gauss_hermite(3, order=3)
+    Rule(n=3, points=27, negative weights=0)
+    """
     n, size = integer("n", n), integer("order", order, 2, 100)
     if (count := size ** min(n, 20)) > MAX_POINTS:  # 2**20 are too many already, 2**1000000000 has 300 million digits
         many = f"order: {size}**{n} = {count}" if n <= 20 else f"n: {size}**{n}"
@@ -328,6 +346,8 @@ def tensor_product(*rules: Rule) -> Rule:
     For a model that is nonlinear in the first k states only and, given these, linear in the other n - k, the product
     ``tensor_product(gauss_hermite(k, m), simplex(n - k))`` has ``m**k (n - k + 1)`` points and gives exactly what the full
     tensor rule of ``m**n`` points gives (the marginalized rule; with lower roots and the nonlinear states first).
+
+    >>> rule = celnav.gaussian.rules.tensor_product(celnav.gauss_hermite(2, 3), celnav.simplex(4))
     """
     for rule in rules:
         instance("rules", rule, Rule, "a Rule, such as celnav.unscented(2)")
@@ -346,7 +366,10 @@ def tensor_product(*rules: Rule) -> Rule:
 
 
 def from_filterpy(points: Any) -> Rule:
-    """Rule of a filterpy sigma-point object (Merwe, Julier, Simplex, or any of that interface)."""
+    """Rule of a filterpy sigma-point object (Merwe, Julier, Simplex, or any of that interface).
+
+    >>> filter = celnav.sigma_point(motion, gps, rule=celnav.from_filterpy(MerweScaledSigmaPoints(6, 0.1, 2.0, -3.0)))
+    """
     if isinstance(points, type) or not all(hasattr(points, name) for name in ("n", "sigma_points", "Wm", "Wc")):
         raise ValueError(f"points: expected a filterpy sigma-point object, such as MerweScaledSigmaPoints(...), got {points!r:.80}")
     nodes = points.sigma_points(np.zeros(points.n), np.eye(points.n))

@@ -48,7 +48,10 @@ def wrap(angle: Any) -> Any:
 
 
 def angles(components: Iterable[int] | None = None) -> Space:
-    """Vectors of which some ``components`` (None: all) are angles in radians, wrapped to ``[-pi, pi)``."""
+    """Vectors of which some ``components`` (None: all) are angles in radians, wrapped to ``[-pi, pi)``.
+
+    >>> bearing = celnav.Sensor(lambda x, epoch: np.arctan2(x[..., 1:2], x[..., :1]), R=[[1e-4]], space=celnav.angles([0]))
+    """
     places = None if components is None else integers("components", sequence("components", components, "[0]"))
     return Space(partial(_wrapped, np.add, places), partial(_wrapped, np.subtract, places))
 
@@ -67,6 +70,8 @@ def product(*factors: tuple[Space, int, int]) -> Space:
     """Product of spaces, each given as ``(space, N, n)``: the lengths of its points and of its tangents.
 
     ``product((attitude(), 4, 3), (EUCLIDEAN, 3, 3))`` is a quaternion and three numbers: points of 7, tangents of 6.
+
+    >>> space = celnav.product((celnav.attitude(), 4, 3), (celnav.EUCLIDEAN, 3, 3))  # an attitude and three drifts
     """
     if not all(isinstance(factor, tuple | list) and len(factor) == 3 and isinstance(factor[0], Space) for factor in factors):
         raise ValueError("factors: expected triples (space, length of its points, length of its tangents)")

@@ -63,7 +63,11 @@ def smolyak(n: int, level: int, weights: Sequence[int] | None = None, *, orders:
 
 
 def point_count(n: int, level: int, weights: Sequence[int] | None = None, *, orders: Sequence[int] = ORDERS) -> int:
-    """Number of points of `smolyak` (same arguments, any number), without making them."""
+    """Number of points of `smolyak` (same arguments, any number), without making them.
+
+    >>> celnav.gaussian.sparse_grid.point_count(13, 3)
+    417
+    """
     return sum(p.number for p in _patterns(*_checked(n, level, weights, orders)[1:])[1] if p.weight)
 
 
@@ -72,6 +76,9 @@ def integrates(powers: Sequence[int], level: int, weights: Sequence[int] | None 
 
     Exact if and only if a power is odd or ``sum_j (l_j - 1) g_j <= (level - 1) min(g)``, where ``l_j`` is the lowest level
     whose rule is exact for ``x^powers[j]``. (That it is exact then follows since the sum of differences telescopes.)
+
+    >>> celnav.gaussian.sparse_grid.integrates([2, 2], level=3)
+    True
     """
     numbers = integers("powers", powers)
     if not numbers:

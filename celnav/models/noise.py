@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import expm, solve_discrete_lyapunov
@@ -59,3 +61,36 @@ def van_loan(F: ArrayLike, G: ArrayLike, spectral_density: ArrayLike, dt: float)
     transition = exponential[n:, n:].T
     noise = transition @ exponential[:n, n:]
     return transition, 0.5 * (noise + noise.T)
+
+
+class Noise(NamedTuple):
+    """AR(1) noises of a measurement, ``V' = F V + xi``, and a process, ``J V' + Q'``, ``Q' = L Q + e``, as `ar1_noise` makes them:
+    ``F (m, m)``, ``L (q, q)``, ``J (q, m)``, covariances ``Xi (m, m)`` of ``xi`` and ``E (q, q)`` of ``e``, stationary V, Q."""
+
+    F: Array
+    L: Array
+    J: Array
+    Xi: Array
+    E: Array
+    V: Array
+    Q: Array
+
+    @property
+    def whites(self) -> tuple[tuple[Array, Array], ...]:
+        """Covariances of process and measurement for who takes them for white: the driving ones, and the stationary."""
+        return (self.E, self.Xi), (self.Q + self.J @ self.V @ self.J.mT, self.V)
+
+
+def ar1_noise(F: ArrayLike, L: ArrayLike, J: ArrayLike, Xi: ArrayLike, E: ArrayLike) -> Noise:
+    """Checked noises; ValueError for ``F`` or ``L`` that is not diagonal with magnitudes below 1, and for no covariance."""
+    xi, e = finite("Xi", Xi, ("m", "m")), finite("E", E, ("q", "q"))
+    m, q = len(xi), len(e)
+    colors = finite("F", F, (m, m)), finite("L", L, (q, q))
+    for name, a in zip("FL", colors, strict=True):
+        if np.any(a - np.diag(a.diagonal())) or np.abs(a).max() >= 1.0:
+            raise ValueError(f"{name}: expected a diagonal matrix of magnitudes below 1, got {a!r:.80}")
+    if np.linalg.eigvalsh(symmetric(xi, "Xi", m)[0])[0] <= 0.0:
+        raise ValueError("Xi: expected a positive definite covariance")
+    symmetric(e, "E", q)
+    V, Q = (cov / (1.0 - np.outer(a.diagonal(), a.diagonal())) for cov, a in zip((xi, e), colors, strict=True))
+    return Noise(*colors, finite("J", J, (q, m)), xi, e, V, Q)

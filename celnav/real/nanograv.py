@@ -30,9 +30,9 @@ from celnav.filters.sequential import ekf
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array, Belief, cholesky
 from celnav.models.ephemeris import DAY_S, Tdb, de421
+from celnav.models.noise import ar1_noise
 from celnav.papers import citation
 from celnav.papers.tstdkf import scenario as paper
-from celnav.papers.tstdkf.method import ar1_noise
 from celnav.real.arrivals import YEAR, Weeks, clocks, differences, read, remembered, transition, weekly
 from celnav.show import colors
 from celnav.show.figures import Line, Panel, Rows, bars, curve, level, panels

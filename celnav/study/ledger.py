@@ -102,6 +102,9 @@ class Row:
     printed: what the paper prints, verbatim. expected: the verdict that we know of; empty: that it holds.
     revised: when and why the accepted range was changed after a result was seen. figure: stem of one that shows it.
     needs: a part without which nothing is said, as that of an optional input.
+
+    >>> half = celnav.study.numbers.ratio("error", "new", "old", "position", (None, 0.5))
+    >>> row = celnav.study.ledger.Row("statement", "half", "It halves the error.", half, place="Table 1", why="the word")
     """
 
     kind: str

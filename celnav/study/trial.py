@@ -25,6 +25,8 @@ class Group(NamedTuple):
     """Components of the error that are judged together, such as a position.
 
     ``part`` of the error's components, times ``scale`` (a number, or one for each of them), are in ``unit``.
+
+    >>> position = celnav.Group("position", "m", slice(0, 3), 1000.0)  # of errors in km
     """
 
     name: str

@@ -9,7 +9,8 @@ from celnav import Gaussian, Linear, Motion, Sensor, ckf, ekf, epochs, run, step
 from celnav.filters.fallback import Fallback
 from celnav.filters.two_stage import TwoStage
 from celnav.gaussian.rules import Taylor
-from celnav.papers.tstdkf.method import Differenced, ar1_noise, strong_tracking
+from celnav.models.noise import ar1_noise
+from celnav.papers.tstdkf.method import Differenced, strong_tracking
 
 RNG = np.random.default_rng(5)
 T, RUNS, N, M, B = 25, 5, 4, 3, 2

@@ -30,7 +30,8 @@ from celnav.filters.sequential import Iterated, SingleDraw
 from celnav.filters.two_stage import Plain, TwoStage
 from celnav.gaussian.linalg import Covariance
 from celnav.gaussian.spaces import EUCLIDEAN
-from celnav.papers.tstdkf.method import Differenced, ar1_noise, strong_tracking
+from celnav.models.noise import ar1_noise
+from celnav.papers.tstdkf.method import Differenced, strong_tracking
 from celnav.receiver.least_squares import least_squares
 
 EYE = np.eye(2)

@@ -45,7 +45,7 @@ def claims(results):
 
 
 def test_every_figure_draws_what_its_axes_say(results):
-    assert list(csrukf.FIGURES) == [f"figure_{i:02d}" for i in range(1, 19)]
+    assert list(csrukf.FIGURES) == [f"figure_{i:02d}" for i in range(1, 20)]
     for stem, (caption, draw) in csrukf.FIGURES.items():
         fig = draw(results)
         labels = [label for ax in fig.axes for label in (ax.get_xlabel(), ax.get_ylabel()) if label]
@@ -71,8 +71,8 @@ def test_the_ledger_has_every_statement_of_the_paper_and_says_why(claims):
     assert list(statements) == STATEMENTS.split()
     for claim in statements.values():
         assert claim.row.place
-        assert claim.row.why or claim.verdict == "not addressed"
-        assert claim.row.found or claim.verdict == "not addressed"
+        assert claim.row.why
+        assert claim.row.found
     kinds = [claim.kind for claim in claims.values()]
     assert kinds.count("finding") <= 10
     assert kinds.count("check") <= 50

@@ -11,12 +11,15 @@ import pytest
 import rerun as rr
 from readable import faults
 
-from celnav import Epoch, FilterError, run, steps
+from celnav import Epoch, FilterError, Gaussian, Motion, Sensor, ekf, run, steps
 from celnav.files import Outputs, data
+from celnav.filters.engine import Engine
+from celnav.filters.flight import as_data
+from celnav.filters.two_stage import TwoStage
 from celnav.models.orbit import flow
 from celnav.models.pulsar import LIGHT_KM_S, pulsars
 from celnav.papers.tstdkf import PRESETS, SETTINGS, STUDY, Setting, filters, show, simulate, study
-from celnav.papers.tstdkf.scenario import LINEAR, TABLE_5, YEAR, kalman, linearized, models, nominal, sky, trial
+from celnav.papers.tstdkf.scenario import LINEAR, TABLE_5, YEAR, kalman, linearized, models, nine_states, nominal, sky, trial
 from celnav.show.claims import dumps
 from celnav.study.montecarlo import generator
 
@@ -218,6 +221,81 @@ def test_the_exact_filter_is_the_two_stages_where_the_bias_is_constant():
     np.testing.assert_allclose(e["aug"][..., :3], e["tkf"][..., :3], rtol=0, atol=2e-3)
 
 
+def test_nine_states_are_the_two_stages_where_the_bias_is_constant_or_walks():
+    """With M_0 = 0 and no walk they are the EKF; without a slope the bias stays at its prior."""
+    for walk in (0.0, 1e-3):
+        config = replace(YEAR, days=0.5, walk_km=walk)
+        known, sim = filters(config, LINEAR), linearized([config], runs(3))
+        two = TwoStage.of(known["tkf"].first, LINEAR.Gamma, known["tkf"].bias, Qb=walk**2 * np.eye(3))
+        one, other = (run(filter, sim.prior, sim.epochs(), keep="cov") for filter in (known["aug9"], two))
+        np.testing.assert_allclose(one.mean, other.mean, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(one.cov, other.cov, rtol=0, atol=1e-9)
+    no_slope = LINEAR._replace(Gamma=lambda x, epoch: 0.0 * epoch.u[2])
+    kept = run(nine_states(no_slope, config.noise.E, config.noise.Xi, known["tkf"].bias, np.zeros((3, 3))), sim.prior, sim.epochs())
+    np.testing.assert_allclose(kept.std[-1, ..., 6:], config.bias_prior_km)
+    sure = replace(config, bias_prior_km=1e-12, walk_km=0.0)
+    e = {name: run(filters(sure, LINEAR)[name], sim.prior, sim.epochs(), keep="mean").mean[..., :6] for name in ("ekf", "aug9")}
+    np.testing.assert_allclose(e["aug9"], e["ekf"], rtol=0, atol=1e-9)
+
+
+def test_a_constant_bias_is_followed_by_a_gain_that_falls():
+    """A scalar bias that is constant: the gain after k timings is 1 / k, so that the lag behind a ramp grows as k / 2."""
+    R, prior, times = 1.0, Gaussian(np.zeros(1), 1e6 * np.eye(1)), np.arange(401.0)
+    track = run(ekf(Motion(np.eye(1), np.zeros((1, 1))), Sensor(np.eye(1), R * np.eye(1))), prior, times, times[:, None])
+    np.testing.assert_allclose(times[[100, 400]] - track.mean[[100, 400], 0], [50.0, 200.0], rtol=0.02)
+
+
+def operations(filter, sim):
+    """Of a step of one run, from the second on, when there is a measurement to be differenced with."""
+    data = as_data(filter, list(sim.epochs()))
+    engine = Engine(filter, sim.prior, data, "mean", {})
+    shape, u = engine.begin, engine.inputs(next(iter(data.u.values())), len(data.k))
+    for _ in range(2):
+        kernel, shape, _ = engine.record(shape, data.known[0], u)
+    return len(kernel.tape.needed([x for *_, x in kernel.results()]))
+
+
+def test_nine_states_are_no_heavy_load():
+    config = replace(SHORT, days=0.01)
+    known, sim = filters(config, LINEAR), linearized([config], runs(1))
+    count = {name: operations(known[name], sim) for name in ("tkf", "aug9", "tstdkf")}
+    assert count["tkf"] < count["aug9"] < 0.6 * count["tstdkf"]
+
+
+def test_without_a_scale_the_strong_tracking_stage_is_the_ordinary_one():
+    config = replace(YEAR, days=0.5)
+    flown = study.linear(["step"], 12, ["sweep", "nine"], config, runs(2))
+    for form in "CB":
+        np.testing.assert_array_equal(flown[f"step/{form}, ρ = 0/error"], flown["step/tdkf/error"])
+    np.testing.assert_allclose(flown["step/aug9 0/error"], study.linear(["step"], 12, ["tkf"], config, runs(2))["step/tkf/error"])
+    alone = study.flown(
+        ["step"], linearized([replace(config, trend="step")], runs(2)), filters(config, LINEAR), ["tstdkf"], every=12
+    )
+    np.testing.assert_allclose(flown["step/C/error"], alone["step/tstdkf/error"])
+
+
+def test_the_days_that_an_estimate_is_off_are_counted():
+    far, near = (np.full((3, 48), x) for x in (0.3, 0.2))
+    assert study.days(far) == 2.0
+    assert study.days(near) == 0.0
+    assert study.days(far, np.hstack([far[:, :24], near[:, 24:]])) == -1.0
+    bias = replace(SHORT, trend="step").bias(SHORT.times)
+    np.testing.assert_array_equal(np.unique(bias, axis=0), [[0.0] * 3, [0.3] * 3])
+    assert (bias[:, 0] > 0.0).mean() == pytest.approx(0.5, abs=0.01)
+
+
+def test_a_timing_by_area_and_background():
+    crab, *_, weak = pulsars(TABLE_5.pulsars)
+    for p in (crab, weak):
+        assert p.timing_std(300.0, 1e3) / p.timing_std(300.0, 1e5) == pytest.approx(10.0, rel=1e-12)
+    assert crab.timing_std(300.0, background=0.05) == pytest.approx(crab.timing_std(300.0, background=0.0), rel=2e-3)
+    loud = 1e3 * weak.flux
+    background = (
+        0.5 * weak.width_s * np.sqrt(loud * weak.width_s / weak.period_s / (1e4 * 300.0)) / (weak.flux * weak.pulsed_fraction)
+    )
+    assert weak.timing_std(300.0, background=loud) == pytest.approx(background, rel=0.05)
+
+
 def test_the_exact_filter_is_the_best_of_colored_noise():
     colored = {name: np.sqrt(np.square(e[len(e) // 2 :, :, :3]).sum(-1).mean()) for name, e in follow(SHORT, 6).items()}
     assert colored["aug"] < colored["tdkf"] < colored["tkf"] < colored["ekf"]
@@ -350,7 +428,7 @@ def results():
 
 def test_every_figure_draws(results):
     assert list(show.FIGURES)[:3] == ["figure_01", "figure_02", "figure_02b"]
-    assert len(show.FIGURES) == 14
+    assert len(show.FIGURES) == 15
     for stem, (caption, draw) in show.FIGURES.items():
         fig = draw(results)
         assert caption.endswith(".")

@@ -8,7 +8,8 @@ import pytest
 from celnav import Epoch, Gaussian, Motion, Sensor, two_stage, ukf
 from celnav.filters.sequential import SingleDraw
 from celnav.filters.two_stage import Boost, TwoStage
-from celnav.papers.tstdkf.method import LARGEST, Differenced, ar1_noise, strong_tracking
+from celnav.models.noise import ar1_noise
+from celnav.papers.tstdkf.method import LARGEST, Differenced, strong_tracking
 
 RNG = np.random.default_rng(0)
 T, N, M, B = 30, 4, 2, 3
@@ -257,6 +258,22 @@ def test_factors_compare_a_window_of_residuals_with_their_variances():
         expected = np.maximum(1.0, 1.0 + np.array([8.0, 15.0]) * (squares / [2.0, 4.0] - 1.0))
         np.testing.assert_allclose(factors, expected)
     assert memory.length == 3
+
+
+def test_of_consistent_white_residuals_form_c_tends_to_one_and_form_b_to_rho():
+    """And a step of their variance is followed as 1 - (1 - 1 / tau)^j, the first tau of them by their plain mean."""
+    residuals, made = np.random.default_rng(4).standard_normal((4000, 2)), {}
+    for form in (False, True):
+        boost, memory = strong_tracking([8.0, 0.5], 4000.0, proportional=form), None
+        for residual in residuals:
+            memory, made[form] = boost(memory, seen(residual, np.eye(2)))
+        np.testing.assert_allclose(memory.squares, np.square(residuals).mean(0), rtol=1e-9)
+    np.testing.assert_allclose(made[False], 1.0, atol=8.0 * 4.0 * np.sqrt(2.0 / 4000.0))
+    np.testing.assert_allclose(made[True], [8.0, 1.0], atol=8.0 * 4.0 * np.sqrt(2.0 / 4000.0))
+    boost, memory = strong_tracking([1.0], [[5.0], [20.0]]), None
+    for k in range(60):
+        memory, _ = boost(memory, seen(np.full((2, 1), 1.0 + (k >= 40)), np.eye(1)))
+    np.testing.assert_allclose(memory.squares[:, 0], 1.0 + 3.0 * (1.0 - (1.0 - 1.0 / np.array([5.0, 20.0])) ** 20))
 
 
 def test_forms_of_the_factor():

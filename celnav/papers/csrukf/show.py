@@ -11,8 +11,9 @@ from celnav.filters.run import run
 from celnav.gaussian.linalg import Array
 from celnav.models import sightings
 from celnav.models.orbit import EARTH
+from celnav.papers.csrukf.method import FORMS
 from celnav.papers.csrukf.scenario import filters, simulate
-from celnav.papers.csrukf.study import BOTH, PHIS, SWEEP, TABLE_1, TABLE_2, TABLE_3
+from celnav.papers.csrukf.study import BOTH, COLORS, HELD, PHIS, RATIOS, SWEEP, TABLE_1, TABLE_2, TABLE_3
 from celnav.show import colors, scenes, showcase
 from celnav.show.estimates import Group, again
 from celnav.show.figures import Item, Line, Panel, consistency, curve, errors, figure, level, panels, rmse, rmse_table, sigma
@@ -118,14 +119,18 @@ def against_theory(r: Results) -> Figure:
 
 
 def over_phi(r: Results) -> Figure:
-    """Final position error over Phi, for the fitted prior and a poor one, by linear theory."""
-    row, ticks = [], {"xticks": range(len(SWEEP)), "xticklabels": [f"{phi:g}" for phi in SWEEP]}
+    """Final position error over Phi, for the fitted prior and a poor one, by linear theory and what is held fixed."""
     lines = {"srukf": (SRUKF, "o"), "csrukf": (CSRUKF, "s"), "csrukf+z0": (Line("CSRUKF with the first sample", colors.TRUTH), "^")}
-    for preset, title in (("P", "prior 0.15 km, 0.035 m/s"), ("D", "prior 10 km, 10 m/s")):
-        items = [curve(range(len(SWEEP)), length(r.get("theory", f"{preset}/{name}")[-1]), line, marker=marker, markersize=4)
-                 for name, (line, marker) in lines.items()]  # fmt: skip
-        row.append(Panel(title, items, "φ of $\\Phi = \\varphi I$ (-)", "final 3-D position error (km)", "y", ticks))
-    return panels(row, size=(7.0, 3.5))
+    rows: list[list[Panel]] = []
+    for held, phis in {"": SWEEP, **dict.fromkeys(HELD, COLORS)}.items():
+        rows.append([])
+        ticks = {"xticks": range(len(phis)), "xticklabels": [f"{phi:g}" for phi in phis]}
+        for preset, title in (("P", "prior 0.15 km, 0.035 m/s"), ("D", "prior 10 km, 10 m/s")):
+            found = {name: length(r.get("theory", f"{held}/{preset}/{name}".lstrip("/"))[-1]) for name in lines}
+            items = [curve(range(len(phis)), y, lines[name][0], marker=lines[name][1], markersize=4) for name, y in found.items()]
+            y = f"{held or 'increments'} held\nfinal 3-D position error (km)" * (not rows[-1])
+            rows[-1].append(Panel("" if held else title, items, "φ of $\\Phi = \\varphi I$ (-)", y, "y", ticks))
+    return panels(*rows, size=(7.0, 7.5))
 
 
 def long_arcs(r: Results) -> Figure:
@@ -154,6 +159,21 @@ def assumed(r: Results) -> Figure:
     return panels([Panel("", items, x, y, "y", more) for items, y in row], size=(7.0, 3.3))
 
 
+def forms(r: Results) -> Figure:
+    """Runs that each form of the covariance loses, and what rounding does to the others, by how precise a measurement is."""
+    hues = (colors.COMPARISON, colors.TRUTH, colors.OPEN_LOOP, colors.PAPER, colors.ESTIMATE)
+    looks = zip(FORMS, hues, ("-", "-", "-", "--", "-"), (4.0, 2.2, 4.0, 1.1, 1.1), strict=True)  # several lie upon each other
+    lines, rows = {f: Line(FORMS[f], hue, style, width) for f, hue, style, width in looks}, list[list[Panel]]()
+    for what, y, log in (("lost", "share of runs lost (-)", "x"), ("apart", "largest error by rounding (deviations)", "xy")):
+        rows.append([])
+        for precision in ("double", "single"):
+            found = {f: r.get("forms/ratios", f"{f}, {precision}/{what}").mean(1) for f in FORMS}
+            items = [curve(10.0**RATIOS, np.where((x > 0.0) | (log == "x"), x, np.nan), lines[f]) for f, x in found.items()]
+            title, x = f"{precision} precision" * (what == "lost"), "deviation of the prior over that of a measurement"
+            rows[-1].append(Panel(title, items, x, y * (precision == "double"), log))
+    return panels(*rows, size=(7.0, 5.0), sharex="col")
+
+
 FIGURES = {
     "figure_01": ("Fig. 1: geometry of the measurement: two stars, the Earth's limb, and the three angles.", geometry),
     **{f"figure_{i + 2:02d}": (f"Fig. {i + 2}: error of {AXES[i]}, white noise: both filters are one filter.", partial(white, i))
@@ -165,6 +185,7 @@ FIGURES = {
     "figure_16": ("Beyond the paper: final position error over Φ, for the fitted prior and a poor one (linear theory).", over_phi),
     "figure_17": ("Beyond the paper: long arcs from a poor prior, SRUKF against the bound.", long_arcs),
     "figure_18": ("Beyond the paper: a wrong coefficient in the filter.", assumed),
+    "figure_19": ("Beyond the paper: the covariance in five forms and two precisions, twenty steps from a prior of 10 km.", forms),
 }  # fmt: skip
 TABLES = {
     "table_1": ("Table 1: RMSE under white noise, Φ = 0.", lambda r: rmse_table(r, "0", TABLE_1, BOTH, COLUMNS)),

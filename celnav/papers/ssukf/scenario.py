@@ -225,8 +225,8 @@ def filters(
 
     aukf: process and measurement noise through the points of both parts (15 dimensions, 31 points). aukf-1: the same, drawn
     once for both parts, which keeps what noise they have in common. ssukf: each noise where it acts (12 and 9 dimensions, 25 and
-    19 points). additive: neither (6 dimensions, 13 points). usque: half of the process noise before the prediction, half after
-    it. mekf: linearized, in the Gibbs vector.
+    19 points). pa, ma: only process noise, only measurement noise [Merwe2004]. additive: neither (6 dimensions, 13 points).
+    usque: half of the process noise before the prediction, half after it. mekf: linearized, in the Gibbs vector.
 
     ``c``: one spread for all rules instead of ``alpha^2 (L + kappa)``. ``transported``: the covariance follows the reference after
     an update. ``vector``: a sensor instead of that of stars.
@@ -242,17 +242,24 @@ def filters(
     seen = vector or Sensor(star, sqrt_R=V, space=attitude.attitude())
     linear = vector or Sensor(star, sqrt_R=V, space=attitude.attitude(0.0, 2.0), jacobian=lambda _x, _epoch: np.eye(3, 6))
 
-    def through(time: tuple[Array, ...], measured: tuple[Array, ...]) -> Sequential:
-        motion = Motion(f, augment=time, space=space) if time else Motion(f, Q, space=space)
-        sensor = replace(seen, sqrt_R=None, augment=measured) if measured else seen
-        return sigma_point(motion, sensor, rule=lambda L: spread(L, config, c=c), form=form)
-
     mekf = Motion(f, Q, space=gibbs, jacobian=lambda x, epoch: gyro.transition(x, epoch.u, epoch.dt))
-    return {
-        "aukf": through((W, V), (W, V)), "aukf-1": SingleDraw.of(through((W,), (V,))), "ssukf": through((W,), (V,)),
-        "additive": through((), ()), "usque": Halved(**vars(ukf(Motion(f, half, space=space), seen, kappa=1.0, form=form))),
-        "mekf": ekf(mekf, linear, form=form),
+    known = augmentations(Motion(f, Q, space=space), seen, W, V, rule=lambda L: spread(L, config, c=c), form=form)
+    return known | {
+        "aukf-1": SingleDraw.of(known["ssukf"]), "mekf": ekf(mekf, linear, form=form),
+        "usque": Halved(**vars(ukf(Motion(f, half, space=space), seen, kappa=1.0, form=form))),
     }  # fmt: skip
+
+
+SIDES = {"aukf": ("wv", "wv"), "ssukf": ("w", "v"), "pa": ("w", ""), "ma": ("", "v"), "additive": ("", "")}
+"""Filter -> noises that go through the points of the prediction and of the update; the others are added."""
+
+
+def augmentations(motion: Motion, sensor: Sensor, W: Array, V: Array, **options: Any) -> dict[str, Sequential]:
+    """The filters of `SIDES`, from models that add their noise; ``W``, ``V``: roots of what goes through the points instead."""
+    roots = {"wv": (W, V), "w": (W,), "v": (V,)}
+    motions = {"": motion} | {key: replace(motion, Q=None, sqrt_Q=None, augment=roots[key]) for key in roots}
+    sensors = {"": sensor} | {key: replace(sensor, R=None, sqrt_R=None, augment=roots[key]) for key in roots}
+    return {name: sigma_point(motions[time], sensors[seen], **options) for name, (time, seen) in SIDES.items()}
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from celnav.gaussian import attitude
 from celnav.gaussian.linalg import Array
 from celnav.gaussian.spaces import wrap
 from celnav.papers.ssukf.scenario import ARCSEC, DEG_PER_H, GROUPS, RADIUS_KM, STANDARD, path
-from celnav.papers.ssukf.study import AXES, FIELD, FIELD_DEG, STUDY, TIMED, points
+from celnav.papers.ssukf.study import AXES, FIELD, FIELD_DEG, ROOTS, STUDY, TIMED, points
 from celnav.show import colors, scenes, showcase
 from celnav.show.estimates import Group, again
 from celnav.show.figures import Item, Line, Panel, Rows, consistency, curve, level, panels, rmse
@@ -109,15 +109,18 @@ def spinning(results: Results) -> Figure:
 
 
 def table(results: Results) -> Rows:
-    """Points and seconds of one run alone from star sample to star sample; seconds are those of the machine at hand."""
+    """Points, operations point by point with roots of all that is augmented (whole) and of the state alone (block), and seconds of
+    one run alone from star sample to star sample; seconds are those of the machine at hand."""
     rows: Rows = []
     for per in (1, STANDARD.ratio):
         seconds = {name: results.value("costs", f"seconds, {name}, {per}:1", 0) for name in TIMED}
         for name in TIMED:
             label, count = "MEKF (and Jacobians)" if name == "mekf" else name.upper(), points(results, name, per)
-            rows.append({"updates of time to measurement": f"{per}:1", "filter": label, "points": int(count),
-                         "points to AUKF": count / points(results, "aukf", per), "one run alone (s)": seconds[name],
-                         "to AUKF": seconds[name] / seconds["aukf"]})  # fmt: skip
+            row: dict[str, str | float] = {"updates of time to measurement": f"{per}:1", "filter": label, "points": int(count),
+                   "points to AUKF": count / points(results, "aukf", per)}  # fmt: skip
+            for roots in ROOTS if name != "mekf" else ():
+                row[f"operations, {roots} roots"] = int(results.value("operations", f"{name}, {per}:1, {roots}", 0))
+            rows.append(row | {"one run alone (s)": seconds[name], "to AUKF": seconds[name] / seconds["aukf"]})
     return rows
 
 

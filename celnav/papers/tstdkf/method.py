@@ -26,38 +26,11 @@ from celnav.filters.joint import KEEP, condition, joint
 from celnav.filters.model import check_prior, given_back
 from celnav.filters.records import Epoch, Info
 from celnav.filters.two_stage import LINEAR, Boost, Stage
-from celnav.gaussian.belief import Gaussian, symmetric
-from celnav.gaussian.checks import finite, function, instance, number, numbers, together, unmasked
+from celnav.gaussian.belief import Gaussian
+from celnav.gaussian.checks import finite, function, instance, numbers, together, unmasked
 from celnav.gaussian.linalg import Array, Covariance, block, matvec, side_by_side, surely
 from celnav.gaussian.spaces import EUCLIDEAN
-
-
-class Noise(NamedTuple):
-    """AR(1) noises and how they are connected, as `ar1_noise` makes them: ``F (m, m)``, ``L (q, q)``, ``J (q, m)``, covariances
-    ``Xi (m, m)`` of ``xi`` and ``E (q, q)`` of ``e``, and the stationary ones ``V (m, m)`` and ``Q (q, q)``."""
-
-    F: Array
-    L: Array
-    J: Array
-    Xi: Array
-    E: Array
-    V: Array
-    Q: Array
-
-
-def ar1_noise(F: ArrayLike, L: ArrayLike, J: ArrayLike, Xi: ArrayLike, E: ArrayLike) -> Noise:
-    """Checked noises; ValueError for ``F`` or ``L`` that is not diagonal with magnitudes below 1, and for no covariance."""
-    xi, e = finite("Xi", Xi, ("m", "m")), finite("E", E, ("q", "q"))
-    m, q = len(xi), len(e)
-    colors = finite("F", F, (m, m)), finite("L", L, (q, q))
-    for name, a in zip("FL", colors, strict=True):
-        if np.any(a - np.diag(a.diagonal())) or np.abs(a).max() >= 1.0:
-            raise ValueError(f"{name}: expected a diagonal matrix of magnitudes below 1, got {a!r:.80}")
-    if np.linalg.eigvalsh(symmetric(xi, "Xi", m)[0])[0] <= 0.0:
-        raise ValueError("Xi: expected a positive definite covariance")
-    symmetric(e, "E", q)
-    V, Q = (cov / (1.0 - np.outer(a.diagonal(), a.diagonal())) for cov, a in zip((xi, e), colors, strict=True))
-    return Noise(*colors, finite("J", J, (q, m)), xi, e, V, Q)
+from celnav.models.noise import Noise
 
 
 class DifferencedState(NamedTuple):
@@ -75,12 +48,9 @@ class DifferencedState(NamedTuple):
 class Differenced:
     """The stage, for `celnav.filters.two_stage.TwoStage`. Each epoch moves and is measured in full, or not at all.
 
-    Attributes
-    ----------
     move: ``(mean, epoch) ->`` state ``(..., n)`` after the interval, its Jacobian ``Phi``, effect ``G (..., n, q)`` of the noise.
     h, slope: ``(mean, epoch) ->`` measurement ``(..., m)`` and its Jacobian ``(..., m, n)``. noise: see `ar1_noise`.
-
-    It raises a ValueError for a measurement that is missing in part, or where ``I + H G J`` is singular (determinant below 1e-12).
+    ValueError for a measurement that is missing in part, or where ``I + H G J`` is singular (determinant below 1e-12).
     """
 
     move: Callable[[Array, Epoch], tuple[Array, Array, Array]]
@@ -164,19 +134,21 @@ class Window(NamedTuple):
     factors: Array
 
 
-def strong_tracking(rho: ArrayLike, tau: float, *, proportional: ArrayLike = False) -> Any:
+def strong_tracking(rho: ArrayLike, tau: ArrayLike, *, proportional: ArrayLike = False) -> Any:
     """A boost for `celnav.filters.two_stage.two_stage`: factors ``1 + rho (ratio - 1)``, of squared residuals over variances.
 
-    rho: ``(..., m)``, not negative; 0 switches a component off. tau: length of the window, in measurements, at least 1.
+    rho: ``(..., m)``, not negative; 0 switches a component off. tau: ``(..., 1)``, length of the window in measurements.
     proportional: where factors are ``rho ratio`` instead, closest to the prose: near ``rho`` even while the filter is consistent.
 
     >>> filter = celnav.two_stage(motion, sensor, Gamma, bias, boost=strong_tracking([8.0, 15.0, 9.0], 100.0))
     """
-    weights, length = finite("rho", rho), number("tau", tau, 1.0)
+    weights, length = finite("rho", rho), finite("tau", tau)
+    if (length < 1.0).any():
+        raise ValueError(f"tau: expected numbers of at least 1, got {tau!r}")
     if weights.ndim == 0 or (weights < 0.0).any():
         raise ValueError(f"rho: expected numbers (..., m) that are not negative, got {rho!r}")
     form = finite("proportional", proportional)
-    together(rho=weights.shape, proportional=form.shape)
+    together(rho=weights.shape, tau=length.shape, proportional=form.shape)
     least = np.where(form > 0.0, 0.0, 1.0 - weights)
 
     def boost(memory: Window | None, seen: Boost) -> tuple[Window, Array]:

@@ -4,8 +4,7 @@ The display equations of the text at hand are lost. Inferred are Eq. 2, delay of
 orbit (`celnav.models.orbit`); 17, 69, 70, ephemeris error (`Config.bias`); 19, deviation of a timing (`Pulsar.timing_std`); 21-56
 and 57-61, differencing and strong tracking (`celnav.papers.tstdkf.method`), on two stages (`celnav.filters.two_stage`).
 
-Several configurations may be flown together, as *cases* along an axis before that of the runs, on the same random numbers: what a
-step costs is mostly what its first run costs. They share times, orbit and pulsars.
+Several configurations may be flown together, as *cases* along an axis before the runs', on the same random numbers, orbit, times.
 """
 
 from __future__ import annotations
@@ -13,23 +12,25 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from celnav.filters.model import Linear, Motion, Sensor
-from celnav.filters.records import Epoch, Filter, FromFunctions, State
+from celnav.filters.records import Epoch, Filter, FromFunctions
 from celnav.filters.sequential import Sequential, ekf
 from celnav.filters.two_stage import Plain, TwoStage
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array, Belief, block, cholesky, matvec, side_by_side
 from celnav.models import orbit
 from celnav.models.ephemeris import GM, Tdb, de421, from_utc
+from celnav.models.noise import Noise, ar1, ar1_noise
 from celnav.models.orbit import NODES, Extra, Flow, advance, flow, third_body
 from celnav.models.pulsar import LIGHT_KM_S, Timing, pulsars
 from celnav.papers import citation
-from celnav.papers.tstdkf.method import Differenced, Noise, ar1_noise, strong_tracking
+from celnav.papers.tstdkf.method import Differenced, strong_tracking
 from celnav.study.montecarlo import normals, steps
 from celnav.study.parameters import Parameters, Timed, param
 from celnav.study.study import Rngs
@@ -77,8 +78,8 @@ class Config(Timed):
     amplitude_km: tuple[float, ...] = param((0.09, 0.12, 0.075), TUNED, "of the error of the Earth's ephemeris, each axis")
     phase: tuple[float, ...] = param((0.0, 0.5 * np.pi, 0.25 * np.pi), "chosen", "of that error's year, each axis, rad")
     trend: str = param(
-        "sine", "inferred: Eqs 17, 69, 70", "how it goes on: a year's sine, growing, a triangle, or constant, drawn from its prior",
-        one_of=("sine", "growing", "triangle", "constant"),
+        "sine", "inferred: Eqs 17, 69, 70", "how it goes on: a year's sine, growing, a triangle; constant, drawn from its prior; "
+        "or none until half time, then its prior's deviation", one_of=("sine", "growing", "triangle", "constant", "step"),
     )  # fmt: skip
     initial: str = param("paper", "inferred", "initial errors: those above, or drawn from the prior", one_of=("paper", "drawn"))
     pulled: bool = param(False, "inferred", "whether Sun and Moon pull at the satellite")
@@ -142,6 +143,8 @@ class Config(Timed):
 
     def bias(self, t: Array) -> Array:
         """Error ``(..., 3)`` km of the ephemeris, ``t`` s after the start [Xu2024, Eqs 17, 69, 70; inferred], if not constant."""
+        if self.trend == "step":
+            return self.bias_prior_km * np.ones(3) * (np.asarray(t)[..., None] > 0.5 * self.days * DAY_S)
         angle = 2.0 * np.pi / YEAR_S * np.asarray(t)[..., None]
         A, phase = np.asarray(self.amplitude_km), np.asarray(self.phase)
         growing = 1.5 * angle / (2.0 * np.pi) - 0.75 + 0.5 * np.sin(2.0 * angle + phase)
@@ -173,9 +176,7 @@ def one_of(cases: Cases) -> Config:
 
 def noises(cases: Cases) -> Noise:
     """Noises, `stacked`."""
-    if isinstance(cases, Config):
-        return cases.noise
-    return Noise(*(np.stack(part)[:, None] for part in zip(*(case.noise for case in cases), strict=True)))
+    return Noise(*(stacked(cases, attrgetter(f"noise.{name}")) for name in Noise._fields))
 
 
 def sky(config: Config) -> tuple[Array, Array, Array | None]:
@@ -204,12 +205,11 @@ def nominal(config: Config) -> Flow:
 
 @lru_cache(maxsize=4)
 def _coasted(start: tuple[float, ...], step_s: float, steps: int) -> Flow:
-    x = np.empty((steps + 1, 6))
-    x[0] = start
-    for k in range(steps):
-        x[k + 1] = advance(x[k], step_s)
+    x = [np.array(start)]
+    for _ in range(steps):
+        x.append(advance(x[-1], step_s))
     pieces = [flow(part, step_s)[1:] for part in np.array_split(x[:-1], 1 + steps // 4096)]  # that stay in the cache
-    return Flow(x, *map(np.concatenate, zip(*pieces, strict=True)))
+    return Flow(np.stack(x), *map(np.concatenate, zip(*pieces, strict=True)))
 
 
 class Scenario(NamedTuple):
@@ -232,17 +232,11 @@ class Scenario(NamedTuple):
 
 def drawn(cases: Cases, rngs: Rngs) -> tuple[Array, Array, Array, Array]:
     """AR(1) noises V ``(T, ..., runs, 3)`` km and Q ``(T, ..., runs, 6)``; drawn for each run ``(runs, 6)``, and for its bias."""
-    c, noise, out = one_of(cases), noises(cases), []
+    c, noise = one_of(cases), noises(cases)
     xi, e, first, rest = normals(rngs, (c.samples + 1, 3), (c.samples + 1, 6), (9,), (9,))
-    V, Q = (xi * c.sigma_km, first[:, :3], noise.F, noise.V), (e * c.process_std, first[:, 3:], noise.L, noise.Q)
-    for increments, start, color, cov in (V, Q):
-        start, color = start * np.sqrt(cov.diagonal(0, -2, -1)), color.diagonal(0, -2, -1)
-        values = np.empty((len(increments), *start.shape))
-        values[0] = start
-        for k in range(1, len(values)):
-            values[k] = color * values[k - 1] + increments[k]
-        out.append(values)
-    return out[0], out[1], rest[:, :6], rest[:, 6:]
+    both = (noise.F, xi * c.sigma_km, first[:, :3], noise.V), (noise.L, e * c.process_std, first[:, 3:], noise.Q)
+    V, Q = (ar1(color, by[1:], start * np.sqrt(cov.diagonal(0, -2, -1))) for color, by, start, cov in both)
+    return V, Q, rest[:, :6], rest[:, 6:]
 
 
 def simulate(cases: Cases, rngs: Rngs) -> Scenario:
@@ -265,11 +259,8 @@ def simulate(cases: Cases, rngs: Rngs) -> Scenario:
 
 
 def linearized(cases: Sequence[Config], rngs: Rngs) -> Scenario:
-    """Runs of errors about the nominal orbit, for `LINEAR` models, whose filters have one covariance for all runs.
-
-    The cases may differ in their ephemeris error alone; a constant one is 1 km along an axis in each of the first runs, and along
-    random directions in others.
-    """
+    """Runs of errors about the nominal orbit, for `LINEAR` models, whose filters have one covariance for all runs. Cases differ in
+    their ephemeris error alone; a constant one is 1 km along an axis in each of the first runs, then along random directions."""
     c, (V, Q, _, constant) = cases[0], drawn(cases[0], rngs)
     (orbit, Phi, G), (earth, sun, _), J = nominal(c), sky(c), c.noise.J
     x, Gamma = np.zeros_like(Q), c.timing.gradient(earth + orbit[:, :3], sun)
@@ -288,10 +279,8 @@ def linearized(cases: Sequence[Config], rngs: Rngs) -> Scenario:
 # -- models ------------------------------------------------------------------------------------------------------------------
 class Models(NamedTuple):
     """Orbit and timings (km, with the Earth where it is believed to be) as filters see them, of ``(mean (..., 6 or more), epoch)``.
-
-    ``Gamma (..., m, 3)`` is the slope with respect to the position, and to an error of the Earth's. ``linear``: whether they are
-    products with their derivatives, the same for every mean.
-    """
+    ``Gamma (..., m, 3)``: slope with respect to the position, and to an error of the Earth's. ``linear``: whether they are products
+    with their derivatives, the same for every mean."""
 
     move: Callable[[Array, Epoch], Flow]
     measure: Callable[[Array, Epoch], Array]
@@ -323,13 +312,12 @@ def models(config: Config, pulled: bool = False) -> Models:
     )
 
 
-LINEAR = Models(
+LINEAR = Models(  # of errors about the nominal orbit; epoch.u is (Phi, G, Gamma)
     lambda error, epoch: Flow(matvec(epoch.u[0], error[..., :6]), epoch.u[0], epoch.u[1]),
     lambda error, epoch: matvec(epoch.u[2], error[..., :3]),
     lambda _, epoch: epoch.u[2],
     linear=True,
 )
-"""Models of errors about the nominal orbit; ``epoch.u`` is ``(Phi, G, Gamma)``."""
 
 
 # -- the filters -------------------------------------------------------------------------------------------------------------
@@ -337,18 +325,19 @@ def filters(cases: Cases, seen: Models | None = None, noise: Noise | None = None
     """The filters by name. ``seen``, ``noise``: other models and noises than those of the cases. ``on``: factor of rho.
 
     ekf, tkf: ignorance and two stages, with the covariances of the driving noise, the paper's (inferred) choice; the first stage of
-    tkf is ekf. ekf-fair, tkf-fair: the same with the covariances that the noises really have. tdkf, tstdkf: two stages on
-    differenced measurements, without and with strong tracking. aug: all noises and the bias among the states, exact. Beliefs of ekf
-    are about ``(r, v)``, of aug about ``(r, v, V, Q, b)``, of the others about ``(r, v, b)``.
+    tkf is ekf. ekf-fair, tkf-fair: with those that the noises really have. tdkf, tstdkf: two stages on differenced measurements,
+    without and with strong tracking. aug9: ekf with the bias appended, a walk. aug: all noises and the bias as states, exact.
+    Beliefs of ekf are about ``(r, v)``, of aug about ``(r, v, V, Q, b)``, of the others about ``(r, v, b)``.
     """
     seen, n = seen or models(one_of(cases)), noise or noises(cases)
     bias = Gaussian(np.zeros(3), stacked(cases, lambda case: case.bias_prior_km**2 * np.eye(3)))
     out: dict[str, Any] = {}
-    for name, Q, R in (("", n.E, n.Xi), ("-fair", n.Q + n.J @ n.V @ n.J.mT, n.V)):
+    for name, (Q, R) in zip(("", "-fair"), n.whites, strict=True):
         out[f"ekf{name}"] = kalman(seen, Q, R)
         out[f"tkf{name}"] = TwoStage.of(Plain(out[f"ekf{name}"]), seen.Gamma, bias)
     tdkf = TwoStage.of(Differenced(seen.move, seen.measure, seen.H, n), seen.Gamma, bias)
     walk = stacked(cases, lambda case: case.walk_km * np.eye(3))
+    out["aug9"] = nine_states(seen, n.E, n.Xi, bias, walk)
     rho, form = stacked(cases, lambda case: case.rho), stacked(cases, lambda case: [case.factor == "proportional"])
     boost = strong_tracking(on * rho, one_of(cases).tau, proportional=form)
     return out | {"tdkf": tdkf, "tstdkf": replace(tdkf, boost=boost), "aug": augmented(seen, n, bias, walk)}
@@ -365,38 +354,45 @@ def kalman(seen: Models, Q: Array, R: Array) -> Sequential:
 
 
 def augmented(seen: Models, n: Noise, bias: Gaussian, walk: Array) -> Filter:
-    """The exact filter: 18 states ``(x, V, Q, b)``, the bias a random walk, and no noise left in the measurement.
+    """The exact filter: 18 states ``(x, V, Q, b)``, the bias a random walk, and no noise left in the measurement. In square-root
+    form: after an update V is known from the rest, so the covariance is singular."""
+    xi, e, eye = np.sqrt(n.Xi), np.sqrt(n.E), np.eye(3)
+    color, cov = (block([[V, 0, 0], [0, Q, 0], [0, 0, b]]) for V, Q, b in ((n.F, n.L, eye), (n.V, n.Q, bias.cov)))
+    drives = block([[n.J @ xi, e, 0], [xi, 0, 0], [0, e, 0], [0, 0, walk]])
+    return appended(seen, cov, color, block([[n.J @ n.F, n.L, np.zeros((6, 3))]]), drives, "square root", sqrt_R=np.zeros((3, 1)))
 
-    In square-root form: after an update V is known from the rest, so the covariance is singular.
-    """
-    into, through = side_by_side([n.J @ n.F, n.L]), side_by_side([n.J @ np.sqrt(n.Xi), np.sqrt(n.E)])
-    color, drives = block([[n.F, 0], [0, n.L]]), block([[np.sqrt(n.Xi), 0], [0, np.sqrt(n.E)]])
+
+def nine_states(seen: Models, Q: Array, R: Array, bias: Gaussian, walk: Array) -> Filter:
+    """`kalman` with the bias appended, ``(x, b)``; ``walk (..., 3, 3)``: root of the covariance of its steps."""
+    drives = block([[np.linalg.cholesky(Q), 0], [0, walk]])
+    return appended(seen, bias.cov, np.eye(3), np.zeros((6, 3)), drives, "covariance", R=R)
+
+
+def appended(seen: Models, cov: Array, color: Array, into: Array, drives: Array, form: str, **R: Array) -> Filter:
+    """An EKF of orbit and ``s (..., q)``, first a timing's noise if q > 3, last a bias: ``s' = color s + w``, N(0, cov) at first,
+    noise of the orbit ``into s + w``; ``drives (..., 6 + q, r)``: root of the covariance of w. Others: as of `ekf`."""
 
     def f(x: Array, epoch: Epoch) -> Array:
-        moved, rest = seen.move(x[0], epoch), x[0][..., 6:15]
-        state = moved.state + matvec(moved.G, matvec(into, rest))
-        return np.concatenate([state, matvec(color, rest), x[0][..., 15:]], -1)[None]
+        moved, s = seen.move(x[0], epoch), x[0][..., 6:]
+        return np.concatenate([moved.state + matvec(moved.G, matvec(into, s)), matvec(color, s)], -1)[None]
 
     def transition(x: Array, epoch: Epoch) -> Array:
         _, Phi, G = seen.move(x, epoch)
-        return block([[Phi, G @ into, 0], [0, color, 0], [0, 0, np.eye(3)]])
-
-    def h(x: Array, epoch: Epoch) -> Array:
-        return np.asarray(seen.measure(x, epoch) + x[..., 6:9] + matvec(seen.Gamma(x, epoch), x[..., 15:]))
+        return block([[Phi, G @ into], [0, color]])
 
     def slope(x: Array, epoch: Epoch) -> Array:
-        return block([[seen.H(x, epoch), np.eye(3, 9), seen.Gamma(x, epoch)]])
+        return block([[seen.H(x, epoch), np.eye(3, cov.shape[-1] - 3), seen.Gamma(x, epoch)]])
 
-    noise = {"sqrt_Q": lambda x, epoch: block([[seen.move(x, epoch).G @ through, 0], [drives, 0], [0, walk]])}
-    motion, sensor = seen.believed(Motion, f, transition, **noise), seen.believed(Sensor, h, slope, sqrt_R=np.zeros((3, 1)))
-    exact = ekf(motion, sensor)
+    def h(x: Array, epoch: Epoch) -> Array:
+        return np.asarray(seen.measure(x, epoch) + matvec(slope(x, epoch)[..., 6:], x[..., 6:]))
 
-    def start(prior: Gaussian) -> State:
-        mean = side_by_side([prior.mean, np.zeros(12)])
-        parts = (prior.cov, n.V, n.Q, bias.cov)
-        return exact.start(Gaussian(mean, block([[part if i == j else 0 for j in range(4)] for i, part in enumerate(parts)])))
+    def start(prior: Gaussian) -> Any:
+        mean = side_by_side([prior.mean, np.zeros(cov.shape[-1])])
+        return inner.start(Gaussian(mean, block([[prior.cov, 0], [0, cov]])))
 
-    return FromFunctions(start, exact.step)
+    noise = {"sqrt_Q": lambda x, epoch: block([[seen.move(x, epoch).G @ drives[..., :6, :]], [drives[..., 6:, :]]])}
+    inner = ekf(seen.believed(Motion, f, transition, **noise), seen.believed(Sensor, h, slope, **R), form=form)
+    return FromFunctions(start, inner.step)
 
 
 # -- how they are judged -----------------------------------------------------------------------------------------------------
@@ -405,11 +401,8 @@ JUDGED = {group.name: group.unit for group in GROUPS}
 
 
 def trial(config: Config, rngs: Rngs) -> Trial:
-    """One run with each generator, for missions, campaigns and the study. The orbit is judged, which all filters estimate.
-
-    There is a bound where what is simulated is what the exact filter believes: initial errors and a constant ephemeris error that
-    are drawn from their priors.
-    """
+    """One run with each generator, for missions, campaigns and the study. The orbit is judged, which all filters estimate. There is
+    a bound where initial errors and a constant ephemeris error are drawn from their priors, as the exact filter believes."""
     sim, known = simulate(config, rngs), filters(config)
     reference = "aug" if config.initial == "drawn" and config.trend == "constant" else ""
 

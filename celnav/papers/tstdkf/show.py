@@ -38,6 +38,7 @@ LINES = {
     "fair": Line("TKF, stationary covariances", colors.MEASUREMENT, "--"),
     "C": Line("TSTDKF, form C", colors.ESTIMATE), "B": Line("TSTDKF, form B", colors.PAPER),
 }  # fmt: skip
+SWEPT = (colors.ESTIMATE, colors.PAPER, colors.ESTIMATE, colors.PAPER, colors.REFERENCE)
 
 
 # -- figures -----------------------------------------------------------------------------------------------------------------
@@ -110,9 +111,9 @@ def ignorant(number: int, group: str, unit: str, results: Results) -> Figure:
 def three_trends(results: Results) -> Figure:
     """The ephemeris error."""
     c, t = results.parts["year"].config, np.arange(0.0, 366.0 * DAY_S, 0.5 * DAY_S)
-    heads = zip(("Figure 5", "of Figure 10", "of Figure 10"), (17, 69, 70), TRENDS, strict=True)
-    errors = {f"{figure}, Eq. {i}: {name}": replace(c, trend=name).bias(t) for figure, i, name in heads}
-    row = [Panel(title, components(t / DAY_S, e, AXES, SHADES), DAYS, ERROR) for title, e in errors.items()]
+    heads = zip(("Figure 5, Eq. 17", "of Figure 10, Eq. 69", "of Figure 10, Eq. 70"), TRENDS, strict=True)
+    lines = ((f"{head}: {name}", components(t / DAY_S, replace(c, trend=name).bias(t), AXES, SHADES)) for head, name in heads)
+    row = [Panel(*line, DAYS, ERROR) for line in lines]
     return panels(row, size=(9.0, 3.2), sharey=True)
 
 
@@ -201,11 +202,20 @@ def depends(results: Results) -> Figure:
     sizes, names = heights("variants", VARIANTS, "all", ("ekf", "tkf", "tstdkf")), list(VARIANTS)[::-1]
     left = [curve(v[::-1], names, color=c, marker="o", linestyle="", label=label) for label, (v, c) in sizes.items()]
     right = bars([f"{a:g} → {b:g}" for a, b in study.COUPLINGS], heights("ten days", range(6), "late", ("tkf", "tstdkf", "aug")))
-    row = (
-        Panel("", left, "position RMSE (km)", log="x"),
-        Panel("", [right], "κ, and what filters take it for", "position RMSE (km)"),
-    )
+    said = "position RMSE (km)"
+    row = Panel("", left, said, log="x"), Panel("", [right], "κ, and what filters take it for", said)
     return panels(row, size=(11.0, 4.6))
+
+
+def trade_off(results: Results) -> Figure:
+    """A step of the ephemeris error: how soon it is followed and how noisy the estimate is before it."""
+    keys = {f"by {what}, form {f}": [x for x in study.SWEEP if x.startswith(f"{f}, {what}")] for what in "ρτ" for f in "CB"}
+    left, after = list[Item](), results.at("sweep", "late")
+    for (label, names), color in zip((keys | {"by walk, nine states": [*study.NINE][:-1]}).items(), SWEPT, strict=True):
+        days = [study.days(results.error("sweep", f"step/{name}", "bias")[after, :, 0].T) for name in names]
+        size = [rms(squares(results, "sweep", f"step/{name}", "bias", "steady")) for name in names]
+        left.append(curve(days, size, color=color, marker="o", linestyle="--" if "τ" in label else "-", label=label))
+    return panels(Panel("", left, "days until half of the step is followed", "bias RMSE of 5 days before it (km)"), size=(6.5, 4.2))
 
 
 FIGURES = {
@@ -223,6 +233,7 @@ FIGURES = {
     "figure_10": ("Fig. 10: a year of three trends: the bias as TKF, TSTDKF (forms B and C) and AUG see it.", one_year),
     "figure_11": ("Beyond the paper: Table 5 as bars: position RMSE of the month in the five settings.", in_settings),
     "figure_12": ("Beyond the paper: consistency: NEES of errors and biases drawn from their priors.", consistent),
+    "figure_14": ("Beyond the paper: a step of the ephemeris error: how soon it is followed, and at what noise.", trade_off),
     "figure_13": ("Beyond the paper: setting 1 with one thing changed, and a coupling that is taken for another.", depends),
 }  # fmt: skip
 
@@ -234,8 +245,14 @@ def parameters(_: Results) -> Rows:
     known = {name: Config.__dataclass_fields__[name].metadata for name in (*names, "amplitude_km", "bias_prior_km", "walk_km")}
     rows = [{"parameter": name, "value": str(getattr(s.TABLE_5, name)), **{key: about[key] for key in ("meaning", "source")}}
             for name, about in known.items()]  # fmt: skip
-    detector = (("area_cm2", AREA_CM2, "of the detector"), ("background", BACKGROUND, "of X-rays, photons / cm^2 / s"))
-    return rows + [{"parameter": a, "value": f"{x:g}", "meaning": told, "source": "chosen: usual"} for a, x, told in detector]
+
+    def timed(**detector: float) -> str:
+        return ", ".join(f"{1e3 * LIGHT_KM_S * p.timing_std(300.0, **detector):.0f}" for p in pulsars(s.TABLE_5.pulsars))
+
+    for name, x, told in (("area_cm2", AREA_CM2, "of the detector"), ("background", BACKGROUND, "X-rays, photons / cm^2 / s")):
+        errs = f"; a tenth of it: timings to {timed(**{name: 0.1 * x})} m, ten times: {timed(**{name: 10.0 * x})} m"
+        rows.append({"parameter": name, "value": f"{x:g}", "meaning": told + errs, "source": "chosen: usual"})
+    return rows
 
 
 def compared(beyond: bool, results: Results) -> Rows:

@@ -1,0 +1,95 @@
+"""The examples in docstrings run: those of the reference's first level, and every other one."""
+
+from __future__ import annotations
+
+import doctest
+import re
+from importlib import import_module
+from operator import attrgetter
+from pathlib import Path
+
+import numpy as np
+import pandas
+import pytest
+from filterpy.kalman import MerweScaledSigmaPoints
+
+import celnav
+from celnav.analysis import metrics
+from celnav.models import orbit
+
+ROOT = Path(celnav.__file__).parent
+NAMES = re.findall(
+    r"\.\. auto(?:function|class):: celnav\.([\w.]*)",
+    "".join(path.read_text(encoding="utf-8") for path in sorted((ROOT.parent / "docs" / "reference").glob("*.md"))),
+)
+WITHOUT = {  # records that are given, not made; what they are part of has the example
+    "gaussian.spaces.Space", "analysis.diagnose.Diagnosis", "filters.sequential.Iterated", "filters.records.Filter",
+    "filters.dropin.SquareRootUKF", "FilterError", "study.study.Study", "study.study.Results", "study.ledger.Claim",
+}  # fmt: skip
+GIVEN = ("de440.bsp", "EGM2008.gfc", "csrukf", "finding(")  # files and studies of others
+PLAIN = {"analysis", "filters", "gaussian", "models", "study"}
+
+
+def examples():
+    """Every docstring with an example, by module and line; the module's text gives them, whatever object they belong to."""
+    for path in sorted(ROOT.rglob("*.py")):
+        if path.relative_to(ROOT).parts[0] in PLAIN:
+            text = path.read_text(encoding="utf-8")
+            if ">>> " in text:
+                name = ".".join(("celnav", *path.relative_to(ROOT).with_suffix("").parts))
+                for test in doctest.DocTestFinder(recurse=True, exclude_empty=True).find(import_module(name), name):
+                    if test.examples and not any(name in example.source for example in test.examples for name in GIVEN):
+                        yield test
+
+
+TESTS = {test.name: test for test in examples()}
+
+
+def test_everything_on_the_first_level_has_one():
+    assert len(NAMES) > 80
+    lacking = {name for name in NAMES if ">>> " not in (attrgetter(name)(celnav).__doc__ or "")}
+    assert lacking == WITHOUT
+
+
+def problem():
+    """What the examples take for granted: a satellite whose position is measured."""
+    F, H = np.eye(6) + np.eye(6, k=3), np.eye(3, 6)
+    Q, R, P0 = 1e-8 * np.eye(6), 0.04 * np.eye(3), np.diag([1.0] * 3 + [1e-4] * 3)
+    x0 = orbit.from_elements(7136.6, 0.001, *np.radians([65, 30, 30, 0]))
+
+    def f(x, epoch, *noise):
+        return orbit.step(x, epoch.dt) + sum(noise, 0.0)
+
+    def build(parameters):
+        sigma, phi = parameters
+        return celnav.colored(motion, celnav.Sensor(H, R=sigma**2 * np.eye(3)), phi * np.eye(3)), prior
+
+    motion, gps, prior, times = celnav.Motion(f, Q), celnav.Sensor(H, R), celnav.Gaussian(x0, P0), np.arange(31.0)
+    truth, z = celnav.simulate(motion, gps, prior, times, runs=2)
+    filter = celnav.ukf(motion, gps)
+    return {
+        **{name: getattr(celnav, name) for name in celnav.__all__}, "celnav": celnav, "np": np, "pandas": pandas, "orbit": orbit,
+        "F": F, "H": H, "Q": Q, "R": R, "P0": P0, "x0": x0, "f": f, "h": lambda x, epoch: x[..., :3], "motion": motion,
+        "gps": gps, "sensor": gps, "radar": gps, "camera": celnav.Sensor(H, R), "cruise": motion, "turn": motion, "prior": prior,
+        "times": times, "truth": truth, "z": z, "filter": filter, "other": filter, "Fs": np.tile(F, (30, 1, 1)),
+        "A": np.array([[0.0, 1.0], [0.0, 0.0]]), "track": celnav.run(filter, prior, times, z, keep="cov"), "build": build,
+        "pictures": np.full_like(z, np.nan), "picture": z[18], "problem": celnav.Problem(motion, gps, prior, times),
+        "squares_of_one_filter": np.arange(1.0, 9.0), "squares_of_another": np.arange(2.0, 10.0), "ratio": metrics.ratio,
+        "epochs": celnav.epochs(times, z), "MerweScaledSigmaPoints": MerweScaledSigmaPoints, "fx": lambda x, dt: x,
+        "infos": filter.step(filter.start(prior), celnav.Epoch(z=z[0]))[1], "step": lambda x: x**2, "measure": lambda x: x[..., :3],
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("name", TESTS)
+def test_an_example_runs(name, tmp_path, monkeypatch):
+    """And prints what it says, where it says so."""
+    monkeypatch.chdir(tmp_path)
+    test = TESTS[name]
+    known = problem() | test.globs
+    for example in test.examples:
+        source = example.source
+        if not example.want:
+            exec(compile(source, name, "exec"), known)
+        else:
+            got = repr(eval(source, known)) + "\n"
+            assert doctest.OutputChecker().check_output(example.want, got, doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE), got
