@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import rerun as rr
 from readable import faults
 from rinex_pair import TOE, constellation, navigation, observations, written
+from scipy.special import gammaincc, gammaln
 
 from celnav import Gaussian, Motion, Sensor, ekf, run, sigma_point
 from celnav.files import Outputs
@@ -24,6 +26,7 @@ from celnav.receiver import day
 from celnav.receiver.filters import hooks
 from celnav.receiver.sky import dilution
 from celnav.show.claims import dumps
+from celnav.study.ledger import Number
 from celnav.study.montecarlo import effort, generator
 
 SHORT = replace(PRESETS["burst"], duration_s=4.0, burst_s=(2.0, 3.0))
@@ -252,6 +255,180 @@ def test_the_smallest_window_takes_each_innovation_for_itself():
         np.testing.assert_allclose(state.memory[0][0][1], np.maximum(1.0, (info.innovation**2 - prior) / R), rtol=1e-6)
 
 
+# -- the state as an error -----------------------------------------------------------------------------------------------------
+def of_errors(filter, form):
+    """The same filter of the errors of a nominal state, which is the last input of an epoch."""
+
+    def slopes(d, epoch):
+        return pseudorange.jacobian(epoch.u[2] + (d if form in ("closed", "open") else 0.0 * d), *epoch.u[:2])
+
+    def h(d, epoch):
+        if form == "linearized":
+            return pseudorange.measure(epoch.u[2] + 0.0 * d, *epoch.u[:2]) + np.einsum("...ij,...j->...i", slopes(d, epoch), d)
+        return pseudorange.measure(epoch.u[2] + d, *epoch.u[:2])
+
+    return replace(filter, sensors=(Sensor(h, sqrt_R=filter.sensors[0].noise, jacobian=slopes),))
+
+
+def apart(sim, name, form):
+    """Estimates of the error form less those of the full state, and the nominal state at the end."""
+    full, x, out = filters(sim.config)[name], sim.prior.mean, []
+    filter, other = of_errors(full, form), full.start(sim.prior)
+    state = filter.start(Gaussian(0.0 * x, sim.prior.cov))
+    for epoch in sim.epochs():
+        other, _ = full.step(other, epoch)
+        x = x @ sim.config.F.T if epoch.dt else x
+        state, _ = filter.step(state, epoch._replace(u=(*epoch.u, x)))
+        d = state.belief.mean
+        out.append(x + d - other.belief.mean)
+        if form == "closed":
+            x, state = x + d, state._replace(belief=state.belief._replace(mean=0.0 * d))
+    return np.array(out), x
+
+
+def far(meters, **change):
+    c = replace(SHORT, duration_s=3.0, burst_s=(1.0, 2.0), deviation=(meters, *SHORT.deviation[1:]), **change)
+    return simulate(c, runs(2))
+
+
+@pytest.mark.parametrize("meters", [10.0, 1e4, 1e6])
+@pytest.mark.parametrize("name", ["ekf", "ukf", "aukf"])
+def test_a_state_of_errors_changes_no_estimate_and_saves_no_evaluation(name, meters, monkeypatch):
+    sim, count, measure = far(meters), [], pseudorange.measure
+    monkeypatch.setattr(pseudorange, "measure", lambda x, *u: count.append(np.size(x)) or measure(x, *u))
+    for form in ("closed", "open"):
+        count.clear()
+        off, _ = apart(sim, name, form)
+        assert np.abs(off[..., :3]).max() < max(1e-6, 1e-9 * meters), form
+        assert count[::2] == count[1::2]  # of the full state and of the errors in turn
+
+
+def test_what_is_linearized_once_for_all_is_off_by_the_curvature_of_the_range():
+    sim = far(1e4, burst="none")
+    off, nominal = apart(sim, "ekf", "linearized")
+    u, truth = (sim.satellites.q[-1], sim.satellites.w[-1]), sim.truth[-1]
+    H, R = pseudorange.jacobian(nominal, *u), SHORT.R(len(sim.satellites.names))
+    curved = pseudorange.measure(truth, *u) - pseudorange.measure(nominal, *u) - np.einsum("rij,rj->ri", H, truth - nominal)
+    d, away = (truth - nominal)[:, None, :3], u[0] - nominal[:, None, :3]
+    distance = np.linalg.norm(away, axis=-1)
+    across = np.square(d).sum(-1) - np.square((d * away).sum(-1) / distance)
+    np.testing.assert_allclose(curved[:, :15], across / (2.0 * distance), rtol=0.01)
+    fit = np.linalg.solve(H.mT @ np.linalg.solve(R, H), H.mT @ np.linalg.solve(R, curved[..., None]))[:, :3, 0]
+    np.testing.assert_allclose(off[-1, :, :3], fit, atol=0.2 * np.abs(fit).max())
+    # With the exact measurement it is only the gain that is linearized elsewhere.
+    assert np.abs(apart(sim, "ekf", "slopes")[0][..., :3]).max() < 0.05 * np.abs(off[..., :3]).max()
+
+
+# -- the window ----------------------------------------------------------------------------------------------------------------
+def walk(hook, z, R=4.0, Q=1.0, apply=True):
+    """Factors of a hook in a scalar Kalman filter of a random walk, which heeds them or not; its gains and innovation variances."""
+
+    def seen(memory, joint, epoch):
+        own, after = hook(None if memory is None else memory[0], joint, epoch)
+        return (own, after.variances()[1] / joint.variances()[1]), after if apply else joint
+
+    rule, prior = unscented(1, 1.0, 2.0, 0.0), Gaussian(np.zeros(1), 10.0 * np.eye(1))
+    filter = sigma_point(Motion(np.eye(1), Q * np.eye(1)), Sensor(np.eye(1), R * np.eye(1)), rule=rule, hooks=[seen])
+    return run(filter, prior, np.arange(len(z)), z,
+               also=lambda _e, s, i: {"A": s.memory[0][0][1], "S": i[0].sqrt_S ** 2, "K": i[0].gain()}).extra  # fmt: skip
+
+
+@pytest.mark.parametrize(("M", "above", "excess"), [(1, 0.3173, 0.4839), (10, 0.4405, 0.1755), (50, 0.4734, 0.0795)])
+def test_consistent_innovations_inflate_the_noise_as_chi_square_says(M, above, excess):
+    a, rng = 0.5 * M, np.random.default_rng(3)
+    assert gammaincc(a, a) == pytest.approx(above, abs=1e-4)
+    assert np.exp(a * np.log(a) - a - gammaln(a + 1.0)) == pytest.approx(excess, abs=1e-4)
+    T, n = 150, 2000
+    x = np.sqrt(10.0) * rng.standard_normal((n, 1)) + np.cumsum(rng.standard_normal((T, n, 1)), 0) - rng.standard_normal((1, n, 1))
+    found = walk(innovation_window(M), x + 2.0 * rng.standard_normal((T, n, 1)), apply=False)
+    A, S = found["A"][-100 + M :: M].ravel(), found["S"][-1].ravel()[0]
+    assert (A > 1.0).mean() == pytest.approx(above, abs=4.0 * np.sqrt(above / len(A)))
+    assert (A - 1.0).mean() == pytest.approx(excess * S / 4.0, abs=4.0 * A.std() / np.sqrt(len(A)))
+
+
+def test_one_outlier_stays_in_the_window_for_as_many_epochs_as_it_has():
+    z = np.zeros((60, 1, 1))
+    z[30] = 400.0
+    A = walk(innovation_window(10), z)["A"].ravel()
+    np.testing.assert_allclose(A[30:40], 400.0**2 / (10.0 * 4.0), rtol=0.05)
+    np.testing.assert_array_equal(np.delete(A, range(30, 40)), 1.0)
+
+
+def test_a_large_first_innovation_is_taken_for_noise():
+    for e in (1.0, 30.0, 1e4):
+        K = walk(innovation_window(1), np.full((1, 1, 1), e))["K"].item()
+        assert pytest.approx(10.0 / (10.0 + max(4.0, e**2 - 10.0)), rel=1e-9) == K
+
+
+# -- several bad channels ------------------------------------------------------------------------------------------------------
+def test_channels_that_share_no_state_do_not_touch_each_other():
+    rng, eye = np.random.default_rng(5), np.eye(8)
+    z, bad = rng.standard_normal((30, 20, 8)), [1, 4, 6]
+    z[15:, :, bad] += 1e4
+
+    def kept(z, *hooks):
+        filter = sigma_point(Motion(eye, 0.01 * eye), Sensor(eye, eye), rule=unscented(8, 1.0, 2.0, 0.0), hooks=hooks)
+        return run(filter, Gaussian(np.zeros(8), eye), np.arange(30), z, keep="mean").mean
+
+    one, two, alone = kept(z, innovation_window(3)), kept(z), kept(z[..., [0] * 8], innovation_window(3))
+    np.testing.assert_allclose(one[..., 0], alone[..., 0], rtol=0, atol=1e-9)
+    assert np.abs(one[-1][:, bad]).max() < 3.0 < 1e2 < np.abs(two[-1][:, bad]).min()  # next to prediction only
+
+
+def test_all_ranges_too_long_are_a_step_of_the_clock():
+    c = replace(SHORT, burst_shape="constant", sigma_range_m=3.0)
+    struck, plain = simulate(c, runs(3)), simulate(replace(c, burst="none"), runs(3))
+    np.testing.assert_allclose((struck.z - plain.z)[20:30, :, :15], 50.0, rtol=0, atol=1e-6)
+    np.testing.assert_array_equal(struck.z[:20], plain.z[:20])
+    known, steps, group = filters(c), {}, hooks(15)["group"][0]
+    for name in ("ls", "ukf"):
+        one, two = (run(known[name], sim.prior, sim.epochs(), keep="mean").mean for sim in (struck, plain))
+        steps[name] = one - two
+    np.testing.assert_allclose(steps["ls"][25][:, [0, 1, 2, 6]], [[0.0, 0.0, 0.0, 50.0]] * 3, rtol=0, atol=1e-5)
+    # A filter that knows its clock takes a part of it for position; what no state explains is blind to it.
+    assert np.linalg.norm(steps["ukf"][29, :, :3], axis=-1).min() > 5.0
+
+    def blind(memory, joint, epoch):
+        longer = joint._replace(innovation=joint.innovation + np.repeat([50.0, 0.0], 15))
+        one, two = (group(None, each, epoch)[1].variances()[1] for each in (joint, longer))
+        np.testing.assert_allclose(one, two, rtol=1e-6)
+        return memory, joint
+
+    run(adapted(c, 15, ukf(c), blind), plain.prior, plain.epochs())
+
+
+def test_factors_of_bad_and_good_ranges_are_told_apart():
+    found = side_by_side(("aukf",), {"": {"burst": "one", "burst_count": 3}}, count=4)
+    during = slice(29, 30)
+    parts = {what: found[f"aukf/{what}"][during].mean() for what in ("bad", "good", "good above 2", "ranges")}
+    assert parts["bad"] > 100.0 > 5.0 > parts["good"] >= 1.0
+    assert 3.0 * parts["bad"] + 12.0 * parts["good"] == pytest.approx(15.0 * parts["ranges"], rel=1e-9)
+    assert 0.0 <= parts["good above 2"] < 0.3
+    np.testing.assert_array_equal(found["aukf/bad"][:20], 0.0)  # there are none
+
+
+def test_on_prediction_alone_the_position_grows_with_the_process_noise():
+    c = replace(SHORT, mask_deg=20.0, burst="both", burst_sigma=1e4, burst_s=(2.0, 8.0), duration_s=8.0, motion="model")
+    sizes = []
+    for q in (10.0, 1000.0):
+        sim, tracks = flown(replace(c, acceleration_noise_m2_per_s3=q), ("aukf",), 4, keep="mean")
+        assert len(sim.satellites.names) == 12
+        sizes.append(np.sqrt(np.square((tracks["aukf"].mean - sim.truth)[-10:, :, :3]).sum(-1).mean()))
+    assert sizes[1] > 3.0 * sizes[0]
+
+
+def test_counts_and_times_of_findings():
+    numbers = [Number("", 0.5, (None, 1.0), ci) for ci in ((0.4, 0.6), (0.4, 1.2), (0.4, 0.6), (1.1, 1.2))]
+    assert study.counted("", numbers, (2, None))[1:4] == (2.0, (2, None), (2.0, 3.0))
+    assert study.counted("", numbers, (2, None), leading=True)[1:4] == (1.0, (2, None), (1.0, 3.0))
+    error = {"ukf": [5, 5, 1, 5, 1, 1], "aukf": [5, 1, 1, 1, 1, 1]}
+    fake = SimpleNamespace(
+        error=lambda _part, name, _group: np.tile(np.array(error[name], float)[:, None, None], (1, 3, 3)),
+        parts={"p": SimpleNamespace(config=SimpleNamespace(interval_s=0.5))},
+    )
+    assert study.later("", "p", "", 3.0, fake).value == (1 - 4) * 0.5
+
+
 # -- what needs no filters -----------------------------------------------------------------------------------------------------
 def test_the_node_of_a_flat_orbit_is_lost_and_its_place_is_not():
     found = study.nodes(SHORT, [generator(0, 50, 0)])
@@ -300,7 +477,7 @@ def results():
 
 
 def test_every_figure_draws(results):
-    assert len(show.FIGURES) == 14
+    assert len(show.FIGURES) == 16
     for stem, (caption, draw) in show.FIGURES.items():
         fig = draw(results)
         assert caption.endswith("."), stem

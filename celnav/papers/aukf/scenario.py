@@ -62,6 +62,8 @@ class Config(Timed):
     burst_sigma: float = param(50.0, "paper: without a unit", "size of the burst, m on ranges and m/s on rates", above=0.0)
     burst_satellite: int = param(2, "chosen", "which satellite a burst on one disturbs, counted from 0", least=0)
     burst_count: int = param(1, "chosen", "how many satellites it is, evenly spread from there on, where it is not all", least=1)
+    burst_shape: str = param("noise", "paper", "what a burst adds: white noise of its size, or its size itself",
+                             one_of=("noise", "constant"))  # fmt: skip
     acceleration_noise_m2_per_s3: float | None = param(
         None, "inferred: makes up for a constant acceleration",
         "density of the white acceleration in the filters; left out: the square of the true one, times interval_s")  # fmt: skip
@@ -93,7 +95,7 @@ class Config(Timed):
     def idle(self) -> dict[str, str]:
         """Parameters without effect in this configuration, and why."""
         if self.burst == "none":
-            return dict.fromkeys(("burst_s", "burst_sigma", "burst_satellite", "burst_count"), "without a burst")
+            return dict.fromkeys((name for name in vars(self) if name.startswith("burst_")), "without a burst")
         why = "where the burst is not on one satellite"
         return {} if self.burst == "one" else {"burst_satellite": why, "burst_count": why}
 
@@ -209,6 +211,7 @@ def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
     for k in range(1, T):
         truth[k, :, moved] = truth[k - 1, :, moved] @ F.T + walk[k] @ root.T
     z = pseudorange.measure(truth, satellites.q[:, None], satellites.w[:, None])
+    extra = extra if c.burst_shape == "noise" else np.ones(())
     z += np.repeat([c.true_sigma_range_m, c.sigma_rate_m_per_s], S) * noise + burst(c, S)[:, None] * extra
     z[np.tile(satellites.elevation < np.radians(c.mask_deg), 2)[:, None].repeat(runs, 1)] = np.nan
     prior = truth[0] + first * np.repeat(c.deviation, (3, 3, 1, 1))
@@ -216,7 +219,7 @@ def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
 
 
 def burst(config: Config, S: int) -> Array:
-    """Deviations ``(T, 2 S)`` of the noise that the burst adds; ValueError if there is no such satellite."""
+    """Size ``(T, 2 S)`` of what the burst adds; ValueError if there is no such satellite."""
     during = (config.times >= config.burst_s[0]) & (config.times < config.burst_s[1])
     hit = np.zeros(2 * S)
     if config.burst == "one":

@@ -9,6 +9,7 @@ import numpy as np
 
 from celnav.filters.run import run
 from celnav.models.gnss import satellites
+from celnav.papers.aukf import study
 from celnav.papers.aukf.scenario import STANDARD, START_S, axes, circle, filters, simulate
 from celnav.papers.aukf.study import AXES, DENSITIES, FILTERS, HALVES, INITIAL_KM, NORMAL_ERROR, TILTS_DEG, medians, rms, watched
 from celnav.receiver import day
@@ -165,6 +166,32 @@ def starts(r: Results) -> Figure:
     return panels(Panel(title, shown, "time (s)", "median position error (m)", "y"), size=(7.0, 3.6))
 
 
+def sizes(r: Results) -> Figure:
+    """How long the window may be."""
+    spans = {"quiet": colors.TRUTH, "burst": colors.ESTIMATE, "after": colors.OPEN_LOOP}
+
+    def panel(rate: str) -> Panel:
+        size = partial(rms, r, part := f"windows, {rate}")
+        drawn = [curve(study.WINDOWS, [size(f"M {m}", at) / size("ukf", at) for m in study.WINDOWS], Line(at, color), marker=".")
+                 for at, color in spans.items()]  # fmt: skip
+        return Panel(part, [level(1.0, label="UKF"), *drawn], "window (epochs)", "position RMSE over the UKF's (-)", "xy")
+
+    return panels([panel("10 Hz"), panel("1 Hz")], size=(9.0, 3.2), sharey=True)
+
+
+def outliers(r: Results) -> Figure:
+    """So many bad ranges at once, and what filters make of them."""
+    size = partial(rms, r, "struck")
+    twice = level(2.0 * size("noise 1/aukf", "before"), label="twice the AUKF's without")
+
+    def panel(shape: str, title: str) -> Panel:
+        drawn = [curve(study.STRUCK, [size(f"{shape} {k}/{name}", "burst") for k in study.STRUCK], LINES[name], marker=".")
+                 for name in study.ROBUST]  # fmt: skip
+        return Panel(title, [twice, *drawn], "bad ranges of 12", "position RMSE (m)", "y")
+
+    return panels([panel("noise", "50 m of noise"), panel("constant", "50 m too long")], size=(9.0, 3.4), sharey=True)
+
+
 # -- tables --------------------------------------------------------------------------------------------------------------------
 def table_1(r: Results) -> Rows:
     """RMSE by axis; the paper's numbers are lost."""
@@ -195,6 +222,8 @@ FIGURES = {
     "figure_13": ("Beyond the paper: the initial error that a UKF helps with.", starts),
     "figure_14": ("Beyond the paper: half a day of a real receiver, and a burst that is added to it.",
                   lambda r: day.drawn(r.data["real"], LINES, STANDARD.burst_sigma) if "real" in r.data else None),
+    "figure_15": ("Beyond the paper: how long the window may be.", sizes),
+    "figure_16": ("Beyond the paper: several bad ranges at once, by noise and by a constant.", outliers),
 }  # fmt: skip
 """A drawing of what was not given is None, a table of it has no rows."""
 TABLES = {
