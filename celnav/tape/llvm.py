@@ -348,7 +348,6 @@ def toolchain() -> Any:
     """llvmlite, ready to compile for this processor."""
     with needed_by("machine code", "compiled"):
         import llvmlite.binding as binding
-
     binding.initialize_native_target()
     binding.initialize_native_asmprinter()
     library = ctypes.CDLL("ucrtbase" if sys.platform == "win32" else None)

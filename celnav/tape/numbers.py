@@ -19,8 +19,7 @@ LONG = 1000
 """Operations that are written out even so, where rows are treated alike."""
 LONG_PRODUCT = 10_000
 """Likewise of a product of matrices."""
-_QUIET = np.errstate(all="ignore")
-"""From numpy 2.5 on a comparison with nan inside of one of our functions would be a warning of the array's."""
+_QUIET = np.errstate(all="ignore")  # from numpy 2.5 on a comparison with nan within a function of ours would warn
 
 
 def _maximum(a: Scalar, b: Scalar) -> Scalar:
@@ -133,7 +132,6 @@ class Numbers(np.ndarray):
         found = super().__array_function__(function, types, arguments, options)
         return type(found)(map(numbers, found)) if type(found) in (tuple, list) else numbers(found)
 
-    @_QUIET
     def astype(self, dtype: Any, *arguments: Any, **options: Any) -> Any:  # noqa: ARG002
         """As floats, whole numbers or truth values; they stay numbers of full precision, so no other type will do."""
         kind = np.dtype(dtype)
