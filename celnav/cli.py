@@ -1,4 +1,4 @@
-"""The command line: ``celnav list | reproduce | verdicts | view | run | campaign | position | diagnose``."""
+"""The command line: ``celnav new | list | reproduce | verdicts | view | run | campaign | position | diagnose``."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from celnav.commands.arguments import UsageError
 from celnav.files import ForeignFileError, InputError
 from celnav.filters.run import ENGINES
 from celnav.lazy import require
+from celnav.papers.own import told
 from celnav.tape.cuda import CudaError
 
 EXIT = "Exit status: 0, done; 1, it could not be done; 2, what was given cannot be used; 130, interrupted."
@@ -57,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if _nobody_reads(error):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return 1
-        print(f"celnav: {_told(error)}", file=sys.stderr)
+        print(f"celnav: {told(error) or _told(error)}", file=sys.stderr)
         return 2 if isinstance(error, BAD_INPUT) else 1
     except MemoryError as error:
         print(f"celnav: not enough memory ({error}); fewer runs at once, or fewer --jobs, need less", file=sys.stderr)
@@ -65,6 +66,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("celnav: interrupted", file=sys.stderr)
         return 130
+    except Exception as error:
+        if not (line := told(error)):
+            raise
+        print(f"celnav: {line}", file=sys.stderr)
+        return 1
 
 
 def _nobody_reads(error: Exception) -> bool:
@@ -123,12 +129,18 @@ def _parser() -> tuple[_Parser, dict[str, _Parser]]:
         added.set_defaults(module=module or name, needs=(name, *NEEDS[name]) if name in NEEDS else ())
         return added
 
-    lists = command("list", "papers, figures, filters and rules, or the parameters of a paper")
-    lists.add_argument("paper", nargs="?", metavar="PAPER", help="whose parameters (none: everything else)")
+    new = command("new", "write a study of your own to begin with: one that runs, to be changed")
+    new.add_argument("file", metavar="FILE.py", help="where to; nothing is overwritten")
 
-    reproduce = command("reproduce", "run papers, and studies on real data; write figures, tables, claims and recordings")
+    lists = command("list", "papers, figures, filters and rules, or the parameters of a paper")
+    lists.add_argument("paper", nargs="?", metavar="PAPER", help="or FILE.py; whose parameters (none: everything else)")
+
+    reproduce = command("reproduce", "run papers, studies of your own or on real data; write figures, tables, claims, recordings")
     reproduce.add_argument(
-        "papers", nargs="*", metavar="PAPER", help="which ones (none: all, and the studies whose data are given)"
+        "papers",
+        nargs="*",
+        metavar="PAPER|FILE.py",
+        help="which ones, also studies of your own, see celnav new (none: all papers, and the studies whose data are given)",
     )
     reproduce.add_argument("--seed", default="0", metavar="S", help="seed, a whole number that is not negative (default: 0)")
     reproduce.add_argument("--out", default="out", metavar="DIR", help="where to write (default: out)")
@@ -139,7 +151,11 @@ def _parser() -> tuple[_Parser, dict[str, _Parser]]:
         reproduce.add_argument(f"--{study}", metavar="DIR", help=f"for the study {study}: folder of {holds}")
 
     mission = command("run", "fly a mission: figures, a table and a recording", "mission")
-    mission.add_argument("mission", metavar="MISSION.toml", help="a paper's parameters with your changes; see data/missions")
+    mission.add_argument(
+        "mission",
+        metavar="MISSION.toml",
+        help="parameters of a paper, or of a study of your own, with your changes; see data/missions",
+    )
     mission.add_argument("--out", metavar="DIR", help="where to write (default: out/missions/NAME, NAME of the file)")
 
     campaign = command("campaign", "sweep a study's lists: table, figures and a page; run again to resume, or to grow")
@@ -160,7 +176,7 @@ def _parser() -> tuple[_Parser, dict[str, _Parser]]:
     verdicts.add_argument("--out", default="out", metavar="DIR", help="where reproduce wrote (default: out)")
 
     view = command("view", "open a recording in the Rerun viewer, offline")
-    view.add_argument("paper", metavar="PAPER|FILE.rrd", help="a paper that was reproduced, or a file")
+    view.add_argument("paper", metavar="PAPER|FILE.rrd", help="a paper or study (FILE.py) that was reproduced, or a recording")
     view.add_argument("--out", default="out", metavar="DIR", help="where reproduce wrote (default: out)")
     view.add_argument(
         "--recording", metavar="NAME", help="which of a paper's recordings (default: the one that the page shows first)"

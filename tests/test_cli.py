@@ -117,7 +117,7 @@ def test_strict_fails_where_a_claim_is_not_as_expected(study, tmp_path, capsys):
         (["view", "tiny"], 2, "celnav reproduce tiny"),
         (["view", "absent.rrd"], 2, "absent.rrd: no such recording"),
         (["verdicts"], 2, "no paper was reproduced there"),
-        (["reproduse"], 2, "unknown command 'reproduse': expected one of list, reproduce, "),
+        (["reproduse"], 2, "unknown command 'reproduse': expected one of new, list, reproduce, "),
         (["reproduse"], 2, "; did you mean reproduce?"),
         (["reproduce", "--efort", "0.1"], 2, "unknown option --efort; did you mean --effort?; see celnav reproduce --help"),
         (["run", "--efort=0.1"], 2, "unknown option --efort; did you mean --effort?"),

@@ -76,7 +76,9 @@ def problem():
         "pictures": np.full_like(z, np.nan), "picture": z[18], "problem": celnav.Problem(motion, gps, prior, times),
         "squares_of_one_filter": np.arange(1.0, 9.0), "squares_of_another": np.arange(2.0, 10.0), "ratio": metrics.ratio,
         "epochs": celnav.epochs(times, z), "MerweScaledSigmaPoints": MerweScaledSigmaPoints, "fx": lambda x, dt: x,
-        "infos": filter.step(filter.start(prior), celnav.Epoch(z=z[0]))[1], "step": lambda x: x**2, "measure": lambda x: x[..., :3],
+        "rngs": [np.random.default_rng(i) for i in range(2)], "filters": {"ukf": filter},
+        "groups": (celnav.Group("position", "m", slice(0, 3), 1000.0),), "step": lambda x: x**2, "measure": lambda x: x[..., :3],
+        "infos": filter.step(filter.start(prior), celnav.Epoch(z=z[0]))[1],
     }  # fmt: skip
 
 
@@ -93,3 +95,12 @@ def test_an_example_runs(name, tmp_path, monkeypatch):
         else:
             got = repr(eval(source, known)) + "\n"
             assert doctest.OutputChecker().check_output(example.want, got, doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE), got
+
+
+def test_modules_name_what_the_reference_shows():
+    """``__all__`` of a module is what is public there; the reference shows nothing else."""
+    shown = [(thing.__module__, name.rsplit(".", 1)[-1]) for name in NAMES for thing in [attrgetter(name)(celnav)]]
+    for module, name in shown:
+        own = import_module(module)
+        assert name in own.__all__, f"{module}.{name}"
+        assert all(hasattr(own, public) for public in own.__all__), module

@@ -47,7 +47,7 @@ linalg: block cholesky downdate fan matvec outer semidefinite_root side_by_side 
     Covariance.factor
 recorded: cholesky semidefinite_root solve_lower tria
 belief: any_lost nees settled
-trial: squares Noiseless.standard_normal
+trial: check_groups squares Noiseless.standard_normal
 """
 """What a filter calls at every step takes arrays as they are: a look at each would cost more than the product it makes."""
 INSIDE = """
@@ -76,9 +76,10 @@ picture: command end picture
 progress: Progress Progress.add Progress.close Progress.say RunProgress
 estimates: Estimate Estimate.error Estimate.sigma again
 plots: draw
-diagnose: Diagnosis.biased Diagnosis.white first_order
+diagnose: Diagnosis.biased Diagnosis.white correlated first_order places
 diagnosis_text: page
-diagnosis: figure
+diagnosis: figure size
+report: Report.figure
 scenes: arc behind beside constellation flight sigma_points sightings track turning unit
 showcase: Showcase record write
 """
@@ -107,6 +108,7 @@ DOUBT = dict(
 )  # fmt: skip
 OWN = problem.Problem(**DOUBT)
 TRIAL = OWN.trial({"ukf": celnav.ukf(OWN.motion, OWN.sensor)}, RNGS, "ukf")
+FLOWN_TRACK = celnav.run(TRIAL.filters["ukf"], TRIAL.prior, TRIAL.epochs("ukf"), keep="cov")
 
 
 def square(x):
@@ -142,6 +144,9 @@ CALLS = {
         max_iterations=2, engine="numpy",
     ),
     "diagnose.diagnose": dict(residuals=LOG, times=np.arange(60.0), std=np.ones(2), names=["a", "b"], lags=5, level=0.9),
+    "report.report": dict(
+        track=FLOWN_TRACK, truth=np.zeros((5, 2, 2)), names=["a", "b"], start=1.0, space=spaces.EUCLIDEAN, level=0.9
+    ),
     "tuning.likelihood_gradient": dict(
         build=built, parameters=np.ones(1), epochs=celnav.epochs(TIMES, np.ones((5, 2))), engine="numpy"
     ),
@@ -152,6 +157,10 @@ CALLS = {
     "problem.Problem": (lambda **arguments: problem.Problem(**arguments).draw(RNGS), DOUBT),
     "problem.Problem.draw": (OWN.draw, dict(rngs=RNGS)),
     "problem.Problem.trial": (OWN.trial, dict(filters=TRIAL.filters, rngs=RNGS, reference="ukf")),
+    "trial.drawn": dict(
+        groups=OWN.groups, filters=TRIAL.filters, prior=PRIOR, times=TIMES, z=np.zeros((5, 2, 2)), truth=np.zeros((5, 2, 2)),
+        u=np.zeros((5, 1)), space=spaces.EUCLIDEAN, reference="ukf",
+    ),
     "trial.follow": dict(trial=TRIAL, name="ukf", every=2),
     "trial.bound": dict(trial=TRIAL, every=2),
     "simulate.simulate": dict(
@@ -178,7 +187,10 @@ CALLS = {
     "observability.jacobian": dict(function=square, x=np.ones(2)),
     "observability.lie_gradients": dict(f=square, h=square, x=np.ones(2), order=1, window=0.1),
     "observability.information_degree": dict(P0=I2, F=np.stack([I2]), H=np.stack([I2, I2]), R=I2),
-    "observability.svd_degree": dict(matrix=I2, reference=0),
+    "observability.nonlinearity_degree": dict(function=square, mean=np.ones(2), std=np.ones(2), scale=np.ones(2)),
+    "observability.observability_matrix": dict(A=I2, H=I2, order=1),
+    "observability.state_singular_values": dict(matrix=I2, cov=I2),
+    "observability.hysteresis": dict(degree=np.ones(2), threshold=5.0, before=np.ones(2), band=1.1),
     "observability.threshold_weights": dict(degree=[1.0, 9.0], threshold=5.0),
     "observability.nonlinearity_weights": dict(functions=[square], mean=np.ones(2), std=np.ones(2), tolerance=1e-6, coarse=2),
     "bounds.riccati": dict(F=np.stack([I2]), H=I2, Q=I2, R=I2, P0=I2),
@@ -217,6 +229,10 @@ CALLS = {
     "ephemeris.Kernel": dict(path=str(ephemeris.de421().path)),
     "ephemeris.Kernel.state": (ephemeris.de421().state, dict(body="sun", date=TDB)),
     "gyro.Gyro": dict(sigma_v=1e-6, sigma_u=1e-9, tau=100.0),
+    "motion.constant_velocity": dict(dim=2, q=0.1),
+    "motion.constant_acceleration": dict(dim=2, q=0.1),
+    "motion.known_turn": dict(rate=0.1, q=0.1),
+    "motion.coordinated_turn": dict(q=0.1, q_rate=1e-3),
     "gyro.Gyro.measure": (GYRO.measure, dict(q=np.tile(Q4, (3, 1)), drift=np.zeros((2, 3)), noise=np.zeros((2, 3)), dt=1.0)),
     "gyro.preintegrate": dict(measured=np.zeros((2, 3)), drift=np.zeros(3), dt=1.0),
     "gyro.steady_state": dict(sigma_n=1e-5, gyro=GYRO, interval=1.0),
@@ -264,7 +280,14 @@ MEANT = {
     "attitude.from_euler angles": "nan, infinite",
     "belief.Gaussian mean": "deep",
     "belief.Gaussian.sample size": "empty",
-    "observability.svd_degree matrix": "deep",
+    "observability.state_singular_values matrix": "deep",
+    "observability.observability_matrix A": "deep",
+    "observability.observability_matrix H": "deep",
+    "observability.observability_matrix order": "a billion",
+    "observability.hysteresis degree": "deep",
+    "observability.hysteresis before": "deep",
+    "observability.jacobian x": "deep",
+    "observability.nonlinearity_degree mean": "deep",
     "problem.compare runs": "a billion",
     "problem.compare seed": "a billion",
     "montecarlo.generator seed": "a billion",
@@ -274,6 +297,9 @@ MEANT = {
     "montecarlo.run_count runs": "a billion, None",
     "problem.Problem groups": "empty",
     "problem.Problem u": "nan, infinite, complex",
+    "trial.drawn groups": "empty",
+    "trial.drawn z": "None, nan",
+    "trial.drawn u": "nan, infinite, complex",
     "simulate.simulate seed": "a billion",
     "simulate.simulate Phi": "a function",
     "simulate.simulate u": "nan, infinite, complex",
@@ -285,6 +311,9 @@ MEANT = {
     "gyro.Gyro.measure q": "nan",
     "inertial.navigation at": "empty",
     "metrics.bootstrap seed": "a billion",
+    "report.report truth": "nan",
+    "motion.constant_velocity q": "several",
+    "motion.constant_acceleration q": "several",
     "metrics.chi_square_band dof": "a billion, a half",
     "metrics.chi_square_band runs": "a billion, a half",
     **dict.fromkeys(("metrics.rms squares", "metrics.ratio a", "metrics.ratio b"), "nan, infinite, deep"),

@@ -15,6 +15,8 @@ from celnav.gaussian.belief import symmetric
 from celnav.gaussian.checks import finite, together
 from celnav.gaussian.linalg import Array
 
+__all__ = ["actual_covariance", "colored_bound", "riccati"]
+
 
 class Riccati(NamedTuple):
     """Gains ``(T, ..., n, m)`` and covariances after the update ``(T + 1, ..., n, n)``, the prior first."""

@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 from scipy.special import chdtrc, ndtri, stdtr, stdtrit
 
 from celnav.analysis.metrics import chi_square_band
-from celnav.analysis.tuning import maximize_likelihood
 from celnav.filters.colored import colored
 from celnav.filters.model import Sensor
 from celnav.filters.records import epochs
@@ -26,6 +25,8 @@ from celnav.filters.track import Track
 from celnav.gaussian.checks import finite, integer, number, numbers, sequence
 from celnav.gaussian.linalg import FORMS, Array
 from celnav.gaussian.spaces import EUCLIDEAN
+
+__all__ = ["Diagnosis", "diagnose", "first_order"]
 
 LEAST = 20  # samples of a component, below which nothing can be said
 SMALL = 1.1  # how much larger a deviation of a mean may be than white noise has it, for noise that is nearly white
@@ -181,8 +182,9 @@ def diagnose(
     """
     lags, level = integer("lags", lags, 1, 10_000), number("level", level, above=0.0, below=1.0)
     filter, claimed = None, None
+    widths: tuple[int, ...] = ()
     if isinstance(residuals, Track):
-        filter, t = residuals.filter, residuals.times
+        filter, t, widths = residuals.filter, residuals.times, residuals.sensors
         if residuals.whitened is None:
             raise ValueError("residuals: expected a track with innovations, got one without; run with keep='std'")
         x, w = (np.where(residuals.used, rows, np.nan) for rows in (residuals.innovation, residuals.whitened))
@@ -208,8 +210,8 @@ def diagnose(
     called = [f"z{i}" for i in range(m)] if names is None else list(sequence("names", names, "['x', 'y']"))
     if len(called) != m or not all(isinstance(name, str) for name in called):
         raise ValueError(f"names: expected {m} words, one for each component, such as ['x', 'y'], got {names!r:.80}")
-    place, step = _places(t)
-    widths = _widths(filter, m)
+    place, step = places(t)
+    widths = widths or (m,)
     sensor = np.repeat(range(len(widths)), widths)
     scaled = claimed is not None or filter is not None
     rms = None if claimed is None else claimed.reshape(T, -1, m)
@@ -227,7 +229,7 @@ def diagnose(
     return diagnosis._replace(model=model, why=why)
 
 
-def _places(t: Array) -> tuple[Array, float | None]:
+def places(t: Array) -> tuple[Array, float | None]:
     """Places ``(T,)`` of epochs on a grid, whole numbers, and its interval; where there is none, their order."""
     if len(t) < 3:
         return np.arange(len(t)), None
@@ -236,13 +238,6 @@ def _places(t: Array) -> tuple[Array, float | None]:
     step = float((t[-1] - t[0]) / steps.sum())
     on_grid = (np.abs(d - steps * step) < 0.1 * step).all()
     return (np.concatenate([[0], np.cumsum(steps.astype(np.int64))]), step) if on_grid else (np.arange(len(t)), None)
-
-
-def _widths(filter: Any, m: int) -> list[int]:
-    """Components of each sensor of a filter, where their noise says how many; otherwise they are one."""
-    inner = filter if hasattr(filter, "sensors") else getattr(getattr(filter, "first", None), "filter", None)
-    widths = [sensor.m for sensor in getattr(inner, "sensors", ())]
-    return widths if None not in widths and sum(w or 0 for w in widths) == m else [m]
 
 
 def _products(x: Array, place: Array, lag: int) -> tuple[float, int]:
@@ -254,7 +249,7 @@ def _products(x: Array, place: Array, lag: int) -> tuple[float, int]:
     return float(np.nansum(products)) / max(count, 1), count
 
 
-def _correlated(x: Array, place: Array, lags: int) -> tuple[Array, Array, float, float]:
+def correlated(x: Array, place: Array, lags: int) -> tuple[Array, Array, float, float]:
     """Autocorrelation ``(lags,)`` about the mean and its numbers of pairs; variances of the means of x and of its square, times
     their number and over those of one sample, for Gaussian noise."""
     N = int(np.isfinite(x).sum())
@@ -299,8 +294,8 @@ def _component(
         raise ValueError(f"residuals: expected at least {LEAST} samples that vary of each component, got {what} of {name}")
     lags = max(1, min(lags, N // 5, int(place[-1]) // 2))
     even = w if claimed is None else (x - np.nanmean(x)) / claimed  # a bias over a claim that changes is no noise
-    rho, pairs, shared, squares = _correlated(even, place, lags)
-    *_, longer, _ = _correlated(x, place, lags)
+    rho, pairs, shared, squares = correlated(even, place, lags)
+    *_, longer, _ = correlated(x, place, lags)
     statistic, p = _ljung_box(rho, pairs, N)
     mean, deviation = float(np.nanmean(x)), float(np.nanstd(x))
     freedom, doubt = max(N / longer - 1.0, 1.0), deviation * float(np.sqrt(longer / N))
@@ -355,7 +350,7 @@ def first_order(x: Array, place: Array, lags: int, level: float) -> Coloring:
     low, high = (float(np.hypot(np.log(parts(end)[1] / sigma), np.sqrt(half / N))) for end in ends)
     rest = np.full(x.shape, np.nan)
     rest[there] = left
-    rho, pairs, *_ = _correlated(rest, place, lags)
+    rho, pairs, *_ = correlated(rest, place, lags)
     p = _ljung_box(rho, pairs, N, fitted=1)[1]
     interval = float(np.tanh(ends[0])), float(np.tanh(ends[1]))
     return Coloring(float(np.tanh(v)), interval, sigma, (float(sigma * np.exp(-low)), float(sigma * np.exp(high))), p)
@@ -376,6 +371,8 @@ def _model(
     filter: Any, prior: Any, t: Array, z: Any, u: Any, found: Sequence[Component], level: float
 ) -> tuple[Model | None, str]:  # fmt: skip
     """The filter for colored noise, and why there is none."""
+    from celnav.analysis.tuning import maximize_likelihood  # only a search needs what searches
+
     if filter is None:
         return None, ""
     sensors: Any = getattr(filter, "sensors", ())

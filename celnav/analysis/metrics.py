@@ -14,6 +14,8 @@ from celnav.lazy import Late
 
 special = Late("scipy.special")
 
+__all__ = ["bootstrap", "chi_square_band", "ratio", "rms", "rmse", "rmse_interval"]
+
 
 def rms(squares: ArrayLike) -> float:
     """Root of the mean of squares over everything."""

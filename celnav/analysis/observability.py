@@ -1,12 +1,14 @@
-"""Observability of nonlinear systems, degrees of it, and what they suggest for the weights of a sparse grid.
+"""Observability of nonlinear systems, also along a track, degrees of it, and what they suggest for the weights of a sparse grid.
 
-Functions take points ``(p, n)`` to ``(p, m)``. Derivatives are taken by complex step, exact to round-off: where they are, functions
-must accept complex points (numpy's own do; `abs`, comparisons and `arctan2` do not).
+Functions take points ``(p, n)`` to ``(p, m)``; where a batch of states is given, ``(p, ..., n)`` to ``(p, ..., m)``. Derivatives
+are taken by complex step, exact to round-off: where they are, functions must accept complex points (numpy's own do; `abs`,
+comparisons and `arctan2` do not).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.polynomial.chebyshev import Chebyshev
@@ -17,6 +19,11 @@ from celnav.gaussian.belief import symmetric
 from celnav.gaussian.checks import finite, integer, number, sequence
 from celnav.gaussian.linalg import Array
 
+__all__ = [
+    "hysteresis", "information_degree", "jacobian", "lie_gradients", "nonlinearity_degree", "nonlinearity_weights",
+    "observability_matrix", "state_singular_values", "threshold_weights",
+]  # fmt: skip
+
 Function = Callable[[Array], Array]
 
 _TINY = 1e-30j  # the step, along each axis
@@ -24,23 +31,28 @@ _NODES = 21
 
 
 def jacobian(function: Function, x: ArrayLike) -> Array:
-    """Jacobian ``(m, n)`` at ``x (n,)`` by complex step [Squire1998].
+    """Jacobian ``(..., m, n)`` at ``x (..., n)`` by complex step [Squire1998].
 
     >>> celnav.analysis.observability.jacobian(lambda x: np.sin(x), [0.0, 0.0])
     array([[1., 0.],
            [0., 1.]])
     """
     checks.function("function", function, "(points)")
-    at = finite("x", x, ("n",))
-    return _slopes("function", function, at + _TINY * np.eye(len(at)))
+    at = finite("x", x, (..., "n"))
+    return _slopes("function", function, at + _TINY * _axes(at))
+
+
+def _axes(x: Array) -> Array:
+    """Unit vectors ``(n, ..., n)`` along the axes of states ``(..., n)``, the axis first."""
+    return np.moveaxis(np.broadcast_to(np.eye(x.shape[-1]), (*x.shape, x.shape[-1])), -2, 0)
 
 
 def _slopes(name: str, function: Function, points: Array) -> Array:
-    """Derivatives ``(m, p)`` of a function along complex points ``(p, n)``."""
+    """Derivatives ``(..., m, p)`` of a function along complex points ``(p, ..., n)``."""
     values = function(points)
     if np.asarray(values).dtype.kind not in "iufc":
-        raise ValueError(f"{name}: expected values (p, m) at points (p, n), got {checks.kind(values)}")
-    return finite(name, np.imag(values), (len(points), "m")).T / _TINY.imag
+        raise ValueError(f"{name}: expected values (p, ..., m) at points (p, ..., n), got {checks.kind(values)}")
+    return np.moveaxis(finite(name, np.imag(values), (*points.shape[:-1], "m")), 0, -1) / _TINY.imag
 
 
 def lie_gradients(f: Function, h: Function, x: ArrayLike, order: int, *, window: float = 1.0) -> Array:
@@ -130,9 +142,7 @@ def nonlinearity_weights(
     >>> rule = celnav.smolyak(6, 3, nonlinearity_weights([step, measure], prior.mean, prior.std))
     """
     center = finite("mean", mean, ("n",))
-    sigma = finite("std", std, center.shape)
-    if (sigma <= 0.0).any():
-        raise ValueError(f"std: expected {len(center)} positive numbers, got {std!r}")
+    sigma = _positive("std", std, center.shape)
     tolerance, coarse = number("tolerance", tolerance, 0.0), integer("coarse", coarse)
     functions, steps = sequence("functions", functions, "[f, h]", least=1), np.diag(sigma)
     # Not only about the mean: what bends elsewhere within a standard deviation counts, too.
@@ -148,18 +158,71 @@ def nonlinearity_weights(
     return tuple(np.where(bends, 1, coarse).tolist())
 
 
-def svd_degree(matrix: ArrayLike, reference: int) -> Array:
-    """Degrees of observability ``(..., n)`` by singular values of observability matrices ``(..., rows, n)`` [Liang2014, Eq. 15].
+def nonlinearity_degree(function: Function, mean: ArrayLike, std: ArrayLike, scale: ArrayLike) -> Array:
+    """Degrees of nonlinearity ``(..., n)``: how far a function bends over one deviation of a state, in units of a scale.
 
-    A state gets the singular value whose right vector has its largest component there, over that of the state ``reference``. It
-    depends on the units of the states; `information_degree` does not.
+    The largest second difference of an output along each axis. Unlike `nonlinearity_weights` it asks whether that matters: what
+    bends by less than the noise of a measurement needs no points, however nonlinear it is.
 
-    >>> degree = celnav.analysis.observability.svd_degree(np.vstack([H, H @ F]), reference=0)
+    mean, std: ``(..., n)`` of the beliefs. scale: ``(..., m)``, such as the deviations of the measurement's noise.
+
+    >>> celnav.analysis.observability.nonlinearity_degree(lambda x: x**2, [1.0, 1.0], [0.1, 1.0], [0.1, 0.1])
+    array([ 0.1, 10. ])
+    """
+    checks.function("function", function, "(points)")
+    center = finite("mean", mean, (..., "n"))
+    steps = _positive("std", std, center.shape) * _axes(center)
+    y0, up, down = (finite("function", function(x), (*x.shape[:-1], "m")) for x in (center[None], center + steps, center - steps))
+    bends = np.abs(0.5 * (up + down) - y0) / _positive("scale", scale, (..., y0.shape[-1]))
+    return np.moveaxis(bends.max(-1), 0, -1)
+
+
+def _positive(name: str, value: ArrayLike, shape: tuple[Any, ...]) -> Array:
+    found = finite(name, value, shape)
+    if (found <= 0.0).any():
+        raise ValueError(f"{name}: expected positive numbers, got {value!r:.80}")
+    return found
+
+
+def observability_matrix(A: ArrayLike, H: ArrayLike, order: int) -> Array:
+    """``H A^k``, k = 0 to ``order``, one below the other: ``((order + 1) m, n)`` of a linear system with any batch in front.
+
+    Along a track it is that of each of its pieces, where `jacobian` linearizes; those of all pieces so far, one below the other,
+    are what has become observable if the state stays as it is ("stripped" of the transitions between them) [Goshen1992].
+
+    A: ``(..., n, n)``, 1/s. H: ``(..., m, n)``.
+
+    >>> celnav.analysis.observability.observability_matrix(A, [[1.0, 0.0]], order=1)
+    array([[1., 0.],
+           [0., 1.]])
+    """
+    rows = [finite("H", H, (..., "m", "n"))]
+    rate = finite("A", A, (..., rows[0].shape[-1], rows[0].shape[-1]))
+    for _ in range(integer("order", order, 0)):
+        rows.append(rows[-1] @ rate)
+    return np.concatenate(np.broadcast_arrays(*rows), -2)
+
+
+def state_singular_values(matrix: ArrayLike, cov: ArrayLike | None = None) -> Array:
+    """Singular values ``(..., n)`` of observability matrices ``(..., rows, n)``, one for each state.
+
+    Over that of a reference state they are its degrees of observability [Liang2014, Eq. 15]. A state gets the value whose right
+    vector has its largest component there; 0 if nothing is seen of that vector. ``cov (..., n, n)``: of the initial state, which
+    then weighs the vectors by how much it has of them, in the mean square. All depends on the units of the states, which
+    `information_degree` does not.
+
+    >>> celnav.analysis.observability.state_singular_values([[2.0, 0.0], [0.0, 0.5]])
+    array([2. , 0.5])
     """
     rows = finite("matrix", matrix, (..., "rows", "n"))
-    _, values, Vt = np.linalg.svd(rows, full_matrices=False)
-    degree = np.take_along_axis(values, np.abs(Vt).argmax(-2), -1)
-    return np.asarray(degree / degree[..., integer("reference", reference, 0, rows.shape[-1] - 1), None])
+    n = rows.shape[-1]
+    missing = [(0, 0)] * (rows.ndim - 2) + [(0, max(n - rows.shape[-2], 0)), (0, 0)]
+    _, values, Vt = np.linalg.svd(np.pad(rows, missing), full_matrices=False)
+    size = np.abs(Vt)
+    if cov is not None:
+        size *= np.sqrt(np.square(Vt @ symmetric(cov, "cov", n)[1]).sum(-1))[..., None]
+    seen, which = np.broadcast_arrays(np.where(values < 1e-12 * values[..., :1], 0.0, values), size.argmax(-2))
+    return np.asarray(np.take_along_axis(seen, which, -1))
 
 
 def threshold_weights(degree: ArrayLike, threshold: float) -> tuple[int, ...]:
@@ -169,3 +232,13 @@ def threshold_weights(degree: ArrayLike, threshold: float) -> tuple[int, ...]:
     (1, 2, 2)
     """
     return tuple(np.where(finite("degree", degree, ("n",)) > number("threshold", threshold), 1, 2).tolist())
+
+
+def hysteresis(degree: ArrayLike, threshold: float, before: ArrayLike, band: float = 1.1) -> Array:
+    """Which degrees ``(..., n)`` are above a threshold: within a factor ``band`` of it they stay as ``before (..., n)``.
+
+    >>> celnav.analysis.observability.hysteresis([9.6, 5.2, 5.2], 5.0, before=[0, 0, 1])
+    array([ True, False,  True])
+    """
+    found, limit, factor = finite("degree", degree, (..., "n")), number("threshold", threshold), number("band", band, 1.0)
+    return np.where(finite("before", before, (..., found.shape[-1])) > 0.0, found > limit / factor, found > limit * factor)

@@ -19,6 +19,8 @@ from celnav.gaussian.checks import choice, finite, function, integer, kind, numb
 from celnav.gaussian.linalg import Array
 from celnav.tape.tape import CannotCompile
 
+__all__ = ["likelihood_gradient", "maximize_likelihood"]
+
 Build = Callable[[Array], tuple[Filter, Gaussian]]
 Domain = str | tuple[float, float]
 DOMAINS = {"positive": (0.0, np.inf), "unit interval": (0.0, 1.0)}

@@ -73,7 +73,8 @@ def _told(unit: Work, why: str) -> str:
 
 
 def _said(error: Exception) -> str:
-    return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    said = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    return "; ".join([said, *getattr(error, "__notes__", ())])
 
 
 def results(

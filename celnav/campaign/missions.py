@@ -10,7 +10,8 @@ A file names a paper, may start from one of its presets, and overrides any param
     inclination_deg = 98.2
     phi = 0.95
 
-A list where a parameter is one value makes it a study: every combination of the lists is a configuration.
+A list where a parameter is one value makes it a study: every combination of the lists is a configuration. In place of a paper may
+stand a study of one's own, ``paper = "study.py"``, a file beside this one (`celnav.papers.own`).
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from celnav.campaign.typed import depth, named, type_depth, typed
 from celnav.files import InputError
 from celnav.filters.run import ENGINES
 from celnav.gaussian.checks import choice
-from celnav.papers import PAPERS, load
+from celnav.papers import PAPERS, load, own
 from celnav.study.montecarlo import run_count
 
 LARGEST_FILE = 1_000_000
@@ -86,6 +87,7 @@ class Study:
         """Everything that determines the results, in plain types: what a store is compared by. No title."""
         first = {k: v for k, v in flat(asdict(self.configurations[0].config)).items() if k not in self.swept and k != "runs"}
         about = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("title", "swept", "configurations")}
+        about["paper"] = own.identity(self.paper)
         return {**flat(about), **{f"config.{k}": v for k, v in first.items()}, **{f"config.{k}": v for k, v in self.swept.items()}}
 
 
@@ -116,6 +118,8 @@ def read(path: str | Path, effort: float = 1.0) -> Study:
         raise MissionError(f"{source}: {_DEEP}") from None
     except (ValueError, UnicodeDecodeError) as error:
         raise MissionError(f"{source}: not a TOML file ({error})") from None
+    if isinstance(paper := table.get("paper"), str) and own.is_own(paper):
+        table["paper"] = str((source.parent / paper).resolve())
     try:
         whole = study(table)
     except RecursionError:
@@ -137,9 +141,9 @@ def study(table: Mapping[str, Any]) -> Study:
     """
     if "paper" not in table:
         _known("", table, KEYS)
-        raise ValueError(f"paper: expected one of {', '.join(PAPERS)}, got none")
+        raise ValueError(f"paper: expected one of {', '.join(PAPERS)}, or a study of your own, FILE.py, got none")
     paper = typed("paper", table["paper"], str)
-    module = _part("paper", lambda: load(paper))
+    module = own.load(paper, mission=True) if own.is_own(paper) else _part("paper", lambda: load(paper))
     start = _preset(module, table)
     for key in (set(table) - set(KEYS)) & {f.name for f in fields(start)}:
         raise ValueError(f"{key}: expected it under [config]")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from celnav.campaign import Outcome
 from celnav.campaign.table import columns, costs, plain, to_csv, to_parquet
 from celnav.files import Outputs
+from celnav.papers.own import name_of
 from celnav.show.drawing import render
 from celnav.show.page import document, figure, link, table
 from celnav.store import code
@@ -61,7 +62,8 @@ def _page(outcome: Outcome, cells: Mapping[str, list[Any]], pictures: Mapping[st
         study.title,
         f"<h1>{html.escape(study.title)}</h1>",
         f"<p>{len(study.configurations)} configurations × {len(study.filters)} filters × {study.runs} runs of "
-        f"<code>{html.escape(study.paper)}</code>, {failed} of them failed. Files: {' · '.join(link(f, f) for f in files)}.</p>",
+        f"<code>{html.escape(name_of(study.paper))}</code>, {failed} of them failed. "
+        f"Files: {' · '.join(link(f, f) for f in files)}.</p>",
         '<div class="wide">',
         *(figure(stem.replace("_", " ").capitalize(), png, f"figures/{stem}.svg") for stem, png in pictures.items()),
         "</div><h2>Table</h2>",

@@ -15,6 +15,7 @@ from celnav.campaign.units import STUDY
 from celnav.gaussian.linalg import Array
 from celnav.models.earth import SEMI_MAJOR_M
 from celnav.papers import load
+from celnav.papers.own import name_of
 from celnav.show import colors, scenes
 from celnav.show import showcase as showcases
 from celnav.show.estimates import Estimate, Group
@@ -112,7 +113,7 @@ def record(shown: Showcase, outcome: Outcome, path: str | PathLike[str]) -> None
     run = showcases.Showcase(
         f"mission {study.title}", _about(study, outcome), shown.times, shown.estimates, shown.groups, scene=scene, spaces=spaces,
         plots={"all runs": _rms(shown, outcome)},
-        facts={"paper": study.paper, "runs": study.runs, "seed": study.seed, "filters": ", ".join(study.filters)},
+        facts={"paper": name_of(study.paper), "runs": study.runs, "seed": study.seed, "filters": ", ".join(study.filters)},
     )  # fmt: skip
     showcases.record(run, path)
 
@@ -142,7 +143,7 @@ def _spread(shown: Showcase, values: Array) -> Array:
 
 def _about(study: Study, outcome: Outcome) -> str:
     """What one sees."""
-    lines = [f"# {study.title}", f"{study.runs} runs of `{study.paper}`, seed {study.seed}.", ""]
+    lines = [f"# {study.title}", f"{study.runs} runs of `{name_of(study.paper)}`, seed {study.seed}.", ""]
     for row in outcome.rows:
         for name, unit in row.groups:
             found = row.accuracy(name)

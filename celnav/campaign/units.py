@@ -20,6 +20,7 @@ from celnav.filters.run import ENGINE
 from celnav.gaussian.linalg import Array
 from celnav.lazy import needed_by
 from celnav.papers import load
+from celnav.papers.own import identity, place
 from celnav.store import Keyed, code
 from celnav.study.montecarlo import blocks, generator
 from celnav.study.trial import Noiseless, Trial, bound, follow
@@ -71,6 +72,7 @@ class Unit:
         """Hash of everything that determines the result, but the code."""
         table = asdict(self)
         table["config"].pop("runs")  # how many there are in all matters to none of them
+        table["paper"] = identity(self.paper)
         text = json.dumps(table, sort_keys=True, ensure_ascii=False)
         return hashlib.sha256(text.encode("utf-8")).hexdigest()[:24]
 
@@ -155,7 +157,12 @@ def execute(unit: Work, made_by: dict[str, str]) -> dict[str, Array]:
         theirs, ours = (", ".join(f"{k} {c[k]}" for k in c if made_by.get(k) != code().get(k)) for c in (code(), made_by))
         raise VersionError(f"the worker on {platform.node()} has {theirs}, this has {ours}; install the same on both")
     with threadpool_limits(1):
-        return unit.do()
+        try:
+            return unit.do()
+        except Exception as error:
+            if (where := place(error)) is not None:
+                error.add_note("{}, line {}: {}".format(*where))
+            raise
 
 
 class _Flight:

@@ -11,6 +11,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 from celnav import papers, real
+from celnav.papers import own
 from celnav.study.montecarlo import effort
 
 if TYPE_CHECKING:
@@ -26,7 +27,9 @@ class UsageError(Exception):
 
 
 def module(paper: str) -> ModuleType:
-    """The module of a paper or of a study on real data, or UsageError."""
+    """The module of a paper, of a study on real data or of one's own, FILE.py, or UsageError."""
+    if own.is_own(paper) and (name := own.name_of(paper)) in (*papers.PAPERS, *real.STUDIES):
+        raise UsageError(f"{paper}: expected another name than {name}, which celnav has; rename the file")
     try:
         return real.load(paper) if paper in real.STUDIES else papers.load(paper, others=real.STUDIES)
     except ValueError as error:

@@ -1,23 +1,24 @@
 """``out/index.html``: a page that opens from disk: what papers say, what we find, every row of their ledgers, every figure.
 
-Studies on real data follow the papers.
+Studies of one's own and on real data follow the papers.
 """
 
 from __future__ import annotations
 
 import csv
 import html
+import json
 import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import celnav
 from celnav.commands.arguments import module as module_of
-from celnav.files import read_json
-from celnav.papers import PAPERS, load
+from celnav.files import InputError, read_json
+from celnav.papers import PAPERS
 from celnav.real import STUDIES
 from celnav.show.claims import counted, read_claims, surprise, table, tally
 from celnav.show.page import document, link, linked
@@ -31,26 +32,53 @@ _FOLDED = {
 }
 
 Claims = Sequence[Mapping[str, Any]]
+OWN = "study.json"
+"""What the page shows of a study of one's own, whose file may be gone."""
 
 
 def index(out: Path) -> str:
     """The page for whatever papers and studies lie under ``out``."""
-    done, real = reproduced(out), reproduced(out, STUDIES)
-    if not done and not real:
+    done, own, real = reproduced(out), reproduced(out, own_studies(out)), reproduced(out, STUDIES)
+    if not done and not own and not real:
         return document("celnav: what holds", "<h1>celnav</h1>", "<p>Nothing reproduced yet.</p>")
     return document(
         "celnav: what holds",
-        "<h1>What papers say, and what holds</h1>",
+        f"<h1>What {'papers say' if done else 'is said'}, and what holds</h1>",
         '<div class="grid">',
-        *(_opening(out, paper, claims) for paper, claims in done.items()),
+        *(_opening(out, paper, claims) for paper, claims in (done | own).items()),
         "</div>",
-        _filter([claim for claims in done.values() for claim in _of(claims, "statement")]),
+        _filter([claim for claims in (done | own).values() for claim in _of(claims, "statement")]),
         "<p><small>Each statement is judged by numbers computed here. The accepted range follows from the paper's own words, or "
         "from a convention that the row names; first results were known when it was written, and where it was changed since, the "
         "row says so. A number with sampling error decides only if its whole 95 % interval does.</small></p>",
-        *(_paper(out, paper, claims) for paper, claims in done.items()),
+        *(_paper(out, paper, claims) for paper, claims in (done | own).items()),
         *_on_real_data(out, real),
     )
+
+
+def own_studies(out: Path) -> list[str]:
+    """Names of studies of one's own that lie under ``out``."""
+    return sorted(path.parent.name for path in out.glob(f"*/{OWN}"))
+
+
+def described(study: ModuleType, file: str) -> str:
+    """What `shown` reads of a study of one's own."""
+    captions = {kind: {stem: caption for stem, (caption, _) in getattr(study, kind).items()} for kind in ("FIGURES", "TABLES")}
+    about = {"file": str(Path(file).resolve()), "TITLE": study.TITLE, "CITATION": study.CITATION, **captions}
+    said = {name: getattr(study.STUDY, name) for name in ("says", "found", "figure")}
+    return json.dumps({**about, "RECORDINGS": list(study.RECORDINGS), "STUDY": said}, indent=1, ensure_ascii=False) + "\n"
+
+
+def shown(out: Path, name: str) -> Any:
+    """The module of a paper or study, or of one's own what `described` says, with the names that a page shows."""
+    if not (path := out / name / OWN).exists():
+        return module_of(name)
+    try:
+        about = read_json(path)
+        captions = {kind: {stem: (caption,) for stem, caption in about.pop(kind).items()} for kind in ("FIGURES", "TABLES")}
+        return SimpleNamespace(**captions, STUDY=SimpleNamespace(**about.pop("STUDY")), **about)
+    except (AttributeError, KeyError, TypeError):
+        raise InputError(f"{path}: not what celnav writes; reproduce the study again") from None
 
 
 def _on_real_data(out: Path, done: Mapping[str, Claims]) -> list[str]:
@@ -76,13 +104,19 @@ def reproduced(out: Path, among: Iterable[str] | None = None) -> dict[str, list[
     }
 
 
-def words(papers: Sequence[str]) -> str:
-    """Paragraphs in Markdown: what papers say and what we find."""
-    every = {paper: (load(paper), load(paper).STUDY) for paper in papers}
+def words(papers: Sequence[str], out: Path = Path("out")) -> str:
+    """Paragraphs in Markdown: what papers, or studies under ``out``, say and what we find."""
+    every = {paper: shown(out, paper) for paper in papers}
     return "\n\n".join(
-        f"**{one.TITLE}** (`{paper}`: {cited(one.CITATION)}). The paper: {study.says}\n*We find:* {study.found}"
-        for paper, (one, study) in every.items()
+        f"**{one.TITLE}** (`{paper}`{': ' * bool(one.CITATION)}{cited(one.CITATION)}). {_whose(paper)}{one.STUDY.says}\n"
+        f"*We find:* {one.STUDY.found}"
+        for paper, one in every.items()
     )
+
+
+def _whose(name: str) -> str:
+    """Who says what is said."""
+    return "The paper: " if name in PAPERS else "" if name in STUDIES else "It is said: "
 
 
 def cited(citation: str) -> str:
@@ -110,11 +144,11 @@ def _of(claims: Claims, kind: str) -> list[Mapping[str, Any]]:
 
 def _opening(out: Path, paper: str, claims: Claims) -> str:
     """A card: what a paper says and what we find, in sentences, and the figure that decides with the recordings."""
-    module = module_of(paper)
+    module = shown(out, paper)
     odd = [claim for claim in claims if surprise(claim)]
     told = f' <b class="bad">{len(odd)} not as expected.</b>' if odd else ""
-    kind, stem = _kind(paper), module.STUDY.figure
-    rows, whose = _of(claims, kind), "The paper: " if kind == "statement" else ""
+    kind, stem = _kind(paper, claims), module.STUDY.figure
+    rows, whose = _of(claims, kind), _whose(paper)
     picture = out / paper / "figures" / f"{stem}.png"
     drawn = _drawing(picture, paper, module) if picture.exists() else ""
     return (
@@ -124,9 +158,9 @@ def _opening(out: Path, paper: str, claims: Claims) -> str:
     )
 
 
-def _kind(name: str) -> str:
+def _kind(name: str, claims: Claims) -> str:
     """Of the rows that decide: what a paper states, or what is found in data."""
-    return "finding" if name in STUDIES else "statement"
+    return "statement" if name in PAPERS or _of(claims, "statement") else "finding"
 
 
 _FILTER = """<p class="filter"><label>Show rows <select id="shown"><option value="">of any verdict</option>{}</select></label></p>
@@ -141,13 +175,13 @@ def _filter(claims: Claims) -> str:
 
 
 def _paper(out: Path, paper: str, claims: Claims) -> str:
-    module, folder, figures, kind = module_of(paper), out / paper, f"{paper}/figures/", _kind(paper)
+    module, folder, figures, kind = shown(out, paper), out / paper, f"{paper}/figures/", _kind(paper, claims)
     files = [p.name for p in sorted(folder.iterdir()) if p.suffix in (".rrd", ".json", ".npz") and not p.name.startswith(".")]
     listed = " · ".join(link(f"{paper}/{name}", name) for name in files)
     findings = _of(claims, "finding") if kind == "statement" else []
     parts = [
         f'<section id="{paper}"><h2>{html.escape(module.TITLE)}</h2><p><small>{html.escape(cited(module.CITATION))}'
-        f" · {_notebook(out, paper)}</small></p>",
+        f"{' · ' * bool(module.CITATION)}{_notebook(out, paper, module)}</small></p>",
         table(_of(claims, kind), figures),
         '<div class="grid">',
         *(_drawing(path, paper, module) for path in sorted((folder / "figures").glob("*.png"))),
@@ -165,13 +199,17 @@ def _paper(out: Path, paper: str, claims: Claims) -> str:
     parts += [
         f"<p><small>Files: {listed}. A recording opens with <code>celnav view {paper}</code>, offline. "
         f"{html.escape(_about(folder / 'timings.json'))}</small></p>",
-        f"<details><summary>Citation</summary><pre>{html.escape(module.CITATION)}</pre></details></section>",
+        f"<details><summary>Citation</summary><pre>{html.escape(module.CITATION)}</pre></details>" * bool(module.CITATION),
+        "</section>",
     ]
     return "\n".join(parts)
 
 
-def _notebook(out: Path, paper: str) -> str:
-    """A link to it in the checkout, if there is one."""
+def _notebook(out: Path, paper: str, module: Any) -> str:
+    """A link to it in the checkout, if there is one; to the file of a study of one's own."""
+    if paper not in PAPERS and paper not in STUDIES:
+        path = Path(module.file)
+        return link(Path(os.path.relpath(path, out.resolve())).as_posix(), path.name) if path.exists() else html.escape(path.name)
     name = "07_real_data.ipynb" if paper in STUDIES else f"{list(PAPERS).index(paper) + 1:02d}_{paper}.ipynb"
     path = Path(celnav.__file__).resolve().parents[1] / "notebooks" / name
     if not path.exists():
@@ -205,14 +243,14 @@ def _about(path: Path) -> str:
         return "no record of versions"
 
 
-def _listing(path: Path, module: ModuleType) -> str:
+def _listing(path: Path, module: Any) -> str:
     with path.open(encoding="utf-8", newline="") as file:
         head, *rows = csv.reader(file)
     caption = module.TABLES.get(path.stem, (path.stem,))[0]
     return f"<details><summary>{html.escape(caption)}</summary>{plain_table(head, rows)}</details>"
 
 
-def _drawing(path: Path, paper: str, module: ModuleType) -> str:
+def _drawing(path: Path, paper: str, module: Any) -> str:
     """A figure of a paper; beside the one that decides, what recordings there are."""
     caption = module.FIGURES.get(path.stem, (path.stem.replace("_", " "),))[0]
     names = [n for n in module.RECORDINGS if path.stem == module.STUDY.figure and (path.parents[1] / n).exists()]

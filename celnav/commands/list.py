@@ -10,7 +10,7 @@ from typing import Any
 
 from celnav import papers, real
 from celnav.commands.arguments import module
-from celnav.papers import load
+from celnav.papers import load, own
 
 WIDTH = 132
 """Of lines."""
@@ -22,6 +22,11 @@ def run(options: argparse.Namespace) -> int:
         _everything()
     elif options.paper in real.STUDIES:
         _on_real_data(options.paper)
+    elif own.is_own(options.paper):
+        _drawn(own.name_of(options.paper), one := module(options.paper))
+        print()
+        if hasattr(one, "PRESETS"):
+            _parameters(options.paper)
     else:
         _parameters(options.paper)
     return 0
@@ -56,7 +61,7 @@ def _parameters(paper: str) -> None:
     from celnav.campaign.missions import flat
     from celnav.campaign.typed import described, unit_of
 
-    study = module(paper)
+    study = own.load(paper, mission=True) if own.is_own(paper) else module(paper)
     start: dict[str, Any] = getattr(study, "MISSION", {})
     presets: dict[str, dict[str, Any]] = {name: flat(asdict(replace(c, **start))) for name, c in study.PRESETS.items()}
     first, *others = presets.items()

@@ -1,4 +1,4 @@
-"""``celnav reproduce``: do the studies of papers, write everything that they show."""
+"""``celnav reproduce``: do the studies of papers, and one's own, write everything that they show."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ from celnav.commands.arguments import UsageError, cores, fraction, module, whole
 from celnav.files import Outputs, locked, remove_leftovers
 from celnav.filters.run import ENGINE
 from celnav.gaussian.linalg import Array
+from celnav.papers import own
 from celnav.show.progress import Progress
 from celnav.store import RESULTS, Store, resumed
 from celnav.study.study import Results, Unit
@@ -39,10 +40,13 @@ WRITING_S = {"ledger": 1.0, "figures": 5.0, "recordings": 4.0}
 
 def run(options: argparse.Namespace) -> int:
     """Do the papers side by side where there are several processes, and write each as soon as it is done."""
-    from celnav.commands.index import few, index
+    from celnav.commands.index import OWN, described, few, index
 
-    chosen = list(dict.fromkeys(options.papers)) or [*papers.PAPERS, *(s for s in real.STUDIES if getattr(options, s) is not None)]
-    modules = {paper: module(paper) for paper in chosen}
+    words = list(dict.fromkeys(options.papers)) or [*papers.PAPERS, *(s for s in real.STUDIES if getattr(options, s) is not None)]
+    modules = {own.name_of(word): module(word) for word in words}
+    chosen, files = list(modules), {own.name_of(word): word for word in words if own.is_own(word)}
+    if len(chosen) < len(words):
+        raise UsageError(f"{', '.join(filter(own.is_own, words))}: expected files of different names; rename one")
     part, seed = fraction(options.effort), whole("seed", options.seed, 0)
     pool = workers(options.jobs)
     for name, taken in {
@@ -67,16 +71,18 @@ def run(options: argparse.Namespace) -> int:
         token = ENGINE.set(options.engine)
         units = {paper: one.STUDY.units(effort=part, seed=seed, **_inputs(one, options)) for paper, one in modules.items()}
         ENGINE.reset(token)
-        left = {paper: [unit for unit in own if not _kept(stores[paper], unit)] for paper, own in units.items()}
-        total, missing = (sum(unit.cost for own in which.values() for unit in own) for which in (units, left))
+        left = {paper: [unit for unit in all if not _kept(stores[paper], unit)] for paper, all in units.items()}
+        total, missing = (sum(unit.cost for some in which.values() for unit in some) for which in (units, left))
         progress = Progress("celnav", total + len(units) * sum(WRITING_S.values()), total - missing)
 
         def written(paper: str) -> None:
             nonlocal surprises
-            own = units.pop(paper)
-            results = modules[paper].STUDY.results(own, map(stores[paper].read, own), effort=part)
+            done = units.pop(paper)
+            results = modules[paper].STUDY.results(done, map(stores[paper].read, done), effort=part)
             surprises += _write(paper, modules[paper], results, folders[paper], progress)
-            stores[paper].forget_all_but(own)
+            if paper in files:
+                folders[paper].text(OWN, described(modules[paper], files[paper]))
+            stores[paper].forget_all_but(done)
 
         def keep(unit: Unit, arrays: dict[str, Array]) -> None:
             stores[unit.study].write(unit, arrays)
@@ -86,11 +92,11 @@ def run(options: argparse.Namespace) -> int:
                 written(unit.study)
 
         with closing(progress):
-            for paper in [paper for paper, own in left.items() if not own]:
+            for paper in [paper for paper, some in left.items() if not some]:
                 written(paper)
             # The longest first: the end is then made of short ones, and all processes are busy until it.
             try:
-                compute(sorted((unit for own in left.values() for unit in own), key=lambda unit: -unit.cost), pool, keep)
+                compute(sorted((unit for some in left.values() for unit in some), key=lambda unit: -unit.cost), pool, keep)
             except UnfinishedError as error:
                 raise OSError(f"{error}; what is finished is kept: the same command goes on from there") from None
         top.text("index.html", index(out))
@@ -108,7 +114,7 @@ def _check(one: ModuleType, outputs: Outputs) -> None:
     """Refuse what could not be written before anything is computed."""
     outputs.check(f"figures/{stem}.{kind}" for stem in one.FIGURES for kind in KINDS)
     outputs.check(f"tables/{stem}.csv" for stem in one.TABLES)
-    outputs.check(["claims.json", "checks.json", "timings.json", "result.npz", *one.RECORDINGS])
+    outputs.check(["claims.json", "checks.json", "timings.json", "result.npz", "study.json", *one.RECORDINGS])
 
 
 def _kept(store: Store, unit: Unit) -> bool:

@@ -1,4 +1,4 @@
-"""``celnav verdicts``: what papers say and what holds, in Markdown: a table and paragraphs."""
+"""``celnav verdicts``: what papers, and studies of one's own, say and what holds, in Markdown: a table and paragraphs."""
 
 from __future__ import annotations
 
@@ -6,16 +6,17 @@ import argparse
 import sys
 from pathlib import Path
 
-from celnav.commands.index import effort_of, few, reproduced, verdicts, words
+from celnav.commands.index import effort_of, few, own_studies, reproduced, verdicts, words
 
 
 def run(options: argparse.Namespace) -> int:
     """Count the verdicts of the papers that were reproduced."""
-    found = reproduced(Path(options.out))
+    out = Path(options.out)
+    found = reproduced(out) | reproduced(out, own_studies(out))
     if not found:
         raise FileNotFoundError(f"{options.out}: no paper was reproduced there; use: celnav reproduce --out {options.out}")
-    print(verdicts(found), words(list(found)), sep="\n\n")
+    print(verdicts(found), words(list(found), out), sep="\n\n")
     for paper in found:
-        if (part := effort_of(Path(options.out, paper))) is not None and part < 1.0:
+        if (part := effort_of(out / paper)) is not None and part < 1.0:
             print(f"celnav: {paper}: {few(part)}", file=sys.stderr)
     return 0

@@ -9,11 +9,13 @@ import sys
 from pathlib import Path
 
 from celnav.commands.arguments import UsageError, module, number
+from celnav.commands.index import OWN, shown
+from celnav.papers import own
 
 
 def run(options: argparse.Namespace) -> int:
     """Open a paper's recording, or a file."""
-    path = _file(options) if Path(options.paper).suffix else _of_paper(options)
+    path = _file(options) if Path(options.paper).suffix not in ("", ".py") else _of_paper(options)
     if options.picture is not None:
         return _picture(path, Path(options.picture), None if options.at is None else number("at", options.at))
     if options.at is not None:
@@ -52,14 +54,17 @@ def _file(options: argparse.Namespace) -> Path:
 
 
 def _of_paper(options: argparse.Namespace) -> Path:
-    study = module(options.paper)
-    folder = Path(options.out, options.paper)
+    name = own.name_of(options.paper)
+    folder = Path(options.out, name)
+    study = shown(Path(options.out), name) if (folder / OWN).exists() else module(options.paper)
+    if not study.RECORDINGS:
+        raise UsageError(f"{options.paper}: has no recordings; a mission of it (celnav run) has one")
     recordings = [name for name in study.RECORDINGS if (folder / name).is_file()]
     if not recordings:
         raise FileNotFoundError(f"{folder}: no recording; make it with: celnav reproduce {options.paper} --out {options.out}")
     if options.recording is None:
         return Path(folder, recordings[0])
-    name: str = options.recording if options.recording.endswith(".rrd") else f"{options.recording}.rrd"
-    if name not in recordings:
+    wanted: str = options.recording if options.recording.endswith(".rrd") else f"{options.recording}.rrd"
+    if wanted not in recordings:
         raise UsageError(f"unknown recording {options.recording!r}: expected one of {', '.join(recordings)}")
-    return Path(folder, name)
+    return Path(folder, wanted)

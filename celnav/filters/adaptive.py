@@ -29,6 +29,11 @@ from celnav.gaussian.linalg import (
     whiten,
 )
 
+__all__ = [
+    "channel_parity", "chi_square_gate", "consider", "correntropy", "gate", "group_parity", "huber", "innovation_window",
+    "sage_husa", "student_t", "underweighting", "variational_bayes",
+]  # fmt: skip
+
 
 # -- gates ---------------------------------------------------------------------------------------------------------------
 def gate(gamma: float) -> Hook:

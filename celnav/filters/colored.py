@@ -28,6 +28,8 @@ from celnav.gaussian.linalg import POSITIVE, Array, SquareRoot, block, matvec, s
 from celnav.gaussian.rules import UNSCENTED
 from celnav.gaussian.spaces import EUCLIDEAN
 
+__all__ = ["augmented", "colored", "decorrelated"]
+
 Coloring = ArrayLike | Callable[[Any], Array]
 """``Phi (..., m, m)`` or ``epoch -> Phi``."""
 

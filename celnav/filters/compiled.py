@@ -24,6 +24,8 @@ from celnav.gaussian.linalg import Array, Covariance
 from celnav.tape.cuda import CudaError, device
 from celnav.tape.tape import MOST, CannotCompile
 
+__all__ = ["Compiled", "compiled"]
+
 WORTH = 50_000  # operations of a step, the most that engine="auto" compiles, in some five seconds, and a device takes
 CHECKED = 3  # epochs of some runs that are compared with the numpy engine when a step was recorded
 
@@ -73,7 +75,7 @@ class Compiled:
             self._compare(track, engine, prior, data, every)
         if keep == "nothing":
             nothing: dict[str, Any] = dict.fromkeys(("mean", "std", "innovation", "whitened", "used"))
-            track = replace(track, **nothing)
+            track = replace(track, **nothing, sensors=())
         lost = np.flatnonzero(track.failed_at.ravel() >= 0)
         return self._again(track, engine, prior, data, lost, every, keep, on_failure) if len(lost) else track
 
@@ -156,6 +158,7 @@ def _track(engine: Engine, data: Data, flight: Flight, every: int) -> Track:
         log_likelihood=likelihood,
         events={"missing": missing.astype(int) + silent, "rejected": rejected.astype(int), "redone": redone.astype(int)},
         failed_at=failed.astype(int),
+        sensors=tuple(rows[f"innovation/{i}"].shape[-1] for i in sensors if f"innovation/{i}" in rows),
     )
 
 

@@ -32,6 +32,8 @@ from celnav.lazy import needed_by
 with needed_by("celnav.filters.dropin", "filterpy"):
     from filterpy.common import pretty_str
 
+__all__ = ["SigmaPointUKF", "SquareRootUKF"]
+
 Function = Callable[..., Any]
 """One of filterpy's, of one vector."""
 Model = Callable[[Array, Any], Array]

@@ -17,6 +17,8 @@ from celnav.gaussian.checks import integers, number
 from celnav.tape import c
 from celnav.tape.tape import CannotCompile
 
+__all__ = ["export_c"]
+
 
 def export_c(
     filter: Any, path: str | Path, prior: Any, *, u: Any = None, m: Sequence[int] | None = None, dt: float | None = None,

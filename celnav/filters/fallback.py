@@ -15,6 +15,8 @@ from celnav.filters.sequential import Sequential, plain
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array, Belief, surely
 
+__all__ = ["Fallback"]
+
 Step = tuple[State, tuple[Info, ...]]
 
 
@@ -65,8 +67,8 @@ class Fallback:
             lost = lost & ~_unsound(before.belief)
         if not surely(~lost.any()):
             other, others = step(self.second)
-            belief = self.first.form(*(_pick(lost, b, a) for a, b in zip(after.belief, other.belief, strict=True)))
-            after, infos = after._replace(belief=belief), tuple(_merged(lost, a, b) for a, b in zip(infos, others, strict=True))
+            belief = self.first.form(*(pick(lost, b, a) for a, b in zip(after.belief, other.belief, strict=True)))
+            after, infos = after._replace(belief=belief), tuple(merged(lost, a, b) for a, b in zip(infos, others, strict=True))
         return after, infos, lost
 
 
@@ -75,18 +77,19 @@ def _unsound(belief: Belief) -> Array:
     return np.asanyarray(~(np.isfinite(belief.mean).all(-1) & np.isfinite(belief.sqrt_cov).all((-2, -1))))
 
 
-def _pick(where: Array, chosen: Array, otherwise: Array) -> Array:
+def pick(where: Array, chosen: Array, otherwise: Array) -> Array:
+    """Arrays of runs ``(..., any axes)``, the chosen ones where ``where (...)``."""
     rank = max(chosen.ndim - where.ndim, 0)
     return np.where(where.reshape(where.shape + (1,) * rank), chosen, otherwise)
 
 
-def _merged(lost: Array, info: Info, other: Info) -> Info:
+def merged(lost: Array, info: Info, other: Info) -> Info:
     """What was done, run by run; gains and Jacobians are merged when asked for."""
 
     def one(name: str) -> Any:
         mine, theirs = getattr(info, name), getattr(other, name)
         if mine is None or theirs is None:
             return mine
-        return (lambda: _pick(lost, theirs(), mine())) if callable(mine) else _pick(lost, theirs, mine)
+        return (lambda: pick(lost, theirs(), mine())) if callable(mine) else pick(lost, theirs, mine)
 
     return info._replace(**{name: one(name) for name in ("innovation", "whitened", "used", "sqrt_S", "gain", "jacobian")})

@@ -20,6 +20,8 @@ from celnav.gaussian.checks import beside, instance, integer, kind, numbers
 from celnav.gaussian.linalg import Array, Belief
 from celnav.tape.tape import CannotCompile
 
+__all__ = ["FixedLag"]
+
 MOST_KEPT = 1_000_000
 
 

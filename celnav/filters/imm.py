@@ -16,6 +16,8 @@ from celnav.gaussian.checks import finite, kind, sequence
 from celnav.gaussian.linalg import Array, Belief, SquareRoot, whiten
 from celnav.gaussian.spaces import EUCLIDEAN, Space
 
+__all__ = ["imm"]
+
 LEAST = -float(np.finfo(float).max)  # what can be taken off minus infinity
 
 

@@ -25,6 +25,8 @@ from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import integer
 from celnav.gaussian.linalg import Array, Belief
 
+__all__ = ["iterated_smoother"]
+
 
 def iterated_smoother(
     filter: Sequential, prior: Gaussian, times: ArrayLike | Iterable[Epoch], z: Any = None, u: Any = None, *,

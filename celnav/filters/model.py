@@ -19,6 +19,8 @@ from celnav.gaussian.checks import finite, function, instance, kind, numbers, ta
 from celnav.gaussian.linalg import Array, Covariance, SquareRoot, matvec
 from celnav.gaussian.spaces import EUCLIDEAN, Space
 
+__all__ = ["Linear", "Motion", "Sensor"]
+
 Model = Callable[..., Any]
 """``(points (p, ..., N), epoch, *noise points (p, ..., k)) -> (p, ..., M)``."""
 Jacobian = Callable[[Array, Any], Any]

@@ -18,6 +18,8 @@ from celnav.gaussian.belief import settled
 from celnav.gaussian.checks import choice, function, instance, integer, kind
 from celnav.gaussian.linalg import Array
 
+__all__ = ["run", "steps"]
+
 ENGINES = ("numpy", "compiled", "cuda", "auto")
 ENGINE: ContextVar[str] = ContextVar("engine", default="numpy")
 """What `run` and the studies take where nobody says: ``celnav reproduce --engine`` sets it."""

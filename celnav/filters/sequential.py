@@ -20,6 +20,8 @@ from celnav.gaussian.rules import AnyDimension, Taylor, cubature, gauss_hermite,
 from celnav.gaussian.spaces import EUCLIDEAN, Space
 from celnav.gaussian.sparse_grid import smolyak
 
+__all__ = ["Iterated", "SingleDraw", "ckf", "ekf", "ghkf", "sigma_point", "sparse_grid_filter", "ukf"]
+
 MOST_ITERATIONS = 10_000  # at every step
 
 

@@ -25,6 +25,8 @@ from celnav.filters.track import Track
 from celnav.gaussian.checks import choice, instance, kind
 from celnav.gaussian.linalg import Array, Belief
 
+__all__ = ["smooth"]
+
 
 def smooth(track: Track, filter: Any = None, *, gains: bool = False, on_failure: str = "raise") -> Track:
     """Estimates of all states given *all* measurements, from the track of a filter.

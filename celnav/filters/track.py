@@ -19,15 +19,20 @@ from celnav.lazy import needed_by
 if TYPE_CHECKING:
     import pandas as pd
 
+__all__ = ["Track"]
+
 
 @dataclass(frozen=True)
 class Track:
     """The record of a run, time-major: ``(T, ..., n)``, the batch axes of the runs between time and component.
 
+    ``print(celnav.report(track, truth))`` judges it.
+
     times: ``(T,)`` s, of the epochs stored. mean: ``(T, ..., N)``. std: ``(T, ..., n)``. None: not kept.
     belief: means and covariances in the filter's form, where ``run(keep="cov")`` kept them; see `cov`.
     innovation, whitened, used: ``(T, ..., m)`` of all sensors side by side, m the most that they had at an epoch: innovations, nan
         where not measured; whitened ones, 0 where not used; bool, which components took part.
+    sensors: how many of these components each sensor has, in their order.
     log_likelihood: ``(...)`` of all measurements, also of epochs not stored.
     events: counts ``(...)`` over all epochs: "missing" and "rejected" components, "redone" steps. Where ``z`` was None, as many are
         missing as that sensor has at other epochs.
@@ -50,6 +55,7 @@ class Track:
     log_likelihood: Array
     events: dict[str, Array]
     failed_at: Array
+    sensors: tuple[int, ...] = ()
     extra: dict[str, Array] = field(default_factory=dict)
     reduced: Any = None
     filter: Any = None
@@ -206,6 +212,8 @@ class Collector:
             raise ValueError(f"t: expected a number at each epoch, got {self._times[-1]!r:.80}") from None
         self._sums["missing"] = self._sums["missing"] + sum(count * self._widths[i] for i, count in self._silent.items())
         sums = {name: np.broadcast_to(value, self._failed_at.shape) for name, value in self._sums.items()}
+        measured = sorted(key for key in self._rows if key[0] == "innovation")
+        widths = tuple(max(row.shape[-1] for row in self._rows[key].values()) for key in measured)
         rows: dict[str, Any] = {name: self._stacked(name) for name in ("mean", "std", *_BLANK)}
         cov = self._stacked("cov", axes=2)
         return Track(
@@ -215,6 +223,7 @@ class Collector:
             log_likelihood=sums.pop("log_likelihood"),
             events=sums,
             failed_at=self._failed_at,
+            sensors=widths,
             extra={name: np.stack(values) for name, values in self._extra.items()},
             reduced=reduced,
             filter=filter,

@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike
 from celnav.gaussian.checks import beside, finite, integers, kind
 from celnav.gaussian.linalg import Array, Belief, SquareRoot, matvec, outer, semidefinite_root, whiten
 
+__all__ = ["Gaussian", "nees"]
+
 
 @dataclass(frozen=True, eq=False)
 class Gaussian:

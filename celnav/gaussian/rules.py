@@ -22,6 +22,8 @@ from celnav.gaussian.linalg import EPS, POSITIVE, Array, fan, semidefinite_root,
 from celnav.gaussian.spaces import EUCLIDEAN, Space, trailing
 from celnav.tape.derivative import along, at_zero
 
+__all__ = ["Rule", "Taylor", "cubature", "from_filterpy", "gauss_hermite", "simplex", "tensor_product", "unscented"]
+
 MAX_POINTS = 1_000_000
 
 

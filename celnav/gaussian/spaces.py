@@ -15,6 +15,8 @@ import numpy as np
 from celnav.gaussian.checks import integer, integers, sequence
 from celnav.gaussian.linalg import Array, side_by_side
 
+__all__ = ["EUCLIDEAN", "Space", "angles", "product"]
+
 
 class Space(NamedTuple):
     """How points and differences relate. Every function broadcasts over leading axes.

@@ -15,6 +15,11 @@ from celnav.gaussian.checks import finite, number, numbers
 from celnav.gaussian.linalg import Array, matvec
 from celnav.lazy import needed_by
 
+__all__ = [
+    "Flight", "earth_rate", "inertial_forces", "meridian_radius", "normal_gravity", "orientation", "radii", "spin",
+    "transport_rate", "transverse_radius", "turning_flight",
+]  # fmt: skip
+
 SEMI_MAJOR_M = 6378137.0
 FLATTENING = 1.0 / 298.257223563
 ECCENTRICITY_SQUARED = FLATTENING * (2.0 - FLATTENING)

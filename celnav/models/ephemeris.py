@@ -27,6 +27,8 @@ with needed_by("celnav.models.ephemeris", "papers"):
     from jplephem.daf import DAF
     from jplephem.spk import SPK
 
+__all__ = ["BodyState", "Kernel", "Tdb", "from_tt", "from_utc"]
+
 GM = {
     "sun": 132712440040.944, "mercury": 22032.090, "venus": 324858.592, "earth": 398600.436233, "moon": 4902.800076,
     "mars": 42828.375214, "jupiter": 126712764.8, "saturn": 37940585.2, "uranus": 5794548.6, "neptune": 6836535.0, "pluto": 977.0,

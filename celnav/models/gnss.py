@@ -15,6 +15,8 @@ import numpy as np
 from celnav.gaussian.checks import finite
 from celnav.gaussian.linalg import Array
 
+__all__ = ["Broadcast", "SatelliteState", "eccentric_anomaly", "satellites", "spun", "tilted", "turned"]
+
 GRAVITY_PARAMETER = 3.986004418e14  # m^3/s^2
 ROTATION_RATE = 7.2921150e-5  # rad/s
 GPS_GRAVITY_PARAMETER, GPS_ROTATION_RATE = 3.986005e14, 7.2921151467e-5  # with which GPS's elements are made

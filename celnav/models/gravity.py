@@ -18,6 +18,8 @@ from celnav.files import InputError
 from celnav.gaussian.checks import finite, instance, integer, number
 from celnav.gaussian.linalg import Array
 
+__all__ = ["Gravity", "read"]
+
 MOST_DEGREE = 2190
 """Of what a file may have; its coefficients take 80 MB."""
 

@@ -18,6 +18,8 @@ from celnav.gaussian.attitude import cross, exp, inverse, log, multiply, rotate,
 from celnav.gaussian.checks import LIMIT, finite, instance, integer, number, numbers, together
 from celnav.gaussian.linalg import Array, matvec, side_by_side
 
+__all__ = ["Body", "Gyro", "SteadyState", "preintegrate", "steady_state"]
+
 
 @dataclass(frozen=True)
 class Gyro:
@@ -36,6 +38,28 @@ class Gyro:
         number("sigma_u", self.sigma_u, 0.0)
         if not float(numbers("tau", self.tau, ())) > 0.0:
             raise ValueError(f"tau: expected a positive time (inf for a random walk), got {self.tau!r}")
+
+    @classmethod
+    def datasheet(
+        cls, angle_random_walk: float, *, rate_random_walk: float = 0.0, bias_instability: float = 0.0, tau: float = np.inf
+    ) -> Gyro:
+        """From the numbers of a data sheet [IEEE1997]; the drift walks at random, or is a Gauss-Markov process.
+
+        angle_random_walk: N, deg/h^(1/2); a noise density of x deg/s/Hz^(1/2) is one of 60 x deg/h^(1/2).
+        rate_random_walk: K, deg/h^(3/2).
+        bias_instability: B, deg/h, taken for the deviation of a drift of correlation time ``tau`` s: its Allan deviation peaks at
+            0.62 B, after 1.9 tau, where that of flicker noise is 0.66 B throughout.
+
+        >>> celnav.models.gyro.Gyro.datasheet(0.3, bias_instability=5.0, tau=600.0)  # deg/h^(1/2), deg/h, s
+        """
+        white = np.radians(number("angle_random_walk", angle_random_walk, 0.0)) / 60.0
+        walk = np.radians(number("rate_random_walk", rate_random_walk, 0.0)) / 3600.0 / 60.0
+        if not number("bias_instability", bias_instability, 0.0):
+            return cls(float(white), float(walk), tau)
+        if walk:
+            raise ValueError(f"rate_random_walk: expected 0 where bias_instability is given, got {rate_random_walk!r}")
+        time = number("tau", tau, above=0.0)  # a deviation without it is no process
+        return cls(float(white), float(np.radians(bias_instability / 3600.0) * np.sqrt(2.0 / time)), time)
 
     def factor(self, dt: float) -> float:
         """What is left of the drift after ``dt`` seconds."""

@@ -21,6 +21,11 @@ from celnav.gaussian.spaces import components, leading, trailing
 from celnav.models import earth
 from celnav.models.earth import Flight
 
+__all__ = [
+    "Navigation", "Solution", "advance", "derivative", "mechanize", "misalignment_angles", "misalignment_matrix", "navigation",
+    "star_residuals", "wahba_misalignment",
+]  # fmt: skip
+
 PHI, VELOCITY, POSITION, DRIFT, BIAS = slice(0, 3), slice(3, 5), slice(5, 7), slice(7, 10), slice(10, 13)
 STATES = ("phi_x", "phi_y", "phi_z", "dVx", "dVy", "dlon", "dlat", "eps_x", "eps_y", "eps_z", "nabla_x", "nabla_y", "nabla_z")
 SINGULAR = np.radians(89.0)

@@ -12,6 +12,8 @@ from celnav.gaussian.belief import symmetric
 from celnav.gaussian.checks import finite, number, together
 from celnav.gaussian.linalg import Array
 
+__all__ = ["Noise", "ar1", "ar1_noise", "effective_covariance", "stationary_covariance", "van_loan"]
+
 
 def stationary_covariance(Phi: ArrayLike, R: ArrayLike) -> Array:
     """Covariance ``(m, m)`` of a stationary sequence ``V' = Phi V + zeta``, ``zeta ~ N(0, R)``; ValueError if there is none."""

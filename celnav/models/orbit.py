@@ -19,6 +19,11 @@ from celnav.gaussian.checks import LIMIT, finite, instance, integer, number
 from celnav.gaussian.linalg import Array
 from celnav.gaussian.spaces import components, trailing
 
+__all__ = [
+    "Earth", "Flow", "Nodes", "UnitWarning", "acceleration", "advance", "check_orbit", "flow", "from_elements", "gradient",
+    "propagate", "step", "third_body", "to_elements", "transition", "warn_of_degrees",
+]  # fmt: skip
+
 
 class UnitWarning(UserWarning):
     """A number that is possible but looks as if it were in another unit."""

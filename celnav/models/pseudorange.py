@@ -14,6 +14,8 @@ import numpy as np
 from celnav.gaussian.linalg import Array
 from celnav.models.gnss import LIGHT, ROTATION_RATE, Broadcast, SatelliteState, satellites, spun, turned
 
+__all__ = ["Sources", "emitted", "jacobian", "measure", "sources"]
+
 
 class Sources(NamedTuple):
     """Satellites as a receiver sees them: positions ``q (..., S, 3)`` m at emission in the Earth-fixed frame of reception, and

@@ -18,6 +18,8 @@ from celnav.gaussian.checks import choice, instance, number, sequence
 from celnav.gaussian.linalg import Array
 from celnav.gaussian.spaces import Space
 
+__all__ = ["Pulsar", "Timing", "known", "pulsars"]
+
 LIGHT_KM_S = 299792.458
 GM_SUN = 1.32712440041e11  # km^3/s^2
 KPC_KM = 3.0856775814913673e16

@@ -18,6 +18,8 @@ from celnav.gaussian.checks import finite, number, numbers, together
 from celnav.gaussian.linalg import Array
 from celnav.models.orbit import EARTH, UnitWarning, warn_of_degrees
 
+__all__ = ["angles", "jacobian", "limb", "observe", "position", "pseudo_position_covariance", "star_directions", "visible"]
+
 
 def star_directions(separation: float) -> Array:
     """Unit vectors ``(2, 3)`` of the two stars, ``separation`` rad apart; ValueError if they are parallel."""

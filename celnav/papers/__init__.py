@@ -24,14 +24,18 @@ PAPERS = {name: f"celnav.papers.{name}" for name in ("csrukf", "ssukf", "tstdkf"
 
 
 def load(paper: str, others: Iterable[str] = ()) -> ModuleType:
-    """The module of a paper; ``others``: identifiers that are known where it is asked for.
+    """The module of a paper, or of a study of one's own, a file (`celnav.papers.own`); ``others``: identifiers known where it is
+    asked for.
 
     Raises
     ------
-    ValueError: for an unknown identifier; the message lists the known ones.
+    ValueError: for an unknown identifier; the message lists the known ones; or for a file, see `celnav.papers.own.load`.
     """
     if paper not in PAPERS:
-        known = [*PAPERS, *others]
+        if paper.endswith(".py"):
+            own: ModuleType = import_module("celnav.papers.own").load(paper)
+            return own
+        known = [*PAPERS, *others, "a file FILE.py"]
         close = difflib.get_close_matches(paper, known, 1)
         hint = f"; did you mean {close[0]}?" if close else ""
         raise ValueError(f"unknown paper {paper!r}: expected one of {', '.join(known)}{hint}")

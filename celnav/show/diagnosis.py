@@ -10,7 +10,8 @@ from celnav.analysis.diagnose import Diagnosis, Sensed
 from celnav.analysis.metrics import chi_square_band
 from celnav.gaussian.linalg import Array
 from celnav.show import colors
-from celnav.show.figures import Item, Panel, curve, level, panels
+from celnav.show.figures import Item, Panel, curve, panels
+from celnav.show.figures import level as horizontal
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -45,7 +46,7 @@ def figure(found: Diagnosis) -> Figure:
             rows[-1].append(
                 Panel(
                     "Is it as large as claimed?",
-                    [_size(found, sensor, percent)],
+                    [size(found.times - found.times[0], sensor, found.level, f"{percent} band if as claimed", "NIS / dof")],
                     "time since the first epoch (s)",
                     "NIS over its degrees of freedom",
                 )
@@ -56,26 +57,24 @@ def figure(found: Diagnosis) -> Figure:
 def _band(lags: Array, half: Array, label: str) -> Item:
     def item(ax: Axes) -> None:
         ax.fill_between(lags, -half, half, color=colors.SIGMA, alpha=0.3, linewidth=0.0, label=label)
-        level(0.0)(ax)
+        horizontal(0.0)(ax)
 
     return item
 
 
-def _size(found: Diagnosis, sensor: Sensed, percent: str) -> Item:
+def size(times: Array, sensor: Sensed, level: float, band: str, label: str) -> Item:
     """Means of bins of as many epochs, each with the band of what it consists of."""
-    starts = np.linspace(0, len(found.times), min(BINS, len(found.times)) + 1).astype(int)[:-1]
-    squares, dof, t = (np.add.reduceat(x, starts) for x in (sensor.squares, sensor.dof, found.times - found.times[0]))
-    many = np.diff([*starts, len(found.times)])
+    starts = np.linspace(0, len(times), min(BINS, len(times)) + 1).astype(int)[:-1]
+    squares, dof, t = (np.add.reduceat(x, starts) for x in (sensor.squares, sensor.dof, times))
+    many = np.diff([*starts, len(times)])
     there = dof > 0
-    bands = [chi_square_band(1.0, d / min(sensor.shared, n), found.level) for d, n in zip(dof[there], many[there], strict=True)]
-    low, high = np.array(bands).T
+    bands = [chi_square_band(1.0, d / min(sensor.shared, n), level) for d, n in zip(dof[there], many[there], strict=True)]
+    low, high = np.array(bands).reshape(-1, 2).T
     middle = (t / many)[there]
 
     def item(ax: Axes) -> None:
-        ax.fill_between(middle, low, high, color=colors.SIGMA, alpha=0.3, linewidth=0.0, label=f"{percent} band if as claimed")
-        curve(
-            middle, squares[there] / dof[there], color=colors.FAINT, marker=".", markersize=3.0, linewidth=0.9, label="NIS / dof"
-        )(ax)
-        level(1.0)(ax)
+        ax.fill_between(middle, low, high, color=colors.SIGMA, alpha=0.3, linewidth=0.0, label=band)
+        curve(middle, squares[there] / dof[there], color=colors.FAINT, marker=".", markersize=3.0, linewidth=0.9, label=label)(ax)
+        horizontal(1.0)(ax)
 
     return item

@@ -18,6 +18,8 @@ from celnav.analysis.metrics import bootstrap
 from celnav.gaussian.checks import choice
 from celnav.gaussian.linalg import Array
 
+__all__ = ["Claim", "Row"]
+
 Bounds = tuple[float | None, float | None]
 WORDS: dict[str, tuple[str, str]] = {
     "statement": ("reproduced", "not reproduced"),

@@ -14,6 +14,11 @@ from celnav.gaussian.linalg import Array
 from celnav.study.ledger import Bounds, Number, Tiers, estimate
 from celnav.study.study import Results, When
 
+__all__ = [
+    "all_of", "consistency", "correlation", "entries", "given", "lagged", "of", "over_time", "ratio", "rmse", "settling",
+    "tiers",
+]  # fmt: skip
+
 Decided = Callable[[Results], Number]
 Flown = tuple[str, str]
 """Part and filter."""

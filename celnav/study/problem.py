@@ -22,12 +22,14 @@ from celnav.filters.records import Epoch, Filter, epochs
 from celnav.filters.run import steps
 from celnav.filters.sequential import sigma_point
 from celnav.gaussian.belief import Gaussian
-from celnav.gaussian.checks import choice, finite, function, instance, integer, number, sequence
-from celnav.gaussian.linalg import Array, Belief
+from celnav.gaussian.checks import finite, function, instance, integer, number
+from celnav.gaussian.linalg import Array
 from celnav.gaussian.rules import Taylor
 from celnav.gaussian.spaces import EUCLIDEAN
 from celnav.study.montecarlo import generator, normals
-from celnav.study.trial import Group, Noiseless, Trial, bound, follow, squares
+from celnav.study.trial import Group, Noiseless, Trial, bound, check_groups, drawn, follow, squares
+
+__all__ = ["Problem", "compare"]
 
 WILD = 10.0  # by how much an outlier's noise is larger
 PASSES = 3
@@ -74,10 +76,7 @@ class Problem:
         if self.times.ndim != 1 or len(self.times) < 2 or not (np.diff(self.times) > 0.0).all():
             raise ValueError(f"times: expected two or more increasing numbers, got shape {self.times.shape}")
         epochs(self.times, u=self.u)
-        for group in sequence("groups", self.groups, "[Group('position', 'm', slice(0, 3))]"):
-            instance("groups", group, Group, "each a Group")
-            if not isinstance(group.part, slice) or not len(range(self.n)[group.part]):
-                raise ValueError(f"groups: expected a slice of {self.n} components for {group.name}, got {group.part!r}")
+        check_groups(self.groups, self.n)
 
     @property
     def n(self) -> int:
@@ -103,16 +102,10 @@ class Problem:
 
     def trial(self, filters: Mapping[str, Filter], rngs: Sequence[np.random.Generator], reference: str = "") -> Trial:
         """Runs for filters to be judged on; ``reference``: see `celnav.study.trial.Trial`."""
-        instance("filters", filters, Mapping, "filters by name, such as {'ukf': filter}")
-        choice("reference", reference, ("", *filters))
         truth, z = self.draw(rngs)
-        prior = Gaussian(np.tile(self.prior.mean, (truth.shape[1], 1)), self.prior.cov)
-        every = epochs(self.times, z, self.u, truth)
         groups = tuple(self.groups) or (Group("state", "", slice(0, self.n)),)
-        return Trial(groups, filters, prior, lambda _name: every, self._compare, reference)
-
-    def _compare(self, truth: Any, belief: Belief) -> tuple[Array, Array]:
-        return -self.motion.space.minus(truth, belief.mean), belief.sqrt_cov  # the root is that of tangents at the mean
+        more: dict[str, Any] = {"u": self.u, "space": self.motion.space, "reference": reference}
+        return drawn(groups, filters, self.prior, self.times, z, truth, **more)
 
 
 def _image(model: Motion | Sensor, x: Array, epoch: Epoch, m: int | None = None) -> Array:

@@ -17,19 +17,22 @@ from celnav.gaussian.checks import instance, integer, sequence
 from celnav.gaussian.linalg import Array, matvec
 from celnav.study.montecarlo import generator
 
+__all__ = ["simulate"]
+
 MOST_RUNS = 1_000_000  # generators of numbers take time and memory
 
 
 def simulate(
     motion: Motion, sensor: Sensor | Sequence[Sensor], prior: Gaussian, times: ArrayLike, *,
-    runs: int, seed: int = 0, u: Any = None, Phi: Any = None,
+    runs: int | Sequence[np.random.Generator], seed: int = 0, u: Any = None, Phi: Any = None,
 ) -> tuple[Array, Any]:  # fmt: skip
     """Truth ``(T, runs, N)`` and measurements ``(T, runs, m)``, a tuple of them for a sequence of sensors.
 
     motion, sensor: what a filter of them believes; of several sensors a sequence. Noise through the points is drawn, too.
     prior: mean ``(N,)`` and covariance ``(n, n)`` of the start.
     times: ``(T,)`` s. u: inputs, as in `celnav.epochs`.
-    runs: how many. seed: run r has the generator of ``(seed, 0, r)``, whatever the number of runs.
+    runs: how many. seed: run r has the generator of ``(seed, 0, r)``, whatever the number of runs. A study has generators: then
+        ``runs`` is a list of them, one for each run.
     Phi: ``(m, m)`` or a function of the epoch, of colored noise ``V' = Phi V + zeta`` of covariance R (one sensor).
 
     >>> truth, z = celnav.simulate(motion, gps, prior, np.arange(601.0), runs=500)
@@ -44,9 +47,12 @@ def simulate(
     if prior.mean.ndim != 1 or prior.cov.ndim != 2:
         raise ValueError(f"prior: expected one mean (N,) and covariance (n, n), got {prior.mean.shape} and {prior.cov.shape}")
     check_matrices(len(prior.cov), motion, *sensors)
-    if (runs := integer("runs", runs)) > MOST_RUNS:
-        raise ValueError(f"runs: expected at most {MOST_RUNS}, got {runs}")
-    rngs = [generator(seed, 0, run) for run in range(runs)]
+    if isinstance(runs, list | tuple) and runs and all(hasattr(rng, "standard_normal") for rng in runs):
+        rngs: Sequence[np.random.Generator] = runs
+    else:
+        if (count := integer("runs", runs)) > MOST_RUNS:
+            raise ValueError(f"runs: expected at most {MOST_RUNS}, got {count}")
+        rngs = [generator(seed, 0, run) for run in range(count)]
 
     def draw(columns: Array) -> Array:
         return matvec(columns, np.stack([rng.standard_normal(columns.shape[-1]) for rng in rngs]))
@@ -76,7 +82,7 @@ def simulate(
             V = white(model, x, epoch) if V is None else matvec(phi(epoch) if callable(phi) else phi, V) + draw(at(zeta, x, epoch))
             return V
 
-    x = motion.space.plus(np.tile(prior.mean, (runs, 1)), draw(prior.sqrt_cov))
+    x = motion.space.plus(np.tile(prior.mean, (len(rngs), 1)), draw(prior.sqrt_cov))
     truth, z = [], []
     for epoch in epochs(times, u=u):
         if epoch.dt:

@@ -26,6 +26,8 @@ from celnav.study.ledger import Claim, Row
 from celnav.study.montecarlo import blocks, effort, generator, run_count
 from celnav.study.trial import Group, Trial, follow
 
+__all__ = ["Results", "Study"]
+
 Rngs = Sequence[np.random.Generator]
 When = int | slice | str
 """An epoch, those that are averaged over, or the name of a window, see `Study`."""
@@ -101,6 +103,7 @@ class Study:
     says, found: what the paper claims as a whole, and our answer, a sentence or two each.
     figure: stem of the one that decides.
     windows: ``(config, times) ->`` parts of the time by name, as slices of the epochs that are judged.
+    source: hash of the file that it comes from, where that is none of celnav's.
     """
 
     name: str
@@ -112,6 +115,7 @@ class Study:
     found: str = ""
     figure: str = ""
     windows: Callable[[Any, Array], Mapping[str, slice]] | None = None
+    source: str = ""
 
     def units(self, *, effort: float = 1.0, seed: int = 0, only: Sequence[str] = (), **inputs: Any) -> list[Unit]:
         """The work to be done; ``only``: names of the parts wanted, all if empty; ``inputs``: what else `parts` takes."""
@@ -121,6 +125,7 @@ class Study:
         engine = ENGINE.get()
         about = f"effort {effort!r}, {sorted((key, str(value)) for key, value in inputs.items())}"
         about += "" if engine == "numpy" else f", engine {engine}"
+        about += f", source {self.source}" if self.source else ""
         units = []
         for name, part in parts.items():
             if not only or name in only:

@@ -12,11 +12,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.filters.records import Epoch, Filter, Info
+from celnav.filters.records import Epoch, Filter, Info, epochs
 from celnav.filters.run import ENGINE, explain, steps
 from celnav.gaussian.belief import Gaussian, any_lost, nees
-from celnav.gaussian.checks import choice, instance, integer
+from celnav.gaussian.checks import choice, finite, instance, integer, sequence
 from celnav.gaussian.linalg import Array, Belief
+from celnav.gaussian.spaces import EUCLIDEAN, Space
+
+__all__ = ["Group"]
 
 TOGETHER = 8  # epochs whose roots are evaluated at once; with more of them the filter's own arrays leave the cache
 
@@ -52,6 +55,40 @@ class Trial(NamedTuple):
     compare: Callable[[Any, Belief], tuple[Array, Array]]
     reference: str = ""
     place: Callable[[Array], Array] | None = None
+
+
+def check_groups(groups: Any, n: int) -> None:
+    """Groups of components, of which there are ``n``; ValueError names what is none."""
+    for group in sequence("groups", groups, "[Group('position', 'm', slice(0, 3))]"):
+        instance("groups", group, Group, "each a Group")
+        if not isinstance(group.part, slice) or not len(range(n)[group.part]):
+            raise ValueError(f"groups: expected a slice of {n} components for {group.name}, got {group.part!r}")
+
+
+def drawn(
+    groups: Sequence[Group], filters: Mapping[str, Filter], prior: Gaussian, times: Array, z: Any, truth: Array, *,
+    u: Any = None, space: Space = EUCLIDEAN, reference: str = "",
+) -> Trial:  # fmt: skip
+    """A trial of runs that were drawn: of the states themselves, which are judged as their space has it.
+
+    prior: of one run. times: ``(T,)`` s. z, u: as `celnav.epochs` takes them. truth: ``(T, runs, N)``. The rest: see `Trial`.
+
+    >>> truth, z = celnav.simulate(motion, radar, prior, times, runs=rngs)
+    >>> trial = celnav.study.trial.drawn(groups, {"ukf": celnav.ukf(motion, radar)}, prior, times, z, truth)
+    """
+    instance("filters", filters, Mapping, "filters by name, such as {'ukf': filter}")
+    choice("reference", reference, ("", *filters))
+    instance("prior", prior, Gaussian, "celnav.Gaussian(mean, cov)")
+    check_groups(groups, prior.cov.shape[-1])
+    instance("space", space, Space, "a Space, such as celnav.attitude()")
+    states = finite("truth", truth, (None, None, prior.mean.shape[-1]))
+    every = epochs(times, z, u, states)
+
+    def compare(truth: Any, belief: Belief) -> tuple[Array, Array]:
+        return -space.minus(truth, belief.mean), belief.sqrt_cov  # the root is that of tangents at the mean
+
+    start = Gaussian(np.tile(prior.mean, (states.shape[1], 1)), prior.cov)
+    return Trial(tuple(groups), filters, start, lambda _name: every, compare, reference)
 
 
 def squares(groups: Sequence[Group], values: Array) -> Array:

@@ -232,3 +232,48 @@ def test_gates_and_windows_work_on_attitudes(form, rule):
     wide = filtered(ADDITIVE, far, gyro, rule, form, [innovation_window(5)])
     assert np.isfinite(wide.mean).all()
     assert at.angle(at.multiply(wide.mean[20, 2, :4], at.inverse(q[20, 2]))) < error[1]
+
+
+def test_numbers_of_a_data_sheet_by_hand():
+    """0.3 deg/h^(1/2) is 0.005 deg/s^(1/2); 3 deg/h^(3/2) is 3 / 3600 / 60 deg/s^(3/2); 5 deg/h is 2.424e-5 rad/s."""
+    walk = Gyro.datasheet(0.3, rate_random_walk=3.0)
+    assert walk.sigma_v == pytest.approx(np.radians(0.005))
+    assert walk.sigma_u == pytest.approx(np.radians(3.0 / 216000.0))
+    assert np.isinf(walk.tau)
+    # After an hour the angle has walked 0.3 deg; the drift of the walk alone 3 deg/h.
+    assert np.degrees(walk.rate_std(3600.0) * 3600.0) == pytest.approx(0.3)
+    assert np.degrees(walk.drift_std(3600.0)) * 3600.0 == pytest.approx(3.0)
+    settled = Gyro.datasheet(0.3, bias_instability=5.0, tau=600.0)
+    assert settled.drift_std(1e6) == pytest.approx(2.4240684e-5)
+    assert (settled.sigma_v, settled.tau) == (walk.sigma_v, 600.0)
+
+
+def test_the_drift_of_a_bias_instability_has_its_allan_deviation():
+    """Simulated: it peaks at 0.62 of the instability, after 1.9 correlation times."""
+    gyro, rng, runs = Gyro.datasheet(0.0, bias_instability=10.0, tau=20.0), np.random.default_rng(5), 400
+    deviation = gyro.sigma_u * np.sqrt(gyro.tau / 2.0)
+    drift = gyro.drift(deviation * rng.standard_normal((runs, 1)), rng.standard_normal((1599, runs, 1)), 1.0)[..., 0]
+    found = []
+    for length in (16, 32, 40, 80):
+        means = drift[: len(drift) // length * length].reshape(-1, length, runs).mean(1)
+        found.append(np.sqrt(0.5 * np.square(np.diff(means, axis=0)).mean()) / np.radians(10.0 / 3600.0))
+    assert max(found) == pytest.approx(0.618, abs=0.02)
+    assert int(np.argmax(found)) in (1, 2)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (
+            {"bias_instability": 1.0, "rate_random_walk": 1.0},
+            "rate_random_walk: expected 0 where bias_instability is given, got 1.0",
+        ),
+        ({"bias_instability": -1.0}, "bias_instability: expected a number of at least 0, got -1.0"),
+        ({"bias_instability": 1.0, "tau": np.inf}, "tau: expected a positive number, got inf"),
+        ({"angle_random_walk": None}, "angle_random_walk: expected a number of at least 0, got None"),
+    ],
+)
+def test_a_data_sheet_that_cannot_be_is_refused(arguments, text):
+    with pytest.raises(ValueError) as error:
+        Gyro.datasheet(**{"angle_random_walk": 0.1} | arguments)
+    assert str(error.value) == text

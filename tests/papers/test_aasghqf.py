@@ -9,17 +9,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from readable import faults
+from scipy.linalg import block_diag, expm
+from scipy.spatial.transform import Rotation
 
 from celnav import Epoch, Gaussian, Motion, run, sigma_point
-from celnav.analysis.observability import nonlinearity_weights, svd_degree, threshold_weights
+from celnav.analysis.observability import jacobian, nonlinearity_weights, state_singular_values, threshold_weights
 from celnav.files import Outputs
 from celnav.gaussian.linalg import Covariance
 from celnav.gaussian.rules import gauss_hermite, simplex, tensor_product
-from celnav.gaussian.sparse_grid import index_set, smolyak
+from celnav.gaussian.sparse_grid import index_set, point_count, smolyak
 from celnav.models import inertial
 from celnav.papers import aasghqf
 from celnav.papers.aasghqf import scenario, show, study
-from celnav.papers.aasghqf.scenario import DEGREE, NONLINEAR_WEIGHTS, PAPER_WEIGHTS, PRESETS, A
+from celnav.papers.aasghqf.scenario import BORESIGHTS, DEGREE, NONLINEAR_WEIGHTS, PAPER_WEIGHTS, PRESETS, A, measurement
 from celnav.show.claims import dumps
 from celnav.study.montecarlo import generator
 
@@ -75,7 +77,7 @@ def test_what_needs_no_runs_comes_out_as_expected(results):
     claims = {claim.id: claim for claim in results.claims()}
     dumps(claims.values())
     exact = ["table-1-counts", "points-for-two-states", "degrees-of-observability", "threshold-weights", "higher-order-is-why",
-             "table-4-points", "saving-grows", "adapts-along-the-flight", "erratum-9-units", "first-fix",
+             "table-4-points", "saving-grows", "one-millisecond-more", "cheaper-than-sghqf", "erratum-9-units", "first-fix",
                  *(row.id for row in study.ROWS if row.kind == "erratum")]  # fmt: skip
     assert {id: claims[id].verdict for id in exact} == {id: claims[id].expected for id in exact}
     for claim in claims.values():
@@ -102,7 +104,7 @@ def test_averages_are_those_of_their_definition(results):
 
 # -- what is shown -------------------------------------------------------------------------------------------------------
 def test_every_figure_draws(results):
-    assert [f"figure_{i:02d}" for i in range(1, 8)] == list(show.FIGURES)
+    assert [f"figure_{i:02d}" for i in range(1, 9)] == list(show.FIGURES)
     drawn = {stem: draw(results) for stem, (_, draw) in show.FIGURES.items()}
     for stem, fig in drawn.items():
         assert not faults(fig), stem
@@ -146,9 +148,8 @@ def test_tensor_rules_with_their_coefficients_are_the_smolyak_rule(level, weight
 
 
 def test_degrees_by_singular_values_and_their_weights():
-    np.testing.assert_allclose(svd_degree(np.diag([3.0, 0.5, 7.0]), 1), [6.0, 1.0, 14.0])
-    both = svd_degree(np.stack([np.diag([3.0, 0.5, 7.0]), np.diag([1.0, 2.0, 4.0])]), 0)
-    np.testing.assert_allclose(both, [[1.0, 0.5 / 3.0, 7.0 / 3.0], [1.0, 2.0, 4.0]])
+    both = np.stack([np.diag([3.0, 0.5, 7.0]), np.diag([1.0, 2.0, 4.0])])
+    np.testing.assert_allclose(state_singular_values(both), [[3.0, 0.5, 7.0], [1.0, 2.0, 4.0]])
     assert threshold_weights([9.8, 5.0, 5.1, 0.0], 5.0) == (1, 2, 1, 2)
 
 
@@ -164,6 +165,69 @@ def test_only_the_misalignment_is_nonlinear(short):
 
     bent = [lambda x: inertial.advance(x, alone(second).u.interval, 1.0), lambda x: scenario.measurement(x, alone(first))]
     assert nonlinearity_weights(bent, np.zeros(13), sim.config.sigma0, tolerance=1e-3) == NONLINEAR_WEIGHTS
+
+
+def at_rest(config, turned=None):
+    """What is known at the start of a flight without errors, with a body that is turned against it."""
+    nav = inertial.navigation(config.flight, 0, np.zeros(3), np.zeros(3))
+    if turned is not None:
+        nav = nav._replace(attitude=nav.attitude @ turned)
+    return Epoch(dt=1.0, u=scenario.Inputs(nav, nav.attitude, BORESIGHTS @ nav.attitude.T, np.eye(8)))
+
+
+def test_at_rest_the_matrix_of_a_piece_is_that_of_lie_derivatives(results):
+    values = state_singular_values(scenario.observability(np.zeros(13), at_rest(A), A.units))
+    np.testing.assert_allclose(values / values[3], results.get("observability", "every")[0, 0], rtol=1e-5, atol=1e-8)
+
+
+def test_from_the_second_order_on_the_weights_do_not_depend_on_it():
+    matrices = [scenario.observability(np.zeros(13), at_rest(A), A.units, order) for order in range(1, 13)]
+    values = [state_singular_values(matrix) for matrix in matrices]
+    first, *others = (threshold_weights(one / one[3], 5.0) for one in values)
+    assert set(first) == {2}
+    assert set(others) == {(1, 1) + (2,) * 11}
+
+
+def test_level_flight_does_not_tell_the_vertical_bias_and_a_roll_tells_it_by_its_sine():
+    def column(degrees):
+        c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+        roll = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+        return scenario.observability(np.zeros(13), at_rest(A, roll), A.units)
+
+    assert np.linalg.matrix_rank(column(0.0)) <= 12
+    assert state_singular_values(column(0.0))[12] == 0.0
+    one, two = (np.linalg.norm(column(degrees)[:, 12]) for degrees in (1.0, 2.0))
+    assert two / one == pytest.approx(np.sin(np.radians(2.0)) / np.sin(np.radians(1.0)), rel=1e-6)
+
+
+def test_pieces_without_transitions_are_those_with_them():
+    """The null space of each is in that of its rates, so that the stacks of both kinds have the same one."""
+    x, known = np.zeros(13), [at_rest(A), at_rest(replace(A, heading_deg=110.0, speed_m_per_s=300.0))]
+    H0, H1 = (scenario.observability(x, e, A.units, 12) for e in known)
+    A0, A1 = (jacobian(lambda x, e=e: inertial.derivative(x, e.u.interval), x) for e in known)
+    move = expm(50.0 * A0 * A.units[0] / A.units[0][:, None])
+    stripped, total = (np.linalg.matrix_rank(np.concatenate([H0, last]), tol=1e-9) for last in (H1, H1 @ move))
+    assert stripped == total == 12
+    assert np.abs(A1[:, 12]).max() < 1e-3 * np.abs(A1).max()
+
+
+def test_extreme_thresholds_are_the_isotropic_rule_and_the_rule_before(short):
+    sim, _ = short
+    epoch = next(sim.epochs())
+    belief = Covariance(sim.prior.mean, np.broadcast_to(sim.prior.cov, (4, 13, 13)))
+    everything = scenario.by_observability(sim.config, 0.0)(belief, epoch, None)
+    assert {f"{number:013b}"[1:] for number in everything.tolist()} == {"1" * 12}  # all but the vertical bias, perhaps
+    never = scenario.by_observability(sim.config, 1e30)
+    np.testing.assert_array_equal(never(belief, epoch, None), 2**13 - 1)
+    np.testing.assert_array_equal(never(belief, epoch, np.full(4, 3)), 3)
+
+
+def test_counts_of_points_and_what_they_save():
+    for m, k in ((2, 0), (2, 3), (4, 9), (7, 2)):
+        assert point_count(m + k, 3, [1] * m + [2] * k) == 1 + 2 * k + 8 * m + 2 * m * (m - 1)
+    saved = [1.0 - point_count(n, 3, [1] * (n // 2) + [2] * (n // 2)) / point_count(n, 3) for n in (6, 12, 24, 400)]
+    assert np.diff(saved).min() > 0.0
+    assert saved[-1] == pytest.approx(1.0 - 0.5**2, abs=0.01)
 
 
 # -- the filters ---------------------------------------------------------------------------------------------------------
@@ -243,6 +307,60 @@ def test_a_rule_that_loses_definiteness_is_redone_and_counted():
     assert (ckf5.failed_at < 0).all()
     np.testing.assert_allclose(ckf5.mean[0], positive.mean[0], atol=1e-12)
     assert not any(np.any(track.events["redone"]) for track in others)
+
+
+def test_weights_by_nonlinearity_on_line_are_those_of_57_points_then_of_27(short):
+    sim, _ = short
+    track = run(
+        scenario.adaptive(scenario.by_nonlinearity(), sim.config), sim.prior, sim.epochs(),
+        also=lambda epoch, state, infos: {"chosen": state.chosen},
+    )  # fmt: skip
+    assert [scenario.weighted(number).num_sigmas() for number in track.extra["chosen"][[0, -1], 0].tolist()] == [57, 27]
+    (fine,) = tracks(short, "sghqf")
+    assert np.abs((track.mean - fine.mean) / fine.std).max() < 0.3
+
+
+def test_mounting_errors_that_are_known_change_nothing():
+    """Reading K: a filter that turns what it expects as the sensors turn what they see, isotropic noise and all."""
+    config = replace(A, steps=10)
+    sim, rng = aasghqf.simulate(config, [generator(0, 0, r) for r in range(2)]), np.random.default_rng(0)
+    E = block_diag(*Rotation.from_rotvec(1e-3 * rng.standard_normal((2, 3))).as_matrix(), np.eye(2))
+    motion, sensor = scenario.model(config)
+    other = replace(sensor, h=lambda x, epoch: measurement(x, epoch) @ E.T)
+    turned = sigma_point(motion, other, rule=scenario.rules()["nonlinear"], form="covariance")
+    own, given = run(scenario.filters(config)["nonlinear"], sim.prior, sim.epochs()), sim._replace(z=sim.z @ E.T)
+    other = run(turned, sim.prior, given.epochs())
+    assert np.abs((own.mean - other.mean) / own.std).max() < 1e-5
+
+
+def test_mounting_errors_turn_the_attitude_by_the_closed_form():
+    """Reading U, one fix without noise: the bias is the least-squares solution, of a common error that error itself."""
+    config, mu = replace(A, steps=1), 1e-4 * np.array([[[0.3, -0.8, 0.5], [1.1, 0.4, -0.2]], [[0.3, -0.8, 0.5]] * 2])
+    sim = aasghqf.simulate(config, study.UNDISTURBED * 2)
+    epoch = next(sim.epochs())
+    z = scenario.mounted(sim, mu).z[0, :, :6]
+    np.testing.assert_allclose(z.reshape(2, 2, 3), np.cross(mu, BORESIGHTS), atol=1e-7)
+    attitude = epoch.u.attitude
+    phi = inertial.wahba_misalignment(z, attitude, epoch.u.stars)
+    bias = -np.einsum("rij,ri->rj", attitude, phi)  # on body axes; C_n^n' turns axes, not vectors
+    r1, r2 = BORESIGHTS
+    r3 = np.cross(r1, r2)
+    expected = [mu[0, 1] @ r1, mu[0, 0] @ r2, 0.5 * (mu[0, 0] + mu[0, 1]) @ r3]
+    np.testing.assert_allclose(bias[0] @ np.array([r1, r2, r3]).T, expected, atol=1e-7)
+    np.testing.assert_allclose(bias[1], mu[1, 0], atol=1e-7)
+
+
+def test_estimated_mounting_errors_are_in_the_model(short):
+    """Reading S: at a state that has them, it expects what the sensors see."""
+    config = replace(A, steps=1)
+    mu = 1e-4 * np.array([[[0.3, -0.8, 0.5], [1.1, 0.4, -0.2]]])
+    sim = aasghqf.simulate(config, [generator(0, 0, 0)])
+    filter, prior = scenario.mounting_filter(config, 1e-3)
+    assert prior.mean.shape == (1, 19)
+    x = np.concatenate([sim.truth[0], mu.reshape(1, 6)], -1)
+    epoch = next(sim.epochs())
+    added = scenario.mounted(sim, mu).z[0] - sim.z[0]
+    np.testing.assert_allclose(filter.sensors[0].h(x[None], epoch)[0] - measurement(sim.truth[:1], epoch)[0], added, atol=1e-7)
 
 
 def test_fixes_come_at_their_own_rates():

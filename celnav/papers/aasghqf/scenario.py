@@ -12,11 +12,14 @@ from functools import cache, cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from celnav.analysis.observability import hysteresis, jacobian, nonlinearity_degree, observability_matrix, state_singular_values
 from celnav.filters.fallback import Fallback
 from celnav.filters.model import Motion, Sensor
 from celnav.filters.records import Epoch, Filter, FromFunctions
 from celnav.filters.sequential import Iterated, ekf, sigma_point
+from celnav.filters.switching import Switching
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array, Belief, surely
 from celnav.gaussian.rules import Rule, Taylor, cubature, gauss_hermite, simplex, tensor_product, unscented
@@ -88,6 +91,12 @@ class Config(Timed):
         return np.array([east * np.cos(at), north])
 
     @property
+    def units(self) -> tuple[Array, Array]:
+        """Those in which degrees of observability are nearest to Table 2: rad, m/s, m, deg/h, micro g ``(13,)``; 1, m ``(8,)``."""
+        rates = np.repeat([DEGREE / 3600.0, MICRO_G], 3)
+        return np.concatenate([np.ones(5), 1.0 / self.meters(), rates]), np.concatenate([np.ones(6), self.meters()])
+
+    @property
     def sigma0(self) -> Array:
         """Standard deviations ``(13,)`` of the prior."""
         angles, position = np.radians(self.misalignment_deg), self.position_m / self.meters()
@@ -110,13 +119,15 @@ PRESETS = {
     "T3-arcmin": replace(NOISY, misalignment_deg=(20.0, 15.0, 7.0), star_arcsec=1200.0, star_interval=20, sar_interval=10),
 }  # fmt: skip
 """Fitted so that the levels of Table 3 come out; fixes at every step; slow fixes; star noise misread as arc minutes, fitted too."""
+TURNING = replace(PRESETS["A-slow"], turn_rate_deg_per_s=2.0)
+"""Twenty times the paper's turn rate (chosen): in the middle of the flight the force becomes more horizontal than vertical."""
 
 
 # -- what happens ------------------------------------------------------------------------------------------------------------
 class Inputs(NamedTuple):
     """What filters know: the interval that ends here, C_b^n' ``(runs, 3, 3)``, directions on n ``(2, 3)``, root of R ``(8, 8)``."""
 
-    interval: Navigation | None
+    interval: Navigation
     attitude: Array
     stars: Array
     sqrt_R: Array
@@ -136,7 +147,8 @@ class Scenario(NamedTuple):
         star = np.full(6, np.radians(config.star_arcsec / 3600.0))
         for k, t in enumerate(config.times.tolist()):
             true, meters = flight.attitude[2 * k], config.meters(float(flight.latitude[2 * k]))
-            interval = inertial.navigation(flight, 2 * k - 1, truth[k - 1, :, PHI], truth[k - 1, :, BIAS]) if k else None
+            before = truth[max(k - 1, 0)]
+            interval = inertial.navigation(flight, max(2 * k - 1, 0), before[:, PHI], before[:, BIAS])
             attitude = inertial.misalignment_matrix(truth[k, :, PHI]) @ true
             u = Inputs(interval, attitude, BORESIGHTS @ true.T, np.diag([*star, *config.sar_m / meters]))
             yield Epoch(k, t, config.step_s if k else 0.0, u, self.z[k], truth[k])
@@ -225,6 +237,88 @@ def wahba_start(belief: Belief, z: Array, epoch: Epoch) -> Array:
     return at
 
 
+# -- weights that change along the flight ------------------------------------------------------------------------------------
+Choose = Callable[[Any, Epoch, Array | None], Array]
+BITS = 1 << np.arange(13)
+"""Weights as a number: the bit of each state of weight 1."""
+
+
+def ones(chosen: Array | None) -> Array:
+    """States of weight 1 ``(..., 13)`` of weights as numbers; at first none."""
+    return np.asarray(np.asarray(0 if chosen is None else chosen)[..., None] & BITS) > 0
+
+
+def observability(x: Array, epoch: Epoch, units: tuple[Array, Array], order: int = 3) -> Array:
+    """Observability matrix ``(..., 8 (order + 1), 13)`` at states ``(..., 13)``, in units of states and outputs."""
+    states, outputs = units
+    rates = jacobian(lambda x: inertial.derivative(x, epoch.u.interval), x) * states / states[:, None]
+    return observability_matrix(rates, jacobian(lambda x: measurement(x, epoch), x) * states * outputs[:, None], order)
+
+
+def by_observability(config: Config, threshold: float = 5.0, *, weigh: bool = False, band: float = 1.1) -> Choose:
+    """Weights by Eqs. 15 and 19 at the estimate, over the degree of the east velocity; ``weigh``: by the belief's covariance.
+
+    Where no state is above the threshold, the weights stay: all 2 would be the isotropic rule, which it begins with.
+    """
+
+    def choose(belief: Any, epoch: Epoch, chosen: Array | None) -> Array:
+        cov = belief.cov / np.multiply.outer(config.units[0], config.units[0]) if weigh else None
+        values = state_singular_values(observability(belief.mean, epoch, config.units), cov)
+        above = hysteresis(values / values[..., 3:4], threshold, ones(chosen), band) @ BITS
+        return np.where(above, above, BITS.sum() if chosen is None else chosen)
+
+    return choose
+
+
+def by_nonlinearity(threshold: float = 0.1, band: float = 1.1) -> Choose:
+    """Weight 1 where the star residuals bend by more than so many deviations of their noise, or a step by so many of the belief."""
+
+    def choose(belief: Any, epoch: Epoch, chosen: Array | None) -> Array:
+        x, std = belief.mean, belief.std
+        degree = nonlinearity_degree(lambda x: measurement(x, epoch), x, std, epoch.u.sqrt_R.diagonal())
+        if epoch.dt:
+            step = nonlinearity_degree(lambda x: inertial.advance(x, epoch.u.interval, epoch.dt), x, std, std)
+            degree = np.maximum(degree, step)
+        return np.asarray(hysteresis(degree, threshold, ones(chosen), band) @ BITS)
+
+    return choose
+
+
+@cache
+def weighted(number: int, level: int = 3) -> Rule:
+    """The rule whose states of weight 1 are the bits of a number; with none it is of level 2, that of the UKF."""
+    return smolyak(13, level, np.where(number & BITS, 1, 2).tolist()) if number else smolyak(13, 2)
+
+
+def adaptive(choose: Choose, config: Config) -> Switching:
+    """A filter whose weights are chosen before each step, run by run."""
+    return Switching(cache(lambda number: quadrature_filter(weighted(number, config.level), config)), choose)
+
+
+# -- the star sensors' mounting ----------------------------------------------------------------------------------------------
+def mounted(sim: Scenario, errors: Array) -> Scenario:
+    """The runs with mounting errors ``(runs, 2, 3)`` rad unknown to filters [Liang2014, Eqs. 26-28]: stars are on boresights."""
+    turned = Rotation.from_rotvec(errors.reshape(-1, 3)).apply(np.tile(BORESIGHTS, (len(errors), 1)))
+    z = sim.z.copy()
+    z[..., :6] += turned.reshape(-1, 6) - BORESIGHTS.ravel()
+    return sim._replace(z=z)
+
+
+def mounting_filter(config: Config, sigma: float) -> tuple[Filter, Gaussian]:
+    """A filter of 19 states, the last six mounting errors of deviation ``sigma`` rad, and its prior of one run."""
+
+    def h(x: Array, epoch: Epoch) -> Array:
+        z = measurement(x[..., :13], epoch)
+        seen = z[..., :6].reshape(*z.shape[:-1], 2, 3) + epoch.u.stars @ epoch.u.attitude  # on body axes
+        z[..., :6] += np.cross(x[..., 13:].reshape(seen.shape), seen).reshape(*z.shape[:-1], 6)
+        return z
+
+    motion = Motion(lambda x, epoch: np.concatenate([dynamics(x[..., :13], epoch), x[..., 13:]], -1),
+                    sqrt_Q=np.pad(config.sqrt_Q, ((0, 6), (0, 0))))  # fmt: skip
+    filter = sigma_point(motion, replace(model(config)[1], h=h), rule=smolyak(19, config.level, (1,) * 3 + (2,) * 16), form=FORM)
+    return filter, Gaussian(np.zeros((1, 19)), np.diag(np.square([*config.sigma0, *[sigma] * 6])))
+
+
 # -- how they are judged -----------------------------------------------------------------------------------------------------
 JUDGED = {"misalignment": "arcmin", "velocity": "m/s", "position": "m", "drift": "deg/h", "bias": "ug"}
 
@@ -239,6 +333,10 @@ def groups(config: Config, angle: float = DEGREE / 60.0, unit: str = "arcmin") -
 
 def trial(config: Config, rngs: Sequence[np.random.Generator]) -> Trial:
     """One run with each generator, for missions, campaigns and the study."""
-    sim = simulate(config, rngs)
-    return Trial(groups(config), filters(config), sim.prior, lambda _name: sim.epochs(),
+    return trial_of(simulate(config, rngs))
+
+
+def trial_of(sim: Scenario) -> Trial:
+    """The trial of runs that are simulated already."""
+    return Trial(groups(sim.config), filters(sim.config), sim.prior, lambda _name: sim.epochs(),
                  lambda truth, belief: (belief.mean - truth, belief.sqrt_cov), "ekf")  # fmt: skip

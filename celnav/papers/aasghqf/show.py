@@ -90,6 +90,21 @@ def first_fix(results: Results) -> Figure:
               log="xy") for what, title in titles.items()], size=(10.0, 3.6))  # fmt: skip
 
 
+def along(results: Results) -> Figure:
+    """Degrees of the misalignment on both flights, and points and errors of filters whose weights are chosen on line."""
+    slow, t, shades = "A-slow, on line", results.times("A-slow"), ("#000000", "#56B4E9", "#8C6BB1")
+    lines = {"weighed": Line("by observability", colors.PAPER, "--"), "bends": Line("by nonlinearity", colors.TRUTH, "--", 2.0)}
+    degrees = [[curve(t, d[:, i], Line(study.SEVEN[i], shades[i])) for i in range(3)] for d in results.get("along", "degrees")]
+    known = [rmse(results, "A-slow", f, LINES[f], "misalignment") for f in ("ukf", "aasghqf", "sghqf")]
+    return panels([
+        *(Panel(title, items, "time (s)", "degree (-)", more={"ylim": (0.0, 20.0)}) for title, items in zip(
+            ("the paper's flight", "turning at 2 deg/s"), degrees)),
+        Panel("points, mean of the runs", [curve(t, results.get(slow, f"{f}/points").mean(1), line) for f, line in lines.items()],
+              "time (s)", "points (-)"),
+        Panel("A-slow", known + [rmse(results, slow, f, line, "misalignment") for f, line in lines.items()], "time (s)",
+              "misalignment, RMSE (deg)", "y")], size=(12.0, 3.2))  # fmt: skip
+
+
 FIGURES = {
     "figure_01": ("Fig. 1: points of the isotropic rule, n = 2, level 3.", partial(points, (1, 1))),
     "figure_02": ("Fig. 2: points of the rule with weights 2, 1.", partial(points, (2, 1))),
@@ -98,6 +113,7 @@ FIGURES = {
     "figure_05": ("Fig. 5: position errors of one run.", partial(one_run, "position")),
     "figure_06": ("Beyond the paper: RMSE of the misalignment, and consistency over time.", over_time),
     "figure_07": ("Beyond the paper: the first star fix by rule, over the size of the misalignment.", first_fix),
+    "figure_08": ("Beyond the paper: degrees of observability along the flight, and weights that change with them.", along),
 }
 
 
@@ -117,10 +133,9 @@ TABLES = {
         {"filter": f, "source": source, **dict(zip(COLUMNS, map(float, values)))} for f, printed in TABLE_3.items()
         for source, values in (("paper", printed), *(
             (f"ours, {p}", np.sqrt(np.square(r.get(p, f"{f.lower()}/error")[..., :7]).mean(1)).mean(0)) for p in PRESETS))]),
-    "table_4": ("Table 4: points, and CPU time of a cycle on the machine at hand, the least of all rounds.", lambda r: [
-        {"filter": f, "points, paper": TABLE_4[f][0], "points, ours": point_count(13, n, g), "cycle, paper (s)": TABLE_4[f][1]}
-        | {f"one run {how} (s)": float(r.get("timings", f"{f.lower()}, {runs}").min()) for how, runs in (
-            ("alone", 1), ("among 50", 50))} for f, n, g in study.POINTS]),
+    "table_4": ("Table 4: points, and arithmetic operations of a cycle (of SGHQF at least).", lambda r: [
+        {"filter": f, "points, paper": TABLE_4[f][0], "points, ours": point_count(13, n, g), "cycle, paper (s)": TABLE_4[f][1],
+         "operations": int(r.get("operations", f.lower())[0])} for f, n, g in study.POINTS]),
 }  # fmt: skip
 
 

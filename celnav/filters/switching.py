@@ -1,0 +1,69 @@
+"""Filters that take turns: before each step it is chosen, run by run, which one makes it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from celnav.filters.fallback import merged, pick
+from celnav.filters.joint import whole
+from celnav.filters.records import Epoch, Filter, Info, State
+from celnav.gaussian.belief import Gaussian
+from celnav.gaussian.linalg import Array
+
+__all__ = ["Switching"]
+
+
+class Turn(NamedTuple):
+    """State of a `Switching`; ``chosen (...)``: numbers of the filters that made the last step, None before the first."""
+
+    belief: Any
+    memory: tuple[Any, ...]
+    chosen: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Switching:
+    """Filters of which one makes each step of a run; nothing but mean and covariance passes from one to the next.
+
+    filters: ``number ->`` filter: of the same motion, sensors and form, with different rules and without hooks. Number 0 starts.
+    choose: ``(belief, epoch, chosen) ->`` numbers ``(...)`` of the filters for a step, from the belief before it; ``chosen``: those
+        of the step before, None at the first.
+
+    The step of a run is bit for bit that of its filter. All runs together cost as much as every filter that one of them has chosen.
+
+    >>> filters = [celnav.ghkf(motion, gps), celnav.ekf(motion, gps)]
+    >>> narrow = lambda belief, epoch, chosen: (belief.std[..., 0] < 0.1).astype(int)
+    >>> filter = celnav.filters.switching.Switching(filters.__getitem__, narrow)
+    >>> track = celnav.run(filter, prior, times, z, also=lambda epoch, state, infos: {"chosen": state.chosen})
+    """
+
+    filters: Callable[[int], Filter]
+    choose: Callable[[Any, Epoch, Array | None], Array]
+
+    def start(self, prior: Gaussian) -> Turn:
+
+        state = self.filters(0).start(prior)
+        return Turn(whole(type(state.belief), *state.belief), state.memory)
+
+    def step(self, state: Turn, epoch: Epoch) -> tuple[Turn, tuple[Info, ...]]:
+
+        chosen = np.asarray(self.choose(state.belief, epoch, state.chosen))
+        if chosen.dtype.kind not in "iu" or not chosen.size or (chosen < 0).any():
+            raise ValueError(f"choose: expected whole numbers of filters, 0 or more, for each run, got {chosen!r:.80}")
+        belief: Any = None
+        infos: tuple[Info, ...] = ()
+        for number in np.unique(chosen).tolist():
+            after, more = self.filters(number).step(State(state.belief, state.memory), epoch)
+            if any(memory is not None for memory in after.memory):
+                raise ValueError("filters: expected filters without hooks, whose memory would be of one filter only")
+            if belief is None:
+                belief, infos = after.belief, more
+            else:
+                own = chosen == number
+                belief = type(belief)(*(pick(own, b, a) for a, b in zip(belief, after.belief, strict=True)))
+                infos = tuple(merged(own, a, b) for a, b in zip(infos, more, strict=True))
+        return Turn(belief, state.memory, np.broadcast_to(chosen, belief.mean.shape[:-1])), infos

@@ -1,0 +1,176 @@
+"""Kinematic motions of vehicles and targets [BarShalom2001]: constant velocity, constant acceleration, coordinated turns.
+
+Each is a `celnav.Motion` whose noise is white in continuous time and exact over an interval of any length: two steps are one step
+over both. States have positions first, then velocities, then accelerations, each with all axes: ``[x, y, vx, vy]``. Units are
+those of the user; below they are m and s. Intervals may differ from epoch to epoch and from run to run (``epoch.dt``).
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from math import factorial
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from celnav.filters.model import Linear, Motion
+from celnav.gaussian.checks import finite, integer, number
+from celnav.gaussian.linalg import Array
+
+__all__ = ["constant_acceleration", "constant_velocity", "coordinated_turn", "known_turn"]
+
+MOST_AXES = 100
+
+
+def constant_velocity(dim: int, q: ArrayLike) -> Motion:
+    """Nearly constant velocity: white noise is the acceleration; states ``(..., 2 dim)``, positions and velocities.
+
+    q: spectral density of the acceleration, m^2/s^3, one for all axes or ``(dim,)``: over T s velocities change by ``sqrt(q T)``.
+
+    >>> motion = celnav.models.motion.constant_velocity(2, q=0.1)
+    """
+    return _chain(dim, 2, q)
+
+
+def constant_acceleration(dim: int, q: ArrayLike) -> Motion:
+    """Nearly constant acceleration: white noise is the jerk; states ``(..., 3 dim)``, positions, velocities and accelerations.
+
+    q: spectral density of the jerk, m^2/s^5, one for all axes or ``(dim,)``: over T s accelerations change by ``sqrt(q T)``.
+
+    >>> motion = celnav.models.motion.constant_acceleration(3, q=1e-4)
+    """
+    return _chain(dim, 3, q)
+
+
+def known_turn(rate: float, q: float) -> Motion:
+    """A turn in the plane at a known rate: velocities ``[vx, vy]`` rotate, white noise accelerates; states ``(..., 4)``.
+
+    rate: rad/s, from x to y; 0 is `constant_velocity`.
+    q: spectral density of the acceleration, m^2/s^3.
+
+    >>> motion = celnav.models.motion.known_turn(rate=np.radians(3.0), q=0.1)
+    """
+    given, amplitude = np.array(number("rate", rate)), np.sqrt(number("q", q, 0.0))
+
+    def matrix(epoch: Any) -> Array:
+        return _turned(given, _interval(epoch))
+
+    return Motion(Linear(matrix), sqrt_Q=lambda _, epoch: amplitude * _pushed(given, _interval(epoch)))
+
+
+def coordinated_turn(q: float, q_rate: float) -> Motion:
+    """A turn in the plane at a rate that walks at random, the last component; states ``(..., 5)``, ``[x, y, vx, vy, rate]``.
+
+    q: spectral density of the acceleration, m^2/s^3, exact for the rate that is believed. q_rate: that of the rate's change,
+    rad^2/s^3; what changes within an interval turns the vehicle from its end on.
+
+    >>> motion = celnav.models.motion.coordinated_turn(q=0.1, q_rate=1e-5)
+    """
+    amplitude, change = np.sqrt(number("q", q, 0.0)), np.sqrt(number("q_rate", q_rate, 0.0))
+
+    def f(x: Array, epoch: Any) -> Array:
+        a, b, c, s, _, _ = _angles(x[..., 4], epoch.dt)
+        vx, vy = x[..., 2], x[..., 3]
+        parts = x[..., 0] + a * vx - b * vy, x[..., 1] + b * vx + a * vy, c * vx - s * vy, s * vx + c * vy, x[..., 4]
+        return np.stack(parts, -1)
+
+    def jacobian(mean: Array, epoch: Any) -> Array:
+        a, b, c, s, da, db = _angles(mean[..., 4], epoch.dt)
+        vx, vy, T = mean[..., 2], mean[..., 3], epoch.dt
+        zero = 0.0 * a
+        one = zero + 1.0
+        rows = (
+            (one, zero, a, -b, da * vx - db * vy), (zero, one, b, a, db * vx + da * vy),
+            (zero, zero, c, -s, -T * (s * vx + c * vy)), (zero, zero, s, c, T * (c * vx - s * vy)), (zero, zero, zero, zero, one),
+        )  # fmt: skip
+        return np.stack([np.stack(row, -1) for row in rows], -2)
+
+    def root(mean: Array, epoch: Any) -> Array:
+        T = _interval(epoch)
+        pushed = _WIDER @ _pushed(mean[..., 4], T) @ _WIDER.T
+        return np.asanyarray(amplitude * pushed + change * np.sqrt(T) * _LAST)
+
+    return Motion(f, sqrt_Q=root, jacobian=jacobian)
+
+
+_WIDER, _LAST = np.eye(5, 4), np.diag([0.0, 0.0, 0.0, 0.0, 1.0])
+_J = np.array([[0.0, -1.0], [1.0, 0.0]])
+
+
+def _blocks(i: int, j: int) -> tuple[Array, Array]:
+    """The identity and a quarter turn as block ``i, j`` of ``(4, 4)``."""
+    at = np.zeros((2, 2))
+    at[i, j] = 1.0
+    return np.kron(at, np.eye(2)), np.kron(at, _J)
+
+
+(_PP, _PP_J), (_PV, _PV_J), (_VP, _), (_VV, _VV_J) = _blocks(0, 0), _blocks(0, 1), _blocks(1, 0), _blocks(1, 1)
+
+
+def _interval(epoch: Any) -> Array:
+    """The interval ``(..., 1, 1)`` s."""
+    dt: Any = np.multiply(epoch.dt, 1.0)
+    return np.asanyarray(dt[..., None, None])
+
+
+def _chain(dim: int, order: int, q: ArrayLike) -> Motion:
+    """White noise that is integrated so many times, on each axis."""
+    axes = integer("dim", dim, 1, MOST_AXES)
+    densities = finite("q", q)
+    if densities.shape not in ((), (axes,)) or (densities < 0.0).any():
+        raise ValueError(f"q: expected a density that is not negative, or {axes} of them, got {q!r:.80}")
+    terms = [np.kron(np.eye(order, k=k) / factorial(k), np.eye(axes)) for k in range(order)]
+    # Over T the noise is T^(a + 1/2) times that over 1 s in what is integrated a times more than what it drives.
+    a = np.arange(order)[::-1]
+    once = [factorial(k) for k in a.tolist()]
+    root = np.linalg.cholesky(1.0 / (np.multiply.outer(once, once) * (np.add.outer(a, a) + 1.0)))
+    amplitude = np.sqrt(np.broadcast_to(densities, axes))
+    columns = [np.kron(np.where((a == k)[:, None], root, 0.0), np.diag(amplitude)) for k in range(order)]
+    matrix, noise = partial(_polynomial, terms), partial(_polynomial, columns)
+    return Motion(Linear(lambda epoch: matrix(_interval(epoch))), sqrt_Q=lambda _, epoch: np.sqrt(T := _interval(epoch)) * noise(T))
+
+
+def _polynomial(terms: list[Array], T: Array) -> Array:
+    total: Array = terms[-1]
+    for term in terms[-2::-1]:
+        total = term + T * total
+    return total
+
+
+def _series(theta: Array) -> tuple[Array, Array]:
+    """``(1 - cos theta) / theta^2`` and ``(theta - sin theta) / theta^3``, with all digits about 0."""
+    square = theta * theta
+    small = square < 1e-2
+    safe = np.where(small, 1.0, theta)
+    first = np.where(
+        small, 0.5 - square * (1.0 / 24.0 - square * (1.0 / 720.0 - square / 40320.0)), 2.0 * (np.sin(0.5 * safe) / safe) ** 2
+    )
+    second = np.where(
+        small,
+        1.0 / 6.0 - square * (1.0 / 120.0 - square * (1.0 / 5040.0 - square / 362880.0)),
+        (1.0 - np.sin(safe) / safe) / (safe * safe),
+    )
+    return first, second
+
+
+def _angles(rate: Array, T: Any) -> tuple[Array, ...]:
+    """Over an interval: ``sin(rate T) / rate``, ``(1 - cos(rate T)) / rate``, cosine and sine; of the first two the derivatives."""
+    theta = rate * T
+    first, second = _series(theta)
+    sinc = 1.0 - second * theta * theta
+    return T * sinc, T * theta * first, np.cos(theta), np.sin(theta), T * T * theta * (second - first), T * T * (sinc - first)
+
+
+def _turned(rate: Array, T: Array) -> Array:
+    """Transition matrix ``(..., 4, 4)`` of a turn."""
+    a, b, c, s, _, _ = _angles(rate[..., None, None], T)
+    return np.asanyarray(_PP + a * _PV + b * _PV_J + c * _VV + s * _VV_J)
+
+
+def _pushed(rate: Array, T: Array) -> Array:
+    """Root ``(..., 4, 4)`` of the covariance that white acceleration of density 1 leaves in a turn: two columns for each block."""
+    theta = rate[..., None, None] * T
+    first, second = _series(theta)
+    own = np.sqrt(2.0 * second - first * first - (theta * second) ** 2)
+    return np.asanyarray(np.sqrt(T) * (T * (first * _PP - theta * second * _PP_J + own * _PV) + _VP))

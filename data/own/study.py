@@ -1,0 +1,98 @@
+"""A radar sees a vehicle: its range well, its bearing poorly. Do filters know how little they know? Change what you like.
+
+celnav reproduce study.py --effort 0.1   flies a tenth of the runs and writes out/index.html; without --effort all of them
+celnav list study.py                     parameters, which a mission (paper = "study.py") may change and sweep
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import celnav
+from celnav.models.motion import constant_velocity
+from celnav.show.colors import COMPARISON, ESTIMATE
+from celnav.show.figures import Line, Panel, consistency, panels, rmse
+from celnav.study import numbers
+from celnav.study.ledger import statement
+from celnav.study.parameters import Timed, param
+from celnav.study.study import Part, Study, fly
+from celnav.study.trial import drawn
+
+TITLE = "A vehicle by range and bearing"
+GROUPS = (celnav.Group("position", "m", slice(0, 2)), celnav.Group("velocity", "m/s", slice(2, 4)))  # what is judged
+
+
+@dataclass(frozen=True)
+class Config(Timed):
+    """Parameters, with units in their names; param: the default, its source, its meaning, its bounds."""
+
+    steps: int = param(60, "chosen", "measurements after the first, 1 s apart", least=1)
+    runs: int = param(400, "chosen", "of a Monte Carlo", least=2)
+    range_m: float = param(1.0, "chosen", "deviation of a range", above=0.0)
+    bearing_deg: float = param(3.0, "chosen", "deviation of a bearing", above=0.0)
+    prior_m: float = param(100.0, "chosen", "deviation of the position at the start, on each axis", above=0.0)
+
+    @property
+    def times(self):
+        return np.arange(self.steps + 1.0)
+
+
+def believed(c):
+    """Motion, sensor and start, of which filters are made; states are [east, north] and their rates, in m and m/s."""
+    h = lambda x, epoch: np.stack([np.hypot(x[..., 0], x[..., 1]), np.arctan2(x[..., 1], x[..., 0])], -1)  # noqa: E731
+    radar = celnav.Sensor(h, np.diag([c.range_m, np.radians(c.bearing_deg)]) ** 2, space=celnav.angles([1]))
+    start = celnav.Gaussian([1000.0, 0.0, -5.0, 10.0], np.diag([c.prior_m, c.prior_m, 5.0, 5.0]) ** 2)
+    return constant_velocity(2, q=0.1), radar, start
+
+
+def filters(c):
+    motion, radar, _ = believed(c)
+    return {"ekf": celnav.ekf(motion, radar), "ukf": celnav.ukf(motion, radar)}
+
+
+def simulate(c, rngs):
+    """A run for each generator: truth (T, runs, 4), measurements (T, runs, 2). What is believed happens; yours may differ."""
+    return celnav.simulate(*believed(c), c.times, runs=rngs)
+
+
+def trial(c, rngs):
+    """Filters on what is simulated, and how they are judged."""
+    truth, z = simulate(c, rngs)
+    return drawn(GROUPS, filters(c), believed(c)[2], c.times, z, truth)
+
+
+def flown(c, rngs):
+    """What a process does: all filters on some of the runs."""
+    return fly(trial(c, rngs), list(filters(c)))
+
+
+PRESETS = {"usual": Config()}
+PARTS = {name: Part(flown, c, runs=c.runs) for name, c in PRESETS.items()}
+CLAIMS = numbers.consistency("NEES", ("usual", "ekf"), accept=(4.0, None), at=slice(1, None))
+ROWS = [
+    statement("claims", "An extended filter claims more than it knows.", CLAIMS, found="Its mean NEES is {0}.",
+              why="that of a consistent filter with four states is 4", figure="figure_01"),
+]  # fmt: skip
+SAYS = {
+    "says": "An extended filter takes the arc of a poor bearing for a line.",
+    "found": "It does, until later bearings have settled the position.",
+}
+STUDY = Study(Path(__file__).stem, GROUPS, trial, lambda effort: PARTS, ROWS, **SAYS, figure="figure_01")
+LINES = {"ekf": Line("EKF", COMPARISON), "ukf": Line("UKF", ESTIMATE)}
+
+
+def figure(r):
+    """Errors and consistency over time; r: results."""
+    left = [rmse(r, "usual", name, line, "position") for name, line in LINES.items()]
+    right = [consistency(r, "usual", LINES, "nees", 4)]
+    return panels([Panel("", left, "time (s)", "RMSE of position (m)"), Panel("", right, "time (s)", "NEES", "y")], size=(7, 3))
+
+
+def table(r):
+    """Lines of RMSE at the end."""
+    return [{"filter": f, **{g.name: r.squares("usual", f, g.name).sum(-1).mean() ** 0.5 for g in GROUPS}} for f in LINES]
+
+
+FIGURES = {"figure_01": ("Position error of the runs, and their mean NEES with the 95 % band of a consistent filter.", figure)}
+TABLES = {"table_1": ("RMSE at the end, m and m/s.", table)}

@@ -1,0 +1,278 @@
+"""A study of one's own: the one that `celnav new` writes runs, and what is wrong with a file is told before anything runs."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from test_cli import tiny
+
+import celnav
+from celnav import cli, papers
+from celnav.campaign import campaign
+from celnav.campaign.missions import MissionError, read
+from celnav.files import InputError, data
+from celnav.papers import own
+
+TEMPLATE = data("own/study.py").read_text(encoding="utf-8")
+FEW = ["--effort", "0.02", "--jobs", "1"]
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """Where one works, with the template in it."""
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["new", "study.py"]) == 0
+    return tmp_path
+
+
+def reproduce(*words):
+    return cli.main(["reproduce", *words, *FEW])
+
+
+def units(folder, name="study"):
+    return {path.name: path.stat().st_mtime_ns for path in (folder / "out" / name / ".results/units").iterdir()}
+
+
+def test_the_template_runs_as_it_is(folder, capsys):
+    assert len([line for line in TEMPLATE.splitlines() if line.strip()]) <= 80
+    assert reproduce("study.py") == 0
+    out = folder / "out" / "study"
+    (claim,) = json.loads((out / "claims.json").read_text())
+    assert claim["ci"][0] < claim["value"] < claim["ci"][1]
+    assert {p.name for p in out.rglob("*") if p.is_file() and p.name[0] != "." and p.parent.name != "units"} == {
+        "claims.json", "checks.json", "timings.json", "result.npz", "study.json", "figure_01.png", "figure_01.svg", "table_1.csv",
+        "manifest.json",
+    }  # fmt: skip
+    assert (out / "tables/table_1.csv").read_text().startswith("filter,position,velocity\nekf,")
+    page = (folder / "out/index.html").read_text()
+    for text in ("A vehicle by range and bearing", 'href="../study.py"', "study/figures/figure_01.png", "What is said"):
+        assert text in page
+    capsys.readouterr()
+    assert cli.main(["verdicts"]) == 0
+    assert "| `study` | 1 |" in capsys.readouterr().out
+    assert cli.main(["list", "study.py"]) == 0
+    listed = capsys.readouterr().out
+    assert all(text in listed for text in ("bearing_deg", "figure_01", "filters: ekf, ukf", "limits.position"))
+    assert cli.main(["view", "study.py"]) == 2
+    assert "study.py: has no recordings" in capsys.readouterr().err
+
+
+def test_the_statement_of_the_template_is_decided_by_a_tenth_of_the_runs(folder):
+    assert cli.main(["reproduce", "study.py", "--effort", "0.1", "--jobs", "1", "--strict"]) == 0
+    assert json.loads((folder / "out/study/claims.json").read_text())[0]["verdict"] == "reproduced"
+
+
+def test_results_are_kept_as_long_as_the_file_says_the_same(folder):
+    reproduce("study.py")
+    first = units(folder)
+    (folder / "study.py").write_text(f"# a comment\n{TEMPLATE}")
+    reproduce("study.py")
+    assert units(folder) == first
+    (folder / "study.py").write_text(TEMPLATE.replace("range_m: float = param(1.0", "range_m: float = param(2.0"))
+    reproduce("study.py")
+    assert not set(units(folder)) & set(first)
+
+
+def test_modules_beside_the_file_belong_to_it(folder):
+    (folder / "study.py").write_text(TEMPLATE.replace("import celnav\n", "import celnav\nimport ground_km\n", 1))
+    (folder / "ground_km.py").write_text("HEIGHT = 1\n")
+    first = own.load("study.py").STUDY.source
+    (folder / "ground_km.py").write_text("HEIGHT = 20\n")
+    assert own.load("study.py").STUDY.source != first
+    (folder / "other.py").write_text("nobody imports it\n")
+    assert own.identity("study.py") == f"study.py, {own.load('study.py').STUDY.source}"
+
+
+def test_processes_give_the_same_and_refuse_a_file_that_has_changed(folder):
+    """Real ones: functions of the file go to them by the file's place and hash."""
+    for jobs, out in (("1", "one"), ("2", "two")):
+        words = ["reproduce", "study.py", "--effort", "0.5", "--jobs", jobs, "--out", out]
+        subprocess.run([sys.executable, "-m", "celnav", *words], check=True, capture_output=True)
+    assert (folder / "one/study/claims.json").read_bytes() == (folder / "two/study/claims.json").read_bytes()
+    name = own.load("study.py").__name__
+    (folder / "study.py").write_text(TEMPLATE.replace("bearing_deg: float = param(3.0", "bearing_deg: float = param(4.0"))
+    del sys.modules[name]
+    with pytest.raises(ImportError, match="has changed since the work was begun; use the same command again"):
+        own.import_module(name)
+
+
+def test_papers_and_own_studies_go_together(folder, monkeypatch, capsys):
+    module = tiny()
+    monkeypatch.setattr(papers, "PAPERS", {"tiny": "tiny"})
+    monkeypatch.setattr("celnav.commands.index.PAPERS", {"tiny": "tiny"})
+    monkeypatch.setattr("celnav.papers.import_module", lambda name: own if name == "celnav.papers.own" else module)
+    (folder / "other.py").write_text(TEMPLATE.replace("A vehicle by", "Another by"))
+    assert reproduce("study.py", "tiny", "other.py") == 0
+    (folder / "other.py").unlink()  # what the page shows of it is kept
+    assert reproduce("tiny") == 0
+    page = (folder / "out/index.html").read_text()
+    assert all(text in page for text in ("Tiny &lt;study&gt;", "A vehicle by", "Another by", "What papers say"))
+    capsys.readouterr()
+    cli.main(["verdicts"])
+    assert [line.split("`")[1] for line in capsys.readouterr().out.splitlines() if line.startswith("| `")] == [
+        "tiny",
+        "other",
+        "study",
+    ]
+
+
+BROKEN = """
+from celnav.study.ledger import statement
+from celnav.study.study import Part, Study
+TITLE = 3
+FIGURES = {"a": lambda r: 1}
+RECORDINGS = ["x.rrd"]
+PRESETS = {}
+
+
+def parts(effort):
+    def work(config, rngs):
+        return {}
+
+    return {"inner": Part(work, None), "short": Part(len, None)}
+
+
+ROWS = [statement("one", "It is so.", 3, figure="zz"), statement("one", "It is not.", needs="c")]
+STUDY = Study("x", (1,), None, parts, ROWS, figure="nope")
+"""
+
+
+def test_all_that_is_missing_is_told_at_once(folder, capsys):
+    (folder / "study.py").write_text(BROKEN)
+    assert reproduce("study.py") == 2
+    head, *lines = capsys.readouterr().err.splitlines()
+    assert head == "celnav: study.py: 12 things are missing or not as expected (celnav new FILE.py writes a study that has all):"
+    assert [line.split(": expected ")[0].strip() for line in lines] == [
+        "TITLE", "PRESETS", "FIGURES", "record", "STUDY.groups", "STUDY.parts 'inner'", "STUDY.parts 'short'", "STUDY.figure",
+        "STUDY.rows",
+        "STUDY.rows 'one'", "STUDY.rows 'one'", "STUDY.rows 'one'",
+    ]  # fmt: skip
+    assert all(", got " in line for line in lines)
+    assert not (folder / "out").exists()
+    with pytest.raises(InputError, match=r"14 things are missing(.|\n)*filters: expected a function \(config\)(.|\n)*STUDY.trial"):
+        own.load("study.py", mission=True)
+
+
+def test_an_empty_file_misses_what_is_always_needed(folder):
+    (folder / "study.py").write_text("")
+    with pytest.raises(InputError) as error:
+        own.load("study.py")
+    assert str(error.value).splitlines()[1:] == [
+        "  TITLE: expected a text, what the study is about, got none",
+        "  STUDY: expected a celnav.study.study.Study(name, groups, trial, parts, rows), got none",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "status", "line", "said"),
+    [
+        ("import numpy as np\n", "import numpy as\n", 2, "import numpy as", "SyntaxError: "),
+        ("TITLE = ", "TITLE = 1 / 0\n_ = ", 2, "TITLE = 1 / 0", "ZeroDivisionError: division by zero"),
+        ("import numpy as np\n", "import numpie as np\n", 2, "import numpie as np", "ModuleNotFoundError: No module named"),
+        ("lambda effort: PARTS", "lambda effort: PORTS", 2, "PORTS", "NameError: name 'PORTS' is not defined"),
+        ("    motion, radar, _ = believed(c)", "    motion, radar = believed(c)", 1, "motion, radar = believed(c)", "ValueError: "),
+        ("return panels(", "return panelz(", 1, "return panelz(", "NameError: name 'panelz' is not defined"),
+        ('return [{"filter"', 'return 0 + [{"filter"', 1, "return 0 + [", "TypeError: unsupported operand"),
+    ],
+)  # fmt: skip
+def test_errors_in_the_file_are_told_with_their_line(folder, capsys, old, new, status, line, said):
+    assert old in TEMPLATE
+    (folder / "study.py").write_text(TEMPLATE.replace(old, new))
+    number = 1 + next(i for i, text in enumerate((folder / "study.py").read_text().splitlines()) if line in text)
+    assert reproduce("study.py") == status
+    error = capsys.readouterr().err
+    for text in (f"study.py, line {number}: ", line, said):
+        assert text in error
+    assert "Traceback" not in error
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["new", "study.py"], "study.py: is there already, and nothing is overwritten; choose another name, or move it away"),
+        (["new", "study"], "study: expected the name of a file that ends in .py, such as study.py"),
+        (["new", "csrukf.py"], "csrukf.py: expected another name than csrukf, which celnav has"),
+        (["new", "absent/study.py"], "absent: no such folder; make it first"),
+        (["new"], "the following arguments are required: FILE.py; see celnav new --help"),
+        (["reproduce", "absent.py"], "absent.py: no such file or directory"),
+        (["reproduce", "csrukf.py"], "csrukf.py: expected another name than csrukf, which celnav has; rename the file"),
+        (["reproduce", "study.py", "./sub/study.py"], "study.py, ./sub/study.py: expected files of different names; rename one"),
+        (["view", "study.py"], "study.py: has no recordings; a mission of it (celnav run) has one"),
+    ],
+)
+def test_what_cannot_be_is_one_line_and_changes_nothing(folder, capsys, words, text):
+    (folder / "sub").mkdir()
+    (folder / "sub" / "study.py").write_text(TEMPLATE)
+    (folder / "study.py").write_text(f"{TEMPLATE}\nMINE = 1\n")
+    capsys.readouterr()
+    assert cli.main(words) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert text in error
+    assert (folder / "study.py").read_text().endswith("MINE = 1\n")
+    assert not (folder / "out").exists()
+
+
+def test_a_mission_takes_a_study_beside_it(folder, capsys, monkeypatch):
+    missions = folder / "missions"
+    missions.mkdir()
+    text = 'paper = "../study.py"\nruns = 6\n[config]\nsteps = 10\nbearing_deg = 1.0\n'
+    (missions / "good.toml").write_text(text)
+    assert cli.main(["run", "missions/good.toml", "--jobs", "1", "--effort", "1"]) == 0
+    out = capsys.readouterr().out
+    assert "A vehicle by range and bearing: 6/6 runs" in out
+    assert "ukf: position" in out
+    monkeypatch.chdir(missions)
+    (missions / "sweep.toml").write_text(text.replace("1.0", "[0.5, 1.0]"))
+    study = read("sweep.toml")
+    assert [point.config.bearing_deg for point in study.configurations] == [0.5, 1.0]
+    assert study.to_dict()["paper"] == own.identity("../study.py")
+    first = campaign(study, folder / "store").rows
+    (folder / "elsewhere").mkdir()
+    (folder / "study.py").rename(folder / "elsewhere" / "study.py")  # its results go with what it says, not where it lies
+    (missions / "sweep.toml").write_text(text.replace("1.0", "[0.5, 1.0]").replace("../", "../elsewhere/"))
+    before = {path: path.stat().st_mtime_ns for path in (folder / "store/units").iterdir()}
+    again = campaign(read("sweep.toml"), folder / "store").rows
+    assert {path: path.stat().st_mtime_ns for path in (folder / "store/units").iterdir()} == before
+    assert str(again) == str(first)
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        (("bearing_deg = 1.0", "bearing = 1.0"), "config.bearing: unknown key; did you mean config.bearing_deg?"),
+        (("bearing_deg = 1.0", "bearing_deg = -1.0"), "config.bearing_deg (deg): expected a positive number, got -1.0"),
+        (("study.py", "absent.py"), "absent.py"),
+    ],
+)
+def test_a_mission_that_does_not_go_with_its_study_is_told(folder, change, text):
+    (folder / "m.toml").write_text('paper = "study.py"\nruns = 6\n[config]\nbearing_deg = 1.0\n'.replace(*change))
+    with pytest.raises((MissionError, FileNotFoundError)) as error:
+        read("m.toml")
+    assert text in str(error.value)
+
+
+def test_a_study_without_presets_flies_no_missions_but_is_reproduced(folder, capsys):
+    (folder / "study.py").write_text(
+        TEMPLATE.replace("PRESETS", "CASES").replace("def filters(", "def them(").replace("filters(c)", "them(c)")
+    )
+    assert reproduce("study.py") == 0
+    (folder / "m.toml").write_text('paper = "study.py"\n')
+    assert cli.main(["run", "m.toml"]) == 2
+    error = capsys.readouterr().err
+    assert "PRESETS: expected" in error
+    assert "filters: expected" in error
+    assert cli.main(["list", "study.py"]) == 0
+
+
+def test_it_is_a_study_like_any_other(folder):
+    module = own.load("study.py")
+    results = module.STUDY.reproduce(effort=0.01)
+    assert results.get("usual", "ekf/error").shape == (61, 4, 4)
+    assert module.STUDY.name == "study"
+    assert papers.load("study.py") is module
+    assert isinstance(module.filters(module.Config())["ukf"], type(celnav.ukf(celnav.Motion(np.eye(2), np.eye(2)))))

@@ -1,0 +1,232 @@
+"""A track against the truth: numbers by direct formulas, bands that hold consistent filters, gaps, sensors, attitudes, engines."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import binom, chi2
+
+import celnav
+from celnav.filters.adaptive import gate
+from celnav.gaussian import attitude as at
+from celnav.models import motion
+from celnav.models.gyro import Gyro
+
+MOTION = motion.constant_velocity(2, 0.1)
+RADAR = celnav.Sensor(
+    lambda x, _epoch: np.stack([np.hypot(x[..., 0], x[..., 1]), np.arctan2(x[..., 1], x[..., 0])], -1),
+    np.diag([25.0, np.radians(1.0) ** 2]),
+    space=celnav.angles([1]),
+)
+GPS = celnav.Sensor(np.eye(2, 4), R=lambda _mean, _epoch: 100.0 * np.eye(2))
+PRIOR = celnav.Gaussian([500.0, 300.0, 10.0, -5.0], np.diag([400.0, 400.0, 4.0, 4.0]))
+TIMES = np.arange(41.0)
+FILTER = celnav.ukf(MOTION, RADAR, GPS)
+
+
+def flown(runs=30, seed=0, filter=FILTER, keep="cov", **options):
+    truth, z = celnav.simulate(MOTION, [RADAR, GPS], PRIOR, TIMES, runs=runs, seed=seed)
+    return celnav.run(filter, PRIOR, TIMES, z, keep=keep, **options), truth
+
+
+@pytest.fixture(scope="module")
+def sound():
+    return flown()
+
+
+def test_numbers_are_those_of_the_formulas(sound):
+    track, truth = sound
+    found, error = celnav.report(track, truth, names=["x", "y", "u", "v"]), track.mean - truth
+    for i, c in enumerate(found.components):
+        assert c.rmse == pytest.approx(np.sqrt(np.mean(error[..., i] ** 2)))
+        assert c.claimed == pytest.approx(np.sqrt(np.mean(track.std[..., i] ** 2)))
+        assert c.mean == pytest.approx(error[..., i].mean())
+        assert c.inside == np.mean(np.abs(error[..., i]) <= 1.959963985 * track.std[..., i])
+        assert c.interval[0] < c.rmse < c.interval[1]
+    nees = np.einsum("tri,trij,trj->tr", error, np.linalg.inv(track.cov), error)
+    assert found.nees.nis == pytest.approx(nees.mean() / 4.0)
+    low, high = chi2.ppf([0.025, 0.975], 4 * 30) / 30
+    assert found.within == np.mean((low <= nees.mean(1)) & (nees.mean(1) <= high))
+    np.testing.assert_allclose(found.rms, np.sqrt(np.mean(error**2, 1)))
+    np.testing.assert_allclose(found.claims, np.sqrt(np.mean(track.std**2, 1)))
+    assert [c.name for c in found.components] == ["x", "y", "u", "v"]
+
+
+def test_sensors_are_told_apart_and_gaps_cost_only_themselves():
+    """Also where R is a function, which does not say how many components there are."""
+    truth, z = celnav.simulate(MOTION, [RADAR, GPS], PRIOR, TIMES, runs=20)
+    z[0][::2], z[1][5:9, :, 1] = np.nan, np.nan
+    track = celnav.run(FILTER, PRIOR, TIMES, z, keep="cov")
+    found = celnav.report(track, truth)
+    assert [sensor.names for sensor in found.sensors] == [("z0", "z1"), ("z2", "z3")]
+    for sensor, own in zip(found.sensors, (slice(0, 2), slice(2, 4)), strict=True):
+        dof = int(track.used[..., own].sum())
+        assert sensor.nis == pytest.approx(np.sum(track.whitened[..., own] ** 2) / dof)
+        assert sensor.band == pytest.approx(tuple(chi2.ppf([0.025, 0.975], dof) / dof))
+    assert found.sensors[0].dof.sum() == 20 * 20 * 2
+    assert found.sensors[1].dof.sum() == 20 * (41 * 2 - 4)
+    assert found.events["missing"] == 21 * 20 * 2 + 4 * 20
+    assert "of 800 components used" in str(found)
+    assert "920 components missing" in str(found)
+
+
+def test_what_is_not_known_of_the_truth_is_left_out(sound):
+    track, truth = sound
+    some = truth.copy()
+    some[10:, :, 2] = np.nan
+    found = celnav.report(track, some)
+    error = (track.mean - truth)[:10, :, 2]
+    assert found.components[2].rmse == pytest.approx(np.sqrt(np.mean(error**2)))
+    assert found.components[2].claimed == pytest.approx(np.sqrt(np.mean(track.std[:10, :, 2] ** 2)))
+    assert found.nees.dof.tolist() == [120] * 10 + [0] * 31
+    late = celnav.report(track, truth, start=10.0)
+    assert late.times[0] == 10.0
+    assert late.components[2].rmse == pytest.approx(np.sqrt(np.mean((track.mean - truth)[10:, :, 2] ** 2)))
+
+
+@pytest.mark.parametrize("runs", [1, 8])
+def test_a_consistent_filter_is_in_the_bands_as_often_as_they_say(runs):
+    """95 % of flights; bands of NEES are estimated, so a few less will do."""
+    gps = celnav.Sensor(np.eye(2, 4), 100.0 * np.eye(2))
+    filter, times, flights = celnav.ukf(MOTION, gps), np.arange(150.0), 120
+    truth, z = celnav.simulate(MOTION, gps, PRIOR, times, runs=runs * flights, seed=7)
+    held = np.zeros(2, int)
+    for i in range(flights):
+        own = slice(i * runs, (i + 1) * runs)
+        found = celnav.report(celnav.run(filter, PRIOR, times, z[:, own], keep="cov"), truth[:, own])
+        held += [one.band[0] <= one.nis <= one.band[1] for one in (found.nees, found.sensors[0])]
+    assert held[1] >= binom.ppf(1e-3, flights, 0.95)
+    assert held[0] >= binom.ppf(1e-3, flights, 0.9)
+
+
+def test_a_filter_that_claims_too_little_is_told():
+    bold = celnav.ukf(MOTION, celnav.Sensor(RADAR.h, 0.25 * np.diag([25.0, np.radians(1.0) ** 2]), space=RADAR.space), GPS)
+    found = celnav.report(*flown(filter=bold))
+    assert found.nees.nis > found.nees.band[1]
+    assert found.sensors[0].nis > found.sensors[0].band[1]
+    assert "claims too little" in str(found)
+    assert found.components[0].inside < 0.93
+
+
+@pytest.mark.parametrize("form", ["square root", "covariance"])
+def test_attitudes_are_judged_by_rotation_vectors_whatever_the_sign(form):
+    gyro, rng, dt, T, runs = Gyro.datasheet(3.0, rate_random_walk=20.0), np.random.default_rng(3), 1.0, 60, 40
+    space = celnav.product((celnav.attitude(), 4, 3), (celnav.EUCLIDEAN, 3, 3))
+    believed = celnav.Motion(lambda x, epoch: gyro.propagate(x, epoch.u, epoch.dt), Q=gyro.process_noise(dt), space=space)
+    star = celnav.Sensor(lambda x, _epoch: x[..., :4], R=np.radians(0.01) ** 2 * np.eye(3), space=celnav.attitude())
+    prior = celnav.Gaussian(np.r_[at.IDENTITY, 0.0, 0.0, 0.0], np.diag(np.repeat([np.radians(0.5), 1e-5], 3) ** 2))
+    u = np.broadcast_to([0.02, -0.01, 0.03], (T, 3))
+    truth, z = celnav.simulate(believed, star, prior, dt * np.arange(T), runs=runs, u=u)
+    track = celnav.run(celnav.ukf(believed, star, form=form), prior, dt * np.arange(T), z, u, keep="cov")
+    found = celnav.report(track, truth * np.where(rng.random((T, runs, 1)) < 0.5, np.r_[-np.ones(4), np.ones(3)], 1.0))
+    angle = 2.0 * np.arccos(np.clip(np.abs(np.vecdot(track.mean[..., :4], truth[..., :4])), 0.0, 1.0))
+    assert len(found.components) == 6
+    assert np.sqrt(sum(c.rmse**2 for c in found.components[:3])) == pytest.approx(np.sqrt(np.mean(angle**2)), rel=1e-3)
+    assert found.nees.band[0] <= found.nees.nis <= found.nees.band[1]
+    alone = celnav.report(pickle.loads(pickle.dumps(track)), truth, space=space)  # a pickle has lost its filter
+    assert alone.nees.nis == pytest.approx(found.nees.nis)
+    with pytest.raises(ValueError, match=r"space: expected the space of the states, which are no vectors"):
+        celnav.report(replace(track, filter=None), truth)
+
+
+@pytest.mark.parametrize("wrap", [lambda f: f, lambda f: celnav.imm([f, f], 0.5 * np.ones((2, 2)))])
+def test_angles_of_a_state_wrap_in_filters_within_filters_too(wrap):
+    believed = celnav.Motion(lambda x, epoch: x + epoch.dt * 0.5, Q=1e-4 * np.eye(1), space=celnav.angles([0]))
+    compass = celnav.Sensor(lambda x, _epoch: x, 0.01 * np.eye(1), space=celnav.angles([0]))
+    prior, times = celnav.Gaussian([3.0], [[0.01]]), np.arange(50.0)
+    truth, z = celnav.simulate(believed, compass, prior, times, runs=10)
+    track = celnav.run(wrap(celnav.ukf(believed, compass)), prior, times, z, keep="cov")
+    plain, turned = (celnav.report(track, truth + turns * 2.0 * np.pi).components[0].rmse for turns in (0, 1))
+    assert turned == pytest.approx(plain)
+    assert plain < 0.1
+
+
+@pytest.mark.parametrize("make", [celnav.ukf, celnav.ekf])
+def test_compiled_flights_are_judged_the_same(make):
+    truth, z = celnav.simulate(MOTION, [RADAR, GPS], PRIOR, TIMES, runs=12)
+    z[1][::3] = np.nan
+    filter = make(MOTION, RADAR, GPS)
+    plain, machine = (
+        celnav.report(celnav.run(filter, PRIOR, TIMES, z, keep="cov", engine=engine), truth) for engine in ("numpy", "compiled")
+    )
+    assert str(machine) == str(plain)
+    np.testing.assert_allclose(machine.rms, plain.rms, rtol=1e-8)
+    np.testing.assert_allclose(machine.nees.squares, plain.nees.squares, rtol=1e-6)
+
+
+def test_a_state_may_hold_more_than_the_truth():
+    gps = celnav.Sensor(np.eye(2, 4), 100.0 * np.eye(2))
+    truth, z = celnav.simulate(MOTION, gps, PRIOR, TIMES, runs=10, Phi=0.8 * np.eye(2))
+    track = celnav.run(celnav.augmented(MOTION, gps, 0.8 * np.eye(2)), PRIOR, TIMES, z, keep="cov")
+    found = celnav.report(track, truth)
+    cov = track.cov[..., :4, :4]
+    error = track.mean[..., :4] - truth
+    assert len(found.components) == 4
+    assert found.nees.nis == pytest.approx(np.einsum("tri,trij,trj->tr", error, np.linalg.inv(cov), error).mean() / 4.0)
+
+
+def test_one_run_one_truth_of_many_and_no_covariances(sound):
+    track, truth = sound
+    alone = celnav.run(FILTER, PRIOR, TIMES, (np.tile([580.0, 0.5], (41, 1)), np.tile([500.0, 300.0], (41, 1))), keep="std")
+    found = celnav.report(alone, truth[:, 0])
+    assert found.nees is None
+    assert "no covariances are stored: run with keep='cov'" in str(found)
+    assert str(found).startswith("one run, 41 epochs from 0 to 40 s")
+    assert "to" not in str(found).splitlines()[3]  # no interval of one run
+    assert celnav.report(track, truth[:, 0]).runs == 30
+
+
+def test_lost_runs_and_rejections_are_told():
+    gated = celnav.ukf(MOTION, RADAR, GPS, hooks=[gate(2.0)])
+    track, truth = flown(filter=gated)
+    found = celnav.report(track, truth)
+    assert sum(found.rejected) == found.events["rejected"] > 0
+    assert f"{found.rejected[0]} rejected" in str(found)
+    calls = celnav.Motion(
+        lambda x, epoch: np.where((epoch.k == 20) & (x[..., :1] > 700.0), np.nan, 1.0) * (x @ MOTION.f.matrix(epoch).T), np.eye(4)
+    )
+    truth, z = celnav.simulate(MOTION, GPS, PRIOR, TIMES, runs=30)
+    lost = celnav.run(celnav.ukf(calls, GPS), PRIOR, TIMES, z, keep="cov", on_failure="flag")
+    assert 0 < np.count_nonzero(lost.failed_at >= 0) < 30
+    told = celnav.report(lost, truth)
+    assert [run for run, _ in told.lost] == np.flatnonzero(lost.failed_at >= 0).tolist()
+    assert {t for _, t in told.lost} == {20.0}
+    assert f"{len(told.lost)} of 30 runs lost, the first (run {told.lost[0][0]}) at 20 s" in str(told)
+    assert np.isfinite([c.rmse for c in told.components]).all()
+    assert told.nees.dof.tolist() == [120] * 20 + [4 * (30 - len(told.lost))] * 21
+
+
+def test_the_figure_shows_each_component_and_each_ratio(sound):
+    track, truth = sound
+    fig = celnav.report(track, truth, names=["x (m)", "y (m)", "u (m/s)", "v (m/s)"]).figure()
+    drawn = [ax for ax in fig.axes if ax.axison]
+    assert [ax.get_ylabel() for ax in drawn[:4]] == ["x (m)", "y (m)", "u (m/s)", "v (m/s)"]
+    assert [ax.get_title() for ax in drawn[4:]] == ["NEES / n", "NIS / dof: z0, z1", "NIS / dof: z2, z3"]
+    np.testing.assert_allclose(drawn[0].lines[0].get_ydata(), np.sqrt(np.mean((track.mean - truth)[..., 0] ** 2, 1)))
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        (lambda truth: {"truth": truth[:5]}, r"truth: expected shape \(41, 30, 4\), at the track's epochs, got \(5, 30, 4\)$"),
+        (lambda truth: {"truth": np.repeat(truth, 2, 0)}, r"got \(82, 30, 4\); truth\[::every\] goes with"),
+        (lambda truth: {"truth": truth[:, :7]}, r"got \(41, 7, 4\)$"),
+        (
+            lambda truth: {"truth": truth, "names": ["x"]},
+            r"names: expected 4 words, one for each component of the error, got \['x'\]",
+        ),
+        (lambda truth: {"truth": truth, "start": 99.0}, r"start: expected at most 40, the last epoch, got 99.0"),
+    ],
+)
+def test_what_does_not_go_together_is_refused(sound, change, text):
+    with pytest.raises(ValueError, match=text):
+        celnav.report(sound[0], **change(sound[1]))
+
+
+def test_a_track_without_deviations_is_refused():
+    track, truth = flown(runs=2, keep="mean")
+    with pytest.raises(ValueError, match="track: expected one with means and deviations; run with keep='cov', or 'std'"):
+        celnav.report(track, truth)
