@@ -7,6 +7,7 @@ import errno
 import os
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -32,9 +33,13 @@ def test_a_page_on_another_drive_links_to_the_whole_path(monkeypatch, tmp_path):
     def relpath(path, start):
         raise ValueError("path is on mount 'C:', start on mount 'D:'")
 
-    assert 'href="../' in index._notebook(tmp_path, "csrukf")
-    monkeypatch.setattr(os.path, "relpath", relpath)
-    assert 'href="file:///' in index._notebook(tmp_path, "csrukf")
+    own = tmp_path / "study.py"
+    own.touch()
+    for paper, module in (("csrukf", None), ("study", SimpleNamespace(file=str(own)))):
+        assert 'href="../' in index._notebook(tmp_path / "out", paper, module)
+        with monkeypatch.context() as patch:
+            patch.setattr(os.path, "relpath", relpath)
+            assert 'href="file:///' in index._notebook(tmp_path / "out", paper, module)
 
 
 @pytest.mark.parametrize(("most", "count"), [(61, 61), (1_000_000, 64)])
@@ -51,4 +56,5 @@ def test_text_is_read_and_written_as_utf8_whatever_the_locale(path):
             assert "encoding" in {word.arg for word in node.keywords} or node.args, f"line {node.lineno}"
         if isinstance(node, ast.Call) and getattr(node.func, "attr", getattr(node.func, "id", "")) in ("open", "TemporaryFile"):
             modes = [arg.value for arg in node.args if isinstance(arg, ast.Constant) and set(str(arg.value)) <= set("rwab+x")]
-            assert all("b" in mode for mode in modes), f"line {node.lineno}"
+            named = "encoding" in {word.arg for word in node.keywords}
+            assert named or all("b" in mode for mode in modes), f"line {node.lineno}"
