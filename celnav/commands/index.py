@@ -209,10 +209,17 @@ def _notebook(out: Path, paper: str, module: Any) -> str:
     """A link to it in the checkout, if there is one; to the file of a study of one's own."""
     if paper not in PAPERS and paper not in STUDIES:
         path = Path(module.file)
-        return link(Path(os.path.relpath(path, out.resolve())).as_posix(), path.name) if path.exists() else html.escape(path.name)
+        return _linked(path, out) if path.exists() else html.escape(path.name)
     name = "07_real_data.ipynb" if paper in STUDIES else f"{list(PAPERS).index(paper) + 1:02d}_{paper}.ipynb"
     path = Path(celnav.__file__).resolve().parents[1] / "notebooks" / name
-    return link(Path(os.path.relpath(path, out.resolve())).as_posix(), name) if path.exists() else f"notebooks/{name}"
+    return _linked(path, out) if path.exists() else f"notebooks/{name}"
+
+
+def _linked(path: Path, out: Path) -> str:
+    try:
+        return link(Path(os.path.relpath(path, out.resolve())).as_posix(), path.name)
+    except ValueError:  # on another drive of Windows
+        return link(path.resolve().as_uri(), path.name)
 
 
 def effort_of(folder: Path) -> float | None:
