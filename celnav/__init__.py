@@ -36,9 +36,9 @@ Chance    One generator for each run: ``(seed, study, run)`` determines its numb
 Sources   ``[Sun2015, Eq. 27]`` in a docstring; citations are in ``celnav.papers.<id>.CITATION``.
 """
 
+from typing import TYPE_CHECKING
+
 from celnav.filters.colored import augmented, colored, decorrelated
-from celnav.filters.compiled import compiled
-from celnav.filters.export import export_c
 from celnav.filters.imm import imm
 from celnav.filters.iterated_smoother import iterated_smoother
 from celnav.filters.model import Linear, Motion, Sensor
@@ -55,14 +55,19 @@ from celnav.gaussian.rules import Rule, Taylor, cubature, from_filterpy, gauss_h
 from celnav.gaussian.spaces import EUCLIDEAN, angles, product
 from celnav.gaussian.sparse_grid import smolyak
 from celnav.lazy import modules
-from celnav.show.report import report
 from celnav.study.problem import Problem, compare
 from celnav.study.simulate import simulate
 from celnav.study.trial import Group as Group
 
+if TYPE_CHECKING:
+    from celnav.filters.compiled import compiled
+    from celnav.filters.export import export_c
+    from celnav.show.report import report
+
 __version__ = "0.2.0"
 
-__getattr__, __dir__ = modules(__name__)
+_LATE = {"compiled": "celnav.filters.compiled", "export_c": "celnav.filters.export", "report": "celnav.show.report"}
+__getattr__, __dir__ = modules(__name__, **_LATE)
 
 # `Epoch` and `Group` are names of celnav as well; as tuples they would fill its help with methods of tuples.
 __all__ = [

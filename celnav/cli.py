@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import errno
 import importlib
 import io
 import itertools
@@ -17,12 +18,25 @@ from celnav import real
 from celnav.commands.arguments import UsageError
 from celnav.files import ForeignFileError, InputError
 from celnav.filters.run import ENGINES
+from celnav.lazy import require
 from celnav.papers.own import told
 from celnav.tape.cuda import CudaError
 
 EXIT = "Exit status: 0, done; 1, it could not be done; 2, what was given cannot be used; 130, interrupted."
 BAD_INPUT = (InputError, ForeignFileError, FileNotFoundError, IsADirectoryError, NotADirectoryError, PermissionError)
 """What was given cannot be used, files and folders too: the exit status is 2."""
+PAPERS = ("papers", "jplephem", "erfa", "skyfield_data", "pymap3d", "threadpoolctl")
+RESULTS = ("papers", "matplotlib", "PIL", "tqdm", "filelock", *PAPERS[1:])
+NEEDS = {
+    "list": PAPERS,
+    "verdicts": PAPERS,
+    "reproduce": RESULTS,  # without rerun it says that there are no recordings
+    "run": (*RESULTS, "pyarrow"),
+    "campaign": (*RESULTS, "pyarrow"),
+    "view": ("record", "rerun", "PIL"),
+    "position": ("rinex", "pymap3d", "erfa"),
+}
+"""Commands that need more than numpy and scipy: the extra that brings it, and packages without which they would end."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -32,16 +46,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
             stream.reconfigure(errors="replace")
     try:
         options = _options(sys.argv[1:] if arguments is None else arguments)
+        if options.needs:
+            require(*options.needs)
         status: int = importlib.import_module(f"celnav.commands.{options.module}").run(options)
         sys.stdout.flush()
         return status
     except UsageError as error:
         print(f"celnav: {error}", file=sys.stderr)
         return 2
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
     except (OSError, ImportError, InputError, CudaError) as error:
+        if _nobody_reads(error):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return 1
         print(f"celnav: {told(error) or _told(error)}", file=sys.stderr)
         return 2 if isinstance(error, BAD_INPUT) else 1
     except MemoryError as error:
@@ -55,6 +71,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         print(f"celnav: {line}", file=sys.stderr)
         return 1
+
+
+def _nobody_reads(error: Exception) -> bool:
+    """Whether the pipe that we write to is closed, which Windows calls an invalid argument."""
+    windows = sys.platform == "win32" and isinstance(error, OSError) and error.errno == errno.EINVAL and error.filename is None
+    return windows or isinstance(error, BrokenPipeError)
 
 
 def _told(error: Exception) -> str:
@@ -104,7 +126,7 @@ def _parser() -> tuple[_Parser, dict[str, _Parser]]:
 
     def command(name: str, help: str, module: str | None = None) -> argparse.ArgumentParser:
         added = commands.add_parser(name, help=help, description=help)
-        added.set_defaults(module=module or name)
+        added.set_defaults(module=module or name, needs=(name, *NEEDS[name]) if name in NEEDS else ())
         return added
 
     new = command("new", "write a study of your own to begin with: one that runs, to be changed")

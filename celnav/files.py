@@ -20,8 +20,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from filelock import FileLock, Timeout
 from numpy.typing import NDArray
+
+from celnav.lazy import needed_by
 
 MANIFEST = ".celnav.json"
 LOCK = ".celnav.lock"
@@ -106,6 +107,9 @@ def locked(folder: str | Path) -> Iterator[None]:
     ------
     BlockingIOError: naming the folder, if another process is there.
     """
+    with needed_by("the lock of a folder", "papers"):
+        from filelock import FileLock, Timeout
+
     lock = FileLock(Path(folder) / LOCK)
     try:
         lock.acquire(blocking=False)
@@ -186,7 +190,7 @@ class Outputs:
 
     def _owned(self, name: str) -> Path:
         path = self.directory / name
-        if Path(name).is_absolute() or ".." in Path(name).parts:
+        if Path(name).anchor or ".." in Path(name).parts:
             raise ValueError(f"name: expected a path inside the folder, got {name!r}")
         for above in list(Path(name).parents)[:-1]:
             if (self.directory / above).is_symlink():

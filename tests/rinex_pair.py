@@ -6,11 +6,11 @@ from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
-from pymap3d import ecef2geodetic
 
 from celnav.models import pseudorange
-from celnav.models.gnss import B1I_HZ, ELLIPSOID, GPS_AHEAD_S, L1_HZ, LIGHT
+from celnav.models.gnss import B1I_HZ, GPS_AHEAD_S, L1_HZ, LIGHT
 from celnav.receiver.constellation import synthetic
+from celnav.receiver.geodesy import ELLIPSOID, ecef2geodetic
 from celnav.receiver.rinex import Observations
 from celnav.receiver.sky import klobuchar, local_axes, look, saastamoinen
 

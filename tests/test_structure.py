@@ -13,7 +13,8 @@ from celnav.papers import citation
 
 ROOT = Path(celnav.__file__).parent
 ROOMS = [
-    {"lazy", "files"},
+    {"lazy"},
+    {"files"},
     {"store", "tape"},
     {"gaussian"},
     {"filters"},

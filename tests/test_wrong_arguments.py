@@ -52,7 +52,7 @@ trial: check_groups squares Noiseless.standard_normal
 """What a filter calls at every step takes arrays as they are: a look at each would cost more than the product it makes."""
 INSIDE = """
 checks: numbers finite number integer integers whole choice function sequence together beside instance kind unmasked takes
-drawing: Drawing.set render
+drawing: Drawing.set render styled
 rules: few AnyDimension
 sparse_grid: check_orders univariate
 views: blueprint
@@ -63,7 +63,7 @@ orbit: warn_of_degrees
 gnss: Broadcast Broadcast.chosen
 belief: symmetric
 montecarlo: blocks steps effort
-claims: Ledger accepted counted dumps plain read_claims row style surprise table tally written
+claims: answer Ledger accepted counted dumps plain read_claims row style surprise table tally written
 gyro: Gyro.drift
 ledger: Claim Row Row.judged estimate order
 numbers: all_of consistency correlation entries given lagged of over_time ratio rmse settling tiers

@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import gammaincinv, ndtri, stdtrit
 
 from celnav.gaussian.checks import LIMIT, function, integer, number, numbers
 from celnav.gaussian.linalg import Array
+from celnav.lazy import Late
+
+special = Late("scipy.special")
 
 __all__ = ["bootstrap", "chi_square_band", "ratio", "rms", "rmse", "rmse_interval"]
 
@@ -84,7 +86,7 @@ def bootstrap(
     values = [value_of(*(array[rows] for array in arrays)) for rows in drawn]
     upper = 0.5 + level / 2
     low, high = np.quantile(values, [0.5 - level / 2, upper])
-    wider = float(np.sqrt(blocks / (blocks - 1)) * stdtrit(blocks - 1, upper) / ndtri(upper))
+    wider = float(np.sqrt(blocks / (blocks - 1)) * special.stdtrit(blocks - 1, upper) / special.ndtri(upper))
     return value + wider * float(low - value), value + wider * float(high - value)
 
 
@@ -107,5 +109,5 @@ def _samples(name: str, values: ArrayLike) -> Array:
 def _chi_square(level: float, dof: float) -> tuple[float, float]:
     """Central interval of a chi-square variable."""
     level = number("level", level, above=0.0, below=1.0)
-    low, high = 2.0 * gammaincinv(0.5 * dof, [0.5 - level / 2, 0.5 + level / 2])
+    low, high = 2.0 * special.gammaincinv(0.5 * dof, [0.5 - level / 2, 0.5 + level / 2])
     return float(low), float(high)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
@@ -15,7 +16,10 @@ from typing import Any, NamedTuple, cast
 from urllib.parse import urlsplit
 
 from celnav.gaussian.checks import integer
+from celnav.lazy import needed_by
 
+MOST_PROCESSES = 61 if sys.platform == "win32" else 1_000_000
+"""Windows waits for no more at once."""
 PATIENCE_S = 10.0
 """How long a scheduler may take to answer."""
 
@@ -65,7 +69,7 @@ def processes(jobs: int) -> Workers:
 @contextmanager
 def _pool(jobs: int) -> Iterator[Executor]:
     others = set(active_children())
-    pool = _Pool(jobs, mp_context=get_context("spawn"), initializer=_end_with_the_parent)
+    pool = _Pool(min(jobs, MOST_PROCESSES), mp_context=get_context("spawn"), initializer=_end_with_the_parent)
     try:
         yield pool
         pool.shutdown()
@@ -91,15 +95,15 @@ class _Pool(ProcessPoolExecutor):
 def _deaf_children() -> Iterator[None]:
     """Processes that are started in here never hear of interrupts from the keyboard, which are for the parent alone: it hears of
     them at the end."""
-    if not hasattr(signal, "pthread_sigmask"):
+    if sys.platform == "win32":
         yield
-        return
-    resource_tracker.ensure_running()  # its start would let the signal through again
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    else:
+        resource_tracker.ensure_running()  # its start would let the signal through again
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _end_with_the_parent() -> None:
@@ -139,11 +143,9 @@ def _is_address(text: str) -> bool:
 
 @contextmanager
 def _cluster(address: str | None, jobs: int) -> Iterator[Executor]:
-    try:
+    with needed_by("dask", "cluster"):
         import distributed
-    except ImportError:
-        hint = '.venv/bin/pip install -c constraints.txt -e ".[cluster]"'
-        raise ImportError(f"dask needs the package distributed: in the folder of celnav, {hint}") from None
+
     others, dd = set(active_children()), cast(Any, distributed)
     with contextlib.ExitStack() as stack:
         stack.callback(_kill_but, others)

@@ -14,6 +14,7 @@ from celnav.campaign.missions import Configuration, Study
 from celnav.campaign.scores import Accuracy, Scores, Summary, merge, summarize
 from celnav.campaign.units import Result
 from celnav.gaussian.linalg import Array
+from celnav.lazy import needed_by
 
 MOST_LINES = 40
 
@@ -142,8 +143,9 @@ def to_csv(table: dict[str, list[Any]]) -> str:
 
 def to_parquet(table: dict[str, list[Any]]) -> bytes:
     """The same as a Parquet file."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
+    with needed_by("a table as Parquet", "papers"):
+        import pyarrow as pa
+        import pyarrow.parquet as pq
 
     sink = pa.BufferOutputStream()
     pq.write_table(pa.table({name: pa.array(values) for name, values in table.items()}), sink)

@@ -13,18 +13,21 @@ from time import process_time
 from typing import Any, Protocol
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from celnav.campaign.missions import Study
 from celnav.campaign.scores import Failure, Scores, check_scores, merge, score
 from celnav.filters.run import ENGINE
 from celnav.gaussian.linalg import Array
+from celnav.lazy import needed_by
 from celnav.papers import load
 from celnav.papers.own import identity, place
 from celnav.store import Keyed, code
 from celnav.study.montecarlo import blocks, generator
 from celnav.study.trial import Noiseless, Trial, bound, follow
 from celnav.tape.cuda import CudaError
+
+with needed_by("a campaign or a mission", "papers"):
+    from threadpoolctl import threadpool_limits
 
 STUDY = 0
 """Of `celnav.study.montecarlo.generator`, for all configurations: they share their random numbers, so differences are sharp."""

@@ -14,6 +14,7 @@ import numpy as np
 from celnav.commands.arguments import UsageError, number, whole
 from celnav.files import InputError, Outputs
 from celnav.gaussian.linalg import Array
+from celnav.lazy import require
 
 FILES = ("diagnosis.txt", "diagnosis.json", "diagnosis.png", "diagnosis.svg")
 TIMES = ("t", "time", "times", "seconds", "epoch")
@@ -34,12 +35,12 @@ class Table(NamedTuple):
 def run(options: argparse.Namespace) -> int:
     """Everything is computed before anything is written."""
     from celnav.analysis.diagnose import diagnose
-    from celnav.show.diagnosis import figure
-    from celnav.show.drawing import render
 
     lags, level = whole("lags", options.lags, 1), number("level", options.level)
     if not 0.0 < level < 1.0:
         raise UsageError(f"--level: expected a number between 0 and 1, got {options.level!r}")
+    if options.out is not None:
+        require("diagnose --out", "papers", "matplotlib", "PIL")
     outputs = None if options.out is None else Outputs(options.out)
     if outputs is not None:
         outputs.check(FILES)
@@ -53,6 +54,9 @@ def run(options: argparse.Namespace) -> int:
         words += f"\n\nnot looked at: {', '.join(table.ignored)} (--columns chooses)"
     print(words)
     if outputs is not None:
+        from celnav.show.diagnosis import figure
+        from celnav.show.drawing import render
+
         drawing = figure(found)
         drawn = {f"diagnosis.{kind}": render(drawing, kind) for kind in ("png", "svg")}
         texts = {"diagnosis.txt": words + "\n", "diagnosis.json": json.dumps(_plain(found), indent=1) + "\n"}

@@ -20,7 +20,7 @@ from celnav.commands.arguments import module as module_of
 from celnav.files import InputError, read_json
 from celnav.papers import PAPERS
 from celnav.real import STUDIES
-from celnav.show.claims import counted, read_claims, surprise, table, tally
+from celnav.show.claims import answer, counted, read_claims, surprise, table, tally
 from celnav.show.page import document, link, linked
 from celnav.show.page import table as plain_table
 from celnav.study.ledger import VERDICTS
@@ -153,7 +153,7 @@ def _opening(out: Path, paper: str, claims: Claims) -> str:
     drawn = _drawing(picture, paper, module) if picture.exists() else ""
     return (
         f'<article class="card"><h3><a href="#{paper}">{html.escape(module.TITLE)}</a></h3>{drawn}'
-        f"<p>{whose}{html.escape(module.STUDY.says)}</p><p>We find: {html.escape(module.STUDY.found)}</p>"
+        f"<p>{whose}{html.escape(module.STUDY.says)}</p><p>We find: {html.escape(answer(module.STUDY, claims))}</p>"
         f"<p><small>{len(rows)} {kind}s: {counted(rows)}.{told}</small></p></article>"
     )
 
@@ -209,10 +209,17 @@ def _notebook(out: Path, paper: str, module: Any) -> str:
     """A link to it in the checkout, if there is one; to the file of a study of one's own."""
     if paper not in PAPERS and paper not in STUDIES:
         path = Path(module.file)
-        return link(Path(os.path.relpath(path, out.resolve())).as_posix(), path.name) if path.exists() else html.escape(path.name)
+        return _linked(path, out) if path.exists() else html.escape(path.name)
     name = "07_real_data.ipynb" if paper in STUDIES else f"{list(PAPERS).index(paper) + 1:02d}_{paper}.ipynb"
     path = Path(celnav.__file__).resolve().parents[1] / "notebooks" / name
-    return link(Path(os.path.relpath(path, out.resolve())).as_posix(), name) if path.exists() else f"notebooks/{name}"
+    return _linked(path, out) if path.exists() else f"notebooks/{name}"
+
+
+def _linked(path: Path, out: Path) -> str:
+    try:
+        return link(Path(os.path.relpath(path, out.resolve())).as_posix(), path.name)
+    except ValueError:  # on another drive of Windows
+        return link(path.resolve().as_uri(), path.name)
 
 
 def effort_of(folder: Path) -> float | None:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from celnav.commands.arguments import UsageError, number
 from celnav.files import InputError, Outputs
+from celnav.lazy import require
 
 if TYPE_CHECKING:
     from celnav.gaussian.linalg import Array
@@ -52,6 +53,8 @@ def run(options: argparse.Namespace) -> int:
     track = FORMATS.get(out.suffix.lower())
     if out.suffix.lower() in NO_TRACKS:
         raise UsageError(f"--out: expected a folder, or a file with one of {', '.join(FORMATS)}, got {options.out!r}")
+    if track is None:
+        require("position with figures", "papers", "matplotlib", "PIL")
     outputs = Outputs(out if track is None else out.parent)
     outputs.check([*positioning_report.FILES, positioning_report.RECORDING] if track is None else [out.name])
     ionosphere = None if options.ion is None else _ionosphere(options.ion)

@@ -15,7 +15,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from filterpy.common import pretty_str
 from scipy.linalg import cholesky
 
 from celnav.filters.joint import KEEP, condition, joint, marginal
@@ -28,6 +27,10 @@ from celnav.gaussian.checks import finite, numbers
 from celnav.gaussian.linalg import Array, Covariance, Form, SquareRoot, outer, whiten
 from celnav.gaussian.rules import Rule, from_filterpy
 from celnav.gaussian.spaces import EUCLIDEAN, Space
+from celnav.lazy import needed_by
+
+with needed_by("celnav.filters.dropin", "filterpy"):
+    from filterpy.common import pretty_str
 
 __all__ = ["SigmaPointUKF", "SquareRootUKF"]
 

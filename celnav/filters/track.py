@@ -14,6 +14,7 @@ from celnav.filters.records import Epoch, Info
 from celnav.gaussian.belief import any_lost
 from celnav.gaussian.checks import integer
 from celnav.gaussian.linalg import Array, Belief, SquareRoot
+from celnav.lazy import needed_by
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -98,7 +99,8 @@ class Track:
 
         ``names``: of the state's components; default ``x0, x1, ...``.
         """
-        import pandas as pd
+        with needed_by("Track.to_dataframe", "notebooks"):
+            import pandas as pd
 
         return pd.DataFrame(self._columns(names))
 

@@ -15,12 +15,13 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import blas, lapack
 
 from celnav.gaussian import recorded
+from celnav.lazy import Late
 from celnav.tape.numbers import numbers
 
 Array = NDArray[Any]
+blas, lapack = Late("scipy.linalg.blas"), Late("scipy.linalg.lapack")
 
 EPS = float(np.finfo(np.float64).eps)
 NEGLIGIBLE = 1e-12  # part of the largest deviation, or variance, below which one is round-off

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from celnav.gaussian.checks import finite, number, numbers
 from celnav.gaussian.linalg import Array, matvec
+from celnav.lazy import needed_by
 
 __all__ = [
     "Flight", "earth_rate", "inertial_forces", "meridian_radius", "normal_gravity", "orientation", "radii", "spin",
@@ -83,7 +84,8 @@ def orientation(tt: ArrayLike, ut1: ArrayLike, pole: tuple[float, float] = (0.0,
 
     tt, ut1: Julian dates in terrestrial time and in UT1, ``(..., 2)``: days and the rest. pole: x and y of its motion, rad.
     """
-    import erfa  # only who asks for it has it imported
+    with needed_by("celnav.models.earth.orientation", "papers"):
+        import erfa  # only who asks for it has it imported
 
     one, two = finite("tt", tt, (..., 2)), finite("ut1", ut1, (..., 2))
     xp, yp = finite("pole", pole, (2,))

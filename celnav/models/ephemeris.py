@@ -15,14 +15,17 @@ from io import BytesIO
 from pathlib import Path
 from typing import NamedTuple
 
-import erfa
 import numpy as np
-from jplephem.daf import DAF
-from jplephem.spk import SPK
 from numpy.typing import ArrayLike
 
 from celnav.gaussian.checks import choice, finite, instance, numbers
 from celnav.gaussian.linalg import Array
+from celnav.lazy import needed_by
+
+with needed_by("celnav.models.ephemeris", "papers"):
+    import erfa
+    from jplephem.daf import DAF
+    from jplephem.spk import SPK
 
 __all__ = ["BodyState", "Kernel", "Tdb", "from_tt", "from_utc"]
 
@@ -86,7 +89,8 @@ class Kernel:
 @cache
 def de421() -> Kernel:
     """DE421 [Folkner2009], 1899 to 2053, from the package skyfield-data."""
-    return Kernel(str(files("skyfield_data") / "data" / "de421.bsp"))
+    with needed_by("de421", "papers"):
+        return Kernel(str(files("skyfield_data") / "data" / "de421.bsp"))
 
 
 DAY_S = 86400.0

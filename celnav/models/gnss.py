@@ -11,7 +11,6 @@ from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
-from pymap3d import Ellipsoid
 
 from celnav.gaussian.checks import finite
 from celnav.gaussian.linalg import Array
@@ -25,7 +24,6 @@ LIGHT = 299792458.0  # m/s
 B1I_HZ, L1_HZ = 1561.098e6, 1575.42e6
 WEEK_S = 604800.0
 GPS_AHEAD_S = 14.0
-ELLIPSOID = Ellipsoid(6378137.0, 6378137.0 * (1.0 - 1.0 / 298.257222101))  # of CGCS2000
 GEO_NUMBERS = frozenset({*range(1, 6), *range(59, 64)})
 TILT = np.radians(5.0)
 """Of the plane that a geostationary orbit's elements refer to: without it their node would be lost."""

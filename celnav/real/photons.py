@@ -15,6 +15,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from celnav.files import InputError
 from celnav.gaussian.linalg import Array
+from celnav.lazy import needed_by
 from celnav.models.ephemeris import DAY_S, Tdb, de421, from_tt
 from celnav.models.pulsar import LIGHT_KM_S, Pulsar, Timing
 from celnav.real import found
@@ -69,11 +70,9 @@ def table(path: Path, extension: str, columns: tuple[str, ...]) -> tuple[Mapping
     ------
     ImportError: where astropy is missing; the message says how to get it. InputError: naming the file, if it is none or damaged.
     """
-    try:
+    with needed_by(f"{path}: a FITS file", "real"):
         from astropy.io import fits
-    except ImportError as error:
-        command = '.venv/bin/pip install -c constraints.txt -e ".[real]"'
-        raise ImportError(f"{path}: expected astropy for FITS files ({error}); install it: {command}") from None
+
     content = path.read_bytes()
     try:
         with warnings.catch_warnings():

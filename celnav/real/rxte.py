@@ -220,7 +220,8 @@ ROWS = (
 STUDY = Study(
     "rxte", GROUPS, None, parts, ROWS,
     says="RXTE counted photons of a young pulsar for an hour. Do they show where the satellite was, and how well do they know it?",
-    found="Two minutes of photons place it to 1100 km along the line of sight, as they claim; the orbit's rise and fall is seen. "
+    found="Two minutes of photons place it to {rxte-place[0]:.0f} km along the line of sight, as they claim; the orbit's rise and "
+    "fall is seen. "
     "The Earth's place sharpens the pulse beyond doubt; that the orbit does could be the chance of this hour.",
     figure="figure_03",
 )  # fmt: skip

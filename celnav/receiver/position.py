@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pymap3d import ecef2geodetic
 
 from celnav.files import InputError
 from celnav.filters.records import Epoch
@@ -20,8 +19,9 @@ from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import finite
 from celnav.gaussian.linalg import Array
 from celnav.models import pseudorange
-from celnav.models.gnss import ELLIPSOID, GPS_AHEAD_S, L1_HZ, LIGHT
+from celnav.models.gnss import GPS_AHEAD_S, L1_HZ, LIGHT
 from celnav.receiver.fixes import LEAST_ELEVATION, Noise, Seen, estimated, fixed
+from celnav.receiver.geodesy import ELLIPSOID, ecef2geodetic
 from celnav.receiver.rinex import OTHERS, SYSTEMS, Navigation, Observations
 from celnav.receiver.sky import Dilution, dilution, klobuchar, local_axes, look, saastamoinen
 

@@ -8,15 +8,15 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pymap3d import ecef2geodetic
 
 from celnav.files import Outputs
 from celnav.filters.records import FilterError
 from celnav.filters.run import run
 from celnav.gaussian.linalg import Array
-from celnav.models.gnss import ELLIPSOID, GEO_NUMBERS
+from celnav.models.gnss import GEO_NUMBERS
 from celnav.receiver.filters import filters
 from celnav.receiver.fixes import Noise
+from celnav.receiver.geodesy import ELLIPSOID, ecef2geodetic
 from celnav.receiver.position import Log
 from celnav.receiver.rinex import SYSTEMS
 from celnav.receiver.sky import GROUND_M, local_axes, on_earth

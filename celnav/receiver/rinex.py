@@ -14,11 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pymap3d import ecef2geodetic
 
 from celnav.files import InputError
 from celnav.gaussian.linalg import Array
-from celnav.models.gnss import B1I_HZ, ELLIPSOID, GEO_NUMBERS, GPS_AHEAD_S, L1_HZ, WEEK_S, Broadcast
+from celnav.models.gnss import B1I_HZ, GEO_NUMBERS, GPS_AHEAD_S, L1_HZ, WEEK_S, Broadcast
+from celnav.receiver.geodesy import ELLIPSOID, ecef2geodetic
 from celnav.receiver.rinex_text import (
     Measured,
     Set,

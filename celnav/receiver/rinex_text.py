@@ -21,6 +21,7 @@ import numpy as np
 
 from celnav.files import MOST_UNPACKED, InputError
 from celnav.gaussian.linalg import Array
+from celnav.lazy import needed_by
 
 LARGEST_BYTES = 2_000_000_000
 """Of a file, unpacked: a day of a station at a second's rate is half of that."""
@@ -59,12 +60,9 @@ def unpacked(path: Path) -> tuple[str, str]:
 
 def _decompressed(path: Path, raw: bytes, most: int) -> bytes:
     """By the program of hatanaka, which is stopped after ``most`` bytes: its own function would hold all that comes."""
-    try:
+    with needed_by(f"{path}: a log in Hatanaka's compression", "rinex"):
         import_module("hatanaka")
         program = files("hatanaka.bin") / ("crx2rnx.exe" if os.name == "nt" else "crx2rnx")
-    except ImportError as error:
-        hint = '.venv/bin/pip install -c constraints.txt -e ".[rinex]"'
-        raise ImportError(f"{error}; compressed receiver logs need it: in the folder of celnav, {hint}") from None
     with tempfile.TemporaryFile() as given, tempfile.TemporaryFile() as told, as_file(program) as executable:
         given.write(raw)
         given.seek(0)

@@ -10,15 +10,18 @@ from datetime import timedelta
 from functools import reduce
 from typing import TYPE_CHECKING, NamedTuple
 
-import erfa
 import numpy as np
-from pymap3d import ecef2geodetic
 
 import celnav
 from celnav.gaussian.linalg import Array
-from celnav.models.gnss import ELLIPSOID, GPS_AHEAD_S, WEEK_S
+from celnav.lazy import needed_by
+from celnav.models.gnss import GPS_AHEAD_S, WEEK_S
+from celnav.receiver.geodesy import ELLIPSOID, ecef2geodetic
 from celnav.receiver.rinex_text import EPOCH_ZERO
 from celnav.receiver.sky import local_axes
+
+with needed_by("positioning a receiver", "rinex"):
+    import erfa
 
 if TYPE_CHECKING:
     from celnav.receiver.report import Positioned

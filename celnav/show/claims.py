@@ -126,6 +126,15 @@ class Ledger:
         return table(self._claims, cell="#say-")
 
 
+def answer(study: Any, claims: Iterable[Mapping[str, Any]]) -> str:
+    """What a study finds, in sentences: "{axes[0]:.1f}" in them is the first number of the row "axes"."""
+    numbers = {c["id"]: [np.nan if n["value"] is None else n["value"] for n in c["numbers"]] for c in claims}
+    try:
+        return str(study.found.format(**numbers))
+    except (KeyError, IndexError):  # claims that another version has left there
+        return f"(of another version; celnav reproduce {study.name})"
+
+
 # -- files -------------------------------------------------------------------------------------------------------------------
 def written(claim: Claim) -> dict[str, Any]:
     """As it stands in ``claims.json``: ``value``, ``ci`` and ``accept`` of the number that decides, all in ``numbers``."""

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import io
+from contextlib import AbstractContextManager
 from typing import Any
 
-from matplotlib import rc_context
-from matplotlib.figure import Figure
-from matplotlib.ticker import NullLocator
-from PIL import Image
+from celnav.lazy import needed_by
+
+with needed_by("a figure", "papers"):
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import NullLocator
+    from PIL import Image
 
 STYLE: Any = {
     "figure.constrained_layout.use": True,
@@ -27,6 +31,11 @@ STYLE: Any = {
     "svg.hashsalt": "celnav",
     "svg.fonttype": "path",
 }
+
+
+def styled() -> AbstractContextManager[None]:
+    """In this context figures are made in celnav's style."""
+    return rc_context(STYLE)
 
 
 class Drawing(Figure):
@@ -52,7 +61,7 @@ def render(fig: Figure, kind: str, dpi: float = 150) -> bytes:
     """The figure as "png" or "svg"; the same figure gives the same bytes."""
     buffer = io.BytesIO()
     _sparse_ticks(fig)
-    with rc_context(STYLE):
+    with styled():
         fig.savefig(buffer, format=kind, dpi=dpi, metadata={"Date": None} if kind == "svg" else {"Software": None})
     fig.set_layout_engine("none")  # arranged once, for every kind: it takes as long as the drawing
     return buffer.getvalue()

@@ -29,13 +29,11 @@ Item = Callable[["Axes"], Any]
 
 def figure(width: float, height: float, rows: int = 1, columns: int = 1, **axes: Any) -> tuple[Figure, Any]:
     """An empty figure (inches) and its axes in celnav's style, outside pyplot's list of open figures."""
-    from matplotlib import rc_context
-
-    from celnav.show.drawing import STYLE, Drawing
+    from celnav.show.drawing import Drawing, styled
 
     size = number("width", width, above=0.0), number("height", height, above=0.0)
     rows, columns = integer("rows", rows, 1, 100), integer("columns", columns, 1, 100)
-    with rc_context(STYLE):
+    with styled():
         fig = Drawing(figsize=size)
         return fig, fig.subplots(rows, columns, **axes)
 
@@ -61,14 +59,12 @@ def panels(*rows: Panel | Sequence[Panel], size: tuple[float, float], legend: An
 
     ``axes``: as of `figure`; where they share x or y (``sharex="col"``) the outer ones alone are labeled.
     """
-    from matplotlib import rc_context
-
-    from celnav.show.drawing import STYLE
+    from celnav.show.drawing import styled
 
     grid = [[row] if isinstance(row, Panel) else list(row) for row in rows]
     fig, drawn = figure(*size, len(grid), len(grid[0]), squeeze=False, **axes)
     known: dict[str, Any] = {}
-    with rc_context(STYLE):
+    with styled():
         for ax, panel in zip(drawn.flat, (panel for row in grid for panel in row), strict=True):
             for item in panel.items:
                 item(ax)

@@ -15,12 +15,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import rerun as rr
-from PIL import Image
-from rerun.experimental import ViewerClient
-
 from celnav.files import InputError, replacing
+from celnav.lazy import needed_by
 from celnav.show.views import TIMELINE
+
+with needed_by("a picture of a recording", "record"):
+    import rerun as rr
+    from PIL import Image
+    from rerun.experimental import ViewerClient
 
 HOST = "127.0.0.1"
 """What the viewer listens to."""
@@ -110,7 +112,7 @@ def _answers(port: int) -> bool:
 
 def _end(process: subprocess.Popen[bytes]) -> None:
     """End a process and what it started, which on Windows are one."""
-    if os.name == "posix":
+    if sys.platform != "win32":
         for sign in (signal.SIGTERM, signal.SIGKILL):
             with contextlib.suppress(ProcessLookupError, subprocess.TimeoutExpired):
                 os.killpg(process.pid, sign)

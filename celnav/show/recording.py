@@ -18,16 +18,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rerun as rr
 from numpy.typing import ArrayLike
-from rerun.error_utils import strict_mode
 from scipy.spatial.transform import Rotation
 
 from celnav.files import write_bytes
 from celnav.gaussian.checks import finite, instance, number, numbers, sequence
 from celnav.gaussian.linalg import Array
+from celnav.lazy import needed_by
 from celnav.show import colors
 from celnav.show.views import TIMELINE, blueprint
+
+with needed_by("a recording", "record"):
+    import rerun as rr
+    from rerun.error_utils import strict_mode
 
 APPLICATION = "celnav"
 

@@ -10,12 +10,15 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import rerun as rr
-import rerun.blueprint as rrb
 from numpy.typing import ArrayLike
 
 from celnav.gaussian.checks import finite, instance, number, numbers
 from celnav.gaussian.linalg import Array
+from celnav.lazy import needed_by
+
+with needed_by("a recording", "record"):
+    import rerun as rr
+    import rerun.blueprint as rrb
 
 TIMELINE = "t"
 """Of every recording, seconds."""

@@ -13,9 +13,8 @@ from time import process_time
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.special import ndtri
 
-from celnav.analysis.metrics import bootstrap, rms
+from celnav.analysis.metrics import bootstrap, rms, special
 from celnav.filters.colored import colored
 from celnav.filters.joint import evaluate
 from celnav.filters.model import Motion, Sensor
@@ -90,7 +89,7 @@ class Problem:
         T, space = len(self.times), self.motion.space
         start, walk, noise, lot = normals(rngs, (self.n,), (T, W.shape[1]), (T, V.shape[1]), (T, len(V)))
         walk, noise = walk @ W.T, noise @ V.T
-        factor = np.where(np.abs(lot) > (ndtri(1.0 - 0.5 * self.outliers) if self.outliers else np.inf), WILD, 1.0)
+        factor = np.where(np.abs(lot) > (special.ndtri(1.0 - 0.5 * self.outliers) if self.outliers else np.inf), WILD, 1.0)
         x, v = space.plus(np.tile(self.prior.mean, (len(start), 1)), start @ self.prior.sqrt_cov.T), noise[0]
         truth, z = [], []
         for epoch in epochs(self.times, u=self.u):

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.filters.compiled import steps_by
 from celnav.filters.records import Epoch, Filter, Info, epochs
 from celnav.filters.run import ENGINE, explain, steps
 from celnav.gaussian.belief import Gaussian, any_lost, nees
@@ -129,7 +128,11 @@ def follow(trial: Trial, name: str, every: int = 1) -> Followed:
     """Run the filter of a name and judge it at each ``every``-th of the epochs that have a truth, and at the last."""
     instance("trial", trial, Trial, "a Trial, such as problem.trial(filters, rngs)")
     filter, every = trial.filters[choice("name", name, trial.filters)], integer("every", every)
-    flown = steps_by(ENGINE.get(), filter, trial.prior, trial.epochs(name)) if ENGINE.get() != "numpy" else None
+    flown = None
+    if (engine := ENGINE.get()) != "numpy":
+        from celnav.filters.compiled import steps_by
+
+        flown = steps_by(engine, filter, trial.prior, trial.epochs(name))
     lost: dict[int, tuple[float, str]] = {}
     count = 0
 

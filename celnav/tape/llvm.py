@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 
+from celnav.lazy import needed_by
 from celnav.tape.kernel import Kernel, digest
 from celnav.tape.tape import Number, Tape, operands
 
@@ -345,11 +346,8 @@ _FLY = ctypes.CFUNCTYPE(None, *[_POINTER] * 8, *[_LONG] * 10)
 @cache
 def toolchain() -> Any:
     """llvmlite, ready to compile for this processor."""
-    try:
+    with needed_by("machine code", "compiled"):
         import llvmlite.binding as binding
-    except ImportError:
-        cure = '.venv/bin/pip install -c constraints.txt -e ".[compiled]"'
-        raise ImportError(f"machine code: expected llvmlite, which {cure} brings") from None
     binding.initialize_native_target()
     binding.initialize_native_asmprinter()
     library = ctypes.CDLL("ucrtbase" if sys.platform == "win32" else None)

@@ -136,8 +136,7 @@ class Numbers(np.ndarray):
         kind = np.dtype(dtype)
         if kind.kind not in "biuO" and kind != np.float64:
             raise refused(f"numbers are recorded as float64, not as {kind}")
-        one = _logical if kind.kind == "b" else as_number
-        floats = numbers(np.frompyfunc(one, 1, 1)(self.view(np.ndarray)))
+        floats = numbers(np.frompyfunc(_logical if kind.kind == "b" else as_number, 1, 1)(self.view(np.ndarray)))
         return np.trunc(floats) if kind.kind in "iu" else floats
 
     def any(self, *arguments: Any, **options: Any) -> Any:
@@ -182,19 +181,18 @@ def _bare(x: Any) -> Any:
     return array if array.dtype.hasobject else array.astype(object)
 
 
+@np.errstate(all="ignore")  # from numpy 2.5 on a comparison with nan within a function of ours would warn
 def _ufunc(ufunc: Any, method: str, inputs: Sequence[Any], options: dict[str, Any]) -> Any:
     given = options.pop("out", None)
     options.pop("dtype", None), options.pop("order", None), options.pop("casting", None)
     if ufunc in (np.matmul, np.vecdot) and method == "__call__":
         found = numbers(_products(ufunc, *map(_bare, inputs)))
-    elif ufunc.__name__ == "clip":
-        low, high = inputs[1:]
-        found = np.minimum(np.maximum(inputs[0], low), high)
+    elif ufunc.__name__ in ("clip", "real"):  # the latter is what numpy 2.5 makes of x.real
+        found = inputs[0] if ufunc.nin == 1 else np.minimum(np.maximum(*inputs[:2]), inputs[2])
     elif ufunc not in _UFUNCS:
         raise refused(f"numpy.{ufunc.__name__} cannot be recorded")
     elif method == "__call__":
-        function = np.frompyfunc(_UFUNCS[ufunc], ufunc.nin, 1)
-        found = numbers(function(*map(_bare, inputs), **options))
+        found = numbers(np.frompyfunc(_UFUNCS[ufunc], ufunc.nin, 1)(*map(_bare, inputs), **options))
     elif method == "reduce":
         found = _reduced(ufunc, *inputs, **options)
     elif method == "accumulate":
@@ -289,6 +287,7 @@ def each_row(function: Callable[..., Any], *points: Any, least: int = LONG) -> A
 
 
 # -- functions that are no ufuncs ------------------------------------------------------------------------------------------
+@np.errstate(all="ignore")
 def _where(condition: Any, a: Any, b: Any) -> Any:
     choose = np.frompyfunc(lambda c, x, y: do("select", _logical(c), x, y), 3, 1)
     return numbers(choose(_bare(condition), _bare(a), _bare(b)))

@@ -3,6 +3,8 @@
 import re
 from dataclasses import replace
 from itertools import product
+from pathlib import Path
+from tempfile import mkdtemp
 
 import numpy as np
 import pytest
@@ -33,6 +35,7 @@ from celnav.papers.tstdkf.method import Differenced, strong_tracking
 from celnav.receiver.least_squares import least_squares
 
 EYE = np.eye(2)
+CSV = Path(mkdtemp(), "track.csv")
 PRIOR = celnav.Gaussian(np.zeros(2), EYE)
 TIMES = [0.0, 1.0, 2.0]
 WHEN = celnav.epochs(TIMES, np.ones((3, 2)))
@@ -188,7 +191,7 @@ DOORS = {
         {"f": f, "h": f, "Q": EYE, "R": EYE},
     ),
     "to_dataframe": (lambda **a: TRACK.to_dataframe(**a), {"names": ["a", "b"]}),
-    "to_csv": (lambda **a: TRACK.to_csv("/dev/null", **a), {"names": ["a", "b"]}),
+    "to_csv": (lambda **a: TRACK.to_csv(CSV, **a), {"names": ["a", "b"]}),
 }  # fmt: skip
 HOOKS = {
     gate: {"gamma": 3.0},

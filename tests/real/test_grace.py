@@ -7,15 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import stats
 from scipy.integrate import solve_ivp
 
 from celnav.files import InputError
+from celnav.filters.colored import colored
 from celnav.filters.records import Epoch
 from celnav.filters.run import run
+from celnav.filters.sequential import ukf
 from celnav.gaussian.belief import Gaussian
 from celnav.models import earth, ephemeris, gravity
 from celnav.real import grace
-from celnav.real.grace import positions, study
+from celnav.real.grace import positions, settings, study
 
 REAL = Path(__file__).parents[3] / "shared" / "data" / "grace"
 START, COUNT = 270820800.0, 320
@@ -33,14 +36,14 @@ def field_text():
 
 def orbit(field, count):
     """States at every 10 s on Earth-fixed axes, integrated in space by a method of high order: not as filters do it."""
-    bodies, center = [], ephemeris.de421().state("earth", ephemeris.from_tt(*study.orientation(np.array([START]))[1][0]))
+    bodies, center = [], ephemeris.de421().state("earth", ephemeris.from_tt(*settings.orientation(np.array([START]))[1][0]))
     for name in ("sun", "moon"):
-        state = ephemeris.de421().state(name, ephemeris.from_tt(*study.orientation(np.array([START]))[1][0]))
+        state = ephemeris.de421().state(name, ephemeris.from_tt(*settings.orientation(np.array([START]))[1][0]))
         place, moving = 1e3 * (state.position - center.position), 1e3 * (state.velocity - center.velocity)
         bodies.append((1e9 * ephemeris.GM[name], place, moving))
 
     def turned(t):
-        return study.orientation(np.array([START + t]))[0][0]
+        return settings.orientation(np.array([START + t]))[0][0]
 
     def rate(t, x):
         R = turned(t)
@@ -53,7 +56,7 @@ def orbit(field, count):
     R, spin = turned(0.0), earth.spin(np.stack([turned(0.0), turned(10.0)]), 10.0)[0]
     r, v = np.array([686123.6, -6771705.2, 734394.0]), np.array([-280.0, -860.0, -7540.0])
     start = np.concatenate([R.T @ r, R.T @ (v + np.cross(spin, r))])
-    times = study.STEP_S * np.arange(count)
+    times = settings.STEP_S * np.arange(count)
     found = solve_ivp(rate, (0.0, times[-1]), start, "DOP853", times, rtol=1e-12, atol=1e-6).y.T
     fixed = [turned(t) for t in times]
     r = np.stack([A @ x[:3] for A, x in zip(fixed, found, strict=True)])
@@ -173,10 +176,10 @@ def test_a_file_that_is_cut_off_garbled_or_too_large_is_refused(folder, tmp_path
 def test_a_step_is_the_orbit(folder):
     """Against an integrator of high order in space, over three minutes."""
     field = gravity.read(folder / "made.gfc")
-    states, u = orbit(field, 20), study.around(START + study.STEP_S * np.arange(20))
+    states, u = orbit(field, 20), settings.around(START + settings.STEP_S * np.arange(20))
     x = states[0]
     for k in range(19):
-        x = study.step(x, Epoch(dt=study.STEP_S, u=tuple(part[k] for part in u)), field)
+        x = settings.step(x, Epoch(dt=settings.STEP_S, u=tuple(part[k] for part in u)), field)
     assert np.abs(x - states[-1])[:3].max() < 1e-3
 
 
@@ -200,9 +203,9 @@ def test_the_study_judges_made_files(results):
     for name in study.NAMES:
         part = study.BEST
         assert np.isfinite(results.get(part, f"{name}/std")[4:40]).all()
-        assert 0.0 < results.value(part, f"{name}/rejected", 0) < 0.05, name
+        assert (0.0 < results.value(part, f"{name}/rejected", 0) < 0.05) == (name == "white, gated"), name
     assert np.isnan(results.get(study.BEST, "colored/nis")[42, 0])
-    assert results.get("settings", "likelihood").shape == (7,)
+    assert all(results.get("settings", name).shape == (5 if "white" in name else 7,) for name in study.SEARCHED)
 
 
 def test_what_is_shown_can_be_drawn(results, tmp_path):
@@ -213,29 +216,78 @@ def test_what_is_shown_can_be_drawn(results, tmp_path):
     assert len({tuple(row) for row in table}) == 1
 
 
-def test_the_filters_of_a_batch_are_those_alone(folder, results):
-    """Settings as runs: one of them flown by itself gives the same."""
+def test_the_filters_of_a_batch_are_those_alone(folder):
+    """Settings and hooks as runs: each flown by itself, a white one as a plain UKF, gives the same."""
     field, log = gravity.read(folder / "made.gfc", 2), positions.read(folder / "GPS1B_2008-08-01_A_01.pos.spp.gz")
-    times = log.times - log.times[0]
-    several, alone = study.flights(field, study.WHITE), study.flights(field, study.WHITE[1:2])
-    assert list(several) == [study.WHITE]
-    start = study.prior(log)
-    (one,), (other,) = several.values(), alone.values()
-    u = study.around(log.times[:50])
-    a = run(one, Gaussian(np.tile(start.mean, (4, 1)), start.cov), times[:50], np.tile(log.z[:50, None], (1, 4, 1)), u)
-    b = run(other, Gaussian(start.mean[None], start.cov), times[:50], log.z[:50, None], u)
-    np.testing.assert_allclose(a.mean[:, 1], b.mean[:, 0], rtol=0, atol=1e-6)
+    times, z, u, start = log.times[:120] - log.times[0], log.z[:120], settings.around(log.times[:120]), settings.prior(log)
+    names = ("white", "colored", "white, gated", "robust", "without z_0")
+    ((own, together),) = study.flights(field, names).items()
+    assert own == names
+    track = run(together, Gaussian(np.tile(start.mean, (5, 1)), start.cov), times, np.tile(z[:, None], (1, 5, 1)), u, keep="cov")
+    for i, name in enumerate(names):
+        M, S, Phi = settings.believed(field, settings.SETTINGS[name])
+        hooks = [study.HOOKED[name]] if name in study.HOOKED else []
+        alone = ukf(M, S, hooks=hooks) if name.startswith("white") else colored(M, S, Phi, hooks=hooks, first=name != "without z_0")
+        one = run(alone, start, times, z, u, keep="cov")
+        np.testing.assert_allclose(track.mean[:, i], one.mean, rtol=0, atol=1e-5)
+        np.testing.assert_allclose(track.cov[:, i], one.cov, rtol=1e-6, atol=1e-9)
+        assert track.events["rejected"][i] == one.events["rejected"]
+    assert track.events["rejected"][2] > 0
 
 
-def test_likelihood_finds_what_made_the_fixes(folder):
-    """On a few fixes, with gravity of the truth: within what so few say."""
+@pytest.fixture(scope="module")
+def data(folder):
+    """Of a few fixes, with gravity of the truth, or nearly."""
+    paths = [folder / f"GPS1B_2008-08-0{day}_A_01.pos.spp.gz" for day in (2, 3)]
+    return settings.training(paths, gravity.read(folder / "made.gfc", 2), 120)
+
+
+def test_far_fixes_are_screened(data):
+    assert np.isfinite(data.z[100]).all()
+    assert np.isnan(data.screened().z[100]).all()  # the outlier
+    assert np.isnan(data.screened().z).sum() == 2 * 3 * (5 + 2)  # and the fix that is compared with it
+
+
+def test_the_linear_motion_of_a_search_is_the_motion(folder, data):
+    """Likelihoods about a trajectory are those of the filter itself."""
     field = gravity.read(folder / "made.gfc", 2)
-    data = study.training([folder / f"GPS1B_2008-08-0{day}_A_01.pos.spp.gz" for day in (2, 3)], field, 120)
-    assert np.isnan(data.z[100]).all()  # the outlier
-    assert np.isnan(data.z).sum() == 2 * 3 * (5 + 2)  # and the fix that is compared with it
-    found = study.fitted(data, field, study.Setting(3.0, 0.97, 3e-4))
+    logs = [positions.read(folder / f"GPS1B_2008-08-0{day}_A_01.pos.spp.gz") for day in (2, 3)]
+    M, S, Phi = settings.believed(field, settings.SETTINGS["colored"])
+    for i, log in enumerate(logs):
+        u = settings.around(log.times[:120])
+        whole = run(colored(M, S, Phi), settings.prior(log), log.times[:120] - log.times[0], log.z[:120], u)
+        about = settings.trained(field, settings.SETTINGS["colored"])
+        (start, F, c) = (part[i] if part.ndim == 2 else part[:, i] for part in (data.prior.mean, *data.u))
+        found = run(about, Gaussian(start, data.prior.cov), data.times, data.z[:, i], (F, c))
+        assert found.log_likelihood == pytest.approx(whole.log_likelihood, abs=1e-4)
+
+
+def test_the_density_of_an_innovation_is_that_of_students_t(folder, data):
+    """Of the last one, by scipy, before the weights; and of normal ones where the degrees of freedom are many."""
+    field = gravity.read(folder / "made.gfc", 2)
+    M, S, Phi = settings.linear(settings.believed(field, settings.SETTINGS["robust"]))
+    start = Gaussian(data.prior.mean[0], data.prior.cov)
+    one = (start, data.times[:9], data.z[:9, 0], tuple(part[:, 0] for part in data.u))
+    many = run(settings.Weighed(colored(M, S, Phi, hooks=settings.weighing(1e9))), *one)
+    assert many.log_likelihood == pytest.approx(run(colored(M, S, Phi), *one).log_likelihood, abs=1e-4)
+    plain = colored(M, S, Phi)
+    flown = run(plain, *one[:1], *(part[:8] if isinstance(part, np.ndarray) else part for part in one[1:]))
+    info = run(plain, *one)
+    weighed = [run(settings.Weighed(colored(M, S, Phi, hooks=[settings.weighing(4.0)[0]])), one[0], one[1][:n], one[2][:n], one[3])
+               for n in (8, 9)]  # fmt: skip
+    u, normal = info.whitened[-1], info.log_likelihood - flown.log_likelihood
+    expected = normal - stats.norm.logpdf(u).sum() + stats.t(4.0).logpdf(u).sum()
+    assert weighed[1].log_likelihood - weighed[0].log_likelihood == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["colored", "tails"])
+def test_likelihood_finds_what_made_the_fixes(folder, data, kind):
+    """Within what so few say; Student's t needs nothing left out."""
+    field = gravity.read(folder / "made.gfc", 2)
+    found = settings.fitted(data if kind == "tails" else data.screened(), field, settings.Setting(3.0, 0.97, 3e-4), kind)
     sigma, _, phi = found.parameters
-    assert sigma * np.sqrt(1.0 - phi**2) == pytest.approx(4.0 * np.sqrt(1.0 - 0.98**2), rel=0.25)
+    level = 1.0 if kind == "colored" else np.sqrt(stats.chi2(1).median() / stats.f(1, settings.DOF).median())
+    assert sigma * np.sqrt(1.0 - phi**2) == pytest.approx(level * 4.0 * np.sqrt(1.0 - 0.98**2), rel=0.25)
 
 
 @pytest.mark.skipif(not REAL.is_dir(), reason="no real files beside the checkout")

@@ -9,6 +9,7 @@ import pytest
 from test_cli import numbers, tiny
 
 from celnav import cli, papers, real
+from celnav.show.claims import answer
 from celnav.study.ledger import Number, Row
 from celnav.study.study import Part, Study
 
@@ -24,7 +25,7 @@ def measured():
         Row("finding", "one", "The clock runs", lambda r: Number("x", r.get("all", "x/nees").size, (4.0, 4.0), (4.0, 4.0))),
         Row("check", "two", "It is so", lambda r: Number("x", 1.0, (0.0, 1.5))),
     ]
-    study = Study("clocks", (), None, parts, rows, "How well does it run?", "Well.", "figure_01")
+    study = Study("clocks", (), None, parts, rows, "How well does it run?", "It runs {one[0]:.1f} well.", "figure_01")
     plain = tiny()
     return SimpleNamespace(
         TITLE="A real <clock>", CITATION="@misc{clock, author = {Harrison, John}, year = {1761}}", RECORDINGS=[], STUDY=study,
@@ -63,6 +64,7 @@ def test_with_a_folder_papers_and_study_are_done(both, folder, tmp_path, capsys)
     rest = page[heading:]
     assert "A real &lt;clock&gt;" in rest
     assert "How well does it run?" in rest
+    assert "We find: It runs 4.0 well." in rest
     assert "The paper:" not in rest
     assert "reproduced" not in rest
     assert "1 findings: 1 shown." in rest
@@ -71,6 +73,13 @@ def test_with_a_folder_papers_and_study_are_done(both, folder, tmp_path, capsys)
     assert "--clocks DIR" not in page
     assert "Harrison (1761)" in rest
     assert "07_real_data.ipynb" in rest
+
+
+def test_claims_of_another_version_leave_no_numbers():
+    study = measured().STUDY
+    assert answer(study, [{"id": "one", "numbers": [{"value": None}]}]) == "It runs nan well."
+    for other in ([], [{"id": "one", "numbers": []}]):
+        assert answer(study, other) == "(of another version; celnav reproduce clocks)"
 
 
 def test_without_one_the_page_only_says_what_could_be_added(both, tmp_path):

@@ -12,9 +12,9 @@ from pymap3d import geodetic2ecef
 from rinex_pair import ALPHA, BETA, PLACE, TOE, both, navigation, observations, observed, written
 
 from celnav import cli
-from celnav.models.gnss import ELLIPSOID
 from celnav.receiver import position as positioning
 from celnav.receiver import report, tracks
+from celnav.receiver.geodesy import ELLIPSOID
 from celnav.receiver.rinex import Navigation
 from celnav.receiver.sky import local_axes
 

@@ -13,7 +13,6 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from pymap3d import geodetic2ecef
 
 from celnav.filters.joint import Hook
 from celnav.filters.model import Motion, Sensor
@@ -24,10 +23,10 @@ from celnav.gaussian.checks import number
 from celnav.gaussian.linalg import Array
 from celnav.gaussian.rules import Rule, Taylor, unscented
 from celnav.models import pseudorange
-from celnav.models.gnss import ELLIPSOID
 from celnav.papers import citation
 from celnav.receiver.constellation import TOE_S, synthetic
 from celnav.receiver.filters import CRYSTAL, hooks, process_noise, transition
+from celnav.receiver.geodesy import ELLIPSOID, geodetic2ecef
 from celnav.receiver.least_squares import least_squares
 from celnav.receiver.sky import local_axes, look
 from celnav.study.montecarlo import normals, steps

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from celnav.filters.run import run
-from celnav.models.gnss import ELLIPSOID, satellites
+from celnav.models.gnss import satellites
 from celnav.papers.aukf import study
 from celnav.papers.aukf.scenario import STANDARD, START_S, axes, circle, filters, simulate
 from celnav.papers.aukf.study import AXES, DENSITIES, FILTERS, HALVES, INITIAL_KM, NORMAL_ERROR, TILTS_DEG, medians, rms, watched
 from celnav.receiver import day
 from celnav.receiver.constellation import synthetic
+from celnav.receiver.geodesy import ELLIPSOID
 from celnav.receiver.report import KIND_COLORS, kinds, record_positioned
 from celnav.show import colors, scenes, showcase
 from celnav.show.estimates import Estimate, Group

@@ -10,17 +10,8 @@ from celnav.files import Outputs
 from celnav.gaussian.linalg import Array, matvec
 from celnav.models import earth
 from celnav.real.grace.positions import STEP_S, aligned, axes, read
-from celnav.real.grace.study import (
-    BEST,
-    DEGREE,
-    DEGREES,
-    NAMES,
-    REVOLUTION,
-    SETTINGS,
-    column,
-    fixes,
-    orientation,
-)
+from celnav.real.grace.settings import DEGREE, SETTINGS, orientation
+from celnav.real.grace.study import BEST, DEGREES, NAMES, REVOLUTION, column
 from celnav.show import colors, scenes, showcase
 from celnav.show.estimates import Estimate, Group
 from celnav.show.figures import Line, Panel, Rows, band, bars, curve, level, panels
@@ -35,37 +26,46 @@ if TYPE_CHECKING:
 
 LINES = {
     "white": Line("fixes taken for white", colors.COMPARISON), "colored": Line("told of the correlation", colors.ESTIMATE),
-    "white, by NIS": Line("white, R by NIS", colors.OPEN_LOOP),
+    "robust": Line("so, with Student's t", colors.REFERENCE), "white, gated": Line("white, with a gate", colors.PAPER),
+    "white, inflated": Line("white, R inflated", colors.MEASUREMENT), "white, by NIS": Line("white, R by NIS", colors.OPEN_LOOP),
     "white, by likelihood": Line("white, R and Q by likelihood", colors.SIGMA),
-    "white, of four hours": Line("white, set by four hours", colors.BODY),
-    "colored, by correlation": Line("colored, set by correlation", colors.REFERENCE),
-    "colored, of four hours": Line("colored, set by four hours", colors.BOUND),
-    "augmented": Line("noise in the state", colors.TRUTH), "without z_0": Line("without the first fix", colors.PAPER),
+    "screened": Line("colored, set without far fixes", colors.BOUND), "normal": Line("colored, set by all as normal", colors.BODY),
+    "by correlation": Line("colored, set by correlation", colors.OPEN_LOOP),
+    "augmented": Line("noise in the state", colors.FAINT), "without z_0": Line("without the first fix", colors.FAINT, "--"),
 }  # fmt: skip
 BAND = 1.96
-
-
-def fixed(r: Results) -> float:
-    """RMS of the fixes' errors, m, without outliers."""
-    return float(np.sqrt(np.nanmean(np.square(fixes(r)[REVOLUTION:]).sum(1))))
 
 
 def day(r: Results) -> Figure:
     """Errors beside what is claimed, over the day."""
     hours, limit = r.times(BEST) / 3600.0, 16.0
 
-    def panel(name: str) -> Panel:
+    def panel(name: str) -> list[Panel]:
         error, std = (r.get(BEST, f"{name}/{what}")[:, 0, 0] for what in ("error", "std"))
         inside = np.mean((np.abs(error) < BAND * std)[np.isfinite(error)])
 
         def claimed(ax: Any) -> None:
-            band(ax, hours, -BAND * std, BAND * std, color=LINES[name].color, label=f"95 % claimed, {LINES[name].label}")
+            band(ax, hours, -BAND * std, BAND * std, color=LINES[name].color, label="95 % claimed")
 
         title = f"{LINES[name].label}: {inside:.0%} of the errors inside the 95 % that are claimed"
-        return Panel(title, [claimed, curve(hours, error, LINES[name]._replace(label="error", color="black", width=0.6))],
-                     "hours of 1 August 2008", "radial (m)", more={"ylim": (-limit, limit), "xlim": (0.0, 24.0)})  # fmt: skip
+        return [Panel(title, [claimed, curve(hours, error, LINES[name]._replace(label="error", color="black", width=0.6))],
+                      "hours of 1 August 2008", "radial (m)", more={"ylim": (-limit, limit), "xlim": (0.0, 24.0)})]  # fmt: skip
 
-    return panels([panel("white")], [panel("colored")], size=(9.0, 5.2), sharex="col")
+    return panels(*map(panel, ("white", "colored", "robust")), size=(9.0, 7.0), sharex="col", legend=None)
+
+
+def bursts(r: Results) -> Figure:
+    """Lengths of errors over the day, and around the largest of the fixes."""
+    hours, length = r.times(BEST) / 3600.0, {name: np.sqrt(column(r, BEST, name, "error")) for name in ("fixes", *LINES)}
+    worst = float(hours[np.nanargmax(length["fixes"])])
+    drawn = [
+        curve(hours, length["fixes"], label="fixes", color=colors.SIGMA, linestyle="", marker=".", markersize=1.5),
+        *(curve(hours, length[name], LINES[name]) for name in ("white, gated", "white", "colored", "robust")),
+    ]
+    each = {"the day": (0.0, float(hours[-1])), "around the largest error of a fix": (worst - 0.45, worst + 0.65)}
+    row = [Panel(title, drawn, "hours of 1 August 2008", "error (m)", "", {"xlim": span, "ylim": (0.0, 45.0)})
+           for title, span in each.items()]  # fmt: skip
+    return panels(row, size=(10.5, 4.2), sharey=True)
 
 
 def autocorrelations(r: Results) -> Figure:
@@ -78,7 +78,8 @@ def autocorrelations(r: Results) -> Figure:
 
     modeled = SETTINGS["colored"].phi ** lags
     found = [
-        curve(minutes * lags, of_lags(fixes(r)[:, i], lags), Line(name, shade)) for i, (name, shade) in enumerate(SHADES.items())
+        curve(minutes * lags, of_lags(r.get(BEST, "fixes")[:, i], lags), Line(name, shade))
+        for i, (name, shade) in enumerate(SHADES.items())
     ]
     found += [curve(minutes * lags, modeled, Line("as the filter has it", colors.ESTIMATE, "--"))]
     near = np.arange(1, 31)
@@ -93,45 +94,44 @@ def autocorrelations(r: Results) -> Figure:
 SHADES = {"radial": colors.PAPER, "along the track": colors.COMPARISON, "across": colors.TRUTH}
 
 
+def rmse(r: Results, part: str, name: str, what: str = "error") -> float:
+    """Of a filter or of the fixes, or RMS of what is claimed, m."""
+    return float(np.sqrt(np.nanmean(column(r, part, name, what)[REVOLUTION:])))
+
+
 def sizes(r: Results) -> Figure:
     """What filters err and claim, by filter and by degree."""
     names = {f"{LINES[name].label}": (BEST, name) for name in NAMES if name != "without z_0"}
     degrees = {f"{n}, {LINES[name].label}": (f"degree {n}", name) for n in DEGREES for name in ("white", "colored")}
 
     def panel(title: str, flown: dict[str, tuple[str, str]], log: str = "") -> Panel:
-        each = [
-            [float(np.sqrt(np.nanmean(column(r, *one, what)[REVOLUTION:]))) for one in flown.values()] for what in ("error", "std")
-        ]
+        each = [[rmse(r, *one, what) for one in flown.values()] for what in ("error", "std")]
         heights = {"RMSE": (each[0], colors.COMPARISON), "claimed": (each[1], colors.ESTIMATE)}
         return Panel(title, [bars(list(flown), heights, across=True), *known], "position (m)", "", log)
 
-    known = [level(fixed(r), label="fixes", color=colors.MEASUREMENT, upright=True)]
+    known = [level(rmse(r, BEST, "fixes"), label="fixes", color="black", upright=True)]
     return panels([panel(f"gravity to degree {DEGREE}", names), panel("by degree of gravity", degrees, "x")], size=(10.5, 3.6))
 
 
 def table_1(r: Results) -> Rows:
     """Filters by degree."""
-
-    def known(part: str, name: str, what: str) -> float:
-        return float(np.nanmean(column(r, part, name, what)[REVOLUTION:]))
-
-    rows: Rows = [{"gravity": "", "filter": "fixes", "RMSE (m)": fixed(r)}]
+    rows: Rows = [{"gravity": "", "filter": "fixes", "RMSE (m)": rmse(r, BEST, "fixes")}]
     rows[0] |= dict.fromkeys(("claimed (m)", "NEES/3", "NIS/3", "left out"), "")
-    for n in DEGREES:
-        for name in NAMES if n == DEGREE else ("white", "colored"):
-            part = f"degree {n}"
-            rows.append({
-                "gravity": part, "filter": name, "RMSE (m)": known(part, name, "error") ** 0.5,
-                "claimed (m)": known(part, name, "std") ** 0.5, "NEES/3": known(part, name, "nees"),
-                "NIS/3": known(part, name, "nis"), "left out": r.value(part, f"{name}/rejected", 0),
-            })  # fmt: skip
+    for part, name in ((f"degree {n}", name) for n in DEGREES for name in (NAMES if n == DEGREE else ("white", "colored"))):
+        nees, nis = (float(np.nanmean(column(r, part, name, what)[REVOLUTION:])) for what in ("nees", "nis"))
+        rows.append({"gravity": part, "filter": name, "RMSE (m)": rmse(r, part, name), "claimed (m)": rmse(r, part, name, "std"),
+                     "NEES/3": nees, "NIS/3": nis, "left out": r.value(part, f"{name}/rejected", 0)})  # fmt: skip
     return rows
 
 
 FIGURES = {
     "figure_01": ("Radial errors of a real satellite's estimated position, beside the 95 % that each filter claims.", day),
-    "figure_02": ("Correlation of the fixes' errors, and of what is left of them in innovations.", autocorrelations),
-    "figure_03": ("What filters err and what they claim, by filter and by degree of gravity.", sizes),
+    "figure_02": (
+        "Bursts of errors: a gate locks a filter out, and Student's t mistrusts the steps by which they end.",
+        bursts,
+    ),
+    "figure_03": ("Correlation of the fixes' errors, and of what is left of them in innovations.", autocorrelations),
+    "figure_04": ("What filters err and what they claim, by filter and by degree of gravity.", sizes),
 }
 TABLES = {"table_1": ("Filters on 1 August after the first revolution.", table_1)}
 RECORDINGS = ["grace.rrd"]
@@ -151,7 +151,7 @@ def _shown(results: Results) -> Showcase:
     still = orientation(log.times[keep])[0].mT
     place, local = matvec(still, truth[keep]) / 1e6, still @ axes(truth)[keep].mT
     est, drawn = dict[str, Estimate](), dict[str, tuple[Array, Array]]()
-    for name in ("white", "colored"):
+    for name in ("white", "colored", "robust"):
         error, cov, nees, nis = (results.get(BEST, f"{name}/{what}")[keep] for what in ("error", "cov", "nees", "nis"))
         est[name] = Estimate(LINES[name].label, LINES[name].color, error, cov[:, 0], nees[:, 0], nis[:, 0])
         scale = LARGER / 1e6
@@ -179,7 +179,8 @@ def _shown(results: Results) -> Showcase:
 NOTES = """# GRACE-A, 1 August 2008: real GPS fixes, and where the satellite was
 
 **Errors of fixes follow one another. The blue filter takes them for white, and leaves what it claims; the orange one is told of
-their correlation, and leaves it only in four bursts.**
+their correlation, and leaves it in a few bursts only. The olive one mistrusts what surprises it: also the steps by which a burst
+ends.**
 
 Fixes every 10 s without any model of the orbit; truth from the carrier's phase, good to 3 to 6 cm.
 """
