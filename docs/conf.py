@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from docutils.nodes import SkipNode
+from docutils.nodes import SkipNode, Text, document, field_name
 from latex2mathml.converter import convert
 from sphinx.application import Sphinx
 
@@ -43,6 +43,7 @@ html_math_renderer = "mathml"  # the browser's own: no script, no net
 CITED = re.compile(r"\[([A-Z][A-Za-z]+\d{4}\b[^\]]*)\]")
 KEY = re.compile(r"\b([A-Z][A-Za-z]+\d{4})\b")
 ARGUMENT = re.compile(r"^(\w+(?:, \w+)*): (?=\S)")
+SMALL = "\u2060"  # before a field's name, whose first letter Sphinx would make a capital
 
 
 def written(_app: Sphinx, _what: str, _name: str, _thing: Any, _options: Any, lines: list[str]) -> None:
@@ -57,11 +58,17 @@ def written(_app: Sphinx, _what: str, _name: str, _thing: Any, _options: Any, li
             before = next((old for old in reversed(made) if old.strip()), "")
             if made and made[-1].strip() and not before.startswith((":", " ")):
                 made.append("")
-            line = f":{argument[1]}: {line[argument.end() :]}"
+            line = f":{SMALL}{argument[1]}: {line[argument.end() :]}"
         elif line[:1].strip() and made and made[-1].startswith((":", " ")):
             made.append("")  # a paragraph begins right after an argument
         made.append(line)
     lines[:] = made
+
+
+def small(_app: Sphinx, doctree: document) -> None:
+    """Names of arguments as they are written."""
+    for name in doctree.findall(field_name):
+        name[:] = [Text(name.astext().removeprefix(SMALL))]
 
 
 def unsaid(_app: Sphinx, _what: str, _name: str, thing: Any, _skip: bool, _options: Any) -> bool | None:
@@ -85,4 +92,5 @@ def setup(app: Sphinx) -> None:
     """What Sphinx asks for."""
     app.add_html_math_renderer("mathml", (inline, None), (display, None))
     app.connect("autodoc-process-docstring", written)
+    app.connect("doctree-read", small)
     app.connect("autodoc-skip-member", unsaid)
