@@ -1,4 +1,4 @@
-"""Rate gyros with drift [Farrenkopf 1978]: what they measure, how an attitude is propagated with them, what accuracy settles;
+"""Rate gyros with drift [Farrenkopf1978]: what they measure, how an attitude is propagated with them, what accuracy settles;
 and the rotation of a rigid satellite, which they measure.
 
 A gyro gives the mean rate of an interval plus drift plus white noise, ``measured = rate + beta + eta_v``; the drift is a
@@ -84,7 +84,7 @@ class Gyro:
         return drift
 
     def process_noise(self, dt: float) -> Array:
-        """Covariance ``(6, 6)`` of the errors of rotation vector and drift over ``dt`` seconds [Crassidis & Markley 2003]."""
+        """Covariance ``(6, 6)`` of the errors of rotation vector and drift over ``dt`` seconds [Crassidis2003]."""
         u2 = self.sigma_u**2
         angle, both, drift = self.sigma_v**2 * dt + u2 * dt**3 / 3.0, -0.5 * u2 * dt**2, self.drift_std(dt) ** 2
         return np.kron([[angle, both], [both, drift]], np.eye(3))
@@ -147,7 +147,7 @@ class SteadyState(NamedTuple):
 
 
 def steady_state(sigma_n: float, gyro: Gyro, interval: float) -> SteadyState:
-    """What a filter settles at: attitude measured to ``sigma_n`` rad each ``interval`` s, drift a random walk [Farrenkopf 1978]."""
+    """What a filter settles at: attitude measured to ``sigma_n`` rad each ``interval`` s, drift a random walk [Farrenkopf1978]."""
     sigma_n, interval = number("sigma_n", sigma_n, above=0.0), number("interval", interval, above=0.0)
     instance("gyro", gyro, Gyro, "a Gyro, such as Gyro(sigma_v, sigma_u)")
     if np.isfinite(gyro.tau):

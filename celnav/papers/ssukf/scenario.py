@@ -264,7 +264,7 @@ def augmentations(motion: Motion, sensor: Sensor, W: Array, V: Array, **options:
 
 @dataclass(frozen=True, eq=False)
 class Halved(Sequential):
-    """Half of the process noise before and half after the propagation [Crassidis & Markley 2003]."""
+    """Half of the process noise before and half after the propagation [Crassidis2003]."""
 
     def predict(self, state: State, epoch: Epoch) -> State:
         """State at the end of the interval."""
