@@ -58,7 +58,8 @@ def _of_paper(options: argparse.Namespace) -> Path:
     folder = Path(options.out, name)
     study = shown(Path(options.out), name) if (folder / OWN).exists() else module(options.paper)
     if not study.RECORDINGS:
-        raise UsageError(f"{options.paper}: has no recordings; a mission of it (celnav run) has one")
+        mission = "; a mission of it (celnav run) has one" if options.paper.endswith(".py") else ""
+        raise UsageError(f"{options.paper}: has no recordings{mission}")
     recordings = [name for name in study.RECORDINGS if (folder / name).is_file()]
     if not recordings:
         raise FileNotFoundError(f"{folder}: no recording; make it with: celnav reproduce {options.paper} --out {options.out}")

@@ -102,8 +102,8 @@ def test_one_study_alone(both, folder, tmp_path):
         (["reproduce", "clocks"], "clocks: expected --clocks DIR with it, a folder of a clock's log"),
         (["reproduce", "tiny", "--clocks", "."], "--clocks: expected the study clocks, got tiny"),
         (["reproduce", "--clocks", "nowhere"], "nowhere: expected a folder with a file *.txt"),
-        (["reproduce", "clock"], "unknown paper 'clock': expected one of tiny, clocks; did you mean clocks?"),
-        (["view", "clocks"], "celnav reproduce clocks"),
+        (["reproduce", "clock"], "unknown paper 'clock': expected one of tiny, clocks, a file FILE.py; did you mean clocks?"),
+        (["view", "clocks"], "clocks: has no recordings\n"),
     ],
 )
 def test_a_mistake_is_one_line(both, tmp_path, monkeypatch, capsys, arguments, text):
