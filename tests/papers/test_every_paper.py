@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import pickle
+import re
+from pathlib import Path
 
 import pytest
 
+import celnav
 from celnav.papers import PAPERS, load
 
 
@@ -14,3 +17,21 @@ def test_units_go_to_processes_and_are_told_apart(paper):
     units = load(paper).STUDY.units(effort=0.1)
     sent = {pickle.loads(pickle.dumps(unit)).key for unit in units}
     assert len(set(units)) == len(sent) == len(units)
+
+
+EQUATIONS = {
+    "Sun2015": {8, *range(10, 39), *range(40, 44)},  # those before state the problem, 39 is short for 38
+    "Liang2014": {15, 16, 17, *range(19, 29)},  # those before are textbook rules of points
+    "Xu2024": {19},  # the text at hand has lost the others, and those of Wu2012 and Fan all
+}
+
+
+@pytest.mark.parametrize("key", EQUATIONS)
+def test_an_equation_is_found_by_searching_for_it(key):
+    """Tags such as [Sun2015, Eqs. 27, 29-32] stand where the equation is computed."""
+    found = set()
+    for path in (Path(celnav.__file__).parent).rglob("*.py"):
+        for tag in re.findall(rf"\[{key}, Eqs?\. ([^\]]*)\]", path.read_text(encoding="utf-8")):
+            for first, last in re.findall(r"(\d+)(?:\s*(?:-|–|to)\s*(\d+))?", tag):
+                found.update(range(int(first), int(last or first) + 1))
+    assert EQUATIONS[key] <= found, EQUATIONS[key] - found
