@@ -44,8 +44,8 @@ def errata() -> str:
     """What the five papers print wrongly, and what had to be rebuilt, each shown by a number in the paper's notebook."""
     made = [
         "# Errata of the five papers",
-        "What is printed and demonstrably wrong, and what was lost in the texts at hand and rebuilt. Each has its demonstration in "
-        "the paper's notebook, and its number on the page of `celnav reproduce`. If your copy says otherwise, tell us.",
+        "What is printed and demonstrably wrong, and what was lost in the texts at hand and rebuilt. What can be "
+        "computed has its number on the page of `celnav reproduce`, and the notebook shows it. If your copy differs, tell us.",
     ]
     for i, paper in enumerate(PAPERS, 1):
         rows = load(paper).STUDY.rows

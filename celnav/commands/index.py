@@ -12,7 +12,7 @@ import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import MappingProxyType, ModuleType, SimpleNamespace
 from typing import Any
 
 import celnav
@@ -104,12 +104,12 @@ def reproduced(out: Path, among: Iterable[str] | None = None) -> dict[str, list[
     }
 
 
-def words(papers: Sequence[str], out: Path = Path("out")) -> str:
-    """Paragraphs in Markdown: what papers, or studies under ``out``, say and what we find."""
+def words(papers: Sequence[str], out: Path = Path("out"), found: Mapping[str, Claims] = MappingProxyType({})) -> str:
+    """Paragraphs in Markdown: what papers, or studies under ``out``, say and what we find; ``found``: their claims, if at hand."""
     every = {paper: shown(out, paper) for paper in papers}
     return "\n\n".join(
         f"**{one.TITLE}** (`{paper}`{': ' * bool(one.CITATION)}{cited(one.CITATION)}). {_whose(paper)}{one.STUDY.says}\n"
-        f"*We find:* {one.STUDY.found}"
+        f"*We find:* {answer(one.STUDY, found[paper]) if paper in found else one.STUDY.found}"
         for paper, one in every.items()
     )
 

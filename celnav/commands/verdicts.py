@@ -15,7 +15,7 @@ def run(options: argparse.Namespace) -> int:
     found = reproduced(out) | reproduced(out, own_studies(out))
     if not found:
         raise FileNotFoundError(f"{options.out}: no paper was reproduced there; use: celnav reproduce --out {options.out}")
-    print(verdicts(found), words(list(found), out), sep="\n\n")
+    print(verdicts(found), words(list(found), out, found), sep="\n\n")
     for paper in found:
         if (part := effort_of(out / paper)) is not None and part < 1.0:
             print(f"celnav: {paper}: {few(part)}", file=sys.stderr)

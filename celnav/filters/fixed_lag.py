@@ -1,8 +1,7 @@
 """A filter that keeps its last epochs: samples may come late, and the recent past can be smoothed.
 
-A late sample goes back to the epoch that it belongs to, and the filter flies again from there: it ends where it would have ended
-with the sample on time, whatever the filter, the sensor and the hooks. (Formulas that put a late sample straight into the present
-state [BarShalom2002] spare the flight, but are of linear models.) `celnav.smooth` of what is kept is a fixed-lag one [Moore1973].
+A late sample goes back to its epoch, and the filter flies again from there: it ends where it would have ended with the sample on
+time. (Formulas of linear models [BarShalom2002] spare the flight.) `celnav.smooth` of what is kept is a fixed-lag one [Moore1973].
 """
 
 from __future__ import annotations
@@ -21,7 +20,6 @@ from celnav.gaussian.linalg import Array, Belief
 from celnav.tape.tape import CannotCompile
 
 __all__ = ["FixedLag"]
-
 MOST_KEPT = 1_000_000
 
 

@@ -17,7 +17,6 @@ from celnav.gaussian.linalg import Array, Belief, SquareRoot, whiten
 from celnav.gaussian.spaces import EUCLIDEAN, Space
 
 __all__ = ["imm"]
-
 LEAST = -float(np.finfo(float).max)  # what can be taken off minus infinity
 
 

@@ -13,6 +13,7 @@ from celnav.filters.joint import whole
 from celnav.filters.records import Epoch, Filter, Info, State
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array
+from celnav.tape.tape import CannotCompile
 
 __all__ = ["Switching"]
 
@@ -44,6 +45,11 @@ class Switching:
     filters: Callable[[int], Filter]
     choose: Callable[[Any, Epoch, Array | None], Array]
 
+    @property
+    def motion(self) -> Any:
+        """The filters' own, if they have one."""
+        return getattr(self.filters(0), "motion", None)
+
     def start(self, prior: Gaussian) -> Turn:
 
         state = self.filters(0).start(prior)
@@ -51,6 +57,8 @@ class Switching:
 
     def step(self, state: Turn, epoch: Epoch) -> tuple[Turn, tuple[Info, ...]]:
 
+        if state.belief.mean.dtype.hasobject:
+            raise CannotCompile("which filter makes a step is known only when it runs")
         chosen = np.asarray(self.choose(state.belief, epoch, state.chosen))
         if chosen.dtype.kind not in "iu" or not chosen.size or (chosen < 0).any():
             raise ValueError(f"choose: expected whole numbers of filters, 0 or more, for each run, got {chosen!r:.80}")

@@ -131,8 +131,10 @@ def answer(study: Any, claims: Iterable[Mapping[str, Any]]) -> str:
     numbers = {c["id"]: [np.nan if n["value"] is None else n["value"] for n in c["numbers"]] for c in claims}
     try:
         return str(study.found.format(**numbers))
-    except (KeyError, IndexError):  # claims that another version has left there
-        return f"(of another version; celnav reproduce {study.name})"
+    except (AttributeError, IndexError, KeyError, ValueError) as error:
+        if (name := getattr(study, "name", None)) is None:  # one's own
+            return f"(what it finds cannot be said of its rows: {error!r})"
+        return f"(of another version; celnav reproduce {name})"  # claims that it has left there
 
 
 # -- files -------------------------------------------------------------------------------------------------------------------

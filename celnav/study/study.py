@@ -100,7 +100,7 @@ class Study:
     name: of the paper. groups: what is judged. rows: the ledger.
     trial: ``(config, rngs) ->`` runs and their filters, see `celnav.study.trial`; None where nothing is drawn.
     parts: ``(effort) ->`` parts by name; ``effort``, in (0, 1], may shorten what is long. Runs are scaled by it elsewhere.
-    says, found: what the paper claims as a whole, and our answer, in sentences; "{row[0]:.2f}" in one: see `claims.answer`.
+    says, found: what the paper claims as a whole, and our answer, in sentences; "{row[0]:.2f}" in the second: see `claims.answer`.
     figure: stem of the one that decides.
     windows: ``(config, times) ->`` parts of the time by name, as slices of the epochs that are judged.
     source: hash of the file that it comes from, where that is none of celnav's.

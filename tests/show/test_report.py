@@ -132,7 +132,14 @@ def test_attitudes_are_judged_by_rotation_vectors_whatever_the_sign(form):
         celnav.report(replace(track, filter=None), truth)
 
 
-@pytest.mark.parametrize("wrap", [lambda f: f, lambda f: celnav.imm([f, f], 0.5 * np.ones((2, 2)))])
+@pytest.mark.parametrize(
+    "wrap",
+    [
+        lambda f: f,
+        lambda f: celnav.imm([f, f], 0.5 * np.ones((2, 2))),
+        lambda f: celnav.filters.switching.Switching([f].__getitem__, lambda belief, epoch, chosen: np.zeros(10, int)),
+    ],
+)
 def test_angles_of_a_state_wrap_in_filters_within_filters_too(wrap):
     believed = celnav.Motion(lambda x, epoch: x + epoch.dt * 0.5, Q=1e-4 * np.eye(1), space=celnav.angles([0]))
     compass = celnav.Sensor(lambda x, _epoch: x, 0.01 * np.eye(1), space=celnav.angles([0]))

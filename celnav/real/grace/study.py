@@ -331,8 +331,9 @@ STUDY = Study(
     "grace", (Group("position", "m", slice(0, 3)),), None, parts, [*FINDINGS, *CHECKS], figure="figure_01",
     says="A satellite's GPS fixes have errors that follow one another. Is a filter honest that takes them for white, and one that "
     "is told?",
-    found="By the mean of the day the one that was told is, if a likelihood that knows of bursts told it: NEES/3 "
-    "{colored-honest[0]:.2f} at {colored-honest[2]:.1f} m RMSE; the white one errs {white-overconfident[2]:.1f} m, "
+    found="In the mean of the day the one that was told, by a likelihood that knows of bursts, is nearest to honest: NEES/3 "
+    "{colored-honest[0]:.2f} at {colored-honest[2]:.1f} m RMSE, undecided by its interval; the white one errs "
+    "{white-overconfident[2]:.1f} m, "
     "{white-overconfident[0]:.1f} times its claim. But a few bursts of the fixes' errors, up to 40 m, rule that mean, and "
     "intervals decide little. Told by normal likelihoods, with the bursts or without, it claims less than half as much, and "
     "errs no less. "
