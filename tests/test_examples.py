@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import doctest
 import re
+from functools import cache
 from importlib import import_module
 from operator import attrgetter
 from pathlib import Path
@@ -51,6 +52,7 @@ def test_everything_on_the_first_level_has_one():
     assert lacking == WITHOUT
 
 
+@cache
 def problem():
     """What the examples take for granted: a satellite whose position is measured."""
     F, H = np.eye(6) + np.eye(6, k=3), np.eye(3, 6)
