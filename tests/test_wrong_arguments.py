@@ -208,16 +208,14 @@ CALLS = {
     "recording.Recorder.trail": dict(entity="a", points=np.ones((5, 3)), color="#112233", radius=1.0),
     "recording.Recorder.path": dict(entity="a", strips=[np.ones((2, 3))], color="#112233", radius=1.0),
     "recording.Recorder.strips": dict(entity="a", strips=np.ones((5, 1, 2, 3)), colors=["#112233"], labels=["a"], radius=1.0),
-    "recording.Recorder.arrow": dict(
-        entity="a", origins=np.ones((5, 3)), vectors=np.ones((5, 3)), color="#112233", label="a", radius=1.0
-    ),
+    "recording.Recorder.arrow": dict(entity="a", origins=np.ones((5, 3)), vectors=np.ones((5, 3)), color="#112233", label="a"),
     "recording.Recorder.pose": dict(entity="a", origins=np.ones((5, 3)), quaternions=np.tile(Q4, (5, 1))),
     "recording.Recorder.axes": dict(entity="a", length=1.0, colors=["#112233"] * 3, labels=["x", "y", "z"], radius=1.0),
     "recording.Recorder.points": dict(entity="a", points=np.ones((5, 3)), color="#112233", alpha=1.0, radius=1.0, label="a"),
     "recording.Recorder.ellipsoids": dict(
         entity="a", centers=np.ones((5, 3)), covariance=np.tile(I3, (5, 1, 1)), color="#112233", sigmas=3.0, alpha=0.5
     ),
-    "recording.Recorder.globe": dict(entity="a", radius=1.0, color="#112233", grid="#112233"),
+    "recording.Recorder.globe": dict(entity="a", radius=1.0),
     "recording.Recorder.bars": dict(entity="a", values=TIMES, color="#112233"),
     "recording.Recorder.event": dict(entity="a", seconds=1.0, message="a"),
     "recording.Recorder.exact": dict(entity="a", a=TIMES),

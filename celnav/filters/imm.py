@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import reduce
 from typing import Any, NamedTuple
 
@@ -38,8 +38,8 @@ class InteractingModels:
     """What `imm` makes; space and sensors are those of the first model."""
 
     filters: tuple[Any, ...]
-    log_transition: Array
-    log_initial: Array
+    log_transition: Array = field(repr=False)
+    log_initial: Array = field(repr=False)
 
     @property
     def motion(self) -> Any:

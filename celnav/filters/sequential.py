@@ -198,7 +198,7 @@ def sigma_point(
     if isinstance(rule, type) or not (hasattr(rule, "image") or callable(rule)):
         hint = " (celnav.from_filterpy makes it one)" if hasattr(rule, "sigma_points") else ""
         raise ValueError(f"rule: expected a rule, such as celnav.unscented(n) or celnav.unscented, got {kind(rule)}{hint}")
-    rule = rule if hasattr(rule, "image") else AnyDimension(rule)
+    rule = rule if hasattr(rule, "image") or isinstance(rule, AnyDimension) else AnyDimension(rule)
     plain = Sequential(
         motion, sensors, rule=rule, form=FORMS[choice("form", form, FORMS)], hooks=_each(hooks, len(sensors)), gain=gain
     )

@@ -36,6 +36,9 @@ class Space(NamedTuple):
     mean: Callable[[Array, Array], Array] | None = None
     check: Callable[[Array, str], Array] | None = None
 
+    def __repr__(self) -> str:
+        return "EUCLIDEAN" if self is EUCLIDEAN else f"Space(minus={self.minus!r})"
+
     def __reduce__(self) -> Any:
         return "EUCLIDEAN" if self is EUCLIDEAN else (Space, tuple(self))
 

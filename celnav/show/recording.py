@@ -166,11 +166,11 @@ class Recorder:
         names = {"labels": np.array(texts)[np.nonzero(there)[1]].tolist()} if texts else {}
         self._send(entity, rr.LineStrips3D.columns(strips=lines[there], colors=palette, **names).partition(there.sum(1)))
 
-    def arrow(self, entity: str, origins: ArrayLike, vectors: ArrayLike, color: str, label: str, *, radius: float = 1.5) -> None:
+    def arrow(self, entity: str, origins: ArrayLike, vectors: ArrayLike, color: str, label: str) -> None:
         """An arrow from ``origins (T, 3)`` along ``vectors (T, 3)``."""
         start, vector = self._array(entity, "origins", origins, (3,)), self._array(entity, "vectors", vectors, (3,))
         there = np.isfinite(start + vector).all(1)
-        self._style(entity, rr.Arrows3D.from_fields(colors=rgba(color), radii=_size(radius), labels=_text("label", label)))
+        self._style(entity, rr.Arrows3D.from_fields(colors=rgba(color), radii=_size(1.5), labels=_text("label", label)))
         self._send(entity, rr.Arrows3D.columns(origins=start[there], vectors=vector[there]).partition(there.astype(int)))
 
     def pose(self, entity: str, origins: ArrayLike, quaternions: ArrayLike) -> None:
@@ -214,17 +214,16 @@ class Recorder:
         columns = rr.Ellipsoids3D.columns(centers=c[there], half_sizes=half, quaternions=quaternions)
         self._send(entity, columns.partition(there.astype(int)))
 
-    def globe(self, entity: str, radius: float, *, color: str = "#16324F", grid: str = "#3C6E9F") -> None:
+    def globe(self, entity: str, radius: float) -> None:
         """A sphere about the origin, with circles of latitude and half circles of longitude every 15 degrees."""
         radius = number("radius", radius, above=0.0)
-        rgba(grid, name="grid")
-        self._style(entity, rr.Ellipsoids3D(radii=[radius], colors=rgba(color), fill_mode="solid"))
+        self._style(entity, rr.Ellipsoids3D(radii=[radius], colors=rgba("#16324F"), fill_mode="solid"))
         around, up = np.linspace(-np.pi, np.pi, 121), np.linspace(-0.5 * np.pi, 0.5 * np.pi, 61)
         step = np.deg2rad(15.0)
         parallels = [_sphere(latitude, around) for latitude in step * np.arange(-5, 6)]
         meridians = [_sphere(up, longitude) for longitude in step * np.arange(24)]
         # A little above the ground, or the two surfaces fight for the same pixels.
-        self.path(f"{entity}/grid", [1.003 * radius * line for line in parallels + meridians], grid, radius=0.4)
+        self.path(f"{entity}/grid", [1.003 * radius * line for line in parallels + meridians], "#3C6E9F", radius=0.4)
 
     def bars(self, entity: str, values: ArrayLike, color: str) -> None:
         """Bars ``(k,)`` that stay for the whole run."""

@@ -100,10 +100,10 @@ def unit(vectors: Array) -> Array:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
-def arc(start: Array, end: Array, points: int = 13) -> Array:
-    """Great-circle arcs ``(T, points, 3)`` between unit vectors ``(T, 3)`` that are not parallel."""
+def arc(start: Array, end: Array) -> Array:
+    """Great-circle arcs ``(T, 13, 3)`` between unit vectors ``(T, 3)`` that are not parallel."""
     angle = np.arccos(np.clip(np.sum(start * end, 1), -1.0, 1.0))[:, None, None]
-    part = np.linspace(0.0, 1.0, points)[:, None]
+    part = np.linspace(0.0, 1.0, 13)[:, None]
     across = unit(end - np.cos(angle[:, 0]) * start)[:, None]
     return np.asarray(np.cos(part * angle) * start[:, None] + np.sin(part * angle) * across)
 

@@ -255,7 +255,7 @@ def observability(x: Array, epoch: Epoch, units: tuple[Array, Array], order: int
     return observability_matrix(rates, jacobian(lambda x: measurement(x, epoch), x) * states * outputs[:, None], order)
 
 
-def by_observability(config: Config, threshold: float = 5.0, *, weigh: bool = False, band: float = 1.1) -> Choose:
+def by_observability(config: Config, threshold: float = 5.0, *, weigh: bool = False) -> Choose:
     """Weights by Eqs. 15 and 19 at the estimate, over the degree of the east velocity; ``weigh``: by the belief's covariance.
 
     Where no state is above the threshold, the weights stay: all 2 would be the isotropic rule, which it begins with.
@@ -264,13 +264,13 @@ def by_observability(config: Config, threshold: float = 5.0, *, weigh: bool = Fa
     def choose(belief: Any, epoch: Epoch, chosen: Array | None) -> Array:
         cov = belief.cov / np.multiply.outer(config.units[0], config.units[0]) if weigh else None
         values = state_singular_values(observability(belief.mean, epoch, config.units), cov)
-        above = hysteresis(values / values[..., 3:4], threshold, ones(chosen), band) @ BITS
+        above = hysteresis(values / values[..., 3:4], threshold, ones(chosen)) @ BITS
         return np.where(above, above, BITS.sum() if chosen is None else chosen)
 
     return choose
 
 
-def by_nonlinearity(threshold: float = 0.1, band: float = 1.1) -> Choose:
+def by_nonlinearity(threshold: float = 0.1) -> Choose:
     """Weight 1 where the star residuals bend by more than so many deviations of their noise, or a step by so many of the belief."""
 
     def choose(belief: Any, epoch: Epoch, chosen: Array | None) -> Array:
@@ -279,7 +279,7 @@ def by_nonlinearity(threshold: float = 0.1, band: float = 1.1) -> Choose:
         if epoch.dt:
             step = nonlinearity_degree(lambda x: inertial.advance(x, epoch.u.interval, epoch.dt), x, std, std)
             degree = np.maximum(degree, step)
-        return np.asarray(hysteresis(degree, threshold, ones(chosen), band) @ BITS)
+        return np.asarray(hysteresis(degree, threshold, ones(chosen)) @ BITS)
 
     return choose
 

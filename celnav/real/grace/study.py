@@ -194,10 +194,10 @@ def mean(a: Array) -> float:
     return float(a.mean())
 
 
-def claims(name: str, accept: Bounds, part: str = BEST) -> Decided:
+def claims(name: str, accept: Bounds) -> Decided:
     """What a filter errs over what it claims."""
     label = f"RMSE over claimed deviation, {name}"
-    return over_day(label, ratio, lambda r: [column(r, part, name, what) for what in ("error", "std")], accept)
+    return over_day(label, ratio, lambda r: [column(r, BEST, name, what) for what in ("error", "std")], accept)
 
 
 def honest(name: str, accept: Bounds = (None, None), part: str = BEST) -> Decided:
