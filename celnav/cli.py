@@ -22,6 +22,8 @@ from celnav.lazy import require
 from celnav.papers.own import told
 from celnav.tape.cuda import CudaError
 
+__all__ = ["NEEDS", "main"]
+
 EXIT = "Exit status: 0, done; 1, it could not be done; 2, what was given cannot be used; 130, interrupted."
 BAD_INPUT = (InputError, ForeignFileError, FileNotFoundError, IsADirectoryError, NotADirectoryError, PermissionError)
 """What was given cannot be used, files and folders too: the exit status is 2."""

@@ -24,6 +24,11 @@ from numpy.typing import NDArray
 
 from celnav.lazy import needed_by
 
+__all__ = [
+    "MOST_UNPACKED", "ForeignFileError", "InputError", "Outputs", "data", "locked", "read_json", "read_npz", "remove_leftovers",
+    "replacing", "write_bytes", "write_text",
+]  # fmt: skip
+
 MANIFEST = ".celnav.json"
 LOCK = ".celnav.lock"
 TEMPORARY = ".celnav-"

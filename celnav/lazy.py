@@ -13,6 +13,8 @@ from importlib.util import find_spec
 from pkgutil import iter_modules
 from typing import Any
 
+__all__ = ["PIP", "Late", "MissingError", "modules", "needed_by", "require"]
+
 PIP = r".venv\Scripts\pip" if sys.platform == "win32" else ".venv/bin/pip"
 
 
@@ -37,7 +39,7 @@ def modules(package: str, *doors: str, **late: str) -> tuple[Callable[[str], Any
                 if error.name != f"{package}.{name}":
                     raise
             for door in doors:
-                if name in vars(module := import_module(f"{package}.{door}")):
+                if name in (module := import_module(f"{package}.{door}")).__all__:
                     return vars(module)[name]
         raise AttributeError(f"module {package!r} has no attribute {name!r}", name=name, obj=own)
 
@@ -45,7 +47,7 @@ def modules(package: str, *doors: str, **late: str) -> tuple[Callable[[str], Any
         own = sys.modules[package]
         names = {*vars(own), *late, *(found.name for found in iter_modules(own.__path__))}
         with suppress(MissingError):
-            names.update(name for door in doors for name in vars(import_module(f"{package}.{door}")) if name[0] != "_")
+            names.update(name for door in doors for name in import_module(f"{package}.{door}").__all__)
         return sorted(names)
 
     return getattribute, directory

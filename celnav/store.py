@@ -21,6 +21,8 @@ from numpy.typing import NDArray
 import celnav
 from celnav.files import data, read_json, read_npz, remove_leftovers, replacing, write_text
 
+__all__ = ["FORMAT", "MANIFEST", "RESULTS", "Keyed", "Store", "code", "existing", "resumed"]
+
 FORMAT = 2
 MANIFEST, RESULTS = "manifest.json", ".results"
 """Of a store; folder of a paper's results below the folder of what is shown of it."""

@@ -26,7 +26,7 @@ from celnav.gaussian.checks import finite, integer, number, numbers, sequence
 from celnav.gaussian.linalg import FORMS, Array
 from celnav.gaussian.spaces import EUCLIDEAN
 
-__all__ = ["Diagnosis", "diagnose", "first_order"]
+__all__ = ["Component", "Diagnosis", "Interval", "Model", "Sensed", "correlated", "diagnose", "first_order", "places"]
 
 LEAST = 20  # samples of a component, below which nothing can be said
 SMALL = 1.1  # how much larger a deviation of a mean may be than white noise has it, for noise that is nearly white

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+__all__ = ["page"]
+
 TELLS = 3.0  # of a log-likelihood, that one explanation is better by
 WIDTH = 110
 

@@ -19,7 +19,7 @@ from celnav.gaussian.checks import choice, finite, function, integer, kind, numb
 from celnav.gaussian.linalg import Array
 from celnav.tape.tape import CannotCompile
 
-__all__ = ["likelihood_gradient", "maximize_likelihood"]
+__all__ = ["STEP", "Tuned", "likelihood_gradient", "maximize_likelihood"]
 
 Build = Callable[[Array], tuple[Filter, Gaussian]]
 Domain = str | tuple[float, float]

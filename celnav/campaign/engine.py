@@ -11,6 +11,8 @@ from celnav.campaign.units import VersionError, Work, WorkError, execute
 from celnav.gaussian.linalg import Array
 from celnav.store import code
 
+__all__ = ["ATTEMPTS", "UnfinishedError", "compute"]
+
 ATTEMPTS = 3
 """How often in a row workers may die, and no unit be finished, before units are tried one by one."""
 

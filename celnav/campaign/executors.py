@@ -18,6 +18,8 @@ from urllib.parse import urlsplit
 from celnav.gaussian.checks import integer
 from celnav.lazy import needed_by
 
+__all__ = ["Workers", "dask", "given", "processes", "serial"]
+
 MOST_PROCESSES = 61 if sys.platform == "win32" else 1_000_000
 """Windows waits for no more at once."""
 PATIENCE_S = 10.0

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+__all__ = ["PALETTE", "accuracy", "consistency", "figures", "over_time", "stems"]
+
 MOST_PANELS = 12
 PALETTE = (colors.ESTIMATE, colors.COMPARISON, colors.OPEN_LOOP, colors.REFERENCE, colors.PAPER, colors.MEASUREMENT)
 MARKERS = "osD^vP"

@@ -33,6 +33,8 @@ from celnav.gaussian.checks import choice
 from celnav.papers import PAPERS, load, own
 from celnav.study.montecarlo import run_count
 
+__all__ = ["Configuration", "MissionError", "Study", "flat", "read", "study"]
+
 LARGEST_FILE = 1_000_000
 """Bytes."""
 MOST_CONFIGURATIONS = 100_000

@@ -18,6 +18,8 @@ from celnav.store import code
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+__all__ = ["names", "write"]
+
 TABLES = ("table.csv", "table.parquet", "times.csv")
 PAGE = "index.html"
 MOST_ROWS = 2000

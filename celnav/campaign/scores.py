@@ -15,6 +15,8 @@ from celnav.analysis.metrics import chi_square_band
 from celnav.gaussian.linalg import Array
 from celnav.study.trial import Followed, Group, squares
 
+__all__ = ["Accuracy", "Failure", "Scores", "Summary", "check_scores", "merge", "score", "summarize"]
+
 Scores = dict[str, Array]
 """Sums over runs that did not fail.
 

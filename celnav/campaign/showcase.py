@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
     from celnav.show.recording import Recorder
 
+__all__ = ["errors", "record", "showcase"]
+
 
 class Showcase(NamedTuple):
     """The first run: what each filter made of it at the judged epochs ``times (K,)`` s, and its ``truth (K, 3)`` km, None where the

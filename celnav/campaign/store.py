@@ -11,6 +11,8 @@ from celnav.campaign.missions import Study
 from celnav.files import InputError, Outputs, read_json, remove_leftovers, write_text
 from celnav.store import FORMAT, MANIFEST, Store, code
 
+__all__ = ["StoreError", "open_store"]
+
 
 class StoreError(InputError):
     """A folder that does not belong to this study."""

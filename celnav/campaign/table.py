@@ -16,6 +16,8 @@ from celnav.campaign.units import Result
 from celnav.gaussian.linalg import Array
 from celnav.lazy import needed_by
 
+__all__ = ["Merged", "Row", "columns", "costs", "merged", "plain", "rows_of", "summary", "to_csv", "to_parquet"]
+
 MOST_LINES = 40
 
 

@@ -7,6 +7,8 @@ import typing
 from dataclasses import fields, is_dataclass
 from typing import Any
 
+__all__ = ["depth", "described", "named", "type_depth", "typed", "unit_of"]
+
 _DIMENSIONS = ("km", "m", "s", "deg", "arcsec", "h", "hz", "g", "ug", "rad", "m2", "s2", "s3", "sqrt_h", "sqrt_hz")
 LARGEST = 1e300
 """Numbers beyond it cannot be meant."""

@@ -29,6 +29,8 @@ from celnav.tape.cuda import CudaError
 with needed_by("a campaign or a mission", "papers"):
     from threadpoolctl import threadpool_limits
 
+__all__ = ["STUDY", "Result", "Unit", "VersionError", "Work", "WorkError", "execute", "pack", "units_of", "unpack"]
+
 STUDY = 0
 """Of `celnav.study.montecarlo.generator`, for all configurations: they share their random numbers, so differences are sharp."""
 

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from celnav.campaign.executors import Workers
     from celnav.campaign.table import Row
 
+__all__ = ["UsageError", "cores", "done", "folder_of", "fraction", "module", "number", "whole", "workers"]
+
 MOST_PER_CORE = 4
 """Processes."""
 

@@ -16,6 +16,8 @@ from celnav.files import InputError, Outputs
 from celnav.gaussian.linalg import Array
 from celnav.lazy import require
 
+__all__ = ["read", "run"]
+
 FILES = ("diagnosis.txt", "diagnosis.json", "diagnosis.png", "diagnosis.svg")
 TIMES = ("t", "time", "times", "seconds", "epoch")
 CLAIMS = ("std_", "sigma_")

@@ -25,6 +25,8 @@ from celnav.show.page import document, link, linked
 from celnav.show.page import table as plain_table
 from celnav.study.ledger import VERDICTS
 
+__all__ = ["OWN", "described", "effort_of", "few", "index", "own_studies", "reproduced", "shown", "verdicts", "words"]
+
 _FOLDED = {
     "erratum": "Errata",
     "reconstruction": "Reconstructed: lost or unreadable in our text",

@@ -12,6 +12,8 @@ from celnav import papers, real
 from celnav.commands.arguments import module
 from celnav.papers import load, own
 
+__all__ = ["run"]
+
 WIDTH = 132
 """Of lines."""
 

@@ -11,6 +11,8 @@ from celnav.commands.arguments import UsageError, done, folder_of, fraction, wor
 from celnav.files import InputError, Outputs, locked, read_json
 from celnav.show.progress import RunProgress
 
+__all__ = ["ORIGIN", "run"]
+
 RECORDING = "mission.rrd"
 ORIGIN = "mission.json"
 """Which file the folder's mission is of."""

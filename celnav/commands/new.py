@@ -11,6 +11,8 @@ from celnav.papers import PAPERS
 from celnav.papers.own import is_own, name_of
 from celnav.real import STUDIES
 
+__all__ = ["run"]
+
 
 def run(options: argparse.Namespace) -> int:
     """Write the file, which must not be there."""

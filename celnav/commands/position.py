@@ -17,6 +17,8 @@ from celnav.lazy import require
 if TYPE_CHECKING:
     from celnav.gaussian.linalg import Array
 
+__all__ = ["run"]
+
 NO_TRACKS = (".kml", ".gpx", ".json", ".txt")
 """Nobody means a folder by these."""
 

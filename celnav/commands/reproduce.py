@@ -32,6 +32,8 @@ from celnav.store import RESULTS, Store, resumed
 from celnav.study.study import Results, Unit
 from celnav.tape.cuda import device
 
+__all__ = ["run"]
+
 KINDS = ("png", "svg")
 """Of each figure."""
 WRITING_S = {"ledger": 1.0, "figures": 5.0, "recordings": 4.0}

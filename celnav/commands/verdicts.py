@@ -8,6 +8,8 @@ from pathlib import Path
 
 from celnav.commands.index import effort_of, few, own_studies, reproduced, verdicts, words
 
+__all__ = ["run"]
+
 
 def run(options: argparse.Namespace) -> int:
     """Count the verdicts of the papers that were reproduced."""

@@ -12,6 +12,8 @@ from celnav.commands.arguments import UsageError, module, number
 from celnav.commands.index import OWN, shown
 from celnav.papers import own
 
+__all__ = ["run"]
+
 
 def run(options: argparse.Namespace) -> int:
     """Open a paper's recording, or a file."""

@@ -31,7 +31,7 @@ from celnav.gaussian.linalg import (
 
 __all__ = [
     "channel_parity", "chi_square_gate", "consider", "correntropy", "gate", "group_parity", "huber", "innovation_window",
-    "sage_husa", "student_t", "underweighting", "variational_bayes",
+    "range_basis", "sage_husa", "student_t", "underweighting", "variational_bayes",
 ]  # fmt: skip
 
 

@@ -28,7 +28,9 @@ from celnav.gaussian.linalg import POSITIVE, Array, SquareRoot, block, matvec, s
 from celnav.gaussian.rules import UNSCENTED
 from celnav.gaussian.spaces import EUCLIDEAN
 
-__all__ = ["augmented", "colored", "decorrelated"]
+__all__ = [
+    "Colored", "Decorrelated", "Decorrelation", "augmented", "colored", "coloring", "decorrelated", "decorrelation", "zeta_of",
+]  # fmt: skip
 
 Coloring = ArrayLike | Callable[[Any], Array]
 """``Phi (..., m, m)`` or ``epoch -> Phi``."""

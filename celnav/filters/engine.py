@@ -24,6 +24,11 @@ from celnav.tape.kernel import Kernel
 from celnav.tape.numbers import Numbers
 from celnav.tape.tape import MOST, CannotCompile, Number, Tape, as_number, do
 
+__all__ = [
+    "FULL", "NONE", "PART", "SILENT", "TALLY", "Data", "Engine", "Kind", "Recorded", "Shape", "each_array", "each_run", "entries",
+    "is_own", "leaves", "rebuilt",
+]  # fmt: skip
+
 TALLY = ("log_likelihood", "missing", "rejected", "redone", "failed_at")
 """What each run counts, first in its state."""
 

@@ -15,7 +15,7 @@ from celnav.filters.sequential import Sequential, plain
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array, Belief, surely
 
-__all__ = ["Fallback"]
+__all__ = ["Fallback", "merged", "pick"]
 
 Step = tuple[State, tuple[Info, ...]]
 

@@ -19,7 +19,7 @@ from celnav.gaussian.checks import beside, instance, integer, kind, numbers
 from celnav.gaussian.linalg import Array, Belief
 from celnav.tape.tape import CannotCompile
 
-__all__ = ["FixedLag"]
+__all__ = ["FixedLag", "Held"]
 MOST_KEPT = 1_000_000
 
 

@@ -19,6 +19,8 @@ from celnav.tape import llvm, ptx
 from celnav.tape.cuda import Device
 from celnav.tape.tape import CannotCompile
 
+__all__ = ["Flight", "as_data", "fly", "sensors"]
+
 FEW = 3  # rows of a flight that keeps nothing, by which it is checked
 CHUNK = 1 << 21  # bytes of the measurements of runs that are flown together: they stay in the cache
 

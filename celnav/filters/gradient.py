@@ -23,6 +23,8 @@ from celnav.tape.derivative import with_slopes
 from celnav.tape.kernel import digest
 from celnav.tape.tape import CannotCompile
 
+__all__ = ["Gradient", "alike", "fourth_order"]
+
 STEP = 1e-3
 """Of the differences of arrays, of fourth order: round-off and what they leave out are below 1e-12."""
 SMOOTH = 1e-3  # of the largest derivative, that differences of two steps may be apart

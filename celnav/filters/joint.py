@@ -27,6 +27,11 @@ from celnav.gaussian.rules import Image, Taylor
 from celnav.gaussian.spaces import EUCLIDEAN, Space
 from celnav.tape.numbers import each_row
 
+__all__ = [
+    "KEEP", "Gain", "Hook", "Joint", "alike", "at", "by_matrix", "condition", "evaluate", "joint", "linear", "marginal",
+    "over_runs", "rule_for", "whole",
+]  # fmt: skip
+
 KEEP: Final = object()
 """Stands for "the state itself" among the outputs of a function: its columns are then exact, on any space."""
 

@@ -15,6 +15,8 @@ import numpy as np
 
 from celnav.gaussian.linalg import Array
 
+__all__ = ["LOOKED_AT", "POINTS", "WATCH", "check_runs_apart", "unknown"]
+
 MOST = 16  # models looked at in a run of a filter: some are made anew at every step
 LOOKED_AT: ContextVar[list[Any] | None] = ContextVar("looked_at", default=None)
 """The models looked at so far; None where none is to be."""

@@ -19,7 +19,10 @@ from celnav.gaussian.checks import finite, function, instance, kind, numbers, ta
 from celnav.gaussian.linalg import Array, Covariance, SquareRoot, matvec
 from celnav.gaussian.spaces import EUCLIDEAN, Space
 
-__all__ = ["Linear", "Motion", "Sensor"]
+__all__ = [
+    "Linear", "Model", "Motion", "Noise", "Sensor", "as_floats", "check_matrices", "check_prior", "check_roots", "given_back",
+    "is_linear", "noise_of",
+]  # fmt: skip
 
 Model = Callable[..., Any]
 """``(points (p, ..., N), epoch, *noise points (p, ..., k)) -> (p, ..., M)``."""

@@ -12,7 +12,7 @@ from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import finite, kind, numbers
 from celnav.gaussian.linalg import Array, surely
 
-__all__ = ["Epoch", "Filter", "FilterError", "FromFunctions", "Info", "epochs"]
+__all__ = ["Epoch", "Epochs", "Filter", "FilterError", "FromFunctions", "Info", "State", "check_interval", "epochs", "still"]
 
 _LOG_2PI = float(np.log(2.0 * np.pi))
 

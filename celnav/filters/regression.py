@@ -11,6 +11,8 @@ from celnav.filters.joint import Joint
 from celnav.gaussian.linalg import EPS, Array, Belief, SquareRoot, block, matvec, solve_lower, solve_right, surely, weighted
 from celnav.gaussian.rules import Image
 
+__all__ = ["pseudo_gain", "regressed"]
+
 
 def regressed(seen: Joint, belief: Belief, way: Array) -> Joint:
     """The joint of a measurement and of the state as ``belief`` has it, by the regression ``z = A x + b + e`` over another belief.

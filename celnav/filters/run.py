@@ -18,7 +18,7 @@ from celnav.gaussian.belief import settled
 from celnav.gaussian.checks import choice, function, instance, integer, kind
 from celnav.gaussian.linalg import Array
 
-__all__ = ["run", "steps"]
+__all__ = ["ENGINE", "ENGINES", "as_epochs", "explain", "run", "steps"]
 
 ENGINES = ("numpy", "compiled", "cuda", "auto")
 ENGINE: ContextVar[str] = ContextVar("engine", default="numpy")

@@ -20,7 +20,10 @@ from celnav.gaussian.rules import AnyDimension, Taylor, cubature, gauss_hermite,
 from celnav.gaussian.spaces import EUCLIDEAN, Space
 from celnav.gaussian.sparse_grid import smolyak
 
-__all__ = ["Iterated", "SingleDraw", "ckf", "ekf", "ghkf", "sigma_point", "sparse_grid_filter", "ukf"]
+__all__ = [
+    "MOST_ITERATIONS", "Iterated", "Sequential", "SingleDraw", "checked", "ckf", "ekf", "ghkf", "measurements", "missing", "over",
+    "plain", "sigma_point", "silent", "sparse_grid_filter", "ukf",
+]  # fmt: skip
 
 MOST_ITERATIONS = 10_000  # at every step
 

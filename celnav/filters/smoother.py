@@ -25,7 +25,7 @@ from celnav.filters.track import Track
 from celnav.gaussian.checks import choice, instance, kind
 from celnav.gaussian.linalg import Array, Belief
 
-__all__ = ["smooth"]
+__all__ = ["back", "smooth"]
 
 
 def smooth(track: Track, filter: Any = None, *, gains: bool = False, on_failure: str = "raise") -> Track:

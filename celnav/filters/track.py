@@ -19,7 +19,7 @@ from celnav.lazy import needed_by
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["Track"]
+__all__ = ["Collector", "Track"]
 
 
 @dataclass(frozen=True)

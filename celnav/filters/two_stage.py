@@ -26,7 +26,7 @@ from celnav.gaussian.linalg import Array, SquareRoot, block, matvec, outer, side
 from celnav.gaussian.rules import UNSCENTED, Taylor
 from celnav.gaussian.spaces import EUCLIDEAN
 
-__all__ = ["two_stage"]
+__all__ = ["LINEAR", "Boost", "Plain", "Stage", "TwoStage", "two_stage"]
 
 Slope = Array | Callable[[Array, Epoch], Array]
 """``Gamma (..., m, p)``: derivative of the measurement with respect to the bias; constant or ``(mean, epoch) -> matrix``."""

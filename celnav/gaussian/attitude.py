@@ -16,8 +16,8 @@ from celnav.gaussian.linalg import Array, surely
 from celnav.gaussian.spaces import Space, components, trailing
 
 __all__ = [
-    "angle", "attitude", "cross", "exp", "from_euler", "from_rodrigues", "inverse", "log", "matrix", "multiply", "positive",
-    "rotate", "to_euler", "to_rodrigues", "transport", "unit",
+    "IDENTITY", "angle", "attitude", "cross", "exp", "from_euler", "from_rodrigues", "inverse", "log", "matrix", "multiply",
+    "positive", "rotate", "to_euler", "to_rodrigues", "transport", "unit",
 ]  # fmt: skip
 
 IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])

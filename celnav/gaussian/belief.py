@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from celnav.gaussian.checks import beside, finite, integers, kind
 from celnav.gaussian.linalg import Array, Belief, SquareRoot, matvec, outer, semidefinite_root, whiten
 
-__all__ = ["Gaussian", "nees"]
+__all__ = ["Gaussian", "any_lost", "nees", "settled", "symmetric"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,11 @@ import numpy as np
 from celnav.gaussian.linalg import Array
 from celnav.tape.numbers import recorded
 
+__all__ = [
+    "LIMIT", "Shape", "beside", "choice", "finite", "function", "instance", "integer", "integers", "kind", "number", "numbers",
+    "sequence", "takes", "together", "unmasked",
+]  # fmt: skip
+
 LIMIT = 1_000_000_000  # numbers (8 GB) that one argument may ask for
 Shape = tuple[Any, ...]
 """Lengths of axes: an integer, a letter (1 or more, the same wherever it stands), None (any); ``...`` in front is any batch."""

@@ -3,8 +3,7 @@
 Every function accepts leading batch axes (a Monte-Carlo block of runs) and treats the last two as a matrix. Roots are *lower*
 triangular with a non-negative diagonal, ``P = L @ L.mT``; "columns" means any ``(..., n, q)`` array ``A`` that stands for
 ``P = A @ A.mT``. A matrix of a batch that has no root becomes nan, its neighbors are untouched. A single matrix goes to LAPACK
-directly, since numpy's batched functions spend most of a small one's time on preparations. A form owns its algebra: nobody else
-asks which one a filter has.
+directly, since numpy's batched functions spend most of a small one's time on preparations. A form owns its algebra.
 """
 
 from __future__ import annotations
@@ -20,9 +19,14 @@ from celnav.gaussian import recorded
 from celnav.lazy import Late
 from celnav.tape.numbers import numbers
 
+__all__ = [
+    "EPS", "FORMS", "POSITIVE", "Array", "Belief", "Covariance", "Form", "SquareRoot", "block", "cholesky", "downdate", "factored",
+    "fan", "matvec", "outer", "semidefinite_root", "side_by_side", "solve_lower", "solve_right", "surely", "tria", "weighted",
+    "whiten",
+]  # fmt: skip
+
 Array = NDArray[Any]
 blas, lapack = Late("scipy.linalg.blas"), Late("scipy.linalg.lapack")
-
 EPS = float(np.finfo(np.float64).eps)
 NEGLIGIBLE = 1e-12  # part of the largest deviation, or variance, below which one is round-off
 PRECISE = 1e3  # deviations of the noise by which an innovation may vary before a difference of covariances loses too many digits

@@ -14,6 +14,8 @@ from celnav.tape.numbers import Numbers, each_row, tape_of
 from celnav.tape.routine import Recorder, Routine, Stage
 from celnav.tape.tape import do, total
 
+__all__ = ["cholesky", "semidefinite_root", "solve_lower", "tria"]
+
 Array = Any
 SUMS = 4
 LONG = 20_000

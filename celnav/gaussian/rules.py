@@ -22,7 +22,10 @@ from celnav.gaussian.linalg import EPS, POSITIVE, Array, fan, semidefinite_root,
 from celnav.gaussian.spaces import EUCLIDEAN, Space, trailing
 from celnav.tape.derivative import along, at_zero
 
-__all__ = ["Rule", "Taylor", "cubature", "from_filterpy", "gauss_hermite", "simplex", "tensor_product", "unscented"]
+__all__ = [
+    "MAX_POINTS", "UNSCENTED", "AnyDimension", "Image", "Rule", "Taylor", "cubature", "few", "from_filterpy", "gauss_hermite",
+    "simplex", "tensor_product", "unscented",
+]  # fmt: skip
 
 MAX_POINTS = 1_000_000
 

@@ -15,7 +15,7 @@ import numpy as np
 from celnav.gaussian.checks import integer, integers, sequence
 from celnav.gaussian.linalg import Array, side_by_side
 
-__all__ = ["EUCLIDEAN", "Space", "angles", "product"]
+__all__ = ["EUCLIDEAN", "Space", "angles", "components", "leading", "product", "trailing", "wrap"]
 
 
 class Space(NamedTuple):

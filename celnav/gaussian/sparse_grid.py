@@ -22,7 +22,7 @@ from celnav.gaussian.checks import integer, integers
 from celnav.gaussian.linalg import Array
 from celnav.gaussian.rules import MAX_POINTS, Rule, few
 
-__all__ = ["integrates", "point_count", "smolyak"]
+__all__ = ["DELAYED", "ORDERS", "index_set", "integrates", "point_count", "smolyak"]
 
 ORDERS = (1, 3, 7, 15, 31, 63)
 """Points of the one-dimensional rules of level 1, 2, ...: a level more doubles the number and the degree."""

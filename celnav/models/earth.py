@@ -16,8 +16,8 @@ from celnav.gaussian.linalg import Array, matvec
 from celnav.lazy import needed_by
 
 __all__ = [
-    "Flight", "earth_rate", "inertial_forces", "meridian_radius", "normal_gravity", "orientation", "radii", "spin",
-    "transport_rate", "transverse_radius", "turning_flight",
+    "ECCENTRICITY_SQUARED", "ROTATION_RATE", "SEMI_MAJOR_M", "STANDARD_GRAVITY", "Flight", "earth_rate", "inertial_forces",
+    "meridian_radius", "normal_gravity", "orientation", "radii", "spin", "transport_rate", "transverse_radius", "turning_flight",
 ]  # fmt: skip
 
 SEMI_MAJOR_M = 6378137.0

@@ -27,7 +27,7 @@ with needed_by("celnav.models.ephemeris", "papers"):
     from jplephem.daf import DAF
     from jplephem.spk import SPK
 
-__all__ = ["BodyState", "Kernel", "Tdb", "from_tt", "from_utc"]
+__all__ = ["BODIES", "DAY_S", "GM", "BodyState", "Kernel", "Tdb", "de421", "from_tt", "from_utc"]
 
 GM = {
     "sun": 132712440040.944, "mercury": 22032.090, "venus": 324858.592, "earth": 398600.436233, "moon": 4902.800076,

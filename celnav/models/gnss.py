@@ -15,7 +15,10 @@ import numpy as np
 from celnav.gaussian.checks import finite
 from celnav.gaussian.linalg import Array
 
-__all__ = ["Broadcast", "SatelliteState", "eccentric_anomaly", "satellites", "spun", "tilted", "turned"]
+__all__ = [
+    "B1I_HZ", "GEO_NUMBERS", "GPS_AHEAD_S", "GRAVITY_PARAMETER", "L1_HZ", "LIGHT", "ROTATION_RATE", "TILT", "WEEK_S", "Broadcast",
+    "SatelliteState", "eccentric_anomaly", "satellites", "spun", "tilted", "turned",
+]  # fmt: skip
 
 GRAVITY_PARAMETER = 3.986004418e14  # m^3/s^2
 ROTATION_RATE = 7.2921150e-5  # rad/s

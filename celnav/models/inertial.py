@@ -22,8 +22,8 @@ from celnav.models import earth
 from celnav.models.earth import Flight
 
 __all__ = [
-    "Navigation", "Solution", "advance", "derivative", "mechanize", "misalignment_angles", "misalignment_matrix", "navigation",
-    "star_residuals", "wahba_misalignment",
+    "BIAS", "DRIFT", "PHI", "POSITION", "SINGULAR", "STATES", "VELOCITY", "Navigation", "Solution", "advance", "derivative",
+    "mechanize", "misalignment_angles", "misalignment_matrix", "navigation", "star_residuals", "wahba_misalignment",
 ]  # fmt: skip
 
 PHI, VELOCITY, POSITION, DRIFT, BIAS = slice(0, 3), slice(3, 5), slice(5, 7), slice(7, 10), slice(10, 13)

@@ -20,8 +20,8 @@ from celnav.gaussian.linalg import Array
 from celnav.gaussian.spaces import components, trailing
 
 __all__ = [
-    "Earth", "Flow", "Nodes", "UnitWarning", "acceleration", "advance", "check_orbit", "flow", "from_elements", "gradient",
-    "propagate", "step", "third_body", "to_elements", "transition", "warn_of_degrees",
+    "EARTH", "NODES", "Earth", "Extra", "Flow", "Nodes", "UnitWarning", "acceleration", "advance", "check_orbit", "flow",
+    "from_elements", "gradient", "propagate", "step", "third_body", "to_elements", "transition", "warn_of_degrees",
 ]  # fmt: skip
 
 

@@ -18,7 +18,7 @@ from celnav.gaussian.checks import choice, instance, number, sequence
 from celnav.gaussian.linalg import Array
 from celnav.gaussian.spaces import Space
 
-__all__ = ["Pulsar", "Timing", "known", "pulsars"]
+__all__ = ["AREA_CM2", "BACKGROUND", "GM_SUN", "KPC_KM", "LIGHT_KM_S", "Pulsar", "Timing", "known", "pulsars"]
 
 LIGHT_KM_S = 299792.458
 GM_SUN = 1.32712440041e11  # km^3/s^2

@@ -19,6 +19,8 @@ from celnav.lazy import modules
 
 __getattr__, __dir__ = modules(__name__)
 
+__all__ = ["PAPERS", "citation", "load"]
+
 PAPERS = {name: f"celnav.papers.{name}" for name in ("csrukf", "ssukf", "tstdkf", "aasghqf", "aukf")}
 """Identifier -> module."""
 

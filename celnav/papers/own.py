@@ -30,6 +30,8 @@ from celnav.study.parameters import Timed
 from celnav.study.study import Part, Study
 from celnav.study.trial import Group
 
+__all__ = ["identity", "is_own", "load", "name_of", "place", "told"]
+
 __path__: list[str] = []  # a package, whose modules `_Finder` finds
 
 

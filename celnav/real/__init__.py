@@ -17,6 +17,8 @@ from celnav.lazy import modules
 
 __getattr__, __dir__ = modules(__name__)
 
+__all__ = ["STUDIES", "found", "load"]
+
 STUDIES: dict[str, str] = {
     "grace": "GPS fixes and positions of GRACE-A, August 2008, and a gravity field",
     "nanograv": "pulsars' arrival times (daily_averages.npz)",

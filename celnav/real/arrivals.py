@@ -27,6 +27,11 @@ from celnav.models.ephemeris import DAY_S, GM, Tdb, de421
 from celnav.models.pulsar import LIGHT_KM_S
 from celnav.real import found
 
+__all__ = [
+    "AU_S", "YEAR", "Arrivals", "Weeks", "clocks", "differences", "model", "read", "remembered", "sized", "transition", "walk",
+    "weekly",
+]  # fmt: skip
+
 YEAR, WEEK, AU_S = 365.25, 7.0, 499.00478384
 LEAST_DAYS, LEAST_YEARS = 30, 3.0
 """Of the observations before, for a pulsar to take part."""

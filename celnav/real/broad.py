@@ -37,6 +37,11 @@ if TYPE_CHECKING:
     from celnav.files import Outputs
     from celnav.show.recording import Recorder
 
+__all__ = [
+    "CITATION", "FIGURES", "INPUTS", "KINDS", "LINES", "PUBLISHED", "RECORDINGS", "STUDY", "TABLES", "TICKS", "TITLE", "TRIALS",
+    "flown", "level_of", "published", "record",
+]  # fmt: skip
+
 TITLE = "Attitude from a sensor in a hand"
 CITATION = citation("Laidig2021")
 INPUTS = ("broad",)

@@ -30,6 +30,11 @@ from celnav.models.gyro import Gyro
 from celnav.real import found
 from celnav.study.trial import Group, Trial
 
+__all__ = [
+    "GRAVITY", "GROUPS", "LAG", "SETTINGS", "STEP", "TRIALS", "TUNED", "VECTORS", "Flight", "Q", "Settings", "apart", "filters",
+    "judged", "read", "sensors", "steps", "together", "trial",
+]  # fmt: skip
+
 TRIALS = (
     "01_undisturbed_slow_rotation_A", "02_undisturbed_slow_rotation_B", "06_undisturbed_fast_rotation_A",
     "10_undisturbed_slow_translation_A", "15_undisturbed_fast_translation_A", "21_undisturbed_fast_combined",

@@ -49,6 +49,11 @@ if TYPE_CHECKING:
     from celnav.files import Outputs
     from celnav.show.recording import Recorder
 
+__all__ = [
+    "CITATION", "DRIFT_KM", "END", "FIGURES", "FLOWN", "INPUTS", "LINES", "RECORDINGS", "SOLITARY", "STUDY", "SUN_KM", "TABLES",
+    "TITLE", "Flight", "fixes", "fly_all", "parts", "record", "trial", "tuned",
+]  # fmt: skip
+
 TITLE = "The Earth's place by millisecond pulsars"
 CITATION = citation("Agazie2023")
 INPUTS = ("nanograv",)

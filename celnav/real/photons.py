@@ -20,6 +20,8 @@ from celnav.models.ephemeris import DAY_S, Tdb, de421, from_tt
 from celnav.models.pulsar import LIGHT_KM_S, Pulsar, Timing
 from celnav.real import found
 
+__all__ = ["read", "read_par", "table"]
+
 CHANNELS, LEAST_PHOTONS, LEAST_S = (5, 49), 1000, 480.0
 """Channels of the detector that are taken; fewer photons, or a shorter time, are refused."""
 

@@ -39,6 +39,11 @@ if TYPE_CHECKING:
     from celnav.files import Outputs
     from celnav.show.recording import Recorder
 
+__all__ = [
+    "CITATION", "FIGURES", "INPUTS", "PLACES", "RECORDINGS", "SHIFTS", "STUDY", "TABLES", "TITLE", "Light", "folded", "h_test",
+    "harmonics", "parts", "placed", "record", "shifted",
+]  # fmt: skip
+
 TITLE = "A satellite by the photons of a pulsar"
 CITATION = citation("Luo2021")
 INPUTS = ("rxte",)

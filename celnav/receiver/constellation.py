@@ -14,6 +14,8 @@ from celnav.gaussian.linalg import Array
 from celnav.models.gnss import GRAVITY_PARAMETER, ROTATION_RATE, TILT, Broadcast, eccentric_anomaly, tilted
 from celnav.models.orbit import Earth, from_elements, to_elements
 
+__all__ = ["GEOSTATIONARY", "TOE_S", "geostationary", "synthetic"]
+
 POINT = Earth(mu=1e-9 * GRAVITY_PARAMETER, j2=0.0)
 """Satellites move as two bodies do."""
 SYNCHRONOUS_M = (GRAVITY_PARAMETER / ROTATION_RATE**2) ** (1.0 / 3.0)

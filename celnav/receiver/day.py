@@ -25,6 +25,8 @@ from celnav.study.study import Rngs
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+__all__ = ["JUDGED", "drawn", "flown", "formulas", "found", "positioned", "rms"]
+
 HALF_DAY_S = 43200.0
 EPOCHS, AFTER = 40, 10
 """Length of the burst that is added, and of what is judged after it."""

@@ -14,6 +14,8 @@ from celnav.gaussian.linalg import Array
 from celnav.models import pseudorange
 from celnav.models.gnss import LIGHT
 
+__all__ = ["CRYSTAL", "filters", "hooks", "process_noise", "transition"]
+
 CRYSTAL = (LIGHT**2 * 2e-19 / 2.0, 2.0 * np.pi**2 * LIGHT**2 * 2e-20)
 """A compensated crystal's noise of frequency, white (m^2/s) and walking (m^2/s^3): h0 = 2e-19, h-2 = 2e-20."""
 OFFSET_WALK = 1e-5

@@ -23,6 +23,8 @@ from celnav.receiver.integrity import Monitored, misfit, monitored, noise_compon
 from celnav.receiver.least_squares import least_squares
 from celnav.receiver.sky import GROUND_M
 
+__all__ = ["GIVEN", "LEAST_ELEVATION", "Noise", "Seen", "estimated", "fixed"]
+
 LEAST_ELEVATION = np.radians(1.0)
 """What delays and deviations are taken for below it."""
 GIVEN = (1.5, 0.05)

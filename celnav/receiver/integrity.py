@@ -17,6 +17,8 @@ from scipy.special import chdtri
 
 from celnav.gaussian.linalg import Array
 
+__all__ = ["Monitored", "misfit", "monitored", "noise_components", "probability"]
+
 MOST_EXCLUDED = 3
 """Measurements of a fix; a fix that is wrong in more has nothing to trust."""
 ROUNDS = 5

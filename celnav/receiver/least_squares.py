@@ -14,6 +14,8 @@ from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import instance, integer, numbers, together, unmasked
 from celnav.gaussian.linalg import Array, Covariance, matvec, outer
 
+__all__ = ["least_squares"]
+
 RANK = 1e-10
 """Part of a column of the Jacobian that must be its own, or its state is not determined."""
 AT_REST = 1e-4

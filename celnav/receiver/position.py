@@ -25,6 +25,8 @@ from celnav.receiver.geodesy import ELLIPSOID, ecef2geodetic
 from celnav.receiver.rinex import OTHERS, SYSTEMS, Navigation, Observations
 from celnav.receiver.sky import Dilution, dilution, klobuchar, local_axes, look, saastamoinen
 
+__all__ = ["Log", "chosen", "deviations", "mask", "prepare"]
+
 CREDIBLE_M = (1.5e7, 5e7)
 """Pseudoranges outside are none."""
 CREDIBLE_M_PER_S = 1e4

@@ -27,6 +27,8 @@ from celnav.show.figures import Panel, components, curve, figure, panels
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+__all__ = ["FILES", "KIND_COLORS", "RECORDING", "Positioned", "kinds", "position", "record_positioned", "summary", "write"]
+
 KIND_COLORS = {"GEO": colors.PAPER, "IGSO": colors.ESTIMATE, "MEO": colors.COMPARISON, "GPS": colors.TRUTH}
 IGSO_NUMBERS = frozenset({*range(6, 11), 13, 16, 31, 38, 39, 40, 56})
 """Inclined geosynchronous satellites of BeiDou-2 and -3."""

@@ -33,6 +33,10 @@ from celnav.receiver.rinex_text import (
 )
 from celnav.receiver.sky import local_axes, on_earth
 
+__all__ = [
+    "OTHERS", "SYSTEMS", "Navigation", "Observations", "ionosphere", "read_ionosphere", "read_navigation", "read_observations",
+]  # fmt: skip
+
 AHEAD_S = {"BDT": 0.0, "GPS": GPS_AHEAD_S, "GAL": GPS_AHEAD_S}
 """How far time systems of observation files are ahead of BDT."""
 

@@ -23,6 +23,11 @@ from celnav.files import MOST_UNPACKED, InputError
 from celnav.gaussian.linalg import Array
 from celnav.lazy import needed_by
 
+__all__ = [
+    "EPOCH_ZERO", "Measured", "Set", "epochs", "finite_number", "header_of", "kinds_of", "of_system", "sets", "three_numbers",
+    "unpacked",
+]  # fmt: skip
+
 LARGEST_BYTES = 2_000_000_000
 """Of a file, unpacked: a day of a station at a second's rate is half of that."""
 SMALL_BYTES = 10_000_000

@@ -15,6 +15,8 @@ from celnav.gaussian.checks import finite, numbers
 from celnav.gaussian.linalg import Array
 from celnav.models.gnss import LIGHT
 
+__all__ = ["GROUND_M", "Dilution", "dilution", "klobuchar", "local_axes", "look", "on_earth", "saastamoinen"]
+
 GROUND_M = (6.3e6, 1e7)
 """From the middle of the Earth, where receivers are: near its surface or in a low orbit."""
 SINGULAR = 1e-6

@@ -26,6 +26,8 @@ with needed_by("positioning a receiver", "rinex"):
 if TYPE_CHECKING:
     from celnav.receiver.report import Positioned
 
+__all__ = ["FORMATS", "civil", "geojson", "nmea", "pos", "table", "utc"]
+
 GPS_WEEK = 1356
 """In which BDT began, by the count of GPS."""
 BDT_DAY, TAI_AHEAD_S = 2453736.5, 33.0

@@ -15,6 +15,8 @@ import numpy as np
 from celnav.files import InputError, read_json
 from celnav.study.ledger import BETWEEN, KINDS, OPEN, VERDICTS, WORDS, Claim, Number
 
+__all__ = ["TYPES", "Ledger", "answer", "counted", "dumps", "plain", "read_claims", "surprise", "table", "tally", "written"]
+
 COLUMNS = ("place", "what is said", "printed", "ours", "verdict")
 _GOOD = {words[0] for kind, words in WORDS.items() if kind in ("statement", "finding", "check")} | {BETWEEN[0]}
 _BAD = {words[1] for words in WORDS.values()}

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+__all__ = ["figure", "size"]
+
 SHADES = (colors.COMPARISON, colors.ESTIMATE, colors.TRUTH, colors.OPEN_LOOP, colors.PAPER, colors.MEASUREMENT, colors.REFERENCE)
 MARKS = "osv^Dx+"
 BINS = 60  # means over time

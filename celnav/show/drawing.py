@@ -14,6 +14,8 @@ with needed_by("a figure", "papers"):
     from matplotlib.ticker import NullLocator
     from PIL import Image
 
+__all__ = ["Drawing", "render", "styled"]
+
 STYLE: Any = {
     "figure.constrained_layout.use": True,
     "figure.dpi": 100,

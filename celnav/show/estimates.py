@@ -13,6 +13,8 @@ from celnav.gaussian.linalg import Array
 from celnav.show.figures import Line
 from celnav.study.study import Results
 
+__all__ = ["Estimate", "Group", "again"]
+
 
 class Group(NamedTuple):
     """Components of the error that are drawn together: ``part`` of them, times ``scale``, is in ``unit``.

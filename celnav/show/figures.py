@@ -23,6 +23,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+__all__ = [
+    "Item", "Line", "Panel", "Rows", "band", "bars", "components", "consistency", "curve", "errors", "figure", "interval", "level",
+    "panels", "quantiles", "rmse", "rmse_table", "sigma",
+]  # fmt: skip
+
 Item = Callable[["Axes"], Any]
 """Draws something."""
 

@@ -6,6 +6,8 @@ import base64
 import html
 from collections.abc import Iterable
 
+__all__ = ["document", "figure", "link", "linked", "table"]
+
 _STYLE = """
 :root{color-scheme:light dark;--line:#8884;--bad:#d55e00;--good:#009e73;--part:#e69f00;--error:#cc79a7;--open:#888}
 body{font:15px/1.5 system-ui,sans-serif;max-width:72rem;margin:0 auto;padding:1rem}

@@ -24,6 +24,8 @@ with needed_by("a picture of a recording", "record"):
     from PIL import Image
     from rerun.experimental import ViewerClient
 
+__all__ = ["command", "end", "picture"]
+
 HOST = "127.0.0.1"
 """What the viewer listens to."""
 PATIENCE_S = 60.0

@@ -12,6 +12,8 @@ from celnav.gaussian.linalg import Array
 if TYPE_CHECKING:
     from celnav.show.recording import Recorder
 
+__all__ = ["Curve", "Plot", "draw"]
+
 
 class Curve(NamedTuple):
     """Values ``(T,)`` and, if given, three deviations ``sigma (T,)`` about a ``center``.

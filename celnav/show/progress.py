@@ -6,6 +6,8 @@ import sys
 from time import monotonic
 from typing import Any, Self, cast
 
+__all__ = ["Progress", "RunProgress"]
+
 EVERY_S = 5.0
 """Between plain lines about runs."""
 

@@ -32,6 +32,8 @@ with needed_by("a recording", "record"):
     import rerun as rr
     from rerun.error_utils import strict_mode
 
+__all__ = ["Recorder", "ellipsoid_axes", "recording"]
+
 APPLICATION = "celnav"
 
 

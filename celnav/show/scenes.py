@@ -16,6 +16,8 @@ from celnav.show.showcase import Space
 if TYPE_CHECKING:
     from celnav.show.recording import Recorder
 
+__all__ = ["behind", "beside", "constellation", "flight", "sightings", "sigma_points", "track", "turning"]
+
 
 def track(
     out: Recorder, entity: str, points: Array, color: str, label: str = "", *, cov: Array | None = None, radius: float = 1.0

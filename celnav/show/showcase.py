@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from celnav.files import Outputs
     from celnav.show.recording import Recorder
 
+__all__ = ["Showcase", "Space", "record", "write"]
+
 ENSEMBLE = 20
 """Runs that are drawn as points."""
 FAR = 20.0

@@ -20,6 +20,8 @@ with needed_by("a recording", "record"):
     import rerun as rr
     import rerun.blueprint as rrb
 
+__all__ = ["TIMELINE", "bar_chart", "blueprint", "columns", "log", "plot", "rows", "space", "tabs", "text"]
+
 TIMELINE = "t"
 """Of every recording, seconds."""
 _SPACE = [13, 16, 24]

@@ -18,7 +18,10 @@ from celnav.analysis.metrics import bootstrap
 from celnav.gaussian.checks import choice
 from celnav.gaussian.linalg import Array
 
-__all__ = ["Claim", "Row"]
+__all__ = [
+    "BETWEEN", "KINDS", "OPEN", "VERDICTS", "WORDS", "Bounds", "Claim", "Number", "Row", "Tiers", "check", "erratum", "estimate",
+    "finding", "order", "reconstruction", "remark", "statement",
+]  # fmt: skip
 
 Bounds = tuple[float | None, float | None]
 WORDS: dict[str, tuple[str, str]] = {

@@ -14,6 +14,8 @@ import numpy as np
 from celnav.gaussian.checks import integer, kind, number, sequence
 from celnav.gaussian.linalg import Array
 
+__all__ = ["MOST_STEPS", "blocks", "effort", "generator", "normals", "run_count", "steps"]
+
 MOST_STEPS = 10_000_000  # of one run, at its finest rate: more take a day, and gigabytes
 
 

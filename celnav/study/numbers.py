@@ -15,8 +15,8 @@ from celnav.study.ledger import Bounds, Number, Tiers, estimate
 from celnav.study.study import Results, When
 
 __all__ = [
-    "all_of", "consistency", "correlation", "entries", "given", "lagged", "of", "over_time", "ratio", "rmse", "settling",
-    "tiers",
+    "SAME_ORDER", "Decided", "Flown", "all_of", "consistency", "correlation", "entries", "given", "lagged", "of", "over_time",
+    "ratio", "rmse", "settling", "tiers",
 ]  # fmt: skip
 
 Decided = Callable[[Results], Number]

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.analysis.metrics import bootstrap, rms, special
+from celnav.analysis.metrics import bootstrap, rms
 from celnav.filters.colored import colored
 from celnav.filters.joint import evaluate
 from celnav.filters.model import Motion, Sensor
@@ -26,11 +26,13 @@ from celnav.gaussian.checks import finite, function, instance, integer, number
 from celnav.gaussian.linalg import Array
 from celnav.gaussian.rules import Taylor
 from celnav.gaussian.spaces import EUCLIDEAN
+from celnav.lazy import Late
 from celnav.study.montecarlo import generator, normals
 from celnav.study.trial import Group, Noiseless, Trial, bound, check_groups, drawn, follow, squares
 
-__all__ = ["Problem", "compare"]
+__all__ = ["WILD", "Problem", "compare"]
 
+special = Late("scipy.special")
 WILD = 10.0  # by how much an outlier's noise is larger
 PASSES = 3
 

@@ -26,7 +26,7 @@ from celnav.study.ledger import Claim, Row
 from celnav.study.montecarlo import blocks, effort, generator, run_count
 from celnav.study.trial import Group, Trial, follow
 
-__all__ = ["Results", "Study"]
+__all__ = ["Part", "Results", "Rngs", "Study", "Unit", "When", "fly", "together"]
 
 Rngs = Sequence[np.random.Generator]
 When = int | slice | str

@@ -19,7 +19,7 @@ from celnav.gaussian.checks import choice, finite, instance, integer, sequence
 from celnav.gaussian.linalg import Array, Belief
 from celnav.gaussian.spaces import EUCLIDEAN, Space
 
-__all__ = ["Group"]
+__all__ = ["Followed", "Group", "Noiseless", "Trial", "bound", "check_groups", "drawn", "follow", "squares"]
 
 TOGETHER = 8  # epochs whose roots are evaluated at once; with more of them the filter's own arrays leave the cache
 

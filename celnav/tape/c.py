@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from math import inf
 
 from celnav.tape.kernel import Kernel
-from celnav.tape.tape import Tape
+from celnav.tape.tape import LOGICAL, Tape
+
+__all__ = ["function"]
 
 _INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<=", "eq": "==", "ne": "!=", "and": "&&", "or": "||"}
-_LOGICAL = ("lt", "le", "eq", "ne", "and", "or", "not")
 
 
 def function(kernel: Kernel, name: str, places: dict[str, str], comment: Sequence[str]) -> str:
@@ -24,7 +25,7 @@ def function(kernel: Kernel, name: str, places: dict[str, str], comment: Sequenc
             place, index = kernel.inputs[at[0]]
             lines.append(f"    const double t{i} = {places[place]}[{index}];")
         elif op != "const":
-            lines.append(f"    const {'int' if op in _LOGICAL else 'double'} t{i} = {_expression(tape, op, at)};")
+            lines.append(f"    const {'int' if op in LOGICAL else 'double'} t{i} = {_expression(tape, op, at)};")
     lines += [f"    {places[place]}[{index}] = {_value(tape, x.i)};" for place, index, x in results]
     return "\n".join([*lines, "}", ""])
 

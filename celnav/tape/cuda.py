@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from celnav.tape.ptx import TARGET
 
+__all__ = ["CudaError", "Device", "device"]
+
 THREADS = 64  # of a block: registers are what they are short of
 MOST = 1 << 32  # bytes that are copied at once, which the host holds too
 _ERROR_LOG, _ERROR_LOG_SIZE = 5, 6  # options of the driver's compiler

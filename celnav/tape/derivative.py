@@ -16,6 +16,8 @@ from celnav.tape.numbers import Numbers, tape_of
 from celnav.tape.routine import Routine
 from celnav.tape.tape import Number, Scalar, Tape, do, operands
 
+__all__ = ["along", "at_zero", "with_slopes"]
+
 Slopes = dict[int, Scalar]
 """Derivatives with respect to some variables, by their number; of the others it is 0."""
 Carried = tuple[Scalar, Slopes]
@@ -147,56 +149,44 @@ def _chained(name: str, value: Scalar, values: list[Scalar], slopes: list[Slopes
 Partials = tuple[Callable[..., Scalar], ...]
 
 
-def _one(*_: Scalar) -> Scalar:
-    return 1.0
-
-
 def _square(x: Scalar) -> Scalar:
     return do("mul", x, x)
 
 
-def _over(x: Scalar, y: Scalar) -> Scalar:
-    return do("div", x, y)
-
-
-def _scaled(factor: float) -> Callable[..., Scalar]:
-    return lambda _value, x: do("div", factor, x)
-
-
 _PARTIALS: dict[str, Partials] = {
-    "add": (_one, _one),
-    "sub": (_one, lambda *_: -1.0),
+    "add": (lambda *_: 1.0, lambda *_: 1.0),
+    "sub": (lambda *_: 1.0, lambda *_: -1.0),
     "mul": (lambda _v, _a, b: b, lambda _v, a, _b: a),
-    "div": (lambda _v, _a, b: _over(1.0, b), lambda v, _a, b: do("neg", _over(v, b))),
+    "div": (lambda _v, _a, b: do("div", 1.0, b), lambda v, _a, b: do("neg", do("div", v, b))),
     "neg": (lambda *_: -1.0,),
     "abs": (lambda _v, a: do("copysign", 1.0, a),),
     "copysign": (lambda _v, a, b: do("mul", do("copysign", 1.0, a), do("copysign", 1.0, b)),),
-    "sqrt": (lambda v, _a: _over(0.5, v),),
+    "sqrt": (lambda v, _a: do("div", 0.5, v),),
     "sin": (lambda _v, a: do("cos", a),),
     "cos": (lambda _v, a: do("neg", do("sin", a)),),
     "tan": (lambda v, _a: do("add", 1.0, _square(v)),),
-    "asin": (lambda _v, a: _over(1.0, do("sqrt", do("sub", 1.0, _square(a)))),),
-    "acos": (lambda _v, a: _over(-1.0, do("sqrt", do("sub", 1.0, _square(a)))),),
-    "atan": (lambda _v, a: _over(1.0, do("add", 1.0, _square(a))),),
+    "asin": (lambda _v, a: do("div", 1.0, do("sqrt", do("sub", 1.0, _square(a)))),),
+    "acos": (lambda _v, a: do("div", -1.0, do("sqrt", do("sub", 1.0, _square(a)))),),
+    "atan": (lambda _v, a: do("div", 1.0, do("add", 1.0, _square(a))),),
     "atan2": (
-        lambda _v, y, x: _over(x, do("add", _square(x), _square(y))),
-        lambda _v, y, x: do("neg", _over(y, do("add", _square(x), _square(y)))),
+        lambda _v, y, x: do("div", x, do("add", _square(x), _square(y))),
+        lambda _v, y, x: do("neg", do("div", y, do("add", _square(x), _square(y)))),
     ),
     "exp": (lambda v, _a: v,),
     "exp2": (lambda v, _a: do("mul", log(2.0), v),),
     "expm1": (lambda v, _a: do("add", v, 1.0),),
-    "log": (_scaled(1.0),),
-    "log2": (_scaled(1.0 / log(2.0)),),
-    "log10": (_scaled(1.0 / log(10.0)),),
-    "log1p": (lambda _v, a: _over(1.0, do("add", 1.0, a)),),
+    "log": (lambda _v, a: do("div", 1.0, a),),
+    "log2": (lambda _v, a: do("div", 1.0 / log(2.0), a),),
+    "log10": (lambda _v, a: do("div", 1.0 / log(10.0), a),),
+    "log1p": (lambda _v, a: do("div", 1.0, do("add", 1.0, a)),),
     "sinh": (lambda _v, a: do("cosh", a),),
     "cosh": (lambda _v, a: do("sinh", a),),
     "tanh": (lambda v, _a: do("sub", 1.0, _square(v)),),
-    "cbrt": (lambda v, a: _over(v, do("mul", 3.0, a)),),
+    "cbrt": (lambda v, a: do("div", v, do("mul", 3.0, a)),),
     "pow": (
         lambda _v, a, b: do("mul", b, do("pow", a, do("sub", b, 1.0))),
         lambda v, a, _b: do("mul", v, do("log", a)),
     ),
 }
-_SMOOTH = _PARTIALS | {"sqrt": (lambda v, _a: do("select", do("eq", v, 0.0), 0.0, _over(0.5, v)),)}
+_SMOOTH = _PARTIALS | {"sqrt": (lambda v, _a: do("select", do("eq", v, 0.0), 0.0, do("div", 0.5, v)),)}
 """The length of a row of zeros, which a singular root has, stays 0."""

@@ -12,6 +12,8 @@ from math import factorial, inf, nan, pi
 
 from celnav.tape.tape import Number, Scalar, Tape, as_number, do
 
+__all__ = ["LOWERED", "lowered"]
+
 FARTHEST = 1e14  # rad; one float is a hundredth of a radian from the next there
 LN2 = (6.93147180369123816490e-01, 1.90821492927058770002e-10)
 HALF_PI = (1.5707963267948966, 6.123233995736766e-17, -1.4973849048591833e-33)
@@ -46,7 +48,7 @@ def lowered(tape: Tape, outputs: Sequence[Number]) -> tuple[Tape, dict[int, Scal
         elif name == "part":
             known[i] = new.node(name, known[at[0]].i, at[1])
         else:
-            own = _LOWERED.get(name)
+            own = LOWERED.get(name)
             values = [known[a] for a in at]
             known[i] = do(name, *values) if own is None else own(*values)
     return new, known
@@ -205,7 +207,7 @@ def _root(x: Scalar) -> Scalar:
     return do("sqrt", do("mul", do("sub", 1.0, x), do("add", 1.0, x)))
 
 
-_LOWERED: dict[str, Callable[..., Scalar]] = {
+LOWERED: dict[str, Callable[..., Scalar]] = {
     "sin": sin,
     "cos": cos,
     "tan": lambda x: do("div", sin(x), cos(x)),
@@ -226,3 +228,4 @@ _LOWERED: dict[str, Callable[..., Scalar]] = {
     "tanh": tanh,
     "cbrt": cbrt,
 }
+"""Name of the C library's function -> ours."""

@@ -9,6 +9,8 @@ from typing import NamedTuple
 from celnav.tape.elementary import lowered
 from celnav.tape.tape import Number, Scalar, Tape, as_number
 
+__all__ = ["Kernel", "digest"]
+
 
 class Kernel(NamedTuple):
     """A step on a tape.

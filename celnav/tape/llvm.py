@@ -25,13 +25,13 @@ from typing import Any
 import numpy as np
 
 from celnav.lazy import needed_by
+from celnav.tape.elementary import LOWERED
 from celnav.tape.kernel import Kernel, digest
 from celnav.tape.tape import Number, Tape, operands
 
-LIBM = (
-    "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "exp", "log", "pow", "sinh", "cosh", "tanh", "exp2", "log2", "log10",
-    "log1p", "expm1", "cbrt",
-)  # fmt: skip
+__all__ = ["BLOCK", "LIBM", "aligned", "compiled", "features", "fly", "kernel_address", "lanes", "source", "toolchain"]
+
+LIBM = tuple(LOWERED)
 LINE = 64  # bytes
 TILE = 16  # blocks that go through an epoch together: what is stored of neighbors then lies on the same pages of memory
 QUICK = 30_000  # lines of a module that are compiled without optimization: a tenth of the time, and code that takes a third more
@@ -339,8 +339,7 @@ done:
   ret void
 }
 """
-_LONG, _POINTER = ctypes.c_int64, ctypes.c_void_p
-_FLY = ctypes.CFUNCTYPE(None, *[_POINTER] * 8, *[_LONG] * 10)
+_FLY = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 8, *[ctypes.c_int64] * 10)
 
 
 @cache
@@ -352,7 +351,7 @@ def toolchain() -> Any:
     binding.initialize_native_asmprinter()
     library = ctypes.CDLL("ucrtbase" if sys.platform == "win32" else None)
     for name in LIBM:
-        binding.add_symbol(name, ctypes.cast(getattr(library, name), _POINTER).value)
+        binding.add_symbol(name, ctypes.cast(getattr(library, name), ctypes.c_void_p).value)
     return binding
 
 
@@ -382,11 +381,10 @@ def compiled(text: str, name: str) -> int:
     module = binding.parse_assembly(text)
     module.verify()
     target = binding.Target.from_default_triple()
-    level = 0 if text.count("\n") > QUICK else 1
     machine = target.create_target_machine(
         cpu=binding.get_host_cpu_name(),
         features=binding.get_host_cpu_features().flatten(),
-        opt=level,
+        opt=0 if text.count("\n") > QUICK else 1,
     )
     engine = binding.create_mcjit_compiler(module, machine)
     engine.finalize_object()

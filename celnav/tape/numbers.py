@@ -7,13 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import reduce
-from math import nan
+from math import inf, nan
 from typing import Any
 
 import numpy as np
 
 from celnav.tape.routine import rolled
 from celnav.tape.tape import Number, Scalar, Tape, as_number, do, is_known, refused, total
+
+__all__ = ["Numbers", "each_row", "numbers", "recorded", "tape_of"]
 
 LONG = 1000
 """Operations that are written out even so, where rows are treated alike."""
@@ -63,11 +65,6 @@ def _remainder(x: Scalar, y: Scalar) -> Scalar:
     return do("select", do("le", do("abs", y), do("abs", left)), do("sub", left, y), left)
 
 
-def _finite(x: Scalar) -> Scalar:
-    left = do("sub", x, x)
-    return do("eq", left, 0.0)
-
-
 def _logical(x: Scalar) -> Scalar:
     return x if type(x) is bool or getattr(x, "logical", False) else do("ne", x, 0.0)
 
@@ -101,8 +98,8 @@ _UFUNCS: dict[Any, Callable[..., Scalar]] = {
     np.floor_divide: lambda a, b: do("floor", do("div", a, b)), np.rint: _op("rint"),
     np.trunc: lambda x: do("copysign", do("floor", do("abs", x)), x),
     np.ceil: lambda x: do("neg", do("floor", do("neg", x))),
-    np.isfinite: _finite, np.isnan: lambda x: do("ne", x, x),
-    np.isinf: lambda x: do("and", do("eq", x, x), do("not", _finite(x))),
+    np.isfinite: lambda x: do("eq", do("sub", x, x), 0.0), np.isnan: lambda x: do("ne", x, x),
+    np.isinf: lambda x: do("eq", do("abs", x), inf),
     np.positive: lambda x: x, np.conjugate: lambda x: x,
     np.deg2rad: lambda x: do("mul", x, np.pi / 180.0), np.radians: lambda x: do("mul", x, np.pi / 180.0),
     np.rad2deg: lambda x: do("mul", x, 180.0 / np.pi), np.degrees: lambda x: do("mul", x, 180.0 / np.pi),
@@ -332,10 +329,6 @@ def _key(x: Scalar) -> Any:
     return (id(x.tape), x.i) if type(x) is Number else x
 
 
-def _broadcast_to(array: Any, shape: Any, **_options: Any) -> Any:
-    return numbers(np.broadcast_to(_bare(array), shape))
-
-
 def _dot(a: Any, b: Any) -> Any:
     if np.ndim(a) > 2 or np.ndim(b) > 2:
         raise refused("numpy.dot is recorded for vectors and matrices; a @ b takes batches of them")
@@ -374,13 +367,10 @@ def _solve(A: Any, b: Any) -> Any:
 _FUNCTIONS: dict[Any, Callable[..., Any]] = {
     np.where: _where,
     np.einsum: _einsum,
-    np.broadcast_to: _broadcast_to,
+    np.broadcast_to: lambda array, shape, **_options: numbers(np.broadcast_to(_bare(array), shape)),
     np.array_equal: _alike_arrays,
-    np.empty_like: _like(0.0),
-    np.zeros_like: _like(0.0),
+    **dict.fromkeys((np.empty_like, np.zeros_like, np.empty, np.zeros), _like(0.0)),
     np.ones_like: _like(1.0),
-    np.zeros: _like(0.0),
-    np.empty: _like(0.0),
     np.linalg.norm: _norm,
     np.linalg.solve: _solve,
     np.linalg.inv: lambda A: _solve(A, np.eye(len(A))),
@@ -420,12 +410,8 @@ def _through(_self: Number, function: Any, _types: Any, arguments: Any, options:
     return function(*map(whole, arguments), **{name: whole(x) for name, x in options.items()})
 
 
-def _as_array(_self: Number, ufunc: Any, method: str, *inputs: Any, **options: Any) -> Any:
-    return _ufunc(ufunc, method, inputs, options)
-
-
 for _name, _method in (
-    ("__array_ufunc__", _as_array),
+    ("__array_ufunc__", lambda _self, ufunc, method, *inputs, **options: _ufunc(ufunc, method, inputs, options)),
     ("__array_function__", _through),
     ("__getitem__", lambda self, at: numbers(np.asarray(self, object))[at]),
 ):

@@ -16,6 +16,8 @@ from collections.abc import Sequence
 from celnav.tape import llvm
 from celnav.tape.kernel import Kernel, digest
 
+__all__ = ["TARGET", "assembled", "program"]
+
 TARGET, TRIPLE = (7, 0), "nvptx64-nvidia-cuda"
 """Compute capability of the oldest device that will do; the driver compiles for the one that is there."""
 _ARGUMENTS = "ptr %kinds, ptr %at, ptr %state, ptr %shared, ptr %own, ptr %rows, i64 %E, i64 %M, i64 %K, i64 %runs, i64 %steps"

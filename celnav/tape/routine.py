@@ -14,6 +14,8 @@ from typing import NamedTuple
 from celnav.tape.elementary import lowered
 from celnav.tape.tape import Number, Scalar, Tape, as_number, operands
 
+__all__ = ["Recorder", "Routine", "Stage", "rolled"]
+
 
 class Stage(NamedTuple):
     """Code for a number of ``rows``.

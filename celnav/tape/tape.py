@@ -13,6 +13,10 @@ from typing import Any, Final
 
 import numpy as np
 
+__all__ = [
+    "LOGICAL", "MOST", "CannotCompile", "Number", "Scalar", "Tape", "as_number", "do", "is_known", "operands", "refused", "total",
+]  # fmt: skip
+
 Scalar = Any
 """A `Number`, or a float or bool that is known already."""
 
@@ -51,8 +55,6 @@ _FOLD: dict[str, Callable[..., Any]] = {
 MOST = 400_000  # operations on a tape, those that are not needed in the end included
 LOGICAL: Final = frozenset(("lt", "le", "eq", "ne", "and", "or", "not"))
 """Operations whose results are true or false."""
-
-
 _OPERANDS: Final = {"in": slice(0), "const": slice(0), "var": slice(0), "call": slice(2, None), "part": slice(1, 2)}
 
 

@@ -31,6 +31,13 @@ from celnav.study.montecarlo import MOST_STEPS, normals
 from celnav.study.parameters import Timed, param
 from celnav.study.trial import Group, Trial
 
+__all__ = [
+    "BORESIGHTS", "CITATION", "DEGREE", "FORM", "JUDGED", "MICRO_G", "NONLINEAR_WEIGHTS", "PAPER_WEIGHTS", "PRESETS", "T3", "TITLE",
+    "TURNING", "A", "Choose", "Config", "Inputs", "Scenario", "adaptive", "by_nonlinearity", "by_observability", "dynamics",
+    "filters", "groups", "measurement", "model", "mounted", "mounting_filter", "observability", "quadrature_filter", "rules",
+    "simulate", "trial", "trial_of", "weighted",
+]  # fmt: skip
+
 TITLE = "Adaptive anisotropic sparse Gauss-Hermite quadrature filter for star, SAR and inertial navigation"
 CITATION = citation("Liang2014")
 PAPER_WEIGHTS = (1, 1, 2, 2, 2, 1, 1, 2, 2, 2, 2, 2, 2)  # of the sparse grid [Liang2014, Table 2]: 75 points

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from celnav.files import Outputs
     from celnav.show.recording import Recorder
 
+__all__ = ["FIGURES", "RECORDINGS", "TABLES", "record", "showcase"]
+
 LINES = {
     "sghqf": Line("SGHQF, 417", colors.ESTIMATE), "ukf": Line("UKF, 27", colors.COMPARISON),
     "aasghqf": Line("AASGHQF, 75", colors.OPEN_LOOP, width=2.2), "nonlinear": Line("by nonlinearity, 57", colors.TRUTH, "--", 2.0),

@@ -44,6 +44,11 @@ from celnav.study.montecarlo import normals
 from celnav.study.numbers import Decided, Flown, all_of, consistency, given, of
 from celnav.study.study import Part, Results, Rngs, Study, When, fly
 
+__all__ = [
+    "COMPARED", "FLOWN", "MISALIGNMENTS_DEG", "POINTS", "ROWS", "SEVEN", "SHOWN", "STUDY", "TABLE_1", "TABLE_2", "TABLE_3",
+    "TABLE_4", "THRESHOLD", "UNDISTURBED", "WEIGHTS", "averaged", "flown", "grid",
+]  # fmt: skip
+
 COMPARED = ("ukf", "sghqf", "aasghqf")  # the paper's three filters
 FLOWN = (*COMPARED, "nonlinear", "triad-ekf")
 MANY, SHOWN, PHI = "T3, 200 runs", ("T3", "A-slow", "A"), inertial.PHI

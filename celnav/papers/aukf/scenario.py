@@ -33,6 +33,11 @@ from celnav.study.montecarlo import normals, steps
 from celnav.study.parameters import Timed, param
 from celnav.study.trial import Group, Trial
 
+__all__ = [
+    "CITATION", "GROUPS", "JUDGED", "PRESETS", "STANDARD", "START_S", "TITLE", "Config", "adapted", "axes", "burst", "circle",
+    "filters", "simulate", "trial", "ukf", "visible",
+]  # fmt: skip
+
 TITLE = "Adaptive unscented Kalman filter for BeiDou positioning"
 CITATION = citation("Fan")
 STANDARD_GRAVITY = 9.80665

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from celnav.files import Outputs
     from celnav.show.recording import Recorder
 
+__all__ = ["FIGURES", "RECORDINGS", "TABLES", "record"]
+
 LINES = {
     "ls": Line("LS", colors.MEASUREMENT), "ekf": Line("EKF", colors.SIGMA, width=2.4),
     "ukf": Line("UKF", colors.COMPARISON, width=0.9), "aukf": Line("AUKF", colors.ESTIMATE),

@@ -32,6 +32,12 @@ from celnav.study.numbers import SAME_ORDER, Decided, all_of, consistency, given
 from celnav.study.study import Part, Results, Rngs, Study
 from celnav.study.trial import Group
 
+__all__ = [
+    "AXES", "DENSITIES", "FILTERS", "HALVES", "INITIAL_KM", "INPUTS", "NORMAL_ERROR", "ROBUST", "STRUCK", "STUDY", "TILTS_DEG",
+    "WINDOWS", "Flight", "counted", "flown", "later", "medians", "no_redraw", "nodes", "parts", "polar", "rms", "watched",
+    "windows",
+]  # fmt: skip
+
 Arrays = dict[str, Array]
 Change = Mapping[str, Any]
 INPUTS = ("rinex",)

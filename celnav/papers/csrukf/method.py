@@ -18,6 +18,8 @@ from celnav.gaussian.linalg import Array, matvec, outer, side_by_side
 from celnav.models import orbit, sightings
 from celnav.papers.csrukf.scenario import Config, H, Scenario, simulate
 
+__all__ = ["FORMS", "ROOTS", "cholesky", "compared", "downdate", "fly", "step", "tria", "updated"]
+
 Cases = Sequence[tuple[Config, float]]
 """Configurations of as many steps, and how many of the units of length, in which all is computed, are a kilometer."""
 

@@ -34,6 +34,11 @@ from celnav.study.montecarlo import MOST_STEPS, normals
 from celnav.study.parameters import Timed, param
 from celnav.study.trial import Group, Trial
 
+__all__ = [
+    "CITATION", "GROUPS", "JUDGED", "MISSION", "PRESETS", "STRESS", "TITLE", "Config", "D", "H", "P", "Scenario", "assuming",
+    "filters", "simulate", "trial",
+]  # fmt: skip
+
 TITLE = "Square-root unscented Kalman filter for colored measurement noise"
 CITATION = citation("Sun2015")
 H = np.eye(3, 6)

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from celnav.files import Outputs
     from celnav.show.recording import Recorder
 
+__all__ = ["FIGURES", "RECORDINGS", "TABLES", "record"]
+
 SRUKF, CSRUKF, OPEN = Line("SRUKF", colors.COMPARISON), Line("CSRUKF", colors.ESTIMATE), Line("open loop", colors.OPEN_LOOP, "--")
 LINES = {"srukf": SRUKF, "csrukf": CSRUKF}
 WHITE = {"srukf": SRUKF._replace(width=2.2), "csrukf": CSRUKF._replace(style="--"),

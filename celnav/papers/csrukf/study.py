@@ -31,6 +31,11 @@ from celnav.study.ledger import Number, Tiers, check, erratum, estimate, finding
 from celnav.study.numbers import Decided, all_of, consistency, entries, given, of, ratio, tiers
 from celnav.study.study import Part, Results, Rngs, Study, fly
 
+__all__ = [
+    "BOTH", "COLORS", "HELD", "PHIS", "RATIOS", "STUDY", "SWEEP", "TABLE_1", "TABLE_2", "TABLE_3", "UNITS", "expected", "linear",
+    "parts", "redrawn", "variants",
+]  # fmt: skip
+
 UNITS, BOTH, ISOTROPIC = np.repeat([1.0, 1e3], 3), ("position", "velocity"), "csrukf-isotropic"
 PHIS, STEPS = {"0": 0.0, "0.8": 0.8, "I": 1.0}, (0.0, 0.5, 0.8, 0.95, 1.0)
 SWEEP, COLORS = (-0.5, *STEPS[:4], 0.99, 0.999, 1.0), (0.0, 0.25, 0.5, 0.8, 0.9, 0.95, 0.99)

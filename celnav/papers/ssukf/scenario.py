@@ -24,6 +24,12 @@ from celnav.study.montecarlo import normals, steps
 from celnav.study.parameters import Timed, param
 from celnav.study.trial import Group, Trial
 
+__all__ = [
+    "ARCSEC", "CITATION", "DEG_PER_H", "FULL_RATE", "GROUPS", "JUDGED", "PRESETS", "RADIUS_KM", "SIDES", "STANDARD", "TITLE",
+    "Config", "Scenario", "augmentations", "compare", "displaced", "dynamics", "errors", "filters", "noise_root", "path",
+    "simulate", "spread", "star", "state_space", "trial",
+]  # fmt: skip
+
 TITLE = "State-switching unscented Kalman filter for attitude"
 CITATION = citation("Wu2012")
 ARCSEC = DEG_PER_H = np.pi / 648000.0

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from celnav.files import Outputs
     from celnav.show.recording import Recorder
 
+__all__ = ["FIGURES", "RECORDINGS", "TABLES", "euler", "record"]
+
 LINES = {
     "ssukf": Line("SSUKF", colors.ESTIMATE, "--", 1.8), "aukf": Line("AUKF", colors.COMPARISON, width=1.2),
     "mekf": Line("MEKF", colors.OPEN_LOOP), "usque": Line("USQUE", colors.TRUTH),

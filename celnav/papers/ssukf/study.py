@@ -41,6 +41,12 @@ from celnav.tape.numbers import Numbers
 from celnav.tape.tape import Number as Recorded
 from celnav.tape.tape import Tape
 
+__all__ = [
+    "AVERAGED_DEG", "AXES", "COARSE", "FIELD", "FIELD_DEG", "ROOTS", "SLOPES", "STUDY", "TIMED", "VECTOR", "apart", "changes",
+    "counted", "field", "flown", "integrated", "means", "points", "propagations", "to_tangent", "total_attitude", "total_filter",
+    "vector",
+]  # fmt: skip
+
 UNITS = np.repeat([ARCSEC, DEG_PER_H], 3)
 """What errors of rotation vector and drift are divided by, ``(6,)``: arcsec and deg/h."""
 AXES, FORMS, TIMED = ("roll", "pitch", "yaw"), ("local", "switched", "unswitched"), (*SIDES, "mekf")

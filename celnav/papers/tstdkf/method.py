@@ -32,6 +32,8 @@ from celnav.gaussian.linalg import Array, Covariance, block, matvec, side_by_sid
 from celnav.gaussian.spaces import EUCLIDEAN
 from celnav.models.noise import Noise
 
+__all__ = ["LARGEST", "Differenced", "strong_tracking"]
+
 
 class DifferencedState(NamedTuple):
     """Belief about x in covariance form; covariance ``cross (..., n, q + m)`` of its error with Q and V; ``V (..., m)``, the last

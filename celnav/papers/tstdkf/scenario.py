@@ -36,6 +36,12 @@ from celnav.study.parameters import Parameters, Timed, param
 from celnav.study.study import Rngs
 from celnav.study.trial import Group, Trial
 
+__all__ = [
+    "CITATION", "DAY_S", "GROUPS", "JUDGED", "KAPPA", "LINEAR", "PRESETS", "PULLING", "SETTINGS", "TABLE_5", "TITLE", "YEAR",
+    "YEAR_S", "Config", "Scenario", "Setting", "filters", "kalman", "linearized", "models", "nine_states", "nominal", "simulate",
+    "sky", "trial",
+]  # fmt: skip
+
 TITLE = "Two-stage strong-tracking differential Kalman filter for X-ray pulsars"
 CITATION = citation("Xu2024")
 YEAR_S, DAY_S = 365.25 * 86400.0, 86400.0

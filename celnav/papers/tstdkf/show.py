@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from celnav.files import Outputs
     from celnav.show.recording import Recorder
 
+__all__ = ["FIGURES", "RECORDINGS", "TABLES", "record"]
+
 AXES, SHADES, DAYS = ("x", "y", "z"), (colors.COMPARISON, colors.ESTIMATE, colors.TRUTH), "time (days)"
 ERROR, TRACKED = "ephemeris error (km)", ("tkf", "C", "B", "aug")
 LINES = {

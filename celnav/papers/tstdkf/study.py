@@ -28,6 +28,12 @@ from celnav.study.numbers import Decided, all_of, consistency, of, ratio, rmse, 
 from celnav.study.study import Part, Results, Rngs, Study, When
 from celnav.study.trial import Group
 
+__all__ = [
+    "BESIDE", "BOTH", "COMPARED", "COUPLINGS", "LARGER", "NINE", "PAPER", "PRINTED", "STUDY", "SWEEP", "TRENDS", "VARIANTS",
+    "accelerations", "apart", "correlation", "days", "ephemerides", "five", "flown", "linear", "nominal_covariances", "power",
+    "squares",
+]  # fmt: skip
+
 Found = dict[str, Array]
 LENGTHS = (Group("position", "km", slice(0, 1)), Group("velocity", "m/s", slice(1, 2)), Group("bias", "km", slice(2, 3)))
 """What is kept of errors of position, velocity and ephemeris: their lengths."""

@@ -6,4 +6,4 @@ figures, a table, a recording. Their names are found here as well: ``celnav.real
 
 from celnav.lazy import modules
 
-__getattr__, __dir__ = modules(__name__, "study", "show")
+__getattr__, __dir__ = modules(__name__, "study", "show", "settings")

@@ -13,6 +13,8 @@ from celnav.files import InputError
 from celnav.gaussian.linalg import Array
 from celnav.models import earth
 
+__all__ = ["STEP_S", "Positions", "aligned", "axes", "read"]
+
 STEP_S = 10.0
 MOST_BYTES, MOST_EPOCHS = 10_000_000, 100_000
 

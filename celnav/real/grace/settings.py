@@ -24,6 +24,11 @@ from celnav.gaussian.linalg import Array, cholesky, matvec, whiten
 from celnav.models import earth, ephemeris, gravity, orbit
 from celnav.real.grace.positions import STEP_S, Positions, read
 
+__all__ = [
+    "DEGREE", "DOF", "SETTINGS", "TRAINED", "Setting", "Training", "Weighed", "around", "believed", "fitted", "linear",
+    "orientation", "prior", "step", "trained", "training", "weighing",
+]  # fmt: skip
+
 POLE = (0.24 * np.pi / 648000.0, 0.47 * np.pi / 648000.0)
 TT_GPS_S, GPS_UTC_S, UT1_UTC_S = 51.184, 14.0, -0.458
 """Motion of the pole, x and y, rad; differences of time scales."""

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
     from celnav.show.recording import Recorder
 
+__all__ = ["FIGURES", "RECORDINGS", "TABLES", "record"]
+
 LINES = {
     "white": Line("fixes taken for white", colors.COMPARISON), "colored": Line("told of the correlation", colors.ESTIMATE),
     "robust": Line("so, with Student's t", colors.REFERENCE), "white, gated": Line("white, with a gate", colors.PAPER),

@@ -36,6 +36,11 @@ from celnav.study.numbers import Decided, all_of, correlation, lagged, of, over_
 from celnav.study.study import Part, Results, Rngs, Study
 from celnav.study.trial import Group
 
+__all__ = [
+    "BEST", "CITATION", "DEGREES", "FIELD", "FIXES", "HOOKED", "INPUTS", "NAMES", "REVOLUTION", "SEARCHED", "STUDY", "TITLE",
+    "TRUTH", "column", "flights",
+]  # fmt: skip
+
 CITATION = """@misc{GRACE2008,
   author = {Zhang, Shoujian},
   title  = {KineOrbits: kinematic and single-point positions of GRACE-A, of Level-1B data of NASA and GFZ},
