@@ -3,6 +3,7 @@
 import pickle
 import re
 from copy import deepcopy
+from inspect import signature
 
 import numpy as np
 import pytest
@@ -184,11 +185,14 @@ def test_a_model_of_one_vector_is_told_what_points_are(model, runs):
         assert "points are (p, ..., n): a component is x[..., 0], a product with a matrix x @ F.T" in said
 
 
-def test_what_a_track_and_a_rule_say_of_themselves():
+def test_what_tracks_rules_filters_and_spaces_say_of_themselves():
     track = celnav.run(FILTER, celnav.Gaussian(np.zeros((4, 2)), EYE), [0.0, 1.0, 2.0], np.zeros((3, 4, 2)))
     assert repr(track) == "Track(3 epochs from 0 to 2 s, 4 runs; mean, std, innovation stored)"
     assert repr(celnav.unscented(2)) == "Rule(n=2, points=4 and a center of weight 0, negative weights=0)"
     assert repr(celnav.unscented(2, 0.5)) == "Rule(n=2, points=5, negative weights=1)"
+    assert repr(celnav.colored(MOTION, SENSOR, 0.5 * EYE)) == "Colored(function f; ndarray; unscented, square root)"
+    assert repr(celnav.imm([FILTER, FILTER], np.full((2, 2), 0.5))) == f"InteractingModels(filters=({FILTER!r}, {FILTER!r}))"
+    assert "space: 'Space' = EUCLIDEAN" in str(signature(celnav.Motion))
 
 
 def test_angles_can_be_sent_to_another_process():
