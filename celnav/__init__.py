@@ -9,7 +9,7 @@ Rules     `unscented`, `cubature`, `gauss_hermite`, `simplex`, `smolyak`, `from_
 Run       `run` gives a `Track`, `steps` and `epochs` go one by one, a lost run is a `FilterError`; `compiled` and `export_c` make
           code of a filter.
 Smooth    `smooth`, `iterated_smoother`.
-Judge     `simulate` draws truth and measurements, `report` holds a track against the truth, `compare` flies filters on a `Problem`;
+Judge     `simulate` draws truth and measurements, `Track.report` compares with the truth, `compare` flies filters on a `Problem`;
           ``celnav.analysis`` has metrics, tuning, bounds, observability and ``diagnose.diagnose``, which asks a log.
 
 Conventions, stated once
@@ -62,11 +62,10 @@ from celnav.study.trial import Group as Group
 if TYPE_CHECKING:
     from celnav.filters.compiled import compiled
     from celnav.filters.export import export_c
-    from celnav.show.report import report
 
 __version__ = "0.2.0"
 
-_LATE = {"compiled": "celnav.filters.compiled", "export_c": "celnav.filters.export", "report": "celnav.show.report"}
+_LATE = {"compiled": "celnav.filters.compiled", "export_c": "celnav.filters.export"}
 __getattr__, __dir__ = modules(__name__, **_LATE)
 
 # `Epoch` and `Group` are names of celnav as well; as tuples they would fill its help with methods of tuples.
@@ -100,7 +99,6 @@ __all__ = [
     "imm",
     "iterated_smoother",
     "product",
-    "report",
     "run",
     "sigma_point",
     "simplex",

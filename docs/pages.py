@@ -34,7 +34,9 @@ def reference(entry: dict[str, str]) -> str:
     others = " and others" * ("others" in entry.get("author", ""))
     parts = [", ".join(authors) + others, f"*{entry.get('title', '')}*", " ".join(part for part in (where, volume) if part)]
     parts += [entry["pages"]] if "pages" in entry else []
-    return ". ".join(part for part in parts if part) + f", {entry.get('year', 'no year')}."
+    said = ". ".join(part for part in parts if part) + f", {entry.get('year', 'no year')}."
+    said += f" {entry['note'][0].upper()}{entry['note'][1:]}." if "note" in entry else ""
+    return said + (f" [doi:{entry['doi']}](https://doi.org/{entry['doi']})" if "doi" in entry else "")
 
 
 KINDS = {"erratum": "Printed wrongly", "reconstruction": "Lost or unreadable in the text at hand, and rebuilt", "remark": "Remarks"}

@@ -92,7 +92,7 @@ except celnav.FilterError as error:
     print(error)
 celnav.export_c(filters[7], "filter.c", prior, dt=1.0)
 print(celnav.analysis.diagnose.diagnose(track, prior=prior, z=z))
-print(celnav.report(celnav.run(filters[7], prior, times, z, keep="cov"), truth))
+print(celnav.run(filters[7], prior, times, z, keep="cov").report(truth))
 print(celnav.run(filters[7], prior, times, z, engine="auto").engine)
 for flies in (celnav.compiled(filters[7]).run, celnav.compiled(filters[7], engine="cuda").run):
     try:

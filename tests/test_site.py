@@ -32,7 +32,11 @@ def test_every_source_is_on_the_page_of_sources():
     for entry in entries:
         assert entry.count("{") == entry.count("}"), entry[:60]
         assert "\\" not in entry.replace("\\&", ""), entry[:60]  # letters are Unicode's
-    assert {entry.split("{")[1].split(",")[0] for entry in entries} == set(re.findall(r"^\((\w+)\)=$", sources(), re.MULTILINE))
+    page = sources()
+    assert {entry.split("{")[1].split(",")[0] for entry in entries} == set(re.findall(r"^\((\w+)\)=$", page, re.MULTILINE))
+    for doi in re.findall(r"doi\s*=(.*)", text):
+        assert re.fullmatch(r" \{10\.\d{4,5}/\S+\}", doi), doi
+        assert f"(https://doi.org/{doi[2:-1]})" in page, doi
 
 
 def test_errata_are_those_of_the_ledgers():

@@ -32,6 +32,8 @@ ROOMS = [
     {"cli"},
 ]
 LEVEL = {room: level for level, rooms in enumerate(ROOMS) for room in rooms}
+UPWARD = {("track", name) for name in ("celnav.show.report", "celnav.show.report.report", "celnav.show.report.Report")}
+"""A track is asked for its report, which is made, and imported, at the call."""
 MODULES = sorted(p for p in ROOT.rglob("*.py") if p.name not in ("__main__.py",) and p != ROOT / "__init__.py")
 
 
@@ -61,7 +63,8 @@ def test_a_room_imports_lower_ones_only(path):
     assert own in LEVEL, f"{own} has no place in the order of rooms"
     for name in imports(path):
         if name.startswith("celnav.") and room(name) in LEVEL and room(name) != own:
-            assert LEVEL[room(name)] < LEVEL[own], f"{own} imports {name}"
+            upward = (path.stem, name) in UPWARD
+            assert LEVEL[room(name)] < LEVEL[own] or upward, f"{own} imports {name}"
 
 
 def test_only_what_records_and_shows_imports_rerun():

@@ -23,7 +23,7 @@ from celnav.filters.regression import pseudo_gain
 from celnav.filters.sequential import Sequential, SingleDraw
 from celnav.filters.track import Track
 from celnav.gaussian.checks import choice, instance, kind
-from celnav.gaussian.linalg import Array, Belief
+from celnav.gaussian.linalg import NEGLIGIBLE, Array, Belief
 
 __all__ = ["back", "smooth"]
 
@@ -98,6 +98,11 @@ def back(filter: Sequential, before: Belief, after: Belief, epoch: Epoch) -> tup
     form, space = filter.form, filter.motion.space
     both = filter.onward(before, epoch, after.mean)
     center = both.measurement.center
+    if both.sign.ndim == 1 and (both.sign < 0.0).any():
+        # What the next state tells exactly, such as a constant, cancels to round-off, from which no negative columns can be taken
+        # away: the round-off counts as the noise that it is.
+        size = np.sqrt(np.vecdot(both.state.columns, both.state.columns))
+        both = both._replace(process_noise=(0, NEGLIGIBLE * size[..., None] * np.eye(size.shape[-1])))
 
     inner, info, _ = condition(form, both, space, gain=partial(pseudo_gain, center=center))
 

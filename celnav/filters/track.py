@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from celnav.filters.records import Epoch, Info
 from celnav.gaussian.belief import any_lost
 from celnav.gaussian.checks import integer
 from celnav.gaussian.linalg import Array, Belief, SquareRoot
+from celnav.gaussian.spaces import Space
 from celnav.lazy import needed_by
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from celnav.show.report import Report
 
 __all__ = ["Collector", "Track"]
 
@@ -26,7 +30,7 @@ __all__ = ["Collector", "Track"]
 class Track:
     """The record of a run, time-major: ``(T, ..., n)``, the batch axes of the runs between time and component.
 
-    ``print(celnav.report(track, truth))`` judges it.
+    ``print(track.report(truth))`` judges it.
 
     times: ``(T,)`` s, of the epochs stored. mean: ``(T, ..., N)``. std: ``(T, ..., n)``. None: not kept.
     belief: means and covariances in the filter's form, where ``run(keep="cov")`` kept them; see `cov`.
@@ -93,6 +97,28 @@ class Track:
     def sqrt_cov(self) -> Array:
         """Lower roots ``(T, ..., n, n)`` of the covariances."""
         return np.asarray(_stored("sqrt_cov", self.belief, "covariances; run with keep='cov'").sqrt_cov)
+
+    def report(
+        self, truth: ArrayLike, *, names: Sequence[str] | None = None, start: float | None = None, space: Space | None = None,
+        level: float = 0.95,
+    ) -> Report:  # fmt: skip
+        """How it did against the truth, a `celnav.show.report.Report`; NEES needs covariances, of ``run(keep="cov")``.
+
+        truth: ``(T, ..., N)`` at the track's epochs, nan where it is not known; ``(T, N)`` may be that of all runs. Where states
+            are vectors it may be of their first components only: biases and colored noise that a filter estimates besides have
+            none.
+        names: ``(n,)`` of the components of the error. start: s; earlier epochs are left out.
+        space: that of the states; None: the one that the track's filter says. level: of intervals and bands.
+
+        Errors are estimate minus truth. What is not finite, of a run that is lost, is left out; what was before counts.
+
+        >>> report = celnav.run(filter, prior, times, z, keep="cov").report(truth)
+        >>> print(report)
+        >>> report.figure().savefig("report.png")
+        """
+        from celnav.show.report import report  # above this room, but here is where one looks for it
+
+        return report(self, truth, names=names, start=start, space=space, level=level)
 
     def to_dataframe(self, names: list[str] | None = None) -> pd.DataFrame:
         """A row for each stored epoch and run (batch axes count as one): time, run, means, deviations, NIS. Needs pandas.

@@ -20,9 +20,9 @@ from celnav.lazy import Late
 from celnav.tape.numbers import numbers
 
 __all__ = [
-    "EPS", "FORMS", "POSITIVE", "Array", "Belief", "Covariance", "Form", "SquareRoot", "block", "cholesky", "downdate", "factored",
-    "fan", "matvec", "outer", "semidefinite_root", "side_by_side", "solve_lower", "solve_right", "surely", "tria", "weighted",
-    "whiten",
+    "EPS", "FORMS", "NEGLIGIBLE", "POSITIVE", "Array", "Belief", "Covariance", "Form", "SquareRoot", "block", "cholesky",
+    "downdate", "factored", "fan", "matvec", "outer", "semidefinite_root", "side_by_side", "solve_lower", "solve_right", "surely",
+    "tria", "weighted", "whiten",
 ]  # fmt: skip
 
 Array = NDArray[Any]
@@ -30,6 +30,7 @@ blas, lapack = Late("scipy.linalg.blas"), Late("scipy.linalg.lapack")
 EPS = float(np.finfo(np.float64).eps)
 NEGLIGIBLE = 1e-12  # part of the largest deviation, or variance, below which one is round-off
 PRECISE = 1e3  # deviations of the noise by which an innovation may vary before a difference of covariances loses too many digits
+LEFT_OVER = PRECISE**2 * EPS  # part of a covariance that is round-off, after the differences that its form allows itself
 POSITIVE: Array = np.broadcast_to(1.0, 1)
 """The sign of columns that all count with +1."""
 
@@ -162,8 +163,8 @@ def cholesky(P: Array) -> Array:
     return np.where(bad, np.nan, np.linalg.cholesky(np.where(bad, np.eye(P.shape[-1]), P)))
 
 
-def semidefinite_root(P: Array) -> Array:
-    """Lower root of a covariance ``P (..., n, n)`` that may be singular; nan where it is indefinite beyond round-off."""
+def semidefinite_root(P: Array, round_off: float = 64 * EPS) -> Array:
+    """Lower root of a covariance ``P (..., n, n)`` that may be singular; nan where it is indefinite beyond ``n * round_off``."""
     if P.dtype.hasobject:
         return np.asanyarray(recorded.semidefinite_root(P, 64 * P.shape[-1] * EPS))
     root, least = _root(P), 1e-5  # below, a singular matrix may have slipped through on a rounding error
@@ -172,7 +173,7 @@ def semidefinite_root(P: Array) -> Array:
     scale, C = _scaled(P)
     eigenvalues, vectors = np.linalg.eigh(C)
     nothing = 4 * C.shape[-1] * EPS  # what is left of a variance that is none
-    indefinite = eigenvalues[..., 0] < -64 * C.shape[-1] * EPS * np.maximum(eigenvalues[..., -1], 1.0)
+    indefinite = eigenvalues[..., 0] < -round_off * C.shape[-1] * np.maximum(eigenvalues[..., -1], 1.0)
     kept = np.where(eigenvalues > nothing, eigenvalues, 0.0)
     root = tria(scale[..., None] * vectors * np.sqrt(kept)[..., None, :])
     singular = eigenvalues[..., :1, None] <= nothing
@@ -187,8 +188,7 @@ def downdate(L: Array, V: Array) -> Array:
     L may be singular where V adds nothing to its range.
     """
     W = solve_lower(L, V)
-    rest = _identity(L.shape[-1]) - outer(W)
-    root: Array = L @ cholesky(rest)
+    root: Array = L @ cholesky(_identity(L.shape[-1]) - outer(W))
     lost = np.isnan(root[..., 0, 0])
     if root.dtype.hasobject or not lost.any():
         return root
@@ -360,7 +360,7 @@ class Covariance(NamedTuple):
     @property
     def sqrt_cov(self) -> Array:
         """Lower root ``(..., n, n)`` of the covariance."""
-        return semidefinite_root(self.cov)
+        return semidefinite_root(self.cov, LEFT_OVER)
 
     @property
     def std(self) -> Array:
@@ -437,7 +437,7 @@ class Covariance(NamedTuple):
 def factored(A: Array, sign: Array) -> tuple[Array, Array]:
     """Columns that have a covariance for a sign, as columns that all count with +1."""
     n = sign.shape[-1]
-    return side_by_side((A[..., :n] @ semidefinite_root(sign), A[..., n:])), POSITIVE
+    return side_by_side((A[..., :n] @ semidefinite_root(sign, LEFT_OVER), A[..., n:])), POSITIVE
 
 
 def _negligible(variances: Array) -> Array:

@@ -69,7 +69,7 @@ def acceleration(position: Array, earth: Earth = EARTH) -> Array:
 def third_body(position: Array, body: Array, gm: float) -> Array:
     """Acceleration ``(..., 3)`` of a satellite at ``position (..., 3)`` by a ``body (..., 3)`` of ``gm`` km^3/s^2, both geocentric.
 
-    In the form that does not subtract attractions which are nearly the same [Battin1987, Eq. 8.61].
+    In the form that does not subtract attractions which are nearly the same [Battin1987, Eqs. 8.60-8.62].
     """
     q = ((position * (position - 2.0 * body)).sum(-1) / np.square(body).sum(-1))[..., None]
     f = q * (3.0 + q * (3.0 + q)) / (1.0 + (1.0 + q) ** 1.5)

@@ -85,7 +85,7 @@ def tuned(folder: Path) -> tuple[float, float]:
 
 
 def trial(c: Flight, _rngs: Rngs) -> Trial:
-    """The filters of [Xu2024] on weekly fixes: the Earth about the Sun for a satellite about the Earth, the Sun's place for the
+    """The filters of [Xu2023] on weekly fixes: the Earth about the Sun for a satellite about the Earth, the Sun's place for the
     Earth's. "drift" lets the Sun's error grow evenly, and "clocks" has arrivals in place of fixes, so that it knows that a timing
     model's error stays. The barycentric place is judged, orbit and Sun's error together."""
     heard, years = clocks(c.folder, FLOWN, END), differences()
@@ -286,7 +286,7 @@ ROWS = (
         found="It errs {0} times what a two-stage filter errs: {1} km, and {2}; strong tracking {3}, growing evenly {4}.",
     ),
     finding(
-        "nanograv-tracking", "Strong tracking is better than a plain second stage, as [Xu2024] has it.",
+        "nanograv-tracking", "Strong tracking is better than a plain second stage, as [Xu2023] has it.",
         all_of(ratio("DE405", "tstdkf", "tkf", None, 1.0), ratio("DE421", "tstdkf", "tkf", None, 1.0)), figure="figure_03",
         why="What the paper says of every setting with colored noise.", found="Its error is {0} and {1} times as large.",
     ),

@@ -1,6 +1,6 @@
 """How a filter did against the truth: errors and claims of each component, consistency, sensors, events; in words and as a figure.
 
->>> print(celnav.report(track, truth))
+>>> print(track.report(truth))
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from celnav.show.figures import Item, Panel, curve, panels
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["report"]
+__all__ = ["Report", "report"]
 
 WIDTH = 110
 MOST_PANELS = 12
@@ -61,6 +61,8 @@ class Report(NamedTuple):
     rejected: measured components of each sensor that did not take part.
     events: of all runs and epochs, see `celnav.filters.track.Track`. lost: ``(run, t)`` of runs without an estimate from there.
     rms, claims: ``(T, n)``, over the runs.
+
+    >>> track.report(truth).components[0].rmse
     """
 
     times: Array
@@ -133,19 +135,7 @@ def report(
     track: Track, truth: ArrayLike, *, names: Sequence[str] | None = None, start: float | None = None, space: Space | None = None,
     level: float = 0.95,
 ) -> Report:  # fmt: skip
-    """How a track did against the truth; see `Report`. NEES needs one that ``run(keep="cov")`` made.
-
-    truth: ``(T, ..., N)`` at the track's epochs, nan where it is not known; ``(T, N)`` may be that of all runs. Where states are
-        vectors it may be of their first components only: biases and colored noise that a filter estimates besides have none.
-    names: ``(n,)`` of the components of the error. start: s; earlier epochs are left out.
-    space: that of the states; None: the one that the track's filter says. level: of intervals and bands.
-
-    Errors are estimate minus truth. What is not finite, of a run that is lost, is left out; what was before counts.
-
-    >>> report = celnav.report(celnav.run(filter, prior, times, z, keep="cov"), truth)
-    >>> print(report)
-    >>> report.figure().savefig("report.png")
-    """
+    """What `celnav.Track.report` gives, which says the arguments."""
     instance("track", track, Track, "what celnav.run gave")
     level = number("level", level, above=0.0, below=1.0)
     if track.mean is None or track.std is None:

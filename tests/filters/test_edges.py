@@ -148,6 +148,22 @@ def test_an_exact_measurement_is_taken_where_it_says_something(form):
 
 
 @FORMS
+@pytest.mark.parametrize("make", [celnav.ekf, celnav.ukf])
+@pytest.mark.parametrize("r", [1e-2, 1e-5, 1e-8])
+def test_a_combination_known_exactly_stays_known_however_precise_the_sensor(r, make, form):
+    """Prior of rank one: a single unknown number, whose variance falls by r in a step, and by 1 / k from then on."""
+    a, h = np.array([1.0, 3.0]), np.array([[1.0, 0.5]])
+    z = 0.7 + np.sqrt(r) * np.random.default_rng(0).normal(size=(200, 4, 1))
+    filter = make(celnav.Motion(np.eye(2), np.zeros((2, 2))), celnav.Sensor(h, [[r]]), form=form)
+    track = celnav.run(filter, celnav.Gaussian(np.zeros((4, 2)), np.outer(a, a)), np.arange(200.0), z, keep="cov")
+    k, sees = np.arange(1.0, 201.0)[:, None], float((h @ a)[0])
+    variance = 1.0 / (1.0 + k * sees**2 / r)
+    expected = variance * sees / r * z.cumsum(0)[..., 0]
+    np.testing.assert_allclose(track.mean, expected[..., None] * a, rtol=1e-6)
+    np.testing.assert_allclose(track.std[..., 1], np.broadcast_to(3.0 * np.sqrt(variance), (200, 4)), rtol=1e-2)
+
+
+@FORMS
 @pytest.mark.parametrize("none", [{"sqrt_R": np.zeros((1, 0))}, {"R": np.zeros((1, 1))}], ids=["no columns", "zeros"])
 @pytest.mark.parametrize("value", [0.0, 1.0])
 def test_what_is_known_to_be_zero_is_known_too(form, none, value):

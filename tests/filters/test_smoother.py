@@ -10,7 +10,7 @@ import pytest
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 from scipy.stats import chi2
 
-from celnav import Gaussian, Motion, Sensor, colored, epochs, run, sigma_point, smooth
+from celnav import Gaussian, Motion, Sensor, colored, ekf, epochs, run, sigma_point, simulate, smooth
 from celnav.filters.colored import augmented
 from celnav.filters.fallback import Fallback
 from celnav.filters.records import FilterError
@@ -365,6 +365,21 @@ def breaks(x, epoch):
 
 PAIR = Gaussian(np.zeros((2, 3)), P0)
 BROKEN = Motion(breaks, sqrt_Q=SQRT_Q)
+
+
+@FORMS
+@pytest.mark.parametrize("kappa", [-1.0, -1.9])
+def test_a_state_that_the_next_one_tells_exactly(form, kappa):
+    """A constant beside one that walks: nothing is left of its columns but round-off, and with negative weights of that too."""
+    F, seen = np.array([[1.0, 1.0], [0.0, 1.0]]), Sensor(np.eye(1, 2), R=[[1.0]])
+    motion, prior = Motion(F, Q=np.diag([0.01, 0.0])), Gaussian(np.zeros(2), np.diag([1.0, 1e-4]))
+    times = np.arange(100.0)
+    _, z = simulate(motion, seen, prior, times, runs=20)
+    exact = smooth(run(ekf(motion, seen), prior, times, z, keep="cov"))
+    by_points = replace(motion, f=lambda x, epoch: x @ F.T)
+    smoothed = smooth(filtered(by_points, seen, prior, epochs(times, z), unscented(2, kappa=kappa), form))
+    np.testing.assert_allclose(smoothed.mean, exact.mean, atol=1e-11)
+    np.testing.assert_allclose(smoothed.cov, exact.cov, atol=1e-11)
 
 
 def test_a_lost_run_is_smoothed_up_to_its_loss():

@@ -69,6 +69,17 @@ def test_a_bias_that_is_known_exactly(form, M0, Qb):
     np.testing.assert_allclose(two.cov, one.cov, atol=1e-7)
 
 
+@pytest.mark.parametrize("precise", [1.0, 1e-5])
+def test_a_combination_of_biases_stays_known_for_long(precise):
+    """In covariance form, where round-off is left from when the covariance was large."""
+    sensor, known = Sensor(H, precise * R), Gaussian(B0, np.outer([1.0, 3.0], [1.0, 3.0]))
+    z = np.concatenate([measured(seed=seed) for seed in range(4)])
+    forms = (two_stage(MOTION, sensor, GAMMA, known, form=form, Qb=np.zeros((B, B))) for form in ("square root", "covariance"))
+    one, two = (run(filter, prior(3), np.arange(float(len(z))), z, keep="cov") for filter in forms)
+    np.testing.assert_allclose(two.mean, one.mean, atol=1e-9)
+    np.testing.assert_allclose(two.cov, one.cov, atol=1e-12)
+
+
 @FORMS
 def test_missing_measurements_are_left_out_of_both_stages(form):
     z = measured()

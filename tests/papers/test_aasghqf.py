@@ -12,9 +12,11 @@ from readable import faults
 from scipy.linalg import block_diag, expm
 from scipy.spatial.transform import Rotation
 
-from celnav import Epoch, Gaussian, Motion, run, sigma_point
+from celnav import Epoch, Gaussian, Motion, iterated_smoother, run, sigma_point
+from celnav.analysis.metrics import chi_square_band
 from celnav.analysis.observability import jacobian, nonlinearity_weights, state_singular_values, threshold_weights
 from celnav.files import Outputs
+from celnav.gaussian.belief import nees
 from celnav.gaussian.linalg import Covariance
 from celnav.gaussian.rules import gauss_hermite, simplex, tensor_product
 from celnav.gaussian.sparse_grid import index_set, point_count, smolyak
@@ -379,6 +381,80 @@ def test_a_point_beyond_the_chart_loses_its_run_only():
     x[2, 1, 0] = np.radians(89.5)
     lost = np.isnan(scenario.dynamics(x, epoch)).all(-1)
     assert np.argwhere(lost).tolist() == [[2, 1]]
+
+
+# -- the first star fix, linearized again --------------------------------------------------------------------------------
+def regression(rule, m, C, epoch):
+    """``A, b, Omega`` of the measurement of one run over ``N(m, C)``, by sums over points [Garcia2015]."""
+    x = m + rule.nodes @ np.linalg.cholesky(C).T
+    y = measurement(x[:, None], epoch)[:, 0]
+    mean = rule.wm @ y
+    A = np.linalg.solve(C, (x - m).T @ (rule.wc[:, None] * (y - mean))).T
+    return A, mean - A @ m, (y - mean).T @ (rule.wc[:, None] * (y - mean)) - A @ C @ A.T
+
+
+@pytest.mark.parametrize("form", ["square root", "covariance"])
+@pytest.mark.parametrize("name", ["ukf", "aasghqf", "nonlinear"])
+@pytest.mark.parametrize("iterations", [1, 2, 3])
+def test_iterations_are_the_posterior_linearization_filter_written_out(form, name, iterations):
+    sim, rule = aasghqf.simulate(replace(A, steps=1), [generator(11, 0, 0)]), scenario.rules()[name]
+    epoch, P = next(sim.epochs()), np.diag(sim.config.sigma0**2)
+    filter = sigma_point(*scenario.model(sim.config), rule=rule, form=form, iterations=iterations)
+    belief = filter.update(filter.start(sim.prior), epoch)[0].belief
+    m, C = np.zeros(13), P
+    for _ in range(iterations):
+        A_, b, Omega = regression(rule, m, C, epoch)
+        S = A_ @ P @ A_.T + Omega + epoch.u.sqrt_R**2
+        K = np.linalg.solve(S, A_ @ P).T
+        m, C = K @ (epoch.z[0] - b), P - K @ S @ K.T
+    std = np.sqrt(C.diagonal())
+    np.testing.assert_allclose(belief.mean[0] / std, m / std, rtol=0.0, atol=1e-6)
+    np.testing.assert_allclose(belief.cov[0] / np.outer(std, std), C / np.outer(std, std), rtol=0.0, atol=1e-6)
+
+
+def test_the_unscented_filter_sees_the_bend_of_the_stars_in_two_of_six_directions():
+    """Its points move one angle at a time: where two bend a star together it takes the star for straight, and for that precise."""
+    sim = aasghqf.simulate(A, study.UNDISTURBED)
+    epoch, fine = next(sim.epochs()), tensor_product(gauss_hermite(3, 20), simplex(10))
+    noise = epoch.u.sqrt_R.diagonal()[:6]
+    for rule, seen in ((scenario.rules()["ukf"], 2), (fine, 6)):
+        Omega = regression(rule, np.zeros(13), np.diag(A.sigma0**2), epoch)[2][:6, :6] / np.outer(noise, noise)
+        values = np.linalg.eigvalsh(Omega)
+        assert (values > 100.0).sum() == seen  # a deviation of ten times the noise
+        np.testing.assert_allclose(values[: 6 - seen], 0.0, atol=1e-6)
+
+
+def test_three_linearizations_of_the_first_fix_leave_no_filter_overconfident():
+    """One about an error of e rad leaves out e^2 / 2: 10 deg leave 1 deg, this 30 arcsec, these nothing beside the noise."""
+    config = replace(PRESETS["A-slow"], steps=10)
+    sim = aasghqf.simulate(config, [generator(12, 0, r) for r in range(200)])
+    epochs, (low, high) = list(sim.epochs()), chi_square_band(13, 200)
+
+    def value(track):
+        return nees(track.mean - sim.truth, track.sqrt_cov).mean(-1)[[0, 10]]
+
+    def filter(name, iterations=1):
+        return sigma_point(*scenario.model(config), rule=scenario.rules()[name], form="covariance", iterations=iterations)
+
+    once, again = (run(filter("ukf", iterations), sim.prior, epochs, keep="cov") for iterations in (1, 3))
+    closed = run(scenario.filters(config)["triad-ekf"], sim.prior, epochs, keep="cov")
+    assert (value(once) > 1.3e4).all()
+    for track in (again, closed, iterated_smoother(filter("ukf"), sim.prior, epochs, iterations=3)):
+        assert (low < value(track)).all()
+        assert (value(track) < high).all()
+    for name in ("ukf", "aasghqf", "nonlinear", "ekf"):  # all end where the closed solution begins
+        end = run(filter(name, 5), sim.prior, epochs)
+        assert np.abs((end.mean - closed.mean) / closed.std).max() < 0.01
+
+
+def test_of_a_prior_of_45_degrees_iterations_may_end_in_other_angles_but_of_the_same_attitude():
+    sim = aasghqf.simulate(replace(A, steps=1, misalignment_deg=(45.0,) * 3), [generator(13, 0, r) for r in range(300)])
+    filter = sigma_point(*scenario.model(sim.config), rule=scenario.rules()["ukf"], form="covariance", iterations=30)
+    found, true = filter.update(filter.start(sim.prior), next(sim.epochs()))[0].belief, sim.truth[0]
+    away = np.abs(found.mean - true)[:, inertial.PHI].max(-1) > 0.01
+    assert 0 < away.sum() < 30
+    C, D = (inertial.misalignment_matrix(x[:, inertial.PHI]) for x in (found.mean, true))
+    assert np.abs(C - D).max() < 6.0 * np.radians(sim.config.star_arcsec / 3600.0)
 
 
 # -- bad input -----------------------------------------------------------------------------------------------------------

@@ -39,7 +39,7 @@ def sound():
 
 def test_numbers_are_those_of_the_formulas(sound):
     track, truth = sound
-    found, error = celnav.report(track, truth, names=["x", "y", "u", "v"]), track.mean - truth
+    found, error = track.report(truth, names=["x", "y", "u", "v"]), track.mean - truth
     for i, c in enumerate(found.components):
         assert c.rmse == pytest.approx(np.sqrt(np.mean(error[..., i] ** 2)))
         assert c.claimed == pytest.approx(np.sqrt(np.mean(track.std[..., i] ** 2)))
@@ -60,7 +60,7 @@ def test_sensors_are_told_apart_and_gaps_cost_only_themselves():
     truth, z = celnav.simulate(MOTION, [RADAR, GPS], PRIOR, TIMES, runs=20)
     z[0][::2], z[1][5:9, :, 1] = np.nan, np.nan
     track = celnav.run(FILTER, PRIOR, TIMES, z, keep="cov")
-    found = celnav.report(track, truth)
+    found = track.report(truth)
     assert [sensor.names for sensor in found.sensors] == [("z0", "z1"), ("z2", "z3")]
     for sensor, own in zip(found.sensors, (slice(0, 2), slice(2, 4)), strict=True):
         dof = int(track.used[..., own].sum())
@@ -77,12 +77,12 @@ def test_what_is_not_known_of_the_truth_is_left_out(sound):
     track, truth = sound
     some = truth.copy()
     some[10:, :, 2] = np.nan
-    found = celnav.report(track, some)
+    found = track.report(some)
     error = (track.mean - truth)[:10, :, 2]
     assert found.components[2].rmse == pytest.approx(np.sqrt(np.mean(error**2)))
     assert found.components[2].claimed == pytest.approx(np.sqrt(np.mean(track.std[:10, :, 2] ** 2)))
     assert found.nees.dof.tolist() == [120] * 10 + [0] * 31
-    late = celnav.report(track, truth, start=10.0)
+    late = track.report(truth, start=10.0)
     assert late.times[0] == 10.0
     assert late.components[2].rmse == pytest.approx(np.sqrt(np.mean((track.mean - truth)[10:, :, 2] ** 2)))
 
@@ -96,7 +96,7 @@ def test_a_consistent_filter_is_in_the_bands_as_often_as_they_say(runs):
     held = np.zeros(2, int)
     for i in range(flights):
         own = slice(i * runs, (i + 1) * runs)
-        found = celnav.report(celnav.run(filter, PRIOR, times, z[:, own], keep="cov"), truth[:, own])
+        found = celnav.run(filter, PRIOR, times, z[:, own], keep="cov").report(truth[:, own])
         held += [one.band[0] <= one.nis <= one.band[1] for one in (found.nees, found.sensors[0])]
     assert held[1] >= binom.ppf(1e-3, flights, 0.95)
     assert held[0] >= binom.ppf(1e-3, flights, 0.9)
@@ -104,7 +104,8 @@ def test_a_consistent_filter_is_in_the_bands_as_often_as_they_say(runs):
 
 def test_a_filter_that_claims_too_little_is_told():
     bold = celnav.ukf(MOTION, celnav.Sensor(RADAR.h, 0.25 * np.diag([25.0, np.radians(1.0) ** 2]), space=RADAR.space), GPS)
-    found = celnav.report(*flown(filter=bold))
+    track, truth = flown(filter=bold)
+    found = track.report(truth)
     assert found.nees.nis > found.nees.band[1]
     assert found.sensors[0].nis > found.sensors[0].band[1]
     assert "claims too little" in str(found)
@@ -121,15 +122,15 @@ def test_attitudes_are_judged_by_rotation_vectors_whatever_the_sign(form):
     u = np.broadcast_to([0.02, -0.01, 0.03], (T, 3))
     truth, z = celnav.simulate(believed, star, prior, dt * np.arange(T), runs=runs, u=u)
     track = celnav.run(celnav.ukf(believed, star, form=form), prior, dt * np.arange(T), z, u, keep="cov")
-    found = celnav.report(track, truth * np.where(rng.random((T, runs, 1)) < 0.5, np.r_[-np.ones(4), np.ones(3)], 1.0))
+    found = track.report(truth * np.where(rng.random((T, runs, 1)) < 0.5, np.r_[-np.ones(4), np.ones(3)], 1.0))
     angle = 2.0 * np.arccos(np.clip(np.abs(np.vecdot(track.mean[..., :4], truth[..., :4])), 0.0, 1.0))
     assert len(found.components) == 6
     assert np.sqrt(sum(c.rmse**2 for c in found.components[:3])) == pytest.approx(np.sqrt(np.mean(angle**2)), rel=1e-3)
     assert found.nees.band[0] <= found.nees.nis <= found.nees.band[1]
-    alone = celnav.report(pickle.loads(pickle.dumps(track)), truth, space=space)  # a pickle has lost its filter
+    alone = pickle.loads(pickle.dumps(track)).report(truth, space=space)  # a pickle has lost its filter
     assert alone.nees.nis == pytest.approx(found.nees.nis)
     with pytest.raises(ValueError, match=r"space: expected the space of the states, which are no vectors"):
-        celnav.report(replace(track, filter=None), truth)
+        replace(track, filter=None).report(truth)
 
 
 @pytest.mark.parametrize(
@@ -146,7 +147,7 @@ def test_angles_of_a_state_wrap_in_filters_within_filters_too(wrap):
     prior, times = celnav.Gaussian([3.0], [[0.01]]), np.arange(50.0)
     truth, z = celnav.simulate(believed, compass, prior, times, runs=10)
     track = celnav.run(wrap(celnav.ukf(believed, compass)), prior, times, z, keep="cov")
-    plain, turned = (celnav.report(track, truth + turns * 2.0 * np.pi).components[0].rmse for turns in (0, 1))
+    plain, turned = (track.report(truth + turns * 2.0 * np.pi).components[0].rmse for turns in (0, 1))
     assert turned == pytest.approx(plain)
     assert plain < 0.1
 
@@ -157,7 +158,7 @@ def test_compiled_flights_are_judged_the_same(make):
     z[1][::3] = np.nan
     filter = make(MOTION, RADAR, GPS)
     plain, machine = (
-        celnav.report(celnav.run(filter, PRIOR, TIMES, z, keep="cov", engine=engine), truth) for engine in ("numpy", "compiled")
+        celnav.run(filter, PRIOR, TIMES, z, keep="cov", engine=engine).report(truth) for engine in ("numpy", "compiled")
     )
     assert str(machine) == str(plain)
     np.testing.assert_allclose(machine.rms, plain.rms, rtol=1e-8)
@@ -168,7 +169,7 @@ def test_a_state_may_hold_more_than_the_truth():
     gps = celnav.Sensor(np.eye(2, 4), 100.0 * np.eye(2))
     truth, z = celnav.simulate(MOTION, gps, PRIOR, TIMES, runs=10, Phi=0.8 * np.eye(2))
     track = celnav.run(celnav.augmented(MOTION, gps, 0.8 * np.eye(2)), PRIOR, TIMES, z, keep="cov")
-    found = celnav.report(track, truth)
+    found = track.report(truth)
     cov = track.cov[..., :4, :4]
     error = track.mean[..., :4] - truth
     assert len(found.components) == 4
@@ -178,18 +179,18 @@ def test_a_state_may_hold_more_than_the_truth():
 def test_one_run_one_truth_of_many_and_no_covariances(sound):
     track, truth = sound
     alone = celnav.run(FILTER, PRIOR, TIMES, (np.tile([580.0, 0.5], (41, 1)), np.tile([500.0, 300.0], (41, 1))), keep="std")
-    found = celnav.report(alone, truth[:, 0])
+    found = alone.report(truth[:, 0])
     assert found.nees is None
     assert "no covariances are stored: run with keep='cov'" in str(found)
     assert str(found).startswith("one run, 41 epochs from 0 to 40 s")
     assert "to" not in str(found).splitlines()[3]  # no interval of one run
-    assert celnav.report(track, truth[:, 0]).runs == 30
+    assert track.report(truth[:, 0]).runs == 30
 
 
 def test_lost_runs_and_rejections_are_told():
     gated = celnav.ukf(MOTION, RADAR, GPS, hooks=[gate(2.0)])
     track, truth = flown(filter=gated)
-    found = celnav.report(track, truth)
+    found = track.report(truth)
     assert sum(found.rejected) == found.events["rejected"] > 0
     assert f"{found.rejected[0]} rejected" in str(found)
     calls = celnav.Motion(
@@ -198,7 +199,7 @@ def test_lost_runs_and_rejections_are_told():
     truth, z = celnav.simulate(MOTION, GPS, PRIOR, TIMES, runs=30)
     lost = celnav.run(celnav.ukf(calls, GPS), PRIOR, TIMES, z, keep="cov", on_failure="flag")
     assert 0 < np.count_nonzero(lost.failed_at >= 0) < 30
-    told = celnav.report(lost, truth)
+    told = lost.report(truth)
     assert [run for run, _ in told.lost] == np.flatnonzero(lost.failed_at >= 0).tolist()
     assert {t for _, t in told.lost} == {20.0}
     assert f"{len(told.lost)} of 30 runs lost, the first (run {told.lost[0][0]}) at 20 s" in str(told)
@@ -208,7 +209,7 @@ def test_lost_runs_and_rejections_are_told():
 
 def test_the_figure_shows_each_component_and_each_ratio(sound):
     track, truth = sound
-    fig = celnav.report(track, truth, names=["x (m)", "y (m)", "u (m/s)", "v (m/s)"]).figure()
+    fig = track.report(truth, names=["x (m)", "y (m)", "u (m/s)", "v (m/s)"]).figure()
     drawn = [ax for ax in fig.axes if ax.axison]
     assert [ax.get_ylabel() for ax in drawn[:4]] == ["x (m)", "y (m)", "u (m/s)", "v (m/s)"]
     assert [ax.get_title() for ax in drawn[4:]] == ["NEES / n", "NIS / dof: z0, z1", "NIS / dof: z2, z3"]
@@ -230,10 +231,10 @@ def test_the_figure_shows_each_component_and_each_ratio(sound):
 )
 def test_what_does_not_go_together_is_refused(sound, change, text):
     with pytest.raises(ValueError, match=text):
-        celnav.report(sound[0], **change(sound[1]))
+        sound[0].report(**change(sound[1]))
 
 
 def test_a_track_without_deviations_is_refused():
     track, truth = flown(runs=2, keep="mean")
     with pytest.raises(ValueError, match="track: expected one with means and deviations; run with keep='cov', or 'std'"):
-        celnav.report(track, truth)
+        track.report(truth)

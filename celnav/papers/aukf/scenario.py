@@ -41,6 +41,8 @@ __all__ = [
 TITLE = "Adaptive unscented Kalman filter for BeiDou positioning"
 CITATION = citation("Fan")
 STANDARD_GRAVITY = 9.80665
+START_S = TOE_S + 1800.0
+"""First epoch, BDT seconds of its first week."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,7 @@ class Config(Timed):
                        one_of=("none", "ranges", "both", "one"))  # fmt: skip
     motion: str = param("circle", "paper", "how the receiver moves: on the circle, or at random, as the filters think",
                         one_of=("circle", "model"))  # fmt: skip
+    turn_s: tuple[float, float] = param((0.0, 1e6), "paper: always", "start and end of the turn; straight before and after")
     burst_s: tuple[float, float] = param((60.0, 70.0), "paper", "start and end of the burst")
     burst_sigma: float = param(50.0, "paper: without a unit", "size of the burst, m on ranges and m/s on rates", above=0.0)
     burst_satellite: int = param(2, "chosen", "which satellite a burst on one disturbs, counted from 0", least=0)
@@ -86,14 +89,13 @@ class Config(Timed):
     runs: int = param(100, "chosen: the paper shows one", "of a Monte Carlo", least=1)
 
     def check(self) -> None:
-        """A density that can be, a burst that begins before it ends, a run of some epochs."""
-        if self.acceleration_noise < 0.0:
-            got = self.acceleration_noise_m2_per_s3
-            raise ValueError(f"acceleration_noise_m2_per_s3: expected a number that is not negative, got {got!r}")
+        """A density that can be, a turn and a burst that begin before they end, a run of some epochs."""
+        number("acceleration_noise_m2_per_s3", self.acceleration_noise, 0.0)
         if self.assumed_m is not None:
             number("assumed_m", self.assumed_m, above=0.0)
-        if self.burst_s[0] >= self.burst_s[1]:
-            raise ValueError(f"burst_s: expected a start before an end, got {self.burst_s!r}")
+        for name in ("turn_s", "burst_s"):
+            if (span := getattr(self, name))[0] >= span[1]:
+                raise ValueError(f"{name}: expected a start before an end, got {span!r}")
         steps("duration_s", self.duration_s / self.interval_s)
 
     @property
@@ -150,21 +152,19 @@ PRESETS = {
 }
 
 
-START_S = TOE_S + 1800.0
-"""First epoch, BDT seconds of its first week."""
-
-
 def axes(config: Config) -> Array:
     """East, north, up at the middle of the circle, the rows of ``(3, 3)``."""
     return local_axes(*np.radians([config.latitude_deg, config.longitude_deg]).tolist())
 
 
 def circle(config: Config) -> tuple[Array, Array]:
-    """Positions and velocities ``(T, 3)`` on the track, Earth-fixed."""
+    """Positions and velocities ``(T, 3)`` on the track, Earth-fixed: the circle, left along its tangents."""
     (east, north, _), v, a = axes(config), config.speed_m_per_s, config.acceleration
-    angle = (a / v * config.times)[:, None]
+    turned = np.clip(config.times, *np.minimum(config.turn_s, config.end_s))
+    angle, straight = (a / v * turned)[:, None], (config.times - turned)[:, None]
     middle = np.array(geodetic2ecef(config.latitude_deg, config.longitude_deg, config.height_m, ell=ELLIPSOID))
-    return middle + v**2 / a * (np.cos(angle) * east + np.sin(angle) * north), v * (np.cos(angle) * north - np.sin(angle) * east)
+    velocity = v * (np.cos(angle) * north - np.sin(angle) * east)
+    return middle + v**2 / a * (np.cos(angle) * east + np.sin(angle) * north) + straight * velocity, velocity
 
 
 class Satellites(NamedTuple):

@@ -1,4 +1,4 @@
-"""[Xu2024]: a satellite of the Earth that times three pulsars, with colored noise and an error of the Earth's ephemeris.
+"""[Xu2023]: a satellite of the Earth that times three pulsars, with colored noise and an error of the Earth's ephemeris.
 
 The display equations of the text at hand are lost. Inferred are Eq. 2, delay of a pulse (`celnav.models.pulsar.Timing`); 3-4,
 orbit (`celnav.models.orbit`); 17, 69, 70, ephemeris error (`Config.bias`); 19, deviation of a timing (`Pulsar.timing_std`); 21-56
@@ -43,7 +43,7 @@ __all__ = [
 ]  # fmt: skip
 
 TITLE = "Two-stage strong-tracking differential Kalman filter for X-ray pulsars"
-CITATION = citation("Xu2024")
+CITATION = citation("Xu2023")
 YEAR_S, DAY_S = 365.25 * 86400.0, 86400.0
 KAPPA = 4.8
 TUNED = "chosen: with the other tuned one, so that setting 1 gives the paper's percentages of position"
@@ -127,7 +127,7 @@ class Config(Timed):
 
     @property
     def sigma_km(self) -> Array:
-        """Deviations ``(3,)`` of the timings after an interval, km [Xu2024, Eq. 19; inferred]."""
+        """Deviations ``(3,)`` of the timings after an interval, km [Xu2023, Eq. 19; inferred]."""
         return np.array([p.timing_std(self.step_s) for p in pulsars(self.pulsars)]) * LIGHT_KM_S
 
     @property
@@ -148,7 +148,7 @@ class Config(Timed):
         return ar1_noise(s.F * np.eye(3), s.L * np.eye(6), J, np.diag(self.sigma_km**2), np.diag(std**2))
 
     def bias(self, t: Array) -> Array:
-        """Error ``(..., 3)`` km of the ephemeris, ``t`` s after the start [Xu2024, Eqs 17, 69, 70; inferred], if not constant."""
+        """Error ``(..., 3)`` km of the ephemeris, ``t`` s after the start [Xu2023, Eqs 17, 69, 70; inferred], if not constant."""
         if self.trend == "step":
             return self.bias_prior_km * np.ones(3) * (np.asarray(t)[..., None] > 0.5 * self.days * DAY_S)
         angle = 2.0 * np.pi / YEAR_S * np.asarray(t)[..., None]

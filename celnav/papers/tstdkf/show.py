@@ -1,4 +1,4 @@
-"""[Xu2024] shown: figures and tables as the paper numbers them, those beyond it, recordings."""
+"""[Xu2023] shown: figures and tables as the paper numbers them, those beyond it, recordings."""
 
 from __future__ import annotations
 
@@ -293,7 +293,7 @@ SPACES = (
     Space("world", f"about the Earth, km (errors x{EXAGGERATION:g})", (20e3, 15e3, 12e3)),
     Space("sun", "around the Sun, AU", (0.5, -2.2, 1.6)),
 )
-MONTH = f"""# Xu et al. (2024): two stages and strong tracking for X-ray pulsars
+MONTH = f"""# Xu et al. (2023): two stages and strong tracking for X-ray pulsars
 
 A satellite times three pulsars; the Earth's ephemeris is wrong by some hundred meters (bias), the noise is colored and correlated.
 Lines: the last orbit and what the filters made of it, errors {EXAGGERATION:g} times as large. Arrows: the pulls of Sun and Moon.

@@ -1,4 +1,4 @@
-"""[Xu2024] judged: the runs, what the paper states, what is wrong or lost in it, and what we found beside it."""
+"""[Xu2023] judged: the runs, what the paper states, what is wrong or lost in it, and what we found beside it."""
 
 from __future__ import annotations
 
