@@ -183,14 +183,13 @@ def _of(
         there = data.known[kind]
         z = tuple(None if what == NONE else part(values[i], 1) for what, values in zip(there.z, data.z, strict=True))
         dt = data.dt[i]
-        epochs.append(
-            Epoch(int(data.k[i]), float(data.t[i]), part(dt, 0) if dt.ndim else float(dt), _input(data, i, batch, part), z)
-        )
+        u, about = _input(data, i, batch, part)
+        epochs.append(Epoch(int(data.k[i]), float(data.t[i]), part(dt, 0) if dt.ndim else float(dt), u, z, about=about))
     return each_run(filter, lambda x: part(x, 2)), some, epochs
 
 
 def _input(data: Data, i: int, batch: tuple[int, ...], part: Any) -> Any:
-    """The input of an epoch, of some runs."""
+    """The input of an epoch, and what to linearize about, of some runs."""
     tree, _ = data.known[data.kinds[i]].u
     leaves = data.u[data.known[data.kinds[i]].u].get(i, [])
     own = [part(x, x.ndim - len(batch)) if is_own(x, batch) else x for x in leaves]
@@ -221,8 +220,10 @@ def compiled(filter: Any, *, jobs: int = 1, engine: str = "compiled") -> Compile
     return Compiled(filter, integer("jobs", jobs), engine, MOST if engine == "compiled" else WORTH)
 
 
-def _chosen(engine: str, filter: Any, jobs: int) -> Compiled:
-    """By an engine; "auto" compiles what is worth it, and takes a device only where that is asked for."""
+def chosen(engine: str, filter: Any, jobs: int) -> Compiled:
+    """By an engine; "auto" compiles what is worth it, and takes a device only where that is asked for. What is compiled stays."""
+    if isinstance(filter, Compiled):
+        return filter
     made = compiled(filter, jobs=jobs, engine="compiled" if engine == "auto" else engine)
     return Compiled(filter, made.jobs, made.engine, WORTH) if engine == "auto" else made
 
@@ -238,15 +239,15 @@ def run_by(
     engine: str, filter: Any, prior: Any, epochs: Iterable[Epoch], jobs: int, also: Any, reduce: Any, **options: Any
 ) -> Track:
     """`celnav.run` with an engine that is "compiled" or "cuda", or "auto": compiled, and numpy where that cannot be."""
-    epochs = _listed(filter, prior, epochs)
+    epochs, made = _listed(filter, prior, epochs), chosen(engine, filter, jobs)
     try:
         if also is not None or reduce is not None:
             raise CannotCompile(f"also, reduce: expected none with engine={engine!r}, which keeps no states between epochs")
-        return _chosen(engine, filter, jobs).run(prior, epochs, **options)
+        return made.run(prior, epochs, **options)
     except (CannotCompile, ImportError) as error:
         if engine != "auto":
             raise
-        track = run(filter, prior, epochs, also=also, reduce=reduce, engine="numpy", **options)
+        track = run(made.filter, prior, epochs, also=also, reduce=reduce, engine="numpy", **options)
         return replace(track, engine=f"numpy: {error}")
 
 
@@ -254,7 +255,7 @@ def steps_by(engine: str, filter: Any, prior: Any, epochs: Iterable[Epoch]) -> I
     """`celnav.steps` likewise; by numpy too where a run is lost, since why is to be told. An `Info` is of all sensors together."""
     epochs = _listed(filter, prior, epochs)
     try:
-        track = _chosen(engine, filter, 1).run(prior, epochs, keep="cov", on_failure="flag")
+        track = chosen(engine, filter, 1).run(prior, epochs, keep="cov", on_failure="flag")
     except (CannotCompile, ImportError):
         if engine != "auto":
             raise

@@ -28,6 +28,7 @@ class Epoch(NamedTuple):
     u: the input that acts over the interval.
     z: one measurement ``(..., m)`` or a tuple of them, one for each sensor; nan or None where there is none.
     truth: whatever a simulation wants to hand on.
+    about: beliefs at both ends of the interval; `celnav.iterated_smoother` linearizes over them.
 
     >>> state, infos = filter.step(filter.start(prior), celnav.Epoch(t=0.0, z=z[0]))
     """
@@ -38,6 +39,7 @@ class Epoch(NamedTuple):
     u: Any = None
     z: Any = None
     truth: Any = None
+    about: Any = None
 
 
 def still(epoch: Any) -> bool:
