@@ -7,7 +7,7 @@ takes. Runs that are lost are flown again by the numpy engine, which is the refe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import fields, is_dataclass
 from functools import partial
@@ -93,10 +93,7 @@ FULL, PART, SILENT, NONE = range(4)
 
 
 class Kind(NamedTuple):
-    """What must be alike in epochs for one record to serve them. ``z``: what there is of each sensor.
-
-    u: tree and shapes of the input, and of the beliefs to linearize about.
-    """
+    """What must be alike in epochs for one record to serve them. ``z``: what there is of each sensor; ``u``: shape of inputs."""
 
     moves: bool
     z: tuple[int, ...]
@@ -107,7 +104,7 @@ class Data(NamedTuple):
     """Epochs as columns.
 
     k, t, dt: ``(T,)``. kinds: of each epoch, an index into ``known``. z: ``(T, ..., m)`` of each sensor.
-    u: by the shape of an input (see `Kind`), and by the epochs that have one of it, the arrays that it consists of.
+    u: by the shape of an input, ``about`` included, and by the epochs that have one of it, the arrays that it consists of.
     """
 
     k: Array
@@ -219,7 +216,7 @@ class Engine:
             inputs.append((place, at))
             return tape.input(absent)
 
-        def taken(shape: tuple[int, ...], what: str, place: str, at: Iterable[int], absent: Iterable[bool] = repeat(False)) -> Numbers:
+        def taken(shape: Any, what: str, place: str, at: Iterable[int], absent: Iterable[bool] = repeat(False)) -> Numbers:
             """An array; ``at``: where those of its numbers stand that it is kept as."""
             x = Numbers(shape)
             for where, i, missing in zip(entries(shape, what), at, absent, strict=False):
@@ -321,9 +318,8 @@ def each_array(thing: Any, function: Callable[[Array], Array]) -> Any:
     if isinstance(thing, np.ndarray):
         return function(thing)
     if isinstance(thing, partial):
-        inner = [each_array(x, function) for x in (thing.func, *thing.args)]
-        same = all(a is b for a, b in zip(inner, (thing.func, *thing.args), strict=True))
-        return thing if same else partial(inner[0], *inner[1:], **thing.keywords)
+        given = (thing.func, *thing.args)
+        return thing if (inner := each_array(given, function)) is given else partial(*inner, **thing.keywords)
     if isinstance(thing, tuple):
         make: Any = type(thing)
         parts = [each_array(part, function) for part in thing]
@@ -332,13 +328,8 @@ def each_array(thing: Any, function: Callable[[Array], Array]) -> Any:
         return make(*parts) if hasattr(thing, "_fields") else tuple(parts)
     if not is_dataclass(thing) or isinstance(thing, type | Gaussian):
         return thing
-    names = {field.name for field in fields(thing)} | set(vars(thing))
-    changed: dict[str, Any] = {}
-    for name in sorted(names):
-        before = getattr(thing, name)
-        after = each_array(before, function)
-        if after is not before:
-            changed[name] = after
+    own = {name: getattr(thing, name) for name in sorted({field.name for field in fields(thing)} | set(vars(thing)))}
+    changed = {name: new for name, part in own.items() if (new := each_array(part, function)) is not part}
     if not changed:
         return thing
     other = copy(thing)
@@ -348,7 +339,6 @@ def each_array(thing: Any, function: Callable[[Array], Array]) -> Any:
 
 def _first_run(prior: Any) -> Any:
     """The prior of the first run alone."""
-    mean, P = prior.mean, prior.cov
-    mean, P = mean[(0,) * (mean.ndim - 1)], P[(0,) * (P.ndim - 2)]
-    root = prior.sqrt_cov[(0,) * (prior.sqrt_cov.ndim - 2)]
-    return Gaussian(mean, sqrt_cov=root) if isinstance(prior, Gaussian | SquareRoot) else Covariance(mean, P)
+    form = Covariance if isinstance(prior, Covariance) else SquareRoot
+    mean, spread = form.of(prior)
+    return form(mean[(0,) * (mean.ndim - 1)], spread[(0,) * (spread.ndim - 2)])

@@ -24,12 +24,11 @@ CHUNK = 1 << 21  # bytes of the measurements of runs that are flown together: th
 
 
 def sensors(filter: Any, z: Any) -> Sequence[Any]:
-    """Sensors of a filter, or of its first stage; of another filter what is taken for them, for measurements such as ``z``."""
-    inner = filter if hasattr(filter, "sensors") else getattr(filter, "first", None)
-    found = getattr(inner if hasattr(inner, "sensors") else getattr(inner, "filter", None), "sensors", None)
-    if found is not None:
-        return tuple(found)
-    return (Sensor(lambda x, _epoch: x, R=lambda _mean, _epoch: np.eye(1)),) * (len(z) if isinstance(z, tuple) else 1)
+    """Sensors of a filter, or of the first one in it; of another filter what is taken for them, for measurements such as ``z``."""
+    while not hasattr(filter, "sensors"):
+        if (filter := getattr(filter, "first", getattr(filter, "filter", None))) is None:
+            return (Sensor(lambda x, _epoch: x, R=lambda _mean, _epoch: np.eye(1)),) * (len(z) if isinstance(z, tuple) else 1)
+    return tuple(filter.sensors)
 
 
 def as_data(filter: Any, epochs: Epochs | Sequence[Epoch]) -> Data:

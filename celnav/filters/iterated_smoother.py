@@ -64,7 +64,9 @@ def iterated_smoother(
         about = list(map(type(track.belief), *track.belief))
         epochs = [epoch._replace(about=ends) for epoch, ends in zip(epochs, pairwise([None, *about]), strict=True)]
         flown = again
-    return replace(track, filter=filter, epochs=tuple(epoch._replace(about=None) for epoch in track.epochs), engine=why or track.engine)
+    return replace(
+        track, filter=filter, epochs=tuple(epoch._replace(about=None) for epoch in track.epochs), engine=why or track.engine
+    )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
