@@ -83,9 +83,9 @@ class Compiled:
         return plain("filter", self.filter).start(prior)
 
     def step(self, state: Any, epoch: Epoch) -> tuple[Any, tuple[Info, ...]]:
-        """State after an epoch, a flight of its own, and an `Info` of each sensor: they share the likelihood of all.
+        """State after an epoch, and an `Info` of each sensor with an equal part of the likelihood. Hundreds of runs repay it.
 
-        A flight by `run` has less beside. `CannotCompile` too where hooks remember something, or a start adds to the prior.
+        `CannotCompile` too where hooks remember something, or where a start adds to the prior, as that of `celnav.augmented` does.
         """
         if state.belief.mean.dtype.hasobject:  # recorded itself, as a part of another filter
             return self.filter.step(state, epoch)  # type: ignore[no-any-return]
@@ -224,9 +224,9 @@ def _place(error: BaseException) -> str:
 def compiled(filter: Any, *, jobs: int = 1, engine: str = "compiled") -> Compiled:
     """A filter as machine code, compiled when it first runs; needs ``.venv/bin/pip install -c constraints.txt -e ".[compiled]"``.
 
-    filter: of `celnav.ukf` and its siblings, `celnav.colored`, `celnav.augmented`, `celnav.two_stage`. Its models are recorded as
-        they are: arithmetic, and numpy's functions of it. What asks for the value of a number, an ``if`` or a ``float(x)``, cannot
-        be: `CannotCompile` says which line.
+    filter: of `celnav.ukf` and its siblings, `celnav.colored`, `augmented`, `two_stage`, `imm`. Its models are recorded as they
+        are: arithmetic, and numpy's functions of it. What asks for the value of a number, an ``if`` or a ``float(x)``, cannot be:
+        `CannotCompile` says which line.
     jobs: threads. The bytes of the result do not depend on them.
     engine: "compiled" for this processor; "cuda" for an NVIDIA device (compute capability 7.0 or higher), with a run in each of its
         threads, while ``jobs`` arrange and copy. RuntimeError says what is missing, or which call of the driver failed.

@@ -42,7 +42,7 @@ class FixedLag:
     filter: any filter; what it gives is not changed. lag: how many epochs a sample may be late, and how many are smoothed.
 
     A step costs what the filter's does; a late sample a step for each epoch since its own. It holds ``lag + 2`` states. Epochs are
-    numbered on, as those of `celnav.epochs` are.
+    numbered on, as those of `celnav.epochs` are. Of `celnav.compiled(filter)` steps are machine code, which hundreds of runs repay.
 
     >>> filter = celnav.filters.fixed_lag.FixedLag(celnav.ukf(motion, gps, camera), lag=20)
     >>> state = filter.start(prior)

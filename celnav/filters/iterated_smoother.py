@@ -39,7 +39,7 @@ def iterated_smoother(
     iterations: flights there and back; one is `celnav.smooth` of the filter's own track. A count, not a tolerance, so that what a
         run gives does not depend on its neighbors: look whether more of them change anything.
     gains, on_failure: as `celnav.smooth` has them.
-    engine, jobs: of the flights there, as `celnav.run` has them; the ways back are numpy's. All but the first are compiled once.
+    engine, jobs: of the flights there, as `celnav.run` has them, compiled once for all after the first; the way back is by numpy.
 
     Returns the `Track` of the last flight, smoothed; its innovations, likelihood and events are of that flight.
 
