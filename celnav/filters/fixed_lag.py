@@ -121,7 +121,7 @@ class FixedLag:
         collector = Collector(1, "cov")
         for after, epoch, infos in zip(state.states[1:], state.epochs, state.infos, strict=True):
             collector.add(epoch, after.belief, infos, {})
-        return collector.track(None, getattr(self.filter, "filter", self.filter))  # of a compiled one its own
+        return collector.track(None, getattr(self.filter, "filter", self.filter))  # that which was compiled
 
 
 def _filled(epoch: Epoch, late: list[Array | None], here: Any) -> Epoch:

@@ -73,7 +73,7 @@ def iterated_smoother(
 class Relinearized(Sequential):
     """A filter whose models are linearized over the beliefs that an epoch brings, ``epoch.about``, instead of over its own.
 
-    The first is of the beginning of the interval, None: its own; the second of the end, when there is a measurement.
+    The first is of the beginning of the interval, None: the filter's own; the second of its end.
     """
 
     @classmethod
@@ -83,12 +83,12 @@ class Relinearized(Sequential):
 
     def onward(self, belief: Belief, epoch: Epoch, after: Array) -> Joint:
         """The joint of the state after the interval, as if measured to be ``after``, and of the one before it."""
-        about, motion = epoch.about[0] or belief, self.motion
+        about, motion = belief if epoch.about[0] is None else epoch.about[0], self.motion
         return over(about, self.rule, belief, motion, motion.space, lambda rule, belief: self.between(rule, belief, epoch, after))
 
     def moved(self, belief: Belief, epoch: Epoch) -> Joint:
         """The joint of a prediction: the state after the interval."""
-        both = self.onward(belief, epoch, epoch.about[1].mean)
+        both = self.onward(belief, epoch, epoch.about[1].mean).factored()
         noise = both.measurement_noise
         return both._replace(
             innovation=None, measurement=None, state=both.measurement,

@@ -112,11 +112,12 @@ def test_one_iteration_is_the_smoother():
     np.testing.assert_array_equal(found.cov, expected.cov)
 
 
-def test_linear_models_need_one_iteration():
+@FORMS
+def test_linear_models_need_one_iteration(form):
     F, H = np.array([[1.0, 1.0], [0.0, 1.0]]), np.eye(1, 2)
     motion, sensor, prior = celnav.Motion(F, 0.1 * np.eye(2)), celnav.Sensor(H, np.eye(1)), celnav.Gaussian(np.zeros(2), np.eye(2))
     _, z = celnav.simulate(motion, sensor, prior, TIMES, runs=2)
-    for filter in (celnav.ukf(motion, sensor), celnav.ekf(motion, sensor)):
+    for filter in (celnav.ukf(motion, sensor, form=form), celnav.ekf(motion, sensor, form=form)):
         one, many = (celnav.iterated_smoother(filter, prior, TIMES, z, iterations=i, gains=True) for i in (1, 4))
         np.testing.assert_allclose(many.mean, one.mean, atol=1e-12)
         np.testing.assert_allclose(many.cov, one.cov, atol=1e-12)
@@ -164,8 +165,8 @@ def test_a_lost_run_leaves_its_neighbors():
 
 # -- machine code ------------------------------------------------------------------------------------------------------------
 def driven(x, epoch):
-    turn = 0.0 if epoch.u is None else epoch.dt * epoch.u[..., 0]
-    return f(x, epoch) + np.stack([0.0 * x[..., 0], 0.0 * x[..., 1], turn + 0.0 * x[..., 2]], -1)
+    turned = 0.0 if epoch.u is None else epoch.dt * (epoch.u[0] + epoch.u[1]) * np.array([0.0, 0.0, 1.0])
+    return f(x, epoch) + turned
 
 
 def noise(_mean, epoch):
@@ -176,19 +177,17 @@ HEADED = celnav.Motion(driven, lambda _mean, epoch: Q * epoch.dt, space=celnav.a
 SIGHT, GPS = celnav.Sensor(h, noise, space=celnav.angles([1])), celnav.Sensor(np.eye(2, 3), 0.1 * np.eye(2))
 RNG = np.random.default_rng(4)
 UNEVEN = np.cumsum(RNG.uniform(0.5, 1.5, 12))
-FIXES = TRUTH[..., :2] + 0.3 * RNG.standard_normal((12, 3, 2))
-GAPS = np.where(RNG.random(Z.shape) < 0.2, np.nan, Z), np.where(RNG.random(FIXES.shape) < 0.5, np.nan, FIXES)
+GAPS = Z.copy(), TRUTH[..., :2] + 0.3 * RNG.standard_normal((12, 3, 2))
+GAPS[0][3, 1] = GAPS[0][7, :, 0] = GAPS[1][1::2] = np.nan
 MANY = celnav.Gaussian(PRIOR.mean + 0.01 * RNG.standard_normal((2, 3, 3)), PRIOR.cov)
-TURNS = 0.1 * RNG.standard_normal((11, 3, 1))
-CASES = {  # what is the same for one run, of all runs and of each, in one and in two axes of them
+TURNS = 0.1 * RNG.standard_normal((11, 1)), 0.1 * RNG.standard_normal((11, 3, 1))
+CASES = {
     "gaps": (PRIOR, GAPS, None),
     "one run": (PRIOR, tuple(part[:, 0] for part in GAPS), None),
-    "a batch of one": (PRIOR, tuple(part[:, :1] for part in GAPS), None),
     "two axes": (MANY, GAPS, None),
     "runs of the prior": (MANY, tuple(part[:, 0] for part in GAPS), None),
     "no measurement": (PRIOR, None, None),
-    "inputs of all runs": (PRIOR, GAPS, TURNS[:, 0]),
-    "inputs of each": (PRIOR, GAPS, TURNS),
+    "inputs of all runs and of each": (PRIOR, GAPS, TURNS),
 }
 
 
@@ -217,6 +216,29 @@ def test_either_engine_smooths_attitudes():
     filter = celnav.ukf(motion, sensor)
     found = [celnav.iterated_smoother(filter, prior, times, z, iterations=3, engine=engine) for engine in ("numpy", "compiled")]
     assert_same(*found)
+
+
+def slope_f(x, epoch):
+    one, zero = np.ones(x.shape[:-1]), np.zeros(x.shape[:-1])
+    rows = [one, zero, -epoch.dt * np.sin(x[..., 2])], [zero, one, epoch.dt * np.cos(x[..., 2])], [zero, zero, one]
+    return np.stack([np.stack(row, -1) for row in rows], -2)
+
+
+def slope_h(x, _epoch):
+    zero, r = np.zeros(x.shape[:-1]), np.hypot(x[..., 0], x[..., 1])
+    rows = [x[..., 0] / r, x[..., 1] / r, zero], [-x[..., 1] / r**2, x[..., 0] / r**2, zero]
+    return np.stack([np.stack(row, -1) for row in rows], -2)
+
+
+@FORMS
+def test_either_engine_takes_derivatives(form):
+    """Of models at means that each run has of its own, of a prior that all share."""
+    pytest.importorskip("llvmlite")
+    filter = celnav.ekf(celnav.Motion(f, Q, jacobian=slope_f), celnav.Sensor(h, R, jacobian=slope_h), form=form)
+    found = [celnav.iterated_smoother(filter, PRIOR, TIMES, Z, iterations=4, engine=engine) for engine in ("numpy", "compiled")]
+    assert_same(*found)
+    differences = celnav.iterated_smoother(celnav.ekf(MOTION, RADAR, form=form), PRIOR, TIMES, Z, iterations=4)
+    np.testing.assert_allclose(found[0].mean, differences.mean, atol=1e-6)
 
 
 def test_later_flights_are_compiled_once(monkeypatch):
