@@ -8,6 +8,7 @@ from __future__ import annotations
 import traceback
 from collections.abc import Iterable
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +18,10 @@ from celnav.filters.engine import NONE, Data, Engine, each_run, entries, is_own,
 from celnav.filters.flight import Flight, as_data, fly
 from celnav.filters.records import Epoch, Epochs, FilterError, Info, State
 from celnav.filters.run import as_epochs, run, steps
+from celnav.filters.sequential import Sequential, measurements, plain
 from celnav.filters.track import Track
-from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import choice, integer
-from celnav.gaussian.linalg import Array, Covariance
+from celnav.gaussian.linalg import Array, Covariance, SquareRoot
 from celnav.tape.cuda import CudaError, device
 from celnav.tape.tape import MOST, CannotCompile
 
@@ -66,18 +67,39 @@ class Compiled:
         except Exception as error:
             run(self.filter, prior, some, every=every, keep=keep, engine="numpy")  # what is wrong anyhow is told as ever
             raise CannotCompile(f"{str(error) or type(error).__name__}{_place(error)}") from error
-        track = _track(engine, data, flight, every)
-        if keep == "cov":
-            stored = tuple(epoch._replace(z=None, truth=None) for i, epoch in enumerate(epochs) if i % every == 0)
-            track = replace(track, epochs=stored)
-        track = replace(track, filter=self.filter, engine=self.engine)
+        stored = islice(epochs, 0, len(epochs) if keep == "cov" else 0, every)
+        known = tuple(epoch._replace(z=None, truth=None) for epoch in stored)
+        track = replace(_track(engine, data, flight, every), epochs=known, filter=self.filter, engine=self.engine)
         if engine.fresh:
             self._compare(track, engine, prior, data, every)
         if keep == "nothing":
             nothing: dict[str, Any] = dict.fromkeys(("mean", "std", "innovation", "whitened", "used"))
             track = replace(track, **nothing, sensors=())
         lost = np.flatnonzero(track.failed_at.ravel() >= 0)
-        return self._again(track, engine, prior, data, lost, every, keep, on_failure) if len(lost) else track
+        return self._again(track, engine, prior, data, lost, on_failure, every=every, keep=keep) if len(lost) else track
+
+    def start(self, prior: Any) -> Any:
+        """The filter's own state before the first epoch; `step` is for those that predict, then update."""
+        return plain("filter", self.filter).start(prior)
+
+    def step(self, state: Any, epoch: Epoch) -> tuple[Any, tuple[Info, ...]]:
+        """State after an epoch, and an `Info` of each sensor with an equal part of the likelihood. Hundreds of runs repay it.
+
+        `CannotCompile` too where hooks remember something, or where a start adds to the prior, as that of `celnav.augmented` does.
+        """
+        if state.belief.mean.dtype.hasobject:  # recorded itself, as a part of another filter
+            return self.filter.step(state, epoch)  # type: ignore[no-any-return]
+        if type(self.filter).start is not Sequential.start:
+            raise CannotCompile("a filter that adds to its prior is compiled for whole flights only")
+        track = self.run(state.belief, [epoch], keep="cov", on_failure="flag")
+        if any(len(made.after.arrays) > 2 for made in self._kept.values()):
+            raise CannotCompile("hooks that remember something are compiled for whole flights only")
+        share, rows = track.log_likelihood / max(len(track.sensors), 1), (track.innovation, track.whitened, track.used)
+        seen = zip(*(np.split(x[0], np.cumsum(track.sensors), -1) for x in rows if x is not None), strict=True)
+        z = measurements(epoch.z, len(self.filter.sensors))
+        infos = tuple(Info(silent=True) if one is None else Info(*next(seen))._replace(mixture=share) for one in z)
+        assert track.belief is not None
+        return state._replace(belief=type(track.belief)(*(x[0] for x in track.belief))), infos
 
     def _compare(self, track: Track, engine: Engine, prior: Any, data: Data, every: int) -> None:
         """Raise `CannotCompile` if the first epochs of some runs are not what the numpy engine gives: nothing is taken on trust."""
@@ -93,16 +115,12 @@ class Compiled:
                     self._kept.clear()
                     raise CannotCompile("the model gives other values when it is recorded: it looks at what it is given")
 
-    def _again(
-        self, track: Track, engine: Engine, prior: Any, data: Data, lost: Array, every: int, keep: str, on_failure: str
-    ) -> Track:
+    def _again(self, track: Track, engine: Engine, prior: Any, data: Data, lost: Array, on_failure: str, **options: Any) -> Track:
         """The track, with the runs that were lost flown by the numpy engine."""
         filter, own, epochs = _of(self.filter, prior, data, engine.batch, lost)
         if not engine.batch:
-            return replace(
-                run(filter, own, epochs, every=every, keep=keep, on_failure=on_failure, engine="numpy"), engine=self.engine
-            )
-        again = run(filter, own, epochs, every=every, keep=keep, on_failure="flag", engine="numpy")
+            return replace(run(filter, own, epochs, on_failure=on_failure, engine="numpy", **options), engine=self.engine)
+        again = run(filter, own, epochs, on_failure="flag", engine="numpy", **options)
         still = np.flatnonzero(again.failed_at >= 0)
         if len(still) and on_failure == "raise":
             first = lost[still[np.argmin(again.failed_at[still])]]
@@ -162,9 +180,7 @@ def _track(engine: Engine, data: Data, flight: Flight, every: int) -> Track:
     )
 
 
-def _of(
-    filter: Any, prior: Any, data: Data, batch: tuple[int, ...], runs: Any, count: int | None = None
-) -> tuple[Any, Any, list[Epoch]]:
+def _of(filter: Any, prior: Any, data: Data, batch: tuple[int, ...], runs: Any, count: int | None = None) -> tuple[Any, Any, Any]:
     """Filter, prior and the first epochs, None: all, of some runs, numbered over all axes of a batch, or of one run alone."""
 
     def part(x: Array, own: int) -> Array:
@@ -176,21 +192,21 @@ def _of(
 
     # What all runs share stays one: where a covariance is singular its root depends on how it is computed.
     mean = prior.mean if prior.mean.ndim == 1 else part(prior.mean, 1)
-    root, cov = (x if x.ndim == 2 else part(x, 2) for x in (prior.sqrt_cov, prior.cov))
-    some = Covariance(mean, cov) if isinstance(prior, Covariance) else Gaussian(mean, sqrt_cov=root)
+    form = Covariance if isinstance(prior, Covariance) else SquareRoot
+    spread = form.of(prior)[1]
+    some = form(mean, spread if spread.ndim == 2 else part(spread, 2))
     epochs = []
     for i, kind in enumerate(data.kinds[:count]):
         there = data.known[kind]
         z = tuple(None if what == NONE else part(values[i], 1) for what, values in zip(there.z, data.z, strict=True))
         dt = data.dt[i]
-        epochs.append(
-            Epoch(int(data.k[i]), float(data.t[i]), part(dt, 0) if dt.ndim else float(dt), _input(data, i, batch, part), z)
-        )
+        u, about = _input(data, i, batch, part)
+        epochs.append(Epoch(int(data.k[i]), float(data.t[i]), part(dt, 0) if dt.ndim else float(dt), u, z, about=about))
     return each_run(filter, lambda x: part(x, 2)), some, epochs
 
 
 def _input(data: Data, i: int, batch: tuple[int, ...], part: Any) -> Any:
-    """The input of an epoch, of some runs."""
+    """The input of an epoch, and what to linearize about, of some runs."""
     tree, _ = data.known[data.kinds[i]].u
     leaves = data.u[data.known[data.kinds[i]].u].get(i, [])
     own = [part(x, x.ndim - len(batch)) if is_own(x, batch) else x for x in leaves]
@@ -208,9 +224,9 @@ def _place(error: BaseException) -> str:
 def compiled(filter: Any, *, jobs: int = 1, engine: str = "compiled") -> Compiled:
     """A filter as machine code, compiled when it first runs; needs ``.venv/bin/pip install -c constraints.txt -e ".[compiled]"``.
 
-    filter: of `celnav.ukf` and its siblings, `celnav.colored`, `celnav.augmented`, `celnav.two_stage`. Its models are recorded as
-        they are: arithmetic, and numpy's functions of it. What asks for the value of a number, an ``if`` or a ``float(x)``, cannot
-        be: `CannotCompile` says which line.
+    filter: of `celnav.ukf` and its siblings, `celnav.colored`, `augmented`, `two_stage`, `imm`. Its models are recorded as they
+        are: arithmetic, and numpy's functions of it. What asks for the value of a number, an ``if`` or a ``float(x)``, cannot be:
+        `CannotCompile` says which line.
     jobs: threads. The bytes of the result do not depend on them.
     engine: "compiled" for this processor; "cuda" for an NVIDIA device (compute capability 7.0 or higher), with a run in each of its
         threads, while ``jobs`` arrange and copy. RuntimeError says what is missing, or which call of the driver failed.
@@ -221,8 +237,10 @@ def compiled(filter: Any, *, jobs: int = 1, engine: str = "compiled") -> Compile
     return Compiled(filter, integer("jobs", jobs), engine, MOST if engine == "compiled" else WORTH)
 
 
-def _chosen(engine: str, filter: Any, jobs: int) -> Compiled:
-    """By an engine; "auto" compiles what is worth it, and takes a device only where that is asked for."""
+def chosen(engine: str, filter: Any, jobs: int) -> Compiled:
+    """By an engine; "auto" compiles what is worth it, and takes a device only where that is asked for. What is compiled stays."""
+    if isinstance(filter, Compiled):
+        return filter
     made = compiled(filter, jobs=jobs, engine="compiled" if engine == "auto" else engine)
     return Compiled(filter, made.jobs, made.engine, WORTH) if engine == "auto" else made
 
@@ -234,19 +252,17 @@ def _listed(filter: Any, prior: Any, epochs: Any) -> Epochs | list[Epoch]:
     return epochs if isinstance(epochs, Epochs) else list(epochs)
 
 
-def run_by(
-    engine: str, filter: Any, prior: Any, epochs: Iterable[Epoch], jobs: int, also: Any, reduce: Any, **options: Any
-) -> Track:
+def run_by(engine: str, filter: Any, prior: Any, epochs: Any, jobs: int, also: Any, reduce: Any, **options: Any) -> Track:
     """`celnav.run` with an engine that is "compiled" or "cuda", or "auto": compiled, and numpy where that cannot be."""
-    epochs = _listed(filter, prior, epochs)
+    epochs, made = _listed(filter, prior, epochs), chosen(engine, filter, jobs)
     try:
         if also is not None or reduce is not None:
             raise CannotCompile(f"also, reduce: expected none with engine={engine!r}, which keeps no states between epochs")
-        return _chosen(engine, filter, jobs).run(prior, epochs, **options)
+        return made.run(prior, epochs, **options)
     except (CannotCompile, ImportError) as error:
         if engine != "auto":
             raise
-        track = run(filter, prior, epochs, also=also, reduce=reduce, engine="numpy", **options)
+        track = run(made.filter, prior, epochs, also=also, reduce=reduce, engine="numpy", **options)
         return replace(track, engine=f"numpy: {error}")
 
 
@@ -254,7 +270,7 @@ def steps_by(engine: str, filter: Any, prior: Any, epochs: Iterable[Epoch]) -> I
     """`celnav.steps` likewise; by numpy too where a run is lost, since why is to be told. An `Info` is of all sensors together."""
     epochs = _listed(filter, prior, epochs)
     try:
-        track = _chosen(engine, filter, 1).run(prior, epochs, keep="cov", on_failure="flag")
+        track = chosen(engine, filter, 1).run(prior, epochs, keep="cov", on_failure="flag")
     except (CannotCompile, ImportError):
         if engine != "auto":
             raise

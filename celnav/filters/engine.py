@@ -7,10 +7,11 @@ takes. Runs that are lost are flown again by the numpy engine, which is the refe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import fields, is_dataclass
 from functools import partial
+from itertools import count, repeat
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -97,7 +98,7 @@ FULL, PART, SILENT, NONE = range(4)
 
 
 class Kind(NamedTuple):
-    """What must be alike in epochs for one record to serve them. ``z``: what there is of each sensor; ``u``: shape of the input."""
+    """What must be alike in epochs for one record to serve them. ``z``: what there is of each sensor; ``u``: shape of inputs."""
 
     moves: bool
     z: tuple[int, ...]
@@ -108,7 +109,7 @@ class Data(NamedTuple):
     """Epochs as columns.
 
     k, t, dt: ``(T,)``. kinds: of each epoch, an index into ``known``. z: ``(T, ..., m)`` of each sensor.
-    u: by the shape of an input, and by the epochs that have one of it, the arrays that it consists of.
+    u: by the shape of an input, ``about`` included, and by the epochs that have one of it, the arrays that it consists of.
     """
 
     k: Array
@@ -220,53 +221,43 @@ class Engine:
             inputs.append((place, at))
             return tape.input(absent)
 
-        tally = [take("state", i) for i in range(len(TALLY))]
-        held = iter(range(len(TALLY), self.held))
-
-        def constant(array: Array) -> Numbers:
-            out = Numbers(array.shape[-2:])
-            for at in np.ndindex(*out.shape):
-                out[at] = take("state", next(held))
-            return out
-
-        filter = each_run(self.filter, constant)
-        at, arrays = self.held, []
-        for shape, what, absent in before.arrays:
+        def taken(shape: Any, what: str, place: str, at: Iterable[int], absent: Iterable[bool] = repeat(False)) -> Numbers:
+            """An array; ``at``: where those of its numbers stand that it is kept as."""
             x = Numbers(shape)
-            for place, missing in zip(entries(shape, what), absent, strict=True):
-                x[place] = take("state", at, missing)
+            for where, i, missing in zip(entries(shape, what), at, absent, strict=False):
+                x[where] = take(place, i, missing)
                 if what == "symmetric":
-                    x[place[::-1]] = x[place]
-                at += 1
-            arrays.append(x)
+                    x[where[::-1]] = x[where]
+            return x
+
+        tally, held = [take("state", i) for i in range(len(TALLY))], count(len(TALLY))
+        filter = each_run(self.filter, lambda array: taken(array.shape[-2:], "", "state", held))
+        arrays = [taken(shape, what, "state", held, absent) for shape, what, absent in before.arrays]
         state = rebuilt(before.tree, iter(arrays))
 
         z: list[Any] = []
         first = 0
         for m, there in zip(self.widths, kind.z, strict=True):
             if there in (FULL, PART):
-                x = Numbers((m,))
-                for i in range(m):
-                    x[i] = take("own", first + i, there == PART)
-                z.append(x)
+                z.append(taken((m,), "", "own", count(first), repeat(there == PART)))
             else:
                 z.append(np.full(m, np.nan) if there == SILENT else None)
             first += m
         at_dt, first = first, first + self.apart
         shared, parts = 3, []
-        for values, own in u:
+        for (values, own), (_, what) in zip(u, leaves(kind.u[0]), strict=True):
             shape = values.shape[1 + len(self.batch) * own :]
-            x = Numbers(shape)
-            for where in np.ndindex(*shape):
-                x[where] = take("own" if own else "shared", first if own else shared)
-                first, shared = first + own, shared + (not own)
+            places = np.arange(int(np.prod(shape))).reshape(shape) + (first if own else shared)
+            x = taken(shape, what, "own" if own else "shared", (int(places[where]) for where in entries(shape, what)))
+            first, shared = first + places.size * own, shared + places.size * (not own)
             parts.append(x if shape else x[()])
         k: Any = take("shared", 0)
         t = take("shared", 1)
         dt: Any = 0.0
         if kind.moves:
             dt = self.dt if self.dt is not None else take("own", at_dt) if self.apart else take("shared", 2)
-        epoch = Epoch(k, t, dt, rebuilt(kind.u[0], iter(parts)), z[0] if len(z) == 1 else tuple(z) if z else None)
+        given, about = rebuilt(kind.u[0], iter(parts))
+        epoch = Epoch(k, t, dt, given, z[0] if len(z) == 1 else tuple(z) if z else None, about=about)
 
         state, infos = filter.step(state, epoch)
         after = Shape.of(state)
@@ -281,8 +272,8 @@ class Engine:
                 stored.append((at, x[place]))
                 at += 1
         kernel = Kernel(tape, inputs, stored, list(self._rows(state.belief, infos)), tuple(self.columns().values()))
-        if (count := len(tape.needed([x for *_, x in kernel.results()]))) > self.most:
-            raise CannotCompile(f"a step of {count} operations takes longer than it saves: at most {self.most} are compiled")
+        if (size := len(tape.needed([x for *_, x in kernel.results()]))) > self.most:
+            raise CannotCompile(f"a step of {size} operations takes longer than it saves: at most {self.most} are compiled")
         return Recorded(kernel, after)
 
     def _counted(self, tally: list[Any], belief: Any, infos: Sequence[Info], k: Any) -> list[Any]:
@@ -332,9 +323,8 @@ def each_array(thing: Any, function: Callable[[Array], Array]) -> Any:
     if isinstance(thing, np.ndarray):
         return function(thing)
     if isinstance(thing, partial):
-        inner = [each_array(x, function) for x in (thing.func, *thing.args)]
-        same = all(a is b for a, b in zip(inner, (thing.func, *thing.args), strict=True))
-        return thing if same else partial(inner[0], *inner[1:], **thing.keywords)
+        given = (thing.func, *thing.args)
+        return thing if (inner := each_array(given, function)) is given else partial(*inner, **thing.keywords)
     if isinstance(thing, tuple):
         make: Any = type(thing)
         parts = [each_array(part, function) for part in thing]
@@ -343,13 +333,8 @@ def each_array(thing: Any, function: Callable[[Array], Array]) -> Any:
         return make(*parts) if hasattr(thing, "_fields") else tuple(parts)
     if not is_dataclass(thing) or isinstance(thing, type | Gaussian):
         return thing
-    names = {field.name for field in fields(thing)} | set(vars(thing))
-    changed: dict[str, Any] = {}
-    for name in sorted(names):
-        before = getattr(thing, name)
-        after = each_array(before, function)
-        if after is not before:
-            changed[name] = after
+    own = {name: getattr(thing, name) for name in sorted({field.name for field in fields(thing)} | set(vars(thing)))}
+    changed = {name: new for name, part in own.items() if (new := each_array(part, function)) is not part}
     if not changed:
         return thing
     other = copy(thing)
@@ -359,7 +344,6 @@ def each_array(thing: Any, function: Callable[[Array], Array]) -> Any:
 
 def _first_run(prior: Any) -> Any:
     """The prior of the first run alone."""
-    mean, P = prior.mean, prior.cov
-    mean, P = mean[(0,) * (mean.ndim - 1)], P[(0,) * (P.ndim - 2)]
-    root = prior.sqrt_cov[(0,) * (prior.sqrt_cov.ndim - 2)]
-    return Gaussian(mean, sqrt_cov=root) if isinstance(prior, Gaussian | SquareRoot) else Covariance(mean, P)
+    form = Covariance if isinstance(prior, Covariance) else SquareRoot
+    mean, spread = form.of(prior)
+    return form(mean[(0,) * (mean.ndim - 1)], spread[(0,) * (spread.ndim - 2)])

@@ -26,12 +26,11 @@ CHUNK = 1 << 21  # bytes of the measurements of runs that are flown together: th
 
 
 def sensors(filter: Any, z: Any) -> Sequence[Any]:
-    """Sensors of a filter, or of its first stage; of another filter what is taken for them, for measurements such as ``z``."""
-    inner = filter if hasattr(filter, "sensors") else getattr(filter, "first", None)
-    found = getattr(inner if hasattr(inner, "sensors") else getattr(inner, "filter", None), "sensors", None)
-    if found is not None:
-        return tuple(found)
-    return (Sensor(lambda x, _epoch: x, R=lambda _mean, _epoch: np.eye(1)),) * (len(z) if isinstance(z, tuple) else 1)
+    """Sensors of a filter, or of the first one in it; of another filter what is taken for them, for measurements such as ``z``."""
+    while not hasattr(filter, "sensors"):
+        if (filter := getattr(filter, "first", getattr(filter, "filter", None))) is None:
+            return (Sensor(lambda x, _epoch: x, R=lambda _mean, _epoch: np.eye(1)),) * (len(z) if isinstance(z, tuple) else 1)
+    return tuple(filter.sensors)
 
 
 def as_data(filter: Any, epochs: Epochs | Sequence[Epoch]) -> Data:
@@ -41,6 +40,7 @@ def as_data(filter: Any, epochs: Epochs | Sequence[Epoch]) -> Data:
     own = sensors(filter, epochs[0].z)
     if isinstance(epochs, Epochs):
         k, t, dt, u, z = epochs.columns(len(own))
+        u = [(one, None) for one in u]
     else:
         before = None
         for epoch in epochs:
@@ -50,16 +50,16 @@ def as_data(filter: Any, epochs: Epochs | Sequence[Epoch]) -> Data:
                 raise CannotCompile(f"epochs: expected numbers k, got {epoch.k!r}")
         k, t = np.array([epoch.k for epoch in epochs], np.float64), np.array([epoch.t for epoch in epochs])
         dt = np.stack(np.broadcast_arrays(*(np.asarray(epoch.dt, np.float64) for epoch in epochs)))
-        u = [epoch.u for epoch in epochs]
+        u = [(epoch.u, epoch.about) for epoch in epochs]
         z = tuple(zip(*(measurements(epoch.z, len(own)) for epoch in epochs), strict=True))
     found = [_measured(sensor, parts) for sensor, parts in zip(own, z, strict=True)]
     shapes: dict[Any, int] = {}
     inputs: list[dict[int, list[Array]]] = []
     which = np.zeros(len(k), int)
-    none = all(one is None for one in u)
-    for i, one in [(0, None)] if none else enumerate(u):
-        parts = [] if one is None else [_input(x) for x, _ in leaves(one)]
-        shape = rebuilt(one, iter(range(len(parts)))) if parts else None, tuple(x.shape for x in parts)
+    none = all(one is None and about is None for one, about in u)
+    for i, one in enumerate(u[:1] if none else u):
+        parts = [_input(x) for x, _ in leaves(one)]
+        shape = rebuilt(one, iter(range(len(parts)))), tuple(x.shape for x in parts)
         which[i] = shapes.setdefault(shape, len(inputs))
         if which[i] == len(inputs):
             inputs.append({})

@@ -51,7 +51,7 @@ class InteractingModels:
 
     def start(self, prior: Gaussian | Sequence[Gaussian]) -> ImmState:
         """State before the first epoch, of one prior, or of one for each model."""
-        priors = prior if isinstance(prior, list | tuple) else [prior] * len(self.filters)
+        priors = prior if isinstance(prior, list | tuple) and not hasattr(prior, "mean") else [prior] * len(self.filters)
         if len(priors) != len(self.filters):
             raise ValueError(f"prior: expected one Gaussian, or one for each of {len(self.filters)} models, got {len(priors)}")
         states = tuple(filter.start(own) for filter, own in zip(self.filters, priors, strict=True))

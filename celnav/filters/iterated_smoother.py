@@ -9,7 +9,8 @@ probable trajectory [Bell1994].
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 from numpy.typing import ArrayLike
@@ -17,12 +18,12 @@ from numpy.typing import ArrayLike
 from celnav.filters.joint import Joint
 from celnav.filters.model import Sensor
 from celnav.filters.records import Epoch
-from celnav.filters.run import as_epochs, run
+from celnav.filters.run import ENGINE, ENGINES, as_epochs, run
 from celnav.filters.sequential import MOST_ITERATIONS, Sequential, over, plain
 from celnav.filters.smoother import smooth
 from celnav.filters.track import Track
 from celnav.gaussian.belief import Gaussian
-from celnav.gaussian.checks import integer
+from celnav.gaussian.checks import choice, integer
 from celnav.gaussian.linalg import Array, Belief
 
 __all__ = ["iterated_smoother"]
@@ -30,7 +31,7 @@ __all__ = ["iterated_smoother"]
 
 def iterated_smoother(
     filter: Sequential, prior: Gaussian, times: ArrayLike | Iterable[Epoch], z: Any = None, u: Any = None, *,
-    iterations: int = 10, gains: bool = False, on_failure: str = "raise",
+    iterations: int = 10, gains: bool = False, on_failure: str = "raise", engine: str | None = None, jobs: int = 1,
 ) -> Track:  # fmt: skip
     """Estimates of all states given all measurements, from models that are linearized over these estimates.
 
@@ -38,6 +39,7 @@ def iterated_smoother(
     iterations: flights there and back; one is `celnav.smooth` of the filter's own track. A count, not a tolerance, so that what a
         run gives does not depend on its neighbors: look whether more of them change anything.
     gains, on_failure: as `celnav.smooth` has them.
+    engine, jobs: of the flights there, as `celnav.run` has them, compiled once for all after the first; the way back is by numpy.
 
     Returns the `Track` of the last flight, smoothed; its innovations, likelihood and events are of that flight.
 
@@ -45,42 +47,48 @@ def iterated_smoother(
     """
     plain("filter", filter)
     count = integer("iterations", iterations, 1, MOST_ITERATIONS)
-    flown, epochs = filter, list(as_epochs(times, z, u))
+    by, why = choice("engine", engine or ENGINE.get(), ENGINES), ""
+    epochs, relinearized = list(as_epochs(times, z, u)), Relinearized.of(filter)
+    flown: Any = filter
+    again: Any = relinearized
+    if by != "numpy":
+        from celnav.filters.compiled import chosen
+
+        again = chosen(by, relinearized, jobs)
     for left in range(count - 1, -1, -1):
-        track = run(flown, prior, epochs, keep="cov", on_failure=on_failure, engine="numpy")
+        track = run(flown, prior, epochs, keep="cov", on_failure=on_failure, engine=by, jobs=jobs)
+        if track.engine.startswith("numpy: "):  # what was refused once is not tried again
+            by, why, again = "numpy", track.engine, relinearized
         track = smooth(track, gains=gains and not left, on_failure=on_failure)
         assert track.belief is not None
-        form, (means, spreads) = type(track.belief), track.belief
-        about = {epoch.k: form(mean, spread) for epoch, mean, spread in zip(epochs, means, spreads, strict=True)}
-        flown = Relinearized.of(filter, about)
-    return track
+        about = list(map(type(track.belief), *track.belief))
+        epochs = [epoch._replace(about=ends) for epoch, ends in zip(epochs, pairwise([None, *about]), strict=True)]
+        flown = again
+    return replace(
+        track, filter=filter, epochs=tuple(epoch._replace(about=None) for epoch in track.epochs), engine=why or track.engine
+    )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Relinearized(Sequential):
-    """A filter whose models are linearized over given beliefs, one for each epoch, instead of over its own.
+    """A filter whose models are linearized over the beliefs that an epoch brings, ``epoch.about``, instead of over its own.
 
-    about: beliefs ``(..., n)`` by the index of the epoch at whose end they hold. Where one is missing it is the filter's own.
+    The first is of the beginning of the interval, None: the filter's own; the second of its end.
     """
 
-    _: KW_ONLY
-    about: dict[int, Belief] = field(default_factory=dict)
-
     @classmethod
-    def of(cls, filter: Sequential, about: dict[int, Belief]) -> Relinearized:
+    def of(cls, filter: Sequential) -> Relinearized:
         """The same filter, linearized so."""
-        return cls(
-            filter.motion, filter.sensors, rule=filter.rule, form=filter.form, hooks=filter.hooks, gain=filter.gain, about=about
-        )
+        return cls(filter.motion, filter.sensors, rule=filter.rule, form=filter.form, hooks=filter.hooks, gain=filter.gain)
 
     def onward(self, belief: Belief, epoch: Epoch, after: Array) -> Joint:
         """The joint of the state after the interval, as if measured to be ``after``, and of the one before it."""
-        about, motion = self.about.get(epoch.k - 1, belief), self.motion
+        about, motion = belief if epoch.about[0] is None else epoch.about[0], self.motion
         return over(about, self.rule, belief, motion, motion.space, lambda rule, belief: self.between(rule, belief, epoch, after))
 
     def moved(self, belief: Belief, epoch: Epoch) -> Joint:
         """The joint of a prediction: the state after the interval."""
-        both = self.onward(belief, epoch, self.about.get(epoch.k, belief).mean)
+        both = self.onward(belief, epoch, epoch.about[1].mean).factored()
         noise = both.measurement_noise
         return both._replace(
             innovation=None, measurement=None, state=both.measurement,
@@ -89,5 +97,5 @@ class Relinearized(Sequential):
 
     def measured(self, rule: Any, sensor: Sensor, belief: Belief, z: Array, epoch: Epoch) -> Joint:
         """The joint of what a sensor measures and of the state."""
-        about, drawn = self.about.get(epoch.k, belief), super().measured
+        about, drawn = epoch.about[1], super().measured
         return over(about, rule, belief, sensor, self.motion.space, lambda rule, belief: drawn(rule, sensor, belief, z, epoch))

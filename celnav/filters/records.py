@@ -28,6 +28,7 @@ class Epoch(NamedTuple):
     u: the input that acts over the interval.
     z: one measurement ``(..., m)`` or a tuple of them, one for each sensor; nan or None where there is none.
     truth: whatever a simulation wants to hand on.
+    about: beliefs at both ends of the interval, over which `celnav.iterated_smoother` linearizes; nobody else looks at them.
 
     >>> state, infos = filter.step(filter.start(prior), celnav.Epoch(t=0.0, z=z[0]))
     """
@@ -38,6 +39,7 @@ class Epoch(NamedTuple):
     u: Any = None
     z: Any = None
     truth: Any = None
+    about: Any = None
 
 
 def still(epoch: Any) -> bool:
@@ -55,7 +57,8 @@ class Info(NamedTuple):
     gain, jacobian: ``() -> (..., n, m)`` and ``() -> (..., m, n)``, the measurement's (statistical) Jacobian.
     redone: ``(...)`` bool, the runs that a `celnav.filters.fallback.Fallback` did again; None if there was none.
     silent: whether there was no measurement at all, not even nan.
-    mixture: ``(...)``, the log-likelihood where the density is no Gaussian, of which ``whitened`` then has the moments; else None.
+    mixture: ``(...)``, the log-likelihood where ``sqrt_S`` does not say it: after a compiled step, and where the density is no
+        Gaussian, of which ``whitened`` then has the moments; else None.
 
     >>> (info,) = infos
     >>> info.innovation, info.gain()  # what was not expected, and what was made of it

@@ -325,7 +325,7 @@ def over(
 ) -> Joint:
     """The joint that ``draw(rule, belief)`` gives, with the state as ``belief`` has it and the model linearized over ``about``."""
     if isinstance(rule, Taylor):
-        return draw(Taylor(rule.step, about=about.mean), belief)
+        return draw(Taylor(rule.step, about=about.mean), over_runs("about", about.mean.shape[:-1], belief))
     if about is belief or by_matrix(model, rule):
         return draw(rule, belief)
     return regressed(draw(rule, about), belief, space.minus(belief.mean, about.mean))

@@ -17,7 +17,6 @@ pytest.importorskip("llvmlite")
 
 RUN = celnav.run
 NOT_COMPILED = {
-    "FixedLag",
     "two_stage",
     "strong_tracking",
     "Differenced",

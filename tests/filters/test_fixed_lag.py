@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from twice import assert_same, twice
 
 import celnav
 from celnav.filters.adaptive import huber, innovation_window
@@ -116,11 +117,103 @@ def test_what_never_comes_late_changes_no_bit():
     np.testing.assert_array_equal(found.log_likelihood, known.log_likelihood)
 
 
-def test_it_is_flown_by_numpy():
-    fixed = FixedLag(FILTERS["ukf"], 3)
-    with pytest.raises(CannotCompile, match="keeps its last epochs"):
-        celnav.run(fixed, PRIOR, TIMES, Z, engine="compiled")
-    assert celnav.run(fixed, PRIOR, TIMES, Z, engine="auto").engine.startswith("numpy: a filter that keeps its last epochs")
+# -- machine code ------------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("name", [name for name in FILTERS if name != "ekf, iterated"])  # whose derivatives are differences
+def test_either_engine_flies_it(name):
+    pytest.importorskip("llvmlite")
+    assert_same(*twice(FixedLag(FILTERS[name], LAG), PRIOR, TIMES, Z, keep="cov"))
+
+
+def test_either_engine_knows_the_measurement_from_its_error():
+    """Of four components and three."""
+    pytest.importorskip("llvmlite")
+    space = celnav.attitude()
+    motion = celnav.Motion(lambda q, _epoch: q, 1e-3 * np.eye(3), space=space)
+    filter = celnav.ukf(motion, celnav.Sensor(lambda q, _epoch: q, 1e-2 * np.eye(3), space=space))
+    prior = celnav.Gaussian([0.0, 0.0, 0.0, 1.0], 0.1 * np.eye(3))
+    q = RNG.standard_normal((4, RUNS, 4)) * 0.2 + [0.0, 0.0, 0.0, 1.0]
+    z = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    assert_same(*twice(FixedLag(filter, 2), prior, np.arange(4.0), z, keep="cov"))
+
+
+def test_who_wants_the_states_flies_by_numpy():
+    pytest.importorskip("llvmlite")
+    fixed, also = FixedLag(FILTERS["ukf"], 3), {"also": lambda _epoch, state, _infos: {"kept": np.array(len(state.epochs))}}
+    with pytest.raises(CannotCompile, match=r"^also, reduce: expected none with engine='compiled', which keeps no states"):
+        celnav.run(fixed, PRIOR, TIMES, Z, engine="compiled", **also)
+    track = celnav.run(fixed, PRIOR, TIMES, Z, engine="auto", **also)
+    assert track.engine.startswith("numpy: also, reduce")
+    assert track.extra["kept"].max() == 4
+
+
+STEPPED = ["ukf", "covariance", "matrices"]
+
+
+@pytest.mark.parametrize("name", STEPPED)
+def test_steps_by_machine_code(name):
+    """Late samples included, and smoothed."""
+    pytest.importorskip("llvmlite")
+    late, found = delays(RUNS), []
+    late[np.arange(T) % 4 > 0] = 0
+    for filter in (FILTERS[name], celnav.compiled(FILTERS[name])):
+        state, _ = arriving(filter, PRIOR, Z, late)
+        found.append(FixedLag(filter, LAG).track(state))
+    assert_same(*found, engine="numpy")
+    known, smoothed = map(celnav.smooth, found)
+    np.testing.assert_allclose(smoothed.mean, known.mean, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(smoothed.cov, known.cov, rtol=1e-12, atol=1e-12)
+
+
+def test_steps_by_machine_code_have_no_numpy_in_them(monkeypatch):
+    pytest.importorskip("llvmlite")
+    filter = celnav.compiled(FILTERS["ukf"])
+    fixed = FixedLag(filter, 3)
+
+    def flown():
+        state = fixed.start(PRIOR)
+        for epoch in celnav.epochs(TIMES[:9], Z[:9]):
+            state, _ = fixed.step(state, epoch)
+        return fixed.late(state, 7, np.where(np.isnan(Z[7]), 0.3, np.nan))[0].belief.mean
+
+    once = flown()
+    monkeypatch.setattr("celnav.filters.sequential.joint", lambda *_, **__: pytest.fail("by numpy"))
+    np.testing.assert_array_equal(flown(), once)
+
+
+def test_steps_of_sensors_that_are_silent_in_turns_and_of_lost_runs():
+    """What each sensor did stands in its own columns; a lost run is nan and its neighbors go on."""
+    pytest.importorskip("llvmlite")
+    filter = celnav.ukf(MOTION, RADAR, GPS)
+    mean = np.where(np.arange(RUNS)[:, None] == 0, 1e200, PRIOR.mean)
+    for prior, lost in ((PRIOR, 0), (celnav.Gaussian(mean, PRIOR.cov), 1)):
+        found = []
+        for one in (filter, celnav.compiled(filter)):
+            fixed = FixedLag(one, LAG)
+            state = fixed.start(prior)
+            with np.errstate(all="ignore"):
+                for epoch in celnav.epochs(TIMES, Z)[:12]:
+                    z = epoch.z if epoch.k % 3 else None, FIXES[epoch.k] if epoch.k % 2 else None
+                    state, infos = fixed.step(state, epoch._replace(z=z))
+                    assert [info.silent for info in infos] == [part is None for part in z]
+                state, _ = fixed.late(state, 9, (np.where(np.isnan(Z[9]), 0.3, np.nan), None))
+            found.append(fixed.track(state))
+        assert np.isnan(found[0].mean[-1]).all(-1).sum() == lost
+        assert_same(*found, engine="numpy")
+
+
+def test_steps_that_cannot_be_compiled():
+    pytest.importorskip("llvmlite")
+    augmented = celnav.augmented(MOTION, GPS, [[0.5]])
+    for filter, told in ((FILTERS["hooks"], "hooks that remember something"), (augmented, "a filter that adds to its prior")):
+        fixed = FixedLag(celnav.compiled(filter), LAG)
+        with pytest.raises(CannotCompile, match=f"^{told}.*compiled for whole flights only"):
+            fixed.step(fixed.start(ONE), celnav.Epoch(0, 0.0, 0.0, None, FIXES[0] if filter is augmented else Z[0]))
+    for name in ("colored", "two stages"):
+        with pytest.raises(ValueError, match=r"^filter: expected"):
+            FixedLag(celnav.compiled(FILTERS[name]), LAG).start(PRIOR)
+
+
+# -- memory ------------------------------------------------------------------------------------------------------------------
 
 
 def test_a_measurement_may_be_a_buffer():

@@ -305,6 +305,12 @@ def test_what_compiled_code_does_not_know():
         assert track.engine.startswith("numpy: ")
 
 
+def test_a_belief_may_be_the_prior():
+    """A tuple, as a list of priors may be."""
+    known, found = (celnav.run(bank(), prior, TIMES, Z) for prior in (PRIOR, SquareRoot(PRIOR.mean, PRIOR.sqrt_cov)))
+    np.testing.assert_array_equal(found.mean, known.mean)
+
+
 def test_smoothing_is_refused():
     with pytest.raises(ValueError, match="filter: expected one whose process"):
         celnav.smooth(celnav.run(bank(), PRIOR, TIMES, Z, keep="cov"))

@@ -7,10 +7,14 @@ from functools import partial
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
+from twice import assert_same
 
 import celnav
+from celnav.filters.engine import Engine
+from celnav.filters.run import ENGINE
 from celnav.gaussian.belief import nees
 from celnav.gaussian.rules import gauss_hermite, unscented
+from celnav.tape.tape import CannotCompile
 
 FORMS = pytest.mark.parametrize("form", ["square root", "covariance"])
 Q, R = np.diag([0.02, 0.02, 0.01]), np.diag([0.05**2, 0.02**2])
@@ -108,11 +112,12 @@ def test_one_iteration_is_the_smoother():
     np.testing.assert_array_equal(found.cov, expected.cov)
 
 
-def test_linear_models_need_one_iteration():
+@FORMS
+def test_linear_models_need_one_iteration(form):
     F, H = np.array([[1.0, 1.0], [0.0, 1.0]]), np.eye(1, 2)
     motion, sensor, prior = celnav.Motion(F, 0.1 * np.eye(2)), celnav.Sensor(H, np.eye(1)), celnav.Gaussian(np.zeros(2), np.eye(2))
     _, z = celnav.simulate(motion, sensor, prior, TIMES, runs=2)
-    for filter in (celnav.ukf(motion, sensor), celnav.ekf(motion, sensor)):
+    for filter in (celnav.ukf(motion, sensor, form=form), celnav.ekf(motion, sensor, form=form)):
         one, many = (celnav.iterated_smoother(filter, prior, TIMES, z, iterations=i, gains=True) for i in (1, 4))
         np.testing.assert_allclose(many.mean, one.mean, atol=1e-12)
         np.testing.assert_allclose(many.cov, one.cov, atol=1e-12)
@@ -156,6 +161,138 @@ def test_a_lost_run_leaves_its_neighbors():
     np.testing.assert_allclose(track.mean[:, [0, 2]], whole.mean[:, [0, 2]], atol=1e-10)
     assert track.failed_at[0] == track.failed_at[2] == -1 != track.failed_at[1]
     assert np.isnan(track.mean[5:, 1]).all()
+
+
+# -- machine code ------------------------------------------------------------------------------------------------------------
+def driven(x, epoch):
+    turned = 0.0 if epoch.u is None else epoch.dt * (epoch.u[0] + epoch.u[1]) * np.array([0.0, 0.0, 1.0])
+    return f(x, epoch) + turned
+
+
+def noise(_mean, epoch):
+    return R * (1.0 + 0.1 * epoch.k)
+
+
+HEADED = celnav.Motion(driven, lambda _mean, epoch: Q * epoch.dt, space=celnav.angles([2]))
+SIGHT, GPS = celnav.Sensor(h, noise, space=celnav.angles([1])), celnav.Sensor(np.eye(2, 3), 0.1 * np.eye(2))
+RNG = np.random.default_rng(4)
+UNEVEN = np.cumsum(RNG.uniform(0.5, 1.5, 12))
+GAPS = Z.copy(), TRUTH[..., :2] + 0.3 * RNG.standard_normal((12, 3, 2))
+GAPS[0][3, 1] = GAPS[0][7, :, 0] = GAPS[1][1::2] = np.nan
+MANY = celnav.Gaussian(PRIOR.mean + 0.01 * RNG.standard_normal((2, 3, 3)), PRIOR.cov)
+TURNS = 0.1 * RNG.standard_normal((11, 1)), 0.1 * RNG.standard_normal((11, 3, 1))
+CASES = {
+    "gaps": (PRIOR, GAPS, None),
+    "one run": (PRIOR, tuple(part[:, 0] for part in GAPS), None),
+    "two axes": (MANY, GAPS, None),
+    "runs of the prior": (MANY, tuple(part[:, 0] for part in GAPS), None),
+    "no measurement": (PRIOR, None, None),
+    "inputs of all runs and of each": (PRIOR, GAPS, TURNS),
+}
+
+
+@pytest.mark.parametrize(("case", "form"), [*((case, "square root") for case in CASES), ("gaps", "covariance")])
+def test_either_engine_gives_the_same(case, form):
+    """Angles in the state and in one of two sensors; noise and intervals that change."""
+    pytest.importorskip("llvmlite")
+    filter, (prior, z, u) = celnav.ukf(HEADED, SIGHT, GPS, form=form), CASES[case]
+    known, found = (
+        celnav.iterated_smoother(filter, prior, UNEVEN, z, u, iterations=3, gains=True, engine=engine)
+        for engine in ("numpy", "compiled")
+    )
+    assert_same(known, found)
+    np.testing.assert_allclose(found.extra["gain"], known.extra["gain"], rtol=1e-9, atol=1e-9)
+    assert found.filter is filter
+    assert all(epoch.about is None for epoch in found.epochs)
+
+
+def test_either_engine_smooths_attitudes():
+    pytest.importorskip("llvmlite")
+    space = celnav.attitude()
+    motion = celnav.Motion(lambda q, _epoch: q, 1e-3 * np.eye(3), space=space)
+    sensor = celnav.Sensor(lambda q, _epoch: celnav.gaussian.attitude.matrix(q)[..., :, 0], 0.05**2 * np.eye(3))
+    prior, times = celnav.Gaussian([0.0, 0.0, 0.0, 1.0], 0.25 * np.eye(3)), np.arange(4.0)
+    _, z = celnav.simulate(motion, sensor, prior, times, runs=5, seed=2)
+    filter = celnav.ukf(motion, sensor)
+    found = [celnav.iterated_smoother(filter, prior, times, z, iterations=3, engine=engine) for engine in ("numpy", "compiled")]
+    assert_same(*found)
+
+
+def slope_f(x, epoch):
+    one, zero = np.ones(x.shape[:-1]), np.zeros(x.shape[:-1])
+    rows = [one, zero, -epoch.dt * np.sin(x[..., 2])], [zero, one, epoch.dt * np.cos(x[..., 2])], [zero, zero, one]
+    return np.stack([np.stack(row, -1) for row in rows], -2)
+
+
+def slope_h(x, _epoch):
+    zero, r = np.zeros(x.shape[:-1]), np.hypot(x[..., 0], x[..., 1])
+    rows = [x[..., 0] / r, x[..., 1] / r, zero], [-x[..., 1] / r**2, x[..., 0] / r**2, zero]
+    return np.stack([np.stack(row, -1) for row in rows], -2)
+
+
+@FORMS
+def test_either_engine_takes_derivatives(form):
+    """Of models at means that each run has of its own, of a prior that all share."""
+    pytest.importorskip("llvmlite")
+    filter = celnav.ekf(celnav.Motion(f, Q, jacobian=slope_f), celnav.Sensor(h, R, jacobian=slope_h), form=form)
+    found = [celnav.iterated_smoother(filter, PRIOR, TIMES, Z, iterations=4, engine=engine) for engine in ("numpy", "compiled")]
+    assert_same(*found)
+    differences = celnav.iterated_smoother(celnav.ekf(MOTION, RADAR, form=form), PRIOR, TIMES, Z, iterations=4)
+    np.testing.assert_allclose(found[0].mean, differences.mean, atol=1e-6)
+
+
+def test_later_flights_are_compiled_once(monkeypatch):
+    """However many there are: a step for the first epoch and one for all others, of the filter and of the relinearized one."""
+    pytest.importorskip("llvmlite")
+    counts, record = [], Engine.record
+    monkeypatch.setattr(Engine, "record", lambda *arguments: counts.append(1) or record(*arguments))
+
+    def recordings(iterations):
+        counts.clear()
+        filter = celnav.ekf(MOTION, celnav.Sensor(lambda x, epoch: 1.01 * h(x, epoch), R))
+        celnav.iterated_smoother(filter, PRIOR, TIMES, Z, iterations=iterations, engine="compiled")
+        return len(counts)
+
+    assert [recordings(count) for count in (1, 2, 3, 6)] == [2, 4, 4, 4]
+
+
+@pytest.mark.parametrize("lost", [0, 2])
+def test_either_engine_loses_the_same_run(lost):
+    pytest.importorskip("llvmlite")
+    z = Z.copy()
+    z[4, lost] = 1e4, 0.0
+    filter = celnav.ukf(MOTION, celnav.Sensor(lambda x, epoch: np.where(x[..., :1] > 100.0, np.nan, h(x, epoch)), R))
+    known, found = (
+        celnav.iterated_smoother(filter, PRIOR, TIMES, z, iterations=2, on_failure="flag", engine=engine)
+        for engine in ("numpy", "compiled")
+    )
+    assert known.failed_at[lost] >= 0
+    assert_same(known, found)
+    with pytest.raises(celnav.FilterError, match=rf"run \({lost},\): h is not finite"):
+        celnav.iterated_smoother(filter, PRIOR, TIMES, z, iterations=2, engine="compiled")
+
+
+def test_which_engine_flew():
+    pytest.importorskip("llvmlite")
+
+    def branch(x, epoch):
+        return h(x, epoch) * (1.0 if x.sum() > 0.0 else 1.01)
+
+    def engine(sensor, **options):
+        return celnav.iterated_smoother(celnav.ukf(MOTION, sensor), PRIOR, TIMES, Z, iterations=3, **options).engine
+
+    assert engine(RADAR) == engine(RADAR, engine="numpy") == "numpy"
+    assert engine(RADAR, engine="auto") == engine(RADAR, engine="compiled", jobs=2) == "compiled"
+    token = ENGINE.set("compiled")
+    assert engine(RADAR) == "compiled"
+    ENGINE.reset(token)
+    with pytest.raises(CannotCompile, match=r"^a branch depends on a number"):
+        engine(celnav.Sensor(branch, R), engine="compiled")
+    assert engine(celnav.Sensor(branch, R), engine="auto").startswith("numpy: a branch depends on a number")
+    with pytest.raises(ValueError, match=r"^engine: expected one of numpy, compiled, cuda, auto, got 'fast'"):
+        engine(RADAR, engine="fast")
+    with pytest.raises(ValueError, match=r"^jobs: expected a positive integer, got 0"):
+        engine(RADAR, engine="compiled", jobs=0)
 
 
 def test_says_what_it_takes():
