@@ -25,7 +25,7 @@ from celnav.gaussian.linalg import Array, Covariance, SquareRoot
 from celnav.tape.cuda import CudaError, device
 from celnav.tape.tape import MOST, CannotCompile
 
-__all__ = ["Compiled", "compiled", "run_by", "steps_by"]
+__all__ = ["Compiled", "chosen", "compiled", "run_by", "steps_by"]
 
 WORTH = 50_000  # operations of a step, the most that engine="auto" compiles, in some five seconds, and a device takes
 CHECKED = 3  # epochs of some runs that are compared with the numpy engine when a step was recorded
