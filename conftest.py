@@ -1,6 +1,17 @@
-"""Tests run studies and notebooks with few runs; the kernels of notebooks inherit this."""
+"""Tests run studies and notebooks with few runs, and each paper's study once; the kernels of notebooks inherit this."""
 
+import atexit
 import os
+import shutil
+import tempfile
 
 os.environ.setdefault("CELNAV_EFFORT", "0.03")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+if "PYTEST_XDIST_WORKER" not in os.environ:  # a worker has the folder of the process that started it
+    os.environ["CELNAV_OUT"] = tempfile.mkdtemp(prefix="celnav-tests-")
+    atexit.register(shutil.rmtree, os.environ["CELNAV_OUT"], ignore_errors=True)
+
+
+def pytest_collection_modifyitems(items):
+    """The papers first: what their tests have flown, notebooks read."""
+    items.sort(key=lambda item: "papers" not in item.path.parts)

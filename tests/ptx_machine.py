@@ -28,13 +28,11 @@ def signed(x, width=64):
 
 
 def divided(a, b):
-    with np.errstate(all="ignore"):
-        return float(np.float64(a) / np.float64(b))
+    return float(np.float64(a) / np.float64(b))
 
 
 def fused(a, b, c):
-    with np.errstate(all="ignore"):
-        return float(np.longdouble(a) * np.longdouble(b) + np.longdouble(c))
+    return float(np.longdouble(a) * np.longdouble(b) + np.longdouble(c))
 
 
 def whole(function):
@@ -80,6 +78,7 @@ class Machine:
                 guard, op, rest = re.fullmatch(r"(?:@(!?%\w+)\s+)?([\w.:]+)\s*(.*)", line, re.S).groups()
                 self.code.append((guard, op, [x.strip() for x in rest.split(",")] if rest else []))
 
+    @np.errstate(all="ignore")
     def __call__(self, *values):
         *given, block, width, thread = values
         self.parameters = {f"[entry_param_{i}]": x & MASK for i, x in enumerate(given)}

@@ -99,8 +99,8 @@ def test_reproduce_writes_everything_and_replaces_its_own(study, tmp_path, capsy
 
 def test_strict_fails_where_a_claim_is_not_as_expected(study, tmp_path, capsys):
     study(failing=True)
-    assert cli.main(["reproduce", "tiny", "--out", str(tmp_path)]) == 0
-    assert cli.main(["reproduce", "tiny", "--out", str(tmp_path), "--strict"]) == 1
+    assert cli.main(["reproduce", "tiny", "--out", str(tmp_path), "--jobs", "1"]) == 0
+    assert cli.main(["reproduce", "tiny", "--out", str(tmp_path), "--jobs", "1", "--strict"]) == 1
     assert "not as expected: one" in capsys.readouterr().out
 
 
@@ -160,7 +160,7 @@ def test_the_environment_sets_the_effort_and_is_checked(study, tmp_path, monkeyp
     monkeypatch.setenv("CELNAV_EFFORT", "lots")
     assert cli.main(["reproduce", "--out", str(tmp_path)]) == 2
     assert "CELNAV_EFFORT" in capsys.readouterr().err
-    assert cli.main(["reproduce", "--out", str(tmp_path), "--effort", "0.5"]) == 0
+    assert cli.main(["reproduce", "--out", str(tmp_path), "--jobs", "1", "--effort", "0.5"]) == 0
     assert json.loads((tmp_path / "tiny/timings.json").read_text())["effort"] == 0.5
 
 
@@ -171,7 +171,7 @@ def test_recordings_that_fail_leave_the_rest(study, tmp_path, monkeypatch, capsy
         raise RuntimeError("no viewer library")
 
     monkeypatch.setattr(module, "record", broken)
-    assert cli.main(["reproduce", "--out", str(tmp_path)]) == 0
+    assert cli.main(["reproduce", "--out", str(tmp_path), "--jobs", "1"]) == 0
     assert "no recordings (no viewer library)" in capsys.readouterr().err
     assert (tmp_path / "tiny/claims.json").exists()
 
@@ -180,7 +180,7 @@ def test_view_without_a_display_says_what_to_do(study, tmp_path, monkeypatch, ca
     monkeypatch.setattr(sys, "platform", "linux")
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    cli.main(["reproduce", "--out", str(tmp_path)])
+    cli.main(["reproduce", "--out", str(tmp_path), "--jobs", "1"])
     capsys.readouterr()
     assert cli.main(["view", "tiny", "--out", str(tmp_path)]) == 1
     assert "no display" in capsys.readouterr().err
@@ -229,8 +229,9 @@ def test_version_help_and_an_unknown_command(tmp_path):
 
 
 def test_a_closed_pipe_is_quiet(tmp_path):
-    shell = f"{sys.executable} -m celnav list | head -1"
+    shell = f"{sys.executable} -m celnav list csrukf | head -1"
     piped = subprocess.run(["bash", "-c", f"set -o pipefail; {shell}"], capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert piped.stdout.startswith("csrukf: ")
     assert piped.stdout.count("\n") == 1
     assert piped.stderr == ""
 
@@ -279,7 +280,7 @@ def test_view_takes_the_first_recording_of_the_paper_and_names_with_or_without_t
 
 
 def test_less_than_the_whole_effort_is_told(study, tmp_path, capsys):
-    assert cli.main(["reproduce", "--out", str(tmp_path), "--effort", "0.5"]) == 0
+    assert cli.main(["reproduce", "--out", str(tmp_path), "--jobs", "1", "--effort", "0.5"]) == 0
     assert "celnav: only 0.5 of the runs: intervals are wide" in capsys.readouterr().err
     assert cli.main(["verdicts", "--out", str(tmp_path)]) == 0
     assert "celnav: tiny: only 0.5 of the runs" in capsys.readouterr().err

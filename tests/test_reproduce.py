@@ -189,12 +189,15 @@ def test_what_the_command_has_done_is_not_done_again(study, tmp_path, monkeypatc
 
 
 def test_what_is_at_hand_is_everything_or_a_small_part(study, tmp_path, monkeypatch):
-    monkeypatch.delenv("CELNAV_EFFORT", raising=False)
+    for name in ("CELNAV_EFFORT", "CELNAV_OUT"):
+        monkeypatch.delenv(name, raising=False)
     module = papers.load("tiny")
     assert module.STUDY.at_hand(tmp_path, small=0.25).effort == 0.25
     assert cli.main(["reproduce", "--out", str(tmp_path), "--jobs", "1"]) == 0
     monkeypatch.setattr("celnav.study.study.Unit.do", lambda unit: pytest.fail(f"{unit.title} is computed again"))
     assert module.STUDY.at_hand(tmp_path).full
+    monkeypatch.setenv("CELNAV_OUT", str(tmp_path))
+    assert module.STUDY.at_hand(tmp_path / "elsewhere").full
     monkeypatch.setenv("CELNAV_EFFORT", "0.5")
     with pytest.raises(pytest.fail.Exception, match="computed again"):
         module.STUDY.at_hand(tmp_path)

@@ -5,6 +5,7 @@ A paper is data over this: configurations, filters by name, parts, rows of a led
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -153,8 +154,9 @@ class Study:
     def at_hand(self, out: str | Path = "out", *, small: float = 0.02) -> Results:
         """All results, if ``celnav reproduce --out`` has computed them with this code; else those of a ``small`` part of the runs.
 
-        ``CELNAV_EFFORT``, where it is set, says how large a part is taken, whatever is there.
+        ``CELNAV_EFFORT``, where it is set, says how large a part is taken, whatever is there; ``CELNAV_OUT`` stands for ``out``.
         """
+        out = os.environ.get("CELNAV_OUT", out)
         store = existing(Path(out) / self.name / RESULTS)
         there = store is not None and all(store.path(unit).exists() for unit in self.units())
         return self.reproduce(effort=effort(default=1.0 if there else small), out=out)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import csv
 import shutil
-import subprocess
-import sys
 
 import numpy as np
 import pandas as pd
@@ -283,13 +281,6 @@ def test_a_folder_that_cannot_be_written_is_told_before_anything_is_computed(swe
     assert "fixed" in captured.err
     assert captured.err.count("\n") == 1
     assert "runs" not in captured.out
-
-
-def test_a_closed_pipe_is_quiet(mission, tmp_path):
-    command = f'"{sys.executable}" -m celnav list csrukf | head -1'
-    found = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
-    assert found.stdout.startswith("csrukf: ")
-    assert found.stderr == ""
 
 
 def test_the_parameters_of_a_paper_are_listed_with_units(capsys):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+import shutil
 import subprocess
 import sys
 import zipfile
@@ -27,11 +28,17 @@ def table(outcome):
     return to_csv(cells), to_parquet(cells)
 
 
-@pytest.fixture
-def made(tmp_path):
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
     """A finished campaign: its folder, and what its table says."""
-    folder = tmp_path / "store"
+    folder = tmp_path_factory.mktemp("finished") / "store"
     return folder, table(campaign(study(TABLE), folder))
+
+
+@pytest.fixture
+def made(finished, tmp_path):
+    """A copy of it."""
+    return shutil.copytree(finished[0], tmp_path / "store"), finished[1]
 
 
 def again(folder):

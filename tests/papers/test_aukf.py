@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import rerun as rr
+from once import once
 from readable import faults
 from rinex_pair import TOE, constellation, navigation, observations, written
 from scipy.special import gammaincc, gammaln
@@ -29,7 +30,7 @@ from celnav.receiver.filters import hooks
 from celnav.receiver.sky import dilution
 from celnav.show.claims import dumps
 from celnav.study.ledger import Number
-from celnav.study.montecarlo import effort, generator
+from celnav.study.montecarlo import generator
 
 SHORT = replace(PRESETS["burst"], duration_s=4.0, burst_s=(2.0, 3.0))
 
@@ -528,7 +529,7 @@ def test_the_rate_is_that_of_the_range():
 # -- the study -----------------------------------------------------------------------------------------------------------------
 @pytest.fixture(scope="module")
 def results():
-    return aukf.STUDY.reproduce(effort=effort())
+    return once(aukf.STUDY)
 
 
 def test_every_figure_draws(results):

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import rerun as rr
+from once import once
 from readable import faults
 
 from celnav.files import Outputs
@@ -36,7 +37,7 @@ PRINTED = """
 
 @pytest.fixture(scope="module")
 def results():
-    return csrukf.STUDY.reproduce(effort=0.03, seed=3)
+    return once(csrukf.STUDY)
 
 
 @pytest.fixture(scope="module")

@@ -12,6 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import rerun as rr
+from once import once
 from readable import faults
 
 from benchmarks import attitude as benchmark
@@ -41,7 +42,7 @@ from celnav.papers.ssukf.scenario import (
 )  # fmt: skip
 from celnav.show.claims import dumps
 from celnav.study.ledger import KINDS
-from celnav.study.montecarlo import effort, generator, normals
+from celnav.study.montecarlo import generator, normals
 
 SHORT = replace(STANDARD, duration_s=10.0)
 
@@ -151,7 +152,7 @@ SAYS = {
 
 @pytest.fixture(scope="module")
 def result():
-    return STUDY.reproduce(effort=min(effort(), 0.03), duration_s=12.0)
+    return once(STUDY)
 
 
 def test_every_figure_draws_what_its_axes_say(result):
@@ -231,7 +232,7 @@ def test_a_recording_holds_what_the_filters_gave(result, tmp_path):
     assert found.application_id == "celnav-ssukf"
     chunks = {str(c.entity_path): c for c in rr.chunk.RrdReader(tmp_path / "ssukf.rrd").stream().to_chunks() if not c.is_static}
     drift = chunks["/plots/drift/y/ssukf"].to_record_batch().column("Scalars:scalars").to_pylist()
-    truth = simulate(replace(STANDARD, duration_s=12.0), [generator(0, 0, 0)]).truth[:, 0, 5] / DEG_PER_H
+    truth = simulate(STANDARD, [generator(0, 0, 0)]).truth[:, 0, 5] / DEG_PER_H
     np.testing.assert_allclose(np.ravel(drift), truth + result.error("runs", "ssukf", "drift")[:, 0, 1], rtol=1e-9, atol=1e-12)
     assert {"/world/sat", "/body/aukf", "/error/mekf/ellipsoid", "/plots/drift/y/mekf"} <= set(chunks)
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import rerun as rr
+from once import once
 from readable import faults
 
 from celnav import Epoch, FilterError, Gaussian, Motion, Sensor, ekf, run, steps
@@ -423,7 +424,7 @@ def test_what_pulls_in_the_truth_is_what_the_filter_may_model():
 # -- the study -----------------------------------------------------------------------------------------------------------------
 @pytest.fixture(scope="module")
 def results():
-    return STUDY.reproduce(effort=0.01)
+    return once(STUDY)
 
 
 def test_every_figure_draws(results):

@@ -228,13 +228,13 @@ def damaged(text, rng):
 def test_damage_is_an_error_of_input_or_is_told_in_the_summary(tmp_path, which, make):
     b = make()
     texts = {"observations": observations(b, TIMES)[0], "navigation": navigation(b)}
+    read = {"observations": read_observations, "navigation": read_navigation}
+    whole = {name: read[name](written(tmp_path, text, f"{name}.rnx")) for name, text in texts.items()}
     refused = []
     for n in range(60):
-        changed = texts | {which: damaged(texts[which], np.random.default_rng(n))}
+        path = written(tmp_path, damaged(texts[which], np.random.default_rng(n)), f"{which}.rnx")
         try:
-            nav = read_navigation(written(tmp_path, changed["navigation"], "nav.rnx"))
-            obs = read_observations(written(tmp_path, changed["observations"], "obs.rnx"))
-            result = positioning_report.position(positioning.prepare(obs, nav), "ls", None)
+            result = positioning_report.position(positioning.prepare(**(whole | {which: read[which](path)})), "ls", None)
         except InputError as error:
             refused.append(str(error))
         else:
