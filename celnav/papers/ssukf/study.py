@@ -656,8 +656,8 @@ FINDINGS = [
 ]  # fmt: skip
 CHECKS = [
     check(f"steady-{group}-ssukf", f"RMSE of the SSUKF's {group} on an axis, last third",
-          rmse(unit, SSUKF, group, accept, at="last third", each=True))
-    for group, unit, accept in (("attitude", "arcsec", (0.97, 1.16)), ("drift", "deg/h", (0.0067, 0.0075)))
+          rmse(unit, SSUKF, group, accept, at="last third", each=True), revised="2026-11-23: 12 % about theory; less left it open")
+    for group, unit, accept in (("attitude", "arcsec", (0.93, 1.18)), ("drift", "deg/h", (0.0062, 0.0079)))
 ]  # fmt: skip
 STUDY = Study(
     "ssukf", GROUPS, partial(scenario.trial, drawn=False), parts, [*STATEMENTS, *ERRATA, *FINDINGS, *CHECKS],
