@@ -348,7 +348,7 @@ def growth(a: Sequence[float], b: Sequence[float]) -> float:
 HALF = "half-way, on a logarithmic scale, between no effect and the one that the paper prints"
 BAND = "95 % band of the ratio of two RMSEs of 100 runs; of 12 entries 2 may leave it, of 24 3; a factor 3.2 is the same order"
 SAME, PRINTED = ((-1, -1, "end"), (ALL, ALL, "averaged")), ((-1, -2, "end"), (slice(2, None), slice(1, -1), "averaged"))
-CASE_2, TABLE = "§4, case 2, Figs 8-13", "§4, on Table 3"
+CASE_2, TABLE, MORE = "§4, case 2, Figs 8-13", "§4, on Table 3", "2026-11-23: more runs; 100 left it open"
 CELLS = [((case, filter.lower()), TABLE_3[case][filter]) for case in TABLE_3 for filter in TABLE_1]
 
 STATEMENTS = [
@@ -482,10 +482,9 @@ FINDINGS = [
             figure="figure_08"),
     finding("consistent", "Corrected, it is consistent at every Φ.",
             all_of(*(consistency(f"Φ = {n}", (f"{n}, many", "csrukf"), (5.0, 7.1)) for n in PHIS)),
-            found="Final NEES {0}, {1}, {2} (6).", figure="figure_14", revised="2026-11-23: more runs; 100 left it open"),
+            found="Final NEES {0}, {1}, {2} (6).", figure="figure_14", revised=MORE),
     finding("at-the-bound", "Corrected, it is as good as any filter can be.", all_of(*map(over_theory, PHIS)),
-            found="Final position RMSE {0}, {1}, {2} of the posterior Cramér-Rao bound.", figure="figure_15",
-            revised="2026-11-23: more runs; 100 left it open"),
+            found="Final position RMSE {0}, {1}, {2} of the posterior Cramér-Rao bound.", figure="figure_15", revised=MORE),
     finding("cheap-remedy", "At Φ = 0.8 I an ordinary filter that is told R / (1 - 0.8)² is as good, and consistent; at Φ = I no "
             "inflation of white noise helps, not even to half the walk's final variance.",
             all_of(ratio("3-D position", ("0.8", "srukf-reff"), ("0.8", "csrukf"), "position", (0.9, 1.1)),
