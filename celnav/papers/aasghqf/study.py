@@ -493,8 +493,8 @@ ROWS = [
         revised="2026-11-23: operations for CPU times, by which it was so in batches only"),
     statement("saving-grows", "The more states, the more points the anisotropic grid saves.", savings, place="§4, end",
         why="number and part both rise where the share of weights 2 is fixed", printed=TABLE_1 | TABLE_4,
-        found="With half of the weights 2 it saves {3:.1f}, {4:.1f} and {5:.1f} % of 6, 12 and 24 states; as printed the least "
-        "step of that part is {2:.0f} % points."),
+        found="With half of the weights 2 the part is {3:.1f}, {4:.1f} and {5:.1f} % for 6, 12 and 24 states; as printed its "
+        "least step is {2:.0f} % points."),
     erratum("erratum-1-points", "99 points. Right: 75 by Table 2's weights and the rule that gives all other counts.", lambda _: [
         Number("by the paper's own rule", point_count(13, 3, PAPER_WEIGHTS), (75, 75), printed=99),
         Number("merged at the origin only", 1 + sum(
