@@ -11,6 +11,7 @@ import pytest
 
 from celnav import real
 from celnav.papers import PAPERS, load
+from celnav.study.ledger import WORDS
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
 
@@ -54,15 +55,29 @@ def test_each_verdict_leads_to_the_cell_that_decides_it(path):
     assert sorted(id for text in shown for id in re.findall(r'href="#say-([\w-]+)"', text)) == statements
 
 
+def verdicts(path):
+    """Verdicts by id in the ledgers that a notebook shows, as it was executed."""
+    cells = nbformat.read(path, as_version=4).cells
+    shown = "".join(output.get("data", {}).get("text/html", "") for cell in cells for output in cell.get("outputs", ()))
+    return dict(re.findall(r'<tr id="([^"]*)" data-verdict="([^"]*)"', shown))
+
+
+@pytest.mark.parametrize("path", LESSONS, ids=lambda p: p.stem)
+def test_a_lesson_has_the_verdicts_that_are_expected(path):
+    """It was executed with all runs."""
+    expected = {row.id: row.expected or WORDS[row.kind][0] for row in load(path.stem[3:]).STUDY.rows}
+    found = verdicts(path)
+    assert found
+    assert found == {id: expected[id] for id in found}
+
+
 @pytest.mark.parametrize("study", real.STUDIES)
 def test_the_notebook_on_real_data_has_the_verdicts_that_are_expected(study):
     """Its outputs are of the real files, which are not there where tests run."""
-    cells = nbformat.read(next(path for path in NOTEBOOKS if path.stem[3:] == "real_data"), as_version=4).cells
-    shown = "".join(output.get("data", {}).get("text/html", "") for cell in cells for output in cell.get("outputs", ()))
+    found = verdicts(next(path for path in NOTEBOOKS if path.stem[3:] == "real_data"))
     for row in real.load(study).STUDY.rows:
         if row.kind == "finding":
-            (verdict,) = re.findall(rf'<tr id="{row.id}" data-verdict="([^"]*)"', shown)
-            assert verdict in ("undecided", row.expected or "shown"), row.id
+            assert found[row.id] in ("undecided", row.expected or "shown"), row.id
 
 
 def test_there_are_notebooks():

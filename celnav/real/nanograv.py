@@ -271,7 +271,7 @@ ROWS = (
         all_of(size("de405/earth", "error of DE405", 100.0, None), size("de405/earth shown", "DE405, left to see", None, 1.0),
              size("de421/earth", "error of DE421", 100.0, None), size("de421/earth shown", "DE421, left to see", None, 1.0)),
         figure="figure_02", why="1 % of the error.",
-        found="DE405 errs {0} km and shows {1}, DE421 {2} and {3}: pulsars do not know where the barycenter is.",
+        found="DE405 errs {0} km and shows {1}, DE421 {2} and {3}.",
     ),
     finding(
         "nanograv-window", "Timing models hide swings of a year and of decades, and no others.",
@@ -295,8 +295,7 @@ ROWS = (
         "of timing models stay is consistent.",
         all_of(consistency("DE440", "ekf", 2.0, None), *(consistency(by, "clocks", None, 1.5) for by in ("DE440", "DE405"))),
         figure="figure_03", why="Twice the claimed variance, and no more than one and a half times.",
-        found="NEES / 3 of the EKF is {0} where its ephemeris is right, that of the other {1}, and {2} with DE405: "
-        "pulsars that were steady before 2017, such as J2317+1439, are not so afterwards.",
+        found="NEES / 3 of the EKF is {0} where its ephemeris is right, that of the other {1}, and {2} with DE405.",
     ),
     finding(
         "nanograv-drift", "A filter that lets the Sun's error grow evenly beats two stages, boosted or not.",

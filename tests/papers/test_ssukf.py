@@ -203,6 +203,12 @@ def test_what_has_no_sampling_error_is_decided_by_any_number_of_runs(result):
         assert found[id]["verdict"] == found[id]["expected"], id
 
 
+def test_no_method_that_is_accurate_enough_is_told(result):
+    row = next(row for row in STUDY.rows if row.id == "quaternions-cheaper-to-propagate")
+    operations = result.data["operations"] | {"accuracy": np.ones((2, 3))}
+    assert row.judged(replace(result, data={**result.data, "operations": operations})).verdict == "no number"
+
+
 def test_the_block_size_changes_nothing():
     work, config = partial(study.flown, ("ssukf",)), replace(STANDARD, duration_s=3.0)
     whole, *parts = (work(config, [generator(0, 0, r) for r in runs]) for runs in (range(3), range(2), range(2, 3)))

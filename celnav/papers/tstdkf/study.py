@@ -449,10 +449,10 @@ ROWS = [
         not_reproduced=[*yearly("position", "aug9", "C", group="position"), *(over(f"{g}, first month", "year", "sine/aug9",
         "sine/C", group=g, at="month") for g in ("bias", "position")), before_step("fair", "C", group="position"), of("covariances",
         "condition", "condition")]), "introduction", "over the year nine states err more than TSTDKF (form C, as in Table 5) in "
-        "that error, if it is constant (TKF is that filter in two stages) and if it walks as AUG has it", "Of a constant error "
-        "alone: TKF errs by {0}, {1}, {2} of TSTDKF; told of a walk, nine states err by {3}, {4}, {5}, in fewer operations a step. "
-        "Their position errs by {6}, {7}, {8}, since they take the noise for white ({11} with its stationary covariances, before a "
-        "step). A condition of {12:.0e} costs six digits of sixteen.", expected=PART, figure="figure_14"),
+        "that error, if it is constant (TKF is that filter in two stages) and if it walks as AUG has it", "If it is "
+        "constant they (TKF) err by {0}, {1}, {2} of TSTDKF, if it walks by {3}, {4}, {5}. Then their position errs by {6}, {7}, "
+        "{8}; by {11} before a step, with the stationary covariances of the noise. The condition is {12:.0e}.", expected=PART,
+        figure="figure_14"),
     statement("de405-to-de421", "From DE405 to DE421 the error of the Earth's orbit shrank by tens of kilometers.", all_of(of("sky",
         "norm", "largest norm, km", (10.0, None)), of("sky", "speed", "a second in the time tag, km"), *(of("sky", "norm",
         what.__name__, reduce=what) for what in (np.min, np.mean))), "§2.1, on Fig. 2", "tens of kilometers: 10 at some instant",
@@ -465,14 +465,14 @@ ROWS = [
     statement("third-bodies-not-white", "The attraction of Sun, Moon and planets is in no axis Gaussian white noise.", all_of(lambda
         r: Number("spectral flatness", r.get("pulls", "flatness").max(), (None, float(np.quantile(r.get("pulls", "white flatness"),
         0.01)))), beyond_white("correlation")), "§2.2, Figs 7, 8", "beyond 99 % of white sequences as long", "Neighbors correlate "
-        "by {1:.3f}; the spectrum is lines (flatness {0:.0e}).", figure="figure_08"),
+        "by {1:.3f}; the flatness of the spectrum is {0:.0e}.", figure="figure_08"),
     statement("measurement-noise-colored", "The measurement noise is very probably colored too, and may be correlated with the "
         "process noise.", tiers(reproduced=[of("pulls", "omitted", "to the noise of a timing", (0.1, None)), beyond_white("next")],
         in_part=[beyond_white("next")], not_reproduced=[of("pulls", "along", "correlation with the pull along the line of sight",
         reduce=lambda x: x[np.abs(x).argmax()])]), "§2.2, last paragraph", "Shapiro delays of Earth, Moon and planets, which the "
         "model omits, about their mean over the month: above 10 % of the noise of some timing, and correlated beyond 99 % of white "
-        "sequences", "They are colored (neighbors correlate by {1:.3f}), but {0:.0e} of the noise of a timing, which leaves out "
-        "whether they go with the pulls ({2:.2f}). Of the detector nothing is printed: not decidable.", expected=PART),
+        "sequences", "Neighbors correlate by {1:.3f}; the size is {0:.0e} of the noise of a timing, and the correlation with the "
+        "pulls {2:.2f}. Of the detector nothing is printed: not decidable.", expected=PART),
     statement("reduces-to-ekf", "Where both noises are white and uncorrelated, the differenced first stage is the EKF.", lambda r: [
         Number(label, x, (None, 1e-6)) for label, x in zip(("first stages", "their covariances", "both stages", "theirs"), r.get(
         "alike", "worst"))], "§3.1, last sentence; §4, on setting 5", "equal to rounding", "To {0:.0e} deviations, with the second "
@@ -482,8 +482,8 @@ ROWS = [
         in (following(*ends, (None, -1 / 24)), before_step(*ends[::-1], (1.0, None)))), following("B, ρ = 10", "B, ρ = 50"),
         before_step("C, τ = 10", "C")), "§3.2, last paragraph", "from ρ = 0 to 50, on all axes, a step of 0.3 km on each axis "
         "(chosen) is sooner followed to within half of it, and the error in the five days before it rises, in forms C and B",
-        "From ρ = 0 to 50 by {0} days (B: {2}), at {1} times the error before it (B: {3}). B is fastest at 10: beyond, the noise "
-        "itself exceeds half of the step ({4} days). A window of 10 in place of 100 makes {5} times the error.", printed=[0, 50],
+        "At ρ = 50 in place of 0 it is followed {0} days later (B: {2}; in place of 10 {4}), with {1} times the error before it "
+        "(B: {3}). A window of 10 in place of 100 makes {5} times the error.", printed=[0, 50],
         figure="figure_14"),
     statement("month-errors-lower", "With correlated noise and a varying ephemeris error TSTDKF has lower errors than TKF and EKF "
         "over 30 days.", tiers(reproduced_with_fitted_parameters=[*(over(f"{g}, over {f.upper()}", "month", "1/tstdkf", f"1/{f}", (
@@ -494,7 +494,7 @@ ROWS = [
     statement("month-bias-faster", "TSTDKF estimates the ephemeris error faster and better than TKF.", tiers(reproduced=[BIAS[0.3,
         "soon"], BIAS[0.3, "late"]], in_part=[BIAS[0.3, "late"]], not_reproduced=[BIAS[m0, at] for m0 in (0.03, 1.0) for at in (
         "soon", "late")]), "§4, Fig. 9", "below TKF in the first 3 days (faster) and in the second half (better); the paper gives "
-        "no prior", "Neither: {0} times the TKF's error in the first 3 days, {1} in the second half, prior 0.3 km; 0.03 km: {2}, "
+        "no prior", "{0} times the TKF's error in the first 3 days, {1} in the second half, prior 0.3 km; 0.03 km: {2}, "
         "{3}; 1 km: {4}, {5}.", expected=NO, figure="figure_09"),
     statement("year-tracked", "Over a year and three trends TSTDKF departs at some turning points, but stays accurate on the "
         "whole.", tiers(reproduced=[*yearly("form C", "C", "ekf", (None, 0.5), strict=True), *yearly("form B", "B", "ekf"), *(over(
@@ -512,30 +512,29 @@ ROWS = [
     statement("best-in-all-settings", "In each of the five noise settings TSTDKF is more accurate than the other filters.", all_of(
         *(of_runs(f"setting {i}, {g}", lambda ours, *x: quotient(ours, min(x, key=rms)), [(f"{i}/{f}", g) for f in ("tstdkf",
         *PAPER[:2])], (None, 1.0 if i < 5 else 1.1)) for i in SETTINGS for g in BOTH)), TABLE, "below the better of EKF and TKF; "
-        "setting 5 may be a tie", "In setting 1 alone ({0}); in settings 2 to 5 {2}, {4}, {6} and {8} of the TKF's position error.",
-        printed=5, expected=NO, figure="figure_11"),
+        "setting 5 may be a tie", "In settings 1 to 5 {0}, {2}, {4}, {6} and {8} of the better one's position error.", printed=5,
+        expected=NO, figure="figure_11"),
     statement("stable-over-settings", "The performance of TSTDKF is comparatively stable over the noise settings.", tiers(
         reproduced=[factors(("tstdkf", g), (f, g), (None, 1.0)) for f in ("tkf", "ekf") for g in BOTH], in_part=[factors(("tstdkf",
         g), ("tkf", g), (None, 1.0)) for g in BOTH]), TABLE, "its largest over its smallest RMSE is below that of both others",
-        "Steadier than TKF ({0} of its factor), not than the EKF ({2}), whose error is mostly the ephemeris error.", expected=PART,
-        figure="figure_11"),
+        "In position its factor is {0} of the TKF's and {2} of the EKF's.", expected=PART, figure="figure_11"),
     statement("position-more-sensitive", "The position error is more sensitive to the noise setting than the velocity error.",
         all_of(*(factors((f, "position"), (f, "velocity"), (1.0, None)) for f in PAPER), *(factors((f, "position"), (f, "velocity"),
         at="after day 5") for f in PAPER), *(of_runs(f"{f}, velocity to that of an orbit", lambda v, x: quotient(v, x) / (2e3 *
         np.pi / 6000.0), [(f"5/{f}", g) for g in BOTH[::-1]]) for f in PAPER)), TABLE, "the factor between the settings is larger "
-        "in position", "EKF {0}, TKF {1}, TSTDKF {2}: true of one filter of three (after day 5 {3}, {4}, {5}). With white noise "
-        "velocities err by {6}, {7}, {8} of what an orbit's would.", expected=NO, figure="figure_11"),
+        "in position", "It is {0} times that in velocity for EKF, {1} for TKF, {2} for TSTDKF (after day 5 {3}, {4}, {5}). With "
+        "white noise velocities err by {6}, {7}, {8} of what an orbit's would.", expected=NO, figure="figure_11"),
     statement("setting-1-position", "In setting 1 the position RMSE of TSTDKF is 56.49 % below the EKF's and 35.18 % below the "
         "TKF's.", percentages("position", (34.0, 19.5)), BEST, "our intervals contain it", "{0} and {1} %, in 50 runs {2} and {3} "
-        "%: two knobs, coupling and amplitude, bring two numbers to within a point, and many runs tell them apart.", printed=list(
-        PRINTED["position"]), expected=NO, figure="figure_11"),
+        "%; two parameters, coupling and amplitude, are fitted to these two numbers.", printed=list(PRINTED["position"]),
+        expected=NO, figure="figure_11"),
     statement("setting-1-velocity", "In setting 1 the velocity RMSE of TSTDKF is 27.66 % below the EKF's and 17.07 % below the "
-        "TKF's.", percentages("velocity", (15.0, 9.0)), BEST, "our intervals contain it", "{0} and {1} %: the effect, not its "
-        "size; the velocity error is the orbital rate times that of the position.", printed=list(PRINTED["velocity"]), expected=NO,
-        figure="figure_11"),
+        "TKF's.", percentages("velocity", (15.0, 9.0)), BEST, "our intervals contain it", "{0} and {1} %, in 50 runs {2} and "
+        "{3} %.", printed=list(PRINTED["velocity"]), expected=NO, figure="figure_11"),
     statement("setting-1-largest", "The advantage of TSTDKF is largest in setting 1.", all_of(*(lead(g, f) for g in BOTH for f in
-        PAPER[:2])), BEST, "setting 1 leads, against both filters, in position and velocity", "Against TKF yes, by {1} % points in "
-        "position; against the EKF another setting leads ({0}).", expected=NO, figure="figure_11"),
+        PAPER[:2])), BEST, "setting 1 leads, against both filters, in position and velocity", "It leads the best of the others "
+        "by {0} % points against the EKF and {1} against TKF in position, by {2} and {3} in velocity.", expected=NO,
+        figure="figure_11"),
     statement("measurement-color-matters-more", "Color of the measurement noise affects the filters more than color of the process "
         "noise.", all_of(*(over(f"{f.upper()}, {g}", "month", f"3/{f}", f"4/{f}", (1.0, None), g) for f in PAPER for g in BOTH), *(
         over(f"{f.upper()}, {x}", "ten days", f"F = {x} alone/{f}", f"L = {x} alone/{f}", (1.0, None)) for x in (0.3, 0.8) for f in
@@ -561,7 +560,7 @@ ROWS = [
     reconstruction("reconstruction-factors", "Γ' = Γ - F (Γ + H Λ) in place of the prose's Γ; three forms of the factors, of which "
         "C was picked after setting 5.", all_of(over("form B over TDKF, setting 5", "variants", f"{WHITE_B}/tstdkf",
         f"{WHITE_B}/tdkf", (1.1, None)), over("form A over B, sine, bias", "year", "sine/A", "sine/B", (0.95, 1.05), "bias",
-        "later")), "Eqs 57-61", found="With white noise form B errs by {0} of TDKF; A is like B ({1})."),
+        "later")), "Eqs 57-61", found="With white noise form B errs by {0} of TDKF; A by {1} of B, in the bias."),
     reconstruction("reconstruction-rest", "Sinusoids of a year, and all parameters that `Config` does not mark as the paper's.",
         place="Eqs 17, 69, 70; Tables 1-5"),
     remark("remark-forces", "AR(1) noise for accelerations that are deterministic: the filter carries the ephemeris that they "

@@ -271,12 +271,11 @@ FINDINGS = [
     finding("typical", "In a typical epoch the filter that is told of the correlation is honest, the other is not.",
         all_of(typical("colored", HONEST), typical("white", (2.0, None)), inside("colored"), inside("white")), figure="figure_01",
         why="the median of NEES within a factor 2 of that of a consistent filter; beyond twice that", expected="not shown",
-        found="Median NEES {0} and {1} times a consistent filter's: the first claims too much error. Of the components "
-        "{2:.0%} and {3:.0%} lie inside of 95 %."),
+        found="Median NEES {0} and {1} times a consistent filter's. Of the components {2:.0%} and {3:.0%} lie inside of 95 %."),
     finding("inflated", "An R as large as the correlation costs makes an honest filter of the white one, and one as good.",
         all_of(honest("white, inflated", HONEST), against("white, inflated", "colored", (0.95, 1.05))), figure="figure_04",
         why="as for the colored one; within 5 %", expected="not shown",
-        found="NEES/3 {0}, but {1} of the colored one's RMSE."),
+        found="NEES/3 {0}, and {1} of the colored one's RMSE."),
     finding("misleads", "Neither the R that makes NIS right nor the most probable R and Q make an honest filter of a white one.",
         all_of(honest("white, by NIS", (4.0, None)), claims("white, by NIS", (2.0, None)),
                honest("white, by likelihood", (4.0, None)), claims("white, by likelihood", (2.0, None))), figure="figure_04",
@@ -300,8 +299,7 @@ FINDINGS = [
     finding("robust", "A filter with Student's t for the noise weathers the bursts: it errs less, and is honest.",
         all_of(against("robust", "colored", (None, 1.0)), honest("robust", HONEST), typical("robust", HONEST)), figure="figure_02",
         why="below 1; as for the colored one", expected="not shown",
-        found="{0} of the colored one's RMSE; NEES/3 {1}, its median {2}. In a typical epoch it is honest. But it mistrusts "
-        "the steps by which bursts end, and keeps them longer."),
+        found="{0} of the colored one's RMSE; NEES/3 {1}, its median {2}."),
     finding("gate-locks", "A gate of 5 deviations locks the white filter out of its fixes.",
         all_of(against("white, gated", "white", (2.0, None)), of(BEST, "white, gated/rejected", "share of components left out")),
         why="twice the error", figure="figure_02", found="{0} times the RMSE without; it leaves out {1:.1%} of the components."),
@@ -309,7 +307,7 @@ FINDINGS = [
         all_of(honest("colored", (2.0, None), "degree 2"), honest("white", (2.0, None), "degree 2"),
                against("colored", "colored", (1.0, None), "degree 2"), honest("colored", HONEST, "degree 8")),
         why="out of the range of an honest one", expected="not shown", figure="figure_04",
-        found="NEES/3 {0} and {1}, {2} times the RMSE; but with degree 8 NEES/3 is {3}, no more honest."),
+        found="NEES/3 {0} and {1}, {2} times the RMSE; with degree 8 NEES/3 is {3}."),
 ]  # fmt: skip
 
 
