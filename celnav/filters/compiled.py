@@ -257,7 +257,7 @@ def run_by(engine: str, filter: Any, prior: Any, epochs: Any, jobs: int, also: A
     epochs, made = _listed(filter, prior, epochs), chosen(engine, filter, jobs)
     try:
         if also is not None or reduce is not None:
-            raise CannotCompile(f"also, reduce: expected none with engine={engine!r}, which keeps no states between epochs")
+            raise CannotCompile(f"also, reduce: expected none with engine={made.engine!r}, which keeps no states between epochs")
         return made.run(prior, epochs, **options)
     except (CannotCompile, ImportError) as error:
         if engine != "auto":

@@ -157,9 +157,9 @@ class Engine:
             raise CannotCompile("there are no runs")
         self.constants = [np.broadcast_to(array, (*self.batch, *array.shape[-2:])) for array in constants]
         self.held = len(TALLY) + sum(int(np.prod(array.shape[-2:])) for array in constants)
-        # The length of an interval is a number of the program where it is always the same.
+        # The length of an interval is a number of the program where it is always the same: not of one step, whose next may differ.
         moving = np.unique(data.dt[data.dt != 0.0])
-        self.dt = float(moving[0]) if len(moving) == 1 else None
+        self.dt = float(moving[0]) if len(moving) == 1 < len(data.dt) else None
         self.apart = data.dt.ndim > 1  # each run has an interval of its own
         self.widths = [z.shape[-1] for z in data.z]
         self.innovations = [sensor.space.minus(z[:1], z[:1]).shape[-1] if z.shape[-1] else 0

@@ -55,7 +55,7 @@ def run(
         function("also", also, "(epoch, state, infos)")
     if reduce is not None:
         function("reduce", reduce, "(accumulated, epoch, state, infos)")
-    if (engine := choice("engine", engine or ENGINE.get(), ENGINES)) != "numpy":
+    if (engine := choice("engine", engine or ENGINE.get(), ENGINES)) != "numpy" or hasattr(filter, "run"):  # a compiled filter
         from celnav.filters.compiled import run_by
 
         given = as_epochs(times, z, u)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from celnav.gaussian.checks import beside, finite, integers, kind
-from celnav.gaussian.linalg import Array, Belief, SquareRoot, matvec, outer, semidefinite_root, whiten
+from celnav.gaussian.linalg import LEFT_OVER, Array, Belief, SquareRoot, matvec, outer, semidefinite_root, whiten
 
 __all__ = ["Gaussian", "any_lost", "nees", "settled", "symmetric"]
 
@@ -94,7 +94,7 @@ def symmetric(cov: ArrayLike, name: str, n: int | None = None) -> tuple[Array, A
     if (skew > 1e-8 * scale[..., :, None] * scale[..., None, :] + 1e-300).any():
         raise ValueError(f"{name}: expected {expected}, got asymmetry {skew.max():.3g}")
     P = 0.5 * (P + P.mT)
-    root = semidefinite_root(P)
+    root = semidefinite_root(P, LEFT_OVER)  # what filters in covariance form believe is taken back
     if not np.isfinite(root).all():
         raise ValueError(f"{name}: expected {expected}, smallest eigenvalue {np.linalg.eigvalsh(P).min():.3g}")
     return P, root

@@ -20,9 +20,9 @@ from celnav.lazy import Late
 from celnav.tape.numbers import numbers
 
 __all__ = [
-    "EPS", "FORMS", "NEGLIGIBLE", "POSITIVE", "Array", "Belief", "Covariance", "Form", "SquareRoot", "block", "cholesky",
-    "downdate", "factored", "fan", "matvec", "outer", "semidefinite_root", "side_by_side", "solve_lower", "solve_right", "surely",
-    "tria", "weighted", "whiten",
+    "EPS", "FORMS", "LEFT_OVER", "NEGLIGIBLE", "POSITIVE", "Array", "Belief", "Covariance", "Form", "SquareRoot", "block",
+    "cholesky", "downdate", "factored", "fan", "matvec", "outer", "semidefinite_root", "side_by_side", "solve_lower", "solve_right",
+    "surely", "tria", "weighted", "whiten",
 ]  # fmt: skip
 
 Array = NDArray[Any]
@@ -30,7 +30,7 @@ blas, lapack = Late("scipy.linalg.blas"), Late("scipy.linalg.lapack")
 EPS = float(np.finfo(np.float64).eps)
 NEGLIGIBLE = 1e-12  # part of the largest deviation, or variance, below which one is round-off
 PRECISE = 1e3  # deviations of the noise by which an innovation may vary before a difference of covariances loses too many digits
-LEFT_OVER = PRECISE**2 * EPS  # part of a covariance that is round-off, after the differences that its form allows itself
+LEFT_OVER = PRECISE**2 * EPS  # part of a covariance that is round-off, after a difference that its form allows itself
 POSITIVE: Array = np.broadcast_to(1.0, 1)
 """The sign of columns that all count with +1."""
 
@@ -166,7 +166,7 @@ def cholesky(P: Array) -> Array:
 def semidefinite_root(P: Array, round_off: float = 64 * EPS) -> Array:
     """Lower root of a covariance ``P (..., n, n)`` that may be singular; nan where it is indefinite beyond ``n * round_off``."""
     if P.dtype.hasobject:
-        return np.asanyarray(recorded.semidefinite_root(P, 64 * P.shape[-1] * EPS))
+        return np.asanyarray(recorded.semidefinite_root(P, 64 * P.shape[-1] * EPS, round_off * P.shape[-1]))
     root, least = _root(P), 1e-5  # below, a singular matrix may have slipped through on a rounding error
     if root is not None and (root.diagonal(0, -2, -1) > least * np.sqrt(P.diagonal(0, -2, -1))).all():
         return root

@@ -150,17 +150,17 @@ def cholesky(P: Array) -> Array:
     return L
 
 
-def semidefinite_root(P: Array, nothing: float) -> Array:
-    """Lower root of a matrix that may be singular: a pivot that is ``nothing`` of its variance has a column of zeros, one below
-    minus that is lost."""
+def semidefinite_root(P: Array, nothing: float, round_off: float) -> Array:
+    """Lower root of a matrix that may be singular: a pivot that is no more than ``nothing`` of its variance has a column of zeros,
+    one that is negative by more than ``round_off`` of it is lost."""
     n = len(P)
     L = Numbers((n, n))
     for j in range(n):
         left = [do("sub", P[i, j], total(do("mul", L[i, k], L[j, k]) for k in range(j))) for i in range(j, n)]
-        least = do("mul", nothing, do("abs", P[j, j]))
-        positive = do("lt", least, left[0])
+        size = do("abs", P[j, j])
+        positive = do("lt", do("mul", nothing, size), left[0])
         root = do("sqrt", do("select", positive, left[0], 1.0))
-        absent = do("sqrt", do("select", do("le", do("neg", least), left[0]), 0.0, -1.0))
+        absent = do("sqrt", do("select", do("le", do("mul", -round_off, size), left[0]), 0.0, -1.0))
         for i, x in zip(range(j, n), left, strict=True):
             L[i, j] = do("select", positive, root if i == j else do("div", x, root), absent)
     return L

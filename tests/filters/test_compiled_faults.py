@@ -7,6 +7,7 @@ import pytest
 from twice import assert_same, twice
 
 import celnav
+from celnav.filters.compiled import Compiled
 from celnav.tape import llvm
 from celnav.tape.tape import CannotCompile
 
@@ -101,3 +102,16 @@ def test_what_was_compiled_once_is_not_compiled_again(make, monkeypatch):
     first = celnav.run(filter, PRIOR, TIMES, Z, engine="compiled")
     monkeypatch.setattr(llvm, "source", lambda *_: pytest.fail("compiled again"))
     np.testing.assert_array_equal(celnav.run(filter, PRIOR, TIMES, Z, engine="compiled").mean, first.mean)
+
+
+@pytest.mark.parametrize("r", [1e-2, 1e-5, 1e-8])
+def test_a_combination_known_exactly_stays_known(r, monkeypatch):
+    """In covariance form, by machine code itself: numpy flies no run again."""
+    a = np.random.default_rng(1).normal(size=(40, 3))
+    filter = celnav.ukf(celnav.Motion(np.eye(3), np.zeros((3, 3))), celnav.Sensor([[1.0, 0.5, -0.3]], [[r]]), form="covariance")
+    given = celnav.Gaussian(np.zeros((40, 3)), a[:, :, None] * a[:, None, :]), np.arange(30.0), np.ones((30, 40, 1))
+    known = celnav.run(filter, *given, keep="cov")
+    monkeypatch.setattr(Compiled, "_again", lambda *_, **__: pytest.fail("a run is lost"))
+    found = celnav.run(filter, *given, keep="cov", engine="compiled")
+    np.testing.assert_allclose(found.mean, known.mean, atol=1e-6)
+    np.testing.assert_allclose(found.std, known.std, atol=1e-6)

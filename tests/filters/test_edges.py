@@ -156,6 +156,7 @@ def test_a_combination_known_exactly_stays_known_however_precise_the_sensor(r, m
     z = 0.7 + np.sqrt(r) * np.random.default_rng(0).normal(size=(200, 4, 1))
     filter = make(celnav.Motion(np.eye(2), np.zeros((2, 2))), celnav.Sensor(h, [[r]]), form=form)
     track = celnav.run(filter, celnav.Gaussian(np.zeros((4, 2)), np.outer(a, a)), np.arange(200.0), z, keep="cov")
+    celnav.Gaussian(track.mean[-1], track.cov[-1])  # what it believes is a prior of another
     k, sees = np.arange(1.0, 201.0)[:, None], float((h @ a)[0])
     variance = 1.0 / (1.0 + k * sees**2 / r)
     expected = variance * sees / r * z.cumsum(0)[..., 0]

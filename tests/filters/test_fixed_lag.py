@@ -8,6 +8,7 @@ from twice import assert_same, twice
 
 import celnav
 from celnav.filters.adaptive import huber, innovation_window
+from celnav.filters.engine import Engine
 from celnav.filters.fixed_lag import FixedLag, Held
 from celnav.gaussian.belief import nees
 from celnav.tape.tape import CannotCompile
@@ -134,6 +135,23 @@ def test_either_engine_knows_the_measurement_from_its_error():
     q = RNG.standard_normal((4, RUNS, 4)) * 0.2 + [0.0, 0.0, 0.0, 1.0]
     z = q / np.linalg.norm(q, axis=-1, keepdims=True)
     assert_same(*twice(FixedLag(filter, 2), prior, np.arange(4.0), z, keep="cov"))
+
+
+def test_steps_of_any_length_share_what_is_compiled(monkeypatch):
+    pytest.importorskip("llvmlite")
+    counts, record = [], Engine.record
+    monkeypatch.setattr(Engine, "record", lambda *arguments: counts.append(1) or record(*arguments))
+    filter, times = celnav.compiled(FILTERS["ukf"]), np.cumsum(np.linspace(0.5, 1.5, 8))
+    for _ in celnav.steps(filter, PRIOR, celnav.epochs(times, Z[:8])):
+        pass
+    assert len(counts) <= 2  # the first epoch does not move
+
+
+def test_what_is_compiled_runs_so():
+    pytest.importorskip("llvmlite")
+    track = celnav.run(celnav.compiled(FILTERS["ukf"]), PRIOR, TIMES, Z, keep="cov")
+    assert_same(celnav.run(FILTERS["ukf"], PRIOR, TIMES, Z, keep="cov"), track)
+    assert celnav.smooth(track).mean.shape == track.mean.shape
 
 
 def test_who_wants_the_states_flies_by_numpy():
