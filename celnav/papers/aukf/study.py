@@ -555,7 +555,8 @@ STATEMENTS = [
         "1 Hz in {9} s ({10}).", expected="in part", figure="figure_07"),
     statement("faster-convergence", "AUKF converges faster than EKF and UKF.", converges, "text on Figs 7-9; conclusion",
         "sooner in one case and later in none, in the median of 200 runs",
-        "At most {0} more ({0.label}), at least {1} ({1.label}).", expected="not reproduced", figure="figure_13"),
+        "Epochs later: {0} in the worst case ({0.label}), {1} in the best ({1.label}).",
+        expected="not reproduced", figure="figure_13"),
 ]  # fmt: skip
 OTHERS = [
     erratum("erratum-editorial", "A wrong character in pseudorange throughout; V and W, then w and v for the two noises.",

@@ -547,7 +547,7 @@ STATEMENTS = [
     statement("small-errors-fast", "From initial errors of 1° and 2° both filters converge quickly.",
         all_of(*(sooner(f, i, 20.0, f"{AXES[i]}, {f[1].upper()}, s", (None, 1.0)) for f in (AUKF, SSUKF) for i in range(2))),
         place="text on Figs 1 and 2", printed=[1, 2], why="below the noise of a star reading, 20 arcsec, within four samples",
-        found="Roll stays below from {0} s, pitch from {1} s; in the SSUKF from {2} and {3} s.", figure="figure_01"),
+        found="AUKF: roll stays below 20 arcsec from {0} s, pitch from {1} s; SSUKF: from {2} and {3} s.", figure="figure_01"),
     statement("large-error-faster",
         "From 10° of yaw the switching filter converges faster at the same accuracy, for it computes less.",
         all_of(*(sooner(AUKF, 2, level, f"earlier below {level:g} arcsec by s", (0.25, None), sooner=SSUKF)
@@ -650,7 +650,7 @@ FINDINGS = [
     finding("one-vector-transport", "Where one vector is measured filters differ; a covariance that follows the reference helps.",
         all_of(*(ratio(f"{name.upper()}, prior {d}°", ("vector", f"{name} transported, {d}"), ("vector", f"{name}, {d}"),
                        "attitude", (None, 1.0), median=True) for name in ("usque", "mekf") for d in (10, 30))), figure="figure_06",
-        found="Median error after 100 s to {0} and {1} for USQUE, to {2} and {3} for the MEKF; priors of 10, 30°.", revised=MORE),
+        found="Median error after 100 s: {0} and {1} of USQUE's, {2} and {3} of the MEKF's; priors of 10, 30°.", revised=MORE),
     finding("one-vector-linearized", "There a linearized filter pays.",
         all_of(*(ratio(f"prior {d}°", ("vector", f"mekf, {d}"), ("vector", f"usque, {d}"), "attitude", (1.0, None), median=True)
                  for d in (10, 30))),

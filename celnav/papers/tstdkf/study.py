@@ -393,7 +393,8 @@ def factors(a: tuple[str, str], b: tuple[str, str], accept: Bounds = (None, None
         x = [rms(sample) for sample in samples]
         return max(x[:5]) / min(x[:5]) / max(x[5:]) * min(x[5:])
 
-    return of_runs(f"{a} over {b}, {at}", factor, [(f"{i}/{f}", group) for f, group in (a, b) for i in SETTINGS], accept, at=at)
+    label = f"{' '.join(a)} over {' '.join(b)}, {at}"
+    return of_runs(label, factor, [(f"{i}/{f}", group) for f, group in (a, b) for i in SETTINGS], accept, at=at)
 
 
 def below(a: Array, b: Array) -> float:
@@ -449,10 +450,10 @@ ROWS = [
         not_reproduced=[*yearly("position", "aug9", "C", group="position"), *(over(f"{g}, first month", "year", "sine/aug9",
         "sine/C", group=g, at="month") for g in ("bias", "position")), before_step("fair", "C", group="position"), of("covariances",
         "condition", "condition")]), "introduction", "over the year nine states err more than TSTDKF (form C, as in Table 5) in "
-        "that error, if it is constant (TKF is that filter in two stages) and if it walks as AUG has it", "If it is "
-        "constant they (TKF) err by {0}, {1}, {2} of TSTDKF, if it walks by {3}, {4}, {5}. Then their position errs by {6}, {7}, "
-        "{8}; by {11} before a step, with the stationary covariances of the noise. The condition is {12:.0e}.", expected=PART,
-        figure="figure_14"),
+        "that error, if it is constant (TKF is that filter in two stages) and if it walks as AUG has it", "Told "
+        "that it is constant (TKF) they err in it by {0}, {1}, {2} of TSTDKF, that it walks by {3}, {4}, {5}; then in position by "
+        "{6}, {7}, {8}, and by {11} before a step, with the stationary covariances of the noise. The condition is {12:.0e}.",
+        expected=PART, figure="figure_14"),
     statement("de405-to-de421", "From DE405 to DE421 the error of the Earth's orbit shrank by tens of kilometers.", all_of(of("sky",
         "norm", "largest norm, km", (10.0, None)), of("sky", "speed", "a second in the time tag, km"), *(of("sky", "norm",
         what.__name__, reduce=what) for what in (np.min, np.mean))), "§2.1, on Fig. 2", "tens of kilometers: 10 at some instant",
@@ -482,8 +483,8 @@ ROWS = [
         in (following(*ends, (None, -1 / 24)), before_step(*ends[::-1], (1.0, None)))), following("B, ρ = 10", "B, ρ = 50"),
         before_step("C, τ = 10", "C")), "§3.2, last paragraph", "from ρ = 0 to 50, on all axes, a step of 0.3 km on each axis "
         "(chosen) is sooner followed to within half of it, and the error in the five days before it rises, in forms C and B",
-        "At ρ = 50 in place of 0 it is followed {0} days later (B: {2}; in place of 10 {4}), with {1} times the error before it "
-        "(B: {3}). A window of 10 in place of 100 makes {5} times the error.", printed=[0, 50],
+        "At ρ = 50 in place of 0 the time until it is followed changes by {0} days (B: {2}; in place of 10 {4}), and the error "
+        "before it is {1} times as large (B: {3}). A window of 10 in place of 100 makes {5} times the error.", printed=[0, 50],
         figure="figure_14"),
     statement("month-errors-lower", "With correlated noise and a varying ephemeris error TSTDKF has lower errors than TKF and EKF "
         "over 30 days.", tiers(reproduced_with_fitted_parameters=[*(over(f"{g}, over {f.upper()}", "month", "1/tstdkf", f"1/{f}", (
@@ -592,8 +593,8 @@ ROWS = [
         "errs by {0} of AUG."),
     finding("strong-color", "As F grows differencing hurts, where the exact filter gains.", all_of(*(over(f"{a} over {b}, {c}",
         "ten days", f"{c}/{a}", f"{c}/{b}", accept) for a, b, accept in (("aug", "tkf", (None, 0.95)), ("tstdkf", "aug", (1.3,
-        None))) for c in STRONG)), found="AUG has {0}, {1}, {2} of the error of TKF, TSTDKF (form B) {3}, {4}, {5} of that of AUG. "
-        "", revised=ONE_SIDED),
+        None))) for c in STRONG)), found="AUG has {0}, {1}, {2} of the error of TKF, TSTDKF (form B) {3}, {4}, {5} of that of AUG.",
+        revised=ONE_SIDED),
     finding("coupling-fragile", "The exact filter suffers most from a coupling of the wrong sign.", over("AUG over TKF", "ten days",
         "5/aug", "5/tkf", (1.2, None), at="late"), found="{0} times the error of TKF.", figure="figure_13"),
     finding("walk-is-no-sinusoid", "A random walk is no sinusoid: the exact filter ends inconsistent.", consistency(
