@@ -437,9 +437,9 @@ def test_three_linearizations_of_the_first_fix_leave_no_filter_overconfident():
     def filter(name, iterations=1):
         return sigma_point(*scenario.model(config), rule=scenario.rules()[name], form="covariance", iterations=iterations)
 
-    once, again = (run(filter("ukf", iterations), sim.prior, epochs, keep="cov") for iterations in (1, 3))
+    single, again = (run(filter("ukf", iterations), sim.prior, epochs, keep="cov") for iterations in (1, 3))
     closed = run(scenario.filters(config)["triad-ekf"], sim.prior, epochs, keep="cov")
-    assert (value(once) > 1.3e4).all()
+    assert (value(single) > 1.3e4).all()
     for track in (again, closed, iterated_smoother(filter("ukf"), sim.prior, epochs, iterations=3)):
         assert (low < value(track)).all()
         assert (value(track) < high).all()
