@@ -7,7 +7,9 @@ import tempfile
 
 os.environ.setdefault("CELNAV_EFFORT", "0.03")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
-if "PYTEST_XDIST_WORKER" not in os.environ:  # a worker has the folder of the process that started it
+if (
+    "PYTEST_XDIST_WORKER" not in os.environ
+):  # a worker has the folder of the process that started it
     os.environ["CELNAV_OUT"] = tempfile.mkdtemp(prefix="celnav-tests-")
     atexit.register(shutil.rmtree, os.environ["CELNAV_OUT"], ignore_errors=True)
 

@@ -25,7 +25,18 @@ from celnav.filters.sequential import Sequential, sigma_point
 from celnav.gaussian import attitude
 from celnav.gaussian.linalg import Array, block
 from celnav.gaussian.spaces import EUCLIDEAN, product
-from celnav.papers.ssukf.scenario import PRESETS, Config, dynamics, filters, noise_root, simulate, spread, star, state_space, trial
+from celnav.papers.ssukf.scenario import (
+    PRESETS,
+    Config,
+    dynamics,
+    filters,
+    noise_root,
+    simulate,
+    spread,
+    star,
+    state_space,
+    trial,
+)
 from celnav.study.montecarlo import blocks, generator
 from celnav.study.study import fly
 
@@ -93,7 +104,10 @@ class Scalar:
         self.factor = gyro.factor(self.dt)
         w = [gyro.rate_std(self.dt)] * 3 + [gyro.drift_std(self.dt)] * 3
         v = [config.sigma_n] * 3
-        self.sigma_time, self.sigma_measured = (w + v)[:noise_time], ((w + v)[:noise_measured] if noise_measured > 3 else v)
+        self.sigma_time, self.sigma_measured = (
+            (w + v)[:noise_time],
+            ((w + v)[:noise_measured] if noise_measured > 3 else v),
+        )
         self.alpha2, self.beta = config.alpha**2, config.beta
         self.q, self.b = [0.0, 0.0, 0.0, 1.0], [0.0] * 3
         self.P = np.diag(config.sigma0**2).tolist()
@@ -174,7 +188,10 @@ class Scalar:
         white = solve(L, [z[i] - mean[i] for i in range(3)])
         gains = [solve(L, row) for row in C]
         d = [sum(g[i] * white[i] for i in range(3)) for g in gains]
-        self.P = [[self.P[i][j] - sum(gains[i][k] * gains[j][k] for k in range(3)) for j in range(6)] for i in range(6)]
+        self.P = [
+            [self.P[i][j] - sum(gains[i][k] * gains[j][k] for k in range(3)) for j in range(6)]
+            for i in range(6)
+        ]
         self.q, self.b = times(from_p(*d[:3]), self.q), [self.b[i] + d[3 + i] for i in range(3)]
 
 
@@ -256,7 +273,9 @@ def _dense(config: Config, time: Array, measured: Array, form: str) -> Filter:
 def _augmented(state: State, noise: Array) -> State:
     belief, form = state.belief, type(state.belief)
     mean = np.concatenate([belief.mean, np.zeros((*belief.mean.shape[:-1], len(noise)))], -1)
-    return state._replace(belief=form(mean, block([[belief[1], 0], [0, form.marginal(np.diag(noise), np.ones(1))]])))
+    return state._replace(
+        belief=form(mean, block([[belief[1], 0], [0, form.marginal(np.diag(noise), np.ones(1))]]))
+    )
 
 
 def _reduced(state: State) -> State:
@@ -268,7 +287,10 @@ def _reduced(state: State) -> State:
 # -- arrays --------------------------------------------------------------------------------------------------------------------
 def array_work(name: str, runs: int, per: int, dense: bool) -> Callable[[], float]:
     """One star interval of a filter of the package; returns CPU seconds."""
-    config = replace(PRESETS["100 Hz" if per > 1 else "standard"], duration_s=0.25 if runs > 1 or per > 1 else 2.5)
+    config = replace(
+        PRESETS["100 Hz" if per > 1 else "standard"],
+        duration_s=0.25 if runs > 1 or per > 1 else 2.5,
+    )
     sim = simulate(config, [generator(0, 0, r) for r in range(runs)])
     filter = (dense_filters if dense else filters)(config)[name]
     epochs = list(sim.epochs())
@@ -321,7 +343,9 @@ def table(rounds: int) -> dict[str, dict[str, float]]:
                 works = {name: array_work(name, runs, per, dense) for name in names}
                 root = "dense" if dense else "block"
                 few = max(5, rounds // 4) if runs > 1 else rounds
-                out[f"arrays, {runs} run{'s' if runs > 1 else ''}, {root}, {per}:1"] = compared(works, few)
+                out[f"arrays, {runs} run{'s' if runs > 1 else ''}, {root}, {per}:1"] = compared(
+                    works, few
+                )
     return out
 
 
@@ -335,26 +359,47 @@ def full_rate(runs: int = 200) -> dict[str, float]:
         apart = max(apart, float(difference.max()))
         first += float(np.square(found["ssukf/error"][1, :, :3]).sum())
     rms = math.sqrt(first / (3 * runs))
-    return {"cpu_s": process_time() - cpu, "wall_s": perf_counter() - wall, "apart_arcsec": apart, "first_star_arcsec": rms}
+    return {
+        "cpu_s": process_time() - cpu,
+        "wall_s": perf_counter() - wall,
+        "apart_arcsec": apart,
+        "first_star_arcsec": rms,
+    }
 
 
 def main() -> int:
     """Measure and print, as a table or as JSON."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.attitude", description=(__doc__ or "").partition("\n")[0])
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.attitude", description=(__doc__ or "").partition("\n")[0]
+    )
     parser.add_argument("--rounds", type=int, default=20)
-    parser.add_argument("--full", action="store_true", help="also the paper's 100 Hz, 600 s, 200 runs (minutes)")
+    parser.add_argument(
+        "--full", action="store_true", help="also the paper's 100 Hz, 600 s, 200 runs (minutes)"
+    )
     parser.add_argument("--json", type=Path, help="write the numbers here too")
     options = parser.parse_args()
     print(f"point by point against arrays: {agreement():.1e} rad after a star interval")
     found = table(options.rounds)
-    print(f"{'code':40} {'AUKF':>10} {'SSUKF':>10} {'ratio':>7}   us of CPU from star to star; others")
+    print(
+        f"{'code':40} {'AUKF':>10} {'SSUKF':>10} {'ratio':>7}   us of CPU from star to star; others"
+    )
     for kind, times in found.items():
-        others = ", ".join(f"{name} {1e6 * t:.0f}" for name, t in times.items() if name not in ("aukf", "ssukf"))
+        others = ", ".join(
+            f"{name} {1e6 * t:.0f}" for name, t in times.items() if name not in ("aukf", "ssukf")
+        )
         aukf, ssukf = times["aukf"], times["ssukf"]
         per = 25 if kind.endswith("25:1") else 1
-        made = ", ".join(f"{name} {calls(noise, per)} calls" for name, noise in POINTWISE.items() if kind.startswith("point"))
-        print(f"{kind:40} {1e6 * aukf:10.0f} {1e6 * ssukf:10.0f} {ssukf / aukf:7.2f}   {others}{made}")
-    print(f"time over calls of f and h, point by point, block roots: r^2 = {linearity(options.rounds):.4f}")
+        made = ", ".join(
+            f"{name} {calls(noise, per)} calls"
+            for name, noise in POINTWISE.items()
+            if kind.startswith("point")
+        )
+        print(
+            f"{kind:40} {1e6 * aukf:10.0f} {1e6 * ssukf:10.0f} {ssukf / aukf:7.2f}   {others}{made}"
+        )
+    print(
+        f"time over calls of f and h, point by point, block roots: r^2 = {linearity(options.rounds):.4f}"
+    )
     if options.full:
         found["100 Hz, 600 s, 200 runs, AUKF and SSUKF"] = full_rate()
         print(found["100 Hz, 600 s, 200 runs, AUKF and SSUKF"])

@@ -39,7 +39,14 @@ FILTER = "csrukf+z0"
 
 def workload(runs: int, steps: int = 600) -> Study:
     """The scenario of csrukf with colored noise, and its square-root filter in one transform."""
-    return study({"paper": "csrukf", "filters": [FILTER], "runs": runs, "config": {"phi": 0.8, "steps": steps}})
+    return study(
+        {
+            "paper": "csrukf",
+            "filters": [FILTER],
+            "runs": runs,
+            "config": {"phi": 0.8, "steps": steps},
+        }
+    )
 
 
 def bare(work: Study) -> None:
@@ -109,24 +116,41 @@ def overhead(runs: int) -> None:
         whole = timed(lambda: campaign(work, folder, given(executor)), time.process_time)
     bare, judged, units = (sum(executor.times[name]) for name in ("bare", "judged", "unit"))
     whole -= bare + judged
-    print(f"{runs} runs of 600 steps, CPU s: bare {bare:.2f}, judged by hand {judged:.2f}, units {units:.2f}, campaign {whole:.2f}")
+    print(
+        f"{runs} runs of 600 steps, CPU s: bare {bare:.2f}, judged by hand {judged:.2f}, units {units:.2f}, campaign {whole:.2f}"
+    )
     for name in ("bare", "judged"):
-        ratios = [u / b for u, b in zip(executor.times["unit"][1:], executor.times[name][1:], strict=True)]
+        ratios = [
+            u / b for u, b in zip(executor.times["unit"][1:], executor.times[name][1:], strict=True)
+        ]
         each = f"{100 * (statistics.median(ratios) - 1):+.1f} % (median of {len(ratios)} units but the first)"
-        print(f"overhead over {name}: {100 * (whole / sum(executor.times[name]) - 1):+.1f} %, of a unit {each}")
+        print(
+            f"overhead over {name}: {100 * (whole / sum(executor.times[name]) - 1):+.1f} %, of a unit {each}"
+        )
 
 
 def scaling(rounds: int, runs: int) -> None:
     """Wall time."""
     work, half, gains, attainable = workload(runs), workload(runs // 2), [], []
     for _ in range(rounds):
-        one, two = timed(lambda: stored(work, 1), time.monotonic), timed(lambda: stored(work, 2), time.monotonic)
-        alone, both = timed(lambda: _apart(half, 1), time.monotonic), timed(lambda: _apart(half, 2), time.monotonic)
+        one, two = (
+            timed(lambda: stored(work, 1), time.monotonic),
+            timed(lambda: stored(work, 2), time.monotonic),
+        )
+        alone, both = (
+            timed(lambda: _apart(half, 1), time.monotonic),
+            timed(lambda: _apart(half, 2), time.monotonic),
+        )
         gains.append(one / two)
         attainable.append(2.0 * alone / both)
-        print(f"one process {one:.1f} s, two {two:.1f} s: {gains[-1]:.2f}; the machine gives {attainable[-1]:.2f}", flush=True)
+        print(
+            f"one process {one:.1f} s, two {two:.1f} s: {gains[-1]:.2f}; the machine gives {attainable[-1]:.2f}",
+            flush=True,
+        )
     best = statistics.median(attainable)
-    print(f"scaling: {statistics.median(gains):.2f} with two processes; two bare processes apart attain {best:.2f}")
+    print(
+        f"scaling: {statistics.median(gains):.2f} with two processes; two bare processes apart attain {best:.2f}"
+    )
 
 
 def _apart(work: Study, count: int) -> None:
@@ -144,7 +168,9 @@ def memory() -> None:
         begin = time.monotonic()
         out = subprocess.run(command, capture_output=True, text=True, check=True).stdout
         peaks.append(float(out))
-        print(f"{runs} runs: peak {peaks[-1]:.1f} MiB, {time.monotonic() - begin:.0f} s", flush=True)
+        print(
+            f"{runs} runs: peak {peaks[-1]:.1f} MiB, {time.monotonic() - begin:.0f} s", flush=True
+        )
     print(f"memory: {100 * (peaks[1] / peaks[0] - 1):+.1f} % from 1,000 to 100,000 runs")
 
 
@@ -171,16 +197,35 @@ def kills(trials: int, seed: int) -> int:
         for i in range(trials):
             folder = Path(top, f"trial{i}")
             first = _killed(file, folder, rng.randrange(UNITS - 8), rng.random(), worker=False)
-            second = _killed(file, folder, rng.randrange(min(_done(folder), UNITS - 2), UNITS), rng.random(), worker=True)
+            second = _killed(
+                file,
+                folder,
+                rng.randrange(min(_done(folder), UNITS - 2), UNITS),
+                rng.random(),
+                worker=True,
+            )
             found = _finish(file, folder)
             same += found == wanted
-            print(f"{i + 1}: killed {first} and {second}, {'same' if found == wanted else 'OTHER'} table", flush=True)
+            print(
+                f"{i + 1}: killed {first} and {second}, {'same' if found == wanted else 'OTHER'} table",
+                flush=True,
+            )
     print(f"kills: {same} of {trials} tables have the same bytes")
     return same
 
 
 def _start(file: Path, folder: Path) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "celnav", "campaign", str(file), "--out", str(folder), "--jobs", "2"]
+    command = [
+        sys.executable,
+        "-m",
+        "celnav",
+        "campaign",
+        str(file),
+        "--out",
+        str(folder),
+        "--jobs",
+        "2",
+    ]
     return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
 
 
@@ -189,7 +234,9 @@ def _finish(file: Path, folder: Path) -> str:
     error = process.communicate()[1]
     if process.returncode:
         raise RuntimeError(f"celnav campaign: {error}")
-    return hashlib.sha256((folder / "table.csv").read_bytes() + (folder / "table.parquet").read_bytes()).hexdigest()
+    return hashlib.sha256(
+        (folder / "table.csv").read_bytes() + (folder / "table.parquet").read_bytes()
+    ).hexdigest()
 
 
 def _killed(file: Path, folder: Path, units: int, wait: float, *, worker: bool) -> str:
@@ -208,7 +255,9 @@ def _killed(file: Path, folder: Path, units: int, wait: float, *, worker: bool) 
     process.kill()
     process.wait()
     deadline = time.monotonic() + 5.0
-    while (left := [pid for pid in children if Path(f"/proc/{pid}").exists()]) and time.monotonic() < deadline:
+    while (
+        left := [pid for pid in children if Path(f"/proc/{pid}").exists()]
+    ) and time.monotonic() < deadline:
         time.sleep(0.1)
     if left:
         raise RuntimeError(f"processes {left} outlive the campaign")
@@ -221,7 +270,9 @@ def _done(folder: Path) -> int:
 
 def _children(pid: int) -> list[int]:
     try:
-        return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+        return [
+            int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+        ]
     except OSError:
         return []
 

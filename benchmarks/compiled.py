@@ -51,7 +51,9 @@ def lorenz(x: Array, _epoch: Any) -> Array:
     return x + STEP / 6.0 * (a + 2.0 * (b + c) + rate(x + STEP * c))
 
 
-def lorenz_works(n: int, runs: int = BLOCK, steps: int = 40) -> tuple[Callable[[], Array], Callable[[], Array]]:
+def lorenz_works(
+    n: int, runs: int = BLOCK, steps: int = 40
+) -> tuple[Callable[[], Array], Callable[[], Array]]:
     """The filter in numpy and compiled; every other component is measured."""
     rng = np.random.default_rng(n)
     H = np.eye(n)[: n - 1 : 2]
@@ -62,8 +64,14 @@ def lorenz_works(n: int, runs: int = BLOCK, steps: int = 40) -> tuple[Callable[[
             x = lorenz(x, None) + 0.1 * rng.standard_normal((runs, n))
         z[k] = x @ H.T + rng.standard_normal((runs, len(H)))
     filter = ukf(Motion(lorenz, sqrt_Q=0.1 * np.eye(n)), Sensor(H, np.eye(len(H))))
-    start, times, flown = Gaussian(np.full((runs, n), 8.0), np.eye(n)), STEP * np.arange(steps + 1), compiled(filter)
-    return lambda: np.asarray(run(filter, start, times, z).mean), lambda: np.asarray(flown.run(start, times, z).mean)
+    start, times, flown = (
+        Gaussian(np.full((runs, n), 8.0), np.eye(n)),
+        STEP * np.arange(steps + 1),
+        compiled(filter),
+    )
+    return lambda: np.asarray(run(filter, start, times, z).mean), lambda: np.asarray(
+        flown.run(start, times, z).mean
+    )
 
 
 def lorenz_first(n: int) -> float:
@@ -77,7 +85,10 @@ def dimensions(rounds: int) -> dict[str, Any]:
     firsts = {n: fresh(lorenz_first, n) for n in SIZES}
     for n, (ours, theirs) in works.items():
         apart[n] = float(np.abs(ours() - theirs()).max())
-    found = [{n: (*seconds(ours)[:1], *seconds(theirs)) for n, (ours, theirs) in works.items()} for _ in range(rounds)]
+    found = [
+        {n: (*seconds(ours)[:1], *seconds(theirs)) for n, (ours, theirs) in works.items()}
+        for _ in range(rounds)
+    ]
     rows = []
     for n in SIZES:
         us = 1e6 * np.array([part[n] for part in found]) / (BLOCK * 40)
@@ -91,7 +102,11 @@ def dimensions(rounds: int) -> dict[str, Any]:
 # -- two threads ---------------------------------------------------------------------------------------------------------------
 def orbit_flight(runs: int, steps: int, jobs: int) -> Callable[[], object]:
     """A flight of the common workload, compiled already."""
-    z, flown, times = Workload(steps, runs).z, compiled(orbit_filter(), jobs=jobs), np.arange(steps + 1)
+    z, flown, times = (
+        Workload(steps, runs).z,
+        compiled(orbit_filter(), jobs=jobs),
+        np.arange(steps + 1),
+    )
     flown.run(prior(runs), times, z)
     return lambda: flown.run(prior(runs), times, z)
 
@@ -114,7 +129,9 @@ def threads(rounds: int, runs: int = 4096, steps: int = 240) -> dict[str, Any]:
     found = []
     with ProcessPoolExecutor(2, get_context("spawn"), _ready, (runs // 2, steps)) as pool:
         list(pool.map(_bare, range(4)))
-        alone, both = (partial(lambda count: list(pool.map(_bare, range(count))), count) for count in (1, 2))
+        alone, both = (
+            partial(lambda count: list(pool.map(_bare, range(count))), count) for count in (1, 2)
+        )
         for i in range(rounds):
             works: list[Callable[[], object]] = [one, two, alone, both]
             turns = [wall(work) for work in works[:: 1 - 2 * (i % 2)]]
@@ -149,17 +166,28 @@ def campaign(parts: int = PARTS, steps: int = 600) -> dict[str, Any]:
 
 def report(rounds: int, parts: int) -> dict[str, Any]:
     """All three."""
-    return {"dimensions": dimensions(rounds), "threads": threads(3 * rounds), "campaign": campaign(parts) if parts else None}
+    return {
+        "dimensions": dimensions(rounds),
+        "threads": threads(3 * rounds),
+        "campaign": campaign(parts) if parts else None,
+    }
 
 
 def lines(found: dict[str, Any]) -> Iterator[str]:
     """Of a report, as Markdown."""
     by, two, many = (found[name] for name in ("dimensions", "threads", "campaign"))
-    yield from ("", f"By dimension: Lorenz-96, half of the components measured, {by['runs']} runs of {by['steps']} steps:", "")
+    yield from (
+        "",
+        f"By dimension: Lorenz-96, half of the components measured, {by['runs']} runs of {by['steps']} steps:",
+        "",
+    )
     yield "| n | m | numpy, us | compiled, us | in the loop | numpy / compiled | first result, s | difference |"
     yield "|--:|--:|--:|--:|--:|--:|--:|--:|"
     for row in by["rows"]:
-        times = [f"{row[name]:.2f}" for name in ("numpy_us", "compiled_us", "inside_us", "numpy_to_compiled", "first_s")]
+        times = [
+            f"{row[name]:.2f}"
+            for name in ("numpy_us", "compiled_us", "inside_us", "numpy_to_compiled", "first_s")
+        ]
         yield f"| {row['n']} | {row['m']} | {' | '.join(times)} | {row['difference']:.1e} |"
     yield ""
     yield (

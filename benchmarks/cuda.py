@@ -55,9 +55,15 @@ def wall(work: Callable[[], object], rounds: int) -> float:
     return float(np.median(found))
 
 
-def flights(form: str, engine: str, z: Array, runs: int, keep: str, jobs: int) -> Callable[[], object]:
+def flights(
+    form: str, engine: str, z: Array, runs: int, keep: str, jobs: int
+) -> Callable[[], object]:
     """All runs, part by part."""
-    flown, times, size = compiled(orbit_filter(form), jobs=jobs, engine=engine), np.arange(len(z)), z.shape[1]
+    flown, times, size = (
+        compiled(orbit_filter(form), jobs=jobs, engine=engine),
+        np.arange(len(z)),
+        z.shape[1],
+    )
 
     def work() -> None:
         for _ in range(runs // size):
@@ -97,10 +103,14 @@ def jax_flights(z: Array, runs: int) -> Callable[[], object] | None:
 
 def main() -> int:
     """The table; 1 if the device's estimate is another one, 2 if there is no device."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.cuda", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.cuda", description=__doc__.splitlines()[0]
+    )
     parser.add_argument("--steps", type=int, default=600)
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--runs", default=",".join(map(str, RUNS)), help="numbers of runs, with commas")
+    parser.add_argument(
+        "--runs", default=",".join(map(str, RUNS)), help="numbers of runs, with commas"
+    )
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="threads")
     options = parser.parse_args()
     try:
@@ -131,7 +141,10 @@ def main() -> int:
                 within = inside.seconds / (options.rounds + 1)
                 host = wall(flights(form, "compiled", some, runs, keep, options.jobs), 1)
                 step = 1e6 * own / (runs * options.steps)
-                print(f"| {form} | {keep} | {runs} | {own:.2f} | {within:.2f} | {step:.5f} | {host:.2f} | {jax} |", flush=True)
+                print(
+                    f"| {form} | {keep} | {runs} | {own:.2f} | {within:.2f} | {step:.5f} | {host:.2f} | {jax} |",
+                    flush=True,
+                )
     return 0
 
 

@@ -56,7 +56,10 @@ INSIDE = Inside()
 
 def celnav_engines(counts: Sequence[int]) -> Iterator[Engine]:
     """Both forms, the measurement as a matrix (the normal way) and as a function; with a matrix also compiled; and the floor."""
-    measurements: tuple[tuple[str, Any], ...] = (("H matrix", H), ("h function", lambda x, _epoch: x[..., :3]))
+    measurements: tuple[tuple[str, Any], ...] = (
+        ("H matrix", H),
+        ("h function", lambda x, _epoch: x[..., :3]),
+    )
     for runs in counts:
         for form in FORMS:
             for kind, h in measurements:

@@ -83,7 +83,9 @@ def measure(
             # Runs do not depend on their batch: one pass over a block serves all smaller batches.
             size = engine.runs if engine.runs > BLOCK else min(BLOCK, workload.z.shape[1])
             if size not in known:
-                known[size] = estimate(workload.z[: workload.steps_of(engine.runs if size > BLOCK else 1) + 1, :size])
+                known[size] = estimate(
+                    workload.z[: workload.steps_of(engine.runs if size > BLOCK else 1) + 1, :size]
+                )
             apart = np.abs(means - known[size][: len(z), : engine.runs])
             difference = (float(apart[..., :3].max()), float(apart[..., 3:].max()))
         differences.append(difference)
@@ -94,7 +96,9 @@ def measure(
             own.append(seconds(work))
         say(f"round {i + 1} of {rounds}")
     rows = []
-    for (engine, _, steps), own, start, difference in zip(works, times, starts, differences, strict=True):
+    for (engine, _, steps), own, start, difference in zip(
+        works, times, starts, differences, strict=True
+    ):
         us, inside = (1e6 * np.transpose(own) / (steps * engine.runs)).tolist()
         rows.append(Row(engine.name, engine.runs, steps, us, inside, start, difference))
     return rows, absent

@@ -20,11 +20,15 @@ CHUNK = 128
 
 def peer_engines(counts: Sequence[int]) -> Iterator[Engine]:
     """One run of each, and dynamax mapped over runs."""
-    yield Engine("filterpy, numpy model", 1, lambda z: _filterpy(z, lambda x, dt: orbit.step(x, dt)))
+    yield Engine(
+        "filterpy, numpy model", 1, lambda z: _filterpy(z, lambda x, dt: orbit.step(x, dt))
+    )
     yield Engine("filterpy, numba model", 1, lambda z: _filterpy(z, numba_model()), compiles=True)
     yield Engine("Stone Soup, numpy model", 1, _stonesoup)
     for runs in counts:
-        yield Engine("dynamax, jit" if runs == 1 else "dynamax, vmap", runs, _dynamax, compiles=True)
+        yield Engine(
+            "dynamax, jit" if runs == 1 else "dynamax, vmap", runs, _dynamax, compiles=True
+        )
 
 
 def numba_model() -> Callable[..., Array]:
@@ -52,7 +56,11 @@ def numba_model() -> Callable[..., Array]:
         a4, b4, c4 = gravity(x4 + h * dt * a2, y4 + h * dt * b2, z4 + h * dt * c2)
         p, q = dt * dt / 6.0, dt / 6.0
         out = np.empty(6)
-        out[0], out[1], out[2] = x4 + p * (a1 + a2 + a3), y4 + p * (b1 + b2 + b3), z4 + p * (c1 + c2 + c3)
+        out[0], out[1], out[2] = (
+            x4 + p * (a1 + a2 + a3),
+            y4 + p * (b1 + b2 + b3),
+            z4 + p * (c1 + c2 + c3),
+        )
         out[3] = u + q * (a1 + 2.0 * (a2 + a3) + a4)
         out[4] = v + q * (b1 + 2.0 * (b2 + b3) + b4)
         out[5] = w + q * (c1 + 2.0 * (c2 + c3) + c4)
@@ -69,7 +77,9 @@ def _filterpy(z: Array, fx: Callable[..., Array]) -> Work:
         points = kalman.MerweScaledSigmaPoints(6, 1.0, 0.0, 0.0)
         ukf = kalman.UnscentedKalmanFilter(6, 3, 1.0, hx=lambda x: x[:3], fx=fx, points=points)
         ukf.x, ukf.P, ukf.Q, ukf.R = X0.copy(), P0.copy(), Q, R
-        ukf.sigmas_f = points.sigma_points(ukf.x, ukf.P)  # an update before the first predict needs them
+        ukf.sigmas_f = points.sigma_points(
+            ukf.x, ukf.P
+        )  # an update before the first predict needs them
         means = []
         for k, measured in enumerate(z[:, 0]):
             if k:
@@ -85,7 +95,10 @@ def _stonesoup(z: Array) -> Work:
     base: Any = import_module("stonesoup.models.transition.nonlinear")
     linear: Any = import_module("stonesoup.models.measurement.linear")
     arrays: Any = import_module("stonesoup.types.array")
-    types: Any = {name: import_module(f"stonesoup.types.{name}") for name in ("state", "prediction", "hypothesis", "detection")}
+    types: Any = {
+        name: import_module(f"stonesoup.types.{name}")
+        for name in ("state", "prediction", "hypothesis", "detection")
+    }
     predictor: Any = import_module("stonesoup.predictor.kalman").UnscentedKalmanPredictor
     updater: Any = import_module("stonesoup.updater.kalman").UnscentedKalmanUpdater
     datetime: Any = import_module("datetime")
@@ -97,7 +110,9 @@ def _stonesoup(z: Array) -> Work:
 
         def function(self, state: Any, _noise: Any = None, **_: Any) -> Any:
             """All points at once: Stone Soup's columns are the model's rows."""
-            return arrays.StateVectors(orbit.step(np.asarray(state.state_vector, dtype=float).T, 1.0).T)
+            return arrays.StateVectors(
+                orbit.step(np.asarray(state.state_vector, dtype=float).T, 1.0).T
+            )
 
         def covar(self, **_: Any) -> Any:
             return Q
@@ -118,7 +133,9 @@ def _stonesoup(z: Array) -> Work:
         for k, measured in enumerate(z[:, 0]):
             if k:
                 belief = predict.predict(belief, timestamp=start + k * second)
-            detection = types["detection"].Detection(measured[:, None], timestamp=start + k * second, measurement_model=model)
+            detection = types["detection"].Detection(
+                measured[:, None], timestamp=start + k * second, measurement_model=model
+            )
             belief = update.update(types["hypothesis"].SingleHypothesis(belief, detection))
             means.append(np.asarray(belief.state_vector, dtype=float)[:, 0])
         return np.array(means)[:, None]
@@ -136,23 +153,31 @@ def _dynamax(z: Array) -> Work:
         inverse = 1.0 / (r * r).sum()
         k = -mu * inverse * jnp.sqrt(inverse)
         oblate = c * k * inverse
-        return r * (k - oblate * (7.5 * r[2] * r[2] * inverse - 1.5) + oblate * jnp.array([0.0, 0.0, 3.0]))
+        return r * (
+            k - oblate * (7.5 * r[2] * r[2] * inverse - 1.5) + oblate * jnp.array([0.0, 0.0, 3.0])
+        )
 
     def step(x: Any) -> Any:
         r, v = x[:3], x[3:]
         ahead = r + 0.5 * v
         a1, a2 = gravity(r), gravity(ahead)
         a3, a4 = gravity(ahead + 0.25 * a1), gravity(r + v + 0.5 * a2)
-        return jnp.concatenate([r + v + (a1 + a2 + a3) / 6.0, v + (a1 + 2.0 * (a2 + a3) + a4) / 6.0])
+        return jnp.concatenate(
+            [r + v + (a1 + a2 + a3) / 6.0, v + (a1 + 2.0 * (a2 + a3) + a4) / 6.0]
+        )
 
     prior = {"initial_mean": jnp.asarray(X0), "initial_covariance": jnp.asarray(P0)}
     noise = {"dynamics_covariance": jnp.asarray(Q), "emission_covariance": jnp.asarray(R)}
     matrix = jnp.asarray(H)
-    params = ssm.ParamsNLGSSM(dynamics_function=step, emission_function=lambda x: matrix @ x, **prior, **noise)
+    params = ssm.ParamsNLGSSM(
+        dynamics_function=step, emission_function=lambda x: matrix @ x, **prior, **noise
+    )
     hyper = ssm.UKFHyperParams(1.0, 0.0, 0.0)
 
     def one(measured: Any) -> Any:
-        return ssm.unscented_kalman_filter(params, measured, hyper, output_fields=["filtered_means"]).filtered_means
+        return ssm.unscented_kalman_filter(
+            params, measured, hyper, output_fields=["filtered_means"]
+        ).filtered_means
 
     runs = z.shape[1]
     if runs == 1:

@@ -17,14 +17,28 @@ from benchmarks.measure import Row
 
 AGREE_KM, AGREE_KM_S = 1e-6, 1e-9
 """Engines that are further apart than this did not compute the same thing (dynamax adds 1e-9 to each diagonal by itself)."""
-PACKAGES = ("celnav", "numpy", "scipy", "llvmlite", "filterpy", "numba", "stonesoup", "dynamax", "jax")
+PACKAGES = (
+    "celnav",
+    "numpy",
+    "scipy",
+    "llvmlite",
+    "filterpy",
+    "numba",
+    "stonesoup",
+    "dynamax",
+    "jax",
+)
 
 
 def report(rows: Sequence[Row], absent: dict[str, str], steps: int, rounds: int) -> dict[str, Any]:
     """Everything that is written: settings, machine, measurements, ratios, and whether the estimates agree."""
     differences = [row.difference for row in rows if row.difference is not None]
     return {
-        "settings": {"steps": steps, "rounds": rounds, "unit": "us of CPU time per run-step, one thread"},
+        "settings": {
+            "steps": steps,
+            "rounds": rounds,
+            "unit": "us of CPU time per run-step, one thread",
+        },
         "machine": _machine(),
         "rows": [
             {
@@ -54,9 +68,22 @@ def _machine() -> dict[str, Any]:
     cpu = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.exists():
-        cpu = next((line.split(":", 1)[1].strip() for line in info.read_text().splitlines() if line.startswith("model name")), cpu)
+        cpu = next(
+            (
+                line.split(":", 1)[1].strip()
+                for line in info.read_text().splitlines()
+                if line.startswith("model name")
+            ),
+            cpu,
+        )
     load = list(os.getloadavg()) if hasattr(os, "getloadavg") else None  # over 1, 5 and 15 minutes
-    return {"cpu": cpu, "python": platform.python_version(), "system": platform.system(), "load": load, "packages": found}
+    return {
+        "cpu": cpu,
+        "python": platform.python_version(),
+        "system": platform.system(),
+        "load": load,
+        "packages": found,
+    }
 
 
 def _ratio(slow: Row, fast: Row) -> float:
@@ -110,32 +137,64 @@ def markdown(result: dict[str, Any]) -> str:
         "|---|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|",
     ]
     for row in result["rows"]:
-        over, floor, start = ("" if x is None else f"{x:.2f}" for x in (row["over_numpy"], row["over_floor"], row["start_s"]))
+        over, floor, start = (
+            "" if x is None else f"{x:.2f}"
+            for x in (row["over_numpy"], row["over_floor"], row["start_s"])
+        )
         inside = f"{row['inside_us']:.2f}" if row["inside_us"] else ""
         apart = ["", ""] if row["difference"] is None else [f"{d:.1e}" for d in row["difference"]]
-        cells = [row["engine"], row["runs"], row["steps"], f"{row['median_us']:.2f}", f"{row['min_us']:.2f}"]
+        cells = [
+            row["engine"],
+            row["runs"],
+            row["steps"],
+            f"{row['median_us']:.2f}",
+            f"{row['min_us']:.2f}",
+        ]
         lines.append(_line([*cells, inside, over, floor, start, *apart]))
     for name, reason in result["absent"].items():
         lines.append(_line([name, *[""] * 3, f"absent: {reason}", *[""] * 6]))
     peers = list(dict.fromkeys((r["peer"], r["peer_runs"]) for r in result["ratios"]))
     if peers:
-        lines += ["", "How many times faster a run-step of celnav is (ratios within rounds, their median):", ""]
-        lines.append(_line(["engine", "runs", *(f"{peer}, {runs} run{'s' * (runs > 1)}" for peer, runs in peers)]))
+        lines += [
+            "",
+            "How many times faster a run-step of celnav is (ratios within rounds, their median):",
+            "",
+        ]
+        lines.append(
+            _line(
+                [
+                    "engine",
+                    "runs",
+                    *(f"{peer}, {runs} run{'s' * (runs > 1)}" for peer, runs in peers),
+                ]
+            )
+        )
         lines.append("|---|--:" + "|--:" * len(peers) + "|")
         table = {(r["engine"], r["runs"], r["peer"], r["peer_runs"]): r for r in result["ratios"]}
         for engine, runs in dict.fromkeys((r["engine"], r["runs"]) for r in result["ratios"]):
             found = [table.get((engine, runs, *peer)) for peer in peers]
-            lines.append(_line([engine, runs, *("" if r is None else f"{r['faster']:.2f}" for r in found)]))
+            lines.append(
+                _line([engine, runs, *("" if r is None else f"{r['faster']:.2f}" for r in found)])
+            )
         lines.append("")
         for r in result["ratios"]:
-            if r["runs"] == 100 and r["peer_runs"] == 1 and r["engine"] == "celnav square root, H matrix":
-                lines.append(f"- 100 runs of {r['engine']} cost as much as {r['batch_in_peer_runs']:.2f} runs of {r['peer']}.")
+            if (
+                r["runs"] == 100
+                and r["peer_runs"] == 1
+                and r["engine"] == "celnav square root, H matrix"
+            ):
+                lines.append(
+                    f"- 100 runs of {r['engine']} cost as much as {r['batch_in_peer_runs']:.2f} runs of {r['peer']}."
+                )
     if "compiled" in result:
         lines += compiled.lines(result["compiled"])
     if result["max_difference"] is not None:
         verdict = "the estimates agree" if result["agree"] else "THE ESTIMATES DISAGREE"
         position, velocity = result["max_difference"]
-        lines += ["", f"Largest difference to celnav's square-root estimate: {position:.1e} km, {velocity:.1e} km/s; {verdict}."]
+        lines += [
+            "",
+            f"Largest difference to celnav's square-root estimate: {position:.1e} km, {velocity:.1e} km/s; {verdict}.",
+        ]
     return "\n".join(lines) + "\n"
 
 

@@ -59,12 +59,20 @@ def work(rule: Rule, block: int, runs: int = RUNS) -> Callable[[], tuple[float, 
     """One pass over all runs in blocks: CPU microseconds of a run's cycle, of the model inside, and of the model alone."""
     config = replace(A, steps=STEPS)
     firsts = range(0, runs, block)
-    parts = [scenario.simulate(config, [generator(0, 0, r) for r in range(i, min(i + block, runs))]) for i in firsts]
+    parts = [
+        scenario.simulate(config, [generator(0, 0, r) for r in range(i, min(i + block, runs))])
+        for i in firsts
+    ]
     epochs: list[list[Epoch]] = [list(part.epochs()) for part in parts]
     f, h = Timed(scenario.dynamics), Timed(scenario.measurement)
-    motion, sensor = Motion(f, sqrt_Q=config.sqrt_Q), Sensor(h, sqrt_R=lambda _, epoch: epoch.u.sqrt_R)
+    motion, sensor = (
+        Motion(f, sqrt_Q=config.sqrt_Q),
+        Sensor(h, sqrt_R=lambda _, epoch: epoch.u.sqrt_R),
+    )
     filter = sigma_point(motion, sensor, rule=rule, form=scenario.FORM)
-    points: list[Array] = [rule.points(part.prior.mean, 1e-3 * part.prior.sqrt_cov)[0] for part in parts]
+    points: list[Array] = [
+        rule.points(part.prior.mean, 1e-3 * part.prior.sqrt_cov)[0] for part in parts
+    ]
 
     def once() -> tuple[float, float, float]:
         f.seconds = h.seconds = 0.0
@@ -79,7 +87,9 @@ def work(rule: Rule, block: int, runs: int = RUNS) -> Callable[[], tuple[float, 
                 if epoch.k:
                     scenario.dynamics(x, epoch)
         alone = process_time() - start
-        cycle, inside, alone = (1e6 * t / (runs * STEPS) for t in (cycle, f.seconds + h.seconds, alone))
+        cycle, inside, alone = (
+            1e6 * t / (runs * STEPS) for t in (cycle, f.seconds + h.seconds, alone)
+        )
         return cycle, inside, alone
 
     return once
@@ -89,7 +99,9 @@ def main(arguments: list[str] | None = None) -> int:
     """Measure in interleaved rounds, print, write."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.sparse", description=__doc__)
     parser.add_argument("--rounds", type=int, default=7, help="interleaved rounds (default 7)")
-    parser.add_argument("--out", type=Path, default=Path("out/benchmarks"), help="folder of the results")
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/benchmarks"), help="folder of the results"
+    )
     options = parser.parse_args(arguments)
     if options.rounds < 1:
         parser.error("rounds: expected a positive integer")
@@ -119,7 +131,9 @@ def main(arguments: list[str] | None = None) -> int:
                         "filter_to_alone": over[1], "to_27_points": against, "one_run_us": lone[name]}  # fmt: skip
     print("\n".join(lines))
     options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "sparse.json").write_text(json.dumps({"rounds": options.rounds, "rules": result}, indent=1) + "\n")
+    (options.out / "sparse.json").write_text(
+        json.dumps({"rounds": options.rounds, "rules": result}, indent=1) + "\n"
+    )
     return 0
 
 

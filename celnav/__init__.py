@@ -51,7 +51,15 @@ from celnav.filters.track import Track
 from celnav.filters.two_stage import two_stage
 from celnav.gaussian.attitude import attitude
 from celnav.gaussian.belief import Gaussian
-from celnav.gaussian.rules import Rule, Taylor, cubature, from_filterpy, gauss_hermite, simplex, unscented
+from celnav.gaussian.rules import (
+    Rule,
+    Taylor,
+    cubature,
+    from_filterpy,
+    gauss_hermite,
+    simplex,
+    unscented,
+)
 from celnav.gaussian.spaces import EUCLIDEAN, angles, product
 from celnav.gaussian.sparse_grid import smolyak
 from celnav.lazy import modules

@@ -59,7 +59,9 @@ def replacing(path: str | Path) -> Iterator[Path]:
             target.write_bytes(aside.read_bytes())
         return
     try:
-        with tempfile.TemporaryDirectory(prefix=_temporary_name(secrets.token_hex(8)), dir=target.parent) as folder:
+        with tempfile.TemporaryDirectory(
+            prefix=_temporary_name(secrets.token_hex(8)), dir=target.parent
+        ) as folder:
             temporary = Path(folder) / target.name
             yield temporary
             with temporary.open("rb+") as file:
@@ -100,7 +102,14 @@ def read_npz(path: str | Path) -> dict[str, NDArray[Any]]:
             raise ValueError(f"unpacks to {size} bytes, more than {MOST_UNPACKED} times its size")
         with np.load(path, allow_pickle=False) as stored:
             return {name: stored[name] for name in stored.files}
-    except (ValueError, EOFError, zipfile.BadZipFile, KeyError, AttributeError, RuntimeError) as error:
+    except (
+        ValueError,
+        EOFError,
+        zipfile.BadZipFile,
+        KeyError,
+        AttributeError,
+        RuntimeError,
+    ) as error:
         raise ValueError(f"{path}: expected an npz file of plain arrays ({error})") from None
 
 
@@ -119,7 +128,9 @@ def locked(folder: str | Path) -> Iterator[None]:
     try:
         lock.acquire(blocking=False)
     except Timeout:
-        raise BlockingIOError(f"{folder}: another celnav is at work there; wait for it, or choose another folder") from None
+        raise BlockingIOError(
+            f"{folder}: another celnav is at work there; wait for it, or choose another folder"
+        ) from None
     try:
         yield
     finally:
@@ -199,11 +210,17 @@ class Outputs:
             raise ValueError(f"name: expected a path inside the folder, got {name!r}")
         for above in list(Path(name).parents)[:-1]:
             if (self.directory / above).is_symlink():
-                raise ForeignFileError(f"{self.directory / above}: expected a folder of its own, got a link; remove it first")
+                raise ForeignFileError(
+                    f"{self.directory / above}: expected a folder of its own, got a link; remove it first"
+                )
             if (self.directory / above).exists() and not (self.directory / above).is_dir():
                 raise NotADirectoryError(f"{self.directory / above}: expected a folder to write to")
-        if path.is_symlink() or (path.exists() and _sha256(path) not in self._manifest().get(name, [])):
-            raise ForeignFileError(f"{path}: exists and was not made, or was changed since, by celnav; move it away first")
+        if path.is_symlink() or (
+            path.exists() and _sha256(path) not in self._manifest().get(name, [])
+        ):
+            raise ForeignFileError(
+                f"{path}: exists and was not made, or was changed since, by celnav; move it away first"
+            )
         return path
 
     @contextmanager
@@ -215,7 +232,9 @@ class Outputs:
             # Both contents are owned before the old one is replaced: a crash in between leaves no foreign file.
             manifest = self._manifest()
             manifest[name] = [*manifest.get(name, [])[-1:], _sha256(temporary)]
-            write_text(self.directory / MANIFEST, json.dumps(manifest, indent=1, sort_keys=True) + "\n")
+            write_text(
+                self.directory / MANIFEST, json.dumps(manifest, indent=1, sort_keys=True) + "\n"
+            )
 
     def bytes(self, name: str, content: bytes) -> None:
         """Write a file."""

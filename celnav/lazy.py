@@ -18,7 +18,9 @@ __all__ = ["PIP", "Late", "MissingError", "modules", "needed_by", "require"]
 PIP = r".venv\Scripts\pip" if sys.platform == "win32" else ".venv/bin/pip"
 
 
-def modules(package: str, *doors: str, **late: str) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+def modules(
+    package: str, *doors: str, **late: str
+) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
     """``__getattr__`` and ``__dir__`` of a package that imports its modules when they are asked for.
 
     doors: modules of which the public names are the package's own as well, the first that has a name.
@@ -47,7 +49,9 @@ def modules(package: str, *doors: str, **late: str) -> tuple[Callable[[str], Any
         own = sys.modules[package]
         names = {*vars(own), *late, *(found.name for found in iter_modules(own.__path__))}
         with suppress(MissingError):
-            names.update(name for door in doors for name in import_module(f"{package}.{door}").__all__)
+            names.update(
+                name for door in doors for name in import_module(f"{package}.{door}").__all__
+            )
         return sorted(names)
 
     return getattribute, directory
@@ -69,7 +73,9 @@ class MissingError(ImportError):
 
     def __init__(self, what: str, module: str, extra: str):
         cure = f'{PIP} install -c constraints.txt -e ".[{extra}]"'
-        super().__init__(f"{what} needs {module}: in the folder of celnav, {cure} brings it", name=module)
+        super().__init__(
+            f"{what} needs {module}: in the folder of celnav, {cure} brings it", name=module
+        )
 
 
 @contextmanager

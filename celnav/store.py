@@ -45,7 +45,12 @@ def code() -> dict[str, str]:
     """What determines the numbers: versions of celnav, with a hash of its sources and data, and of what it computes with."""
     root = Path(celnav.__file__).parent
     digest = hashlib.sha256()
-    for path in [*sorted(root.rglob("*.py")), data("pulsars.toml"), data("ephemeris_2015.npz"), data("ephemeris_years.npz")]:
+    for path in [
+        *sorted(root.rglob("*.py")),
+        data("pulsars.toml"),
+        data("ephemeris_2015.npz"),
+        data("ephemeris_years.npz"),
+    ]:
         digest.update(path.name.encode("utf-8") + path.read_bytes())
     return {
         "celnav": celnav.__version__,
@@ -117,7 +122,11 @@ def _checksum(unit: Keyed, arrays: Mapping[str, Array]) -> str:
 def existing(folder: Path) -> Store | None:
     """The store in a folder, if there is one and this code made it; nothing is written."""
     try:
-        return Store(folder) if read_json(folder / MANIFEST) == {"format": FORMAT, "code": code()} else None
+        return (
+            Store(folder)
+            if read_json(folder / MANIFEST) == {"format": FORMAT, "code": code()}
+            else None
+        )
     except (OSError, ValueError):
         return None
 
@@ -127,6 +136,8 @@ def resumed(folder: Path) -> Store:
     if existing(folder) is None:
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
-        write_text(folder / MANIFEST, json.dumps({"format": FORMAT, "code": code()}, indent=1) + "\n")
+        write_text(
+            folder / MANIFEST, json.dumps({"format": FORMAT, "code": code()}, indent=1) + "\n"
+        )
     remove_leftovers(folder, folder / "units")
     return Store(folder)

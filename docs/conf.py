@@ -46,7 +46,9 @@ ARGUMENT = re.compile(r"^(\w+(?:, \w+)*): (?=\S)")
 SMALL = "\u2060"  # before a field's name, whose first letter Sphinx would make a capital
 
 
-def written(_app: Sphinx, _what: str, _name: str, _thing: Any, _options: Any, lines: list[str]) -> None:
+def written(
+    _app: Sphinx, _what: str, _name: str, _thing: Any, _options: Any, lines: list[str]
+) -> None:
     """Docstrings, in which a line ``name: what it is`` speaks of an argument, as fields of reStructuredText."""
     made: list[str] = []
     for line in lines:
@@ -71,9 +73,15 @@ def small(_app: Sphinx, doctree: document) -> None:
         name[:] = [Text(name.astext().removeprefix(SMALL))]
 
 
-def unsaid(_app: Sphinx, _what: str, _name: str, thing: Any, _skip: bool, _options: Any) -> bool | None:
+def unsaid(
+    _app: Sphinx, _what: str, _name: str, thing: Any, _skip: bool, _options: Any
+) -> bool | None:
     """Leave out fields of named tuples, which the docstring of the whole speaks of."""
-    return True if (getattr(thing, "__doc__", None) or "").startswith("Alias for field number") else None
+    return (
+        True
+        if (getattr(thing, "__doc__", None) or "").startswith("Alias for field number")
+        else None
+    )
 
 
 def inline(translator: Any, node: Any) -> None:

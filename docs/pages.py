@@ -14,14 +14,24 @@ def sources() -> str:
     """Every entry as a paragraph to which the docstrings link."""
     text = data("references.bib").read_text(encoding="utf-8")
     entries = re.findall(r"^@\w+\{(\w+),(.*?)(?=^@|\Z)", text, re.DOTALL | re.MULTILINE)
-    made = [f"({key})=\n**[{key}]** {reference(dict(FIELD.findall(body)))}\n" for key, body in sorted(entries)]
+    made = [
+        f"({key})=\n**[{key}]** {reference(dict(FIELD.findall(body)))}\n"
+        for key, body in sorted(entries)
+    ]
     return "# Sources\n\n" + "\n".join(made)
 
 
 def reference(entry: dict[str, str]) -> str:
     """An entry in words."""
-    entry = {name: re.sub(r"\s+", " ", re.sub(r"[{}\\]", "", value)).replace("--", "–") for name, value in entry.items()}
-    authors = [" ".join(reversed(name.split(", "))) for name in entry.get("author", "").split(" and ") if name != "others"]
+    entry = {
+        name: re.sub(r"\s+", " ", re.sub(r"[{}\\]", "", value)).replace("--", "–")
+        for name, value in entry.items()
+    }
+    authors = [
+        " ".join(reversed(name.split(", ")))
+        for name in entry.get("author", "").split(" and ")
+        if name != "others"
+    ]
     where = (
         entry.get("journal")
         or entry.get("booktitle")
@@ -32,14 +42,24 @@ def reference(entry: dict[str, str]) -> str:
     )
     volume = entry.get("volume", "") + (f"({entry['number']})" if "number" in entry else "")
     others = " and others" * ("others" in entry.get("author", ""))
-    parts = [", ".join(authors) + others, f"*{entry.get('title', '')}*", " ".join(part for part in (where, volume) if part)]
+    parts = [
+        ", ".join(authors) + others,
+        f"*{entry.get('title', '')}*",
+        " ".join(part for part in (where, volume) if part),
+    ]
     parts += [entry["pages"]] if "pages" in entry else []
     said = ". ".join(part for part in parts if part) + f", {entry.get('year', 'no year')}."
     said += f" {entry['note'][0].upper()}{entry['note'][1:]}." if "note" in entry else ""
-    return said + (f" [doi:{entry['doi']}](https://doi.org/{entry['doi']})" if "doi" in entry else "")
+    return said + (
+        f" [doi:{entry['doi']}](https://doi.org/{entry['doi']})" if "doi" in entry else ""
+    )
 
 
-KINDS = {"erratum": "Printed wrongly", "reconstruction": "Lost or unreadable in the text at hand, and rebuilt", "remark": "Remarks"}
+KINDS = {
+    "erratum": "Printed wrongly",
+    "reconstruction": "Lost or unreadable in the text at hand, and rebuilt",
+    "remark": "Remarks",
+}
 
 
 def errata() -> str:
@@ -51,9 +71,16 @@ def errata() -> str:
     ]
     for i, paper in enumerate(PAPERS, 1):
         rows = load(paper).STUDY.rows
-        made.append(f"## {load(paper).TITLE}\n\n[The notebook](notebooks/{i:02d}_{paper}.ipynb) shows them.")
+        made.append(
+            f"## {load(paper).TITLE}\n\n[The notebook](notebooks/{i:02d}_{paper}.ipynb) shows them."
+        )
         for kind, head in KINDS.items():
             those = [row for row in rows if row.kind == kind]
             if those:
-                made.append(f"### {head}\n\n" + "\n".join(f"- {row.says}" + f" *({row.place})*" * bool(row.place) for row in those))
+                made.append(
+                    f"### {head}\n\n"
+                    + "\n".join(
+                        f"- {row.says}" + f" *({row.place})*" * bool(row.place) for row in those
+                    )
+                )
     return "\n\n".join(made) + "\n"

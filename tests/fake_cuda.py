@@ -29,7 +29,13 @@ class Driver:
     """
 
     def __init__(self, free=1 << 26, capability=(9, 0), failing=None, log=b"", literal=False):
-        self.free, self.capability, self.failing, self.log, self.literal = free, capability, failing or {}, log, literal
+        self.free, self.capability, self.failing, self.log, self.literal = (
+            free,
+            capability,
+            failing or {},
+            log,
+            literal,
+        )
         self.calls, self.memory, self.most, self.sources, self.entries = Counter(), {}, 0, {}, []
 
     def __getattribute__(self, name):
@@ -97,7 +103,9 @@ class Driver:
             return 1
         if self.held + size.value > self.free:
             return 2
-        buffer = (ctypes.c_char * size.value).from_buffer(bytearray(b"\xff" * size.value))  # as floats they are nan
+        buffer = (ctypes.c_char * size.value).from_buffer(
+            bytearray(b"\xff" * size.value)
+        )  # as floats they are nan
         place._obj.value = ctypes.addressof(buffer)
         self.memory[place._obj.value] = buffer
         self.most = max(self.most, self.held)
@@ -120,7 +128,15 @@ class Driver:
         return 0
 
     def cuLaunchKernel(self, entry, gx, gy, gz, bx, by, bz, shared, stream, parameters, extra):
-        assert (gy.value, gz.value, by.value, bz.value, shared.value, stream, extra) == (1, 1, 1, 1, 0, None, None)
+        assert (gy.value, gz.value, by.value, bz.value, shared.value, stream, extra) == (
+            1,
+            1,
+            1,
+            1,
+            0,
+            None,
+            None,
+        )
         given = [ctypes.c_int64.from_address(at).value for at in parameters]
         if any(at not in self.memory for at in given[:6]):
             return 700
@@ -146,7 +162,9 @@ def on_the_host(text):
     text, count = re.subn(r"(?m)^.*@llvm\.nvvm\.read\.ptx\.sreg\..*$\n", "", text)
     assert count == 6  # three declarations, three calls
     more = ", ".join(f"i32 %{name}" for name in _NAMES)
-    text, count = re.subn(r"define ptx_kernel void @entry\((.*)\)", rf"define void @entry(\1, {more})", text)
+    text, count = re.subn(
+        r"define ptx_kernel void @entry\((.*)\)", rf"define void @entry(\1, {more})", text
+    )
     assert count == 1
     numbers = [ctypes.c_int64] * 11 + [ctypes.c_int32] * 3
     return ctypes.CFUNCTYPE(None, *numbers)(llvm.compiled(text, "entry"))

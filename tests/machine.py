@@ -18,7 +18,11 @@ def mounted(folder, options):
     folder.mkdir()
     if os.name != "posix" or shutil.which("mount") is None or os.geteuid() != 0:
         pytest.skip("cannot mount here")
-    if subprocess.run(["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(folder)], capture_output=True, check=False).returncode:
+    if subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(folder)],
+        capture_output=True,
+        check=False,
+    ).returncode:
         pytest.skip("cannot mount here")
     try:
         yield

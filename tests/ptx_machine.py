@@ -73,9 +73,13 @@ class Machine:
                 self.labels[found[1]] = len(self.code)
                 line = line[found.end() :]
                 if line.startswith(".branchtargets"):
-                    self.tables[found[1]] = [name.strip() for name in line.removeprefix(".branchtargets").split(",")]
+                    self.tables[found[1]] = [
+                        name.strip() for name in line.removeprefix(".branchtargets").split(",")
+                    ]
             if line and line[0] not in ".}":
-                guard, op, rest = re.fullmatch(r"(?:@(!?%\w+)\s+)?([\w.:]+)\s*(.*)", line, re.S).groups()
+                guard, op, rest = re.fullmatch(
+                    r"(?:@(!?%\w+)\s+)?([\w.:]+)\s*(.*)", line, re.S
+                ).groups()
                 self.code.append((guard, op, [x.strip() for x in rest.split(",")] if rest else []))
 
     @np.errstate(all="ignore")
@@ -108,7 +112,9 @@ class Machine:
         elif op.startswith(("ld.global", "st.global")):
             place = given[0] if op[0] == "l" else target
             register, _, offset = place.strip("[]").partition("+")
-            cell = {"b64": ctypes.c_uint64, "b32": ctypes.c_uint32}[kind].from_address(self.registers[register] + int(offset or 0))
+            cell = {"b64": ctypes.c_uint64, "b32": ctypes.c_uint32}[kind].from_address(
+                self.registers[register] + int(offset or 0)
+            )
             if op[0] == "l":
                 self.registers[target] = cell.value
             else:
@@ -116,24 +122,39 @@ class Machine:
         elif name.startswith("setp"):
             how = name.split(".")[1]
             pair = [self.typed(x, kind) for x in given]
-            self.registers[target] = COMPARED["neu" if how == "ne" and kind != "f64" else how](*pair)
+            self.registers[target] = COMPARED["neu" if how == "ne" and kind != "f64" else how](
+                *pair
+            )
         elif name == "selp":
             self.registers[target] = self.value(given[0] if self.registers[given[2]] else given[1])
         elif kind == "pred":
             pair = [self.registers[x] for x in given]
-            self.registers[target] = {"and": all(pair), "or": any(pair), "not": not pair[0], "xor": pair[0] != pair[-1]}[name]
+            self.registers[target] = {
+                "and": all(pair),
+                "or": any(pair),
+                "not": not pair[0],
+                "xor": pair[0] != pair[-1],
+            }[name]
         elif kind == "f64":
             base = name.removesuffix(".f64").removesuffix(".rn")
             self.registers[target] = bits(FLOATS[base](*(real(self.value(x)) for x in given)))
         else:
             base = "cvt" if name.startswith("cvt.") else name
             size = int(kind[1:]) if base != "cvt" else 64
-            self.registers[target] = INTEGERS[base](*(self.value(x) for x in given)) & ((1 << size) - 1)
+            self.registers[target] = INTEGERS[base](*(self.value(x) for x in given)) & (
+                (1 << size) - 1
+            )
 
     def typed(self, x, kind):
         """A value as what it is compared."""
         found = self.value(x)
-        return real(found) if kind == "f64" else signed(found, int(kind[1:])) if kind[0] == "s" else found
+        return (
+            real(found)
+            if kind == "f64"
+            else signed(found, int(kind[1:]))
+            if kind[0] == "s"
+            else found
+        )
 
 
 def bits_of(x):

@@ -17,27 +17,50 @@ from celnav.receiver.sky import klobuchar, local_axes, look, saastamoinen
 WEEK = 755
 TOE = 604800.0 * WEEK + 345600.0
 PLACE = np.array([-2611857.0, 4741146.0, 3363676.0])
-ALPHA, BETA = (4.6566e-09, 1.4901e-08, -5.9605e-08, -1.1921e-07), (8.192e04, 9.8304e04, -6.5536e04, -5.2429e05)
+ALPHA, BETA = (
+    (4.6566e-09, 1.4901e-08, -5.9605e-08, -1.1921e-07),
+    (8.192e04, 9.8304e04, -6.5536e04, -5.2429e05),
+)
 
 
 def constellation():
     b = synthetic(TOE)
     rng = np.random.default_rng(0)
-    return replace(b, a0=1e-4 * rng.normal(size=len(b)), a1=1e-11 * rng.normal(size=len(b)), tgd=1e-8 * rng.normal(size=len(b)))
+    return replace(
+        b,
+        a0=1e-4 * rng.normal(size=len(b)),
+        a1=1e-11 * rng.normal(size=len(b)),
+        tgd=1e-8 * rng.normal(size=len(b)),
+    )
 
 
 def gps():
     """Satellites of GPS: four in each of six planes."""
     b = constellation()
     b, k = b.chosen(b.number >= 19.0).chosen(np.arange(24)), np.arange(24)
-    angles = {"Omega0": np.radians(60.0 * (k // 4) + 25.0), "M0": np.radians(90.0 * (k % 4) + 37.0 * (k // 4))}
-    return replace(b, number=k + 1.0, gps=np.ones(24), sqrt_a=np.full(24, np.sqrt(26560e3)), e=np.full(24, 0.01), **angles)
+    angles = {
+        "Omega0": np.radians(60.0 * (k // 4) + 25.0),
+        "M0": np.radians(90.0 * (k % 4) + 37.0 * (k // 4)),
+    }
+    return replace(
+        b,
+        number=k + 1.0,
+        gps=np.ones(24),
+        sqrt_a=np.full(24, np.sqrt(26560e3)),
+        e=np.full(24, 0.01),
+        **angles,
+    )
 
 
 def both():
     """Of BeiDou and of GPS."""
     parts = constellation(), gps()
-    return type(parts[0])(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(parts[0])))
+    return type(parts[0])(
+        *(
+            np.concatenate([getattr(part, field.name) for part in parts])
+            for field in fields(parts[0])
+        )
+    )
 
 
 def label(text, name):
@@ -51,7 +74,10 @@ def civil(t):
 
 def navigation(b, toe=TOE):
     """A navigation file of the sets."""
-    text = label(f"{3.04:9.2f}{'':11}{'N: GNSS NAV DATA':<20}{'M: MIXED' if b.gps.any() else 'C: BDS':<20}", "RINEX VERSION / TYPE")
+    text = label(
+        f"{3.04:9.2f}{'':11}{'N: GNSS NAV DATA':<20}{'M: MIXED' if b.gps.any() else 'C: BDS':<20}",
+        "RINEX VERSION / TYPE",
+    )
     for name, row in (("GPSA", ALPHA), ("GPSB", BETA)):
         text += label(f"{name} " + "".join(f"{v:12.4E}" for v in row), "IONOSPHERIC CORR")
     text += label("", "END OF HEADER")
@@ -63,7 +89,9 @@ def navigation(b, toe=TOE):
             [(b.toe[s] + ahead) % 604800.0, b.cic[s], b.Omega0[s], b.cis[s]], [b.i0[s], b.crc[s], b.omega[s], b.Omega_dot[s]],
             [b.i_dot[s], 0.0, float(WEEK), 0.0], [2.0, b.health[s], b.tgd[s], 0.0], [345600.0, 0.0],
         ]  # fmt: skip
-        text += f"{name} {y} {mo} {d} {h} {mi} {sec}" + "".join(f"{v:19.12E}" for v in rows[0]) + "\n"
+        text += (
+            f"{name} {y} {mo} {d} {h} {mi} {sec}" + "".join(f"{v:19.12E}" for v in rows[0]) + "\n"
+        )
         text += "".join("    " + "".join(f"{v:19.12E}" for v in row) + "\n" for row in rows[1:])
     return text
 
@@ -83,22 +111,32 @@ def measurements(b, times, bias, offset=0.0):
         above = np.maximum(sky.elevation, 0.05)
         iono = klobuchar(ALPHA, BETA, t + GPS_AHEAD_S, latitude, longitude, above, sky.azimuth)
         z = pseudorange.measure(np.concatenate([PLACE, np.zeros(3), [ahead, 30.0]]), seen.q, seen.w)
-        code[k] = z[: len(b)] - seen.clock + (L1_HZ / hz) ** 2 * iono + saastamoinen(latitude, height, above) + offset * b.gps
+        code[k] = (
+            z[: len(b)]
+            - seen.clock
+            + (L1_HZ / hz) ** 2 * iono
+            + saastamoinen(latitude, height, above)
+            + offset * b.gps
+        )
         doppler[k] = -(z[len(b) :] - seen.drift) * hz / LIGHT
     return code, doppler
 
 
 def observations(b, times, ahead=14.0, system="GPS", offset=0.0):
     """An observation file at times (s of BDT), and its pseudoranges and Doppler: C19 is away at the second epoch, G01 is there."""
-    text = label(f"{3.04:9.2f}{'':11}{'OBSERVATION DATA':<20}{'M: Mixed':<20}", "RINEX VERSION / TYPE")
+    text = label(
+        f"{3.04:9.2f}{'':11}{'OBSERVATION DATA':<20}{'M: Mixed':<20}", "RINEX VERSION / TYPE"
+    )
     text += label("TEST", "MARKER NAME")
     text += label("".join(f"{v:14.4f}" for v in PLACE), "APPROX POSITION XYZ")
     text += label(f"{0.5:14.4f}{0.0:14.4f}{0.0:14.4f}", "ANTENNA: DELTA H/E/N")
-    text += label("G    2 C1C D1C", "SYS / # / OBS TYPES") + label("C    3 C2I L2I D2I", "SYS / # / OBS TYPES")
-    y, mo, d, h, mi, sec = civil(times[0] + ahead)
-    text += label(f"  {y}    {mo}    {d}    {h}    {mi}   {sec}.0000000     {system}", "TIME OF FIRST OBS") + label(
-        "", "END OF HEADER"
+    text += label("G    2 C1C D1C", "SYS / # / OBS TYPES") + label(
+        "C    3 C2I L2I D2I", "SYS / # / OBS TYPES"
     )
+    y, mo, d, h, mi, sec = civil(times[0] + ahead)
+    text += label(
+        f"  {y}    {mo}    {d}    {h}    {mi}   {sec}.0000000     {system}", "TIME OF FIRST OBS"
+    ) + label("", "END OF HEADER")
     code, doppler = measurements(b, times, 3e4 + 30.0 * (times - times[0]), offset)
     for k, t in enumerate(times):
         rows = [
@@ -127,4 +165,6 @@ def written(tmp_path, text, name="file.rnx"):
 
 def observed(b, times, bias, offset=0.0):
     """A log of a receiver at `PLACE` whose clock is ahead by ``bias`` m, of GPS's by ``offset`` more."""
-    return Observations(Path("obs.rnx"), "TEST", PLACE, times, b.names, *measurements(b, times, bias, offset))
+    return Observations(
+        Path("obs.rnx"), "TEST", PLACE, times, b.names, *measurements(b, times, bias, offset)
+    )

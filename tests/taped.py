@@ -43,7 +43,9 @@ def values(tape, given, y):
         else:
             known.append(FUNCTIONS[name](*(known[a] for a in arguments)))
     array = np.asarray(y, object)
-    return np.array([float(known[x.i]) if isinstance(x, Number) else float(x) for x in array.flat]).reshape(array.shape)
+    return np.array(
+        [float(known[x.i]) if isinstance(x, Number) else float(x) for x in array.flat]
+    ).reshape(array.shape)
 
 
 def _left(routine, given):
@@ -52,7 +54,10 @@ def _left(routine, given):
     cells[: len(given)] = given
     for stage in routine.stages:
         for row in range(stage.rows):
-            at = [stage.places[place][0] + row * stage.places[place][1] + index for place, index in stage.inputs]
+            at = [
+                stage.places[place][0] + row * stage.places[place][1] + index
+                for place, index in stage.inputs
+            ]
             found = values(stage.tape, cells[at], [x for *_, x in stage.results])
             for (place, index, _), x in zip(stage.results, found, strict=True):
                 cells[stage.places[place][0] + row * stage.places[place][1] + index] = x

@@ -48,7 +48,12 @@ def tiny(failing=False, work=numbers, size=4, blocks=2):
     rows = [
         Row("statement", "one", "It is so", lambda _: Number("x", value, (0.0, 1.5))),
         Row("erratum", "two", "1 < 0"),
-        Row("check", "three", "It is so", lambda r: Number("x", float(r.get("all", "kf/nees").mean()), (0.0, 1.0))),
+        Row(
+            "check",
+            "three",
+            "It is so",
+            lambda r: Number("x", float(r.get("all", "kf/nees").mean()), (0.0, 1.0)),
+        ),
     ]
     parts = {"all": Part(work, size, 0, 2 * blocks, 2, 1.0)}
     return SimpleNamespace(
@@ -71,10 +76,18 @@ def study(monkeypatch):
     return use
 
 
-def test_reproduce_tells_the_share_and_the_time_left_of_figures_and_recordings_too(study, tmp_path, capsys):
+def test_reproduce_tells_the_share_and_the_time_left_of_figures_and_recordings_too(
+    study, tmp_path, capsys
+):
     assert cli.main(["reproduce", "--out", str(tmp_path), "--effort", "1", "--jobs", "1"]) == 0
     told = [line for line in capsys.readouterr().out.splitlines() if line.startswith("celnav: ")]
-    assert [line.rpartition(": ")[2] for line in told] == ["all", "all", "ledger", "figures", "recordings"]
+    assert [line.rpartition(": ")[2] for line in told] == [
+        "all",
+        "all",
+        "ledger",
+        "figures",
+        "recordings",
+    ]
     shares = [int(re.match(r"celnav: (\d+)%, .* left: ", line)[1]) for line in told]
     assert shares == [5, 9, 9, 18, 64]  # one CPU second of runs, ten of what is made of them
 
@@ -83,7 +96,11 @@ def test_reproduce_writes_everything_and_replaces_its_own(study, tmp_path, capsy
     out = tmp_path / "a folder"
     for _ in range(2):
         assert cli.main(["reproduce", "--out", str(out)]) == 0
-    written = {str(p.relative_to(out)) for p in out.rglob("*") if p.is_file() and not p.name.startswith(".")}
+    written = {
+        str(p.relative_to(out))
+        for p in out.rglob("*")
+        if p.is_file() and not p.name.startswith(".")
+    }
     written = {name for name in written if ".results/" not in name}  # kept for the next time
     assert written == {
         "index.html", "tiny/claims.json", "tiny/checks.json", "tiny/timings.json", "tiny/result.npz", "tiny/tiny.rrd",
@@ -119,20 +136,42 @@ def test_strict_fails_where_a_claim_is_not_as_expected(study, tmp_path, capsys):
         (["verdicts"], 2, "no paper was reproduced there"),
         (["reproduse"], 2, "unknown command 'reproduse': expected one of new, list, reproduce, "),
         (["reproduse"], 2, "; did you mean reproduce?"),
-        (["reproduce", "--efort", "0.1"], 2, "unknown option --efort; did you mean --effort?; see celnav reproduce --help"),
+        (
+            ["reproduce", "--efort", "0.1"],
+            2,
+            "unknown option --efort; did you mean --effort?; see celnav reproduce --help",
+        ),
         (["run", "--efort=0.1"], 2, "unknown option --efort; did you mean --effort?"),
-        (["run", "mission.toml", "another"], 2, "expected nothing more, got 'another'; see celnav run --help"),
+        (
+            ["run", "mission.toml", "another"],
+            2,
+            "expected nothing more, got 'another'; see celnav run --help",
+        ),
         (["--versoin"], 2, "unknown option --versoin; did you mean --version?"),
         (["run"], 2, "the following arguments are required: MISSION.toml; see celnav run --help"),
-        (["reproduce", "--jobs", "none"], 2, "--jobs: expected a whole number of at least 1, got 'none'"),
+        (
+            ["reproduce", "--jobs", "none"],
+            2,
+            "--jobs: expected a whole number of at least 1, got 'none'",
+        ),
         (["reproduce", "--seed", "x"], 2, "--seed: expected a whole number"),
-        (["reproduce", "--effort", "x"], 2, "celnav: --effort: expected a number in (0, 1], got 'x'"),
+        (
+            ["reproduce", "--effort", "x"],
+            2,
+            "celnav: --effort: expected a number in (0, 1], got 'x'",
+        ),
         (["reproduce", "--rinex", "."], 2, "--rinex: expected a paper that takes a receiver's log"),
-        (["view", "mission.toml"], 2, "mission.toml: expected a paper that was reproduced, or a recording, FILE.rrd"),
+        (
+            ["view", "mission.toml"],
+            2,
+            "mission.toml: expected a paper that was reproduced, or a recording, FILE.rrd",
+        ),
         (["run", "absent.toml"], 2, "celnav: absent.toml: no such file or directory"),
     ],
 )
-def test_a_mistake_is_one_line_and_an_exit_code(study, tmp_path, monkeypatch, capsys, arguments, status, text):
+def test_a_mistake_is_one_line_and_an_exit_code(
+    study, tmp_path, monkeypatch, capsys, arguments, status, text
+):
     monkeypatch.chdir(tmp_path)
     assert cli.main(arguments) == status
     error = capsys.readouterr().err
@@ -192,17 +231,31 @@ def test_view_without_a_display_says_what_to_do(study, tmp_path, monkeypatch, ca
     [
         (["--picture", "a.jpg"], "--picture: expected the name of a .png file, got 'a.jpg'"),
         (["--picture", "a.png", "--at", "soon"], "--at: expected a number, got 'soon'"),
-        (["--picture", "a.png", "--at", "-1"], "--at: expected a time of the recording, from 0 to 2 s, got -1"),
-        (["--picture", "a.png", "--at", "nan"], "--at: expected a time of the recording, from 0 to 2 s, got nan"),
-        (["--picture", "a.png", "--at", "2.5"], "--at: expected a time of the recording, from 0 to 2 s, got 2.5"),
-        (["--at", "1"], "--at: expected --picture FILE.png with it; in a window the time is moved by hand"),
+        (
+            ["--picture", "a.png", "--at", "-1"],
+            "--at: expected a time of the recording, from 0 to 2 s, got -1",
+        ),
+        (
+            ["--picture", "a.png", "--at", "nan"],
+            "--at: expected a time of the recording, from 0 to 2 s, got nan",
+        ),
+        (
+            ["--picture", "a.png", "--at", "2.5"],
+            "--at: expected a time of the recording, from 0 to 2 s, got 2.5",
+        ),
+        (
+            ["--at", "1"],
+            "--at: expected --picture FILE.png with it; in a window the time is moved by hand",
+        ),
     ],
 )
 def test_a_picture_that_cannot_be_is_one_line(tmp_path, monkeypatch, capsys, options, text):
     from celnav.show import recording, views
 
     monkeypatch.chdir(tmp_path)
-    with recording.recording(tmp_path / "a.rrd", np.arange(3.0), name="a", layout=views.text(origin="info")) as out:
+    with recording.recording(
+        tmp_path / "a.rrd", np.arange(3.0), name="a", layout=views.text(origin="info")
+    ) as out:
         out.curve("x", np.arange(3.0), "#000000", "x")
     assert cli.main(["view", "a.rrd", *options]) == 2
     assert capsys.readouterr().err == f"celnav: {text}\n"
@@ -217,7 +270,13 @@ def test_list_names_papers_figures_filters_and_rules(capsys):
 
 
 def call(*arguments, **options):
-    return subprocess.run([sys.executable, "-m", "celnav", *arguments], capture_output=True, text=True, check=False, **options)
+    return subprocess.run(
+        [sys.executable, "-m", "celnav", *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        **options,
+    )
 
 
 def test_version_help_and_an_unknown_command(tmp_path):
@@ -230,7 +289,13 @@ def test_version_help_and_an_unknown_command(tmp_path):
 
 def test_a_closed_pipe_is_quiet(tmp_path):
     shell = f"{sys.executable} -m celnav list csrukf | head -1"
-    piped = subprocess.run(["bash", "-c", f"set -o pipefail; {shell}"], capture_output=True, text=True, check=False, cwd=tmp_path)
+    piped = subprocess.run(
+        ["bash", "-c", f"set -o pipefail; {shell}"],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=tmp_path,
+    )
     assert piped.stdout.startswith("csrukf: ")
     assert piped.stdout.count("\n") == 1
     assert piped.stderr == ""
@@ -248,7 +313,12 @@ def test_what_only_computes_starts_without_what_draws():
         "import sys; from celnav import papers; import celnav.campaign; [papers.load(paper) for paper in papers.PAPERS]; "
         "print(*{'rerun', 'matplotlib', 'scipy.stats', 'pandas', 'filterpy', 'distributed'} & set(sys.modules))"
     )
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "\n"
+    assert (
+        subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True
+        ).stdout
+        == "\n"
+    )
 
 
 def test_nothing_in_the_package_reads_pickles_or_names_a_host():
@@ -260,11 +330,15 @@ def test_nothing_in_the_package_reads_pickles_or_names_a_host():
         assert "shell=True" not in text
 
 
-def test_view_takes_the_first_recording_of_the_paper_and_names_with_or_without_their_end(study, tmp_path, monkeypatch, capsys):
+def test_view_takes_the_first_recording_of_the_paper_and_names_with_or_without_their_end(
+    study, tmp_path, monkeypatch, capsys
+):
     """The order is the paper's, not the alphabet's."""
     shown = []
     monkeypatch.setattr("celnav.show.picture.end", lambda path: 10.0)
-    monkeypatch.setattr("celnav.show.picture.picture", lambda path, target, at: shown.append((path.name, at)))
+    monkeypatch.setattr(
+        "celnav.show.picture.picture", lambda path, target, at: shown.append((path.name, at))
+    )
     monkeypatch.setattr(load("tiny"), "RECORDINGS", ["b.rrd", "a.rrd"])
     (tmp_path / "tiny").mkdir()
     for name in ("a", "b"):
@@ -276,7 +350,9 @@ def test_view_takes_the_first_recording_of_the_paper_and_names_with_or_without_t
     assert shown == [("b.rrd", 10.0), ("a.rrd", 3.0), ("a.rrd", 3.0)]
     capsys.readouterr()
     assert cli.main(["view", "tiny", *picture, "--recording", "c"]) == 2
-    assert capsys.readouterr().err == "celnav: unknown recording 'c': expected one of b.rrd, a.rrd\n"
+    assert (
+        capsys.readouterr().err == "celnav: unknown recording 'c': expected one of b.rrd, a.rrd\n"
+    )
 
 
 def test_less_than_the_whole_effort_is_told(study, tmp_path, capsys):
@@ -296,7 +372,14 @@ def test_list_says_what_each_parameter_means_and_its_unit(paper, capsys):
     for name in flat(asdict(start)):
         assert said[name]
         assert name == "runs" or f"{unit_of(name)} {said[name]}".strip() in listed
-    units = {"inertia": "kg m^2", "wheels": "N m s", "torque": "N m", "elements": "(km)", "phase": "rad", "deviation": "(m)"}
+    units = {
+        "inertia": "kg m^2",
+        "wheels": "N m s",
+        "torque": "N m",
+        "elements": "(km)",
+        "phase": "rad",
+        "deviation": "(m)",
+    }
     for name, unit in (units | {"burst_sigma": "m/s", "days": "days"}).items():
         assert name not in said or unit in said[name]
 

@@ -17,13 +17,19 @@ WHITE = RNG.standard_normal(200)
 
 
 def written(path, header, rows, mark=","):
-    path.write_text("\n".join([header, *(mark.join(map(str, row)) for row in rows)]) + "\n", encoding="utf-8")
+    path.write_text(
+        "\n".join([header, *(mark.join(map(str, row)) for row in rows)]) + "\n", encoding="utf-8"
+    )
     return path
 
 
 def test_a_table_with_claims_is_diagnosed_and_written(tmp_path, capsys):
     slow = ar1([[0.8]], 0.6 * RNG.standard_normal((399, 1)), [0.3])[:, 0]
-    rows = [(f"2026-01-01 {k}", 10 * k, 7000.0 + k, 2.0 * x, 1.0) for k, x in enumerate(slow) if not 50 <= k < 60]
+    rows = [
+        (f"2026-01-01 {k}", 10 * k, 7000.0 + k, 2.0 * x, 1.0)
+        for k, x in enumerate(slow)
+        if not 50 <= k < 60
+    ]
     path = written(tmp_path / "track.csv", "time_utc,seconds_utc,x_m,east_m,std_east_m", rows)
     assert main(["diagnose", str(path), "--out", str(tmp_path / "out")]) == 0
     out = capsys.readouterr().out.replace("\n         ", " ")
@@ -31,21 +37,31 @@ def test_a_table_with_claims_is_diagnosed_and_written(tmp_path, capsys):
     assert "not looked at: time_utc, x_m (--columns chooses)" in out
     assert "times as large as claimed" in out
     assert "take celnav.colored(motion, sensor, Phi=[[0." in out
-    assert {p.name for p in (tmp_path / "out").glob("d*")} == {f"diagnosis.{kind}" for kind in ("txt", "json", "png", "svg")}
+    assert {p.name for p in (tmp_path / "out").glob("d*")} == {
+        f"diagnosis.{kind}" for kind in ("txt", "json", "png", "svg")
+    }
     found = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
     (component,) = found["components"]
     low, high = component["coloring"]["phi_interval"]
     assert low < 0.8 < high
     assert f"Phi = {component['coloring']['phi']:.3f}" in out
     assert len(component["autocorrelation"]) == 20
-    assert main(["diagnose", str(path), "--columns", "x_m", "--time", "seconds_utc", "--lags", "5"]) == 0
+    assert (
+        main(["diagnose", str(path), "--columns", "x_m", "--time", "seconds_utc", "--lags", "5"])
+        == 0
+    )
     assert "x_m: no deviations are claimed" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("mark", [",", ";", "\t", " "])
 def test_tables_as_they_come(tmp_path, mark):
     """Any separator, comments, empty lines, what is missing, and runs one after the other."""
-    rows = [(r, k, "nan" if k == 3 else f"{x:.17g}", 0.5) for r in range(2) for k, x in enumerate(WHITE[:50]) if (r, k) != (1, 7)]
+    rows = [
+        (r, k, "nan" if k == 3 else f"{x:.17g}", 0.5)
+        for r in range(2)
+        for k, x in enumerate(WHITE[:50])
+        if (r, k) != (1, 7)
+    ]
     path = written(tmp_path / "a.csv", mark.join(["run", "t", "x", "sigma_x"]), rows, mark)
     path.write_text("# made by hand\n\n" + path.read_text(), encoding="utf-8-sig")
     table = read(path)
@@ -79,7 +95,11 @@ GOOD = [(k, f"{x:.6g}", 1.0) for k, x in enumerate(WHITE)]
         ("t,x\n0,1\n1,2\n", [], "expected at least 20 samples"),
         ("t,x\n0,1\n1,2\n", ["--columns", "y"], "expected a column 'y', got t, x"),
         ("t,x\n0,1\n1,2\n", ["--time", "y"], "expected a column 'y', got t, x"),
-        ("t,x,std_x\n" + "".join(f"{k},{x},{k}\n" for k, x, _ in GOOD), [], "expected positive deviations"),
+        (
+            "t,x,std_x\n" + "".join(f"{k},{x},{k}\n" for k, x, _ in GOOD),
+            [],
+            "expected positive deviations",
+        ),
         ("t,x\n0,1\n1,\x00\n", [], "line 3: expected a finite number"),
     ],
 )
@@ -100,6 +120,9 @@ def test_what_is_no_text_and_options_that_are_none(tmp_path, capsys):
     assert main(["diagnose", str(tmp_path / "none.csv")]) == 2
     assert "none.csv: no such file" in capsys.readouterr().err
     written(tmp_path / "b.csv", "t,x,std_x", GOOD)
-    for options, match in ((["--lags", "0"], "--lags: expected"), (["--level", "2"], "--level: expected")):
+    for options, match in (
+        (["--lags", "0"], "--lags: expected"),
+        (["--level", "2"], "--level: expected"),
+    ):
         assert main(["diagnose", str(tmp_path / "b.csv"), *options]) == 2
         assert match in capsys.readouterr().err

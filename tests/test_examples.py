@@ -21,7 +21,10 @@ from celnav.models import orbit
 ROOT = Path(celnav.__file__).parent
 NAMES = re.findall(
     r"\.\. auto(?:function|class):: celnav\.([\w.]*)",
-    "".join(path.read_text(encoding="utf-8") for path in sorted((ROOT.parent / "docs" / "reference").glob("*.md"))),
+    "".join(
+        path.read_text(encoding="utf-8")
+        for path in sorted((ROOT.parent / "docs" / "reference").glob("*.md"))
+    ),
 )
 WITHOUT = {  # records that are given, not made; what they are part of has the example
     "gaussian.spaces.Space", "analysis.diagnose.Diagnosis", "filters.sequential.Iterated", "filters.records.Filter",
@@ -38,8 +41,12 @@ def examples():
             text = path.read_text(encoding="utf-8")
             if ">>> " in text:
                 name = ".".join(("celnav", *path.relative_to(ROOT).with_suffix("").parts))
-                for test in doctest.DocTestFinder(recurse=True, exclude_empty=True).find(import_module(name), name):
-                    if test.examples and not any(name in example.source for example in test.examples for name in GIVEN):
+                for test in doctest.DocTestFinder(recurse=True, exclude_empty=True).find(
+                    import_module(name), name
+                ):
+                    if test.examples and not any(
+                        name in example.source for example in test.examples for name in GIVEN
+                    ):
                         yield test
 
 
@@ -64,9 +71,16 @@ def problem():
 
     def build(parameters):
         sigma, phi = parameters
-        return celnav.colored(motion, celnav.Sensor(H, R=sigma**2 * np.eye(3)), phi * np.eye(3)), prior
+        return celnav.colored(
+            motion, celnav.Sensor(H, R=sigma**2 * np.eye(3)), phi * np.eye(3)
+        ), prior
 
-    motion, gps, prior, times = celnav.Motion(f, Q), celnav.Sensor(H, R), celnav.Gaussian(x0, P0), np.arange(31.0)
+    motion, gps, prior, times = (
+        celnav.Motion(f, Q),
+        celnav.Sensor(H, R),
+        celnav.Gaussian(x0, P0),
+        np.arange(31.0),
+    )
     truth, z = celnav.simulate(motion, gps, prior, times, runs=2)
     filter = celnav.ukf(motion, gps)
     return {
@@ -96,12 +110,18 @@ def test_an_example_runs(name, tmp_path, monkeypatch):
             exec(compile(source, name, "exec"), known)
         else:
             got = repr(eval(source, known)) + "\n"
-            assert doctest.OutputChecker().check_output(example.want, got, doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE), got
+            assert doctest.OutputChecker().check_output(
+                example.want, got, doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+            ), got
 
 
 def test_modules_name_what_the_reference_shows():
     """``__all__`` of a module is what is public there; the reference shows nothing else."""
-    shown = [(thing.__module__, name.rsplit(".", 1)[-1]) for name in NAMES for thing in [attrgetter(name)(celnav)]]
+    shown = [
+        (thing.__module__, name.rsplit(".", 1)[-1])
+        for name in NAMES
+        for thing in [attrgetter(name)(celnav)]
+    ]
     for module, name in shown:
         own = import_module(module)
         assert name in own.__all__, f"{module}.{name}"

@@ -25,7 +25,11 @@ OF_THREE = celnav.sigma_point(celnav.Motion(lambda x, epoch: x, EYE), rule=celna
 
 
 def run(z, prior=PRIOR, times=None, **model):
-    return celnav.run(filtered(**model), prior, celnav.epochs(np.arange(float(len(z))) if times is None else times, z))
+    return celnav.run(
+        filtered(**model),
+        prior,
+        celnav.epochs(np.arange(float(len(z))) if times is None else times, z),
+    )
 
 
 @pytest.mark.parametrize("z", [None, np.full(2, np.nan)], ids=["none", "nan"])
@@ -44,7 +48,10 @@ def test_a_missing_measurement_leaves_the_prediction(z):
         (lambda: run(np.zeros((3, 3))), "z: expected 2 components to go with h, got 3"),
         (lambda: run(np.zeros((3, 2, 1))), "z: expected 2 components"),
         (lambda: run(np.zeros((3, 2)), h=np.eye(3), R=np.eye(3)), "h: expected a matrix"),
-        (lambda: run(np.zeros((3, 2)), h=lambda x, epoch: x[..., :1]), r"h returned shape \(5, 1\), expected \(5, 2\)"),
+        (
+            lambda: run(np.zeros((3, 2)), h=lambda x, epoch: x[..., :1]),
+            r"h returned shape \(5, 1\), expected \(5, 2\)",
+        ),
         (lambda: filtered(Q=0.5), "Q: expected .* got shape"),
         (lambda: filtered(R=0.5), "R: expected .* got shape"),
         (lambda: run(np.zeros((3, 2)), times=[0.0, 2.0, 1.0]), "times"),
@@ -69,9 +76,20 @@ def test_a_missing_measurement_leaves_the_prediction(z):
         (lambda: celnav.gauss_hermite(9, 7), "order.*40353607"),
         (lambda: celnav.gauss_hermite(2, 0), "order"),
         (lambda: celnav.cubature(3, 4), "degree"),
-        (lambda: celnav.run(filtered(), PRIOR, celnav.epochs([0.0], [[0.0, 0.0]]), every=0), "every"),
-        (lambda: celnav.run(filtered(), PRIOR, celnav.epochs([0.0], [[0.0, 0.0]]), keep="all"), "keep"),
-        (lambda: celnav.run(filtered(), PRIOR, celnav.epochs([0.0], [[0.0, 0.0]]), on_failure="ignore"), "on_failure"),
+        (
+            lambda: celnav.run(filtered(), PRIOR, celnav.epochs([0.0], [[0.0, 0.0]]), every=0),
+            "every",
+        ),
+        (
+            lambda: celnav.run(filtered(), PRIOR, celnav.epochs([0.0], [[0.0, 0.0]]), keep="all"),
+            "keep",
+        ),
+        (
+            lambda: celnav.run(
+                filtered(), PRIOR, celnav.epochs([0.0], [[0.0, 0.0]]), on_failure="ignore"
+            ),
+            "on_failure",
+        ),
         (lambda: celnav.run(filtered(), PRIOR, [celnav.Epoch(0, 0.0, -1.0)]), "dt"),
         (lambda: celnav.run(filtered(), PRIOR, [celnav.Epoch(0, 0.0, np.nan)]), "dt"),
         (lambda: coloring(1.01 * EYE), "Phi"),
@@ -153,14 +171,21 @@ def test_a_model_that_is_not_finite_at_a_point_is_named_with_step_and_point():
         y[3] = np.nan
         return y
 
-    with pytest.raises(celnav.FilterError, match=r"step 1, t = 1.0: f is not finite at sigma point 3"):
+    with pytest.raises(
+        celnav.FilterError, match=r"step 1, t = 1.0: f is not finite at sigma point 3"
+    ):
         run(np.zeros((3, 2)), f=f)
 
 
 @FORMS
 def test_a_singular_innovation_is_told_not_divided_by(form):
     with pytest.raises(celnav.FilterError, match="innovation covariance is not positive definite"):
-        run(np.ones((2, 2)), celnav.Gaussian(np.zeros(2), np.diag([1.0, 0.0])), R=np.zeros((2, 2)), form=form)
+        run(
+            np.ones((2, 2)),
+            celnav.Gaussian(np.zeros(2), np.diag([1.0, 0.0])),
+            R=np.zeros((2, 2)),
+            form=form,
+        )
 
 
 @FORMS
@@ -182,7 +207,9 @@ def test_badly_conditioned_innovations_need_no_inverse(form):
 
 def test_a_covariance_stays_symmetric_over_many_steps():
     F = np.array([[1.0, 0.1, 0.0], [0.0, 1.0, 0.1], [-0.01, 0.0, 0.99]])
-    filter = filtered(lambda x, epoch: x @ F.T, np.eye(1, 3), 1e-3 * np.eye(3), np.eye(1), form="covariance")
+    filter = filtered(
+        lambda x, epoch: x @ F.T, np.eye(1, 3), 1e-3 * np.eye(3), np.eye(1), form="covariance"
+    )
     state, z = filter.start(celnav.Gaussian(np.zeros(3), np.eye(3))), np.zeros(1)
     for k in range(10_000):
         state, _ = filter.step(state, celnav.Epoch(k, float(k), 1.0, None, z))
@@ -224,10 +251,14 @@ def test_the_mean_of_constants_survives_a_small_alpha():
 def test_an_indefinite_innovation_covariance_is_flagged_not_returned():
     sensor = celnav.Sensor(lambda x, epoch: np.cos(3.0 * x[..., :6]), 0.0025 * np.eye(6))
     filter = celnav.ckf(celnav.Motion(np.eye(13), np.zeros((13, 13))), sensor, degree=5)
-    wide = celnav.Gaussian(np.zeros((3, 13)), np.eye(13) * np.array([0.2, 3.0, 0.2])[:, None, None] ** 2)
+    wide = celnav.Gaussian(
+        np.zeros((3, 13)), np.eye(13) * np.array([0.2, 3.0, 0.2])[:, None, None] ** 2
+    )
     before, epoch = filter.start(wide), celnav.Epoch(z=np.ones((3, 6)))
     after, _ = filter.update(before, epoch)
-    assert explain(filter, before, after, epoch).startswith("the innovation covariance is not positive definite")
+    assert explain(filter, before, after, epoch).startswith(
+        "the innovation covariance is not positive definite"
+    )
     np.testing.assert_array_equal(np.isfinite(after.belief.mean).all(-1), [True, False, True])
 
 
@@ -258,7 +289,9 @@ def test_units_that_look_wrong_are_warned_of():
 
 
 def test_a_star_behind_the_earth_is_skipped():
-    seen = sightings.observe(np.array([-7000.0, 0.0, 0.0]), np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))
+    seen = sightings.observe(
+        np.array([-7000.0, 0.0, 0.0]), np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    )
     assert np.isnan(seen[0])
     assert np.isfinite(seen[1:]).all()
 
@@ -267,7 +300,10 @@ def test_a_long_stream_runs_in_the_memory_of_one_step():
     import tracemalloc
 
     def stream(count):
-        yield from (celnav.Epoch(k, float(k), 1.0, None, np.zeros((20, 2)), np.zeros((20, 2))) for k in range(count))
+        yield from (
+            celnav.Epoch(k, float(k), 1.0, None, np.zeros((20, 2)), np.zeros((20, 2)))
+            for k in range(count)
+        )
 
     def squares(total, epoch, state, _infos):
         count, sums = total or (0, 0.0)

@@ -73,14 +73,22 @@ def test_text_is_written_in_utf8(tmp_path):
 
 
 def claim(id="one", value=1.0, kind="statement", **more):
-    return Row(kind, id, "It is so", lambda _: Number("x", value, (None, 1.5), (0.5, 1.2)), **more).judged(None)
+    return Row(
+        kind, id, "It is so", lambda _: Number("x", value, (None, 1.5), (0.5, 1.2)), **more
+    ).judged(None)
 
 
 def test_claims_can_be_read_again(tmp_path):
-    write_text(tmp_path / "claims.json", dumps([claim(), claim("other", float("nan"), printed=[1.0, "a"])]))
+    write_text(
+        tmp_path / "claims.json", dumps([claim(), claim("other", float("nan"), printed=[1.0, "a"])])
+    )
     first, second = read_claims(tmp_path / "claims.json")
     assert (first["value"], first["verdict"]) == (1.0, "reproduced")
-    assert (second["value"], second["verdict"], second["printed"]) == (None, "no number", [1.0, "a"])
+    assert (second["value"], second["verdict"], second["printed"]) == (
+        None,
+        "no number",
+        [1.0, "a"],
+    )
     write_text(tmp_path / "bad.json", "{}")
     with pytest.raises(ValueError, match=r"bad\.json"):
         read_claims(tmp_path / "bad.json")
@@ -89,7 +97,20 @@ def test_claims_can_be_read_again(tmp_path):
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        *((key, None) for key in ("id", "kind", "place", "statement", "accept", "expected", "verdict", "note", "numbers")),
+        *(
+            (key, None)
+            for key in (
+                "id",
+                "kind",
+                "place",
+                "statement",
+                "accept",
+                "expected",
+                "verdict",
+                "note",
+                "numbers",
+            )
+        ),
         ("verdict", "well"),
         ("verdict", []),
         ("kind", {}),
@@ -118,7 +139,9 @@ def test_a_claim_that_is_not_whole_is_named(tmp_path, key, value):
         read_claims(tmp_path / "claims.json")
 
 
-@pytest.mark.parametrize("text", ["", "[" * 100_000, "[3]", "3", "\x00", '[{"id": "a", "verdict": "shown"}]'])
+@pytest.mark.parametrize(
+    "text", ["", "[" * 100_000, "[3]", "3", "\x00", '[{"id": "a", "verdict": "shown"}]']
+)
 def test_damaged_files_of_celnav_are_one_line(tmp_path, capsys, text):
     """Claims, the record of their times, and the manifest."""
     folder = tmp_path / "csrukf"
@@ -135,7 +158,9 @@ def test_damaged_files_of_celnav_are_one_line(tmp_path, capsys, text):
     capsys.readouterr()
     (folder / ".celnav.json").write_text(text)
     assert cli.main(["reproduce", "csrukf", "--out", str(tmp_path)]) == 2
-    assert capsys.readouterr().err == f"celnav: {folder / '.celnav.json'}: not a manifest of celnav\n"
+    assert (
+        capsys.readouterr().err == f"celnav: {folder / '.celnav.json'}: not a manifest of celnav\n"
+    )
 
 
 def test_a_ledger_shows_itself_everywhere():
@@ -149,7 +174,9 @@ def test_a_ledger_shows_itself_everywhere():
 def test_an_archive_that_unpacks_to_very_much_is_refused(tmp_path):
     path = tmp_path / "bomb.npz"
     np.savez_compressed(path, a=np.zeros(10_000_000))
-    with pytest.raises(ValueError, match=r"bomb\.npz: .*unpacks to 80000\d+ bytes, more than 100 times its size"):
+    with pytest.raises(
+        ValueError, match=r"bomb\.npz: .*unpacks to 80000\d+ bytes, more than 100 times its size"
+    ):
         read_npz(path)
 
 

@@ -21,7 +21,14 @@ from celnav.show.drawing import render
 from celnav.show.figures import figure as empty
 from celnav.study.ledger import Number, Row
 
-BROWSER = next((found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None)
+BROWSER = next(
+    (
+        found
+        for name in ("chromium", "chromium-browser", "google-chrome")
+        if (found := shutil.which(name))
+    ),
+    None,
+)
 PROBE = """<script>addEventListener("load", () => { const images = [...document.images];
 document.title = [images.length, images.filter(i => i.complete && i.naturalWidth > 0).length,
 document.documentElement.scrollWidth, getComputedStyle(document.documentElement).colorScheme].join("|") })</script>"""
@@ -36,7 +43,13 @@ def seen(page, tmp_path, width):
     found = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
     title = re.search(r"<title>(\d+)\|(\d+)\|(\d+)\|([^<]*)</title>", found.stdout)
     assert title is not None
-    return int(title[1]), int(title[2]), int(title[3]), title[4], [line for line in found.stderr.splitlines() if "CONSOLE" in line]
+    return (
+        int(title[1]),
+        int(title[2]),
+        int(title[3]),
+        title[4],
+        [line for line in found.stderr.splitlines() if "CONSOLE" in line],
+    )
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +70,10 @@ def folder(tmp_path_factory):
         claims = [row.judged(None) for row in rows]
         outputs.text("claims.json", dumps(claim for claim in claims if claim.kind != "check"))
         outputs.text("checks.json", dumps(claim for claim in claims if claim.kind == "check"))
-        outputs.text("timings.json", json.dumps({"about": {"numpy": "2.2"}, "effort": 1.0, "cpu_s": 12.3, "timings": {}}))
+        outputs.text(
+            "timings.json",
+            json.dumps({"about": {"numpy": "2.2"}, "effort": 1.0, "cpu_s": 12.3, "timings": {}}),
+        )
         for number in (1, 10):
             fig, ax = empty(4.0, 3.0)
             ax.plot(np.arange(5))
@@ -89,7 +105,13 @@ def test_it_opens_with_sentences_and_has_every_row_and_needs_nothing_else(page):
 
 @pytest.mark.parametrize(
     ("verdict", "style"),
-    [("reproduced", "good"), ("shown", "good"), ("not reproduced", "bad"), ("undecided", "open"), ("paper in error", "error")],
+    [
+        ("reproduced", "good"),
+        ("shown", "good"),
+        ("not reproduced", "bad"),
+        ("undecided", "open"),
+        ("paper in error", "error"),
+    ],
 )
 def test_only_what_holds_is_green(page, verdict, style):
     assert re.search(rf'<td class="{style}">{verdict}', page)
@@ -97,7 +119,9 @@ def test_only_what_holds_is_green(page, verdict, style):
 
 
 def test_verdicts_of_statements_are_counted():
-    row = written(Row("statement", "a", "It is so", lambda _: Number("x", 1.0, (0.0, 1.5))).judged(None))
+    row = written(
+        Row("statement", "a", "It is so", lambda _: Number("x", 1.0, (0.0, 1.5))).judged(None)
+    )
     assert verdicts({"one": [row, row | {"kind": "check"}], "two": []}).splitlines() == [
         "| paper | statements | reproduced |", "| --- | ---: | ---: |", "| `one` | 1 | 1 |", "| `two` | 0 |  |",
     ]  # fmt: skip
@@ -119,8 +143,13 @@ def test_a_browser_finds_every_image_no_error_and_nothing_beside_the_screen(page
 
 @pytest.mark.skipif(BROWSER is None, reason="no browser is installed")
 def test_a_browser_finds_every_image_of_a_campaign(tmp_path):
-    outcome = campaign(study({"paper": "csrukf", "filters": ["srukf"], "runs": 3, "config": {"steps": 4}}), tmp_path / "store")
-    drawn = {name: figure for name, figure in figures(outcome).items() if name.startswith("accuracy")}
+    outcome = campaign(
+        study({"paper": "csrukf", "filters": ["srukf"], "runs": 3, "config": {"steps": 4}}),
+        tmp_path / "store",
+    )
+    drawn = {
+        name: figure for name, figure in figures(outcome).items() if name.startswith("accuracy")
+    }
     write(outcome, drawn, Outputs(tmp_path / "store"))
     content = (tmp_path / "store" / "index.html").read_text(encoding="utf-8")
     images, loaded, needed, _, said = seen(content, tmp_path, 390)

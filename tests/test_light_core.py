@@ -43,7 +43,9 @@ def test_numpy_and_scipy_are_all_that_is_required():
 
 
 def test_the_program_of_the_readme_runs():
-    program = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)[0]
+    program = re.findall(
+        r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL
+    )[0]
     assert len([line for line in program.splitlines() if line.strip()]) <= 22
     done = alone(program)
     assert done.returncode == 0, done.stderr
@@ -116,9 +118,8 @@ def test_every_public_name_works(tmp_path):
 
 def test_import_is_small():
     """scipy's parts and the compiler come when they are first used: importing them would take longer than all the rest."""
-    program = (
-        "import celnav\nprint(*{'scipy.linalg', 'scipy.special', 'celnav.filters.engine', 'celnav.tape.llvm'} & set(sys.modules))"
-    )
+    late = {"scipy.linalg", "scipy.special", "celnav.filters.engine", "celnav.tape.llvm"}
+    program = f"import celnav\nprint(*{late} & set(sys.modules))"
     assert alone(program).stdout == "\n"
 
 
@@ -150,15 +151,24 @@ for name in ("celnav.models.ephemeris", "celnav.papers.aukf.Config"):
     done = alone(program)
     assert done.returncode == 0, done.stderr
     missing = {line.partition(" ")[0]: line for line in done.stdout.splitlines()}
-    core = tuple(f"celnav.{room}." for room in ("gaussian", "filters", "models", "analysis", "study", "tape"))
-    assert {name for name in missing if name.startswith(core)} == {"celnav.models.ephemeris", "celnav.filters.dropin"}
+    core = tuple(
+        f"celnav.{room}." for room in ("gaussian", "filters", "models", "analysis", "study", "tape")
+    )
+    assert {name for name in missing if name.startswith(core)} == {
+        "celnav.models.ephemeris",
+        "celnav.filters.dropin",
+    }
     assert cure("filterpy") in missing["celnav.filters.dropin"]
-    assert all(cure("papers") in missing[name] for name in ("attribute:", "from-celnav.models.ephemeris"))
+    assert all(
+        cure("papers") in missing[name] for name in ("attribute:", "from-celnav.models.ephemeris")
+    )
     assert cure("rinex") in missing["from-celnav.papers.aukf.Config"]
 
 
 def cure(extra):
-    return f'in the folder of celnav, {lazy.PIP} install -c constraints.txt -e ".[{extra}]" brings it'
+    return (
+        f'in the folder of celnav, {lazy.PIP} install -c constraints.txt -e ".[{extra}]" brings it'
+    )
 
 
 WORDS = {
@@ -201,7 +211,9 @@ def test_a_study_of_ones_own_is_begun(tmp_path):
 
 
 def test_diagnose_answers_in_words(tmp_path):
-    (tmp_path / "x.csv").write_text("t,x\n" + "".join(f"{t},{(t * 7919) % 13 - 6}\n" for t in range(60)), encoding="utf-8")
+    (tmp_path / "x.csv").write_text(
+        "t,x\n" + "".join(f"{t},{(t * 7919) % 13 - 6}\n" for t in range(60)), encoding="utf-8"
+    )
     done = alone("from celnav.cli import main\nsys.exit(main(['diagnose', 'x.csv']))", cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
     assert "white" in done.stdout
@@ -221,23 +233,52 @@ def asked_for():
     for path in sorted(Path(celnav.__file__).parent.rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             call = node.items[0].context_expr if isinstance(node, ast.With) else node
-            if isinstance(call, ast.Call) and getattr(call.func, "id", "") in ("needed_by", "require") and len(call.args) > 1:
-                extra, *names = (arg.value if isinstance(arg, ast.Constant) else None for arg in call.args[1:])
+            if (
+                isinstance(call, ast.Call)
+                and getattr(call.func, "id", "") in ("needed_by", "require")
+                and len(call.args) > 1
+            ):
+                extra, *names = (
+                    arg.value if isinstance(arg, ast.Constant) else None for arg in call.args[1:]
+                )
                 for inside in ast.walk(node) if isinstance(node, ast.With) else ():
                     names += [inside.module] if isinstance(inside, ast.ImportFrom) else []
-                    names += [name.name for name in inside.names] if isinstance(inside, ast.Import) else []
+                    names += (
+                        [name.name for name in inside.names]
+                        if isinstance(inside, ast.Import)
+                        else []
+                    )
                 yield from ((extra, name.partition(".")[0]) for name in names)
     yield from ((extra, name) for extra, *names in cli.NEEDS.values() for name in names)
 
 
 def test_an_extra_brings_what_is_said_of_it():
     asked, made_of = set(asked_for()), packages_distributions()
-    assert {extra for extra, _ in asked} == {"papers", "record", "filterpy", "rinex", "cluster", "compiled", "real", "notebooks"}
+    assert {extra for extra, _ in asked} == {
+        "papers",
+        "record",
+        "filterpy",
+        "rinex",
+        "cluster",
+        "compiled",
+        "real",
+        "notebooks",
+    }
     for extra, module in sorted(asked):
-        assert {name.lower() for name in made_of.get(module, [f"{module}-sdk"])} & brought(extra), (extra, module)
+        assert {name.lower() for name in made_of.get(module, [f"{module}-sdk"])} & brought(extra), (
+            extra,
+            module,
+        )
 
 
 def test_what_the_readme_installs_is_pinned():
-    pinned = {line.partition("==")[0] for line in (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()}
-    needed = {re.match(r"[\w-]+", line)[0] for line in PROJECT["dependencies"]} | brought("notebooks") | brought("test")
+    pinned = {
+        line.partition("==")[0]
+        for line in (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    }
+    needed = (
+        {re.match(r"[\w-]+", line)[0] for line in PROJECT["dependencies"]}
+        | brought("notebooks")
+        | brought("test")
+    )
     assert needed <= pinned, needed - pinned

@@ -39,8 +39,12 @@ def test_a_lesson_has_the_algorithm_and_something_to_try(path):
     assert any("def " in source and "celnav.run(" in source for source in by_hand)
     lines = [line for cell in cells for line in cell.source.splitlines() if line.strip()]
     assert sum("FIGURES" in line or "figures(" in line for line in lines) < 0.5 * len(lines)
-    (one,) = [cell.metadata.execution for cell in cells if "try-it" in cell.metadata.get("tags", ())]
-    begun, ended = (datetime.fromisoformat(one[when]) for when in ("iopub.execute_input", "shell.execute_reply"))
+    (one,) = [
+        cell.metadata.execution for cell in cells if "try-it" in cell.metadata.get("tags", ())
+    ]
+    begun, ended = (
+        datetime.fromisoformat(one[when]) for when in ("iopub.execute_input", "shell.execute_reply")
+    )
     assert (ended - begun).total_seconds() < 5.0
 
 
@@ -48,24 +52,44 @@ def test_a_lesson_has_the_algorithm_and_something_to_try(path):
 def test_each_verdict_leads_to_the_cell_that_decides_it(path):
     cells = nbformat.read(path, as_version=4).cells
     statements = sorted(row.id for row in load(path.stem[3:]).STUDY.rows if row.kind == "statement")
-    told = [i for i, cell in enumerate(cells) if cell.cell_type == "markdown" and "<a id=" in cell.source]
-    assert sorted(id for i in told for id in re.findall(r'<a id="say-([\w-]+)"></a>', cells[i].source)) == statements
+    told = [
+        i
+        for i, cell in enumerate(cells)
+        if cell.cell_type == "markdown" and "<a id=" in cell.source
+    ]
+    assert (
+        sorted(id for i in told for id in re.findall(r'<a id="say-([\w-]+)"></a>', cells[i].source))
+        == statements
+    )
     assert all(cells[i + 1].cell_type == "code" for i in told)
-    shown = [output.get("data", {}).get("text/html", "") for cell in cells for output in cell.get("outputs", ())]
-    assert sorted(id for text in shown for id in re.findall(r'href="#say-([\w-]+)"', text)) == statements
+    shown = [
+        output.get("data", {}).get("text/html", "")
+        for cell in cells
+        for output in cell.get("outputs", ())
+    ]
+    assert (
+        sorted(id for text in shown for id in re.findall(r'href="#say-([\w-]+)"', text))
+        == statements
+    )
 
 
 def verdicts(path):
     """Verdicts by id in the ledgers that a notebook shows, as it was executed."""
     cells = nbformat.read(path, as_version=4).cells
-    shown = "".join(output.get("data", {}).get("text/html", "") for cell in cells for output in cell.get("outputs", ()))
+    shown = "".join(
+        output.get("data", {}).get("text/html", "")
+        for cell in cells
+        for output in cell.get("outputs", ())
+    )
     return dict(re.findall(r'<tr id="([^"]*)" data-verdict="([^"]*)"', shown))
 
 
 @pytest.mark.parametrize("path", LESSONS, ids=lambda p: p.stem)
 def test_a_lesson_has_the_verdicts_that_are_expected(path):
     """It was executed with all runs."""
-    expected = {row.id: row.expected or WORDS[row.kind][0] for row in load(path.stem[3:]).STUDY.rows}
+    expected = {
+        row.id: row.expected or WORDS[row.kind][0] for row in load(path.stem[3:]).STUDY.rows
+    }
     found = verdicts(path)
     assert found
     assert found == {id: expected[id] for id in found}

@@ -21,7 +21,10 @@ SOURCES = sorted(Path(celnav.__file__).parent.rglob("*.py"))
 
 def test_a_pipe_that_nobody_reads_is_quiet_on_windows_too(monkeypatch):
     """There it is an invalid argument, of no file."""
-    closed, named = OSError(errno.EINVAL, "Invalid argument"), OSError(errno.EINVAL, "Invalid argument", "a:b")
+    closed, named = (
+        OSError(errno.EINVAL, "Invalid argument"),
+        OSError(errno.EINVAL, "Invalid argument", "a:b"),
+    )
     assert not cli._nobody_reads(closed)
     assert cli._nobody_reads(BrokenPipeError())
     monkeypatch.setattr(sys, "platform", "win32")
@@ -52,9 +55,21 @@ def test_no_more_processes_than_windows_can_wait_for(monkeypatch, most, count):
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(SOURCES[0].parent)))
 def test_text_is_read_and_written_as_utf8_whatever_the_locale(path):
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "read_text":
-            assert "encoding" in {word.arg for word in node.keywords} or node.args, f"line {node.lineno}"
-        if isinstance(node, ast.Call) and getattr(node.func, "attr", getattr(node.func, "id", "")) in ("open", "TemporaryFile"):
-            modes = [arg.value for arg in node.args if isinstance(arg, ast.Constant) and set(str(arg.value)) <= set("rwab+x")]
+        if (
+            isinstance(node, ast.Call)
+            and isinstance(node.func, ast.Attribute)
+            and node.func.attr == "read_text"
+        ):
+            assert "encoding" in {word.arg for word in node.keywords} or node.args, (
+                f"line {node.lineno}"
+            )
+        if isinstance(node, ast.Call) and getattr(
+            node.func, "attr", getattr(node.func, "id", "")
+        ) in ("open", "TemporaryFile"):
+            modes = [
+                arg.value
+                for arg in node.args
+                if isinstance(arg, ast.Constant) and set(str(arg.value)) <= set("rwab+x")
+            ]
             named = "encoding" in {word.arg for word in node.keywords}
             assert named or all("b" in mode for mode in modes), f"line {node.lineno}"

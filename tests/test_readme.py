@@ -23,9 +23,17 @@ def found(paper):
     """Verdicts in the ledger of a paper's notebook, which was executed with all runs."""
     path = ROOT / "notebooks" / f"{list(PAPERS).index(paper) + 1:02d}_{paper}.ipynb"
     cells = nbformat.read(path, as_version=4).cells
-    pages = [o.data.get("text/html", "") for c in cells if c.cell_type == "code" for o in c.outputs if "data" in o]
+    pages = [
+        o.data.get("text/html", "")
+        for c in cells
+        if c.cell_type == "code"
+        for o in c.outputs
+        if "data" in o
+    ]
     ledger = next(page for page in pages if "<th>verdict</th>" in page)
-    found = re.findall(r'<tr id="([^"]*)"[^>]*>.*?<td class="\w+">(?:<a [^>]*>)?([^<]*)(?:</a>)?</td></tr>', ledger)
+    found = re.findall(
+        r'<tr id="([^"]*)"[^>]*>.*?<td class="\w+">(?:<a [^>]*>)?([^<]*)(?:</a>)?</td></tr>', ledger
+    )
     return [{"kind": "statement", "id": id, "verdict": verdict} for id, verdict in found]
 
 
@@ -41,7 +49,9 @@ def test_the_words_are_those_of_the_page():
 
 @pytest.mark.parametrize("paper", PAPERS)
 def test_a_notebook_shows_every_statement(paper):
-    assert [claim["id"] for claim in found(paper)] == [row.id for row in load(paper).STUDY.rows if row.kind == "statement"]
+    assert [claim["id"] for claim in found(paper)] == [
+        row.id for row in load(paper).STUDY.rows if row.kind == "statement"
+    ]
 
 
 def test_links_and_pictures_are_there():
@@ -50,16 +60,25 @@ def test_links_and_pictures_are_there():
     assert all((ROOT / target).exists() for target in targets)
 
 
-TEXTS = [ROOT / "README.md", *(p for room in ("benchmarks", "docs") for p in (ROOT / room).rglob("*.md"))]
+TEXTS = [
+    ROOT / "README.md",
+    *(p for room in ("benchmarks", "docs") for p in (ROOT / room).rglob("*.md")),
+]
 TEXTS += [*(ROOT / "celnav").rglob("*.py"), *(ROOT / "notebooks").glob("*.ipynb")]
 
 
 def test_import_celnav_is_enough_for_every_name_with_dots():
     """Names of the README, the docs, the notebooks and all docstrings, in a fresh process that imports nothing else."""
-    names = {name for path in TEXTS for name in re.findall(r"`(celnav(?:\.\w+)+)\b", path.read_text(encoding="utf-8"))}
+    names = {
+        name
+        for path in TEXTS
+        for name in re.findall(r"`(celnav(?:\.\w+)+)\b", path.read_text(encoding="utf-8"))
+    }
     assert len(names) > 70
     program = "import sys, celnav\nfor name in sys.argv[1:]:\n    eval(name)\n"
-    done = subprocess.run([sys.executable, "-c", program, *sorted(names)], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", program, *sorted(names)], capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr
 
 
@@ -71,7 +90,9 @@ def test_import_celnav_stays_fast():
         "assert not hasattr(celnav, 'nonsense') and not hasattr(celnav.models, 'nonsense')\n"
         "from celnav.analysis import metrics\nassert celnav.analysis.metrics is metrics\n"
     )
-    done = subprocess.run([sys.executable, "-W", "error", "-c", program], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", program], capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr
 
 

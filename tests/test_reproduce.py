@@ -43,7 +43,17 @@ def start(folder, out):
     """Reproduce a paper of eight slow units in two processes; returns when two units are done."""
     script = folder / "script.py"
     script.write_text(SCRIPT.format(log=str(folder / "log")))
-    command = [sys.executable, str(script), "reproduce", "--out", str(out), "--effort", "1", "--jobs", "2"]
+    command = [
+        sys.executable,
+        str(script),
+        "reproduce",
+        "--out",
+        str(out),
+        "--effort",
+        "1",
+        "--jobs",
+        "2",
+    ]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     process = subprocess.Popen(command, **pipes, text=True, start_new_session=True)
     seen = ""
@@ -74,7 +84,9 @@ def test_an_interrupt_half_way_leaves_nothing_half_written_and_no_process(tmp_pa
     assert process.returncode == 130
     assert error.splitlines()[-1] == "celnav: interrupted"
     assert gone(pids)
-    left = {p.suffix for p in (tmp_path / "out").rglob("*") if p.is_file() and p.name != ".celnav.lock"}
+    left = {
+        p.suffix for p in (tmp_path / "out").rglob("*") if p.is_file() and p.name != ".celnav.lock"
+    }
     assert left == {".npz", ".json"}  # of what is finished
     finished(tmp_path, tmp_path / "out")
 
@@ -103,7 +115,9 @@ def test_a_killed_one_leaves_no_process_and_another_goes_on_from_there(tmp_path)
     assert "was done before" in again.stdout
     assert len((tmp_path / "log").read_text()) - before == 8 - done
     alone = tmp_path / "alone"
-    subprocess.run([*command[:4], str(alone), "--effort", "1", "--jobs", "1"], capture_output=True, check=True)
+    subprocess.run(
+        [*command[:4], str(alone), "--effort", "1", "--jobs", "1"], capture_output=True, check=True
+    )
     for name in ("claims.json", "checks.json", "result.npz"):
         assert (tmp_path / "out/tiny" / name).read_bytes() == (alone / "tiny" / name).read_bytes()
 
@@ -111,7 +125,15 @@ def test_a_killed_one_leaves_no_process_and_another_goes_on_from_there(tmp_path)
 @LINUX
 def test_a_second_one_says_so_and_stops(tmp_path):
     process, _ = start(tmp_path, tmp_path / "out")
-    command = [sys.executable, str(tmp_path / "script.py"), "reproduce", "--out", str(tmp_path / "out"), "--jobs", "1"]
+    command = [
+        sys.executable,
+        str(tmp_path / "script.py"),
+        "reproduce",
+        "--out",
+        str(tmp_path / "out"),
+        "--jobs",
+        "1",
+    ]
     second = subprocess.run(command, capture_output=True, text=True, check=False)
     assert second.returncode == 1
     assert second.stderr.count("\n") == 1
@@ -179,7 +201,9 @@ def test_what_the_command_has_done_is_not_done_again(study, tmp_path, monkeypatc
     module = papers.load("tiny")
     assert cli.main(["reproduce", "--out", str(tmp_path), "--effort", "0.5", "--jobs", "1"]) == 0
     fresh = module.STUDY.reproduce(effort=0.5)
-    monkeypatch.setattr("celnav.study.study.Unit.do", lambda unit: pytest.fail(f"{unit.title} is computed again"))
+    monkeypatch.setattr(
+        "celnav.study.study.Unit.do", lambda unit: pytest.fail(f"{unit.title} is computed again")
+    )
     for part, arrays in module.STUDY.reproduce(effort=0.5, out=tmp_path).data.items():
         for name in set(arrays) - {"cpu_s"}:
             assert arrays[name].tobytes() == fresh.get(part, name).tobytes()
@@ -194,7 +218,9 @@ def test_what_is_at_hand_is_everything_or_a_small_part(study, tmp_path, monkeypa
     module = papers.load("tiny")
     assert module.STUDY.at_hand(tmp_path, small=0.25).effort == 0.25
     assert cli.main(["reproduce", "--out", str(tmp_path), "--jobs", "1"]) == 0
-    monkeypatch.setattr("celnav.study.study.Unit.do", lambda unit: pytest.fail(f"{unit.title} is computed again"))
+    monkeypatch.setattr(
+        "celnav.study.study.Unit.do", lambda unit: pytest.fail(f"{unit.title} is computed again")
+    )
     assert module.STUDY.at_hand(tmp_path).full
     monkeypatch.setenv("CELNAV_OUT", str(tmp_path))
     assert module.STUDY.at_hand(tmp_path / "elsewhere").full

@@ -12,14 +12,18 @@ from docs.pages import errata, sources
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-PAGES = [path for path in sorted(DOCS.rglob("*.md")) if "```python" in path.read_text(encoding="utf-8")]
+PAGES = [
+    path for path in sorted(DOCS.rglob("*.md")) if "```python" in path.read_text(encoding="utf-8")
+]
 
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda p: p.stem)
 def test_a_page_runs(path, capsys, tmp_path, monkeypatch):
     """The programs of a page, one after the other."""
     monkeypatch.chdir(tmp_path)
-    program = "\n".join(re.findall(r"```python\n(.*?)```", path.read_text(encoding="utf-8"), re.DOTALL))
+    program = "\n".join(
+        re.findall(r"```python\n(.*?)```", path.read_text(encoding="utf-8"), re.DOTALL)
+    )
     exec(compile(program, str(path), "exec"), {})
     assert "nan" not in capsys.readouterr().out
 
@@ -33,7 +37,9 @@ def test_every_source_is_on_the_page_of_sources():
         assert entry.count("{") == entry.count("}"), entry[:60]
         assert "\\" not in entry.replace("\\&", ""), entry[:60]  # letters are Unicode's
     page = sources()
-    assert {entry.split("{")[1].split(",")[0] for entry in entries} == set(re.findall(r"^\((\w+)\)=$", page, re.MULTILINE))
+    assert {entry.split("{")[1].split(",")[0] for entry in entries} == set(
+        re.findall(r"^\((\w+)\)=$", page, re.MULTILINE)
+    )
     for doi in re.findall(r"doi\s*=(.*)", text):
         assert re.fullmatch(r" \{10\.\d{4,5}/\S+\}", doi), doi
         assert f"(https://doi.org/{doi[2:-1]})" in page, doi

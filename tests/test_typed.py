@@ -27,11 +27,25 @@ def test_programs_type_check(tmp_path):
         programs = re.findall(r"```python\n(.*?)```", path.read_text(encoding="utf-8"), re.DOTALL)
         programs = [program for program in programs if "mpi4py" not in program]
         if programs:
-            (tmp_path / f"{path.stem.lower()}_page.py").write_text(typed("\n".join(programs)), encoding="utf-8")
+            (tmp_path / f"{path.stem.lower()}_page.py").write_text(
+                typed("\n".join(programs)), encoding="utf-8"
+            )
     files = sorted(str(path) for path in tmp_path.glob("*.py"))
     assert len(files) > 8
-    command = [sys.executable, "-m", "mypy", "--strict", "--ignore-missing-imports", "--no-error-summary", *files]
+    command = [
+        sys.executable,
+        "-m",
+        "mypy",
+        "--strict",
+        "--ignore-missing-imports",
+        "--no-error-summary",
+        *files,
+    ]
     done = subprocess.run(
-        [*command, "--cache-dir", str(ROOT / ".mypy_cache" / "users")], capture_output=True, text=True, cwd=tmp_path, check=False
+        [*command, "--cache-dir", str(ROOT / ".mypy_cache" / "users")],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr

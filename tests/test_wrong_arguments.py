@@ -90,7 +90,16 @@ I2, I3, I6 = np.eye(2), np.eye(3), np.eye(6)
 Q4 = attitude.IDENTITY
 X6 = np.array([7000.0, 0.0, 0.0, 0.0, 7.5, 0.0])
 TIMES = np.arange(5.0)
-FLIGHT = dict(longitude=0.1, latitude=0.5, height_m=1e3, speed=100.0, heading=0.0, acceleration=0.0, turn_rate=0.0, substep=0.5)
+FLIGHT = dict(
+    longitude=0.1,
+    latitude=0.5,
+    height_m=1e3,
+    speed=100.0,
+    heading=0.0,
+    acceleration=0.0,
+    turn_rate=0.0,
+    substep=0.5,
+)
 FLOWN = earth.turning_flight(TIMES, **FLIGHT)
 GYRO = gyro.Gyro(1e-6, 1e-9)
 BODY = gyro.Body(np.diag([1.0, 2.0, 2.5]))
@@ -314,9 +323,16 @@ MEANT = {
     "motion.constant_acceleration q": "several",
     "metrics.chi_square_band dof": "a billion, a half",
     "metrics.chi_square_band runs": "a billion, a half",
-    **dict.fromkeys(("metrics.rms squares", "metrics.ratio a", "metrics.ratio b"), "nan, infinite, deep"),
-    **dict.fromkeys(("metrics.rmse error", "metrics.rmse_interval error", "metrics.bootstrap samples"), "nan, infinite, deep"),
-    **dict.fromkeys(("orbit.Earth mu", "orbit.Earth radius_km", "orbit.Earth j2"), "several, empty"),
+    **dict.fromkeys(
+        ("metrics.rms squares", "metrics.ratio a", "metrics.ratio b"), "nan, infinite, deep"
+    ),
+    **dict.fromkeys(
+        ("metrics.rmse error", "metrics.rmse_interval error", "metrics.bootstrap samples"),
+        "nan, infinite, deep",
+    ),
+    **dict.fromkeys(
+        ("orbit.Earth mu", "orbit.Earth radius_km", "orbit.Earth j2"), "several, empty"
+    ),
     "observability.nonlinearity_weights coarse": "a billion",
     "pulsar.pulsars names": "empty, array",
     "recording.Recorder.axes labels": "empty",
@@ -349,14 +365,33 @@ FUNCTIONS = {
     "returns nothing": lambda *_: None,
     "returns text": lambda *_: "x",
 }
-OBJECTS = {"None": None, "text": "x", "number": 1.5, "array": np.ones(2), "empty": [], "a function": square, "an object": object()}
-WORDS = {"None": None, "number": 1.5, "array": np.ones(2), "empty": [], "an object": object(), "a function": square}
+OBJECTS = {
+    "None": None,
+    "text": "x",
+    "number": 1.5,
+    "array": np.ones(2),
+    "empty": [],
+    "a function": square,
+    "an object": object(),
+}
+WORDS = {
+    "None": None,
+    "number": 1.5,
+    "array": np.ones(2),
+    "empty": [],
+    "an object": object(),
+    "a function": square,
+}
 MANY = {"a billion": 10**9, "negative": -(10**9), "a half": 1.5}
 
 
 def numeric(value):
     """Whether a value is an array, or a list of numbers or arrays."""
-    return type(value) in (np.ndarray, list, tuple) and len(value) and isinstance(value[0], int | float | list | np.ndarray)
+    return (
+        type(value) in (np.ndarray, list, tuple)
+        and len(value)
+        and isinstance(value[0], int | float | list | np.ndarray)
+    )
 
 
 def wrong(value):
@@ -371,7 +406,11 @@ def wrong(value):
         return NUMBERS
     if numeric(value):
         array = np.asarray(value, float)
-        return ARRAYS | {"complex": array + 1j, "nan": np.full(array.shape, np.nan), "infinite": np.full(array.shape, np.inf)}
+        return ARRAYS | {
+            "complex": array + 1j,
+            "nan": np.full(array.shape, np.nan),
+            "infinite": np.full(array.shape, np.inf),
+        }
     return OBJECTS
 
 
@@ -390,7 +429,9 @@ def resolve(name, tmp_path):
     if "path" in arguments and arguments["path"] == "@":
         arguments = arguments | {"path": str(tmp_path / "a.rrd")}
     if "path" in arguments and arguments["path"] == "@field":
-        (tmp_path / "a.gfc").write_text("earth_gravity_constant 1\nradius 1\nend_of_head\ngfc 0 0 1 0\ngfc 1 0 0 0\n")
+        (tmp_path / "a.gfc").write_text(
+            "earth_gravity_constant 1\nradius 1\nend_of_head\ngfc 0 0 1 0\ngfc 1 0 0 0\n"
+        )
         arguments = arguments | {"path": str(tmp_path / "a.gfc")}
     return call or found, found, arguments
 
@@ -416,7 +457,9 @@ def test_what_cannot_be_meant_is_refused_by_name(name, tmp_path):
     found = {}
     for argument, value in arguments.items():
         for label, other in wrong(value).items():
-            if (other is None and defaults.get(argument, 0) is None) or label in MEANT.get(f"{name} {argument}", "").split(", "):
+            if (other is None and defaults.get(argument, 0) is None) or label in MEANT.get(
+                f"{name} {argument}", ""
+            ).split(", "):
                 continue
             said = judge(call, arguments, argument, other)
             if said is not None:
@@ -435,7 +478,14 @@ def other_forms(value):
         sparse = np.repeat(array, 2, 0)[::2]
         frozen = array.copy()
         frozen.flags.writeable = False
-        yield from (array, array.tolist(), sparse, frozen, np.asfortranarray(array), np.ma.array(array))
+        yield from (
+            array,
+            array.tolist(),
+            sparse,
+            frozen,
+            np.asfortranarray(array),
+            np.ma.array(array),
+        )
 
 
 @pytest.mark.parametrize("name", CALLS)
@@ -453,14 +503,28 @@ def test_what_only_looks_wrong_is_accepted():
     assert orbit.propagate(np.tile(X6, (2, 1)), -1.0, 2, each).shape == (3, 2, 6)
     assert orbit.propagate(np.zeros((0, 6)), 1.0, 2).shape == (3, 0, 6)
     assert spaces.angles(i for i in (0, 2)).minus(np.full(3, 7.0), np.zeros(3))[1] == 7.0
-    assert spaces.product((spaces.EUCLIDEAN, 2.0, 2.0)).plus(np.ones(2), np.ones(2)).tolist() == [2.0, 2.0]
+    assert spaces.product((spaces.EUCLIDEAN, 2.0, 2.0)).plus(np.ones(2), np.ones(2)).tolist() == [
+        2.0,
+        2.0,
+    ]
     assert metrics.rmse(np.ones((0, 3, 2))).shape == (0, 2)
     assert np.isnan(metrics.rmse([[[1.0], [np.nan]]])).all()
     assert metrics.chi_square_band(2, 2.5)[0] > 0.0
-    assert bounds.riccati([I2], I2, 0.0 * I2, I2, np.stack([I2, 0.0 * I2])).gains.shape == (1, 2, 2, 2)
+    assert bounds.riccati([I2], I2, 0.0 * I2, I2, np.stack([I2, 0.0 * I2])).gains.shape == (
+        1,
+        2,
+        2,
+        2,
+    )
     assert noise.ar1(np.stack([I2, 0.5 * I2]), np.zeros((3, 1, 2)), np.ones(2)).shape == (4, 2, 2)
-    assert GYRO.measure(np.tile(Q4, (3, 2, 1)), np.zeros(3), np.zeros((2, 2, 3)), 1.0).shape == (2, 2, 3)
-    assert observability.jacobian(lambda x: np.ones((len(x), 1), int), [1.0, 2.0]).tolist() == [[0.0, 0.0]]
+    assert GYRO.measure(np.tile(Q4, (3, 2, 1)), np.zeros(3), np.zeros((2, 2, 3)), 1.0).shape == (
+        2,
+        2,
+        3,
+    )
+    assert observability.jacobian(lambda x: np.ones((len(x), 1), int), [1.0, 2.0]).tolist() == [
+        [0.0, 0.0]
+    ]
     assert BODY.propagate(np.r_[Q4, 0.0, 0.0, 0.1], -1.0, 1).shape == (2, 7)
     assert views.plot("a", "a", range(3), limits=[0, 1]) is not None
 
@@ -473,11 +537,21 @@ def public():
                 continue
             if inspect.isfunction(thing) or hasattr(thing, "__wrapped__"):
                 yield f"{short}.{name}"
-            elif inspect.isclass(thing) and not getattr(thing, "_is_protocol", False) and not issubclass(thing, Warning):
-                if name != "Recorder" and ("__init__" in vars(thing)) and not issubclass(thing, tuple):
+            elif (
+                inspect.isclass(thing)
+                and not getattr(thing, "_is_protocol", False)
+                and not issubclass(thing, Warning)
+            ):
+                if (
+                    name != "Recorder"
+                    and ("__init__" in vars(thing))
+                    and not issubclass(thing, tuple)
+                ):
                     yield f"{short}.{name}"
                 yield from (
-                    f"{short}.{name}.{m}" for m, f in vars(thing).items() if not m.startswith("_") and inspect.isfunction(f)
+                    f"{short}.{name}.{m}"
+                    for m, f in vars(thing).items()
+                    if not m.startswith("_") and inspect.isfunction(f)
                 )
 
 

@@ -20,14 +20,18 @@ def assert_same(known, found, least=1e-9, engine="compiled"):
     """Every field: means and deviations within ``least`` of value and deviation, what is counted exactly."""
     assert found.engine == engine
     assert repr(found) == repr(known)
-    mine, theirs = ({name: getattr(track, name) for name in FIELDS} | track.events for track in (found, known))
+    mine, theirs = (
+        {name: getattr(track, name) for name in FIELDS} | track.events for track in (found, known)
+    )
     assert mine.keys() == theirs.keys()
     for name, x in theirs.items():
         y = mine[name]
         assert (y is None) == (x is None), name
         if x is not None:
             assert (y.shape, y.dtype) == (x.shape, x.dtype), name
-            np.testing.assert_array_equal(*((np.isnan(y), np.isnan(x)) if y.dtype.kind == "f" else (y, x)), name)
+            np.testing.assert_array_equal(
+                *((np.isnan(y), np.isnan(x)) if y.dtype.kind == "f" else (y, x)), name
+            )
     np.testing.assert_array_equal(found.times, known.times)
     if known.mean is not None:
         assert worst(found.mean - known.mean, np.abs(known.mean) + deviations(known)) < least
@@ -36,11 +40,17 @@ def assert_same(known, found, least=1e-9, engine="compiled"):
     if known.whitened is not None:
         assert worst(found.whitened - known.whitened, 1.0 + np.abs(known.whitened)) < 1e3 * least
         assert worst(found.nis - known.nis, 1.0 + known.nis) < 1e3 * least
-    assert worst(found.log_likelihood - known.log_likelihood, 1.0 + np.abs(known.log_likelihood)) < 1e3 * least
+    assert (
+        worst(found.log_likelihood - known.log_likelihood, 1.0 + np.abs(known.log_likelihood))
+        < 1e3 * least
+    )
     assert (found.belief is None) == (known.belief is None)
     if known.belief is not None:
         assert type(found.belief) is type(known.belief)
-        assert worst(found.cov - known.cov, known.std[..., :, None] * known.std[..., None, :]) < 10.0 * least
+        assert (
+            worst(found.cov - known.cov, known.std[..., :, None] * known.std[..., None, :])
+            < 10.0 * least
+        )
 
 
 def deviations(track):

@@ -40,7 +40,14 @@ def riccati(F: ArrayLike, H: ArrayLike, Q: ArrayLike, R: ArrayLike, P0: ArrayLik
 
 
 def actual_covariance(
-    F: ArrayLike, H: ArrayLike, gains: ArrayLike, Q: ArrayLike, Phi: ArrayLike, R: ArrayLike, P0: ArrayLike, Sigma0: ArrayLike
+    F: ArrayLike,
+    H: ArrayLike,
+    gains: ArrayLike,
+    Q: ArrayLike,
+    Phi: ArrayLike,
+    R: ArrayLike,
+    P0: ArrayLike,
+    Sigma0: ArrayLike,
 ) -> Array:
     """True error covariances ``(T + 1, ..., n, n)`` of a filter with given gains when its noise is really colored.
 
@@ -54,7 +61,9 @@ def actual_covariance(
     m, n = h.shape
     gains = finite("gains", gains, (..., n, m))
     if gains.ndim < 3 or len(gains) != len(transitions):
-        raise ValueError(f"gains: expected {len(transitions)} of them, one for each F, got shape {gains.shape}")
+        raise ValueError(
+            f"gains: expected {len(transitions)} of them, one for each F, got shape {gains.shape}"
+        )
     batch = together(gains=gains.shape[1:-2], P0=P.shape[:-2])
     P, C = np.broadcast_to(P, (*batch, n, n)), np.zeros((*batch, n, m))
     out = [P]
@@ -69,7 +78,13 @@ def actual_covariance(
 
 
 def colored_bound(
-    F: ArrayLike, H: ArrayLike, Phi: ArrayLike, Q: ArrayLike, R: ArrayLike, P0: ArrayLike, Sigma0: ArrayLike | None = None
+    F: ArrayLike,
+    H: ArrayLike,
+    Phi: ArrayLike,
+    Q: ArrayLike,
+    R: ArrayLike,
+    P0: ArrayLike,
+    Sigma0: ArrayLike | None = None,
 ) -> Array:
     """Posterior Cramer-Rao bounds ``(T + 1, ..., n, n)`` under colored measurement noise, for small process noise.
 
@@ -99,7 +114,9 @@ def _system(F: ArrayLike, H: ArrayLike, **given: ArrayLike) -> list[Array]:
     h = finite("H", H, ("m", f.shape[-1]))
     m, n = h.shape
     found = {
-        name: finite(name, value, (..., m, m)) if name == "Phi" else symmetric(value, name, n if name in ("P0", "Q") else m)[0]
+        name: finite(name, value, (..., m, m))
+        if name == "Phi"
+        else symmetric(value, name, n if name in ("P0", "Q") else m)[0]
         for name, value in given.items()
     }
     batch = together(**{name: value.shape[:-2] for name, value in found.items()})

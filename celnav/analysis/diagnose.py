@@ -26,7 +26,17 @@ from celnav.gaussian.checks import finite, integer, number, numbers, sequence
 from celnav.gaussian.linalg import FORMS, Array
 from celnav.gaussian.spaces import EUCLIDEAN
 
-__all__ = ["Component", "Diagnosis", "Interval", "Model", "Sensed", "correlated", "diagnose", "first_order", "places"]
+__all__ = [
+    "Component",
+    "Diagnosis",
+    "Interval",
+    "Model",
+    "Sensed",
+    "correlated",
+    "diagnose",
+    "first_order",
+    "places",
+]
 
 LEAST = 20  # samples of a component, below which nothing can be said
 SMALL = 1.1  # how much larger a deviation of a mean may be than white noise has it, for noise that is nearly white
@@ -155,7 +165,9 @@ class Diagnosis(NamedTuple):
     def sound(self) -> bool:
         """Whether everything is white or nearly so, without bias, and as large as claimed."""
         quiet = all(self.white(c) != "colored" and not self.biased(c) for c in self.components)
-        return quiet and all(np.isnan(s.nis) or s.band[0] <= s.nis <= s.band[1] for s in self.sensors)
+        return quiet and all(
+            np.isnan(s.nis) or s.band[0] <= s.nis <= s.band[1] for s in self.sensors
+        )
 
     def __str__(self) -> str:
         from celnav.analysis.diagnosis_text import page
@@ -186,19 +198,30 @@ def diagnose(
     if isinstance(residuals, Track):
         filter, t, widths = residuals.filter, residuals.times, residuals.sensors
         if residuals.whitened is None:
-            raise ValueError("residuals: expected a track with innovations, got one without; run with keep='std'")
-        x, w = (np.where(residuals.used, rows, np.nan) for rows in (residuals.innovation, residuals.whitened))
+            raise ValueError(
+                "residuals: expected a track with innovations, got one without; run with keep='std'"
+            )
+        x, w = (
+            np.where(residuals.used, rows, np.nan)
+            for rows in (residuals.innovation, residuals.whitened)
+        )
     else:
         x = numbers("residuals", residuals)
         if times is None:
             raise ValueError("times: expected them with an array of residuals, got None")
         t = finite("times", times, ("T",))
         if x.ndim < 2 or len(x) != len(t) or not x.size or np.isinf(x).any():
-            raise ValueError(f"residuals: expected shape ({len(t)}, ..., m) to go with the times, finite or nan, got {x.shape}")
+            raise ValueError(
+                f"residuals: expected shape ({len(t)}, ..., m) to go with the times, finite or nan, got {x.shape}"
+            )
         if std is not None:
             claimed = numbers("std", std)
-            if claimed.ndim > x.ndim or any(k not in (1, n) for k, n in zip(claimed.shape[::-1], x.shape[::-1], strict=False)):
-                raise ValueError(f"std: expected deviations that go with residuals {x.shape}, got {claimed.shape}")
+            if claimed.ndim > x.ndim or any(
+                k not in (1, n) for k, n in zip(claimed.shape[::-1], x.shape[::-1], strict=False)
+            ):
+                raise ValueError(
+                    f"std: expected deviations that go with residuals {x.shape}, got {claimed.shape}"
+                )
             claimed = np.broadcast_to(claimed, x.shape)
             if not ((claimed > 0.0) & (claimed < np.inf))[np.isfinite(x)].all():
                 raise ValueError("std: expected positive deviations wherever there is a residual")
@@ -207,9 +230,15 @@ def diagnose(
         raise ValueError("times: expected them to increase")
     T, m = len(t), x.shape[-1]
     x, w = x.reshape(T, -1, m), w.reshape(T, -1, m)
-    called = [f"z{i}" for i in range(m)] if names is None else list(sequence("names", names, "['x', 'y']"))
+    called = (
+        [f"z{i}" for i in range(m)]
+        if names is None
+        else list(sequence("names", names, "['x', 'y']"))
+    )
     if len(called) != m or not all(isinstance(name, str) for name in called):
-        raise ValueError(f"names: expected {m} words, one for each component, such as ['x', 'y'], got {names!r:.80}")
+        raise ValueError(
+            f"names: expected {m} words, one for each component, such as ['x', 'y'], got {names!r:.80}"
+        )
     place, step = places(t)
     widths = widths or (m,)
     sensor = np.repeat(range(len(widths)), widths)
@@ -217,11 +246,21 @@ def diagnose(
     rms = None if claimed is None else claimed.reshape(T, -1, m)
     found = tuple(
         _component(
-            called[i], int(sensor[i]), x[..., i], w[..., i], None if rms is None else rms[..., i], scaled, place, lags, level
+            called[i],
+            int(sensor[i]),
+            x[..., i],
+            w[..., i],
+            None if rms is None else rms[..., i],
+            scaled,
+            place,
+            lags,
+            level,
         )
         for i in range(m)
     )
-    groups = tuple(_sensed(w, np.flatnonzero(sensor == k), found, scaled, level) for k in range(len(widths)))
+    groups = tuple(
+        _sensed(w, np.flatnonzero(sensor == k), found, scaled, level) for k in range(len(widths))
+    )
     diagnosis = Diagnosis(t, step, x.shape[1], level, found, groups, None, "")
     if all(diagnosis.white(c) != "colored" for c in found):
         return diagnosis
@@ -237,7 +276,11 @@ def places(t: Array) -> tuple[Array, float | None]:
     steps = np.maximum(np.rint(d / np.median(d)), 1.0)
     step = float((t[-1] - t[0]) / steps.sum())
     on_grid = (np.abs(d - steps * step) < 0.1 * step).all()
-    return (np.concatenate([[0], np.cumsum(steps.astype(np.int64))]), step) if on_grid else (np.arange(len(t)), None)
+    return (
+        (np.concatenate([[0], np.cumsum(steps.astype(np.int64))]), step)
+        if on_grid
+        else (np.arange(len(t)), None)
+    )
 
 
 def _products(x: Array, place: Array, lag: int) -> tuple[float, int]:
@@ -266,16 +309,22 @@ def correlated(x: Array, place: Array, lags: int) -> tuple[Array, Array, float, 
         return rho[lag]
 
     end = 0
-    while end + 1 < most and value(end) + value(end + 1) > 0.0:  # sums of two, which of a stationary process are positive
+    while (
+        end + 1 < most and value(end) + value(end + 1) > 0.0
+    ):  # sums of two, which of a stationary process are positive
         end += 2
     value(lags)
     sums = np.array(rho[:end])
     weights = np.array([N, *(2.0 * count for count in pairs[1:end])]) / N
     longer = own = max(float(weights @ sums), 1.0 / N)
-    for _ in range(20):  # the mean was taken off, which hides as much of each product as its own variance
+    for _ in range(
+        20
+    ):  # the mean was taken off, which hides as much of each product as its own variance
         shift = min(longer / N, 0.5)
         longer = max(float(weights @ ((1.0 - shift) * sums + shift)), own)
-    squares = 1.0 + float(weights[1:] @ np.maximum(sums[1:] ** 2 - 1.0 / np.maximum(pairs[1:end], 1), 0.0))
+    squares = 1.0 + float(
+        weights[1:] @ np.maximum(sums[1:] ** 2 - 1.0 / np.maximum(pairs[1:end], 1), 0.0)
+    )
     return np.array(rho[1 : lags + 1]), np.array(pairs[1 : lags + 1]), min(longer, N / 2.0), squares
 
 
@@ -291,9 +340,13 @@ def _component(
     N = int(there.sum())
     if N < LEAST or np.ptp(x[there]) == 0.0:
         what = f"{N} samples" if N < LEAST else f"only {x[there][0]:g}"
-        raise ValueError(f"residuals: expected at least {LEAST} samples that vary of each component, got {what} of {name}")
+        raise ValueError(
+            f"residuals: expected at least {LEAST} samples that vary of each component, got {what} of {name}"
+        )
     lags = max(1, min(lags, N // 5, int(place[-1]) // 2))
-    even = w if claimed is None else (x - np.nanmean(x)) / claimed  # a bias over a claim that changes is no noise
+    even = (
+        w if claimed is None else (x - np.nanmean(x)) / claimed
+    )  # a bias over a claim that changes is no noise
     rho, pairs, shared, squares = correlated(even, place, lags)
     *_, longer, _ = correlated(x, place, lags)
     statistic, p = _ljung_box(rho, pairs, N)
@@ -325,7 +378,10 @@ def first_order(x: Array, place: Array, lags: int, level: float) -> Coloring:
     before = np.concatenate([np.full_like(last[:1], -1), last[:-1]])[there]
     at, run_of = np.nonzero(there)
     here, first, N = x[there], before < 0, int(there.sum())
-    gap, past = np.where(first, 1, place[at] - place[before]), np.where(first, 0.0, x[before, run_of])
+    gap, past = (
+        np.where(first, 1, place[at] - place[before]),
+        np.where(first, 0.0, x[before, run_of]),
+    )
 
     def parts(v: float) -> tuple[float, float, Array]:
         """The cost of ``phi = tanh v``, the deviation, and what is left of each sample, of unit variance."""
@@ -340,7 +396,11 @@ def first_order(x: Array, place: Array, lags: int, level: float) -> Coloring:
 
     tried, half = np.linspace(*REACH, 37), 0.5 * float(ndtri(0.5 + level / 2)) ** 2
     best = float(tried[int(np.argmin([parts(v)[0] for v in tried]))])
-    v = float(minimize_scalar(lambda v: parts(v)[0], bounds=(best - 0.25, best + 0.25), method="bounded").x)
+    v = float(
+        minimize_scalar(
+            lambda v: parts(v)[0], bounds=(best - 0.25, best + 0.25), method="bounded"
+        ).x
+    )
     least, sigma, left = parts(v)
 
     def beyond(u: float) -> float:
@@ -353,10 +413,18 @@ def first_order(x: Array, place: Array, lags: int, level: float) -> Coloring:
     rho, pairs, *_ = correlated(rest, place, lags)
     p = _ljung_box(rho, pairs, N, fitted=1)[1]
     interval = float(np.tanh(ends[0])), float(np.tanh(ends[1]))
-    return Coloring(float(np.tanh(v)), interval, sigma, (float(sigma * np.exp(-low)), float(sigma * np.exp(high))), p)
+    return Coloring(
+        float(np.tanh(v)),
+        interval,
+        sigma,
+        (float(sigma * np.exp(-low)), float(sigma * np.exp(high))),
+        p,
+    )
 
 
-def _sensed(w: Array, at: Array, components: Sequence[Component], scaled: bool, level: float) -> Sensed:
+def _sensed(
+    w: Array, at: Array, components: Sequence[Component], scaled: bool, level: float
+) -> Sensed:
     """Of the components of a sensor."""
     own = [components[i] for i in at]
     square, dof = np.nansum(w[..., at] ** 2, (1, 2)), np.isfinite(w[..., at]).sum((1, 2))
@@ -364,7 +432,14 @@ def _sensed(w: Array, at: Array, components: Sequence[Component], scaled: bool, 
     count = int(dof.sum())
     fewer = count**2 / sum(c.samples**2 / c.effective_squares for c in own)
     nis = float(square.sum() / count) if scaled else np.nan
-    return Sensed(tuple(c.name for c in own), nis, chi_square_band(1.0, fewer, level), square, dof, count / fewer)
+    return Sensed(
+        tuple(c.name for c in own),
+        nis,
+        chi_square_band(1.0, fewer, level),
+        square,
+        dof,
+        count / fewer,
+    )
 
 
 def _model(
@@ -377,14 +452,19 @@ def _model(
         return None, ""
     sensors: Any = getattr(filter, "sensors", ())
     noise = sensors[0].noise if len(sensors) == 1 else None
-    flat = type(filter) is Sequential and all(one.space == EUCLIDEAN for one in (filter.motion, *sensors))
+    flat = type(filter) is Sequential and all(
+        one.space == EUCLIDEAN for one in (filter.motion, *sensors)
+    )
     if not (flat and isinstance(noise, np.ndarray) and noise.ndim == 2 and filter.gain is None):
         return (
             None,
             "celnav.colored is for one sensor of vectors with a constant R; celnav.augmented carries other noise in the state",
         )
     if prior is None or z is None:
-        return None, "diagnose(track, prior=prior, z=z) estimates Phi and R, and says what the filter for them would claim"
+        return (
+            None,
+            "diagnose(track, prior=prior, z=z) estimates Phi and R, and says what the filter for them would claim",
+        )
     sensor, motion, R, m = sensors[0], filter.motion, noise @ noise.T, len(noise)
     form = next(name for name, form in FORMS.items() if form is filter.form)
     own, data = m if m <= EACH else 1, epochs(t, z, u)
@@ -397,15 +477,23 @@ def _model(
 
     def white(p: Array) -> tuple[Any, Any]:
         moved = replace(motion, Q=None, sqrt_Q=p[0] * motion.noise)
-        return replace(filter, motion=moved, sensors=(Sensor(sensor.h, p[1] ** 2 * R, jacobian=sensor.jacobian),)), prior
+        return replace(
+            filter,
+            motion=moved,
+            sensors=(Sensor(sensor.h, p[1] ** 2 * R, jacobian=sensor.jacobian),),
+        ), prior
 
     first = np.clip([c.autocorrelation[0] for c in found], 0.05, 0.95)
     start = np.concatenate([first if own == m else [first.mean()], np.ones(own)])
     try:
         with np.errstate(all="ignore"):  # a search goes far
-            tuned = maximize_likelihood(build, start, data, domain=[(-1.0, 1.0)] * own + ["positive"] * own)
+            tuned = maximize_likelihood(
+                build, start, data, domain=[(-1.0, 1.0)] * own + ["positive"] * own
+            )
             constant = isinstance(motion.noise, np.ndarray)
-            other = maximize_likelihood(white, [1.0, 1.0], data).log_likelihood if constant else np.nan
+            other = (
+                maximize_likelihood(white, [1.0, 1.0], data).log_likelihood if constant else np.nan
+            )
         tracks = [run(*each, data) for each in (build(tuned.parameters), (filter, prior))]
     except (ValueError, ArithmeticError) as error:
         return None, f"the filter for colored noise could not be fitted: {error}"
@@ -413,7 +501,9 @@ def _model(
     reach = float(ndtri(0.5 + level / 2)) * np.sqrt(tuned.covariance.diagonal())
     doubt, factor = (np.broadcast_to(part, m) for part in (reach[:own], np.exp(reach[own:])))
     half, sigma = np.arctanh(phi), s * np.sqrt(R.diagonal())
-    claims, before = (np.atleast_2d(track.std[-1]).mean(tuple(range(track.std.ndim - 2))) for track in tracks)
+    claims, before = (
+        np.atleast_2d(track.std[-1]).mean(tuple(range(track.std.ndim - 2))) for track in tracks
+    )
     known = tracks[1].log_likelihood.sum()
     return Model(
         np.diag(phi), R * s * s[:, None], np.tanh(np.stack([half - 0.5 * doubt, half + 0.5 * doubt], -1)),

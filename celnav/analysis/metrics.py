@@ -55,7 +55,12 @@ def chi_square_band(dof: float, runs: float, level: float = 0.95) -> tuple[float
 
 
 def bootstrap(
-    statistic: Callable[..., Any], *samples: Array, block: int = 1, level: float = 0.95, resamples: int = 400, seed: int = 0
+    statistic: Callable[..., Any],
+    *samples: Array,
+    block: int = 1,
+    level: float = 0.95,
+    resamples: int = 400,
+    seed: int = 0,
 ) -> tuple[float, float]:
     """Expanded percentile interval, its two ends, of ``statistic(*samples)``: the runs of all samples are resampled together.
 
@@ -71,12 +76,16 @@ def bootstrap(
     arrays = [np.atleast_1d(numbers("samples", sample)) for sample in samples]
     runs = min((len(array) for array in arrays), default=0)
     if runs < 2 or any(len(array) != runs for array in arrays):
-        raise ValueError(f"samples: expected two runs or more, as many in each, got {[len(array) for array in arrays]}")
+        raise ValueError(
+            f"samples: expected two runs or more, as many in each, got {[len(array) for array in arrays]}"
+        )
     block = integer("block", block, 1, runs // 2)
     blocks = runs / block
     level = number("level", level, above=0.0, below=1.0)
     resamples = integer("resamples", resamples, 1, LIMIT // runs)
-    starts = np.random.default_rng(integer("seed", seed, 0)).integers(0, runs, (resamples, -(-runs // block)))
+    starts = np.random.default_rng(integer("seed", seed, 0)).integers(
+        0, runs, (resamples, -(-runs // block))
+    )
 
     def value_of(*parts: Array) -> float:
         return float(numbers("statistic", _samples("statistic", statistic(*parts)), ()))
@@ -86,14 +95,19 @@ def bootstrap(
     values = [value_of(*(array[rows] for array in arrays)) for rows in drawn]
     upper = 0.5 + level / 2
     low, high = np.quantile(values, [0.5 - level / 2, upper])
-    wider = float(np.sqrt(blocks / (blocks - 1)) * special.stdtrit(blocks - 1, upper) / special.ndtri(upper))
+    wider = float(
+        np.sqrt(blocks / (blocks - 1)) * special.stdtrit(blocks - 1, upper) / special.ndtri(upper)
+    )
     return value + wider * float(low - value), value + wider * float(high - value)
 
 
 def _runs(error: ArrayLike, axis: int) -> tuple[Array, int]:
     """Errors, nan where a run is lost, and their axis of runs, of which there must be some."""
     array = numbers("error", error)
-    if array.shape not in ((), (0,)) and array.shape[axis := integer("axis", axis, -array.ndim, array.ndim - 1)]:
+    if (
+        array.shape not in ((), (0,))
+        and array.shape[axis := integer("axis", axis, -array.ndim, array.ndim - 1)]
+    ):
         return array, axis
     raise ValueError(f"error: expected at least one run, got shape {array.shape}")
 

@@ -51,11 +51,15 @@ def _slopes(name: str, function: Function, points: Array) -> Array:
     """Derivatives ``(..., m, p)`` of a function along complex points ``(p, ..., n)``."""
     values = function(points)
     if np.asarray(values).dtype.kind not in "iufc":
-        raise ValueError(f"{name}: expected values (p, ..., m) at points (p, ..., n), got {checks.kind(values)}")
+        raise ValueError(
+            f"{name}: expected values (p, ..., m) at points (p, ..., n), got {checks.kind(values)}"
+        )
     return np.moveaxis(finite(name, np.imag(values), (*points.shape[:-1], "m")), 0, -1) / _TINY.imag
 
 
-def lie_gradients(f: Function, h: Function, x: ArrayLike, order: int, *, window: float = 1.0) -> Array:
+def lie_gradients(
+    f: Function, h: Function, x: ArrayLike, order: int, *, window: float = 1.0
+) -> Array:
     """Gradients of the Lie derivatives ``L_f^k h``, k = 0 to ``order`` (at most 6), ``(order + 1, m, n)`` [Hermann1977].
 
     They are the derivatives with respect to time of ``h`` along the flow of ``f``, differentiated by the start: flow and
@@ -73,7 +77,9 @@ def lie_gradients(f: Function, h: Function, x: ArrayLike, order: int, *, window:
     at = finite("x", x, ("n",))
     rate = np.shape(checks.function("f", f, "(points)")(at[None]))
     if rate != (1, len(at)):
-        raise ValueError(f"f: expected rates (p, {len(at)}) at points (p, {len(at)}), got shape {rate} of one point")
+        raise ValueError(
+            f"f: expected rates (p, {len(at)}) at points (p, {len(at)}), got shape {rate} of one point"
+        )
     checks.function("h", h, "(points)")
     nodes = np.cos(np.pi * (np.arange(_NODES) + 0.5) / _NODES)
     forth, back = nodes[nodes >= 0.0][::-1], nodes[nodes < 0.0]
@@ -84,7 +90,12 @@ def lie_gradients(f: Function, h: Function, x: ArrayLike, order: int, *, window:
     basis = np.stack([s(np.concatenate([forth, back])) for s in series], -1)
     coefficients = np.linalg.solve(basis, gradients.reshape(_NODES, -1))
     slopes = [np.array([s.deriv(k)(0.0) for s in series]) for k in range(order + 1)]
-    return np.stack([(slope @ coefficients).reshape(gradients.shape[1:]) / window**k for k, slope in enumerate(slopes)])
+    return np.stack(
+        [
+            (slope @ coefficients).reshape(gradients.shape[1:]) / window**k
+            for k, slope in enumerate(slopes)
+        ]
+    )
 
 
 def _flow(f: Function, x: Array, times: Array) -> list[Array]:
@@ -117,7 +128,9 @@ def information_degree(P0: ArrayLike, F: ArrayLike, H: ArrayLike, R: ArrayLike) 
     prior, transitions = symmetric(P0, "P0", n)[1], finite("F", F, (K - 1, n, n))
     noise = symmetric(R, "R", m)[1]
     if noise.shape[:-2] not in ((), (K,)):
-        raise ValueError(f"R: expected one matrix, or one for each of {K} epochs, got shape {np.shape(R)}")
+        raise ValueError(
+            f"R: expected one matrix, or one for each of {K} epochs, got shape {np.shape(R)}"
+        )
     Phi, information = prior, np.eye(n)  # in units of the prior
     for k, (row, root) in enumerate(zip(rows, np.broadcast_to(noise, (K, m, m)), strict=True)):
         if k:
@@ -129,7 +142,12 @@ def information_degree(P0: ArrayLike, F: ArrayLike, H: ArrayLike, R: ArrayLike) 
 
 
 def nonlinearity_weights(
-    functions: Sequence[Function], mean: ArrayLike, std: ArrayLike, *, tolerance: float = 1e-6, coarse: int = 2
+    functions: Sequence[Function],
+    mean: ArrayLike,
+    std: ArrayLike,
+    *,
+    tolerance: float = 1e-6,
+    coarse: int = 2,
 ) -> tuple[int, ...]:
     """Weights of a sparse grid by nonlinearity: 1 for the states that enter the functions nonlinearly, ``coarse`` for the rest.
 
@@ -151,14 +169,19 @@ def nonlinearity_weights(
     for function in functions:
         checks.function("functions", function, "(points)")
         for c in centers:
-            y0, up, down = (finite("functions", function(x), (len(x), "m")) for x in (c[None], c + steps, c - steps))
+            y0, up, down = (
+                finite("functions", function(x), (len(x), "m"))
+                for x in (c[None], c + steps, c - steps)
+            )
             scale = np.sqrt(np.square(0.5 * (up - down)).sum(0))
             second = np.abs(0.5 * (up + down) - y0)
             bends |= (second > tolerance * scale).any(-1)
     return tuple(np.where(bends, 1, coarse).tolist())
 
 
-def nonlinearity_degree(function: Function, mean: ArrayLike, std: ArrayLike, scale: ArrayLike) -> Array:
+def nonlinearity_degree(
+    function: Function, mean: ArrayLike, std: ArrayLike, scale: ArrayLike
+) -> Array:
     """Degrees of nonlinearity ``(..., n)``: how far a function bends over one deviation of a state, in units of a scale.
 
     The largest second difference of an output along each axis. Unlike `nonlinearity_weights` it asks whether that matters: what
@@ -172,7 +195,10 @@ def nonlinearity_degree(function: Function, mean: ArrayLike, std: ArrayLike, sca
     checks.function("function", function, "(points)")
     center = finite("mean", mean, (..., "n"))
     steps = _positive("std", std, center.shape) * _axes(center)
-    y0, up, down = (finite("function", function(x), (*x.shape[:-1], "m")) for x in (center[None], center + steps, center - steps))
+    y0, up, down = (
+        finite("function", function(x), (*x.shape[:-1], "m"))
+        for x in (center[None], center + steps, center - steps)
+    )
     bends = np.abs(0.5 * (up + down) - y0) / _positive("scale", scale, (..., y0.shape[-1]))
     return np.moveaxis(bends.max(-1), 0, -1)
 
@@ -221,7 +247,9 @@ def state_singular_values(matrix: ArrayLike, cov: ArrayLike | None = None) -> Ar
     size = np.abs(Vt)
     if cov is not None:
         size *= np.sqrt(np.square(Vt @ symmetric(cov, "cov", n)[1]).sum(-1))[..., None]
-    seen, which = np.broadcast_arrays(np.where(values < 1e-12 * values[..., :1], 0.0, values), size.argmax(-2))
+    seen, which = np.broadcast_arrays(
+        np.where(values < 1e-12 * values[..., :1], 0.0, values), size.argmax(-2)
+    )
     return np.asarray(np.take_along_axis(seen, which, -1))
 
 
@@ -231,7 +259,9 @@ def threshold_weights(degree: ArrayLike, threshold: float) -> tuple[int, ...]:
     >>> celnav.analysis.observability.threshold_weights([9.6, 1.0, 0.2], 5.0)
     (1, 2, 2)
     """
-    return tuple(np.where(finite("degree", degree, ("n",)) > number("threshold", threshold), 1, 2).tolist())
+    return tuple(
+        np.where(finite("degree", degree, ("n",)) > number("threshold", threshold), 1, 2).tolist()
+    )
 
 
 def hysteresis(degree: ArrayLike, threshold: float, before: ArrayLike, band: float = 1.1) -> Array:
@@ -240,5 +270,13 @@ def hysteresis(degree: ArrayLike, threshold: float, before: ArrayLike, band: flo
     >>> celnav.analysis.observability.hysteresis([9.6, 5.2, 5.2], 5.0, before=[0, 0, 1])
     array([ True, False,  True])
     """
-    found, limit, factor = finite("degree", degree, (..., "n")), number("threshold", threshold), number("band", band, 1.0)
-    return np.where(finite("before", before, (..., found.shape[-1])) > 0.0, found > limit / factor, found > limit * factor)
+    found, limit, factor = (
+        finite("degree", degree, (..., "n")),
+        number("threshold", threshold),
+        number("band", band, 1.0),
+    )
+    return np.where(
+        finite("before", before, (..., found.shape[-1])) > 0.0,
+        found > limit / factor,
+        found > limit * factor,
+    )

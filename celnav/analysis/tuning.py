@@ -15,7 +15,16 @@ from celnav.filters.gradient import Gradient, fourth_order
 from celnav.filters.records import Epoch, Epochs, Filter
 from celnav.filters.run import ENGINES, run
 from celnav.gaussian.belief import Gaussian
-from celnav.gaussian.checks import choice, finite, function, integer, kind, number, numbers, sequence
+from celnav.gaussian.checks import (
+    choice,
+    finite,
+    function,
+    integer,
+    kind,
+    number,
+    numbers,
+    sequence,
+)
 from celnav.gaussian.linalg import Array
 from celnav.tape.tape import CannotCompile
 
@@ -84,13 +93,18 @@ def likelihood_gradient(
     here = _flight(build, x, data)
     if choice("engine", engine, ENGINES) != "numpy":
         try:
-            return LikelihoodGradient(*_checked(Gradient(partial(_built, build), data), x, lengths, here), "compiled")
+            return LikelihoodGradient(
+                *_checked(Gradient(partial(_built, build), data), x, lengths, here), "compiled"
+            )
         except (CannotCompile, ImportError) as error:
             if engine == "compiled":
                 raise
             why = f": {error}"
     steps = WIDE * np.diag(lengths)
-    each = [fourth_order([_flight(build, x + j * step, data) for j in (-2, -1, 1, 2)], WIDE) for step in steps]
+    each = [
+        fourth_order([_flight(build, x + j * step, data) for j in (-2, -1, 1, 2)], WIDE)
+        for step in steps
+    ]
     return LikelihoodGradient(here, np.stack(each, -1) / lengths, f"numpy{why}")
 
 
@@ -127,12 +141,20 @@ def maximize_likelihood(
     tolerance = number("tolerance", tolerance, above=0.0)
     max_iterations = integer("max_iterations", max_iterations)
     data = _data(epochs)
-    likelihood = _Likelihood(function("build", build, "(parameters)"), data, scale, len(x0), choice("engine", engine, ENGINES))
+    likelihood = _Likelihood(
+        function("build", build, "(parameters)"),
+        data,
+        scale,
+        len(x0),
+        choice("engine", engine, ENGINES),
+    )
     found = minimize(
         likelihood.cost, np.zeros(len(x0)), jac=True, method="L-BFGS-B", bounds=[(-reach, reach)] * len(x0),
         options={"maxiter": max_iterations, "gtol": 1e-9, "ftol": ROUGH / max(1.0, abs(likelihood.first))},
     )  # fmt: skip
-    s = found.x if found.success else likelihood.best()  # beside failures a line search may give up what it has found
+    s = (
+        found.x if found.success else likelihood.best()
+    )  # beside failures a line search may give up what it has found
     for left in range(STEPS, -1, -1):
         covariance, why = np.full((len(x0), len(x0)), np.inf), ""
         at_end, curvature = np.abs(s) > 0.999 * reach, likelihood.curvature(s)
@@ -152,20 +174,36 @@ def maximize_likelihood(
         gain = 0.5 * gradient @ covariance @ gradient
         ahead = np.clip(s + covariance @ gradient, -reach, reach)
         if gain <= tolerance or not left or not likelihood(ahead) > likelihood(s):
-            why = "" if gain <= tolerance else f"{gain:.3g} of the log-likelihood is left to gain; {found.message}"
+            why = (
+                ""
+                if gain <= tolerance
+                else f"{gain:.3g} of the log-likelihood is left to gain; {found.message}"
+            )
             break
         s = ahead
     errors = scale.slope(s) * np.sqrt(covariance.diagonal())
     tried, converged = list(likelihood.known.values()), bool(found.success) and not why
     failures = int(np.isnan(tried).sum())
     return Tuned(
-        scale(s), likelihood(s), errors, covariance, len(tried), converged, why or found.message, failures, likelihood.engine
+        scale(s),
+        likelihood(s),
+        errors,
+        covariance,
+        len(tried),
+        converged,
+        why or found.message,
+        failures,
+        likelihood.engine,
     )
 
 
 def _data(epochs: Iterable[Epoch]) -> Sequence[Epoch]:
     """Epochs that have measurements."""
-    data = epochs if isinstance(epochs, Epochs) else sequence("epochs", epochs, "celnav.epochs(times, z)")
+    data = (
+        epochs
+        if isinstance(epochs, Epochs)
+        else sequence("epochs", epochs, "celnav.epochs(times, z)")
+    )
     if not any(map(_measured, data)):
         raise ValueError("epochs: expected measurements, got none")
     return data
@@ -190,7 +228,9 @@ def _checked(compiled: Gradient, x: Array, lengths: Array, known: Array) -> tupl
     rise, each = (above - below) / (2.0 * STEP), gradient.reshape(-1, len(x)).sum(0) * lengths
     size = np.abs(known).sum()
     if not (np.abs(value - known) <= 1e-6 * (1.0 + np.abs(known))).all():
-        raise CannotCompile("the model gives other values when it is recorded: it looks at what it is given")
+        raise CannotCompile(
+            "the model gives other values when it is recorded: it looks at what it is given"
+        )
     if not np.abs(rise - each.sum()) <= 1e-3 * np.abs(each).sum() + 1e-5 * (1.0 + size):
         raise CannotCompile("the likelihood is not smooth in the parameters")
     return value, gradient
@@ -206,24 +246,42 @@ class _Scale:
     """Logarithms ``(d,)``, relative to the start, to parameters: of the distance to the ends of their domain."""
 
     def __init__(self, domain: Domain | Sequence[Domain], start: Array):
-        alone = isinstance(domain, str) or (isinstance(domain, tuple) and not isinstance(domain[0], str | tuple | list))
-        each: Any = [domain] * len(start) if alone else sequence("domain", domain, "['positive', (0.0, 1.0)]")
+        alone = isinstance(domain, str) or (
+            isinstance(domain, tuple) and not isinstance(domain[0], str | tuple | list)
+        )
+        each: Any = (
+            [domain] * len(start)
+            if alone
+            else sequence("domain", domain, "['positive', (0.0, 1.0)]")
+        )
         if len(each) != len(start):
-            raise ValueError(f"domain: expected one for all or {len(start)}, one for each parameter, got {len(each)}")
+            raise ValueError(
+                f"domain: expected one for all or {len(start)}, one for each parameter, got {len(each)}"
+            )
         pairs = [DOMAINS.get(one) if isinstance(one, str) else one for one in each]
         for i, (one, pair) in enumerate(zip(each, pairs, strict=True)):
-            if not isinstance(pair, tuple | list) or len(pair) != 2 or not -np.inf < numbers("domain", pair)[0] < pair[1]:
-                raise ValueError(f"domain: expected 'positive', 'unit interval' or (low, high), got {one!r}")
+            if (
+                not isinstance(pair, tuple | list)
+                or len(pair) != 2
+                or not -np.inf < numbers("domain", pair)[0] < pair[1]
+            ):
+                raise ValueError(
+                    f"domain: expected 'positive', 'unit interval' or (low, high), got {one!r}"
+                )
             if not pair[0] < start[i] < pair[1]:
                 interval = f"parameter {i} between {pair[0]:g} and {pair[1]:g}"
-                raise ValueError(f"start: expected {'positive parameters' if one == 'positive' else interval}, got {start[i]:g}")
+                raise ValueError(
+                    f"start: expected {'positive parameters' if one == 'positive' else interval}, got {start[i]:g}"
+                )
         self._low, self._high = low, high = np.array(pairs, np.float64).T
         self._bounded = np.isfinite(high)
         self._origin = np.log((start - low) / np.where(self._bounded, high - start, 1.0))
 
     def __call__(self, s: Array) -> Array:
         s = self._origin + s
-        return np.asarray(self._low + np.where(self._bounded, (self._high - self._low) * expit(s), np.exp(s)))
+        return np.asarray(
+            self._low + np.where(self._bounded, (self._high - self._low) * expit(s), np.exp(s))
+        )
 
     def slope(self, s: Array) -> Array:
         """Derivative of the parameters by their logarithms."""
@@ -241,7 +299,9 @@ class _Likelihood:
             here = _flight(build, start, epochs)
             self.first = float(here.sum())
         except ArithmeticError as error:
-            raise ValueError(f"start: expected parameters at which the filter works; {error}") from error
+            raise ValueError(
+                f"start: expected parameters at which the filter works; {error}"
+            ) from error
         except ValueError as error:
             error.add_note(f"at the start, parameters {start}")
             raise
@@ -267,7 +327,10 @@ class _Likelihood:
                 if np.isfinite(value).all() and np.isfinite(gradient).all():
                     self.slopes[key] = gradient.reshape(-1, len(s)).sum(0)
                     return float(value.sum())
-            except (ValueError, ArithmeticError):  # the numpy engine decides whether there is no filter, or only no gradient
+            except (
+                ValueError,
+                ArithmeticError,
+            ):  # the numpy engine decides whether there is no filter, or only no gradient
                 pass
         return float(_flight(self._build, self._scale(s), self._epochs).sum())
 
@@ -288,12 +351,16 @@ class _Likelihood:
 
     def best(self) -> Array:
         """The most probable of what was tried ``(d,)``."""
-        return np.array(max((found, s) for s, found in self.known.items() if not np.isnan(found))[1])
+        return np.array(
+            max((found, s) for s, found in self.known.items() if not np.isnan(found))[1]
+        )
 
     def _beside(self, s: Array) -> tuple[Array, Array]:
         """Likelihoods ``(d,)`` a step above and below s."""
         axes = STEP * np.eye(len(s))
-        return np.array([self(s + axis) for axis in axes]), np.array([self(s - axis) for axis in axes])
+        return np.array([self(s + axis) for axis in axes]), np.array(
+            [self(s - axis) for axis in axes]
+        )
 
     def gradient(self, s: Array) -> Array:
         """First derivatives ``(d,)``; by differences those of the side where the filter works, 0 where it does on none."""
@@ -308,7 +375,9 @@ class _Likelihood:
         """Of exact gradients ``(d, d)``, None where one is missing."""
         rows = []
         for axis in STEP * np.eye(len(s)):
-            above, below = (self.exact(at) if self._compiled else None for at in (s + axis, s - axis))
+            above, below = (
+                self.exact(at) if self._compiled else None for at in (s + axis, s - axis)
+            )
             if above is None or below is None:
                 return None
             rows.append((above - below) / (2.0 * STEP))
@@ -329,5 +398,7 @@ class _Likelihood:
         H = np.diag(above - 2.0 * here + below)
         for i, j in combinations(range(len(s)), 2):
             both = axes[i] + axes[j]
-            H[i, j] = H[j, i] = 0.5 * (self(s + both) + self(s - both) + 2.0 * here - (above + below)[[i, j]].sum())
+            H[i, j] = H[j, i] = 0.5 * (
+                self(s + both) + self(s - both) + 2.0 * here - (above + below)[[i, j]].sum()
+            )
         return np.asarray(H / STEP**2)

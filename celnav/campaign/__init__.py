@@ -107,7 +107,9 @@ def campaign(
         try:
             return _outcome(study, lambda unit: unpack(store.read(unit), unit.filters))
         except (ValueError, IndexError) as error:
-            raise StoreError(f"{folder}: its units do not go together ({error}); remove the folder") from None
+            raise StoreError(
+                f"{folder}: its units do not go together ({error}); remove the folder"
+            ) from None
 
 
 def fly(study: Study, workers: Workers | None = None, *, progress: Progress = _silent) -> Outcome:
@@ -122,7 +124,12 @@ def fly(study: Study, workers: Workers | None = None, *, progress: Progress = _s
         done += unit.runs
         progress(done, total)
 
-    compute([unit for units in plan for unit in units], workers or serial(), keep, lambda: progress(0, total))
+    compute(
+        [unit for units in plan for unit in units],
+        workers or serial(),
+        keep,
+        lambda: progress(0, total),
+    )
     return _outcome(study, lambda unit: unpack(found[unit], unit.filters))
 
 

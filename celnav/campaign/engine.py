@@ -3,7 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    wait,
+)
 from typing import Any, TypeVar
 
 from celnav.campaign.executors import Workers
@@ -30,7 +37,10 @@ def _nothing() -> None:
 
 
 def compute(
-    units: Iterable[W], workers: Workers, keep: Callable[[W, dict[str, Array]], None], opened: Callable[[], None] = _nothing
+    units: Iterable[W],
+    workers: Workers,
+    keep: Callable[[W, dict[str, Array]], None],
+    opened: Callable[[], None] = _nothing,
 ) -> None:
     """Do all units and give each result to ``keep`` as it comes, in any order; ``opened()`` is called once there are workers.
 
@@ -49,7 +59,9 @@ def compute(
             with workers.open() as executor:
                 opened()
                 opened = _nothing
-                for unit, outcome in results(executor, execute, list(missing), 1 if alone else workers.ahead, code()):
+                for unit, outcome in results(
+                    executor, execute, list(missing), 1 if alone else workers.ahead, code()
+                ):
                     del missing[unit]
                     if isinstance(outcome, Exception):
                         unfinished.append(_told(unit, _said(outcome)))
@@ -58,7 +70,9 @@ def compute(
                         deaths = 0
         except BrokenExecutor as error:
             if not workers.again:
-                raise OSError(f"the executor is broken ({_said(error)}); what is finished is kept") from None
+                raise OSError(
+                    f"the executor is broken ({_said(error)}); what is finished is kept"
+                ) from None
             deaths += 1
             if alone:
                 culprit = next(iter(missing))

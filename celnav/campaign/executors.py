@@ -71,7 +71,9 @@ def processes(jobs: int) -> Workers:
 @contextmanager
 def _pool(jobs: int) -> Iterator[Executor]:
     others = set(active_children())
-    pool = _Pool(min(jobs, MOST_PROCESSES), mp_context=get_context("spawn"), initializer=_end_with_the_parent)
+    pool = _Pool(
+        min(jobs, MOST_PROCESSES), mp_context=get_context("spawn"), initializer=_end_with_the_parent
+    )
     try:
         yield pool
         pool.shutdown()
@@ -138,7 +140,11 @@ def dask(address: str | None = None, jobs: int = 1) -> Workers:
 def _is_address(text: str) -> bool:
     try:
         parts = urlsplit(text)
-        return parts.scheme in ("tcp", "tls", "ws", "wss", "ucx") and bool(parts.hostname) and parts.port is not None
+        return (
+            parts.scheme in ("tcp", "tls", "ws", "wss", "ucx")
+            and bool(parts.hostname)
+            and parts.port is not None
+        )
     except ValueError:  # such as a port above 65535
         return False
 
@@ -153,10 +159,19 @@ def _cluster(address: str | None, jobs: int) -> Iterator[Executor]:
         stack.callback(_kill_but, others)
         target: Any = address
         if address is None:
-            local = {"n_workers": jobs, "threads_per_worker": 1, "host": "127.0.0.1", "dashboard_address": None}
+            local = {
+                "n_workers": jobs,
+                "threads_per_worker": 1,
+                "host": "127.0.0.1",
+                "dashboard_address": None,
+            }
             with _deaf_children():
-                target = stack.enter_context(_closing(dd.LocalCluster(**local, silence_logs="ERROR")))
-        client = stack.enter_context(_closing(dd.Client(target, timeout=PATIENCE_S, set_as_default=False)))
+                target = stack.enter_context(
+                    _closing(dd.LocalCluster(**local, silence_logs="ERROR"))
+                )
+        client = stack.enter_context(
+            _closing(dd.Client(target, timeout=PATIENCE_S, set_as_default=False))
+        )
         yield client.get_executor()
 
 

@@ -22,14 +22,25 @@ if TYPE_CHECKING:
 __all__ = ["PALETTE", "accuracy", "consistency", "figures", "over_time", "stems"]
 
 MOST_PANELS = 12
-PALETTE = (colors.ESTIMATE, colors.COMPARISON, colors.OPEN_LOOP, colors.REFERENCE, colors.PAPER, colors.MEASUREMENT)
+PALETTE = (
+    colors.ESTIMATE,
+    colors.COMPARISON,
+    colors.OPEN_LOOP,
+    colors.REFERENCE,
+    colors.PAPER,
+    colors.MEASUREMENT,
+)
 MARKERS = "osD^vP"
 
 
 def stems(study: Study) -> list[str]:
     """Of everything that `figures` may draw."""
     judged = load(study.paper).JUDGED
-    return [*(f"{kind}_{name}" for kind in ("accuracy", "time") for name in judged), "consistency", "failures"]
+    return [
+        *(f"{kind}_{name}" for kind in ("accuracy", "time") for name in judged),
+        "consistency",
+        "failures",
+    ]
 
 
 def figures(outcome: Outcome) -> dict[str, Figure]:
@@ -47,7 +58,12 @@ def figures(outcome: Outcome) -> dict[str, Figure]:
 def style(study: Study, filter: str) -> dict[str, Any]:
     """Color, marker and line of a filter, the same in all figures."""
     i = study.filters.index(filter)
-    return {"color": PALETTE[i % 6], "marker": MARKERS[i % 6], "linestyle": ("-", "--", ":")[i // 6 % 3], "label": filter}
+    return {
+        "color": PALETTE[i % 6],
+        "marker": MARKERS[i % 6],
+        "linestyle": ("-", "--", ":")[i // 6 % 3],
+        "label": filter,
+    }
 
 
 def _keys(study: Study) -> tuple[str | None, list[str]]:
@@ -65,25 +81,47 @@ def _numeric(values: Sequence[Any]) -> bool:
 def _panels(study: Study) -> list[dict[str, Any]]:
     """Values of the keys that are not along the x axis, one dict a panel."""
     others = _keys(study)[1]
-    return list({tuple(p.values[k] for k in others): {k: p.values[k] for k in others} for p in study.configurations}.values())
+    return list(
+        {
+            tuple(p.values[k] for k in others): {k: p.values[k] for k in others}
+            for p in study.configurations
+        }.values()
+    )
 
 
-def _draw(outcome: Outcome, label: str, title: str, draw: Callable[[Axes, list[Row], Array, str], None]) -> Figure:
+def _draw(
+    outcome: Outcome, label: str, title: str, draw: Callable[[Axes, list[Row], Array, str], None]
+) -> Figure:
     """A panel for each combination of the other keys, and in it a curve for each filter over the first."""
     study = outcome.study
     key, panels = _keys(study)[0], _panels(study)
     shown = panels[:MOST_PANELS]
     columns = min(len(shown), 4)
     lines = -(-len(shown) // columns)
-    fig, axes = figure(max(4.6, 3.1 * columns), 2.9 * lines + 0.3, lines, columns, squeeze=False, sharey=True)
+    fig, axes = figure(
+        max(4.6, 3.1 * columns), 2.9 * lines + 0.3, lines, columns, squeeze=False, sharey=True
+    )
     values = study.swept[key] if key else ("",)
     numeric = bool(key) and _numeric(values)
     for ax, panel in zip(axes.flat, shown, strict=False):
         for name in study.filters:
-            rows = [r for r in outcome.rows if r.filter == name and all(r.values[k] == v for k, v in panel.items())]
-            at = [float(r.values[key]) if key and numeric else float(values.index(r.values[key] if key else "")) for r in rows]
+            rows = [
+                r
+                for r in outcome.rows
+                if r.filter == name and all(r.values[k] == v for k, v in panel.items())
+            ]
+            at = [
+                float(r.values[key])
+                if key and numeric
+                else float(values.index(r.values[key] if key else ""))
+                for r in rows
+            ]
             # Side by side where there is room between the values.
-            beside = 0.0 if numeric else 0.6 * ((study.filters.index(name) + 0.5) / len(study.filters) - 0.5)
+            beside = (
+                0.0
+                if numeric
+                else 0.6 * ((study.filters.index(name) + 0.5) / len(study.filters) - 0.5)
+            )
             order = np.argsort(at)
             draw(ax, [rows[i] for i in order], np.asarray(at)[order] + beside, name)
         if numeric:
@@ -108,8 +146,15 @@ def _draw(outcome: Outcome, label: str, title: str, draw: Callable[[Axes, list[R
 
 def _finish(fig: Figure) -> None:
     """A legend below, and a logarithmic axis where the values are far apart."""
-    fig.legend(*fig.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2 if fig.get_figwidth() < 6.0 else 4)
-    low, high = np.min([ax.dataLim.intervaly[0] for ax in fig.axes]), np.max([ax.dataLim.intervaly[1] for ax in fig.axes])
+    fig.legend(
+        *fig.axes[0].get_legend_handles_labels(),
+        loc="outside lower center",
+        ncols=2 if fig.get_figwidth() < 6.0 else 4,
+    )
+    low, high = (
+        np.min([ax.dataLim.intervaly[0] for ax in fig.axes]),
+        np.max([ax.dataLim.intervaly[1] for ax in fig.axes]),
+    )
     if high > 4.0 * low > 0.0:
         fig.axes[0].set_yscale("log")
 
@@ -121,16 +166,30 @@ def accuracy(outcome: Outcome, group: str, unit: str) -> Figure:
     def draw(ax: Axes, rows: list[Row], at: Array, name: str) -> None:
         found = [row.accuracy(group) for row in rows]
         rms, low, high, least = (
-            np.array([np.nan if a is None else getattr(a, stat) for a in found]) for stat in ("rms", "low", "high", "bound")
+            np.array([np.nan if a is None else getattr(a, stat) for a in found])
+            for stat in ("rms", "low", "high", "bound")
         )
         reach = np.nan_to_num(np.stack([rms - low, high - rms]))
         ax.errorbar(at, rms, reach, capsize=2, markersize=3, **style(study, name))
         if np.isfinite(least).any() and name == study.filters[0]:
             middle = at if len(at) > 1 else np.array([-0.35, 0.35])
             bound = least if len(at) > 1 else np.repeat(least, 2)
-            ax.plot(middle, bound, color="black", linewidth=0.9, linestyle=(0, (4, 2)), label="bound", zorder=0)
+            ax.plot(
+                middle,
+                bound,
+                color="black",
+                linewidth=0.9,
+                linestyle=(0, (4, 2)),
+                label="bound",
+                zorder=0,
+            )
 
-    return _draw(outcome, f"rms error ({unit})", f"{group}: settled rms of {study.runs} runs, 95 % interval", draw)
+    return _draw(
+        outcome,
+        f"rms error ({unit})",
+        f"{group}: settled rms of {study.runs} runs, 95 % interval",
+        draw,
+    )
 
 
 def consistency(outcome: Outcome) -> Figure:
@@ -140,14 +199,32 @@ def consistency(outcome: Outcome) -> Figure:
     def draw(ax: Axes, rows: list[Row], at: Array, name: str) -> None:
         empty = (np.nan, np.nan, np.nan)
         anees, low, high = np.array(
-            [empty if r.summary is None else (r.summary.anees, r.summary.low, r.summary.high) for r in rows]
+            [
+                empty if r.summary is None else (r.summary.anees, r.summary.low, r.summary.high)
+                for r in rows
+            ]
         ).T
-        ax.errorbar(at, anees, np.nan_to_num([anees - low, high - anees]), capsize=2, markersize=3, **style(study, name))
+        ax.errorbar(
+            at,
+            anees,
+            np.nan_to_num([anees - low, high - anees]),
+            capsize=2,
+            markersize=3,
+            **style(study, name),
+        )
         band = next((row.summary.band for row in rows if row.summary is not None), None)
         if band is not None and name == study.filters[0]:
-            ax.axhspan(*band, color=colors.SIGMA, alpha=0.25, linewidth=0.0, label="consistent (95 %, one epoch)")
+            ax.axhspan(
+                *band,
+                color=colors.SIGMA,
+                alpha=0.25,
+                linewidth=0.0,
+                label="consistent (95 %, one epoch)",
+            )
 
-    return _draw(outcome, "NEES / dimension (-)", "consistency: average NEES over its dimension", draw)
+    return _draw(
+        outcome, "NEES / dimension (-)", "consistency: average NEES over its dimension", draw
+    )
 
 
 def failures(outcome: Outcome) -> Figure:
@@ -167,7 +244,9 @@ def over_time(outcome: Outcome, group: int) -> Figure:
     name, unit = shown[0][1].groups[group]
     columns = min(len(shown), 3)
     lines = -(-len(shown) // columns)
-    fig, axes = figure(max(5.0, 4.0 * columns), 2.8 * lines + 0.3, lines, columns, squeeze=False, sharey=True)
+    fig, axes = figure(
+        max(5.0, 4.0 * columns), 2.8 * lines + 0.3, lines, columns, squeeze=False, sharey=True
+    )
     for ax, (point, found) in zip(axes.flat, shown, strict=False):
         _curves(ax, study, found, group, point)
     for ax in axes.flat[len(shown) :]:
@@ -176,7 +255,9 @@ def over_time(outcome: Outcome, group: int) -> Figure:
         ax.set_ylabel(f"rms error ({unit})")
     _finish(fig)
     rest = (
-        f" (the first {len(shown)} of {len(study.configurations)} configurations)" if len(study.configurations) > len(shown) else ""
+        f" (the first {len(shown)} of {len(study.configurations)} configurations)"
+        if len(study.configurations) > len(shown)
+        else ""
     )
     fig.suptitle(f"{name} over time; dotted: what the filter takes it for{rest}")
     return fig
@@ -190,12 +271,21 @@ def _curves(ax: Axes, study: Study, found: Merged, group: int, point: Configurat
             continue
         times, look = scores["times"], style(study, name)
         with np.errstate(invalid="ignore", divide="ignore"):
-            rms, sigma = (np.sqrt(scores[a][:, group] / scores[b]) for a, b in (("square", "count"), ("variance", "known")))
+            rms, sigma = (
+                np.sqrt(scores[a][:, group] / scores[b])
+                for a, b in (("square", "count"), ("variance", "known"))
+            )
         ax.semilogy(times, rms, color=look["color"], linestyle=look["linestyle"], label=name)
         ax.semilogy(times, sigma, color=look["color"], linestyle=":", linewidth=0.8)
     if found.bound is not None and times is not None:
         ax.semilogy(
-            times, np.sqrt(found.bound[:, group]), color="black", linewidth=0.9, linestyle=(0, (4, 2)), label="bound", zorder=0
+            times,
+            np.sqrt(found.bound[:, group]),
+            color="black",
+            linewidth=0.9,
+            linestyle=(0, (4, 2)),
+            label="bound",
+            zorder=0,
         )
     ax.set_xlabel("time (s)")
     ax.set_title(", ".join(f"{k} = {plain(v)}" for k, v in point.values.items()))

@@ -44,7 +44,20 @@ MOST_SAMPLES = 200_000_000
 """Of all runs of a block, which are simulated at once: more take tens of gigabytes."""
 BLOCK = 100
 """Runs of a work unit, unless a file says otherwise: larger ones are hardly faster, and a campaign grows by whole ones."""
-KEYS = ("title", "paper", "preset", "filters", "runs", "seed", "block", "every", "settle_s", "limits", "engine", "config")
+KEYS = (
+    "title",
+    "paper",
+    "preset",
+    "filters",
+    "runs",
+    "seed",
+    "block",
+    "every",
+    "settle_s",
+    "limits",
+    "engine",
+    "config",
+)
 
 
 class MissionError(InputError):
@@ -87,17 +100,31 @@ class Study:
 
     def to_dict(self) -> dict[str, Any]:
         """Everything that determines the results, in plain types: what a store is compared by. No title."""
-        first = {k: v for k, v in flat(asdict(self.configurations[0].config)).items() if k not in self.swept and k != "runs"}
-        about = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("title", "swept", "configurations")}
+        first = {
+            k: v
+            for k, v in flat(asdict(self.configurations[0].config)).items()
+            if k not in self.swept and k != "runs"
+        }
+        about = {
+            f.name: getattr(self, f.name)
+            for f in fields(self)
+            if f.name not in ("title", "swept", "configurations")
+        }
         about["paper"] = own.identity(self.paper)
-        return {**flat(about), **{f"config.{k}": v for k, v in first.items()}, **{f"config.{k}": v for k, v in self.swept.items()}}
+        return {
+            **flat(about),
+            **{f"config.{k}": v for k, v in first.items()},
+            **{f"config.{k}": v for k, v in self.swept.items()},
+        }
 
 
 def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """Nested tables with dotted keys."""
     out: dict[str, Any] = {}
     for key, value in values.items():
-        out |= flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
+        out |= (
+            flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
+        )
     return out
 
 
@@ -143,9 +170,13 @@ def study(table: Mapping[str, Any]) -> Study:
     """
     if "paper" not in table:
         _known("", table, KEYS)
-        raise ValueError(f"paper: expected one of {', '.join(PAPERS)}, or a study of your own, FILE.py, got none")
+        raise ValueError(
+            f"paper: expected one of {', '.join(PAPERS)}, or a study of your own, FILE.py, got none"
+        )
     paper = typed("paper", table["paper"], str)
-    module = own.load(paper, mission=True) if own.is_own(paper) else _part("paper", lambda: load(paper))
+    module = (
+        own.load(paper, mission=True) if own.is_own(paper) else _part("paper", lambda: load(paper))
+    )
     start = _preset(module, table)
     for key in (set(table) - set(KEYS)) & {f.name for f in fields(start)}:
         raise ValueError(f"{key}: expected it under [config]")
@@ -159,21 +190,41 @@ def study(table: Mapping[str, Any]) -> Study:
     for key in (*swept, *fixed):
         if all(key in names for names in idle):
             raise ValueError(f"{named(f'config.{key}')}: has no effect {idle[0][key]}")
-    usual = {"title": module.TITLE, "runs": start.runs, "seed": 0, "block": BLOCK, "every": 1, "settle_s": None, "engine": "numpy"}
+    usual = {
+        "title": module.TITLE,
+        "runs": start.runs,
+        "seed": 0,
+        "block": BLOCK,
+        "every": 1,
+        "settle_s": None,
+        "engine": "numpy",
+    }
     options: dict[str, Any] = usual | given | {"limits": _limits(table, module.JUDGED)}
     for name, least in (("runs", 1), ("seed", 0), ("block", 1), ("every", 1)):
         if options[name] < least:
-            raise ValueError(f"{name}: expected a whole number of at least {least}, got {options[name]}")
+            raise ValueError(
+                f"{name}: expected a whole number of at least {least}, got {options[name]}"
+            )
     choice("engine", options["engine"], ENGINES)
     units = len(points) * -(-options["runs"] // options["block"])
     if units > MOST_UNITS:
-        raise ValueError(f"runs: expected at most {MOST_UNITS} blocks of runs in all, got {units}; fewer runs, or a larger block")
+        raise ValueError(
+            f"runs: expected at most {MOST_UNITS} blocks of runs in all, got {units}; fewer runs, or a larger block"
+        )
     _check_flights(points, options)
     names = _filters(module, table, points)
     return Study(paper=paper, filters=names, swept=swept, configurations=points, **options)
 
 
-_OPTIONS: dict[str, Any] = {"title": str, "runs": int, "seed": int, "block": int, "every": int, "settle_s": float, "engine": str}
+_OPTIONS: dict[str, Any] = {
+    "title": str,
+    "runs": int,
+    "seed": int,
+    "block": int,
+    "every": int,
+    "settle_s": float,
+    "engine": str,
+}
 
 
 def _check_flights(points: Sequence[Configuration], options: Mapping[str, Any]) -> None:
@@ -184,10 +235,14 @@ def _check_flights(points: Sequence[Configuration], options: Mapping[str, Any]) 
     for values, config in points:
         where = f" where {at}" if (at := ", ".join(f"{k} = {v}" for k, v in values.items())) else ""
         if settle is not None and settle > config.end_s:
-            raise ValueError(f"settle_s (s): expected at most {config.end_s:g}, when the flight ends{where}, got {settle:g}")
+            raise ValueError(
+                f"settle_s (s): expected at most {config.end_s:g}, when the flight ends{where}, got {settle:g}"
+            )
         if config.samples * runs > MOST_SAMPLES:
             sizes = f"{runs} runs of {config.samples} steps{where}"
-            raise ValueError(f"block: expected at most {MOST_SAMPLES} steps at once, got {sizes}; a smaller block needs less")
+            raise ValueError(
+                f"block: expected at most {MOST_SAMPLES} steps at once, got {sizes}; a smaller block needs less"
+            )
 
 
 def _part(name: str, make: Any) -> Any:
@@ -204,10 +259,16 @@ def _known(where: str, table: Mapping[str, Any], names: Sequence[str]) -> None:
     """Refuse keys that are not among the names, and hint at the nearest."""
     for key in table:
         if key not in names and where and key in KEYS:
-            raise ValueError(f"{where}{key}: expected {key} at the top of the file, outside of [{where.partition('.')[0]}]")
+            raise ValueError(
+                f"{where}{key}: expected {key} at the top of the file, outside of [{where.partition('.')[0]}]"
+            )
         if key not in names:
             close = difflib.get_close_matches(key, names, 1)
-            hint = f"did you mean {where}{close[0]}?" if close else f"expected one of {', '.join(names)}"
+            hint = (
+                f"did you mean {where}{close[0]}?"
+                if close
+                else f"expected one of {', '.join(names)}"
+            )
             raise ValueError(f"{where}{key}: unknown key; {hint}")
 
 
@@ -227,23 +288,33 @@ def _limits(table: Mapping[str, Any], judged: Mapping[str, str]) -> dict[str, fl
     return limits
 
 
-def _filters(module: ModuleType, table: Mapping[str, Any], points: Sequence[Configuration]) -> tuple[str, ...]:
+def _filters(
+    module: ModuleType, table: Mapping[str, Any], points: Sequence[Configuration]
+) -> tuple[str, ...]:
     """The names asked for, all of which exist in some configuration; by default those of the first."""
     known: dict[str, Any] = _part("config", lambda: module.filters(points[0].config))
-    names = [typed("filters", name, str) for name in typed("filters", table.get("filters", list(known)), list)]
+    names = [
+        typed("filters", name, str)
+        for name in typed("filters", table.get("filters", list(known)), list)
+    ]
     if not names:
         raise ValueError(f"filters: expected some of {', '.join(known)}, got none")
     if len(set(names)) != len(names):
         raise ValueError(f"filters: expected different names, got {names!r}")
     for name in names:
-        if not any(name in (known if i == 0 else module.filters(point.config)) for i, point in enumerate(points)):
+        if not any(
+            name in (known if i == 0 else module.filters(point.config))
+            for i, point in enumerate(points)
+        ):
             close = difflib.get_close_matches(name, known, 1)
             hint = f"; did you mean {close[0]}?" if close else ""
             raise ValueError(f"filters: expected some of {', '.join(known)}, got {name!r}{hint}")
     return tuple(names)
 
 
-def _overrides(config: Any, table: Mapping[str, Any], prefix: str = "") -> tuple[dict[str, tuple[Any, ...]], dict[str, Any]]:
+def _overrides(
+    config: Any, table: Mapping[str, Any], prefix: str = ""
+) -> tuple[dict[str, tuple[Any, ...]], dict[str, Any]]:
     """Lists of values, and single values, by dotted key."""
     hints = typing.get_type_hints(type(config))
     _known(f"config.{prefix}", table, [f.name for f in fields(config)])
@@ -268,14 +339,20 @@ def _overrides(config: Any, table: Mapping[str, Any], prefix: str = "") -> tuple
     return swept, fixed
 
 
-def _grid(start: Any, fixed: Mapping[str, Any], swept: Mapping[str, tuple[Any, ...]]) -> tuple[Configuration, ...]:
+def _grid(
+    start: Any, fixed: Mapping[str, Any], swept: Mapping[str, tuple[Any, ...]]
+) -> tuple[Configuration, ...]:
     count = 1
     for values in swept.values():
         count *= len(values)
     if count > MOST_CONFIGURATIONS:
-        raise ValueError(f"config: expected at most {MOST_CONFIGURATIONS} configurations, got {count}")
+        raise ValueError(
+            f"config: expected at most {MOST_CONFIGURATIONS} configurations, got {count}"
+        )
     combinations = itertools.product(*swept.values())
-    return tuple(_point(start, fixed, dict(zip(swept, values, strict=True))) for values in combinations)
+    return tuple(
+        _point(start, fixed, dict(zip(swept, values, strict=True))) for values in combinations
+    )
 
 
 def _point(start: Any, fixed: Mapping[str, Any], values: dict[str, Any]) -> Configuration:
@@ -287,7 +364,9 @@ def _point(start: Any, fixed: Mapping[str, Any], values: dict[str, Any]) -> Conf
         name, colon, rest = " ".join(str(error).split()).partition(": ")
         at = ", ".join(f"{k} = {v}" for k, v in values.items() if k != name)
         where = f" (where {at})" if at else ""
-        raise ValueError(f"{named(f'config.{name}') if colon else 'config: ' + name}{colon}{rest}{where}") from None
+        raise ValueError(
+            f"{named(f'config.{name}') if colon else 'config: ' + name}{colon}{rest}{where}"
+        ) from None
 
 
 def _replaced(config: Any, values: Mapping[str, Any]) -> Any:

@@ -34,7 +34,9 @@ def names(stems: Iterable[str]) -> list[str]:
     return [*TABLES, PAGE, *(f"figures/{stem}.{kind}" for stem in stems for kind in ("png", "svg"))]
 
 
-def write(outcome: Outcome, drawings: Mapping[str, Figure], outputs: Outputs, recording: str = "") -> None:
+def write(
+    outcome: Outcome, drawings: Mapping[str, Figure], outputs: Outputs, recording: str = ""
+) -> None:
     """Write tables, figures and page; ``recording``: the name of one to link to.
 
     Raises
@@ -46,15 +48,23 @@ def write(outcome: Outcome, drawings: Mapping[str, Figure], outputs: Outputs, re
     outputs.text("table.csv", to_csv(cells))
     outputs.bytes("table.parquet", to_parquet(cells))
     outputs.text("times.csv", to_csv(times))
-    pictures = {stem: {kind: render(drawing, kind) for kind in ("png", "svg")} for stem, drawing in drawings.items()}
+    pictures = {
+        stem: {kind: render(drawing, kind) for kind in ("png", "svg")}
+        for stem, drawing in drawings.items()
+    }
     for stem, kinds in pictures.items():
         for kind, content in kinds.items():
             outputs.bytes(f"figures/{stem}.{kind}", content)
     shown = {**cells, "us_per_run_step": times["us_per_run_step"]}
-    outputs.text(PAGE, _page(outcome, shown, {stem: kinds["png"] for stem, kinds in pictures.items()}, recording))
+    outputs.text(
+        PAGE,
+        _page(outcome, shown, {stem: kinds["png"] for stem, kinds in pictures.items()}, recording),
+    )
 
 
-def _page(outcome: Outcome, cells: Mapping[str, list[Any]], pictures: Mapping[str, bytes], recording: str) -> str:
+def _page(
+    outcome: Outcome, cells: Mapping[str, list[Any]], pictures: Mapping[str, bytes], recording: str
+) -> str:
     study = outcome.study
     files = [*TABLES, *([recording] if recording else [])]
     failed = sum(row.failed for row in outcome.rows)
@@ -67,12 +77,24 @@ def _page(outcome: Outcome, cells: Mapping[str, list[Any]], pictures: Mapping[st
         f"<code>{html.escape(name_of(study.paper))}</code>, {failed} of them failed. "
         f"Files: {' · '.join(link(f, f) for f in files)}.</p>",
         '<div class="wide">',
-        *(figure(stem.replace("_", " ").capitalize(), png, f"figures/{stem}.svg") for stem, png in pictures.items()),
+        *(
+            figure(stem.replace("_", " ").capitalize(), png, f"figures/{stem}.svg")
+            for stem, png in pictures.items()
+        ),
         "</div><h2>Table</h2>",
         f"<p>{_LEGEND}</p>",
-        table(cells, zip(*([_cell(v) for v in column[:MOST_ROWS]] for column in cells.values()), strict=True)),
-        f"<p>The other {len(outcome.rows) - MOST_ROWS} rows are in {TABLES[0]}.</p>" if len(outcome.rows) > MOST_ROWS else "",
-        f"<h2>The first exception</h2><pre>{html.escape(outcome.trace)}</pre>" if outcome.trace else "",
+        table(
+            cells,
+            zip(
+                *([_cell(v) for v in column[:MOST_ROWS]] for column in cells.values()), strict=True
+            ),
+        ),
+        f"<p>The other {len(outcome.rows) - MOST_ROWS} rows are in {TABLES[0]}.</p>"
+        if len(outcome.rows) > MOST_ROWS
+        else "",
+        f"<h2>The first exception</h2><pre>{html.escape(outcome.trace)}</pre>"
+        if outcome.trace
+        else "",
         "<h2>What was asked</h2>",
         table(("key", "value"), asked),
         f"<p>{html.escape(', '.join(f'{k} {v}' for k, v in versions.items()))}</p>",

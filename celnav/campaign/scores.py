@@ -15,7 +15,16 @@ from celnav.analysis.metrics import chi_square_band
 from celnav.gaussian.linalg import Array
 from celnav.study.trial import Followed, Group, squares
 
-__all__ = ["Accuracy", "Failure", "Scores", "Summary", "check_scores", "merge", "score", "summarize"]
+__all__ = [
+    "Accuracy",
+    "Failure",
+    "Scores",
+    "Summary",
+    "check_scores",
+    "merge",
+    "score",
+    "summarize",
+]
 
 Scores = dict[str, Array]
 """Sums over runs that did not fail.
@@ -39,7 +48,11 @@ class Failure(NamedTuple):
 
 
 def score(
-    followed: Followed, groups: tuple[Group, ...], *, settle_s: float | None, limits: Mapping[str, float]
+    followed: Followed,
+    groups: tuple[Group, ...],
+    *,
+    settle_s: float | None,
+    limits: Mapping[str, float],
 ) -> tuple[Scores, list[Failure]]:
     """Scores of a block, and its runs that failed: lost their estimate, or ended with an error above the limit of its group.
 
@@ -47,7 +60,9 @@ def score(
     """
     times, end = followed.times, float(followed.times[-1])
     if settle_s is not None and settle_s > end:
-        raise ValueError(f"settle_s: expected a time of at most {end:g} s, the last epoch, got {settle_s:g}")
+        raise ValueError(
+            f"settle_s: expected a time of at most {end:g} s, the last epoch, got {settle_s:g}"
+        )
     settled = np.arange(len(times)) >= len(times) // 2 if settle_s is None else times >= settle_s
     square, variance = squares(groups, followed.error), squares(groups, followed.std)
     there = np.asarray(np.isfinite(square).all(-1))
@@ -62,11 +77,16 @@ def score(
         limit = limits.get(group.name, np.inf)
         fail(last > limit**2, f"{group.name}: error above {limit:g} {group.unit} at the end")
     fail(~there[settled].any(0), "no estimate at any settled epoch")
-    fail(np.isnan(variance[settled]).all((0, 2)), "no positive definite covariance at any settled epoch")
+    fail(
+        np.isnan(variance[settled]).all((0, 2)),
+        "no positive definite covariance at any settled epoch",
+    )
     good = np.array([run not in failures for run in range(square.shape[1])], bool)
     chosen = slice(None) if good.all() else good
     nees, nis, dof = followed.nees[:, chosen], followed.nis[:, chosen], followed.dof[:, chosen]
-    square, variance, there, sound = (values[:, chosen] for values in (square, variance, there, sound))
+    square, variance, there, sound = (
+        values[:, chosen] for values in (square, variance, there, sound)
+    )
     known = there & np.isfinite(variance).all(-1)
     judged, n = sound[settled].any(0), followed.error.shape[-1]
     scores = {
@@ -86,12 +106,18 @@ def score(
         "nees_beyond": _beyond(nees[settled], np.full(nees[settled].shape, n)),
         "nis_beyond": _beyond(nis[settled], np.where(there[settled], dof[settled], 0.0)),
     }
-    return {name: np.asarray(value, np.float64) for name, value in scores.items()}, list(failures.values())
+    return {name: np.asarray(value, np.float64) for name, value in scores.items()}, list(
+        failures.values()
+    )
 
 
 def _only(values: Array, there: Array) -> Array:
     """Zero where nothing is; ``there`` has the first axes of the values."""
-    return values if there.all() else np.where(there.reshape(*there.shape, *(1,) * (values.ndim - 2)), values, 0.0)
+    return (
+        values
+        if there.all()
+        else np.where(there.reshape(*there.shape, *(1,) * (values.ndim - 2)), values, 0.0)
+    )
 
 
 def _mean(values: Array, there: Array) -> Array:
@@ -109,7 +135,9 @@ def _beyond(values: Array, dof: Array) -> Array:
     """How many chi-square values are above their 95 % quantile, and how many there are."""
     there = (dof > 0) & np.isfinite(values)
     freedom, which = np.unique(dof[there], return_inverse=True)
-    return np.array([(values[there] > 2.0 * gammaincinv(0.5 * freedom, 0.95)[which]).sum(), there.sum()])
+    return np.array(
+        [(values[there] > 2.0 * gammaincinv(0.5 * freedom, 0.95)[which]).sum(), there.sum()]
+    )
 
 
 def check_scores(scores: Scores, groups: int) -> None:
@@ -123,7 +151,9 @@ def check_scores(scores: Scores, groups: int) -> None:
         raise ValueError(f"expected scores {', '.join(shapes)}, got {', '.join(scores)}")
     for name, shape in shapes.items():
         if scores[name].shape != shape or scores[name].dtype != np.float64:
-            raise ValueError(f"{name}: expected numbers of shape {shape}, got {scores[name].dtype} of {scores[name].shape}")
+            raise ValueError(
+                f"{name}: expected numbers of shape {shape}, got {scores[name].dtype} of {scores[name].shape}"
+            )
 
 
 def merge(parts: Iterable[Scores]) -> Scores:
@@ -132,7 +162,10 @@ def merge(parts: Iterable[Scores]) -> Scores:
     for part in parts:
         if total and not np.array_equal(part["times"], total["times"]):
             raise ValueError("scores: expected the same epochs in all blocks")
-        total = {name: total[name] + part[name] if total and name not in CONSTANT else part[name] for name in part}
+        total = {
+            name: total[name] + part[name] if total and name not in CONSTANT else part[name]
+            for name in part
+        }
     if not total:
         raise ValueError("scores: expected at least one block, got none")
     return total
@@ -181,17 +214,26 @@ def summarize(scores: Scores, bound: Array | None = None) -> Summary:
     runs, n = int(scores["runs"]), int(scores["dimension"])
     settled = scores["settled"] > 0.0
     rms, low, high = _interval(scores["own"], runs)
-    anees, least_anees, most_anees = (float(v[0]) / n for v in _interval(scores["own_nees"][:, None], int(scores["judged"])))
+    anees, least_anees, most_anees = (
+        float(v[0]) / n for v in _interval(scores["own_nees"][:, None], int(scores["judged"]))
+    )
     with np.errstate(invalid="ignore", divide="ignore"):
         final = np.sqrt(scores["square"][-1] / scores["count"][-1])
         sigma = np.sqrt(scores["variance"][settled].sum(0) / scores["known"][settled].sum())
         nis = float(scores["nis"][settled].sum() / scores["dof"][settled].sum())
         least = np.full(len(rms), np.nan) if bound is None else np.sqrt(bound[settled].mean(0))
-        columns = np.stack([np.sqrt(rms), np.sqrt(low), np.sqrt(high), final, sigma, least, least / np.sqrt(rms)], -1)
-        nees_beyond, nis_beyond = (float(scores[name][0] / scores[name][1]) for name in ("nees_beyond", "nis_beyond"))
+        columns = np.stack(
+            [np.sqrt(rms), np.sqrt(low), np.sqrt(high), final, sigma, least, least / np.sqrt(rms)],
+            -1,
+        )
+        nees_beyond, nis_beyond = (
+            float(scores[name][0] / scores[name][1]) for name in ("nees_beyond", "nis_beyond")
+        )
     accuracy = tuple(Accuracy(*row) for row in columns.tolist())
     a, b = chi_square_band(n, runs) if runs else (np.nan, np.nan)
-    return Summary(runs, accuracy, anees, least_anees, most_anees, (a / n, b / n), nis, nees_beyond, nis_beyond)
+    return Summary(
+        runs, accuracy, anees, least_anees, most_anees, (a / n, b / n), nis, nees_beyond, nis_beyond
+    )
 
 
 def _interval(sums: Array, runs: int) -> tuple[Array, Array, Array]:

@@ -47,7 +47,9 @@ def showcase(study: Study) -> Showcase | None:
     """Follow the first run of a mission with the filters that can; None if it cannot be simulated, or no filter can."""
     filters: dict[str, Followed] = {}
     with contextlib.suppress(Exception):  # what went wrong is among the reasons in the table
-        trial: Trial = load(study.paper).trial(study.configurations[0].config, [generator(study.seed, STUDY, 0)])
+        trial: Trial = load(study.paper).trial(
+            study.configurations[0].config, [generator(study.seed, STUDY, 0)]
+        )
         for name in study.filters:
             with contextlib.suppress(Exception):
                 filters[name] = follow(trial, name)
@@ -56,12 +58,19 @@ def showcase(study: Study) -> Showcase | None:
     truth = None
     if trial.place is not None:
         epochs = trial.epochs(next(iter(filters)))
-        truth = np.stack([trial.place(epoch.truth)[0] for epoch in epochs if epoch.truth is not None])
+        truth = np.stack(
+            [trial.place(epoch.truth)[0] for epoch in epochs if epoch.truth is not None]
+        )
     groups = []
     for name, unit, part, scale in trial.groups:
         numbered = tuple(str(i) for i in range(1, part.stop - part.start + 1))
-        groups.append(Group(name, unit, part, scale, ("x", "y", "z") if len(numbered) == 3 else numbered))
-    estimates = {name: Estimate(name, _color(study, name), f.error, f.std[:, 0] ** 2, f.nees[:, 0]) for name, f in filters.items()}
+        groups.append(
+            Group(name, unit, part, scale, ("x", "y", "z") if len(numbered) == 3 else numbered)
+        )
+    estimates = {
+        name: Estimate(name, _color(study, name), f.error, f.std[:, 0] ** 2, f.nees[:, 0])
+        for name, f in filters.items()
+    }
     return Showcase(study, next(iter(filters.values())).times, tuple(groups), truth, estimates)
 
 
@@ -72,17 +81,42 @@ def _color(study: Study, filter: str) -> str:
 def errors(shown: Showcase) -> Figure:
     """Errors of the first run, a row for each group and a column for each filter."""
     rows, columns = len(shown.groups), len(shown.estimates)
-    fig, axes = figure(max(5.0, 2.6 * columns), 2.0 * rows + 0.4, rows, columns, squeeze=False, sharex=True, sharey="row")
+    fig, axes = figure(
+        max(5.0, 2.6 * columns),
+        2.0 * rows + 0.4,
+        rows,
+        columns,
+        squeeze=False,
+        sharex=True,
+        sharey="row",
+    )
     late = slice(len(shown.times) // 4, None)
     for row, group in zip(axes, shown.groups, strict=True):
         top = 0.0
         for ax, estimate in zip(row, shown.estimates.values(), strict=True):
-            error, reach = estimate.error(group)[:, 0], 3.0 * np.asarray(estimate.sigma(group)).max(1)
-            ax.plot(shown.times, reach, color=colors.SIGMA, linewidth=0.8, label="±3σ, the largest of them")
+            error, reach = (
+                estimate.error(group)[:, 0],
+                3.0 * np.asarray(estimate.sigma(group)).max(1),
+            )
+            ax.plot(
+                shown.times,
+                reach,
+                color=colors.SIGMA,
+                linewidth=0.8,
+                label="±3σ, the largest of them",
+            )
             ax.plot(shown.times, -reach, color=colors.SIGMA, linewidth=0.8)
             for i, component in enumerate(error.T):
-                ax.plot(shown.times, component, color=PALETTE[i % 6], linewidth=0.8, label=f"component {i + 1}")
-            top = max(top, 1.2 * float(np.nanmax(np.abs([*error[late].T, reach[late]]), initial=0.0)))
+                ax.plot(
+                    shown.times,
+                    component,
+                    color=PALETTE[i % 6],
+                    linewidth=0.8,
+                    label=f"component {i + 1}",
+                )
+            top = max(
+                top, 1.2 * float(np.nanmax(np.abs([*error[late].T, reach[late]]), initial=0.0))
+            )
         row[0].set_ylabel(f"{group.name} error ({group.unit})")
         if top > 0.0:
             row[0].set_ylim(-top, top)
@@ -131,8 +165,12 @@ def _rms(shown: Showcase, outcome: Outcome) -> dict[str, Plot]:
                     rms = np.sqrt(scores["square"][:, i] / scores["count"])
                 curves[name] = Curve(_spread(shown, rms), _color(shown.study, name), name)
         if found.bound is not None:
-            curves["bound"] = Curve(_spread(shown, np.sqrt(found.bound[:, i])), colors.BOUND, "bound", width=1.0)
-        plots[group.name] = Plot(f"log10 rms of {shown.study.runs} runs: {group.name}, {group.unit}", curves, log=True)
+            curves["bound"] = Curve(
+                _spread(shown, np.sqrt(found.bound[:, i])), colors.BOUND, "bound", width=1.0
+            )
+        plots[group.name] = Plot(
+            f"log10 rms of {shown.study.runs} runs: {group.name}, {group.unit}", curves, log=True
+        )
     return plots
 
 
@@ -145,12 +183,18 @@ def _spread(shown: Showcase, values: Array) -> Array:
 
 def _about(study: Study, outcome: Outcome) -> str:
     """What one sees."""
-    lines = [f"# {study.title}", f"{study.runs} runs of `{name_of(study.paper)}`, seed {study.seed}.", ""]
+    lines = [
+        f"# {study.title}",
+        f"{study.runs} runs of `{name_of(study.paper)}`, seed {study.seed}.",
+        "",
+    ]
     for row in outcome.rows:
         for name, unit in row.groups:
             found = row.accuracy(name)
             if found is not None:
-                lines.append(f"- **{row.filter}** {name}: rms {found.rms:.3g} {unit}, takes itself for {found.sigma:.3g}")
+                lines.append(
+                    f"- **{row.filter}** {name}: rms {found.rms:.3g} {unit}, takes itself for {found.sigma:.3g}"
+                )
         if row.failed:
             lines.append(f"- **{row.filter}**: {row.failed} runs failed")
     return "\n".join(lines)

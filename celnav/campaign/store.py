@@ -37,15 +37,24 @@ def open_store(folder: str | Path, study: Study) -> Store:
     if manifest.exists():
         found = _read_manifest(manifest)
         for what, old, new, grown in (
-            ("belongs to another study", found["study"], wanted, {"runs", *(f"config.{key}" for key in study.swept)}),
+            (
+                "belongs to another study",
+                found["study"],
+                wanted,
+                {"runs", *(f"config.{key}" for key in study.swept)},
+            ),
             ("was begun with another celnav", found["code"], code(), ()),
         ):
             if changed := _differences(old, new, grown):
-                raise StoreError(f"{path}: {what} ({'; '.join(changed)}); choose another --out, or remove the folder")
+                raise StoreError(
+                    f"{path}: {what} ({'; '.join(changed)}); choose another --out, or remove the folder"
+                )
         if found["study"] == wanted:
             return Store(path)
     elif (path / "units").exists():
-        raise StoreError(f"{path}: has units but no {MANIFEST}; choose another --out, or remove the folder")
+        raise StoreError(
+            f"{path}: has units but no {MANIFEST}; choose another --out, or remove the folder"
+        )
     about = {"format": FORMAT, "study": wanted, "code": code()}
     write_text(manifest, json.dumps(about, indent=1, ensure_ascii=False) + "\n")
     return Store(path)
@@ -54,14 +63,22 @@ def open_store(folder: str | Path, study: Study) -> Store:
 def _read_manifest(path: Path) -> dict[str, Any]:
     try:
         found = read_json(path)
-        if found["format"] == FORMAT and isinstance(found["study"], dict) and isinstance(found["code"], dict):
+        if (
+            found["format"] == FORMAT
+            and isinstance(found["study"], dict)
+            and isinstance(found["code"], dict)
+        ):
             return dict(found)
     except (ValueError, KeyError, TypeError):
         pass
-    raise StoreError(f"{path}: not a manifest of a campaign of this celnav; choose another --out, or remove the folder")
+    raise StoreError(
+        f"{path}: not a manifest of a campaign of this celnav; choose another --out, or remove the folder"
+    )
 
 
-def _differences(old: Mapping[str, Any], new: Mapping[str, Any], grown: Collection[str]) -> list[str]:
+def _differences(
+    old: Mapping[str, Any], new: Mapping[str, Any], grown: Collection[str]
+) -> list[str]:
     """``key: old -> new`` of everything that differs, but for numbers and lists of some keys that have more in them now."""
     keys = [key for key in dict.fromkeys([*old, *new]) if _shown(old, key) != _shown(new, key)]
     same = {key for key in keys if key in grown and key in old and _within(old[key], new[key])}

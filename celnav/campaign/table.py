@@ -16,7 +16,18 @@ from celnav.campaign.units import Result
 from celnav.gaussian.linalg import Array
 from celnav.lazy import needed_by
 
-__all__ = ["Merged", "Row", "columns", "costs", "merged", "plain", "rows_of", "summary", "to_csv", "to_parquet"]
+__all__ = [
+    "Merged",
+    "Row",
+    "columns",
+    "costs",
+    "merged",
+    "plain",
+    "rows_of",
+    "summary",
+    "to_csv",
+    "to_parquet",
+]
 
 MOST_LINES = 40
 
@@ -45,7 +56,11 @@ class Row(NamedTuple):
     def accuracy(self, group: str) -> Accuracy | None:
         """Of a group by name."""
         names = [name for name, _ in self.groups]
-        return self.summary.accuracy[names.index(group)] if self.summary is not None and group in names else None
+        return (
+            self.summary.accuracy[names.index(group)]
+            if self.summary is not None and group in names
+            else None
+        )
 
 
 class Merged(NamedTuple):
@@ -107,11 +122,17 @@ def columns(rows: Sequence[Row]) -> dict[str, list[Any]]:
 def costs(rows: Sequence[Row]) -> dict[str, list[Any]]:
     """CPU time of each row, per run and step."""
     keys = {key: [plain(row.values[key]) for row in rows] for key in rows[0].values}
-    return {**keys, "filter": [row.filter for row in rows], "us_per_run_step": [_number(row.us) for row in rows]}
+    return {
+        **keys,
+        "filter": [row.filter for row in rows],
+        "us_per_run_step": [_number(row.us) for row in rows],
+    }
 
 
 def _cells(row: Row, groups: tuple[tuple[str, str], ...]) -> dict[str, Any]:
-    cells: dict[str, Any] = {key: plain(value) for key, value in row.values.items()} | {"filter": row.filter}
+    cells: dict[str, Any] = {key: plain(value) for key, value in row.values.items()} | {
+        "filter": row.filter
+    }
     s = row.summary
     cells |= {"runs": s.runs if s else 0, "failed": row.failed}
     for name, unit in groups:
@@ -119,12 +140,29 @@ def _cells(row: Row, groups: tuple[tuple[str, str], ...]) -> dict[str, Any]:
         for stat in Accuracy._fields:
             label = f"{name}_{stat}" if stat == "efficiency" else f"{name}_{stat}_{slug}"
             cells[label] = None if found is None else _number(getattr(found, stat))
-    names = ("anees", "anees_low", "anees_high", "band_low", "band_high", "nis", "nees_beyond", "nis_beyond")
-    values = (s.anees, s.low, s.high, *s.band, s.nis, s.nees_beyond, s.nis_beyond) if s else (np.nan,) * 8
+    names = (
+        "anees",
+        "anees_low",
+        "anees_high",
+        "band_low",
+        "band_high",
+        "nis",
+        "nees_beyond",
+        "nis_beyond",
+    )
+    values = (
+        (s.anees, s.low, s.high, *s.band, s.nis, s.nees_beyond, s.nis_beyond)
+        if s
+        else (np.nan,) * 8
+    )
     cells |= {name: _number(value) for name, value in zip(names, values, strict=True)}
     listed = sorted(row.reasons.items(), key=lambda item: (-item[1], item[0]))
     absent = s is None and not listed
-    cells["reasons"] = "not a filter of this configuration" if absent else "; ".join(f"{count} x {why}" for why, count in listed)
+    cells["reasons"] = (
+        "not a filter of this configuration"
+        if absent
+        else "; ".join(f"{count} x {why}" for why, count in listed)
+    )
     return cells
 
 
@@ -138,7 +176,8 @@ def to_csv(table: dict[str, list[Any]]) -> str:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(table)
     writer.writerows(
-        ["" if v is None else repr(v) if isinstance(v, float) else v for v in row] for row in zip(*table.values(), strict=True)
+        ["" if v is None else repr(v) if isinstance(v, float) else v for v in row]
+        for row in zip(*table.values(), strict=True)
     )
     return text.getvalue()
 
@@ -159,7 +198,9 @@ def summary(rows: Sequence[Row]) -> str:
     """A few lines for a terminal: the accuracy of each row, and what failed."""
     lines = []
     for row in rows[:MOST_LINES]:
-        where = ", ".join([*(f"{key} = {plain(value)}" for key, value in row.values.items()), row.filter])
+        where = ", ".join(
+            [*(f"{key} = {plain(value)}" for key, value in row.values.items()), row.filter]
+        )
         found = [(name, unit, row.accuracy(name)) for name, unit in row.groups]
         parts = [f"{name} {a.rms:.4g} {unit}" for name, unit, a in found if a is not None]
         parts += [f"anees {row.summary.anees:.3g}"] if row.summary is not None else []

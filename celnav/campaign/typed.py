@@ -9,10 +9,33 @@ from typing import Any
 
 __all__ = ["depth", "described", "named", "type_depth", "typed", "unit_of"]
 
-_DIMENSIONS = ("km", "m", "s", "deg", "arcsec", "h", "hz", "g", "ug", "rad", "m2", "s2", "s3", "sqrt_h", "sqrt_hz")
+_DIMENSIONS = (
+    "km",
+    "m",
+    "s",
+    "deg",
+    "arcsec",
+    "h",
+    "hz",
+    "g",
+    "ug",
+    "rad",
+    "m2",
+    "s2",
+    "s3",
+    "sqrt_h",
+    "sqrt_hz",
+)
 LARGEST = 1e300
 """Numbers beyond it cannot be meant."""
-_PRINTED = {"hz": "Hz", "m2": "m^2", "s2": "s^2", "s3": "s^3", "sqrt_h": "sqrt(h)", "sqrt_hz": "sqrt(Hz)"}
+_PRINTED = {
+    "hz": "Hz",
+    "m2": "m^2",
+    "s2": "s^2",
+    "s3": "s^3",
+    "sqrt_h": "sqrt(h)",
+    "sqrt_hz": "sqrt(Hz)",
+}
 
 
 def unit_of(key: str) -> str:
@@ -20,7 +43,9 @@ def unit_of(key: str) -> str:
     above, per, below = key.rpartition(".")[2].rpartition("_per_")
     if not per:
         above, below = below, ""
-    top = next((d for d in sorted(_DIMENSIONS, key=len, reverse=True) if above.endswith(f"_{d}")), "")
+    top = next(
+        (d for d in sorted(_DIMENSIONS, key=len, reverse=True) if above.endswith(f"_{d}")), ""
+    )
     if not top or (per and below not in _DIMENSIONS):
         return ""
     return _PRINTED.get(top, top) + (f"/{_PRINTED.get(below, below)}" if per else "")
@@ -44,11 +69,22 @@ def described(of: type) -> dict[str, tuple[str, str, tuple[Any, ...]]]:
         if is_dataclass(hints[f.name]) and isinstance(hints[f.name], type):
             found |= {f"{f.name}.{key}": told for key, told in described(hints[f.name]).items()}
         else:
-            found[f.name] = f.metadata.get("meaning", ""), f.metadata.get("source", ""), f.metadata.get("one_of", ())
+            found[f.name] = (
+                f.metadata.get("meaning", ""),
+                f.metadata.get("source", ""),
+                f.metadata.get("one_of", ()),
+            )
     return found
 
 
-_WORDS = {float: "a number", int: "a whole number", str: "a word", bool: "true or false", list: "a list", dict: "a table"}
+_WORDS = {
+    float: "a number",
+    int: "a whole number",
+    str: "a word",
+    bool: "true or false",
+    list: "a list",
+    dict: "a table",
+}
 
 
 def typed(name: str, value: Any, hint: Any) -> Any:
@@ -67,7 +103,9 @@ def typed(name: str, value: Any, hint: Any) -> Any:
         if parts[-1] is not Ellipsis and len(value) != len(parts):
             raise ValueError(f"{named(name)}: expected {len(parts)} values, got {len(value)}")
         return tuple(typed(name, v, parts[0]) for v in value)
-    number = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST
+    number = (
+        isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST
+    )
     if hint is float and number:
         return float(value)
     if hint is int and number and float(value).is_integer():

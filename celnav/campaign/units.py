@@ -29,7 +29,18 @@ from celnav.tape.cuda import CudaError
 with needed_by("a campaign or a mission", "papers"):
     from threadpoolctl import threadpool_limits
 
-__all__ = ["STUDY", "Result", "Unit", "VersionError", "Work", "WorkError", "execute", "pack", "units_of", "unpack"]
+__all__ = [
+    "STUDY",
+    "Result",
+    "Unit",
+    "VersionError",
+    "Work",
+    "WorkError",
+    "execute",
+    "pack",
+    "units_of",
+    "unpack",
+]
 
 STUDY = 0
 """Of `celnav.study.montecarlo.generator`, for all configurations: they share their random numbers, so differences are sharp."""
@@ -156,8 +167,13 @@ def execute(unit: Work, made_by: dict[str, str]) -> dict[str, Array]:
     VersionError: if this is another celnav than ``made_by``. Whatever the unit raises.
     """
     if made_by != code():
-        theirs, ours = (", ".join(f"{k} {c[k]}" for k in c if made_by.get(k) != code().get(k)) for c in (code(), made_by))
-        raise VersionError(f"the worker on {platform.node()} has {theirs}, this has {ours}; install the same on both")
+        theirs, ours = (
+            ", ".join(f"{k} {c[k]}" for k in c if made_by.get(k) != code().get(k))
+            for c in (code(), made_by)
+        )
+        raise VersionError(
+            f"the worker on {platform.node()} has {theirs}, this has {ours}; install the same on both"
+        )
     with threadpool_limits(1):
         try:
             return unit.do()
@@ -199,7 +215,9 @@ class _Flight:
         """The trial; None if it cannot be made for all these runs at once."""
         unit = self._unit
         try:
-            trial: Trial = self._trial(unit.config, [generator(unit.seed, STUDY, run) for run in runs])
+            trial: Trial = self._trial(
+                unit.config, [generator(unit.seed, STUDY, run) for run in runs]
+            )
         except MemoryError:
             raise
         except Exception:
@@ -214,25 +232,34 @@ class _Flight:
     def _judged(self, trial: Trial) -> None:
         self._groups = tuple((group.name, group.unit) for group in trial.groups)
 
-    def _fly(self, name: str, runs: range, whole: Trial | None) -> list[tuple[Scores | None, list[Failure], float, int]]:
+    def _fly(
+        self, name: str, runs: range, whole: Trial | None
+    ) -> list[tuple[Scores | None, list[Failure], float, int]]:
         """A filter on some runs. Where a batch raises it is halved until the runs are found that do."""
         unit = self._unit
         try:
-            trial = whole or self._trial(unit.config, [generator(unit.seed, STUDY, run) for run in runs])
+            trial = whole or self._trial(
+                unit.config, [generator(unit.seed, STUDY, run) for run in runs]
+            )
             self._judged(trial)
             if name not in trial.filters:
                 return []
             start = process_time()
             followed = follow(trial, name, unit.every)
             seconds = process_time() - start
-            scores, failed = score(followed, trial.groups, settle_s=unit.settle_s, limits=dict(unit.limits))
+            scores, failed = score(
+                followed, trial.groups, settle_s=unit.settle_s, limits=dict(unit.limits)
+            )
         except (MemoryError, CudaError):
             raise
         except Exception as error:
             self._note()
             if len(runs) > 1:
                 middle = len(runs) // 2
-                return [*self._fly(name, runs[:middle], None), *self._fly(name, runs[middle:], None)]
+                return [
+                    *self._fly(name, runs[:middle], None),
+                    *self._fly(name, runs[middle:], None),
+                ]
             return [(None, [Failure(runs[0], 0.0, f"{type(error).__name__}: {error}")], 0.0, 0)]
         absolute = [failure._replace(run=runs[failure.run]) for failure in failed]
         return [(scores, absolute, seconds, followed.epochs * len(runs))]
@@ -252,7 +279,11 @@ class _Flight:
 
 def pack(result: Result) -> dict[str, Array]:
     """Arrays for an npz file."""
-    arrays = {f"{i}/{stat}": v for i, name in enumerate(result.failures) for stat, v in result.scores.get(name, {}).items()}
+    arrays = {
+        f"{i}/{stat}": v
+        for i, name in enumerate(result.failures)
+        for stat, v in result.scores.get(name, {}).items()
+    }
     if result.bound is not None:
         arrays["bound"] = result.bound
     about = {
@@ -288,8 +319,20 @@ def unpack(arrays: dict[str, Array], filters: Sequence[str]) -> Result:
         if "bound" in arrays and scores:
             epochs = len(next(iter(scores.values()))["times"])
             if arrays["bound"].shape != (epochs, len(groups)):
-                raise ValueError(f"bound: expected shape {(epochs, len(groups))}, got {arrays['bound'].shape}")
-        failures = {name: [Failure(*one) for one in listed] for name, listed in about["failures"].items()}
-        return Result(groups, scores, failures, arrays.get("bound"), about["cpu_s"], about["steps"], about["trace"])
+                raise ValueError(
+                    f"bound: expected shape {(epochs, len(groups))}, got {arrays['bound'].shape}"
+                )
+        failures = {
+            name: [Failure(*one) for one in listed] for name, listed in about["failures"].items()
+        }
+        return Result(
+            groups,
+            scores,
+            failures,
+            arrays.get("bound"),
+            about["cpu_s"],
+            about["steps"],
+            about["trace"],
+        )
     except (KeyError, TypeError, IndexError, AttributeError, RecursionError) as error:
         raise ValueError(f"expected the arrays of a work unit ({error})") from None

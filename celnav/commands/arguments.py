@@ -18,7 +18,17 @@ if TYPE_CHECKING:
     from celnav.campaign.executors import Workers
     from celnav.campaign.table import Row
 
-__all__ = ["UsageError", "cores", "done", "folder_of", "fraction", "module", "number", "whole", "workers"]
+__all__ = [
+    "UsageError",
+    "cores",
+    "done",
+    "folder_of",
+    "fraction",
+    "module",
+    "number",
+    "whole",
+    "workers",
+]
 
 MOST_PER_CORE = 4
 """Processes."""
@@ -31,9 +41,13 @@ class UsageError(Exception):
 def module(paper: str) -> ModuleType:
     """The module of a paper, of a study on real data or of one's own, FILE.py, or UsageError."""
     if own.is_own(paper) and (name := own.name_of(paper)) in (*papers.PAPERS, *real.STUDIES):
-        raise UsageError(f"{paper}: expected another name than {name}, which celnav has; rename the file")
+        raise UsageError(
+            f"{paper}: expected another name than {name}, which celnav has; rename the file"
+        )
     try:
-        return real.load(paper) if paper in real.STUDIES else papers.load(paper, others=real.STUDIES)
+        return (
+            real.load(paper) if paper in real.STUDIES else papers.load(paper, others=real.STUDIES)
+        )
     except ValueError as error:
         raise UsageError(error) from None
 

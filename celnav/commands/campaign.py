@@ -60,6 +60,8 @@ def _workers(options: argparse.Namespace) -> Workers:
     if options.executor == "processes":
         return workers(options.jobs)
     try:
-        return dask(options.address, cores() if options.jobs is None else whole("jobs", options.jobs, 1))
+        return dask(
+            options.address, cores() if options.jobs is None else whole("jobs", options.jobs, 1)
+        )
     except ValueError as error:
         raise UsageError(f"--{error}") from None

@@ -48,7 +48,9 @@ def run(options: argparse.Namespace) -> int:
         outputs.check(FILES)
     table = read(Path(options.residuals), options.time, options.columns)
     try:
-        found = diagnose(table.residuals, table.times, std=table.std, names=table.names, lags=lags, level=level)
+        found = diagnose(
+            table.residuals, table.times, std=table.std, names=table.names, lags=lags, level=level
+        )
     except ValueError as error:
         raise InputError(f"{options.residuals}: {str(error).partition(': ')[2]}") from None
     words = f"{options.residuals}: {found}"
@@ -61,7 +63,10 @@ def run(options: argparse.Namespace) -> int:
 
         drawing = figure(found)
         drawn = {f"diagnosis.{kind}": render(drawing, kind) for kind in ("png", "svg")}
-        texts = {"diagnosis.txt": words + "\n", "diagnosis.json": json.dumps(_plain(found), indent=1) + "\n"}
+        texts = {
+            "diagnosis.txt": words + "\n",
+            "diagnosis.json": json.dumps(_plain(found), indent=1) + "\n",
+        }
         for name in FILES:
             outputs.bytes(name, drawn[name] if name in drawn else texts[name].encode("utf-8"))
         print(f"wrote {outputs.directory}")
@@ -89,23 +94,39 @@ def read(path: Path, time: str | None = None, columns: Sequence[str] | None = No
         text = path.read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError:
         raise InputError(f"{path}: expected a table of text, got bytes that are none") from None
-    lines = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip() and not line.startswith("#")]
+    lines = [
+        (i, line)
+        for i, line in enumerate(text.splitlines(), 1)
+        if line.strip() and not line.startswith("#")
+    ]
     if not lines:
-        raise InputError(f"{path}: expected a line of names and lines of numbers, got an empty file")
+        raise InputError(
+            f"{path}: expected a line of names and lines of numbers, got an empty file"
+        )
     mark = next((mark for mark in ",;\t" if mark in lines[0][1]), None)
     split = (lambda line: next(csv.reader([line], delimiter=mark))) if mark else str.split
     rows = [(i, [cell.strip() for cell in split(line)]) for i, line in lines]
     names = rows[0][1]
     if all(_value(name) is not None for name in names):
-        raise InputError(f"{path}, line {rows[0][0]}: expected names of columns, such as t,x,std_x, got numbers")
+        raise InputError(
+            f"{path}, line {rows[0][0]}: expected names of columns, such as t,x,std_x, got numbers"
+        )
     if len(set(names)) != len(names):
-        raise InputError(f"{path}, line {rows[0][0]}: expected names that differ, got {', '.join(names)}")
+        raise InputError(
+            f"{path}, line {rows[0][0]}: expected names that differ, got {', '.join(names)}"
+        )
     for i, cells in rows[1:]:
         if len(cells) != len(names):
             raise InputError(f"{path}, line {i}: expected {len(names)} columns, got {len(cells)}")
-    body = dict(zip(names, zip(*(cells for _, cells in rows[1:]), strict=True), strict=True)) if rows[1:] else {}
+    body = (
+        dict(zip(names, zip(*(cells for _, cells in rows[1:]), strict=True), strict=True))
+        if rows[1:]
+        else {}
+    )
     numeric = [
-        name for name, cells in body.items() if any(_value(cell) is not None and cell.lower() not in EMPTY for cell in cells)
+        name
+        for name, cells in body.items()
+        if any(_value(cell) is not None and cell.lower() not in EMPTY for cell in cells)
     ]
     for name in (*([time] if time else []), *(columns or ())):
         if name not in names:
@@ -115,12 +136,16 @@ def read(path: Path, time: str | None = None, columns: Sequence[str] | None = No
         values = [_value(cell) for cell in body[name]]
         for (i, _), value, cell in zip(rows[1:], values, body[name], strict=True):
             if value is None or np.isinf(value):
-                raise InputError(f"{path}, line {i}: expected a finite number or nothing as {name}, got {cell!r:.40}")
+                raise InputError(
+                    f"{path}, line {i}: expected a finite number or nothing as {name}, got {cell!r:.40}"
+                )
         return np.array(values, np.float64)
 
     when = time or next((name for name in numeric if name.lower().partition("_")[0] in TIMES), None)
     if when is None:
-        raise InputError(f"{path}: expected a column of times, such as t, got {', '.join(names)}; --time names it")
+        raise InputError(
+            f"{path}: expected a column of times, such as t, got {', '.join(names)}; --time names it"
+        )
     claims = {name: claim + name for name in numeric for claim in CLAIMS if claim + name in numeric}
     others = [name for name in numeric if name not in (when, "run") and not name.startswith(CLAIMS)]
     chosen = list(columns or claims or others)
@@ -137,14 +162,20 @@ def read(path: Path, time: str | None = None, columns: Sequence[str] | None = No
         back = np.flatnonzero(np.diff(t[mine]) <= 0.0)
         if len(back):
             line, before = rows[1 + mine[back[0] + 1]][0], t[mine[back[0]]]
-            raise InputError(f"{path}, line {line}: expected a time after {before:g}, got {t[mine[back[0] + 1]]:g}")
+            raise InputError(
+                f"{path}, line {line}: expected a time after {before:g}, got {t[mine[back[0] + 1]]:g}"
+            )
 
     def whole_of(chosen: Sequence[str]) -> Array:
         out = np.full((len(times), len(runs), len(chosen)), np.nan)
         out[at, of] = np.stack([column(name) for name in chosen], -1)
         return out
 
-    std = whole_of([claims[name] for name in chosen]) if all(name in claims for name in chosen) else None
+    std = (
+        whole_of([claims[name] for name in chosen])
+        if all(name in claims for name in chosen)
+        else None
+    )
     used = {when, "run", *chosen, *(claims[name] for name in chosen if std is not None)}
     return Table(times, whole_of(chosen), std, chosen, [name for name in names if name not in used])
 

@@ -25,7 +25,18 @@ from celnav.show.page import document, link, linked
 from celnav.show.page import table as plain_table
 from celnav.study.ledger import VERDICTS
 
-__all__ = ["OWN", "described", "effort_of", "few", "index", "own_studies", "reproduced", "shown", "verdicts", "words"]
+__all__ = [
+    "OWN",
+    "described",
+    "effort_of",
+    "few",
+    "index",
+    "own_studies",
+    "reproduced",
+    "shown",
+    "verdicts",
+    "words",
+]
 
 _FOLDED = {
     "erratum": "Errata",
@@ -65,10 +76,25 @@ def own_studies(out: Path) -> list[str]:
 
 def described(study: ModuleType, file: str) -> str:
     """What `shown` reads of a study of one's own."""
-    captions = {kind: {stem: caption for stem, (caption, _) in getattr(study, kind).items()} for kind in ("FIGURES", "TABLES")}
-    about = {"file": str(Path(file).resolve()), "TITLE": study.TITLE, "CITATION": study.CITATION, **captions}
+    captions = {
+        kind: {stem: caption for stem, (caption, _) in getattr(study, kind).items()}
+        for kind in ("FIGURES", "TABLES")
+    }
+    about = {
+        "file": str(Path(file).resolve()),
+        "TITLE": study.TITLE,
+        "CITATION": study.CITATION,
+        **captions,
+    }
     said = {name: getattr(study.STUDY, name) for name in ("says", "found", "figure")}
-    return json.dumps({**about, "RECORDINGS": list(study.RECORDINGS), "STUDY": said}, indent=1, ensure_ascii=False) + "\n"
+    return (
+        json.dumps(
+            {**about, "RECORDINGS": list(study.RECORDINGS), "STUDY": said},
+            indent=1,
+            ensure_ascii=False,
+        )
+        + "\n"
+    )
 
 
 def shown(out: Path, name: str) -> Any:
@@ -77,7 +103,10 @@ def shown(out: Path, name: str) -> Any:
         return module_of(name)
     try:
         about = read_json(path)
-        captions = {kind: {stem: (caption,) for stem, caption in about.pop(kind).items()} for kind in ("FIGURES", "TABLES")}
+        captions = {
+            kind: {stem: (caption,) for stem, caption in about.pop(kind).items()}
+            for kind in ("FIGURES", "TABLES")
+        }
         return SimpleNamespace(**captions, STUDY=SimpleNamespace(**about.pop("STUDY")), **about)
     except (AttributeError, KeyError, TypeError):
         raise InputError(f"{path}: not what celnav writes; reproduce the study again") from None
@@ -85,7 +114,11 @@ def shown(out: Path, name: str) -> Any:
 
 def _on_real_data(out: Path, done: Mapping[str, Claims]) -> list[str]:
     """What real data say, and what could be added."""
-    absent = [f"{html.escape(holds)} (<code>--{name} DIR</code>)" for name, holds in STUDIES.items() if name not in done]
+    absent = [
+        f"{html.escape(holds)} (<code>--{name} DIR</code>)"
+        for name, holds in STUDIES.items()
+        if name not in done
+    ]
     parts = ["<section><h2>On real data</h2>"] if STUDIES else []
     if done:
         parts += [
@@ -94,19 +127,34 @@ def _on_real_data(out: Path, done: Mapping[str, Claims]) -> list[str]:
             '<div class="grid">', *(_opening(out, study, claims) for study, claims in done.items()), "</div>",
         ]  # fmt: skip
     if absent:
-        parts.append(f"<p><small><code>celnav reproduce</code> adds a study for a folder of {'; of '.join(absent)}.</small></p>")
-    return [*parts, *(_paper(out, study, claims) for study, claims in done.items()), "</section>" if STUDIES else ""]
+        parts.append(
+            f"<p><small><code>celnav reproduce</code> adds a study for a folder of {'; of '.join(absent)}.</small></p>"
+        )
+    return [
+        *parts,
+        *(_paper(out, study, claims) for study, claims in done.items()),
+        "</section>" if STUDIES else "",
+    ]
 
 
 def reproduced(out: Path, among: Iterable[str] | None = None) -> dict[str, list[dict[str, Any]]]:
     """Claims and checks of whatever papers, or studies ``among`` others, lie under ``out``."""
-    found = {name: out / name for name in (PAPERS if among is None else among) if (out / name / "claims.json").exists()}
+    found = {
+        name: out / name
+        for name in (PAPERS if among is None else among)
+        if (out / name / "claims.json").exists()
+    }
     return {
-        paper: [c for name in ("claims", "checks") for c in read_claims(folder / f"{name}.json")] for paper, folder in found.items()
+        paper: [c for name in ("claims", "checks") for c in read_claims(folder / f"{name}.json")]
+        for paper, folder in found.items()
     }
 
 
-def words(papers: Sequence[str], out: Path = Path("out"), found: Mapping[str, Claims] = MappingProxyType({})) -> str:
+def words(
+    papers: Sequence[str],
+    out: Path = Path("out"),
+    found: Mapping[str, Claims] = MappingProxyType({}),
+) -> str:
     """Paragraphs in Markdown: what papers, or studies under ``out``, say and what we find; ``found``: their claims, if at hand."""
     every = {paper: shown(out, paper) for paper in papers}
     return "\n\n".join(
@@ -124,10 +172,15 @@ def _whose(name: str) -> str:
 def cited(citation: str) -> str:
     """Authors and year of a BibTeX entry."""
     authors, year = (
-        found[1] if (found := re.search(rf"{key} *= *{{(.*?)}}", citation, re.DOTALL)) else "" for key in ("author", "year")
+        found[1] if (found := re.search(rf"{key} *= *{{(.*?)}}", citation, re.DOTALL)) else ""
+        for key in ("author", "year")
     )
     names = [name.partition(",")[0].strip() for name in authors.split(" and ")]
-    told = f"{names[0]} et al." if len(names) > 4 else " & ".join([", ".join(names[:-1]), names[-1]] if names[1:] else names)
+    told = (
+        f"{names[0]} et al."
+        if len(names) > 4
+        else " & ".join([", ".join(names[:-1]), names[-1]] if names[1:] else names)
+    )
     return f"{told} ({year})" if year else told
 
 
@@ -136,7 +189,10 @@ def verdicts(found: Mapping[str, Claims]) -> str:
     counts = {paper: tally(_of(claims, "statement")) for paper, claims in found.items()}
     shown = [verdict for verdict in VERDICTS if any(verdict in count for count in counts.values())]
     rows = [["paper", "statements", *shown], ["---", *["---:"] * (len(shown) + 1)]]
-    rows += [[f"`{p}`", str(sum(count.values())), *(str(count.get(v, "")) for v in shown)] for p, count in counts.items()]
+    rows += [
+        [f"`{p}`", str(sum(count.values())), *(str(count.get(v, "")) for v in shown)]
+        for p, count in counts.items()
+    ]
     return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 
@@ -172,13 +228,24 @@ _FILTER = """<p class="filter"><label>Show rows <select id="shown"><option value
 
 def _filter(claims: Claims) -> str:
     """A choice of verdicts; rows of other ones are hidden."""
-    options = (f'<option value="{verdict}">{verdict} ({count})' for verdict, count in tally(claims).items())
+    options = (
+        f'<option value="{verdict}">{verdict} ({count})' for verdict, count in tally(claims).items()
+    )
     return _FILTER.format("".join(options))
 
 
 def _paper(out: Path, paper: str, claims: Claims) -> str:
-    module, folder, figures, kind = shown(out, paper), out / paper, f"{paper}/figures/", _kind(paper, claims)
-    files = [p.name for p in sorted(folder.iterdir()) if p.suffix in (".rrd", ".json", ".npz") and not p.name.startswith(".")]
+    module, folder, figures, kind = (
+        shown(out, paper),
+        out / paper,
+        f"{paper}/figures/",
+        _kind(paper, claims),
+    )
+    files = [
+        p.name
+        for p in sorted(folder.iterdir())
+        if p.suffix in (".rrd", ".json", ".npz") and not p.name.startswith(".")
+    ]
     listed = " · ".join(link(f"{paper}/{name}", name) for name in files)
     findings = _of(claims, "finding") if kind == "statement" else []
     parts = [
@@ -193,15 +260,20 @@ def _paper(out: Path, paper: str, claims: Claims) -> str:
     for kind, heading in _FOLDED.items():
         if own := _of(claims, kind):
             opened = " open" if kind == "erratum" else ""
-            parts.append(f"<details{opened}><summary>{heading}: {len(own)}</summary>{table(own, figures)}</details>")
+            parts.append(
+                f"<details{opened}><summary>{heading}: {len(own)}</summary>{table(own, figures)}</details>"
+            )
     if findings:
         parts.append(f"<h3>Found besides</h3>{table(findings, figures)}")
     if checks := _of(claims, "check"):
-        parts.append(f"<details><summary>{len(checks)} checks: {counted(checks)}</summary>{table(checks, figures)}</details>")
+        parts.append(
+            f"<details><summary>{len(checks)} checks: {counted(checks)}</summary>{table(checks, figures)}</details>"
+        )
     parts += [
         f"<p><small>Files: {listed}. A recording opens with <code>celnav view {paper}</code>, offline. "
         f"{html.escape(_about(folder / 'timings.json'))}</small></p>",
-        f"<details><summary>Citation</summary><pre>{html.escape(module.CITATION)}</pre></details>" * bool(module.CITATION),
+        f"<details><summary>Citation</summary><pre>{html.escape(module.CITATION)}</pre></details>"
+        * bool(module.CITATION),
         "</section>",
     ]
     return "\n".join(parts)
@@ -212,7 +284,11 @@ def _notebook(out: Path, paper: str, module: Any) -> str:
     if paper not in PAPERS and paper not in STUDIES:
         path = Path(module.file)
         return _linked(path, out) if path.exists() else html.escape(path.name)
-    name = "07_real_data.ipynb" if paper in STUDIES else f"{list(PAPERS).index(paper) + 1:02d}_{paper}.ipynb"
+    name = (
+        "07_real_data.ipynb"
+        if paper in STUDIES
+        else f"{list(PAPERS).index(paper) + 1:02d}_{paper}.ipynb"
+    )
     path = Path(celnav.__file__).resolve().parents[1] / "notebooks" / name
     return _linked(path, out) if path.exists() else f"notebooks/{name}"
 
@@ -234,7 +310,9 @@ def effort_of(folder: Path) -> float | None:
 
 def few(part: float) -> str:
     """What less than the whole effort means."""
-    return f"only {part:.3g} of the runs: intervals are wide, and what they do not decide is undecided"
+    return (
+        f"only {part:.3g} of the runs: intervals are wide, and what they do not decide is undecided"
+    )
 
 
 def _about(path: Path) -> str:
@@ -257,6 +335,10 @@ def _listing(path: Path, module: Any) -> str:
 def _drawing(path: Path, paper: str, module: Any) -> str:
     """A figure of a paper; beside the one that decides, what recordings there are."""
     caption = module.FIGURES.get(path.stem, (path.stem.replace("_", " "),))[0]
-    names = [n for n in module.RECORDINGS if path.stem == module.STUDY.figure and (path.parents[1] / n).exists()]
+    names = [
+        n
+        for n in module.RECORDINGS
+        if path.stem == module.STUDY.figure and (path.parents[1] / n).exists()
+    ]
     png, svg = (f"{paper}/figures/{path.stem}.{kind}" for kind in ("png", "svg"))
     return linked(caption, png, svg, [link(f"{paper}/{name}", name) for name in names])

@@ -55,7 +55,9 @@ def _drawn(name: str, study: ModuleType) -> None:
 
 def _on_real_data(name: str) -> None:
     _drawn(name, module(name))
-    print(f"\n  on real data: celnav reproduce {name} --{name} DIR, folder of {real.STUDIES[name]}\n")
+    print(
+        f"\n  on real data: celnav reproduce {name} --{name} DIR, folder of {real.STUDIES[name]}\n"
+    )
 
 
 def _parameters(paper: str) -> None:
@@ -65,21 +67,41 @@ def _parameters(paper: str) -> None:
 
     study = own.load(paper, mission=True) if own.is_own(paper) else module(paper)
     start: dict[str, Any] = getattr(study, "MISSION", {})
-    presets: dict[str, dict[str, Any]] = {name: flat(asdict(replace(c, **start))) for name, c in study.PRESETS.items()}
+    presets: dict[str, dict[str, Any]] = {
+        name: flat(asdict(replace(c, **start))) for name, c in study.PRESETS.items()
+    }
     first, *others = presets.items()
-    print(f"{paper}: {study.TITLE}\n\nAt the top of a mission:\n\n{_TOP.format(runs=first[1]['runs'])}")
+    print(
+        f"{paper}: {study.TITLE}\n\nAt the top of a mission:\n\n{_TOP.format(runs=first[1]['runs'])}"
+    )
     for name, unit in study.JUDGED.items():
-        print(f"  limits.{name:25} {'':24} {unit:9} largest error at the end, of the vector's length")
+        print(
+            f"  limits.{name:25} {'':24} {unit:9} largest error at the end, of the vector's length"
+        )
     print(f"\n[config] of a mission, with the values of preset {first[0]}:\n")
     said = described(type(study.PRESETS[first[0]]))
     for key, value in first[1].items():
         if key != "runs":
             meaning, source, words = said[key]
-            known = f" One of {', '.join(_written(w) for w in words if w is not None)}." if words else ""
+            known = (
+                f" One of {', '.join(_written(w) for w in words if w is not None)}."
+                if words
+                else ""
+            )
             line = f"  {key:32} {_written(value):24} {unit_of(key):9} {meaning}.{known} [{source}]"
-            print(textwrap.fill(line, WIDTH, subsequent_indent=70 * " ", break_on_hyphens=False, break_long_words=False))
+            print(
+                textwrap.fill(
+                    line,
+                    WIDTH,
+                    subsequent_indent=70 * " ",
+                    break_on_hyphens=False,
+                    break_long_words=False,
+                )
+            )
     for name, values in others:
-        changed = [f"{key} = {_written(value)}" for key, value in values.items() if value != first[1][key]]
+        changed = [
+            f"{key} = {_written(value)}" for key, value in values.items() if value != first[1][key]
+        ]
         print(f"\npreset {name}: {', '.join(changed) or 'the same'}")
     print(f"\nfilters: {', '.join(study.filters(study.PRESETS[first[0]]))}")
 

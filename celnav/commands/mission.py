@@ -31,7 +31,9 @@ def run(options: argparse.Namespace) -> int:
     pool = workers(options.jobs, -(-study.runs // study.block))
     if study.swept:
         listed = ", ".join(f"config.{key}" for key in study.swept)
-        raise UsageError(f"{options.mission}: {listed}: a list of values is a study; use: celnav campaign {options.mission}")
+        raise UsageError(
+            f"{options.mission}: {listed}: a list of values is a study; use: celnav campaign {options.mission}"
+        )
     outputs = Outputs(options.out or folder_of("missions", options.mission))
     _check_origin(outputs.directory, options.mission)
     outputs.check([*names([*stems(study), "errors"]), "summary.txt", RECORDING, ORIGIN])
@@ -75,5 +77,9 @@ def _check_origin(folder: Path, file: str) -> None:
         other = str(read_json(folder / ORIGIN)["file"])
     except (ValueError, KeyError, TypeError):
         other = str(folder / ORIGIN)
-    if other != _origin(file) and Path(other).exists():  # a folder that moved with its file is its own
-        raise InputError(f"{folder}: holds the mission of {other}; choose another --out, or remove the folder")
+    if (
+        other != _origin(file) and Path(other).exists()
+    ):  # a folder that moved with its file is its own
+        raise InputError(
+            f"{folder}: holds the mission of {other}; choose another --out, or remove the folder"
+        )

@@ -25,8 +25,12 @@ def run(options: argparse.Namespace) -> int:
         raise UsageError(f"{path.parent}: no such folder; make it first")
     try:
         with path.open("x", encoding="utf-8") as file:
-            file.write(data("own/study.py").read_text(encoding="utf-8").replace("study.py", path.name))
+            file.write(
+                data("own/study.py").read_text(encoding="utf-8").replace("study.py", path.name)
+            )
     except FileExistsError:
-        raise UsageError(f"{path}: is there already, and nothing is overwritten; choose another name, or move it away") from None
+        raise UsageError(
+            f"{path}: is there already, and nothing is overwritten; choose another name, or move it away"
+        ) from None
     print(f"wrote {path}; fly it with: celnav reproduce {path} --effort 0.1")
     return 0

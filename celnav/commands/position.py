@@ -36,9 +36,16 @@ def run(options: argparse.Namespace) -> int:
     from celnav.receiver.sky import on_earth
     from celnav.receiver.tracks import FORMATS
 
-    mask, noise = number("mask", options.mask), number("acceleration-noise", options.acceleration_noise)
+    mask, noise = (
+        number("mask", options.mask),
+        number("acceleration-noise", options.acceleration_noise),
+    )
     alarm = number("false-alarm", options.false_alarm)
-    given = None if options.position is None else np.array([number("position", text) for text in options.position])
+    given = (
+        None
+        if options.position is None
+        else np.array([number("position", text) for text in options.position])
+    )
     sigma = None if options.sigma is None else [number("sigma", text) for text in options.sigma]
     _checked("--mask", lambda: positioning.mask(mask))
     _checked("--acceleration-noise", lambda: positioning_filters.filters(4, acceleration=noise))
@@ -54,23 +61,36 @@ def run(options: argparse.Namespace) -> int:
     out = Path(options.out)
     track = FORMATS.get(out.suffix.lower())
     if out.suffix.lower() in NO_TRACKS:
-        raise UsageError(f"--out: expected a folder, or a file with one of {', '.join(FORMATS)}, got {options.out!r}")
+        raise UsageError(
+            f"--out: expected a folder, or a file with one of {', '.join(FORMATS)}, got {options.out!r}"
+        )
     if track is None:
         require("position with figures", "papers", "matplotlib", "PIL")
     outputs = Outputs(out if track is None else out.parent)
-    outputs.check([*positioning_report.FILES, positioning_report.RECORDING] if track is None else [out.name])
+    outputs.check(
+        [*positioning_report.FILES, positioning_report.RECORDING] if track is None else [out.name]
+    )
     ionosphere = None if options.ion is None else _ionosphere(options.ion)
-    navigation, observations = rinex.read_navigation(*options.navigation), rinex.read_observations(options.observations)
+    navigation, observations = (
+        rinex.read_navigation(*options.navigation),
+        rinex.read_observations(options.observations),
+    )
     if ionosphere is not None:
         navigation = replace(navigation, klobuchar=ionosphere)
-    log = positioning.prepare(observations, navigation, systems=systems, mask_deg=mask, sigma=sigma, false_alarm=alarm)
+    log = positioning.prepare(
+        observations, navigation, systems=systems, mask_deg=mask, sigma=sigma, false_alarm=alarm
+    )
     east, north, up = observations.antenna
     of = f"the marker's by {'the header' if given is None else '--position'} and the header's offset, {east:.3f} m east, "
     of += f"{north:.3f} north, {up:.3f} up"
     try:
-        found = positioning_report.position(log, options.filter, observations.reference(given), acceleration=noise, of=of)
+        found = positioning_report.position(
+            log, options.filter, observations.reference(given), acceleration=noise, of=of
+        )
     except FilterError as error:
-        raise InputError(f"{options.filter} is lost on {options.observations}: {str(error).partition(' (on_failure')[0]}") from None
+        raise InputError(
+            f"{options.filter} is lost on {options.observations}: {str(error).partition(' (on_failure')[0]}"
+        ) from None
     print(positioning_report.summary(found))
     if track is not None:
         outputs.text(out.name, track(found))
@@ -94,7 +114,9 @@ def _ionosphere(given: str) -> tuple[Array, Array]:
     if len(parts) == 1 or Path(given).exists():
         return read_ionosphere(given)
     if len(parts) != 8:
-        raise UsageError(f"--ion: expected a navigation file, or eight numbers with commas between, got {len(parts)}")
+        raise UsageError(
+            f"--ion: expected a navigation file, or eight numbers with commas between, got {len(parts)}"
+        )
     return ionosphere("--ion", [number("ion", part) for part in parts])
 
 

@@ -44,21 +44,30 @@ def run(options: argparse.Namespace) -> int:
     """Do the papers side by side where there are several processes, and write each as soon as it is done."""
     from celnav.commands.index import OWN, described, few, index
 
-    words = list(dict.fromkeys(options.papers)) or [*papers.PAPERS, *(s for s in real.STUDIES if getattr(options, s) is not None)]
+    words = list(dict.fromkeys(options.papers)) or [
+        *papers.PAPERS,
+        *(s for s in real.STUDIES if getattr(options, s) is not None),
+    ]
     modules = {own.name_of(word): module(word) for word in words}
     chosen, files = list(modules), {own.name_of(word): word for word in words if own.is_own(word)}
     if len(chosen) < len(words):
-        raise UsageError(f"{', '.join(filter(own.is_own, words))}: expected files of different names; rename one")
+        raise UsageError(
+            f"{', '.join(filter(own.is_own, words))}: expected files of different names; rename one"
+        )
     part, seed = fraction(options.effort), whole("seed", options.seed, 0)
     pool = workers(options.jobs)
     for name, taken in {
         "rinex": "a paper that takes a receiver's log (aukf)",
         **{s: f"the study {s}" for s in real.STUDIES},
     }.items():
-        if getattr(options, name) is not None and not any(name in getattr(one, "INPUTS", ()) for one in modules.values()):
+        if getattr(options, name) is not None and not any(
+            name in getattr(one, "INPUTS", ()) for one in modules.values()
+        ):
             raise UsageError(f"--{name}: expected {taken}, got {', '.join(chosen)}")
         if name in chosen and getattr(options, name) is None:
-            raise UsageError(f"{name}: expected --{name} DIR with it, a folder of {real.STUDIES[name]}")
+            raise UsageError(
+                f"{name}: expected --{name} DIR with it, a folder of {real.STUDIES[name]}"
+            )
     if options.engine == "cuda":
         device()  # told at once, not by each unit
     out = Path(options.out)
@@ -68,13 +77,23 @@ def run(options: argparse.Namespace) -> int:
         _check(one, folders[paper])
     surprises = 0
     with locked(out):
-        remove_leftovers(out, *(out / paper / below for paper in chosen for below in ("", "figures", "tables")))
+        remove_leftovers(
+            out, *(out / paper / below for paper in chosen for below in ("", "figures", "tables"))
+        )
         stores = {paper: resumed(out / paper / RESULTS) for paper in modules}
         token = ENGINE.set(options.engine)
-        units = {paper: one.STUDY.units(effort=part, seed=seed, **_inputs(one, options)) for paper, one in modules.items()}
+        units = {
+            paper: one.STUDY.units(effort=part, seed=seed, **_inputs(one, options))
+            for paper, one in modules.items()
+        }
         ENGINE.reset(token)
-        left = {paper: [unit for unit in all if not _kept(stores[paper], unit)] for paper, all in units.items()}
-        total, missing = (sum(unit.cost for some in which.values() for unit in some) for which in (units, left))
+        left = {
+            paper: [unit for unit in all if not _kept(stores[paper], unit)]
+            for paper, all in units.items()
+        }
+        total, missing = (
+            sum(unit.cost for some in which.values() for unit in some) for which in (units, left)
+        )
         progress = Progress("celnav", total + len(units) * sum(WRITING_S.values()), total - missing)
 
         def written(paper: str) -> None:
@@ -98,25 +117,42 @@ def run(options: argparse.Namespace) -> int:
                 written(paper)
             # The longest first: the end is then made of short ones, and all processes are busy until it.
             try:
-                compute(sorted((unit for some in left.values() for unit in some), key=lambda unit: -unit.cost), pool, keep)
+                compute(
+                    sorted(
+                        (unit for some in left.values() for unit in some),
+                        key=lambda unit: -unit.cost,
+                    ),
+                    pool,
+                    keep,
+                )
             except UnfinishedError as error:
-                raise OSError(f"{error}; what is finished is kept: the same command goes on from there") from None
+                raise OSError(
+                    f"{error}; what is finished is kept: the same command goes on from there"
+                ) from None
         top.text("index.html", index(out))
-    print(f"wrote {out / 'index.html'}: {f'{surprises} not as expected, see above' if surprises else 'all as expected'}")
+    print(
+        f"wrote {out / 'index.html'}: {f'{surprises} not as expected, see above' if surprises else 'all as expected'}"
+    )
     if part < 1.0:
         print(f"celnav: {few(part)}", file=sys.stderr)
     return 1 if options.strict and surprises else 0
 
 
 def _inputs(one: ModuleType, options: argparse.Namespace) -> dict[str, Path]:
-    return {name: Path(given) for name in getattr(one, "INPUTS", ()) if (given := getattr(options, name)) is not None}
+    return {
+        name: Path(given)
+        for name in getattr(one, "INPUTS", ())
+        if (given := getattr(options, name)) is not None
+    }
 
 
 def _check(one: ModuleType, outputs: Outputs) -> None:
     """Refuse what could not be written before anything is computed."""
     outputs.check(f"figures/{stem}.{kind}" for stem in one.FIGURES for kind in KINDS)
     outputs.check(f"tables/{stem}.csv" for stem in one.TABLES)
-    outputs.check(["claims.json", "checks.json", "timings.json", "result.npz", "study.json", *one.RECORDINGS])
+    outputs.check(
+        ["claims.json", "checks.json", "timings.json", "result.npz", "study.json", *one.RECORDINGS]
+    )
 
 
 def _kept(store: Store, unit: Unit) -> bool:
@@ -127,12 +163,16 @@ def _kept(store: Store, unit: Unit) -> bool:
         return False
 
 
-def _write(paper: str, one: ModuleType, results: Results, outputs: Outputs, progress: Progress) -> int:
+def _write(
+    paper: str, one: ModuleType, results: Results, outputs: Outputs, progress: Progress
+) -> int:
     """Write everything that a paper shows. Returns how many claims are not as expected."""
     from celnav.show.claims import dumps
     from celnav.show.drawing import render
 
-    timings: dict[str, float] = {f"cpu_s {part}": float(arrays["cpu_s"].sum()) for part, arrays in results.data.items()}
+    timings: dict[str, float] = {
+        f"cpu_s {part}": float(arrays["cpu_s"].sum()) for part, arrays in results.data.items()
+    }
 
     def stage(name: str, work: Callable[[], Any]) -> Any:
         progress.add(0.0, f"{paper}: {name}")
@@ -160,18 +200,34 @@ def _write(paper: str, one: ModuleType, results: Results, outputs: Outputs, prog
     try:
         stage("recordings", lambda: one.record(results, outputs))
     except (ImportError, OSError, RuntimeError) as error:
-        print(f"celnav: {paper}: no recordings ({error}); everything else is written", file=sys.stderr)
+        print(
+            f"celnav: {paper}: no recordings ({error}); everything else is written", file=sys.stderr
+        )
     versions = {name: metadata.version(name) for name in ("numpy", "scipy", "matplotlib")}
     machine = f"{platform.system()} {platform.machine()}, {cores()} cores"
-    about = {"celnav": celnav.__version__, "python": platform.python_version(), **versions, "machine": machine}
-    record = {"about": about, "effort": results.effort, "cpu_s": sum(timings.values()), "timings": timings}
+    about = {
+        "celnav": celnav.__version__,
+        "python": platform.python_version(),
+        **versions,
+        "machine": machine,
+    }
+    record = {
+        "about": about,
+        "effort": results.effort,
+        "cpu_s": sum(timings.values()),
+        "timings": timings,
+    }
     outputs.text("timings.json", json.dumps(record, indent=1) + "\n")
     for kind in ("statement", "finding", "check"):
         if count := Counter(claim.verdict for claim in claims if claim.kind == kind):
-            progress.say(f"{paper}: {kind}s: {', '.join(f'{number} {verdict}' for verdict, number in sorted(count.items()))}")
+            progress.say(
+                f"{paper}: {kind}s: {', '.join(f'{number} {verdict}' for verdict, number in sorted(count.items()))}"
+            )
     failures = [claim for claim in claims if claim.failure]
     for claim in failures:
-        progress.say(f"{paper}: not as expected: {claim.id}: {claim.verdict}, expected {claim.expected}: {claim.row.says}")
+        progress.say(
+            f"{paper}: not as expected: {claim.id}: {claim.verdict}, expected {claim.expected}: {claim.row.says}"
+        )
     return len(failures)
 
 
@@ -196,5 +252,7 @@ def _csv(rows: Sequence[dict[str, Any]]) -> str:
     text = io.StringIO()
     writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
     writer.writeheader()
-    writer.writerows({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in line.items()} for line in rows)
+    writer.writerows(
+        {k: f"{v:.6g}" if isinstance(v, float) else v for k, v in line.items()} for line in rows
+    )
     return text.getvalue()

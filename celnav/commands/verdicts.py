@@ -16,7 +16,9 @@ def run(options: argparse.Namespace) -> int:
     out = Path(options.out)
     found = reproduced(out) | reproduced(out, own_studies(out))
     if not found:
-        raise FileNotFoundError(f"{options.out}: no paper was reproduced there; use: celnav reproduce --out {options.out}")
+        raise FileNotFoundError(
+            f"{options.out}: no paper was reproduced there; use: celnav reproduce --out {options.out}"
+        )
     print(verdicts(found), words(list(found), out, found), sep="\n\n")
     for paper in found:
         if (part := effort_of(out / paper)) is not None and part < 1.0:

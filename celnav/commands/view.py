@@ -19,10 +19,16 @@ def run(options: argparse.Namespace) -> int:
     """Open a paper's recording, or a file."""
     path = _file(options) if Path(options.paper).suffix not in ("", ".py") else _of_paper(options)
     if options.picture is not None:
-        return _picture(path, Path(options.picture), None if options.at is None else number("at", options.at))
+        return _picture(
+            path, Path(options.picture), None if options.at is None else number("at", options.at)
+        )
     if options.at is not None:
-        raise UsageError("--at: expected --picture FILE.png with it; in a window the time is moved by hand")
-    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise UsageError(
+            "--at: expected --picture FILE.png with it; in a window the time is moved by hand"
+        )
+    if sys.platform.startswith("linux") and not (
+        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    ):
         hint = f"use --picture, or copy {path} to a machine that has one and run: rerun {path.name}"
         raise OSError(f"no display to open a window on; {hint}")
     from celnav.show.picture import command
@@ -38,7 +44,9 @@ def _picture(path: Path, target: Path, at: float | None) -> int:
 
     last = end(path)
     if at is not None and not 0.0 <= at <= last:
-        raise UsageError(f"--at: expected a time of the recording, from 0 to {last:g} s, got {at:g}")
+        raise UsageError(
+            f"--at: expected a time of the recording, from 0 to {last:g} s, got {at:g}"
+        )
     picture(path, target, last if at is None else at)
     print(f"wrote {target}")
     return 0
@@ -64,10 +72,16 @@ def _of_paper(options: argparse.Namespace) -> Path:
         raise UsageError(f"{options.paper}: has no recordings{mission}")
     recordings = [name for name in study.RECORDINGS if (folder / name).is_file()]
     if not recordings:
-        raise FileNotFoundError(f"{folder}: no recording; make it with: celnav reproduce {options.paper} --out {options.out}")
+        raise FileNotFoundError(
+            f"{folder}: no recording; make it with: celnav reproduce {options.paper} --out {options.out}"
+        )
     if options.recording is None:
         return Path(folder, recordings[0])
-    wanted: str = options.recording if options.recording.endswith(".rrd") else f"{options.recording}.rrd"
+    wanted: str = (
+        options.recording if options.recording.endswith(".rrd") else f"{options.recording}.rrd"
+    )
     if wanted not in recordings:
-        raise UsageError(f"unknown recording {options.recording!r}: expected one of {', '.join(recordings)}")
+        raise UsageError(
+            f"unknown recording {options.recording!r}: expected one of {', '.join(recordings)}"
+        )
     return Path(folder, wanted)

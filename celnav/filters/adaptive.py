@@ -49,7 +49,9 @@ def gate(gamma: float) -> Hook:
 
     def hook(memory: Any, joint: Joint, _epoch: Any) -> tuple[Any, Joint]:
         prior, noise = joint.variances()
-        return memory, joint.leaving_out(np.asanyarray(joint.innovation) ** 2 > gamma**2 * (prior + noise))
+        return memory, joint.leaving_out(
+            np.asanyarray(joint.innovation) ** 2 > gamma**2 * (prior + noise)
+        )
 
     return hook
 
@@ -113,14 +115,20 @@ def innovation_window(M: int, gaps: str = "restart") -> Hook:
     return hook
 
 
-def _moved(memory: Window | None, values: Array, epoch: Any, size: int, gaps: str = "restart") -> Window:
+def _moved(
+    memory: Window | None, values: Array, epoch: Any, size: int, gaps: str = "restart"
+) -> Window:
     """The window of the last ``size`` values, these included."""
     k = getattr(epoch, "k", None)
     if memory is None:
         if size * values.size > LIMIT:
-            raise ValueError(f"M: expected a window of at most {LIMIT} numbers, got {size} samples of {values.size} each")
+            raise ValueError(
+                f"M: expected a window of at most {LIMIT} numbers, got {size} samples of {values.size} each"
+            )
         memory = Window(np.full((size, *values.shape), np.nan), None)
-    before = memory.samples.reshape(size, *(1,) * (values.ndim + 1 - memory.samples.ndim), *memory.samples.shape[1:])
+    before = memory.samples.reshape(
+        size, *(1,) * (values.ndim + 1 - memory.samples.ndim), *memory.samples.shape[1:]
+    )
     ring = np.broadcast_to(before, (size, *np.broadcast_shapes(before.shape[1:], values.shape)))
     moved = np.concatenate([ring[1:], np.broadcast_to(values, ring.shape[1:])[None]])
     if gaps == "skip":
@@ -210,12 +218,16 @@ def sage_husa(forgetting: float = 0.95, least: float = 0.25, smallest: float = 0
         e = np.asanyarray(joint.innovation)
         prior, nominal = joint.variances()
         shape = np.broadcast_shapes(e.shape, nominal.shape)
-        noise, count = (np.broadcast_to(nominal, shape), np.zeros(shape)) if memory is None else memory
+        noise, count = (
+            (np.broadcast_to(nominal, shape), np.zeros(shape)) if memory is None else memory
+        )
         used = np.broadcast_to(~np.isnan(e), shape)
         d = (1.0 - forgetting) / (1.0 - forgetting ** (count + 1.0))
         seen = np.maximum(np.where(used, e, 0.0) ** 2 - prior, bottom * nominal)
         noise = np.where(used, (1.0 - d) * noise + d * seen, noise)
-        ratio = np.maximum(noise, floor * nominal) / np.where(nominal > 0.0, nominal, 1.0)  # of what has no noise 0 stays 0
+        ratio = np.maximum(noise, floor * nominal) / np.where(
+            nominal > 0.0, nominal, 1.0
+        )  # of what has no noise 0 stays 0
         return Estimated(noise, count + used), joint.inflated(np.sqrt(ratio))
 
     return hook
@@ -240,7 +252,10 @@ def variational_bayes(forgetting: float = 0.95, samples: float = 2.0, rounds: in
 
     >>> filter = celnav.ukf(motion, sensor, hooks=[celnav.filters.adaptive.variational_bayes(0.98)])
     """
-    b, first = number("forgetting", forgetting, above=0.0, most=1.0), 0.5 * number("samples", samples, above=0.0)
+    b, first = (
+        number("forgetting", forgetting, above=0.0, most=1.0),
+        0.5 * number("samples", samples, above=0.0),
+    )
     most = integer("rounds", rounds, 1, 10_000)
 
     def hook(memory: InverseGamma | None, joint: Joint, _epoch: Any) -> tuple[InverseGamma, Joint]:
@@ -254,7 +269,10 @@ def variational_bayes(forgetting: float = 0.95, samples: float = 2.0, rounds: in
             factor = beta / alpha
             R = factor * nominal
             white = solve_lower(cholesky(S0 + R[..., None] * eye), eye)  # S^-1 = white' white
-            v, variance = R * matvec(white.mT, matvec(white, e)), R - R**2 * np.square(white).sum(-2)
+            v, variance = (
+                R * matvec(white.mT, matvec(white, e)),
+                R - R**2 * np.square(white).sum(-2),
+            )
             beta = np.where(used, before + 0.5 * (v**2 + variance) / nominal, beta)
         return InverseGamma(alpha, beta), joint.inflated(np.sqrt(factor))
 
@@ -275,11 +293,17 @@ def underweighting(beta: float = 0.2, share: float = 0.5) -> Hook:
 
     def hook(memory: Any, joint: Joint, _epoch: Any) -> tuple[Any, Joint]:
         prior, noise = joint.variances()
-        poor = (~np.isnan(np.asanyarray(joint.innovation)) & (prior > least * (prior + noise))).any(-1)
+        poor = (~np.isnan(np.asanyarray(joint.innovation)) & (prior > least * (prior + noise))).any(
+            -1
+        )
         S0, V = joint.covariances()[0], joint.measurement_noise
-        root = semidefinite_root(factor * np.where(np.abs(S0) < np.inf, S0, 0.0))  # of a lost run it is all the same
+        root = semidefinite_root(
+            factor * np.where(np.abs(S0) < np.inf, S0, 0.0)
+        )  # of a lost run it is all the same
         extra = np.where(poor[..., None, None], root, 0.0)
-        return memory, joint._replace(measurement_noise=extra if V is None else side_by_side([V, extra]))
+        return memory, joint._replace(
+            measurement_noise=extra if V is None else side_by_side([V, extra])
+        )
 
     return hook
 
@@ -327,7 +351,10 @@ def group_parity(groups: Sequence[ArrayLike], unknowns: int, *, deviations: floa
 
     >>> hook = celnav.filters.adaptive.group_parity([[0, 1, 2, 3, 4, 5]], unknowns=4)  # six pseudoranges
     """
-    members = [np.array(integers("groups", group)) for group in sequence("groups", groups, "[[0, 1], [2, 3]]")]
+    members = [
+        np.array(integers("groups", group))
+        for group in sequence("groups", groups, "[[0, 1], [2, 3]]")
+    ]
     every = [i for group in members for i in group.tolist()]
     if not every or any(not group.size for group in members) or len(set(every)) != len(every):
         raise ValueError("groups: expected groups of components that do not overlap")
@@ -362,7 +389,9 @@ def channel_parity(M: int) -> Hook:
     def hook(memory: Window | None, joint: Joint, epoch: Any) -> tuple[Window, Joint]:
         r, variances, R, _ = _residual(joint)
         spare = variances > 1e-6 * R  # a component that the fit cannot do without has no residual
-        window = _moved(memory, np.where(spare, r**2 / np.where(spare, variances, 1.0), np.nan), epoch, size)
+        window = _moved(
+            memory, np.where(spare, r**2 / np.where(spare, variances, 1.0), np.nan), epoch, size
+        )
         return window, joint.inflated(np.sqrt(np.fmax(1.0, window.samples.mean(0))))
 
     return hook
@@ -383,7 +412,9 @@ def consider(n: int, k: int) -> Gain:
 
     def gain(A: Array, sign: Array, m: int) -> Array:
         if A.shape[-2] - m != n + k:
-            raise ValueError(f"consider: expected a state of {n} + {k} components, got {A.shape[-2] - m}")
+            raise ValueError(
+                f"consider: expected a state of {n} + {k} components, got {A.shape[-2] - m}"
+            )
         C = weighted(A[..., : m + n, :], sign) @ A[..., :m, :].mT
         S = cholesky(C[..., :m, :])
         K = solve_right(S, solve_lower(S, C[..., m:, :].mT).mT)

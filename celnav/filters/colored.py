@@ -18,13 +18,45 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.filters.joint import KEEP, Hook, Joint, at, by_matrix, condition, evaluate, joint, linear, marginal, over_runs, rule_for
+from celnav.filters.joint import (
+    KEEP,
+    Hook,
+    Joint,
+    at,
+    by_matrix,
+    condition,
+    evaluate,
+    joint,
+    linear,
+    marginal,
+    over_runs,
+    rule_for,
+)
 from celnav.filters.model import Motion, Noise, Sensor, check_prior, given_back, noise_of
 from celnav.filters.records import Epoch, Info, still
 from celnav.filters.sequential import Sequential, checked, missing, sigma_point, silent
 from celnav.gaussian.belief import Gaussian, symmetric
-from celnav.gaussian.checks import Shape, choice, finite, function, instance, numbers, together, unmasked
-from celnav.gaussian.linalg import POSITIVE, Array, SquareRoot, block, matvec, side_by_side, solve_right, surely, tria
+from celnav.gaussian.checks import (
+    Shape,
+    choice,
+    finite,
+    function,
+    instance,
+    numbers,
+    together,
+    unmasked,
+)
+from celnav.gaussian.linalg import (
+    POSITIVE,
+    Array,
+    SquareRoot,
+    block,
+    matvec,
+    side_by_side,
+    solve_right,
+    surely,
+    tria,
+)
 from celnav.gaussian.rules import UNSCENTED
 from celnav.gaussian.spaces import EUCLIDEAN
 
@@ -56,9 +88,13 @@ def colored(
     """
     plain = sigma_point(motion, sensor, rule=rule, **options)
     if type(plain) is not Sequential:
-        raise ValueError("iterations: expected 1, since process and measurement are one function here; celnav.augmented takes more")
+        raise ValueError(
+            "iterations: expected 1, since process and measurement are one function here; celnav.augmented takes more"
+        )
     if motion.space != EUCLIDEAN or sensor.space != EUCLIDEAN:
-        raise ValueError("space: expected states and measurements that are vectors; carry the noise in the state: celnav.augmented")
+        raise ValueError(
+            "space: expected states and measurements that are vectors; carry the noise in the state: celnav.augmented"
+        )
     phi, once = coloring(Phi, sensor.m), bool(choice("first", first, (False, True)))
     if callable(sensor.h) and (callable(motion.Q) or callable(motion.sqrt_Q)):
         raise ValueError("Q: expected a constant where the measurement is a function")
@@ -77,7 +113,9 @@ def decorrelated(motion: Motion, sensor: Sensor, Phi: Coloring, **options: Any) 
     >>> filter = celnav.decorrelated(motion, gps, 0.9 * np.eye(3))
     """
     if callable(instance("sensor", sensor, Sensor, "celnav.Sensor(h, R)").h):
-        raise ValueError("sensor: expected a measurement matrix (m, n), got a function; `colored` takes one")
+        raise ValueError(
+            "sensor: expected a measurement matrix (m, n), got a function; `colored` takes one"
+        )
     return Decorrelated(**vars(colored(motion, sensor, Phi, **options)))
 
 
@@ -102,7 +140,9 @@ def zeta_of(sensor: Sensor, Phi: Coloring, increments: Any) -> Noise:
     if increments is not None:
         given = noise_of("increments", increments, None)
         if isinstance(given, np.ndarray) and sensor.m not in (None, given.shape[-2]):
-            raise ValueError(f"increments: expected {sensor.m} rows to go with the sensor's R, got {given.shape[-2]}")
+            raise ValueError(
+                f"increments: expected {sensor.m} rows to go with the sensor's R, got {given.shape[-2]}"
+            )
         return given
     phi = coloring(Phi, sensor.m)
     stationary = partial(_stationary, sensor.noise, phi)
@@ -164,16 +204,30 @@ class Colored(Sequential):
             state = state._replace(belief=over_runs("Phi", Phi.shape[:-2], state.belief))
         return self.advance(state, Phi, difference(Phi, state.z, z), epoch, z)
 
-    def advance(self, state: Any, Phi: Array, z_star: Array, epoch: Epoch, z: Array) -> tuple[Any, tuple[Info, ...]]:
+    def advance(
+        self, state: Any, Phi: Array, z_star: Array, epoch: Epoch, z: Array
+    ) -> tuple[Any, tuple[Info, ...]]:
         """State after an interval, given the difference ``z_star`` of the measurements at its ends."""
         both, (hooks,) = self.fused(state.belief, Phi, z_star, epoch), self.hooks
-        belief, info, memory = condition(self.form, both, EUCLIDEAN, hooks=hooks, memory=state.memory, epoch=epoch, gain=self.gain)
+        belief, info, memory = condition(
+            self.form,
+            both,
+            EUCLIDEAN,
+            hooks=hooks,
+            memory=state.memory,
+            epoch=epoch,
+            gain=self.gain,
+        )
         return ColoredState(belief, z, state.lagged, memory), (info,)
 
     def fused(self, belief: Any, Phi: Array, z_star: Array, epoch: Epoch) -> Joint:
         """The joint of the difference ``h(f(x) + w) - Phi h(x) + zeta`` and the next state ``f(x) + w``."""
         motion, (sensor,), mean = self.motion, self.sensors, belief.mean
-        W, Z, rule = at(motion.noise, mean, epoch), at(self.zeta, mean, epoch), rule_for(self.rule, belief)
+        W, Z, rule = (
+            at(motion.noise, mean, epoch),
+            at(self.zeta, mean, epoch),
+            rule_for(self.rule, belief),
+        )
         outputs: Any = partial(self.rows, Phi)
         augment: tuple[Array, ...] = ()
         if by_matrix(motion, rule) and by_matrix(sensor, rule):
@@ -183,8 +237,22 @@ class Colored(Sequential):
         elif not callable(sensor.h):
             beside = (sensor.h @ W, W)
         else:  # the process noise enters the measurement through h, so it goes through the points
-            outputs, beside, augment, rule = partial(self.through, Phi), None, (W,), rule_for(self.rule, belief, (W,))
-        return joint(rule, belief, outputs, epoch, z=z_star, process_noise=beside, measurement_noise=Z, augment=augment)
+            outputs, beside, augment, rule = (
+                partial(self.through, Phi),
+                None,
+                (W,),
+                rule_for(self.rule, belief, (W,)),
+            )
+        return joint(
+            rule,
+            belief,
+            outputs,
+            epoch,
+            z=z_star,
+            process_noise=beside,
+            measurement_noise=Z,
+            augment=augment,
+        )
 
     def rows(self, Phi: Array, x: Array, epoch: Epoch) -> tuple[Array, Array]:
         """``H f(x) - Phi H x`` and ``f(x)``."""
@@ -196,14 +264,20 @@ class Colored(Sequential):
         """``h(f(x) + w) - Phi h(x)`` and ``f(x) + w``."""
         (sensor,), m = self.sensors, Phi.shape[-1]
         y = evaluate(self.motion, x.copy(order="K"), epoch) + w
-        return evaluate(sensor, y.copy(order="K"), epoch, m=m) - matvec(Phi, evaluate(sensor, x, epoch, m=m)), y
+        return evaluate(sensor, y.copy(order="K"), epoch, m=m) - matvec(
+            Phi, evaluate(sensor, x, epoch, m=m)
+        ), y
 
     def _measured(self, state: Any, epoch: Epoch) -> Array:
         """The measurement of an epoch, nan where there is none."""
         first = state.z is None
         # Nothing leads up to the first sample; each later one ends an interval.
         if still(epoch) is not first:
-            expected = "0 at the first epoch (start from a prior at that time)" if first else "an interval after the first epoch"
+            expected = (
+                "0 at the first epoch (start from a prior at that time)"
+                if first
+                else "an interval after the first epoch"
+            )
             raise ValueError(f"dt: expected {expected}, got {epoch.dt!r}")
         m = self.sensors[0].m
         if epoch.z is None and m is not None:
@@ -244,14 +318,29 @@ class Decorrelated(Colored):
         constant = isinstance(W, np.ndarray) and isinstance(Z, np.ndarray)
         return decorrelation(self.sensors[0].h, W, Z) if constant else None  # type: ignore[arg-type]
 
-    def advance(self, state: Any, Phi: Array, z_star: Array, epoch: Epoch, z: Array) -> tuple[Any, tuple[Info, ...]]:
+    def advance(
+        self, state: Any, Phi: Array, z_star: Array, epoch: Epoch, z: Array
+    ) -> tuple[Any, tuple[Info, ...]]:
         """Update the past state [Sun2015, Eqs. 24-32], then predict [Sun2015, Eqs. 33-37]."""
         gates = [partial(_leaving_out, hook) for hook in self.hooks[0]]
         noise = self.system(state.belief.mean, epoch, np.ones(1, bool)).sqrt_R
         past = joint(
-            self.rule, state.belief, lambda x, epoch: (self.rows(Phi, x, epoch)[0], KEEP), epoch, z=z_star, measurement_noise=noise
+            self.rule,
+            state.belief,
+            lambda x, epoch: (self.rows(Phi, x, epoch)[0], KEEP),
+            epoch,
+            z=z_star,
+            measurement_noise=noise,
         )
-        lagged, info, memory = condition(self.form, past, EUCLIDEAN, hooks=gates, memory=state.memory, epoch=epoch, gain=self.gain)
+        lagged, info, memory = condition(
+            self.form,
+            past,
+            EUCLIDEAN,
+            hooks=gates,
+            memory=state.memory,
+            epoch=epoch,
+            gain=self.gain,
+        )
         used = np.asanyarray(info.used)
         star = self.system(lagged.mean, epoch, used)
         z_star = np.where(used, z_star, 0.0)
@@ -261,7 +350,11 @@ class Decorrelated(Colored):
             h, y = self.rows(Phi, x, epoch)
             return (y + matvec(star.J, z_star - h),)
 
-        ahead = marginal(self.form, joint(self.rule, lagged, entering, epoch, process_noise=star.sqrt_Q), EUCLIDEAN)
+        ahead = marginal(
+            self.form,
+            joint(self.rule, lagged, entering, epoch, process_noise=star.sqrt_Q),
+            EUCLIDEAN,
+        )
         return ColoredState(ahead, z, lagged, memory), (info,)
 
     def system(self, mean: Array, epoch: Epoch, used: Array) -> Decorrelation:
@@ -272,15 +365,23 @@ class Decorrelated(Colored):
         if surely(used.all()):
             return decorrelation(H, W, Z)
         unit = used[..., None] * 1.0
-        return decorrelation(H * unit, W, np.concatenate([Z * unit, np.eye(H.shape[-2]) * (1.0 - unit)], -1))
+        return decorrelation(
+            H * unit, W, np.concatenate([Z * unit, np.eye(H.shape[-2]) * (1.0 - unit)], -1)
+        )
 
 
 def _leaving_out(hook: Hook, memory: Any, joint: Joint, epoch: Any) -> tuple[Any, Joint]:
     """The hook, held to leaving measurements out."""
     memory, after = given_back("hooks", hook(memory, joint, epoch), "memory, joint")
     instance("hooks", after, Joint, "hooks that give back (memory, joint)")
-    if any(getattr(after, part) is not getattr(joint, part) for part in joint._fields if part != "innovation"):
-        raise ValueError("hooks: expected hooks that only leave measurements out, got one that changes noise; `colored` takes it")
+    if any(
+        getattr(after, part) is not getattr(joint, part)
+        for part in joint._fields
+        if part != "innovation"
+    ):
+        raise ValueError(
+            "hooks: expected hooks that only leave measurements out, got one that changes noise; `colored` takes it"
+        )
     return memory, after
 
 
@@ -302,7 +403,13 @@ class Augmented(Sequential):
 
 
 def augmented(
-    motion: Motion, sensor: Sensor, Phi: Coloring, *, increments: Any = None, rule: Any = UNSCENTED, **options: Any
+    motion: Motion,
+    sensor: Sensor,
+    Phi: Coloring,
+    *,
+    increments: Any = None,
+    rule: Any = UNSCENTED,
+    **options: Any,
 ) -> Augmented:
     """The exact reference for colored noise: a filter on ``[x; V] (n + m)`` with no measurement noise of its own.
 
@@ -320,7 +427,10 @@ def augmented(
     m, h, phi, zeta = sensor.m, sensor.h, coloring(Phi, sensor.m), zeta_of(sensor, Phi, increments)
 
     def f(x: Array, epoch: Any) -> Array:
-        moved, Phi = evaluate(motion, x[..., :-m].copy(order="K"), epoch), phi(epoch) if callable(phi) else phi
+        moved, Phi = (
+            evaluate(motion, x[..., :-m].copy(order="K"), epoch),
+            phi(epoch) if callable(phi) else phi,
+        )
         if Phi.ndim > 2:
             together(points=x.shape[1:-1], Phi=Phi.shape[:-2])
         return side_by_side([moved, matvec(Phi, x[..., -m:])])
@@ -331,7 +441,15 @@ def augmented(
     def seen(x: Array, epoch: Any) -> Array:
         return np.asanyarray(sensor.space.plus(h(x[..., :-m], epoch), x[..., -m:]))
 
-    measured = seen if callable(h) else np.concatenate([h, np.broadcast_to(np.eye(m), (*h.shape[:-2], m, m))], -1)
+    measured = (
+        seen
+        if callable(h)
+        else np.concatenate([h, np.broadcast_to(np.eye(m), (*h.shape[:-2], m, m))], -1)
+    )
     both = Sensor(measured, sqrt_R=np.zeros((m, 0)), space=sensor.space)
     made = sigma_point(Motion(f, sqrt_Q=noise), both, rule=rule, **options)
-    return Augmented(**vars(made), sqrt_V=tria(np.asanyarray(sensor.noise)), runs=() if callable(Phi) else np.shape(Phi)[:-2])
+    return Augmented(
+        **vars(made),
+        sqrt_V=tria(np.asanyarray(sensor.noise)),
+        runs=() if callable(Phi) else np.shape(Phi)[:-2],
+    )

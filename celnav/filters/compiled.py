@@ -42,13 +42,27 @@ class Compiled:
     """
 
     def __init__(self, filter: Any, jobs: int, engine: str, most: int):
-        self.filter, self.jobs, self.engine, self._most, self._kept = filter, jobs, engine, most, dict[Any, Any]()
+        self.filter, self.jobs, self.engine, self._most, self._kept = (
+            filter,
+            jobs,
+            engine,
+            most,
+            dict[Any, Any](),
+        )
 
     def __repr__(self) -> str:
         return f"Compiled({self.filter!r})"
 
     def run(
-        self, prior: Any, times: Any, z: Any = None, u: Any = None, *, every: int = 1, keep: str = "std", on_failure: str = "raise"
+        self,
+        prior: Any,
+        times: Any,
+        z: Any = None,
+        u: Any = None,
+        *,
+        every: int = 1,
+        keep: str = "std",
+        on_failure: str = "raise",
     ) -> Track:
         """The track, as `celnav.run` gives it with these arguments."""
         choice("keep", keep, ("std", "cov", "mean", "nothing"))
@@ -60,23 +74,46 @@ class Compiled:
         try:
             data = as_data(self.filter, epochs)
             some = epochs[:CHECKED]
-            engine = Engine(self.filter, prior, data, keep, self._kept, most=self._most, rolled=self.engine != "cuda")
-            flight = fly(engine, data, every, self.jobs, device() if self.engine == "cuda" else None)
+            engine = Engine(
+                self.filter,
+                prior,
+                data,
+                keep,
+                self._kept,
+                most=self._most,
+                rolled=self.engine != "cuda",
+            )
+            flight = fly(
+                engine, data, every, self.jobs, device() if self.engine == "cuda" else None
+            )
         except (CannotCompile, CudaError, ImportError):
             raise
         except Exception as error:
-            run(self.filter, prior, some, every=every, keep=keep, engine="numpy")  # what is wrong anyhow is told as ever
+            run(
+                self.filter, prior, some, every=every, keep=keep, engine="numpy"
+            )  # what is wrong anyhow is told as ever
             raise CannotCompile(f"{str(error) or type(error).__name__}{_place(error)}") from error
         stored = islice(epochs, 0, len(epochs) if keep == "cov" else 0, every)
         known = tuple(epoch._replace(z=None, truth=None) for epoch in stored)
-        track = replace(_track(engine, data, flight, every), epochs=known, filter=self.filter, engine=self.engine)
+        track = replace(
+            _track(engine, data, flight, every),
+            epochs=known,
+            filter=self.filter,
+            engine=self.engine,
+        )
         if engine.fresh:
             self._compare(track, engine, prior, data, every)
         if keep == "nothing":
-            nothing: dict[str, Any] = dict.fromkeys(("mean", "std", "innovation", "whitened", "used"))
+            nothing: dict[str, Any] = dict.fromkeys(
+                ("mean", "std", "innovation", "whitened", "used")
+            )
             track = replace(track, **nothing, sensors=())
         lost = np.flatnonzero(track.failed_at.ravel() >= 0)
-        return self._again(track, engine, prior, data, lost, on_failure, every=every, keep=keep) if len(lost) else track
+        return (
+            self._again(track, engine, prior, data, lost, on_failure, every=every, keep=keep)
+            if len(lost)
+            else track
+        )
 
     def start(self, prior: Any) -> Any:
         """The filter's own state before the first epoch; `step` is for those that predict, then update."""
@@ -90,36 +127,68 @@ class Compiled:
         if state.belief.mean.dtype.hasobject:  # recorded itself, as a part of another filter
             return self.filter.step(state, epoch)  # type: ignore[no-any-return]
         if type(self.filter).start is not Sequential.start:
-            raise CannotCompile("a filter that adds to its prior is compiled for whole flights only")
+            raise CannotCompile(
+                "a filter that adds to its prior is compiled for whole flights only"
+            )
         track = self.run(state.belief, [epoch], keep="cov", on_failure="flag")
         if any(len(made.after.arrays) > 2 for made in self._kept.values()):
             raise CannotCompile("hooks that remember something are compiled for whole flights only")
-        share, rows = track.log_likelihood / max(len(track.sensors), 1), (track.innovation, track.whitened, track.used)
-        seen = zip(*(np.split(x[0], np.cumsum(track.sensors), -1) for x in rows if x is not None), strict=True)
+        share, rows = (
+            track.log_likelihood / max(len(track.sensors), 1),
+            (track.innovation, track.whitened, track.used),
+        )
+        seen = zip(
+            *(np.split(x[0], np.cumsum(track.sensors), -1) for x in rows if x is not None),
+            strict=True,
+        )
         z = measurements(epoch.z, len(self.filter.sensors))
-        infos = tuple(Info(silent=True) if one is None else Info(*next(seen))._replace(mixture=share) for one in z)
+        infos = tuple(
+            Info(silent=True) if one is None else Info(*next(seen))._replace(mixture=share)
+            for one in z
+        )
         assert track.belief is not None
         return state._replace(belief=type(track.belief)(*(x[0] for x in track.belief))), infos
 
     def _compare(self, track: Track, engine: Engine, prior: Any, data: Data, every: int) -> None:
         """Raise `CannotCompile` if the first epochs of some runs are not what the numpy engine gives: nothing is taken on trust."""
         few = sorted({0, track.failed_at.size // 2, track.failed_at.size - 1})
-        known = run(*_of(self.filter, prior, data, engine.batch, few, CHECKED), every=every, on_failure="flag", engine="numpy")
+        known = run(
+            *_of(self.filter, prior, data, engine.batch, few, CHECKED),
+            every=every,
+            on_failure="flag",
+            engine="numpy",
+        )
         sound = (track.failed_at.ravel()[few] < 0) & (known.failed_at.ravel() < 0)
         for name in ("mean", "std") if sound.any() else ():
             if (rows := getattr(track, name)) is not None:
                 theirs = getattr(known, name).reshape(len(known.times), len(few), -1)[:, sound]
-                mine = rows[: len(theirs)].reshape(len(theirs), -1, rows.shape[-1])[:, few][:, sound]
+                mine = rows[: len(theirs)].reshape(len(theirs), -1, rows.shape[-1])[:, few][
+                    :, sound
+                ]
                 scale = np.abs(theirs) + np.nanmax(known.std)
                 if not (np.abs(mine - theirs) <= 1e-6 * scale).all():
                     self._kept.clear()
-                    raise CannotCompile("the model gives other values when it is recorded: it looks at what it is given")
+                    raise CannotCompile(
+                        "the model gives other values when it is recorded: it looks at what it is given"
+                    )
 
-    def _again(self, track: Track, engine: Engine, prior: Any, data: Data, lost: Array, on_failure: str, **options: Any) -> Track:
+    def _again(
+        self,
+        track: Track,
+        engine: Engine,
+        prior: Any,
+        data: Data,
+        lost: Array,
+        on_failure: str,
+        **options: Any,
+    ) -> Track:
         """The track, with the runs that were lost flown by the numpy engine."""
         filter, own, epochs = _of(self.filter, prior, data, engine.batch, lost)
         if not engine.batch:
-            return replace(run(filter, own, epochs, on_failure=on_failure, engine="numpy", **options), engine=self.engine)
+            return replace(
+                run(filter, own, epochs, on_failure=on_failure, engine="numpy", **options),
+                engine=self.engine,
+            )
         again = run(filter, own, epochs, on_failure="flag", engine="numpy", **options)
         still = np.flatnonzero(again.failed_at >= 0)
         if len(still) and on_failure == "raise":
@@ -155,12 +224,16 @@ def _track(engine: Engine, data: Data, flight: Flight, every: int) -> Track:
         lower = rows["spread"]
         n = rows["std"].shape[-1]
         spread = np.zeros((*lower.shape[:-1], n, n))
-        for k, (i, j) in enumerate(entries((n, n), "lower")):  # one by one, which is several times as fast as all by their indices
+        for k, (i, j) in enumerate(
+            entries((n, n), "lower")
+        ):  # one by one, which is several times as fast as all by their indices
             spread[..., i, j] = lower[..., k]
             if engine.form is Covariance:
                 spread[..., j, i] = lower[..., k]
         belief = engine.form(rows["mean"], spread)
-    likelihood, missing, rejected, redone, failed = (x.reshape(engine.batch) for x in flight.tally.T.copy())
+    likelihood, missing, rejected, redone, failed = (
+        x.reshape(engine.batch) for x in flight.tally.T.copy()
+    )
     often = np.bincount(data.kinds, minlength=len(data.known))
     silent = sum(int(count) * m for count, kind in zip(often, data.known, strict=True)
                  for m, what in zip(engine.innovations, kind.z, strict=True) if what == NONE)  # fmt: skip
@@ -174,13 +247,21 @@ def _track(engine: Engine, data: Data, flight: Flight, every: int) -> Track:
         whitened=beside("whitened"),
         used=None if used is None else used != 0.0,  # type: ignore[arg-type]
         log_likelihood=likelihood,
-        events={"missing": missing.astype(int) + silent, "rejected": rejected.astype(int), "redone": redone.astype(int)},
+        events={
+            "missing": missing.astype(int) + silent,
+            "rejected": rejected.astype(int),
+            "redone": redone.astype(int),
+        },
         failed_at=failed.astype(int),
-        sensors=tuple(rows[f"innovation/{i}"].shape[-1] for i in sensors if f"innovation/{i}" in rows),
+        sensors=tuple(
+            rows[f"innovation/{i}"].shape[-1] for i in sensors if f"innovation/{i}" in rows
+        ),
     )
 
 
-def _of(filter: Any, prior: Any, data: Data, batch: tuple[int, ...], runs: Any, count: int | None = None) -> tuple[Any, Any, Any]:
+def _of(
+    filter: Any, prior: Any, data: Data, batch: tuple[int, ...], runs: Any, count: int | None = None
+) -> tuple[Any, Any, Any]:
     """Filter, prior and the first epochs, None: all, of some runs, numbered over all axes of a batch, or of one run alone."""
 
     def part(x: Array, own: int) -> Array:
@@ -198,10 +279,22 @@ def _of(filter: Any, prior: Any, data: Data, batch: tuple[int, ...], runs: Any, 
     epochs = []
     for i, kind in enumerate(data.kinds[:count]):
         there = data.known[kind]
-        z = tuple(None if what == NONE else part(values[i], 1) for what, values in zip(there.z, data.z, strict=True))
+        z = tuple(
+            None if what == NONE else part(values[i], 1)
+            for what, values in zip(there.z, data.z, strict=True)
+        )
         dt = data.dt[i]
         u, about = _input(data, i, batch, part)
-        epochs.append(Epoch(int(data.k[i]), float(data.t[i]), part(dt, 0) if dt.ndim else float(dt), u, z, about=about))
+        epochs.append(
+            Epoch(
+                int(data.k[i]),
+                float(data.t[i]),
+                part(dt, 0) if dt.ndim else float(dt),
+                u,
+                z,
+                about=about,
+            )
+        )
     return each_run(filter, lambda x: part(x, 2)), some, epochs
 
 
@@ -216,9 +309,17 @@ def _input(data: Data, i: int, batch: tuple[int, ...], part: Any) -> Any:
 def _place(error: BaseException) -> str:
     """Where a model asked for what cannot be recorded."""
     package = Path(__file__).parents[1]
-    frames = [f for f in traceback.extract_tb(error.__traceback__) if "numpy" not in Path(f.filename).parts]
+    frames = [
+        f
+        for f in traceback.extract_tb(error.__traceback__)
+        if "numpy" not in Path(f.filename).parts
+    ]
     mine = [f for f in frames if package not in Path(f.filename).parents] or frames
-    return f" ({Path(mine[-1].filename).name}, line {mine[-1].lineno}: {mine[-1].line})" if mine else ""
+    return (
+        f" ({Path(mine[-1].filename).name}, line {mine[-1].lineno}: {mine[-1].line})"
+        if mine
+        else ""
+    )
 
 
 def compiled(filter: Any, *, jobs: int = 1, engine: str = "compiled") -> Compiled:
@@ -247,17 +348,32 @@ def chosen(engine: str, filter: Any, jobs: int) -> Compiled:
 
 def _listed(filter: Any, prior: Any, epochs: Any) -> Epochs | list[Epoch]:
     """Epochs that can be gone through twice; what is none is told as the numpy engine does."""
-    if not isinstance(epochs, Epochs) and not hasattr(epochs, "__iter__") and not hasattr(epochs, "__getitem__"):
+    if (
+        not isinstance(epochs, Epochs)
+        and not hasattr(epochs, "__iter__")
+        and not hasattr(epochs, "__getitem__")
+    ):
         run(filter, prior, epochs, engine="numpy")
     return epochs if isinstance(epochs, Epochs) else list(epochs)
 
 
-def run_by(engine: str, filter: Any, prior: Any, epochs: Any, jobs: int, also: Any, reduce: Any, **options: Any) -> Track:
+def run_by(
+    engine: str,
+    filter: Any,
+    prior: Any,
+    epochs: Any,
+    jobs: int,
+    also: Any,
+    reduce: Any,
+    **options: Any,
+) -> Track:
     """`celnav.run` with an engine that is "compiled" or "cuda", or "auto": compiled, and numpy where that cannot be."""
     epochs, made = _listed(filter, prior, epochs), chosen(engine, filter, jobs)
     try:
         if also is not None or reduce is not None:
-            raise CannotCompile(f"also, reduce: expected none with engine={made.engine!r}, which keeps no states between epochs")
+            raise CannotCompile(
+                f"also, reduce: expected none with engine={made.engine!r}, which keeps no states between epochs"
+            )
         return made.run(prior, epochs, **options)
     except (CannotCompile, ImportError) as error:
         if engine != "auto":
@@ -266,7 +382,9 @@ def run_by(engine: str, filter: Any, prior: Any, epochs: Any, jobs: int, also: A
         return replace(track, engine=f"numpy: {error}")
 
 
-def steps_by(engine: str, filter: Any, prior: Any, epochs: Iterable[Epoch]) -> Iterable[tuple[Epoch, State, tuple[Info, ...]]]:
+def steps_by(
+    engine: str, filter: Any, prior: Any, epochs: Iterable[Epoch]
+) -> Iterable[tuple[Epoch, State, tuple[Info, ...]]]:
     """`celnav.steps` likewise; by numpy too where a run is lost, since why is to be told. An `Info` is of all sensors together."""
     epochs = _listed(filter, prior, epochs)
     try:
@@ -278,6 +396,10 @@ def steps_by(engine: str, filter: Any, prior: Any, epochs: Iterable[Epoch]) -> I
     if track.belief is None or (track.failed_at >= 0).any():
         return steps(filter, prior, epochs)
     form, whitened = type(track.belief), track.whitened
-    infos = [Info()] * len(epochs) if whitened is None else map(Info, track.innovation, whitened, track.used)
+    infos = (
+        [Info()] * len(epochs)
+        if whitened is None
+        else map(Info, track.innovation, whitened, track.used)
+    )
     rows = zip(epochs, *track.belief, infos, strict=True)
     return ((epoch, State(form(mean, spread)), (info,)) for epoch, mean, spread, info in rows)

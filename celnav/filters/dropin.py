@@ -73,8 +73,13 @@ class SigmaPointUKF:
     ):  # fmt: skip
         self._dim_x, self._dim_z, self._dt, self._vectorized = dim_x, dim_z, dt, vectorized
         # What is made when asked for, and what is no array: filterpy's Saver makes arrays of all other attributes.
-        self._made: dict[str, Any] = {"log_likelihood": float(np.log(sys.float_info.min)), "mahalanobis": 0.0}
-        self._roots: dict[str, tuple[Any, Array]] = {}  # by name: a matrix as it was, and what its checks made of it
+        self._made: dict[str, Any] = {
+            "log_likelihood": float(np.log(sys.float_info.min)),
+            "mahalanobis": 0.0,
+        }
+        self._roots: dict[
+            str, tuple[Any, Array]
+        ] = {}  # by name: a matrix as it was, and what its checks made of it
         self.points_fn = points
         self.hx, self.fx = hx, fx
         self.msqrt = cholesky if sqrt_fn is None else sqrt_fn
@@ -87,7 +92,10 @@ class SigmaPointUKF:
         self.Q, self.R = np.eye(dim_x), np.eye(dim_z)
         self.x_prior, self.P_prior = self.x.copy(), self.P.copy()
         self.x_post, self.P_post = self.x.copy(), self.P.copy()
-        self.sigmas_f, self.sigmas_h = np.zeros((self._num_sigmas, dim_x)), np.zeros((self._num_sigmas, dim_z))
+        self.sigmas_f, self.sigmas_h = (
+            np.zeros((self._num_sigmas, dim_x)),
+            np.zeros((self._num_sigmas, dim_z)),
+        )
         self.K, self.y = np.zeros((dim_x, dim_z)), np.zeros(dim_z)
         self.S, self.SI = np.zeros((dim_z, dim_z)), np.zeros((dim_z, dim_z))
         self.z: Any = np.array([[None] * dim_z]).T
@@ -96,7 +104,9 @@ class SigmaPointUKF:
     SI = _late("SI", "Inverse ``(m, m)`` of ``S``, by ``inv``.")
     sigmas_f = _late("sigmas_f", "Points ``(p, n)`` of the last prediction.")
     log_likelihood = _late("log_likelihood", "Logarithm of the density of the last measurement.")
-    mahalanobis = _late("mahalanobis", "Mahalanobis distance of the last measurement; 0 before the first.")
+    mahalanobis = _late(
+        "mahalanobis", "Mahalanobis distance of the last measurement; 0 before the first."
+    )
 
     @property
     def points_fn(self) -> Any:
@@ -108,7 +118,9 @@ class SigmaPointUKF:
         if points.n != self._dim_x:
             raise ValueError(f"points: expected n = dim_x = {self._dim_x}, got {points.n}")
         rule = points if isinstance(points, Rule) else from_filterpy(points)
-        rule.points(np.zeros(rule.n), np.eye(rule.n), EUCLIDEAN)  # which refuses one without points in some dimension
+        rule.points(
+            np.zeros(rule.n), np.eye(rule.n), EUCLIDEAN
+        )  # which refuses one without points in some dimension
         self._points_fn, self._num_sigmas = points, points.num_sigmas()
         self.Wm, self.Wc = points.Wm, points.Wc
         self._made["rule"] = rule, self.Wm, self.Wc
@@ -119,16 +131,33 @@ class SigmaPointUKF:
         rule, Wm, Wc = self._made["rule"]
         if Wm is not self.Wm or Wc is not self.Wc:
             points = self._points_fn
-            rule = from_filterpy(SimpleNamespace(n=points.n, sigma_points=points.sigma_points, Wm=self.Wm, Wc=self.Wc))
+            rule = from_filterpy(
+                SimpleNamespace(
+                    n=points.n, sigma_points=points.sigma_points, Wm=self.Wm, Wc=self.Wc
+                )
+            )
             self._made["rule"] = rule, self.Wm, self.Wc
         return rule  # type: ignore[no-any-return]
 
-    def predict(self, dt: Any = None, UT: Function | None = None, fx: Function | None = None, **fx_args: Any) -> None:
+    def predict(
+        self, dt: Any = None, UT: Function | None = None, fx: Function | None = None, **fx_args: Any
+    ) -> None:
         """Predict over ``dt``, which goes to ``fx``; the points are then drawn anew, as in filterpy 2.0."""
-        belief, process, function = self._belief(), self._root("Q", self.Q, self._dim_x), self._motion(dt, fx, fx_args)
+        belief, process, function = (
+            self._belief(),
+            self._root("Q", self.Q, self._dim_x),
+            self._motion(dt, fx, fx_args),
+        )
         if UT is None:
             space = self._space()
-            ahead = joint(self.rule, belief, lambda x, _: (function(x, None),), space=space, spaces=(space,), process_noise=process)
+            ahead = joint(
+                self.rule,
+                belief,
+                lambda x, _: (function(x, None),),
+                space=space,
+                spaces=(space,),
+                process_noise=process,
+            )
             after = marginal(self._form, ahead, space)
             self._check(belief, after, "fx", function, "the covariance lost positive definiteness")
             belief = after
@@ -139,7 +168,14 @@ class SigmaPointUKF:
         self._made["sigmas_f"] = lambda: self._points(belief)
         self.x_prior, self.P_prior = self.x.copy(), self.P.copy()
 
-    def update(self, z: Any, R: Any = None, UT: Function | None = None, hx: Function | None = None, **hx_args: Any) -> None:
+    def update(
+        self,
+        z: Any,
+        R: Any = None,
+        UT: Function | None = None,
+        hx: Function | None = None,
+        **hx_args: Any,
+    ) -> None:
         """Update with ``z``: None, or all nan, is no measurement; partly nan uses the rest."""
         measured = np.zeros(0) if z is None else numbers("z", z)
         if measured.ndim != 1:
@@ -151,7 +187,10 @@ class SigmaPointUKF:
                 raise ValueError("z: expected finite numbers or nan, got an infinite one")
             if np.isnan(measured).all():
                 self.z = np.array([[None] * self._dim_z]).T
-                self.x_post, self.P_post = np.array(self.x, dtype=np.float64), np.array(self.P, dtype=np.float64)
+                self.x_post, self.P_post = (
+                    np.array(self.x, dtype=np.float64),
+                    np.array(self.P, dtype=np.float64),
+                )
                 return
         m, n = len(measured), self._dim_z
         if m != n and hx is None and np.shape(self.R if R is None else R) == (n, n):
@@ -160,17 +199,29 @@ class SigmaPointUKF:
         root, belief = self._root("R", noise, m), self._belief()
         h = _model_of(self._vectorized, "hx", self.hx if hx is None else hx, m, (), hx_args)
         done: Any = (
-            self._conditioned(belief, measured, h, root) if UT is None else self._transformed(UT, belief, measured, h, noise)
+            self._conditioned(belief, measured, h, root)
+            if UT is None
+            else self._transformed(UT, belief, measured, h, noise)
         )
         after, images, S, info = done
         self._keep(after)
-        self.sigmas_h, self.S, self.y = np.array(images[-self._num_sigmas :]), S, np.asarray(info.innovation)
-        self._made |= {"K": info.gain, "SI": lambda: self.inv(S), "mahalanobis": lambda: float(np.sqrt(info.nis))}
+        self.sigmas_h, self.S, self.y = (
+            np.array(images[-self._num_sigmas :]),
+            S,
+            np.asarray(info.innovation),
+        )
+        self._made |= {
+            "K": info.gain,
+            "SI": lambda: self.inv(S),
+            "mahalanobis": lambda: float(np.sqrt(info.nis)),
+        }
         self._made["log_likelihood"] = lambda: float(info.log_likelihood)
         self.z = z.copy() if type(z) is np.ndarray else deepcopy(z)
         self.x_post, self.P_post = self.x.copy(), self.P.copy()
 
-    def _conditioned(self, belief: Any, z: Array, h: Model, root: Array) -> tuple[Any, Array, Array, Info]:
+    def _conditioned(
+        self, belief: Any, z: Array, h: Model, root: Array
+    ) -> tuple[Any, Array, Array, Info]:
         """By celnav's own step: the belief, images of the points, the covariance of the innovation, and what was done."""
         space, measured = self._space(), _space_of(np.add, self.residual_z, self.z_mean)
         seen: list[Array] = []
@@ -181,11 +232,20 @@ class SigmaPointUKF:
 
         if 0.0 not in root.diagonal().tolist() or root.any(-1).all():
             both = joint(
-                self.rule, belief, lambda x, _: (g(x), KEEP), space=space, spaces=(measured, space), z=z, measurement_noise=root
+                self.rule,
+                belief,
+                lambda x, _: (g(x), KEEP),
+                space=space,
+                spaces=(measured, space),
+                z=z,
+                measurement_noise=root,
             )
             after, info, _ = condition(self._form, both, space)
         else:  # what is exact must not be of what is known already
-            motion, sensor = Motion(g, sqrt_Q=np.zeros((self._dim_x, 0)), space=space), Sensor(g, sqrt_R=root, space=measured)
+            motion, sensor = (
+                Motion(g, sqrt_Q=np.zeros((self._dim_x, 0)), space=space),
+                Sensor(g, sqrt_R=root, space=measured),
+            )
             exact = Sequential(motion, (sensor,), rule=self.rule, form=self._form)
             after, info, _ = exact.see(sensor, belief, z, Epoch(), (), None)
         self._check(belief, after, "hx", h, "the innovation covariance is not positive definite")
@@ -195,23 +255,41 @@ class SigmaPointUKF:
         if any_lost(after):
             points = self.rule.points(before.mean, before.sqrt_cov, self._space())[0]
             bad = ~np.isfinite(function(points, None)).all(-1)
-            raise ValueError(f"{name} is not finite at sigma point {int(np.argmax(bad))}" if bad.any() else why)
+            raise ValueError(
+                f"{name} is not finite at sigma point {int(np.argmax(bad))}" if bad.any() else why
+            )
 
-    def _transformed(self, UT: Function, belief: Any, z: Array, h: Model, R: Any) -> tuple[Any, Array, Array, Info]:
+    def _transformed(
+        self, UT: Function, belief: Any, z: Array, h: Model, R: Any
+    ) -> tuple[Any, Array, Array, Info]:
         """The same by a transform of the user's, which gives a mean and a covariance."""
         if np.isnan(z).any():
             raise ValueError("z: expected every component where UT is given, got nan")
         images, predicted, S, gain = self._through(UT, belief, h, R, self.z_mean, self.residual_z)
         L, innovation = symmetric(S, "S", len(z))[1], np.asarray(self.residual_z(z, predicted))
-        after = self._from(self.state_add(belief.mean, gain @ innovation), belief.cov - gain @ S @ gain.T)
-        return after, images, S, Info(innovation, whiten(L, innovation), np.ones(len(z), bool), L, lambda: gain)
+        after = self._from(
+            self.state_add(belief.mean, gain @ innovation), belief.cov - gain @ S @ gain.T
+        )
+        return (
+            after,
+            images,
+            S,
+            Info(innovation, whiten(L, innovation), np.ones(len(z), bool), L, lambda: gain),
+        )
 
-    def _through(self, UT: Any, belief: Any, function: Model, noise: Any, mean: Any, residual: Any) -> tuple[Any, Any, Any, Any]:
+    def _through(
+        self, UT: Any, belief: Any, function: Model, noise: Any, mean: Any, residual: Any
+    ) -> tuple[Any, Any, Any, Any]:
         """The images of the points, the mean and the covariance that a transform makes of them, and the gain on these."""
         points = self._points(belief)
         images = function(points, None)
         y, S = UT(images, self.Wm, self.Wc, noise, mean, residual)
-        return images, y, S, np.linalg.solve(S.T, self._cross(points, belief.mean, images, y, residual).T).T
+        return (
+            images,
+            y,
+            S,
+            np.linalg.solve(S.T, self._cross(points, belief.mean, images, y, residual).T).T,
+        )
 
     def compute_process_sigmas(self, dt: Any, fx: Function | None = None, **fx_args: Any) -> None:
         """Put the propagated points in ``sigmas_f``. (An update always draws its points from the present state.)"""
@@ -226,7 +304,12 @@ class SigmaPointUKF:
         return np.asarray((dx * np.asarray(self.Wc)[:, None]).T @ dy)
 
     def batch_filter(
-        self, zs: Any, Rs: Any = None, dts: Any = None, UT: Function | None = None, saver: Any = None
+        self,
+        zs: Any,
+        Rs: Any = None,
+        dts: Any = None,
+        UT: Function | None = None,
+        saver: Any = None,
     ) -> tuple[Array, Array]:
         """Predict and update over all ``zs`` (None where missing): means ``(T, n)`` and covariances ``(T, n, n)``."""
         count = len(zs)
@@ -248,16 +331,24 @@ class SigmaPointUKF:
         ``dts[k]`` and ``Qs[k]``, which filterpy does not heed, lead from k to k + 1.
         """
         count, n = len(Xs), self._dim_x
-        xs, ps, gains = finite("Xs", Xs, (count, n)), finite("Ps", Ps, (count, n, n)), np.zeros((count, n, n))
+        xs, ps, gains = (
+            finite("Xs", Xs, (count, n)),
+            finite("Ps", Ps, (count, n, n)),
+            np.zeros((count, n, n)),
+        )
         Qs, dts = self._each("Qs", Qs, self.Q, count), self._each("dts", dts, self._dt, count)
         after = self._from(xs[-1], ps[-1], "Ps")
         for k in reversed(range(count - 1)):
             belief, function = self._from(xs[k], ps[k], "Ps"), self._motion(dts[k], None, {})
             if UT is None:
                 motion = Motion(function, sqrt_Q=self._root("Qs", Qs[k], n), space=self._space())
-                after, gains[k] = back(Sequential(motion, rule=self.rule, form=self._form), belief, after, Epoch())
+                after, gains[k] = back(
+                    Sequential(motion, rule=self.rule, form=self._form), belief, after, Epoch()
+                )
             else:
-                _, mean, cov, G = self._through(UT, belief, function, Qs[k], self.x_mean, self.residual_x)
+                _, mean, cov, G = self._through(
+                    UT, belief, function, Qs[k], self.x_mean, self.residual_x
+                )
                 smoothed = self.state_add(xs[k], G @ self.residual_x(after.mean, mean))
                 after, gains[k] = self._from(smoothed, ps[k] + G @ (after.cov - cov) @ G.T, "Ps"), G
             xs[k], ps[k] = after.mean, after.cov
@@ -271,10 +362,17 @@ class SigmaPointUKF:
     def __repr__(self) -> str:
         names = "x P x_prior P_prior Q R S K y log_likelihood likelihood mahalanobis sigmas_f sigmas_h Wm Wc residual_x residual_z"
         names += " msqrt hx fx x_mean z_mean"
-        return "\n".join([f"{type(self).__name__} object", *(str(pretty_str(name, getattr(self, name))) for name in names.split())])
+        return "\n".join(
+            [
+                f"{type(self).__name__} object",
+                *(str(pretty_str(name, getattr(self, name))) for name in names.split()),
+            ]
+        )
 
     def __getstate__(self) -> Mapping[str, Any]:
-        self._made = {name: value() if callable(value) else value for name, value in self._made.items()}
+        self._made = {
+            name: value() if callable(value) else value for name, value in self._made.items()
+        }
         return self.__dict__
 
     def _belief(self) -> Any:
@@ -308,16 +406,22 @@ class SigmaPointUKF:
     def _motion(self, dt: Any, fx: Function | None, options: dict[str, Any]) -> Model:
         dt = self._dt if dt is None else dt
         # Anything but a number is for fx to understand, as in filterpy: dates of numpy would count as numbers there.
-        if isinstance(dt, (np.datetime64, np.timedelta64)) or (isinstance(dt, (float, int, np.number)) and not isfinite(dt)):
+        if isinstance(dt, (np.datetime64, np.timedelta64)) or (
+            isinstance(dt, (float, int, np.number)) and not isfinite(dt)
+        ):
             raise ValueError(f"dt: expected a finite number, got {dt!r}")
-        return _model_of(self._vectorized, "fx", self.fx if fx is None else fx, self._dim_x, (dt,), options)
+        return _model_of(
+            self._vectorized, "fx", self.fx if fx is None else fx, self._dim_x, (dt,), options
+        )
 
     def _each(self, name: str, values: Any, own: Any, count: int) -> Any:
         """A value for each of so many epochs."""
         if values is None or np.isscalar(values):
             return [own if values is None else values] * count
         if len(values) != count:
-            raise ValueError(f"{name}: expected {count} entries, one for each epoch, got {len(values)}")
+            raise ValueError(
+                f"{name}: expected {count} entries, one for each epoch, got {len(values)}"
+            )
         return values
 
     def _from(self, mean: Any, cov: Any, name: str = "P") -> Any:
@@ -348,13 +452,29 @@ class SquareRootUKF(SigmaPointUKF):
 
 
 # -- filterpy's functions of one vector as functions of all points -------------------------------------------------------
-def _model_of(vectorized: bool, name: str, function: Function, m: int, given: tuple[Any, ...], options: dict[str, Any]) -> Model:
+def _model_of(
+    vectorized: bool,
+    name: str,
+    function: Function,
+    m: int,
+    given: tuple[Any, ...],
+    options: dict[str, Any],
+) -> Model:
     """A model ``(p, n) -> (p, m)`` of all points from filterpy's of one, or, if it is ``vectorized``, of all."""
 
     def model(points: Array, epoch: Any) -> Array:  # noqa: ARG001
         own = points.copy()  # which the function may change
-        found: Any = function(own, *given, **options) if vectorized else [function(point, *given, **options) for point in own]
-        values = numbers(name, np.asarray(found) if not vectorized and set(map(type, found)) == {np.ndarray} else found)
+        found: Any = (
+            function(own, *given, **options)
+            if vectorized
+            else [function(point, *given, **options) for point in own]
+        )
+        values = numbers(
+            name,
+            np.asarray(found)
+            if not vectorized and set(map(type, found)) == {np.ndarray}
+            else found,
+        )
         if values.shape != (len(own), m):
             values = values.reshape(len(own), -1)
             if values.shape[-1] != m:
@@ -368,7 +488,11 @@ def _space_of(add: Function, residual: Function, mean: Function | None) -> Space
     """The space of filterpy's ``state_add``, residual and mean; None is no mean of its own."""
     if add is np.add and residual is np.subtract and mean is None:
         return EUCLIDEAN
-    own = None if mean is None else lambda points, weights: np.asarray(mean(points, weights), dtype=np.float64)
+    own = (
+        None
+        if mean is None
+        else lambda points, weights: np.asarray(mean(points, weights), dtype=np.float64)
+    )
 
     def plus(point: Array, tangent: Any) -> Array:
         """Sums of a point and all tangents; ``add`` may change its first argument. A mean of its own needs none, with 0."""
@@ -385,4 +509,6 @@ def _differences(residual: Function) -> Function:
 
 
 def _by_row(function: Function, rows: Array) -> Array:
-    return np.array([function(row) for row in np.atleast_2d(rows)], dtype=np.float64).reshape(rows.shape)
+    return np.array([function(row) for row in np.atleast_2d(rows)], dtype=np.float64).reshape(
+        rows.shape
+    )

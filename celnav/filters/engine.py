@@ -140,7 +140,15 @@ class Engine:
     stride = 1
 
     def __init__(
-        self, filter: Any, prior: Any, data: Data, keep: str, kept: dict[Any, Recorded], *, most: int = MOST, rolled: bool = True
+        self,
+        filter: Any,
+        prior: Any,
+        data: Data,
+        keep: str,
+        kept: dict[Any, Recorded],
+        *,
+        most: int = MOST,
+        rolled: bool = True,
     ):
         self.filter, self.kept, self.fresh = filter, kept, False
         self.most, self.rolled = most, rolled
@@ -152,10 +160,14 @@ class Engine:
         each_run(filter, lambda array: constants.append(array) or array)  # type: ignore[func-returns-value]
         axes = {f"z{i}": z.shape[1:-1] for i, z in enumerate(data.z)}
         axes |= {f"matrix {i}": array.shape[:-2] for i, array in enumerate(constants)}
-        self.batch = together(mean=prior.mean.shape[:-1], cov=prior.cov.shape[:-2], dt=data.dt.shape[1:], **axes)
+        self.batch = together(
+            mean=prior.mean.shape[:-1], cov=prior.cov.shape[:-2], dt=data.dt.shape[1:], **axes
+        )
         if 0 in self.batch:
             raise CannotCompile("there are no runs")
-        self.constants = [np.broadcast_to(array, (*self.batch, *array.shape[-2:])) for array in constants]
+        self.constants = [
+            np.broadcast_to(array, (*self.batch, *array.shape[-2:])) for array in constants
+        ]
         self.held = len(TALLY) + sum(int(np.prod(array.shape[-2:])) for array in constants)
         # The length of an interval is a number of the program where it is always the same: not of one step, whose next may differ.
         moving = np.unique(data.dt[data.dt != 0.0])
@@ -203,13 +215,17 @@ class Engine:
             out.append((values, is_own(parts[0], self.batch)))
         return out
 
-    def recorded_as(self, before: Shape, kind: Kind, u: list[tuple[Array, bool]], lanes: int) -> Recorded:
+    def recorded_as(
+        self, before: Shape, kind: Kind, u: list[tuple[Array, bool]], lanes: int
+    ) -> Recorded:
         """The step, recorded and compiled; for 0 lanes recorded only."""
         shapes = tuple((x.shape[1 + len(self.batch) * own :], own) for x, own in u)
         key = (before, kind, shapes, self.keep, self.dt, tuple(self.widths), lanes)
         if key not in self.kept:
             made = self.record(before, kind, u)
-            self.kept[key] = made._replace(address=llvm.kernel_address(made.kernel, lanes)) if lanes else made
+            self.kept[key] = (
+                made._replace(address=llvm.kernel_address(made.kernel, lanes)) if lanes else made
+            )
             self.fresh = True
         return self.kept[key]
 
@@ -221,7 +237,13 @@ class Engine:
             inputs.append((place, at))
             return tape.input(absent)
 
-        def taken(shape: Any, what: str, place: str, at: Iterable[int], absent: Iterable[bool] = repeat(False)) -> Numbers:
+        def taken(
+            shape: Any,
+            what: str,
+            place: str,
+            at: Iterable[int],
+            absent: Iterable[bool] = repeat(False),
+        ) -> Numbers:
             """An array; ``at``: where those of its numbers stand that it is kept as."""
             x = Numbers(shape)
             for where, i, missing in zip(entries(shape, what), at, absent, strict=False):
@@ -232,7 +254,9 @@ class Engine:
 
         tally, held = [take("state", i) for i in range(len(TALLY))], count(len(TALLY))
         filter = each_run(self.filter, lambda array: taken(array.shape[-2:], "", "state", held))
-        arrays = [taken(shape, what, "state", held, absent) for shape, what, absent in before.arrays]
+        arrays = [
+            taken(shape, what, "state", held, absent) for shape, what, absent in before.arrays
+        ]
         state = rebuilt(before.tree, iter(arrays))
 
         z: list[Any] = []
@@ -248,16 +272,29 @@ class Engine:
         for (values, own), (_, what) in zip(u, leaves(kind.u[0]), strict=True):
             shape = values.shape[1 + len(self.batch) * own :]
             places = np.arange(int(np.prod(shape))).reshape(shape) + (first if own else shared)
-            x = taken(shape, what, "own" if own else "shared", (int(places[where]) for where in entries(shape, what)))
+            x = taken(
+                shape,
+                what,
+                "own" if own else "shared",
+                (int(places[where]) for where in entries(shape, what)),
+            )
             first, shared = first + places.size * own, shared + places.size * (not own)
             parts.append(x if shape else x[()])
         k: Any = take("shared", 0)
         t = take("shared", 1)
         dt: Any = 0.0
         if kind.moves:
-            dt = self.dt if self.dt is not None else take("own", at_dt) if self.apart else take("shared", 2)
+            dt = (
+                self.dt
+                if self.dt is not None
+                else take("own", at_dt)
+                if self.apart
+                else take("shared", 2)
+            )
         given, about = rebuilt(kind.u[0], iter(parts))
-        epoch = Epoch(k, t, dt, given, z[0] if len(z) == 1 else tuple(z) if z else None, about=about)
+        epoch = Epoch(
+            k, t, dt, given, z[0] if len(z) == 1 else tuple(z) if z else None, about=about
+        )
 
         state, infos = filter.step(state, epoch)
         after = Shape.of(state)
@@ -271,9 +308,17 @@ class Engine:
             for place in entries(x.shape, what):
                 stored.append((at, x[place]))
                 at += 1
-        kernel = Kernel(tape, inputs, stored, list(self._rows(state.belief, infos)), tuple(self.columns().values()))
+        kernel = Kernel(
+            tape,
+            inputs,
+            stored,
+            list(self._rows(state.belief, infos)),
+            tuple(self.columns().values()),
+        )
         if (size := len(tape.needed([x for *_, x in kernel.results()]))) > self.most:
-            raise CannotCompile(f"a step of {size} operations takes longer than it saves: at most {self.most} are compiled")
+            raise CannotCompile(
+                f"a step of {size} operations takes longer than it saves: at most {self.most} are compiled"
+            )
         return Recorded(kernel, after)
 
     def _counted(self, tally: list[Any], belief: Any, infos: Sequence[Info], k: Any) -> list[Any]:
@@ -284,7 +329,11 @@ class Engine:
                 likelihood = do("add", likelihood, _alone(more))
                 absent = np.isnan(np.asanyarray(info.innovation))
                 missing = do("add", missing, _alone(np.add.reduce(absent, -1, int)))
-                rejected = do("add", rejected, _alone(np.add.reduce(~np.asanyarray(info.used) & ~absent, -1, int)))
+                rejected = do(
+                    "add",
+                    rejected,
+                    _alone(np.add.reduce(~np.asanyarray(info.used) & ~absent, -1, int)),
+                )
             if info.redone is not None:
                 redone = do("add", redone, as_number(_alone(info.redone)))
         lost = do("and", _alone(belief.lost()), do("lt", failed, 0.0))
@@ -324,7 +373,11 @@ def each_array(thing: Any, function: Callable[[Array], Array]) -> Any:
         return function(thing)
     if isinstance(thing, partial):
         given = (thing.func, *thing.args)
-        return thing if (inner := each_array(given, function)) is given else partial(*inner, **thing.keywords)
+        return (
+            thing
+            if (inner := each_array(given, function)) is given
+            else partial(*inner, **thing.keywords)
+        )
     if isinstance(thing, tuple):
         make: Any = type(thing)
         parts = [each_array(part, function) for part in thing]
@@ -333,8 +386,13 @@ def each_array(thing: Any, function: Callable[[Array], Array]) -> Any:
         return make(*parts) if hasattr(thing, "_fields") else tuple(parts)
     if not is_dataclass(thing) or isinstance(thing, type | Gaussian):
         return thing
-    own = {name: getattr(thing, name) for name in sorted({field.name for field in fields(thing)} | set(vars(thing)))}
-    changed = {name: new for name, part in own.items() if (new := each_array(part, function)) is not part}
+    own = {
+        name: getattr(thing, name)
+        for name in sorted({field.name for field in fields(thing)} | set(vars(thing)))
+    }
+    changed = {
+        name: new for name, part in own.items() if (new := each_array(part, function)) is not part
+    }
     if not changed:
         return thing
     other = copy(thing)

@@ -40,30 +40,50 @@ def export_c(
     if not re.fullmatch(r"[A-Za-z_]\w*", name):
         raise ValueError(f"name: expected an identifier of C, got {name!r:.80}")
     if np.ndim(prior.mean) != 1:
-        raise ValueError(f"prior: expected that of one run, a mean (N,), got {np.shape(prior.mean)}")
+        raise ValueError(
+            f"prior: expected that of one run, a mean (N,), got {np.shape(prior.mean)}"
+        )
     every = None if dt is None else number("dt", dt, above=0.0)
     own = sensors(filter, None)
-    widths = [sensor.m for sensor in own] if m is None else list(integers("m", m, 1, count=len(own)))
+    widths = (
+        [sensor.m for sensor in own] if m is None else list(integers("m", m, 1, count=len(own)))
+    )
     if None in widths:
-        raise ValueError(f"m: expected the length of each of {len(own)} measurements, which R does not say")
+        raise ValueError(
+            f"m: expected the length of each of {len(own)} measurements, which R does not say"
+        )
     z = tuple(np.zeros(int(width or 0)) for width in widths)
-    data = as_data(filter, [Epoch(0, 0.0, 0.0, None, z), Epoch(1, every or 1.0, every or 1.0, u, z)])
+    data = as_data(
+        filter, [Epoch(0, 0.0, 0.0, None, z), Epoch(1, every or 1.0, every or 1.0, u, z)]
+    )
     engine = Engine(filter, prior, data, "std", {}, rolled=False)
     engine.dt = every
     inputs = {shape: engine.inputs(found, 2) for shape, found in data.u.items()}
     part = (PART,) * len(own)
-    before, moving = Kind(False, part, data.known[data.kinds[0]].u), Kind(True, part, data.known[data.kinds[1]].u)
+    before, moving = (
+        Kind(False, part, data.known[data.kinds[0]].u),
+        Kind(True, part, data.known[data.kinds[1]].u),
+    )
     first = engine.record(engine.begin, before, inputs[before.u])
     step = engine.record(first.after, moving, inputs[moving.u])
     if step.after != first.after:  # what may be missing is known after a step only
         step = engine.record(step.after, moving, inputs[moving.u])
-        if [shape for shape, *_ in step.after.arrays] != [shape for shape, *_ in first.after.arrays]:
-            raise CannotCompile("a memory that changes its shape after the first step cannot be exported")
+        if [shape for shape, *_ in step.after.arrays] != [
+            shape for shape, *_ in first.after.arrays
+        ]:
+            raise CannotCompile(
+                "a memory that changes its shape after the first step cannot be exported"
+            )
     size = engine.held + max(shape.size for shape in (engine.begin, first.after, step.after))
     count = 3 + sum(x[0].size for x, _ in inputs[moving.u])
     places = {"state": "state", "shared": "in", "own": "z", "rows": "out"}
     start = np.concatenate([x.ravel() for x in engine.start()])
-    sizes = {"STATE": size, "IN": count, "Z": sum(engine.widths), "OUT": sum(engine.columns().values())}
+    sizes = {
+        "STATE": size,
+        "IN": count,
+        "Z": sum(engine.widths),
+        "OUT": sum(engine.columns().values()),
+    }
     text = [
         _head(name, engine, first.after, every),
         "#include <math.h>\n",
@@ -72,8 +92,12 @@ def export_c(
         *(f"    state[{i}] = {x.hex()};" for i, x in enumerate(start.tolist())),
         *(f"    state[{i}] = 0.0;" for i in range(len(start), size)),
         "}\n",
-        c.function(first.kernel, f"{name}_first", places, ["A measurement at the time of the prior."]),
-        c.function(step.kernel, f"{name}_step", places, ["An interval, and the measurement at its end."]),
+        c.function(
+            first.kernel, f"{name}_first", places, ["A measurement at the time of the prior."]
+        ),
+        c.function(
+            step.kernel, f"{name}_step", places, ["An interval, and the measurement at its end."]
+        ),
     ]
     write_text(Path(path), "\n".join(text))
 
@@ -86,13 +110,24 @@ def _head(name: str, engine: Engine, after: Shape, dt: float | None) -> str:
     at = engine.held
     for shape, what, _ in after.arrays:
         size = len(entries(shape, what))
-        kind = {"belief": "mean", "lower": "root of the covariance", "symmetric": "covariance"}.get(what, "memory")
+        kind = {"belief": "mean", "lower": "root of the covariance", "symmetric": "covariance"}.get(
+            what, "memory"
+        )
         order = ", lower triangle by rows" if what in ("lower", "symmetric") else ""
         lines.append(f"  {at} to {at + size - 1}: {kind} {'x'.join(map(str, shape))}{order}")
         at += size
-    interval = "not used: every interval is " + f"{dt:g} s" if dt is not None else "length of the interval, s"
-    lines += [f"in[{name.upper()}_IN]: index of the epoch, its time, {interval}; then the inputs u."]
-    lines += [f"z[{name.upper()}_Z]: the measurements of all sensors; nan is what was not measured.", f"out[{name.upper()}_OUT]:"]
+    interval = (
+        "not used: every interval is " + f"{dt:g} s"
+        if dt is not None
+        else "length of the interval, s"
+    )
+    lines += [
+        f"in[{name.upper()}_IN]: index of the epoch, its time, {interval}; then the inputs u."
+    ]
+    lines += [
+        f"z[{name.upper()}_Z]: the measurements of all sensors; nan is what was not measured.",
+        f"out[{name.upper()}_OUT]:",
+    ]
     at = 0
     for what, size in engine.columns().items():
         lines.append(f"  {at} to {at + size - 1}: {what}")

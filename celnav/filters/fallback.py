@@ -37,8 +37,12 @@ class Fallback:
     def __post_init__(self) -> None:
         plain("first", self.first)
         plain("second", self.second)
-        if self.first.form is not self.second.form or len(self.first.sensors) != len(self.second.sensors):
-            raise ValueError("second: expected a filter of the same form and as many sensors as the first")
+        if self.first.form is not self.second.form or len(self.first.sensors) != len(
+            self.second.sensors
+        ):
+            raise ValueError(
+                "second: expected a filter of the same form and as many sensors as the first"
+            )
 
     @property
     def motion(self) -> Motion:
@@ -48,7 +52,9 @@ class Fallback:
     def start(self, prior: Gaussian) -> State:
 
         state = self.first.start(prior)
-        return state._replace(belief=whole(self.first.form, *state.belief))  # runs are done again one by one
+        return state._replace(
+            belief=whole(self.first.form, *state.belief)
+        )  # runs are done again one by one
 
     def step(self, state: State, epoch: Epoch) -> Step:
 
@@ -56,10 +62,14 @@ class Fallback:
         after, infos, updated = self._done(ahead, lambda filter: filter.update(ahead, epoch))
         redone = moved | updated
         if not surely(~redone.any()):
-            infos = (infos[0]._replace(redone=redone), *infos[1:]) if infos else (Info(redone=redone),)
+            infos = (
+                (infos[0]._replace(redone=redone), *infos[1:]) if infos else (Info(redone=redone),)
+            )
         return after, infos
 
-    def _done(self, before: State, step: Callable[[Sequential], Step]) -> tuple[State, tuple[Info, ...], Array]:
+    def _done(
+        self, before: State, step: Callable[[Sequential], Step]
+    ) -> tuple[State, tuple[Info, ...], Array]:
         """A step of the first filter, of the second in runs that the first one loses, and which these are."""
         after, infos = step(self.first)
         lost = _unsound(after.belief)
@@ -67,14 +77,21 @@ class Fallback:
             lost = lost & ~_unsound(before.belief)
         if not surely(~lost.any()):
             other, others = step(self.second)
-            belief = self.first.form(*(pick(lost, b, a) for a, b in zip(after.belief, other.belief, strict=True)))
-            after, infos = after._replace(belief=belief), tuple(merged(lost, a, b) for a, b in zip(infos, others, strict=True))
+            belief = self.first.form(
+                *(pick(lost, b, a) for a, b in zip(after.belief, other.belief, strict=True))
+            )
+            after, infos = (
+                after._replace(belief=belief),
+                tuple(merged(lost, a, b) for a, b in zip(infos, others, strict=True)),
+            )
         return after, infos, lost
 
 
 def _unsound(belief: Belief) -> Array:
     """Runs ``(...)`` whose belief is not finite or, in covariance form too, not definite."""
-    return np.asanyarray(~(np.isfinite(belief.mean).all(-1) & np.isfinite(belief.sqrt_cov).all((-2, -1))))
+    return np.asanyarray(
+        ~(np.isfinite(belief.mean).all(-1) & np.isfinite(belief.sqrt_cov).all((-2, -1)))
+    )
 
 
 def pick(where: Array, chosen: Array, otherwise: Array) -> Array:
@@ -90,6 +107,13 @@ def merged(lost: Array, info: Info, other: Info) -> Info:
         mine, theirs = getattr(info, name), getattr(other, name)
         if mine is None or theirs is None:
             return mine
-        return (lambda: pick(lost, theirs(), mine())) if callable(mine) else pick(lost, theirs, mine)
+        return (
+            (lambda: pick(lost, theirs(), mine())) if callable(mine) else pick(lost, theirs, mine)
+        )
 
-    return info._replace(**{name: one(name) for name in ("innovation", "whitened", "used", "sqrt_S", "gain", "jacobian")})
+    return info._replace(
+        **{
+            name: one(name)
+            for name in ("innovation", "whitened", "used", "sqrt_S", "gain", "jacobian")
+        }
+    )

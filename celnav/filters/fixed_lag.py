@@ -56,8 +56,12 @@ class FixedLag:
     lag: int
 
     def __post_init__(self) -> None:
-        if isinstance(self.filter, type) or not (hasattr(self.filter, "start") and hasattr(self.filter, "step")):
-            raise ValueError(f"filter: expected a filter, such as celnav.ukf(motion, sensor), got {kind(self.filter)}")
+        if isinstance(self.filter, type) or not (
+            hasattr(self.filter, "start") and hasattr(self.filter, "step")
+        ):
+            raise ValueError(
+                f"filter: expected a filter, such as celnav.ukf(motion, sensor), got {kind(self.filter)}"
+            )
         object.__setattr__(self, "lag", integer("lag", self.lag, 0, MOST_KEPT))
 
     @property
@@ -73,17 +77,27 @@ class FixedLag:
         """State after an epoch, and an `Info` of each sensor."""
         instance("state", state, Held, "what the filter's start(prior) or last step gave")
         if state.belief.mean.dtype.hasobject:
-            after, infos = self.filter.step(state.states[-1], epoch)  # nobody sees the states of a compiled flight: none are kept
+            after, infos = self.filter.step(
+                state.states[-1], epoch
+            )  # nobody sees the states of a compiled flight: none are kept
             return Held((after,)), infos
         given = instance("epoch", epoch, Epoch, "a record of celnav.Epoch")
-        epoch = deepcopy(given._replace(truth=None))._replace(truth=given.truth)  # z may be a buffer, to be filled again
+        epoch = deepcopy(given._replace(truth=None))._replace(
+            truth=given.truth
+        )  # z may be a buffer, to be filled again
         if state.epochs and epoch.k != (expected := state.epochs[-1].k + 1):
-            raise ValueError(f"epoch: expected one with k = {expected}, after the last, got {epoch!r:.80}")
+            raise ValueError(
+                f"epoch: expected one with k = {expected}, after the last, got {epoch!r:.80}"
+            )
         after, infos = self.filter.step(state.states[-1], epoch)
         if "belief" in getattr(after, "_fields", ()):
             after = after._replace(belief=settled(after.belief))  # as `celnav.run` goes on
         count = self.lag + 1
-        return Held((*state.states, after)[-count - 1 :], (*state.epochs, epoch)[-count:], (*state.infos, infos)[-count:]), infos
+        return Held(
+            (*state.states, after)[-count - 1 :],
+            (*state.epochs, epoch)[-count:],
+            (*state.infos, infos)[-count:],
+        ), infos
 
     def late(self, state: Held, k: Any, z: Any) -> tuple[Held, tuple[Info, ...]]:
         """State as if a sample had come on time, and what the sensors did to it in the present epoch.
@@ -95,7 +109,10 @@ class FixedLag:
         """
         instance("state", state, Held, "what the filter's last step gave")
         at = numbers("k", k)
-        parts = [None if part is None else numbers("z", part, (..., "m")) for part in (z if isinstance(z, tuple) else (z,))]
+        parts = [
+            None if part is None else numbers("z", part, (..., "m"))
+            for part in (z if isinstance(z, tuple) else (z,))
+        ]
         come = np.zeros(at.shape, bool)
         for part in (part for part in parts if part is not None):
             if np.isinf(part).any():
@@ -105,10 +122,23 @@ class FixedLag:
         kept = [epoch.k for epoch in state.epochs]
         beyond = come & ~np.isin(at, kept)
         if beyond.any():
-            span = f"an epoch that is kept, {kept[0]} to {kept[-1]} (lag = {self.lag})" if kept else "none before the first step"
-            raise ValueError(f"k: expected {span}, got {np.broadcast_to(at, beyond.shape)[beyond][0]:g}")
+            span = (
+                f"an epoch that is kept, {kept[0]} to {kept[-1]} (lag = {self.lag})"
+                if kept
+                else "none before the first step"
+            )
+            raise ValueError(
+                f"k: expected {span}, got {np.broadcast_to(at, beyond.shape)[beyond][0]:g}"
+            )
         epochs = [_filled(epoch, parts, at == epoch.k) for epoch in state.epochs]
-        first = next((i for i, (old, new) in enumerate(zip(state.epochs, epochs, strict=True)) if new is not old), len(epochs))
+        first = next(
+            (
+                i
+                for i, (old, new) in enumerate(zip(state.epochs, epochs, strict=True))
+                if new is not old
+            ),
+            len(epochs),
+        )
         held = Held(state.states[: first + 1], state.epochs[:first], state.infos[:first])
         for epoch in epochs[first:]:
             held, _ = self.step(held, epoch)
@@ -121,12 +151,20 @@ class FixedLag:
         collector = Collector(1, "cov")
         for after, epoch, infos in zip(state.states[1:], state.epochs, state.infos, strict=True):
             collector.add(epoch, after.belief, infos, {})
-        return collector.track(None, getattr(self.filter, "filter", self.filter))  # that which was compiled
+        return collector.track(
+            None, getattr(self.filter, "filter", self.filter)
+        )  # that which was compiled
 
 
 def _filled(epoch: Epoch, late: list[Array | None], here: Any) -> Epoch:
     """The epoch with late measurements where they belong; the same one if none does."""
-    z = epoch.z if isinstance(epoch.z, tuple) else (None,) * len(late) if epoch.z is None else (epoch.z,)
+    z = (
+        epoch.z
+        if isinstance(epoch.z, tuple)
+        else (None,) * len(late)
+        if epoch.z is None
+        else (epoch.z,)
+    )
     if len(z) != len(late):
         raise ValueError(f"z: expected {len(z)} measurements, one for each sensor, got {len(late)}")
     parts = tuple(_both(known, part, here, epoch.k) for known, part in zip(z, late, strict=True))
@@ -146,5 +184,7 @@ def _both(known: Any, late: Array | None, here: Any, k: int) -> Any:
     twice = ~(np.isnan(known) | np.isnan(new))
     if twice.any():
         which = ", ".join(str(int(i)) for i in np.argwhere(twice)[0])
-        raise ValueError(f"z: expected what epoch {k} does not have yet, got component [{which}] a second time; make it nan")
+        raise ValueError(
+            f"z: expected what epoch {k} does not have yet, got component [{which}] a second time; make it nan"
+        )
     return np.where(np.isnan(new), known, new)

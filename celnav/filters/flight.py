@@ -9,7 +9,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from celnav.filters.engine import FULL, NONE, PART, SILENT, TALLY, Data, Engine, Kind, Recorded, Shape, leaves, rebuilt
+from celnav.filters.engine import (
+    FULL,
+    NONE,
+    PART,
+    SILENT,
+    TALLY,
+    Data,
+    Engine,
+    Kind,
+    Recorded,
+    Shape,
+    leaves,
+    rebuilt,
+)
 from celnav.filters.model import Sensor
 from celnav.filters.records import Epoch, Epochs, check_interval
 from celnav.filters.sequential import checked, measurements
@@ -29,7 +42,9 @@ def sensors(filter: Any, z: Any) -> Sequence[Any]:
     """Sensors of a filter, or of the first one in it; of another filter what is taken for them, for measurements such as ``z``."""
     while not hasattr(filter, "sensors"):
         if (filter := getattr(filter, "first", getattr(filter, "filter", None))) is None:
-            return (Sensor(lambda x, _epoch: x, R=lambda _mean, _epoch: np.eye(1)),) * (len(z) if isinstance(z, tuple) else 1)
+            return (Sensor(lambda x, _epoch: x, R=lambda _mean, _epoch: np.eye(1)),) * (
+                len(z) if isinstance(z, tuple) else 1
+            )
     return tuple(filter.sensors)
 
 
@@ -48,7 +63,10 @@ def as_data(filter: Any, epochs: Epochs | Sequence[Epoch]) -> Data:
             before = epoch.t
             if not isinstance(epoch.k, int | float | np.integer | np.floating):
                 raise CannotCompile(f"epochs: expected numbers k, got {epoch.k!r}")
-        k, t = np.array([epoch.k for epoch in epochs], np.float64), np.array([epoch.t for epoch in epochs])
+        k, t = (
+            np.array([epoch.k for epoch in epochs], np.float64),
+            np.array([epoch.t for epoch in epochs]),
+        )
         dt = np.stack(np.broadcast_arrays(*(np.asarray(epoch.dt, np.float64) for epoch in epochs)))
         u = [(epoch.u, epoch.about) for epoch in epochs]
         z = tuple(zip(*(measurements(epoch.z, len(own)) for epoch in epochs), strict=True))
@@ -66,11 +84,22 @@ def as_data(filter: Any, epochs: Epochs | Sequence[Epoch]) -> Data:
         inputs[which[i]][i] = parts
     moves = (dt.reshape(len(k), -1) != 0.0).any(-1)
     numbered: dict[tuple[int, ...], int] = {}
-    rows = zip(moves.tolist(), which.tolist(), *(status.tolist() for status, _ in found), strict=True)
+    rows = zip(
+        moves.tolist(), which.tolist(), *(status.tolist() for status, _ in found), strict=True
+    )
     kinds = [numbered.setdefault(row, len(numbered)) for row in rows]
     trees = list(shapes)
     known = [Kind(bool(moves), tuple(z), trees[at]) for moves, at, *z in numbered]
-    return Data(k, t, dt, kinds, known, own, [values for _, values in found], dict(zip(trees, inputs, strict=True)))
+    return Data(
+        k,
+        t,
+        dt,
+        kinds,
+        known,
+        own,
+        [values for _, values in found],
+        dict(zip(trees, inputs, strict=True)),
+    )
 
 
 def _input(x: Any) -> Array:
@@ -78,18 +107,26 @@ def _input(x: Any) -> Array:
     try:
         return numbers("u", x)
     except ValueError as error:
-        raise CannotCompile(f"an input that is no array of numbers cannot be compiled: {error}") from None
+        raise CannotCompile(
+            f"an input that is no array of numbers cannot be compiled: {error}"
+        ) from None
 
 
 def _measured(sensor: Any, parts: Any) -> tuple[Array, Array]:
     """What there is of a sensor at each epoch, and its measurements ``(T, ..., m)``."""
     count = len(parts)
-    present = np.array([part is not None for part in parts]) if not isinstance(parts, np.ndarray) else np.ones(count, bool)
+    present = (
+        np.array([part is not None for part in parts])
+        if not isinstance(parts, np.ndarray)
+        else np.ones(count, bool)
+    )
     if not present.any():
         return np.full(count, NONE), np.zeros((count, 0))
     if not isinstance(parts, np.ndarray):
         one = np.full(np.shape(parts[int(np.argmax(present))]), np.nan)
-        parts = np.stack(np.broadcast_arrays(*(one if part is None else numbers("z", part) for part in parts)))
+        parts = np.stack(
+            np.broadcast_arrays(*(one if part is None else numbers("z", part) for part in parts))
+        )
     values = checked(parts, sensor)
     if np.isfinite(np.add.reduce(values, None)):
         return np.where(present, FULL, NONE), values
@@ -116,9 +153,16 @@ def fly(engine: Engine, data: Data, every: int, jobs: int, device: Device | None
     stored = np.where(np.arange(T) % every == 0, np.arange(T) // every, -1)
     if engine.few:
         stored[FEW:] = -1
-    names, K, M = engine.columns(), int(stored.max()) + 1, max((at + x.shape[-1] for at, x in own), default=1)
+    names, K, M = (
+        engine.columns(),
+        int(stored.max()) + 1,
+        max((at + x.shape[-1] for at, x in own), default=1),
+    )
     unit = lanes or 1
-    kept, whole = sum(names.values()), -(-runs // unit) * unit  # the last run fills a vector that is not full
+    kept, whole = (
+        sum(names.values()),
+        -(-runs // unit) * unit,
+    )  # the last run fills a vector that is not full
     rows = {name: np.empty((K, whole, count)) for name, count in names.items()}
     counts = len(TALLY) * engine.stride
     tally, start = np.empty((runs, counts)), np.concatenate(engine.start(), 1)
@@ -132,14 +176,20 @@ def fly(engine: Engine, data: Data, every: int, jobs: int, device: Device | None
         width = -(-count // vector) * vector
         values, state = np.zeros((T, M, width)), np.zeros((width // vector, size, vector))
         for at, x in own:
-            values[:, at : at + x.shape[-1], :count] += (x if x.shape[1] == 1 else x[:, part]).transpose(0, 2, 1)
+            values[:, at : at + x.shape[-1], :count] += (
+                x if x.shape[1] == 1 else x[:, part]
+            ).transpose(0, 2, 1)
         values[..., count:] = values[..., count - 1 : count]
-        begin = np.concatenate([start[part], np.repeat(start[part.stop - 1 : part.stop], width - count, 0)])
+        begin = np.concatenate(
+            [start[part], np.repeat(start[part.stop - 1 : part.stop], width - count, 0)]
+        )
         state[:, : start.shape[1]] = begin.reshape(-1, vector, start.shape[1]).transpose(0, 2, 1)
         loop(*table, state, shared, values, rows, first)
         tally[part] = state[:, :counts].transpose(0, 2, 1).reshape(width, -1)[:count]
 
-    room = device.room() // jobs // (8 * (T * M + K * kept + size)) if device else CHUNK // (8 * T * M)
+    room = (
+        device.room() // jobs // (8 * (T * M + K * kept + size)) if device else CHUNK // (8 * T * M)
+    )
     chunk = max(unit, min(-(-runs // jobs), room) // unit * unit)
     if jobs > 1 and runs > chunk:
         with ThreadPoolExecutor(jobs) as pool:
@@ -154,16 +204,45 @@ def _loop(records: Sequence[Recorded], size: int, device: Device | None) -> Call
     """What takes ``(kinds, at, state, shared, own)`` through all epochs, and writes the rows of runs from the ``first`` on; a state
     is of ``size`` numbers."""
     if device is not None:
-        return partial(_on_device, device, device.entry(ptx.program([record.kernel for record in records], size)))
+        return partial(
+            _on_device,
+            device,
+            device.entry(ptx.program([record.kernel for record in records], size)),
+        )
     addresses, loop = np.array([record.address for record in records], np.uint64), llvm.fly()
     cells = max(record.kernel.cells for record in records)
 
-    def flown(kinds: Array, at: Array, state: Array, shared: Array, own: Array, rows: dict[str, Array], first: int) -> None:
+    def flown(
+        kinds: Array,
+        at: Array,
+        state: Array,
+        shared: Array,
+        own: Array,
+        rows: dict[str, Array],
+        first: int,
+    ) -> None:
         blocks, size, lanes = state.shape
-        memory, fields = llvm.aligned((cells, lanes)), np.array([x.ctypes.data for x in rows.values()], np.uint64)
-        pointers = (x.ctypes.data for x in (addresses, kinds, at, state, shared, own, fields, memory))
+        memory, fields = (
+            llvm.aligned((cells, lanes)),
+            np.array([x.ctypes.data for x in rows.values()], np.uint64),
+        )
+        pointers = (
+            x.ctypes.data for x in (addresses, kinds, at, state, shared, own, fields, memory)
+        )
         runs = next((x.shape[1] for x in rows.values()), 0)
-        loop(*pointers, size, shared.shape[1], own.shape[1], runs, first, own.shape[2], lanes, 0, blocks, len(own))
+        loop(
+            *pointers,
+            size,
+            shared.shape[1],
+            own.shape[1],
+            runs,
+            first,
+            own.shape[2],
+            lanes,
+            0,
+            blocks,
+            len(own),
+        )
 
     return flown
 
@@ -179,10 +258,14 @@ def _on_device(device: Device, entry: Any, *given: Any) -> None:
         x[:, first : first + shape[1]] = part.reshape(shape)
 
 
-def _planned(engine: Engine, data: Data, inputs: dict[Any, Any], lanes: int) -> tuple[list[Recorded], list[int], int]:
+def _planned(
+    engine: Engine, data: Data, inputs: dict[Any, Any], lanes: int
+) -> tuple[list[Recorded], list[int], int]:
     """The records that are needed, which of them each epoch takes, and how many numbers a state is kept as."""
     ids: dict[Shape, int] = {engine.begin: 0}
-    records: dict[tuple[int, int], tuple[int, int, Recorded]] = {}  # by the shape before and the kind; with the shape after
+    records: dict[
+        tuple[int, int], tuple[int, int, Recorded]
+    ] = {}  # by the shape before and the kind; with the shape after
     at, steps = 0, []
     for kind in data.kinds:
         if (at, kind) not in records:
@@ -191,13 +274,20 @@ def _planned(engine: Engine, data: Data, inputs: dict[Any, Any], lanes: int) -> 
             records[at, kind] = len(records), ids.setdefault(made.after, len(ids)), made
         number, at, _ = records[at, kind]
         steps.append(number)
-    return [made for *_, made in records.values()], steps, (engine.held + max(x.size for x in ids)) * engine.stride
+    return (
+        [made for *_, made in records.values()],
+        steps,
+        (engine.held + max(x.size for x in ids)) * engine.stride,
+    )
 
 
 def _shared(data: Data, inputs: dict[Any, list[tuple[Array, bool]]]) -> Array:
     """What all runs have in common at each epoch ``(T, E)``: index, time, interval, inputs."""
     T = len(data.k)
-    flat = [np.concatenate([np.zeros((T, 0)), *(x.reshape(T, -1) for x, own in parts if not own)], 1) for parts in inputs.values()]
+    flat = [
+        np.concatenate([np.zeros((T, 0)), *(x.reshape(T, -1) for x, own in parts if not own)], 1)
+        for parts in inputs.values()
+    ]
     out = np.zeros((T, 3 + max(x.shape[1] for x in flat)))
     out[:, 0], out[:, 1] = data.k, data.t
     if data.dt.ndim == 1:
@@ -207,7 +297,9 @@ def _shared(data: Data, inputs: dict[Any, list[tuple[Array, bool]]]) -> Array:
     return out
 
 
-def _own(engine: Engine, data: Data, inputs: dict[Any, list[tuple[Array, bool]]], runs: int) -> list[tuple[int, Array]]:
+def _own(
+    engine: Engine, data: Data, inputs: dict[Any, list[tuple[Array, bool]]], runs: int
+) -> list[tuple[int, Array]]:
     """What each run has of its own at each epoch, ``(T, runs or 1, ...)``, and where it stands: measurements, interval, inputs."""
     T, out, at = len(data.k), list[tuple[int, Array]](), 0
     values = [*data.z, data.dt[..., None]] if engine.apart else data.z

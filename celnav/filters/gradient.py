@@ -56,16 +56,30 @@ class Gradient:
         why there is no gradient: a model that cannot be recorded, or that knows the parameters otherwise than by matrices of the
         filter. ImportError says that there is no compiler.
         """
-        built, beside = self.build(x), [[self.build(x + j * STEP * axis) for j in (-2, -1, 1, 2)] for axis in np.diag(lengths)]
+        built, beside = (
+            self.build(x),
+            [
+                [self.build(x + j * STEP * axis) for j in (-2, -1, 1, 2)]
+                for axis in np.diag(lengths)
+            ],
+        )
         held = _varying([built[0], *(filter for four in beside for filter, _ in four)])
         data = as_data(built[0], self.epochs)
         starts = [[_start(one, held, data) for one in four] for four in beside]
         other, _ = self.build(x + STEP * lengths * np.linspace(0.5, 1.0, len(x)))
-        engine, twin = (_WithGradient((_lifted(filter, held), built[1]), data, self.kept) for filter in (built[0], other))
+        engine, twin = (
+            _WithGradient((_lifted(filter, held), built[1]), data, self.kept)
+            for filter in (built[0], other)
+        )
         engine.twin, engine.flown = twin, self.flights * len(data.k)
-        slopes = [fourth_order(four, STEP, SMOOTH) / length for four, length in zip(starts, lengths, strict=True)]
+        slopes = [
+            fourth_order(four, STEP, SMOOTH) / length
+            for four, length in zip(starts, lengths, strict=True)
+        ]
         seeds = np.any(slopes, (0, 1))
-        if len(seeds) != len(self.seeds) or (seeds & ~self.seeds).any():  # what had no derivative has one now
+        if (
+            len(seeds) != len(self.seeds) or (seeds & ~self.seeds).any()
+        ):  # what had no derivative has one now
             self.seeds, self.kept, engine.kept, self.recorded = seeds, {}, {}, []
         engine.seeds = set(np.flatnonzero(self.seeds).tolist())
         for one in () if alike(self.first, built[0]) else self.recorded:
@@ -73,11 +87,17 @@ class Gradient:
         flown = []
         for engine.slopes in slopes:
             flown.append(fly(engine, data, 1, 1).tally.reshape(-1, len(TALLY), 2))
-        self.kept, self.recorded, self.first = engine.kept, self.recorded + engine.recorded, self.first or built[0]
+        self.kept, self.recorded, self.first = (
+            engine.kept,
+            self.recorded + engine.recorded,
+            self.first or built[0],
+        )
         lost = flown[0][:, TALLY.index("failed_at"), 0] >= 0.0
         batch = () if built[1].mean.ndim == 1 and engine.batch == (1,) else engine.batch
         gradient = np.stack([tally[:, 0, 1] for tally in flown], -1)
-        return np.where(lost, np.nan, flown[0][:, 0, 0]).reshape(batch), gradient.reshape(*batch, len(x))
+        return np.where(lost, np.nan, flown[0][:, 0, 0]).reshape(batch), gradient.reshape(
+            *batch, len(x)
+        )
 
 
 class _WithGradient(Engine):
@@ -100,24 +120,43 @@ class _WithGradient(Engine):
         values = np.concatenate(super().start(), 1)
         return [np.stack(np.broadcast_arrays(values, self.slopes), -1).reshape(len(values), -1)]
 
-    def plain(self, before: Shape, kind: Kind, u: list[tuple[Array, bool]]) -> tuple[Recorded, bytes]:
+    def plain(
+        self, before: Shape, kind: Kind, u: list[tuple[Array, bool]]
+    ) -> tuple[Recorded, bytes]:
         """The step without derivatives, and what it is known by."""
         made = super().record(before, kind, u)
         return made, digest(made.kernel)
 
-    def check(self, engine: _WithGradient, before: Shape, kind: Kind, u: list[tuple[Array, bool]], known: bytes) -> None:
+    def check(
+        self,
+        engine: _WithGradient,
+        before: Shape,
+        kind: Kind,
+        u: list[tuple[Array, bool]],
+        known: bytes,
+    ) -> None:
         """Raise `CannotCompile` where another filter's step is not the same."""
         if engine.plain(before, kind, u)[1] != known:
-            raise CannotCompile("a model knows the parameters otherwise than by matrices of the filter")
+            raise CannotCompile(
+                "a model knows the parameters otherwise than by matrices of the filter"
+            )
 
     def record(self, before: Shape, kind: Kind, u: list[tuple[Array, bool]]) -> Recorded:
         made, known = self.plain(before, kind, u)
         self.check(self.twin, before, kind, u, known)
         size = len(made.kernel.tape.ops)
-        if COMPILE_S * size > self.flown * (CALL_S + OPERATION_S * size * float(np.prod(self.batch))):
-            raise CannotCompile(f"a step of {size} operations takes longer to compile than it saves")
+        if COMPILE_S * size > self.flown * (
+            CALL_S + OPERATION_S * size * float(np.prod(self.batch))
+        ):
+            raise CannotCompile(
+                f"a step of {size} operations takes longer to compile than it saves"
+            )
         self.recorded.append((before, kind, u, known))
-        seeds = {0, *(at for at in range(self.held) if at in self.seeds), *range(self.held, self.held + before.size)}
+        seeds = {
+            0,
+            *(at for at in range(self.held) if at in self.seeds),
+            *range(self.held, self.held + before.size),
+        }
         return made._replace(kernel=with_slopes(made.kernel, seeds))
 
 
@@ -132,7 +171,12 @@ def _varying(filters: Sequence[Any]) -> set[int]:
     first, *others = map(_arrays, filters)
     if any([x.shape for x in other] != [x.shape for x in first] for other in others):
         raise CannotCompile("the filter's arrays change their shapes with the parameters")
-    return {i for other in others for i, (x, y) in enumerate(zip(first, other, strict=True)) if not np.array_equal(x, y)}
+    return {
+        i
+        for other in others
+        for i, (x, y) in enumerate(zip(first, other, strict=True))
+        if not np.array_equal(x, y)
+    }
 
 
 def _lifted(filter: Any, held: set[int]) -> Any:
@@ -164,15 +208,32 @@ def alike(a: Any, b: Any, matrices: bool = True) -> bool:
     if isinstance(a, partial):
         return alike((a.func, a.args, a.keywords), (b.func, b.args, b.keywords), matrices)
     if isinstance(a, FunctionType):
-        x, y = ([f.__defaults__, f.__kwdefaults__, [cell.cell_contents for cell in f.__closure__ or ()]] for f in (a, b))
+        x, y = (
+            [f.__defaults__, f.__kwdefaults__, [cell.cell_contents for cell in f.__closure__ or ()]]
+            for f in (a, b)
+        )
         return a.__code__ is b.__code__ and alike(x, y, matrices=False)
-    names = ["make"] if isinstance(a, AnyDimension) else [field.name for field in fields(a)] if is_dataclass(a) else []
-    return bool(names) and all(alike(getattr(a, name), getattr(b, name), matrices) for name in names)
+    names = (
+        ["make"]
+        if isinstance(a, AnyDimension)
+        else [field.name for field in fields(a)]
+        if is_dataclass(a)
+        else []
+    )
+    return bool(names) and all(
+        alike(getattr(a, name), getattr(b, name), matrices) for name in names
+    )
 
 
 def fourth_order(values: Sequence[Array], step: float, smooth: float | None = None) -> Array:
     """The derivative by values at -2, -1, 1 and 2 steps; `CannotCompile` where those of one and of two are too far apart."""
     far, near = (values[3] - values[0]) / (4.0 * step), (values[2] - values[1]) / (2.0 * step)
-    if smooth and not np.abs(far - near).max() <= smooth * np.abs(near).max() + 1e-9 * np.abs(values[0]).max():
-        raise CannotCompile("matrices of the filter, or the prior, do not change smoothly with the parameters")
+    if (
+        smooth
+        and not np.abs(far - near).max()
+        <= smooth * np.abs(near).max() + 1e-9 * np.abs(values[0]).max()
+    ):
+        raise CannotCompile(
+            "matrices of the filter, or the prior, do not change smoothly with the parameters"
+        )
     return np.asarray((4.0 * near - far) / 3.0)

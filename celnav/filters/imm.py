@@ -51,14 +51,32 @@ class InteractingModels:
 
     def start(self, prior: Gaussian | Sequence[Gaussian]) -> ImmState:
         """State before the first epoch, of one prior, or of one for each model."""
-        priors = prior if isinstance(prior, list | tuple) and not hasattr(prior, "mean") else [prior] * len(self.filters)
+        priors = (
+            prior
+            if isinstance(prior, list | tuple) and not hasattr(prior, "mean")
+            else [prior] * len(self.filters)
+        )
         if len(priors) != len(self.filters):
-            raise ValueError(f"prior: expected one Gaussian, or one for each of {len(self.filters)} models, got {len(priors)}")
+            raise ValueError(
+                f"prior: expected one Gaussian, or one for each of {len(self.filters)} models, got {len(priors)}"
+            )
         states = tuple(filter.start(own) for filter, own in zip(self.filters, priors, strict=True))
         if not all("belief" in getattr(one, "_fields", ()) for one in states):
-            raise ValueError("filters: expected states with a belief that can be replaced, as those of celnav.ukf have")
-        if len({(type(one.belief), one.belief.mean.shape[-1], one.belief[1].shape[-1]) for one in states}) > 1:
-            raise ValueError("filters: expected models of the same state, and filters of the same form")
+            raise ValueError(
+                "filters: expected states with a belief that can be replaced, as those of celnav.ukf have"
+            )
+        if (
+            len(
+                {
+                    (type(one.belief), one.belief.mean.shape[-1], one.belief[1].shape[-1])
+                    for one in states
+                }
+            )
+            > 1
+        ):
+            raise ValueError(
+                "filters: expected models of the same state, and filters of the same form"
+            )
         return self._state(states, self.log_initial)
 
     def step(self, state: ImmState, epoch: Epoch) -> tuple[ImmState, tuple[Info, ...]]:
@@ -71,31 +89,50 @@ class InteractingModels:
             both = weights[..., :, None] + chances
             ahead = _total(both, -2)[..., None, :]
             # What no model leads to has no weight: any estimate will do for it.
-            mu = np.exp(np.where(ahead == -np.inf, weights[..., :, None], both - np.maximum(ahead, LEAST)))
+            mu = np.exp(
+                np.where(ahead == -np.inf, weights[..., :, None], both - np.maximum(ahead, LEAST))
+            )
             beliefs = [one.belief for one in states]
-            states = tuple(one._replace(belief=mixed(self.motion.space, beliefs, mu[..., j])) for j, one in enumerate(states))
+            states = tuple(
+                one._replace(belief=mixed(self.motion.space, beliefs, mu[..., j]))
+                for j, one in enumerate(states)
+            )
             weights = ahead[..., 0, :]
-        stepped = [filter.step(one, epoch) for filter, one in zip(self.filters, states, strict=True)]
+        stepped = [
+            filter.step(one, epoch) for filter, one in zip(self.filters, states, strict=True)
+        ]
         infos = []
         for each in zip(*(own for _, own in stepped), strict=True):
             info, weights = _weighed(each, weights)
             infos.append(info)
-        return self._state(tuple(one._replace(belief=settled(one.belief)) for one, _ in stepped), weights), tuple(infos)
+        return self._state(
+            tuple(one._replace(belief=settled(one.belief)) for one, _ in stepped), weights
+        ), tuple(infos)
 
     def _state(self, states: tuple[Any, ...], weights: Array) -> ImmState:
         belief = mixed(self.motion.space, [one.belief for one in states], np.exp(weights))
-        return ImmState(belief, np.broadcast_to(weights, (*belief.mean.shape[:-1], len(states))), states)
+        return ImmState(
+            belief, np.broadcast_to(weights, (*belief.mean.shape[:-1], len(states))), states
+        )
 
 
 def mixed(space: Space, beliefs: Sequence[Belief], weights: Array) -> Belief:
     """The belief with mean and covariance of a mixture by ``weights (..., k)`` [Blom1988]."""
     mean, form, curved = beliefs[0].mean, type(beliefs[0]), space.transport
-    for _ in range(1 if space is EUCLIDEAN else 3):  # on a curved space the mean is where differences cancel
+    for _ in range(
+        1 if space is EUCLIDEAN else 3
+    ):  # on a curved space the mean is where differences cancel
         way = np.stack(np.broadcast_arrays(*(space.minus(one.mean, mean) for one in beliefs)), -1)
         shift = np.add.reduce(way * weights[..., None, :], -1)
         mean = space.plus(mean, shift)
-    spreads = [one[1] if curved is None else form.transported(curved(space.minus(mean, one.mean)), one[1]) for one in beliefs]
-    return form(mean, form.mixed(spreads, weights, (way - shift[..., None]) * np.sqrt(weights)[..., None, :]))
+    spreads = [
+        one[1] if curved is None else form.transported(curved(space.minus(mean, one.mean)), one[1])
+        for one in beliefs
+    ]
+    return form(
+        mean,
+        form.mixed(spreads, weights, (way - shift[..., None]) * np.sqrt(weights)[..., None, :]),
+    )
 
 
 def _weighed(infos: Sequence[Any], weights: Array) -> tuple[Info, Array]:
@@ -108,9 +145,22 @@ def _weighed(infos: Sequence[Any], weights: Array) -> tuple[Info, Array]:
     seen = np.stack(np.broadcast_arrays(*(info.innovation for info in infos)), -1)
     innovation = np.add.reduce(seen * mu[..., None, :], -1)
     apart = np.where(used[..., None], seen - innovation[..., None], 0.0) * np.sqrt(mu)[..., None, :]
-    S = SquareRoot.mixed([np.where(used[..., None], info.sqrt_S, np.eye(used.shape[-1])) for info in infos], mu, apart)
-    redone = reduce(lambda a, b: a if b is None else b if a is None else a | b, [info.redone for info in infos])
-    info = Info(innovation, whiten(S, np.where(used, innovation, 0.0)), used, S, redone=redone, mixture=density)
+    S = SquareRoot.mixed(
+        [np.where(used[..., None], info.sqrt_S, np.eye(used.shape[-1])) for info in infos],
+        mu,
+        apart,
+    )
+    redone = reduce(
+        lambda a, b: a if b is None else b if a is None else a | b, [info.redone for info in infos]
+    )
+    info = Info(
+        innovation,
+        whiten(S, np.where(used, innovation, 0.0)),
+        used,
+        S,
+        redone=redone,
+        mixture=density,
+    )
     return info, both - density[..., None]
 
 
@@ -118,10 +168,14 @@ def _total(x: Array, axis: int) -> Array:
     """Logarithm of the sum of exponentials, of which the largest cannot underflow."""
     most = np.maximum(np.maximum.reduce(x, axis, keepdims=True), LEAST)
     with np.errstate(divide="ignore"):
-        return np.asanyarray(np.log(np.add.reduce(np.exp(x - most), axis)) + np.add.reduce(most, axis))
+        return np.asanyarray(
+            np.log(np.add.reduce(np.exp(x - most), axis)) + np.add.reduce(most, axis)
+        )
 
 
-def imm(filters: Sequence[Any], transition: ArrayLike, *, initial: ArrayLike | None = None) -> InteractingModels:
+def imm(
+    filters: Sequence[Any], transition: ArrayLike, *, initial: ArrayLike | None = None
+) -> InteractingModels:
     """A filter of several models that take turns as a Markov chain [Blom1988].
 
     filters: one for each model, such as `celnav.ukf`, of the same state and sensors and of one form. Hooks that leave measurements
@@ -137,14 +191,27 @@ def imm(filters: Sequence[Any], transition: ArrayLike, *, initial: ArrayLike | N
     >>> filter = celnav.imm([celnav.ukf(cruise, radar), celnav.ukf(turn, radar)], [[0.95, 0.05], [0.1, 0.9]])
     >>> track = celnav.run(filter, prior, times, z, also=lambda epoch, state, infos: {"probabilities": state.probabilities})
     """
-    made = tuple(sequence("filters", filters, "[celnav.ukf(cruise, radar), celnav.ukf(turn, radar)]", 1))
-    k, wrong = len(made), [one for one in made if not all(hasattr(one, name) for name in ("start", "step", "motion"))]
+    made = tuple(
+        sequence("filters", filters, "[celnav.ukf(cruise, radar), celnav.ukf(turn, radar)]", 1)
+    )
+    k, wrong = (
+        len(made),
+        [
+            one
+            for one in made
+            if not all(hasattr(one, name) for name in ("start", "step", "motion"))
+        ],
+    )
     if wrong:
-        raise ValueError(f"filters: expected filters, such as celnav.ukf(motion, sensor), got {kind(wrong[0])}")
+        raise ValueError(
+            f"filters: expected filters, such as celnav.ukf(motion, sensor), got {kind(wrong[0])}"
+        )
     chances = finite("transition", transition, (k, k))
     first = np.full(k, 1.0 / k) if initial is None else finite("initial", initial, (k,))
     for name, p in (("transition", chances), ("initial", first)):
         if (p < 0.0).any() or np.abs(p.sum(-1) - 1.0).max() > 1e-9:
-            raise ValueError(f"{name}: expected probabilities that sum to 1 in each row, got {p.tolist()}")
+            raise ValueError(
+                f"{name}: expected probabilities that sum to 1 in each row, got {p.tolist()}"
+            )
     with np.errstate(divide="ignore"):
         return InteractingModels(made, np.log(chances), np.log(first))

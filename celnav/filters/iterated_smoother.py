@@ -62,10 +62,16 @@ def iterated_smoother(
         track = smooth(track, gains=gains and not left, on_failure=on_failure)
         assert track.belief is not None
         about = list(map(type(track.belief), *track.belief))
-        epochs = [epoch._replace(about=ends) for epoch, ends in zip(epochs, pairwise([None, *about]), strict=True)]
+        epochs = [
+            epoch._replace(about=ends)
+            for epoch, ends in zip(epochs, pairwise([None, *about]), strict=True)
+        ]
         flown = again
     return replace(
-        track, filter=filter, epochs=tuple(epoch._replace(about=None) for epoch in track.epochs), engine=why or track.engine
+        track,
+        filter=filter,
+        epochs=tuple(epoch._replace(about=None) for epoch in track.epochs),
+        engine=why or track.engine,
     )
 
 
@@ -79,12 +85,26 @@ class Relinearized(Sequential):
     @classmethod
     def of(cls, filter: Sequential) -> Relinearized:
         """The same filter, linearized so."""
-        return cls(filter.motion, filter.sensors, rule=filter.rule, form=filter.form, hooks=filter.hooks, gain=filter.gain)
+        return cls(
+            filter.motion,
+            filter.sensors,
+            rule=filter.rule,
+            form=filter.form,
+            hooks=filter.hooks,
+            gain=filter.gain,
+        )
 
     def onward(self, belief: Belief, epoch: Epoch, after: Array) -> Joint:
         """The joint of the state after the interval, as if measured to be ``after``, and of the one before it."""
         about, motion = belief if epoch.about[0] is None else epoch.about[0], self.motion
-        return over(about, self.rule, belief, motion, motion.space, lambda rule, belief: self.between(rule, belief, epoch, after))
+        return over(
+            about,
+            self.rule,
+            belief,
+            motion,
+            motion.space,
+            lambda rule, belief: self.between(rule, belief, epoch, after),
+        )
 
     def moved(self, belief: Belief, epoch: Epoch) -> Joint:
         """The joint of a prediction: the state after the interval."""
@@ -98,4 +118,11 @@ class Relinearized(Sequential):
     def measured(self, rule: Any, sensor: Sensor, belief: Belief, z: Array, epoch: Epoch) -> Joint:
         """The joint of what a sensor measures and of the state."""
         about, drawn = epoch.about[1], super().measured
-        return over(about, rule, belief, sensor, self.motion.space, lambda rule, belief: drawn(rule, sensor, belief, z, epoch))
+        return over(
+            about,
+            rule,
+            belief,
+            sensor,
+            self.motion.space,
+            lambda rule, belief: drawn(rule, sensor, belief, z, epoch),
+        )

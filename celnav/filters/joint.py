@@ -22,7 +22,19 @@ from celnav.filters.mixing import POINTS, WATCH, check_runs_apart, unknown
 from celnav.filters.model import Linear, Motion, Noise, Sensor, as_floats, given_back, is_linear
 from celnav.filters.records import Info
 from celnav.gaussian.checks import beside, instance, numbers, unmasked
-from celnav.gaussian.linalg import POSITIVE, Array, Belief, Form, block, factored, matvec, side_by_side, solve_right, surely, whiten
+from celnav.gaussian.linalg import (
+    POSITIVE,
+    Array,
+    Belief,
+    Form,
+    block,
+    factored,
+    matvec,
+    side_by_side,
+    solve_right,
+    surely,
+    whiten,
+)
 from celnav.gaussian.rules import Image, Taylor
 from celnav.gaussian.spaces import EUCLIDEAN, Space
 from celnav.tape.numbers import each_row
@@ -114,8 +126,14 @@ class Joint(NamedTuple):
         """With signs in place of a covariance."""
         if self.sign.ndim < 2 or self.measurement is None:
             return self
-        (D_z, sign), (D_x, _) = (factored(image.columns, self.sign) for image in (self.measurement, self.state))
-        return self._replace(measurement=self.measurement._replace(columns=D_z), state=self.state._replace(columns=D_x), sign=sign)
+        (D_z, sign), (D_x, _) = (
+            factored(image.columns, self.sign) for image in (self.measurement, self.state)
+        )
+        return self._replace(
+            measurement=self.measurement._replace(columns=D_z),
+            state=self.state._replace(columns=D_x),
+            sign=sign,
+        )
 
 
 Hook = Callable[[Any, Joint, Any], tuple[Any, Joint]]
@@ -145,7 +163,9 @@ def joint(
     V = at(measurement_noise, belief.mean, epoch)
     W = W if W is None or type(W) is tuple else (0, W)
     if W is not None and W[1].ndim > 2:
-        belief = over_runs("Q", W[1].shape[:-2], belief)  # a model may need the axes that only the noise has
+        belief = over_runs(
+            "Q", W[1].shape[:-2], belief
+        )  # a model may need the axes that only the noise has
     if V is not None and V.ndim > 2:
         belief = over_runs("R", V.shape[:-2], belief)
     for E in augment:
@@ -157,33 +177,68 @@ def joint(
     first: Any = models[0] if models else None
     if models and all(one is KEEP or type(one) is tuple or by_matrix(one, rule) for one in models):
         found: list[Any] = [
-            (mean, None) if one is KEEP else one if type(one) is tuple else linear(one, rule, mean, epoch, space) for one in models
+            (mean, None)
+            if one is KEEP
+            else one
+            if type(one) is tuple
+            else linear(one, rule, mean, epoch, space)
+            for one in models
         ]
         # A prediction factors the covariance even so: whether it is definite is to be noticed.
-        root, sign = belief.factor() if found[-1][1] is None and not augment else (belief.sqrt_cov, POSITIVE)
+        root, sign = (
+            belief.factor() if found[-1][1] is None and not augment else (belief.sqrt_cov, POSITIVE)
+        )
         for value, matrix in found:
             images.append(_linear_image(value, matrix, root, sign, augment))
-        noise_first = sign.ndim == 1 and isinstance(first, Sensor) and (not callable(first.h) or isinstance(first.h, Linear))
+        noise_first = (
+            sign.ndim == 1
+            and isinstance(first, Sensor)
+            and (not callable(first.h) or isinstance(first.h, Linear))
+        )
     else:
         root, sign = belief.sqrt_cov, rule.sign
         x, *noise = rule.points(mean, root, space, augment)
         values = outputs(x, epoch, *noise) if callable(outputs) else outputs
         for i, y in enumerate(values):
             if y is KEEP:
-                images.append(Image(mean, np.zeros(root.shape[-1]), rule.kept(root, augment), partial(np.eye, root.shape[-1])))
+                images.append(
+                    Image(
+                        mean,
+                        np.zeros(root.shape[-1]),
+                        rule.kept(root, augment),
+                        partial(np.eye, root.shape[-1]),
+                    )
+                )
             elif isinstance(y, np.ndarray):
                 images.append(rule.image(y, EUCLIDEAN if spaces is None else spaces[i], root))
             else:
-                images.append(rule.image(evaluate(y, x, epoch, noise, None if z is None else z.shape[-1]), y.space, root))
+                images.append(
+                    rule.image(
+                        evaluate(y, x, epoch, noise, None if z is None else z.shape[-1]),
+                        y.space,
+                        root,
+                    )
+                )
     state = images[-1]
-    for name, columns, image in (("Q", W and W[1], state), ("Q" if isinstance(first, Motion) else "R", V, images[0])):
+    for name, columns, image in (
+        ("Q", W and W[1], state),
+        ("Q" if isinstance(first, Motion) else "R", V, images[0]),
+    ):
         if columns is not None and columns.shape[-2] != image.columns.shape[-2]:
-            raise ValueError(f"{name}: expected {image.columns.shape[-2]} rows to go with the model, got {columns.shape[-2]}")
+            raise ValueError(
+                f"{name}: expected {image.columns.shape[-2]} rows to go with the model, got {columns.shape[-2]}"
+            )
     known = belief[1] if state.center is mean and W is None else None
     if z is None:
         return Joint(None, None, state, sign, W, None, known)
     measured, m = images[0], images[0].center.shape[-1]
-    own = spaces[0] if spaces is not None else first.space if isinstance(first, Motion | Sensor) else EUCLIDEAN
+    own = (
+        spaces[0]
+        if spaces is not None
+        else first.space
+        if isinstance(first, Motion | Sensor)
+        else EUCLIDEAN
+    )
     if z.shape[-1] != m:
         raise ValueError(f"z: expected {m} components to go with h, got {z.shape[-1]}")
     if z.ndim > 1 and z.shape[:-1] != mean.shape[:-1]:
@@ -191,7 +246,10 @@ def joint(
     if own is EUCLIDEAN:
         innovation = z - measured.center - measured.shift
     else:  # the mean may lie across a seam from the center
-        innovation = own.minus(own.plus(measured.center, own.minus(z, measured.center) - measured.shift), measured.center)
+        innovation = own.minus(
+            own.plus(measured.center, own.minus(z, measured.center) - measured.shift),
+            measured.center,
+        )
     return Joint(innovation, measured, state, sign, W, V, known, noise_first)
 
 
@@ -210,16 +268,22 @@ def at(noise: Any, mean: Array, epoch: Any) -> Any:
 
 def by_matrix(model: Any, rule: Any) -> bool:
     """Whether a model enters by its matrix alone: it is linear, or the rule asks for derivatives that are known."""
-    return is_linear(getattr(model, model.name)) or (model.jacobian is not None and isinstance(rule, Taylor))
+    return is_linear(getattr(model, model.name)) or (
+        model.jacobian is not None and isinstance(rule, Taylor)
+    )
 
 
-def linear(model: Motion | Sensor, rule: Any, mean: Array, epoch: Any, space: Space = EUCLIDEAN) -> tuple[Array, Array]:
+def linear(
+    model: Motion | Sensor, rule: Any, mean: Array, epoch: Any, space: Space = EUCLIDEAN
+) -> tuple[Array, Array]:
     """Value at the mean and matrix of a model that enters `by_matrix`; ``space``: that of the state."""
     function: Any = getattr(model, model.name)
     if is_linear(function):
         matrix = function.at(epoch, mean.shape[-1]) if callable(function) else function
         if model.name == "f" and matrix.shape[-2] != mean.shape[-1]:
-            raise ValueError(f"matrix: expected shape (..., {mean.shape[-1]}, {mean.shape[-1]}), got {matrix.shape}")
+            raise ValueError(
+                f"matrix: expected shape (..., {mean.shape[-1]}, {mean.shape[-1]}), got {matrix.shape}"
+            )
         value = matvec(matrix, mean)
         if (look := WATCH.get()) is not None:
             look(model.name, value[None])
@@ -229,28 +293,45 @@ def linear(model: Motion | Sensor, rule: Any, mean: Array, epoch: Any, space: Sp
     value = evaluate(model, center[None].copy(), epoch, none)[0]
     J = numbers("jacobian", unmasked("jacobian", model.jacobian(center, epoch)))  # type: ignore[misc]
     if J.ndim < 2 or (model.space is EUCLIDEAN and J.shape[-2] != value.shape[-1]):
-        raise ValueError(f"jacobian: expected shape (..., {value.shape[-1]}, n) to go with {model.name}, got {J.shape}")
+        raise ValueError(
+            f"jacobian: expected shape (..., {value.shape[-1]}, n) to go with {model.name}, got {J.shape}"
+        )
     if rule.about is None:
         return value, J
     way = space.minus(mean, center)
     return model.space.plus(value, matvec(J[..., : way.shape[-1]], way)), J
 
 
-def _linear_image(value: Array, matrix: Array | None, root: Array, sign: Array, augment: Sequence[Array]) -> Image:
+def _linear_image(
+    value: Array, matrix: Array | None, root: Array, sign: Array, augment: Sequence[Array]
+) -> Image:
     """The image of a linear function, of its value at the mean and its matrix ``(..., k, n + noises)``; None: the identity."""
     n = root.shape[-1]
     if matrix is None:
-        columns = side_by_side([root, *(np.zeros((n, E.shape[-1])) for E in augment)]) if augment else root
+        columns = (
+            side_by_side([root, *(np.zeros((n, E.shape[-1])) for E in augment)])
+            if augment
+            else root
+        )
         return Image(value, np.zeros(n), columns, partial(np.eye, n))
     width = root.shape[-2] + (sum([E.shape[-2] for E in augment]) if augment else 0)
     if matrix.shape[-1] != width:
-        raise ValueError(f"jacobian: expected shape (..., {matrix.shape[-2]}, {width}), got {matrix.shape}")
+        raise ValueError(
+            f"jacobian: expected shape (..., {matrix.shape[-2]}, {width}), got {matrix.shape}"
+        )
     if augment:
         ends = np.cumsum([E.shape[-2] for E in (root, *augment)])
-        columns = side_by_side([matrix[..., end - E.shape[-2] : end] @ E for end, E in zip(ends, (root, *augment), strict=True)])
+        columns = side_by_side(
+            [
+                matrix[..., end - E.shape[-2] : end] @ E
+                for end, E in zip(ends, (root, *augment), strict=True)
+            ]
+        )
     else:
         columns = matrix if sign.ndim > 1 else matrix @ root
-    return Image(value, np.zeros(matrix.shape[-2]), columns, partial(np.asanyarray, matrix[..., :n]))
+    return Image(
+        value, np.zeros(matrix.shape[-2]), columns, partial(np.asanyarray, matrix[..., :n])
+    )
 
 
 def over_runs(name: str, batch: tuple[int, ...], belief: Belief) -> Belief:
@@ -259,19 +340,33 @@ def over_runs(name: str, batch: tuple[int, ...], belief: Belief) -> Belief:
     if not batch or batch == runs:
         return belief
     together = beside(name, batch, runs, "the belief")
-    return belief if together == runs else belief._replace(mean=np.broadcast_to(belief.mean, (*together, belief.mean.shape[-1])))
+    return (
+        belief
+        if together == runs
+        else belief._replace(mean=np.broadcast_to(belief.mean, (*together, belief.mean.shape[-1])))
+    )
 
 
 def whole(form: Form, mean: Array, spread: Array) -> Belief:
     """The belief, where mean and covariance differ from run to run in axes of their own."""
     batch = beside("Q, R", spread.shape[:-2], mean.shape[:-1], "the belief")
-    return form(np.broadcast_to(mean, (*batch, mean.shape[-1])), np.broadcast_to(spread, (*batch, *spread.shape[-2:])))
+    return form(
+        np.broadcast_to(mean, (*batch, mean.shape[-1])),
+        np.broadcast_to(spread, (*batch, *spread.shape[-2:])),
+    )
 
 
 def marginal(form: Form, joint: Joint, space: Space) -> Belief:
     """The belief about the state, with nothing to condition on: a prediction."""
-    mean, spread = space.plus(joint.state.center, joint.state.shift), form.marginal(joint.columns(), joint.sign)
-    return form(mean, spread) if spread.ndim == 2 or spread.shape[:-2] == mean.shape[:-1] else whole(form, mean, spread)
+    mean, spread = (
+        space.plus(joint.state.center, joint.state.shift),
+        form.marginal(joint.columns(), joint.sign),
+    )
+    return (
+        form(mean, spread)
+        if spread.ndim == 2 or spread.shape[:-2] == mean.shape[:-1]
+        else whole(form, mean, spread)
+    )
 
 
 def condition(
@@ -299,8 +394,17 @@ def condition(
         innovation = np.where(mask, innovation, 0.0)
     K: Any = gain
     if gain is not None:
-        K = numbers("gain", gain(A, joint.sign, m) if callable(gain) else gain, (..., A.shape[-2] - m, m)) * mask[..., None, :]
-    S, U, spread = form.condition(A, joint.sign, m, K, known=joint.known, noise=joint.measurement_noise)
+        K = (
+            numbers(
+                "gain",
+                gain(A, joint.sign, m) if callable(gain) else gain,
+                (..., A.shape[-2] - m, m),
+            )
+            * mask[..., None, :]
+        )
+    S, U, spread = form.condition(
+        A, joint.sign, m, K, known=joint.known, noise=joint.measurement_noise
+    )
     whitened = whiten(S, innovation)
     step = state.shift + (matvec(U, whitened) if K is None else matvec(K, innovation))
     if space.transport is not None:
@@ -318,7 +422,9 @@ def condition(
 def _adapted(joint: Joint, hooks: Sequence[Hook], memory: Any, epoch: Any) -> tuple[Joint, Any]:
     """The joint after its hooks, which may replace its arrays or write into them, and their memories."""
     columns, memories = joint.state.columns, []
-    measurement, state = (image._replace(columns=image.columns.copy()) for image in (joint.measurement, joint.state))
+    measurement, state = (
+        image._replace(columns=image.columns.copy()) for image in (joint.measurement, joint.state)
+    )
     W, V = joint.process_noise, joint.measurement_noise
     given = joint = joint._replace(
         innovation=joint.innovation.copy(),
@@ -328,7 +434,9 @@ def _adapted(joint: Joint, hooks: Sequence[Hook], memory: Any, epoch: Any) -> tu
         measurement_noise=None if V is None else V.copy(),
         noise_first=False,
     )
-    for hook, remembered in zip(hooks, (None,) * len(hooks) if memory is None else memory, strict=True):
+    for hook, remembered in zip(
+        hooks, (None,) * len(hooks) if memory is None else memory, strict=True
+    ):
         remembered, joint = given_back("hooks", hook(remembered, joint, epoch), "memory, joint")
         instance("hooks", joint, Joint, "hooks that give back (memory, joint)")
         memories.append(remembered)
@@ -344,7 +452,9 @@ def alike(used: Array) -> Array:
     return every if used.ndim == 1 or every.all() or (used == every).all() else used
 
 
-def evaluate(model: Motion | Sensor, x: Array, epoch: Any, noise: Sequence[Array] = (), m: int | None = None) -> Array:
+def evaluate(
+    model: Motion | Sensor, x: Array, epoch: Any, noise: Sequence[Array] = (), m: int | None = None
+) -> Array:
     """Values ``(p, ..., m)`` of a model at points ``x (p, ..., N)``, as floats of the shape they must have.
 
     ``m``: how many components are measured. The function may change its argument: rules make points for one call, and a caller with
@@ -356,7 +466,11 @@ def evaluate(model: Motion | Sensor, x: Array, epoch: Any, noise: Sequence[Array
         return matvec(function, x)
     vectors = not isinstance(model, Motion) and model.space is EUCLIDEAN and model.m in (None, m)
     dimension = x.shape[-1] if isinstance(model, Motion) else m if vectors else None
-    copies = [array.copy(order="K") for array in (x, *noise)] if x.ndim > 2 and unknown(function, x) else None
+    copies = (
+        [array.copy(order="K") for array in (x, *noise)]
+        if x.ndim > 2 and unknown(function, x)
+        else None
+    )
     try:
         if x.dtype.hasobject:
             y: Any = each_row(lambda x, *noise: function(x, epoch, *noise), x, *noise)
@@ -370,8 +484,14 @@ def evaluate(model: Motion | Sensor, x: Array, epoch: Any, noise: Sequence[Array
         error.add_note(note)
         error.add_note(POINTS)
         raise
-    if y.shape[:-1] != x.shape[:-1] or not y.ndim or (dimension is not None and y.shape[-1] != dimension):
-        expected = ", ".join(str(s) for s in (*x.shape[:-1], "m" if dimension is None else dimension))
+    if (
+        y.shape[:-1] != x.shape[:-1]
+        or not y.ndim
+        or (dimension is not None and y.shape[-1] != dimension)
+    ):
+        expected = ", ".join(
+            str(s) for s in (*x.shape[:-1], "m" if dimension is None else dimension)
+        )
         raise ValueError(f"{name} returned shape {y.shape}, expected ({expected}); {POINTS}")
     if (look := WATCH.get()) is not None:
         look(name, y)

@@ -29,13 +29,20 @@ Model = Callable[..., Any]
 def unknown(function: Model, points: Array) -> bool:
     """Whether a model is to be looked at: the first time, and where there are runs that it could mix."""
     models = LOOKED_AT.get()
-    if models is None or points.shape[-2] < 2 or len(models) == MOST or any(function is model for model in models):
+    if (
+        models is None
+        or points.shape[-2] < 2
+        or len(models) == MOST
+        or any(function is model for model in models)
+    ):
         return False
     models.append(function)
     return True
 
 
-def check_runs_apart(name: str, function: Model, arrays: Sequence[Array], epoch: Any, y: Array) -> None:
+def check_runs_apart(
+    name: str, function: Model, arrays: Sequence[Array], epoch: Any, y: Array
+) -> None:
     """Raise a ValueError if the values ``y`` of a model at ``arrays``, points of the state and of noises, mix runs."""
     which = int(np.argmax(np.isfinite(y).all(tuple(i for i in range(y.ndim) if i != y.ndim - 2))))
     here = slice(which, which + 1)
@@ -54,7 +61,9 @@ def check_runs_apart(name: str, function: Model, arrays: Sequence[Array], epoch:
         raise ValueError(f"{name}: expected values of each run by itself, got {got}; {POINTS}")
 
 
-def _value(function: Model, arrays: Sequence[Array], epoch: Any, dimension: int) -> tuple[Array | None, str]:
+def _value(
+    function: Model, arrays: Sequence[Array], epoch: Any, dimension: int
+) -> tuple[Array | None, str]:
     """Values of a model, or None and the reason where it cannot be evaluated there."""
     points, *noise = (np.array(a, order="K") for a in arrays)  # it may change its argument
     try:
@@ -72,10 +81,18 @@ def _noticed(function: Model, arrays: Sequence[Array], epoch: Any, y: Array) -> 
     for bit in range(int(runs[-1]).bit_length()):
         ones = (runs >> bit & 1) == 1
         for kept in (ones, ~ones):
-            found, _ = _value(function, [np.where(kept[:, None], *pair) for pair in zip(arrays, others)], epoch, y.shape[-1])
+            found, _ = _value(
+                function,
+                [np.where(kept[:, None], *pair) for pair in zip(arrays, others)],
+                epoch,
+                y.shape[-1],
+            )
             if found is None:
                 continue
             change = np.nan_to_num(np.abs(found - y))
-            if (change[..., kept, :] > 1e-6 * change.max() + 1e-12 * np.nan_to_num(np.abs(y[..., kept, :]))).any():
+            if (
+                change[..., kept, :]
+                > 1e-6 * change.max() + 1e-12 * np.nan_to_num(np.abs(y[..., kept, :]))
+            ).any():
                 return True
     return False

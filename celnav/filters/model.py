@@ -75,14 +75,27 @@ class _Model:
             matrix = finite(name, model)
             if matrix.ndim < 2 or (name == "f" and matrix.shape[-1] != matrix.shape[-2]):
                 shape = "(..., n, n)" if name == "f" else "(..., m, n)"
-                raise ValueError(f"{name}: expected a function (points, epoch) or a matrix {shape}, got shape {matrix.shape}")
+                raise ValueError(
+                    f"{name}: expected a function (points, epoch) or a matrix {shape}, got shape {matrix.shape}"
+                )
             if isinstance(columns, np.ndarray) and columns.shape[-2] != matrix.shape[-2]:
-                raise ValueError(f"{noise}: expected {matrix.shape[-2]} rows to go with {name}, got {columns.shape[-2]}")
+                raise ValueError(
+                    f"{noise}: expected {matrix.shape[-2]} rows to go with {name}, got {columns.shape[-2]}"
+                )
             object.__setattr__(self, name, matrix)
-        elif not any(takes(model, count) for count in range(2, 10)):  # how many noises go through it only the filter knows
-            raise ValueError(f"{name}: expected a function (points, epoch, *noise), got {kind(model)} of other arguments")
+        elif not any(
+            takes(model, count) for count in range(2, 10)
+        ):  # how many noises go through it only the filter knows
+            raise ValueError(
+                f"{name}: expected a function (points, epoch, *noise), got {kind(model)} of other arguments"
+            )
         if self.jacobian is not None:
-            function("jacobian", self.jacobian, "(mean, epoch)", f"; a linear {name} is the matrix itself")
+            function(
+                "jacobian",
+                self.jacobian,
+                "(mean, epoch)",
+                f"; a linear {name} is the matrix itself",
+            )
         instance("space", self.space, Space, "a Space, such as celnav.angles([0])")
         roots = check_roots("augment", self.augment)
         if len(roots) and is_linear(model):
@@ -97,7 +110,11 @@ class _Model:
     @cached_property
     def noise(self) -> Noise:
         """Columns ``(..., k, r)`` of the noise, or a function ``(mean, epoch)`` of them."""
-        return noise_of(self.noise_name, getattr(self, self.noise_name), getattr(self, f"sqrt_{self.noise_name}"))
+        return noise_of(
+            self.noise_name,
+            getattr(self, self.noise_name),
+            getattr(self, f"sqrt_{self.noise_name}"),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +165,9 @@ class Sensor(_Model):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _ = self.noisy  # looked at now: while a step is recorded the numbers of R may have no values
+        _ = (
+            self.noisy
+        )  # looked at now: while a step is recorded the numbers of R may have no values
 
     @cached_property
     def m(self) -> int | None:
@@ -158,7 +177,9 @@ class Sensor(_Model):
     @cached_property
     def noisy(self) -> bool:
         """Whether each component is known to have noise of its own: only what is exact can be of what is known already."""
-        return bool(len(self.augment)) or (isinstance(self.noise, np.ndarray) and bool(self.noise.any(-1).all()))
+        return bool(len(self.augment)) or (
+            isinstance(self.noise, np.ndarray) and bool(self.noise.any(-1).all())
+        )
 
 
 Noise = Array | Callable[[Array, Any], Array] | None
@@ -188,8 +209,12 @@ def _root_at(function: Any, name: str, mean: Array, epoch: Any) -> Array:
 
 def check_roots(name: str, roots: Any) -> Sequence[Array]:
     """Noises through the points are a sequence of their roots, matrices ``(..., k, k)``; ValueError names other things."""
-    if not isinstance(roots, tuple | list) or not all(isinstance(root, np.ndarray) and root.ndim >= 2 for root in roots):
-        raise ValueError(f"{name}: expected a sequence of matrices, a root (k, k) for each noise, such as (np.eye(2),)")
+    if not isinstance(roots, tuple | list) or not all(
+        isinstance(root, np.ndarray) and root.ndim >= 2 for root in roots
+    ):
+        raise ValueError(
+            f"{name}: expected a sequence of matrices, a root (k, k) for each noise, such as (np.eye(2),)"
+        )
     return roots
 
 
@@ -197,12 +222,19 @@ def check_matrices(n: int, *models: Motion | Sensor) -> None:
     """Matrices among models of a state go with its ``n`` deviations; ValueError names one that does not."""
     for name, matrix in ((model.name, getattr(model, model.name)) for model in models):
         if not callable(matrix) and matrix.shape[-1] != n:
-            raise ValueError(f"{name}: expected a matrix ({'n' if name == 'f' else 'm'}, {n}), got {matrix.shape[-2:]}")
+            raise ValueError(
+                f"{name}: expected a matrix ({'n' if name == 'f' else 'm'}, {n}), got {matrix.shape[-2:]}"
+            )
 
 
 def check_prior(prior: Any) -> None:
     """A prior is a `celnav.Gaussian`, or the belief of a filter."""
-    instance("prior", prior, (Gaussian, SquareRoot, Covariance), "a Gaussian, such as celnav.Gaussian(mean, cov)")
+    instance(
+        "prior",
+        prior,
+        (Gaussian, SquareRoot, Covariance),
+        "a Gaussian, such as celnav.Gaussian(mean, cov)",
+    )
 
 
 def given_back(name: str, value: Any, what: str) -> Any:

@@ -12,7 +12,18 @@ from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.checks import finite, kind, numbers
 from celnav.gaussian.linalg import Array, surely
 
-__all__ = ["Epoch", "Epochs", "Filter", "FilterError", "FromFunctions", "Info", "State", "check_interval", "epochs", "still"]
+__all__ = [
+    "Epoch",
+    "Epochs",
+    "Filter",
+    "FilterError",
+    "FromFunctions",
+    "Info",
+    "State",
+    "check_interval",
+    "epochs",
+    "still",
+]
 
 _LOG_2PI = float(np.log(2.0 * np.pi))
 
@@ -125,15 +136,32 @@ class Epochs(Sequence[Epoch]):
     ``[:k]`` ends; where a stride leaves epochs out, intervals are those between the ones that are left.
     """
 
-    def __init__(self, times: Array, z: Any, u: Any, truth: Any, rows: range | None = None, before: int = -1, first: int = 0):
+    def __init__(
+        self,
+        times: Array,
+        z: Any,
+        u: Any,
+        truth: Any,
+        rows: range | None = None,
+        before: int = -1,
+        first: int = 0,
+    ):
         self._times, self._z, self._u, self._truth = times, z, u, truth
-        self._rows, self._before, self._first = range(len(times)) if rows is None else rows, before, first
+        self._rows, self._before, self._first = (
+            range(len(times)) if rows is None else rows,
+            before,
+            first,
+        )
 
     def __len__(self) -> int:
         return len(self._rows)
 
     def __repr__(self) -> str:
-        span = f" from {self._times[self._rows[0]]:g} to {self._times[self._rows[-1]]:g} s" if self._rows else ""
+        span = (
+            f" from {self._times[self._rows[0]]:g} to {self._times[self._rows[-1]]:g} s"
+            if self._rows
+            else ""
+        )
         return f"Epochs({len(self)}{span})"
 
     def __getitem__(self, k: Any) -> Any:
@@ -142,13 +170,25 @@ class Epochs(Sequence[Epoch]):
             if count < 1:
                 raise ValueError(f"epochs: expected a slice that runs forward, got {k}")
             if count > 1 and self._u is not None:
-                raise ValueError(f"epochs: an interval of {count} epochs has {count} inputs, got one u for each; make epochs anew")
+                raise ValueError(
+                    f"epochs: an interval of {count} epochs has {count} inputs, got one u for each; make epochs anew"
+                )
             at = k.indices(len(self))[0]
-            return Epochs(self._times, self._z, self._u, self._truth, rows, self._row_before(at), self._first + at)
+            return Epochs(
+                self._times,
+                self._z,
+                self._u,
+                self._truth,
+                rows,
+                self._row_before(at),
+                self._first + at,
+            )
         at = range(len(self))[k]
         i, before = self._rows[at], self._row_before(at)
         t = float(self._times[i])
-        dt, u = (t - float(self._times[before]), _at(self._u, before)) if before >= 0 else (0.0, None)
+        dt, u = (
+            (t - float(self._times[before]), _at(self._u, before)) if before >= 0 else (0.0, None)
+        )
         return Epoch(self._first + at, t, dt, u, _at(self._z, i), _at(self._truth, i))
 
     def columns(self, sensors: int) -> tuple[Array, Array, Array, list[Any], tuple[Any, ...]]:
@@ -158,7 +198,10 @@ class Epochs(Sequence[Epoch]):
         t = self._times[at]
         dt = np.where(before >= 0, t - self._times[before], 0.0)
         z = self._z if isinstance(self._z, tuple) else (self._z,) * max(sensors, 1)
-        each = tuple([None] * len(at) if part is None else part[at[0] : at[-1] + 1 : self._rows.step] for part in z[:sensors])
+        each = tuple(
+            [None] * len(at) if part is None else part[at[0] : at[-1] + 1 : self._rows.step]
+            for part in z[:sensors]
+        )
         u = [None if i < 0 or self._u is None else _at(self._u, i) for i in before.tolist()]
         return self._first + np.arange(len(at)), t, dt, u, each
 
@@ -191,13 +234,21 @@ def epochs(times: ArrayLike, z: Any = None, u: Any = None, truth: Any = None) ->
     back = np.flatnonzero(np.diff(t) < 0.0)
     if len(back):
         k = int(back[0]) + 1
-        raise ValueError(f"times: expected them not to decrease, got {t[k]} after {t[k - 1]} at index {k}")
+        raise ValueError(
+            f"times: expected them not to decrease, got {t[k]} after {t[k - 1]} at index {k}"
+        )
     if z is not None:
-        z = tuple(_measurements(v, len(t)) for v in z) if isinstance(z, tuple) else _measurements(z, len(t))
+        z = (
+            tuple(_measurements(v, len(t)) for v in z)
+            if isinstance(z, tuple)
+            else _measurements(z, len(t))
+        )
     for name, values, least in (("u", u, len(t) - 1), ("truth", truth, len(t))):
         for part in values if isinstance(values, tuple) else (values,):
             if part is not None and _rows(name, part) < least:
-                raise ValueError(f"{name}: expected at least {least} rows for {len(t)} times, got {len(part)}")
+                raise ValueError(
+                    f"{name}: expected at least {least} rows for {len(t)} times, got {len(part)}"
+                )
     return Epochs(t, z, u, truth)
 
 
@@ -218,7 +269,9 @@ def _measurements(z: ArrayLike, length: int) -> Array:
     measured = numbers("z", z)
     if measured.ndim < 2 or len(measured) != length:
         hint = "; one component is z[:, None]" if measured.shape == (length,) else ""
-        raise ValueError(f"z: expected shape ({length}, ..., m) to go with the times, got {measured.shape}{hint}")
+        raise ValueError(
+            f"z: expected shape ({length}, ..., m) to go with the times, got {measured.shape}{hint}"
+        )
     if np.isinf(measured).any():
         k = int(np.argwhere(np.isinf(measured))[0, 0])
         raise ValueError(f"z: expected finite numbers or nan, got an infinite one at index {k}")
@@ -231,12 +284,21 @@ def check_interval(filter: Any, epoch: Any, before: Any) -> None:
     if isinstance(dt, float) and 0.0 < dt < np.inf:
         return
     if dt is None:
-        raise ValueError(f"epochs: expected celnav.epochs(times, z), or records like celnav.Epoch, got {kind(epoch)}")
+        raise ValueError(
+            f"epochs: expected celnav.epochs(times, z), or records like celnav.Epoch, got {kind(epoch)}"
+        )
     interval = numbers("dt", dt)
     if before is not None and not interval.any() and np.any(np.asarray(epoch.t) > before):
         raise ValueError(f"dt: expected the interval since t = {before}, got 0 at t = {epoch.t}")
     if not (np.isfinite(interval) & (interval >= 0.0)).all():
         raise ValueError(f"dt: expected a non-negative number, got {dt!r} at step {epoch.k}")
     motion = getattr(filter, "motion", None)
-    if np.any(dt) and not np.all(dt) and motion is not None and not (callable(motion.Q) or callable(motion.sqrt_Q)):
-        raise ValueError("dt: expected an interval for every run or for none where Q is constant, got 0 for some of them")
+    if (
+        np.any(dt)
+        and not np.all(dt)
+        and motion is not None
+        and not (callable(motion.Q) or callable(motion.sqrt_Q))
+    ):
+        raise ValueError(
+            "dt: expected an interval for every run or for none where Q is constant, got 0 for some of them"
+        )

@@ -8,7 +8,18 @@ from typing import Any
 import numpy as np
 
 from celnav.filters.joint import Joint
-from celnav.gaussian.linalg import EPS, Array, Belief, SquareRoot, block, matvec, solve_lower, solve_right, surely, weighted
+from celnav.gaussian.linalg import (
+    EPS,
+    Array,
+    Belief,
+    SquareRoot,
+    block,
+    matvec,
+    solve_lower,
+    solve_right,
+    surely,
+    weighted,
+)
 from celnav.gaussian.rules import Image
 
 __all__ = ["pseudo_gain", "regressed"]
@@ -27,14 +38,18 @@ def regressed(seen: Joint, belief: Belief, way: Array) -> Joint:
     kept = block([[root, np.zeros((n, left.shape[-1]))]])
     return seen._replace(
         innovation=seen.innovation - moved,
-        measurement=Image(own.center, own.shift + moved, block([[A @ root, left]]), partial(np.asanyarray, A)),
+        measurement=Image(
+            own.center, own.shift + moved, block([[A @ root, left]]), partial(np.asanyarray, A)
+        ),
         state=Image(belief.mean, np.zeros(n), kept, partial(np.eye, n)),
         sign=np.concatenate([np.ones(n), np.broadcast_to(seen.sign, left.shape[-1:])]),
         known=belief[1],
     )
 
 
-def pseudo_gain(A: Array, sign: Array, m: int, center: Array | None = None, least: float = 0.0) -> Array:
+def pseudo_gain(
+    A: Array, sign: Array, m: int, center: Array | None = None, least: float = 0.0
+) -> Array:
     """Gain ``cov(x, y) cov(y)^+ (..., n, m)`` of columns of y and x; the pseudo-inverse where the covariance of y is singular.
 
     ``center``: where y lies, whose round-off the columns carry. ``least``: part of a deviation below which a direction is known.

@@ -55,21 +55,44 @@ def run(
         function("also", also, "(epoch, state, infos)")
     if reduce is not None:
         function("reduce", reduce, "(accumulated, epoch, state, infos)")
-    if (engine := choice("engine", engine or ENGINE.get(), ENGINES)) != "numpy" or hasattr(filter, "run"):  # a compiled filter
+    if (engine := choice("engine", engine or ENGINE.get(), ENGINES)) != "numpy" or hasattr(
+        filter, "run"
+    ):  # a compiled filter
         from celnav.filters.compiled import run_by
 
         given = as_epochs(times, z, u)
-        return run_by(engine, filter, prior, given, jobs, also, reduce, every=every, keep=keep, on_failure=on_failure)
-    collector = Collector(integer("every", every), choice("keep", keep, ("std", "cov", "mean", "nothing")))
+        return run_by(
+            engine,
+            filter,
+            prior,
+            given,
+            jobs,
+            also,
+            reduce,
+            every=every,
+            keep=keep,
+            on_failure=on_failure,
+        )
+    collector = Collector(
+        integer("every", every), choice("keep", keep, ("std", "cov", "mean", "nothing"))
+    )
     choice("on_failure", on_failure, ("raise", "flag"))
     reduced, before = None, None
     for epoch, state, infos in steps(filter, prior, as_epochs(times, z, u)):
-        more = {} if also is None else instance("also", also(epoch, state, infos), dict, "a dict, such as {'gain': array}")
+        more = (
+            {}
+            if also is None
+            else instance(
+                "also", also(epoch, state, infos), dict, "a dict, such as {'gain': array}"
+            )
+        )
         lost = collector.add(epoch, state.belief, infos, more)
         if lost is not None and on_failure == "raise":
             why = explain(filter, filter.start(prior) if before is None else before, state, epoch)
             where = f", run {lost}" if lost else ""
-            raise FilterError(f"step {epoch.k}, t = {epoch.t}{where}: {why} (on_failure='flag' lets the other runs go on)")
+            raise FilterError(
+                f"step {epoch.k}, t = {epoch.t}{where}: {why} (on_failure='flag' lets the other runs go on)"
+            )
         if reduce is not None:
             reduced = reduce(reduced, epoch, state, infos)
         before = state
@@ -86,18 +109,24 @@ def as_epochs(times: Any, z: Any, u: Any) -> Iterable[Epoch]:
     return times  # type: ignore[no-any-return]
 
 
-def steps(filter: Filter, prior: Any, epochs: Iterable[Epoch]) -> Iterator[tuple[Epoch, Any, tuple[Info, ...]]]:
+def steps(
+    filter: Filter, prior: Any, epochs: Iterable[Epoch]
+) -> Iterator[tuple[Epoch, Any, tuple[Info, ...]]]:
     """Stream ``(epoch, state, infos)`` after each step; ``state.belief`` is the estimate.
 
     >>> for epoch, state, infos in celnav.steps(filter, prior, celnav.epochs(times, z)): ...
     """
     if not (hasattr(filter, "start") and hasattr(filter, "step")):
-        raise ValueError(f"filter: expected a filter, such as celnav.ukf(motion, sensor), got {kind(filter)}")
+        raise ValueError(
+            f"filter: expected a filter, such as celnav.ukf(motion, sensor), got {kind(filter)}"
+        )
     state, before = filter.start(prior), None
     try:
         every = iter(epochs)
     except TypeError:
-        raise ValueError(f"epochs: expected celnav.epochs(times, z), or records like celnav.Epoch, got {kind(epochs)}") from None
+        raise ValueError(
+            f"epochs: expected celnav.epochs(times, z), or records like celnav.Epoch, got {kind(epochs)}"
+        ) from None
     models: list[Any] = []
     for epoch in every:
         check_interval(filter, epoch, before)
@@ -117,7 +146,9 @@ def steps(filter: Filter, prior: Any, epochs: Iterable[Epoch]) -> Iterator[tuple
 
 def explain(filter: Any, before: Any, after: Any, epoch: Epoch) -> str:
     """Why a run that was sound in the state before an epoch is lost after it, a sentence: the step is done again, and watched."""
-    lost = after.belief.lost() & ~np.broadcast_to(before.belief.lost(), after.belief.mean.shape[:-1])
+    lost = after.belief.lost() & ~np.broadcast_to(
+        before.belief.lost(), after.belief.mean.shape[:-1]
+    )
     for part in epoch.z if isinstance(epoch.z, tuple) else (epoch.z,):
         if part is not None and np.isinf(np.asarray(part, dtype=np.float64)).any():
             return "z is infinite"
@@ -138,10 +169,16 @@ def explain(filter: Any, before: Any, after: Any, epoch: Epoch) -> str:
         WATCH.reset(token)
     if found:
         return found[0]
-    within = filter if hasattr(filter, "sensors") else getattr(filter, "first", filter)  # of two filters, or of two stages
+    within = (
+        filter if hasattr(filter, "sensors") else getattr(filter, "first", filter)
+    )  # of two filters, or of two stages
     if not hasattr(getattr(within, "filter", within), "sensors"):
         return "the estimate is not finite"
-    predicted = filter.predict(before, epoch) if getattr(type(filter), "step", None) is Sequential.step else before
+    predicted = (
+        filter.predict(before, epoch)
+        if getattr(type(filter), "step", None) is Sequential.step
+        else before
+    )
     if epoch.z is None or (predicted.belief.lost() & lost).any():
         return "the covariance lost positive definiteness"
     why = "the innovation covariance is not positive definite"

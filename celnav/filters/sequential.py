@@ -9,12 +9,34 @@ from typing import Any
 
 import numpy as np
 
-from celnav.filters.joint import KEEP, Gain, Hook, Joint, by_matrix, condition, evaluate, joint, marginal, over_runs, whole
+from celnav.filters.joint import (
+    KEEP,
+    Gain,
+    Hook,
+    Joint,
+    by_matrix,
+    condition,
+    evaluate,
+    joint,
+    marginal,
+    over_runs,
+    whole,
+)
 from celnav.filters.model import Motion, Sensor, check_matrices, check_prior, check_roots
 from celnav.filters.records import Epoch, Info, State, still
 from celnav.filters.regression import regressed
 from celnav.gaussian.belief import Gaussian
-from celnav.gaussian.checks import choice, finite, function, instance, integer, kind, number, numbers, takes
+from celnav.gaussian.checks import (
+    choice,
+    finite,
+    function,
+    instance,
+    integer,
+    kind,
+    number,
+    numbers,
+    takes,
+)
 from celnav.gaussian.linalg import EPS, FORMS, Array, Belief, Form, surely
 from celnav.gaussian.rules import AnyDimension, Taylor, cubature, gauss_hermite, unscented
 from celnav.gaussian.spaces import EUCLIDEAN, Space
@@ -54,12 +76,18 @@ class Sequential:
         belief = self.form.of(prior)
         N, n = belief.mean.shape[-1], belief[1].shape[-1]
         if n != N and self.motion.space == EUCLIDEAN:
-            raise ValueError(f"space: expected one for states of {N} components with {n} deviations, got vectors")
+            raise ValueError(
+                f"space: expected one for states of {N} components with {n} deviations, got vectors"
+            )
         check_matrices(n, self.motion, *self.sensors)
         if n != N and not all(callable(sensor.h) for sensor in self.sensors):
-            raise ValueError(f"h: expected a function where states have {N} components and {n} deviations, got a matrix")
+            raise ValueError(
+                f"h: expected a function where states have {N} components and {n} deviations, got a matrix"
+            )
         if not all(by_matrix(model, self.rule) for model in (self.motion, *self.sensors)):
-            belief = whole(self.form, *belief)  # a covariance of all runs stays one where their matrices are
+            belief = whole(
+                self.form, *belief
+            )  # a covariance of all runs stays one where their matrices are
         return State(belief, (None,) * len(self.sensors))
 
     def step(self, state: State, epoch: Epoch) -> tuple[State, tuple[Info, ...]]:
@@ -73,25 +101,39 @@ class Sequential:
             raise ValueError(f"epoch: expected a record like celnav.Epoch, got {kind(epoch)}")
         if still(epoch):
             return state
-        return state._replace(belief=marginal(self.form, self.moved(state.belief, epoch), self.motion.space))
+        return state._replace(
+            belief=marginal(self.form, self.moved(state.belief, epoch), self.motion.space)
+        )
 
     def update(self, state: State, epoch: Epoch) -> tuple[State, tuple[Info, ...]]:
         """State given what was measured at the end of an epoch, and what each sensor did to it."""
         belief, memory, infos = state.belief, list(state.memory), []
-        for i, (sensor, z) in enumerate(zip(self.sensors, measurements(epoch.z, len(self.sensors)), strict=True)):
+        for i, (sensor, z) in enumerate(
+            zip(self.sensors, measurements(epoch.z, len(self.sensors)), strict=True)
+        ):
             if missing(z):
                 infos.append(silent(sensor, z))
                 belief = belief if z is None else over_runs("z", z.shape[:-1], belief)
                 continue
             hooks = self.hooks[i] if self.hooks else ()
-            belief, info, memory[i] = self.see(sensor, belief, checked(z, sensor), epoch, hooks, memory[i])
+            belief, info, memory[i] = self.see(
+                sensor, belief, checked(z, sensor), epoch, hooks, memory[i]
+            )
             infos.append(info)
         return State(belief, tuple(memory)), tuple(infos)
 
     def moved(self, belief: Belief, epoch: Epoch) -> Joint:
         """The joint of a prediction: the state after the interval."""
         motion = self.motion
-        return joint(self.rule, belief, (motion,), epoch, space=motion.space, process_noise=motion.noise, augment=motion.augment)
+        return joint(
+            self.rule,
+            belief,
+            (motion,),
+            epoch,
+            space=motion.space,
+            process_noise=motion.noise,
+            augment=motion.augment,
+        )
 
     def onward(self, belief: Belief, epoch: Epoch, after: Array) -> Joint:
         """The joint of the state after the interval, as if measured to be ``after``, and of the one before it: what smooths."""
@@ -113,34 +155,66 @@ class Sequential:
         )  # fmt: skip
 
     def see(
-        self, sensor: Sensor, belief: Belief, z: Array, epoch: Epoch, hooks: tuple[Hook, ...], memory: Any
+        self,
+        sensor: Sensor,
+        belief: Belief,
+        z: Array,
+        epoch: Epoch,
+        hooks: tuple[Hook, ...],
+        memory: Any,
     ) -> tuple[Belief, Info, Any]:
         """The belief given one measurement, what that did, and the memory of the hooks."""
         seen = self.measured(self.rule, sensor, belief, z, epoch)
-        after, info, memory = condition(self.form, seen, self.motion.space, hooks=hooks, memory=memory, epoch=epoch, gain=self.gain)
+        after, info, memory = condition(
+            self.form,
+            seen,
+            self.motion.space,
+            hooks=hooks,
+            memory=memory,
+            epoch=epoch,
+            gain=self.gain,
+        )
         if not sensor.noisy and self.gain is None:
             after = self._told(sensor, belief, seen, after, info, epoch)
         return after, info, memory
 
-    def _told(self, sensor: Sensor, belief: Belief, seen: Joint, after: Belief, info: Info, epoch: Epoch) -> Belief:
+    def _told(
+        self, sensor: Sensor, belief: Belief, seen: Joint, after: Belief, info: Info, epoch: Epoch
+    ) -> Belief:
         """The belief, but nan for runs in which a measurement without noise is of what was known already."""
         V, measured = seen.measurement_noise, seen.measurement
         exact = np.ones(1, bool) if V is None else np.asanyarray(~V.any(-1))
         if surely(~exact.any()):
             return after
         if by_matrix(sensor, self.rule):
-            deviation, size = (np.abs(measured.jacobian()) * belief.std[..., None, :]).max(-1), np.zeros(1)
+            deviation, size = (
+                (np.abs(measured.jacobian()) * belief.std[..., None, :]).max(-1),
+                np.zeros(1),
+            )
         else:
             axes = np.moveaxis(belief.std[..., None] * np.eye(belief[1].shape[-1]), -1, 0)
-            y = evaluate(sensor, self.motion.space.plus(belief.mean, np.concatenate([0.0 * axes[:1], axes])), epoch)
+            y = evaluate(
+                sensor,
+                self.motion.space.plus(belief.mean, np.concatenate([0.0 * axes[:1], axes])),
+                epoch,
+            )
             deviation = np.abs(sensor.space.minus(y[1:], y[:1])).max(0)
-            size = np.abs(measured.center) if measured.center.shape == deviation.shape else np.zeros(1)
+            size = (
+                np.abs(measured.center) if measured.center.shape == deviation.shape else np.zeros(1)
+            )
         # What is left of a deviation, or of a large number, after cancellation is round-off.
         least = 16.0 * (self.form.rounding() * deviation + EPS * size)
-        known = (exact & np.asanyarray(info.used) & (np.asanyarray(info.sqrt_S).diagonal(0, -2, -1) <= least)).any(-1)
+        known = (
+            exact
+            & np.asanyarray(info.used)
+            & (np.asanyarray(info.sqrt_S).diagonal(0, -2, -1) <= least)
+        ).any(-1)
         if surely(~known.any()):
             return after
-        return self.form(np.where(known[..., None], np.nan, after.mean), np.where(known[..., None, None], np.nan, after[1]))
+        return self.form(
+            np.where(known[..., None], np.nan, after.mean),
+            np.where(known[..., None, None], np.nan, after[1]),
+        )
 
 
 def measurements(z: Any, sensors: int) -> tuple[Any, ...]:
@@ -155,13 +229,21 @@ def checked(z: Any, sensor: Sensor) -> Array:
     """A measurement ``(..., m)`` as floats."""
     measured = numbers("z", z)
     if measured.ndim == 0:
-        raise ValueError(f"z: expected shape (..., m), got the number {measured}; one component is [z]")
-    return measured if sensor.space.check is None or measured.dtype.hasobject else sensor.space.check(measured, "z")
+        raise ValueError(
+            f"z: expected shape (..., m), got the number {measured}; one component is [z]"
+        )
+    return (
+        measured
+        if sensor.space.check is None or measured.dtype.hasobject
+        else sensor.space.check(measured, "z")
+    )
 
 
 def missing(z: Any) -> bool:
     """Whether nothing was measured, in any run."""
-    return z is None or (type(z) is np.ndarray and z.dtype == np.float64 and bool(np.isnan(z).all()))
+    return z is None or (
+        type(z) is np.ndarray and z.dtype == np.float64 and bool(np.isnan(z).all())
+    )
 
 
 def silent(sensor: Sensor, z: Any) -> Info:
@@ -197,19 +279,39 @@ def sigma_point(
         instance("sensors", sensor, Sensor, "celnav.Sensor(h, R)")
     if gain is not None and len(sensors) != 1:
         raise ValueError(f"gain: expected one sensor with it, got {len(sensors)}")
-    gain = function("gain", gain, "(A, sign, m)") if callable(gain) else None if gain is None else finite("gain", gain)
+    gain = (
+        function("gain", gain, "(A, sign, m)")
+        if callable(gain)
+        else None
+        if gain is None
+        else finite("gain", gain)
+    )
     if isinstance(rule, type) or not (hasattr(rule, "image") or callable(rule)):
         hint = " (celnav.from_filterpy makes it one)" if hasattr(rule, "sigma_points") else ""
-        raise ValueError(f"rule: expected a rule, such as celnav.unscented(n) or celnav.unscented, got {kind(rule)}{hint}")
+        raise ValueError(
+            f"rule: expected a rule, such as celnav.unscented(n) or celnav.unscented, got {kind(rule)}{hint}"
+        )
     rule = rule if hasattr(rule, "image") or isinstance(rule, AnyDimension) else AnyDimension(rule)
     plain = Sequential(
-        motion, sensors, rule=rule, form=FORMS[choice("form", form, FORMS)], hooks=_each(hooks, len(sensors)), gain=gain
+        motion,
+        sensors,
+        rule=rule,
+        form=FORMS[choice("form", form, FORMS)],
+        hooks=_each(hooks, len(sensors)),
+        gain=gain,
     )
     count = integer("iterations", iterations, 1, MOST_ITERATIONS)
     return plain if count == 1 else Iterated(**vars(plain), iterations=count)
 
 
-def ukf(motion: Motion, *sensors: Sensor, alpha: float = 1.0, beta: float = 0.0, kappa: float = 0.0, **options: Any) -> Sequential:
+def ukf(
+    motion: Motion,
+    *sensors: Sensor,
+    alpha: float = 1.0,
+    beta: float = 0.0,
+    kappa: float = 0.0,
+    **options: Any,
+) -> Sequential:
     """The unscented Kalman filter; ``alpha, beta, kappa`` as in `celnav.unscented`, ``options`` as in `sigma_point`.
 
     The defaults have no negative weight: they are the rule of `ckf`, whose points and weights are the same.
@@ -217,7 +319,9 @@ def ukf(motion: Motion, *sensors: Sensor, alpha: float = 1.0, beta: float = 0.0,
     >>> filter = celnav.ukf(celnav.Motion(f, Q), celnav.Sensor(h, R))
     """
     unscented(1, alpha, beta, max(number("kappa", kappa), 0.0))
-    return sigma_point(motion, *sensors, rule=partial(unscented, alpha=alpha, beta=beta, kappa=kappa), **options)
+    return sigma_point(
+        motion, *sensors, rule=partial(unscented, alpha=alpha, beta=beta, kappa=kappa), **options
+    )
 
 
 def ckf(motion: Motion, *sensors: Sensor, degree: int = 3, **options: Any) -> Sequential:
@@ -225,7 +329,9 @@ def ckf(motion: Motion, *sensors: Sensor, degree: int = 3, **options: Any) -> Se
 
     >>> filter = celnav.ckf(motion, gps, degree=5)
     """
-    return sigma_point(motion, *sensors, rule=partial(cubature, degree=choice("degree", degree, (3, 5))), **options)
+    return sigma_point(
+        motion, *sensors, rule=partial(cubature, degree=choice("degree", degree, (3, 5))), **options
+    )
 
 
 def ghkf(motion: Motion, *sensors: Sensor, order: int = 3, **options: Any) -> Sequential:
@@ -238,13 +344,19 @@ def ghkf(motion: Motion, *sensors: Sensor, order: int = 3, **options: Any) -> Se
 
 
 def sparse_grid_filter(
-    motion: Motion, *sensors: Sensor, level: int = 3, weights: Sequence[int] | None = None, **options: Any
+    motion: Motion,
+    *sensors: Sensor,
+    level: int = 3,
+    weights: Sequence[int] | None = None,
+    **options: Any,
 ) -> Sequential:
     """The sparse-grid Gauss-Hermite filter; ``level, weights`` as in `celnav.smolyak`, ``options`` as in `sigma_point`.
 
     >>> filter = celnav.sparse_grid_filter(motion, gps, weights=[1, 1, 1, 2, 2, 2])  # positions are nonlinear
     """
-    return sigma_point(motion, *sensors, rule=partial(smolyak, level=level, weights=weights), **options)
+    return sigma_point(
+        motion, *sensors, rule=partial(smolyak, level=level, weights=weights), **options
+    )
 
 
 def ekf(motion: Motion, *sensors: Sensor, **options: Any) -> Sequential:
@@ -261,17 +373,23 @@ def plain(name: str, filter: Any) -> Sequential:
     """A filter that predicts, then updates, and does nothing else; ValueError names another."""
     made: Sequential = instance(name, filter, Sequential, "celnav.ukf(motion, sensor)")
     if type(made).step is not Sequential.step:
-        raise ValueError(f"{name}: expected a filter that predicts, then updates, such as celnav.ukf, got {kind(filter)}")
+        raise ValueError(
+            f"{name}: expected a filter that predicts, then updates, such as celnav.ukf, got {kind(filter)}"
+        )
     return made
 
 
 def _each(hooks: Any, sensors: int) -> tuple[tuple[Hook, ...], ...]:
     """Hooks for each sensor."""
     if isinstance(hooks, str) or not isinstance(hooks, Sequence):
-        raise ValueError(f"hooks: expected a list of hooks, such as [celnav.filters.adaptive.gate(4.0)], got {kind(hooks)}")
+        raise ValueError(
+            f"hooks: expected a list of hooks, such as [celnav.filters.adaptive.gate(4.0)], got {kind(hooks)}"
+        )
     lists = [hook for hook in hooks if isinstance(hook, list | tuple)]
     if lists and not len(lists) == len(hooks) == sensors:
-        raise ValueError(f"hooks: expected hooks, or {sensors} lists of them, one for each sensor, got {len(lists)} lists")
+        raise ValueError(
+            f"hooks: expected hooks, or {sensors} lists of them, one for each sensor, got {len(lists)} lists"
+        )
     each = tuple(tuple(own) for own in hooks) if lists else (tuple(hooks),) * sensors
     wrong = [hook for own in each for hook in own if not takes(hook, 3)]
     if wrong:
@@ -303,29 +421,55 @@ class Iterated(Sequential):
             function("first", self.first, "(belief, z, epoch)")
 
     def see(
-        self, sensor: Sensor, belief: Belief, z: Array, epoch: Epoch, hooks: tuple[Hook, ...], memory: Any
+        self,
+        sensor: Sensor,
+        belief: Belief,
+        z: Array,
+        epoch: Epoch,
+        hooks: tuple[Hook, ...],
+        memory: Any,
     ) -> tuple[Belief, Info, Any]:
 
         about = belief
         if self.first is not None:
-            about = about._replace(mean=numbers("first", self.first(belief, z, epoch), (..., belief.mean.shape[-1])))
+            about = about._replace(
+                mean=numbers("first", self.first(belief, z, epoch), (..., belief.mean.shape[-1]))
+            )
         for _ in range(self.iterations):
             seen, space = self.relinearized(about, sensor, belief, z, epoch), self.motion.space
-            about, info, remembered = condition(self.form, seen, space, hooks=hooks, memory=memory, epoch=epoch, gain=self.gain)
+            about, info, remembered = condition(
+                self.form, seen, space, hooks=hooks, memory=memory, epoch=epoch, gain=self.gain
+            )
         return about, info, remembered
 
-    def relinearized(self, about: Belief, sensor: Sensor, belief: Belief, z: Array, epoch: Epoch) -> Joint:
+    def relinearized(
+        self, about: Belief, sensor: Sensor, belief: Belief, z: Array, epoch: Epoch
+    ) -> Joint:
         """The joint of the measurement and of the state as ``belief`` has it, by a regression over the belief ``about``."""
         space = self.motion.space
-        return over(about, self.rule, belief, sensor, space, lambda rule, belief: self.measured(rule, sensor, belief, z, epoch))
+        return over(
+            about,
+            self.rule,
+            belief,
+            sensor,
+            space,
+            lambda rule, belief: self.measured(rule, sensor, belief, z, epoch),
+        )
 
 
 def over(
-    about: Belief, rule: Any, belief: Belief, model: Motion | Sensor, space: Space, draw: Callable[[Any, Belief], Joint]
+    about: Belief,
+    rule: Any,
+    belief: Belief,
+    model: Motion | Sensor,
+    space: Space,
+    draw: Callable[[Any, Belief], Joint],
 ) -> Joint:
     """The joint that ``draw(rule, belief)`` gives, with the state as ``belief`` has it and the model linearized over ``about``."""
     if isinstance(rule, Taylor):
-        return draw(Taylor(rule.step, about=about.mean), over_runs("about", about.mean.shape[:-1], belief))
+        return draw(
+            Taylor(rule.step, about=about.mean), over_runs("about", about.mean.shape[:-1], belief)
+        )
     if about is belief or by_matrix(model, rule):
         return draw(rule, belief)
     return regressed(draw(rule, about), belief, space.minus(belief.mean, about.mean))
@@ -354,11 +498,26 @@ class SingleDraw(Sequential):
     def of(cls, filter: Sequential) -> SingleDraw:
         """The same filter, drawing once."""
         plain("filter", filter)
-        if len(filter.sensors) != 1 or filter.motion.Q is not None or filter.motion.sqrt_Q is not None:
-            raise ValueError("filter: expected one sensor, and process noise through the points only")
+        if (
+            len(filter.sensors) != 1
+            or filter.motion.Q is not None
+            or filter.motion.sqrt_Q is not None
+        ):
+            raise ValueError(
+                "filter: expected one sensor, and process noise through the points only"
+            )
         if isinstance(filter, Iterated):
-            raise ValueError("filter: expected one of a single iteration, since points are drawn once")
-        return cls(filter.motion, filter.sensors, rule=filter.rule, form=filter.form, hooks=filter.hooks, gain=filter.gain)
+            raise ValueError(
+                "filter: expected one of a single iteration, since points are drawn once"
+            )
+        return cls(
+            filter.motion,
+            filter.sensors,
+            rule=filter.rule,
+            form=filter.form,
+            hooks=filter.hooks,
+            gain=filter.gain,
+        )
 
     @property
     def noises(self) -> tuple[Array, ...]:
@@ -374,14 +533,24 @@ class SingleDraw(Sequential):
             state = state._replace(belief=over_runs("z", z.shape[:-1], state.belief))
         (sensor,), belief, space = self.sensors, state.belief, self.motion.space
         if missing(z):
-            ahead = joint(self.rule, belief, self.moves, epoch, space=space, spaces=(space,), augment=self.noises)
+            ahead = joint(
+                self.rule,
+                belief,
+                self.moves,
+                epoch,
+                space=space,
+                spaces=(space,),
+                augment=self.noises,
+            )
             return state._replace(belief=marginal(self.form, ahead, space)), (silent(sensor, z),)
         both = joint(
             self.rule, belief, self.outputs, epoch, space=space, spaces=(sensor.space, space),
             z=z, measurement_noise=sensor.noise, augment=self.noises,
         )  # fmt: skip
         hooks = self.hooks[0] if self.hooks else ()
-        after, info, memory = condition(self.form, both, space, hooks=hooks, memory=state.memory[0], epoch=epoch, gain=self.gain)
+        after, info, memory = condition(
+            self.form, both, space, hooks=hooks, memory=state.memory[0], epoch=epoch, gain=self.gain
+        )
         return State(after, (memory,)), (info,)
 
     def moves(self, x: Array, epoch: Epoch, *noise: Array) -> tuple[Array]:

@@ -28,7 +28,9 @@ from celnav.gaussian.linalg import NEGLIGIBLE, Array, Belief
 __all__ = ["back", "smooth"]
 
 
-def smooth(track: Track, filter: Any = None, *, gains: bool = False, on_failure: str = "raise") -> Track:
+def smooth(
+    track: Track, filter: Any = None, *, gains: bool = False, on_failure: str = "raise"
+) -> Track:
     """Estimates of all states given *all* measurements, from the track of a filter.
 
     track: of ``run(..., keep="cov")``, every epoch stored.
@@ -49,7 +51,9 @@ def smooth(track: Track, filter: Any = None, *, gains: bool = False, on_failure:
     choice("gains", gains, (False, True))
     chosen = track.filter if filter is None else filter
     if chosen is None:
-        raise ValueError("filter: expected that of the track, which was lost when it was pickled: smooth(track, filter)")
+        raise ValueError(
+            "filter: expected that of the track, which was lost when it was pickled: smooth(track, filter)"
+        )
     chosen = chosen.first if isinstance(chosen, Fallback) else chosen
     if not isinstance(chosen, Sequential) or isinstance(chosen, Colored | SingleDraw):
         expected = "one whose process and measurement noise are independent, such as ukf"
@@ -74,7 +78,10 @@ def smooth(track: Track, filter: Any = None, *, gains: bool = False, on_failure:
             gain = np.broadcast_to(np.eye(cov.shape[-1]), cov.shape[1:])
         lost = ~np.isfinite(filtered.mean[k + 1]).all(-1)
         if lost.any():
-            after = form(np.where(lost[..., None], before.mean, after.mean), np.where(lost[..., None, None], before[1], after[1]))
+            after = form(
+                np.where(lost[..., None], before.mean, after.mean),
+                np.where(lost[..., None, None], before[1], after[1]),
+            )
             gain = np.where(lost[..., None, None], 0.0, gain)
         mean[k], cov[k] = after.mean, after[1]
         if G is not None:
@@ -90,7 +97,9 @@ def smooth(track: Track, filter: Any = None, *, gains: bool = False, on_failure:
                 )
             failed_at = np.where(broken & (failed_at < 0), k, failed_at)
     belief, extra = form(mean, cov), track.extra | ({} if G is None else {"gain": G})
-    return replace(track, mean=mean, std=belief.std, belief=belief, failed_at=failed_at, extra=extra)
+    return replace(
+        track, mean=mean, std=belief.std, belief=belief, failed_at=failed_at, extra=extra
+    )
 
 
 def back(filter: Sequential, before: Belief, after: Belief, epoch: Epoch) -> tuple[Belief, Array]:
@@ -102,7 +111,9 @@ def back(filter: Sequential, before: Belief, after: Belief, epoch: Epoch) -> tup
         # What the next state tells exactly, such as a constant, cancels to round-off, from which no negative columns can be taken
         # away: the round-off counts as the noise that it is.
         size = np.sqrt(np.vecdot(both.state.columns, both.state.columns))
-        both = both._replace(process_noise=(0, NEGLIGIBLE * size[..., None] * np.eye(size.shape[-1])))
+        both = both._replace(
+            process_noise=(0, NEGLIGIBLE * size[..., None] * np.eye(size.shape[-1]))
+        )
 
     inner, info, _ = condition(form, both, space, gain=partial(pseudo_gain, center=center))
 

@@ -61,17 +61,23 @@ class Switching:
             raise CannotCompile("which filter makes a step is known only when it runs")
         chosen = np.asarray(self.choose(state.belief, epoch, state.chosen))
         if chosen.dtype.kind not in "iu" or not chosen.size or (chosen < 0).any():
-            raise ValueError(f"choose: expected whole numbers of filters, 0 or more, for each run, got {chosen!r:.80}")
+            raise ValueError(
+                f"choose: expected whole numbers of filters, 0 or more, for each run, got {chosen!r:.80}"
+            )
         belief: Any = None
         infos: tuple[Info, ...] = ()
         for number in np.unique(chosen).tolist():
             after, more = self.filters(number).step(State(state.belief, state.memory), epoch)
             if any(memory is not None for memory in after.memory):
-                raise ValueError("filters: expected filters without hooks, whose memory would be of one filter only")
+                raise ValueError(
+                    "filters: expected filters without hooks, whose memory would be of one filter only"
+                )
             if belief is None:
                 belief, infos = after.belief, more
             else:
                 own = chosen == number
-                belief = type(belief)(*(pick(own, b, a) for a, b in zip(belief, after.belief, strict=True)))
+                belief = type(belief)(
+                    *(pick(own, b, a) for a, b in zip(belief, after.belief, strict=True))
+                )
                 infos = tuple(merged(own, a, b) for a, b in zip(infos, more, strict=True))
         return Turn(belief, state.memory, np.broadcast_to(chosen, belief.mean.shape[:-1])), infos

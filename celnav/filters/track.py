@@ -71,9 +71,15 @@ class Track:
 
     def __repr__(self) -> str:
         batch, count = self.failed_at.shape, np.count_nonzero(self.failed_at >= 0)
-        runs = "one run" if not batch else f"{batch[0]} runs" if len(batch) == 1 else f"runs {batch}"
+        runs = (
+            "one run" if not batch else f"{batch[0]} runs" if len(batch) == 1 else f"runs {batch}"
+        )
         lost = f", {count} lost" if count else ""
-        kept = ", ".join(name for name in ("mean", "std", "belief", "innovation") if getattr(self, name) is not None)
+        kept = ", ".join(
+            name
+            for name in ("mean", "std", "belief", "innovation")
+            if getattr(self, name) is not None
+        )
         span = f"{len(self.times)} epochs from {self.times[0]:g} to {self.times[-1]:g} s"
         return f"Track({span}, {runs}{lost}; {kept or 'no rows'} stored)"
 
@@ -96,7 +102,9 @@ class Track:
     @property
     def sqrt_cov(self) -> Array:
         """Lower roots ``(T, ..., n, n)`` of the covariances."""
-        return np.asarray(_stored("sqrt_cov", self.belief, "covariances; run with keep='cov'").sqrt_cov)
+        return np.asarray(
+            _stored("sqrt_cov", self.belief, "covariances; run with keep='cov'").sqrt_cov
+        )
 
     def report(
         self, truth: ArrayLike, *, names: Sequence[str] | None = None, start: float | None = None, space: Space | None = None,
@@ -135,14 +143,21 @@ class Track:
         from celnav.files import write_text
 
         columns = self._columns(names)
-        lines = [columns, *([f"{v:.17g}" for v in row] for row in zip(*columns.values(), strict=True))]
+        lines = [
+            columns,
+            *([f"{v:.17g}" for v in row] for row in zip(*columns.values(), strict=True)),
+        ]
         write_text(Path(path), "".join(",".join(line) + "\n" for line in lines))
 
     def _columns(self, names: Any) -> dict[str, Array]:
         mean = _stored("to_dataframe", self.mean, "means")
         T, N, runs = len(mean), mean.shape[-1], int(np.prod(mean.shape[1:-1]))
         names = [f"x{i}" for i in range(N)] if names is None else names
-        named = not isinstance(names, str) and isinstance(names, Iterable) and all(isinstance(name, str) for name in names)
+        named = (
+            not isinstance(names, str)
+            and isinstance(names, Iterable)
+            and all(isinstance(name, str) for name in names)
+        )
         if not named or len(names) != N:
             raise ValueError(f"names: expected {N} words, such as ['x', 'y'], got {names!r:.80}")
         columns = {"t": np.repeat(self.times, runs), "run": np.tile(np.arange(runs), T)}
@@ -171,16 +186,25 @@ class Collector:
     def __init__(self, every: int, keep: str):
         self._every, self._keep, self._count = every, keep, 0
         self._form: Any = SquareRoot
-        self._rows: defaultdict[tuple[str, int], dict[int, Array]] = defaultdict(dict)  # by name and sensor: rows by epoch
+        self._rows: defaultdict[tuple[str, int], dict[int, Array]] = defaultdict(
+            dict
+        )  # by name and sensor: rows by epoch
         self._extra: defaultdict[str, list[Any]] = defaultdict(list)
         self._times: list[Any] = []
         self._epochs: list[Epoch] = []
         self._failed_at: Array = np.array(-1)
         self._silent: Counter[int] = Counter()
         self._widths: Counter[int] = Counter()
-        self._sums: dict[str, Any] = {"log_likelihood": 0.0, "missing": 0, "rejected": 0, "redone": 0}
+        self._sums: dict[str, Any] = {
+            "log_likelihood": 0.0,
+            "missing": 0,
+            "rejected": 0,
+            "redone": 0,
+        }
 
-    def add(self, epoch: Epoch, belief: Belief, infos: tuple[Info, ...], extra: dict[str, Any]) -> tuple[int, ...] | None:
+    def add(
+        self, epoch: Epoch, belief: Belief, infos: tuple[Info, ...], extra: dict[str, Any]
+    ) -> tuple[int, ...] | None:
         """Take one step in. Returns the index of the first run that it newly lost, or None."""
         self._form = type(belief)
         for i, info in enumerate(infos):
@@ -189,7 +213,9 @@ class Collector:
             self._store(epoch, belief, infos, extra)
         self._count += 1
         batch = belief.mean.shape[:-1]
-        if self._failed_at.shape != batch:  # the first epoch, or runs that only a later measurement has
+        if (
+            self._failed_at.shape != batch
+        ):  # the first epoch, or runs that only a later measurement has
             self._failed_at = np.broadcast_to(self._failed_at, batch).copy()
         if not any_lost(belief):
             return None
@@ -213,7 +239,9 @@ class Collector:
         if info.redone is not None:
             sums["redone"] = sums["redone"] + info.redone
 
-    def _store(self, epoch: Epoch, belief: Belief, infos: tuple[Info, ...], extra: dict[str, Any]) -> None:
+    def _store(
+        self, epoch: Epoch, belief: Belief, infos: tuple[Info, ...], extra: dict[str, Any]
+    ) -> None:
         row = len(self._times)
         self._times.append(epoch.t)
         for name, value in extra.items():
@@ -235,9 +263,16 @@ class Collector:
         try:
             times = np.array(self._times)
         except ValueError:
-            raise ValueError(f"t: expected a number at each epoch, got {self._times[-1]!r:.80}") from None
-        self._sums["missing"] = self._sums["missing"] + sum(count * self._widths[i] for i, count in self._silent.items())
-        sums = {name: np.broadcast_to(value, self._failed_at.shape) for name, value in self._sums.items()}
+            raise ValueError(
+                f"t: expected a number at each epoch, got {self._times[-1]!r:.80}"
+            ) from None
+        self._sums["missing"] = self._sums["missing"] + sum(
+            count * self._widths[i] for i, count in self._silent.items()
+        )
+        sums = {
+            name: np.broadcast_to(value, self._failed_at.shape)
+            for name, value in self._sums.items()
+        }
         measured = sorted(key for key in self._rows if key[0] == "innovation")
         widths = tuple(max(row.shape[-1] for row in self._rows[key].values()) for key in measured)
         rows: dict[str, Any] = {name: self._stacked(name) for name in ("mean", "std", *_BLANK)}

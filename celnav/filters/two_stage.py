@@ -22,7 +22,17 @@ from celnav.filters.regression import pseudo_gain
 from celnav.filters.sequential import Sequential, plain, sigma_point
 from celnav.gaussian.belief import Gaussian, symmetric
 from celnav.gaussian.checks import finite, function, instance, kind, numbers, unmasked
-from celnav.gaussian.linalg import Array, SquareRoot, block, matvec, outer, side_by_side, solve_lower, tria, whiten
+from celnav.gaussian.linalg import (
+    Array,
+    SquareRoot,
+    block,
+    matvec,
+    outer,
+    side_by_side,
+    solve_lower,
+    tria,
+    whiten,
+)
 from celnav.gaussian.rules import UNSCENTED, Taylor
 from celnav.gaussian.spaces import EUCLIDEAN
 
@@ -71,7 +81,9 @@ class Plain:
         if still(epoch):
             return state, None
         moved = self.filter.moved(state.belief, epoch)
-        return state._replace(belief=marginal(self.filter.form, moved, EUCLIDEAN)), moved.state.jacobian()
+        return state._replace(
+            belief=marginal(self.filter.form, moved, EUCLIDEAN)
+        ), moved.state.jacobian()
 
     def update(self, state: State, epoch: Epoch) -> tuple[State, Stage | None, Info]:
         """State given the measurement, and what was done."""
@@ -81,7 +93,11 @@ class Plain:
             return after, None, info
         used = alike(info.used)
         H = np.where(used[..., None], info.jacobian(), 0.0)
-        return after, Stage(np.where(used, info.innovation, 0.0), info.sqrt_S, info.gain(), H, used), info
+        return (
+            after,
+            Stage(np.where(used, info.innovation, 0.0), info.sqrt_S, info.gain(), H, used),
+            info,
+        )
 
 
 class TwoStageState(NamedTuple):
@@ -99,7 +115,9 @@ class TwoStageState(NamedTuple):
         free, own, Lambda = self.first.belief, self.bias, self.Lambda
         mean = side_by_side([free.mean + matvec(Lambda, own.mean), own.mean])
         if isinstance(free, SquareRoot):
-            return SquareRoot(mean, tria(block([[free.sqrt_cov, Lambda @ own.sqrt_cov], [0, own.sqrt_cov]])))
+            return SquareRoot(
+                mean, tria(block([[free.sqrt_cov, Lambda @ own.sqrt_cov], [0, own.sqrt_cov]]))
+            )
         cross = Lambda @ own.cov
         return type(free)(mean, block([[free.cov + cross @ Lambda.mT, cross], [cross.mT, own.cov]]))
 
@@ -134,7 +152,9 @@ def two_stage(
 
     >>> filter = celnav.two_stage(motion, sensor, np.eye(3), celnav.Gaussian(np.zeros(3), np.eye(3)))
     """
-    return TwoStage.of(Plain(sigma_point(motion, sensor, rule=rule, **options)), Gamma, bias, Qb=Qb, boost=boost)
+    return TwoStage.of(
+        Plain(sigma_point(motion, sensor, rule=rule, **options)), Gamma, bias, Qb=Qb, boost=boost
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +170,13 @@ class TwoStage:
 
     @classmethod
     def of(
-        cls, first: Any, Gamma: Slope | ArrayLike, bias: Gaussian, *, Qb: ArrayLike | None = None, boost: Any = None
+        cls,
+        first: Any,
+        Gamma: Slope | ArrayLike,
+        bias: Gaussian,
+        *,
+        Qb: ArrayLike | None = None,
+        boost: Any = None,
     ) -> TwoStage:
         """A filter of any first stage, such as `Plain`; other arguments as in `two_stage`.
 
@@ -158,13 +184,21 @@ class TwoStage:
         transition matrix (None where it does not move), ``first.update(state, epoch)`` state, `Stage` (None where nothing was
         measured) and `Info`.
         """
-        if isinstance(first, Sequential) or not all(hasattr(first, name) for name in ("start", "predict", "update")):
-            raise ValueError(f"first: expected a first stage, such as celnav.filters.two_stage.Plain(filter), got {kind(first)}")
+        if isinstance(first, Sequential) or not all(
+            hasattr(first, name) for name in ("start", "predict", "update")
+        ):
+            raise ValueError(
+                f"first: expected a first stage, such as celnav.filters.two_stage.Plain(filter), got {kind(first)}"
+            )
         instance("bias", bias, Gaussian, "celnav.Gaussian(mean, cov)")
         p = bias.mean.shape[-1]
-        slope = function("Gamma", Gamma, "(mean, epoch)") if callable(Gamma) else finite("Gamma", Gamma)
+        slope = (
+            function("Gamma", Gamma, "(mean, epoch)") if callable(Gamma) else finite("Gamma", Gamma)
+        )
         if not callable(slope) and (slope.ndim < 2 or slope.shape[-1] != p):
-            raise ValueError(f"Gamma: expected shape (..., m, {p}) to go with the bias, got {slope.shape}")
+            raise ValueError(
+                f"Gamma: expected shape (..., m, {p}) to go with the bias, got {slope.shape}"
+            )
         if boost is not None:
             function("boost", boost, "(memory, seen)")
         walk = None if Qb is None else symmetric(Qb, "Qb", p)[1]
@@ -178,7 +212,9 @@ class TwoStage:
         if runs and runs != tuple(batch):
             raise ValueError(f"bias: expected one, or one for each run, {tuple(batch)}, got {runs}")
         # Covariance and sensitivity get an axis of runs where the models' matrices have one.
-        return TwoStageState(known, own._replace(mean=np.broadcast_to(own.mean, (*batch, p))), np.zeros((n, p)))
+        return TwoStageState(
+            known, own._replace(mean=np.broadcast_to(own.mean, (*batch, p))), np.zeros((n, p))
+        )
 
     def step(self, state: TwoStageState, epoch: Epoch) -> tuple[TwoStageState, tuple[Info, ...]]:
         first, Phi = self.first.predict(state.first, epoch)
@@ -198,15 +234,25 @@ class TwoStage:
             Lambda = Lambda - stage.Omega @ (direct + stage.H @ Lambda)
         S = np.where(stage.used[..., None], stage.H @ Lambda + direct, 0.0)
         # The bias given the innovation of the first stage, of which S is the Jacobian.
-        seen = joint(LINEAR, own, ((matvec(S, own.mean), S), KEEP), z=stage.innovation, measurement_noise=stage.sqrt_S)
+        seen = joint(
+            LINEAR,
+            own,
+            ((matvec(S, own.mean), S), KEEP),
+            z=stage.innovation,
+            measurement_noise=stage.sqrt_S,
+        )
         given: Any = condition(type(own), seen, EUCLIDEAN)
         after, both, _ = given
         memory = state.memory
         if self.boost is not None:
-            boost = Boost(both.innovation, outer(both.sqrt_S), stage.innovation, outer(stage.sqrt_S))
+            boost = Boost(
+                both.innovation, outer(both.sqrt_S), stage.innovation, outer(stage.sqrt_S)
+            )
             memory, factors = given_back("boost", self.boost(memory, boost), "memory, factors")
             root = np.sqrt(numbers("boost", factors, (..., own.mean.shape[-1])))
-            after = after._replace(mean=own.mean + _boosted(own.cov, root, S, stage.sqrt_S, both.innovation))
+            after = after._replace(
+                mean=own.mean + _boosted(own.cov, root, S, stage.sqrt_S, both.innovation)
+            )
         # What a hook left out keeps the innovation of the first stage.
         innovation = np.where(stage.used, both.innovation, np.asanyarray(info.innovation))
         info = info._replace(innovation=innovation, whitened=both.whitened, sqrt_S=both.sqrt_S)
@@ -216,7 +262,9 @@ class TwoStage:
 def _boosted(M: Array, d: Array, S: Array, root: Array, residual: Array) -> Array:
     """What a residual moves a bias of covariance ``D M D``: by ``D M (I + D W D M)^-1 D S' R^-1 residual``, ``W = S' R^-1 S``."""
     Y, p = solve_lower(root, S), d.shape[-1]
-    terms = (Y.mT @ Y)[..., :, None, :] * M.mT[..., None, :, :]  # W D M is linear in d, by a matrix that runs may share
+    terms = (Y.mT @ Y)[..., :, None, :] * M.mT[
+        ..., None, :, :
+    ]  # W D M is linear in d, by a matrix that runs may share
     WDM = matvec(terms.reshape(*terms.shape[:-3], p * p, p), d).reshape(*d.shape, p)
     white = d * matvec(Y.mT, whiten(root, residual))
     return d * matvec(M, np.linalg.solve(np.eye(p) + d[..., None] * WDM, white[..., None])[..., 0])
@@ -233,5 +281,8 @@ def _walked(first: Any, own: Any, Lambda: Array, walk: Array) -> tuple[Any, Any,
 
     after, less = form(own.mean, form.sum(own[1], walk)), Lambda @ info.gain()
     belief = first.belief
-    free = type(belief)(belief.mean + matvec(Lambda - less, own.mean), type(belief).sum(belief[1], Lambda @ left.sqrt_cov))
+    free = type(belief)(
+        belief.mean + matvec(Lambda - less, own.mean),
+        type(belief).sum(belief[1], Lambda @ left.sqrt_cov),
+    )
     return first._replace(belief=free), after, less

@@ -28,7 +28,9 @@ _TINY = 1e-300
 def _rows(count: int, like: Array, of: Array) -> Array:
     """Empty components ``(count, ...)`` of a vector, each in one piece of memory of the same order as ``like``."""
     if like.flags.f_contiguous and not like.flags.c_contiguous:
-        return np.empty((count, *like.shape[::-1]), like=of).transpose((0, *range(like.ndim, 0, -1)))
+        return np.empty((count, *like.shape[::-1]), like=of).transpose(
+            (0, *range(like.ndim, 0, -1))
+        )
     return np.empty((count, *like.shape), like=of)
 
 
@@ -40,7 +42,9 @@ def unit(q: ArrayLike, name: str = "q") -> Array:
     array = numbers(name, q, (..., 4))
     missing = np.isnan(array)
     if np.isinf(array).any() or (missing.any(-1) != missing.all(-1)).any():
-        raise ValueError(f"{name}: expected finite quaternions (or rows of nan), got {array[~np.isfinite(array).all(-1)][:1]}")
+        raise ValueError(
+            f"{name}: expected finite quaternions (or rows of nan), got {array[~np.isfinite(array).all(-1)][:1]}"
+        )
     norm = np.linalg.norm(array, axis=-1, keepdims=True)
     wrong = np.abs(norm - 1.0) > UNIT_TOLERANCE
     if wrong.any():
@@ -98,7 +102,11 @@ def rotate(q: Array, v: ArrayLike) -> Array:
     (a, b, c, d), (x, y, z) = components(q), components(numbers("v", v))
     # t = 2 v x rho, then v + q4 t + t x rho.
     tx, ty, tz = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
-    rows = (x + d * tx + ty * c - tz * b, y + d * ty + tz * a - tx * c, z + d * tz + tx * b - ty * a)
+    rows = (
+        x + d * tx + ty * c - tz * b,
+        y + d * ty + tz * a - tx * c,
+        z + d * tz + tx * b - ty * a,
+    )
     return trailing(np.stack(rows))
 
 
@@ -146,7 +154,9 @@ def to_euler(q: Array) -> Array:
     """Roll, pitch, yaw ``(..., 3)`` rad; the pitch is between -pi/2 and pi/2."""
     A = matrix(q)
     pitch = np.arcsin(np.clip(-A[..., 0, 2], -1.0, 1.0))
-    return np.stack([np.arctan2(A[..., 1, 2], A[..., 2, 2]), pitch, np.arctan2(A[..., 0, 1], A[..., 0, 0])], -1)
+    return np.stack(
+        [np.arctan2(A[..., 1, 2], A[..., 2, 2]), pitch, np.arctan2(A[..., 0, 1], A[..., 0, 0])], -1
+    )
 
 
 def to_rodrigues(q: Array, a: float = 1.0, b: float = 4.0) -> Array:
@@ -183,7 +193,9 @@ def transport(p: Array, a: float = 1.0, b: float = 4.0) -> Array:
     The derivative of ``to_rodrigues(from_rodrigues(p + d) (x) from_rodrigues(p)^-1)`` with respect to d at 0.
     """
     if a not in (0.0, 1.0):
-        raise ValueError(f"a: expected 0 (Gibbs vector) or 1 (modified Rodrigues parameters), got {a!r}")
+        raise ValueError(
+            f"a: expected 0 (Gibbs vector) or 1 (modified Rodrigues parameters), got {a!r}"
+        )
     s = p / b
     square = np.square(s).sum(-1)[..., None, None]
     if a == 0.0:
@@ -205,8 +217,12 @@ def attitude(a: float = 1.0, b: float = 4.0, *, transported: bool = False) -> Sp
     def plus(point: Array, tangent: Array) -> Array:
         square = np.square(point).sum(-1, keepdims=True)
         if surely(np.abs(square - 1.0).max(initial=0.0) > 2.0 * UNIT_TOLERANCE):
-            raise ValueError(f"state: expected unit quaternions, got a norm of {np.sqrt(square.max()):.6g}")
-        return multiply(from_rodrigues(tangent, a, b), point * (1.5 - 0.5 * square))  # round-off does not add up
+            raise ValueError(
+                f"state: expected unit quaternions, got a norm of {np.sqrt(square.max()):.6g}"
+            )
+        return multiply(
+            from_rodrigues(tangent, a, b), point * (1.5 - 0.5 * square)
+        )  # round-off does not add up
 
     def minus(later: Array, earlier: Array) -> Array:
         return to_rodrigues(multiply(later, inverse(earlier)), a, b)

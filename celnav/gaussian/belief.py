@@ -9,7 +9,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from celnav.gaussian.checks import beside, finite, integers, kind
-from celnav.gaussian.linalg import LEFT_OVER, Array, Belief, SquareRoot, matvec, outer, semidefinite_root, whiten
+from celnav.gaussian.linalg import (
+    LEFT_OVER,
+    Array,
+    Belief,
+    SquareRoot,
+    matvec,
+    outer,
+    semidefinite_root,
+    whiten,
+)
 
 __all__ = ["Gaussian", "any_lost", "nees", "settled", "symmetric"]
 
@@ -31,7 +40,9 @@ class Gaussian:
     cov: Array
     sqrt_cov: Array = field(init=False, repr=False)
 
-    def __init__(self, mean: ArrayLike, cov: ArrayLike | None = None, *, sqrt_cov: ArrayLike | None = None):
+    def __init__(
+        self, mean: ArrayLike, cov: ArrayLike | None = None, *, sqrt_cov: ArrayLike | None = None
+    ):
         x = finite("mean", mean, (..., None))
         if (cov is None) == (sqrt_cov is None):
             raise ValueError("Gaussian: expected exactly one of cov and sqrt_cov")
@@ -40,10 +51,14 @@ class Gaussian:
         else:
             root = finite("sqrt_cov", sqrt_cov, (..., "n", "n"))
             if np.triu(root, 1).any():
-                raise ValueError("sqrt_cov: expected a lower triangular matrix (celnav.gaussian.linalg.tria makes one of any root)")
+                raise ValueError(
+                    "sqrt_cov: expected a lower triangular matrix (celnav.gaussian.linalg.tria makes one of any root)"
+                )
             P = outer(root)
         if P.shape[-1] > x.shape[-1]:
-            raise ValueError(f"mean: expected shape (..., {P.shape[-1]}) to go with the covariance, got {x.shape}")
+            raise ValueError(
+                f"mean: expected shape (..., {P.shape[-1]}) to go with the covariance, got {x.shape}"
+            )
         beside("mean", x.shape[:-1], P.shape[:-2], "the covariance")
         for name, value in (("mean", x), ("cov", P), ("sqrt_cov", root)):
             object.__setattr__(self, name, value)
@@ -56,7 +71,9 @@ class Gaussian:
     def sample(self, rng: np.random.Generator, size: tuple[int, ...] = ()) -> Array:
         """Draw vectors ``size + (..., n)``. On curved spaces they are tangents at the mean, which is then not added."""
         if not hasattr(rng, "standard_normal"):
-            raise ValueError(f"rng: expected a generator, such as np.random.default_rng(0), got {kind(rng)}")
+            raise ValueError(
+                f"rng: expected a generator, such as np.random.default_rng(0), got {kind(rng)}"
+            )
         n, size = self.cov.shape[-1], integers("size", size)
         batch = np.broadcast_shapes(self.mean.shape[:-1], self.cov.shape[:-2])
         draw = matvec(self.sqrt_cov, rng.standard_normal((*size, *batch, n)))
@@ -68,13 +85,21 @@ def settled(belief: Belief) -> Belief:
     if not belief[1].dtype.hasobject and not any_lost(belief):
         return belief
     lost = belief.lost()
-    return type(belief)(np.where(lost[..., None], np.nan, belief.mean), np.where(lost[..., None, None], np.nan, belief[1]))
+    return type(belief)(
+        np.where(lost[..., None], np.nan, belief.mean),
+        np.where(lost[..., None, None], np.nan, belief[1]),
+    )
 
 
 def any_lost(belief: Belief) -> bool:
     """Whether any run is `lost`, most often decided without looking at each."""
-    plain = isfinite(np.add.reduce(belief[0], None) + np.add.reduce(belief[1], None))  # what overflows is seen below
-    if plain and (isinstance(belief, SquareRoot) or np.minimum.reduce(belief.cov.diagonal(0, -2, -1), None, initial=0.0) >= 0.0):
+    plain = isfinite(
+        np.add.reduce(belief[0], None) + np.add.reduce(belief[1], None)
+    )  # what overflows is seen below
+    if plain and (
+        isinstance(belief, SquareRoot)
+        or np.minimum.reduce(belief.cov.diagonal(0, -2, -1), None, initial=0.0) >= 0.0
+    ):
         return False
     return bool(belief.lost().any())
 
@@ -96,7 +121,9 @@ def symmetric(cov: ArrayLike, name: str, n: int | None = None) -> tuple[Array, A
     P = 0.5 * (P + P.mT)
     root = semidefinite_root(P, LEFT_OVER)  # what filters in covariance form believe is taken back
     if not np.isfinite(root).all():
-        raise ValueError(f"{name}: expected {expected}, smallest eigenvalue {np.linalg.eigvalsh(P).min():.3g}")
+        raise ValueError(
+            f"{name}: expected {expected}, smallest eigenvalue {np.linalg.eigvalsh(P).min():.3g}"
+        )
     return P, root
 
 

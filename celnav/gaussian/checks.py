@@ -31,10 +31,18 @@ def numbers(name: str, value: Any, shape: Shape | None = None) -> Array:
 
     ValueError names what is of another `Shape`, or no real numbers: dates and durations too, whose unit would be their own.
     """
-    found: Array = value if type(value) is np.ndarray and value.dtype == np.float64 else _as_floats(name, value)
+    found: Array = (
+        value
+        if type(value) is np.ndarray and value.dtype == np.float64
+        else _as_floats(name, value)
+    )
     if shape is not None and not _fits(found.shape, shape):
-        axes = ", ".join("..." if axis is ... else "any" if axis is None else str(axis) for axis in shape)
-        raise ValueError(f"{name}: expected shape ({axes}{',' * (len(shape) == 1)}), got {found.shape}")
+        axes = ", ".join(
+            "..." if axis is ... else "any" if axis is None else str(axis) for axis in shape
+        )
+        raise ValueError(
+            f"{name}: expected shape ({axes}{',' * (len(shape) == 1)}), got {found.shape}"
+        )
     return found
 
 
@@ -43,22 +51,30 @@ def _as_floats(name: str, value: Any) -> Any:
         return found
     kind = "none"
     try:
-        if isinstance(value, list | tuple) and any(isinstance(part, np.ma.MaskedArray) for part in value):
+        if isinstance(value, list | tuple) and any(
+            isinstance(part, np.ma.MaskedArray) for part in value
+        ):
             value = np.ma.stack(value)
         array = value if isinstance(value, np.ma.MaskedArray) else np.asarray(value)
         kind = array.dtype.kind if value is not None else kind
-        if kind in "biuf" or (kind == "O" and not any(isinstance(part, str | bytes) for part in array.flat)):
+        if kind in "biuf" or (
+            kind == "O" and not any(isinstance(part, str | bytes) for part in array.flat)
+        ):
             return np.ma.filled(array.astype(np.float64), np.nan)
     except (TypeError, ValueError, OverflowError):
         pass
     if kind in "mM":
-        raise ValueError(f"{name}: expected numbers, got dates or durations; seconds are (t - t[0]) / numpy.timedelta64(1, 's')")
+        raise ValueError(
+            f"{name}: expected numbers, got dates or durations; seconds are (t - t[0]) / numpy.timedelta64(1, 's')"
+        )
     missing = "; use nan for what is missing, a row of them for a row" if _has_none(value) else ""
     raise ValueError(f"{name}: expected numbers, got {value!r:.80}{missing}")
 
 
 def _has_none(value: Any) -> bool:
-    return isinstance(value, list | tuple) and any(part is None or _has_none(part) for part in value)
+    return isinstance(value, list | tuple) and any(
+        part is None or _has_none(part) for part in value
+    )
 
 
 def _fits(lengths: tuple[int, ...], shape: Shape) -> bool:
@@ -69,7 +85,9 @@ def _fits(lengths: tuple[int, ...], shape: Shape) -> bool:
         return True
     letters: dict[str, int] = {}
     return len(lengths) == len(shape) and all(
-        length > 0 and letters.setdefault(axis, length) == length if isinstance(axis, str) else axis in (None, length)
+        length > 0 and letters.setdefault(axis, length) == length
+        if isinstance(axis, str)
+        else axis in (None, length)
         for axis, length in zip(shape, lengths, strict=True)
     )
 
@@ -80,18 +98,30 @@ def finite(name: str, value: Any, shape: Shape | None = None) -> Array:
     if array.dtype.hasobject:
         return array
     if not np.isfinite(array).all():
-        raise ValueError(f"{name}: expected finite numbers, got {np.count_nonzero(~np.isfinite(array))} that are not")
+        raise ValueError(
+            f"{name}: expected finite numbers, got {np.count_nonzero(~np.isfinite(array))} that are not"
+        )
     return array
 
 
 def unmasked(name: str, value: Any) -> Any:
     """What a model gave; ValueError names the model if some of it is masked: what is missing at one point has no mean."""
     if isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value):
-        raise ValueError(f"{name}: expected numbers, got masked ones; a component that was not measured is nan in z")
+        raise ValueError(
+            f"{name}: expected numbers, got masked ones; a component that was not measured is nan in z"
+        )
     return value
 
 
-def number(name: str, value: Any, least: float = -inf, most: float = inf, *, above: float = -inf, below: float = inf) -> float:
+def number(
+    name: str,
+    value: Any,
+    least: float = -inf,
+    most: float = inf,
+    *,
+    above: float = -inf,
+    below: float = inf,
+) -> float:
     """A finite number from ``least`` to ``most`` and between ``above`` and ``below``; ValueError names it if it is none."""
     try:
         found = float(finite(name, value, ()))
@@ -109,8 +139,12 @@ def integer(name: str, value: Any, least: int = 1, most: int | None = None) -> i
     """A whole number from ``least`` to ``most``, which may have come as a float; ValueError names it if it is none."""
     found = whole(value)
     if found is None or found < least or (most is not None and found > most):
-        bounds = "an integer" + (f" of at least {least}" if most is None else f" from {least} to {most}")
-        raise ValueError(f"{name}: expected {'a positive integer' if (least, most) == (1, None) else bounds}, got {value!r:.80}")
+        bounds = "an integer" + (
+            f" of at least {least}" if most is None else f" from {least} to {most}"
+        )
+        raise ValueError(
+            f"{name}: expected {'a positive integer' if (least, most) == (1, None) else bounds}, got {value!r:.80}"
+        )
     return found
 
 
@@ -124,14 +158,22 @@ def whole(value: Any) -> int | None:
     return int(value) if number and np.isfinite(value) and int(value) == value else None
 
 
-def integers(name: str, value: Any, least: int = 0, most: int | None = None, count: int | None = None) -> tuple[int, ...]:
+def integers(
+    name: str, value: Any, least: int = 0, most: int | None = None, count: int | None = None
+) -> tuple[int, ...]:
     """Whole numbers from ``least`` to ``most``, ``count`` of them; ValueError names them if they are none."""
     parts = np.asarray(value, dtype=object)
     found = [None] if parts.ndim != 1 else [whole(part) for part in parts]
-    out = tuple(part for part in found if part is not None and least <= part and (most is None or part <= most))
+    out = tuple(
+        part
+        for part in found
+        if part is not None and least <= part and (most is None or part <= most)
+    )
     if len(out) != len(found) or count not in (None, len(out)):
         bounds = "positive integers" if least == 1 else f"integers of at least {least}"
-        what = ("" if count is None else f"{count} ") + (bounds if most is None else f"integers from {least} to {most}")
+        what = ("" if count is None else f"{count} ") + (
+            bounds if most is None else f"integers from {least} to {most}"
+        )
         raise ValueError(f"{name}: expected {what}, got {value!r:.80}")
     return out
 
@@ -144,7 +186,9 @@ def choice(name: str, value: Any, known: Iterable[Any]) -> Any:
         return value
     close = get_close_matches(value, map(str, names), 1) if isinstance(value, str) else []
     hint = f"; did you mean {close[0]}?" if close else ""
-    raise ValueError(f"{name}: expected one of {', '.join(map(str, names))}, got {value!r:.80}{hint}")
+    raise ValueError(
+        f"{name}: expected one of {', '.join(map(str, names))}, got {value!r:.80}{hint}"
+    )
 
 
 def sequence(name: str, value: Any, example: str, least: int = 0) -> list[Any]:
@@ -166,7 +210,9 @@ def together(**batches: tuple[int, ...]) -> tuple[int, ...]:
         return np.broadcast_shapes(*batches.values())
     except ValueError:
         told = ", ".join(map(str, batches.values()))
-        raise ValueError(f"{', '.join(batches)}: expected batch axes that go together, got {told}") from None
+        raise ValueError(
+            f"{', '.join(batches)}: expected batch axes that go together, got {told}"
+        ) from None
 
 
 def beside(name: str, batch: tuple[int, ...], own: tuple[int, ...], whose: str) -> tuple[int, ...]:
@@ -174,7 +220,9 @@ def beside(name: str, batch: tuple[int, ...], own: tuple[int, ...], whose: str) 
     try:
         return np.broadcast_shapes(batch, own)
     except ValueError:
-        raise ValueError(f"{name}: batch axes {batch} do not go with those of {whose}, {own}") from None
+        raise ValueError(
+            f"{name}: batch axes {batch} do not go with those of {whose}, {own}"
+        ) from None
 
 
 def function(name: str, value: Any, arguments: str, hint: str = "") -> Any:
@@ -196,7 +244,11 @@ def kind(value: Any) -> str:
     """What came, in a word or two: a function or class by its name, anything else by its type."""
     if isinstance(value, type):
         return f"class {value.__name__}"
-    return f"function {value.__name__}" if callable(value) and hasattr(value, "__name__") else type(value).__name__
+    return (
+        f"function {value.__name__}"
+        if callable(value) and hasattr(value, "__name__")
+        else type(value).__name__
+    )
 
 
 def takes(function: Any, count: int) -> bool:

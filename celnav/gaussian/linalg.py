@@ -30,7 +30,9 @@ blas, lapack = Late("scipy.linalg.blas"), Late("scipy.linalg.lapack")
 EPS = float(np.finfo(np.float64).eps)
 NEGLIGIBLE = 1e-12  # part of the largest deviation, or variance, below which one is round-off
 PRECISE = 1e3  # deviations of the noise by which an innovation may vary before a difference of covariances loses too many digits
-LEFT_OVER = PRECISE**2 * EPS  # part of a covariance that is round-off, after a difference that its form allows itself
+LEFT_OVER = (
+    PRECISE**2 * EPS
+)  # part of a covariance that is round-off, after a difference that its form allows itself
 POSITIVE: Array = np.broadcast_to(1.0, 1)
 """The sign of columns that all count with +1."""
 
@@ -73,7 +75,9 @@ def tria(A: Array) -> Array:
     if q < n:
         A = np.concatenate([A, np.zeros((*A.shape[:-1], n - q))], -1)
     if A.ndim == 2:
-        return np.asanyarray(lapack.dgeqrfp(A.T)[0][:n].T * _lower(n))  # its diagonal is not negative
+        return np.asanyarray(
+            lapack.dgeqrfp(A.T)[0][:n].T * _lower(n)
+        )  # its diagonal is not negative
     # "raw" leaves R' in the lower triangle and Householder vectors above it.
     L: Array = np.linalg.qr(A.mT, mode="raw")[0][..., :n]
     # In C order whatever the order of A: products with L then take the same path for every number of runs.
@@ -98,7 +102,9 @@ def solve_lower(L: Array, B: Array) -> Array:
         return np.asanyarray(recorded.solve_lower(L, B))
     diagonal = L.diagonal(0, -2, -1)
     if L.ndim == B.ndim == 2 and 0.0 not in diagonal.tolist():
-        return np.asanyarray(blas.dtrsm(1.0, L, B, lower=1))  # LAPACK's dtrtrs would start threads, however small the matrix
+        return np.asanyarray(
+            blas.dtrsm(1.0, L, B, lower=1)
+        )  # LAPACK's dtrtrs would start threads, however small the matrix
     if not diagonal.all():
         diagonal = np.where(diagonal == 0.0, np.nan, diagonal)
     batch = np.broadcast_shapes(L.shape[:-2], B.shape[:-2])
@@ -140,7 +146,9 @@ def _root(P: Array) -> Array | None:
         except np.linalg.LinAlgError:
             return None
     L, info = lapack.dpotrf(P, lower=1)
-    return L if info == 0 and (L.size == 0 or L[-1, -1] > 0.0) else None  # a nan anywhere leads to one in the last place
+    return (
+        L if info == 0 and (L.size == 0 or L[-1, -1] > 0.0) else None
+    )  # a nan anywhere leads to one in the last place
 
 
 def _scaled(P: Array) -> tuple[Array, Array]:
@@ -166,19 +174,31 @@ def cholesky(P: Array) -> Array:
 def semidefinite_root(P: Array, round_off: float = 64 * EPS) -> Array:
     """Lower root of a covariance ``P (..., n, n)`` that may be singular; nan where it is indefinite beyond ``n * round_off``."""
     if P.dtype.hasobject:
-        return np.asanyarray(recorded.semidefinite_root(P, 64 * P.shape[-1] * EPS, round_off * P.shape[-1]))
-    root, least = _root(P), 1e-5  # below, a singular matrix may have slipped through on a rounding error
-    if root is not None and (root.diagonal(0, -2, -1) > least * np.sqrt(P.diagonal(0, -2, -1))).all():
+        return np.asanyarray(
+            recorded.semidefinite_root(P, 64 * P.shape[-1] * EPS, round_off * P.shape[-1])
+        )
+    root, least = (
+        _root(P),
+        1e-5,
+    )  # below, a singular matrix may have slipped through on a rounding error
+    if (
+        root is not None
+        and (root.diagonal(0, -2, -1) > least * np.sqrt(P.diagonal(0, -2, -1))).all()
+    ):
         return root
     scale, C = _scaled(P)
     eigenvalues, vectors = np.linalg.eigh(C)
     nothing = 4 * C.shape[-1] * EPS  # what is left of a variance that is none
-    indefinite = eigenvalues[..., 0] < -round_off * C.shape[-1] * np.maximum(eigenvalues[..., -1], 1.0)
+    indefinite = eigenvalues[..., 0] < -round_off * C.shape[-1] * np.maximum(
+        eigenvalues[..., -1], 1.0
+    )
     kept = np.where(eigenvalues > nothing, eigenvalues, 0.0)
     root = tria(scale[..., None] * vectors * np.sqrt(kept)[..., None, :])
     singular = eigenvalues[..., :1, None] <= nothing
     if not singular.all():  # the neighbors get what they would get alone
-        root = np.where(singular, root, np.linalg.cholesky(np.where(singular, np.eye(C.shape[-1]), P)))
+        root = np.where(
+            singular, root, np.linalg.cholesky(np.where(singular, np.eye(C.shape[-1]), P))
+        )
     return np.where(indefinite[..., None, None], np.nan, root)
 
 
@@ -193,14 +213,18 @@ def downdate(L: Array, V: Array) -> Array:
     if root.dtype.hasobject or not lost.any():
         return root
     # Of what solves L W = V for a singular L the shortest decides, which substitution does not find.
-    lost = np.asanyarray(lost & np.isfinite(L).all((-2, -1)) & np.isfinite(V).all((-2, -1)))[..., None, None]
+    lost = np.asanyarray(lost & np.isfinite(L).all((-2, -1)) & np.isfinite(V).all((-2, -1)))[
+        ..., None, None
+    ]
     size = np.sqrt(np.vecdot(L, L))[..., None]
     size = np.where(size > 0.0, size, 1.0)
     safe, wanted = np.where(lost, L, 0.0) / size, np.where(lost, V, 0.0) / size
     U, s, Qt = np.linalg.svd(safe)
     kept = s > NEGLIGIBLE * s[..., :1]
     W = Qt.mT @ (np.where(kept, 1.0 / np.where(kept, s, 1.0), 0.0)[..., None] * (U.mT @ wanted))
-    outside = np.asanyarray((np.abs(wanted - safe @ W) > NEGLIGIBLE * np.maximum(1.0, np.abs(wanted))).any((-2, -1)))
+    outside = np.asanyarray(
+        (np.abs(wanted - safe @ W) > NEGLIGIBLE * np.maximum(1.0, np.abs(wanted))).any((-2, -1))
+    )
     again = np.where(outside[..., None, None], np.nan, L @ cholesky(np.eye(L.shape[-1]) - outer(W)))
     return np.where(lost, again, root)
 
@@ -243,7 +267,11 @@ def fan(E: Array, nodes: Array, batch: int) -> Array:
         return points.reshape(len(points), *(1,) * batch, points.shape[-1]) if batch else points
     D = E.transpose((axes, *range(axes), axes + 1)) @ nodes
     points = D.transpose((axes + 1, *range(1, axes + 1), 0))
-    return points if axes >= batch else points.reshape(len(points), *(1,) * (batch - axes), *points.shape[1:])
+    return (
+        points
+        if axes >= batch
+        else points.reshape(len(points), *(1,) * (batch - axes), *points.shape[1:])
+    )
 
 
 # -- forms ---------------------------------------------------------------------------------------------------------------
@@ -258,7 +286,10 @@ def _signs(sign: bytes, q: int) -> tuple[Array, Any, Any] | None:
     every = np.concatenate((given, np.ones(q - len(given))))
     positive, negative = (np.flatnonzero(side) for side in (every > 0.0, every < 0.0))
     # Slices, so views, where they lie together.
-    first, second = (at if not len(at) or np.ptp(at) >= len(at) else slice(at[0], at[-1] + 1) for at in (positive, negative))
+    first, second = (
+        at if not len(at) or np.ptp(at) >= len(at) else slice(at[0], at[-1] + 1)
+        for at in (positive, negative)
+    )
     return (every, first, second) if len(negative) else None
 
 
@@ -344,7 +375,9 @@ class SquareRoot(NamedTuple):
 
     def lost(self) -> Array:
         """Runs ``(...)`` that are not finite."""
-        return np.asanyarray(~(np.isfinite(self.mean).all(-1) & np.isfinite(self.sqrt_cov).all((-2, -1))))
+        return np.asanyarray(
+            ~(np.isfinite(self.mean).all(-1) & np.isfinite(self.sqrt_cov).all((-2, -1)))
+        )
 
 
 class Covariance(NamedTuple):
@@ -368,7 +401,11 @@ class Covariance(NamedTuple):
         variances = self.cov.diagonal(0, -2, -1)
         if surely(variances.min(initial=0.0) >= 0.0):
             return np.asanyarray(np.sqrt(variances))
-        return np.asanyarray(np.sqrt(np.where(variances < 0.0, np.where(_negligible(variances), 0.0, np.nan), variances)))
+        return np.asanyarray(
+            np.sqrt(
+                np.where(variances < 0.0, np.where(_negligible(variances), 0.0, np.nan), variances)
+            )
+        )
 
     @classmethod
     def of(cls, belief: Any) -> Self:
@@ -388,7 +425,14 @@ class Covariance(NamedTuple):
 
     @classmethod
     def condition(
-        cls, A: Array, sign: Array, m: int, gain: Array | None = None, *, known: Array | None = None, noise: Array | None = None
+        cls,
+        A: Array,
+        sign: Array,
+        m: int,
+        gain: Array | None = None,
+        *,
+        known: Array | None = None,
+        noise: Array | None = None,
     ) -> tuple[Array, Array, Array]:
 
         if gain is None and known is not None and noise is not None:
@@ -399,8 +443,15 @@ class Covariance(NamedTuple):
             precise = S.diagonal(0, -2, -1) > PRECISE * np.sqrt(np.vecdot(noise, noise))
             if surely(~np.logical_or.reduce(precise, None)):
                 return S, U, left
-            again, chosen = cls.condition(A, sign, m), np.asanyarray(precise.any(-1))[..., None, None]
-            return np.where(chosen, again[0], S), np.where(chosen, again[1], U), np.where(chosen, again[2], left)
+            again, chosen = (
+                cls.condition(A, sign, m),
+                np.asanyarray(precise.any(-1))[..., None, None],
+            )
+            return (
+                np.where(chosen, again[0], S),
+                np.where(chosen, again[1], U),
+                np.where(chosen, again[2], left),
+            )
         if sign.ndim > 1:
             A, sign = factored(A, sign)
         Z, X = A[..., :m, :], A[..., m:, :]
@@ -426,7 +477,9 @@ class Covariance(NamedTuple):
     def mixed(covs: Sequence[Array], weights: Array, columns: Array) -> Array:
 
         scale = weights[..., None, None, :]
-        return np.asanyarray(sum([cov * scale[..., i] for i, cov in enumerate(covs)], outer(columns)))
+        return np.asanyarray(
+            sum([cov * scale[..., i] for i, cov in enumerate(covs)], outer(columns))
+        )
 
     def lost(self) -> Array:
         """Runs ``(...)`` that are not finite, or have a negative variance beyond round-off of the matrix's largest."""
@@ -442,7 +495,9 @@ def factored(A: Array, sign: Array) -> tuple[Array, Array]:
 
 def _negligible(variances: Array) -> Array:
     """Which variances are not negative, or no more than by round-off."""
-    return np.asanyarray(variances >= -NEGLIGIBLE * np.abs(variances).max(-1, keepdims=True, initial=0.0))
+    return np.asanyarray(
+        variances >= -NEGLIGIBLE * np.abs(variances).max(-1, keepdims=True, initial=0.0)
+    )
 
 
 Belief = SquareRoot | Covariance

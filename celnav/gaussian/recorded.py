@@ -31,7 +31,10 @@ def _zero(x: Any) -> bool:
 
 def _product(a: list[Any], b: list[Any]) -> Any:
     """Of two rows; in several sums, none of which waits for another."""
-    return total(total(do("mul", x, y) for x, y in zip(a[k::SUMS], b[k::SUMS], strict=True)) for k in range(SUMS))
+    return total(
+        total(do("mul", x, y) for x, y in zip(a[k::SUMS], b[k::SUMS], strict=True))
+        for k in range(SUMS)
+    )
 
 
 class Mirror(NamedTuple):
@@ -67,7 +70,9 @@ def _reflected(mirror: Mirror, along: Any, rest: list[Any]) -> tuple[Any, list[A
     if mirror.there is False:
         return turned, rest
     across = _product(rest, mirror.rest)
-    inner = across if _zero(mirror.a) or _zero(along) else do("add", across, do("mul", mirror.a, along))
+    inner = (
+        across if _zero(mirror.a) or _zero(along) else do("add", across, do("mul", mirror.a, along))
+    )
     d = do("mul", do("sub", do("mul", across, mirror.scale), along), mirror.inverse)
     first = do("select", mirror.there, do("mul", inner, mirror.inverse), turned)
     if _zero(d):
@@ -81,7 +86,11 @@ def tria(A: Array) -> Array:
     n, q = A.shape
     rows = [[A[i, j] for j in range(q)] + [0.0] * max(n - q, 0) for i in range(n)]
     tape, L = tape_of(A), Numbers((n, n))
-    if tape is not None and tape.rolled and 4 * sum((n - i) * max(q - i, 0) for i in range(n)) >= LONG:
+    if (
+        tape is not None
+        and tape.rolled
+        and 4 * sum((n - i) * max(q - i, 0) for i in range(n)) >= LONG
+    ):
         routine, places = _rolled(tuple(tuple(not _zero(x) for x in row) for row in rows))
         for at, x in zip(places, routine(tape, (x for row in rows for x in row)), strict=True):
             L[at] = x
@@ -108,8 +117,12 @@ def _rolled(there: tuple[tuple[bool, ...], ...]) -> tuple[Routine, list[tuple[in
         rest, below = i + 1 + np.flatnonzero(full[i, i + 1 :]), np.any(full[i + 1 :], axis=0)
         pivot = {"pivot": (i * q, 0), "kept": (kept, 0)}
 
-        def row(stage: Recorder, place: str, which: Array, i: int = i, rest: Array = rest) -> tuple[Any, list[Any]]:
-            first, *others = (stage.take(place, j) if which[j] else 0.0 for j in (i, *rest.tolist()))
+        def row(
+            stage: Recorder, place: str, which: Array, i: int = i, rest: Array = rest
+        ) -> tuple[Any, list[Any]]:
+            first, *others = (
+                stage.take(place, j) if which[j] else 0.0 for j in (i, *rest.tolist())
+            )
             return first, others
 
         stage = Recorder(1, left=(left + i * n + i, 0), **pivot)
@@ -120,7 +133,9 @@ def _rolled(there: tuple[tuple[bool, ...], ...]) -> tuple[Routine, list[tuple[in
         stages.append(stage.stage())
         places.append((i, i))
         if below[[i, *rest]].any():
-            stage = Recorder(n - i - 1, row=((i + 1) * q, q), left=(left + (i + 1) * n + i, n), **pivot)
+            stage = Recorder(
+                n - i - 1, row=((i + 1) * q, q), left=(left + (i + 1) * n + i, n), **pivot
+            )
             a, others = row(stage, "pivot", full[i])
             mirror = mirror._replace(a=a, rest=others)
             if mirror.there is not False:
@@ -156,7 +171,10 @@ def semidefinite_root(P: Array, nothing: float, round_off: float) -> Array:
     n = len(P)
     L = Numbers((n, n))
     for j in range(n):
-        left = [do("sub", P[i, j], total(do("mul", L[i, k], L[j, k]) for k in range(j))) for i in range(j, n)]
+        left = [
+            do("sub", P[i, j], total(do("mul", L[i, k], L[j, k]) for k in range(j)))
+            for i in range(j, n)
+        ]
         size = do("abs", P[j, j])
         positive = do("lt", do("mul", nothing, size), left[0])
         root = do("sqrt", do("select", positive, left[0], 1.0))
@@ -176,7 +194,9 @@ def solve_lower(L: Array, B: Array) -> Array:
         X = Numbers(b.shape)
         for i in range(n):
             for k in np.ndindex(*b.shape[:-1]):
-                left = do("sub", b[(*k, i)], total(do("mul", L[i, j], X[(*k, j)]) for j in range(i)))
+                left = do(
+                    "sub", b[(*k, i)], total(do("mul", L[i, j], X[(*k, j)]) for j in range(i))
+                )
                 X[(*k, i)] = do("mul", left, inverse[i])
         return X
 

@@ -18,7 +18,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from celnav.gaussian.checks import LIMIT, choice, finite, instance, integer, kind, number, numbers
-from celnav.gaussian.linalg import EPS, POSITIVE, Array, fan, semidefinite_root, side_by_side, solve_right
+from celnav.gaussian.linalg import (
+    EPS,
+    POSITIVE,
+    Array,
+    fan,
+    semidefinite_root,
+    side_by_side,
+    solve_right,
+)
 from celnav.gaussian.spaces import EUCLIDEAN, Space, trailing
 from celnav.tape.derivative import along, at_zero
 
@@ -79,25 +87,39 @@ class Rule:
         # Means and columns are taken relative to the image of the center, so its mean weight never plays a part.
         used = (self.wm != 0.0) | (self.wc != 0.0)
         used[0] = self.wc[0] != 0.0
-        self._used: Any = slice(None) if used.all() else slice(1, None) if used[1:].all() else np.flatnonzero(used)
+        self._used: Any = (
+            slice(None)
+            if used.all()
+            else slice(1, None)
+            if used[1:].all()
+            else np.flatnonzero(used)
+        )
         self._wm, self._scale = self.wm[used], np.sqrt(np.abs(self.wc[used]))
         self.sign = np.where(self.wc[used] < 0.0, -1.0, 1.0)
         self.sign.flags.writeable = False
         self._transposed = np.ascontiguousarray(self.nodes.T)
-        self._unit = (self.nodes[used] * self._scale[:, None]).T  # (n, q), the columns of the unit Gaussian itself
+        self._unit = (
+            self.nodes[used] * self._scale[:, None]
+        ).T  # (n, q), the columns of the unit Gaussian itself
 
     def __repr__(self) -> str:
         center = " and a center of weight 0" if self.num_sigmas() < len(self.nodes) else ""
         return f"Rule(n={self.n}, points={self.num_sigmas()}{center}, negative weights={int((self.wc < 0).sum())})"
 
-    def points(self, mean: Array, root: Array, space: Space = EUCLIDEAN, augment: Sequence[Array] = ()) -> list[Array]:
+    def points(
+        self, mean: Array, root: Array, space: Space = EUCLIDEAN, augment: Sequence[Array] = ()
+    ) -> list[Array]:
         """Points ``(p, ..., N)`` of ``N(mean, root @ root.mT)``, and ``(p, ..., k)`` of each noise whose root is in ``augment``."""
         first, batch = root.shape[-1], max(mean.ndim - 1, root.ndim - 2)
         total = first if not augment else first + sum(E.shape[-1] for E in augment)
         if total != self.n:
-            raise ValueError(f"rule: expected {total} dimensions (state and noise through the points), got {self.n}")
+            raise ValueError(
+                f"rule: expected {total} dimensions (state and noise through the points), got {self.n}"
+            )
         if self._idle:
-            raise ValueError(f"rule: expected points in every dimension, got none in {', '.join(map(str, self._idle))}")
+            raise ValueError(
+                f"rule: expected points in every dimension, got none in {', '.join(map(str, self._idle))}"
+            )
         deviations = fan(root, self._transposed[:first], batch)
         # In this order a sum keeps the memory layout of the deviations.
         points = [deviations + mean if space is EUCLIDEAN else space.plus(mean, deviations)]
@@ -153,7 +175,11 @@ class Rule:
         if len(mean) != self.n:
             raise ValueError(f"x: expected {self.n} components, got {len(mean)}")
         cov = finite("P", P)
-        root = semidefinite_root(finite("P", cov * np.eye(self.n) if cov.ndim == 0 else np.atleast_2d(cov), (self.n, self.n)))
+        root = semidefinite_root(
+            finite(
+                "P", cov * np.eye(self.n) if cov.ndim == 0 else np.atleast_2d(cov), (self.n, self.n)
+            )
+        )
         if not np.isfinite(root).all():
             raise ValueError("P: expected a positive semidefinite covariance")
         return np.ascontiguousarray(self.points(mean, root)[0][self._filterpy])
@@ -181,7 +207,9 @@ class Taylor:
     def __repr__(self) -> str:
         return "Taylor()"
 
-    def points(self, mean: Array, root: Array, space: Space = EUCLIDEAN, augment: Sequence[Array] = ()) -> list[Array]:
+    def points(
+        self, mean: Array, root: Array, space: Space = EUCLIDEAN, augment: Sequence[Array] = ()
+    ) -> list[Array]:
         """The center and its neighbors ``(p, ..., N)``; noise points ``(p, ..., k)`` vary in their own directions only.
 
         With a center of its own, the way from there to the mean is a direction like those of the columns, after them.
@@ -203,8 +231,12 @@ class Taylor:
             deviations.append(fan(E, directions[first : first + E.shape[-1]], batch))
             first += E.shape[-1]
 
-        points = [deviations[0] + center if space is EUCLIDEAN else space.plus(center, deviations[0])]
-        return points + [np.broadcast_to(D, (*points[0].shape[:-1], D.shape[-1])) for D in deviations[1:]]
+        points = [
+            deviations[0] + center if space is EUCLIDEAN else space.plus(center, deviations[0])
+        ]
+        return points + [
+            np.broadcast_to(D, (*points[0].shape[:-1], D.shape[-1])) for D in deviations[1:]
+        ]
 
     def image(self, y: Array, space: Space, root: Array) -> Image:
 
@@ -213,18 +245,27 @@ class Taylor:
             return self._linear(center, at_zero(space.minus(y[0], center))[1], root)
         d = space.minus(y, y[0])
         total = (len(d) - 1) // 2
-        return self._linear(y[0], np.moveaxis(d[1 : total + 1] - d[total + 1 :], 0, -1) / (2.0 * self.step), root)
+        return self._linear(
+            y[0], np.moveaxis(d[1 : total + 1] - d[total + 1 :], 0, -1) / (2.0 * self.step), root
+        )
 
     def _linear(self, center: Array, columns: Array, root: Array) -> Image:
         shift = np.zeros(columns.shape[-2])
         if self.about is not None:
             n = root.shape[-1]
-            shift, columns = columns[..., n], np.concatenate([columns[..., :n], columns[..., n + 1 :]], -1)
+            shift, columns = (
+                columns[..., n],
+                np.concatenate([columns[..., :n], columns[..., n + 1 :]], -1),
+            )
         return Image(center, shift, columns, partial(self._jacobian, columns, root))
 
     def kept(self, root: Array, augment: Sequence[Array]) -> Array:
 
-        return side_by_side([root, *(np.zeros((root.shape[-2], E.shape[-1])) for E in augment)]) if augment else root
+        return (
+            side_by_side([root, *(np.zeros((root.shape[-2], E.shape[-1])) for E in augment)])
+            if augment
+            else root
+        )
 
     @staticmethod
     def _jacobian(columns: Array, root: Array) -> Array:
@@ -246,9 +287,13 @@ class AnyDimension:
             try:
                 rule = self.make(n)
             except TypeError as error:
-                raise ValueError(f"rule: expected a function of the dimension, got {kind(self.make)}: {error}") from error
+                raise ValueError(
+                    f"rule: expected a function of the dimension, got {kind(self.make)}: {error}"
+                ) from error
             if isinstance(rule, type) or not hasattr(rule, "image"):
-                raise ValueError(f"rule: expected a rule for {n} dimensions, such as celnav.unscented(n), got {kind(rule)}")
+                raise ValueError(
+                    f"rule: expected a rule for {n} dimensions, such as celnav.unscented(n), got {kind(rule)}"
+                )
             self._rules[n] = rule
         return self._rules[n]
 
@@ -257,7 +302,9 @@ class AnyDimension:
 def few(name: str, points: int, n: int) -> None:
     """Refuse points before they are made: more than `MAX_POINTS`, or more numbers than `celnav.gaussian.checks.LIMIT`."""
     if points > MAX_POINTS or points * n > LIMIT:
-        raise ValueError(f"{name}: {points} points of {n} components exceed the limit of {MAX_POINTS} points, {LIMIT} numbers")
+        raise ValueError(
+            f"{name}: {points} points of {n} components exceed the limit of {MAX_POINTS} points, {LIMIT} numbers"
+        )
 
 
 def _axes(n: int, radius: float) -> Array:
@@ -276,7 +323,11 @@ def unscented(n: int, alpha: float = 1.0, beta: float = 0.0, kappa: float = 0.0)
     """
     n = integer("n", n)
     few("n", 2 * n + 1, n)
-    alpha, beta, kappa = number("alpha", alpha, above=0.0), number("beta", beta), number("kappa", kappa, above=-n)
+    alpha, beta, kappa = (
+        number("alpha", alpha, above=0.0),
+        number("beta", beta),
+        number("kappa", kappa, above=-n),
+    )
     c = alpha**2 * (n + kappa)
     wm = np.full(2 * n + 1, 0.5 / c)
     wm[0] = 1.0 - n / c
@@ -298,7 +349,9 @@ def simplex(n: int) -> Rule:
     n = integer("n", n)
     few("n", n + 1, n)
     d = np.arange(1, n + 1)
-    nodes = np.sqrt((n + 1) / (d * (d + 1))) * (np.triu(np.ones((n + 1, n))) - d * np.eye(n + 1, n, -1))
+    nodes = np.sqrt((n + 1) / (d * (d + 1))) * (
+        np.triu(np.ones((n + 1, n))) - d * np.eye(n + 1, n, -1)
+    )
     nodes[:, 0] *= -1.0  # as filterpy has it
     weights = np.full(n + 1, 1.0 / (n + 1))
     return _centered(nodes, weights, weights)
@@ -335,13 +388,17 @@ def gauss_hermite(n: int, order: int = 3) -> Rule:
     Rule(n=3, points=27, negative weights=0)
     """
     n, size = integer("n", n), integer("order", order, 2, 100)
-    if (count := size ** min(n, 20)) > MAX_POINTS:  # 2**20 are too many already, 2**1000000000 has 300 million digits
+    if (
+        count := size ** min(n, 20)
+    ) > MAX_POINTS:  # 2**20 are too many already, 2**1000000000 has 300 million digits
         many = f"order: {size}**{n} = {count}" if n <= 20 else f"n: {size}**{n}"
         raise ValueError(f"{many} points exceed the limit of {MAX_POINTS}")
     x, w = np.polynomial.hermite_e.hermegauss(size)
     x[np.abs(x) < 1e-12] = 0.0
     nodes = np.stack(np.meshgrid(*[x] * n, indexing="ij"), -1).reshape(-1, n)
-    weights = np.prod(np.stack(np.meshgrid(*[w / w.sum()] * n, indexing="ij"), -1).reshape(-1, n), -1)
+    weights = np.prod(
+        np.stack(np.meshgrid(*[w / w.sum()] * n, indexing="ij"), -1).reshape(-1, n), -1
+    )
     return _centered(nodes, weights, weights)
 
 
@@ -375,8 +432,12 @@ def from_filterpy(points: Any) -> Rule:
 
     >>> filter = celnav.sigma_point(motion, gps, rule=celnav.from_filterpy(MerweScaledSigmaPoints(6, 0.1, 2.0, -3.0)))
     """
-    if isinstance(points, type) or not all(hasattr(points, name) for name in ("n", "sigma_points", "Wm", "Wc")):
-        raise ValueError(f"points: expected a filterpy sigma-point object, such as MerweScaledSigmaPoints(...), got {points!r:.80}")
+    if isinstance(points, type) or not all(
+        hasattr(points, name) for name in ("n", "sigma_points", "Wm", "Wc")
+    ):
+        raise ValueError(
+            f"points: expected a filterpy sigma-point object, such as MerweScaledSigmaPoints(...), got {points!r:.80}"
+        )
     nodes = points.sigma_points(np.zeros(points.n), np.eye(points.n))
     return _centered(nodes, np.ravel(points.Wm), np.ravel(points.Wc))
 

@@ -49,7 +49,9 @@ EUCLIDEAN = Space()
 def wrap(angle: Any) -> Any:
     """Angle in radians, wrapped to ``[-pi, pi)``."""
     wrapped = (np.asanyarray(angle) + np.pi) % (2.0 * np.pi) - np.pi
-    return np.where(wrapped == np.pi, -np.pi, wrapped)[()]  # just below -pi the remainder rounds up to a full turn
+    return np.where(wrapped == np.pi, -np.pi, wrapped)[
+        ()
+    ]  # just below -pi the remainder rounds up to a full turn
 
 
 def angles(components: Iterable[int] | None = None) -> Space:
@@ -57,7 +59,11 @@ def angles(components: Iterable[int] | None = None) -> Space:
 
     >>> bearing = celnav.Sensor(lambda x, epoch: np.arctan2(x[..., 1:2], x[..., :1]), R=[[1e-4]], space=celnav.angles([0]))
     """
-    places = None if components is None else integers("components", sequence("components", components, "[0]"))
+    places = (
+        None
+        if components is None
+        else integers("components", sequence("components", components, "[0]"))
+    )
     return Space(partial(_wrapped, np.add, places), partial(_wrapped, np.subtract, places))
 
 
@@ -65,7 +71,9 @@ def _wrapped(operation: Any, places: tuple[int, ...] | None, a: Array, b: Array)
     """The sum or difference of vectors, its angles wrapped."""
     vector: Array = operation(a, b, dtype=np.float64)
     if places and max(places) >= vector.shape[-1]:
-        raise ValueError(f"angles: expected components below {vector.shape[-1]}, the length of the vector, got {max(places)}")
+        raise ValueError(
+            f"angles: expected components below {vector.shape[-1]}, the length of the vector, got {max(places)}"
+        )
     chosen = slice(None) if places is None else list(places)
     vector[..., chosen] = wrap(vector[..., chosen])
     return vector
@@ -78,26 +86,38 @@ def product(*factors: tuple[Space, int, int]) -> Space:
 
     >>> space = celnav.product((celnav.attitude(), 4, 3), (celnav.EUCLIDEAN, 3, 3))  # an attitude and three drifts
     """
-    if not all(isinstance(factor, tuple | list) and len(factor) == 3 and isinstance(factor[0], Space) for factor in factors):
-        raise ValueError("factors: expected triples (space, length of its points, length of its tangents)")
-    factors = tuple((space, integer("factors", N, 0), integer("factors", n, 0)) for space, N, n in factors)
+    if not all(
+        isinstance(factor, tuple | list) and len(factor) == 3 and isinstance(factor[0], Space)
+        for factor in factors
+    ):
+        raise ValueError(
+            "factors: expected triples (space, length of its points, length of its tangents)"
+        )
+    factors = tuple(
+        (space, integer("factors", N, 0), integer("factors", n, 0)) for space, N, n in factors
+    )
     points = np.cumsum([0, *(N for _, N, _ in factors)])
     tangents = np.cumsum([0, *(n for _, _, n in factors)])
     parts = [
-        (space, slice(points[i], points[i + 1]), slice(tangents[i], tangents[i + 1])) for i, (space, _, _) in enumerate(factors)
+        (space, slice(points[i], points[i + 1]), slice(tangents[i], tangents[i + 1]))
+        for i, (space, _, _) in enumerate(factors)
     ]
     if any(space.mean is not None for space, _, _ in factors):
         raise ValueError("factors: a space with its own mean cannot be part of a product")
 
     def checked(vector: Array, length: int, what: str) -> Array:
         if vector.shape[-1] != length:
-            raise ValueError(f"{what}: expected {length} components of a product of spaces, got {vector.shape[-1]}")
+            raise ValueError(
+                f"{what}: expected {length} components of a product of spaces, got {vector.shape[-1]}"
+            )
         return vector
 
     def plus(point: Array, tangent: Array) -> Array:
         checked(point, points[-1], "point")
         checked(tangent, tangents[-1], "deviations")
-        return side_by_side([space.plus(point[..., at], tangent[..., by]) for space, at, by in parts])
+        return side_by_side(
+            [space.plus(point[..., at], tangent[..., by]) for space, at, by in parts]
+        )
 
     def minus(b: Array, a: Array) -> Array:
         checked(b, points[-1], "point")
@@ -108,12 +128,17 @@ def product(*factors: tuple[Space, int, int]) -> Space:
         matrix = np.zeros((*tangent.shape[:-1], n, n), like=tangent)
         for space, _, by in parts:
             width = by.stop - by.start
-            matrix[..., by, by] = np.eye(width) if space.transport is None else space.transport(tangent[..., by])
+            matrix[..., by, by] = (
+                np.eye(width) if space.transport is None else space.transport(tangent[..., by])
+            )
         return matrix
 
     def check(point: Array, name: str) -> Array:
         return side_by_side(
-            [point[..., at] if space.check is None else space.check(point[..., at], name) for space, at, _ in parts]
+            [
+                point[..., at] if space.check is None else space.check(point[..., at], name)
+                for space, at, _ in parts
+            ]
         )
 
     particular = any(space.check is not None for space, _, _ in factors)

@@ -28,7 +28,9 @@ ORDERS = (1, 3, 7, 15, 31, 63)
 """Points of the one-dimensional rules of level 1, 2, ...: a level more doubles the number and the degree."""
 DELAYED = (1, 3, 3, 7, 7, 7, 15)
 """Orders that rise only when the total degree of the isotropic rule asks for it: fewer points, nested in parts."""
-CANCELED = 1e-12  # a merged weight is nothing if it is this small against the sum of its absolute terms
+CANCELED = (
+    1e-12  # a merged weight is nothing if it is this small against the sum of its absolute terms
+)
 Polynomial = dict[int, float]  # coefficients by power
 
 
@@ -48,7 +50,9 @@ class _Pattern(NamedTuple):
     number: int
 
 
-def smolyak(n: int, level: int, weights: Sequence[int] | None = None, *, orders: Sequence[int] = ORDERS) -> Rule:
+def smolyak(
+    n: int, level: int, weights: Sequence[int] | None = None, *, orders: Sequence[int] = ORDERS
+) -> Rule:
     """Smolyak rule of Gauss-Hermite rules in ``n`` dimensions: the points whose weight does not cancel, the center first.
 
     Its weights are partly negative. Channels with ``g_j > (level - 1) min(g)`` have no points: filters refuse such a rule. It is
@@ -64,7 +68,9 @@ def smolyak(n: int, level: int, weights: Sequence[int] | None = None, *, orders:
     return _rule(*_checked(n, level, weights, orders))
 
 
-def point_count(n: int, level: int, weights: Sequence[int] | None = None, *, orders: Sequence[int] = ORDERS) -> int:
+def point_count(
+    n: int, level: int, weights: Sequence[int] | None = None, *, orders: Sequence[int] = ORDERS
+) -> int:
     """Number of points of `smolyak` (same arguments, any number), without making them.
 
     >>> celnav.gaussian.sparse_grid.point_count(13, 3)
@@ -73,7 +79,13 @@ def point_count(n: int, level: int, weights: Sequence[int] | None = None, *, ord
     return sum(p.number for p in _patterns(*_checked(n, level, weights, orders)[1:])[1] if p.weight)
 
 
-def integrates(powers: Sequence[int], level: int, weights: Sequence[int] | None = None, *, orders: Sequence[int] = ORDERS) -> bool:
+def integrates(
+    powers: Sequence[int],
+    level: int,
+    weights: Sequence[int] | None = None,
+    *,
+    orders: Sequence[int] = ORDERS,
+) -> bool:
     """Whether `smolyak` gives the exact mean of the monomial ``prod_j x_j^powers[j]`` of a unit Gaussian.
 
     Exact if and only if a power is odd or ``sum_j (l_j - 1) g_j <= (level - 1) min(g)``, where ``l_j`` is the lowest level
@@ -88,8 +100,12 @@ def integrates(powers: Sequence[int], level: int, weights: Sequence[int] | None 
     _, depth, g, sizes = _checked(len(numbers), level, weights, orders)
     if any(a % 2 for a in numbers):
         return True
-    lowest = [sum(2 * m - 1 < a for m in sizes) for a in numbers]  # a level less; the number of levels where none suffices
-    return max(lowest) < depth and sum(k * c for k, c in zip(lowest, g, strict=True)) <= (depth - 1) * min(g)
+    lowest = [
+        sum(2 * m - 1 < a for m in sizes) for a in numbers
+    ]  # a level less; the number of levels where none suffices
+    return max(lowest) < depth and sum(k * c for k, c in zip(lowest, g, strict=True)) <= (
+        depth - 1
+    ) * min(g)
 
 
 def index_set(level: int, weights: Sequence[int]) -> dict[tuple[int, ...], int]:
@@ -102,10 +118,15 @@ def index_set(level: int, weights: Sequence[int]) -> dict[tuple[int, ...], int]:
         raise ValueError("weights: expected at least one, got none")
     _, depth, g, _ = _checked(count, level, weights, ORDERS)
     budget, c = (depth - 1) * min(g), np.ones(1)
-    for weight in g:  # a coefficient depends on the slack alone: [t^slack] prod_j (1 - t^g_j) / (1 - t)
+    for (
+        weight
+    ) in g:  # a coefficient depends on the slack alone: [t^slack] prod_j (1 - t^g_j) / (1 - t)
         c = np.convolve(c, [1, *[0] * (weight - 1), -1])
     every = product(*(range(1, budget // weight + 2) for weight in g))
-    slack = {index: budget - sum((i - 1) * weight for i, weight in zip(index, g, strict=True)) for index in every}
+    slack = {
+        index: budget - sum((i - 1) * weight for i, weight in zip(index, g, strict=True))
+        for index in every
+    }
     return {index: int(c[: left + 1].sum()) for index, left in slack.items() if left >= 0}
 
 
@@ -117,7 +138,9 @@ def check_orders(orders: object) -> tuple[int, ...]:
     return sizes
 
 
-def _checked(n: object, level: object, weights: object, orders: object) -> tuple[int, int, tuple[int, ...], tuple[int, ...]]:
+def _checked(
+    n: object, level: object, weights: object, orders: object
+) -> tuple[int, int, tuple[int, ...], tuple[int, ...]]:
     dimension, sizes = integer("n", n, 1, MAX_POINTS), check_orders(orders)
     depth = integer("level", level, 1, len(sizes))
     g = (1,) * dimension if weights is None else integers("weights", weights, 1, count=dimension)
@@ -131,7 +154,10 @@ def univariate(order: int) -> tuple[Array, Array]:
     x, w = np.polynomial.hermite_e.hermegauss(order)
     w = w / w.sum()
     half = order // 2
-    nodes, weights = 0.5 * (x[order - half :] - x[:half][::-1]), 0.5 * (w[order - half :] + w[:half][::-1])
+    nodes, weights = (
+        0.5 * (x[order - half :] - x[:half][::-1]),
+        0.5 * (w[order - half :] + w[:half][::-1]),
+    )
     return nodes, np.concatenate([[w[half] if order % 2 else 0.0], weights])
 
 
@@ -141,8 +167,13 @@ def _nodes(sizes: Sequence[int]) -> tuple[Polynomial, list[_Node]]:
     found: dict[tuple[int, int], _Node] = {}
     for level, size in enumerate(sizes):
         x, w = univariate(size)
-        nodes = [found.setdefault((size, i), _Node(level, value, {})) for i, value in enumerate(x.tolist())]
-        for series, weight in zip((center, *(node.series for node in nodes)), w.tolist(), strict=True):
+        nodes = [
+            found.setdefault((size, i), _Node(level, value, {}))
+            for i, value in enumerate(x.tolist())
+        ]
+        for series, weight in zip(
+            (center, *(node.series for node in nodes)), w.tolist(), strict=True
+        ):
             _add(series, level, weight)
             _add(series, level + 1, -weight)
     return center, list(found.values())
@@ -163,7 +194,9 @@ def _times(a: Polynomial, b: Polynomial, limit: int) -> Polynomial:
 
 
 @lru_cache(maxsize=256)
-def _patterns(level: int, g: tuple[int, ...], sizes: tuple[int, ...]) -> tuple[tuple[float, ...], tuple[_Pattern, ...]]:
+def _patterns(
+    level: int, g: tuple[int, ...], sizes: tuple[int, ...]
+) -> tuple[tuple[float, ...], tuple[_Pattern, ...]]:
     """Values of the nodes, and the patterns whose weight does not cancel, the center first. A class is channels of one weight."""
     budget = (level - 1) * min(g)
     center, nodes = _nodes(sizes)
@@ -191,13 +224,18 @@ def _patterns(level: int, g: tuple[int, ...], sizes: tuple[int, ...]) -> tuple[t
         if not canceled or not any(choice):  # a rule has its center first, be its weight 0
             # Ways to give the nodes of each class, and a sign to each, to different ones of its channels.
             alike = prod(factorial(chosen.count(i)) for chosen in choice for i in set(chosen))
-            ways = prod(perm(count, len(chosen)) << len(chosen) for (_, count), chosen in zip(classes, choice, strict=True))
+            ways = prod(
+                perm(count, len(chosen)) << len(chosen)
+                for (_, count), chosen in zip(classes, choice, strict=True)
+            )
             found.append(_Pattern(choice, 0.0 if canceled else own, ways // alike))
     found.sort(key=lambda p: sum(map(len, p.nodes)))
     return tuple(node.value for node in nodes), tuple(found)
 
 
-def _multisets(nodes: Sequence[_Node], budget: int, most: int, first: int = 0) -> Iterator[tuple[int, tuple[int, ...]]]:
+def _multisets(
+    nodes: Sequence[_Node], budget: int, most: int, first: int = 0
+) -> Iterator[tuple[int, tuple[int, ...]]]:
     """Choices of at most ``most`` nodes, ascending and with repetition, whose levels fit the budget: ``(cost, nodes)``."""
     yield 0, ()
     if not most:
@@ -214,14 +252,24 @@ def _rule(n: int, level: int, g: tuple[int, ...], sizes: tuple[int, ...]) -> Rul
     total = sum(p.number for p in patterns)
     few("level", total, n)
     channels = [[j for j in range(n) if g[j] == c] for c in sorted(set(g))]
-    points, weights = np.zeros((total, n)), np.repeat([p.weight for p in patterns], [p.number for p in patterns])
+    points, weights = (
+        np.zeros((total, n)),
+        np.repeat([p.weight for p in patterns], [p.number for p in patterns]),
+    )
     row = 0
     for pattern in patterns:
         each = [
-            [(where, which) for where in combinations(members, len(chosen)) for which in sorted(set(permutations(chosen)))]
+            [
+                (where, which)
+                for where in combinations(members, len(chosen))
+                for which in sorted(set(permutations(chosen)))
+            ]
             for members, chosen in zip(channels, pattern.nodes, strict=True)
         ]
-        placed = np.array([[sum(part, ()) for part in zip(*way, strict=True)] for way in product(*each)], dtype=int)
+        placed = np.array(
+            [[sum(part, ()) for part in zip(*way, strict=True)] for way in product(*each)],
+            dtype=int,
+        )
         active = placed.shape[-1]
         signs = np.array(list(product((1.0, -1.0), repeat=active))).reshape(2**active, active)
         rows = row + np.arange(pattern.number).reshape(len(placed), len(signs))

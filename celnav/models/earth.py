@@ -32,7 +32,9 @@ STANDARD_GRAVITY = 9.80665  # m/s^2, what a "g" of an accelerometer is
 def meridian_radius(latitude: ArrayLike) -> Array:
     """Radius of curvature along a meridian, R_M, m, of the shape of ``latitude`` (rad)."""
     s = np.sin(latitude)
-    return np.asanyarray(SEMI_MAJOR_M * (1.0 - ECCENTRICITY_SQUARED) / (1.0 - ECCENTRICITY_SQUARED * s * s) ** 1.5)
+    return np.asanyarray(
+        SEMI_MAJOR_M * (1.0 - ECCENTRICITY_SQUARED) / (1.0 - ECCENTRICITY_SQUARED * s * s) ** 1.5
+    )
 
 
 def transverse_radius(latitude: ArrayLike) -> Array:
@@ -49,10 +51,14 @@ def radii(latitude: ArrayLike, height_m: ArrayLike) -> tuple[Array, Array]:
 def normal_gravity(latitude: ArrayLike, height_m: ArrayLike) -> Array:
     """Gravity (down, with the centrifugal part) of the normal ellipsoid, m/s^2: Somigliana's formula, to second order in height."""
     s2 = np.square(np.sin(latitude))
-    surface = 9.7803253359 * (1.0 + 0.00193185265241 * s2) / np.sqrt(1.0 - ECCENTRICITY_SQUARED * s2)
+    surface = (
+        9.7803253359 * (1.0 + 0.00193185265241 * s2) / np.sqrt(1.0 - ECCENTRICITY_SQUARED * s2)
+    )
     m = ROTATION_RATE**2 * SEMI_MAJOR_M**3 * (1.0 - FLATTENING) / GRAVITY_PARAMETER
     h = np.asanyarray(height_m) / SEMI_MAJOR_M
-    return np.asanyarray(surface * (1.0 - 2.0 * (1.0 + FLATTENING + m - 2.0 * FLATTENING * s2) * h + 3.0 * h * h))
+    return np.asanyarray(
+        surface * (1.0 - 2.0 * (1.0 + FLATTENING + m - 2.0 * FLATTENING * s2) * h + 3.0 * h * h)
+    )
 
 
 def earth_rate(latitude: ArrayLike) -> Array:
@@ -98,10 +104,24 @@ def spin(orientations: Array, interval: float) -> Array:
     orientations: ``(T, 3, 3)``, as `orientation` has them, of turns below a right angle.
     """
     given = finite("orientations", orientations, ("T", 3, 3))
-    turn = given[:-1] @ given[1:].mT  # of vectors that stay, seen from the axes: the other way round
-    sine = 0.5 * np.stack([turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0], turn[:, 1, 0] - turn[:, 0, 1]], -1)
+    turn = (
+        given[:-1] @ given[1:].mT
+    )  # of vectors that stay, seen from the axes: the other way round
+    sine = 0.5 * np.stack(
+        [
+            turn[:, 2, 1] - turn[:, 1, 2],
+            turn[:, 0, 2] - turn[:, 2, 0],
+            turn[:, 1, 0] - turn[:, 0, 1],
+        ],
+        -1,
+    )
     size = np.linalg.norm(sine, axis=-1, keepdims=True)
-    return np.asarray(sine * np.arcsin(size) / np.where(size > 0.0, size, 1.0) / number("interval", interval, above=0.0))
+    return np.asarray(
+        sine
+        * np.arcsin(size)
+        / np.where(size > 0.0, size, 1.0)
+        / number("interval", interval, above=0.0)
+    )
 
 
 class Flight(NamedTuple):
@@ -133,8 +153,16 @@ def turning_flight(
     t = finite("times", times, ("T",))
     if (np.diff(t) <= 0.0).any():
         raise ValueError(f"times: expected an increasing sequence, got shape {t.shape}")
-    longitude, latitude, height_m = number("longitude", longitude), number("latitude", latitude), number("height_m", height_m)
-    speed, heading, acceleration = number("speed", speed), number("heading", heading), number("acceleration", acceleration)
+    longitude, latitude, height_m = (
+        number("longitude", longitude),
+        number("latitude", latitude),
+        number("height_m", height_m),
+    )
+    speed, heading, acceleration = (
+        number("speed", speed),
+        number("heading", heading),
+        number("acceleration", acceleration),
+    )
     turn_rate, substep = number("turn_rate", turn_rate), number("substep", substep, above=0.0)
 
     def rate(since: float, where: Array) -> Array:
@@ -167,4 +195,6 @@ def turning_flight(
     rotation = 2.0 * earth_rate(latitudes) + transport_rate(velocity, latitudes, height_m)
     force = change + np.cross(rotation, velocity)
     force[:, 2] += normal_gravity(latitudes, height_m)
-    return Flight(t, longitudes, latitudes, height_m, velocity, attitude, matvec(attitude.mT, force))
+    return Flight(
+        t, longitudes, latitudes, height_m, velocity, attitude, matvec(attitude.mT, force)
+    )

@@ -64,7 +64,9 @@ class Kernel:
         except Exception as error:  # jplephem raises whatever the bytes lead it to
             raise ValueError(f"{self.path}: expected a binary SPK ephemeris ({error})") from None
         if len(content) < size:
-            raise ValueError(f"{self.path}: expected {size} bytes, got {len(content)}: the file is cut off")
+            raise ValueError(
+                f"{self.path}: expected {size} bytes, got {len(content)}: the file is cut off"
+            )
 
     def state(self, body: str, date: Tdb) -> BodyState:
         """`BodyState` of one of `BODIES` at dates of any shape ``(...)``; ValueError for one that the file does not have."""
@@ -75,14 +77,20 @@ class Kernel:
         segments = [self._spk[pair] for pair in _SPK[body]]
         instance("date", date, Tdb, 'a Tdb, such as celnav.models.ephemeris.from_utc("2015-10-17")')
         first, last = max(s.start_jd for s in segments), min(s.end_jd for s in segments)
-        day, rest = np.broadcast_arrays(np.asarray(date.day, dtype=np.float64), np.asarray(date.rest, dtype=np.float64))
+        day, rest = np.broadcast_arrays(
+            np.asarray(date.day, dtype=np.float64), np.asarray(date.rest, dtype=np.float64)
+        )
         since = ((day - first) + rest).ravel()
         outside = since[~((since >= 0.0) & (since <= last - first))]  # nan too
         if outside.size:
             covered = f"between {first} and {last}, which {self.path} covers"
             raise ValueError(f"date: expected JD TDB {covered}, got {outside[0] + first:.6f}")
-        found = (segment.compute_and_differentiate(day.ravel(), rest.ravel()) for segment in segments)
-        position, rate = (np.add.reduce(parts).T.reshape(*day.shape, 3) for parts in zip(*found, strict=True))
+        found = (
+            segment.compute_and_differentiate(day.ravel(), rest.ravel()) for segment in segments
+        )
+        position, rate = (
+            np.add.reduce(parts).T.reshape(*day.shape, 3) for parts in zip(*found, strict=True)
+        )
         return BodyState(position, rate / DAY_S)
 
 
@@ -108,7 +116,9 @@ class Tdb(NamedTuple):
 
     def since(self, other: Tdb) -> Array:
         """Seconds ``(...)`` from another instant."""
-        instance("other", other, Tdb, 'a Tdb, such as celnav.models.ephemeris.from_utc("2015-10-17")')
+        instance(
+            "other", other, Tdb, 'a Tdb, such as celnav.models.ephemeris.from_utc("2015-10-17")'
+        )
         return np.asarray(((self.day - other.day) + (self.rest - other.rest)) * DAY_S)
 
 
@@ -125,10 +135,14 @@ def from_utc(instant: str | datetime) -> Tdb:
         try:
             when = datetime.fromisoformat(instant.strip().replace("23:59:60", "23:59:59"))
         except ValueError as error:
-            raise ValueError(f"instant: expected UTC as YYYY-MM-DDTHH:MM:SS, got {instant!r} ({error})") from None
+            raise ValueError(
+                f"instant: expected UTC as YYYY-MM-DDTHH:MM:SS, got {instant!r} ({error})"
+            ) from None
         when = when.replace(tzinfo=when.tzinfo or UTC)
     if not isinstance(when, datetime) or when.tzinfo is None:
-        raise ValueError(f"instant: expected a datetime with a time zone, or UTC as YYYY-MM-DDTHH:MM:SS, got {instant!r:.80}")
+        raise ValueError(
+            f"instant: expected a datetime with a time zone, or UTC as YYYY-MM-DDTHH:MM:SS, got {instant!r:.80}"
+        )
     when = when.astimezone(UTC)
     second = when.second + leap + 1e-6 * when.microsecond
     days = erfa.dtf2d("UTC", when.year, when.month, when.day, when.hour, when.minute, second)

@@ -22,7 +22,10 @@ __all__ = [
 
 GRAVITY_PARAMETER = 3.986004418e14  # m^3/s^2
 ROTATION_RATE = 7.2921150e-5  # rad/s
-GPS_GRAVITY_PARAMETER, GPS_ROTATION_RATE = 3.986005e14, 7.2921151467e-5  # with which GPS's elements are made
+GPS_GRAVITY_PARAMETER, GPS_ROTATION_RATE = (
+    3.986005e14,
+    7.2921151467e-5,
+)  # with which GPS's elements are made
 LIGHT = 299792458.0  # m/s
 B1I_HZ, L1_HZ = 1561.098e6, 1575.42e6
 WEEK_S = 604800.0
@@ -69,11 +72,15 @@ class Broadcast:
     def __post_init__(self) -> None:
         count = np.size(self.number)
         for field in fields(self):
-            object.__setattr__(self, field.name, finite(field.name, getattr(self, field.name), (count,)))
+            object.__setattr__(
+                self, field.name, finite(field.name, getattr(self, field.name), (count,))
+            )
         if count and (self.e.max() >= 1.0 or self.e.min() < 0.0):
             raise ValueError(f"e: expected eccentricities from 0 to below 1, got {self.e}")
         if count and self.sqrt_a.min() <= 0.0:
-            raise ValueError(f"sqrt_a: expected positive roots of semi-major axes, got {self.sqrt_a}")
+            raise ValueError(
+                f"sqrt_a: expected positive roots of semi-major axes, got {self.sqrt_a}"
+            )
 
     def __len__(self) -> int:
         return len(self.number)
@@ -81,7 +88,9 @@ class Broadcast:
     @property
     def names(self) -> list[str]:
         """Names of the satellites ``(S,)``: C01, G02, ..."""
-        return [f"{'CG'[int(gps)]}{int(n):02d}" for gps, n in zip(self.gps, self.number, strict=True)]
+        return [
+            f"{'CG'[int(gps)]}{int(n):02d}" for gps, n in zip(self.gps, self.number, strict=True)
+        ]
 
     @property
     def geostationary(self) -> Array:
@@ -105,7 +114,9 @@ class SatelliteState(NamedTuple):
 def satellites(broadcast: Broadcast, t: Array | float) -> SatelliteState:
     """`SatelliteState` of all satellites at times ``t (..., S)`` or one time; velocities are exact derivatives."""
     b, t = broadcast, np.asarray(t, dtype=np.float64)
-    tk, dt = ((since - WEEK_S * np.round(since / WEEK_S)) for since in (t - b.toe, t - b.toc))  # within half a week
+    tk, dt = (
+        (since - WEEK_S * np.round(since / WEEK_S)) for since in (t - b.toe, t - b.toc)
+    )  # within half a week
     root_mu = np.sqrt(np.where(b.gps, GPS_GRAVITY_PARAMETER, GRAVITY_PARAMETER))
     spin = np.where(b.gps, GPS_ROTATION_RATE, ROTATION_RATE)
     n = root_mu / b.sqrt_a**3 + b.delta_n
@@ -120,19 +131,31 @@ def satellites(broadcast: Broadcast, t: Array | float) -> SatelliteState:
     s, c = np.sin(2.0 * phi), np.cos(2.0 * phi)
     u, u_dot = phi + b.cus * s + b.cuc * c, phi_dot * (1.0 + 2.0 * (b.cus * c - b.cuc * s))
     A = b.sqrt_a**2
-    r, r_dot = A * shrunk + b.crs * s + b.crc * c, A * b.e * sin_E * E_dot + 2.0 * phi_dot * (b.crs * c - b.crc * s)
-    i, i_dot = b.i0 + b.i_dot * tk + b.cis * s + b.cic * c, b.i_dot + 2.0 * phi_dot * (b.cis * c - b.cic * s)
+    r, r_dot = (
+        A * shrunk + b.crs * s + b.crc * c,
+        A * b.e * sin_E * E_dot + 2.0 * phi_dot * (b.crs * c - b.crc * s),
+    )
+    i, i_dot = (
+        b.i0 + b.i_dot * tk + b.cis * s + b.cic * c,
+        b.i_dot + 2.0 * phi_dot * (b.cis * c - b.cic * s),
+    )
     x, y = r * np.cos(u), r * np.sin(u)
     x_dot, y_dot = r_dot * np.cos(u) - y * u_dot, r_dot * np.sin(u) + x * u_dot
 
     # In space, about a node that turns with the Earth; that of a geostationary orbit stays in the tilted plane until the end.
     geo = b.geostationary
     turning = b.Omega_dot - np.where(geo, 0.0, spin)
-    node = b.Omega0 + turning * tk - spin * np.mod(b.toe + GPS_AHEAD_S * b.gps, WEEK_S)  # of the week of its own time
+    node = (
+        b.Omega0 + turning * tk - spin * np.mod(b.toe + GPS_AHEAD_S * b.gps, WEEK_S)
+    )  # of the week of its own time
     cos_O, sin_O, cos_i, sin_i = np.cos(node), np.sin(node), np.cos(i), np.sin(i)
     across, across_dot = y * cos_i, y_dot * cos_i - y * sin_i * i_dot
     P = np.stack([x * cos_O - across * sin_O, x * sin_O + across * cos_O, y * sin_i], -1)
-    along = [x_dot * cos_O - across_dot * sin_O, x_dot * sin_O + across_dot * cos_O, y_dot * sin_i + y * cos_i * i_dot]
+    along = [
+        x_dot * cos_O - across_dot * sin_O,
+        x_dot * sin_O + across_dot * cos_O,
+        y_dot * sin_i + y * cos_i * i_dot,
+    ]
     V = np.stack(along, -1) + spun(P, turning)
     if geo.any():
         fixed = turned(tilted(P, -TILT), ROTATION_RATE * tk)
@@ -154,13 +177,17 @@ def eccentric_anomaly(mean: Array, e: Array) -> Array:
 def tilted(vectors: Array, angle: float) -> Array:
     """``R_x(angle)`` times vectors ``(..., 3)``."""
     x, y, z = np.moveaxis(vectors, -1, 0)
-    return np.stack([x, np.cos(angle) * y + np.sin(angle) * z, np.cos(angle) * z - np.sin(angle) * y], -1)
+    return np.stack(
+        [x, np.cos(angle) * y + np.sin(angle) * z, np.cos(angle) * z - np.sin(angle) * y], -1
+    )
 
 
 def turned(vectors: Array, angle: Array) -> Array:
     """``R_z(angle)`` times vectors ``(..., 3)``: into a frame that has turned by the angle ``(...)``."""
     x, y, z = np.moveaxis(vectors, -1, 0)
-    return np.stack([np.cos(angle) * x + np.sin(angle) * y, np.cos(angle) * y - np.sin(angle) * x, z], -1)
+    return np.stack(
+        [np.cos(angle) * x + np.sin(angle) * y, np.cos(angle) * y - np.sin(angle) * x, z], -1
+    )
 
 
 def spun(places: Array, rate: Array | float) -> Array:

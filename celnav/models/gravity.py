@@ -59,7 +59,9 @@ class Gravity:
 
     def potential(self, position: Array) -> Array:
         """Positive potential ``(...)`` m^2/s^2 at positions ``(..., 3)`` m."""
-        return self._sum((self.gm / self.radius) * np.stack([self.C, self.S])[None], position)[..., 0]
+        return self._sum((self.gm / self.radius) * np.stack([self.C, self.S])[None], position)[
+            ..., 0
+        ]
 
     def acceleration(self, position: Array) -> Array:
         """Acceleration ``(..., 3)`` m/s^2 at positions ``(..., 3)`` m, on the same axes."""
@@ -68,7 +70,9 @@ class Gravity:
     def gradient(self, position: Array) -> Array:
         """Derivative ``(..., 3, 3)`` 1/s^2 of `acceleration`, symmetric and of trace zero."""
         xx, xy, xz, yy, yz, zz = np.moveaxis(self._sum(self._second, position), -1, 0)
-        return np.stack([np.stack(row, -1) for row in ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))], -2)
+        return np.stack(
+            [np.stack(row, -1) for row in ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))], -2
+        )
 
     @cached_property
     def _first(self) -> Array:
@@ -113,7 +117,13 @@ def _recursion(degree: int) -> list[tuple[Array, Array, float]]:
         across = (n - m) * (n + m) / (2 * n + 1)
         k = m[:-1]
         twice = np.sqrt((n + k - 1) * (n - k - 1) / ((2 * n - 3) * across[:-1]))
-        factors.append((np.sqrt((2 * n - 1) / across), twice, float(np.sqrt((2 * n + 1) / (2 * n) if n > 1 else 3.0))))
+        factors.append(
+            (
+                np.sqrt((2 * n - 1) / across),
+                twice,
+                float(np.sqrt((2 * n + 1) / (2 * n) if n > 1 else 3.0)),
+            )
+        )
     return factors
 
 
@@ -122,7 +132,10 @@ def _derivatives(coefficients: Array) -> Array:
     N = coefficients.shape[-1]
     n, m = np.mgrid[:N, :N]
     C, S = np.where(m <= n, coefficients, 0.0)
-    S, m = np.where(m > 0, S, 0.0), np.minimum(m, n)  # the sine of order 0 is none, whatever its coefficient
+    S, m = (
+        np.where(m > 0, S, 0.0),
+        np.minimum(m, n),
+    )  # the sine of order 0 is none, whatever its coefficient
     # A harmonic's normalization over that of the next degree, times the factor of the equation, by what becomes of the order.
     scale = (2 * n + 1) / (2 * n + 3)
     up = np.sqrt(scale * (n + m + 1) * (n + m + 2) * np.where(m == 0, 2.0, 1.0)) * 0.5
@@ -148,7 +161,11 @@ def read(path: str | Path, degree: int | None = None) -> Gravity:
     head: dict[str, str] = {}
     found: list[tuple[int, int, float, float]] = []
     body = False
-    lines = Path(instance("path", path, str | os.PathLike, "a path, such as 'EGM2008.gfc'")).read_text("latin-1").splitlines()
+    lines = (
+        Path(instance("path", path, str | os.PathLike, "a path, such as 'EGM2008.gfc'"))
+        .read_text("latin-1")
+        .splitlines()
+    )
     for number_, line in enumerate(lines, 1):
         words = line.replace("D", "e").replace("d", "e").split() if body else line.split()
         if not body:
@@ -158,29 +175,44 @@ def read(path: str | Path, degree: int | None = None) -> Gravity:
             try:
                 n, m, c, s = int(words[1]), int(words[2]), float(words[3]), float(words[4])
             except (IndexError, ValueError):
-                raise InputError(f"{path}: line {number_}: expected gfc, degree, order, C, S, got {line[:60]!r}") from None
+                raise InputError(
+                    f"{path}: line {number_}: expected gfc, degree, order, C, S, got {line[:60]!r}"
+                ) from None
             if not (0 <= m <= n <= MOST_DEGREE and np.isfinite([c, s]).all()):
-                raise InputError(f"{path}: line {number_}: expected 0 <= order <= degree and finite numbers, got {line[:60]!r}")
+                raise InputError(
+                    f"{path}: line {number_}: expected 0 <= order <= degree and finite numbers, got {line[:60]!r}"
+                )
             if n <= most:
                 found.append((n, m, c, s))
     if not body:
-        raise InputError(f"{path}: expected a gravity field in ICGEM's format, with a line end_of_head, got none")
+        raise InputError(
+            f"{path}: expected a gravity field in ICGEM's format, with a line end_of_head, got none"
+        )
     return _field(path, head, found, degree)
 
 
-def _field(path: str | Path, head: dict[str, str], found: list[tuple[int, int, float, float]], degree: int | None) -> Gravity:
+def _field(
+    path: str | Path,
+    head: dict[str, str],
+    found: list[tuple[int, int, float, float]],
+    degree: int | None,
+) -> Gravity:
     """A field of what a file has."""
     sizes = []
     for key in ("earth_gravity_constant", "radius"):
         try:
             sizes.append(float(head[key].replace("D", "e").replace("d", "e")))
         except (KeyError, ValueError):
-            raise InputError(f"{path}: expected {key} with a number in the head, got {head.get(key, 'none')!r}") from None
+            raise InputError(
+                f"{path}: expected {key} with a number in the head, got {head.get(key, 'none')!r}"
+            ) from None
     if (norm := head.get("norm", "fully_normalized")) != "fully_normalized":
         raise InputError(f"{path}: norm: expected fully_normalized, got {norm!r}")
     highest = max((n for n, *_ in found), default=-1)
     if highest < (degree or 0):
-        raise InputError(f"{path}: expected coefficients to degree {degree or 0}, got them to {highest}")
+        raise InputError(
+            f"{path}: expected coefficients to degree {degree or 0}, got them to {highest}"
+        )
     C, S = np.zeros((2, highest + 1, highest + 1))
     for n, m, c, s in found:
         C[n, m], S[n, m] = c, s

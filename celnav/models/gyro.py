@@ -37,11 +37,18 @@ class Gyro:
         number("sigma_v", self.sigma_v, 0.0)
         number("sigma_u", self.sigma_u, 0.0)
         if not float(numbers("tau", self.tau, ())) > 0.0:
-            raise ValueError(f"tau: expected a positive time (inf for a random walk), got {self.tau!r}")
+            raise ValueError(
+                f"tau: expected a positive time (inf for a random walk), got {self.tau!r}"
+            )
 
     @classmethod
     def datasheet(
-        cls, angle_random_walk: float, *, rate_random_walk: float = 0.0, bias_instability: float = 0.0, tau: float = np.inf
+        cls,
+        angle_random_walk: float,
+        *,
+        rate_random_walk: float = 0.0,
+        bias_instability: float = 0.0,
+        tau: float = np.inf,
     ) -> Gyro:
         """From the numbers of a data sheet [IEEE1997]; the drift walks at random, or is a Gauss-Markov process.
 
@@ -57,9 +64,13 @@ class Gyro:
         if not number("bias_instability", bias_instability, 0.0):
             return cls(float(white), float(walk), tau)
         if walk:
-            raise ValueError(f"rate_random_walk: expected 0 where bias_instability is given, got {rate_random_walk!r}")
+            raise ValueError(
+                f"rate_random_walk: expected 0 where bias_instability is given, got {rate_random_walk!r}"
+            )
         time = number("tau", tau, above=0.0)  # a deviation without it is no process
-        return cls(float(white), float(np.radians(bias_instability / 3600.0) * np.sqrt(2.0 / time)), time)
+        return cls(
+            float(white), float(np.radians(bias_instability / 3600.0) * np.sqrt(2.0 / time)), time
+        )
 
     def factor(self, dt: float) -> float:
         """What is left of the drift after ``dt`` seconds."""
@@ -86,22 +97,32 @@ class Gyro:
     def process_noise(self, dt: float) -> Array:
         """Covariance ``(6, 6)`` of the errors of rotation vector and drift over ``dt`` seconds [Crassidis2003]."""
         u2 = self.sigma_u**2
-        angle, both, drift = self.sigma_v**2 * dt + u2 * dt**3 / 3.0, -0.5 * u2 * dt**2, self.drift_std(dt) ** 2
+        angle, both, drift = (
+            self.sigma_v**2 * dt + u2 * dt**3 / 3.0,
+            -0.5 * u2 * dt**2,
+            self.drift_std(dt) ** 2,
+        )
         return np.kron([[angle, both], [both, drift]], np.eye(3))
 
     def measure(self, q: Array, drift: Array, noise: Array, dt: float) -> Array:
         """Samples ``(T - 1, ..., 3)`` rad/s of attitudes ``q (T, ..., 4)`` with ``drift`` and standard normal ``noise``."""
         q, dt = unit(q, "q"), number("dt", dt, above=0.0)
         if q.ndim < 2 or len(q) < 2:
-            raise ValueError(f"q: expected attitudes (T, ..., 4) at two epochs or more, got shape {q.shape}")
+            raise ValueError(
+                f"q: expected attitudes (T, ..., 4) at two epochs or more, got shape {q.shape}"
+            )
         turns = log(multiply(q[1:], inverse(q[:-1])))
         drift, noise = finite("drift", drift, (..., 3)), finite("noise", noise, (..., 3))
-        if drift.ndim > 1 and len(drift) >= len(turns):  # one of each attitude: the last has no sample
+        if drift.ndim > 1 and len(drift) >= len(
+            turns
+        ):  # one of each attitude: the last has no sample
             drift = drift[: len(turns)]
         together(q=turns.shape[:-1], drift=drift.shape[:-1], noise=noise.shape[:-1])
         return np.asanyarray(turns / dt + drift + self.rate_std(dt) * noise)
 
-    def propagate(self, x: Array, measured: Array, dt: float, rate_noise: Array | float = 0.0) -> Array:
+    def propagate(
+        self, x: Array, measured: Array, dt: float, rate_noise: Array | float = 0.0
+    ) -> Array:
         """State ``(..., 7)`` after an interval with the sample ``measured (..., 3)``, less drift and ``rate_noise``."""
         drift = x[..., 4:]
         q = multiply(exp((measured - drift - rate_noise) * dt), x[..., :4])
@@ -127,9 +148,15 @@ class Gyro:
 
 def preintegrate(measured: Array, drift: Array, dt: float) -> Array:
     """One sample ``(..., 3)`` rad/s that turns as far as samples ``(k, ..., 3)`` do together, given the drift ``(..., 3)``."""
-    measured, drift, dt = finite("measured", measured, (..., 3)), finite("drift", drift, (..., 3)), number("dt", dt, above=0.0)
+    measured, drift, dt = (
+        finite("measured", measured, (..., 3)),
+        finite("drift", drift, (..., 3)),
+        number("dt", dt, above=0.0),
+    )
     if measured.ndim < 2 or not len(measured):
-        raise ValueError(f"measured: expected samples (k, ..., 3), one or more, got shape {measured.shape}")
+        raise ValueError(
+            f"measured: expected samples (k, ..., 3), one or more, got shape {measured.shape}"
+        )
     together(measured=measured.shape[1:-1], drift=drift.shape[:-1])
     turned = exp((measured[0] - drift) * dt)
     for sample in measured[1:]:
@@ -148,10 +175,15 @@ class SteadyState(NamedTuple):
 
 def steady_state(sigma_n: float, gyro: Gyro, interval: float) -> SteadyState:
     """What a filter settles at: attitude measured to ``sigma_n`` rad each ``interval`` s, drift a random walk [Farrenkopf1978]."""
-    sigma_n, interval = number("sigma_n", sigma_n, above=0.0), number("interval", interval, above=0.0)
+    sigma_n, interval = (
+        number("sigma_n", sigma_n, above=0.0),
+        number("interval", interval, above=0.0),
+    )
     instance("gyro", gyro, Gyro, "a Gyro, such as Gyro(sigma_v, sigma_u)")
     if np.isfinite(gyro.tau):
-        raise ValueError(f"gyro: expected a drift that walks at random (tau = inf), got tau = {gyro.tau!r}")
+        raise ValueError(
+            f"gyro: expected a drift that walks at random (tau = inf), got tau = {gyro.tau!r}"
+        )
     T, u, v = interval, gyro.sigma_u, gyro.sigma_v
     Su, Sv = u * T**1.5 / sigma_n, v * np.sqrt(T) / sigma_n
     small = Sv**2 / 4.0 + Su**2 / 48.0
@@ -162,7 +194,9 @@ def steady_state(sigma_n: float, gyro: Gyro, interval: float) -> SteadyState:
     before = sigma_n * np.sqrt(excess * (zeta + 1.0))
     cross_before = -u * np.sqrt(T) * sigma_n * zeta
     drift = (cross_before / zeta**2 - cross_before) / T - 0.5 * u**2 * T  # variance after
-    return SteadyState(float(before), float(before / zeta), float(np.sqrt(drift + u**2 * T)), float(np.sqrt(drift)))
+    return SteadyState(
+        float(before), float(before / zeta), float(np.sqrt(drift + u**2 * T)), float(np.sqrt(drift))
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +222,9 @@ class Body:
             raise ValueError("inertia: expected a symmetric positive definite (3, 3)")
         if large > 1.001 * (small + middle):  # a flat plate attains it, and numbers are rounded
             got = f"{small:.6g}, {middle:.6g} and {large:.6g}"
-            raise ValueError(f"inertia: expected principal moments none of which is larger than the two others together, got {got}")
+            raise ValueError(
+                f"inertia: expected principal moments none of which is larger than the two others together, got {got}"
+            )
 
     def nadir(self, q: Array, t: float) -> Array:
         """Direction of the Earth's center ``(..., 3)`` on body axes."""
@@ -202,7 +238,9 @@ class Body:
         c = self.nadir(q, t)
         gradient = 3.0 * self.orbit_rate**2 * matvec(cross(c), matvec(self.inertia, c))
         torque = gradient + self.torque - matvec(cross(w), matvec(self.inertia, w) + self.wheels)
-        return np.concatenate([turning, np.linalg.solve(self.inertia, torque[..., None])[..., 0]], -1)
+        return np.concatenate(
+            [turning, np.linalg.solve(self.inertia, torque[..., None])[..., 0]], -1
+        )
 
     def propagate(self, x: Array, dt: float, steps: int) -> Array:
         """States ``(steps + 1, ..., 7)`` from the first at equal intervals, integrated to a relative 1e-12."""
@@ -216,7 +254,15 @@ class Body:
             return self.rates(flat.reshape(start.shape), t).ravel()
 
         times = dt * np.arange(steps + 1)
-        solved = solve_ivp(rates, (0.0, times[-1]), start.ravel(), method="DOP853", t_eval=times, rtol=1e-12, atol=1e-14)
+        solved = solve_ivp(
+            rates,
+            (0.0, times[-1]),
+            start.ravel(),
+            method="DOP853",
+            t_eval=times,
+            rtol=1e-12,
+            atol=1e-14,
+        )
         out = solved.y.T.reshape(steps + 1, *start.shape)
         out[..., :4] /= np.linalg.norm(out[..., :4], axis=-1, keepdims=True)
         return np.asanyarray(out)

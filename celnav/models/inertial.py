@@ -26,8 +26,28 @@ __all__ = [
     "mechanize", "misalignment_angles", "misalignment_matrix", "navigation", "star_residuals", "wahba_misalignment",
 ]  # fmt: skip
 
-PHI, VELOCITY, POSITION, DRIFT, BIAS = slice(0, 3), slice(3, 5), slice(5, 7), slice(7, 10), slice(10, 13)
-STATES = ("phi_x", "phi_y", "phi_z", "dVx", "dVy", "dlon", "dlat", "eps_x", "eps_y", "eps_z", "nabla_x", "nabla_y", "nabla_z")
+PHI, VELOCITY, POSITION, DRIFT, BIAS = (
+    slice(0, 3),
+    slice(3, 5),
+    slice(5, 7),
+    slice(7, 10),
+    slice(10, 13),
+)
+STATES = (
+    "phi_x",
+    "phi_y",
+    "phi_z",
+    "dVx",
+    "dVy",
+    "dlon",
+    "dlat",
+    "eps_x",
+    "eps_y",
+    "eps_z",
+    "nabla_x",
+    "nabla_y",
+    "nabla_z",
+)
 SINGULAR = np.radians(89.0)
 """The Euler angles end at phi_x = 90 degrees: sigma points beyond this mean nothing."""
 FLIGHT = "a Flight, such as celnav.models.earth.turning_flight(times, ...)"
@@ -57,28 +77,40 @@ def navigation(flight: Flight, at: Array | int | slice, phi: Array, bias: Array)
         true = flight.attitude[at]
     except (IndexError, ValueError):
         count = len(flight.times)
-        raise ValueError(f"at: expected numbers of epochs below {count}, one, several or a slice, got {at!r:.80}") from None
+        raise ValueError(
+            f"at: expected numbers of epochs below {count}, one, several or a slice, got {at!r:.80}"
+        ) from None
     attitude = misalignment_matrix(phi) @ true
     force = matvec(attitude, flight.force[at] + bias)
-    return Navigation(attitude, force, flight.velocity[at, :2], flight.latitude[at], flight.height_m)
+    return Navigation(
+        attitude, force, flight.velocity[at, :2], flight.latitude[at], flight.height_m
+    )
 
 
 def misalignment_matrix(phi: Array) -> Array:
     """``C_n^n' (..., 3, 3)`` of Euler angles ``(..., 3)``."""
-    return np.moveaxis(np.array(_rows(np.sin(leading(phi)), np.cos(leading(phi)))), (0, 1), (-2, -1))
+    return np.moveaxis(
+        np.array(_rows(np.sin(leading(phi)), np.cos(leading(phi)))), (0, 1), (-2, -1)
+    )
 
 
 def _rows(s: Array, c: Array) -> tuple[tuple[Array, ...], ...]:
     """Rows of ``C_n^n'`` from the sines and cosines ``(3, ...)`` of the angles."""
     (sx, sy, sz), (cx, cy, cz) = s, c
     a, b = sy * sx, cy * sx
-    return ((cy * cz - a * sz, cy * sz + a * cz, -sy * cx), (-cx * sz, cx * cz, sx), (sy * cz + b * sz, sy * sz - b * cz, cy * cx))
+    return (
+        (cy * cz - a * sz, cy * sz + a * cz, -sy * cx),
+        (-cx * sz, cx * cz, sx),
+        (sy * cz + b * sz, sy * sz - b * cz, cy * cx),
+    )
 
 
 def misalignment_angles(C: Array) -> Array:
     """Euler angles ``(..., 3)`` of ``C_n^n' (..., 3, 3)``."""
     x = np.arcsin(np.clip(C[..., 1, 2], -1.0, 1.0))
-    return np.stack([x, np.arctan2(-C[..., 0, 2], C[..., 2, 2]), np.arctan2(-C[..., 1, 0], C[..., 1, 1])], -1)
+    return np.stack(
+        [x, np.arctan2(-C[..., 0, 2], C[..., 2, 2]), np.arctan2(-C[..., 1, 0], C[..., 1, 1])], -1
+    )
 
 
 def _dot(row: Iterable[Array], v: Iterable[Array]) -> Array:
@@ -100,7 +132,10 @@ def _rates(X: Array, nav: Navigation) -> Array:
     L, (north, east) = nav.latitude, earth.radii(nav.latitude, nav.height_m)
     (Vx, Vy, _, dL), (vx, vy) = X[3:7], leading(nav.velocity)
     secL, tanL = 1.0 / np.cos(L), np.tan(L)
-    ie, en = leading(earth.earth_rate(L)), leading(earth.transport_rate(nav.velocity, L, nav.height_m))
+    ie, en = (
+        leading(earth.earth_rate(L)),
+        leading(earth.transport_rate(nav.velocity, L, nav.height_m)),
+    )
 
     # The errors of the computed rates; that of the Earth's rate has no east component.
     d_ie = 0.0, -ie[2] * dL, ie[1] * dL
@@ -108,7 +143,9 @@ def _rates(X: Array, nav: Navigation) -> Array:
 
     # Rotation of n' against n, on the axes n', and what it makes of the angles.
     rate, drift, bias = ie + en, X[DRIFT], X[BIAS]
-    wx, wy, wz = (rate[i] - _dot(C[i], rate) - _dot(Cb[i], drift) + (d_ie[i] + d_en[i]) for i in range(3))
+    wx, wy, wz = (
+        rate[i] - _dot(C[i], rate) - _dot(Cb[i], drift) + (d_ie[i] + d_en[i]) for i in range(3)
+    )
     (sx, sy, _), (cx, cy, _) = s, c
     turn = cy * wz - sy * wx
     out = np.zeros_like(X, shape=np.broadcast_shapes(X.shape, (13, *wx.shape)))
@@ -162,13 +199,24 @@ def wahba_misalignment(z: Array, attitude: Array, stars: Array) -> Array:
     directions = finite("stars", stars, (..., "k", 3))
     k, length = directions.shape[-2], np.linalg.norm(directions, axis=-1)
     if (np.abs(length - 1.0) > 1e-6).any():
-        raise ValueError(f"stars: expected unit vectors, got lengths from {length.min():.6g} to {length.max():.6g}")
-    if k < 2 or (np.linalg.norm(np.cross(directions[..., 0, :], directions[..., 1, :]), axis=-1) < 1e-3).all():
-        raise ValueError("stars: expected two directions that are not parallel (|r_1 x r_2| >= 1e-3)")
+        raise ValueError(
+            f"stars: expected unit vectors, got lengths from {length.min():.6g} to {length.max():.6g}"
+        )
+    if (
+        k < 2
+        or (
+            np.linalg.norm(np.cross(directions[..., 0, :], directions[..., 1, :]), axis=-1) < 1e-3
+        ).all()
+    ):
+        raise ValueError(
+            "stars: expected two directions that are not parallel (|r_1 x r_2| >= 1e-3)"
+        )
     z, attitude = finite("z", z, (..., 3 * k)), finite("attitude", attitude, (..., 3, 3))
     body = z.reshape(*z.shape[:-1], k, 3)
     seen = np.einsum("...ij,...kj->...ki", attitude, body) + directions  # C_n^n' r on n'
-    U, _, Vt = np.linalg.svd(np.einsum("...ki,...kj->...ij", seen, np.broadcast_to(directions, seen.shape)))
+    U, _, Vt = np.linalg.svd(
+        np.einsum("...ki,...kj->...ij", seen, np.broadcast_to(directions, seen.shape))
+    )
     U[..., :, -1] *= np.sign(np.linalg.det(U @ Vt))[..., None]
     return misalignment_angles(U @ Vt)
 
@@ -191,8 +239,16 @@ def mechanize(flight: Flight, attitude: Array, drift: Array, bias: Array) -> Sol
     t = instance("flight", flight, Flight, FLIGHT).times
     if len(t) < 3 or len(t) % 2 == 0:
         raise ValueError(f"flight: expected an odd number of epochs, three or more, got {len(t)}")
-    drift, bias, C = finite("drift", drift, (3,)), finite("bias", bias, (3,)), finite("attitude", attitude, (3, 3))
-    dt, h, (first, middle, last) = t[2] - t[0], flight.height_m, (slice(0, -2, 2), slice(1, None, 2), slice(2, None, 2))
+    drift, bias, C = (
+        finite("drift", drift, (3,)),
+        finite("bias", bias, (3,)),
+        finite("attitude", attitude, (3, 3)),
+    )
+    dt, h, (first, middle, last) = (
+        t[2] - t[0],
+        flight.height_m,
+        (slice(0, -2, 2), slice(1, None, 2), slice(2, None, 2)),
+    )
     # What is measured in the middle of each step: by the gyros the body's rotation against inertial space.
     L, b = flight.latitude[middle], flight.attitude
     spin = earth.earth_rate(L) + earth.transport_rate(flight.velocity[middle], L, h)
@@ -203,10 +259,22 @@ def mechanize(flight: Flight, attitude: Array, drift: Array, bias: Array) -> Sol
         """What the system computes ``dt`` seconds after the start, with the rates that it has elsewhere."""
         ie, en = earth.earth_rate(at.latitude), earth.transport_rate(at.velocity, at.latitude, h)
         change = at.attitude @ force - np.cross(2.0 * ie + en, np.append(at.velocity, 0.0))
-        body, axes = Rotation.from_rotvec(gyro * dt).as_matrix(), Rotation.from_rotvec(-(ie + en) * dt).as_matrix()
-        (Vx, Vy), (north, east), cosine = at.velocity, earth.radii(at.latitude, h), np.cos(at.latitude)
-        longitude, latitude = start.longitude + dt * (Vx / (east * cosine)), start.latitude + dt * (Vy / north)
-        return Solution(axes @ start.attitude @ body, start.velocity + dt * change[:2], longitude, latitude)
+        body, axes = (
+            Rotation.from_rotvec(gyro * dt).as_matrix(),
+            Rotation.from_rotvec(-(ie + en) * dt).as_matrix(),
+        )
+        (Vx, Vy), (north, east), cosine = (
+            at.velocity,
+            earth.radii(at.latitude, h),
+            np.cos(at.latitude),
+        )
+        longitude, latitude = (
+            start.longitude + dt * (Vx / (east * cosine)),
+            start.latitude + dt * (Vy / north),
+        )
+        return Solution(
+            axes @ start.attitude @ body, start.velocity + dt * change[:2], longitude, latitude
+        )
 
     rows = [Solution(C, flight.velocity[0, :2], flight.longitude[0], flight.latitude[0])]
     for measured in zip(gyros, forces, strict=True):

@@ -56,7 +56,9 @@ def known_turn(rate: float, q: float) -> Motion:
     def matrix(epoch: Any) -> Array:
         return _turned(given, _interval(epoch))
 
-    return Motion(Linear(matrix), sqrt_Q=lambda _, epoch: amplitude * _pushed(given, _interval(epoch)))
+    return Motion(
+        Linear(matrix), sqrt_Q=lambda _, epoch: amplitude * _pushed(given, _interval(epoch))
+    )
 
 
 def coordinated_turn(q: float, q_rate: float) -> Motion:
@@ -72,7 +74,13 @@ def coordinated_turn(q: float, q_rate: float) -> Motion:
     def f(x: Array, epoch: Any) -> Array:
         a, b, c, s, _, _ = _angles(x[..., 4], epoch.dt)
         vx, vy = x[..., 2], x[..., 3]
-        parts = x[..., 0] + a * vx - b * vy, x[..., 1] + b * vx + a * vy, c * vx - s * vy, s * vx + c * vy, x[..., 4]
+        parts = (
+            x[..., 0] + a * vx - b * vy,
+            x[..., 1] + b * vx + a * vy,
+            c * vx - s * vy,
+            s * vx + c * vy,
+            x[..., 4],
+        )
         return np.stack(parts, -1)
 
     def jacobian(mean: Array, epoch: Any) -> Array:
@@ -105,7 +113,12 @@ def _blocks(i: int, j: int) -> tuple[Array, Array]:
     return np.kron(at, np.eye(2)), np.kron(at, _J)
 
 
-(_PP, _PP_J), (_PV, _PV_J), (_VP, _), (_VV, _VV_J) = _blocks(0, 0), _blocks(0, 1), _blocks(1, 0), _blocks(1, 1)
+(_PP, _PP_J), (_PV, _PV_J), (_VP, _), (_VV, _VV_J) = (
+    _blocks(0, 0),
+    _blocks(0, 1),
+    _blocks(1, 0),
+    _blocks(1, 1),
+)
 
 
 def _interval(epoch: Any) -> Array:
@@ -119,16 +132,23 @@ def _chain(dim: int, order: int, q: ArrayLike) -> Motion:
     axes = integer("dim", dim, 1, MOST_AXES)
     densities = finite("q", q)
     if densities.shape not in ((), (axes,)) or (densities < 0.0).any():
-        raise ValueError(f"q: expected a density that is not negative, or {axes} of them, got {q!r:.80}")
+        raise ValueError(
+            f"q: expected a density that is not negative, or {axes} of them, got {q!r:.80}"
+        )
     terms = [np.kron(np.eye(order, k=k) / factorial(k), np.eye(axes)) for k in range(order)]
     # Over T the noise is T^(a + 1/2) times that over 1 s in what is integrated a times more than what it drives.
     a = np.arange(order)[::-1]
     once = [factorial(k) for k in a.tolist()]
     root = np.linalg.cholesky(1.0 / (np.multiply.outer(once, once) * (np.add.outer(a, a) + 1.0)))
     amplitude = np.sqrt(np.broadcast_to(densities, axes))
-    columns = [np.kron(np.where((a == k)[:, None], root, 0.0), np.diag(amplitude)) for k in range(order)]
+    columns = [
+        np.kron(np.where((a == k)[:, None], root, 0.0), np.diag(amplitude)) for k in range(order)
+    ]
     matrix, noise = partial(_polynomial, terms), partial(_polynomial, columns)
-    return Motion(Linear(lambda epoch: matrix(_interval(epoch))), sqrt_Q=lambda _, epoch: np.sqrt(T := _interval(epoch)) * noise(T))
+    return Motion(
+        Linear(lambda epoch: matrix(_interval(epoch))),
+        sqrt_Q=lambda _, epoch: np.sqrt(T := _interval(epoch)) * noise(T),
+    )
 
 
 def _polynomial(terms: list[Array], T: Array) -> Array:
@@ -144,7 +164,9 @@ def _series(theta: Array) -> tuple[Array, Array]:
     small = square < 1e-2
     safe = np.where(small, 1.0, theta)
     first = np.where(
-        small, 0.5 - square * (1.0 / 24.0 - square * (1.0 / 720.0 - square / 40320.0)), 2.0 * (np.sin(0.5 * safe) / safe) ** 2
+        small,
+        0.5 - square * (1.0 / 24.0 - square * (1.0 / 720.0 - square / 40320.0)),
+        2.0 * (np.sin(0.5 * safe) / safe) ** 2,
     )
     second = np.where(
         small,
@@ -159,7 +181,14 @@ def _angles(rate: Array, T: Any) -> tuple[Array, ...]:
     theta = rate * T
     first, second = _series(theta)
     sinc = 1.0 - second * theta * theta
-    return T * sinc, T * theta * first, np.cos(theta), np.sin(theta), T * T * theta * (second - first), T * T * (sinc - first)
+    return (
+        T * sinc,
+        T * theta * first,
+        np.cos(theta),
+        np.sin(theta),
+        T * T * theta * (second - first),
+        T * T * (sinc - first),
+    )
 
 
 def _turned(rate: Array, T: Array) -> Array:
@@ -173,4 +202,6 @@ def _pushed(rate: Array, T: Array) -> Array:
     theta = rate[..., None, None] * T
     first, second = _series(theta)
     own = np.sqrt(2.0 * second - first * first - (theta * second) ** 2)
-    return np.asanyarray(np.sqrt(T) * (T * (first * _PP - theta * second * _PP_J + own * _PV) + _VP))
+    return np.asanyarray(
+        np.sqrt(T) * (T * (first * _PP - theta * second * _PP_J + own * _PV) + _VP)
+    )

@@ -21,7 +21,9 @@ def stationary_covariance(Phi: ArrayLike, R: ArrayLike) -> Array:
     noise = finite("R", symmetric(R, "R", len(phi))[0], phi.shape)
     radius = np.abs(np.linalg.eigvals(phi)).max()
     if radius >= 1.0:
-        raise ValueError(f"Phi: expected a spectral radius below 1 for a stationary covariance, got {radius:.6g}")
+        raise ValueError(
+            f"Phi: expected a spectral radius below 1 for a stationary covariance, got {radius:.6g}"
+        )
     return np.asarray(solve_discrete_lyapunov(phi, noise))
 
 
@@ -48,7 +50,9 @@ def ar1(Phi: ArrayLike, increments: ArrayLike, first: ArrayLike) -> Array:
     return V
 
 
-def van_loan(F: ArrayLike, G: ArrayLike, spectral_density: ArrayLike, dt: float) -> tuple[Array, Array]:
+def van_loan(
+    F: ArrayLike, G: ArrayLike, spectral_density: ArrayLike, dt: float
+) -> tuple[Array, Array]:
     """Discretize ``dx = F x dt + G dw`` over ``dt >= 0`` s: transition matrix and noise covariance ``(n, n)`` [VanLoan1978].
 
     ``F (n, n)`` in 1/s, ``G (n, k)``, and ``spectral_density (k, k)`` of ``w``, two-sided.
@@ -90,9 +94,14 @@ def ar1_noise(F: ArrayLike, L: ArrayLike, J: ArrayLike, Xi: ArrayLike, E: ArrayL
     colors = finite("F", F, (m, m)), finite("L", L, (q, q))
     for name, a in zip("FL", colors, strict=True):
         if np.any(a - np.diag(a.diagonal())) or np.abs(a).max() >= 1.0:
-            raise ValueError(f"{name}: expected a diagonal matrix of magnitudes below 1, got {a!r:.80}")
+            raise ValueError(
+                f"{name}: expected a diagonal matrix of magnitudes below 1, got {a!r:.80}"
+            )
     if np.linalg.eigvalsh(symmetric(xi, "Xi", m)[0])[0] <= 0.0:
         raise ValueError("Xi: expected a positive definite covariance")
     symmetric(e, "E", q)
-    V, Q = (cov / (1.0 - np.outer(a.diagonal(), a.diagonal())) for cov, a in zip((xi, e), colors, strict=True))
+    V, Q = (
+        cov / (1.0 - np.outer(a.diagonal(), a.diagonal()))
+        for cov, a in zip((xi, e), colors, strict=True)
+    )
     return Noise(*colors, finite("J", J, (q, m)), xi, e, V, Q)

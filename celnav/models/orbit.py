@@ -49,7 +49,9 @@ class Earth:
         finite("j2", self.j2)
         for name in ("mu", "radius_km"):
             if (finite(name, getattr(self, name)) <= 0.0).any():
-                raise ValueError(f"{name}: expected a positive number, got {getattr(self, name)!r:.80}")
+                raise ValueError(
+                    f"{name}: expected a positive number, got {getattr(self, name)!r:.80}"
+                )
 
 
 EARTH = Earth()
@@ -115,9 +117,15 @@ def check_orbit(state: ArrayLike, name: str = "state", earth: Earth = EARTH) -> 
     x = finite(name, state, (..., 6))
     r, v = np.linalg.norm(x[..., :3], axis=-1), np.linalg.norm(x[..., 3:], axis=-1)
     if (r == 0.0).any():
-        raise ValueError(f"{name}: expected a position away from the center of the Earth, got r = 0")
+        raise ValueError(
+            f"{name}: expected a position away from the center of the Earth, got r = 0"
+        )
     if (r < earth.radius_km - 378.0).any():
-        warnings.warn(f"{name}: a radius of {r.min():.6g} km lies inside the Earth; positions are in km", UnitWarning, stacklevel=2)
+        warnings.warn(
+            f"{name}: a radius of {r.min():.6g} km lies inside the Earth; positions are in km",
+            UnitWarning,
+            stacklevel=2,
+        )
     if (v > np.sqrt(2.0 * earth.mu / r) * 3.0).any() or (r > 1e7).any():
         text = f"{name}: r = {r.max():.6g} km with a speed of {v.max():.6g} km/s is no orbit of the Earth; units are km and km/s"
         warnings.warn(text, UnitWarning, stacklevel=2)
@@ -133,7 +141,15 @@ def propagate(state: ArrayLike, dt: float, steps: int, earth: Earth = EARTH) -> 
     return np.stack(out)
 
 
-def from_elements(a: float, e: float, i: float, raan: float, argp: float, true_anomaly: float, earth: Earth = EARTH) -> Array:
+def from_elements(
+    a: float,
+    e: float,
+    i: float,
+    raan: float,
+    argp: float,
+    true_anomaly: float,
+    earth: Earth = EARTH,
+) -> Array:
     """State ``(6,)`` from Kepler elements: semi-major axis ``a > 0`` km, eccentricity ``0 <= e < 1``, and angles in rad."""
     instance("earth", earth, Earth, "an Earth, such as celnav.models.orbit.EARTH")
     a, e = number("a", a, above=0.0), number("e", e, 0.0, below=1.0)
@@ -142,7 +158,14 @@ def from_elements(a: float, e: float, i: float, raan: float, argp: float, true_a
     p = a * (1.0 - e * e)
     c, s = np.cos(true_anomaly), np.sin(true_anomaly)
     r, speed = p / (1.0 + e * c), np.sqrt(earth.mu / p)
-    cO, sO, ci, si, cw, sw = np.cos(raan), np.sin(raan), np.cos(i), np.sin(i), np.cos(argp), np.sin(argp)
+    cO, sO, ci, si, cw, sw = (
+        np.cos(raan),
+        np.sin(raan),
+        np.cos(i),
+        np.sin(i),
+        np.cos(argp),
+        np.sin(argp),
+    )
     perigee = np.array([cO * cw - sO * sw * ci, sO * cw + cO * sw * ci, sw * si])
     along = np.array([-cO * sw - sO * cw * ci, -sO * sw + cO * cw * ci, cw * si])
     return np.concatenate([r * (c * perigee + s * along), speed * (-s * perigee + (e + c) * along)])
@@ -167,12 +190,17 @@ def to_elements(state: ArrayLike, earth: Earth = EARTH) -> Array:
 
     def angle(start: Array, end: Array) -> Array:
         """From start to end, in the sense of the motion."""
-        return np.asanyarray(np.arctan2(np.vecdot(np.cross(start, end), h) / size, np.vecdot(start, end)) % (2.0 * np.pi))
+        return np.asanyarray(
+            np.arctan2(np.vecdot(np.cross(start, end), h) / size, np.vecdot(start, end))
+            % (2.0 * np.pi)
+        )
 
     a = 1.0 / (2.0 / radius[..., 0] - np.vecdot(v, v) / earth.mu)
     inclination = np.arctan2(np.hypot(h[..., 0], h[..., 1]), h[..., 2])
     raan = np.arctan2(node[..., 1], node[..., 0]) % (2.0 * np.pi)
-    return np.stack([a, eccentricity, inclination, raan, angle(node, perigee), angle(perigee, r)], -1)
+    return np.stack(
+        [a, eccentricity, inclination, raan, angle(node, perigee), angle(perigee, r)], -1
+    )
 
 
 # -- long steps, and the derivatives that filters ask for ----------------------------------------------------------------------
@@ -200,10 +228,14 @@ class Nodes(NamedTuple):
 def _lobatto(count: int) -> Nodes:
     top = np.eye(count)[-1]
     x = np.concatenate([[-1.0], np.sort(legendre.legroots(legendre.legder(top)).real), [1.0]])
-    series = np.linalg.solve(legendre.legvander(x, count - 1), np.eye(count))  # of the polynomials that are 1 at one node
+    series = np.linalg.solve(
+        legendre.legvander(x, count - 1), np.eye(count)
+    )  # of the polynomials that are 1 at one node
     once = 0.5 * legendre.legint(series, lbnd=-1.0)
     twice = 0.5 * legendre.legint(once, lbnd=-1.0)
-    return Nodes(0.5 * (x + 1.0), *(np.asarray(legendre.legval(x, values).T) for values in (once, twice)))
+    return Nodes(
+        0.5 * (x + 1.0), *(np.asarray(legendre.legval(x, values).T) for values in (once, twice))
+    )
 
 
 NODES = _lobatto(6)
@@ -257,7 +289,10 @@ def flow(state: Array, dt: float, earth: Earth = EARTH, extra: Extra | None = No
     y, z = NODES.once[-1] @ Y, NODES.once[-1] @ Z
     a, b, c, d = (np.swapaxes(block, 0, 1) for block in (y[:, :3], y[:, 3:], z[:, :3], z[:, 3:]))
     inverse = np.concatenate([np.concatenate([d, -b], 1), np.concatenate([-c, a], 1)])
-    Phi, mean = (np.ascontiguousarray(m.transpose(2, 0, 1)).reshape(*state.shape[:-1], 6, 6) for m in (last, inverse))
+    Phi, mean = (
+        np.ascontiguousarray(m.transpose(2, 0, 1)).reshape(*state.shape[:-1], 6, 6)
+        for m in (last, inverse)
+    )
     return Flow(end, Phi, dt * (Phi @ mean))
 
 

@@ -12,7 +12,15 @@ from typing import NamedTuple
 import numpy as np
 
 from celnav.gaussian.linalg import Array
-from celnav.models.gnss import LIGHT, ROTATION_RATE, Broadcast, SatelliteState, satellites, spun, turned
+from celnav.models.gnss import (
+    LIGHT,
+    ROTATION_RATE,
+    Broadcast,
+    SatelliteState,
+    satellites,
+    spun,
+    turned,
+)
 
 __all__ = ["Sources", "emitted", "jacobian", "measure", "sources"]
 
@@ -28,7 +36,9 @@ class Sources(NamedTuple):
     drift: Array
 
 
-def sources(broadcast: Broadcast, t: Array | float, position: Array, velocity: Array | float = 0.0) -> Sources:
+def sources(
+    broadcast: Broadcast, t: Array | float, position: Array, velocity: Array | float = 0.0
+) -> Sources:
     """`Sources`: all satellites for a receiver at ``position (..., 3)``, moving by ``velocity``, at times of reception ``t (...)``.
 
     A position that is off by 10 m changes them by less than 1e-5 m, a velocity by 10 m/s hardly at all.
@@ -42,7 +52,13 @@ def sources(broadcast: Broadcast, t: Array | float, position: Array, velocity: A
     return _seen(state, q, delay, place, velocity)
 
 
-def emitted(broadcast: Broadcast, t: Array | float, pseudorange: Array, position: Array, velocity: Array | float = 0.0) -> Sources:
+def emitted(
+    broadcast: Broadcast,
+    t: Array | float,
+    pseudorange: Array,
+    position: Array,
+    velocity: Array | float = 0.0,
+) -> Sources:
     """The same from measured pseudoranges ``(..., S)`` m: the receiver's clock, which says ``t``, cancels.
 
     The Earth turns by the geometric delay; a ``position (..., 3)`` that is off by a kilometer moves satellites by a centimeter.
@@ -57,7 +73,9 @@ def emitted(broadcast: Broadcast, t: Array | float, pseudorange: Array, position
     return _seen(state, q, delay, place, velocity)
 
 
-def _seen(state: SatelliteState, q: Array, delay: Array, place: Array, velocity: Array | float) -> Sources:
+def _seen(
+    state: SatelliteState, q: Array, delay: Array, place: Array, velocity: Array | float
+) -> Sources:
     """With the Doppler effect of the satellite's own motion folded into its velocity."""
     moved = turned(state.velocity, ROTATION_RATE * delay)
     inertial = moved + spun(q, ROTATION_RATE)
@@ -65,7 +83,9 @@ def _seen(state: SatelliteState, q: Array, delay: Array, place: Array, velocity:
     e = away / np.linalg.norm(away, axis=-1, keepdims=True)
     own = np.asarray(velocity)[..., None, :] if np.ndim(velocity) else velocity
     rate = (e * (moved - own)).sum(-1) / (1.0 + (e * inertial).sum(-1) / LIGHT)
-    return Sources(q, moved - rate[..., None] / LIGHT * inertial, LIGHT * state.clock, LIGHT * state.drift)
+    return Sources(
+        q, moved - rate[..., None] / LIGHT * inertial, LIGHT * state.clock, LIGHT * state.drift
+    )
 
 
 def measure(x: Array, q: Array, w: Array, second: Array | None = None) -> Array:

@@ -18,7 +18,17 @@ from celnav.gaussian.checks import choice, instance, number, sequence
 from celnav.gaussian.linalg import Array
 from celnav.gaussian.spaces import Space
 
-__all__ = ["AREA_CM2", "BACKGROUND", "GM_SUN", "KPC_KM", "LIGHT_KM_S", "Pulsar", "Timing", "known", "pulsars"]
+__all__ = [
+    "AREA_CM2",
+    "BACKGROUND",
+    "GM_SUN",
+    "KPC_KM",
+    "LIGHT_KM_S",
+    "Pulsar",
+    "Timing",
+    "known",
+    "pulsars",
+]
 
 LIGHT_KM_S = 299792.458
 GM_SUN = 1.32712440041e11  # km^3/s^2
@@ -66,15 +76,26 @@ class Pulsar:
         """Distance in km."""
         return self.distance_kpc * KPC_KM
 
-    def timing_std(self, seconds: float, area_cm2: float = AREA_CM2, background: float = BACKGROUND) -> float:
+    def timing_std(
+        self, seconds: float, area_cm2: float = AREA_CM2, background: float = BACKGROUND
+    ) -> float:
         """Deviation (s) of a pulse's time of arrival after so many seconds of observation.
 
         ``W / (2 SNR)`` with the signal-to-noise ratio of the pulsed photons among all others [Sheikh2006].
         """
-        seconds, area_cm2 = number("seconds", seconds, above=0.0), number("area_cm2", area_cm2, above=0.0)
+        seconds, area_cm2 = (
+            number("seconds", seconds, above=0.0),
+            number("area_cm2", area_cm2, above=0.0),
+        )
         background = number("background", background, 0.0)
         pulsed = self.flux * area_cm2 * self.pulsed_fraction * seconds
-        others = (background + self.flux * (1.0 - self.pulsed_fraction)) * area_cm2 * seconds * self.width_s / self.period_s
+        others = (
+            (background + self.flux * (1.0 - self.pulsed_fraction))
+            * area_cm2
+            * seconds
+            * self.width_s
+            / self.period_s
+        )
         return float(0.5 * self.width_s * np.sqrt(others + pulsed) / pulsed)
 
 
@@ -87,7 +108,9 @@ def known() -> dict[str, Pulsar]:
 def pulsars(names: Sequence[str]) -> list[Pulsar]:
     """Pulsars of `known` by name, in a list; ValueError names one that is not there."""
     table = known()
-    return [table[choice("pulsar", name, table)] for name in sequence("names", names, '["B1937+21"]')]
+    return [
+        table[choice("pulsar", name, table)] for name in sequence("names", names, '["B1937+21"]')
+    ]
 
 
 class Timing:
@@ -103,11 +126,15 @@ class Timing:
     def __init__(self, pulsars: Sequence[Pulsar]):
         chosen = sequence("pulsars", pulsars, 'celnav.models.pulsar.pulsars(["B1937+21"])', least=1)
         example = 'a Pulsar, such as known()["B1937+21"]'
-        self.pulsars: tuple[Pulsar, ...] = tuple(instance("pulsars", p, Pulsar, example) for p in chosen)
+        self.pulsars: tuple[Pulsar, ...] = tuple(
+            instance("pulsars", p, Pulsar, example) for p in chosen
+        )
         self.directions = np.stack([p.direction for p in self.pulsars])
         self.distances = np.array([p.distance_km for p in self.pulsars])
         if len(self.pulsars) >= 3 and np.linalg.cond(self.directions) > 1e6:
-            raise ValueError("pulsars: expected directions that span space, got directions in one plane")
+            raise ValueError(
+                "pulsars: expected directions that span space, got directions in one plane"
+            )
 
     @property
     def uncounted(self) -> Space:
@@ -120,7 +147,9 @@ class Timing:
         b = -np.asarray(sun)
         along, of_b = position @ self.directions.T, b @ self.directions.T
         square, cross = (part.sum(-1)[..., None] for part in (np.square(position), b * position))
-        parallax = (along * along - square + 2.0 * of_b * along - 2.0 * cross) / (2.0 * self.distances)
+        parallax = (along * along - square + 2.0 * of_b * along - 2.0 * cross) / (
+            2.0 * self.distances
+        )
         return np.asanyarray(along + parallax + self.shapiro(position, sun))
 
     def shapiro(self, position: Array, sun: Array) -> Array:
@@ -131,7 +160,9 @@ class Timing:
     def shapiro_exact(self, position: Array, sun: Array) -> Array:
         """Shapiro delay ``(..., m)`` km between the barycenter and the position, with the distance from the Sun as it is."""
         b = -np.asarray(sun)
-        return np.asanyarray(2.0 * GM_SUN / LIGHT_KM_S**2 * np.log(self._reach(position + b) / self._reach(b)))
+        return np.asanyarray(
+            2.0 * GM_SUN / LIGHT_KM_S**2 * np.log(self._reach(position + b) / self._reach(b))
+        )
 
     def _reach(self, v: Array) -> Array:
         """``n.v + |v|`` for each pulsar, ``(..., m)`` km."""
@@ -143,7 +174,9 @@ class Timing:
         along, of_b = (position @ n.T)[..., None], (b @ n.T)[..., None]
         radius = np.linalg.norm(position, axis=-1)[..., None, None]
         far = np.linalg.norm(b, axis=-1)[..., None, None]
-        parallax = (along * n - position[..., None, :] + of_b * n - b[..., None, :]) / self.distances[:, None]
+        parallax = (
+            along * n - position[..., None, :] + of_b * n - b[..., None, :]
+        ) / self.distances[:, None]
         unit = position[..., None, :] / radius
         shapiro = 2.0 * GM_SUN / LIGHT_KM_S**2 * (n + unit) / (along + radius + of_b + far)
         return np.asanyarray(n + parallax + shapiro)

@@ -18,14 +18,25 @@ from celnav.gaussian.checks import finite, number, numbers, together
 from celnav.gaussian.linalg import Array
 from celnav.models.orbit import EARTH, UnitWarning, warn_of_degrees
 
-__all__ = ["angles", "jacobian", "limb", "observe", "position", "pseudo_position_covariance", "star_directions", "visible"]
+__all__ = [
+    "angles",
+    "jacobian",
+    "limb",
+    "observe",
+    "position",
+    "pseudo_position_covariance",
+    "star_directions",
+    "visible",
+]
 
 
 def star_directions(separation: float) -> Array:
     """Unit vectors ``(2, 3)`` of the two stars, ``separation`` rad apart; ValueError if they are parallel."""
     theta = number("separation", separation)
     if abs(np.sin(theta)) < 1e-6:
-        raise ValueError(f"separation: expected two directions, got parallel stars at {separation!r} rad")
+        raise ValueError(
+            f"separation: expected two directions, got parallel stars at {separation!r} rad"
+        )
     warn_of_degrees("separation", theta)
     return np.array([[1.0, 0.0, 0.0], [np.cos(theta), np.sin(theta), 0.0]])
 
@@ -58,11 +69,18 @@ def limb(position: Array, toward: Array, radius_km: float = EARTH.radius_km) -> 
     up = position / r
     along = toward - np.sum(toward * up, -1, keepdims=True) * up
     along, sine = along / np.linalg.norm(along, axis=-1, keepdims=True), radius_km / r
-    return radius_km * np.stack([sine * up + side * np.sqrt(1.0 - sine**2) * along for side in (1.0, -1.0)], -2)
+    return radius_km * np.stack(
+        [sine * up + side * np.sqrt(1.0 - sine**2) * along for side in (1.0, -1.0)], -2
+    )
 
 
 def position(
-    A: ArrayLike, separation: float, hemisphere: ArrayLike = 1.0, *, radius_km: float = EARTH.radius_km, strict: bool = True
+    A: ArrayLike,
+    separation: float,
+    hemisphere: ArrayLike = 1.0,
+    *,
+    radius_km: float = EARTH.radius_km,
+    strict: bool = True,
 ) -> Array:
     """Pseudo-position ``(..., 3)`` from three angles ``(..., 3)``, see `angles` [Sun2015, Eqs. 41-42, corrected].
 
@@ -72,35 +90,47 @@ def position(
     """
     measured = numbers("A", A, (..., 3))
     if np.isinf(measured).any():
-        raise ValueError(f"A: expected finite numbers or nan, got {np.count_nonzero(np.isinf(measured))} infinite ones")
+        raise ValueError(
+            f"A: expected finite numbers or nan, got {np.count_nonzero(np.isinf(measured))} infinite ones"
+        )
     warn_of_degrees("A", measured[..., :2])
     star_directions(separation)
     side, radius_km = finite("hemisphere", hemisphere), number("radius_km", radius_km, above=0.0)
     if together(A=measured.shape[:-1], hemisphere=side.shape) != measured.shape[:-1]:
-        raise ValueError(f"hemisphere: expected one, or one for each of {measured.shape[:-1]} positions, got shape {side.shape}")
+        raise ValueError(
+            f"hemisphere: expected one, or one for each of {measured.shape[:-1]} positions, got shape {side.shape}"
+        )
     if (np.abs(side) != 1.0).any():
         raise ValueError("hemisphere: expected +1 or -1")
     diameter = measured[..., 2]
     if ((diameter <= 0.0) | (diameter >= np.pi)).any():
-        raise ValueError(f"A: expected an angular diameter between 0 and pi, got {diameter.min():.6g} to {diameter.max():.6g}")
+        raise ValueError(
+            f"A: expected an angular diameter between 0 and pi, got {diameter.min():.6g} to {diameter.max():.6g}"
+        )
     ux, c2 = np.cos(measured[..., 0]), np.cos(measured[..., 1])
     uy = (c2 - ux * np.cos(separation)) / np.sin(separation)
     square = 1.0 - ux * ux - uy * uy
     impossible = square < 0.0
     if strict and impossible.any():
         count = np.count_nonzero(impossible)
-        raise ValueError(f"A: {count} sets of angles belong to no position (z^2 < 0); strict=False gives nan")
+        raise ValueError(
+            f"A: {count} sets of angles belong to no position (z^2 < 0); strict=False gives nan"
+        )
     uz = side * np.sqrt(np.where(impossible, np.nan, square))
     r = radius_km / np.sin(0.5 * diameter)
     return np.stack([r * ux, r * uy, r * uz], -1)
 
 
-def jacobian(A: Array, separation: float, hemisphere: ArrayLike = 1.0, radius_km: float = EARTH.radius_km) -> Array:
+def jacobian(
+    A: Array, separation: float, hemisphere: ArrayLike = 1.0, radius_km: float = EARTH.radius_km
+) -> Array:
     """Jacobian ``(..., 3, 3)`` of `position` with respect to the angles, km/rad; ValueError where z = 0, which has none."""
     place = position(A, separation, hemisphere, radius_km=radius_km)
     r = np.linalg.norm(place, axis=-1, keepdims=True)
     u = place / r
-    if (np.abs(u[..., 2]) < 1e-7).any():  # z comes of a root: nearer than that there is only rounding
+    if (
+        np.abs(u[..., 2]) < 1e-7
+    ).any():  # z comes of a root: nearer than that there is only rounding
         raise ValueError("A: expected a position off the plane of the stars, got z = 0")
     A1, A2, A3 = np.moveaxis(numbers("A", A), -1, 0)
     # Derivatives of the unit vector with respect to both sides, then those along it.
@@ -113,9 +143,14 @@ def jacobian(A: Array, separation: float, hemisphere: ArrayLike = 1.0, radius_km
 
 def pseudo_position_covariance(position_km: Array, separation: float, sigma: ArrayLike) -> Array:
     """Covariance ``(..., 3, 3)`` km^2 of the pseudo-position for angle deviations ``sigma (3,)`` rad, with a warning beyond 1."""
-    deviations, position_km = finite("sigma", sigma, (3,)), finite("position_km", position_km, (..., 3))
+    deviations, position_km = (
+        finite("sigma", sigma, (3,)),
+        finite("position_km", position_km, (..., 3)),
+    )
     if (np.abs(deviations) > 1.0).any():
         text = f"sigma: a deviation of {np.abs(deviations).max():.6g} rad tells nothing; angles are in radians"
         warnings.warn(text, UnitWarning, stacklevel=2)
-    half = deviations * jacobian(angles(position_km, star_directions(separation)), separation, np.sign(position_km[..., 2]))
+    half = deviations * jacobian(
+        angles(position_km, star_directions(separation)), separation, np.sign(position_km[..., 2])
+    )
     return np.asanyarray(half @ half.mT)

@@ -21,7 +21,9 @@ __getattr__, __dir__ = modules(__name__)
 
 __all__ = ["PAPERS", "citation", "load"]
 
-PAPERS = {name: f"celnav.papers.{name}" for name in ("csrukf", "ssukf", "tstdkf", "aasghqf", "aukf")}
+PAPERS = {
+    name: f"celnav.papers.{name}" for name in ("csrukf", "ssukf", "tstdkf", "aasghqf", "aukf")
+}
 """Identifier -> module."""
 
 
@@ -54,7 +56,10 @@ def citation(key: str) -> str:
     ValueError: for an unknown key; the message lists the known ones.
     """
     text = data("references.bib").read_text(encoding="utf-8")
-    entries = {entry.partition("{")[2].partition(",")[0]: entry.strip() for entry in re.split(r"\n(?=@)", text)}
+    entries = {
+        entry.partition("{")[2].partition(",")[0]: entry.strip()
+        for entry in re.split(r"\n(?=@)", text)
+    }
     if key not in entries:
         raise ValueError(f"key: expected one of {', '.join(entries)}, got {key!r}")
     return entries[key]

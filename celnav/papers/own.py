@@ -71,11 +71,22 @@ def load(paper: str | Path, *, mission: bool = False) -> ModuleType:
     if wrong:
         count = "1 thing is" if len(wrong) == 1 else f"{len(wrong)} things are"
         listed = "".join(f"\n  {line}" for line in wrong)
-        raise InputError(f"{paper}: {count} missing or not as expected (celnav new FILE.py writes a study that has all):{listed}")
+        raise InputError(
+            f"{paper}: {count} missing or not as expected (celnav new FILE.py writes a study that has all):{listed}"
+        )
     if not module.STUDY.source:
         module.STUDY = replace(module.STUDY, name=name_of(str(path)), source=source(path))  # type: ignore[attr-defined]
-    usual = {"CITATION": "", "FIGURES": {}, "TABLES": {}, "RECORDINGS": [], "record": _nothing, "trial": module.STUDY.trial}
-    for name, value in (usual | {"JUDGED": {group.name: group.unit for group in module.STUDY.groups}}).items():
+    usual = {
+        "CITATION": "",
+        "FIGURES": {},
+        "TABLES": {},
+        "RECORDINGS": [],
+        "record": _nothing,
+        "trial": module.STUDY.trial,
+    }
+    for name, value in (
+        usual | {"JUDGED": {group.name: group.unit for group in module.STUDY.groups}}
+    ).items():
         vars(module).setdefault(name, value)
     return module
 
@@ -88,7 +99,12 @@ def _nothing(results: Any, outputs: Any) -> list[str]:  # noqa: ARG001
 # -- files and their modules -------------------------------------------------------------------------------------------------
 def source(path: Path) -> str:
     """Hash of a file and of the modules beside it that it imports: of what they say, without comments and layout."""
-    beside = tuple(sorted((p.name, p.stat().st_mtime_ns, p.stat().st_size) for p in path.resolve().parent.glob("*.py")))
+    beside = tuple(
+        sorted(
+            (p.name, p.stat().st_mtime_ns, p.stat().st_size)
+            for p in path.resolve().parent.glob("*.py")
+        )
+    )
     return _source(path.resolve(), beside)
 
 
@@ -126,7 +142,9 @@ class _Finder:
         code, _, expected = own.partition("_")
         path = Path(bytes.fromhex(code).decode())
         if source(path) != expected:
-            raise ImportError(f"{path}: has changed since the work was begun; use the same command again")
+            raise ImportError(
+                f"{path}: has changed since the work was begun; use the same command again"
+            )
         if str(path.parent) not in sys.path:
             sys.path.append(str(path.parent))
         return spec_from_file_location(name, path, loader=_Loader(name, str(path)))
@@ -140,10 +158,20 @@ def place(error: BaseException, *paths: Path) -> tuple[str, int, str] | None:
 
     paths: of files that are no modules yet.
     """
-    loaded = (Path(m.__file__ or "") for name, m in list(sys.modules.items()) if name.startswith(f"{__name__}."))
+    loaded = (
+        Path(m.__file__ or "")
+        for name, m in list(sys.modules.items())
+        if name.startswith(f"{__name__}.")
+    )
     folders = {path.parent for path in (*loaded, *paths)}
-    frames = [f for f in traceback.extract_tb(error.__traceback__) if Path(f.filename).parent in folders]
-    return (Path(frames[-1].filename).name, frames[-1].lineno or 0, frames[-1].line or "") if frames else None
+    frames = [
+        f for f in traceback.extract_tb(error.__traceback__) if Path(f.filename).parent in folders
+    ]
+    return (
+        (Path(frames[-1].filename).name, frames[-1].lineno or 0, frames[-1].line or "")
+        if frames
+        else None
+    )
 
 
 def told(error: BaseException, *paths: Path) -> str:
@@ -164,14 +192,25 @@ _FILE = re.compile(r"[\w.-]+")
 
 def _drawn(value: Any) -> bool:
     pairs = value.values() if isinstance(value, dict) else [()]
-    named = isinstance(value, dict) and all(isinstance(stem, str) and _FILE.fullmatch(stem) for stem in value)
+    named = isinstance(value, dict) and all(
+        isinstance(stem, str) and _FILE.fullmatch(stem) for stem in value
+    )
     return named and all(
-        isinstance(p, tuple) and len(p) == 2 and isinstance(p[0], str) and callable(p[1]) and takes(p[1], 1) for p in pairs
+        isinstance(p, tuple)
+        and len(p) == 2
+        and isinstance(p[0], str)
+        and callable(p[1])
+        and takes(p[1], 1)
+        for p in pairs
     )
 
 
 def _is_preset(c: Any) -> bool:
-    return isinstance(c, Timed) and hasattr(c, "__dataclass_fields__") and isinstance(getattr(c, "runs", None), int)
+    return (
+        isinstance(c, Timed)
+        and hasattr(c, "__dataclass_fields__")
+        and isinstance(getattr(c, "runs", None), int)
+    )
 
 
 _DRAWN = '{"figure_01": ("What it shows.", function of the results)}, names of files'
@@ -200,7 +239,12 @@ EXPECTED: dict[str, tuple[_Check, str, str]] = {
 
 def _wrong(module: ModuleType, mission: bool) -> Iterator[str]:
     """What is missing or of another kind, a line each."""
-    needed = {"always": True, "mission": mission, "RECORDINGS": bool(getattr(module, "RECORDINGS", ())), "": False}
+    needed = {
+        "always": True,
+        "mission": mission,
+        "RECORDINGS": bool(getattr(module, "RECORDINGS", ())),
+        "": False,
+    }
     for name, (right, expected, by) in EXPECTED.items():
         if name not in vars(module):
             if needed[by]:
@@ -216,8 +260,13 @@ def _wrong(module: ModuleType, mission: bool) -> Iterator[str]:
 
 def _wrong_study(study: Study, figures: Mapping[str, Any], mission: bool) -> Iterator[str]:
     if not _all(study.groups, Group) or not all(isinstance(g.part, slice) for g in study.groups):
-        yield 'STUDY.groups: expected (celnav.Group("position", "m", slice(0, 2)), ...)' + f", got {study.groups!r:.60}"
-    if not (study.trial is None and not mission) and not (callable(study.trial) and takes(study.trial, 2)):
+        yield (
+            'STUDY.groups: expected (celnav.Group("position", "m", slice(0, 2)), ...)'
+            + f", got {study.groups!r:.60}"
+        )
+    if not (study.trial is None and not mission) and not (
+        callable(study.trial) and takes(study.trial, 2)
+    ):
         yield f"STUDY.trial: expected a function (config, rngs), got {kind(study.trial)}"
     parts: Mapping[str, Any] = {}
     try:
@@ -227,7 +276,11 @@ def _wrong_study(study: Study, figures: Mapping[str, Any], mission: bool) -> Ite
             told(error) or f"{type(error).__name__}: {error}"
         )
     else:
-        if not isinstance(parts, Mapping) or not parts or not all(isinstance(part, Part) for part in parts.values()):
+        if (
+            not isinstance(parts, Mapping)
+            or not parts
+            or not all(isinstance(part, Part) for part in parts.values())
+        ):
             yield f'STUDY.parts: expected {{"usual": celnav.study.study.Part(work, config, runs=100)}} of them, got {parts!r:.60}'
             parts = {}
     for name, part in parts.items():
@@ -256,4 +309,8 @@ def _wrong_study(study: Study, figures: Mapping[str, Any], mission: bool) -> Ite
 
 
 def _all(values: Any, of: type) -> bool:
-    return isinstance(values, Sequence) and not isinstance(values, str) and all(isinstance(value, of) for value in values)
+    return (
+        isinstance(values, Sequence)
+        and not isinstance(values, str)
+        and all(isinstance(value, of) for value in values)
+    )

@@ -64,13 +64,23 @@ def read(folder: Path) -> tuple[Arrivals, ...]:
     except ValueError as error:
         raise InputError(str(error)) from None
     names, rows = stored.get("names", np.zeros(0, str)), stored.get("epochs", np.zeros(0))
-    if names.ndim != 1 or names.dtype.kind != "U" or rows.ndim != 2 or rows.shape[1] != 11 or rows.dtype.kind != "f":
-        raise InputError(f"{path}: expected names (pulsars,) and epochs (N, 11), got {names.shape} and {rows.shape}")
+    if (
+        names.ndim != 1
+        or names.dtype.kind != "U"
+        or rows.ndim != 2
+        or rows.shape[1] != 11
+        or rows.dtype.kind != "f"
+    ):
+        raise InputError(
+            f"{path}: expected names (pulsars,) and epochs (N, 11), got {names.shape} and {rows.shape}"
+        )
     which, far = rows[:, 1], np.linalg.norm(rows[:, 7:10], axis=1) / AU_S
     right = {
         "finite numbers": np.isfinite(rows).all(1),
         "days after 1990 (MJD)": (rows[:, 0] > 47892.0) & (rows[:, 0] < 1e5),
-        "a pulsar by its place among the names": (which >= 0) & (which < len(names)) & (which == np.round(which)),
+        "a pulsar by its place among the names": (which >= 0)
+        & (which < len(names))
+        & (which == np.round(which)),
         "a deviation above 0 and below 1 s": (rows[:, 3] > 0.0) & (rows[:, 3] < 1.0),
         "a direction of length 1": np.abs(np.linalg.norm(rows[:, 4:7], axis=1) - 1.0) < 1e-6,
         "the Earth within 0.97 to 1.03 AU of the barycenter": (far > 0.97) & (far < 1.03),
@@ -78,11 +88,16 @@ def read(folder: Path) -> tuple[Arrivals, ...]:
     for expected, well in right.items():
         if not well.all():
             bad = int(np.argmin(well))
-            raise InputError(f"{path}: expected {expected}, got row {bad}: {np.array2string(rows[bad], precision=6)}")
+            raise InputError(
+                f"{path}: expected {expected}, got row {bad}: {np.array2string(rows[bad], precision=6)}"
+            )
     each = ((str(name), rows[which == i]) for i, name in enumerate(names))
     sets = ((name, r[np.argsort(r[:, 0], kind="stable")]) for name, r in each if len(r))
     return tuple(
-        Arrivals(name, r[0, 4:7], r[:, 0], LIGHT_KM_S * r[:, 2], LIGHT_KM_S * r[:, 3], r[:, 7:10] / AU_S) for name, r in sets
+        Arrivals(
+            name, r[0, 4:7], r[:, 0], LIGHT_KM_S * r[:, 2], LIGHT_KM_S * r[:, 3], r[:, 7:10] / AU_S
+        )
+        for name, r in sets
     )
 
 
@@ -93,7 +108,9 @@ def model(a: Arrivals) -> Array:
     east /= np.linalg.norm(east)
     sky = a.earth @ np.stack([east, np.cross(a.n, east)], 1)
     parallax = (a.earth @ a.n) ** 2 - (a.earth**2).sum(1)
-    return np.column_stack([np.ones_like(years), years, years**2, sky, sky * years[:, None], parallax])
+    return np.column_stack(
+        [np.ones_like(years), years, years**2, sky, sky * years[:, None], parallax]
+    )
 
 
 def walk(a: Arrivals) -> Array:
@@ -125,7 +142,9 @@ class Clock(NamedTuple):
         learned: whether the timing model was fitted with the same.
         """
         sooner = np.tensordot(self.arrivals.n, moved, (0, 1))
-        return np.asarray(sooner[self.after] - np.tensordot(self.weights, sooner[self.before], 1) * learned)
+        return np.asarray(
+            sooner[self.after] - np.tensordot(self.weights, sooner[self.before], 1) * learned
+        )
 
 
 def sized(late: Array, sigma: Array, M: Array, K: Array) -> tuple[float, float]:
@@ -134,12 +153,20 @@ def sized(late: Array, sigma: Array, M: Array, K: Array) -> tuple[float, float]:
     def loss(logs: Array) -> float:
         white, red = np.exp(logs)
         L = np.linalg.cholesky(np.diag(sigma**2 + white**2) + red**2 * K)
-        R = np.abs(np.linalg.qr(solve_triangular(L, np.column_stack([M, late]), lower=True), mode="r"))
-        return float(np.log(L.diagonal()).sum() + np.log(R.diagonal()[:-1]).sum() + 0.5 * R[-1, -1] ** 2)
+        R = np.abs(
+            np.linalg.qr(solve_triangular(L, np.column_stack([M, late]), lower=True), mode="r")
+        )
+        return float(
+            np.log(L.diagonal()).sum() + np.log(R.diagonal()[:-1]).sum() + 0.5 * R[-1, -1] ** 2
+        )
 
     starts = ([-3.0, -4.6], [-3.0, -1.2])
     best = min(
-        (minimize(loss, s, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 0.01}) for s in starts), key=lambda r: r.fun
+        (
+            minimize(loss, s, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 0.01})
+            for s in starts
+        ),
+        key=lambda r: r.fun,
     )
     white, red = np.exp(best.x)
     return float(white), float(red)
@@ -157,7 +184,9 @@ def clocks(folder: Path, split: float, end: float) -> tuple[Clock, ...]:
         white, red = sized(a.late[before], a.sigma[before], M[before], K[np.ix_(before, before)])
         V = np.diag(a.sigma**2 + white**2) + red**2 * K
         L = np.linalg.cholesky(V[np.ix_(before, before)])
-        known, shared = (solve_triangular(L, x, lower=True) for x in (M[before], V[np.ix_(before, after)]))
+        known, shared = (
+            solve_triangular(L, x, lower=True) for x in (M[before], V[np.ix_(before, after)])
+        )
         Q, R = np.linalg.qr(known)
         left = solve_triangular(R, (M[after] - shared.T @ known).T, trans="T").T
         weights = solve_triangular(L, (shared.T + left @ Q.T).T, lower=True, trans="T").T
@@ -165,7 +194,9 @@ def clocks(folder: Path, split: float, end: float) -> tuple[Clock, ...]:
         early = weights @ a.late[before] - a.late[after]
         out.append(Clock(a, before, after, early, cov, weights, (white, red)))
     if not out:
-        raise InputError(f"{folder}: expected pulsars observed for {LEAST_YEARS:g} years before MJD {split:.0f}, got none")
+        raise InputError(
+            f"{folder}: expected pulsars observed for {LEAST_YEARS:g} years before MJD {split:.0f}, got none"
+        )
     return tuple(out)
 
 
@@ -186,10 +217,16 @@ class Weeks(NamedTuple):
     @property
     def std(self) -> Array:
         """Claimed deviation ``(T,)`` km of the fix's length."""
-        return np.asarray(np.linalg.norm(np.linalg.solve(self.R, np.broadcast_to(np.eye(3), self.R.shape)), axis=(1, 2)))
+        return np.asarray(
+            np.linalg.norm(
+                np.linalg.solve(self.R, np.broadcast_to(np.eye(3), self.R.shape)), axis=(1, 2)
+            )
+        )
 
 
-def weekly(heard: Sequence[Clock], early: Sequence[Array], start: float, end: float, least: int = 6) -> Weeks:
+def weekly(
+    heard: Sequence[Clock], early: Sequence[Array], start: float, end: float, least: int = 6
+) -> Weeks:
     """Fixes by least squares of what each clock shows, ``(k, ...)`` km."""
     day, R, y, count = [], [], [], []
     days = [c.arrivals.day[c.after] for c in heard]
@@ -202,7 +239,9 @@ def weekly(heard: Sequence[Clock], early: Sequence[Array], start: float, end: fl
         H = np.concatenate([np.tile(c.arrivals.n, (len(k), 1)) for c, k, _ in there])
         z = np.concatenate([z[k] for _, k, z in there])
         Q, upper = np.linalg.qr(solve_triangular(L, H, lower=True))
-        sign = np.copysign(1.0, upper.diagonal())  # or components of one week are not those of the next
+        sign = np.copysign(
+            1.0, upper.diagonal()
+        )  # or components of one week are not those of the next
         Q, upper = Q * sign, upper * sign[:, None]
         white = solve_triangular(L, z.reshape(len(z), -1), lower=True)
         day.append(first + 0.5 * WEEK)
@@ -210,11 +249,15 @@ def weekly(heard: Sequence[Clock], early: Sequence[Array], start: float, end: fl
         y.append((Q.T @ white).reshape(3, *z.shape[1:]))
         count.append(len(there))
     if len(day) < 2:
-        raise InputError(f"expected two weeks or more in which {least} pulsars were heard, got {len(day)}")
+        raise InputError(
+            f"expected two weeks or more in which {least} pulsars were heard, got {len(day)}"
+        )
     return Weeks(np.array(day), np.stack(R), np.stack(y), np.array(count))
 
 
-def remembered(heard: Sequence[Clock], early: Sequence[Array], day: Array, moves: Array) -> tuple[Array, Array]:
+def remembered(
+    heard: Sequence[Clock], early: Sequence[Array], day: Array, moves: Array
+) -> tuple[Array, Array]:
     """Arrivals less what earlier ones of the same pulsar said of its timing model: ``y (T, 12) = H (T, 12, 12) x`` and unit noise.
 
     moves: ``(T, 12, 12)``, from the first of the weeks ``day (T,)`` to each of them.
@@ -239,8 +282,13 @@ def differences() -> dict[str, CubicSpline]:
     """``data/ephemeris_years.npz``: DE440 less an older ephemeris, ``(T, 3)`` km at days (MJD), of Earth and Sun: "de405/sun"."""
     t = read_npz(data("ephemeris_years.npz"))
     new = {body: t[f"de440-de421/{body}"] for body in ("earth", "sun")}
-    old = {f"de405/{body}": difference - t[f"de405-de421/{body}"] for body, difference in new.items()}
-    return {name: CubicSpline(t["mjd"], d) for name, d in ({f"de421/{body}": d for body, d in new.items()} | old).items()}
+    old = {
+        f"de405/{body}": difference - t[f"de405-de421/{body}"] for body, difference in new.items()
+    }
+    return {
+        name: CubicSpline(t["mjd"], d)
+        for name, d in ({f"de421/{body}": d for body, d in new.items()} | old).items()
+    }
 
 
 def transition(start: float, end: float) -> Array:

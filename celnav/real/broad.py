@@ -22,7 +22,18 @@ from celnav.gaussian import attitude
 from celnav.gaussian.linalg import Array
 from celnav.papers import citation
 from celnav.real import found
-from celnav.real.handheld import GROUPS, SETTINGS, TRIALS, TUNED, Flight, Q, Settings, filters, judged, trial
+from celnav.real.handheld import (
+    GROUPS,
+    SETTINGS,
+    TRIALS,
+    TUNED,
+    Flight,
+    Q,
+    Settings,
+    filters,
+    judged,
+    trial,
+)
 from celnav.show import colors, scenes, showcase
 from celnav.show import estimates as estimated
 from celnav.show.claims import answer, written
@@ -65,19 +76,37 @@ def published(config: Flight, _rngs: Sequence[Any]) -> dict[str, Array]:
     """RMSE of the total error ``(trials,)``, deg, of each published filter, with the one setting that truth finds best in the mean
     over all 39 trials: "tagp_parameters" of the files that come with the data."""
     out = {}
-    for name, path in zip(PUBLISHED, found(config.folder, [f"results_{name.lower()}_average_rmse.json" for name in PUBLISHED])):
+    for name, path in zip(
+        PUBLISHED,
+        found(config.folder, [f"results_{name.lower()}_average_rmse.json" for name in PUBLISHED]),
+    ):
         try:
-            out[name] = np.array([read_json(path)["trials"][one]["tagp_parameters"]["total_rmse_deg"] for one in TRIALS], float)
+            out[name] = np.array(
+                [
+                    read_json(path)["trials"][one]["tagp_parameters"]["total_rmse_deg"]
+                    for one in TRIALS
+                ],
+                float,
+            )
         except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"{path}: expected a total_rmse_deg of each trial, got none ({error})") from None
+            raise InputError(
+                f"{path}: expected a total_rmse_deg of each trial, got none ({error})"
+            ) from None
     return out
 
 
 def probable(config: Flight, _rngs: Sequence[Any]) -> dict[str, Array]:
     """Log-likelihood of `TUNED` at the settings, and with each of `LOOSE` 1.25 times as large, then as small."""
     tried = [SETTINGS]
-    tried += [replace(SETTINGS, **{name: by * getattr(SETTINGS, name)}) for name in LOOSE for by in (1.25, 0.8)]
-    each = {one.name: np.repeat([getattr(s, one.name) for s in tried], len(TUNED))[:, None] for one in fields(Settings)}
+    tried += [
+        replace(SETTINGS, **{name: by * getattr(SETTINGS, name)})
+        for name in LOOSE
+        for by in (1.25, 0.8)
+    ]
+    each = {
+        one.name: np.repeat([getattr(s, one.name) for s in tried], len(TUNED))[:, None]
+        for one in fields(Settings)
+    }
     flight = trial(replace(config, trials=TUNED * len(tried)), s=Settings(**each))
     track = run(flight.filters["mekf"], flight.prior, flight.epochs("mekf"), keep="nothing")
     return {"log_likelihood": track.log_likelihood.reshape(-1, len(TUNED)).sum(1)}
@@ -97,14 +126,23 @@ def squares(r: Results, name: str, trials: Sequence[int], kind: int = 0) -> Arra
     return np.asarray(np.square(values[np.isfinite(values)]))
 
 
-def over(label: str, name: str, other: str | float, trials: Sequence[int], accept: Bounds, kind: int = 0) -> Decided:
+def over(
+    label: str, name: str, other: str | float, trials: Sequence[int], accept: Bounds, kind: int = 0
+) -> Decided:
     """RMSE of a filter over that of another, or over a number of degrees."""
 
     def number(r: Results) -> Number:
-        both = [squares(r, one, trials, kind) for one in ((name, other) if isinstance(other, str) else (name,))]
+        both = [
+            squares(r, one, trials, kind)
+            for one in ((name, other) if isinstance(other, str) else (name,))
+        ]
         block = min(round(BLOCK_S / np.diff(r.times(name)[:2])[0]), len(both[0]) // 2)
         return estimate(
-            label, lambda *ab: rms(ab[0]) / (other if isinstance(other, float) else rms(ab[1])), both, accept, block=block
+            label,
+            lambda *ab: rms(ab[0]) / (other if isinstance(other, float) else rms(ab[1])),
+            both,
+            accept,
+            block=block,
         )
 
     return number
@@ -115,9 +153,18 @@ def claimed(label: str, name: str, trials: Sequence[int], part: slice, accept: B
 
     def number(r: Results) -> Number:
         there = np.isfinite(r.get(name, "judged")[..., 0])[:, list(trials)].T
-        both = (r.error(name, name, "attitude", what)[:, list(trials), part] for what in ("error", "std"))
+        both = (
+            r.error(name, name, "attitude", what)[:, list(trials), part]
+            for what in ("error", "std")
+        )
         a, b = (np.square(values).sum(-1).T[there] for values in both)
-        return estimate(label, ratio, [a, b], accept, block=min(round(BLOCK_S / np.diff(r.times(name)[:2])[0]), len(a) // 2))
+        return estimate(
+            label,
+            ratio,
+            [a, b],
+            accept,
+            block=min(round(BLOCK_S / np.diff(r.times(name)[:2])[0]), len(a) // 2),
+        )
 
     return number
 
@@ -184,7 +231,10 @@ LINES = {
     "white": Line("white acceleration", colors.COMPARISON), "apart": Line("kept on Earth axes", colors.PAPER),
     "transported": Line("the same, transported", colors.OPEN_LOOP),
 }  # fmt: skip
-TICKS = [name.replace("_disturbed_", " ").replace("_undisturbed_", " ").replace("_", " ") for name in TRIALS]
+TICKS = [
+    name.replace("_disturbed_", " ").replace("_undisturbed_", " ").replace("_", " ")
+    for name in TRIALS
+]
 SHOWN = 4  # a trial that was held out
 
 
@@ -195,11 +245,23 @@ def level_of(r: Results, name: str, i: int, kind: int = 0) -> float:
 
 def beside(r: Results) -> Figure:
     """RMSE of each trial."""
-    ours = {line.label: ([level_of(r, name, i) for i in range(8)], line.color) for name, line in list(LINES.items())[:2]}
+    ours = {
+        line.label: ([level_of(r, name, i) for i in range(8)], line.color)
+        for name, line in list(LINES.items())[:2]
+    }
     shades = colors.SIGMA, colors.COMPARISON
-    known: dict[str, Any] = {one: (r.get("published", one), shade) for one, shade in zip(PUBLISHED, shades, strict=True)}
+    known: dict[str, Any] = {
+        one: (r.get("published", one), shade) for one, shade in zip(PUBLISHED, shades, strict=True)
+    }
     return panels(
-        Panel("", [bars(TICKS, known | ours, across=True)], "RMSE of the total error (deg)", "", "x", {"xlim": (0.5, 60.0)}),
+        Panel(
+            "",
+            [bars(TICKS, known | ours, across=True)],
+            "RMSE of the total error (deg)",
+            "",
+            "x",
+            {"xlim": (0.5, 60.0)},
+        ),
         size=(8.0, 5.0),
     )
 
@@ -207,12 +269,19 @@ def beside(r: Results) -> Figure:
 def over_time(r: Results) -> Figure:
     """Errors about Earth axes in one trial, with what the filter claims."""
     known = np.flatnonzero(np.isfinite(r.error("mekf", "mekf", "attitude")[:, SHOWN, 0]))
-    own = slice(round(1.0 / np.diff(r.times("mekf")[:2])[0]), int(known[-1]) + 1)  # from a second on, to the end of the trial
+    own = slice(
+        round(1.0 / np.diff(r.times("mekf")[:2])[0]), int(known[-1]) + 1
+    )  # from a second on, to the end of the trial
     t = r.times("mekf")[own]
 
     def items(axis: int) -> list[Item]:
-        error, std = (r.error("mekf", "mekf", "attitude", what)[own, SHOWN, axis] for what in ("error", "std"))
-        bounds = [curve(t, sign * 2.0 * std, Line("±2 claimed deviations", colors.SIGMA, ":")) for sign in (1.0, -1.0)]
+        error, std = (
+            r.error("mekf", "mekf", "attitude", what)[own, SHOWN, axis] for what in ("error", "std")
+        )
+        bounds = [
+            curve(t, sign * 2.0 * std, Line("±2 claimed deviations", colors.SIGMA, ":"))
+            for sign in (1.0, -1.0)
+        ]
         return [curve(t, error, LINES["mekf"]), *bounds]
 
     return panels(*[[Panel(TICKS[SHOWN] if axis == 2 else "", items(axis), "time (s)", f"about {name} (deg)")]
@@ -223,11 +292,22 @@ def consistent(r: Results) -> Figure:
     """RMS errors over what is claimed."""
 
     def panel(title: str, part: slice) -> Panel:
-        every = {name: [claimed("", name, (i,), part, (None, None))(r).value for i in range(8)] for name in ("mekf", "robust")}
-        heights: Any = {LINES[name].label: (values, LINES[name].color) for name, values in every.items()}
-        return Panel(title, [bars(TICKS, heights, across=True), level(1.0, upright=True)], "RMS error over claimed deviation")
+        every = {
+            name: [claimed("", name, (i,), part, (None, None))(r).value for i in range(8)]
+            for name in ("mekf", "robust")
+        }
+        heights: Any = {
+            LINES[name].label: (values, LINES[name].color) for name, values in every.items()
+        }
+        return Panel(
+            title,
+            [bars(TICKS, heights, across=True), level(1.0, upright=True)],
+            "RMS error over claimed deviation",
+        )
 
-    return panels([panel("heading", slice(2, 3)), panel("inclination", slice(0, 2))], size=(12.0, 4.5))
+    return panels(
+        [panel("heading", slice(2, 3)), panel("inclination", slice(0, 2))], size=(12.0, 4.5)
+    )
 
 
 def table(r: Results) -> Rows:
@@ -241,17 +321,28 @@ def table(r: Results) -> Rows:
 
 FIGURES = {
     "figure_01": ("RMSE in eight trials, beside what is published of two filters.", beside),
-    "figure_02": ("Errors in a trial that was held out, and what the filter takes them to be.", over_time),
+    "figure_02": (
+        "Errors in a trial that was held out, and what the filter takes them to be.",
+        over_time,
+    ),
     "figure_03": ("How errors compare with what is claimed: 1 is honest.", consistent),
 }
 TABLES = {"table_1": ("RMSE of each filter in each trial.", table)}
 RECORDINGS = ["broad.rrd"]
-SPACES = (showcase.Space("body", "the sensor on Earth axes (x east, z up): truth, and estimates", (2.0, -2.5, 1.5)),)
+SPACES = (
+    showcase.Space(
+        "body", "the sensor on Earth axes (x east, z up): truth, and estimates", (2.0, -2.5, 1.5)
+    ),
+)
 
 
 def record(results: Results, outputs: Outputs) -> list[str]:
     """Write the recording of one trial among ``outputs``; returns its name. Needs rerun."""
-    config = replace(results.parts["mekf"].config, trials=(TRIALS[SHOWN],), part=0.5 * results.parts["mekf"].config.part)
+    config = replace(
+        results.parts["mekf"].config,
+        trials=(TRIALS[SHOWN],),
+        part=0.5 * results.parts["mekf"].config.part,
+    )
     flight, every, estimates, scene = trial(config), slice(None, None, 2), {}, {}
     truth = config.logs()[0].truth
     for name in ("mekf", "white"):
@@ -261,7 +352,10 @@ def record(results: Results, outputs: Outputs) -> list[str]:
         estimates[name] = estimated.Estimate(
             label, color, error[every, None], track.cov[every, 0, :3, :3], None, track.nis[every, 0]
         )
-        scene[name] = np.nan_to_num(attitude.log(attitude.multiply(q, attitude.inverse(truth))))[every], color
+        scene[name] = (
+            np.nan_to_num(attitude.log(attitude.multiply(q, attitude.inverse(truth))))[every],
+            color,
+        )
     there = np.maximum.accumulate(np.where(np.isfinite(truth[:, 0]), np.arange(len(truth)), 0))
     posed, t = np.nan_to_num(truth[there])[every], track.times[every]
 

@@ -77,12 +77,23 @@ def read(path: Path, lag: int = LAG) -> Log:
 
     def field(name: str, columns: int, least: int = 2 * STEP + lag) -> Array:
         if name not in every:
-            raise InputError(f"{path}: expected a field {name}, got {', '.join(key for key in every if key[0] != '_')}")
+            raise InputError(
+                f"{path}: expected a field {name}, got {', '.join(key for key in every if key[0] != '_')}"
+            )
         values = every[name]
-        if values.dtype.kind not in "fiub" or values.ndim != 2 or values.shape[1] != columns or len(values) < least:
-            raise InputError(f"{path}: {name}: expected numbers ({least} or more, {columns}), got {values.dtype} {values.shape}")
+        if (
+            values.dtype.kind not in "fiub"
+            or values.ndim != 2
+            or values.shape[1] != columns
+            or len(values) < least
+        ):
+            raise InputError(
+                f"{path}: {name}: expected numbers ({least} or more, {columns}), got {values.dtype} {values.shape}"
+            )
         if not np.isfinite(values).any(0).all() or np.isinf(values).any():
-            raise InputError(f"{path}: {name}: expected finite numbers or nan, got infinite ones or a column of nan only")
+            raise InputError(
+                f"{path}: {name}: expected finite numbers or nan, got infinite ones or a column of nan only"
+            )
         return np.asarray(values, np.float64)
 
     named = {"imu_gyr": 3, "imu_acc": 3, "imu_mag": 3, "opt_quat": 4, "movement": 1}
@@ -90,12 +101,18 @@ def read(path: Path, lag: int = LAG) -> Log:
     hz = float(field("sampling_rate", 1, 1)[0, 0])
     for name, values in zip(named, (gyr, acc, mag, q, moving), strict=True):
         if len(values) != len(gyr):
-            raise InputError(f"{path}: {name}: expected as many rows as imu_gyr has, {len(gyr)}, got {len(values)}")
+            raise InputError(
+                f"{path}: {name}: expected as many rows as imu_gyr has, {len(gyr)}, got {len(values)}"
+            )
     if np.isnan(gyr).any() or not hz > 0.0:
-        raise InputError(f"{path}: expected an imu_gyr without nan and a positive sampling_rate, got others")
+        raise InputError(
+            f"{path}: expected an imu_gyr without nan and a positive sampling_rate, got others"
+        )
     if not (moving > 0.0).any():
         raise InputError(f"{path}: movement: expected some samples that are to be judged, got none")
-    return steps(gyr, acc, mag, hz, lag)._replace(truth=_unit(q)[STEP - 1 :: STEP], moving=moving[STEP - 1 :: STEP, 0] > 0.0)
+    return steps(gyr, acc, mag, hz, lag)._replace(
+        truth=_unit(q)[STEP - 1 :: STEP], moving=moving[STEP - 1 :: STEP, 0] > 0.0
+    )
 
 
 def _unit(q: Array) -> Array:
@@ -107,10 +124,14 @@ def _unit(q: Array) -> Array:
 def steps(gyr: Array, acc: Array, mag: Array, hz: float, lag: int = LAG) -> Log:
     """Samples ``(S, 3)`` in steps of `STEP`, without their truth."""
     T = len(gyr) // STEP
-    turned = np.concatenate([np.tile(attitude.IDENTITY, (lag, 1)), attitude.exp(gyr[: T * STEP] / hz)])
+    turned = np.concatenate(
+        [np.tile(attitude.IDENTITY, (lag, 1)), attitude.exp(gyr[: T * STEP] / hz)]
+    )
     turn, sums = np.tile(attitude.IDENTITY, (T, 1)), np.zeros((2, T, 3))
     rate = np.zeros((T, 3))
-    for i in range(STEP - 1, -lag - 1, -1):  # of a sample in its step, or before it; `turn` leads from there to the end
+    for i in range(
+        STEP - 1, -lag - 1, -1
+    ):  # of a sample in its step, or before it; `turn` leads from there to the end
         for total, values, late in zip(sums, (acc, mag), (0, lag), strict=True):
             if 0 <= i + late < STEP:
                 total += attitude.rotate(turn, values[i + late : T * STEP : STEP])
@@ -181,14 +202,28 @@ def together() -> Space:
     def plus(x: Array, d: Array) -> Array:
         turn = attitude.from_rodrigues(d[..., :3])
         back, q = attitude.inverse(turn), x[..., Q]
-        turned = [attitude.rotate(back, x[..., part] + d[..., part.start - 1 : part.stop - 1]) for part in VECTORS]
-        q = attitude.multiply(q * (1.5 - 0.5 * (q * q).sum(-1)[..., None]), turn)  # round-off does not add up
-        return side_by_side([q, x[..., BIAS] + d[..., 3:6], *turned, x[..., D.stop :] + d[..., D.stop - 1 :]])
+        turned = [
+            attitude.rotate(back, x[..., part] + d[..., part.start - 1 : part.stop - 1])
+            for part in VECTORS
+        ]
+        q = attitude.multiply(
+            q * (1.5 - 0.5 * (q * q).sum(-1)[..., None]), turn
+        )  # round-off does not add up
+        return side_by_side(
+            [q, x[..., BIAS] + d[..., 3:6], *turned, x[..., D.stop :] + d[..., D.stop - 1 :]]
+        )
 
     def minus(b: Array, a: Array) -> Array:
         turn = attitude.multiply(attitude.inverse(a[..., Q]), b[..., Q])
         turned = [attitude.rotate(turn, b[..., part]) - a[..., part] for part in VECTORS]
-        return side_by_side([attitude.to_rodrigues(turn), b[..., BIAS] - a[..., BIAS], *turned, (b - a)[..., D.stop :]])
+        return side_by_side(
+            [
+                attitude.to_rodrigues(turn),
+                b[..., BIAS] - a[..., BIAS],
+                *turned,
+                (b - a)[..., D.stop :],
+            ]
+        )
 
     return Space(plus, minus)
 
@@ -213,7 +248,9 @@ def motion(s: Settings, space: Space) -> Motion:
         turn = np.sqrt((s.gyro**2 + s.turning**2 * (rate * rate).sum(-1)[..., None]) * dt)
         push = np.sqrt((s.rest**2 + (s.push * lively) ** 2) * (1.0 - np.exp(-2.0 * dt / s.tau)))
         field = s.field * np.sqrt(1.0 - np.exp(-2.0 * dt / s.far))
-        std = side_by_side([part + 0.0 * turn for part in (turn, DRIFT_WALK * np.sqrt(dt), push, field)])
+        std = side_by_side(
+            [part + 0.0 * turn for part in (turn, DRIFT_WALK * np.sqrt(dt), push, field)]
+        )
         return np.repeat(std, 3, -1)[..., None, :] * NOISY
 
     return Motion(f, sqrt_Q=noise, space=space)
@@ -223,7 +260,10 @@ def sensors(s: Settings) -> tuple[Sensor, Sensor]:
     """Accelerometer and magnetometer."""
 
     def acc(x: Array, _epoch: Epoch) -> Array:
-        return np.asarray(attitude.rotate(x[..., Q], x[..., S] - x[..., L] + np.array([0.0, 0.0, GRAVITY])) + x[..., ACC])
+        return np.asarray(
+            attitude.rotate(x[..., Q], x[..., S] - x[..., L] + np.array([0.0, 0.0, GRAVITY]))
+            + x[..., ACC]
+        )
 
     def mag(x: Array, _epoch: Epoch) -> Array:
         field = x[..., D] + side_by_side([0.0 * x[..., H], x[..., H], -x[..., V]])
@@ -232,7 +272,9 @@ def sensors(s: Settings) -> tuple[Sensor, Sensor]:
     def acc_noise(_mean: Array, epoch: Epoch) -> Array:
         return np.asarray(np.sqrt(s.acc**2 + (s.shaking * epoch.u[1]) ** 2)[..., None] * np.eye(3))
 
-    return Sensor(acc, sqrt_R=acc_noise), Sensor(mag, sqrt_R=lambda _mean, _epoch: np.asarray(s.mag)[..., None] * np.eye(3))
+    return Sensor(acc, sqrt_R=acc_noise), Sensor(
+        mag, sqrt_R=lambda _mean, _epoch: np.asarray(s.mag)[..., None] * np.eye(3)
+    )
 
 
 def filters(s: Settings = SETTINGS, white: Settings = WHITE) -> dict[str, Sequential]:
@@ -248,14 +290,25 @@ def filters(s: Settings = SETTINGS, white: Settings = WHITE) -> dict[str, Sequen
 def prior(logs: Sequence[Log], s: Settings = SETTINGS) -> Gaussian:
     """What is believed at the start of each trial, made of its first second, at rest, and of the field in a building."""
     count = round(1.0 / logs[0].dt)
-    up, mag = (np.stack([np.nanmean(values[:count], 0) for values in each]) for each in zip(*((x.acc, x.mag) for x in logs)))
+    up, mag = (
+        np.stack([np.nanmean(values[:count], 0) for values in each])
+        for each in zip(*((x.acc, x.mag) for x in logs))
+    )
     east = np.cross(mag, up)
-    axes = np.stack([part / np.linalg.norm(part, axis=-1, keepdims=True) for part in (east, np.cross(up, east), up)], -1)
+    axes = np.stack(
+        [
+            part / np.linalg.norm(part, axis=-1, keepdims=True)
+            for part in (east, np.cross(up, east), up)
+        ],
+        -1,
+    )
     mean = np.zeros((len(logs), N + 1))
     mean[:, Q], mean[:, H], mean[:, V] = Rotation.from_matrix(axes.mT).as_quat(), 18.0, 40.0
     std = [0.1, 0.1, 0.3, DRIFT, s.rest, s.field, 4.0, s.acc_bias, s.mag_bias]
     each = side_by_side([np.zeros((len(logs), 1)) + part for part in std])
-    return Gaussian(mean, np.square(np.repeat(each, [1, 1, 1, 3, 6, 3, 2, 3, 3], -1))[..., None] * np.eye(N))
+    return Gaussian(
+        mean, np.square(np.repeat(each, [1, 1, 1, 3, 6, 3, 2, 3, 3], -1))[..., None] * np.eye(N)
+    )
 
 
 @dataclass(frozen=True)
@@ -269,14 +322,32 @@ class Flight:
 
     def logs(self) -> list[Log]:
         """The trials, as long as the longest: nothing is measured after the end of the others."""
-        logs = [read(path, self.lag) for path in found(self.folder, [f"{name}.mat" for name in self.trials])]
+        logs = [
+            read(path, self.lag)
+            for path in found(self.folder, [f"{name}.mat" for name in self.trials])
+        ]
         if max(log.dt for log in logs) > 1.001 * min(log.dt for log in logs):
-            raise InputError(f"{self.folder}: sampling_rate: expected the same in all trials, got {[STEP / x.dt for x in logs]} Hz")
+            raise InputError(
+                f"{self.folder}: sampling_rate: expected the same in all trials, got {[STEP / x.dt for x in logs]} Hz"
+            )
         T = round(self.part * max(len(log.rate) for log in logs))
-        return [Log(**{name: _padded(getattr(log, name), T, fill) for name, fill in PADDING.items()}, dt=log.dt) for log in logs]
+        return [
+            Log(
+                **{name: _padded(getattr(log, name), T, fill) for name, fill in PADDING.items()},
+                dt=log.dt,
+            )
+            for log in logs
+        ]
 
 
-PADDING: dict[str, Any] = {"rate": 0.0, "acc": np.nan, "mag": np.nan, "lively": 0.0, "truth": np.nan, "moving": False}
+PADDING: dict[str, Any] = {
+    "rate": 0.0,
+    "acc": np.nan,
+    "mag": np.nan,
+    "lively": 0.0,
+    "truth": np.nan,
+    "moving": False,
+}
 
 
 def _padded(values: Array, T: int, fill: Any) -> Array:
@@ -287,10 +358,14 @@ def _padded(values: Array, T: int, fill: Any) -> Array:
 GROUPS = (Group("attitude", "deg", slice(0, 3), 180.0 / np.pi),)
 
 
-def trial(config: Flight, _rngs: Sequence[Any] = (), *, s: Settings = SETTINGS, on_earth: bool = True) -> Trial:
+def trial(
+    config: Flight, _rngs: Sequence[Any] = (), *, s: Settings = SETTINGS, on_earth: bool = True
+) -> Trial:
     """The trials, with the filters; errors are rotation vectors on Earth axes. ``on_earth``: so are the filters' own deviations."""
     logs = config.logs()
-    rate, acc, mag, lively, truth = (np.stack(part, 1) for part in list(zip(*logs, strict=True))[:5])
+    rate, acc, mag, lively, truth = (
+        np.stack(part, 1) for part in list(zip(*logs, strict=True))[:5]
+    )
     acc[0] = mag[0] = np.nan  # the start is made of it
     every = epochs(logs[0].dt * np.arange(len(rate)), (acc, mag), (rate[1:], lively[1:]), truth)
 
@@ -306,4 +381,13 @@ def judged(error: Array) -> Array:
     """Total, heading and inclination errors ``(..., 3)`` deg of rotation vectors ``(..., 3)`` deg on Earth axes [Laidig2021]."""
     q = np.abs(attitude.exp(np.radians(error)))
     inclined = 2.0 * np.arccos(np.minimum(np.hypot(q[..., 2], q[..., 3]), 1.0))
-    return np.degrees(np.stack([2.0 * np.arccos(np.minimum(q[..., 3], 1.0)), 2.0 * np.arctan2(q[..., 2], q[..., 3]), inclined], -1))
+    return np.degrees(
+        np.stack(
+            [
+                2.0 * np.arccos(np.minimum(q[..., 3], 1.0)),
+                2.0 * np.arctan2(q[..., 2], q[..., 3]),
+                inclined,
+            ],
+            -1,
+        )
+    )

@@ -33,7 +33,16 @@ from celnav.models.ephemeris import DAY_S, Tdb, de421
 from celnav.models.noise import ar1_noise
 from celnav.papers import citation
 from celnav.papers.tstdkf import scenario as paper
-from celnav.real.arrivals import YEAR, Weeks, clocks, differences, read, remembered, transition, weekly
+from celnav.real.arrivals import (
+    YEAR,
+    Weeks,
+    clocks,
+    differences,
+    read,
+    remembered,
+    transition,
+    weekly,
+)
 from celnav.show import colors
 from celnav.show.figures import Line, Panel, Rows, bars, curve, level, panels
 from celnav.show.plots import Curve, Plot
@@ -91,16 +100,29 @@ def trial(c: Flight, _rngs: Rngs) -> Trial:
     heard, years = clocks(c.folder, FLOWN, END), differences()
     seen = weekly(heard, [k.early for k in heard], FLOWN, END)
     day, t = seen.day, DAY_S * (seen.day - seen.day[0])
-    earth, sun = (years[f"{c.old}/{body}"] if c.old else (lambda at: np.zeros((*np.shape(at), 3))) for body in ("earth", "sun"))
+    earth, sun = (
+        years[f"{c.old}/{body}"] if c.old else (lambda at: np.zeros((*np.shape(at), 3)))
+        for body in ("earth", "sun")
+    )
     truth = earth(day)
     z = seen.y + (seen.R @ truth[..., None])[..., 0]
     early = [k.early + k.seen(earth(k.arrivals.day + 0.5), False) for k in heard]
 
     level, F = tuned(c.folder)
     rates, past = np.repeat([1e-10, 1e-17], 3), day - 6.0 * YEAR  # km/s, km/s^2: as good as none
-    noise = ar1_noise(F * np.eye(3), np.zeros((6, 6)), np.zeros((6, 3)), level**2 * (1.0 - F**2) * np.eye(3), np.diag(rates**2))
-    step = np.sqrt(np.square(np.diff(years["de421/sun"](past) - years["de405/sun"](past), axis=0)).mean())
-    known = paper.filters(paper.Config(bias_prior_km=SUN_KM, walk_km=float(step)), paper.LINEAR, noise)
+    noise = ar1_noise(
+        F * np.eye(3),
+        np.zeros((6, 6)),
+        np.zeros((6, 3)),
+        level**2 * (1.0 - F**2) * np.eye(3),
+        np.diag(rates**2),
+    )
+    step = np.sqrt(
+        np.square(np.diff(years["de421/sun"](past) - years["de405/sun"](past), axis=0)).mean()
+    )
+    known = paper.filters(
+        paper.Config(bias_prior_km=SUN_KM, walk_km=float(step)), paper.LINEAR, noise
+    )
     for name, m in (("drift", 3), ("clocks", 12)):
         sensor = Sensor(Linear(lambda epoch: epoch.u[1]), R=np.eye(m))
         known[name] = ekf(Motion(Linear(lambda epoch: epoch.u[0]), Q=np.zeros((12, 12))), sensor)
@@ -110,12 +132,19 @@ def trial(c: Flight, _rngs: Rngs) -> Trial:
     each[:, 6:9, 9:] = np.diff(day)[:, None, None] / YEAR * np.eye(3)
     moves = np.stack(list(accumulate(each, lambda before, move: move @ before, initial=np.eye(12))))
     place = np.eye(3, 12) + np.eye(3, 12, 6)
-    twelve = {"drift": (seen.R @ place / level, z / level), "clocks": remembered(heard, early, day, moves)}
+    twelve = {
+        "drift": (seen.R @ place / level, z / level),
+        "clocks": remembered(heard, early, day, moves),
+    }
 
     def epochs(name: str) -> Iterator[Epoch]:
         H, y = twelve.get(name, (seen.R, z))
         for k in range(1, len(day)):
-            u = (each[k - 1], H[k]) if name in twelve else (Phi[k - 1], (t[k] - t[k - 1]) * np.eye(6), H[k])
+            u = (
+                (each[k - 1], H[k])
+                if name in twelve
+                else (Phi[k - 1], (t[k] - t[k - 1]) * np.eye(6), H[k])
+            )
             yield Epoch(k, t[k], t[k] - t[k - 1], u, y[k][None], truth[k][None])
 
     def compare(truth: Array, belief: Belief) -> tuple[Array, Array]:
@@ -131,7 +160,9 @@ def fly_all(c: Flight, rngs: Rngs) -> Arrays:
     """Errors, deviations, NEES of the filters, ``(T, 1, ...)``."""
     flown = trial(c, rngs)
     free = Gaussian(np.zeros((1, 6)), np.diag(np.repeat([SUN_KM, DRIFT_KM], 3) ** 2))
-    whole = Gaussian(np.hstack([flown.prior.mean, free.mean]), block_diag(flown.prior.cov, free.cov))
+    whole = Gaussian(
+        np.hstack([flown.prior.mean, free.mean]), block_diag(flown.prior.cov, free.cov)
+    )
     return fly(flown, FILTERS) | fly(flown._replace(prior=whole), ["drift", "clocks"])
 
 
@@ -139,14 +170,20 @@ def fixes(folder: Path, _rngs: Rngs) -> Arrays:
     """Weekly fixes of the years flown: with all pulsars, and with solitary ones alone."""
     out: Arrays = {}
     for name, least in {"all": 6, "solitary": 4}.items():
-        heard = [c for c in clocks(folder, FLOWN, END) if name == "all" or c.arrivals.name in SOLITARY]
+        heard = [
+            c for c in clocks(folder, FLOWN, END) if name == "all" or c.arrivals.name in SOLITARY
+        ]
         w = weekly(heard, [c.early for c in heard], FLOWN, END, least)
         found = {"day": w.day, "error": w.fix[:, None], "std": w.std[:, None], "heard": w.heard}
-        out |= {f"{name}/{key}": values for key, values in found.items()} | {f"{name}/nees": np.square(w.y).sum(1)[:, None]}
+        out |= {f"{name}/{key}": values for key, values in found.items()} | {
+            f"{name}/nees": np.square(w.y).sum(1)[:, None]
+        }
     return out
 
 
-PERIODS = np.unique(np.concatenate([np.geomspace(0.15, 40.0, 61), 1.0 + 0.04 * np.arange(-5, 6), [0.5]]))
+PERIODS = np.unique(
+    np.concatenate([np.geomspace(0.15, 40.0, 61), 1.0 + 0.04 * np.arange(-5, 6), [0.5]])
+)
 """Years."""
 
 
@@ -157,11 +194,18 @@ def window(folder: Path, _rngs: Rngs) -> Arrays:
     out: Arrays = {"periods": PERIODS}
 
     def shown(moved: Sequence[Array], learned: bool = True) -> Weeks:
-        return weekly(heard, [c.seen(d, learned) for c, d in zip(heard, moved, strict=True)], FLOWN, END)
+        return weekly(
+            heard, [c.seen(d, learned) for c, d in zip(heard, moved, strict=True)], FLOWN, END
+        )
 
     angles = [2.0 * np.pi * (c.arrivals.day[:, None] - FLOWN) / YEAR / PERIODS for c in heard]
-    swings = [(np.stack([np.cos(a), np.sin(a)], 1)[:, None, None] * np.eye(3)[:, :, None, None]) for a in angles]
-    left, whole = (np.square(shown(swings, learned).y).sum((0, 1, 2, 3)) for learned in (True, False))
+    swings = [
+        (np.stack([np.cos(a), np.sin(a)], 1)[:, None, None] * np.eye(3)[:, :, None, None])
+        for a in angles
+    ]
+    left, whole = (
+        np.square(shown(swings, learned).y).sum((0, 1, 2, 3)) for learned in (True, False)
+    )
     for old, body in product(("de421", "de405"), ("earth", "sun")):
         error = differences()[f"{old}/{body}"]
         w = shown([error(c.arrivals.day + 0.5) for c in heard])
@@ -185,13 +229,19 @@ def parts(_effort: float = 1.0, nanograv: Path | None = None) -> dict[str, Part]
         return {}
     read(nanograv)  # what is no such folder is refused before anything is computed
     flown = {name: Part(fly_all, Flight(nanograv, old), cost=4.0) for name, old in FLIGHTS.items()}
-    return {"fixes": Part(fixes, nanograv, cost=4.0), "window": Part(window, nanograv, cost=3.0), **flown}
+    return {
+        "fixes": Part(fixes, nanograv, cost=4.0),
+        "window": Part(window, nanograv, cost=3.0),
+        **flown,
+    }
 
 
 def squares(r: Results, part: str, name: str) -> Array:
     """Squared lengths ``(T,)`` of errors, of filters after their first year."""
     square = np.square(r.get(part, f"{name}/error")).sum((1, 2))
-    return np.asarray(square if part in ("fixes", "window") else square[r.times(part) > YEAR * DAY_S])
+    return np.asarray(
+        square if part in ("fixes", "window") else square[r.times(part) > YEAR * DAY_S]
+    )
 
 
 def rms(part: str, name: str, low: float | None, most: float | None) -> Decided:
@@ -202,13 +252,20 @@ def rms(part: str, name: str, low: float | None, most: float | None) -> Decided:
 
 def median(r: Results) -> Number:
     """Median length of the errors of fixes, km."""
-    return estimate("median error (km)", lambda a: float(np.sqrt(np.median(a))), [squares(r, "fixes", "all")], block=BLOCK)
+    return estimate(
+        "median error (km)",
+        lambda a: float(np.sqrt(np.median(a))),
+        [squares(r, "fixes", "all")],
+        block=BLOCK,
+    )
 
 
 def ratio(part: str, a: str, b: str, low: float | None, most: float | None) -> Decided:
     """RMS error of a filter over that of another."""
     about = f"{part}: RMS of {a} / {b}"
-    return lambda r: estimate(about, metrics.ratio, [squares(r, part, a), squares(r, part, b)], (low, most), LONG)
+    return lambda r: estimate(
+        about, metrics.ratio, [squares(r, part, a), squares(r, part, b)], (low, most), LONG
+    )
 
 
 def claimed(part: str, a: str, b: str, low: float | None, most: float | None) -> Decided:
@@ -217,7 +274,13 @@ def claimed(part: str, a: str, b: str, low: float | None, most: float | None) ->
     def number(r: Results) -> Number:
         late = r.times(part) > YEAR * DAY_S
         nees = [r.get(part, f"{name}/nees")[late, 0] for name in (a, b)]
-        return estimate(f"{part}: NEES of {a} / {b}", lambda x, y: float(x.mean() / y.mean()), nees, (low, most), LONG)
+        return estimate(
+            f"{part}: NEES of {a} / {b}",
+            lambda x, y: float(x.mean() / y.mean()),
+            nees,
+            (low, most),
+            LONG,
+        )
 
     return number
 
@@ -228,7 +291,13 @@ def consistency(part: str, name: str, low: float | None, most: float | None) -> 
     def number(r: Results) -> Number:
         nees = r.get(part, f"{name}/nees")[:, 0] / 3.0
         nees = nees if part == "fixes" else nees[r.times(part) > YEAR * DAY_S]
-        return estimate(f"{part}, {name}: NEES / 3", np.mean, [nees], (low, most), BLOCK if part == "fixes" else LONG)
+        return estimate(
+            f"{part}, {name}: NEES / 3",
+            np.mean,
+            [nees],
+            (low, most),
+            BLOCK if part == "fixes" else LONG,
+        )
 
     return number
 
@@ -246,7 +315,11 @@ def size(name: str, label: str, low: float | None, most: float | None) -> Decide
 def share(period: float, low: float | None, most: float | None) -> Decided:
     """What is left of a swing of a period."""
     label = f"share of a swing of {period:g} years"
-    return lambda r: Number(label, float(np.interp(period, r.get("window", "periods"), r.get("window", "share"))), (low, most))
+    return lambda r: Number(
+        label,
+        float(np.interp(period, r.get("window", "periods"), r.get("window", "share"))),
+        (low, most),
+    )
 
 
 ROWS = (
@@ -342,7 +415,10 @@ def weeks(r: Results) -> Figure:
         r.get("fixes", "all/std")[:, 0],
     )
     dots: Any = {"linestyle": "", "marker": ".", "markersize": 4}
-    above = [curve(t, error[:, i], label=name, color=c, **dots) for i, (name, c) in enumerate(zip(AXES, SHADES, strict=True))]
+    above = [
+        curve(t, error[:, i], label=name, color=c, **dots)
+        for i, (name, c) in enumerate(zip(AXES, SHADES, strict=True))
+    ]
     below = [
         curve(t, std, Line("claimed", colors.SIGMA)),
         curve(t, np.linalg.norm(error, axis=1), color="black", label="length", **dots),
@@ -356,9 +432,18 @@ def weeks(r: Results) -> Figure:
 
 def hidden(r: Results) -> Figure:
     """What is left of a swing, and of the errors of old ephemerides."""
-    swing = [curve(r.get("window", "periods"), r.get("window", "share"), color=colors.COMPARISON), level(1.0)]
-    off, left = ([length(r.get("window", f"{old}/{what}")) for old in ("de405", "de421")] for what in ("earth", "earth shown"))
-    error = bars(("DE405", "DE421"), {"how wrong it is": (off, colors.PAPER), "left to see": (left, colors.COMPARISON)})
+    swing = [
+        curve(r.get("window", "periods"), r.get("window", "share"), color=colors.COMPARISON),
+        level(1.0),
+    ]
+    off, left = (
+        [length(r.get("window", f"{old}/{what}")) for old in ("de405", "de421")]
+        for what in ("earth", "earth shown")
+    )
+    error = bars(
+        ("DE405", "DE421"),
+        {"how wrong it is": (off, colors.PAPER), "left to see": (left, colors.COMPARISON)},
+    )
     return panels(
         [Panel("What timing models leave of a swing", swing, "period (years)", "share that is seen", "xy"),
          Panel("The Earth's place, 2017 to 2020", [error], "", "RMS (km)", "y", {"ylim": (0.05, 500.0)})], size=(10.0, 3.6),
@@ -370,8 +455,18 @@ def flights(r: Results) -> Figure:
     row = []
     for part in FLIGHTS:
         t = r.times(part) / DAY_S / YEAR
-        lengths = {name: np.linalg.norm(r.get(part, f"{name}/error")[:, 0], axis=1) for name in LINES}
-        row.append(Panel(f"Earth by {part}", [curve(t, lengths[name], LINES[name]) for name in LINES], "years", "error (km)", "y"))
+        lengths = {
+            name: np.linalg.norm(r.get(part, f"{name}/error")[:, 0], axis=1) for name in LINES
+        }
+        row.append(
+            Panel(
+                f"Earth by {part}",
+                [curve(t, lengths[name], LINES[name]) for name in LINES],
+                "years",
+                "error (km)",
+                "y",
+            )
+        )
     return panels(row, size=(11.0, 4.0), sharey=True)
 
 
@@ -380,13 +475,23 @@ def table(r: Results) -> Rows:
     rows: Rows = []
     for part, name in product(FLIGHTS if FLIGHTS.keys() <= r.data.keys() else (), LINES):
         error, nees = rms(part, name, None, None)(r), consistency(part, name, None, None)(r)
-        rows.append({"ephemeris": part, "filter": name, "RMS error (km)": error.value, "NEES / 3": nees.value})
+        rows.append(
+            {
+                "ephemeris": part,
+                "filter": name,
+                "RMS error (km)": error.value,
+                "NEES / 3": nees.value,
+            }
+        )
     return rows
 
 
 FIGURES = {
     "figure_01": ("Weekly fixes of the Earth by pulsars alone.", weeks),
-    "figure_02": ("What timing models hide: a swing of the Earth by its period, and the errors of old ephemerides.", hidden),
+    "figure_02": (
+        "What timing models hide: a swing of the Earth by its period, and the errors of old ephemerides.",
+        hidden,
+    ),
     "figure_03": ("Errors of the filters with a right ephemeris and with two wrong ones.", flights),
 }
 TABLES = {"table_1": ("Filters and ephemerides, after the first year.", table)}

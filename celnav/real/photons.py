@@ -65,7 +65,9 @@ class Photons(NamedTuple):
         return self.spin.cycles(self.since + delay / LIGHT_KM_S)
 
 
-def table(path: Path, extension: str, columns: tuple[str, ...]) -> tuple[Mapping[str, Any], list[Array]]:
+def table(
+    path: Path, extension: str, columns: tuple[str, ...]
+) -> tuple[Mapping[str, Any], list[Array]]:
     """Header and columns ``(N,)``, as float64, of a binary table of a FITS file.
 
     Raises
@@ -82,10 +84,14 @@ def table(path: Path, extension: str, columns: tuple[str, ...]) -> tuple[Mapping
             with fits.open(BytesIO(content)) as file:
                 hdu = file[extension]
                 values = [np.asarray(hdu.data[name], np.float64) for name in columns]
-                header = {key: hdu.header[key] for key in ("MJDREFI", "MJDREFF", "TIMEZERO", "TIMESYS")}
+                header = {
+                    key: hdu.header[key] for key in ("MJDREFI", "MJDREFF", "TIMEZERO", "TIMESYS")
+                }
                 offsets = [float(header[key]) for key in ("MJDREFI", "MJDREFF", "TIMEZERO")]
     except Exception as error:  # astropy raises whatever the bytes lead it to
-        raise InputError(f"{path}: expected a FITS file with a table {extension} of {', '.join(columns)} ({error})") from None
+        raise InputError(
+            f"{path}: expected a FITS file with a table {extension} of {', '.join(columns)} ({error})"
+        ) from None
     if header["TIMESYS"] != "TT" or not np.isfinite(offsets).all() or not 4e4 < offsets[0] < 1e5:
         raise InputError(f"{path}: expected times in TT after MJDREFI + MJDREFF, got {header}")
     for name, column in zip(columns, values, strict=True):
@@ -106,10 +112,14 @@ def read_par(path: Path) -> Spin:
     try:
         words = [line.split() for line in path.read_text(encoding="ascii").splitlines()]
     except UnicodeDecodeError as error:
-        raise InputError(f"{path}: expected a timing model, lines of a name and a value ({error})") from None
+        raise InputError(
+            f"{path}: expected a timing model, lines of a name and a value ({error})"
+        ) from None
     told = {word[0].upper(): word[1] for word in words if len(word) > 1}
     if "BINARY" in told or "PB" in told:
-        raise InputError(f"{path}: expected a pulsar without companion, whose orbit is not modeled here")
+        raise InputError(
+            f"{path}: expected a pulsar without companion, whose orbit is not modeled here"
+        )
     if missing := {"RAJ", "DECJ", "F0", "PEPOCH"} - told.keys():
         raise InputError(f"{path}: expected a timing model with {', '.join(sorted(missing))}")
     if told.get("UNITS", "TDB") != "TDB":
@@ -139,7 +149,14 @@ def read_par(path: Path) -> Spin:
         raise InputError(f"{path}: expected F0 as pulses in a second, got {rates[0]!r}")
     try:
         pulsar = Pulsar(
-            told.get("PSRJ", path.stem), 15.0 * angle("RAJ"), angle("DECJ"), 4.4, 1.0 / rates[0], 0.3 / rates[0], 1.0, 1.0
+            told.get("PSRJ", path.stem),
+            15.0 * angle("RAJ"),
+            angle("DECJ"),
+            4.4,
+            1.0 / rates[0],
+            0.3 / rates[0],
+            1.0,
+            1.0,
         )
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None
@@ -160,12 +177,19 @@ def read(folder: Path) -> Photons:
     header, (t, channel) = table(events, "XTE_SE", ("TIME", "PHA"))
     flown, (at, *state) = table(orbit, "XTE_PE", ("Time", "X", "Y", "Z", "Vx", "Vy", "Vz"))
     t = t[(channel >= CHANNELS[0]) & (channel <= CHANNELS[1])]
-    begun = [float(h["MJDREFI"]) + float(h["MJDREFF"]) + float(h["TIMEZERO"]) / DAY_S for h in (header, flown)]
+    begun = [
+        float(h["MJDREFI"]) + float(h["MJDREFF"]) + float(h["TIMEZERO"]) / DAY_S
+        for h in (header, flown)
+    ]
     if len(t) < LEAST_PHOTONS or t[-1] - t[0] < LEAST_S:
-        raise InputError(f"{events}: expected {LEAST_PHOTONS} photons or more in {LEAST_S:g} s or more, got {len(t)}")
+        raise InputError(
+            f"{events}: expected {LEAST_PHOTONS} photons or more in {LEAST_S:g} s or more, got {len(t)}"
+        )
     met = t + (begun[0] - begun[1]) * DAY_S
     if (np.diff(at) <= 0.0).any() or met[0] < at[0] or met[-1] > at[-1]:
-        raise InputError(f"{orbit}: expected the orbit from {met[0]:.0f} to {met[-1]:.0f} s, got {at[0]:.0f} to {at[-1]:.0f}")
+        raise InputError(
+            f"{orbit}: expected the orbit from {met[0]:.0f} to {met[-1]:.0f} s, got {at[0]:.0f} to {at[-1]:.0f}"
+        )
     r, v = np.stack(state[:3], 1) / 1e3, np.stack(state[3:], 1) / 1e3
     radius = np.linalg.norm(r, axis=1)
     if radius.min() < 6378.0 or radius.max() > 1e6:

@@ -86,13 +86,20 @@ class Light(NamedTuple):
     def of(cls, sums: Array) -> Light:
         """Of summed `harmonics`, as many as the H-test takes."""
         m = int(power(sums).argmax()) + 1
-        return cls((sums[1 : m + 1] - 1j * sums[1 + MOST_HARMONICS : 1 + MOST_HARMONICS + m]) / sums[0], float(sums[0]))
+        return cls(
+            (sums[1 : m + 1] - 1j * sums[1 + MOST_HARMONICS : 1 + MOST_HARMONICS + m]) / sums[0],
+            float(sums[0]),
+        )
 
     def __call__(self, phase: Array, slope: bool = False) -> Array:
         """Its values, not below a thousandth, or its derivative."""
         k = 2.0j * np.pi * np.arange(1, len(self.coefficients) + 1)
         waves = np.exp(phase[..., None] * k) * self.coefficients
-        return np.asarray(2.0 * (waves * k).sum(-1).real if slope else np.maximum(1.0 + 2.0 * waves.sum(-1).real, 1e-3))
+        return np.asarray(
+            2.0 * (waves * k).sum(-1).real
+            if slope
+            else np.maximum(1.0 + 2.0 * waves.sum(-1).real, 1e-3)
+        )
 
     @property
     def information(self) -> float:
@@ -107,11 +114,15 @@ SHIFTS = np.arange(-0.5, 0.5, 1.0 / 512.0)
 def shifted(light: Light, phase: Array) -> tuple[float, Array]:
     """Shift (cycles) of largest likelihood, by a parabola between `SHIFTS`; log-likelihoods of all of them, less the largest."""
     table = np.log(light(np.arange(4096) / 4096.0))
-    logs = np.array([table[np.round((phase + s) % 1.0 * 4096.0).astype(int) % 4096].sum() for s in SHIFTS])
+    logs = np.array(
+        [table[np.round((phase + s) % 1.0 * 4096.0).astype(int) % 4096].sum() for s in SHIFTS]
+    )
     k = int(logs.argmax())
     before, top, after = logs[k - 1], logs[k], logs[(k + 1) % len(logs)]
     bend = before - 2.0 * top + after
-    return float(SHIFTS[k] + 0.5 * (before - after) / bend / len(SHIFTS)) if bend < 0.0 else float(SHIFTS[k]), logs - top
+    return float(SHIFTS[k] + 0.5 * (before - after) / bend / len(SHIFTS)) if bend < 0.0 else float(
+        SHIFTS[k]
+    ), logs - top
 
 
 # -- what is computed ------------------------------------------------------------------------------------------------------------
@@ -119,7 +130,10 @@ def folded(folder: Path, _rngs: Rngs) -> Arrays:
     """`harmonics` of short blocks for each of `PLACES`, and for parts of the way from the Earth's center to the orbit."""
     p = read(folder)
     block = np.unique((p.t // SHORT_S).astype(int), return_inverse=True)[1]
-    out = {place: harmonics(p.cycles(part), block) for place, part in zip(PLACES, (None, 0.0, 1.0), strict=True)}
+    out = {
+        place: harmonics(p.cycles(part), block)
+        for place, part in zip(PLACES, (None, 0.0, 1.0), strict=True)
+    }
     scales = np.stack([harmonics(p.cycles(part), block) for part in PARTS])
     phase = np.linspace(0.0, 1.0, 65)
     return out | {"scales": np.moveaxis(scales, 0, 1), "phase": phase, "counts": np.histogram(p.cycles(1.0) % 1.0, phase[::2])[0],
@@ -133,7 +147,9 @@ def placed(folder: Path, _rngs: Rngs) -> Arrays:
     piece = (p.t // PIECE_S).astype(int)
     center, orbit, km = p.cycles(0.0), p.cycles(1.0), LIGHT_KM_S * p.spin.pulsar.period_s
     sums = harmonics(orbit, piece)
-    lights = [Light.of(sums[1 - i :: 2].sum(0)) for i in range(2)]  # that of the odd pieces for the even ones, and back
+    lights = [
+        Light.of(sums[1 - i :: 2].sum(0)) for i in range(2)
+    ]  # that of the odd pieces for the even ones, and back
     rows = []
     for k in range(int(p.t[-1] // PIECE_S)):  # the whole ones
         there, light = piece == k, lights[k % 2]
@@ -144,7 +160,9 @@ def placed(folder: Path, _rngs: Rngs) -> Arrays:
         below = -float(np.interp(true, SHIFTS, logs))
         std = np.sqrt((1.0 / there.sum() + 1.0 / light.photons) / light.information)
         rows.append((p.t[there].mean(), km * shift, km * true, km * std, below, there.sum()))
-    return dict(zip(("middle", "place", "truth", "std", "below", "photons"), np.array(rows).T, strict=True))
+    return dict(
+        zip(("middle", "place", "truth", "std", "below", "photons"), np.array(rows).T, strict=True)
+    )
 
 
 # -- what is found ---------------------------------------------------------------------------------------------------------------
@@ -165,7 +183,13 @@ def sharper(one: str, other: str) -> Decided:
     label = f"H, {one} less {other}"
 
     def number(r: Results) -> Number:
-        return estimate(label, lambda a, b: h_test(a) - h_test(b), [r.get("folded", k) for k in (one, other)], (0.0, None), BLOCK)
+        return estimate(
+            label,
+            lambda a, b: h_test(a) - h_test(b),
+            [r.get("folded", k) for k in (one, other)],
+            (0.0, None),
+            BLOCK,
+        )
 
     return number
 
@@ -175,9 +199,13 @@ def best(scales: Array) -> float:
     return float(PARTS[power(scales.sum(0)).max(-1).argmax()])
 
 
-def place(label: str, statistic: Any, low: float | None, most: float | None, *names: str) -> Decided:
+def place(
+    label: str, statistic: Any, low: float | None, most: float | None, *names: str
+) -> Decided:
     """A statistic of arrays of the pieces."""
-    return lambda r: estimate(label, statistic, [r.get("placed", name) for name in names], (low, most), PIECES)
+    return lambda r: estimate(
+        label, statistic, [r.get("placed", name) for name in names], (low, most), PIECES
+    )
 
 
 def inside(below: float) -> Any:
@@ -243,7 +271,10 @@ def pulse(r: Results) -> Figure:
     light = [curve(phase[::2], steps, label="photons", color=colors.SIGMA, drawstyle="steps-post"),
              curve(phase, r.get("folded", "light"), label="light curve", color=LOOKS["orbit"])]  # fmt: skip
     sums = {k: r.get("folded", k) for k in PLACES}
-    tests = [curve(ORDERS, power(x.sum(0)), Line(f"{k}: H = {h_test(x):.0f}", LOOKS[k]), marker=".") for k, x in sums.items()]
+    tests = [
+        curve(ORDERS, power(x.sum(0)), Line(f"{k}: H = {h_test(x):.0f}", LOOKS[k]), marker=".")
+        for k, x in sums.items()
+    ]
     return panels([Panel("Folded where the satellite was", light, "phase (cycles)", "photons, over their mean"),
                    Panel("The H-test", tests, "harmonics m", "Z² − 4 m + 4")], size=(10.0, 3.8))  # fmt: skip
 
@@ -253,33 +284,60 @@ def scaled(r: Results) -> Figure:
     h = power(r.get("folded", "scales").sum(0)).max(-1)
     marks = [level(0.0, label="Earth's center", color=LOOKS["Earth's center"], upright=True),
              level(1.0, label="orbit", color=LOOKS["orbit"], upright=True)]  # fmt: skip
-    return panels(Panel("What folds best", [curve(PARTS, h, color="black"), *marks], "part of the orbit", "H"), size=(6.0, 3.6))
+    return panels(
+        Panel(
+            "What folds best", [curve(PARTS, h, color="black"), *marks], "part of the orbit", "H"
+        ),
+        size=(6.0, 3.6),
+    )
 
 
 def sighted(r: Results) -> Figure:
     """Each piece's place along the line of sight, and the orbit's."""
     t, at, true, std = (
-        r.get("placed", name) / scale for name, scale in zip(("middle", "place", "truth", "std"), (60.0, *[1e3] * 3))
+        r.get("placed", name) / scale
+        for name, scale in zip(("middle", "place", "truth", "std"), (60.0, *[1e3] * 3))
     )
 
     def dots(ax: Axes) -> None:
-        ax.errorbar(t, at, std, label="two minutes of photons", color=colors.ESTIMATE, fmt="o", markersize=4)
+        ax.errorbar(
+            t, at, std, label="two minutes of photons", color=colors.ESTIMATE, fmt="o", markersize=4
+        )
 
-    items = [curve(t, true, Line("orbit", colors.TRUTH, width=1.9)), dots, level(-6.378, 6.378, label="radius of the Earth")]
-    return panels(Panel("RXTE toward PSR B1509-58", items, "time (min)", "1000 km from the Earth's center"), size=(7.5, 4.0))
+    items = [
+        curve(t, true, Line("orbit", colors.TRUTH, width=1.9)),
+        dots,
+        level(-6.378, 6.378, label="radius of the Earth"),
+    ]
+    return panels(
+        Panel("RXTE toward PSR B1509-58", items, "time (min)", "1000 km from the Earth's center"),
+        size=(7.5, 4.0),
+    )
 
 
 def table(r: Results) -> Rows:
     """The pieces."""
-    names = {"middle": "middle (s)", "place": "place (km)", "truth": "truth (km)", "std": "claimed (km)", "photons": "photons"}
+    names = {
+        "middle": "middle (s)",
+        "place": "place (km)",
+        "truth": "truth (km)",
+        "std": "claimed (km)",
+        "photons": "photons",
+    }
     each = [r.get("placed", name).tolist() for name in names]
     return [dict(zip(names.values(), row, strict=True)) for row in zip(*each, strict=True)]
 
 
 FIGURES = {
-    "figure_01": ("The pulse, and how well it folds by the satellite's clock, at the Earth's center and on the orbit.", pulse),
+    "figure_01": (
+        "The pulse, and how well it folds by the satellite's clock, at the Earth's center and on the orbit.",
+        pulse,
+    ),
     "figure_02": ("The orbit, scaled: the photons fold best where the satellite was.", scaled),
-    "figure_03": ("Places along the line of sight, every two minutes, with what they claim.", sighted),
+    "figure_03": (
+        "Places along the line of sight, every two minutes, with what they claim.",
+        sighted,
+    ),
 }
 TABLES = {"table_1": ("Every piece.", table)}
 RECORDINGS = ["rxte.rrd"]
@@ -288,7 +346,10 @@ RECORDINGS = ["rxte.rrd"]
 def record(r: Results, outputs: Outputs) -> list[str]:
     """The orbit around the Earth, the direction of the pulsar, and the plane in which each piece puts the satellite."""
     p, t = read(r.parts["placed"].config), r.get("placed", "middle")
-    n, at = p.spin.pulsar.direction, np.stack([np.interp(t, p.t, column) for column in p.place.T], 1) / 1e3
+    n, at = (
+        p.spin.pulsar.direction,
+        np.stack([np.interp(t, p.t, column) for column in p.place.T], 1) / 1e3,
+    )
     off = (r.get("placed", "place") - r.get("placed", "truth"))[:, None] / 1e3 * n
 
     def scene(out: Recorder) -> None:
@@ -297,7 +358,13 @@ def record(r: Results, outputs: Outputs) -> list[str]:
         out.trail("sky/orbit", at, colors.TRUTH)
         out.points("sky/rxte", at, colors.TRUTH, radius=5.0, label="RXTE")
         out.strips("sky/fix", np.stack([at, at + off], 1)[:, None], [colors.ESTIMATE])
-        out.points("sky/by_photons", at + off, colors.ESTIMATE, radius=4.0, label="by two minutes of photons")
+        out.points(
+            "sky/by_photons",
+            at + off,
+            colors.ESTIMATE,
+            radius=4.0,
+            label="by two minutes of photons",
+        )
 
     found, truth = (r.get("placed", what) / 1e3 for what in ("place", "truth"))
     curves = {"orbit": Curve(truth, colors.TRUTH, "orbit"),
@@ -305,5 +372,13 @@ def record(r: Results, outputs: Outputs) -> list[str]:
     plots = {"line": Plot("toward the pulsar, 1000 km from the Earth's center", curves)}
     notes = "# A satellite by the photons of a pulsar\nThe ray points to PSR B1509-58, in 1000 km. Across it photons say nothing."
     space = Space("sky", "RXTE and a pulsar", (-14.0, -22.0, 8.0), growing=("sky/orbit",))
-    show = Showcase("rxte", notes, t, scene=scene, spaces=[space], legend={colors.STAR: "pulsar"}, plots={"place": plots})
+    show = Showcase(
+        "rxte",
+        notes,
+        t,
+        scene=scene,
+        spaces=[space],
+        legend={colors.STAR: "pulsar"},
+        plots={"place": plots},
+    )
     return write({"rxte.rrd": show}, outputs)

@@ -11,7 +11,14 @@ import numpy as np
 
 from celnav.gaussian import checks
 from celnav.gaussian.linalg import Array
-from celnav.models.gnss import GRAVITY_PARAMETER, ROTATION_RATE, TILT, Broadcast, eccentric_anomaly, tilted
+from celnav.models.gnss import (
+    GRAVITY_PARAMETER,
+    ROTATION_RATE,
+    TILT,
+    Broadcast,
+    eccentric_anomaly,
+    tilted,
+)
 from celnav.models.orbit import Earth, from_elements, to_elements
 
 __all__ = ["GEOSTATIONARY", "TOE_S", "geostationary", "synthetic"]
@@ -20,7 +27,13 @@ POINT = Earth(mu=1e-9 * GRAVITY_PARAMETER, j2=0.0)
 """Satellites move as two bodies do."""
 SYNCHRONOUS_M = (GRAVITY_PARAMETER / ROTATION_RATE**2) ** (1.0 / 3.0)
 MEDIUM_M = 27906.1e3
-GEOSTATIONARY = {1: (140.0, 1.2, 40.0), 2: (80.0, 1.6, 70.0), 3: (110.5, 1.4, 55.0), 4: (160.0, 0.9, 100.0), 5: (58.75, 1.0, 20.0)}
+GEOSTATIONARY = {
+    1: (140.0, 1.2, 40.0),
+    2: (80.0, 1.6, 70.0),
+    3: (110.5, 1.4, 55.0),
+    4: (160.0, 0.9, 100.0),
+    5: (58.75, 1.0, 20.0),
+}
 """Number -> longitude, inclination, node, deg."""
 INCLINED = (38, 39, 40)
 MEDIUM = tuple(n for n in range(19, 47) if n not in (31, *INCLINED))
@@ -29,10 +42,16 @@ TOE_S = 345600.0
 
 def geostationary(number: int, elapsed_s: float = 0.0) -> Array:
     """State ``(6,)`` km, km/s some time after the reference time; the axes are those that are Earth-fixed at that, and stay."""
-    longitude, i, Omega = np.radians(GEOSTATIONARY[checks.choice("number", number, GEOSTATIONARY)]).tolist()
+    longitude, i, Omega = np.radians(
+        GEOSTATIONARY[checks.choice("number", number, GEOSTATIONARY)]
+    ).tolist()
     elapsed_s = checks.number("elapsed_s", elapsed_s)
     e, omega = 3e-4, np.radians(30.0)
-    E = float(eccentric_anomaly(np.array(longitude - Omega - omega + ROTATION_RATE * elapsed_s), np.array(e)))
+    E = float(
+        eccentric_anomaly(
+            np.array(longitude - Omega - omega + ROTATION_RATE * elapsed_s), np.array(e)
+        )
+    )
     nu = 2.0 * np.arctan(np.sqrt((1.0 + e) / (1.0 - e)) * np.tan(0.5 * E))
     return from_elements(1e-3 * SYNCHRONOUS_M, e, i, Omega, omega, float(nu), POINT)
 
@@ -48,11 +67,15 @@ def synthetic(toe: float = TOE_S) -> Broadcast:
         E = 2.0 * np.arctan(np.sqrt((1.0 - e) / (1.0 + e)) * np.tan(0.5 * nu))
         rows[number] = (1e3 * a, e, i, Omega, omega, E - e * np.sin(E))
     for k, number in enumerate(INCLINED):
-        angles = np.radians([55.0, 118.0 + 120.0 * k - 95.0, 190.0, 95.0 - 120.0 * k - 190.0]).tolist()
+        angles = np.radians(
+            [55.0, 118.0 + 120.0 * k - 95.0, 190.0, 95.0 - 120.0 * k - 190.0]
+        ).tolist()
         rows[number] = (SYNCHRONOUS_M, 0.002, *angles)
     for k, number in enumerate(MEDIUM):
         plane, slot = divmod(k, 8)
-        angles = np.radians([55.0, 30.0 + 120.0 * plane, 40.0, 45.0 * slot + 15.0 * plane + 10.0 - 40.0]).tolist()
+        angles = np.radians(
+            [55.0, 30.0 + 120.0 * plane, 40.0, 45.0 * slot + 15.0 * plane + 10.0 - 40.0]
+        ).tolist()
         rows[number] = (MEDIUM_M, 5e-4, *angles)
     a, e, i, Omega, omega, M = np.array(list(rows.values())).T
     zeros = {field.name: np.zeros(len(rows)) for field in fields(Broadcast)}

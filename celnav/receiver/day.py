@@ -44,21 +44,36 @@ class Files(NamedTuple):
 def found(folder: Path | None) -> Files | None:
     """The files in a folder, or in ``rinex`` here, if there is one; FileNotFoundError if a folder is named that has none."""
     where = Path("rinex") if folder is None else Path(folder)
-    pair = [sorted(where.glob(pattern)) for pattern in ("*_MO.*", "*_MN.*")] if where.is_dir() else [[], []]
+    pair = (
+        [sorted(where.glob(pattern)) for pattern in ("*_MO.*", "*_MN.*")]
+        if where.is_dir()
+        else [[], []]
+    )
     if all(pair):
         return Files(pair[0][0], pair[1][0])
     if folder is None:
         return None
-    raise FileNotFoundError(f"{where}: expected a RINEX observation file (*_MO.*) and a navigation file (*_MN.*)")
+    raise FileNotFoundError(
+        f"{where}: expected a RINEX observation file (*_MO.*) and a navigation file (*_MN.*)"
+    )
 
 
 def _read(files: Files) -> tuple[Observations, Navigation, Array]:
     """The first half day of BeiDou's satellites, broadcast elements, and the position ``(3,)`` m in the header."""
-    observations, navigation = read_observations(files.observations).of("C"), read_navigation(files.navigation)
+    observations, navigation = (
+        read_observations(files.observations).of("C"),
+        read_navigation(files.navigation),
+    )
     reference = observations.reference()
     if reference is None:
-        raise InputError(f"{files.observations}: expected the receiver's position in the header to compare with, got none")
-    return observations.part(observations.times < observations.times[0] + HALF_DAY_S), navigation, reference
+        raise InputError(
+            f"{files.observations}: expected the receiver's position in the header to compare with, got none"
+        )
+    return (
+        observations.part(observations.times < observations.times[0] + HALF_DAY_S),
+        navigation,
+        reference,
+    )
 
 
 def _prepared(half: Observations, navigation: Navigation, mask_deg: float) -> Log:
@@ -79,7 +94,9 @@ def positioned(files: Files, filter: str, mask_deg: float) -> Positioned:
     return Positioned(log, filter, track.mean, track.cov[:, :3, :3], reference)
 
 
-def flown(files: Files, rngs: Rngs, names: Sequence[str], sigma: float, mask_deg: float) -> dict[str, Array]:
+def flown(
+    files: Files, rngs: Rngs, names: Sequence[str], sigma: float, mask_deg: float
+) -> dict[str, Array]:
     """Filters on the half day as it is, and with noise of ``sigma`` m added to all ranges for `EPOCHS` in its middle.
 
     Returns
@@ -95,13 +112,21 @@ def flown(files: Files, rngs: Rngs, names: Sequence[str], sigma: float, mask_deg
     """
     half, navigation, reference = _read(files)
     k, first, out = np.arange(len(half.times)), len(half.times) // 2, dict[str, Array]()
-    noise = sigma * rngs[0].standard_normal(half.code.shape) * ((k >= first) & (k < first + EPOCHS))[:, None]
+    noise = (
+        sigma
+        * rngs[0].standard_normal(half.code.shape)
+        * ((k >= first) & (k < first + EPOCHS))[:, None]
+    )
     for label, part in (("", half), ("burst/", replace(half, code=half.code + noise))):
         log = _prepared(part, navigation, mask_deg)
-        known, frame = filters(len(log.names)), Positioned(log, "ls", log.fixes, log.fix_cov, reference)
+        known, frame = (
+            filters(len(log.names)),
+            Positioned(log, "ls", log.fixes, log.fix_cov, reference),
+        )
         tracks = {name: run(known[name], log.prior(), log.epochs(), keep="mean") for name in names}
         out |= {
-            label + name: frame.local(mean) for name, mean in {"ls": log.fixes, **{n: t.mean for n, t in tracks.items()}}.items()
+            label + name: frame.local(mean)
+            for name, mean in {"ls": log.fixes, **{n: t.mean for n, t in tracks.items()}}.items()
         }
         if not label:
             during = half.times[(k >= first) & (k < first + EPOCHS + AFTER)]
@@ -111,9 +136,15 @@ def flown(files: Files, rngs: Rngs, names: Sequence[str], sigma: float, mask_deg
     own = own.chosen(np.lexsort((own.toe, own.number)))
     apart = np.where(np.diff(own.number) == 0.0, np.diff(own.toe), 0.0)
     k = np.flatnonzero((apart >= CONSECUTIVE_S[0]) & (apart <= CONSECUTIVE_S[1]))
-    before, after = (satellites(own.chosen(rows), 0.5 * (own.toe[k] + own.toe[k + 1])).position for rows in (k, k + 1))
+    before, after = (
+        satellites(own.chosen(rows), 0.5 * (own.toe[k] + own.toe[k + 1])).position
+        for rows in (k, k + 1)
+    )
     misplaced = as_others(own, own.toe + 1800.0) - satellites(own, own.toe + 1800.0).position
-    out |= {"consecutive": np.linalg.norm(after - before, axis=-1), "others": np.linalg.norm(misplaced, axis=-1)}
+    out |= {
+        "consecutive": np.linalg.norm(after - before, axis=-1),
+        "others": np.linalg.norm(misplaced, axis=-1),
+    }
     return out | judged(out)
 
 
@@ -132,7 +163,10 @@ def formulas(times: Sequence[float], _rngs: Rngs = ()) -> dict[str, Array]:
     own = own.chosen(own.geostationary)
 
     def off(t: float, position: Array) -> Array:
-        exact = [turned(1e3 * geostationary(n, t)[:3], ROTATION_RATE * np.array(t)) for n in GEOSTATIONARY]
+        exact = [
+            turned(1e3 * geostationary(n, t)[:3], ROTATION_RATE * np.array(t))
+            for n in GEOSTATIONARY
+        ]
         return np.asarray(np.linalg.norm(position - exact, axis=-1))
 
     def rotated(t: float) -> Array:
@@ -158,8 +192,14 @@ JUDGED: dict[str, tuple[str, tuple[float | None, float | None]]] = {
     "same": ("EKF and UKF, largest difference (m)", (None, 1e-3)),
     "burst": ("AUKF over UKF in an added burst", (None, 0.5)),
     "nis": ("NIS of the EKF per measurement: the noise is taken for generously", (None, 0.1)),
-    "consecutive": ("geostationary satellites by consecutive sets, largest distance (m)", (None, 2.0)),
-    "formula": ("geostationary satellites by the others' formula, least distance (km)", (1e3, None)),
+    "consecutive": (
+        "geostationary satellites by consecutive sets, largest distance (m)",
+        (None, 2.0),
+    ),
+    "formula": (
+        "geostationary satellites by the others' formula, least distance (km)",
+        (1e3, None),
+    ),
 }
 """What is judged of `flown`, and what is accepted."""
 
@@ -167,17 +207,35 @@ JUDGED: dict[str, tuple[str, tuple[float | None, float | None]]] = {
 def judged(found: Mapping[str, Array]) -> dict[str, Array]:
     """Values ``(1,)`` of `JUDGED`; nan where the log has no such satellites."""
     ls = rms(found, "ls")
-    values = {name: rms(found, name) / ls for name in ("ekf", "ukf", "aukf", "group")} | {"ls": ls, "nis": float(found["nis"][0])}
-    values |= {"burst": rms(found, "burst/aukf") / rms(found, "burst/ukf"), "same": np.abs(found["ekf"] - found["ukf"]).max()}
-    values |= {"consecutive": found["consecutive"].max(initial=-np.inf), "formula": 1e-3 * found["others"].min(initial=np.inf)}
-    return {f"judged/{name}": np.array([value if np.isfinite(value) else np.nan]) for name, value in values.items()}
+    values = {name: rms(found, name) / ls for name in ("ekf", "ukf", "aukf", "group")} | {
+        "ls": ls,
+        "nis": float(found["nis"][0]),
+    }
+    values |= {
+        "burst": rms(found, "burst/aukf") / rms(found, "burst/ukf"),
+        "same": np.abs(found["ekf"] - found["ukf"]).max(),
+    }
+    values |= {
+        "consecutive": found["consecutive"].max(initial=-np.inf),
+        "formula": 1e-3 * found["others"].min(initial=np.inf),
+    }
+    return {
+        f"judged/{name}": np.array([value if np.isfinite(value) else np.nan])
+        for name, value in values.items()
+    }
 
 
 def drawn(found: Mapping[str, Array], lines: Mapping[str, Line], sigma: float) -> Figure:
     """The half day, and the burst; ``lines``: looks of the filters."""
     hours, late = (found["times"] - found["times"][0]) / 3600.0, np.flatnonzero(found["during"])
-    shown, known = slice(max(late[0] - 10, 0), late[-1] + 20), {name: line for name, line in lines.items() if name in found}
-    two, dots = {name: lines[name] for name in ("ls", "aukf")}, dict[str, Any](linestyle="", marker=".", ms=3, label=None)
+    shown, known = (
+        slice(max(late[0] - 10, 0), late[-1] + 20),
+        {name: line for name, line in lines.items() if name in found},
+    )
+    two, dots = (
+        {name: lines[name] for name in ("ls", "aukf")},
+        dict[str, Any](linestyle="", marker=".", ms=3, label=None),
+    )
     return panels([
         Panel("position from the header's",
               [curve(found[name][:, 0], found[name][:, 1], line, **dots) for name, line in two.items()],

@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import block_diag
 
-from celnav.filters.adaptive import channel_parity, gate, group_parity, huber, innovation_window, sage_husa, student_t
+from celnav.filters.adaptive import (
+    channel_parity,
+    gate,
+    group_parity,
+    huber,
+    innovation_window,
+    sage_husa,
+    student_t,
+)
 from celnav.filters.joint import Hook
 from celnav.filters.model import Linear, Motion, Sensor
 from celnav.filters.records import Epoch, Filter
@@ -48,7 +56,11 @@ def hooks(S: int, window: int = 10, systems: int = 1) -> dict[str, tuple[Hook, .
     ``systems``: of satellites, one or two: so many clocks do the ranges determine.
     """
     ranges, rates = range(S), range(S, 2 * S)
-    parity = (group_parity((ranges, rates), 4),) if systems == 1 else (group_parity((ranges,), 5), group_parity((rates,), 4))
+    parity = (
+        (group_parity((ranges, rates), 4),)
+        if systems == 1
+        else (group_parity((ranges,), 5), group_parity((rates,), 4))
+    )
     return {
         "ukf": (),
         "aukf": (innovation_window(window),),
@@ -61,7 +73,9 @@ def hooks(S: int, window: int = 10, systems: int = 1) -> dict[str, tuple[Hook, .
     }
 
 
-def filters(S: int, *, second: Array | None = None, acceleration: float = 0.01, window: int = 10) -> dict[str, Filter]:
+def filters(
+    S: int, *, second: Array | None = None, acceleration: float = 0.01, window: int = 10
+) -> dict[str, Filter]:
     """Filters of a `Log` by name: ekf, and the unscented ones of `hooks`.
 
     ``second (S,)``: which satellites are of a second system, whose clock has an offset, the ninth state; None: none.
@@ -73,10 +87,16 @@ def filters(S: int, *, second: Array | None = None, acceleration: float = 0.01, 
     ValueError: unless it is positive.
     """
     if not (np.isfinite(acceleration) and acceleration > 0.0):
-        raise ValueError(f"acceleration: expected a positive density in m^2/s^3, got {acceleration!r}")
+        raise ValueError(
+            f"acceleration: expected a positive density in m^2/s^3, got {acceleration!r}"
+        )
 
     def root(_mean: Array, epoch: Epoch) -> Array:
-        return np.linalg.cholesky(block_diag(process_noise(epoch.dt, acceleration, *CRYSTAL), OFFSET_WALK * epoch.dt * offset))
+        return np.linalg.cholesky(
+            block_diag(
+                process_noise(epoch.dt, acceleration, *CRYSTAL), OFFSET_WALK * epoch.dt * offset
+            )
+        )
 
     offset = np.eye(0 if second is None else 1)
     motion = Motion(Linear(lambda epoch: block_diag(transition(epoch.dt), offset)), sqrt_Q=root)
@@ -86,7 +106,9 @@ def filters(S: int, *, second: Array | None = None, acceleration: float = 0.01, 
         jacobian=lambda x, epoch: pseudorange.jacobian(x, epoch.u[0], epoch.u[1], second),
     )
     every = hooks(S, window, 1 + len(offset)).items()
-    unscented = {name: ukf(motion, sensor, beta=2.0, form="covariance", hooks=hook) for name, hook in every}
+    unscented = {
+        name: ukf(motion, sensor, beta=2.0, form="covariance", hooks=hook) for name, hook in every
+    }
     return {"ekf": ekf(motion, sensor, form="covariance"), **unscented}
 
 

@@ -51,7 +51,9 @@ class Noise(NamedTuple):
 
     def deviations(self, elevation: Array) -> Array:
         """At elevations, rad."""
-        return np.asarray(np.hypot(self.level, self.zenith / np.sin(np.maximum(elevation, LEAST_ELEVATION))))
+        return np.asarray(
+            np.hypot(self.level, self.zenith / np.sin(np.maximum(elevation, LEAST_ELEVATION)))
+        )
 
 
 class Seen(NamedTuple):
@@ -84,12 +86,16 @@ class Fixed(NamedTuple):
 
     def measurements(self, what: str) -> Array:
         """Of ranges and rates ``(T, 2 S)``, whether they are "kept" or "excluded"."""
-        return np.concatenate([getattr(kind, what)[:, : self.sigma.shape[-1] // 2] for kind in self.kinds], -1)
+        return np.concatenate(
+            [getattr(kind, what)[:, : self.sigma.shape[-1] // 2] for kind in self.kinds], -1
+        )
 
     @property
     def misfit(self) -> Array:
         """Squared residuals of ranges ``(T,)``; nan without a fix."""
-        return np.where(np.isfinite(self.states[:, 6]), misfit(self.left[0], self.kinds[0].kept), np.nan)
+        return np.where(
+            np.isfinite(self.states[:, 6]), misfit(self.left[0], self.kinds[0].kept), np.nan
+        )
 
 
 def fixed(seen: Seen, noise: tuple[Noise, Noise], false_alarm: float) -> Fixed:
@@ -99,7 +105,9 @@ def fixed(seen: Seen, noise: tuple[Noise, Noise], false_alarm: float) -> Fixed:
     sigma = np.concatenate([kind.deviations(seen.elevation) for kind in noise], -1)
     away = np.where(np.isfinite(seen.z[:, :S, None]), seen.q, 0.0).sum(-2)
     below = GROUND_M[0] * away / np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), 1.0)
-    near = np.where(np.linalg.norm(seen.position, axis=-1, keepdims=True) > 1.0, seen.position, below)
+    near = np.where(
+        np.linalg.norm(seen.position, axis=-1, keepdims=True) > 1.0, seen.position, below
+    )
 
     def states(x: Array) -> Array:
         zeros = np.zeros((*x.shape[:-1], 3))
@@ -109,7 +117,9 @@ def fixed(seen: Seen, noise: tuple[Noise, Noise], false_alarm: float) -> Fixed:
         at, q, w = states(x), seen.q[rows], seen.w[rows]
         G = pseudorange.jacobian(at, q, w, second)[..., :S, [0, 1, 2, 6] + [8] * offset]
         zero = np.broadcast_to(np.eye(4 + offset)[4:], (*G.shape[:-2], offset, 4 + offset))
-        return np.concatenate([pseudorange.measure(at, q, w, second)[..., :S], x[..., 4:]], -1), np.concatenate([G, zero], -2)
+        return np.concatenate(
+            [pseudorange.measure(at, q, w, second)[..., :S], x[..., 4:]], -1
+        ), np.concatenate([G, zero], -2)
 
     def on_earth(x: Array) -> Array:
         size = np.linalg.norm(x[..., :3], axis=-1, keepdims=True)
@@ -125,9 +135,14 @@ def fixed(seen: Seen, noise: tuple[Noise, Noise], false_alarm: float) -> Fixed:
         return np.concatenate([there, ~both[:, None]], -1)
 
     start = np.concatenate([near, np.zeros((len(near), 1 + offset))], -1)
-    z, deviation = (np.pad(v[:, :S], ((0, 0), (0, offset)), constant_values=c) for v, c in ((seen.z, 0.0), (sigma, 1.0)))
+    z, deviation = (
+        np.pad(v[:, :S], ((0, 0), (0, offset)), constant_values=c)
+        for v, c in ((seen.z, 0.0), (sigma, 1.0))
+    )
     one = _kind(ranges, on_earth, comparable, z, deviation, start, false_alarm)
-    here = np.concatenate([np.where(np.isfinite(one.x[:, :3]), one.x[:, :3], near), np.zeros((len(near), 5))], -1)
+    here = np.concatenate(
+        [np.where(np.isfinite(one.x[:, :3]), one.x[:, :3], near), np.zeros((len(near), 5))], -1
+    )
     towards = pseudorange.jacobian(here, seen.q, seen.w)[:, S:, [3, 4, 5, 7]]
     still = pseudorange.measure(here, seen.q, seen.w)[:, S:]
 
@@ -135,10 +150,20 @@ def fixed(seen: Seen, noise: tuple[Noise, Noise], false_alarm: float) -> Fixed:
         return still[rows] + (towards[rows] @ x[..., None])[..., 0], towards[rows]
 
     z = np.where(one.kind.excluded[:, :S], np.nan, seen.z[:, S:])
-    two = _kind(rates, lambda x: x, lambda there: there, z, sigma[:, S:], np.zeros((len(near), 4)), false_alarm)
+    two = _kind(
+        rates,
+        lambda x: x,
+        lambda there: there,
+        z,
+        sigma[:, S:],
+        np.zeros((len(near), 4)),
+        false_alarm,
+    )
     apart = np.where(one.kind.kept[:, S:], np.nan, one.x[:, 4:])
     found = np.concatenate([one.x[:, :3], two.x[:, :3], one.x[:, 3:4], two.x[:, 3:], apart], -1)
-    return Fixed(found, one.cov[:, :3, :3], sigma, (one.kind, two.kind), (one.left, two.left), (one.G, two.G))
+    return Fixed(
+        found, one.cov[:, :3, :3], sigma, (one.kind, two.kind), (one.left, two.left), (one.G, two.G)
+    )
 
 
 class _Kind(NamedTuple):
@@ -165,7 +190,13 @@ def _kind(
         )
         filter = least_squares(sensor, rounds=20)
         epoch = Epoch(z=np.where(kept, z[rows], np.nan))
-        track = run(filter, Gaussian(start[rows], np.eye(start.shape[-1])), [epoch], keep="cov", on_failure="flag")
+        track = run(
+            filter,
+            Gaussian(start[rows], np.eye(start.shape[-1])),
+            [epoch],
+            keep="cov",
+            on_failure="flag",
+        )
         assert track.mean is not None
         return possible(track.mean[0]), track.cov[0]
 
@@ -174,7 +205,9 @@ def _kind(
         return np.nan_to_num((z[rows] - values) / sigma[rows]), G / sigma[rows][..., None]
 
     every, used = np.arange(len(z)), comparable(np.isfinite(z))
-    kind = monitored(lambda rows, kept: solve(rows, kept)[0], linear, used, start, false_alarm=false_alarm)
+    kind = monitored(
+        lambda rows, kept: solve(rows, kept)[0], linear, used, start, false_alarm=false_alarm
+    )
     kept = comparable(kind.kept)
     # Of two of a system that contradict each other nothing tells the faulty one: both go.
     kind = kind._replace(kept=kept, excluded=used & ~kept & ~kind.unusable[:, None])
@@ -188,18 +221,30 @@ def estimated(seen: Seen, false_alarm: float) -> tuple[Noise, Noise]:
     It is first taken for small, and for twice as large as long as most fixes contradict themselves.
     """
     some = slice(None, None, -(-len(seen.z) // MOST_EPOCHS))
-    seen = Seen(seen.z[some], seen.q[some], seen.w[some], seen.elevation[some], seen.position[some], seen.second)
+    seen = Seen(
+        seen.z[some],
+        seen.q[some],
+        seen.w[some],
+        seen.elevation[some],
+        seen.position[some],
+        seen.second,
+    )
     usual = (Noise(0.0, GIVEN[0]), Noise(0.0, GIVEN[1]))
     noise = (Noise(0.0, QUIETEST * GIVEN[0]), Noise(0.0, QUIETEST * GIVEN[1]))
     found = fixed(seen, noise, false_alarm)
-    while any(loud := [2 * int(kind.unusable.sum()) > int(kind.tested.sum()) for kind in found.kinds]):
+    while any(
+        loud := [2 * int(kind.unusable.sum()) > int(kind.tested.sum()) for kind in found.kinds]
+    ):
         noise = (_louder(noise[0], loud[0]), _louder(noise[1], loud[1]))
         if any(one.zenith > LOUDEST * least for one, least in zip(noise, GIVEN, strict=True)):
             return usual
         found = fixed(seen, noise, false_alarm)
     for _ in range(12):
         before = noise
-        noise = (_estimated(found, seen.elevation, 0) or usual[0], _estimated(found, seen.elevation, 1) or usual[1])
+        noise = (
+            _estimated(found, seen.elevation, 0) or usual[0],
+            _estimated(found, seen.elevation, 1) or usual[1],
+        )
         if np.allclose(noise, before, rtol=0.02):
             break
         found = fixed(seen, noise, false_alarm)

@@ -50,7 +50,9 @@ class Monitored(NamedTuple):
 def probability(false_alarm: float) -> float:
     """Of a false alarm; ValueError unless it is from 0 to below 1."""
     if not 0.0 <= false_alarm < 1.0:
-        raise ValueError(f"false_alarm: expected a probability from 0 to below 1, got {false_alarm!r}")
+        raise ValueError(
+            f"false_alarm: expected a probability from 0 to below 1, got {false_alarm!r}"
+        )
     return false_alarm
 
 
@@ -59,7 +61,14 @@ def misfit(left: Array, kept: Array) -> Array:
     return np.asarray(np.square(np.where(kept, left, 0.0)).sum(-1))
 
 
-def monitored(fit: Callable[[Array, Array], Array], linear: Linear, used: Array, start: Array, *, false_alarm: float) -> Monitored:
+def monitored(
+    fit: Callable[[Array, Array], Array],
+    linear: Linear,
+    used: Array,
+    start: Array,
+    *,
+    false_alarm: float,
+) -> Monitored:
     """Test all fixes and exclude what is faulty.
 
     Parameters

@@ -36,16 +36,22 @@ def least_squares(sensor: Sensor, *, rounds: int = 10) -> LeastSquares:
     """
     instance("sensor", sensor, Sensor, "celnav.Sensor(h, R, jacobian=...)")
     if sensor.jacobian is None and callable(sensor.h):
-        raise ValueError("sensor: expected one with a jacobian, (mean, epoch) -> (..., m, n), got none")
+        raise ValueError(
+            "sensor: expected one with a jacobian, (mean, epoch) -> (..., m, n), got none"
+        )
     columns = sensor.noise
     if columns is None:
-        raise ValueError("R: expected variances of independent components, got noise through the points")
+        raise ValueError(
+            "R: expected variances of independent components, got noise through the points"
+        )
     if isinstance(columns, np.ndarray):
         R = columns @ columns.mT
         variances = R.diagonal(0, -2, -1)
         beside = np.abs(R - variances[..., None] * np.eye(R.shape[-1])).max(initial=0.0)
         if (variances <= 0.0).any() or beside > 1e-12 * variances.max(initial=0.0):
-            raise ValueError("R: expected positive variances of independent components, a diagonal matrix, got another")
+            raise ValueError(
+                "R: expected positive variances of independent components, a diagonal matrix, got another"
+            )
     return LeastSquares(sensor, integer("rounds", rounds, 1, 10_000))
 
 
@@ -67,10 +73,14 @@ class LeastSquares:
         x = state.memory[0]
         n = x.shape[-1]
         if epoch.z is None:
-            return State(Covariance(x * np.nan, np.full((*x.shape, n), np.nan)), (x,)), (Info(silent=True),)
+            return State(Covariance(x * np.nan, np.full((*x.shape, n), np.nan)), (x,)), (
+                Info(silent=True),
+            )
         z = checked(epoch.z[0] if isinstance(epoch.z, tuple) else epoch.z, self.sensor)
         if self.sensor.m not in (None, z.shape[-1]):
-            raise ValueError(f"z: expected {self.sensor.m} components to go with h, got {z.shape[-1]}")
+            raise ValueError(
+                f"z: expected {self.sensor.m} components to go with h, got {z.shape[-1]}"
+            )
         batch = together(prior=x.shape[:-1], z=z.shape[:-1])
         x = np.broadcast_to(x, (*batch, n))
         used = np.broadcast_to(~np.isnan(z), (*batch, z.shape[-1]))
@@ -83,17 +93,25 @@ class LeastSquares:
             length = np.sqrt(np.square(G).sum(-2))
             Q, R = np.linalg.qr(G / np.where(length > 0.0, length, 1.0)[..., None, :])
             determined = (np.abs(R.diagonal(0, -2, -1)).min(-1) > RANK) & enough
-            inverse = np.linalg.solve(np.where(determined[..., None, None], R * length[..., None, :], eye), eye)
+            inverse = np.linalg.solve(
+                np.where(determined[..., None, None], R * length[..., None, :], eye), eye
+            )
             left = np.where(used, z - self._value(x, epoch), 0.0)
             step = np.where(determined[..., None], matvec(Q.mT, weight * left), 0.0)
             # A run that has come to rest stays as it is while others of its block still move.
             x = np.where(moving[..., None], x + matvec(inverse, step), x)
-            root, known = np.where(moving[..., None, None], inverse, root), np.where(moving, determined, known)
+            root, known = (
+                np.where(moving[..., None, None], inverse, root),
+                np.where(moving, determined, known),
+            )
             moving = moving & (np.abs(step).max(-1) > AT_REST)
             if not moving.any():
                 break
         left = np.where(used, z - self._value(x, epoch), np.nan)
-        fix = Covariance(np.where(known[..., None], x, np.nan), np.where(known[..., None, None], outer(root), np.nan))
+        fix = Covariance(
+            np.where(known[..., None], x, np.nan),
+            np.where(known[..., None, None], outer(root), np.nan),
+        )
         return State(fix, (x,)), (Info(left, np.where(used, weight * left, 0.0), used),)
 
     def _value(self, x: Array, epoch: Epoch) -> Array:

@@ -100,7 +100,9 @@ class Log:
     def spare(self) -> Array:
         """Ranges beyond what a fix needs, ``(T,)``: four, and one for the offset where both systems are seen."""
         used, second = self.used, np.zeros(len(self.names)) if self.second is None else self.second
-        return np.asarray(used.sum(-1) - 4 - ((used & (second == 0.0)).any(-1) & (used & (second == 1.0)).any(-1)))
+        return np.asarray(
+            used.sum(-1) - 4 - ((used & (second == 0.0)).any(-1) & (used & (second == 1.0)).any(-1))
+        )
 
     def epochs(self) -> Iterator[Epoch]:
         """Epochs for `filters`; ``u`` is ``(q, w, sigma)`` at the epoch's time."""
@@ -110,12 +112,18 @@ class Log:
 
     def prior(self) -> Gaussian:
         """About the first fix, ``(8,)`` or ``(9,)``."""
-        return Gaussian(np.nan_to_num(self.fixes[0]), np.diag(np.square(START[: self.fixes.shape[-1]])))
+        return Gaussian(
+            np.nan_to_num(self.fixes[0]), np.diag(np.square(START[: self.fixes.shape[-1]]))
+        )
 
     def part(self, which: slice) -> Log:
         """Some of the epochs."""
-        arrays: dict[str, Any] = {k: v[which] for k, v in vars(self).items() if isinstance(v, np.ndarray)}
-        return replace(self, **arrays, dilution=Dilution(*(values[which] for values in self.dilution)))
+        arrays: dict[str, Any] = {
+            k: v[which] for k, v in vars(self).items() if isinstance(v, np.ndarray)
+        }
+        return replace(
+            self, **arrays, dilution=Dilution(*(values[which] for values in self.dilution))
+        )
 
 
 def prepare(
@@ -144,7 +152,10 @@ def prepare(
     files = f"{observations.path}, {navigation.path}"
     observations, others = _of_systems(observations, navigation, systems, files)
     times, code = observations.times, observations.code
-    hz, second = np.array([SYSTEMS[name[0]].hz for name in observations.names]), _second(observations.names)
+    hz, second = (
+        np.array([SYSTEMS[name[0]].hz for name in observations.names]),
+        _second(observations.names),
+    )
     rows = np.stack([navigation.nearest(name, times) for name in observations.names], -1)
     there = np.isfinite(code)
     credible = (np.nan_to_num(code) > CREDIBLE_M[0]) & (np.nan_to_num(code) < CREDIBLE_M[1])
@@ -155,26 +166,40 @@ def prepare(
     named = ", ".join(f"{name} {many}" for name, many in navigation.left_out.items())
     left_out = {
         "epochs out of order": observations.out_of_order,
-        "broadcast sets that are incomplete or hold what no message can" + (f" ({named})" if named else ""): sum(
-            navigation.left_out.values()
-        ),
+        "broadcast sets that are incomplete or hold what no message can"
+        + (f" ({named})" if named else ""): sum(navigation.left_out.values()),
         "without a healthy broadcast set in its time": int((there & (rows < 0)).sum()),
         "pseudorange out of all bounds": int((there & ~credible & (rows >= 0)).sum()),
         "rate out of all bounds": int((usable & wild).sum()),
     }
-    refusal = InputError(f"{files}: expected an epoch with four satellites above the mask whose ranges agree, got none")
+    refusal = InputError(
+        f"{files}: expected an epoch with four satellites above the mask whose ranges agree, got none"
+    )
     if usable.sum(-1).max(initial=0) < 4:
         raise refusal
-    position, velocity, clock = np.zeros((len(times), 3)), np.zeros((len(times), 3)), np.zeros(len(times))
+    position, velocity, clock = (
+        np.zeros((len(times), 3)),
+        np.zeros((len(times), 3)),
+        np.zeros(len(times)),
+    )
     noise = (Noise(COARSE[0], 0.0), Noise(COARSE[1], 0.0))
     for known in (False, True, True):
         sources = _sources(navigation, rows, times, code, usable, position, velocity)
         ranges, rates = code + sources.clock, np.where(wild, np.nan, measured) + sources.drift
-        used, elevation, azimuth, delay = usable, np.full(code.shape, np.pi / 2.0), np.zeros(code.shape), np.zeros(code.shape)
+        used, elevation, azimuth, delay = (
+            usable,
+            np.full(code.shape, np.pi / 2.0),
+            np.zeros(code.shape),
+            np.zeros(code.shape),
+        )
         if known:
-            elevation, azimuth, delay = _sky(navigation, times - clock / LIGHT, sources.q, position, hz)
+            elevation, azimuth, delay = _sky(
+                navigation, times - clock / LIGHT, sources.q, position, hz
+            )
             used = usable & (elevation >= least)
-        z = np.concatenate([np.where(used, ranges - delay, np.nan), np.where(used, rates, np.nan)], -1)
+        z = np.concatenate(
+            [np.where(used, ranges - delay, np.nan), np.where(used, rates, np.nan)], -1
+        )
         seen = Seen(z, sources.q, sources.w, elevation, position, second)
         if known:
             noise = estimated(seen, false_alarm) if given is None else given
@@ -186,10 +211,16 @@ def prepare(
         position, velocity, clock = near[:, :3], np.nan_to_num(near[:, 3:6]), near[:, 6]
     left_out["below the mask"] = int((usable & ~used).sum())
     kept, excluded = found.measurements("kept"), found.measurements("excluded")
-    lone = (np.isfinite(z) & ~kept & ~excluded)[:, : code.shape[-1]] & ~found.kinds[0].unusable[:, None]
+    lone = (np.isfinite(z) & ~kept & ~excluded)[:, : code.shape[-1]] & ~found.kinds[0].unusable[
+        :, None
+    ]
     left_out["the only range of a system, which nothing tests"] = int(lone.sum())
     z = np.where(kept, z, np.nan)
-    first = int(np.argmax(there & found.kinds[0].tested)) if (there & found.kinds[0].tested).any() else int(np.argmax(there))
+    first = (
+        int(np.argmax(there & found.kinds[0].tested))
+        if (there & found.kinds[0].tested).any()
+        else int(np.argmax(there))
+    )
     z, states, jumps = _without_jumps(z, found.states, times)
     ranged = np.isfinite(z[:, : len(observations.names)])
     left_out["before the first consistent fix"] = int(ranged[:first].sum())
@@ -222,14 +253,29 @@ def _of_systems(
     observations: Observations, navigation: Navigation, systems: str | None, files: str
 ) -> tuple[Observations, tuple[str, ...]]:
     """The satellites of the systems that are to be used, and the names of others."""
-    own = {"ranges": {name[0] for name in observations.names}, "orbits": {name[0] for name in navigation.sets.names}}
+    own = {
+        "ranges": {name[0] for name in observations.names},
+        "orbits": {name[0] for name in navigation.sets.names},
+    }
     wanted = chosen(systems)
     used = [letter for letter in wanted if all(letter in there for there in own.values())]
-    missing = [f"{SYSTEMS[letter].name}'s {what}" for letter in wanted for what, there in own.items() if letter not in there]
+    missing = [
+        f"{SYSTEMS[letter].name}'s {what}"
+        for letter in wanted
+        for what, there in own.items()
+        if letter not in there
+    ]
     if not used or (systems is not None and missing):
-        raise InputError(f"{files}: expected ranges and orbits of one system, got no {' and no '.join(missing)}")
-    others = [SYSTEMS[letter].name for letter in SYSTEMS if letter in own["ranges"] and letter not in used]
-    return observations.of("".join(used)), (*others, *(OTHERS.get(letter, letter) for letter in observations.others))
+        raise InputError(
+            f"{files}: expected ranges and orbits of one system, got no {' and no '.join(missing)}"
+        )
+    others = [
+        SYSTEMS[letter].name for letter in SYSTEMS if letter in own["ranges"] and letter not in used
+    ]
+    return observations.of("".join(used)), (
+        *others,
+        *(OTHERS.get(letter, letter) for letter in observations.others),
+    )
 
 
 def deviations(sigma: ArrayLike | None) -> tuple[Noise, Noise] | None:
@@ -254,11 +300,19 @@ def _nearest(there: Array) -> Array:
     k, own = np.flatnonzero(there), np.arange(len(there))
     after = np.clip(np.searchsorted(k, own), 0, len(k) - 1)
     before = np.maximum(after - 1, 0)
-    return np.asarray(np.where(np.abs(k[after] - own) < np.abs(k[before] - own), k[after], k[before]))
+    return np.asarray(
+        np.where(np.abs(k[after] - own) < np.abs(k[before] - own), k[after], k[before])
+    )
 
 
 def _sources(
-    navigation: Navigation, rows: Array, times: Array, code: Array, usable: Array, position: Array, velocity: Array
+    navigation: Navigation,
+    rows: Array,
+    times: Array,
+    code: Array,
+    usable: Array,
+    position: Array,
+    velocity: Array,
 ) -> pseudorange.Sources:
     """Satellites by epoch ``(T, S)``; those that are not usable stand anywhere."""
     T, S = rows.shape
@@ -275,7 +329,9 @@ def _sources(
 
 def _geodetic(position: Array) -> tuple[Array, Array, Array]:
     """Latitude and longitude (rad) and height (m), ``(T,)`` each."""
-    latitude, longitude, height = (np.reshape(v, len(position)) for v in ecef2geodetic(*position.T, ell=ELLIPSOID, deg=False))
+    latitude, longitude, height = (
+        np.reshape(v, len(position)) for v in ecef2geodetic(*position.T, ell=ELLIPSOID, deg=False)
+    )
     return latitude, longitude, height
 
 
@@ -284,7 +340,9 @@ def _axes(position: Array) -> Array:
     return local_axes(latitude, longitude)
 
 
-def _sky(navigation: Navigation, times: Array, q: Array, position: Array, hz: Array) -> tuple[Array, Array, Array]:
+def _sky(
+    navigation: Navigation, times: Array, q: Array, position: Array, hz: Array
+) -> tuple[Array, Array, Array]:
     """Elevation, azimuth and the delay of the atmosphere ``(T, S)`` m."""
     latitude, longitude, height = (v[:, None] for v in _geodetic(position))
     elevation, azimuth = look(q, position, _axes(position))
@@ -292,7 +350,9 @@ def _sky(navigation: Navigation, times: Array, q: Array, position: Array, hz: Ar
     delay = saastamoinen(latitude, np.clip(height, -1000.0, 11000.0), above)
     if navigation.klobuchar is not None:
         alpha, beta = navigation.klobuchar
-        at_l1 = klobuchar(alpha, beta, times[:, None] + GPS_AHEAD_S, latitude, longitude, above, azimuth)
+        at_l1 = klobuchar(
+            alpha, beta, times[:, None] + GPS_AHEAD_S, latitude, longitude, above, azimuth
+        )
         delay = delay + (L1_HZ / hz) ** 2 * at_l1
     return elevation, azimuth, delay
 
@@ -309,7 +369,11 @@ def _without_jumps(z: Array, fixes: Array, times: Array) -> tuple[Array, Array, 
         # Without rates the clock runs on as it did between the last two fixes.
         ran = (step - MILLISECOND_M * np.round(step / MILLISECOND_M)) / dt
         drift = fixes[k, 7]
-        expected = np.where(np.isnan(drift[1:] + drift[:-1]), np.concatenate([ran[:1], ran[:-1]]), 0.5 * (drift[1:] + drift[:-1]))
+        expected = np.where(
+            np.isnan(drift[1:] + drift[:-1]),
+            np.concatenate([ran[:1], ran[:-1]]),
+            0.5 * (drift[1:] + drift[:-1]),
+        )
         whole = MILLISECOND_M * np.round((step - expected * dt) / MILLISECOND_M)
         for last, following in zip(k[:-1][whole != 0.0], k[1:][whole != 0.0], strict=True):
             z[last + 1 : following, :S] = np.nan

@@ -27,9 +27,24 @@ from celnav.show.figures import Panel, components, curve, figure, panels
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["FILES", "KIND_COLORS", "RECORDING", "Positioned", "kinds", "position", "record_positioned", "summary", "write"]
+__all__ = [
+    "FILES",
+    "KIND_COLORS",
+    "RECORDING",
+    "Positioned",
+    "kinds",
+    "position",
+    "record_positioned",
+    "summary",
+    "write",
+]
 
-KIND_COLORS = {"GEO": colors.PAPER, "IGSO": colors.ESTIMATE, "MEO": colors.COMPARISON, "GPS": colors.TRUTH}
+KIND_COLORS = {
+    "GEO": colors.PAPER,
+    "IGSO": colors.ESTIMATE,
+    "MEO": colors.COMPARISON,
+    "GPS": colors.TRUTH,
+}
 IGSO_NUMBERS = frozenset({*range(6, 11), 13, 16, 31, 38, 39, 40, 56})
 """Inclined geosynchronous satellites of BeiDou-2 and -3."""
 
@@ -38,7 +53,16 @@ def kinds(names: Sequence[str]) -> Array:
     """GEO, IGSO or MEO of BeiDou, or GPS, of satellites by name."""
     named = [(name[0], int(name[1:])) for name in names]
     return np.array(
-        ["GPS" if s == "G" else "GEO" if n in GEO_NUMBERS else "IGSO" if n in IGSO_NUMBERS else "MEO" for s, n in named]
+        [
+            "GPS"
+            if s == "G"
+            else "GEO"
+            if n in GEO_NUMBERS
+            else "IGSO"
+            if n in IGSO_NUMBERS
+            else "MEO"
+            for s, n in named
+        ]
     )
 
 
@@ -92,7 +116,9 @@ class Positioned:
         return np.asarray((self.log.times - self.log.times[0]) / 60.0)
 
 
-def position(log: Log, filter: str, reference: Array | None, *, acceleration: float = 0.01, of: str = "known") -> Positioned:
+def position(
+    log: Log, filter: str, reference: Array | None, *, acceleration: float = 0.01, of: str = "known"
+) -> Positioned:
     """Run a filter of `celnav.receiver.filters.filters` over a log; "ls" takes each epoch by itself.
 
     Positions that are not near the Earth become nan. ``of``: see `Positioned`.
@@ -106,17 +132,36 @@ def position(log: Log, filter: str, reference: Array | None, *, acceleration: fl
         on_earth("reference", reference)
     if filter == "ls":
         spare = np.where(np.isfinite(log.misfit), np.maximum(log.spare, 0), 0).sum()
-        return Positioned(log, filter, log.fixes, log.fix_cov, reference, of, float(np.nansum(log.misfit) / max(spare, 1)))
+        return Positioned(
+            log,
+            filter,
+            log.fixes,
+            log.fix_cov,
+            reference,
+            of,
+            float(np.nansum(log.misfit) / max(spare, 1)),
+        )
     if filter not in known:
         raise ValueError(f"filter: expected one of ls, {', '.join(known)}, got {filter!r}")
     track = run(known[filter], log.prior(), log.epochs(), keep="cov")
     assert track.mean is not None
     size = np.linalg.norm(track.mean[:, :3], axis=-1)
     there = (size > GROUND_M[0]) & (size < GROUND_M[1])
-    mean, cov = np.where(there[:, None], track.mean, np.nan), np.where(there[:, None, None], track.cov[:, :3, :3], np.nan)
+    mean, cov = (
+        np.where(there[:, None], track.mean, np.nan),
+        np.where(there[:, None, None], track.cov[:, :3, :3], np.nan),
+    )
     if not (there & log.used.any(-1)).any():
         raise FilterError("its positions are far from the Earth")
-    return Positioned(log, filter, mean, cov, reference, of, float(np.nansum(track.nis) / max(int(track.dof.sum()), 1)))
+    return Positioned(
+        log,
+        filter,
+        mean,
+        cov,
+        reference,
+        of,
+        float(np.nansum(track.nis) / max(int(track.dof.sum()), 1)),
+    )
 
 
 def _rms(vectors: Array) -> float:
@@ -165,7 +210,9 @@ def summary(found: Positioned) -> str:
 
 def _systems(found: Positioned) -> str:
     """Which are used, how their clocks differ, and which are not."""
-    words = " and ".join(f"{SYSTEMS[letter].name} {SYSTEMS[letter].signal}" for letter in found.log.systems)
+    words = " and ".join(
+        f"{SYSTEMS[letter].name} {SYSTEMS[letter].signal}" for letter in found.log.systems
+    )
     if found.log.second is not None:
         offsets = found.mean[np.isfinite(found.mean[:, 8]), 8]
         longer = np.median(offsets) if offsets.size else np.nan
@@ -181,17 +228,26 @@ def _integrity(log: Log) -> str:
     words = [f"{tested} epochs tested by their residuals"]
     for kind, part in (("ranges", slice(S)), ("rates", slice(S, 2 * S))):
         many = log.excluded[:, part].sum(0)
-        named = ", ".join(f"{log.names[s]} {many[s]}" for s in np.argsort(-many, kind="stable") if many[s])
-        words.append(f"{kind} excluded at {log.excluded[:, part].any(1).sum()} epochs" + (f" ({named})" if named else ""))
+        named = ", ".join(
+            f"{log.names[s]} {many[s]}" for s in np.argsort(-many, kind="stable") if many[s]
+        )
+        words.append(
+            f"{kind} excluded at {log.excluded[:, part].any(1).sum()} epochs"
+            + (f" ({named})" if named else "")
+        )
     ranges, rates = log.unusable.sum(0)
-    words.append(f"{ranges} epochs not used whose ranges contradict each other, {rates} whose rates do")
+    words.append(
+        f"{ranges} epochs not used whose ranges contradict each other, {rates} whose rates do"
+    )
     words.append(f"{len(log.times) - tested} without redundancy, which nothing tests")
     return "; ".join(words)
 
 
 def _noise(noise: Noise, unit: str) -> str:
     level = f"{noise.level:.4g} {unit} and " if noise.level else ""
-    known = f"estimated from {noise.redundancy} redundant ones" if noise.redundancy else "not estimated"
+    known = (
+        f"estimated from {noise.redundancy} redundant ones" if noise.redundancy else "not estimated"
+    )
     return f"{level}{noise.zenith:.4g} {unit} / sin(elevation), {known}"
 
 
@@ -230,16 +286,24 @@ def _sky(found: Positioned) -> Figure:
         label = None if kind in shown else str(kind)
         if np.isfinite(seen).any():
             shown.add(kind)
-            polar.plot(log.azimuth[:, s], seen, ".", markersize=1.5, color=KIND_COLORS[kind], label=label)
+            polar.plot(
+                log.azimuth[:, s], seen, ".", markersize=1.5, color=KIND_COLORS[kind], label=label
+            )
             last = int(np.flatnonzero(np.isfinite(seen))[-1])
             polar.annotate(log.names[s], (log.azimuth[last, s], seen[last]), fontsize=6)
     polar.set_rlim(0.0, 90.0)
     polar.set_title("sky: zenith in the middle, north up")
     fig.legend(*polar.get_legend_handles_labels(), loc="outside lower left", markerscale=4, ncols=4)
-    axes[1].step(found.minutes, log.used.sum(1), color=colors.COMPARISON, label="satellites", where="post")
-    axes[1].plot(found.minutes, log.dilution.position, color=colors.ESTIMATE, label="PDOP", linewidth=0.9)
+    axes[1].step(
+        found.minutes, log.used.sum(1), color=colors.COMPARISON, label="satellites", where="post"
+    )
+    axes[1].plot(
+        found.minutes, log.dilution.position, color=colors.ESTIMATE, label="PDOP", linewidth=0.9
+    )
     high = max(float(log.used.sum(1).max()), 1.0)
-    axes[1].set(xlabel="time since the first fix (min)", ylabel="number, PDOP (-)", ylim=(0.0, 1.3 * high))
+    axes[1].set(
+        xlabel="time since the first fix (min)", ylabel="number, PDOP (-)", ylim=(0.0, 1.3 * high)
+    )
     axes[1].legend()
     return fig
 
@@ -252,7 +316,11 @@ def write(found: Positioned, outputs: Outputs) -> None:
     """Write `FILES`, all of which are made before the first is written."""
     from celnav.show.drawing import render
 
-    drawn = {f"{stem}.{kind}": render(drawing, kind) for stem, drawing in figures(found).items() for kind in ("png", "svg")}
+    drawn = {
+        f"{stem}.{kind}": render(drawing, kind)
+        for stem, drawing in figures(found).items()
+        for kind in ("png", "svg")
+    }
     texts = {"summary.txt": summary(found) + "\n", "track.csv": table(found)}
     for name in FILES:
         outputs.bytes(name, drawn[name] if name in drawn else texts[name].encode("utf-8"))
@@ -277,7 +345,11 @@ def record_positioned(found: Positioned, path: Any) -> None:
     sky = views.space("sky", "sky over the receiver", eye=(0.0, -2.2, 1.6), growing={})
     left = views.rows(scatter, views.tabs(sky, views.text(origin="info", name="about")))
     plots = [views.plot(name, f"{name}, m", times) for name in ("east", "north", "up")]
-    layout = views.columns(left, views.rows(*plots, views.plot("sats", "satellites and PDOP", times)), column_shares=(1, 1))
+    layout = views.columns(
+        left,
+        views.rows(*plots, views.plot("sats", "satellites and PDOP", times)),
+        column_shares=(1, 1),
+    )
     facts = {"filter": found.filter, "first": civil(log.times[0]), "epochs": len(times)}
     with recording.recording(path, times, name="position", layout=layout, properties=facts) as out:
         out.text("info", "```\n" + summary(found) + "\n```")
@@ -285,10 +357,18 @@ def record_positioned(found: Positioned, path: Any) -> None:
         out.points("track/filter", local, colors.ESTIMATE, radius=1.6)
         out.points("track/here", local, colors.TRUTH, radius=5.0, label=found.filter)
         if np.isfinite(found.cov).any():
-            out.ellipsoids("track/ellipsoid", local, found.axes @ found.cov @ found.axes.T, colors.ESTIMATE, sigmas=1.0)
+            out.ellipsoids(
+                "track/ellipsoid",
+                local,
+                found.axes @ found.cov @ found.axes.T,
+                colors.ESTIMATE,
+                sigmas=1.0,
+            )
         std = np.sqrt((found.axes @ found.cov @ found.axes.T).diagonal(0, -2, -1))
         for i, name in enumerate(("east", "north", "up")):
-            out.curve(f"{name}/alone", alone[:, i], colors.MEASUREMENT, "each epoch by itself", width=1.0)
+            out.curve(
+                f"{name}/alone", alone[:, i], colors.MEASUREMENT, "each epoch by itself", width=1.0
+            )
             out.curve(f"{name}/filter", local[:, i], colors.ESTIMATE, found.filter)
             out.bounds(f"{name}/filter", std[:, i], found.filter, center=local[:, i], shown=False)
         out.curve("sats/used", log.used.sum(1), colors.COMPARISON, "satellites")
@@ -309,4 +389,6 @@ def _record_sky(out: Any, log: Log) -> None:
     for s, kind in enumerate(kinds(log.names)):
         if log.used[:, s].any():
             seen = np.where(log.used[:, s, None], unit[:, s], np.nan)
-            out.points(f"sky/{log.names[s]}", seen, KIND_COLORS[kind], radius=4.0, label=log.names[s])
+            out.points(
+                f"sky/{log.names[s]}", seen, KIND_COLORS[kind], radius=4.0, label=log.names[s]
+            )

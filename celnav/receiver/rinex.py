@@ -86,12 +86,19 @@ class Observations:
 
     def part(self, which: Array | slice) -> Observations:
         """Some of the epochs."""
-        return replace(self, times=self.times[which], code=self.code[which], doppler=self.doppler[which])
+        return replace(
+            self, times=self.times[which], code=self.code[which], doppler=self.doppler[which]
+        )
 
     def of(self, systems: str) -> Observations:
         """Those of the satellites of some systems, by their letters."""
         which = [s for s, name in enumerate(self.names) if name[0] in systems]
-        return replace(self, names=[self.names[s] for s in which], code=self.code[:, which], doppler=self.doppler[:, which])
+        return replace(
+            self,
+            names=[self.names[s] for s in which],
+            code=self.code[:, which],
+            doppler=self.doppler[:, which],
+        )
 
     def reference(self, marker: ArrayLike | None = None) -> Array | None:
         """Position ``(3,)`` m of the antenna, whose position ranges tell: that of the marker (None: the header's) and its offset.
@@ -126,7 +133,9 @@ class Navigation:
             return np.full(t.shape, -1)
         away = np.abs(self.sets.toe[rows] - t[..., None])
         best = rows[away.argmin(-1)]
-        good = (away.min(-1) <= (3600.0 if number in GEO_NUMBERS and not gps else 7200.0)) & (self.sets.health[best] == 0.0)
+        good = (away.min(-1) <= (3600.0 if number in GEO_NUMBERS and not gps else 7200.0)) & (
+            self.sets.health[best] == 0.0
+        )
         return np.where(good, best, -1)
 
 
@@ -143,30 +152,53 @@ def read_observations(path: str | Path) -> Observations:
     text, called = unpacked(file)
     header, start = header_of(called, text, "O")
     places: dict[str, list[tuple[int, int]]] = {}
-    older = ("C1X", "C1Q") if float(text[:9]) < 3.03 else ()  # version 3.02 alone called B1I's band 1, which is B1C's since
+    older = (
+        ("C1X", "C1Q") if float(text[:9]) < 3.03 else ()
+    )  # version 3.02 alone called B1I's band 1, which is B1C's since
     for system in SYSTEMS:
         kinds = kinds_of(called, header, system)
         codes = [code for code in SYSTEMS[system].codes + older * (system == "C") if code in kinds]
         if codes:
-            places[system] = [(kinds.index(c), kinds.index("D" + c[1:]) if "D" + c[1:] in kinds else -1) for c in codes]
-        if any(line[2:6].strip() not in ("", "1") for line in of_system(header.get("SYS / SCALE FACTOR", []), system)):
-            raise InputError(f"{file}: expected observations of {SYSTEMS[system].name} in their units, got a SYS / SCALE FACTOR")
+            places[system] = [
+                (kinds.index(c), kinds.index("D" + c[1:]) if "D" + c[1:] in kinds else -1)
+                for c in codes
+            ]
+        if any(
+            line[2:6].strip() not in ("", "1")
+            for line in of_system(header.get("SYS / SCALE FACTOR", []), system)
+        ):
+            raise InputError(
+                f"{file}: expected observations of {SYSTEMS[system].name} in their units, got a SYS / SCALE FACTOR"
+            )
     given = header.get("SYS / # / OBS TYPES", [])
     if not places:
-        got = ", ".join(f"{s}: {' '.join(kinds_of(called, header, s))}" for s in SYSTEMS if of_system(given, s)) or "none of them"
-        raise InputError(f"{file}: expected BeiDou's B1I code (C2I or C2X) or GPS's C1C among the observations, got {got}")
+        got = (
+            ", ".join(
+                f"{s}: {' '.join(kinds_of(called, header, s))}"
+                for s in SYSTEMS
+                if of_system(given, s)
+            )
+            or "none of them"
+        )
+        raise InputError(
+            f"{file}: expected BeiDou's B1I code (C2I or C2X) or GPS's C1C among the observations, got {got}"
+        )
     default = "BDT" if text[40:41] == "C" else "GPS"
     system = header.get("TIME OF FIRST OBS", [""])[0][48:51].strip() or default
     if system not in AHEAD_S:
         raise InputError(f"{file}: expected times in GPS, GAL or BDT, got {system!r}")
-    names, seconds, ranges, rates = _measured(list(epochs(called, text, start, "".join(places))), places)
+    names, seconds, ranges, rates = _measured(
+        list(epochs(called, text, start, "".join(places))), places
+    )
     if not np.isfinite(ranges).any():
         raise InputError(f"{file}: expected pseudoranges of BeiDou or GPS satellites, got none")
     between = np.ones(len(seconds), bool)
     before, here, after = seconds[:-2], seconds[1:-1], seconds[2:]
     between[1:-1] = ((before <= here) & (here <= after)) | (before >= after)
     order = np.flatnonzero(between)[np.argsort(seconds[between], kind="stable")]
-    kept = order[np.concatenate([[True], np.diff(seconds[order]) > 0.0])]  # an epoch that is there twice counts once
+    kept = order[
+        np.concatenate([[True], np.diff(seconds[order]) > 0.0])
+    ]  # an epoch that is there twice counts once
     return Observations(
         file, header.get("MARKER NAME", [""])[0].strip(), _place(file, header), seconds[kept] - AHEAD_S[system], names,
         ranges[kept], rates[kept], three_numbers(file, header, "ANTENNA: DELTA H/E/N")[[1, 2, 0]], int((~between).sum()),
@@ -174,7 +206,9 @@ def read_observations(path: str | Path) -> Observations:
     )  # fmt: skip
 
 
-def _measured(log: list[Measured], places: Mapping[str, Sequence[tuple[int, int]]]) -> tuple[list[str], Array, Array, Array]:
+def _measured(
+    log: list[Measured], places: Mapping[str, Sequence[tuple[int, int]]]
+) -> tuple[list[str], Array, Array, Array]:
     """Satellites ``S``, times ``(T,)``, pseudoranges and Doppler ``(T, S)``; ``places`` of codes and their Doppler, -1: none."""
     names = sorted({name for epoch in log for name in epoch.fields})
     column = {name: s for s, name in enumerate(names)}
@@ -218,7 +252,10 @@ MOST_OF_GPS = {"a1": 2.0**-28, "a2": 2.0**-48, "tgd": 2.0**-24}
 """Where that of GPS has more [IS-GPS-200]."""
 LEAST = {"e": 0.0, "sqrt_a": 4096.0, "toe": 0.0}
 """No satellite of theirs is lower than 10,000 km."""
-MOST_ALPHA, MOST_BETA = 2.0 ** np.array([-22.0, -19.0, -16.0, -16.0]), 2.0 ** np.array([19.0, 22.0, 24.0, 24.0])
+MOST_ALPHA, MOST_BETA = (
+    2.0 ** np.array([-22.0, -19.0, -16.0, -16.0]),
+    2.0 ** np.array([19.0, 22.0, 24.0, 24.0]),
+)
 """Likewise of the ionosphere's coefficients, twice what their eight bits hold [IS-GPS-200]."""
 
 
@@ -246,10 +283,14 @@ def read_navigation(path: str | Path, *more: str | Path) -> Navigation:
     credible = np.isfinite(given["health"])
     for name, most in MOST.items():
         # Twice the range leaves room for what is rounded; blanks are nan, and fail.
-        bound = np.where(given["gps"], MOST_OF_GPS.get(name, most), most) * (1.0 if name in LEAST else 2.0)
+        bound = np.where(given["gps"], MOST_OF_GPS.get(name, most), most) * (
+            1.0 if name in LEAST else 2.0
+        )
         credible &= (np.abs(given[name]) <= bound) & (given[name] >= LEAST.get(name, -np.inf))
     if not credible.any():
-        raise InputError(f"{files}: expected orbits, got {len(read)} sets that lack a number, or have one that no message can hold")
+        raise InputError(
+            f"{files}: expected orbits, got {len(read)} sets that lack a number, or have one that no message can hold"
+        )
     given["toe"] += WEEK_S * np.round((given["toc"] - given["toe"]) / WEEK_S)
     for name in ("toc", "toe"):
         given[name] -= GPS_AHEAD_S * given["gps"]
@@ -273,7 +314,9 @@ def read_ionosphere(path: str | Path) -> tuple[Array, Array]:
     text, called = unpacked(Path(path))
     found = _klobuchar(path, header_of(called, text, "N", oldest=2)[0])
     if found is None:
-        raise InputError(f"{path}: expected GPSA and GPSB in the header, got none; eight numbers may be given instead")
+        raise InputError(
+            f"{path}: expected GPSA and GPSB in the header, got none; eight numbers may be given instead"
+        )
     return found
 
 
@@ -281,17 +324,27 @@ def ionosphere(called: str | Path, numbers: ArrayLike) -> tuple[Array, Array]:
     """Klobuchar's coefficients of eight numbers, alpha and beta; InputError if no message can hold them."""
     alpha, beta = np.asarray(numbers, dtype=np.float64).reshape(2, 4)
     if not ((np.abs(alpha) <= MOST_ALPHA).all() and (np.abs(beta) <= MOST_BETA).all()):
-        raise InputError(f"{called}: expected coefficients of the ionosphere that a message can hold, got {alpha} and {beta}")
+        raise InputError(
+            f"{called}: expected coefficients of the ionosphere that a message can hold, got {alpha} and {beta}"
+        )
     return alpha, beta
 
 
 def _klobuchar(path: str | Path, header: dict[str, list[str]]) -> tuple[Array, Array] | None:
     rows = {line[:4]: line[5:53] for line in header.get("IONOSPHERIC CORR", [])}
-    rows |= {f"GPS{k}": header[label][0][2:50] for k, label in (("A", "ION ALPHA"), ("B", "ION BETA")) if label in header}
+    rows |= {
+        f"GPS{k}": header[label][0][2:50]
+        for k, label in (("A", "ION ALPHA"), ("B", "ION BETA"))
+        if label in header
+    }
     if not {"GPSA", "GPSB"} <= set(rows):
         return None
     try:
-        found = [finite_number(rows[k][i : i + 12]) for k in ("GPSA", "GPSB") for i in range(0, 48, 12)]
+        found = [
+            finite_number(rows[k][i : i + 12]) for k in ("GPSA", "GPSB") for i in range(0, 48, 12)
+        ]
     except ValueError:
-        raise InputError(f"{path}: expected four numbers in GPSA and GPSB of the header, got {rows['GPSA']!r}") from None
+        raise InputError(
+            f"{path}: expected four numbers in GPSA and GPSB of the header, got {rows['GPSA']!r}"
+        ) from None
     return ionosphere(path, found)

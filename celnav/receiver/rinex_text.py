@@ -57,9 +57,13 @@ def unpacked(path: Path) -> tuple[str, str]:
         called = f"{path}, unpacked"
         raw = _decompressed(path, raw, most)
     if len(raw) > most:
-        raise InputError(f"{path}: expected at most {most:,} bytes when unpacked; unpack it yourself if it is what it should be")
+        raise InputError(
+            f"{path}: expected at most {most:,} bytes when unpacked; unpack it yourself if it is what it should be"
+        )
     text = raw.removeprefix(b"\xef\xbb\xbf").decode("latin-1").replace("\0", "")
-    text = "".join(c if c.isascii() else "?" for c in text) if not text.isascii() else text  # a letter is a column
+    text = (
+        "".join(c if c.isascii() else "?" for c in text) if not text.isascii() else text
+    )  # a letter is a column
     return "\n".join(line.rstrip() for line in text.splitlines()) + "\n", called
 
 
@@ -68,10 +72,16 @@ def _decompressed(path: Path, raw: bytes, most: int) -> bytes:
     with needed_by(f"{path}: a log in Hatanaka's compression", "rinex"):
         import_module("hatanaka")
         program = files("hatanaka.bin") / ("crx2rnx.exe" if os.name == "nt" else "crx2rnx")
-    with tempfile.TemporaryFile() as given, tempfile.TemporaryFile() as told, as_file(program) as executable:
+    with (
+        tempfile.TemporaryFile() as given,
+        tempfile.TemporaryFile() as told,
+        as_file(program) as executable,
+    ):
         given.write(raw)
         given.seek(0)
-        with subprocess.Popen([executable, "-"], stdin=given, stdout=subprocess.PIPE, stderr=told) as process:
+        with subprocess.Popen(
+            [executable, "-"], stdin=given, stdout=subprocess.PIPE, stderr=told
+        ) as process:
             assert process.stdout is not None
             out = process.stdout.read(most + 1)
             if len(out) > most:
@@ -85,7 +95,9 @@ def _decompressed(path: Path, raw: bytes, most: int) -> bytes:
     return out
 
 
-def header_of(called: str, text: str, kind: str, oldest: int = 3) -> tuple[dict[str, list[str]], int]:
+def header_of(
+    called: str, text: str, kind: str, oldest: int = 3
+) -> tuple[dict[str, list[str]], int]:
     """Header lines by label, and how many there are; the file is one of ``kind``, "O" or "N", in a version from ``oldest`` to 3."""
     lines = text.split("\n")
     words = {"O": "an observation file", "N": "a navigation file"}
@@ -94,20 +106,28 @@ def header_of(called: str, text: str, kind: str, oldest: int = 3) -> tuple[dict[
     try:
         version = float(lines[0][:9])
     except ValueError:
-        raise InputError(f"{called}, line 1: expected a version number, got {lines[0][:9]!r}") from None
+        raise InputError(
+            f"{called}, line 1: expected a version number, got {lines[0][:9]!r}"
+        ) from None
     if not oldest <= version < 4.0:
         raise InputError(f"{called}, line 1: expected RINEX 3, got version {version:g}")
     if lines[0][20:21] != kind:
-        raise InputError(f"{called}, line 1: expected {words[kind]}, got {lines[0][20:40].strip()!r}")
+        raise InputError(
+            f"{called}, line 1: expected {words[kind]}, got {lines[0][20:40].strip()!r}"
+        )
     if lines[0][40:41] not in ("C", "G", "M", " ", ""):
-        raise InputError(f"{called}, line 1: expected BeiDou (C), GPS (G) or mixed (M) data, got system {lines[0][40:41]!r}")
+        raise InputError(
+            f"{called}, line 1: expected BeiDou (C), GPS (G) or mixed (M) data, got system {lines[0][40:41]!r}"
+        )
     header: dict[str, list[str]] = {}
     for k, line in enumerate(lines):
         label = line[60:].strip()
         header.setdefault(label, []).append(line[:60])
         if label == "END OF HEADER":
             return header, k + 1
-    raise InputError(f"{called}, line {len(lines) - 1}: expected END OF HEADER before the end of the file")
+    raise InputError(
+        f"{called}, line {len(lines) - 1}: expected END OF HEADER before the end of the file"
+    )
 
 
 def kinds_of(called: str, header: dict[str, list[str]], system: str) -> list[str]:
@@ -115,7 +135,9 @@ def kinds_of(called: str, header: dict[str, list[str]], system: str) -> list[str
     rows = of_system(header.get("SYS / # / OBS TYPES", []), system)
     kinds = " ".join(row[6:] for row in rows).split()
     if rows and rows[0][3:6].strip().lstrip("0") != str(len(kinds)):
-        raise InputError(f"{called}: expected {rows[0][3:6].strip()!r} kinds in SYS / # / OBS TYPES of {system}, got {len(kinds)}")
+        raise InputError(
+            f"{called}: expected {rows[0][3:6].strip()!r} kinds in SYS / # / OBS TYPES of {system}, got {len(kinds)}"
+        )
     return kinds
 
 
@@ -155,7 +177,9 @@ def epochs(called: str, text: str, start: int, systems: str) -> Iterator[Measure
     while k < len(lines):
         flag, count, time = _epoch(called, k, lines[k])
         if k + count >= len(lines):
-            raise InputError(f"{called}, line {len(lines)}: expected {count} more after line {k + 1}, the file is cut off")
+            raise InputError(
+                f"{called}, line {len(lines)}: expected {count} more after line {k + 1}, the file is cut off"
+            )
         rows = lines[k + 1 : k + count + 1]
         if flag <= 1:
             own: dict[str, list[float]] = {}
@@ -163,7 +187,9 @@ def epochs(called: str, text: str, start: int, systems: str) -> Iterator[Measure
                 if row and row[0] in systems:
                     name, values = _satellite(called, k + 1 + i, row)
                     if name in own:
-                        raise InputError(f"{called}, line {k + 2 + i}: expected each satellite once in an epoch, got {name} again")
+                        raise InputError(
+                            f"{called}, line {k + 2 + i}: expected each satellite once in an epoch, got {name} again"
+                        )
                     own[name] = values
             if own:
                 yield Measured(time, own)
@@ -175,7 +201,9 @@ def epochs(called: str, text: str, start: int, systems: str) -> Iterator[Measure
                     )
         k += count + 1
     if k == start:
-        raise InputError(f"{called}, line {start}: expected observations after the header, got none")
+        raise InputError(
+            f"{called}, line {start}: expected observations after the header, got none"
+        )
 
 
 def _epoch(called: str, k: int, line: str) -> tuple[int, int, float]:
@@ -186,9 +214,18 @@ def _epoch(called: str, k: int, line: str) -> tuple[int, int, float]:
         flag, count = int(line[31:32]), int(line[32:35])
         if count < 0:
             raise ValueError
-        return flag, count, _seconds([line[i:j] for i, j in ((2, 6), (7, 9), (10, 12), (13, 15), (16, 18), (18, 29))] * (flag <= 1))
+        return (
+            flag,
+            count,
+            _seconds(
+                [line[i:j] for i, j in ((2, 6), (7, 9), (10, 12), (13, 15), (16, 18), (18, 29))]
+                * (flag <= 1)
+            ),
+        )
     except ValueError:
-        raise InputError(f"{called}, line {k + 1}: expected date, flag and number of an epoch, got {line[:35]!r}") from None
+        raise InputError(
+            f"{called}, line {k + 1}: expected date, flag and number of an epoch, got {line[:35]!r}"
+        ) from None
 
 
 def _seconds(date: list[str]) -> float:
@@ -199,14 +236,18 @@ def _seconds(date: list[str]) -> float:
     second = finite_number(date[5])
     if not 0.0 <= second <= 60.0:
         raise ValueError
-    return (datetime(year, month, day, hour, minute, tzinfo=UTC) - EPOCH_ZERO) / timedelta(seconds=1) + second
+    return (datetime(year, month, day, hour, minute, tzinfo=UTC) - EPOCH_ZERO) / timedelta(
+        seconds=1
+    ) + second
 
 
 def _satellite(called: str, k: int, row: str) -> tuple[str, list[float]]:
     """Name and fields of a satellite's line, whole to the end of a field."""
     name = _name(called, k, row)
     if (len(row) - 3) % 16 not in (0, 14, 15):
-        raise InputError(f"{called}, line {k + 1}: expected fields of 16 columns, the last one is cut off")
+        raise InputError(
+            f"{called}, line {k + 1}: expected fields of 16 columns, the last one is cut off"
+        )
     return name, [_number(called, k, row[i : i + 14]) or math.nan for i in range(3, len(row), 16)]
 
 
@@ -240,7 +281,9 @@ def sets(called: str, text: str, start: int, systems: str) -> Iterator[Set]:
         try:
             toc = _seconds((lines[k][4:23].split() + [""] * 6)[:6])
         except ValueError:
-            raise InputError(f"{called}, line {k + 1}: expected a date, got {lines[k][4:23]!r}") from None
+            raise InputError(
+                f"{called}, line {k + 1}: expected a date, got {lines[k][4:23]!r}"
+            ) from None
         numbers = []
         for i in range(k, end):
             fields = range(23 if i == k else 4, 80, 19)

@@ -15,7 +15,16 @@ from celnav.gaussian.checks import finite, numbers
 from celnav.gaussian.linalg import Array
 from celnav.models.gnss import LIGHT
 
-__all__ = ["GROUND_M", "Dilution", "dilution", "klobuchar", "local_axes", "look", "on_earth", "saastamoinen"]
+__all__ = [
+    "GROUND_M",
+    "Dilution",
+    "dilution",
+    "klobuchar",
+    "local_axes",
+    "look",
+    "on_earth",
+    "saastamoinen",
+]
 
 GROUND_M = (6.3e6, 1e7)
 """From the middle of the Earth, where receivers are: near its surface or in a low orbit."""
@@ -27,14 +36,25 @@ def on_earth(name: str, position: Array) -> None:
     """Raise ValueError unless a position ``(3,)`` may be a receiver's: Earth-fixed meters, near the surface or in a low orbit."""
     position = numbers(name, position, (3,))
     if not GROUND_M[0] < math.hypot(*position) < GROUND_M[1]:  # nan is in no interval
-        raise ValueError(f"{name}: expected Earth-fixed meters, 6300 to 10000 km from the middle, got {position}")
+        raise ValueError(
+            f"{name}: expected Earth-fixed meters, 6300 to 10000 km from the middle, got {position}"
+        )
 
 
 def local_axes(latitude: Array | float, longitude: Array | float) -> Array:
     """East, north and up, the rows of ``(..., 3, 3)``, on Earth-fixed axes; geodetic angles."""
     latitude, longitude, zero = np.broadcast_arrays(latitude, longitude, 0.0)
-    sin_l, cos_l, sin_f, cos_f = np.sin(longitude), np.cos(longitude), np.sin(latitude), np.cos(latitude)
-    rows = [[-sin_l, cos_l, zero], [-sin_f * cos_l, -sin_f * sin_l, cos_f], [cos_f * cos_l, cos_f * sin_l, sin_f]]
+    sin_l, cos_l, sin_f, cos_f = (
+        np.sin(longitude),
+        np.cos(longitude),
+        np.sin(latitude),
+        np.cos(latitude),
+    )
+    rows = [
+        [-sin_l, cos_l, zero],
+        [-sin_f * cos_l, -sin_f * sin_l, cos_f],
+        [cos_f * cos_l, cos_f * sin_l, sin_f],
+    ]
     return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 
@@ -65,7 +85,9 @@ class Dilution(NamedTuple):
     time: Array
 
 
-def dilution(q: Array, position: Array, axes: Array, used: Array | None = None, second: Array | None = None) -> Dilution:
+def dilution(
+    q: Array, position: Array, axes: Array, used: Array | None = None, second: Array | None = None
+) -> Dilution:
     """What a fix from ranges alone makes of their noise; nan where satellites ``used (..., S)`` do not determine one.
 
     ``second (S,)``: 1 for satellites of a second system, the offset of whose clock is found where both are used.
@@ -84,7 +106,11 @@ def dilution(q: Array, position: Array, axes: Array, used: Array | None = None, 
     R: Array = np.linalg.qr(np.concatenate([rows, more], -2)).R
     enough = (np.abs(R.diagonal(0, -2, -1)).min(-1) > SINGULAR)[..., None, None]
     # (R.T R)^-1 has the sums of squares of the rows of R^-1 on its diagonal.
-    root = np.where(enough, np.linalg.solve(np.where(enough, R, np.eye(n)), np.broadcast_to(np.eye(n), R.shape)), np.nan)
+    root = np.where(
+        enough,
+        np.linalg.solve(np.where(enough, R, np.eye(n)), np.broadcast_to(np.eye(n), R.shape)),
+        np.nan,
+    )
     east, north, up, time, *_ = np.moveaxis(np.square(root).sum(-1), -1, 0)
     flat = east + north
     return Dilution(*(np.sqrt(v) for v in (flat + up + time, flat + up, flat, up, time)))
@@ -116,7 +142,9 @@ def klobuchar(
     return np.asarray(LIGHT * obliquity * (5e-9 + day))
 
 
-def saastamoinen(latitude: Array | float, height_m: Array | float, elevation: Array, *, humidity: float = 0.5) -> Array:
+def saastamoinen(
+    latitude: Array | float, height_m: Array | float, elevation: Array, *, humidity: float = 0.5
+) -> Array:
     """Tropospheric delay (m) of the standard atmosphere, mapped by ``1 / sin(elevation)`` [Saastamoinen1972].
 
     ``height_m`` above the sea, from -1000 to 11,000. ``humidity``: relative, of the air at the receiver, from 0 to 1.

@@ -87,17 +87,31 @@ class Place(NamedTuple):
 def places(found: Positioned) -> list[Place]:
     """All epochs whose position some range went into."""
     k, log = np.flatnonzero(found.measured), found.log
-    latitude, longitude, height = (np.reshape(v, k.size) for v in ecef2geodetic(*found.mean[k, :3].T, ell=ELLIPSOID))
+    latitude, longitude, height = (
+        np.reshape(v, k.size) for v in ecef2geodetic(*found.mean[k, :3].T, ell=ELLIPSOID)
+    )
     axes = local_axes(np.radians(latitude), np.radians(longitude))
     velocity, cov = (axes @ found.mean[k, 3:6, None])[..., 0], axes @ found.cov[k] @ axes.mT
-    columns = log.times[k], latitude, longitude, height, velocity, cov, log.used[k].sum(1), log.dilution.horizontal[k]
+    columns = (
+        log.times[k],
+        latitude,
+        longitude,
+        height,
+        velocity,
+        cov,
+        log.used[k].sum(1),
+        log.dilution.horizontal[k],
+    )
     return [Place(*row) for row in zip(*columns, strict=True)]
 
 
 def pos(found: Positioned) -> str:
     """RTKLIB's solution file, in GPS time: latitude, longitude and height with their deviations; every solution is a single one."""
     rows, form = places(found), "%Y/%m/%d %H:%M:%S.%f"
-    lines = [f"% program   : celnav {celnav.__version__} {found.filter}", *(f"% inp file  : {name}" for name in found.log.files)]
+    lines = [
+        f"% program   : celnav {celnav.__version__} {found.filter}",
+        *(f"% inp file  : {name}" for name in found.log.files),
+    ]
     for name, place in (("start", rows[0]), ("end  ", rows[-1])):
         week, second = divmod(place.time + GPS_AHEAD_S, WEEK_S)
         when = civil(place.time + GPS_AHEAD_S, form)[:-5]
@@ -116,7 +130,9 @@ def pos(found: Positioned) -> str:
     ]
     for place in rows:
         (ee, en, eu), (_, nn, nu), (_, _, uu) = place.cov
-        deviations = "".join(f" {np.copysign(np.sqrt(abs(v)), v):8.4f}" for v in (nn, ee, uu, en, eu, nu))
+        deviations = "".join(
+            f" {np.copysign(np.sqrt(abs(v)), v):8.4f}" for v in (nn, ee, uu, en, eu, nu)
+        )
         lines.append(
             f"{civil(place.time + GPS_AHEAD_S, form)[:-3]} {place.latitude:14.9f} {place.longitude:14.9f} {place.height:10.4f}"
             f"   5 {place.satellites:3d}{deviations} {0.0:6.2f} {0.0:6.1f}"
@@ -129,14 +145,21 @@ def utc(times: Array) -> list[str]:
     days = erfa.taiutc(BDT_DAY, (times + TAI_AHEAD_S) / 86400.0)
     year, month, day, clock = erfa.d2dtf("UTC", 3, *days)
     parts = zip(year, month, day, clock["h"], clock["m"], clock["s"], clock["f"], strict=True)
-    return ["{}-{:02d}-{:02d}T{:02d}:{:02d}:{:02d}.{:03d}Z".format(*(int(v) for v in part)) for part in parts]
+    return [
+        "{}-{:02d}-{:02d}T{:02d}:{:02d}:{:02d}.{:03d}Z".format(*(int(v) for v in part))
+        for part in parts
+    ]
 
 
 def geojson(found: Positioned) -> str:
     """A line of longitude, latitude (degrees) and height above the ellipsoid (m) [RFC 7946], with its times in UTC."""
     rows = places(found)
     line = [[round(row.longitude, 9), round(row.latitude, 9), round(row.height, 4)] for row in rows]
-    shape = {"type": "LineString", "coordinates": line} if len(line) > 1 else {"type": "Point", "coordinates": line[0]}
+    shape = (
+        {"type": "LineString", "coordinates": line}
+        if len(line) > 1
+        else {"type": "Point", "coordinates": line[0]}
+    )
     about = {"filter": found.filter, "coordTimes": utc(np.array([row.time for row in rows]))}
     feature = {"type": "Feature", "geometry": shape, "properties": about}
     return json.dumps({"type": "FeatureCollection", "features": [feature]}) + "\n"
@@ -150,11 +173,19 @@ def nmea(found: Positioned) -> str:
         clock, date = when[11:-1].replace(":", ""), when[8:10] + when[5:7] + when[2:4]
         at = f"{_angle(row.latitude, 2, 'NS')},{_angle(row.longitude, 3, 'EW')}"
         east, north, _ = row.velocity
-        moving = f"{np.hypot(east, north) / KNOT:.2f},{np.degrees(np.arctan2(east, north)) % 360.0:.2f}" if east == east else ","
+        moving = (
+            f"{np.hypot(east, north) / KNOT:.2f},{np.degrees(np.arctan2(east, north)) % 360.0:.2f}"
+            if east == east
+            else ","
+        )
         hdop = f"{row.hdop:.2f}" if np.isfinite(row.hdop) else ""
-        lines.append(f"{talker}GGA,{clock},{at},1,{row.satellites:02d},{hdop},{row.height:.3f},M,0.0,M,,")
+        lines.append(
+            f"{talker}GGA,{clock},{at},1,{row.satellites:02d},{hdop},{row.height:.3f},M,0.0,M,,"
+        )
         lines.append(f"{talker}RMC,{clock},A,{at},{moving},{date},,,A")
-    return "".join(f"${line}*{reduce(lambda a, b: a ^ b, line.encode('ascii')):02X}\r\n" for line in lines)
+    return "".join(
+        f"${line}*{reduce(lambda a, b: a ^ b, line.encode('ascii')):02X}\r\n" for line in lines
+    )
 
 
 def _angle(degrees: float, digits: int, signs: str) -> str:
@@ -163,5 +194,10 @@ def _angle(degrees: float, digits: int, signs: str) -> str:
     return f"{int(whole):0{digits}d}{minutes:09.6f},{signs[int(degrees < 0.0)]}"
 
 
-FORMATS: dict[str, Callable[[Positioned], str]] = {".csv": table, ".pos": pos, ".geojson": geojson, ".nmea": nmea}
+FORMATS: dict[str, Callable[[Positioned], str]] = {
+    ".csv": table,
+    ".pos": pos,
+    ".geojson": geojson,
+    ".nmea": nmea,
+}
 """By the suffix of the file."""

@@ -15,10 +15,24 @@ import numpy as np
 from celnav.files import InputError, read_json
 from celnav.study.ledger import BETWEEN, KINDS, OPEN, VERDICTS, WORDS, Claim, Number
 
-__all__ = ["TYPES", "Ledger", "answer", "counted", "dumps", "plain", "read_claims", "surprise", "table", "tally", "written"]
+__all__ = [
+    "TYPES",
+    "Ledger",
+    "answer",
+    "counted",
+    "dumps",
+    "plain",
+    "read_claims",
+    "surprise",
+    "table",
+    "tally",
+    "written",
+]
 
 COLUMNS = ("place", "what is said", "printed", "ours", "verdict")
-_GOOD = {words[0] for kind, words in WORDS.items() if kind in ("statement", "finding", "check")} | {BETWEEN[0]}
+_GOOD = {words[0] for kind, words in WORDS.items() if kind in ("statement", "finding", "check")} | {
+    BETWEEN[0]
+}
 _BAD = {words[1] for words in WORDS.values()}
 
 
@@ -26,17 +40,35 @@ def style(verdict: str) -> str:
     """How a verdict looks: "good" for what holds, "bad" for what does not, "error" of a paper, "open", or "part"."""
     if verdict in _GOOD:
         return "good"
-    return "bad" if verdict in _BAD else "open" if verdict in OPEN else "error" if verdict == WORDS["erratum"][0] else "part"
+    return (
+        "bad"
+        if verdict in _BAD
+        else "open"
+        if verdict in OPEN
+        else "error"
+        if verdict == WORDS["erratum"][0]
+        else "part"
+    )
 
 
 def row(claim: Mapping[str, Any]) -> tuple[str, ...]:
     """The cells of a claim (as a dictionary) under `COLUMNS`."""
-    return claim["place"], claim["statement"], _printed(claim["printed"]), _ours(claim), claim["verdict"]
+    return (
+        claim["place"],
+        claim["statement"],
+        _printed(claim["printed"]),
+        _ours(claim),
+        claim["verdict"],
+    )
 
 
 def _printed(value: Any) -> str:
     flat = list(_flat(value))
-    return ", ".join(f"{v:g}" if isinstance(v, float | int) else str(v) for v in flat) if len(flat) <= 4 else f"{len(flat)} numbers"
+    return (
+        ", ".join(f"{v:g}" if isinstance(v, float | int) else str(v) for v in flat)
+        if len(flat) <= 4
+        else f"{len(flat)} numbers"
+    )
 
 
 def _flat(value: Any) -> Iterable[Any]:
@@ -50,7 +82,11 @@ def _flat(value: Any) -> Iterable[Any]:
 def _ours(claim: Mapping[str, Any]) -> str:
     if claim["value"] is None:
         return ""
-    interval = "" if claim["ci"] is None or None in claim["ci"] else f" [{claim['ci'][0]:.3g}, {claim['ci'][1]:.3g}]"
+    interval = (
+        ""
+        if claim["ci"] is None or None in claim["ci"]
+        else f" [{claim['ci'][0]:.3g}, {claim['ci'][1]:.3g}]"
+    )
     return f"{claim['value']:.4g}{interval}"
 
 
@@ -83,7 +119,11 @@ def table(claims: Sequence[Mapping[str, Any]], link: str = "", cell: str = "") -
 
     A column in which no row has anything, as "printed" of what nobody printed, is left out.
     """
-    shown = [name for i, name in enumerate(COLUMNS) if not claims or any(row(claim)[i] for claim in claims)]
+    shown = [
+        name
+        for i, name in enumerate(COLUMNS)
+        if not claims or any(row(claim)[i] for claim in claims)
+    ]
     head = "".join(f"<th>{name}</th>" for name in shown)
     lines = "".join(_line(claim, link, cell, shown) for claim in claims)
     return f'<table class="cards"><thead><tr>{head}</tr></thead><tbody>{lines}</tbody></table>'
@@ -96,13 +136,28 @@ def _line(claim: Mapping[str, Any], link: str, cell: str, columns: Sequence[str]
     if len(claim["numbers"]) > 1 or claim["why"]:
         listed = "".join(f"<li>{html.escape(_number(number))}</li>" for number in claim["numbers"])
         why = f"<p>Accepted because: {html.escape(claim['why'])}</p>" if claim["why"] else ""
-        told.append(f"<details class=numbers><summary>{len(claim['numbers'])} numbers</summary>{why}<ul>{listed}</ul></details>")
-    figure = f' <a href="{link}{claim["figure"]}.svg">figure</a>' if claim["figure"] and link else ""
+        told.append(
+            f"<details class=numbers><summary>{len(claim['numbers'])} numbers</summary>{why}<ul>{listed}</ul></details>"
+        )
+    figure = (
+        f' <a href="{link}{claim["figure"]}.svg">figure</a>' if claim["figure"] and link else ""
+    )
     odd = " <b>(not as expected)</b>" if surprise(claim) else ""
-    cells = {"place": place, "what is said": "<br>".join([says, *told]), "printed": printed, "ours": ours}
+    cells = {
+        "place": place,
+        "what is said": "<br>".join([says, *told]),
+        "printed": printed,
+        "ours": ours,
+    }
     known = ((name, text) for name, text in cells.items() if name in columns)
-    named = "".join(f'<td data-name="{name}">{text}</td>' if text else "<td></td>" for name, text in known)
-    shown = f'<a href="{cell}{html.escape(claim["id"])}">{verdict}</a>' if cell and claim["kind"] == "statement" else verdict
+    named = "".join(
+        f'<td data-name="{name}">{text}</td>' if text else "<td></td>" for name, text in known
+    )
+    shown = (
+        f'<a href="{cell}{html.escape(claim["id"])}">{verdict}</a>'
+        if cell and claim["kind"] == "statement"
+        else verdict
+    )
     said = f'<td class="{style(claim["verdict"])}">{shown}{odd}{figure}</td>'
     return f'<tr id="{html.escape(claim["id"])}" data-verdict="{verdict}">{named}{said}</tr>'
 
@@ -121,7 +176,11 @@ class Ledger:
         return "\n".join(f"{c['verdict']:24} {_ours(c):26}  {c['statement']}" for c in self._claims)
 
     def _repr_markdown_(self) -> str:
-        lines = [" | ".join(COLUMNS), " | ".join("---" for _ in COLUMNS), *(" | ".join(row(c)) for c in self._claims)]
+        lines = [
+            " | ".join(COLUMNS),
+            " | ".join("---" for _ in COLUMNS),
+            *(" | ".join(row(c)) for c in self._claims),
+        ]
         return "\n".join(f"| {line} |" for line in lines)
 
     def _repr_html_(self) -> str:
@@ -130,7 +189,10 @@ class Ledger:
 
 def answer(study: Any, claims: Iterable[Mapping[str, Any]]) -> str:
     """What a study finds, in sentences: "{axes[0]:.1f}" in them is the first number of the row "axes"."""
-    numbers = {c["id"]: [np.nan if n["value"] is None else n["value"] for n in c["numbers"]] for c in claims}
+    numbers = {
+        c["id"]: [np.nan if n["value"] is None else n["value"] for n in c["numbers"]]
+        for c in claims
+    }
     try:
         return str(study.found.format(**numbers))
     except (AttributeError, IndexError, KeyError, ValueError) as error:
@@ -142,7 +204,10 @@ def answer(study: Any, claims: Iterable[Mapping[str, Any]]) -> str:
 # -- files -------------------------------------------------------------------------------------------------------------------
 def written(claim: Claim) -> dict[str, Any]:
     """As it stands in ``claims.json``: ``value``, ``ci`` and ``accept`` of the number that decides, all in ``numbers``."""
-    row, first = claim.row, next((n for n in claim.numbers if not n.holds), (*claim.numbers, Number("", np.nan))[0])
+    row, first = (
+        claim.row,
+        next((n for n in claim.numbers if not n.holds), (*claim.numbers, Number("", np.nan))[0]),
+    )
     return {
         "id": row.id, "kind": row.kind, "place": row.place, "statement": row.says, "printed": plain(row.printed),
         "value": plain(first.value), "ci": plain(first.ci), "accept": plain(first.accept), "why": row.why,
@@ -166,7 +231,9 @@ def plain(value: Any) -> Any:
 def dumps(claims: Iterable[Claim]) -> str:
     """The text of ``claims.json`` or ``checks.json``; ValueError if two claims have the same id."""
     listed = [written(claim) for claim in claims]
-    twice = sorted(id for id, count in Counter(claim["id"] for claim in listed).items() if count > 1)
+    twice = sorted(
+        id for id, count in Counter(claim["id"] for claim in listed).items() if count > 1
+    )
     if twice:
         raise ValueError(f"claims: expected different ids, got {', '.join(twice)} more than once")
     return json.dumps(listed, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
@@ -192,7 +259,9 @@ def read_claims(path: str | Path) -> list[dict[str, Any]]:
         for key in TYPES:
             if key not in claim or not _right(key, claim[key]):
                 got = f"got {claim[key]!r:.80}" if key in claim else "got none"
-                raise InputError(f"{path}: claim {number}: {key}: not what celnav writes, {got}; reproduce the paper again")
+                raise InputError(
+                    f"{path}: claim {number}: {key}: not what celnav writes, {got}; reproduce the paper again"
+                )
     return loaded
 
 
@@ -201,13 +270,22 @@ def _right(key: str, value: Any) -> bool:
     if type(value) not in TYPES[key] or value not in known:
         return False
     if key == "numbers":
-        return all(isinstance(one, dict) and set(one) >= {"label", "value", "accept", "ci"} and _pairs(one) for one in value)
+        return all(
+            isinstance(one, dict) and set(one) >= {"label", "value", "accept", "ci"} and _pairs(one)
+            for one in value
+        )
     return key not in ("ci", "accept") or value is None or _pair(value)
 
 
 def _pairs(number: Mapping[str, Any]) -> bool:
-    return _pair(number["accept"]) and (number["ci"] is None or _pair(number["ci"])) and type(number["value"]) in NUMBER
+    return (
+        _pair(number["accept"])
+        and (number["ci"] is None or _pair(number["ci"]))
+        and type(number["value"]) in NUMBER
+    )
 
 
 def _pair(value: Any) -> bool:
-    return isinstance(value, list) and len(value) == 2 and all(type(part) in NUMBER for part in value)
+    return (
+        isinstance(value, list) and len(value) == 2 and all(type(part) in NUMBER for part in value)
+    )

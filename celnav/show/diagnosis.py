@@ -19,7 +19,15 @@ if TYPE_CHECKING:
 
 __all__ = ["figure", "size"]
 
-SHADES = (colors.COMPARISON, colors.ESTIMATE, colors.TRUTH, colors.OPEN_LOOP, colors.PAPER, colors.MEASUREMENT, colors.REFERENCE)
+SHADES = (
+    colors.COMPARISON,
+    colors.ESTIMATE,
+    colors.TRUTH,
+    colors.OPEN_LOOP,
+    colors.PAPER,
+    colors.MEASUREMENT,
+    colors.REFERENCE,
+)
 MARKS = "osv^Dx+"
 BINS = 60  # means over time
 
@@ -33,7 +41,9 @@ def figure(found: Diagnosis) -> Figure:
     for sensor in found.sensors:
         own = [c for c in found.components if c.name in sensor.names]
         lags = (found.step or 1.0) * np.arange(1, len(own[0].band) + 1)
-        items: list[Item] = [_band(lags[: len(c.band)], c.band, f"{percent} band if white") for c in own[:1]]
+        items: list[Item] = [
+            _band(lags[: len(c.band)], c.band, f"{percent} band if white") for c in own[:1]
+        ]
         for i, c in enumerate(own):
             look: dict[str, Any] = {
                 "marker": MARKS[i % len(MARKS)],
@@ -41,14 +51,24 @@ def figure(found: Diagnosis) -> Figure:
                 "linewidth": 0.9,
                 "color": SHADES[i % len(SHADES)],
             }
-            items.append(curve(lags[: len(c.band)], c.autocorrelation[: len(lags)], label=c.name, **look))
+            items.append(
+                curve(lags[: len(c.band)], c.autocorrelation[: len(lags)], label=c.name, **look)
+            )
         lag = f"lag ({'epochs' if found.step is None else 's'})"
         rows.append([Panel("Is it white?", items, lag, "autocorrelation")])
         if not np.isnan(sensor.nis):
             rows[-1].append(
                 Panel(
                     "Is it as large as claimed?",
-                    [size(found.times - found.times[0], sensor, found.level, f"{percent} band if as claimed", "NIS / dof")],
+                    [
+                        size(
+                            found.times - found.times[0],
+                            sensor,
+                            found.level,
+                            f"{percent} band if as claimed",
+                            "NIS / dof",
+                        )
+                    ],
                     "time since the first epoch (s)",
                     "NIS over its degrees of freedom",
                 )
@@ -58,7 +78,9 @@ def figure(found: Diagnosis) -> Figure:
 
 def _band(lags: Array, half: Array, label: str) -> Item:
     def item(ax: Axes) -> None:
-        ax.fill_between(lags, -half, half, color=colors.SIGMA, alpha=0.3, linewidth=0.0, label=label)
+        ax.fill_between(
+            lags, -half, half, color=colors.SIGMA, alpha=0.3, linewidth=0.0, label=label
+        )
         horizontal(0.0)(ax)
 
     return item
@@ -70,13 +92,24 @@ def size(times: Array, sensor: Sensed, level: float, band: str, label: str) -> I
     squares, dof, t = (np.add.reduceat(x, starts) for x in (sensor.squares, sensor.dof, times))
     many = np.diff([*starts, len(times)])
     there = dof > 0
-    bands = [chi_square_band(1.0, d / min(sensor.shared, n), level) for d, n in zip(dof[there], many[there], strict=True)]
+    bands = [
+        chi_square_band(1.0, d / min(sensor.shared, n), level)
+        for d, n in zip(dof[there], many[there], strict=True)
+    ]
     low, high = np.array(bands).reshape(-1, 2).T
     middle = (t / many)[there]
 
     def item(ax: Axes) -> None:
         ax.fill_between(middle, low, high, color=colors.SIGMA, alpha=0.3, linewidth=0.0, label=band)
-        curve(middle, squares[there] / dof[there], color=colors.FAINT, marker=".", markersize=3.0, linewidth=0.9, label=label)(ax)
+        curve(
+            middle,
+            squares[there] / dof[there],
+            color=colors.FAINT,
+            marker=".",
+            markersize=3.0,
+            linewidth=0.9,
+            label=label,
+        )(ax)
         horizontal(1.0)(ax)
 
     return item

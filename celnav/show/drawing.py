@@ -64,6 +64,11 @@ def render(fig: Figure, kind: str, dpi: float = 150) -> bytes:
     buffer = io.BytesIO()
     _sparse_ticks(fig)
     with styled():
-        fig.savefig(buffer, format=kind, dpi=dpi, metadata={"Date": None} if kind == "svg" else {"Software": None})
+        fig.savefig(
+            buffer,
+            format=kind,
+            dpi=dpi,
+            metadata={"Date": None} if kind == "svg" else {"Software": None},
+        )
     fig.set_layout_engine("none")  # arranged once, for every kind: it takes as long as the drawing
     return buffer.getvalue()

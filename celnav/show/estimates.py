@@ -58,19 +58,34 @@ class Estimate:
         if self.cov is None:
             return None
         variance = (self.cov if self.cov.ndim == 2 else self.cov.diagonal(0, -2, -1))[:, group.part]
-        return np.asarray(np.sqrt(np.where(variance >= 0.0, variance, np.nan)) * np.asarray(group.scale))
+        return np.asarray(
+            np.sqrt(np.where(variance >= 0.0, variance, np.nan)) * np.asarray(group.scale)
+        )
 
 
-def again(results: Results, part: str, lines: Mapping[str, Line]) -> tuple[dict[str, Estimate], Array, Array]:
+def again(
+    results: Results, part: str, lines: Mapping[str, Line]
+) -> tuple[dict[str, Estimate], Array, Array]:
     """Filters of a part: the errors of all runs, and the first run flown again in full for its covariances; its truth ``(T, n)``
     and its measurements ``(T, m)``, of epochs that are the same for all filters."""
-    first, scale = results.first(part), np.ones(results.get(part, f"{next(iter(lines))}/error").shape[-1])
+    first, scale = (
+        results.first(part),
+        np.ones(results.get(part, f"{next(iter(lines))}/error").shape[-1]),
+    )
     for group in results.study.groups:
         scale[group.part] = group.scale
     n, found = len(scale), {}
     for name, line in lines.items():
         epochs = list(first.epochs(name))
-        cov = np.asarray(run(first.filters[name], first.prior, epochs, keep="cov").cov)[:, 0, :n, :n]
-        error, nees, nis = (results.get(part, f"{name}/{what}") for what in ("error", "nees", "nis"))
+        cov = np.asarray(run(first.filters[name], first.prior, epochs, keep="cov").cov)[
+            :, 0, :n, :n
+        ]
+        error, nees, nis = (
+            results.get(part, f"{name}/{what}") for what in ("error", "nees", "nis")
+        )
         found[name] = Estimate(line.label, line.color, error / scale, cov, nees[:, 0], nis[:, 0])
-    return found, np.stack([epoch.truth[0] for epoch in epochs]), np.stack([epoch.z[0] for epoch in epochs])
+    return (
+        found,
+        np.stack([epoch.truth[0] for epoch in epochs]),
+        np.stack([epoch.z[0] for epoch in epochs]),
+    )

@@ -32,7 +32,9 @@ Item = Callable[["Axes"], Any]
 """Draws something."""
 
 
-def figure(width: float, height: float, rows: int = 1, columns: int = 1, **axes: Any) -> tuple[Figure, Any]:
+def figure(
+    width: float, height: float, rows: int = 1, columns: int = 1, **axes: Any
+) -> tuple[Figure, Any]:
     """An empty figure (inches) and its axes in celnav's style, outside pyplot's list of open figures."""
     from celnav.show.drawing import Drawing, styled
 
@@ -59,7 +61,12 @@ class Panel(NamedTuple):
     more: Mapping[str, Any] = {}
 
 
-def panels(*rows: Panel | Sequence[Panel], size: tuple[float, float], legend: Any = "outside lower center", **axes: Any) -> Figure:
+def panels(
+    *rows: Panel | Sequence[Panel],
+    size: tuple[float, float],
+    legend: Any = "outside lower center",
+    **axes: Any,
+) -> Figure:
     """A figure of rows of panels, and below them one legend of all labels.
 
     ``axes``: as of `figure`; where they share x or y (``sharex="col"``) the outer ones alone are labeled.
@@ -101,7 +108,12 @@ class Line(NamedTuple):
     @property
     def look(self) -> dict[str, Any]:
         """The same as matplotlib has it."""
-        return {"label": self.label, "color": self.color, "linestyle": self.style, "linewidth": self.width}
+        return {
+            "label": self.label,
+            "color": self.color,
+            "linestyle": self.style,
+            "linewidth": self.width,
+        }
 
 
 def curve(x: Any, y: Any, line: Line | None = None, **look: Any) -> Item:
@@ -109,28 +121,49 @@ def curve(x: Any, y: Any, line: Line | None = None, **look: Any) -> Item:
     return lambda ax: ax.plot(x, y, **(line.look if line else {}) | look)
 
 
-def components(x: Any, y: Array, names: Sequence[str], shades: Sequence[str], **look: Any) -> list[Item]:
+def components(
+    x: Any, y: Array, names: Sequence[str], shades: Sequence[str], **look: Any
+) -> list[Item]:
     """A curve for each column of ``y (T, k)``."""
-    return [curve(x, column, label=name, color=c, **look) for column, name, c in zip(y.T, names, shades, strict=False)]
+    return [
+        curve(x, column, label=name, color=c, **look)
+        for column, name, c in zip(y.T, names, shades, strict=False)
+    ]
 
 
-def level(*values: float, label: str = "", color: str = colors.SIGMA, style: str = ":", upright: bool = False) -> Item:
+def level(
+    *values: float,
+    label: str = "",
+    color: str = colors.SIGMA,
+    style: str = ":",
+    upright: bool = False,
+) -> Item:
     """Lines across the axes, the first with a label."""
 
     def item(ax: Axes) -> None:
         for i, value in enumerate(values):
             line = ax.axvline if upright else ax.axhline
-            line(value, color=color, linestyle=style, linewidth=0.8, label=None if i else label or None)
+            line(
+                value,
+                color=color,
+                linestyle=style,
+                linewidth=0.8,
+                label=None if i else label or None,
+            )
 
     return item
 
 
 def interval(start: float, end: float, label: str = "", color: str = colors.BOUND) -> Item:
     """A part of the time, shaded."""
-    return lambda ax: ax.axvspan(start, end, color=color, alpha=0.25, linewidth=0.0, label=label or None)
+    return lambda ax: ax.axvspan(
+        start, end, color=color, alpha=0.25, linewidth=0.0, label=label or None
+    )
 
 
-def band(ax: Axes, t: Array, low: Array, high: Array, *, color: str, label: str | None = None) -> None:
+def band(
+    ax: Axes, t: Array, low: Array, high: Array, *, color: str, label: str | None = None
+) -> None:
     """A translucent band, for quantiles of a Monte Carlo."""
     ax.fill_between(t, low, high, color=color, alpha=0.22, linewidth=0.0, label=label)
 
@@ -147,14 +180,25 @@ def quantiles(x: Array, values: Array, line: Line, *, median: bool = True) -> It
     return item
 
 
-def bars(ticks: Sequence[str], heights: Mapping[str, tuple[Sequence[float], Any]], *, across: bool = False) -> Item:
+def bars(
+    ticks: Sequence[str],
+    heights: Mapping[str, tuple[Sequence[float], Any]],
+    *,
+    across: bool = False,
+) -> Item:
     """Groups of bars: label -> values, one for each tick, and color; ``across``: from the left, the first at the top."""
 
     def item(ax: Axes) -> None:
         place, width = np.arange(len(ticks)), 0.84 / len(heights)
         draw, name = (ax.barh, ax.set_yticks) if across else (ax.bar, ax.set_xticks)
         for k, (label, (values, color)) in enumerate(heights.items()):
-            draw(place + width * (k - 0.5 * (len(heights) - 1)), values, 0.92 * width, color=color, label=label)
+            draw(
+                place + width * (k - 0.5 * (len(heights) - 1)),
+                values,
+                0.92 * width,
+                color=color,
+                label=label,
+            )
         name(place, ticks)
         if across:
             ax.invert_yaxis()
@@ -181,33 +225,65 @@ def errors(
     return item
 
 
-def sigma(results: Results, part: str, filter: str, name: str, group: str, axis: int, *, absolute: bool = False) -> Item:
+def sigma(
+    results: Results,
+    part: str,
+    filter: str,
+    name: str,
+    group: str,
+    axis: int,
+    *,
+    absolute: bool = False,
+) -> Item:
     """Three of the deviations that a filter takes for those of its first run."""
 
     def item(ax: Axes) -> None:
         t, std = results.times(part), 3.0 * results.error(part, filter, group, "std")[:, 0, axis]
-        ax.plot(t, std, color=colors.SIGMA, linestyle=":", label=f"{'' if absolute else '±'}3σ of {name}")
+        ax.plot(
+            t,
+            std,
+            color=colors.SIGMA,
+            linestyle=":",
+            label=f"{'' if absolute else '±'}3σ of {name}",
+        )
         if not absolute:
             ax.plot(t, -std, color=colors.SIGMA, linestyle=":")
 
     return item
 
 
-def rmse(results: Results, part: str, filter: str, line: Line, group: str, *, each: bool = False, start: int = 0) -> Item:
+def rmse(
+    results: Results,
+    part: str,
+    filter: str,
+    line: Line,
+    group: str,
+    *,
+    each: bool = False,
+    start: int = 0,
+) -> Item:
     """RMSE over the runs of the length of a group's error, or with ``each`` of its components, against time."""
     square = np.square(results.error(part, filter, group)[start:])
     values = np.sqrt((square.mean(-1) if each else square.sum(-1)).mean(1))
     return curve(results.times(part)[start:], values, line)
 
 
-def consistency(results: Results, part: str, lines: Mapping[str, Line], what: str, dof: int) -> Item:
+def consistency(
+    results: Results, part: str, lines: Mapping[str, Line], what: str, dof: int
+) -> Item:
     """NEES or NIS of filters, averaged over the runs, with the 95 % band of a consistent one."""
 
     def item(ax: Axes) -> None:
         for filter, line in lines.items():
             values = results.get(part, f"{filter}/{what}")
-            ax.plot(results.times(part)[1 : len(values)], values[1:].mean(1), **line.look | {"linewidth": 0.9})
-        ax.axhspan(*chi_square_band(dof, values.shape[1]), color=colors.SIGMA, alpha=0.4, label="95 % band")
+            ax.plot(
+                results.times(part)[1 : len(values)],
+                values[1:].mean(1),
+                **line.look | {"linewidth": 0.9},
+            )
+        ax.axhspan(
+            *chi_square_band(dof, values.shape[1]), color=colors.SIGMA, alpha=0.4, label="95 % band"
+        )
 
     return item
 
@@ -217,7 +293,12 @@ Rows = list[dict[str, str | float]]
 
 
 def rmse_table(
-    results: Results, part: str, printed: Mapping[str, Sequence[float]], groups: Sequence[str], columns: Sequence[str], **first: str
+    results: Results,
+    part: str,
+    printed: Mapping[str, Sequence[float]],
+    groups: Sequence[str],
+    columns: Sequence[str],
+    **first: str,
 ) -> Rows:
     """Rows of RMSE by component: what is printed for a filter, named in capitals, ours at the end, and averaged over time."""
     rows: Rows = []
@@ -226,5 +307,12 @@ def rmse_table(
         ours = {source: np.sqrt(np.concatenate([results.squares(part, filter.lower(), group, at).mean(0) for group in groups]))
                 for source, at in moments.items()}  # fmt: skip
         for source, values in {"paper": row, **ours}.items():
-            rows.append({**first, "filter": filter, "source": source, **dict(zip(columns, map(float, values), strict=True))})
+            rows.append(
+                {
+                    **first,
+                    "filter": filter,
+                    "source": source,
+                    **dict(zip(columns, map(float, values), strict=True)),
+                }
+            )
     return rows

@@ -49,9 +49,13 @@ def end(recording: str | Path) -> float:
     try:
         for chunk in rr.chunk.RrdReader(str(recording)).stream().to_chunks():
             if TIMELINE in chunk.timeline_names and chunk.num_rows:
-                last = max(last, *chunk.to_record_batch().column(TIMELINE).cast("int64").to_pylist())
+                last = max(
+                    last, *chunk.to_record_batch().column(TIMELINE).cast("int64").to_pylist()
+                )
     except (RuntimeError, ValueError) as error:
-        raise InputError(f"{recording}: expected a recording ({' '.join(str(error).split())[:200]})") from None
+        raise InputError(
+            f"{recording}: expected a recording ({' '.join(str(error).split())[:200]})"
+        ) from None
     return 1e-9 * last
 
 
@@ -77,7 +81,9 @@ def picture(recording: str | Path, path: str | Path, at: float, width: int = 160
                 drawn.crop((0, round(BAR * drawn.height), *drawn.size)).save(target, "PNG")
         except (RuntimeError, ConnectionError, TimeoutError) as error:
             said = " ".join(str(error).split())[:200]
-            raise OSError(f"{recording}: the viewer gave no picture ({said}); it needs a Vulkan driver") from None
+            raise OSError(
+                f"{recording}: the viewer gave no picture ({said}); it needs a Vulkan driver"
+            ) from None
 
 
 def command(*arguments: str) -> list[str]:
@@ -94,13 +100,22 @@ def _viewer() -> Iterator[ViewerClient]:
     with TemporaryDirectory() as folder, Path(folder, "said").open("w+b") as said:
         words = command("--headless", "--hide-welcome-screen", "--port", str(port))
         env = {"RUST_LOG": "error", "XDG_RUNTIME_DIR": folder, **os.environ}
-        process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=said, stderr=said, env=env, start_new_session=True)
+        process = subprocess.Popen(
+            words,
+            stdin=subprocess.DEVNULL,
+            stdout=said,
+            stderr=said,
+            env=env,
+            start_new_session=True,
+        )
         try:
             deadline = time.monotonic() + PATIENCE_S
             while not _answers(port):
                 if process.poll() is not None or time.monotonic() > deadline:
                     said.seek(0)
-                    raise RuntimeError(said.read().decode(errors="replace").strip() or "it does not start")
+                    raise RuntimeError(
+                        said.read().decode(errors="replace").strip() or "it does not start"
+                    )
                 time.sleep(0.1)
             yield ViewerClient.connect(f"rerun+http://{HOST}:{port}/proxy")
         finally:
@@ -120,7 +135,9 @@ def _end(process: subprocess.Popen[bytes]) -> None:
                 os.killpg(process.pid, sign)
                 process.wait(5.0)
     else:
-        subprocess.run(["taskkill", "/PID", str(process.pid), "/T", "/F"], check=False, capture_output=True)
+        subprocess.run(
+            ["taskkill", "/PID", str(process.pid), "/T", "/F"], check=False, capture_output=True
+        )
     process.wait()
 
 

@@ -52,4 +52,8 @@ def draw(out: Recorder, entity: str, plot: Plot) -> None:
             out.bounds(path, c.sigma, c.label, center=c.center, shown=c.shown, color=c.color)
     if plot.band is not None:
         for end, level in zip(("low", "high"), plot.band, strict=True):
-            out.level(f"{entity}/band/{end}", float(np.log10(level)) if plot.log else level, f"95 % band, {end}")
+            out.level(
+                f"{entity}/band/{end}",
+                float(np.log10(level)) if plot.log else level,
+                f"95 % band, {end}",
+            )

@@ -22,7 +22,14 @@ class Progress:
             from tqdm import tqdm
 
             form = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}{postfix}"
-            self._bar = tqdm(total=self._total, initial=done, desc=name, file=sys.stderr, bar_format=form, smoothing=0.0)
+            self._bar = tqdm(
+                total=self._total,
+                initial=done,
+                desc=name,
+                file=sys.stderr,
+                bar_format=form,
+                smoothing=0.0,
+            )
         elif done > 0.0:
             print(f"{name}: {done / self._total:.0%} was done before", flush=True)
 
@@ -78,7 +85,9 @@ class RunProgress:
             if self._terminal:
                 from tqdm import tqdm
 
-                self._bar = tqdm(total=total, initial=done, unit="run", desc=self._name, file=sys.stderr)
+                self._bar = tqdm(
+                    total=total, initial=done, unit="run", desc=self._name, file=sys.stderr
+                )
             else:
                 print(f"{self._name}: {done}/{total} runs", flush=True)
                 self._said = now
@@ -87,5 +96,8 @@ class RunProgress:
         elif done == total or now - self._said >= EVERY_S:
             rate = (done - self._start[1]) / max(now - self._start[0], 1e-9)
             left = (total - done) / rate if rate else float("inf")
-            print(f"{self._name}: {done}/{total} runs, {rate:.0f} a second, {left:.0f} s left", flush=True)
+            print(
+                f"{self._name}: {done}/{total} runs, {rate:.0f} a second, {left:.0f} s left",
+                flush=True,
+            )
             self._said = now

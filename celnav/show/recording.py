@@ -76,10 +76,14 @@ def ellipsoid_axes(covariance: Array, sigmas: float = 3.0) -> tuple[Array, Array
     eigenvalues, axes = np.linalg.eigh(finite("covariance", covariance, (..., 3, 3)))
     sigmas = number("sigmas", sigmas, 0.0)
     if (eigenvalues[..., 0] < -1e-9 * np.abs(eigenvalues).max(-1, initial=0.0)).any():
-        raise ValueError(f"covariance: expected positive semidefinite matrices, smallest eigenvalue {eigenvalues.min():.3g}")
+        raise ValueError(
+            f"covariance: expected positive semidefinite matrices, smallest eigenvalue {eigenvalues.min():.3g}"
+        )
     # The eigenvectors may be those of a reflection; the direction of an axis is free.
     axes[..., 0] *= np.where(np.linalg.det(axes) < 0.0, -1.0, 1.0)[..., None]
-    quaternions = Rotation.from_matrix(axes.reshape(-1, 3, 3)).as_quat().reshape(*axes.shape[:-2], 4)
+    quaternions = (
+        Rotation.from_matrix(axes.reshape(-1, 3, 3)).as_quat().reshape(*axes.shape[:-2], 4)
+    )
     return sigmas * np.sqrt(np.maximum(eigenvalues, 0.0)), quaternions
 
 
@@ -102,42 +106,76 @@ class Recorder:
     def _style(self, entity: str, style: Any) -> None:
         self.stream.log(_text("entity", entity), style, static=True)
 
-    def _array(self, entity: str, name: str, values: ArrayLike, shape: tuple[int | None, ...]) -> Array:
+    def _array(
+        self, entity: str, name: str, values: ArrayLike, shape: tuple[int | None, ...]
+    ) -> Array:
         """``values`` as float64 of shape ``(T, *shape)``, None for any length; ValueError names the entity and the argument."""
         return numbers(f"{_text('entity', entity)} {name}", values, (len(self.times), *shape))
 
     def text(self, entity: str, markdown: str) -> None:
         """A text panel."""
-        self._style(entity, rr.TextDocument(_text("markdown", markdown), media_type="text/markdown"))
+        self._style(
+            entity, rr.TextDocument(_text("markdown", markdown), media_type="text/markdown")
+        )
 
     def curve(
-        self, entity: str, values: ArrayLike, color: str, name: str, *, width: float = 1.5, shown: bool = True, log: bool = False
+        self,
+        entity: str,
+        values: ArrayLike,
+        color: str,
+        name: str,
+        *,
+        width: float = 1.5,
+        shown: bool = True,
+        log: bool = False,
     ) -> None:
         """A curve ``(T,)`` in a plot, with gaps at nan; hidden until clicked in the legend unless ``shown``; ``log``: of decimal
         logarithms, since plots have no logarithmic axis."""
         scalars = self._array(entity, "values", values, ())
         if log:
             scalars = np.log10(scalars, out=np.full(scalars.shape, np.nan), where=scalars > 0.0)
-        style = {"colors": rgba(color), "widths": number("width", width, 0.0), "names": _text("name", name)}
+        style = {
+            "colors": rgba(color),
+            "widths": number("width", width, 0.0),
+            "names": _text("name", name),
+        }
         self._style(entity, rr.SeriesLines(**style, visible_series=shown))
         # An empty row is a gap too, and two files with a nan never compare equal.
         there = np.isfinite(scalars)
         self._send(entity, rr.Scalars.columns(scalars=scalars[there]).partition(there.astype(int)))
 
     def bounds(
-        self, entity: str, sigma: ArrayLike, name: str, *, center: ArrayLike = 0.0, shown: bool = True, color: str = colors.SIGMA
+        self,
+        entity: str,
+        sigma: ArrayLike,
+        name: str,
+        *,
+        center: ArrayLike = 0.0,
+        shown: bool = True,
+        color: str = colors.SIGMA,
     ) -> None:
         """Curves ``entity/+3s`` and ``entity/-3s``: three deviations ``(T,)`` about ``center``."""
         deviation, middle = self._array(entity, "sigma", sigma, ()), numbers("center", center)
-        middle = self._array(entity, "center", middle if middle.ndim else np.full(len(self.times), middle), ())
+        middle = self._array(
+            entity, "center", middle if middle.ndim else np.full(len(self.times), middle), ()
+        )
         for sign, factor in (("+", 3.0), ("-", -3.0)):
             curve = middle + factor * deviation
-            self.curve(f"{entity}/{sign}3s", curve, color, f"±3σ {_text('name', name)}", width=1.0, shown=shown)
+            self.curve(
+                f"{entity}/{sign}3s",
+                curve,
+                color,
+                f"±3σ {_text('name', name)}",
+                width=1.0,
+                shown=shown,
+            )
 
     def level(self, entity: str, value: float, name: str, color: str = colors.SIGMA) -> None:
         """A horizontal line in a plot."""
         ends = self.times[[0, -1]]
-        self._style(entity, rr.SeriesLines(colors=rgba(color), widths=1.0, names=_text("name", name)))
+        self._style(
+            entity, rr.SeriesLines(colors=rgba(color), widths=1.0, names=_text("name", name))
+        )
         scalars = rr.Scalars.columns(scalars=[float(numbers("value", value, ()))] * 2)
         self.stream.send_columns(entity, [rr.TimeColumn(TIMELINE, duration=ends)], scalars)
 
@@ -150,13 +188,24 @@ class Recorder:
         counts = np.concatenate([[0], there.astype(int)])
         self._send(entity, rr.LineStrips3D.columns(strips=segments[there]).partition(counts))
 
-    def path(self, entity: str, strips: Sequence[Array], color: str, *, radius: float = 0.5) -> None:
+    def path(
+        self, entity: str, strips: Sequence[Array], color: str, *, radius: float = 0.5
+    ) -> None:
         """Lines ``(points, 3)`` that stay for the whole run."""
-        lines = [numbers("strips", strip, ("points", 3)) for strip in sequence("strips", strips, "[np.zeros((2, 3))]")]
+        lines = [
+            numbers("strips", strip, ("points", 3))
+            for strip in sequence("strips", strips, "[np.zeros((2, 3))]")
+        ]
         self._style(entity, rr.LineStrips3D(lines, colors=rgba(color), radii=_size(radius)))
 
     def strips(
-        self, entity: str, strips: ArrayLike, colors: Sequence[str], *, labels: Sequence[str] = (), radius: float = 1.0
+        self,
+        entity: str,
+        strips: ArrayLike,
+        colors: Sequence[str],
+        *,
+        labels: Sequence[str] = (),
+        radius: float = 1.0,
     ) -> None:
         """``k`` lines ``(T, k, points, 3)`` that move; lines that are partly nan are left out."""
         shades = _colors(colors)
@@ -166,40 +215,92 @@ class Recorder:
         palette = np.array(shades, np.uint8)[np.nonzero(there)[1]]
         texts = _labels(labels, len(shades))
         names = {"labels": np.array(texts)[np.nonzero(there)[1]].tolist()} if texts else {}
-        self._send(entity, rr.LineStrips3D.columns(strips=lines[there], colors=palette, **names).partition(there.sum(1)))
+        self._send(
+            entity,
+            rr.LineStrips3D.columns(strips=lines[there], colors=palette, **names).partition(
+                there.sum(1)
+            ),
+        )
 
-    def arrow(self, entity: str, origins: ArrayLike, vectors: ArrayLike, color: str, label: str) -> None:
+    def arrow(
+        self, entity: str, origins: ArrayLike, vectors: ArrayLike, color: str, label: str
+    ) -> None:
         """An arrow from ``origins (T, 3)`` along ``vectors (T, 3)``."""
-        start, vector = self._array(entity, "origins", origins, (3,)), self._array(entity, "vectors", vectors, (3,))
+        start, vector = (
+            self._array(entity, "origins", origins, (3,)),
+            self._array(entity, "vectors", vectors, (3,)),
+        )
         there = np.isfinite(start + vector).all(1)
-        self._style(entity, rr.Arrows3D.from_fields(colors=rgba(color), radii=_size(1.5), labels=_text("label", label)))
-        self._send(entity, rr.Arrows3D.columns(origins=start[there], vectors=vector[there]).partition(there.astype(int)))
+        self._style(
+            entity,
+            rr.Arrows3D.from_fields(
+                colors=rgba(color), radii=_size(1.5), labels=_text("label", label)
+            ),
+        )
+        self._send(
+            entity,
+            rr.Arrows3D.columns(origins=start[there], vectors=vector[there]).partition(
+                there.astype(int)
+            ),
+        )
 
     def pose(self, entity: str, origins: ArrayLike, quaternions: ArrayLike) -> None:
         """Where everything below ``entity`` is: origins ``(T, 3)`` and attitudes ``(T, 4)`` (see `celnav.gaussian.attitude`)."""
-        start, q = self._array(entity, "origins", origins, (3,)), self._array(entity, "quaternions", quaternions, (4,))
+        start, q = (
+            self._array(entity, "origins", origins, (3,)),
+            self._array(entity, "quaternions", quaternions, (4,)),
+        )
         self._send(entity, rr.Transform3D.columns(translation=start, quaternion=q))
 
-    def axes(self, entity: str, length: float, colors: Sequence[str], labels: Sequence[str] = (), *, radius: float = 1.5) -> None:
+    def axes(
+        self,
+        entity: str,
+        length: float,
+        colors: Sequence[str],
+        labels: Sequence[str] = (),
+        *,
+        radius: float = 1.5,
+    ) -> None:
         """Three arrows along the axes of ``entity``, as long as the run."""
         texts = _labels(labels, 3)
         names = {"labels": texts} if texts else {}
         vectors, palette = number("length", length) * np.eye(3), _colors(colors, 3)
-        self._style(entity, rr.Arrows3D(vectors=vectors, colors=palette, radii=_size(radius), **names))
+        self._style(
+            entity, rr.Arrows3D(vectors=vectors, colors=palette, radii=_size(radius), **names)
+        )
 
     def points(
-        self, entity: str, points: ArrayLike, color: str, *, alpha: float = 1.0, radius: float = 2.0, label: str = ""
+        self,
+        entity: str,
+        points: ArrayLike,
+        color: str,
+        *,
+        alpha: float = 1.0,
+        radius: float = 2.0,
+        label: str = "",
     ) -> None:
         """Points ``(T, 3)`` or, ``k`` at a time, ``(T, k, 3)``; those that are partly nan are left out."""
         p = numbers(f"{entity} points", points)
         p = self._array(entity, "points", p[:, None] if p.ndim == 2 else p, (None, 3))
         there = np.isfinite(p).all(2)
         style = {"colors": rgba(color, alpha), "radii": _size(radius), "point_shading": "flat"}
-        self._style(entity, rr.Points3D.from_fields(**style, **({"labels": label} if _text("label", label) else {})))
+        self._style(
+            entity,
+            rr.Points3D.from_fields(
+                **style, **({"labels": label} if _text("label", label) else {})
+            ),
+        )
         self._send(entity, rr.Points3D.columns(positions=p[there]).partition(there.sum(1)))
 
     def ellipsoids(
-        self, entity: str, centers: ArrayLike, covariance: ArrayLike, color: str, *, sigmas: float = 3.0, alpha: float = 0.35
+        self,
+        entity: str,
+        centers: ArrayLike,
+        covariance: ArrayLike,
+        color: str,
+        *,
+        sigmas: float = 3.0,
+        alpha: float = 0.35,
     ) -> None:
         """Ellipsoids of covariances ``(T, 3, 3)`` about ``centers (T, 3)``; none where either is nan.
 
@@ -207,25 +308,39 @@ class Recorder:
         ------
         ValueError: if a covariance is not positive semidefinite.
         """
-        c, P = self._array(entity, "centers", centers, (3,)), self._array(entity, "covariance", covariance, (3, 3))
+        c, P = (
+            self._array(entity, "centers", centers, (3,)),
+            self._array(entity, "covariance", covariance, (3, 3)),
+        )
         there = np.isfinite(c).all(1) & np.isfinite(P).all((1, 2))
         half, quaternions = ellipsoid_axes(P[there], sigmas)
         mode = rr.components.FillMode.TransparentFillMajorWireframe
-        style = rr.Ellipsoids3D.from_fields(colors=rgba(color, alpha), fill_mode=mode, line_radii=rr.Radius.ui_points(0.7))
+        style = rr.Ellipsoids3D.from_fields(
+            colors=rgba(color, alpha), fill_mode=mode, line_radii=rr.Radius.ui_points(0.7)
+        )
         self._style(entity, style)
-        columns = rr.Ellipsoids3D.columns(centers=c[there], half_sizes=half, quaternions=quaternions)
+        columns = rr.Ellipsoids3D.columns(
+            centers=c[there], half_sizes=half, quaternions=quaternions
+        )
         self._send(entity, columns.partition(there.astype(int)))
 
     def globe(self, entity: str, radius: float) -> None:
         """A sphere about the origin, with circles of latitude and half circles of longitude every 15 degrees."""
         radius = number("radius", radius, above=0.0)
-        self._style(entity, rr.Ellipsoids3D(radii=[radius], colors=rgba("#16324F"), fill_mode="solid"))
+        self._style(
+            entity, rr.Ellipsoids3D(radii=[radius], colors=rgba("#16324F"), fill_mode="solid")
+        )
         around, up = np.linspace(-np.pi, np.pi, 121), np.linspace(-0.5 * np.pi, 0.5 * np.pi, 61)
         step = np.deg2rad(15.0)
         parallels = [_sphere(latitude, around) for latitude in step * np.arange(-5, 6)]
         meridians = [_sphere(up, longitude) for longitude in step * np.arange(24)]
         # A little above the ground, or the two surfaces fight for the same pixels.
-        self.path(f"{entity}/grid", [1.003 * radius * line for line in parallels + meridians], "#3C6E9F", radius=0.4)
+        self.path(
+            f"{entity}/grid",
+            [1.003 * radius * line for line in parallels + meridians],
+            "#3C6E9F",
+            radius=0.4,
+        )
 
     def bars(self, entity: str, values: ArrayLike, color: str) -> None:
         """Bars ``(k,)`` that stay for the whole run."""
@@ -243,9 +358,13 @@ class Recorder:
         for name, value in values.items():
             rows = numbers(f"{entity} {name}", value)
             if rows.shape[:1] != self.times.shape:
-                raise ValueError(f"{entity} {name}: expected {len(self.times)} rows, got shape {rows.shape}")
+                raise ValueError(
+                    f"{entity} {name}: expected {len(self.times)} rows, got shape {rows.shape}"
+                )
             rows = rows.reshape(len(rows), -1)
-            columns += rr.AnyValues.columns(**{name: rows.ravel()}).partition(np.full(len(rows), rows.shape[1]))
+            columns += rr.AnyValues.columns(**{name: rows.ravel()}).partition(
+                np.full(len(rows), rows.shape[1])
+            )
         self._send(entity, columns)
 
 
@@ -257,7 +376,13 @@ def _sphere(latitude: ArrayLike, longitude: ArrayLike) -> Array:
 
 @contextlib.contextmanager
 def recording(
-    path: str | os.PathLike[str], times: ArrayLike, *, name: str, layout: Any, properties: Mapping[str, Any] = {}, counter: str = ""
+    path: str | os.PathLike[str],
+    times: ArrayLike,
+    *,
+    name: str,
+    layout: Any,
+    properties: Mapping[str, Any] = {},
+    counter: str = "",
 ) -> Iterator[Recorder]:
     """Write a recording when the block ends: to a temporary file beside ``path`` that then takes its place, or not at all.
 
@@ -274,7 +399,9 @@ def recording(
     """
     t = numbers("times", times)
     if t.ndim != 1 or len(t) < 2 or not np.isfinite(t).all() or not (np.diff(t) > 0.0).all():
-        raise ValueError(f"times: expected two or more finite, increasing seconds, got shape {t.shape}")
+        raise ValueError(
+            f"times: expected two or more finite, increasing seconds, got shape {t.shape}"
+        )
     target = Path(instance("path", path, str | os.PathLike, "a path, such as 'flight.rrd'"))
     _text("name", name)
     _text("counter", counter)
@@ -285,7 +412,9 @@ def recording(
     with contextlib.ExitStack() as stack:
         stack.callback(rr.set_strict_mode, strict_mode())
         rr.set_strict_mode(True)  # or a wrong call is only a warning and its data are missing
-        stream = rr.RecordingStream(_slug(f"{APPLICATION} {name}"), recording_id=_slug(name), send_properties=False)
+        stream = rr.RecordingStream(
+            _slug(f"{APPLICATION} {name}"), recording_id=_slug(name), send_properties=False
+        )
         stack.callback(stream.disconnect)
         # Not to a file: its writer works in the background, keeps a full disk to itself and then waits for ever.
         memory = stream.memory_recording()
@@ -301,7 +430,9 @@ def recording(
 
 def _slug(name: str) -> str:
     """An identifier out of a title: the layout belongs to it, so that two recordings do not share one."""
-    return re.sub(r"\W+", "-", unicodedata.normalize("NFKD", name.replace("Φ", "Phi")), flags=re.ASCII).strip("-")
+    return re.sub(
+        r"\W+", "-", unicodedata.normalize("NFKD", name.replace("Φ", "Phi")), flags=re.ASCII
+    ).strip("-")
 
 
 def _check_ours(target: Path) -> None:
@@ -316,4 +447,6 @@ def _check_ours(target: Path) -> None:
     except Exception:  # whatever the reader says of a file that is no recording
         makers = []
     if not makers or not all(maker.startswith(APPLICATION) for maker in makers):
-        raise ValueError(f"path: expected a new file or a recording of celnav, got another file, which is left alone: {target}")
+        raise ValueError(
+            f"path: expected a new file or a recording of celnav, got another file, which is left alone: {target}"
+        )

@@ -79,32 +79,75 @@ class Report(NamedTuple):
     claims: Array
 
     def __str__(self) -> str:
-        runs, percent = "one run" if self.runs == 1 else f"{self.runs} runs", f"{100 * self.level:.3g} %"
-        lines = [f"{runs}, {len(self.times)} epochs from {self.times[0]:g} to {self.times[-1]:g} s", "", *self._table(percent), ""]
+        runs, percent = (
+            "one run" if self.runs == 1 else f"{self.runs} runs",
+            f"{100 * self.level:.3g} %",
+        )
+        lines = [
+            f"{runs}, {len(self.times)} epochs from {self.times[0]:g} to {self.times[-1]:g} s",
+            "",
+            *self._table(percent),
+            "",
+        ]
         said = [("NEES", self._nees(percent))]
         for k, (sensor, rejected) in enumerate(zip(self.sensors, self.rejected, strict=True)):
-            used = f"of {int(sensor.dof.sum())} components used" + (f", {rejected} rejected" if rejected else "")
-            said.append((f"NIS {k}", f"{', '.join(sensor.names)}: {_ratio(sensor, percent)}; {used}"))
-        events = [f"{count} {'steps' if what == 'redone' else 'components'} {what}" for what, count in self.events.items() if count]
+            used = f"of {int(sensor.dof.sum())} components used" + (
+                f", {rejected} rejected" if rejected else ""
+            )
+            said.append(
+                (f"NIS {k}", f"{', '.join(sensor.names)}: {_ratio(sensor, percent)}; {used}")
+            )
+        events = [
+            f"{count} {'steps' if what == 'redone' else 'components'} {what}"
+            for what, count in self.events.items()
+            if count
+        ]
         if self.lost:
             run, t = min(self.lost, key=lambda one: one[1])
-            events.append(f"{len(self.lost)} of {runs} lost, the first (run {run}) at {t:g} s; what was before counts")
+            events.append(
+                f"{len(self.lost)} of {runs} lost, the first (run {run}) at {t:g} s; what was before counts"
+            )
         said.append(("events", ", ".join(events) or "none: nothing missing, rejected or lost"))
-        return "\n".join(lines + [textwrap.fill(f"{head:8} {text}", WIDTH, subsequent_indent=9 * " ") for head, text in said])
+        return "\n".join(
+            lines
+            + [
+                textwrap.fill(f"{head:8} {text}", WIDTH, subsequent_indent=9 * " ")
+                for head, text in said
+            ]
+        )
 
     def _table(self, percent: str) -> list[str]:
         many = self.runs > 1
-        rows = [["component", "RMSE", *([percent] * many), "claimed", "mean error", f"inside {percent}"]]
+        rows = [
+            ["component", "RMSE", *([percent] * many), "claimed", "mean error", f"inside {percent}"]
+        ]
         for c in self.components:
             between = [f"{c.interval[0]:.4g} to {c.interval[1]:.4g}"] * many
-            rows.append([c.name, f"{c.rmse:.4g}", *between, f"{c.claimed:.4g}", f"{c.mean:.3g}", f"{100 * c.inside:.1f} %"])
+            rows.append(
+                [
+                    c.name,
+                    f"{c.rmse:.4g}",
+                    *between,
+                    f"{c.claimed:.4g}",
+                    f"{c.mean:.3g}",
+                    f"{100 * c.inside:.1f} %",
+                ]
+            )
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        return [f"{row[0]:{widths[0]}}  " + "  ".join(x.rjust(n) for x, n in zip(row[1:], widths[1:], strict=True)) for row in rows]
+        return [
+            f"{row[0]:{widths[0]}}  "
+            + "  ".join(x.rjust(n) for x, n in zip(row[1:], widths[1:], strict=True))
+            for row in rows
+        ]
 
     def _nees(self, percent: str) -> str:
         if self.nees is None:
             return "no covariances are stored: run with keep='cov'"
-        often = f"; in the band of the runs' mean at {100 * self.within:.0f} % of the epochs" if self.runs > 1 else ""
+        often = (
+            f"; in the band of the runs' mean at {100 * self.within:.0f} % of the epochs"
+            if self.runs > 1
+            else ""
+        )
         return f"over {len(self.components)}: {_ratio(self.nees, percent)}, correlation of errors counted{often}"
 
     def figure(self) -> Figure:
@@ -120,14 +163,29 @@ class Report(NamedTuple):
         judged = [*([("NEES / n", self.nees)] * (self.nees is not None)),
                   *((f"NIS / dof: {', '.join(sensor.names)}", sensor) for sensor in self.sensors)]  # fmt: skip
         last = [
-            Panel(title, [size(self.times, sensor, self.level, f"{percent} band if consistent", "mean of bins")], "time (s)")
+            Panel(
+                title,
+                [
+                    size(
+                        self.times,
+                        sensor,
+                        self.level,
+                        f"{percent} band if consistent",
+                        "mean of bins",
+                    )
+                ],
+                "time (s)",
+            )
             for title, sensor in judged
             if sensor is not None
         ]
-        rows = [part[i : i + columns] for part in (shown, last) for i in range(0, len(part), columns)]
+        rows = [
+            part[i : i + columns] for part in (shown, last) for i in range(0, len(part), columns)
+        ]
         blank: list[Item] = [lambda ax: ax.set_axis_off()]
         return panels(
-            *([*row, *[Panel("", blank)] * (columns - len(row))] for row in rows), size=(3.2 * columns, 1.9 * len(rows) + 0.4)
+            *([*row, *[Panel("", blank)] * (columns - len(row))] for row in rows),
+            size=(3.2 * columns, 1.9 * len(rows) + 0.4),
         )
 
 
@@ -139,16 +197,34 @@ def report(
     instance("track", track, Track, "what celnav.run gave")
     level = number("level", level, above=0.0, below=1.0)
     if track.mean is None or track.std is None:
-        raise ValueError("track: expected one with means and deviations; run with keep='cov', or 'std'")
-    chosen = _space_of(track.filter) if space is None else instance("space", space, Space, "a Space, such as celnav.attitude()")
-    from_here = slice(None) if start is None else slice(int(np.searchsorted(track.times, number("start", start))), None)
+        raise ValueError(
+            "track: expected one with means and deviations; run with keep='cov', or 'std'"
+        )
+    chosen = (
+        _space_of(track.filter)
+        if space is None
+        else instance("space", space, Space, "a Space, such as celnav.attitude()")
+    )
+    from_here = (
+        slice(None)
+        if start is None
+        else slice(int(np.searchsorted(track.times, number("start", start))), None)
+    )
     times = track.times[from_here]
     if not len(times):
-        raise ValueError(f"start: expected at most {track.times[-1]:g}, the last epoch, got {start!r}")
+        raise ValueError(
+            f"start: expected at most {track.times[-1]:g}, the last epoch, got {start!r}"
+        )
     error, n = _errors(track, truth, chosen)
-    called = [f"x{i}" for i in range(n)] if names is None else list(sequence("names", names, "['x', 'y']"))
+    called = (
+        [f"x{i}" for i in range(n)]
+        if names is None
+        else list(sequence("names", names, "['x', 'y']"))
+    )
     if len(called) != n or not all(isinstance(name, str) for name in called):
-        raise ValueError(f"names: expected {n} words, one for each component of the error, got {names!r:.80}")
+        raise ValueError(
+            f"names: expected {n} words, one for each component of the error, got {names!r:.80}"
+        )
     error, std = (x[from_here].reshape(len(times), -1, n) for x in (error, track.std[..., :n]))
     std = np.where(np.isfinite(error), std, np.nan)
     runs = error.shape[1]
@@ -161,7 +237,9 @@ def report(
     sensors, rejected = _sensors(track, from_here, level)
     lost = np.flatnonzero(track.failed_at.ravel() >= 0)
     gone = np.isnan(track.mean.reshape(len(track.times), -1, track.mean.shape[-1])[:, lost]).any(-1)
-    since = np.where(gone.any(0), track.times[gone.argmax(0)], np.nan)  # a run may be lost after all epochs that are stored
+    since = np.where(
+        gone.any(0), track.times[gone.argmax(0)], np.nan
+    )  # a run may be lost after all epochs that are stored
     return Report(
         times, runs, level, components, judged, within, sensors, rejected,
         {what: int(count.sum()) for what, count in track.events.items()}, tuple(zip(lost.tolist(), since.tolist(), strict=True)),
@@ -186,18 +264,32 @@ def _errors(track: Track, truth: Any, space: Space) -> tuple[Array, int]:
     if known.ndim == 2 < mean.ndim:
         known = known.reshape(len(known), *[1] * (mean.ndim - 2), known.shape[-1])
     wrong = known.ndim != mean.ndim or len(known) != T or (known.shape[-1] != N and not fewer)
-    if wrong or any(k not in (1, m) for k, m in zip(known.shape[1:-1], mean.shape[1:-1], strict=True)):
+    if wrong or any(
+        k not in (1, m) for k, m in zip(known.shape[1:-1], mean.shape[1:-1], strict=True)
+    ):
         shape = ", ".join(map(str, mean.shape))
-        hint = "; truth[::every] goes with a track of each every-th epoch" if known.ndim and len(known) > T else ""
-        raise ValueError(f"truth: expected shape ({shape}), at the track's epochs, got {np.shape(truth)}{hint}")
+        hint = (
+            "; truth[::every] goes with a track of each every-th epoch"
+            if known.ndim and len(known) > T
+            else ""
+        )
+        raise ValueError(
+            f"truth: expected shape ({shape}), at the track's epochs, got {np.shape(truth)}{hint}"
+        )
     if np.isinf(known).any():
-        raise ValueError("truth: expected finite numbers, or nan where it is not known, got an infinite one")
+        raise ValueError(
+            "truth: expected finite numbers, or nan where it is not known, got an infinite one"
+        )
     width = known.shape[-1]
     if width == N and space == EUCLIDEAN and track.std.shape[-1] != N:
-        raise ValueError("space: expected the space of the states, which are no vectors, such as celnav.attitude(), got none")
+        raise ValueError(
+            "space: expected the space of the states, which are no vectors, such as celnav.attitude(), got none"
+        )
     with np.errstate(invalid="ignore"):
         mine = mean[..., :width]
-        error = -space.minus(np.broadcast_to(known, mine.shape), mine)  # tangents at the mean, as covariances are
+        error = -space.minus(
+            np.broadcast_to(known, mine.shape), mine
+        )  # tangents at the mean, as covariances are
     return error, error.shape[-1]
 
 
@@ -209,7 +301,12 @@ def _component(name: str, error: Array, std: Array, level: float) -> Component:
     known = counts > 0
     interval = np.nan, np.nan
     if known.sum() > 1:
-        interval = bootstrap(lambda s, k: float(np.sqrt(s.sum() / k.sum())), squares[known], counts[known], level=level)
+        interval = bootstrap(
+            lambda s, k: float(np.sqrt(s.sum() / k.sum())),
+            squares[known],
+            counts[known],
+            level=level,
+        )
     inside = np.abs(error) <= float(ndtri(0.5 + level / 2)) * std  # nan lies nowhere
     total = int(counts.sum())
     return Component(
@@ -218,7 +315,9 @@ def _component(name: str, error: Array, std: Array, level: float) -> Component:
     )  # fmt: skip
 
 
-def _consistency(error: Array, root: Array, times: Array, level: float) -> tuple[Sensed | None, float]:
+def _consistency(
+    error: Array, root: Array, times: Array, level: float
+) -> tuple[Sensed | None, float]:
     """NEES over the dimension, and how often the mean of the runs lies in its band at an epoch."""
     T, runs, n = error.shape
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -229,11 +328,18 @@ def _consistency(error: Array, root: Array, times: Array, level: float) -> tuple
         return None, np.nan
     seen = np.flatnonzero(count)
     bands = {k: chi_square_band(n, k, level) for k in set(count[seen].tolist())}
-    within = np.mean([bands[k][0] <= s / k <= bands[k][1] for s, k in zip(squares[seen], count[seen].tolist(), strict=True)])
+    within = np.mean(
+        [
+            bands[k][0] <= s / k <= bands[k][1]
+            for s, k in zip(squares[seen], count[seen].tolist(), strict=True)
+        ]
+    )
     shared = _shared(every, times)
     total = int(count.sum())
     band = chi_square_band(1.0, n * max(total / shared, 1.0), level)
-    return Sensed((f"NEES / {n}",), float(squares.sum() / total / n), band, squares, n * count, shared), float(within)
+    return Sensed(
+        (f"NEES / {n}",), float(squares.sum() / total / n), band, squares, n * count, shared
+    ), float(within)
 
 
 def _shared(every: Array, times: Array) -> float:
@@ -245,18 +351,31 @@ def _shared(every: Array, times: Array) -> float:
     return min(max(longer, 1.0), float(len(times)))
 
 
-def _sensors(track: Track, from_here: slice, level: float) -> tuple[tuple[Sensed, ...], tuple[int, ...]]:
+def _sensors(
+    track: Track, from_here: slice, level: float
+) -> tuple[tuple[Sensed, ...], tuple[int, ...]]:
     """NIS over the degrees of freedom of each sensor; the innovations of a consistent filter are white."""
     found, rejected, first = [], [], 0
     for width in track.sensors:
         own = slice(first, first + width)
-        white, used, innovation = (x[from_here][..., own] for x in (track.whitened, track.used, track.innovation))
-        counts = (used & np.isfinite(white)).reshape(len(used), -1)  # of a lost run there is nothing
-        dof, squares = counts.sum(1), np.where(counts, np.square(white).reshape(counts.shape), 0.0).sum(1)
+        white, used, innovation = (
+            x[from_here][..., own] for x in (track.whitened, track.used, track.innovation)
+        )
+        counts = (used & np.isfinite(white)).reshape(
+            len(used), -1
+        )  # of a lost run there is nothing
+        dof, squares = (
+            counts.sum(1),
+            np.where(counts, np.square(white).reshape(counts.shape), 0.0).sum(1),
+        )
         total = int(dof.sum())
         band = chi_square_band(1.0, total, level) if total else (np.nan, np.nan)
         names = tuple(f"z{i}" for i in range(first, first + width))
-        found.append(Sensed(names, float(squares.sum() / total) if total else np.nan, band, squares, dof, 1.0))
+        found.append(
+            Sensed(
+                names, float(squares.sum() / total) if total else np.nan, band, squares, dof, 1.0
+            )
+        )
         rejected.append(int((np.isfinite(innovation) & ~used).sum()))
         first += width
     return tuple(found), tuple(rejected)
@@ -267,5 +386,11 @@ def _ratio(judged: Sensed, percent: str) -> str:
     low, high = judged.band
     if np.isnan(judged.nis):
         return "nothing was used"
-    said = "consistent" if low <= judged.nis <= high else "claims too little" if judged.nis > high else "claims too much"
+    said = (
+        "consistent"
+        if low <= judged.nis <= high
+        else "claims too little"
+        if judged.nis > high
+        else "claims too much"
+    )
     return f"{judged.nis:.4g}, {said} ({percent} of consistent ones: {low:.4g} to {high:.4g})"

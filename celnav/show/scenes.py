@@ -16,11 +16,27 @@ from celnav.show.showcase import Space
 if TYPE_CHECKING:
     from celnav.show.recording import Recorder
 
-__all__ = ["behind", "beside", "constellation", "flight", "sightings", "sigma_points", "track", "turning"]
+__all__ = [
+    "behind",
+    "beside",
+    "constellation",
+    "flight",
+    "sightings",
+    "sigma_points",
+    "track",
+    "turning",
+]
 
 
 def track(
-    out: Recorder, entity: str, points: Array, color: str, label: str = "", *, cov: Array | None = None, radius: float = 1.0
+    out: Recorder,
+    entity: str,
+    points: Array,
+    color: str,
+    label: str = "",
+    *,
+    cov: Array | None = None,
+    radius: float = 1.0,
 ) -> None:
     """A point that moves through ``points (T, 3)``, its ``trail`` and the 3 sigma ellipsoid of ``cov (T, 3, 3)``, if given.
 
@@ -32,23 +48,43 @@ def track(
         out.ellipsoids(f"{entity}/ellipsoid", points, cov, color)
 
 
-def sightings(out: Recorder, origin: str, position: Array, velocity: Array, stars: Array, radius: float) -> None:
+def sightings(
+    out: Recorder, origin: str, position: Array, velocity: Array, stars: Array, radius: float
+) -> None:
     """A satellite at ``position (T, 3)`` with its ``velocity (T, 3)`` above a sphere, and what it sees: the directions of
     ``stars (k, 3)``, the sphere's limb, and the angles between the vertical and the stars, and between the limb's sight lines."""
     out.globe(f"{origin}/earth", radius)
     out.path(f"{origin}/orbit", [position], colors.FAINT)
     track(out, f"{origin}/truth", position, colors.TRUTH, radius=3.5)
     for i, star in enumerate(stars, start=1):
-        out.arrow(f"{origin}/stars/i{i}", position, np.broadcast_to(0.9 * radius * star, position.shape), colors.STAR, f"i{i}")
+        out.arrow(
+            f"{origin}/stars/i{i}",
+            position,
+            np.broadcast_to(0.9 * radius * star, position.shape),
+            colors.STAR,
+            f"i{i}",
+        )
     touched = limb(position, velocity, radius)
     lines = touched - position[:, None]
-    out.strips(f"{origin}/limb", np.stack([touched - lines, touched], 2), [colors.MEASUREMENT] * 2, radius=1.5)
+    out.strips(
+        f"{origin}/limb",
+        np.stack([touched - lines, touched], 2),
+        [colors.MEASUREMENT] * 2,
+        radius=1.5,
+    )
     up, lines = unit(position), unit(lines)
-    arcs = [*(arc(up, np.broadcast_to(star, up.shape)) for star in stars), arc(lines[:, 0], lines[:, 1])]
+    arcs = [
+        *(arc(up, np.broadcast_to(star, up.shape)) for star in stars),
+        arc(lines[:, 0], lines[:, 1]),
+    ]
     around = position[:, None, None] + 0.2 * radius * np.stack(arcs, 1)
     shades = [*[colors.STAR] * len(stars), colors.MEASUREMENT]
-    out.strips(f"{origin}/angles", around, shades, labels=[f"A{i}" for i in range(1, len(arcs) + 1)])
-    out.strips(f"{origin}/zenith", position[:, None, None] * np.array([1.0, 1.3])[:, None], [colors.FAINT])
+    out.strips(
+        f"{origin}/angles", around, shades, labels=[f"A{i}" for i in range(1, len(arcs) + 1)]
+    )
+    out.strips(
+        f"{origin}/zenith", position[:, None, None] * np.array([1.0, 1.3])[:, None], [colors.FAINT]
+    )
 
 
 def beside(origin: str, title: str, state: Array, radius: float, growing: Sequence[str]) -> Space:
@@ -59,34 +95,67 @@ def beside(origin: str, title: str, state: Array, radius: float, growing: Sequen
     return Space(origin, title, eye, target, growing=growing)
 
 
-def turning(out: Recorder, entity: str, errors: Mapping[str, tuple[Array, str]], length: float, factor: float = 1.0) -> None:
+def turning(
+    out: Recorder,
+    entity: str,
+    errors: Mapping[str, tuple[Array, str]],
+    length: float,
+    factor: float = 1.0,
+) -> None:
     """Axes of estimates below ``entity``, whose axes are the truth's: rotation vectors ``(T, 3)`` rad with their colors, drawn
     ``factor`` times as large; not those that would then turn by more than a right angle."""
     for key, (error, color) in errors.items():
         small = np.linalg.norm(error, axis=1, keepdims=True) < 0.5 * np.pi / factor
-        out.pose(f"{entity}/{key}", np.zeros(error.shape), attitude.exp(np.where(small, factor * error, 0.0)))
+        out.pose(
+            f"{entity}/{key}",
+            np.zeros(error.shape),
+            attitude.exp(np.where(small, factor * error, 0.0)),
+        )
         out.axes(f"{entity}/{key}", length, [color] * 3, radius=0.7)
 
 
 def constellation(
-    out: Recorder, origin: str, places: Array, orbits: Array, receiver: Array, names: Sequence[str], shades: Sequence[str]
+    out: Recorder,
+    origin: str,
+    places: Array,
+    orbits: Array,
+    receiver: Array,
+    names: Sequence[str],
+    shades: Sequence[str],
 ) -> None:
     """Satellites at ``places (T, S, 3)`` on ``orbits (points, S, 3)``, with names and colors, seen from ``receiver (T, 3)``."""
     for s, (name, shade) in enumerate(zip(names, shades, strict=True)):
         out.path(f"{origin}/orbit/{name}", [orbits[:, s]], shade, radius=0.3)
         out.points(f"{origin}/sat/{name}", places[:, s], shade, radius=4.0, label=str(name))
-    out.strips(f"{origin}/sight", np.stack([np.broadcast_to(receiver[:, None], places.shape), places], 2), shades, radius=0.5)
+    out.strips(
+        f"{origin}/sight",
+        np.stack([np.broadcast_to(receiver[:, None], places.shape), places], 2),
+        shades,
+        radius=0.5,
+    )
     out.points(f"{origin}/receiver", receiver, colors.TRUTH, radius=4.0, label="receiver")
 
 
-def flight(out: Recorder, origin: str, place: Array, computed: Array, fixed: Array, sights: Array, expected: Array) -> None:
+def flight(
+    out: Recorder,
+    origin: str,
+    place: Array,
+    computed: Array,
+    fixed: Array,
+    sights: Array,
+    expected: Array,
+) -> None:
     """An aircraft at ``place (T, 3)``, where its inertial system takes it to be, and its fixes ``(T,)``; sight lines to stars,
     and where the system expects them, ``(T, 3, k)``. The view must list the trails of aircraft and inertial as growing."""
     track(out, f"{origin}/aircraft", place, colors.TRUTH, "aircraft", radius=2.5)
     track(out, f"{origin}/inertial", computed, colors.SIGMA, "inertial system", radius=1.5)
-    out.points(f"{origin}/fix", np.where(fixed[:, None], place, np.nan), colors.MEASUREMENT, radius=3.0)
+    out.points(
+        f"{origin}/fix", np.where(fixed[:, None], place, np.nan), colors.MEASUREMENT, radius=3.0
+    )
     for k in range(sights.shape[-1]):
-        out.arrow(f"{origin}/star{k + 1}/sight", place, sights[..., k], colors.STAR, f"star {k + 1}")
+        out.arrow(
+            f"{origin}/star{k + 1}/sight", place, sights[..., k], colors.STAR, f"star {k + 1}"
+        )
         out.arrow(f"{origin}/star{k + 1}/expected", place, expected[..., k], colors.MEASUREMENT, "")
 
 

@@ -126,7 +126,9 @@ def record(showcase: Showcase, path: str | os.PathLike[str]) -> None:
         if showcase.truth is not None:
             out.exact("state/truth", mean=showcase.truth)
         for key, e in showcase.estimates.items():
-            spread = {} if e.cov is None else {"covariance" if e.cov.ndim == 3 else "variance": e.cov}
+            spread = (
+                {} if e.cov is None else {"covariance" if e.cov.ndim == 3 else "variance": e.cov}
+            )
             out.exact(f"state/{key}", error=e.errors[:, 0], **spread)
 
 
@@ -148,21 +150,45 @@ def _check(showcase: Showcase) -> None:
 
 def _legend(showcase: Showcase) -> str:
     """What colors mean, and how to look at it."""
-    meant = [(colors.TRUTH, "truth"), *((e.color, e.label) for e in showcase.estimates.values()), *showcase.legend.items()]
-    meant += [(colors.BOUND, "Cramér–Rao bound")] * bool(showcase.bound) + [(colors.SIGMA, "95 % band")] * bool(showcase.estimates)
-    lines = ["**Colors.** " + " · ".join(f"{colors.NAMES.get(color, color)}: {text}" for color, text in meant) + "."]
+    meant = [
+        (colors.TRUTH, "truth"),
+        *((e.color, e.label) for e in showcase.estimates.values()),
+        *showcase.legend.items(),
+    ]
+    meant += [(colors.BOUND, "Cramér–Rao bound")] * bool(showcase.bound) + [
+        (colors.SIGMA, "95 % band")
+    ] * bool(showcase.estimates)
+    lines = [
+        "**Colors.** "
+        + " · ".join(f"{colors.NAMES.get(color, color)}: {text}" for color, text in meant)
+        + "."
+    ]
     errors = "**Errors.** Estimate minus truth. A consistent filter keeps the origin in its 3σ ellipsoid. Points: other runs."
     lines += [errors] * (showcase.axes is not None)
     lines.append("Space bar: play. Tabs: other axes. Double-click in a plot: all of its range.")
-    rows = [f"| {name} | {text} |" for name, value in showcase.parameters.items() if (text := _plain(value))]
-    return "\n\n".join(lines) + "\n\n" + "\n".join(["| parameter | |", "|---|---|", *rows] if rows else [])
+    rows = [
+        f"| {name} | {text} |"
+        for name, value in showcase.parameters.items()
+        if (text := _plain(value))
+    ]
+    return (
+        "\n\n".join(lines)
+        + "\n\n"
+        + "\n".join(["| parameter | |", "|---|---|", *rows] if rows else [])
+    )
 
 
 def _plain(value: Any) -> str:
     """A parameter's value; empty if it is no number, text or tuple of these."""
     if isinstance(value, tuple):
         return ", ".join(parts) if all(parts := [_plain(part) for part in value]) else ""
-    return f"{value:g}" if isinstance(value, float) else str(value) if isinstance(value, int | str) else ""
+    return (
+        f"{value:g}"
+        if isinstance(value, float)
+        else str(value)
+        if isinstance(value, int | str)
+        else ""
+    )
 
 
 def _largest(values: Array, quantile: float = 1.0) -> float:
@@ -176,7 +202,9 @@ def _reach(errors: Sequence[Array], sigmas: Sequence[Array | None], quantile: fl
     start: three deviations count at most twice what they come to after the first quarter of the run, and errors only from there."""
     late = slice(len(errors[0]) // 4 if errors else 0, None)
     known = [s for s in sigmas if s is not None]
-    bound = 3.0 * max((min(_largest(s), 2.0 * _largest(s[late]) or np.inf) for s in known), default=0.0)
+    bound = 3.0 * max(
+        (min(_largest(s), 2.0 * _largest(s[late]) or np.inf) for s in known), default=0.0
+    )
     error = max((_largest(e[late], quantile) for e in errors), default=0.0)
     return max(bound, min(error, 3.0 * bound) if bound else error)
 
@@ -185,28 +213,63 @@ def _errors(showcase: Showcase) -> dict[str, dict[str, Plot]]:
     """A row of plots for each group: one for each axis, and one of sizes."""
     rows: dict[str, dict[str, Plot]] = {}
     for group in showcase.groups:
-        found = {key: (e.error(group)[:, 0], e.sigma(group)) for key, e in showcase.estimates.items() if e.error(group).size}
+        found = {
+            key: (e.error(group)[:, 0], e.sigma(group))
+            for key, e in showcase.estimates.items()
+            if e.error(group).size
+        }
         main = [found[key] for key in showcase.main if key in found]
         reach = 1.05 * _reach([error for error, _ in main], [sigma for _, sigma in main], 1.0)
-        about = np.zeros((len(showcase.times), len(group.axes))) if group.truth is None else group.truth
-        limits = (float(np.nanmin(about)) - reach, float(np.nanmax(about)) + reach) if reach > 0.0 else None
+        about = (
+            np.zeros((len(showcase.times), len(group.axes))) if group.truth is None else group.truth
+        )
+        limits = (
+            (float(np.nanmin(about)) - reach, float(np.nanmax(about)) + reach)
+            if reach > 0.0
+            else None
+        )
         row = rows.setdefault(group.name, {})
         for i, axis in enumerate(group.axes):
-            curves = {} if group.truth is None else {"truth": Curve(about[:, i], colors.TRUTH, "truth")}
+            curves = (
+                {} if group.truth is None else {"truth": Curve(about[:, i], colors.TRUTH, "truth")}
+            )
             for key, (error, sigma) in found.items():
                 center = 0.0 if group.truth is None else about[:, i] + error[:, i]
-                curves[key] = _curve(showcase, key, about[:, i] + error[:, i], None if sigma is None else sigma[:, i], center)
-            row[axis] = Plot(f"{group.name} {'error ' * (group.truth is None)}{axis}, {group.unit}", curves, limits=limits)
-        lengths = {key: [None if part is None else np.linalg.norm(part, axis=1) for part in both] for key, both in found.items()}
+                curves[key] = _curve(
+                    showcase,
+                    key,
+                    about[:, i] + error[:, i],
+                    None if sigma is None else sigma[:, i],
+                    center,
+                )
+            row[axis] = Plot(
+                f"{group.name} {'error ' * (group.truth is None)}{axis}, {group.unit}",
+                curves,
+                limits=limits,
+            )
+        lengths = {
+            key: [None if part is None else np.linalg.norm(part, axis=1) for part in both]
+            for key, both in found.items()
+        }
         sizes = {key: _curve(showcase, key, *both) for key, both in lengths.items()}
         row["size"] = Plot(f"log10 |{group.name} error|, {group.unit}", sizes, log=True)
     return rows
 
 
-def _curve(showcase: Showcase, key: str, values: Any, sigma: Array | None = None, center: Any = 0.0) -> Curve:
+def _curve(
+    showcase: Showcase, key: str, values: Any, sigma: Array | None = None, center: Any = 0.0
+) -> Curve:
     """In the color of an estimate. The viewer draws by name, so wide curves are seen below those they coincide with."""
     e, below = showcase.estimates[key], sorted(showcase.estimates).index(key)
-    return Curve(values, e.color, e.label, sigma, center, shown=key in showcase.main, width=max(1.2, 3.2 - below))
+    return Curve(
+        values,
+        e.color,
+        e.label,
+        sigma,
+        center,
+        shown=key in showcase.main,
+        width=max(1.2, 3.2 - below),
+    )
 
 
 def _statistics(showcase: Showcase) -> dict[str, dict[str, Plot]]:
@@ -215,18 +278,33 @@ def _statistics(showcase: Showcase) -> dict[str, dict[str, Plot]]:
     every = showcase.estimates.items()
     n = max((e.errors.shape[-1] for _, e in every), default=1)
     for name, dimension in (("nees", n), ("nis", showcase.nis_dof)):
-        curves = {key: _curve(showcase, key, values / dimension) for key, e in every if (values := getattr(e, name)) is not None}
+        curves = {
+            key: _curve(showcase, key, values / dimension)
+            for key, e in every
+            if (values := getattr(e, name)) is not None
+        }
         low, high = (limit / dimension for limit in chi_square_band(dimension, 1))
         if curves:
             title = f"log10 {name.upper()} / {dimension}"
-            rows["consistency"][name] = Plot(title, curves, log=True, band=(low, high), legend=False)
+            rows["consistency"][name] = Plot(
+                title, curves, log=True, band=(low, high), legend=False
+            )
     for group in showcase.groups:
-        errors = {key: error for key, e in every if (error := e.error(group)).size and error.shape[1] > 1}
-        rmse = {key: _curve(showcase, key, np.sqrt(np.square(error).sum(-1).mean(1))) for key, error in errors.items()}
+        errors = {
+            key: error for key, e in every if (error := e.error(group)).size and error.shape[1] > 1
+        }
+        rmse = {
+            key: _curve(showcase, key, np.sqrt(np.square(error).sum(-1).mean(1)))
+            for key, error in errors.items()
+        }
         if group.name in showcase.bound:
-            rmse["bound"] = Curve(showcase.bound[group.name], colors.BOUND, "Cramér–Rao bound", width=1.2)
+            rmse["bound"] = Curve(
+                showcase.bound[group.name], colors.BOUND, "Cramér–Rao bound", width=1.2
+            )
         if rmse:
-            rows["rmse"][group.name] = Plot(f"log10 RMSE of {group.name}, {group.unit}", rmse, log=True, legend=False)
+            rows["rmse"][group.name] = Plot(
+                f"log10 RMSE of {group.name}, {group.unit}", rmse, log=True, legend=False
+            )
     return {row: plots for row, plots in rows.items() if plots}
 
 
@@ -241,10 +319,17 @@ def _mapped(showcase: Showcase) -> tuple[_Mapped, float]:
     found: _Mapped = {}
     for key, e in showcase.estimates.items():
         A = showcase.axes[:, : e.errors.shape[-1]]
-        found[key] = e.errors @ A.T, A @ e.cov @ A.T if e.cov is not None and e.cov.ndim == 3 else None
+        found[key] = (
+            e.errors @ A.T,
+            A @ e.cov @ A.T if e.cov is not None and e.cov.ndim == 3 else None,
+        )
     errors, covs = zip(*(found[key] for key in showcase.main), strict=True) if found else ((), ())
-    sigmas = [None if cov is None else np.sqrt(np.fmax(cov.diagonal(0, -2, -1), 0.0)) for cov in covs]
-    return found, _reach([np.linalg.norm(e[:, : ENSEMBLE + 1], axis=-1) for e in errors], sigmas, 0.9) or 1.0
+    sigmas = [
+        None if cov is None else np.sqrt(np.fmax(cov.diagonal(0, -2, -1), 0.0)) for cov in covs
+    ]
+    return found, _reach(
+        [np.linalg.norm(e[:, : ENSEMBLE + 1], axis=-1) for e in errors], sigmas, 0.9
+    ) or 1.0
 
 
 def _draw_errors(out: Recorder, showcase: Showcase, mapped: _Mapped, size: float) -> None:
@@ -258,14 +343,18 @@ def _draw_errors(out: Recorder, showcase: Showcase, mapped: _Mapped, size: float
     for key, (errors, cov) in mapped.items():
         color = showcase.estimates[key].color
         near = np.where(np.linalg.norm(errors, axis=-1, keepdims=True) < FAR * size, errors, np.nan)
-        if showcase.estimates[key].cov is not None:  # a line through estimates of single epochs says nothing
+        if (
+            showcase.estimates[key].cov is not None
+        ):  # a line through estimates of single epochs says nothing
             out.trail(f"error/{key}/trail", near[:, 0], color, radius=0.6)
         out.points(f"error/{key}/estimate", near[:, 0], color, radius=3.0)
         if errors.shape[1] > 1:
             out.points(f"error/{key}/ensemble", near[:, 1 : ENSEMBLE + 1], color, radius=1.5)
         if cov is not None:
             small = np.trace(cov, axis1=1, axis2=2)[:, None] < (FAR * size) ** 2
-            out.ellipsoids(f"error/{key}/ellipsoid", np.where(small, near[:, 0], np.nan), cov, color)
+            out.ellipsoids(
+                f"error/{key}/ellipsoid", np.where(small, near[:, 0], np.nan), cov, color
+            )
 
 
 def _layout(showcase: Showcase, rows: Mapping[str, Mapping[str, Plot]], size: float) -> Any:
@@ -278,7 +367,10 @@ def _layout(showcase: Showcase, rows: Mapping[str, Mapping[str, Plot]], size: fl
     about += [views.log(origin="events", name="events")] if showcase.events else []
     left: list[Any] = [views.tabs(*about)]
     if showcase.axes is not None:
-        growing = {f"error/measured/{what}": 0.05 * float(times[-1] - times[0]) for what in ("points", "trail")}
+        growing = {
+            f"error/measured/{what}": 0.05 * float(times[-1] - times[0])
+            for what in ("points", "trail")
+        }
         growing |= {f"error/{key}/trail": np.inf for key in showcase.estimates}
         eye = size * np.array([1.7, -1.5, 1.1])
         left = [views.columns(views.space("error", f"errors, {showcase.unit} (origin: truth)", eye=eye, growing=growing), *left,
@@ -292,6 +384,11 @@ def _layout(showcase: Showcase, rows: Mapping[str, Mapping[str, Plot]], size: fl
     right = {row: [views.plot(_entity("plots", row, name), p.title, times, limits=p.limits, legend=legend * p.legend)
                    for name, p in plots.items()] for row, plots in rows.items()}  # fmt: skip
     below = [views.tabs(*right.pop(row)) for row in ("consistency", "rmse") if row in right]
-    drawn = [*(arranged(*plots) for plots in right.values()), *([views.columns(*below)] if below else [])]
+    drawn = [
+        *(arranged(*plots) for plots in right.values()),
+        *([views.columns(*below)] if below else []),
+    ]
     shares = (11, 10) if showcase.spaces else (1, 4)
-    return views.columns(views.rows(*left, row_shares=(5, 4)[: len(left)]), views.rows(*drawn), column_shares=shares)
+    return views.columns(
+        views.rows(*left, row_shares=(5, 4)[: len(left)]), views.rows(*drawn), column_shares=shares
+    )

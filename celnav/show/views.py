@@ -20,7 +20,18 @@ with needed_by("a recording", "record"):
     import rerun as rr
     import rerun.blueprint as rrb
 
-__all__ = ["TIMELINE", "bar_chart", "blueprint", "columns", "log", "plot", "rows", "space", "tabs", "text"]
+__all__ = [
+    "TIMELINE",
+    "bar_chart",
+    "blueprint",
+    "columns",
+    "log",
+    "plot",
+    "rows",
+    "space",
+    "tabs",
+    "text",
+]
 
 TIMELINE = "t"
 """Of every recording, seconds."""
@@ -35,7 +46,10 @@ rows, columns, tabs = rrb.Vertical, rrb.Horizontal, partial(rrb.Tabs, active_tab
 def _named(origin: str, name: str) -> dict[str, Any]:
     """Where a view looks, and what it is called; ValueError unless both are texts."""
     given = {"origin": origin, "name": name}
-    return {key: instance(key, value, str, "a text, such as 'plots/error'") for key, value in given.items()}
+    return {
+        key: instance(key, value, str, "a text, such as 'plots/error'")
+        for key, value in given.items()
+    }
 
 
 def space(
@@ -54,8 +68,14 @@ def space(
 
     def past(seconds: float) -> Any:
         boundary, seconds = rrb.TimeRangeBoundary, float(numbers("growing", seconds, ()))
-        start = boundary.cursor_relative(seconds=-seconds) if np.isfinite(seconds) else boundary.infinite()
-        return rrb.VisibleTimeRanges(timeline=TIMELINE, start=start, end=boundary.cursor_relative(seconds=0.0))
+        start = (
+            boundary.cursor_relative(seconds=-seconds)
+            if np.isfinite(seconds)
+            else boundary.infinite()
+        )
+        return rrb.VisibleTimeRanges(
+            timeline=TIMELINE, start=start, end=boundary.cursor_relative(seconds=0.0)
+        )
 
     controls = {"position": ("eye", eye), "look_target": ("target", target), "eye_up": ("up", up)}
     growing = instance("growing", growing, Mapping, "a table, such as {'trail': inf}")
@@ -63,12 +83,21 @@ def space(
         **_named(origin, name),
         background=_SPACE,
         line_grid=rrb.LineGrid3D(visible=False),
-        eye_controls=rrb.EyeControls3D(**{key: finite(name, value, (3,)) for key, (name, value) in controls.items()}),
+        eye_controls=rrb.EyeControls3D(
+            **{key: finite(name, value, (3,)) for key, (name, value) in controls.items()}
+        ),
         overrides={entity: past(seconds) for entity, seconds in growing.items()},
     )
 
 
-def plot(origin: str, name: str, times: Array, *, limits: tuple[float, float] | None = None, legend: float = 0.24) -> Any:
+def plot(
+    origin: str,
+    name: str,
+    times: Array,
+    *,
+    limits: tuple[float, float] | None = None,
+    legend: float = 0.24,
+) -> Any:
     """A plot of the curves below ``origin`` over the whole run (by default the viewer scrolls), with ``limits`` of its y axis.
 
     ``legend``: so much of the run the time axis goes on after it, where the legend hides nothing; 0: no legend.
@@ -81,14 +110,23 @@ def plot(origin: str, name: str, times: Array, *, limits: tuple[float, float] | 
     return rrb.TimeSeriesView(
         **_named(origin, name),
         axis_x=rrb.TimeAxis(view_range=rr.TimeRange(start=start, end=end)),
-        axis_y=None if limits is None else rrb.ScalarAxis(range=finite("limits", limits, (2,)).tolist()),
+        axis_y=None
+        if limits is None
+        else rrb.ScalarAxis(range=finite("limits", limits, (2,)).tolist()),
         plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=legend > 0.0),
     )
 
 
 def blueprint(layout: Any, times: Array) -> rrb.Blueprint:
     """The layout, the time panel paused and small, and the run played in about twenty seconds."""
-    instance("layout", layout, rrb.View | rrb.Container, "a view or container, such as celnav.show.views.text(...)")
+    instance(
+        "layout",
+        layout,
+        rrb.View | rrb.Container,
+        "a view or container, such as celnav.show.views.text(...)",
+    )
     speed = max(float(times[-1] - times[0]) / 20.0, 1e-3)
-    panel = rrb.TimePanel(state="collapsed", timeline=TIMELINE, playback_speed=speed, play_state="paused")
+    panel = rrb.TimePanel(
+        state="collapsed", timeline=TIMELINE, playback_speed=speed, play_state="paused"
+    )
     return rrb.Blueprint(layout, panel, collapse_panels=True)

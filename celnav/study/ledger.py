@@ -38,7 +38,11 @@ BETWEEN = ("reproduced with fitted parameters", "level only", "in part")
 """Verdicts of a statement that are less than "reproduced", and more than nothing."""
 OPEN = ("undecided", "not addressed", "not decidable", "no number")
 """Neither: by the interval; nothing was computed; nothing could be; what was computed is nan."""
-VERDICTS = tuple(dict.fromkeys(["reproduced", *BETWEEN, *(word for pair in WORDS.values() for word in pair), *OPEN]))
+VERDICTS = tuple(
+    dict.fromkeys(
+        ["reproduced", *BETWEEN, *(word for pair in WORDS.values() for word in pair), *OPEN]
+    )
+)
 """All that there are, in the order of tables."""
 
 
@@ -63,22 +67,37 @@ class Number(NamedTuple):
     @property
     def holds(self) -> bool | None:
         """Whether it is acceptable; None where its interval does not decide that, or there is no number."""
-        low, high = (end if bound is None else bound for end, bound in zip((-np.inf, np.inf), self.accept, strict=True))
+        low, high = (
+            end if bound is None else bound
+            for end, bound in zip((-np.inf, np.inf), self.accept, strict=True)
+        )
         least, most = (self.value, self.value) if self.ci is None else self.ci
         if low <= least and most <= high:
             return True
-        return False if most < low or least > high or (self.strict and np.isfinite(self.value)) else None
+        return (
+            False
+            if most < low or least > high or (self.strict and np.isfinite(self.value))
+            else None
+        )
 
     @property
     def reproduces(self) -> bool | None:
         """Whether it `holds` and its interval has the printed number in it."""
-        excluded = self.printed is not None and self.ci is not None and not self.ci[0] <= self.printed <= self.ci[1]
+        excluded = (
+            self.printed is not None
+            and self.ci is not None
+            and not self.ci[0] <= self.printed <= self.ci[1]
+        )
         return False if excluded else self.holds
 
     def __format__(self, spec: str) -> str:
         """The value and its interval, "0.053 [0.048, 0.059]"; what a ``spec`` other than ".3g" asks for is of each of them."""
         shown = format(self.value, spec or ".3g")
-        return shown if self.ci is None else f"{shown} [{self.ci[0]:{spec or '.3g'}}, {self.ci[1]:{spec or '.3g'}}]"
+        return (
+            shown
+            if self.ci is None
+            else f"{shown} [{self.ci[0]:{spec or '.3g'}}, {self.ci[1]:{spec or '.3g'}}]"
+        )
 
 
 Tiers = Mapping[str, Sequence[Number]]
@@ -86,13 +105,24 @@ Tiers = Mapping[str, Sequence[Number]]
 
 
 def estimate(
-    label: str, statistic: Callable[..., Any], samples: Sequence[Array], accept: Bounds = (None, None), block: int = 1, **more: Any
+    label: str,
+    statistic: Callable[..., Any],
+    samples: Sequence[Array],
+    accept: Bounds = (None, None),
+    block: int = 1,
+    **more: Any,
 ) -> Number:
     """A statistic of runs (the first axis of each sample) with its bootstrap interval; ``more``: see `Number`.
 
     Of one run the samples are its epochs, drawn in blocks of so many.
     """
-    return Number(label, float(statistic(*samples)), accept, bootstrap(statistic, *samples, block=block), **more)
+    return Number(
+        label,
+        float(statistic(*samples)),
+        accept,
+        bootstrap(statistic, *samples, block=block),
+        **more,
+    )
 
 
 @dataclass(frozen=True)
@@ -134,13 +164,24 @@ class Row:
         good, bad = WORDS[self.kind]
         expected = self.expected or good
         if self.decide is None:
-            verdict = expected if expected in OPEN or self.kind in ("erratum", "reconstruction", "remark") else OPEN[1]
+            verdict = (
+                expected
+                if expected in OPEN or self.kind in ("erratum", "reconstruction", "remark")
+                else OPEN[1]
+            )
             return Claim(self, (), verdict, expected)
         found = self.decide(results)
-        tiers = found if isinstance(found, Mapping) else {good: [found] if isinstance(found, Number) else found}
+        tiers = (
+            found
+            if isinstance(found, Mapping)
+            else {good: [found] if isinstance(found, Number) else found}
+        )
         verdict = bad
         for word, numbers in tiers.items():
-            outcomes = [n.reproduces if word in (WORDS["statement"][0], BETWEEN[0]) else n.holds for n in numbers]
+            outcomes = [
+                n.reproduces if word in (WORDS["statement"][0], BETWEEN[0]) else n.holds
+                for n in numbers
+            ]
             if any(not np.isfinite(n.value) for n in numbers):
                 verdict = "no number"
             elif False not in outcomes:
@@ -152,7 +193,11 @@ class Row:
         return Claim(self, tuple(told), choice("verdict", verdict, VERDICTS), expected)
 
 
-statement, erratum, reconstruction = partial(Row, "statement"), partial(Row, "erratum"), partial(Row, "reconstruction")
+statement, erratum, reconstruction = (
+    partial(Row, "statement"),
+    partial(Row, "erratum"),
+    partial(Row, "reconstruction"),
+)
 remark, finding, check = partial(Row, "remark"), partial(Row, "finding"), partial(Row, "check")
 
 
@@ -191,7 +236,11 @@ class Claim:
     def note(self) -> str:
         """What we find, with the numbers at hand."""
         known = np.isfinite([n.value for n in self.numbers]).all()
-        return self.row.found.format(*self.numbers) if known and (self.numbers or "{" not in self.row.found) else ""
+        return (
+            self.row.found.format(*self.numbers)
+            if known and (self.numbers or "{" not in self.row.found)
+            else ""
+        )
 
 
 def order(value: float) -> float:

@@ -27,9 +27,15 @@ def generator(seed: int, study: int, run: int) -> np.random.Generator:
 
 def normals(rngs: Sequence[np.random.Generator], *shapes: tuple[int, ...]) -> list[Array]:
     """Standard normal arrays, one of each shape from each generator, with the run axis before the last: ``(..., runs, n)``."""
-    for rng in (every := sequence("rngs", rngs, "[celnav.study.montecarlo.generator(seed, study, run)]", least=1)):
+    for rng in (
+        every := sequence(
+            "rngs", rngs, "[celnav.study.montecarlo.generator(seed, study, run)]", least=1
+        )
+    ):
         if not hasattr(rng, "standard_normal"):
-            raise ValueError(f"rngs: expected generators, such as np.random.default_rng(0), got {kind(rng)}")
+            raise ValueError(
+                f"rngs: expected generators, such as np.random.default_rng(0), got {kind(rng)}"
+            )
 
     draws = [[rng.standard_normal(shape) for shape in shapes] for rng in every]
     return [np.stack(column, -2) for column in zip(*draws, strict=True)]
@@ -37,12 +43,19 @@ def normals(rngs: Sequence[np.random.Generator], *shapes: tuple[int, ...]) -> li
 
 def blocks(runs: int, size: int) -> list[range]:
     """Consecutive ranges of at most ``size`` runs."""
-    return [range(first, min(first + size, runs)) for first in range(0, integer("runs", runs), integer("block", size))]
+    return [
+        range(first, min(first + size, runs))
+        for first in range(0, integer("runs", runs), integer("block", size))
+    ]
 
 
 def effort(value: str | float | None = None, default: float = 1.0) -> float:
     """A fraction in (0, 1] of the Monte-Carlo runs: the argument, else ``CELNAV_EFFORT``, which is read only here, or a default."""
-    name, given = ("effort", value) if value is not None else ("CELNAV_EFFORT", os.environ.get("CELNAV_EFFORT", default))
+    name, given = (
+        ("effort", value)
+        if value is not None
+        else ("CELNAV_EFFORT", os.environ.get("CELNAV_EFFORT", default))
+    )
     try:
         fraction = float(given)
     except (TypeError, ValueError):

@@ -36,16 +36,29 @@ def ratio(
     """
     both, statistic = ((a, at), (b, at if to is None else to)), _medians if median else _ratio
     return lambda r: estimate(
-        label, statistic, [r.squares(*one, group, when)[:, axes].sum(-1) for one, when in both], accept, **more
+        label,
+        statistic,
+        [r.squares(*one, group, when)[:, axes].sum(-1) for one, when in both],
+        accept,
+        **more,
     )
 
 
 def rmse(
-    label: str, a: Flown, group: str, accept: Bounds = (None, None), *, at: When = -1, each: bool = False, **more: Any
+    label: str,
+    a: Flown,
+    group: str,
+    accept: Bounds = (None, None),
+    *,
+    at: When = -1,
+    each: bool = False,
+    **more: Any,
 ) -> Decided:
     """RMSE of a group's length, or with ``each`` of its components taken together, in its unit."""
     over = np.mean if each else np.sum
-    return lambda r: estimate(label, _rms, [over(r.squares(*a, group, at), axis=-1)], accept, **more)
+    return lambda r: estimate(
+        label, _rms, [over(r.squares(*a, group, at), axis=-1)], accept, **more
+    )
 
 
 def settling(
@@ -63,17 +76,31 @@ def settling(
         times = np.append(t, 2.0 * t[-1] - t[-2])  # where it never does
 
         def settled(*squares: Array) -> float:
-            above = [np.flatnonzero(np.append(True, one.mean(0) >= level**2))[-1] for one in squares]
+            above = [
+                np.flatnonzero(np.append(True, one.mean(0) >= level**2))[-1] for one in squares
+            ]
             return float(times[above[0]] - (times[above[1]] if len(above) > 1 else 0.0))
 
         return estimate(
-            label, settled, [np.square(r.error(*one, group)[window, :, axes]).mean(-1).T for one in flown], accept, **more
+            label,
+            settled,
+            [np.square(r.error(*one, group)[window, :, axes]).mean(-1).T for one in flown],
+            accept,
+            **more,
         )
 
     return number
 
 
-def consistency(label: str, a: Flown, accept: Bounds = (None, None), *, at: When = -1, what: str = "nees", **more: Any) -> Decided:
+def consistency(
+    label: str,
+    a: Flown,
+    accept: Bounds = (None, None),
+    *,
+    at: When = -1,
+    what: str = "nees",
+    **more: Any,
+) -> Decided:
     """Mean over the runs of NEES or NIS."""
     return lambda r: estimate(label, np.mean, [r.nees(*a, at, what)], accept, **more)
 
@@ -90,7 +117,9 @@ def over_time(
     def decide(r: Results) -> Number:
         each = [np.asarray(column)[start:] for column in columns(r)]
         known = np.all([np.isfinite(column.reshape(len(column), -1)).all(-1) for column in each], 0)
-        return estimate(label, statistic, [column[known] for column in each], accept, block=block, **more)
+        return estimate(
+            label, statistic, [column[known] for column in each], accept, block=block, **more
+        )
 
     return decide
 
@@ -107,7 +136,13 @@ def correlation(a: Array, b: Array) -> float:
     return float((a * b).sum() / np.sqrt(np.square(a).sum() * np.square(b).sum()))
 
 
-def of(part: str, name: str, label: str, accept: Bounds = (None, None), reduce: Callable[[Array], Any] = np.max) -> Decided:
+def of(
+    part: str,
+    name: str,
+    label: str,
+    accept: Bounds = (None, None),
+    reduce: Callable[[Array], Any] = np.max,
+) -> Decided:
     """A number of an array that has no sampling error."""
     return lambda r: Number(label, float(reduce(r.get(part, name))), accept)
 
@@ -124,11 +159,19 @@ def all_of(*numbers: Decided) -> Callable[[Results], list[Number]]:
 
 def tiers(**words: Sequence[Decided]) -> Callable[[Results], Tiers]:
     """Numbers by verdict, the best one first; underscores are spaces."""
-    return lambda r: {word.replace("_", " "): [number(r) for number in numbers] for word, numbers in words.items()}
+    return lambda r: {
+        word.replace("_", " "): [number(r) for number in numbers] for word, numbers in words.items()
+    }
 
 
 def entries(
-    cells: Sequence[tuple[Flown, Sequence[float]]], groups: Sequence[str], best: str, factor: float, most: int, *, at: When = -1
+    cells: Sequence[tuple[Flown, Sequence[float]]],
+    groups: Sequence[str],
+    best: str,
+    factor: float,
+    most: int,
+    *,
+    at: When = -1,
 ) -> Callable[[Results], Tiers]:
     """A printed table of RMSE by component: ``best`` if at most so many entries leave a factor, else whether the level is right.
 
@@ -140,7 +183,9 @@ def entries(
         samples = [r.squares(*flown, group, at) for flown, _ in cells for group in groups]
 
         def logs(*parts: Array) -> Array:
-            return np.asarray(np.abs(np.log(np.concatenate([np.sqrt(part.mean(0)) for part in parts]) / printed)))
+            return np.asarray(
+                np.abs(np.log(np.concatenate([np.sqrt(part.mean(0)) for part in parts]) / printed))
+            )
 
         def beyond(*parts: Array) -> float:
             return float((logs(*parts) > np.log(factor)).sum())
@@ -149,7 +194,14 @@ def entries(
             return float(np.exp(logs(*parts).max()))
 
         return {
-            best: [estimate(f"entries of {len(printed)} beyond a factor {factor:g}", beyond, samples, (None, most))],
+            best: [
+                estimate(
+                    f"entries of {len(printed)} beyond a factor {factor:g}",
+                    beyond,
+                    samples,
+                    (None, most),
+                )
+            ],
             "level only": [estimate("largest factor", farthest, samples, (None, SAME_ORDER))],
         }
 

@@ -17,7 +17,9 @@ SOURCES = ("paper", "inferred", "chosen")
 """Printed; follows from what is printed; ours, because nothing is."""
 
 
-def param(value: Any, source: str, meaning: str, *, one_of: tuple[Any, ...] = (), **bounds: float) -> Any:
+def param(
+    value: Any, source: str, meaning: str, *, one_of: tuple[Any, ...] = (), **bounds: float
+) -> Any:
     """A parameter of a `Parameters` class, by its default.
 
     value: the default; what is given instead has to be of its kind. source: one of `SOURCES`, and why after a colon.
@@ -27,7 +29,10 @@ def param(value: Any, source: str, meaning: str, *, one_of: tuple[Any, ...] = ()
     >>> step_s: float = param(1.0, "paper", "interval of the measurements", above=0.0)
     """
     choice("source", source.partition(":")[0], SOURCES)
-    return field(default=value, metadata={"source": source, "meaning": meaning, "one_of": one_of, "bounds": bounds})
+    return field(
+        default=value,
+        metadata={"source": source, "meaning": meaning, "one_of": one_of, "bounds": bounds},
+    )
 
 
 class Parameters:
@@ -62,7 +67,9 @@ class Timed(Parameters, ABC):
         return float(self.times[-1])
 
 
-def _check(name: str, value: Any, default: Any, one_of: tuple[Any, ...], bounds: dict[str, float], **_: str) -> None:
+def _check(
+    name: str, value: Any, default: Any, one_of: tuple[Any, ...], bounds: dict[str, float], **_: str
+) -> None:
     if one_of or isinstance(default, bool):
         if value is not None or None not in one_of:
             choice(name, value, [word for word in one_of if word is not None] or (True, False))

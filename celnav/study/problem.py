@@ -65,18 +65,31 @@ class Problem:
         instance("sensor", self.sensor, Sensor, "celnav.Sensor(h, R)")
         prior = instance("prior", self.prior, Gaussian, "celnav.Gaussian(mean, cov)")
         for name, noise in (("Q", self.motion.noise), ("R", self.sensor.noise)):
-            if not isinstance(noise, np.ndarray) or noise.ndim != 2 or self.motion.augment or self.sensor.augment:
-                raise ValueError(f"{name}: expected one constant covariance of a noise beside the model, got another")
+            if (
+                not isinstance(noise, np.ndarray)
+                or noise.ndim != 2
+                or self.motion.augment
+                or self.sensor.augment
+            ):
+                raise ValueError(
+                    f"{name}: expected one constant covariance of a noise beside the model, got another"
+                )
         vectors = self.motion.space == EUCLIDEAN
         if prior.mean.ndim != 1 or prior.cov.ndim != 2 or (vectors and len(prior.mean) != self.n):
-            raise ValueError(f"prior: expected one mean (N,) and covariance (n, n), got {prior.mean.shape} and {prior.cov.shape}")
+            raise ValueError(
+                f"prior: expected one mean (N,) and covariance (n, n), got {prior.mean.shape} and {prior.cov.shape}"
+            )
         if self.motion.noise.shape[-2] != self.n:  # type: ignore[union-attr]
-            raise ValueError(f"prior: expected a covariance to go with the motion's Q, got {prior.cov.shape}")
+            raise ValueError(
+                f"prior: expected a covariance to go with the motion's Q, got {prior.cov.shape}"
+            )
         for name in ("phi", "outliers"):
             number(name, getattr(self, name), 0.0, below=1.0)
         object.__setattr__(self, "times", finite("times", self.times))
         if self.times.ndim != 1 or len(self.times) < 2 or not (np.diff(self.times) > 0.0).all():
-            raise ValueError(f"times: expected two or more increasing numbers, got shape {self.times.shape}")
+            raise ValueError(
+                f"times: expected two or more increasing numbers, got shape {self.times.shape}"
+            )
         epochs(self.times, u=self.u)
         check_groups(self.groups, self.n)
 
@@ -89,20 +102,36 @@ class Problem:
         """Truth ``(T, runs, N)`` and measurements ``(T, runs, M)`` of one run with each generator."""
         W, V = np.asarray(self.motion.noise), np.asarray(self.sensor.noise)
         T, space = len(self.times), self.motion.space
-        start, walk, noise, lot = normals(rngs, (self.n,), (T, W.shape[1]), (T, V.shape[1]), (T, len(V)))
+        start, walk, noise, lot = normals(
+            rngs, (self.n,), (T, W.shape[1]), (T, V.shape[1]), (T, len(V))
+        )
         walk, noise = walk @ W.T, noise @ V.T
-        factor = np.where(np.abs(lot) > (special.ndtri(1.0 - 0.5 * self.outliers) if self.outliers else np.inf), WILD, 1.0)
-        x, v = space.plus(np.tile(self.prior.mean, (len(start), 1)), start @ self.prior.sqrt_cov.T), noise[0]
+        factor = np.where(
+            np.abs(lot) > (special.ndtri(1.0 - 0.5 * self.outliers) if self.outliers else np.inf),
+            WILD,
+            1.0,
+        )
+        x, v = (
+            space.plus(np.tile(self.prior.mean, (len(start), 1)), start @ self.prior.sqrt_cov.T),
+            noise[0],
+        )
         truth, z = [], []
         for epoch in epochs(self.times, u=self.u):
             if epoch.k:
                 x = space.plus(_image(self.motion, x, epoch), walk[epoch.k])
                 v = self.phi * v + np.sqrt(1.0 - self.phi**2) * noise[epoch.k]
             truth.append(x)
-            z.append(self.sensor.space.plus(_image(self.sensor, x, epoch, len(V)), factor[epoch.k] * v))
+            z.append(
+                self.sensor.space.plus(_image(self.sensor, x, epoch, len(V)), factor[epoch.k] * v)
+            )
         return np.stack(truth), np.stack(z)
 
-    def trial(self, filters: Mapping[str, Filter], rngs: Sequence[np.random.Generator], reference: str = "") -> Trial:
+    def trial(
+        self,
+        filters: Mapping[str, Filter],
+        rngs: Sequence[np.random.Generator],
+        reference: str = "",
+    ) -> Trial:
         """Runs for filters to be judged on; ``reference``: see `celnav.study.trial.Trial`."""
         truth, z = self.draw(rngs)
         groups = tuple(self.groups) or (Group("state", "", slice(0, self.n)),)
@@ -141,7 +170,11 @@ class Row(NamedTuple):
 
 
 def compare(
-    problems: Mapping[str, Problem], filters: Mapping[str, Callable[[Problem], Filter | None]], *, runs: int = 200, seed: int = 0
+    problems: Mapping[str, Problem],
+    filters: Mapping[str, Callable[[Problem], Filter | None]],
+    *,
+    runs: int = 200,
+    seed: int = 0,
 ) -> list[Row]:
     """Fly filters on problems, all on the same noise: a `Row` for each problem and filter that go together.
 
@@ -152,14 +185,26 @@ def compare(
     >>> pandas.DataFrame(compare({"falling body": problem}, filters))
     """
     runs = integer("runs", runs)
-    instance("filters", filters, Mapping, "functions by name, such as {'UKF': lambda p: celnav.ukf(p.motion, p.sensor)}")
+    instance(
+        "filters",
+        filters,
+        Mapping,
+        "functions by name, such as {'UKF': lambda p: celnav.ukf(p.motion, p.sensor)}",
+    )
     for make in filters.values():
         function("filters", make, "(problem)")
     rows = []
-    for name, problem in instance("problems", problems, Mapping, "problems by name, such as {'turn': problem}").items():
+    for name, problem in instance(
+        "problems", problems, Mapping, "problems by name, such as {'turn': problem}"
+    ).items():
         instance("problems", problem, Problem, "each a Problem(motion, sensor, prior, times)")
-        made = {key: filter for key, make in filters.items() if (filter := make(problem)) is not None}
-        trial, least = problem.trial(made, [generator(seed, 0, run) for run in range(runs)]), _bound(problem)
+        made = {
+            key: filter for key, make in filters.items() if (filter := make(problem)) is not None
+        }
+        trial, least = (
+            problem.trial(made, [generator(seed, 0, run) for run in range(runs)]),
+            _bound(problem),
+        )
         for key in made:
             found = follow(trial, key)
             half, n = len(found.times) // 2, found.error.shape[-1]
@@ -192,7 +237,12 @@ def _bound(problem: Problem) -> Array | None:
     if problem.phi == 0.0:
         best: Filter = sigma_point(problem.motion, problem.sensor, rule=Taylor())
     elif problem.motion.space == problem.sensor.space == EUCLIDEAN:
-        best = colored(problem.motion, problem.sensor, problem.phi * np.eye(problem.sensor.m or 0), rule=Taylor())
+        best = colored(
+            problem.motion,
+            problem.sensor,
+            problem.phi * np.eye(problem.sensor.m or 0),
+            rule=Taylor(),
+        )
     else:
         return None
     undisturbed: Sequence[Any] = [Noiseless()]

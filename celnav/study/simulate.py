@@ -38,16 +38,26 @@ def simulate(
     >>> truth, z = celnav.simulate(motion, gps, prior, np.arange(601.0), runs=500)
     """
     instance("motion", motion, Motion, "celnav.Motion(f, Q)")
-    sensors = [sensor] if isinstance(sensor, Sensor) else sequence("sensor", sensor, "[celnav.Sensor(h, R)]", least=1)
+    sensors = (
+        [sensor]
+        if isinstance(sensor, Sensor)
+        else sequence("sensor", sensor, "[celnav.Sensor(h, R)]", least=1)
+    )
     for each in sensors:
         instance("sensor", each, Sensor, "celnav.Sensor(h, R)")
     if Phi is not None and len(sensors) != 1:
         raise ValueError(f"Phi: expected one sensor with it, got {len(sensors)}")
     instance("prior", prior, Gaussian, "celnav.Gaussian(mean, cov)")
     if prior.mean.ndim != 1 or prior.cov.ndim != 2:
-        raise ValueError(f"prior: expected one mean (N,) and covariance (n, n), got {prior.mean.shape} and {prior.cov.shape}")
+        raise ValueError(
+            f"prior: expected one mean (N,) and covariance (n, n), got {prior.mean.shape} and {prior.cov.shape}"
+        )
     check_matrices(len(prior.cov), motion, *sensors)
-    if isinstance(runs, list | tuple) and runs and all(hasattr(rng, "standard_normal") for rng in runs):
+    if (
+        isinstance(runs, list | tuple)
+        and runs
+        and all(hasattr(rng, "standard_normal") for rng in runs)
+    ):
         rngs: Sequence[np.random.Generator] = runs
     else:
         if (count := integer("runs", runs)) > MOST_RUNS:
@@ -61,7 +71,9 @@ def simulate(
         columns = at(model.noise, x, epoch)
         return None if columns is None else draw(columns)
 
-    def image(name: str, model: Motion | Sensor, x: Array, epoch: Epoch, noise: Callable[..., Any] = white) -> Array:
+    def image(
+        name: str, model: Motion | Sensor, x: Array, epoch: Epoch, noise: Callable[..., Any] = white
+    ) -> Array:
         """What a model makes of states ``(runs, N)``, with the noise through the points and the one beside them, of that name."""
         augment = [draw(root)[None] for root in model.augment]
         y: Array = evaluate(model, x[None].copy(), epoch, augment)[0]
@@ -70,7 +82,9 @@ def simulate(
             return y
         rows = model.space.minus(y, y).shape[-1]
         if added.shape[-1] != rows:
-            raise ValueError(f"{name}: expected {rows} rows to go with the model, got {added.shape[-1]}")
+            raise ValueError(
+                f"{name}: expected {rows} rows to go with the model, got {added.shape[-1]}"
+            )
         return model.space.plus(y, added)
 
     seen, V = white, None
@@ -79,7 +93,11 @@ def simulate(
 
         def seen(model: Motion | Sensor, x: Array, epoch: Epoch) -> Any:
             nonlocal V
-            V = white(model, x, epoch) if V is None else matvec(phi(epoch) if callable(phi) else phi, V) + draw(at(zeta, x, epoch))
+            V = (
+                white(model, x, epoch)
+                if V is None
+                else matvec(phi(epoch) if callable(phi) else phi, V) + draw(at(zeta, x, epoch))
+            )
             return V
 
     x = motion.space.plus(np.tile(prior.mean, (len(rngs), 1)), draw(prior.sqrt_cov))

@@ -68,19 +68,29 @@ def fly(trial: Trial, names: Sequence[str], every: int = 1) -> dict[str, Array]:
         for group in trial.groups:
             scale[group.part] = group.scale
         nis = np.where(found.dof > 0, found.nis, np.nan)
-        each = {"error": found.error * scale, "std": found.std * scale, "nees": found.nees, "nis": nis}
+        each = {
+            "error": found.error * scale,
+            "std": found.std * scale,
+            "nees": found.nees,
+            "nis": nis,
+        }
         out |= {"times": found.times} | {f"{name}/{what}": values for what, values in each.items()}
     return out
 
 
-def together(trial: Trial, priors: Mapping[str, Gaussian], names: Sequence[str], every: int = 1) -> dict[str, Array]:
+def together(
+    trial: Trial, priors: Mapping[str, Gaussian], names: Sequence[str], every: int = 1
+) -> dict[str, Array]:
     """Filters of a trial from several priors, on the same runs and in one batch: what `fly` gives, by ``<filter>, <prior>``."""
     count, each = len(priors), list(priors.values())
     covs = [np.broadcast_to(prior.cov, (len(prior.mean), *prior.cov.shape[-2:])) for prior in each]
 
     def epochs(name: str) -> Iterator[Epoch]:
         for epoch in trial.epochs(name):
-            u, z, truth = (None if part is None else np.tile(part, (count, 1)) for part in (epoch.u, epoch.z, epoch.truth))
+            u, z, truth = (
+                None if part is None else np.tile(part, (count, 1))
+                for part in (epoch.u, epoch.z, epoch.truth)
+            )
             yield epoch._replace(u=u, z=z, truth=truth)
 
     prior = Gaussian(np.concatenate([prior.mean for prior in each]), np.concatenate(covs))
@@ -88,7 +98,10 @@ def together(trial: Trial, priors: Mapping[str, Gaussian], names: Sequence[str],
     out = {"times": flown.pop("times")}
     for key, values in flown.items():
         name, what = key.split("/")
-        out |= {f"{name}, {label}/{what}": part for label, part in zip(priors, np.split(values, count, 1), strict=True)}
+        out |= {
+            f"{name}, {label}/{what}": part
+            for label, part in zip(priors, np.split(values, count, 1), strict=True)
+        }
     return out
 
 
@@ -118,7 +131,9 @@ class Study:
     windows: Callable[[Any, Array], Mapping[str, slice]] | None = None
     source: str = ""
 
-    def units(self, *, effort: float = 1.0, seed: int = 0, only: Sequence[str] = (), **inputs: Any) -> list[Unit]:
+    def units(
+        self, *, effort: float = 1.0, seed: int = 0, only: Sequence[str] = (), **inputs: Any
+    ) -> list[Unit]:
         """The work to be done; ``only``: names of the parts wanted, all if empty; ``inputs``: what else `parts` takes."""
         parts = self.parts(effort, **inputs)
         for name in only:
@@ -132,23 +147,43 @@ class Study:
             if not only or name in only:
                 count = part.runs if part.runs == 1 else run_count(part.runs, None, effort)
                 for runs in blocks(count, part.block):
-                    units.append(Unit(self.name, name, part, seed, runs, about, part.cost * len(runs) / part.runs, engine))
+                    units.append(
+                        Unit(
+                            self.name,
+                            name,
+                            part,
+                            seed,
+                            runs,
+                            about,
+                            part.cost * len(runs) / part.runs,
+                            engine,
+                        )
+                    )
         return units
 
-    def results(self, units: Sequence[Unit], found: Iterable[dict[str, Array]], *, effort: float = 1.0) -> Results:
+    def results(
+        self, units: Sequence[Unit], found: Iterable[dict[str, Array]], *, effort: float = 1.0
+    ) -> Results:
         """What units gave, in their order, joined over runs. One part is joined before the next is asked for: they are large."""
         parts = groupby(zip(units, found, strict=True), lambda pair: pair[0].part)
         joined = {name: _joined([arrays for _, arrays in pairs]) for name, pairs in parts}
-        return Results(self, units[0].seed, effort, {unit.part: unit.work for unit in units}, joined)
+        return Results(
+            self, units[0].seed, effort, {unit.part: unit.work for unit in units}, joined
+        )
 
-    def reproduce(self, *, effort: float = 1.0, out: str | Path | None = None, **options: Any) -> Results:
+    def reproduce(
+        self, *, effort: float = 1.0, out: str | Path | None = None, **options: Any
+    ) -> Results:
         """Do all `units` here and now, but for those that ``celnav reproduce --out`` has done with this code; nothing is written.
 
         >>> results = csrukf.STUDY.reproduce(effort=0.1, only=["0", "I"], out="out")
         """
         units = self.units(effort=effort, **options)
         store = None if out is None else existing(Path(out) / self.name / RESULTS)
-        found = (store.read(unit) if store is not None and store.has(unit) else unit.do() for unit in units)
+        found = (
+            store.read(unit) if store is not None and store.has(unit) else unit.do()
+            for unit in units
+        )
         return self.results(units, found, effort=effort)
 
     def at_hand(self, out: str | Path = "out", *, small: float = 0.02) -> Results:
@@ -192,7 +227,10 @@ class Unit(NamedTuple):
     def do(self) -> dict[str, Array]:
         """The arrays of the part, and ``cpu_s (1, 1)``; warnings of its models and filters are errors."""
         token = ENGINE.set(self.engine)
-        start, rngs = process_time(), [generator(self.seed, self.work.number, run) for run in self.runs]
+        start, rngs = (
+            process_time(),
+            [generator(self.seed, self.work.number, run) for run in self.runs],
+        )
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             try:
@@ -245,7 +283,11 @@ class Results:
         """An epoch or some of them, that of a name as the study has it."""
         if not isinstance(when, str):
             return when
-        windows = self.study.windows(self.parts[part].config, self.times(part)) if self.study.windows else {}
+        windows = (
+            self.study.windows(self.parts[part].config, self.times(part))
+            if self.study.windows
+            else {}
+        )
         return windows[choice("at", when, windows)]
 
     def squares(self, part: str, filter: str, group: str, at: When = -1) -> Array:
@@ -265,7 +307,9 @@ class Results:
     def first(self, part: str) -> Trial:
         """The first run of a part alone, with its filters, to be flown again in full."""
         config, number = self.parts[part].config, self.parts[part].number
-        assert self.study.trial is not None, "a study that draws nothing has no runs to be flown again"
+        assert self.study.trial is not None, (
+            "a study that draws nothing has no runs to be flown again"
+        )
         return self.study.trial(config, [generator(self.seed, number, 0)])
 
     @property
@@ -275,4 +319,8 @@ class Results:
 
     def claims(self, rows: Sequence[Row] = ()) -> list[Claim]:
         """All rows of the ledger, or some, judged; those that need a part which is absent are left out."""
-        return [row.judged(self) for row in rows or self.study.rows if not row.needs or row.needs in self.data]
+        return [
+            row.judged(self)
+            for row in rows or self.study.rows
+            if not row.needs or row.needs in self.data
+        ]

@@ -19,7 +19,17 @@ from celnav.gaussian.checks import choice, finite, instance, integer, sequence
 from celnav.gaussian.linalg import Array, Belief
 from celnav.gaussian.spaces import EUCLIDEAN, Space
 
-__all__ = ["Followed", "Group", "Noiseless", "Trial", "bound", "check_groups", "drawn", "follow", "squares"]
+__all__ = [
+    "Followed",
+    "Group",
+    "Noiseless",
+    "Trial",
+    "bound",
+    "check_groups",
+    "drawn",
+    "follow",
+    "squares",
+]
 
 TOGETHER = 8  # epochs whose roots are evaluated at once; with more of them the filter's own arrays leave the cache
 
@@ -62,7 +72,9 @@ def check_groups(groups: Any, n: int) -> None:
     for group in sequence("groups", groups, "[Group('position', 'm', slice(0, 3))]"):
         instance("groups", group, Group, "each a Group")
         if not isinstance(group.part, slice) or not len(range(n)[group.part]):
-            raise ValueError(f"groups: expected a slice of {n} components for {group.name}, got {group.part!r}")
+            raise ValueError(
+                f"groups: expected a slice of {n} components for {group.name}, got {group.part!r}"
+            )
 
 
 def drawn(
@@ -85,7 +97,9 @@ def drawn(
     every = epochs(times, z, u, states)
 
     def compare(truth: Any, belief: Belief) -> tuple[Array, Array]:
-        return -space.minus(truth, belief.mean), belief.sqrt_cov  # the root is that of tangents at the mean
+        return -space.minus(
+            truth, belief.mean
+        ), belief.sqrt_cov  # the root is that of tangents at the mean
 
     start = Gaussian(np.tile(prior.mean, (states.shape[1], 1)), prior.cov)
     return Trial(tuple(groups), filters, start, lambda _name: every, compare, reference)
@@ -142,9 +156,15 @@ def follow(trial: Trial, name: str, every: int = 1) -> Followed:
         for epoch, state, infos in flown or steps(filter, trial.prior, trial.epochs(name)):
             count += 1
             why = ""
-            if any_lost(state.belief):  # newly: a filter of single epochs may have had no estimate before
+            if any_lost(
+                state.belief
+            ):  # newly: a filter of single epochs may have had no estimate before
                 start = filter.start(trial.prior) if before is None else before
-                why = explain(filter, start, state, epoch) if (state.belief.lost() & ~start.belief.lost()).any() else ""
+                why = (
+                    explain(filter, start, state, epoch)
+                    if (state.belief.lost() & ~start.belief.lost()).any()
+                    else ""
+                )
             before = state
             due = epoch.truth is not None and seen % every == 0
             if epoch.truth is not None:
@@ -159,13 +179,35 @@ def follow(trial: Trial, name: str, every: int = 1) -> Followed:
 
     rows, blocks = judged(), []
     for block in iter(lambda: list(islice(rows, TOGETHER)), []):
-        times, error, root, nis, dof = (np.array(column, np.float64) for column in zip(*block, strict=True))
+        times, error, root, nis, dof = (
+            np.array(column, np.float64) for column in zip(*block, strict=True)
+        )
         with np.errstate(invalid="ignore"):  # a lost run is nan
-            blocks.append((times, error, np.sqrt(np.einsum("...ij,...ij->...i", root, root)), nees(error, root), nis, dof))
+            blocks.append(
+                (
+                    times,
+                    error,
+                    np.sqrt(np.einsum("...ij,...ij->...i", root, root)),
+                    nees(error, root),
+                    nis,
+                    dof,
+                )
+            )
     if not blocks:
         raise ValueError("epochs: expected some with a truth, got none")
-    times, error, std, normalized, nis, dof = (np.concatenate(column) for column in zip(*blocks, strict=True))
-    return Followed(times, error, std, normalized, nis, dof, [(run, *what) for run, what in sorted(lost.items())], count)
+    times, error, std, normalized, nis, dof = (
+        np.concatenate(column) for column in zip(*blocks, strict=True)
+    )
+    return Followed(
+        times,
+        error,
+        std,
+        normalized,
+        nis,
+        dof,
+        [(run, *what) for run, what in sorted(lost.items())],
+        count,
+    )
 
 
 def _row(trial: Trial, epoch: Epoch, belief: Belief, infos: tuple[Info, ...]) -> tuple[Any, ...]:
@@ -194,4 +236,8 @@ def bound(trial: Trial, every: int = 1) -> Array | None:
     range, no filter with this model and these measurements has smaller mean squares.
     """
     instance("trial", trial, Trial, "a Trial, such as problem.trial(filters, rngs)")
-    return squares(trial.groups, follow(trial, trial.reference, every).std)[:, 0] if trial.reference else None
+    return (
+        squares(trial.groups, follow(trial, trial.reference, every).std)[:, 0]
+        if trial.reference
+        else None
+    )

@@ -10,7 +10,18 @@ from celnav.tape.tape import LOGICAL, Tape
 
 __all__ = ["function"]
 
-_INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<=", "eq": "==", "ne": "!=", "and": "&&", "or": "||"}
+_INFIX = {
+    "add": "+",
+    "sub": "-",
+    "mul": "*",
+    "div": "/",
+    "lt": "<",
+    "le": "<=",
+    "eq": "==",
+    "ne": "!=",
+    "and": "&&",
+    "or": "||",
+}
 
 
 def function(kernel: Kernel, name: str, places: dict[str, str], comment: Sequence[str]) -> str:
@@ -25,14 +36,19 @@ def function(kernel: Kernel, name: str, places: dict[str, str], comment: Sequenc
             place, index = kernel.inputs[at[0]]
             lines.append(f"    const double t{i} = {places[place]}[{index}];")
         elif op != "const":
-            lines.append(f"    const {'int' if op in LOGICAL else 'double'} t{i} = {_expression(tape, op, at)};")
+            lines.append(
+                f"    const {'int' if op in LOGICAL else 'double'} t{i} = {_expression(tape, op, at)};"
+            )
     lines += [f"    {places[place]}[{index}] = {_value(tape, x.i)};" for place, index, x in results]
     return "\n".join([*lines, "}", ""])
 
 
 def arguments(places: dict[str, str]) -> str:
     """Of the function: what it only reads is const."""
-    return ", ".join(f"{'' if place in ('state', 'rows') else 'const '}double *{name}" for place, name in places.items())
+    return ", ".join(
+        f"{'' if place in ('state', 'rows') else 'const '}double *{name}"
+        for place, name in places.items()
+    )
 
 
 def _value(tape: Tape, i: int) -> str:
@@ -41,7 +57,15 @@ def _value(tape: Tape, i: int) -> str:
     if op != "const":
         return f"t{i}"
     x = at[0]
-    return "NAN" if x != x else ("-" if x < 0.0 else "") + "INFINITY" if abs(x) == inf else f"({x.hex()})" if x < 0.0 else x.hex()
+    return (
+        "NAN"
+        if x != x
+        else ("-" if x < 0.0 else "") + "INFINITY"
+        if abs(x) == inf
+        else f"({x.hex()})"
+        if x < 0.0
+        else x.hex()
+    )
 
 
 def _expression(tape: Tape, op: str, at: Sequence[int]) -> str:

@@ -38,7 +38,9 @@ def _driver() -> Any:
     try:
         return ctypes.CDLL(name)
     except OSError as error:
-        raise CudaError(f"engine='cuda': expected the driver of an NVIDIA device, {name}, got none ({error})") from None
+        raise CudaError(
+            f"engine='cuda': expected the driver of an NVIDIA device, {name}, got none ({error})"
+        ) from None
 
 
 class Device:
@@ -55,18 +57,32 @@ class Device:
             found.append(value.value)
         if tuple(found) < TARGET:
             least, its = (".".join(map(str, version)) for version in (TARGET, found))
-            raise CudaError(f"engine='cuda': expected a device of compute capability {least} or higher, got {its}")
+            raise CudaError(
+                f"engine='cuda': expected a device of compute capability {least} or higher, got {its}"
+            )
         self._do("cuDevicePrimaryCtxRetain", ctypes.byref(self._context), number)
 
     def entry(self, program: str) -> Any:
         """The entry of a program, which the driver compiles when it first sees it."""
         if program not in self._entries:
             self._do("cuCtxSetCurrent", self._context)
-            module, entry, log = ctypes.c_void_p(), ctypes.c_void_p(), ctypes.create_string_buffer(8192)
+            module, entry, log = (
+                ctypes.c_void_p(),
+                ctypes.c_void_p(),
+                ctypes.create_string_buffer(8192),
+            )
             options = (ctypes.c_int * 2)(_ERROR_LOG, _ERROR_LOG_SIZE)
             values = (ctypes.c_void_p * 2)(ctypes.addressof(log), len(log))
             image = ctypes.c_char_p(program.encode())
-            self._do("cuModuleLoadDataEx", ctypes.byref(module), image, ctypes.c_uint(2), options, values, log=log)
+            self._do(
+                "cuModuleLoadDataEx",
+                ctypes.byref(module),
+                image,
+                ctypes.c_uint(2),
+                options,
+                values,
+                log=log,
+            )
             self._do("cuModuleGetFunction", ctypes.byref(entry), module, ctypes.c_char_p(b"entry"))
             self._entries[program] = entry
         return self._entries[program]
@@ -78,22 +94,41 @@ class Device:
         self._do("cuMemGetInfo_v2", ctypes.byref(free), ctypes.byref(whole))
         return min(free.value // 2, MOST)
 
-    def fly(self, entry: Any, kinds: NDArray[np.int32], at: NDArray[np.int64], *arrays: NDArray[np.float64]) -> None:
+    def fly(
+        self,
+        entry: Any,
+        kinds: NDArray[np.int32],
+        at: NDArray[np.int64],
+        *arrays: NDArray[np.float64],
+    ) -> None:
         """Call an entry with the ``arrays`` state, shared, own and rows (of all fields), contiguous; state and rows come back."""
         state, shared, own, rows = arrays
         self._do("cuCtxSetCurrent", self._context)
         given: tuple[NDArray[Any], ...] = kinds, at, state, shared, own
         with self._memory([x.nbytes for x in (*given, rows)]) as places:
             for place, x in zip(places, given, strict=False):
-                self._do("cuMemcpyHtoD_v2", place, ctypes.c_void_p(x.ctypes.data), ctypes.c_size_t(x.nbytes))
+                self._do(
+                    "cuMemcpyHtoD_v2",
+                    place,
+                    ctypes.c_void_p(x.ctypes.data),
+                    ctypes.c_size_t(x.nbytes),
+                )
             steps, width, runs = own.shape
-            values = [*places, *map(ctypes.c_int64, (shared.shape[1], width, int(at.max()) + 1, runs, steps))]
+            values = [
+                *places,
+                *map(ctypes.c_int64, (shared.shape[1], width, int(at.max()) + 1, runs, steps)),
+            ]
             pointers = (ctypes.c_void_p * len(values))(*map(ctypes.addressof, values))
             grid = (-(-runs // THREADS), 1, 1, THREADS, 1, 1, 0)
             self._do("cuLaunchKernel", entry, *map(ctypes.c_uint, grid), None, pointers, None)
             self._do("cuCtxSynchronize")
             for place, x in ((places[2], state), (places[5], rows)):
-                self._do("cuMemcpyDtoH_v2", ctypes.c_void_p(x.ctypes.data), place, ctypes.c_size_t(x.nbytes))
+                self._do(
+                    "cuMemcpyDtoH_v2",
+                    ctypes.c_void_p(x.ctypes.data),
+                    place,
+                    ctypes.c_size_t(x.nbytes),
+                )
 
     @contextmanager
     def _memory(self, sizes: Sequence[int]) -> Iterator[list[ctypes.c_uint64]]:

@@ -28,7 +28,9 @@ def along(center: Any, roots: Sequence[Any]) -> list[Any]:
     """One point ``(1, n)`` of each root ``(n, q)``, its columns times variables that are 0, which `at_zero` differentiates by."""
     tape = tape_of(center, *roots)
     assert tape is not None
-    tape.variables = [tape.node("var", len(tape.ops)) for _ in range(sum(E.shape[-1] for E in roots))]
+    tape.variables = [
+        tape.node("var", len(tape.ops)) for _ in range(sum(E.shape[-1] for E in roots))
+    ]
     unit, first, parts = np.array(tape.variables, object).view(Numbers), 0, []
     for E in roots:
         parts.append((E @ unit[first : first + E.shape[-1]])[None])
@@ -72,7 +74,9 @@ def with_slopes(kernel: Kernel, seeds: Collection[int]) -> Kernel:
     return Kernel(tape, inputs, state, [])
 
 
-def _carried(x: Number, known: dict[int, Carried], partials: Mapping[str, Partials] | None = None) -> Carried:
+def _carried(
+    x: Number, known: dict[int, Carried], partials: Mapping[str, Partials] | None = None
+) -> Carried:
     """Value and derivatives of a number; ``known``: those found already; ``partials``: of operations, None: `_PARTIALS`."""
     tape, stack = x.tape, [x.i]
     memory: dict[int, list[Carried] | None] = {}
@@ -89,9 +93,13 @@ def _carried(x: Number, known: dict[int, Carried], partials: Mapping[str, Partia
         name, *arguments = op
         if name == "call":
             given = [known[a] for a in arguments[1:]]
-            same = all(_same(tape, a, value) for a, (value, _) in zip(arguments[1:], given, strict=True))
+            same = all(
+                _same(tape, a, value) for a, (value, _) in zip(arguments[1:], given, strict=True)
+            )
             memory[i] = (
-                None if same and not any(slopes for _, slopes in given) else _inside(arguments[0], given, partials or _PARTIALS)
+                None
+                if same and not any(slopes for _, slopes in given)
+                else _inside(arguments[0], given, partials or _PARTIALS)
             )
         elif name == "part":
             cells = memory[arguments[0]]
@@ -106,7 +114,9 @@ def _carried(x: Number, known: dict[int, Carried], partials: Mapping[str, Partia
     return known[x.i]
 
 
-def _inside(routine: Routine, given: Sequence[Carried], partials: Mapping[str, Partials]) -> list[Carried]:
+def _inside(
+    routine: Routine, given: Sequence[Carried], partials: Mapping[str, Partials]
+) -> list[Carried]:
     """Cells of a routine after it, row by row."""
     cells: list[Any] = [*given, *[None] * (routine.cells - len(given))]
     for stage in routine.stages:
@@ -120,7 +130,10 @@ def _inside(routine: Routine, given: Sequence[Carried], partials: Mapping[str, P
                 elif name == "const":
                     known.append((arguments[0], {}))
                 else:
-                    values, slopes = [known[a][0] for a in arguments], [known[a][1] for a in arguments]
+                    values, slopes = (
+                        [known[a][0] for a in arguments],
+                        [known[a][1] for a in arguments],
+                    )
                     value = do(name, *values)
                     known.append((value, _chained(name, value, values, slopes, partials)))
             for place, index, x in stage.results:
@@ -132,11 +145,20 @@ def _same(tape: Tape, i: int, value: Scalar) -> bool:
     return (isinstance(value, Number) and value.i == i) or tape.ops[i][0] == "const"
 
 
-def _chained(name: str, value: Scalar, values: list[Scalar], slopes: list[Slopes], partials: Mapping[str, Partials]) -> Slopes:
+def _chained(
+    name: str,
+    value: Scalar,
+    values: list[Scalar],
+    slopes: list[Slopes],
+    partials: Mapping[str, Partials],
+) -> Slopes:
     """Derivatives of an operation."""
     if name == "select":
         _, a, b = slopes
-        return {k: do("select", values[0], a.get(k, 0.0), b.get(k, 0.0)) for k in sorted(a.keys() | b.keys())}
+        return {
+            k: do("select", values[0], a.get(k, 0.0), b.get(k, 0.0))
+            for k in sorted(a.keys() | b.keys())
+        }
     out: Slopes = {}
     for partial, slope in zip(partials.get(name, ()), slopes, strict=False):
         if slope:
@@ -188,5 +210,7 @@ _PARTIALS: dict[str, Partials] = {
         lambda v, a, _b: do("mul", v, do("log", a)),
     ),
 }
-_SMOOTH = _PARTIALS | {"sqrt": (lambda v, _a: do("select", do("eq", v, 0.0), 0.0, do("div", 0.5, v)),)}
+_SMOOTH = _PARTIALS | {
+    "sqrt": (lambda v, _a: do("select", do("eq", v, 0.0), 0.0, do("div", 0.5, v)),)
+}
 """The length of a row of zeros, which a singular root has, stays 0."""

@@ -44,7 +44,9 @@ def lowered(tape: Tape, outputs: Sequence[Number]) -> tuple[Tape, dict[int, Scal
         elif name == "const":
             known[i] = at[0]
         elif name == "call":
-            known[i] = new.node(name, at[0].lowered(), *(new.lift(as_number(known[a])).i for a in at[1:]))
+            known[i] = new.node(
+                name, at[0].lowered(), *(new.lift(as_number(known[a])).i for a in at[1:])
+            )
         elif name == "part":
             known[i] = new.node(name, known[at[0]].i, at[1])
         else:
@@ -74,7 +76,11 @@ def _quarters(x: Scalar) -> tuple[Scalar, Scalar, Scalar, Scalar]:
     r = _select(do("le", do("abs", x), FARTHEST), r, nan)
     z = do("mul", r, r)
     sine = do("add", r, do("mul", do("mul", r, z), _polynomial(z, _SINE)))
-    cosine = do("add", do("sub", 1.0, do("mul", 0.5, z)), do("mul", do("mul", z, z), _polynomial(z, _COSINE)))
+    cosine = do(
+        "add",
+        do("sub", 1.0, do("mul", 0.5, z)),
+        do("mul", do("mul", z, z), _polynomial(z, _COSINE)),
+    )
     q = do("sub", n, do("mul", 4.0, do("floor", do("mul", n, 0.25))))
     return sine, cosine, q, do("or", do("eq", q, 1.0), do("eq", q, 3.0))
 
@@ -95,16 +101,29 @@ def cos(x: Scalar) -> Scalar:
 
 def exp(x: Scalar) -> Scalar:
     """Exponential: of ``x = n ln 2 + r``, 2 to the n times a polynomial of r."""
-    n = do("rint", do("mul", _select(do("lt", do("abs", x), 800.0), x, do("copysign", 800.0, x)), 1.4426950408889634))
-    value = _times_pow2(_polynomial(do("sub", do("sub", x, do("mul", n, LN2[0])), do("mul", n, LN2[1])), _EXP), n)
-    return _select(do("lt", x, -745.1332191019412), 0.0, _select(do("lt", 709.782712893384, x), inf, value))
+    n = do(
+        "rint",
+        do(
+            "mul",
+            _select(do("lt", do("abs", x), 800.0), x, do("copysign", 800.0, x)),
+            1.4426950408889634,
+        ),
+    )
+    value = _times_pow2(
+        _polynomial(do("sub", do("sub", x, do("mul", n, LN2[0])), do("mul", n, LN2[1])), _EXP), n
+    )
+    return _select(
+        do("lt", x, -745.1332191019412), 0.0, _select(do("lt", 709.782712893384, x), inf, value)
+    )
 
 
 def exp2(x: Scalar) -> Scalar:
     """Two to the power of a number."""
     n = do("rint", _select(do("lt", do("abs", x), 1100.0), x, do("copysign", 1100.0, x)))
     value = _times_pow2(_polynomial(do("mul", do("sub", x, n), 0.6931471805599453), _EXP), n)
-    return _select(do("lt", x, -1074.0), 0.0, _select(do("lt", x, 1024.0), value, do("mul", x, inf)))
+    return _select(
+        do("lt", x, -1074.0), 0.0, _select(do("lt", x, 1024.0), value, do("mul", x, inf))
+    )
 
 
 def _times_pow2(x: Scalar, n: Scalar) -> Scalar:
@@ -119,7 +138,11 @@ def _less_one(x: Scalar) -> tuple[Scalar, Scalar]:
     n = do("rint", do("mul", x, 1.4426950408889634))
     r = do("sub", do("sub", x, do("mul", n, LN2[0])), do("mul", n, LN2[1]))
     clipped = _select(do("lt", 60.0, do("abs", n)), do("copysign", 60.0, n), n)
-    return do("add", do("mul", r, _polynomial(r, _EXP[1:])), do("sub", 1.0, do("pow2", do("neg", clipped)))), n
+    return do(
+        "add",
+        do("mul", r, _polynomial(r, _EXP[1:])),
+        do("sub", 1.0, do("pow2", do("neg", clipped))),
+    ), n
 
 
 def expm1(x: Scalar) -> Scalar:
@@ -133,7 +156,9 @@ def sinh(x: Scalar) -> Scalar:
     m, n = _less_one(size)
     t = _times_pow2(m, do("sub", n, 1.0))
     rest = _select(do("lt", t, 1e20), do("div", t, do("add", do("add", t, t), 1.0)), 0.0)
-    return do("copysign", _select(do("lt", size, 1e-9), size, do("add", t, rest)), x)  # half of a small number may have lost a bit
+    return do(
+        "copysign", _select(do("lt", size, 1e-9), size, do("add", t, rest)), x
+    )  # half of a small number may have lost a bit
 
 
 def cosh(x: Scalar) -> Scalar:
@@ -154,7 +179,9 @@ def log1p(x: Scalar) -> Scalar:
     """Logarithm of one more: of the sum as it is rounded, and what that lacks."""
     more = do("add", 1.0, x)
     inside = do("and", do("lt", 0.0, more), do("lt", more, inf))
-    return do("add", log(more), _select(inside, do("div", do("sub", x, do("sub", more, 1.0)), more), 0.0))
+    return do(
+        "add", log(more), _select(inside, do("div", do("sub", x, do("sub", more, 1.0)), more), 0.0)
+    )
 
 
 def cbrt(x: Scalar) -> Scalar:
@@ -178,7 +205,9 @@ def log(x: Scalar) -> Scalar:
     s = do("div", f, do("add", 2.0, f))
     z = do("mul", s, s)
     series, square = do("mul", z, _polynomial(z, _LOG)), do("mul", 0.5, do("mul", f, f))
-    rest = do("sub", square, do("add", do("mul", s, do("add", square, series)), do("mul", k, LN2[1])))
+    rest = do(
+        "sub", square, do("add", do("mul", s, do("add", square, series)), do("mul", k, LN2[1]))
+    )
     value = do("sub", do("mul", k, LN2[0]), do("sub", rest, f))
     value = _select(do("lt", x, inf), value, x)
     return _select(do("lt", 0.0, x), value, _select(do("eq", x, 0.0), -inf, nan))

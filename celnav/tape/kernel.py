@@ -27,7 +27,9 @@ class Kernel(NamedTuple):
 
     def results(self) -> list[tuple[str, int, Number]]:
         """Where each result goes, "state" or "rows" and an index, and the result."""
-        pairs = [("state", i, x) for i, x in self.state] + [("rows", i, x) for i, x in enumerate(self.rows)]
+        pairs = [("state", i, x) for i, x in self.state] + [
+            ("rows", i, x) for i, x in enumerate(self.rows)
+        ]
         return [(place, i, self.tape.lift(as_number(x))) for place, i, x in pairs]
 
     @property
@@ -40,11 +42,17 @@ class Kernel(NamedTuple):
         tape, known = lowered(self.tape, [x for *_, x in self.results()])
         found = {(place, i): known[x.i] for place, i, x in self.results()}
         state = [(i, found["state", i]) for i, _ in self.state]
-        return Kernel(tape, self.inputs, state, [found["rows", i] for i in range(len(self.rows))], self.fields)
+        return Kernel(
+            tape, self.inputs, state, [found["rows", i] for i in range(len(self.rows))], self.fields
+        )
 
     def columns(self) -> list[tuple[int, int]]:
         """Field of each row, and its place there."""
-        return [(field, i) for field, count in enumerate(self.fields or (len(self.rows),)) for i in range(count)]
+        return [
+            (field, i)
+            for field, count in enumerate(self.fields or (len(self.rows),))
+            for i in range(count)
+        ]
 
 
 def digest(kernel: Kernel) -> bytes:

@@ -29,7 +29,18 @@ from celnav.tape.elementary import LOWERED
 from celnav.tape.kernel import Kernel, digest
 from celnav.tape.tape import Number, Tape, operands
 
-__all__ = ["BLOCK", "LIBM", "aligned", "compiled", "features", "fly", "kernel_address", "lanes", "source", "toolchain"]
+__all__ = [
+    "BLOCK",
+    "LIBM",
+    "aligned",
+    "compiled",
+    "features",
+    "fly",
+    "kernel_address",
+    "lanes",
+    "source",
+    "toolchain",
+]
 
 LIBM = tuple(LOWERED)
 LINE = 64  # bytes
@@ -60,10 +71,22 @@ def source(kernel: Kernel, lanes: int, fused: bool) -> str:
         for k, stage in enumerate(routine.stages):
             inner = _stage(stage, lanes, fused)
             called |= inner.called
-            functions += [f"define internal void @{routine.name}.{k}(ptr noalias %cells) noinline", "{", *inner.lines, "}"]
+            functions += [
+                f"define internal void @{routine.name}.{k}(ptr noalias %cells) noinline",
+                "{",
+                *inner.lines,
+                "}",
+            ]
     intrinsics = [
         f"declare {code.vector} @llvm.{name}.{code.suffix}({', '.join([code.vector] * count)})"
-        for name, count in (("sqrt", 1), ("fabs", 1), ("floor", 1), ("rint", 1), ("copysign", 2), ("fma", 3))
+        for name, count in (
+            ("sqrt", 1),
+            ("fabs", 1),
+            ("floor", 1),
+            ("rint", 1),
+            ("copysign", 2),
+            ("fma", 3),
+        )
     ]
     if lanes > 1:
         pointers = f"<{lanes} x ptr>"
@@ -88,12 +111,19 @@ def _stage(stage: Any, lanes: int, fused: bool) -> _Code:
     code.body(stage.tape, [x for *_, x in stage.results])
     for place, at, x in stage.results:
         code.store(place, at, x.i)
-    code.lines += ["br label %end", "end:", "%r1 = add i64 %r, 1", f"%more = icmp slt i64 %r1, {stage.rows}"]
+    code.lines += [
+        "br label %end",
+        "end:",
+        "%r1 = add i64 %r, 1",
+        f"%more = icmp slt i64 %r1, {stage.rows}",
+    ]
     code.lines += ["br i1 %more, label %loop, label %done", "done:", "ret void"]
     return code
 
 
-def _fused(needed: Sequence[int], ops: Sequence[tuple[Any, ...]], uses: Counter[int]) -> dict[int, int]:
+def _fused(
+    needed: Sequence[int], ops: Sequence[tuple[Any, ...]], uses: Counter[int]
+) -> dict[int, int]:
     """Sums ``i`` whose term ``j`` is a product used nowhere else: both are one operation."""
     found = {}
     for i in needed:
@@ -109,7 +139,9 @@ class _Code:
 
     def __init__(self, lanes: int, fused: bool, inputs: Sequence[tuple[str, int]]):
         self.lanes, self.fused, self.inputs, self.lines = lanes, fused, inputs, list[str]()
-        self.vector, self.suffix = (f"<{lanes} x double>", f"v{lanes}f64") if lanes > 1 else ("double", "f64")
+        self.vector, self.suffix = (
+            (f"<{lanes} x double>", f"v{lanes}f64") if lanes > 1 else ("double", "f64")
+        )
         self.blocks, self.cells = 0, 0
         self.called, self.routines = set[str](), dict[Any, None]()
         self.memory = dict[int, int]()  # where that of a call begins
@@ -143,7 +175,9 @@ class _Code:
             self.lines.append(f"store {self.vector} {self.value(a)}, ptr %c{i}_{k}, align 8")
             self.divide()
         self.address(f"%c{i}", "cells", self.cells)
-        self.lines += [f"call void @{routine.name}.{k}(ptr %c{i})" for k in range(len(routine.stages))]
+        self.lines += [
+            f"call void @{routine.name}.{k}(ptr %c{i})" for k in range(len(routine.stages))
+        ]
         self.cells += routine.cells
 
     def divide(self) -> None:
@@ -158,7 +192,11 @@ class _Code:
         if self.ops[i][0] != "const":
             return f"%t{i}"
         bits = f"double 0x{struct.unpack('>Q', struct.pack('>d', self.ops[i][1]))[0]:016X}"
-        return "<" + ", ".join([bits] * self.lanes) + ">" if self.lanes > 1 else bits.removeprefix("double ")
+        return (
+            "<" + ", ".join([bits] * self.lanes) + ">"
+            if self.lanes > 1
+            else bits.removeprefix("double ")
+        )
 
     def address(self, name: str, place: str, at: int) -> None:
         """Where a number lies."""
@@ -166,7 +204,9 @@ class _Code:
             self.lines.append(f"{name}o = mul i64 %runs, {at}")
             self.lines.append(f"{name} = getelementptr double, ptr %{place}, i64 {name}o")
         else:
-            self.lines.append(f"{name} = getelementptr double, ptr %{place}, i64 {at * (1 if place == 'shared' else self.lanes)}")
+            self.lines.append(
+                f"{name} = getelementptr double, ptr %{place}, i64 {at * (1 if place == 'shared' else self.lanes)}"
+            )
 
     def load(self, i: int, place: str, at: int) -> None:
         """Take a number from where it lies."""
@@ -203,9 +243,16 @@ class _Code:
                 self.lines.append(f"store double {self.value(i)}, ptr %kept{k}, align 8")
                 continue
             places = ", ".join(f"i64 {lane * count[field] + j}" for lane in range(self.lanes))
-            self.lines.append(f"%kept{k} = getelementptr double, ptr %row{field}, <{self.lanes} x i64> <{places}>")
-            pointers, scatter = f"<{self.lanes} x ptr> %kept{k}", f"@llvm.masked.scatter.{self.suffix}.v{self.lanes}p0"
-            self.lines.append(f"call void {scatter}({self.vector} {self.value(i)}, {pointers}, i32 8, <{self.lanes} x i1> {every})")
+            self.lines.append(
+                f"%kept{k} = getelementptr double, ptr %row{field}, <{self.lanes} x i64> <{places}>"
+            )
+            pointers, scatter = (
+                f"<{self.lanes} x ptr> %kept{k}",
+                f"@llvm.masked.scatter.{self.suffix}.v{self.lanes}p0",
+            )
+            self.lines.append(
+                f"call void {scatter}({self.vector} {self.value(i)}, {pointers}, i32 8, <{self.lanes} x i1> {every})"
+            )
 
     def operation(self, i: int, product: int | None) -> None:
         """One operation; a sum together with its ``product``."""
@@ -223,7 +270,9 @@ class _Code:
             elif name == "sub":
                 put(f"%n{i} = fneg {vector} {a}")
                 a = f"%n{i}"
-            put(f"%t{i} = call {vector} @llvm.fma.{self.suffix}({vector} {a}, {vector} {b}, {vector} {c})")
+            put(
+                f"%t{i} = call {vector} @llvm.fma.{self.suffix}({vector} {a}, {vector} {b}, {vector} {c})"
+            )
         elif name in _BINARY:
             put(f"%t{i} = {_BINARY[name]} {vector} {value[0]}, {value[1]}")
         elif name == "neg":
@@ -240,7 +289,11 @@ class _Code:
         elif name in ("pow2", "exponent"):
             self.bits(i, name, value[0])
         else:
-            called = f"@{name}.{self.suffix}" if name in LIBM else f"@llvm.{ {'abs': 'fabs'}.get(name, name) }.{self.suffix}"
+            called = (
+                f"@{name}.{self.suffix}"
+                if name in LIBM
+                else f"@llvm.{ {'abs': 'fabs'}.get(name, name) }.{self.suffix}"
+            )
             put(f"%t{i} = call {vector} {called}({', '.join(f'{vector} {x}' for x in value)})")
 
     def bits(self, i: int, name: str, x: str) -> None:
@@ -248,10 +301,14 @@ class _Code:
         whole = f"<{self.lanes} x i64>" if self.lanes > 1 else "i64"
 
         def all_of(kind: str, value: str) -> str:
-            return "<" + ", ".join([f"{kind} {value}"] * self.lanes) + ">" if self.lanes > 1 else value
+            return (
+                "<" + ", ".join([f"{kind} {value}"] * self.lanes) + ">" if self.lanes > 1 else value
+            )
 
         put, vector = self.lines.append, self.vector
-        if name == "pow2":  # 1.5 2^52 has the number in its last bits, and 1 is the exponent field 1023
+        if (
+            name == "pow2"
+        ):  # 1.5 2^52 has the number in its last bits, and 1 is the exponent field 1023
             put(f"%w{i} = fadd {vector} {x}, {all_of('double', '0x4338000000000000')}")
             put(f"%x{i} = bitcast {vector} %w{i} to {whole}")
             put(f"%y{i} = shl {whole} %x{i}, {all_of('i64', '52')}")
@@ -261,7 +318,9 @@ class _Code:
         put(f"%w{i} = bitcast {vector} {x} to {whole}")
         put(f"%x{i} = lshr {whole} %w{i}, {all_of('i64', '52')}")
         put(f"%y{i} = and {whole} %x{i}, {all_of('i64', '2047')}")
-        put(f"%z{i} = or {whole} %y{i}, {all_of('i64', '4841369599423283200')}")  # 2^52 with the field in its last bits
+        put(
+            f"%z{i} = or {whole} %y{i}, {all_of('i64', '4841369599423283200')}"
+        )  # 2^52 with the field in its last bits
         put(f"%v{i} = bitcast {whole} %z{i} to {vector}")
         put(f"%t{i} = fsub {vector} %v{i}, {all_of('double', '0x43300000000003FF')}")
 

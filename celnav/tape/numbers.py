@@ -61,7 +61,9 @@ def _remainder(x: Scalar, y: Scalar) -> Scalar:
     if is_known(y, 0.0):
         return nan
     left = do("sub", x, do("mul", do("floor", do("div", x, y)), y))
-    left = do("select", do("lt", do("mul", left, do("copysign", 1.0, y)), 0.0), do("add", left, y), left)
+    left = do(
+        "select", do("lt", do("mul", left, do("copysign", 1.0, y)), 0.0), do("add", left, y), left
+    )
     return do("select", do("le", do("abs", y), do("abs", left)), do("sub", left, y), left)
 
 
@@ -133,7 +135,9 @@ class Numbers(np.ndarray):
         kind = np.dtype(dtype)
         if kind.kind not in "biuO" and kind != np.float64:
             raise refused(f"numbers are recorded as float64, not as {kind}")
-        floats = numbers(np.frompyfunc(_logical if kind.kind == "b" else as_number, 1, 1)(self.view(np.ndarray)))
+        floats = numbers(
+            np.frompyfunc(_logical if kind.kind == "b" else as_number, 1, 1)(self.view(np.ndarray))
+        )
         return np.trunc(floats) if kind.kind in "iu" else floats
 
     def any(self, *arguments: Any, **options: Any) -> Any:
@@ -158,14 +162,18 @@ def numbers(array: Any) -> Any:
 
 def tape_of(*arrays: Any) -> Tape | None:
     """The tape on which some of the numbers of arrays are; None where all are known."""
-    return next((x.tape for array in arrays for x in _bare(array).flat if isinstance(x, Number)), None)
+    return next(
+        (x.tape for array in arrays for x in _bare(array).flat if isinstance(x, Number)), None
+    )
 
 
 def recorded(value: Any) -> Any:
     """What holds a `Number`, as `Numbers`; None where nothing does."""
     if isinstance(value, Number | Numbers):
         return np.asanyarray(value, object).view(Numbers)
-    if isinstance(value, list | tuple) or getattr(getattr(value, "dtype", None), "hasobject", False):
+    if isinstance(value, list | tuple) or getattr(
+        getattr(value, "dtype", None), "hasobject", False
+    ):
         array = np.asarray(value, object)
         if any(isinstance(x, Number) for x in array.flat):
             return array.view(Numbers)
@@ -178,7 +186,9 @@ def _bare(x: Any) -> Any:
     return array if array.dtype.hasobject else array.astype(object)
 
 
-@np.errstate(all="ignore")  # from numpy 2.5 on a comparison with nan within a function of ours would warn
+@np.errstate(
+    all="ignore"
+)  # from numpy 2.5 on a comparison with nan within a function of ours would warn
 def _ufunc(ufunc: Any, method: str, inputs: Sequence[Any], options: dict[str, Any]) -> Any:
     given = options.pop("out", None)
     options.pop("dtype", None), options.pop("order", None), options.pop("casting", None)
@@ -193,7 +203,9 @@ def _ufunc(ufunc: Any, method: str, inputs: Sequence[Any], options: dict[str, An
     elif method == "reduce":
         found = _reduced(ufunc, *inputs, **options)
     elif method == "accumulate":
-        found = numbers(np.frompyfunc(_UFUNCS[ufunc], 2, 1).accumulate(*map(_bare, inputs), **options))
+        found = numbers(
+            np.frompyfunc(_UFUNCS[ufunc], 2, 1).accumulate(*map(_bare, inputs), **options)
+        )
     else:
         raise refused(f"numpy.{ufunc.__name__}.{method} cannot be recorded")
     if given is None:
@@ -210,13 +222,25 @@ def _ufunc(ufunc: Any, method: str, inputs: Sequence[Any], options: dict[str, An
 _EMPTY = {np.add: 0.0, np.multiply: 1.0, np.logical_and: True, np.logical_or: False}
 
 
-def _reduced(ufunc: Any, array: Any, axis: Any = 0, dtype: Any = None, out: Any = None, keepdims: bool = False, **more: Any) -> Any:
+def _reduced(
+    ufunc: Any,
+    array: Any,
+    axis: Any = 0,
+    dtype: Any = None,
+    out: Any = None,
+    keepdims: bool = False,
+    **more: Any,
+) -> Any:
     """Over one axis, several or all (None)."""
     initial = more.get("initial")
     if more.get("where", True) is not True or out is not None:
         raise refused(f"numpy.{ufunc.__name__} over a part cannot be recorded")
     bare = _bare(array)
-    axes = tuple(range(bare.ndim)) if axis is None else tuple(np.atleast_1d(np.array(axis, int)) % max(bare.ndim, 1))
+    axes = (
+        tuple(range(bare.ndim))
+        if axis is None
+        else tuple(np.atleast_1d(np.array(axis, int)) % max(bare.ndim, 1))
+    )
     kept = [i for i in range(bare.ndim) if i not in axes]
     rows = bare.transpose([*axes, *kept]).reshape(-1, *(bare.shape[i] for i in kept))
     function = _UFUNCS[ufunc]
@@ -247,19 +271,31 @@ def _products(ufunc: Any, a: Any, b: Any) -> Any:
         out = each_row(lambda row: _product(_bare(row), b), numbers(a), least=LONG_PRODUCT)
     else:
         out = _product(a, b)
-    return out[..., 0, 0] if row and columns else out[..., 0, :] if row else out[..., 0] if columns else out
+    return (
+        out[..., 0, 0]
+        if row and columns
+        else out[..., 0, :]
+        if row
+        else out[..., 0]
+        if columns
+        else out
+    )
 
 
 def _product(a: Any, b: Any) -> Any:
     """Of two matrices, in pairs of rows and columns."""
-    return _contracted(np.broadcast_arrays(a[..., :, None, :], np.swapaxes(b, -1, -2)[..., None, :, :]))
+    return _contracted(
+        np.broadcast_arrays(a[..., :, None, :], np.swapaxes(b, -1, -2)[..., None, :, :])
+    )
 
 
 def _contracted(pair: Sequence[Any]) -> Any:
     a, b = pair
     out = np.empty(a.shape[:-1], object)
     for at in np.ndindex(*a.shape[:-1]):
-        out[at] = total(do("mul", as_number(x), as_number(y)) for x, y in zip(a[at], b[at], strict=True))
+        out[at] = total(
+            do("mul", as_number(x), as_number(y)) for x, y in zip(a[at], b[at], strict=True)
+        )
     return out if out.ndim else out[()]
 
 
@@ -275,12 +311,21 @@ def each_row(function: Callable[..., Any], *points: Any, least: int = LONG) -> A
     widths = [x.shape[-1] for x in points]
     variables = [tape.node("var", len(tape.ops)) for _ in range(sum(widths))]
     ends = np.cumsum(widths)
-    one = [np.array([variables[end - n : end]], object).view(Numbers) for end, n in zip(ends, widths, strict=True)]
+    one = [
+        np.array([variables[end - n : end]], object).view(Numbers)
+        for end, n in zip(ends, widths, strict=True)
+    ]
     y = function(*one)
     outputs = [tape.lift(as_number(x)) for x in np.asarray(y, object).flat]
     rows = np.concatenate([_bare(x) for x in points], -1)
-    left = rolled(tape, variables, outputs, rows.tolist(), least) if np.shape(y)[:-1] == (1,) else None
-    return function(*points) if left is None else numbers(np.array(left, object).reshape(count, len(outputs)))
+    left = (
+        rolled(tape, variables, outputs, rows.tolist(), least) if np.shape(y)[:-1] == (1,) else None
+    )
+    return (
+        function(*points)
+        if left is None
+        else numbers(np.array(left, object).reshape(count, len(outputs)))
+    )
 
 
 # -- functions that are no ufuncs ------------------------------------------------------------------------------------------
@@ -296,13 +341,18 @@ def _einsum(subscripts: str, *operands: Any, **_options: Any) -> Any:
     parts, bare = left.split(","), [_bare(x) for x in operands]
     more = [x.ndim - len(part.replace("...", "")) for part, x in zip(parts, bare, strict=True)]
     free = "".join(chr(ord("A") + i) for i in range(max(more)))
-    named = [part.replace("...", free[max(more) - count :]) for part, count in zip(parts, more, strict=True)]
+    named = [
+        part.replace("...", free[max(more) - count :])
+        for part, count in zip(parts, more, strict=True)
+    ]
     right = right.replace("...", free)
     letters = right + "".join(sorted({c for part in named for c in part} - set(right)))
     whole: Any = 1.0
     for part, x in zip(named, bare, strict=True):
         order = [part.index(c) for c in letters if c in part]
-        whole = whole * numbers(x.transpose(order)[tuple(slice(None) if c in part else None for c in letters)])
+        whole = whole * numbers(
+            x.transpose(order)[tuple(slice(None) if c in part else None for c in letters)]
+        )
     summed = tuple(range(len(right), len(letters)))
     return np.add.reduce(whole, summed) if summed else whole
 
@@ -310,7 +360,11 @@ def _einsum(subscripts: str, *operands: Any, **_options: Any) -> Any:
 def _like(value: float) -> Callable[..., Any]:
     def made(prototype: Any, *_arguments: Any, shape: Any = None, **_options: Any) -> Numbers:
         if shape is None:
-            shape = prototype.shape if isinstance(prototype, np.ndarray) and prototype.dtype.hasobject else prototype
+            shape = (
+                prototype.shape
+                if isinstance(prototype, np.ndarray) and prototype.dtype.hasobject
+                else prototype
+            )
         out = Numbers(tuple(np.atleast_1d(shape)))
         out.fill(value)
         return out
@@ -352,14 +406,23 @@ def _solve(A: Any, b: Any) -> Any:
             if is_known(rows[j][i], 0.0):
                 continue
             larger = do("lt", do("abs", rows[i][i]), do("abs", rows[j][i]))
-            both = [(do("select", larger, y, x), do("select", larger, x, y)) for x, y in zip(rows[i], rows[j], strict=True)]
+            both = [
+                (do("select", larger, y, x), do("select", larger, x, y))
+                for x, y in zip(rows[i], rows[j], strict=True)
+            ]
             rows[i], rows[j] = [p for p, _ in both], [q for _, q in both]
             factor = do("div", rows[j][i], rows[i][i])
-            rows[j] = [do("sub", y, do("mul", factor, x)) for x, y in zip(rows[i], rows[j], strict=True)]
+            rows[j] = [
+                do("sub", y, do("mul", factor, x)) for x, y in zip(rows[i], rows[j], strict=True)
+            ]
     n, X = len(rows), np.empty(b.shape, object)
     for k in range(b.shape[-1]):
         for i in reversed(range(n)):
-            left = do("sub", rows[i][n + k], total(do("mul", rows[i][j], X[j, k]) for j in range(i + 1, n)))
+            left = do(
+                "sub",
+                rows[i][n + k],
+                total(do("mul", rows[i][j], X[j, k]) for j in range(i + 1, n)),
+            )
             X[i, k] = do("div", left, rows[i][i])
     return numbers(X)
 
@@ -381,7 +444,9 @@ _FUNCTIONS: dict[Any, Callable[..., Any]] = {
 # -- one of them by itself -------------------------------------------------------------------------------------------------
 def _operator(function: Callable[..., Scalar], swapped: bool = False) -> Any:
     def method(self: Number, *other: Any) -> Any:
-        if other and not isinstance(other[0], Number | float | int | np.floating | np.integer | np.bool_):
+        if other and not isinstance(
+            other[0], Number | float | int | np.floating | np.integer | np.bool_
+        ):
             return NotImplemented
         return function(*other, self) if swapped else function(self, *other)
 
@@ -405,13 +470,22 @@ def _through(_self: Number, function: Any, _types: Any, arguments: Any, options:
     """numpy's functions of single numbers: as of arrays without axes."""
 
     def whole(x: Any) -> Any:
-        return numbers(x) if isinstance(x, Number) else type(x)(map(whole, x)) if type(x) in (tuple, list) else x
+        return (
+            numbers(x)
+            if isinstance(x, Number)
+            else type(x)(map(whole, x))
+            if type(x) in (tuple, list)
+            else x
+        )
 
     return function(*map(whole, arguments), **{name: whole(x) for name, x in options.items()})
 
 
 for _name, _method in (
-    ("__array_ufunc__", lambda _self, ufunc, method, *inputs, **options: _ufunc(ufunc, method, inputs, options)),
+    (
+        "__array_ufunc__",
+        lambda _self, ufunc, method, *inputs, **options: _ufunc(ufunc, method, inputs, options),
+    ),
     ("__array_function__", _through),
     ("__getitem__", lambda self, at: numbers(np.asarray(self, object))[at]),
 ):

@@ -113,15 +113,26 @@ _PROGRAMS: dict[tuple[tuple[bytes, ...], int], str] = {}
 def source(kernels: Sequence[Kernel], size: int) -> str:
     """LLVM assembly of a program; the steps stand in the loop itself, where a state of registers is all the memory they need."""
     binding, text = llvm.toolchain(), _FLY + _ENTRY
-    parts = {"@ARGUMENTS": (_ARGUMENTS, 1), "@SIZE": (str(size), 1), "@LOAD": (_LOAD, size), "@STORE": (_STORE, size)}
+    parts = {
+        "@ARGUMENTS": (_ARGUMENTS, 1),
+        "@SIZE": (str(size), 1),
+        "@LOAD": (_LOAD, size),
+        "@STORE": (_STORE, size),
+    }
     fields = kernels[0].fields or (len(kernels[0].rows),)
-    where = [_FIELD.replace("@BEFORE", str(sum(fields[:i]))).replace("#", str(i)) for i in range(len(fields))]
+    where = [
+        _FIELD.replace("@BEFORE", str(sum(fields[:i]))).replace("#", str(i))
+        for i in range(len(fields))
+    ]
     parts |= {"@CELLS": (str(max(kernel.cells for kernel in kernels)), 1)}
     parts |= {"@COUNT": (str(len(fields)), 1), "@FIELDS": ("\n".join(where), 1)}
     parts |= {name: (part, len(kernels)) for name, part in (("@CASES", _CASE), ("@STEPS", _STEP))}
     for name, (part, count) in parts.items():
         text = text.replace(name, "\n".join(part.replace("#", str(i)) for i in range(count)))
-    declared = (f"declare void @step{i}(ptr noalias, ptr, ptr, ptr, i64, ptr noalias, i64)" for i in range(len(kernels)))
+    declared = (
+        f"declare void @step{i}(ptr noalias, ptr, ptr, ptr, i64, ptr noalias, i64)"
+        for i in range(len(kernels))
+    )
     module = binding.parse_assembly("\n".join([*declared, text]))
     for i, kernel in enumerate(kernels):
         part = binding.parse_assembly(llvm.source(kernel, 1, True))
@@ -142,9 +153,13 @@ def assembled(text: str) -> str:
     binding.initialize_all_targets()
     binding.initialize_all_asmprinters()
     module = binding.parse_assembly(text)
-    machine = binding.Target.from_triple(TRIPLE).create_target_machine(cpu=f"sm_{TARGET[0]}{TARGET[1]}", opt=1)
+    machine = binding.Target.from_triple(TRIPLE).create_target_machine(
+        cpu=f"sm_{TARGET[0]}{TARGET[1]}", opt=1
+    )
     module.triple, module.data_layout = TRIPLE, str(machine.target_data)
     passes = binding.create_new_module_pass_manager()
     passes.add_always_inliner_pass()
-    passes.run(module, binding.create_pass_builder(machine, binding.create_pipeline_tuning_options()))
+    passes.run(
+        module, binding.create_pass_builder(machine, binding.create_pipeline_tuning_options())
+    )
     return str(machine.emit_assembly(module))

@@ -40,7 +40,10 @@ class Routine:
     @cached_property
     def name(self) -> str:
         """Made of its operations: what does the same has the same name."""
-        parts = [(s.rows, s.places, s.inputs, [(p, i, x.i) for p, i, x in s.results], s.tape.key) for s in self.stages]
+        parts = [
+            (s.rows, s.places, s.inputs, [(p, i, x.i) for p, i, x in s.results], s.tape.key)
+            for s in self.stages
+        ]
         return "r" + sha256(repr((parts, self.cells, self.left)).encode()).hexdigest()[:16]
 
     def __repr__(self) -> str:
@@ -57,7 +60,9 @@ class Routine:
         stages = []
         for stage in self.stages:
             tape, known = lowered(stage.tape, [x for *_, x in stage.results])
-            results = [(place, i, tape.lift(as_number(known[x.i]))) for place, i, x in stage.results]
+            results = [
+                (place, i, tape.lift(as_number(known[x.i]))) for place, i, x in stage.results
+            ]
             stages.append(stage._replace(tape=tape, results=results))
         return Routine(stages, self.cells, self.left)
 
@@ -92,7 +97,11 @@ class Recorder:
 
 
 def rolled(
-    tape: Tape, variables: Sequence[Number], outputs: Sequence[Number], rows: Sequence[Sequence[Scalar]], least: int
+    tape: Tape,
+    variables: Sequence[Number],
+    outputs: Sequence[Number],
+    rows: Sequence[Sequence[Scalar]],
+    least: int,
 ) -> list[Number] | None:
     """Numbers that come of variables, for rows of values of these, one row after the other; None: it is better written out.
 
@@ -105,7 +114,11 @@ def rolled(
             inside.add(i)
     if len(body) * len(rows) < least or any(ops[i][0] in ("call", "part") for i in body):
         return None
-    n, m, used = len(variables), len(outputs), {a for i in body for a in operands(ops[i])} | {x.i for x in outputs}
+    n, m, used = (
+        len(variables),
+        len(outputs),
+        {a for i in body for a in operands(ops[i])} | {x.i for x in outputs},
+    )
     common = sorted(i for i in used - inside if ops[i][0] != "const")
     at, made = len(common), len(common) + n * len(rows)
     stage = Recorder(len(rows), common=(0, 0), given=(at, n), made=(made, m))

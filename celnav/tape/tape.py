@@ -29,11 +29,17 @@ def refused(what: str) -> CannotCompile:
     """The error, with the line of the model, or else of the package, that led to it."""
     frame: Any = sys._getframe(1)
     inside, place = Path(__file__).parents[1], ""
-    while frame is not None and not isinstance(frame.f_locals.get("tape"), Tape):  # below who records
+    while frame is not None and not isinstance(
+        frame.f_locals.get("tape"), Tape
+    ):  # below who records
         path = Path(frame.f_code.co_filename)
         if path.parent != Path(__file__).parent and "numpy" not in path.parts:
             line = linecache.getline(str(path), frame.f_lineno).strip()
-            said = f" ({path.name}, line {frame.f_lineno}: {line})" if line else f" ({path.name}, line {frame.f_lineno})"
+            said = (
+                f" ({path.name}, line {frame.f_lineno}: {line})"
+                if line
+                else f" ({path.name}, line {frame.f_lineno})"
+            )
             place = place or said
             if inside not in path.parents:
                 place = said
@@ -55,7 +61,13 @@ _FOLD: dict[str, Callable[..., Any]] = {
 MOST = 400_000  # operations on a tape, those that are not needed in the end included
 LOGICAL: Final = frozenset(("lt", "le", "eq", "ne", "and", "or", "not"))
 """Operations whose results are true or false."""
-_OPERANDS: Final = {"in": slice(0), "const": slice(0), "var": slice(0), "call": slice(2, None), "part": slice(1, 2)}
+_OPERANDS: Final = {
+    "in": slice(0),
+    "const": slice(0),
+    "var": slice(0),
+    "call": slice(2, None),
+    "part": slice(1, 2),
+}
 
 
 def operands(op: tuple[Any, ...]) -> tuple[int, ...]:
@@ -98,9 +110,13 @@ class Tape:
         if at is None:
             at = self._known[key] = len(self.ops)
             if at == MOST:
-                raise CannotCompile(f"a step of more than {MOST} operations is too long to be compiled")
+                raise CannotCompile(
+                    f"a step of more than {MOST} operations is too long to be compiled"
+                )
             self.ops.append(op)
-            self.absent.append(op[1] != op[1] if op[0] == "const" else any(self.absent[a] for a in operands(op)))
+            self.absent.append(
+                op[1] != op[1] if op[0] == "const" else any(self.absent[a] for a in operands(op))
+            )
         return Number(self, at)
 
     def lift(self, x: Scalar) -> Number:
@@ -180,7 +196,9 @@ def _select(c: Scalar, a: Scalar, b: Scalar) -> Scalar | None:
     if type(c) is not Number:
         return a if c else b
     same = type(a) is type(b) is Number and a.i == b.i
-    if (type(a) is bool or getattr(a, "logical", False)) and (type(b) is bool or getattr(b, "logical", False)):
+    if (type(a) is bool or getattr(a, "logical", False)) and (
+        type(b) is bool or getattr(b, "logical", False)
+    ):
         return do("or", do("and", c, a), do("and", do("not", c), b))
     return a if same else None
 
@@ -255,7 +273,9 @@ class Number:
         return f"Number({self.name} {self.i})"
 
     def __bool__(self) -> bool:
-        raise refused("a branch depends on a number that is known only when the filter runs; numpy.where chooses without one")
+        raise refused(
+            "a branch depends on a number that is known only when the filter runs; numpy.where chooses without one"
+        )
 
     def __float__(self) -> float:
         raise refused(

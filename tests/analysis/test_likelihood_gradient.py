@@ -31,7 +31,9 @@ def noises(p):
 
 
 def prior(p=(0.0, 0.0, 1.0)):
-    return Gaussian(np.stack([[0.1, -0.2], [0.0, 0.0], [0.3, 0.1]]), p[2] * np.array([[1.0, 0.2], [0.2, 0.5]]))
+    return Gaussian(
+        np.stack([[0.1, -0.2], [0.0, 0.0], [0.3, 0.1]]), p[2] * np.array([[1.0, 0.2], [0.2, 0.5]])
+    )
 
 
 def f(x, epoch):
@@ -39,7 +41,10 @@ def f(x, epoch):
 
 
 def h(x, epoch):
-    return np.stack([np.hypot(4.0 + x[..., 0], 5.0 + x[..., 1]), np.arctan2(5.0 + x[..., 1], 4.0 + x[..., 0])], -1)
+    return np.stack(
+        [np.hypot(4.0 + x[..., 0], 5.0 + x[..., 1]), np.arctan2(5.0 + x[..., 1], 4.0 + x[..., 0])],
+        -1,
+    )
 
 
 def linear(p, **options):
@@ -50,7 +55,9 @@ def linear(p, **options):
 def nonlinear(p, make=celnav.ukf, **options):
     Q, _ = noises(p)
     space = celnav.angles([1])
-    return make(Motion(f, 0.1 * Q), Sensor(h, p[1] ** 2 * np.diag([1.0, 0.1]), space=space), **options), prior(p)
+    return make(
+        Motion(f, 0.1 * Q), Sensor(h, p[1] ** 2 * np.diag([1.0, 0.1]), space=space), **options
+    ), prior(p)
 
 
 def colored(p, motion=F):
@@ -60,8 +67,12 @@ def colored(p, motion=F):
 
 def transition(p):
     """The matrix of the motion is a parameter, and a noise that moves one component only."""
-    motion = Motion(np.array([[1.0, 0.5], [-0.1, 0.8 * p[2]]]), sqrt_Q=p[0] * np.array([[0.0], [1.0]]))
-    return celnav.ukf(motion, Sensor(np.eye(1, 2), sqrt_R=[[p[1]]])), Gaussian(np.zeros(2), np.zeros((2, 2)))
+    motion = Motion(
+        np.array([[1.0, 0.5], [-0.1, 0.8 * p[2]]]), sqrt_Q=p[0] * np.array([[0.0], [1.0]])
+    )
+    return celnav.ukf(motion, Sensor(np.eye(1, 2), sqrt_R=[[p[1]]])), Gaussian(
+        np.zeros(2), np.zeros((2, 2))
+    )
 
 
 def biased(p):
@@ -78,7 +89,9 @@ def own(p):
 
 def augmented(p):
     Q, R = noises(p)
-    return celnav.augmented(Motion(F, Q), Sensor(np.eye(1, 2), R), [[0.5 * p[2]]]), Gaussian(np.zeros(2), np.eye(2))
+    return celnav.augmented(Motion(F, Q), Sensor(np.eye(1, 2), R), [[0.5 * p[2]]]), Gaussian(
+        np.zeros(2), np.eye(2)
+    )
 
 
 CASES = {
@@ -96,7 +109,13 @@ CASES = {
     "colored": (colored, Z),
     "colored, missing": (colored, GAPS),
     "colored, function": (lambda p: colored(p, f), Z),
-    "decorrelated": (lambda p: (celnav.decorrelated(colored(p)[0].motion, colored(p)[0].sensors[0], [[0.5 * p[2]]]), prior()), Z),
+    "decorrelated": (
+        lambda p: (
+            celnav.decorrelated(colored(p)[0].motion, colored(p)[0].sensors[0], [[0.5 * p[2]]]),
+            prior(),
+        ),
+        Z,
+    ),
     "transition, singular": (transition, Z[:, 0]),
     "two stages": (biased, Z),
     "noise of each run": (own, Z),
@@ -115,9 +134,13 @@ def test_gradient_against_differences_of_flights(case):
     assert found.value.shape == z.shape[1:-1]
     assert found.gradient.shape == (*z.shape[1:-1], 3)
     exact = case not in ("extended", "iterated")  # numpy takes differences for their Jacobians
-    near = 1e-2 if case == "robust" else 1e-6 if exact else 1e-4  # differences across kinks say little
+    near = (
+        1e-2 if case == "robust" else 1e-6 if exact else 1e-4
+    )  # differences across kinks say little
     np.testing.assert_allclose(found.value, known.value, rtol=1e-9 if exact else 1e-6)
-    np.testing.assert_allclose(found.gradient, known.gradient, rtol=0, atol=near * np.abs(known.gradient).max())
+    np.testing.assert_allclose(
+        found.gradient, known.gradient, rtol=0, atol=near * np.abs(known.gradient).max()
+    )
 
 
 def test_gradient_of_a_scalar_filter_by_hand():
@@ -126,7 +149,9 @@ def test_gradient_of_a_scalar_filter_by_hand():
     z = RNG.standard_normal(60)
 
     def build(p):
-        return celnav.ukf(Motion([[p[0]]], [[p[1]]]), Sensor([[1.0]], [[p[2]]])), Gaussian([0.2], [[p[3]]])
+        return celnav.ukf(Motion([[p[0]]], [[p[1]]]), Sensor([[1.0]], [[p[2]]])), Gaussian(
+            [0.2], [[p[3]]]
+        )
 
     d_phi, d_q, d_r, d_P0 = np.eye(4)
     x, P, dx, dP, value, gradient = 0.2, P0, np.zeros(4), d_P0, 0.0, np.zeros(4)
@@ -141,10 +166,14 @@ def test_gradient_of_a_scalar_filter_by_hand():
         K, dK = P / S, dP / S - P * dS / S**2
         x, dx = x + K * e, dx + dK * e + K * de
         P, dP = P - K * P, dP - dK * P - K * dP
-    found = likelihood_gradient(build, parameters, epochs(np.arange(60.0), z[:, None]), engine="compiled")
+    found = likelihood_gradient(
+        build, parameters, epochs(np.arange(60.0), z[:, None]), engine="compiled"
+    )
     assert found.value == pytest.approx(value, rel=1e-12)
     np.testing.assert_allclose(found.gradient, gradient, rtol=1e-9)
-    by_flights = likelihood_gradient(build, parameters, epochs(np.arange(60.0), z[:, None]), engine="numpy")
+    by_flights = likelihood_gradient(
+        build, parameters, epochs(np.arange(60.0), z[:, None]), engine="numpy"
+    )
     np.testing.assert_allclose(by_flights.gradient, gradient, rtol=1e-6)
 
 
@@ -154,8 +183,15 @@ def test_what_is_not_chosen_spoils_no_derivative():
     x = Numbers((2,))
     x[0], x[1] = tape.input(), tape.input()
     with np.errstate(all="ignore"):
-        y = [np.where(x[0] < 0.0, -3.0 * x[0], np.sqrt(x[0])), np.where(x[1] == 0.0, x[0] ** 2, x[0] / x[1]), np.sqrt(x[1] * x[1])]
-    kernel = with_slopes(Kernel(tape, [("state", 0), ("state", 1)], [(i, one[()]) for i, one in enumerate(y)], []), {0, 1})
+        y = [
+            np.where(x[0] < 0.0, -3.0 * x[0], np.sqrt(x[0])),
+            np.where(x[1] == 0.0, x[0] ** 2, x[0] / x[1]),
+            np.sqrt(x[1] * x[1]),
+        ]
+    kernel = with_slopes(
+        Kernel(tape, [("state", 0), ("state", 1)], [(i, one[()]) for i, one in enumerate(y)], []),
+        {0, 1},
+    )
     assert kernel.inputs == [("state", 0), ("state", 2), ("state", 1), ("state", 3)]
     with np.errstate(all="ignore"):
         found = values(tape, [-4.0, 0.0, 1.0, 0.5], np.array([x for _, x in kernel.state], object))
@@ -167,10 +203,14 @@ def test_models_that_know_the_parameters_are_flown_by_numpy():
     """What a function has in its closure is a number of the program: it is noticed, and said."""
 
     def build(p):
-        return celnav.ukf(Motion(lambda x, _: p[0] * x, 0.1 * np.eye(1)), Sensor([[1.0]], [[p[1]]])), Gaussian([0.0], [[1.0]])
+        return celnav.ukf(
+            Motion(lambda x, _: p[0] * x, 0.1 * np.eye(1)), Sensor([[1.0]], [[p[1]]])
+        ), Gaussian([0.0], [[1.0]])
 
     when = epochs(TIMES, Z[:, 0])
-    with pytest.raises(CannotCompile, match="a model knows the parameters otherwise than by matrices"):
+    with pytest.raises(
+        CannotCompile, match="a model knows the parameters otherwise than by matrices"
+    ):
         likelihood_gradient(build, [0.9, 0.4], when, engine="compiled")
     with pytest.raises(CannotCompile, match="a model knows"):
         maximize_likelihood(build, [0.9, 0.4], when, engine="compiled")
@@ -180,9 +220,13 @@ def test_models_that_know_the_parameters_are_flown_by_numpy():
     assert found.engine.startswith("numpy: a model knows")
 
     def matrix(p):
-        return celnav.ukf(Motion([[p[0]]], 0.1 * np.eye(1)), Sensor([[1.0]], [[p[1]]])), Gaussian([0.0], [[1.0]])
+        return celnav.ukf(Motion([[p[0]]], 0.1 * np.eye(1)), Sensor([[1.0]], [[p[1]]])), Gaussian(
+            [0.0], [[1.0]]
+        )
 
-    np.testing.assert_allclose(found.gradient, likelihood_gradient(matrix, [0.9, 0.4], when).gradient, rtol=1e-6)
+    np.testing.assert_allclose(
+        found.gradient, likelihood_gradient(matrix, [0.9, 0.4], when).gradient, rtol=1e-6
+    )
 
 
 def test_a_model_that_changes_with_a_parameter_later_is_noticed():
@@ -190,7 +234,9 @@ def test_a_model_that_changes_with_a_parameter_later_is_noticed():
 
     def build(p):
         scale = 2.0 if p[0] > 1.0 else 1.0
-        return celnav.ukf(Motion(F, np.eye(2)), Sensor(lambda x, _: scale * x[..., :1], [[p[0]]])), prior()
+        return celnav.ukf(
+            Motion(F, np.eye(2)), Sensor(lambda x, _: scale * x[..., :1], [[p[0]]])
+        ), prior()
 
     when = epochs(TIMES, Z)
     tuned = maximize_likelihood(build, [0.5], when)
@@ -207,7 +253,9 @@ def test_without_a_compiler_it_is_numpy(monkeypatch):
     monkeypatch.setattr(llvm, "_ADDRESSES", {})
     llvm.lanes.cache_clear(), llvm.features.cache_clear()
     when = epochs(TIMES, Z)
-    assert likelihood_gradient(linear, POINT, when).engine.startswith("numpy: engine='compiled': expected llvmlite")
+    assert likelihood_gradient(linear, POINT, when).engine.startswith(
+        "numpy: engine='compiled': expected llvmlite"
+    )
     tuned = maximize_likelihood(lambda p: linear([p[0], p[1], 1.0]), [0.5, 0.5], when)
     assert tuned.engine.startswith("numpy: engine='compiled': expected llvmlite")
     assert tuned.converged
@@ -220,9 +268,14 @@ def test_both_engines_find_the_same_maximum():
     _, z = celnav.simulate(*truth, start, TIMES, runs=20, seed=3)
 
     def build(p):
-        return celnav.ukf(Motion(F, p[0] ** 2 * np.eye(2)), Sensor(np.eye(1, 2), [[p[1] ** 2]])), start
+        return celnav.ukf(
+            Motion(F, p[0] ** 2 * np.eye(2)), Sensor(np.eye(1, 2), [[p[1] ** 2]])
+        ), start
 
-    one, other = (maximize_likelihood(build, [1.0, 0.1], epochs(TIMES, z), engine=engine) for engine in ("compiled", "numpy"))
+    one, other = (
+        maximize_likelihood(build, [1.0, 0.1], epochs(TIMES, z), engine=engine)
+        for engine in ("compiled", "numpy")
+    )
     assert one.converged
     assert other.converged
     assert (one.engine, other.engine) == ("compiled", "numpy")
@@ -244,7 +297,10 @@ def test_what_is_known_to_be_the_same_program():
 
     def made(gain, Q=1.0, table=(1.0, 2.0)):
         table = np.array(table)
-        return celnav.ukf(Motion(lambda x, _, k=2.0: gain * k * x + table[0], Q * np.eye(1)), Sensor([[1.0]], [[1.0]]))
+        return celnav.ukf(
+            Motion(lambda x, _, k=2.0: gain * k * x + table[0], Q * np.eye(1)),
+            Sensor([[1.0]], [[1.0]]),
+        )
 
     assert alike(made(0.5), made(0.5))
     assert alike(made(0.5), made(0.5, Q=2.0))

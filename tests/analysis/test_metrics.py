@@ -9,7 +9,13 @@ from celnav.analysis import metrics
 
 
 def test_linear_analysis_of_a_white_filter_is_its_riccati_equation():
-    F, H, Q, R, P0 = np.tile([[1.0, 1.0], [0.0, 1.0]], (30, 1, 1)), np.array([[1.0, 0.0]]), 0.1 * np.eye(2), np.eye(1), np.eye(2)
+    F, H, Q, R, P0 = (
+        np.tile([[1.0, 1.0], [0.0, 1.0]], (30, 1, 1)),
+        np.array([[1.0, 0.0]]),
+        0.1 * np.eye(2),
+        np.eye(1),
+        np.eye(2),
+    )
     solved = linear_covariance.riccati(F, H, Q, R, P0)
     actual = linear_covariance.actual_covariance(F, H, solved.gains, Q, np.zeros((1, 1)), R, P0, R)
     np.testing.assert_allclose(actual, solved.covariances, rtol=1e-10)
@@ -36,7 +42,10 @@ def test_blocks_of_time_cover_where_errors_are_correlated_and_single_epochs_do_n
         series[:, k] = phi * series[:, k - 1] + np.sqrt(1.0 - phi**2) * series[:, k]
 
     def covered(block):
-        found = [metrics.bootstrap(metrics.rms, np.square(one), block=block, resamples=100) for one in series]
+        found = [
+            metrics.bootstrap(metrics.rms, np.square(one), block=block, resamples=100)
+            for one in series
+        ]
         return np.mean([low <= 1.0 <= high for low, high in found])
 
     assert 0.90 < covered(100) < 0.985

@@ -48,14 +48,20 @@ def test_log_likelihood_is_the_joint_density(form):
     P = np.zeros((2 * steps, 2 * steps))
     rows = [np.linalg.matrix_power(F, k) @ np.sqrt(P0) for k in range(steps)]
     effects = [
-        [np.linalg.matrix_power(F, k - j) @ G * q if 0 < j <= k else np.zeros((2, 1)) for j in range(steps)] for k in range(steps)
+        [
+            np.linalg.matrix_power(F, k - j) @ G * q if 0 < j <= k else np.zeros((2, 1))
+            for j in range(steps)
+        ]
+        for k in range(steps)
     ]
     X = np.hstack([np.vstack(rows), np.block(effects)])
     P = np.kron(np.eye(steps), H) @ X @ X.T @ np.kron(np.eye(steps), H).T + r**2 * np.eye(steps)
     track = run(*builder(3, form)([q, r]), epochs(np.arange(steps), z))
     for i in range(3):
         there = ~np.isnan(z[:, i, 0])
-        expected = multivariate_normal(np.zeros(there.sum()), P[np.ix_(there, there)]).logpdf(z[there, i, 0])
+        expected = multivariate_normal(np.zeros(there.sum()), P[np.ix_(there, there)]).logpdf(
+            z[there, i, 0]
+        )
         assert track.log_likelihood[i] == pytest.approx(expected, abs=1e-9)
 
 
@@ -68,7 +74,9 @@ def test_recovers_the_noise_that_made_the_data():
     assert (np.abs(tuned.parameters - truth) < 3.0 * tuned.standard_errors).all()
     assert (tuned.standard_errors < 0.1 * truth).all()
     assert tuned.log_likelihood >= run(*builder(20)(truth), when).log_likelihood.sum()
-    assert tuned.log_likelihood == pytest.approx(run(*builder(20)(tuned.parameters), when).log_likelihood.sum(), abs=1e-9)
+    assert tuned.log_likelihood == pytest.approx(
+        run(*builder(20)(tuned.parameters), when).log_likelihood.sum(), abs=1e-9
+    )
 
 
 def test_one_parameter_in_closed_form():
@@ -84,7 +92,9 @@ def test_one_parameter_in_closed_form():
     assert tuned.parameters[0] == pytest.approx(sigma, rel=1e-5)
     assert tuned.standard_errors[0] == pytest.approx(sigma / np.sqrt(300.0), rel=1e-3)
     assert tuned.covariance[0, 0] == pytest.approx(1.0 / 300.0, rel=1e-3)
-    assert tuned.log_likelihood == pytest.approx(-75.0 * (1.0 + np.log(2.0 * np.pi * sigma**2)), abs=1e-6)
+    assert tuned.log_likelihood == pytest.approx(
+        -75.0 * (1.0 + np.log(2.0 * np.pi * sigma**2)), abs=1e-6
+    )
 
 
 def test_standard_errors_are_the_curvature_of_the_joint():
@@ -100,7 +110,9 @@ def test_standard_errors_are_the_curvature_of_the_joint():
     best = np.log(tuned.parameters)
     # the profile likelihood falls by 1/2 one standard error away, with the other parameter at its best
     away = best[0] + 0.3 * np.sqrt(tuned.covariance[0, 0])
-    profile = minimize_scalar(lambda b: -at([away, b]), bracket=(best[1] - 0.05, best[1] + 0.05), tol=1e-6)
+    profile = minimize_scalar(
+        lambda b: -at([away, b]), bracket=(best[1] - 0.05, best[1] + 0.05), tol=1e-6
+    )
     assert tuned.log_likelihood + profile.fun == pytest.approx(0.5 * 0.3**2, rel=0.05)
 
 
@@ -120,9 +132,13 @@ def test_what_the_data_do_not_determine_is_told():
 
     def walk(parameters):
         q, r = parameters
-        return ukf(Motion(np.eye(1), [[q * q]]), Sensor([[1.0]], [[r * r]])), Gaussian([0.0], [[1e-12]])
+        return ukf(Motion(np.eye(1), [[q * q]]), Sensor([[1.0]], [[r * r]])), Gaussian(
+            [0.0], [[1e-12]]
+        )
 
-    alternating = np.abs(constant) * (-1.0) ** np.arange(40)[:, None]  # less than white: any walk makes it less probable
+    alternating = (
+        np.abs(constant) * (-1.0) ** np.arange(40)[:, None]
+    )  # less than white: any walk makes it less probable
     tuned = maximize_likelihood(walk, [0.3, 1.0], epochs(np.arange(40), alternating), factor=20.0)
     assert not tuned.converged
     assert "parameter 0" in tuned.message
@@ -144,7 +160,9 @@ def test_failing_parameters_are_improbable():
 
     with np.errstate(invalid="ignore"):
         tuned = maximize_likelihood(build, [0.3], epochs(np.arange(80), z))
-        with pytest.raises(ValueError, match=r"start: expected parameters at which the filter works; step 0"):
+        with pytest.raises(
+            ValueError, match=r"start: expected parameters at which the filter works; step 0"
+        ):
             maximize_likelihood(build, [30.0], epochs(np.arange(80), z))
     assert failed
     assert tuned.parameters[0] == pytest.approx(np.sqrt(np.mean(z**2)), rel=1e-3)
@@ -171,7 +189,9 @@ def test_data_and_builders_that_are_none():
     with pytest.raises(ValueError, match="epochs: expected measurements, got none"):
         maximize_likelihood(builder(2), [1.0, 1.0], epochs(np.arange(3)))
     with pytest.raises(ValueError, match="build: expected a filter and a prior, got Gaussian"):
-        maximize_likelihood(lambda p: Gaussian([0.0], [[1.0]]), [1.0], epochs(np.arange(3), np.zeros((3, 1))))
+        maximize_likelihood(
+            lambda p: Gaussian([0.0], [[1.0]]), [1.0], epochs(np.arange(3), np.zeros((3, 1)))
+        )
 
 
 def test_build_that_raises_is_improbable():
@@ -222,10 +242,14 @@ def free():
     return maximize_likelihood(strict, [0.9, 0.9], correlated()[0])
 
 
-@pytest.mark.parametrize("domain", [["unit interval", "positive"], [(-1.0, 1.0), (0.0, 10.0)], (0.0, 1.0)])
+@pytest.mark.parametrize(
+    "domain", [["unit interval", "positive"], [(-1.0, 1.0), (0.0, 10.0)], (0.0, 1.0)]
+)
 def test_parameters_stay_in_their_domain(domain, free):
     when, truth = correlated()
-    tuned = maximize_likelihood(correlation, [0.3, 0.9], when, domain=domain)  # which asserts that phi is below 1
+    tuned = maximize_likelihood(
+        correlation, [0.3, 0.9], when, domain=domain
+    )  # which asserts that phi is below 1
     assert tuned.converged, tuned.message
     assert tuned.failures == 0
     assert (np.abs(tuned.parameters - truth) < 3.0 * tuned.standard_errors).all()
@@ -254,7 +278,11 @@ def test_a_maximum_at_the_edge_of_what_can_be_built_is_told():
     ("start", "domain", "match"),
     [
         ([0.5, 2.0], "unit interval", "start: expected parameter 1 between 0 and 1, got 2"),
-        ([0.5, 1.0], ["unit interval", (2.0, 3.0)], "start: expected parameter 1 between 2 and 3, got 1"),
+        (
+            [0.5, 1.0],
+            ["unit interval", (2.0, 3.0)],
+            "start: expected parameter 1 between 2 and 3, got 1",
+        ),
         ([0.5, 1.0], "large", "domain: expected 'positive', 'unit interval' or .*'large'"),
         ([0.5, 1.0], ["positive"], "domain: expected one for all or 2"),
         ([0.5, 1.0], (1.0, 0.0), "domain: expected"),
@@ -263,4 +291,6 @@ def test_a_maximum_at_the_edge_of_what_can_be_built_is_told():
 )
 def test_bad_domains_are_refused_by_name(start, domain, match):
     with pytest.raises(ValueError, match=match):
-        maximize_likelihood(builder(2), start, epochs(np.arange(3), np.zeros((3, 2, 1))), domain=domain)
+        maximize_likelihood(
+            builder(2), start, epochs(np.arange(3), np.zeros((3, 2, 1))), domain=domain
+        )

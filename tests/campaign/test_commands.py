@@ -28,7 +28,9 @@ runs = 12
 steps = 20
 phi = 0.8
 """
-STUDY = MISSION.replace("phi = 0.8", 'first_noise = ["R", "stationary"]\nsigma_km = [0.1, 0.2, 0.4]')
+STUDY = MISSION.replace(
+    "phi = 0.8", 'first_noise = ["R", "stationary"]\nsigma_km = [0.1, 0.2, 0.4]'
+)
 
 
 @pytest.fixture(autouse=True)
@@ -58,7 +60,11 @@ def undrawn(monkeypatch):
 
 
 def files(folder):
-    return {str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file() and not p.name.startswith(".")}
+    return {
+        str(p.relative_to(folder))
+        for p in folder.rglob("*")
+        if p.is_file() and not p.name.startswith(".")
+    }
 
 
 def test_a_mission_is_flown_and_everything_is_written(mission, tmp_path, capsys):
@@ -88,10 +94,14 @@ def test_a_mission_is_flown_and_everything_is_written(mission, tmp_path, capsys)
     assert [row["filter"] for row in rows] == ["srukf", "csrukf"]
     assert float(rows[1]["anees"]) < 2 < float(rows[0]["anees"])
     frame = pd.read_parquet(out / "table.parquet")
-    np.testing.assert_array_equal(frame["position_rms_km"], [float(row["position_rms_km"]) for row in rows])
+    np.testing.assert_array_equal(
+        frame["position_rms_km"], [float(row["position_rms_km"]) for row in rows]
+    )
 
 
-def test_a_campaign_writes_a_row_for_each_configuration_and_filter_and_resumes(sweep, undrawn, tmp_path, capsys):
+def test_a_campaign_writes_a_row_for_each_configuration_and_filter_and_resumes(
+    sweep, undrawn, tmp_path, capsys
+):
     assert cli.main(["campaign", str(sweep), "--jobs", "1", "--out", "here"]) == 0
     first = capsys.readouterr().out
     frame = pd.read_parquet(tmp_path / "here" / "table.parquet")
@@ -123,14 +133,26 @@ def test_a_campaign_writes_a_row_for_each_configuration_and_filter_and_resumes(s
 def test_the_figures_of_a_sweep_show_the_numbers_of_its_table(sweep, tmp_path):
     outcome = campaign(read(sweep), tmp_path / "store")
     drawn = figures(outcome)
-    assert list(drawn) == ["accuracy_position", "accuracy_velocity", "consistency", "time_position", "time_velocity"]
+    assert list(drawn) == [
+        "accuracy_position",
+        "accuracy_velocity",
+        "consistency",
+        "time_position",
+        "time_velocity",
+    ]
     fig = drawn["accuracy_position"]
     assert [ax.get_title() for ax in fig.axes] == ["first_noise = R", "first_noise = stationary"]
     for ax, noise in zip(fig.axes, ("R", "stationary"), strict=True):
         for name, container in zip(("srukf", "csrukf"), ax.containers, strict=True):
-            rows = [row for row in outcome.rows if row.filter == name and row.values["first_noise"] == noise]
+            rows = [
+                row
+                for row in outcome.rows
+                if row.filter == name and row.values["first_noise"] == noise
+            ]
             np.testing.assert_array_equal(container[0].get_xdata(), [0.1, 0.2, 0.4])
-            np.testing.assert_array_equal(container[0].get_ydata(), [row.accuracy("position").rms for row in rows])
+            np.testing.assert_array_equal(
+                container[0].get_ydata(), [row.accuracy("position").rms for row in rows]
+            )
 
 
 def test_where_the_first_exception_came_from_is_on_the_page(mission, tmp_path, monkeypatch):
@@ -165,7 +187,8 @@ def test_a_mission_of_failures_only_has_a_page_and_reasons(mission, tmp_path, ca
     printed = capsys.readouterr().out
     assert "srukf: 3 failed (position: error above 1e-09 km at the end)" in printed
     assert (
-        "3 x position: error above 1e-09 km at the end" in (tmp_path / "out" / "missions" / "my-mission" / "table.csv").read_text()
+        "3 x position: error above 1e-09 km at the end"
+        in (tmp_path / "out" / "missions" / "my-mission" / "table.csv").read_text()
     )
 
 
@@ -180,20 +203,46 @@ def test_a_mission_of_failures_only_has_a_page_and_reasons(mission, tmp_path, ca
             2,
             "config.first_noise, config.sigma_km: a list of values is a study; use: celnav campaign",
         ),
-        (["run", "mission.toml", "--jobs", "0"], 2, "celnav: --jobs: expected a whole number of at least 1, got '0'"),
-        (["run", "mission.toml", "--effort", "2"], 2, "effort: expected a number in (0, 1], got '2'"),
-        (["run", "wrong.toml"], 2, "wrong.toml: config.sigma_km (km): expected a positive number, got -1.0"),
-        (["campaign", "sweep.toml", "--jobs", "-1"], 2, "jobs: expected a whole number of at least 1"),
-        (["campaign", "sweep.toml", "--jobs", "many"], 2, "jobs: expected a whole number of at least 1"),
+        (
+            ["run", "mission.toml", "--jobs", "0"],
+            2,
+            "celnav: --jobs: expected a whole number of at least 1, got '0'",
+        ),
+        (
+            ["run", "mission.toml", "--effort", "2"],
+            2,
+            "effort: expected a number in (0, 1], got '2'",
+        ),
+        (
+            ["run", "wrong.toml"],
+            2,
+            "wrong.toml: config.sigma_km (km): expected a positive number, got -1.0",
+        ),
+        (
+            ["campaign", "sweep.toml", "--jobs", "-1"],
+            2,
+            "jobs: expected a whole number of at least 1",
+        ),
+        (
+            ["campaign", "sweep.toml", "--jobs", "many"],
+            2,
+            "jobs: expected a whole number of at least 1",
+        ),
         (["campaign", "sweep.toml", "--executor", "slurm"], 2, "invalid choice: 'slurm'"),
-        (["campaign", "sweep.toml", "--address", "tcp://127.0.0.1:1"], 2, "--address: expected --executor dask with it"),
+        (
+            ["campaign", "sweep.toml", "--address", "tcp://127.0.0.1:1"],
+            2,
+            "--address: expected --executor dask with it",
+        ),
         (["campaign", "wrong.toml"], 2, "wrong.toml: config.sigma_km"),
         (["campaign", "sweep.toml", "--out", "sweep.toml"], 2, "sweep.toml"),
         (["list", "csrkf"], 2, "did you mean csrukf?"),
         (["view", "absent.rrd"], 2, "absent.rrd: no such recording"),
     ],
 )
-def test_a_mistake_is_one_line_and_an_exit_code(mission, sweep, tmp_path, capsys, arguments, status, text):
+def test_a_mistake_is_one_line_and_an_exit_code(
+    mission, sweep, tmp_path, capsys, arguments, status, text
+):
     shutil.copy(mission, tmp_path / "mission.toml")
     (tmp_path / "wrong.toml").write_text('paper = "csrukf"\n[config]\nsigma_km = -1')
     try:
@@ -210,7 +259,10 @@ def test_a_mistake_is_one_line_and_an_exit_code(mission, sweep, tmp_path, capsys
 
 def test_a_scheduler_that_is_not_there_is_one_line(sweep, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("celnav.campaign.executors.PATIENCE_S", 1.0)
-    assert cli.main(["campaign", str(sweep), "--executor", "dask", "--address", "tcp://127.0.0.1:1"]) == 1
+    assert (
+        cli.main(["campaign", str(sweep), "--executor", "dask", "--address", "tcp://127.0.0.1:1"])
+        == 1
+    )
     captured = capsys.readouterr()
     assert "tcp://127.0.0.1:1" in captured.err
     assert captured.err.count("\n") == 1
@@ -220,7 +272,9 @@ def test_a_scheduler_that_is_not_there_is_one_line(sweep, tmp_path, capsys, monk
 @pytest.mark.parametrize("address", ["nonsense", "ftp://127.0.0.1:1", "tcp://", "127.0.0.1:70000"])
 def test_an_address_that_is_none_is_one_line(sweep, capsys, address):
     assert cli.main(["campaign", str(sweep), "--executor", "dask", "--address", address]) == 2
-    assert capsys.readouterr().err == f"celnav: --address: expected tcp://HOST:PORT, got {address!r}\n"
+    assert (
+        capsys.readouterr().err == f"celnav: --address: expected tcp://HOST:PORT, got {address!r}\n"
+    )
 
 
 def test_a_second_campaign_in_a_folder_is_told(sweep, tmp_path, capsys):
@@ -274,7 +328,9 @@ def test_a_small_file_system_that_is_full_is_one_line(sweep, tmp_path, capsys):
         assert not list((tmp_path / "small").rglob(".celnav-*"))
 
 
-def test_a_folder_that_cannot_be_written_is_told_before_anything_is_computed(sweep, tmp_path, capsys):
+def test_a_folder_that_cannot_be_written_is_told_before_anything_is_computed(
+    sweep, tmp_path, capsys
+):
     with mounted(tmp_path / "fixed", "ro"):
         assert cli.main(["campaign", str(sweep), "--out", "fixed", "--jobs", "1"]) == 1
         captured = capsys.readouterr()
@@ -286,7 +342,10 @@ def test_a_folder_that_cannot_be_written_is_told_before_anything_is_computed(swe
 def test_the_parameters_of_a_paper_are_listed_with_units(capsys):
     assert cli.main(["list", "ssukf"]) == 0
     printed = capsys.readouterr().out
-    assert "drift_deg_per_h                  0.02                     deg/h     stationary deviation of the" in printed
+    assert (
+        "drift_deg_per_h                  0.02                     deg/h     stationary deviation of the"
+        in printed
+    )
     assert "preset 100 Hz: preintegrated = false\n" in printed
 
 
@@ -301,7 +360,10 @@ def test_a_thousand_processes_are_not_started(mission, undrawn, capsys, monkeypa
     monkeypatch.setattr("celnav.commands.arguments.cores", lambda: 2)
     assert cli.main(["campaign", str(mission), "--jobs", "1000", "--effort", "0.2"]) == 0
     assert started == [8]
-    assert "--jobs: 1000 processes on 2 cores would only be in each other's way; 8 are started" in capsys.readouterr().err
+    assert (
+        "--jobs: 1000 processes on 2 cores would only be in each other's way; 8 are started"
+        in capsys.readouterr().err
+    )
 
 
 def test_results_of_another_file_are_not_replaced(mission, sweep, undrawn, tmp_path, capsys):

@@ -15,7 +15,13 @@ from celnav.campaign.missions import study
 from celnav.campaign.table import columns, to_csv
 from celnav.campaign.units import units_of
 
-TABLE = {"paper": "csrukf", "filters": ["srukf", "csrukf"], "runs": 12, "block": 3, "config": {"steps": 6, "phi": [0.0, 0.8]}}
+TABLE = {
+    "paper": "csrukf",
+    "filters": ["srukf", "csrukf"],
+    "runs": 12,
+    "block": 3,
+    "config": {"steps": 6, "phi": [0.0, 0.8]},
+}
 
 
 def csv(outcome):
@@ -96,7 +102,10 @@ def test_a_unit_that_kills_its_workers_is_told_and_the_others_are_done(plan):
     poison = plan[2]
     workers, deaths = mortal(0, lambda unit: unit == poison)
     kept = []
-    with pytest.raises(UnfinishedError, match=rf"^1 unit is not done: runs 6 to 8 of unit {poison.key} \(its worker dies\)$"):
+    with pytest.raises(
+        UnfinishedError,
+        match=rf"^1 unit is not done: runs 6 to 8 of unit {poison.key} \(its worker dies\)$",
+    ):
         compute(plan, workers, lambda unit, result: kept.append(unit))
     assert set(kept) == set(plan) - {poison}
     assert len(deaths) <= len(plan) + ATTEMPTS
@@ -154,7 +163,10 @@ def failing(error):
 
 def test_units_that_fail_are_told_after_all_others_are_done(plan):
     kept = []
-    with pytest.raises(UnfinishedError, match=r"^2 units are not done: runs 3 to 5 of unit \w+ \(MemoryError\); runs 3 to 5"):
+    with pytest.raises(
+        UnfinishedError,
+        match=r"^2 units are not done: runs 3 to 5 of unit \w+ \(MemoryError\); runs 3 to 5",
+    ):
         compute(plan, failing(MemoryError()), lambda unit, result: kept.append(unit))
     assert len(kept) == len(plan) - 2
 
@@ -200,6 +212,8 @@ def test_an_executor_that_cannot_be_opened_again_is_told_and_what_it_did_is_kept
             return future
 
     kept = []
-    with pytest.raises(OSError, match=r"the executor is broken \(BrokenExecutor: the machine is gone\)"):
+    with pytest.raises(
+        OSError, match=r"the executor is broken \(BrokenExecutor: the machine is gone\)"
+    ):
         compute(plan, given(Broken()), lambda unit, result: kept.append(unit))
     assert kept == plan[:3]

@@ -63,10 +63,20 @@ def cluster():
         probe.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{probe.getsockname()[1]}"
     base = [sys.executable, "-m", "distributed.cli.dask_scheduler"]
-    scheduler = [*base, "--host", "127.0.0.1", "--port", address.rpartition(":")[2], "--no-dashboard"]
+    scheduler = [
+        *base,
+        "--host",
+        "127.0.0.1",
+        "--port",
+        address.rpartition(":")[2],
+        "--no-dashboard",
+    ]
     worker = [sys.executable, "-m", "distributed.cli.dask_worker", address, "--nworkers", "2", "--nthreads", "1", "--no-dashboard",
               "--host", "127.0.0.1"]  # fmt: skip
-    running = [subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) for command in (scheduler, worker)]
+    running = [
+        subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        for command in (scheduler, worker)
+    ]
     yield address
     for process in reversed(running):
         process.terminate()
@@ -96,7 +106,9 @@ if __name__ == "__main__":
 def start(file, folder):
     script = file.with_name("script.py")
     script.write_text(SCRIPT)
-    return subprocess.Popen([sys.executable, str(script), str(file), str(folder)], stderr=subprocess.PIPE, text=True)
+    return subprocess.Popen(
+        [sys.executable, str(script), str(file), str(folder)], stderr=subprocess.PIPE, text=True
+    )
 
 
 def workers_at_work(process, folder, units):
@@ -133,13 +145,30 @@ def test_a_killed_campaign_and_killed_workers_lose_nothing(file, wanted, tmp_pat
 @LINUX
 def test_an_interrupt_ends_it_and_leaves_no_process(file, wanted, tmp_path):
     folder = tmp_path / "interrupted"
-    command = [sys.executable, "-m", "celnav", "campaign", str(file), "--out", str(folder), "--jobs", "2", "--effort", "1"]
+    command = [
+        sys.executable,
+        "-m",
+        "celnav",
+        "campaign",
+        str(file),
+        "--out",
+        str(folder),
+        "--jobs",
+        "2",
+        "--effort",
+        "1",
+    ]
     pipe = subprocess.PIPE
     process = subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, start_new_session=True)
     pids = workers_at_work(process, folder, 1)
     os.killpg(process.pid, signal.SIGINT)
-    _, error = process.communicate(timeout=60)  # it takes less than a second where nothing else runs
+    _, error = process.communicate(
+        timeout=60
+    )  # it takes less than a second where nothing else runs
     assert process.returncode == 130
-    assert error == f"celnav: interrupted; what is finished is kept in {folder}, the same command goes on\n"
+    assert (
+        error
+        == f"celnav: interrupted; what is finished is kept in {folder}, the same command goes on\n"
+    )
     assert gone(pids)
     assert table(campaign(read(file), folder, serial())) == wanted

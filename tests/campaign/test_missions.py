@@ -22,14 +22,21 @@ def test_every_paper_is_a_mission_by_its_name_alone():
         first = next(iter(module.PRESETS.values()))
         assert found.configurations[0].config == replace(first, **getattr(module, "MISSION", {}))
         assert found.filters == tuple(module.filters(first))
-        assert (found.runs, found.seed, found.title, found.swept) == (first.runs, 0, module.TITLE, {})
+        assert (found.runs, found.seed, found.title, found.swept) == (
+            first.runs,
+            0,
+            module.TITLE,
+            {},
+        )
 
 
 @pytest.mark.parametrize("path", MISSIONS, ids=lambda p: p.stem)
 def test_the_missions_that_come_along_can_be_read(path):
     found = read(path)
     assert found.title
-    assert all(point.config not in load(found.paper).PRESETS.values() for point in found.configurations)
+    assert all(
+        point.config not in load(found.paper).PRESETS.values() for point in found.configurations
+    )
 
 
 def test_there_are_three_missions_and_a_study():
@@ -38,11 +45,18 @@ def test_there_are_three_missions_and_a_study():
 
 
 def test_lists_make_a_grid_whose_last_key_changes_fastest():
-    found = study({"paper": "csrukf", "config": {"phi": [0.0, 0.5], "sigma_km": [1, 2, 3], "steps": 10.0}})
+    found = study(
+        {"paper": "csrukf", "config": {"phi": [0.0, 0.5], "sigma_km": [1, 2, 3], "steps": 10.0}}
+    )
     assert found.swept == {"phi": (0.0, 0.5), "sigma_km": (1.0, 2.0, 3.0)}
-    assert [tuple(p.values.values()) for p in found.configurations] == [(f, s) for f in (0.0, 0.5) for s in (1.0, 2.0, 3.0)]
+    assert [tuple(p.values.values()) for p in found.configurations] == [
+        (f, s) for f in (0.0, 0.5) for s in (1.0, 2.0, 3.0)
+    ]
     for point in found.configurations:
-        assert (point.config.phi, point.config.sigma_km, point.config.steps) == (*point.values.values(), 10)
+        assert (point.config.phi, point.config.sigma_km, point.config.steps) == (
+            *point.values.values(),
+            10,
+        )
         assert isinstance(point.config.sigma_km, float)
 
 
@@ -54,11 +68,23 @@ def test_a_list_is_the_value_of_a_parameter_that_is_one_and_a_list_of_lists_swee
     assert two.swept == {"prior_deg": ((1.0, 2.0, 3.0), (4.0, 5.0, 6.0))}
     inertia = [[52.0, 0, 0], [0, 47.0, 0], [0, 0, 61.0]]
     assert study({"paper": "ssukf", "config": {"inertia": inertia}}).swept == {}
-    assert len(study({"paper": "tstdkf", "config": {"pulsars": [["B0531+21", "B1821-24", "B1937+21"]]}}).configurations) == 1
+    assert (
+        len(
+            study(
+                {"paper": "tstdkf", "config": {"pulsars": [["B0531+21", "B1821-24", "B1937+21"]]}}
+            ).configurations
+        )
+        == 1
+    )
 
 
 def test_tables_within_the_configuration_have_dotted_keys():
-    found = study({"paper": "tstdkf", "config": {"setting": {"F": [0.0, 0.5], "kappa": 1.0}, "pulled": [True, False]}})
+    found = study(
+        {
+            "paper": "tstdkf",
+            "config": {"setting": {"F": [0.0, 0.5], "kappa": 1.0}, "pulled": [True, False]},
+        }
+    )
     assert found.swept == {"setting.F": (0.0, 0.5), "pulled": (True, False)}
     assert [(p.config.setting.F, p.config.setting.L, p.config.setting.kappa) for p in found.configurations[::2]] == [
         (0.0, 0.5, 1.0), (0.5, 0.5, 1.0)
@@ -70,7 +96,14 @@ def test_everything_else_can_be_chosen():
         {"paper": "csrukf", "preset": "stress", "title": "T", "filters": ["csrukf"], "runs": 7, "seed": 3, "block": 2, "every": 5,
          "settle_s": 10, "limits": {"position": 2}}
     )  # fmt: skip
-    assert (found.title, found.filters, found.runs, found.seed, found.block, found.every) == ("T", ("csrukf",), 7, 3, 2, 5)
+    assert (found.title, found.filters, found.runs, found.seed, found.block, found.every) == (
+        "T",
+        ("csrukf",),
+        7,
+        3,
+        2,
+        5,
+    )
     assert (found.settle_s, found.limits) == (10.0, {"position": 2.0})
     assert found.configurations[0].config.noise_position_km == 0.2
 
@@ -198,7 +231,9 @@ def test_a_file_that_cannot_be_used_is_named(tmp_path, content, message):
 
 def test_a_filter_of_some_configurations_is_known_and_one_of_none_is_not():
     config = {"phi": [1.0, 0.5], "noise_level": "increments", "steps": 5}
-    assert study({"paper": "csrukf", "filters": ["srukf-reff"], "config": config}).filters == ("srukf-reff",)
+    assert study({"paper": "csrukf", "filters": ["srukf-reff"], "config": config}).filters == (
+        "srukf-reff",
+    )
     with pytest.raises(ValueError, match=r"^filters: .*got 'srukf-reff'"):
         study({"paper": "csrukf", "filters": ["srukf-reff"], "config": config | {"phi": 1.0}})
 
@@ -221,7 +256,10 @@ def test_units_are_read_from_the_names():
 
 def test_what_a_study_says_of_itself_differs_where_the_study_does():
     def said(**more):
-        return study({"paper": "csrukf", "config": {"steps": 5, "phi": [0.0, 0.5]} | more.pop("config", {})} | more).to_dict()
+        return study(
+            {"paper": "csrukf", "config": {"steps": 5, "phi": [0.0, 0.5]} | more.pop("config", {})}
+            | more
+        ).to_dict()
 
     base = said()
     assert base == said()
@@ -232,7 +270,12 @@ def test_what_a_study_says_of_itself_differs_where_the_study_does():
 
 def test_a_parameter_that_works_somewhere_may_be_swept():
     """The camera matters in half of these configurations."""
-    found = study({"paper": "csrukf", "config": {"measured": ["positions", "angles"], "camera_deg": [0.1, 0.2]}})
+    found = study(
+        {
+            "paper": "csrukf",
+            "config": {"measured": ["positions", "angles"], "camera_deg": [0.1, 0.2]},
+        }
+    )
     assert len(found.configurations) == 4
 
 
@@ -245,7 +288,9 @@ def test_the_color_of_the_noise_does_not_change_how_large_it_is(measured):
     stds = {}
     for level in ({}, {"noise_level": "stationary"}, {"noise_level": "increments"}):
         points = study({"paper": "csrukf", "config": config | level}).configurations
-        stds[level.get("noise_level")] = [csrukf.simulate(p.config, rngs).noise.std((0, 1)) for p in points]
+        stds[level.get("noise_level")] = [
+            csrukf.simulate(p.config, rngs).noise.std((0, 1)) for p in points
+        ]
     given = points[0].config.sigma if measured == "angles" else np.full(3, 0.1)
     for name in (None, "stationary"):
         np.testing.assert_allclose(stds[name], np.tile(given, (3, 1)), rtol=0.05)
@@ -258,7 +303,13 @@ def test_filters_are_told_how_large_the_noise_is(measured):
     """The exact filter is consistent, and one that takes the noise for white takes it for as large as it is."""
     trials = {}
     for phi in (0.0, 0.9):
-        config = {"phi": phi, "measured": measured, "steps": 40, "prior_position_km": 1.0, "noise_position_km": 1e-4}
+        config = {
+            "phi": phi,
+            "measured": measured,
+            "steps": 40,
+            "prior_position_km": 1.0,
+            "noise_position_km": 1e-4,
+        }
         (point,) = study({"paper": "csrukf", "config": config}).configurations
         trials[phi] = csrukf.trial(point.config, [np.random.default_rng(i) for i in range(300)])
     exact = "csrukf+z0" if measured == "positions" else "angles+z0"
@@ -283,18 +334,35 @@ def test_the_last_epoch_may_be_the_only_settled_one(paper, config):
     """Flights end when their configurations say."""
     last = study({"paper": paper, "config": config}).configurations[0].config.end_s
     found = study({"paper": paper, "config": config, "settle_s": last, "runs": 2})
-    trial = load(paper).trial(found.configurations[0].config, [np.random.default_rng(i) for i in range(2)])
+    trial = load(paper).trial(
+        found.configurations[0].config, [np.random.default_rng(i) for i in range(2)]
+    )
     assert follow(trial, found.filters[0]).times[-1] == last
 
 
 def test_a_flat_plate_is_a_body():
     inertia = [[1, 0, 0], [0, 2, 0], [0, 0, 3]]
-    assert study({"paper": "ssukf", "config": {"inertia": inertia}}).configurations[0].config.inertia[2][2] == 3.0
+    assert (
+        study({"paper": "ssukf", "config": {"inertia": inertia}})
+        .configurations[0]
+        .config.inertia[2][2]
+        == 3.0
+    )
 
 
 def test_a_random_walk_has_increments_only():
     config = {"phi": [0.8, 1.0], "sigma_km": 0.1}
-    with pytest.raises(ValueError, match=r"^config.noise_level: expected 'increments' where phi is 1: a random walk"):
+    with pytest.raises(
+        ValueError,
+        match=r"^config.noise_level: expected 'increments' where phi is 1: a random walk",
+    ):
         study({"paper": "csrukf", "config": config})
-    assert len(study({"paper": "csrukf", "config": config | {"noise_level": "increments"}}).configurations) == 2
+    assert (
+        len(
+            study(
+                {"paper": "csrukf", "config": config | {"noise_level": "increments"}}
+            ).configurations
+        )
+        == 2
+    )
     assert csrukf.Config(phi=1.0).noise_level == "increments"  # the paper's own

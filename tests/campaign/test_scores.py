@@ -19,7 +19,14 @@ def followed(error, nis=None, lost=()):
     nees = np.square(error / STD).sum(-1)
     dof = np.full((K, runs), 2)
     return Followed(
-        np.arange(float(K)), error, np.broadcast_to(STD, error.shape), nees, nees if nis is None else nis, dof, list(lost), K
+        np.arange(float(K)),
+        error,
+        np.broadcast_to(STD, error.shape),
+        nees,
+        nees if nis is None else nis,
+        dof,
+        list(lost),
+        K,
     )
 
 
@@ -38,15 +45,25 @@ def test_merged_blocks_say_what_all_runs_say():
     late = error[4:]
     position = np.sqrt(np.square(late[..., :2]).sum(-1).mean())
     np.testing.assert_allclose(found.accuracy[0].rms, position, rtol=1e-12)
-    np.testing.assert_allclose(found.accuracy[1].rms, 1e3 * np.sqrt(np.square(late[..., 2]).mean()), rtol=1e-12)
-    np.testing.assert_allclose(found.accuracy[0].final, np.sqrt(np.square(error[-1, :, :2]).sum(-1).mean()), rtol=1e-12)
+    np.testing.assert_allclose(
+        found.accuracy[1].rms, 1e3 * np.sqrt(np.square(late[..., 2]).mean()), rtol=1e-12
+    )
+    np.testing.assert_allclose(
+        found.accuracy[0].final, np.sqrt(np.square(error[-1, :, :2]).sum(-1).mean()), rtol=1e-12
+    )
     np.testing.assert_allclose(found.accuracy[0].sigma, np.sqrt(5.0), rtol=1e-12)
     np.testing.assert_allclose(found.anees, np.square(late / STD).sum(-1).mean() / 3, rtol=1e-12)
     np.testing.assert_allclose(found.nis, np.square(late / STD).sum(-1).mean() / 2, rtol=1e-12)
-    np.testing.assert_allclose(found.nees_beyond, (np.square(late / STD).sum(-1) > chi2.ppf(0.95, 3)).mean(), rtol=1e-12)
-    np.testing.assert_allclose(found.nis_beyond, (np.square(late / STD).sum(-1) > chi2.ppf(0.95, 2)).mean(), rtol=1e-12)
+    np.testing.assert_allclose(
+        found.nees_beyond, (np.square(late / STD).sum(-1) > chi2.ppf(0.95, 3)).mean(), rtol=1e-12
+    )
+    np.testing.assert_allclose(
+        found.nis_beyond, (np.square(late / STD).sum(-1) > chi2.ppf(0.95, 2)).mean(), rtol=1e-12
+    )
     whole = merge(blocks)
-    np.testing.assert_allclose(whole["square"] / whole["count"][:, None], squares(GROUPS, error).mean(1), rtol=1e-12)
+    np.testing.assert_allclose(
+        whole["square"] / whole["count"][:, None], squares(GROUPS, error).mean(1), rtol=1e-12
+    )
     assert found.runs == 50
 
 
@@ -65,7 +82,10 @@ def test_intervals_cover_the_truth_as_often_as_they_say():
     inside = np.mean([f.accuracy[0].low <= truth <= f.accuracy[0].high for f in found])
     assert abs(inside - 0.95) < 0.03
     assert abs(np.mean([f.low <= 1.0 <= f.high for f in found]) - 0.95) < 0.03
-    band = [f.band[0] <= np.square(errors(40, K=4, seed=s)[-1] / STD).sum(-1).mean() / 3 <= f.band[1] for s, f in enumerate(found)]
+    band = [
+        f.band[0] <= np.square(errors(40, K=4, seed=s)[-1] / STD).sum(-1).mean() / 3 <= f.band[1]
+        for s, f in enumerate(found)
+    ]
     assert abs(np.mean(band) - 0.95) < 0.03
 
 
@@ -79,13 +99,20 @@ def test_few_values_are_beyond_their_quantile_for_a_consistent_filter_and_many_f
 def test_the_settled_epochs_begin_where_they_are_said_to():
     error = errors(10)
     error[:6] *= 100.0
-    early, late = summarize(scored(error, settle_s=0.0)[0]), summarize(scored(error, settle_s=6.0)[0])
+    early, late = (
+        summarize(scored(error, settle_s=0.0)[0]),
+        summarize(scored(error, settle_s=6.0)[0]),
+    )
     assert early.accuracy[0].rms > 10 * late.accuracy[0].rms
-    np.testing.assert_allclose(late.accuracy[0].rms, np.sqrt(np.square(error[6:, :, :2]).sum(-1).mean()), rtol=1e-12)
+    np.testing.assert_allclose(
+        late.accuracy[0].rms, np.sqrt(np.square(error[6:, :, :2]).sum(-1).mean()), rtol=1e-12
+    )
 
 
 def test_settling_after_the_end_is_refused():
-    with pytest.raises(ValueError, match=r"^settle_s: expected a time of at most 7 s, the last epoch, got 7\.5$"):
+    with pytest.raises(
+        ValueError, match=r"^settle_s: expected a time of at most 7 s, the last epoch, got 7\.5$"
+    ):
         scored(errors(3), settle_s=7.5)
 
 
@@ -93,8 +120,13 @@ def test_lost_runs_and_runs_beyond_their_limit_are_failures_and_not_in_the_sums(
     error = errors(6)
     error[5:, 2] = np.nan
     error[-1, 4, 2] = 1.0  # 1000 m/s
-    found, failures = score(followed(error, lost=[(2, 5.0, "lost")]), GROUPS, settle_s=None, limits={"rate": 500.0})
-    assert [(f.run, f.t, f.why) for f in failures] == [(2, 5.0, "lost"), (4, 7.0, "rate: error above 500 m/s at the end")]
+    found, failures = score(
+        followed(error, lost=[(2, 5.0, "lost")]), GROUPS, settle_s=None, limits={"rate": 500.0}
+    )
+    assert [(f.run, f.t, f.why) for f in failures] == [
+        (2, 5.0, "lost"),
+        (4, 7.0, "rate: error above 500 m/s at the end"),
+    ]
     rest = scored(error[:, [0, 1, 3, 5]])[0]
     assert all(np.array_equal(found[name], rest[name]) for name in rest)
 
@@ -114,7 +146,9 @@ def test_the_bound_is_compared_over_the_settled_epochs():
     least[:4] = 1e6
     found = summarize(scored(errors(20))[0], least)
     assert found.accuracy[0].bound == 2.0
-    np.testing.assert_allclose(found.accuracy[1].efficiency, 0.5 / found.accuracy[1].rms, rtol=1e-12)
+    np.testing.assert_allclose(
+        found.accuracy[1].efficiency, 0.5 / found.accuracy[1].rms, rtol=1e-12
+    )
     assert np.isnan(summarize(scored(errors(20))[0]).accuracy[0].bound)
 
 
@@ -122,7 +156,9 @@ def test_one_run_has_no_interval_and_no_run_has_no_accuracy():
     one = summarize(scored(errors(1))[0])
     assert np.isfinite(one.accuracy[0].rms)
     assert np.isnan(one.accuracy[0].low)
-    none = summarize(score(followed(errors(1), lost=[(0, 1.0, "lost")]), GROUPS, settle_s=None, limits={})[0])
+    none = summarize(
+        score(followed(errors(1), lost=[(0, 1.0, "lost")]), GROUPS, settle_s=None, limits={})[0]
+    )
     assert none.runs == 0
     assert np.isnan(none.accuracy[0].rms)
 
@@ -135,15 +171,21 @@ def test_errors_count_where_the_filter_has_no_covariance_and_the_others_have_the
     std[:, 3], nees[:, 3] = np.nan, np.nan
     std[0, 3] = STD  # but at one epoch, which is not settled
     scores, failed = score(found._replace(std=std, nees=nees), GROUPS, settle_s=None, limits={})
-    assert [(f.run, f.why) for f in failed] == [(3, "no positive definite covariance at any settled epoch")]
-    np.testing.assert_array_equal(summarize(scores).accuracy, summarize(scored(error[:, :3])[0]).accuracy)
+    assert [(f.run, f.why) for f in failed] == [
+        (3, "no positive definite covariance at any settled epoch")
+    ]
+    np.testing.assert_array_equal(
+        summarize(scores).accuracy, summarize(scored(error[:, :3])[0]).accuracy
+    )
     std[5, 3] = STD  # at a settled one too: now it counts
     scores, failed = score(found._replace(std=std, nees=nees), GROUPS, settle_s=None, limits={})
     assert failed == []
     found = summarize(scores)
     position = np.sqrt(np.square(error[4:, :, :2]).sum(-1).mean())
     np.testing.assert_allclose(found.accuracy[0].rms, position, rtol=1e-12)
-    np.testing.assert_allclose(found.anees, np.square(error[4:, :3] / STD).sum(-1).mean() / 3, rtol=1e-12)
+    np.testing.assert_allclose(
+        found.anees, np.square(error[4:, :3] / STD).sum(-1).mean() / 3, rtol=1e-12
+    )
 
 
 def test_a_run_without_an_estimate_where_it_is_judged_is_a_failure_and_no_perfect_run():

@@ -20,7 +20,13 @@ from celnav.campaign.table import columns, to_csv, to_parquet
 from celnav.campaign.units import units_of
 from celnav.files import ForeignFileError, Outputs, locked
 
-TABLE = {"paper": "csrukf", "filters": ["csrukf"], "runs": 6, "block": 2, "config": {"steps": 8, "phi": [0.0, 0.8]}}
+TABLE = {
+    "paper": "csrukf",
+    "filters": ["csrukf"],
+    "runs": 6,
+    "block": 2,
+    "config": {"steps": 8, "phi": [0.0, 0.8]},
+}
 
 
 def table(outcome):
@@ -46,7 +52,11 @@ def again(folder):
     before = {path: path.stat().st_mtime_ns for path in (folder / "units").iterdir()}
     said = []
     found = table(campaign(study(TABLE), folder, serial(), say=said.append))
-    return found, said, {p.name for p in (folder / "units").iterdir() if p.stat().st_mtime_ns != before.get(p)}
+    return (
+        found,
+        said,
+        {p.name for p in (folder / "units").iterdir() if p.stat().st_mtime_ns != before.get(p)},
+    )
 
 
 def test_a_finished_campaign_is_read_and_not_computed(made):
@@ -58,7 +68,12 @@ def test_what_a_killed_campaign_left_half_written_is_removed(made):
     folder, wanted = made
     for part in (folder, folder / "units"):
         code = "import os, sys; from celnav.files import replacing; r = replacing(sys.argv[1]); r.__enter__().touch(); os._exit(9)"
-        assert subprocess.run([sys.executable, "-c", code, str(part / "x.npz")], check=False).returncode == 9
+        assert (
+            subprocess.run(
+                [sys.executable, "-c", code, str(part / "x.npz")], check=False
+            ).returncode
+            == 9
+        )
         assert len(list(part.glob(".celnav-*/x.npz"))) == 1
     assert again(folder) == (wanted, [], set())
     assert not list(folder.rglob(".celnav-*"))
@@ -115,7 +130,9 @@ def swap(path):
 
 def plant(path):
     """An array of an object that leaves a mark when it is unpickled."""
-    np.savez(path, allow_pickle=True, about=np.array([Mark(str(path.parent / "mark"))], dtype=object))
+    np.savez(
+        path, allow_pickle=True, about=np.array([Mark(str(path.parent / "mark"))], dtype=object)
+    )
 
 
 class Mark:
@@ -185,7 +202,11 @@ def test_units_of_other_epochs_are_told(made):
     folder, _ = made
     victim = sorted((folder / "units").iterdir())[1]
     with np.load(victim) as stored:
-        longer = {n: np.concatenate([stored[n]] * 2) for n in stored.files if stored[n].shape[:1] == stored["0/times"].shape}
+        longer = {
+            n: np.concatenate([stored[n]] * 2)
+            for n in stored.files
+            if stored[n].shape[:1] == stored["0/times"].shape
+        }
     sealed(**longer)(victim)
     with pytest.raises(StoreError, match=r"its units do not go together \(.*\); remove the folder"):
         campaign(study(TABLE), folder)
@@ -212,7 +233,9 @@ def test_the_planted_object_would_have_left_its_mark(tmp_path):
 )
 def test_another_study_is_refused_with_the_difference(made, change, difference):
     folder, wanted = made
-    with pytest.raises(StoreError, match=rf"belongs to another study \({difference}\); choose another --out"):
+    with pytest.raises(
+        StoreError, match=rf"belongs to another study \({difference}\); choose another --out"
+    ):
         campaign(study(TABLE | change), folder)
     assert again(folder) == (wanted, [], set())
 
@@ -223,7 +246,10 @@ def test_another_study_is_refused_with_the_difference(made, change, difference):
         ({"runs": 8}, 2 * 2),
         ({"runs": 7}, 2 * 1),
         ({"config": {"steps": 8, "phi": [0.0, 0.5, 0.8]}}, 6),
-        ({"config": {"steps": 8, "phi": [0.8, 0.0], "sigma_km": [0.1, 0.2]}}, 2 * 6),  # 0.2 is what it was
+        (
+            {"config": {"steps": 8, "phi": [0.8, 0.0], "sigma_km": [0.1, 0.2]}},
+            2 * 6,
+        ),  # 0.2 is what it was
         ({"runs": 10, "config": {"steps": 8, "phi": [0.9, 0.8, 0.0]}}, 10 + 2 * 4),
     ],
 )
@@ -231,18 +257,28 @@ def test_a_finished_campaign_grows_and_flies_only_what_is_new(made, tmp_path, ch
     """More runs, one more value, or several of what had one: the table is that of the whole flown at once."""
     folder, _ = made
     seen = []
-    found = table(campaign(study(TABLE | change), folder, progress=lambda done, total: seen.append((done, total))))
+    found = table(
+        campaign(
+            study(TABLE | change), folder, progress=lambda done, total: seen.append((done, total))
+        )
+    )
     assert found == table(campaign(study(TABLE | change), tmp_path / "at once"))
     assert seen[-1][0] - seen[0][0] == flown
     assert seen[-1][0] == seen[-1][1]
-    with pytest.raises(StoreError, match="belongs to another study"):  # now it is that of the larger one
+    with pytest.raises(
+        StoreError, match="belongs to another study"
+    ):  # now it is that of the larger one
         campaign(study(TABLE), folder)
 
 
 def test_a_block_that_was_not_whole_is_flown_anew_with_the_runs_that_fill_it(tmp_path):
     seen = []
     for runs in (3, 6):
-        found = campaign(study(TABLE | {"runs": runs}), tmp_path / "grown", progress=lambda done, _: seen.append(done))
+        found = campaign(
+            study(TABLE | {"runs": runs}),
+            tmp_path / "grown",
+            progress=lambda done, _: seen.append(done),
+        )
     assert seen == [0, 2, 3, 5, 6, 4, 6, 8, 10, 12]
     assert table(found) == table(campaign(study(TABLE), tmp_path / "at once"))
 
@@ -320,7 +356,12 @@ def test_an_interrupted_campaign_goes_on_where_it_was(tmp_path, made):
         campaign(study(TABLE), folder, progress=progress)
     assert len(list((folder / "units").iterdir())) == 3
     seen = []
-    assert table(campaign(study(TABLE), folder, progress=lambda done, total: seen.append((done, total)))) == wanted
+    assert (
+        table(
+            campaign(study(TABLE), folder, progress=lambda done, total: seen.append((done, total)))
+        )
+        == wanted
+    )
     assert seen == [(6, 12), (8, 12), (10, 12), (12, 12)]
 
 
@@ -343,7 +384,9 @@ def test_a_folder_that_is_a_link_is_refused_and_one_that_is_reached_by_one_is_no
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / name).symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(ForeignFileError, match=rf"out/{name}: expected a folder of its own, got a link"):
+    with pytest.raises(
+        ForeignFileError, match=rf"out/{name}: expected a folder of its own, got a link"
+    ):
         Outputs(tmp_path / "out").text(f"{name}/a.txt", "ours")
     assert not list((tmp_path / "elsewhere").iterdir())
     (tmp_path / "disk").symlink_to(tmp_path / "elsewhere")

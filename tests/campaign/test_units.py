@@ -15,7 +15,13 @@ from celnav.filters.records import FromFunctions
 from celnav.papers import csrukf
 from celnav.tape.cuda import CudaError
 
-TABLE = {"paper": "csrukf", "filters": ["srukf", "csrukf"], "runs": 10, "block": 4, "config": {"steps": 12, "phi": [0.0, 0.8]}}
+TABLE = {
+    "paper": "csrukf",
+    "filters": ["srukf", "csrukf"],
+    "runs": 10,
+    "block": 4,
+    "config": {"steps": 12, "phi": [0.0, 0.8]},
+}
 
 
 @pytest.fixture
@@ -30,7 +36,12 @@ def broken(monkeypatch):
     def use(where, runs):
         original = csrukf.trial
         config = csrukf.PRESETS["P"]
-        marks = {r: original(replace(config, steps=1), [units.generator(0, units.STUDY, r)]).prior.mean[0, 0] for r in runs}
+        marks = {
+            r: original(replace(config, steps=1), [units.generator(0, units.STUDY, r)]).prior.mean[
+                0, 0
+            ]
+            for r in runs
+        }
 
         def trial(config, rngs):
             made = original(config, rngs)
@@ -43,7 +54,11 @@ def broken(monkeypatch):
                     raise ValueError("no such star")
                 return made.filters["csrukf"].step(state, epoch)
 
-            raising = {"csrukf": FromFunctions(made.filters["csrukf"].start, step)} if where == "filter" else {}
+            raising = (
+                {"csrukf": FromFunctions(made.filters["csrukf"].start, step)}
+                if where == "filter"
+                else {}
+            )
             return made._replace(filters={**made.filters, **raising})
 
         monkeypatch.setattr(csrukf, "trial", trial)
@@ -106,14 +121,18 @@ def test_a_run_that_raises_in_a_filter_fails_alone(unit, broken):
     assert found.scores["csrukf"]["runs"] == 3
     assert "no such star" in found.trace
     singles = [flown(replace(unit, first=r, last=r + 1)).scores["csrukf"] for r in (0, 1, 3)]
-    np.testing.assert_allclose(found.scores["csrukf"]["square"], merge(singles)["square"], rtol=1e-9)
+    np.testing.assert_allclose(
+        found.scores["csrukf"]["square"], merge(singles)["square"], rtol=1e-9
+    )
 
 
 def test_a_run_that_cannot_be_simulated_fails_in_every_filter(unit, broken):
     broken("trial", {1})
     found = flown(unit)
     for name in unit.filters:
-        assert [(f.run, f.why) for f in found.failures[name]] == [(1, "ValueError: the orbit ends in the ground")]
+        assert [(f.run, f.why) for f in found.failures[name]] == [
+            (1, "ValueError: the orbit ends in the ground")
+        ]
         assert found.scores[name]["runs"] == 3
     assert [name for name, _ in found.groups] == ["position", "velocity"]
 
@@ -159,7 +178,9 @@ def test_the_lack_of_a_device_is_not_either(unit, monkeypatch):
 
 
 def test_another_celnav_is_refused(unit):
-    with pytest.raises(VersionError, match=r"has celnav \S+, code \w+, this has celnav 9\.9, code abc; install"):
+    with pytest.raises(
+        VersionError, match=r"has celnav \S+, code \w+, this has celnav 9\.9, code abc; install"
+    ):
         execute(unit, code() | {"celnav": "9.9", "code": "abc"})
     with pytest.raises(VersionError, match=r"has numpy \S+, this has numpy 1\.0; install"):
         execute(unit, code() | {"numpy": "1.0"})
@@ -167,5 +188,7 @@ def test_another_celnav_is_refused(unit):
 
 @pytest.mark.parametrize("paper", ["ssukf", "tstdkf", "aasghqf", "aukf"])
 def test_units_of_every_paper_can_be_hashed(paper):
-    assert len({u.key for part in units_of(study({"paper": paper, "runs": 250})) for u in part}) == 3
+    assert (
+        len({u.key for part in units_of(study({"paper": paper, "runs": 250})) for u in part}) == 3
+    )
     assert isinstance(units_of(study({"paper": paper}))[0][0], Unit)

@@ -5,7 +5,13 @@ import pytest
 from scipy.stats import chi2, norm
 
 from celnav import Epoch, Gaussian, Motion, Sensor, epochs, run, sigma_point, steps
-from celnav.filters.adaptive import chi_square_gate, consider, gate, innovation_window, underweighting
+from celnav.filters.adaptive import (
+    chi_square_gate,
+    consider,
+    gate,
+    innovation_window,
+    underweighting,
+)
 from celnav.gaussian.rules import Taylor, unscented
 
 A = np.array([[1.0, 0.2], [-0.1, 0.9]])
@@ -14,7 +20,9 @@ Q = np.array([[0.1, 0.02], [0.02, 0.05]])
 R = np.array([[0.5, 0.1, 0.0], [0.1, 0.4, 0.1], [0.0, 0.1, 0.3]])
 P0 = np.array([[1.0, 0.3], [0.3, 0.6]])
 FORMS = pytest.mark.parametrize("form", ["square root", "covariance"])
-RULES = pytest.mark.parametrize("rule", [unscented(2), unscented(2, 1.0, 0.0, -0.5), Taylor()], ids=repr)
+RULES = pytest.mark.parametrize(
+    "rule", [unscented(2), unscented(2, 1.0, 0.0, -0.5), Taylor()], ids=repr
+)
 
 
 def make(hooks=(), rule=unscented, form="square root", gain=None):
@@ -153,7 +161,8 @@ def test_a_window_never_filled_changes_no_bit(form, rule):
     z = simulate(np.random.default_rng(4), 20, 4)
     z[3, 1, 0] = np.nan
     plain, hooked = (
-        run(make(hooks, rule, form), prior(4), epochs(np.arange(20), z), keep="cov") for hooks in ((), (innovation_window(21),))
+        run(make(hooks, rule, form), prior(4), epochs(np.arange(20), z), keep="cov")
+        for hooks in ((), (innovation_window(21),))
     )
     np.testing.assert_array_equal(hooked.mean, plain.mean)
     np.testing.assert_array_equal(hooked.belief[1], plain.belief[1])
@@ -191,7 +200,10 @@ def test_window_follows_its_formula(form, rule, gaps):
     np.testing.assert_allclose(track.mean, expected, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("hooks", [(innovation_window(3),), (innovation_window(3, "skip"),), (gate(2.0), innovation_window(2))])
+@pytest.mark.parametrize(
+    "hooks",
+    [(innovation_window(3),), (innovation_window(3, "skip"),), (gate(2.0), innovation_window(2))],
+)
 def test_runs_do_not_know_each_other(hooks):
     """A run in a batch adapts as it would alone, also where the whole block or only this run has no measurement."""
     z = simulate(np.random.default_rng(6), 30, 3)
@@ -251,7 +263,12 @@ def test_underweighting_follows_its_formula(form, rule, share):
     z = simulate(np.random.default_rng(11), 20, 2)
     z[3, 0, 1] = z[4, 1] = np.nan
     z[5, 0, :2] = np.nan
-    track = run(make([underweighting(beta, share)], rule, form), prior(2), epochs(np.arange(20), z), keep="cov")
+    track = run(
+        make([underweighting(beta, share)], rule, form),
+        prior(2),
+        epochs(np.arange(20), z),
+        keep="cov",
+    )
     for i in range(2):
         x, P = np.zeros(2), P0
         for k in range(20):
@@ -273,7 +290,9 @@ def test_underweighting_follows_its_formula(form, rule, share):
 
 def ranges(x, _epoch=None):
     """Distances from two stations."""
-    return np.stack([np.hypot(x[..., 0], x[..., 1]), np.hypot(x[..., 0] - 6.0, x[..., 1] - 1.0)], -1)
+    return np.stack(
+        [np.hypot(x[..., 0], x[..., 1]), np.hypot(x[..., 0] - 6.0, x[..., 1] - 1.0)], -1
+    )
 
 
 def test_underweighting_leaves_room_for_curvature():
@@ -284,10 +303,17 @@ def test_underweighting_leaves_room_for_curvature():
     z = ranges(truth) + 0.01 * rng.normal(size=(runs, 2))
     nees = []
     for hooks in ((), (underweighting(),)):
-        filter = sigma_point(Motion(np.eye(2), np.eye(2)), Sensor(ranges, 1e-4 * np.eye(2)), rule=Taylor(), hooks=hooks)
+        filter = sigma_point(
+            Motion(np.eye(2), np.eye(2)),
+            Sensor(ranges, 1e-4 * np.eye(2)),
+            rule=Taylor(),
+            hooks=hooks,
+        )
         belief, _ = seen(filter, Gaussian(np.tile(center, (runs, 1)), np.eye(2)), z)
         error = belief.mean - truth
-        nees.append(np.median(np.vecdot(error, np.linalg.solve(belief.cov, error[..., None])[..., 0])))
+        nees.append(
+            np.median(np.vecdot(error, np.linalg.solve(belief.cov, error[..., None])[..., 0]))
+        )
     assert nees[0] > 100.0
     assert nees[1] < 2.0 * chi2.median(2)
 
@@ -315,7 +341,9 @@ def test_consider_is_schmidt_kalman(form, rule, missing):
         z[4, 1] = np.nan
         z[8:10, [0, 2]] = np.nan
         z[13] = np.nan
-    three = {"Rule": unscented(3, 1.0, 0.0, -0.5 if "negative weights=1" in repr(rule) else 0.0)}.get(type(rule).__name__, rule)
+    three = {
+        "Rule": unscented(3, 1.0, 0.0, -0.5 if "negative weights=1" in repr(rule) else 0.0)
+    }.get(type(rule).__name__, rule)
 
     def dynamics(x, epoch):
         return np.concatenate([x[..., :2] @ A.T + x[..., 2:] @ B.T, F * x[..., 2:]], -1)
@@ -327,7 +355,9 @@ def test_consider_is_schmidt_kalman(form, rule, missing):
     noise[:2, :2], noise[2, 2] = Q, 0.05
     start = np.zeros((3, 3))
     start[:2, :2], start[2, 2] = P0, 0.7
-    filter = sigma_point(Motion(dynamics, noise), Sensor(measure, R), rule=three, form=form, gain=consider(2, 1))
+    filter = sigma_point(
+        Motion(dynamics, noise), Sensor(measure, R), rule=three, form=form, gain=consider(2, 1)
+    )
     track = run(filter, Gaussian([0.0, 0.0, 0.4], start), epochs(np.arange(25), z), keep="cov")
 
     x, p, P, C, Pp = np.zeros(2), np.array([0.4]), P0, np.zeros((2, 1)), np.array([[0.7]])
@@ -399,12 +429,23 @@ def test_a_hook_may_write_into_the_joint(how, h):
             joint.innovation[...] *= 0.5
             joint.measurement_noise[...] *= 1.0 + (epoch.k > 0)  # the sensor's own stays as it is
             return memory, joint
-        both = (image._replace(columns=2.0 * image.columns) for image in (joint.measurement, joint.state))
+        both = (
+            image._replace(columns=2.0 * image.columns)
+            for image in (joint.measurement, joint.state)
+        )
         measurement, state = both
-        return memory, joint._replace(measurement=measurement, state=state, innovation=0.5 * joint.innovation)
+        return memory, joint._replace(
+            measurement=measurement, state=state, innovation=0.5 * joint.innovation
+        )
 
-    P, motion, sensor = np.array([[2.0, 0.5], [0.5, 1.0]]), Motion(np.eye(2), np.eye(2)), Sensor(h, [[1.0]])
-    expected, _ = seen(sigma_point(motion, sensor, rule=unscented), Gaussian(np.zeros(2), 4.0 * P), [1.0])
+    P, motion, sensor = (
+        np.array([[2.0, 0.5], [0.5, 1.0]]),
+        Motion(np.eye(2), np.eye(2)),
+        Sensor(h, [[1.0]]),
+    )
+    expected, _ = seen(
+        sigma_point(motion, sensor, rule=unscented), Gaussian(np.zeros(2), 4.0 * P), [1.0]
+    )
     for form in ("square root", "covariance"):
         prior = Gaussian(np.zeros(2), P)
         filter = sigma_point(motion, sensor, rule=unscented, form=form, hooks=[inflate])

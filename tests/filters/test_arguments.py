@@ -42,9 +42,15 @@ def updated(z, prior=PRIOR, filter=FILTER):
 @pytest.mark.parametrize(
     ("given", "told"),
     [
-        (celnav.Taylor, "rule: expected a rule, such as celnav.unscented(n) or celnav.unscented, got class Taylor"),
+        (
+            celnav.Taylor,
+            "rule: expected a rule, such as celnav.unscented(n) or celnav.unscented, got class Taylor",
+        ),
         (6, "rule: expected a rule, such as celnav.unscented(n) or celnav.unscented, got int"),
-        (MerweScaledSigmaPoints(2, 1.0, 0.0, 1.0), "MerweScaledSigmaPoints (celnav.from_filterpy makes it one)"),
+        (
+            MerweScaledSigmaPoints(2, 1.0, 0.0, 1.0),
+            "MerweScaledSigmaPoints (celnav.from_filterpy makes it one)",
+        ),
     ],
     ids=["a class", "a number", "filterpy's"],
 )
@@ -149,7 +155,9 @@ def test_batches_that_do_not_go_together():
 def test_no_noise_has_no_columns(form):
     """A measurement without noise is possible, and exact; it has to be said."""
     for none in ({"sqrt_R": np.zeros((1, 0))}, {"R": np.zeros((1, 1))}):
-        belief = updated([3.0], filter=celnav.ukf(MOTION, celnav.Sensor([[1.0, 1.0]], **none), form=form))
+        belief = updated(
+            [3.0], filter=celnav.ukf(MOTION, celnav.Sensor([[1.0, 1.0]], **none), form=form)
+        )
         np.testing.assert_allclose(belief.mean, [1.5, 1.5], rtol=1e-12)
         np.testing.assert_allclose(belief.cov, [[0.5, -0.5], [-0.5, 0.5]], atol=1e-12)
 
@@ -176,35 +184,58 @@ def test_a_model_that_takes_the_epoch_for_its_interval_is_told_what_it_gets():
 @pytest.mark.parametrize("runs", [(), (4,)])
 def test_a_model_of_one_vector_is_told_what_points_are(model, runs):
     """Whether its value has another shape or it raises by itself."""
-    prior, jacobian = celnav.Gaussian(np.zeros((*runs, 3)), np.eye(3)), lambda mean, epoch: np.eye(3)
+    prior, jacobian = (
+        celnav.Gaussian(np.zeros((*runs, 3)), np.eye(3)),
+        lambda mean, epoch: np.eye(3),
+    )
     motion, linear = (celnav.Motion(model, np.eye(3), jacobian=known) for known in (None, jacobian))
     for filter in (celnav.ukf(motion), celnav.ekf(linear)):
         with pytest.raises((ValueError, IndexError)) as error:
             celnav.run(filter, prior, [0.0, 1.0])
         said = "\n".join([str(error.value), *getattr(error.value, "__notes__", [])])
-        assert "points are (p, ..., n): a component is x[..., 0], a product with a matrix x @ F.T" in said
+        assert (
+            "points are (p, ..., n): a component is x[..., 0], a product with a matrix x @ F.T"
+            in said
+        )
 
 
 def test_what_tracks_rules_filters_and_spaces_say_of_themselves():
-    track = celnav.run(FILTER, celnav.Gaussian(np.zeros((4, 2)), EYE), [0.0, 1.0, 2.0], np.zeros((3, 4, 2)))
+    track = celnav.run(
+        FILTER, celnav.Gaussian(np.zeros((4, 2)), EYE), [0.0, 1.0, 2.0], np.zeros((3, 4, 2))
+    )
     assert repr(track) == "Track(3 epochs from 0 to 2 s, 4 runs; mean, std, innovation stored)"
-    assert repr(celnav.unscented(2)) == "Rule(n=2, points=4 and a center of weight 0, negative weights=0)"
+    assert (
+        repr(celnav.unscented(2))
+        == "Rule(n=2, points=4 and a center of weight 0, negative weights=0)"
+    )
     assert repr(celnav.unscented(2, 0.5)) == "Rule(n=2, points=5, negative weights=1)"
-    assert repr(celnav.colored(MOTION, SENSOR, 0.5 * EYE)) == "Colored(function f; ndarray; unscented, square root)"
-    assert repr(celnav.imm([FILTER, FILTER], np.full((2, 2), 0.5))) == f"InteractingModels(filters=({FILTER!r}, {FILTER!r}))"
+    assert (
+        repr(celnav.colored(MOTION, SENSOR, 0.5 * EYE))
+        == "Colored(function f; ndarray; unscented, square root)"
+    )
+    assert (
+        repr(celnav.imm([FILTER, FILTER], np.full((2, 2), 0.5)))
+        == f"InteractingModels(filters=({FILTER!r}, {FILTER!r}))"
+    )
     assert "space: 'Space' = EUCLIDEAN" in str(signature(celnav.Motion))
 
 
 def test_angles_can_be_sent_to_another_process():
     for places in (None, [1]):
         space = pickle.loads(pickle.dumps(celnav.angles(places)))
-        np.testing.assert_allclose(space.minus(np.array([0.0, 3.0]), np.array([0.0, -3.0])), [0.0, 6.0 - 2.0 * np.pi], rtol=1e-12)
+        np.testing.assert_allclose(
+            space.minus(np.array([0.0, 3.0]), np.array([0.0, -3.0])),
+            [0.0, 6.0 - 2.0 * np.pi],
+            rtol=1e-12,
+        )
 
 
 def test_what_is_masked_is_missing():
     """netCDF and FITS readers give masked arrays."""
     z = np.ma.masked_values([[1.0, 1.0], [-999.0, 2.0], [3.0, 3.0]], -999.0)
-    found, expected, listed = (celnav.run(FILTER, PRIOR, np.arange(3.0), v) for v in (z, z.filled(np.nan), list(z)))
+    found, expected, listed = (
+        celnav.run(FILTER, PRIOR, np.arange(3.0), v) for v in (z, z.filled(np.nan), list(z))
+    )
     np.testing.assert_array_equal(found.mean, expected.mean)
     np.testing.assert_array_equal(found.dof, [2, 1, 2])
     np.testing.assert_array_equal(listed.mean, expected.mean)
@@ -229,23 +260,36 @@ def test_filters_can_be_sent_to_another_process():
             np.testing.assert_allclose(belief.cov, 1.01 * EYE)
 
 
-@pytest.mark.parametrize("rule", [celnav.Taylor(), celnav.unscented(2, 1e-3, 2.0)], ids=["taylor", "alpha"])
+@pytest.mark.parametrize(
+    "rule", [celnav.Taylor(), celnav.unscented(2, 1e-3, 2.0)], ids=["taylor", "alpha"]
+)
 def test_a_model_in_single_precision_is_told_where_differences_are_round_off(rule):
     """A deviation of 1e-5 came out of one of 0.01, and nothing was said."""
     far = celnav.Gaussian([7000.0, 7000.0], 1e-4 * EYE)
-    single = celnav.sigma_point(celnav.Motion(lambda x, epoch: x.astype(np.float32), 1e-10 * EYE), rule=rule)
-    with pytest.warns(RuntimeWarning, match="f returns float32: its values differ .* Compute in float64"):
+    single = celnav.sigma_point(
+        celnav.Motion(lambda x, epoch: x.astype(np.float32), 1e-10 * EYE), rule=rule
+    )
+    with pytest.warns(
+        RuntimeWarning, match="f returns float32: its values differ .* Compute in float64"
+    ):
         single.predict(single.start(far), celnav.Epoch(1, 1.0, 1.0))
-    see = celnav.sigma_point(MOTION, celnav.Sensor(lambda x, epoch: x[..., :1].astype(np.float32), [[1.0]]), rule=rule)
+    see = celnav.sigma_point(
+        MOTION, celnav.Sensor(lambda x, epoch: x[..., :1].astype(np.float32), [[1.0]]), rule=rule
+    )
     with pytest.warns(RuntimeWarning, match="h returns float32"):
         updated([7000.0], far, see)
 
 
 def test_single_precision_that_does_no_harm_is_taken_in_silence():
     """Differences far above round-off, a component that is known exactly, Jacobians of one's own."""
-    motion = celnav.Motion(lambda x, epoch: x.astype(np.float32), np.zeros((2, 2)), jacobian=lambda x, epoch: EYE)
+    motion = celnav.Motion(
+        lambda x, epoch: x.astype(np.float32), np.zeros((2, 2)), jacobian=lambda x, epoch: EYE
+    )
     for filter in (celnav.ukf(motion), celnav.ekf(motion)):
-        after = filter.predict(filter.start(celnav.Gaussian([7000.0, 0.1], np.diag([1e4, 0.0]))), celnav.Epoch(1, 1.0, 1.0)).belief
+        after = filter.predict(
+            filter.start(celnav.Gaussian([7000.0, 0.1], np.diag([1e4, 0.0]))),
+            celnav.Epoch(1, 1.0, 1.0),
+        ).belief
         np.testing.assert_allclose(after.std, [100.0, 0.0], rtol=1e-5)
 
 
@@ -268,7 +312,12 @@ def test_masked_values_of_a_model_are_refused():
         ("jacobian", celnav.Motion(f, EYE, jacobian=of_two), SENSOR),
         ("matrix", celnav.Motion(celnav.Linear(lambda epoch: of_two(None, epoch)), EYE), SENSOR),
     ):
-        with pytest.raises(ValueError, match=f"^{name}: expected numbers, got masked ones; a component .* is nan in z"):
+        with pytest.raises(
+            ValueError,
+            match=f"^{name}: expected numbers, got masked ones; a component .* is nan in z",
+        ):
             celnav.run(celnav.ekf(motion, sensor), prior, [0.0, 1.0], np.ones((2, 2)))
     bare = celnav.ukf(celnav.Motion(lambda x, e: np.ma.masked_array(x), EYE))
-    np.testing.assert_allclose(celnav.run(bare, prior, [0.0, 1.0], keep="cov").cov[-1], 2.0 * EYE, atol=1e-14)
+    np.testing.assert_allclose(
+        celnav.run(bare, prior, [0.0, 1.0], keep="cov").cov[-1], 2.0 * EYE, atol=1e-14
+    )

@@ -34,7 +34,9 @@ RUNS = 3
 # -- a falling body, seen by a radar -----------------------------------------------------------------------------------------
 def fall(x, epoch):
     h, v, b = x[..., 0], x[..., 1], x[..., 2]
-    return np.stack([h - epoch.dt * v, v + epoch.dt * (GRAVITY - DRAG * np.exp(-h / SCALE_M - b) * v**2), b], -1)
+    return np.stack(
+        [h - epoch.dt * v, v + epoch.dt * (GRAVITY - DRAG * np.exp(-h / SCALE_M - b) * v**2), b], -1
+    )
 
 
 def fall_slope(x, epoch):
@@ -42,7 +44,11 @@ def fall_slope(x, epoch):
     h, v, b = x[..., 0], x[..., 1], x[..., 2]
     drag = DRAG * epoch.dt * np.exp(-h / SCALE_M - b) * v
     one, zero = np.ones(h.shape), np.zeros(h.shape)
-    rows = [one, -epoch.dt * one, zero], [drag * v / SCALE_M, 1.0 - 2.0 * drag, drag * v], [zero, zero, one]
+    rows = (
+        [one, -epoch.dt * one, zero],
+        [drag * v / SCALE_M, 1.0 - 2.0 * drag, drag * v],
+        [zero, zero, one],
+    )
     return np.stack([np.stack(row, -1) for row in rows], -2)
 
 
@@ -62,8 +68,14 @@ def both_seen(x, _epoch):
 W = np.diag([0.0, 0.2, 0.001])
 TIMES = 0.5 * np.arange(25)
 MOTION, RADAR = celnav.Motion(fall, sqrt_Q=W), celnav.Sensor(distance, R=[[25.0]])
-EXACT = celnav.Motion(fall, sqrt_Q=W, jacobian=fall_slope), celnav.Sensor(distance, R=[[25.0]], jacobian=distance_slope)
-HEIGHT, BOTH = celnav.Sensor(np.eye(1, 3), [[25.0]]), celnav.Sensor(both_seen, np.diag([100.0, 4.0]))
+EXACT = (
+    celnav.Motion(fall, sqrt_Q=W, jacobian=fall_slope),
+    celnav.Sensor(distance, R=[[25.0]], jacobian=distance_slope),
+)
+HEIGHT, BOTH = (
+    celnav.Sensor(np.eye(1, 3), [[25.0]]),
+    celnav.Sensor(both_seen, np.diag([100.0, 4.0])),
+)
 START = celnav.Gaussian([40e3, 3000.0, 0.0], np.diag([1000.0, 100.0, 0.3]) ** 2)
 TRUTH, Z = celnav.simulate(MOTION, RADAR, START, TIMES, runs=RUNS)
 MANY = celnav.Gaussian(np.tile(START.mean, (RUNS, 1)), START.cov)
@@ -101,15 +113,27 @@ def drag_noise(mean, epoch):
 
 
 def both_noise(mean, epoch):
-    return np.diag([100.0, 4.0]) * (1.0 + 1e-10 * mean[..., 0, None, None] ** 2) * (1.0 + 0.01 * epoch.k)
+    return (
+        np.diag([100.0, 4.0])
+        * (1.0 + 1e-10 * mean[..., 0, None, None] ** 2)
+        * (1.0 + 0.01 * epoch.k)
+    )
 
 
 NOISY = celnav.Motion(noisy_fall, augment=(W,))
 NOISY_RADAR = celnav.Sensor(noisy_distance, augment=(np.array([[5.0]]),))
 FALLS = {name: (celnav.sigma_point(MOTION, RADAR, rule=rule), Z) for name, rule in RULES.items()}
-FALLS |= {f"{name}, cov": (celnav.sigma_point(MOTION, RADAR, rule=rule, form="covariance"), Z) for name, rule in RULES.items()}
-FALLS |= {f"{name} hook": (celnav.ukf(MOTION, BOTH, hooks=[hook]), GAPS2) for name, hook in HOOKS.items()}
-FALLS |= {f"{name} hook, cov": (celnav.ukf(MOTION, RADAR, hooks=[hook], form="covariance"), GAPS) for name, hook in HOOKS.items()}
+FALLS |= {
+    f"{name}, cov": (celnav.sigma_point(MOTION, RADAR, rule=rule, form="covariance"), Z)
+    for name, rule in RULES.items()
+}
+FALLS |= {
+    f"{name} hook": (celnav.ukf(MOTION, BOTH, hooks=[hook]), GAPS2) for name, hook in HOOKS.items()
+}
+FALLS |= {
+    f"{name} hook, cov": (celnav.ukf(MOTION, RADAR, hooks=[hook], form="covariance"), GAPS)
+    for name, hook in HOOKS.items()
+}
 FALLS |= {
     "colored": (celnav.colored(MOTION, RADAR, [[0.9]]), Z),
     "colored, gaps": (celnav.colored(MOTION, RADAR, [[0.9]]), GAPS),
@@ -148,12 +172,18 @@ def test_filters_of_a_falling_body(name):
 
 
 @pytest.mark.parametrize("form", ["square root", "covariance"])
-@pytest.mark.parametrize("options", [{}, {"hooks": [gate(1.0)]}, {"iterations": 3}], ids=["plain", "gate", "iterated"])
+@pytest.mark.parametrize(
+    "options", [{}, {"hooks": [gate(1.0)]}, {"iterations": 3}], ids=["plain", "gate", "iterated"]
+)
 def test_jacobians_that_are_given_or_found(form, options):
     """What is recorded has exact derivatives; numpy is given them."""
     known = celnav.ekf(*EXACT, form=form, **options)
     assert_same(*twice(known, MANY, TIMES, GAPS, keep="cov"))
-    assert_same(*twice(celnav.ekf(MOTION, RADAR, form=form, **options), MANY, TIMES, GAPS, of=known, keep="cov"))
+    assert_same(
+        *twice(
+            celnav.ekf(MOTION, RADAR, form=form, **options), MANY, TIMES, GAPS, of=known, keep="cov"
+        )
+    )
 
 
 def test_jacobians_of_colored_noise_and_of_two_stages():
@@ -178,15 +208,23 @@ PLOTS = celnav.simulate(STRAIGHT, TOWER, ENTRY, SCANS, runs=RUNS)[1]
 
 
 @pytest.mark.parametrize("form", ["square root", "covariance"])
-@pytest.mark.parametrize("hooks", [[], [huber()], [innovation_window(4)]], ids=["plain", "Huber", "window"])
+@pytest.mark.parametrize(
+    "hooks", [[], [huber()], [innovation_window(4)]], ids=["plain", "Huber", "window"]
+)
 def test_angles_that_cross_the_cut_at_irregular_times(form, hooks):
     assert np.ptp(PLOTS[..., 1]) > 6.0
-    assert_same(*twice(celnav.ukf(STRAIGHT, TOWER, form=form, hooks=hooks), ENTRY, SCANS, PLOTS, keep="cov"))
+    assert_same(
+        *twice(celnav.ukf(STRAIGHT, TOWER, form=form, hooks=hooks), ENTRY, SCANS, PLOTS, keep="cov")
+    )
 
 
 def test_angles_of_the_state():
-    motion = celnav.Motion(lambda x, epoch: x + epoch.dt * epoch.u, 1e-3 * np.eye(1), space=celnav.angles([0]))
-    sensor = celnav.Sensor(lambda x, _epoch: np.concatenate([np.cos(x), np.sin(x)], -1), 0.01 * np.eye(2))
+    motion = celnav.Motion(
+        lambda x, epoch: x + epoch.dt * epoch.u, 1e-3 * np.eye(1), space=celnav.angles([0])
+    )
+    sensor = celnav.Sensor(
+        lambda x, _epoch: np.concatenate([np.cos(x), np.sin(x)], -1), 0.01 * np.eye(2)
+    )
     prior, times, u = celnav.Gaussian([3.0], [[0.01]]), np.arange(20.0), np.full((19, 1), 0.1)
     z = celnav.simulate(motion, sensor, prior, times, u=u, runs=RUNS)[1]
     assert_same(*twice(celnav.ukf(motion, sensor), prior, times, z, u, keep="cov"))
@@ -195,8 +233,13 @@ def test_angles_of_the_state():
 # -- an attitude and a gyro's drift ----------------------------------------------------------------------------------------------
 GYRO = Gyro(sigma_v=1e-5, sigma_u=1e-6)
 SECONDS, TURNS = np.arange(11.0), np.tile([0.0, 1e-3, 0.0], (10, 1))
-UPRIGHT = celnav.Gaussian([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], np.diag([0.02] * 3 + [1e-4] * 3) ** 2)
-STARS = celnav.Sensor(lambda x, _epoch: np.concatenate([rotate(x[..., :4], star) for star in np.eye(3)[:2]], -1), 1e-6 * np.eye(6))
+UPRIGHT = celnav.Gaussian(
+    [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], np.diag([0.02] * 3 + [1e-4] * 3) ** 2
+)
+STARS = celnav.Sensor(
+    lambda x, _epoch: np.concatenate([rotate(x[..., :4], star) for star in np.eye(3)[:2]], -1),
+    1e-6 * np.eye(6),
+)
 TRACKER = celnav.Sensor(lambda x, _epoch: x[..., :4], 1e-6 * np.eye(3), space=attitude())
 
 
@@ -213,9 +256,24 @@ def turning(transported):
 def test_attitudes(transported, own):
     motion = turning(transported)
     truth, z = celnav.simulate(motion, STARS, UPRIGHT, SECONDS, u=TURNS, runs=4)
-    u = TURNS[:, None] + 1e-5 * np.random.default_rng(1).standard_normal((10, 4, 3)) if own else TURNS
+    u = (
+        TURNS[:, None] + 1e-5 * np.random.default_rng(1).standard_normal((10, 4, 3))
+        if own
+        else TURNS
+    )
     if own:
         z[3, 1] = np.nan
-    assert_same(*twice(celnav.ukf(motion, STARS, hooks=[gate(2.0)] if own else []), UPRIGHT, SECONDS, z, u, keep="cov"))
+    assert_same(
+        *twice(
+            celnav.ukf(motion, STARS, hooks=[gate(2.0)] if own else []),
+            UPRIGHT,
+            SECONDS,
+            z,
+            u,
+            keep="cov",
+        )
+    )
     if not own:
-        assert_same(*twice(celnav.ukf(motion, TRACKER), UPRIGHT, SECONDS, truth[..., :4], u, keep="cov"))
+        assert_same(
+            *twice(celnav.ukf(motion, TRACKER), UPRIGHT, SECONDS, truth[..., :4], u, keep="cov")
+        )

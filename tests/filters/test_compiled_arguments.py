@@ -36,7 +36,11 @@ def compiled(monkeypatch):
     """A switch to the other engine for whatever calls `celnav.run` without naming one."""
 
     def switched(on):
-        monkeypatch.setattr(celnav, "run", (lambda *a, **more: RUN(*a, **({"engine": "compiled"} | more))) if on else RUN)
+        monkeypatch.setattr(
+            celnav,
+            "run",
+            (lambda *a, **more: RUN(*a, **({"engine": "compiled"} | more))) if on else RUN,
+        )
 
     return switched
 
@@ -64,8 +68,12 @@ def test_wrong_arguments_end_alike(door, compiled):
     for argument, (what, wrong) in product(good, doors.WRONG.items()):
         if (door, argument) in DATA:
             continue
-        value = (lambda: (i for i in range(3))) if what == "generator" else (lambda wrong=wrong: wrong)
-        known, found = outcomes(compiled, call, lambda argument=argument, value=value: good | {argument: value()})
+        value = (
+            (lambda: (i for i in range(3))) if what == "generator" else (lambda wrong=wrong: wrong)
+        )
+        known, found = outcomes(
+            compiled, call, lambda argument=argument, value=value: good | {argument: value()}
+        )
         if known != found:
             assert (known, found[:14]) == ("", "CannotCompile:"), (argument, what)
 
@@ -83,7 +91,10 @@ def test_arguments_that_are_told_alike(compiled):
 
 @pytest.mark.parametrize("runs", [(), (4,)])
 def test_models_of_one_vector_are_told_alike(runs, compiled):
-    marks = {mark.args[0]: mark for mark in test_arguments.test_a_model_of_one_vector_is_told_what_points_are.pytestmark}
+    marks = {
+        mark.args[0]: mark
+        for mark in test_arguments.test_a_model_of_one_vector_is_told_what_points_are.pytestmark
+    }
     compiled(True)
     for model in marks["model"].args[1]:
         test_arguments.test_a_model_of_one_vector_is_told_what_points_are(model, runs)
@@ -116,23 +127,44 @@ def text(x, epoch):
 @pytest.mark.parametrize("model", [divided, beyond, short, unknown, nothing, text])
 def test_models_that_are_at_fault_end_alike(model, compiled):
     arguments = celnav.Gaussian(np.zeros((3, 2)), np.eye(2)), doors.TIMES, np.ones((3, 2))
-    for motion, sensor in ((celnav.Motion(model, np.eye(2)), doors.SENSOR), (doors.MOTION, celnav.Sensor(model, np.eye(2)))):
+    for motion, sensor in (
+        (celnav.Motion(model, np.eye(2)), doors.SENSOR),
+        (doors.MOTION, celnav.Sensor(model, np.eye(2))),
+    ):
         filter = celnav.ukf(motion, sensor)
-        known, found = (told(RUN, filter, *arguments, engine=engine) for engine in ("numpy", "compiled"))
+        known, found = (
+            told(RUN, filter, *arguments, engine=engine) for engine in ("numpy", "compiled")
+        )
         assert known == found
         assert known != "" or model is short
 
 
 @pytest.mark.parametrize("epochs", [None, 3.0])
 def test_what_is_no_sequence_of_epochs_is_told_alike(epochs):
-    filter, prior = celnav.ukf(doors.MOTION, doors.SENSOR), celnav.Gaussian(np.zeros((3, 2)), np.eye(2))
-    known, *found = (told(RUN, filter, prior, epochs, engine=engine) for engine in ("numpy", "compiled", "auto"))
+    filter, prior = (
+        celnav.ukf(doors.MOTION, doors.SENSOR),
+        celnav.Gaussian(np.zeros((3, 2)), np.eye(2)),
+    )
+    known, *found = (
+        told(RUN, filter, prior, epochs, engine=engine) for engine in ("numpy", "compiled", "auto")
+    )
     assert found == [known, known]
     assert known.startswith("ValueError: ")
 
 
 def test_an_epoch_without_a_number_is_left_to_numpy():
-    filter, prior = celnav.ukf(doors.MOTION, doors.SENSOR), celnav.Gaussian(np.zeros((3, 2)), np.eye(2))
-    epochs = [celnav.Epoch(None, 0.0, 0.0, None, np.ones((3, 2))), celnav.Epoch(None, 1.0, 1.0, None, np.ones((3, 2)))]
-    assert told(RUN, filter, prior, epochs, engine="compiled") == "CannotCompile: epochs: expected numbers k, got None"
-    assert RUN(filter, prior, epochs, engine="auto").engine.startswith("numpy: epochs: expected numbers k")
+    filter, prior = (
+        celnav.ukf(doors.MOTION, doors.SENSOR),
+        celnav.Gaussian(np.zeros((3, 2)), np.eye(2)),
+    )
+    epochs = [
+        celnav.Epoch(None, 0.0, 0.0, None, np.ones((3, 2))),
+        celnav.Epoch(None, 1.0, 1.0, None, np.ones((3, 2))),
+    ]
+    assert (
+        told(RUN, filter, prior, epochs, engine="compiled")
+        == "CannotCompile: epochs: expected numbers k, got None"
+    )
+    assert RUN(filter, prior, epochs, engine="auto").engine.startswith(
+        "numpy: epochs: expected numbers k"
+    )

@@ -36,7 +36,12 @@ def amplitude(x, _epoch):
 
 def flight(form="square root", rule=None, noisy=False):
     motion = celnav.Motion(ring, sqrt_Q=0.1 * np.eye(N))
-    filter = celnav.sigma_point(motion, celnav.Sensor(amplitude, np.eye(N // 2)), rule=rule or celnav.unscented(N), form=form)
+    filter = celnav.sigma_point(
+        motion,
+        celnav.Sensor(amplitude, np.eye(N // 2)),
+        rule=rule or celnav.unscented(N),
+        form=form,
+    )
     z = 8.0 + RNG.standard_normal((len(TIMES), 5, N // 2))
     if noisy:
         z[RNG.random(z.shape) < 0.3] = np.nan
@@ -53,7 +58,9 @@ def calls(filter, prior, epochs):
     return {op[1] for op in kernel.tape.ops if op[0] == "call"}
 
 
-@pytest.mark.parametrize("rule", [celnav.unscented(N, alpha=1.0, kappa=1.0), celnav.cubature(N), celnav.smolyak(N, 2)])
+@pytest.mark.parametrize(
+    "rule", [celnav.unscented(N, alpha=1.0, kappa=1.0), celnav.cubature(N), celnav.smolyak(N, 2)]
+)
 @pytest.mark.parametrize(("form", "noisy"), [("square root", True), ("covariance", False)])
 def test_a_model_is_a_loop_over_the_points(rule, form, noisy):
     filter, prior, epochs = flight(form, rule, noisy)
@@ -65,7 +72,11 @@ def test_a_model_is_a_loop_over_the_points(rule, form, noisy):
 def test_factorizations_and_products_are_loops_where_they_are_long(form, monkeypatch):
     filter, prior, epochs = flight(form, noisy=True)
     before = calls(filter, prior, list(epochs))
-    for module, name in ((recorded, "LONG"), (recorded, "LONG_SOLUTION"), (numbers, "LONG_PRODUCT")):
+    for module, name in (
+        (recorded, "LONG"),
+        (recorded, "LONG_SOLUTION"),
+        (numbers, "LONG_PRODUCT"),
+    ):
         monkeypatch.setattr(module, name, 500)
     assert len(calls(filter, prior, list(epochs))) > len(before)
     assert_same(*twice(filter, prior, epochs))
@@ -79,5 +90,7 @@ def test_what_is_too_long_is_left_to_numpy_unless_it_is_asked_for(monkeypatch):
     assert "at most 1000 are compiled" in track.engine
     assert celnav.run(filter, prior, epochs, engine="compiled").engine == "compiled"
     monkeypatch.setattr("celnav.filters.compiled.MOST", 1000)
-    with pytest.raises(CannotCompile, match="operations takes longer than it saves: at most 1000 are compiled"):
+    with pytest.raises(
+        CannotCompile, match="operations takes longer than it saves: at most 1000 are compiled"
+    ):
         celnav.run(filter, prior, epochs, engine="compiled")

@@ -39,7 +39,11 @@ def total(x, _epoch):
     return np.sqrt(1.0 + np.square(x).sum(-1, keepdims=True))
 
 
-MOTION, SENSOR, OTHER = celnav.Motion(bend, 0.01 * EYE), celnav.Sensor(cubic, 0.05 * EYE), celnav.Sensor(total, [[0.1]])
+MOTION, SENSOR, OTHER = (
+    celnav.Motion(bend, 0.01 * EYE),
+    celnav.Sensor(cubic, 0.05 * EYE),
+    celnav.Sensor(total, [[0.1]]),
+)
 FILTER = celnav.ukf(MOTION, SENSOR)
 
 
@@ -50,15 +54,28 @@ GAPPED = {
     "window": celnav.ukf(MOTION, SENSOR, hooks=[innovation_window(2)]),
     "window skip": celnav.ukf(MOTION, SENSOR, hooks=[innovation_window(2, "skip")]),
     "colored": celnav.colored(MOTION, SENSOR, np.diag([0.9, 0.5])),
-    "decorrelated": celnav.decorrelated(MOTION, celnav.Sensor(EYE, 0.05 * EYE), np.diag([0.9, 0.5])),
+    "decorrelated": celnav.decorrelated(
+        MOTION, celnav.Sensor(EYE, 0.05 * EYE), np.diag([0.9, 0.5])
+    ),
 }
 
 
 @pytest.mark.parametrize("name", GAPPED)
 @settings(max_examples=12, deadline=None, derandomize=True)
-@given(missing=arrays(bool, Z.shape, elements=st.booleans()), silent=arrays(bool, 6, elements=st.booleans()))
+@given(
+    missing=arrays(bool, Z.shape, elements=st.booleans()),
+    silent=arrays(bool, 6, elements=st.booleans()),
+)
 def test_any_components_may_be_missing(name, missing, silent):
-    assert_same(*twice(GAPPED[name], PRIOR, TIMES, np.where(missing | silent[:, None, None], np.nan, Z), keep="cov"))
+    assert_same(
+        *twice(
+            GAPPED[name],
+            PRIOR,
+            TIMES,
+            np.where(missing | silent[:, None, None], np.nan, Z),
+            keep="cov",
+        )
+    )
 
 
 @settings(max_examples=12, deadline=None, derandomize=True)
@@ -68,14 +85,18 @@ def test_any_components_may_be_missing(name, missing, silent):
 )  # fmt: skip
 def test_any_sensor_may_be_missing(missing, other, none):
     parts = np.where(missing, np.nan, Z), np.where(other, np.nan, np.abs(Z[..., :1]) + 1.0)
-    there = [tuple(None if gone else part[k] for gone, part in zip(none[k], parts)) for k in range(6)]
+    there = [
+        tuple(None if gone else part[k] for gone, part in zip(none[k], parts)) for k in range(6)
+    ]
     epochs = [celnav.Epoch(k, float(k), float(k > 0), None, z) for k, z in enumerate(there)]
     assert_same(*twice(celnav.ukf(MOTION, SENSOR, OTHER), PRIOR, epochs))
 
 
 # -- shapes ------------------------------------------------------------------------------------------------------------------
 def many(*batch):
-    return celnav.Gaussian(np.linspace(-1.0, 1.0, 2 * math.prod(batch)).reshape(*batch, 2), 0.3 * EYE)
+    return celnav.Gaussian(
+        np.linspace(-1.0, 1.0, 2 * math.prod(batch)).reshape(*batch, 2), 0.3 * EYE
+    )
 
 
 BATCHES = {
@@ -83,7 +104,10 @@ BATCHES = {
     "runs of z": (PRIOR, Z),
     "runs of the prior": (many(4), Z[:, 0]),
     "runs of both": (many(4), Z),
-    "covariances of runs": (celnav.Gaussian([1.0, 0.5], EYE * np.linspace(0.1, 0.5, 4)[:, None, None]), Z),
+    "covariances of runs": (
+        celnav.Gaussian([1.0, 0.5], EYE * np.linspace(0.1, 0.5, 4)[:, None, None]),
+        Z,
+    ),
     "one run of a batch": (many(1), Z[:, :1]),
     "nine runs": (many(9), Z[:, 1]),
     "two axes": (many(2, 3), RNG.standard_normal((6, 2, 3, 2))),
@@ -96,7 +120,9 @@ BATCHES = {
 @pytest.mark.parametrize("keep", ["std", "cov", "mean"])
 def test_batches_and_what_is_kept(name, keep):
     for every in (1, 2, 4, 100):
-        assert_same(*twice(FILTER, BATCHES[name][0], TIMES, BATCHES[name][1], keep=keep, every=every))
+        assert_same(
+            *twice(FILTER, BATCHES[name][0], TIMES, BATCHES[name][1], keep=keep, every=every)
+        )
 
 
 @pytest.mark.parametrize(
@@ -108,12 +134,19 @@ def test_batches_and_what_is_kept(name, keep):
         [celnav.Epoch(10 + k, 5.0 + k, 1.0, None, z) for k, z in enumerate(Z)],
         [celnav.Epoch(k, 0.0, 0.0, None, z) for k, z in enumerate(Z)],
         celnav.epochs(np.cumsum([1.0, 0.3, 0.3, 2.0, 0.1, 0.7]), Z),
-        [celnav.Epoch(0, 0.0, 0.0, None, None), celnav.Epoch(1, 1.0, 1.0, None, None), celnav.Epoch(2, 2.0, 1.0, None, Z[0])],
+        [
+            celnav.Epoch(0, 0.0, 0.0, None, None),
+            celnav.Epoch(1, 1.0, 1.0, None, None),
+            celnav.Epoch(2, 2.0, 1.0, None, Z[0]),
+        ],
     ],
     ids=["one", "the end", "every second", "from a later one", "no interval", "irregular", "late"],
 )
 def test_epochs_of_all_kinds(epochs):
-    motion = celnav.Motion(lambda x, epoch: x * np.exp(-0.1 * epoch.dt) + 0.01 * np.sin(epoch.t) + 0.001 * epoch.k, 0.01 * EYE)
+    motion = celnav.Motion(
+        lambda x, epoch: x * np.exp(-0.1 * epoch.dt) + 0.01 * np.sin(epoch.t) + 0.001 * epoch.k,
+        0.01 * EYE,
+    )
     known, found = twice(celnav.ukf(motion, SENSOR), PRIOR, epochs, keep="cov")
     assert_same(known, found)
     assert found.epochs == known.epochs
@@ -138,7 +171,9 @@ def test_inputs(name):
         u = epoch.u if name != "a matrix" else epoch.u.sum(0)
         return bend(x, epoch) + 0.1 * u
 
-    assert_same(*twice(celnav.ukf(celnav.Motion(driven, 0.01 * EYE), SENSOR), PRIOR, TIMES, Z, INPUTS[name]))
+    assert_same(
+        *twice(celnav.ukf(celnav.Motion(driven, 0.01 * EYE), SENSOR), PRIOR, TIMES, Z, INPUTS[name])
+    )
 
 
 def test_inputs_that_come_and_go():
@@ -158,9 +193,17 @@ def test_a_compiled_track_can_be_smoothed_and_sent_away():
 
 def test_what_is_compiled_runs_again_with_other_data():
     flown = celnav.compiled(FILTER)
-    for z, prior in ((Z, PRIOR), (Z[:3], many(4)), (np.where(Z > 1.0, np.nan, Z), PRIOR), (Z[:, 0], PRIOR)):
+    for z, prior in (
+        (Z, PRIOR),
+        (Z[:3], many(4)),
+        (np.where(Z > 1.0, np.nan, Z), PRIOR),
+        (Z[:, 0], PRIOR),
+    ):
         for keep in ("std", "cov"):
-            assert_same(celnav.run(FILTER, prior, TIMES[: len(z)], z, keep=keep), flown.run(prior, TIMES[: len(z)], z, keep=keep))
+            assert_same(
+                celnav.run(FILTER, prior, TIMES[: len(z)], z, keep=keep),
+                flown.run(prior, TIMES[: len(z)], z, keep=keep),
+            )
 
 
 # -- bytes ---------------------------------------------------------------------------------------------------------------------
@@ -170,10 +213,22 @@ def test_the_bytes_do_not_depend_on_threads_or_company(gaps):
     if gaps:
         z[RNG.random(z.shape) < 0.3] = np.nan
         z[np.isnan(z).all(-1)] = 0.5  # a run alone that has nothing at an epoch is another matter
-    filter = celnav.ukf(celnav.Motion(lambda x, e: bend(x, e) / np.hypot(x, 3.0) + np.exp(-np.square(x)), 0.01 * EYE), SENSOR)
+    filter = celnav.ukf(
+        celnav.Motion(
+            lambda x, e: bend(x, e) / np.hypot(x, 3.0) + np.exp(-np.square(x)), 0.01 * EYE
+        ),
+        SENSOR,
+    )
 
     def fly(runs, **options):
-        return celnav.run(filter, celnav.Gaussian(prior.mean[runs], prior.cov), TIMES, z[:, runs], engine="compiled", **options)
+        return celnav.run(
+            filter,
+            celnav.Gaussian(prior.mean[runs], prior.cov),
+            TIMES,
+            z[:, runs],
+            engine="compiled",
+            **options,
+        )
 
     whole = fly(slice(None))
     for jobs in (2, 3, 64):
@@ -212,13 +267,19 @@ LOST = {
     for name, make in {
         "motion": lambda form: celnav.ukf(EXPLODING, LINEAR, form=form),
         "slope": lambda form: celnav.ekf(EXPLODING, LINEAR, form=form),
-        "sensor": lambda form: celnav.ukf(celnav.Motion(1.3 * EYE, 0.001 * EYE), celnav.Sensor(logarithm, 0.05 * EYE), form=form),
+        "sensor": lambda form: celnav.ukf(
+            celnav.Motion(1.3 * EYE, 0.001 * EYE), celnav.Sensor(logarithm, 0.05 * EYE), form=form
+        ),
         "colored": lambda form: celnav.colored(EXPLODING, LINEAR, 0.5 * EYE, form=form),
         "augmented": lambda form: celnav.augmented(EXPLODING, LINEAR, 0.5 * EYE, form=form),
         "twice the same": lambda form: celnav.ukf(
-            celnav.Motion(EYE, 0.0 * EYE), celnav.Sensor([[1.0, 0.0], [1.0, 0.0]], 0.0 * EYE), form=form
+            celnav.Motion(EYE, 0.0 * EYE),
+            celnav.Sensor([[1.0, 0.0], [1.0, 0.0]], 0.0 * EYE),
+            form=form,
         ),
-        "two stages": lambda form: celnav.two_stage(EXPLODING, LINEAR, EYE, celnav.Gaussian(np.zeros(2), EYE), form=form),
+        "two stages": lambda form: celnav.two_stage(
+            EXPLODING, LINEAR, EYE, celnav.Gaussian(np.zeros(2), EYE), form=form
+        ),
     }.items()
 }
 
@@ -230,7 +291,10 @@ def test_lost_runs_are_those_of_numpy(name):
     known, found = twice(filter, GROWING, TIMES, z, keep="cov")
     assert (known.failed_at >= 0).any()
     assert_same(known, found)
-    errors = [told(celnav.run, filter, GROWING, TIMES, z, engine=engine) for engine in ("numpy", "compiled", "auto")]
+    errors = [
+        told(celnav.run, filter, GROWING, TIMES, z, engine=engine)
+        for engine in ("numpy", "compiled", "auto")
+    ]
     assert errors[0].startswith("FilterError: step ")
     assert errors[0] == errors[1] == errors[2]
 
@@ -245,7 +309,10 @@ def test_a_lost_run_alone_and_in_two_axes():
         for keep in ("std", "cov", "mean"):
             for every in (1, 2):
                 assert_same(*twice(filter, prior, TIMES, z, keep=keep, every=every))
-        errors = [told(celnav.run, filter, prior, TIMES, z, engine=engine) for engine in ("numpy", "compiled")]
+        errors = [
+            told(celnav.run, filter, prior, TIMES, z, engine=engine)
+            for engine in ("numpy", "compiled")
+        ]
         assert errors[0].startswith("FilterError: step ")
         assert errors[0] == errors[1]
 
@@ -257,7 +324,10 @@ def test_negative_weights_that_lose_runs(form):
     motion = celnav.Motion(lambda x, _epoch: 0.8 * x + 0.6 * np.cos(2.0 * x), 0.01 * EYE)
     sensor = celnav.Sensor(lambda x, _epoch: x**2, 0.05 * EYE)
     filter = celnav.ukf(motion, sensor, kappa=-1.5, form=form)
-    prior, z = celnav.Gaussian(np.linspace(-1.0, 2.0, 6)[:, None] * np.ones(2), 0.3 * EYE), RNG.random((6, 6, 2)) + 0.5
+    prior, z = (
+        celnav.Gaussian(np.linspace(-1.0, 2.0, 6)[:, None] * np.ones(2), 0.3 * EYE),
+        RNG.random((6, 6, 2)) + 0.5,
+    )
     known, found = twice(filter, prior, TIMES, z, keep="cov")
     assert (known.failed_at >= 0).any()
     assert_same(known, found)
@@ -274,20 +344,47 @@ HOLED = np.where(RNG.random(Z.shape) < 0.3, np.nan, Z)
 ODD = {
     "f of runs": (celnav.ukf(celnav.Motion(OWN, 0.01 * EYE), SENSOR), PRIOR),
     "h of runs": (celnav.ukf(MOTION, celnav.Sensor(OWN, 0.05 * EYE)), PRIOR),
-    "both, by Jacobians": (celnav.ekf(celnav.Motion(OWN, 0.01 * EYE), celnav.Sensor(OWN, 0.05 * EYE)), PRIOR),
-    "decorrelated of runs": (celnav.decorrelated(MOTION, celnav.Sensor(EYE, 0.05 * EYE), OWN), PRIOR),
+    "both, by Jacobians": (
+        celnav.ekf(celnav.Motion(OWN, 0.01 * EYE), celnav.Sensor(OWN, 0.05 * EYE)),
+        PRIOR,
+    ),
+    "decorrelated of runs": (
+        celnav.decorrelated(MOTION, celnav.Sensor(EYE, 0.05 * EYE), OWN),
+        PRIOR,
+    ),
     "bias of runs": (celnav.two_stage(MOTION, SENSOR, OWN, PRIOR), PRIOR),
-    "three hooks": (celnav.ukf(MOTION, SENSOR, hooks=[gate(3.0), huber(), innovation_window(2)]), PRIOR),
-    "a hook that counts": (celnav.ukf(MOTION, SENSOR, hooks=[lambda n, joint, _: ((0 if n is None else n) + 1, joint)]), PRIOR),
+    "three hooks": (
+        celnav.ukf(MOTION, SENSOR, hooks=[gate(3.0), huber(), innovation_window(2)]),
+        PRIOR,
+    ),
+    "a hook that counts": (
+        celnav.ukf(
+            MOTION, SENSOR, hooks=[lambda n, joint, _: ((0 if n is None else n) + 1, joint)]
+        ),
+        PRIOR,
+    ),
     "a certain component": (FILTER, celnav.Gaussian([0.0, 1.0], np.diag([0.0, 0.3]))),
-    "a certain state": (celnav.ukf(MOTION, SENSOR, form="covariance"), celnav.Gaussian([0.0, 1.0], 0.0 * EYE)),
-    "no noise": (celnav.ukf(celnav.Motion(lambda x, _epoch: x[..., [0, 0]], 0.0 * EYE), SENSOR), PRIOR),
+    "a certain state": (
+        celnav.ukf(MOTION, SENSOR, form="covariance"),
+        celnav.Gaussian([0.0, 1.0], 0.0 * EYE),
+    ),
+    "no noise": (
+        celnav.ukf(celnav.Motion(lambda x, _epoch: x[..., [0, 0]], 0.0 * EYE), SENSOR),
+        PRIOR,
+    ),
 }
 
 
 @pytest.mark.parametrize("name", ODD)
 def test_what_is_seldom(name):
-    assert_same(*twice(*ODD[name], TIMES, HOLED if "certain" not in name and "noise" not in name else Z, keep="cov"))
+    assert_same(
+        *twice(
+            *ODD[name],
+            TIMES,
+            HOLED if "certain" not in name and "noise" not in name else Z,
+            keep="cov",
+        )
+    )
 
 
 def test_hooks_of_each_sensor():
@@ -296,10 +393,25 @@ def test_hooks_of_each_sensor():
 
 
 def test_matrices_that_are_functions_of_the_epoch():
-    motion = celnav.Motion(celnav.Linear(lambda epoch: EYE * np.exp(-0.1 * epoch.dt) + 0.01 * np.eye(2, k=1) * epoch.t), 0.01 * EYE)
-    sensor = celnav.Sensor(celnav.Linear(lambda epoch: EYE * (1.0 + 0.1 * np.sin(epoch.t))), 0.05 * EYE)
+    motion = celnav.Motion(
+        celnav.Linear(
+            lambda epoch: EYE * np.exp(-0.1 * epoch.dt) + 0.01 * np.eye(2, k=1) * epoch.t
+        ),
+        0.01 * EYE,
+    )
+    sensor = celnav.Sensor(
+        celnav.Linear(lambda epoch: EYE * (1.0 + 0.1 * np.sin(epoch.t))), 0.05 * EYE
+    )
     for make in (celnav.ukf, celnav.ekf):
-        assert_same(*twice(make(motion, sensor), PRIOR, np.cumsum([0.0, 0.5, 0.7, 0.1, 2.0, 1.0]), HOLED, keep="cov"))
+        assert_same(
+            *twice(
+                make(motion, sensor),
+                PRIOR,
+                np.cumsum([0.0, 0.5, 0.7, 0.1, 2.0, 1.0]),
+                HOLED,
+                keep="cov",
+            )
+        )
 
 
 # -- what cannot be compiled -----------------------------------------------------------------------------------------------------
@@ -352,10 +464,16 @@ def indexed(x, epoch):
 )
 @pytest.mark.parametrize("place", ["motion", "sensor"])
 def test_what_cannot_be_compiled_is_told_by_its_line(model, why, place):
-    motion, sensor = (celnav.Motion(model, EYE), SENSOR) if place == "motion" else (MOTION, celnav.Sensor(model, EYE))
+    motion, sensor = (
+        (celnav.Motion(model, EYE), SENSOR)
+        if place == "motion"
+        else (MOTION, celnav.Sensor(model, EYE))
+    )
     filter = celnav.ukf(motion, sensor)
     line = next(i for i, text in enumerate(*inspect.getsourcelines(model)) if "# here" in text)
-    with pytest.raises(CannotCompile, match=f"{why}.*\\(test_compiled_runs.py, line {line}: ") as error:
+    with pytest.raises(
+        CannotCompile, match=f"{why}.*\\(test_compiled_runs.py, line {line}: "
+    ) as error:
         celnav.run(filter, PRIOR, TIMES, Z, engine="compiled")
     assert "\n" not in str(error.value)
     track = celnav.run(filter, PRIOR, TIMES, Z, engine="auto")
@@ -364,9 +482,14 @@ def test_what_cannot_be_compiled_is_told_by_its_line(model, why, place):
 
 
 def test_what_has_no_states_is_told_and_auto_goes_on():
-    options = {"reduce": lambda *_: 1, "also": lambda epoch, state, infos: {"mean": state.belief.mean}}
+    options = {
+        "reduce": lambda *_: 1,
+        "also": lambda epoch, state, infos: {"mean": state.belief.mean},
+    }
     for name, option in options.items():
-        with pytest.raises(CannotCompile, match=r"^also, reduce: expected none with engine='compiled'"):
+        with pytest.raises(
+            CannotCompile, match=r"^also, reduce: expected none with engine='compiled'"
+        ):
             celnav.run(FILTER, PRIOR, TIMES, Z, engine="compiled", **{name: option})
         track = celnav.run(FILTER, PRIOR, TIMES, Z, engine="auto", **{name: option})
         assert re.match("numpy: also, reduce: expected none", track.engine)
@@ -374,10 +497,19 @@ def test_what_has_no_states_is_told_and_auto_goes_on():
 
 
 def test_which_engine_flew():
-    tracks = {name: celnav.run(FILTER, PRIOR, TIMES, Z, engine=name) for name in ("numpy", "compiled", "auto")}
-    assert {name: track.engine for name, track in tracks.items()} == {"numpy": "numpy", "compiled": "compiled", "auto": "compiled"}
+    tracks = {
+        name: celnav.run(FILTER, PRIOR, TIMES, Z, engine=name)
+        for name in ("numpy", "compiled", "auto")
+    }
+    assert {name: track.engine for name, track in tracks.items()} == {
+        "numpy": "numpy",
+        "compiled": "compiled",
+        "auto": "compiled",
+    }
     assert_same(tracks["numpy"], tracks["auto"])
-    with pytest.raises(ValueError, match=r"^engine: expected one of numpy, compiled, cuda, auto, got 'fast'"):
+    with pytest.raises(
+        ValueError, match=r"^engine: expected one of numpy, compiled, cuda, auto, got 'fast'"
+    ):
         celnav.run(FILTER, PRIOR, TIMES, Z, engine="fast")
 
 
@@ -392,7 +524,9 @@ def test_without_llvmlite_numpy_flies(monkeypatch):
     try:
         with pytest.raises(ImportError, match="expected llvmlite"):
             celnav.run(filter, PRIOR, TIMES, Z, engine="compiled")
-        assert celnav.run(filter, PRIOR, TIMES, Z, engine="auto").engine.startswith("numpy: engine='compiled': expected llvmlite")
+        assert celnav.run(filter, PRIOR, TIMES, Z, engine="auto").engine.startswith(
+            "numpy: engine='compiled': expected llvmlite"
+        )
     finally:
         monkeypatch.undo()
         for cached in (celnav.tape.llvm.lanes, celnav.tape.llvm.features):
@@ -403,7 +537,12 @@ def test_a_measurement_noise_of_each_run_that_nobody_has_looked_at():
     """Compiled before numpy has flown it: whether R is singular is known before the step is recorded."""
     R = np.array([0.5, 1.0, 2.0])[:, None, None]
     z = np.random.default_rng(4).standard_normal((6, 3, 1))
-    motion, prior = celnav.Motion(np.eye(1), 0.1 * np.eye(1)), celnav.Gaussian(np.zeros((3, 1)), np.eye(1))
-    found = celnav.compiled(celnav.ukf(motion, celnav.Sensor(np.eye(1), R))).run(prior, np.arange(6.0), z)
+    motion, prior = (
+        celnav.Motion(np.eye(1), 0.1 * np.eye(1)),
+        celnav.Gaussian(np.zeros((3, 1)), np.eye(1)),
+    )
+    found = celnav.compiled(celnav.ukf(motion, celnav.Sensor(np.eye(1), R))).run(
+        prior, np.arange(6.0), z
+    )
     known = celnav.run(celnav.ukf(motion, celnav.Sensor(np.eye(1), R)), prior, np.arange(6.0), z)
     np.testing.assert_allclose(found.mean, known.mean, rtol=1e-12, atol=1e-14)

@@ -32,12 +32,18 @@ def test_a_measurement_of_another_length_is_refused_on_any_space_and_by_a_pickle
 
 
 def test_a_single_draw_with_jacobians_takes_a_missing_measurement():
-    motion = Motion(lambda x, e, *n: 0.9 * x + n[0], augment=(0.1 * np.eye(1),), jacobian=lambda x, e: np.array([[0.9, 1.0]]))
+    motion = Motion(
+        lambda x, e, *n: 0.9 * x + n[0],
+        augment=(0.1 * np.eye(1),),
+        jacobian=lambda x, e: np.array([[0.9, 1.0]]),
+    )
     sensor = Sensor(lambda x, e, *n: x + n[-1], augment=(0.1 * np.eye(1),))
     z = np.array([[1.0], [np.nan], [1.0]])
     track = run(SingleDraw.of(celnav.ekf(motion, sensor)), Gaussian([0.0], [[1.0]]), TIMES, z)
     plain = celnav.ukf(Motion([[0.9]], [[0.01]]), Sensor([[1.0]], [[0.01]]))
-    np.testing.assert_allclose(track.mean, run(plain, Gaussian([0.0], [[1.0]]), TIMES, z).mean, atol=1e-9)
+    np.testing.assert_allclose(
+        track.mean, run(plain, Gaussian([0.0], [[1.0]]), TIMES, z).mean, atol=1e-9
+    )
 
 
 def test_a_lost_run_of_a_filter_for_colored_noise_is_told_as_one():
@@ -48,22 +54,35 @@ def test_a_lost_run_of_a_filter_for_colored_noise_is_told_as_one():
 
 
 def test_why_an_iterated_filter_is_lost_is_told():
-    filter = celnav.ekf(Motion(EYE, np.zeros((2, 2))), Sensor([[1.0, 0.0], [1.0, 0.0]], np.zeros((2, 2))), iterations=3)
+    filter = celnav.ekf(
+        Motion(EYE, np.zeros((2, 2))),
+        Sensor([[1.0, 0.0], [1.0, 0.0]], np.zeros((2, 2))),
+        iterations=3,
+    )
     with pytest.raises(FilterError, match="a measurement without noise must say what is not known"):
         run(filter, PRIOR, TIMES, np.ones((3, 2)))
 
 
 def test_a_linear_motion_that_is_not_finite_is_blamed():
-    motion = Motion(celnav.Linear(lambda epoch: np.full((2, 2), np.nan) if epoch.k == 2 else EYE), EYE)
+    motion = Motion(
+        celnav.Linear(lambda epoch: np.full((2, 2), np.nan) if epoch.k == 2 else EYE), EYE
+    )
     with pytest.raises(FilterError, match="f is not finite"):
         run(celnav.ukf(motion, Sensor(EYE, EYE)), PRIOR, TIMES, np.ones((3, 2)))
 
 
 def test_an_iterated_update_with_noise_through_the_points_and_a_jacobian():
-    through = Sensor(lambda x, e, v: x[..., :1] + v, augment=(0.3 * np.eye(1),), jacobian=lambda x, e: np.array([[1.0, 0.0, 1.0]]))
+    through = Sensor(
+        lambda x, e, v: x[..., :1] + v,
+        augment=(0.3 * np.eye(1),),
+        jacobian=lambda x, e: np.array([[1.0, 0.0, 1.0]]),
+    )
     beside = Sensor([[1.0, 0.0]], [[0.09]])
     z = np.ones((3, 1))
-    one, two = (run(celnav.ekf(Motion(EYE, EYE), s, iterations=3), PRIOR, TIMES, z) for s in (through, beside))
+    one, two = (
+        run(celnav.ekf(Motion(EYE, EYE), s, iterations=3), PRIOR, TIMES, z)
+        for s in (through, beside)
+    )
     np.testing.assert_allclose(one.mean, two.mean, atol=1e-9)
 
 
@@ -73,18 +92,30 @@ def test_an_iterated_filter_of_runs_that_only_the_noise_has(runs):
 
     def flown(noise):
         sensor = Sensor(lambda x, e: np.sin(x[..., :1]) + x[..., 1:] ** 2, noise)
-        return run(celnav.ekf(Motion(lambda x, e: x, 0.1 * EYE), sensor, iterations=3), PRIOR, TIMES, np.ones((3, 1))).mean
+        return run(
+            celnav.ekf(Motion(lambda x, e: x, 0.1 * EYE), sensor, iterations=3),
+            PRIOR,
+            TIMES,
+            np.ones((3, 1)),
+        ).mean
 
     np.testing.assert_allclose(flown(R), np.stack([flown(each) for each in R], 1), atol=1e-12)
 
 
 def test_a_window_takes_runs_that_come_later():
     motion = Motion(EYE, np.linspace(1.0, 2.0, 3)[:, None, None] * EYE)
-    track = run(celnav.ukf(motion, Sensor(EYE, EYE), hooks=[innovation_window(2)]), PRIOR, np.arange(5.0), np.ones((5, 2)))
+    track = run(
+        celnav.ukf(motion, Sensor(EYE, EYE), hooks=[innovation_window(2)]),
+        PRIOR,
+        np.arange(5.0),
+        np.ones((5, 2)),
+    )
     assert track.mean.shape == (5, 3, 2)
     for i, q in enumerate((1.0, 1.5, 2.0)):
         alone = celnav.ukf(Motion(EYE, q * EYE), Sensor(EYE, EYE), hooks=[innovation_window(2)])
-        np.testing.assert_allclose(track.mean[:, i], run(alone, PRIOR, np.arange(5.0), np.ones((5, 2))).mean, atol=1e-12)
+        np.testing.assert_allclose(
+            track.mean[:, i], run(alone, PRIOR, np.arange(5.0), np.ones((5, 2))).mean, atol=1e-12
+        )
 
 
 def test_noise_through_the_points_may_differ_from_run_to_run():
@@ -101,21 +132,36 @@ def test_noise_through_the_points_may_differ_from_run_to_run():
 
 def test_covariances_of_a_linear_filter_stay_definite_or_are_told():
     F = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
-    filter = celnav.ukf(Motion(F, np.zeros((3, 3))), Sensor(np.eye(1, 3), [[1e-10]]), form="covariance")
-    track = run(filter, Gaussian(np.zeros(3), 1e8 * np.eye(3)), np.arange(200.0), np.zeros((200, 1)), keep="cov", on_failure="flag")
+    filter = celnav.ukf(
+        Motion(F, np.zeros((3, 3))), Sensor(np.eye(1, 3), [[1e-10]]), form="covariance"
+    )
+    track = run(
+        filter,
+        Gaussian(np.zeros(3), 1e8 * np.eye(3)),
+        np.arange(200.0),
+        np.zeros((200, 1)),
+        keep="cov",
+        on_failure="flag",
+    )
     assert track.failed_at == -1
     assert np.isfinite(track.sqrt_cov).all()
 
 
 def test_a_matrix_cannot_measure_an_attitude():
     prior = Gaussian([0.0, 0.0, 0.0, 1.0], 0.01 * np.eye(3))
-    filter = celnav.ukf(Motion(lambda x, e: x, np.eye(3), space=celnav.attitude()), Sensor(np.eye(3), np.eye(3)))
-    with pytest.raises(ValueError, match=r"^h: expected a function where states have 4 components and 3 deviations"):
+    filter = celnav.ukf(
+        Motion(lambda x, e: x, np.eye(3), space=celnav.attitude()), Sensor(np.eye(3), np.eye(3))
+    )
+    with pytest.raises(
+        ValueError, match=r"^h: expected a function where states have 4 components and 3 deviations"
+    ):
         run(filter, prior, TIMES, np.ones((3, 3)))
 
 
 def test_a_function_of_the_wrong_width_is_told_where_noise_is_colored():
-    filter = celnav.colored(Motion(lambda x, e: x, EYE), Sensor(lambda x, e: x[..., :1], EYE), 0.5 * EYE, first=False)
+    filter = celnav.colored(
+        Motion(lambda x, e: x, EYE), Sensor(lambda x, e: x[..., :1], EYE), 0.5 * EYE, first=False
+    )
     with pytest.raises(ValueError, match=r"^h returned shape"):
         run(filter, PRIOR, TIMES, np.ones((3, 2)))
 
@@ -138,10 +184,14 @@ def test_a_search_stays_within_its_range():
 
     def build(p):
         tried.append(p)
-        return celnav.ukf(Motion(np.eye(1), [[p[0] ** 2]]), Sensor(np.eye(1), [[p[1] ** 2]])), Gaussian([0.0], [[1.0]])
+        return celnav.ukf(
+            Motion(np.eye(1), [[p[0] ** 2]]), Sensor(np.eye(1), [[p[1] ** 2]])
+        ), Gaussian([0.0], [[1.0]])
 
     found = maximize_likelihood(build, [1.0, 1.0], epochs)
     assert found.parameters[0] * (1.0 + 1e-12) >= 1e-3
-    assert np.min(tried) >= 1e-3 * np.exp(-2.0 * STEP) * (1.0 - 1e-12)  # differences may look over the edge
+    assert np.min(tried) >= 1e-3 * np.exp(-2.0 * STEP) * (
+        1.0 - 1e-12
+    )  # differences may look over the edge
     assert not found.converged
     assert found.message == "parameter 0 ran to the end of its range, 0.001"

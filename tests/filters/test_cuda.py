@@ -60,7 +60,10 @@ def sound(text, tmp_path):
     if assembler := shutil.which("ptxas"):
         (tmp_path / "text.ptx").write_text(text)
         done = subprocess.run(
-            [assembler, "-arch=sm_80", "text.ptx", "-o", "text.cubin"], cwd=tmp_path, capture_output=True, text=True
+            [assembler, "-arch=sm_80", "text.ptx", "-o", "text.cubin"],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
         )
         assert done.returncode == 0, done.stderr
 
@@ -86,8 +89,14 @@ def low_orbit(form):
     def step(x, epoch):
         return orbit.step(x, epoch.dt)
 
-    motion, gps = celnav.Motion(step, sqrt_Q=np.diag([7e-3] * 3 + [1e-8] * 3)), celnav.Sensor(np.eye(3, 6), 0.04 * np.eye(3))
-    prior = celnav.Gaussian(orbit.from_elements(7136.6, 0.001, *np.radians([65, 30, 30, 0])), np.diag([0.02] * 3 + [1e-9] * 3))
+    motion, gps = (
+        celnav.Motion(step, sqrt_Q=np.diag([7e-3] * 3 + [1e-8] * 3)),
+        celnav.Sensor(np.eye(3, 6), 0.04 * np.eye(3)),
+    )
+    prior = celnav.Gaussian(
+        orbit.from_elements(7136.6, 0.001, *np.radians([65, 30, 30, 0])),
+        np.diag([0.02] * 3 + [1e-9] * 3),
+    )
     _, z = celnav.simulate(motion, gps, prior, TIMES, runs=5)
     if form == "square root":
         z[3, 1], z[4, :, 2] = np.nan, np.nan
@@ -100,7 +109,9 @@ def bearings(make):
 
 def spinning():
     motion = bodies.turning(False)
-    z, _ = celnav.simulate(motion, bodies.STARS, bodies.UPRIGHT, bodies.SECONDS, u=bodies.TURNS, runs=3)
+    z, _ = celnav.simulate(
+        motion, bodies.STARS, bodies.UPRIGHT, bodies.SECONDS, u=bodies.TURNS, runs=3
+    )
     u = bodies.TURNS[:, None] + 1e-5 * np.random.default_rng(1).standard_normal((10, 3, 3))
     return celnav.ukf(motion, bodies.TRACKER), bodies.UPRIGHT, bodies.SECONDS, z[..., :4], u
 
@@ -111,7 +122,12 @@ OTHERS = {
     "orbit, cov": lambda: low_orbit("covariance"),
     "angles": lambda: bearings(celnav.ukf),
     "EKF": lambda: (celnav.ekf(*bodies.EXACT), bodies.MANY, bodies.TIMES, bodies.GAPS),
-    "EKF, cov": lambda: (celnav.ekf(*bodies.EXACT, form="covariance"), bodies.MANY, bodies.TIMES, bodies.Z),
+    "EKF, cov": lambda: (
+        celnav.ekf(*bodies.EXACT, form="covariance"),
+        bodies.MANY,
+        bodies.TIMES,
+        bodies.Z,
+    ),
     "attitude, input of each run": spinning,
 }
 
@@ -137,13 +153,20 @@ def test_functions_of_the_c_library_are_arithmetic(name, driver, tmp_path):
     text = ptx.program([kernel], 1)
     sound(text, tmp_path)
     rng = np.random.default_rng(0)
-    given = {"asin": (-1.0, 1.0), "acos": (-1.0, 1.0), "pow": (0.1, 10.0), "log1p": (-0.9, 9.0)}.get(name, (-9.0, 9.0))
+    given = {
+        "asin": (-1.0, 1.0),
+        "acos": (-1.0, 1.0),
+        "pow": (0.1, 10.0),
+        "log1p": (-0.9, 9.0),
+    }.get(name, (-9.0, 9.0))
     x = rng.uniform(*given, (1, len(kernel.inputs), 300))
     if name.startswith("log") and name != "log1p":
         x = np.abs(x)
     device = cuda.Device(driver)
     state, shared, rows = np.zeros((1, 1, 300)), np.zeros((1, 1)), np.empty((1, 1, 300))
-    device.fly(device.entry(text), np.zeros(1, np.int32), np.zeros(1, np.int64), state, shared, x, rows)
+    device.fly(
+        device.entry(text), np.zeros(1, np.int32), np.zeros(1, np.int64), state, shared, x, rows
+    )
     expected = FUNCTIONS[name](*x[0])
     units = np.abs(rows[0, 0] - expected) / np.spacing(np.abs(expected))
     allowed = 2.0 + 2.0 * np.abs(x[0, 1] * np.log(x[0, 0])) if name == "pow" else 3.0
@@ -154,41 +177,69 @@ def test_functions_of_the_c_library_are_arithmetic(name, driver, tmp_path):
 @pytest.mark.parametrize("name", runs.BATCHES)
 @pytest.mark.parametrize(("keep", "every"), [("std", 1), ("cov", 2), ("mean", 100), ("nothing", 1)])
 def test_batches_and_what_is_kept(name, keep, every, driver):
-    flown(runs.FILTER, runs.BATCHES[name][0], runs.TIMES, runs.BATCHES[name][1], keep=keep, every=every)
+    flown(
+        runs.FILTER,
+        runs.BATCHES[name][0],
+        runs.TIMES,
+        runs.BATCHES[name][1],
+        keep=keep,
+        every=every,
+    )
 
 
 @pytest.mark.parametrize("name", ["plain", "covariance", "window", "colored"])
 def test_any_components_may_be_missing(name, driver):
     rng = np.random.default_rng(7)
-    flown(runs.GAPPED[name], runs.PRIOR, runs.TIMES, np.where(rng.random(runs.Z.shape) < 0.4, np.nan, runs.Z), keep="cov")
+    flown(
+        runs.GAPPED[name],
+        runs.PRIOR,
+        runs.TIMES,
+        np.where(rng.random(runs.Z.shape) < 0.4, np.nan, runs.Z),
+        keep="cov",
+    )
 
 
 @pytest.mark.parametrize("name", runs.LOST)
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 def test_lost_runs_are_those_of_numpy(name, driver):
-    filter, z = runs.LOST[name], runs.logarithm(np.minimum(runs.SEEN, 2.9), None) if "sensor" in name else runs.SEEN
+    filter, z = (
+        runs.LOST[name],
+        runs.logarithm(np.minimum(runs.SEEN, 2.9), None) if "sensor" in name else runs.SEEN,
+    )
     known, _ = flown(filter, runs.GROWING, runs.TIMES, z, keep="cov")
     assert (known.failed_at >= 0).any()
-    errors = [told(celnav.run, filter, runs.GROWING, runs.TIMES, z, engine=engine) for engine in ("numpy", "cuda")]
+    errors = [
+        told(celnav.run, filter, runs.GROWING, runs.TIMES, z, engine=engine)
+        for engine in ("numpy", "cuda")
+    ]
     assert errors[0].startswith("FilterError: step ")
     assert errors[0] == errors[1]
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 def test_a_lost_run_alone(driver):
-    filter, prior = celnav.ukf(runs.EXPLODING, runs.LINEAR), celnav.Gaussian(runs.GROWING.mean[5], runs.GROWING.cov)
+    filter, prior = (
+        celnav.ukf(runs.EXPLODING, runs.LINEAR),
+        celnav.Gaussian(runs.GROWING.mean[5], runs.GROWING.cov),
+    )
     known, _ = flown(filter, prior, runs.TIMES, runs.SEEN[:, 5])
     assert known.failed_at >= 0
 
 
-@pytest.mark.parametrize("name", ["f of runs", "h of runs", "bias of runs", "three hooks", "a certain state"])
+@pytest.mark.parametrize(
+    "name", ["f of runs", "h of runs", "bias of runs", "three hooks", "a certain state"]
+)
 def test_what_is_seldom(name, driver):
     flown(*runs.ODD[name], runs.TIMES, runs.Z if "certain" in name else runs.HOLED, keep="cov")
 
 
 def test_inputs_that_come_and_go(driver):
     def driven(x, epoch):
-        return runs.bend(x, epoch) if epoch.u is None else runs.bend(x, epoch) + 0.1 * epoch.u[0] + epoch.u[1]
+        return (
+            runs.bend(x, epoch)
+            if epoch.u is None
+            else runs.bend(x, epoch) + 0.1 * epoch.u[0] + epoch.u[1]
+        )
 
     u = [None, None, (np.ones(2), 0.1), (np.zeros(2), 0.2), None, (-np.ones(2), 0.0)]
     epochs = [celnav.Epoch(k, float(k), float(k > 0), one, runs.Z[k]) for k, one in enumerate(u)]
@@ -216,14 +267,22 @@ def test_a_program_is_made_and_loaded_once(driver):
     flown_again = celnav.compiled(runs.FILTER, engine="cuda")
     for count in (4, 2):
         found = flown_again.run(runs.PRIOR, runs.TIMES, runs.Z[:, :count])
-        assert_same(celnav.run(runs.FILTER, runs.PRIOR, runs.TIMES, runs.Z[:, :count]), found, engine="cuda")
+        assert_same(
+            celnav.run(runs.FILTER, runs.PRIOR, runs.TIMES, runs.Z[:, :count]), found, engine="cuda"
+        )
     celnav.run(runs.FILTER, runs.PRIOR, runs.TIMES, runs.Z, engine="cuda")
-    assert (len(driver.sources), driver.calls["cuModuleLoadDataEx"], driver.calls["cuInit"]) == (1, 1, 1)
+    assert (len(driver.sources), driver.calls["cuModuleLoadDataEx"], driver.calls["cuInit"]) == (
+        1,
+        1,
+        1,
+    )
     assert driver.calls["cuMemAlloc_v2"] == driver.calls["cuMemFree_v2"] == 18
 
 
 def test_a_study_takes_the_engine_that_is_set(driver):
-    problem = celnav.Problem(celnav.Motion(runs.bend, 0.01 * runs.EYE), runs.SENSOR, runs.PRIOR, runs.TIMES)
+    problem = celnav.Problem(
+        celnav.Motion(runs.bend, 0.01 * runs.EYE), runs.SENSOR, runs.PRIOR, runs.TIMES
+    )
     token = ENGINE.set("cuda")
     try:
         celnav.compare({"bend": problem}, {"UKF": lambda p: celnav.ukf(p.motion, p.sensor)}, runs=4)
@@ -245,27 +304,56 @@ def test_without_a_driver(monkeypatch, capsys, tmp_path):
 
     monkeypatch.setattr(ctypes, "CDLL", absent)
     cuda.device.cache_clear()
-    with pytest.raises(RuntimeError, match=r"^engine='cuda': expected the driver of an NVIDIA device, \S+, got none \(\S+: cannot"):
+    with pytest.raises(
+        RuntimeError,
+        match=r"^engine='cuda': expected the driver of an NVIDIA device, \S+, got none \(\S+: cannot",
+    ):
         fly()
     assert fly("auto").engine == "compiled"
     assert main(["reproduce", "csrukf", "--engine", "cuda", "--out", str(tmp_path / "out")]) == 1
-    assert capsys.readouterr().err.startswith("celnav: engine='cuda': expected the driver of an NVIDIA device")
+    assert capsys.readouterr().err.startswith(
+        "celnav: engine='cuda': expected the driver of an NVIDIA device"
+    )
     assert not (tmp_path / "out").exists()
 
 
 FAULTS = {
-    "no device": ({"failing": {"cuInit": (100, 1)}}, r"cuInit: CUDA_ERROR_NO_DEVICE \(no CUDA-capable device is detected\)"),
-    "old device": ({"capability": (6, 1)}, r"expected a device of compute capability 7\.0 or higher, got 6\.1"),
+    "no device": (
+        {"failing": {"cuInit": (100, 1)}},
+        r"cuInit: CUDA_ERROR_NO_DEVICE \(no CUDA-capable device is detected\)",
+    ),
+    "old device": (
+        {"capability": (6, 1)},
+        r"expected a device of compute capability 7\.0 or higher, got 6\.1",
+    ),
     "compiler": (
         {"failing": {"cuModuleLoadDataEx": (218, 1)}, "log": b"ptxas fatal : bad line 7"},
         r"cuModuleLoadDataEx: CUDA_ERROR_INVALID_PTX \(a PTX JIT compilation failed\): ptxas fatal : bad line 7",
     ),
-    "no room for a run": ({"free": 200}, r"cuMemAlloc_v2 of \d+ bytes: CUDA_ERROR_OUT_OF_MEMORY \(out of memory\)"),
-    "no memory after all": ({"failing": {"cuMemAlloc_v2": (2, 4)}}, r"cuMemAlloc_v2 of \d+ bytes: CUDA_ERROR_OUT_OF_MEMORY"),
-    "copy": ({"failing": {"cuMemcpyHtoD_v2": (1, 3)}}, r"cuMemcpyHtoD_v2: CUDA_ERROR_INVALID_VALUE \(invalid argument\)"),
-    "launch": ({"failing": {"cuLaunchKernel": (1, 1)}}, r"cuLaunchKernel: CUDA_ERROR_INVALID_VALUE"),
-    "flight": ({"failing": {"cuCtxSynchronize": (700, 1)}}, r"cuCtxSynchronize: CUDA_ERROR_ILLEGAL_ADDRESS \(an illegal memory"),
-    "copy back": ({"failing": {"cuMemcpyDtoH_v2": (1, 2)}}, r"cuMemcpyDtoH_v2: CUDA_ERROR_INVALID_VALUE"),
+    "no room for a run": (
+        {"free": 200},
+        r"cuMemAlloc_v2 of \d+ bytes: CUDA_ERROR_OUT_OF_MEMORY \(out of memory\)",
+    ),
+    "no memory after all": (
+        {"failing": {"cuMemAlloc_v2": (2, 4)}},
+        r"cuMemAlloc_v2 of \d+ bytes: CUDA_ERROR_OUT_OF_MEMORY",
+    ),
+    "copy": (
+        {"failing": {"cuMemcpyHtoD_v2": (1, 3)}},
+        r"cuMemcpyHtoD_v2: CUDA_ERROR_INVALID_VALUE \(invalid argument\)",
+    ),
+    "launch": (
+        {"failing": {"cuLaunchKernel": (1, 1)}},
+        r"cuLaunchKernel: CUDA_ERROR_INVALID_VALUE",
+    ),
+    "flight": (
+        {"failing": {"cuCtxSynchronize": (700, 1)}},
+        r"cuCtxSynchronize: CUDA_ERROR_ILLEGAL_ADDRESS \(an illegal memory",
+    ),
+    "copy back": (
+        {"failing": {"cuMemcpyDtoH_v2": (1, 2)}},
+        r"cuMemcpyDtoH_v2: CUDA_ERROR_INVALID_VALUE",
+    ),
 }
 
 
@@ -285,7 +373,10 @@ def test_faults_are_told_and_nothing_leaks(name, monkeypatch):
 
 def test_what_is_refused_in_words_of_the_package_is_so_here(driver):
     for options, words in (
-        ({"also": lambda epoch, state, infos: {}}, "also, reduce: expected none with engine='cuda', which keeps no states"),
+        (
+            {"also": lambda epoch, state, infos: {}},
+            "also, reduce: expected none with engine='cuda', which keeps no states",
+        ),
         ({"keep": "all"}, "keep: expected one of std, cov, mean, nothing, got 'all'"),
     ):
         with pytest.raises(ValueError, match=words):
@@ -293,5 +384,11 @@ def test_what_is_refused_in_words_of_the_package_is_so_here(driver):
     with pytest.raises(ValueError, match="engine: expected one of compiled, cuda, got 'auto'"):
         celnav.compiled(runs.FILTER, engine="auto")
     with pytest.raises(CannotCompile, match="a branch depends on a number"):
-        celnav.run(celnav.ukf(celnav.Motion(runs.branch, runs.EYE), runs.SENSOR), runs.PRIOR, runs.TIMES, runs.Z, engine="cuda")
+        celnav.run(
+            celnav.ukf(celnav.Motion(runs.branch, runs.EYE), runs.SENSOR),
+            runs.PRIOR,
+            runs.TIMES,
+            runs.Z,
+            engine="cuda",
+        )
     assert not driver.calls["cuLaunchKernel"]

@@ -9,7 +9,12 @@ from copy import deepcopy
 import numpy as np
 import pytest
 from filterpy.common import Q_discrete_white_noise, Saver
-from filterpy.kalman import JulierSigmaPoints, MerweScaledSigmaPoints, SimplexSigmaPoints, UnscentedKalmanFilter
+from filterpy.kalman import (
+    JulierSigmaPoints,
+    MerweScaledSigmaPoints,
+    SimplexSigmaPoints,
+    UnscentedKalmanFilter,
+)
 from filterpy.kalman.unscented_transform import unscented_transform
 
 import celnav
@@ -27,7 +32,9 @@ def ranging(x, offset=0.0):
 
 
 def tracker(cls, points=None, **options):
-    kf = cls(4, 2, 0.1, ranging, velocity, points or MerweScaledSigmaPoints(4, 0.3, 2.0, -1.0), **options)
+    kf = cls(
+        4, 2, 0.1, ranging, velocity, points or MerweScaledSigmaPoints(4, 0.3, 2.0, -1.0), **options
+    )
     kf.x = np.array([10.0, -1.0, 5.0, 1.0])
     kf.P *= 0.2
     kf.R = np.diag([0.1, 0.01]) ** 2
@@ -47,7 +54,9 @@ def measurements(count=20):
 
 def same(a, b, names=("x", "P", "x_prior", "P_prior", "x_post", "P_post", "K", "y", "S", "SI")):
     for name in names:
-        np.testing.assert_allclose(getattr(a, name), getattr(b, name), rtol=1e-6, atol=1e-9, err_msg=name)
+        np.testing.assert_allclose(
+            getattr(a, name), getattr(b, name), rtol=1e-6, atol=1e-9, err_msg=name
+        )
 
 
 @pytest.mark.parametrize("cls", OURS)
@@ -95,7 +104,12 @@ def test_scalar_measurements(cls):
     kfs = []
     for kind in (UnscentedKalmanFilter, cls):
         kf = kind(
-            2, 1, 1.0, lambda x: x[:1], lambda x, dt: np.array([x[0] + x[1] * dt, x[1]]), MerweScaledSigmaPoints(2, 0.1, 2.0, 1.0)
+            2,
+            1,
+            1.0,
+            lambda x: x[:1],
+            lambda x, dt: np.array([x[0] + x[1] * dt, x[1]]),
+            MerweScaledSigmaPoints(2, 0.1, 2.0, 1.0),
         )
         kf.Q *= 0.01
         for z in (1.0, 2.1, 2.9):
@@ -112,7 +126,9 @@ def wrapped(a, b):
 
 
 def mean_angle(sigmas, Wm):
-    return np.array([Wm @ sigmas[:, 0], np.arctan2(Wm @ np.sin(sigmas[:, 1]), Wm @ np.cos(sigmas[:, 1]))])
+    return np.array(
+        [Wm @ sigmas[:, 0], np.arctan2(Wm @ np.sin(sigmas[:, 1]), Wm @ np.cos(sigmas[:, 1]))]
+    )
 
 
 @pytest.mark.parametrize("cls", OURS)
@@ -130,7 +146,15 @@ def test_angles_with_own_means_and_residuals(cls):
 
 @pytest.mark.parametrize("cls", OURS)
 def test_a_residual_of_its_own_meets_a_component_without_noise(cls):
-    kf = cls(2, 2, 1.0, lambda x: x, lambda x, dt: x, MerweScaledSigmaPoints(2, 0.5, 2.0, 1.0), residual_z=wrapped)
+    kf = cls(
+        2,
+        2,
+        1.0,
+        lambda x: x,
+        lambda x, dt: x,
+        MerweScaledSigmaPoints(2, 0.5, 2.0, 1.0),
+        residual_z=wrapped,
+    )
     kf.R = np.diag([0.0, 0.1])
     kf.predict()
     kf.update([0.3, 0.2])
@@ -190,7 +214,10 @@ def test_covariances_changed_in_place_or_singular_are_taken_up(cls):
 @pytest.mark.parametrize("cls", OURS)
 def test_partly_missing_components_are_left_out_exactly(cls):
     kf, only = tracker(cls), tracker(cls)
-    for f, z, options in ((kf, [10.0, np.nan], {}), (only, [10.0], {"hx": lambda x: ranging(x)[:1], "R": np.array([[0.01]])})):
+    for f, z, options in (
+        (kf, [10.0, np.nan], {}),
+        (only, [10.0], {"hx": lambda x: ranging(x)[:1], "R": np.array([[0.01]])}),
+    ):
         f.predict()
         f.update(np.array(z), **options)
     np.testing.assert_allclose(kf.x, only.x, atol=1e-12)
@@ -216,13 +243,25 @@ def test_partly_missing_components_are_left_out_exactly(cls):
         ({"x": np.zeros(3)}, {}, "x"),
         ({}, {"dt": np.nan}, "dt"),
         ({}, {"dt": np.timedelta64(1, "s")}, "dt"),
-        ({}, {"z": np.array(["2026-11-22", "2026-11-23"], "datetime64[s]")}, "z: expected numbers, got dates"),
-        ({}, {"z": [np.datetime64("2026-11-22"), np.datetime64("2026-11-23")]}, "z: expected numbers, got dates"),
+        (
+            {},
+            {"z": np.array(["2026-11-22", "2026-11-23"], "datetime64[s]")},
+            "z: expected numbers, got dates",
+        ),
+        (
+            {},
+            {"z": [np.datetime64("2026-11-22"), np.datetime64("2026-11-23")]},
+            "z: expected numbers, got dates",
+        ),
         ({}, {"z": [1.0, 2.0], "R": np.timedelta64(1, "s")}, "R: expected numbers, got dates"),
         ({"x": np.zeros(4, "datetime64[s]")}, {}, "x: expected numbers, got dates"),
         ({"P": np.zeros((4, 4), "timedelta64[s]")}, {}, "P: expected numbers, got dates"),
         ({"fx": lambda x, dt: np.zeros(4, "datetime64[s]")}, {}, "fx: expected numbers, got dates"),
-        ({"hx": lambda x: np.zeros(2, "timedelta64[s]")}, {"z": [1.0, 2.0]}, "hx: expected numbers, got dates"),
+        (
+            {"hx": lambda x: np.zeros(2, "timedelta64[s]")},
+            {"z": [1.0, 2.0]},
+            "hx: expected numbers, got dates",
+        ),
         ({"Q": [0.1, 0.2, 0.3, 0.4]}, {}, "Q"),
         ({"Q": np.diag([0.1, 0.2, 0.3, 0.4]) + 1e-3 * np.tri(4, k=-1)}, {}, "Q"),
         ({"R": "small"}, {"z": [1.0, 2.0]}, "R"),
@@ -285,7 +324,14 @@ def test_a_sum_of_states_is_none_of_measurements():
     points = MerweScaledSigmaPoints(2, 0.9, 2.0, 1.0)
     options = {"points": points, "state_add": add, "residual_z": residual}
     both = [
-        kind(2, 1, 0.1, hx=lambda x: np.array([x[0] + 0.3 * x[1] ** 2]), fx=lambda x, dt: x, **options)
+        kind(
+            2,
+            1,
+            0.1,
+            hx=lambda x: np.array([x[0] + 0.3 * x[1] ** 2]),
+            fx=lambda x, dt: x,
+            **options,
+        )
         for kind in (UnscentedKalmanFilter, SquareRootUKF)
     ]
     for ukf in both:
@@ -296,7 +342,10 @@ def test_a_sum_of_states_is_none_of_measurements():
 
 def attributes(kf):
     """Every public attribute of an object of filterpy, properties too."""
-    return sorted({name for name in vars(kf) if name[0] != "_"} | {"log_likelihood", "likelihood", "mahalanobis"})
+    return sorted(
+        {name for name in vars(kf) if name[0] != "_"}
+        | {"log_likelihood", "likelihood", "mahalanobis"}
+    )
 
 
 def alike(ours, peer):
@@ -403,9 +452,19 @@ def test_the_smoother_is_celnavs(cls):
     """That of `celnav.smooth`, an interval and a noise of each epoch's own, and where the predicted covariance is singular."""
     rng = np.random.default_rng(5)
     times = np.cumsum([0.0, 1.0, 0.5, 2.0, 1.0, 0.3])
-    Qs = [q * np.outer(g, g) for q, g in zip((0.1, 0.2, 0.05, 0.4, 0.1, 0.3), np.array([[0.5, 1.0]] * 6), strict=True)]
+    Qs = [
+        q * np.outer(g, g)
+        for q, g in zip((0.1, 0.2, 0.05, 0.4, 0.1, 0.3), np.array([[0.5, 1.0]] * 6), strict=True)
+    ]
     zs = rng.normal(size=(6, 1))
-    kf = cls(2, 1, 1.0, first, lambda x, dt: np.array([x[0] + dt * x[1], x[1]]), MerweScaledSigmaPoints(2, 0.9, 2.0, 1.0))
+    kf = cls(
+        2,
+        1,
+        1.0,
+        first,
+        lambda x, dt: np.array([x[0] + dt * x[1], x[1]]),
+        MerweScaledSigmaPoints(2, 0.9, 2.0, 1.0),
+    )
     kf.P = np.diag([1.0, 0.0])
     xs, Ps = [], []
     for k, z in enumerate(zs):
@@ -423,8 +482,12 @@ def test_the_smoother_is_celnavs(cls):
 
     form = "square root" if cls is SquareRootUKF else "covariance"
     motion = celnav.Motion(f, lambda mean, epoch: Qs[epoch.k - 1])
-    filter = celnav.sigma_point(motion, celnav.Sensor([[1.0, 0.0]], [[1.0]]), rule=kf.rule, form=form)
-    track = celnav.run(filter, celnav.Gaussian(np.zeros(2), np.diag([1.0, 0.0])), times, zs, keep="cov")
+    filter = celnav.sigma_point(
+        motion, celnav.Sensor([[1.0, 0.0]], [[1.0]]), rule=kf.rule, form=form
+    )
+    track = celnav.run(
+        filter, celnav.Gaussian(np.zeros(2), np.diag([1.0, 0.0])), times, zs, keep="cov"
+    )
     expected = celnav.smooth(track, gains=True)
     np.testing.assert_allclose(smoothed, expected.mean, atol=1e-9)
     np.testing.assert_allclose(covs.diagonal(0, 1, 2), expected.std**2, atol=1e-9)

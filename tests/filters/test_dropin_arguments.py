@@ -60,7 +60,10 @@ ACCEPTED = {
     "other points": heavier,
     "other weights": lambda kf: setattr(kf, "Wc", kf.Wm),
     "own sums and means": assigned(
-        state_add=lambda x, y: x + y, x_mean=lambda s, w: w @ s, z_mean=lambda s, w: w @ s, residual_x=lambda a, b: a - b
+        state_add=lambda x, y: x + y,
+        x_mean=lambda s, w: w @ s,
+        z_mean=lambda s, w: w @ s,
+        residual_x=lambda a, b: a - b,
     ),
     "a sum in place": assigned(state_add=lambda x, y: np.add(x, y, out=x)),
     "another inverse": assigned(inv=np.linalg.inv),
@@ -117,7 +120,11 @@ def test_arguments_of_a_step_that_filterpy_accepts(cls):
         both.append(kf)
     for attribute in ("x", "P", "S", "SI", "K", "y", "sigmas_f", "sigmas_h", "log_likelihood"):
         np.testing.assert_allclose(
-            getattr(both[1], attribute), getattr(both[0], attribute), rtol=1e-9, atol=1e-11, err_msg=attribute
+            getattr(both[1], attribute),
+            getattr(both[0], attribute),
+            rtol=1e-9,
+            atol=1e-11,
+            err_msg=attribute,
         )
 
 
@@ -126,7 +133,10 @@ def test_a_number_for_a_matrix_is_told_once(cls):
     """filterpy adds it to every element; who means a variance of each component hears how to write that."""
     kf = cls(2, 2, 0.5, lambda x: x, lambda x, dt: x, MerweScaledSigmaPoints(2, 0.5, 2.0, 1.0))
     kf.Q = 0.01
-    with pytest.warns(UserWarning, match=r"^Q: the number 0.01 counts in every element, as in filterpy; 0.01 \* np.eye\(2\) is"):
+    with pytest.warns(
+        UserWarning,
+        match=r"^Q: the number 0.01 counts in every element, as in filterpy; 0.01 \* np.eye\(2\) is",
+    ):
         kf.predict()
     kf.predict()
     kf.R = 0.25

@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 import celnav
-from celnav.filters.adaptive import channel_parity, gate, group_parity, huber, innovation_window, sage_husa, student_t
+from celnav.filters.adaptive import (
+    channel_parity,
+    gate,
+    group_parity,
+    huber,
+    innovation_window,
+    sage_husa,
+    student_t,
+)
 from celnav.filters.run import explain
 from celnav.gaussian.linalg import Covariance
 from celnav.receiver.least_squares import least_squares
@@ -41,11 +49,20 @@ def exact(h, form, none, **options):
 
 
 def test_noise_through_the_points_needs_a_function():
-    for make in (lambda: celnav.Sensor(EYE, augment=(EYE,)), lambda: celnav.Motion(EYE, augment=(EYE,))):
-        with pytest.raises(ValueError, match=r"augment: expected a function [fh]\(points, epoch, \*noise\) with it, got a matrix"):
+    for make in (
+        lambda: celnav.Sensor(EYE, augment=(EYE,)),
+        lambda: celnav.Motion(EYE, augment=(EYE,)),
+    ):
+        with pytest.raises(
+            ValueError,
+            match=r"augment: expected a function [fh]\(points, epoch, \*noise\) with it, got a matrix",
+        ):
             make()
     for augment in (EYE, (1.0,)):
-        for make in (lambda e=augment: celnav.Motion(still, augment=e), lambda e=augment: celnav.Sensor(seen, augment=e)):
+        for make in (
+            lambda e=augment: celnav.Motion(still, augment=e),
+            lambda e=augment: celnav.Sensor(seen, augment=e),
+        ):
             with pytest.raises(ValueError, match="augment: expected a sequence of matrices"):
                 make()
 
@@ -78,7 +95,9 @@ def test_a_silent_sensor_leaves_a_blank_of_its_own(form):
 
 
 @FORMS
-@pytest.mark.parametrize("h", [np.array([[0.6, 1.0]]), lambda x, e: x @ [[0.6], [1.0]]], ids=["matrix", "function"])
+@pytest.mark.parametrize(
+    "h", [np.array([[0.6, 1.0]]), lambda x, e: x @ [[0.6], [1.0]]], ids=["matrix", "function"]
+)
 def test_a_measurement_without_noise_of_what_is_known_is_told(form, h):
     """Once it is exact. The second one divides what is round-off by what is round-off."""
     filter, epoch = exact(h, form, {"sqrt_R": np.zeros((1, 0))}), celnav.Epoch(z=[1.0])
@@ -87,7 +106,9 @@ def test_a_measurement_without_noise_of_what_is_known_is_told(form, h):
     again, _ = filter.update(known, epoch)
     assert np.isnan(again.belief.mean).all()
     why = explain(filter, known, again, epoch)
-    assert why.startswith("the innovation covariance is not positive definite; a measurement without noise must say what")
+    assert why.startswith(
+        "the innovation covariance is not positive definite; a measurement without noise must say what"
+    )
     assert why.endswith("leave out all but one (z is nan) or give them a small R")
     with pytest.raises(celnav.FilterError, match="innovation covariance is not positive definite"):
         celnav.run(filter, known.belief, [0.0], [[1.0]])
@@ -97,33 +118,48 @@ def test_a_measurement_without_noise_of_what_is_known_is_told(form, h):
 def test_redundant_perfect_sensors_are_told_with_what_to_do(form):
     """Two of the same; one that is left out costs nothing. Where there is noise the message does not speak of its absence."""
     twice = exact(lambda x, e: x[..., [0, 0]], form, {"R": np.zeros((2, 2))})
-    with pytest.raises(celnav.FilterError, match=r"leave out all but one \(z is nan\) or give them a small R \("):
+    with pytest.raises(
+        celnav.FilterError, match=r"leave out all but one \(z is nan\) or give them a small R \("
+    ):
         celnav.run(twice, PRIOR, [0.0], [[1.0, 1.0]])
     np.testing.assert_allclose(updated(twice, PRIOR, [1.0, np.nan])[0].mean, [1.0, 0.0], atol=1e-15)
     for R in (0.0025 * np.eye(6), lambda mean, epoch: 0.0025 * np.eye(6)):
         bent = celnav.Sensor(lambda x, e: np.cos(3.0 * x[..., :6]), R)
-        filter = celnav.ckf(celnav.Motion(np.eye(13), np.zeros((13, 13))), bent, degree=5, form=form)
-        with pytest.raises(celnav.FilterError, match=r"the innovation covariance is not positive definite \("):
-            celnav.run(filter, celnav.Gaussian(np.zeros(13), 9.0 * np.eye(13)), [0.0], np.ones((1, 6)))
+        filter = celnav.ckf(
+            celnav.Motion(np.eye(13), np.zeros((13, 13))), bent, degree=5, form=form
+        )
+        with pytest.raises(
+            celnav.FilterError, match=r"the innovation covariance is not positive definite \("
+        ):
+            celnav.run(
+                filter, celnav.Gaussian(np.zeros(13), 9.0 * np.eye(13)), [0.0], np.ones((1, 6))
+            )
 
 
 def test_a_run_lost_in_covariance_form_is_nan_in_its_epoch_and_the_model_is_not_blamed():
     bent = celnav.Motion(lambda x, e: 50.0 * x * x + 0.1 * x, [[1e-3]])
     filter = celnav.ukf(bent, celnav.Sensor([[1.0]], [[1.0]]), kappa=-0.9, form="covariance")
     prior = celnav.Gaussian([[0.0], [0.0]], [[[1e-6]], [[1.0]]])
-    track = celnav.run(filter, prior, np.arange(2.0), np.full((2, 2, 1), np.nan), on_failure="flag", keep="cov")
+    track = celnav.run(
+        filter, prior, np.arange(2.0), np.full((2, 2, 1), np.nan), on_failure="flag", keep="cov"
+    )
     np.testing.assert_array_equal(track.failed_at, [-1, 1])
     np.testing.assert_array_equal(np.isnan(track.mean[1, :, 0]), [False, True])
     np.testing.assert_array_equal(np.isnan(track.cov[1, :, 0, 0]), [False, True])
     filter, epoch = celnav.ukf(MOTION, form="covariance"), celnav.Epoch(1, 1.0, 1.0)
     before = filter.start(Covariance(np.zeros(2), np.array([[1.0, 2.0], [2.0, 1.0]])))
     why = explain(filter, before, filter.predict(before, epoch), epoch)
-    assert why == "the covariance lost positive definiteness in the step before; the square-root form has twice the digits"
+    assert (
+        why
+        == "the covariance lost positive definiteness in the step before; the square-root form has twice the digits"
+    )
 
 
 def test_a_variance_that_was_zero_has_a_deviation():
     """Round-off below 0 that does not count as a failure is no nan among the deviations either."""
-    known = Covariance(np.zeros((2, 2)), np.array([[[1.0, 0.0], [0.0, -1e-17]], [[1.0, 0.0], [0.0, -1e-3]]]))
+    known = Covariance(
+        np.zeros((2, 2)), np.array([[[1.0, 0.0], [0.0, -1e-17]], [[1.0, 0.0], [0.0, -1e-3]]])
+    )
     np.testing.assert_array_equal(known.std, [[1.0, 0.0], [1.0, np.nan]])
 
 
@@ -132,16 +168,25 @@ def test_an_exact_measurement_is_taken_where_it_says_something(form):
     """Large numbers known well, components that are missing or gated, noise of some components only, a gain of one's own."""
     far, h, none = np.array([7e6, 7e6]), lambda x, e: x.copy(), {"sqrt_R": np.zeros((2, 0))}
     for std in (1.0, 1e-3):
-        one, two = celnav.Gaussian(far, std**2 * EYE), celnav.Gaussian(np.tile(far, (2, 1)), std**2 * EYE)
+        one, two = (
+            celnav.Gaussian(far, std**2 * EYE),
+            celnav.Gaussian(np.tile(far, (2, 1)), std**2 * EYE),
+        )
         after, _ = updated(exact(h, form, none), one, far + 0.5 * std)
         np.testing.assert_allclose(after.mean, far + 0.5 * std, rtol=1e-15)
         after, _ = updated(exact(h, form, none), two, [far, [far[0], np.nan]])
         assert np.isfinite(after.mean).all()
-        after, _ = updated(exact(h, form, none, hooks=[gate(3.0)]), one, far + np.array([0.5, 9.0]) * std)
+        after, _ = updated(
+            exact(h, form, none, hooks=[gate(3.0)]), one, far + np.array([0.5, 9.0]) * std
+        )
         assert np.isfinite(after.mean).all()
-    wide, _ = updated(exact(EYE, form, none), celnav.Gaussian(np.zeros(2), 4.9e13 * EYE), [1.0, np.nan])
+    wide, _ = updated(
+        exact(EYE, form, none), celnav.Gaussian(np.zeros(2), 4.9e13 * EYE), [1.0, np.nan]
+    )
     np.testing.assert_allclose(wide.mean, [1.0, 0.0], atol=1e-9)
-    own, _ = updated(exact(EYE, form, none, gain=0.5 * EYE), celnav.Gaussian(np.zeros(2), 0.0 * EYE), np.ones(2))
+    own, _ = updated(
+        exact(EYE, form, none, gain=0.5 * EYE), celnav.Gaussian(np.zeros(2), 0.0 * EYE), np.ones(2)
+    )
     np.testing.assert_allclose(own.mean, 0.5)
     half, _ = updated(exact(EYE, form, {"R": np.diag([0.0, 1.0])}), PRIOR, np.ones(2))
     np.testing.assert_allclose(half.mean, [1.0, 0.5])
@@ -155,30 +200,40 @@ def test_a_combination_known_exactly_stays_known_however_precise_the_sensor(r, m
     a, h = np.array([1.0, 3.0]), np.array([[1.0, 0.5]])
     z = 0.7 + np.sqrt(r) * np.random.default_rng(0).normal(size=(200, 4, 1))
     filter = make(celnav.Motion(np.eye(2), np.zeros((2, 2))), celnav.Sensor(h, [[r]]), form=form)
-    track = celnav.run(filter, celnav.Gaussian(np.zeros((4, 2)), np.outer(a, a)), np.arange(200.0), z, keep="cov")
+    track = celnav.run(
+        filter, celnav.Gaussian(np.zeros((4, 2)), np.outer(a, a)), np.arange(200.0), z, keep="cov"
+    )
     celnav.Gaussian(track.mean[-1], track.cov[-1])  # what it believes is a prior of another
     k, sees = np.arange(1.0, 201.0)[:, None], float((h @ a)[0])
     variance = 1.0 / (1.0 + k * sees**2 / r)
     expected = variance * sees / r * z.cumsum(0)[..., 0]
     np.testing.assert_allclose(track.mean, expected[..., None] * a, rtol=1e-6)
-    np.testing.assert_allclose(track.std[..., 1], np.broadcast_to(3.0 * np.sqrt(variance), (200, 4)), rtol=1e-2)
+    np.testing.assert_allclose(
+        track.std[..., 1], np.broadcast_to(3.0 * np.sqrt(variance), (200, 4)), rtol=1e-2
+    )
 
 
 @FORMS
-@pytest.mark.parametrize("none", [{"sqrt_R": np.zeros((1, 0))}, {"R": np.zeros((1, 1))}], ids=["no columns", "zeros"])
+@pytest.mark.parametrize(
+    "none", [{"sqrt_R": np.zeros((1, 0))}, {"R": np.zeros((1, 1))}], ids=["no columns", "zeros"]
+)
 @pytest.mark.parametrize("value", [0.0, 1.0])
 def test_what_is_known_to_be_zero_is_known_too(form, none, value):
     """Nothing to compare round-off with but how far the function bends over the belief."""
     for h in (lambda x, e: x @ [[0.6], [1.0]], [[0.6, 1.0]]):
         filter = exact(h, form, none)
-        known, _ = filter.update(filter.start(celnav.Gaussian(np.zeros(2), CORRELATED)), celnav.Epoch(z=[value]))
+        known, _ = filter.update(
+            filter.start(celnav.Gaussian(np.zeros(2), CORRELATED)), celnav.Epoch(z=[value])
+        )
         assert np.isfinite(known.belief.mean).all()
         again, _ = filter.update(known, celnav.Epoch(z=[1.0]))
         assert np.isnan(again.belief.mean).all()
 
 
 def test_a_bias_stage_knows_what_a_gate_left_out():
-    filter = celnav.two_stage(MOTION, SENSOR, EYE, celnav.Gaussian(np.zeros(2), 0.01 * EYE), hooks=[gate(3.0)])
+    filter = celnav.two_stage(
+        MOTION, SENSOR, EYE, celnav.Gaussian(np.zeros(2), 0.01 * EYE), hooks=[gate(3.0)]
+    )
     track = celnav.run(filter, PRIOR, [0.0, 1.0], [[0.0, 0.0], [100.0, np.nan]])
     assert (track.events["rejected"], track.events["missing"]) == (1, 1)
     np.testing.assert_array_equal(np.isnan(track.innovation), [[False, False], [False, True]])
@@ -192,24 +247,37 @@ def test_a_lost_spread_is_told_at_its_step(form):
     track = celnav.run(filter, PRIOR, [0.0, 1.0], on_failure="flag")
     assert np.isnan(track.std[1, 0])
     assert track.failed_at == 1
-    with pytest.raises(celnav.FilterError, match=r"step 1, t = 1\.0: the covariance lost positive definiteness"):
+    with pytest.raises(
+        celnav.FilterError, match=r"step 1, t = 1\.0: the covariance lost positive definiteness"
+    ):
         celnav.run(filter, PRIOR, [0.0, 1.0])
 
 
 def test_an_innovation_stays_on_this_side_of_the_seam():
     """The mean of the prediction lies .4 beyond its center; both an angle."""
     sensor = celnav.Sensor(lambda x, e: x + 0.4 * x**2, [[0.01]], space=celnav.angles())
-    belief, info = updated(celnav.ukf(celnav.Motion([[1.0]], [[0.0]]), sensor), celnav.Gaussian([0.0], [[1.0]]), [-3.0])
+    belief, info = updated(
+        celnav.ukf(celnav.Motion([[1.0]], [[0.0]]), sensor), celnav.Gaussian([0.0], [[1.0]]), [-3.0]
+    )
     np.testing.assert_allclose(info.innovation, 2.0 * np.pi - 3.4, rtol=1e-12)
     assert 2.8 < belief.mean[0] < 2.9
 
 
 def test_some_runs_cannot_stand_still_while_others_move():
     filter, prior = celnav.ukf(MOTION, SENSOR), celnav.Gaussian(np.zeros((2, 2)), EYE)
-    with pytest.raises(ValueError, match="dt: expected an interval for every run or for none where Q is constant"):
+    with pytest.raises(
+        ValueError, match="dt: expected an interval for every run or for none where Q is constant"
+    ):
         celnav.run(filter, prior, [celnav.Epoch(3, 1.0, np.array([0.0, 1.0]), z=np.ones(2))])
-    assert celnav.run(filter, prior, [celnav.Epoch(3, 1.0, np.array([2.0, 1.0]), z=np.ones(2))]).failed_at.max() == -1
-    scaled = celnav.ukf(celnav.Motion(still, sqrt_Q=lambda mean, epoch: np.sqrt(epoch.dt)[:, None, None] * EYE))
+    assert (
+        celnav.run(
+            filter, prior, [celnav.Epoch(3, 1.0, np.array([2.0, 1.0]), z=np.ones(2))]
+        ).failed_at.max()
+        == -1
+    )
+    scaled = celnav.ukf(
+        celnav.Motion(still, sqrt_Q=lambda mean, epoch: np.sqrt(epoch.dt)[:, None, None] * EYE)
+    )
     mixed = celnav.run(scaled, prior, [celnav.Epoch(1, 1.0, np.array([0.0, 3.0]))])
     np.testing.assert_allclose(mixed.std[0], [[1.0, 1.0], [2.0, 2.0]])
 
@@ -227,7 +295,9 @@ def test_colored_filters_refuse_intervals_that_they_do_not_mean(name):
     filter, z = whitened(name), np.ones(2)
     with pytest.raises(ValueError, match="dt: expected 0 at the first epoch"):
         celnav.run(filter, PRIOR, [celnav.Epoch(0, 1.0, 1.0, z=z)])
-    with pytest.raises(ValueError, match=r"dt: expected an interval after the first epoch, got 0\.0"):
+    with pytest.raises(
+        ValueError, match=r"dt: expected an interval after the first epoch, got 0\.0"
+    ):
         celnav.run(filter, PRIOR, [celnav.Epoch(0, 0.0, 0.0, z=z), celnav.Epoch(1, 0.0, 0.0, z=z)])
 
 
@@ -260,13 +330,24 @@ def test_colored_filters_name_a_measurement_that_cannot_be(name, z, told):
 )
 def test_colored_filters_name_noises_that_cannot_be(make, R, Phi, increments, told):
     with pytest.raises(ValueError, match=told):
-        celnav.run(make(MOTION, celnav.Sensor(EYE, R), Phi, increments=increments), PRIOR, [0.0, 1.0], np.ones((2, 2)))
+        celnav.run(
+            make(MOTION, celnav.Sensor(EYE, R), Phi, increments=increments),
+            PRIOR,
+            [0.0, 1.0],
+            np.ones((2, 2)),
+        )
 
 
 def test_a_function_of_colored_noise_may_begin_with_nothing():
     """A first epoch without a measurement: as many components as R has."""
-    filter = celnav.colored(MOTION, celnav.Sensor(lambda x, e: x.copy(), EYE), 0.5 * EYE, increments=EYE, first=False)
-    when = [celnav.Epoch(0, 0.0, 0.0), celnav.Epoch(1, 1.0, 1.0, z=np.ones(2)), celnav.Epoch(2, 2.0, 1.0, z=np.ones(2))]
+    filter = celnav.colored(
+        MOTION, celnav.Sensor(lambda x, e: x.copy(), EYE), 0.5 * EYE, increments=EYE, first=False
+    )
+    when = [
+        celnav.Epoch(0, 0.0, 0.0),
+        celnav.Epoch(1, 1.0, 1.0, z=np.ones(2)),
+        celnav.Epoch(2, 2.0, 1.0, z=np.ones(2)),
+    ]
     np.testing.assert_array_equal(celnav.run(filter, PRIOR, when).dof, [0, 0, 2])
 
 
@@ -275,9 +356,14 @@ def test_decorrelation_takes_gates_and_refuses_what_changes_noise():
     z = np.zeros((6, 2))
     z[3] = 100.0
     for hook in (huber(), student_t(), innovation_window(1)):
-        with pytest.raises(ValueError, match="hooks: expected hooks that only leave measurements out"):
+        with pytest.raises(
+            ValueError, match="hooks: expected hooks that only leave measurements out"
+        ):
             celnav.run(whitened("decorrelated", [hook]), PRIOR, np.arange(6.0), z)
-    one, other = (celnav.run(whitened(name, [gate(6.0)]), PRIOR, np.arange(6.0), z, keep="cov") for name in COLORED)
+    one, other = (
+        celnav.run(whitened(name, [gate(6.0)]), PRIOR, np.arange(6.0), z, keep="cov")
+        for name in COLORED
+    )
     np.testing.assert_array_equal(one.used, other.used)
     assert not one.used[3].any()
     np.testing.assert_allclose(other.mean[-1], one.mean[-1], atol=1e-12)
@@ -307,7 +393,9 @@ def test_one_belief_serves_all_measurements(hook, f, form):
     hooks = [] if HOOKS[hook] is None else [HOOKS[hook]]
     filter = celnav.ukf(celnav.Motion(f, EYE), celnav.Sensor(H, np.eye(6)), hooks=hooks, form=form)
     own = celnav.Gaussian(np.zeros((3, 2)), np.broadcast_to(EYE, (3, 2, 2)))
-    expected, *found = (celnav.run(filter, prior, np.arange(4.0), z, keep="cov") for prior in (own, MANY, PRIOR))
+    expected, *found = (
+        celnav.run(filter, prior, np.arange(4.0), z, keep="cov") for prior in (own, MANY, PRIOR)
+    )
     for track in found:
         np.testing.assert_allclose(track.mean, expected.mean, atol=1e-13)
         np.testing.assert_allclose(track.cov, expected.cov, atol=1e-13)
@@ -325,9 +413,17 @@ def test_neighbors_of_a_lost_run_go_on_under_every_hook(hook, rule, form):
         return x * np.where(epoch.k == 2, [[1.0], [np.nan], [1.0]], 1.0) if x.shape[-2] == 3 else x
 
     hooks = [] if HOOKS[hook] is None else [HOOKS[hook]]
-    filter = celnav.sigma_point(celnav.Motion(f, EYE), celnav.Sensor(seen, np.eye(6)), rule=rule, hooks=hooks, form=form)
+    filter = celnav.sigma_point(
+        celnav.Motion(f, EYE), celnav.Sensor(seen, np.eye(6)), rule=rule, hooks=hooks, form=form
+    )
     together, apart = (
-        celnav.run(filter, celnav.Gaussian(np.zeros((len(runs), 2)), EYE), np.arange(6.0), z[:, runs], on_failure="flag")
+        celnav.run(
+            filter,
+            celnav.Gaussian(np.zeros((len(runs), 2)), EYE),
+            np.arange(6.0),
+            z[:, runs],
+            on_failure="flag",
+        )
         for runs in ([0, 1, 2], [0, 2])
     )
     np.testing.assert_array_equal(together.failed_at, [-1, 2, -1])
@@ -338,8 +434,12 @@ def test_neighbors_of_a_lost_run_go_on_under_every_hook(hook, rule, form):
 def test_one_belief_serves_other_filters_too():
     z = np.random.default_rng(1).normal(size=(3, 2))
     iterated = celnav.ekf(MOTION, celnav.Sensor(lambda x, e: x.copy(), EYE), iterations=6)
-    np.testing.assert_allclose(updated(iterated, PRIOR, z)[0].mean, updated(iterated, MANY, z)[0].mean, atol=1e-12)
-    fixes = least_squares(celnav.Sensor(still, EYE, jacobian=lambda x, e: np.broadcast_to(EYE, (*x.shape, 2))))
+    np.testing.assert_allclose(
+        updated(iterated, PRIOR, z)[0].mean, updated(iterated, MANY, z)[0].mean, atol=1e-12
+    )
+    fixes = least_squares(
+        celnav.Sensor(still, EYE, jacobian=lambda x, e: np.broadcast_to(EYE, (*x.shape, 2)))
+    )
     np.testing.assert_allclose(celnav.run(fixes, PRIOR, [0.0], z[None]).mean[0], z, atol=1e-12)
     track = celnav.run(celnav.ukf(MOTION, SENSOR, SENSOR), PRIOR, [0.0], (np.ones((1, 2)), z[None]))
     assert track.innovation.shape == (1, 3, 4)
@@ -349,7 +449,10 @@ def test_one_belief_serves_other_filters_too():
 @pytest.mark.parametrize("f", [still, EYE], ids=["function", "matrix"])
 def test_noise_of_each_run_with_one_belief(form, f):
     each = np.array([1.0, 4.0])[:, None, None] * EYE
-    moving, seeing = celnav.ukf(celnav.Motion(f, each), form=form), celnav.ukf(MOTION, celnav.Sensor(EYE, each), form=form)
+    moving, seeing = (
+        celnav.ukf(celnav.Motion(f, each), form=form),
+        celnav.ukf(MOTION, celnav.Sensor(EYE, each), form=form),
+    )
     after = moving.predict(moving.start(PRIOR), celnav.Epoch(1, 1.0, 1.0)).belief
     np.testing.assert_allclose(after.std, np.sqrt([[2.0, 2.0], [5.0, 5.0]]))
     after, _ = updated(seeing, PRIOR, np.ones(2))
@@ -361,7 +464,9 @@ def test_noise_of_each_run_with_one_belief(form, f):
 def test_a_track_of_noise_of_each_run_with_one_belief(form, f):
     filter = celnav.ukf(celnav.Motion(f, np.array([1.0, 4.0])[:, None, None] * EYE), form=form)
     track = celnav.run(filter, PRIOR, [0.0, 1.0], keep="cov")
-    np.testing.assert_allclose(track.std, np.sqrt([[[1.0, 1.0], [1.0, 1.0]], [[2.0, 2.0], [5.0, 5.0]]]))
+    np.testing.assert_allclose(
+        track.std, np.sqrt([[[1.0, 1.0], [1.0, 1.0]], [[2.0, 2.0], [5.0, 5.0]]])
+    )
     assert track.mean.shape == (2, 2, 2)
 
 
@@ -378,7 +483,10 @@ def test_a_jacobian_covers_the_noises_that_go_through_the_points(form):
     J = np.array([[1.0, 0.5, 2.0, 0.0], [0.0, 1.0, 0.3, 1.0]])
     for known in ({}, {"jacobian": lambda mean, epoch: J}):
         g = lambda x, e, w: x @ J[:, :2].T + w @ J[:, 2:].T  # noqa: E731
-        motion, sensor = celnav.Motion(g, augment=(EYE,), **known), celnav.Sensor(g, augment=(EYE,), **known)
+        motion, sensor = (
+            celnav.Motion(g, augment=(EYE,), **known),
+            celnav.Sensor(g, augment=(EYE,), **known),
+        )
         filter, expected = celnav.ekf(motion, sensor, form=form), J @ J.T
         after = filter.predict(filter.start(PRIOR), celnav.Epoch(1, 1.0, 1.0)).belief
         np.testing.assert_allclose(after.cov, expected, atol=1e-9)
@@ -390,7 +498,10 @@ def test_a_jacobian_covers_the_noises_that_go_through_the_points(form):
 def test_nothing_measured_is_nothing_done():
     """None, where nan would do too, for a filter of two stages and for fixes."""
     filter = celnav.two_stage(MOTION, SENSOR, EYE, PRIOR)
-    absent, nan = (celnav.run(filter, PRIOR, [celnav.Epoch(0, 0.0, 0.0, z=z)]) for z in (None, np.full(2, np.nan)))
+    absent, nan = (
+        celnav.run(filter, PRIOR, [celnav.Epoch(0, 0.0, 0.0, z=z)])
+        for z in (None, np.full(2, np.nan))
+    )
     np.testing.assert_array_equal(absent.std, nan.std)
     fixes = least_squares(celnav.Sensor(still, EYE, jacobian=lambda x, e: EYE))
     when = [celnav.Epoch(0, 0.0, 0.0, z=None), celnav.Epoch(1, 1.0, 1.0, z=np.ones(2))]
@@ -408,27 +519,47 @@ def test_the_augmented_filter_is_exact_and_tells_of_a_repeated_instant():
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, [1], "2", True, 0, 1.5])
 def test_numbers_that_must_be_whole(value):
-    for make in (huber, lambda rounds: innovation_window(rounds), lambda rounds: celnav.unscented(rounds)):
-        with pytest.raises(ValueError, match=r"expected (a positive integer|an integer from 1 to 10000), got"):
+    for make in (
+        huber,
+        lambda rounds: innovation_window(rounds),
+        lambda rounds: celnav.unscented(rounds),
+    ):
+        with pytest.raises(
+            ValueError, match=r"expected (a positive integer|an integer from 1 to 10000), got"
+        ):
             make(rounds=value)
     with pytest.raises(ValueError, match="every: expected a positive integer, got"):
         celnav.run(celnav.ukf(MOTION), PRIOR, [0.0], every=value)
 
 
-@pytest.mark.parametrize("rule", [celnav.unscented(3, 0.1, 2.0), celnav.unscented(3, kappa=-1.5)], ids=["alpha", "kappa"])
+@pytest.mark.parametrize(
+    "rule", [celnav.unscented(3, 0.1, 2.0), celnav.unscented(3, kappa=-1.5)], ids=["alpha", "kappa"]
+)
 @pytest.mark.parametrize("known", ["component", "combination", "measurement"])
 def test_rules_of_negative_weight_take_what_is_known_exactly_in_both_forms(rule, known):
     """A downdate of a root that is singular; each form by its own way to the same numbers."""
     F = np.array([[1.0, 0.1, 0.0], [-0.1, 0.9, 0.2], [0.0, 0.0, 0.95]])
     P, Q, R = {
         "component": (np.diag([1.0, 2.0, 0.0]), np.zeros((3, 3)), [[1.0]]),
-        "combination": (np.outer([1.0, 2.0, 3.0], [1.0, 2.0, 3.0]) + np.diag([1.0, 0.0, 0.0]), np.zeros((3, 3)), [[1.0]]),
+        "combination": (
+            np.outer([1.0, 2.0, 3.0], [1.0, 2.0, 3.0]) + np.diag([1.0, 0.0, 0.0]),
+            np.zeros((3, 3)),
+            [[1.0]],
+        ),
         "measurement": (np.eye(3), 0.1 * np.eye(3), [[0.0]]),
     }[known]
-    motion, sensor = celnav.Motion(lambda x, e: x @ F.T, Q), celnav.Sensor(lambda x, e: x[..., :1] + x[..., 2:], R)
+    motion, sensor = (
+        celnav.Motion(lambda x, e: x @ F.T, Q),
+        celnav.Sensor(lambda x, e: x[..., :1] + x[..., 2:], R),
+    )
     z = np.random.default_rng(1).normal(size=(20, 1))
     root, cov = (
-        celnav.run(celnav.sigma_point(motion, sensor, rule=rule, form=form), celnav.Gaussian(np.ones(3), P), np.arange(20.0), z)
+        celnav.run(
+            celnav.sigma_point(motion, sensor, rule=rule, form=form),
+            celnav.Gaussian(np.ones(3), P),
+            np.arange(20.0),
+            z,
+        )
         for form in ("square root", "covariance")
     )
     np.testing.assert_allclose(root.mean, cov.mean, atol=1e-7)

@@ -13,8 +13,15 @@ SLOPE = 2.0
 def speed(epochs, prior=None):
     """The track of a point that moves at a constant speed."""
     move = lambda x, e: np.stack([x[..., 0] + e.dt * x[..., 1], x[..., 1]], -1)  # noqa: E731
-    filter = celnav.ukf(celnav.Motion(move, sqrt_Q=np.zeros((2, 0))), celnav.Sensor([[1.0, 0.0]], [[0.01]]))
-    return celnav.run(filter, celnav.Gaussian([0.0, 0.0], 100.0 * np.eye(2)) if prior is None else prior, epochs, keep="cov")
+    filter = celnav.ukf(
+        celnav.Motion(move, sqrt_Q=np.zeros((2, 0))), celnav.Sensor([[1.0, 0.0]], [[0.01]])
+    )
+    return celnav.run(
+        filter,
+        celnav.Gaussian([0.0, 0.0], 100.0 * np.eye(2)) if prior is None else prior,
+        epochs,
+        keep="cov",
+    )
 
 
 def last(track):
@@ -51,7 +58,11 @@ def test_a_part_goes_on_where_the_one_before_it_ended():
     np.testing.assert_array_equal(speed(WHOLE[:3] + WHOLE[3:]).mean, whole.mean)
     assert [(e.k, e.t, e.dt) for e in WHOLE[5:7]] == [(5, 6.0, 2.0), (6, 7.0, 1.0)]
     assert (WHOLE[-1].k, WHOLE[-1].t, WHOLE[-1].dt) == (7, 8.5, 1.5)
-    assert (len(WHOLE[9:]), repr(WHOLE[9:]), repr(WHOLE[2:])) == (0, "Epochs(0)", "Epochs(6 from 2.5 to 8.5 s)")
+    assert (len(WHOLE[9:]), repr(WHOLE[9:]), repr(WHOLE[2:])) == (
+        0,
+        "Epochs(0)",
+        "Epochs(6 from 2.5 to 8.5 s)",
+    )
 
 
 def test_inputs_belong_to_intervals():

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from filterpy.kalman import JulierSigmaPoints, MerweScaledSigmaPoints, SimplexSigmaPoints, UnscentedKalmanFilter
+from filterpy.kalman import (
+    JulierSigmaPoints,
+    MerweScaledSigmaPoints,
+    SimplexSigmaPoints,
+    UnscentedKalmanFilter,
+)
 
 import celnav
 from celnav.filters.adaptive import gate
@@ -60,7 +65,9 @@ def kalman(s, x, P, missing=()):
     return np.array(means), np.array(covs)
 
 
-MATRICES = pytest.mark.parametrize(("f", "h"), [(True, True), (False, True), (False, False)], ids=["f and h", "h", "none"])
+MATRICES = pytest.mark.parametrize(
+    ("f", "h"), [(True, True), (False, True), (False, False)], ids=["f and h", "h", "none"]
+)
 
 
 @FORMS
@@ -69,7 +76,9 @@ MATRICES = pytest.mark.parametrize(("f", "h"), [(True, True), (False, True), (Fa
 def test_every_rule_is_the_kalman_filter_in_the_linear_case(form, rule, f, h):
     s = linear()
     filter = celnav.sigma_point(motion(s, f), sensor(s, h), rule=RULES[rule], form=form)
-    track = celnav.run(filter, celnav.Gaussian(np.ones(4), np.eye(4)), np.arange(20.0), s["z"], keep="cov")
+    track = celnav.run(
+        filter, celnav.Gaussian(np.ones(4), np.eye(4)), np.arange(20.0), s["z"], keep="cov"
+    )
     means, covs = kalman(s, np.ones(4), np.eye(4))
     tolerance = 1e-6 if rule in ("small alpha", "taylor") else 1e-9
     np.testing.assert_allclose(track.mean, means, atol=tolerance)
@@ -86,7 +95,9 @@ def test_missing_components_are_marginalized_in_each_run_by_itself(form, f, h):
         for k, i in missing:
             z[k, run, i] = np.nan
     filter = celnav.ukf(motion(s, f), sensor(s, h), form=form)
-    track = celnav.run(filter, celnav.Gaussian(np.ones((3, 4)), np.eye(4)), np.arange(20.0), z, keep="cov")
+    track = celnav.run(
+        filter, celnav.Gaussian(np.ones((3, 4)), np.eye(4)), np.arange(20.0), z, keep="cov"
+    )
     for run, missing in enumerate(gaps):
         means, covs = kalman(s, np.ones(4), np.eye(4), missing)
         np.testing.assert_allclose(track.mean[:, run], means, atol=1e-10)
@@ -98,11 +109,20 @@ def test_the_log_likelihood_is_the_density_of_all_measurements():
     from scipy.stats import multivariate_normal
 
     s = linear()
-    track = celnav.run(celnav.ukf(motion(s), sensor(s)), celnav.Gaussian(np.zeros(4), np.eye(4)), np.arange(20.0), s["z"])
+    track = celnav.run(
+        celnav.ukf(motion(s), sensor(s)),
+        celnav.Gaussian(np.zeros(4), np.eye(4)),
+        np.arange(20.0),
+        s["z"],
+    )
     X = joint_states(s, np.eye(4))
     big = np.kron(np.eye(20), s["H"])
     cov = big @ X @ big.T + np.kron(np.eye(20), s["R"])
-    np.testing.assert_allclose(track.log_likelihood, multivariate_normal(np.zeros(40), cov).logpdf(s["z"].ravel()), rtol=1e-10)
+    np.testing.assert_allclose(
+        track.log_likelihood,
+        multivariate_normal(np.zeros(40), cov).logpdf(s["z"].ravel()),
+        rtol=1e-10,
+    )
 
 
 def joint_states(s, P0):
@@ -137,8 +157,12 @@ def test_colored_filters_are_batch_conditioning_for_a_full_coefficient(form, rad
     options = {"increments": s["R"], "first": known, "form": form}
     given = celnav.Gaussian(np.zeros(n), np.eye(n)), np.arange(float(N)), s["z"]
     single = celnav.run(celnav.colored(motion(s), seen, Phi, **options), *given, keep="cov")
-    lagged = {"also": lambda epoch, state, infos: {"mean": state.lagged.mean, "cov": state.lagged.cov}}
-    paper = celnav.run(celnav.decorrelated(motion(s), seen, Phi, **options), *given, keep="cov", **lagged)
+    lagged = {
+        "also": lambda epoch, state, infos: {"mean": state.lagged.mean, "cov": state.lagged.cov}
+    }
+    paper = celnav.run(
+        celnav.decorrelated(motion(s), seen, Phi, **options), *given, keep="cov", **lagged
+    )
     # Everything is linear in (states, V_0, zetas): condition on z, or on differences alone where V_0 is not known.
     noise = np.zeros((N * m, N * m))
     V = [Sigma0 if known else np.zeros((m, m))]
@@ -165,7 +189,11 @@ def test_colored_filters_are_batch_conditioning_for_a_full_coefficient(form, rad
             K = np.linalg.solve(S, cross.T).T
             mean = K @ (whiten @ s["z"].ravel())[rows]
             cov = X[n * state : n * state + n, n * state : n * state + n] - K @ S @ K.T
-            ours = (track.extra["mean"][k], track.extra["cov"][k]) if at == "lagged" else (track.mean[k], track.cov[k])
+            ours = (
+                (track.extra["mean"][k], track.extra["cov"][k])
+                if at == "lagged"
+                else (track.mean[k], track.cov[k])
+            )
             np.testing.assert_allclose(ours[0], mean, atol=1e-8)
             np.testing.assert_allclose(ours[1], cov, atol=1e-8)
 
@@ -177,10 +205,14 @@ def test_a_coefficient_for_each_run_and_one_that_is_a_function_of_time(form):
     options = {"increments": s["R"], "first": False, "form": form}
     for make in (celnav.colored, celnav.decorrelated):
         filter = make(motion(s), sensor(s), Phi, **options)
-        together = celnav.run(filter, celnav.Gaussian(np.zeros((3, 4)), np.eye(4)), np.arange(20.0), s["z"]).mean
+        together = celnav.run(
+            filter, celnav.Gaussian(np.zeros((3, 4)), np.eye(4)), np.arange(20.0), s["z"]
+        ).mean
         for i in range(3):
             alone = make(motion(s), sensor(s), lambda epoch, i=i: Phi[i], **options)
-            one = celnav.run(alone, celnav.Gaussian(np.zeros(4), np.eye(4)), np.arange(20.0), s["z"]).mean
+            one = celnav.run(
+                alone, celnav.Gaussian(np.zeros(4), np.eye(4)), np.arange(20.0), s["z"]
+            ).mean
             np.testing.assert_allclose(together[:, i], one, rtol=1e-10, atol=1e-12)
 
 
@@ -190,7 +222,10 @@ def test_a_gap_costs_two_differences_and_partly_missing_ones_agree_between_struc
     given = celnav.Gaussian(np.zeros(4), np.eye(4)), np.arange(20.0), s["z"]
     Phi = np.diag([0.8, 0.6])
     options = {"increments": s["R"], "first": False}
-    tracks = [celnav.run(make(motion(s), sensor(s), Phi, **options), *given) for make in (celnav.colored, celnav.decorrelated)]
+    tracks = [
+        celnav.run(make(motion(s), sensor(s), Phi, **options), *given)
+        for make in (celnav.colored, celnav.decorrelated)
+    ]
     np.testing.assert_allclose(tracks[0].mean, tracks[1].mean, atol=1e-10)
     np.testing.assert_allclose(tracks[0].std, tracks[1].std, atol=1e-10)
     assert tracks[0].events["missing"] == 6
@@ -222,7 +257,9 @@ def sightings(runs, steps):
     for _ in range(steps):
         x = orbit.step(x, 1.0) + rng.normal(size=(runs, 6)) * np.sqrt(Q.diagonal())
         z.append(x[:, :3])
-    return np.array(z) + 0.2 * rng.normal(size=(steps + 1, runs, 3)), START + rng.normal(size=(runs, 6)) * np.sqrt(P0.diagonal())
+    return np.array(z) + 0.2 * rng.normal(size=(steps + 1, runs, 3)), START + rng.normal(
+        size=(runs, 6)
+    ) * np.sqrt(P0.diagonal())
 
 
 @pytest.mark.parametrize(
@@ -238,7 +275,9 @@ def sightings(runs, steps):
 @FORMS
 def test_orbit_filters_equal_filterpy(points, form):
     z, means = sightings(1, 25)
-    peer = UnscentedKalmanFilter(6, 3, 1.0, lambda x: x[:3], lambda x, dt: orbit.step(x, dt), points)
+    peer = UnscentedKalmanFilter(
+        6, 3, 1.0, lambda x: x[:3], lambda x, dt: orbit.step(x, dt), points
+    )
     peer.x, peer.P, peer.Q, peer.R = means[0].copy(), P0, Q, R
     theirs = []
     for k in range(1, 26):
@@ -274,7 +313,10 @@ def test_rules_work_inside_filterpy(name):
 @pytest.mark.parametrize("kind", ["white", "colored", "decorrelated"])
 def test_a_batch_is_its_single_runs(form, kind):
     z, means = sightings(4, 15)
-    of, Phi = (celnav.Motion(lambda x, epoch: orbit.step(x, 1.0), Q), celnav.Sensor(np.eye(3, 6), R)), 0.8 * np.eye(3)
+    of, Phi = (
+        (celnav.Motion(lambda x, epoch: orbit.step(x, 1.0), Q), celnav.Sensor(np.eye(3, 6), R)),
+        0.8 * np.eye(3),
+    )
     filter = {
         "white": celnav.ukf(*of, form=form),
         "colored": celnav.colored(*of, Phi, increments=R, form=form),
@@ -282,7 +324,9 @@ def test_a_batch_is_its_single_runs(form, kind):
     }[kind]
     times = np.arange(16.0)
     batch = celnav.run(filter, celnav.Gaussian(means, P0), times, z).mean
-    shaped = celnav.run(filter, celnav.Gaussian(means.reshape(2, 2, 6), P0), times, z.reshape(-1, 2, 2, 3)).mean
+    shaped = celnav.run(
+        filter, celnav.Gaussian(means.reshape(2, 2, 6), P0), times, z.reshape(-1, 2, 2, 3)
+    ).mean
     np.testing.assert_array_equal(shaped.reshape(batch.shape), batch)
     for i in range(4):
         one = celnav.run(filter, celnav.Gaussian(means[i], P0), times, z[:, i]).mean
@@ -291,7 +335,9 @@ def test_a_batch_is_its_single_runs(form, kind):
 
 def test_a_stream_is_the_run_bit_for_bit_and_can_be_resumed():
     z, means = sightings(2, 10)
-    filter = celnav.ukf(celnav.Motion(lambda x, epoch: orbit.step(x, 1.0), Q), celnav.Sensor(np.eye(3, 6), R))
+    filter = celnav.ukf(
+        celnav.Motion(lambda x, epoch: orbit.step(x, 1.0), Q), celnav.Sensor(np.eye(3, 6), R)
+    )
     prior, epochs = celnav.Gaussian(means, P0), celnav.epochs(np.arange(11.0), z)
     state = filter.start(prior)
     for epoch in epochs:
@@ -306,7 +352,9 @@ def test_noise_through_the_points_is_additive_noise_in_the_linear_case():
     through = celnav.Motion(lambda x, epoch, w: x @ s["A"].T + w, augment=(root,))
     prior = celnav.Gaussian(np.ones((3, 4)), np.eye(4))
     filters = [celnav.ukf(of) for of in (added, through)]
-    one, other = (filter.predict(filter.start(prior), celnav.Epoch(1, 1.0, 1.0)).belief for filter in filters)
+    one, other = (
+        filter.predict(filter.start(prior), celnav.Epoch(1, 1.0, 1.0)).belief for filter in filters
+    )
     np.testing.assert_allclose(one.cov, other.cov, atol=1e-12)
     np.testing.assert_allclose(one.mean, other.mean, atol=1e-12)
 
@@ -322,7 +370,9 @@ def test_a_lost_run_is_flagged_and_its_neighbors_go_on():
     np.testing.assert_array_equal(track.failed_at, [-1, 2, -1])
     others = celnav.run(filter, celnav.Gaussian(means[[0, 2]], np.eye(2)), times, z[:, [0, 2]])
     np.testing.assert_allclose(track.mean[:, [0, 2]], others.mean, rtol=1e-13)
-    with pytest.raises(celnav.FilterError, match=r"step 2, .*run \(1,\): f is not finite at sigma point"):
+    with pytest.raises(
+        celnav.FilterError, match=r"step 2, .*run \(1,\): f is not finite at sigma point"
+    ):
         celnav.run(filter, prior, times, z)
 
 
@@ -332,10 +382,15 @@ GROWING = np.array([[1.05, 0.1], [0.0, 1.02]])
 @pytest.mark.parametrize("matrix", [False, True])
 def test_an_extended_filter_in_covariance_form_stays_symmetric_where_modes_grow(matrix):
     """Feedback keeps the state near 0; what is not symmetric in P would grow as the modes do, 1e15-fold in 500 steps."""
-    motion = celnav.Motion(lambda x, epoch: 0.5 * x, 0.01 * np.eye(2), jacobian=lambda x, epoch: GROWING)
+    motion = celnav.Motion(
+        lambda x, epoch: 0.5 * x, 0.01 * np.eye(2), jacobian=lambda x, epoch: GROWING
+    )
     h = np.eye(1, 2) if matrix else lambda x, epoch: x[..., :1]
     sensor = celnav.Sensor(h, [[1.0]], jacobian=lambda x, epoch: np.eye(1, 2))
-    z, prior = np.random.default_rng(0).normal(size=(1000, 1)), celnav.Gaussian(np.zeros(2), np.eye(2))
+    z, prior = (
+        np.random.default_rng(0).normal(size=(1000, 1)),
+        celnav.Gaussian(np.zeros(2), np.eye(2)),
+    )
     cov, root = (
         celnav.run(celnav.ekf(motion, sensor, form=form), prior, np.arange(1000.0), z, keep="cov")
         for form in ("covariance", "square root")
@@ -349,23 +404,37 @@ def test_an_extended_filter_in_covariance_form_stays_symmetric_where_modes_grow(
 def test_precise_sensors_cost_a_covariance_no_definiteness(name, hooked):
     """Deviations of 1e5 before and 1e-7 after: as variances, more digits apart than there are. Its neighbor stays as it is."""
     H, P = np.eye(1, 3), 1e10 * (0.5 * np.eye(3) + 0.5)
-    rule = {"ekf": celnav.Taylor(), "jacobian": celnav.Taylor(), "alpha": celnav.unscented(3, 0.1, 2.0)}.get(name, celnav.unscented)
+    rule = {
+        "ekf": celnav.Taylor(),
+        "jacobian": celnav.Taylor(),
+        "alpha": celnav.unscented(3, 0.1, 2.0),
+    }.get(name, celnav.unscented)
     known = {"f": lambda x, epoch: np.eye(3), "h": lambda x, epoch: H} if name == "jacobian" else {}
-    still = celnav.Motion(lambda x, epoch: x, 1e-4 * np.diag([0.0, 1.0, 1.0]), jacobian=known.get("f"))
+    still = celnav.Motion(
+        lambda x, epoch: x, 1e-4 * np.diag([0.0, 1.0, 1.0]), jacobian=known.get("f")
+    )
 
     def filter(form="covariance", **noise):
         seen = celnav.Sensor(lambda x, epoch: x @ H.T, **noise, jacobian=known.get("h"))
-        return celnav.sigma_point(still, seen, rule=rule, form=form, hooks=[gate(1e6)] if hooked else ())
+        return celnav.sigma_point(
+            still, seen, rule=rule, form=form, hooks=[gate(1e6)] if hooked else ()
+        )
 
     runs = np.array([[1e-7], [1.0]])[..., None]
     cov, root = (
         celnav.run(
-            filter(form, sqrt_R=runs), celnav.Gaussian(np.zeros((2, 3)), P), np.arange(40.0), np.zeros((40, 2, 1)), keep="cov"
+            filter(form, sqrt_R=runs),
+            celnav.Gaussian(np.zeros((2, 3)), P),
+            np.arange(40.0),
+            np.zeros((40, 2, 1)),
+            keep="cov",
         )
         for form in ("covariance", "square root")
     )
     np.testing.assert_allclose(cov.std, root.std, rtol=1e-5)
-    alone = celnav.run(filter(R=[[1.0]]), celnav.Gaussian(np.zeros(3), P), [0.0], np.zeros((1, 1)), keep="cov")
+    alone = celnav.run(
+        filter(R=[[1.0]]), celnav.Gaussian(np.zeros(3), P), [0.0], np.zeros((1, 1)), keep="cov"
+    )
     np.testing.assert_allclose(cov.cov[0, 1], alone.cov[0], rtol=1e-9)
 
 
@@ -376,7 +445,9 @@ def test_noise_of_each_run_gives_points_their_runs():
 
     def track(phi, q, r):
         motion = celnav.Motion(lambda x, epoch: phi * x, sqrt_Q=q)
-        return celnav.run(celnav.ukf(motion, celnav.Sensor(lambda x, epoch: phi * x, sqrt_R=r)), prior, times, z)
+        return celnav.run(
+            celnav.ukf(motion, celnav.Sensor(lambda x, epoch: phi * x, sqrt_R=r)), prior, times, z
+        )
 
     together = track(phi, q, r)
     for i in range(2):

@@ -34,7 +34,10 @@ PRIOR = celnav.Gaussian([1.0, 0.0], np.diag([0.1, 0.1]))
 FILTERS = {
     "root": celnav.ukf(MOTION, SENSOR),
     "covariance": celnav.ukf(MOTION, SENSOR, form="covariance"),
-    "ekf": celnav.ekf(celnav.Motion(lambda x, e: x @ np.array([[1.0, 0.5], [0.0, 1.0]]).T, Q=1e-3 * np.eye(2)), SENSOR),
+    "ekf": celnav.ekf(
+        celnav.Motion(lambda x, e: x @ np.array([[1.0, 0.5], [0.0, 1.0]]).T, Q=1e-3 * np.eye(2)),
+        SENSOR,
+    ),
     "window": celnav.ukf(MOTION, SENSOR, hooks=[innovation_window(5)]),
     "Huber": celnav.ukf(MOTION, SENSOR, hooks=[huber()]),
     "colored": celnav.colored(MOTION, SENSOR, 0.8 * np.eye(2)),
@@ -52,8 +55,12 @@ class Exported:
         flags = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-O1", "-shared", "-fPIC"]
         subprocess.run([COMPILER, *flags, "-o", library, source, "-lm"], check=True)
         self.functions = ctypes.CDLL(str(library))
-        sizes = {name: int(size) for name, size in re.findall(r"#define FILTER_(\w+) (\d+)", self.text)}
-        self.state, self.given, self.out = (np.zeros(sizes[name]) for name in ("STATE", "IN", "OUT"))
+        sizes = {
+            name: int(size) for name, size in re.findall(r"#define FILTER_(\w+) (\d+)", self.text)
+        }
+        self.state, self.given, self.out = (
+            np.zeros(sizes[name]) for name in ("STATE", "IN", "OUT")
+        )
         self._call("start", self.state)
 
     def _call(self, name, *arrays):
@@ -61,7 +68,9 @@ class Exported:
 
     def step(self, k, t, dt, z):
         self.given[:3] = k, t, dt
-        self._call("step" if k else "first", self.state, self.given, np.ascontiguousarray(z), self.out)
+        self._call(
+            "step" if k else "first", self.state, self.given, np.ascontiguousarray(z), self.out
+        )
         return self.out.copy()
 
 
@@ -79,8 +88,12 @@ def test_the_code_gives_what_the_library_gives(tmp_path, name):
     np.testing.assert_allclose(rows[:, :n], track.mean, rtol=close, atol=close)
     np.testing.assert_allclose(rows[:, n : 2 * n], track.std, rtol=close, atol=1e-12)
     np.testing.assert_array_equal(rows[:, 2 * n + 4 : 2 * n + 6] != 0.0, track.used)
-    assert flown.state[0] == pytest.approx(track.log_likelihood, rel=1e-4 if name == "ekf" else 1e-9)
-    assert not re.search(r"\b(malloc|for|while|if|goto)\b", flown.text.partition("*/")[2].replace("/* ", ""))
+    assert flown.state[0] == pytest.approx(
+        track.log_likelihood, rel=1e-4 if name == "ekf" else 1e-9
+    )
+    assert not re.search(
+        r"\b(malloc|for|while|if|goto)\b", flown.text.partition("*/")[2].replace("/* ", "")
+    )
 
 
 @pytest.mark.skipif(COMPILER is None, reason="no C compiler here")
@@ -97,14 +110,26 @@ def test_what_cannot_be_exported_is_named(tmp_path):
     file = tmp_path / "filter.c"
     with pytest.raises(ValueError, match="name: expected an identifier of C, got '1st'"):
         celnav.export_c(FILTERS["root"], file, PRIOR, name="1st")
-    with pytest.raises(ValueError, match=r"prior: expected that of one run, a mean \(N,\), got \(3, 2\)"):
+    with pytest.raises(
+        ValueError, match=r"prior: expected that of one run, a mean \(N,\), got \(3, 2\)"
+    ):
         celnav.export_c(FILTERS["root"], file, celnav.Gaussian(np.zeros((3, 2)), np.eye(2)))
-    with pytest.raises(ValueError, match="m: expected the length of each of 1 measurements, which R does not say"):
-        celnav.export_c(celnav.ukf(MOTION, celnav.Sensor(seen, R=lambda _mean, _epoch: np.eye(2))), file, PRIOR)
+    with pytest.raises(
+        ValueError, match="m: expected the length of each of 1 measurements, which R does not say"
+    ):
+        celnav.export_c(
+            celnav.ukf(MOTION, celnav.Sensor(seen, R=lambda _mean, _epoch: np.eye(2))), file, PRIOR
+        )
     with pytest.raises(ValueError, match="dt: expected a positive number, got 0"):
         celnav.export_c(FILTERS["root"], file, PRIOR, dt=0)
-    with pytest.raises(CannotCompile, match=r"a branch depends on a number .*test_export.py, line \d+: return x if"):
-        celnav.export_c(celnav.ukf(celnav.Motion(lambda x, _epoch: branches(x), Q=np.eye(2)), SENSOR), file, PRIOR)
+    with pytest.raises(
+        CannotCompile, match=r"a branch depends on a number .*test_export.py, line \d+: return x if"
+    ):
+        celnav.export_c(
+            celnav.ukf(celnav.Motion(lambda x, _epoch: branches(x), Q=np.eye(2)), SENSOR),
+            file,
+            PRIOR,
+        )
     assert not file.exists()
 
 

@@ -28,7 +28,11 @@ def pair(motion, sensor, form="square root"):
 
 
 def steeply_measured(form="square root"):
-    return pair(Motion(np.eye(N), np.zeros((N, N))), Sensor(lambda x, epoch: steep(x[..., :6], epoch), SMALL * np.eye(6)), form)
+    return pair(
+        Motion(np.eye(N), np.zeros((N, N))),
+        Sensor(lambda x, epoch: steep(x[..., :6], epoch), SMALL * np.eye(6)),
+        form,
+    )
 
 
 @FORMS
@@ -36,7 +40,9 @@ def test_fallback_of_an_update(form):
     """Negative weights lose the middle run's innovation covariance; a positive rule does it again, neighbors bit for bit."""
     first, second, both = steeply_measured(form)
     epoch = Epoch(z=np.ones((3, 6)))
-    (alone, (lone_info,)), (again, (other,)) = (filter.update(filter.start(WIDE), epoch) for filter in (first, second))
+    (alone, (lone_info,)), (again, (other,)) = (
+        filter.update(filter.start(WIDE), epoch) for filter in (first, second)
+    )
     alone, again = alone.belief, again.belief
     assert np.isnan(alone.mean[1]).all()
     state, (info,) = both.step(both.start(WIDE), epoch)
@@ -49,7 +55,9 @@ def test_fallback_of_an_update(form):
         np.testing.assert_array_equal(getattr(info, name)[[0, 2]], getattr(lone_info, name)[[0, 2]])
         np.testing.assert_array_equal(getattr(info, name)[1], getattr(other, name)[1])
     for name in ("gain", "jacobian"):
-        np.testing.assert_array_equal(getattr(info, name)()[[0, 2]], getattr(lone_info, name)()[[0, 2]])
+        np.testing.assert_array_equal(
+            getattr(info, name)()[[0, 2]], getattr(lone_info, name)()[[0, 2]]
+        )
         np.testing.assert_array_equal(getattr(info, name)()[1], getattr(other, name)()[1])
     assert np.isfinite(info.log_likelihood).all()
 
@@ -57,7 +65,9 @@ def test_fallback_of_an_update(form):
 @FORMS
 def test_fallback_of_a_prediction_is_counted(form):
     """In covariance form, too, where an indefinite prediction is finite and would only fail later."""
-    first, second, both = pair(Motion(steep, SMALL * np.eye(N)), Sensor(np.eye(2, N), np.eye(2)), form)
+    first, second, both = pair(
+        Motion(steep, SMALL * np.eye(N)), Sensor(np.eye(2, N), np.eye(2)), form
+    )
     when = epochs(np.arange(2), np.array([np.full((3, 2), np.nan), np.ones((3, 2))]))
     with pytest.raises(FilterError, match=r"run \(1,\)"):
         run(first, WIDE, when)
@@ -84,10 +94,17 @@ def test_redone_in_both_parts_of_a_step(form, seeing):
         return np.where(measured, steep(x, epoch), x)[..., :6]
 
     sensors = (Sensor(h, SMALL * np.eye(6)),) if seeing else ()
-    both = Fallback(*(sigma_point(Motion(f, SMALL * np.eye(N)), *sensors, rule=rule, form=form) for rule in (FIFTH, THIRD)))
+    both = Fallback(
+        *(
+            sigma_point(Motion(f, SMALL * np.eye(N)), *sensors, rule=rule, form=form)
+            for rule in (FIFTH, THIRD)
+        )
+    )
     z = np.ones((2, 3, 6))
     z[0] = np.nan
-    np.testing.assert_array_equal(run(both, prior, epochs(np.arange(2), z)).events["redone"], [1, int(seeing), 0])
+    np.testing.assert_array_equal(
+        run(both, prior, epochs(np.arange(2), z)).events["redone"], [1, int(seeing), 0]
+    )
 
 
 def test_fallback_gives_up_where_both_fail():
@@ -99,7 +116,11 @@ def test_fallback_gives_up_where_both_fail():
     state, _ = twice.step(start, epoch)
     assert np.isnan(state.belief.mean[1]).all()
     assert "not positive definite" in explain(twice, start, state, epoch)
-    gone = start._replace(belief=start.belief._replace(mean=np.where(np.arange(3)[:, None] == 1, np.nan, start.belief.mean)))
+    gone = start._replace(
+        belief=start.belief._replace(
+            mean=np.where(np.arange(3)[:, None] == 1, np.nan, start.belief.mean)
+        )
+    )
     assert both.step(gone, epoch)[1][0].redone is None
 
     def never(n):

@@ -18,8 +18,13 @@ RNG = np.random.default_rng(1)
 TIMES = np.cumsum(RNG.uniform(0.5, 1.5, T))
 ONE = celnav.Gaussian([0.0, 1.0], np.diag([1.0, 0.5]))
 PRIOR = celnav.Gaussian(ONE.mean + RNG.standard_normal((RUNS, 2)), ONE.cov)
-MOTION = celnav.Motion(lambda x, e: np.stack([x[..., 0] + e.dt * np.sin(x[..., 1]), x[..., 1]], -1), np.diag([0.02, 0.05]))
-RADAR = celnav.Sensor(lambda x, e: np.stack([np.hypot(x[..., 0], 3.0), x[..., 1] ** 3], -1), np.diag([0.1, 0.3]))
+MOTION = celnav.Motion(
+    lambda x, e: np.stack([x[..., 0] + e.dt * np.sin(x[..., 1]), x[..., 1]], -1),
+    np.diag([0.02, 0.05]),
+)
+RADAR = celnav.Sensor(
+    lambda x, e: np.stack([np.hypot(x[..., 0], 3.0), x[..., 1] ** 3], -1), np.diag([0.1, 0.3])
+)
 GPS = celnav.Sensor([[1.0, 0.0]], [[0.2]])
 MATRICES = celnav.Motion([[1.0, 0.1], [0.0, 0.9]], np.diag([0.02, 0.05]))
 TRUTH, (Z, FIXES) = celnav.simulate(MOTION, [RADAR, GPS], ONE, TIMES, runs=RUNS, seed=2)
@@ -32,7 +37,9 @@ FILTERS = {
     "matrices": celnav.ukf(MATRICES, celnav.Sensor(np.eye(2), np.eye(2))),
     "hooks": celnav.ukf(MOTION, RADAR, hooks=[huber(), innovation_window(3)]),
     "colored": celnav.colored(MOTION, RADAR, 0.5 * np.eye(2)),
-    "two stages": celnav.two_stage(MOTION, RADAR, np.eye(2), celnav.Gaussian(np.zeros(2), np.eye(2))),
+    "two stages": celnav.two_stage(
+        MOTION, RADAR, np.eye(2), celnav.Gaussian(np.zeros(2), np.eye(2))
+    ),
 }
 EVERY = pytest.mark.parametrize("name", FILTERS)
 
@@ -48,7 +55,9 @@ def arriving(filter, prior, z, delay, lag=LAG, times=TIMES):
         for late in range(1, lag + 1):
             come = delay[max(epoch.k - late, 0)] == late
             if late <= epoch.k and come.any():
-                state, infos = fixed.late(state, epoch.k - late, np.where(come[..., None], z[epoch.k - late], np.nan))
+                state, infos = fixed.late(
+                    state, epoch.k - late, np.where(come[..., None], z[epoch.k - late], np.nan)
+                )
     assert delay.max() <= lag
     assert (k + delay <= len(times) - 1).all()
     return state, infos
@@ -112,14 +121,19 @@ def test_sensors_that_are_late_by_themselves():
 
 
 def test_what_never_comes_late_changes_no_bit():
-    known, found = (celnav.run(filter, PRIOR, TIMES, Z, keep="cov") for filter in (FILTERS["ukf"], FixedLag(FILTERS["ukf"], 3)))
+    known, found = (
+        celnav.run(filter, PRIOR, TIMES, Z, keep="cov")
+        for filter in (FILTERS["ukf"], FixedLag(FILTERS["ukf"], 3))
+    )
     np.testing.assert_array_equal(found.mean, known.mean)
     np.testing.assert_array_equal(found.belief[1], known.belief[1])
     np.testing.assert_array_equal(found.log_likelihood, known.log_likelihood)
 
 
 # -- machine code ------------------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("name", [name for name in FILTERS if name != "ekf, iterated"])  # whose derivatives are differences
+@pytest.mark.parametrize(
+    "name", [name for name in FILTERS if name != "ekf, iterated"]
+)  # whose derivatives are differences
 def test_either_engine_flies_it(name):
     pytest.importorskip("llvmlite")
     assert_same(*twice(FixedLag(FILTERS[name], LAG), PRIOR, TIMES, Z, keep="cov"))
@@ -156,8 +170,14 @@ def test_what_is_compiled_runs_so():
 
 def test_who_wants_the_states_flies_by_numpy():
     pytest.importorskip("llvmlite")
-    fixed, also = FixedLag(FILTERS["ukf"], 3), {"also": lambda _epoch, state, _infos: {"kept": np.array(len(state.epochs))}}
-    with pytest.raises(CannotCompile, match=r"^also, reduce: expected none with engine='compiled', which keeps no states"):
+    fixed, also = (
+        FixedLag(FILTERS["ukf"], 3),
+        {"also": lambda _epoch, state, _infos: {"kept": np.array(len(state.epochs))}},
+    )
+    with pytest.raises(
+        CannotCompile,
+        match=r"^also, reduce: expected none with engine='compiled', which keeps no states",
+    ):
         celnav.run(fixed, PRIOR, TIMES, Z, engine="compiled", **also)
     track = celnav.run(fixed, PRIOR, TIMES, Z, engine="auto", **also)
     assert track.engine.startswith("numpy: also, reduce")
@@ -222,10 +242,16 @@ def test_steps_of_sensors_that_are_silent_in_turns_and_of_lost_runs():
 def test_steps_that_cannot_be_compiled():
     pytest.importorskip("llvmlite")
     augmented = celnav.augmented(MOTION, GPS, [[0.5]])
-    for filter, told in ((FILTERS["hooks"], "hooks that remember something"), (augmented, "a filter that adds to its prior")):
+    for filter, told in (
+        (FILTERS["hooks"], "hooks that remember something"),
+        (augmented, "a filter that adds to its prior"),
+    ):
         fixed = FixedLag(celnav.compiled(filter), LAG)
         with pytest.raises(CannotCompile, match=f"^{told}.*compiled for whole flights only"):
-            fixed.step(fixed.start(ONE), celnav.Epoch(0, 0.0, 0.0, None, FIXES[0] if filter is augmented else Z[0]))
+            fixed.step(
+                fixed.start(ONE),
+                celnav.Epoch(0, 0.0, 0.0, None, FIXES[0] if filter is augmented else Z[0]),
+            )
     for name in ("colored", "two stages"):
         with pytest.raises(ValueError, match=r"^filter: expected"):
             FixedLag(celnav.compiled(FILTERS[name]), LAG).start(PRIOR)
@@ -294,7 +320,9 @@ def test_the_past_is_known_better_and_honestly():
     smoothed = celnav.smooth(then)
     errors = smoothed.mean[0] - truth[T - 1 - LAG]
     assert np.square(errors).mean() < 0.9 * np.square(then.mean[0] - truth[T - 1 - LAG]).mean()
-    assert nees(errors, smoothed.sqrt_cov[0]).mean() == pytest.approx(2.0, abs=4.0 * 2.0 / np.sqrt(runs))
+    assert nees(errors, smoothed.sqrt_cov[0]).mean() == pytest.approx(
+        2.0, abs=4.0 * 2.0 / np.sqrt(runs)
+    )
 
 
 def test_it_holds_no_more_than_the_lag():
@@ -326,25 +354,67 @@ THERE[10, 3, 1] = 0.4
 @pytest.mark.parametrize(
     ("make", "told"),
     [
-        (lambda: FIXED.late(STATE, 5, np.ones(2)), r"k: expected an epoch that is kept, 6 to 12 \(lag = 6\), got 5"),
-        (lambda: FIXED.late(STATE, 13, np.ones(2)), r"k: expected an epoch that is kept, 6 to 12 \(lag = 6\), got 13"),
-        (lambda: FIXED.late(STATE, 9.5, np.ones(2)), "k: expected an epoch that is kept, 6 to 12 .* got 9.5"),
-        (lambda: FIXED.late(STATE, [9, 9, 9, 2, 9], np.ones((5, 2))), "k: expected an epoch that is kept, 6 to 12 .* got 2"),
-        (lambda: FIXED.late(FIXED.start(PRIOR), 0, np.ones(2)), "k: expected none before the first step, got 0"),
+        (
+            lambda: FIXED.late(STATE, 5, np.ones(2)),
+            r"k: expected an epoch that is kept, 6 to 12 \(lag = 6\), got 5",
+        ),
+        (
+            lambda: FIXED.late(STATE, 13, np.ones(2)),
+            r"k: expected an epoch that is kept, 6 to 12 \(lag = 6\), got 13",
+        ),
+        (
+            lambda: FIXED.late(STATE, 9.5, np.ones(2)),
+            "k: expected an epoch that is kept, 6 to 12 .* got 9.5",
+        ),
+        (
+            lambda: FIXED.late(STATE, [9, 9, 9, 2, 9], np.ones((5, 2))),
+            "k: expected an epoch that is kept, 6 to 12 .* got 2",
+        ),
+        (
+            lambda: FIXED.late(FIXED.start(PRIOR), 0, np.ones(2)),
+            "k: expected none before the first step, got 0",
+        ),
         (
             lambda: after(12, z=THERE)[0].late(after(12, z=THERE)[1], 10, TWICE),
             r"z: .* epoch 10 .* got component \[3, 1\] a second",
         ),
         (lambda: FIXED.late(STATE, 10, np.ones(3)), r"z: expected shape \(\.\.\., 2\), got \(3,\)"),
-        (lambda: FIXED.late(STATE, 10, (np.ones(2), np.ones(2))), "z: expected 1 measurements, one for each sensor, got 2"),
-        (lambda: FIXED.late(STATE, 10, [np.inf, 0.0]), "z: expected finite numbers or nan, got an infinite one"),
-        (lambda: FIXED.late(STATE, 9, np.ones((4, 2))), r"z: batch axes \(4,\) do not go with those of epoch 9, \(5,\)"),
-        (lambda: FIXED.late(STATE, [9, 9], np.ones((4, 2))), r"z: batch axes \(4,\) do not go with those of k, \(2,\)"),
-        (lambda: FIXED.step(STATE, celnav.Epoch(12)), "epoch: expected one with k = 13, after the last, got Epoch"),
-        (lambda: FIXED.step(PRIOR, celnav.Epoch(0)), "state: expected what the filter's start.* got Gaussian"),
-        (lambda: FIXED.track(FIXED.start(PRIOR)), "state: expected one after a step, got one before the first"),
-        (lambda: FixedLag(MOTION, 3), r"filter: expected a filter, such as celnav.ukf\(motion, sensor\), got Motion"),
-        (lambda: FixedLag(FILTERS["ukf"], -1), "lag: expected an integer from 0 to 1000000, got -1"),
+        (
+            lambda: FIXED.late(STATE, 10, (np.ones(2), np.ones(2))),
+            "z: expected 1 measurements, one for each sensor, got 2",
+        ),
+        (
+            lambda: FIXED.late(STATE, 10, [np.inf, 0.0]),
+            "z: expected finite numbers or nan, got an infinite one",
+        ),
+        (
+            lambda: FIXED.late(STATE, 9, np.ones((4, 2))),
+            r"z: batch axes \(4,\) do not go with those of epoch 9, \(5,\)",
+        ),
+        (
+            lambda: FIXED.late(STATE, [9, 9], np.ones((4, 2))),
+            r"z: batch axes \(4,\) do not go with those of k, \(2,\)",
+        ),
+        (
+            lambda: FIXED.step(STATE, celnav.Epoch(12)),
+            "epoch: expected one with k = 13, after the last, got Epoch",
+        ),
+        (
+            lambda: FIXED.step(PRIOR, celnav.Epoch(0)),
+            "state: expected what the filter's start.* got Gaussian",
+        ),
+        (
+            lambda: FIXED.track(FIXED.start(PRIOR)),
+            "state: expected one after a step, got one before the first",
+        ),
+        (
+            lambda: FixedLag(MOTION, 3),
+            r"filter: expected a filter, such as celnav.ukf\(motion, sensor\), got Motion",
+        ),
+        (
+            lambda: FixedLag(FILTERS["ukf"], -1),
+            "lag: expected an integer from 0 to 1000000, got -1",
+        ),
     ],
 )
 def test_bad_input_is_refused_by_name(make, told):

@@ -115,7 +115,9 @@ def test_one_model_and_models_alike_are_the_filter_itself(form):
     for filter in (celnav.imm([one], [[1.0]]), celnav.imm([one] * 3, np.full((3, 3), 1.0 / 3.0))):
         track = celnav.run(filter, PRIOR, TIMES, GAPS, keep="cov")
         for name in ("mean", "std", "cov", "innovation", "whitened", "used", "log_likelihood"):
-            np.testing.assert_allclose(getattr(track, name), getattr(alone, name), rtol=1e-9, atol=1e-10)
+            np.testing.assert_allclose(
+                getattr(track, name), getattr(alone, name), rtol=1e-9, atol=1e-10
+            )
         for name, count in alone.events.items():
             np.testing.assert_array_equal(track.events[name], count)
 
@@ -123,13 +125,26 @@ def test_one_model_and_models_alike_are_the_filter_itself(form):
 @FORMS
 def test_runs_of_a_batch_are_those_alone(form):
     together = celnav.run(bank(form), PRIOR, TIMES, GAPS, keep="cov", also=probable)
-    only_z = celnav.run(bank(form), celnav.Gaussian(np.zeros(2), P0), TIMES, GAPS, keep="cov", also=probable)
+    only_z = celnav.run(
+        bank(form), celnav.Gaussian(np.zeros(2), P0), TIMES, GAPS, keep="cov", also=probable
+    )
     for i in range(RUNS):
-        alone = celnav.run(bank(form), celnav.Gaussian(np.zeros(2), P0), TIMES, GAPS[:, i], keep="cov", also=probable)
+        alone = celnav.run(
+            bank(form),
+            celnav.Gaussian(np.zeros(2), P0),
+            TIMES,
+            GAPS[:, i],
+            keep="cov",
+            also=probable,
+        )
         for many in (together, only_z):
             for name in ("mean", "cov", "whitened", "used"):
-                np.testing.assert_allclose(getattr(many, name)[:, i], getattr(alone, name), atol=1e-11)
-            np.testing.assert_allclose(many.extra["probabilities"][:, i], alone.extra["probabilities"], atol=1e-11)
+                np.testing.assert_allclose(
+                    getattr(many, name)[:, i], getattr(alone, name), atol=1e-11
+                )
+            np.testing.assert_allclose(
+                many.extra["probabilities"][:, i], alone.extra["probabilities"], atol=1e-11
+            )
             np.testing.assert_allclose(many.log_likelihood[i], alone.log_likelihood, rtol=1e-12)
             assert {name: count[i] for name, count in many.events.items()} == alone.events
 
@@ -172,19 +187,33 @@ def test_probabilities_do_not_underflow():
                          for r in (1e-2, 1e2)], np.eye(2))  # fmt: skip
     z = np.r_[np.tile([30.0, -30.0], 40), np.zeros(1500)][:, None]
     prior = celnav.Gaussian(np.zeros(1), 1e-6 * np.eye(1))
-    track = celnav.run(static, prior, np.arange(len(z)), z, also=lambda epoch, state, infos: {"log": state.log_probabilities})
+    track = celnav.run(
+        static,
+        prior,
+        np.arange(len(z)),
+        z,
+        also=lambda epoch, state, infos: {"log": state.log_probabilities},
+    )
     assert track.extra["log"][79, 0] < -1e6
     assert np.isfinite(track.extra["log"]).all()
     np.testing.assert_allclose(logsumexp(track.extra["log"], axis=-1), 0.0, atol=1e-12)
-    one, two = (celnav.run(filter, prior, np.arange(len(z)), z).log_likelihood for filter in static.filters)
-    np.testing.assert_allclose(track.log_likelihood, logsumexp([one, two]) - np.log(2.0), rtol=1e-12)
+    one, two = (
+        celnav.run(filter, prior, np.arange(len(z)), z).log_likelihood for filter in static.filters
+    )
+    np.testing.assert_allclose(
+        track.log_likelihood, logsumexp([one, two]) - np.log(2.0), rtol=1e-12
+    )
 
 
 def test_a_model_that_nothing_leads_to():
     left = celnav.imm(models(), [[0.0, 1.0], [0.0, 1.0]], initial=[1.0, 0.0])
     track = celnav.run(left, PRIOR, TIMES, Z, also=probable)
-    np.testing.assert_array_equal(track.extra["probabilities"][1:], np.broadcast_to([0.0, 1.0], (T - 1, RUNS, 2)))
-    np.testing.assert_allclose(track.mean[-1], celnav.run(models()[1], PRIOR, TIMES, Z).mean[-1], atol=1e-6)
+    np.testing.assert_array_equal(
+        track.extra["probabilities"][1:], np.broadcast_to([0.0, 1.0], (T - 1, RUNS, 2))
+    )
+    np.testing.assert_allclose(
+        track.mean[-1], celnav.run(models()[1], PRIOR, TIMES, Z).mean[-1], atol=1e-6
+    )
 
 
 @FORMS
@@ -214,35 +243,63 @@ def test_an_interval_of_no_length_switches_nothing():
 
     def ends(dts):
         ends = np.cumsum([np.max(dt) for dt in dts])
-        epochs = [celnav.Epoch(k, t, dt, z=part) for k, (t, dt, part) in enumerate(zip(ends, dts, z, strict=True))]
+        epochs = [
+            celnav.Epoch(k, t, dt, z=part)
+            for k, (t, dt, part) in enumerate(zip(ends, dts, z, strict=True))
+        ]
         return celnav.run(filter, prior, epochs, also=probable, keep="cov")
 
-    both, none, one = ends([0.0, np.array([0.0, 1.0]), 1.0]), ends([0.0, 0.0, 1.0]), ends([0.0, 1.0, 1.0])
+    both, none, one = (
+        ends([0.0, np.array([0.0, 1.0]), 1.0]),
+        ends([0.0, 0.0, 1.0]),
+        ends([0.0, 1.0, 1.0]),
+    )
     for run, alone in enumerate((none, one)):
         np.testing.assert_allclose(both.mean[:, run], alone.mean[:, run], atol=1e-12)
         np.testing.assert_allclose(both.cov[:, run], alone.cov[:, run], atol=1e-12)
-        np.testing.assert_allclose(both.extra["probabilities"][:, run], alone.extra["probabilities"][:, run], atol=1e-12)
+        np.testing.assert_allclose(
+            both.extra["probabilities"][:, run], alone.extra["probabilities"][:, run], atol=1e-12
+        )
 
 
 def test_two_sensors_are_one_and_a_prior_of_each_model():
-    joined = celnav.run(bank(), [PRIOR, celnav.Gaussian(PRIOR.mean + 1.0, P0)], TIMES, Z, also=probable)
-    parts = [celnav.Sensor(H[:1], [[0.5]]), celnav.Sensor(H[1:] - 0.2 * H[:1], [[R[1, 1] - 0.02]])]  # uncorrelated by a shear
-    apart = celnav.imm([celnav.ukf(celnav.Motion(F, Q), *parts) for Q in NOISES], PI, initial=STATIONARY)
+    joined = celnav.run(
+        bank(), [PRIOR, celnav.Gaussian(PRIOR.mean + 1.0, P0)], TIMES, Z, also=probable
+    )
+    parts = [
+        celnav.Sensor(H[:1], [[0.5]]),
+        celnav.Sensor(H[1:] - 0.2 * H[:1], [[R[1, 1] - 0.02]]),
+    ]  # uncorrelated by a shear
+    apart = celnav.imm(
+        [celnav.ukf(celnav.Motion(F, Q), *parts) for Q in NOISES], PI, initial=STATIONARY
+    )
     sheared = Z[..., :1], Z[..., 1:] - 0.2 * Z[..., :1]
-    track = celnav.run(apart, [PRIOR, celnav.Gaussian(PRIOR.mean + 1.0, P0)], TIMES, sheared, also=probable)
+    track = celnav.run(
+        apart, [PRIOR, celnav.Gaussian(PRIOR.mean + 1.0, P0)], TIMES, sheared, also=probable
+    )
     np.testing.assert_allclose(track.mean, joined.mean, atol=1e-9)
-    np.testing.assert_allclose(track.extra["probabilities"], joined.extra["probabilities"], atol=1e-9)
+    np.testing.assert_allclose(
+        track.extra["probabilities"], joined.extra["probabilities"], atol=1e-9
+    )
     np.testing.assert_allclose(track.log_likelihood, joined.log_likelihood, rtol=1e-9)
 
 
 def test_mixtures_on_angles_and_attitudes():
     angle = celnav.angles([0])
-    both = mixed(angle, [SquareRoot(np.array([x]), 0.1 * np.eye(1)) for x in (3.0, -3.0)], np.array([0.5, 0.5]))
+    both = mixed(
+        angle,
+        [SquareRoot(np.array([x]), 0.1 * np.eye(1)) for x in (3.0, -3.0)],
+        np.array([0.5, 0.5]),
+    )
     np.testing.assert_allclose(np.abs(both.mean), np.pi, atol=1e-12)
     np.testing.assert_allclose(both.cov, 0.01 + (np.pi - 3.0) ** 2, atol=1e-12)
     space, q = celnav.attitude(), np.array([0.5, 0.5, 0.5, 0.5])
     turned = [multiply(exp(np.array([0.0, 0.0, a])), q) for a in (-0.4, 0.4)]
-    both = mixed(space, [SquareRoot(turned[0], 0.1 * np.eye(3)), SquareRoot(-turned[1], 0.1 * np.eye(3))], np.array([0.5, 0.5]))
+    both = mixed(
+        space,
+        [SquareRoot(turned[0], 0.1 * np.eye(3)), SquareRoot(-turned[1], 0.1 * np.eye(3))],
+        np.array([0.5, 0.5]),
+    )
     np.testing.assert_allclose(space.minus(both.mean, q), 0.0, atol=1e-6)
     half = np.abs(space.minus(turned[1], q)[2])
     np.testing.assert_allclose(both.cov, np.diag([0.01, 0.01, 0.01 + half**2]), atol=1e-6)
@@ -254,13 +311,24 @@ def test_attitudes_that_are_turned_by_one_of_two_motions(form, transported):
     """Quaternions of either sign, of which some are not measured: a batch is its runs, and who turns is found out."""
     still, turn = np.array([0.0, 0.0, 0.0]), np.array([0.02, 0.0, 0.05])
     space = celnav.attitude(transported=transported)
-    motions = [celnav.Motion(lambda x, e, w=w: multiply(exp(w), x), 1e-6 * np.eye(3), space=space) for w in (still, turn)]
-    sensor, times = celnav.Sensor(lambda x, e: x, 1e-4 * np.eye(3), space=celnav.attitude()), np.arange(12.0)
+    motions = [
+        celnav.Motion(lambda x, e, w=w: multiply(exp(w), x), 1e-6 * np.eye(3), space=space)
+        for w in (still, turn)
+    ]
+    sensor, times = (
+        celnav.Sensor(lambda x, e: x, 1e-4 * np.eye(3), space=celnav.attitude()),
+        np.arange(12.0),
+    )
     one = celnav.Gaussian([0.0, 0.0, 0.0, 1.0], 0.01 * np.eye(3))
     prior = celnav.Gaussian(np.tile(one.mean, (6, 1)), one.cov)
-    z = celnav.simulate(motions[1], sensor, one, times, runs=6)[1] * np.array([1.0, -1.0] * 3)[:, None]
+    z = (
+        celnav.simulate(motions[1], sensor, one, times, runs=6)[1]
+        * np.array([1.0, -1.0] * 3)[:, None]
+    )
     z[5, ::2] = np.nan
-    filter = celnav.imm([celnav.ukf(motion, sensor, form=form) for motion in motions], [[0.9, 0.1], [0.1, 0.9]])
+    filter = celnav.imm(
+        [celnav.ukf(motion, sensor, form=form) for motion in motions], [[0.9, 0.1], [0.1, 0.9]]
+    )
     many = celnav.run(filter, prior, times, z, keep="cov", also=probable)
     assert (many.extra["probabilities"][-1, :, 1] > 0.9).all()
     for i in range(6):
@@ -271,7 +339,9 @@ def test_attitudes_that_are_turned_by_one_of_two_motions(form, transported):
 
 def test_filters_of_any_kind():
     points = [Fallback(a, b) for a, b in zip(models(), models(by=celnav.ekf), strict=True)]
-    colored = [celnav.colored(celnav.Motion(F, Q), celnav.Sensor(H, R), 0.0 * np.eye(2)) for Q in NOISES]
+    colored = [
+        celnav.colored(celnav.Motion(F, Q), celnav.Sensor(H, R), 0.0 * np.eye(2)) for Q in NOISES
+    ]
     plain = celnav.run(bank(), PRIOR, TIMES, Z)
     for filters in (points, colored, models(hooks=[gate(50.0)])):
         track = celnav.run(celnav.imm(filters, PI, initial=STATIONARY), PRIOR, TIMES, Z)
@@ -287,12 +357,19 @@ def test_compiled(form):
         return np.stack([np.hypot(x[..., 0], 300.0), x[..., 1] + 0.1 * np.sin(x[..., 0])], -1)
 
     z = h(TRUTH[:, :20]) + Z[:, :20] - TRUTH[:, :20] @ H.T
-    filter = celnav.imm([celnav.ukf(celnav.Motion(F, Q), celnav.Sensor(h, R), form=form) for Q in NOISES], PI)
+    filter = celnav.imm(
+        [celnav.ukf(celnav.Motion(F, Q), celnav.Sensor(h, R), form=form) for Q in NOISES], PI
+    )
     for measured in (z, np.where(np.isnan(GAPS[:, :20]), np.nan, z)):
         prior = celnav.Gaussian(np.zeros((20, 2)), P0)
-        there, here = (celnav.run(filter, prior, TIMES, measured, keep="cov", engine=engine) for engine in ("compiled", "numpy"))
+        there, here = (
+            celnav.run(filter, prior, TIMES, measured, keep="cov", engine=engine)
+            for engine in ("compiled", "numpy")
+        )
         for name in ("mean", "std", "cov", "innovation", "whitened", "log_likelihood"):
-            np.testing.assert_allclose(getattr(there, name), getattr(here, name), rtol=1e-7, atol=1e-8)
+            np.testing.assert_allclose(
+                getattr(there, name), getattr(here, name), rtol=1e-7, atol=1e-8
+            )
         np.testing.assert_array_equal(there.used, here.used)
         assert there.engine == "compiled"
 
@@ -307,7 +384,10 @@ def test_what_compiled_code_does_not_know():
 
 def test_a_belief_may_be_the_prior():
     """A tuple, as a list of priors may be."""
-    known, found = (celnav.run(bank(), prior, TIMES, Z) for prior in (PRIOR, SquareRoot(PRIOR.mean, PRIOR.sqrt_cov)))
+    known, found = (
+        celnav.run(bank(), prior, TIMES, Z)
+        for prior in (PRIOR, SquareRoot(PRIOR.mean, PRIOR.sqrt_cov))
+    )
     np.testing.assert_array_equal(found.mean, known.mean)
 
 

@@ -21,7 +21,10 @@ def h(x, epoch=None):
 
 def jacobian(x, _epoch=None):
     r = np.hypot(x[..., 0], x[..., 1])
-    rows = [np.stack([x[..., 0] / r, x[..., 1] / r], -1), np.stack([-x[..., 1] / r**2, x[..., 0] / r**2], -1)]
+    rows = [
+        np.stack([x[..., 0] / r, x[..., 1] / r], -1),
+        np.stack([-x[..., 1] / r**2, x[..., 0] / r**2], -1),
+    ]
     return np.stack(rows, -2)
 
 
@@ -40,7 +43,14 @@ MEAN, Z = np.array([5.0, 2.0]), np.array([5.0, 1.1])
 
 def iterated(sensor, iterations, first=None):
     plain = ekf(STILL, sensor)
-    return Iterated(plain.motion, plain.sensors, rule=plain.rule, form=plain.form, iterations=iterations, first=first)
+    return Iterated(
+        plain.motion,
+        plain.sensors,
+        rule=plain.rule,
+        form=plain.form,
+        iterations=iterations,
+        first=first,
+    )
 
 
 def given(filter, mean, z):
@@ -53,7 +63,9 @@ def given(filter, mean, z):
 @pytest.mark.parametrize("form", ["square root", "covariance"])
 @pytest.mark.parametrize("iterations", [1, 2, 6])
 def test_is_gauss_newton(form, known, iterations):
-    posterior, info = given(ekf(STILL, Sensor(h, R, jacobian=known), form=form, iterations=iterations), MEAN, Z)
+    posterior, info = given(
+        ekf(STILL, Sensor(h, R, jacobian=known), form=form, iterations=iterations), MEAN, Z
+    )
     x, cov = gauss_newton(MEAN, Z, iterations)
     np.testing.assert_allclose(posterior.mean, x, atol=1e-6)
     np.testing.assert_allclose(posterior.cov, cov, atol=1e-6)
@@ -62,14 +74,19 @@ def test_is_gauss_newton(form, known, iterations):
 
 def test_one_iteration_is_the_extended_filter_and_more_come_to_the_mode():
     once = iterated(SEEN, 1)
-    np.testing.assert_allclose(given(once, MEAN, Z)[0].mean, given(ekf(STILL, SEEN), MEAN, Z)[0].mean, atol=1e-12)
+    np.testing.assert_allclose(
+        given(once, MEAN, Z)[0].mean, given(ekf(STILL, SEEN), MEAN, Z)[0].mean, atol=1e-12
+    )
     x = given(ekf(STILL, SEEN, iterations=30), MEAN, Z)[0].mean
     gradient = np.linalg.solve(P, x - MEAN) - jacobian(x).T @ np.linalg.solve(R, Z - h(x))
     np.testing.assert_allclose(gradient, 0.0, atol=1e-3)
 
 
 def test_a_start_and_a_batch_with_missing_components():
-    means, z = np.array([[5.0, 2.0], [4.0, -1.0], [6.0, 3.0]]), np.array([[5.0, 1.1], [np.nan, 0.3], [6.0, np.nan]])
+    means, z = (
+        np.array([[5.0, 2.0], [4.0, -1.0], [6.0, 3.0]]),
+        np.array([[5.0, 1.1], [np.nan, 0.3], [6.0, np.nan]]),
+    )
     filter = iterated(SEEN, 3, lambda belief, z, epoch: belief.mean + 0.1)
     batch = given(filter, means, z)[0]
     for mean, measured, got in zip(means, z, batch.mean, strict=True):

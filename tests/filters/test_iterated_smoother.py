@@ -23,7 +23,14 @@ TIMES = np.arange(12.0)
 
 
 def f(x, epoch):
-    return np.stack([x[..., 0] + epoch.dt * np.cos(x[..., 2]), x[..., 1] + epoch.dt * np.sin(x[..., 2]), x[..., 2]], -1)
+    return np.stack(
+        [
+            x[..., 0] + epoch.dt * np.cos(x[..., 2]),
+            x[..., 1] + epoch.dt * np.sin(x[..., 2]),
+            x[..., 2],
+        ],
+        -1,
+    )
 
 
 def h(x, epoch):
@@ -42,15 +49,25 @@ def test_taylor_is_gauss_newton_on_the_trajectory():
     def residual(flat, z):
         x = flat.reshape(-1, 3)
         ahead = x[1:] - f(x[:-1], celnav.Epoch(dt=1.0))
-        return np.concatenate([w[0] @ (x[0] - PRIOR.mean), (ahead @ w[1].T).ravel(), ((z - h(x, None)) @ w[2].T).ravel()])
+        return np.concatenate(
+            [
+                w[0] @ (x[0] - PRIOR.mean),
+                (ahead @ w[1].T).ravel(),
+                ((z - h(x, None)) @ w[2].T).ravel(),
+            ]
+        )
 
     for run in range(3):
         start = track.mean[:, run] + 0.01
-        best = least_squares(residual, start.ravel(), args=(Z[:, run],), xtol=1e-15, ftol=1e-15, gtol=1e-12)
+        best = least_squares(
+            residual, start.ravel(), args=(Z[:, run],), xtol=1e-15, ftol=1e-15, gtol=1e-12
+        )
         np.testing.assert_allclose(track.mean[:, run], best.x.reshape(-1, 3), atol=2e-6)
         cov = np.linalg.inv(best.jac.T @ best.jac)
         for k in range(12):
-            np.testing.assert_allclose(track.cov[k, run], cov[3 * k : 3 * k + 3, 3 * k : 3 * k + 3], rtol=1e-4, atol=1e-7)
+            np.testing.assert_allclose(
+                track.cov[k, run], cov[3 * k : 3 * k + 3, 3 * k : 3 * k + 3], rtol=1e-4, atol=1e-7
+            )
 
 
 def regression(function, rule, m, C):
@@ -69,11 +86,15 @@ def written_out(rule, z, iterations):
         m, C, filtered, steps = PRIOR.mean, PRIOR.cov, [], []
         for k in range(len(z)):
             if k:
-                A, b, Omega = regression(lambda x: f(x, celnav.Epoch(dt=1.0)), rule, *(about[k - 1] if about else (m, C)))
+                A, b, Omega = regression(
+                    lambda x: f(x, celnav.Epoch(dt=1.0)), rule, *(about[k - 1] if about else (m, C))
+                )
                 steps.append((A, m, C, A @ m + b, A @ C @ A.T + Omega + Q))
                 _, _, _, m, C = steps[-1]
             if not np.isnan(z[k]).all():
-                A, b, Omega = regression(lambda x: h(x, None), rule, *(about[k] if about else (m, C)))
+                A, b, Omega = regression(
+                    lambda x: h(x, None), rule, *(about[k] if about else (m, C))
+                )
                 S = A @ C @ A.T + Omega + R
                 K = np.linalg.solve(S, A @ C).T
                 m, C = m + K @ (z[k] - A @ m - b), C - K @ S @ K.T
@@ -115,10 +136,17 @@ def test_one_iteration_is_the_smoother():
 @FORMS
 def test_linear_models_need_one_iteration(form):
     F, H = np.array([[1.0, 1.0], [0.0, 1.0]]), np.eye(1, 2)
-    motion, sensor, prior = celnav.Motion(F, 0.1 * np.eye(2)), celnav.Sensor(H, np.eye(1)), celnav.Gaussian(np.zeros(2), np.eye(2))
+    motion, sensor, prior = (
+        celnav.Motion(F, 0.1 * np.eye(2)),
+        celnav.Sensor(H, np.eye(1)),
+        celnav.Gaussian(np.zeros(2), np.eye(2)),
+    )
     _, z = celnav.simulate(motion, sensor, prior, TIMES, runs=2)
     for filter in (celnav.ukf(motion, sensor, form=form), celnav.ekf(motion, sensor, form=form)):
-        one, many = (celnav.iterated_smoother(filter, prior, TIMES, z, iterations=i, gains=True) for i in (1, 4))
+        one, many = (
+            celnav.iterated_smoother(filter, prior, TIMES, z, iterations=i, gains=True)
+            for i in (1, 4)
+        )
         np.testing.assert_allclose(many.mean, one.mean, atol=1e-12)
         np.testing.assert_allclose(many.cov, one.cov, atol=1e-12)
         np.testing.assert_allclose(many.extra["gain"], one.extra["gain"], atol=1e-12)
@@ -129,20 +157,30 @@ def test_of_attitudes_is_consistent_and_converges():
     space = celnav.attitude()
 
     def turned(q, epoch):
-        return celnav.gaussian.attitude.multiply(celnav.gaussian.attitude.exp(np.array([0.2, -0.1, 0.3]) * epoch.dt), q)
+        return celnav.gaussian.attitude.multiply(
+            celnav.gaussian.attitude.exp(np.array([0.2, -0.1, 0.3]) * epoch.dt), q
+        )
 
     def seen(q, epoch):
         C = celnav.gaussian.attitude.matrix(q)
         return np.concatenate([C[..., :, 0], C[..., :, 2]], -1)
 
-    motion, sensor = celnav.Motion(turned, 1e-4 * np.eye(3), space=space), celnav.Sensor(seen, 0.05**2 * np.eye(6))
+    motion, sensor = (
+        celnav.Motion(turned, 1e-4 * np.eye(3), space=space),
+        celnav.Sensor(seen, 0.05**2 * np.eye(6)),
+    )
     prior = celnav.Gaussian([0.0, 0.0, 0.0, 1.0], 0.25 * np.eye(3))
     times = np.arange(6.0)
     truth, z = celnav.simulate(motion, sensor, prior, times, runs=400, seed=2)
-    one, many, more = (celnav.iterated_smoother(celnav.ukf(motion, sensor), prior, times, z, iterations=i) for i in (1, 16, 24))
+    one, many, more = (
+        celnav.iterated_smoother(celnav.ukf(motion, sensor), prior, times, z, iterations=i)
+        for i in (1, 16, 24)
+    )
     assert np.abs(space.minus(many.mean, more.mean)).max() < 1e-5
     for k in (0, 3, 5):
-        first, last = (nees(space.minus(t.mean[k], truth[k]), t.sqrt_cov[k]).mean() for t in (one, more))
+        first, last = (
+            nees(space.minus(t.mean[k], truth[k]), t.sqrt_cov[k]).mean() for t in (one, more)
+        )
         assert first > 4.0
         assert abs(last - 3.0) < 4.0 * np.sqrt(6.0 / 400)
 
@@ -165,7 +203,9 @@ def test_a_lost_run_leaves_its_neighbors():
 
 # -- machine code ------------------------------------------------------------------------------------------------------------
 def driven(x, epoch):
-    turned = 0.0 if epoch.u is None else epoch.dt * (epoch.u[0] + epoch.u[1]) * np.array([0.0, 0.0, 1.0])
+    turned = (
+        0.0 if epoch.u is None else epoch.dt * (epoch.u[0] + epoch.u[1]) * np.array([0.0, 0.0, 1.0])
+    )
     return f(x, epoch) + turned
 
 
@@ -174,7 +214,10 @@ def noise(_mean, epoch):
 
 
 HEADED = celnav.Motion(driven, lambda _mean, epoch: Q * epoch.dt, space=celnav.angles([2]))
-SIGHT, GPS = celnav.Sensor(h, noise, space=celnav.angles([1])), celnav.Sensor(np.eye(2, 3), 0.1 * np.eye(2))
+SIGHT, GPS = (
+    celnav.Sensor(h, noise, space=celnav.angles([1])),
+    celnav.Sensor(np.eye(2, 3), 0.1 * np.eye(2)),
+)
 RNG = np.random.default_rng(4)
 UNEVEN = np.cumsum(RNG.uniform(0.5, 1.5, 12))
 GAPS = Z.copy(), TRUTH[..., :2] + 0.3 * RNG.standard_normal((12, 3, 2))
@@ -191,13 +234,17 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize(("case", "form"), [*((case, "square root") for case in CASES), ("gaps", "covariance")])
+@pytest.mark.parametrize(
+    ("case", "form"), [*((case, "square root") for case in CASES), ("gaps", "covariance")]
+)
 def test_either_engine_gives_the_same(case, form):
     """Angles in the state and in one of two sensors; noise and intervals that change."""
     pytest.importorskip("llvmlite")
     filter, (prior, z, u) = celnav.ukf(HEADED, SIGHT, GPS, form=form), CASES[case]
     known, found = (
-        celnav.iterated_smoother(filter, prior, UNEVEN, z, u, iterations=3, gains=True, engine=engine)
+        celnav.iterated_smoother(
+            filter, prior, UNEVEN, z, u, iterations=3, gains=True, engine=engine
+        )
         for engine in ("numpy", "compiled")
     )
     assert_same(known, found)
@@ -210,17 +257,26 @@ def test_either_engine_smooths_attitudes():
     pytest.importorskip("llvmlite")
     space = celnav.attitude()
     motion = celnav.Motion(lambda q, _epoch: q, 1e-3 * np.eye(3), space=space)
-    sensor = celnav.Sensor(lambda q, _epoch: celnav.gaussian.attitude.matrix(q)[..., :, 0], 0.05**2 * np.eye(3))
+    sensor = celnav.Sensor(
+        lambda q, _epoch: celnav.gaussian.attitude.matrix(q)[..., :, 0], 0.05**2 * np.eye(3)
+    )
     prior, times = celnav.Gaussian([0.0, 0.0, 0.0, 1.0], 0.25 * np.eye(3)), np.arange(4.0)
     _, z = celnav.simulate(motion, sensor, prior, times, runs=5, seed=2)
     filter = celnav.ukf(motion, sensor)
-    found = [celnav.iterated_smoother(filter, prior, times, z, iterations=3, engine=engine) for engine in ("numpy", "compiled")]
+    found = [
+        celnav.iterated_smoother(filter, prior, times, z, iterations=3, engine=engine)
+        for engine in ("numpy", "compiled")
+    ]
     assert_same(*found)
 
 
 def slope_f(x, epoch):
     one, zero = np.ones(x.shape[:-1]), np.zeros(x.shape[:-1])
-    rows = [one, zero, -epoch.dt * np.sin(x[..., 2])], [zero, one, epoch.dt * np.cos(x[..., 2])], [zero, zero, one]
+    rows = (
+        [one, zero, -epoch.dt * np.sin(x[..., 2])],
+        [zero, one, epoch.dt * np.cos(x[..., 2])],
+        [zero, zero, one],
+    )
     return np.stack([np.stack(row, -1) for row in rows], -2)
 
 
@@ -234,10 +290,17 @@ def slope_h(x, _epoch):
 def test_either_engine_takes_derivatives(form):
     """Of models at means that each run has of its own, of a prior that all share."""
     pytest.importorskip("llvmlite")
-    filter = celnav.ekf(celnav.Motion(f, Q, jacobian=slope_f), celnav.Sensor(h, R, jacobian=slope_h), form=form)
-    found = [celnav.iterated_smoother(filter, PRIOR, TIMES, Z, iterations=4, engine=engine) for engine in ("numpy", "compiled")]
+    filter = celnav.ekf(
+        celnav.Motion(f, Q, jacobian=slope_f), celnav.Sensor(h, R, jacobian=slope_h), form=form
+    )
+    found = [
+        celnav.iterated_smoother(filter, PRIOR, TIMES, Z, iterations=4, engine=engine)
+        for engine in ("numpy", "compiled")
+    ]
     assert_same(*found)
-    differences = celnav.iterated_smoother(celnav.ekf(MOTION, RADAR, form=form), PRIOR, TIMES, Z, iterations=4)
+    differences = celnav.iterated_smoother(
+        celnav.ekf(MOTION, RADAR, form=form), PRIOR, TIMES, Z, iterations=4
+    )
     np.testing.assert_allclose(found[0].mean, differences.mean, atol=1e-6)
 
 
@@ -261,9 +324,13 @@ def test_either_engine_loses_the_same_run(lost):
     pytest.importorskip("llvmlite")
     z = Z.copy()
     z[4, lost] = 1e4, 0.0
-    filter = celnav.ukf(MOTION, celnav.Sensor(lambda x, epoch: np.where(x[..., :1] > 100.0, np.nan, h(x, epoch)), R))
+    filter = celnav.ukf(
+        MOTION, celnav.Sensor(lambda x, epoch: np.where(x[..., :1] > 100.0, np.nan, h(x, epoch)), R)
+    )
     known, found = (
-        celnav.iterated_smoother(filter, PRIOR, TIMES, z, iterations=2, on_failure="flag", engine=engine)
+        celnav.iterated_smoother(
+            filter, PRIOR, TIMES, z, iterations=2, on_failure="flag", engine=engine
+        )
         for engine in ("numpy", "compiled")
     )
     assert known.failed_at[lost] >= 0
@@ -279,7 +346,9 @@ def test_which_engine_flew():
         return h(x, epoch) * (1.0 if x.sum() > 0.0 else 1.01)
 
     def engine(sensor, **options):
-        return celnav.iterated_smoother(celnav.ukf(MOTION, sensor), PRIOR, TIMES, Z, iterations=3, **options).engine
+        return celnav.iterated_smoother(
+            celnav.ukf(MOTION, sensor), PRIOR, TIMES, Z, iterations=3, **options
+        ).engine
 
     assert engine(RADAR) == engine(RADAR, engine="numpy") == "numpy"
     assert engine(RADAR, engine="auto") == engine(RADAR, engine="compiled", jobs=2) == "compiled"
@@ -288,8 +357,12 @@ def test_which_engine_flew():
     ENGINE.reset(token)
     with pytest.raises(CannotCompile, match=r"^a branch depends on a number"):
         engine(celnav.Sensor(branch, R), engine="compiled")
-    assert engine(celnav.Sensor(branch, R), engine="auto").startswith("numpy: a branch depends on a number")
-    with pytest.raises(ValueError, match=r"^engine: expected one of numpy, compiled, cuda, auto, got 'fast'"):
+    assert engine(celnav.Sensor(branch, R), engine="auto").startswith(
+        "numpy: a branch depends on a number"
+    )
+    with pytest.raises(
+        ValueError, match=r"^engine: expected one of numpy, compiled, cuda, auto, got 'fast'"
+    ):
         engine(RADAR, engine="fast")
     with pytest.raises(ValueError, match=r"^jobs: expected a positive integer, got 0"):
         engine(RADAR, engine="compiled", jobs=0)
@@ -298,6 +371,8 @@ def test_which_engine_flew():
 def test_says_what_it_takes():
     filter = celnav.ukf(MOTION, RADAR)
     with pytest.raises(ValueError, match="filter: expected"):
-        celnav.iterated_smoother(celnav.augmented(MOTION, RADAR, 0.5 * np.eye(2)).step, PRIOR, TIMES, Z)
+        celnav.iterated_smoother(
+            celnav.augmented(MOTION, RADAR, 0.5 * np.eye(2)).step, PRIOR, TIMES, Z
+        )
     with pytest.raises(ValueError, match="iterations: expected"):
         celnav.iterated_smoother(filter, PRIOR, TIMES, Z, iterations=0)

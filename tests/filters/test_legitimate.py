@@ -59,14 +59,22 @@ def compare(track, x=X0, P=P0, **given):
 def models(rule=RULES["points"], f=move, h=H, **noise):
     """Motion, sensor and rule; without a rule by Jacobians of one's own."""
     noise = {"Q": Q, "R": R} | noise
-    of_f, of_h = ({name: noise.get(name) for name in names} for names in (("Q", "sqrt_Q"), ("R", "sqrt_R")))
+    of_f, of_h = (
+        {name: noise.get(name) for name in names} for names in (("Q", "sqrt_Q"), ("R", "sqrt_R"))
+    )
     if rule is None:
-        of_f["jacobian"], of_h["jacobian"], rule = lambda x, e: transition(e.dt), lambda x, e: H, celnav.Taylor()
+        of_f["jacobian"], of_h["jacobian"], rule = (
+            lambda x, e: transition(e.dt),
+            lambda x, e: H,
+            celnav.Taylor(),
+        )
     return celnav.Motion(f, **of_f), celnav.Sensor(h, **of_h), rule
 
 
 def run(filter, x=X0, P=P0, z=Z, epochs=None):
-    return celnav.run(filter, celnav.Gaussian(x, P), epochs or celnav.epochs(np.cumsum(DT), z), keep="cov")
+    return celnav.run(
+        filter, celnav.Gaussian(x, P), epochs or celnav.epochs(np.cumsum(DT), z), keep="cov"
+    )
 
 
 def flown(form, *given, x=X0, P=P0, z=Z, epochs=None, **model):
@@ -77,7 +85,11 @@ def flown(form, *given, x=X0, P=P0, z=Z, epochs=None, **model):
 @FORMS
 @pytest.mark.parametrize("rule", RULES)
 def test_perfect_measurements(form, rule):
-    for none in ({"R": np.zeros((1, 1))}, {"R": None, "sqrt_R": np.zeros((1, 0))}, {"R": None, "sqrt_R": np.zeros((1, 3))}):
+    for none in (
+        {"R": np.zeros((1, 1))},
+        {"R": None, "sqrt_R": np.zeros((1, 0))},
+        {"R": None, "sqrt_R": np.zeros((1, 3))},
+    ):
         compare(flown(form, RULES[rule], **none), R=np.zeros((RUNS, 1, 1)))
         compare(flown(form, RULES[rule], h=lambda x, e: x @ H.T, **none), R=np.zeros((RUNS, 1, 1)))
 
@@ -88,9 +100,19 @@ def test_singular_covariances(form, rule):
     """A process noise of one direction, a state that is known in part or altogether, no process noise."""
     drive = np.array([[0.5], [1.0]])
     known, nothing = np.diag([0.0, 1.0]), np.zeros((2, 2))
-    compare(flown(form, RULES[rule], Q=drive @ drive.T, P=known), P=known, Q=[drive @ drive.T] * RUNS)
-    compare(flown(form, RULES[rule], Q=None, sqrt_Q=drive, P=nothing), P=nothing, Q=[drive @ drive.T] * RUNS)
-    compare(flown(form, RULES[rule], Q=None, sqrt_Q=np.zeros((2, 0)), P=known), P=known, Q=[nothing] * RUNS)
+    compare(
+        flown(form, RULES[rule], Q=drive @ drive.T, P=known), P=known, Q=[drive @ drive.T] * RUNS
+    )
+    compare(
+        flown(form, RULES[rule], Q=None, sqrt_Q=drive, P=nothing),
+        P=nothing,
+        Q=[drive @ drive.T] * RUNS,
+    )
+    compare(
+        flown(form, RULES[rule], Q=None, sqrt_Q=np.zeros((2, 0)), P=known),
+        P=known,
+        Q=[nothing] * RUNS,
+    )
     compare(flown(form, RULES[rule], Q=nothing, P=nothing), P=nothing, Q=[nothing] * RUNS)
 
 
@@ -99,7 +121,10 @@ def test_no_components_at_all(form):
     """A sensor that measures nothing, beside one that does, and alone."""
     (motion, sensor, _), nothing = models(), celnav.Sensor(np.zeros((0, 2)), np.zeros((0, 0)))
     compare(run(celnav.ukf(motion, sensor, nothing, form=form), z=(Z, np.zeros((T, 0)))))
-    compare(run(celnav.ukf(motion, nothing, form=form), z=np.zeros((T, 0))), z=np.full((RUNS, T, 1), np.nan))
+    compare(
+        run(celnav.ukf(motion, nothing, form=form), z=np.zeros((T, 0))),
+        z=np.full((RUNS, T, 1), np.nan),
+    )
 
 
 @FORMS
@@ -109,7 +134,12 @@ def test_noise_matrices_and_intervals_of_each_run(form, rule):
     Ps = np.array([P0, 3.0 * P0])
     compare(flown(form, RULES[rule], R=Rs, Q=Qs, h=Hs, P=Ps), R=Rs, Q=Qs, H=Hs, P=Ps)
     per_run = lambda x, e: np.einsum("...ri,rmi->...rm", x, Hs)  # noqa: E731
-    compare(flown(form, RULES[rule], R=lambda mean, e: Rs, Q=lambda mean, e: Qs, h=per_run), R=Rs, Q=Qs, H=Hs)
+    compare(
+        flown(form, RULES[rule], R=lambda mean, e: Rs, Q=lambda mean, e: Qs, h=per_run),
+        R=Rs,
+        Q=Qs,
+        H=Hs,
+    )
     dts = DT[:, None] * [1.0, 3.0]
     when = [celnav.Epoch(k, float(k), dts[k], z=Z[k]) for k in range(T)]
     compare(flown(form, RULES[rule], epochs=when), dt=dts.T)
@@ -140,13 +170,26 @@ def anything(*arguments, **named):
     return move(*arguments)
 
 
-KINDS_OF_FUNCTION = [move, Antenna.move, Antenna(H).move, partial(by_keyword, 1.0, offset=0.0), anything]
+KINDS_OF_FUNCTION = [
+    move,
+    Antenna.move,
+    Antenna(H).move,
+    partial(by_keyword, 1.0, offset=0.0),
+    anything,
+]
 
 
 @FORMS
-@pytest.mark.parametrize("f", KINDS_OF_FUNCTION, ids=["function", "static", "bound", "partial", "of anything"])
+@pytest.mark.parametrize(
+    "f", KINDS_OF_FUNCTION, ids=["function", "static", "bound", "partial", "of anything"]
+)
 def test_models_of_every_kind(form, f):
-    for h in (Antenna(H), Antenna(H).__call__, partial(lambda own, x, e: x @ own.T, H), lambda x, e, own=H: x @ own.T):
+    for h in (
+        Antenna(H),
+        Antenna(H).__call__,
+        partial(lambda own, x, e: x @ own.T, H),
+        lambda x, e, own=H: x @ own.T,
+    ):
         compare(flown(form, f=f, h=h, R=Antenna(H).noise, Q=partial(lambda q, mean, e: q, Q)))
 
 
@@ -158,7 +201,9 @@ def test_angles_at_the_seam(form):
     motion = celnav.Motion(move, 0.01 * Q, space=angle)
     for turn in (wrap(z), z, z + 2.0 * np.pi, np.full_like(z, np.pi), np.full_like(z, -np.pi)):
         for h in (heading, lambda x, e: x[..., :1]):
-            track = run(celnav.ukf(motion, celnav.Sensor(h, R, space=angle), form=form), x, 0.01 * P0, turn)
+            track = run(
+                celnav.ukf(motion, celnav.Sensor(h, R, space=angle), form=form), x, 0.01 * P0, turn
+            )
             for i in range(RUNS):
                 near = x[i, 0] + wrap(turn[:, i] - x[i, 0])
                 mean, cov = kalman(x[i], 0.01 * P0, z=near, H=heading, Q=0.01 * Q)
@@ -170,7 +215,10 @@ def test_angles_at_the_seam(form):
 @FORMS
 def test_the_sign_of_a_quaternion_is_nothing(form):
     still, space = lambda q, e: q, attitude()
-    motion, sensor = celnav.Motion(still, 1e-4 * np.eye(3), space=space), celnav.Sensor(still, 1e-3 * np.eye(3), space=space)
+    motion, sensor = (
+        celnav.Motion(still, 1e-4 * np.eye(3), space=space),
+        celnav.Sensor(still, 1e-3 * np.eye(3), space=space),
+    )
     filter = celnav.ukf(motion, sensor, form=form)
     q = RNG.normal(size=4)
     z = q / np.linalg.norm(q) + 0.02 * RNG.normal(size=(T, RUNS, 4))
@@ -226,19 +274,26 @@ def test_arrays_of_every_kind(form, kind):
 @FORMS
 def test_whole_numbers_and_scalars_of_numpy(form):
     motion, sensor = celnav.Motion(lambda x, e: x, [[1, 0], [0, 1]]), celnav.Sensor([[1, 0]], [[1]])
-    rule, prior = celnav.unscented(np.int64(2), alpha=np.float32(1.0)), celnav.Gaussian([1, 2], [[2, 0], [0, 1]])
+    rule, prior = (
+        celnav.unscented(np.int64(2), alpha=np.float32(1.0)),
+        celnav.Gaussian([1, 2], [[2, 0], [0, 1]]),
+    )
     whole = celnav.sigma_point(motion, sensor, rule=rule, form=form, hooks=[gate(np.float64(1e3))])
     track = celnav.run(whole, prior, [0, 1], [[1], [3]], every=np.int64(1), keep="cov")
     np.testing.assert_allclose(track.cov[0], np.diag([2.0 / 3.0, 1.0]))
     np.testing.assert_allclose(track.mean[1], [1.0 + 2.0 * (5.0 / 3.0) / (8.0 / 3.0), 2.0])
-    np.testing.assert_allclose(track.mean[1], celnav.run(whole, prior, iter(celnav.epochs([0, 1], [[1], [3]]))).mean[1])
+    np.testing.assert_allclose(
+        track.mean[1], celnav.run(whole, prior, iter(celnav.epochs([0, 1], [[1], [3]]))).mean[1]
+    )
 
 
 @FORMS
 def test_other_parts_take_the_same(form):
     """Gains, fallbacks, colored noise of each run: what is unusual there too."""
     motion, sensor, _ = models()
-    compare(run(Fallback(celnav.ukf(motion, sensor, form=form), celnav.ekf(motion, sensor, form=form))))
+    compare(
+        run(Fallback(celnav.ukf(motion, sensor, form=form), celnav.ekf(motion, sensor, form=form)))
+    )
     compare(run(celnav.ukf(motion, sensor, gain=consider(2, 0), form=form)))
     Phi, increments = np.array([[[0.5]], [[-0.2]]]), {"increments": R, "form": form}
     filters = [
@@ -251,10 +306,16 @@ def test_other_parts_take_the_same(form):
         np.testing.assert_allclose(track.mean[..., :2], tracks[0].mean, atol=1e-8)
         np.testing.assert_allclose(track.cov[..., :2, :2], tracks[0].cov, atol=1e-8)
     for filter in filters[:2]:  # runs come from Phi
-        np.testing.assert_allclose(run(filter, X0[0], z=Z[:, 0]).mean[:, 0, :2], tracks[0].mean[:, 0], atol=1e-8)
+        np.testing.assert_allclose(
+            run(filter, X0[0], z=Z[:, 0]).mean[:, 0, :2], tracks[0].mean[:, 0], atol=1e-8
+        )
 
 
-MOVED, SEEN, FUNCTION = celnav.Motion(move, Q), celnav.Sensor(H, R), celnav.Sensor(lambda x, e: x @ H.T, R)
+MOVED, SEEN, FUNCTION = (
+    celnav.Motion(move, Q),
+    celnav.Sensor(H, R),
+    celnav.Sensor(lambda x, e: x @ H.T, R),
+)
 BIAS, PHI = celnav.Gaussian([0.0], [[4.0]]), [[0.5]]
 MATRICES = celnav.Motion(celnav.Linear(lambda e: transition(e.dt)), Q), SEEN
 THROUGH = celnav.Motion(lambda x, e, *w: move(x, e) + w[0], augment=(np.linalg.cholesky(Q),))
@@ -264,14 +325,22 @@ FILTERS = {
     "two sensors": lambda form: celnav.ukf(MOVED, SEEN, FUNCTION, form=form),
     "iterated": lambda form: celnav.ekf(MOVED, FUNCTION, iterations=3, form=form),
     "posterior linearization": lambda form: celnav.ukf(MOVED, FUNCTION, iterations=3, form=form),
-    "models": lambda form: celnav.imm([celnav.ukf(MOVED, s, form=form) for s in (SEEN, FUNCTION)], [[0.9, 0.1], [0.2, 0.8]]),
-    "fallback": lambda form: Fallback(celnav.ukf(MOVED, SEEN, form=form), celnav.ekf(MOVED, SEEN, form=form)),
-    "single draw": lambda form: SingleDraw.of(celnav.ukf(THROUGH, celnav.Sensor(lambda x, e, *w: x @ H.T, R), form=form)),
+    "models": lambda form: celnav.imm(
+        [celnav.ukf(MOVED, s, form=form) for s in (SEEN, FUNCTION)], [[0.9, 0.1], [0.2, 0.8]]
+    ),
+    "fallback": lambda form: Fallback(
+        celnav.ukf(MOVED, SEEN, form=form), celnav.ekf(MOVED, SEEN, form=form)
+    ),
+    "single draw": lambda form: SingleDraw.of(
+        celnav.ukf(THROUGH, celnav.Sensor(lambda x, e, *w: x @ H.T, R), form=form)
+    ),
     "colored": lambda form: celnav.colored(MOVED, FUNCTION, PHI, form=form),
     "colored matrices": lambda form: celnav.colored(*MATRICES, PHI, form=form),
     "decorrelated": lambda form: celnav.decorrelated(MOVED, SEEN, PHI, form=form),
     "augmented": lambda form: celnav.augmented(MOVED, FUNCTION, PHI, form=form),
-    "two stages": lambda form: celnav.two_stage(MOVED, SEEN, np.eye(1), BIAS, Qb=np.eye(1), form=form),
+    "two stages": lambda form: celnav.two_stage(
+        MOVED, SEEN, np.eye(1), BIAS, Qb=np.eye(1), form=form
+    ),
     "fixes": lambda form: least_squares(celnav.Sensor(np.array([[1.0], [2.0]]), np.eye(2))),
 }
 GONE = {
@@ -297,7 +366,14 @@ def test_runs_of_a_batch_are_those_alone_whoever_brings_the_batch(name, gone, fo
 
     def followed(prior, z):
         with np.errstate(all="ignore"):
-            return celnav.run(filter, prior, np.cumsum(DT), (z, z) if name == "two sensors" else z, keep="cov", on_failure="flag")
+            return celnav.run(
+                filter,
+                prior,
+                np.cumsum(DT),
+                (z, z) if name == "two sensors" else z,
+                keep="cov",
+                on_failure="flag",
+            )
 
     one = celnav.Gaussian(x, P)
     for prior in (one, celnav.Gaussian(np.tile(x, (RUNS, 1)), P)):
@@ -305,7 +381,9 @@ def test_runs_of_a_batch_are_those_alone_whoever_brings_the_batch(name, gone, fo
         for i in range(RUNS):
             alone = followed(one, z[:, i])
             for part in ("mean", "cov", "whitened", "used"):
-                np.testing.assert_allclose(getattr(both, part)[:, i], getattr(alone, part), atol=1e-9)
+                np.testing.assert_allclose(
+                    getattr(both, part)[:, i], getattr(alone, part), atol=1e-9
+                )
             np.testing.assert_allclose(both.log_likelihood[i], alone.log_likelihood, atol=1e-9)
             assert {event: count[i] for event, count in both.events.items()} == alone.events
     with pytest.raises(ValueError, match=r"^(z|prior, z): .*\(5,\)"):
@@ -319,5 +397,7 @@ def test_runs_that_only_the_coefficients_of_colored_noise_have(form):
         together = run(make(MOVED, SEEN, Phi, form=form), X0[0], z=Z[:, 0])
         for i in range(3):
             np.testing.assert_allclose(
-                together.mean[:, i], run(make(MOVED, SEEN, Phi[i], form=form), X0[0], z=Z[:, 0]).mean, atol=1e-8
+                together.mean[:, i],
+                run(make(MOVED, SEEN, Phi[i], form=form), X0[0], z=Z[:, 0]).mean,
+                atol=1e-8,
             )

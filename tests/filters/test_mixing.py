@@ -22,7 +22,9 @@ MIXED = {
     "einsum": lambda x, e: np.einsum("ij,pjk->pik", F, x),
     "solve": lambda x, e: np.linalg.solve(F, x),
     "part": lambda x, e: np.concatenate([(F @ x[..., :1]), x[..., 1:]], -1),
-    "in place": lambda x, e: np.multiply(x, 0.0, out=x) + F @ (x + 1.0) if e is None else _overwritten(x),
+    "in place": lambda x, e: (
+        np.multiply(x, 0.0, out=x) + F @ (x + 1.0) if e is None else _overwritten(x)
+    ),
 }
 PRIORS = {
     "different": celnav.Gaussian([[0.0, 1.0], [5.0, -2.0]], EYE),
@@ -58,13 +60,19 @@ def test_a_model_that_mixes_runs_is_told(rule, name, prior):
         pytest.skip("one point, the same for all runs: nothing to exchange")
     for f, h, told in ((MIXED[name], EYE, "f"), (still, MIXED[name], "h")):
         filter = filter_of(f, h, rule, FORM.get(prior, "square root"))
-        with pytest.raises(ValueError, match=f"{told}: expected values of each run by itself.*x @ F.T"):
+        with pytest.raises(
+            ValueError, match=f"{told}: expected values of each run by itself.*x @ F.T"
+        ):
             celnav.run(filter, PRIORS[prior], EPOCHS)
 
 
 def test_other_filters_tell_it_too():
     f, Phi = MIXED["product"], 0.5 * EYE
-    mixing, motion, sensor = celnav.Motion(f, EYE), celnav.Motion(still, EYE), celnav.Sensor(EYE, EYE)
+    mixing, motion, sensor = (
+        celnav.Motion(f, EYE),
+        celnav.Motion(still, EYE),
+        celnav.Sensor(EYE, EYE),
+    )
     noisy = celnav.Motion(lambda x, e, w: f(x, e), augment=(EYE,))
     filters = [
         celnav.colored(mixing, sensor, Phi),
@@ -87,7 +95,11 @@ def test_fixes_of_each_run_tell_it_too():
     one = lambda x, e: np.broadcast_to(F, (*x.shape, 2))  # noqa: E731
     when = celnav.epochs([0.0, 1.0], np.ones((2, 2, 2)))
     with pytest.raises(ValueError, match="h: expected values of each run by itself"):
-        celnav.run(least_squares(celnav.Sensor(lambda x, e: F @ x, EYE, jacobian=one)), PRIORS["different"], when)
+        celnav.run(
+            least_squares(celnav.Sensor(lambda x, e: F @ x, EYE, jacobian=one)),
+            PRIORS["different"],
+            when,
+        )
     for right in (lambda x, e: x @ F.T, lambda x, e: (x @ F.T) + OFFSET):
         fixes = least_squares(celnav.Sensor(right, EYE, jacobian=one))
         assert np.isfinite(celnav.run(fixes, PRIORS["different"], when).mean).all()
@@ -95,7 +107,12 @@ def test_fixes_of_each_run_tell_it_too():
 
 def test_runs_that_only_the_measurements_have_are_mixed_later():
     with pytest.raises(ValueError, match="f: expected values of each run by itself"):
-        celnav.run(filter_of(MIXED["product"], EYE), celnav.Gaussian(np.zeros(2), EYE), np.arange(2.0), np.zeros((2, 2, 2)))
+        celnav.run(
+            filter_of(MIXED["product"], EYE),
+            celnav.Gaussian(np.zeros(2), EYE),
+            np.arange(2.0),
+            np.zeros((2, 2, 2)),
+        )
 
 
 def test_an_average_over_runs_is_told():
@@ -104,7 +121,11 @@ def test_an_average_over_runs_is_told():
         celnav.run(filter_of(model), PRIORS["different"], EPOCHS)
 
 
-OFFSET, RATE, OWN = np.array([[1.0, 2.0], [-3.0, 0.5]]), np.array([0.3, 2.0]), np.array([F, [[0.5, 0.0], [2.0, 1.0]]])
+OFFSET, RATE, OWN = (
+    np.array([[1.0, 2.0], [-3.0, 0.5]]),
+    np.array([0.3, 2.0]),
+    np.array([F, [[0.5, 0.0], [2.0, 1.0]]]),
+)
 RNG = np.random.default_rng(0)
 
 
@@ -151,7 +172,9 @@ def test_data_of_each_run_are_not_taken_for_it(name, rule, prior):
 
 
 def test_intervals_of_each_run():
-    when = [celnav.Epoch(k, float(k), np.array([0.5, 2.0]) * (k > 0), z=np.zeros(2)) for k in range(3)]
+    when = [
+        celnav.Epoch(k, float(k), np.array([0.5, 2.0]) * (k > 0), z=np.zeros(2)) for k in range(3)
+    ]
     f = lambda x, e: np.stack([x[..., 0] + e.dt * x[..., 1], x[..., 1]], -1)  # noqa: E731
     assert np.isfinite(celnav.run(filter_of(f, EYE), PRIORS["different"], when).mean).all()
 
@@ -161,13 +184,19 @@ def test_a_lost_run_hides_nothing_and_blames_nobody(lost):
     mean = PRIORS["different"].mean.copy()
     mean[lost] = np.nan
     prior = SquareRoot(mean, EYE)
-    for model, told in ((MIXED["product"], True), (APART["transposed"], False), (APART["offsets of each run"], False)):
+    for model, told in (
+        (MIXED["product"], True),
+        (APART["transposed"], False),
+        (APART["offsets of each run"], False),
+    ):
         filter = filter_of(model, EYE)
         if told:
             with pytest.raises(ValueError, match="f: expected values of each run by itself"):
                 celnav.run(filter, prior, EPOCHS, on_failure="flag")
         else:
-            assert np.isfinite(celnav.run(filter, prior, EPOCHS, on_failure="flag").mean[:, 1 - lost]).all()
+            assert np.isfinite(
+                celnav.run(filter, prior, EPOCHS, on_failure="flag").mean[:, 1 - lost]
+            ).all()
 
 
 @pytest.mark.parametrize("runs", [2, 5])
@@ -175,10 +204,14 @@ def test_a_model_with_a_buffer_is_not_disturbed(runs):
     """It is called once more before its values are used."""
     buffers = np.empty((5, runs, 2)), np.empty((5, 1, 2))
     offset = np.arange(2.0 * runs).reshape(runs, 2)
-    both = {"own": lambda x, e: np.add(x, offset, out=buffers[0]), "any": lambda x, e: np.add(x, 1.0, out=buffers[x.shape[1] == 1])}
+    both = {
+        "own": lambda x, e: np.add(x, offset, out=buffers[0]),
+        "any": lambda x, e: np.add(x, 1.0, out=buffers[x.shape[1] == 1]),
+    }
     for name, clean in (("own", lambda x, e: x + offset), ("any", lambda x, e: x + 1.0)):
         found, expected = (
-            celnav.run(filter_of(f), celnav.Gaussian(offset**2, EYE), celnav.epochs([0.0, 1.0])) for f in (both[name], clean)
+            celnav.run(filter_of(f), celnav.Gaussian(offset**2, EYE), celnav.epochs([0.0, 1.0]))
+            for f in (both[name], clean)
         )
         np.testing.assert_array_equal(found.mean, expected.mean)
 
@@ -190,5 +223,7 @@ def test_a_model_is_looked_at_once():
         calls.append(x.shape)
         return x.copy()
 
-    celnav.run(filter_of(f, EYE), celnav.Gaussian(np.zeros((50, 2)), EYE), np.arange(5.0), np.zeros((5, 2)))
+    celnav.run(
+        filter_of(f, EYE), celnav.Gaussian(np.zeros((50, 2)), EYE), np.arange(5.0), np.zeros((5, 2))
+    )
     assert calls == [(5, 50, 2), (5, 1, 2), (5, 50, 2), (5, 50, 2), (5, 50, 2)]

@@ -70,7 +70,10 @@ def test_is_regression_about_the_posterior(form, rule, iterations):
 
 def test_is_a_fixed_point():
     """The regression about the posterior gives the posterior."""
-    mean, cov = given(celnav.ukf(STILL, SEEN, iterations=60))[0].mean, given(celnav.ukf(STILL, SEEN, iterations=60))[0].cov
+    mean, cov = (
+        given(celnav.ukf(STILL, SEEN, iterations=60))[0].mean,
+        given(celnav.ukf(STILL, SEEN, iterations=60))[0].cov,
+    )
     A, b, Omega = regression(unscented(2), mean, cov)
     S = A @ P @ A.T + Omega + R
     K = np.linalg.solve(S, A @ P).T
@@ -97,7 +100,9 @@ def test_by_taylors_rule_it_is_the_iterated_extended_filter():
     about = prior
     for _ in range(4):
         seen = joint(Taylor(), about, (SEEN, KEEP), z=Z, measurement_noise=SEEN.noise)
-        about, _, _ = condition(SquareRoot, regressed(seen, prior, prior.mean - about.mean), EUCLIDEAN)
+        about, _, _ = condition(
+            SquareRoot, regressed(seen, prior, prior.mean - about.mean), EUCLIDEAN
+        )
     belief, _ = given(celnav.ekf(STILL, SEEN, iterations=4))
     np.testing.assert_allclose(about.mean, belief.mean, atol=1e-6)
     np.testing.assert_allclose(about.cov, belief.cov, atol=1e-6)
@@ -106,7 +111,10 @@ def test_by_taylors_rule_it_is_the_iterated_extended_filter():
 def test_is_consistent_where_the_unscented_filter_is_overconfident():
     """A fix by range and bearing, both precise, of a position that is known within a third of its distance."""
     rng, runs, noise = np.random.default_rng(1), 1000, np.diag([0.1, 0.01])
-    sensor, prior = celnav.Sensor(h, noise**2, space=celnav.angles([1])), celnav.Gaussian([3.0, 3.0], np.eye(2))
+    sensor, prior = (
+        celnav.Sensor(h, noise**2, space=celnav.angles([1])),
+        celnav.Gaussian([3.0, 3.0], np.eye(2)),
+    )
     x = prior.sample(rng, (runs,))
     z = h(x) + rng.standard_normal((runs, 2)) @ noise
     low, high = chi_square_band(2, runs)
@@ -142,7 +150,11 @@ def test_runs_of_a_batch_are_those_alone_whatever_is_missing(form):
 def test_a_component_that_is_known(form):
     """Where the covariance is singular, regression is by the pseudo-inverse, as if the component were a parameter."""
     known = given(celnav.ukf(STILL, SEEN, form=form, iterations=5), cov=np.diag([1.0, 0.0]))[0]
-    line = celnav.Sensor(lambda x, epoch: h(np.stack([x[..., 0], np.full(x.shape[:-1], MEAN[1])], -1)), R, space=celnav.angles([1]))
+    line = celnav.Sensor(
+        lambda x, epoch: h(np.stack([x[..., 0], np.full(x.shape[:-1], MEAN[1])], -1)),
+        R,
+        space=celnav.angles([1]),
+    )
     alone = celnav.sigma_point(celnav.Motion(np.eye(1), np.zeros((1, 1))), line, iterations=5, form=form,
                                rule=lambda n: unscented(1, kappa=1.0))  # fmt: skip
     belief = given(alone, mean=MEAN[:1], cov=np.eye(1))[0]
@@ -158,7 +170,9 @@ def test_noise_through_the_points_and_a_first_point():
     np.testing.assert_allclose(one.mean, two.mean, atol=1e-9)
     np.testing.assert_allclose(one.cov, two.cov, atol=1e-9)
     plain = celnav.ukf(STILL, SEEN)
-    started = Iterated(**vars(plain), iterations=40, first=lambda belief, z, epoch: np.array([2.3, 4.5]))
+    started = Iterated(
+        **vars(plain), iterations=40, first=lambda belief, z, epoch: np.array([2.3, 4.5])
+    )
     end = given(celnav.ukf(STILL, SEEN, iterations=60))[0]
     np.testing.assert_allclose(given(started)[0].mean, end.mean, atol=1e-8)
 
@@ -167,10 +181,17 @@ def test_noise_through_the_points_and_a_first_point():
 def test_compiled(form):
     pytest.importorskip("llvmlite")
     moving = celnav.Motion(lambda x, epoch: x + 0.1 * np.sin(x), 0.1 * np.eye(2))
-    filter, times, prior = celnav.ukf(moving, SEEN, form=form, iterations=3), np.arange(6.0), celnav.Gaussian([5.0, 2.0], 0.1 * P)
+    filter, times, prior = (
+        celnav.ukf(moving, SEEN, form=form, iterations=3),
+        np.arange(6.0),
+        celnav.Gaussian([5.0, 2.0], 0.1 * P),
+    )
     z = celnav.simulate(moving, SEEN, prior, times, runs=10)[1]
     z[2, ::2, 0] = np.nan
-    there, here = (celnav.run(filter, prior, times, z, keep="cov", engine=engine) for engine in ("compiled", "numpy"))
+    there, here = (
+        celnav.run(filter, prior, times, z, keep="cov", engine=engine)
+        for engine in ("compiled", "numpy")
+    )
     for name in ("mean", "cov", "whitened", "log_likelihood"):
         np.testing.assert_allclose(getattr(there, name), getattr(here, name), rtol=1e-7, atol=1e-9)
 
@@ -183,8 +204,12 @@ def test_bad_iterations(iterations):
 
 
 def test_where_there_is_no_posterior_to_go_back_to():
-    with pytest.raises(ValueError, match="iterations: expected 1, since process and measurement are one function"):
+    with pytest.raises(
+        ValueError, match="iterations: expected 1, since process and measurement are one function"
+    ):
         celnav.colored(STILL, celnav.Sensor(h, R), 0.5 * np.eye(2), iterations=2)
     through = celnav.Motion(lambda x, epoch, w: x + w, augment=(np.eye(2),))
     with pytest.raises(ValueError, match="filter: expected one of a single iteration"):
-        SingleDraw.of(celnav.ukf(through, celnav.Sensor(lambda x, epoch, *w: h(x), R), iterations=2))
+        SingleDraw.of(
+            celnav.ukf(through, celnav.Sensor(lambda x, epoch, *w: h(x), R), iterations=2)
+        )

@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from celnav import Gaussian, Motion, Sensor, epochs, run, sigma_point
-from celnav.filters.adaptive import channel_parity, correntropy, group_parity, huber, sage_husa, student_t, variational_bayes
+from celnav.filters.adaptive import (
+    channel_parity,
+    correntropy,
+    group_parity,
+    huber,
+    sage_husa,
+    student_t,
+    variational_bayes,
+)
 from celnav.gaussian.rules import Taylor, cubature, unscented
 
 A = np.array([[1.0, 0.2], [-0.1, 0.9]])
@@ -16,7 +24,13 @@ R = np.diag([0.5, 0.4, 0.3, 0.2, 0.6, 0.7])
 P0 = np.array([[1.0, 0.3], [0.3, 0.6]])
 m, T = 6, 40
 FORMS = pytest.mark.parametrize("form", ["square root", "covariance"])
-RULES = {"unscented": unscented, "cubature": cubature, "differences": Taylor(), "jacobians": Taylor(), "matrices": unscented}
+RULES = {
+    "unscented": unscented,
+    "cubature": cubature,
+    "differences": Taylor(),
+    "jacobians": Taylor(),
+    "matrices": unscented,
+}
 EVERY_RULE = pytest.mark.parametrize("rule", RULES)
 GROUPS = (range(3), range(3, 6))
 HOOKS = {
@@ -32,9 +46,16 @@ def prior(*batch):
 
 def filter_of(hook, rule="unscented", form="square root", F=A, C=H, noise=Q):
     """A linear model, as a rule meets it: a function, one with its Jacobian, or a matrix."""
-    jacobians = {"f": lambda _x, _e: F, "h": lambda _x, _e: C} if rule == "jacobians" else {"f": None, "h": None}
+    jacobians = (
+        {"f": lambda _x, _e: F, "h": lambda _x, _e: C}
+        if rule == "jacobians"
+        else {"f": None, "h": None}
+    )
     f, h = (F, C) if rule == "matrices" else (lambda x, _e: x @ F.T, lambda x, _e: x @ C.T)
-    motion, sensor = Motion(f, noise, jacobian=jacobians["f"]), Sensor(h, R, jacobian=jacobians["h"])
+    motion, sensor = (
+        Motion(f, noise, jacobian=jacobians["f"]),
+        Sensor(h, R, jacobian=jacobians["h"]),
+    )
     return sigma_point(motion, sensor, rule=RULES[rule], form=form, hooks=[hook])
 
 
@@ -107,7 +128,11 @@ class Variational:
             K = P @ Hu.T @ np.linalg.inv(Hu @ P @ Hu.T + np.diag(noise))
             x, after = K @ e[used], P - K @ Hu @ P
             for i in range(len(beta)):
-                beta[i] = beta_ahead[i] + 0.5 * (e[used][i] - Hu[i] @ x) ** 2 + 0.5 * Hu[i] @ after @ Hu[i]
+                beta[i] = (
+                    beta_ahead[i]
+                    + 0.5 * (e[used][i] - Hu[i] @ x) ** 2
+                    + 0.5 * Hu[i] @ after @ Hu[i]
+                )
         self.alpha[used], self.beta[used] = alpha, beta
         factor = np.ones(m)
         factor[used] = noise / R.diagonal()[used]
@@ -180,20 +205,32 @@ def test_runs_do_not_know_each_other(name):
         np.testing.assert_allclose(alone.mean, batch.mean[:, i], rtol=0, atol=1e-10)
 
 
-@pytest.mark.parametrize("hook", [group_parity(GROUPS, 1), channel_parity(2)], ids=["group", "channel"])
+@pytest.mark.parametrize(
+    "hook", [group_parity(GROUPS, 1), channel_parity(2)], ids=["group", "channel"]
+)
 def test_parity_does_not_see_what_a_state_explains(hook):
     """A jump of the state, a thousand deviations large, changes no weight: the same gain, so the estimates differ by its image."""
     z, jump = measured(), np.array([300.0, -200.0])
     jumped = z.copy()
     jumped[10:] += H @ jump
-    one, two = (run(filter_of(hook), prior(), epochs(np.arange(T), data), keep="cov") for data in (z, jumped))
+    one, two = (
+        run(filter_of(hook), prior(), epochs(np.arange(T), data), keep="cov")
+        for data in (z, jumped)
+    )
     np.testing.assert_allclose(two.cov, one.cov, rtol=1e-6)
 
 
-WIDE, BOTH = np.concatenate([np.zeros((m, 1)), H], 1), np.block([[np.eye(1), np.zeros((1, 2))], [np.zeros((2, 1)), A]])
+WIDE, BOTH = (
+    np.concatenate([np.zeros((m, 1)), H], 1),
+    np.block([[np.eye(1), np.zeros((1, 2))], [np.zeros((2, 1)), A]]),
+)
 
 
-@pytest.mark.parametrize("hook", [group_parity((range(6),), 1, deviations=0.0), channel_parity(1)], ids=["group", "channel"])
+@pytest.mark.parametrize(
+    "hook",
+    [group_parity((range(6),), 1, deviations=0.0), channel_parity(1)],
+    ids=["group", "channel"],
+)
 @EVERY_RULE
 @FORMS
 def test_a_state_that_nothing_measures_takes_no_part(form, rule, hook):
@@ -212,7 +249,9 @@ def test_hooks_help_in_a_burst(name):
     z, left = measured(200), []
     for hook in (lambda memory, joint, _epoch: (memory, joint), HOOKS[name]):
         mean = run(filter_of(hook), prior(200), epochs(np.arange(T), z)).mean
-        left.append(np.square(z[19:25, :, 3:] - mean[19:25] @ H[3:].T).mean())  # sound components, once the windows are full
+        left.append(
+            np.square(z[19:25, :, 3:] - mean[19:25] @ H[3:].T).mean()
+        )  # sound components, once the windows are full
     assert left[1] < 0.8 * left[0]
 
 
@@ -252,7 +291,9 @@ def test_correntropy_ends_at_a_stationary_point():
 
 def test_correntropy_of_a_wide_kernel_is_the_plain_filter():
     z = measured()
-    plain = run(filter_of(lambda memory, joint, _epoch: (memory, joint)), prior(), epochs(np.arange(T), z)).mean
+    plain = run(
+        filter_of(lambda memory, joint, _epoch: (memory, joint)), prior(), epochs(np.arange(T), z)
+    ).mean
     wide = run(filter_of(correntropy(1e7)), prior(), epochs(np.arange(T), z)).mean
     np.testing.assert_allclose(wide, plain, rtol=0, atol=1e-10)
 

@@ -37,8 +37,14 @@ def along(table):
 
 MODELS = {
     "linear": (Motion(Linear(at(F)), Q), Sensor(Linear(at(H)), R)),
-    "noise of the epoch": (Motion(Linear(at(F)), lambda _mean, _epoch: Q), Sensor(Linear(at(H)), lambda _mean, _epoch: R)),
-    "by Jacobians": (Motion(along(F), Q, jacobian=constants(F)), Sensor(along(H), R, jacobian=constants(H))),
+    "noise of the epoch": (
+        Motion(Linear(at(F)), lambda _mean, _epoch: Q),
+        Sensor(Linear(at(H)), lambda _mean, _epoch: R),
+    ),
+    "by Jacobians": (
+        Motion(along(F), Q, jacobian=constants(F)),
+        Sensor(along(H), R, jacobian=constants(H)),
+    ),
 }
 MADE = pytest.mark.parametrize("made", MODELS)
 
@@ -74,8 +80,12 @@ def kalman(z, F=F, H=H, Q=Q, P=P0, pad=0):
 def followed(filter, z, prior=SHARED):
     """Means and covariances, the latter as they are kept."""
     states = [state.belief for _, state, _ in steps(filter, prior, epochs(np.arange(float(T)), z))]
-    shape = states[-1].mean.shape  # of the first epochs there may be one estimate for several boosts
-    return np.stack([np.broadcast_to(belief.mean, shape) for belief in states]), [belief.cov for belief in states]
+    shape = states[
+        -1
+    ].mean.shape  # of the first epochs there may be one estimate for several boosts
+    return np.stack([np.broadcast_to(belief.mean, shape) for belief in states]), [
+        belief.cov for belief in states
+    ]
 
 
 def augmented(z, Qb):
@@ -128,11 +138,18 @@ def test_two_stages_carry_one_covariance(form, made, Qb, missing):
 
 
 def test_a_track_has_every_run():
-    filter = two_stage(*MODELS["linear"], constants(GAMMA), Gaussian(np.zeros(B), M0), form="covariance")
-    one, many = (run(filter, prior, np.arange(float(T)), measured(ALIKE), keep="cov") for prior in (SHARED, apart()))
+    filter = two_stage(
+        *MODELS["linear"], constants(GAMMA), Gaussian(np.zeros(B), M0), form="covariance"
+    )
+    one, many = (
+        run(filter, prior, np.arange(float(T)), measured(ALIKE), keep="cov")
+        for prior in (SHARED, apart())
+    )
     assert one.cov.shape == (T, RUNS, N + B, N + B)
     for name in ("mean", "std", "cov", "nis", "log_likelihood", "innovation"):
-        np.testing.assert_allclose(getattr(one, name), getattr(many, name), atol=1e-11, err_msg=name)
+        np.testing.assert_allclose(
+            getattr(one, name), getattr(many, name), atol=1e-11, err_msg=name
+        )
     np.testing.assert_array_equal(one.events["missing"], many.events["missing"])
 
 
@@ -143,7 +160,10 @@ def apart():
 
 def test_what_has_no_matrix_has_a_covariance_for_each_run():
     bent = Motion(lambda x, epoch: np.sin(x @ F[epoch.k].T), Q)
-    for filter in (ckf(bent, MODELS["linear"][1]), Fallback(ekf(*MODELS["linear"]), ckf(*MODELS["linear"]))):
+    for filter in (
+        ckf(bent, MODELS["linear"][1]),
+        Fallback(ekf(*MODELS["linear"]), ckf(*MODELS["linear"])),
+    ):
         assert filter.start(SHARED).belief.cov.shape == (RUNS, N, N)
 
 
@@ -152,10 +172,15 @@ def test_a_measurement_without_noise_of_what_is_known_is_told(form):
     """In every run, and only there."""
     sensor = Sensor(Linear(lambda _epoch: np.eye(1, N)), np.zeros((1, 1)))
     filter = ekf(MODELS["linear"][0], sensor, sensor, form=form)
-    state, _ = filter.update(filter.start(SHARED), epochs([0.0], (np.zeros((1, RUNS, 1)), np.full((1, RUNS, 1), np.nan)))[0])
+    state, _ = filter.update(
+        filter.start(SHARED),
+        epochs([0.0], (np.zeros((1, RUNS, 1)), np.full((1, RUNS, 1), np.nan)))[0],
+    )
     assert state.belief.cov.shape == (N, N)
     assert np.isfinite(state.belief.mean).all()
-    state, _ = filter.update(state, epochs([0.0], (np.zeros((1, RUNS, 1)), np.full((1, RUNS, 1), np.nan)))[0])
+    state, _ = filter.update(
+        state, epochs([0.0], (np.zeros((1, RUNS, 1)), np.full((1, RUNS, 1), np.nan)))[0]
+    )
     assert np.isnan(state.belief.mean).all()
 
 
@@ -171,8 +196,16 @@ def constant_boost(memory, seen):
 @FORMS
 @pytest.mark.parametrize("prior", [SHARED, apart()], ids=["shared", "apart"])
 def test_a_boost_inflates_the_covariance_of_the_gain_alone(form, prior):
-    filter = two_stage(*MODELS["linear"], constants(GAMMA), Gaussian(np.zeros(B), M0), boost=constant_boost, form=form)
-    (_, last, _), (_, state, (info,)) = list(steps(filter, prior, epochs(np.arange(4.0), measured()[:4])))[2:]
+    filter = two_stage(
+        *MODELS["linear"],
+        constants(GAMMA),
+        Gaussian(np.zeros(B), M0),
+        boost=constant_boost,
+        form=form,
+    )
+    (_, last, _), (_, state, (info,)) = list(
+        steps(filter, prior, epochs(np.arange(4.0), measured()[:4]))
+    )[2:]
     S = np.broadcast_to(H[3] @ (F[3] @ last.Lambda) + GAMMA[3], (2, RUNS, M, B))
     own = np.broadcast_to(last.bias.cov, (2, RUNS, B, B))
     D = np.sqrt(FACTORS)[..., None] * np.eye(B)
@@ -186,7 +219,9 @@ def test_a_boost_inflates_the_covariance_of_the_gain_alone(form, prior):
 def test_the_differenced_stage_carries_one_covariance():
     noise = ar1_noise(0.5 * np.eye(M), 0.3 * np.eye(N), 0.2 * RNG.normal(size=(N, M)), R, Q)
     G = RNG.normal(size=(T, N, N))
-    stage = Differenced(lambda x, epoch: (x @ F[epoch.k].T, F[epoch.k], G[epoch.k]), along(H), constants(H), noise)
+    stage = Differenced(
+        lambda x, epoch: (x @ F[epoch.k].T, F[epoch.k], G[epoch.k]), along(H), constants(H), noise
+    )
     boost = strong_tracking([[[8.0, 3.0, 2.0]], [[0.0, 0.0, 0.0]]], 5.0)
 
     def boosted(memory, seen):

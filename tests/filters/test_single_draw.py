@@ -111,10 +111,22 @@ SEEN, BOTH = Sensor(h, NONE), Motion(f, augment=(ROOT,))
     ("make", "z", "message"),
     [
         (lambda: ukf(BOTH, Sensor(h, np.eye(2))), np.zeros(1), r"^R: expected 1 rows"),
-        (lambda: sigma_point(BOTH, SEEN, rule=unscented(4)), np.zeros(1), r"^rule: expected 5 dimensions"),
+        (
+            lambda: sigma_point(BOTH, SEEN, rule=unscented(4)),
+            np.zeros(1),
+            r"^rule: expected 5 dimensions",
+        ),
         (lambda: ukf(BOTH, SEEN), np.zeros(2), r"^z: expected 1 components"),
-        (lambda: ukf(Motion(f, np.eye(2), augment=(ROOT,)), SEEN), np.zeros(1), r"^filter: expected one sensor, and process noise"),
-        (lambda: ukf(BOTH, SEEN, SEEN), np.zeros(1), r"^filter: expected one sensor, and process noise"),
+        (
+            lambda: ukf(Motion(f, np.eye(2), augment=(ROOT,)), SEEN),
+            np.zeros(1),
+            r"^filter: expected one sensor, and process noise",
+        ),
+        (
+            lambda: ukf(BOTH, SEEN, SEEN),
+            np.zeros(1),
+            r"^filter: expected one sensor, and process noise",
+        ),
     ],
 )
 def test_bad_input_is_refused_by_name(make, z, message):

@@ -10,7 +10,18 @@ import pytest
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 from scipy.stats import chi2
 
-from celnav import Gaussian, Motion, Sensor, colored, ekf, epochs, run, sigma_point, simulate, smooth
+from celnav import (
+    Gaussian,
+    Motion,
+    Sensor,
+    colored,
+    ekf,
+    epochs,
+    run,
+    sigma_point,
+    simulate,
+    smooth,
+)
 from celnav.filters.colored import augmented
 from celnav.filters.fallback import Fallback
 from celnav.filters.records import FilterError
@@ -51,7 +62,9 @@ RULES = {
 
 def filtered(motion, sensor, prior, when, rule=unscented, form="square root", **options):
     """The track of a filter, whose covariances are kept."""
-    return run(sigma_point(motion, sensor, rule=rule, form=form), prior, when, keep="cov", **options)
+    return run(
+        sigma_point(motion, sensor, rule=rule, form=form), prior, when, keep="cov", **options
+    )
 
 
 def measurements(rng, *batch):
@@ -127,12 +140,16 @@ def test_irregular_times_inputs_and_noise_functions(form):
     def noise(mean, epoch):
         return np.sqrt(epoch.dt) * SQRT_Q
 
-    smoothed = smooth(filtered(Motion(f, sqrt_Q=noise), SEEN, PRIOR, epochs(times, z, u), form=form))
+    smoothed = smooth(
+        filtered(Motion(f, sqrt_Q=noise), SEEN, PRIOR, epochs(times, z, u), form=form)
+    )
     # the input is a known offset of the states: take its effect out of the data, then put it back
     offset = np.zeros((6, 3))
     for k in range(5):
         offset[k + 1] = matrix(dts[k]) @ offset[k] + dts[k] * u[k]
-    mean, cov = joint(z - offset @ H_.T, P0, [matrix(dt) for dt in dts], [np.sqrt(dt) * SQRT_Q for dt in dts])
+    mean, cov = joint(
+        z - offset @ H_.T, P0, [matrix(dt) for dt in dts], [np.sqrt(dt) * SQRT_Q for dt in dts]
+    )
     np.testing.assert_allclose(smoothed.mean, mean + offset, rtol=0, atol=1e-9)
     np.testing.assert_allclose(smoothed.cov, cov, rtol=0, atol=1e-9)
     np.testing.assert_array_equal(smoothed.mean[2], smoothed.mean[3])
@@ -147,7 +164,9 @@ def sine(x, epoch):
     return np.sin(x[..., :1])
 
 
-@pytest.mark.parametrize("points", [(1.0, 0.0, 1.0), (0.6, 0.0, 1.0)], ids=["positive", "negative weight"])
+@pytest.mark.parametrize(
+    "points", [(1.0, 0.0, 1.0), (0.6, 0.0, 1.0)], ids=["positive", "negative weight"]
+)
 @FORMS
 def test_equals_filterpy(points, form):
     """filterpy smooths with the interval and the noise at the earlier index; our epochs end intervals."""
@@ -171,11 +190,15 @@ def test_equals_filterpy(points, form):
         ukf.update(measured)
         means.append(ukf.x.copy())
         covs.append(ukf.P.copy())
-    expected, expected_cov, gains = ukf.rts_smoother(np.array(means), np.array(covs), dts=[*np.diff(times)[1:], 0.0])
+    expected, expected_cov, gains = ukf.rts_smoother(
+        np.array(means), np.array(covs), dts=[*np.diff(times)[1:], 0.0]
+    )
 
     z[0] = np.nan  # filterpy has no update of the prior
     motion, sensor, prior = Motion(pendulum, Q), Sensor(sine, [[0.01]]), Gaussian(mean, cov)
-    smoothed = smooth(filtered(motion, sensor, prior, epochs(times, z), from_filterpy(theirs), form), gains=True)
+    smoothed = smooth(
+        filtered(motion, sensor, prior, epochs(times, z), from_filterpy(theirs), form), gains=True
+    )
     np.testing.assert_allclose(smoothed.mean[1:], expected, rtol=0, atol=1e-10)
     np.testing.assert_allclose(smoothed.cov[1:], expected_cov, rtol=0, atol=1e-10)
     np.testing.assert_allclose(smoothed.extra["gain"][1:-1], gains[:-1], rtol=0, atol=1e-9)
@@ -219,15 +242,30 @@ def test_batch_is_singles(rule, form):
     z[4, 2] = np.nan
     z = z.reshape(15, 2, 3, 1)
     P = np.diag([0.09, 0.09])
-    many = smooth(filtered(motion, sensor, Gaussian(np.tile([0.5, 0.0], (2, 3, 1)), P), epochs(times, z), rule, form))
+    many = smooth(
+        filtered(
+            motion,
+            sensor,
+            Gaussian(np.tile([0.5, 0.0], (2, 3, 1)), P),
+            epochs(times, z),
+            rule,
+            form,
+        )
+    )
     assert many.mean.shape == (15, 2, 3, 2)
     for i, j in np.ndindex(2, 3):
-        one = smooth(filtered(motion, sensor, Gaussian([0.5, 0.0], P), epochs(times, z[:, i, j]), rule, form))
+        one = smooth(
+            filtered(motion, sensor, Gaussian([0.5, 0.0], P), epochs(times, z[:, i, j]), rule, form)
+        )
         np.testing.assert_allclose(one.mean, many.mean[:, i, j], rtol=0, atol=1e-11)
         np.testing.assert_allclose(one.cov, many.cov[:, i, j], rtol=0, atol=1e-11)
 
 
-@pytest.mark.parametrize("rule", [unscented, partial(cubature, degree=5), Taylor()], ids=["unscented", "cubature 5", "Taylor"])
+@pytest.mark.parametrize(
+    "rule",
+    [unscented, partial(cubature, degree=5), Taylor()],
+    ids=["unscented", "cubature 5", "Taylor"],
+)
 def test_noise_through_the_points(rule):
     """Noise that goes through the points is noise all the same: with an additive model, exactly, also by negative weights."""
     z = measurements(np.random.default_rng(6))
@@ -235,7 +273,9 @@ def test_noise_through_the_points(rule):
     def f(x, epoch, w):
         return x @ A_.T + w @ SQRT_Q.T
 
-    smoothed = smooth(filtered(Motion(f, augment=(np.eye(2),)), SEEN, PRIOR, epochs(np.arange(T), z), rule))
+    smoothed = smooth(
+        filtered(Motion(f, augment=(np.eye(2),)), SEEN, PRIOR, epochs(np.arange(T), z), rule)
+    )
     mean, cov = joint(z, P0, [A_] * (T - 1), [SQRT_Q] * (T - 1))
     np.testing.assert_allclose(smoothed.mean, mean, rtol=0, atol=1e-9)
     np.testing.assert_allclose(smoothed.cov, cov, rtol=0, atol=1e-9)
@@ -255,13 +295,22 @@ def test_a_turn_more_changes_nothing():
 
     def estimate(start, sp, zsp):
         motion, sensor = Motion(f, Q, space=sp), Sensor(lambda x, e: x[..., :1], R, space=zsp)
-        return smooth(filtered(motion, sensor, Gaussian([start, turn], P), epochs(times, zsp.plus(np.array([start]), z))))
+        return smooth(
+            filtered(
+                motion,
+                sensor,
+                Gaussian([start, turn], P),
+                epochs(times, zsp.plus(np.array([start]), z)),
+            )
+        )
 
     wrapped = estimate(1.0, space, angles())
     plain = estimate(0.0, EUCLIDEAN, EUCLIDEAN)
     assert plain.mean[-1, 0] + 1.0 > np.pi  # it did wrap
     assert (np.abs(wrapped.mean[:, 0]) <= np.pi).all()
-    np.testing.assert_allclose(space.minus(wrapped.mean, plain.mean), np.tile([1.0, 0.0], (15, 1)), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(
+        space.minus(wrapped.mean, plain.mean), np.tile([1.0, 0.0], (15, 1)), rtol=0, atol=1e-9
+    )
     np.testing.assert_allclose(wrapped.cov, plain.cov, rtol=0, atol=1e-10)
 
 
@@ -275,10 +324,14 @@ def test_deviations_are_carried_to_where_they_belong(form):
         return np.stack([c * x - s * y, s * x + c * y], -1)
 
     def plus(p, d):
-        return np.concatenate([p[..., :2] + turned(p[..., 2], d[..., :2]), p[..., 2:] + d[..., 2:]], -1)
+        return np.concatenate(
+            [p[..., :2] + turned(p[..., 2], d[..., :2]), p[..., 2:] + d[..., 2:]], -1
+        )
 
     def minus(b, a):
-        return np.concatenate([turned(-a[..., 2], b[..., :2] - a[..., :2]), b[..., 2:] - a[..., 2:]], -1)
+        return np.concatenate(
+            [turned(-a[..., 2], b[..., :2] - a[..., :2]), b[..., 2:] - a[..., 2:]], -1
+        )
 
     def frame(heading):
         out = np.zeros((*np.shape(heading), 3, 3))
@@ -319,7 +372,12 @@ def test_colored_noise():
     both = block([[Q, 0], [0, increments]])
     transition, H = block([[A_, 0], [0, Phi]]), np.hstack([H_, np.eye(2)])
     mean, cov = joint(
-        z, block([[P0, 0], [0, first]]), [transition] * (T - 1), [np.linalg.cholesky(both)] * (T - 1), H, np.zeros((2, 2))
+        z,
+        block([[P0, 0], [0, first]]),
+        [transition] * (T - 1),
+        [np.linalg.cholesky(both)] * (T - 1),
+        H,
+        np.zeros((2, 2)),
     )
     np.testing.assert_allclose(smoothed.mean, mean, rtol=0, atol=1e-9)
     np.testing.assert_allclose(smoothed.cov, cov, rtol=0, atol=1e-9)
@@ -346,7 +404,9 @@ def test_known_directions(form):
             return x @ (M @ F @ M.T).T
 
         prior = Gaussian(M @ mean, M @ P @ M.T)
-        smoothed = smooth(filtered(Motion(f, sqrt_Q=M @ noise), Sensor(H @ M.T, R), prior, when, form=form))
+        smoothed = smooth(
+            filtered(Motion(f, sqrt_Q=M @ noise), Sensor(H @ M.T, R), prior, when, form=form)
+        )
         straight = smoothed.mean @ M - offset
         np.testing.assert_allclose(straight[:, :3], expected, rtol=0, atol=1e-6)
         np.testing.assert_allclose(straight[:, 3:], 0.0, rtol=0, atol=1e-6)
@@ -377,7 +437,9 @@ def test_a_state_that_the_next_one_tells_exactly(form, kappa):
     _, z = simulate(motion, seen, prior, times, runs=20)
     exact = smooth(run(ekf(motion, seen), prior, times, z, keep="cov"))
     by_points = replace(motion, f=lambda x, epoch: x @ F.T)
-    smoothed = smooth(filtered(by_points, seen, prior, epochs(times, z), unscented(2, kappa=kappa), form))
+    smoothed = smooth(
+        filtered(by_points, seen, prior, epochs(times, z), unscented(2, kappa=kappa), form)
+    )
     np.testing.assert_allclose(smoothed.mean, exact.mean, atol=1e-11)
     np.testing.assert_allclose(smoothed.cov, exact.cov, atol=1e-11)
 
@@ -396,7 +458,9 @@ def test_a_lost_run_is_smoothed_up_to_its_loss():
 
 def test_a_run_that_the_smoother_loses_is_told():
     """The dynamics fail going back only: raised with the step, or flagged where it happened."""
-    track = filtered(MOTION, SEEN, PAIR, epochs(np.arange(T), measurements(np.random.default_rng(13), 2)))
+    track = filtered(
+        MOTION, SEEN, PAIR, epochs(np.arange(T), measurements(np.random.default_rng(13), 2))
+    )
     other = sigma_point(BROKEN, SEEN, rule=unscented)
     with pytest.raises(FilterError, match=r"from step 6, t = 6.0, run \(1,\)"):
         smooth(track, other)
@@ -408,7 +472,12 @@ def test_a_run_that_the_smoother_loses_is_told():
 
 
 def track_of(filter, **options):
-    return run(filter, PRIOR, epochs(np.arange(T), measurements(np.random.default_rng(14))), **{"keep": "cov"} | options)
+    return run(
+        filter,
+        PRIOR,
+        epochs(np.arange(T), measurements(np.random.default_rng(14))),
+        **{"keep": "cov"} | options,
+    )
 
 
 PLAIN = sigma_point(MOTION, SEEN, rule=unscented)
@@ -419,13 +488,36 @@ TWO, THREE = np.eye(2), 0.01 * np.eye(3)
     ("call", "message"),
     [
         (lambda: smooth(PLAIN), r"^track: expected what celnav.run gave, got "),
-        (lambda: smooth(track_of(PLAIN, keep="std")), r"^track: expected stored covariances, got none; run with keep='cov'"),
-        (lambda: smooth(track_of(PLAIN, every=3)), r"^track: expected every epoch, got some of them; run with every=1"),
-        (lambda: smooth(pickle.loads(pickle.dumps(track_of(PLAIN)))), r"^filter: expected that of the track, which was lost"),
-        (lambda: smooth(track_of(PLAIN), MOTION), r"^filter: expected one whose process and measurement noise are independent"),
-        (lambda: smooth(track_of(colored(Motion(linear, THREE), SEEN, 0.5 * TWO))), r"^filter: expected one whose process and"),
-        (lambda: smooth(track_of(PLAIN), sigma_point(Motion(linear, TWO), SEEN, rule=unscented)), r"^Q: expected 3 rows"),
-        (lambda: smooth(track_of(PLAIN), replace(PLAIN, motion=Motion(lambda x, e: x[..., :2], THREE))), r"^f returned shape"),
+        (
+            lambda: smooth(track_of(PLAIN, keep="std")),
+            r"^track: expected stored covariances, got none; run with keep='cov'",
+        ),
+        (
+            lambda: smooth(track_of(PLAIN, every=3)),
+            r"^track: expected every epoch, got some of them; run with every=1",
+        ),
+        (
+            lambda: smooth(pickle.loads(pickle.dumps(track_of(PLAIN)))),
+            r"^filter: expected that of the track, which was lost",
+        ),
+        (
+            lambda: smooth(track_of(PLAIN), MOTION),
+            r"^filter: expected one whose process and measurement noise are independent",
+        ),
+        (
+            lambda: smooth(track_of(colored(Motion(linear, THREE), SEEN, 0.5 * TWO))),
+            r"^filter: expected one whose process and",
+        ),
+        (
+            lambda: smooth(track_of(PLAIN), sigma_point(Motion(linear, TWO), SEEN, rule=unscented)),
+            r"^Q: expected 3 rows",
+        ),
+        (
+            lambda: smooth(
+                track_of(PLAIN), replace(PLAIN, motion=Motion(lambda x, e: x[..., :2], THREE))
+            ),
+            r"^f returned shape",
+        ),
         (lambda: smooth(track_of(PLAIN), on_failure="ignore"), r"^on_failure: expected "),
     ],
 )
@@ -451,13 +543,22 @@ def test_one_epoch_a_stream_of_epochs_a_pickle_and_a_fallback():
         np.testing.assert_array_equal(other.belief[1], smooth(track).belief[1])
 
 
-@pytest.mark.parametrize("copied", [lambda x: pickle.loads(pickle.dumps(x)), copy.deepcopy], ids=["pickle", "deepcopy"])
+@pytest.mark.parametrize(
+    "copied", [lambda x: pickle.loads(pickle.dumps(x)), copy.deepcopy], ids=["pickle", "deepcopy"]
+)
 @FORMS
 def test_a_copied_track_is_smoothed_like_the_track(form, copied):
     motion = Motion(lambda x, epoch: x, THREE, space=attitude(transported=True))
-    filter = sigma_point(motion, Sensor(lambda x, epoch: x, 0.1 * np.eye(3), space=attitude()), rule=unscented, form=form)
+    filter = sigma_point(
+        motion,
+        Sensor(lambda x, epoch: x, 0.1 * np.eye(3), space=attitude()),
+        rule=unscented,
+        form=form,
+    )
     z = exp(0.8 * np.random.default_rng(5).normal(size=(6, 3)))
-    track = run(filter, Gaussian(IDENTITY, np.diag([1.0, 0.5, 0.1])), epochs(np.arange(6), z), keep="cov")
+    track = run(
+        filter, Gaussian(IDENTITY, np.diag([1.0, 0.5, 0.1])), epochs(np.arange(6), z), keep="cov"
+    )
     again, plain = smooth(copied(track), filter), smooth(track)
     np.testing.assert_array_equal(again.std, plain.std)
     np.testing.assert_array_equal(again.cov, plain.cov)

@@ -9,13 +9,19 @@ import celnav
 
 
 def test_a_track_exports_itself(tmp_path):
-    filter = celnav.ukf(celnav.Motion(lambda x, e: x, np.eye(2)), celnav.Sensor(np.eye(2), np.eye(2)))
-    track = celnav.run(filter, celnav.Gaussian(np.zeros((3, 2)), np.eye(2)), [0.0, 1.0], np.ones((2, 3, 2)))
+    filter = celnav.ukf(
+        celnav.Motion(lambda x, e: x, np.eye(2)), celnav.Sensor(np.eye(2), np.eye(2))
+    )
+    track = celnav.run(
+        filter, celnav.Gaussian(np.zeros((3, 2)), np.eye(2)), [0.0, 1.0], np.ones((2, 3, 2))
+    )
     frame = track.to_dataframe(["a", "b"])
     assert list(frame.columns) == ["t", "run", "a", "b", "std_a", "std_b", "nis"]
     assert len(frame) == 6
     track.to_csv(tmp_path / "t.csv", ["a", "b"])
-    np.testing.assert_array_equal(np.loadtxt(tmp_path / "t.csv", delimiter=",", skiprows=1), frame.to_numpy(float))
+    np.testing.assert_array_equal(
+        np.loadtxt(tmp_path / "t.csv", delimiter=",", skiprows=1), frame.to_numpy(float)
+    )
 
 
 EYE = np.eye(2)
@@ -31,10 +37,14 @@ def test_a_measurement_may_have_more_components_at_some_epochs(form):
     whole = np.full((4, 3), np.nan)
     for k, v in enumerate(z):
         whole[k, : len(v)] = v
-    sensor = celnav.Sensor(lambda x, e: x @ H[: len(e.u)].T, lambda mean, e: R[: len(e.u), : len(e.u)])
+    sensor = celnav.Sensor(
+        lambda x, e: x @ H[: len(e.u)].T, lambda mean, e: R[: len(e.u), : len(e.u)]
+    )
     when = [celnav.Epoch(k, float(k), float(k > 0), v, v) for k, v in enumerate(z)]
     track = celnav.run(celnav.ukf(MOTION, sensor, form=form), PRIOR, when)
-    expected = celnav.run(celnav.ukf(MOTION, celnav.Sensor(H, R), form=form), PRIOR, np.arange(4.0), whole)
+    expected = celnav.run(
+        celnav.ukf(MOTION, celnav.Sensor(H, R), form=form), PRIOR, np.arange(4.0), whole
+    )
     np.testing.assert_array_equal(track.used, expected.used)
     for name in ("mean", "std", "innovation", "whitened", "log_likelihood"):
         np.testing.assert_allclose(getattr(track, name), getattr(expected, name), atol=1e-12)
@@ -44,12 +54,24 @@ def test_a_measurement_may_have_more_components_at_some_epochs(form):
 @FORMS
 def test_none_is_missing_as_nan_is(form):
     """Two sensors, runs; what has no measurement counts by the components that its sensor has otherwise."""
-    filter = celnav.ukf(MOTION, celnav.Sensor([[1.0, 0.0]], [[1.0]]), celnav.Sensor(EYE, EYE), form=form)
+    filter = celnav.ukf(
+        MOTION, celnav.Sensor([[1.0, 0.0]], [[1.0]]), celnav.Sensor(EYE, EYE), form=form
+    )
     none = [(np.ones(1), None), None, (None, np.ones((3, 2))), (None, np.array([np.nan, 1.0]))]
-    blank = [(np.ones(1) if z and z[0] is not None else [np.nan], z[1] if z and z[1] is not None else [np.nan] * 2) for z in none]
+    blank = [
+        (
+            np.ones(1) if z and z[0] is not None else [np.nan],
+            z[1] if z and z[1] is not None else [np.nan] * 2,
+        )
+        for z in none
+    ]
     prior = celnav.Gaussian(np.zeros((3, 2)), EYE)
     found, expected = (
-        celnav.run(filter, prior, [celnav.Epoch(k, float(k), float(k > 0), z=z) for k, z in enumerate(given)])
+        celnav.run(
+            filter,
+            prior,
+            [celnav.Epoch(k, float(k), float(k > 0), z=z) for k, z in enumerate(given)],
+        )
         for given in (none, blank)
     )
     for name in found.events:
@@ -60,7 +82,10 @@ def test_none_is_missing_as_nan_is(form):
 
 
 def test_a_bias_a_fix_and_what_is_drawn_once_count_what_is_missing_too():
-    noisy = celnav.Motion(lambda x, e, *w: x + w[0], augment=(EYE,)), celnav.Sensor(lambda x, e, *w: x + w[-1], augment=(EYE,))
+    noisy = (
+        celnav.Motion(lambda x, e, *w: x + w[0], augment=(EYE,)),
+        celnav.Sensor(lambda x, e, *w: x + w[-1], augment=(EYE,)),
+    )
     filters = [
         celnav.two_stage(MOTION, celnav.Sensor(EYE, EYE), EYE, PRIOR),
         celnav.receiver.least_squares.least_squares(celnav.Sensor(EYE, EYE)),
@@ -78,7 +103,9 @@ def test_a_bias_a_fix_and_what_is_drawn_once_count_what_is_missing_too():
 @FORMS
 @pytest.mark.parametrize("linear", [True, False])
 def test_no_components_and_no_runs(form, linear):
-    nothing = celnav.Sensor(np.zeros((0, 2)) if linear else lambda x, e: x[..., :0], np.zeros((0, 0)))
+    nothing = celnav.Sensor(
+        np.zeros((0, 2)) if linear else lambda x, e: x[..., :0], np.zeros((0, 0))
+    )
     prior = celnav.Gaussian(np.zeros((3, 2)), EYE)
     track = celnav.run(celnav.ukf(MOTION, nothing, form=form), prior, [0.0, 1.0], np.zeros((2, 0)))
     np.testing.assert_allclose(track.std[-1], np.sqrt(2.0))
@@ -86,4 +113,8 @@ def test_no_components_and_no_runs(form, linear):
     see = celnav.Sensor(EYE if linear else lambda x, e: x.copy(), EYE)
     prior = celnav.Gaussian(np.zeros((0, 2)), EYE)
     track = celnav.run(celnav.ukf(MOTION, see, form=form), prior, [0.0, 1.0], np.ones((2, 0, 2)))
-    assert (track.mean.shape, track.innovation.shape, track.failed_at.shape) == ((2, 0, 2), (2, 0, 2), (0,))
+    assert (track.mean.shape, track.innovation.shape, track.failed_at.shape) == (
+        (2, 0, 2),
+        (2, 0, 2),
+        (0,),
+    )

@@ -28,13 +28,22 @@ def prior(runs):
 
 
 def followed(filter, z, known=None):
-    return run(filter, prior(z.shape[1]) if known is None else known, epochs(np.arange(float(T)), z), keep="cov")
+    return run(
+        filter,
+        prior(z.shape[1]) if known is None else known,
+        epochs(np.arange(float(T)), z),
+        keep="cov",
+    )
 
 
 def augmented(form, z, Qb=None, M0=M0):
     transition = block([[F, 0], [0, np.eye(B)]])
     noise = block([[Q, 0], [0, np.zeros((B, B)) if Qb is None else Qb]])
-    filter = ukf(Motion(lambda x, _epoch: x @ transition.T, noise), Sensor(np.hstack([H, GAMMA]), R), form=form)
+    filter = ukf(
+        Motion(lambda x, _epoch: x @ transition.T, noise),
+        Sensor(np.hstack([H, GAMMA]), R),
+        form=form,
+    )
     mean = np.tile(np.concatenate([np.zeros(N), B0]), (z.shape[1], 1))
     return followed(filter, z, Gaussian(mean, block([[P0, 0], [0, M0]])))
 
@@ -57,9 +66,14 @@ def test_two_stages_are_the_augmented_filter(form, Qb):
 
 @FORMS
 @pytest.mark.parametrize(
-    "Qb", [None, np.zeros((B, B)), np.diag([0.05, 0.0]), np.full((B, B), 0.1)], ids=["none", "zero", "one", "both"]
+    "Qb",
+    [None, np.zeros((B, B)), np.diag([0.05, 0.0]), np.full((B, B), 0.1)],
+    ids=["none", "zero", "one", "both"],
 )
-@pytest.mark.parametrize("M0", [np.zeros((B, B)), np.diag([4.0, 0.0]), np.diag([0.0, 1.0]), np.outer([1.0, 3.0], [1.0, 3.0])])
+@pytest.mark.parametrize(
+    "M0",
+    [np.zeros((B, B)), np.diag([4.0, 0.0]), np.diag([0.0, 1.0]), np.outer([1.0, 3.0], [1.0, 3.0])],
+)
 def test_a_bias_that_is_known_exactly(form, M0, Qb):
     """In all, some or a combination of its components, whichever of them walk."""
     z = measured()
@@ -74,7 +88,10 @@ def test_a_combination_of_biases_stays_known_for_long(precise):
     """In covariance form, where round-off is left from when the covariance was large."""
     sensor, known = Sensor(H, precise * R), Gaussian(B0, np.outer([1.0, 3.0], [1.0, 3.0]))
     z = np.concatenate([measured(seed=seed) for seed in range(4)])
-    forms = (two_stage(MOTION, sensor, GAMMA, known, form=form, Qb=np.zeros((B, B))) for form in ("square root", "covariance"))
+    forms = (
+        two_stage(MOTION, sensor, GAMMA, known, form=form, Qb=np.zeros((B, B)))
+        for form in ("square root", "covariance")
+    )
     one, two = (run(filter, prior(3), np.arange(float(len(z))), z, keep="cov") for filter in forms)
     np.testing.assert_allclose(two.mean, one.mean, atol=1e-9)
     np.testing.assert_allclose(two.cov, one.cov, atol=1e-12)
@@ -95,7 +112,9 @@ def test_missing_measurements_are_left_out_of_both_stages(form):
 @FORMS
 def test_a_bias_known_to_be_zero_leaves_the_first_stage_alone(form):
     z = measured()
-    two = followed(two_stage(MOTION, SEEN, GAMMA, Gaussian(np.zeros(B), np.zeros((B, B))), form=form), z)
+    two = followed(
+        two_stage(MOTION, SEEN, GAMMA, Gaussian(np.zeros(B), np.zeros((B, B))), form=form), z
+    )
     one = followed(ukf(MOTION, SEEN, form=form), z)
     np.testing.assert_allclose(two.mean[..., :N], one.mean, atol=1e-12)
     np.testing.assert_array_equal(two.mean[..., N:], 0.0)
@@ -110,7 +129,9 @@ def test_the_sensitivity_is_the_derivative():
     for epoch in when:
         state, _ = filter.step(state, epoch)
         moved, _ = filter.step(moved, epoch._replace(z=epoch.z + GAMMA @ unit))
-    np.testing.assert_allclose(moved.first.belief.mean - state.first.belief.mean, -(state.Lambda @ unit), atol=1e-12)
+    np.testing.assert_allclose(
+        moved.first.belief.mean - state.first.belief.mean, -(state.Lambda @ unit), atol=1e-12
+    )
 
 
 def test_batches_are_singles():
@@ -126,7 +147,9 @@ def test_a_boost_of_one_is_none_and_inflates_the_gain_only(form):
     def constant(value):
         return lambda memory, seen: (memory, np.full((*seen.residual.shape[:-1], B), value))
 
-    none, one, four = (staged(form, z, boost=boost) for boost in (None, constant(1.0), constant(4.0)))
+    none, one, four = (
+        staged(form, z, boost=boost) for boost in (None, constant(1.0), constant(4.0))
+    )
     np.testing.assert_allclose(one.mean, none.mean, atol=1e-10)
     np.testing.assert_allclose(four.cov, none.cov, atol=1e-12)
     assert np.abs(four.mean[..., N:] - none.mean[..., N:]).max() > 0.1

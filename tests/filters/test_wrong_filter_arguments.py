@@ -206,7 +206,9 @@ HOOKS = {
     group_parity: {"groups": [[0, 1]], "unknowns": 1, "deviations": 3.0},
     channel_parity: {"M": 2},
 }
-DOORS |= {hook.__name__: (lambda hook=hook, **a: seen([hook(**a)]), good) for hook, good in HOOKS.items()}
+DOORS |= {
+    hook.__name__: (lambda hook=hook, **a: seen([hook(**a)]), good) for hook, good in HOOKS.items()
+}
 DOORS["consider"] = lambda **a: seen(gain=consider(**a)), {"n": 1, "k": 1}
 WRONG = {
     "None": None,
@@ -248,7 +250,11 @@ NAMES = {name for _, good in DOORS.values() for name in good} | {
 def named(error):
     """Whether an error says which argument it is about and what was expected of it."""
     said = re.match(r"(\w+)(?:, \w+)*(?: returned shape|: )", str(error))
-    return isinstance(error, ValueError | TypeError | celnav.FilterError) and said is not None and said[1] in NAMES
+    return (
+        isinstance(error, ValueError | TypeError | celnav.FilterError)
+        and said is not None
+        and said[1] in NAMES
+    )
 
 
 @pytest.mark.parametrize("door", DOORS)
@@ -270,7 +276,9 @@ def test_wrong_arguments_are_told_by_name(door):
             pass
         except Exception as error:
             if not named(error):
-                raise AssertionError(f"{argument} = {what}: {type(error).__name__}: {error}") from error
+                raise AssertionError(
+                    f"{argument} = {what}: {type(error).__name__}: {error}"
+                ) from error
 
 
 def hooked(hook):
@@ -280,26 +288,62 @@ def hooked(hook):
 @pytest.mark.parametrize(
     ("make", "told"),
     [
-        (lambda: huber(rounds=10**9), "rounds: expected an integer from 1 to 10000, got 1000000000"),
+        (
+            lambda: huber(rounds=10**9),
+            "rounds: expected an integer from 1 to 10000, got 1000000000",
+        ),
         (lambda: variational_bayes(rounds=10**9), "rounds: expected an integer from 1 to 10000"),
         (lambda: correntropy(rounds=10**9), "rounds: expected an integer from 1 to 10000"),
         (lambda: student_t(rounds=10**9), "rounds: expected an integer from 1 to 10000"),
-        (lambda: least_squares(MATRIX, rounds=10**9), "rounds: expected an integer from 1 to 10000"),
-        (lambda: celnav.ekf(MOTION, SENSOR, iterations=10**9), "iterations: expected an integer from 1 to 10000"),
+        (
+            lambda: least_squares(MATRIX, rounds=10**9),
+            "rounds: expected an integer from 1 to 10000",
+        ),
+        (
+            lambda: celnav.ekf(MOTION, SENSOR, iterations=10**9),
+            "iterations: expected an integer from 1 to 10000",
+        ),
         (
             lambda: seen([innovation_window(10**9)]),
             "M: expected a window of at most 1000000000 numbers, got 1000000000 samples of 2",
         ),
-        (lambda: seen([channel_parity(10**9)]), "M: expected a window of at most 1000000000 numbers, got 1000000000 samples of 2"),
-        (lambda: celnav.simulate(MOTION, SENSOR, PRIOR, TIMES, runs=10**9), "runs: expected at most 1000000, got 1000000000"),
-        (lambda: celnav.Motion(lambda x: x, EYE), "f: expected a function (points, epoch, *noise), got function <lambda> of other"),
-        (lambda: celnav.Sensor(f, lambda x: EYE), "R: expected a function (mean, epoch), got function <lambda> of other arguments"),
+        (
+            lambda: seen([channel_parity(10**9)]),
+            "M: expected a window of at most 1000000000 numbers, got 1000000000 samples of 2",
+        ),
+        (
+            lambda: celnav.simulate(MOTION, SENSOR, PRIOR, TIMES, runs=10**9),
+            "runs: expected at most 1000000, got 1000000000",
+        ),
+        (
+            lambda: celnav.Motion(lambda x: x, EYE),
+            "f: expected a function (points, epoch, *noise), got function <lambda> of other",
+        ),
+        (
+            lambda: celnav.Sensor(f, lambda x: EYE),
+            "R: expected a function (mean, epoch), got function <lambda> of other arguments",
+        ),
         (lambda: celnav.Linear(EYE), "matrix: expected a function (epoch), got ndarray"),
-        (lambda: linear(lambda epoch: np.eye(3)), "matrix: expected shape (..., any, 2), got (3, 3)"),
-        (lambda: linear(lambda epoch: np.eye(3, 2)), "matrix: expected shape (..., 2, 2), got (3, 2)"),
-        (lambda: flown(celnav.ukf(celnav.Motion(lambda x, e: 1j * x, EYE))), "f: expected numbers, got array([["),
-        (lambda: hooked(lambda m, j, e: j.innovation), "hooks: expected (memory, joint) from the function, got ndarray"),
-        (lambda: hooked(lambda m, j, e: (m, None)), "hooks: expected hooks that give back (memory, joint), got NoneType"),
+        (
+            lambda: linear(lambda epoch: np.eye(3)),
+            "matrix: expected shape (..., any, 2), got (3, 3)",
+        ),
+        (
+            lambda: linear(lambda epoch: np.eye(3, 2)),
+            "matrix: expected shape (..., 2, 2), got (3, 2)",
+        ),
+        (
+            lambda: flown(celnav.ukf(celnav.Motion(lambda x, e: 1j * x, EYE))),
+            "f: expected numbers, got array([[",
+        ),
+        (
+            lambda: hooked(lambda m, j, e: j.innovation),
+            "hooks: expected (memory, joint) from the function, got ndarray",
+        ),
+        (
+            lambda: hooked(lambda m, j, e: (m, None)),
+            "hooks: expected hooks that give back (memory, joint), got NoneType",
+        ),
         (
             lambda: flown(celnav.sigma_point(MOTION, rule=len)),
             "rule: expected a function of the dimension, got function len: object",
@@ -312,35 +356,57 @@ def hooked(hook):
             lambda: celnav.ukf(MOTION, SENSOR, gain=lambda A: A),
             "gain: expected a function (A, sign, m), got function <lambda> of ot",
         ),
-        (lambda: Fallback(FILTER, MOTION), "second: expected celnav.ukf(motion, sensor), got Motion"),
+        (
+            lambda: Fallback(FILTER, MOTION),
+            "second: expected celnav.ukf(motion, sensor), got Motion",
+        ),
         (
             lambda: Fallback(celnav.colored(MOTION, SENSOR, 0.5 * EYE), FILTER),
             "first: expected a filter that predicts, then updates",
         ),
-        (lambda: Plain(SingleDraw.of(celnav.ukf(NOISY, SENSOR))), "filter: expected a filter that predicts, then updates"),
-        (lambda: Plain(celnav.ukf(MOTION, SENSOR, SENSOR)), "filter: expected one sensor and states that are vectors"),
+        (
+            lambda: Plain(SingleDraw.of(celnav.ukf(NOISY, SENSOR))),
+            "filter: expected a filter that predicts, then updates",
+        ),
+        (
+            lambda: Plain(celnav.ukf(MOTION, SENSOR, SENSOR)),
+            "filter: expected one sensor and states that are vectors",
+        ),
         (
             lambda: celnav.run(FILTER, PRIOR, WHEN, keep="covs"),
             "keep: expected one of std, cov, mean, nothing, got 'covs'; did you",
         ),
-        (lambda: celnav.run(FILTER, PRIOR, WHEN, also=lambda *a: 3), "also: expected a dict, such as {'gain': array}, got int"),
+        (
+            lambda: celnav.run(FILTER, PRIOR, WHEN, also=lambda *a: 3),
+            "also: expected a dict, such as {'gain': array}, got int",
+        ),
         (
             lambda: celnav.run(FILTER, PRIOR, None),
             "epochs: expected celnav.epochs(times, z), or records like celnav.Epoch, got None",
         ),
-        (lambda: FILTER.step(FILTER.start(PRIOR), 1.0), "epoch: expected a record like celnav.Epoch, got float"),
+        (
+            lambda: FILTER.step(FILTER.start(PRIOR), 1.0),
+            "epoch: expected a record like celnav.Epoch, got float",
+        ),
         (
             lambda: celnav.run(FILTER, celnav.Gaussian, WHEN),
             "prior: expected a Gaussian, such as celnav.Gaussian(mean, cov), got cl",
         ),
-        (lambda: celnav.smooth(TRACK, MOTION), "filter: expected one whose process and measurement noise are independent"),
+        (
+            lambda: celnav.smooth(TRACK, MOTION),
+            "filter: expected one whose process and measurement noise are independent",
+        ),
         (lambda: TRACK.to_dataframe("xy"), "names: expected 2 words, such as ['x', 'y'], got 'xy'"),
         (
-            lambda: celnav.two_stage(MOTION, SENSOR, EYE, celnav.Gaussian(np.zeros((3, 2)), EYE)).start(PRIOR),
+            lambda: celnav.two_stage(
+                MOTION, SENSOR, EYE, celnav.Gaussian(np.zeros((3, 2)), EYE)
+            ).start(PRIOR),
             "bias: expected one, or one for each run, (), got (3,)",
         ),
         (
-            lambda: flown(celnav.colored(MOTION, SENSOR, lambda e: np.zeros((3, 2, 2)), increments=EYE), MANY),
+            lambda: flown(
+                celnav.colored(MOTION, SENSOR, lambda e: np.zeros((3, 2, 2)), increments=EYE), MANY
+            ),
             "Phi: batch axes (3,) do not go with those of the belief, (4,)",
         ),
     ],

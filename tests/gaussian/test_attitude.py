@@ -23,13 +23,19 @@ def quaternions(*shape):
 
 def test_the_product_composes_matrices():
     q, p = quaternions(50), quaternions(50)
-    np.testing.assert_allclose(at.matrix(at.multiply(q, p)), at.matrix(q) @ at.matrix(p), atol=1e-14)
-    np.testing.assert_allclose(at.multiply(q, at.inverse(q)), np.broadcast_to(at.IDENTITY, (50, 4)), atol=1e-15)
+    np.testing.assert_allclose(
+        at.matrix(at.multiply(q, p)), at.matrix(q) @ at.matrix(p), atol=1e-14
+    )
+    np.testing.assert_allclose(
+        at.multiply(q, at.inverse(q)), np.broadcast_to(at.IDENTITY, (50, 4)), atol=1e-15
+    )
 
 
 def test_the_matrix_is_the_transpose_of_scipys():
     q = quaternions(50)
-    np.testing.assert_allclose(at.matrix(q), Rotation.from_quat(q).as_matrix().transpose(0, 2, 1), atol=1e-14)
+    np.testing.assert_allclose(
+        at.matrix(q), Rotation.from_quat(q).as_matrix().transpose(0, 2, 1), atol=1e-14
+    )
 
 
 def test_a_small_rotation_is_its_cross_product():
@@ -41,7 +47,9 @@ def test_a_small_rotation_is_its_cross_product():
 @settings(max_examples=60, deadline=None)
 def test_exp_is_scipys_and_log_leads_back(phi):
     q = at.exp(phi)
-    np.testing.assert_allclose(at.positive(q), at.positive(Rotation.from_rotvec(phi).as_quat()), atol=1e-14)
+    np.testing.assert_allclose(
+        at.positive(q), at.positive(Rotation.from_rotvec(phi).as_quat()), atol=1e-14
+    )
     back = at.log(q)
     assert np.linalg.norm(back) <= np.pi + 1e-12
     np.testing.assert_allclose(at.positive(at.exp(back)), at.positive(q), atol=1e-12)
@@ -58,7 +66,10 @@ def test_log_keeps_its_digits(size):
 
 def test_euler_angles_are_roll_of_pitch_of_yaw():
     angles = RNG.uniform(-1.4, 1.4, (20, 3))
-    roll, pitch, yaw = (Rotation.from_rotvec(angles[:, i, None] * np.eye(3)[i]).as_matrix().transpose(0, 2, 1) for i in range(3))
+    roll, pitch, yaw = (
+        Rotation.from_rotvec(angles[:, i, None] * np.eye(3)[i]).as_matrix().transpose(0, 2, 1)
+        for i in range(3)
+    )
     np.testing.assert_allclose(at.matrix(at.from_euler(angles)), roll @ pitch @ yaw, atol=1e-14)
     np.testing.assert_allclose(at.to_euler(at.from_euler(angles)), angles, atol=1e-12)
 
@@ -78,8 +89,14 @@ def test_rodrigues_parameters_lead_back(a, b, phi):
 
 def test_the_default_parameters_are_four_tangents_of_a_quarter():
     axis, angle = np.array([2.0, -1.0, 2.0]) / 3.0, 1.3
-    np.testing.assert_allclose(at.to_rodrigues(at.exp(angle * axis)), 4.0 * np.tan(angle / 4.0) * axis, rtol=1e-14)
-    np.testing.assert_allclose(at.to_rodrigues(at.exp(angle * axis), 0.0, 2.0), 2.0 * np.tan(angle / 2.0) * axis, rtol=1e-14)
+    np.testing.assert_allclose(
+        at.to_rodrigues(at.exp(angle * axis)), 4.0 * np.tan(angle / 4.0) * axis, rtol=1e-14
+    )
+    np.testing.assert_allclose(
+        at.to_rodrigues(at.exp(angle * axis), 0.0, 2.0),
+        2.0 * np.tan(angle / 2.0) * axis,
+        rtol=1e-14,
+    )
 
 
 def test_the_sign_of_a_quaternion_changes_no_bit():
@@ -133,7 +150,9 @@ def test_checks():
     ):
         with pytest.raises(ValueError, match=f"^q: expected .*{words}"):
             at.unit(bad)
-    with pytest.raises(ValueError, match=r"^a: expected a number of at least 0 and of at most 1, got 1.5"):
+    with pytest.raises(
+        ValueError, match=r"^a: expected a number of at least 0 and of at most 1, got 1.5"
+    ):
         at.attitude(1.5, 1.0)
     with pytest.raises(ValueError, match=r"^b: expected a positive number"):
         at.attitude(1.0, 0.0)
@@ -156,7 +175,10 @@ def seen(q, z):
     return state.belief.mean
 
 
-@pytest.mark.parametrize("bad", [[0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 2.0], [np.nan, 0.0, 0.0, 1.0], [np.inf, 0.0, 0.0, 1.0]])
+@pytest.mark.parametrize(
+    "bad",
+    [[0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 2.0], [np.nan, 0.0, 0.0, 1.0], [np.inf, 0.0, 0.0, 1.0]],
+)
 def test_a_filter_refuses_what_is_no_attitude(bad):
     with pytest.raises(ValueError, match=r"^z: expected"):
         seen(at.IDENTITY, np.array(bad))
@@ -167,4 +189,6 @@ def test_a_filter_refuses_what_is_no_attitude(bad):
 
 def test_a_quaternion_that_is_off_by_round_off_is_normalized():
     z = at.exp(np.array([0.1, 0.0, 0.0]))
-    np.testing.assert_allclose(seen(at.IDENTITY, z), seen(at.IDENTITY, (1.0 + 5e-7) * z), atol=1e-15)
+    np.testing.assert_allclose(
+        seen(at.IDENTITY, z), seen(at.IDENTITY, (1.0 + 5e-7) * z), atol=1e-15
+    )

@@ -38,7 +38,10 @@ def test_root_covariance_and_std_agree_and_a_sum_adds(form, batch):
     np.testing.assert_allclose(cov(form, form.transported(T, belief[1])), T @ P @ T.mT, atol=1e-11)
 
 
-SIGNS = {"all positive": np.ones(8), "two negative": np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0, 1.0, 1.0])}
+SIGNS = {
+    "all positive": np.ones(8),
+    "two negative": np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0, 1.0, 1.0]),
+}
 
 
 def prearray(batch, sign):
@@ -85,7 +88,11 @@ def test_condition_with_a_given_gain_is_josephs_form(form, sign):
 def test_conditioning_knows_the_last_rows_if_it_is_told_them(form):
     A = prearray((3,), SIGNS["all positive"])
     known = form.marginal(A[..., 2:, :], np.ones(1))
-    for mine, plain in zip(form.condition(A, np.ones(1), 2, None, known=known), form.condition(A, np.ones(1), 2), strict=True):
+    for mine, plain in zip(
+        form.condition(A, np.ones(1), 2, None, known=known),
+        form.condition(A, np.ones(1), 2),
+        strict=True,
+    ):
         np.testing.assert_allclose(mine, plain, atol=1e-12)
 
 
@@ -99,7 +106,10 @@ def test_both_ways_to_say_a_gaussian_and_both_forms_are_the_same_belief():
 
 
 def test_means_and_covariances_may_have_batch_axes_of_their_own():
-    for mean, P in ((np.zeros((5, 2)), np.eye(2)), (np.zeros(2), np.broadcast_to(np.eye(2), (5, 2, 2)))):
+    for mean, P in (
+        (np.zeros((5, 2)), np.eye(2)),
+        (np.zeros(2), np.broadcast_to(np.eye(2), (5, 2, 2))),
+    ):
         prior = Gaussian(mean, P)
         assert (prior.mean.shape, prior.cov.shape) == (mean.shape, P.shape)
         assert prior.sample(np.random.default_rng(0), (7,)).shape == (7, 5, 2)
@@ -111,7 +121,12 @@ def test_lost_is_what_is_not_finite_or_has_a_negative_variance():
     np.testing.assert_array_equal(Covariance(mean, P).lost(), [False, True, False, True])
     np.testing.assert_array_equal(SquareRoot(mean, P).lost(), [False, False, False, True])
     np.testing.assert_array_equal(SquareRoot(np.array([[0.0, np.inf]]), P[:1]).lost(), [True])
-    assert [any_lost(Covariance(mean[:1], P[i : i + 1])) for i in range(4)] == [False, True, False, True]
+    assert [any_lost(Covariance(mean[:1], P[i : i + 1])) for i in range(4)] == [
+        False,
+        True,
+        False,
+        True,
+    ]
 
 
 def test_samples_have_the_moments():
@@ -120,9 +135,13 @@ def test_samples_have_the_moments():
     x = belief.sample(np.random.default_rng(5), (200_000,))
     assert x.shape == (200_000, 2, 2)
     for i, scale in enumerate((1.0, 4.0)):
-        tolerance = 5.0 * np.sqrt(2.0) * 2.0 * scale / np.sqrt(200_000)  # five deviations of a sample variance
+        tolerance = (
+            5.0 * np.sqrt(2.0) * 2.0 * scale / np.sqrt(200_000)
+        )  # five deviations of a sample variance
         np.testing.assert_allclose(np.cov(x[:, i].T), scale * P, atol=tolerance)
-        np.testing.assert_allclose(x[:, i].mean(0), belief.mean[i], atol=5.0 * np.sqrt(2.0 * scale / 200_000))
+        np.testing.assert_allclose(
+            x[:, i].mean(0), belief.mean[i], atol=5.0 * np.sqrt(2.0 * scale / 200_000)
+        )
 
 
 def test_samples_on_a_curved_space_are_tangents():
@@ -183,7 +202,10 @@ def test_a_root_says_what_it_must_be(given, words):
 
 
 def test_a_covariance_names_the_argument_and_the_size():
-    with pytest.raises(ValueError, match=r"R: expected symmetric positive semidefinite \(3, 3\), got shape \(2, 2\)"):
+    with pytest.raises(
+        ValueError,
+        match=r"R: expected symmetric positive semidefinite \(3, 3\), got shape \(2, 2\)",
+    ):
         symmetric(np.eye(2), "R", 3)
 
 

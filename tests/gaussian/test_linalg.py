@@ -20,7 +20,9 @@ from celnav.gaussian.linalg import (
 )
 
 BATCHES = [(), (3,), (2, 3)]
-shapes = st.tuples(st.sampled_from(BATCHES), st.integers(1, 6), st.integers(1, 9), st.integers(0, 2**32 - 1))
+shapes = st.tuples(
+    st.sampled_from(BATCHES), st.integers(1, 6), st.integers(1, 9), st.integers(0, 2**32 - 1)
+)
 
 
 def columns(shape):
@@ -40,7 +42,9 @@ def test_tria_is_a_lower_root_with_non_negative_diagonal(shape):
     assert L.shape == (*A.shape[:-1], A.shape[-2])
     assert (np.triu(L, 1) == 0.0).all()
     assert (L.diagonal(0, -2, -1) >= 0.0).all()
-    np.testing.assert_allclose(L @ L.mT, A @ A.mT, rtol=0.0, atol=1e-13 * max(1.0, np.abs(A @ A.mT).max()))
+    np.testing.assert_allclose(
+        L @ L.mT, A @ A.mT, rtol=0.0, atol=1e-13 * max(1.0, np.abs(A @ A.mT).max())
+    )
 
 
 @settings(max_examples=30, deadline=None)
@@ -49,7 +53,12 @@ def test_tria_of_a_batch_is_tria_of_each(shape):
     A = columns(shape)
     each = np.array([tria(a) for a in A.reshape(-1, *A.shape[-2:])]).reshape(tria(A).shape)
     # Of fewer columns than rows the last diagonal elements are round-off, and so is what they divide.
-    np.testing.assert_allclose(tria(A) @ tria(A).mT, each @ each.mT, rtol=0.0, atol=1e-12 * max(1.0, np.abs(A @ A.mT).max()))
+    np.testing.assert_allclose(
+        tria(A) @ tria(A).mT,
+        each @ each.mT,
+        rtol=0.0,
+        atol=1e-12 * max(1.0, np.abs(A @ A.mT).max()),
+    )
     if A.shape[-1] > A.shape[-2] + 2:
         np.testing.assert_allclose(tria(A), each, rtol=1e-9, atol=1e-12)
 
@@ -107,7 +116,9 @@ def test_a_zero_in_one_run_leaves_the_others_alone():
 def test_cholesky_is_numpys(batch):
     rng = np.random.default_rng(8)
     A = rng.normal(size=(*batch, 4, 7))
-    np.testing.assert_allclose(cholesky(A @ A.mT), np.linalg.cholesky(A @ A.mT), rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(
+        cholesky(A @ A.mT), np.linalg.cholesky(A @ A.mT), rtol=1e-12, atol=1e-13
+    )
 
 
 def test_cholesky_takes_units_as_they_come():
@@ -119,7 +130,9 @@ def test_cholesky_takes_units_as_they_come():
 
 
 @pytest.mark.parametrize("root", [cholesky, semidefinite_root])
-@pytest.mark.parametrize("culprit", [np.diag([1.0, -1.0, 1.0]), np.full((3, 3), np.nan), -np.eye(3)])
+@pytest.mark.parametrize(
+    "culprit", [np.diag([1.0, -1.0, 1.0]), np.full((3, 3), np.nan), -np.eye(3)]
+)
 def test_an_indefinite_matrix_becomes_nan_and_its_neighbors_do_not_notice(root, culprit):
     rng = np.random.default_rng(9)
     A = rng.normal(size=(4, 3, 5))
@@ -171,8 +184,13 @@ def test_downdate_fails_exactly_where_the_difference_is_indefinite():
 def test_an_update_keeps_what_a_downdate_loses(noise_first, rtol):
     """A variance of 1, measured with a deviation of 1e-9: what is left of it is below the rounding of 1."""
     noise = 1e-9
-    exact, parts = noise / np.hypot(1.0, noise), [np.array([[1.0], [1.0]]), np.array([[noise], [0.0]])]
-    S, U, left = SquareRoot.condition(np.concatenate(parts[::-1] if noise_first else parts, -1), POSITIVE, 1)
+    exact, parts = (
+        noise / np.hypot(1.0, noise),
+        [np.array([[1.0], [1.0]]), np.array([[noise], [0.0]])],
+    )
+    S, U, left = SquareRoot.condition(
+        np.concatenate(parts[::-1] if noise_first else parts, -1), POSITIVE, 1
+    )
     np.testing.assert_allclose((S, U, left), [[[1.0]], [[1.0]], [[exact]]], rtol=rtol)
     assert np.isnan(downdate(np.eye(1), U)).all()
     assert 1.0 - 1.0 / (1.0 + noise**2) == 0.0
@@ -226,7 +244,9 @@ def test_a_basis_of_a_range_projects_on_it(zero):
     rng = np.random.default_rng(0)
     A = rng.normal(size=(5, 7, 4))
     A[..., zero] = 0.0
-    A[3, :, 2] = A[3, :, 1] + 1e-9 * A[3, :, 2]  # one matrix of the batch has a dependent column as well
+    A[3, :, 2] = (
+        A[3, :, 1] + 1e-9 * A[3, :, 2]
+    )  # one matrix of the batch has a dependent column as well
     Q = range_basis(A, 1e-6)
     for one, basis in zip(A, Q, strict=True):
         U, s, _ = np.linalg.svd(one)

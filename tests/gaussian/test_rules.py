@@ -4,12 +4,26 @@ from itertools import product as cartesian
 
 import numpy as np
 import pytest
-from filterpy.kalman import JulierSigmaPoints, MerweScaledSigmaPoints, SimplexSigmaPoints, UnscentedKalmanFilter
+from filterpy.kalman import (
+    JulierSigmaPoints,
+    MerweScaledSigmaPoints,
+    SimplexSigmaPoints,
+    UnscentedKalmanFilter,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import celnav
-from celnav.gaussian.rules import MAX_POINTS, Rule, Taylor, cubature, from_filterpy, gauss_hermite, simplex, unscented
+from celnav.gaussian.rules import (
+    MAX_POINTS,
+    Rule,
+    Taylor,
+    cubature,
+    from_filterpy,
+    gauss_hermite,
+    simplex,
+    unscented,
+)
 from celnav.gaussian.spaces import EUCLIDEAN
 
 BATCHES = [(), (3,), (2, 3)]
@@ -56,7 +70,11 @@ def test_rules_are_exact_to_their_degree(make, degree, n):
 @pytest.mark.parametrize(("make", "degree"), EXACT.values(), ids=EXACT)
 def test_rules_are_not_exact_beyond_their_degree(make, degree):
     rule = make(2)
-    worst = max(abs(moment(rule, e) - gaussian_moment(e)) for e in monomials(2, degree + 1) if sum(e) == degree + 1)
+    worst = max(
+        abs(moment(rule, e) - gaussian_moment(e))
+        for e in monomials(2, degree + 1)
+        if sum(e) == degree + 1
+    )
     assert worst > 1e-3
 
 
@@ -132,14 +150,18 @@ def test_from_filterpy_keeps_nodes_and_weights(make, n):
     np.testing.assert_allclose(ours, table(theirs, points.Wm, points.Wc), atol=1e-9, rtol=1e-12)
 
 
-@pytest.mark.parametrize(("alpha", "beta", "kappa"), [(1.0, 0.0, 0.0), (0.5, 2.0, -1.0), (1e-3, 2.0, 0.0)])
+@pytest.mark.parametrize(
+    ("alpha", "beta", "kappa"), [(1.0, 0.0, 0.0), (0.5, 2.0, -1.0), (1e-3, 2.0, 0.0)]
+)
 def test_unscented_is_merwes(alpha, beta, kappa):
     x, P = np.array([1.0, -2.0, 3.0]), np.array([[2.0, 0.3, 0.1], [0.3, 1.0, 0.2], [0.1, 0.2, 0.5]])
     theirs, ours = MerweScaledSigmaPoints(3, alpha, beta, kappa), unscented(3, alpha, beta, kappa)
     points = theirs.sigma_points(x, P)
     c = alpha**2 * (3 + kappa)
     digits = 8.0 * np.finfo(float).eps * max(1.0, 3.0 / c)  # filterpy forms c as (c - n) + n
-    np.testing.assert_allclose(ours.sigma_points(x, P), points[-ours.num_sigmas() :], rtol=digits, atol=digits)
+    np.testing.assert_allclose(
+        ours.sigma_points(x, P), points[-ours.num_sigmas() :], rtol=digits, atol=digits
+    )
     np.testing.assert_allclose(ours.Wm, theirs.Wm[-ours.num_sigmas() :], rtol=digits)
     np.testing.assert_allclose(ours.Wc, theirs.Wc[-ours.num_sigmas() :], rtol=digits)
 
@@ -147,7 +169,15 @@ def test_unscented_is_merwes(alpha, beta, kappa):
 def turn(x, dt):
     """A nonlinear model of four states, for one point or many."""
     px, py, speed, heading = np.moveaxis(x, -1, 0)
-    return np.stack([px + dt * speed * np.cos(heading), py + dt * speed * np.sin(heading), 0.99 * speed, heading + 0.1 * dt], -1)
+    return np.stack(
+        [
+            px + dt * speed * np.cos(heading),
+            py + dt * speed * np.sin(heading),
+            0.99 * speed,
+            heading + 0.1 * dt,
+        ],
+        -1,
+    )
 
 
 def radar(x):
@@ -180,10 +210,15 @@ def test_every_rule_works_inside_filterpy_and_gives_what_our_filter_gives(rule):
         kf.predict()
         kf.update(zs[-1])
         theirs.append(np.r_[kf.x, kf.P.ravel()])
-    motion, sensor = celnav.Motion(lambda x, epoch: turn(x, epoch.dt), Q), celnav.Sensor(lambda x, epoch: radar(x), R)
+    motion, sensor = (
+        celnav.Motion(lambda x, epoch: turn(x, epoch.dt), Q),
+        celnav.Sensor(lambda x, epoch: radar(x), R),
+    )
     for form in ("square root", "covariance"):
         filter = celnav.sigma_point(motion, sensor, rule=rule, form=form)
-        track = celnav.run(filter, celnav.Gaussian(MEAN, P0), np.arange(16.0), np.array(zs), keep="cov")
+        track = celnav.run(
+            filter, celnav.Gaussian(MEAN, P0), np.arange(16.0), np.array(zs), keep="cov"
+        )
         ours = np.concatenate([track.mean, track.cov.reshape(16, 16)], -1)[1:]
         np.testing.assert_allclose(ours, theirs, rtol=1e-6, atol=1e-7)
 
@@ -192,7 +227,10 @@ def test_every_rule_works_inside_filterpy_and_gives_what_our_filter_gives(rule):
 @pytest.mark.parametrize("rule", RULES.values(), ids=RULES)
 def test_images_are_the_weighted_sums_written_out(rule, batch):
     rng = np.random.default_rng(3)
-    mean, root = MEAN + rng.normal(size=(*batch, 4)), np.linalg.cholesky(P0) * np.ones((*batch, 1, 1))
+    mean, root = (
+        MEAN + rng.normal(size=(*batch, 4)),
+        np.linalg.cholesky(P0) * np.ones((*batch, 1, 1)),
+    )
     (points,), kept = rule.points(mean, root), rule.kept(root, ())
     image = rule.image(turn(points, 1.0), EUCLIDEAN, root)
     assert image.columns.shape == kept.shape == (*batch, 4, len(rule.sign))
@@ -218,11 +256,16 @@ JACOBIAN = np.array([[1.0, 0.2, 0.0], [0.0, 1.0, -0.3]])
 @pytest.mark.parametrize("batch", BATCHES)
 def test_taylor_has_the_jacobian(batch, about):
     rng = np.random.default_rng(4)
-    mean, root = rng.normal(size=(*batch, 3)), np.tril(rng.normal(size=(*batch, 3, 3))) + 3.0 * np.eye(3)
+    mean, root = (
+        rng.normal(size=(*batch, 3)),
+        np.tril(rng.normal(size=(*batch, 3, 3))) + 3.0 * np.eye(3),
+    )
     taylor = Taylor(about=None if about is None else mean + about)
     (points,) = taylor.points(mean, root)
     image = taylor.image(points @ JACOBIAN.T, EUCLIDEAN, root)
-    np.testing.assert_allclose(image.jacobian(), np.broadcast_to(JACOBIAN, (*batch, 2, 3)), atol=1e-9)
+    np.testing.assert_allclose(
+        image.jacobian(), np.broadcast_to(JACOBIAN, (*batch, 2, 3)), atol=1e-9
+    )
     np.testing.assert_allclose(image.columns, JACOBIAN @ root, atol=1e-9)
     np.testing.assert_allclose(image.center + image.shift, mean @ JACOBIAN.T, atol=1e-9)
 
@@ -236,7 +279,12 @@ def turned(mean, epoch):
         np.cos(mean[..., 3]),
         np.sin(mean[..., 3]),
     )
-    rows = ([one, zero, c, -speed * s], [zero, one, s, speed * c], [zero, zero, 0.99 * one, zero], [zero, zero, zero, one])
+    rows = (
+        [one, zero, c, -speed * s],
+        [zero, one, s, speed * c],
+        [zero, zero, 0.99 * one, zero],
+        [zero, zero, zero, one],
+    )
     return np.stack([np.stack(row, -1) for row in rows], -2)
 
 
@@ -253,7 +301,9 @@ def test_taylor_by_differences_is_taylor_by_jacobian(batch):
         moving = celnav.ekf(celnav.Motion(f, Q, **known))
         state = moving.predict(moving.start(prior), at).belief
         np.testing.assert_allclose(state.mean, turn(mean, 1.0), rtol=1e-12)
-        np.testing.assert_allclose(state.cov, turned(mean, None) @ P0 @ turned(mean, None).mT + Q, atol=1e-8)
+        np.testing.assert_allclose(
+            state.cov, turned(mean, None) @ P0 @ turned(mean, None).mT + Q, atol=1e-8
+        )
         seeing = celnav.ekf(celnav.Motion(np.eye(4), no), celnav.Sensor(f, Q, **known))
         state, (info,) = seeing.update(seeing.start(prior), at)
         np.testing.assert_allclose(info.jacobian(), turned(mean, None), atol=1e-8)
@@ -263,8 +313,12 @@ def test_taylor_by_differences_is_taylor_by_jacobian(batch):
 
 def test_a_jacobian_says_what_shape_it_must_have():
     for wrong in (np.ones((2, 3)), np.ones(4)):
-        filter = celnav.ekf(celnav.Motion(lambda x, epoch: turn(x, 1.0), Q, jacobian=lambda mean, epoch, J=wrong: J))
-        with pytest.raises(ValueError, match=r"jacobian: expected shape \(\.\.\., 4, n\) to go with f, got"):
+        filter = celnav.ekf(
+            celnav.Motion(lambda x, epoch: turn(x, 1.0), Q, jacobian=lambda mean, epoch, J=wrong: J)
+        )
+        with pytest.raises(
+            ValueError, match=r"jacobian: expected shape \(\.\.\., 4, n\) to go with f, got"
+        ):
             filter.predict(filter.start(celnav.Gaussian(MEAN, P0)), celnav.Epoch(1, 1.0, 1.0))
 
 
@@ -278,7 +332,9 @@ def test_points_have_the_moments_of_state_and_noise(batch, n, k, seed):
     X, *W = rule.points(mean, root, EUCLIDEAN, noise)
     assert X.shape == (len(rule.wm), *batch, n)
     d = X - mean
-    np.testing.assert_allclose(np.einsum("p,p...i,p...j->...ij", rule.wm, d, d), root @ root.mT, atol=1e-10)
+    np.testing.assert_allclose(
+        np.einsum("p,p...i,p...j->...ij", rule.wm, d, d), root @ root.mT, atol=1e-10
+    )
     if k:
         assert W[0].shape == (len(rule.wm), *batch, 2)
         np.testing.assert_allclose(
@@ -286,7 +342,9 @@ def test_points_have_the_moments_of_state_and_noise(batch, n, k, seed):
             np.broadcast_to(noise[0] @ noise[0].T, (*batch, 2, 2)),
             atol=1e-10,
         )
-        np.testing.assert_allclose(np.einsum("p,p...i,p...j->...ij", rule.wm, d, W[0]), 0.0, atol=1e-10)
+        np.testing.assert_allclose(
+            np.einsum("p,p...i,p...j->...ij", rule.wm, d, W[0]), 0.0, atol=1e-10
+        )
 
 
 def test_a_rule_of_the_wrong_dimension_says_so():
@@ -331,7 +389,10 @@ def test_rules_cannot_be_changed():
         (lambda: Rule([[0.0], [1.0]], [0.0, 0.5, 0.5]), "wm: expected shape"),
         (lambda: Taylor(step=0.0), "step"),
         (lambda: unscented(2).sigma_points([0.0], np.eye(2)), "x: expected 2 components, got 1"),
-        (lambda: unscented(2).sigma_points([0.0, 0.0], -np.eye(2)), "P: expected a positive semidefinite"),
+        (
+            lambda: unscented(2).sigma_points([0.0, 0.0], -np.eye(2)),
+            "P: expected a positive semidefinite",
+        ),
     ],
 )
 def test_rules_refuse_and_say_what(make, words):

@@ -19,7 +19,9 @@ def test_wrap_is_congruent_and_in_range(a):
 
 
 def test_wrap_at_the_edges():
-    np.testing.assert_allclose(wrap(np.array([np.pi, -np.pi, 3.0 * np.pi, 0.0])), [-np.pi, -np.pi, -np.pi, 0.0], atol=1e-15)
+    np.testing.assert_allclose(
+        wrap(np.array([np.pi, -np.pi, 3.0 * np.pi, 0.0])), [-np.pi, -np.pi, -np.pi, 0.0], atol=1e-15
+    )
     assert wrap(np.nextafter(-np.pi, -10.0)) < np.pi
 
 
@@ -34,7 +36,10 @@ SPACES = {
 @pytest.mark.parametrize("space", SPACES.values(), ids=SPACES)
 @given(st.lists(reals, min_size=6, max_size=6))
 def test_minus_leads_back(space, numbers):
-    a, b = space.plus(np.zeros(3), np.array(numbers[:3])), space.plus(np.zeros(3), np.array(numbers[3:]))
+    a, b = (
+        space.plus(np.zeros(3), np.array(numbers[:3])),
+        space.plus(np.zeros(3), np.array(numbers[3:])),
+    )
     back = space.plus(a, space.minus(b, a))
     difference = space.minus(back, b)  # on a circle -pi and pi are neighbors
     assert np.abs(difference).max() < 1e-12
@@ -42,8 +47,12 @@ def test_minus_leads_back(space, numbers):
 
 def test_angles_wrap_the_named_components_only():
     space = angles([1])
-    np.testing.assert_allclose(space.minus(np.array([4.0, 3.0]), np.array([-4.0, -3.0])), [8.0, 6.0 - 2.0 * np.pi])
-    np.testing.assert_allclose(space.plus(np.array([3.0, 3.0]), np.array([1.0, 1.0])), [4.0, 4.0 - 2.0 * np.pi])
+    np.testing.assert_allclose(
+        space.minus(np.array([4.0, 3.0]), np.array([-4.0, -3.0])), [8.0, 6.0 - 2.0 * np.pi]
+    )
+    np.testing.assert_allclose(
+        space.plus(np.array([3.0, 3.0]), np.array([1.0, 1.0])), [4.0, 4.0 - 2.0 * np.pi]
+    )
 
 
 def test_spaces_leave_their_arguments_alone():
@@ -75,14 +84,18 @@ def test_a_product_acts_part_by_part(batch):
     rng = np.random.default_rng(1)
     space = product((circle(), 2, 1), (EUCLIDEAN, 2, 2), (angles(), 1, 1))
     angle = rng.uniform(-3.0, 3.0, batch)
-    point = np.concatenate([np.stack([np.cos(angle), np.sin(angle)], -1), rng.normal(size=(*batch, 3))], -1)
+    point = np.concatenate(
+        [np.stack([np.cos(angle), np.sin(angle)], -1), rng.normal(size=(*batch, 3))], -1
+    )
     tangent = rng.normal(size=(*batch, 4))
     moved = space.plus(point, tangent)
     np.testing.assert_allclose(moved[..., :2], circle().plus(point[..., :2], tangent[..., :1]))
     np.testing.assert_allclose(moved[..., 2:4], point[..., 2:4] + tangent[..., 1:3])
     np.testing.assert_allclose(moved[..., 4], wrap(point[..., 4] + tangent[..., 3]))
     np.testing.assert_allclose(
-        space.minus(moved, point), np.concatenate([tangent[..., :3], wrap(tangent[..., 3:])], -1), atol=1e-14
+        space.minus(moved, point),
+        np.concatenate([tangent[..., :3], wrap(tangent[..., 3:])], -1),
+        atol=1e-14,
     )
 
 
@@ -106,7 +119,18 @@ def test_a_product_refuses_a_part_with_a_mean_of_its_own():
 def test_angles_may_come_as_integers():
     """Also as lists of them, or in half precision: differences are floats."""
     space = celnav.angles([0])
-    for make in (list, np.array, lambda v: np.array(v, np.float32), lambda v: np.array(v, np.uint8)):
-        np.testing.assert_allclose(space.minus(make([6, 7]), make([1, 9])), [5.0 - 2.0 * np.pi, -2.0])
-        np.testing.assert_allclose(space.plus(make([3, 7]), make([1, 9])), [4.0 - 2.0 * np.pi, 16.0])
-        np.testing.assert_allclose(celnav.angles().minus(np.asarray(make([6, 7])), make([1, 9])), [5.0 - 2.0 * np.pi, -2.0])
+    for make in (
+        list,
+        np.array,
+        lambda v: np.array(v, np.float32),
+        lambda v: np.array(v, np.uint8),
+    ):
+        np.testing.assert_allclose(
+            space.minus(make([6, 7]), make([1, 9])), [5.0 - 2.0 * np.pi, -2.0]
+        )
+        np.testing.assert_allclose(
+            space.plus(make([3, 7]), make([1, 9])), [4.0 - 2.0 * np.pi, 16.0]
+        )
+        np.testing.assert_allclose(
+            celnav.angles().minus(np.asarray(make([6, 7])), make([1, 9])), [5.0 - 2.0 * np.pi, -2.0]
+        )

@@ -77,7 +77,12 @@ def test_published_counts(g, isotropic, anisotropic):
 
 def test_counts_in_thirteen_dimensions():
     nonlinear = [1] * 3 + [2] * 10
-    counts = [point_count(13, 2), point_count(13, 3), point_count(13, 3, PAPER), point_count(13, 3, nonlinear)]
+    counts = [
+        point_count(13, 2),
+        point_count(13, 3),
+        point_count(13, 3, PAPER),
+        point_count(13, 3, nonlinear),
+    ]
     assert counts == [27, 417, 75, 57]
     assert point_count(13, 3, orders=DELAYED) == 2 * 13**2 + 1
     assert point_count(13, 4, [1] * 3 + [3] * 10) == 179
@@ -151,7 +156,9 @@ def test_exactness_of_every_monomial_in_four_dimensions():
                 continue
             values = np.prod(rule.nodes ** np.array(powers), -1)
             exact = prod(gaussian_moment(a) for a in powers)
-            close = abs(rule.wm @ values - exact) <= 1e-10 * (np.abs(rule.wm) @ np.abs(values) + abs(exact))
+            close = abs(rule.wm @ values - exact) <= 1e-10 * (
+                np.abs(rule.wm) @ np.abs(values) + abs(exact)
+            )
             assert close == integrates(powers, 3, g), (g, powers)
 
 
@@ -165,9 +172,16 @@ def test_level_one_is_the_center():
     rule = smolyak(4, 1)
     assert rule.nodes.tolist() == [[0.0] * 4]
     assert rule.wm.tolist() == [1.0]
-    filter = celnav.sparse_grid_filter(celnav.Motion(lambda x, _: x, sqrt_Q=np.zeros((4, 0))), level=1)
-    with pytest.raises(ValueError, match="rule: expected points in every dimension, got none in 0, 1, 2, 3"):
-        filter.predict(filter.start(celnav.Gaussian(np.zeros(4), sqrt_cov=np.eye(4))), celnav.Epoch(1, 1.0, 1.0))
+    filter = celnav.sparse_grid_filter(
+        celnav.Motion(lambda x, _: x, sqrt_Q=np.zeros((4, 0))), level=1
+    )
+    with pytest.raises(
+        ValueError, match="rule: expected points in every dimension, got none in 0, 1, 2, 3"
+    ):
+        filter.predict(
+            filter.start(celnav.Gaussian(np.zeros(4), sqrt_cov=np.eye(4))),
+            celnav.Epoch(1, 1.0, 1.0),
+        )
     with pytest.raises(ValueError, match="got none in 0, 1, 2, 3"):
         rule.sigma_points(np.zeros(4), np.eye(4))
 
@@ -198,7 +212,9 @@ def test_delayed_rules():
     for n, level in ((3, 3), (5, 3), (3, 4), (2, 7)):
         expected, rule = combination(n, level, [1] * n, DELAYED), smolyak(n, level, orders=DELAYED)
         assert len(expected) == rule.num_sigmas()
-        assert np.sort(rule.wm[rule.wm != 0.0]) == pytest.approx(np.sort([v[1] for v in expected.values()]), abs=1e-13)
+        assert np.sort(rule.wm[rule.wm != 0.0]) == pytest.approx(
+            np.sort([v[1] for v in expected.values()]), abs=1e-13
+        )
     assert integrates((2, 2, 0), 3, orders=DELAYED)
     assert not integrates((6, 0, 0), 3, orders=DELAYED)
     assert integrates((6, 0, 0), 3)
@@ -213,7 +229,9 @@ def test_weights_grow_with_the_dimension():
 
 def test_inside_filterpy():
     rule = smolyak(2, 3, [1, 2])
-    ukf = UnscentedKalmanFilter(2, 1, 1.0, lambda x: x[:1], lambda x, dt: np.array([x[0] + dt * x[1], x[1]]), rule)
+    ukf = UnscentedKalmanFilter(
+        2, 1, 1.0, lambda x: x[:1], lambda x, dt: np.array([x[0] + dt * x[1], x[1]]), rule
+    )
     ukf.x, ukf.P = np.array([1.0, 2.0]), np.array([[2.0, 0.3], [0.3, 1.0]])
     ukf.Q, ukf.R = 0.1 * np.eye(2), np.eye(1)
     ukf.predict()
@@ -228,13 +246,23 @@ def test_inside_filterpy():
 @pytest.mark.parametrize("form", ["square root", "covariance"])
 def test_in_the_filter_for_colored_noise(form):
     """Linear model: any exact rule gives the same estimates; negative weights are taken away by a downdate."""
-    F, Phi = np.array([[1.0, 0.1, 0.0], [0.0, 1.0, 0.1], [0.0, -0.1, 1.0]]), np.array([[0.7, 0.2], [-0.1, 0.9]])
+    F, Phi = (
+        np.array([[1.0, 0.1, 0.0], [0.0, 1.0, 0.1], [0.0, -0.1, 1.0]]),
+        np.array([[0.7, 0.2], [-0.1, 0.9]]),
+    )
     z = np.random.default_rng(0).standard_normal((12, 4, 2))
-    motion, sensor = celnav.Motion(lambda x, _: x @ F.T, 0.1 * np.eye(3)), celnav.Sensor(np.eye(2, 3), np.eye(2))
+    motion, sensor = (
+        celnav.Motion(lambda x, _: x @ F.T, 0.1 * np.eye(3)),
+        celnav.Sensor(np.eye(2, 3), np.eye(2)),
+    )
     means = []
     for rule in (smolyak(3, 3), smolyak(3, 3, [1, 2, 2]), unscented(3)):
         filter = celnav.colored(motion, sensor, Phi, increments=np.eye(2), rule=rule, form=form)
-        means.append(celnav.run(filter, celnav.Gaussian(np.zeros((4, 3)), np.eye(3)), np.arange(12.0), z).mean)
+        means.append(
+            celnav.run(
+                filter, celnav.Gaussian(np.zeros((4, 3)), np.eye(3)), np.arange(12.0), z
+            ).mean
+        )
     np.testing.assert_allclose(means[0], means[2], atol=1e-10)
     np.testing.assert_allclose(means[1], means[2], atol=1e-10)
 
@@ -242,7 +270,10 @@ def test_in_the_filter_for_colored_noise(form):
 def test_mean_of_a_nonlinear_function():
     """E[cos(a x)] = exp(-|a|^2 / 2): the error falls with the level."""
     a = np.array([0.6, 0.4, 0.2])
-    errors = [abs(r.wm @ np.cos(r.nodes @ a) - np.exp(-0.5 * a @ a)) for r in (smolyak(3, k) for k in range(1, 6))]
+    errors = [
+        abs(r.wm @ np.cos(r.nodes @ a) - np.exp(-0.5 * a @ a))
+        for r in (smolyak(3, k) for k in range(1, 6))
+    ]
     assert all(b < 0.3 * a for a, b in pairwise(errors))
 
 
@@ -274,7 +305,10 @@ def test_bad_orders_and_powers():
 def test_too_many_points_are_refused_before_they_are_made():
     count = point_count(60, 5)
     assert count > 1_000_000
-    with pytest.raises(ValueError, match=f"level: {count} points of 60 components exceed the limit of 1000000 points"):
+    with pytest.raises(
+        ValueError,
+        match=f"level: {count} points of 60 components exceed the limit of 1000000 points",
+    ):
         smolyak(60, 5)
 
 

@@ -32,7 +32,9 @@ def test_the_earth_is_where_it_is():
 def test_velocities_are_rates_of_positions():
     for body in BODIES:
         a, b, middle = (de421().state(body, START.after(s)) for s in (-30.0, 30.0, 0.0))
-        np.testing.assert_allclose((b.position - a.position) / 60.0, middle.velocity, rtol=1e-6, atol=1e-7, err_msg=body)
+        np.testing.assert_allclose(
+            (b.position - a.position) / 60.0, middle.velocity, rtol=1e-6, atol=1e-7, err_msg=body
+        )
 
 
 def test_the_barycenter_of_earth_and_moon_is_between_them():
@@ -45,12 +47,17 @@ def test_the_barycenter_of_earth_and_moon_is_between_them():
 def test_batches_are_singles():
     many = de421().state("moon", START.after(np.arange(6.0).reshape(2, 3) * 1e5))
     assert many.position.shape == (2, 3, 3)
-    np.testing.assert_array_equal(many.position[1, 2], de421().state("moon", START.after(5e5)).position)
+    np.testing.assert_array_equal(
+        many.position[1, 2], de421().state("moon", START.after(5e5)).position
+    )
 
 
 def test_a_date_outside_is_refused_with_the_range():
     for date in (Tdb(2400000.5, 0.0), Tdb(2600000.5, 0.0), Tdb(np.nan, 0.0)):
-        with pytest.raises(ValueError, match=r"^date: expected JD TDB between 2414864.5 and 2471184.5, which .*de421.bsp covers"):
+        with pytest.raises(
+            ValueError,
+            match=r"^date: expected JD TDB between 2414864.5 and 2471184.5, which .*de421.bsp covers",
+        ):
             de421().state("earth", date)
     with pytest.raises(ValueError, match=r"^body: expected one of sun, .*got 'vulcan'"):
         de421().state("vulcan", START)
@@ -89,7 +96,9 @@ def older(tmp_path):
     for body, values in coefficients.items():
         np.save(tmp_path / f"jpl-{body}.npy", values)
     position = runpy.run_path(str(data("make_ephemeris.py")))["position"]
-    return coefficients, lambda body, rest: position(tmp_path, body, Tdb(2457312.5, np.asarray(rest)))
+    return coefficients, lambda body, rest: position(
+        tmp_path, body, Tdb(2457312.5, np.asarray(rest))
+    )
 
 
 def test_arrays_are_chebyshev_series_on_equal_spans(older):
@@ -103,8 +112,12 @@ def test_arrays_are_chebyshev_series_on_equal_spans(older):
 
 def test_the_earth_comes_from_the_barycenter(older):
     coefficients, position = older
-    together = [np.polynomial.chebyshev.Chebyshev(c)(2 * 4.1 / 8 - 1) for c in coefficients["earthmoon"][1]]
-    np.testing.assert_allclose((81.3 * position("earth", 0.1) + position("moon", 0.1)) / 82.3, together, rtol=1e-9)
+    together = [
+        np.polynomial.chebyshev.Chebyshev(c)(2 * 4.1 / 8 - 1) for c in coefficients["earthmoon"][1]
+    ]
+    np.testing.assert_allclose(
+        (81.3 * position("earth", 0.1) + position("moon", 0.1)) / 82.3, together, rtol=1e-9
+    )
 
 
 def test_nothing_asks_what_day_it_is(monkeypatch):

@@ -26,7 +26,9 @@ def test_normal_gravity_at_known_places():
 def test_radii_of_curvature_are_those_of_the_ellipse():
     a, e2 = earth.SEMI_MAJOR_M, earth.ECCENTRICITY_SQUARED
     np.testing.assert_allclose(earth.meridian_radius(0.0), a * (1 - e2), rtol=1e-14)
-    np.testing.assert_allclose(earth.meridian_radius(np.pi / 2), earth.transverse_radius(np.pi / 2), rtol=1e-12)
+    np.testing.assert_allclose(
+        earth.meridian_radius(np.pi / 2), earth.transverse_radius(np.pi / 2), rtol=1e-12
+    )
     np.testing.assert_allclose(earth.transverse_radius(0.0), a)
 
 
@@ -39,7 +41,10 @@ def test_the_flight_is_its_differential_equation():
         east, north = v * np.sin(psi), v * np.cos(psi)
         s = np.sin(x[1])
         q = 1.0 - earth.ECCENTRICITY_SQUARED * s * s
-        RN, RM = earth.SEMI_MAJOR_M / np.sqrt(q), earth.SEMI_MAJOR_M * (1.0 - earth.ECCENTRICITY_SQUARED) / q**1.5
+        RN, RM = (
+            earth.SEMI_MAJOR_M / np.sqrt(q),
+            earth.SEMI_MAJOR_M * (1.0 - earth.ECCENTRICITY_SQUARED) / q**1.5,
+        )
         return [east / ((RN + 2e4) * np.cos(x[1])), north / (RM + 2e4)]
 
     start = [FLIGHT["longitude"], FLIGHT["latitude"]]

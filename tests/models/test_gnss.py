@@ -39,7 +39,9 @@ def test_velocities_and_drifts_are_derivatives():
         for value, rate, size in (("position", "velocity", 1e-5), ("clock", "drift", 1e-17)):
             a, c, d, e = (getattr(s, value) for s in steps)
             difference = (a - 8.0 * c + 8.0 * d - e) / (12.0 * h)
-            np.testing.assert_allclose(getattr(satellites(b, t), rate), difference, rtol=0, atol=size)
+            np.testing.assert_allclose(
+                getattr(satellites(b, t), rate), difference, rtol=0, atol=size
+            )
 
 
 def textbook(b, s, t):
@@ -57,8 +59,18 @@ def textbook(b, s, t):
     i = b.i0[s] + b.i_dot[s] * tk + b.cis[s] * np.sin(2 * phi) + b.cic[s] * np.cos(2 * phi)
     x, y = r * np.cos(u), r * np.sin(u)
     geo = b.number[s] < 6
-    node = b.Omega0[s] + (b.Omega_dot[s] - (0.0 if geo else ROTATION_RATE)) * tk - ROTATION_RATE * (b.toe[s] % 604800.0)
-    P = np.array([x * np.cos(node) - y * np.cos(i) * np.sin(node), x * np.sin(node) + y * np.cos(i) * np.cos(node), y * np.sin(i)])
+    node = (
+        b.Omega0[s]
+        + (b.Omega_dot[s] - (0.0 if geo else ROTATION_RATE)) * tk
+        - ROTATION_RATE * (b.toe[s] % 604800.0)
+    )
+    P = np.array(
+        [
+            x * np.cos(node) - y * np.cos(i) * np.sin(node),
+            x * np.sin(node) + y * np.cos(i) * np.cos(node),
+            y * np.sin(i),
+        ]
+    )
     if geo:
         a, w = np.radians(-5.0), ROTATION_RATE * tk
         Rx = np.array([[1, 0, 0], [0, np.cos(a), np.sin(a)], [0, -np.sin(a), np.cos(a)]])
@@ -84,7 +96,13 @@ def of_gps(b, s, t):
         )
     )  # fmt: skip
     node = b.Omega0[s] + b.Omega_dot[s] * tk - earth * (tk + toe)
-    clock = b.a0[s] + b.a1[s] * tk + b.a2[s] * tk**2 - 4.442807633e-10 * b.e[s] * b.sqrt_a[s] * np.sin(E) - b.tgd[s]
+    clock = (
+        b.a0[s]
+        + b.a1[s] * tk
+        + b.a2[s] * tk**2
+        - 4.442807633e-10 * b.e[s] * b.sqrt_a[s] * np.sin(E)
+        - b.tgd[s]
+    )
     return Rotation.from_euler("ZXZ", [node, i, u]).apply([r, 0.0, 0.0]), clock
 
 
@@ -93,12 +111,20 @@ def of_gps(b, s, t):
 def test_satellites_of_gps_are_those_of_their_interface_document(toe, after):
     """Also at the ends of the week, which is GPS's own, 14 s before BeiDou's."""
     when = np.full(3, toe)
-    b = broadcast(gps=np.ones(3), e=np.array([0.01, 2e-3, 3e-4]), sqrt_a=np.full(3, 5153.7), toe=when, toc=when)
+    b = broadcast(
+        gps=np.ones(3),
+        e=np.array([0.01, 2e-3, 3e-4]),
+        sqrt_a=np.full(3, 5153.7),
+        toe=when,
+        toc=when,
+    )
     found = satellites(b, toe + after)
     for s in range(3):
         place, clock = of_gps(b, s, (toe + 14.0 + after) % 604800.0)
         np.testing.assert_allclose(found.position[s], place, rtol=0, atol=1e-5)
-        np.testing.assert_allclose(found.clock[s], clock, rtol=0, atol=1e-17)  # the constant has ten digits
+        np.testing.assert_allclose(
+            found.clock[s], clock, rtol=0, atol=1e-17
+        )  # the constant has ten digits
     assert b.names == ["G21", "G38", "G03"]
     assert not b.geostationary.any()
 
@@ -122,7 +148,9 @@ def test_a_reference_time_in_the_other_week_is_near():
 def test_a_geostationary_satellite_by_the_other_formula_is_far_off():
     b = broadcast()
     wrong = replace(b, number=np.array([21.0, 38.0, 21.0]))
-    apart = np.linalg.norm(satellites(b, TOE + 1800.0).position - satellites(wrong, TOE + 1800.0).position, axis=-1)
+    apart = np.linalg.norm(
+        satellites(b, TOE + 1800.0).position - satellites(wrong, TOE + 1800.0).position, axis=-1
+    )
     assert apart[:2].max() == 0.0
     assert apart[2] > 1e5
 
@@ -146,20 +174,30 @@ def test_synthetic_satellites_move_as_two_bodies():
     """Elements made from a place and a velocity give that motion again, the geostationary ones too."""
     b = synthetic(TOE)
     start = satellites(b, TOE)
-    spin = ROTATION_RATE * np.stack([-start.position[:, 1], start.position[:, 0], 0.0 * start.position[:, 2]], -1)
+    spin = ROTATION_RATE * np.stack(
+        [-start.position[:, 1], start.position[:, 0], 0.0 * start.position[:, 2]], -1
+    )
     for dt in (-900.0, 1800.0, 5400.0):
         later = satellites(b, TOE + dt).position
         for s in range(len(b)):
             inertial = two_body(start.position[s], start.velocity[s] + spin[s], dt)
             c, n = np.cos(ROTATION_RATE * dt), np.sin(ROTATION_RATE * dt)
-            fixed = np.array([c * inertial[0] + n * inertial[1], c * inertial[1] - n * inertial[0], inertial[2]])
+            fixed = np.array(
+                [c * inertial[0] + n * inertial[1], c * inertial[1] - n * inertial[0], inertial[2]]
+            )
             np.testing.assert_allclose(later[s], fixed, rtol=0, atol=1e-6, err_msg=b.names[s])
 
 
 def test_geostationary_satellites_stand_over_their_longitudes():
     b = synthetic(TOE)
     at = {name: satellites(b, TOE).position[k] for k, name in enumerate(b.names)}
-    for name, longitude in (("C01", 140.0), ("C02", 80.0), ("C03", 110.5), ("C04", 160.0), ("C05", 58.75)):
+    for name, longitude in (
+        ("C01", 140.0),
+        ("C02", 80.0),
+        ("C03", 110.5),
+        ("C04", 160.0),
+        ("C05", 58.75),
+    ):
         assert np.degrees(np.arctan2(at[name][1], at[name][0])) == pytest.approx(longitude, abs=0.2)
     assert len(b) == 5 + 3 + 24
     assert {"C38", "C39", "C40"} <= set(at)

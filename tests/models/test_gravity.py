@@ -19,7 +19,11 @@ J2 = 1.08262668e-3
 
 def random(degree):
     """A field of random coefficients that fall as the Earth's do."""
-    C, S = RNG.standard_normal((2, degree + 1, degree + 1)) * 1e-5 / np.maximum(np.arange(degree + 1), 1)[:, None] ** 2
+    C, S = (
+        RNG.standard_normal((2, degree + 1, degree + 1))
+        * 1e-5
+        / np.maximum(np.arange(degree + 1), 1)[:, None] ** 2
+    )
     C[0, 0] = 1.0
     return gravity.Gravity(GM, RADIUS, C, S)
 
@@ -37,9 +41,13 @@ def summed(field, r):
     sine, longitude, total = r[2] / size, np.arctan2(r[1], r[0]), 0.0
     for n in range(field.degree + 1):
         for m in range(n + 1):
-            norm = math.sqrt((2 - (m == 0)) * (2 * n + 1) * math.factorial(n - m) / math.factorial(n + m))
+            norm = math.sqrt(
+                (2 - (m == 0)) * (2 * n + 1) * math.factorial(n - m) / math.factorial(n + m)
+            )
             P = (-1) ** m * norm * lpmv(m, n, sine)
-            wave = field.C[n, m] * np.cos(m * longitude) + field.S[n, m] * np.sin(m * longitude) * (m > 0)
+            wave = field.C[n, m] * np.cos(m * longitude) + field.S[n, m] * np.sin(m * longitude) * (
+                m > 0
+            )
             total += (field.radius / size) ** n * P * wave
     return field.gm / size * total
 
@@ -47,7 +55,10 @@ def summed(field, r):
 def slope(function, r, step):
     """Central differences of the sixth order, ``(..., k, 3)``: good to 1e-11 of the function here."""
     weights = {1: 45.0, 2: -9.0, 3: 1.0}
-    parts = [sum(w * (np.asarray(function(r + k * e)) - function(r - k * e)) for k, w in weights.items()) for e in step * np.eye(3)]
+    parts = [
+        sum(w * (np.asarray(function(r + k * e)) - function(r - k * e)) for k, w in weights.items())
+        for e in step * np.eye(3)
+    ]
     return np.stack(parts, -1) / (60.0 * step)
 
 
@@ -65,7 +76,11 @@ def test_the_potential_is_the_sum_of_its_terms_and_the_acceleration_its_slope(de
     field = random(degree)
     for r in places(6):
         np.testing.assert_allclose(field.potential(r), summed(field, r), rtol=1e-14)
-        beside = slope(lambda x: summed(field, x), r, 2e4) if abs(r[2]) < 6.7e6 else slope(field.potential, r, 2e4)
+        beside = (
+            slope(lambda x: summed(field, x), r, 2e4)
+            if abs(r[2]) < 6.7e6
+            else slope(field.potential, r, 2e4)
+        )
         np.testing.assert_allclose(field.acceleration(r), beside, atol=1e-9)
 
 
@@ -103,10 +118,15 @@ def test_a_filter_of_it_is_compiled(degree):
         a = field.acceleration(r + 0.5 * h * v) + earth.inertial_forces(r, v)
         return np.concatenate([r + h * v + 0.5 * h * h * a, v + h * a], -1)
 
-    filter = celnav.ukf(celnav.Motion(f, 1e-4 * np.eye(6)), celnav.Sensor(np.eye(3, 6), 9.0 * np.eye(3)))
+    filter = celnav.ukf(
+        celnav.Motion(f, 1e-4 * np.eye(6)), celnav.Sensor(np.eye(3, 6), 9.0 * np.eye(3))
+    )
     prior = celnav.Gaussian(np.array([6.8e6, 0.0, 0.0, 0.0, 1e3, 7e3]), np.eye(6))
     z = prior.mean[:3] + RNG.standard_normal((4, 3))
-    one, other = (celnav.run(filter, prior, np.arange(4.0), z, engine=engine) for engine in ("numpy", "compiled"))
+    one, other = (
+        celnav.run(filter, prior, np.arange(4.0), z, engine=engine)
+        for engine in ("numpy", "compiled")
+    )
     np.testing.assert_allclose(one.mean, other.mean, rtol=0, atol=1e-8)
 
 
@@ -116,7 +136,9 @@ def test_an_orbit_on_turning_axes_is_the_one_in_space():
     h, steps, pole = 10.0, 60, (1e-6, 2e-6)
 
     def turned(t):
-        return earth.orientation([2454679.5, 0.5 + t / 86400.0], [2454679.5, 0.5 + (t - 65.6) / 86400.0], pole)
+        return earth.orientation(
+            [2454679.5, 0.5 + t / 86400.0], [2454679.5, 0.5 + (t - 65.6) / 86400.0], pole
+        )
 
     def rk4(rate, x, t):
         k1 = rate(x, t)
@@ -126,7 +148,9 @@ def test_an_orbit_on_turning_axes_is_the_one_in_space():
         return x + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
 
     def fixed(x, t):
-        return np.concatenate([x[3:], field.acceleration(x[:3]) + earth.inertial_forces(x[:3], x[3:], rate)])
+        return np.concatenate(
+            [x[3:], field.acceleration(x[:3]) + earth.inertial_forces(x[:3], x[3:], rate)]
+        )
 
     def free(x, t):
         R = turned(t)
@@ -136,7 +160,9 @@ def test_an_orbit_on_turning_axes_is_the_one_in_space():
     R = turned(0.0)
     np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-14)
     rate = earth.spin(np.stack([turned(0.0), turned(10.0)]), 10.0)[0]
-    np.testing.assert_allclose(rate, earth.ROTATION_RATE * np.array([pole[0], -pole[1], 1.0]), atol=2e-11)
+    np.testing.assert_allclose(
+        rate, earth.ROTATION_RATE * np.array([pole[0], -pole[1], 1.0]), atol=2e-11
+    )
     y = np.concatenate([R.T @ x[:3], R.T @ (x[3:] + np.cross(rate, x[:3]))])
     for k in range(steps):
         x, y = rk4(fixed, x, k * h), rk4(free, y, k * h)
@@ -148,9 +174,15 @@ def test_the_angle_of_the_earth_is_what_textbooks_have():
     """[Montenbruck2000, Exercise 5.2]: 1999 March 4, 0 h UTC."""
     UTC = 2451241.5
     found = earth.orientation(
-        [UTC, (32.0 + 32.184) / 86400.0], [UTC, 0.649232 / 86400.0], np.radians([0.06740 / 3600, 0.24713 / 3600])
+        [UTC, (32.0 + 32.184) / 86400.0],
+        [UTC, 0.649232 / 86400.0],
+        np.radians([0.06740 / 3600, 0.24713 / 3600]),
     )
-    printed = [[-0.94737803, 0.32011696, -0.00008431], [-0.32011696, -0.94737803, -0.00006363], [-0.00010024, -0.00003330, 1.0]]
+    printed = [
+        [-0.94737803, 0.32011696, -0.00008431],
+        [-0.32011696, -0.94737803, -0.00006363],
+        [-0.00010024, -0.00003330, 1.0],
+    ]
     np.testing.assert_allclose(found, printed, atol=2e-7)
 
 
@@ -164,7 +196,12 @@ def test_a_file_is_read(tmp_path):
     field = gravity.read(path)
     assert (field.gm, field.radius, field.degree) == (GM, RADIUS, 2)
     assert field.C[0, 0] == 1.0
-    assert (field.C[2, 0], field.C[2, 1], field.S[2, 1], field.S[2, 2]) == (-0.48e-3, 1e-9, 2e-9, -1e-6)
+    assert (field.C[2, 0], field.C[2, 1], field.S[2, 1], field.S[2, 2]) == (
+        -0.48e-3,
+        1e-9,
+        2e-9,
+        -1e-6,
+    )
     assert gravity.read(path, degree=0).degree == 0
 
 
@@ -179,9 +216,18 @@ def test_a_file_is_read(tmp_path):
         (HEAD + "gfc 1 2 0 0\n", "line 6: expected 0 <= order <= degree and finite numbers"),
         (HEAD + "gfc 1 1 nan 0\n", "line 6: expected 0 <= order <= degree and finite numbers"),
         (HEAD + "gfc 999999 1 0 0\n", "line 6: expected 0 <= order <= degree"),
-        (HEAD.replace("radius", "size") + BODY, "expected radius with a number in the head, got 'none'"),
-        (HEAD.replace("0.39", "many") + BODY, "expected earth_gravity_constant with a number in the head, got 'many"),
-        (HEAD.replace("fully_", "un") + BODY, "norm: expected fully_normalized, got 'unnormalized'"),
+        (
+            HEAD.replace("radius", "size") + BODY,
+            "expected radius with a number in the head, got 'none'",
+        ),
+        (
+            HEAD.replace("0.39", "many") + BODY,
+            "expected earth_gravity_constant with a number in the head, got 'many",
+        ),
+        (
+            HEAD.replace("fully_", "un") + BODY,
+            "norm: expected fully_normalized, got 'unnormalized'",
+        ),
     ],
 )
 def test_what_is_none_is_refused_by_file_and_line(tmp_path, text, message):

@@ -40,7 +40,13 @@ def test_drift_is_stationary():
 
 @pytest.mark.parametrize(
     ("v", "u", "T"),
-    [(2.424e-7, 2.285e-9, 0.25), (2.424e-7, 9.7e-7, 0.25), (1.45e-4, 1.6e-9, 1.0), (1e-6, 1e-10, 10.0), (1e-7, 1e-8, 60.0)],
+    [
+        (2.424e-7, 2.285e-9, 0.25),
+        (2.424e-7, 9.7e-7, 0.25),
+        (1.45e-4, 1.6e-9, 1.0),
+        (1e-6, 1e-10, 10.0),
+        (1e-7, 1e-8, 60.0),
+    ],
 )
 def test_steady_state_is_the_riccati_solution(v, u, T):
     gyro = Gyro(v, u)
@@ -82,7 +88,14 @@ def test_rotation_is_eulers_equation_and_keeps_momentum():
 
     def rate(_, x):
         q, w = x[:4], x[4:]
-        W = np.array([[0, w[2], -w[1], w[0]], [-w[2], 0, w[0], w[1]], [w[1], -w[0], 0, w[2]], [-w[0], -w[1], -w[2], 0]])
+        W = np.array(
+            [
+                [0, w[2], -w[1], w[0]],
+                [-w[2], 0, w[0], w[1]],
+                [w[1], -w[0], 0, w[2]],
+                [-w[0], -w[1], -w[2], 0],
+            ]
+        )
         return np.append(0.5 * W @ q, np.linalg.solve(J, -np.cross(w, J @ w + body.wheels)))
 
     known = solve_ivp(rate, (0.0, 20.0), start, rtol=1e-12, atol=1e-14).y[:, -1]
@@ -95,7 +108,9 @@ def test_gravity_gradient_vanishes_on_a_principal_axis():
     body = Body(np.diag([1.0, 2.0, 3.0]), orbit_rate=1e-3)
     still = body.rates(np.append(at.IDENTITY, np.zeros(3)), 0.0)
     np.testing.assert_array_equal(still[4:], 0.0)
-    np.testing.assert_allclose(body.nadir(at.IDENTITY, np.pi / 2 * 1e3), [-1.0, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(
+        body.nadir(at.IDENTITY, np.pi / 2 * 1e3), [-1.0, 0.0, 0.0], atol=1e-12
+    )
 
 
 def simulated(runs=5, steps=40, dt=0.25):
@@ -130,7 +145,10 @@ def h(x, _epoch, *noise):
 
 
 W, V = np.diag(np.repeat([GYRO.rate_std(0.25), GYRO.drift_std(0.25)], 3)), SIGMA_N * np.eye(3)
-ADDITIVE = Motion(f, GYRO.process_noise(0.25), space=SPACE), Sensor(h, SIGMA_N**2 * np.eye(3), space=STAR)
+ADDITIVE = (
+    Motion(f, GYRO.process_noise(0.25), space=SPACE),
+    Sensor(h, SIGMA_N**2 * np.eye(3), space=STAR),
+)
 THROUGH = Motion(f, augment=(W,), space=SPACE), Sensor(h, augment=(V,), space=STAR)
 FULL = Motion(f, augment=(W, V), space=SPACE), Sensor(h, augment=(W, V), space=STAR)
 
@@ -138,7 +156,9 @@ FULL = Motion(f, augment=(W, V), space=SPACE), Sensor(h, augment=(W, V), space=S
 def filtered(parts, z, gyro, rule=unscented, form="covariance", hooks=()):
     cov = np.diag(np.radians([1, 2, 10, 1 / 3600, 1 / 3600, 1 / 3600]) ** 2)
     mean = np.append(at.IDENTITY, np.zeros(3))
-    prior = Gaussian(np.broadcast_to(mean, (z.shape[1], 7)), np.broadcast_to(cov, (z.shape[1], 6, 6)))
+    prior = Gaussian(
+        np.broadcast_to(mean, (z.shape[1], 7)), np.broadcast_to(cov, (z.shape[1], 6, 6))
+    )
     filter = sigma_point(*parts, rule=rule, form=form, hooks=hooks)
     return run(filter, prior, epochs(0.25 * np.arange(len(z)), z, gyro), keep="cov")
 
@@ -227,7 +247,9 @@ def test_gates_and_windows_work_on_attitudes(form, rule):
     assert gated.events["rejected"].tolist() == [0, 0, 3, 0, 0]
     np.testing.assert_allclose(gated.mean, without.mean, atol=1e-12)
     fooled = filtered(ADDITIVE, far, gyro, rule, form)
-    error = [at.angle(at.multiply(t.mean[20, 2, :4], at.inverse(q[20, 2]))) for t in (gated, fooled)]
+    error = [
+        at.angle(at.multiply(t.mean[20, 2, :4], at.inverse(q[20, 2]))) for t in (gated, fooled)
+    ]
     assert error[1] > 20.0 * error[0]
     wide = filtered(ADDITIVE, far, gyro, rule, form, [innovation_window(5)])
     assert np.isfinite(wide.mean).all()
@@ -250,13 +272,21 @@ def test_numbers_of_a_data_sheet_by_hand():
 
 def test_the_drift_of_a_bias_instability_has_its_allan_deviation():
     """Simulated: it peaks at 0.62 of the instability, after 1.9 correlation times."""
-    gyro, rng, runs = Gyro.datasheet(0.0, bias_instability=10.0, tau=20.0), np.random.default_rng(5), 400
+    gyro, rng, runs = (
+        Gyro.datasheet(0.0, bias_instability=10.0, tau=20.0),
+        np.random.default_rng(5),
+        400,
+    )
     deviation = gyro.sigma_u * np.sqrt(gyro.tau / 2.0)
-    drift = gyro.drift(deviation * rng.standard_normal((runs, 1)), rng.standard_normal((1599, runs, 1)), 1.0)[..., 0]
+    drift = gyro.drift(
+        deviation * rng.standard_normal((runs, 1)), rng.standard_normal((1599, runs, 1)), 1.0
+    )[..., 0]
     found = []
     for length in (16, 32, 40, 80):
         means = drift[: len(drift) // length * length].reshape(-1, length, runs).mean(1)
-        found.append(np.sqrt(0.5 * np.square(np.diff(means, axis=0)).mean()) / np.radians(10.0 / 3600.0))
+        found.append(
+            np.sqrt(0.5 * np.square(np.diff(means, axis=0)).mean()) / np.radians(10.0 / 3600.0)
+        )
     assert max(found) == pytest.approx(0.618, abs=0.02)
     assert int(np.argmax(found)) in (1, 2)
 
@@ -270,7 +300,10 @@ def test_the_drift_of_a_bias_instability_has_its_allan_deviation():
         ),
         ({"bias_instability": -1.0}, "bias_instability: expected a number of at least 0, got -1.0"),
         ({"bias_instability": 1.0, "tau": np.inf}, "tau: expected a positive number, got inf"),
-        ({"angle_random_walk": None}, "angle_random_walk: expected a number of at least 0, got None"),
+        (
+            {"angle_random_walk": None},
+            "angle_random_walk: expected a number of at least 0, got None",
+        ),
     ],
 )
 def test_a_data_sheet_that_cannot_be_is_refused(arguments, text):

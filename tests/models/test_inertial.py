@@ -43,14 +43,27 @@ def textbook(x, nav):
     dL, L, h, V = x[6], float(nav.latitude), nav.height_m, np.append(nav.velocity, 0.0)
     C = passive(1, phi[1]) @ passive(0, phi[0]) @ passive(2, phi[2])
     sx, cx, sy, cy = np.sin(phi[0]), np.cos(phi[0]), np.sin(phi[1]), np.cos(phi[1])
-    C_omega = np.array([[cy, 0.0, sy], [sy * sx / cx, 1.0, -cy * sx / cx], [-sy / cx, 0.0, cy / cx]])
-    RM, RN, w = float(earth.meridian_radius(L)) + h, float(earth.transverse_radius(L)) + h, earth.ROTATION_RATE
+    C_omega = np.array(
+        [[cy, 0.0, sy], [sy * sx / cx, 1.0, -cy * sx / cx], [-sy / cx, 0.0, cy / cx]]
+    )
+    RM, RN, w = (
+        float(earth.meridian_radius(L)) + h,
+        float(earth.transverse_radius(L)) + h,
+        earth.ROTATION_RATE,
+    )
     ie = np.array([0.0, w * np.cos(L), w * np.sin(L)])
     en = np.array([-V[1] / RM, V[0] / RN, V[0] * np.tan(L) / RN])
     d_ie = np.array([0.0, -w * np.sin(L), w * np.cos(L)]) * dL
-    d_en = np.array([-dV[1] / RM, dV[0] / RN, dV[0] * np.tan(L) / RN + V[0] / np.cos(L) ** 2 * dL / RN])
+    d_en = np.array(
+        [-dV[1] / RM, dV[0] / RN, dV[0] * np.tan(L) / RN + V[0] / np.cos(L) ** 2 * dL / RN]
+    )
     turn = C_omega @ ((np.eye(3) - C) @ (ie + en) + d_ie + d_en - nav.attitude @ eps)
-    change = nav.force - C.T @ (nav.force - nav.attitude @ nabla) - np.cross(2 * ie + en, dV) - np.cross(2 * d_ie + d_en, V)
+    change = (
+        nav.force
+        - C.T @ (nav.force - nav.attitude @ nabla)
+        - np.cross(2 * ie + en, dV)
+        - np.cross(2 * d_ie + d_en, V)
+    )
     place = [dV[0] / np.cos(L) / RN + V[0] / np.cos(L) * np.tan(L) / RN * dL, dV[1] / RM]
     return np.concatenate([turn, change[:2], place, np.zeros(6)])
 
@@ -67,7 +80,9 @@ def test_misalignment_is_three_turns_and_back(angles):
 def test_the_rate_is_the_equations_written_out():
     for _ in range(10):
         nav, x = example(), state()
-        np.testing.assert_allclose(inertial.derivative(x, nav), textbook(x, nav), rtol=1e-11, atol=1e-16)
+        np.testing.assert_allclose(
+            inertial.derivative(x, nav), textbook(x, nav), rtol=1e-11, atol=1e-16
+        )
 
 
 def test_the_rate_of_the_angles_is_that_of_the_matrix():
@@ -76,7 +91,9 @@ def test_the_rate_of_the_angles_is_that_of_the_matrix():
     rate = inertial.derivative(np.append(phi, np.zeros(10)), nav)[:3]
     before, C, after = (inertial.misalignment_matrix(phi + s * dt * rate) for s in (-1.0, 0.0, 1.0))
     W = -((after - before) / (2.0 * dt)) @ C.T
-    in_ = earth.earth_rate(nav.latitude) + earth.transport_rate(nav.velocity, nav.latitude, nav.height_m)
+    in_ = earth.earth_rate(nav.latitude) + earth.transport_rate(
+        nav.velocity, nav.latitude, nav.height_m
+    )
     np.testing.assert_allclose([W[2, 1], W[0, 2], W[1, 0]], (np.eye(3) - C) @ in_, atol=1e-9)
 
 
@@ -92,7 +109,9 @@ def test_the_step_is_linear_in_the_other_states():
     b[3:], c[3:] = state()[3:], state()[3:]
     mixed = np.concatenate([a[:3], 0.3 * b[3:] - 0.2 * c[3:] + 0.9 * a[3:]])
     step = [inertial.advance(x, nav, 1.0) for x in (a, b, c, mixed)]
-    np.testing.assert_allclose(0.9 * step[0] + 0.3 * step[1] - 0.2 * step[2], step[3], rtol=1e-12, atol=1e-18)
+    np.testing.assert_allclose(
+        0.9 * step[0] + 0.3 * step[1] - 0.2 * step[2], step[3], rtol=1e-12, atol=1e-18
+    )
 
 
 def test_the_position_moves_with_half_of_the_acceleration():
@@ -101,7 +120,9 @@ def test_the_position_moves_with_half_of_the_acceleration():
     east = float(earth.transverse_radius(nav.latitude)) + nav.height_m
     moved = inertial.advance(x, nav, 2.0)
     rate = inertial.derivative(x, nav)
-    np.testing.assert_allclose(moved[5], 0.5 * 4.0 * rate[3] / (east * np.cos(nav.latitude)), rtol=1e-12)
+    np.testing.assert_allclose(
+        moved[5], 0.5 * 4.0 * rate[3] / (east * np.cos(nav.latitude)), rtol=1e-12
+    )
 
 
 def test_a_batch_of_points_and_runs_is_each_of_them():
@@ -110,11 +131,20 @@ def test_a_batch_of_points_and_runs_is_each_of_them():
     stars = STARS @ np.eye(3)
     seen = inertial.star_residuals(x, nav.attitude, stars)
     for run in range(4):
-        alone = Navigation(nav.attitude[run], nav.force[run], nav.velocity, nav.latitude, nav.height_m)
+        alone = Navigation(
+            nav.attitude[run], nav.force[run], nav.velocity, nav.latitude, nav.height_m
+        )
         for point in range(7):
-            np.testing.assert_allclose(together[point, run], inertial.advance(x[point, run], alone, 1.0), rtol=1e-13, atol=1e-19)
             np.testing.assert_allclose(
-                seen[point, run], inertial.star_residuals(x[point, run], nav.attitude[run], stars), atol=1e-15
+                together[point, run],
+                inertial.advance(x[point, run], alone, 1.0),
+                rtol=1e-13,
+                atol=1e-19,
+            )
+            np.testing.assert_allclose(
+                seen[point, run],
+                inertial.star_residuals(x[point, run], nav.attitude[run], stars),
+                atol=1e-15,
             )
 
 
@@ -122,7 +152,9 @@ def test_arguments_are_left_alone_in_any_memory_order():
     nav, x = example((3,)), state((5, 3))
     for given_x in (x, np.asfortranarray(x), x[::-1][::-1]):
         kept = given_x.copy()
-        np.testing.assert_array_equal(inertial.advance(given_x, nav, 1.0), inertial.advance(x, nav, 1.0))
+        np.testing.assert_array_equal(
+            inertial.advance(given_x, nav, 1.0), inertial.advance(x, nav, 1.0)
+        )
         np.testing.assert_array_equal(given_x, kept)
 
 
@@ -133,14 +165,18 @@ def test_complex_states_give_derivatives():
     for j, d in enumerate(lengths):
         step = np.imag(inertial.derivative(x + 1j * h * np.eye(13)[j], nav)) / h
         shifted = [inertial.derivative(x + s * d * np.eye(13)[j], nav) for s in (1.0, -1.0)]
-        np.testing.assert_allclose(step, (shifted[0] - shifted[1]) / (2 * d), rtol=1e-6, atol=1e-8 * np.abs(step).max())
+        np.testing.assert_allclose(
+            step, (shifted[0] - shifted[1]) / (2 * d), rtol=1e-6, atol=1e-8 * np.abs(step).max()
+        )
 
 
 def test_star_residuals_are_the_difference_of_two_views():
     nav, x = example(), state()
     C = inertial.misalignment_matrix(x[:3])
     expected = [nav.attitude.T @ (C @ r - r) for r in STARS]
-    np.testing.assert_allclose(inertial.star_residuals(x, nav.attitude, STARS), np.concatenate(expected), atol=1e-15)
+    np.testing.assert_allclose(
+        inertial.star_residuals(x, nav.attitude, STARS), np.concatenate(expected), atol=1e-15
+    )
 
 
 @given(ANGLES)
@@ -163,7 +199,9 @@ def test_wahba_with_noise_errs_by_the_noise():
 
 
 @pytest.mark.parametrize(
-    ("degrees", "limits"), [((20.0, -15.0, 40.0), (0.3, 0.1, 5.0)), ((2.0, -1.5, 4.0), (0.03, 2e-3, 0.1))], ids=["large", "small"]
+    ("degrees", "limits"),
+    [((20.0, -15.0, 40.0), (0.3, 0.1, 5.0)), ((2.0, -1.5, 4.0), (0.03, 2e-3, 0.1))],
+    ids=["large", "small"],
 )
 def test_agrees_with_a_whole_navigation_system(degrees, limits):
     dt, steps, phi = 0.05, 1200, np.radians(degrees)
@@ -178,7 +216,9 @@ def test_agrees_with_a_whole_navigation_system(degrees, limits):
     assert np.abs(x[3:5] - (solved.velocity[-1] - flight.velocity[-1, :2])).max() < limits[1]
     L = flight.latitude[-1]
     meters = [(earth.transverse_radius(L) + 2e4) * np.cos(L), earth.meridian_radius(L) + 2e4]
-    place = np.array([solved.longitude[-1] - flight.longitude[-1], solved.latitude[-1] - flight.latitude[-1]])
+    place = np.array(
+        [solved.longitude[-1] - flight.longitude[-1], solved.latitude[-1] - flight.latitude[-1]]
+    )
     assert np.abs((x[5:7] - place) * meters).max() < limits[2]
 
 

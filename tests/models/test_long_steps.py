@@ -21,7 +21,9 @@ def test_the_gradient_is_the_difference():
     r = 7000.0 * rng.normal(size=(3, 5))
     r[:, 0] = X0[:3]
     steps = 1e-2 * np.eye(3)[:, :, None]
-    differences = np.stack([(orbit.acceleration(r + s) - orbit.acceleration(r - s)) / 2e-2 for s in steps], 1)
+    differences = np.stack(
+        [(orbit.acceleration(r + s) - orbit.acceleration(r - s)) / 2e-2 for s in steps], 1
+    )
     np.testing.assert_allclose(gradient(r), differences, rtol=1e-6, atol=1e-15)
     np.testing.assert_allclose(np.trace(gradient(r)), 0.0, atol=1e-18)  # Laplace
 
@@ -48,9 +50,13 @@ def test_further_accelerations_are_those_of_the_place_and_the_time():
         return 1e-7 * np.sin(1e-2 * t)[:, None] * r / 7000.0
 
     def rates_pulled(t, x):
-        return rates(t, x) + np.concatenate([np.zeros(3), pull(x[:3, None, None], np.array([t]))[:, 0, 0]])
+        return rates(t, x) + np.concatenate(
+            [np.zeros(3), pull(x[:3, None, None], np.array([t]))[:, 0, 0]]
+        )
 
-    exact = solve_ivp(rates_pulled, (0.0, 300.0), X0, method="DOP853", rtol=1e-13, atol=1e-13).y[:, -1]
+    exact = solve_ivp(rates_pulled, (0.0, 300.0), X0, method="DOP853", rtol=1e-13, atol=1e-13).y[
+        :, -1
+    ]
     np.testing.assert_allclose(advance(X0, 300.0, extra=pull), exact, rtol=0, atol=1e-8)
     assert np.abs(advance(X0, 300.0) - exact).max() > 1e-4
     np.testing.assert_array_equal(flow(X0, 300.0, extra=pull).state, advance(X0, 300.0, extra=pull))
@@ -61,13 +67,17 @@ def test_the_transition_and_the_held_disturbance_are_the_derivatives():
     found = flow(X0, dt)
 
     def ended(x, w):
-        return solve_ivp(lambda t, y: rates(t, y) + w, (0.0, dt), x, method="DOP853", rtol=1e-13, atol=1e-13).y[:, -1]
+        return solve_ivp(
+            lambda t, y: rates(t, y) + w, (0.0, dt), x, method="DOP853", rtol=1e-13, atol=1e-13
+        ).y[:, -1]
 
     scale = np.repeat([1e-1, 1e-4], 3)
     for i, s in enumerate(scale):
         e = s * np.eye(6)[i]
         column = (ended(X0 + e, 0.0) - ended(X0 - e, 0.0)) / (2.0 * s)
-        np.testing.assert_allclose(found.Phi[:, i], column, rtol=0, atol=1e-7 * np.abs(column).max())
+        np.testing.assert_allclose(
+            found.Phi[:, i], column, rtol=0, atol=1e-7 * np.abs(column).max()
+        )
         w = e / dt
         column = (ended(X0, w) - ended(X0, -w)) / (2.0 * s / dt)
         np.testing.assert_allclose(found.G[:, i], column, rtol=0, atol=1e-7 * np.abs(column).max())

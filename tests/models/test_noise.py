@@ -67,14 +67,18 @@ def test_ar1_from_its_stationary_covariance_stays_there():
 def test_van_loan_of_constant_velocity_is_the_closed_form(dt):
     F, Q = van_loan([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], [[0.7]], dt)
     np.testing.assert_allclose(F, [[1.0, dt], [0.0, 1.0]], rtol=1e-14, atol=1e-14)
-    np.testing.assert_allclose(Q, 0.7 * np.array([[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]]), rtol=1e-12)
+    np.testing.assert_allclose(
+        Q, 0.7 * np.array([[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]]), rtol=1e-12
+    )
 
 
 def test_van_loan_of_a_markov_process_is_the_closed_form():
     beta, dt = 0.2, 3.0
     F, Q = van_loan([[-beta]], [[1.0]], [[2.0]], dt)
     np.testing.assert_allclose(F, [[np.exp(-beta * dt)]], rtol=1e-13)
-    np.testing.assert_allclose(Q, [[2.0 * (1.0 - np.exp(-2.0 * beta * dt)) / (2.0 * beta)]], rtol=1e-13)
+    np.testing.assert_allclose(
+        Q, [[2.0 * (1.0 - np.exp(-2.0 * beta * dt)) / (2.0 * beta)]], rtol=1e-13
+    )
 
 
 def test_van_loan_is_the_integral():
@@ -82,7 +86,9 @@ def test_van_loan_is_the_integral():
     A, G = 0.5 * rng.normal(size=(3, 3)), rng.normal(size=(3, 2))
     q = np.array([[1.0, 0.2], [0.2, 0.5]])
     F, Q = van_loan(A, G, q, 0.8)
-    expected, _ = quad_vec(lambda s: expm(A * s) @ G @ q @ G.T @ expm(A * s).T, 0.0, 0.8, epsabs=1e-13)
+    expected, _ = quad_vec(
+        lambda s: expm(A * s) @ G @ q @ G.T @ expm(A * s).T, 0.0, 0.8, epsabs=1e-13
+    )
     np.testing.assert_allclose(F, expm(0.8 * A), rtol=1e-12)
     np.testing.assert_allclose(Q, expected, rtol=1e-11)
     np.testing.assert_array_equal(Q, Q.T)
@@ -91,17 +97,26 @@ def test_van_loan_is_the_integral():
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda: stationary_covariance(np.eye(2), R), "Phi: expected a spectral radius below 1.*got 1"),
+        (
+            lambda: stationary_covariance(np.eye(2), R),
+            "Phi: expected a spectral radius below 1.*got 1",
+        ),
         (lambda: stationary_covariance(1.5 * np.eye(2), R), "Phi"),
         (lambda: stationary_covariance(0.5, R), r"Phi: expected shape \(m, m\)"),
         (lambda: stationary_covariance(np.ones((2, 3)), R), r"Phi: expected shape \(m, m\)"),
         (lambda: stationary_covariance(PHI, np.eye(3)), "R: expected .*got shape"),
         (lambda: stationary_covariance(PHI, -R), "R: expected symmetric positive semidefinite"),
         (lambda: effective_covariance(np.eye(2), R), "Phi"),
-        (lambda: van_loan(np.ones((2, 3)), np.ones((2, 1)), [[1.0]], 1.0), r"F: expected shape \(n, n\)"),
+        (
+            lambda: van_loan(np.ones((2, 3)), np.ones((2, 1)), [[1.0]], 1.0),
+            r"F: expected shape \(n, n\)",
+        ),
         (lambda: van_loan(2.0, np.ones((2, 1)), [[1.0]], 1.0), r"F: expected shape \(n, n\)"),
         (lambda: van_loan(np.eye(2), np.ones((2, 1)), [[-1.0]], 1.0), "spectral_density"),
-        (lambda: van_loan(np.eye(2), np.ones((2, 1)), [[1.0]], -1.0), "dt: expected a number of at least 0, got -1"),
+        (
+            lambda: van_loan(np.eye(2), np.ones((2, 1)), [[1.0]], -1.0),
+            "dt: expected a number of at least 0, got -1",
+        ),
         (lambda: van_loan(np.eye(2), np.ones((2, 1)), [[1.0]], np.nan), "dt"),
     ],
 )

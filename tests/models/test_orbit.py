@@ -27,7 +27,11 @@ def potential(r):
     """-mu/r (1 - J2 (Re/r)^2 (3 s - 1) / 2), its gradient's negative is the acceleration."""
     radius = np.sqrt(r @ r)
     s = r[2] ** 2 / radius**2
-    return -EARTH.mu / radius * (1.0 - EARTH.j2 * (EARTH.radius_km / radius) ** 2 * 0.5 * (3.0 * s - 1.0))
+    return (
+        -EARTH.mu
+        / radius
+        * (1.0 - EARTH.j2 * (EARTH.radius_km / radius) ** 2 * 0.5 * (3.0 * s - 1.0))
+    )
 
 
 def test_acceleration_is_the_gradient_of_the_potential():
@@ -37,10 +41,16 @@ def test_acceleration_is_the_gradient_of_the_potential():
         h = 1.0
         # fourth-order differences: steps of 1 km leave a relative error of 1e-13 or so, rounding 1e-11
         gradient = [
-            (8.0 * (potential(r + h * e) - potential(r - h * e)) - (potential(r + 2 * h * e) - potential(r - 2 * h * e))) / (12 * h)
+            (
+                8.0 * (potential(r + h * e) - potential(r - h * e))
+                - (potential(r + 2 * h * e) - potential(r - 2 * h * e))
+            )
+            / (12 * h)
             for e in np.eye(3)
         ]
-        np.testing.assert_allclose(acceleration(r), -np.array(gradient), rtol=0.0, atol=1e-9 * EARTH.mu / (r @ r))
+        np.testing.assert_allclose(
+            acceleration(r), -np.array(gradient), rtol=0.0, atol=1e-9 * EARTH.mu / (r @ r)
+        )
 
 
 def test_acceleration_is_the_printed_equation():
@@ -53,7 +63,9 @@ def test_acceleration_is_the_printed_equation():
 
 def test_without_oblateness_it_is_two_bodies():
     r = np.array([7000.0, -100.0, 300.0])
-    np.testing.assert_allclose(acceleration(r, Earth(j2=0.0)), -EARTH.mu * r / np.linalg.norm(r) ** 3, rtol=1e-14)
+    np.testing.assert_allclose(
+        acceleration(r, Earth(j2=0.0)), -EARTH.mu * r / np.linalg.norm(r) ** 3, rtol=1e-14
+    )
 
 
 def test_the_check_value_of_the_reference_orbit():
@@ -68,10 +80,17 @@ def test_the_check_value_of_the_reference_orbit():
 def test_steps_of_one_second_agree_with_an_integration_to_round_off():
     start = from_elements(*ELEMENTS)
     exact = solve_ivp(
-        lambda t, x: np.r_[x[3:], acceleration(x[:3])], (0.0, 600.0), start, method="DOP853", rtol=1e-13, atol=1e-10
+        lambda t, x: np.r_[x[3:], acceleration(x[:3])],
+        (0.0, 600.0),
+        start,
+        method="DOP853",
+        rtol=1e-13,
+        atol=1e-10,
     ).y[:, -1]
     ours = propagate(start, 1.0, 600)[-1]
-    assert np.abs(ours[:3] - exact[:3]).max() < 2e-9  # km: the stated 5e-8 m, and the integrator's own error
+    assert (
+        np.abs(ours[:3] - exact[:3]).max() < 2e-9
+    )  # km: the stated 5e-8 m, and the integrator's own error
     assert np.abs(ours[3:] - exact[3:]).max() < 2e-12
 
 
@@ -84,7 +103,9 @@ def test_the_step_is_of_fourth_order():
 
 @pytest.mark.parametrize("batch", [(3,), (2, 3), (5, 2, 3)])
 def test_a_batch_of_orbits_is_each_orbit(batch):
-    x = from_elements(*ELEMENTS) + np.random.default_rng(2).normal(size=(*batch, 6)) * np.repeat([10.0, 0.01], 3)
+    x = from_elements(*ELEMENTS) + np.random.default_rng(2).normal(size=(*batch, 6)) * np.repeat(
+        [10.0, 0.01], 3
+    )
     each = np.array([step(row, 2.0) for row in x.reshape(-1, 6)]).reshape(x.shape)
     np.testing.assert_allclose(step(x, 2.0), each, rtol=1e-14)
 
@@ -113,7 +134,9 @@ def test_transition_matrix_moves_small_deviations():
     x = from_elements(*ELEMENTS)
     F = transition(x, 1.0)
     d = np.array([1e-2, -2e-2, 1e-2, 1e-5, 2e-5, -1e-5])
-    np.testing.assert_allclose(step(x + d, 1.0) - step(x - d, 1.0), 2.0 * F @ d, rtol=1e-8, atol=1e-11)
+    np.testing.assert_allclose(
+        step(x + d, 1.0) - step(x - d, 1.0), 2.0 * F @ d, rtol=1e-8, atol=1e-11
+    )
     np.testing.assert_allclose(np.linalg.det(F), 1.0, atol=1e-9)  # a Hamiltonian flow keeps volumes
     batch = np.stack([x, x + 1.0])
     np.testing.assert_allclose(transition(batch, 1.0)[0], F, rtol=1e-12, atol=1e-15)
@@ -123,19 +146,34 @@ angle = st.floats(0.01, 2.0 * np.pi - 0.01)
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.floats(6600.0, 50000.0), st.floats(1e-3, 0.7), st.floats(0.01, np.pi - 0.01), angle, angle, angle)
+@given(
+    st.floats(6600.0, 50000.0),
+    st.floats(1e-3, 0.7),
+    st.floats(0.01, np.pi - 0.01),
+    angle,
+    angle,
+    angle,
+)
 def test_elements_round_trip(a, e, i, raan, argp, anomaly):
     state = from_elements(a / (1.0 - e), e, i, raan, argp, anomaly)
     back = to_elements(state)
     np.testing.assert_allclose(back[:3], [a / (1.0 - e), e, i], rtol=1e-10, atol=1e-10)
-    np.testing.assert_allclose(np.exp(1j * back[3:]), np.exp(1j * np.array([raan, argp, anomaly])), atol=1e-9)
+    np.testing.assert_allclose(
+        np.exp(1j * back[3:]), np.exp(1j * np.array([raan, argp, anomaly])), atol=1e-9
+    )
 
 
-@pytest.mark.parametrize(("e", "i"), [(0.0, 1.0), (0.2, 0.0), (0.0, 0.0), (0.2, np.pi), (0.0, np.pi)], ids=lambda v: f"{v:.3g}")
+@pytest.mark.parametrize(
+    ("e", "i"),
+    [(0.0, 1.0), (0.2, 0.0), (0.0, 0.0), (0.2, np.pi), (0.0, np.pi)],
+    ids=lambda v: f"{v:.3g}",
+)
 def test_elements_of_circular_and_equatorial_orbits_give_the_state_back(e, i):
     state = from_elements(9000.0, e, i, 0.7, 0.4, 0.3)
     a, ecc, inc, raan, argp, anomaly = to_elements(state)
-    np.testing.assert_allclose(from_elements(a, min(ecc, 0.9), inc, raan, argp, anomaly), state, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(
+        from_elements(a, min(ecc, 0.9), inc, raan, argp, anomaly), state, rtol=1e-9, atol=1e-9
+    )
 
 
 def test_elements_of_a_batch():
@@ -150,9 +188,18 @@ def test_elements_of_a_batch():
         (lambda: check_orbit([7000.0, 0.0, 0.0]), r"state: expected shape \(..., 6\), got \(3,\)"),
         (lambda: check_orbit([np.nan] * 6, "x0"), "x0: expected finite"),
         (lambda: from_elements(-1.0, 0.1, 0.1, 0.1, 0.1, 0.1), "a: expected a positive"),
-        (lambda: from_elements(7000.0, 1.0, 0.1, 0.1, 0.1, 0.1), "e: expected a number of at least 0 and below 1, got 1.0"),
-        (lambda: from_elements(7000.0, 0.1, np.nan, 0.1, 0.1, 0.1), "i: expected a finite number, got nan"),
-        (lambda: from_elements(np.array([7000.0, 8000.0]), 0.1, 0.1, 0.1, 0.1, 0.1), "a: expected a positive number, got array"),
+        (
+            lambda: from_elements(7000.0, 1.0, 0.1, 0.1, 0.1, 0.1),
+            "e: expected a number of at least 0 and below 1, got 1.0",
+        ),
+        (
+            lambda: from_elements(7000.0, 0.1, np.nan, 0.1, 0.1, 0.1),
+            "i: expected a finite number, got nan",
+        ),
+        (
+            lambda: from_elements(np.array([7000.0, 8000.0]), 0.1, 0.1, 0.1, 0.1, 0.1),
+            "a: expected a positive number, got array",
+        ),
     ],
 )
 def test_orbits_refuse_and_say_what(call, words):

@@ -19,7 +19,10 @@ def light_time_range(b, s, t, place):
     for _ in range(8):
         p = satellites(b, t - delay).position[s]
         c, n = np.cos(ROTATION_RATE * delay), np.sin(ROTATION_RATE * delay)
-        delay = np.linalg.norm(np.array([c * p[0] + n * p[1], c * p[1] - n * p[0], p[2]]) - place) / LIGHT
+        delay = (
+            np.linalg.norm(np.array([c * p[0] + n * p[1], c * p[1] - n * p[0], p[2]]) - place)
+            / LIGHT
+        )
     return LIGHT * delay
 
 
@@ -32,7 +35,9 @@ def test_range_and_rate_are_those_of_light_time():
         assert found[s] - 30.0 == pytest.approx(light_time_range(b, s, t, PLACE), abs=1e-6)
         h = 0.5
         ahead, back = (light_time_range(b, s, t + k * h, PLACE + k * h * v) for k in (1, -1))
-        far, farther = (light_time_range(b, s, t + 2 * k * h, PLACE + 2 * k * h * v) for k in (1, -1))
+        far, farther = (
+            light_time_range(b, s, t + 2 * k * h, PLACE + 2 * k * h * v) for k in (1, -1)
+        )
         rate = (8.0 * (ahead - back) - (far - farther)) / (12.0 * h)
         assert found[S + s] - 3.0 == pytest.approx(rate, abs=5e-6)
 
@@ -43,7 +48,9 @@ def test_the_jacobian_is_the_difference():
     H = pseudorange.jacobian(x, seen.q, seen.w)
     for i, size in enumerate(np.array([100.0] * 3 + [1.0] * 3 + [10.0, 1.0])):
         e = size * np.eye(8)[i]
-        column = (pseudorange.measure(x + e, seen.q, seen.w) - pseudorange.measure(x - e, seen.q, seen.w)) / (2.0 * size)
+        column = (
+            pseudorange.measure(x + e, seen.q, seen.w) - pseudorange.measure(x - e, seen.q, seen.w)
+        ) / (2.0 * size)
         np.testing.assert_allclose(H[:, i], column, rtol=0, atol=1e-8)
 
 

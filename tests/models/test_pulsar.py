@@ -21,7 +21,11 @@ def places(*shape):
 def test_timing_accuracy_is_as_published():
     std = [p.timing_std(500.0) * LIGHT_KM_S * 1e3 for p in pulsars(NAMES)]
     np.testing.assert_allclose(std, [109.0, 326.0, 345.0], atol=1.0)
-    np.testing.assert_allclose([p.timing_std(300.0) * LIGHT_KM_S * 1e3 for p in pulsars(NAMES)], [140.7, 420.6, 444.8], atol=0.5)
+    np.testing.assert_allclose(
+        [p.timing_std(300.0) * LIGHT_KM_S * 1e3 for p in pulsars(NAMES)],
+        [140.7, 420.6, 444.8],
+        atol=0.5,
+    )
 
 
 def test_accuracy_grows_with_time_and_area():
@@ -48,7 +52,9 @@ def test_the_delay_is_the_difference_of_distances():
 def test_shapiro_terms_agree_where_the_sun_is_far():
     timing = Timing(pulsars(NAMES))
     r, sun = places(50)
-    np.testing.assert_allclose(timing.shapiro(r, 0.0 * sun + 1e-3), timing.shapiro_exact(r, 0.0 * sun + 1e-3), rtol=1e-6)
+    np.testing.assert_allclose(
+        timing.shapiro(r, 0.0 * sun + 1e-3), timing.shapiro_exact(r, 0.0 * sun + 1e-3), rtol=1e-6
+    )
     assert np.abs(timing.shapiro(r, sun) - timing.shapiro_exact(r, sun)).max() > 1e-3
     assert pytest.approx(2.953, abs=1e-3) == 2.0 * GM_SUN / LIGHT_KM_S**2  # km
 
@@ -57,7 +63,9 @@ def test_the_gradient_is_the_difference():
     timing = Timing(pulsars(NAMES))
     r, sun = places(3, 4)
     steps = 1e3 * np.eye(3)
-    differences = np.stack([(timing.delay(r + s, sun) - timing.delay(r - s, sun)) / 2e3 for s in steps], -1)
+    differences = np.stack(
+        [(timing.delay(r + s, sun) - timing.delay(r - s, sun)) / 2e3 for s in steps], -1
+    )
     np.testing.assert_allclose(timing.gradient(r, sun), differences, atol=1e-10)
     assert timing.gradient(r, sun).shape == (3, 4, 3, 3)
     assert np.abs(np.linalg.norm(timing.gradient(r, sun), axis=-1) - 1.0).max() < 1e-6
@@ -74,8 +82,12 @@ def test_pulses_that_nobody_counted_are_folded_into_half_a_period():
     periods = LIGHT_KM_S * np.array([p.period_s for p in timing.pulsars])
     measured = timing.delay(there, sun) + periods * np.array([3.0, -2.0, 170.0])
     plain = timing.delay(there, sun) - timing.delay(here, sun)
-    np.testing.assert_allclose(timing.uncounted.minus(measured, timing.delay(here, sun)), plain, atol=1e-6)
-    far = timing.uncounted.minus(np.array([0.0, 0.0, 0.6 * periods[2]]), np.zeros(3))  # beyond, another pulse is taken for it
+    np.testing.assert_allclose(
+        timing.uncounted.minus(measured, timing.delay(here, sun)), plain, atol=1e-6
+    )
+    far = timing.uncounted.minus(
+        np.array([0.0, 0.0, 0.6 * periods[2]]), np.zeros(3)
+    )  # beyond, another pulse is taken for it
     np.testing.assert_allclose(far, [0.0, 0.0, -0.4 * periods[2]], atol=1e-9)
 
 
@@ -87,10 +99,16 @@ def test_bad_pulsars_are_refused_by_name():
     ):  # fmt: skip
         with pytest.raises(ValueError, match=f"^{name}: expected .* B0531"):
             replace(crab, **change)
-    with pytest.raises(ValueError, match=r"^pulsar: expected one of B0531\+21, B1821-24, B1937\+21, got 'Vela'"):
+    with pytest.raises(
+        ValueError, match=r"^pulsar: expected one of B0531\+21, B1821-24, B1937\+21, got 'Vela'"
+    ):
         pulsars(["Vela"])
     with pytest.raises(ValueError, match=r"^pulsars: expected directions that span space"):
         Timing([crab, crab, known()["B1821-24"]])
-    for arguments, name in (((0.0,), "seconds"), ((300.0, -1.0), "area_cm2"), ((300.0, 1e4, -1.0), "background")):
+    for arguments, name in (
+        ((0.0,), "seconds"),
+        ((300.0, -1.0), "area_cm2"),
+        ((300.0, 1e4, -1.0), "background"),
+    ):
         with pytest.raises(ValueError, match=f"^{name}: expected"):
             crab.timing_std(*arguments)

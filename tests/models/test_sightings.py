@@ -29,7 +29,11 @@ SEPARATION = 0.5 * np.pi
     st.sampled_from([1.0, -1.0]),
 )
 def test_angles_and_back(radius, latitude, longitude, separation, side):
-    u = [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), side * np.sin(latitude)]
+    u = [
+        np.cos(latitude) * np.cos(longitude),
+        np.cos(latitude) * np.sin(longitude),
+        side * np.sin(latitude),
+    ]
     r = radius * np.array(u)
     back = position(angles(r, star_directions(separation)), separation, side)
     # arccos near 0 or pi, and the root near the plane of the stars, cost digits: stay where they do not
@@ -46,7 +50,11 @@ def test_the_angles_are_the_printed_ones():
     theta, r = 1.1, np.linalg.norm(R0)
     A = angles(R0, star_directions(theta))
     x, y, _ = R0
-    expected = [np.arccos(x / r), np.arccos((x * np.cos(theta) + y * np.sin(theta)) / r), 2.0 * np.arcsin(EARTH.radius_km / r)]
+    expected = [
+        np.arccos(x / r),
+        np.arccos((x * np.cos(theta) + y * np.sin(theta)) / r),
+        2.0 * np.arcsin(EARTH.radius_km / r),
+    ]
     np.testing.assert_allclose(A, expected, rtol=1e-14)
 
 
@@ -60,7 +68,9 @@ def test_angles_cannot_tell_the_hemisphere():
     mirrored = R0 * [1.0, 1.0, -1.0]
     stars = star_directions(SEPARATION)
     np.testing.assert_allclose(angles(mirrored, stars), angles(R0, stars), rtol=1e-15)
-    np.testing.assert_allclose(position(angles(mirrored, stars), SEPARATION, -1.0), mirrored, rtol=1e-12)
+    np.testing.assert_allclose(
+        position(angles(mirrored, stars), SEPARATION, -1.0), mirrored, rtol=1e-12
+    )
 
 
 @pytest.mark.parametrize("batch", [(3,), (2, 3)])
@@ -78,7 +88,10 @@ def test_jacobian_is_the_difference_quotient(separation, side):
     r = R0 * [1.0, 1.0, side]
     A = angles(r, star_directions(separation))
     h = 1e-5
-    G = [(position(A + h * e, separation, side) - position(A - h * e, separation, side)) / (2.0 * h) for e in np.eye(3)]
+    G = [
+        (position(A + h * e, separation, side) - position(A - h * e, separation, side)) / (2.0 * h)
+        for e in np.eye(3)
+    ]
     np.testing.assert_allclose(jacobian(A, separation, side), np.array(G).T, rtol=1e-6, atol=1e-3)
 
 
@@ -91,10 +104,17 @@ def test_jacobian_of_a_batch():
 def test_pseudo_position_covariance_is_that_of_samples():
     sigma = np.deg2rad([0.005, 0.005, 0.005]) / 3.0
     P = pseudo_position_covariance(R0, SEPARATION, sigma)
-    A = angles(R0, star_directions(SEPARATION)) + np.random.default_rng(3).normal(size=(100_000, 3)) * sigma
+    A = (
+        angles(R0, star_directions(SEPARATION))
+        + np.random.default_rng(3).normal(size=(100_000, 3)) * sigma
+    )
     sampled = np.cov(position(A, SEPARATION).T)
     scale = np.sqrt(P.diagonal())
-    np.testing.assert_allclose(sampled / np.outer(scale, scale), P / np.outer(scale, scale), atol=5.0 * np.sqrt(2.0 / 100_000))
+    np.testing.assert_allclose(
+        sampled / np.outer(scale, scale),
+        P / np.outer(scale, scale),
+        atol=5.0 * np.sqrt(2.0 / 100_000),
+    )
 
 
 def test_pseudo_position_covariance_of_the_specified_sensor():
@@ -154,11 +174,17 @@ A0 = angles(R0, star_directions(SEPARATION))
         (lambda: star_directions(np.nan), "separation: expected a finite number, got nan"),
         (lambda: position(A0, np.pi), "separation"),
         (lambda: position(A0[:2], SEPARATION), r"A: expected shape \(..., 3\), got \(2,\)"),
-        (lambda: position([*A0[:2], 0.0], SEPARATION), "A: expected an angular diameter between 0 and pi"),
+        (
+            lambda: position([*A0[:2], 0.0], SEPARATION),
+            "A: expected an angular diameter between 0 and pi",
+        ),
         (lambda: position([*A0[:2], np.pi], SEPARATION), "A: expected an angular diameter"),
         (lambda: position([np.inf, *A0[1:]], SEPARATION), "A: expected finite numbers or nan"),
         (lambda: position(A0, SEPARATION, 0.5), "hemisphere"),
-        (lambda: jacobian(angles(R0 * [1.2, 1.2, 0.0], star_directions(SEPARATION)), SEPARATION), "A: .*plane of the stars"),
+        (
+            lambda: jacobian(angles(R0 * [1.2, 1.2, 0.0], star_directions(SEPARATION)), SEPARATION),
+            "A: .*plane of the stars",
+        ),
     ],
 )
 def test_sightings_refuse_and_say_what(call, words):

@@ -15,7 +15,12 @@ from scipy.spatial.transform import Rotation
 
 from celnav import Epoch, Gaussian, Motion, iterated_smoother, run, sigma_point
 from celnav.analysis.metrics import chi_square_band
-from celnav.analysis.observability import jacobian, nonlinearity_weights, state_singular_values, threshold_weights
+from celnav.analysis.observability import (
+    jacobian,
+    nonlinearity_weights,
+    state_singular_values,
+    threshold_weights,
+)
 from celnav.files import Outputs
 from celnav.gaussian.belief import nees
 from celnav.gaussian.linalg import Covariance
@@ -24,7 +29,15 @@ from celnav.gaussian.sparse_grid import index_set, point_count, smolyak
 from celnav.models import inertial
 from celnav.papers import aasghqf
 from celnav.papers.aasghqf import scenario, show, study
-from celnav.papers.aasghqf.scenario import BORESIGHTS, DEGREE, NONLINEAR_WEIGHTS, PAPER_WEIGHTS, PRESETS, A, measurement
+from celnav.papers.aasghqf.scenario import (
+    BORESIGHTS,
+    DEGREE,
+    NONLINEAR_WEIGHTS,
+    PAPER_WEIGHTS,
+    PRESETS,
+    A,
+    measurement,
+)
 from celnav.show.claims import dumps
 from celnav.study.montecarlo import generator
 
@@ -34,7 +47,9 @@ adapts-along-the-flight better-than-ukf higher-order-is-why alike-sghqf table-3-
 table-4-points one-millisecond-more cheaper-than-sghqf saving-grows
 """
 TABLE_1 = "7, 21, 37, 57, 81, 109, 7, 9, 23, 25, 41, 43"
-TABLE_2 = "9.845 9.845 4.635 1.0 1.0 9.639 9.639 6.984e-5 6.937e-6 5.937e-5 6.686e-6 3.795e-5 3.652e-7"
+TABLE_2 = (
+    "9.845 9.845 4.635 1.0 1.0 9.639 9.639 6.984e-5 6.937e-6 5.937e-5 6.686e-6 3.795e-5 3.652e-7"
+)
 TABLE_3 = """
 0.350 0.367 0.412 0.527 0.609 18.163 17.821
 0.217 0.203 0.251 0.328 0.397 16.274 16.183
@@ -69,7 +84,9 @@ def test_the_ledger_has_every_statement_and_at_most_so_much_else():
 
 
 def test_printed_numbers_are_verbatim():
-    assert [*study.TABLE_1["SGHQF"], *study.TABLE_1["AASGHQF"]] == [int(n) for n in TABLE_1.split(",")]
+    assert [*study.TABLE_1["SGHQF"], *study.TABLE_1["AASGHQF"]] == [
+        int(n) for n in TABLE_1.split(",")
+    ]
     assert [float(n) for n in TABLE_2.split()] == study.TABLE_2
     assert [n for row in study.TABLE_3.values() for n in row] == [float(n) for n in TABLE_3.split()]
     assert [n for row in study.TABLE_4.values() for n in row] == [float(n) for n in TABLE_4.split()]
@@ -94,13 +111,19 @@ def test_a_run_does_not_depend_on_how_many_there_are():
     three = aasghqf.simulate(config, [generator(5, 0, r) for r in range(3)])
     one = aasghqf.simulate(config, [generator(5, 0, 2)])
     np.testing.assert_array_equal(three.z[:, 2:], one.z)
-    many, alone = (study.flown(("ukf",), config, [generator(5, 0, r) for r in runs]) for runs in ((0, 1, 2), (2,)))
+    many, alone = (
+        study.flown(("ukf",), config, [generator(5, 0, r) for r in runs])
+        for runs in ((0, 1, 2), (2,))
+    )
     np.testing.assert_allclose(many["ukf/error"][:, 2:], alone["ukf/error"], rtol=1e-7, atol=1e-9)
 
 
 def test_averages_are_those_of_their_definition(results):
     number = study.averaged("", [("A", "ukf"), ("A", "sghqf")], slice(3, 5))(results)
-    ukf, sghqf = (np.sqrt(np.square(results.get("A", f"{f}/error")[..., 3:5]).mean(1)).mean(0).sum() for f in ("ukf", "sghqf"))
+    ukf, sghqf = (
+        np.sqrt(np.square(results.get("A", f"{f}/error")[..., 3:5]).mean(1)).mean(0).sum()
+        for f in ("ukf", "sghqf")
+    )
     assert number.value == pytest.approx(ukf / sghqf, rel=1e-12)
     assert number.ci[0] < number.value < number.ci[1]
 
@@ -111,7 +134,9 @@ def test_every_figure_draws(results):
     drawn = {stem: draw(results) for stem, (_, draw) in show.FIGURES.items()}
     for stem, fig in drawn.items():
         assert not faults(fig), stem
-        assert all(ax.get_xlabel() or ax.get_ylabel() or ax.get_title() or ax.lines for ax in fig.axes)
+        assert all(
+            ax.get_xlabel() or ax.get_ylabel() or ax.get_title() or ax.lines for ax in fig.axes
+        )
     for stem in ("figure_03", "figure_04", "figure_05"):
         assert len(drawn[stem].axes[0].lines) == 5
     for stem, count in (("figure_01", 21), ("figure_02", 9)):
@@ -135,14 +160,22 @@ def test_a_recording_holds_the_first_run(results, tmp_path):
     std = np.sqrt(estimate.cov.diagonal(0, -2, -1))[:, :3] * scale
     np.testing.assert_allclose(std, results.get("T3", "sghqf/std")[:, 0, :3], rtol=1e-6)
     assert show.record(results, Outputs(tmp_path)) == show.RECORDINGS
-    assert {path.name for path in tmp_path.iterdir() if path.suffix == ".rrd"} == set(show.RECORDINGS)
+    assert {path.name for path in tmp_path.iterdir() if path.suffix == ".rrd"} == set(
+        show.RECORDINGS
+    )
 
 
 # -- grids and observability ---------------------------------------------------------------------------------------------
-@pytest.mark.parametrize(("level", "weights"), [(3, (1, 1)), (3, (2, 1)), (3, (2, 2, 1, 1)), (4, (1, 2, 3)), (3, (2, 2))])
+@pytest.mark.parametrize(
+    ("level", "weights"), [(3, (1, 1)), (3, (2, 1)), (3, (2, 2, 1, 1)), (4, (1, 2, 3)), (3, (2, 2))]
+)
 def test_tensor_rules_with_their_coefficients_are_the_smolyak_rule(level, weights):
     terms = study.grid({index: c for index, c in index_set(level, weights).items() if c})
-    merged = {point: sum(parts) for point, parts in terms.items() if abs(sum(parts)) > 1e-12 * sum(map(abs, parts))}
+    merged = {
+        point: sum(parts)
+        for point, parts in terms.items()
+        if abs(sum(parts)) > 1e-12 * sum(map(abs, parts))
+    }
     rule = smolyak(len(weights), level, weights)
     known = dict(zip(map(tuple, rule.nodes.tolist()), rule.wm.tolist(), strict=True))
     assert merged.keys() == {point for point, weight in known.items() if weight}
@@ -163,11 +196,21 @@ def test_only_the_misalignment_is_nonlinear(short):
     def alone(epoch):  # of the first run
         u = epoch.u._replace(attitude=epoch.u.attitude[0])
         if u.interval is not None:
-            u = u._replace(interval=u.interval._replace(attitude=u.interval.attitude[0], force=u.interval.force[0]))
+            u = u._replace(
+                interval=u.interval._replace(
+                    attitude=u.interval.attitude[0], force=u.interval.force[0]
+                )
+            )
         return epoch._replace(u=u)
 
-    bent = [lambda x: inertial.advance(x, alone(second).u.interval, 1.0), lambda x: scenario.measurement(x, alone(first))]
-    assert nonlinearity_weights(bent, np.zeros(13), sim.config.sigma0, tolerance=1e-3) == NONLINEAR_WEIGHTS
+    bent = [
+        lambda x: inertial.advance(x, alone(second).u.interval, 1.0),
+        lambda x: scenario.measurement(x, alone(first)),
+    ]
+    assert (
+        nonlinearity_weights(bent, np.zeros(13), sim.config.sigma0, tolerance=1e-3)
+        == NONLINEAR_WEIGHTS
+    )
 
 
 def at_rest(config, turned=None):
@@ -175,16 +218,22 @@ def at_rest(config, turned=None):
     nav = inertial.navigation(config.flight, 0, np.zeros(3), np.zeros(3))
     if turned is not None:
         nav = nav._replace(attitude=nav.attitude @ turned)
-    return Epoch(dt=1.0, u=scenario.Inputs(nav, nav.attitude, BORESIGHTS @ nav.attitude.T, np.eye(8)))
+    return Epoch(
+        dt=1.0, u=scenario.Inputs(nav, nav.attitude, BORESIGHTS @ nav.attitude.T, np.eye(8))
+    )
 
 
 def test_at_rest_the_matrix_of_a_piece_is_that_of_lie_derivatives(results):
     values = state_singular_values(scenario.observability(np.zeros(13), at_rest(A), A.units))
-    np.testing.assert_allclose(values / values[3], results.get("observability", "every")[0, 0], rtol=1e-5, atol=1e-8)
+    np.testing.assert_allclose(
+        values / values[3], results.get("observability", "every")[0, 0], rtol=1e-5, atol=1e-8
+    )
 
 
 def test_from_the_second_order_on_the_weights_do_not_depend_on_it():
-    matrices = [scenario.observability(np.zeros(13), at_rest(A), A.units, order) for order in range(1, 13)]
+    matrices = [
+        scenario.observability(np.zeros(13), at_rest(A), A.units, order) for order in range(1, 13)
+    ]
     values = [state_singular_values(matrix) for matrix in matrices]
     first, *others = (threshold_weights(one / one[3], 5.0) for one in values)
     assert set(first) == {2}
@@ -205,11 +254,16 @@ def test_level_flight_does_not_tell_the_vertical_bias_and_a_roll_tells_it_by_its
 
 def test_pieces_without_transitions_are_those_with_them():
     """The null space of each is in that of its rates, so that the stacks of both kinds have the same one."""
-    x, known = np.zeros(13), [at_rest(A), at_rest(replace(A, heading_deg=110.0, speed_m_per_s=300.0))]
+    x, known = (
+        np.zeros(13),
+        [at_rest(A), at_rest(replace(A, heading_deg=110.0, speed_m_per_s=300.0))],
+    )
     H0, H1 = (scenario.observability(x, e, A.units, 12) for e in known)
     A0, A1 = (jacobian(lambda x, e=e: inertial.derivative(x, e.u.interval), x) for e in known)
     move = expm(50.0 * A0 * A.units[0] / A.units[0][:, None])
-    stripped, total = (np.linalg.matrix_rank(np.concatenate([H0, last]), tol=1e-9) for last in (H1, H1 @ move))
+    stripped, total = (
+        np.linalg.matrix_rank(np.concatenate([H0, last]), tol=1e-9) for last in (H1, H1 @ move)
+    )
     assert stripped == total == 12
     assert np.abs(A1[:, 12]).max() < 1e-3 * np.abs(A1).max()
 
@@ -219,7 +273,9 @@ def test_extreme_thresholds_are_the_isotropic_rule_and_the_rule_before(short):
     epoch = next(sim.epochs())
     belief = Covariance(sim.prior.mean, np.broadcast_to(sim.prior.cov, (4, 13, 13)))
     everything = scenario.by_observability(sim.config, 0.0)(belief, epoch, None)
-    assert {f"{number:013b}"[1:] for number in everything.tolist()} == {"1" * 12}  # all but the vertical bias, perhaps
+    assert {f"{number:013b}"[1:] for number in everything.tolist()} == {
+        "1" * 12
+    }  # all but the vertical bias, perhaps
     never = scenario.by_observability(sim.config, 1e30)
     np.testing.assert_array_equal(never(belief, epoch, None), 2**13 - 1)
     np.testing.assert_array_equal(never(belief, epoch, np.full(4, 3)), 3)
@@ -228,7 +284,10 @@ def test_extreme_thresholds_are_the_isotropic_rule_and_the_rule_before(short):
 def test_counts_of_points_and_what_they_save():
     for m, k in ((2, 0), (2, 3), (4, 9), (7, 2)):
         assert point_count(m + k, 3, [1] * m + [2] * k) == 1 + 2 * k + 8 * m + 2 * m * (m - 1)
-    saved = [1.0 - point_count(n, 3, [1] * (n // 2) + [2] * (n // 2)) / point_count(n, 3) for n in (6, 12, 24, 400)]
+    saved = [
+        1.0 - point_count(n, 3, [1] * (n // 2) + [2] * (n // 2)) / point_count(n, 3)
+        for n in (6, 12, 24, 400)
+    ]
     assert np.diff(saved).min() > 0.0
     assert saved[-1] == pytest.approx(1.0 - 0.5**2, abs=0.01)
 
@@ -242,14 +301,27 @@ def test_57_points_are_the_filter_of_417(short):
 def test_longitude_and_latitude_need_no_points_of_their_own(short):
     sim, _ = short
     (paper,) = tracks(short, "aasghqf")
-    fewer = run(scenario.quadrature_filter(smolyak(13, 3, [1, 1] + [2] * 11), sim.config), sim.prior, sim.epochs())
+    fewer = run(
+        scenario.quadrature_filter(smolyak(13, 3, [1, 1] + [2] * 11), sim.config),
+        sim.prior,
+        sim.epochs(),
+    )
     assert np.abs((paper.mean - fewer.mean) / paper.std).max() < 1e-6
 
 
 def test_small_misalignment_is_the_kalman_filter():
     config = replace(A, misalignment_deg=(1e-5 / DEGREE,) * 3, steps=20)
     sim = aasghqf.simulate(config, [generator(0, 99, r) for r in range(2)])
-    exact, *others = tracks((sim, aasghqf.filters(config)), "ekf", "ukf", "sghqf", "aasghqf", "nonlinear", "ckf", "ghqf3")
+    exact, *others = tracks(
+        (sim, aasghqf.filters(config)),
+        "ekf",
+        "ukf",
+        "sghqf",
+        "aasghqf",
+        "nonlinear",
+        "ckf",
+        "ghqf3",
+    )
     assert max(np.abs((track.mean - exact.mean) / config.sigma0).max() for track in others) < 1e-6
 
 
@@ -269,9 +341,15 @@ def test_an_anisotropic_rule_needs_the_nonlinear_states_first_and_a_lower_root()
         P = B @ B.T
         P *= np.outer(scale / np.sqrt(P.diagonal()), scale / np.sqrt(P.diagonal()))
         exact = mean(gauss_hermite(3, 15), np.linalg.cholesky(P[:3, :3]))
-        roots = {"lower": np.linalg.cholesky(P), "upper": np.linalg.cholesky(P[::-1, ::-1])[::-1, ::-1]}
+        roots = {
+            "lower": np.linalg.cholesky(P),
+            "upper": np.linalg.cholesky(P[::-1, ::-1])[::-1, ::-1],
+        }
         for name, root in roots.items():
-            errors[name].append(np.linalg.norm(mean(smolyak(13, 3, NONLINEAR_WEIGHTS), root) - exact) / np.linalg.norm(exact))
+            errors[name].append(
+                np.linalg.norm(mean(smolyak(13, 3, NONLINEAR_WEIGHTS), root) - exact)
+                / np.linalg.norm(exact)
+            )
     assert np.median(errors["lower"]) < 1e-3
     assert np.median(errors["upper"]) > 100.0 * np.median(errors["lower"])
 
@@ -283,13 +361,27 @@ def test_the_marginalized_rule_is_the_tensor_rule():
 
     def f(x, _epoch=None):
         phi, y = x[..., :3], x[..., 3:]
-        first = np.stack([np.sin(phi[..., 0]), phi[..., 1] * phi[..., 2], np.cos(phi[..., 2]), phi[..., 0], phi[..., 1]], -1)
+        first = np.stack(
+            [
+                np.sin(phi[..., 0]),
+                phi[..., 1] * phi[..., 2],
+                np.cos(phi[..., 2]),
+                phi[..., 0],
+                phi[..., 1],
+            ],
+            -1,
+        )
         return first + (np.cos(phi[..., :1]) * y) @ B.T
 
     root = np.linalg.cholesky(np.cov(rng.standard_normal((5, 40))))
     prior, motion = Gaussian(rng.standard_normal(5), sqrt_cov=root), Motion(f, np.zeros((5, 5)))
-    filters = (sigma_point(motion, rule=rule) for rule in (tensor_product(gauss_hermite(3, 3), simplex(2)), gauss_hermite(5, 3)))
-    marginal, whole = (filter.predict(filter.start(prior), Epoch(dt=1.0)).belief for filter in filters)
+    filters = (
+        sigma_point(motion, rule=rule)
+        for rule in (tensor_product(gauss_hermite(3, 3), simplex(2)), gauss_hermite(5, 3))
+    )
+    marginal, whole = (
+        filter.predict(filter.start(prior), Epoch(dt=1.0)).belief for filter in filters
+    )
     np.testing.assert_allclose(marginal.mean, whole.mean, atol=1e-13)
     np.testing.assert_allclose(marginal.cov, whole.cov, atol=1e-12)
 
@@ -297,15 +389,21 @@ def test_the_marginalized_rule_is_the_tensor_rule():
 def test_both_forms_agree(short):
     sim, known = short
     assert known["nonlinear"].first.form is Covariance
-    filter = sigma_point(*scenario.model(sim.config), rule=scenario.rules()["nonlinear"], form="square root")
+    filter = sigma_point(
+        *scenario.model(sim.config), rule=scenario.rules()["nonlinear"], form="square root"
+    )
     roots = run(filter, sim.prior, sim.epochs())
     covariances = run(known["nonlinear"], sim.prior, sim.epochs())
     assert np.abs((roots.mean - covariances.mean) / covariances.std).max() < 1e-4
 
 
 def test_a_rule_that_loses_definiteness_is_redone_and_counted():
-    sim = aasghqf.simulate(replace(PRESETS["A-slow"], steps=3), [generator(1, 0, r) for r in range(6)])
-    ckf5, positive, *others = tracks((sim, aasghqf.filters(sim.config)), "ckf5", "ghqf3", "ukf", "sghqf", "aasghqf", "nonlinear")
+    sim = aasghqf.simulate(
+        replace(PRESETS["A-slow"], steps=3), [generator(1, 0, r) for r in range(6)]
+    )
+    ckf5, positive, *others = tracks(
+        (sim, aasghqf.filters(sim.config)), "ckf5", "ghqf3", "ukf", "sghqf", "aasghqf", "nonlinear"
+    )
     np.testing.assert_array_equal(ckf5.events["redone"], 1)
     assert (ckf5.failed_at < 0).all()
     np.testing.assert_allclose(ckf5.mean[0], positive.mean[0], atol=1e-12)
@@ -318,7 +416,10 @@ def test_weights_by_nonlinearity_on_line_are_those_of_57_points_then_of_27(short
         scenario.adaptive(scenario.by_nonlinearity(), sim.config), sim.prior, sim.epochs(),
         also=lambda epoch, state, infos: {"chosen": state.chosen},
     )  # fmt: skip
-    assert [scenario.weighted(number).num_sigmas() for number in track.extra["chosen"][[0, -1], 0].tolist()] == [57, 27]
+    assert [
+        scenario.weighted(number).num_sigmas()
+        for number in track.extra["chosen"][[0, -1], 0].tolist()
+    ] == [57, 27]
     (fine,) = tracks(short, "sghqf")
     assert np.abs((track.mean - fine.mean) / fine.std).max() < 0.3
 
@@ -326,19 +427,28 @@ def test_weights_by_nonlinearity_on_line_are_those_of_57_points_then_of_27(short
 def test_mounting_errors_that_are_known_change_nothing():
     """Reading K: a filter that turns what it expects as the sensors turn what they see, isotropic noise and all."""
     config = replace(A, steps=10)
-    sim, rng = aasghqf.simulate(config, [generator(0, 0, r) for r in range(2)]), np.random.default_rng(0)
+    sim, rng = (
+        aasghqf.simulate(config, [generator(0, 0, r) for r in range(2)]),
+        np.random.default_rng(0),
+    )
     E = block_diag(*Rotation.from_rotvec(1e-3 * rng.standard_normal((2, 3))).as_matrix(), np.eye(2))
     motion, sensor = scenario.model(config)
     other = replace(sensor, h=lambda x, epoch: measurement(x, epoch) @ E.T)
     turned = sigma_point(motion, other, rule=scenario.rules()["nonlinear"], form="covariance")
-    own, given = run(scenario.filters(config)["nonlinear"], sim.prior, sim.epochs()), sim._replace(z=sim.z @ E.T)
+    own, given = (
+        run(scenario.filters(config)["nonlinear"], sim.prior, sim.epochs()),
+        sim._replace(z=sim.z @ E.T),
+    )
     other = run(turned, sim.prior, given.epochs())
     assert np.abs((own.mean - other.mean) / own.std).max() < 1e-5
 
 
 def test_mounting_errors_turn_the_attitude_by_the_closed_form():
     """Reading U, one fix without noise: the bias is the least-squares solution, of a common error that error itself."""
-    config, mu = replace(A, steps=1), 1e-4 * np.array([[[0.3, -0.8, 0.5], [1.1, 0.4, -0.2]], [[0.3, -0.8, 0.5]] * 2])
+    config, mu = (
+        replace(A, steps=1),
+        1e-4 * np.array([[[0.3, -0.8, 0.5], [1.1, 0.4, -0.2]], [[0.3, -0.8, 0.5]] * 2]),
+    )
     sim = aasghqf.simulate(config, study.UNDISTURBED * 2)
     epoch = next(sim.epochs())
     z = scenario.mounted(sim, mu).z[0, :, :6]
@@ -363,7 +473,11 @@ def test_estimated_mounting_errors_are_in_the_model(short):
     x = np.concatenate([sim.truth[0], mu.reshape(1, 6)], -1)
     epoch = next(sim.epochs())
     added = scenario.mounted(sim, mu).z[0] - sim.z[0]
-    np.testing.assert_allclose(filter.sensors[0].h(x[None], epoch)[0] - measurement(sim.truth[:1], epoch)[0], added, atol=1e-7)
+    np.testing.assert_allclose(
+        filter.sensors[0].h(x[None], epoch)[0] - measurement(sim.truth[:1], epoch)[0],
+        added,
+        atol=1e-7,
+    )
 
 
 def test_fixes_come_at_their_own_rates():
@@ -410,7 +524,9 @@ def test_iterations_are_the_posterior_linearization_filter_written_out(form, nam
         m, C = K @ (epoch.z[0] - b), P - K @ S @ K.T
     std = np.sqrt(C.diagonal())
     np.testing.assert_allclose(belief.mean[0] / std, m / std, rtol=0.0, atol=1e-6)
-    np.testing.assert_allclose(belief.cov[0] / np.outer(std, std), C / np.outer(std, std), rtol=0.0, atol=1e-6)
+    np.testing.assert_allclose(
+        belief.cov[0] / np.outer(std, std), C / np.outer(std, std), rtol=0.0, atol=1e-6
+    )
 
 
 def test_the_unscented_filter_sees_the_bend_of_the_stars_in_two_of_six_directions():
@@ -419,7 +535,9 @@ def test_the_unscented_filter_sees_the_bend_of_the_stars_in_two_of_six_direction
     epoch, fine = next(sim.epochs()), tensor_product(gauss_hermite(3, 20), simplex(10))
     noise = epoch.u.sqrt_R.diagonal()[:6]
     for rule, seen in ((scenario.rules()["ukf"], 2), (fine, 6)):
-        Omega = regression(rule, np.zeros(13), np.diag(A.sigma0**2), epoch)[2][:6, :6] / np.outer(noise, noise)
+        Omega = regression(rule, np.zeros(13), np.diag(A.sigma0**2), epoch)[2][:6, :6] / np.outer(
+            noise, noise
+        )
         values = np.linalg.eigvalsh(Omega)
         assert (values > 100.0).sum() == seen  # a deviation of ten times the noise
         np.testing.assert_allclose(values[: 6 - seen], 0.0, atol=1e-6)
@@ -435,9 +553,16 @@ def test_three_linearizations_of_the_first_fix_leave_no_filter_overconfident():
         return nees(track.mean - sim.truth, track.sqrt_cov).mean(-1)[[0, 10]]
 
     def filter(name, iterations=1):
-        return sigma_point(*scenario.model(config), rule=scenario.rules()[name], form="covariance", iterations=iterations)
+        return sigma_point(
+            *scenario.model(config),
+            rule=scenario.rules()[name],
+            form="covariance",
+            iterations=iterations,
+        )
 
-    single, again = (run(filter("ukf", iterations), sim.prior, epochs, keep="cov") for iterations in (1, 3))
+    single, again = (
+        run(filter("ukf", iterations), sim.prior, epochs, keep="cov") for iterations in (1, 3)
+    )
     closed = run(scenario.filters(config)["triad-ekf"], sim.prior, epochs, keep="cov")
     assert (value(single) > 1.3e4).all()
     for track in (again, closed, iterated_smoother(filter("ukf"), sim.prior, epochs, iterations=3)):
@@ -449,8 +574,12 @@ def test_three_linearizations_of_the_first_fix_leave_no_filter_overconfident():
 
 
 def test_of_a_prior_of_45_degrees_iterations_may_end_in_other_angles_but_of_the_same_attitude():
-    sim = aasghqf.simulate(replace(A, steps=1, misalignment_deg=(45.0,) * 3), [generator(13, 0, r) for r in range(300)])
-    filter = sigma_point(*scenario.model(sim.config), rule=scenario.rules()["ukf"], form="covariance", iterations=30)
+    sim = aasghqf.simulate(
+        replace(A, steps=1, misalignment_deg=(45.0,) * 3), [generator(13, 0, r) for r in range(300)]
+    )
+    filter = sigma_point(
+        *scenario.model(sim.config), rule=scenario.rules()["ukf"], form="covariance", iterations=30
+    )
     found, true = filter.update(filter.start(sim.prior), next(sim.epochs()))[0].belief, sim.truth[0]
     away = np.abs(found.mean - true)[:, inertial.PHI].max(-1) > 0.01
     assert 0 < away.sum() < 30

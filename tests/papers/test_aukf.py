@@ -57,8 +57,12 @@ def test_a_turn_is_the_circle_between_its_tangents():
     for part, of_circle in zip((position, velocity), circle(whole), strict=True):
         np.testing.assert_allclose(part[turn], of_circle[turn], rtol=0.0, atol=1e-8)
     for straight in (slice(0, 201), slice(400, None)):
-        np.testing.assert_array_equal(velocity[straight], np.broadcast_to(velocity[straight][0], velocity[straight].shape))
-    np.testing.assert_allclose(np.diff(position, axis=0), 0.05 * (velocity[1:] + velocity[:-1]), rtol=0.0, atol=1e-3)
+        np.testing.assert_array_equal(
+            velocity[straight], np.broadcast_to(velocity[straight][0], velocity[straight].shape)
+        )
+    np.testing.assert_allclose(
+        np.diff(position, axis=0), 0.05 * (velocity[1:] + velocity[:-1]), rtol=0.0, atol=1e-3
+    )
     np.testing.assert_array_equal(circle(replace(whole, turn_s=(-5.0, 90.0)))[0], circle(whole)[0])
 
 
@@ -110,15 +114,29 @@ def test_models_that_take_turns_tell_a_maneuver_from_noise():
     noises that take turns do neither, but have no model of the burst; with a second noise of the ranges they do.
     """
     turning = replace(PRESETS["burst"], turn_s=(4.0, 8.0), burst_s=(11.0, 13.0), duration_s=13.0)
-    straight, sim = replace(turning, acceleration_noise_m2_per_s3=0.01), simulate(turning, runs(8, 82))
+    straight, sim = (
+        replace(turning, acceleration_noise_m2_per_s3=0.01),
+        simulate(turning, runs(8, 82)),
+    )
     S, rule, window = len(sim.satellites.names), ukf(turning), innovation_window(10)
-    calm, loud = ([adapted(replace(c, sigma_range_m=sigma), S, rule) for c in (straight, turning)] for sigma in (3.0, 50.0))
+    calm, loud = (
+        [adapted(replace(c, sigma_range_m=sigma), S, rule) for c in (straight, turning)]
+        for sigma in (3.0, 50.0)
+    )
     turns = np.array([[0.99, 0.01], [0.01, 0.99]])
     known = {"straight": calm[0], "turn": calm[1], "imm": imm(calm, turns), "both": imm([*calm, *loud], np.kron(turns, turns)),
              "straight, window": adapted(straight, S, rule, window), "turn, window": adapted(turning, S, rule, window)}  # fmt: skip
-    also = {name: lambda _epoch, state, _infos: {"p": state.probabilities} for name in ("imm", "both")}
-    tracks = {name: run(f, sim.prior, sim.epochs(), keep="cov", also=also.get(name)) for name, f in known.items()}
-    times, errors = sim.config.times, {name: track.mean - sim.truth for name, track in tracks.items()}
+    also = {
+        name: lambda _epoch, state, _infos: {"p": state.probabilities} for name in ("imm", "both")
+    }
+    tracks = {
+        name: run(f, sim.prior, sim.epochs(), keep="cov", also=also.get(name))
+        for name, f in known.items()
+    }
+    times, errors = (
+        sim.config.times,
+        {name: track.mean - sim.truth for name, track in tracks.items()},
+    )
 
     def squares(name, start, end, group=slice(0, 3)):
         span = (times >= start) & (times < end)
@@ -139,14 +157,19 @@ def test_models_that_take_turns_tell_a_maneuver_from_noise():
         assert (turned[45:80] > 0.9).all()
         assert turned[110:].mean() < 0.1
     span = slice(45, 80)
-    claimed = {name: nees(errors[name][span], track.sqrt_cov[span]).mean() / 8.0 for name, track in tracks.items()}
+    claimed = {
+        name: nees(errors[name][span], track.sqrt_cov[span]).mean() / 8.0
+        for name, track in tracks.items()
+    }
     assert all(0.6 < claimed[name] < 1.1 for name in also)
     assert claimed["straight"] > 100.0
 
 
 def test_batches_are_singles(errors):
     one = simulate(SHORT, runs(6)[3:4])
-    np.testing.assert_allclose(follow(one, ("aukf",))["aukf"][:, 0], errors["aukf"][:, 3], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(
+        follow(one, ("aukf",))["aukf"][:, 0], errors["aukf"][:, 3], rtol=0, atol=1e-6
+    )
 
 
 def test_every_rule_moves_a_linear_model_alike():
@@ -197,16 +220,29 @@ def flown(config, names, count=2, **keep):
 
 def test_without_drawing_anew_the_gain_lacks_the_process_noise():
     sim, tracks = flown(PRESETS["quiet"], ("no redraw", "ukf"), 3, keep="mean")
-    sizes = {n: np.sqrt(np.square((t.mean - sim.truth)[100:600, :, :3]).sum(-1).mean()) for n, t in tracks.items()}
+    sizes = {
+        n: np.sqrt(np.square((t.mean - sim.truth)[100:600, :, :3]).sum(-1).mean())
+        for n, t in tracks.items()
+    }
     assert sizes["no redraw"] > 3.0 * sizes["ukf"]
     # Without process noise there is nothing to lack.
-    still = replace(SHORT, acceleration_noise_m2_per_s3=1e-12, clock_white_m2_per_s=0.0, clock_walk_m2_per_s3=1e-12)
+    still = replace(
+        SHORT,
+        acceleration_noise_m2_per_s3=1e-12,
+        clock_white_m2_per_s=0.0,
+        clock_walk_m2_per_s3=1e-12,
+    )
     _, tracks = flown(still, ("no redraw", "ukf"), keep="mean")
     np.testing.assert_allclose(tracks["no redraw"].mean, tracks["ukf"].mean, rtol=0, atol=1e-3)
 
 
 def side_by_side(names, cases=None, count=2, **more):
-    return study.flown(study.Flight(names, cases={"": {}} if cases is None else cases, **more), (), SHORT, runs(count))
+    return study.flown(
+        study.Flight(names, cases={"": {}} if cases is None else cases, **more),
+        (),
+        SHORT,
+        runs(count),
+    )
 
 
 def test_factors_are_watched():
@@ -214,19 +250,37 @@ def test_factors_are_watched():
     np.testing.assert_array_equal(found["aukf/ranges"][:9], 1.0)
     assert found["aukf/ranges"].shape == (41, 4)
     assert found["aukf/ranges"][29].mean() > 50.0 * found["aukf/ranges"][15].mean()
-    assert found["aukf/ranges above 1"][29].mean() > 0.99 > found["aukf/rates above 1"][15].mean() >= 0.0
+    assert (
+        found["aukf/ranges above 1"][29].mean()
+        > 0.99
+        > found["aukf/rates above 1"][15].mean()
+        >= 0.0
+    )
     plain = run(filters(SHORT)["aukf"], sim.prior, sim.epochs(), keep="mean").mean - sim.truth
     np.testing.assert_allclose(found["aukf/error"], plain[..., :3], rtol=0, atol=1e-9)
 
 
 def test_cases_side_by_side_are_cases_alone():
-    both = side_by_side(("aukf", "student"), {f"{case}/": {"burst": case} for case in ("none", "ranges")}, anew=True)
+    both = side_by_side(
+        ("aukf", "student"), {f"{case}/": {"burst": case} for case in ("none", "ranges")}, anew=True
+    )
     rngs = runs(2)
     for case in ("none", "ranges"):
         sim = simulate(replace(SHORT, burst=case), rngs)
         for name in ("aukf", "student"):
-            track = run(filters(SHORT)[name], sim.prior, sim.epochs(), keep="mean", also=lambda _e, _s, i: {"nis": i[0].nis})
-            np.testing.assert_allclose(both[f"{case}/{name}/error"], (track.mean - sim.truth)[..., :3], rtol=1e-6, atol=1e-6)
+            track = run(
+                filters(SHORT)[name],
+                sim.prior,
+                sim.epochs(),
+                keep="mean",
+                also=lambda _e, _s, i: {"nis": i[0].nis},
+            )
+            np.testing.assert_allclose(
+                both[f"{case}/{name}/error"],
+                (track.mean - sim.truth)[..., :3],
+                rtol=1e-6,
+                atol=1e-6,
+            )
             np.testing.assert_allclose(both[f"{case}/{name}/nis"], track.extra["nis"], rtol=1e-6)
 
 
@@ -235,7 +289,9 @@ def test_a_process_noise_of_each_case_is_that_of_the_case_alone():
     both = side_by_side(("ekf",), cases)
     for case, change in cases.items():
         sim, tracks = flown(replace(SHORT, **change), ("ekf",), keep="mean")
-        np.testing.assert_allclose(both[f"{case}ekf/error"], (tracks["ekf"].mean - sim.truth)[..., :3], rtol=0, atol=1e-7)
+        np.testing.assert_allclose(
+            both[f"{case}ekf/error"], (tracks["ekf"].mean - sim.truth)[..., :3], rtol=0, atol=1e-7
+        )
 
 
 def test_parts_of_a_number_are_drawn_one_after_the_other():
@@ -291,9 +347,14 @@ def test_without_satellites_it_is_a_prediction():
     z = sim.z.copy()
     z[:, 0] = np.nan
     blind, S = sim._replace(z=z), len(sim.satellites.names)
-    for hook in (innovation_window(3), *(h[0] for name, h in hooks(S).items() if name not in ("ukf", "aukf"))):
+    for hook in (
+        innovation_window(3),
+        *(h[0] for name, h in hooks(S).items() if name not in ("ukf", "aukf")),
+    ):
         f = adapted(SHORT, S, ukf(SHORT), hook)
-        error, seeing = (run(f, s.prior, s.epochs(), keep="mean").mean - s.truth for s in (blind, sim))
+        error, seeing = (
+            run(f, s.prior, s.epochs(), keep="mean").mean - s.truth for s in (blind, sim)
+        )
         moved = blind.prior.mean[0] @ np.linalg.matrix_power(SHORT.F, 10).T - blind.truth[10, 0]
         np.testing.assert_allclose(error[10, 0], moved, rtol=0, atol=1e-6)
         np.testing.assert_allclose(error[:, 1], seeing[:, 1], rtol=0, atol=1e-6)
@@ -308,7 +369,9 @@ def test_the_smallest_window_takes_each_innovation_for_itself():
         _, (info,) = plain.step(State(state.belief, (None,)), epoch)
         prior = (info.sqrt_S @ info.sqrt_S.mT).diagonal(0, -2, -1) - R
         state, _ = filter.step(state, epoch)
-        np.testing.assert_allclose(state.memory[0][0][1], np.maximum(1.0, (info.innovation**2 - prior) / R), rtol=1e-6)
+        np.testing.assert_allclose(
+            state.memory[0][0][1], np.maximum(1.0, (info.innovation**2 - prior) / R), rtol=1e-6
+        )
 
 
 # -- the state as an error -----------------------------------------------------------------------------------------------------
@@ -316,11 +379,15 @@ def of_errors(filter, form):
     """The same filter of the errors of a nominal state, which is the last input of an epoch."""
 
     def slopes(d, epoch):
-        return pseudorange.jacobian(epoch.u[2] + (d if form in ("closed", "open") else 0.0 * d), *epoch.u[:2])
+        return pseudorange.jacobian(
+            epoch.u[2] + (d if form in ("closed", "open") else 0.0 * d), *epoch.u[:2]
+        )
 
     def h(d, epoch):
         if form == "linearized":
-            return pseudorange.measure(epoch.u[2] + 0.0 * d, *epoch.u[:2]) + np.einsum("...ij,...j->...i", slopes(d, epoch), d)
+            return pseudorange.measure(epoch.u[2] + 0.0 * d, *epoch.u[:2]) + np.einsum(
+                "...ij,...j->...i", slopes(d, epoch), d
+            )
         return pseudorange.measure(epoch.u[2] + d, *epoch.u[:2])
 
     return replace(filter, sensors=(Sensor(h, sqrt_R=filter.sensors[0].noise, jacobian=slopes),))
@@ -343,7 +410,13 @@ def apart(sim, name, form):
 
 
 def far(meters, **change):
-    c = replace(SHORT, duration_s=3.0, burst_s=(1.0, 2.0), deviation=(meters, *SHORT.deviation[1:]), **change)
+    c = replace(
+        SHORT,
+        duration_s=3.0,
+        burst_s=(1.0, 2.0),
+        deviation=(meters, *SHORT.deviation[1:]),
+        **change,
+    )
     return simulate(c, runs(2))
 
 
@@ -351,7 +424,9 @@ def far(meters, **change):
 @pytest.mark.parametrize("name", ["ekf", "ukf", "aukf"])
 def test_a_state_of_errors_changes_no_estimate_and_saves_no_evaluation(name, meters, monkeypatch):
     sim, count, measure = far(meters), [], pseudorange.measure
-    monkeypatch.setattr(pseudorange, "measure", lambda x, *u: count.append(np.size(x)) or measure(x, *u))
+    monkeypatch.setattr(
+        pseudorange, "measure", lambda x, *u: count.append(np.size(x)) or measure(x, *u)
+    )
     for form in ("closed", "open"):
         count.clear()
         off, _ = apart(sim, name, form)
@@ -364,12 +439,18 @@ def test_what_is_linearized_once_for_all_is_off_by_the_curvature_of_the_range():
     off, nominal = apart(sim, "ekf", "linearized")
     u, truth = (sim.satellites.q[-1], sim.satellites.w[-1]), sim.truth[-1]
     H, R = pseudorange.jacobian(nominal, *u), SHORT.R(len(sim.satellites.names))
-    curved = pseudorange.measure(truth, *u) - pseudorange.measure(nominal, *u) - np.einsum("rij,rj->ri", H, truth - nominal)
+    curved = (
+        pseudorange.measure(truth, *u)
+        - pseudorange.measure(nominal, *u)
+        - np.einsum("rij,rj->ri", H, truth - nominal)
+    )
     d, away = (truth - nominal)[:, None, :3], u[0] - nominal[:, None, :3]
     distance = np.linalg.norm(away, axis=-1)
     across = np.square(d).sum(-1) - np.square((d * away).sum(-1) / distance)
     np.testing.assert_allclose(curved[:, :15], across / (2.0 * distance), rtol=0.01)
-    fit = np.linalg.solve(H.mT @ np.linalg.solve(R, H), H.mT @ np.linalg.solve(R, curved[..., None]))[:, :3, 0]
+    fit = np.linalg.solve(
+        H.mT @ np.linalg.solve(R, H), H.mT @ np.linalg.solve(R, curved[..., None])
+    )[:, :3, 0]
     np.testing.assert_allclose(off[-1, :, :3], fit, atol=0.2 * np.abs(fit).max())
     # With the exact measurement it is only the gain that is linearized elsewhere.
     assert np.abs(apart(sim, "ekf", "slopes")[0][..., :3]).max() < 0.05 * np.abs(off[..., :3]).max()
@@ -384,18 +465,26 @@ def walk(hook, z, R=4.0, Q=1.0, apply=True):
         return (own, after.variances()[1] / joint.variances()[1]), after if apply else joint
 
     rule, prior = unscented(1, 1.0, 2.0, 0.0), Gaussian(np.zeros(1), 10.0 * np.eye(1))
-    filter = sigma_point(Motion(np.eye(1), Q * np.eye(1)), Sensor(np.eye(1), R * np.eye(1)), rule=rule, hooks=[seen])
+    filter = sigma_point(
+        Motion(np.eye(1), Q * np.eye(1)), Sensor(np.eye(1), R * np.eye(1)), rule=rule, hooks=[seen]
+    )
     return run(filter, prior, np.arange(len(z)), z,
                also=lambda _e, s, i: {"A": s.memory[0][0][1], "S": i[0].sqrt_S ** 2, "K": i[0].gain()}).extra  # fmt: skip
 
 
-@pytest.mark.parametrize(("M", "above", "excess"), [(1, 0.3173, 0.4839), (10, 0.4405, 0.1755), (50, 0.4734, 0.0795)])
+@pytest.mark.parametrize(
+    ("M", "above", "excess"), [(1, 0.3173, 0.4839), (10, 0.4405, 0.1755), (50, 0.4734, 0.0795)]
+)
 def test_consistent_innovations_inflate_the_noise_as_chi_square_says(M, above, excess):
     a, rng = 0.5 * M, np.random.default_rng(3)
     assert gammaincc(a, a) == pytest.approx(above, abs=1e-4)
     assert np.exp(a * np.log(a) - a - gammaln(a + 1.0)) == pytest.approx(excess, abs=1e-4)
     T, n = 150, 2000
-    x = np.sqrt(10.0) * rng.standard_normal((n, 1)) + np.cumsum(rng.standard_normal((T, n, 1)), 0) - rng.standard_normal((1, n, 1))
+    x = (
+        np.sqrt(10.0) * rng.standard_normal((n, 1))
+        + np.cumsum(rng.standard_normal((T, n, 1)), 0)
+        - rng.standard_normal((1, n, 1))
+    )
     found = walk(innovation_window(M), x + 2.0 * rng.standard_normal((T, n, 1)), apply=False)
     A, S = found["A"][-100 + M :: M].ravel(), found["S"][-1].ravel()[0]
     assert (A > 1.0).mean() == pytest.approx(above, abs=4.0 * np.sqrt(above / len(A)))
@@ -423,12 +512,20 @@ def test_channels_that_share_no_state_do_not_touch_each_other():
     z[15:, :, bad] += 1e4
 
     def kept(z, *hooks):
-        filter = sigma_point(Motion(eye, 0.01 * eye), Sensor(eye, eye), rule=unscented(8, 1.0, 2.0, 0.0), hooks=hooks)
+        filter = sigma_point(
+            Motion(eye, 0.01 * eye), Sensor(eye, eye), rule=unscented(8, 1.0, 2.0, 0.0), hooks=hooks
+        )
         return run(filter, Gaussian(np.zeros(8), eye), np.arange(30), z, keep="mean").mean
 
-    one, two, alone = kept(z, innovation_window(3)), kept(z), kept(z[..., [0] * 8], innovation_window(3))
+    one, two, alone = (
+        kept(z, innovation_window(3)),
+        kept(z),
+        kept(z[..., [0] * 8], innovation_window(3)),
+    )
     np.testing.assert_allclose(one[..., 0], alone[..., 0], rtol=0, atol=1e-9)
-    assert np.abs(one[-1][:, bad]).max() < 3.0 < 1e2 < np.abs(two[-1][:, bad]).min()  # next to prediction only
+    assert (
+        np.abs(one[-1][:, bad]).max() < 3.0 < 1e2 < np.abs(two[-1][:, bad]).min()
+    )  # next to prediction only
 
 
 def test_all_ranges_too_long_are_a_step_of_the_clock():
@@ -438,9 +535,13 @@ def test_all_ranges_too_long_are_a_step_of_the_clock():
     np.testing.assert_array_equal(struck.z[:20], plain.z[:20])
     known, steps, group = filters(c), {}, hooks(15)["group"][0]
     for name in ("ls", "ukf"):
-        one, two = (run(known[name], sim.prior, sim.epochs(), keep="mean").mean for sim in (struck, plain))
+        one, two = (
+            run(known[name], sim.prior, sim.epochs(), keep="mean").mean for sim in (struck, plain)
+        )
         steps[name] = one - two
-    np.testing.assert_allclose(steps["ls"][25][:, [0, 1, 2, 6]], [[0.0, 0.0, 0.0, 50.0]] * 3, rtol=0, atol=1e-5)
+    np.testing.assert_allclose(
+        steps["ls"][25][:, [0, 1, 2, 6]], [[0.0, 0.0, 0.0, 50.0]] * 3, rtol=0, atol=1e-5
+    )
     # A filter that knows its clock takes a part of it for position; what no state explains is blind to it.
     assert np.linalg.norm(steps["ukf"][29, :, :3], axis=-1).min() > 5.0
 
@@ -456,30 +557,49 @@ def test_all_ranges_too_long_are_a_step_of_the_clock():
 def test_factors_of_bad_and_good_ranges_are_told_apart():
     found = side_by_side(("aukf",), {"": {"burst": "one", "burst_count": 3}}, count=4)
     during = slice(29, 30)
-    parts = {what: found[f"aukf/{what}"][during].mean() for what in ("bad", "good", "good above 2", "ranges")}
+    parts = {
+        what: found[f"aukf/{what}"][during].mean()
+        for what in ("bad", "good", "good above 2", "ranges")
+    }
     assert parts["bad"] > 100.0 > 5.0 > parts["good"] >= 1.0
-    assert 3.0 * parts["bad"] + 12.0 * parts["good"] == pytest.approx(15.0 * parts["ranges"], rel=1e-9)
+    assert 3.0 * parts["bad"] + 12.0 * parts["good"] == pytest.approx(
+        15.0 * parts["ranges"], rel=1e-9
+    )
     assert 0.0 <= parts["good above 2"] < 0.3
     np.testing.assert_array_equal(found["aukf/bad"][:20], 0.0)  # there are none
 
 
 def test_on_prediction_alone_the_position_grows_with_the_process_noise():
-    c = replace(SHORT, mask_deg=20.0, burst="both", burst_sigma=1e4, burst_s=(2.0, 8.0), duration_s=8.0, motion="model")
+    c = replace(
+        SHORT,
+        mask_deg=20.0,
+        burst="both",
+        burst_sigma=1e4,
+        burst_s=(2.0, 8.0),
+        duration_s=8.0,
+        motion="model",
+    )
     sizes = []
     for q in (10.0, 1000.0):
         sim, tracks = flown(replace(c, acceleration_noise_m2_per_s3=q), ("aukf",), 4, keep="mean")
         assert len(sim.satellites.names) == 12
-        sizes.append(np.sqrt(np.square((tracks["aukf"].mean - sim.truth)[-10:, :, :3]).sum(-1).mean()))
+        sizes.append(
+            np.sqrt(np.square((tracks["aukf"].mean - sim.truth)[-10:, :, :3]).sum(-1).mean())
+        )
     assert sizes[1] > 3.0 * sizes[0]
 
 
 def test_counts_and_times_of_findings():
-    numbers = [Number("", 0.5, (None, 1.0), ci) for ci in ((0.4, 0.6), (0.4, 1.2), (0.4, 0.6), (1.1, 1.2))]
+    numbers = [
+        Number("", 0.5, (None, 1.0), ci) for ci in ((0.4, 0.6), (0.4, 1.2), (0.4, 0.6), (1.1, 1.2))
+    ]
     assert study.counted("", numbers, (2, None))[1:4] == (2.0, (2, None), (2.0, 3.0))
     assert study.counted("", numbers, (2, None), leading=True)[1:4] == (1.0, (2, None), (1.0, 3.0))
     error = {"ukf": [5, 5, 1, 5, 1, 1], "aukf": [5, 1, 1, 1, 1, 1]}
     fake = SimpleNamespace(
-        error=lambda _part, name, _group: np.tile(np.array(error[name], float)[:, None, None], (1, 3, 3)),
+        error=lambda _part, name, _group: np.tile(
+            np.array(error[name], float)[:, None, None], (1, 3, 3)
+        ),
         parts={"p": SimpleNamespace(config=SimpleNamespace(interval_s=0.5))},
     )
     assert study.later("", "p", "", 3.0, fake).value == (1 - 4) * 0.5
@@ -564,15 +684,21 @@ def test_every_statement_is_in_the_ledger_and_nothing_surprises(results):
     statements = [c for c in claims.values() if c.kind == "statement"]
     assert [c.id for c in statements] == STATEMENTS.split()
     assert all(c.row.why and c.row.place and c.row.found for c in statements)
-    assert {id for id, c in claims.items() if c.failure} <= {"no-extra-computation"}  # which is a matter of time
-    assert not any(id.startswith("real-") for id in claims)  # without its files nothing is said of the receiver
+    assert {id for id, c in claims.items() if c.failure} <= {
+        "no-extra-computation"
+    }  # which is a matter of time
+    assert not any(
+        id.startswith("real-") for id in claims
+    )  # without its files nothing is said of the receiver
     assert len([c for c in claims.values() if c.kind == "finding"]) <= 10
     dumps(claims.values())
 
 
 def test_printed_numbers_are_the_papers():
     printed = {row.id: row.printed for row in aukf.STUDY.rows if row.printed is not None}
-    assert json.dumps(printed) == '{"transform-second-order": 2, "burst-suppressed": [60, 70, 0, 50]}'
+    assert (
+        json.dumps(printed) == '{"transform-second-order": 2, "burst-suppressed": [60, 70, 0, 50]}'
+    )
     c = PRESETS["burst"]
     given = (c.speed_m_per_s, c.acceleration_g, c.height_m, *c.burst_s, c.burst_sigma, c.beta)
     assert " ".join(f"{value:g}" for value in given) == "400 4 800 60 70 50 2"
@@ -588,8 +714,18 @@ def test_a_recording_of_the_burst_is_written_and_none_of_an_absent_receiver(resu
     assert show.record(results, Outputs(tmp_path)) == ["aukf_burst.rrd"]
     (found,) = rr.chunk.RrdReader(tmp_path / "aukf_burst.rrd").recordings()
     assert found.application_id == "celnav-aukf-burst"
-    drawn = {str(c.entity_path) for c in rr.chunk.RrdReader(tmp_path / "aukf_burst.rrd").stream().to_chunks() if not c.is_static}
-    assert {"/world/sight", "/track/aukf/ellipsoid", "/error/group/estimate", "/plots/consistency/nis/ekf", "/events"} <= drawn
+    drawn = {
+        str(c.entity_path)
+        for c in rr.chunk.RrdReader(tmp_path / "aukf_burst.rrd").stream().to_chunks()
+        if not c.is_static
+    }
+    assert {
+        "/world/sight",
+        "/track/aukf/ellipsoid",
+        "/error/group/estimate",
+        "/plots/consistency/nis/ekf",
+        "/events",
+    } <= drawn
     assert "/error/ls/ellipsoid" not in drawn  # it has no covariance
     assert not (tmp_path / "aukf_real.rrd").exists()
 
@@ -611,7 +747,13 @@ def test_a_receivers_files_make_a_part_of_their_own(tmp_path):
     assert len(claims) == 10
     assert claims["real-ls"].verdict == claims["real-burst"].verdict == "holds"
     assert claims["real-consecutive"].verdict == "no number"  # one set of each satellite
-    assert [row["filter"] for row in show.TABLES["table_2"][1](results)] == ["LS", "EKF", "UKF", "AUKF", "group parity"]
+    assert [row["filter"] for row in show.TABLES["table_2"][1](results)] == [
+        "LS",
+        "EKF",
+        "UKF",
+        "AUKF",
+        "group parity",
+    ]
     assert len(show.FIGURES["figure_14"][1](results).axes) == 3
     found = day.positioned(results.parts["real"].config, "aukf", 10.0)
     np.testing.assert_allclose(np.linalg.norm(found.local(found.mean), axis=-1), 0.0, atol=2.0)

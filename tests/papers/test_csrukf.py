@@ -57,12 +57,19 @@ def test_every_figure_draws_what_its_axes_say(results):
 
 def test_figure_2_draws_the_errors_of_the_first_run(results):
     line = csrukf.FIGURES["figure_02"][1](results).axes[0].lines[0]
-    np.testing.assert_array_equal(line.get_ydata(), np.abs(results.error("0", "srukf", "position")[:, 0, 0]))
+    np.testing.assert_array_equal(
+        line.get_ydata(), np.abs(results.error("0", "srukf", "position")[:, 0, 0])
+    )
 
 
 def test_tables_hold_the_papers_numbers_verbatim(results):
     wanted = [[float(part) for part in line.split()] for line in PRINTED.split("\n") if line]
-    printed = [row for _, table in csrukf.TABLES.values() for row in table(results) if row["source"] == "paper"]
+    printed = [
+        row
+        for _, table in csrukf.TABLES.values()
+        for row in table(results)
+        if row["source"] == "paper"
+    ]
     assert [[v for v in row.values() if isinstance(v, float)] for row in printed] == wanted
     assert [len(table(results)) for _, table in csrukf.TABLES.values()] == [6, 6, 12]
 
@@ -85,7 +92,9 @@ def test_few_runs_leave_rows_undecided_rather_than_wrong(claims):
 
 
 def test_only_statements_are_called_reproduced(claims):
-    assert all("reproduced" not in claim.verdict for claim in claims.values() if claim.kind != "statement")
+    assert all(
+        "reproduced" not in claim.verdict for claim in claims.values() if claim.kind != "statement"
+    )
 
 
 def test_the_block_size_changes_nothing():
@@ -107,13 +116,19 @@ def test_a_run_does_not_depend_on_how_many_there_are():
 
 def test_the_nominal_orbit_has_the_check_values():
     end = csrukf.PRESETS["P"].nominal()[-1]
-    np.testing.assert_allclose(end, [1128.513522, 3832.733730, 5905.955241, -6.558624, -2.301214, 2.751041], atol=2e-6)
+    np.testing.assert_allclose(
+        end, [1128.513522, 3832.733730, 5905.955241, -6.558624, -2.301214, 2.751041], atol=2e-6
+    )
 
 
 def test_linear_theory_has_the_values_of_an_independent_prototype():
     expected = study.expected(csrukf.PRESETS["P"], (0.0, 0.8, 1.0))
-    np.testing.assert_allclose(expected["srukf"][-1, 1], [0.1295, 0.1297, 0.1298, 0.0477, 0.0516, 0.0542], atol=6e-5)
-    np.testing.assert_allclose(expected["csrukf"][-1, 2], [0.2346, 0.2475, 0.2501, 0.1400, 0.1816, 0.2045], atol=6e-5)
+    np.testing.assert_allclose(
+        expected["srukf"][-1, 1], [0.1295, 0.1297, 0.1298, 0.0477, 0.0516, 0.0542], atol=6e-5
+    )
+    np.testing.assert_allclose(
+        expected["csrukf"][-1, 2], [0.2346, 0.2475, 0.2501, 0.1400, 0.1816, 0.2045], atol=6e-5
+    )
 
 
 @pytest.mark.parametrize(("preset", "averaged"), [("P", False), ("B", True)])
@@ -124,13 +139,19 @@ def test_tables_1_and_2_come_out_together(preset, averaged):
         for filter, printed in table.items():
             std = expected[filter.lower()][1 if averaged else -1 :, i]
             ours = np.sqrt(np.square(std).mean(0))
-            logs += [np.log(np.linalg.norm(ours[part]) / np.linalg.norm(printed[part])) for part in (slice(0, 3), slice(3, 6))]
+            logs += [
+                np.log(np.linalg.norm(ours[part]) / np.linalg.norm(printed[part]))
+                for part in (slice(0, 3), slice(3, 6))
+            ]
     assert np.exp(np.sqrt(np.mean(np.square(logs)))) < 1.2
 
 
 def test_monte_carlo_follows_linear_theory_within_its_scatter():
     many = replace(csrukf.PRESETS["P"], steps=60, phi=1.0)
-    sim, expected = scenario.simulate(many, [generator(0, 0, r) for r in range(300)]), study.expected(many, (1.0,))
+    sim, expected = (
+        scenario.simulate(many, [generator(0, 0, r) for r in range(300)]),
+        study.expected(many, (1.0,)),
+    )
     for name, std in expected.items():
         track = run(scenario.filters(many)[name], sim.prior, sim.epochs(name))
         rmse = np.sqrt(np.square((track.mean[-1] - sim.truth[-1]) * study.UNITS).mean(0))
@@ -142,7 +163,8 @@ def test_filters_coincide_where_they_must():
     sim = scenario.simulate(config, [generator(1, 1, r) for r in range(4)])
     known = scenario.filters(config) | {"single": scenario.assuming(config, config.R)}
     mean = {
-        name: run(known[name], sim.prior, sim.epochs()).mean[..., :6] for name in ("csrukf+z0", "augmented", "csrukf", "single")
+        name: run(known[name], sim.prior, sim.epochs()).mean[..., :6]
+        for name in ("csrukf+z0", "augmented", "csrukf", "single")
     }
     assert np.abs(mean["csrukf+z0"] - mean["augmented"]).max() < 1e-7
     assert np.abs(mean["csrukf"] - mean["single"]).max() < 1e-6
@@ -155,7 +177,9 @@ def test_srukf_is_filterpys_ukf():
 
     sim = scenario.simulate(SHORT, [generator(0, 0, 0)])
     points = MerweScaledSigmaPoints(6, SHORT.alpha, SHORT.beta, SHORT.kappa)
-    ukf = UnscentedKalmanFilter(6, 3, SHORT.step_s, lambda x: x[:3], lambda x, dt: orbit.step(x, dt), points)
+    ukf = UnscentedKalmanFilter(
+        6, 3, SHORT.step_s, lambda x: x[:3], lambda x, dt: orbit.step(x, dt), points
+    )
     ukf.x, ukf.P = np.array(sim.prior.mean[0]), np.array(sim.prior.cov)
     ukf.Q, ukf.R = SHORT.sqrt_Q @ SHORT.sqrt_Q.T, SHORT.R
     means = [ukf.x]
@@ -170,7 +194,9 @@ def test_srukf_is_filterpys_ukf():
 def test_the_lagged_estimate_is_that_of_the_epoch_before():
     config = replace(SHORT, phi=0.8)
     sim = scenario.simulate(config, [generator(1, 1, 0)])
-    late = run(study.variants(config)["lagged"], sim.prior, sim.epochs("lagged"), keep="mean").mean[:, 0]
+    late = run(study.variants(config)["lagged"], sim.prior, sim.epochs("lagged"), keep="mean").mean[
+        :, 0
+    ]
     own = run(scenario.filters(config)["csrukf"], sim.prior, sim.epochs(), keep="mean").mean[:, 0]
     assert 0.0 < np.abs(late[2:] - own[1:-1])[:, :3].max() < 0.1
     assert [float(e.truth[0, 0]) for e in sim.epochs("lagged")][1:] == sim.truth[:-1, 0, 0].tolist()
@@ -204,7 +230,9 @@ def test_a_configuration_that_cannot_be_is_refused_by_name(change, name):
         replace(csrukf.PRESETS["P"], **change)
 
 
-@pytest.mark.parametrize(("first", "factor"), [("R", 1.0), ("zero", 0.0), ("stationary", 1.0 / 0.36), (None, 1.0)])
+@pytest.mark.parametrize(
+    ("first", "factor"), [("R", 1.0), ("zero", 0.0), ("stationary", 1.0 / 0.36), (None, 1.0)]
+)
 @pytest.mark.parametrize("measured", ["positions", "angles"])
 def test_the_first_noise_is_what_is_chosen(first, factor, measured):
     config = replace(csrukf.Config(), phi=0.8, first_noise=first, measured=measured)
@@ -218,10 +246,19 @@ def test_recordings_hold_the_first_run_and_the_monte_carlo(results, tmp_path):
     found = {str(c.entity_path): c for c in chunks if not c.is_static}
     error = np.array(found["/state/csrukf"].to_record_batch().column("error").to_pylist())
     np.testing.assert_allclose(error[:, :3], results.error("0.8", "csrukf", "position")[:, 0])
-    rmse = found["/plots/rmse/position/srukf"].to_record_batch().column("Scalars:scalars").to_pylist()
+    rmse = (
+        found["/plots/rmse/position/srukf"].to_record_batch().column("Scalars:scalars").to_pylist()
+    )
     wanted = np.sqrt(np.square(results.error("0.8", "srukf", "position")).sum(-1).mean(1))
     np.testing.assert_allclose(10.0 ** np.ravel(rmse), wanted)
-    drawn = {"/world/limb", "/world/stars/i2", "/world/angles", "/world/z", "/error/openloop/ellipsoid", "/plots/V/x/augmented"}
+    drawn = {
+        "/world/limb",
+        "/world/stars/i2",
+        "/world/angles",
+        "/world/z",
+        "/error/openloop/ellipsoid",
+        "/plots/V/x/augmented",
+    }
     assert drawn <= set(found)
 
 

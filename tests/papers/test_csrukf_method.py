@@ -53,7 +53,9 @@ def cycles(form, make, n=3):
     for _ in range(n):
         S = spread if form in method.ROOTS else method.cholesky(spread)
         spread = method.updated(form, spread, S, H @ S, sqrt_R)[1]
-        A = np.concatenate([F @ (spread if form in method.ROOTS else method.cholesky(spread)), sqrt_Q], -1)
+        A = np.concatenate(
+            [F @ (spread if form in method.ROOTS else method.cholesky(spread)), sqrt_Q], -1
+        )
         spread = method.tria(A) if form in method.ROOTS else A @ A.mT
     return spread @ spread.mT if form in method.ROOTS else spread
 
@@ -72,7 +74,9 @@ def test_factorizations_are_those_of_lapack_and_stay_in_single_precision():
     np.testing.assert_allclose(L, np.abs(np.linalg.qr(A.T, mode="r").T) * np.sign(L), rtol=1e-12)
     np.testing.assert_allclose(C, lapack.dpotrf(P, lower=1, clean=1)[0], rtol=1e-12)
     V = 0.5 * C[:, :2]
-    np.testing.assert_allclose(method.downdate(C, V), np.linalg.cholesky(P - V @ V.T), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(
+        method.downdate(C, V), np.linalg.cholesky(P - V @ V.T), rtol=1e-9, atol=1e-12
+    )
     for short, long in ((method.tria(A.astype("f")), L), (method.cholesky(P.astype("f")), C)):
         assert short.dtype == np.float32
         assert 1e-9 < np.abs(short - long).max() < 1e-5
@@ -91,15 +95,20 @@ def test_an_update_is_skew_by_rounding_only_and_the_next_prediction_is_symmetric
 
 
 @pytest.mark.parametrize(
-    ("changes", "name"), [({"phi": 0.8}, "csrukf"), ({"phi": 1.0}, "csrukf"), ({"measured": "angles"}, "angles")]
+    ("changes", "name"),
+    [({"phi": 0.8}, "csrukf"), ({"phi": 1.0}, "csrukf"), ({"measured": "angles"}, "angles")],
 )
 @pytest.mark.parametrize("form", method.FORMS)
 def test_every_form_is_the_library_s_filter(changes, name, form):
     config = replace(scenario.P, steps=20, **changes)
     sims = [scenario.simulate(config, [generator(1, 1, r) for r in range(2)])] * 2
     track = run(scenario.filters(config)[name], sims[0].prior, sims[0].epochs(name))
-    for k, (x, spread) in enumerate(method.fly(form, "double", [(config, 1.0), (config, 1e3)], sims)):
-        std = np.sqrt(np.vecdot(spread, spread) if form in method.ROOTS else spread.diagonal(0, -2, -1))
+    for k, (x, spread) in enumerate(
+        method.fly(form, "double", [(config, 1.0), (config, 1e3)], sims)
+    ):
+        std = np.sqrt(
+            np.vecdot(spread, spread) if form in method.ROOTS else spread.diagonal(0, -2, -1)
+        )
         np.testing.assert_allclose(x, np.broadcast_to(track.mean[k + 1], x.shape), atol=1e-8)
         np.testing.assert_allclose(std, np.broadcast_to(track.std[k + 1], std.shape), rtol=1e-6)
 
@@ -109,10 +118,14 @@ def test_what_color_costs_the_mean_of_samples(phi):
     """A constant in stationary noise: the best estimate, and the mean of the samples, which is that of a filter for white noise."""
     N, one, R, far = 40, np.ones((1, 1)), 0.04, 1e8 * np.ones((1, 1))
     first = R / (1.0 - phi**2)
-    best = colored_bound(np.ones((N - 1, 1, 1)), one, phi * one, 0.0 * one, R * one, far, first * one)[-1, 0, 0]
+    best = colored_bound(
+        np.ones((N - 1, 1, 1)), one, phi * one, 0.0 * one, R * one, far, first * one
+    )[-1, 0, 0]
     assert best == pytest.approx(R / ((1.0 - phi**2) + (N - 1) * (1.0 - phi) ** 2), rel=1e-6)
     gains = 1.0 / np.arange(1.0, N + 1.0)[:, None, None]
-    mean = actual_covariance(np.ones((N, 1, 1)), one, gains, 0.0 * one, phi * one, R * one, far, first * one)[-1, 0, 0]
+    mean = actual_covariance(
+        np.ones((N, 1, 1)), one, gains, 0.0 * one, phi * one, R * one, far, first * one
+    )[-1, 0, 0]
     sums = N * (1.0 + phi) / (1.0 - phi) - 2.0 * phi * (1.0 - phi**N) / (1.0 - phi) ** 2
     assert mean == pytest.approx(first * sums / N**2, rel=1e-6)
 
@@ -122,7 +135,9 @@ def test_larger_phi_worse_is_no_theorem(N):
     """The slope of a line, nothing known of its start: of two samples a random walk tells more than white noise, of many less."""
     F, H, R = np.tile([[1.0, 1.0], [0.0, 1.0]], (N - 1, 1, 1)), np.eye(1, 2), 0.04 * np.ones((1, 1))
     white, walk = (
-        colored_bound(F, H, phi * np.ones((1, 1)), np.zeros((2, 2)), R, 1e6 * np.eye(2), first)[-1, 1, 1]
+        colored_bound(F, H, phi * np.ones((1, 1)), np.zeros((2, 2)), R, 1e6 * np.eye(2), first)[
+            -1, 1, 1
+        ]
         for phi, first in ((0.0, R), (1.0, 1e6 * R))
     )
     assert white == pytest.approx(12.0 * 0.04 / (N * (N**2 - 1)), rel=1e-4)

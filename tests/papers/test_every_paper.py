@@ -38,6 +38,8 @@ def test_an_equation_is_found_by_searching_for_it(key):
     for path in (Path(celnav.__file__).parent).rglob("*.py"):
         for tag in re.findall(rf"\[{key}, Eqs?\. ([^\]]*)\]", path.read_text(encoding="utf-8")):
             for first, last in re.findall(r"(\d+)(?:\s*(?:-|–|to)\s*(\d+))?", tag):
-                if int(last or first) - int(first) <= 10:  # a longer range is a chapter, and finds nothing
+                if (
+                    int(last or first) - int(first) <= 10
+                ):  # a longer range is a chapter, and finds nothing
                     found.update(range(int(first), int(last or first) + 1))
     assert EQUATIONS[key] <= found, EQUATIONS[key] - found

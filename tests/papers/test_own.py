@@ -34,7 +34,10 @@ def reproduce(*words):
 
 
 def units(folder, name="study"):
-    return {path.name: path.stat().st_mtime_ns for path in (folder / "out" / name / ".results/units").iterdir()}
+    return {
+        path.name: path.stat().st_mtime_ns
+        for path in (folder / "out" / name / ".results/units").iterdir()
+    }
 
 
 def test_the_template_runs_as_it_is(folder, capsys):
@@ -47,14 +50,22 @@ def test_the_template_runs_as_it_is(folder, capsys):
         "claims.json", "checks.json", "timings.json", "result.npz", "study.json", "figure_01.png", "figure_01.svg", "manifest.json",
     }  # fmt: skip
     page = (folder / "out/index.html").read_text()
-    for text in ("A vehicle by range and bearing", 'href="../study.py"', "study/figures/figure_01.png", "What is said"):
+    for text in (
+        "A vehicle by range and bearing",
+        'href="../study.py"',
+        "study/figures/figure_01.png",
+        "What is said",
+    ):
         assert text in page
     capsys.readouterr()
     assert cli.main(["verdicts"]) == 0
     assert "| `study` | 1 |" in capsys.readouterr().out
     assert cli.main(["list", "study.py"]) == 0
     listed = capsys.readouterr().out
-    assert all(text in listed for text in ("bearing_deg", "figure_01", "filters: ekf, ukf", "limits.position"))
+    assert all(
+        text in listed
+        for text in ("bearing_deg", "figure_01", "filters: ekf, ukf", "limits.position")
+    )
     assert cli.main(["view", "study.py"]) == 2
     assert "study.py: has no recordings" in capsys.readouterr().err
 
@@ -70,13 +81,17 @@ def test_results_are_kept_as_long_as_the_file_says_the_same(folder):
     (folder / "study.py").write_text(f"# a comment\n{TEMPLATE}")
     reproduce("study.py")
     assert units(folder) == first
-    (folder / "study.py").write_text(TEMPLATE.replace("range_m: float = param(1.0", "range_m: float = param(2.0"))
+    (folder / "study.py").write_text(
+        TEMPLATE.replace("range_m: float = param(1.0", "range_m: float = param(2.0")
+    )
     reproduce("study.py")
     assert not set(units(folder)) & set(first)
 
 
 def test_modules_beside_the_file_belong_to_it(folder):
-    (folder / "study.py").write_text(TEMPLATE.replace("import celnav\n", "import celnav\nimport ground_km\n", 1))
+    (folder / "study.py").write_text(
+        TEMPLATE.replace("import celnav\n", "import celnav\nimport ground_km\n", 1)
+    )
     (folder / "ground_km.py").write_text("HEIGHT = 1\n")
     first = own.load("study.py").STUDY.source
     (folder / "ground_km.py").write_text("HEIGHT = 20\n")
@@ -90,11 +105,17 @@ def test_processes_give_the_same_and_refuse_a_file_that_has_changed(folder):
     for jobs, out in (("1", "one"), ("2", "two")):
         words = ["reproduce", "study.py", "--effort", "0.5", "--jobs", jobs, "--out", out]
         subprocess.run([sys.executable, "-m", "celnav", *words], check=True, capture_output=True)
-    assert (folder / "one/study/claims.json").read_bytes() == (folder / "two/study/claims.json").read_bytes()
+    assert (folder / "one/study/claims.json").read_bytes() == (
+        folder / "two/study/claims.json"
+    ).read_bytes()
     name = own.load("study.py").__name__
-    (folder / "study.py").write_text(TEMPLATE.replace("bearing_deg: float = param(3.0", "bearing_deg: float = param(4.0"))
+    (folder / "study.py").write_text(
+        TEMPLATE.replace("bearing_deg: float = param(3.0", "bearing_deg: float = param(4.0")
+    )
     del sys.modules[name]
-    with pytest.raises(ImportError, match="has changed since the work was begun; use the same command again"):
+    with pytest.raises(
+        ImportError, match="has changed since the work was begun; use the same command again"
+    ):
         own.import_module(name)
 
 
@@ -102,16 +123,25 @@ def test_papers_and_own_studies_go_together(folder, monkeypatch, capsys):
     module = tiny()
     monkeypatch.setattr(papers, "PAPERS", {"tiny": "tiny"})
     monkeypatch.setattr("celnav.commands.index.PAPERS", {"tiny": "tiny"})
-    monkeypatch.setattr("celnav.papers.import_module", lambda name: own if name == "celnav.papers.own" else module)
+    monkeypatch.setattr(
+        "celnav.papers.import_module", lambda name: own if name == "celnav.papers.own" else module
+    )
     (folder / "other.py").write_text(TEMPLATE.replace("A vehicle by", "Another by"))
     assert reproduce("study.py", "tiny", "other.py") == 0
     (folder / "other.py").unlink()  # what the page shows of it is kept
     assert reproduce("tiny") == 0
     page = (folder / "out/index.html").read_text()
-    assert all(text in page for text in ("Tiny &lt;study&gt;", "A vehicle by", "Another by", "What papers say"))
+    assert all(
+        text in page
+        for text in ("Tiny &lt;study&gt;", "A vehicle by", "Another by", "What papers say")
+    )
     capsys.readouterr()
     cli.main(["verdicts"])
-    assert [line.split("`")[1] for line in capsys.readouterr().out.splitlines() if line.startswith("| `")] == [
+    assert [
+        line.split("`")[1]
+        for line in capsys.readouterr().out.splitlines()
+        if line.startswith("| `")
+    ] == [
         "tiny",
         "other",
         "study",
@@ -143,7 +173,10 @@ def test_all_that_is_missing_is_told_at_once(folder, capsys):
     (folder / "study.py").write_text(BROKEN)
     assert reproduce("study.py") == 2
     head, *lines = capsys.readouterr().err.splitlines()
-    assert head == "celnav: study.py: 12 things are missing or not as expected (celnav new FILE.py writes a study that has all):"
+    assert (
+        head
+        == "celnav: study.py: 12 things are missing or not as expected (celnav new FILE.py writes a study that has all):"
+    )
     assert [line.split(": expected ")[0].strip() for line in lines] == [
         "TITLE", "PRESETS", "FIGURES", "record", "STUDY.groups", "STUDY.parts 'inner'", "STUDY.parts 'short'", "STUDY.figure",
         "STUDY.rows",
@@ -151,7 +184,10 @@ def test_all_that_is_missing_is_told_at_once(folder, capsys):
     ]  # fmt: skip
     assert all(", got " in line for line in lines)
     assert not (folder / "out").exists()
-    with pytest.raises(InputError, match=r"14 things are missing(.|\n)*filters: expected a function \(config\)(.|\n)*STUDY.trial"):
+    with pytest.raises(
+        InputError,
+        match=r"14 things are missing(.|\n)*filters: expected a function \(config\)(.|\n)*STUDY.trial",
+    ):
         own.load("study.py", mission=True)
 
 
@@ -180,7 +216,9 @@ def test_an_empty_file_misses_what_is_always_needed(folder):
 def test_errors_in_the_file_are_told_with_their_line(folder, capsys, old, new, status, line, said):
     assert old in TEMPLATE
     (folder / "study.py").write_text(TEMPLATE.replace(old, new))
-    number = 1 + next(i for i, text in enumerate((folder / "study.py").read_text().splitlines()) if line in text)
+    number = 1 + next(
+        i for i, text in enumerate((folder / "study.py").read_text().splitlines()) if line in text
+    )
     assert reproduce("study.py") == status
     error = capsys.readouterr().err
     for text in (f"study.py, line {number}: ", line, said):
@@ -191,14 +229,23 @@ def test_errors_in_the_file_are_told_with_their_line(folder, capsys, old, new, s
 @pytest.mark.parametrize(
     ("words", "text"),
     [
-        (["new", "study.py"], "study.py: is there already, and nothing is overwritten; choose another name, or move it away"),
+        (
+            ["new", "study.py"],
+            "study.py: is there already, and nothing is overwritten; choose another name, or move it away",
+        ),
         (["new", "study"], "study: expected the name of a file that ends in .py, such as study.py"),
         (["new", "csrukf.py"], "csrukf.py: expected another name than csrukf, which celnav has"),
         (["new", "absent/study.py"], "absent: no such folder; make it first"),
         (["new"], "the following arguments are required: FILE.py; see celnav new --help"),
         (["reproduce", "absent.py"], "absent.py: no such file or directory"),
-        (["reproduce", "csrukf.py"], "csrukf.py: expected another name than csrukf, which celnav has; rename the file"),
-        (["reproduce", "study.py", "./sub/study.py"], "study.py, ./sub/study.py: expected files of different names; rename one"),
+        (
+            ["reproduce", "csrukf.py"],
+            "csrukf.py: expected another name than csrukf, which celnav has; rename the file",
+        ),
+        (
+            ["reproduce", "study.py", "./sub/study.py"],
+            "study.py, ./sub/study.py: expected files of different names; rename one",
+        ),
         (["view", "study.py"], "study.py: has no recordings; a mission of it (celnav run) has one"),
     ],
 )
@@ -231,8 +278,12 @@ def test_a_mission_takes_a_study_beside_it(folder, capsys, monkeypatch):
     assert study.to_dict()["paper"] == own.identity("../study.py")
     first = campaign(study, folder / "store").rows
     (folder / "elsewhere").mkdir()
-    (folder / "study.py").rename(folder / "elsewhere" / "study.py")  # its results go with what it says, not where it lies
-    (missions / "sweep.toml").write_text(text.replace("1.0", "[0.5, 1.0]").replace("../", "../elsewhere/"))
+    (folder / "study.py").rename(
+        folder / "elsewhere" / "study.py"
+    )  # its results go with what it says, not where it lies
+    (missions / "sweep.toml").write_text(
+        text.replace("1.0", "[0.5, 1.0]").replace("../", "../elsewhere/")
+    )
     before = {path: path.stat().st_mtime_ns for path in (folder / "store/units").iterdir()}
     again = campaign(read("sweep.toml"), folder / "store").rows
     assert {path: path.stat().st_mtime_ns for path in (folder / "store/units").iterdir()} == before
@@ -242,13 +293,21 @@ def test_a_mission_takes_a_study_beside_it(folder, capsys, monkeypatch):
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        (("bearing_deg = 1.0", "bearing = 1.0"), "config.bearing: unknown key; did you mean config.bearing_deg?"),
-        (("bearing_deg = 1.0", "bearing_deg = -1.0"), "config.bearing_deg (deg): expected a positive number, got -1.0"),
+        (
+            ("bearing_deg = 1.0", "bearing = 1.0"),
+            "config.bearing: unknown key; did you mean config.bearing_deg?",
+        ),
+        (
+            ("bearing_deg = 1.0", "bearing_deg = -1.0"),
+            "config.bearing_deg (deg): expected a positive number, got -1.0",
+        ),
         (("study.py", "absent.py"), "absent.py"),
     ],
 )
 def test_a_mission_that_does_not_go_with_its_study_is_told(folder, change, text):
-    (folder / "m.toml").write_text('paper = "study.py"\nruns = 6\n[config]\nbearing_deg = 1.0\n'.replace(*change))
+    (folder / "m.toml").write_text(
+        'paper = "study.py"\nruns = 6\n[config]\nbearing_deg = 1.0\n'.replace(*change)
+    )
     with pytest.raises((MissionError, FileNotFoundError)) as error:
         read("m.toml")
     assert text in str(error.value)
@@ -256,7 +315,9 @@ def test_a_mission_that_does_not_go_with_its_study_is_told(folder, change, text)
 
 def test_a_study_without_presets_flies_no_missions_but_is_reproduced(folder, capsys):
     (folder / "study.py").write_text(
-        TEMPLATE.replace("PRESETS", "CASES").replace("def filters(", "def them(").replace("filters(c)", "them(c)")
+        TEMPLATE.replace("PRESETS", "CASES")
+        .replace("def filters(", "def them(")
+        .replace("filters(c)", "them(c)")
     )
     assert reproduce("study.py") == 0
     (folder / "m.toml").write_text('paper = "study.py"\n')
@@ -273,4 +334,7 @@ def test_it_is_a_study_like_any_other(folder):
     assert results.get("usual", "ekf/error").shape == (61, 4, 4)
     assert module.STUDY.name == "study"
     assert papers.load("study.py") is module
-    assert isinstance(module.filters(module.Config())["ukf"], type(celnav.ukf(celnav.Motion(np.eye(2), np.eye(2)))))
+    assert isinstance(
+        module.filters(module.Config())["ukf"],
+        type(celnav.ukf(celnav.Motion(np.eye(2), np.eye(2)))),
+    )

@@ -59,7 +59,10 @@ def sim():
 
 
 def tracks(sim, **options):
-    return {name: run(filter, sim.prior, sim.epochs()) for name, filter in filters(sim.config, **options).items()}
+    return {
+        name: run(filter, sim.prior, sim.epochs())
+        for name, filter in filters(sim.config, **options).items()
+    }
 
 
 def test_the_filters_are_one_filter(sim):
@@ -89,7 +92,10 @@ def test_transport_hardly_matters_where_attitude_is_measured_whole(sim):
 
 def test_preintegrated_samples_do_what_single_ones_do():
     short = replace(SHORT, duration_s=4.0)
-    full, sim = (simulate(replace(short, preintegrated=p), [generator(0, 0, r) for r in range(3)]) for p in (False, True))
+    full, sim = (
+        simulate(replace(short, preintegrated=p), [generator(0, 0, r) for r in range(3)])
+        for p in (False, True)
+    )
     few = run(filters(sim.config)["ssukf"], sim.prior, sim.epochs())
     many = run(filters(full.config)["ssukf"], full.prior, full.epochs())
     turned = attitude.multiply(few.mean[1:, ..., :4], attitude.inverse(many.mean[25::25, ..., :4]))
@@ -106,7 +112,10 @@ def test_samples_may_be_integrated_about_any_drift():
 
 def test_the_error_is_the_sensors_after_the_first_star(sim):
     track = run(filters(sim.config)["ssukf"], sim.prior, sim.epochs())
-    error = attitude.log(attitude.multiply(sim.truth[..., :4], attitude.inverse(track.mean[..., :4]))) / ARCSEC
+    error = (
+        attitude.log(attitude.multiply(sim.truth[..., :4], attitude.inverse(track.mean[..., :4])))
+        / ARCSEC
+    )
     np.testing.assert_allclose(np.degrees(error[0] * ARCSEC)[:, 2], 10.0, atol=0.1)
     assert 12.0 < np.sqrt(np.square(error[1]).mean()) < 30.0
     assert np.sqrt(np.square(error[-1]).mean()) < 8.0
@@ -114,9 +123,13 @@ def test_the_error_is_the_sensors_after_the_first_star(sim):
 
 def test_drawn_errors_are_those_of_the_prior():
     sim = simulate(replace(SHORT, duration_s=0.25), [generator(1, 0, r) for r in range(400)])
-    error = attitude.log(attitude.multiply(sim.truth[0][:, :4], attitude.inverse(sim.drawn.mean[:, :4])))
+    error = attitude.log(
+        attitude.multiply(sim.truth[0][:, :4], attitude.inverse(sim.drawn.mean[:, :4]))
+    )
     np.testing.assert_allclose(error.std(0), SHORT.sigma0[:3], rtol=0.15)
-    np.testing.assert_allclose((sim.truth[0] - sim.drawn.mean)[:, 4:].std(0), SHORT.sigma0[3:], rtol=0.15)
+    np.testing.assert_allclose(
+        (sim.truth[0] - sim.drawn.mean)[:, 4:].std(0), SHORT.sigma0[3:], rtol=0.15
+    )
 
 
 @pytest.mark.parametrize(
@@ -165,7 +178,9 @@ def test_every_figure_draws_what_its_axes_say(result):
 
 
 def test_figures_draw_euler_angles(result):
-    np.testing.assert_allclose(np.abs(show.euler(result, "ssukf")[0]) / 3600.0, [[1.0, 2.0, 10.0]] * 6, rtol=1e-9)
+    np.testing.assert_allclose(
+        np.abs(show.euler(result, "ssukf")[0]) / 3600.0, [[1.0, 2.0, 10.0]] * 6, rtol=1e-9
+    )
 
 
 def test_table_1_counts_points(result):
@@ -182,7 +197,10 @@ def test_what_settles_depends_on_how_the_gyro_is_read(result):
 
 
 def test_filters_report_the_exact_deviation(result):
-    std, exact = result.error("runs", "ssukf", "attitude", "std")[1:, 0, 2], result.get("facts", "exact")[1:, 0]
+    std, exact = (
+        result.error("runs", "ssukf", "attitude", "std")[1:, 0, 2],
+        result.get("facts", "exact")[1:, 0],
+    )
     np.testing.assert_allclose(std, exact[: len(std)], rtol=2e-3)
 
 
@@ -206,14 +224,22 @@ def test_what_has_no_sampling_error_is_decided_by_any_number_of_runs(result):
 def test_no_method_that_is_accurate_enough_is_told(result):
     row = next(row for row in STUDY.rows if row.id == "quaternions-cheaper-to-propagate")
     operations = result.data["operations"] | {"accuracy": np.ones((2, 3))}
-    assert row.judged(replace(result, data={**result.data, "operations": operations})).verdict == "no number"
+    assert (
+        row.judged(replace(result, data={**result.data, "operations": operations})).verdict
+        == "no number"
+    )
 
 
 def test_the_block_size_changes_nothing():
     work, config = partial(study.flown, ("ssukf",)), replace(STANDARD, duration_s=3.0)
-    whole, *parts = (work(config, [generator(0, 0, r) for r in runs]) for runs in (range(3), range(2), range(2, 3)))
+    whole, *parts = (
+        work(config, [generator(0, 0, r) for r in runs])
+        for runs in (range(3), range(2), range(2, 3))
+    )
     for name in ("ssukf/error", "ssukf/nees"):
-        np.testing.assert_allclose(np.concatenate([part[name] for part in parts], 1), whole[name], rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(
+            np.concatenate([part[name] for part in parts], 1), whole[name], rtol=1e-6, atol=1e-9
+        )
 
 
 def test_a_run_does_not_depend_on_how_many_there_are():
@@ -236,18 +262,37 @@ def test_a_recording_holds_what_the_filters_gave(result, tmp_path):
     assert show.record(result, Outputs(tmp_path)) == ["ssukf.rrd"]
     (found,) = rr.chunk.RrdReader(tmp_path / "ssukf.rrd").recordings()
     assert found.application_id == "celnav-ssukf"
-    chunks = {str(c.entity_path): c for c in rr.chunk.RrdReader(tmp_path / "ssukf.rrd").stream().to_chunks() if not c.is_static}
+    chunks = {
+        str(c.entity_path): c
+        for c in rr.chunk.RrdReader(tmp_path / "ssukf.rrd").stream().to_chunks()
+        if not c.is_static
+    }
     drift = chunks["/plots/drift/y/ssukf"].to_record_batch().column("Scalars:scalars").to_pylist()
     truth = simulate(STANDARD, [generator(0, 0, 0)]).truth[:, 0, 5] / DEG_PER_H
-    np.testing.assert_allclose(np.ravel(drift), truth + result.error("runs", "ssukf", "drift")[:, 0, 1], rtol=1e-9, atol=1e-12)
-    assert {"/world/sat", "/body/aukf", "/error/mekf/ellipsoid", "/plots/drift/y/mekf"} <= set(chunks)
+    np.testing.assert_allclose(
+        np.ravel(drift),
+        truth + result.error("runs", "ssukf", "drift")[:, 0, 1],
+        rtol=1e-9,
+        atol=1e-12,
+    )
+    assert {"/world/sat", "/body/aukf", "/error/mekf/ellipsoid", "/plots/drift/y/mekf"} <= set(
+        chunks
+    )
 
 
 def test_points_along_noise_that_a_function_ignores_are_the_center_again():
     sim = simulate(replace(SHORT, duration_s=0.25), [generator(0, 0, 0)])
-    epoch, noises = list(sim.epochs())[-1], (noise_root(STANDARD.gyro, 0.25), STANDARD.sigma_n * np.eye(3))
-    x, *noise = spread(15, STANDARD).points(sim.prior.mean[0], sim.prior.sqrt_cov, state_space(), noises)
-    for y, copies in ((dynamics(STANDARD.gyro)(x, epoch, *noise), 6), (np.hstack([star(x, epoch, *noise), x]), 12)):
+    epoch, noises = (
+        list(sim.epochs())[-1],
+        (noise_root(STANDARD.gyro, 0.25), STANDARD.sigma_n * np.eye(3)),
+    )
+    x, *noise = spread(15, STANDARD).points(
+        sim.prior.mean[0], sim.prior.sqrt_cov, state_space(), noises
+    )
+    for y, copies in (
+        (dynamics(STANDARD.gyro)(x, epoch, *noise), 6),
+        (np.hstack([star(x, epoch, *noise), x]), 12),
+    ):
         assert (y[1:] == y[0]).all(-1).sum() == copies
 
 
@@ -258,21 +303,43 @@ def test_the_orbit_at_800_km_turns_faster_than_is_printed():
 def test_filters_are_the_linear_kalman_filter_where_all_is_small():
     """A satellite at rest and errors of an arc minute."""
     c, gyro, T, runs = STANDARD, STANDARD.gyro, 101, 3
-    initial, white, walk, noise = normals([generator(0, 7, r) for r in range(runs)], (6,), (T - 1, 3), (T - 1, 3), (T, 3))
+    initial, white, walk, noise = normals(
+        [generator(0, 7, r) for r in range(runs)], (6,), (T - 1, 3), (T - 1, 3), (T, 3)
+    )
     deviation = np.concatenate([np.full(3, 60.0 * ARCSEC), c.sigma0[3:]])
     drift = gyro.drift(deviation[3:] * initial[:, 3:], walk, 0.25)
     q = np.broadcast_to(attitude.IDENTITY, (T, runs, 4))
     samples, turned = gyro.measure(q, drift, white, 0.25), c.sigma_n * noise
     start, zero = -deviation[:3] * initial[:, :3], np.zeros((runs, 3))
     prior = Gaussian(np.concatenate([attitude.exp(start), zero], -1), np.diag(deviation**2))
-    sim = Scenario(replace(c, duration_s=25.0), np.concatenate([q, drift], -1), samples, attitude.exp(turned), prior, prior)
+    sim = Scenario(
+        replace(c, duration_s=25.0),
+        np.concatenate([q, drift], -1),
+        samples,
+        attitude.exp(turned),
+        prior,
+        prior,
+    )
 
     def f(x, epoch):
-        return np.concatenate([x[..., :3] + (epoch.u - x[..., 3:]) * epoch.dt, gyro.factor(0.25) * x[..., 3:]], -1)
+        return np.concatenate(
+            [x[..., :3] + (epoch.u - x[..., 3:]) * epoch.dt, gyro.factor(0.25) * x[..., 3:]], -1
+        )
 
-    exact = ukf(Motion(f, gyro.process_noise(0.25)), Sensor(np.eye(3, 6), sqrt_R=c.sigma_n * np.eye(3)), form="covariance")
-    epochs = [Epoch(k, 0.25 * k, 0.25 if k else 0.0, samples[k - 1] if k else None, turned[k] if k else None) for k in range(T)]
-    flat = run(exact, Gaussian(np.concatenate([start, zero], -1), np.diag(deviation**2)), epochs).mean
+    exact = ukf(
+        Motion(f, gyro.process_noise(0.25)),
+        Sensor(np.eye(3, 6), sqrt_R=c.sigma_n * np.eye(3)),
+        form="covariance",
+    )
+    epochs = [
+        Epoch(
+            k, 0.25 * k, 0.25 if k else 0.0, samples[k - 1] if k else None, turned[k] if k else None
+        )
+        for k in range(T)
+    ]
+    flat = run(
+        exact, Gaussian(np.concatenate([start, zero], -1), np.diag(deviation**2)), epochs
+    ).mean
     reference = np.concatenate([attitude.exp(flat[..., :3]), flat[..., 3:]], -1)
     for name in ("aukf", "ssukf", "additive", "usque", "mekf"):
         found, drifts = study.apart(reference, study.means(sim, name))
@@ -301,7 +368,11 @@ def test_the_side_that_is_augmented_knows_the_square_of_its_noise(through):
             mean, variance, sides = after.mean[0], after.cov[0, 0], ("aukf", "ssukf", "pa")
         else:
             _, (info,) = filter.step(state, Epoch(0, 0.0, 0.0, None, np.array([2.7])))
-            mean, variance, sides = 2.7 - info.innovation[0], info.sqrt_S[0, 0] ** 2, ("aukf", "ssukf", "ma")
+            mean, variance, sides = (
+                2.7 - info.innovation[0],
+                info.sqrt_S[0, 0] ** 2,
+                ("aukf", "ssukf", "ma"),
+            )
         expected = (2.3, 0.5 + 2.0 * q**2) if name in sides else (2.0, 0.5)
         np.testing.assert_allclose((mean, variance), expected, rtol=1e-7, err_msg=name)
 
@@ -310,7 +381,12 @@ def test_noise_of_a_turning_gyros_scales_tells_no_side_from_another():
     """The rate is ``1 + s`` times what is measured less drift and noise, ``s`` of 0.01 anew in each sample."""
     config, runs = replace(study.COARSE, duration_s=20.0), [generator(0, 31, r) for r in range(50)]
     sim, gyro, dt = simulate(config, runs), config.gyro, config.step_s
-    turns = attitude.log(attitude.multiply(sim.truth[1:, :, :4], attitude.inverse(sim.truth[:-1, :, :4]))) / dt
+    turns = (
+        attitude.log(
+            attitude.multiply(sim.truth[1:, :, :4], attitude.inverse(sim.truth[:-1, :, :4]))
+        )
+        / dt
+    )
     s = 0.01 * np.random.default_rng(3).standard_normal(turns.shape)
     sim, plain = sim._replace(gyro=sim.gyro - turns * s / (1.0 + s)), dynamics(gyro)
     W, V = np.diag([*noise_root(gyro, dt).diagonal(), 0.01, 0.01, 0.01]), config.sigma_n * np.eye(3)
@@ -319,16 +395,26 @@ def test_noise_of_a_turning_gyros_scales_tells_no_side_from_another():
         if not noise:
             return plain(x, epoch)
         white, drift, s = np.split(noise[0], 3, -1)
-        return plain(x, epoch, np.concatenate([white - (epoch.u - x[..., 4:] - white) * s, drift], -1))
+        return plain(
+            x, epoch, np.concatenate([white - (epoch.u - x[..., 4:] - white) * s, drift], -1)
+        )
 
     def columns(x, epoch):
         scales = 0.01 * dt * (epoch.u - x[..., 4:])[..., None] * np.eye(6, 3)[:3]
         root = np.broadcast_to(np.linalg.cholesky(gyro.process_noise(dt)), (*x.shape[:-1], 6, 6))
         return np.concatenate([root, np.concatenate([scales, np.zeros_like(scales)], -2)], -1)
 
-    motion, seen = Motion(f, sqrt_Q=columns, space=state_space()), Sensor(star, sqrt_R=V, space=attitude.attitude())
-    known = augmentations(motion, seen, W, V, rule=lambda n: spread(n, config, c=15.0), form="covariance")
-    error = {name: study.errors(sim.truth, run(one, sim.drawn, sim.epochs(), keep="mean").mean) for name, one in known.items()}
+    motion, seen = (
+        Motion(f, sqrt_Q=columns, space=state_space()),
+        Sensor(star, sqrt_R=V, space=attitude.attitude()),
+    )
+    known = augmentations(
+        motion, seen, W, V, rule=lambda n: spread(n, config, c=15.0), form="covariance"
+    )
+    error = {
+        name: study.errors(sim.truth, run(one, sim.drawn, sim.epochs(), keep="mean").mean)
+        for name, one in known.items()
+    }
     size = {name: np.sqrt(np.square(each[40:, :, :3]).mean()) for name, each in error.items()}
     assert np.ptp(list(size.values())) < 1e-3 * size["ssukf"]
     assert size["ssukf"] < np.radians(2.0)
@@ -357,9 +443,18 @@ def plain_python(noise, dense, per, monkeypatch):
     """Operations of the benchmark's filter on floats from star to star."""
     filter = benchmark.Scalar(*noise, dense=dense)
     filter.P = [[Counting(x) for x in row] for row in filter.P]
-    filter.sigma_time, filter.sigma_measured = ([Counting(x) for x in s] for s in (filter.sigma_time, filter.sigma_measured))
-    filter.q, filter.b, filter.dt = [Counting(x) for x in filter.q], [Counting(x) for x in filter.b], Counting(filter.dt)
-    known = {name: lambda *x, f=getattr(math, name): counted(f, *x) for name in ("sqrt", "sin", "cos", "copysign")}
+    filter.sigma_time, filter.sigma_measured = (
+        [Counting(x) for x in s] for s in (filter.sigma_time, filter.sigma_measured)
+    )
+    filter.q, filter.b, filter.dt = (
+        [Counting(x) for x in filter.q],
+        [Counting(x) for x in filter.b],
+        Counting(filter.dt),
+    )
+    known = {
+        name: lambda *x, f=getattr(math, name): counted(f, *x)
+        for name in ("sqrt", "sin", "cos", "copysign")
+    }
 
     def counted(function, *x):
         Counting.count += 1
@@ -377,11 +472,21 @@ def test_operations_are_those_that_plain_python_does(result, monkeypatch):
     """Written otherwise, point by point on floats, it takes other numbers of operations, but saves the same part of them."""
     for roots in study.ROOTS:
         for per in (1, 25):
-            own = {name: result.value("operations", f"{name}, {per}:1, {roots}", 0) for name in benchmark.POINTWISE}
-            other = {name: plain_python(noise, roots == "whole", per, monkeypatch) for name, noise in benchmark.POINTWISE.items()}
-            assert own["ssukf"] / own["aukf"] == pytest.approx(other["ssukf"] / other["aukf"], abs=0.02), (roots, per)
+            own = {
+                name: result.value("operations", f"{name}, {per}:1, {roots}", 0)
+                for name in benchmark.POINTWISE
+            }
+            other = {
+                name: plain_python(noise, roots == "whole", per, monkeypatch)
+                for name, noise in benchmark.POINTWISE.items()
+            }
+            assert own["ssukf"] / own["aukf"] == pytest.approx(
+                other["ssukf"] / other["aukf"], abs=0.02
+            ), (roots, per)
             assert own["aukf"] == pytest.approx(other["aukf"], rel=0.4)
-    assert [benchmark.calls(noise, per) for noise in benchmark.POINTWISE.values() for per in (1, 25)] == [62, 806, 44, 644]
+    assert [
+        benchmark.calls(noise, per) for noise in benchmark.POINTWISE.values() for per in (1, 25)
+    ] == [62, 806, 44, 644]
 
 
 def test_a_tape_counts_what_is_done():
@@ -393,23 +498,37 @@ def test_a_tape_counts_what_is_done():
 
 def test_parameters_are_integrated_to_their_order():
     p, turn = np.array([[0.3, -0.2, 0.5]]), np.array([[0.02, 0.01, -0.03]])
-    exact = attitude.to_rodrigues(attitude.multiply(attitude.exp(turn), attitude.from_rodrigues(p, 1.0, 1.0)), 1.0, 1.0)
-    half = attitude.to_rodrigues(attitude.multiply(attitude.exp(turn / 2.0), attitude.from_rodrigues(p, 1.0, 1.0)), 1.0, 1.0)
+    exact = attitude.to_rodrigues(
+        attitude.multiply(attitude.exp(turn), attitude.from_rodrigues(p, 1.0, 1.0)), 1.0, 1.0
+    )
+    half = attitude.to_rodrigues(
+        attitude.multiply(attitude.exp(turn / 2.0), attitude.from_rodrigues(p, 1.0, 1.0)), 1.0, 1.0
+    )
     for order in study.SLOPES:
-        errors = [np.abs(study.integrated(order, p, step) - to).max() for step, to in ((turn, exact), (turn / 2.0, half))]
+        errors = [
+            np.abs(study.integrated(order, p, step) - to).max()
+            for step, to in ((turn, exact), (turn / 2.0, half))
+        ]
         assert np.log2(errors[0] / errors[1]) == pytest.approx(order + 1, abs=0.2)
-    assert np.sqrt(1e-9 / study.propagations(0.01)["accuracy"][1, 0]) == pytest.approx(0.4, abs=0.05)  # deg/s, of Euler's step
+    assert np.sqrt(1e-9 / study.propagations(0.01)["accuracy"][1, 0]) == pytest.approx(
+        0.4, abs=0.05
+    )  # deg/s, of Euler's step
 
 
 def test_means_of_quaternions_have_their_closed_forms(result):
     q = attitude.exp(np.array([[0.0, 0.0, 0.0], [0.0, 0.8, 0.0]]))
-    for sign, norm in ((1.0, np.cos(0.2)), (-1.0, np.sin(0.2))):  # one sign turns the direction by half a turn: 0.8 / 2 + pi
+    for sign, norm in (
+        (1.0, np.cos(0.2)),
+        (-1.0, np.sin(0.2)),
+    ):  # one sign turns the direction by half a turn: 0.8 / 2 + pi
         mean = 0.5 * (q[0] + sign * q[1])
         assert np.linalg.norm(mean) == pytest.approx(norm)
         assert attitude.angle(mean / norm) == pytest.approx(0.4 if sign > 0.0 else np.pi - 0.4)
     c, s = np.array([[0.12], [0.09]]), np.radians(study.AVERAGED_DEG)
     half = 2.0 * np.arctan(np.sqrt(c) * s / 4.0)  # of the angle of a point on an axis
-    np.testing.assert_allclose(result.get("facts", "norm"), (3.0 / c * (1.0 - np.cos(half))).max(0), rtol=1e-5)
+    np.testing.assert_allclose(
+        result.get("facts", "norm"), (3.0 / c * (1.0 - np.cos(half))).max(0), rtol=1e-5
+    )
     # The eigenvector leaves the center where the square of an axis outweighs that of the scalar.
     assert ((4.0 * np.sin(half) ** 2 / c > 1.0) == (result.get("facts", "eigen") > 1.0)).all()
 
@@ -426,7 +545,10 @@ def test_heads_at_right_angles_have_no_weak_axis(ratio, monkeypatch):
         worst = 1.0 / (2.0 - (1.0 - ratio**-2) * (1.0 + np.cos(2.0 * h)))
         assert count == 1 or variances[0] == pytest.approx(worst)
         gyro = replace(STANDARD.gyro, tau=np.inf)
-        each = [steady_state(STANDARD.sigma_n * np.sqrt(v), gyro, 0.25).attitude_after for v in variances]
+        each = [
+            steady_state(STANDARD.sigma_n * np.sqrt(v), gyro, 0.25).attitude_after
+            for v in variances
+        ]
         settled[degrees] = max(each) / min(each)
     assert settled[90.0] < 1.3 < settled[60.0] < settled[30.0] < settled[0.0]
     if ratio == 8.0:
@@ -440,18 +562,33 @@ def test_two_heads_one_after_the_other_are_one_with_their_noise_together(sim):
     weights = [np.linalg.solve(root @ root, np.eye(3)) for root in roots]
     together = np.linalg.solve(sum(weights), np.eye(3))
     v = np.random.default_rng(5).standard_normal((2, len(sim.truth), 6, 3))
-    seen = [attitude.multiply(attitude.exp(noise @ root), sim.truth[..., :4]) for noise, root in zip(v, roots, strict=True)]
-    whole = sum(noise @ root @ weight for noise, root, weight in zip(v, roots, weights, strict=True)) @ together
+    seen = [
+        attitude.multiply(attitude.exp(noise @ root), sim.truth[..., :4])
+        for noise, root in zip(v, roots, strict=True)
+    ]
+    whole = (
+        sum(noise @ root @ weight for noise, root, weight in zip(v, roots, weights, strict=True))
+        @ together
+    )
     fused = attitude.multiply(attitude.exp(whole), sim.truth[..., :4])
     prior = Gaussian(sim.truth[0], np.diag([60.0 * ARCSEC] * 3 + [DEG_PER_H] * 3) ** 2)
     tracks = []
     for name in ("mekf", "ssukf"):
         one = filters(sim.config)[name]
         sensor = replace(one.sensors[0], augment=(), sqrt_R=roots[0])
-        for sensors in ([replace(sensor, sqrt_R=root) for root in roots], [replace(sensor, sqrt_R=None, R=together)]):
+        for sensors in (
+            [replace(sensor, sqrt_R=root) for root in roots],
+            [replace(sensor, sqrt_R=None, R=together)],
+        ):
             epochs = [e._replace(z=(tuple(z[k] for z in seen) if len(sensors) == 2 else fused[k]) if k else None)
                       for k, e in enumerate(sim.epochs())]  # fmt: skip
-            tracks.append(run(sigma_point(one.motion, *sensors, rule=one.rule, form="covariance"), prior, epochs))
+            tracks.append(
+                run(
+                    sigma_point(one.motion, *sensors, rule=one.rule, form="covariance"),
+                    prior,
+                    epochs,
+                )
+            )
     for track in tracks[1:]:
         assert apart(tracks[0], track) < 0.01
         np.testing.assert_allclose(track.std[-1], tracks[0].std[-1], rtol=1e-4)
@@ -477,7 +614,9 @@ def textbook_usque(sim, run_index, steps):
         q4 = (16.0 - p @ p) / (16.0 + p @ p)
         return np.append((1.0 + q4) / 4.0 * p, q4)
 
-    half = 0.5 * np.diag(np.repeat([gyro.sigma_v**2 * T - gyro.sigma_u**2 * T**3 / 6.0, gyro.sigma_u**2 * T], 3))
+    half = 0.5 * np.diag(
+        np.repeat([gyro.sigma_v**2 * T - gyro.sigma_u**2 * T**3 / 6.0, gyro.sigma_u**2 * T], 3)
+    )
     R, n, lam = c.sigma_n**2 * np.eye(3), 6, 1.0
     w0, w = lam / (n + lam), 0.5 / (n + lam)
 
@@ -492,7 +631,9 @@ def textbook_usque(sim, run_index, steps):
             rate = sim.gyro[k - 1, run_index] - (b + s[3:])
             angle = np.linalg.norm(rate) * T
             turn = np.append(rate / np.linalg.norm(rate) * np.sin(angle / 2.0), np.cos(angle / 2.0))
-            moved.append((product(turn, product(to_q(s[:3]), q)), np.exp(-T / gyro.tau) * (b + s[3:])))
+            moved.append(
+                (product(turn, product(to_q(s[:3]), q)), np.exp(-T / gyro.tau) * (b + s[3:]))
+            )
         center = moved[0][0]
         chi = np.array([np.append(to_p(product(m, conjugate(center))), d) for m, d in moved])
         mean = w0 * chi[0] + w * chi[1:].sum(0)
@@ -519,7 +660,9 @@ def test_usque_is_that_of_the_textbook(sim):
         turned = attitude.multiply(track.mean[k, 2, :4], attitude.inverse(q))
         assert attitude.angle(turned) < 1e-7 * ARCSEC + 1e-13
         np.testing.assert_allclose(track.mean[k, 2, 4:], b, rtol=1e-7, atol=1e-15)
-        np.testing.assert_allclose(np.sqrt(np.diag(track.cov[k, 2])), np.sqrt(np.diag(P)), rtol=1e-6)
+        np.testing.assert_allclose(
+            np.sqrt(np.diag(track.cov[k, 2])), np.sqrt(np.diag(P)), rtol=1e-6
+        )
 
 
 def careless_mekf(sim, *, gibbs):
@@ -549,10 +692,21 @@ def careless_mekf(sim, *, gibbs):
 def test_mekf_is_that_of_the_textbook_and_its_usual_mistake_costs_two_minutes(sim):
     track = run(filters(sim.config)["mekf"], sim.prior, sim.epochs())
     right, wrong = (careless_mekf(sim, gibbs=gibbs) for gibbs in (True, False))
-    assert attitude.angle(attitude.multiply(track.mean[1:, :, :4], attitude.inverse(right[..., :4]))).max() < 1e-3 * ARCSEC
-    error = attitude.log(attitude.multiply(sim.truth[1, :, :4], attitude.inverse(wrong[0, :, :4]))) / ARCSEC
+    assert (
+        attitude.angle(
+            attitude.multiply(track.mean[1:, :, :4], attitude.inverse(right[..., :4]))
+        ).max()
+        < 1e-3 * ARCSEC
+    )
+    error = (
+        attitude.log(attitude.multiply(sim.truth[1, :, :4], attitude.inverse(wrong[0, :, :4])))
+        / ARCSEC
+    )
     assert 120.0 < np.sqrt(np.square(error[:, 2]).mean()) < 165.0  # where 20 are due
-    error = attitude.log(attitude.multiply(sim.truth[1, :, :4], attitude.inverse(right[0, :, :4]))) / ARCSEC
+    error = (
+        attitude.log(attitude.multiply(sim.truth[1, :, :4], attitude.inverse(right[0, :, :4])))
+        / ARCSEC
+    )
     assert np.sqrt(np.square(error[:, 2]).mean()) < 35.0
 
 
@@ -564,7 +718,9 @@ def test_jacobians_of_the_gyro_are_the_differences():
         tangents = 1e-6 * np.vstack([np.eye(6), -np.eye(6)])
         y = gyro.propagate(space.plus(x, tangents), scale * rate, dt)
         d = space.minus(y, gyro.propagate(x, scale * rate, dt))
-        np.testing.assert_allclose(gyro.transition(x, scale * rate, dt), (d[:6] - d[6:]).T / 2e-6, atol=1e-8)
+        np.testing.assert_allclose(
+            gyro.transition(x, scale * rate, dt), (d[:6] - d[6:]).T / 2e-6, atol=1e-8
+        )
 
 
 def total_prior(sim):
@@ -579,9 +735,14 @@ def test_dense_roots_and_total_attitudes_are_the_same_filters(sim):
         assert apart(plain[name], run(filter, sim.prior, sim.epochs())) < 1e-6
     total = run(study.total_filter(sim.config), total_prior(sim), sim.epochs(), keep="cov")
     assert 1e-4 < apart(plain["ssukf"], total) < 0.2
-    G, local = study.to_tangent(total.mean[-1, :, :4]), run(known["ssukf"], sim.prior, sim.epochs(), keep="cov").cov[-1]
+    G, local = (
+        study.to_tangent(total.mean[-1, :, :4]),
+        run(known["ssukf"], sim.prior, sim.epochs(), keep="cov").cov[-1],
+    )
     scale = np.sqrt(local.diagonal(0, -2, -1))
-    assert (np.abs(G @ total.cov[-1] @ G.mT - local) / (scale[..., :, None] * scale[..., None, :])).max() < 1e-3
+    assert (
+        np.abs(G @ total.cov[-1] @ G.mT - local) / (scale[..., :, None] * scale[..., None, :])
+    ).max() < 1e-3
 
 
 def test_variants_give_the_same_in_square_root_form(sim):
@@ -600,12 +761,19 @@ def test_variants_give_the_same_in_square_root_form(sim):
 
 def test_one_vector_separates_the_filters_and_equal_spread_unites_them():
     rngs, config = [generator(3, 70, r) for r in range(4)], replace(study.VECTOR, duration_s=30.0)
-    wide, same = (study.vector(replace(config, beta=beta), rngs, c=c) for c, beta in ((15.0, 2.0), (7.0, 0.0)))
+    wide, same = (
+        study.vector(replace(config, beta=beta), rngs, c=c) for c, beta in ((15.0, 2.0), (7.0, 0.0))
+    )
     for degrees in (10, 30):
         for out, name, other in ((wide, "aukf", "ssukf"), (same, "usque", "ssukf")):
             a, b = (out[f"{one}, {degrees}/error"][..., :3] for one in (name, other))
             np.testing.assert_allclose(a, b, atol=4e-3)  # arcsec, of degrees
-        assert np.abs(same[f"mekf, {degrees}/error"] - same[f"usque, {degrees}/error"])[5:, :, :3].max() > 36.0
+        assert (
+            np.abs(same[f"mekf, {degrees}/error"] - same[f"usque, {degrees}/error"])[
+                5:, :, :3
+            ].max()
+            > 36.0
+        )
 
 
 def test_the_field_is_a_dipoles():
@@ -614,7 +782,9 @@ def test_the_field_is_a_dipoles():
     field = study.field(0.3)
     assert np.linalg.norm(field) == pytest.approx(1.0)
     # tan(dip) = 2 tan(latitude).
-    assert field @ up / np.linalg.norm(field - (field @ up) * up) == pytest.approx(2.0 * np.tan(np.arcsin(up[2])))
+    assert field @ up / np.linalg.norm(field - (field @ up) * up) == pytest.approx(
+        2.0 * np.tan(np.arcsin(up[2]))
+    )
 
 
 def test_filters_warn_of_points_that_wrap():
@@ -629,14 +799,18 @@ def test_the_total_form_switches_its_parameters_with_the_covariance():
     total, local = study.total_attitude(), attitude.attitude()
     q = attitude.exp(np.radians([179.0, 0.0, 0.0]))
     step = attitude.exp(np.radians([2.0, 0.0, 0.0]))
-    deviations = 1e-5 * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
+    deviations = 1e-5 * np.array(
+        [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]]
+    )
     points = total.plus(q, deviations)
     moved = attitude.positive(attitude.multiply(step, points))
     # The center has switched: its parameters are those of -179 deg. Differences are taken on its side.
     assert moved[0] @ attitude.multiply(step, points)[0] < 0.0
     differences = total.minus(moved, moved[0])
     assert np.abs(differences).max() < 2e-5
-    tangents = differences @ (4.0 * attitude.transport(moved[0, :3] / (1.0 + moved[0, 3]), 1.0, 1.0)).T
+    tangents = (
+        differences @ (4.0 * attitude.transport(moved[0, :3] / (1.0 + moved[0, 3]), 1.0, 1.0)).T
+    )
     np.testing.assert_allclose(tangents, local.minus(moved, moved[0]), atol=1e-9)
     covariance = tangents.T @ tangents
     assert np.linalg.eigvalsh(covariance).min() > 0.0

@@ -20,7 +20,18 @@ from celnav.filters.two_stage import TwoStage
 from celnav.models.orbit import flow
 from celnav.models.pulsar import LIGHT_KM_S, pulsars
 from celnav.papers.tstdkf import PRESETS, SETTINGS, STUDY, Setting, filters, show, simulate, study
-from celnav.papers.tstdkf.scenario import LINEAR, TABLE_5, YEAR, kalman, linearized, models, nine_states, nominal, sky, trial
+from celnav.papers.tstdkf.scenario import (
+    LINEAR,
+    TABLE_5,
+    YEAR,
+    kalman,
+    linearized,
+    models,
+    nine_states,
+    nominal,
+    sky,
+    trial,
+)
 from celnav.show.claims import dumps
 from celnav.study.montecarlo import generator
 
@@ -87,7 +98,10 @@ def test_other_ephemerides():
     differences = study.ephemerides()[1]
     norm = np.linalg.norm(differences["de423/earth"], axis=1)
     np.testing.assert_allclose([norm.min(), norm.max()], [0.3027, 0.4316], atol=5e-4)
-    assert np.linalg.norm(differences["de405/earth"] - differences["de406/earth"], axis=1).max() <= 0.01855
+    assert (
+        np.linalg.norm(differences["de405/earth"] - differences["de406/earth"], axis=1).max()
+        <= 0.01855
+    )
     sun = differences["de405/sun"]
     np.testing.assert_allclose([sun[:, 1].min(), sun[:, 1].max()], [0.593, 0.649], atol=1e-3)
     heliocentric = np.linalg.norm(differences["de405/earth"] - sun, axis=1)
@@ -101,7 +115,9 @@ def test_delays_are_exact_geometry_with_distances_from_the_sun():
     squares = np.square(b).sum(1) - np.square(earth + b).sum(1)
     near, far = (np.linalg.norm(D[:, None] * n - at[:, None], axis=2) for at in (earth + b, b))
     exact = (squares[:, None] + 2.0 * D * (earth @ n.T)) / (near + far)
-    np.testing.assert_allclose(timing.delay(earth, sun) - timing.shapiro(earth, sun), exact, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(
+        timing.delay(earth, sun) - timing.shapiro(earth, sun), exact, rtol=0, atol=1e-7
+    )
 
 
 def test_figure_6_is_the_difference_of_delays():
@@ -118,15 +134,21 @@ def test_timings_are_as_good_as_published():
         found = [1e3 * LIGHT_KM_S * p.timing_std(seconds) for p in pulsars(TABLE_5.pulsars)]
         np.testing.assert_allclose(found, metres, atol=1.0)
     rows = TABLE_5.timing.directions / TABLE_5.sigma_km[:, None]
-    assert np.sqrt(np.trace(np.linalg.inv(rows.T @ rows))) == pytest.approx(2.4, abs=0.05)  # km, of three timings alone
-    assert np.linalg.cond(TABLE_5.timing.directions) == pytest.approx(11.3, abs=0.1)  # pulsars are far from the axes
+    assert np.sqrt(np.trace(np.linalg.inv(rows.T @ rows))) == pytest.approx(
+        2.4, abs=0.05
+    )  # km, of three timings alone
+    assert np.linalg.cond(TABLE_5.timing.directions) == pytest.approx(
+        11.3, abs=0.1
+    )  # pulsars are far from the axes
 
 
 # -- what the dynamics leave out ---------------------------------------------------------------------------------------------
 def test_figures_7_and_8():
     found = study.accelerations(TABLE_5)
     total = np.sum(list(found.values()), 0)
-    np.testing.assert_allclose(np.sqrt(np.square(total).mean(0)), [6.92e-10, 6.82e-10, 4.20e-10], rtol=0.01)
+    np.testing.assert_allclose(
+        np.sqrt(np.square(total).mean(0)), [6.92e-10, 6.82e-10, 4.20e-10], rtol=0.01
+    )
     np.testing.assert_allclose(np.abs(total).max(0), [19.5e-10, 15.4e-10, 9.2e-10], rtol=0.01)
     largest = {"moon": 1.55e-9, "sun": 5.69e-10, "venus": 4.7e-15, "jupiter": 2.6e-15, "saturn": 1.3e-16, "mercury": 8.8e-17,
                "mars": 1.7e-17, "uranus": 3.6e-18, "neptune": 1.1e-18, "pluto": 1.1e-22}  # fmt: skip
@@ -149,7 +171,9 @@ def test_a_spectrum_has_its_line_and_its_correlation():
         pytest.approx(n, abs=0.15) for n in (3.0, 10.0, 14.4)
     ]
     assert study.correlation(values)[2] == pytest.approx(np.cos(np.radians(18.0)), abs=2e-3)
-    assert study.power(np.random.default_rng(0).standard_normal((4000, 1)))[1] == pytest.approx(np.exp(-np.euler_gamma), abs=0.05)
+    assert study.power(np.random.default_rng(0).standard_normal((4000, 1)))[1] == pytest.approx(
+        np.exp(-np.euler_gamma), abs=0.05
+    )
 
 
 # -- the scenario ------------------------------------------------------------------------------------------------------------
@@ -181,12 +205,16 @@ def test_noises_are_stationary_and_correlated_as_the_model_has_them():
         sample = np.corrcoef(W[:, i], V[:, i])[0, 1]
         through = noise.J[i, i] * np.sqrt(noise.V[i, i])
         exact = through / np.sqrt(through**2 + noise.Q[i, i])
-        assert np.arctanh(sample) == pytest.approx(np.arctanh(exact), abs=4.0 / np.sqrt(300.0))  # Fisher's interval
+        assert np.arctanh(sample) == pytest.approx(
+            np.arctanh(exact), abs=4.0 / np.sqrt(300.0)
+        )  # Fisher's interval
 
 
 def test_settings_see_the_same_numbers(sim):
     alone = simulate(WHITE, runs(6))
-    np.testing.assert_allclose(sim.z[1:, 1], alone.z[1:], rtol=0, atol=1e-7)  # two of the last digits of 1.5e8 km
+    np.testing.assert_allclose(
+        sim.z[1:, 1], alone.z[1:], rtol=0, atol=1e-7
+    )  # two of the last digits of 1.5e8 km
 
 
 def test_a_run_does_not_depend_on_how_many_there_are():
@@ -206,7 +234,10 @@ def test_the_ephemeris_error_is_of_its_amplitude(trend):
 def follow(config, count, names=("ekf", "tkf", "tkf-fair", "tdkf", "tstdkf", "aug")):
     """Errors ``(T, runs, 6)`` of each filter."""
     known, sim = filters(config), simulate(config, runs(count))
-    return {n: run(known[n], sim.prior, sim.epochs(), keep="mean").mean[..., :6] - sim.truth[1:] for n in names}
+    return {
+        n: run(known[n], sim.prior, sim.epochs(), keep="mean").mean[..., :6] - sim.truth[1:]
+        for n in names
+    }
 
 
 def test_where_all_noise_is_white_the_filters_are_one():
@@ -227,23 +258,41 @@ def test_nine_states_are_the_two_stages_where_the_bias_is_constant_or_walks():
     for walk in (0.0, 1e-3):
         config = replace(YEAR, days=0.5, walk_km=walk)
         known, sim = filters(config, LINEAR), linearized([config], runs(3))
-        two = TwoStage.of(known["tkf"].first, LINEAR.Gamma, known["tkf"].bias, Qb=walk**2 * np.eye(3))
-        one, other = (run(filter, sim.prior, sim.epochs(), keep="cov") for filter in (known["aug9"], two))
+        two = TwoStage.of(
+            known["tkf"].first, LINEAR.Gamma, known["tkf"].bias, Qb=walk**2 * np.eye(3)
+        )
+        one, other = (
+            run(filter, sim.prior, sim.epochs(), keep="cov") for filter in (known["aug9"], two)
+        )
         np.testing.assert_allclose(one.mean, other.mean, rtol=0, atol=1e-9)
         np.testing.assert_allclose(one.cov, other.cov, rtol=0, atol=1e-9)
     no_slope = LINEAR._replace(Gamma=lambda x, epoch: 0.0 * epoch.u[2])
-    kept = run(nine_states(no_slope, config.noise.E, config.noise.Xi, known["tkf"].bias, np.zeros((3, 3))), sim.prior, sim.epochs())
+    kept = run(
+        nine_states(no_slope, config.noise.E, config.noise.Xi, known["tkf"].bias, np.zeros((3, 3))),
+        sim.prior,
+        sim.epochs(),
+    )
     np.testing.assert_allclose(kept.std[-1, ..., 6:], config.bias_prior_km)
     sure = replace(config, bias_prior_km=1e-12, walk_km=0.0)
-    e = {name: run(filters(sure, LINEAR)[name], sim.prior, sim.epochs(), keep="mean").mean[..., :6] for name in ("ekf", "aug9")}
+    e = {
+        name: run(filters(sure, LINEAR)[name], sim.prior, sim.epochs(), keep="mean").mean[..., :6]
+        for name in ("ekf", "aug9")
+    }
     np.testing.assert_allclose(e["aug9"], e["ekf"], rtol=0, atol=1e-9)
 
 
 def test_a_constant_bias_is_followed_by_a_gain_that_falls():
     """A scalar bias that is constant: the gain after k timings is 1 / k, so that the lag behind a ramp grows as k / 2."""
     R, prior, times = 1.0, Gaussian(np.zeros(1), 1e6 * np.eye(1)), np.arange(401.0)
-    track = run(ekf(Motion(np.eye(1), np.zeros((1, 1))), Sensor(np.eye(1), R * np.eye(1))), prior, times, times[:, None])
-    np.testing.assert_allclose(times[[100, 400]] - track.mean[[100, 400], 0], [50.0, 200.0], rtol=0.02)
+    track = run(
+        ekf(Motion(np.eye(1), np.zeros((1, 1))), Sensor(np.eye(1), R * np.eye(1))),
+        prior,
+        times,
+        times[:, None],
+    )
+    np.testing.assert_allclose(
+        times[[100, 400]] - track.mean[[100, 400], 0], [50.0, 200.0], rtol=0.02
+    )
 
 
 def operations(filter, sim):
@@ -268,9 +317,16 @@ def test_without_a_scale_the_strong_tracking_stage_is_the_ordinary_one():
     flown = study.linear(["step"], 12, ["sweep", "nine"], config, runs(2))
     for form in "CB":
         np.testing.assert_array_equal(flown[f"step/{form}, ρ = 0/error"], flown["step/tdkf/error"])
-    np.testing.assert_allclose(flown["step/aug9 0/error"], study.linear(["step"], 12, ["tkf"], config, runs(2))["step/tkf/error"])
+    np.testing.assert_allclose(
+        flown["step/aug9 0/error"],
+        study.linear(["step"], 12, ["tkf"], config, runs(2))["step/tkf/error"],
+    )
     alone = study.flown(
-        ["step"], linearized([replace(config, trend="step")], runs(2)), filters(config, LINEAR), ["tstdkf"], every=12
+        ["step"],
+        linearized([replace(config, trend="step")], runs(2)),
+        filters(config, LINEAR),
+        ["tstdkf"],
+        every=12,
     )
     np.testing.assert_allclose(flown["step/C/error"], alone["step/tstdkf/error"])
 
@@ -289,16 +345,24 @@ def test_a_timing_by_area_and_background():
     crab, *_, weak = pulsars(TABLE_5.pulsars)
     for p in (crab, weak):
         assert p.timing_std(300.0, 1e3) / p.timing_std(300.0, 1e5) == pytest.approx(10.0, rel=1e-12)
-    assert crab.timing_std(300.0, background=0.05) == pytest.approx(crab.timing_std(300.0, background=0.0), rel=2e-3)
+    assert crab.timing_std(300.0, background=0.05) == pytest.approx(
+        crab.timing_std(300.0, background=0.0), rel=2e-3
+    )
     loud = 1e3 * weak.flux
     background = (
-        0.5 * weak.width_s * np.sqrt(loud * weak.width_s / weak.period_s / (1e4 * 300.0)) / (weak.flux * weak.pulsed_fraction)
+        0.5
+        * weak.width_s
+        * np.sqrt(loud * weak.width_s / weak.period_s / (1e4 * 300.0))
+        / (weak.flux * weak.pulsed_fraction)
     )
     assert weak.timing_std(300.0, background=loud) == pytest.approx(background, rel=0.05)
 
 
 def test_the_exact_filter_is_the_best_of_colored_noise():
-    colored = {name: np.sqrt(np.square(e[len(e) // 2 :, :, :3]).sum(-1).mean()) for name, e in follow(SHORT, 6).items()}
+    colored = {
+        name: np.sqrt(np.square(e[len(e) // 2 :, :, :3]).sum(-1).mean())
+        for name, e in follow(SHORT, 6).items()
+    }
     assert colored["aug"] < colored["tdkf"] < colored["tkf"] < colored["ekf"]
 
 
@@ -327,7 +391,10 @@ def test_a_configuration_that_cannot_be_is_refused_by_name(change, name):
 
 
 def test_dates_outside_the_ephemeris_and_unknown_pulsars_are_refused():
-    with pytest.warns(UserWarning, match="dubious year"), pytest.raises(ValueError, match=r"^date: expected JD TDB between"):
+    with (
+        pytest.warns(UserWarning, match="dubious year"),
+        pytest.raises(ValueError, match=r"^date: expected JD TDB between"),
+    ):
         simulate(replace(SHORT, start_utc="2060-01-01"), runs(1))
     with pytest.raises(ValueError, match=r"^pulsar: expected one of"):
         simulate(replace(SHORT, pulsars=("B0531+21", "B1821-24", "Vela")), runs(1))
@@ -340,7 +407,9 @@ def test_a_missing_timing_is_a_prediction_for_the_plain_stage():
     filter, epochs = filters(SHORT)["tkf"], list(sim.epochs())
     state = filter.start(sim.prior)
     state, _ = filter.step(state, epochs[0])
-    lost, (info,) = filter.step(state, Epoch(*epochs[1][:4], np.full_like(epochs[1].z, np.nan), None))
+    lost, (info,) = filter.step(
+        state, Epoch(*epochs[1][:4], np.full_like(epochs[1].z, np.nan), None)
+    )
     assert info.used is not None
     assert not info.used.any()
     np.testing.assert_array_equal(lost.bias.mean, state.bias.mean)
@@ -356,8 +425,13 @@ def test_the_linear_driver_is_the_nonlinear_one():
     config = replace(YEAR, days=0.5)
     linear = study.linear(study.TRENDS, 1, ("tkf", "tdkf", "aug"), config, runs(2))
     cases = [replace(config, trend=trend) for trend in study.TRENDS]
-    sim, stronger = simulate(cases, runs(2)), [replace(case, factor="proportional") for case in cases]
-    other = study.flown(study.TRENDS, sim, filters(cases, on=study.BESIDE), ("tkf", "tstdkf", "aug"))
+    sim, stronger = (
+        simulate(cases, runs(2)),
+        [replace(case, factor="proportional") for case in cases],
+    )
+    other = study.flown(
+        study.TRENDS, sim, filters(cases, on=study.BESIDE), ("tkf", "tstdkf", "aug")
+    )
     other = {key.replace("tstdkf", "C"): value for key, value in other.items()}
     found = study.flown(study.TRENDS, sim, filters(stronger, on=study.BESIDE), ["tstdkf"])
     other |= {key.replace("tstdkf", "B"): value for key, value in found.items()}
@@ -370,11 +444,16 @@ def test_the_linear_driver_is_the_nonlinear_one():
 
 def test_an_hour_of_the_linear_driver_is_the_mean_of_its_steps():
     config = replace(YEAR, days=0.4)  # nine hours, and the rest, which is left
-    fine, coarse = (study.linear(study.TRENDS, every, ("tkf", "tdkf", "aug"), config, runs(2)) for every in (1, 12))
+    fine, coarse = (
+        study.linear(study.TRENDS, every, ("tkf", "tdkf", "aug"), config, runs(2))
+        for every in (1, 12)
+    )
     assert config.samples == 115
     np.testing.assert_array_equal(coarse["times"], 3600.0 * np.arange(1, 10))
     for name in ("tkf", "B", "aug"):
-        np.testing.assert_allclose(coarse[f"sine/{name}/first"], fine[f"sine/{name}/first"][11:108:12])
+        np.testing.assert_allclose(
+            coarse[f"sine/{name}/first"], fine[f"sine/{name}/first"][11:108:12]
+        )
         means = np.square(fine[f"growing/{name}/error"])[:108].reshape(9, 12, 2, 3).mean(1)
         np.testing.assert_allclose(np.square(coarse[f"growing/{name}/error"]), means)
 
@@ -395,29 +474,42 @@ def test_the_bound_is_the_exact_filters_covariance():
     bounds = np.sqrt(study.nominal_covariances([config], "aug")[:, 0].diagonal(0, 1, 2))
     # The filter begins 1.7 km off the nominal orbit, where gravity's gradient is another by 3 * 1.7 / 7136.
     for a, b in ((slice(3), slice(3)), (slice(15, 18), slice(6, 9))):
-        np.testing.assert_allclose(np.linalg.norm(std[:, a], axis=1), np.linalg.norm(bounds[:, b], axis=1), rtol=5e-3)
+        np.testing.assert_allclose(
+            np.linalg.norm(std[:, a], axis=1), np.linalg.norm(bounds[:, b], axis=1), rtol=5e-3
+        )
 
 
 def test_the_bias_is_told_from_the_orbit_by_axis():
-    std = np.sqrt(study.nominal_covariances([replace(WHITE, days=1.0)], "tkf")[-1, 0].diagonal()[6:])
+    std = np.sqrt(
+        study.nominal_covariances([replace(WHITE, days=1.0)], "tkf")[-1, 0].diagonal()[6:]
+    )
     np.testing.assert_allclose(std, [0.105, 0.027, 0.078], atol=6e-4)
 
 
 def test_color_of_the_process_noise_alone_is_nearly_exact():
-    config = replace(SHORT, days=3.0, setting=Setting(0.0, 0.9, 0.0), bias_prior_km=1e-9, walk_km=0.0)
-    kept, least = (study.nominal_covariances([config], name)[-1, 0, :3, :3].trace() for name in ("tdkf", "aug"))
+    config = replace(
+        SHORT, days=3.0, setting=Setting(0.0, 0.9, 0.0), bias_prior_km=1e-9, walk_km=0.0
+    )
+    kept, least = (
+        study.nominal_covariances([config], name)[-1, 0, :3, :3].trace() for name in ("tdkf", "aug")
+    )
     assert abs(kept / least - 1.0) < 5e-5
 
 
 def test_what_pulls_in_the_truth_is_what_the_filter_may_model():
     """A filter that models Sun and Moon sees the same residuals as one without them of a truth without them."""
     config = replace(WHITE, days=0.25)
-    with_them, without = (simulate(replace(config, pulled=pulled), runs(2)) for pulled in (True, False))
+    with_them, without = (
+        simulate(replace(config, pulled=pulled), runs(2)) for pulled in (True, False)
+    )
     assert np.abs(with_them.truth - without.truth)[-1, :, :3].max() > 0.01  # km
     c = replace(config, pulled=True)
     knowing = kalman(models(c, pulled=True), c.noise.E, c.noise.Xi)
     one = run(knowing, with_them.prior, with_them.epochs(), keep="mean").mean - with_them.truth[1:]
-    two = run(filters(config)["ekf"], without.prior, without.epochs(), keep="mean").mean - without.truth[1:]
+    two = (
+        run(filters(config)["ekf"], without.prior, without.epochs(), keep="mean").mean
+        - without.truth[1:]
+    )
     np.testing.assert_allclose(one[..., :3], two[..., :3], atol=1e-5)
 
 
@@ -453,7 +545,9 @@ def test_the_ledger_has_every_statement_with_what_is_printed(results):
     assert list(rows) == STATEMENTS
     assert {id: str(row.printed) for id, row in rows.items() if row.printed is not None} == PRINTED
     listed = json.loads(dumps(results.claims()))
-    assert not [claim["id"] for claim in listed if claim["verdict"] not in ("undecided", claim["expected"])]
+    assert not [
+        claim["id"] for claim in listed if claim["verdict"] not in ("undecided", claim["expected"])
+    ]
     found = {claim["id"]: claim for claim in listed}
     assert found["setting-1-position"]["verdict"] == "undecided"  # half a day is no month
     assert found["erratum-1-size"]["verdict"] == "paper in error"
@@ -468,9 +562,15 @@ def test_cases_side_by_side_are_cases_alone():
     np.testing.assert_allclose(together["fair/tkf/error"], fair["1/tkf/error"], rtol=1e-5)
     exact = study.flown(["1"], alone, known, ["aug"])
     np.testing.assert_allclose(together["1/aug/error"], exact["1/aug/error"], rtol=1e-5)
-    np.testing.assert_allclose(study.five(config, runs(3)[2:])["3/tstdkf/error"][:, 0], together["3/tstdkf/error"][:, 2], rtol=1e-5)
+    np.testing.assert_allclose(
+        study.five(config, runs(3)[2:])["3/tstdkf/error"][:, 0],
+        together["3/tstdkf/error"][:, 2],
+        rtol=1e-5,
+    )
     form_b = [replace(config, factor="proportional")]
-    variant = study.flown(["B"], simulate(form_b, runs(2, 1)), filters(form_b, on=study.BESIDE), ["tstdkf"])
+    variant = study.flown(
+        ["B"], simulate(form_b, runs(2, 1)), filters(form_b, on=study.BESIDE), ["tstdkf"]
+    )
     found = study.apart(study.VARIANTS, ["tstdkf"], config, runs(2, 1))
     np.testing.assert_allclose(found["form B/tstdkf/error"], variant["B/tstdkf/error"], rtol=1e-5)
 
@@ -481,15 +581,30 @@ def test_recordings_are_written_under_their_names(results, tmp_path):
         (found,) = rr.chunk.RrdReader(tmp_path / name).recordings()
         assert found.application_id == id
     month, year = (
-        {str(c.entity_path) for c in rr.chunk.RrdReader(tmp_path / name).stream().to_chunks() if not c.is_static}
+        {
+            str(c.entity_path)
+            for c in rr.chunk.RrdReader(tmp_path / name).stream().to_chunks()
+            if not c.is_static
+        }
         for name in show.RECORDINGS
     )
-    assert {"/world/sat/orbits", "/world/pull/moon", "/sun/earth", "/error/aug/ellipsoid", "/plots/bias/x/tstdkf"} <= month
+    assert {
+        "/world/sat/orbits",
+        "/world/pull/moon",
+        "/sun/earth",
+        "/error/aug/ellipsoid",
+        "/plots/bias/x/tstdkf",
+    } <= month
     assert "/plots/bias/x/ekf" not in month  # it does not estimate it
     assert {f"/plots/{trend}/z/B" for trend in ("sine", "growing", "triangle")} <= year
 
 
 def test_a_run_that_is_lost_is_told(sim):
-    broken = sim._replace(z=np.where(np.arange(len(sim.z))[:, None, None, None] == 5, np.inf, sim.z))
-    with pytest.raises(FilterError, match=r"^tkf/error: lost a run at step 5"), np.errstate(all="ignore"):
+    broken = sim._replace(
+        z=np.where(np.arange(len(sim.z))[:, None, None, None] == 5, np.inf, sim.z)
+    )
+    with (
+        pytest.raises(FilterError, match=r"^tkf/error: lost a run at step 5"),
+        np.errstate(all="ignore"),
+    ):
         study.flown(["1", "5"], broken, filters(BOTH), ["tkf"])

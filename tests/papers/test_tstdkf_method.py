@@ -26,7 +26,12 @@ WHITE = Motion(lambda x, _epoch: x @ PHI.T, G @ E @ G.T), Sensor(H, XI)
 
 
 def differenced(noise):
-    return Differenced(lambda x, _epoch: (x @ PHI.T, PHI, G), lambda x, _epoch: x @ H.T, lambda _x, _epoch: H, noise)
+    return Differenced(
+        lambda x, _epoch: (x @ PHI.T, PHI, G),
+        lambda x, _epoch: x @ H.T,
+        lambda _x, _epoch: H,
+        noise,
+    )
 
 
 def stage(F=0.0, L=0.0, coupling=0.0):
@@ -89,7 +94,9 @@ def test_white_noise_that_is_correlated_is_exact(coupling):
         np.testing.assert_allclose(a, b, atol=1e-9)
 
 
-@pytest.mark.parametrize(("F", "L", "coupling"), [(0.5, 0.5, 1.0), (0.8, 0.0, 0.5), (0.0, 0.9, 0.0), (0.5, 0.5, 0.0)])
+@pytest.mark.parametrize(
+    ("F", "L", "coupling"), [(0.5, 0.5, 1.0), (0.8, 0.0, 0.5), (0.0, 0.9, 0.0), (0.5, 0.5, 0.0)]
+)
 def test_its_covariances_are_those_of_a_consider_filter(F, L, coupling):
     """Joint covariance of (x, V, Q), with a gain that leaves V and Q alone: the same numbers without any of the algebra."""
     noise, first = stage(F, L, coupling)
@@ -108,7 +115,13 @@ def test_its_covariances_are_those_of_a_consider_filter(F, L, coupling):
         # measurement is not differenced (k = 0), else J xi.
         A = np.block([[D @ PHI, D @ G @ JF * (k > 0), D @ G @ noise.L], [np.zeros((m, n)), noise.F, np.zeros((m, q))],
                       [np.zeros((q, n + m)), noise.L]])  # fmt: skip
-        W = np.block([[np.zeros((n, m)), D @ G], [np.eye(m), np.zeros((m, q))], [np.zeros((q, m)), np.eye(q)]])
+        W = np.block(
+            [
+                [np.zeros((n, m)), D @ G],
+                [np.eye(m), np.zeros((m, q))],
+                [np.zeros((q, m)), np.eye(q)],
+            ]
+        )
         S = np.block([[noise.Xi, np.zeros((m, q))], [np.zeros((q, m)), noise.E]])
         moved = A @ joint @ A.T + W @ S @ W.T
         # The residual is H x + xi (k = 0: + V), and xi is part of V'.
@@ -116,12 +129,21 @@ def test_its_covariances_are_those_of_a_consider_filter(F, L, coupling):
         gain = np.vstack([K, np.zeros((m + q, m))])
         R = np.hstack([H, np.zeros((m, m + q))])
         left = np.eye(n + m + q) - gain @ R
-        joint = left @ moved @ left.T + gain @ sensor @ gain.T - left @ with_xi @ gain.T - gain @ with_xi.T @ left.T
+        joint = (
+            left @ moved @ left.T
+            + gain @ sensor @ gain.T
+            - left @ with_xi @ gain.T
+            - gain @ with_xi.T @ left.T
+        )
         np.testing.assert_allclose(state.belief.cov[0], joint[:n, :n], atol=1e-10)
-        np.testing.assert_allclose(state.cross[0], np.hstack([joint[:n, n + m :], joint[:n, n : n + m]]), atol=1e-10)
+        np.testing.assert_allclose(
+            state.cross[0], np.hstack([joint[:n, n + m :], joint[:n, n : n + m]]), atol=1e-10
+        )
 
 
-@pytest.mark.parametrize(("F", "L", "coupling"), [(0.5, 0.5, 1.0), (0.8, 0.3, 0.5), (0.0, 0.9, 2.0)])
+@pytest.mark.parametrize(
+    ("F", "L", "coupling"), [(0.5, 0.5, 1.0), (0.8, 0.3, 0.5), (0.0, 0.9, 2.0)]
+)
 def test_conditioning_is_the_filter_that_is_written_out(F, L, coupling):
     """Gain and all, without a joint belief: correlations of the estimate with Q and V by their own recursions."""
     noise, first = stage(F, L, coupling)
@@ -159,25 +181,39 @@ def test_the_first_measurement_is_exact(F, L):
     state, stage_, info = first.update(state, at(0, z))
     np.testing.assert_allclose(state.belief.mean, z[0] @ (W @ K).T, atol=1e-12)
     np.testing.assert_allclose(state.belief.cov[0], W @ left @ W.T, atol=1e-12)
-    np.testing.assert_allclose(state.cross[0], np.hstack([(W @ left)[:, N + M :], (W @ left)[:, N : N + M]]), atol=1e-12)
+    np.testing.assert_allclose(
+        state.cross[0], np.hstack([(W @ left)[:, N + M :], (W @ left)[:, N : N + M]]), atol=1e-12
+    )
     # The density of the innovation is that of z, which it is a linear function of: D z, D = I - H Omega.
     D = np.eye(M) - H @ stage_.Omega
     np.testing.assert_allclose(info.innovation, z[0] @ D.T, atol=1e-12)
-    np.testing.assert_allclose(info.sqrt_S[0] @ info.sqrt_S[0].T, D @ seen @ C @ seen.T @ D.T, atol=1e-10)
+    np.testing.assert_allclose(
+        info.sqrt_S[0] @ info.sqrt_S[0].T, D @ seen @ C @ seen.T @ D.T, atol=1e-10
+    )
 
 
 def test_the_first_variance_is_that_of_samples():
     """One state, F = 0.8: of 1.21 that were claimed there are 0.60."""
     one, runs = np.eye(1), 40_000
     noise = ar1_noise(0.8 * one, 0.0 * one, 2.0 * one, 0.36 * one, 0.5 * one)
-    first = Differenced(lambda x, _e: (0.9 * x, 0.9 * one, one), lambda x, _e: 0.7 * x, lambda _x, _e: 0.7 * one, noise)
+    first = Differenced(
+        lambda x, _e: (0.9 * x, 0.9 * one, one),
+        lambda x, _e: 0.7 * x,
+        lambda _x, _e: 0.7 * one,
+        noise,
+    )
     rng = np.random.default_rng(3)
-    x, v, q = (std * rng.normal(size=(runs, 1)) for std in (1.0, noise.V[0, 0] ** 0.5, noise.Q[0, 0] ** 0.5))
+    x, v, q = (
+        std * rng.normal(size=(runs, 1))
+        for std in (1.0, noise.V[0, 0] ** 0.5, noise.Q[0, 0] ** 0.5)
+    )
     x = 0.9 * x + 2.0 * v + q
     epoch = Epoch(0, 1.0, 1.0, None, 0.7 * x + v)
     state, _ = first.predict(first.start(Gaussian(np.zeros((runs, 1)), one)), epoch)
     state, _, info = first.update(state, epoch)
-    assert np.mean((state.belief.mean - x) ** 2 / state.belief.cov[..., 0]) == pytest.approx(1.0, abs=4.0 * (2.0 / runs) ** 0.5)
+    assert np.mean((state.belief.mean - x) ** 2 / state.belief.cov[..., 0]) == pytest.approx(
+        1.0, abs=4.0 * (2.0 / runs) ** 0.5
+    )
     assert np.mean(info.nis) == pytest.approx(1.0, abs=4.0 * (2.0 / runs) ** 0.5)
 
 
@@ -199,13 +235,18 @@ def test_process_noise_of_one_color_is_nearly_exact():
     noise, first = stage(L=L)
     A = np.block([[PHI, G * L], [np.zeros((N, N)), L * np.eye(N)]])
     columns = np.vstack([G, np.eye(N)]) @ np.sqrt(noise.E)
-    exact = ukf(Motion(lambda x, _epoch: x @ A.T, sqrt_Q=columns), Sensor(np.hstack([H, np.zeros((M, N))]), XI))
+    exact = ukf(
+        Motion(lambda x, _epoch: x @ A.T, sqrt_Q=columns),
+        Sensor(np.hstack([H, np.zeros((M, N))]), XI),
+    )
     both = np.block([[P0, np.zeros((N, N))], [np.zeros((N, N)), noise.Q]])
     state = exact.start(Gaussian(np.zeros((1, 2 * N)), both[None]))
     for k in range(T):
         state, _ = exact.step(state, at(k, z))
     (_, kept), (_, dropped) = (alone(one, z) for one in (first, Forgetful(**vars(first))))
-    best, kept, dropped = (np.trace(P) for P in (state.belief.cov[0, :N, :N], kept[-1, 0], dropped[-1, 0]))
+    best, kept, dropped = (
+        np.trace(P) for P in (state.belief.cov[0, :N, :N], kept[-1, 0], dropped[-1, 0])
+    )
     assert kept >= best * (1.0 - 1e-9)  # no filter of these measurements can do better
     assert dropped < best  # and none can say so
     assert abs(kept - best) < abs(dropped - best)
@@ -216,7 +257,11 @@ class Forgetful(Differenced):
 
     def update(self, state, epoch):
         state, seen, info = super().update(state, epoch)
-        return state._replace(cross=np.hstack([np.zeros((N, N)), state.cross[0, :, N:]])[None]), seen, info
+        return (
+            state._replace(cross=np.hstack([np.zeros((N, N)), state.cross[0, :, N:]])[None]),
+            seen,
+            info,
+        )
 
 
 def test_the_sensitivity_to_a_bias_is_the_derivative():
@@ -227,7 +272,9 @@ def test_the_sensitivity_to_a_bias_is_the_derivative():
     for k in range(T):
         one, _ = filter.step(one, at(k, z))
         two, _ = filter.step(two, at(k, z + GAMMA @ unit))
-        np.testing.assert_allclose(two.first.belief.mean - one.first.belief.mean, -(one.Lambda @ unit), atol=1e-12)
+        np.testing.assert_allclose(
+            two.first.belief.mean - one.first.belief.mean, -(one.Lambda @ unit), atol=1e-12
+        )
 
 
 def test_two_stages_on_white_noise_are_those_on_the_plain_stage():
@@ -244,7 +291,12 @@ def test_batches_are_singles():
 
 
 def seen(residual, covariance):
-    return Boost(np.asarray(residual), np.asarray(covariance), 2.0 * np.asarray(residual), 0.5 * np.asarray(covariance))
+    return Boost(
+        np.asarray(residual),
+        np.asarray(covariance),
+        2.0 * np.asarray(residual),
+        0.5 * np.asarray(covariance),
+    )
 
 
 def test_factors_compare_a_window_of_residuals_with_their_variances():
@@ -273,7 +325,9 @@ def test_of_consistent_white_residuals_form_c_tends_to_one_and_form_b_to_rho():
     boost, memory = strong_tracking([1.0], [[5.0], [20.0]]), None
     for k in range(60):
         memory, _ = boost(memory, seen(np.full((2, 1), 1.0 + (k >= 40)), np.eye(1)))
-    np.testing.assert_allclose(memory.squares[:, 0], 1.0 + 3.0 * (1.0 - (1.0 - 1.0 / np.array([5.0, 20.0])) ** 20))
+    np.testing.assert_allclose(
+        memory.squares[:, 0], 1.0 + 3.0 * (1.0 - (1.0 - 1.0 / np.array([5.0, 20.0])) ** 20)
+    )
 
 
 def test_forms_of_the_factor():

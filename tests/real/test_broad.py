@@ -18,7 +18,10 @@ from celnav.gaussian import attitude
 from celnav.models.gyro import preintegrate
 from celnav.real import broad, handheld
 
-REAL = next((p / "shared/data/broad" for p in Path(__file__).parents if (p / "shared/data/broad").is_dir()), Path("nowhere"))
+REAL = next(
+    (p / "shared/data/broad" for p in Path(__file__).parents if (p / "shared/data/broad").is_dir()),
+    Path("nowhere"),
+)
 HZ, FIELD, UP = 2000.0 / 7.0, np.array([0.0, 16.0, -41.0]), np.array([0.0, 0.0, handheld.GRAVITY])
 real_only = pytest.mark.skipif(not REAL.is_dir(), reason="no real files beside the checkout")
 
@@ -50,7 +53,10 @@ def made():
 def folder(tmp_path):
     for i, name in enumerate(broad.TRIALS):
         cut = len(made()["imu_gyr"]) if i else int(24.0 * HZ)
-        savemat(tmp_path / f"{name}.mat", {key: v if key == "sampling_rate" else v[:cut] for key, v in made().items()})
+        savemat(
+            tmp_path / f"{name}.mat",
+            {key: v if key == "sampling_rate" else v[:cut] for key, v in made().items()},
+        )
     return tmp_path
 
 
@@ -62,7 +68,9 @@ def test_a_made_trial_is_followed_and_missing_samples_cost_nothing_but_themselve
     assert np.isnan(errors[: int(5.9 * HZ / 8)]).all()
     short = int(24.0 * HZ) // 8
     assert np.isnan(errors[short:, 0]).all()
-    np.testing.assert_allclose(out["mekf/error"][: short - 1, 0], out["mekf/error"][: short - 1, 1], atol=1e-9)
+    np.testing.assert_allclose(
+        out["mekf/error"][: short - 1, 0], out["mekf/error"][: short - 1, 1], atol=1e-9
+    )
     rmse = np.sqrt(np.nanmean(np.square(errors), (0, 1)))
     assert (rmse < [3.0, 3.0, 1.0]).all(), rmse
     assert 0.05 < np.nanmean(out["mekf/nees"][400:, 1]) / 3.0 < 2.0
@@ -74,7 +82,11 @@ def test_steps_are_what_samples_one_by_one_give():
     turns = Rotation.from_rotvec(trial["imu_gyr"] / HZ)
     for k in (300, 700):
         first, end = 8 * k, 8 * k + 7
-        np.testing.assert_allclose(log.rate[k], preintegrate(trial["imu_gyr"][first : end + 1], np.zeros(3), 1.0 / HZ), atol=1e-12)
+        np.testing.assert_allclose(
+            log.rate[k],
+            preintegrate(trial["imu_gyr"][first : end + 1], np.zeros(3), 1.0 / HZ),
+            atol=1e-12,
+        )
 
         def seen_at_the_end(sample, at, end=end):
             for turn in turns[at + 1 : end + 1]:
@@ -82,7 +94,10 @@ def test_steps_are_what_samples_one_by_one_give():
             return sample
 
         for name, lag in (("acc", 0), ("mag", handheld.LAG)):
-            mean = np.mean([seen_at_the_end(trial[f"imu_{name}"][i], i - lag) for i in range(first, end + 1)], 0)
+            mean = np.mean(
+                [seen_at_the_end(trial[f"imu_{name}"][i], i - lag) for i in range(first, end + 1)],
+                0,
+            )
             np.testing.assert_allclose(getattr(log, name)[k], mean, atol=1e-9)
     window = np.linalg.norm(log.acc[700 - 35 : 701], axis=-1) - handheld.GRAVITY
     np.testing.assert_allclose(log.lively[700, 0], np.sqrt(np.mean(window**2)), rtol=1e-9)
@@ -108,7 +123,9 @@ def test_errors_are_those_that_the_benchmark_defines():
     ours, truth = Rotation.random(50, random_state=3), Rotation.random(50, random_state=4)
     error = ours * truth.inv()
     w, z = error.as_quat()[:, 3], error.as_quat()[:, 2]
-    expected = 2.0 * np.stack([np.arccos(np.abs(w)), np.arctan(np.abs(z / w)), np.arccos(np.hypot(w, z))], -1)
+    expected = 2.0 * np.stack(
+        [np.arccos(np.abs(w)), np.arctan(np.abs(z / w)), np.arccos(np.hypot(w, z))], -1
+    )
     turned = attitude.log(attitude.multiply(attitude.inverse(truth.as_quat()), ours.as_quat()))
     np.testing.assert_allclose(broad.judged(np.degrees(turned)), np.degrees(expected), atol=1e-6)
     assert np.isnan(broad.judged(np.full(3, np.nan))).all()
@@ -117,18 +134,36 @@ def test_errors_are_those_that_the_benchmark_defines():
 
 def test_the_engines_agree(folder):
     flight = handheld.trial(handheld.Flight(folder, broad.TRIALS[:2], part=0.05))
-    a, b = (run(flight.filters["mekf"], flight.prior, flight.epochs("mekf"), engine=e) for e in ("numpy", "auto"))
+    a, b = (
+        run(flight.filters["mekf"], flight.prior, flight.epochs("mekf"), engine=e)
+        for e in ("numpy", "auto")
+    )
     np.testing.assert_allclose(a.mean, b.mean, atol=1e-8)
 
 
 DAMAGE = [
     (lambda t: t.pop("imu_mag"), "expected a field imu_mag, got imu_gyr"),
-    (lambda t: t.update(imu_acc=t["imu_acc"][:, :2]), r"imu_acc: expected numbers \(20 or more, 3\), got float64 \(8571, 2\)"),
-    (lambda t: t.update(imu_acc=t["imu_acc"][:-5]), "imu_acc: expected as many rows as imu_gyr has, 8571, got 8566"),
+    (
+        lambda t: t.update(imu_acc=t["imu_acc"][:, :2]),
+        r"imu_acc: expected numbers \(20 or more, 3\), got float64 \(8571, 2\)",
+    ),
+    (
+        lambda t: t.update(imu_acc=t["imu_acc"][:-5]),
+        "imu_acc: expected as many rows as imu_gyr has, 8571, got 8566",
+    ),
     (lambda t: t.update(imu_gyr=t["imu_gyr"][:10]), "imu_gyr: expected numbers"),
-    (lambda t: t.update(opt_quat=np.full((8571, 4), np.nan)), "opt_quat: expected finite numbers or nan"),
-    (lambda t: t.update(imu_mag=np.where(np.arange(3) == 1, np.inf, t["imu_mag"])), "imu_mag: expected finite numbers"),
-    (lambda t: t.update(imu_gyr=np.where(np.arange(8571)[:, None] == 9, np.nan, t["imu_gyr"])), "imu_gyr without nan"),
+    (
+        lambda t: t.update(opt_quat=np.full((8571, 4), np.nan)),
+        "opt_quat: expected finite numbers or nan",
+    ),
+    (
+        lambda t: t.update(imu_mag=np.where(np.arange(3) == 1, np.inf, t["imu_mag"])),
+        "imu_mag: expected finite numbers",
+    ),
+    (
+        lambda t: t.update(imu_gyr=np.where(np.arange(8571)[:, None] == 9, np.nan, t["imu_gyr"])),
+        "imu_gyr without nan",
+    ),
     (lambda t: t.update(movement=np.zeros((8571, 1))), "movement: expected some samples"),
     (lambda t: t.update(sampling_rate=[[0.0]]), "positive sampling_rate"),
     (lambda t: t.update(imu_acc="much"), "imu_acc: expected numbers"),
@@ -145,8 +180,24 @@ def test_a_damaged_trial_is_told_with_file_and_field(tmp_path, damage, text):
 
 
 def test_what_is_no_trial_is_one_line(folder, tmp_path, capsys):
-    (folder / f"{broad.TRIALS[3]}.mat").write_bytes(b"not MATLAB, but long enough to be read as its header" * 10)
-    assert cli.main(["reproduce", "broad", "--broad", str(folder), "--out", str(tmp_path / "out"), "--jobs", "1"]) != 0
+    (folder / f"{broad.TRIALS[3]}.mat").write_bytes(
+        b"not MATLAB, but long enough to be read as its header" * 10
+    )
+    assert (
+        cli.main(
+            [
+                "reproduce",
+                "broad",
+                "--broad",
+                str(folder),
+                "--out",
+                str(tmp_path / "out"),
+                "--jobs",
+                "1",
+            ]
+        )
+        != 0
+    )
     assert f"{broad.TRIALS[3]}.mat: expected a file of MATLAB 5" in capsys.readouterr().err
     (folder / f"{broad.TRIALS[3]}.mat").unlink()
     with pytest.raises(FileNotFoundError, match="expected a folder with a file 10_undisturbed"):
@@ -154,7 +205,10 @@ def test_what_is_no_trial_is_one_line(folder, tmp_path, capsys):
 
 
 def test_published_errors_are_read_from_their_files(tmp_path):
-    every = {name: {"tagp_parameters": {"total_rmse_deg": 1.0 + i}} for i, name in enumerate(broad.TRIALS)}
+    every = {
+        name: {"tagp_parameters": {"total_rmse_deg": 1.0 + i}}
+        for i, name in enumerate(broad.TRIALS)
+    }
     for name, values in {
         "madgwick": every,
         "mahony": every | {broad.TRIALS[2]: {"tagp_parameters": {"total_rmse_deg": 9.0}}},
@@ -165,7 +219,10 @@ def test_published_errors_are_read_from_their_files(tmp_path):
     assert found["Mahony"].tolist() == [1.0, 2.0, 9.0, 4.0, 5.0, 6.0, 7.0, 8.0]
     for damaged in ('{"trials": {}}', "[]", '{"trials": 3}'):
         (tmp_path / "results_mahony_average_rmse.json").write_text(damaged)
-        with pytest.raises(InputError, match=r"results_mahony_average_rmse\.json: expected a total_rmse_deg of each trial"):
+        with pytest.raises(
+            InputError,
+            match=r"results_mahony_average_rmse\.json: expected a total_rmse_deg of each trial",
+        ):
             broad.published(handheld.Flight(tmp_path), [])
 
 
@@ -174,15 +231,35 @@ def madgwick(gyr, acc, mag, hz, beta):
     """Madgwick's gradient filter as it is published; its code takes half of the reference field."""
     acc, mag = (v / np.linalg.norm(v, axis=-1, keepdims=True) for v in (acc, mag))
     north = np.cross(np.cross(acc[0], mag[0]), acc[0])
-    axes = np.stack([north / np.linalg.norm(north), np.cross(acc[0], north) / np.linalg.norm(north), acc[0]])
+    axes = np.stack(
+        [north / np.linalg.norm(north), np.cross(acc[0], north) / np.linalg.norm(north), acc[0]]
+    )
     a, b, c, d = np.roll(Rotation.from_matrix(axes).as_quat(), 1).tolist()
     out = np.empty((len(gyr), 4))
-    for k, ((x, y, z), (ax, ay, az), (mx, my, mz)) in enumerate(zip(gyr.tolist(), acc.tolist(), mag.tolist(), strict=True)):
-        hx = mx * (a * a + b * b - c * c - d * d) + 2.0 * my * (b * c - a * d) + 2.0 * mz * (b * d + a * c)
-        hy = 2.0 * mx * (b * c + a * d) + my * (a * a - b * b + c * c - d * d) + 2.0 * mz * (c * d - a * b)
+    for k, ((x, y, z), (ax, ay, az), (mx, my, mz)) in enumerate(
+        zip(gyr.tolist(), acc.tolist(), mag.tolist(), strict=True)
+    ):
+        hx = (
+            mx * (a * a + b * b - c * c - d * d)
+            + 2.0 * my * (b * c - a * d)
+            + 2.0 * mz * (b * d + a * c)
+        )
+        hy = (
+            2.0 * mx * (b * c + a * d)
+            + my * (a * a - b * b + c * c - d * d)
+            + 2.0 * mz * (c * d - a * b)
+        )
         n = (hx * hx + hy * hy) ** 0.5  # twice the half of the field
-        v = 2.0 * mx * (b * d - a * c) + 2.0 * my * (c * d + a * b) + mz * (a * a - b * b - c * c + d * d)
-        f1, f2, f3 = 2.0 * (b * d - a * c) - ax, 2.0 * (a * b + c * d) - ay, 1.0 - 2.0 * (b * b + c * c) - az
+        v = (
+            2.0 * mx * (b * d - a * c)
+            + 2.0 * my * (c * d + a * b)
+            + mz * (a * a - b * b - c * c + d * d)
+        )
+        f1, f2, f3 = (
+            2.0 * (b * d - a * c) - ax,
+            2.0 * (a * b + c * d) - ay,
+            1.0 - 2.0 * (b * b + c * c) - az,
+        )
         f4 = n * (0.5 - c * c - d * d) + v * (b * d - a * c) - mx
         f5 = n * (b * c - a * d) + v * (a * b + c * d) - my
         f6 = n * (a * c + b * d) + v * (0.5 - b * b - c * c) - mz
@@ -194,8 +271,15 @@ def madgwick(gyr, acc, mag, hz, beta):
             2.0 * b * f1 + 2.0 * c * f2 + (v * b - 2.0 * n * d) * f4 + (v * c - n * a) * f5 + n * b * f6,
         )  # fmt: skip
         by = beta / sum(e * e for e in s) ** 0.5
-        rates = (-b * x - c * y - d * z, a * x + c * z - d * y, a * y - b * z + d * x, a * z + b * y - c * x)
-        a, b, c, d = (q + (0.5 * w - by * e) / hz for q, w, e in zip((a, b, c, d), rates, s, strict=True))
+        rates = (
+            -b * x - c * y - d * z,
+            a * x + c * z - d * y,
+            a * y - b * z + d * x,
+            a * z + b * y - c * x,
+        )
+        a, b, c, d = (
+            q + (0.5 * w - by * e) / hz for q, w, e in zip((a, b, c, d), rates, s, strict=True)
+        )
         norm = (a * a + b * b + c * c + d * d) ** 0.5
         a, b, c, d = a / norm, b / norm, c / norm, d / norm
         out[k] = b, c, d, a
@@ -209,9 +293,18 @@ def test_the_judge_gives_a_published_filter_its_published_errors(i):
     q = madgwick(trial["imu_gyr"], trial["imu_acc"], trial["imu_mag"], HZ, 0.12)
     truth = np.roll(trial["opt_quat"], -1, -1)
     turned = np.degrees(attitude.log(attitude.multiply(attitude.inverse(truth), q)))
-    moving, known = trial["movement"][:, 0] > 0, json.loads((REAL / "results_madgwick_average_rmse.json").read_text())
-    printed = [known["trials"][broad.TRIALS[i]]["tagp_parameters"][f"{kind}_rmse_deg"] for kind in broad.KINDS]
-    for each, tolerance in ((1, 0.002), (handheld.STEP, 0.01)):  # one step in eight samples decides nothing
+    moving, known = (
+        trial["movement"][:, 0] > 0,
+        json.loads((REAL / "results_madgwick_average_rmse.json").read_text()),
+    )
+    printed = [
+        known["trials"][broad.TRIALS[i]]["tagp_parameters"][f"{kind}_rmse_deg"]
+        for kind in broad.KINDS
+    ]
+    for each, tolerance in (
+        (1, 0.002),
+        (handheld.STEP, 0.01),
+    ):  # one step in eight samples decides nothing
         errors = broad.judged(turned)[each - 1 :: each][moving[each - 1 :: each]]
         np.testing.assert_allclose(np.sqrt(np.nanmean(errors**2, 0)), printed, rtol=tolerance)
 
@@ -220,5 +313,7 @@ def test_the_judge_gives_a_published_filter_its_published_errors(i):
 def test_a_short_piece_of_the_real_trials_is_followed():
     results = broad.STUDY.reproduce(effort=0.02, only=["mekf"], broad=REAL)
     errors = results.get("mekf", "judged")
-    inclination = np.sqrt(np.nanmean(np.square(errors[:, :7, 2]), 0))  # the magnet beside the last misleads it
+    inclination = np.sqrt(
+        np.nanmean(np.square(errors[:, :7, 2]), 0)
+    )  # the magnet beside the last misleads it
     assert (inclination < 4.0).all(), inclination

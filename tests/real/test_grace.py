@@ -30,16 +30,30 @@ def field_text():
     lines = ["gfc 0 0 1.0 0.0", "gfc 2 0 -0.484165143790815d-03 0.0"]
     rng = np.random.default_rng(1)
     for n in range(2, 17):
-        lines += [f"gfc {n} {m} {c:.15e} {s:.15e}" for m in range(1, n + 1) for c, s in [1e-6 / n**2 * rng.standard_normal(2)]]
+        lines += [
+            f"gfc {n} {m} {c:.15e} {s:.15e}"
+            for m in range(1, n + 1)
+            for c, s in [1e-6 / n**2 * rng.standard_normal(2)]
+        ]
     return HEAD + "\n".join(lines) + "\n"
 
 
 def orbit(field, count):
     """States at every 10 s on Earth-fixed axes, integrated in space by a method of high order: not as filters do it."""
-    bodies, center = [], ephemeris.de421().state("earth", ephemeris.from_tt(*settings.orientation(np.array([START]))[1][0]))
+    bodies, center = (
+        [],
+        ephemeris.de421().state(
+            "earth", ephemeris.from_tt(*settings.orientation(np.array([START]))[1][0])
+        ),
+    )
     for name in ("sun", "moon"):
-        state = ephemeris.de421().state(name, ephemeris.from_tt(*settings.orientation(np.array([START]))[1][0]))
-        place, moving = 1e3 * (state.position - center.position), 1e3 * (state.velocity - center.velocity)
+        state = ephemeris.de421().state(
+            name, ephemeris.from_tt(*settings.orientation(np.array([START]))[1][0])
+        )
+        place, moving = (
+            1e3 * (state.position - center.position),
+            1e3 * (state.velocity - center.velocity),
+        )
         bodies.append((1e9 * ephemeris.GM[name], place, moving))
 
     def turned(t):
@@ -50,7 +64,9 @@ def orbit(field, count):
         pull = R.T @ field.acceleration(R @ x[:3])
         for gm, place, moving in bodies:
             s = place + moving * t
-            pull = pull + gm * ((s - x[:3]) / np.linalg.norm(s - x[:3]) ** 3 - s / np.linalg.norm(s) ** 3)
+            pull = pull + gm * (
+                (s - x[:3]) / np.linalg.norm(s - x[:3]) ** 3 - s / np.linalg.norm(s) ** 3
+            )
         return np.concatenate([x[3:], pull])
 
     R, spin = turned(0.0), earth.spin(np.stack([turned(0.0), turned(10.0)]), 10.0)[0]
@@ -66,7 +82,9 @@ def orbit(field, count):
 
 def written(path, times, xyz, pack=True):
     text = "".join(
-        f"{t:14.3f} {x:14.3f} {y:14.3f} {z:14.3f} {1.0:13.3f}\n" for t, (x, y, z) in zip(times, xyz, strict=True) if x == x
+        f"{t:14.3f} {x:14.3f} {y:14.3f} {z:14.3f} {1.0:13.3f}\n"
+        for t, (x, y, z) in zip(times, xyz, strict=True)
+        if x == x
     )
     path.write_bytes(gzip.compress(text.encode()) if pack else text.encode())
 
@@ -151,9 +169,15 @@ def test_what_is_no_such_file_is_refused_by_file_and_line(tmp_path, text, messag
 def test_a_file_that_is_cut_off_garbled_or_too_large_is_refused(folder, tmp_path):
     content = (folder / "GPS1B_2008-08-02_A_01.pos.spp.gz").read_bytes()
     path = tmp_path / "log"
-    for bad in (content[: len(content) // 2], content[:2], content[:200] + b"\0" * 50 + content[250:]):
+    for bad in (
+        content[: len(content) // 2],
+        content[:2],
+        content[:200] + b"\0" * 50 + content[250:],
+    ):
         path.write_bytes(bad)
-        with pytest.raises(InputError, match=r"log: expected a whole gzipped file|log: line \d+: expected"):
+        with pytest.raises(
+            InputError, match=r"log: expected a whole gzipped file|log: line \d+: expected"
+        ):
             positions.read(path)
     path.write_bytes(gzip.compress(b" " * 20_000_000))
     with pytest.raises(InputError, match="expected at most 10,000,000 bytes when unpacked"):
@@ -186,9 +210,13 @@ def test_a_step_is_the_orbit(folder):
 def test_axes_are_radial_along_and_across(folder):
     truth = orbit(gravity.read(folder / "made.gfc"), 30)
     frame = positions.axes(truth[:, :3])
-    np.testing.assert_allclose(frame @ frame.mT, np.broadcast_to(np.eye(3), frame.shape), atol=1e-12)
+    np.testing.assert_allclose(
+        frame @ frame.mT, np.broadcast_to(np.eye(3), frame.shape), atol=1e-12
+    )
     np.testing.assert_allclose(np.einsum("tij,tj->ti", frame, truth[:, :3])[:, 1:], 0.0, atol=1e-6)
-    moving = np.einsum("tij,tj->ti", frame, truth[:, 3:] + np.cross([0.0, 0.0, earth.ROTATION_RATE], truth[:, :3]))
+    moving = np.einsum(
+        "tij,tj->ti", frame, truth[:, 3:] + np.cross([0.0, 0.0, earth.ROTATION_RATE], truth[:, :3])
+    )
     assert (moving[:, 1] > 7e3).all()
     assert np.abs(moving[1:-1, 2]).max() < 0.05  # differences over 20 s
 
@@ -198,14 +226,23 @@ def test_the_study_judges_made_files(results):
     claims = {claim.id: claim for claim in results.claims()}
     assert set(claims) == {row.id for row in grace.STUDY.rows}
     assert claims["fixes-colored"].numbers[0].value == pytest.approx(0.98, abs=0.03)
-    assert all(number.ci is None or number.ci[0] <= number.value <= number.ci[1] for c in claims.values() for number in c.numbers)
+    assert all(
+        number.ci is None or number.ci[0] <= number.value <= number.ci[1]
+        for c in claims.values()
+        for number in c.numbers
+    )
     assert claims["white-overconfident"].holds
     for name in study.NAMES:
         part = study.BEST
         assert np.isfinite(results.get(part, f"{name}/std")[4:40]).all()
-        assert (0.0 < results.value(part, f"{name}/rejected", 0) < 0.05) == (name == "white, gated"), name
+        assert (0.0 < results.value(part, f"{name}/rejected", 0) < 0.05) == (
+            name == "white, gated"
+        ), name
     assert np.isnan(results.get(study.BEST, "colored/nis")[42, 0])
-    assert all(results.get("settings", name).shape == (5 if "white" in name else 7,) for name in study.SEARCHED)
+    assert all(
+        results.get("settings", name).shape == (5 if "white" in name else 7,)
+        for name in study.SEARCHED
+    )
 
 
 def test_what_is_shown_can_be_drawn(results, tmp_path):
@@ -218,16 +255,35 @@ def test_what_is_shown_can_be_drawn(results, tmp_path):
 
 def test_the_filters_of_a_batch_are_those_alone(folder):
     """Settings and hooks as runs: each flown by itself, a white one as a plain UKF, gives the same."""
-    field, log = gravity.read(folder / "made.gfc", 2), positions.read(folder / "GPS1B_2008-08-01_A_01.pos.spp.gz")
-    times, z, u, start = log.times[:120] - log.times[0], log.z[:120], settings.around(log.times[:120]), settings.prior(log)
+    field, log = (
+        gravity.read(folder / "made.gfc", 2),
+        positions.read(folder / "GPS1B_2008-08-01_A_01.pos.spp.gz"),
+    )
+    times, z, u, start = (
+        log.times[:120] - log.times[0],
+        log.z[:120],
+        settings.around(log.times[:120]),
+        settings.prior(log),
+    )
     names = ("white", "colored", "white, gated", "robust", "without z_0")
     ((own, together),) = study.flights(field, names).items()
     assert own == names
-    track = run(together, Gaussian(np.tile(start.mean, (5, 1)), start.cov), times, np.tile(z[:, None], (1, 5, 1)), u, keep="cov")
+    track = run(
+        together,
+        Gaussian(np.tile(start.mean, (5, 1)), start.cov),
+        times,
+        np.tile(z[:, None], (1, 5, 1)),
+        u,
+        keep="cov",
+    )
     for i, name in enumerate(names):
         M, S, Phi = settings.believed(field, settings.SETTINGS[name])
         hooks = [study.HOOKED[name]] if name in study.HOOKED else []
-        alone = ukf(M, S, hooks=hooks) if name.startswith("white") else colored(M, S, Phi, hooks=hooks, first=name != "without z_0")
+        alone = (
+            ukf(M, S, hooks=hooks)
+            if name.startswith("white")
+            else colored(M, S, Phi, hooks=hooks, first=name != "without z_0")
+        )
         one = run(alone, start, times, z, u, keep="cov")
         np.testing.assert_allclose(track.mean[:, i], one.mean, rtol=0, atol=1e-5)
         np.testing.assert_allclose(track.cov[:, i], one.cov, rtol=1e-6, atol=1e-9)
@@ -245,7 +301,9 @@ def data(folder):
 def test_far_fixes_are_screened(data):
     assert np.isfinite(data.z[100]).all()
     assert np.isnan(data.screened().z[100]).all()  # the outlier
-    assert np.isnan(data.screened().z).sum() == 2 * 3 * (5 + 2)  # and the fix that is compared with it
+    assert np.isnan(data.screened().z).sum() == 2 * 3 * (
+        5 + 2
+    )  # and the fix that is compared with it
 
 
 def test_the_linear_motion_of_a_search_is_the_motion(folder, data):
@@ -255,9 +313,13 @@ def test_the_linear_motion_of_a_search_is_the_motion(folder, data):
     M, S, Phi = settings.believed(field, settings.SETTINGS["colored"])
     for i, log in enumerate(logs):
         u = settings.around(log.times[:120])
-        whole = run(colored(M, S, Phi), settings.prior(log), log.times[:120] - log.times[0], log.z[:120], u)
+        whole = run(
+            colored(M, S, Phi), settings.prior(log), log.times[:120] - log.times[0], log.z[:120], u
+        )
         about = settings.trained(field, settings.SETTINGS["colored"])
-        (start, F, c) = (part[i] if part.ndim == 2 else part[:, i] for part in (data.prior.mean, *data.u))
+        (start, F, c) = (
+            part[i] if part.ndim == 2 else part[:, i] for part in (data.prior.mean, *data.u)
+        )
         found = run(about, Gaussian(start, data.prior.cov), data.times, data.z[:, i], (F, c))
         assert found.log_likelihood == pytest.approx(whole.log_likelihood, abs=1e-4)
 
@@ -269,25 +331,39 @@ def test_the_density_of_an_innovation_is_that_of_students_t(folder, data):
     start = Gaussian(data.prior.mean[0], data.prior.cov)
     one = (start, data.times[:9], data.z[:9, 0], tuple(part[:, 0] for part in data.u))
     many = run(settings.Weighed(colored(M, S, Phi, hooks=settings.weighing(1e9))), *one)
-    assert many.log_likelihood == pytest.approx(run(colored(M, S, Phi), *one).log_likelihood, abs=1e-4)
+    assert many.log_likelihood == pytest.approx(
+        run(colored(M, S, Phi), *one).log_likelihood, abs=1e-4
+    )
     plain = colored(M, S, Phi)
-    flown = run(plain, *one[:1], *(part[:8] if isinstance(part, np.ndarray) else part for part in one[1:]))
+    flown = run(
+        plain, *one[:1], *(part[:8] if isinstance(part, np.ndarray) else part for part in one[1:])
+    )
     info = run(plain, *one)
     weighed = [run(settings.Weighed(colored(M, S, Phi, hooks=[settings.weighing(4.0)[0]])), one[0], one[1][:n], one[2][:n], one[3])
                for n in (8, 9)]  # fmt: skip
     u, normal = info.whitened[-1], info.log_likelihood - flown.log_likelihood
     expected = normal - stats.norm.logpdf(u).sum() + stats.t(4.0).logpdf(u).sum()
-    assert weighed[1].log_likelihood - weighed[0].log_likelihood == pytest.approx(expected, abs=1e-9)
+    assert weighed[1].log_likelihood - weighed[0].log_likelihood == pytest.approx(
+        expected, abs=1e-9
+    )
 
 
 @pytest.mark.parametrize("kind", ["colored", "tails"])
 def test_likelihood_finds_what_made_the_fixes(folder, data, kind):
     """Within what so few say; Student's t needs nothing left out."""
     field = gravity.read(folder / "made.gfc", 2)
-    found = settings.fitted(data if kind == "tails" else data.screened(), field, settings.Setting(3.0, 0.97, 3e-4), kind)
+    found = settings.fitted(
+        data if kind == "tails" else data.screened(), field, settings.Setting(3.0, 0.97, 3e-4), kind
+    )
     sigma, _, phi = found.parameters
-    level = 1.0 if kind == "colored" else np.sqrt(stats.chi2(1).median() / stats.f(1, settings.DOF).median())
-    assert sigma * np.sqrt(1.0 - phi**2) == pytest.approx(level * 4.0 * np.sqrt(1.0 - 0.98**2), rel=0.25)
+    level = (
+        1.0
+        if kind == "colored"
+        else np.sqrt(stats.chi2(1).median() / stats.f(1, settings.DOF).median())
+    )
+    assert sigma * np.sqrt(1.0 - phi**2) == pytest.approx(
+        level * 4.0 * np.sqrt(1.0 - 0.98**2), rel=0.25
+    )
 
 
 @pytest.mark.skipif(not REAL.is_dir(), reason="no real files beside the checkout")

@@ -25,16 +25,22 @@ def directions(count, rng):
     return n / np.linalg.norm(n, axis=1, keepdims=True)
 
 
-def made(folder, count=12, noise_km=0.3, seed=0, every=9.0, end=nanograv.END, moved=None, model_km=5.0):
+def made(
+    folder, count=12, noise_km=0.3, seed=0, every=9.0, end=nanograv.END, moved=None, model_km=5.0
+):
     """Arrivals of some pulsars from 2008 on, half of them solitary, each with a timing model off by some km, white noise, and
     an Earth that is ``moved(day)`` km."""
     rng = np.random.default_rng(seed)
     rows = []
     for i, n in enumerate(directions(count, rng)):
         day = np.arange(54500.0 + rng.uniform(0.0, 9.0), end - 2.0, every).round()
-        earth = de421().state("earth", Tdb(np.full_like(day, 2400000.5), day + 0.5)).position / AU_KM
+        earth = (
+            de421().state("earth", Tdb(np.full_like(day, 2400000.5), day + 0.5)).position / AU_KM
+        )
         a = arrivals.Arrivals("", n, day, day, day, earth)
-        late = arrivals.model(a) @ (model_km * rng.standard_normal(8)) + noise_km * rng.standard_normal(len(day))
+        late = arrivals.model(a) @ (
+            model_km * rng.standard_normal(8)
+        ) + noise_km * rng.standard_normal(len(day))
         late -= 0.0 if moved is None else moved(day) @ n
         sigma = np.full_like(day, noise_km)
         rows.append(np.column_stack([day, np.full_like(day, i), late / LIGHT_KM_S, sigma / LIGHT_KM_S, np.tile(n, (len(day), 1)),
@@ -103,7 +109,11 @@ def test_noise_is_found_as_large_as_it_was_made(folder):
     found = []
     for _ in range(4):
         red = np.linalg.cholesky(K[1:, 1:]) @ rng.standard_normal(len(K) - 1)
-        late = M @ rng.standard_normal(8) + 0.5 * rng.standard_normal(len(K)) + 2.0 * np.append(0.0, red)
+        late = (
+            M @ rng.standard_normal(8)
+            + 0.5 * rng.standard_normal(len(K))
+            + 2.0 * np.append(0.0, red)
+        )
         found.append(arrivals.sized(late, np.full(len(K), 0.3), M, K))
     white, walked = np.median(found, axis=0)
     assert white == pytest.approx(0.4, abs=0.06)  # with the 0.3 that are claimed
@@ -115,14 +125,22 @@ def test_fixes_of_made_arrivals_err_by_what_they_claim(folder):
     out = nanograv.fixes(folder, [])
     nees = out["all/nees"][:, 0]
     assert len(nees) > 150
-    assert nees.mean() / 3.0 == pytest.approx(1.0, abs=0.35)  # errors of the timing models are common to all weeks
+    assert nees.mean() / 3.0 == pytest.approx(
+        1.0, abs=0.35
+    )  # errors of the timing models are common to all weeks
     error = np.linalg.norm(out["all/error"][:, 0], axis=1)
-    assert np.sqrt(np.square(error).mean()) == pytest.approx(np.sqrt(np.square(out["all/std"]).mean()), rel=0.3)
+    assert np.sqrt(np.square(error).mean()) == pytest.approx(
+        np.sqrt(np.square(out["all/std"]).mean()), rel=0.3
+    )
 
 
 def test_a_jump_of_the_earth_is_found_where_it_went(tmp_path):
     jump = np.array([3.0, -2.0, 1.0])
-    folder = made(tmp_path / "jump", noise_km=0.01, moved=lambda day: np.where(day[:, None] >= nanograv.FLOWN, jump, 0.0))
+    folder = made(
+        tmp_path / "jump",
+        noise_km=0.01,
+        moved=lambda day: np.where(day[:, None] >= nanograv.FLOWN, jump, 0.0),
+    )
     error = nanograv.fixes(folder, [])["all/error"][:40, 0]
     np.testing.assert_allclose(np.median(error, 0), jump, atol=0.05)
 
@@ -146,13 +164,17 @@ def test_what_every_timing_model_has_is_hidden_and_the_rest_is_seen(folder):
     heard = arrivals.clocks(folder, nanograv.FLOWN, nanograv.END)
 
     def left(moved):
-        w = arrivals.weekly(heard, [c.seen(moved(c.arrivals), True) for c in heard], nanograv.FLOWN, nanograv.END)
+        w = arrivals.weekly(
+            heard, [c.seen(moved(c.arrivals), True) for c in heard], nanograv.FLOWN, nanograv.END
+        )
         return np.abs(w.fix).max()
 
     still = np.array([100.0, -50.0, 20.0])
     assert left(lambda a: np.tile(still, (len(a.day), 1))) < 1e-6
     assert left(lambda a: np.outer((a.day - 54000.0) ** 2 / 1e6, still)) < 1e-6
-    tilt = np.cross(np.array([1e-6, 2e-6, -1e-6]), np.eye(3)) * AU_KM  # axes that are turned: yearly, about 300 km
+    tilt = (
+        np.cross(np.array([1e-6, 2e-6, -1e-6]), np.eye(3)) * AU_KM
+    )  # axes that are turned: yearly, about 300 km
     assert left(lambda a: a.earth @ tilt) < 1e-6
     assert left(lambda a: np.outer(np.sin(a.day / 5.0), still)) > 50.0
 
@@ -163,7 +185,9 @@ def test_the_table_of_ephemerides_is_that_of_the_longer_one_where_both_are():
     other = read_npz(data("ephemeris_2015.npz"))
     mjd = (other["day"] - 2400000.5) + other["rest"]
     for body in ("earth", "sun"):
-        ours = nanograv.differences()[f"de421/{body}"](mjd) - nanograv.differences()[f"de405/{body}"](mjd)
+        ours = nanograv.differences()[f"de421/{body}"](mjd) - nanograv.differences()[
+            f"de405/{body}"
+        ](mjd)
         np.testing.assert_allclose(ours, other[f"de405-de421/{body}"], atol=1e-4)
 
 
@@ -182,9 +206,14 @@ def test_errors_of_the_orbit_grow_as_those_of_the_orbit_itself():
     x = np.concatenate([earth - sun, v - u])
     step = np.array([300.0, -200.0, 100.0, 1e-4, 2e-4, -1e-4])
     ends = [
-        solve_ivp(fall, (0.0, 86400.0 * (end - start)), x + sign * step, rtol=1e-12, atol=1e-6).y[:, -1] for sign in (1.0, -1.0)
+        solve_ivp(fall, (0.0, 86400.0 * (end - start)), x + sign * step, rtol=1e-12, atol=1e-6).y[
+            :, -1
+        ]
+        for sign in (1.0, -1.0)
     ]
-    np.testing.assert_allclose(nanograv.transition(start, end) @ step, 0.5 * (ends[0] - ends[1]), rtol=2e-3)
+    np.testing.assert_allclose(
+        nanograv.transition(start, end) @ step, 0.5 * (ends[0] - ends[1]), rtol=2e-3
+    )
 
 
 def test_arrivals_that_remember_are_all_arrivals_at_once(folder):
@@ -195,7 +224,9 @@ def test_arrivals_that_remember_are_all_arrivals_at_once(folder):
     w = arrivals.weekly(heard, [c.early for c in heard], nanograv.FLOWN, nanograv.END)
     error = nanograv.differences()["de405/earth"]
     prior = np.concatenate([flight.prior.mean[0], np.zeros(6)])
-    deviation = np.concatenate([np.sqrt(flight.prior.cov.diagonal()), np.repeat([nanograv.SUN_KM, nanograv.DRIFT_KM], 3)])
+    deviation = np.concatenate(
+        [np.sqrt(flight.prior.cov.diagonal()), np.repeat([nanograv.SUN_KM, nanograv.DRIFT_KM], 3)]
+    )
     N, b = np.diag(deviation**-2.0), prior / deviation**2
     total, moves = np.eye(12), []
     for k, day in enumerate(w.day):
@@ -216,7 +247,11 @@ def test_arrivals_that_remember_are_all_arrivals_at_once(folder):
             F = np.array([c.arrivals.n @ (moves[0][:3] + moves[0][6:9])] * int(first.sum()))
             z0 = (c.early + error(c.arrivals.day[c.after] + 0.5) @ c.arrivals.n)[first]
             gain = np.linalg.solve(c.cov[np.ix_(first, first)], c.cov[np.ix_(first, use)]).T
-            A, z, cov = A - gain @ F, z - gain @ z0, c.cov[np.ix_(use, use)] - gain @ c.cov[np.ix_(first, use)]
+            A, z, cov = (
+                A - gain @ F,
+                z - gain @ z0,
+                c.cov[np.ix_(use, use)] - gain @ c.cov[np.ix_(first, use)],
+            )
         else:
             cov = c.cov[np.ix_(use, use)]
         N, b = N + A.T @ np.linalg.solve(cov, A), b + A.T @ np.linalg.solve(cov, z)
@@ -242,7 +277,12 @@ def test_on_made_arrivals_the_filter_that_remembers_is_consistent(tmp_path):
 def test_the_whole_study_on_made_arrivals(folder, tmp_path):
     results = nanograv.STUDY.reproduce(nanograv=folder)
     verdicts = {claim.id: claim.verdict for claim in results.claims()}
-    assert verdicts["nanograv-fixes"] == verdicts["nanograv-ignored"] == verdicts["nanograv-swallowed"] == "shown"
+    assert (
+        verdicts["nanograv-fixes"]
+        == verdicts["nanograv-ignored"]
+        == verdicts["nanograv-swallowed"]
+        == "shown"
+    )
     for _, draw in nanograv.FIGURES.values():
         assert render(draw(results), "png")[:4] == b"\x89PNG"
     assert len(nanograv.TABLES["table_1"][1](results)) == 21
@@ -289,9 +329,13 @@ def test_files_that_are_none_are_named(folder, tmp_path):
 
 
 def test_too_few_pulsars_or_weeks_are_said(tmp_path):
-    with pytest.raises(InputError, match="expected two weeks or more in which 6 pulsars were heard, got 0"):
+    with pytest.raises(
+        InputError, match="expected two weeks or more in which 6 pulsars were heard, got 0"
+    ):
         nanograv.fixes(made(tmp_path / "few", count=4), [])
-    with pytest.raises(InputError, match="expected pulsars observed for 3 years before MJD 57754, got none"):
+    with pytest.raises(
+        InputError, match="expected pulsars observed for 3 years before MJD 57754, got none"
+    ):
         nanograv.fixes(made(tmp_path / "short", count=4, every=200.0), [])
 
 

@@ -22,10 +22,24 @@ def measured():
         return {"all": Part(numbers, len(file.read_text()), 0, 1, 1, 1.0)}
 
     rows = [
-        Row("finding", "one", "The clock runs", lambda r: Number("x", r.get("all", "x/nees").size, (4.0, 4.0), (4.0, 4.0))),
+        Row(
+            "finding",
+            "one",
+            "The clock runs",
+            lambda r: Number("x", r.get("all", "x/nees").size, (4.0, 4.0), (4.0, 4.0)),
+        ),
         Row("check", "two", "It is so", lambda r: Number("x", 1.0, (0.0, 1.5))),
     ]
-    study = Study("clocks", (), None, parts, rows, "How well does it run?", "It runs {one[0]:.1f} well.", "figure_01")
+    study = Study(
+        "clocks",
+        (),
+        None,
+        parts,
+        rows,
+        "How well does it run?",
+        "It runs {one[0]:.1f} well.",
+        "figure_01",
+    )
     plain = tiny()
     return SimpleNamespace(
         TITLE="A real <clock>", CITATION="@misc{clock, author = {Harrison, John}, year = {1761}}", RECORDINGS=[], STUDY=study,
@@ -91,7 +105,21 @@ def test_without_one_the_page_only_says_what_could_be_added(both, tmp_path):
 
 
 def test_one_study_alone(both, folder, tmp_path):
-    assert cli.main(["reproduce", "clocks", "--clocks", folder, "--out", str(tmp_path / "out"), "--jobs", "1"]) == 0
+    assert (
+        cli.main(
+            [
+                "reproduce",
+                "clocks",
+                "--clocks",
+                folder,
+                "--out",
+                str(tmp_path / "out"),
+                "--jobs",
+                "1",
+            ]
+        )
+        == 0
+    )
     assert not (tmp_path / "out/tiny").exists()
     assert 'id="clocks"' in (tmp_path / "out/index.html").read_text()
 
@@ -99,10 +127,16 @@ def test_one_study_alone(both, folder, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (["reproduce", "clocks"], "clocks: expected --clocks DIR with it, a folder of a clock's log"),
+        (
+            ["reproduce", "clocks"],
+            "clocks: expected --clocks DIR with it, a folder of a clock's log",
+        ),
         (["reproduce", "tiny", "--clocks", "."], "--clocks: expected the study clocks, got tiny"),
         (["reproduce", "--clocks", "nowhere"], "nowhere: expected a folder with a file *.txt"),
-        (["reproduce", "clock"], "unknown paper 'clock': expected one of tiny, clocks, a file FILE.py; did you mean clocks?"),
+        (
+            ["reproduce", "clock"],
+            "unknown paper 'clock': expected one of tiny, clocks, a file FILE.py; did you mean clocks?",
+        ),
         (["view", "clocks"], "clocks: has no recordings\n"),
     ],
 )

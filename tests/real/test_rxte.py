@@ -26,7 +26,9 @@ DAY, START = 49353, 537721716.0
 
 def written(path, name, columns, zero=0.0):
     """A FITS file as the instrument's programs write them."""
-    table = fits.BinTableHDU.from_columns([fits.Column(n, form, array=a) for n, form, a in columns], name=name)
+    table = fits.BinTableHDU.from_columns(
+        [fits.Column(n, form, array=a) for n, form, a in columns], name=name
+    )
     table.header.update(MJDREFI=DAY, MJDREFF=0.000696574074, TIMEZERO=zero, TIMESYS="TT")
     fits.HDUList([fits.PrimaryHDU(), table]).writeto(path, overwrite=True)
 
@@ -43,13 +45,20 @@ def made(folder, seed=0, rate=12.0, seconds=2400.0, fraction=0.6):
     at = START - 300.0 + 60.0 * np.arange(60)
     state = 1e3 * np.stack(orbit).T
     written(
-        folder / "FPorbit_Day1", "XTE_PE", [(n, "D", a) for n, a in zip(("Time", "X", "Y", "Z", "Vx", "Vy", "Vz"), [at, *state])]
+        folder / "FPorbit_Day1",
+        "XTE_PE",
+        [(n, "D", a) for n, a in zip(("Time", "X", "Y", "Z", "Vx", "Vy", "Vz"), [at, *state])],
     )
     t = np.sort(START + seconds * rng.random(rng.poisson(2.0 * rate * seconds)))
     spin = photons.read_par(folder / "model.par")
     for _ in range(2):  # the second time with what the pulse leaves of them
         channels = rng.integers(5, 50, len(t))
-        written(folder / "events.fits", "XTE_SE", [("TIME", "D", t - 3.378), ("PHA", "B", channels)], zero=3.378)
+        written(
+            folder / "events.fits",
+            "XTE_SE",
+            [("TIME", "D", t - 3.378), ("PHA", "B", channels)],
+            zero=3.378,
+        )
         photons.read.cache_clear()
         light = 1.0 + fraction * np.cos(2.0 * np.pi * photons.read(folder).cycles(1.0))
         t = t[rng.random(len(t)) < 0.5 * light] if _ == 0 else t
@@ -66,16 +75,28 @@ def folder(tmp_path_factory):
 def test_a_time_at_the_barycenter_is_that_of_the_printed_formula(folder):
     """Einstein by ERFA, Roemer and Shapiro by hand, of one photon."""
     p = photons.read(folder)
-    tt = DAY + 0.000696574074 + (START + p.t[100] + (fits.getdata(folder / "events.fits", 1)["TIME"][0] + 3.378 - START)) / DAY_S
+    tt = (
+        DAY
+        + 0.000696574074
+        + (START + p.t[100] + (fits.getdata(folder / "events.fits", 1)["TIME"][0] + 3.378 - START))
+        / DAY_S
+    )
     tdb = tt + erfa.dtdb(2400000.5, tt, 0.0, 0.0, 0.0, 0.0) / DAY_S
     date = from_tt(2400000.5, tt)
     earth, sun = (de421().state(body, date).position for body in ("earth", "sun"))
     n, r = p.spin.pulsar.direction, earth + p.place[100]
-    shapiro = 2.0 * 1.32712440041e11 / LIGHT_KM_S**3 * np.log((n @ r + np.linalg.norm(r)) / (n @ -sun + np.linalg.norm(sun)) + 1.0)
+    shapiro = (
+        2.0
+        * 1.32712440041e11
+        / LIGHT_KM_S**3
+        * np.log((n @ r + np.linalg.norm(r)) / (n @ -sun + np.linalg.norm(sun)) + 1.0)
+    )
     t = (tdb - 55308.0) * DAY_S + n @ r / LIGHT_KM_S + shapiro
     cycles = 6.5972528555 * t - 0.5 * 6.65354963e-11 * t**2
     assert p.cycles(1.0)[100] == pytest.approx(cycles, abs=1e-4)  # one double of a date has 6e-7 s
-    assert Timing([p.spin.pulsar]).delay(r, sun)[0] / LIGHT_KM_S == pytest.approx(n @ r / LIGHT_KM_S + shapiro, abs=1e-6)
+    assert Timing([p.spin.pulsar]).delay(r, sun)[0] / LIGHT_KM_S == pytest.approx(
+        n @ r / LIGHT_KM_S + shapiro, abs=1e-6
+    )
 
 
 def test_a_place_between_rows_is_that_of_the_orbit(folder):
@@ -93,7 +114,10 @@ def test_a_place_between_rows_is_that_of_the_orbit(folder):
 def test_the_h_test_is_that_of_its_definition():
     rng = np.random.default_rng(1)
     phase = rng.random(500)
-    z = [2.0 / 500 * sum(np.abs(np.exp(2j * np.pi * k * phase).sum()) ** 2 for k in range(1, m + 1)) for m in range(1, 21)]
+    z = [
+        2.0 / 500 * sum(np.abs(np.exp(2j * np.pi * k * phase).sum()) ** 2 for k in range(1, m + 1))
+        for m in range(1, 21)
+    ]
     expected = max(value - 4.0 * m + 4.0 for m, value in enumerate(z, 1))
     assert rxte.h_test(rxte.harmonics(phase, np.arange(500) % 7)) == pytest.approx(expected)
 
@@ -101,10 +125,14 @@ def test_the_h_test_is_that_of_its_definition():
 def test_without_a_pulse_the_h_test_has_its_known_law():
     """P(H > h) = exp(-0.4 h) [de Jager & Buesching 2010]."""
     rng = np.random.default_rng(2)
-    h = np.array([rxte.h_test(rxte.harmonics(rng.random(400), np.zeros(400, int))) for _ in range(1500)])
+    h = np.array(
+        [rxte.h_test(rxte.harmonics(rng.random(400), np.zeros(400, int))) for _ in range(1500)]
+    )
     for level in (2.0, 5.0, 8.0):
         expected = np.exp(-0.4 * level)
-        assert (h > level).mean() == pytest.approx(expected, abs=4.0 * np.sqrt(expected / 1500) + 0.02)
+        assert (h > level).mean() == pytest.approx(
+            expected, abs=4.0 * np.sqrt(expected / 1500) + 0.02
+        )
 
 
 def test_a_light_curve_has_the_information_of_its_formula():
@@ -176,7 +204,9 @@ def test_a_timing_model_that_cannot_be_is_named(tmp_path, old, new, message):
 
 
 def test_a_model_in_tempos_own_words_is_read(tmp_path):
-    (tmp_path / "a.par").write_text(PAR.replace("6.5972528555", "0.65972528555D+01").replace("-59:08", "+59:08"))
+    (tmp_path / "a.par").write_text(
+        PAR.replace("6.5972528555", "0.65972528555D+01").replace("-59:08", "+59:08")
+    )
     spin = photons.read_par(tmp_path / "a.par")
     assert spin.rates[0] == pytest.approx(6.5972528555)
     assert spin.pulsar.declination_deg == pytest.approx(59.0 + 8.0 / 60.0 + 9.0 / 3600.0)
@@ -185,9 +215,20 @@ def test_a_model_in_tempos_own_words_is_read(tmp_path):
 def test_an_orbit_of_another_day_and_too_few_photons_are_refused(folder, tmp_path):
     place = shutil.copytree(folder, tmp_path / "other")
     t = fits.getdata(folder / "events.fits", 1)["TIME"]
-    cases = [(t + 1e5, "expected the orbit from"), (t[:50], "expected 1000 photons or more"), (t[::-1], "do not go back in TIME")]
-    for times, message in [*cases, (np.where(np.arange(len(t)) == 7, np.nan, t), r"expected finite numbers \(N,\) in TIME")]:
-        written(place / "events.fits", "XTE_SE", [("TIME", "D", times), ("PHA", "B", np.full(len(times), 9))])
+    cases = [
+        (t + 1e5, "expected the orbit from"),
+        (t[:50], "expected 1000 photons or more"),
+        (t[::-1], "do not go back in TIME"),
+    ]
+    for times, message in [
+        *cases,
+        (np.where(np.arange(len(t)) == 7, np.nan, t), r"expected finite numbers \(N,\) in TIME"),
+    ]:
+        written(
+            place / "events.fits",
+            "XTE_SE",
+            [("TIME", "D", times), ("PHA", "B", np.full(len(times), 9))],
+        )
         photons.read.cache_clear()
         with pytest.raises(InputError, match=message):
             photons.read(place)
@@ -220,7 +261,12 @@ def test_damaged_tables_are_named(folder, tmp_path):
 
 def test_what_is_missing_is_said_with_a_command(folder, monkeypatch):
     monkeypatch.setitem(sys.modules, "astropy.io", None)
-    with pytest.raises(ImportError, match=r'\.venv/bin/pip install -c constraints\.txt -e "\.\[real\]"'), contextlib.nullcontext():
+    with (
+        pytest.raises(
+            ImportError, match=r'\.venv/bin/pip install -c constraints\.txt -e "\.\[real\]"'
+        ),
+        contextlib.nullcontext(),
+    ):
         photons.table(folder / "events.fits", "XTE_SE", ("TIME",))
 
 

@@ -25,12 +25,19 @@ def noisy():
     b, times = constellation(), TOE + 1800.0 + 30.0 * np.arange(40)
     log = observed(b, times, 3e4 + 30.0 * (times - times[0]))
     rng = np.random.default_rng(5)
-    code, doppler = log.code + NOISE * rng.normal(size=log.code.shape), log.doppler + 0.1 * rng.normal(size=log.doppler.shape)
-    return Navigation(Path("nav.rnx"), b, (np.array(ALPHA), np.array(BETA))), replace(log, code=code, doppler=doppler)
+    code, doppler = (
+        log.code + NOISE * rng.normal(size=log.code.shape),
+        log.doppler + 0.1 * rng.normal(size=log.doppler.shape),
+    )
+    return Navigation(Path("nav.rnx"), b, (np.array(ALPHA), np.array(BETA))), replace(
+        log, code=code, doppler=doppler
+    )
 
 
 def off(found, filter):
-    return np.linalg.norm(positioning_report.position(found, filter, None).mean[:, :3] - PLACE, axis=-1)
+    return np.linalg.norm(
+        positioning_report.position(found, filter, None).mean[:, :3] - PLACE, axis=-1
+    )
 
 
 def high(nav, obs, count):
@@ -55,7 +62,11 @@ def test_a_faulty_satellite_is_excluded_for_every_filter(noisy, error):
         assert off(found, filter).max() < 8.0, filter
     lines = positioning_report.summary(positioning_report.position(found, "ls", None))
     assert f"ranges excluded at 40 epochs ({found.names[s]} 40)" in lines
-    rows = list(csv.DictReader(positioning_report.table(positioning_report.position(found, "ls", None)).splitlines()))
+    rows = list(
+        csv.DictReader(
+            positioning_report.table(positioning_report.position(found, "ls", None)).splitlines()
+        )
+    )
     assert {row["integrity"] for row in rows} == {"excluded"}
     assert {row["excluded"] for row in rows} == {found.names[s]}
 
@@ -67,7 +78,9 @@ def test_without_the_test_a_faulty_satellite_is_believed(noisy):
     found = positioning.prepare(replace(obs, code=code), nav, sigma=(1.5, 0.05), false_alarm=0.0)
     assert not found.excluded.any()
     assert off(found, "ls").min() > 1e3
-    assert "not tested" in positioning_report.summary(positioning_report.position(found, "ls", None))
+    assert "not tested" in positioning_report.summary(
+        positioning_report.position(found, "ls", None)
+    )
 
 
 def test_several_faulty_satellites_are_excluded(noisy):
@@ -79,7 +92,9 @@ def test_several_faulty_satellites_are_excluded(noisy):
     assert off(found, "aukf").max() < 10.0
 
 
-@pytest.mark.parametrize(("part", "change"), [("M0", 1e-3), ("Omega0", -0.1), ("sqrt_a", 1.0), ("a0", 1e-4), ("e", 0.2)])
+@pytest.mark.parametrize(
+    ("part", "change"), [("M0", 1e-3), ("Omega0", -0.1), ("sqrt_a", 1.0), ("a0", 1e-4), ("e", 0.2)]
+)
 def test_a_wrong_broadcast_orbit_is_excluded(noisy, part, change):
     nav, obs = noisy
     (s,) = high(nav, obs, 1)
@@ -120,8 +135,15 @@ def test_where_no_redundancy_is_left_it_is_said(noisy, left, state):
     assert found.used[20].sum() == (0 if left == 5 else 4)
     result = positioning_report.position(found, "ekf", None)
     assert off(found, "ekf").max() < 50.0
-    assert list(csv.DictReader(positioning_report.table(result).splitlines()))[20]["integrity"] == state
-    words = "1 epochs not used whose ranges contradict each other" if left == 5 else "1 without redundancy, which nothing tests"
+    assert (
+        list(csv.DictReader(positioning_report.table(result).splitlines()))[20]["integrity"]
+        == state
+    )
+    words = (
+        "1 epochs not used whose ranges contradict each other"
+        if left == 5
+        else "1 without redundancy, which nothing tests"
+    )
     assert words in positioning_report.summary(result)
 
 
@@ -143,7 +165,9 @@ def test_noise_is_estimated_from_residuals(noisy):
     S, used = len(found.names), found.used
     assert found.noise[0].redundancy == used.sum() - 4 * 40
     assert np.sqrt(np.square(found.sigma[:, :S][used]).mean()) == pytest.approx(NOISE, rel=0.1)
-    assert np.sqrt(np.square(found.sigma[:, S:][used]).mean()) == pytest.approx(0.1 * LIGHT / B1I_HZ, rel=0.1)
+    assert np.sqrt(np.square(found.sigma[:, S:][used]).mean()) == pytest.approx(
+        0.1 * LIGHT / B1I_HZ, rel=0.1
+    )
     result = positioning_report.position(found, "ls", PLACE)
     error = result.mean[:, :3] - PLACE
     ratio = np.einsum("ti,tij,tj->t", error, np.linalg.pinv(result.cov), error).mean() / 3.0
@@ -154,16 +178,23 @@ def test_noise_is_estimated_from_residuals(noisy):
     assert f"estimated from {found.noise[0].redundancy} redundant ones" in lines
     kept = positioning.prepare(obs, nav, sigma=(1.5, 0.05))
     assert positioning_report.position(kept, "ls", PLACE).nis < 0.2
-    assert "not estimated" in positioning_report.summary(positioning_report.position(kept, "ls", PLACE))
+    assert "not estimated" in positioning_report.summary(
+        positioning_report.position(kept, "ls", PLACE)
+    )
 
 
 def test_noise_that_grows_towards_the_horizon_is_told_from_noise_that_does_not(noisy):
     nav, obs = noisy
     b, times = nav.sets, obs.times[0] + 30.0 * np.arange(150)
     clean = observed(b, times, 3e4 + 30.0 * (times - times[0]))
-    sky = np.nan_to_num(positioning.prepare(clean, nav, sigma=(1.5, 0.05), mask_deg=0.0).elevation, nan=1.0)
+    sky = np.nan_to_num(
+        positioning.prepare(clean, nav, sigma=(1.5, 0.05), mask_deg=0.0).elevation, nan=1.0
+    )
     size = np.hypot(0.6, 0.4 / np.sin(np.maximum(sky, 0.1)))
-    found = positioning.prepare(replace(clean, code=clean.code + size * np.random.default_rng(1).normal(size=size.shape)), nav)
+    found = positioning.prepare(
+        replace(clean, code=clean.code + size * np.random.default_rng(1).normal(size=size.shape)),
+        nav,
+    )
     assert found.noise[0].zenith == pytest.approx(0.4, rel=0.15)
     assert found.noise[0].level == pytest.approx(0.6, rel=0.2)
 
@@ -174,7 +205,9 @@ def test_a_receiver_that_is_noisy_is_no_fault(noisy):
     found = positioning.prepare(replace(obs, code=code), nav)
     assert found.excluded.sum() <= 2
     assert not found.unusable.any()
-    assert np.sqrt(np.square(found.sigma[:, : len(found.names)][found.used]).mean()) == pytest.approx(8.0, rel=0.1)
+    assert np.sqrt(
+        np.square(found.sigma[:, : len(found.names)][found.used]).mean()
+    ) == pytest.approx(8.0, rel=0.1)
 
 
 def test_too_little_to_estimate_noise_of_keeps_what_is_usual(noisy):
@@ -186,7 +219,9 @@ def test_too_little_to_estimate_noise_of_keeps_what_is_usual(noisy):
 def test_fewer_than_four_satellites_are_told(noisy):
     nav, obs = noisy
     for count in (1, 2, 3):
-        few = replace(obs, names=obs.names[:count], code=obs.code[:, :count], doppler=obs.doppler[:, :count])
+        few = replace(
+            obs, names=obs.names[:count], code=obs.code[:, :count], doppler=obs.doppler[:, :count]
+        )
         with pytest.raises(InputError, match=r"expected an epoch with four satellites"):
             positioning.prepare(few, nav)
 

@@ -12,7 +12,11 @@ from celnav.receiver.least_squares import least_squares
 
 H = np.array([[1.0, 0.0], [0.5, 1.0], [0.0, 2.0], [1.0, -1.0]])
 SIGMA = np.array([0.5, 1.0, 2.0, 0.7])
-FUNCTION = Sensor(lambda x, _e: x @ H.T, np.diag(SIGMA**2), jacobian=lambda x, _e: np.broadcast_to(H, (*x.shape[:-1], 4, 2)))
+FUNCTION = Sensor(
+    lambda x, _e: x @ H.T,
+    np.diag(SIGMA**2),
+    jacobian=lambda x, _e: np.broadcast_to(H, (*x.shape[:-1], 4, 2)),
+)
 MATRIX = Sensor(H, np.diag(SIGMA**2))
 EITHER = pytest.mark.parametrize("sensor", [FUNCTION, MATRIX], ids=["function", "matrix"])
 
@@ -66,7 +70,12 @@ def test_a_receiver_is_found_from_the_middle_of_the_earth():
         (lambda: least_squares(lambda x, _e: x), "sensor"),
         (lambda: least_squares(Sensor(lambda x, _e: x, np.eye(2))), "sensor"),
         (lambda: least_squares(MATRIX, rounds=0), "rounds"),
-        (lambda: run(least_squares(Sensor(H, np.zeros((4, 4)))), guess(), epochs([0.0], np.ones((1, 4)))), "R"),
+        (
+            lambda: run(
+                least_squares(Sensor(H, np.zeros((4, 4)))), guess(), epochs([0.0], np.ones((1, 4)))
+            ),
+            "R",
+        ),
         (lambda: run(least_squares(MATRIX), guess(), epochs([0.0], np.ones((1, 3)))), "z"),
     ],
 )
@@ -81,9 +90,15 @@ def test_fewer_measurements_than_states_make_no_fix(shape, matrix):
     """Nor an error, with whatever runs: the state is nan, and a later whole measurement starts from the last fix."""
     m, few = shape[-1], np.eye(3)[: shape[-1]]
     seen = lambda x, _e: np.broadcast_to(few, (*x.shape[:-1], m, 3))  # noqa: E731
-    sensor = Sensor(few, np.eye(m)) if matrix else Sensor(lambda x, _e: x @ few.T, np.eye(m), jacobian=seen)
+    sensor = (
+        Sensor(few, np.eye(m))
+        if matrix
+        else Sensor(lambda x, _e: x @ few.T, np.eye(m), jacobian=seen)
+    )
     prior = Gaussian(np.zeros((*shape[:-1], 3)), np.eye(3))
-    track = run(least_squares(sensor), prior, epochs([0.0, 1.0], np.ones((2, *shape))), on_failure="flag")
+    track = run(
+        least_squares(sensor), prior, epochs([0.0, 1.0], np.ones((2, *shape))), on_failure="flag"
+    )
     assert track.mean.shape == (2, *shape[:-1], 3)
     assert np.isnan(track.mean).all()
     np.testing.assert_array_equal(track.failed_at, np.zeros(shape[:-1]))

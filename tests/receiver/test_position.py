@@ -28,7 +28,9 @@ DRIFTING = 3e4 + 30.0 * (LONG - LONG[0])
 @pytest.fixture(scope="module")
 def pair():
     b = constellation()
-    return Navigation(Path("nav.rnx"), b, (np.array(ALPHA), np.array(BETA))), observed(b, LONG, DRIFTING)
+    return Navigation(Path("nav.rnx"), b, (np.array(ALPHA), np.array(BETA))), observed(
+        b, LONG, DRIFTING
+    )
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +49,9 @@ def test_fixes_find_the_receiver_without_being_told_where_it_is(log):
 def test_every_filter_finds_it_too(log):
     for name, filter in positioning_filters.filters(len(log.names)).items():
         mean = run(filter, log.prior(), log.epochs(), keep="mean").mean
-        np.testing.assert_allclose(mean[:, :3], np.broadcast_to(PLACE, (12, 3)), atol=2e-3, err_msg=name)
+        np.testing.assert_allclose(
+            mean[:, :3], np.broadcast_to(PLACE, (12, 3)), atol=2e-3, err_msg=name
+        )
 
 
 def test_the_mask_leaves_out_what_is_low(pair, log):
@@ -107,7 +111,10 @@ def test_pseudoranges_out_of_all_bounds_are_left_out_and_counted(pair):
     nav, obs = pair
     code = obs.code.copy()
     code[2, 0] = 1e6
-    assert positioning.prepare(replace(obs, code=code), nav).left_out["pseudorange out of all bounds"] == 1
+    assert (
+        positioning.prepare(replace(obs, code=code), nav).left_out["pseudorange out of all bounds"]
+        == 1
+    )
 
 
 def test_rates_may_be_missing(pair):
@@ -115,7 +122,12 @@ def test_rates_may_be_missing(pair):
     found = positioning.prepare(replace(obs, doppler=np.full_like(obs.doppler, np.nan)), nav)
     np.testing.assert_allclose(found.fixes[:, :3], np.broadcast_to(PLACE, (12, 3)), atol=1e-4)
     assert np.isnan(found.fixes[:, 3:6]).all()
-    plain = run(positioning_filters.filters(len(found.names))["ekf"], found.prior(), found.epochs(), keep="mean").mean
+    plain = run(
+        positioning_filters.filters(len(found.names))["ekf"],
+        found.prior(),
+        found.epochs(),
+        keep="mean",
+    ).mean
     for name, filter in positioning_filters.filters(len(found.names)).items():
         mean = run(filter, found.prior(), found.epochs(), keep="mean").mean
         if name != "sage-husa":  # nothing says how the clock runs, and it takes that for noise
@@ -159,7 +171,9 @@ def test_a_clock_that_is_set_in_a_gap_costs_the_ranges_of_the_gap(pair):
         assert not found.used[5:7].any()
         np.testing.assert_allclose(found.jumps, 1e-3 * LIGHT * (np.arange(12) >= 7))
         np.testing.assert_allclose(found.fixes[7:, 6], DRIFTING[7:], atol=1e-3)
-        assert np.abs(positioning_report.position(found, "ekf", None).mean[:, :3] - PLACE).max() < 1.0
+        assert (
+            np.abs(positioning_report.position(found, "ekf", None).mean[:, :3] - PLACE).max() < 1.0
+        )
 
 
 def test_a_fast_clock_without_rates_is_no_jump(pair):
@@ -184,7 +198,9 @@ def test_the_nearest_set_is_asked_for_its_health(pair):
     nav, _ = pair
     sets = nav.sets
     later = replace(sets.chosen(np.array([4])), toe=sets.toe[4:5] + 3600.0, health=np.ones(1))
-    both = type(sets)(*(np.concatenate([getattr(sets, f), getattr(later, f)]) for f in sets.__dataclass_fields__))
+    both = type(sets)(
+        *(np.concatenate([getattr(sets, f), getattr(later, f)]) for f in sets.__dataclass_fields__)
+    )
     name = sets.names[4]
     found = replace(nav, sets=both).nearest(name, [sets.toe[4] + 1700.0, sets.toe[4] + 1900.0])
     assert found.tolist() == [4, -1]
@@ -193,15 +209,21 @@ def test_the_nearest_set_is_asked_for_its_health(pair):
 def test_what_corrects_the_ionosphere_is_told(pair):
     nav, obs = pair
     with_it, without = (positioning.prepare(obs, n) for n in (nav, replace(nav, klobuchar=None)))
-    assert "by the broadcast coefficients" in positioning_report.summary(positioning_report.position(with_it, "ls", None))
-    assert "not corrected" in positioning_report.summary(positioning_report.position(without, "ls", None))
+    assert "by the broadcast coefficients" in positioning_report.summary(
+        positioning_report.position(with_it, "ls", None)
+    )
+    assert "not corrected" in positioning_report.summary(
+        positioning_report.position(without, "ls", None)
+    )
 
 
 def test_too_few_satellites_are_told_with_the_files(pair):
     nav, obs = pair
     code = obs.code.copy()
     code[:, 3:] = np.nan
-    with pytest.raises(InputError, match=r"obs\.rnx, .*nav\.rnx: expected an epoch with four satellites"):
+    with pytest.raises(
+        InputError, match=r"obs\.rnx, .*nav\.rnx: expected an epoch with four satellites"
+    ):
         positioning.prepare(replace(obs, code=code), nav)
 
 
@@ -214,7 +236,11 @@ def test_unknown_filters_and_noises_are_told(log):
 
 def test_the_table_has_a_row_for_each_epoch(pair):
     log = positioning.prepare(pair[1], pair[0], sigma=(1.5, 0.05))
-    rows = list(csv.DictReader(positioning_report.table(positioning_report.position(log, "ls", None)).splitlines()))
+    rows = list(
+        csv.DictReader(
+            positioning_report.table(positioning_report.position(log, "ls", None)).splitlines()
+        )
+    )
     assert len(rows) == 12
     assert rows[0]["time_bdt"] == positioning_report.civil(LONG[0])
     assert float(rows[3]["x_m"]) == pytest.approx(PLACE[0], abs=1e-3)
@@ -223,6 +249,8 @@ def test_the_table_has_a_row_for_each_epoch(pair):
 
 
 def test_the_recording_is_whole(log, tmp_path):
-    positioning_report.record_positioned(positioning_report.position(log, "ekf", PLACE), tmp_path / "p.rrd")
+    positioning_report.record_positioned(
+        positioning_report.position(log, "ekf", PLACE), tmp_path / "p.rrd"
+    )
     (found,) = rr.chunk.RrdReader(tmp_path / "p.rrd").recordings()
     assert found.application_id == "celnav-position"

@@ -20,7 +20,9 @@ from celnav.receiver.tracks import FORMATS
 @pytest.fixture
 def files(tmp_path):
     b = constellation()
-    return str(written(tmp_path, observations(b, TIMES)[0], "obs.rnx")), str(written(tmp_path, navigation(b), "nav.rnx"))
+    return str(written(tmp_path, observations(b, TIMES)[0], "obs.rnx")), str(
+        written(tmp_path, navigation(b), "nav.rnx")
+    )
 
 
 def test_position_writes_everything_and_replaces_its_own(files, tmp_path, capsys):
@@ -28,7 +30,11 @@ def test_position_writes_everything_and_replaces_its_own(files, tmp_path, capsys
     Outputs(out).text("summary.txt", "of an earlier run")
     assert cli.main(["position", *files, "--out", str(out)]) == 0
     printed = capsys.readouterr().out
-    assert {p.name for p in out.iterdir()} == {*positioning_report.FILES, positioning_report.RECORDING, ".celnav.json"}
+    assert {p.name for p in out.iterdir()} == {
+        *positioning_report.FILES,
+        positioning_report.RECORDING,
+        ".celnav.json",
+    }
     assert float(printed.split("error")[1].split()[0]) == pytest.approx(
         0.5, abs=0.02
     )  # the antenna is half a meter above the marker
@@ -42,25 +48,41 @@ def test_position_writes_everything_and_replaces_its_own(files, tmp_path, capsys
         (["--filter", "aukff"], 2, "celnav: --filter: expected one of ls, ekf"),
         (["--mask", "ten"], 2, "celnav: --mask: expected a number"),
         (["--mask", "91"], 2, "celnav: --mask: expected degrees from 0 to below 90, got 91"),
-        (["--acceleration-noise", "-1"], 2, "celnav: --acceleration-noise: expected a positive density"),
+        (
+            ["--acceleration-noise", "-1"],
+            2,
+            "celnav: --acceleration-noise: expected a positive density",
+        ),
         (["--position", "1", "2", "east"], 2, "celnav: --position: expected a number"),
         (["--position", "32", "118", "50"], 2, "celnav: --position: expected Earth-fixed meters"),
-        (["--position", "1e200", "1e200", "0"], 2, "celnav: --position: expected Earth-fixed meters"),
+        (
+            ["--position", "1e200", "1e200", "0"],
+            2,
+            "celnav: --position: expected Earth-fixed meters",
+        ),
         (["--position", "nan", "0", "0"], 2, "celnav: --position: expected Earth-fixed meters"),
         (["--mask", "nan"], 2, "celnav: --mask: expected degrees"),
         (["--sigma", "1", "0"], 2, "celnav: --sigma: expected positive deviations"),
         (["--sigma", "1", "low"], 2, "celnav: --sigma: expected a number"),
-        (["--false-alarm", "1"], 2, "celnav: --false-alarm: expected a probability from 0 to below 1"),
+        (
+            ["--false-alarm", "1"],
+            2,
+            "celnav: --false-alarm: expected a probability from 0 to below 1",
+        ),
     ],
 )
-def test_options_that_cannot_be_are_told_in_one_line(files, tmp_path, capsys, options, status, words):
+def test_options_that_cannot_be_are_told_in_one_line(
+    files, tmp_path, capsys, options, status, words
+):
     assert cli.main(["position", *files, "--out", str(tmp_path / "out"), *options]) == status
     error = capsys.readouterr().err
     assert words in error
     assert error.count("\n") == 1
 
 
-def test_another_position_is_compared_with_from_another_folder(files, tmp_path, monkeypatch, capsys):
+def test_another_position_is_compared_with_from_another_folder(
+    files, tmp_path, monkeypatch, capsys
+):
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
     away = [str(v) for v in PLACE + np.array([100.0, 0.0, 0.0])]
@@ -77,21 +99,33 @@ KIND = "C    1 C2I".ljust(60) + "SYS / # / OBS TYPES"
 SCALE = "C   10".ljust(60) + "SYS / SCALE FACTOR\n"
 OBSERVATIONS = {
     "a garbled date": (
-        lambda t: t.replace("> 2011", "> 20x1", 1) if "> 2011" in t else re.sub(r"> (...)\d", r"> \1x", t, count=1),
+        lambda t: (
+            t.replace("> 2011", "> 20x1", 1)
+            if "> 2011" in t
+            else re.sub(r"> (...)\d", r"> \1x", t, count=1)
+        ),
         "expected date, flag and number of an epoch",
     ),
     "a count below nothing": (
         lambda t: re.sub(r"(> .{29}0).{3}", r"\1 -1", t, count=1),
         "expected date, flag and number of an epoch",
     ),
-    "a garbled satellite": (lambda t: t.replace("\nC05", "\nCx5", 1), "expected a satellite (C01), got 'Cx5'"),
+    "a garbled satellite": (
+        lambda t: t.replace("\nC05", "\nCx5", 1),
+        "expected a satellite (C01), got 'Cx5'",
+    ),
     "a garbled range": (
         lambda t: t.replace(first_row(t), "C05" + "  3xxxxx16.123".rjust(14), 1),
         "expected a number, got '3xxxxx16.123'",
     ),
-    "a row that is cut off": (lambda t: t.replace(first_row(t), first_row(t)[:-7], 1), "the last one is cut off"),
+    "a row that is cut off": (
+        lambda t: t.replace(first_row(t), first_row(t)[:-7], 1),
+        "the last one is cut off",
+    ),
     "a position in kilometers": (
-        lambda t: t.replace("".join(f"{v:14.4f}" for v in PLACE), "".join(f"{v / 1e3:14.4f}" for v in PLACE)),
+        lambda t: t.replace(
+            "".join(f"{v:14.4f}" for v in PLACE), "".join(f"{v / 1e3:14.4f}" for v in PLACE)
+        ),
         "APPROX",
     ),
     "a garbled position": (
@@ -100,11 +134,17 @@ OBSERVATIONS = {
     ),
     "a new kind in an event": (
         lambda t: re.sub(
-            r"(> .{29})0(.{3}.*\n)", "\\g<1>4  1\n" + "C    1 C2I".ljust(60) + "SYS / # / OBS TYPES\n\\g<0>", t, count=1
+            r"(> .{29})0(.{3}.*\n)",
+            "\\g<1>4  1\n" + "C    1 C2I".ljust(60) + "SYS / # / OBS TYPES\n\\g<0>",
+            t,
+            count=1,
         ),
         "expected observations of one kind",
     ),
-    "a scale": (lambda t: t.replace("".ljust(60) + "END", SCALE + "".ljust(60) + "END", 1), "SCALE"),
+    "a scale": (
+        lambda t: t.replace("".ljust(60) + "END", SCALE + "".ljust(60) + "END", 1),
+        "SCALE",
+    ),
 }
 
 
@@ -121,10 +161,18 @@ def test_damaged_observations_are_told(name, tmp_path):
 def test_events_in_a_log_are_passed_over(tmp_path):
     text = observations(constellation(), TIMES)[0]
     whole = read_observations(written(tmp_path, text, "whole.rnx"))
-    event = ">                              4  2\n" + "CABLE CHANGED".ljust(60) + "COMMENT\n" + "C05 IS LOW".ljust(60) + "COMMENT\n"
+    event = (
+        ">                              4  2\n"
+        + "CABLE CHANGED".ljust(60)
+        + "COMMENT\n"
+        + "C05 IS LOW".ljust(60)
+        + "COMMENT\n"
+    )
     lines = text.splitlines(keepends=True)
     second = [k for k, line in enumerate(lines) if line.startswith(">")][1]
-    found = read_observations(written(tmp_path, "".join([*lines[:second], event, *lines[second:]]), "event.rnx"))
+    found = read_observations(
+        written(tmp_path, "".join([*lines[:second], event, *lines[second:]]), "event.rnx")
+    )
     np.testing.assert_array_equal(found.code, whole.code)
     assert len(found.times) == 3
 
@@ -157,15 +205,23 @@ def test_damaged_orbits_are_told(name, tmp_path):
         (lambda t: "", "got an empty one"),
         (lambda t: t[: t.index("END OF HEADER") - 100], "expected END OF HEADER"),
         (lambda t: t[: t.index("END OF HEADER") + 14], "got n"),
-        (lambda t: t.replace("     3.04", "     2.11", 1), "line 1: expected RINEX 3, got version 2.11"),
-        (lambda t: t.replace("     3.04", "     4.00", 1), "line 1: expected RINEX 3, got version 4"),
+        (
+            lambda t: t.replace("     3.04", "     2.11", 1),
+            "line 1: expected RINEX 3, got version 2.11",
+        ),
+        (
+            lambda t: t.replace("     3.04", "     4.00", 1),
+            "line 1: expected RINEX 3, got version 4",
+        ),
         (
             lambda t: t.replace("C: BDS  ", "R: GLO  ", 1).replace("M: Mixed", "R: GLO  ", 1),
             "line 1: expected BeiDou (C), GPS (G) or mixed (M)",
         ),
     ],
 )
-def test_damaged_files_are_one_line_and_nothing_is_written(files, tmp_path, capsys, which, damage, words):
+def test_damaged_files_are_one_line_and_nothing_is_written(
+    files, tmp_path, capsys, which, damage, words
+):
     path = Path(files[which])
     path.write_text(damage(path.read_text("ascii")), "ascii")
     out = tmp_path / "out"
@@ -193,7 +249,10 @@ def test_a_log_of_one_epoch_is_positioned_without_a_recording(files, tmp_path, c
 
 
 def test_absent_files_and_foreign_results_are_told(files, tmp_path, capsys):
-    assert cli.main(["position", files[0], str(tmp_path / "none.rnx"), "--out", str(tmp_path / "out")]) == 2
+    assert (
+        cli.main(["position", files[0], str(tmp_path / "none.rnx"), "--out", str(tmp_path / "out")])
+        == 2
+    )
     assert "none.rnx" in capsys.readouterr().err
     (tmp_path / "out" / "track.csv").write_text("mine", encoding="ascii")
     assert cli.main(["position", *files, "--out", str(tmp_path / "out")]) == 2
@@ -219,7 +278,10 @@ def damaged(text, rng):
         case "end":
             return text[: int(rng.integers(len(text)))]
         case "name":
-            lines[k] = str(rng.choice(["Cxx", "C00", "C 1", "X01", "G1", "Gxx", "G99", "C05"])) + lines[k][3:]
+            lines[k] = (
+                str(rng.choice(["Cxx", "C00", "C 1", "X01", "G1", "Gxx", "G99", "C05"]))
+                + lines[k][3:]
+            )
     return "\n".join(lines)
 
 
@@ -229,12 +291,16 @@ def test_damage_is_an_error_of_input_or_is_told_in_the_summary(tmp_path, which, 
     b = make()
     texts = {"observations": observations(b, TIMES)[0], "navigation": navigation(b)}
     read = {"observations": read_observations, "navigation": read_navigation}
-    whole = {name: read[name](written(tmp_path, text, f"{name}.rnx")) for name, text in texts.items()}
+    whole = {
+        name: read[name](written(tmp_path, text, f"{name}.rnx")) for name, text in texts.items()
+    }
     refused = []
     for n in range(60):
         path = written(tmp_path, damaged(texts[which], np.random.default_rng(n)), f"{which}.rnx")
         try:
-            result = positioning_report.position(positioning.prepare(**(whole | {which: read[which](path)})), "ls", None)
+            result = positioning_report.position(
+                positioning.prepare(**(whole | {which: read[which](path)})), "ls", None
+            )
         except InputError as error:
             refused.append(str(error))
         else:

@@ -13,7 +13,17 @@ from pathlib import Path
 import hatanaka
 import numpy as np
 import pytest
-from rinex_pair import ALPHA, BETA, PLACE, TIMES, TOE, constellation, navigation, observations, written
+from rinex_pair import (
+    ALPHA,
+    BETA,
+    PLACE,
+    TIMES,
+    TOE,
+    constellation,
+    navigation,
+    observations,
+    written,
+)
 
 import celnav
 from celnav.models.gnss import satellites
@@ -30,8 +40,13 @@ def test_broadcast_orbits_are_read_as_written(texts, tmp_path):
     b, text, *_ = texts
     found = read_navigation(written(tmp_path, text))
     order = [found.sets.names.index(name) for name in b.names]
-    ours, theirs = satellites(found.sets.chosen(np.array(order)), TOE + 900.0), satellites(b, TOE + 900.0)
-    np.testing.assert_allclose(ours.position, theirs.position, rtol=0, atol=1e-3)  # twelve digits of the orbit
+    ours, theirs = (
+        satellites(found.sets.chosen(np.array(order)), TOE + 900.0),
+        satellites(b, TOE + 900.0),
+    )
+    np.testing.assert_allclose(
+        ours.position, theirs.position, rtol=0, atol=1e-3
+    )  # twelve digits of the orbit
     np.testing.assert_allclose(ours.clock, theirs.clock, rtol=0, atol=1e-15)
     np.testing.assert_allclose(found.klobuchar, [ALPHA, BETA])
 
@@ -68,7 +83,9 @@ def test_a_set_is_chosen_by_time_kind_and_health(texts, tmp_path):
     assert found.nearest("C19", TOE + 7000.0) >= 0
     assert found.nearest("C19", TOE + 7300.0) == -1
     assert found.nearest("C01", TOE + 3500.0) >= 0
-    assert found.nearest("C01", TOE + 3700.0) == -1  # of a geostationary satellite a set is good for an hour
+    assert (
+        found.nearest("C01", TOE + 3700.0) == -1
+    )  # of a geostationary satellite a set is good for an hour
     assert found.nearest("C20", TOE) == -1
     assert found.nearest("C30", TOE) >= 0
     assert found.nearest("C58", TOE) == -1
@@ -77,10 +94,19 @@ def test_a_set_is_chosen_by_time_kind_and_health(texts, tmp_path):
 DAMAGE = {
     "empty": (lambda _t: "", r"expected a RINEX file, got an empty one"),
     "text": (lambda _t: "hello\nworld\n", r"line 1: expected RINEX VERSION / TYPE"),
-    "version 2": (lambda t: t.replace("     3.04", "     2.11", 1), r"line 1: expected RINEX 3, got version 2\.11"),
-    "version 4": (lambda t: t.replace("     3.04", "     4.00", 1), r"line 1: expected RINEX 3, got version 4"),
+    "version 2": (
+        lambda t: t.replace("     3.04", "     2.11", 1),
+        r"line 1: expected RINEX 3, got version 2\.11",
+    ),
+    "version 4": (
+        lambda t: t.replace("     3.04", "     4.00", 1),
+        r"line 1: expected RINEX 3, got version 4",
+    ),
     "no end": (lambda t: t.split("END OF HEADER")[0], r"line \d+: expected END OF HEADER"),
-    "glonass": (lambda t: t.replace("M: Mixed", "R: GLONASS", 1).replace("C: BDS", "R: GLONASS", 1), r"line 1: .*got system 'R'"),
+    "glonass": (
+        lambda t: t.replace("M: Mixed", "R: GLONASS", 1).replace("C: BDS", "R: GLONASS", 1),
+        r"line 1: .*got system 'R'",
+    ),
 }
 
 
@@ -88,7 +114,9 @@ DAMAGE = {
 @pytest.mark.parametrize("kind", ["observations", "navigation"])
 def test_what_is_damaged_is_refused_with_file_and_line(texts, tmp_path, kind, damage):
     change, message = DAMAGE[damage]
-    text, read = (texts[2], read_observations) if kind == "observations" else (texts[1], read_navigation)
+    text, read = (
+        (texts[2], read_observations) if kind == "observations" else (texts[1], read_navigation)
+    )
     path = written(tmp_path, change(text))
     with pytest.raises(ValueError, match=message) as caught:
         read(path)
@@ -111,9 +139,13 @@ def test_observations_that_are_not_whole_are_refused(texts, tmp_path, change, me
 
 
 def test_the_one_for_the_other_and_a_broken_archive_are_refused(texts, tmp_path):
-    with pytest.raises(ValueError, match=r"line 1: expected a navigation file, got 'OBSERVATION DATA'"):
+    with pytest.raises(
+        ValueError, match=r"line 1: expected a navigation file, got 'OBSERVATION DATA'"
+    ):
         read_navigation(written(tmp_path, texts[2]))
-    with pytest.raises(ValueError, match=r"line 1: expected an observation file, got 'N: GNSS NAV DATA'"):
+    with pytest.raises(
+        ValueError, match=r"line 1: expected an observation file, got 'N: GNSS NAV DATA'"
+    ):
         read_observations(written(tmp_path, texts[1]))
     broken = tmp_path / "broken.gz"
     broken.write_bytes(gzip.compress(texts[1].encode())[:500])
@@ -140,14 +172,18 @@ def test_fields_that_are_spare_may_be_blank(texts, tmp_path):
     everywhere = texts[1]
     for name in texts[0].names:
         everywhere = blanked(everywhere, 6, 24, 42, name)
-    np.testing.assert_array_equal(read_navigation(written(tmp_path, everywhere)).sets.M0, whole.sets.M0)
+    np.testing.assert_array_equal(
+        read_navigation(written(tmp_path, everywhere)).sets.M0, whole.sets.M0
+    )
 
 
 WILD = {
     "a blank eccentricity": lambda t: blanked(t, 3, 24, 42),
     "blank health": lambda t: blanked(t, 7, 24, 42),
     "no ellipse": lambda t: re.sub(r"(\nC21.*\n.*\n.{23}).{19}", r"\g<1> 1.500000000000E+00", t),
-    "inside the Earth": lambda t: re.sub(r"(\nC21.*\n.*\n.{61}).{19}", r"\g<1> 1.000000000000E+03", t),
+    "inside the Earth": lambda t: re.sub(
+        r"(\nC21.*\n.*\n.{61}).{19}", r"\g<1> 1.000000000000E+03", t
+    ),
     "a clock of a day": lambda t: re.sub(r"(\nC21.{20}).{19}", r"\g<1> 8.640000000000E+04", t),
     "far too large": lambda t: re.sub(r"(\nC21.*\n.{23}).{19}", r"\g<1> 1.000000000000E+99", t),
 }
@@ -167,18 +203,27 @@ def test_sets_that_are_all_none_are_refused(texts, tmp_path):
     for name in texts[0].names:
         text = blanked(text, 3, 62, 80, name)
     with pytest.raises(
-        ValueError, match=r"file\.rnx: expected orbits, got 32 sets that lack a number, or have one that no message"
+        ValueError,
+        match=r"file\.rnx: expected orbits, got 32 sets that lack a number, or have one that no message",
     ):
         read_navigation(written(tmp_path, text))
 
 
 @pytest.mark.parametrize(
     ("version", "kinds"),
-    [("3.04", "C2X L2X D2X"), ("3.05", "C2Q L2Q D2Q"), ("3.02", "C1I L1I D1I"), ("3.02", "C1X L1X D1X")],
+    [
+        ("3.04", "C2X L2X D2X"),
+        ("3.05", "C2Q L2Q D2Q"),
+        ("3.02", "C1I L1I D1I"),
+        ("3.02", "C1X L1X D1X"),
+    ],
 )
 def test_b1_is_taken_by_any_of_its_names(texts, tmp_path, version, kinds):
     text = texts[2].replace("     3.04", f"     {version}", 1).replace("C2I L2I D2I", kinds)
-    whole, found = read_observations(written(tmp_path, texts[2], "whole.rnx")), read_observations(written(tmp_path, text))
+    whole, found = (
+        read_observations(written(tmp_path, texts[2], "whole.rnx")),
+        read_observations(written(tmp_path, text)),
+    )
     np.testing.assert_array_equal(found.code, whole.code)
     np.testing.assert_array_equal(found.doppler, whole.doppler)
 
@@ -197,7 +242,11 @@ def test_a_satellite_is_taken_by_the_code_that_it_has(texts, tmp_path):
             code, rate = row[3:19], row[35:49]
             blank = " " * 16
             # C19 has no data component; the others have both.
-            row = row[:3] + (blank + code + blank + blank + rate if row[:3] == "C19" else code + code + blank + rate + "  " + rate)
+            row = row[:3] + (
+                blank + code + blank + blank + rate
+                if row[:3] == "C19"
+                else code + code + blank + rate + "  " + rate
+            )
         rows.append(row.rstrip())
     found = read_observations(written(tmp_path, "\n".join(rows)))
     np.testing.assert_array_equal(found.code, whole.code)
@@ -206,7 +255,9 @@ def test_a_satellite_is_taken_by_the_code_that_it_has(texts, tmp_path):
 
 def test_what_is_zero_was_not_measured(texts, tmp_path):
     row = next(row for row in texts[2].split("\n") if row.startswith("C05"))
-    found = read_observations(written(tmp_path, texts[2].replace(row, f"C05{0.0:14.3f}" + row[17:], 1)))
+    found = read_observations(
+        written(tmp_path, texts[2].replace(row, f"C05{0.0:14.3f}" + row[17:], 1))
+    )
     assert np.isnan(found.code[0, found.names.index("C05")])
 
 
@@ -214,7 +265,11 @@ def test_what_is_zero_was_not_measured(texts, tmp_path):
     ("old", "new", "words"),
     [
         ("\nC05", "\nC04", "expected each satellite once in an epoch, got C04 again"),
-        ("C    3 C2I L2I D2I", "C    4 C2I L2I D2I", "expected '4' kinds in SYS / # / OBS TYPES of C, got 3"),
+        (
+            "C    3 C2I L2I D2I",
+            "C    4 C2I L2I D2I",
+            "expected '4' kinds in SYS / # / OBS TYPES of C, got 3",
+        ),
         (" 14.0000000  0", "       1e99  0", "expected date, flag and number of an epoch"),
         ("\nC05", "\nC00", r"expected a satellite \(C01\), got 'C00'"),
     ],
@@ -238,7 +293,9 @@ def test_an_epoch_out_of_order_is_left_out_and_counted(texts, tmp_path):
     heads = [row for row in texts[2].split("\n") if row.startswith(">")]
     year = int(heads[1][2:6])
     for wrong in (year + 1, year - 1):
-        found = read_observations(written(tmp_path, texts[2].replace(heads[1], f"> {wrong}" + heads[1][6:])))
+        found = read_observations(
+            written(tmp_path, texts[2].replace(heads[1], f"> {wrong}" + heads[1][6:]))
+        )
         np.testing.assert_allclose(found.times, TIMES[[0, 2]])
         assert found.out_of_order == 1
     assert read_observations(written(tmp_path, texts[2])).out_of_order == 0
@@ -257,7 +314,9 @@ def test_an_archive_that_would_fill_the_memory_is_refused(tmp_path, texts):
     bomb = tmp_path / "bomb.rnx.gz"
     bomb.write_bytes(gzip.compress(texts[2].encode() + b" " * 60_000_000, 9))
     tracemalloc.start()
-    with pytest.raises(ValueError, match=r"bomb\.rnx\.gz: expected at most 10,000,000 bytes when unpacked"):
+    with pytest.raises(
+        ValueError, match=r"bomb\.rnx\.gz: expected at most 10,000,000 bytes when unpacked"
+    ):
         read_observations(bomb)
     assert tracemalloc.get_traced_memory()[1] < 40e6
     tracemalloc.stop()
@@ -281,7 +340,9 @@ def test_hatanakas_compression_is_read_and_is_no_way_around_the_limit(tmp_path, 
     with pytest.raises(ValueError, match=r"expected at most 10,000,000 bytes when unpacked"):
         read_observations(path)
     path.write_bytes(gzip.compress(packed[: len(packed) // 2] + b"\n&garbage\n"))
-    with pytest.raises(ValueError, match=r"expected a whole file in Hatanaka's compression|cut off"):
+    with pytest.raises(
+        ValueError, match=r"expected a whole file in Hatanaka's compression|cut off"
+    ):
         read_observations(path)
 
 
@@ -301,16 +362,28 @@ def test_a_real_navigation_file_is_continuous():
             apart.append(np.linalg.norm(states[0] - states[1]))
     assert len(apart) > 15
     assert max(apart) < 2.0
-    wrong = satellites(replace(sets.chosen(rows[:1]), number=np.array([21.0])), sets.toe[rows[0]] + 1800.0).position
-    assert np.linalg.norm(wrong - satellites(sets.chosen(rows[:1]), sets.toe[rows[0]] + 1800.0).position) > 1e6
+    wrong = satellites(
+        replace(sets.chosen(rows[:1]), number=np.array([21.0])), sets.toe[rows[0]] + 1800.0
+    ).position
+    assert (
+        np.linalg.norm(
+            wrong - satellites(sets.chosen(rows[:1]), sets.toe[rows[0]] + 1800.0).position
+        )
+        > 1e6
+    )
 
 
 def test_what_is_missing_is_said_with_a_command_that_works_in_a_clone(texts, tmp_path, monkeypatch):
     path = tmp_path / "file.crx"
     path.write_bytes(hatanaka.rnx2crx(texts[2].encode()))
     monkeypatch.setitem(sys.modules, "hatanaka", None)
-    with pytest.raises(ImportError, match=re.escape('.venv/bin/pip install -c constraints.txt -e ".[rinex]"')):
+    with pytest.raises(
+        ImportError, match=re.escape('.venv/bin/pip install -c constraints.txt -e ".[rinex]"')
+    ):
         read_observations(path)
     root = Path(celnav.__file__).parents[1]
-    for file in (root / "README.md", *(root / "celnav").rglob("*.py")):  # celnav is in no index of packages
+    for file in (
+        root / "README.md",
+        *(root / "celnav").rglob("*.py"),
+    ):  # celnav is in no index of packages
         assert "celnav[" not in file.read_text("utf-8"), file

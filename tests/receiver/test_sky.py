@@ -28,8 +28,18 @@ def plain(alpha, beta, t, latitude_deg, longitude_deg, elevation_deg, azimuth_de
 @pytest.mark.parametrize("t", [0.0, 20700.0, 50400.0, 86400.0 * 3 + 47000.0])
 def test_klobuchar_is_the_documents_recipe(t):
     elevation, azimuth = np.array([5.0, 20.0, 60.0, 89.0]), np.array([10.0, 210.0, 300.0, 95.0])
-    found = klobuchar(ALPHA, BETA, t, np.radians(40.0), np.radians(-100.0), np.radians(elevation), np.radians(azimuth))
-    expected = [plain(ALPHA, BETA, t, 40.0, -100.0, e, a) for e, a in zip(elevation, azimuth, strict=True)]
+    found = klobuchar(
+        ALPHA,
+        BETA,
+        t,
+        np.radians(40.0),
+        np.radians(-100.0),
+        np.radians(elevation),
+        np.radians(azimuth),
+    )
+    expected = [
+        plain(ALPHA, BETA, t, 40.0, -100.0, e, a) for e, a in zip(elevation, azimuth, strict=True)
+    ]
     np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
@@ -41,8 +51,13 @@ def test_at_night_the_ionosphere_is_five_nanoseconds_at_the_zenith():
 def test_the_troposphere_is_as_long_as_is_known():
     zenith = saastamoinen(np.radians(45.0), 0.0, np.array([np.pi / 2]))
     assert zenith[0] == pytest.approx(2.307 + 0.087, abs=0.03)  # 2.31 m dry, a decimeter wet
-    assert saastamoinen(0.8, 0.0, np.radians([30.0]))[0] == pytest.approx(2.0 * saastamoinen(0.8, 0.0, np.array([np.pi / 2]))[0])
-    assert saastamoinen(0.8, 5000.0, np.array([1.0]))[0] < 0.6 * saastamoinen(0.8, 0.0, np.array([1.0]))[0]
+    assert saastamoinen(0.8, 0.0, np.radians([30.0]))[0] == pytest.approx(
+        2.0 * saastamoinen(0.8, 0.0, np.array([np.pi / 2]))[0]
+    )
+    assert (
+        saastamoinen(0.8, 5000.0, np.array([1.0]))[0]
+        < 0.6 * saastamoinen(0.8, 0.0, np.array([1.0]))[0]
+    )
 
 
 @pytest.mark.parametrize(
@@ -62,7 +77,12 @@ def test_bad_input_is_refused_by_name(call, name):
 def test_the_sky_and_its_dilution():
     axes = local_axes(0.0, 0.0)
     place = np.array([6378137.0, 0.0, 0.0])
-    seen = look(place + 1e7 * np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 1.0]]), place, axes)
+    seen = look(
+        place
+        + 1e7 * np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 1.0]]),
+        place,
+        axes,
+    )
     np.testing.assert_allclose(np.degrees(seen.elevation), [90.0, 0.0, 0.0, 45.0], atol=1e-9)
     np.testing.assert_allclose(np.degrees(seen.azimuth[1:3]), [0.0, 90.0], atol=1e-9)
     rng = np.random.default_rng(3)
@@ -77,5 +97,7 @@ def test_the_sky_and_its_dilution():
     np.testing.assert_allclose(found.time, np.sqrt(C[:, 3, 3]))
     few = dilution(q, place, axes, np.arange(7) < 3)
     assert np.isnan(few.position).all()
-    one_place = np.concatenate([q, np.broadcast_to(q[:1, :1], (1, 7, 3))])  # that is no geometry, and spoils no other
+    one_place = np.concatenate(
+        [q, np.broadcast_to(q[:1, :1], (1, 7, 3))]
+    )  # that is no geometry, and spoils no other
     np.testing.assert_allclose(dilution(one_place, place, axes).position, [*found.position, np.nan])

@@ -35,7 +35,9 @@ def test_a_solution_of_rtklib_has_its_columns_and_its_time(found):
     assert "% inp file  : obs.rnx" in header
     assert "% inp file  : nav.rnx" in header
     assert f"% navi sys  : {'gps' if found.log.systems == 'G' else 'gps beidou'}" in header
-    assert re.search(r"% obs start : \d{4}/\d\d/\d\d 00:30:14\.0 GPST \(week2111 347414\.0s\)", "\n".join(header))
+    assert re.search(
+        r"% obs start : \d{4}/\d\d/\d\d 00:30:14\.0 GPST \(week2111 347414\.0s\)", "\n".join(header)
+    )
     assert names.split()[1:] == [
         "GPST", "latitude(deg)", "longitude(deg)", "height(m)", "Q", "ns", "sdn(m)", "sde(m)", "sdu(m)", "sdne(m)", "sdeu(m)",
         "sdun(m)", "age(s)", "ratio",
@@ -45,7 +47,9 @@ def test_a_solution_of_rtklib_has_its_columns_and_its_time(found):
         assert len(row) == len(names)
         assert row[:23] == tracks.civil(LONG[k] + 14.0, "%Y/%m/%d %H:%M:%S.000")
         latitude, longitude, height, q, ns, *std = (float(v) for v in row[23:].split())
-        np.testing.assert_allclose(geodetic2ecef(latitude, longitude, height, ell=ELLIPSOID), found.mean[k, :3], atol=2e-4)
+        np.testing.assert_allclose(
+            geodetic2ecef(latitude, longitude, height, ell=ELLIPSOID), found.mean[k, :3], atol=2e-4
+        )
         assert (q, ns) == (5.0, found.log.used[k].sum())
         axes = local_axes(np.radians(latitude), np.radians(longitude))
         cov = axes @ found.cov[k] @ axes.T
@@ -68,19 +72,34 @@ def test_sentences_of_nmea_are_whole_and_in_utc(found):
         minute, second = divmod(30 * (k // 2) + 1800 - 4, 60)  # UTC is 4 s behind BDT since 2017
         assert clock == f"00{minute:02d}{second:02d}.000"
         at = rest[:4] if k % 2 == 0 else rest[1:5]
-        latitude, longitude = (float(v[:d]) + float(v[d:]) / 60.0 for v, d in ((at[0], 2), (at[2], 3)))
+        latitude, longitude = (
+            float(v[:d]) + float(v[d:]) / 60.0 for v, d in ((at[0], 2), (at[2], 3))
+        )
         height = float(rest[7]) + float(rest[9]) if k % 2 == 0 else 50.0
         if k % 2 == 0:
-            np.testing.assert_allclose(geodetic2ecef(latitude, longitude, height, ell=ELLIPSOID), found.mean[k // 2, :3], atol=2e-3)
+            np.testing.assert_allclose(
+                geodetic2ecef(latitude, longitude, height, ell=ELLIPSOID),
+                found.mean[k // 2, :3],
+                atol=2e-3,
+            )
             assert (rest[4], rest[5]) == ("1", f"{found.log.used[k // 2].sum():02d}")
         else:
             assert float(rest[5]) == 0.0
-            assert rest[7] == tracks.utc(LONG[:1])[0][8:10] + tracks.utc(LONG[:1])[0][5:7] + tracks.utc(LONG[:1])[0][2:4]
+            assert (
+                rest[7]
+                == tracks.utc(LONG[:1])[0][8:10]
+                + tracks.utc(LONG[:1])[0][5:7]
+                + tracks.utc(LONG[:1])[0][2:4]
+            )
 
 
 @pytest.mark.parametrize(
     ("degrees", "digits", "signs", "text"),
-    [(-33.5, 2, "NS", "3330.000000,S"), (-0.25, 3, "EW", "00015.000000,W"), (12.0 - 1e-12, 2, "NS", "1200.000000,N")],
+    [
+        (-33.5, 2, "NS", "3330.000000,S"),
+        (-0.25, 3, "EW", "00015.000000,W"),
+        (12.0 - 1e-12, 2, "NS", "1200.000000,N"),
+    ],
 )
 def test_angles_of_nmea(degrees, digits, signs, text):
     assert tracks._angle(degrees, digits, signs) == text
@@ -88,26 +107,37 @@ def test_angles_of_nmea(degrees, digits, signs, text):
 
 def test_leap_seconds_are_those_of_the_day():
     second = {
-        day: (np.datetime64(day) - np.datetime64("2006-01-01")) / np.timedelta64(1, "s") for day in ("2008-06-01", "2017-01-02")
+        day: (np.datetime64(day) - np.datetime64("2006-01-01")) / np.timedelta64(1, "s")
+        for day in ("2008-06-01", "2017-01-02")
     }
-    assert tracks.utc(np.array([*second.values()])) == ["2008-06-01T00:00:00.000Z", "2017-01-01T23:59:56.000Z"]
+    assert tracks.utc(np.array([*second.values()])) == [
+        "2008-06-01T00:00:00.000Z",
+        "2017-01-01T23:59:56.000Z",
+    ]
 
 
 def test_geojson_is_a_line_or_a_point(found):
     (feature,) = json.loads(tracks.geojson(found))["features"]
     assert feature["geometry"]["type"] == "LineString"
     for k, (longitude, latitude, height) in enumerate(feature["geometry"]["coordinates"]):
-        np.testing.assert_allclose(geodetic2ecef(latitude, longitude, height, ell=ELLIPSOID), found.mean[k, :3], atol=2e-4)
+        np.testing.assert_allclose(
+            geodetic2ecef(latitude, longitude, height, ell=ELLIPSOID), found.mean[k, :3], atol=2e-4
+        )
     assert feature["properties"]["coordTimes"] == tracks.utc(LONG)
     nav = Navigation(Path("nav.rnx"), both(), None)
-    one = report.position(positioning.prepare(observed(both(), LONG[:1], np.full(1, 3e4)), nav), "ls", None)
+    one = report.position(
+        positioning.prepare(observed(both(), LONG[:1], np.full(1, 3e4)), nav), "ls", None
+    )
     assert json.loads(tracks.geojson(one))["features"][0]["geometry"]["type"] == "Point"
 
 
 @pytest.fixture
 def files(tmp_path):
     b = both()
-    return [str(written(tmp_path, observations(b, LONG)[0], "obs.rnx")), str(written(tmp_path, navigation(b), "nav.rnx"))]
+    return [
+        str(written(tmp_path, observations(b, LONG)[0], "obs.rnx")),
+        str(written(tmp_path, navigation(b), "nav.rnx")),
+    ]
 
 
 @pytest.mark.parametrize("suffix", tracks.FORMATS)
@@ -123,28 +153,51 @@ def test_out_is_a_file_by_its_suffix_and_nobody_elses_is_replaced(files, tmp_pat
 
 
 def test_systems_and_the_ionosphere_are_given_by_options(files, tmp_path, capsys):
-    plain = written(tmp_path, "".join(line for line in navigation(both()).splitlines(True) if "CORR" not in line), "plain.rnx")
+    plain = written(
+        tmp_path,
+        "".join(line for line in navigation(both()).splitlines(True) if "CORR" not in line),
+        "plain.rnx",
+    )
     given, out = [files[0], str(plain), "--filter", "ls"], ["--out", str(tmp_path / "track.pos")]
     errors = []
     numbers = ",".join(str(v) for v in (*ALPHA, *BETA))
-    for more in ([], ["--ion", files[1]], [f"--ion={numbers}"], ["--ion", numbers, "--systems", "g"], ["--systems", "G,C"]):
+    for more in (
+        [],
+        ["--ion", files[1]],
+        [f"--ion={numbers}"],
+        ["--ion", numbers, "--systems", "g"],
+        ["--systems", "G,C"],
+    ):
         assert cli.main(["position", *given, *out, *more]) == 0
         errors.append(float(capsys.readouterr().out.split("error")[1].split()[0]))
     assert errors[0] == errors[4] > 1.0
-    np.testing.assert_allclose(errors[1:4], 0.5, atol=0.01)  # the antenna is half a meter above the marker
+    np.testing.assert_allclose(
+        errors[1:4], 0.5, atol=0.01
+    )  # the antenna is half a meter above the marker
     assert cli.main(["position", *given[:2], files[1], *given[2:], *out]) == 0
-    assert float(capsys.readouterr().out.split("error")[1].split()[0]) == pytest.approx(0.5, abs=0.01)
+    assert float(capsys.readouterr().out.split("error")[1].split()[0]) == pytest.approx(
+        0.5, abs=0.01
+    )
 
 
 @pytest.mark.parametrize(
     ("options", "words"),
     [
         (["--systems", "R"], "--systems: expected letters of C (BeiDou), G (GPS), got 'R'"),
-        (["--ion", "1,2"], "--ion: expected a navigation file, or eight numbers with commas between, got 2"),
+        (
+            ["--ion", "1,2"],
+            "--ion: expected a navigation file, or eight numbers with commas between, got 2",
+        ),
         (["--ion", "1,2,3,4,5,6,7,x"], "--ion: expected a number"),
-        (["--ion", "1,2,3,4,5,6,7,8"], "--ion: expected coefficients of the ionosphere that a message can hold"),
+        (
+            ["--ion", "1,2,3,4,5,6,7,8"],
+            "--ion: expected coefficients of the ionosphere that a message can hold",
+        ),
         (["--ion", "none.rnx"], "none.rnx"),
-        (["--out", "track.kml"], "--out: expected a folder, or a file with one of .csv, .pos, .geojson, .nmea, got 'track.kml'"),
+        (
+            ["--out", "track.kml"],
+            "--out: expected a folder, or a file with one of .csv, .pos, .geojson, .nmea, got 'track.kml'",
+        ),
     ],
 )
 def test_what_cannot_be_is_told_in_one_line(files, tmp_path, monkeypatch, capsys, options, words):

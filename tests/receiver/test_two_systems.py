@@ -7,7 +7,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rinex_pair import ALPHA, BETA, PLACE, TIMES, TOE, both, constellation, gps, navigation, observations, observed, written
+from rinex_pair import (
+    ALPHA,
+    BETA,
+    PLACE,
+    TIMES,
+    TOE,
+    both,
+    constellation,
+    gps,
+    navigation,
+    observations,
+    observed,
+    written,
+)
 
 from celnav.files import InputError
 from celnav.filters.run import run
@@ -27,13 +40,17 @@ OFFSET = -37.0
 @pytest.fixture(scope="module")
 def pair():
     b = both()
-    return Navigation(Path("nav.rnx"), b, (np.array(ALPHA), np.array(BETA))), observed(b, LONG, DRIFTING, OFFSET)
+    return Navigation(Path("nav.rnx"), b, (np.array(ALPHA), np.array(BETA))), observed(
+        b, LONG, DRIFTING, OFFSET
+    )
 
 
 @pytest.fixture(scope="module")
 def noisy(pair):
     nav, obs = pair
-    return nav, replace(obs, code=obs.code + 0.5 * np.random.default_rng(8).normal(size=obs.code.shape))
+    return nav, replace(
+        obs, code=obs.code + 0.5 * np.random.default_rng(8).normal(size=obs.code.shape)
+    )
 
 
 def without(obs, names, rows=slice(None)):
@@ -57,11 +74,16 @@ def test_a_fix_has_the_offset_of_the_second_clock(pair):
     assert (log.spare == log.used.sum(1) - 5).all()
     for name, filter in filters(len(log.names), second=log.second).items():
         mean = run(filter, log.prior(), log.epochs(), keep="mean").mean
-        np.testing.assert_allclose(mean[:, :3], np.broadcast_to(PLACE, (40, 3)), atol=2e-3, err_msg=name)
+        np.testing.assert_allclose(
+            mean[:, :3], np.broadcast_to(PLACE, (40, 3)), atol=2e-3, err_msg=name
+        )
         np.testing.assert_allclose(mean[:, 8], OFFSET, atol=2e-3, err_msg=name)
 
 
-@pytest.mark.parametrize(("systems", "names"), [("C", "BeiDou B1I"), ("G", "GPS L1 C/A"), (None, "BeiDou B1I and GPS L1 C/A")])
+@pytest.mark.parametrize(
+    ("systems", "names"),
+    [("C", "BeiDou B1I"), ("G", "GPS L1 C/A"), (None, "BeiDou B1I and GPS L1 C/A")],
+)
 def test_each_system_alone_finds_the_receiver_too(pair, systems, names):
     nav, obs = pair
     log = positioning.prepare(replace(obs, others="RE"), nav, systems=systems)
@@ -80,12 +102,17 @@ def test_the_one_system_that_has_orbits_is_chosen_and_a_missing_one_that_is_aske
     log = positioning.prepare(obs, alone)
     assert log.systems == "G"
     assert log.others == ("BeiDou",)
-    with pytest.raises(InputError, match=r"nav\.rnx: expected ranges and orbits of one system, got no BeiDou's orbits"):
+    with pytest.raises(
+        InputError,
+        match=r"nav\.rnx: expected ranges and orbits of one system, got no BeiDou's orbits",
+    ):
         positioning.prepare(obs, alone, systems="CG")
     with pytest.raises(InputError, match=r"got no BeiDou's orbits and no GPS's ranges"):
         positioning.prepare(obs.of("C"), alone)
     for systems in ("", "R", "CR"):
-        with pytest.raises(ValueError, match=r"^systems: expected letters of C \(BeiDou\), G \(GPS\)"):
+        with pytest.raises(
+            ValueError, match=r"^systems: expected letters of C \(BeiDou\), G \(GPS\)"
+        ):
             positioning.prepare(obs, nav, systems=systems)
 
 
@@ -93,7 +120,9 @@ def test_the_one_system_that_has_orbits_is_chosen_and_a_missing_one_that_is_aske
 def test_where_one_system_is_missing_the_other_goes_on(pair, missing):
     nav, obs = pair
     rows = slice(10, 20)
-    log = positioning.prepare(without(obs, [name for name in obs.names if name[0] == missing], rows), nav)
+    log = positioning.prepare(
+        without(obs, [name for name in obs.names if name[0] == missing], rows), nav
+    )
     np.testing.assert_allclose(log.fixes[:, :3], np.broadcast_to(PLACE, (40, 3)), atol=1e-4)
     assert np.isnan(log.fixes[rows, 8]).all()
     np.testing.assert_allclose(np.delete(log.fixes[:, 8], np.r_[rows]), OFFSET, atol=1e-4)
@@ -126,7 +155,9 @@ def test_a_faulty_satellite_of_either_system_is_excluded_and_of_two_both(noisy):
         wrong, code = seen(log, letter)[0], obs.code.copy()
         code[:, obs.names.index(wrong)] += 80.0
         found = positioning.prepare(replace(obs, code=code), nav)
-        np.testing.assert_array_equal(np.flatnonzero(found.excluded[:, : len(found.names)].any(0)), found.names.index(wrong))
+        np.testing.assert_array_equal(
+            np.flatnonzero(found.excluded[:, : len(found.names)].any(0)), found.names.index(wrong)
+        )
         assert found.excluded[:, found.names.index(wrong)].all()
     two = seen(log, "G")[:2]
     code = without(obs, [name for name in obs.names if name[0] == "G" and name not in two]).code
@@ -140,7 +171,9 @@ def test_residuals_have_one_degree_less_for_the_offset(noisy):
     nav, obs = noisy
     log = positioning.prepare(obs, nav)
     assert log.noise[0].redundancy == log.used.sum() - 5 * 40
-    assert np.sqrt(np.square(log.sigma[:, : len(log.names)][log.used]).mean()) == pytest.approx(0.5, rel=0.1)
+    assert np.sqrt(np.square(log.sigma[:, : len(log.names)][log.used]).mean()) == pytest.approx(
+        0.5, rel=0.1
+    )
     assert report.position(log, "ls", PLACE).nis == pytest.approx(1.0, abs=0.1)
     without_gps = without(obs, [name for name in obs.names if name[0] == "G"], slice(0, 20))
     log = positioning.prepare(without_gps, nav)
@@ -158,7 +191,9 @@ def test_dilution_counts_the_offset():
     for k, columns in enumerate(([0, 1, 2, 3, 4], [0, 1, 2, 3], [0, 1, 2, 3])):
         e = (q[k] - place) / np.linalg.norm(q[k] - place, axis=-1, keepdims=True)
         G = np.column_stack([-e, np.ones(9), second])[used[k]][:, columns]
-        assert found.position[k] == pytest.approx(np.sqrt(np.trace(np.linalg.pinv(G.T @ G)[:3, :3])))
+        assert found.position[k] == pytest.approx(
+            np.sqrt(np.trace(np.linalg.pinv(G.T @ G)[:3, :3]))
+        )
 
 
 def test_the_derivative_by_the_offset():
@@ -168,18 +203,30 @@ def test_the_derivative_by_the_offset():
     J = pseudorange.jacobian(np.stack([x, x]), seen.q, seen.w, b.gps)
     for column in range(9):
         step = h * np.eye(9)[column]
-        up, down = (pseudorange.measure(x + sign * step, seen.q, seen.w, b.gps) for sign in (1.0, -1.0))
+        up, down = (
+            pseudorange.measure(x + sign * step, seen.q, seen.w, b.gps) for sign in (1.0, -1.0)
+        )
         np.testing.assert_allclose(J[1, :, column], (up - down) / (2.0 * h), atol=1e-6)
 
 
 def test_files_of_both_are_read_as_written(tmp_path):
     b = both()
     whole = read_navigation(written(tmp_path, navigation(b), "nav.rnx"))
-    c, g = (written(tmp_path, navigation(part), name) for part, name in ((constellation(), "c.rnx"), (gps(), "g.rnx")))
+    c, g = (
+        written(tmp_path, navigation(part), name)
+        for part, name in ((constellation(), "c.rnx"), (gps(), "g.rnx"))
+    )
     for found in (whole, read_navigation(c, g)):
         sets = found.sets.chosen(np.array([found.sets.names.index(name) for name in b.names]))
-        np.testing.assert_allclose(satellites(sets, TOE + 60.0).position, satellites(b, TOE + 60.0).position, rtol=0, atol=1e-3)
-        np.testing.assert_allclose(satellites(sets, TOE + 60.0).clock, satellites(b, TOE + 60.0).clock, rtol=0, atol=1e-15)
+        np.testing.assert_allclose(
+            satellites(sets, TOE + 60.0).position,
+            satellites(b, TOE + 60.0).position,
+            rtol=0,
+            atol=1e-3,
+        )
+        np.testing.assert_allclose(
+            satellites(sets, TOE + 60.0).clock, satellites(b, TOE + 60.0).clock, rtol=0, atol=1e-15
+        )
     assert "g.rnx" in str(read_navigation(c, g).path)
     text, code, doppler = observations(b, TIMES, offset=OFFSET)
     obs = read_observations(written(tmp_path, text, "obs.rnx"))
@@ -204,7 +251,9 @@ def test_a_set_at_the_end_of_the_week_has_its_own_week(tmp_path, into):
 
 def test_a_sick_satellite_of_gps_is_not_used(tmp_path):
     b = gps()
-    found = read_navigation(written(tmp_path, navigation(replace(b, health=np.where(b.number == 7.0, 63.0, 0.0)))))
+    found = read_navigation(
+        written(tmp_path, navigation(replace(b, health=np.where(b.number == 7.0, 63.0, 0.0))))
+    )
     assert found.nearest("G07", TOE) == -1
     assert found.nearest("G03", TOE + 7000.0) >= 0  # a medium orbit, though C03 is geostationary
     assert found.nearest("G03", TOE + 7300.0) == -1
@@ -222,7 +271,10 @@ def test_the_ionosphere_is_read_from_any_header(tmp_path):
     np.testing.assert_allclose(read_ionosphere(written(tmp_path, old)), [ALPHA, BETA])
     with pytest.raises(InputError, match=r"expected GPSA and GPSB in the header, got none"):
         read_ionosphere(written(tmp_path, text.replace("GPSA", "GAL ")))
-    with pytest.raises(InputError, match=r"file\.rnx: expected coefficients of the ionosphere that a message can hold"):
+    with pytest.raises(
+        InputError,
+        match=r"file\.rnx: expected coefficients of the ionosphere that a message can hold",
+    ):
         read_ionosphere(written(tmp_path, text.replace("4.6566E-09", "4.6566E-01")))
     with pytest.raises(InputError, match=r"expected RINEX 3, got version 2\.11"):
         read_navigation(written(tmp_path, old))
@@ -237,7 +289,10 @@ STATIONS = [("rinex", ["*_MN.rnx.gz"]), ("nya1", ["*_CN.rnx.gz", "*_GN.rnx.gz"])
 def test_real_receivers_stand_where_their_headers_say(folder, names):
     """Two hours, where the geometry is one (PDOP below 10); both systems together are nearer than the worse of them."""
     obs = read_observations(next((REAL / folder).glob("*_MO.crx.gz")))
-    obs, nav = obs.part(slice(0, 240)), read_navigation(*(next((REAL / folder).glob(name)) for name in names))
+    obs, nav = (
+        obs.part(slice(0, 240)),
+        read_navigation(*(next((REAL / folder).glob(name)) for name in names)),
+    )
     errors = {}
     for systems in ("C", "G", "CG"):
         log = positioning.prepare(obs, nav, systems=systems)

@@ -50,7 +50,9 @@ def write(path, draw, *, name="a test", times=TIMES, layout=None):
 
 
 def verify(path):
-    return subprocess.run([RERUN, "rrd", "verify", path], capture_output=True, timeout=60).returncode
+    return subprocess.run(
+        [RERUN, "rrd", "verify", path], capture_output=True, timeout=60
+    ).returncode
 
 
 def covariances(rng, steps=len(TIMES)):
@@ -65,7 +67,9 @@ def test_ellipsoid_axes_rebuild_the_covariance():
     half, quaternions = recording.ellipsoid_axes(P, 3.0)
     V = Rotation.from_quat(quaternions).as_matrix()
     np.testing.assert_allclose(
-        V @ ((half / 3.0) ** 2 * np.eye(3)[:, None]).transpose(1, 0, 2) @ V.mT, P, atol=1e-12 * np.abs(P).max()
+        V @ ((half / 3.0) ** 2 * np.eye(3)[:, None]).transpose(1, 0, 2) @ V.mT,
+        P,
+        atol=1e-12 * np.abs(P).max(),
     )
 
 
@@ -88,7 +92,12 @@ def test_columns_come_back(tmp_path):
         out.points("world/cloud", cloud, colors.ESTIMATE)
         out.ellipsoids("world/ellipsoid", line, P, colors.ESTIMATE)
         out.arrow("world/arrow", line, 2.0 * line, colors.TRUTH, "arrow")
-        out.strips("world/strips", np.stack([cloud, cloud], 1), [colors.TRUTH, colors.ESTIMATE], labels=["a", "b"])
+        out.strips(
+            "world/strips",
+            np.stack([cloud, cloud], 1),
+            [colors.TRUTH, colors.ESTIMATE],
+            labels=["a", "b"],
+        )
         out.curve("plots/curve", curve, colors.TRUTH, "curve")
         out.bounds("plots/curve", np.abs(curve), "curve", center=1.0)
         out.level("plots/level", 2.0, "level")
@@ -136,10 +145,16 @@ def test_columns_come_back(tmp_path):
 def test_the_file_is_verified_says_the_same_twice_and_holds_its_layout(tmp_path):
     def draw(out):
         out.curve("plots/a", np.where(TIMES < 1.0, np.nan, TIMES), colors.TRUTH, "a")
-        out.ellipsoids("world/p", np.zeros((20, 3)), covariances(np.random.default_rng(0)), colors.TRUTH)
+        out.ellipsoids(
+            "world/p", np.zeros((20, 3)), covariances(np.random.default_rng(0)), colors.TRUTH
+        )
 
-    space = views.space("/world", "world", eye=(5.0, 0.0, 0.0), growing={"world/p": 3.0, "world/q": np.inf})
-    layout = views.columns(space, views.rows(views.tabs(views.plot("/plots", "p", TIMES)), views.text(origin="/i")))
+    space = views.space(
+        "/world", "world", eye=(5.0, 0.0, 0.0), growing={"world/p": 3.0, "world/q": np.inf}
+    )
+    layout = views.columns(
+        space, views.rows(views.tabs(views.plot("/plots", "p", TIMES)), views.text(origin="/i"))
+    )
     first, second = (write(tmp_path / f"{i}.rrd", draw, layout=layout) for i in range(2))
     assert verify(first) == 0
     reader = rr.chunk.RrdReader(first)
@@ -148,7 +163,9 @@ def test_the_file_is_verified_says_the_same_twice_and_holds_its_layout(tmp_path)
     assert blueprint.application_id == entry.application_id
     assert reader.store().summary() == rr.chunk.RrdReader(second).store().summary()
     assert "log_time" not in reader.store().summary()
-    compare = subprocess.run([RERUN, "rrd", "compare", first, second], capture_output=True, timeout=60)
+    compare = subprocess.run(
+        [RERUN, "rrd", "compare", first, second], capture_output=True, timeout=60
+    )
     assert compare.returncode == 0, compare.stderr[-500:]
 
 
@@ -202,7 +219,9 @@ def test_a_failing_replacement_leaves_the_old_file(tmp_path, monkeypatch):
 def test_foreign_files_are_left_alone(tmp_path):
     path = tmp_path / "notes.rrd"
     path.write_text("my notes")
-    with pytest.raises(ValueError, match=r"path: expected a new file or a recording of celnav.*notes\.rrd"):
+    with pytest.raises(
+        ValueError, match=r"path: expected a new file or a recording of celnav.*notes\.rrd"
+    ):
         write(path, lambda out: None)
     assert path.read_text() == "my notes"
     other = rr.RecordingStream("other", recording_id="x")
@@ -229,7 +248,12 @@ def test_unwritable_paths_are_named(tmp_path):
 @pytest.mark.parametrize("times", [[0.0], [0.0, 0.0], [0.0, np.nan], [[0.0, 1.0]]])
 def test_bad_times(tmp_path, times):
     with pytest.raises(ValueError, match="times: expected two or more finite, increasing seconds"):
-        write(tmp_path / "a.rrd", lambda out: None, times=np.array(times), layout=views.text(origin="/info"))
+        write(
+            tmp_path / "a.rrd",
+            lambda out: None,
+            times=np.array(times),
+            layout=views.text(origin="/info"),
+        )
 
 
 def test_strict_mode_holds_inside_and_is_given_back(tmp_path):
@@ -245,7 +269,9 @@ def python(code):
 
 
 def test_celnav_alone_pulls_in_neither_rerun_nor_matplotlib():
-    done = python("import celnav, sys; print([m for m in ('rerun', 'matplotlib', 'pyarrow') if m in sys.modules])")
+    done = python(
+        "import celnav, sys; print([m for m in ('rerun', 'matplotlib', 'pyarrow') if m in sys.modules])"
+    )
     assert (done.stdout.strip(), done.returncode) == ("[]", 0), done.stderr
 
 
@@ -260,13 +286,17 @@ def test_filters_and_models_work_without_rerun():
     assert done.returncode == 1
 
 
-@pytest.mark.skipif(not any(Path("/usr/share/vulkan/icd.d").glob("*.json")), reason="no Vulkan driver is installed")
+@pytest.mark.skipif(
+    not any(Path("/usr/share/vulkan/icd.d").glob("*.json")), reason="no Vulkan driver is installed"
+)
 def test_the_viewer_draws_a_picture_without_a_screen(tmp_path):
     from matplotlib.image import imread
 
     from celnav.show.picture import picture
 
-    path = write(tmp_path / "a.rrd", lambda out: out.curve("plots/a", np.sin(TIMES), colors.ESTIMATE, "a"))
+    path = write(
+        tmp_path / "a.rrd", lambda out: out.curve("plots/a", np.sin(TIMES), colors.ESTIMATE, "a")
+    )
     picture(path, tmp_path / "a.png", 5.0, width=800)
     drawn = imread(tmp_path / "a.png")
     assert drawn.shape[1] == 800
@@ -280,7 +310,10 @@ def test_a_viewer_that_does_not_start_is_one_line(tmp_path, monkeypatch):
 
     script = "import sys; sys.exit('no\\nadapter')"
     monkeypatch.setattr(picture, "command", lambda *words: [sys.executable, "-c", script])
-    with pytest.raises(OSError, match=r"a\.rrd: the viewer gave no picture \(no adapter\); it needs a Vulkan driver"):
+    with pytest.raises(
+        OSError,
+        match=r"a\.rrd: the viewer gave no picture \(no adapter\); it needs a Vulkan driver",
+    ):
         picture.picture(tmp_path / "a.rrd", tmp_path / "a.png", 5.0)
     assert not list(tmp_path.iterdir())
 
@@ -292,7 +325,11 @@ def listening(pids):
         for link in Path(f"/proc/{pid}/fd").iterdir():
             with contextlib.suppress(OSError):
                 sockets.add(os.readlink(link))
-    lines = [line.split() for name in ("tcp", "tcp6") for line in Path(f"/proc/net/{name}").read_text().splitlines()[1:]]
+    lines = [
+        line.split()
+        for name in ("tcp", "tcp6")
+        for line in Path(f"/proc/net/{name}").read_text().splitlines()[1:]
+    ]
     return [words[1] for words in lines if words[3] == "0A" and f"socket:[{words[9]}]" in sockets]
 
 
@@ -308,7 +345,10 @@ def test_the_viewer_listens_to_this_machine_only(tmp_path, monkeypatch):
     process = subprocess.Popen(words, stderr=silent, stdout=silent, start_new_session=True)
     try:
         deadline = time.monotonic() + 60.0
-        while not (found := listening([process.pid, *children(process.pid)])) and time.monotonic() < deadline:
+        while (
+            not (found := listening([process.pid, *children(process.pid)]))
+            and time.monotonic() < deadline
+        ):
             time.sleep(0.1)
     finally:
         picture._end(process)
@@ -317,7 +357,8 @@ def test_the_viewer_listens_to_this_machine_only(tmp_path, monkeypatch):
     started = []
     monkeypatch.setenv("DISPLAY", ":0")
     monkeypatch.setattr(
-        "celnav.commands.view.subprocess.run", lambda words, **_: started.append(words) or SimpleNamespace(returncode=0)
+        "celnav.commands.view.subprocess.run",
+        lambda words, **_: started.append(words) or SimpleNamespace(returncode=0),
     )
     (tmp_path / "a.rrd").touch()
     assert cli.main(["view", str(tmp_path / "a.rrd")]) == 0

@@ -17,7 +17,9 @@ from celnav.models.gyro import Gyro
 
 MOTION = motion.constant_velocity(2, 0.1)
 RADAR = celnav.Sensor(
-    lambda x, _epoch: np.stack([np.hypot(x[..., 0], x[..., 1]), np.arctan2(x[..., 1], x[..., 0])], -1),
+    lambda x, _epoch: np.stack(
+        [np.hypot(x[..., 0], x[..., 1]), np.arctan2(x[..., 1], x[..., 0])], -1
+    ),
     np.diag([25.0, np.radians(1.0) ** 2]),
     space=celnav.angles([1]),
 )
@@ -84,7 +86,9 @@ def test_what_is_not_known_of_the_truth_is_left_out(sound):
     assert found.nees.dof.tolist() == [120] * 10 + [0] * 31
     late = track.report(truth, start=10.0)
     assert late.times[0] == 10.0
-    assert late.components[2].rmse == pytest.approx(np.sqrt(np.mean((track.mean - truth)[10:, :, 2] ** 2)))
+    assert late.components[2].rmse == pytest.approx(
+        np.sqrt(np.mean((track.mean - truth)[10:, :, 2] ** 2))
+    )
 
 
 @pytest.mark.parametrize("runs", [1, 8])
@@ -103,7 +107,11 @@ def test_a_consistent_filter_is_in_the_bands_as_often_as_they_say(runs):
 
 
 def test_a_filter_that_claims_too_little_is_told():
-    bold = celnav.ukf(MOTION, celnav.Sensor(RADAR.h, 0.25 * np.diag([25.0, np.radians(1.0) ** 2]), space=RADAR.space), GPS)
+    bold = celnav.ukf(
+        MOTION,
+        celnav.Sensor(RADAR.h, 0.25 * np.diag([25.0, np.radians(1.0) ** 2]), space=RADAR.space),
+        GPS,
+    )
     track, truth = flown(filter=bold)
     found = track.report(truth)
     assert found.nees.nis > found.nees.band[1]
@@ -114,22 +122,46 @@ def test_a_filter_that_claims_too_little_is_told():
 
 @pytest.mark.parametrize("form", ["square root", "covariance"])
 def test_attitudes_are_judged_by_rotation_vectors_whatever_the_sign(form):
-    gyro, rng, dt, T, runs = Gyro.datasheet(3.0, rate_random_walk=20.0), np.random.default_rng(3), 1.0, 60, 40
+    gyro, rng, dt, T, runs = (
+        Gyro.datasheet(3.0, rate_random_walk=20.0),
+        np.random.default_rng(3),
+        1.0,
+        60,
+        40,
+    )
     space = celnav.product((celnav.attitude(), 4, 3), (celnav.EUCLIDEAN, 3, 3))
-    believed = celnav.Motion(lambda x, epoch: gyro.propagate(x, epoch.u, epoch.dt), Q=gyro.process_noise(dt), space=space)
-    star = celnav.Sensor(lambda x, _epoch: x[..., :4], R=np.radians(0.01) ** 2 * np.eye(3), space=celnav.attitude())
-    prior = celnav.Gaussian(np.r_[at.IDENTITY, 0.0, 0.0, 0.0], np.diag(np.repeat([np.radians(0.5), 1e-5], 3) ** 2))
+    believed = celnav.Motion(
+        lambda x, epoch: gyro.propagate(x, epoch.u, epoch.dt), Q=gyro.process_noise(dt), space=space
+    )
+    star = celnav.Sensor(
+        lambda x, _epoch: x[..., :4], R=np.radians(0.01) ** 2 * np.eye(3), space=celnav.attitude()
+    )
+    prior = celnav.Gaussian(
+        np.r_[at.IDENTITY, 0.0, 0.0, 0.0], np.diag(np.repeat([np.radians(0.5), 1e-5], 3) ** 2)
+    )
     u = np.broadcast_to([0.02, -0.01, 0.03], (T, 3))
     truth, z = celnav.simulate(believed, star, prior, dt * np.arange(T), runs=runs, u=u)
-    track = celnav.run(celnav.ukf(believed, star, form=form), prior, dt * np.arange(T), z, u, keep="cov")
-    found = track.report(truth * np.where(rng.random((T, runs, 1)) < 0.5, np.r_[-np.ones(4), np.ones(3)], 1.0))
-    angle = 2.0 * np.arccos(np.clip(np.abs(np.vecdot(track.mean[..., :4], truth[..., :4])), 0.0, 1.0))
+    track = celnav.run(
+        celnav.ukf(believed, star, form=form), prior, dt * np.arange(T), z, u, keep="cov"
+    )
+    found = track.report(
+        truth * np.where(rng.random((T, runs, 1)) < 0.5, np.r_[-np.ones(4), np.ones(3)], 1.0)
+    )
+    angle = 2.0 * np.arccos(
+        np.clip(np.abs(np.vecdot(track.mean[..., :4], truth[..., :4])), 0.0, 1.0)
+    )
     assert len(found.components) == 6
-    assert np.sqrt(sum(c.rmse**2 for c in found.components[:3])) == pytest.approx(np.sqrt(np.mean(angle**2)), rel=1e-3)
+    assert np.sqrt(sum(c.rmse**2 for c in found.components[:3])) == pytest.approx(
+        np.sqrt(np.mean(angle**2)), rel=1e-3
+    )
     assert found.nees.band[0] <= found.nees.nis <= found.nees.band[1]
-    alone = pickle.loads(pickle.dumps(track)).report(truth, space=space)  # a pickle has lost its filter
+    alone = pickle.loads(pickle.dumps(track)).report(
+        truth, space=space
+    )  # a pickle has lost its filter
     assert alone.nees.nis == pytest.approx(found.nees.nis)
-    with pytest.raises(ValueError, match=r"space: expected the space of the states, which are no vectors"):
+    with pytest.raises(
+        ValueError, match=r"space: expected the space of the states, which are no vectors"
+    ):
         replace(track, filter=None).report(truth)
 
 
@@ -138,16 +170,22 @@ def test_attitudes_are_judged_by_rotation_vectors_whatever_the_sign(form):
     [
         lambda f: f,
         lambda f: celnav.imm([f, f], 0.5 * np.ones((2, 2))),
-        lambda f: celnav.filters.switching.Switching([f].__getitem__, lambda belief, epoch, chosen: np.zeros(10, int)),
+        lambda f: celnav.filters.switching.Switching(
+            [f].__getitem__, lambda belief, epoch, chosen: np.zeros(10, int)
+        ),
     ],
 )
 def test_angles_of_a_state_wrap_in_filters_within_filters_too(wrap):
-    believed = celnav.Motion(lambda x, epoch: x + epoch.dt * 0.5, Q=1e-4 * np.eye(1), space=celnav.angles([0]))
+    believed = celnav.Motion(
+        lambda x, epoch: x + epoch.dt * 0.5, Q=1e-4 * np.eye(1), space=celnav.angles([0])
+    )
     compass = celnav.Sensor(lambda x, _epoch: x, 0.01 * np.eye(1), space=celnav.angles([0]))
     prior, times = celnav.Gaussian([3.0], [[0.01]]), np.arange(50.0)
     truth, z = celnav.simulate(believed, compass, prior, times, runs=10)
     track = celnav.run(wrap(celnav.ukf(believed, compass)), prior, times, z, keep="cov")
-    plain, turned = (track.report(truth + turns * 2.0 * np.pi).components[0].rmse for turns in (0, 1))
+    plain, turned = (
+        track.report(truth + turns * 2.0 * np.pi).components[0].rmse for turns in (0, 1)
+    )
     assert turned == pytest.approx(plain)
     assert plain < 0.1
 
@@ -158,7 +196,8 @@ def test_compiled_flights_are_judged_the_same(make):
     z[1][::3] = np.nan
     filter = make(MOTION, RADAR, GPS)
     plain, machine = (
-        celnav.run(filter, PRIOR, TIMES, z, keep="cov", engine=engine).report(truth) for engine in ("numpy", "compiled")
+        celnav.run(filter, PRIOR, TIMES, z, keep="cov", engine=engine).report(truth)
+        for engine in ("numpy", "compiled")
     )
     assert str(machine) == str(plain)
     np.testing.assert_allclose(machine.rms, plain.rms, rtol=1e-8)
@@ -173,12 +212,20 @@ def test_a_state_may_hold_more_than_the_truth():
     cov = track.cov[..., :4, :4]
     error = track.mean[..., :4] - truth
     assert len(found.components) == 4
-    assert found.nees.nis == pytest.approx(np.einsum("tri,trij,trj->tr", error, np.linalg.inv(cov), error).mean() / 4.0)
+    assert found.nees.nis == pytest.approx(
+        np.einsum("tri,trij,trj->tr", error, np.linalg.inv(cov), error).mean() / 4.0
+    )
 
 
 def test_one_run_one_truth_of_many_and_no_covariances(sound):
     track, truth = sound
-    alone = celnav.run(FILTER, PRIOR, TIMES, (np.tile([580.0, 0.5], (41, 1)), np.tile([500.0, 300.0], (41, 1))), keep="std")
+    alone = celnav.run(
+        FILTER,
+        PRIOR,
+        TIMES,
+        (np.tile([580.0, 0.5], (41, 1)), np.tile([500.0, 300.0], (41, 1))),
+        keep="std",
+    )
     found = alone.report(truth[:, 0])
     assert found.nees is None
     assert "no covariances are stored: run with keep='cov'" in str(found)
@@ -194,7 +241,11 @@ def test_lost_runs_and_rejections_are_told():
     assert sum(found.rejected) == found.events["rejected"] > 0
     assert f"{found.rejected[0]} rejected" in str(found)
     calls = celnav.Motion(
-        lambda x, epoch: np.where((epoch.k == 20) & (x[..., :1] > 700.0), np.nan, 1.0) * (x @ MOTION.f.matrix(epoch).T), np.eye(4)
+        lambda x, epoch: (
+            np.where((epoch.k == 20) & (x[..., :1] > 700.0), np.nan, 1.0)
+            * (x @ MOTION.f.matrix(epoch).T)
+        ),
+        np.eye(4),
     )
     truth, z = celnav.simulate(MOTION, GPS, PRIOR, TIMES, runs=30)
     lost = celnav.run(celnav.ukf(calls, GPS), PRIOR, TIMES, z, keep="cov", on_failure="flag")
@@ -202,7 +253,9 @@ def test_lost_runs_and_rejections_are_told():
     told = lost.report(truth)
     assert [run for run, _ in told.lost] == np.flatnonzero(lost.failed_at >= 0).tolist()
     assert {t for _, t in told.lost} == {20.0}
-    assert f"{len(told.lost)} of 30 runs lost, the first (run {told.lost[0][0]}) at 20 s" in str(told)
+    assert f"{len(told.lost)} of 30 runs lost, the first (run {told.lost[0][0]}) at 20 s" in str(
+        told
+    )
     assert np.isfinite([c.rmse for c in told.components]).all()
     assert told.nees.dof.tolist() == [120] * 20 + [4 * (30 - len(told.lost))] * 21
 
@@ -212,21 +265,36 @@ def test_the_figure_shows_each_component_and_each_ratio(sound):
     fig = track.report(truth, names=["x (m)", "y (m)", "u (m/s)", "v (m/s)"]).figure()
     drawn = [ax for ax in fig.axes if ax.axison]
     assert [ax.get_ylabel() for ax in drawn[:4]] == ["x (m)", "y (m)", "u (m/s)", "v (m/s)"]
-    assert [ax.get_title() for ax in drawn[4:]] == ["NEES / n", "NIS / dof: z0, z1", "NIS / dof: z2, z3"]
-    np.testing.assert_allclose(drawn[0].lines[0].get_ydata(), np.sqrt(np.mean((track.mean - truth)[..., 0] ** 2, 1)))
+    assert [ax.get_title() for ax in drawn[4:]] == [
+        "NEES / n",
+        "NIS / dof: z0, z1",
+        "NIS / dof: z2, z3",
+    ]
+    np.testing.assert_allclose(
+        drawn[0].lines[0].get_ydata(), np.sqrt(np.mean((track.mean - truth)[..., 0] ** 2, 1))
+    )
 
 
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        (lambda truth: {"truth": truth[:5]}, r"truth: expected shape \(41, 30, 4\), at the track's epochs, got \(5, 30, 4\)$"),
-        (lambda truth: {"truth": np.repeat(truth, 2, 0)}, r"got \(82, 30, 4\); truth\[::every\] goes with"),
+        (
+            lambda truth: {"truth": truth[:5]},
+            r"truth: expected shape \(41, 30, 4\), at the track's epochs, got \(5, 30, 4\)$",
+        ),
+        (
+            lambda truth: {"truth": np.repeat(truth, 2, 0)},
+            r"got \(82, 30, 4\); truth\[::every\] goes with",
+        ),
         (lambda truth: {"truth": truth[:, :7]}, r"got \(41, 7, 4\)$"),
         (
             lambda truth: {"truth": truth, "names": ["x"]},
             r"names: expected 4 words, one for each component of the error, got \['x'\]",
         ),
-        (lambda truth: {"truth": truth, "start": 99.0}, r"start: expected at most 40, the last epoch, got 99.0"),
+        (
+            lambda truth: {"truth": truth, "start": 99.0},
+            r"start: expected at most 40, the last epoch, got 99.0",
+        ),
     ],
 )
 def test_what_does_not_go_together_is_refused(sound, change, text):
@@ -236,5 +304,8 @@ def test_what_does_not_go_together_is_refused(sound, change, text):
 
 def test_a_track_without_deviations_is_refused():
     track, truth = flown(runs=2, keep="mean")
-    with pytest.raises(ValueError, match="track: expected one with means and deviations; run with keep='cov', or 'std'"):
+    with pytest.raises(
+        ValueError,
+        match="track: expected one with means and deviations; run with keep='cov', or 'std'",
+    ):
         track.report(truth)

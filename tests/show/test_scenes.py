@@ -27,7 +27,9 @@ def test_sight_lines_touch_the_earth_at_the_measured_angles():
     np.testing.assert_allclose(start, np.repeat(position[:, None], 2, 1), rtol=1e-12)
     unit = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
     # The distance of the Earth's center from the line is its radius.
-    np.testing.assert_allclose(np.linalg.norm(np.cross(start, unit), axis=-1), EARTH.radius_km, rtol=1e-12)
+    np.testing.assert_allclose(
+        np.linalg.norm(np.cross(start, unit), axis=-1), EARTH.radius_km, rtol=1e-12
+    )
     A = angles(position, stars)
     np.testing.assert_allclose(np.arccos(np.sum(unit[:, 0] * unit[:, 1], -1)), A[:, 2], atol=1e-9)
     arcs = out.given["world/angles"][0] - position[:, None, None]
@@ -36,7 +38,9 @@ def test_sight_lines_touch_the_earth_at_the_measured_angles():
     for i, star in enumerate(stars, start=1):
         origins, vectors = out.given[f"world/stars/i{i}"][:2]
         np.testing.assert_array_equal(origins, position)
-        np.testing.assert_allclose(vectors / np.linalg.norm(vectors, axis=1, keepdims=True), np.tile(star, (61, 1)))
+        np.testing.assert_allclose(
+            vectors / np.linalg.norm(vectors, axis=1, keepdims=True), np.tile(star, (61, 1))
+        )
 
 
 def test_the_line_behind_is_as_long_as_there_is():

@@ -25,7 +25,9 @@ SCALES = {"position": 1.0, "velocity": 1e3}
 def showcase(steps=60, seed=0):
     """A satellite about the Earth, km and km/s."""
     rng = np.random.default_rng(seed)
-    truth = propagate(from_elements(7136.635, 1e-3, *np.deg2rad([65.0, 30.0, 30.0]), 0.0), 1.0, steps)
+    truth = propagate(
+        from_elements(7136.635, 1e-3, *np.deg2rad([65.0, 30.0, 30.0]), 0.0), 1.0, steps
+    )
     n = steps + 1
     scale = np.repeat([0.2, 4e-5], 3)
     found = {}
@@ -33,14 +35,25 @@ def showcase(steps=60, seed=0):
         A = scale[:, None] * rng.standard_normal((n, 6, 6))
         nis = rng.chisquare(3, n)
         nis[0] = np.nan
-        found[key] = Estimate(key.upper(), color, scale * rng.standard_normal((n, 9, 6)), A @ A.mT, rng.chisquare(6, n), nis)
+        found[key] = Estimate(
+            key.upper(),
+            color,
+            scale * rng.standard_normal((n, 9, 6)),
+            A @ A.mT,
+            rng.chisquare(6, n),
+            nis,
+        )
     noise = np.cumsum(0.2 * rng.standard_normal((n, 3)), 0)
     measured = noise.copy()
     measured[20:25] = np.nan
 
     def scene(out):
-        scenes.sightings(out, "world", truth[:, :3], truth[:, 3:], star_directions(np.pi / 2), EARTH.radius_km)
-        scenes.track(out, "world/own", truth[:, :3] + found["own"].errors[:, 0, :3], colors.ESTIMATE)
+        scenes.sightings(
+            out, "world", truth[:, :3], truth[:, 3:], star_directions(np.pi / 2), EARTH.radius_km
+        )
+        scenes.track(
+            out, "world/own", truth[:, :3] + found["own"].errors[:, 0, :3], colors.ESTIMATE
+        )
 
     return Showcase(
         "test: Φ = I", "**synthetic**", np.arange(n, dtype=float), found,
@@ -53,7 +66,9 @@ def showcase(steps=60, seed=0):
 
 
 def changed(case, key, **changes):
-    return dataclasses.replace(case, estimates={**case.estimates, key: dataclasses.replace(case.estimates[key], **changes)})
+    return dataclasses.replace(
+        case, estimates={**case.estimates, key: dataclasses.replace(case.estimates[key], **changes)}
+    )
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +107,9 @@ def rows(content, entity, component):
 
 
 def scalars(content, entity):
-    return np.array([row[0] if len(row) else np.nan for row in rows(content, entity, "Scalars:scalars")])
+    return np.array(
+        [row[0] if len(row) else np.nan for row in rows(content, entity, "Scalars:scalars")]
+    )
 
 
 def test_the_file_is_whole_and_holds_a_layout(path):
@@ -105,7 +122,13 @@ def test_the_file_is_whole_and_holds_a_layout(path):
 
 def test_the_same_showcase_is_recorded_the_same(path, tmp_path):
     record(showcase(), tmp_path / "again.rrd")
-    command = [Path(sys.executable).with_name("rerun"), "rrd", "compare", path, tmp_path / "again.rrd"]
+    command = [
+        Path(sys.executable).with_name("rerun"),
+        "rrd",
+        "compare",
+        path,
+        tmp_path / "again.rrd",
+    ]
     assert subprocess.run(command, capture_output=True, timeout=60).returncode == 0
 
 
@@ -118,7 +141,15 @@ def test_columns_are_whole(path):
 def test_the_text_says_what_colors_mean(path):
     (chunk,) = (c for c in chunks(path) if str(c.entity_path) == "/info")
     (text,) = chunk.to_record_batch().column("TextDocument:text")[0].as_py()
-    for words in ("**synthetic**", "green: truth", "orange: OWN", "purple: THIRD", "stars", "yellow: Cramér–Rao", "| steps | 60 |"):
+    for words in (
+        "**synthetic**",
+        "green: truth",
+        "orange: OWN",
+        "purple: THIRD",
+        "stars",
+        "yellow: Cramér–Rao",
+        "| steps | 60 |",
+    ):
         assert words in text
 
 
@@ -127,7 +158,9 @@ def test_errors_are_about_the_origin_with_three_sigma(case, content, key):
     estimate = case.estimates[key]
     half = np.array(rows(content, f"/error/{key}/ellipsoid", "Ellipsoids3D:half_sizes"))[:, 0]
     centers = np.array(rows(content, f"/error/{key}/ellipsoid", "Ellipsoids3D:centers"))[:, 0]
-    expected = 3.0 * np.linalg.svd(np.linalg.cholesky(estimate.cov[:, :3, :3]), compute_uv=False)[:, ::-1]
+    expected = (
+        3.0 * np.linalg.svd(np.linalg.cholesky(estimate.cov[:, :3, :3]), compute_uv=False)[:, ::-1]
+    )
     np.testing.assert_allclose(half, expected, rtol=1e-5)
     np.testing.assert_allclose(centers, estimate.errors[:, 0, :3], rtol=1e-6)
     cloud = np.array(rows(content, f"/error/{key}/ensemble", "Points3D:positions"))
@@ -142,7 +175,9 @@ def test_errors_are_about_the_origin_with_three_sigma(case, content, key):
 def test_states_come_back_exactly(case, content, key):
     times, _ = content[f"/state/{key}"]["error"]
     np.testing.assert_allclose(times, case.times)
-    np.testing.assert_array_equal(np.array(rows(content, f"/state/{key}", "error")), case.estimates[key].errors[:, 0])
+    np.testing.assert_array_equal(
+        np.array(rows(content, f"/state/{key}", "error")), case.estimates[key].errors[:, 0]
+    )
     cov = np.array(rows(content, f"/state/{key}", "covariance")).reshape(-1, 6, 6)
     np.testing.assert_array_equal(cov, case.estimates[key].cov)
     np.testing.assert_array_equal(np.array(rows(content, "/state/truth", "mean")), case.truth)
@@ -154,21 +189,36 @@ def test_plots(case, content):
         for i, axis in enumerate("xyz"):
             for quantity, j in (("position", i), ("velocity", i + 3)):
                 entity, unit = f"/plots/{quantity}/{axis}/{key}", SCALES[quantity]
-                np.testing.assert_allclose(scalars(content, entity), unit * e.errors[:, 0, j], rtol=1e-12)
+                np.testing.assert_allclose(
+                    scalars(content, entity), unit * e.errors[:, 0, j], rtol=1e-12
+                )
                 for sign, end in ((1.0, "\\+3s"), (-1.0, "-3s")):
                     expected = sign * 3.0 * unit * np.sqrt(e.cov[:, j, j])
-                    np.testing.assert_allclose(scalars(content, f"{entity}/{end}"), expected, rtol=1e-12)
+                    np.testing.assert_allclose(
+                        scalars(content, f"{entity}/{end}"), expected, rtol=1e-12
+                    )
         size = np.linalg.norm(e.errors[:, 0, :3], axis=1)
         np.testing.assert_allclose(10.0 ** scalars(content, f"/plots/position/size/{key}"), size)
         reach = 3.0 * np.sqrt(np.trace(e.cov[:, :3, :3], axis1=1, axis2=2))
-        np.testing.assert_allclose(10.0 ** scalars(content, f"/plots/position/size/{key}/3s"), reach)
-        np.testing.assert_allclose(10.0 ** scalars(content, f"/plots/consistency/nees/{key}"), e.nees / 6.0)
-        np.testing.assert_allclose(10.0 ** scalars(content, f"/plots/consistency/nis/{key}"), e.nis / 3.0)
+        np.testing.assert_allclose(
+            10.0 ** scalars(content, f"/plots/position/size/{key}/3s"), reach
+        )
+        np.testing.assert_allclose(
+            10.0 ** scalars(content, f"/plots/consistency/nees/{key}"), e.nees / 6.0
+        )
+        np.testing.assert_allclose(
+            10.0 ** scalars(content, f"/plots/consistency/nis/{key}"), e.nis / 3.0
+        )
         rmse = np.sqrt(np.square(1e3 * e.errors[..., 3:]).sum(-1).mean(1))
         np.testing.assert_allclose(10.0 ** scalars(content, f"/plots/rmse/velocity/{key}"), rmse)
-    np.testing.assert_allclose(10.0 ** scalars(content, "/plots/rmse/position/bound"), case.bound["position"])
+    np.testing.assert_allclose(
+        10.0 ** scalars(content, "/plots/rmse/position/bound"), case.bound["position"]
+    )
     for name, dof in (("nees", 6), ("nis", 3)):
-        ends = [10.0 ** scalars(content, f"/plots/consistency/{name}/band/{end}")[0] for end in ("low", "high")]
+        ends = [
+            10.0 ** scalars(content, f"/plots/consistency/{name}/band/{end}")[0]
+            for end in ("low", "high")
+        ]
         np.testing.assert_allclose(ends, np.array(chi_square_band(dof, 1)) / dof)
     V = case.plots["colored noise"]["x"].curves["truth"]
     np.testing.assert_array_equal(scalars(content, "/plots/colored_noise/x/truth"), V.values)
@@ -178,12 +228,23 @@ def test_plots(case, content):
 def test_a_group_about_its_truth_shows_the_states(case, tmp_path):
     """And a filter that does not estimate it is not there."""
     truth = 1e3 * case.truth[:, 3:]
-    few = changed(case, "third", errors=case.estimates["third"].errors[..., :3], cov=case.estimates["third"].cov[:, :3, :3])
+    few = changed(
+        case,
+        "third",
+        errors=case.estimates["third"].errors[..., :3],
+        cov=case.estimates["third"].cov[:, :3, :3],
+    )
     groups = (Group("velocity", "m/s", slice(3, 6), 1e3, truth=truth),)
     record(dataclasses.replace(few, groups=groups, scene=None, bound={}), tmp_path / "a.rrd")
-    found = {str(c.entity_path): c.to_record_batch() for c in chunks(tmp_path / "a.rrd") if not c.is_static}
+    found = {
+        str(c.entity_path): c.to_record_batch()
+        for c in chunks(tmp_path / "a.rrd")
+        if not c.is_static
+    }
     drawn = found["/plots/velocity/y/own"].column("Scalars:scalars")
-    np.testing.assert_allclose([row.as_py()[0] for row in drawn], truth[:, 1] + 1e3 * case.estimates["own"].errors[:, 0, 4])
+    np.testing.assert_allclose(
+        [row.as_py()[0] for row in drawn], truth[:, 1] + 1e3 * case.estimates["own"].errors[:, 0, 4]
+    )
     assert "/plots/velocity/y/truth" in found
     assert "/plots/velocity/y/third" not in found
     assert "/error/third/ellipsoid" in found
@@ -192,7 +253,11 @@ def test_a_group_about_its_truth_shows_the_states(case, tmp_path):
 def test_variances_alone_have_bounds_and_no_ellipsoids(case, tmp_path):
     e = case.estimates["own"]
     record(changed(case, "own", cov=e.cov.diagonal(0, -2, -1)), tmp_path / "a.rrd")
-    found = {(str(c.entity_path), name) for c in chunks(tmp_path / "a.rrd") for name in c.to_record_batch().schema.names}
+    found = {
+        (str(c.entity_path), name)
+        for c in chunks(tmp_path / "a.rrd")
+        for name in c.to_record_batch().schema.names
+    }
     assert ("/plots/position/x/own/-3s", "Scalars:scalars") in found
     assert ("/state/own", "variance") in found
     assert not any(entity == "/error/own/ellipsoid" for entity, _ in found)
@@ -202,7 +267,11 @@ def test_a_failed_filter_leaves_gaps(case, tmp_path):
     errors, cov = case.estimates["own"].errors.copy(), case.estimates["own"].cov.copy()
     errors[40:], cov[40:] = np.nan, np.nan
     record(changed(case, "own", errors=errors, cov=cov), tmp_path / "a.rrd")
-    (chunk,) = (c for c in chunks(tmp_path / "a.rrd") if str(c.entity_path) == "/error/own/ellipsoid" and not c.is_static)
+    (chunk,) = (
+        c
+        for c in chunks(tmp_path / "a.rrd")
+        if str(c.entity_path) == "/error/own/ellipsoid" and not c.is_static
+    )
     sizes = chunk.to_record_batch().column("Ellipsoids3D:half_sizes")
     assert [len(row.as_py() or []) for row in sizes] == [1] * 40 + [0] * 21
 
@@ -210,7 +279,10 @@ def test_a_failed_filter_leaves_gaps(case, tmp_path):
 def test_filters_that_failed_from_the_start(case, tmp_path):
     nothing = case
     for key, e in case.estimates.items():
-        lost = {name: np.full_like(getattr(e, name), np.nan) for name in ("errors", "cov", "nees", "nis")}
+        lost = {
+            name: np.full_like(getattr(e, name), np.nan)
+            for name in ("errors", "cov", "nees", "nis")
+        }
         nothing = changed(nothing, key, **lost)
     record(dataclasses.replace(nothing, scene=None), tmp_path / "a.rrd")
     assert len(rr.chunk.RrdReader(tmp_path / "a.rrd").recordings()) == 1
@@ -223,7 +295,11 @@ def test_a_large_start_leaves_the_rest_to_be_seen(case, tmp_path):
     errors[:5] *= 1e6
     cov[:5] *= 1e12
     record(changed(case, "own", errors=errors, cov=cov), tmp_path / "a.rrd")
-    (chunk,) = (c for c in chunks(tmp_path / "a.rrd") if str(c.entity_path) == "/error/own/estimate" and not c.is_static)
+    (chunk,) = (
+        c
+        for c in chunks(tmp_path / "a.rrd")
+        if str(c.entity_path) == "/error/own/estimate" and not c.is_static
+    )
     positions = chunk.to_record_batch().column("Points3D:positions")
     assert [len(row.as_py() or []) for row in positions] == [0] * 5 + [1] * 56
 
@@ -231,7 +307,13 @@ def test_a_large_start_leaves_the_rest_to_be_seen(case, tmp_path):
 def test_plots_alone_need_no_scene(tmp_path):
     times = np.arange(5.0)
     record(
-        Showcase("plots", "text", times, plots={"a": {"b": Plot("b", {"c": Curve(times, colors.TRUTH, "c")})}}), tmp_path / "a.rrd"
+        Showcase(
+            "plots",
+            "text",
+            times,
+            plots={"a": {"b": Plot("b", {"c": Curve(times, colors.TRUTH, "c")})}},
+        ),
+        tmp_path / "a.rrd",
     )
     assert "/plots/a/b/c" in {str(c.entity_path) for c in chunks(tmp_path / "a.rrd")}
 
@@ -251,8 +333,14 @@ def test_a_full_run_stays_small(tmp_path):
     ("change", "message"),
     [
         ({"truth": np.zeros((3, 6))}, "state/truth mean: expected 61 rows, got shape"),
-        ({"measured": np.zeros((61, 2))}, r"error/measured/points points: expected shape \(61, any, 3\), got"),
-        ({"bound": {"position": np.zeros(5)}}, r"plots/rmse/position/bound values: expected shape \(61,\), got \(5,\)"),
+        (
+            {"measured": np.zeros((61, 2))},
+            r"error/measured/points points: expected shape \(61, any, 3\), got",
+        ),
+        (
+            {"bound": {"position": np.zeros(5)}},
+            r"plots/rmse/position/bound values: expected shape \(61,\), got \(5,\)",
+        ),
         ({"axes": np.full((3, 6), np.nan)}, "axes: expected finite numbers"),
         ({"times": np.zeros(61)}, "times: expected two or more finite, increasing seconds"),
     ],
@@ -266,9 +354,18 @@ def test_what_does_not_fit_is_named(case, tmp_path, change, message):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"errors": np.zeros((61, 6))}, r"estimates own errors: expected shape \(61, runs, n\), got \(61, 6\)"),
-        ({"cov": np.zeros((61, 5, 5))}, r"estimates own cov: expected shape \(61, 6, 6\), got \(61, 5, 5\)"),
-        ({"nees": np.zeros(5)}, r"plots/consistency/nees/own values: expected shape \(61,\), got \(5,\)"),
+        (
+            {"errors": np.zeros((61, 6))},
+            r"estimates own errors: expected shape \(61, runs, n\), got \(61, 6\)",
+        ),
+        (
+            {"cov": np.zeros((61, 5, 5))},
+            r"estimates own cov: expected shape \(61, 6, 6\), got \(61, 5, 5\)",
+        ),
+        (
+            {"nees": np.zeros(5)},
+            r"plots/consistency/nees/own values: expected shape \(61,\), got \(5,\)",
+        ),
     ],
 )
 def test_an_estimate_that_does_not_fit_is_named(case, tmp_path, change, message):

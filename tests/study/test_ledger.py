@@ -16,7 +16,14 @@ def claim(*numbers, kind="finding", **more):
 
 
 @pytest.mark.parametrize(
-    ("ci", "holds"), [((0.2, 0.8), True), ((1.2, 1.8), False), ((-2.0, -1.0), False), ((0.5, 1.5), None), ((-1.0, 2.0), None)]
+    ("ci", "holds"),
+    [
+        ((0.2, 0.8), True),
+        ((1.2, 1.8), False),
+        ((-2.0, -1.0), False),
+        ((0.5, 1.5), None),
+        ((-1.0, 2.0), None),
+    ],
 )
 def test_a_number_with_an_interval_holds_if_all_of_it_does(ci, holds):
     number = Number("x", 0.5 * sum(ci), (0.0, 1.0), ci)
@@ -25,7 +32,9 @@ def test_a_number_with_an_interval_holds_if_all_of_it_does(ci, holds):
     assert claim(number).verdict == {True: "shown", False: "not shown", None: "undecided"}[holds]
 
 
-@pytest.mark.parametrize(("value", "holds"), [(0.0, True), (1.0, True), (1.0 + 1e-12, False), (-5.0, False)])
+@pytest.mark.parametrize(
+    ("value", "holds"), [(0.0, True), (1.0, True), (1.0 + 1e-12, False), (-5.0, False)]
+)
 def test_a_number_without_sampling_error_is_inside_or_outside(value, holds):
     assert Number("x", value, (0.0, 1.0)).holds is holds
     assert Number("x", value, (None, None)).holds is True
@@ -33,7 +42,11 @@ def test_a_number_without_sampling_error_is_inside_or_outside(value, holds):
 
 
 def test_all_numbers_have_to_hold_and_one_that_does_not_decides():
-    good, bad, open_ = Number("a", 0.5, (0, 1)), Number("b", 2.0, (0, 1)), Number("c", 1.0, (0, 1), (0.5, 1.5))
+    good, bad, open_ = (
+        Number("a", 0.5, (0, 1)),
+        Number("b", 2.0, (0, 1)),
+        Number("c", 1.0, (0, 1), (0.5, 1.5)),
+    )
     assert claim(good, good).verdict == "shown"
     assert claim(good, open_).verdict == "undecided"
     assert claim(good, open_, bad).verdict == "not shown"
@@ -48,7 +61,10 @@ TIERS = [
 @pytest.mark.parametrize(("value", "verdict"), TIERS)
 def test_the_verdict_is_that_of_the_first_tier_that_holds(value, verdict):
     ci = (value - 0.1, value + 0.1)
-    tiers = {"reproduced": [Number("x", value, (None, 1.0), ci)], "in part": [Number("x", value, (None, 3.0), ci)]}
+    tiers = {
+        "reproduced": [Number("x", value, (None, 1.0), ci)],
+        "in part": [Number("x", value, (None, 3.0), ci)],
+    }
     found = Row("statement", "one", "It is so", lambda _: tiers).judged(None)
     assert found.verdict == verdict
     assert found.holds is {"reproduced": True, "undecided": None}.get(verdict, False)
@@ -74,10 +90,16 @@ def test_what_is_expected_is_no_surprise_and_a_success_may_be_one():
 
 
 def test_a_row_without_numbers_says_so():
-    assert Row("statement", "one", "It is so", expected="not decidable").judged(None).verdict == "not decidable"
+    assert (
+        Row("statement", "one", "It is so", expected="not decidable").judged(None).verdict
+        == "not decidable"
+    )
     assert Row("statement", "one", "It is so").judged(None).verdict == "not addressed"
     assert Row("erratum", "one", "It is so").judged(None).verdict == "paper in error"
-    assert Row("statement", "one", "It is so", lambda _: Number("x", np.nan)).judged(None).verdict == "no number"
+    assert (
+        Row("statement", "one", "It is so", lambda _: Number("x", np.nan)).judged(None).verdict
+        == "no number"
+    )
 
 
 def test_kinds_and_verdicts_are_checked():
@@ -101,7 +123,10 @@ def test_the_interval_is_that_of_the_runs():
 
 def test_what_we_find_has_the_numbers_at_hand():
     number = Number("x", 0.05321, (0, 1), (0.0481, 0.0592))
-    assert claim(number, found="Only {0}, or {0.value:.1f}.").note == "Only 0.0532 [0.0481, 0.0592], or 0.1."
+    assert (
+        claim(number, found="Only {0}, or {0.value:.1f}.").note
+        == "Only 0.0532 [0.0481, 0.0592], or 0.1."
+    )
     assert f"{number:.1f}" == "0.1 [0.0, 0.1]"
     assert f"{Number('x', 3.0)}" == "3"
     assert claim(Number("x", np.nan), found="Only {0}.").note == ""
@@ -109,11 +134,23 @@ def test_what_we_find_has_the_numbers_at_hand():
 
 def test_it_is_written_as_plain_json_in_the_order_of_its_types():
     number = Number("x", 1.23456789, (None, 2.0), (1.0, 1.5), printed=1.2)
-    found = Row("statement", "one", "It is so", lambda _: number, "§1", "because", printed={"a": [1.0, np.nan]}).judged(None)
+    found = Row(
+        "statement",
+        "one",
+        "It is so",
+        lambda _: number,
+        "§1",
+        "because",
+        printed={"a": [1.0, np.nan]},
+    ).judged(None)
     (written,) = json.loads(dumps([found]))
     assert list(written) == list(TYPES)
     assert all(type(written[key]) in TYPES[key] for key in TYPES)
-    assert (written["value"], written["ci"], written["accept"]) == (1.23457, [1.0, 1.5], [None, 2.0])
+    assert (written["value"], written["ci"], written["accept"]) == (
+        1.23457,
+        [1.0, 1.5],
+        [None, 2.0],
+    )
     assert written["printed"] == {"a": [1.0, None]}
     assert written["numbers"][0]["printed"] == 1.2
     with pytest.raises(ValueError, match="different ids, got one"):
@@ -121,6 +158,12 @@ def test_it_is_written_as_plain_json_in_the_order_of_its_types():
 
 
 def test_plain_values():
-    assert plain((np.float64(1.0), np.bool_(True), "a", None, np.inf)) == [1.0, True, "a", None, None]
+    assert plain((np.float64(1.0), np.bool_(True), "a", None, np.inf)) == [
+        1.0,
+        True,
+        "a",
+        None,
+        None,
+    ]
     assert order(3e-9) == 1e-8
     assert order(0.0) == 0.0

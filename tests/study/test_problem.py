@@ -8,7 +8,20 @@ from itertools import product
 import numpy as np
 import pytest
 
-from celnav import Gaussian, Motion, Sensor, Taylor, colored, cubature, epochs, gauss_hermite, run, sigma_point, smolyak, unscented
+from celnav import (
+    Gaussian,
+    Motion,
+    Sensor,
+    Taylor,
+    colored,
+    cubature,
+    epochs,
+    gauss_hermite,
+    run,
+    sigma_point,
+    smolyak,
+    unscented,
+)
 from celnav.filters.adaptive import gate, huber, innovation_window, student_t
 from celnav.gaussian import spaces
 from celnav.gaussian.attitude import attitude, rotate
@@ -27,7 +40,12 @@ RULES = {
     "Gauss-Hermite": gauss_hermite,
     "sparse grid": lambda n: smolyak(n, 3),
 }
-HOOKS = {"window": innovation_window(10), "gate": gate(4.0), "Huber": huber(), "Student": student_t()}
+HOOKS = {
+    "window": innovation_window(10),
+    "gate": gate(4.0),
+    "Huber": huber(),
+    "Student": student_t(),
+}
 
 
 def composed(rule, form="square root", color="", hook=""):
@@ -40,7 +58,9 @@ def composed(rule, form="square root", color="", hook=""):
             return None
         options = {"rule": RULES[rule], "form": form, "hooks": [HOOKS[hook]] if hook else []}
         if color:
-            return colored(problem.motion, problem.sensor, problem.phi * np.eye(problem.sensor.m), **options)
+            return colored(
+                problem.motion, problem.sensor, problem.phi * np.eye(problem.sensor.m), **options
+            )
         return sigma_point(problem.motion, problem.sensor, **options)
 
     return " · ".join(filter(None, [rule, form, color, hook])), make
@@ -74,7 +94,13 @@ NOISE, R, PRIOR = [[0.05], [0.1]], [[0.25]], Gaussian([1.0, 2.0], [[4.0, 0.5], [
 
 def line(**changes):
     """A body on a line, seen by its position."""
-    problem = Problem(Motion(f, sqrt_Q=NOISE), Sensor(h, R), PRIOR, np.arange(21.0), groups=[Group("position", "m", slice(0, 1))])
+    problem = Problem(
+        Motion(f, sqrt_Q=NOISE),
+        Sensor(h, R),
+        PRIOR,
+        np.arange(21.0),
+        groups=[Group("position", "m", slice(0, 1))],
+    )
     return replace(problem, **changes)
 
 
@@ -86,7 +112,10 @@ def satellite(**changes):
             sqrt_Q=np.linalg.cholesky(gyro.process_noise(1.0)),
             space=spaces.product((attitude(), 4, 3), (EUCLIDEAN, 3, 3)),
         ),
-        Sensor(lambda x, epoch: side_by_side([rotate(x[..., :4], star) for star in np.eye(3)[:2]]), R=1e-6 * np.eye(6)),
+        Sensor(
+            lambda x, epoch: side_by_side([rotate(x[..., :4], star) for star in np.eye(3)[:2]]),
+            R=1e-6 * np.eye(6),
+        ),
         Gaussian([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], np.diag([0.02] * 3 + [1e-4] * 3) ** 2),
         times=np.arange(31.0),
         u=np.tile([0.0, 1e-3, 0.0], (30, 1)),
@@ -109,7 +138,9 @@ def kalman(problem, z):
     return np.stack(out), P
 
 
-@pytest.mark.parametrize("name", [name for name in COMPOSITIONS if name.split(" · ")[-1] not in HOOKS])
+@pytest.mark.parametrize(
+    "name", [name for name in COMPOSITIONS if name.split(" · ")[-1] not in HOOKS]
+)
 def test_on_a_line_every_composition_is_the_kalman_filter(name):
     problem = line()
     _, z = problem.draw([generator(0, 0, r) for r in range(4)])
@@ -138,7 +169,9 @@ def test_draws_are_of_the_model():
     np.testing.assert_allclose(V.std(1), 0.5, rtol=0.06)
     assert np.corrcoef(V[9], V[10])[0, 1] == pytest.approx(0.8, abs=0.03)
     w = truth[1:] - truth[:-1] @ F.T
-    np.testing.assert_allclose(np.cov(w.reshape(-1, 2).T), problem.motion.noise @ problem.motion.noise.T, rtol=0.05)
+    np.testing.assert_allclose(
+        np.cov(w.reshape(-1, 2).T), problem.motion.noise @ problem.motion.noise.T, rtol=0.05
+    )
 
 
 def test_outliers_are_as_many_and_as_large_as_they_are_said_to_be():
@@ -160,7 +193,9 @@ def test_an_outlier_of_colored_noise_leaves_the_next_sample_alone():
 
 def test_huber_takes_most_of_the_harm_out_of_outliers():
     misled, kept = compare(
-        {"line": line(outliers=0.1)}, chosen("unscented · square root", "unscented · square root · Huber"), runs=200
+        {"line": line(outliers=0.1)},
+        chosen("unscented · square root", "unscented · square root · Huber"),
+        runs=200,
     )
     assert kept.rms_high < misled.rms_low
     assert kept.anees < 0.5 * misled.anees
@@ -175,21 +210,33 @@ def test_models_that_write_to_their_argument_change_nothing():
         x[..., 0] -= 100.0
         return x[..., :1]
 
-    kinds = chosen("unscented · square root", "unscented · square root · colored", "Taylor · square root · colored")
+    kinds = chosen(
+        "unscented · square root",
+        "unscented · square root · colored",
+        "Taylor · square root · colored",
+    )
     writing = line(motion=Motion(moved, sqrt_Q=NOISE), sensor=Sensor(seen, R), phi=0.5)
     pure = line(sensor=Sensor(lambda x, _epoch: x[..., :1] - 100.0, R), phi=0.5)
-    for mine, other in zip(compare({"line": writing}, kinds, runs=5), compare({"line": pure}, kinds, runs=5), strict=True):
+    for mine, other in zip(
+        compare({"line": writing}, kinds, runs=5),
+        compare({"line": pure}, kinds, runs=5),
+        strict=True,
+    ):
         np.testing.assert_allclose(mine[2:8], other[2:8], rtol=1e-9)
 
 
 def test_a_noiseless_run_is_the_undisturbed_one():
     truth, z = line(outliers=0.1, phi=0.5).draw([Noiseless()])
-    np.testing.assert_allclose(truth[:, 0], [np.linalg.matrix_power(F, k) @ [1.0, 2.0] for k in range(21)])
+    np.testing.assert_allclose(
+        truth[:, 0], [np.linalg.matrix_power(F, k) @ [1.0, 2.0] for k in range(21)]
+    )
     np.testing.assert_array_equal(z[..., 0], truth[..., 0])
 
 
 def test_where_the_model_holds_filters_reach_the_bound_and_know_it():
-    rows = compare({"line": line()}, chosen("unscented · square root", "sparse grid · covariance"), runs=400)
+    rows = compare(
+        {"line": line()}, chosen("unscented · square root", "sparse grid · covariance"), runs=400
+    )
     for row in rows:
         assert row.efficiency == pytest.approx(1.0, abs=0.05)
         assert row.low < 1.0 < row.high
@@ -206,7 +253,11 @@ def test_sparse_grids_for_colored_noise_are_consistent_and_filters_for_white_noi
 
 
 def test_adaptive_square_root_attitude_is_consistent_and_survives_outliers():
-    filters = chosen("unscented · square root", "unscented · square root · window", "unscented · square root · Huber")
+    filters = chosen(
+        "unscented · square root",
+        "unscented · square root · window",
+        "unscented · square root · Huber",
+    )
     clean = compare({"satellite": satellite()}, filters, runs=300)
     assert all(abs(row.anees - 1.0) < 0.15 for row in clean)
     assert all(row.rms < 1.1 * clean[0].rms for row in clean)
@@ -220,16 +271,25 @@ def test_adaptive_square_root_attitude_is_consistent_and_survives_outliers():
 def test_what_does_not_go_together_is_left_out():
     assert COMPOSITIONS["unscented · square root · colored"](satellite()) is None
     rows = compare({"satellite": satellite(times=np.arange(4.0))}, COMPOSITIONS, runs=2)
-    left = [name for name in COMPOSITIONS if "colored" not in name and "Gauss-Hermite" not in name]  # of 729 points
+    left = [
+        name for name in COMPOSITIONS if "colored" not in name and "Gauss-Hermite" not in name
+    ]  # of 729 points
     assert [row.filter for row in rows] == left
     assert all(np.isfinite([row.rms, row.efficiency, row.anees]).all() for row in rows)
     # Without a filter that knows the color there is no bound.
-    (row,) = compare({"satellite": satellite(times=np.arange(4.0), phi=0.5)}, chosen("unscented · square root"), runs=2)
+    (row,) = compare(
+        {"satellite": satellite(times=np.arange(4.0), phi=0.5)},
+        chosen("unscented · square root"),
+        runs=2,
+    )
     assert np.isnan(row.efficiency)
 
 
 def test_a_row_does_not_depend_on_the_others():
-    both, one = chosen("Taylor · square root", "unscented · square root · gate"), chosen("unscented · square root · gate")
+    both, one = (
+        chosen("Taylor · square root", "unscented · square root · gate"),
+        chosen("unscented · square root · gate"),
+    )
     together = compare({"a": line(), "b": line(phi=0.5)}, both, runs=5)
     alone = compare({"a": line(), "b": line(phi=0.5)}, one, runs=5)
     assert [row[:-1] for row in together[1::2]] == [row[:-1] for row in alone]
@@ -245,18 +305,39 @@ def test_a_row_does_not_depend_on_the_others():
         ({"motion": f}, r"^motion: expected celnav.Motion\(f, Q\), got function f"),
         ({"sensor": None}, r"^sensor: expected celnav.Sensor\(h, R\), got NoneType"),
         ({"prior": [1.0, 2.0]}, r"^prior: expected celnav.Gaussian\(mean, cov\), got list"),
-        ({"motion": Motion(f, lambda mean, epoch: np.eye(2))}, r"^Q: expected one constant covariance"),
-        ({"sensor": Sensor(h, lambda mean, epoch: np.eye(1))}, r"^R: expected one constant covariance"),
+        (
+            {"motion": Motion(f, lambda mean, epoch: np.eye(2))},
+            r"^Q: expected one constant covariance",
+        ),
+        (
+            {"sensor": Sensor(h, lambda mean, epoch: np.eye(1))},
+            r"^R: expected one constant covariance",
+        ),
         ({"sensor": Sensor(h, np.ones((3, 1, 1)))}, r"^R: expected one constant covariance"),
-        ({"motion": Motion(f, np.eye(3))}, r"^prior: expected a covariance to go with the motion's Q, got \(2, 2\)"),
-        ({"prior": Gaussian(np.zeros(3), np.eye(2))}, r"^prior: expected one mean \(N,\) and covariance \(n, n\)"),
-        ({"motion": Motion(f, np.eye(2), augment=(np.eye(1),))}, r"^Q: expected one constant covariance of a noise beside"),
-        ({"prior": Gaussian(np.zeros((3, 2)), np.eye(2))}, r"^prior: expected one mean \(N,\) and covariance \(n, n\)"),
+        (
+            {"motion": Motion(f, np.eye(3))},
+            r"^prior: expected a covariance to go with the motion's Q, got \(2, 2\)",
+        ),
+        (
+            {"prior": Gaussian(np.zeros(3), np.eye(2))},
+            r"^prior: expected one mean \(N,\) and covariance \(n, n\)",
+        ),
+        (
+            {"motion": Motion(f, np.eye(2), augment=(np.eye(1),))},
+            r"^Q: expected one constant covariance of a noise beside",
+        ),
+        (
+            {"prior": Gaussian(np.zeros((3, 2)), np.eye(2))},
+            r"^prior: expected one mean \(N,\) and covariance \(n, n\)",
+        ),
         ({"phi": "much"}, "^phi: expected a number of at least 0 and below 1, got 'much'"),
         ({"times": [0.0, 1.0, 1.0]}, r"^times: expected two or more increasing numbers"),
         ({"times": []}, r"^times: expected two or more increasing numbers"),
         ({"u": np.zeros((3, 1))}, r"^u: expected at least 20 rows for 21 times, got 3"),
-        ({"groups": [Group("x", "m", slice(5, 6))]}, r"^groups: expected a slice of 2 components for x"),
+        (
+            {"groups": [Group("x", "m", slice(5, 6))]},
+            r"^groups: expected a slice of 2 components for x",
+        ),
     ],
 )
 def test_a_problem_that_cannot_be_is_refused_by_name(change, message):
@@ -267,9 +348,18 @@ def test_a_problem_that_cannot_be_is_refused_by_name(change, message):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"sensor": Sensor(lambda x, epoch: x, R)}, r"^h returned shape \(1, 2, 2\), expected \(1, 2, 1\)"),
-        ({"sensor": Sensor(lambda x, epoch: x[..., 0], R)}, r"^h returned shape \(1, 2\), expected"),
-        ({"motion": Motion(lambda x, epoch: x * 1e200, sqrt_Q=NOISE)}, r"^f: expected finite numbers, got others at t = "),
+        (
+            {"sensor": Sensor(lambda x, epoch: x, R)},
+            r"^h returned shape \(1, 2, 2\), expected \(1, 2, 1\)",
+        ),
+        (
+            {"sensor": Sensor(lambda x, epoch: x[..., 0], R)},
+            r"^h returned shape \(1, 2\), expected",
+        ),
+        (
+            {"motion": Motion(lambda x, epoch: x * 1e200, sqrt_Q=NOISE)},
+            r"^f: expected finite numbers, got others at t = ",
+        ),
     ],
 )
 def test_a_model_that_cannot_be_is_told_when_it_is_drawn(change, message):
@@ -282,7 +372,10 @@ def test_a_model_that_cannot_be_is_told_when_it_is_drawn(change, message):
     [
         ([COMPOSITIONS], "^filters: expected functions by name, such as .*, got list"),
         ({"UKF": unscented(2)}, r"^filters: expected a function \(problem\), got Rule"),
-        ({"UKF": lambda problem: problem.motion}, r"^filter: expected a filter, such as .*, got Motion"),
+        (
+            {"UKF": lambda problem: problem.motion},
+            r"^filter: expected a filter, such as .*, got Motion",
+        ),
     ],
 )
 def test_what_makes_no_filter_is_refused(filters, message):

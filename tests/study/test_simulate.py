@@ -6,7 +6,19 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from celnav import Gaussian, Linear, Motion, Sensor, angles, augmented, colored, ekf, run, simulate, ukf
+from celnav import (
+    Gaussian,
+    Linear,
+    Motion,
+    Sensor,
+    angles,
+    augmented,
+    colored,
+    ekf,
+    run,
+    simulate,
+    ukf,
+)
 from celnav.gaussian.attitude import attitude, log, multiply, rotate
 from celnav.gaussian.belief import nees
 from celnav.gaussian.spaces import EUCLIDEAN, product
@@ -34,13 +46,17 @@ def matches(samples, cov, other=None):
     other = samples if other is None else other
     products = samples[..., :, None] * other[..., None, :]
     error = products.mean(-3) - cov
-    assert (np.abs(error) <= 4.5 * products.std(-3) / np.sqrt(samples.shape[-2]) + 1e-12).all(), error
+    assert (np.abs(error) <= 4.5 * products.std(-3) / np.sqrt(samples.shape[-2]) + 1e-12).all(), (
+        error
+    )
 
 
 def centered(samples, mean):
     """Deviations of samples ``(runs, a)`` from the mean that they should have, which is within 4.5 of its deviations."""
     left = samples - mean
-    assert (np.abs(left.mean(-2)) <= 4.5 * left.std(-2) / np.sqrt(left.shape[-2]) + 1e-12).all(), left.mean(-2)
+    assert (np.abs(left.mean(-2)) <= 4.5 * left.std(-2) / np.sqrt(left.shape[-2]) + 1e-12).all(), (
+        left.mean(-2)
+    )
     return left
 
 
@@ -100,7 +116,10 @@ def test_several_sensors_have_noises_of_their_own():
     linear = [SENSOR, Sensor(np.array([[0.0, 2.0]]), [[0.2]])]
     truth, z = draw(sensor=linear)
     track = run(ukf(MOTION, *linear), prior_of(), TIMES, z, keep="cov")
-    consistent(nees(track.mean[-1] - truth[-1], np.broadcast_to(track.sqrt_cov[-1], (RUNS, 2, 2))).sum(), 2 * RUNS)
+    consistent(
+        nees(track.mean[-1] - truth[-1], np.broadcast_to(track.sqrt_cov[-1], (RUNS, 2, 2))).sum(),
+        2 * RUNS,
+    )
     consistent(track.nis.sum(), track.dof.sum())
     (alone,) = draw(sensor=[SENSOR])[1]
     np.testing.assert_array_equal(alone, draw()[1])
@@ -126,15 +145,24 @@ def test_filters_of_colored_noise_are_consistent_on_it_and_those_of_white_noise_
     truth, z = draw(Phi=PHI)
     for make in (colored, augmented):
         track = run(make(MOTION, SENSOR, PHI), prior_of(), TIMES, z, keep="cov")
-        error, root = track.mean[..., :2] - truth, np.broadcast_to(track.sqrt_cov[..., :2, :2], (*truth.shape, 2))
+        error, root = (
+            track.mean[..., :2] - truth,
+            np.broadcast_to(track.sqrt_cov[..., :2, :2], (*truth.shape, 2)),
+        )
         for k in range(12):
             consistent(nees(error[k], root[k]).sum(), 2 * RUNS)
         consistent(track.nis.sum(), track.dof.sum())
     white = run(ukf(MOTION, SENSOR), prior_of(), TIMES, z)
-    assert white.nis.sum() < chi2.ppf(1e-5, white.dof.sum()) or white.nis.sum() > chi2.ppf(1.0 - 1e-5, white.dof.sum())
+    assert white.nis.sum() < chi2.ppf(1e-5, white.dof.sum()) or white.nis.sum() > chi2.ppf(
+        1.0 - 1e-5, white.dof.sum()
+    )
 
 
-@pytest.mark.parametrize(("several", "Phi"), [(False, None), (False, PHI), (True, None)], ids=["white", "colored", "two sensors"])
+@pytest.mark.parametrize(
+    ("several", "Phi"),
+    [(False, None), (False, PHI), (True, None)],
+    ids=["white", "colored", "two sensors"],
+)
 def test_runs_have_the_same_numbers_however_many_there_are(several, Phi):
     """And others with another seed; the same ones again with the same."""
     motion = Motion(lambda x, epoch: np.sin(x) + epoch.dt, Q)
@@ -144,7 +172,9 @@ def test_runs_have_the_same_numbers_however_many_there_are(several, Phi):
         truth, z = draw(motion, sensor, Phi=Phi, **options)
         return (truth, *(z if several else (z,)))
 
-    for few, many, other in zip(all_of(runs=3, seed=7), all_of(runs=8, seed=7), all_of(runs=8, seed=8), strict=True):
+    for few, many, other in zip(
+        all_of(runs=3, seed=7), all_of(runs=8, seed=7), all_of(runs=8, seed=8), strict=True
+    ):
         np.testing.assert_allclose(many[:, :3], few, rtol=0, atol=1e-14)
         assert (np.abs(many - other).max(0) > 1e-3).all()
         assert np.abs(np.diff(many, axis=1)).min() > 0.0  # each run its own
@@ -157,7 +187,14 @@ def test_noise_through_the_points_and_beside_them():
     a, b = np.array([[0.2]]), np.array([[0.3]])
     motion = Motion(lambda x, epoch, w: x * (1.0 + w) + epoch.u, [[0.04]], augment=(a,))
     sensor = Sensor(lambda x, _epoch, v: x * v, [[0.01]], augment=(b,))
-    truth, z = draw(motion, sensor, Gaussian([3.0], [[0.25]]), np.arange(3.0), 20_000, u=np.array([[1.0], [-2.0]]))
+    truth, z = draw(
+        motion,
+        sensor,
+        Gaussian([3.0], [[0.25]]),
+        np.arange(3.0),
+        20_000,
+        u=np.array([[1.0], [-2.0]]),
+    )
     mean, second = 3.0, 9.25
     for k, u in enumerate((None, 1.0, -2.0)):
         if u is not None:
@@ -166,14 +203,18 @@ def test_noise_through_the_points_and_beside_them():
         matches(z[k], [[0.09 * second + 0.01]])
         matches(z[k], [[0.0]], truth[k])
     only = Sensor(lambda x, _epoch, v: x + v, augment=(b,))  # all the noise there is
-    truth, z = draw(motion, only, Gaussian([3.0], [[0.25]]), np.arange(3.0), 20_000, u=np.zeros((2, 1)))
+    truth, z = draw(
+        motion, only, Gaussian([3.0], [[0.25]]), np.arange(3.0), 20_000, u=np.zeros((2, 1))
+    )
     matches(z - truth, [[0.09]])
 
 
 def test_noise_may_depend_on_the_state_and_the_epoch():
     """Intervals and inputs are those of the epoch that ends them; a noise that is a function is that of each run."""
     times = np.array([0.0, 0.5, 0.5, 3.0])
-    motion = Motion(Linear(lambda epoch: np.eye(1) * (1.0 + epoch.dt)), lambda mean, epoch: epoch.dt * np.eye(1))
+    motion = Motion(
+        Linear(lambda epoch: np.eye(1) * (1.0 + epoch.dt)), lambda mean, epoch: epoch.dt * np.eye(1)
+    )
     sensor = Sensor(np.eye(1), sqrt_R=lambda mean, _epoch: np.abs(mean)[..., None])
     truth, z = draw(motion, sensor, Gaussian([5.0], [[1.0]]), times)
     np.testing.assert_array_equal(truth[1], truth[2])  # no interval, no motion
@@ -184,7 +225,12 @@ def test_noise_may_depend_on_the_state_and_the_epoch():
 
 
 def test_without_noise_nothing_is_drawn_but_the_start():
-    truth, z = draw(Motion(F, np.zeros((2, 2))), Sensor(H, np.zeros((2, 2))), Gaussian(MEAN, np.zeros((2, 2))), runs=2)
+    truth, z = draw(
+        Motion(F, np.zeros((2, 2))),
+        Sensor(H, np.zeros((2, 2))),
+        Gaussian(MEAN, np.zeros((2, 2))),
+        runs=2,
+    )
     expected = np.array([np.linalg.matrix_power(F, k) @ MEAN for k in range(12)])
     np.testing.assert_allclose(truth, np.repeat(expected[:, None], 2, 1), rtol=1e-12)
     np.testing.assert_allclose(z, truth @ H.T, rtol=1e-12)
@@ -193,7 +239,11 @@ def test_without_noise_nothing_is_drawn_but_the_start():
 def test_angles_wrap_and_are_drawn_about_the_seam():
     """A heading that turns past half a turn, seen as an angle: states and measurements wrap, what is between them does not."""
     wrapped, seen = angles([0]), angles()
-    motion = Motion(lambda x, epoch: x @ np.array([[1.0, epoch.dt], [0.0, 1.0]]).T, np.diag([1e-3, 1e-4]), space=wrapped)
+    motion = Motion(
+        lambda x, epoch: x @ np.array([[1.0, epoch.dt], [0.0, 1.0]]).T,
+        np.diag([1e-3, 1e-4]),
+        space=wrapped,
+    )
     sensor = Sensor(lambda x, _epoch: x[..., :1], [[0.04]], space=seen)
     prior = Gaussian([3.0, 0.3], np.diag([0.1, 0.01]))
     truth, z = draw(motion, sensor, prior)
@@ -203,7 +253,10 @@ def test_angles_wrap_and_are_drawn_about_the_seam():
         assert values.max() > 3.0
         assert values.min() < -3.0
     matches(wrapped.minus(truth[0], prior.mean), prior.cov)
-    matches(wrapped.minus(truth[1:], truth[:-1] @ np.array([[1.0, 1.0], [0.0, 1.0]]).T), np.diag([1e-3, 1e-4]))
+    matches(
+        wrapped.minus(truth[1:], truth[:-1] @ np.array([[1.0, 1.0], [0.0, 1.0]]).T),
+        np.diag([1e-3, 1e-4]),
+    )
     matches(seen.minus(z, truth[..., :1]), [[0.04]])
     track = run(ukf(motion, sensor), prior_of(prior=prior), TIMES, z, keep="cov")
     error = wrapped.minus(track.mean, truth)
@@ -215,9 +268,14 @@ def test_attitudes_are_drawn_by_their_deviations():
     """A quaternion and a drift, ``N = 7`` of ``n = 6``: the start and the noise are rotations of the covariance that was said."""
     space = product((attitude(), 4, 3), (EUCLIDEAN, 3, 3))
     mean = np.array([0.6, 0.0, 0.0, 0.8, 1.0, 2.0, 3.0])
-    cov, noise = np.diag([1e-2, 2e-2, 3e-2, 1.0, 2.0, 3.0]) ** 2, np.diag([3e-3, 2e-3, 1e-3, 0.1, 0.2, 0.3]) ** 2
+    cov, noise = (
+        np.diag([1e-2, 2e-2, 3e-2, 1.0, 2.0, 3.0]) ** 2,
+        np.diag([3e-3, 2e-3, 1e-3, 0.1, 0.2, 0.3]) ** 2,
+    )
     sensor = Sensor(lambda x, _epoch: rotate(x[..., :4], np.eye(3)[0]), 1e-6 * np.eye(3))
-    truth, z = draw(Motion(lambda x, _epoch: x, noise, space=space), sensor, Gaussian(mean, cov), np.arange(3.0))
+    truth, z = draw(
+        Motion(lambda x, _epoch: x, noise, space=space), sensor, Gaussian(mean, cov), np.arange(3.0)
+    )
     assert truth.shape == (3, RUNS, 7)
     np.testing.assert_allclose(np.linalg.norm(truth[..., :4], axis=-1), 1.0, atol=1e-12)
     conjugate = truth[:-1, :, :4] * [-1.0, -1.0, -1.0, 1.0]
@@ -228,7 +286,10 @@ def test_attitudes_are_drawn_by_their_deviations():
 
 
 def test_a_nonlinear_filter_is_nearly_consistent_on_what_its_models_draw():
-    motion = Motion(lambda x, epoch: x + epoch.dt * np.stack([x[..., 1], -np.sin(x[..., 0])], -1), np.diag([1e-4, 1e-3]))
+    motion = Motion(
+        lambda x, epoch: x + epoch.dt * np.stack([x[..., 1], -np.sin(x[..., 0])], -1),
+        np.diag([1e-4, 1e-3]),
+    )
     sensor = Sensor(lambda x, _epoch: np.sin(x[..., :1]), [[0.01]])
     prior, times = Gaussian([0.5, 0.0], np.diag([0.01, 0.01])), 0.1 * np.arange(40)
     truth, z = draw(motion, sensor, prior, times, runs=500)
@@ -247,7 +308,10 @@ def test_models_that_write_to_their_argument_change_nothing():
         x *= 2.0
         return x
 
-    writing, pure = (Motion(f, Q), Sensor(h, R)), (Motion(lambda x, _e: x + 1.0, Q), Sensor(lambda x, _e: 2.0 * x, R))
+    writing, pure = (
+        (Motion(f, Q), Sensor(h, R)),
+        (Motion(lambda x, _e: x + 1.0, Q), Sensor(lambda x, _e: 2.0 * x, R)),
+    )
     for mine, other in zip(draw(*writing, runs=3), draw(*pure, runs=3), strict=True):
         np.testing.assert_array_equal(mine, other)
 
@@ -269,17 +333,29 @@ def seen(x, _epoch):
         ({"sensor": [SENSOR, SENSOR], "Phi": PHI}, r"^Phi: expected one sensor with it, got 2"),
         ({"Phi": 2.0 * np.eye(2)}, r"^Phi: expected a spectral radius of at most 1, got 2"),
         ({"Phi": np.eye(3)}, r"^Phi: expected shape \(\.\.\., 2, 2\), got \(3, 3\)"),
-        ({"prior": Gaussian(np.zeros((3, 2)), P0)}, r"^prior: expected one mean \(N,\) and covariance \(n, n\), got \(3, 2\)"),
+        (
+            {"prior": Gaussian(np.zeros((3, 2)), P0)},
+            r"^prior: expected one mean \(N,\) and covariance \(n, n\), got \(3, 2\)",
+        ),
         ({"prior": (MEAN, P0)}, r"^prior: expected "),
         ({"prior": Gaussian(np.zeros(3), np.eye(3))}, r"^(prior|f|h): expected "),
         ({"runs": 0}, r"^runs: expected a positive integer, got 0"),
         ({"runs": 2.5}, r"^runs: expected a positive integer, got 2.5"),
         ({"times": [1.0, 0.0]}, r"^times: expected them not to decrease"),
         ({"u": np.zeros((3, 1))}, r"^u: expected at least 11 rows for 12 times, got 3"),
-        ({"motion": Motion(lambda x, _epoch: x[..., :1], Q)}, r"^f returned shape \(1, 2, 1\), expected \(1, 2, 2\)"),
-        ({"sensor": Sensor(lambda x, _epoch: x[..., 0], R)}, r"^h returned shape \(1, 2\), expected "),
+        (
+            {"motion": Motion(lambda x, _epoch: x[..., :1], Q)},
+            r"^f returned shape \(1, 2, 1\), expected \(1, 2, 2\)",
+        ),
+        (
+            {"sensor": Sensor(lambda x, _epoch: x[..., 0], R)},
+            r"^h returned shape \(1, 2\), expected ",
+        ),
         ({"motion": Motion(moved, np.eye(3))}, r"^Q: expected 2 rows"),
-        ({"motion": Motion(moved, np.eye(1))}, r"^Q: expected 2 rows"),  # which would be one number for both components
+        (
+            {"motion": Motion(moved, np.eye(1))},
+            r"^Q: expected 2 rows",
+        ),  # which would be one number for both components
         ({"sensor": Sensor(seen, np.eye(3))}, r"^R: expected 2 rows"),
         ({"sensor": Sensor(seen, np.eye(1))}, r"^R: expected 2 rows"),
     ],

@@ -21,7 +21,9 @@ F, H = np.array([[1.0, 1.0], [0.0, 1.0]]), np.eye(1, 2)
 
 def problem(sigma):
     motion, sensor = celnav.Motion(F, 0.01 * np.eye(2)), celnav.Sensor(H, sigma**2 * np.eye(1))
-    return Problem(motion, sensor, celnav.Gaussian(np.zeros(2), np.eye(2)), np.arange(6.0), groups=GROUPS)
+    return Problem(
+        motion, sensor, celnav.Gaussian(np.zeros(2), np.eye(2)), np.arange(6.0), groups=GROUPS
+    )
 
 
 def trial(sigma, rngs):
@@ -39,10 +41,20 @@ def facts(value, rngs):
 
 
 def parts(effort, scale=1.0):
-    return {"good": Part(work, 0.5, 3, 40, 16, 2.0), "bad": Part(work, 5.0, 4, 40, 16), "facts": Part(facts, scale, 9)}
+    return {
+        "good": Part(work, 0.5, 3, 40, 16, 2.0),
+        "bad": Part(work, 5.0, 4, 40, 16),
+        "facts": Part(facts, scale, 9),
+    }
 
 
-STUDY = Study("tiny", GROUPS, trial, parts, [Row("finding", "one", "It is so", of("facts", "values", "x", (None, 3.0)))])
+STUDY = Study(
+    "tiny",
+    GROUPS,
+    trial,
+    parts,
+    [Row("finding", "one", "It is so", of("facts", "values", "x", (None, 3.0)))],
+)
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +63,9 @@ def results():
 
 
 def test_the_block_size_changes_nothing(results):
-    other = replace(STUDY, parts=lambda effort: {"good": Part(work, 0.5, 3, 40, 7)}).reproduce(seed=2)
+    other = replace(STUDY, parts=lambda effort: {"good": Part(work, 0.5, 3, 40, 7)}).reproduce(
+        seed=2
+    )
     for name in ("kf/error", "blind/std", "kf/nees", "kf/nis"):
         np.testing.assert_allclose(other.get("good", name), results.get("good", name), rtol=1e-12)
     assert results.get("good", "kf/error").shape == (6, 40, 2)
@@ -62,8 +76,14 @@ def test_errors_are_in_the_units_of_the_groups(results):
     sim = trial(0.5, [celnav.study.montecarlo.generator(2, 3, r) for r in range(40)])
     track = celnav.run(sim.filters["kf"], sim.prior, sim.epochs("kf"))
     truth = np.stack([epoch.truth for epoch in sim.epochs("kf")])
-    np.testing.assert_allclose(results.error("good", "kf", "velocity")[..., 0], 1e3 * (track.mean - truth)[..., 1], rtol=1e-9)
-    np.testing.assert_allclose(results.error("good", "kf", "position", "std")[..., 0], track.std[..., 0], rtol=1e-9)
+    np.testing.assert_allclose(
+        results.error("good", "kf", "velocity")[..., 0],
+        1e3 * (track.mean - truth)[..., 1],
+        rtol=1e-9,
+    )
+    np.testing.assert_allclose(
+        results.error("good", "kf", "position", "std")[..., 0], track.std[..., 0], rtol=1e-9
+    )
     np.testing.assert_allclose(results.get("good", "kf/nis"), track.nis, rtol=1e-9)
     assert np.isnan(results.get("good", "blind/nis")).all()
 
@@ -72,7 +92,9 @@ def test_the_effort_scales_runs_and_only_takes_parts():
     units = STUDY.units(effort=0.1, seed=1, only=["good", "facts"])
     assert [(unit.part, len(unit.runs)) for unit in units] == [("good", 4), ("facts", 1)]
     assert sum(unit.cost for unit in STUDY.units() if unit.part == "good") == pytest.approx(2.0)
-    with pytest.raises(ValueError, match=r"^only: expected one of good, bad, facts, got 'god'; did you mean good"):
+    with pytest.raises(
+        ValueError, match=r"^only: expected one of good, bad, facts, got 'god'; did you mean good"
+    ):
         STUDY.units(only=["god"])
 
 
@@ -87,7 +109,15 @@ def test_a_unit_has_a_key_of_all_that_it_depends_on():
 
 
 def test_a_warning_of_a_unit_is_an_error():
-    unit = Unit("tiny", "bad", Part(lambda config, rngs: {"x": np.log(np.zeros(2))}, None), 0, range(1), "", 1.0)
+    unit = Unit(
+        "tiny",
+        "bad",
+        Part(lambda config, rngs: {"x": np.log(np.zeros(2))}, None),
+        0,
+        range(1),
+        "",
+        1.0,
+    )
     with pytest.raises(RuntimeWarning, match="divide by zero"):
         unit.do()
     with pytest.raises(ValueError, match="expected arrays"):
@@ -98,26 +128,36 @@ def test_the_first_run_can_be_flown_again(results):
     again = results.first("good")
     track = celnav.run(again.filters["kf"], again.prior, again.epochs("kf"), keep="mean")
     truth = np.stack([epoch.truth for epoch in again.epochs("kf")])
-    np.testing.assert_allclose((track.mean - truth)[:, 0, 0], results.error("good", "kf", "position")[:, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(
+        (track.mean - truth)[:, 0, 0], results.error("good", "kf", "position")[:, 0, 0], atol=1e-12
+    )
 
 
 def test_ratios_and_levels_are_those_of_the_runs(results):
-    kf, blind = (np.square(results.error("good", name, "position")[..., 0]) for name in ("kf", "blind"))
+    kf, blind = (
+        np.square(results.error("good", name, "position")[..., 0]) for name in ("kf", "blind")
+    )
     at_end = ratio("x", ("good", "kf"), ("good", "blind"), "position")(results)
     assert at_end.value == pytest.approx(np.sqrt(kf[-1].mean() / blind[-1].mean()))
     assert at_end.ci[0] < at_end.value < at_end.ci[1] < 1.0
     late = ratio("x", ("good", "kf"), ("good", "kf"), "position", at=slice(3, None), to=0)(results)
     assert late.value == pytest.approx(np.sqrt(kf[3:].mean() / kf[0].mean()))
     level = rmse("x", ("bad", "kf"), "velocity", (None, 1.0))(results)
-    assert level.value == pytest.approx(np.sqrt(np.square(results.error("bad", "kf", "velocity")[-1]).mean()))
-    assert consistency("x", ("good", "kf"), at=slice(None))(results).value == pytest.approx(results.get("good", "kf/nees").mean())
+    assert level.value == pytest.approx(
+        np.sqrt(np.square(results.error("bad", "kf", "velocity")[-1]).mean())
+    )
+    assert consistency("x", ("good", "kf"), at=slice(None))(results).value == pytest.approx(
+        results.get("good", "kf/nees").mean()
+    )
     assert results.nees("good", "kf", -1, "nis").shape == (40,)
 
 
 def test_a_table_is_in_its_band_or_of_its_level_or_neither(results):
     exact = np.sqrt(np.concatenate([results.squares("good", "kf", g.name).mean(0) for g in GROUPS]))
     for factor, verdict in ((1.0, "reproduced"), (2.0, "level only"), (9.0, "not reproduced")):
-        decide = entries([(("good", "kf"), factor * exact)], ("position", "velocity"), "reproduced", 1.5, 0)
+        decide = entries(
+            [(("good", "kf"), factor * exact)], ("position", "velocity"), "reproduced", 1.5, 0
+        )
         assert Row("statement", "t", "A table", decide).judged(results).verdict == verdict
 
 

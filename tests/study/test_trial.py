@@ -29,7 +29,9 @@ RUNS = 12
 def small(paper, **change):
     module = load(paper)
     config = replace(next(iter(module.PRESETS.values())), **SMALL[paper] | change)
-    return module.trial(config, [generator(1, 0, r) for r in range(RUNS)]), module.trial(config, [Noiseless()])
+    return module.trial(config, [generator(1, 0, r) for r in range(RUNS)]), module.trial(
+        config, [Noiseless()]
+    )
 
 
 @pytest.mark.parametrize("paper", PAPERS)
@@ -57,7 +59,11 @@ def test_every_filter_of_every_paper_can_be_judged(paper):
 
 def test_following_twice_gives_the_same_and_every_second_epoch_is_a_part():
     trial, _ = small("csrukf")
-    whole, again, part = follow(trial, "csrukf"), follow(trial, "csrukf"), follow(trial, "csrukf", every=2)
+    whole, again, part = (
+        follow(trial, "csrukf"),
+        follow(trial, "csrukf"),
+        follow(trial, "csrukf", every=2),
+    )
     for name in ("times", "error", "std", "nees", "nis", "dof"):
         np.testing.assert_array_equal(getattr(whole, name), getattr(again, name))
         np.testing.assert_array_equal(getattr(whole, name)[::2], getattr(part, name))
@@ -71,11 +77,17 @@ def test_the_numbers_are_those_of_their_definitions():
     error = track.mean - sim.truth
     np.testing.assert_array_equal(found.error, error)
     np.testing.assert_allclose(found.std, track.std, rtol=1e-14)
-    np.testing.assert_allclose(found.nees, (error * np.linalg.solve(track.cov, error[..., None])[..., 0]).sum(-1), rtol=1e-9)
+    np.testing.assert_allclose(
+        found.nees,
+        (error * np.linalg.solve(track.cov, error[..., None])[..., 0]).sum(-1),
+        rtol=1e-9,
+    )
     np.testing.assert_allclose(found.nis, track.nis, rtol=1e-13)
     np.testing.assert_array_equal(found.dof, track.dof)
     np.testing.assert_allclose(
-        squares((Group("v", "m/s", slice(3, 6), 1e3),), error)[..., 0], (error[..., 3:] ** 2).sum(-1) * 1e6, rtol=1e-14
+        squares((Group("v", "m/s", slice(3, 6), 1e3),), error)[..., 0],
+        (error[..., 3:] ** 2).sum(-1) * 1e6,
+        rtol=1e-14,
     )
 
 
@@ -90,7 +102,10 @@ def test_the_bound_is_that_of_linear_analysis(phi):
 
 def test_pseudo_positions_with_the_covariance_of_the_angles_are_worth_as_much_as_the_angles():
     trial, _ = small("csrukf", measured="angles")
-    mean = [squares(trial.groups, follow(trial, name).error).mean((0, 1)) for name in ("csrukf-jacobian", "angles")]
+    mean = [
+        squares(trial.groups, follow(trial, name).error).mean((0, 1))
+        for name in ("csrukf-jacobian", "angles")
+    ]
     np.testing.assert_allclose(*mean, rtol=0.02)
 
 
@@ -118,7 +133,9 @@ def test_a_run_without_estimate_at_the_end_is_lost_and_one_that_comes_back_is_no
     gone, returned = follow(broken(3), "f"), follow(broken(2, 4), "f")
     assert gone.lost == [(1, 3.0, "the estimate is not finite")]
     assert returned.lost == []
-    np.testing.assert_array_equal(np.isnan(returned.nees), np.arange(6)[:, None] * [0, 1, 0] // 2 == 1)
+    np.testing.assert_array_equal(
+        np.isnan(returned.nees), np.arange(6)[:, None] * [0, 1, 0] // 2 == 1
+    )
 
 
 def test_epochs_without_a_truth_cannot_be_judged():
@@ -130,7 +147,14 @@ def test_epochs_without_a_truth_cannot_be_judged():
 @pytest.mark.parametrize("measured", ["positions", "angles"])
 @pytest.mark.parametrize("first_noise", ["R", "stationary"])
 def test_the_exact_filter_is_consistent_whatever_the_first_noise(measured, first_noise):
-    config = replace(csrukf.PRESETS["P"], steps=15, phi=0.95, measured=measured, first_noise=first_noise, prior_position_km=5.0)
+    config = replace(
+        csrukf.PRESETS["P"],
+        steps=15,
+        phi=0.95,
+        measured=measured,
+        first_noise=first_noise,
+        prior_position_km=5.0,
+    )
     trial = csrukf.trial(config, [generator(2, 0, r) for r in range(200)])
     found = follow(trial, trial.reference)
     low, high = chi_square_band(6, 200, level=0.9999)

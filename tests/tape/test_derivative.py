@@ -32,7 +32,9 @@ class Padded:
 
 def complex_slopes(function, point):
     """The same by complex steps [Squire & Trapp 1998]."""
-    columns = [np.asarray(function(point + 1j * STEP * unit)).imag / STEP for unit in np.eye(len(point))]
+    columns = [
+        np.asarray(function(point + 1j * STEP * unit)).imag / STEP for unit in np.eye(len(point))
+    ]
     return np.asarray(function(point)), np.stack(columns, -1)
 
 
@@ -92,8 +94,14 @@ CLOSED = {
     "absolute": (np.abs, np.diag([1.0, -1.0, 1.0])),
     "hypot": (lambda x: np.hypot(x[0], x[1]), np.array([0.7, -0.4, 0.0]) / np.hypot(0.7, 0.4)),
     "angle": (lambda x: np.arctan2(x[0], x[1]), np.array([-0.4, -0.7, 0.0]) / (0.7**2 + 0.4**2)),
-    "angle to what is known": (lambda x: np.arctan2(x[0], 2.0), np.array([2.0, 0.0, 0.0]) / (0.7**2 + 4.0)),
-    "angle of what is known": (lambda x: np.arctan2(2.0, x[0]), np.array([-2.0, 0.0, 0.0]) / (0.7**2 + 4.0)),
+    "angle to what is known": (
+        lambda x: np.arctan2(x[0], 2.0),
+        np.array([2.0, 0.0, 0.0]) / (0.7**2 + 4.0),
+    ),
+    "angle of what is known": (
+        lambda x: np.arctan2(2.0, x[0]),
+        np.array([-2.0, 0.0, 0.0]) / (0.7**2 + 4.0),
+    ),
     "sign of another": (lambda x: np.copysign(x[0], x[1]), [-1.0, 0.0, 0.0]),
     "cube root": (lambda x: np.cbrt(x[:1]), [[0.7 ** (-2.0 / 3.0) / 3.0, 0.0, 0.0]]),
     "largest": (lambda x: np.maximum(x[0], x[2]), [0.0, 0.0, 1.0]),
@@ -116,7 +124,9 @@ def test_derivatives_where_there_are_branches(name):
 
 def test_loops_over_rows():
     def row(x):
-        return np.stack([np.sin(x[..., 0]) * x[..., 1], x[..., 1] / x[..., 2], 0.0 * x[..., 0] + 1.0], -1)
+        return np.stack(
+            [np.sin(x[..., 0]) * x[..., 1], x[..., 1] / x[..., 2], 0.0 * x[..., 0] + 1.0], -1
+        )
 
     def whole(x, each=lambda function, rows: function(rows)):
         return each(row, np.stack([x, x[::-1] ** 2, np.array([1.0, 2.0, 3.0]) + x[0]]))
@@ -134,7 +144,9 @@ def test_a_loop_over_what_does_not_change_stays_one():
     tape = Tape()
     center, other = inputs(tape, (2,), (3, 2), absent=False)
     x = center + along(center, [np.eye(2)])[0][0]
-    value, slope = at_zero(x + each_row(lambda rows: rows[..., ::-1] * np.cos(rows), other, least=0)[1])
+    value, slope = at_zero(
+        x + each_row(lambda rows: rows[..., ::-1] * np.cos(rows), other, least=0)[1]
+    )
     assert {tape.ops[i][0] for i in tape.needed(list(value.flat))} >= {"call", "part"}
     np.testing.assert_array_equal(slope.astype(float), np.eye(2))
 
@@ -142,7 +154,10 @@ def test_a_loop_over_what_does_not_change_stays_one():
 def test_what_is_far_away_has_no_part():
     """A branch that is not taken may be infinite there."""
     point = np.array([-1.0, 4.0])
-    np.testing.assert_allclose(slopes(lambda x: np.where(x > 0.0, np.sqrt(np.abs(x)), 2.0 * x), point)[1], np.diag([2.0, 0.25]))
+    np.testing.assert_allclose(
+        slopes(lambda x: np.where(x > 0.0, np.sqrt(np.abs(x)), 2.0 * x), point)[1],
+        np.diag([2.0, 0.25]),
+    )
     value, slope = slopes(lambda x: np.where(x > 0.0, np.log(x), x), point)
     np.testing.assert_allclose(value, [-1.0, np.log(4.0)])
     np.testing.assert_allclose(slope, np.diag([1.0, 0.25]))
@@ -164,10 +179,22 @@ def test_what_does_not_depend_on_the_variables():
 def test_every_operation_that_has_a_slope_has_been_tried():
     """By name, so that a new one is not forgotten."""
     tape, done = Tape(), set()
-    for name, function in (ANALYTIC | {name: function for name, (function, _) in CLOSED.items()}).items():
+    for name, function in (
+        ANALYTIC | {name: function for name, (function, _) in CLOSED.items()}
+    ).items():
         tape = Tape()
         (center,) = inputs(tape, (3,), absent=False)
         function(center + along(center, [np.eye(3)])[0][0])
         done |= {op[0] for op in tape.ops}
         assert name
-    assert set(FUNCTIONS) - done <= {"eq", "ne", "le", "and", "or", "not", "rint", "pow2", "exponent"}
+    assert set(FUNCTIONS) - done <= {
+        "eq",
+        "ne",
+        "le",
+        "and",
+        "or",
+        "not",
+        "rint",
+        "pow2",
+        "exponent",
+    }

@@ -16,7 +16,27 @@ from celnav.tape.tape import Tape, as_number, do
 pytest.importorskip("llvmlite")
 
 NAN, INF = np.nan, np.inf
-X = np.array([0.0, -0.0, 1.0, -1.0, 0.5, -2.5, 3.7, 8.0, -7.0, 1e-5, 1e-310, -1e-310, 1e300, -1e300, INF, -INF, NAN])
+X = np.array(
+    [
+        0.0,
+        -0.0,
+        1.0,
+        -1.0,
+        0.5,
+        -2.5,
+        3.7,
+        8.0,
+        -7.0,
+        1e-5,
+        1e-310,
+        -1e-310,
+        1e300,
+        -1e300,
+        INF,
+        -INF,
+        NAN,
+    ]
+)
 LANES, FUSED = [1, 4, 8], [False, True]
 CELLS = 10_000
 LOGICAL = ("and", "or", "not")
@@ -40,15 +60,31 @@ def flown(addresses, kinds, at, state, shared, own, kept, lanes):
     cells = llvm.aligned((CELLS, lanes))
     fields = np.array([rows.ctypes.data], np.uint64)
     pointers = (x.ctypes.data for x in (*table, blocks, shared, own, fields, cells))
-    llvm.fly()(*pointers, len(state), shared.shape[1], own.shape[1], width, 0, width, lanes, 0, width // lanes, len(own))
-    return rows[:, :runs].transpose(0, 2, 1), blocks.swapaxes(0, 1).reshape(len(state), -1)[:, :runs]
+    llvm.fly()(
+        *pointers,
+        len(state),
+        shared.shape[1],
+        own.shape[1],
+        width,
+        0,
+        width,
+        lanes,
+        0,
+        width // lanes,
+        len(own),
+    )
+    return rows[:, :runs].transpose(0, 2, 1), blocks.swapaxes(0, 1).reshape(len(state), -1)[
+        :, :runs
+    ]
 
 
 def computed(tape, y, given, lanes, fused):
     """Numbers ``(O,)`` of inputs ``(I, runs)``, as machine code: ``(O, runs)``."""
     kernel = llvm.Kernel(tape, [("own", i) for i in range(len(given))], [], list(y))
     state, shared = np.zeros((1, given.shape[1])), np.zeros((1, 1))
-    return flown([addressed(kernel, lanes, fused)], [0], [0], state, shared, given[None], len(y), lanes)[0][0]
+    return flown(
+        [addressed(kernel, lanes, fused)], [0], [0], state, shared, given[None], len(y), lanes
+    )[0][0]
 
 
 def exactly(found, expected):
@@ -58,7 +94,9 @@ def exactly(found, expected):
     np.testing.assert_array_equal(np.signbit(found)[there], np.signbit(expected)[there])
 
 
-PLAIN = [name for name in FUNCTIONS if name not in (*LOGICAL, *llvm.LIBM, "select", "pow2", "exponent")]
+PLAIN = [
+    name for name in FUNCTIONS if name not in (*LOGICAL, *llvm.LIBM, "select", "pow2", "exponent")
+]
 
 
 @pytest.mark.parametrize("lanes", LANES)
@@ -82,13 +120,20 @@ def test_functions(name, lanes):
         far = np.abs(given[0]) > 1e9
     if name == "pow":
         far = ~((given[0] > 0.0) & np.isfinite(given).all(0))
-    assert (np.isnan(found) | np.isclose(np.abs(found), np.abs(expected), rtol=1e-14, atol=0.0))[far].all()
-    np.testing.assert_allclose(found[~far], expected[~far], rtol={"tan": 2e-15, "pow": 3e-14}.get(name, 1e-15))
+    assert (np.isnan(found) | np.isclose(np.abs(found), np.abs(expected), rtol=1e-14, atol=0.0))[
+        far
+    ].all()
+    np.testing.assert_allclose(
+        found[~far], expected[~far], rtol={"tan": 2e-15, "pow": 3e-14}.get(name, 1e-15)
+    )
 
 
 @pytest.mark.parametrize("lanes", LANES)
 def test_bits(lanes):
-    for name, some in (("pow2", np.arange(-1022.0, 1024.0, 31.0)), ("exponent", np.array([1e-300, 0.3, 1.0, 1.99, 2.0, 7e300]))):
+    for name, some in (
+        ("pow2", np.arange(-1022.0, 1024.0, 31.0)),
+        ("exponent", np.array([1e-300, 0.3, 1.0, 1.99, 2.0, 7e300])),
+    ):
         found, expected, _ = operated(name, lanes, True, some[None])
         exactly(found, expected)
 
@@ -140,7 +185,9 @@ def test_constants_inputs_and_what_is_stored_twice(lanes):
     tape = Tape()
     a, _ = inputs(tape, (2,))[0]
     constants = [0.0, -0.0, 1.0 / 3.0, 5e-324, INF, -INF, NAN, 1e300]
-    found = computed(tape, [a, a, *constants, True, do("neg", a)], np.stack([X, X[::-1]]), lanes, True)
+    found = computed(
+        tape, [a, a, *constants, True, do("neg", a)], np.stack([X, X[::-1]]), lanes, True
+    )
     exactly(found, np.stack([X, X, *(np.full(len(X), x) for x in constants), np.ones(len(X)), -X]))
 
 
@@ -148,7 +195,12 @@ def test_constants_inputs_and_what_is_stored_twice(lanes):
 def test_products_and_sums_are_fused_where_that_is_asked_for(lanes):
     a, b = 1.0 + 2.0**-30, 1.0 - 2.0**-30
     given = np.array([[a, 3.0], [b, 5.0], [-1.0, 7.0]])
-    forms = [lambda x, y, z: x * y + z, lambda x, y, z: z + x * y, lambda x, y, z: x * y - z, lambda x, y, z: z - x * y]
+    forms = [
+        lambda x, y, z: x * y + z,
+        lambda x, y, z: z + x * y,
+        lambda x, y, z: x * y - z,
+        lambda x, y, z: z - x * y,
+    ]
     exact = [-(2.0**-60), -(2.0**-60), 2.0, -2.0]
     for form, known in zip(forms, exact, strict=True):
         results = {}
@@ -189,11 +241,29 @@ def tangled(steps, seed):
     """A tape of many operations on each other's results."""
     rng, tape = np.random.default_rng(seed), Tape()
     known = list(inputs(tape, (4,))[0])
-    names = ["add", "sub", "mul", "div", "sqrt", "sin", "exp", "atan2", "abs", "copysign", "floor", "tanh"]
+    names = [
+        "add",
+        "sub",
+        "mul",
+        "div",
+        "sqrt",
+        "sin",
+        "exp",
+        "atan2",
+        "abs",
+        "copysign",
+        "floor",
+        "tanh",
+    ]
     for _ in range(steps):
         name = names[rng.integers(len(names))]
         two = name in ("add", "sub", "mul", "div", "atan2", "copysign")
-        known.append(do(name, *(known[i] for i in rng.integers(max(0, len(known) - 12), len(known), 1 + two))))
+        known.append(
+            do(
+                name,
+                *(known[i] for i in rng.integers(max(0, len(known) - 12), len(known), 1 + two)),
+            )
+        )
         if rng.random() < 0.2:
             a, b = (known[i] for i in rng.integers(0, len(known), 2))
             known.append(do("select", do("lt", a, b), do("select", do("ne", a, a), b, a), 0.5))
@@ -211,7 +281,10 @@ def test_tapes_are_worked_out_and_lanes_do_not_matter(seed):
     for fused in FUSED:
         each = [computed(tape, y, given, lanes, fused).tobytes() for lanes in LANES]
         assert each[0] == each[1] == each[2]
-        assert computed(tape, y, given[:, 7:8], 1, fused).tobytes() == computed(tape, y, given, 8, fused)[:, 7].tobytes()
+        assert (
+            computed(tape, y, given[:, 7:8], 1, fused).tobytes()
+            == computed(tape, y, given, 8, fused)[:, 7].tobytes()
+        )
 
 
 @settings(max_examples=5, deadline=None, derandomize=True)
@@ -251,9 +324,15 @@ def test_states_are_carried_and_rows_are_stored(lanes):
         places = [("state", 0), ("state", 2), (place, 1)]
         kernels.append(llvm.Kernel(tape, places, [(0, x + u), (2, y * 2.0)], [x + u, y, u]))
     rng = np.random.default_rng(1)
-    state, shared, own = rng.standard_normal((3, 11)), rng.standard_normal((6, 2)), rng.standard_normal((6, 2, 11))
+    state, shared, own = (
+        rng.standard_normal((3, 11)),
+        rng.standard_normal((6, 2)),
+        rng.standard_normal((6, 2, 11)),
+    )
     kinds, at = [0, 1, 1, 0, 1, 0], [0, -1, 1, -1, 2, -1]
-    rows, after = flown([addressed(k, lanes, True) for k in kernels], kinds, at, state, shared, own, 3, lanes)
+    rows, after = flown(
+        [addressed(k, lanes, True) for k in kernels], kinds, at, state, shared, own, 3, lanes
+    )
     x, y = state[0].copy(), state[2].copy()
     for k in range(6):
         u = np.broadcast_to(shared[k, 1], 11) if kinds[k] == 0 else own[k, 1]
@@ -270,7 +349,9 @@ def test_what_is_the_same_is_compiled_once():
         x, y = inputs(tape, (2,))[0]
         return llvm.Kernel(tape, [("own", 0), ("own", 1)], [], [do("mul", do("add", x, y), factor)])
 
-    first, again, other = (llvm.kernel_address(made(factor), 4) for factor in (0.12345, 0.12345, 0.54321))
+    first, again, other = (
+        llvm.kernel_address(made(factor), 4) for factor in (0.12345, 0.12345, 0.54321)
+    )
     assert first == again
     assert other != first
     assert llvm.kernel_address(made(0.12345), 1) != first

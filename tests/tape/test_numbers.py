@@ -51,7 +51,9 @@ def test_functions_of_two_numbers(name):
 
 
 @pytest.mark.parametrize("known", [NAN, INF])
-@pytest.mark.parametrize("name", ["maximum", "minimum", "fmax", "fmin", "less", "less_equal", "equal", "not_equal"])
+@pytest.mark.parametrize(
+    "name", ["maximum", "minimum", "fmax", "fmin", "less", "less_equal", "equal", "not_equal"]
+)
 def test_what_is_known_may_be_nan(name, known):
     assert_alike(partial(getattr(np, name), known), X)
     assert_alike(partial(swapped, getattr(np, name), known), X)
@@ -70,7 +72,10 @@ def test_powers_of_roots(power):
 
 def test_powers_that_are_numbers():
     assert_alike(lambda x: 2.0**x, X)
-    assert_alike(lambda x, y: x**y, *(x.ravel() for x in np.meshgrid([0.5, 1.0, 3.0, NAN], [-1.5, 0.0, 2.0, NAN])))
+    assert_alike(
+        lambda x, y: x**y,
+        *(x.ravel() for x in np.meshgrid([0.5, 1.0, 3.0, NAN], [-1.5, 0.0, 2.0, NAN])),
+    )
 
 
 def test_hypot_and_sign_and_remainders():
@@ -83,7 +88,9 @@ def test_hypot_and_sign_and_remainders():
 
 
 def test_a_remainder_lies_below_its_period():
-    x = np.concatenate([np.nextafter(np.arange(-3.0, 4.0), s) for s in (-INF, INF)] + [np.array([-1e-20, 1e-20])])
+    x = np.concatenate(
+        [np.nextafter(np.arange(-3.0, 4.0), s) for s in (-INF, INF)] + [np.array([-1e-20, 1e-20])]
+    )
     found = recorded(lambda x: x % 1.0, x)
     assert (found >= 0.0).all()
     assert (found < 1.0).all()
@@ -183,7 +190,9 @@ def test_products_and_systems(name):
 
 
 def test_a_system_that_has_no_solution_is_not_finite():
-    assert not np.isfinite(recorded(np.linalg.solve, np.ones((2, 2)), np.array([[1.0], [2.0]]))).any()
+    assert not np.isfinite(
+        recorded(np.linalg.solve, np.ones((2, 2)), np.array([[1.0], [2.0]]))
+    ).any()
 
 
 def written(x):
@@ -279,7 +288,14 @@ def test_nothing_is_done_twice_and_what_is_known_at_once():
     count = len(tape.ops)
     assert place(np.sin(x[0]) + x[1]) == place(x[1] + np.sin(x[0])) == first
     assert len(tape.ops) == count
-    for same in (x[0] * 1.0, x[0] + 0.0, x[0] - 0.0, np.negative(-x[0]), x[0] / 1.0, np.where(True, x[0], x[1])):
+    for same in (
+        x[0] * 1.0,
+        x[0] + 0.0,
+        x[0] - 0.0,
+        np.negative(-x[0]),
+        x[0] / 1.0,
+        np.where(True, x[0], x[1]),
+    ):
         assert place(same) == place(x[0])
     assert do("sub", 2.0, 3.0) == -1.0
     assert x[0] * 0.0 == 0.0
@@ -319,9 +335,18 @@ REFUSED = {
     "svd": (lambda x: np.linalg.svd(x[:, None]), r"numpy\.linalg\.svd is not arithmetic"),
     "spacing": (np.spacing, r"numpy\.spacing cannot be recorded"),
     "sort": (np.sort, "a branch depends on a number"),
-    "into floats": (lambda x: np.add(x, 1.0, out=np.zeros(2)), "is written into an array of floats"),
-    "norm of a matrix": (lambda x: np.linalg.norm(x[:, None] * x), r"numpy\.linalg\.norm is recorded for lengths of vectors only"),
-    "a part": (lambda x: np.sum(x, where=np.array([True, False])), "over a part cannot be recorded"),
+    "into floats": (
+        lambda x: np.add(x, 1.0, out=np.zeros(2)),
+        "is written into an array of floats",
+    ),
+    "norm of a matrix": (
+        lambda x: np.linalg.norm(x[:, None] * x),
+        r"numpy\.linalg\.norm is recorded for lengths of vectors only",
+    ),
+    "a part": (
+        lambda x: np.sum(x, where=np.array([True, False])),
+        "over a part cannot be recorded",
+    ),
     "outer": (lambda x: np.add.outer(x, x), r"numpy\.add\.outer cannot be recorded"),
 }
 

@@ -47,7 +47,9 @@ def calls(tape):
 
 def flown(tape, y, given, lanes=8, fused=True):
     out = np.asarray(y, object).ravel().tolist()
-    return computed(tape, [tape.lift(x) for x in out], given, lanes, fused).reshape(*np.shape(y), RUNS)
+    return computed(tape, [tape.lift(x) for x in out], given, lanes, fused).reshape(
+        *np.shape(y), RUNS
+    )
 
 
 def model(x, w, scale):
@@ -72,7 +74,9 @@ def test_each_row(lanes, fused):
         given[21:28].T[..., None],
         given[28][:, None, None] * np.ones((RUNS, 7, 1)),
     )
-    np.testing.assert_allclose(flown(tape, y, given, lanes, fused).transpose(2, 0, 1), expected, rtol=1e-14, atol=1e-15)
+    np.testing.assert_allclose(
+        flown(tape, y, given, lanes, fused).transpose(2, 0, 1), expected, rtol=1e-14, atol=1e-15
+    )
 
 
 def test_short_code_is_written_out_and_a_tape_may_ask_for_that():
@@ -99,7 +103,9 @@ def test_a_loop_is_compiled_once_and_its_size_does_not_depend_on_the_rows():
         assert kernel.cells == 2 * first.cells == 8 * rows
         text = llvm.source(kernel, 4, True)
         assert text.count("define internal void @r") == 1
-        return text[text.index("define internal void @r") : text.index("define void @step")].count("\n")
+        return text[text.index("define internal void @r") : text.index("define void @step")].count(
+            "\n"
+        )
 
     assert lines(3) == lines(30)
 
@@ -159,6 +165,15 @@ def test_products_and_triangular_systems(lanes):
     L[np.triu_indices(n, 1)] = 0.0
     product, solved = A @ B, recorded.solve_lower(L, B)
     assert len(calls(tape)) == 2
-    a, b = given[: n * n].reshape(n, n, RUNS).transpose(2, 0, 1), given[n * n :].reshape(n, k, RUNS).transpose(2, 0, 1)
-    np.testing.assert_allclose(flown(tape, product, given, lanes).transpose(2, 0, 1), a @ b, rtol=1e-13, atol=1e-13)
-    np.testing.assert_allclose(flown(tape, solved, given, lanes).transpose(2, 0, 1), np.linalg.solve(np.tril(a), b), rtol=1e-11)
+    a, b = (
+        given[: n * n].reshape(n, n, RUNS).transpose(2, 0, 1),
+        given[n * n :].reshape(n, k, RUNS).transpose(2, 0, 1),
+    )
+    np.testing.assert_allclose(
+        flown(tape, product, given, lanes).transpose(2, 0, 1), a @ b, rtol=1e-13, atol=1e-13
+    )
+    np.testing.assert_allclose(
+        flown(tape, solved, given, lanes).transpose(2, 0, 1),
+        np.linalg.solve(np.tril(a), b),
+        rtol=1e-11,
+    )

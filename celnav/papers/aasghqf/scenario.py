@@ -14,7 +14,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from celnav.analysis.observability import hysteresis, jacobian, nonlinearity_degree, observability_matrix, state_singular_values
+from celnav.analysis.observability import (
+    hysteresis,
+    jacobian,
+    nonlinearity_degree,
+    observability_matrix,
+    state_singular_values,
+)
 from celnav.filters.fallback import Fallback
 from celnav.filters.model import Motion, Sensor
 from celnav.filters.records import Epoch, Filter, FromFunctions
@@ -22,7 +28,15 @@ from celnav.filters.sequential import Iterated, ekf, sigma_point
 from celnav.filters.switching import Switching
 from celnav.gaussian.belief import Gaussian
 from celnav.gaussian.linalg import Array, Belief, surely
-from celnav.gaussian.rules import Rule, Taylor, cubature, gauss_hermite, simplex, tensor_product, unscented
+from celnav.gaussian.rules import (
+    Rule,
+    Taylor,
+    cubature,
+    gauss_hermite,
+    simplex,
+    tensor_product,
+    unscented,
+)
 from celnav.gaussian.sparse_grid import DELAYED, smolyak
 from celnav.models import earth, inertial
 from celnav.models.inertial import BIAS, DRIFT, PHI, POSITION, VELOCITY, Navigation
@@ -40,11 +54,27 @@ __all__ = [
 
 TITLE = "Adaptive anisotropic sparse Gauss-Hermite quadrature filter for star, SAR and inertial navigation"
 CITATION = citation("Liang2014")
-PAPER_WEIGHTS = (1, 1, 2, 2, 2, 1, 1, 2, 2, 2, 2, 2, 2)  # of the sparse grid [Liang2014, Table 2]: 75 points
+PAPER_WEIGHTS = (
+    1,
+    1,
+    2,
+    2,
+    2,
+    1,
+    1,
+    2,
+    2,
+    2,
+    2,
+    2,
+    2,
+)  # of the sparse grid [Liang2014, Table 2]: 75 points
 NONLINEAR_WEIGHTS = (1, 1, 1) + (2,) * 10  # by nonlinearity: 57 points
 MICRO_G = 1e-6 * earth.STANDARD_GRAVITY
 DEGREE = float(np.radians(1.0))
-BORESIGHTS = np.sqrt(0.5) * np.array([[0.0, 1.0, 1.0], [0.0, -1.0, 1.0]])  # of the star sensors on body axes, and of the stars
+BORESIGHTS = np.sqrt(0.5) * np.array(
+    [[0.0, 1.0, 1.0], [0.0, -1.0, 1.0]]
+)  # of the star sensors on body axes, and of the stars
 FORM = "covariance"  # of all filters here
 UNSAID = "chosen: not printed"
 
@@ -56,7 +86,9 @@ class Config(Timed):
 
     longitude_deg: float = param(110.0, "paper", "of the start")
     latitude_deg: float = param(40.0, "paper", "of the start")
-    height_m: float = param(20000.0, "chosen: a high-altitude vehicle", "above the ellipsoid, constant")
+    height_m: float = param(
+        20000.0, "chosen: a high-altitude vehicle", "above the ellipsoid, constant"
+    )
     speed_m_per_s: float = param(200.0, "paper", "over the ground, at the start")
     heading_deg: float = param(65.0, "paper", "from north to east, at the start")
     acceleration_m_per_s2: float = param(0.5, "paper", "along the track (inferred), constant")
@@ -65,15 +97,34 @@ class Config(Timed):
     steps: int = param(500, "paper", "in a run", least=1, most=MOST_STEPS)
     runs: int = param(50, "paper", "of a Monte Carlo", least=1)
     level: int = param(3, "paper", "accuracy level of the sparse grids", least=1)
-    misalignment_deg: tuple[float, float, float] = param((10.0,) * 3, UNSAID, "at the start, standard deviations", above=0.0)
-    velocity_m_per_s: float = param(1.0, UNSAID, "standard deviation of the velocity at the start, east and north", above=0.0)
-    position_m: float = param(50.0, UNSAID, "standard deviation of the position at the start, east and north", above=0.0)
-    drift_deg_per_h: float = param(0.1, "paper", "standard deviation of each gyro's constant drift", above=0.0)
-    bias_ug: float = param(200.0, "paper", "standard deviation of each accelerometer's constant bias", above=0.0)
+    misalignment_deg: tuple[float, float, float] = param(
+        (10.0,) * 3, UNSAID, "at the start, standard deviations", above=0.0
+    )
+    velocity_m_per_s: float = param(
+        1.0, UNSAID, "standard deviation of the velocity at the start, east and north", above=0.0
+    )
+    position_m: float = param(
+        50.0, UNSAID, "standard deviation of the position at the start, east and north", above=0.0
+    )
+    drift_deg_per_h: float = param(
+        0.1, "paper", "standard deviation of each gyro's constant drift", above=0.0
+    )
+    bias_ug: float = param(
+        200.0, "paper", "standard deviation of each accelerometer's constant bias", above=0.0
+    )
     angle_walk_deg_per_sqrt_h: float = param(0.01, UNSAID, "noise of the gyros", least=0.0)
-    velocity_walk_ug_per_sqrt_hz: float = param(20.0, UNSAID, "noise of the accelerometers", least=0.0)
-    star_arcsec: float = param(20.0, "paper", "noise of a star fix, standard deviation on each component of a direction", above=0.0)
-    sar_m: float = param(18.0, "paper", "noise of a fix by radar, standard deviation east and north", above=0.0)
+    velocity_walk_ug_per_sqrt_hz: float = param(
+        20.0, UNSAID, "noise of the accelerometers", least=0.0
+    )
+    star_arcsec: float = param(
+        20.0,
+        "paper",
+        "noise of a star fix, standard deviation on each component of a direction",
+        above=0.0,
+    )
+    sar_m: float = param(
+        18.0, "paper", "noise of a fix by radar, standard deviation east and north", above=0.0
+    )
     star_interval: int = param(1, UNSAID, "steps from one star fix to the next", least=1)
     sar_interval: int = param(1, UNSAID, "steps from one radar fix to the next", least=1)
 
@@ -85,7 +136,10 @@ class Config(Timed):
     @cached_property
     def flight(self) -> earth.Flight:
         """Truth at the epochs and in the middles between them, ``2 steps + 1`` epochs."""
-        angles = {name: float(np.radians(getattr(self, f"{name}_deg"))) for name in ("longitude", "latitude", "heading")}
+        angles = {
+            name: float(np.radians(getattr(self, f"{name}_deg")))
+            for name in ("longitude", "latitude", "heading")
+        }
         return earth.turning_flight(
             0.5 * self.step_s * np.arange(2 * self.steps + 1), **angles, height_m=self.height_m, speed=self.speed_m_per_s,
             acceleration=self.acceleration_m_per_s2, turn_rate=float(np.radians(self.turn_rate_deg_per_s)),
@@ -101,21 +155,27 @@ class Config(Timed):
     def units(self) -> tuple[Array, Array]:
         """Those in which degrees of observability are nearest to Table 2: rad, m/s, m, deg/h, micro g ``(13,)``; 1, m ``(8,)``."""
         rates = np.repeat([DEGREE / 3600.0, MICRO_G], 3)
-        return np.concatenate([np.ones(5), 1.0 / self.meters(), rates]), np.concatenate([np.ones(6), self.meters()])
+        return np.concatenate([np.ones(5), 1.0 / self.meters(), rates]), np.concatenate(
+            [np.ones(6), self.meters()]
+        )
 
     @property
     def sigma0(self) -> Array:
         """Standard deviations ``(13,)`` of the prior."""
         angles, position = np.radians(self.misalignment_deg), self.position_m / self.meters()
         drift, bias = np.radians(self.drift_deg_per_h) / 3600.0, self.bias_ug * MICRO_G
-        return np.concatenate([angles, [self.velocity_m_per_s] * 2, position, [drift] * 3, [bias] * 3])
+        return np.concatenate(
+            [angles, [self.velocity_m_per_s] * 2, position, [drift] * 3, [bias] * 3]
+        )
 
     @property
     def sqrt_Q(self) -> Array:
         """Columns ``(13, 5)`` of the process noise of one step: misalignment and velocity walk."""
         angle = np.radians(self.angle_walk_deg_per_sqrt_h) / 60.0
         velocity = self.velocity_walk_ug_per_sqrt_hz * MICRO_G
-        return np.asarray(np.eye(13, 5) * (np.repeat([angle, velocity], [3, 2]) * np.sqrt(self.step_s)))
+        return np.asarray(
+            np.eye(13, 5) * (np.repeat([angle, velocity], [3, 2]) * np.sqrt(self.step_s))
+        )
 
 
 A = Config()
@@ -155,9 +215,13 @@ class Scenario(NamedTuple):
         for k, t in enumerate(config.times.tolist()):
             true, meters = flight.attitude[2 * k], config.meters(float(flight.latitude[2 * k]))
             before = truth[max(k - 1, 0)]
-            interval = inertial.navigation(flight, max(2 * k - 1, 0), before[:, PHI], before[:, BIAS])
+            interval = inertial.navigation(
+                flight, max(2 * k - 1, 0), before[:, PHI], before[:, BIAS]
+            )
             attitude = inertial.misalignment_matrix(truth[k, :, PHI]) @ true
-            u = Inputs(interval, attitude, BORESIGHTS @ true.T, np.diag([*star, *config.sar_m / meters]))
+            u = Inputs(
+                interval, attitude, BORESIGHTS @ true.T, np.diag([*star, *config.sar_m / meters])
+            )
             yield Epoch(k, t, config.step_s if k else 0.0, u, self.z[k], truth[k])
 
 
@@ -168,9 +232,13 @@ def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
     truth, w = np.empty((T, len(rngs), 13)), walk @ config.sqrt_Q.T
     truth[0] = initial * config.sigma0
     for k in range(1, T):
-        middle = inertial.navigation(config.flight, 2 * k - 1, truth[k - 1, :, PHI], truth[k - 1, :, BIAS])
+        middle = inertial.navigation(
+            config.flight, 2 * k - 1, truth[k - 1, :, PHI], truth[k - 1, :, BIAS]
+        )
         truth[k] = inertial.advance(truth[k - 1], middle, config.step_s) + w[k - 1]
-    runs = Scenario(config, truth, z, Gaussian(np.zeros(truth.shape[1:]), np.diag(config.sigma0**2)))
+    runs = Scenario(
+        config, truth, z, Gaussian(np.zeros(truth.shape[1:]), np.diag(config.sigma0**2))
+    )
     for epoch in runs.epochs():
         z[epoch.k] = measurement(epoch.truth, epoch) + epoch.z * epoch.u.sqrt_R.diagonal()
     z[np.arange(T) % config.star_interval != 0, :, :6] = np.nan
@@ -197,7 +265,9 @@ def measurement(x: Array, epoch: Epoch) -> Array:
 
 def model(config: Config) -> tuple[Motion, Sensor]:
     """What filters believe."""
-    return Motion(dynamics, sqrt_Q=config.sqrt_Q), Sensor(measurement, sqrt_R=lambda _, epoch: epoch.u.sqrt_R)
+    return Motion(dynamics, sqrt_Q=config.sqrt_Q), Sensor(
+        measurement, sqrt_R=lambda _, epoch: epoch.u.sqrt_R
+    )
 
 
 @cache
@@ -217,7 +287,9 @@ def quadrature_filter(rule: Any, config: Config) -> Filter:
     first = sigma_point(*model(config), rule=rule, form=FORM)
     if not isinstance(rule, Rule) or (rule.wc >= 0.0).all():
         return first
-    return Fallback(first, sigma_point(*model(config), rule=rules(config.level)["ghqf3"], form=FORM))
+    return Fallback(
+        first, sigma_point(*model(config), rule=rules(config.level)["ghqf3"], form=FORM)
+    )
 
 
 def filters(config: Config) -> dict[str, Filter]:
@@ -258,8 +330,12 @@ def ones(chosen: Array | None) -> Array:
 def observability(x: Array, epoch: Epoch, units: tuple[Array, Array], order: int = 3) -> Array:
     """Observability matrix ``(..., 8 (order + 1), 13)`` at states ``(..., 13)``, in units of states and outputs."""
     states, outputs = units
-    rates = jacobian(lambda x: inertial.derivative(x, epoch.u.interval), x) * states / states[:, None]
-    return observability_matrix(rates, jacobian(lambda x: measurement(x, epoch), x) * states * outputs[:, None], order)
+    rates = (
+        jacobian(lambda x: inertial.derivative(x, epoch.u.interval), x) * states / states[:, None]
+    )
+    return observability_matrix(
+        rates, jacobian(lambda x: measurement(x, epoch), x) * states * outputs[:, None], order
+    )
 
 
 def by_observability(config: Config, threshold: float = 5.0, *, weigh: bool = False) -> Choose:
@@ -282,9 +358,13 @@ def by_nonlinearity(threshold: float = 0.1) -> Choose:
 
     def choose(belief: Any, epoch: Epoch, chosen: Array | None) -> Array:
         x, std = belief.mean, belief.std
-        degree = nonlinearity_degree(lambda x: measurement(x, epoch), x, std, epoch.u.sqrt_R.diagonal())
+        degree = nonlinearity_degree(
+            lambda x: measurement(x, epoch), x, std, epoch.u.sqrt_R.diagonal()
+        )
         if epoch.dt:
-            step = nonlinearity_degree(lambda x: inertial.advance(x, epoch.u.interval, epoch.dt), x, std, std)
+            step = nonlinearity_degree(
+                lambda x: inertial.advance(x, epoch.u.interval, epoch.dt), x, std, std
+            )
             degree = np.maximum(degree, step)
         return np.asarray(hysteresis(degree, threshold, ones(chosen)) @ BITS)
 
@@ -299,13 +379,17 @@ def weighted(number: int, level: int = 3) -> Rule:
 
 def adaptive(choose: Choose, config: Config) -> Switching:
     """A filter whose weights are chosen before each step, run by run."""
-    return Switching(cache(lambda number: quadrature_filter(weighted(number, config.level), config)), choose)
+    return Switching(
+        cache(lambda number: quadrature_filter(weighted(number, config.level), config)), choose
+    )
 
 
 # -- the star sensors' mounting ----------------------------------------------------------------------------------------------
 def mounted(sim: Scenario, errors: Array) -> Scenario:
     """The runs with mounting errors ``(runs, 2, 3)`` rad unknown to filters [Liang2014, Eqs. 26-28]: stars are on boresights."""
-    turned = Rotation.from_rotvec(errors.reshape(-1, 3)).apply(np.tile(BORESIGHTS, (len(errors), 1)))
+    turned = Rotation.from_rotvec(errors.reshape(-1, 3)).apply(
+        np.tile(BORESIGHTS, (len(errors), 1))
+    )
     z = sim.z.copy()
     z[..., :6] += turned.reshape(-1, 6) - BORESIGHTS.ravel()
     return sim._replace(z=z)
@@ -316,18 +400,31 @@ def mounting_filter(config: Config, sigma: float) -> tuple[Filter, Gaussian]:
 
     def h(x: Array, epoch: Epoch) -> Array:
         z = measurement(x[..., :13], epoch)
-        seen = z[..., :6].reshape(*z.shape[:-1], 2, 3) + epoch.u.stars @ epoch.u.attitude  # on body axes
+        seen = (
+            z[..., :6].reshape(*z.shape[:-1], 2, 3) + epoch.u.stars @ epoch.u.attitude
+        )  # on body axes
         z[..., :6] += np.cross(x[..., 13:].reshape(seen.shape), seen).reshape(*z.shape[:-1], 6)
         return z
 
     motion = Motion(lambda x, epoch: np.concatenate([dynamics(x[..., :13], epoch), x[..., 13:]], -1),
                     sqrt_Q=np.pad(config.sqrt_Q, ((0, 6), (0, 0))))  # fmt: skip
-    filter = sigma_point(motion, replace(model(config)[1], h=h), rule=smolyak(19, config.level, (1,) * 3 + (2,) * 16), form=FORM)
+    filter = sigma_point(
+        motion,
+        replace(model(config)[1], h=h),
+        rule=smolyak(19, config.level, (1,) * 3 + (2,) * 16),
+        form=FORM,
+    )
     return filter, Gaussian(np.zeros((1, 19)), np.diag(np.square([*config.sigma0, *[sigma] * 6])))
 
 
 # -- how they are judged -----------------------------------------------------------------------------------------------------
-JUDGED = {"misalignment": "arcmin", "velocity": "m/s", "position": "m", "drift": "deg/h", "bias": "ug"}
+JUDGED = {
+    "misalignment": "arcmin",
+    "velocity": "m/s",
+    "position": "m",
+    "drift": "deg/h",
+    "bias": "ug",
+}
 
 
 def groups(config: Config, angle: float = DEGREE / 60.0, unit: str = "arcmin") -> tuple[Group, ...]:

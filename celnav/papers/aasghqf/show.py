@@ -12,8 +12,21 @@ from celnav.gaussian.linalg import matvec, semidefinite_root
 from celnav.gaussian.sparse_grid import point_count, smolyak
 from celnav.models import inertial
 from celnav.papers.aasghqf import study
-from celnav.papers.aasghqf.scenario import BORESIGHTS, NONLINEAR_WEIGHTS, PAPER_WEIGHTS, PRESETS, rules
-from celnav.papers.aasghqf.study import COMPARED, MISALIGNMENTS_DEG, TABLE_1, TABLE_2, TABLE_3, TABLE_4
+from celnav.papers.aasghqf.scenario import (
+    BORESIGHTS,
+    NONLINEAR_WEIGHTS,
+    PAPER_WEIGHTS,
+    PRESETS,
+    rules,
+)
+from celnav.papers.aasghqf.study import (
+    COMPARED,
+    MISALIGNMENTS_DEG,
+    TABLE_1,
+    TABLE_2,
+    TABLE_3,
+    TABLE_4,
+)
 from celnav.show import colors, scenes
 from celnav.show.estimates import Group, again
 from celnav.show.figures import Item, Line, Panel, consistency, curve, errors, panels, rmse, sigma
@@ -45,9 +58,14 @@ def points(weights: tuple[int, int], _: Results) -> Figure:
     def dots(sign: float, color: str, label: str) -> Item:
         own = sign * rule.wm > 0.0
         (x, y), size = rule.nodes[own].T, 3.0 + 125.0 * np.sqrt(np.abs(rule.wm[own]))
-        return lambda ax: ax.scatter(x, y, size, color=color, label=label if own.any() else "_none", alpha=0.8)
+        return lambda ax: ax.scatter(
+            x, y, size, color=color, label=label if own.any() else "_none", alpha=0.8
+        )
 
-    items = dots(1.0, colors.COMPARISON, "positive weight"), dots(-1.0, colors.PAPER, "negative weight")
+    items = (
+        dots(1.0, colors.COMPARISON, "positive weight"),
+        dots(-1.0, colors.PAPER, "negative weight"),
+    )
     limits = {"xlim": (-4.2, 4.2), "ylim": (-4.2, 4.2), "aspect": "equal"}
     title = f"level 3, weights {weights}: {rule.num_sigmas()} points"
     return panels(Panel(title, items, "$x_1$ (-)", "$x_2$ (-)", more=limits), size=(3.6, 3.8))
@@ -60,7 +78,11 @@ def one_run(group: str, results: Results) -> Figure:
     def panel(part: str, zoom: bool, i: int) -> Panel:
         items = [errors(results, part, f, LINES[f], group, i) for f in ("ukf", "aasghqf", "sghqf")]
         late = 12.0 * results.error(part, "sghqf", group, "std")[-30:, 0, i].max()
-        title, view = ("first minute", {"xlim": (0, 60)}) if zoom else ("whole flight", {"ylim": (-late, late)})
+        title, view = (
+            ("first minute", {"xlim": (0, 60)})
+            if zoom
+            else ("whole flight", {"ylim": (-late, late)})
+        )
         return Panel(f"{part}, {title}" * (i == 0), [*items, sigma(results, part, "sghqf", "SGHQF", group, i)], "time (s)",
                      f"{states[i]} error ({unit})", more=view)  # fmt: skip
 
@@ -72,9 +94,13 @@ def one_run(group: str, results: Results) -> Figure:
 def over_time(results: Results) -> Figure:
     """RMSE of the misalignment over the runs, with the closed solution that starts an EKF, and consistency."""
     lines, parts = {f: LINES[f] for f in study.FLOWN}, study.SHOWN
-    accuracy = {p: [rmse(results, p, f, line, "misalignment") for f, line in lines.items()] for p in parts}
+    accuracy = {
+        p: [rmse(results, p, f, line, "misalignment") for f, line in lines.items()] for p in parts
+    }
     best = np.sqrt(results.get("bound", "square")[:, 0])
-    accuracy["A"].append(curve(results.times("A"), best, Line("Cramér–Rao bound", colors.BOUND, width=2.5), zorder=0))
+    accuracy["A"].append(
+        curve(results.times("A"), best, Line("Cramér–Rao bound", colors.BOUND, width=2.5), zorder=0)
+    )
     return panels(
         [Panel(p, accuracy[p], "", "misalignment, RMSE (deg)", "y") for p in parts],
         [Panel("", [consistency(results, p, lines, "nees", 13)], "time (s)", "NEES, mean (-)", "y") for p in parts],
@@ -86,7 +112,10 @@ def first_fix(results: Results) -> Figure:
     """Why filters differ: what rules make of the first star fix, against exact moments."""
     titles = {"least": "least variance, over the right one", "mean": "mean residuals, relative error",
               "cov": "their covariance, relative error"}  # fmt: skip
-    x, known = "misalignment, 1σ of each angle (deg)", [(f, line) for f, line in LINES.items() if f in rules()]
+    x, known = (
+        "misalignment, 1σ of each angle (deg)",
+        [(f, line) for f, line in LINES.items() if f in rules()],
+    )
     return panels([
         Panel(title, [curve(MISALIGNMENTS_DEG, results.get("fixes", f"{f}/{what}"), line, marker=".") for f, line in known], x,
               log="xy") for what, title in titles.items()], size=(10.0, 3.6))  # fmt: skip
@@ -95,9 +124,17 @@ def first_fix(results: Results) -> Figure:
 def along(results: Results) -> Figure:
     """Degrees of the misalignment on both flights, and points and errors of filters whose weights are chosen on line."""
     slow, t, shades = "A-slow, on line", results.times("A-slow"), ("#000000", "#56B4E9", "#8C6BB1")
-    lines = {"weighed": Line("by observability", colors.PAPER, "--"), "bends": Line("by nonlinearity", colors.TRUTH, "--", 2.0)}
-    degrees = [[curve(t, d[:, i], Line(study.SEVEN[i], shades[i])) for i in range(3)] for d in results.get("along", "degrees")]
-    known = [rmse(results, "A-slow", f, LINES[f], "misalignment") for f in ("ukf", "aasghqf", "sghqf")]
+    lines = {
+        "weighed": Line("by observability", colors.PAPER, "--"),
+        "bends": Line("by nonlinearity", colors.TRUTH, "--", 2.0),
+    }
+    degrees = [
+        [curve(t, d[:, i], Line(study.SEVEN[i], shades[i])) for i in range(3)]
+        for d in results.get("along", "degrees")
+    ]
+    known = [
+        rmse(results, "A-slow", f, LINES[f], "misalignment") for f in ("ukf", "aasghqf", "sghqf")
+    ]
     return panels([
         *(Panel(title, items, "time (s)", "degree (-)", more={"ylim": (0.0, 20.0)}) for title, items in zip(
             ("the paper's flight", "turning at 2 deg/s"), degrees)),
@@ -110,17 +147,37 @@ def along(results: Results) -> Figure:
 FIGURES = {
     "figure_01": ("Fig. 1: points of the isotropic rule, n = 2, level 3.", partial(points, (1, 1))),
     "figure_02": ("Fig. 2: points of the rule with weights 2, 1.", partial(points, (2, 1))),
-    "figure_03": ("Fig. 3: misalignment errors of one run, presets A-slow and T3.", partial(one_run, "misalignment")),
+    "figure_03": (
+        "Fig. 3: misalignment errors of one run, presets A-slow and T3.",
+        partial(one_run, "misalignment"),
+    ),
     "figure_04": ("Fig. 4: velocity errors of one run.", partial(one_run, "velocity")),
     "figure_05": ("Fig. 5: position errors of one run.", partial(one_run, "position")),
-    "figure_06": ("Beyond the paper: RMSE of the misalignment, and consistency over time.", over_time),
-    "figure_07": ("Beyond the paper: the first star fix by rule, over the size of the misalignment.", first_fix),
-    "figure_08": ("Beyond the paper: degrees of observability along the flight, and weights that change with them.", along),
+    "figure_06": (
+        "Beyond the paper: RMSE of the misalignment, and consistency over time.",
+        over_time,
+    ),
+    "figure_07": (
+        "Beyond the paper: the first star fix by rule, over the size of the misalignment.",
+        first_fix,
+    ),
+    "figure_08": (
+        "Beyond the paper: degrees of observability along the flight, and weights that change with them.",
+        along,
+    ),
 }
 
 
 # -- tables ------------------------------------------------------------------------------------------------------------------
-COLUMNS = ("phi_x_deg", "phi_y_deg", "phi_z_deg", "v_east_m_per_s", "v_north_m_per_s", "longitude_m", "latitude_m")
+COLUMNS = (
+    "phi_x_deg",
+    "phi_y_deg",
+    "phi_z_deg",
+    "v_east_m_per_s",
+    "v_north_m_per_s",
+    "longitude_m",
+    "latitude_m",
+)
 TABLES = {
     "table_1": ("Table 1: points of the sparse grids, n = 1 to 6, level 3.", lambda _: [
         {"n": n, "filter": f, "weights": "".join(map(str, g)), "paper": TABLE_1[f][n - 1], "ours": point_count(n, 3, g)}
@@ -160,24 +217,37 @@ def record(results: Results, outputs: Outputs) -> list[str]:
 
 def showcase(results: Results, part: str) -> Showcase:
     """The first run of a part, flown again in full, among the others."""
-    c, (found, truth, z) = results.parts[part].config, again(results, part, {f: LINES[f] for f in ("sghqf", "ukf", "aasghqf")})
+    c, (found, truth, z) = (
+        results.parts[part].config,
+        again(results, part, {f: LINES[f] for f in ("sghqf", "ukf", "aasghqf")}),
+    )
     ground = np.diag(c.meters()) @ np.eye(2, 3)  # from longitude and latitude to east, north, up
     axes, fix = np.zeros((3, 13)), (z[:, 6:] - truth[:, inertial.POSITION]) @ ground
     axes[:, inertial.POSITION] = ground.T
 
     def scene(out: Recorder) -> None:
         flight, at, phi = c.flight, slice(None, None, 2), truth[:, inertial.PHI]
-        way = np.stack([flight.longitude - flight.longitude[0], flight.latitude - flight.latitude[0]], -1)[at]
+        way = np.stack(
+            [flight.longitude - flight.longitude[0], flight.latitude - flight.latitude[0]], -1
+        )[at]
         stars = 25000.0 * flight.attitude[at] @ BORESIGHTS.T
         scenes.flight(out, "world", way @ ground, (way + truth[:, inertial.POSITION]) @ ground, np.isfinite(fix[:, 0]), stars,
                       inertial.misalignment_matrix(phi) @ stars)  # fmt: skip
         std = np.sqrt(np.asarray(found["sghqf"].cov).diagonal(0, -2, -1))[:, None, :3]
         for name, e in found.items():
             rule, moved = rules()[name], rules()[name].nodes[:, :3].any(-1)
-            places = e.errors[:, 0, None] + matvec(semidefinite_root(np.asarray(e.cov))[:, None], rule.nodes[moved])
-            scenes.sigma_points(out, f"points/{name}", places[..., :3] / std, rule.wm[moved], e.color)
+            places = e.errors[:, 0, None] + matvec(
+                semidefinite_root(np.asarray(e.cov))[:, None], rule.nodes[moved]
+            )
+            scenes.sigma_points(
+                out, f"points/{name}", places[..., :3] / std, rule.wm[moved], e.color
+            )
 
-    groups = [Group(g.name, g.unit, g.part, g.scale, AXES[g.name]) for g in results.study.groups if g.name in AXES]
+    groups = [
+        Group(g.name, g.unit, g.part, g.scale, AXES[g.name])
+        for g in results.study.groups
+        if g.name in AXES
+    ]
     trails = "world/aircraft/trail", "world/inertial/trail"
     spaces = [Space("world", "flight, m (east, north, up)", (60e3, -70e3, 70e3), (90e3, 20e3, 0.0), growing=trails),
               *(Space(f"points/{f}", f"sigma points of {LINES[f].label}, σ of SGHQF", (9, -9, 6)) for f in COMPARED)]  # fmt: skip

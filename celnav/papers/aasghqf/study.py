@@ -39,7 +39,18 @@ from celnav.papers.aasghqf.scenario import (
     weighted,
 )
 from celnav.study import trial as trials
-from celnav.study.ledger import Bounds, Number, Tiers, check, erratum, estimate, finding, reconstruction, remark, statement
+from celnav.study.ledger import (
+    Bounds,
+    Number,
+    Tiers,
+    check,
+    erratum,
+    estimate,
+    finding,
+    reconstruction,
+    remark,
+    statement,
+)
 from celnav.study.montecarlo import normals
 from celnav.study.numbers import Decided, Flown, all_of, consistency, given, of
 from celnav.study.study import Part, Results, Rngs, Study, When, fly
@@ -63,15 +74,39 @@ CHOICES: dict[str, Callable[[Config], scenario.Choose]] = {
     "bends, 1": lambda _: scenario.by_nonlinearity(1.0),
 }  # fmt: skip
 """Weights on line: by Eqs. 15 and 19, the singular vectors weighed by what is believed or not; by nonlinearity."""
-READINGS = list(product(("Table 2", "deg", "SI", "rad", "deviations"), ("one", "all"), ("", "weighed"), ("S1", "S2", "S3")))
+READINGS = list(
+    product(
+        ("Table 2", "deg", "SI", "rad", "deviations"),
+        ("one", "all"),
+        ("", "weighed"),
+        ("S1", "S2", "S3"),
+    )
+)
 """Of Eq. 15: units; of a segment or all so far; by what is believed; sigma_0 of positions, of the measurement, of a velocity."""
 MOUNTINGS = ((0, False), (20, False), (60, False), (200, False), (60, True))
 """Arc seconds on each axis of each star sensor (chosen), and whether both have the same."""
 WEIGHTS = ((1,), (2, 1), (2, 1, 1), (2, 2, 1, 1), (2, 2, 1, 1, 1), (2, 2, 2, 1, 1, 1))
 POINTS = ("UKF", 2, None), ("SGHQF", 3, None), ("AASGHQF", 3, PAPER_WEIGHTS)
 TABLE_1 = {"SGHQF": [7, 21, 37, 57, 81, 109], "AASGHQF": [7, 9, 23, 25, 41, 43]}
-EXAMPLE = {(1, 1): [(1, 1), (1, 2), (1, 3), (2, 1), (2, 2), (3, 1)], (2, 1): [(1, 1), (1, 3), (2, 1)]}
-TABLE_2 = [9.845, 9.845, 4.635, 1.0, 1.0, 9.639, 9.639, 6.984e-5, 6.937e-6, 5.937e-5, 6.686e-6, 3.795e-5, 3.652e-7]
+EXAMPLE = {
+    (1, 1): [(1, 1), (1, 2), (1, 3), (2, 1), (2, 2), (3, 1)],
+    (2, 1): [(1, 1), (1, 3), (2, 1)],
+}
+TABLE_2 = [
+    9.845,
+    9.845,
+    4.635,
+    1.0,
+    1.0,
+    9.639,
+    9.639,
+    6.984e-5,
+    6.937e-6,
+    5.937e-5,
+    6.686e-6,
+    3.795e-5,
+    3.652e-7,
+]
 TABLE_3 = {"UKF": [0.350, 0.367, 0.412, 0.527, 0.609, 18.163, 17.821],
            "SGHQF": [0.217, 0.203, 0.251, 0.328, 0.397, 16.274, 16.183],
            "AASGHQF": [0.223, 0.201, 0.256, 0.303, 0.426, 15.997, 16.285]}  # fmt: skip
@@ -105,11 +140,18 @@ def operations(config: Config, _: Rngs) -> dict[str, Array]:
     Of SGHQF, whose step is too long to be recorded, at least: a point more adds to 91 + 140 covariances, in two operations each."""
     sim, out = simulate(replace(config, steps=1), UNDISTURBED), dict[str, Array]()
     for name in ("ukf", "aasghqf"):
-        filter = sigma_point(*scenario.model(config), rule=rules(config.level)[name], form=scenario.FORM)
+        filter = sigma_point(
+            *scenario.model(config), rule=rules(config.level)[name], form=scenario.FORM
+        )
         data = as_data(filter, list(sim.epochs()))
-        engine, kind = Engine(filter, sim.prior, data, "mean", {}, rolled=False), data.known[data.kinds[1]]
+        engine, kind = (
+            Engine(filter, sim.prior, data, "mean", {}, rolled=False),
+            data.known[data.kinds[1]],
+        )
         kernel = engine.record(engine.begin, kind, engine.inputs(data.u[kind.u], 2)).kernel
-        done = [kernel.tape.ops[i][0] for i in kernel.tape.needed([x for *_, x in kernel.results()])]
+        done = [
+            kernel.tape.ops[i][0] for i in kernel.tape.needed([x for *_, x in kernel.results()])
+        ]
         out[name] = np.array([len(done) - done.count("in") - done.count("const")])
     more = rules(config.level)["sghqf"].num_sigmas() - rules(config.level)["aasghqf"].num_sigmas()
     return out | {"sghqf": out["aasghqf"] + 2 * (91 + 140) * more}
@@ -120,7 +162,9 @@ def degrees(config: Config, _: Rngs) -> dict[str, Array]:
     of positions, drifts, biases, star residuals, fixes: first rad, m, deg/h, micro g, 1, m, the nearest to Table 2; then deg."""
     epoch, meters = next(simulate(replace(config, steps=1), UNDISTURBED).epochs()), config.meters()
     nav = inertial.navigation(config.flight, 0, np.zeros(3), np.zeros(3))
-    found = lie_gradients(lambda x: inertial.derivative(x, nav), lambda x: measurement(x, epoch), np.zeros(13), 3)
+    found = lie_gradients(
+        lambda x: inertial.derivative(x, nav), lambda x: measurement(x, epoch), np.zeros(13), 3
+    )
     radius, star = float(meters.mean()), 1.0 / epoch.u.sqrt_R[0, 0]
     scales = np.array(list(product(
         (1.0, DEGREE, DEGREE / 60.0, DEGREE / 3600.0), (1.0,), (1.0, radius, radius * DEGREE), (1.0, 3600.0 / DEGREE),
@@ -136,12 +180,25 @@ def degrees(config: Config, _: Rngs) -> dict[str, Array]:
 def on_line(names: Sequence[str], config: Config, rngs: Rngs) -> dict[str, Array]:
     """Filters by `CHOICES`: error and NEES as `flown` has them, and the number of points ``(T, runs)`` at each epoch."""
     sim, out = simulate(config, rngs), {"times": config.times}
-    scale = 1.0 / np.r_[[DEGREE] * 3, 1.0, 1.0, 1.0 / config.meters(), [DEGREE / 3600.0] * 3, [scenario.MICRO_G] * 3]
+    scale = (
+        1.0
+        / np.r_[
+            [DEGREE] * 3,
+            1.0,
+            1.0,
+            1.0 / config.meters(),
+            [DEGREE / 3600.0] * 3,
+            [scenario.MICRO_G] * 3,
+        ]
+    )
     for name in names:
         track = run(scenario.adaptive(CHOICES[name](config), config), sim.prior, sim.epochs(), keep="cov", on_failure="flag",
                     engine="numpy", also=lambda _, state, __: {"chosen": state.chosen})  # fmt: skip
         kinds, which = np.unique(track.extra["chosen"], return_inverse=True)
-        error, points = track.mean - sim.truth, [weighted(kind, config.level).num_sigmas() for kind in kinds.tolist()]
+        error, points = (
+            track.mean - sim.truth,
+            [weighted(kind, config.level).num_sigmas() for kind in kinds.tolist()],
+        )
         out |= {f"{name}/error": error * scale, f"{name}/nees": nees(error, track.sqrt_cov),
                 f"{name}/points": np.array(points)[which], f"{name}/chosen": track.extra["chosen"]}  # fmt: skip
     return out
@@ -160,17 +217,28 @@ def along(config: Config, rngs: Rngs) -> dict[str, Array]:
         x, P, row = track.mean[epoch.k - 1], np.asarray(track.cov)[epoch.k - 1], []
         for n, (scale, shown) in enumerate(units):
             own = scenario.observability(x, epoch, (scale, shown))
-            least = np.linalg.svd(own[:, :8], compute_uv=False)[:, 4]  # what is measured itself has rank five
+            least = np.linalg.svd(own[:, :8], compute_uv=False)[
+                :, 4
+            ]  # what is measured itself has rank five
             so_far[n] = np.asarray(np.linalg.qr(np.concatenate([so_far[n], own], 1), "r"))
-            for matrix, cov in product((own, so_far[n]), (None, P / np.multiply.outer(scale, scale))):
+            for matrix, cov in product(
+                (own, so_far[n]), (None, P / np.multiply.outer(scale, scale))
+            ):
                 values = state_singular_values(matrix, cov)
-                row += [values > THRESHOLD * one[:, None] for one in (values[:, 5:7].mean(-1), least, values[:, 3])]
+                row += [
+                    values > THRESHOLD * one[:, None]
+                    for one in (values[:, 5:7].mean(-1), least, values[:, 3])
+                ]
         rows.append(np.stack(row, 1))
     found = []
     for flight in (config.flight, scenario.TURNING.flight):
         nav = inertial.navigation(flight, slice(0, None, 2), *np.zeros((2, config.steps + 1, 3)))
-        epoch = Epoch(u=scenario.Inputs(nav, nav.attitude, scenario.BORESIGHTS @ nav.attitude.mT, np.eye(8)))
-        values = state_singular_values(scenario.observability(np.zeros((len(nav.force), 13)), epoch, config.units))
+        epoch = Epoch(
+            u=scenario.Inputs(nav, nav.attitude, scenario.BORESIGHTS @ nav.attitude.mT, np.eye(8))
+        )
+        values = state_singular_values(
+            scenario.observability(np.zeros((len(nav.force), 13)), epoch, config.units)
+        )
         found.append(values / values[:, 3:4])
     return {"above": np.array(rows), "degrees": np.array(found)}
 
@@ -178,11 +246,24 @@ def along(config: Config, rngs: Rngs) -> dict[str, Array]:
 def mounting(config: Config, rngs: Rngs) -> dict[str, Array]:
     """Filters that do not know mounting errors, of the sizes of `MOUNTINGS` in the same runs, and one of 19 states that estimates
     them ("S"): what `fly` gives, by ``<filter>, <size>``."""
-    sim, count, draws = simulate(config, rngs), len(MOUNTINGS), normals(rngs, (2, 3))[0].swapaxes(0, 1)
-    errors = np.array([np.radians(size / 3600.0) * (draws[:, :1] if how else draws) + np.zeros((2, 3)) for size, how in MOUNTINGS])
+    sim, count, draws = (
+        simulate(config, rngs),
+        len(MOUNTINGS),
+        normals(rngs, (2, 3))[0].swapaxes(0, 1),
+    )
+    errors = np.array(
+        [
+            np.radians(size / 3600.0) * (draws[:, :1] if how else draws) + np.zeros((2, 3))
+            for size, how in MOUNTINGS
+        ]
+    )
     tiled = sim._replace(truth=np.tile(sim.truth, (count, 1)), z=np.tile(sim.z, (count, 1)),
                          prior=Gaussian(np.tile(sim.prior.mean, (count, 1)), sim.prior.cov))  # fmt: skip
-    flown = fly(shown(scenario.mounted(tiled, errors.reshape(-1, 2, 3))), ("ukf", "nonlinear", "aasghqf"), 10)
+    flown = fly(
+        shown(scenario.mounted(tiled, errors.reshape(-1, 2, 3))),
+        ("ukf", "nonlinear", "aasghqf"),
+        10,
+    )
     out = {"times": flown.pop("times")}
     for key, values in flown.items():
         name, what = key.split("/")
@@ -192,26 +273,53 @@ def mounting(config: Config, rngs: Rngs) -> dict[str, Array]:
     trial = shown(scenario.mounted(sim, errors[MOUNTINGS.index((60, False))]))._replace(
         filters={"S": filter},
         prior=Gaussian(np.tile(prior.mean, (len(rngs), 1)), prior.cov),
-        compare=lambda truth, belief: (belief.mean[..., :13] - truth, np.linalg.cholesky(belief.cov[..., :13, :13])),
+        compare=lambda truth, belief: (
+            belief.mean[..., :13] - truth,
+            np.linalg.cholesky(belief.cov[..., :13, :13]),
+        ),
     )
-    return out | {key.replace("S/", "S, 60/"): values for key, values in fly(trial, ("S",), 10).items() if key != "times"}
+    return out | {
+        key.replace("S/", "S, 60/"): values
+        for key, values in fly(trial, ("S",), 10).items()
+        if key != "times"
+    }
 
 
 def first_fixes(config: Config, _: Rngs) -> dict[str, Array]:
     """The first star fix by rule, each ``(angles,)``, against a fine tensor rule. least: smallest eigenvalue of the covariance of
     the misalignment after it, over the right one. mean, cov: relative errors of the moments of the star residuals."""
-    epoch, out, exact = next(simulate(replace(config, steps=1), UNDISTURBED).epochs()), dict[str, Array](), dict[float, Any]()
+    epoch, out, exact = (
+        next(simulate(replace(config, steps=1), UNDISTURBED).epochs()),
+        dict[str, Array](),
+        dict[float, Any](),
+    )
     stars = Sensor(lambda x, e: measurement(x, e)[..., :6], sqrt_R=epoch.u.sqrt_R[:6, :6])
-    for name, rule in {"exact": tensor_product(gauss_hermite(3, 20), simplex(10)), **rules(config.level)}.items():
-        filter, rows = sigma_point(scenario.model(config)[0], stars, rule=rule, form=scenario.FORM), []
+    for name, rule in {
+        "exact": tensor_product(gauss_hermite(3, 20), simplex(10)),
+        **rules(config.level),
+    }.items():
+        filter, rows = (
+            sigma_point(scenario.model(config)[0], stars, rule=rule, form=scenario.FORM),
+            [],
+        )
         for angle in np.radians(MISALIGNMENTS_DEG).tolist():
-            prior = Gaussian(np.zeros((1, 13)), np.diag(np.square([angle] * 3 + config.sigma0[3:].tolist())))
+            prior = Gaussian(
+                np.zeros((1, 13)), np.diag(np.square([angle] * 3 + config.sigma0[3:].tolist()))
+            )
             seen = filter.measured(rule, stars, filter.start(prior).belief, np.zeros((1, 6)), epoch)
             after = condition(filter.form, seen, filter.motion.space)[0].cov[0, :3, :3]
             least = np.linalg.eigvalsh(after)[0] if np.isfinite(after).all() else np.nan
             found = least, -np.asarray(seen.innovation)[0], seen.covariances()[0].reshape(6, 6)
             right = exact.setdefault(angle, found)
-            rows.append([least / right[0], *(np.linalg.norm(a - b) / np.linalg.norm(b) for a, b in zip(found[1:], right[1:]))])
+            rows.append(
+                [
+                    least / right[0],
+                    *(
+                        np.linalg.norm(a - b) / np.linalg.norm(b)
+                        for a, b in zip(found[1:], right[1:])
+                    ),
+                ]
+            )
         out |= dict(zip((f"{name}/{what}" for what in ("least", "mean", "cov")), np.array(rows).T))
     return out
 
@@ -236,16 +344,24 @@ def grid(indices: Mapping[tuple[int, ...], int]) -> dict[tuple[float, ...], list
     """Union of the points of tensor rules, and the terms of a point's weight, one for each index that has it [Eqs. 13, 14]."""
     found: dict[tuple[float, ...], list[float]] = {}
     for index, c in indices.items():
-        lines = (zip(rule.nodes[:, 0].tolist(), rule.wm.tolist()) for rule in (smolyak(1, i) for i in index))
+        lines = (
+            zip(rule.nodes[:, 0].tolist(), rule.wm.tolist())
+            for rule in (smolyak(1, i) for i in index)
+        )
         for part in product(*lines):
-            found.setdefault(tuple(x for x, _ in part), []).append(c * np.prod([w for _, w in part]))
+            found.setdefault(tuple(x for x, _ in part), []).append(
+                c * np.prod([w for _, w in part])
+            )
     return found
 
 
 def printed_bound(_: Results) -> list[Number]:
     """Points at level 3 over the index set as Eq. 18 prints it, with sum_j (i_j - 1) g_j >= 2 min(g) - |g|, and with > instead."""
     cases = (((1,), 0), ((2, 1), 1))
-    sets = [[i for i in index_set(3, g) if np.subtract(i, 1) @ g >= 2 * min(g) - sum(g) + strict] for g, strict in cases]
+    sets = [
+        [i for i in index_set(3, g) if np.subtract(i, 1) @ g >= 2 * min(g) - sum(g) + strict]
+        for g, strict in cases
+    ]
     printed, strict = (len(grid(dict.fromkeys(indices, 1))) for indices in sets)
     second = Number("strict, with coefficients 0, weights 2, 1", strict, (11, 11), printed=9)
     return [Number("as printed, n = 1", printed, (9, 9), printed=7), second]
@@ -254,26 +370,54 @@ def printed_bound(_: Results) -> list[Number]:
 def two_states(_: Results) -> list[Number]:
     """The example of the paper: index sets, up to indices of coefficient 0, points, common nodes."""
     sets = [(index_set(3, g), printed) for g, printed in EXAMPLE.items()]
-    wrong = sum(len({i for i, c in own.items() if c} ^ {i for i in printed if own.get(i) != 0}) for own, printed in sets)
+    wrong = sum(
+        len({i for i, c in own.items() if c} ^ {i for i in printed if own.get(i) != 0})
+        for own, printed in sets
+    )
     common = sum(len(terms) > 1 for terms in grid({(1,): 1, (2,): 1, (3,): 1}).values())
-    points = [Number(f"points, weights {g}", smolyak(2, 3, g).num_sigmas(), (n, n)) for g, n in zip(EXAMPLE, (21, 9))]
-    return [Number("indices that differ", wrong, (0, 0)), *points, Number("nodes that rules have in common", common, (1, 1))]
+    points = [
+        Number(f"points, weights {g}", smolyak(2, 3, g).num_sigmas(), (n, n))
+        for g, n in zip(EXAMPLE, (21, 9))
+    ]
+    return [
+        Number("indices that differ", wrong, (0, 0)),
+        *points,
+        Number("nodes that rules have in common", common, (1, 1)),
+    ]
 
 
 def one_term(_: Results) -> list[Number]:
     """Points of Fig. 1 that are in several index sets, and what the weights sum to if each has one term only."""
     terms = grid({index: c for index, c in index_set(3, (1, 1)).items() if c}).values()
-    most, least = Number("sum of largest", sum(map(max, terms)), (1.5, None)), Number("of least", sum(map(min, terms)), (None, 0.0))
-    return [Number("points in several index sets, of 21, n = 2", sum(len(t) > 1 for t in terms), (5, 5)), most, least]
+    most, least = (
+        Number("sum of largest", sum(map(max, terms)), (1.5, None)),
+        Number("of least", sum(map(min, terms)), (None, 0.0)),
+    )
+    return [
+        Number(
+            "points in several index sets, of 21, n = 2", sum(len(t) > 1 for t in terms), (5, 5)
+        ),
+        most,
+        least,
+    ]
 
 
 def savings(_: Results) -> Tiers:
     """Points saved and their part, with half of the weights 2, and as printed."""
-    half = [(point_count(n, 3), point_count(n, 3, [2] * (n // 2) + [1] * (n // 2))) for n in (6, 12, 24)]
+    half = [
+        (point_count(n, 3), point_count(n, 3, [2] * (n // 2) + [1] * (n // 2))) for n in (6, 12, 24)
+    ]
     printed = zip([*TABLE_1["SGHQF"], 417], [*TABLE_1["AASGHQF"], 99])
     ours, theirs = ([100.0 * (1.0 - b / a) for a, b in rows] for rows in (half, printed))
-    number = Number("least step of points saved, half of the weights 2", min(np.diff([a - b for a, b in half])), (1, None))
-    steps = [Number("of their part, %", min(np.diff(ours)), (1e-9, None)), Number("as printed, %", min(np.diff(theirs)))]
+    number = Number(
+        "least step of points saved, half of the weights 2",
+        min(np.diff([a - b for a, b in half])),
+        (1, None),
+    )
+    steps = [
+        Number("of their part, %", min(np.diff(ours)), (1e-9, None)),
+        Number("as printed, %", min(np.diff(theirs))),
+    ]
     ends = [Number(f"part saved, n = {n}, %", p) for n, p in zip((6, 12, 24), ours)]
     return {"reproduced": [number, *steps, *ends], "in part": [number]}
 
@@ -287,11 +431,16 @@ def averaged(
     another statistic of ``(states,)``, one for each that is seen."""
 
     def number(r: Results) -> Number:
-        squares = [np.square(r.get(part, f"{f}/error")[r.at(part, at), :, states]).swapaxes(0, 1) for part, f in seen]
+        squares = [
+            np.square(r.get(part, f"{f}/error")[r.at(part, at), :, states]).swapaxes(0, 1)
+            for part, f in seen
+        ]
         (runs, *shape), flat = squares[0].shape, [s.reshape(len(s), -1) for s in squares]
 
         def value(drawn: Array) -> float:
-            share = np.bincount(drawn.astype(int), minlength=runs) / runs  # of each run among those drawn: a product, no copies
+            share = (
+                np.bincount(drawn.astype(int), minlength=runs) / runs
+            )  # of each run among those drawn: a product, no copies
             return float(statistic(*(np.sqrt(share @ f).reshape(shape).mean(0) for f in flat)))
 
         return estimate(label, value, [np.arange(runs)], accept, **more)
@@ -302,7 +451,10 @@ def averaged(
 def each(r: Results, a: str, b: str, accept: Bounds = (None, None), **more: Any) -> list[Number]:
     """Filter ``a`` over ``b`` in each preset and state of Table 3. At T3, where errors have long tails, from more runs: SGHQF is
     then flown with the 57 points that give its estimates."""
-    seen = {p: [(p, f) if p != "T3" else (MANY, {"sghqf": "nonlinear"}.get(f, f)) for f in (a, b)] for p in PRESETS}
+    seen = {
+        p: [(p, f) if p != "T3" else (MANY, {"sghqf": "nonlinear"}.get(f, f)) for f in (a, b)]
+        for p in PRESETS
+    }
     return [averaged(f"{state}, {p}, {a.upper()} over {b.upper()}", seen[p], slice(i, i + 1), accept, **more)(r)
             for p in PRESETS for i, state in enumerate(SEVEN)]  # fmt: skip
 
@@ -324,13 +476,22 @@ def adapts(r: Results) -> Tiers:
                        (0.5, None)) for part, f, p in seen]  # fmt: skip
     ratios = [averaged(f"{SEVEN[i]}, {p}, {f} over fixed weights", [(part, f), (p, "aasghqf")], slice(i, i + 1))(r)
               for part, f, p in seen for i in range(7)]  # fmt: skip
-    worse, better = (sum(bool(n.ci and sign * n.ci[end] > sign + 1e-3) for n in ratios) for sign, end in ((1, 0), (-1, 1)))
-    bar, above = Number("of 28 errors, larger than with fixed weights", worse, (None, 0)), r.get("along", "above")
+    worse, better = (
+        sum(bool(n.ci and sign * n.ci[end] > sign + 1e-3) for n in ratios)
+        for sign, end in ((1, 0), (-1, 1))
+    )
+    bar, above = (
+        Number("of 28 errors, larger than with fixed weights", worse, (None, 0)),
+        r.get("along", "above"),
+    )
     more = [Number("smaller", better),
             Number("of 60 readings, those that ever change", (above[1:] != above[:-1]).any((0, 1, 3)).sum()),
             *(Number(f"changes in a run, {f}, {p}", changed(r, part, f).sum(0).mean()) for part, f, p in seen[2:]),
             max(ratios, key=lambda n: n.ci[0] if n.ci else n.value)]  # fmt: skip
-    return {"reproduced": [*shares, bar, *more], "in part": [max(shares, key=lambda n: n.value), bar]}
+    return {
+        "reproduced": [*shares, bar, *more],
+        "in part": [max(shares, key=lambda n: n.value), bar],
+    }
 
 
 def followed(r: Results) -> list[Number]:
@@ -349,7 +510,10 @@ def followed(r: Results) -> list[Number]:
 
 def gentle(r: Results) -> list[Number]:
     """The degree of the heading on the paper's flight, and at what force it becomes large on the turning one."""
-    (own, turning), (flight, force) = r.get("along", "degrees")[..., 2], (f.flight.force[::2] for f in (A, scenario.TURNING))
+    (own, turning), (flight, force) = (
+        r.get("along", "degrees")[..., 2],
+        (f.flight.force[::2] for f in (A, scenario.TURNING)),
+    )
     across = (np.hypot(*force.T[:2]) / force[:, 2])[turning > THRESHOLD]
     return [Number("largest degree of φz", own.max(), (None, 2)),
             Number("largest force across, m/s^2", np.hypot(*flight.T[:2]).max()),
@@ -359,7 +523,10 @@ def gentle(r: Results) -> list[Number]:
 
 def doubled(r: Results) -> Number:
     """The size of mounting errors, arc seconds, at which the RMSE of the angles at the end is doubled: they add in the square."""
-    none, most = (np.square(r.get("mounting", f"nonlinear, {size}/error")[LAST, :, PHI]).sum(-1).mean(0) for size in (0, 200))
+    none, most = (
+        np.square(r.get("mounting", f"nonlinear, {size}/error")[LAST, :, PHI]).sum(-1).mean(0)
+        for size in (0, 200)
+    )
     bar = np.sqrt(3.0 * none.mean() / 2.5) * 3600.0  # by the closed form, 2.5 sigma^2 in all
     return estimate("arc seconds that double it", lambda a, b: 200.0 * np.sqrt(3.0 * a.mean() / (b.mean() - a.mean())),
                     [none, most], (0.8 * bar, 1.25 * bar))  # fmt: skip
@@ -369,11 +536,23 @@ def degree(r: Results) -> Tiers:
     """Degrees of all scalings beside the printed ones: states that agree, and the order of the states."""
     every, printed = r.get("observability", "every"), np.array(TABLE_2)
     far = np.abs(np.log(np.maximum(every, 1e-300) / printed)) > np.log([1.1] * 7 + [3.2] * 6)
-    a, b = np.nonzero(printed[:, None] > printed)  # pairs of states of which the first has the larger degree
-    wrong, turned = (float(differ.sum(-1).min()) for differ in (far, every[..., a] <= every[..., b]))
+    a, b = np.nonzero(
+        printed[:, None] > printed
+    )  # pairs of states of which the first has the larger degree
+    wrong, turned = (
+        float(differ.sum(-1).min()) for differ in (far, every[..., a] <= every[..., b])
+    )
     return {
-        "reproduced": [Number("states of 13 that do not agree, in the best scaling", wrong, (None, 0))],
-        "in part": [Number("pairs of states that are not in the printed order, in the best scaling", turned, (None, 0))],
+        "reproduced": [
+            Number("states of 13 that do not agree, in the best scaling", wrong, (None, 0))
+        ],
+        "in part": [
+            Number(
+                "pairs of states that are not in the printed order, in the best scaling",
+                turned,
+                (None, 0),
+            )
+        ],
         "not reproduced": [Number(*state) for state in zip(inertial.STATES, every[0, 0].tolist())],
     }
 
@@ -381,18 +560,37 @@ def degree(r: Results) -> Tiers:
 def classes(r: Results) -> Tiers:
     """Weights that differ from Table 2's, by its own degrees and by computed ones."""
     every = TABLE_2, *r.get("observability", "every").reshape(-1, 13)
-    own, *computed = (np.not_equal(threshold_weights(d, THRESHOLD), PAPER_WEIGHTS).sum() for d in every)
-    printed, first = Number("by the printed degrees, of 13", own, (None, 0)), Number("by computed ones", computed[0], (None, 0))
-    extremes = [Number("fewest of any units", min(computed)), Number("most of any units", max(computed))]
+    own, *computed = (
+        np.not_equal(threshold_weights(d, THRESHOLD), PAPER_WEIGHTS).sum() for d in every
+    )
+    printed, first = (
+        Number("by the printed degrees, of 13", own, (None, 0)),
+        Number("by computed ones", computed[0], (None, 0)),
+    )
+    extremes = [
+        Number("fewest of any units", min(computed)),
+        Number("most of any units", max(computed)),
+    ]
     return {"reproduced": [printed, first, *extremes], "in part": [printed]}
 
 
 def criterion(r: Results) -> list[Number]:
     """AASGHQF over 57 points that follow the nonlinearity, in every state and preset."""
     every = sorted(each(r, "aasghqf", "nonlinear"), key=lambda n: -n.value)
-    better, worse = (sum(bool(n.ci and sign * n.ci[end] > sign) for n in every) for sign, end in ((1, 0), (-1, 1)))
-    fixed = [consistency(f"NEES after the first fix, A, {f}", ("A", f), at=0)(r) for f in ("aasghqf", "nonlinear", "sghqf")]
-    return [Number("of 28 ratios, above 1 with their interval", better, (None, 0)), Number("below 1", worse), *fixed, *every]
+    better, worse = (
+        sum(bool(n.ci and sign * n.ci[end] > sign) for n in every)
+        for sign, end in ((1, 0), (-1, 1))
+    )
+    fixed = [
+        consistency(f"NEES after the first fix, A, {f}", ("A", f), at=0)(r)
+        for f in ("aasghqf", "nonlinear", "sghqf")
+    ]
+    return [
+        Number("of 28 ratios, above 1 with their interval", better, (None, 0)),
+        Number("below 1", worse),
+        *fixed,
+        *every,
+    ]
 
 
 def better_than_ukf(r: Results) -> Tiers:
@@ -400,7 +598,10 @@ def better_than_ukf(r: Results) -> Tiers:
     sghqf, aasghqf = (each(r, "ukf", f, (1.0, None), strict=True) for f in ("sghqf", "aasghqf"))
     every, least = (sorted(numbers, key=lambda n: n.value) for numbers in (sghqf + aasghqf, sghqf))
     half = np.sqrt(np.divide(TABLE_3["UKF"], TABLE_3["SGHQF"]))
-    below, unclear = sum(bool(n.ci and n.ci[1] < 1.0) for n in every), sum(not n.holds for n in every)
+    below, unclear = (
+        sum(bool(n.ci and n.ci[1] < 1.0) for n in every),
+        sum(not n.holds for n in every),
+    )
     worse = Number("of 56 ratios, those below 1 with their interval", below, (None, 0))
     confirmed = sum(n.value > bar for n, bar in zip(sghqf, half))  # at T3, the first preset
     return {"reproduced": [
@@ -412,17 +613,35 @@ def better_than_ukf(r: Results) -> Tiers:
 
 def levels(r: Results) -> Tiers:
     """All 21 entries of Table 3 at T3."""
-    cells, own, bar = [(MANY, f) for f in ("ukf", "nonlinear", "aasghqf")], np.log(list(TABLE_3.values())), np.log(1.32)
+    cells, own, bar = (
+        [(MANY, f) for f in ("ukf", "nonlinear", "aasghqf")],
+        np.log(list(TABLE_3.values())),
+        np.log(1.32),
+    )
     number = partial(averaged, seen=cells, states=slice(0, 7))
-    beyond = number("of 21, beyond 1.32", accept=(None, 3), statistic=lambda *x: (np.abs(np.log(x) - own) > bar).sum())
-    farthest = number("largest factor", accept=(None, 3.2), statistic=lambda *x: np.exp(np.abs(np.log(x) - own).max()))
+    beyond = number(
+        "of 21, beyond 1.32",
+        accept=(None, 3),
+        statistic=lambda *x: (np.abs(np.log(x) - own) > bar).sum(),
+    )
+    farthest = number(
+        "largest factor",
+        accept=(None, 3.2),
+        statistic=lambda *x: np.exp(np.abs(np.log(x) - own).max()),
+    )
     return {"reproduced with fitted parameters": [beyond(r)], "level only": [farthest(r)]}
 
 
 def orders(r: Results) -> Tiers:
     """Total degrees to which grids are exact, one less than that of the first even monomial that they fail, and their errors."""
-    fail = [min(sum(p) for p in product((0, 2, 4, 6), repeat=3) if not integrates(p, 3, g)) for g in ((1, 1, 1), (1, 1, 2))]
-    exact = [Number(f"total degree, {name}", least - 1, (4, None)) for name, least in zip(("isotropic", "weights with a 2"), fail)]
+    fail = [
+        min(sum(p) for p in product((0, 2, 4, 6), repeat=3) if not integrates(p, 3, g))
+        for g in ((1, 1, 1), (1, 1, 2))
+    ]
+    exact = [
+        Number(f"total degree, {name}", least - 1, (4, None))
+        for name, least in zip(("isotropic", "weights with a 2"), fail)
+    ]
     error = partial(r.get, "fixes")
     errors = [Number(f"error of the {what}, {f.upper()} over UKF", TEN(error(f"{f}/{what}") / error(f"ukf/{what}")), (None, 1.0))
               for f in ("sghqf", "aasghqf") for what in ("mean", "cov")]  # fmt: skip
@@ -431,11 +650,18 @@ def orders(r: Results) -> Tiers:
 
 def coriolis(_: Results) -> list[Number]:
     """Latitude derivative of ``(2 w_ie + w_en)_up`` by Eq. 22, over that by differences: as printed, and corrected."""
-    L, velocity, step = float(np.radians(T3.latitude_deg)), T3.flight.velocity[0], np.array([-1e-4, 1e-4])
+    L, velocity, step = (
+        float(np.radians(T3.latitude_deg)),
+        T3.flight.velocity[0],
+        np.array([-1e-4, 1e-4]),
+    )
     rate = 2.0 * earth.earth_rate(L + step) + earth.transport_rate(velocity, L + step, T3.height_m)
     right, east = float(np.diff(rate[:, 2])[0]) / 2e-4, earth.radii(L, T3.height_m)[1]
     ie, en = earth.ROTATION_RATE * np.cos(L), velocity[0] / (np.cos(L) ** 2 * east)
-    return [Number("printed", (ie + en) / right, (0.6, 0.7)), Number("corrected", (2.0 * ie + en) / right, (0.99, 1.01))]
+    return [
+        Number("printed", (ie + en) / right, (0.6, 0.7)),
+        Number("corrected", (2.0 * ie + en) / right, (0.99, 1.01)),
+    ]
 
 
 # -- the ledger --------------------------------------------------------------------------------------------------------------

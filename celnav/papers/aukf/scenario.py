@@ -52,40 +52,87 @@ class Config(Timed):
     speed_m_per_s: float = param(400.0, "paper", "of the receiver, on a level circle", above=0.0)
     acceleration_g: float = param(4.0, "paper", "towards the circle's center", above=0.0)
     height_m: float = param(800.0, "paper", "above the ellipsoid")
-    latitude_deg: float = param(32.03, "inferred: the authors' city", "of the circle", least=-90.0, most=90.0)
-    longitude_deg: float = param(118.85, "inferred: the authors' city", "of the circle", least=-360.0, most=360.0)
-    interval_s: float = param(0.1, "chosen: at 10 Hz the paper's result in the burst appears", "of the measurements", above=0.0)
+    latitude_deg: float = param(
+        32.03, "inferred: the authors' city", "of the circle", least=-90.0, most=90.0
+    )
+    longitude_deg: float = param(
+        118.85, "inferred: the authors' city", "of the circle", least=-360.0, most=360.0
+    )
+    interval_s: float = param(
+        0.1,
+        "chosen: at 10 Hz the paper's result in the burst appears",
+        "of the measurements",
+        above=0.0,
+    )
     duration_s: float = param(90.0, "chosen", "of a run", above=0.0)
     mask_deg: float = param(10.0, "chosen", "least elevation of satellites", least=0.0, below=90.0)
-    sigma_range_m: float = param(3.0, "chosen", "noise of a range, standard deviation: what the filters take it for", above=0.0)
-    sigma_rate_m_per_s: float = param(0.1, "chosen", "noise of a range rate, standard deviation", above=0.0)
-    true_sigma_range_m: float = param(3.0, "chosen", "noise of a range, standard deviation: what it is", above=0.0)
+    sigma_range_m: float = param(
+        3.0,
+        "chosen",
+        "noise of a range, standard deviation: what the filters take it for",
+        above=0.0,
+    )
+    sigma_rate_m_per_s: float = param(
+        0.1, "chosen", "noise of a range rate, standard deviation", above=0.0
+    )
+    true_sigma_range_m: float = param(
+        3.0, "chosen", "noise of a range, standard deviation: what it is", above=0.0
+    )
     burst: str = param("ranges", "chosen: the paper does not say which channels",
                        "which measurements a burst disturbs: none, all ranges, both ranges and rates, the range of one satellite",
                        one_of=("none", "ranges", "both", "one"))  # fmt: skip
     motion: str = param("circle", "paper", "how the receiver moves: on the circle, or at random, as the filters think",
                         one_of=("circle", "model"))  # fmt: skip
-    turn_s: tuple[float, float] = param((0.0, 1e6), "paper: always", "start and end of the turn; straight before and after")
+    turn_s: tuple[float, float] = param(
+        (0.0, 1e6), "paper: always", "start and end of the turn; straight before and after"
+    )
     burst_s: tuple[float, float] = param((60.0, 70.0), "paper", "start and end of the burst")
-    burst_sigma: float = param(50.0, "paper: without a unit", "size of the burst, m on ranges and m/s on rates", above=0.0)
-    burst_satellite: int = param(2, "chosen", "which satellite a burst on one disturbs, counted from 0", least=0)
-    burst_count: int = param(1, "chosen", "how many satellites it is, evenly spread from there on, where it is not all", least=1)
+    burst_sigma: float = param(
+        50.0, "paper: without a unit", "size of the burst, m on ranges and m/s on rates", above=0.0
+    )
+    burst_satellite: int = param(
+        2, "chosen", "which satellite a burst on one disturbs, counted from 0", least=0
+    )
+    burst_count: int = param(
+        1,
+        "chosen",
+        "how many satellites it is, evenly spread from there on, where it is not all",
+        least=1,
+    )
     burst_shape: str = param("noise", "paper", "what a burst adds: white noise of its size, or its size itself",
                              one_of=("noise", "constant"))  # fmt: skip
     acceleration_noise_m2_per_s3: float | None = param(
         None, "inferred: makes up for a constant acceleration",
         "density of the white acceleration in the filters; left out: the square of the true one, times interval_s")  # fmt: skip
-    clock_white_m2_per_s: float = param(CRYSTAL[0], "chosen", "density of the white noise of the clock's frequency", least=0.0)
-    clock_walk_m2_per_s3: float = param(CRYSTAL[1], "chosen", "density of the random walk of the clock's frequency", least=0.0)
-    bias_m: float = param(3e4, "chosen", "true error of the receiver's clock at the start, as a range")
+    clock_white_m2_per_s: float = param(
+        CRYSTAL[0], "chosen", "density of the white noise of the clock's frequency", least=0.0
+    )
+    clock_walk_m2_per_s3: float = param(
+        CRYSTAL[1], "chosen", "density of the random walk of the clock's frequency", least=0.0
+    )
+    bias_m: float = param(
+        3e4, "chosen", "true error of the receiver's clock at the start, as a range"
+    )
     drift_m_per_s: float = param(30.0, "chosen", "true rate of that error at the start")
     deviation: tuple[float, float, float, float] = param(
         (10.0, 1.0, 10.0, 1.0), "chosen",
         "standard deviations at the start: position (m), velocity (m/s), clock (m), its rate (m/s)", above=0.0)  # fmt: skip
-    assumed_m: float | None = param(None, "chosen", "what filters take the position's deviation for; left out: as it is")
-    window: int = param(10, "chosen: the paper says M", "epochs over which the adaptive filter averages", least=1, most=100_000)
+    assumed_m: float | None = param(
+        None, "chosen", "what filters take the position's deviation for; left out: as it is"
+    )
+    window: int = param(
+        10,
+        "chosen: the paper says M",
+        "epochs over which the adaptive filter averages",
+        least=1,
+        most=100_000,
+    )
     alpha: float = param(1.0, "chosen", "spread of the sigma points", above=0.0)
-    beta: float = param(2.0, "paper", "weight of the sigma points' center in the covariance; 2 is best for Gaussians")
+    beta: float = param(
+        2.0,
+        "paper",
+        "weight of the sigma points' center in the covariance; 2 is best for Gaussians",
+    )
     runs: int = param(100, "chosen: the paper shows one", "of a Monte Carlo", least=1)
 
     def check(self) -> None:
@@ -102,7 +149,9 @@ class Config(Timed):
     def idle(self) -> dict[str, str]:
         """Parameters without effect in this configuration, and why."""
         if self.burst == "none":
-            return dict.fromkeys((name for name in vars(self) if name.startswith("burst_")), "without a burst")
+            return dict.fromkeys(
+                (name for name in vars(self) if name.startswith("burst_")), "without a burst"
+            )
         why = "where the burst is not on one satellite"
         return {} if self.burst == "one" else {"burst_satellite": why, "burst_count": why}
 
@@ -134,7 +183,12 @@ class Config(Timed):
     @property
     def Q(self) -> Array:
         """Process noise of an interval, ``(8, 8)``."""
-        return process_noise(self.interval_s, self.acceleration_noise, self.clock_white_m2_per_s, self.clock_walk_m2_per_s3)
+        return process_noise(
+            self.interval_s,
+            self.acceleration_noise,
+            self.clock_white_m2_per_s,
+            self.clock_walk_m2_per_s3,
+        )
 
     @property
     def P0(self) -> Array:
@@ -162,9 +216,13 @@ def circle(config: Config) -> tuple[Array, Array]:
     (east, north, _), v, a = axes(config), config.speed_m_per_s, config.acceleration
     turned = np.clip(config.times, *np.minimum(config.turn_s, config.end_s))
     angle, straight = (a / v * turned)[:, None], (config.times - turned)[:, None]
-    middle = np.array(geodetic2ecef(config.latitude_deg, config.longitude_deg, config.height_m, ell=ELLIPSOID))
+    middle = np.array(
+        geodetic2ecef(config.latitude_deg, config.longitude_deg, config.height_m, ell=ELLIPSOID)
+    )
     velocity = v * (np.cos(angle) * north - np.sin(angle) * east)
-    return middle + v**2 / a * (np.cos(angle) * east + np.sin(angle) * north) + straight * velocity, velocity
+    return middle + v**2 / a * (
+        np.cos(angle) * east + np.sin(angle) * north
+    ) + straight * velocity, velocity
 
 
 class Satellites(NamedTuple):
@@ -183,7 +241,9 @@ def visible(config: Config) -> Satellites:
     seen = pseudorange.sources(broadcast, START_S + config.times, position, velocity)
     up = look(seen.q, position, axes(config)).elevation
     chosen = (up >= np.radians(config.mask_deg)).any(0)
-    return Satellites(broadcast.chosen(chosen).names, seen.q[:, chosen], seen.w[:, chosen], up[:, chosen])
+    return Satellites(
+        broadcast.chosen(chosen).names, seen.q[:, chosen], seen.w[:, chosen], up[:, chosen]
+    )
 
 
 class Scenario(NamedTuple):
@@ -199,7 +259,9 @@ class Scenario(NamedTuple):
         """Epochs; ``u`` is ``(q, w)`` at the epoch's time."""
         times, dt = self.config.times.tolist(), self.config.interval_s
         for k, (t, z, truth) in enumerate(zip(times, self.z, self.truth, strict=True)):
-            yield Epoch(k, t, dt if k else 0.0, (self.satellites.q[k], self.satellites.w[k]), z, truth)
+            yield Epoch(
+                k, t, dt if k else 0.0, (self.satellites.q[k], self.satellites.w[k]), z, truth
+            )
 
 
 def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
@@ -208,7 +270,11 @@ def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
     T, S, runs = len(c.times), len(satellites.names), len(rngs)
     first, walk, noise, extra = normals(rngs, (8,), (T, 2), (T, 2 * S), (T, 2 * S))
     truth, moved = np.empty((T, runs, 8)), slice(6, 8)
-    truth[..., :3], truth[..., 3:6], truth[0, :, 6:] = position[:, None], velocity[:, None], [c.bias_m, c.drift_m_per_s]
+    truth[..., :3], truth[..., 3:6], truth[0, :, 6:] = (
+        position[:, None],
+        velocity[:, None],
+        [c.bias_m, c.drift_m_per_s],
+    )
     if c.motion == "model":  # satellites are where they would be for the circle
         first, walk, noise = normals(rngs, (8,), (T, 8), (T, 2 * S))
         moved = slice(0, 8)
@@ -217,7 +283,10 @@ def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
         truth[k, :, moved] = truth[k - 1, :, moved] @ F.T + walk[k] @ root.T
     z = pseudorange.measure(truth, satellites.q[:, None], satellites.w[:, None])
     extra = extra if c.burst_shape == "noise" else np.ones(())
-    z += np.repeat([c.true_sigma_range_m, c.sigma_rate_m_per_s], S) * noise + burst(c, S)[:, None] * extra
+    z += (
+        np.repeat([c.true_sigma_range_m, c.sigma_rate_m_per_s], S) * noise
+        + burst(c, S)[:, None] * extra
+    )
     z[np.tile(satellites.elevation < np.radians(c.mask_deg), 2)[:, None].repeat(runs, 1)] = np.nan
     prior = truth[0] + first * np.repeat(c.deviation, (3, 3, 1, 1))
     return Scenario(c, truth, z, satellites, Gaussian(prior, np.broadcast_to(c.P0, (runs, 8, 8))))
@@ -229,8 +298,12 @@ def burst(config: Config, S: int) -> Array:
     hit = np.zeros(2 * S)
     if config.burst == "one":
         if config.burst_satellite >= S:
-            raise ValueError(f"burst_satellite: expected a place below {S}, the number of satellites, got {config.burst_satellite}")
-        hit[(config.burst_satellite + S * np.arange(config.burst_count) // config.burst_count) % S] = 1.0
+            raise ValueError(
+                f"burst_satellite: expected a place below {S}, the number of satellites, got {config.burst_satellite}"
+            )
+        hit[
+            (config.burst_satellite + S * np.arange(config.burst_count) // config.burst_count) % S
+        ] = 1.0
     elif config.burst != "none":
         hit[: S if config.burst == "ranges" else 2 * S] = 1.0
     return np.asarray(config.burst_sigma * during[:, None] * hit)
@@ -247,9 +320,17 @@ def adapted(config: Config, S: int, rule: Any, *hook: Hook, Q: Array | None = No
     ``Q``: process noise ``(..., 8, 8)`` instead of the configuration's, with one for each run if it has that axis.
     """
     sensor = Sensor(
-        lambda x, epoch: pseudorange.measure(x, *epoch.u), config.R(S), jacobian=lambda x, epoch: pseudorange.jacobian(x, *epoch.u)
+        lambda x, epoch: pseudorange.measure(x, *epoch.u),
+        config.R(S),
+        jacobian=lambda x, epoch: pseudorange.jacobian(x, *epoch.u),
     )
-    return sigma_point(Motion(config.F, config.Q if Q is None else Q), sensor, rule=rule, form="covariance", hooks=hook)
+    return sigma_point(
+        Motion(config.F, config.Q if Q is None else Q),
+        sensor,
+        rule=rule,
+        form="covariance",
+        hooks=hook,
+    )
 
 
 def filters(config: Config, S: int | None = None, Q: Array | None = None) -> dict[str, Filter]:
@@ -260,7 +341,9 @@ def filters(config: Config, S: int | None = None, Q: Array | None = None) -> dic
     """
     S, rule = len(visible(config).names) if S is None else S, ukf(config)
     ekf = adapted(config, S, Taylor(), Q=Q)
-    known = {name: adapted(config, S, rule, *hook, Q=Q) for name, hook in hooks(S, config.window).items()}
+    known = {
+        name: adapted(config, S, rule, *hook, Q=Q) for name, hook in hooks(S, config.window).items()
+    }
     return {"ls": least_squares(*ekf.sensors), "ekf": ekf, **known}
 
 
@@ -272,5 +355,9 @@ def trial(config: Config, rngs: Sequence[np.random.Generator]) -> Trial:
     """One run with each generator. There is no bound: the turns of the track are not drawn from the filters' model."""
     sim = simulate(config, rngs)
     return Trial(
-        GROUPS, filters(config), sim.prior, lambda _: sim.epochs(), lambda truth, belief: (belief.mean - truth, belief.sqrt_cov)
+        GROUPS,
+        filters(config),
+        sim.prior,
+        lambda _: sim.epochs(),
+        lambda truth, belief: (belief.mean - truth, belief.sqrt_cov),
     )

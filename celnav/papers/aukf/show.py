@@ -11,14 +11,37 @@ from celnav.filters.run import run
 from celnav.models.gnss import satellites
 from celnav.papers.aukf import study
 from celnav.papers.aukf.scenario import STANDARD, START_S, axes, circle, filters, simulate
-from celnav.papers.aukf.study import AXES, DENSITIES, FILTERS, HALVES, INITIAL_KM, NORMAL_ERROR, TILTS_DEG, medians, rms, watched
+from celnav.papers.aukf.study import (
+    AXES,
+    DENSITIES,
+    FILTERS,
+    HALVES,
+    INITIAL_KM,
+    NORMAL_ERROR,
+    TILTS_DEG,
+    medians,
+    rms,
+    watched,
+)
 from celnav.receiver import day
 from celnav.receiver.constellation import synthetic
 from celnav.receiver.geodesy import ELLIPSOID
 from celnav.receiver.report import KIND_COLORS, kinds, record_positioned
 from celnav.show import colors, scenes, showcase
 from celnav.show.estimates import Estimate, Group
-from celnav.show.figures import Item, Line, Panel, Rows, curve, errors, figure, interval, level, panels, quantiles
+from celnav.show.figures import (
+    Item,
+    Line,
+    Panel,
+    Rows,
+    curve,
+    errors,
+    figure,
+    interval,
+    level,
+    panels,
+    quantiles,
+)
 from celnav.show.plots import Curve, Plot
 from celnav.show.showcase import Showcase, Space
 from celnav.study.montecarlo import generator
@@ -49,12 +72,27 @@ def receiver(_: Results) -> Figure:
     look: dict[str, Any] = {"ha": "center", "va": "center"}
     blocks = "antenna, radio\nfrequency, intermediate\nfrequency, carrier and code\nwipe-off, navigation\nmessage, positioning"
     for i, text in enumerate(blocks.split(", ")):
-        ax.text(i, 0.0, text, fontsize=7, bbox={"boxstyle": "round,pad=0.8", "fc": "none", "ec": colors.COMPARISON}, **look)
+        ax.text(
+            i,
+            0.0,
+            text,
+            fontsize=7,
+            bbox={"boxstyle": "round,pad=0.8", "fc": "none", "ec": colors.COMPARISON},
+            **look,
+        )
         if i:
             ax.annotate("", (i - 0.38, 0.0), (i - 0.62, 0.0), arrowprops=arrow)
-    ax.annotate("", (3.0, -0.4), (5.0, -0.4), arrowprops={**arrow, "connectionstyle": "bar,fraction=-0.08"})
+    ax.annotate(
+        "", (3.0, -0.4), (5.0, -0.4), arrowprops={**arrow, "connectionstyle": "bar,fraction=-0.08"}
+    )
     ax.text(4.0, -0.8, "expected delay and Doppler", color=colors.FAINT, **look)
-    ax.text(2.5, 0.7, "baseband: the third and fourth block run once for each satellite", color=colors.FAINT, **look)
+    ax.text(
+        2.5,
+        0.7,
+        "baseband: the third and fourth block run once for each satellite",
+        color=colors.FAINT,
+        **look,
+    )
     ax.set(xlim=(-0.5, 5.5), ylim=(-0.9, 0.8), xticks=[], yticks=[], title="Figure 1: a receiver")
     ax.set_axis_off()
     return fig
@@ -62,16 +100,26 @@ def receiver(_: Results) -> Figure:
 
 def planes(r: Results) -> Figure:
     """Orbits' planes against the equator, and how well their nodes are known."""
-    angle, dots = np.linspace(0.0, 2.0 * np.pi, 181), dict[str, Any](linestyle="", color=colors.PAPER)
+    angle, dots = (
+        np.linspace(0.0, 2.0 * np.pi, 181),
+        dict[str, Any](linestyle="", color=colors.PAPER),
+    )
 
     def orbit(degrees: float, line: Line) -> Item:
         i = np.radians(degrees)
         return curve(np.cos(angle), np.sin(angle) * (0.35 * np.cos(i) + 0.9 * np.sin(i)), line)
 
-    equator, nodes = orbit(0.0, Line("equator", colors.SIGMA)), curve([-1.0, 1.0], [0.0, 0.0], marker="o", label="nodes", **dots)
+    equator, nodes = (
+        orbit(0.0, Line("equator", colors.SIGMA)),
+        curve([-1.0, 1.0], [0.0, 0.0], marker="o", label="nodes", **dots),
+    )
     bare: dict[str, Any] = {"ylim": (-1.1, 1.1), "aspect": "equal", "xticks": [], "yticks": []}
     dense = np.geomspace(min(TILTS_DEG), max(TILTS_DEG), 60)
-    formula = curve(dense, np.degrees(NORMAL_ERROR / np.sin(np.radians(dense))), Line("δn / sin i", colors.COMPARISON, "--"))
+    formula = curve(
+        dense,
+        np.degrees(NORMAL_ERROR / np.sin(np.radians(dense))),
+        Line("δn / sin i", colors.COMPARISON, "--"),
+    )
     drawn = curve(TILTS_DEG, r.get("nodes", "node"), marker="s", label="drawn", **dots)
     return panels([
         *(Panel(f"({title} inclination, {i:g}°", [equator, orbit(i, Line("orbit", colors.COMPARISON)), nodes], more=bare)
@@ -83,14 +131,27 @@ def planes(r: Results) -> Figure:
 def polar(r: Results) -> Figure:
     """The unscented transform, from polar to Cartesian coordinates: points, their images, what is made of those."""
     angle, ellipses = np.linspace(0.0, 2.0 * np.pi, 121), list[Item]()
-    methods = ("linearized", colors.OPEN_LOOP, "-"), ("exact", colors.TRUTH, "-"), ("unscented", colors.COMPARISON, "--")
+    methods = (
+        ("linearized", colors.OPEN_LOOP, "-"),
+        ("exact", colors.TRUTH, "-"),
+        ("unscented", colors.COMPARISON, "--"),
+    )
     for kind, color, style in methods:
         mean, std = r.get("polar", kind)
         x, y = mean[:, None] + std[:, None] * np.stack([np.cos(angle), np.sin(angle)])
-        ellipses += [curve(*mean, marker="x", color=color), curve(x, y, Line(f"{kind}: mean y = {mean[1]:.4f}", color, style))]
+        ellipses += [
+            curve(*mean, marker="x", color=color),
+            curve(x, y, Line(f"{kind}: mean y = {mean[1]:.4f}", color, style)),
+        ]
     dots = Line("draws", colors.SIGMA, ""), Line("sigma points", colors.PAPER, "")
-    clouds = [(r.get("polar", what).T, line, size) for what, line, size in zip(("draws", "images"), dots, (1.0, 6.0))]
-    given = [curve(np.degrees(np.arctan2(y, x)), np.hypot(x, y), dot, marker=".", ms=size) for (x, y), dot, size in clouds]
+    clouds = [
+        (r.get("polar", what).T, line, size)
+        for what, line, size in zip(("draws", "images"), dots, (1.0, 6.0))
+    ]
+    given = [
+        curve(np.degrees(np.arctan2(y, x)), np.hypot(x, y), dot, marker=".", ms=size)
+        for (x, y), dot, size in clouds
+    ]
     moved = [curve(x, y, dot, marker=".", ms=size) for (x, y), dot, size in clouds]
     return panels([Panel("Figure 3: r = 1 ± 0.02, θ = 90° ± 15°", given, "θ (deg)", "r (-)", more={"xlim": (150.0, 30.0)}),
                    Panel("x = r cos θ, y = r sin θ", [*moved, *ellipses], "x (-)", "y (-)"),
@@ -101,7 +162,9 @@ def run_of(r: Results, i: int, part: str, title: str, at: str, limit: float, **m
     """The first run of EKF, UKF and AUKF, and the quantiles of all of the last; how much better that is."""
     ratio = rms(r, part, "aukf", at, AXES[i].name) / rms(r, part, "ukf", at, AXES[i].name)
     flown = [name for name in ("ekf", "ukf", "aukf") if f"{name}/error" in r.data[part]]
-    shown = [errors(r, part, name, LINES[name], "position", i, spread=name == "aukf") for name in flown]
+    shown = [
+        errors(r, part, name, LINES[name], "position", i, spread=name == "aukf") for name in flown
+    ]
     burst = [interval(*STANDARD.burst_s)] if at == "burst" else []
     return Panel(f"{title}: AUKF / UKF {ratio:.2f}", [*burst, *shown], "time (s)", f"error of {AXES[i].name} (m)",
                  more={"ylim": (-limit, limit), **more})  # fmt: skip
@@ -116,13 +179,20 @@ def quiet(i: int, r: Results) -> Figure:
 def struck(i: int, r: Results) -> Figure:
     """An error with the burst on all ranges."""
     near = run_of(r, i, "ranges, 10 Hz", "the burst", "burst", 3.0, xlim=(58.0, 78.0))
-    return panels([run_of(r, i, "ranges, 10 Hz", f"Figure {i + 7}", "burst", 20.0), near], size=(10.0, 3.2), width_ratios=(3, 2))
+    return panels(
+        [run_of(r, i, "ranges, 10 Hz", f"Figure {i + 7}", "burst", 20.0), near],
+        size=(10.0, 3.2),
+        width_ratios=(3, 2),
+    )
 
 
 def factors(r: Results) -> Figure:
     """What the filter multiplies the noise by."""
     right = 1.0 + (STANDARD.burst_sigma / STANDARD.sigma_range_m) ** 2
-    known = [interval(*STANDARD.burst_s), level(right, label=f"right for ranges in the burst: {right:.0f}", color=colors.PAPER)]
+    known = [
+        interval(*STANDARD.burst_s),
+        level(right, label=f"right for ranges in the burst: {right:.0f}", color=colors.PAPER),
+    ]
     A, t = Line("mean over satellites", colors.ESTIMATE), r.times("ranges, 10 Hz")
     return panels([Panel(f"A of the {half}", [*known, quantiles(t, r.get("ranges, 10 Hz", f"aukf/{half}"), A)], "time (s)",
                          "factor (-)", "y") for half in HALVES], size=(9.0, 3.2), sharey=True)  # fmt: skip
@@ -133,30 +203,63 @@ def baselines(r: Results) -> Figure:
     lines = [(LINES | {"ukf": LINES["ukf"]._replace(label="EKF, UKF")})[name] for name in FILTERS]
 
     def bars(case: str) -> Item:
-        values = [rms(r, "baselines", f"{case}/{name}", "all" if case == "mistuned" else "burst") for name in FILTERS]
+        values = [
+            rms(r, "baselines", f"{case}/{name}", "all" if case == "mistuned" else "burst")
+            for name in FILTERS
+        ]
 
         def item(ax: Any) -> None:
-            drawn = ax.barh([line.label for line in lines], values, color=[line.color for line in lines])
+            drawn = ax.barh(
+                [line.label for line in lines], values, color=[line.color for line in lines]
+            )
             ax.bar_label(drawn, fmt="%.3g", padding=2, fontsize=6.5)
             ax.set(xlim=(0.3 * min(values), 8.0 * max(values)), ylim=(len(lines) - 0.5, -0.5))
 
         return item
 
-    cases = {"ranges": "burst on all ranges", "both": "on ranges and rates", "one": "on one range", "mistuned": "mistuned R"}
-    shown = [Panel(text, [bars(case)], "position RMSE (m)", log="x") for case, text in cases.items()]
+    cases = {
+        "ranges": "burst on all ranges",
+        "both": "on ranges and rates",
+        "one": "on one range",
+        "mistuned": "mistuned R",
+    }
+    shown = [
+        Panel(text, [bars(case)], "position RMSE (m)", log="x") for case, text in cases.items()
+    ]
     return panels(shown, size=(10.0, 3.2), sharey=True)
 
 
 def densities(r: Results) -> Figure:
     """Where the filter breaks: little process noise, and the turn is taken for noise of the rates."""
-    lines = {"ekf": LINES["ekf"]._replace(label="EKF, UKF"), "aukf": LINES["aukf"], "group": LINES["group"]}
+    lines = {
+        "ekf": LINES["ekf"]._replace(label="EKF, UKF"),
+        "aukf": LINES["aukf"],
+        "group": LINES["group"],
+    }
 
     def panel(part: str, qs: tuple[float, ...]) -> Panel:
-        flown = [curve(qs, [rms(r, part, f"{q:g}/{name}", "quiet") for q in qs], lines[name], marker="o", ms=3) for name in lines]
-        known = level(r.parts[part].config.acceleration_noise, label="a² T", color=colors.PAPER, upright=True)
-        return Panel(part, [*flown, known], "process noise (m²/s³)", "position RMSE, quiet (m)", "xy")
+        flown = [
+            curve(
+                qs,
+                [rms(r, part, f"{q:g}/{name}", "quiet") for q in qs],
+                lines[name],
+                marker="o",
+                ms=3,
+            )
+            for name in lines
+        ]
+        known = level(
+            r.parts[part].config.acceleration_noise, label="a² T", color=colors.PAPER, upright=True
+        )
+        return Panel(
+            part, [*flown, known], "process noise (m²/s³)", "position RMSE, quiet (m)", "xy"
+        )
 
-    return panels([panel(f"densities, {rate}", qs) for rate, qs in DENSITIES.items()], size=(9.0, 3.2), sharey=True)
+    return panels(
+        [panel(f"densities, {rate}", qs) for rate, qs in DENSITIES.items()],
+        size=(9.0, 3.2),
+        sharey=True,
+    )
 
 
 def starts(r: Results) -> Figure:
@@ -165,7 +268,9 @@ def starts(r: Results) -> Figure:
     shown = [curve(r.times(f"{km:g} km"), medians(r, km, name), LINES[name], linestyle=styles[km])
              for name in ("ls", "ekf", "ukf", "aukf") for km in styles]  # fmt: skip
     title = f"initial error {', '.join(f'{km:g}' for km in INITIAL_KM[::-1])} km"
-    return panels(Panel(title, shown, "time (s)", "median position error (m)", "y"), size=(7.0, 3.6))
+    return panels(
+        Panel(title, shown, "time (s)", "median position error (m)", "y"), size=(7.0, 3.6)
+    )
 
 
 def sizes(r: Results) -> Figure:
@@ -176,7 +281,13 @@ def sizes(r: Results) -> Figure:
         size = partial(rms, r, part := f"windows, {rate}")
         drawn = [curve(study.WINDOWS, [size(f"M {m}", at) / size("ukf", at) for m in study.WINDOWS], Line(at, color), marker=".")
                  for at, color in spans.items()]  # fmt: skip
-        return Panel(part, [level(1.0, label="UKF"), *drawn], "window (epochs)", "position RMSE over the UKF's (-)", "xy")
+        return Panel(
+            part,
+            [level(1.0, label="UKF"), *drawn],
+            "window (epochs)",
+            "position RMSE over the UKF's (-)",
+            "xy",
+        )
 
     return panels([panel("10 Hz"), panel("1 Hz")], size=(9.0, 3.2), sharey=True)
 
@@ -191,7 +302,11 @@ def outliers(r: Results) -> Figure:
                  for name in study.ROBUST]  # fmt: skip
         return Panel(title, [twice, *drawn], "bad ranges of 12", "position RMSE (m)", "y")
 
-    return panels([panel("noise", "50 m of noise"), panel("constant", "50 m too long")], size=(9.0, 3.4), sharey=True)
+    return panels(
+        [panel("noise", "50 m of noise"), panel("constant", "50 m too long")],
+        size=(9.0, 3.4),
+        sharey=True,
+    )
 
 
 # -- tables --------------------------------------------------------------------------------------------------------------------
@@ -230,7 +345,10 @@ FIGURES = {
 """A drawing of what was not given is None, a table of it has no rows."""
 TABLES = {
     "table_1": ("Table 1: RMSE of X, Y and Z by filter; the paper's numbers are lost.", table_1),
-    "table_2": ("Beyond the paper: the first half of a real receiver's day, position from the header's.", table_2),
+    "table_2": (
+        "Beyond the paper: the first half of a real receiver's day, position from the header's.",
+        table_2,
+    ),
 }
 
 
@@ -248,20 +366,39 @@ def record(results: Results, outputs: Outputs) -> list[str]:
     if "real" not in results.parts:
         return written
     with outputs.path_for(RECORDINGS[1]) as path:
-        record_positioned(day.positioned(results.parts["real"].config, "aukf", STANDARD.mask_deg), path)
+        record_positioned(
+            day.positioned(results.parts["real"].config, "aukf", STANDARD.mask_deg), path
+        )
     return RECORDINGS
 
 
 def _burst(results: Results) -> Showcase:
     """Runs of "baselines" with the burst on all ranges, which come first there."""
     c, number = results.parts["baselines"].config, results.parts["baselines"].number
-    sim, local = simulate(c, [generator(results.seed, number, run) for run in range(SHOWN)]), axes(c)
-    found, names, S, factor = dict[str, Estimate](), list(sim.satellites.names), len(sim.satellites.names), np.zeros(0)
-    for name, filter in {**{name: filters(c, S)[name] for name in NAMES}, "aukf": watched(c, S, c.Q)}.items():
-        also = (lambda _e, state, _i: {"factor": state.memory[0][0][1][0]}) if name == "aukf" else None
+    sim, local = (
+        simulate(c, [generator(results.seed, number, run) for run in range(SHOWN)]),
+        axes(c),
+    )
+    found, names, S, factor = (
+        dict[str, Estimate](),
+        list(sim.satellites.names),
+        len(sim.satellites.names),
+        np.zeros(0),
+    )
+    for name, filter in {
+        **{name: filters(c, S)[name] for name in NAMES},
+        "aukf": watched(c, S, c.Q),
+    }.items():
+        also = (
+            (lambda _e, state, _i: {"factor": state.memory[0][0][1][0]}) if name == "aukf" else None
+        )
         track = run(filter, sim.prior, sim.epochs(), keep="cov", also=also, on_failure="flag")
-        cov = None if name == "ls" else track.cov[:, 0]  # a line through estimates of single epochs says nothing
-        found[name] = Estimate(*NAMES[name], np.asarray(track.mean - sim.truth), cov, nis=track.nis[:, 0])
+        cov = (
+            None if name == "ls" else track.cov[:, 0]
+        )  # a line through estimates of single epochs says nothing
+        found[name] = Estimate(
+            *NAMES[name], np.asarray(track.mean - sim.truth), cov, nis=track.nis[:, 0]
+        )
         factor = track.extra.get("factor", factor)
     shades = [KIND_COLORS[kind] for kind in kinds(names)]
     adapt = {half: Plot(f"log10 A of the {half}", {a[2]: Curve(*a) for a in zip(A, shades, names, strict=True)}, log=True)
@@ -270,14 +407,20 @@ def _burst(results: Results) -> Showcase:
     def scene(out: Recorder) -> None:
         broadcast, position = synthetic(), circle(c)[0]
         seen = broadcast.chosen(np.isin(broadcast.names, names))
-        paths = satellites(seen, START_S + np.linspace(0.0, 86400.0, 145)[:, None]).position / 1e6  # of a day, Earth-fixed
+        paths = (
+            satellites(seen, START_S + np.linspace(0.0, 86400.0, 145)[:, None]).position / 1e6
+        )  # of a day, Earth-fixed
         out.globe("world/earth", ELLIPSOID.semimajor_axis / 1e6)
-        scenes.constellation(out, "world", sim.satellites.q / 1e6, paths, position / 1e6, seen.names, shades)
+        scenes.constellation(
+            out, "world", sim.satellites.q / 1e6, paths, position / 1e6, seen.names, shades
+        )
         truth = (position - position[0]) @ local.T
         out.trail("track/truth/trail", truth, colors.TRUTH, radius=2.0)
         for key, e in found.items():
             cov = None if e.cov is None else local @ e.cov[:, :3, :3] @ local.T
-            scenes.track(out, f"track/{key}", truth + e.errors[:, 0, :3] @ local.T, e.color, e.label, cov=cov)
+            scenes.track(
+                out, f"track/{key}", truth + e.errors[:, 0, :3] @ local.T, e.color, e.label, cov=cov
+            )
 
     growing, (start, end) = [f"track/{name}/trail" for name in ("truth", *NAMES)], c.burst_s
     return Showcase(

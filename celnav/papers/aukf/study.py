@@ -24,11 +24,42 @@ from celnav.gaussian.linalg import Array
 from celnav.gaussian.rules import unscented
 from celnav.gaussian.spaces import EUCLIDEAN
 from celnav.models import pseudorange
-from celnav.papers.aukf.scenario import GROUPS, STANDARD, Config, adapted, burst, filters, simulate, trial, ukf
+from celnav.papers.aukf.scenario import (
+    GROUPS,
+    STANDARD,
+    Config,
+    adapted,
+    burst,
+    filters,
+    simulate,
+    trial,
+    ukf,
+)
 from celnav.receiver import day
-from celnav.study.ledger import Bounds, Number, Tiers, check, erratum, estimate, finding, reconstruction, remark, statement
+from celnav.study.ledger import (
+    Bounds,
+    Number,
+    Tiers,
+    check,
+    erratum,
+    estimate,
+    finding,
+    reconstruction,
+    remark,
+    statement,
+)
 from celnav.study.montecarlo import generator
-from celnav.study.numbers import SAME_ORDER, Decided, all_of, consistency, given, of, ratio, rmse, tiers
+from celnav.study.numbers import (
+    SAME_ORDER,
+    Decided,
+    all_of,
+    consistency,
+    given,
+    of,
+    ratio,
+    rmse,
+    tiers,
+)
 from celnav.study.study import Part, Results, Rngs, Study
 from celnav.study.trial import Group
 
@@ -53,7 +84,10 @@ def windows(c: Config, times: Array) -> dict[str, slice]:
     spans = {"quiet": (SETTLED_S, start), "burst": (start, end), "after": (end, end + AFTER_S),
              "first": (start, start + c.interval_s), "before": (start - 2.0, start), "settled": (0.5 * times[-1], np.inf),
              "all": (SETTLED_S, np.inf), "start": (0.0, start)}  # fmt: skip
-    return {name: slice(*np.searchsorted(times, np.subtract(span, 1e-6)).tolist()) for name, span in spans.items()}
+    return {
+        name: slice(*np.searchsorted(times, np.subtract(span, 1e-6)).tolist())
+        for name, span in spans.items()
+    }
 
 
 # -- what is flown -------------------------------------------------------------------------------------------------------------
@@ -61,7 +95,10 @@ PAIR, THREE, HALVES = ("ukf", "aukf"), ("ekf", "ukf", "aukf"), ("ranges", "rates
 FILTERS = ("ls", *PAIR, "group", "channel", "sage-husa", "student", "huber", "gate")
 """Without the EKF: it is the UKF."""
 BURSTS = ("ranges", "both", "one")
-DENSITIES = {"1 Hz": (1.0, 10.0, 100.0, 300.0, 1000.0), "10 Hz": (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)}
+DENSITIES = {
+    "1 Hz": (1.0, 10.0, 100.0, 300.0, 1000.0),
+    "10 Hz": (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0),
+}
 """Of the white acceleration in the filters, m^2/s^3."""
 INITIAL_KM = (1.0, 10.0, 100.0, 1000.0)
 STARTS = ("10/10", "1e3/1e3", "1e3/10", "1e5/1e5", "1e5/10", "1e6/1e6", "1e6/10")
@@ -70,7 +107,11 @@ START_M, WINDOWS = (10.0, 1e2, 1e3, 1e4, 1e5, 1e6), (1, 2, 5, 10, 20, 50, 100)
 """The first of these at 10 Hz, each taken for what it is and for a tenth of that; epochs that the AUKF averages over."""
 SHAPES, STRUCK, ROBUST = ("noise", "constant"), range(1, 13), (*PAIR, "group", "channel", "huber")
 """What is added to bad ranges (a constant on all is a step of the clock), how many of twelve are bad, and what may withstand it."""
-READINGS = tuple(f"{channels}, {rate}" for rate in ("10 Hz", "1 Hz") for channels in ("ranges", "ranges and rates", "one range"))
+READINGS = tuple(
+    f"{channels}, {rate}"
+    for rate in ("10 Hz", "1 Hz")
+    for channels in ("ranges", "ranges and rates", "one range")
+)
 """What the burst may be, as the paper does not say: parts."""
 
 
@@ -88,9 +129,23 @@ class Flight(NamedTuple):
 
 def parts(_effort: float = 1.0, rinex: Path | None = None) -> dict[str, Part]:
     """All that is computed; ``rinex``: folder of a station's files."""
-    few, many, quiet, second, mistuned = 20, STANDARD.runs, {"burst": "none"}, {"interval_s": 1.0}, {"true_sigma_range_m": 10.0}
-    slow, short, one = {**quiet, **second}, {**quiet, "duration_s": 15.0}, {"burst": "one", "burst_s": (15.0, 25.0)}
-    bursts, rest, Q = {f"{burst}/": {"burst": burst} for burst in BURSTS}, STANDARD.deviation[1:], "acceleration_noise_m2_per_s3"
+    few, many, quiet, second, mistuned = (
+        20,
+        STANDARD.runs,
+        {"burst": "none"},
+        {"interval_s": 1.0},
+        {"true_sigma_range_m": 10.0},
+    )
+    slow, short, one = (
+        {**quiet, **second},
+        {**quiet, "duration_s": 15.0},
+        {"burst": "one", "burst_s": (15.0, 25.0)},
+    )
+    bursts, rest, Q = (
+        {f"{burst}/": {"burst": burst} for burst in BURSTS},
+        STANDARD.deviation[1:],
+        "acceleration_noise_m2_per_s3",
+    )
     wrong = {f"near/Q {k:g}": {Q: k * STANDARD.acceleration_noise} for k in (0.01, 0.1, 1.0, 10.0)}
     wrong |= {f"near/R {k:g}": {"sigma_range_m": k * STANDARD.sigma_range_m} for k in (0.3, 3.0)}
     # Number, runs, and what is drawn one after the other; parts in the same braces share their random numbers.
@@ -132,10 +187,18 @@ def parts(_effort: float = 1.0, rinex: Path | None = None) -> dict[str, Part]:
                 cost = 3e-5 * runs * c.samples * len(flight.names) * len(flight.cases)
                 out[name] = Part(partial(flown, flight, tuple(drawn)), c, number, runs, cost=cost)
             drawn.append(c)
-    out |= {work.__name__: Part(work, STANDARD, 50 + i) for i, work in enumerate((nodes, polar, transform, timings))}
+    out |= {
+        work.__name__: Part(work, STANDARD, 50 + i)
+        for i, work in enumerate((nodes, polar, transform, timings))
+    }
     out["orbits"] = Part(day.formulas, tuple(STANDARD.times[::100].tolist()))
     if (files := day.found(rinex)) is not None:
-        real = partial(day.flown, names=(*THREE, "group"), sigma=STANDARD.burst_sigma, mask_deg=STANDARD.mask_deg)
+        real = partial(
+            day.flown,
+            names=(*THREE, "group"),
+            sigma=STANDARD.burst_sigma,
+            mask_deg=STANDARD.mask_deg,
+        )
         out["real"] = Part(real, files, 60, cost=15.0)
     return out
 
@@ -150,28 +213,54 @@ def flown(flight: Flight, drawn: Sequence[Config], config: Config, rngs: Rngs) -
     """
     for before in drawn:
         simulate(before, rngs)
-    sims = [simulate(replace(config, **change), rngs if flight.anew else deepcopy(rngs)) for change in flight.cases.values()]
-    truth, z = (np.stack([getattr(sim, what) for sim in sims], 1) for what in ("truth", "z"))  # (T, cases, runs, ...)
-    prior = Gaussian(*(np.stack([getattr(sim.prior, what) for sim in sims]) for what in ("mean", "cov")))
+    sims = [
+        simulate(replace(config, **change), rngs if flight.anew else deepcopy(rngs))
+        for change in flight.cases.values()
+    ]
+    truth, z = (
+        np.stack([getattr(sim, what) for sim in sims], 1) for what in ("truth", "z")
+    )  # (T, cases, runs, ...)
+    prior = Gaussian(
+        *(np.stack([getattr(sim.prior, what) for sim in sims]) for what in ("mean", "cov"))
+    )
     S, Q = len(sims[0].satellites.names), np.stack([sim.config.Q for sim in sims])[:, None]
     struck = np.stack([burst(sim.config, S)[:, None, :S] > 0.0 for sim in sims], 1)
-    known = {**filters(config, S, Q), "aukf": watched(config, S, Q), "no redraw": no_redraw(config, S)}
+    known = {
+        **filters(config, S, Q),
+        "aukf": watched(config, S, Q),
+        "no redraw": no_redraw(config, S),
+    }
     known |= {f"M {m}": adapted(config, S, ukf(config), innovation_window(m), Q=Q) for m in WINDOWS}
 
     def also(name: str, epoch: Epoch, state: Any, infos: tuple[Info, ...]) -> Arrays:
         error = state.belief.mean - epoch.truth
-        out = {"error": error[..., :3], "nis": np.asarray(infos[0].nis), "nees": nees(error, state.belief.sqrt_cov)}
-        for half, A in zip(HALVES, np.split(state.memory[0][0][1], 2, -1) if name == "aukf" else (), strict=False):
+        out = {
+            "error": error[..., :3],
+            "nis": np.asarray(infos[0].nis),
+            "nees": nees(error, state.belief.sqrt_cov),
+        }
+        for half, A in zip(
+            HALVES, np.split(state.memory[0][0][1], 2, -1) if name == "aukf" else (), strict=False
+        ):
             out |= {half: A.mean(-1), f"{half} above 1": (A > 1.0).mean(-1)}
             if half == HALVES[0]:
-                some = ("bad", A, bad := struck[epoch.k]), ("good", A, ~bad), ("good above 2", A > 2.0, ~bad)
-                out |= {what: (values * those).sum(-1) / np.maximum(those.sum(-1), 1) for what, values, those in some}
+                some = (
+                    ("bad", A, bad := struck[epoch.k]),
+                    ("good", A, ~bad),
+                    ("good above 2", A > 2.0, ~bad),
+                )
+                out |= {
+                    what: (values * those).sum(-1) / np.maximum(those.sum(-1), 1)
+                    for what, values, those in some
+                }
         return out
 
     out = {"times": config.times}
     for name in flight.names:
         epochs = sims[0]._replace(truth=truth, z=z).epochs()
-        track = run(known[name], prior, epochs, keep="nothing", also=partial(also, name), on_failure="flag").extra
+        track = run(
+            known[name], prior, epochs, keep="nothing", also=partial(also, name), on_failure="flag"
+        ).extra
         for i, case in enumerate(flight.cases):
             out |= {f"{case}{name}/{what}": values[:, i] for what, values in track.items()}
     return out
@@ -183,7 +272,12 @@ def watched(config: Config, S: int, Q: Array) -> Filter:
 
     def both(memory: Any, joint: Joint, epoch: Any) -> tuple[Any, Joint]:
         own, after = hook(None if memory is None else memory[0], joint, epoch)
-        return (own, np.broadcast_to(after.variances()[1] / joint.variances()[1], np.asarray(joint.innovation).shape)), after
+        return (
+            own,
+            np.broadcast_to(
+                after.variances()[1] / joint.variances()[1], np.asarray(joint.innovation).shape
+            ),
+        ), after
 
     return adapted(config, S, ukf(config), both, Q=Q)
 
@@ -199,7 +293,15 @@ def no_redraw(config: Config, S: int) -> Filter:
     def step(state: State, epoch: Epoch) -> tuple[State, tuple[Info, ...]]:
         if not epoch.dt:
             return plain.step(state, epoch)
-        both = joint(ukf(config), state.belief, moved, epoch, z=np.asarray(epoch.z), process_noise=W, measurement_noise=V)
+        both = joint(
+            ukf(config),
+            state.belief,
+            moved,
+            epoch,
+            z=np.asarray(epoch.z),
+            process_noise=W,
+            measurement_noise=V,
+        )
         posterior, info, _ = condition(type(state.belief), both, EUCLIDEAN)
         return State(posterior, state.memory), (info,)
 
@@ -219,18 +321,27 @@ def nodes(_: Config, rngs: Rngs) -> Arrays:
     # With the node on the x axis the normal is (0, -sin i, cos i); errors lie along the node and up the slope.
     x, y, z = along, -np.sin(i) - across * np.cos(i), np.cos(i) - across * np.sin(i)
     off = np.cos(u) * x + np.sin(u) * (np.cos(i) * y + np.sin(i) * z)
-    return {name: np.degrees(np.sqrt(np.square(e).mean(0))) for name, e in (("node", np.arctan2(x, -y)), ("place", off))}
+    return {
+        name: np.degrees(np.sqrt(np.square(e).mean(0)))
+        for name, e in (("node", np.arctan2(x, -y)), ("place", off))
+    }
 
 
 def polar(_: Config, rngs: Rngs) -> Arrays:
     """From polar coordinates, 1 +- 0.02 and 90 +- 15 deg, to Cartesian ones: draws, images of points, means and deviations."""
-    rule, mean, std = unscented(2, 1.0, 0.0, 1.0), np.array([1.0, np.pi / 2.0]), np.array([0.02, np.radians(15.0)])
+    rule, mean, std = (
+        unscented(2, 1.0, 0.0, 1.0),
+        np.array([1.0, np.pi / 2.0]),
+        np.array([0.02, np.radians(15.0)]),
+    )
 
     def cartesian(noise: Array) -> Array:
         r, angle = np.split(mean + std * noise, 2, -1)
         return np.concatenate([r * np.cos(angle), r * np.sin(angle)], -1)
 
-    draws, images, linear = map(cartesian, (rngs[0].standard_normal((1_000_000, 2)), rule.nodes, np.zeros(2)))
+    draws, images, linear = map(
+        cartesian, (rngs[0].standard_normal((1_000_000, 2)), rule.nodes, np.zeros(2))
+    )
     center, exact = rule.wm @ images, np.exp(-0.5 * std[1] ** 2) * linear
     return {
         "draws": draws[:2000], "images": images, "error": np.abs(center - exact)[1:],
@@ -251,7 +362,10 @@ def transform(_: Config, rngs: Rngs) -> Arrays:
         for L in (root, 0.1 * root):
             x, B = rule.nodes @ L.T, L.T @ A @ L
             y = x @ J.T + 0.5 * np.einsum("pi,kij,pj->pk", x, A, x)
-            exact, P = 0.5 * np.trace(B, axis1=1, axis2=2), J @ L @ L.T @ J.T + 0.5 * np.einsum("kij,lji->kl", B, B)
+            exact, P = (
+                0.5 * np.trace(B, axis1=1, axis2=2),
+                J @ L @ L.T @ J.T + 0.5 * np.einsum("kij,lji->kl", B, B),
+            )
             center = rule.wm @ y
             mean.append(np.abs(center - exact).max() / np.abs(exact).max())
             errors.append(np.linalg.norm((rule.wc * (y - center).T) @ (y - center) - P))
@@ -264,7 +378,10 @@ def timings(config: Config, _: Rngs) -> Arrays:
     short, out = replace(config, duration_s=0.5, burst="none"), {}
     known = filters(short)
     for how, runs in (("alone", 1), ("in a batch", 100)):
-        sim, least = simulate(short, [generator(0, 98, r) for r in range(runs)]), {"ekf": np.inf, "ukf": np.inf}
+        sim, least = (
+            simulate(short, [generator(0, 98, r) for r in range(runs)]),
+            {"ekf": np.inf, "ukf": np.inf},
+        )
         for name in 24 * tuple(least):
             start = process_time()
             run(known[name], sim.prior, sim.epochs(), keep="nothing")
@@ -279,12 +396,16 @@ def rms(r: Results, part: str, name: str, at: str, group: str = "position") -> f
     return float(np.sqrt(r.squares(part, name, group, at).sum(-1).mean()))
 
 
-def over(label: str, part: str, a: str, b: str, at: str, accept: Bounds = (None, None), **more: Any) -> Decided:
+def over(
+    label: str, part: str, a: str, b: str, at: str, accept: Bounds = (None, None), **more: Any
+) -> Decided:
     """Position RMSE in a window over that of another filter of the part."""
     return ratio(label, (part, a), (part, b), "position", accept, at=at, **more)
 
 
-def by_axis(label: str, part: str, a: str, b: str, at: str, accept: Bounds = (None, 1.0)) -> list[Decided]:
+def by_axis(
+    label: str, part: str, a: str, b: str, at: str, accept: Bounds = (None, 1.0)
+) -> list[Decided]:
     """The same of X, Y and Z."""
     return [ratio(f"{g.name}, {label}", (part, a), (part, b), g.name, accept, at=at) for g in AXES]
 
@@ -292,20 +413,32 @@ def by_axis(label: str, part: str, a: str, b: str, at: str, accept: Bounds = (No
 def apart(label: str, a: str, b: str, at: str, most: float, r: Results) -> Number:
     """Distance of two filters' estimates without a burst, in the RMSE of the second."""
     away = (r.error("none", a, "position") - r.error("none", b, "position"))[r.at("none", at)]
-    return Number(label, float(np.sqrt(np.square(away).sum(-1).mean())) / rms(r, "none", b, at), (None, most))
+    return Number(
+        label, float(np.sqrt(np.square(away).sum(-1).mean())) / rms(r, "none", b, at), (None, most)
+    )
 
 
 def correlation(name: str, accept: Bounds, r: Results) -> Number:
     """Of the position error from one epoch to the next."""
     e = r.error("none", name, "position")[r.at("none", "all")]
     moments = [(e[1:] * e[:-1]).mean((0, 2)), np.square(e).mean((0, 2))]
-    return estimate(f"{name.upper()}, from epoch to epoch", lambda x, y: x.mean() / y.mean(), moments, accept)
+    return estimate(
+        f"{name.upper()}, from epoch to epoch", lambda x, y: x.mean() / y.mean(), moments, accept
+    )
 
 
 def same(r: Results) -> list[Number]:
     """EKF and UKF on the paper's runs: how far they are apart (m), that in RMSE, ratios by axis; where they part."""
-    cases = [("none", "all"), ("ranges, 10 Hz", "all"), ("burst from 1 km", "start"), ("burst from 1 km", "burst")]
-    ekf, ukf = ([r.error(part, name, "position")[r.at(part, at)] for part, at in cases] for name in ("ekf", "ukf"))
+    cases = [
+        ("none", "all"),
+        ("ranges, 10 Hz", "all"),
+        ("burst from 1 km", "start"),
+        ("burst from 1 km", "burst"),
+    ]
+    ekf, ukf = (
+        [r.error(part, name, "position")[r.at(part, at)] for part, at in cases]
+        for name in ("ekf", "ukf")
+    )
     most = [float(np.abs(x - y).max()) for x, y in zip(ekf, ukf, strict=True)]
     far = [one / rms(r, part, "ekf", at) for one, (part, at) in zip(most, cases, strict=True)]
     return [
@@ -318,7 +451,9 @@ def same(r: Results) -> list[Number]:
 
 def medians(r: Results, km: float, name: str) -> Array:
     """Median over the runs of the position error ``(T,)`` m."""
-    return np.asarray(np.median(np.linalg.norm(r.error(f"{km:g} km", name, "position"), axis=-1), axis=1))
+    return np.asarray(
+        np.median(np.linalg.norm(r.error(f"{km:g} km", name, "position"), axis=-1), axis=1)
+    )
 
 
 def ahead(r: Results, km: float) -> float:
@@ -328,21 +463,42 @@ def ahead(r: Results, km: float) -> float:
 
 def undisturbed(share: bool = False) -> list[Decided]:
     """AUKF against UKF before any burst, by axis: over all runs, ratio of RMSE or in which share of them it is better."""
-    flown = [(part, "") for part in ("none", *READINGS[:2])] + [("baselines", f"{burst}/") for burst in BURSTS]
+    flown = [(part, "") for part in ("none", *READINGS[:2])] + [
+        ("baselines", f"{burst}/") for burst in BURSTS
+    ]
 
     def number(axis: str, r: Results) -> Number:
-        u, a = (np.concatenate([r.squares(part, case + name, axis, "quiet")[:, 0] for part, case in flown]) for name in PAIR)
+        u, a = (
+            np.concatenate(
+                [r.squares(part, case + name, axis, "quiet")[:, 0] for part, case in flown]
+            )
+            for name in PAIR
+        )
         if share:
             return estimate(f"{axis}, share of runs", np.mean, [(a < u) * 1.0], (0.95, None))
-        return estimate(f"{axis}, ratio", lambda x, y: np.sqrt(x.mean() / y.mean()), [a, u], (None, 1.0))
+        return estimate(
+            f"{axis}, ratio", lambda x, y: np.sqrt(x.mean() / y.mean()), [a, u], (None, 1.0)
+        )
 
     return [partial(number, axis.name) for axis in AXES]
 
 
 def suppressed(part: str) -> list[Decided]:
     """AUKF in the burst: over the UKF, over its own quiet error, and over the UKF by axis."""
-    own = over(f"{part}: over its own quiet error", part, "aukf", "aukf", "burst", (None, SAME_ORDER), to="quiet")
-    return [over(f"{part}: over the UKF", part, "aukf", "ukf", "burst"), own, *by_axis(part, part, "aukf", "ukf", "burst")]
+    own = over(
+        f"{part}: over its own quiet error",
+        part,
+        "aukf",
+        "aukf",
+        "burst",
+        (None, SAME_ORDER),
+        to="quiet",
+    )
+    return [
+        over(f"{part}: over the UKF", part, "aukf", "ukf", "burst"),
+        own,
+        *by_axis(part, part, "aukf", "ukf", "burst"),
+    ]
 
 
 def recovery(part: str) -> list[Decided]:
@@ -350,11 +506,15 @@ def recovery(part: str) -> list[Decided]:
 
     def seconds(r: Results, name: str) -> Array:
         error = np.linalg.norm(r.error(part, name, "position")[r.at(part, "burst").stop :], axis=-1)  # type: ignore[union-attr]
-        return float(r.parts[part].config.interval_s) * first(error < 2.0 * rms(r, part, name, "quiet"), 1)
+        return float(r.parts[part].config.interval_s) * first(
+            error < 2.0 * rms(r, part, name, "quiet"), 1
+        )
 
     def faster(r: Results) -> Number:
         both = [seconds(r, name) for name in ("aukf", "ukf")]
-        return estimate(f"{part}: time, over the UKF", lambda x, y: x.mean() / y.mean(), both, (None, 1.0))
+        return estimate(
+            f"{part}: time, over the UKF", lambda x, y: x.mean() / y.mean(), both, (None, 1.0)
+        )
 
     return [lambda r: estimate(f"{part}: time, s", np.mean, [seconds(r, "aukf")], (None, 10.0)), faster,
             over(f"{part}: RMSE of 5 s after, over the UKF", part, "aukf", "ukf", "after", (None, 1.0))]  # fmt: skip
@@ -378,15 +538,28 @@ def sensitive(r: Results) -> Tiers:
     """The largest cost of statistics that are wrong by no more than a factor 10, and of an initial error as wrong."""
     *costs, far = [ratio(part, (part, "ukf"), ("near/Q 1", "ukf"), "position", (2.0, None), at="all")(r)
                    for part in ("near/Q 0.1", "near/Q 10", "near/R 0.3", "near/R 3", "far")]  # fmt: skip
-    ends = [r.error(name, "ukf", "position")[-1] for name, part in r.parts.items() if part.number in (12, 13)]
+    ends = [
+        r.error(name, "ukf", "position")[-1]
+        for name, part in r.parts.items()
+        if part.number in (12, 13)
+    ]
     lost = Number("runs lost", sum(int(np.isnan(end).any(-1).sum()) for end in ends))
-    epochs = [Number(f"epochs from (m, taken for) {start}", float(np.median(settling(r, start, "ukf")))) for start in STARTS]
-    return {"reproduced": [max(costs, key=lambda n: n.value)], "in part": [far], "not reproduced": [*costs, lost, *epochs]}
+    epochs = [
+        Number(f"epochs from (m, taken for) {start}", float(np.median(settling(r, start, "ukf"))))
+        for start in STARTS
+    ]
+    return {
+        "reproduced": [max(costs, key=lambda n: n.value)],
+        "in part": [far],
+        "not reproduced": [*costs, lost, *epochs],
+    }
 
 
 def settling(r: Results, start: str, name: str) -> Array:
     """Epochs ``(runs,)`` until the position error is below twice the settled one, which is that of the last half from 10 m."""
-    own, settled = (np.linalg.norm(r.error(part, name, "position"), axis=-1) for part in (start, STARTS[0]))
+    own, settled = (
+        np.linalg.norm(r.error(part, name, "position"), axis=-1) for part in (start, STARTS[0])
+    )
     return first(own < 2.0 * np.sqrt(np.square(settled[len(settled) // 2 :]).mean()))
 
 
@@ -397,25 +570,34 @@ def later(label: str, part: str, case: str, most: float, r: Results, since: int 
         below = np.linalg.norm(r.error(part, case + name, "position")[since:], axis=-1) < most
         return float(r.parts[part].config.interval_s) * (len(below) - first(~below[::-1]))
 
-    return estimate(f"{label}: later, s", lambda u, a: np.median(a - u), [until(name) for name in PAIR])
+    return estimate(
+        f"{label}: later, s", lambda u, a: np.median(a - u), [until(name) for name in PAIR]
+    )
 
 
 def counted(label: str, numbers: Sequence[Number], accept: Bounds, leading: bool = False) -> Number:
     """How many numbers hold, or do before the first that does not: for sure, to perhaps."""
-    known = [np.array([n.holds is True for n in numbers]), np.array([n.holds is not False for n in numbers])]
+    known = [
+        np.array([n.holds is True for n in numbers]),
+        np.array([n.holds is not False for n in numbers]),
+    ]
     sure, perhaps = (float(first(~some) if leading else some.sum()) for some in known)
     return Number(label, sure, accept, (sure, perhaps))
 
 
 def convergence(r: Results) -> list[Number]:
     """From how many starts the AUKF is sooner, or later, below three times the settled error of the UKF; and after the burst."""
-    quick, slow = (3.0 * rms(r, *flown, "settled") for flown in (("starts", "10/10/ukf"), (STARTS[0], "ukf")))
+    quick, slow = (
+        3.0 * rms(r, *flown, "settled") for flown in (("starts", "10/10/ukf"), (STARTS[0], "ukf"))
+    )
     cases = [f"{true:g}/{true / k:g}/" for true in START_M for k in (1, 10)]
     starts = [later(f"10 Hz, {case[:-1]}", "starts", case, quick, r) for case in cases]
     starts += [later(f"1 Hz, {start}", start, "", slow, r) for start in STARTS]
     struck, own = "ranges, 10 Hz", 3.0 * rms(r, "ranges, 10 Hz", "ukf", "quiet")
     after = later("after the burst", struck, "", own, r, r.at(struck, "burst").stop)  # type: ignore[union-attr]
-    sooner, longer = ([n._replace(accept=side) for n in starts] for side in ((None, -1.0), (1e-9, None)))
+    sooner, longer = (
+        [n._replace(accept=side) for n in starts] for side in ((None, -1.0), (1e-9, None))
+    )
     return [counted("starts from which it is sooner, by a second", sooner, (None, 0)),
             counted("from which it is later", longer, (1, None)), after._replace(accept=(None, -1.0)), *starts]  # fmt: skip
 
@@ -425,7 +607,13 @@ def window_range(r: Results) -> list[Number]:
     out = list[Number]()
     for rate, bounds, least in (("10 Hz", (4, None), None), ("1 Hz", (None, None), 0.5)):
         part, spans = f"windows, {rate}", ("quiet", "burst", "after")
-        ratios = {m: [over(f"{m} epochs, {at}", part, f"M {m}", "ukf", at, (None, 1.0 - 1e-9))(r) for at in spans] for m in WINDOWS}
+        ratios = {
+            m: [
+                over(f"{m} epochs, {at}", part, f"M {m}", "ukf", at, (None, 1.0 - 1e-9))(r)
+                for at in spans
+            ]
+            for m in WINDOWS
+        }
         both = [max(n[:2], key=lambda one: (one.ci or (0.0, 0.0))[1]) for n in ratios.values()]
         best = min(WINDOWS, key=lambda m: rms(r, part, f"M {m}", "burst"))
         quiet, struck, after = (n._replace(accept=(None, None)) for n in ratios[best])
@@ -436,15 +624,29 @@ def window_range(r: Results) -> list[Number]:
 
 def bad(shape: str, k: int, name: str, most: Bounds, own: bool = True) -> Decided:
     """Error in the burst on so many ranges of twelve, over that just before it, or over that of the UKF."""
-    flown, label = f"{shape} {k}/", f"{name}, {shape} on {k} of 12 ranges: over {'its own quiet error' if own else 'the UKF'}"
-    return over(label, "struck", flown + name, flown + (name if own else "ukf"), "burst", most, to="before" if own else None)
+    flown, label = (
+        f"{shape} {k}/",
+        f"{name}, {shape} on {k} of 12 ranges: over {'its own quiet error' if own else 'the UKF'}",
+    )
+    return over(
+        label,
+        "struck",
+        flown + name,
+        flown + (name if own else "ukf"),
+        "burst",
+        most,
+        to="before" if own else None,
+    )
 
 
 def limits(r: Results) -> list[Number]:
     """Up to how many bad ranges AUKF is better than UKF, and below twice its quiet error; which part of the good is inflated."""
     out = list[Number]()
     for shape, least in zip(SHAPES, (12, 6), strict=True):
-        better, own = ([bad(shape, k, "aukf", (None, most), most > 1.0)(r) for k in STRUCK] for most in (1.0, 2.0))
+        better, own = (
+            [bad(shape, k, "aukf", (None, most), most > 1.0)(r) for k in STRUCK]
+            for most in (1.0, 2.0)
+        )
         out += [counted(f"{shape}: better than the UKF up to, ranges", better, (least, None), leading=True),
                 counted(f"{shape}: below twice its quiet error up to", own, (least, None), leading=True),
                 *(own[k - 1]._replace(accept=(None, None)) for k in (6, 8, 12))]  # fmt: skip
@@ -468,7 +670,11 @@ def converges(r: Results) -> Tiers:
 
 def rotation(r: Results) -> Tiers:
     """Growth of the deviations of node and position by each tenth of inclination; errors of the formulas."""
-    node, place, others = r.get("nodes", "node"), r.get("nodes", "place"), 1e-3 * r.get("orbits", "others")
+    node, place, others = (
+        r.get("nodes", "node"),
+        r.get("nodes", "place"),
+        1e-3 * r.get("orbits", "others"),
+    )
     singular = [Number("growth of the node's deviation", float((node[2:4] / node[1:3]).min()), (10.0**0.5, None)),
                 Number("of the position's", float(place.max() / place.min()), (None, 10.0**0.5))]  # fmt: skip
     return {

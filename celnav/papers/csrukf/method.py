@@ -50,7 +50,9 @@ def cholesky(P: Array) -> Array:
     for j in range(P.shape[-1]):
         row = L[..., j, :j]
         L[..., j, j] = _sqrt(P[..., j, j] - (row * row).sum(-1))
-        L[..., j + 1 :, j] = (P[..., j + 1 :, j] - matvec(L[..., j + 1 :, :j], row)) / L[..., j, j, None]
+        L[..., j + 1 :, j] = (P[..., j + 1 :, j] - matvec(L[..., j + 1 :, :j], row)) / L[
+            ..., j, j, None
+        ]
     return L
 
 
@@ -75,7 +77,9 @@ def _solve(L: Array, B: Array) -> Array:
     """``L^-1 B``."""
     X = np.zeros_like(B)
     for i in range(L.shape[-1]):
-        X[..., i, :] = (B[..., i, :] - (L[..., i, None, :i] @ X[..., :i, :])[..., 0, :]) / L[..., i, i, None]
+        X[..., i, :] = (B[..., i, :] - (L[..., i, None, :i] @ X[..., :i, :])[..., 0, :]) / L[
+            ..., i, i, None
+        ]
     return X
 
 
@@ -86,7 +90,11 @@ def updated(form: str, spread: Array, D: Array, E: Array, sqrt_R: Array) -> tupl
     """
     m, noisy = E.shape[-2], side_by_side([sqrt_R, E])
     if form == "array":
-        L = tria(np.concatenate([noisy, side_by_side([np.zeros((D.shape[-2], sqrt_R.shape[-1]), D.dtype), D])], -2))
+        L = tria(
+            np.concatenate(
+                [noisy, side_by_side([np.zeros((D.shape[-2], sqrt_R.shape[-1]), D.dtype), D])], -2
+            )
+        )
         S, U, after = L[..., :m, :m], L[..., m:, :m], L[..., m:, m:]
     else:
         S = tria(noisy) if form == "downdated" else cholesky(outer(noisy))
@@ -102,10 +110,14 @@ def updated(form: str, spread: Array, D: Array, E: Array, sqrt_R: Array) -> tupl
     return K, after
 
 
-def step(form: str, x: Array, spread: Array, model: Callable[[Array], Array], noise: Array, z: Any = None) -> tuple[Array, Array]:
+def step(
+    form: str, x: Array, spread: Array, model: Callable[[Array], Array], noise: Array, z: Any = None
+) -> tuple[Array, Array]:
     """Mean, and covariance or root, after a motion [Sun2015, Eqs. 24-27]; or, with ``z``, given a measurement."""
     S = (spread if form in ROOTS else cholesky(spread)).mT
-    X = x[..., None, :] + np.sqrt(S.dtype.type(S.shape[-1])) * np.concatenate([S, -S], -2)  # no center: its weight is 0
+    X = x[..., None, :] + np.sqrt(S.dtype.type(S.shape[-1])) * np.concatenate(
+        [S, -S], -2
+    )  # no center: its weight is 0
     Y, root = model(X), np.sqrt(S.dtype.type(X.shape[-2]))
     y = Y[..., 0, :] + (Y - Y[..., :1, :]).mean(-2)
     D, E = ((points - mean[..., None, :]).mT / root for points, mean in ((X, x), (Y, y)))
@@ -116,25 +128,52 @@ def step(form: str, x: Array, spread: Array, model: Callable[[Array], Array], no
     return x + matvec(K, z - y), after
 
 
-def fly(form: str, precision: str, cases: Cases, sims: Sequence[Scenario]) -> Iterator[tuple[Array, Array]]:
+def fly(
+    form: str, precision: str, cases: Cases, sims: Sequence[Scenario]
+) -> Iterator[tuple[Array, Array]]:
     """CSRUKF [Sun2015, Eqs. 21-37], corrected; of angles SRUKF, for white noise.
 
     Yields mean, and covariance or root, at each epoch but the first, ``(cases, runs, ...)`` in km and km/s.
     """
-    c, angles, one, rows = cases[0][0], sims[0].angles is not None, np.ones((1, 1, 1)), list[tuple[Any, ...]]()
+    c, angles, one, rows = (
+        cases[0][0],
+        sims[0].angles is not None,
+        np.ones((1, 1, 1)),
+        list[tuple[Any, ...]](),
+    )
     for (d, u), s in zip(cases, sims, strict=True):
         star = decorrelation(0.0 * H if angles else H, d.sqrt_Q, np.sqrt(d.R))
         seen, sqrt_R = (s.angles, star.sqrt_R) if angles else (s.z * u, star.sqrt_R * u)
-        rows.append((u * one, d.phi * one, s.prior.mean * u, seen, d.sqrt_P0 * u, star.J, star.sqrt_Q * u, sqrt_R))
-    units, phi, x, z, *matrices = (np.stack(each).astype(precision) for each in zip(*rows, strict=True))
+        rows.append(
+            (
+                u * one,
+                d.phi * one,
+                s.prior.mean * u,
+                seen,
+                d.sqrt_P0 * u,
+                star.J,
+                star.sqrt_Q * u,
+                sqrt_R,
+            )
+        )
+    units, phi, x, z, *matrices = (
+        np.stack(each).astype(precision) for each in zip(*rows, strict=True)
+    )
     S, J, sqrt_Q, sqrt_R = (matrix[:, None] for matrix in matrices)
-    spread, stars = np.broadcast_to(S if form in ROOTS else outer(S), (*x.shape, 6)), sightings.star_directions(c.separation)
+    spread, stars = (
+        np.broadcast_to(S if form in ROOTS else outer(S), (*x.shape, 6)),
+        sightings.star_directions(c.separation),
+    )
 
     def f(X: Array) -> Array:
         return np.asarray(orbit.step(X / units, c.step_s) * units)
 
     def h(X: Array) -> Array:
-        return sightings.angles(X[..., :3] / units, stars.astype(precision)) if angles else f(X)[..., :3] - phi * X[..., :3]
+        return (
+            sightings.angles(X[..., :3] / units, stars.astype(precision))
+            if angles
+            else f(X)[..., :3] - phi * X[..., :3]
+        )
 
     def moved(z: Array, X: Array) -> Array:
         Y = f(X)
@@ -154,7 +193,11 @@ def compared(cases: Cases, _: Config, rngs: Sequence[np.random.Generator]) -> di
     Of each, as ``<form>, <precision>/...`` ``(cases, runs)``: lost, 1 where a factorization failed; square, the mean square of the
     3-D position error, km^2; apart, the largest difference from the array form in double precision, in its deviations.
     """
-    sims, out, exact = [simulate(c, rngs) for c, _ in cases], dict[str, Array](), list[tuple[Array, Array]]()
+    sims, out, exact = (
+        [simulate(c, rngs) for c, _ in cases],
+        dict[str, Array](),
+        list[tuple[Array, Array]](),
+    )
     truth = np.stack([s.truth for s in sims], 1)
     for precision, form in product(("double", "single"), reversed(FORMS)):
         square, apart = np.zeros((2, *truth.shape[1:3]))
@@ -164,7 +207,9 @@ def compared(cases: Cases, _: Config, rngs: Sequence[np.random.Generator]) -> di
                     exact.append((x, np.sqrt(np.vecdot(spread, spread))))
                 square += np.square(x - truth[k + 1])[..., :3].sum(-1) / cases[0][0].steps
                 apart = np.maximum(apart, (np.abs(x - exact[k][0]) / exact[k][1]).max(-1))
-            failed = ~np.isfinite(square) | ~np.isfinite(spread if form in ROOTS else cholesky(spread)).all((-2, -1))
+            failed = ~np.isfinite(square) | ~np.isfinite(
+                spread if form in ROOTS else cholesky(spread)
+            ).all((-2, -1))
         found = {"lost": failed.astype(float), "square": square, "apart": apart}
         out |= {f"{form}, {precision}/{what}": values for what, values in found.items()}
     return out

@@ -52,43 +52,87 @@ class Config(Timed):
 
     semi_major_axis_km: float = param(7136.635, "paper", "of the orbit", below=1e6)
     eccentricity: float = param(0.001, "paper", "of the orbit", least=0.0, below=1.0)
-    inclination_deg: float = param(65.0, "paper", "of the orbit to the equator", least=0.0, most=180.0)
+    inclination_deg: float = param(
+        65.0, "paper", "of the orbit to the equator", least=0.0, most=180.0
+    )
     raan_deg: float = param(30.0, "paper", "right ascension of the ascending node")
     argument_of_perigee_deg: float = param(30.0, "paper", "from the ascending node")
-    true_anomaly_deg: float = param(0.0, "chosen: z > 0 for 2499 s", "where on the orbit a run starts, from the perigee")
-    step_s: float = param(1.0, "paper", "interval of the measurements and of the filters' steps", above=0.0)
+    true_anomaly_deg: float = param(
+        0.0, "chosen: z > 0 for 2499 s", "where on the orbit a run starts, from the perigee"
+    )
+    step_s: float = param(
+        1.0, "paper", "interval of the measurements and of the filters' steps", above=0.0
+    )
     steps: int = param(600, "paper", "in a run", least=1, most=MOST_STEPS)
     runs: int = param(100, "paper", "of a Monte Carlo", least=1)
-    camera_deg: float = param(0.005, "paper", "accuracy of the Earth's edges, where angles are measured")
-    star_arcsec: float = param(3.0, "paper", "accuracy of the directions to stars, where angles are measured")
-    separation_deg: float = param(90.0, "chosen", "angle between the two stars, where angles are measured")
-    accuracy_sigmas: float = param(3.0, "inferred", "how many standard deviations these accuracies are")
-    sigma_km: float = param(0.2, FIT, "deviation of a measured position's noise, each axis; of which, says noise_level", above=0.0)
+    camera_deg: float = param(
+        0.005, "paper", "accuracy of the Earth's edges, where angles are measured"
+    )
+    star_arcsec: float = param(
+        3.0, "paper", "accuracy of the directions to stars, where angles are measured"
+    )
+    separation_deg: float = param(
+        90.0, "chosen", "angle between the two stars, where angles are measured"
+    )
+    accuracy_sigmas: float = param(
+        3.0, "inferred", "how many standard deviations these accuracies are"
+    )
+    sigma_km: float = param(
+        0.2,
+        FIT,
+        "deviation of a measured position's noise, each axis; of which, says noise_level",
+        above=0.0,
+    )
     noise_level: str = param(
         "increments", "inferred: the paper's R",
         "what sigma_km, or camera_deg and star_arcsec, are the deviation of: the colored noise V itself (stationary), or the white "
         "increments that drive it", one_of=("stationary", "increments"),
     )  # fmt: skip
-    prior_position_km: float = param(0.15, FIT, "standard deviation of the estimate at the start, on each axis", least=0.0)
-    prior_velocity_m_per_s: float = param(0.035, FIT, "standard deviation of the estimate at the start, on each axis", least=0.0)
-    noise_position_km: float = param(7.5e-3, FIT, "process noise of one step, standard deviation on each axis", least=0.0)
-    noise_velocity_km_per_s: float = param(1e-8, FIT, "process noise of one step, standard deviation on each axis", least=0.0)
-    phi: float = param(
-        0.0, "paper: 0, 0.8, 1", "color of the noise, V' = phi V + increment; 1: a random walk", least=-1.0, most=1.0
+    prior_position_km: float = param(
+        0.15, FIT, "standard deviation of the estimate at the start, on each axis", least=0.0
     )
-    measured: str = param("positions", "inferred", "positions, made of the angles, or the angles", one_of=("positions", "angles"))
+    prior_velocity_m_per_s: float = param(
+        0.035, FIT, "standard deviation of the estimate at the start, on each axis", least=0.0
+    )
+    noise_position_km: float = param(
+        7.5e-3, FIT, "process noise of one step, standard deviation on each axis", least=0.0
+    )
+    noise_velocity_km_per_s: float = param(
+        1e-8, FIT, "process noise of one step, standard deviation on each axis", least=0.0
+    )
+    phi: float = param(
+        0.0,
+        "paper: 0, 0.8, 1",
+        "color of the noise, V' = phi V + increment; 1: a random walk",
+        least=-1.0,
+        most=1.0,
+    )
+    measured: str = param(
+        "positions",
+        "inferred",
+        "positions, made of the angles, or the angles",
+        one_of=("positions", "angles"),
+    )
     first_noise: str | None = param(
         None, "chosen", "covariance of the first noise: that of the increments (R), of the stationary noise, or zero; left out: as "
         "noise_level", one_of=("R", "stationary", "zero", None),
     )  # fmt: skip
     alpha: float = param(1.0, "chosen: no negative weight", "spread of the sigma points")
-    beta: float = param(0.0, "chosen", "weight of the sigma points' center in the covariance; 2 is best for Gaussians")
+    beta: float = param(
+        0.0,
+        "chosen",
+        "weight of the sigma points' center in the covariance; 2 is best for Gaussians",
+    )
     kappa: float = param(0.0, "chosen", "second parameter of the sigma points' spread")
 
     def check(self) -> None:
         """Orbits above the Earth, noise that there is, sigma points that can be."""
-        if (a := self.semi_major_axis_km) <= (least := orbit.EARTH.radius_km / (1.0 - self.eccentricity)):
-            raise ValueError(f"semi_major_axis_km: expected an orbit above the Earth, from {least:.6g} km, got {a!r}")
+        if (a := self.semi_major_axis_km) <= (
+            least := orbit.EARTH.radius_km / (1.0 - self.eccentricity)
+        ):
+            raise ValueError(
+                f"semi_major_axis_km: expected an orbit above the Earth, from {least:.6g} km, got {a!r}"
+            )
         for name, other in (("noise_level", "'increments'"), ("first_noise", "R or zero")):
             if getattr(self, name) == "stationary" and abs(self.phi) == 1.0:
                 why = f"where phi is {self.phi:g}: a random walk has no stationary deviation, only its increments have one"
@@ -101,7 +145,9 @@ class Config(Timed):
     def idle(self) -> dict[str, str]:
         """Parameters without effect in this configuration, and why."""
         if self.measured == "angles":
-            return {"sigma_km": "where angles are measured (camera_deg and star_arcsec are their noise)"}
+            return {
+                "sigma_km": "where angles are measured (camera_deg and star_arcsec are their noise)"
+            }
         names = ("camera_deg", "star_arcsec", "separation_deg", "accuracy_sigmas")
         return dict.fromkeys(names, "where positions are measured (sigma_km is their noise)")
 
@@ -137,7 +183,13 @@ class Config(Timed):
     def Sigma0(self) -> Array:
         """Covariance of the first noise sample, ``(3, 3)`` km^2 or rad^2."""
         first = self.first_noise or ("stationary" if self.noise_level == "stationary" else "R")
-        return stationary_covariance(self.Phi, self.R) if first == "stationary" else self.R if first == "R" else 0.0 * self.R
+        return (
+            stationary_covariance(self.Phi, self.R)
+            if first == "stationary"
+            else self.R
+            if first == "R"
+            else 0.0 * self.R
+        )
 
     @property
     def sqrt_Q(self) -> Array:
@@ -161,14 +213,29 @@ class Config(Timed):
 
     def nominal(self, steps: int | None = None) -> Array:
         """Orbit without process noise, ``(steps + 1, 6)`` km, km/s."""
-        angles = np.radians([self.inclination_deg, self.raan_deg, self.argument_of_perigee_deg, self.true_anomaly_deg])
+        angles = np.radians(
+            [
+                self.inclination_deg,
+                self.raan_deg,
+                self.argument_of_perigee_deg,
+                self.true_anomaly_deg,
+            ]
+        )
         start = orbit.from_elements(self.semi_major_axis_km, self.eccentricity, *angles)
         return orbit.propagate(start, self.step_s, self.steps if steps is None else steps)
 
 
 P = Config()
-D = replace(P, prior_position_km=10.0, prior_velocity_m_per_s=10.0, noise_position_km=1e-5, noise_velocity_km_per_s=1e-9)
-B = replace(P, sigma_km=0.38, prior_position_km=0.37, noise_position_km=0.0, noise_velocity_km_per_s=5e-9)
+D = replace(
+    P,
+    prior_position_km=10.0,
+    prior_velocity_m_per_s=10.0,
+    noise_position_km=1e-5,
+    noise_velocity_km_per_s=1e-9,
+)
+B = replace(
+    P, sigma_km=0.38, prior_position_km=0.37, noise_position_km=0.0, noise_velocity_km_per_s=5e-9
+)
 STRESS = replace(P, steps=200, runs=200, noise_position_km=0.2, noise_velocity_km_per_s=1e-6)
 PRESETS = {"P": P, "D": D, "B": B, "stress": STRESS}
 """Fitted at the end of the runs; a poor prior; fitted over the time; strong process noise."""
@@ -198,7 +265,11 @@ class Scenario(NamedTuple):
             z, first = np.asarray(self.angles), filter == "angles+z0" or self.config.phi != 0.0
         if filter == "lagged":
             truth = np.concatenate([truth[:1], truth[:-1]])  # its estimate is of the epoch before
-        return epochs(self.config.times, z if first else np.concatenate([np.full_like(z[:1], np.nan), z[1:]]), truth=truth)
+        return epochs(
+            self.config.times,
+            z if first else np.concatenate([np.full_like(z[:1], np.nan), z[1:]]),
+            truth=truth,
+        )
 
 
 def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
@@ -217,7 +288,14 @@ def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
     if c.measured == "angles":
         angles = sightings.angles(truth[..., :3], sightings.star_directions(c.separation)) + noise
         z = sightings.position(angles, c.separation, np.sign(truth[..., 2]), strict=False)
-    return Scenario(c, truth, z, noise, Gaussian(truth[0] + initial * c.sqrt_P0.diagonal(), sqrt_cov=c.sqrt_P0), angles)
+    return Scenario(
+        c,
+        truth,
+        z,
+        noise,
+        Gaussian(truth[0] + initial * c.sqrt_P0.diagonal(), sqrt_cov=c.sqrt_P0),
+        angles,
+    )
 
 
 # -- the filters -------------------------------------------------------------------------------------------------------------
@@ -234,7 +312,14 @@ def white(config: Config, R: Any) -> Filter:
 def assuming(config: Config, R: Any, Phi: Array | None = None) -> Filter:
     """CSRUKF in one transform that assumes increments of covariance ``R``, and a coefficient, for pseudo-positions."""
     sensor = Sensor(H, np.eye(3))  # the first sample is not used
-    return colored(orbital(config), sensor, config.Phi if Phi is None else Phi, increments=R, first=False, rule=config.rule)
+    return colored(
+        orbital(config),
+        sensor,
+        config.Phi if Phi is None else Phi,
+        increments=R,
+        first=False,
+        rule=config.rule,
+    )
 
 
 def filters(config: Config) -> dict[str, Filter]:
@@ -259,7 +344,10 @@ def filters(config: Config) -> dict[str, Filter]:
             "csrukf+z0": colored(motion, sensor, c.Phi, **options),
             "augmented": augmented(motion, sensor, c.Phi, increments=c.R),
             "openloop": openloop,
-            other: white(c, effective_covariance(c.Phi, c.R) if other == "srukf-reff" else 0.5 * c.steps * c.R),
+            other: white(
+                c,
+                effective_covariance(c.Phi, c.R) if other == "srukf-reff" else 0.5 * c.steps * c.R,
+            ),
         }
     stars = sightings.star_directions(c.separation)
     table = sightings.pseudo_position_covariance(c.nominal()[:, :3], c.separation, c.sigma)
@@ -276,7 +364,9 @@ def filters(config: Config) -> dict[str, Filter]:
         "srukf-isotropic": white(c, isotropic),
         "csrukf-isotropic": assuming(c, c.increment**2 * isotropic),
         "csrukf-jacobian": assuming(c, lambda _, epoch: c.increment**2 * table[epoch.k]),
-        "angles": whitened(first=False) if c.phi else sigma_point(motion, Sensor(h, sqrt_R=np.diag(c.sigma)), rule=c.rule),
+        "angles": whitened(first=False)
+        if c.phi
+        else sigma_point(motion, Sensor(h, sqrt_R=np.diag(c.sigma)), rule=c.rule),
         "angles+z0": whitened(first=True),
         "openloop": openloop,
     }
@@ -289,8 +379,13 @@ JUDGED = {group.name: group.unit for group in GROUPS}
 
 def trial(config: Config, rngs: Sequence[np.random.Generator]) -> Trial:
     """One run with each generator, for missions, campaigns and the study."""
-    sim, exact = simulate(config, rngs), {"positions": "csrukf+z0", "angles": "angles+z0"}[config.measured]
-    return Trial(GROUPS, filters(config), sim.prior, sim.epochs, _compare, exact, lambda x: x[..., :3])
+    sim, exact = (
+        simulate(config, rngs),
+        {"positions": "csrukf+z0", "angles": "angles+z0"}[config.measured],
+    )
+    return Trial(
+        GROUPS, filters(config), sim.prior, sim.epochs, _compare, exact, lambda x: x[..., :3]
+    )
 
 
 def _compare(truth: Array, belief: Belief) -> tuple[Array, Array]:

@@ -13,10 +13,33 @@ from celnav.models import sightings
 from celnav.models.orbit import EARTH
 from celnav.papers.csrukf.method import FORMS
 from celnav.papers.csrukf.scenario import filters, simulate
-from celnav.papers.csrukf.study import BOTH, COLORS, HELD, PHIS, RATIOS, SWEEP, TABLE_1, TABLE_2, TABLE_3
+from celnav.papers.csrukf.study import (
+    BOTH,
+    COLORS,
+    HELD,
+    PHIS,
+    RATIOS,
+    SWEEP,
+    TABLE_1,
+    TABLE_2,
+    TABLE_3,
+)
 from celnav.show import colors, scenes, showcase
 from celnav.show.estimates import Group, again
-from celnav.show.figures import Item, Line, Panel, consistency, curve, errors, figure, level, panels, rmse, rmse_table, sigma
+from celnav.show.figures import (
+    Item,
+    Line,
+    Panel,
+    consistency,
+    curve,
+    errors,
+    figure,
+    level,
+    panels,
+    rmse,
+    rmse_table,
+    sigma,
+)
 from celnav.show.plots import Curve, Plot
 from celnav.study.montecarlo import generator
 from celnav.study.study import Results
@@ -29,12 +52,18 @@ if TYPE_CHECKING:
 
 __all__ = ["FIGURES", "RECORDINGS", "TABLES", "record"]
 
-SRUKF, CSRUKF, OPEN = Line("SRUKF", colors.COMPARISON), Line("CSRUKF", colors.ESTIMATE), Line("open loop", colors.OPEN_LOOP, "--")
+SRUKF, CSRUKF, OPEN = (
+    Line("SRUKF", colors.COMPARISON),
+    Line("CSRUKF", colors.ESTIMATE),
+    Line("open loop", colors.OPEN_LOOP, "--"),
+)
 LINES = {"srukf": SRUKF, "csrukf": CSRUKF}
 WHITE = {"srukf": SRUKF._replace(width=2.2), "csrukf": CSRUKF._replace(style="--"),
          "lagged": Line("CSRUKF lagged (has seen the next sample)", colors.TRUTH, width=0.7)}  # fmt: skip
 AXES, TIME = ("x", "y", "z", "v_x", "v_y", "v_z"), "time (s)"
-QUANTITIES = [f"absolute position error ${a}$ (km)" for a in AXES[:3]] + [f"velocity error ${a}$ (m/s)" for a in AXES[3:]]
+QUANTITIES = [f"absolute position error ${a}$ (km)" for a in AXES[:3]] + [
+    f"velocity error ${a}$ (m/s)" for a in AXES[3:]
+]
 COLUMNS = ("x_km", "y_km", "z_km", "vx_m_per_s", "vy_m_per_s", "vz_m_per_s")
 
 
@@ -47,59 +76,113 @@ def geometry(r: Results) -> Figure:
     globe = EARTH.radius_km * np.stack([np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)])
     ax.plot_wireframe(*globe, color=colors.MEASUREMENT, linewidth=0.4, alpha=0.6)
     ax.plot(*path.T, color=colors.TRUTH, label="orbit, 600 s")
-    ax.plot(*np.stack([np.zeros(3), 1.5 * here]).T, color=colors.SIGMA, linestyle="--", linewidth=1, label="position vector")
+    ax.plot(
+        *np.stack([np.zeros(3), 1.5 * here]).T,
+        color=colors.SIGMA,
+        linestyle="--",
+        linewidth=1,
+        label="position vector",
+    )
     edges = np.array(sightings.limb(here, np.cross(here, [0.0, 0.0, 1.0])))
     for i, limb in enumerate(edges):
-        ax.plot(*np.stack([here, limb]).T, color=colors.ESTIMATE, label=None if i else "sight lines to the limb")
+        ax.plot(
+            *np.stack([here, limb]).T,
+            color=colors.ESTIMATE,
+            label=None if i else "sight lines to the limb",
+        )
     rays, s = [*stars, *(edges - here), here], np.linspace(0.0, 1.0, 31)[:, None]
     A = np.degrees(sightings.angles(here, stars))
     for i, (a, b) in enumerate(((0, 4), (1, 4), (2, 3))):  # the angles as arcs
         arc = (1.0 - s) * rays[a] / np.linalg.norm(rays[a]) + s * rays[b] / np.linalg.norm(rays[b])
         where = (here + (2500.0 - 600.0 * i) * arc / np.linalg.norm(arc, axis=1, keepdims=True)).T
         ax.plot(
-            *where, color=(colors.PAPER, colors.OPEN_LOOP, colors.REFERENCE)[i], linewidth=1.4, label=f"$A_{i + 1}$ = {A[i]:.2f}°"
+            *where,
+            color=(colors.PAPER, colors.OPEN_LOOP, colors.REFERENCE)[i],
+            linewidth=1.4,
+            label=f"$A_{i + 1}$ = {A[i]:.2f}°",
         )
     for i, star in enumerate(stars):
         ax.quiver(*here, *(5000.0 * star), color=colors.COMPARISON, arrow_length_ratio=0.1)
         ax.text(*(here + 5600.0 * star), f"star {i + 1}", fontsize=8)
-    ax.set(xlabel="x (km)", ylabel="y (km)", zlabel="z (km)", title="Figure 1: measured angles", aspect="equal")
+    ax.set(
+        xlabel="x (km)",
+        ylabel="y (km)",
+        zlabel="z (km)",
+        title="Figure 1: measured angles",
+        aspect="equal",
+    )
     ax.view_init(45, 100)
     ax.legend(loc="upper left", fontsize=7)
-    fig.set_layout_engine("constrained", rect=(0.0, 0.05, 1.0, 0.95))  # it knows nothing of the axes' labels in space
+    fig.set_layout_engine(
+        "constrained", rect=(0.0, 0.05, 1.0, 0.95)
+    )  # it knows nothing of the axes' labels in space
     return fig
 
 
-def component(r: Results, part: str, i: int, lines: dict[str, Line], shown: str = "", **look: Any) -> list[Item]:
+def component(
+    r: Results, part: str, i: int, lines: dict[str, Line], shown: str = "", **look: Any
+) -> list[Item]:
     """Errors of one of the six components, of positions without sign as the paper has them; 3 sigma of the filter ``shown``."""
     at: Any = (BOTH[i // 3], i % 3)
-    items = [errors(r, part, name, line, *at, absolute=i < 3, **look) for name, line in lines.items()]
-    return [*items, sigma(r, part, shown, lines[shown].label, *at, absolute=i < 3)] if shown else items
+    items = [
+        errors(r, part, name, line, *at, absolute=i < 3, **look) for name, line in lines.items()
+    ]
+    return (
+        [*items, sigma(r, part, shown, lines[shown].label, *at, absolute=i < 3)] if shown else items
+    )
 
 
 def printed(table: dict[str, list[float]], i: int) -> Item:
     """The RMSE of a component that the paper prints, of both filters."""
-    return level(*(row[i] for row in table.values()), label="the paper's RMSE, of each filter", color=colors.PAPER, style="--")
+    return level(
+        *(row[i] for row in table.values()),
+        label="the paper's RMSE, of each filter",
+        color=colors.PAPER,
+        style="--",
+    )
 
 
 def white(i: int, r: Results) -> Figure:
     """An error under white noise."""
-    title, items = f"Figure {i + 2}: ${AXES[i]}$, $\\Phi = 0$", [*component(r, "0", i, WHITE, "csrukf"), printed(TABLE_1, i)]
+    title, items = (
+        f"Figure {i + 2}: ${AXES[i]}$, $\\Phi = 0$",
+        [*component(r, "0", i, WHITE, "csrukf"), printed(TABLE_1, i)],
+    )
     top = {"ylim": (0.0 if i < 3 else -0.15, 0.2 if i < 3 else 0.15)}
     return panels(Panel(title, items, TIME, QUANTITIES[i], more=top), size=(7.0, 3.6))
 
 
 def walk(i: int, r: Results) -> Figure:
     """An error under random-walk noise."""
-    four, loop = component(r, "I", i, LINES, "srukf", runs=4, spread=True), component(r, "I", i, {"openloop": OPEN})
+    four, loop = (
+        component(r, "I", i, LINES, "srukf", runs=4, spread=True),
+        component(r, "I", i, {"openloop": OPEN}),
+    )
     right = [*component(r, "I", i, {"csrukf": CSRUKF}, "csrukf", runs=4, spread=True), *loop]
-    left = Panel(f"Figure {i + 8}: ${AXES[i]}$, $\\Phi = I$", [*four, printed(TABLE_2, i)], TIME, QUANTITIES[i])
+    left = Panel(
+        f"Figure {i + 8}: ${AXES[i]}$, $\\Phi = I$",
+        [*four, printed(TABLE_2, i)],
+        TIME,
+        QUANTITIES[i],
+    )
     return panels([left, Panel("CSRUKF against open loop", right, TIME)], size=(7.0, 3.8))
 
 
 def consistent(r: Results) -> Figure:
     """NEES and NIS averaged over the runs with their 95 % bands."""
-    nees = [Panel(f"$\\Phi = {n}$", [consistency(r, n, LINES, "nees", 6)], y="mean NEES (-)" * (n == "0"), log="y") for n in PHIS]
-    nis = [Panel("", [consistency(r, n, LINES, "nis", 3)], TIME, "mean NIS (-)" * (n == "0"), log="y") for n in PHIS]
+    nees = [
+        Panel(
+            f"$\\Phi = {n}$",
+            [consistency(r, n, LINES, "nees", 6)],
+            y="mean NEES (-)" * (n == "0"),
+            log="y",
+        )
+        for n in PHIS
+    ]
+    nis = [
+        Panel("", [consistency(r, n, LINES, "nis", 3)], TIME, "mean NIS (-)" * (n == "0"), log="y")
+        for n in PHIS
+    ]
     return panels(nees, nis, size=(7.0, 4.8), sharex=True)
 
 
@@ -115,23 +198,45 @@ def against_theory(r: Results) -> Figure:
         items = [rmse(r, name, filter, line, "position") for filter, line in LINES.items()]
         for filter, line in LINES.items():
             std = length(r.get("theory", f"P/{filter}")[:, SWEEP.index(phi)])
-            items.append(curve(r.times(name), std, color=line.color, linestyle=":", label=f"{line.label}, theory"))
-        row.append(Panel(f"$\\Phi = {name}$", items, TIME, "3-D position RMSE (km)" * (name == "0"), "y"))
+            items.append(
+                curve(
+                    r.times(name),
+                    std,
+                    color=line.color,
+                    linestyle=":",
+                    label=f"{line.label}, theory",
+                )
+            )
+        row.append(
+            Panel(f"$\\Phi = {name}$", items, TIME, "3-D position RMSE (km)" * (name == "0"), "y")
+        )
     return panels(row, size=(7.0, 3.2))
 
 
 def over_phi(r: Results) -> Figure:
     """Final position error over Phi, for the fitted prior and a poor one, by linear theory and what is held fixed."""
-    lines = {"srukf": (SRUKF, "o"), "csrukf": (CSRUKF, "s"), "csrukf+z0": (Line("CSRUKF with the first sample", colors.TRUTH), "^")}
+    lines = {
+        "srukf": (SRUKF, "o"),
+        "csrukf": (CSRUKF, "s"),
+        "csrukf+z0": (Line("CSRUKF with the first sample", colors.TRUTH), "^"),
+    }
     rows: list[list[Panel]] = []
     for held, phis in {"": SWEEP, **dict.fromkeys(HELD, COLORS)}.items():
         rows.append([])
         ticks = {"xticks": range(len(phis)), "xticklabels": [f"{phi:g}" for phi in phis]}
         for preset, title in (("P", "prior 0.15 km, 0.035 m/s"), ("D", "prior 10 km, 10 m/s")):
-            found = {name: length(r.get("theory", f"{held}/{preset}/{name}".lstrip("/"))[-1]) for name in lines}
-            items = [curve(range(len(phis)), y, lines[name][0], marker=lines[name][1], markersize=4) for name, y in found.items()]
+            found = {
+                name: length(r.get("theory", f"{held}/{preset}/{name}".lstrip("/"))[-1])
+                for name in lines
+            }
+            items = [
+                curve(range(len(phis)), y, lines[name][0], marker=lines[name][1], markersize=4)
+                for name, y in found.items()
+            ]
             y = f"{held or 'increments'} held\nfinal 3-D position error (km)" * (not rows[-1])
-            rows[-1].append(Panel("" if held else title, items, "φ of $\\Phi = \\varphi I$ (-)", y, "y", ticks))
+            rows[-1].append(
+                Panel("" if held else title, items, "φ of $\\Phi = \\varphi I$ (-)", y, "y", ticks)
+            )
     return panels(*rows, size=(7.0, 7.5))
 
 
@@ -139,24 +244,58 @@ def long_arcs(r: Results) -> Figure:
     """Long arcs from a poor prior, SRUKF against the bound."""
     items = []
     for i, (name, style) in enumerate((("I", "-"), ("0.8 I", "--"))):
-        for key, color, label in (("srukf", SRUKF.color, "SRUKF"), ("csrukf+z0", CSRUKF.color, "bound")):
+        for key, color, label in (
+            ("srukf", SRUKF.color, "SRUKF"),
+            ("csrukf+z0", CSRUKF.color, "bound"),
+        ):
             std = length(r.get("theory", f"long/{key}")[1:, i])
-            items.append(curve(np.arange(1, len(std) + 1), std, Line(f"{label}, $\\Phi = {name}$", color, style)))
-    return panels(Panel("prior 100 km, 100 m/s, first sample used", items, TIME, "3-D position error (km)", "xy"), size=(5.5, 3.6))
+            items.append(
+                curve(
+                    np.arange(1, len(std) + 1),
+                    std,
+                    Line(f"{label}, $\\Phi = {name}$", color, style),
+                )
+            )
+    return panels(
+        Panel(
+            "prior 100 km, 100 m/s, first sample used", items, TIME, "3-D position error (km)", "xy"
+        ),
+        size=(5.5, 3.6),
+    )
 
 
 def assumed(r: Results) -> Figure:
     """A wrong coefficient in the filter: error and consistency."""
     phis, error, nees = (0.8, 0.9, 0.95, 0.99, 1.0), list[Item](), [level(6.0, label="consistent")]
-    flown = {"I": (SRUKF.color, ("phi 0.95", "phi 0.99", "csrukf")), "0.8": (CSRUKF.color, ("csrukf", "phi 0.9", "phi 1"))}
+    flown = {
+        "I": (SRUKF.color, ("phi 0.95", "phi 0.99", "csrukf")),
+        "0.8": (CSRUKF.color, ("csrukf", "phi 0.9", "phi 1")),
+    }
     for part, (color, names) in flown.items():
         place = [phis.index(PHIS[part] if name == "csrukf" else float(name[4:])) for name in names]
         final = [np.sqrt(r.squares(part, name, "position").sum(-1).mean()) for name in names]
-        mean, true = [r.nees(part, name, slice(1, None)).mean() for name in names], names.index("csrukf")
+        mean, true = (
+            [r.nees(part, name, slice(1, None)).mean() for name in names],
+            names.index("csrukf"),
+        )
         for items, values in ((error, final), (nees, mean)):
-            items.append(curve(place, values, color=color, marker="o", label=f"true φ = {PHIS[part]:g}"))
-            items.append(curve(place[true], values[true], color=color, marker="o", markersize=9, fillstyle="none"))
-    x, more = "φ assumed by the filter (circle: the true one)", {"xticks": range(5), "xticklabels": [f"{phi:g}" for phi in phis]}
+            items.append(
+                curve(place, values, color=color, marker="o", label=f"true φ = {PHIS[part]:g}")
+            )
+            items.append(
+                curve(
+                    place[true],
+                    values[true],
+                    color=color,
+                    marker="o",
+                    markersize=9,
+                    fillstyle="none",
+                )
+            )
+    x, more = (
+        "φ assumed by the filter (circle: the true one)",
+        {"xticks": range(5), "xticklabels": [f"{phi:g}" for phi in phis]},
+    )
     row = ((error, "final 3-D position RMSE (km)"), (nees, "time-mean NEES (-)"))
     return panels([Panel("", items, x, y, "y", more) for items, y in row], size=(7.0, 3.3))
 
@@ -164,14 +303,28 @@ def assumed(r: Results) -> Figure:
 def forms(r: Results) -> Figure:
     """Runs that each form of the covariance loses, and what rounding does to the others, by how precise a measurement is."""
     hues = (colors.COMPARISON, colors.TRUTH, colors.OPEN_LOOP, colors.PAPER, colors.ESTIMATE)
-    looks = zip(FORMS, hues, ("-", "-", "-", "--", "-"), (4.0, 2.2, 4.0, 1.1, 1.1), strict=True)  # several lie upon each other
-    lines, rows = {f: Line(FORMS[f], hue, style, width) for f, hue, style, width in looks}, list[list[Panel]]()
-    for what, y, log in (("lost", "share of runs lost (-)", "x"), ("apart", "largest error by rounding (deviations)", "xy")):
+    looks = zip(
+        FORMS, hues, ("-", "-", "-", "--", "-"), (4.0, 2.2, 4.0, 1.1, 1.1), strict=True
+    )  # several lie upon each other
+    lines, rows = (
+        {f: Line(FORMS[f], hue, style, width) for f, hue, style, width in looks},
+        list[list[Panel]](),
+    )
+    for what, y, log in (
+        ("lost", "share of runs lost (-)", "x"),
+        ("apart", "largest error by rounding (deviations)", "xy"),
+    ):
         rows.append([])
         for precision in ("double", "single"):
             found = {f: r.get("forms/ratios", f"{f}, {precision}/{what}").mean(1) for f in FORMS}
-            items = [curve(10.0**RATIOS, np.where((x > 0.0) | (log == "x"), x, np.nan), lines[f]) for f, x in found.items()]
-            title, x = f"{precision} precision" * (what == "lost"), "deviation of the prior over that of a measurement"
+            items = [
+                curve(10.0**RATIOS, np.where((x > 0.0) | (log == "x"), x, np.nan), lines[f])
+                for f, x in found.items()
+            ]
+            title, x = (
+                f"{precision} precision" * (what == "lost"),
+                "deviation of the prior over that of a measurement",
+            )
             rows[-1].append(Panel(title, items, x, y * (precision == "double"), log))
     return panels(*rows, size=(7.0, 5.0), sharex="col")
 
@@ -213,27 +366,43 @@ apart. Estimates and truth differ by less than a line's width; hence the view of
 
 def record(results: Results, outputs: Outputs) -> list[str]:
     """Write the recordings among ``outputs``: the first run of four cases in full; returns their names. Needs rerun."""
-    return showcase.write({name: _case(results, case) for case, name in zip(CASES, RECORDINGS, strict=True)}, outputs)
+    return showcase.write(
+        {name: _case(results, case) for case, name in zip(CASES, RECORDINGS, strict=True)}, outputs
+    )
 
 
 def _case(results: Results, case: str) -> showcase.Showcase:
     c, number, phi = results.parts[case].config, results.parts[case].number, case.rpartition("/")[2]
     sim = simulate(c, [generator(results.seed, number, 0)])
     found, truth, z = again(results, case, {"csrukf": CSRUKF, "srukf": SRUKF, "openloop": OPEN})
-    track, V, noise = run(filters(c)["augmented"], sim.prior, sim.epochs(), keep="std"), sim.noise[:, 0], {}
+    track, V, noise = (
+        run(filters(c)["augmented"], sim.prior, sim.epochs(), keep="std"),
+        sim.noise[:, 0],
+        {},
+    )
     for i, axis in enumerate("xyz"):
         mean, std = np.asarray(track.mean)[:, 0, 6 + i], np.asarray(track.std)[:, 0, 6 + i]
         augmented = Curve(mean, colors.REFERENCE, "augmented filter", std, mean)
-        noise[axis] = Plot(f"colored noise V {axis}, km", {"truth": Curve(V[:, i], colors.TRUTH, "true V"), "augmented": augmented})
+        noise[axis] = Plot(
+            f"colored noise V {axis}, km",
+            {"truth": Curve(V[:, i], colors.TRUTH, "true V"), "augmented": augmented},
+        )
 
     def scene(out: Recorder) -> None:
         stars = sightings.star_directions(c.separation)
         scenes.sightings(out, "world", truth[:, :3], truth[:, 3:], stars, EARTH.radius_km)
         out.points("world/z", z, colors.MEASUREMENT, radius=1.0)
         for key, estimate in found.items():
-            out.trail(f"world/{key}/trail", truth[:, :3] + estimate.errors[:, 0, :3], estimate.color, radius=1.2)
+            out.trail(
+                f"world/{key}/trail",
+                truth[:, :3] + estimate.errors[:, 0, :3],
+                estimate.color,
+                radius=1.2,
+            )
 
-    bound = length(results.get("theory", f"{'D' if '/' in case else 'P'}/csrukf")[:, SWEEP.index(PHIS[phi])])
+    bound = length(
+        results.get("theory", f"{'D' if '/' in case else 'P'}/csrukf")[:, SWEEP.index(PHIS[phi])]
+    )
     growing = ["world/z", *(f"world/{key}/trail" for key in ("truth", *found))]
     return showcase.Showcase(
         f"csrukf: {case}", f"# Sun, Zhuang & Xu (2015), Φ = {phi}\n\n**{CASES[case]}**\n{NOTES}",

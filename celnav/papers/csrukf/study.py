@@ -13,7 +13,14 @@ import numpy as np
 import celnav
 from celnav.analysis.bounds import actual_covariance, colored_bound, riccati
 from celnav.analysis.metrics import chi_square_band
-from celnav.filters.colored import Decorrelated, Decorrelation, augmented, colored, decorrelated, decorrelation
+from celnav.filters.colored import (
+    Decorrelated,
+    Decorrelation,
+    augmented,
+    colored,
+    decorrelated,
+    decorrelation,
+)
 from celnav.filters.joint import condition, joint
 from celnav.filters.model import Motion, Sensor
 from celnav.filters.records import Epoch, Filter, FromFunctions, State
@@ -26,7 +33,18 @@ from celnav.gaussian.spaces import EUCLIDEAN
 from celnav.models import orbit, sightings
 from celnav.models.noise import stationary_covariance
 from celnav.papers.csrukf.method import FORMS, compared
-from celnav.papers.csrukf.scenario import GROUPS, STRESS, Config, D, H, P, assuming, filters, simulate, trial
+from celnav.papers.csrukf.scenario import (
+    GROUPS,
+    STRESS,
+    Config,
+    D,
+    H,
+    P,
+    assuming,
+    filters,
+    simulate,
+    trial,
+)
 from celnav.study.ledger import Number, Tiers, check, erratum, estimate, finding, remark, statement
 from celnav.study.numbers import Decided, all_of, consistency, entries, given, of, ratio, tiers
 from celnav.study.study import Part, Results, Rngs, Study, fly
@@ -40,13 +58,28 @@ UNITS, BOTH, ISOTROPIC = np.repeat([1.0, 1e3], 3), ("position", "velocity"), "cs
 PHIS, STEPS = {"0": 0.0, "0.8": 0.8, "I": 1.0}, (0.0, 0.5, 0.8, 0.95, 1.0)
 SWEEP, COLORS = (-0.5, *STEPS[:4], 0.99, 0.999, 1.0), (0.0, 0.25, 0.5, 0.8, 0.9, 0.95, 0.99)
 SMALL, RATIOS = (1e-6, 1e-3, 0.035), np.arange(0.0, 9.1, 0.5)
-HELD = {"stationary covariance": lambda phi: 1.0 - phi**2, "spectral density": lambda phi: (1.0 - phi) ** 2}
+HELD = {
+    "stationary covariance": lambda phi: 1.0 - phi**2,
+    "spectral density": lambda phi: (1.0 - phi) ** 2,
+}
 """What may stay the same instead of the increments while phi grows, and the part of their covariance that this leaves."""
-TABLE_1 = {"SRUKF": [0.0355, 0.0321, 0.0356, 0.0338, 0.0343, 0.0384], "CSRUKF": [0.0340, 0.0356, 0.0363, 0.0382, 0.0349, 0.0359]}
-TABLE_2 = {"SRUKF": [2.7618, 5.4616, 3.7964, 1.3072, 2.4412, 2.6518], "CSRUKF": [0.4071, 0.1994, 0.1565, 0.2672, 0.2743, 0.1969]}
+TABLE_1 = {
+    "SRUKF": [0.0355, 0.0321, 0.0356, 0.0338, 0.0343, 0.0384],
+    "CSRUKF": [0.0340, 0.0356, 0.0363, 0.0382, 0.0349, 0.0359],
+}
+TABLE_2 = {
+    "SRUKF": [2.7618, 5.4616, 3.7964, 1.3072, 2.4412, 2.6518],
+    "CSRUKF": [0.4071, 0.1994, 0.1565, 0.2672, 0.2743, 0.1969],
+}
 TABLE_3 = {
-    "0.8": {"SRUKF": [17.346, 19.323, 18.184, 5.6096, 5.2659, 5.0236], "CSRUKF": [0.4218, 0.2694, 0.6928, 0.3623, 0.3979, 0.4783]},
-    "I": {"SRUKF": [40.373, 34.767, 31.659, 10.281, 10.479, 11.694], "CSRUKF": [0.6935, 0.5870, 0.9375, 0.8720, 0.6347, 0.6273]},
+    "0.8": {
+        "SRUKF": [17.346, 19.323, 18.184, 5.6096, 5.2659, 5.0236],
+        "CSRUKF": [0.4218, 0.2694, 0.6928, 0.3623, 0.3979, 0.4783],
+    },
+    "I": {
+        "SRUKF": [40.373, 34.767, 31.659, 10.281, 10.479, 11.694],
+        "CSRUKF": [0.6935, 0.5870, 0.9375, 0.8720, 0.6347, 0.6273],
+    },
 }
 """RMSE of x, y, z (km) and vx, vy, vz (m/s), as printed."""
 
@@ -79,10 +112,17 @@ def variants(config: Config) -> dict[str, Filter]:
         return State(after.lagged, after), infos
 
     return {
-        "lagged": FromFunctions(lambda prior: State(csrukf.start(prior).belief, csrukf.start(prior)), step),
+        "lagged": FromFunctions(
+            lambda prior: State(csrukf.start(prior).belief, csrukf.start(prior)), step
+        ),
         "printed roots": Other(**vars(csrukf), star=squared),
-        "without J": Other(**vars(csrukf), star=star._replace(J=0.0 * star.J, sqrt_Q=config.sqrt_Q)),
-        **{f"phi {phi:g}": assuming(config, config.R, phi * np.eye(3)) for phi in (0.9, 0.95, 0.99, 1.0)},
+        "without J": Other(
+            **vars(csrukf), star=star._replace(J=0.0 * star.J, sqrt_Q=config.sqrt_Q)
+        ),
+        **{
+            f"phi {phi:g}": assuming(config, config.R, phi * np.eye(3))
+            for phi in (0.9, 0.95, 0.99, 1.0)
+        },
     }
 
 
@@ -119,10 +159,24 @@ def expected(config: Config, phis: Sequence[float], held: str = "") -> dict[str,
 
 def theory(long_steps: int, config: Config, _: Rngs) -> dict[str, Array]:
     """`expected` of P and D, with each thing `HELD`, and of a long arc from a poor prior without process noise, Phi = I, 0.8 I."""
-    poor = replace(D, prior_position_km=100.0, prior_velocity_m_per_s=100.0, noise_position_km=0.0, noise_velocity_km_per_s=1e-15)
-    wanted: dict[str, Any] = {"P": (config, SWEEP), "D": (D, SWEEP), "long": (replace(poor, steps=long_steps), (1.0, 0.8))}
-    wanted |= {f"{held}/{key}": (c, COLORS, held) for held in HELD for key, c in (("P", config), ("D", D))}
-    return {f"{key}/{name}": std for key, how in wanted.items() for name, std in expected(*how).items()}
+    poor = replace(
+        D,
+        prior_position_km=100.0,
+        prior_velocity_m_per_s=100.0,
+        noise_position_km=0.0,
+        noise_velocity_km_per_s=1e-15,
+    )
+    wanted: dict[str, Any] = {
+        "P": (config, SWEEP),
+        "D": (D, SWEEP),
+        "long": (replace(poor, steps=long_steps), (1.0, 0.8)),
+    }
+    wanted |= {
+        f"{held}/{key}": (c, COLORS, held) for held in HELD for key, c in (("P", config), ("D", D))
+    }
+    return {
+        f"{key}/{name}": std for key, how in wanted.items() for name, std in expected(*how).items()
+    }
 
 
 def settings(count: int, config: Config, rngs: Rngs) -> dict[str, Array]:
@@ -134,8 +188,14 @@ def settings(count: int, config: Config, rngs: Rngs) -> dict[str, Array]:
     """
     ends = ((-1.5, 0.5), (-1.0, 1.0), (-5.5, -3.5), (-4.0, -1.0), (-9.0, -7.0), (-0.5, 0.5))
     sigma, p_r, p_v, q_r, q_v, s0 = (10.0 ** rngs[0].uniform(*end, count) for end in ends)
-    P0, Q = (np.eye(6) * np.repeat(np.stack(pair, -1) ** 2, 3, -1)[:, None] for pair in ((sigma * p_r, p_v), (sigma * q_r, q_v)))
-    F, R = orbit.transition(config.nominal()[:-1], config.step_s), (sigma**2)[:, None, None] * np.eye(3)
+    P0, Q = (
+        np.eye(6) * np.repeat(np.stack(pair, -1) ** 2, 3, -1)[:, None]
+        for pair in ((sigma * p_r, p_v), (sigma * q_r, q_v))
+    )
+    F, R = (
+        orbit.transition(config.nominal()[:-1], config.step_s),
+        (sigma**2)[:, None, None] * np.eye(3),
+    )
     gains, far, size = riccati(F, H, Q, R, P0).gains, [], {}
     for case, Phi in (("0.8", 0.8 * np.eye(3)), ("I", np.eye(3))):
         white = actual_covariance(F, H, gains, Q, Phi, R, P0, R * s0[:, None, None] ** 2)
@@ -143,7 +203,10 @@ def settings(count: int, config: Config, rngs: Rngs) -> dict[str, Array]:
             std = UNITS * np.sqrt(cov.diagonal(0, -2, -1).mean(0))
             far.append(np.abs(np.log(std / TABLE_3[case][name])).max(-1))
             size[case, name] = np.linalg.norm(std[:, :3], axis=-1)
-    gain, growth = size["0.8", "SRUKF"] / size["0.8", "CSRUKF"], size["I", "SRUKF"] / size["0.8", "SRUKF"]
+    gain, growth = (
+        size["0.8", "SRUKF"] / size["0.8", "CSRUKF"],
+        size["I", "SRUKF"] / size["0.8", "SRUKF"],
+    )
     return {"growth": growth, "gain": gain, "misfit": np.exp(np.max(far, axis=0))}
 
 
@@ -153,27 +216,54 @@ def geometry(config: Config, _: Rngs) -> dict[str, Array]:
     radius: by Eq. 41 as printed, over the right one. wrong: error (km) of the position by the printed root at each epoch.
     corrected: the largest once the hemisphere is known. later: error of the printed root 300 s past the equator.
     """
-    period, separation = 2.0 * np.pi * np.sqrt(config.semi_major_axis_km**3 / orbit.EARTH.mu), config.separation
+    period, separation = (
+        2.0 * np.pi * np.sqrt(config.semi_major_axis_km**3 / orbit.EARTH.mu),
+        config.separation,
+    )
     path = config.nominal(round(period / config.step_s))[:, :3]
     angles, z = sightings.angles(path, sightings.star_directions(separation)), path[:, 2]
-    wrong, right = (np.linalg.norm(sightings.position(angles, separation, s) - path, axis=-1) for s in (1.0, np.sign(z)))
+    wrong, right = (
+        np.linalg.norm(sightings.position(angles, separation, s) - path, axis=-1)
+        for s in (1.0, np.sign(z))
+    )
     radius = 0.5 * orbit.EARTH.radius_km * np.sin(0.5 * angles[:1, 2]) / np.linalg.norm(path[0])
-    return {"wrong": wrong, "radius": radius, "corrected": right[np.abs(z) > 1.0], "later": wrong[[np.argmax(z < 0.0) + 300]]}
+    return {
+        "wrong": wrong,
+        "radius": radius,
+        "corrected": right[np.abs(z) > 1.0],
+        "later": wrong[[np.argmax(z < 0.0) + 300]],
+    }
 
 
 def redrawn(_: Config, rngs: Rngs) -> dict[str, Array]:
     """One linear step with the points of the prediction used again (Eqs. 29-32), and with new ones, against the Kalman filter."""
     F, z = np.eye(6) + 0.1 * rngs[0].standard_normal((6, 6)), rngs[0].standard_normal(3)
-    eye, sensor, epoch, prior = np.eye(6), Sensor(H, np.eye(3)), Epoch(1, 1.0, 1.0, None, z), Gaussian(np.zeros(6), np.eye(6))
+    eye, sensor, epoch, prior = (
+        np.eye(6),
+        Sensor(H, np.eye(3)),
+        Epoch(1, 1.0, 1.0, None, z),
+        Gaussian(np.zeros(6), np.eye(6)),
+    )
     new, exact = (ukf(Motion(f, eye), sensor) for f in (lambda x, _: x @ F.T, F))
     truth, after = (filter.step(filter.start(prior), epoch)[0].belief for filter in (exact, new))
 
     def both(x: Array, _: Any) -> tuple[Array, Array]:
         return (x @ F.T)[..., :3], x @ F.T
 
-    old = joint(unscented(6), new.start(prior).belief, both, epoch, z=z, process_noise=eye, measurement_noise=np.eye(3))
+    old = joint(
+        unscented(6),
+        new.start(prior).belief,
+        both,
+        epoch,
+        z=z,
+        process_noise=eye,
+        measurement_noise=np.eye(3),
+    )
     beliefs = {"reused": condition(SquareRoot, old, EUCLIDEAN)[0], "redrawn": after}
-    return {name: np.abs(np.vstack([b.mean - truth.mean, b.cov - truth.cov])) for name, b in beliefs.items()}
+    return {
+        name: np.abs(np.vstack([b.mean - truth.mean, b.cov - truth.cov]))
+        for name, b in beliefs.items()
+    }
 
 
 def linear(_: Config, rngs: Rngs) -> dict[str, Array]:
@@ -183,18 +273,43 @@ def linear(_: Config, rngs: Rngs) -> dict[str, Array]:
     differences in mean and deviation from the filter that carries the noise in its state, in deviations, over 40 epochs.
     """
     (rng,), n, m = rngs, 6, 3
-    F, A, C = 0.98 * np.eye(n) + 0.1 * rng.standard_normal((n, n)), rng.standard_normal((m, n)), rng.standard_normal((m, m))
-    Phi, (q, r) = 0.9 * C / np.abs(np.linalg.eigvals(C)).max(), (rng.uniform(0.1, 1.0, size) for size in (n, m))
+    F, A, C = (
+        0.98 * np.eye(n) + 0.1 * rng.standard_normal((n, n)),
+        rng.standard_normal((m, n)),
+        rng.standard_normal((m, m)),
+    )
+    Phi, (q, r) = (
+        0.9 * C / np.abs(np.linalg.eigvals(C)).max(),
+        (rng.uniform(0.1, 1.0, size) for size in (n, m)),
+    )
     star, QH = decorrelation(A, np.diag(q), np.diag(r)), np.diag(q**2) @ A.T
     out = {"cross": np.abs(QH - star.J @ star.sqrt_R @ star.sqrt_R.T) / np.abs(QH).max()}
-    motion, prior, times = Motion(F, np.diag(q**2)), Gaussian(np.zeros(n), np.eye(n)), np.arange(41.0)
+    motion, prior, times = (
+        Motion(F, np.diag(q**2)),
+        Gaussian(np.zeros(n), np.eye(n)),
+        np.arange(41.0),
+    )
     sensor = Sensor(A, stationary_covariance(Phi, np.diag(r**2)))
-    z = celnav.simulate(motion, sensor, prior, times, runs=1, seed=int(rng.integers(2**31)), Phi=Phi)[1]
-    known = augmented(motion, sensor, Phi), colored(motion, sensor, Phi), decorrelated(motion, sensor, Phi, first=False)
+    z = celnav.simulate(
+        motion, sensor, prior, times, runs=1, seed=int(rng.integers(2**31)), Phi=Phi
+    )[1]
+    known = (
+        augmented(motion, sensor, Phi),
+        colored(motion, sensor, Phi),
+        decorrelated(motion, sensor, Phi, first=False),
+    )
     exact, *others = (run(filter, prior, times, z, keep="cov") for filter in known)
     for name, track in zip(("corrected", "first sample lost"), others, strict=True):
         std = exact.std[..., :n]
-        out[name] = np.abs([track.mean - exact.mean[..., :n], np.broadcast_to(track.std - std, track.mean.shape)]) / std
+        out[name] = (
+            np.abs(
+                [
+                    track.mean - exact.mean[..., :n],
+                    np.broadcast_to(track.std - std, track.mean.shape),
+                ]
+            )
+            / std
+        )
     return out
 
 
@@ -203,9 +318,20 @@ def parts(effort: float = 1.0) -> dict[str, Part]:
 
     def flights(names: str, config: Config, number: int, runs: int = P.runs) -> Part:
         every = names.split(", ")
-        return Part(partial(flown, every, 1), config, number, runs, 128, 1e-6 * config.steps * runs * 8.0 * len(every))
+        return Part(
+            partial(flown, every, 1),
+            config,
+            number,
+            runs,
+            128,
+            1e-6 * config.steps * runs * 8.0 * len(every),
+        )
 
-    basic, poor, walking = "srukf, csrukf, csrukf+z0, openloop", replace(D, phi=1.0), replace(P, phi=1.0)
+    basic, poor, walking = (
+        "srukf, csrukf, csrukf+z0, openloop",
+        replace(D, phi=1.0),
+        replace(P, phi=1.0),
+    )
     out = {
         "0.8, many": Part(partial(flown, ("srukf", "csrukf"), 60), replace(P, phi=0.8), 1, 1600, 200, 16.0),
         "0, many": Part(partial(flown, ("srukf", "csrukf"), P.steps), P, 0, 1600, 200, 14.0),
@@ -220,7 +346,10 @@ def parts(effort: float = 1.0) -> dict[str, Part]:
         "settings": Part(partial(settings, max(50, round(300 * effort))), P, 20, cost=4.0),
         "geometry": Part(geometry, P), "redrawn": Part(redrawn, P, 21), "linear": Part(linear, P, 23),
     }  # fmt: skip
-    starts, exact = list(product((P, D), PHIS.values())), replace(D, noise_position_km=0.0, noise_velocity_km_per_s=0.0, steps=20)
+    starts, exact = (
+        list(product((P, D), PHIS.values())),
+        replace(D, noise_position_km=0.0, noise_velocity_km_per_s=0.0, steps=20),
+    )
     many, some, day = (max(20, round(steps * effort)) for steps in (600, 200, 360))
     cases = {
         "paper": [(replace(c, phi=phi, steps=many), unit) for c, phi in starts for unit in (1.0, 1e3)],
@@ -231,14 +360,23 @@ def parts(effort: float = 1.0) -> dict[str, Part]:
         "ratios": [(replace(exact, sigma_km=D.prior_position_km * 10.0**-e), 1.0) for e in RATIOS],
     }  # fmt: skip
     for number, (name, each) in enumerate(cases.items(), 30):
-        out[f"forms/{name}"] = Part(partial(compared, each), P, number, 20, 10, 2e-3 * len(each) * each[0][0].steps)
+        out[f"forms/{name}"] = Part(
+            partial(compared, each), P, number, 20, 10, 2e-3 * len(each) * each[0][0].steps
+        )
     for number, (name, config) in ((13, ("P", P)), (14, ("D", D))):
-        out |= {f"sweep/{name}/{phi:g}": flights("srukf, csrukf", replace(config, phi=phi), number) for phi in STEPS}
+        out |= {
+            f"sweep/{name}/{phi:g}": flights("srukf, csrukf", replace(config, phi=phi), number)
+            for phi in STEPS
+        }
     return out
 
 
 # -- numbers of the ledger ---------------------------------------------------------------------------------------------------
-ALL, LATE, FITTED = slice(1, None), slice(STRESS.steps // 2, None), "reproduced with fitted parameters"
+ALL, LATE, FITTED = (
+    slice(1, None),
+    slice(STRESS.steps // 2, None),
+    "reproduced with fitted parameters",
+)
 
 
 def length(printed: Sequence[float], group: str) -> float:
@@ -249,7 +387,14 @@ def length(printed: Sequence[float], group: str) -> float:
 def better(case: str, position: float, velocity: float) -> list[Decided]:
     """CSRUKF over SRUKF, at the end and averaged."""
     return [
-        ratio(f"{group}, {case}, {when}", (case, "csrukf"), (case, "srukf"), group, (None, most), at=at)
+        ratio(
+            f"{group}, {case}, {when}",
+            (case, "csrukf"),
+            (case, "srukf"),
+            group,
+            (None, most),
+            at=at,
+        )
         for group, most in zip(BOTH, (position, velocity), strict=True)
         for at, when in ((-1, "at the end"), (ALL, "averaged"))
     ]
@@ -261,7 +406,12 @@ def changes(r: Results) -> list[Number]:
     for group in BOTH:
         a, b, c, d = (length(TABLE_3[case][filter.upper()], group) for case, filter in flown)
         squares = [r.squares(*one, group).sum(-1) for one in flown]
-        ours = estimate(group, lambda a, b, c, d: np.sqrt(a.mean() * c.mean() / (b.mean() * d.mean())), squares, (1.0, None))
+        ours = estimate(
+            group,
+            lambda a, b, c, d: np.sqrt(a.mean() * c.mean() / (b.mean() * d.mean())),
+            squares,
+            (1.0, None),
+        )
         out += [ours, Number(f"{group}, from the printed numbers", a * c / (b * d), (1.0, None))]
     return out
 
@@ -269,17 +419,28 @@ def changes(r: Results) -> list[Number]:
 def stepwise(r: Results) -> list[Number]:
     """Every step up in phi, for both filters, priors and groups, on the same noise, the least first."""
     every = product(("srukf", "csrukf"), ("sweep/P", "sweep/D"), BOTH, pairwise(STEPS))
-    steps = {f"{f}, {g}, {p}, {a:g} to {b:g}": ((f"{p}/{b:g}", f), (f"{p}/{a:g}", f), g) for f, p, g, (a, b) in every}
-    return sorted((ratio(label, *step, (1.0, None))(r) for label, step in steps.items()), key=lambda n: n.value)
+    steps = {
+        f"{f}, {g}, {p}, {a:g} to {b:g}": ((f"{p}/{b:g}", f), (f"{p}/{a:g}", f), g)
+        for f, p, g, (a, b) in every
+    }
+    return sorted(
+        (ratio(label, *step, (1.0, None))(r) for label, step in steps.items()),
+        key=lambda n: n.value,
+    )
 
 
 PAPER = [("forms/paper", "double")]
-STRESSED = [("forms/paper", "single"), *product(("forms/small", "forms/long", "forms/angles"), ("double", "single"))]
+STRESSED = [
+    ("forms/paper", "single"),
+    *product(("forms/small", "forms/long", "forms/angles"), ("double", "single")),
+]
 
 
 def of_forms(r: Results, what: str, where: Sequence[tuple[str, str]], *forms: str) -> Array:
     """What is known of each run and case, ``(runs, cases)``; of several forms the largest."""
-    return np.concatenate([np.max([r.get(part, f"{f}, {p}/{what}") for f in forms], 0) for part, p in where]).T
+    return np.concatenate(
+        [np.max([r.get(part, f"{f}, {p}/{what}") for f in forms], 0) for part, p in where]
+    ).T
 
 
 def stable(r: Results) -> Tiers:
@@ -289,19 +450,55 @@ def stable(r: Results) -> Tiers:
     """
 
     def more(where: Sequence[tuple[str, str]]) -> Array:
-        return of_forms(r, "lost", where, "plain", "symmetrized") - of_forms(r, "lost", where, "downdated")
+        return of_forms(r, "lost", where, "plain", "symmetrized") - of_forms(
+            r, "lost", where, "downdated"
+        )
 
     if (gap := more(PAPER)).any():
-        first = estimate("share of runs lost more, in the worst case", lambda x: x.mean(0).max(), [gap], (1e-9, None))
+        first = estimate(
+            "share of runs lost more, in the worst case",
+            lambda x: x.mean(0).max(),
+            [gap],
+            (1e-9, None),
+        )
     else:
-        squares = of_forms(r, "square", PAPER, "plain", "symmetrized"), of_forms(r, "square", PAPER, "downdated")
+        squares = (
+            of_forms(r, "square", PAPER, "plain", "symmetrized"),
+            of_forms(r, "square", PAPER, "downdated"),
+        )
         worst = lambda a, b: np.sqrt((a.mean(0) / b.mean(0)).max())  # noqa: E731
-        first = estimate("RMSE over that of the printed root, in the worst case", worst, squares, (1.0 + 1e-6, None))
-    under = [estimate("under stress, share of runs lost more", np.mean, [more(STRESSED)], (0.05, None))]
-    single, double = ([where for where in (*PAPER, *STRESSED) if where[1] == kind] for kind in ("single", "double"))
-    told = [estimate(f"in single precision, share lost by {FORMS[f]}", np.mean, [of_forms(r, "lost", single, f)]) for f in FORMS]
-    told.append(Number("lost in double precision by any form", float(of_forms(r, "lost", double, *FORMS).sum())))
-    told.append(Number("largest difference of two forms, deviations", float(of_forms(r, "apart", PAPER, *FORMS).max())))
+        first = estimate(
+            "RMSE over that of the printed root, in the worst case",
+            worst,
+            squares,
+            (1.0 + 1e-6, None),
+        )
+    under = [
+        estimate("under stress, share of runs lost more", np.mean, [more(STRESSED)], (0.05, None))
+    ]
+    single, double = (
+        [where for where in (*PAPER, *STRESSED) if where[1] == kind]
+        for kind in ("single", "double")
+    )
+    told = [
+        estimate(
+            f"in single precision, share lost by {FORMS[f]}",
+            np.mean,
+            [of_forms(r, "lost", single, f)],
+        )
+        for f in FORMS
+    ]
+    told.append(
+        Number(
+            "lost in double precision by any form", float(of_forms(r, "lost", double, *FORMS).sum())
+        )
+    )
+    told.append(
+        Number(
+            "largest difference of two forms, deviations",
+            float(of_forms(r, "apart", PAPER, *FORMS).max()),
+        )
+    )
     return {"reproduced": [first], "in part": under, "not reproduced": told}
 
 
@@ -310,10 +507,27 @@ def held_fixed(r: Results) -> list[Number]:
     out, (covariance, density) = list[Number](), HELD
     for held, name, least in ((covariance, "srukf", 1), (covariance, "csrukf", 1), (density, "srukf", 0), (density, "csrukf+z0", 0),
                               (density, "csrukf", 0)):  # fmt: skip
-        squares = [np.square(r.get("theory", f"{held}/{prior}/{name}")).reshape(-1, len(COLORS), 2, 3).sum(-1) for prior in "PD"]
-        steps = [np.sqrt(rms[1:] / rms[:-1]) for square in squares for rms in (square[-1], square[1:].mean(0))]
-        value, accept = (np.min(steps), None) if least else (np.max(steps), None if name == "csrukf" else 1.0)
-        out.append(Number(f"{'least' if least else 'largest'} step of {name.upper()}, {held} held", float(value), (None, accept)))
+        squares = [
+            np.square(r.get("theory", f"{held}/{prior}/{name}"))
+            .reshape(-1, len(COLORS), 2, 3)
+            .sum(-1)
+            for prior in "PD"
+        ]
+        steps = [
+            np.sqrt(rms[1:] / rms[:-1])
+            for square in squares
+            for rms in (square[-1], square[1:].mean(0))
+        ]
+        value, accept = (
+            (np.min(steps), None) if least else (np.max(steps), None if name == "csrukf" else 1.0)
+        )
+        out.append(
+            Number(
+                f"{'least' if least else 'largest'} step of {name.upper()}, {held} held",
+                float(value),
+                (None, accept),
+            )
+        )
     return out
 
 
@@ -321,7 +535,15 @@ def converges(case: str, prior: str) -> list[Decided]:
     """Against the start, and against the open loop: an interval that contains 1 shows no convergence."""
     against = (("the start", (case, "csrukf"), 0), ("the open loop", (case, "openloop"), -1))
     return [
-        ratio(f"the end over {label}, {prior}", (case, "csrukf"), other, "position", (None, 1.0), to=to, strict=True)
+        ratio(
+            f"the end over {label}, {prior}",
+            (case, "csrukf"),
+            other,
+            "position",
+            (None, 1.0),
+            to=to,
+            strict=True,
+        )
         for label, other, to in against
     ]
 
@@ -339,9 +561,15 @@ def over_theory(case: str) -> Decided:
 
 def long_arc(r: Results) -> list[Number]:
     """SRUKF over the bound after 3000 s, 3-D, from a poor prior."""
-    srukf, best = (np.linalg.norm(r.get("theory", f"long/{name}")[3000, :, :3], axis=-1) for name in ("srukf", "csrukf+z0"))
+    srukf, best = (
+        np.linalg.norm(r.get("theory", f"long/{name}")[3000, :, :3], axis=-1)
+        for name in ("srukf", "csrukf+z0")
+    )
     ends = (("Φ = I", (1.5, 2.5)), ("Φ = 0.8 I", (1.0, 1.05)))
-    return [Number(label, float(x), accept) for x, (label, accept) in zip(srukf / best, ends, strict=True)]
+    return [
+        Number(label, float(x), accept)
+        for x, (label, accept) in zip(srukf / best, ends, strict=True)
+    ]
 
 
 def growth(a: Sequence[float], b: Sequence[float]) -> float:
@@ -352,8 +580,15 @@ def growth(a: Sequence[float], b: Sequence[float]) -> float:
 # -- the ledger --------------------------------------------------------------------------------------------------------------
 HALF = "half-way, on a logarithmic scale, between no effect and the one that the paper prints"
 BAND = "95 % band of the ratio of two RMSEs of 100 runs; of 12 entries 2 may leave it, of 24 3; a factor 3.2 is the same order"
-SAME, PRINTED = ((-1, -1, "end"), (ALL, ALL, "averaged")), ((-1, -2, "end"), (slice(2, None), slice(1, -1), "averaged"))
-CASE_2, TABLE, MORE = "§4, case 2, Figs 8-13", "§4, on Table 3", "2026-11-23: more runs; 100 left it open"
+SAME, PRINTED = (
+    ((-1, -1, "end"), (ALL, ALL, "averaged")),
+    ((-1, -2, "end"), (slice(2, None), slice(1, -1), "averaged")),
+)
+CASE_2, TABLE, MORE = (
+    "§4, case 2, Figs 8-13",
+    "§4, on Table 3",
+    "2026-11-23: more runs; 100 left it open",
+)
 CELLS = [((case, filter.lower()), TABLE_3[case][filter]) for case in TABLE_3 for filter in TABLE_1]
 
 STATEMENTS = [

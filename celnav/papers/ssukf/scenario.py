@@ -42,34 +42,69 @@ RADIUS_KM = 6378.137 + 800.0
 class Config(Timed):
     """Everything that a run depends on; angles in degrees, as the paper prints them."""
 
-    orbit_rate_rad_per_s: float = param(1e-3, "paper", "of the circular orbit; gravity turns the body with it")
-    attitude_deg: tuple[float, float, float] = param((1.0, 2.0, 10.0), "paper", "true roll, pitch and yaw at the start")
-    rate_deg_per_s: tuple[float, float, float] = param((0.01, 0.01, 0.05), "paper", "true inertial rate at the start, body axes")
+    orbit_rate_rad_per_s: float = param(
+        1e-3, "paper", "of the circular orbit; gravity turns the body with it"
+    )
+    attitude_deg: tuple[float, float, float] = param(
+        (1.0, 2.0, 10.0), "paper", "true roll, pitch and yaw at the start"
+    )
+    rate_deg_per_s: tuple[float, float, float] = param(
+        (0.01, 0.01, 0.05), "paper", "true inertial rate at the start, body axes"
+    )
     inertia: tuple[tuple[float, float, float], ...] = param(
         ((52.0, 1.2, -0.8), (1.2, 47.0, 0.6), (-0.8, 0.6, 61.0)), "chosen: lost", "inertia, body axes, kg m^2")  # fmt: skip
-    wheels: tuple[float, float, float] = param((0.0, -2.0, 0.0), "chosen", "angular momentum of the wheels, body axes, N m s")
-    torque: tuple[float, float, float] = param((1e-6, -1e-6, 0.5e-6), "chosen", "constant disturbance, body axes, N m")
-    gyro_hz: float = param(100.0, "paper", "samples of the gyro; a whole number for each star sample", above=0.0)
+    wheels: tuple[float, float, float] = param(
+        (0.0, -2.0, 0.0), "chosen", "angular momentum of the wheels, body axes, N m s"
+    )
+    torque: tuple[float, float, float] = param(
+        (1e-6, -1e-6, 0.5e-6), "chosen", "constant disturbance, body axes, N m"
+    )
+    gyro_hz: float = param(
+        100.0, "paper", "samples of the gyro; a whole number for each star sample", above=0.0
+    )
     star_hz: float = param(4.0, "paper", "samples of the star sensor", above=0.0)
-    gyro_deg_per_h: float = param(0.5, "paper: of a sample, inferred", "white noise of a sample, deviation, each axis", least=0.0)
-    drift_deg_per_h: float = param(0.02, "paper: inferred", "stationary deviation of the gyro's drift, each axis", least=0.0)
+    gyro_deg_per_h: float = param(
+        0.5,
+        "paper: of a sample, inferred",
+        "white noise of a sample, deviation, each axis",
+        least=0.0,
+    )
+    drift_deg_per_h: float = param(
+        0.02, "paper: inferred", "stationary deviation of the gyro's drift, each axis", least=0.0
+    )
     tau_s: float = param(3600.0, "chosen", "correlation time of the drift", above=0.0)
-    bias_deg_per_h: tuple[float, float, float] = param((1.0, 1.0, 1.0), "paper", "true drift at the start, each axis")
-    star_arcsec: float = param(20.0, "paper", "noise of the star sensor, standard deviation on each axis", above=0.0)
-    prior_deg: tuple[float, float, float] = param((1.0, 2.0, 10.0), "chosen", "initial deviations, roll, pitch, yaw", above=0.0)
-    prior_drift_deg_per_h: float = param(1.0, "chosen", "standard deviation of the drift at the start, on each axis", above=0.0)
+    bias_deg_per_h: tuple[float, float, float] = param(
+        (1.0, 1.0, 1.0), "paper", "true drift at the start, each axis"
+    )
+    star_arcsec: float = param(
+        20.0, "paper", "noise of the star sensor, standard deviation on each axis", above=0.0
+    )
+    prior_deg: tuple[float, float, float] = param(
+        (1.0, 2.0, 10.0), "chosen", "initial deviations, roll, pitch, yaw", above=0.0
+    )
+    prior_drift_deg_per_h: float = param(
+        1.0, "chosen", "standard deviation of the drift at the start, on each axis", above=0.0
+    )
     alpha: float = param(0.1, "chosen: small", "spread of the sigma points", above=0.0)
     kappa: float = param(0.0, "paper", "second parameter of the sigma points' spread")
-    beta: float = param(2.0, "chosen", "weight of the sigma points' center in the covariance; 2 is best for Gaussians")
+    beta: float = param(
+        2.0,
+        "chosen",
+        "weight of the sigma points' center in the covariance; 2 is best for Gaussians",
+    )
     duration_s: float = param(600.0, "chosen", "of a run", above=0.0)
     runs: int = param(200, "chosen", "of a Monte Carlo", least=1)
-    preintegrated: bool = param(True, "chosen", "whether gyro samples between two star samples make one time update")
+    preintegrated: bool = param(
+        True, "chosen", "whether gyro samples between two star samples make one time update"
+    )
 
     def check(self) -> None:
         """Whole numbers of samples, not too many of them, and a body that can be."""
         each = self.gyro_hz / self.star_hz
         if abs(each - self.ratio) > 1e-9:
-            raise ValueError(f"gyro_hz: expected a whole number of samples for each star sample, got {each:g}")
+            raise ValueError(
+                f"gyro_hz: expected a whole number of samples for each star sample, got {each:g}"
+            )
         for rate in (self.star_hz, self.gyro_hz):
             steps("duration_s", self.duration_s * rate)
         Body(self.inertia)
@@ -103,7 +138,9 @@ class Config(Timed):
     def gyro(self) -> Gyro:
         """White noise of a sample and stationary drift, as densities."""
         sigma_v = self.gyro_deg_per_h * DEG_PER_H * float(np.sqrt(1.0 / self.gyro_hz))
-        return Gyro(sigma_v, self.drift_deg_per_h * DEG_PER_H * float(np.sqrt(2.0 / self.tau_s)), self.tau_s)
+        return Gyro(
+            sigma_v, self.drift_deg_per_h * DEG_PER_H * float(np.sqrt(2.0 / self.tau_s)), self.tau_s
+        )
 
     @property
     def sigma_n(self) -> float:
@@ -113,7 +150,9 @@ class Config(Timed):
     @property
     def sigma0(self) -> Array:
         """Deviations ``(6,)`` of the prior: rotation (rad) and drift (rad/s)."""
-        return np.concatenate([np.radians(self.prior_deg), np.full(3, self.prior_drift_deg_per_h * DEG_PER_H)])
+        return np.concatenate(
+            [np.radians(self.prior_deg), np.full(3, self.prior_drift_deg_per_h * DEG_PER_H)]
+        )
 
 
 STANDARD = Config()
@@ -155,21 +194,36 @@ def simulate(config: Config, rngs: Sequence[np.random.Generator]) -> Scenario:
     c, T, dt, q = config, len(config.times), 1.0 / config.gyro_hz, path(config)[:, None]
 
     def sampled(rngs: Sequence[np.random.Generator]) -> tuple[Array, ...]:
-        initial, white, walk, star, sign = normals(rngs, (6,), (c.samples, 3), (c.samples, 3), (T, 3), (T, 1))
+        initial, white, walk, star, sign = normals(
+            rngs, (6,), (c.samples, 3), (c.samples, 3), (T, 3), (T, 1)
+        )
         drift = c.gyro.drift(np.asarray(c.bias_deg_per_h) * DEG_PER_H, walk, dt)
         gyro = c.gyro.measure(q, drift, white, dt)
         if c.preintegrated:  # about a drift of zero: by one of 1 deg/h the order of such small turns matters less than 1e-12 rad
-            gyro = preintegrate(gyro.reshape(-1, c.ratio, *gyro.shape[1:]).swapaxes(0, 1), np.zeros(3), dt)
+            gyro = preintegrate(
+                gyro.reshape(-1, c.ratio, *gyro.shape[1:]).swapaxes(0, 1), np.zeros(3), dt
+            )
         return initial[None], gyro, drift[:: c.ratio].copy(), star, sign
 
-    few = [sampled(rngs[k : k + 50]) for k in range(0, len(rngs), 50)]  # more at the gyro's rate take gigabytes
-    (initial,), gyro, drift, star, sign = (np.concatenate(part, 1) for part in zip(*few, strict=True))
+    few = [
+        sampled(rngs[k : k + 50]) for k in range(0, len(rngs), 50)
+    ]  # more at the gyro's rate take gigabytes
+    (initial,), gyro, drift, star, sign = (
+        np.concatenate(part, 1) for part in zip(*few, strict=True)
+    )
     q, P = q[:: c.ratio], np.diag(c.sigma0**2)
     stars = np.where(sign < 0.0, -1.0, 1.0) * attitude.multiply(attitude.exp(c.sigma_n * star), q)
     stars[0] = np.nan
     truth = np.concatenate([np.broadcast_to(q, stars.shape), drift], -1)
     mean = np.tile(np.append(attitude.IDENTITY, np.zeros(3)), (len(rngs), 1))
-    return Scenario(c, truth, gyro, stars, Gaussian(mean, P), Gaussian(displaced(truth[0], initial * c.sigma0), P))
+    return Scenario(
+        c,
+        truth,
+        gyro,
+        stars,
+        Gaussian(mean, P),
+        Gaussian(displaced(truth[0], initial * c.sigma0), P),
+    )
 
 
 def displaced(truth: Array, error: Array) -> Array:
@@ -181,7 +235,9 @@ def displaced(truth: Array, error: Array) -> Array:
 @lru_cache(4)
 def path(config: Config) -> Array:
     """True attitudes ``(samples + 1, 4)`` at the gyro's rate, the same in every run."""
-    start = np.append(attitude.from_euler(np.radians(config.attitude_deg)), np.radians(config.rate_deg_per_s))
+    start = np.append(
+        attitude.from_euler(np.radians(config.attitude_deg)), np.radians(config.rate_deg_per_s)
+    )
     body = Body(config.inertia, config.wheels, config.torque, config.orbit_rate_rad_per_s)
     found = body.propagate(start, 1.0 / config.gyro_hz, config.samples)[:, :4]
     found.flags.writeable = False
@@ -225,7 +281,12 @@ def noise_root(gyro: Gyro, dt: float) -> Array:
 
 
 def filters(
-    config: Config, *, c: float | None = None, transported: bool = False, form: str = "covariance", vector: Sensor | None = None
+    config: Config,
+    *,
+    c: float | None = None,
+    transported: bool = False,
+    form: str = "covariance",
+    vector: Sensor | None = None,
 ) -> dict[str, Sequential]:
     """The paper's filters and those it is compared with, by name; warns if points of the prior wrap at 180 deg.
 
@@ -243,29 +304,54 @@ def filters(
         warnings.warn(text, RuntimeWarning, stacklevel=2)
     gyro, dt, f = config.gyro, config.step_s, dynamics(config.gyro)
     W, V, Q = noise_root(gyro, dt), config.sigma_n * np.eye(3), gyro.process_noise(dt)
-    half = 0.5 * np.diag(np.repeat([gyro.sigma_v**2 * dt - gyro.sigma_u**2 * dt**3 / 6.0, gyro.sigma_u**2 * dt], 3))
-    space, gibbs = (state_space(transported=transported, a=a, b=2.0 * (a + 1.0)) for a in (1.0, 0.0))
+    half = 0.5 * np.diag(
+        np.repeat([gyro.sigma_v**2 * dt - gyro.sigma_u**2 * dt**3 / 6.0, gyro.sigma_u**2 * dt], 3)
+    )
+    space, gibbs = (
+        state_space(transported=transported, a=a, b=2.0 * (a + 1.0)) for a in (1.0, 0.0)
+    )
     seen = vector or Sensor(star, sqrt_R=V, space=attitude.attitude())
-    linear = vector or Sensor(star, sqrt_R=V, space=attitude.attitude(0.0, 2.0), jacobian=lambda _x, _epoch: np.eye(3, 6))
+    linear = vector or Sensor(
+        star, sqrt_R=V, space=attitude.attitude(0.0, 2.0), jacobian=lambda _x, _epoch: np.eye(3, 6)
+    )
 
-    mekf = Motion(f, Q, space=gibbs, jacobian=lambda x, epoch: gyro.transition(x, epoch.u, epoch.dt))
-    known = augmentations(Motion(f, Q, space=space), seen, W, V, rule=lambda L: spread(L, config, c=c), form=form)
+    mekf = Motion(
+        f, Q, space=gibbs, jacobian=lambda x, epoch: gyro.transition(x, epoch.u, epoch.dt)
+    )
+    known = augmentations(
+        Motion(f, Q, space=space), seen, W, V, rule=lambda L: spread(L, config, c=c), form=form
+    )
     return known | {
         "aukf-1": SingleDraw.of(known["ssukf"]), "mekf": ekf(mekf, linear, form=form),
         "usque": Halved(**vars(ukf(Motion(f, half, space=space), seen, kappa=1.0, form=form))),
     }  # fmt: skip
 
 
-SIDES = {"aukf": ("wv", "wv"), "ssukf": ("w", "v"), "pa": ("w", ""), "ma": ("", "v"), "additive": ("", "")}
+SIDES = {
+    "aukf": ("wv", "wv"),
+    "ssukf": ("w", "v"),
+    "pa": ("w", ""),
+    "ma": ("", "v"),
+    "additive": ("", ""),
+}
 """Filter -> noises that go through the points of the prediction and of the update; the others are added."""
 
 
-def augmentations(motion: Motion, sensor: Sensor, W: Array, V: Array, **options: Any) -> dict[str, Sequential]:
+def augmentations(
+    motion: Motion, sensor: Sensor, W: Array, V: Array, **options: Any
+) -> dict[str, Sequential]:
     """The filters of `SIDES`, from models that add their noise; ``W``, ``V``: roots of what goes through the points instead."""
     roots = {"wv": (W, V), "w": (W,), "v": (V,)}
-    motions = {"": motion} | {key: replace(motion, Q=None, sqrt_Q=None, augment=roots[key]) for key in roots}
-    sensors = {"": sensor} | {key: replace(sensor, R=None, sqrt_R=None, augment=roots[key]) for key in roots}
-    return {name: sigma_point(motions[time], sensors[seen], **options) for name, (time, seen) in SIDES.items()}
+    motions = {"": motion} | {
+        key: replace(motion, Q=None, sqrt_Q=None, augment=roots[key]) for key in roots
+    }
+    sensors = {"": sensor} | {
+        key: replace(sensor, R=None, sqrt_R=None, augment=roots[key]) for key in roots
+    }
+    return {
+        name: sigma_point(motions[time], sensors[seen], **options)
+        for name, (time, seen) in SIDES.items()
+    }
 
 
 @dataclass(frozen=True, eq=False)
@@ -282,14 +368,26 @@ class Halved(Sequential):
 
 
 # -- how they are judged -----------------------------------------------------------------------------------------------------
-GROUPS = (Group("attitude", "arcsec", slice(0, 3), 1.0 / ARCSEC), Group("drift", "deg/h", slice(3, 6), 1.0 / DEG_PER_H))
+GROUPS = (
+    Group("attitude", "arcsec", slice(0, 3), 1.0 / ARCSEC),
+    Group("drift", "deg/h", slice(3, 6), 1.0 / DEG_PER_H),
+)
 JUDGED = {group.name: group.unit for group in GROUPS}
 
 
-def trial(config: Config, rngs: Sequence[np.random.Generator], *, drawn: bool = True, **options: Any) -> Trial:
+def trial(
+    config: Config, rngs: Sequence[np.random.Generator], *, drawn: bool = True, **options: Any
+) -> Trial:
     """One run with each generator; the initial errors are drawn from the prior, or those of the paper; options of `filters`."""
     sim = simulate(config, rngs)
-    return Trial(GROUPS, filters(config, **options), sim.drawn if drawn else sim.prior, sim.epochs, compare, "mekf")
+    return Trial(
+        GROUPS,
+        filters(config, **options),
+        sim.drawn if drawn else sim.prior,
+        sim.epochs,
+        compare,
+        "mekf",
+    )
 
 
 def errors(truth: Array, mean: Array) -> Array:

@@ -47,12 +47,23 @@ def euler(results: Results, filter: str) -> Array:
 
 def angle(axis: int, results: Results) -> Figure:
     """An Euler angle's error: of the first run, as the paper draws it; RMSE over time, and over computing time."""
-    names, t, exact = ("aukf", "ssukf"), results.times("runs")[1:], results.get("facts", "exact")[1:, 0]
+    names, t, exact = (
+        ("aukf", "ssukf"),
+        results.times("runs")[1:],
+        results.get("facts", "exact")[1:, 0],
+    )
     errors = {name: euler(results, name)[1:, ..., axis] for name in names}
     size = {name: np.sqrt(np.square(errors[name]).mean(1)) for name in names}
-    spent = {name: results.value("costs", f"seconds, {name}, {STANDARD.ratio}:1", 0) * np.arange(1, len(t) + 1) for name in names}
+    spent = {
+        name: results.value("costs", f"seconds, {name}, {STANDARD.ratio}:1", 0)
+        * np.arange(1, len(t) + 1)
+        for name in names
+    }
     first = [curve(t, errors[name][:, 0], LINES[name]) for name in names]
-    sizes = [curve(t, exact[: len(t)], EXACT), *(curve(t, size[name], LINES[name]) for name in names)]
+    sizes = [
+        curve(t, exact[: len(t)], EXACT),
+        *(curve(t, size[name], LINES[name]) for name in names),
+    ]
     start = f"Figure {axis + 1}: one run, from {STANDARD.attitude_deg[axis]:g}°"
     return panels([
         Panel(start, first, "time (s)", f"{AXES[axis]} error (arcsec)", more={"ylim": (-30.0, 30.0)}),
@@ -64,11 +75,22 @@ def angle(axis: int, results: Results) -> Figure:
 
 def accuracy(results: Results) -> Figure:
     """What the model allows, and what is reached: attitude and drift."""
-    t, exact, limits = results.times("runs")[1:], results.get("facts", "exact")[1:], results.get("facts", "limits")[-1]
+    t, exact, limits = (
+        results.times("runs")[1:],
+        results.get("facts", "exact")[1:],
+        results.get("facts", "limits")[-1],
+    )
 
     def items(i: int, group: str) -> list[Item]:
-        reached = [rmse(results, "runs", name, LINES[name], group, each=True, start=1) for name in ("mekf", "aukf", "ssukf")]
-        return [curve(t, exact[: len(t), i], EXACT), *reached, level(limits[i], label="limit (Riccati)")]
+        reached = [
+            rmse(results, "runs", name, LINES[name], group, each=True, start=1)
+            for name in ("mekf", "aukf", "ssukf")
+        ]
+        return [
+            curve(t, exact[: len(t), i], EXACT),
+            *reached,
+            level(limits[i], label="limit (Riccati)"),
+        ]
 
     return panels([Panel(group.name, items(i, group.name), "time (s)", f"RMSE on an axis ({group.unit})", "xy")
                    for i, group in enumerate(GROUPS)], size=(9.0, 3.5))  # fmt: skip
@@ -87,7 +109,9 @@ def one_vector(results: Results) -> Figure:
     def item(name: str, degrees: float) -> Item:
         base, _, moved = name.partition(" ")
         error = results.error("vector", f"{name}, {degrees:g}", "attitude")[1:] / 3600.0
-        line = LINES[base]._replace(label=f"{LINES[base].label} {moved}".strip(), style=":" if moved else "-", width=1.1)
+        line = LINES[base]._replace(
+            label=f"{LINES[base].label} {moved}".strip(), style=":" if moved else "-", width=1.1
+        )
         return curve(results.times("vector")[1:], np.sqrt(np.square(error).sum(-1).mean(1)), line)
 
     return panels([Panel(f"prior {d:g}° on each axis", [item(name, d) for name in FIELD], "time (s)", "attitude, RMS (deg)", "xy")
@@ -96,8 +120,13 @@ def one_vector(results: Results) -> Figure:
 
 def differences(results: Results) -> Figure:
     """How far apart filters are that are the same: SSUKF and MEKF from AUKF."""
-    t, error = results.times("runs")[1:], {name: results.error("runs", name, "attitude")[1:] for name in ("aukf", "ssukf", "mekf")}
-    apart = {LINES[name].label: np.abs(error[name] - error["aukf"]).max(2) for name in ("ssukf", "mekf")}
+    t, error = (
+        results.times("runs")[1:],
+        {name: results.error("runs", name, "attitude")[1:] for name in ("aukf", "ssukf", "mekf")},
+    )
+    apart = {
+        LINES[name].label: np.abs(error[name] - error["aukf"]).max(2) for name in ("ssukf", "mekf")
+    }
     looks = Line("largest of the runs", colors.ESTIMATE), Line("median", colors.SIGMA)
     return panels([Panel(f"{label} and AUKF", [curve(t, each.max(1), looks[0]), curve(t, np.median(each, 1), looks[1])], "time (s)",
                          "difference (arcsec)", "y") for label, each in apart.items()], size=(9.0, 3.3), sharey=True)  # fmt: skip
@@ -105,9 +134,17 @@ def differences(results: Results) -> Figure:
 
 def spinning(results: Results) -> Figure:
     """The total attitude as the state, in a spin past 360 deg, with and without the switch."""
-    t, errors = results.times("crossing"), {name: results.error("crossing", name, "attitude") for name in FORMS}
-    items = [curve(t, np.linalg.norm(errors[name], axis=-1).max(1), line) for name, line in FORMS.items()]
-    return panels(Panel("", items, "time (s); 360° at 10 s", "largest error of the runs (arcsec)", "y"), size=(6.5, 3.4))
+    t, errors = (
+        results.times("crossing"),
+        {name: results.error("crossing", name, "attitude") for name in FORMS},
+    )
+    items = [
+        curve(t, np.linalg.norm(errors[name], axis=-1).max(1), line) for name, line in FORMS.items()
+    ]
+    return panels(
+        Panel("", items, "time (s); 360° at 10 s", "largest error of the runs (arcsec)", "y"),
+        size=(6.5, 3.4),
+    )
 
 
 def table(results: Results) -> Rows:
@@ -117,12 +154,20 @@ def table(results: Results) -> Rows:
     for per in (1, STANDARD.ratio):
         seconds = {name: results.value("costs", f"seconds, {name}, {per}:1", 0) for name in TIMED}
         for name in TIMED:
-            label, count = "MEKF (and Jacobians)" if name == "mekf" else name.upper(), points(results, name, per)
+            label, count = (
+                "MEKF (and Jacobians)" if name == "mekf" else name.upper(),
+                points(results, name, per),
+            )
             row: dict[str, str | float] = {"updates of time to measurement": f"{per}:1", "filter": label, "points": int(count),
                    "points to AUKF": count / points(results, "aukf", per)}  # fmt: skip
             for roots in ROOTS if name != "mekf" else ():
-                row[f"operations, {roots} roots"] = int(results.value("operations", f"{name}, {per}:1, {roots}", 0))
-            rows.append(row | {"one run alone (s)": seconds[name], "to AUKF": seconds[name] / seconds["aukf"]})
+                row[f"operations, {roots} roots"] = int(
+                    results.value("operations", f"{name}, {per}:1, {roots}", 0)
+                )
+            rows.append(
+                row
+                | {"one run alone (s)": seconds[name], "to AUKF": seconds[name] / seconds["aukf"]}
+            )
     return rows
 
 
@@ -135,15 +180,31 @@ FIGURES = {
     "figure_07": ("Beyond the paper: how far apart filters are that are the same.", differences),
     "figure_08": ("Beyond the paper: the total attitude as the state, in a spin past 360°.", spinning),
 }  # fmt: skip
-TABLES = {"table_1": ("Table 1: cost from star sample to star sample; the paper's numbers are lost: about 1/3 less.", table)}
+TABLES = {
+    "table_1": (
+        "Table 1: cost from star sample to star sample; the paper's numbers are lost: about 1/3 less.",
+        table,
+    )
+}
 
 
 # -- the recording: the first run, satellite and sensors as they turn, the errors as if under a microscope -------------------
 RECORDINGS = ["ssukf.rrd"]
 ARM_KM, EXAGGERATION = 1500.0, 1000.0
 SPACES = (
-    showcase.Space("world", "orbit, km (inertial axes)", (11e3, -9e3, -15e3), (1e3, 0.0, -2e3), (0.0, -1.0, 0.0)),
-    showcase.Space("body", f"axes: truth, and estimates with errors x{EXAGGERATION:g}", (3.0, -2.0, 2.0), up=(0.0, 0.0, -1.0)),
+    showcase.Space(
+        "world",
+        "orbit, km (inertial axes)",
+        (11e3, -9e3, -15e3),
+        (1e3, 0.0, -2e3),
+        (0.0, -1.0, 0.0),
+    ),
+    showcase.Space(
+        "body",
+        f"axes: truth, and estimates with errors x{EXAGGERATION:g}",
+        (3.0, -2.0, 2.0),
+        up=(0.0, 0.0, -1.0),
+    ),
 )
 NOTES = f"""# Wu et al. (2012): state-switching UKF for attitude
 
@@ -170,16 +231,24 @@ def record(results: Results, outputs: Outputs) -> list[str]:
     return showcase.write({RECORDINGS[0]: shown}, outputs)
 
 
-def scene(out: Recorder, angles: Array, truth: Array, errors: Mapping[str, tuple[Array, str]]) -> None:
+def scene(
+    out: Recorder, angles: Array, truth: Array, errors: Mapping[str, tuple[Array, str]]
+) -> None:
     """The satellite at ``angles (T,)`` along its orbit, its attitudes ``(T, 4)``, and their errors ``(T, 3)`` with their colors."""
     turn = np.linspace(0.0, 2.0 * np.pi, 181)
-    place, orbit = (RADIUS_KM * np.stack([np.sin(at), 0.0 * at, -np.cos(at)], -1) for at in (angles, turn))
+    place, orbit = (
+        RADIUS_KM * np.stack([np.sin(at), 0.0 * at, -np.cos(at)], -1) for at in (angles, turn)
+    )
     out.globe("world/earth", 6378.0)
     out.path("world/orbit", [orbit], colors.FAINT)
     out.arrow("world/nadir", place, -0.6 * ARM_KM / RADIUS_KM * place, colors.MEASUREMENT, "nadir")
     out.pose("world/sat", place, truth)
     out.axes("world/sat/body", ARM_KM, ("#E63946", "#2A9D8F", "#457B9D"))
-    sights = np.sqrt(2.0) * ARM_KM * np.array([[[0.0, 0.0, 0.0], [0.0, sign, -1.0]] for sign in (1.0, -1.0)])
+    sights = (
+        np.sqrt(2.0)
+        * ARM_KM
+        * np.array([[[0.0, 0.0, 0.0], [0.0, sign, -1.0]] for sign in (1.0, -1.0)])
+    )
     out.path("world/sat/boresights", list(sights), colors.STAR, radius=1.0)
     out.axes("body/truth", 1.0, [colors.TRUTH] * 3, AXES, radius=1.0)
     scenes.turning(out, "world/sat", errors, 0.8 * ARM_KM)

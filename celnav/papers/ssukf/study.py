@@ -26,15 +26,56 @@ from celnav.filters.run import run
 from celnav.filters.sequential import Sequential, ekf
 from celnav.gaussian import attitude
 from celnav.gaussian.belief import Gaussian, nees
-from celnav.gaussian.linalg import Array, Covariance, block, cholesky, matvec, outer, solve_lower, tria, whiten
+from celnav.gaussian.linalg import (
+    Array,
+    Covariance,
+    block,
+    cholesky,
+    matvec,
+    outer,
+    solve_lower,
+    tria,
+    whiten,
+)
 from celnav.gaussian.rules import Rule, unscented
 from celnav.gaussian.spaces import EUCLIDEAN, Space, product
 from celnav.models.gyro import Gyro
 from celnav.papers.ssukf import scenario
-from celnav.papers.ssukf.scenario import ARCSEC, DEG_PER_H, FULL_RATE, GROUPS, SIDES, STANDARD, Config, errors, filters, simulate
-from celnav.study.ledger import Number, check, erratum, estimate, finding, order, reconstruction, remark, statement
+from celnav.papers.ssukf.scenario import (
+    ARCSEC,
+    DEG_PER_H,
+    FULL_RATE,
+    GROUPS,
+    SIDES,
+    STANDARD,
+    Config,
+    errors,
+    filters,
+    simulate,
+)
+from celnav.study.ledger import (
+    Number,
+    check,
+    erratum,
+    estimate,
+    finding,
+    order,
+    reconstruction,
+    remark,
+    statement,
+)
 from celnav.study.montecarlo import normals
-from celnav.study.numbers import Decided, all_of, consistency, given, of, ratio, rmse, settling, tiers
+from celnav.study.numbers import (
+    Decided,
+    all_of,
+    consistency,
+    given,
+    of,
+    ratio,
+    rmse,
+    settling,
+    tiers,
+)
 from celnav.study.study import Part, Results, Rngs, Study, When, fly, together
 from celnav.study.trial import Trial
 from celnav.tape.numbers import Numbers
@@ -75,21 +116,37 @@ def flown(names: Sequence[str], config: Config, rngs: Rngs, **options: Any) -> d
 
 def isotropic(mean: Array, degrees: float) -> Gaussian:
     """A prior of one deviation on all axes of the attitude."""
-    return Gaussian(mean, np.diag(np.concatenate([np.full(3, np.radians(degrees)), STANDARD.sigma0[3:]]) ** 2))
+    return Gaussian(
+        mean, np.diag(np.concatenate([np.full(3, np.radians(degrees)), STANDARD.sigma0[3:]]) ** 2)
+    )
 
 
-def starts(degrees: Sequence[float], names: Sequence[str], axis: Array | None, config: Config, rngs: Rngs) -> dict[str, Array]:
+def starts(
+    degrees: Sequence[float], names: Sequence[str], axis: Array | None, config: Config, rngs: Rngs
+) -> dict[str, Array]:
     """Filters from priors of the deviations given; the true error is that of the paper, or of that size about an ``axis``."""
     sim, found = simulate(config, rngs), {}
     for d in degrees:
-        error = None if axis is None else np.concatenate([np.radians(d) * axis, sim.truth[0, 0, 4:]])
-        found[f"{d:g}"] = isotropic(sim.prior.mean if error is None else scenario.displaced(sim.truth[0], error), d)
-    return together(Trial(GROUPS, filters(config), sim.prior, sim.epochs, scenario.compare), found, names)
+        error = (
+            None if axis is None else np.concatenate([np.radians(d) * axis, sim.truth[0, 0, 4:]])
+        )
+        found[f"{d:g}"] = isotropic(
+            sim.prior.mean if error is None else scenario.displaced(sim.truth[0], error), d
+        )
+    return together(
+        Trial(GROUPS, filters(config), sim.prior, sim.epochs, scenario.compare), found, names
+    )
 
 
 def means(sim: scenario.Scenario, name: str, **options: Any) -> Array:
     """Estimates ``(T, runs, 7)`` of a filter at the star epochs; ``options``: see `filters`."""
-    return run(filters(sim.config, **options)[name], sim.prior, sim.epochs(), keep="mean", every=sim.config.updates).mean
+    return run(
+        filters(sim.config, **options)[name],
+        sim.prior,
+        sim.epochs(),
+        keep="mean",
+        every=sim.config.updates,
+    ).mean
 
 
 def apart(a: Array, b: Array) -> Array:
@@ -100,7 +157,10 @@ def apart(a: Array, b: Array) -> Array:
 
 def changes(config: Config, rngs: Rngs) -> dict[str, Array]:
     """Differences ``(2, runs)``, see `apart`: of the SSUKF at 100 and at 4 Hz, of the AUKF with either lambda."""
-    full, sim = (simulate(replace(config, preintegrated=whether), deepcopy(rngs)) for whether in (False, True))
+    full, sim = (
+        simulate(replace(config, preintegrated=whether), deepcopy(rngs))
+        for whether in (False, True)
+    )
     return {"ssukf": apart(means(full, "ssukf"), means(sim, "ssukf")),
             "as printed": apart(means(sim, "aukf"), means(sim, "aukf", c=PRINTED_SPREAD))}  # fmt: skip
 
@@ -118,17 +178,29 @@ def identities(config: Config, rngs: Rngs) -> dict[str, Array]:
 
     for label, c in SPREADS.items():
         known = filters(config, c=c, form="square root")
-        a, b = (run(known[name], sim.prior, sim.epochs(), keep="cov", also=gains) for name in ("aukf", "ssukf"))
+        a, b = (
+            run(known[name], sim.prior, sim.epochs(), keep="cov", also=gains)
+            for name in ("aukf", "ssukf")
+        )
         scale = a.std[..., :, None] * a.std[..., None, :]
-        by = {"mean": errors(a.mean, b.mean) / a.std, "cov": (a.cov - b.cov) / scale, "gain": a.extra["gain"] - b.extra["gain"]}
-        out |= {f"{what}, {label}": np.abs(x).max((0, *range(2, x.ndim)))[None] for what, x in by.items()}
+        by = {
+            "mean": errors(a.mean, b.mean) / a.std,
+            "cov": (a.cov - b.cov) / scale,
+            "gain": a.extra["gain"] - b.extra["gain"],
+        }
+        out |= {
+            f"{what}, {label}": np.abs(x).max((0, *range(2, x.ndim)))[None]
+            for what, x in by.items()
+        }
     return out
 
 
 # -- the total attitude in modified Rodrigues parameters: the paper's words taken literally ----------------------------------
 def to_tangent(q: Array) -> Array:
     """From deviations of total parameters and drift to those of rotation vector and drift, ``(..., 6, 6)``."""
-    return block([[4.0 * attitude.transport(q[..., :3] / (1.0 + q[..., 3:]), 1.0, 1.0), 0], [0, np.eye(3)]])
+    return block(
+        [[4.0 * attitude.transport(q[..., :3] / (1.0 + q[..., 3:]), 1.0, 1.0), 0], [0, np.eye(3)]]
+    )
 
 
 def total_attitude() -> Space:
@@ -145,7 +217,11 @@ def total_attitude() -> Space:
         side = np.copysign(1.0, (later * earlier).sum(-1, keepdims=True))
         return parameters(later * side) - parameters(earlier)
 
-    return Space(lambda point, d: attitude.from_rodrigues(parameters(point) + d, 1.0, 1.0), minus, check=attitude.unit)
+    return Space(
+        lambda point, d: attitude.from_rodrigues(parameters(point) + d, 1.0, 1.0),
+        minus,
+        check=attitude.unit,
+    )
 
 
 def total_filter(config: Config, *, switched: bool = True, form: str = "covariance") -> Sequential:
@@ -161,7 +237,12 @@ def total_filter(config: Config, *, switched: bool = True, form: str = "covarian
     return replace(local, motion=motion, sensors=(replace(local.sensors[0], space=sky),))
 
 
-def forms(made: Callable[[Config, Rngs], scenario.Scenario], names: Sequence[str], config: Config, rngs: Rngs) -> dict[str, Array]:
+def forms(
+    made: Callable[[Config, Rngs], scenario.Scenario],
+    names: Sequence[str],
+    config: Config,
+    rngs: Rngs,
+) -> dict[str, Array]:
     """The SSUKF in `FORMS`, local and on the total attitude with and without the switch, from drawn initial errors. Beside errors,
     NEES and NIS: what the norm of a quaternion lacks to 1, and the condition of the attitude's covariance in its parameters."""
     sim, out = made(config, rngs), {"times": config.times}
@@ -169,14 +250,24 @@ def forms(made: Callable[[Config, Rngs], scenario.Scenario], names: Sequence[str
         filter, prior = filters(config)["ssukf"], sim.drawn
         if name != "local":
             filter = total_filter(config, switched=name == "switched")
-            prior = Gaussian(prior.mean, sqrt_cov=tria(np.linalg.solve(to_tangent(prior.mean[..., :4]), prior.sqrt_cov)))
+            prior = Gaussian(
+                prior.mean,
+                sqrt_cov=tria(np.linalg.solve(to_tangent(prior.mean[..., :4]), prior.sqrt_cov)),
+            )
         with np.errstate(all="ignore"):  # at 360 deg the parameters are infinite
             track = run(filter, prior, sim.epochs(), keep="cov", on_failure="flag")
             error, root, q = errors(sim.truth, track.mean), track.sqrt_cov, track.mean[..., :4]
             G = np.eye(6) if name == "local" else to_tangent(q)
-            out |= {f"{name}/nees": nees(error, tria(G @ root)), f"{name}/nis": track.nis, f"{name}/error": error / UNITS}
+            out |= {
+                f"{name}/nees": nees(error, tria(G @ root)),
+                f"{name}/nis": track.nis,
+                f"{name}/error": error / UNITS,
+            }
         known = np.where(np.isfinite(root), root, 0.0)[..., :3, :3]  # a lost run has no condition
-        out |= {f"{name}/norm": np.abs(np.linalg.norm(q, axis=-1) - 1.0), f"{name}/condition": np.linalg.cond(known) ** 2}
+        out |= {
+            f"{name}/norm": np.abs(np.linalg.norm(q, axis=-1) - 1.0),
+            f"{name}/condition": np.linalg.cond(known) ** 2,
+        }
     return out
 
 
@@ -190,7 +281,9 @@ def turning(config: Config, rngs: Rngs) -> scenario.Scenario:
     truth = np.concatenate([np.broadcast_to(q, stars.shape), drift], -1)
     sigma = np.repeat([c.sigma_n, c.gyro.drift_std(1.0)], 3)
     prior = Gaussian(scenario.displaced(truth[0], sigma * initial), np.diag(sigma**2))
-    return scenario.Scenario(c, truth, c.gyro.measure(q, drift, white, c.step_s), stars, prior, prior)
+    return scenario.Scenario(
+        c, truth, c.gyro.measure(q, drift, white, c.step_s), stars, prior, prior
+    )
 
 
 # -- one unit vector, of a magnetic field, instead of the whole attitude: a scenario that separates the filters --------------
@@ -214,10 +307,18 @@ def vector(config: Config, rngs: Rngs, **options: Any) -> dict[str, Array]:
 
     sensor = Sensor(h, sqrt_R=config.sigma_n * np.eye(3), jacobian=slope)
     plain, moved = (filters(config, vector=sensor, transported=t, **options) for t in (False, True))
-    noise = attitude.log(attitude.multiply(sim.stars, attitude.inverse(sim.truth[..., :4])))  # that of the stars
-    seen, error = np.array([h(epoch.truth, epoch) for epoch in sim.epochs()]) + noise, errors(sim.drawn.mean, sim.truth[0])
+    noise = attitude.log(
+        attitude.multiply(sim.stars, attitude.inverse(sim.truth[..., :4]))
+    )  # that of the stars
+    seen, error = (
+        np.array([h(epoch.truth, epoch) for epoch in sim.epochs()]) + noise,
+        errors(sim.drawn.mean, sim.truth[0]),
+    )
     sim = sim._replace(stars=seen)
-    priors = {f"{d:g}": isotropic(scenario.displaced(sim.truth[0], error * [d, d, d, 1.0, 1.0, 1.0]), d) for d in FIELD_DEG}
+    priors = {
+        f"{d:g}": isotropic(scenario.displaced(sim.truth[0], error * [d, d, d, 1.0, 1.0, 1.0]), d)
+        for d in FIELD_DEG
+    }
     known = plain | {f"{name} transported": filter for name, filter in moved.items()}
     return together(Trial(GROUPS, known, sim.prior, sim.epochs, scenario.compare), priors, FIELD)
 
@@ -230,7 +331,9 @@ def multiplied(_config: Any, rngs: Rngs, runs: int = 6000, steps: int = 60) -> d
 
     def f(x: Array, _epoch: Any, *noise: Array) -> Array:
         w = noise[0] if noise else np.zeros(2)
-        return np.stack([x[..., 0] + np.exp(x[..., 1] + w[..., 0]), 0.95 * x[..., 1] + w[..., 1]], -1)
+        return np.stack(
+            [x[..., 0] + np.exp(x[..., 1] + w[..., 0]), 0.95 * x[..., 1] + w[..., 1]], -1
+        )
 
     def h(x: Array, _epoch: Any, *noise: Array) -> Array:
         return x[..., :1] * np.exp(noise[-1]) if noise else x[..., :1]
@@ -243,21 +346,41 @@ def multiplied(_config: Any, rngs: Rngs, runs: int = 6000, steps: int = 60) -> d
     options: Any = {"rule": lambda L: unscented(L, kappa=6.0 - L), "form": "covariance"}
     beside = (Motion(f, sqrt_Q=lambda x, _: np.stack([np.exp(x[..., 1]), np.ones_like(x[..., 1])], -1)[..., None] * W),
               Sensor(h, sqrt_R=lambda x, _: x[..., :1, None] * V))  # fmt: skip
-    known, truth = scenario.augmentations(*beside, W, V, **options) | {"ekf": ekf(*beside)}, [e.truth for e in epochs]
-    return {name: np.square(run(k, prior, epochs, keep="mean").mean - truth)[..., 0].mean(0) for name, k in known.items()}
+    known, truth = (
+        scenario.augmentations(*beside, W, V, **options) | {"ekf": ekf(*beside)},
+        [e.truth for e in epochs],
+    )
+    return {
+        name: np.square(run(k, prior, epochs, keep="mean").mean - truth)[..., 0].mean(0)
+        for name, k in known.items()
+    }
 
 
 # -- heads of the star sensor, each of which knows least about its own line of sight -----------------------------------------
 def heads(config: Config, rngs: Rngs) -> dict[str, Array]:
     """The MEKF with the heads of `HEADS`, whose lines of sight lie in the plane of x and y, alike on both sides of x."""
-    sim, mekf, noise = simulate(config, rngs), filters(config)["mekf"], normals(rngs, *[(len(config.times), 3)] * 2)
-    sights = {name: np.array([[np.cos(one), np.sin(one), 0.0] for one in np.radians(each)]) for name, each in HEADS.items()}
-    roots = {name: config.sigma_n * (np.eye(3) + (ABOUT - 1.0) * b[:, :, None] * b[:, None]) for name, b in sights.items()}
+    sim, mekf, noise = (
+        simulate(config, rngs),
+        filters(config)["mekf"],
+        normals(rngs, *[(len(config.times), 3)] * 2),
+    )
+    sights = {
+        name: np.array([[np.cos(one), np.sin(one), 0.0] for one in np.radians(each)])
+        for name, each in HEADS.items()
+    }
+    roots = {
+        name: config.sigma_n * (np.eye(3) + (ABOUT - 1.0) * b[:, :, None] * b[:, None])
+        for name, b in sights.items()
+    }
 
     def epochs(name: str) -> Iterator[Epoch]:
         for k, epoch in enumerate(sim.epochs()):
-            seen = [attitude.exp(each[k] @ root) for each, root in zip(noise, roots[name], strict=False)]
-            yield epoch._replace(z=tuple(attitude.multiply(one, sim.truth[k, :, :4]) for one in seen))
+            seen = [
+                attitude.exp(each[k] @ root) for each, root in zip(noise, roots[name], strict=False)
+            ]
+            yield epoch._replace(
+                z=tuple(attitude.multiply(one, sim.truth[k, :, :4]) for one in seen)
+            )
 
     known = {name: ekf(mekf.motion, *(replace(mekf.sensors[0], sqrt_R=root) for root in each), form="covariance")
              for name, each in roots.items()}  # fmt: skip
@@ -275,13 +398,28 @@ def averages(config: Config) -> dict[str, Array]:
         prior, each = isotropic(np.append(attitude.IDENTITY, np.zeros(3)), degrees), []
         for noise in (scenario.noise_root(config.gyro, config.step_s), config.sigma_n * np.eye(3)):
             rule = scenario.spread(6 + len(noise), config)
-            q, w = rule.points(prior.mean, prior.sqrt_cov, scenario.state_space(), (noise,))[0][:, :4], rule.wm
+            q, w = (
+                rule.points(prior.mean, prior.sqrt_cov, scenario.state_space(), (noise,))[0][:, :4],
+                rule.wm,
+            )
             best = attitude.inverse(attitude.from_rodrigues(w @ attitude.to_rodrigues(q)))
-            others = [w @ q, attitude.exp(w @ attitude.log(q)), np.linalg.eigh((w * q.T) @ q)[1][:, -1]]
+            others = [
+                w @ q,
+                attitude.exp(w @ attitude.log(q)),
+                np.linalg.eigh((w * q.T) @ q)[1][:, -1],
+            ]
             others += [w @ (signs * q) for signs in rng.choice([-1.0, 1.0], (100, len(q), 1))]
             off = attitude.angle(attitude.multiply(np.array(others), best))
             condition = np.linalg.cond((rule.wc * (q - w @ q).T) @ (q - w @ q))
-            each.append([abs(np.linalg.norm(w @ q) - 1.0), np.degrees(np.median(off[3:])), off[:2].max(), off[2], condition])
+            each.append(
+                [
+                    abs(np.linalg.norm(w @ q) - 1.0),
+                    np.degrees(np.median(off[3:])),
+                    off[:2].max(),
+                    off[2],
+                    condition,
+                ]
+            )
         rows.append(np.max(each, 0))
     return dict(zip(("norm", "turned", "aligned", "eigen", "four"), np.array(rows).T, strict=True))
 
@@ -293,10 +431,14 @@ def by_components(config: Config, rngs: Rngs) -> dict[str, Array]:
 
     def mean(points: Array, weights: Array) -> Array:
         x = np.tensordot(weights, points, 1)
-        return np.concatenate([x[..., :4] / np.linalg.norm(x[..., :4], axis=-1, keepdims=True), x[..., 4:]], -1)
+        return np.concatenate(
+            [x[..., :4] / np.linalg.norm(x[..., :4], axis=-1, keepdims=True), x[..., 4:]], -1
+        )
 
     def changed(y: Array) -> Array:
-        return np.concatenate([y[..., :4] * rng.choice([-1.0, 1.0], (len(y), *[1] * (y.ndim - 1))), y[..., 4:]], -1)
+        return np.concatenate(
+            [y[..., :4] * rng.choice([-1.0, 1.0], (len(y), *[1] * (y.ndim - 1))), y[..., 4:]], -1
+        )
 
     def filter(after: Callable[[Array], Array], c: float | None = None) -> Sequential:
         def other(model: Any, name: str) -> Any:
@@ -304,7 +446,9 @@ def by_components(config: Config, rngs: Rngs) -> dict[str, Array]:
             return replace(model, space=model.space._replace(mean=mean), **changes)
 
         plain = filters(config, c=c)["ssukf"]
-        return replace(plain, motion=other(plain.motion, "f"), sensors=(other(plain.sensors[0], "h"),))
+        return replace(
+            plain, motion=other(plain.motion, "f"), sensors=(other(plain.sensors[0], "h"),)
+        )
 
     known = {"rodrigues": filters(config)["ssukf"], "aligned": filter(np.array)}
     known |= {"signs": filter(changed), "wide": filter(changed, 15.0)}
@@ -319,39 +463,79 @@ def counted(function: Callable[..., Any], *shapes: tuple[int, ...]) -> Array:
         for at in np.ndindex(*x.shape):
             x[at] = tape.input()
     found = function(*given)
-    results = [x for y in (found if isinstance(found, tuple) else (found,)) for x in y.flat if isinstance(x, Recorded)]
+    results = [
+        x
+        for y in (found if isinstance(found, tuple) else (found,))
+        for x in y.flat
+        if isinstance(x, Recorded)
+    ]
     names = [name for i in tape.needed(results) if (name := tape.ops[i][0]) not in ("in", "const")]
-    return np.array([len(names), sum(20 if name in ("div", "sqrt", "tan") else 1 for name in names)])
+    return np.array(
+        [len(names), sum(20 if name in ("div", "sqrt", "tan") else 1 for name in names)]
+    )
 
 
 def operations(config: Config, _rngs: Rngs) -> dict[str, Array]:
     """What `counted` gives of an iteration, by filter, predictions to an update, and roots: of all that is augmented (whole), or
     of the state alone (block), without the sums that add Q and R; and of ways to propagate an attitude, see `propagations`."""
-    f, space, sky, out = scenario.dynamics(config.gyro), scenario.state_space(), attitude.attitude(), propagations(config.step_s)
+    f, space, sky, out = (
+        scenario.dynamics(config.gyro),
+        scenario.state_space(),
+        attitude.attitude(),
+        propagations(config.step_s),
+    )
     for name, noises in zip(SIDES, ((9, 9), (6, 3), (6, 0), (0, 3), (0, 0)), strict=True):
         rules = [scenario.spread(6 + width, config) for width in noises]
 
         def predict(x: Array, d: Array, u: Array, rule: Rule = rules[0]) -> tuple[Array, ...]:
-            image = rule.image(f(space.plus(x, d[:, :6]), Epoch(1, 0.0, config.step_s, u), *([d[:, 6:]] * (rule.n > 6))), space, d)
-            return space.plus(image.center, image.shift), Covariance.marginal(image.columns, rule.sign)
+            image = rule.image(
+                f(
+                    space.plus(x, d[:, :6]),
+                    Epoch(1, 0.0, config.step_s, u),
+                    *([d[:, 6:]] * (rule.n > 6)),
+                ),
+                space,
+                d,
+            )
+            return space.plus(image.center, image.shift), Covariance.marginal(
+                image.columns, rule.sign
+            )
 
-        def update(x: Array, d: Array, P: Array, z: Array, rule: Rule = rules[1]) -> tuple[Array, ...]:
-            image = rule.image(scenario.star(space.plus(x, d[:, :6]), None, *([d[:, -3:]] * (rule.n > 6))), sky, d)
-            S, cross = Joint(None, image, image._replace(center=x, shift=0.0, columns=d[:, :6].T), rule.sign).covariances()
+        def update(
+            x: Array, d: Array, P: Array, z: Array, rule: Rule = rules[1]
+        ) -> tuple[Array, ...]:
+            image = rule.image(
+                scenario.star(space.plus(x, d[:, :6]), None, *([d[:, -3:]] * (rule.n > 6))), sky, d
+            )
+            S, cross = Joint(
+                None, image, image._replace(center=x, shift=0.0, columns=d[:, :6].T), rule.sign
+            ).covariances()
             root = cholesky(S)
             U = solve_lower(root, cross.mT).mT
-            return space.plus(x, matvec(U, whiten(root, sky.minus(z, image.center) - image.shift))), P - outer(U)
+            return space.plus(
+                x, matvec(U, whiten(root, sky.minus(z, image.center) - image.shift))
+            ), P - outer(U)
 
         sizes = [(len(rule.nodes), rule.n) for rule in rules]
-        parts = counted(predict, (7,), sizes[0], (3,)), counted(update, (7,), sizes[1], (6, 6), (4,))
+        parts = (
+            counted(predict, (7,), sizes[0], (3,)),
+            counted(update, (7,), sizes[1], (6, 6), (4,)),
+        )
         for roots in ROOTS:
-            drawn = [counted(lambda P: 0.5 * cholesky(P), (n, n) if roots == "whole" else (6, 6)) for _, n in sizes]
+            drawn = [
+                counted(lambda P: 0.5 * cholesky(P), (n, n) if roots == "whole" else (6, 6))
+                for _, n in sizes
+            ]
             for per in (1, STANDARD.ratio):
                 out[f"{name}, {per}:1, {roots}"] = per * (parts[0] + drawn[0]) + parts[1] + drawn[1]
     return out
 
 
-SLOPES = {1: ((), (1.0,)), 2: ((0.5,), (0.0, 1.0)), 4: ((0.5, 0.5, 1.0), (1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0))}
+SLOPES = {
+    1: ((), (1.0,)),
+    2: ((0.5,), (0.0, 1.0)),
+    4: ((0.5, 0.5, 1.0), (1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0)),
+}
 """Runge-Kutta methods by order: how far along the slope before each slope is taken, and the weights of all."""
 
 
@@ -361,7 +545,9 @@ def integrated(order: int, p: Array, turn: Array) -> Array:
     def slope(p: Array) -> Array:
         half = 0.5 * turn
         square, along = ((p * other).sum(-1)[..., None] for other in (p, half))
-        return np.asanyarray((0.5 - 0.5 * square) * half + matvec(attitude.cross(p), half) + along * p)
+        return np.asanyarray(
+            (0.5 - 0.5 * square) * half + matvec(attitude.cross(p), half) + along * p
+        )
 
     (ways, weights), slopes = SLOPES[order], [slope(p)]
     for way in ways:
@@ -373,12 +559,23 @@ def propagations(dt: float) -> dict[str, Array]:
     """One gyro step of an attitude. accuracy ``(rates, orders)``: largest error (rad) of `integrated` over attitudes up to half a
     turn, at `RATES_DEG_PER_S`. steps ``(5, 2)``: operations of the product of quaternions; of that with the parameters of a point
     made a quaternion and back; of `integrated`, orders 1, 2 and 4."""
-    to, back = partial(attitude.from_rodrigues, a=1.0, b=1.0), partial(attitude.to_rodrigues, a=1.0, b=1.0)
-    axes, p = (x / np.linalg.norm(x, axis=1)[:, None] for x in np.random.default_rng(0).standard_normal((2, 2000, 3)))
+    to, back = (
+        partial(attitude.from_rodrigues, a=1.0, b=1.0),
+        partial(attitude.to_rodrigues, a=1.0, b=1.0),
+    )
+    axes, p = (
+        x / np.linalg.norm(x, axis=1)[:, None]
+        for x in np.random.default_rng(0).standard_normal((2, 2000, 3))
+    )
     p, accuracy = p * np.linspace(0.0, 1.0, len(p))[:, None], []
     for turn in (np.radians(rate) * dt * axes for rate in RATES_DEG_PER_S):
         exact = attitude.inverse(attitude.multiply(attitude.exp(turn), to(p)))
-        accuracy.append([attitude.angle(attitude.multiply(to(integrated(order, p, turn)), exact)).max() for order in SLOPES])
+        accuracy.append(
+            [
+                attitude.angle(attitude.multiply(to(integrated(order, p, turn)), exact)).max()
+                for order in SLOPES
+            ]
+        )
     ways = [counted(lambda turn, q: attitude.multiply(attitude.exp(turn), q), (3,), (4,)),
             counted(lambda turn, p: back(attitude.multiply(attitude.exp(turn), to(p))), (3,), (3,)),
             *(counted(partial(integrated, order), (3,), (3,)) for order in SLOPES)]  # fmt: skip
@@ -388,15 +585,33 @@ def propagations(dt: float) -> dict[str, Array]:
 def facts(config: Config, _: Rngs) -> dict[str, Array]:
     """exact: posterior deviations ``(T, 2)`` of angle (arcsec) and drift (deg/h) on an axis, widest prior. limits ``(3, 2)``: those
     that settle, if the drift has a tau of 10 h, if 0.5 deg / sqrt(h) and 0.02 deg/h in an hour are meant, and as we read it."""
-    c, dt, unit, limits, drift = config, config.step_s, UNITS[[0, 3]], [], config.drift_deg_per_h * DEG_PER_H
-    scale, H = np.array([1.0, 0.01]) * c.sigma_n, np.eye(1, 2)  # or the solver loses the drift beside the angle
+    c, dt, unit, limits, drift = (
+        config,
+        config.step_s,
+        UNITS[[0, 3]],
+        [],
+        config.drift_deg_per_h * DEG_PER_H,
+    )
+    scale, H = (
+        np.array([1.0, 0.01]) * c.sigma_n,
+        np.eye(1, 2),
+    )  # or the solver loses the drift beside the angle
     slow = Gyro(c.gyro.sigma_v, drift * float(np.sqrt(2.0 / 36000.0)), 36000.0)
     for gyro in (slow, Gyro(60.0 * c.gyro_deg_per_h * DEG_PER_H, drift / 60.0), c.gyro):
         F, Q = np.array([[1.0, -dt], [0.0, gyro.factor(dt)]]), gyro.process_noise(dt)[::3, ::3]
-        P = solve_discrete_are((F * scale / scale[:, None]).T, H.T, Q / np.outer(scale, scale), np.eye(1))
-        limits.append(np.sqrt(np.diag(P - np.outer(P[:, 0], P[0]) / (P[0, 0] + 1.0))) * scale / unit)
-    exact = riccati(np.tile(F, (len(c.times) - 1, 1, 1)), H, Q, [[c.sigma_n**2]], np.diag(c.sigma0[[2, 5]] ** 2)).covariances
-    return {"exact": np.sqrt(exact.diagonal(0, -2, -1)) / unit, "limits": np.array(limits)} | averages(c)
+        P = solve_discrete_are(
+            (F * scale / scale[:, None]).T, H.T, Q / np.outer(scale, scale), np.eye(1)
+        )
+        limits.append(
+            np.sqrt(np.diag(P - np.outer(P[:, 0], P[0]) / (P[0, 0] + 1.0))) * scale / unit
+        )
+    exact = riccati(
+        np.tile(F, (len(c.times) - 1, 1, 1)), H, Q, [[c.sigma_n**2]], np.diag(c.sigma0[[2, 5]] ** 2)
+    ).covariances
+    return {
+        "exact": np.sqrt(exact.diagonal(0, -2, -1)) / unit,
+        "limits": np.array(limits),
+    } | averages(c)
 
 
 def costs(_config: Config, _rngs: Rngs) -> dict[str, Array]:
@@ -404,11 +619,16 @@ def costs(_config: Config, _rngs: Rngs) -> dict[str, Array]:
     out, seen = dict[str, Array](), Counter[str]()
     token = WATCH.set(lambda model, values: seen.update({model: len(values)}))
     for c, stars in ((STANDARD, 20), (FULL_RATE, 1)):
-        sim, known = simulate(replace(c, duration_s=stars / c.star_hz), [np.random.default_rng(0)]), filters(c)
+        sim, known = (
+            simulate(replace(c, duration_s=stars / c.star_hz), [np.random.default_rng(0)]),
+            filters(c),
+        )
         for name in TIMED:
             once = partial(run, known[name], sim.prior, list(sim.epochs()), keep="nothing")
             seen.clear()
-            out[f"seconds, {name}, {c.updates}:1"] = np.array([min(repeat(once, timer=process_time, number=1, repeat=3)) / stars])
+            out[f"seconds, {name}, {c.updates}:1"] = np.array(
+                [min(repeat(once, timer=process_time, number=1, repeat=3)) / stars]
+            )
             out[f"{name}, {c.updates}:1"] = np.array([seen["f"], seen["h"]]) / (3 * stars)
     WATCH.reset(token)
     return out
@@ -435,11 +655,20 @@ def parts(_effort: float = 1.0, duration_s: float = STANDARD.duration_s) -> dict
 
 
 # -- numbers of the ledger ---------------------------------------------------------------------------------------------------
-NEES, NIS, REGULAR = chi_square_band(6, 200), chi_square_band(3, 200), float(np.finfo(float).eps ** -0.5)
+NEES, NIS, REGULAR = (
+    chi_square_band(6, 200),
+    chi_square_band(3, 200),
+    float(np.finfo(float).eps ** -0.5),
+)
 """95 % bands of 200 runs; up to REGULAR a covariance has a root that keeps half of the digits."""
 COUNTS = [(roots, dear) for dear in (0, 1) for roots in ROOTS]
 """Which roots are factored, and whether one that is no sum or product counts 20 times."""
-AUKF, SSUKF, MEKF, MORE = ("runs", "aukf"), ("runs", "ssukf"), ("runs", "mekf"), "2026-11-23: more runs; 200 left it undecided"
+AUKF, SSUKF, MEKF, MORE = (
+    ("runs", "aukf"),
+    ("runs", "ssukf"),
+    ("runs", "mekf"),
+    "2026-11-23: more runs; 200 left it undecided",
+)
 
 
 def points(r: Results, name: str, per: int = 1) -> float:
@@ -449,7 +678,9 @@ def points(r: Results, name: str, per: int = 1) -> float:
 
 def saved(per: int) -> Decided:
     """Part of the AUKF's points that the SSUKF saves, from star sample to star sample."""
-    return lambda r: Number(f"part of the points saved, {per}:1", 1.0 - points(r, "ssukf", per) / points(r, "aukf", per))
+    return lambda r: Number(
+        f"part of the points saved, {per}:1", 1.0 - points(r, "ssukf", per) / points(r, "aukf", per)
+    )
 
 
 def fewer(per: int, roots: str, dear: int, *, bar: bool = True) -> Decided:
@@ -457,7 +688,9 @@ def fewer(per: int, roots: str, dear: int, *, bar: bool = True) -> Decided:
     label = f"part of the operations saved, {per}:1, {roots} roots{', the dear ones as 20' * dear}"
 
     def number(r: Results) -> Number:
-        a, b = (r.value("operations", f"{name}, {per}:1, {roots}", dear) for name in ("ssukf", "aukf"))
+        a, b = (
+            r.value("operations", f"{name}, {per}:1, {roots}", dear) for name in ("ssukf", "aukf")
+        )
         return Number(label, 1.0 - a / b, (0.283, 0.383) if bar else (None, None))
 
     return number
@@ -468,7 +701,9 @@ def cheaper(way: int, beside: str) -> Decided:
     a thousandth of the star sensor's noise in a second, or of the drift that settles; nan if none does."""
 
     def number(r: Results) -> Number:
-        rate = STANDARD.sigma_n if beside == "star" else r.value("facts", "limits", 2, 1) * DEG_PER_H
+        rate = (
+            STANDARD.sigma_n if beside == "star" else r.value("facts", "limits", 2, 1) * DEG_PER_H
+        )
         most, steps = 1e-3 * rate * FULL_RATE.step_s, r.get("operations", "steps")[:, 0]
         label = f"{('alone', 'with conversions')[way]}, over the cheapest that errs by {most:.1e} rad at most"
         least = min(steps[2:][r.get("operations", "accuracy")[0] <= most], default=np.nan)
@@ -483,17 +718,32 @@ def weak_axis(name: str, accept: Any) -> Decided:
     def worst(squares: Array) -> float:
         return float(np.sqrt(squares.mean(0).max() / squares.mean(0).min()))
 
-    return lambda r: estimate(name, worst, [r.squares("heads", name, "attitude", "last third")], accept)
+    return lambda r: estimate(
+        name, worst, [r.squares("heads", name, "attitude", "last third")], accept
+    )
 
 
 def multiplying(label: str, other: str, most: float | None = None) -> Decided:
     """RMSE of the AUKF over that of another filter, where noise is multiplied."""
-    return lambda r: estimate(label, quotient, [r.get("multiplied", name) for name in ("aukf", other)], (None, most))
+    return lambda r: estimate(
+        label, quotient, [r.get("multiplied", name) for name in ("aukf", other)], (None, most)
+    )
 
 
-def sooner(filter: tuple[str, str], axis: int, level: float, label: str, accept: Any, **more: Any) -> Decided:
+def sooner(
+    filter: tuple[str, str], axis: int, level: float, label: str, accept: Any, **more: Any
+) -> Decided:
     """When an angle settles below a level (arcsec), in the first three minutes: by their end it is below all levels judged."""
-    return settling(label, filter, "attitude", level, accept, axes=slice(axis, axis + 1), window=slice(0, 721), **more)
+    return settling(
+        label,
+        filter,
+        "attitude",
+        level,
+        accept,
+        axes=slice(axis, axis + 1),
+        window=slice(0, 721),
+        **more,
+    )
 
 
 def sound(part: str, form: str) -> list[Decided]:
@@ -507,21 +757,36 @@ def sound(part: str, form: str) -> list[Decided]:
 
 def unswitched(r: Results) -> Number:
     """Largest attitude error past 360 deg without the switch, over that with it; a lost run errs by half a turn."""
-    sizes = (np.linalg.norm(r.error("crossing", form, "attitude")[36:], axis=-1) for form in ("unswitched", "switched"))
+    sizes = (
+        np.linalg.norm(r.error("crossing", form, "attitude")[36:], axis=-1)
+        for form in ("unswitched", "switched")
+    )
     a, b = (float(np.nan_to_num(size, nan=180.0 * 3600.0).max()) for size in sizes)
     return Number("unswitched over switched", a / b, (None, 1.05))
 
 
 def at_the_bound(r: Results) -> list[Number]:
     """RMSE of the SSUKF's attitude over the exact deviation."""
-    over = {k: r.squares("drawn", "local", "attitude", k).mean(-1) / r.value("facts", "exact", k, 0) ** 2 for k in (40, 240)}
-    return [estimate(f"after {k / 4:g} s", rms, [squares], (0.9, 1.1)) for k, squares in over.items()]
+    over = {
+        k: r.squares("drawn", "local", "attitude", k).mean(-1)
+        / r.value("facts", "exact", k, 0) ** 2
+        for k in (40, 240)
+    }
+    return [
+        estimate(f"after {k / 4:g} s", rms, [squares], (0.9, 1.1)) for k, squares in over.items()
+    ]
 
 
 # -- the ledger --------------------------------------------------------------------------------------------------------------
 WHEN: dict[str, When] = {"first star sample": 1, "10 s": 40, "last third": "last third"}
-NINE = [(f"{name}, {when}", slice(i, i + 1), at) for when, at in WHEN.items() for i, name in enumerate(AXES)]
-SWITCHED = [one for part in ("drawn", "crossing") for form in FORMS[:2] for one in sound(part, form)]
+NINE = [
+    (f"{name}, {when}", slice(i, i + 1), at)
+    for when, at in WHEN.items()
+    for i, name in enumerate(AXES)
+]
+SWITCHED = [
+    one for part in ("drawn", "crossing") for form in FORMS[:2] for one in sound(part, form)
+]
 
 STATEMENTS = [
     statement("equal-accuracy",

@@ -72,15 +72,22 @@ class Differenced:
         n = belief.mean.shape[-1]
         return DifferencedState(belief, np.zeros((n, q + m)), None, np.zeros((m, n)))
 
-    def predict(self, state: DifferencedState, epoch: Epoch) -> tuple[DifferencedState, Array | None]:
+    def predict(
+        self, state: DifferencedState, epoch: Epoch
+    ) -> tuple[DifferencedState, Array | None]:
         """State that knows what the model says of the interval, and the transition matrix."""
         n, q = state.belief.mean.shape[-1], self.noise.L.shape[-1]
         found = given_back("move", self.move(state.belief.mean, epoch), "state, Phi, G")
         shapes = (..., n), (..., n, n), (..., n, q)
-        x, Phi, G = (numbers("move", unmasked("move", a), shape) for a, shape in zip(found, shapes, strict=True))
+        x, Phi, G = (
+            numbers("move", unmasked("move", a), shape)
+            for a, shape in zip(found, shapes, strict=True)
+        )
         return state._replace(moved=(x, Phi, G)), Phi
 
-    def update(self, state: DifferencedState, epoch: Epoch) -> tuple[DifferencedState, Stage | None, Info]:
+    def update(
+        self, state: DifferencedState, epoch: Epoch
+    ) -> tuple[DifferencedState, Stage | None, Info]:
         """State at the end of the interval given its measurement, and what was done."""
         assert state.moved is not None
         (x, Phi, G), (F, L, J, Xi, E, V, Q) = state.moved, self.noise
@@ -88,7 +95,9 @@ class Differenced:
         z = numbers("z", epoch.z, () if epoch.z is None else (..., m))
         together(prior=x.shape[:-1], z=z.shape[:-1])
         if surely(np.isnan(z).any()):
-            raise ValueError("z: expected a whole measurement at every epoch: what was missed cannot be differenced")
+            raise ValueError(
+                "z: expected a whole measurement at every epoch: what was missed cannot be differenced"
+            )
         if first:  # nothing to difference with: all of V is new
             F, Xi = np.zeros_like(F), V
         y = z - self._seen(x, epoch) - (0.0 if state.V is None else matvec(F, state.V))
@@ -102,12 +111,30 @@ class Differenced:
         into, Phi1, G1 = matvec(Omega, y), Phi - Omega @ (H @ Phi), G - Omega @ (H @ G)
 
         # The joint of (x, Q, V): x = Phi1 x + G1 (J F V + L Q + e), Q = L Q + e, and V waits for xi, which is measured with H x.
-        moves, marginals = side_by_side([Phi1, G1 @ side_by_side([L, J @ F])]), block([[Q, 0], [0, V]])
-        ahead, driven = moves @ block([[state.belief.cov, state.cross], [state.cross.mT, marginals]]), G1 @ E
-        P, cross = ahead @ moves.mT + driven @ G1.mT, side_by_side([ahead[..., n : n + q] @ L + driven, ahead[..., n + q :]])
+        moves, marginals = (
+            side_by_side([Phi1, G1 @ side_by_side([L, J @ F])]),
+            block([[Q, 0], [0, V]]),
+        )
+        ahead, driven = (
+            moves @ block([[state.belief.cov, state.cross], [state.cross.mT, marginals]]),
+            G1 @ E,
+        )
+        P, cross = (
+            ahead @ moves.mT + driven @ G1.mT,
+            side_by_side([ahead[..., n : n + q] @ L + driven, ahead[..., n + q :]]),
+        )
         cov, nothing = block([[0.5 * (P + P.mT), cross], [cross.mT, marginals]]), np.zeros(q + m)
-        moved, sensor = Covariance(side_by_side([x + into, nothing]), cov), (nothing[:m], side_by_side([H, np.zeros((m, q + m))]))
-        seen = joint(LINEAR, moved, (sensor, KEEP), z=y - matvec(H, into), measurement_noise=np.linalg.cholesky(Xi))
+        moved, sensor = (
+            Covariance(side_by_side([x + into, nothing]), cov),
+            (nothing[:m], side_by_side([H, np.zeros((m, q + m))])),
+        )
+        seen = joint(
+            LINEAR,
+            moved,
+            (sensor, KEEP),
+            z=y - matvec(H, into),
+            measurement_noise=np.linalg.cholesky(Xi),
+        )
         both, info, _ = condition(Covariance, seen, EUCLIDEAN)
         assert seen.innovation is not None
         assert info.sqrt_S is not None
@@ -118,7 +145,19 @@ class Differenced:
         cross = side_by_side([cross[..., :q], cross[..., q:] @ F - belief.cov @ H.mT])
         after = DifferencedState(belief, cross, z - self._seen(belief.mean, epoch), H)
         lag = (None, None) if first else (F, state.H)
-        return after, Stage(seen.innovation, info.sqrt_S, info.gain()[..., :n, :], H, np.ones(m, bool), Omega, *lag), info
+        return (
+            after,
+            Stage(
+                seen.innovation,
+                info.sqrt_S,
+                info.gain()[..., :n, :],
+                H,
+                np.ones(m, bool),
+                Omega,
+                *lag,
+            ),
+            info,
+        )
 
     def _seen(self, x: Array, epoch: Epoch) -> Array:
         return numbers("h", unmasked("h", self.h(x, epoch)), (..., self.noise.F.shape[-1]))
@@ -156,7 +195,9 @@ def strong_tracking(rho: ArrayLike, tau: ArrayLike, *, proportional: ArrayLike =
     def boost(memory: Window | None, seen: Boost) -> tuple[Window, Array]:
         square = seen.residual * seen.residual
         if square.shape[-1] != weights.shape[-1]:
-            raise ValueError(f"rho: expected {square.shape[-1]} numbers to go with the measurement, got {weights.shape[-1]}")
+            raise ValueError(
+                f"rho: expected {square.shape[-1]} numbers to go with the measurement, got {weights.shape[-1]}"
+            )
         count = 1.0 if memory is None else memory.length + 1.0
         before = np.zeros_like(square) if memory is None else memory.squares
         squares = before + (square - before) / np.minimum(count, length)

@@ -46,7 +46,9 @@ TITLE = "Two-stage strong-tracking differential Kalman filter for X-ray pulsars"
 CITATION = citation("Xu2023")
 YEAR_S, DAY_S = 365.25 * 86400.0, 86400.0
 KAPPA = 4.8
-TUNED = "chosen: with the other tuned one, so that setting 1 gives the paper's percentages of position"
+TUNED = (
+    "chosen: with the other tuned one, so that setting 1 gives the paper's percentages of position"
+)
 
 
 # -- parameters --------------------------------------------------------------------------------------------------------------
@@ -54,12 +56,22 @@ TUNED = "chosen: with the other tuned one, so that setting 1 gives the paper's p
 class Setting(Parameters):
     """One row of Table 4."""
 
-    F: float = param(0.5, "chosen", "color of the measurement noise, V' = F V + increment, which is as large as pulsars are timed")
+    F: float = param(
+        0.5,
+        "chosen",
+        "color of the measurement noise, V' = F V + increment, which is as large as pulsars are timed",
+    )
     L: float = param(0.5, "chosen", "color of the process noise, likewise")
     kappa: float = param(KAPPA, TUNED, "how strongly the increments of both are correlated")
 
 
-SETTINGS = {1: Setting(), 2: Setting(kappa=0.0), 3: Setting(0.5, 0.0, 0.0), 4: Setting(0.0, 0.5, 0.0), 5: Setting(0.0, 0.0, 0.0)}
+SETTINGS = {
+    1: Setting(),
+    2: Setting(kappa=0.0),
+    3: Setting(0.5, 0.0, 0.0),
+    4: Setting(0.0, 0.5, 0.0),
+    5: Setting(0.0, 0.0, 0.0),
+}
 """Table 4, as inferred: everything, ..., all noise white."""
 
 
@@ -68,30 +80,60 @@ class Config(Timed):
     """Everything that a run depends on."""
 
     start_utc: str = param("2015-10-17T04:00:00", "paper", "date and time of the start, UTC")
-    step_s: float = param(300.0, "paper", "interval of the measurements, over which pulses are timed", above=0.0)
+    step_s: float = param(
+        300.0, "paper", "interval of the measurements, over which pulses are timed", above=0.0
+    )
     days: float = param(30.0, "paper", "length of a run, days", above=0.0)
     runs: int = param(50, "paper", "of a Monte Carlo", least=1)
-    pulsars: tuple[str, ...] = param(("B0531+21", "B1821-24", "B1937+21"), "paper", "names of the three that are timed")
+    pulsars: tuple[str, ...] = param(
+        ("B0531+21", "B1821-24", "B1937+21"), "paper", "names of the three that are timed"
+    )
     elements: tuple[float, ...] = param(
         (7136.635, 1.809e-3, 65.0, 30.0, 30.0, 0.0), "chosen: common in this literature",
         "of the orbit: semi-major axis (km), eccentricity, inclination, node, perigee and true anomaly (deg)",
     )  # fmt: skip
-    error_km: tuple[float, ...] = param((1.0,) * 3, "paper", "of the position at the start, each axis, and in the prior", above=0.0)
-    error_m_per_s: tuple[float, ...] = param((0.02,) * 3, "paper", "the same of the velocity", above=0.0)
-    rate_noise_km_per_s: float = param(1e-8, "paper: unit inferred", "process noise of the position's rate, each axis", above=0.0)
-    acceleration_noise_km_per_s2: float = param(1e-10, "paper: unit inferred", "the same of the velocity's rate", above=0.0)
+    error_km: tuple[float, ...] = param(
+        (1.0,) * 3, "paper", "of the position at the start, each axis, and in the prior", above=0.0
+    )
+    error_m_per_s: tuple[float, ...] = param(
+        (0.02,) * 3, "paper", "the same of the velocity", above=0.0
+    )
+    rate_noise_km_per_s: float = param(
+        1e-8, "paper: unit inferred", "process noise of the position's rate, each axis", above=0.0
+    )
+    acceleration_noise_km_per_s2: float = param(
+        1e-10, "paper: unit inferred", "the same of the velocity's rate", above=0.0
+    )
     setting: Setting = SETTINGS[1]
-    amplitude_km: tuple[float, ...] = param((0.09, 0.12, 0.075), TUNED, "of the error of the Earth's ephemeris, each axis")
-    phase: tuple[float, ...] = param((0.0, 0.5 * np.pi, 0.25 * np.pi), "chosen", "of that error's year, each axis, rad")
+    amplitude_km: tuple[float, ...] = param(
+        (0.09, 0.12, 0.075), TUNED, "of the error of the Earth's ephemeris, each axis"
+    )
+    phase: tuple[float, ...] = param(
+        (0.0, 0.5 * np.pi, 0.25 * np.pi), "chosen", "of that error's year, each axis, rad"
+    )
     trend: str = param(
         "sine", "inferred: Eqs 17, 69, 70", "how it goes on: a year's sine, growing, a triangle; constant, drawn from its prior; "
         "or none until half time, then its prior's deviation", one_of=("sine", "growing", "triangle", "constant", "step"),
     )  # fmt: skip
-    initial: str = param("paper", "inferred", "initial errors: those above, or drawn from the prior", one_of=("paper", "drawn"))
+    initial: str = param(
+        "paper",
+        "inferred",
+        "initial errors: those above, or drawn from the prior",
+        one_of=("paper", "drawn"),
+    )
     pulled: bool = param(False, "inferred", "whether Sun and Moon pull at the satellite")
-    bias_prior_km: float = param(0.3, "chosen", "deviation of that error at the start, each axis, in the filters", above=0.0)
-    walk_km: float = param(5e-5, "chosen", "deviation of the steps of that error in the exact filter, each axis", least=0.0)
-    rho: tuple[float, ...] = param((8.0, 15.0, 9.0), "paper", "how strongly the fading factors answer, each pulsar")
+    bias_prior_km: float = param(
+        0.3, "chosen", "deviation of that error at the start, each axis, in the filters", above=0.0
+    )
+    walk_km: float = param(
+        5e-5,
+        "chosen",
+        "deviation of the steps of that error in the exact filter, each axis",
+        least=0.0,
+    )
+    rho: tuple[float, ...] = param(
+        (8.0, 15.0, 9.0), "paper", "how strongly the fading factors answer, each pulsar"
+    )
     tau: float = param(100.0, "paper", "window of the fading factors, in measurements")
     factor: str = param(
         "excess", "chosen: form C, after setting 5; B is the other", "fading factors of what residuals exceed, or in proportion",
@@ -145,17 +187,25 @@ class Config(Timed):
         """Noises of the setting; ``J (6, 3)`` is two diagonal blocks, in deviations of the driving noises."""
         s, std = self.setting, self.process_std
         J = s.kappa * std[:, None] * np.vstack([np.diag(1.0 / self.sigma_km)] * 2)
-        return ar1_noise(s.F * np.eye(3), s.L * np.eye(6), J, np.diag(self.sigma_km**2), np.diag(std**2))
+        return ar1_noise(
+            s.F * np.eye(3), s.L * np.eye(6), J, np.diag(self.sigma_km**2), np.diag(std**2)
+        )
 
     def bias(self, t: Array) -> Array:
         """Error ``(..., 3)`` km of the ephemeris, ``t`` s after the start [Xu2023, Eqs 17, 69, 70; inferred], if not constant."""
         if self.trend == "step":
-            return self.bias_prior_km * np.ones(3) * (np.asarray(t)[..., None] > 0.5 * self.days * DAY_S)
+            return (
+                self.bias_prior_km
+                * np.ones(3)
+                * (np.asarray(t)[..., None] > 0.5 * self.days * DAY_S)
+            )
         angle = 2.0 * np.pi / YEAR_S * np.asarray(t)[..., None]
         A, phase = np.asarray(self.amplitude_km), np.asarray(self.phase)
         growing = 1.5 * angle / (2.0 * np.pi) - 0.75 + 0.5 * np.sin(2.0 * angle + phase)
         triangle = (2.0 / np.pi) * np.arcsin(np.cos(angle + phase))
-        return np.asarray(A * {"sine": np.sin(angle + phase), "growing": growing}.get(self.trend, triangle))
+        return np.asarray(
+            A * {"sine": np.sin(angle + phase), "growing": growing}.get(self.trend, triangle)
+        )
 
 
 TABLE_5 = Config()
@@ -172,7 +222,11 @@ PULLING = ("sun", "moon")
 
 def stacked(cases: Cases, of: Callable[[Config], Any]) -> Array:
     """A parameter: of one configuration as it is, of several ``(cases, 1, ...)``, which broadcasts over the runs."""
-    return np.asarray(of(cases)) if isinstance(cases, Config) else np.stack([np.asarray(of(case)) for case in cases])[:, None]
+    return (
+        np.asarray(of(cases))
+        if isinstance(cases, Config)
+        else np.stack([np.asarray(of(case)) for case in cases])[:, None]
+    )
 
 
 def one_of(cases: Cases) -> Config:
@@ -191,9 +245,15 @@ def sky(config: Config) -> tuple[Array, Array, Array | None]:
     earth, sun = (de421().state(body, config.dates).position for body in ("earth", "sun"))
     if not config.pulled:
         return earth, sun, None
-    nodes = from_utc(config.start_utc).after(config.times[:, None] - config.step_s * (1.0 - NODES.at))
+    nodes = from_utc(config.start_utc).after(
+        config.times[:, None] - config.step_s * (1.0 - NODES.at)
+    )
     center = de421().state("earth", nodes).position
-    return earth, sun, np.stack([de421().state(body, nodes).position - center for body in PULLING], 1)
+    return (
+        earth,
+        sun,
+        np.stack([de421().state(body, nodes).position - center for body in PULLING], 1),
+    )
 
 
 def pull(bodies: Array | None) -> Extra | None:
@@ -201,7 +261,9 @@ def pull(bodies: Array | None) -> Extra | None:
     if bodies is None:
         return None
     both = [(at[:, None], GM[body]) for body, at in zip(PULLING, bodies, strict=True)]
-    return lambda r, _: np.moveaxis(sum((third_body(np.moveaxis(r, 0, -1), *one) for one in both), np.zeros(3)), -1, 0)
+    return lambda r, _: np.moveaxis(
+        sum((third_body(np.moveaxis(r, 0, -1), *one) for one in both), np.zeros(3)), -1, 0
+    )
 
 
 def nominal(config: Config) -> Flow:
@@ -214,7 +276,9 @@ def _coasted(start: tuple[float, ...], step_s: float, steps: int) -> Flow:
     x = [np.array(start)]
     for _ in range(steps):
         x.append(advance(x[-1], step_s))
-    pieces = [flow(part, step_s)[1:] for part in np.array_split(x[:-1], 1 + steps // 4096)]  # that stay in the cache
+    pieces = [
+        flow(part, step_s)[1:] for part in np.array_split(x[:-1], 1 + steps // 4096)
+    ]  # that stay in the cache
     return Flow(np.stack(x), *map(np.concatenate, zip(*pieces, strict=True)))
 
 
@@ -233,35 +297,67 @@ class Scenario(NamedTuple):
         """Epochs from the first measurement on; ``truth`` is state and bias ``(..., 9)``."""
         for k in range(1, len(self.truth)):
             u = tuple(None if part is None else part[k - 1] for part in self.inputs)
-            yield Epoch(k, k * self.step_s, self.step_s, u, self.z[k], side_by_side([self.truth[k], self.bias[k]]))
+            yield Epoch(
+                k,
+                k * self.step_s,
+                self.step_s,
+                u,
+                self.z[k],
+                side_by_side([self.truth[k], self.bias[k]]),
+            )
 
 
 def drawn(cases: Cases, rngs: Rngs) -> tuple[Array, Array, Array, Array]:
     """AR(1) noises V ``(T, ..., runs, 3)`` km and Q ``(T, ..., runs, 6)``; drawn for each run ``(runs, 6)``, and for its bias."""
     c, noise = one_of(cases), noises(cases)
     xi, e, first, rest = normals(rngs, (c.samples + 1, 3), (c.samples + 1, 6), (9,), (9,))
-    both = (noise.F, xi * c.sigma_km, first[:, :3], noise.V), (noise.L, e * c.process_std, first[:, 3:], noise.Q)
-    V, Q = (ar1(color, by[1:], start * np.sqrt(cov.diagonal(0, -2, -1))) for color, by, start, cov in both)
+    both = (
+        (noise.F, xi * c.sigma_km, first[:, :3], noise.V),
+        (noise.L, e * c.process_std, first[:, 3:], noise.Q),
+    )
+    V, Q = (
+        ar1(color, by[1:], start * np.sqrt(cov.diagonal(0, -2, -1)))
+        for color, by, start, cov in both
+    )
     return V, Q, rest[:, :6], rest[:, 6:]
 
 
 def simulate(cases: Cases, rngs: Rngs) -> Scenario:
     """Simulate one run of each case with each generator."""
     c, noise, (V, Q, begun, constant) = one_of(cases), noises(cases), drawn(cases, rngs)
-    timing, (earth, sun, bodies), each = c.timing, sky(c), [c] if isinstance(cases, Config) else cases
-    errors = [case.bias_prior_km * constant if case.trend == "constant" else case.bias(c.times)[:, None] for case in each]
-    bias = np.stack([np.broadcast_to(error, (len(V), len(rngs), 3)) for error in errors], 1).reshape(V.shape)
+    timing, (earth, sun, bodies), each = (
+        c.timing,
+        sky(c),
+        [c] if isinstance(cases, Config) else cases,
+    )
+    errors = [
+        case.bias_prior_km * constant if case.trend == "constant" else case.bias(c.times)[:, None]
+        for case in each
+    ]
+    bias = np.stack(
+        [np.broadcast_to(error, (len(V), len(rngs), 3)) for error in errors], 1
+    ).reshape(V.shape)
     # The disturbance is mapped by the nominal orbit's G, from which that of a run differs by 1e-4 of itself.
     G, truth, z = nominal(c).G, np.empty_like(Q), np.full_like(V, np.nan)
     truth[0] = c.orbit
     for k in range(1, len(truth)):
         extra = pull(None if bodies is None else bodies[k])
-        truth[k] = advance(truth[k - 1], c.step_s, extra=extra) + (matvec(noise.J, V[k]) + Q[k]) @ G[k - 1].T
+        truth[k] = (
+            advance(truth[k - 1], c.step_s, extra=extra)
+            + (matvec(noise.J, V[k]) + Q[k]) @ G[k - 1].T
+        )
         z[k] = timing.delay(earth[k] + bias[k] + truth[k, ..., :3], sun[k]) + V[k]
     deviation = stacked(cases, lambda case: case.deviation)
     start = np.where(stacked(cases, lambda case: [case.initial == "drawn"]), begun, 1.0)
     prior = Gaussian(c.orbit + start * deviation, deviation[..., None] ** 2 * np.eye(6))
-    return Scenario(truth, bias, z, (earth[1:], sun[1:], None if bodies is None else bodies[1:]), prior, c.step_s)
+    return Scenario(
+        truth,
+        bias,
+        z,
+        (earth[1:], sun[1:], None if bodies is None else bodies[1:]),
+        prior,
+        c.step_s,
+    )
 
 
 def linearized(cases: Sequence[Config], rngs: Rngs) -> Scenario:
@@ -272,9 +368,14 @@ def linearized(cases: Sequence[Config], rngs: Rngs) -> Scenario:
     x, Gamma = np.zeros_like(Q), c.timing.gradient(earth + orbit[:, :3], sun)
     for k in range(1, len(x)):
         x[k] = x[k - 1] @ Phi[k - 1].T + (V[k] @ J.T + Q[k]) @ G[k - 1].T
-    unit, batch = constant / np.linalg.norm(constant, axis=1, keepdims=True), (len(x), len(cases), len(rngs))
+    unit, batch = (
+        constant / np.linalg.norm(constant, axis=1, keepdims=True),
+        (len(x), len(cases), len(rngs)),
+    )
     unit[:3] = np.eye(3)[: len(unit)]
-    errors = [unit[None] if case.trend == "constant" else case.bias(c.times)[:, None] for case in cases]
+    errors = [
+        unit[None] if case.trend == "constant" else case.bias(c.times)[:, None] for case in cases
+    ]
     bias = np.stack([np.broadcast_to(error, (len(x), *error.shape[1:])) for error in errors], 1)
     truth, bias = np.broadcast_to(x[:, None], (*batch, 6)), np.broadcast_to(bias, (*batch, 3))
     z = (truth[..., :3] + bias) @ Gamma[:, None].mT + V[:, None]
@@ -299,16 +400,26 @@ class Models(NamedTuple):
 
     def believed(self, kind: Any, function: Any, jacobian: Any, **noise: Any) -> Any:
         """A `Motion` or `Sensor` of a function and its Jacobian, which is all of it where it is linear."""
-        return kind(Linear(partial(jacobian, np.zeros(6))), **noise) if self.linear else kind(function, jacobian=jacobian, **noise)
+        return (
+            kind(Linear(partial(jacobian, np.zeros(6))), **noise)
+            if self.linear
+            else kind(function, jacobian=jacobian, **noise)
+        )
 
 
 def models(config: Config, pulled: bool = False) -> Models:
     """The models of a configuration. ``pulled``: whether they know of Sun and Moon."""
     timing, last = config.timing, list[Any]([np.zeros(0), None, None])
 
-    def move(mean: Array, epoch: Epoch) -> Any:  # what follows, Jacobian and noise input come from one integration
+    def move(
+        mean: Array, epoch: Epoch
+    ) -> Any:  # what follows, Jacobian and noise input come from one integration
         if last[1] is not epoch or not np.array_equal(last[0], mean[..., :6]):
-            last[:] = mean[..., :6].copy(), epoch, flow(mean[..., :6], epoch.dt, extra=pull(epoch.u[2] if pulled else None))
+            last[:] = (
+                mean[..., :6].copy(),
+                epoch,
+                flow(mean[..., :6], epoch.dt, extra=pull(epoch.u[2] if pulled else None)),
+            )
         return last[2]
 
     return Models(
@@ -327,7 +438,9 @@ LINEAR = Models(  # of errors about the nominal orbit; epoch.u is (Phi, G, Gamma
 
 
 # -- the filters -------------------------------------------------------------------------------------------------------------
-def filters(cases: Cases, seen: Models | None = None, noise: Noise | None = None, *, on: ArrayLike = 1.0) -> dict[str, Any]:
+def filters(
+    cases: Cases, seen: Models | None = None, noise: Noise | None = None, *, on: ArrayLike = 1.0
+) -> dict[str, Any]:
     """The filters by name. ``seen``, ``noise``: other models and noises than those of the cases. ``on``: factor of rho.
 
     ekf, tkf: ignorance and two stages, with the covariances of the driving noise, the paper's (inferred) choice; the first stage of
@@ -344,9 +457,16 @@ def filters(cases: Cases, seen: Models | None = None, noise: Noise | None = None
     tdkf = TwoStage.of(Differenced(seen.move, seen.measure, seen.H, n), seen.Gamma, bias)
     walk = stacked(cases, lambda case: case.walk_km * np.eye(3))
     out["aug9"] = nine_states(seen, n.E, n.Xi, bias, walk)
-    rho, form = stacked(cases, lambda case: case.rho), stacked(cases, lambda case: [case.factor == "proportional"])
+    rho, form = (
+        stacked(cases, lambda case: case.rho),
+        stacked(cases, lambda case: [case.factor == "proportional"]),
+    )
     boost = strong_tracking(on * rho, one_of(cases).tau, proportional=form)
-    return out | {"tdkf": tdkf, "tstdkf": replace(tdkf, boost=boost), "aug": augmented(seen, n, bias, walk)}
+    return out | {
+        "tdkf": tdkf,
+        "tstdkf": replace(tdkf, boost=boost),
+        "aug": augmented(seen, n, bias, walk),
+    }
 
 
 def kalman(seen: Models, Q: Array, R: Array) -> Sequential:
@@ -363,9 +483,20 @@ def augmented(seen: Models, n: Noise, bias: Gaussian, walk: Array) -> Filter:
     """The exact filter: 18 states ``(x, V, Q, b)``, the bias a random walk, and no noise left in the measurement. In square-root
     form: after an update V is known from the rest, so the covariance is singular."""
     xi, e, eye = np.sqrt(n.Xi), np.sqrt(n.E), np.eye(3)
-    color, cov = (block([[V, 0, 0], [0, Q, 0], [0, 0, b]]) for V, Q, b in ((n.F, n.L, eye), (n.V, n.Q, bias.cov)))
+    color, cov = (
+        block([[V, 0, 0], [0, Q, 0], [0, 0, b]])
+        for V, Q, b in ((n.F, n.L, eye), (n.V, n.Q, bias.cov))
+    )
     drives = block([[n.J @ xi, e, 0], [xi, 0, 0], [0, e, 0], [0, 0, walk]])
-    return appended(seen, cov, color, block([[n.J @ n.F, n.L, np.zeros((6, 3))]]), drives, "square root", sqrt_R=np.zeros((3, 1)))
+    return appended(
+        seen,
+        cov,
+        color,
+        block([[n.J @ n.F, n.L, np.zeros((6, 3))]]),
+        drives,
+        "square root",
+        sqrt_R=np.zeros((3, 1)),
+    )
 
 
 def nine_states(seen: Models, Q: Array, R: Array, bias: Gaussian, walk: Array) -> Filter:
@@ -374,13 +505,17 @@ def nine_states(seen: Models, Q: Array, R: Array, bias: Gaussian, walk: Array) -
     return appended(seen, bias.cov, np.eye(3), np.zeros((6, 3)), drives, "covariance", R=R)
 
 
-def appended(seen: Models, cov: Array, color: Array, into: Array, drives: Array, form: str, **R: Array) -> Filter:
+def appended(
+    seen: Models, cov: Array, color: Array, into: Array, drives: Array, form: str, **R: Array
+) -> Filter:
     """An EKF of orbit and ``s (..., q)``, first a timing's noise if q > 3, last a bias: ``s' = color s + w``, N(0, cov) at first,
     noise of the orbit ``into s + w``; ``drives (..., 6 + q, r)``: root of the covariance of w. Others: as of `ekf`."""
 
     def f(x: Array, epoch: Epoch) -> Array:
         moved, s = seen.move(x[0], epoch), x[0][..., 6:]
-        return np.concatenate([moved.state + matvec(moved.G, matvec(into, s)), matvec(color, s)], -1)[None]
+        return np.concatenate(
+            [moved.state + matvec(moved.G, matvec(into, s)), matvec(color, s)], -1
+        )[None]
 
     def transition(x: Array, epoch: Epoch) -> Array:
         _, Phi, G = seen.move(x, epoch)
@@ -396,8 +531,16 @@ def appended(seen: Models, cov: Array, color: Array, into: Array, drives: Array,
         mean = side_by_side([prior.mean, np.zeros(cov.shape[-1])])
         return inner.start(Gaussian(mean, block([[prior.cov, 0], [0, cov]])))
 
-    noise = {"sqrt_Q": lambda x, epoch: block([[seen.move(x, epoch).G @ drives[..., :6, :]], [drives[..., 6:, :]]])}
-    inner = ekf(seen.believed(Motion, f, transition, **noise), seen.believed(Sensor, h, slope, **R), form=form)
+    noise = {
+        "sqrt_Q": lambda x, epoch: block(
+            [[seen.move(x, epoch).G @ drives[..., :6, :]], [drives[..., 6:, :]]]
+        )
+    }
+    inner = ekf(
+        seen.believed(Motion, f, transition, **noise),
+        seen.believed(Sensor, h, slope, **R),
+        form=form,
+    )
     return FromFunctions(start, inner.step)
 
 
@@ -415,4 +558,12 @@ def trial(config: Config, rngs: Rngs) -> Trial:
     def compare(truth: Array, belief: Belief) -> tuple[Array, Array]:
         return belief.mean[..., :6] - truth[..., :6], cholesky(belief.cov[..., :6, :6])
 
-    return Trial(GROUPS, known, sim.prior, lambda _name: sim.epochs(), compare, reference, lambda x: x[..., :3])
+    return Trial(
+        GROUPS,
+        known,
+        sim.prior,
+        lambda _name: sim.epochs(),
+        compare,
+        reference,
+        lambda x: x[..., :3],
+    )

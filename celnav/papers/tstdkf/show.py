@@ -16,10 +16,31 @@ from celnav.models.pulsar import AREA_CM2, BACKGROUND, LIGHT_KM_S, pulsars
 from celnav.papers.tstdkf import scenario as s
 from celnav.papers.tstdkf import study
 from celnav.papers.tstdkf.scenario import DAY_S, SETTINGS, Config
-from celnav.papers.tstdkf.study import BOTH, COMPARED, LARGER, PAPER, TRENDS, VARIANTS, accelerations, squares
+from celnav.papers.tstdkf.study import (
+    BOTH,
+    COMPARED,
+    LARGER,
+    PAPER,
+    TRENDS,
+    VARIANTS,
+    accelerations,
+    squares,
+)
 from celnav.show import colors, scenes, showcase
 from celnav.show.estimates import Estimate, Group
-from celnav.show.figures import Item, Line, Panel, Rows, band, bars, components, curve, figure, level, panels
+from celnav.show.figures import (
+    Item,
+    Line,
+    Panel,
+    Rows,
+    band,
+    bars,
+    components,
+    curve,
+    figure,
+    level,
+    panels,
+)
 from celnav.show.plots import Curve, Plot
 from celnav.show.showcase import Showcase, Space
 from celnav.study.study import Results
@@ -32,7 +53,11 @@ if TYPE_CHECKING:
 
 __all__ = ["FIGURES", "RECORDINGS", "TABLES", "record"]
 
-AXES, SHADES, DAYS = ("x", "y", "z"), (colors.COMPARISON, colors.ESTIMATE, colors.TRUTH), "time (days)"
+AXES, SHADES, DAYS = (
+    ("x", "y", "z"),
+    (colors.COMPARISON, colors.ESTIMATE, colors.TRUTH),
+    "time (days)",
+)
 ERROR, TRACKED = "ephemeris error (km)", ("tkf", "C", "B", "aug")
 LINES = {
     "ekf": Line("EKF", colors.OPEN_LOOP), "tkf": Line("TKF", colors.COMPARISON), "tdkf": Line("TDKF", colors.FAINT, "--", 0.9),
@@ -57,7 +82,9 @@ def principle(results: Results) -> Figure:
     c, (fig, ax) = results.parts["month"].config, figure(6.2, 4.2)
     (earth, sun), n = (part[0] for part in s.sky(c)[:2]), c.timing.directions[0]
     place, across = earth + c.orbit[:3], earth - (earth @ n) * n
-    delay, shapiro = (float(x[0]) / LIGHT_KM_S for x in (c.timing.delay(place, sun), c.timing.shapiro(place, sun)))
+    delay, shapiro = (
+        float(x[0]) / LIGHT_KM_S for x in (c.timing.delay(place, sun), c.timing.shapiro(place, sun))
+    )
     roemer, plane = float(n @ place) / LIGHT_KM_S, np.stack([n, across / np.linalg.norm(across)])
     zero, ahead, at = np.zeros(2), np.array([0.45, 0.0]), plane @ earth / np.linalg.norm(earth)
     satellite = at + 0.35 * (plane @ c.orbit[:3]) / np.linalg.norm(c.orbit[:3])
@@ -66,15 +93,23 @@ def principle(results: Results) -> Figure:
         (zero, ahead, "", colors.SIGMA), (satellite, satellite + ahead, f"to {c.pulsars[0]}", colors.SIGMA),
     ):  # fmt: skip
         ax.annotate("", end, start, arrowprops={"arrowstyle": "->", "color": color, "lw": 1.6})
-        ax.annotate(label, 0.5 * (start + end), color=color, xytext=(6, -13), textcoords="offset points")
+        ax.annotate(
+            label, 0.5 * (start + end), color=color, xytext=(6, -13), textcoords="offset points"
+        )
     for name, where in (("barycenter", zero), ("Earth", at), ("satellite", satellite)):
         ax.annotate(name, where, xytext=(-4, 6), textcoords="offset points", ha="right")
     ax.plot(*np.stack([zero, at, satellite], 1), "o", color="black", markersize=4)
-    ax.plot([satellite[0]] * 2, [satellite[1], 0.0], color=colors.SIGMA, linestyle=":", linewidth=1.0)
+    ax.plot(
+        [satellite[0]] * 2, [satellite[1], 0.0], color=colors.SIGMA, linestyle=":", linewidth=1.0
+    )
     ax.plot([0.0, satellite[0]], [-0.06, -0.06], color=colors.PAPER, linewidth=2.0)
     terms = f"n·r {roemer:.6f} s, parallax {1e6 * (delay - roemer - shapiro):.3f} µs, Shapiro {1e6 * shapiro:.2f} µs"
     ax.text(0.0, -0.11, f"Δt = {delay:.6f} s\n{terms}", color=colors.PAPER, va="top")
-    ax.set(xlim=(-0.45, satellite[0] + 0.7), ylim=(-0.45, max(at[1], satellite[1]) + 0.2), title="Figure 1 (not to scale)")
+    ax.set(
+        xlim=(-0.45, satellite[0] + 0.7),
+        ylim=(-0.45, max(at[1], satellite[1]) + 0.2),
+        title="Figure 1 (not to scale)",
+    )
     ax.set_axis_off()
     return fig
 
@@ -83,7 +118,10 @@ def difference(results: Results, title: str, name: str, less: str = "") -> Panel
     """A difference of ephemerides from DE421, every 5 hours, and its norm."""
     values = results.get("sky", name) - (results.get("sky", less) if less else 0.0)
     t, norm = np.arange(len(values)) * 5.0 / 24.0, np.linalg.norm(values, axis=1)
-    items = [*components(t, values, AXES, SHADES), curve(t, norm, color="black", linewidth=0.8, linestyle="--", label="norm")]
+    items = [
+        *components(t, values, AXES, SHADES),
+        curve(t, norm, color="black", linewidth=0.8, linestyle="--", label="norm"),
+    ]
     return Panel(title, items, "days since 2015-10-17 04:00 UTC", "difference (km)")
 
 
@@ -91,7 +129,10 @@ def others(results: Results) -> Figure:
     """Other ephemerides, the Sun, and the Earth seen from the Sun."""
     show = partial(difference, results)
     above = show("Earth, DE423 − DE421", "de423/earth"), show("Earth, DE406 − DE421", "de406/earth")
-    below = show("Sun, DE405 − DE421", "de405/sun"), show("Earth from the Sun, DE405 − DE421", "de405/earth", "de405/sun")
+    below = (
+        show("Sun, DE405 − DE421", "de405/sun"),
+        show("Earth from the Sun, DE405 − DE421", "de405/earth", "de405/sun"),
+    )
     return panels(above, below, size=(10.0, 6.0), sharex=True)
 
 
@@ -99,13 +140,23 @@ def ignorant(number: int, group: str, unit: str, results: Results) -> Figure:
     """RMSE of an EKF that ignores the ephemeris error."""
     shown = {
         ("month", "5/ekf"): Line("EKF, ephemeris error", colors.COMPARISON),
-        ("variants", f"white, ephemeris error × {LARGER:.3g}/ekf"): Line(f"error {LARGER:.3g} times as large", colors.PAPER),
+        ("variants", f"white, ephemeris error × {LARGER:.3g}/ekf"): Line(
+            f"error {LARGER:.3g} times as large", colors.PAPER
+        ),
         ("variants", "white, no ephemeris error/ekf"): Line("no ephemeris error", colors.TRUTH),
         ("month", "5/tkf"): Line("TKF, ephemeris error", colors.ESTIMATE),
     }
     items = [orbital(results, *flown, group, line) for flown, line in shown.items()]
     if group == "position":
-        items.append(orbital(results, "month", "5/ekf", "bias", Line("size of the ephemeris error", colors.SIGMA, ":")))
+        items.append(
+            orbital(
+                results,
+                "month",
+                "5/ekf",
+                "bias",
+                Line("size of the ephemeris error", colors.SIGMA, ":"),
+            )
+        )
     title = f"Figure {number}: what an ephemeris error does (white noise)"
     return panels(Panel(title, items, DAYS, f"{group} RMSE ({unit})", "y"), size=(7.5, 3.6))
 
@@ -113,8 +164,13 @@ def ignorant(number: int, group: str, unit: str, results: Results) -> Figure:
 def three_trends(results: Results) -> Figure:
     """The ephemeris error."""
     c, t = results.parts["year"].config, np.arange(0.0, 366.0 * DAY_S, 0.5 * DAY_S)
-    heads = zip(("Figure 5, Eq. 17", "of Figure 10, Eq. 69", "of Figure 10, Eq. 70"), TRENDS, strict=True)
-    lines = ((f"{head}: {name}", components(t / DAY_S, replace(c, trend=name).bias(t), AXES, SHADES)) for head, name in heads)
+    heads = zip(
+        ("Figure 5, Eq. 17", "of Figure 10, Eq. 69", "of Figure 10, Eq. 70"), TRENDS, strict=True
+    )
+    lines = (
+        (f"{head}: {name}", components(t / DAY_S, replace(c, trend=name).bias(t), AXES, SHADES))
+        for head, name in heads
+    )
     row = [Panel(*line, DAYS, ERROR) for line in lines]
     return panels(row, size=(9.0, 3.2), sharey=True)
 
@@ -122,9 +178,16 @@ def three_trends(results: Results) -> Figure:
 def model_error(results: Results) -> Figure:
     """What the ephemeris error makes of the timings in a year, from the Earth's center: an orbit changes nothing of it."""
     c, t = results.parts["month"].config, np.arange(0.0, 366.0 * DAY_S, 0.5 * DAY_S)
-    earth, sun = (de421().state(body, from_utc(c.start_utc).after(t)).position for body in ("earth", "sun"))
-    items = components(t / DAY_S, (c.timing.gradient(earth, sun) @ c.bias(t)[..., None])[..., 0], c.pulsars, SHADES)
-    return panels(Panel("Figure 6: model error of the timings", items, DAYS, "c B = Γ δr (km)"), size=(6.5, 3.4))
+    earth, sun = (
+        de421().state(body, from_utc(c.start_utc).after(t)).position for body in ("earth", "sun")
+    )
+    items = components(
+        t / DAY_S, (c.timing.gradient(earth, sun) @ c.bias(t)[..., None])[..., 0], c.pulsars, SHADES
+    )
+    return panels(
+        Panel("Figure 6: model error of the timings", items, DAYS, "c B = Γ δr (km)"),
+        size=(6.5, 3.4),
+    )
 
 
 def third_bodies(results: Results) -> Figure:
@@ -136,8 +199,17 @@ def third_bodies(results: Results) -> Figure:
            for i, axis in enumerate(AXES)]  # fmt: skip
     row[0] = row[0]._replace(y="acceleration (10⁻⁹ km/s²)")
     sizes = sorted((float(np.linalg.norm(a, axis=1).max()), body) for body, a in each.items())
-    largest = curve([size for size, _ in sizes], [body for _, body in sizes], color=colors.FAINT, marker="o", linestyle="")
-    return panels([*row, Panel("each body, at most", [largest], "acceleration (km/s²)", log="x")], size=(11.0, 3.2))
+    largest = curve(
+        [size for size, _ in sizes],
+        [body for _, body in sizes],
+        color=colors.FAINT,
+        marker="o",
+        linestyle="",
+    )
+    return panels(
+        [*row, Panel("each body, at most", [largest], "acceleration (km/s²)", log="x")],
+        size=(11.0, 3.2),
+    )
 
 
 def spectrum(results: Results) -> Figure:
@@ -145,21 +217,53 @@ def spectrum(results: Results) -> Figure:
     power, cycles = results.get("pulls", "power")[1:], results.get("pulls", "cycles")[1:]
     items = components(cycles, power / power.max(), AXES, SHADES, linewidth=0.7)
     title, more = "Figure 8: spectrum of the acceleration", {"xlim": (0.0, 60.0)}
-    return panels(Panel(title, items, "frequency (cycles/day)", "power, to the largest (-)", "y", more), size=(6.5, 3.6))
+    return panels(
+        Panel(title, items, "frequency (cycles/day)", "power, to the largest (-)", "y", more),
+        size=(6.5, 3.6),
+    )
 
 
 def one_month(results: Results) -> Figure:
     """Setting 1: position, velocity and bias. The true bias is no draw from its prior: its error has no bound."""
-    t, told, row = results.times("month") / DAY_S, results.get("covariances", "told/aug"), list[Panel]()
-    for i, (group, unit, scale) in enumerate((("position", "km", 1.0), ("velocity", "m/s", 1e3), ("bias", "km", 1.0))):
-        items = [orbital(results, "month", f"1/{f}", group) for f in (*PAPER, "aug", "tdkf") if (f, group) != ("ekf", "bias")]
+    t, told, row = (
+        results.times("month") / DAY_S,
+        results.get("covariances", "told/aug"),
+        list[Panel](),
+    )
+    for i, (group, unit, scale) in enumerate(
+        (("position", "km", 1.0), ("velocity", "m/s", 1e3), ("bias", "km", 1.0))
+    ):
+        items = [
+            orbital(results, "month", f"1/{f}", group)
+            for f in (*PAPER, "aug", "tdkf")
+            if (f, group) != ("ekf", "bias")
+        ]
         items += [orbital(results, "month", "fair/tkf", group, LINES["fair"])]
         if group != "bias":
-            P, n = told[:, 3 * i : 3 * i + 3, 3 * i : 3 * i + 3], results.error("month", "1/aug", group).shape[1]
-            size, far = P.trace(axis1=1, axis2=2), 1.96 * np.sqrt(2.0 / n * np.square(P).sum((1, 2)))  # mean square of n runs
+            P, n = (
+                told[:, 3 * i : 3 * i + 3, 3 * i : 3 * i + 3],
+                results.error("month", "1/aug", group).shape[1],
+            )
+            size, far = (
+                P.trace(axis1=1, axis2=2),
+                1.96 * np.sqrt(2.0 / n * np.square(P).sum((1, 2))),
+            )  # mean square of n runs
             low, high = (scale * np.sqrt(np.maximum(size + d, 0.1 * size)) for d in (-far, far))
-            items += [partial(band, t=t, low=low, high=high, color=colors.SIGMA, label="runs at the bound, 95 %")]
-        row.append(Panel("Figure 9: setting 1" if i == 1 else "", items, DAYS, f"{group} RMSE ({unit})", "y"))
+            items += [
+                partial(
+                    band,
+                    t=t,
+                    low=low,
+                    high=high,
+                    color=colors.SIGMA,
+                    label="runs at the bound, 95 %",
+                )
+            ]
+        row.append(
+            Panel(
+                "Figure 9: setting 1" if i == 1 else "", items, DAYS, f"{group} RMSE ({unit})", "y"
+            )
+        )
     return panels(row, size=(10.5, 4.2))
 
 
@@ -169,8 +273,16 @@ def one_year(results: Results) -> Figure:
     for trend in TRENDS:
         first = {LINES[f]: results.get("year", f"{trend}/{f}/first")[::24, 0, 6:] for f in TRACKED}
         first[Line("truth", "black")] = replace(results.parts["year"].config, trend=trend).bias(t)
-        items = [[curve(t / DAY_S, values[:, i], line) for line, values in first.items()] for i in range(3)]
-        rows.append([Panel(f"{trend}, {i}", each, DAYS, ERROR, "", {"ylim": (-0.3, 0.3)}) for i, each in zip(AXES, items)])
+        items = [
+            [curve(t / DAY_S, values[:, i], line) for line, values in first.items()]
+            for i in range(3)
+        ]
+        rows.append(
+            [
+                Panel(f"{trend}, {i}", each, DAYS, ERROR, "", {"ylim": (-0.3, 0.3)})
+                for i, each in zip(AXES, items)
+            ]
+        )
     return panels(*rows, size=(10.0, 7.5), sharex=True, sharey=True)
 
 
@@ -188,7 +300,9 @@ def consistent(results: Results) -> Figure:
     t, row = results.times("consistency") / DAY_S, list[Panel]()
     for case, title in (("1", "setting 1"), ("5", "white noise")):
         nees = {f: results.get("consistency", f"{case}/{f}/nees").mean(1) for f in COMPARED}
-        items = [curve(t, values / (9 if f == "aug" else 6), LINES[f]) for f, values in nees.items()]
+        items = [
+            curve(t, values / (9 if f == "aug" else 6), LINES[f]) for f, values in nees.items()
+        ]
         items.append(level(1.0, label="consistent", color="black"))
         row.append(Panel(title, items, DAYS, "" if row else "NEES to its dimension (-)", "y"))
     return panels(row, size=(9.0, 3.6), sharey=True)
@@ -197,27 +311,70 @@ def consistent(results: Results) -> Figure:
 def depends(results: Results) -> Figure:
     """Setting 1 with one thing changed, and a coupling that is taken for another."""
 
-    def heights(part: str, names: Iterable[Any], at: str, filters: Iterable[str]) -> dict[str, tuple[list[float], str]]:
-        sizes = {f: [rms(squares(results, part, f"{name}/{f}", at=at)) for name in names] for f in filters}
+    def heights(
+        part: str, names: Iterable[Any], at: str, filters: Iterable[str]
+    ) -> dict[str, tuple[list[float], str]]:
+        sizes = {
+            f: [rms(squares(results, part, f"{name}/{f}", at=at)) for name in names]
+            for f in filters
+        }
         return {LINES[f].label: (values, LINES[f].color) for f, values in sizes.items()}
 
-    sizes, names = heights("variants", VARIANTS, "all", ("ekf", "tkf", "tstdkf")), list(VARIANTS)[::-1]
-    left = [curve(v[::-1], names, color=c, marker="o", linestyle="", label=label) for label, (v, c) in sizes.items()]
-    right = bars([f"{a:g} → {b:g}" for a, b in study.COUPLINGS], heights("ten days", range(6), "late", ("tkf", "tstdkf", "aug")))
+    sizes, names = (
+        heights("variants", VARIANTS, "all", ("ekf", "tkf", "tstdkf")),
+        list(VARIANTS)[::-1],
+    )
+    left = [
+        curve(v[::-1], names, color=c, marker="o", linestyle="", label=label)
+        for label, (v, c) in sizes.items()
+    ]
+    right = bars(
+        [f"{a:g} → {b:g}" for a, b in study.COUPLINGS],
+        heights("ten days", range(6), "late", ("tkf", "tstdkf", "aug")),
+    )
     said = "position RMSE (km)"
-    row = Panel("", left, said, log="x"), Panel("", [right], "κ, and what filters take it for", said)
+    row = (
+        Panel("", left, said, log="x"),
+        Panel("", [right], "κ, and what filters take it for", said),
+    )
     return panels(row, size=(11.0, 4.6))
 
 
 def trade_off(results: Results) -> Figure:
     """A step of the ephemeris error: how soon it is followed and how noisy the estimate is before it."""
-    keys = {f"by {what}, form {f}": [x for x in study.SWEEP if x.startswith(f"{f}, {what}")] for what in "ρτ" for f in "CB"}
+    keys = {
+        f"by {what}, form {f}": [x for x in study.SWEEP if x.startswith(f"{f}, {what}")]
+        for what in "ρτ"
+        for f in "CB"
+    }
     left, after = list[Item](), results.at("sweep", "late")
-    for (label, names), color in zip((keys | {"by walk, nine states": [*study.NINE][:-1]}).items(), SWEPT, strict=True):
-        days = [study.days(results.error("sweep", f"step/{name}", "bias")[after, :, 0].T) for name in names]
+    for (label, names), color in zip(
+        (keys | {"by walk, nine states": [*study.NINE][:-1]}).items(), SWEPT, strict=True
+    ):
+        days = [
+            study.days(results.error("sweep", f"step/{name}", "bias")[after, :, 0].T)
+            for name in names
+        ]
         size = [rms(squares(results, "sweep", f"step/{name}", "bias", "steady")) for name in names]
-        left.append(curve(days, size, color=color, marker="o", linestyle="--" if "τ" in label else "-", label=label))
-    return panels(Panel("", left, "days until half of the step is followed", "bias RMSE of 5 days before it (km)"), size=(6.5, 4.2))
+        left.append(
+            curve(
+                days,
+                size,
+                color=color,
+                marker="o",
+                linestyle="--" if "τ" in label else "-",
+                label=label,
+            )
+        )
+    return panels(
+        Panel(
+            "",
+            left,
+            "days until half of the step is followed",
+            "bias RMSE of 5 days before it (km)",
+        ),
+        size=(6.5, 4.2),
+    )
 
 
 FIGURES = {
@@ -243,17 +400,41 @@ FIGURES = {
 # -- tables ------------------------------------------------------------------------------------------------------------------
 def parameters(_: Results) -> Rows:
     """The other parameters, with their sources."""
-    names = ("step_s", "error_km", "error_m_per_s", "rho", "tau", "rate_noise_km_per_s", "acceleration_noise_km_per_s2")
-    known = {name: Config.__dataclass_fields__[name].metadata for name in (*names, "amplitude_km", "bias_prior_km", "walk_km")}
+    names = (
+        "step_s",
+        "error_km",
+        "error_m_per_s",
+        "rho",
+        "tau",
+        "rate_noise_km_per_s",
+        "acceleration_noise_km_per_s2",
+    )
+    known = {
+        name: Config.__dataclass_fields__[name].metadata
+        for name in (*names, "amplitude_km", "bias_prior_km", "walk_km")
+    }
     rows = [{"parameter": name, "value": str(getattr(s.TABLE_5, name)), **{key: about[key] for key in ("meaning", "source")}}
             for name, about in known.items()]  # fmt: skip
 
     def timed(**detector: float) -> str:
-        return ", ".join(f"{1e3 * LIGHT_KM_S * p.timing_std(300.0, **detector):.0f}" for p in pulsars(s.TABLE_5.pulsars))
+        return ", ".join(
+            f"{1e3 * LIGHT_KM_S * p.timing_std(300.0, **detector):.0f}"
+            for p in pulsars(s.TABLE_5.pulsars)
+        )
 
-    for name, x, told in (("area_cm2", AREA_CM2, "of the detector"), ("background", BACKGROUND, "X-rays, photons / cm^2 / s")):
+    for name, x, told in (
+        ("area_cm2", AREA_CM2, "of the detector"),
+        ("background", BACKGROUND, "X-rays, photons / cm^2 / s"),
+    ):
         errs = f"; a tenth of it: timings to {timed(**{name: 0.1 * x})} m, ten times: {timed(**{name: 10.0 * x})} m"
-        rows.append({"parameter": name, "value": f"{x:g}", "meaning": told + errs, "source": "chosen: usual"})
+        rows.append(
+            {
+                "parameter": name,
+                "value": f"{x:g}",
+                "meaning": told + errs,
+                "source": "chosen: usual",
+            }
+        )
     return rows
 
 
@@ -261,12 +442,18 @@ def compared(beyond: bool, results: Results) -> Rows:
     """RMSE of the paper's filters, and by how much TSTDKF is below the others; ``beyond``: of others, and in the second half."""
     rows: Rows = []
     for i, (g, unit) in product(SETTINGS, zip(BOTH, ("km", "m/s"), strict=True)):
-        size, late = ({f: rms(squares(results, "month", f"{i}/{f}", g, at)) for f in COMPARED} for at in ("all", "late"))
+        size, late = (
+            {f: rms(squares(results, "month", f"{i}/{f}", g, at)) for f in COMPARED}
+            for at in ("all", "late")
+        )
         rows.append({"setting": i, "RMSE of": f"{g} ({unit})"})
         rows[-1] |= {LINES[f].label: size[f] for f in (("tdkf", "aug") if beyond else PAPER)}
         for f, printed in zip(PAPER[:2], study.PRINTED[g], strict=True):
             below = [100.0 - 100.0 * x["tstdkf"] / x[f] for x in (size, late)]
-            paper = {f"below {f.upper()} (%)": below[0], f"below {f.upper()}, the paper's (%)": printed if i == 1 else ""}
+            paper = {
+                f"below {f.upper()} (%)": below[0],
+                f"below {f.upper()}, the paper's (%)": printed if i == 1 else "",
+            }
             rows[-1] |= {f"below {f.upper()}, second half (%)": below[1]} if beyond else paper
     return rows
 
@@ -287,7 +474,12 @@ TABLES = {
 
 # -- recordings --------------------------------------------------------------------------------------------------------------
 RECORDINGS = ["tstdkf.rrd", "tstdkf_year.rrd"]
-SHOWN = {"tstdkf": 9, "aug": 9, "tkf": 9, "ekf": 6}  # filters, and how many components they estimate of orbit and bias
+SHOWN = {
+    "tstdkf": 9,
+    "aug": 9,
+    "tkf": 9,
+    "ekf": 6,
+}  # filters, and how many components they estimate of orbit and bias
 ARROW_KM, EARTH_KM, AU_KM, EXAGGERATION = 6000.0, 6378.137, 1.495978707e8, 1000.0
 SPACES = (
     Space("world", f"about the Earth, km (errors x{EXAGGERATION:g})", (20e3, 15e3, 12e3)),
@@ -308,41 +500,90 @@ form C. The exact filter (AUG), told of a random walk, follows best.
 
 def record(results: Results, outputs: Outputs) -> list[str]:
     """Write the recordings among ``outputs``; returns their names. Needs rerun."""
-    return showcase.write(dict(zip(RECORDINGS, (month(results), year(results)), strict=True)), outputs)
+    return showcase.write(
+        dict(zip(RECORDINGS, (month(results), year(results)), strict=True)), outputs
+    )
 
 
 def month(results: Results) -> Showcase:
     """The first run of setting 1, about the Earth and around the Sun; deviations along the nominal orbit."""
-    c, found, known = results.parts["month"].config, dict[str, Estimate](), results.data["covariances"]
-    truth, t = np.stack([epoch.truth[0] for epoch in results.first("month").epochs("")]), c.times[1:]
-    rows = slice(None, None, 9 if len(t) > 180 else 1)  # an orbit has 20 steps: every tenth would show two of its places only
+    c, found, known = (
+        results.parts["month"].config,
+        dict[str, Estimate](),
+        results.data["covariances"],
+    )
+    truth, t = (
+        np.stack([epoch.truth[0] for epoch in results.first("month").epochs("")]),
+        c.times[1:],
+    )
+    rows = slice(
+        None, None, 9 if len(t) > 180 else 1
+    )  # an orbit has 20 steps: every tenth would show two of its places only
     tracks = {"TRUTH": (colors.TRUTH, truth[:, :3])}
     for key, n in SHOWN.items():
-        error, color = results.get("month", f"1/{key}/first")[..., :n] - truth[:, None, :n], LINES[key].color
-        found[key] = Estimate(key.upper(), color, error[rows], known[f"1/{key}"][rows] if f"1/{key}" in known else None)
+        error, color = (
+            results.get("month", f"1/{key}/first")[..., :n] - truth[:, None, :n],
+            LINES[key].color,
+        )
+        found[key] = Estimate(
+            key.upper(),
+            color,
+            error[rows],
+            known[f"1/{key}"][rows] if f"1/{key}" in known else None,
+        )
         tracks[key.upper()] = color, truth[:, :3] + EXAGGERATION * error[:, 0, :3]
 
     def scene(out: Recorder) -> None:
         place, pulls = truth[rows, :3], accelerations(c)
         out.globe("world/earth", EARTH_KM)
         out.points("world/sat/truth", place, colors.TRUTH, radius=5.0)
-        orbits = np.stack([scenes.behind(points, 20, rows.step) for _, points in tracks.values()], 1)
+        orbits = np.stack(
+            [scenes.behind(points, 20, rows.step) for _, points in tracks.values()], 1
+        )
         out.strips("world/sat/orbits", orbits, [color for color, _ in tracks.values()])
-        out.ellipsoids("world/sat/aug", place, EXAGGERATION**2 * known["1/aug"][rows, :3, :3], LINES["aug"].color, alpha=0.1)
+        out.ellipsoids(
+            "world/sat/aug",
+            place,
+            EXAGGERATION**2 * known["1/aug"][rows, :3, :3],
+            LINES["aug"].color,
+            alpha=0.1,
+        )
         for body, color in (("sun", colors.STAR), ("moon", colors.BODY)):
             arrow = ARROW_KM / np.linalg.norm(pulls["moon"], axis=1).max() * pulls[body][1:][rows]
             out.arrow(f"world/pull/{body}", place, arrow, color, "")
-        earth, sun = (de421().state(body, from_utc(c.start_utc).after(t[rows])).position / AU_KM for body in ("earth", "sun"))
+        earth, sun = (
+            de421().state(body, from_utc(c.start_utc).after(t[rows])).position / AU_KM
+            for body in ("earth", "sun")
+        )
         days = from_utc(c.start_utc).after(np.linspace(0.0, s.YEAR_S, 366))
-        out.path("sun/orbit", [(de421().state("earth", days).position - de421().state("sun", days).position) / AU_KM], colors.FAINT)
+        out.path(
+            "sun/orbit",
+            [(de421().state("earth", days).position - de421().state("sun", days).position) / AU_KM],
+            colors.FAINT,
+        )
         out.points("sun/sun", 0.0 * earth, colors.STAR, radius=9.0, label="Sun")
         out.points("sun/barycenter", -sun, colors.BODY, radius=3.0, label="barycenter")
         out.points("sun/earth", earth - sun, colors.BODY, radius=5.0, label="Earth")
         for name, direction in zip(c.pulsars, c.timing.directions, strict=True):
-            out.arrow(f"sun/pulsar/{name}", earth - sun, np.tile(0.5 * direction, (len(earth), 1)), colors.STAR, name)
-            out.arrow(f"world/pulsar/{name}", place, np.tile(2.0 * ARROW_KM * direction, (len(earth), 1)), colors.STAR, name)
+            out.arrow(
+                f"sun/pulsar/{name}",
+                earth - sun,
+                np.tile(0.5 * direction, (len(earth), 1)),
+                colors.STAR,
+                name,
+            )
+            out.arrow(
+                f"world/pulsar/{name}",
+                place,
+                np.tile(2.0 * ARROW_KM * direction, (len(earth), 1)),
+                colors.STAR,
+                name,
+            )
 
-    groups = (*(Group(*group) for group in s.GROUPS), Group("bias", "km", slice(6, 9), truth=truth[rows, 6:]))
+    groups = (
+        *(Group(*group) for group in s.GROUPS),
+        Group("bias", "km", slice(6, 9), truth=truth[rows, 6:]),
+    )
     return Showcase(
         "tstdkf", MONTH, t[rows], found, groups, truth[rows], np.eye(3, 9), "km", scene=scene, spaces=SPACES,
         legend={colors.STAR: "Sun, pulsars", colors.BODY: "Moon, Earth"}, parameters=vars(c), counter="step",
@@ -353,13 +594,23 @@ def month(results: Results) -> Showcase:
 def year(results: Results) -> Showcase:
     """The first run of each trend: plots alone."""
     rows = slice(None, None, 6 if len(results.times("year")) > 120 else 1)
-    t, plots, facts = results.times("year")[rows], dict[str, dict[str, Plot]](), {"paper": "tstdkf", "seed": results.seed}
+    t, plots, facts = (
+        results.times("year")[rows],
+        dict[str, dict[str, Plot]](),
+        {"paper": "tstdkf", "seed": results.seed},
+    )
     for trend in TRENDS:
         first = {f: results.get("year", f"{trend}/{f}/first")[rows, 0, 6:] for f in TRACKED}
         first["truth"] = replace(results.parts["year"].config, trend=trend).bias(t)
-        look = {f: (line.color, line.label) for f, line in LINES.items()} | {"truth": (colors.TRUTH, "truth")}
+        look = {f: (line.color, line.label) for f, line in LINES.items()} | {
+            "truth": (colors.TRUTH, "truth")
+        }
         for i, axis in enumerate(AXES):
             tracks = {f: Curve(values[:, i], *look[f]) for f, values in first.items()}
-            plots.setdefault(trend, {})[axis] = Plot(f"{trend}: ephemeris error {axis}, km", tracks, limits=(-0.4, 0.4))
+            plots.setdefault(trend, {})[axis] = Plot(
+                f"{trend}: ephemeris error {axis}, km", tracks, limits=(-0.4, 0.4)
+            )
     legend = {LINES[f].color: LINES[f].label for f in TRACKED}
-    return Showcase("tstdkf year", ONE_YEAR, t, plots=plots, legend=legend, facts=facts, counter="step")
+    return Showcase(
+        "tstdkf year", ONE_YEAR, t, plots=plots, legend=legend, facts=facts, counter="step"
+    )

@@ -22,8 +22,29 @@ from celnav.models.noise import ar1_noise
 from celnav.models.orbit import third_body
 from celnav.papers.tstdkf import scenario as s
 from celnav.papers.tstdkf.method import strong_tracking
-from celnav.papers.tstdkf.scenario import DAY_S, KAPPA, SETTINGS, TABLE_5, Config, Setting, filters, simulate, sky
-from celnav.study.ledger import Bounds, Number, Tiers, check, erratum, estimate, finding, reconstruction, remark, statement
+from celnav.papers.tstdkf.scenario import (
+    DAY_S,
+    KAPPA,
+    SETTINGS,
+    TABLE_5,
+    Config,
+    Setting,
+    filters,
+    simulate,
+    sky,
+)
+from celnav.study.ledger import (
+    Bounds,
+    Number,
+    Tiers,
+    check,
+    erratum,
+    estimate,
+    finding,
+    reconstruction,
+    remark,
+    statement,
+)
 from celnav.study.numbers import Decided, all_of, consistency, of, ratio, rmse, tiers
 from celnav.study.study import Part, Results, Rngs, Study, When
 from celnav.study.trial import Group
@@ -35,7 +56,11 @@ __all__ = [
 ]  # fmt: skip
 
 Found = dict[str, Array]
-LENGTHS = (Group("position", "km", slice(0, 1)), Group("velocity", "m/s", slice(1, 2)), Group("bias", "km", slice(2, 3)))
+LENGTHS = (
+    Group("position", "km", slice(0, 1)),
+    Group("velocity", "m/s", slice(1, 2)),
+    Group("bias", "km", slice(2, 3)),
+)
 """What is kept of errors of position, velocity and ephemeris: their lengths."""
 EXACT_PART = np.r_[0:6, -3:0]
 TRENDS, LARGER = ("sine", "growing", "triangle"), 20.0 / 3.0
@@ -50,9 +75,19 @@ VARIANTS: Changes = {
 }  # fmt: skip
 STRONG: Changes = {name: {"setting": Setting(*noise), "factor": "proportional"} for name, noise in {
     "F = 0.8": (0.8,), "F = L = 0.8": (0.8, 0.8, 0.5), "F = 0.9, L = 0.8": (0.9, 0.8, 0.5)}.items()}  # fmt: skip
-COUPLINGS = ((0.0, 0.0), (0.0, KAPPA), (KAPPA, 0.0), (KAPPA, 0.5 * KAPPA), (KAPPA, KAPPA), (KAPPA, -KAPPA))
+COUPLINGS = (
+    (0.0, 0.0),
+    (0.0, KAPPA),
+    (KAPPA, 0.0),
+    (KAPPA, 0.5 * KAPPA),
+    (KAPPA, KAPPA),
+    (KAPPA, -KAPPA),
+)
 """Coupling of the noises, and what the filters take it for."""
-COUPLED, TAKEN = ({str(i): {"setting": Setting(kappa=pair[k])} for i, pair in enumerate(COUPLINGS)} for k in (0, 1))
+COUPLED, TAKEN = (
+    {str(i): {"setting": Setting(kappa=pair[k])} for i, pair in enumerate(COUPLINGS)}
+    for k in (0, 1)
+)
 ALONE: Changes = {f"{name} = {x} alone": {"setting": Setting(*pair, 0.0)}
                   for x in (0.3, 0.8) for name, pair in (("F", (x, 0.0)), ("L", (0.0, x)))}  # fmt: skip
 COLORS, PRIORS = (0.3, 0.5, 0.8, 0.9), {0.03: 50, 0.3: 1600, 1.0: 50}
@@ -62,14 +97,28 @@ COLORS, PRIORS = (0.3, 0.5, 0.8, 0.9), {0.03: 50, 0.3: 1600, 1.0: 50}
 # -- filters on runs ---------------------------------------------------------------------------------------------------------
 BESIDE, TAU = np.arange(2.0).reshape(2, 1, 1, 1), TABLE_5.tau
 FORM = {"C": (0.0, 0.0), "B": (0.0, 1.0), "A": (1.0, 1.0)}
-RHOS, TAUS, WALKS = (0.0, 1.0, 3.0, 10.0, 30.0, 50.0), (10.0, 30.0, 300.0, 1000.0, 1e4), (0.0, 1e-5, 3e-5, 1e-4, 3e-4)
-FORMS = {"tdkf": (*FORM["C"], 0.0, 0.0, 0.0, TAU)} | {form: (*how, *TABLE_5.rho, TAU) for form, how in FORM.items()}
-SWEEP = FORMS | {f"{form}, ρ = {rho:g}": (*FORM[form], rho, rho, rho, TAU) for form in "CB" for rho in RHOS}
+RHOS, TAUS, WALKS = (
+    (0.0, 1.0, 3.0, 10.0, 30.0, 50.0),
+    (10.0, 30.0, 300.0, 1000.0, 1e4),
+    (0.0, 1e-5, 3e-5, 1e-4, 3e-4),
+)
+FORMS = {"tdkf": (*FORM["C"], 0.0, 0.0, 0.0, TAU)} | {
+    form: (*how, *TABLE_5.rho, TAU) for form, how in FORM.items()
+}
+SWEEP = FORMS | {
+    f"{form}, ρ = {rho:g}": (*FORM[form], rho, rho, rho, TAU) for form in "CB" for rho in RHOS
+}
 SWEEP |= {f"{form}, τ = {tau:g}": (*FORM[form], *TABLE_5.rho, tau) for form in "CB" for tau in TAUS}
 """Factors by name: whether of the innovations of the first stage (form A), whether in proportion (A and B), ρ by axis, τ."""
 NINE = {**{f"aug9 {walk:g}": (walk, 0) for walk in WALKS}, "fair": (1e-4, 1)}
 """Filters of nine states by name: steps of the bias (km), and which of `Noise.whites` they believe in."""
-LABELS = {"tkf": ("ekf", "tkf"), "tstdkf": ("tdkf", "tstdkf"), "tdkf": FORMS, "sweep": SWEEP, "nine": NINE}
+LABELS = {
+    "tkf": ("ekf", "tkf"),
+    "tstdkf": ("tdkf", "tstdkf"),
+    "tdkf": FORMS,
+    "sweep": SWEEP,
+    "nine": NINE,
+}
 """The filters inside of a filter: EKF is the first stage of TKF, TDKF lies beside TSTDKF, others side by side."""
 
 
@@ -83,7 +132,13 @@ def means(state: Any) -> Array:
 
 
 def flown(
-    names: Sequence[str], sim: s.Scenario, known: Mapping[str, Any], of: Sequence[str], *, every: int = 1, judged: int = 0
+    names: Sequence[str],
+    sim: s.Scenario,
+    known: Mapping[str, Any],
+    of: Sequence[str],
+    *,
+    every: int = 1,
+    judged: int = 0,
 ) -> Found:
     """Filters ``of`` these names (see `LABELS`) over cases of these: errors ``<case>/<filter>/error (K, runs, 3)``, see `LENGTHS`,
     RMS over ``every`` epochs, and the estimate ``first (K, 1, 9)`` of the first run; FilterError if one is lost. judged: the first
@@ -92,7 +147,9 @@ def flown(
     for name in of:
         filter, held, rows = known[name], list[Array](), list[dict[str, Array]]()
         if isinstance(filter, TwoStage):  # it takes one mean of the bias, or one for each run
-            filter = replace(filter, bias=Gaussian(np.zeros((*sim.prior.mean.shape[:-1], 3)), filter.bias.cov))
+            filter = replace(
+                filter, bias=Gaussian(np.zeros((*sim.prior.mean.shape[:-1], 3)), filter.bias.cov)
+            )
         for epoch, state, (info,) in steps(filter, sim.prior, sim.epochs()):
             mean = means(state).reshape(-1, *epoch.truth.shape)
             held.append(mean - epoch.truth)
@@ -103,25 +160,45 @@ def flown(
             if judged:
                 part, cov = EXACT_PART if name == "aug" else np.arange(6), state.belief.cov
                 cov = np.stack([state.first.belief.cov, cov[..., :6, :6]]) if name == "tkf" else cov
-                root = cholesky(cov.reshape(-1, *cov.shape[-4:])[:, :judged, :, part[:, None], part])
+                root = cholesky(
+                    cov.reshape(-1, *cov.shape[-4:])[:, :judged, :, part[:, None], part]
+                )
                 rows[-1]["nees"] = nees(held[-1][:, :judged, :, : len(part)], root)
                 rows[-1] |= {"nis": np.asarray(info.nis)[None, :judged]} if name == "aug" else {}
             held = []
         for key in rows[0]:
             track = np.stack([row[key] for row in rows])
             if not (sound := np.isfinite(track).reshape(len(track), -1).all(1)).all():
-                raise FilterError(f"{name}/{key}: lost a run at step {every * (1 + int(np.argmin(sound)))}")
-            cases, inside = list(enumerate(names[: track.shape[2]])), enumerate(LABELS.get(name, [name]))
-            out |= {f"{case}/{label}/{key}": track[:, i, j] for i, label in inside for j, case in cases}
+                raise FilterError(
+                    f"{name}/{key}: lost a run at step {every * (1 + int(np.argmin(sound)))}"
+                )
+            cases, inside = (
+                list(enumerate(names[: track.shape[2]])),
+                enumerate(LABELS.get(name, [name])),
+            )
+            out |= {
+                f"{case}/{label}/{key}": track[:, i, j] for i, label in inside for j, case in cases
+            }
     return out
 
 
 def apart(
-    changes: Changes, of: Sequence[str], config: Config, rngs: Rngs, *, taken: Changes | None = None, judged: int = 0
+    changes: Changes,
+    of: Sequence[str],
+    config: Config,
+    rngs: Rngs,
+    *,
+    taken: Changes | None = None,
+    judged: int = 0,
 ) -> Found:
     """Configurations that differ side by side; ``taken``: what the filters take them for, where that is something else."""
-    cases, believed = ([replace(config, **by.get(name, own)) for name, own in changes.items()] for by in (changes, taken or {}))
-    return flown(list(changes), simulate(cases, rngs), filters(believed, on=BESIDE), of, judged=judged)
+    cases, believed = (
+        [replace(config, **by.get(name, own)) for name, own in changes.items()]
+        for by in (changes, taken or {})
+    )
+    return flown(
+        list(changes), simulate(cases, rngs), filters(believed, on=BESIDE), of, judged=judged
+    )
 
 
 def five(config: Config, rngs: Rngs) -> Found:
@@ -129,9 +206,15 @@ def five(config: Config, rngs: Rngs) -> Found:
     cases = [replace(config, **changes) for changes in FIVE.values()]
     sim, known = simulate(cases, rngs), filters(cases, on=BESIDE)
     truth, bias, z = (part[:, :1] for part in (sim.truth, sim.bias, sim.z))
-    one = sim._replace(truth=truth, bias=bias, z=z, prior=Gaussian(sim.prior.mean[:1], sim.prior.cov[:1]))
+    one = sim._replace(
+        truth=truth, bias=bias, z=z, prior=Gaussian(sim.prior.mean[:1], sim.prior.cov[:1])
+    )
     fair = flown(["fair"], one, {"tkf": filters(cases[:1])["tkf-fair"]}, ["tkf"])
-    return fair | flown(list(FIVE), sim, known, ("tkf", "tstdkf")) | flown(list(FIVE), sim, known, ["aug"], judged=1)
+    return (
+        fair
+        | flown(list(FIVE), sim, known, ("tkf", "tstdkf"))
+        | flown(list(FIVE), sim, known, ["aug"], judged=1)
+    )
 
 
 def forces(config: Config, rngs: Rngs) -> Found:
@@ -140,8 +223,14 @@ def forces(config: Config, rngs: Rngs) -> Found:
     total = np.asarray(sum(pull for body, pull in accelerations(c).items() if body in s.PULLING))
     driven, L = c.process_std**2, np.concatenate([np.zeros(3), correlation(total)])
     driven[3:] += np.square(total).mean(0) * (1.0 - L[3:] ** 2)
-    noise = ar1_noise(np.zeros((3, 3)), np.diag(L), np.zeros((6, 3)), np.diag(c.sigma_km**2), np.diag(driven))
-    sim, modeled, colored = simulate([c], rngs), filters([c], s.models(c, pulled=True)), filters([c], noise=noise, on=BESIDE)
+    noise = ar1_noise(
+        np.zeros((3, 3)), np.diag(L), np.zeros((6, 3)), np.diag(c.sigma_km**2), np.diag(driven)
+    )
+    sim, modeled, colored = (
+        simulate([c], rngs),
+        filters([c], s.models(c, pulled=True)),
+        filters([c], noise=noise, on=BESIDE),
+    )
     return flown(["modeled"], sim, modeled, ["tkf"]) | flown(["colored"], sim, colored, ["tstdkf"])
 
 
@@ -153,16 +242,32 @@ def boosts(table: Mapping[str, tuple[float, ...]]) -> Callable[[Any, Boost], tup
 
     def boosted(memory: Any, seen: Boost) -> Any:
         residual = np.where(own > 0.0, seen.innovation, seen.residual)
-        return boost(memory, seen._replace(residual=residual, total=np.where(own[..., None] > 0.0, seen.own, seen.total)))
+        return boost(
+            memory,
+            seen._replace(
+                residual=residual, total=np.where(own[..., None] > 0.0, seen.own, seen.total)
+            ),
+        )
 
     return boosted
 
 
-def linear(names: Sequence[str], every: int, of: Sequence[str], config: Config, rngs: Rngs) -> Found:
+def linear(
+    names: Sequence[str], every: int, of: Sequence[str], config: Config, rngs: Rngs
+) -> Found:
     """`flown` along trends of the ephemeris error: the paper's, a step, or 1 km along each axis and, in other runs, others."""
-    known, (walks, whose) = filters(config, s.LINEAR, on=BESIDE), np.array(list(NINE.values())).T[..., None, None, None, None]
-    known |= {name: replace(known["tdkf"], boost=boosts(table)) for name, table in (("tdkf", FORMS), ("sweep", SWEEP))}
-    Q, R = (np.where(whose > 0.0, fair, driving) for driving, fair in zip(*config.noise.whites, strict=True))
+    known, (walks, whose) = (
+        filters(config, s.LINEAR, on=BESIDE),
+        np.array(list(NINE.values())).T[..., None, None, None, None],
+    )
+    known |= {
+        name: replace(known["tdkf"], boost=boosts(table))
+        for name, table in (("tdkf", FORMS), ("sweep", SWEEP))
+    }
+    Q, R = (
+        np.where(whose > 0.0, fair, driving)
+        for driving, fair in zip(*config.noise.whites, strict=True)
+    )
     known["nine"] = s.nine_states(s.LINEAR, Q, R, known["tdkf"].bias, walks * np.eye(3))
     cases = [replace(config, trend=trend) for trend in names]
     return flown(names, s.linearized(cases, rngs), known, of, every=every)
@@ -183,10 +288,17 @@ def covariances(config: Config, _: Rngs) -> Found:
     known = nominal_covariances([replace(config, **changes) for changes in flown.values()], "aug")
     short = replace(config, days=config.days / 3.0, bias_prior_km=1e-9, walk_km=0.0)
     cases = [replace(short, setting=Setting(F, 0.0, 0.0)) for F in COLORS]
-    said, least = (nominal_covariances(cases, name)[-1, :, :3, :3].trace(axis1=1, axis2=2) for name in ("tdkf", "aug"))
+    said, least = (
+        nominal_covariances(cases, name)[-1, :, :3, :3].trace(axis1=1, axis2=2)
+        for name in ("tdkf", "aug")
+    )
     own, nine = (nominal_covariances([config], name)[:, 0] for name in ("tstdkf", "aug9"))
     std = np.sqrt(nine.diagonal(0, 1, 2))[..., None]
-    out = {"1/tstdkf": own, "trace": said / least, "condition": np.linalg.cond(nine / (std * std.mT))}
+    out = {
+        "1/tstdkf": own,
+        "trace": said / least,
+        "condition": np.linalg.cond(nine / (std * std.mT)),
+    }
     return out | {f"{i}/aug": known[:, k] for k, i in enumerate(flown)}
 
 
@@ -194,10 +306,17 @@ def alike(config: Config, rngs: Rngs) -> Found:
     """All noise white: largest differences of both first stages and of TKF and TDKF, in deviations and parts of covariances."""
     c = replace(config, setting=SETTINGS[5])
     sim, known, worst = simulate(c, rngs), filters(c), np.zeros((2, 2))
-    both = zip(*(steps(known[name], sim.prior, sim.epochs()) for name in ("tkf", "tdkf")), strict=True)
+    both = zip(
+        *(steps(known[name], sim.prior, sim.epochs()) for name in ("tkf", "tdkf")), strict=True
+    )
     for (_, one, _), (_, two, _) in both:
-        for i, (a, b) in enumerate(((one.first.belief, two.first.belief), (one.belief, two.belief))):
-            apart = np.abs(a.mean - b.mean) / a.std, np.abs(a.cov - b.cov) / (a.std[..., :, None] * a.std[..., None, :])
+        for i, (a, b) in enumerate(
+            ((one.first.belief, two.first.belief), (one.belief, two.belief))
+        ):
+            apart = (
+                np.abs(a.mean - b.mean) / a.std,
+                np.abs(a.cov - b.cov) / (a.std[..., :, None] * a.std[..., None, :]),
+            )
             worst[i] = np.maximum(worst[i], [part.max() for part in apart])
     return {"worst": worst.ravel()}
 
@@ -206,7 +325,11 @@ def alike(config: Config, rngs: Rngs) -> Found:
 def accelerations(config: Config) -> Found:
     """Acceleration ``(T, 3)`` km/s^2 of the satellite on its nominal orbit by each body, relative to the Earth's."""
     earth, place = de421().state("earth", config.dates).position, s.nominal(config).state[:, :3]
-    bodies = {body: de421().state(body, config.dates).position - earth for body in BODIES if body != "earth"}
+    bodies = {
+        body: de421().state(body, config.dates).position - earth
+        for body in BODIES
+        if body != "earth"
+    }
     return {body: third_body(place, at, GM[body]) for body, at in bodies.items()}
 
 
@@ -228,10 +351,15 @@ def pulls(config: Config, rngs: Rngs) -> Found:
     Shapiro delays by Earth, Moon and planets, which the timing model omits: RMS about the mean over the timing's (``omitted``),
     correlation with the ``next`` and with the acceleration along the line of sight (``along``), for each pulsar."""
     total = np.asarray(sum(accelerations(config).values()))[:-1]  # a whole month of samples
-    (lines, flat), white = power(total), np.concatenate([rngs[0].standard_normal((len(total), 50)) for _ in range(10)], 1)
+    (lines, flat), white = (
+        power(total),
+        np.concatenate([rngs[0].standard_normal((len(total), 50)) for _ in range(10)], 1),
+    )
     timing, place = config.timing, sky(config)[0] + s.nominal(config).state[:, :3]
     at = {body: de421().state(body, config.dates).position for body in BODIES[1:]}
-    late = np.asarray(sum(GM[body] / GM["sun"] * timing.shapiro_exact(place, where) for body, where in at.items()))[:-1]
+    late = np.asarray(
+        sum(GM[body] / GM["sun"] * timing.shapiro_exact(place, where) for body, where in at.items())
+    )[:-1]
     return {
         "omitted": late.std(0) / config.sigma_km, "next": correlation(late),
         "along": np.diagonal(np.corrcoef(late, total @ timing.directions.T, rowvar=False)[:3, 3:]),
@@ -245,9 +373,14 @@ def ephemerides() -> tuple[Tdb, Found]:
     """``data/ephemeris_2015.npz``: 1753 instants, every 5 h of the year; "de405/earth" and the like ``(T, 3)`` less DE421, km."""
     stored = read_npz(data("ephemeris_2015.npz"))
     dates = Tdb(float(stored["day"]), stored["rest"])
-    apart = max(np.abs(de421().state(body, dates).position - stored[f"de421/{body}"]).max() for body in ("earth", "sun"))
+    apart = max(
+        np.abs(de421().state(body, dates).position - stored[f"de421/{body}"]).max()
+        for body in ("earth", "sun")
+    )
     if apart > 1e-6:
-        raise ValueError(f"ephemeris_2015.npz: expected the DE421 that is installed, got one that differs by {apart:.3g} km")
+        raise ValueError(
+            f"ephemeris_2015.npz: expected the DE421 that is installed, got one that differs by {apart:.3g} km"
+        )
     pairs = [(name, body) for name in ("de405", "de406", "de423") for body in ("earth", "sun")]
     return dates, {f"{name}/{body}": stored[f"{name}-de421/{body}"] for name, body in pairs}
 
@@ -260,8 +393,14 @@ def sky_facts(config: Config, _: Rngs) -> Found:
     timing, n = config.timing, config.timing.directions
     solar = ((-sun @ n.T) * (earth @ n.T) + (sun * earth).sum(1)[:, None]) / timing.distances
     wrong = timing.shapiro(earth, sun) - timing.shapiro_exact(earth, sun)
-    found = {"speed": np.linalg.norm(velocity[:1], axis=1), "shapiro": np.abs(wrong).max(0), "solar": np.abs(solar).max(0)}
-    return ephemerides()[1] | found | {"norm": np.linalg.norm(ephemerides()[1]["de405/earth"], axis=1)}
+    found = {
+        "speed": np.linalg.norm(velocity[:1], axis=1),
+        "shapiro": np.abs(wrong).max(0),
+        "solar": np.abs(solar).max(0),
+    }
+    return (
+        ephemerides()[1] | found | {"norm": np.linalg.norm(ephemerides()[1]["de405/earth"], axis=1)}
+    )
 
 
 def parts(effort: float = 1.0) -> dict[str, Part]:
@@ -270,7 +409,12 @@ def parts(effort: float = 1.0) -> dict[str, Part]:
     def days(config: Config, full: float) -> Config:
         return replace(config, days=min(full, max(0.5, round(full * effort * 288.0) / 288.0)))
 
-    month, ten_days, three, pair = days(TABLE_5, 30.0), days(TABLE_5, 10.0), days(TABLE_5, 3.0), ("tkf", "tstdkf")
+    month, ten_days, three, pair = (
+        days(TABLE_5, 30.0),
+        days(TABLE_5, 10.0),
+        days(TABLE_5, 3.0),
+        ("tkf", "tstdkf"),
+    )
     honest = replace(three, trend="constant", initial="drawn", walk_km=0.0)
     return {
         "month": Part(five, month, 0, 50, 50, 120.0),
@@ -294,14 +438,26 @@ WINDOWS = {  # parts of the whole time, a month or a year, since the effort may 
     "day 3": (2 / 30, 3 / 30), "steady": (1 / 3, 1 / 2), "last day": (29 / 30, 1), "month": (0, 30 / 365), "later": (30 / 365, 1),
     **{f"quarter {i + 1}": (i / 4, (i + 1) / 4) for i in range(4)},
 }  # fmt: skip
-PRINTED = {"position": (56.49, 35.18), "velocity": (27.66, 17.07)}  # % that TSTDKF is below EKF and TKF in setting 1
-PAPER, COMPARED, BOTH = ("ekf", "tkf", "tstdkf"), ("ekf", "tkf", "tdkf", "tstdkf", "aug"), ("position", "velocity")
+PRINTED = {
+    "position": (56.49, 35.18),
+    "velocity": (27.66, 17.07),
+}  # % that TSTDKF is below EKF and TKF in setting 1
+PAPER, COMPARED, BOTH = (
+    ("ekf", "tkf", "tstdkf"),
+    ("ekf", "tkf", "tdkf", "tstdkf", "aug"),
+    ("position", "velocity"),
+)
 
 
 def windows(_: Config, times: Array) -> dict[str, slice]:
     """`WINDOWS` as slices, of one epoch at least."""
-    starts = {name: min(round(start * len(times)), len(times) - 1) for name, (start, _) in WINDOWS.items()}
-    return {name: slice(starts[name], max(starts[name] + 1, round(end * len(times)))) for name, (_, end) in WINDOWS.items()}
+    starts = {
+        name: min(round(start * len(times)), len(times) - 1) for name, (start, _) in WINDOWS.items()
+    }
+    return {
+        name: slice(starts[name], max(starts[name] + 1, round(end * len(times))))
+        for name, (_, end) in WINDOWS.items()
+    }
 
 
 def squares(r: Results, part: str, filter: str, group: str = "position", at: When = "all") -> Array:
@@ -310,7 +466,14 @@ def squares(r: Results, part: str, filter: str, group: str = "position", at: Whe
 
 
 def over(
-    label: str, part: str, a: str, b: str, accept: Bounds = (None, None), group: str = "position", at: When = "all", **more: Any
+    label: str,
+    part: str,
+    a: str,
+    b: str,
+    accept: Bounds = (None, None),
+    group: str = "position",
+    at: When = "all",
+    **more: Any,
 ) -> Decided:
     """RMSE of a filter over that of another."""
     return ratio(label, (part, a), (part, b), group, accept, at=at, **more)
@@ -320,7 +483,14 @@ def per_direction(r: Results) -> Tiers:
     """Position RMSE of the second half per km of error of the Earth, for all directions."""
     each, same = np.sqrt(squares(r, "constant", "constant/ekf", at="late")), (1.0 / 3.2, 3.2)
     mean = estimate("mean over directions, km per km", np.mean, [each], same)
-    return {"reproduced": [mean, Number("least", each.min(), same), Number("largest", each.max(), same)], "in part": [mean]}
+    return {
+        "reproduced": [
+            mean,
+            Number("least", each.min(), same),
+            Number("largest", each.max(), same),
+        ],
+        "in part": [mean],
+    }
 
 
 def slow(r: Results) -> list[Number]:
@@ -329,19 +499,42 @@ def slow(r: Results) -> list[Number]:
     for name in ("de423", "de405"):
         d = r.get("sky", f"{name}/earth")
         year = max(np.linalg.norm(d - d[k], axis=1).max() for k in range(0, len(d), 5))
-        parts = np.array([np.linalg.norm(np.diff(d, axis=0), axis=1).max(), year]) / np.linalg.norm(d, axis=1).mean()
-        out += [Number(f"{name}, in 5 h", parts[0], (None, 0.01)), Number(f"{name}, in the year", parts[1], (0.5, None))]
+        parts = (
+            np.array([np.linalg.norm(np.diff(d, axis=0), axis=1).max(), year])
+            / np.linalg.norm(d, axis=1).mean()
+        )
+        out += [
+            Number(f"{name}, in 5 h", parts[0], (None, 0.01)),
+            Number(f"{name}, in the year", parts[1], (0.5, None)),
+        ]
     for trend in TRENDS:
-        hourly = (np.square(r.error("year", f"{trend}/ekf", g)[: 24 * days, :, 0]) for g in ("bias", "position"))
+        hourly = (
+            np.square(r.error("year", f"{trend}/ekf", g)[: 24 * days, :, 0])
+            for g in ("bias", "position")
+        )
         size, place = (square.reshape(days, 24, -1).mean(1) for square in hourly)
-        follows = partial(lambda ranks, e: np.corrcoef(ranks, e.mean(0).argsort().argsort())[0, 1], size[:, 0].argsort().argsort())
-        out.append(estimate(f"rank correlation of daily RMSE and error, {trend}", follows, [place.T], (0.0, None)))
+        follows = partial(
+            lambda ranks, e: np.corrcoef(ranks, e.mean(0).argsort().argsort())[0, 1],
+            size[:, 0].argsort().argsort(),
+        )
+        out.append(
+            estimate(
+                f"rank correlation of daily RMSE and error, {trend}",
+                follows,
+                [place.T],
+                (0.0, None),
+            )
+        )
     return out
 
 
 def beyond_white(name: str) -> Decided:
     """Correlation with the next, least of three sequences, against what 99 % of white ones reach."""
-    return lambda r: Number(name, r.get("pulls", name).min(), (float(np.quantile(r.get("pulls", "white correlation"), 0.99)), None))
+    return lambda r: Number(
+        name,
+        r.get("pulls", name).min(),
+        (float(np.quantile(r.get("pulls", "white correlation"), 0.99)), None),
+    )
 
 
 def of_runs(
@@ -349,14 +542,24 @@ def of_runs(
     part: str = "month", at: When = "all", **more: Any,
 ) -> Decided:  # fmt: skip
     """A statistic of the runs' mean squares, of flown filters and groups."""
-    return lambda r: estimate(label, statistic, [squares(r, part, *one, at) for one in flown], accept, **more)
+    return lambda r: estimate(
+        label, statistic, [squares(r, part, *one, at) for one in flown], accept, **more
+    )
 
 
 def of_hours(
-    label: str, statistic: Any, part: str, flown: Sequence[str], group: str, at: str, accept: Bounds = (None, None)
+    label: str,
+    statistic: Any,
+    part: str,
+    flown: Sequence[str],
+    group: str,
+    at: str,
+    accept: Bounds = (None, None),
 ) -> Decided:
     """A statistic of errors ``(runs, epochs)`` of filters."""
-    return lambda r: estimate(label, statistic, [r.error(part, f, group)[r.at(part, at), :, 0].T for f in flown], accept)
+    return lambda r: estimate(
+        label, statistic, [r.error(part, f, group)[r.at(part, at), :, 0].T for f in flown], accept
+    )
 
 
 def below_both(*errors: Array) -> Any:
@@ -365,28 +568,48 @@ def below_both(*errors: Array) -> Any:
     return (ours < np.minimum(*others)).mean()
 
 
-def yearly(label: str, a: str, b: str, accept: Bounds = (None, None), group: str = "bias", **more: Any) -> list[Decided]:
+def yearly(
+    label: str, a: str, b: str, accept: Bounds = (None, None), group: str = "bias", **more: Any
+) -> list[Decided]:
     """Of the three trends, after a month of the year: the error of a filter over that of another."""
-    return [over(f"{label}, {t}", "year", f"{t}/{a}", f"{t}/{b}", accept, group, "later", **more) for t in TRENDS]
+    return [
+        over(f"{label}, {t}", "year", f"{t}/{a}", f"{t}/{b}", accept, group, "later", **more)
+        for t in TRENDS
+    ]
 
 
 def days(*errors: Array) -> float:
     """For how many days the RMSE of an estimate, by the hour, exceeds half of the step; of two: how many more for the second."""
-    each = [float((np.square(error).mean(0) > 0.75 * TABLE_5.bias_prior_km**2).sum() / 24.0) for error in errors]
+    each = [
+        float((np.square(error).mean(0) > 0.75 * TABLE_5.bias_prior_km**2).sum() / 24.0)
+        for error in errors
+    ]
     return each[-1] - sum(each[:-1])
 
 
 def following(a: str, b: str, accept: Bounds = (None, None)) -> Decided:
     """Days that another factor follows the step later."""
-    return of_hours(f"days, {a} to {b}", days, "sweep", [f"step/{a}", f"step/{b}"], "bias", "late", accept)
+    return of_hours(
+        f"days, {a} to {b}", days, "sweep", [f"step/{a}", f"step/{b}"], "bias", "late", accept
+    )
 
 
 def before_step(a: str, b: str, accept: Bounds = (None, None), group: str = "bias") -> Decided:
     """Error of the estimate in the five days before the step, of a factor or nine states over that of another."""
-    return over(f"{a} over {b}, {group} before the step", "sweep", f"step/{a}", f"step/{b}", accept, group, "steady")
+    return over(
+        f"{a} over {b}, {group} before the step",
+        "sweep",
+        f"step/{a}",
+        f"step/{b}",
+        accept,
+        group,
+        "steady",
+    )
 
 
-def factors(a: tuple[str, str], b: tuple[str, str], accept: Bounds = (None, None), at: When = "all") -> Decided:
+def factors(
+    a: tuple[str, str], b: tuple[str, str], accept: Bounds = (None, None), at: When = "all"
+) -> Decided:
     """Largest over smallest RMSE of the settings, of one filter and group over that of another."""
 
     def factor(*samples: Array) -> float:
@@ -394,7 +617,9 @@ def factors(a: tuple[str, str], b: tuple[str, str], accept: Bounds = (None, None
         return max(x[:5]) / min(x[:5]) / max(x[5:]) * min(x[5:])
 
     label = f"{' '.join(a)} over {' '.join(b)}, {at}"
-    return of_runs(label, factor, [(f"{i}/{f}", group) for f, group in (a, b) for i in SETTINGS], accept, at=at)
+    return of_runs(
+        label, factor, [(f"{i}/{f}", group) for f, group in (a, b) for i in SETTINGS], accept, at=at
+    )
 
 
 def below(a: Array, b: Array) -> float:
@@ -405,13 +630,22 @@ def below(a: Array, b: Array) -> float:
 def percentages(group: str, halfway: tuple[float, float]) -> Callable[[Results], Tiers]:
     """Setting 1: our percentages, of many linear runs, against half of the effect and the printed ones; those of 50 runs."""
 
-    def gain(case: str, f: str, part: str, label: str = "", accept: Bounds = (None, None), **more: Any) -> Decided:
+    def gain(
+        case: str, f: str, part: str, label: str = "", accept: Bounds = (None, None), **more: Any
+    ) -> Decided:
         flown = [(f"{case}/{x}", group) for x in ("tstdkf", f)]
         return of_runs(f"{label}below {f.upper()}, %", below, flown, accept, part=part, **more)
 
     printed = zip(PAPER[:2], PRINTED[group], halfway, strict=True)
-    ours = [gain("sine", f, "many 0.3", accept=(bar, None), printed=value) for f, value, bar in printed]
-    return tiers(reproduced_with_fitted_parameters=[*ours, *(gain("1", f, "month", "50 runs, not linear, ") for f in PAPER[:2])])
+    ours = [
+        gain("sine", f, "many 0.3", accept=(bar, None), printed=value) for f, value, bar in printed
+    ]
+    return tiers(
+        reproduced_with_fitted_parameters=[
+            *ours,
+            *(gain("1", f, "month", "50 runs, not linear, ") for f in PAPER[:2]),
+        ]
+    )
 
 
 def lead(group: str, f: str) -> Decided:
@@ -427,13 +661,28 @@ def lead(group: str, f: str) -> Decided:
 
 def at_bound(r: Results) -> list[Number]:
     """Position RMSE of the exact filter over its covariance on the nominal orbit, a mean over a prior wider than the true bias."""
-    sizes = {i: r.get("covariances", f"{i}/aug")[:, :3, :3].trace(axis1=1, axis2=2).mean() for i in SETTINGS}
-    return [estimate(f"setting {i}", rms, [squares(r, "month", f"{i}/aug") / size], (0.85, 1.0)) for i, size in sizes.items()]
+    sizes = {
+        i: r.get("covariances", f"{i}/aug")[:, :3, :3].trace(axis1=1, axis2=2).mean()
+        for i in SETTINGS
+    }
+    return [
+        estimate(f"setting {i}", rms, [squares(r, "month", f"{i}/aug") / size], (0.85, 1.0))
+        for i, size in sizes.items()
+    ]
 
 
 # -- the ledger --------------------------------------------------------------------------------------------------------------
-NEAR, NO, PART, FITTED = (0.91, 1.10), "not reproduced", "in part", "reproduced with fitted parameters"
-TABLE, BEST, judged = "§4, on Table 5", "§4, on Table 5; conclusion 3", partial(consistency, at="all")
+NEAR, NO, PART, FITTED = (
+    (0.91, 1.10),
+    "not reproduced",
+    "in part",
+    "reproduced with fitted parameters",
+)
+TABLE, BEST, judged = (
+    "§4, on Table 5",
+    "§4, on Table 5; conclusion 3",
+    partial(consistency, at="all"),
+)
 BIAS = {(m0, at): over(f"{at}, prior {m0:g} km", f"many {m0:g}", "sine/tstdkf", "sine/tkf", (None, 1.0), "bias", at)
         for m0 in PRIORS for at in ("soon", "late")}  # fmt: skip
 """Setting 1: error of the estimate, TSTDKF over TKF, with a prior of so many km, in the first 3 days or the second half."""
@@ -622,8 +871,16 @@ def open_if_short(decide: Any, r: Results) -> Any:
 
     def wide(found: Any) -> Any:
         if isinstance(found, Number):
-            return found if r.full or found.ci is None else found._replace(ci=(-np.inf, np.inf), strict=False)
-        return {word: wide(some) for word, some in found.items()} if isinstance(found, Mapping) else list(map(wide, found))
+            return (
+                found
+                if r.full or found.ci is None
+                else found._replace(ci=(-np.inf, np.inf), strict=False)
+            )
+        return (
+            {word: wide(some) for word, some in found.items()}
+            if isinstance(found, Mapping)
+            else list(map(wide, found))
+        )
 
     return wide(decide(r))
 

@@ -49,10 +49,16 @@ def read(path: str | Path) -> Positions:
         except ValueError:
             row = []
         if len(row) != 5 or not np.isfinite(row).all():
-            raise InputError(f"{path}: line {number}: expected five numbers, seconds x y z quality, got {line[:60]!r}")
+            raise InputError(
+                f"{path}: line {number}: expected five numbers, seconds x y z quality, got {line[:60]!r}"
+            )
         late = (row[0] - rows[0][0]) / STEP_S if rows else 0.0
-        if rows and not (row[0] > rows[-1][0] and late < MOST_EPOCHS and abs(late - round(late)) < 1e-6):
-            raise InputError(f"{path}: line {number}: expected increasing seconds at steps of {STEP_S:g}, got {row[0]:.10g}")
+        if rows and not (
+            row[0] > rows[-1][0] and late < MOST_EPOCHS and abs(late - round(late)) < 1e-6
+        ):
+            raise InputError(
+                f"{path}: line {number}: expected increasing seconds at steps of {STEP_S:g}, got {row[0]:.10g}"
+            )
         rows.append(row)
     if len(rows) < 100:
         raise InputError(f"{path}: expected at least 100 positions, got {len(rows)}")
@@ -61,7 +67,9 @@ def read(path: str | Path) -> Positions:
     z = np.full((k[-1] + 1, 3), np.nan)
     z[k] = np.transpose(xyz)
     if not 6.4e6 < (size := np.nanmedian(np.linalg.norm(z, axis=1))) < 5e7:
-        raise InputError(f"{path}: expected positions in m from the Earth's center, got a distance of {size:.6g}")
+        raise InputError(
+            f"{path}: expected positions in m from the Earth's center, got a distance of {size:.6g}"
+        )
     return Positions(t[0] + STEP_S * np.arange(len(z)), z)
 
 
@@ -77,5 +85,7 @@ def aligned(log: Positions, other: Positions) -> Array:
 def axes(truth: Array) -> Array:
     """Rotations ``(T, 3, 3)`` from Earth-fixed axes to radial, along and across the track; nan beside a gap."""
     velocity = np.gradient(truth, STEP_S, axis=0) + np.cross([0.0, 0.0, earth.ROTATION_RATE], truth)
-    up, across = (v / np.linalg.norm(v, axis=-1, keepdims=True) for v in (truth, np.cross(truth, velocity)))
+    up, across = (
+        v / np.linalg.norm(v, axis=-1, keepdims=True) for v in (truth, np.cross(truth, velocity))
+    )
     return np.stack([up, np.cross(across, up), across], -2)

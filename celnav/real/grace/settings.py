@@ -64,7 +64,9 @@ def step(x: Array, epoch: Any, field: gravity.Gravity) -> Array:
     spin, sun, moon = epoch.u
 
     def pull(r: Array, v: Array) -> Array:
-        bodies = orbit.third_body(r, sun, 1e9 * ephemeris.GM["sun"]) + orbit.third_body(r, moon, 1e9 * ephemeris.GM["moon"])
+        bodies = orbit.third_body(r, sun, 1e9 * ephemeris.GM["sun"]) + orbit.third_body(
+            r, moon, 1e9 * ephemeris.GM["moon"]
+        )
         return np.asanyarray(field.acceleration(r) + earth.inertial_forces(r, v, spin) + bodies)
 
     a1 = pull(r, v)
@@ -74,7 +76,9 @@ def step(x: Array, epoch: Any, field: gravity.Gravity) -> Array:
     a3 = pull(r + 0.5 * h * v2, v3)
     v4 = v + h * a3
     a4 = pull(r + h * v3, v4)
-    return np.concatenate([r + h / 6.0 * (v + 2.0 * (v2 + v3) + v4), v + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4)], -1)
+    return np.concatenate(
+        [r + h / 6.0 * (v + 2.0 * (v2 + v3) + v4), v + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4)], -1
+    )
 
 
 class Setting(NamedTuple):
@@ -92,7 +96,9 @@ Settings = Setting | Array
 def motion(field: gravity.Gravity, q: Any) -> Motion:
     """Gravity to a degree, and white accelerations that make ``q`` m/s in a step."""
     white = np.array([[STEP_S**2 / 3.0, STEP_S / 2.0], [STEP_S / 2.0, 1.0]])
-    return Motion(partial(step, field=field), np.square(q)[..., None, None] * np.kron(white, np.eye(3)))
+    return Motion(
+        partial(step, field=field), np.square(q)[..., None, None] * np.kron(white, np.eye(3))
+    )
 
 
 def believed(field: gravity.Gravity, setting: Settings) -> tuple[Motion, Sensor, Array]:
@@ -167,19 +173,31 @@ def training(paths: Sequence[Path], field: gravity.Gravity, count: int) -> Train
     each = [prior(log) for log in logs]
     both = Gaussian(np.stack([one.mean for one in each]), each[0].cov)
     times, z = STEP_S * np.arange(count), np.stack([log.z[:count] for log in logs], 1)
-    u = Around(*(np.stack(parts, 1) for parts in zip(*(around(log.times[:count]) for log in logs), strict=True)))
+    u = Around(
+        *(
+            np.stack(parts, 1)
+            for parts in zip(*(around(log.times[:count]) for log in logs), strict=True)
+        )
+    )
     M, S, Phi = believed(field, SCREEN)
     track = run(colored(M, S, Phi), both, times, z, u, keep="mean")
     aside = np.repeat([10.0, 1e-2], 3)
     points = np.concatenate([np.diag(aside), -np.diag(aside), np.zeros((1, 6))])
-    pieces = [slice(k, min(k + 200, count - 1)) for k in range(0, count - 1, 200)]  # all at once take gigabytes
+    pieces = [
+        slice(k, min(k + 200, count - 1)) for k in range(0, count - 1, 200)
+    ]  # all at once take gigabytes
     moved = np.concatenate([
         step(track.mean[p, :, None] + points, Epoch(dt=STEP_S, u=Around(*(part[p, :, None] for part in u))), field) for p in pieces
     ])  # fmt: skip
-    far = np.any(np.abs(track.innovation) > SCREENED_M, -1, keepdims=True) & (times > 0.0)[:, None, None]
+    far = (
+        np.any(np.abs(track.innovation) > SCREENED_M, -1, keepdims=True)
+        & (times > 0.0)[:, None, None]
+    )
     F = np.moveaxis((moved[..., :6, :] - moved[..., 6:12, :]) / (2.0 * aside[:, None]), -2, -1)
     at_start = Gaussian(both.mean - track.mean[0], both.cov)
-    return Training(times, z - track.mean[..., :3], (F, moved[..., 12, :] - track.mean[1:]), at_start, far)
+    return Training(
+        times, z - track.mean[..., :3], (F, moved[..., 12, :] - track.mean[1:]), at_start, far
+    )
 
 
 def linear(believed: tuple[Motion, Sensor, Array]) -> tuple[Motion, Sensor, Array]:
@@ -196,7 +214,9 @@ def trained(field: gravity.Gravity, setting: Settings, kind: str = "colored") ->
     M, S, Phi = linear(believed(field, setting))
     if kind == "white":
         return ukf(M, S)
-    return Weighed(colored(M, S, Phi, hooks=weighing(DOF))) if kind == "tails" else colored(M, S, Phi)
+    return (
+        Weighed(colored(M, S, Phi, hooks=weighing(DOF))) if kind == "tails" else colored(M, S, Phi)
+    )
 
 
 def fitted(data: Training, field: gravity.Gravity, start: Setting, kind: str = "colored") -> Tuned:
@@ -207,8 +227,13 @@ def fitted(data: Training, field: gravity.Gravity, start: Setting, kind: str = "
         return trained(field, Setting(sigma, phi[0] if phi else 0.0, q), kind), data.prior
 
     color = kind != "white"
-    first, domain = [start.sigma, start.q, *([start.phi] * color)], ["positive", "positive", *(["unit interval"] * color)]
-    return maximize_likelihood(build, first, epochs(data.times, data.z, data.u), domain=domain, factor=30.0, tolerance=0.1)
+    first, domain = (
+        [start.sigma, start.q, *([start.phi] * color)],
+        ["positive", "positive", *(["unit interval"] * color)],
+    )
+    return maximize_likelihood(
+        build, first, epochs(data.times, data.z, data.u), domain=domain, factor=30.0, tolerance=0.1
+    )
 
 
 def weighing(dof: float) -> list[Any]:
@@ -217,11 +242,17 @@ def weighing(dof: float) -> list[Any]:
     def density(_memory: Any, joint: Joint, _epoch: Any) -> tuple[Array, Joint]:
         V: Any = joint.measurement_noise
         used = ~np.isnan(joint.innovation)
-        S = np.where(used[..., None] & used[..., None, :], joint.covariances()[0] + V @ V.mT, np.eye(V.shape[-2]))
+        S = np.where(
+            used[..., None] & used[..., None, :],
+            joint.covariances()[0] + V @ V.mT,
+            np.eye(V.shape[-2]),
+        )
         root = cholesky(S)
         u = whiten(root, np.where(used, joint.innovation, 0.0))
         most = gammaln(0.5 * (dof + 1.0)) - gammaln(0.5 * dof) - 0.5 * np.log(dof * np.pi)
-        each = most - 0.5 * (dof + 1.0) * np.log(1.0 + u * u / dof) - np.log(root.diagonal(0, -2, -1))
+        each = (
+            most - 0.5 * (dof + 1.0) * np.log(1.0 + u * u / dof) - np.log(root.diagonal(0, -2, -1))
+        )
         return np.asanyarray(np.where(used, each, 0.0).sum(-1)), joint
 
     return [density, student_t(dof)]

@@ -53,18 +53,37 @@ def day(r: Results) -> Figure:
         return [Panel(title, [claimed, curve(hours, error, LINES[name]._replace(label="error", color="black", width=0.6))],
                       "hours of 1 August 2008", "radial (m)", more={"ylim": (-limit, limit), "xlim": (0.0, 24.0)})]  # fmt: skip
 
-    return panels(*map(panel, ("white", "colored", "robust")), size=(9.0, 7.0), sharex="col", legend=None)
+    return panels(
+        *map(panel, ("white", "colored", "robust")), size=(9.0, 7.0), sharex="col", legend=None
+    )
 
 
 def bursts(r: Results) -> Figure:
     """Lengths of errors over the day, and around the largest of the fixes."""
-    hours, length = r.times(BEST) / 3600.0, {name: np.sqrt(column(r, BEST, name, "error")) for name in ("fixes", *LINES)}
+    hours, length = (
+        r.times(BEST) / 3600.0,
+        {name: np.sqrt(column(r, BEST, name, "error")) for name in ("fixes", *LINES)},
+    )
     worst = float(hours[np.nanargmax(length["fixes"])])
     drawn = [
-        curve(hours, length["fixes"], label="fixes", color=colors.SIGMA, linestyle="", marker=".", markersize=1.5),
-        *(curve(hours, length[name], LINES[name]) for name in ("white, gated", "white", "colored", "robust")),
+        curve(
+            hours,
+            length["fixes"],
+            label="fixes",
+            color=colors.SIGMA,
+            linestyle="",
+            marker=".",
+            markersize=1.5,
+        ),
+        *(
+            curve(hours, length[name], LINES[name])
+            for name in ("white, gated", "white", "colored", "robust")
+        ),
     ]
-    each = {"the day": (0.0, float(hours[-1])), "around the largest error of a fix": (worst - 0.45, worst + 0.65)}
+    each = {
+        "the day": (0.0, float(hours[-1])),
+        "around the largest error of a fix": (worst - 0.45, worst + 0.65),
+    }
     row = [Panel(title, drawn, "hours of 1 August 2008", "error (m)", "", {"xlim": span, "ylim": (0.0, 45.0)})
            for title, span in each.items()]  # fmt: skip
     return panels(row, size=(10.5, 4.2), sharey=True)
@@ -72,7 +91,10 @@ def bursts(r: Results) -> Figure:
 
 def autocorrelations(r: Results) -> Figure:
     """Of the fixes' errors, and of whitened innovations."""
-    lags, minutes = np.unique(np.geomspace(1.0, min(600.0, 0.3 * len(r.times(BEST))), 60).astype(int)), STEP_S / 60.0
+    lags, minutes = (
+        np.unique(np.geomspace(1.0, min(600.0, 0.3 * len(r.times(BEST))), 60).astype(int)),
+        STEP_S / 60.0,
+    )
 
     def of_lags(values: Array, lags: Array) -> list[float]:
         pairs = [lagged(values[REVOLUTION:], lag) for lag in lags.tolist()]
@@ -86,7 +108,8 @@ def autocorrelations(r: Results) -> Figure:
     found += [curve(minutes * lags, modeled, Line("as the filter has it", colors.ESTIMATE, "--"))]
     near = np.arange(1, 31)
     left = [
-        curve(STEP_S * near, of_lags(r.get(BEST, f"{name}/white"), near), LINES[name], marker=".") for name in ("white", "colored")
+        curve(STEP_S * near, of_lags(r.get(BEST, f"{name}/white"), near), LINES[name], marker=".")
+        for name in ("white", "colored")
     ]
     return panels([Panel("errors of the fixes", found, "minutes apart", "correlation", "x"),
                    Panel("whitened innovations", [*left, level(0.0)], "seconds apart", "correlation")],
@@ -104,36 +127,60 @@ def rmse(r: Results, part: str, name: str, what: str = "error") -> float:
 def sizes(r: Results) -> Figure:
     """What filters err and claim, by filter and by degree."""
     names = {f"{LINES[name].label}": (BEST, name) for name in NAMES if name != "without z_0"}
-    degrees = {f"{n}, {LINES[name].label}": (f"degree {n}", name) for n in DEGREES for name in ("white", "colored")}
+    degrees = {
+        f"{n}, {LINES[name].label}": (f"degree {n}", name)
+        for n in DEGREES
+        for name in ("white", "colored")
+    }
 
     def panel(title: str, flown: dict[str, tuple[str, str]], log: str = "") -> Panel:
         each = [[rmse(r, *one, what) for one in flown.values()] for what in ("error", "std")]
         heights = {"RMSE": (each[0], colors.COMPARISON), "claimed": (each[1], colors.ESTIMATE)}
-        return Panel(title, [bars(list(flown), heights, across=True), *known], "position (m)", "", log)
+        return Panel(
+            title, [bars(list(flown), heights, across=True), *known], "position (m)", "", log
+        )
 
     known = [level(rmse(r, BEST, "fixes"), label="fixes", color="black", upright=True)]
-    return panels([panel(f"gravity to degree {DEGREE}", names), panel("by degree of gravity", degrees, "x")], size=(10.5, 3.6))
+    return panels(
+        [panel(f"gravity to degree {DEGREE}", names), panel("by degree of gravity", degrees, "x")],
+        size=(10.5, 3.6),
+    )
 
 
 def table_1(r: Results) -> Rows:
     """Filters by degree."""
     rows: Rows = [{"gravity": "", "filter": "fixes", "RMSE (m)": rmse(r, BEST, "fixes")}]
     rows[0] |= dict.fromkeys(("claimed (m)", "NEES/3", "NIS/3", "left out"), "")
-    for part, name in ((f"degree {n}", name) for n in DEGREES for name in (NAMES if n == DEGREE else ("white", "colored"))):
-        nees, nis = (float(np.nanmean(column(r, part, name, what)[REVOLUTION:])) for what in ("nees", "nis"))
+    for part, name in (
+        (f"degree {n}", name)
+        for n in DEGREES
+        for name in (NAMES if n == DEGREE else ("white", "colored"))
+    ):
+        nees, nis = (
+            float(np.nanmean(column(r, part, name, what)[REVOLUTION:])) for what in ("nees", "nis")
+        )
         rows.append({"gravity": part, "filter": name, "RMSE (m)": rmse(r, part, name), "claimed (m)": rmse(r, part, name, "std"),
                      "NEES/3": nees, "NIS/3": nis, "left out": r.value(part, f"{name}/rejected", 0)})  # fmt: skip
     return rows
 
 
 FIGURES = {
-    "figure_01": ("Radial errors of a real satellite's estimated position, beside the 95 % that each filter claims.", day),
+    "figure_01": (
+        "Radial errors of a real satellite's estimated position, beside the 95 % that each filter claims.",
+        day,
+    ),
     "figure_02": (
         "Bursts of errors: a gate locks a filter out, and Student's t mistrusts the steps by which they end.",
         bursts,
     ),
-    "figure_03": ("Correlation of the fixes' errors, and of what is left of them in innovations.", autocorrelations),
-    "figure_04": ("What filters err and what they claim, by filter and by degree of gravity.", sizes),
+    "figure_03": (
+        "Correlation of the fixes' errors, and of what is left of them in innovations.",
+        autocorrelations,
+    ),
+    "figure_04": (
+        "What filters err and what they claim, by filter and by degree of gravity.",
+        sizes,
+    ),
 }
 TABLES = {"table_1": ("Filters on 1 August after the first revolution.", table_1)}
 RECORDINGS = ["grace.rrd"]
@@ -154,8 +201,12 @@ def _shown(results: Results) -> Showcase:
     place, local = matvec(still, truth[keep]) / 1e6, still @ axes(truth)[keep].mT
     est, drawn = dict[str, Estimate](), dict[str, tuple[Array, Array]]()
     for name in ("white", "colored", "robust"):
-        error, cov, nees, nis = (results.get(BEST, f"{name}/{what}")[keep] for what in ("error", "cov", "nees", "nis"))
-        est[name] = Estimate(LINES[name].label, LINES[name].color, error, cov[:, 0], nees[:, 0], nis[:, 0])
+        error, cov, nees, nis = (
+            results.get(BEST, f"{name}/{what}")[keep] for what in ("error", "cov", "nees", "nis")
+        )
+        est[name] = Estimate(
+            LINES[name].label, LINES[name].color, error, cov[:, 0], nees[:, 0], nis[:, 0]
+        )
         scale = LARGER / 1e6
         drawn[name] = matvec(local, error[:, 0]) * scale, local @ cov[:, 0] @ local.mT * scale**2
     fixed = matvec(local, results.get(BEST, "fixes")[keep]) * LARGER / 1e6

@@ -30,7 +30,18 @@ from celnav.gaussian.linalg import Array, matvec
 from celnav.models import gravity
 from celnav.real import found
 from celnav.real.grace.positions import STEP_S, aligned, axes, read
-from celnav.real.grace.settings import DEGREE, DOF, SETTINGS, TRAINED, Training, around, believed, prior, trained, training
+from celnav.real.grace.settings import (
+    DEGREE,
+    DOF,
+    SETTINGS,
+    TRAINED,
+    Training,
+    around,
+    believed,
+    prior,
+    trained,
+    training,
+)
 from celnav.study.ledger import Bounds, Number, Row, check
 from celnav.study.numbers import Decided, all_of, correlation, lagged, of, over_time
 from celnav.study.study import Part, Results, Rngs, Study
@@ -65,12 +76,20 @@ NAMES = (*WHITE, *COLORED, *HOOKED, "without z_0", "augmented")
 def flights(field: gravity.Gravity, names: Sequence[str]) -> dict[tuple[str, ...], Filter]:
     """Filters by the names that they fly as runs of one batch: a white one has a coefficient of 0. "augmented" flies alone."""
     own = tuple(name for name in names if name != "augmented")
-    hooks = [of_runs(hook, np.array([one == name for one in own])) for name, hook in HOOKED.items() if name in own]
+    hooks = [
+        of_runs(hook, np.array([one == name for one in own]))
+        for name, hook in HOOKED.items()
+        if name in own
+    ]
     sigma, phi, q = np.transpose([SETTINGS[name] for name in own])
     increments = (np.square(sigma) * (1.0 - np.square(phi)))[:, None, None] * np.eye(3)
-    first = np.where([name == "without z_0" for name in own], 1e6, sigma)  # m: a first fix that says nothing
+    first = np.where(
+        [name == "without z_0" for name in own], 1e6, sigma
+    )  # m: a first fix that says nothing
     M, S, Phi = believed(field, np.stack([first, phi, q]))
-    out: dict[tuple[str, ...], Filter] = {own: colored(M, S, Phi, increments=increments, hooks=hooks)}
+    out: dict[tuple[str, ...], Filter] = {
+        own: colored(M, S, Phi, increments=increments, hooks=hooks)
+    }
     if "augmented" in names:
         out["augmented",] = augmented(*believed(field, np.transpose([SETTINGS["augmented"]])))
     return out
@@ -114,7 +133,10 @@ def flown(names: Sequence[str], degree: int, files: Files, _rngs: Rngs) -> dict[
         runs = Gaussian(np.tile(start.mean, (len(own), 1)), start.cov)
         track = run(filter, runs, times, np.tile(log.z[:, None], (1, len(own), 1)), u, keep="cov")
         for i, name in enumerate(own):
-            error, cov = matvec(frame, track.mean[:, i, :3] - truth), frame @ track.cov[:, i, :3, :3] @ frame.mT
+            error, cov = (
+                matvec(frame, track.mean[:, i, :3] - truth),
+                frame @ track.cov[:, i, :3, :3] @ frame.mT,
+            )
             used = track.used[:, i]
             out |= {
                 f"{name}/error": error[:, None], f"{name}/cov": cov[:, None],
@@ -127,7 +149,12 @@ def flown(names: Sequence[str], degree: int, files: Files, _rngs: Rngs) -> dict[
     return out
 
 
-SEARCHED = {"robust": "tails", "screened": "colored", "normal": "colored", "white, by likelihood": "white"}
+SEARCHED = {
+    "robust": "tails",
+    "screened": "colored",
+    "normal": "colored",
+    "white, by likelihood": "white",
+}
 """Settings that a likelihood has found, and its kind."""
 
 
@@ -146,9 +173,19 @@ def judged(files: Files, _rngs: Rngs) -> dict[str, Array]:
 
     def track(settings: Array, kind: str, data: Training) -> Track:
         count, (F, c) = len(settings), data.u
-        u, start = (np.tile(F, (1, count, 1, 1)), np.tile(c, (1, count, 1))), np.tile(data.prior.mean, (count, 1))
+        u, start = (
+            (np.tile(F, (1, count, 1, 1)), np.tile(c, (1, count, 1))),
+            np.tile(data.prior.mean, (count, 1)),
+        )
         filter = trained(field, np.repeat(settings, 2, 0).T, kind)
-        return run(filter, Gaussian(start, data.prior.cov), data.times, np.tile(data.z, (1, count, 1)), u, keep="mean")
+        return run(
+            filter,
+            Gaussian(start, data.prior.cov),
+            data.times,
+            np.tile(data.z, (1, count, 1)),
+            u,
+            keep="mean",
+        )
 
     out: dict[str, Array] = {}
     for name, kind in SEARCHED.items():
@@ -170,7 +207,10 @@ def parts(_effort: float, grace: Path) -> dict[str, Part]:
     *fixes, truth, field = found(grace, (*FIXES, TRUTH, FIELD))
     files = Files(tuple(fixes), truth, field)
     out = {
-        f"degree {n}": Part(partial(flown, NAMES if n == DEGREE else ("white", "colored"), n), files, cost=20.0) for n in DEGREES
+        f"degree {n}": Part(
+            partial(flown, NAMES if n == DEGREE else ("white", "colored"), n), files, cost=20.0
+        )
+        for n in DEGREES
     }
     return out | {"settings": Part(judged, files, cost=25.0)}
 
@@ -189,9 +229,13 @@ def column(r: Results, part: str, name: str, what: str) -> Array:
     return np.asarray(values / 3.0 if what in ("nees", "nis") else np.square(values).sum(-1))
 
 
-def over_day(label: str, statistic: Callable[..., float], columns: Columns, accept: Bounds = (None, None)) -> Decided:
+def over_day(
+    label: str, statistic: Callable[..., float], columns: Columns, accept: Bounds = (None, None)
+) -> Decided:
     """A statistic of columns after the first revolution."""
-    return lambda r: over_time(label, statistic, columns, accept, start=REVOLUTION, block=REVOLUTION)(r)
+    return lambda r: over_time(
+        label, statistic, columns, accept, start=REVOLUTION, block=REVOLUTION
+    )(r)
 
 
 def mean(a: Array) -> float:
@@ -202,12 +246,16 @@ def mean(a: Array) -> float:
 def claims(name: str, accept: Bounds) -> Decided:
     """What a filter errs over what it claims."""
     label = f"RMSE over claimed deviation, {name}"
-    return over_day(label, ratio, lambda r: [column(r, BEST, name, what) for what in ("error", "std")], accept)
+    return over_day(
+        label, ratio, lambda r: [column(r, BEST, name, what) for what in ("error", "std")], accept
+    )
 
 
 def honest(name: str, accept: Bounds = (None, None), part: str = BEST) -> Decided:
     """NEES of a position over its 3 components, which is 1 of a consistent filter."""
-    return over_day(f"NEES / 3, {part}, {name}", mean, lambda r: [column(r, part, name, "nees")], accept)
+    return over_day(
+        f"NEES / 3, {part}, {name}", mean, lambda r: [column(r, part, name, "nees")], accept
+    )
 
 
 def typical(name: str, accept: Bounds) -> Decided:
@@ -229,7 +277,9 @@ def inside(name: str) -> Decided:
 def against(a: str, b: str, accept: Bounds = (None, None), part: str = BEST) -> Decided:
     """RMSE of one filter over that of another, or of the fixes, with the best gravity."""
     label = f"RMSE of {a} over that of {b}"
-    return over_day(label, ratio, lambda r: [column(r, part, a, "error"), column(r, BEST, b, "error")], accept)
+    return over_day(
+        label, ratio, lambda r: [column(r, part, a, "error"), column(r, BEST, b, "error")], accept
+    )
 
 
 def size(name: str) -> Decided:
@@ -239,7 +289,9 @@ def size(name: str) -> Decided:
 
 def whiteness(name: str, accept: Bounds) -> Decided:
     """Correlation of whitened innovations from one epoch to the next."""
-    return over_day(f"of {name}", correlation, lambda r: lagged(r.get(BEST, f"{name}/white")), accept)
+    return over_day(
+        f"of {name}", correlation, lambda r: lagged(r.get(BEST, f"{name}/white")), accept
+    )
 
 
 def correlated(lag: int, accept: Bounds = (None, None)) -> Decided:
@@ -249,12 +301,18 @@ def correlated(lag: int, accept: Bounds = (None, None)) -> Decided:
         error = r.get(BEST, "fixes")
         return np.where(np.linalg.norm(error, axis=1, keepdims=True) < OUTLIER_M, error, np.nan)
 
-    return over_day(f"after {lag * STEP_S:g} s", correlation, lambda r: lagged(near(r), lag), accept)
+    return over_day(
+        f"after {lag * STEP_S:g} s", correlation, lambda r: lagged(near(r), lag), accept
+    )
 
 
 HONEST = (0.5, 2.0)
 """Of NEES over its dimension."""
-finding = partial(Row, "finding", revised="2026-11-23: a second look, without a gate; the truth had been looked at with one")
+finding = partial(
+    Row,
+    "finding",
+    revised="2026-11-23: a second look, without a gate; the truth had been looked at with one",
+)
 FINDINGS = [
     finding("fixes-colored", "Errors of real fixes are correlated from one to the next: of those that err less than 30 m.",
         all_of(correlated(1, (0.9, None)), correlated(30), correlated(90)), figure="figure_03",
