@@ -8,16 +8,18 @@ from __future__ import annotations
 import traceback
 from collections.abc import Iterable
 from dataclasses import replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from celnav.filters.engine import NONE, Data, Engine, each_run, entries, is_own, rebuilt
-from celnav.filters.flight import Flight, as_data, fly
+from celnav.filters.engine import NONE, Data, Engine, each_run, entries
+from celnav.filters.flight import Flight, as_data, epoch_of, fly, part_of
 from celnav.filters.records import Epoch, Epochs, FilterError, Info, State
 from celnav.filters.run import as_epochs, run, steps
+from celnav.filters.sentinels import changed, difference, held
 from celnav.filters.sequential import Sequential, measurements, plain
 from celnav.filters.track import Track
 from celnav.gaussian.checks import choice, integer
@@ -28,27 +30,24 @@ from celnav.tape.tape import MOST, CannotCompile
 __all__ = ["Compiled", "chosen", "compiled", "run_by", "steps_by"]
 
 WORTH = 50_000  # operations of a step, the most that engine="auto" compiles, in some five seconds, and a device takes
-CHECKED = 3  # epochs of some runs that are compared with the numpy engine when a step was recorded
+CHECKED = 3  # epochs of some runs that numpy takes before a step is recorded
+LOOKS = "it depends on more than the numbers that it is given"
 
 
 class Compiled:
     """A filter as machine code; what `celnav.compiled` makes.
 
-    The steps that were recorded are kept: a model that looks at something which changes meanwhile, a global number say, goes on
-    with what it saw first. `celnav.run` records anew at every call.
+    The steps that were recorded are kept. They are compared with numpy in every run, at some epochs
+    and for some runs, and recorded anew where what the models hold has changed since, a global
+    number say. A model that changes what it holds whenever it is called cannot be compiled.
 
     >>> fast = celnav.compiled(celnav.ukf(motion, gps), jobs=2)
     >>> track = fast.run(prior, times, z)
     """
 
     def __init__(self, filter: Any, jobs: int, engine: str, most: int):
-        self.filter, self.jobs, self.engine, self._most, self._kept = (
-            filter,
-            jobs,
-            engine,
-            most,
-            dict[Any, Any](),
-        )
+        self.filter, self.jobs, self.engine, self._most = filter, jobs, engine, most
+        self._kept, self._holds = dict[Any, Any](), dict[str, Any]()
 
     def __repr__(self) -> str:
         return f"Compiled({self.filter!r})"
@@ -70,28 +69,23 @@ class Compiled:
         every = integer("every", every)
         epochs = as_epochs(times, z, u)
         epochs = epochs if isinstance(epochs, Epochs) else list(epochs)
-        some: Any = epochs
+        return self._run(prior, epochs, True, every=every, keep=keep, on_failure=on_failure)
+
+    def _run(self, prior: Any, epochs: Any, compare: bool, **options: Any) -> Track:
+        """The track; ``compare``: with numpy also if no step is recorded."""
+        every, keep = options["every"], options["keep"]
+        some = epochs
+        holds = held(self.filter)
+        if changed(self._holds, holds):
+            self._kept.clear()
         try:
             data = as_data(self.filter, epochs)
             some = epochs[:CHECKED]
-            engine = Engine(
-                self.filter,
-                prior,
-                data,
-                keep,
-                self._kept,
-                most=self._most,
-                rolled=self.engine != "cuda",
-            )
-            flight = fly(
-                engine, data, every, self.jobs, device() if self.engine == "cuda" else None
-            )
+            engine, flight = self._flown(prior, data, keep, every, compare)
         except (CannotCompile, CudaError, ImportError):
             raise
         except Exception as error:
-            run(
-                self.filter, prior, some, every=every, keep=keep, engine="numpy"
-            )  # what is wrong anyhow is told as ever
+            run(self.filter, prior, some, engine="numpy", **options)  # what is wrong there too
             raise CannotCompile(f"{str(error) or type(error).__name__}{_place(error)}") from error
         stored = islice(epochs, 0, len(epochs) if keep == "cov" else 0, every)
         known = tuple(epoch._replace(z=None, truth=None) for epoch in stored)
@@ -101,19 +95,53 @@ class Compiled:
             filter=self.filter,
             engine=self.engine,
         )
-        if engine.fresh:
-            self._compare(track, engine, prior, data, every)
         if keep == "nothing":
             nothing: dict[str, Any] = dict.fromkeys(
                 ("mean", "std", "innovation", "whitened", "used")
             )
             track = replace(track, **nothing, sensors=())
         lost = np.flatnonzero(track.failed_at.ravel() >= 0)
-        return (
-            self._again(track, engine, prior, data, lost, on_failure, every=every, keep=keep)
-            if len(lost)
-            else track
+        if not len(lost):
+            return track
+        return self._again(track, engine, prior, data, lost, **options)
+
+    def _flown(
+        self, prior: Any, data: Data, keep: str, every: int, compare: bool
+    ) -> tuple[Engine, Flight]:
+        """The flight, after numpy has taken the same steps at some epochs, or `CannotCompile`."""
+        fresh = not self._kept
+        rolled, on = self.engine != "cuda", device() if self.engine == "cuda" else None
+        engine = Engine(self.filter, prior, data, keep, self._kept, most=self._most, rolled=rolled)
+        count = int(np.prod(engine.batch))
+        # On a device those of one chunk, which alone is taken through its epochs in pieces.
+        watched = sorted({0, count // 2, count - 1}) if on is None else list(range(min(count, 3)))
+        if fresh:  # numpy goes first: what models keep of their first call is then made of floats
+            few = _of(self.filter, prior, data, engine.batch, watched, CHECKED)
+            run(*few, on_failure="flag", engine="numpy")
+            self._holds = held(self.filter)
+        flight = fly(engine, data, every, self.jobs, on, watched)
+        if not (compare or engine.fresh):
+            return engine, flight
+        why = next(
+            (
+                f"step {int(data.k[one.at])}: {name}"
+                for one in flight.sentinels
+                if (name := difference(self.filter, engine, data, one, watched))
+            ),
+            "",
         )
+        path = changed(self._holds, held(self.filter))
+        if not why and not path:
+            return engine, flight
+        self._kept.clear()
+        if not fresh:  # what was recorded then may not hold now
+            return self._flown(prior, data, keep, every, compare)
+        if path:
+            raise CannotCompile(
+                f"the model has a memory: {path} changes when it is called; "
+                "what changes with time belongs into the input u"
+            )
+        raise CannotCompile(f"the model gives other values when it is recorded ({why}): {LOOKS}")
 
     def start(self, prior: Any) -> Any:
         """The filter's own state before the first epoch; `step` is for those that predict, then update."""
@@ -130,7 +158,7 @@ class Compiled:
             raise CannotCompile(
                 "a filter that adds to its prior is compiled for whole flights only"
             )
-        track = self.run(state.belief, [epoch], keep="cov", on_failure="flag")
+        track = self._run(state.belief, [epoch], False, every=1, keep="cov", on_failure="flag")
         if any(len(made.after.arrays) > 2 for made in self._kept.values()):
             raise CannotCompile("hooks that remember something are compiled for whole flights only")
         share, rows = (
@@ -149,29 +177,6 @@ class Compiled:
         assert track.belief is not None
         return state._replace(belief=type(track.belief)(*(x[0] for x in track.belief))), infos
 
-    def _compare(self, track: Track, engine: Engine, prior: Any, data: Data, every: int) -> None:
-        """Raise `CannotCompile` if the first epochs of some runs are not what the numpy engine gives: nothing is taken on trust."""
-        few = sorted({0, track.failed_at.size // 2, track.failed_at.size - 1})
-        known = run(
-            *_of(self.filter, prior, data, engine.batch, few, CHECKED),
-            every=every,
-            on_failure="flag",
-            engine="numpy",
-        )
-        sound = (track.failed_at.ravel()[few] < 0) & (known.failed_at.ravel() < 0)
-        for name in ("mean", "std") if sound.any() else ():
-            if (rows := getattr(track, name)) is not None:
-                theirs = getattr(known, name).reshape(len(known.times), len(few), -1)[:, sound]
-                mine = rows[: len(theirs)].reshape(len(theirs), -1, rows.shape[-1])[:, few][
-                    :, sound
-                ]
-                scale = np.abs(theirs) + np.nanmax(known.std)
-                if not (np.abs(mine - theirs) <= 1e-6 * scale).all():
-                    self._kept.clear()
-                    raise CannotCompile(
-                        "the model gives other values when it is recorded: it looks at what it is given"
-                    )
-
     def _again(
         self,
         track: Track,
@@ -179,6 +184,7 @@ class Compiled:
         prior: Any,
         data: Data,
         lost: Array,
+        *,
         on_failure: str,
         **options: Any,
     ) -> Track:
@@ -264,46 +270,14 @@ def _of(
 ) -> tuple[Any, Any, Any]:
     """Filter, prior and the first epochs, None: all, of some runs, numbered over all axes of a batch, or of one run alone."""
 
-    def part(x: Array, own: int) -> Array:
-        """Of an array with ``own`` axes after those of the runs."""
-        if not batch:
-            return x
-        whole: Array = np.broadcast_to(x, (*batch, *x.shape[x.ndim - own :]))
-        return np.asarray(whole.reshape(-1, *whole.shape[len(batch) :])[runs])
-
+    part = partial(part_of, batch=batch, runs=runs)
     # What all runs share stays one: where a covariance is singular its root depends on how it is computed.
     mean = prior.mean if prior.mean.ndim == 1 else part(prior.mean, 1)
     form = Covariance if isinstance(prior, Covariance) else SquareRoot
     spread = form.of(prior)[1]
     some = form(mean, spread if spread.ndim == 2 else part(spread, 2))
-    epochs = []
-    for i, kind in enumerate(data.kinds[:count]):
-        there = data.known[kind]
-        z = tuple(
-            None if what == NONE else part(values[i], 1)
-            for what, values in zip(there.z, data.z, strict=True)
-        )
-        dt = data.dt[i]
-        u, about = _input(data, i, batch, part)
-        epochs.append(
-            Epoch(
-                int(data.k[i]),
-                float(data.t[i]),
-                part(dt, 0) if dt.ndim else float(dt),
-                u,
-                z,
-                about=about,
-            )
-        )
+    epochs = [epoch_of(data, i, part, batch) for i in range(len(data.kinds))[:count]]
     return each_run(filter, lambda x: part(x, 2)), some, epochs
-
-
-def _input(data: Data, i: int, batch: tuple[int, ...], part: Any) -> Any:
-    """The input of an epoch, and what to linearize about, of some runs."""
-    tree, _ = data.known[data.kinds[i]].u
-    leaves = data.u[data.known[data.kinds[i]].u].get(i, [])
-    own = [part(x, x.ndim - len(batch)) if is_own(x, batch) else x for x in leaves]
-    return rebuilt(tree, iter(own))
 
 
 def _place(error: BaseException) -> str:

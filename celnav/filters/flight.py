@@ -1,11 +1,16 @@
-"""The flight of a compiled step: epochs as columns, blocks of runs through all of them, and what is kept of it."""
+"""The flight of a compiled step: epochs as columns, blocks of runs through all of them, and what is kept of it.
+
+The states of some runs before and after some epochs are kept too, to be compared with numpy's steps.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from itertools import pairwise
 from typing import Any, NamedTuple
+from zlib import crc32
 
 import numpy as np
 
@@ -20,6 +25,7 @@ from celnav.filters.engine import (
     Kind,
     Recorded,
     Shape,
+    is_own,
     leaves,
     rebuilt,
 )
@@ -32,8 +38,9 @@ from celnav.tape import llvm, ptx
 from celnav.tape.cuda import Device
 from celnav.tape.tape import CannotCompile
 
-__all__ = ["Flight", "as_data", "fly", "sensors"]
+__all__ = ["Flight", "Sentinel", "as_data", "epoch_of", "fly", "part_of", "sensors"]
 
+DRAWN = 4  # sentinels besides the first, the last and one of each record
 FEW = 3  # rows of a flight that keeps nothing, by which it is checked
 CHUNK = 1 << 21  # bytes of the measurements of runs that are flown together: they stay in the cache
 
@@ -102,6 +109,35 @@ def as_data(filter: Any, epochs: Epochs | Sequence[Epoch]) -> Data:
     )
 
 
+def part_of(x: Array, own: int, batch: tuple[int, ...], runs: Any) -> Array:
+    """Some runs of an array with ``own`` axes after those of the runs, which are numbered over all axes of a batch."""
+    if not batch:
+        return x
+    whole: Array = np.broadcast_to(x, (*batch, *x.shape[x.ndim - own :]))
+    return np.asarray(whole.reshape(-1, *whole.shape[len(batch) :])[runs])
+
+
+def epoch_of(
+    data: Data, i: int, part: Callable[[Array, int], Array], batch: tuple[int, ...]
+) -> Epoch:
+    """The epoch at an index, of the runs that ``part`` takes of an array with so many axes of its own."""
+    kind = data.known[data.kinds[i]]
+    z = tuple(
+        None if what == NONE else part(values[i], 1)
+        for what, values in zip(kind.z, data.z, strict=True)
+    )
+    inputs = data.u[kind.u].get(i, [])
+    own = [part(x, x.ndim - len(batch)) if is_own(x, batch) else x for x in inputs]
+    u, about = rebuilt(kind.u[0], iter(own))
+    dt = data.dt[i]
+    interval = part(dt, 0) if dt.ndim else float(dt)
+    measured = z[0] if len(z) == 1 else z or None
+    k: Any = float(data.k[i])
+    return Epoch(
+        int(k) if k.is_integer() else k, float(data.t[i]), interval, u, measured, about=about
+    )
+
+
 def _input(x: Any) -> Array:
     """A part of an input."""
     try:
@@ -136,19 +172,42 @@ def _measured(sensor: Any, parts: Any) -> tuple[Array, Array]:
     return np.where(present, there, NONE), values
 
 
+class Sentinel(NamedTuple):
+    """An epoch ``at`` an index, and the states of some runs ``(runs, size)`` before and after it."""
+
+    at: int
+    shape: Shape
+    before: Array
+    shape_after: Shape
+    after: Array
+
+
 class Flight(NamedTuple):
-    """What a flight leaves: rows ``(K, runs, ...)`` by name, and the tally of each run ``(runs, 5 stride)``."""
+    """What a flight leaves.
+
+    rows: ``(K, runs, ...)`` by name. tally: of each run ``(runs, 5 stride)``. sentinels: of the runs
+    that are watched.
+    """
 
     rows: dict[str, Array]
     tally: Array
+    sentinels: list[Sentinel]
 
 
-def fly(engine: Engine, data: Data, every: int, jobs: int, device: Device | None = None) -> Flight:
-    """All runs through all epochs, on a device, or None: on this processor."""
+def fly(
+    engine: Engine,
+    data: Data,
+    every: int,
+    jobs: int,
+    device: Device | None = None,
+    watched: Sequence[int] = (),
+) -> Flight:
+    """All runs through all epochs, on a device, or None: on this processor; some are ``watched``."""
     runs, T = int(np.prod(engine.batch)), len(data.k)
     lanes = 0 if device else 1 if runs == 1 else llvm.lanes()
     inputs = {shape: engine.inputs(found, T) for shape, found in data.u.items()}
-    records, steps, size = _planned(engine, data, inputs, lanes)
+    records, steps, shapes = _planned(engine, data, inputs, lanes)
+    size = (engine.held + max(x.size for x in set(shapes))) * engine.stride
     shared, own = _shared(data, inputs), _own(engine, data, inputs, runs)
     stored = np.where(np.arange(T) % every == 0, np.arange(T) // every, -1)
     if engine.few:
@@ -166,6 +225,8 @@ def fly(engine: Engine, data: Data, every: int, jobs: int, device: Device | None
     rows = {name: np.empty((K, whole, count)) for name, count in names.items()}
     counts = len(TALLY) * engine.stride
     tally, start = np.empty((runs, counts)), np.concatenate(engine.start(), 1)
+    sentinels = _sentinels(steps) if watched else []
+    seen = np.empty((2, len(sentinels), len(watched), size))  # before and after
     table, loop = (np.array(steps, np.int32), stored.astype(np.int64)), _loop(records, size, device)
 
     def some(first: int) -> None:
@@ -184,7 +245,17 @@ def fly(engine: Engine, data: Data, every: int, jobs: int, device: Device | None
             [start[part], np.repeat(start[part.stop - 1 : part.stop], width - count, 0)]
         )
         state[:, : start.shape[1]] = begin.reshape(-1, vector, start.shape[1]).transpose(0, 2, 1)
-        loop(*table, state, shared, values, rows, first)
+        mine = [i for i, run in enumerate(watched) if part.start <= run < part.stop]
+        block, lane = np.divmod(np.array([watched[i] - first for i in mine], int), vector)
+        ends = {end for at in sentinels for end in (at, at + 1)} if mine else set[int]()
+        for start_at, end in pairwise(sorted({0, T, *ends})):
+            here = slice(start_at, end)
+            watch = sentinels.index(start_at) if mine and start_at in sentinels else None
+            if watch is not None:
+                seen[0, watch, mine] = state[block, :, lane]
+            loop(*(x[here] for x in table), state, shared[here], values[here], rows, first)
+            if watch is not None:
+                seen[1, watch, mine] = state[block, :, lane]
         tally[part] = state[:, :counts].transpose(0, 2, 1).reshape(width, -1)[:count]
 
     room = (
@@ -197,7 +268,19 @@ def fly(engine: Engine, data: Data, every: int, jobs: int, device: Device | None
     else:
         for first in range(0, runs, chunk):
             some(first)
-    return Flight({name: np.ascontiguousarray(x[:, :runs]) for name, x in rows.items()}, tally)
+    kept_rows = {name: np.ascontiguousarray(x[:, :runs]) for name, x in rows.items()}
+    before_after = zip(sentinels, *seen, strict=True)
+    return Flight(
+        kept_rows,
+        tally,
+        [Sentinel(at, shapes[at], x, shapes[at + 1], y) for at, x, y in before_after],
+    )
+
+
+def _sentinels(steps: list[int]) -> list[int]:
+    """Epochs whose steps are compared with numpy's: the first, the last, one of each record, and some drawn by a hash."""
+    drawn = [crc32(b"%d of %d" % (i, len(steps))) % len(steps) for i in range(DRAWN)]
+    return sorted({0, len(steps) - 1, *np.unique(steps, return_index=True)[1].tolist(), *drawn})
 
 
 def _loop(records: Sequence[Recorded], size: int, device: Device | None) -> Callable[..., None]:
@@ -247,26 +330,38 @@ def _loop(records: Sequence[Recorded], size: int, device: Device | None) -> Call
     return flown
 
 
-def _on_device(device: Device, entry: Any, *given: Any) -> None:
+def _on_device(
+    device: Device,
+    entry: Any,
+    kinds: Array,
+    at: Array,
+    state: Array,
+    shared: Array,
+    own: Array,
+    rows: dict[str, Array],
+    first: int,
+) -> None:
     """The same on a device."""
-    *arrays, rows, first = given
-    shapes = [(len(x), arrays[-1].shape[2], x.shape[2]) for x in rows.values()]
+    stored = at[at >= 0]
+    begin, end = (int(stored[0]), int(stored[-1]) + 1) if len(stored) else (0, 0)
+    kept = np.where(at >= 0, at - begin, -1)
+    shapes = [(end - begin, own.shape[2], x.shape[2]) for x in rows.values()]
     ends = np.cumsum([int(np.prod(shape)) for shape in shapes])
-    out = np.empty(max(ends, default=0))
-    device.fly(entry, *arrays, out)
-    for x, shape, part in zip(rows.values(), shapes, np.split(out, ends[:-1]), strict=True):
-        x[:, first : first + shape[1]] = part.reshape(shape)
+    out = np.empty(max(1, *ends))
+    device.fly(entry, kinds, kept, state, shared, own, out)
+    for x, shape, part in zip(rows.values(), shapes, np.split(out, ends), strict=False):
+        x[begin:end, first : first + shape[1]] = part.reshape(shape)
 
 
 def _planned(
     engine: Engine, data: Data, inputs: dict[Any, Any], lanes: int
-) -> tuple[list[Recorded], list[int], int]:
-    """The records that are needed, which of them each epoch takes, and how many numbers a state is kept as."""
+) -> tuple[list[Recorded], list[int], list[Shape]]:
+    """The records that are needed, which of them each epoch takes, and the shapes of the state before each, and at the end."""
     ids: dict[Shape, int] = {engine.begin: 0}
     records: dict[
         tuple[int, int], tuple[int, int, Recorded]
     ] = {}  # by the shape before and the kind; with the shape after
-    at, steps = 0, []
+    at, steps, places = 0, [], [0]
     for kind in data.kinds:
         if (at, kind) not in records:
             there = data.known[kind]
@@ -274,11 +369,9 @@ def _planned(
             records[at, kind] = len(records), ids.setdefault(made.after, len(ids)), made
         number, at, _ = records[at, kind]
         steps.append(number)
-    return (
-        [made for *_, made in records.values()],
-        steps,
-        (engine.held + max(x.size for x in ids)) * engine.stride,
-    )
+        places.append(at)
+    known = list(ids)
+    return [made for *_, made in records.values()], steps, [known[at] for at in places]
 
 
 def _shared(data: Data, inputs: dict[Any, list[tuple[Array, bool]]]) -> Array:

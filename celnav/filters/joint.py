@@ -18,10 +18,19 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from celnav.filters.mixing import POINTS, WATCH, check_runs_apart, unknown
-from celnav.filters.model import Linear, Motion, Noise, Sensor, as_floats, given_back, is_linear
+from celnav.filters.mixing import POINTS, WATCH, check_apart, unknown
+from celnav.filters.model import (
+    Linear,
+    Motion,
+    Noise,
+    Sensor,
+    as_floats,
+    given_back,
+    is_linear,
+    matrices_of,
+)
 from celnav.filters.records import Info
-from celnav.gaussian.checks import beside, instance, numbers, unmasked
+from celnav.gaussian.checks import beside, instance, numbers
 from celnav.gaussian.linalg import (
     POSITIVE,
     Array,
@@ -291,7 +300,7 @@ def linear(
     center = mean if rule.about is None else np.broadcast_to(rule.about, mean.shape)
     none = [np.zeros((1, *center.shape[:-1], E.shape[-2])) for E in model.augment]
     value = evaluate(model, center[None].copy(), epoch, none)[0]
-    J = numbers("jacobian", unmasked("jacobian", model.jacobian(center, epoch)))  # type: ignore[misc]
+    J = matrices_of("jacobian", model.jacobian, center, epoch)
     if J.ndim < 2 or (model.space is EUCLIDEAN and J.shape[-2] != value.shape[-1]):
         raise ValueError(
             f"jacobian: expected shape (..., {value.shape[-1]}, n) to go with {model.name}, got {J.shape}"
@@ -466,11 +475,7 @@ def evaluate(
         return matvec(function, x)
     vectors = not isinstance(model, Motion) and model.space is EUCLIDEAN and model.m in (None, m)
     dimension = x.shape[-1] if isinstance(model, Motion) else m if vectors else None
-    copies = (
-        [array.copy(order="K") for array in (x, *noise)]
-        if x.ndim > 2 and unknown(function, x)
-        else None
-    )
+    copies = [array.copy(order="K") for array in (x, *noise)] if unknown(function, x) else None
     try:
         if x.dtype.hasobject:
             y: Any = each_row(lambda x, *noise: function(x, epoch, *noise), x, *noise)
@@ -494,8 +499,9 @@ def evaluate(
         )
         raise ValueError(f"{name} returned shape {y.shape}, expected ({expected}); {POINTS}")
     if (look := WATCH.get()) is not None:
-        look(name, y)
+        other = look(name, y)
+        y = y if other is None else other
     if copies is not None:
         y = y.copy(order="K")  # it may be a buffer of the model's
-        check_runs_apart(name, function, copies, epoch, y)
+        check_apart(name, function, copies, epoch, y)
     return np.asanyarray(y)

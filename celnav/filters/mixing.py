@@ -1,98 +1,211 @@
-"""A model must leave its runs apart: ``F @ x`` multiplies runs, not components, and says nothing where there are as many of both.
+"""A model must treat each sigma point, and each run, by itself.
 
-`celnav.filters.run.steps` has each model looked at the first time that it is called. One run alone must then give what it gave
-among the others. A model that cannot be evaluated for one run alone, since it carries arrays of all runs, has some runs exchanged
-for other ones instead, and those left in place must not notice.
+``x[0] += epoch.dt * x[1]`` adds *points*, not components, and ``F @ x`` multiplies runs. Both return
+arrays of the right shape. So each model is checked when a filter first calls it, on copies: its
+values must follow the points when their order is reversed, and some points of one run must give
+what they gave among all others. Where a model holds arrays of all runs, and one run cannot be
+evaluated alone, some runs are exchanged for others instead, and the rest must not change.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextvars import ContextVar
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from celnav.gaussian.linalg import Array
 
-__all__ = ["LOOKED_AT", "POINTS", "WATCH", "check_runs_apart", "unknown"]
+__all__ = ["LOOKED_AT", "POINTS", "WATCH", "check_apart", "check_matrices_apart", "unknown"]
 
-MOST = 16  # models looked at in a run of a filter: some are made anew at every step
+MOST = 16  # models checked in a run of a filter: some are made anew at every step
 LOOKED_AT: ContextVar[list[Any] | None] = ContextVar("looked_at", default=None)
-"""The models looked at so far; None where none is to be."""
-WATCH: ContextVar[Callable[[str, Array], None] | None] = ContextVar("watch", default=None)
-"""Called with the name of each model and its values, where it is to be found out which of them are not finite."""
+"""The models checked so far in this run; None where steps are taken by hand."""
+BY_HAND: set[Any] = set()
+"""The code of models checked in such steps."""
+WATCH: ContextVar[Callable[[str, Array], Any] | None] = ContextVar("watch", default=None)
+"""Called with the name of each model and its values; it may return others to be used instead."""
 POINTS = "points are (p, ..., n): a component is x[..., 0], a product with a matrix x @ F.T"
+MEANS = "means are (..., n): a component is mean[..., 0]"
+LOOSE = 0.01, 0.1  # of the values and of their range: the error of a solver that chooses its steps
 Model = Callable[..., Any]
 
 
 def unknown(function: Model, points: Array) -> bool:
-    """Whether a model is to be looked at: the first time, and where there are runs that it could mix."""
+    """Whether a model is to be checked: once in a run, or once where steps are taken by hand."""
+    if points.dtype.hasobject or not points.size or points.shape[:-1] in ((), (1,)):
+        return False
     models = LOOKED_AT.get()
-    if (
-        models is None
-        or points.shape[-2] < 2
-        or len(models) == MOST
-        or any(function is model for model in models)
-    ):
+    if models is None:
+        while isinstance(function, partial):
+            function = function.func
+        code = getattr(function, "__code__", type(function)), points.ndim
+        new = len(points) > 1 and code not in BY_HAND
+        BY_HAND.add(code)
+        return new
+    if len(models) == MOST or any(function is model for model in models):
         return False
     models.append(function)
     return True
 
 
-def check_runs_apart(
-    name: str, function: Model, arrays: Sequence[Array], epoch: Any, y: Array
+def check_apart(
+    name: str,
+    function: Model,
+    arrays: Sequence[Array],
+    epoch: Any,
+    y: Array,
+    hint: str = POINTS,
 ) -> None:
-    """Raise a ValueError if the values ``y`` of a model at ``arrays``, points of the state and of noises, mix runs."""
-    which = int(np.argmax(np.isfinite(y).all(tuple(i for i in range(y.ndim) if i != y.ndim - 2))))
-    here = slice(which, which + 1)
-    alone, reason = _value(function, [a[..., here, :] for a in arrays], epoch, y.shape[-1])
-    if alone is not None:
-        among = y[..., here, :]
-        # Solvers that choose their steps for all runs together do not agree in all digits.
-        mixed = bool((np.abs(alone - among) > 0.5 * np.ptp(among, 0) + 0.01 * np.abs(among)).any())
-    elif y.shape[-2] > max(a.shape[-1] for a in arrays):
-        mixed = False  # no matrix of the model's goes with so many runs
-    else:
-        mixed = "core dimension" in reason or _noticed(function, arrays, epoch, y)
-    again = _value(function, arrays, epoch, y.shape[-1])[0] if mixed else None
-    if again is not None and np.array_equal(again, y, equal_nan=True):  # or it is random
-        got = "runs that depend on each other, as F @ x makes them"
-        raise ValueError(f"{name}: expected values of each run by itself, got {got}; {POINTS}")
+    """Raise a ValueError if values ``y`` of a model mix points, runs, or inputs of runs.
+
+    arrays: points ``(p, ..., n)`` of the state and of each noise.
+    """
+    wrong = _mixed(function, arrays, epoch, y) or _mixed_inputs(function, arrays, epoch, y)
+    if not wrong:
+        return
+    again = _value(function, arrays, epoch, y)
+    if not isinstance(again, str) and np.array_equal(again, y, equal_nan=True):  # or it is random
+        raise ValueError(f"{name}: expected values of {wrong}; {hint}")
 
 
-def _value(
-    function: Model, arrays: Sequence[Array], epoch: Any, dimension: int
-) -> tuple[Array | None, str]:
-    """Values of a model, or None and the reason where it cannot be evaluated there."""
+def check_matrices_apart(
+    name: str, function: Model, mean: Array, epoch: Any, matrix: Array
+) -> None:
+    """The same of a function ``(mean, epoch)`` that returned ``matrix (..., k, n)``."""
+    size = matrix.shape[-2] * matrix.shape[-1]
+
+    def values(points: Array, epoch: Any) -> Array:
+        found = np.asarray(function(points[0], epoch), dtype=np.float64)
+        runs = points.shape[1:-1]
+        return np.broadcast_to(found, (*runs, *matrix.shape[-2:])).reshape(1, *runs, size)
+
+    y = np.broadcast_to(matrix, (*mean.shape[:-1], *matrix.shape[-2:]))
+    check_apart(name, values, [mean[None]], epoch, y.reshape(1, *mean.shape[:-1], size), MEANS)
+
+
+def _mixed(function: Model, arrays: Sequence[Array], epoch: Any, y: Array) -> str:
+    """What is wrong if a value depends on other points or runs."""
+    points = "each point by itself, got points that depend on each other"
+    other = _value(function, [a[::-1] for a in arrays], epoch, y) if len(y) > 1 else ""
+    if not isinstance(other, str) and not _same(other[::-1], y):
+        return points
+    here = slice(None)
+    if y.ndim > 2:
+        finite: Any = np.isfinite(y).all(tuple(i for i in range(y.ndim) if i != y.ndim - 2))
+        last = len(finite) - 1 - int(np.argmax(finite[::-1]))
+        here = slice(last, last + 1)
+    some = slice(len(y) - len(y) // 2), slice(-1, None)
+    follows = [_follows(function, arrays, epoch, y, part, here) for part in some]
+    if all(follows):
+        return ""
+    if len(y) > 1 and y.ndim > 2:  # because of the other points, or of the other runs
+        follows = [_follows(function, arrays, epoch, y, part, slice(None)) for part in some]
+    if len(y) > 1 and False in follows:
+        return points
+    alone = _follows(function, arrays, epoch, y, slice(None), here) if y.ndim > 2 else True
+    if alone or (alone is None and not _noticed(function, arrays, epoch, y)):
+        return ""
+    return "each run by itself, got runs that depend on each other, as F @ x makes them"
+
+
+def _follows(
+    function: Model, arrays: Sequence[Array], epoch: Any, y: Array, points: slice, runs: slice
+) -> bool | None:
+    """Whether some points of some runs give what they gave among all; None: they give nothing."""
+    at: Any = (points, ..., runs, slice(None)) if y.ndim > 2 else points
+    found = _value(function, [a[at] for a in arrays], epoch, y)
+    if isinstance(found, str):  # a matrix that is multiplied by one run only does not fit
+        return False if "core dimension" in found and runs != slice(None) else None
+    among = y[..., runs, :] if y.ndim > 2 else y
+    # A solver that chooses its steps for all points together does not give the same digits.
+    error = LOOSE[0] * np.abs(among).max(0) + LOOSE[1] * np.ptp(among, 0)
+    return not (np.abs(found - y[at]) > error).any()
+
+
+def _noticed(function: Model, arrays: Sequence[Array], epoch: Any, y: Array) -> bool:
+    """Whether a run changes when others are exchanged.
+
+    Indices of components and rows of matrices are small, so two of the first runs are to be told
+    apart: by one of the bits of their number, either way.
+    """
+    runs = np.arange(y.shape[-2])
+    others = [np.roll(a, (1, 1), (0, -2)) for a in arrays]  # points that are evaluated anyhow
+    if all(map(np.array_equal, others, arrays)):
+        others = [1.001 * a for a in arrays]
+    most = min(y.shape[-2] - 1, max(a.shape[-1] for a in arrays))
+    for bit in range(most.bit_length()):
+        ones = (runs >> bit & 1) == 1
+        for kept in (ones, ~ones):
+            mixture = [np.where(kept[:, None], *pair) for pair in zip(arrays, others)]
+            found = _value(function, mixture, epoch, y)
+            if isinstance(found, str):
+                continue
+            change = np.nan_to_num(np.abs(found - y))
+            least = 1e-6 * change.max() + 1e-12 * np.nan_to_num(np.abs(y[..., kept, :]))
+            if (change[..., kept, :] > least).any():
+                return True
+    return False
+
+
+def _mixed_inputs(function: Model, arrays: Sequence[Array], epoch: Any, y: Array) -> str:
+    """What is wrong if a run has the input of another one: of ``u (..., k)`` u[0] is a run's."""
+    u, runs = getattr(epoch, "u", None), y.shape[1:-1]
+    if not runs or runs[-1] == 1 or not any(_of_runs(part, runs) for part in _parts(u)):
+        return ""
+
+    def values(exchange: Callable[[Array], Array], arrays: Sequence[Array]) -> Array | str:
+        """With inputs of runs exchanged along the last axis of runs."""
+        axis = len(runs) - 1
+
+        def each(part: Any) -> Any:
+            if not _of_runs(part, runs):
+                return part
+            return np.moveaxis(exchange(np.moveaxis(part, axis, 0)), 0, axis)
+
+        parts = [each(part) for part in _parts(u)]
+        own = parts[0] if not isinstance(u, tuple) else getattr(u, "_make", tuple)(parts)
+        return _value(function, arrays, epoch._replace(u=own), y)
+
+    turned = values(lambda x: np.roll(x, 1, 0), [np.roll(a, 1, -2) for a in arrays])
+    if isinstance(turned, str) or _same(turned, np.roll(y, 1, -2)):
+        return ""
+    without = values(lambda x: np.concatenate([x[:-1], x[:1]]), arrays)
+    others = values(lambda x: np.concatenate([np.roll(x[:-1], 1, 0) + x[-1:], x[-1:]]), arrays)
+    if isinstance(without, str) or isinstance(others, str):
+        return ""
+    last = y[..., -1, :]
+    if not _same(without[..., -1, :], last) or _same(others[..., -1, :], last):
+        return ""
+    return "each run with its own input, got the input of another run; a component is u[..., 0]"
+
+
+def _parts(u: Any) -> tuple[Any, ...]:
+    return u if isinstance(u, tuple) else (u,)
+
+
+def _of_runs(part: Any, runs: tuple[int, ...]) -> bool:
+    """Whether an input has axes of runs before its own."""
+    if not isinstance(part, np.ndarray):
+        return False
+    return part.ndim > len(runs) and part.shape[: len(runs)] == runs
+
+
+def _value(function: Model, arrays: Sequence[Array], epoch: Any, like: Array) -> Array | str:
+    """Values of a model; its error, or nothing, where it cannot be evaluated or has another shape."""
     points, *noise = (np.array(a, order="K") for a in arrays)  # it may change its argument
     try:
         with np.errstate(all="ignore"):
             found = np.asarray(function(points, epoch, *noise), dtype=np.float64)
     except Exception as error:
-        return None, str(error)
-    return (found, "") if found.shape == (*arrays[0].shape[:-1], dimension) else (None, "")
+        return str(error)
+    return found if found.shape == (*points.shape[:-1], like.shape[-1]) else ""
 
 
-def _noticed(function: Model, arrays: Sequence[Array], epoch: Any, y: Array) -> bool:
-    """Whether a run changes where others are exchanged; of any two runs one is exchanged without the other, either way."""
-    runs = np.arange(y.shape[-2])
-    others = [np.roll(a, (1, 1), (0, -2)) for a in arrays]  # points that are visited anyhow
-    for bit in range(int(runs[-1]).bit_length()):
-        ones = (runs >> bit & 1) == 1
-        for kept in (ones, ~ones):
-            found, _ = _value(
-                function,
-                [np.where(kept[:, None], *pair) for pair in zip(arrays, others)],
-                epoch,
-                y.shape[-1],
-            )
-            if found is None:
-                continue
-            change = np.nan_to_num(np.abs(found - y))
-            if (
-                change[..., kept, :]
-                > 1e-6 * change.max() + 1e-12 * np.nan_to_num(np.abs(y[..., kept, :]))
-            ).any():
-                return True
-    return False
+def _same(a: Array, b: Array) -> bool:
+    """Whether values are equal but for round-off, of single precision where all are of that."""
+    least = 1e-4 if np.array_equal(b, b.astype(np.float32), equal_nan=True) else 1e-9
+    size = np.nan_to_num(np.abs(b)).max(tuple(range(b.ndim - 1)), keepdims=True)
+    return bool(((a == b) | (np.abs(a - b) <= least * size) | (np.isnan(a) & np.isnan(b))).all())

@@ -14,6 +14,7 @@ from warnings import warn
 
 import numpy as np
 
+from celnav.filters.mixing import check_matrices_apart, unknown
 from celnav.gaussian.belief import Gaussian, symmetric
 from celnav.gaussian.checks import finite, function, instance, kind, numbers, takes, unmasked
 from celnav.gaussian.linalg import Array, Covariance, SquareRoot, matvec
@@ -21,7 +22,7 @@ from celnav.gaussian.spaces import EUCLIDEAN, Space
 
 __all__ = [
     "Linear", "Model", "Motion", "Noise", "Sensor", "as_floats", "check_matrices", "check_prior", "check_roots", "given_back",
-    "is_linear", "noise_of",
+    "is_linear", "matrices_of", "noise_of",
 ]  # fmt: skip
 
 Model = Callable[..., Any]
@@ -200,11 +201,20 @@ def noise_of(name: str, cov: Any, sqrt: Any) -> Noise:
 
 
 def _columns_at(function: Any, name: str, mean: Array, epoch: Any) -> Array:
-    return numbers(name, unmasked(name, function(mean, epoch)), (..., "n", None))
+    columns = matrices_of(name, function, mean, epoch)
+    return numbers(name, columns, (..., "n", None))
 
 
 def _root_at(function: Any, name: str, mean: Array, epoch: Any) -> Array:
-    return symmetric(unmasked(name, function(mean, epoch)), name)[1]
+    return symmetric(matrices_of(name, function, mean, epoch), name)[1]
+
+
+def matrices_of(name: str, function: Any, mean: Array, epoch: Any) -> Array:
+    """Matrices ``(..., k, n)`` of a function ``(mean, epoch)``, which may change its argument."""
+    found = numbers(name, unmasked(name, function(mean.copy(), epoch)))
+    if found.ndim > 1 and unknown(function, mean):
+        check_matrices_apart(name, function, mean, epoch, found)
+    return found
 
 
 def check_roots(name: str, roots: Any) -> Sequence[Array]:

@@ -15,13 +15,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from celnav.filters.joint import KEEP, alike, at, condition, joint, marginal
-from celnav.filters.model import Motion, Sensor, given_back
+from celnav.filters.joint import KEEP, alike, condition, joint, marginal
+from celnav.filters.model import Motion, Sensor, given_back, matrices_of
 from celnav.filters.records import Epoch, Info, State, still
 from celnav.filters.regression import pseudo_gain
 from celnav.filters.sequential import Sequential, plain, sigma_point
 from celnav.gaussian.belief import Gaussian, symmetric
-from celnav.gaussian.checks import finite, function, instance, kind, numbers, unmasked
+from celnav.gaussian.checks import finite, function, instance, kind, numbers
 from celnav.gaussian.linalg import (
     Array,
     SquareRoot,
@@ -226,7 +226,9 @@ class TwoStage:
         first, stage, info = self.first.update(first, epoch)
         if stage is None:
             return TwoStageState(first, own, Lambda, state.Gamma, state.memory), (info,)
-        Gamma = unmasked("Gamma", at(self.Gamma, first.belief.mean, epoch))
+        Gamma = self.Gamma
+        if callable(Gamma):
+            Gamma = matrices_of("Gamma", Gamma, first.belief.mean, epoch)
         direct = here = numbers("Gamma", Gamma, (..., stage.used.shape[-1], own.mean.shape[-1]))
         if state.Gamma is not None and stage.lag is not None:
             direct = here - stage.lag @ (state.Gamma + stage.before @ state.Lambda)

@@ -71,7 +71,8 @@ def test_a_model_that_looks_at_its_argument_is_refused_every_time():
         track = celnav.run(filter, PRIOR, TIMES, Z, engine="auto")
         assert (
             track.engine
-            == "numpy: the model gives other values when it is recorded: it looks at what it is given"
+            == "numpy: the model gives other values when it is recorded (step 0: another mean): "
+            "it depends on more than the numbers that it is given"
         )
 
 

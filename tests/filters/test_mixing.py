@@ -226,4 +226,188 @@ def test_a_model_is_looked_at_once():
     celnav.run(
         filter_of(f, EYE), celnav.Gaussian(np.zeros((50, 2)), EYE), np.arange(5.0), np.zeros((5, 2))
     )
-    assert calls == [(5, 50, 2), (5, 1, 2), (5, 50, 2), (5, 50, 2), (5, 50, 2)]
+    whole, few = (5, 50, 2), [(3, 1, 2), (1, 1, 2)]
+    assert calls == [whole, whole, *few, whole, whole, whole]
+
+
+# -- points that are taken for components ------------------------------------------------------
+def in_place(x, epoch):
+    x[0] += epoch.dt * x[1]
+    return x
+
+
+def written(x, epoch):
+    y = np.zeros_like(x)
+    y[0], y[1] = x[0] + epoch.dt * x[1], x[1]
+    return y
+
+
+def normalized(x, epoch):
+    return x / np.linalg.norm(x)
+
+
+def centered(x, epoch):
+    return x - x.mean(0)
+
+
+def pushed(x, epoch):
+    x[0] += 1e-3
+    return x
+
+
+POINTS_MIXED = (in_place, written, normalized, centered, pushed)
+TIMES = 0.01 * np.arange(8.0)
+
+
+def flown(filter, runs, engine, **options):
+    """A short run of two states, of no, one or several runs."""
+    mean = np.array([1.0, 2.0]) + np.arange(2.0 * np.prod(runs, dtype=int)).reshape(*runs, 2)
+    prior = celnav.Gaussian(mean, EYE)
+    z = np.zeros((8, *runs, 1))
+    z[0] = np.nan
+    return celnav.run(filter, prior, TIMES, z, engine=engine, **options)
+
+
+@pytest.mark.parametrize("engine", ["numpy", "compiled", "auto"])
+@pytest.mark.parametrize("runs", [(), (1,), (2,), (7,), (2, 3)])
+@pytest.mark.parametrize("model", POINTS_MIXED)
+def test_a_model_that_mixes_points_is_refused_at_the_door(model, runs, engine):
+    told = r"expected values of each point by itself.*a component is x\[\.\.\., 0\]"
+    right = celnav.Motion(lambda x, e: x.copy(), EYE), celnav.Sensor(EYE[:1], EYE[:1, :1])
+    refused = "recorded" if engine == "compiled" and model is normalized else told
+    with pytest.raises(ValueError, match=f"f: {told}|{refused}"):
+        flown(celnav.ukf(celnav.Motion(model, EYE), right[1]), runs, engine)
+    seen = celnav.Sensor(lambda x, e: model(x, e)[..., :1], EYE[:1, :1])
+    with pytest.raises(ValueError, match=f"h: {told}|{refused}"):
+        flown(celnav.ukf(right[0], seen), runs, engine)
+
+
+@pytest.mark.parametrize("name", ["UKF", "EKF", "cubature", "noise through the points"])
+def test_every_rule_tells_it(name):
+    sensor = celnav.Sensor(EYE[:1], EYE[:1, :1])
+    made = {
+        "UKF": celnav.ukf(celnav.Motion(in_place, EYE), sensor),
+        "EKF": celnav.ekf(celnav.Motion(in_place, EYE), sensor),
+        "cubature": celnav.ckf(celnav.Motion(in_place, EYE), sensor, degree=5),
+        "noise through the points": celnav.ukf(
+            celnav.Motion(lambda x, e, w: in_place(x, e) + w, augment=(EYE,)), sensor
+        ),
+    }
+    with pytest.raises(ValueError, match="f: expected values of each point by itself"):
+        flown(made[name], (3,), "numpy")
+
+
+def test_steps_by_hand_tell_it_too():
+    filter = celnav.ukf(celnav.Motion(lambda x, e: in_place(x, e), EYE), celnav.Sensor(EYE, EYE))
+    state = filter.start(celnav.Gaussian([1.0, 2.0], EYE))
+    with pytest.raises(ValueError, match="f: expected values of each point by itself"):
+        filter.step(state, celnav.Epoch(1, 1.0, 1.0, z=np.zeros(2)))
+
+
+def test_runs_that_are_taken_for_components_are_told_however_many_there_are():
+    def f(x, epoch):  # right without an axis of runs
+        x[:, 0] += epoch.dt * x[:, 1]
+        return x
+
+    sensor = celnav.Sensor(EYE[:1], EYE[:1, :1])
+    assert np.isfinite(flown(celnav.ukf(celnav.Motion(f, EYE), sensor), (), "numpy").mean).all()
+    for runs in (2, 5, 300):
+        with pytest.raises(ValueError, match="f: expected values of each run by itself"):
+            flown(celnav.ukf(celnav.Motion(f, EYE), sensor), (runs,), "numpy")
+
+
+def first_run(mean, epoch):
+    J = np.eye(2)
+    J[0] = mean[0]
+    return J
+
+
+def test_matrices_of_the_mean_that_mix_runs_are_told():
+    x = lambda x, e: x.copy()  # noqa: E731
+    sensor = celnav.Sensor(EYE[:1], EYE[:1, :1])
+    square = lambda mean, epoch: first_run(mean, epoch) @ first_run(mean, epoch).T  # noqa: E731
+    filters = {
+        "jacobian": celnav.ekf(celnav.Motion(x, EYE, jacobian=first_run), sensor),
+        "sqrt_Q": celnav.ukf(celnav.Motion(x, sqrt_Q=first_run), sensor),
+        "Q": celnav.ukf(celnav.Motion(x, square), sensor),
+        "R": celnav.ukf(celnav.Motion(x, EYE), celnav.Sensor(EYE, square)),
+    }
+    prior = celnav.Gaussian(np.arange(8.0).reshape(4, 2), EYE)
+    for name, filter in filters.items():
+        z = np.zeros((8, 4, 2 if name == "R" else 1))
+        told = rf"{name}: expected values of each run by itself.*is mean\[\.\.\., 0\]"
+        with pytest.raises(ValueError, match=told):
+            celnav.run(filter, prior, TIMES, z)
+    right = celnav.Motion(x, lambda mean, epoch: mean[..., :1, None] ** 2 * EYE)
+    assert np.isfinite(flown(celnav.ukf(right, sensor), (4,), "numpy").mean).all()
+
+
+def test_a_matrix_of_the_mean_may_change_its_argument():
+    def Q(mean, epoch):
+        mean *= 0.0
+        return EYE
+
+    filters = [
+        celnav.ukf(celnav.Motion(lambda x, e: x.copy(), noise), celnav.Sensor(EYE[:1], EYE[:1, :1]))
+        for noise in (Q, EYE)
+    ]
+    found, expected = (flown(filter, (3,), "numpy") for filter in filters)
+    np.testing.assert_array_equal(found.mean, expected.mean)
+
+
+@pytest.mark.parametrize("runs", [2, 3, 6])
+def test_inputs_of_another_run_are_told(runs):
+    sensor = celnav.Sensor(EYE[:1], EYE[:1, :1])
+    u = np.random.default_rng(3).standard_normal((7, runs, 1))
+    mistaken = celnav.Motion(lambda x, e: x + e.u[0], EYE)
+    with pytest.raises(ValueError, match=r"f: .*its own input.*a component is u\[\.\.\., 0\]"):
+        flown(celnav.ukf(mistaken, sensor), (runs,), "numpy", u=u)
+    pure = {
+        "own": (lambda x, e: x + e.u[..., :1], u),
+        "one for all": (lambda x, e: x + e.u[0], u[:, 0]),
+        "beacons, as many as runs": (lambda x, e: x + np.sum(e.u, 0)[0], u * np.ones(2)),
+        "a tuple": (lambda x, e: x + e.u[0] + e.u[1], (u, u[:, 0])),
+        "not used": (lambda x, e: x.copy(), u),
+    }
+    for f, given in pure.values():
+        track = flown(celnav.ukf(celnav.Motion(f, EYE), sensor), (runs,), "numpy", u=given)
+        assert np.isfinite(track.mean).all()
+
+
+def fields(x, epoch):
+    """A quaternion's product with a constant one, by components."""
+    w, x, y, z = np.moveaxis(x, -1, 0)
+    return np.stack([-x, w, z, -y], -1) * 0.99
+
+
+PURE = {
+    "as many points as runs and components": lambda x, e: x @ F.T,
+    "cross product": lambda x, e: (
+        x + np.cross(np.append(x, x[..., :1], -1), [0.0, 0.0, 1.0])[..., :2]
+    ),
+    "length of each point": lambda x, e: x / np.linalg.norm(x, axis=-1, keepdims=True),
+    "mean of components": lambda x, e: x - 0.1 * x.mean(-1, keepdims=True),
+    "components in turn": lambda x, e: np.moveaxis([x[..., 1], 0.5 * x[..., 0]], 0, -1),
+    "single precision": lambda x, e: (x.astype(np.float32) @ F.T.astype(np.float32)).astype(float),
+    "its argument": lambda x, e: x,
+    "in place": lambda x, e: np.multiply(x, 0.9, out=x),
+    "a solver for all": _all_together,
+    "random": lambda x, e: x + RNG.normal(size=x.shape),
+    "nan for some": lambda x, e: np.where(x > 1e9, np.nan, x),
+}
+
+
+@pytest.mark.filterwarnings("ignore:f returns float32")
+@pytest.mark.parametrize("runs", [(), (1,), (2,), (5,)])
+@pytest.mark.parametrize("name", PURE)
+def test_a_pure_model_is_not_refused(name, runs):
+    for rule in RULES.values():
+        sensor = celnav.Sensor(EYE[:1], EYE[:1, :1])
+        filter = celnav.sigma_point(celnav.Motion(PURE[name], EYE), sensor, rule=rule)
+        assert flown(filter, runs, "numpy", on_failure="flag").mean.shape == (8, *runs, 2)
+
+
+def test_four_components_of_a_quaternion_may_trade_places():
+    filter = celnav.ukf(celnav.Motion(fields, np.eye(4)), celnav.Sensor(np.eye(4), np.eye(4)))
+    prior = celnav.Gaussian(np.ones((9, 4)), np.eye(4))  # as many points as runs
+    assert np.isfinite(celnav.run(filter, prior, TIMES, np.zeros((8, 9, 4))).mean).all()

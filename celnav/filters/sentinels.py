@@ -1,0 +1,297 @@
+"""Machine code is compared with numpy at some epochs of each run, and models with memory are found.
+
+A recorded step holds for a whole flight only if the model is a function of its arguments. Nothing
+says that it is. So at a few epochs, spread over the flight, numpy takes the same step from the same
+states. Round-off is judged by the state's conditioning: by how much numpy's own step moves when
+each number of the state, the measurement and the models' values is moved by an ulp or two. And what the functions
+of a filter hold must be the same after they were called.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import fields, is_dataclass
+from functools import partial
+from types import (
+    BuiltinFunctionType,
+    CellType,
+    CodeType,
+    FunctionType,
+    GeneratorType,
+    MethodType,
+    ModuleType,
+)
+from typing import Any
+from zlib import crc32
+
+import numpy as np
+
+from celnav.filters.engine import (
+    PART,
+    TALLY,
+    Data,
+    Engine,
+    Shape,
+    each_run,
+    entries,
+    leaves,
+    rebuilt,
+)
+from celnav.filters.flight import Sentinel, epoch_of, part_of
+from celnav.filters.mixing import WATCH
+from celnav.gaussian.belief import settled
+from celnav.gaussian.linalg import EPS, Array
+from celnav.gaussian.rules import Taylor
+
+__all__ = ["changed", "difference", "held"]
+
+CLOSE = 1e-6  # of a standard deviation, or of the size of any other number
+DIFFERENCED = 1e-4  # likewise where numpy takes differences and machine code has derivatives
+MOVES = 1e3  # numpy's own movements by round-off of what it is given
+TRIES = 3
+SAMPLE = 4096  # numbers of a large array by which it is known
+DEEP = 8  # objects within objects
+EMPTY = CellType()  # of a name that has no value yet
+
+
+# -- the same step by numpy --------------------------------------------------------------------
+def difference(
+    filter: Any, engine: Engine, data: Data, sentinel: Sentinel, watched: Sequence[int]
+) -> str:
+    """What the numpy engine computes otherwise from the states before a sentinel; empty: nothing."""
+    failed = TALLY.index("failed_at")
+    sound = np.flatnonzero((sentinel.before[:, failed] < 0) & (sentinel.after[:, failed] < 0))
+    # Memories need not have the runs in front: then each run is taken alone.
+    plain = len(sentinel.shape.arrays) == len(sentinel.shape_after.arrays) == 2
+    groups: list[Any] = [sound] if plain and engine.batch else list(sound)
+    for some in groups if len(sound) else ():
+        runs = np.array(watched)[some]
+        part = partial(part_of, batch=engine.batch, runs=runs)
+        own = each_run(filter, partial(part, own=2))
+        epoch = epoch_of(data, sentinel.at, part, engine.batch)
+        if not plain and _silent(epoch.z, data, sentinel.at):
+            continue  # numpy calls no hook then, unless another run measures something
+        state = _state(sentinel.shape, sentinel.before[some], engine.held)
+        after = _state(sentinel.shape_after, sentinel.after[some], engine.held)
+        counted = sentinel.after[some] - sentinel.before[some]
+        tally = [counted[..., i] for i in range(failed)]
+        try:
+            name = _otherwise(own, state, epoch, after, tally)
+        except Exception as error:
+            return f"numpy raises {type(error).__name__}: {error}"
+        if name:
+            return f"another {name}"
+    return ""
+
+
+def _silent(z: Any, data: Data, at: int) -> bool:
+    """Whether a sensor measured nothing of this run, but something of others."""
+    parts = z if isinstance(z, tuple) else (z,)
+    there = data.known[data.kinds[at]].z
+    return any(what == PART and np.isnan(x).all() for what, x in zip(there, parts, strict=False))
+
+
+def _otherwise(filter: Any, state: Any, epoch: Any, after: Any, tally: list[Array]) -> str:
+    """What a step by numpy gives otherwise."""
+    stepped, counts = _stepped(filter, state, epoch)
+    # A fixed lag keeps nothing in machine code: then beliefs are compared.
+    alike = [what for _, what in leaves(stepped)] == [what for _, what in leaves(after)]
+    found, mine = list(_measured(stepped, counts, alike)), list(_measured(after, tally, alike))
+    close = DIFFERENCED if _has_taylor(filter) else CLOSE
+    apart = [np.broadcast_arrays(x, y) for (_, x, _), (_, y, _) in zip(found, mine, strict=True)]
+    sizes = [size for *_, size in found]
+    wrong = [i for i, (x, y) in enumerate(apart) if not _within(close * sizes[i], x, y)]
+    if not wrong:
+        return ""
+    again = [value for _, value, _ in _measured(*_stepped(filter, state, epoch), alike)]
+    if not all(np.array_equal(a[1], b, equal_nan=True) for a, b in zip(found, again, strict=True)):
+        return f"{found[wrong[0]][0]}, and numpy gives another one at each call"
+    moved = _moved(filter, state, epoch, alike)
+    for i in wrong:
+        x, y = apart[i]
+        least = np.max([np.abs(each[i] - x) for each in moved], 0)
+        # Each run is one draw of the same round-off: the largest movement, in sizes, is that of all.
+        part = np.divide(least, sizes[i], out=np.zeros(x.shape), where=sizes[i] > 0.0)
+        if not _within(
+            close * sizes[i] + MOVES * np.maximum(least, np.nanmax(part) * sizes[i]), x, y
+        ):
+            return found[i][0]
+    return ""
+
+
+def _moved(filter: Any, state: Any, epoch: Any, memory: bool) -> list[list[Array]]:
+    """What numpy's step gives where each number of it is moved by round-off, several times."""
+    rng = np.random.default_rng(0)
+    token = WATCH.set(lambda _name, y: _nudged(y, rng))
+    try:
+        steps = (
+            _stepped(filter, _nudged(state, rng), epoch._replace(z=_nudged(epoch.z, rng)))
+            for _ in range(TRIES)
+        )
+        return [[value for _, value, _ in _measured(*step, memory)] for step in steps]
+    finally:
+        WATCH.reset(token)
+
+
+def _has_taylor(thing: Any) -> bool:
+    """Whether a filter, or one within it, is an extended one."""
+    if isinstance(thing, tuple):
+        return any(map(_has_taylor, thing))
+    within = fields(thing) if is_dataclass(thing) and not isinstance(thing, type) else ()
+    inner = (getattr(thing, field.name) for field in within)
+    return isinstance(thing, Taylor) or any(map(_has_taylor, inner))
+
+
+def _within(least: Array, x: Array, y: Array) -> bool:
+    """Whether two values are that close, or the same, or both nan."""
+    with np.errstate(all="ignore"):
+        close = ~(np.abs(x - y) > least) & (np.isnan(x) == np.isnan(y))
+    return bool((close | (x == y)).all())
+
+
+def _stepped(filter: Any, state: Any, epoch: Any) -> tuple[Any, list[Array]]:
+    """The state after an epoch, and what its records add to the tally."""
+    with np.errstate(all="ignore"):
+        state, infos = filter.step(state, epoch)
+    if "belief" in getattr(state, "_fields", ()):
+        state = state._replace(belief=settled(state.belief))
+    counts: list[Any] = [0.0] * TALLY.index("failed_at")
+    for info in infos:
+        if info.log_likelihood is not None:
+            absent = np.isnan(info.innovation)
+            more = info.log_likelihood, absent.sum(-1), (~info.used & ~absent).sum(-1)
+            counts[:3] = [a + b for a, b in zip(counts, more, strict=False)]
+        if info.redone is not None:
+            counts[3] = counts[3] + info.redone
+    return state, counts
+
+
+def _measured(state: Any, tally: list[Any], memory: bool) -> Iterator[tuple[str, Array, Array]]:
+    """Names, values and sizes of what is to agree; without ``memory``: of the belief alone."""
+    mean: Any = None
+    for x, what in leaves(state if memory else state.belief):
+        if what == "belief":
+            mean = x
+        elif what:
+            P = x if what == "symmetric" else x @ x.mT
+            std = np.sqrt(np.abs(P.diagonal(0, -2, -1)))
+            fits = mean.shape[-1] == std.shape[-1]
+            size = std if fits else std.max(-1, keepdims=True)
+            yield "mean", mean, size + 2e-7 * np.abs(mean)
+            yield "covariance", P, std[..., :, None] * std[..., None, :]
+        else:
+            values = np.asarray(x, float)
+            size = np.abs(values)
+            yield "memory", values, size + 1e-6 * size.max(initial=1e-3)
+    for name, count in zip(TALLY, tally, strict=False):
+        yield name, np.asarray(count, float), 1.0 + np.abs(np.asarray(count, float))
+
+
+def _state(shape: Shape, rows: Array, held: int) -> Any:
+    """The state of runs that is kept as ``rows (..., size)``."""
+    arrays, at = [], held
+    for own, what, _ in shape.arrays:
+        x = np.zeros((*rows.shape[:-1], *own))
+        places = entries(own, what)
+        values = rows[..., at : at + len(places)]
+        if places:
+            index = np.array(places, int).T
+            x[(..., *index)] = values if own else values[..., 0]
+            if what == "symmetric":
+                x[(..., *index[::-1])] = values
+        at += len(places)
+        arrays.append(x)
+    return rebuilt(shape.tree, iter(arrays))
+
+
+def _nudged(tree: Any, rng: np.random.Generator) -> Any:
+    """A tree with each number moved by an ulp or two, covariances alike on both sides."""
+    moved = []
+    for x, what in leaves(tree):
+        way = rng.choice([-2.0, -1.0, 1.0, 2.0], np.shape(x))
+        if what == "symmetric":
+            lower = np.tril(way)
+            way = lower + np.tril(lower, -1).mT
+        moved.append(np.asarray(x) * (1.0 + EPS * way))
+    return rebuilt(tree, iter(moved))
+
+
+# -- what functions hold -----------------------------------------------------------------------
+def held(filter: Any) -> dict[str, Any]:
+    """What the functions of a filter hold, by its path: closures, attributes, globals that they name."""
+    found: dict[str, Any] = {}
+    _look(filter, "", found, set(), DEEP)
+    return found
+
+
+def changed(before: dict[str, Any], after: dict[str, Any]) -> str:
+    """The first path whose value is another one; empty: none."""
+    return next((k for k in {**before, **after} if before.get(k) != after.get(k)), "")
+
+
+def _look(thing: Any, path: str, found: dict[str, Any], seen: set[int], deep: int) -> None:
+    """Set what a thing is known by, and what it holds."""
+    if isinstance(thing, bool | int | float | complex | str | bytes | np.number | None):
+        found[path] = repr(thing)
+        return
+    if id(thing) in seen or not deep:
+        return
+    seen.add(id(thing))
+    parts = _parts_of(thing)
+    found[path] = _mark(thing) if parts is None else (type(thing), len(parts))
+    for name, part in (parts or {}).items():
+        _look(part, f"{path}.{name}" if path else name, found, seen, deep - 1)
+
+
+def _mark(thing: Any) -> Any:
+    """What stands for a thing that holds nothing to be looked at."""
+    if isinstance(thing, np.ndarray):
+        if thing.dtype.hasobject:
+            return thing.shape, repr(thing.ravel()[:SAMPLE])
+        some = thing.ravel()[:: max(1, thing.size // SAMPLE)]
+        return thing.shape, crc32(np.ascontiguousarray(some).tobytes())
+    for name in ("bit_generator", "get_state", "getstate"):  # a generator of random numbers
+        if hasattr(thing, name) and not isinstance(thing, type):
+            state = getattr(thing, name)
+            return repr(state.state if name == "bit_generator" else state())
+    return repr(thing) if type(thing).__module__ in ("itertools", "builtins") else id(thing)
+
+
+def _parts_of(thing: Any) -> dict[str, Any] | None:
+    """What a thing holds, by name; None where it is to be taken as a whole."""
+    ours = str(getattr(thing, "__module__", "")).partition(".")[0] in ("celnav", "numpy", "scipy")
+    if isinstance(thing, ModuleType | type | np.ndarray | BuiltinFunctionType):
+        return None
+    if isinstance(thing, dict):
+        return {repr(key): thing[key] for key in list(thing)[:SAMPLE]}
+    if isinstance(thing, list | tuple):
+        return {str(i): part for i, part in enumerate(thing[:SAMPLE])}
+    if isinstance(thing, partial):
+        return {"func": thing.func, "args": thing.args, "keywords": thing.keywords}
+    if isinstance(thing, MethodType):
+        return {"self": thing.__self__, "function": thing.__func__}
+    if isinstance(thing, GeneratorType):
+        return dict(thing.gi_frame.f_locals) if thing.gi_frame else {}
+    if isinstance(thing, FunctionType):
+        cells = zip(thing.__code__.co_freevars, thing.__closure__ or (), strict=True)
+        parts = {name: cell.cell_contents for name, cell in cells if cell != EMPTY}
+        parts |= {"defaults": thing.__defaults__, "keywords": thing.__kwdefaults__, **vars(thing)}
+        named = set() if ours else set(_names(thing.__code__)) & thing.__globals__.keys()
+        return parts | {name: thing.__globals__[name] for name in sorted(named)}
+    if hasattr(thing, "__wrapped__"):  # a cache of a function's values
+        return {"wrapped": thing.__wrapped__}
+    if ours:
+        return (
+            {one.name: getattr(thing, one.name) for one in fields(thing)}
+            if is_dataclass(thing)
+            else None
+        )
+    return dict(vars(thing)) if hasattr(thing, "__dict__") else None
+
+
+def _names(code: CodeType) -> Iterator[str]:
+    """Names that code, and the functions within it, may take from the module."""
+    yield from code.co_names
+    for inner in code.co_consts:
+        if isinstance(inner, CodeType):
+            yield from _names(inner)
