@@ -37,7 +37,8 @@ from celnav.gaussian.linalg import (
 )
 from celnav.gaussian.rules import Image, Taylor
 from celnav.gaussian.spaces import EUCLIDEAN, Space
-from celnav.tape.numbers import each_row
+from celnav.tape.numbers import each_row, in_model, known_alike, present
+from celnav.tape.tape import refused
 
 __all__ = [
     "KEEP", "Gain", "Hook", "Joint", "alike", "at", "by_matrix", "condition", "evaluate", "joint", "linear", "marginal",
@@ -263,7 +264,7 @@ def rule_for(rule: Any, belief: Belief, augment: Sequence[Array] = ()) -> Any:
 
 def at(noise: Any, mean: Array, epoch: Any) -> Any:
     """Columns of a noise at an epoch."""
-    return noise(mean, epoch) if callable(noise) else noise
+    return in_model(noise, mean, epoch) if callable(noise) else noise
 
 
 def by_matrix(model: Any, rule: Any) -> bool:
@@ -291,7 +292,7 @@ def linear(
     center = mean if rule.about is None else np.broadcast_to(rule.about, mean.shape)
     none = [np.zeros((1, *center.shape[:-1], E.shape[-2])) for E in model.augment]
     value = evaluate(model, center[None].copy(), epoch, none)[0]
-    J = numbers("jacobian", unmasked("jacobian", model.jacobian(center, epoch)))  # type: ignore[misc]
+    J = numbers("jacobian", unmasked("jacobian", in_model(model.jacobian, center, epoch)))  # type: ignore[arg-type]
     if J.ndim < 2 or (model.space is EUCLIDEAN and J.shape[-2] != value.shape[-1]):
         raise ValueError(
             f"jacobian: expected shape (..., {value.shape[-1]}, n) to go with {model.name}, got {J.shape}"
@@ -339,6 +340,11 @@ def over_runs(name: str, batch: tuple[int, ...], belief: Belief) -> Belief:
     runs = belief.mean.shape[:-1]
     if not batch or batch == runs:
         return belief
+    if belief.mean.dtype.hasobject:
+        raise refused(
+            f"{name}: a function that gives a matrix for each run is not recorded; give the matrices "
+            "(runs, n, n) themselves, or put them into u"
+        )
     together = beside(name, batch, runs, "the belief")
     return (
         belief
@@ -385,7 +391,7 @@ def condition(
         joint, memory = _adapted(joint, hooks, memory, epoch)
     innovation, measured, state = joint.innovation, joint.measurement, joint.state
 
-    used, m = innovation == innovation, innovation.shape[-1]
+    used, m = present(innovation), innovation.shape[-1]
     A, mask = joint.columns(), alike(used)
     if not surely(mask.all()):
         # Rows that were not measured: no columns from the prior, a unit noise of their own and a zero innovation.
@@ -441,7 +447,7 @@ def _adapted(joint: Joint, hooks: Sequence[Hook], memory: Any, epoch: Any) -> tu
         instance("hooks", joint, Joint, "hooks that give back (memory, joint)")
         memories.append(remembered)
     same = joint.sign is given.sign and joint.process_noise is given.process_noise
-    if not same or not np.array_equal(joint.state.columns, columns):
+    if not same or not known_alike(joint.state.columns, columns):
         joint = joint._replace(known=None)
     return joint, tuple(memories)
 
@@ -473,7 +479,9 @@ def evaluate(
     )
     try:
         if x.dtype.hasobject:
-            y: Any = each_row(lambda x, *noise: function(x, epoch, *noise), x, *noise)
+            y: Any = in_model(
+                partial(each_row, lambda x, *noise: function(x, epoch, *noise)), x, *noise
+            )
         else:
             y = function(x, epoch, *noise)
         if type(y) is not np.ndarray or y.dtype != np.float64:
