@@ -624,19 +624,22 @@ def _like(value: float) -> Callable[..., Any]:
     def made(
         prototype: Any, dtype: Any = None, *_arguments: Any, shape: Any = None, **_: Any
     ) -> Any:
+        array = recorded(prototype)
         if shape is None:
-            shape = (
-                prototype.shape
-                if isinstance(prototype, np.ndarray) and prototype.dtype.hasobject
-                else prototype
-            )
+            shape = prototype if array is None else array.shape
         if np.dtype(dtype) not in (np.float64, np.object_):
             return np.full(shape, value, dtype)
         out = Numbers(tuple(np.atleast_1d(shape)))
-        out.fill(bool(value) if _is_truth(_bare(prototype)) else value)
+        out.fill(value if array is None or not _is_truth(array) else bool(value))
         return out
 
     return made
+
+
+def _full_like(a: Any, fill_value: Any, *arguments: Any, **options: Any) -> Any:
+    out = np.zeros_like(a, *arguments, **options)
+    out[...] = fill_value
+    return out
 
 
 def _dot(a: Any, b: Any) -> Any:
@@ -702,6 +705,7 @@ _FUNCTIONS: dict[Any, Callable[..., Any]] = {
     np.nan_to_num: _nan_to_num,
     **dict.fromkeys((np.empty_like, np.zeros_like, np.empty, np.zeros), _like(0.0)),
     np.ones_like: _like(1.0),
+    np.full_like: _full_like,
     np.linalg.norm: _norm,
     np.linalg.solve: _solve,
     np.linalg.inv: lambda A: _solve(A, np.eye(A.shape[-1])),
@@ -712,9 +716,9 @@ _FUNCTIONS: dict[Any, Callable[..., Any]] = {
 _PLAIN = """
 all amax amin angle any append apply_along_axis around array2string array_repr array_split
 array_str atleast_1d atleast_2d atleast_3d average block broadcast_arrays clip column_stack
-compress concatenate convolve copy copyto correlate cross cumprod cumsum cumulative_prod
+compress concatenate convolve copy correlate cross cumprod cumsum cumulative_prod
 cumulative_sum delete diag diagflat diagonal diff dsplit dstack ediff1d expand_dims extract
-fill_diagonal fix flip fliplr flipud full_like gradient hsplit hstack imag inner iscomplexobj
+fill_diagonal fix flip fliplr flipud gradient hsplit hstack imag inner iscomplexobj
 isclose isneginf isposinf isrealobj kron matrix_transpose max mean meshgrid min moveaxis ndim
 outer pad polyadd polyder polyint polysub polyval prod ptp ravel real repeat result_type reshape
 roll rollaxis rot90 round shape sinc size split squeeze stack std sum swapaxes take

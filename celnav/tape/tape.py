@@ -177,7 +177,8 @@ def do(name: str, *arguments: Scalar) -> Scalar:
     recording = next((x.tape for x in arguments if type(x) is Number), None)
     if recording is None:
         with np.errstate(all="ignore"):
-            return _FOLD[name](*arguments)
+            known = _FOLD[name](*arguments)
+        return known.item() if isinstance(known, np.generic) else known
     if name not in ("and", "or", "not", "select"):
         arguments = tuple(map(as_number, arguments))
     short = _SHORT.get(name)

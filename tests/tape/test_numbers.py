@@ -274,6 +274,7 @@ SHAPED = {
     "diagonal": np.diag,
     "written": written,
     "filled": lambda x: np.full_like(x, 2.0) + x,
+    "filled truth": lambda x: np.full_like(x > 0.0, 2.5) + np.full_like(x, x > 0.0),
     "copied": lambda x: np.copy(x) * 2.0,
     "array of rows": lambda x: np.array([x[0], x[1]]) * 2.0,
     "function of an array of rows": lambda x: np.exp(np.array([x[0], x[1]])),
