@@ -28,6 +28,7 @@ from celnav.gaussian.linalg import (
     weighted,
     whiten,
 )
+from celnav.tape.numbers import present
 
 __all__ = [
     "channel_parity", "chi_square_gate", "consider", "correntropy", "gate", "group_parity", "huber", "innovation_window",
@@ -72,7 +73,7 @@ def chi_square_gate(probability: float = 0.999) -> Hook:
 
     def hook(memory: Any, joint: Joint, _epoch: Any) -> tuple[Any, Joint]:
         e, V = np.asanyarray(joint.innovation), joint.measurement_noise
-        used, S = ~np.isnan(e), joint.covariances()[0]
+        used, S = present(e), joint.covariances()[0]
         S = S if V is None else S + V @ V.mT
         S = np.where(used[..., None] & used[..., None, :], S, np.eye(e.shape[-1]))
         white = whiten(cholesky(S), np.where(used, e, 0.0))
@@ -132,7 +133,7 @@ def _moved(
     ring = np.broadcast_to(before, (size, *np.broadcast_shapes(before.shape[1:], values.shape)))
     moved = np.concatenate([ring[1:], np.broadcast_to(values, ring.shape[1:])[None]])
     if gaps == "skip":
-        moved = np.where(np.isnan(values), ring, moved)
+        moved = np.where(present(values), moved, ring)
     # A hook is not called where the whole block has no measurement: that is a gap of every component as well.
     elif k is not None and memory.k is not None:
         moved[:-1] = np.where(k > memory.k + 1, np.nan, moved[:-1])
@@ -192,7 +193,7 @@ def _reweighted(weight: Callable[[Array], Array], rounds: int) -> Hook:
 def _noisy(joint: Joint) -> tuple[Array, Array, Array]:
     """Innovation and variances of the noise, 0 and 1 where a component was not measured or has no noise; where it was and has."""
     e, noise = np.asanyarray(joint.innovation), joint.variances()[1]
-    used = ~np.isnan(e) & (noise > 0.0)
+    used = present(e) & (noise > 0.0)
     return np.where(used, e, 0.0), np.where(used, noise, 1.0), used
 
 
@@ -221,7 +222,7 @@ def sage_husa(forgetting: float = 0.95, least: float = 0.25, smallest: float = 0
         noise, count = (
             (np.broadcast_to(nominal, shape), np.zeros(shape)) if memory is None else memory
         )
-        used = np.broadcast_to(~np.isnan(e), shape)
+        used = np.broadcast_to(present(e), shape)
         d = (1.0 - forgetting) / (1.0 - forgetting ** (count + 1.0))
         seen = np.maximum(np.where(used, e, 0.0) ** 2 - prior, bottom * nominal)
         noise = np.where(used, (1.0 - d) * noise + d * seen, noise)
@@ -293,7 +294,7 @@ def underweighting(beta: float = 0.2, share: float = 0.5) -> Hook:
 
     def hook(memory: Any, joint: Joint, _epoch: Any) -> tuple[Any, Joint]:
         prior, noise = joint.variances()
-        poor = (~np.isnan(np.asanyarray(joint.innovation)) & (prior > least * (prior + noise))).any(
+        poor = (present(np.asanyarray(joint.innovation)) & (prior > least * (prior + noise))).any(
             -1
         )
         S0, V = joint.covariances()[0], joint.measurement_noise

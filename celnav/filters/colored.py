@@ -59,6 +59,7 @@ from celnav.gaussian.linalg import (
 )
 from celnav.gaussian.rules import UNSCENTED
 from celnav.gaussian.spaces import EUCLIDEAN
+from celnav.tape.numbers import present
 
 __all__ = [
     "Colored", "Decorrelated", "Decorrelation", "augmented", "colored", "coloring", "decorrelated", "decorrelation", "zeta_of",
@@ -158,7 +159,7 @@ def _stationary(noise: Noise, Phi: Any, mean: Array, epoch: Any) -> Array:
 
 def difference(Phi: Array, z: Array, z_next: Array) -> Array:
     """``z_next - Phi z (..., m)``. A missing component spoils those differences that it enters, not the others."""
-    absent = np.isnan(z)
+    absent = ~present(z)
     if surely(~absent.any()):
         return np.asanyarray(z_next - matvec(Phi, z))
     spoiled = matvec((Phi != 0.0).astype(float), absent.astype(float)) > 0.0

@@ -22,7 +22,7 @@ from celnav.gaussian.checks import kind, together
 from celnav.gaussian.linalg import Array, Covariance, SquareRoot
 from celnav.tape import llvm
 from celnav.tape.kernel import Kernel
-from celnav.tape.numbers import Numbers
+from celnav.tape.numbers import Numbers, present
 from celnav.tape.tape import MOST, CannotCompile, Number, Tape, as_number, do
 
 __all__ = [
@@ -219,7 +219,9 @@ class Engine:
         self, before: Shape, kind: Kind, u: list[tuple[Array, bool]], lanes: int
     ) -> Recorded:
         """The step, recorded and compiled; for 0 lanes recorded only."""
-        shapes = tuple((x.shape[1 + len(self.batch) * own :], own) for x, own in u)
+        shapes = tuple(
+            (x.shape[1 + len(self.batch) * own :], own, bool(np.isfinite(x).all())) for x, own in u
+        )
         key = (before, kind, shapes, self.keep, self.dt, tuple(self.widths), lanes)
         if key not in self.kept:
             made = self.record(before, kind, u)
@@ -277,6 +279,7 @@ class Engine:
                 what,
                 "own" if own else "shared",
                 (int(places[where]) for where in entries(shape, what)),
+                repeat(not np.isfinite(values).all()),
             )
             first, shared = first + places.size * own, shared + places.size * (not own)
             parts.append(x if shape else x[()])
@@ -327,7 +330,7 @@ class Engine:
         for info in infos:
             if (more := info.log_likelihood) is not None:
                 likelihood = do("add", likelihood, _alone(more))
-                absent = np.isnan(np.asanyarray(info.innovation))
+                absent = ~present(np.asanyarray(info.innovation))
                 missing = do("add", missing, _alone(np.add.reduce(absent, -1, int)))
                 rejected = do(
                     "add",

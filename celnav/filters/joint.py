@@ -46,7 +46,8 @@ from celnav.gaussian.linalg import (
 )
 from celnav.gaussian.rules import Image, Taylor
 from celnav.gaussian.spaces import EUCLIDEAN, Space
-from celnav.tape.numbers import each_row
+from celnav.tape.numbers import each_row, in_model, known_alike, present
+from celnav.tape.tape import refused
 
 __all__ = [
     "KEEP", "Gain", "Hook", "Joint", "alike", "at", "by_matrix", "condition", "evaluate", "joint", "linear", "marginal",
@@ -272,7 +273,7 @@ def rule_for(rule: Any, belief: Belief, augment: Sequence[Array] = ()) -> Any:
 
 def at(noise: Any, mean: Array, epoch: Any) -> Any:
     """Columns of a noise at an epoch."""
-    return noise(mean, epoch) if callable(noise) else noise
+    return in_model(noise, mean, epoch) if callable(noise) else noise
 
 
 def by_matrix(model: Any, rule: Any) -> bool:
@@ -348,6 +349,11 @@ def over_runs(name: str, batch: tuple[int, ...], belief: Belief) -> Belief:
     runs = belief.mean.shape[:-1]
     if not batch or batch == runs:
         return belief
+    if belief.mean.dtype.hasobject:
+        raise refused(
+            f"{name}: a function that gives a matrix for each run is not recorded; give the matrices "
+            "(runs, n, n) themselves, or put them into u"
+        )
     together = beside(name, batch, runs, "the belief")
     return (
         belief
@@ -394,7 +400,7 @@ def condition(
         joint, memory = _adapted(joint, hooks, memory, epoch)
     innovation, measured, state = joint.innovation, joint.measurement, joint.state
 
-    used, m = innovation == innovation, innovation.shape[-1]
+    used, m = present(innovation), innovation.shape[-1]
     A, mask = joint.columns(), alike(used)
     if not surely(mask.all()):
         # Rows that were not measured: no columns from the prior, a unit noise of their own and a zero innovation.
@@ -450,7 +456,7 @@ def _adapted(joint: Joint, hooks: Sequence[Hook], memory: Any, epoch: Any) -> tu
         instance("hooks", joint, Joint, "hooks that give back (memory, joint)")
         memories.append(remembered)
     same = joint.sign is given.sign and joint.process_noise is given.process_noise
-    if not same or not np.array_equal(joint.state.columns, columns):
+    if not same or not known_alike(joint.state.columns, columns):
         joint = joint._replace(known=None)
     return joint, tuple(memories)
 
@@ -478,7 +484,9 @@ def evaluate(
     copies = [array.copy(order="K") for array in (x, *noise)] if unknown(function, x) else None
     try:
         if x.dtype.hasobject:
-            y: Any = each_row(lambda x, *noise: function(x, epoch, *noise), x, *noise)
+            y: Any = in_model(
+                partial(each_row, lambda x, *noise: function(x, epoch, *noise)), x, *noise
+            )
         else:
             y = function(x, epoch, *noise)
         if type(y) is not np.ndarray or y.dtype != np.float64:

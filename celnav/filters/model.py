@@ -19,6 +19,7 @@ from celnav.gaussian.belief import Gaussian, symmetric
 from celnav.gaussian.checks import finite, function, instance, kind, numbers, takes, unmasked
 from celnav.gaussian.linalg import Array, Covariance, SquareRoot, matvec
 from celnav.gaussian.spaces import EUCLIDEAN, Space
+from celnav.tape.numbers import in_model
 
 __all__ = [
     "Linear", "Model", "Motion", "Noise", "Sensor", "as_floats", "check_matrices", "check_prior", "check_roots", "given_back",
@@ -211,7 +212,7 @@ def _root_at(function: Any, name: str, mean: Array, epoch: Any) -> Array:
 
 def matrices_of(name: str, function: Any, mean: Array, epoch: Any) -> Array:
     """Matrices ``(..., k, n)`` of a function ``(mean, epoch)``, which may change its argument."""
-    found = numbers(name, unmasked(name, function(mean.copy(), epoch)))
+    found = numbers(name, unmasked(name, in_model(function, mean.copy(), epoch)))
     if found.ndim > 1 and unknown(function, mean):
         check_matrices_apart(name, function, mean, epoch, found)
     return found

@@ -109,7 +109,9 @@ def _carried(
         else:
             values, slopes = [known[a][0] for a in arguments], [known[a][1] for a in arguments]
             same = all(_same(tape, a, value) for a, value in zip(arguments, values, strict=True))
+            tape.model = tape.modeled[i]
             value = Number(tape, i) if same else do(name, *values)
+            tape.model = False
             known[i] = (value, _chained(name, value, values, slopes, partials or _PARTIALS))
     return known[x.i]
 
@@ -184,6 +186,8 @@ _PARTIALS: dict[str, Partials] = {
     "abs": (lambda _v, a: do("copysign", 1.0, a),),
     "copysign": (lambda _v, a, b: do("mul", do("copysign", 1.0, a), do("copysign", 1.0, b)),),
     "sqrt": (lambda v, _a: do("div", 0.5, v),),
+    "hypot": (lambda v, a, _b: do("div", a, v), lambda v, _a, b: do("div", b, v)),
+    "fmod": (lambda *_: 1.0, lambda v, a, b: do("div", do("sub", v, a), b)),
     "sin": (lambda _v, a: do("cos", a),),
     "cos": (lambda _v, a: do("neg", do("sin", a)),),
     "tan": (lambda v, _a: do("add", 1.0, _square(v)),),

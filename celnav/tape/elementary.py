@@ -1,8 +1,9 @@
 """Functions of the C library as arithmetic on a tape: all runs of a vector at once, and on any device.
 
 `lowered` writes a tape anew with them. They are within two units in the last place of the C library's (three for the tangent
-and for hyperbolic sine and tangent), a power ``x^y`` within ``2 + 2 |y log x|`` units. An argument of
-sine and cosine beyond 1e14 rad gives nan: a run that is lost is flown again by the numpy engine.
+and for hyperbolic sine and tangent), a power ``x^y`` within ``2 + 2 |y log x|`` units. Whole powers of whole numbers, and their
+logarithms to base 2 and 10, are exact, and so are remainders. An argument of sine and cosine beyond 1e14 rad, and a remainder of
+1e30 periods, give nan: a run that is lost is flown again by the numpy engine.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from celnav.tape.tape import Number, Scalar, Tape, as_number, do
 __all__ = ["LOWERED", "lowered"]
 
 FARTHEST = 1e14  # rad; one float is a hundredth of a radian from the next there
+LOG10_2 = (3.01029995663611771306e-01, 3.69423907715893078616e-13)
 LN2 = (6.93147180369123816490e-01, 1.90821492927058770002e-10)
 HALF_PI = (1.5707963267948966, 6.123233995736766e-17, -1.4973849048591833e-33)
 """As sums, the first of which is as much as a float holds (of the logarithm: with zeros at its end)."""
@@ -52,7 +54,9 @@ def lowered(tape: Tape, outputs: Sequence[Number]) -> tuple[Tape, dict[int, Scal
         else:
             own = LOWERED.get(name)
             values = [known[a] for a in at]
-            known[i] = do(name, *values) if own is None else own(*values)
+            known[i] = own(*values) if own else new.node(name, *(new.lift(x).i for x in values))
+        if i in tape.sharp and type(known[i]) is Number:
+            new.sharp.add(known[i].i)
     return new, known
 
 
@@ -192,8 +196,8 @@ def cbrt(x: Scalar) -> Scalar:
     return _select(do("and", do("lt", 0.0, size), do("lt", size, inf)), do("copysign", y, x), x)
 
 
-def log(x: Scalar) -> Scalar:
-    """Logarithm: of ``x = 2^k m``, with m near 1 by ``2 artanh``."""
+def _near_one(x: Scalar) -> tuple[Scalar, Scalar, Scalar, Scalar]:
+    """Of ``x = 2^k m``, with m near 1: k, and numbers f, a and b, with which ``log m = f - (a - b)``, by ``2 artanh``."""
     small = do("lt", x, 1e-300)
     whole = _select(small, do("mul", x, 2.0**54), x)
     k = do("exponent", whole)
@@ -205,12 +209,76 @@ def log(x: Scalar) -> Scalar:
     s = do("div", f, do("add", 2.0, f))
     z = do("mul", s, s)
     series, square = do("mul", z, _polynomial(z, _LOG)), do("mul", 0.5, do("mul", f, f))
-    rest = do(
-        "sub", square, do("add", do("mul", s, do("add", square, series)), do("mul", k, LN2[1]))
-    )
-    value = do("sub", do("mul", k, LN2[0]), do("sub", rest, f))
+    return k, f, square, do("mul", s, do("add", square, series))
+
+
+def _logarithm(x: Scalar, value: Scalar) -> Scalar:
+    """The value where x is positive and finite."""
     value = _select(do("lt", x, inf), value, x)
     return _select(do("lt", 0.0, x), value, _select(do("eq", x, 0.0), -inf, nan))
+
+
+def log(x: Scalar) -> Scalar:
+    """Logarithm."""
+    k, f, a, b = _near_one(x)
+    rest = do("sub", a, do("add", b, do("mul", k, LN2[1])))
+    return _logarithm(x, do("sub", do("mul", k, LN2[0]), do("sub", rest, f)))
+
+
+def log2(x: Scalar) -> Scalar:
+    """Logarithm to base 2, exact of its powers."""
+    k, f, a, b = _near_one(x)
+    part = do("mul", do("sub", f, do("sub", a, b)), 1.4426950408889634)
+    return _logarithm(x, do("add", k, part))
+
+
+def log10(x: Scalar) -> Scalar:
+    """Logarithm to base 10, exact of its powers."""
+    k, f, a, b = _near_one(x)
+    part = do("mul", do("sub", f, do("sub", a, b)), 0.4342944819032518)
+    part = do("add", do("mul", k, LOG10_2[1]), part)
+    return _logarithm(x, do("add", do("mul", k, LOG10_2[0]), part))
+
+
+def power(x: Scalar, y: Scalar) -> Scalar:
+    """``x^y``: by squares for whole y below 128, by logarithm for others."""
+    size, whole = do("abs", x), do("eq", do("floor", y), y)
+    rest, square, product = do("abs", y), x, 1.0
+    for _ in range(7):
+        half = do("floor", do("mul", 0.5, rest))
+        odd = do("eq", do("sub", rest, do("add", half, half)), 1.0)
+        product = _select(odd, do("mul", product, square), product)
+        rest, square = half, do("mul", square, square)
+    product = _select(do("lt", y, 0.0), do("div", 1.0, product), product)
+    value = _select(do("eq", size, 1.0), 1.0, exp(do("mul", y, log(size))))
+    half = do("mul", 0.5, y)
+    value = _select(
+        do("lt", x, 0.0),
+        _select(whole, _select(do("eq", do("floor", half), half), value, do("neg", value)), nan),
+        value,
+    )
+    return _select(do("and", whole, do("eq", rest, 0.0)), product, value)
+
+
+def fmod(x: Scalar, y: Scalar) -> Scalar:
+    """Remainder of the sign of x: exact, since what fused products leave of each quotient is."""
+    size, period = do("abs", x), do("abs", y)
+    left = size
+    for _ in range(
+        3
+    ):  # a quotient that is rounded up leaves less than nothing, which the next one mends
+        left = do("fma", do("floor", do("div", left, period)), do("neg", period), left)
+    left = _select(do("lt", do("div", size, period), 1e30), left, nan)
+    return do("copysign", _select(do("lt", size, period), size, left), x)
+
+
+def hypot(x: Scalar, y: Scalar) -> Scalar:
+    """Length: squares that would leave the range of floats are taken of scaled numbers."""
+    square = do("add", do("mul", x, x), do("mul", y, y))
+    scale = _select(do("lt", 1e300, square), 2.0**-600, 1.0)
+    scale = _select(do("lt", square, 1e-280), 2.0**600, scale)
+    a, b = do("mul", x, scale), do("mul", y, scale)
+    return do("div", do("sqrt", do("add", do("mul", a, a), do("mul", b, b))), scale)
 
 
 def atan2(y: Scalar, x: Scalar) -> Scalar:
@@ -243,13 +311,15 @@ LOWERED: dict[str, Callable[..., Scalar]] = {
     "exp": exp,
     "exp2": exp2,
     "log": log,
-    "log2": lambda x: do("mul", log(x), 1.4426950408889634),
-    "log10": lambda x: do("mul", log(x), 0.4342944819032518),
+    "log2": log2,
+    "log10": log10,
     "atan2": atan2,
     "atan": lambda x: atan2(x, 1.0),
     "asin": lambda x: atan2(x, _root(x)),
     "acos": lambda x: atan2(_root(x), x),
-    "pow": lambda x, y: exp(do("mul", y, log(x))),
+    "pow": power,
+    "fmod": fmod,
+    "hypot": hypot,
     "expm1": expm1,
     "log1p": log1p,
     "sinh": sinh,

@@ -121,13 +121,11 @@ def _stage(stage: Any, lanes: int, fused: bool) -> _Code:
     return code
 
 
-def _fused(
-    needed: Sequence[int], ops: Sequence[tuple[Any, ...]], uses: Counter[int]
-) -> dict[int, int]:
+def _fused(needed: Sequence[int], tape: Tape, uses: Counter[int]) -> dict[int, int]:
     """Sums ``i`` whose term ``j`` is a product used nowhere else: both are one operation."""
-    found = {}
+    found, ops = {}, tape.ops
     for i in needed:
-        if ops[i][0] in ("add", "sub"):
+        if ops[i][0] in ("add", "sub") and i not in tape.sharp:
             products = [j for j in reversed(ops[i][1:]) if ops[j][0] == "mul" and uses[j] == 1]
             if products:
                 found[i] = products[0]
@@ -151,7 +149,7 @@ class _Code:
         self.ops, needed = tape.ops, tape.needed(outputs)
         uses = Counter(a for i in needed for a in operands(tape.ops[i]))
         uses.update(x.i for x in outputs)
-        joined = _fused(needed, tape.ops, uses) if self.fused else {}
+        joined = _fused(needed, tape, uses) if self.fused else {}
         within = set(joined.values())
         for i in needed:
             name, *at = self.ops[i]
@@ -327,7 +325,7 @@ class _Code:
 
 def _libm(name: str, lanes: int, vector: str) -> str:
     """A function of the C library, on each lane."""
-    count = 2 if name in ("atan2", "pow") else 1
+    count = 2 if name in ("atan2", "pow", "fmod", "hypot") else 1
     suffix = f"v{lanes}f64" if lanes > 1 else "f64"
     arguments = ", ".join(f"{vector} %x{j}" for j in range(count))
     lines = [f"declare double @{name}({', '.join(['double'] * count)})"]

@@ -6,21 +6,43 @@ numpy's functions work on `Numbers` as they do on floats: products of matrices, 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import reduce
-from math import inf, nan
+from functools import cache, reduce
+from math import inf
+from numbers import Number as AnyNumber
 from typing import Any
 
 import numpy as np
 
 from celnav.tape.routine import rolled
-from celnav.tape.tape import Number, Scalar, Tape, as_number, do, is_known, refused, total
+from celnav.tape.tape import (
+    Number,
+    Scalar,
+    Tape,
+    as_number,
+    do,
+    is_known,
+    is_logical,
+    refused,
+    total,
+)
 
-__all__ = ["Numbers", "each_row", "numbers", "recorded", "tape_of"]
+__all__ = [
+    "Numbers",
+    "each_row",
+    "in_model",
+    "known_alike",
+    "numbers",
+    "present",
+    "recorded",
+    "tape_of",
+]
 
 LONG = 1000
 """Operations that are written out even so, where rows are treated alike."""
 LONG_PRODUCT = 10_000
 """Likewise of a product of matrices."""
+SORTED = 64
+"""Numbers that are sorted, by half as many exchanges as their square."""
 
 
 def _maximum(a: Scalar, b: Scalar) -> Scalar:
@@ -57,22 +79,56 @@ def _power(x: Scalar, y: Scalar) -> Scalar:
 
 
 def _remainder(x: Scalar, y: Scalar) -> Scalar:
-    """Python's ``x % y``, of the sign of y, within round-off of x."""
-    if is_known(y, 0.0):
-        return nan
-    left = do("sub", x, do("mul", do("floor", do("div", x, y)), y))
-    left = do(
-        "select", do("lt", do("mul", left, do("copysign", 1.0, y)), 0.0), do("add", left, y), left
-    )
-    return do("select", do("le", do("abs", y), do("abs", left)), do("sub", left, y), left)
+    """Python's ``x % y``, of the sign of y."""
+    left = do("fmod", x, y)
+    opposite = do("lt", do("mul", left, do("copysign", 1.0, y)), 0.0)
+    zero = do("copysign", 0.0, y)
+    return do("select", opposite, do("add", left, y), do("select", do("eq", left, 0.0), zero, left))
+
+
+def _floor_divide(x: Scalar, y: Scalar) -> Scalar:
+    """Python's ``x // y``, as numpy makes it of the remainder: ``floor(x / y)`` may be one more."""
+    left, ratio = do("fmod", x, y), do("div", x, y)
+    whole = do("div", do("sub", x, left), y)
+    opposite = do("lt", do("mul", left, do("copysign", 1.0, y)), 0.0)
+    whole = do("select", opposite, do("sub", whole, 1.0), whole)
+    down = do("floor", whole)
+    down = do("select", do("lt", 0.5, do("sub", whole, down)), do("add", down, 1.0), down)
+    down = do("select", do("eq", whole, 0.0), do("copysign", 0.0, ratio), down)
+    return do("select", do("eq", y, 0.0), ratio, down)
+
+
+def _trunc(x: Scalar) -> Scalar:
+    return do("copysign", do("floor", do("abs", x)), x)
+
+
+def _sign(x: Scalar) -> Scalar:
+    zero = do("select", do("eq", x, 0.0), 0.0, x)  # or nan
+    return do("select", do("lt", 0.0, x), 1.0, do("select", do("lt", x, 0.0), -1.0, zero))
+
+
+def _heaviside(x: Scalar, at_zero: Scalar) -> Scalar:
+    up = do("select", do("lt", 0.0, x), 1.0, do("select", do("eq", x, 0.0), at_zero, x))
+    return do("select", do("lt", x, 0.0), 0.0, up)
+
+
+def _logaddexp(x: Scalar, y: Scalar) -> Scalar:
+    rest = do("log1p", do("exp", do("neg", do("abs", do("sub", x, y)))))
+    rest = do("select", do("eq", x, y), do("log", 2.0), rest)  # of two infinities too
+    return do("add", _maximum(x, y), rest)
 
 
 def _logical(x: Scalar) -> Scalar:
-    return x if type(x) is bool or getattr(x, "logical", False) else do("ne", x, 0.0)
+    return x if is_logical(x) else do("ne", x, 0.0)
 
 
-def _both_logical(a: Scalar, b: Scalar) -> bool:
-    return all(isinstance(x, bool | np.bool_) or getattr(x, "logical", False) for x in (a, b))
+def _bitwise(name: str) -> Callable[..., Scalar]:
+    def function(*arguments: Scalar) -> Scalar:
+        if not all(map(is_logical, arguments)):
+            raise refused("bits of whole numbers are not recorded; k % 2 is the last one")
+        return do(name, *arguments)
+
+    return function
 
 
 def _op(name: str) -> Callable[..., Scalar]:
@@ -80,8 +136,7 @@ def _op(name: str) -> Callable[..., Scalar]:
 
 
 _UFUNCS: dict[Any, Callable[..., Scalar]] = {
-    np.add: lambda a, b: do("or" if _both_logical(a, b) else "add", a, b), np.subtract: _op("sub"),
-    np.multiply: lambda a, b: do("and" if _both_logical(a, b) else "mul", a, b), np.divide: _op("div"), np.negative: _op("neg"),
+    np.add: _op("add"), np.subtract: _op("sub"), np.multiply: _op("mul"), np.divide: _op("div"), np.negative: _op("neg"),
     np.absolute: _op("abs"), np.fabs: _op("abs"), np.sqrt: _op("sqrt"), np.copysign: _op("copysign"), np.floor: _op("floor"),
     np.sin: _op("sin"), np.cos: _op("cos"), np.tan: _op("tan"), np.arcsin: _op("asin"), np.arccos: _op("acos"),
     np.arctan: _op("atan"), np.arctan2: _op("atan2"), np.exp: _op("exp"), np.log: _op("log"), np.sinh: _op("sinh"),
@@ -89,16 +144,16 @@ _UFUNCS: dict[Any, Callable[..., Scalar]] = {
     np.log1p: _op("log1p"), np.expm1: _op("expm1"), np.cbrt: _op("cbrt"),
     np.less: _op("lt"), np.less_equal: _op("le"), np.greater: lambda a, b: do("lt", b, a),
     np.greater_equal: lambda a, b: do("le", b, a), np.equal: _op("eq"), np.not_equal: _op("ne"),
-    np.logical_and: lambda a, b: do("and", _logical(a), _logical(b)), np.bitwise_and: _op("and"),
-    np.logical_or: lambda a, b: do("or", _logical(a), _logical(b)), np.bitwise_or: _op("or"),
-    np.logical_not: lambda x: do("not", _logical(x)), np.invert: _op("not"),
+    np.logical_and: lambda a, b: do("and", _logical(a), _logical(b)), np.bitwise_and: _bitwise("and"),
+    np.logical_or: lambda a, b: do("or", _logical(a), _logical(b)), np.bitwise_or: _bitwise("or"),
+    np.logical_not: lambda x: do("not", _logical(x)), np.invert: _bitwise("not"),
     np.maximum: _maximum, np.minimum: _minimum, np.fmax: _fmax, np.fmin: lambda a, b: do("neg", _fmax(do("neg", a), do("neg", b))),
     np.power: _power, np.float_power: _power, np.remainder: _remainder,
     np.square: lambda x: do("mul", x, x), np.reciprocal: lambda x: do("div", 1.0, x),
-    np.hypot: lambda a, b: do("sqrt", do("add", do("mul", a, a), do("mul", b, b))),
-    np.sign: lambda x: do("select", do("lt", 0.0, x), 1.0, do("select", do("lt", x, 0.0), -1.0, x)),
-    np.floor_divide: lambda a, b: do("floor", do("div", a, b)), np.rint: _op("rint"),
-    np.trunc: lambda x: do("copysign", do("floor", do("abs", x)), x),
+    np.hypot: _op("hypot"), np.sign: _sign, np.rint: _op("rint"), np.trunc: _trunc, np.fmod: _op("fmod"),
+    np.floor_divide: _floor_divide, np.heaviside: _heaviside, np.logaddexp: _logaddexp,
+    np.logical_xor: lambda a, b: do("ne", _logical(a), _logical(b)), np.bitwise_xor: _bitwise("ne"),
+    np.signbit: lambda x: do("lt", do("copysign", 1.0, x), 0.0),
     np.ceil: lambda x: do("neg", do("floor", do("neg", x))),
     np.isfinite: lambda x: do("eq", do("sub", x, x), 0.0), np.isnan: lambda x: do("ne", x, x),
     np.isinf: lambda x: do("eq", do("abs", x), inf),
@@ -106,6 +161,43 @@ _UFUNCS: dict[Any, Callable[..., Scalar]] = {
     np.deg2rad: lambda x: do("mul", x, np.pi / 180.0), np.radians: lambda x: do("mul", x, np.pi / 180.0),
     np.rad2deg: lambda x: do("mul", x, 180.0 / np.pi), np.degrees: lambda x: do("mul", x, 180.0 / np.pi),
 }  # fmt: skip
+
+
+_TRUTH: dict[Any, Callable[..., Scalar]] = {
+    np.add: _op("or"), np.multiply: _op("and"), np.maximum: _op("or"), np.minimum: _op("and"),
+}  # fmt: skip
+"""Of truth values alone, where that is another function."""
+
+
+@cache
+def _of_truth(ufunc: Any) -> Callable[..., Scalar]:
+    """A function of truth values alone, for which numpy chooses the type: not every one is float64."""
+    try:
+        kind = ufunc.resolve_dtypes((np.dtype(bool),) * ufunc.nin + (None,) * ufunc.nout)[-1]
+    except TypeError:
+        kind = None
+    function = _TRUTH.get(ufunc, _UFUNCS[ufunc])
+    if kind in (np.bool_,):
+        return lambda *arguments: _logical(function(*arguments))
+    if kind == np.float64:
+        return function
+
+    def refuse(*_arguments: Scalar) -> Scalar:
+        raise refused(f"numpy.{ufunc.__name__} of truth values has no floats; multiply them by 1.0")
+
+    return refuse
+
+
+def _scalar(ufunc: Any) -> Callable[..., Scalar]:
+    """A function of single numbers."""
+
+    def function(*arguments: Scalar) -> Scalar:
+        if len(arguments) != ufunc.nin:  # as of round(x, 2) and pow(x, y, z)
+            raise refused(f"numpy.{ufunc.__name__} is recorded of {ufunc.nin} operands only")
+        truth = all(map(is_logical, arguments))
+        return (_of_truth(ufunc) if truth else _UFUNCS[ufunc])(*arguments)
+
+    return function
 
 
 # -- arrays of them ------------------------------------------------------------------------------------------------------
@@ -125,20 +217,39 @@ class Numbers(np.ndarray):
         own = _FUNCTIONS.get(function)
         if own is not None:
             return own(*arguments, **options)
-        if getattr(function, "__module__", "") == "numpy.linalg":
-            raise refused(f"numpy.linalg.{function.__name__} is not arithmetic")
+        if function.__module__ != "numpy" or function.__name__ not in _PLAIN.split():
+            raise refused(
+                f"{function.__module__}.{function.__name__} cannot be recorded; "
+                "numpy.where and arithmetic can"
+            )
         found = super().__array_function__(function, types, arguments, options)
         return type(found)(map(numbers, found)) if type(found) in (tuple, list) else numbers(found)
 
     def astype(self, dtype: Any, *arguments: Any, **options: Any) -> Any:  # noqa: ARG002
         """As floats, whole numbers or truth values; they stay numbers of full precision, so no other type will do."""
-        kind = np.dtype(dtype)
-        if kind.kind not in "biuO" and kind != np.float64:
-            raise refused(f"numbers are recorded as float64, not as {kind}")
-        floats = numbers(
-            np.frompyfunc(_logical if kind.kind == "b" else as_number, 1, 1)(self.view(np.ndarray))
-        )
-        return np.trunc(floats) if kind.kind in "iu" else floats
+        kind = _as_float64(dtype, np.int64, np.int32, np.bool_)
+        floats = numbers(_each(_logical if kind.kind == "b" else as_number, self.view(np.ndarray)))
+        return np.trunc(floats) if kind.kind == "i" else floats
+
+    def __getitem__(self, at: Any) -> Any:
+        try:
+            return super().__getitem__(at)
+        except IndexError as error:
+            raise _explained(error, at) from None
+
+    def __setitem__(self, at: Any, value: Any) -> None:
+        """As numpy: of truth values where all that is there are truth values, of floats otherwise."""
+        value = _each(_logical if _is_truth(self) else as_number, _bare(value))
+        try:
+            super().__setitem__(at, value if value.ndim else value[()])
+        except IndexError as error:
+            raise _explained(error, at) from None
+
+    def tobytes(self, *_arguments: Any) -> Any:
+        """They are not known yet."""
+        raise refused("numbers that are known only when the filter runs are written as bytes")
+
+    __bytes__ = tobytes
 
     def any(self, *arguments: Any, **options: Any) -> Any:
         """Whether one of them is true."""
@@ -147,6 +258,24 @@ class Numbers(np.ndarray):
     def all(self, *arguments: Any, **options: Any) -> Any:
         """Whether all of them are true."""
         return np.logical_and.reduce(self, *_axis(arguments, options), **options)
+
+
+def _explained(error: IndexError, at: Any) -> Exception:
+    """What is wrong with an index; one that is known only when the filter runs is none."""
+    if all(recorded(part) is None for part in (at if isinstance(at, tuple) else (at,))):
+        return error
+    return refused(
+        "an index or a mask is known only when the filter runs; choose by numpy.where, and put a "
+        "table that is looked up into u"
+    )
+
+
+def _as_float64(dtype: Any, *others: Any) -> Any:
+    """A type that numbers can have; they stay numbers of full precision, so no other type will do."""
+    kind = np.dtype(dtype)
+    if kind not in (np.float64, np.object_, *others):
+        raise refused(f"numbers are recorded as float64, not as {kind}")
+    return kind
 
 
 def _axis(arguments: Any, options: dict[str, Any]) -> tuple[Any, ...]:
@@ -186,39 +315,68 @@ def _bare(x: Any) -> Any:
     return array if array.dtype.hasobject else array.astype(object)
 
 
+def _each(function: Callable[[Scalar], Scalar], array: Any) -> Any:
+    """A plain array of what a function makes of each element."""
+    return np.asarray(np.frompyfunc(function, 1, 1)(array), object)
+
+
+def _is_truth(array: Any) -> bool:
+    """Whether an array is one of truth values."""
+    return array.size > 0 and all(map(is_logical, array.flat))
+
+
+def _operand(x: Any) -> Any:
+    """A plain array of objects, of truth values or of numbers."""
+    bare = _bare(x)
+    if not any(map(is_logical, bare.flat)) or _is_truth(bare):
+        return bare
+    return _each(as_number, bare)
+
+
 @np.errstate(
     all="ignore"
 )  # from numpy 2.5 on a comparison with nan within a function of ours would warn
 def _ufunc(ufunc: Any, method: str, inputs: Sequence[Any], options: dict[str, Any]) -> Any:
-    given = options.pop("out", None)
-    options.pop("dtype", None), options.pop("order", None), options.pop("casting", None)
+    given, where = options.pop("out", None), options.pop("where", True)
+    dtype = options.pop("dtype", None)
+    _as_float64(dtype, np.int64, np.bool_) if method == "reduce" else _as_float64(dtype)
+    options.pop("order", None), options.pop("casting", None)
     if ufunc in (np.matmul, np.vecdot) and method == "__call__":
-        found = numbers(_products(ufunc, *map(_bare, inputs)))
+        found = numbers(_products(ufunc, *map(_operand, inputs)))
     elif ufunc.__name__ in ("clip", "real"):  # the latter is what numpy 2.5 makes of x.real
         found = inputs[0] if ufunc.nin == 1 else np.minimum(np.maximum(*inputs[:2]), inputs[2])
+    elif ufunc is np.divmod and method == "__call__":
+        return np.floor_divide(*inputs), np.remainder(*inputs)
     elif ufunc not in _UFUNCS:
         raise refused(f"numpy.{ufunc.__name__} cannot be recorded")
     elif method == "__call__":
-        found = numbers(np.frompyfunc(_UFUNCS[ufunc], ufunc.nin, 1)(*map(_bare, inputs), **options))
-    elif method == "reduce":
-        found = _reduced(ufunc, *inputs, **options)
-    elif method == "accumulate":
-        found = numbers(
-            np.frompyfunc(_UFUNCS[ufunc], 2, 1).accumulate(*map(_bare, inputs), **options)
-        )
+        function = np.frompyfunc(_scalar(ufunc), ufunc.nin, 1)
+        found = numbers(function(*map(_operand, inputs), **options))
+    elif method == "reduce" and ufunc in _REDUCED:
+        return _reduced(ufunc, inputs[0], dtype=dtype, out=given, where=where, **options)
+    elif method == "accumulate" and ufunc in _REDUCED:
+        array, *more = map(_operand, inputs)
+        array = _each(_REDUCED[ufunc], array)
+        found = numbers(np.frompyfunc(_scalar(ufunc), 2, 1).accumulate(array, *more, **options))
     else:
         raise refused(f"numpy.{ufunc.__name__}.{method} cannot be recorded")
-    if given is None:
+    if given is None and where is True:
         return found
-    (out,) = given
-    if not out.dtype.hasobject:
+    (out,) = given or (None,)
+    if out is None or not out.dtype.hasobject:
         raise refused(
-            "a number that is known only when the filter runs is written into an array of floats; numpy.stack makes a new one"
+            "a number that is known only when the filter runs is written into an array of floats, "
+            "or into none; numpy.stack or numpy.empty_like(x) makes one for it"
         )
-    out[...] = found
+    out[...] = found if where is True else _where(where, found, out)
     return out
 
 
+_REDUCED: dict[Any, Callable[..., Scalar]] = {
+    **dict.fromkeys((np.add, np.multiply, np.maximum, np.minimum, np.fmax, np.fmin), as_number),
+    **dict.fromkeys((np.logical_and, np.logical_or), _logical),
+}
+"""What is reduced or accumulated, and what becomes of its elements first."""
 _EMPTY = {np.add: 0.0, np.multiply: 1.0, np.logical_and: True, np.logical_or: False}
 
 
@@ -229,13 +387,16 @@ def _reduced(
     dtype: Any = None,
     out: Any = None,
     keepdims: bool = False,
-    **more: Any,
+    initial: Any = np._NoValue,
+    where: Any = True,
 ) -> Any:
     """Over one axis, several or all (None)."""
-    initial = more.get("initial")
-    if more.get("where", True) is not True or out is not None:
+    if where is not True or out is not None:
         raise refused(f"numpy.{ufunc.__name__} over a part cannot be recorded")
     bare = _bare(array)
+    truth = _is_truth(bare)
+    if ufunc not in _EMPTY if truth else np.dtype(dtype).kind in "bi":
+        raise refused(f"numpy.{ufunc.__name__} is recorded of floats only; multiply by 1.0")
     axes = (
         tuple(range(bare.ndim))
         if axis is None
@@ -243,19 +404,13 @@ def _reduced(
     )
     kept = [i for i in range(bare.ndim) if i not in axes]
     rows = bare.transpose([*axes, *kept]).reshape(-1, *(bare.shape[i] for i in kept))
-    function = _UFUNCS[ufunc]
-    if dtype is int or ufunc in (np.add, np.multiply):
-        rows = np.frompyfunc(as_number, 1, 1)(rows) if rows.size else rows
+    first = [initial] if initial is not None and initial is not np._NoValue else []
     if ufunc in _EMPTY and not len(rows):
-        initial = _EMPTY[ufunc]
+        first = first or [_EMPTY[ufunc]]
     result = np.empty(rows.shape[1:], object)
     for at in np.ndindex(*rows.shape[1:]):
-        parts = [rows[(i, *at)] for i in range(len(rows))]
-        if ufunc in (np.logical_or, np.logical_and):
-            parts = [_logical(x) for x in parts]
-        if initial is not None and initial is not np._NoValue:
-            parts = [initial, *parts]
-        result[at] = reduce(function, parts)
+        parts = [*first, *(rows[(i, *at)] for i in range(len(rows)))]
+        result[at] = reduce(_scalar(ufunc), map(_REDUCED[ufunc], parts))
     if keepdims:
         result = result.reshape([1 if i in axes else bare.shape[i] for i in range(bare.ndim)])
     return numbers(result)
@@ -263,6 +418,8 @@ def _reduced(
 
 def _products(ufunc: Any, a: Any, b: Any) -> Any:
     """Sums of products, of what is not known to be zero."""
+    if _is_truth(a) and _is_truth(b):
+        raise refused("products of matrices of truth values are none of floats; multiply by 1.0")
     if ufunc is np.vecdot:
         return _contracted(np.broadcast_arrays(a, b))
     columns, row = b.ndim == 1, a.ndim == 1
@@ -299,6 +456,45 @@ def _contracted(pair: Sequence[Any]) -> Any:
     return out if out.ndim else out[()]
 
 
+def in_model(function: Callable[..., Any], x: Any, *arguments: Any) -> Any:
+    """What a function of a model makes of an array; while it is recorded, with the values that numpy gives."""
+    tape = tape_of(x) if x.dtype.hasobject else None
+    if tape is None or tape.model:
+        return function(x, *arguments)
+    tape.model = True
+    try:
+        return function(x, *arguments)
+    finally:
+        tape.model = False
+
+
+def present(x: Any) -> Any:
+    """Whether components were measured: are not nan.
+
+    While a step is recorded those may be missing that are so in its epochs: a run whose model makes nan itself is lost, and flown
+    again by numpy.
+    """
+    if not x.dtype.hasobject:
+        return x == x
+
+    def there(v: Scalar) -> Scalar:
+        return do("eq", v, v) if type(v) is not Number or v.tape.absent[v.i] else True
+
+    return numbers(_each(there, _bare(x)))
+
+
+def known_alike(a: Any, b: Any) -> bool:
+    """Whether arrays are known to be the same: of the same numbers."""
+    if not a.dtype.hasobject:
+        return np.array_equal(a, b)
+    pairs = zip(_bare(a).flat, _bare(b).flat, strict=False)
+    return a.shape == b.shape and all(_key(x) == _key(y) for x, y in pairs)
+
+
+def _key(x: Scalar) -> Any:
+    return x.i if type(x) is Number else x.hex()
+
+
 def each_row(function: Callable[..., Any], *points: Any, least: int = LONG) -> Any:
     """Values ``(p, m)`` of a function at points ``(p, n)``, each of its values that of one point.
 
@@ -331,8 +527,75 @@ def each_row(function: Callable[..., Any], *points: Any, least: int = LONG) -> A
 # -- functions that are no ufuncs ------------------------------------------------------------------------------------------
 @np.errstate(all="ignore")
 def _where(condition: Any, a: Any, b: Any) -> Any:
+    a, b = _operand(a), _operand(b)
+    if not (_is_truth(a) and _is_truth(b)):
+        a, b = (_each(as_number, x) for x in (a, b))
     choose = np.frompyfunc(lambda c, x, y: do("select", _logical(c), x, y), 3, 1)
-    return numbers(choose(_bare(condition), _bare(a), _bare(b)))
+    return numbers(choose(_bare(condition), a, b))
+
+
+def _select(conditions: Any, choices: Any, default: Any = 0.0) -> Any:
+    for condition, choice in zip(reversed(conditions), reversed(choices), strict=True):
+        default = _where(condition, choice, default)
+    return default
+
+
+@np.errstate(all="ignore")
+def _interp(x: Any, xp: Any, fp: Any, left: Any = None, right: Any = None) -> Any:
+    """The line from the last knot that is not beyond x."""
+    xp, fp = _bare(xp).tolist(), _bare(fp).tolist()
+    slopes = [
+        do("div", do("sub", fp[j + 1], fp[j]), do("sub", xp[j + 1], xp[j]))
+        for j in range(len(xp) - 1)
+    ]
+
+    def one(v: Scalar) -> Scalar:
+        y = fp[0] if left is None else left
+        for knot, f, slope in zip(xp, fp, [*slopes, 0.0], strict=True):
+            line = do("add", do("mul", slope, do("sub", v, knot)), f)
+            y = do("select", do("le", knot, v), line, y)
+        y = do("select", do("lt", xp[-1], v), fp[-1] if right is None else right, y)
+        return do("select", do("ne", v, v), v, y)
+
+    return numbers(_each(one, _bare(x)))
+
+
+def _sort(x: Any, axis: Any = -1) -> Any:
+    """By exchange of neighbors, nan last."""
+    moved = np.ravel(x) if axis is None else np.moveaxis(x, axis, 0)
+    rows = list(moved)
+    if len(rows) > SORTED:
+        raise refused(f"numpy.sort is recorded for at most {SORTED} numbers")
+    for end in range(len(rows) - 1, 0, -1):
+        for j in range(end):
+            a, b = rows[j : j + 2]
+            right = np.logical_or(np.less_equal(a, b), np.isnan(b))
+            rows[j : j + 2] = np.where(right, a, b), np.where(right, b, a)
+    return np.moveaxis(np.stack(rows), 0, 0 if axis is None else axis)
+
+
+def _median(x: Any, axis: Any = None, keepdims: bool = False) -> Any:
+    ordered = 1.0 * _sort(x, axis)
+    n, along = ordered.shape[axis or 0], 0 if axis is None else axis
+    low, high, last = (np.take(ordered, [k], along) for k in ((n - 1) // 2, n // 2, n - 1))
+    middle = np.where(np.isnan(last), last, low if n % 2 else (low + high) / 2.0)
+    if axis is None:
+        return middle.reshape((1,) * np.ndim(x)) if keepdims else middle[0]
+    return middle if keepdims else np.squeeze(middle, along)
+
+
+def _nan_to_num(
+    x: Any, copy: bool = True, nan: Any = 0.0, posinf: Any = None, neginf: Any = None
+) -> Any:
+    x, most = numbers(_bare(x)), np.finfo(float).max
+    high, low = (
+        bound if given is None else given for given, bound in ((posinf, most), (neginf, -most))
+    )
+    found = np.where(np.isnan(x), nan, np.where(x == inf, high, np.where(x == -inf, low, x)))
+    if copy:
+        return found
+    x[...] = found
+    return x
 
 
 def _einsum(subscripts: str, *operands: Any, **_options: Any) -> Any:
@@ -358,29 +621,25 @@ def _einsum(subscripts: str, *operands: Any, **_options: Any) -> Any:
 
 
 def _like(value: float) -> Callable[..., Any]:
-    def made(prototype: Any, *_arguments: Any, shape: Any = None, **_options: Any) -> Numbers:
+    def made(
+        prototype: Any, dtype: Any = None, *_arguments: Any, shape: Any = None, **_: Any
+    ) -> Any:
+        array = recorded(prototype)
         if shape is None:
-            shape = (
-                prototype.shape
-                if isinstance(prototype, np.ndarray) and prototype.dtype.hasobject
-                else prototype
-            )
+            shape = prototype if array is None else array.shape
+        if np.dtype(dtype) not in (np.float64, np.object_):
+            return np.full(shape, value, dtype)
         out = Numbers(tuple(np.atleast_1d(shape)))
-        out.fill(value)
+        out.fill(value if array is None or not _is_truth(array) else bool(value))
         return out
 
     return made
 
 
-def _alike_arrays(a: Any, b: Any) -> bool:
-    """Whether arrays are known to be the same: of the same numbers."""
-    a, b = _bare(a), _bare(b)
-    pairs = zip(a.flat, b.flat, strict=False)
-    return a.shape == b.shape and all(x is y or (_key(x) == _key(y)) for x, y in pairs)
-
-
-def _key(x: Scalar) -> Any:
-    return (id(x.tape), x.i) if type(x) is Number else x
+def _full_like(a: Any, fill_value: Any, *arguments: Any, **options: Any) -> Any:
+    out = np.zeros_like(a, *arguments, **options)
+    out[...] = fill_value
+    return out
 
 
 def _dot(a: Any, b: Any) -> Any:
@@ -396,21 +655,29 @@ def _norm(x: Any, ord: Any = None, axis: Any = None, keepdims: bool = False) -> 
 
 
 def _solve(A: Any, b: Any) -> Any:
-    """By elimination with the largest pivot, chosen without a branch: rows are exchanged by selection."""
     A, b = _bare(A), _bare(b)
-    if A.ndim != 2 or b.ndim != 2:
-        raise refused("numpy.linalg.solve is recorded for matrices (n, n) and (n, k)")
+    columns = b[:, None] if b.ndim == 1 else b
+    batch = np.broadcast_shapes(A.shape[:-2], columns.shape[:-2])
+    A, columns = (np.broadcast_to(x, (*batch, *x.shape[-2:])) for x in (A, columns))
+    X = np.empty(columns.shape, object)
+    for at in np.ndindex(*batch):
+        X[at] = _eliminated(A[at], columns[at])
+    return numbers(X[..., 0] if b.ndim == 1 else X)
+
+
+def _eliminated(A: Any, b: Any) -> Any:
+    """``A^-1 b`` by elimination with the largest pivot, chosen without a branch: rows are exchanged by selection."""
     rows = [[*A[i], *b[i]] for i in range(len(A))]
     for i in range(len(rows)):
-        for j in range(i + 1, len(rows)):
-            if is_known(rows[j][i], 0.0):
-                continue
+        below = [j for j in range(i + 1, len(rows)) if not is_known(rows[j][i], 0.0)]
+        for j in below:
             larger = do("lt", do("abs", rows[i][i]), do("abs", rows[j][i]))
             both = [
                 (do("select", larger, y, x), do("select", larger, x, y))
                 for x, y in zip(rows[i], rows[j], strict=True)
             ]
             rows[i], rows[j] = [p for p, _ in both], [q for _, q in both]
+        for j in below:
             factor = do("div", rows[j][i], rows[i][i])
             rows[j] = [
                 do("sub", y, do("mul", factor, x)) for x, y in zip(rows[i], rows[j], strict=True)
@@ -424,46 +691,86 @@ def _solve(A: Any, b: Any) -> Any:
                 total(do("mul", rows[i][j], X[j, k]) for j in range(i + 1, n)),
             )
             X[i, k] = do("div", left, rows[i][i])
-    return numbers(X)
+    return X
 
 
 _FUNCTIONS: dict[Any, Callable[..., Any]] = {
     np.where: _where,
     np.einsum: _einsum,
     np.broadcast_to: lambda array, shape, **_options: numbers(np.broadcast_to(_bare(array), shape)),
-    np.array_equal: _alike_arrays,
+    np.select: _select,
+    np.interp: _interp,
+    np.sort: _sort,
+    np.median: _median,
+    np.nan_to_num: _nan_to_num,
     **dict.fromkeys((np.empty_like, np.zeros_like, np.empty, np.zeros), _like(0.0)),
     np.ones_like: _like(1.0),
+    np.full_like: _full_like,
     np.linalg.norm: _norm,
     np.linalg.solve: _solve,
-    np.linalg.inv: lambda A: _solve(A, np.eye(len(A))),
+    np.linalg.inv: lambda A: _solve(A, np.eye(A.shape[-1])),
     np.dot: _dot,
 }
 
 
+_PLAIN = """
+all amax amin angle any append apply_along_axis around array2string array_repr array_split
+array_str atleast_1d atleast_2d atleast_3d average block broadcast_arrays clip column_stack
+compress concatenate convolve copy correlate cross cumprod cumsum cumulative_prod
+cumulative_sum delete diag diagflat diagonal diff dsplit dstack ediff1d expand_dims extract
+fill_diagonal fix flip fliplr flipud gradient hsplit hstack imag inner iscomplexobj
+isclose isneginf isposinf isrealobj kron matrix_transpose max mean meshgrid min moveaxis ndim
+outer pad polyadd polyder polyint polysub polyval prod ptp ravel real repeat result_type reshape
+roll rollaxis rot90 round shape sinc size split squeeze stack std sum swapaxes take
+take_along_axis tensordot tile trace transpose trapezoid tril tril_indices_from triu
+triu_indices_from unstack vander var vdot vsplit vstack
+"""
+"""numpy's functions that are right as they are, of objects: those that do not ask what type they get."""
+
+
 # -- one of them by itself -------------------------------------------------------------------------------------------------
-def _operator(function: Callable[..., Scalar], swapped: bool = False) -> Any:
+def _operator(function: Callable[..., Any], swapped: bool = False) -> Any:
     def method(self: Number, *other: Any) -> Any:
         if other and not isinstance(
             other[0], Number | float | int | np.floating | np.integer | np.bool_
         ):
+            if isinstance(other[0], AnyNumber):
+                raise refused(f"a number is recorded with floats, not with {other[0]!r}")
             return NotImplemented
         return function(*other, self) if swapped else function(self, *other)
 
     return method
 
 
+def _python(ufunc: Any) -> Callable[..., Scalar]:
+    """The operator of single numbers, where Python's truth values are whole numbers and numpy's are not."""
+
+    def function(*arguments: Scalar) -> Scalar:
+        if ufunc in (np.add, np.invert) and all(map(is_logical, arguments)):
+            raise refused(
+                "a sum or an inversion of single truth values is another number in Python than in "
+                "numpy; use numpy.logical_or, numpy.logical_not, or multiply them by 1.0"
+            )
+        return _scalar(ufunc)(*arguments)
+
+    return function
+
+
 _BINARY = {"add": np.add, "sub": np.subtract, "mul": np.multiply, "truediv": np.divide, "pow": np.power, "mod": np.remainder,
-           "and": np.bitwise_and, "or": np.bitwise_or}  # fmt: skip
+           "floordiv": np.floor_divide, "and": np.bitwise_and, "or": np.bitwise_or, "xor": np.bitwise_xor}  # fmt: skip
 _OTHER = {"neg": np.negative, "pos": np.positive, "abs": np.absolute, "invert": np.invert, "lt": np.less, "le": np.less_equal,
-          "gt": np.greater, "ge": np.greater_equal, "eq": np.equal, "ne": np.not_equal}  # fmt: skip
+          "gt": np.greater, "ge": np.greater_equal, "eq": np.equal, "ne": np.not_equal, "floor": np.floor, "ceil": np.ceil,
+          "trunc": np.trunc, "round": np.rint}  # fmt: skip
 for _name, _of in {**_BINARY, **_OTHER}.items():
-    setattr(Number, f"__{_name}__", _operator(_UFUNCS[_of]))
+    setattr(Number, f"__{_name}__", _operator(_python(_of)))
 for _name, _of in _BINARY.items():
-    setattr(Number, f"__r{_name}__", _operator(_UFUNCS[_of], swapped=True))
+    setattr(Number, f"__r{_name}__", _operator(_python(_of), swapped=True))
+for _name, _swapped in (("divmod", False), ("rdivmod", True)):
+    _pair = lambda x, y: (_floor_divide(x, y), _remainder(x, y))  # noqa: E731
+    setattr(Number, f"__{_name}__", _operator(_pair, _swapped))
 for _of in _UFUNCS:  # an array of objects that has lost its class calls methods of these names
     if not hasattr(Number, _of.__name__):
-        setattr(Number, _of.__name__, _operator(_UFUNCS[_of]))
+        setattr(Number, _of.__name__, _operator(_scalar(_of)))
 
 
 def _through(_self: Number, function: Any, _types: Any, arguments: Any, options: Any) -> Any:
@@ -482,11 +789,7 @@ def _through(_self: Number, function: Any, _types: Any, arguments: Any, options:
 
 
 for _name, _method in (
-    (
-        "__array_ufunc__",
-        lambda _self, ufunc, method, *inputs, **options: _ufunc(ufunc, method, inputs, options),
-    ),
+    ("__array_ufunc__", Numbers.__array_ufunc__),
     ("__array_function__", _through),
-    ("__getitem__", lambda self, at: numbers(np.asarray(self, object))[at]),
 ):
     setattr(Number, _name, _method)

@@ -127,6 +127,7 @@ def rolled(
     known |= {i: stage.tape.lift(ops[i][1]) for i in used - inside if ops[i][0] == "const"}
     for i in body:
         known[i] = stage.tape.node(ops[i][0], *(known[a].i for a in ops[i][1:]))
+        stage.tape.sharp |= {known[i].i} if i in tape.sharp else set()
     for k, x in enumerate(outputs):
         stage.put("made", k, known[x.i])
     cells = made + m * len(rows)

@@ -8,13 +8,17 @@ from __future__ import annotations
 import linecache
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial, reduce
+from math import copysign, frexp, isfinite
+from numbers import Real
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 __all__ = [
-    "LOGICAL", "MOST", "CannotCompile", "Number", "Scalar", "Tape", "as_number", "do", "is_known", "operands", "refused", "total",
+    "LOGICAL", "MOST", "CannotCompile", "Number", "Scalar", "Tape", "as_number", "do", "is_known",
+    "is_logical", "operands", "refused", "total",
 ]  # fmt: skip
 
 Scalar = Any
@@ -54,6 +58,7 @@ _FOLD: dict[str, Callable[..., Any]] = {
     "sin": np.sin, "cos": np.cos, "tan": np.tan, "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan, "atan2": np.arctan2,
     "exp": np.exp, "log": np.log, "pow": np.power, "sinh": np.sinh, "cosh": np.cosh, "tanh": np.tanh, "exp2": np.exp2,
     "log2": np.log2, "log10": np.log10, "log1p": np.log1p, "expm1": np.expm1, "cbrt": np.cbrt,
+    "fmod": np.fmod, "hypot": np.hypot,
     "lt": np.less, "le": np.less_equal, "eq": np.equal, "ne": np.not_equal, "and": np.logical_and, "or": np.logical_or,
     "not": np.logical_not, "select": lambda c, a, b: a if c else b,
 }  # fmt: skip
@@ -61,6 +66,12 @@ _FOLD: dict[str, Callable[..., Any]] = {
 MOST = 400_000  # operations on a tape, those that are not needed in the end included
 LOGICAL: Final = frozenset(("lt", "le", "eq", "ne", "and", "or", "not"))
 """Operations whose results are true or false."""
+_SHARP: Final = LOGICAL | {"floor", "rint", "fmod"}
+"""Operations that jump: there a difference of round-off becomes another whole number."""
+_WILD: Final = frozenset(
+    ("div", "sqrt", "tan", "asin", "acos", "log", "log2", "log10", "log1p", "exp", "exp2", "expm1", "sinh", "cosh", "pow", "fmod")
+)  # fmt: skip
+"""Operations that can make nan or infinity of moderate numbers."""
 _OPERANDS: Final = {
     "in": slice(0),
     "const": slice(0),
@@ -80,13 +91,17 @@ class Tape:
 
     ``ops[i]`` is ``(name, *arguments)``: indices of earlier ones; ``("in", k)`` is the k-th input, ``("const", x)`` a number.
     ``("call", routine, *arguments)`` leaves a memory, ``("part", i, cell)`` is a cell of it; ``rolled``: whether there may be such.
-    ``absent[i]``: whether it comes of something that may be missing, nan; of other numbers ``x == x`` is true.
+    ``absent[i]``: whether it comes of something that may be missing, nan. ``model``: whether what is recorded now is a model's
+    own arithmetic, which has the values that numpy gives; of what it made, ``wild[i]``: whether it may be nan or infinite, and
+    ``sharp``: numbers that decide a jump, whose products and sums are rounded one by one. ``modeled``: what was recorded so.
     """
 
     def __init__(self, rolled: bool = True) -> None:
         self.rolled = rolled
         self.ops: list[tuple[Any, ...]] = []
         self.absent: list[bool] = []
+        self.model, self.wild = False, list[bool]()
+        self.sharp, self.modeled = set[int](), list[bool]()
         self.variables: list[Number] = []  # see `celnav.tape.derivative`
         self._known: dict[Any, int] = {}
         self._inputs = 0
@@ -94,13 +109,13 @@ class Tape:
     @property
     def key(self) -> tuple[Any, ...]:
         """The same for tapes of the same operations."""
-        return tuple(self._known)
+        return *self._known, *sorted(self.sharp)
 
     def input(self, absent: bool = False) -> Number:
         """A new input, the next in number; ``absent``: it may be nan where something is missing."""
         self._inputs += 1
         found = self.node("in", self._inputs - 1)
-        self.absent[found.i] = absent
+        self.absent[found.i] = self.wild[found.i] = absent
         return found
 
     def node(self, *op: Any) -> Number:
@@ -114,14 +129,33 @@ class Tape:
                     f"a step of more than {MOST} operations is too long to be compiled"
                 )
             self.ops.append(op)
-            self.absent.append(
-                op[1] != op[1] if op[0] == "const" else any(self.absent[a] for a in operands(op))
-            )
+            known, needs = op[0] == "const", operands(op)
+            self.absent.append(op[1] != op[1] if known else any(self.absent[a] for a in needs))
+            wild = self.model and (op[0] in _WILD or any(self.wild[a] for a in needs))
+            self.wild.append(not isfinite(op[1]) if known else wild)
+            self.modeled.append(self.model)
+            if self.model and op[0] in _SHARP:
+                self._sharpen(needs)
         return Number(self, at)
+
+    def _sharpen(self, found: Sequence[int]) -> None:
+        """Mark what a jump depends on within a model."""
+        stack = list(found)
+        while stack:
+            i = stack.pop()
+            if self.modeled[i] and i not in self.sharp:
+                self.sharp.add(i)
+                stack += operands(self.ops[i])
 
     def lift(self, x: Scalar) -> Number:
         """A number on the tape, of one that is known."""
-        return x if type(x) is Number else self.node("const", float(x))
+        if type(x) is not Number:
+            return self.node("const", float(x))
+        if x.tape is not self:
+            raise refused(
+                "a number of another recording: the model kept what it was called with before"
+            )
+        return x
 
     def needed(self, outputs: Sequence[Number]) -> list[int]:
         """Operations that the outputs depend on, each as late as it can be: few numbers then wait in registers."""
@@ -140,20 +174,22 @@ class Tape:
 
 def do(name: str, *arguments: Scalar) -> Scalar:
     """The result of an operation, done at once where the arguments are known."""
-    tape = next((x.tape for x in arguments if type(x) is Number), None)
-    if tape is None:
+    recording = next((x.tape for x in arguments if type(x) is Number), None)
+    if recording is None:
         with np.errstate(all="ignore"):
-            return _FOLD[name](*arguments)
+            known = _FOLD[name](*arguments)
+        return known.item() if isinstance(known, np.generic) else known
+    if name not in ("and", "or", "not", "select"):
+        arguments = tuple(map(as_number, arguments))
     short = _SHORT.get(name)
     if short is not None and (found := short(*arguments)) is not None:
         return found
-    if name not in ("and", "or", "not"):
-        start = 1 if name == "select" else 0
-        arguments = (*arguments[:start], *(as_number(x) for x in arguments[start:]))
-    at = [tape.lift(x).i for x in arguments]
+    if name == "select":
+        arguments = (arguments[0], *map(as_number, arguments[1:]))
+    at = [recording.lift(x).i for x in arguments]
     if name in ("add", "mul", "and", "or") and at[0] > at[1]:
         at.reverse()
-    return tape.node(name, *at)
+    return recording.node(name, *at)
 
 
 def is_known(x: Scalar, value: float) -> bool:
@@ -161,18 +197,25 @@ def is_known(x: Scalar, value: float) -> bool:
     return type(x) is not Number and x == value
 
 
+def _is_zero(x: Scalar, beside: Scalar) -> bool:
+    """Whether a number is a known zero that changes nothing in a sum; in a model 0.0 makes 0.0 of -0.0."""
+    return is_known(x, 0.0) and not (beside.tape.model and copysign(1.0, x) > 0.0)
+
+
 def _add(a: Scalar, b: Scalar) -> Scalar | None:
-    if is_known(a, 0.0):
-        return b
-    if is_known(b, 0.0):
-        return a
+    if type(a) is not Number:
+        a, b = b, a
+    if type(b) is not Number:
+        return a if _is_zero(b, a) else None
+    if a.name == "neg":
+        a, b = b, a
     return do("sub", a, b._argument(0)) if type(b) is Number and b.name == "neg" else None
 
 
 def _sub(a: Scalar, b: Scalar) -> Scalar | None:
-    if is_known(b, 0.0):
-        return a
-    if is_known(a, 0.0):
+    if type(b) is not Number:
+        return a if _is_zero(-float(b), a) else None
+    if is_known(a, 0.0) and not b.tape.model:
         return do("neg", b)
     return do("add", a, b._argument(0)) if type(b) is Number and b.name == "neg" else None
 
@@ -181,24 +224,26 @@ def _mul(a: Scalar, b: Scalar) -> Scalar | None:
     if type(a) is not Number:
         a, b = b, a
     if type(b) is not Number:
-        # A structural zero: what is not finite shows elsewhere.
-        return 0.0 if b == 0.0 else a if b == 1.0 else do("neg", a) if b == -1.0 else None
+        if (
+            b == 0.0
+        ):  # a structural zero: what is not finite in the filter's own algebra shows elsewhere
+            return None if a.tape.model and a.tape.wild[a.i] else 0.0
+        return a if b == 1.0 else do("neg", a) if b == -1.0 else None
     return None
 
 
 def _div(a: Scalar, b: Scalar) -> Scalar | None:
-    if type(b) is not Number and b != 0.0:
-        return do("mul", a, float(1.0 / b))
-    return 0.0 if is_known(a, 0.0) else None
+    if type(b) is not Number:  # the reciprocal of a power of two is exact
+        exact = abs(frexp(b)[0]) == 0.5 and abs(b) > 1e-300
+        return do("mul", a, 1.0 / b) if exact else None
+    return 0.0 if is_known(a, 0.0) and not b.tape.model else None
 
 
 def _select(c: Scalar, a: Scalar, b: Scalar) -> Scalar | None:
     if type(c) is not Number:
         return a if c else b
     same = type(a) is type(b) is Number and a.i == b.i
-    if (type(a) is bool or getattr(a, "logical", False)) and (
-        type(b) is bool or getattr(b, "logical", False)
-    ):
+    if is_logical(a) and is_logical(b):
         return do("or", do("and", c, a), do("and", do("not", c), b))
     return a if same else None
 
@@ -215,37 +260,32 @@ def _joined(neutral: bool) -> Callable[[Scalar, Scalar], Scalar | None]:
     return short
 
 
-def _alike(alike: bool) -> Callable[[Scalar, Scalar], Scalar | None]:
-    def short(a: Scalar, b: Scalar) -> Scalar | None:
-        same = type(a) is type(b) is Number and a.i == b.i and not a.tape.absent[a.i]
-        return alike if same else None
-
-    return short
-
-
 def _undone(name: str) -> Callable[[Scalar], Scalar | None]:
     return lambda x: x._argument(0) if x.name == name else None
 
 
 _SHORT: dict[str, Callable[..., Scalar | None]] = {
     "add": _add, "sub": _sub, "mul": _mul, "div": _div, "select": _select, "and": _joined(True), "or": _joined(False),
-    "eq": _alike(True), "ne": _alike(False), "neg": _undone("neg"), "not": _undone("not"),
+    "neg": _undone("neg"), "not": _undone("not"),
 }  # fmt: skip
+
+
+def is_logical(x: Scalar) -> bool:
+    """Whether it is true or false."""
+    return x.logical if type(x) is Number else type(x) is bool or type(x) is np.bool_
 
 
 def as_number(x: Scalar) -> Scalar:
     """What is true or false as 1 or 0."""
-    if isinstance(x, bool | np.bool_):
-        return float(x)
-    return do("select", x, 1.0, 0.0) if getattr(x, "logical", False) else x
+    if type(x) is Number:
+        return do("select", x, 1.0, 0.0) if x.logical else x
+    return float(x) if is_logical(x) else x
 
 
 def total(terms: Any) -> Scalar:
-    """Sum of numbers, in their order."""
-    out: Scalar = 0.0
-    for term in terms:
-        out = do("add", out, term)
-    return out
+    """Sum of numbers that are not known to be zero, in their order."""
+    parts = [x for x in terms if not is_known(x, 0.0)]
+    return reduce(partial(do, "add"), parts) if parts else 0.0
 
 
 class Number:
@@ -269,25 +309,36 @@ class Number:
     def _argument(self, k: int) -> Number:
         return Number(self.tape, self.tape.ops[self.i][1 + k])
 
-    def __repr__(self) -> str:
-        return f"Number({self.name} {self.i})"
-
-    def __bool__(self) -> bool:
-        raise refused(
-            "a branch depends on a number that is known only when the filter runs; numpy.where chooses without one"
-        )
-
-    def __float__(self) -> float:
-        raise refused(
-            "a number that is known only when the filter runs is asked for as a float; numpy's functions take it as it is"
-        )
-
-    __int__ = __index__ = __float__
-    __hash__ = object.__hash__
-
     def any(self, *_arguments: Any, **_options: Any) -> Number:
-        """Itself, as that of an array of one; `all` is the same."""
+        """Whether it is not 0, as that of an array of one; `all` is the same."""
+        return self if self.logical else do("ne", self, 0.0)
+
+    def __copy__(self, _memory: Any = None) -> Number:
         return self
 
-    all = conjugate = any
+    all, __deepcopy__ = any, __copy__
     shape, ndim, dtype = (), 0, np.dtype(object)
+
+
+def _refusing(what: str) -> Callable[..., Any]:
+    def method(*_arguments: Any) -> Any:
+        raise refused(what)
+
+    return method
+
+
+_LATER = "a number that is known only when the filter runs is"
+for _names, _what in (
+    ("bool", "a branch depends on a number that is known only when the filter runs; numpy.where "
+     "chooses without one"),
+    ("float complex", f"{_LATER} asked for as a float; numpy's functions take it as it is, and "
+     "numpy.stack or numpy.empty_like(x) makes an array of such numbers"),
+    ("int index", f"{_LATER} asked for as an index or a whole number; put the table into u, or "
+     "choose by numpy.where"),
+    ("hash", f"{_LATER} looked up in a dict, a set or a cache; put the table into u, or choose by "
+     "numpy.where"),
+    ("str repr format reduce_ex", f"{_LATER} written as text or bytes"),
+):  # fmt: skip
+    for _name in _names.split():
+        setattr(Number, f"__{_name}__", _refusing(_what))
+Real.register(Number)

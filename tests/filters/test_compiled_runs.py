@@ -456,7 +456,7 @@ def indexed(x, epoch):
         (branch_on_time, "a branch depends on a number that is known only when the filter runs"),
         (as_float, "is asked for as a float"),
         (of_math, "is asked for as a float"),
-        (svd, r"numpy\.linalg\.svd is not arithmetic"),
+        (svd, r"numpy\.linalg\.svd cannot be recorded"),
         (written, ""),
         (rounded, r"numpy\.spacing cannot be recorded"),
         (indexed, ""),

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from taped import FUNCTIONS, inputs, values
 
 from celnav.tape import llvm
+from celnav.tape.numbers import in_model
 from celnav.tape.tape import Tape, as_number, do
 
 pytest.importorskip("llvmlite")
@@ -119,13 +120,37 @@ def test_functions(name, lanes):
     if name in ("sin", "cos", "tan"):
         far = np.abs(given[0]) > 1e9
     if name == "pow":
-        far = ~((given[0] > 0.0) & np.isfinite(given).all(0))
+        far = given[0] == -INF
+    if name == "hypot":
+        far = np.isnan(given).any(0)
+    if name == "fmod":
+        with np.errstate(all="ignore"):
+            far = ~(np.abs(given[0] / given[1]) < 1e30)
     assert (np.isnan(found) | np.isclose(np.abs(found), np.abs(expected), rtol=1e-14, atol=0.0))[
         far
     ].all()
     np.testing.assert_allclose(
         found[~far], expected[~far], rtol={"tan": 2e-15, "pow": 3e-14}.get(name, 1e-15)
     )
+
+
+WHOLE = np.arange(-40.0, 41.0)
+EXACT = {
+    "log2": [2.0 ** np.arange(-1074, 1024)],
+    "log10": [10.0 ** np.arange(-300, 309)],
+    "exp2": [np.arange(-1074.0, 1024.0)],
+    "cbrt": [WHOLE**3],
+    "pow": [x.ravel() for x in np.meshgrid(WHOLE, np.arange(10.0))],
+    "hypot": [3.0 * WHOLE, 4.0 * WHOLE],
+    "fmod": [np.arange(-5000.0, 5000.0) * 0.1, np.repeat([0.1, 0.7, -49.0, 1e-9], 2500)],
+}
+
+
+@pytest.mark.parametrize("name", EXACT)
+def test_functions_are_exact_where_their_result_is_a_float(name):
+    """As arithmetic too: a floor or a comparison that follows is that of numpy."""
+    found, expected, _ = operated(name, 4, True, np.array(EXACT[name]))
+    exactly(found, expected)
 
 
 @pytest.mark.parametrize("lanes", LANES)
@@ -211,6 +236,22 @@ def test_products_and_sums_are_fused_where_that_is_asked_for(lanes):
         np.testing.assert_array_equal(results[False], form(*given))
         assert results[True][0] == known
         assert results[True][1] == form(*given)[1]
+
+
+def test_what_decides_a_jump_in_a_model_is_rounded_as_in_numpy():
+    """0.3 is less than three tenths: fused, its tenfold is less than 3."""
+    for function in (
+        lambda t: np.floor(t * 0.3 - 3.0),
+        lambda t: np.where(t * 0.3 < 3.0, 1.0, 2.0),
+    ):
+        tape = Tape()
+        t = inputs(tape, (1,))[0]
+        y = in_model(function, t)
+        smooth = t[0] * 0.7 + 1.0
+        given = np.arange(200.0)[None]
+        found = computed(tape, [y[0], smooth], given, 4, True)
+        np.testing.assert_array_equal(found[0], function(given[0]))
+        assert (found[1] != given[0] * 0.7 + 1.0).any()
 
 
 @pytest.mark.parametrize("lanes", LANES)
