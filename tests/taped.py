@@ -13,7 +13,8 @@ FUNCTIONS = {
     "atan": np.arctan, "atan2": np.arctan2, "exp": np.exp, "log": np.log, "pow": np.power, "sinh": np.sinh, "cosh": np.cosh,
     "tanh": np.tanh, "exp2": np.exp2, "log2": np.log2, "log10": np.log10, "log1p": np.log1p, "expm1": np.expm1, "cbrt": np.cbrt,
     "lt": np.less, "le": np.less_equal, "eq": np.equal, "ne": np.not_equal, "and": np.logical_and, "or": np.logical_or,
-    "not": np.logical_not, "select": np.where, "fmod": np.fmod, "hypot": np.hypot, "rint": np.rint, "pow2": np.exp2, "exponent": lambda x: np.frexp(x)[1] - 1.0,
+    "not": np.logical_not, "select": np.where, "fmod": np.fmod, "hypot": np.hypot,
+    "rint": np.rint, "pow2": np.exp2, "exponent": lambda x: np.frexp(x)[1] - 1.0,
 }  # fmt: skip
 
 

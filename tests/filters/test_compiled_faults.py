@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import functools
+import math
+import re
+
 import numpy as np
 import pytest
 from twice import assert_same, twice
@@ -155,3 +159,148 @@ def test_a_combination_known_exactly_stays_known(r, monkeypatch):
     found = celnav.run(filter, *given, keep="cov", engine="compiled")
     np.testing.assert_allclose(found.mean, known.mean, atol=1e-6)
     np.testing.assert_allclose(found.std, known.std, atol=1e-6)
+
+
+# -- what the first epochs do not show ---------------------------------------------------------------------------------
+LATER = np.arange(60.0)
+MANY = RNG.standard_normal((60, 4, 2))
+BURNS, TABLE = {50: 1.0}, np.arange(60.0)
+
+
+@functools.cache
+def burn(k):
+    return float(k == 50)
+
+
+NUMPYS = {
+    "a quotient": lambda x, e: x + np.floor(e.t / 49.0 * 7.0),
+    "a fused product": lambda x, e: x + np.floor(e.t * 0.3 - 3.0),
+    "floor division": lambda x, e: x + 0.1 * (e.t // 0.1),
+    "a remainder": lambda x, e: x + 10.0 * (e.t % 0.1),
+    "divmod": lambda x, e: x + sum(divmod(e.t, 0.7)),
+    "fmod": lambda x, e: x + np.fmod(e.t, 0.7),
+    "every seventh": lambda x, e: x + np.where(e.k % 7 == 0, 1.0, 0.0),
+    "rounded": lambda x, e: x + round(0.5 * e.t) + math.floor(e.t / 3.0),
+    "logarithms": lambda x, e: x + np.floor(np.log2(e.k + 1.0)) + np.floor(np.log10(10.0 * e.k + 10.0)),
+    "powers": lambda x, e: x + 2.0**e.k % 3.0,
+    "lengths": lambda x, e: x + np.floor(np.hypot(3.0 * e.k, 4.0 * e.k)),
+    "short lengths": lambda x, e: x + 1e200 * np.hypot(1e-200 * (e.t + 1.0), 0.0),
+    "a table": lambda x, e: x + np.interp(e.t, TABLE, np.sin(TABLE)),
+    "cases": lambda x, e: x + np.select([e.t < 10.0, e.t < 20.0], [1.0, 2.0], 3.0),
+    "no arc": lambda x, _e: x + np.where(np.isnan(np.arccos(0.5 * x)), 1.0, 2.0),
+    "no logarithm": lambda x, _e: x + np.where(np.log(x) != np.log(x), 1.0, 2.0),
+    "no quotient": lambda x, e: x + np.where(np.isnan((x - x) / (e.t - 50.0)), 1.0, 2.0),
+    "zero times nothing": lambda x, _e: x + np.where(np.isnan(0.0 * np.log(x)), 1.0, 0.0),
+    "the larger of nothing": lambda x, _e: x + np.where(np.maximum(x, np.log(x)) > 0.0, 1.0, 0.0),
+    "the cut of angles": lambda x, e: x + np.arctan2(0.0 - np.floor(e.t / 30.0), -1.0),
+    "the sign of zero": lambda x, e: x + np.arctan2(-0.0 * e.t + 0.0, -1.0),
+    "counts of truth": lambda x, _e: x * ((x > 0.0) * 1.0 + (x > 0.5) * 1.0),
+    "running counts": lambda x, _e: x + np.cumsum(x > 0.0, -1),
+    "a system": lambda x, e: x + np.linalg.solve(np.eye(2)[::-1] * (1.0 + e.t), np.array([1.0, 2.0])),
+    "the middle": lambda x, _e: x + np.median(x, -1, keepdims=True) + np.sort(x, -1),
+}  # fmt: skip
+LOOKED_UP = (
+    "is looked up in a dict, a set or a cache; put the table into u, or choose by numpy.where"
+)
+WRITTEN = "a number that is known only when the filter runs is written as text or bytes"
+INDEX = "is asked for as an index or a whole number; put the table into u"
+REFUSED = {
+    "get": (lambda x, e: x + BURNS.get(e.k, 0.0), LOOKED_UP),
+    "member": (lambda x, e: x + (1.0 if e.k in {50} else 0.0), LOOKED_UP),
+    "cached": (lambda x, e: x + burn(e.k), LOOKED_UP),
+    "text": (lambda x, e: x + (1.0 if str(e.k) == "50" else 0.0), WRITTEN),
+    "formatted": (lambda x, e: x + (1.0 if f"{e.t:.0f}" == "50" else 0.0), WRITTEN),
+    "listed": (lambda x, e: x + TABLE.tolist()[e.k], INDEX),
+    "taken": (lambda x, e: x + np.take(TABLE, e.k), INDEX),
+    "one of": (lambda x, e: x + (1.0 if e.k in [50] else 0.0), "a branch depends on a number"),
+    "equal": (lambda x, e: x + np.array_equal(e.t, 50.0), r"numpy\.array_equal cannot be recorded"),
+    "bits": (lambda x, e: x + (e.k & 1), "bits of whole numbers are not recorded"),
+    "two truths": (
+        lambda x, e: x + ((e.t > 3) + (e.t > 4)),
+        "another number in Python than in numpy",
+    ),
+    "by pieces": (
+        lambda x, _e: np.piecewise(x, [x < 0.0], [lambda v: -v, lambda v: v]),
+        r"numpy\.piecewise cannot be recorded; numpy\.where and arithmetic can",
+    ),
+}
+
+
+JUMPING = ("zero times nothing", "counts of truth", "the middle")
+"""With the state: across a jump numpy's derivative by differences is another one."""
+
+
+@pytest.mark.parametrize(
+    ("name", "make"),
+    [(name, celnav.ukf) for name in NUMPYS]
+    + [(name, celnav.ekf) for name in NUMPYS if name not in JUMPING],
+)
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_a_model_has_the_values_of_numpy_in_every_epoch(name, make):
+    filter = make(MOTION, celnav.Sensor(NUMPYS[name], R))
+    assert_same(*twice(filter, PRIOR, LATER, MANY))
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_the_first_epochs_do_not_show_is_refused(name):
+    model, why = REFUSED[name]
+    filter = celnav.ukf(MOTION, celnav.Sensor(model, R))
+    with pytest.raises(CannotCompile) as caught:
+        celnav.run(filter, PRIOR, LATER, MANY, engine="compiled")
+    told, _, place = str(caught.value).partition(" (test_compiled_faults.py, line ")
+    assert re.search(why, told)
+    assert place
+
+
+def test_inputs_may_be_missing_also_in_a_later_run():
+    def motion(x, e):
+        return 0.9 * x + (0.0 if e.u is None else np.where(np.isnan(e.u), 0.5, 0.0))
+
+    filter = celnav.ukf(celnav.Motion(motion, 0.05 * np.eye(2)), celnav.Sensor(np.eye(2), R))
+    kept, complete = celnav.compiled(filter), RNG.standard_normal((59, 2))
+    gaps = np.where(np.arange(59)[:, None] % 20 == 13, np.nan, complete)
+    for u in (complete, gaps):
+        known = celnav.run(filter, PRIOR, LATER, MANY, u)
+        assert_same(known, kept.run(PRIOR, LATER, MANY, u))
+        assert_same(known, celnav.run(filter, PRIOR, LATER, MANY, u, engine="compiled"))
+
+
+def test_a_zero_times_an_input_that_is_missing_is_missing():
+    def motion(x, e):
+        return 0.9 * x + (0.0 if e.u is None else np.where(np.isnan(0.0 * e.u), 0.5, 0.0))
+
+    filter = celnav.ukf(celnav.Motion(motion, 0.05 * np.eye(2)), celnav.Sensor(np.eye(2), R))
+    u = np.where(np.arange(59)[:, None] % 20 == 13, np.nan, np.ones((59, 2)))
+    assert_same(*twice(filter, PRIOR, LATER, MANY, u))
+
+
+def test_a_noise_of_each_run_in_a_function_is_refused_with_the_cure():
+    each = np.stack([0.1 * (i + 1.0) * np.eye(2) for i in range(4)])
+    for filter, name in (
+        (
+            celnav.ukf(celnav.Motion(np.eye(2), lambda _m, _e: each), celnav.Sensor(np.eye(2), R)),
+            "Q",
+        ),
+        (celnav.ukf(MOTION, celnav.Sensor(np.eye(2), lambda _m, _e: each)), "R"),
+    ):
+        with pytest.raises(
+            CannotCompile, match=f"^{name}: a function that gives a matrix for each"
+        ):
+            celnav.run(filter, PRIOR, TIMES, Z, engine="compiled")
+
+
+def test_measurements_that_are_complete_cost_no_masks_whatever_the_model():
+    """Nothing is asked of a prediction: a run whose model makes nan is lost, and flown by numpy."""
+    counts = {}
+    for gap in (0.0, np.nan):
+        z = MANY[:6].copy()
+        z[2, 1, 0] += gap
+        sensor = celnav.Sensor(lambda x, _e: np.sqrt(x * x + 1.0) / np.log(x * x + 2.0), R)
+        kept = celnav.compiled(celnav.ukf(MOTION, sensor))
+        kept.run(PRIOR, TIMES, z)
+        counts[gap == 0.0] = [
+            sum(op[0] == "eq" and op[1] == op[2] for op in made.kernel.tape.ops)
+            for made in kept._kept.values()
+        ]
+    assert max(counts[True]) == 0
+    assert max(counts[False]) > 0

@@ -148,7 +148,10 @@ def test_the_same_program_as_machine_code(name, driver):
 def test_functions_of_the_c_library_are_arithmetic(name, driver, tmp_path):
     """And within some units in the last place of the library's."""
     tape = Tape()
-    y = tape.node(name, *(tape.input().i for _ in range(2 if name in ("pow", "atan2") else 1)))
+    y = tape.node(
+        name,
+        *(tape.input().i for _ in range(2 if name in ("pow", "atan2", "fmod", "hypot") else 1)),
+    )
     kernel = llvm.Kernel(tape, [("own", i) for i in range(len(tape.ops) - 1)], [], [y])
     text = ptx.program([kernel], 1)
     sound(text, tmp_path)
