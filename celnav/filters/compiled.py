@@ -10,7 +10,6 @@ from collections.abc import Iterable
 from dataclasses import replace
 from functools import partial
 from itertools import islice
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,19 +18,20 @@ from celnav.filters.engine import NONE, Data, Engine, each_run, entries
 from celnav.filters.flight import Flight, as_data, epoch_of, fly, part_of
 from celnav.filters.records import Epoch, Epochs, FilterError, Info, State
 from celnav.filters.run import as_epochs, run, steps
-from celnav.filters.sentinels import changed, difference, held
+from celnav.filters.sentinels import changed, difference, functions_of, held
 from celnav.filters.sequential import Sequential, measurements, plain
 from celnav.filters.track import Track
 from celnav.gaussian.checks import choice, integer
 from celnav.gaussian.linalg import Array, Covariance, SquareRoot
 from celnav.tape.cuda import CudaError, device
-from celnav.tape.tape import MOST, CannotCompile
+from celnav.tape.tape import MOST, CannotCompile, place_of
 
 __all__ = ["Compiled", "chosen", "compiled", "run_by", "steps_by"]
 
 WORTH = 50_000  # operations of a step, the most that engine="auto" compiles, in some five seconds, and a device takes
 CHECKED = 3  # epochs of some runs that numpy takes before a step is recorded
-LOOKS = "it depends on more than the numbers that it is given"
+OTHER = "the model gives other values when it is recorded"
+LOOKS = "it depends on more than the numbers that it is given; engine='numpy' runs it as it is"
 
 
 class Compiled:
@@ -82,11 +82,20 @@ class Compiled:
             data = as_data(self.filter, epochs)
             some = epochs[:CHECKED]
             engine, flight = self._flown(prior, data, keep, every, compare)
-        except (CannotCompile, CudaError, ImportError):
+        except CannotCompile as error:
+            if not error.somewhere:
+                raise
+            raise CannotCompile(f"{error}{functions_of(holds)}") from error
+        except (CudaError, ImportError):
             raise
         except Exception as error:
             run(self.filter, prior, some, engine="numpy", **options)  # what is wrong there too
-            raise CannotCompile(f"{str(error) or type(error).__name__}{_place(error)}") from error
+            frames = reversed(traceback.extract_tb(error.__traceback__))
+            place = place_of([(frame.filename, frame.lineno or 0) for frame in frames])
+            raise CannotCompile(
+                f"{type(error).__name__} where a step is recorded: its numbers are arrays for "
+                f"numpy's functions only; engine='numpy' runs it as it is{place or functions_of(holds)}"
+            ) from error
         stored = islice(epochs, 0, len(epochs) if keep == "cov" else 0, every)
         known = tuple(epoch._replace(z=None, truth=None) for epoch in stored)
         track = replace(
@@ -138,10 +147,10 @@ class Compiled:
             return self._flown(prior, data, keep, every, compare)
         if path:
             raise CannotCompile(
-                f"the model has a memory: {path} changes when it is called; "
-                "what changes with time belongs into the input u"
+                f"the model has a memory: {path} changes when it is called; put what changes with "
+                f"time into the input u, or use engine='numpy'{functions_of(self._holds, path)}"
             )
-        raise CannotCompile(f"the model gives other values when it is recorded ({why}): {LOOKS}")
+        raise CannotCompile(f"{OTHER} ({why}): {LOOKS}{functions_of(self._holds)}")
 
     def start(self, prior: Any) -> Any:
         """The filter's own state before the first epoch; `step` is for those that predict, then update."""
@@ -278,22 +287,6 @@ def _of(
     some = form(mean, spread if spread.ndim == 2 else part(spread, 2))
     epochs = [epoch_of(data, i, part, batch) for i in range(len(data.kinds))[:count]]
     return each_run(filter, lambda x: part(x, 2)), some, epochs
-
-
-def _place(error: BaseException) -> str:
-    """Where a model asked for what cannot be recorded."""
-    package = Path(__file__).parents[1]
-    frames = [
-        f
-        for f in traceback.extract_tb(error.__traceback__)
-        if "numpy" not in Path(f.filename).parts
-    ]
-    mine = [f for f in frames if package not in Path(f.filename).parents] or frames
-    return (
-        f" ({Path(mine[-1].filename).name}, line {mine[-1].lineno}: {mine[-1].line})"
-        if mine
-        else ""
-    )
 
 
 def compiled(filter: Any, *, jobs: int = 1, engine: str = "compiled") -> Compiled:

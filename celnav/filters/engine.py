@@ -23,7 +23,7 @@ from celnav.gaussian.linalg import Array, Covariance, SquareRoot
 from celnav.tape import llvm
 from celnav.tape.kernel import Kernel
 from celnav.tape.numbers import Numbers, present
-from celnav.tape.tape import MOST, CannotCompile, Number, Tape, as_number, do
+from celnav.tape.tape import MOST, CannotCompile, Number, Tape, as_number, do, operands
 
 __all__ = [
     "FULL", "NONE", "PART", "SILENT", "TALLY", "Data", "Engine", "Kind", "Recorded", "Shape", "each_array", "each_run", "entries",
@@ -300,6 +300,17 @@ class Engine:
         )
 
         state, infos = filter.step(state, epoch)
+        if tape.refusal is not None:  # a model caught it, and went another way
+            raise tape.refusal
+        measured = {x.i for part in z for x in np.ravel(part) if isinstance(x, Number)}
+        if self.batch and any(
+            tape.modeled[i] and not measured.isdisjoint(operands(op))
+            for i, op in enumerate(tape.ops)
+        ):
+            raise CannotCompile(
+                "a model looks at epoch.z, which numpy gives it of all runs; give it what it is to "
+                "know as the input u, or use engine='numpy'"
+            )
         after = Shape.of(state)
         if "belief" in getattr(state, "_fields", ()):
             state = state._replace(belief=settled(state.belief))

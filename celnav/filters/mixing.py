@@ -29,7 +29,7 @@ WATCH: ContextVar[Callable[[str, Array], Any] | None] = ContextVar("watch", defa
 """Called with the name of each model and its values; it may return others to be used instead."""
 POINTS = "points are (p, ..., n): a component is x[..., 0], a product with a matrix x @ F.T"
 MEANS = "means are (..., n): a component is mean[..., 0]"
-LOOSE = 0.01, 0.1  # of the values and of their range: the error of a solver that chooses its steps
+LOOSE = 0.01, 0.01  # of the values and of their range: the error of a solver that chooses its steps
 Model = Callable[..., Any]
 
 
@@ -84,6 +84,16 @@ def check_matrices_apart(
         runs = points.shape[1:-1]
         return np.broadcast_to(found, (*runs, *matrix.shape[-2:])).reshape(1, *runs, size)
 
+    if matrix.ndim == 2:  # one of all runs may not depend on any
+        like = matrix.reshape(1, size)
+        for near, same in ((mean + 1e-3 * (1.0 + np.abs(mean)), False), (mean, True)):
+            found = _value(values, [near[None]], epoch, like)
+            if isinstance(found, str) or _same(found, np.broadcast_to(like, found.shape)) != same:
+                return  # or it is random
+        raise ValueError(
+            f"{name}: expected values of each run by itself, got one matrix of all runs that "
+            f"depends on the mean; {MEANS}"
+        )
     y = np.broadcast_to(matrix, (*mean.shape[:-1], *matrix.shape[-2:]))
     check_apart(name, values, [mean[None]], epoch, y.reshape(1, *mean.shape[:-1], size), MEANS)
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import fields, is_dataclass
 from functools import partial
+from pathlib import Path
 from types import (
     BuiltinFunctionType,
     CellType,
@@ -21,7 +22,7 @@ from types import (
     MethodType,
     ModuleType,
 )
-from typing import Any
+from typing import Any, NamedTuple
 from zlib import crc32
 
 import numpy as np
@@ -42,14 +43,17 @@ from celnav.filters.mixing import WATCH
 from celnav.gaussian.belief import settled
 from celnav.gaussian.linalg import EPS, Array
 from celnav.gaussian.rules import Taylor
+from celnav.tape.numbers import Numbers
+from celnav.tape.tape import Number
 
-__all__ = ["changed", "difference", "held"]
+__all__ = ["Function", "changed", "difference", "functions_of", "held"]
 
 CLOSE = 1e-6  # of a standard deviation, or of the size of any other number
 DIFFERENCED = 1e-4  # likewise where numpy takes differences and machine code has derivatives
 MOVES = 1e3  # numpy's own movements by round-off of what it is given
 TRIES = 3
 SAMPLE = 4096  # numbers of a large array by which it is known
+MOST_NAMED = 3  # functions of a message
 DEEP = 8  # objects within objects
 EMPTY = CellType()  # of a name that has no value yet
 
@@ -229,8 +233,27 @@ def changed(before: dict[str, Any], after: dict[str, Any]) -> str:
     return next((k for k in {**before, **after} if before.get(k) != after.get(k)), "")
 
 
+class Function(NamedTuple):
+    """What stands for a function of the user's: where it is defined, and how many things it holds."""
+
+    place: str
+    parts: int
+
+
+def functions_of(holds: dict[str, Any], path: str = "") -> str:
+    """Where the user's functions are defined, or the one that holds what is at a path."""
+    found = {name: mark for name, mark in holds.items() if isinstance(mark, Function)}
+    if around := [name for name in found if path.startswith(name)]:
+        found = {around[-1]: found[around[-1]]}
+    places = [f"{name}: {mark.place}" for name, mark in found.items()][:MOST_NAMED]
+    return f" ({'; '.join(places)})" if places else ""
+
+
 def _look(thing: Any, path: str, found: dict[str, Any], seen: set[int], deep: int) -> None:
     """Set what a thing is known by, and what it holds."""
+    if isinstance(thing, Number | Numbers):  # left by a recording
+        found[path] = id(thing)
+        return
     if isinstance(thing, bool | int | float | complex | str | bytes | np.number | None):
         found[path] = repr(thing)
         return
@@ -239,6 +262,11 @@ def _look(thing: Any, path: str, found: dict[str, Any], seen: set[int], deep: in
     seen.add(id(thing))
     parts = _parts_of(thing)
     found[path] = _mark(thing) if parts is None else (type(thing), len(parts))
+    if isinstance(thing, FunctionType) and not _is_ours(thing):
+        code = thing.__code__
+        found[path] = Function(
+            f"{Path(code.co_filename).name}, line {code.co_firstlineno}", len(parts or ())
+        )
     for name, part in (parts or {}).items():
         _look(part, f"{path}.{name}" if path else name, found, seen, deep - 1)
 
@@ -259,7 +287,7 @@ def _mark(thing: Any) -> Any:
 
 def _parts_of(thing: Any) -> dict[str, Any] | None:
     """What a thing holds, by name; None where it is to be taken as a whole."""
-    ours = str(getattr(thing, "__module__", "")).partition(".")[0] in ("celnav", "numpy", "scipy")
+    ours = _is_ours(thing)
     if isinstance(thing, ModuleType | type | np.ndarray | BuiltinFunctionType):
         return None
     if isinstance(thing, dict):
@@ -287,6 +315,10 @@ def _parts_of(thing: Any) -> dict[str, Any] | None:
             else None
         )
     return dict(vars(thing)) if hasattr(thing, "__dict__") else None
+
+
+def _is_ours(thing: Any) -> bool:
+    return str(getattr(thing, "__module__", "")).partition(".")[0] in ("celnav", "numpy", "scipy")
 
 
 def _names(code: CodeType) -> Iterator[str]:

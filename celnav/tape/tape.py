@@ -12,13 +12,14 @@ from functools import partial, reduce
 from math import copysign, frexp, isfinite
 from numbers import Real
 from pathlib import Path
+from sysconfig import get_paths
 from typing import Any, Final
 
 import numpy as np
 
 __all__ = [
     "LOGICAL", "MOST", "CannotCompile", "Number", "Scalar", "Tape", "as_number", "do", "is_known",
-    "is_logical", "operands", "refused", "total",
+    "is_logical", "operands", "place_of", "refused", "total",
 ]  # fmt: skip
 
 Scalar = Any
@@ -26,30 +27,47 @@ Scalar = Any
 
 
 class CannotCompile(ValueError):
-    """A computation is not arithmetic on numbers; the message says what it asked for, and on which line."""
+    """A computation is not arithmetic on numbers; the message says what it asked for, and on which line.
+
+    ``somewhere``: whether the line is not known.
+    """
+
+    somewhere = False
 
 
 def refused(what: str) -> CannotCompile:
-    """The error, with the line of the model, or else of the package, that led to it."""
+    """The error, with the line of the model, or else of the package, that led to it; the tape keeps it.
+
+    A model may catch it: what is recorded after that is refused all the same.
+    """
     frame: Any = sys._getframe(1)
-    inside, place = Path(__file__).parents[1], ""
-    while frame is not None and not isinstance(
-        frame.f_locals.get("tape"), Tape
-    ):  # below who records
-        path = Path(frame.f_code.co_filename)
-        if path.parent != Path(__file__).parent and "numpy" not in path.parts:
-            line = linecache.getline(str(path), frame.f_lineno).strip()
-            said = (
-                f" ({path.name}, line {frame.f_lineno}: {line})"
-                if line
-                else f" ({path.name}, line {frame.f_lineno})"
-            )
-            place = place or said
-            if inside not in path.parents:
-                place = said
-                break
+    lines = []
+    while frame is not None and not isinstance(frame.f_locals.get("tape"), Tape):
+        lines.append((frame.f_code.co_filename, frame.f_lineno))
         frame = frame.f_back
-    return CannotCompile(f"{what}{place}")
+    place = place_of(lines)
+    error = CannotCompile(f"{what}; engine='numpy' runs it as it is{place}")
+    error.somewhere = not place
+    if frame is not None:
+        tape: Tape = frame.f_locals["tape"]
+        tape.refusal = tape.refusal or error
+    return error
+
+
+def place_of(lines: Sequence[tuple[str, int]]) -> str:
+    """Where a model asked for what cannot be recorded: the innermost line that is the user's."""
+    paths = [(Path(name), number) for name, number in lines if not name.startswith("<")]
+    package = Path(__file__).parents[1]
+    found = [at for at in paths if package not in at[0].parents and not _is_installed(at[0])]
+    if not found:
+        return ""
+    path, number = found[0]
+    line = linecache.getline(str(path), number).strip()
+    return f" ({path.name}, line {number}: {line})" if line else f" ({path.name}, line {number})"
+
+
+def _is_installed(path: Path) -> bool:
+    return "site-packages" in path.parts or Path(get_paths()["stdlib"]) in path.parents
 
 
 _FOLD: dict[str, Callable[..., Any]] = {
@@ -91,13 +109,15 @@ class Tape:
 
     ``ops[i]`` is ``(name, *arguments)``: indices of earlier ones; ``("in", k)`` is the k-th input, ``("const", x)`` a number.
     ``("call", routine, *arguments)`` leaves a memory, ``("part", i, cell)`` is a cell of it; ``rolled``: whether there may be such.
-    ``absent[i]``: whether it comes of something that may be missing, nan. ``model``: whether what is recorded now is a model's
+    ``refusal``: the first thing that was asked for in vain. ``absent[i]``: whether it comes of something
+    that may be missing, nan. ``model``: whether what is recorded now is a model's
     own arithmetic, which has the values that numpy gives; of what it made, ``wild[i]``: whether it may be nan or infinite, and
     ``sharp``: numbers that decide a jump, whose products and sums are rounded one by one. ``modeled``: what was recorded so.
     """
 
     def __init__(self, rolled: bool = True) -> None:
         self.rolled = rolled
+        self.refusal: CannotCompile | None = None
         self.ops: list[tuple[Any, ...]] = []
         self.absent: list[bool] = []
         self.model, self.wild = False, list[bool]()
@@ -315,6 +335,11 @@ class Number:
 
     def __copy__(self, _memory: Any = None) -> Number:
         return self
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        raise refused(f"a number that is known only when the filter runs has no {name}")
 
     all, __deepcopy__ = any, __copy__
     shape, ndim, dtype = (), 0, np.dtype(object)
