@@ -3,7 +3,7 @@
 `lowered` writes a tape anew with them. They are within two units in the last place of the C library's (three for the tangent
 and for hyperbolic sine and tangent), a power ``x^y`` within ``2 + 2 |y log x|`` units. Whole powers of whole numbers, and their
 logarithms to base 2 and 10, are exact, and so are remainders. An argument of sine and cosine beyond 1e14 rad, and a remainder of
-1e30 periods, give nan: a run that is lost is flown again by the numpy engine.
+2^53 periods, give nan: a run that is lost is flown again by the numpy engine.
 """
 
 from __future__ import annotations
@@ -261,24 +261,22 @@ def power(x: Scalar, y: Scalar) -> Scalar:
 
 
 def fmod(x: Scalar, y: Scalar) -> Scalar:
-    """Remainder of the sign of x: exact, since what fused products leave of each quotient is."""
+    """Remainder of the sign of x: exact, since what a fused product leaves of a quotient is."""
     size, period = do("abs", x), do("abs", y)
-    left = size
-    for _ in range(
-        3
-    ):  # a quotient that is rounded up leaves less than nothing, which the next one mends
-        left = do("fma", do("floor", do("div", left, period)), do("neg", period), left)
-    left = _select(do("lt", do("div", size, period), 1e30), left, nan)
+    ratio = do("div", size, period)
+    left = do("fma", do("floor", ratio), do("neg", period), size)
+    left = _select(do("lt", left, 0.0), do("add", left, period), left)  # the ratio was rounded up
+    left = _select(do("lt", ratio, 2.0**53), left, nan)
     return do("copysign", _select(do("lt", size, period), size, left), x)
 
 
 def hypot(x: Scalar, y: Scalar) -> Scalar:
     """Length: squares that would leave the range of floats are taken of scaled numbers."""
     square = do("add", do("mul", x, x), do("mul", y, y))
-    scale = _select(do("lt", 1e300, square), 2.0**-600, 1.0)
-    scale = _select(do("lt", square, 1e-280), 2.0**600, scale)
-    a, b = do("mul", x, scale), do("mul", y, scale)
-    return do("div", do("sqrt", do("add", do("mul", a, a), do("mul", b, b))), scale)
+    far, near = do("lt", 1e300, square), do("lt", square, 1e-280)
+    down, up = (_select(far, c, _select(near, 1.0 / c, 1.0)) for c in (2.0**-600, 2.0**600))
+    a, b = do("mul", x, down), do("mul", y, down)
+    return do("mul", do("sqrt", do("add", do("mul", a, a), do("mul", b, b))), up)
 
 
 def atan2(y: Scalar, x: Scalar) -> Scalar:
