@@ -2228,18 +2228,6 @@ innocent(
     EITHER,
     **(LINE | {"prior": celnav.Gaussian([0.0, 1.0], np.diag([4.0, 1e6]))}),
 )
-LAST = np.array([0.0, 0.0, 0.0, 0.1])
-innocent(
-    "derivatives by differences of a deviation that grows",
-    celnav.ekf(
-        celnav.Motion(lambda x, e: x @ CHAIN.T + LAST * np.sin(x[..., :1]), np.zeros((4, 4))),
-        celnav.Sensor(lambda x, e: x[..., :1], [[1.0]]),
-    ),
-    EITHER,
-    prior=celnav.Gaussian(np.zeros(4), np.eye(4)),
-    times=TIMES,
-    z=WALK[:, :RUNS],
-)
 LOST = np.array([0.0, np.nan, 0.0])
 FLAGGED = {
     "nan in one run": lambda x, e: np.where(e.t > 40, LOST, 0.0) * x[..., 1],
