@@ -35,8 +35,8 @@ def test_a_table_with_claims_is_diagnosed_and_written(tmp_path, capsys):
     out = capsys.readouterr().out.replace("\n         ", " ")
     assert "one run, 390 epochs over 3990 s, 10 s apart" in out
     assert "not looked at: time_utc, x_m (--columns chooses)" in out
-    assert "times as large as claimed" in out
-    assert "take celnav.colored(motion, sensor, Phi=[[0." in out
+    assert "overconfident, " in out
+    assert "suggested: celnav.colored(motion, sensor, Phi=[[0." in out
     assert {p.name for p in (tmp_path / "out").glob("d*")} == {
         f"diagnosis.{kind}" for kind in ("txt", "json", "png", "svg")
     }
@@ -44,13 +44,13 @@ def test_a_table_with_claims_is_diagnosed_and_written(tmp_path, capsys):
     (component,) = found["components"]
     low, high = component["coloring"]["phi_interval"]
     assert low < 0.8 < high
-    assert f"Phi = {component['coloring']['phi']:.3f}" in out
+    assert f"Phi from sample to sample = {component['coloring']['phi']:.3f}" in out
     assert len(component["autocorrelation"]) == 20
     assert (
         main(["diagnose", str(path), "--columns", "x_m", "--time", "seconds_utc", "--lags", "5"])
         == 0
     )
-    assert "x_m: no deviations are claimed" in capsys.readouterr().out
+    assert "x_m: no predicted σ is given" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("mark", [",", ";", "\t", " "])

@@ -356,7 +356,7 @@ def grid_index(t: Array) -> tuple[Array, float | None]:
 
 
 def _products(x: Array, place: Array, lag: int) -> tuple[float, int]:
-    """Mean of products of samples ``(T, runs)`` a lag apart, nan if none, and how many there are."""
+    """Mean of products of samples ``(T, runs)`` a lag apart, nan if none, and their number."""
     later = np.minimum(np.searchsorted(place, place + lag), len(place) - 1)
     both = place[later] == place + lag
     products = x[both] * x[later[both]]
@@ -517,14 +517,14 @@ def first_order(x: Array, place: Array, lags: int, level: float) -> Coloring:
 
     tried, half = np.linspace(*REACH, 37), 0.5 * float(ndtri(0.5 + level / 2)) ** 2
     best = float(tried[int(np.argmin([fit(v)[0] for v in tried]))])
-    near = best - 0.25, best + 0.25
+    near = max(best - 0.25, REACH[0]), min(best + 0.25, REACH[1])
     v = float(minimize_scalar(lambda v: fit(v)[0], bounds=near, method="bounded").x)
     least, sigma, innovations, mean_sigma = fit(v)
     p, mixture = whiteness(innovations, 1), None
     if p < 1.0 - level:
         grid = [(v, logit) for v in np.linspace(*REACH, 10) for logit in np.linspace(*SHARE, 8)]
         start: Any = min([(v, SHARE[0]), *grid], key=lambda each: fit(*each)[0])
-        found = minimize(
+        found = minimize(  # type: ignore[call-overload]
             lambda each: fit(*each)[0], start, method="Nelder-Mead", bounds=[REACH, SHARE]
         )
         cost, total, innovations, uncertainty = fit(*found.x)
@@ -534,7 +534,7 @@ def first_order(x: Array, place: Array, lags: int, level: float) -> Coloring:
             sigma=float(total * np.sqrt(1.0 - share)),
             white_sigma=float(total * np.sqrt(share)),
             mean_sigma=float(uncertainty),
-            gain=float(least - cost),
+            gain=max(float(least - cost), 0.0),  # it has first-order noise alone as a limit
             p=whiteness(innovations, 2),
         )
 
@@ -595,9 +595,10 @@ def forgotten_wraps(
         if angles:
             called = ", ".join(names[first + i] for i in angles)
             jumps = sum(counts[first + i] for i in angles)
+            samples = int(np.isfinite(x[..., [first + i for i in angles]]).sum())
             sentences.append(
-                f"{called}: jumps by 2 pi ({jumps} times), as an angle does whose wrap is "
-                f"forgotten: celnav.{model}(..., space=celnav.angles({angles}))"
+                f"{called}: {jumps} of {samples} samples jump by 2 pi, as those of an angle whose "
+                f"wrap is forgotten; the cure is celnav.{model}(..., space=celnav.angles({angles}))"
             )
         first += width
     return tuple(sentences)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
 from typing import TYPE_CHECKING
 
@@ -31,9 +32,7 @@ def page(found: Diagnosis) -> str:
         colored = [c for c in found.components if found.white(c) == "colored"]
         said += [line for c in colored for line in _noise(c, found) if not found.wraps]
         said += [("model", found.why)] if found.why else []
-    lines = [
-        textwrap.fill(f"{head:8} {line}", WIDTH, subsequent_indent=9 * " ") for head, line in said
-    ]
+    lines = [_filled(f"{head:8} {line}") for head, line in said]
     return "\n".join(
         [
             f"{runs}, {T} epochs over {t[-1] - t[0]:.6g} s, {spaced}{gaps}",
@@ -43,6 +42,13 @@ def page(found: Diagnosis) -> str:
             *lines,
         ]
     )
+
+
+def _filled(line: str) -> str:
+    """Lines of at most `WIDTH`, never broken between a number and its unit."""
+    kept = re.sub(r"(?<=\d) (?=%|s\b)", "\0", line)
+    filled = textwrap.fill(kept, WIDTH, subsequent_indent=9 * " ", break_on_hyphens=False)
+    return filled.replace("\0", " ")
 
 
 def _table(found: Diagnosis) -> list[str]:
@@ -91,6 +97,10 @@ def _lag(c: Component) -> str:
     return "1 sample" if c.step is None else f"{c.step:.4g} s"
 
 
+def _plain(x: float, digits: int) -> str:
+    return np.format_float_positional(x, precision=digits, unique=False, fractional=False, trim="-")
+
+
 def _p(p: float) -> str:
     return "-" if np.isnan(p) else "< 1e-15" if p < 1e-15 else f"{p:.2g}"
 
@@ -108,8 +118,9 @@ def _size(k: int, found: Diagnosis) -> str:
     each = f" ({', '.join(sizes)})" if len(sizes) > 1 else ""
     low, high = sensor.band
     return (
-        f"{names}: {_verdict(k, found)}{each}; NIS per degree of freedom is {sensor.nis:.3g}, "
-        f"expected {low:.3g} to {high:.3g} ({100 * found.level:.3g} %, correlation counted)"
+        f"{names}: {_verdict(k, found)}{each}; NIS per degree of freedom is "
+        f"{_plain(sensor.nis, 3)}, expected {low:.3g} to {high:.3g} "
+        f"({100 * found.level:.3g} %, correlation counted)"
     )
 
 
@@ -120,7 +131,7 @@ def _verdict(k: int, found: Diagnosis) -> str:
         return "as large as predicted"
     white = all(found.white(c) != "colored" for c in found.components if c.sensor == k)
     word = "overconfident, " if nis > high else "conservative, " if white else ""
-    return f"{word}{np.sqrt(nis):.3g} times as large as predicted"
+    return f"{word}{_plain(np.sqrt(nis), 3)} times as large as predicted"
 
 
 def _bias(found: Diagnosis) -> list[str]:
@@ -157,8 +168,8 @@ def _white(found: Diagnosis) -> list[str]:
             continue
         out = int((np.abs(c.autocorrelation) > c.band).sum())
         test = (
-            f"Ljung-Box {c.ljung_box:.4g} of {lags} lags of {_lag(c)}, p {_p(c.p)}; "
-            f"{out} lags beyond the band"
+            f"Ljung-Box {_plain(c.ljung_box, 4)} of {lags} lags of {_lag(c)}, p {_p(c.p)}; "
+            f"{out} beyond the band"
         )
         effect = f"; σ of its mean is {c.longer:.3g} times that of white noise"
         lines.append(f"{c.name}: {ANSWERS[verdict]} ({test}){effect * (verdict != 'white')}")
@@ -170,8 +181,9 @@ def _noise(c: Component, found: Diagnosis) -> list[tuple[str, str]]:
     fit, percent = c.coloring, f"{100 * found.level:.3g} %"
     assert fit is not None
     (low, high), (least, most) = fit.phi_interval, fit.sigma_interval
-    slow = c.step is not None and 0.0 < fit.phi < 1.0
-    time = f", a correlation time of {-c.step / np.log(fit.phi):.3g} s" if slow else ""  # type: ignore[operator]
+    time = ""
+    if c.step is not None and 0.0 < fit.phi < 1.0:
+        time = f", a correlation time of {-c.step / np.log(fit.phi):.3g} s"
     innovations = c.size is not None and c.predicted is None  # which are not the noise itself
     size = "" if innovations else f", σ = {fit.sigma:.4g} ({least:.4g} to {most:.4g})"
     of = "of its innovations " if innovations else ""
@@ -184,7 +196,7 @@ def _noise(c: Component, found: Diagnosis) -> list[tuple[str, str]]:
     if not accepted and mixture is not None:
         lines.append(
             f"with white noise beside it, it is {_judged(mixture.p, mixture.p >= found.doubt)}; "
-            f"the log-likelihood grows by {mixture.gain:.4g}"
+            f"the log-likelihood grows by {_plain(mixture.gain, 4)}"
         )
     said = [("noise", f"{c.name}: {line}") for line in lines]
     return said if innovations else [*said, ("model", f"{c.name}: {_advice(c, found)}")]
@@ -211,13 +223,12 @@ def _advice(c: Component, found: Diagnosis) -> str:
         return (
             f"suggested: a state V' = {mixture.phi:.3f} V + zeta{spaced}, zeta of variance "
             f"{driving:.4g} and V of {mixture.sigma**2:.4g}, measured as h(x) + V with "
-            f"R=[[{mixture.white_sigma**2:.4g}]]; for the mean of these samples it predicts "
-            f"σ = {mixture.mean_sigma:.3g}, the first-order noise alone {fit.mean_sigma:.3g}, {white}"
+            f"R=[[{mixture.white_sigma**2:.4g}]]; for the mean of these samples it predicts σ = "
+            f"{mixture.mean_sigma:.3g}, the first-order noise alone {fit.mean_sigma:.3g}, {white}"
         )
     measured = f"{fit.sigma / np.sqrt(c.effective):.3g}"
     return (
-        f"none suggested; {filter} is nearer than white noise: {mean}, {white}, the "
-        f"autocorrelation of the samples {measured}"
+        f"none suggested; {filter}: {mean}, {white}, the autocorrelation of the samples {measured}"
     )
 
 
@@ -239,7 +250,7 @@ def _fitted(model: Model, found: Diagnosis) -> list[str]:
     ]
     rest = not (model.p < found.doubt).any()
     suggested = model.is_color and rest
-    grows = f"the log-likelihood grows by {model.gain:.4g} with it"
+    grows = f"the log-likelihood grows by {_plain(model.gain, 4)} with it"
     if np.isnan(model.white_gain):
         compared = f"{grows}; other Q and R alone were not compared ({model.not_compared})"
     else:
@@ -248,7 +259,7 @@ def _fitted(model: Model, found: Diagnosis) -> list[str]:
             if model.is_color
             else "these data do not distinguish color from wrong dynamics"
         )
-        compared = f"{grows}, by {model.white_gain:.4g} with other Q and R alone: {verdict}"
+        compared = f"{grows}, by {_plain(model.white_gain, 4)} with other Q and R alone: {verdict}"
     lines = [
         f"{'suggested' if suggested else 'fitted, not suggested'}: "
         f"celnav.{model.name}(motion, sensor, Phi=np.diag([{phi}])) with R={noise}; at the end it "
