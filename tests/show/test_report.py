@@ -12,6 +12,7 @@ from scipy.stats import binom, chi2
 import celnav
 from celnav.filters.adaptive import gate
 from celnav.gaussian import attitude as at
+from celnav.gaussian.spaces import wrap
 from celnav.models import motion
 from celnav.models.gyro import Gyro
 
@@ -232,6 +233,57 @@ def test_one_run_one_truth_of_many_and_no_covariances(sound):
     assert str(found).startswith("one run, 41 epochs from 0 to 40 s")
     assert "to" not in str(found).splitlines()[3]  # no interval of one run
     assert track.report(truth[:, 0]).runs == 30
+
+
+def test_a_forgotten_wrap_of_a_sensor_or_of_the_state_is_said_by_name():
+    south = celnav.Gaussian([-300.0, -100.0, 0.0, 3.0], np.diag([100.0, 100.0, 1.0, 1.0]))
+    times = np.arange(200.0)
+    truth, z = celnav.simulate(MOTION, RADAR, south, times, runs=20, seed=3)
+    unwrapped = celnav.Sensor(RADAR.h, RADAR.R)
+    lost, sound = (
+        celnav.run(celnav.ekf(MOTION, sensor), south, times, z, on_failure="flag").report(truth)
+        for sensor in (unwrapped, RADAR)
+    )
+    (line,) = lost.wraps
+    assert line.startswith("z1: ")
+    assert line.endswith("the cure is celnav.Sensor(..., space=celnav.angles([1]))")
+    assert "wrap     z1: " in str(lost)
+    assert sound.wraps == ()
+    assert "wrap " not in str(sound)
+    turning = celnav.Motion([[1.0, 1.0], [0.0, 1.0]], np.diag([1e-5, 1e-7]))
+    compass, start = (
+        celnav.Sensor(np.eye(1, 2), [[0.01]]),
+        celnav.Gaussian([2.0, 0.02], np.diag([0.01, 1e-6])),
+    )
+    truth, z = celnav.simulate(turning, compass, start, times, runs=10, seed=3)
+    track = celnav.run(celnav.ukf(turning, compass), start, times, z)
+    assert track.report(truth).wraps == ()
+    truth[..., 0] = wrap(truth[..., 0])
+    (line,) = track.report(truth, names=["heading", "rate"]).wraps
+    assert line.startswith("heading: 10 of 2000 samples jump by 2 pi")
+    assert line.endswith("the cure is celnav.Motion(..., space=celnav.angles([0]))")
+
+
+def test_a_truth_that_is_known_now_and_then_counts_as_samples_of_its_own():
+    """At each tenth epoch, as if there were no other epochs."""
+    gps = celnav.Sensor(np.eye(2, 4), 100.0 * np.eye(2))
+    truth, z = celnav.simulate(MOTION, gps, PRIOR, np.arange(400.0), runs=1, seed=2)
+    track = celnav.run(celnav.ukf(MOTION, gps), PRIOR, np.arange(400.0), z, keep="cov")
+    some = np.full_like(truth, np.nan)
+    some[::10] = truth[::10]
+    sparse, alone = (
+        report.nees
+        for report in (
+            track.report(some),
+            celnav.run(
+                celnav.ukf(MOTION, gps), PRIOR, np.arange(400.0), z, keep="cov", every=10
+            ).report(truth[::10]),
+        )
+    )
+    assert sparse.nis == pytest.approx(alone.nis)
+    assert sparse.shared == pytest.approx(alone.shared)
+    assert sparse.shared > 1.0
+    assert sparse.band == pytest.approx(alone.band)
 
 
 def test_lost_runs_and_rejections_are_told():
