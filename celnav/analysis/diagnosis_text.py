@@ -249,7 +249,7 @@ def _fitted(model: Model, found: Diagnosis) -> list[str]:
         for part in (model.phi_interval, model.sigma_interval)
     ]
     rest = not (model.p < found.doubt).any()
-    suggested = model.is_color and rest
+    suggested = model.is_color and rest and model.converged
     grows = f"the log-likelihood grows by {_plain(model.gain, 4)} with it"
     if np.isnan(model.white_gain):
         compared = f"{grows}; other Q and R alone were not compared ({model.not_compared})"

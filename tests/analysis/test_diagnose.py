@@ -451,6 +451,10 @@ def test_what_was_not_compared_is_said():
     left = flat(found._replace(model=found.model._replace(p=np.array([0.5, 1e-9]))))
     assert "fitted, not suggested: celnav.colored(" in left
     assert "its innovations are still not white (p 0.5, 1e-09)" in left
+    edge = flat(found._replace(model=found.model._replace(converged=False)))
+    assert "fitted, not suggested: celnav.colored(" in edge
+    assert edge.endswith("no clear maximum there, so these numbers are uncertain")
+    assert "suggested: celnav.colored(" in flat(found).replace("not suggested", "")
 
 
 def test_missing_samples_are_fitted_by_the_filter_that_loses_nothing():
