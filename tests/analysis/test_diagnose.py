@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import binom, chi2
 
 import celnav
-from celnav.analysis.diagnose import diagnose, first_order
+from celnav.analysis.diagnose import diagnose, first_order, grid_index
 from celnav.gaussian.spaces import wrap
 from celnav.models.noise import ar1
 from celnav.papers.csrukf import scenario
@@ -387,6 +387,15 @@ def test_most_samples_missing_at_random_leave_the_grid():
     c = diagnose(x, np.arange(2000.0)).components[0]
     assert c.step == 1.0
     assert c.coloring.phi_interval[0] < 0.9 < c.coloring.phi_interval[1]
+
+
+def test_clocks_that_jitter_and_long_gaps_have_a_grid_too():
+    t = np.arange(400.0) + np.random.default_rng(0).uniform(-0.04, 0.04, 400)
+    t[200:] += 100.0
+    place, step = grid_index(t)
+    np.testing.assert_array_equal(place, np.rint(t - t[0]).astype(int))
+    assert step == pytest.approx(1.0, rel=1e-3)
+    assert grid_index(np.cumsum(np.random.default_rng(0).uniform(0.1, 3.0, 400)))[1] is None
 
 
 def test_without_pairs_it_cannot_tell():
