@@ -239,7 +239,7 @@ def _fitted(model: Model, found: Diagnosis) -> list[str]:
     noise = (
         f"np.diag([{', '.join(f'{x:.4g}' for x in R.diagonal())}])"
         if diagonal
-        else f"np.array({np.round(R, 12).tolist()})"
+        else f"np.array({[[float(f'{x:.4g}') for x in row] for row in R]})"
     )
     after, before = (
         ", ".join(f"{x:.3g}" for x in part) for part in (model.predicted, model.white_predicted)

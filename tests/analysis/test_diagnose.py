@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import ast
+import re
+
 import numpy as np
 import pytest
 from scipy.stats import binom, chi2
@@ -9,6 +12,7 @@ from scipy.stats import binom, chi2
 import celnav
 from celnav.analysis.diagnose import diagnose, first_order, grid_index
 from celnav.gaussian.spaces import wrap
+from celnav.models.motion import constant_velocity
 from celnav.models.noise import ar1
 from celnav.papers.csrukf import scenario
 from celnav.show.diagnosis import figure
@@ -423,7 +427,7 @@ def test_the_figure_of_a_slow_sensor_has_its_lags_and_measured_epochs():
 
 
 # -- tracks -----------------------------------------------------------------------------------------
-WALK = celnav.models.motion.constant_velocity(2, 0.01)
+WALK = constant_velocity(2, 0.01)
 FIX = celnav.Sensor(np.eye(2, 4), 4.0 * np.eye(2))
 HERE = celnav.Gaussian(np.zeros(4), np.diag([4.0, 4.0, 1.0, 1.0]))
 
@@ -442,6 +446,19 @@ def test_a_motion_whose_noise_is_a_function_has_a_rival_too():
     assert flat(by_function).endswith(flat(by_matrix).partition("the log-likelihood")[2])
     assert "the noise is colored" in flat(by_function)
     assert "nan" not in str(by_function)
+
+
+def test_components_stay_as_correlated_as_they_were_given():
+    """Each has a σ and a coefficient of its own; R is said as a whole matrix."""
+    R, times = 1e-14 * np.array([[4.0, 1.5], [1.5, 1.0]]), np.arange(100.0)
+    walk, start = constant_velocity(2, 1e-16), celnav.Gaussian(HERE.mean, 1e-14 * HERE.cov)
+    fix = celnav.Sensor(np.eye(2, 4), R)
+    _, z = celnav.simulate(walk, fix, start, times, runs=1, seed=1, Phi=0.9 * np.eye(2))
+    found = diagnose(celnav.run(celnav.ukf(walk, fix), start, times, z), prior=start, z=z)
+    sigma = np.sqrt(found.model.R.diagonal())
+    np.testing.assert_allclose(found.model.R / np.outer(sigma, sigma), [[1.0, 0.75], [0.75, 1.0]])
+    printed = re.search(r"with R=np\.array\((.*?)\);", flat(found)).group(1)
+    np.testing.assert_allclose(ast.literal_eval(printed), found.model.R, rtol=1e-3)
 
 
 def test_what_was_not_compared_is_said():
