@@ -330,12 +330,12 @@ def _parser() -> tuple[_Parser, dict[str, _Parser]]:
 
     diagnose = command(
         "diagnose",
-        "say whether residuals are white, without bias, and as large as claimed; and which noise they have",
+        "say whether residuals are white, unbiased and as large as predicted; and which noise they have",
     )
     diagnose.add_argument(
         "residuals",
         metavar="RESIDUALS.csv",
-        help="a line of names: t, components x, their claims std_x, run",
+        help="a line of names: t, components x, their predicted σ std_x, run",
     )
     diagnose.add_argument(
         "--time", metavar="NAME", help="column of times, s (default: t, time_..., seconds_...)"
@@ -344,7 +344,7 @@ def _parser() -> tuple[_Parser, dict[str, _Parser]]:
         "--columns",
         nargs="+",
         metavar="NAME",
-        help="components (default: those with claims, or else all)",
+        help="components (default: those with a predicted σ, or else all)",
     )
     diagnose.add_argument(
         "--lags", default="20", metavar="N", help="of the autocorrelation (default: 20)"

@@ -35,8 +35,8 @@ def test_a_table_with_claims_is_diagnosed_and_written(tmp_path, capsys):
     out = capsys.readouterr().out.replace("\n         ", " ")
     assert "one run, 390 epochs over 3990 s, 10 s apart" in out
     assert "not looked at: time_utc, x_m (--columns chooses)" in out
-    assert "times as large as claimed" in out
-    assert "take celnav.colored(motion, sensor, Phi=[[0." in out
+    assert "overconfident, " in out
+    assert "suggested: celnav.colored(motion, sensor, Phi=[[0." in out
     assert {p.name for p in (tmp_path / "out").glob("d*")} == {
         f"diagnosis.{kind}" for kind in ("txt", "json", "png", "svg")
     }
@@ -44,13 +44,40 @@ def test_a_table_with_claims_is_diagnosed_and_written(tmp_path, capsys):
     (component,) = found["components"]
     low, high = component["coloring"]["phi_interval"]
     assert low < 0.8 < high
-    assert f"Phi = {component['coloring']['phi']:.3f}" in out
+    assert f"Phi from sample to sample = {component['coloring']['phi']:.3f}" in out
     assert len(component["autocorrelation"]) == 20
     assert (
         main(["diagnose", str(path), "--columns", "x_m", "--time", "seconds_utc", "--lags", "5"])
         == 0
     )
-    assert "x_m: no deviations are claimed" in capsys.readouterr().out
+    assert "x_m: no predicted σ is given" in capsys.readouterr().out
+
+
+def test_a_slow_column_is_judged_on_its_own_samples(tmp_path, capsys):
+    """Its lags, in words, in numbers and in the figure, are those of the samples that it has."""
+    slow = ar1([[0.9]], np.sqrt(0.19) * RNG.standard_normal((99, 1)), [0.3])[:, 0]
+    rows = [
+        (k, RNG.standard_normal(), slow[k // 25] if k % 25 == 0 else "") for k in range(25 * 100)
+    ]
+    path = written(tmp_path / "log.csv", "t,fast_m,slow_m", rows)
+    assert main(["diagnose", str(path), "--out", str(tmp_path / "out")]) == 0
+    out = capsys.readouterr().out.replace("\n         ", " ")
+    assert "fast_m: yes (Ljung-Box" in out
+    assert "slow_m: no (Ljung-Box" in out
+    assert "20 lags of 25 s" in out
+    found = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    assert [component["step"] for component in found["components"]] == [1.0, 25.0]
+    assert found["components"][1]["p"] < 1e-15
+
+
+def test_a_column_that_jumps_by_turns_is_named(tmp_path, capsys):
+    rows = [(k, x, 0.01 * x + (k % 40 == 20) * 2.0 * np.pi) for k, x in enumerate(WHITE)]
+    path = written(tmp_path / "log.csv", "t,range_m,bearing", rows)
+    assert main(["diagnose", str(path)]) == 0
+    out = capsys.readouterr().out.replace("\n         ", " ")
+    assert "wrap     bearing: 5 of 200 samples jump by 2 pi" in out
+    assert "celnav.Sensor(..., space=celnav.angles([1]))" in out
+    assert "range_m: " not in out.partition("size")[0].partition("wrap")[2]
 
 
 @pytest.mark.parametrize("mark", [",", ";", "\t", " "])

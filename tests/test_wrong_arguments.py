@@ -76,7 +76,7 @@ picture: command end picture
 progress: Progress Progress.add Progress.close Progress.say RunProgress
 estimates: Estimate Estimate.error Estimate.sigma again
 plots: draw
-diagnose: Diagnosis.biased Diagnosis.white correlated first_order places
+diagnose: Diagnosis.biased Diagnosis.white autocorrelation first_order forgotten_wraps grid_index
 diagnosis_text: page
 diagnosis: figure size
 report: Report.figure

@@ -1,8 +1,10 @@
-"""Ask the log: are innovations or residuals white, without bias and as large as claimed? If not, what noise would explain them?
+"""Ask the log: are innovations or residuals white, unbiased and as large as predicted?
 
-Errors that follow each other are not independent, so what is said of a mean or of a size counts an *effective* number of them, by
-their autocorrelation [Geyer1992]. Whiteness is the test of [Ljung1978], of pairs of samples that both exist: gaps and
-missing components cost nothing but themselves.
+If not, which noise explains them? Errors that follow each other are not independent, so an interval
+of a mean or of a size counts an *effective* number of samples, from their autocorrelation
+[Geyer1992]. Whiteness is the test of [Ljung1978], of pairs of samples that both exist. A lag counts
+samples of a component, on a grid of its own: a slow sensor has its own lags, and a gap costs only
+the pairs across it.
 """
 
 from __future__ import annotations
@@ -12,71 +14,101 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike
-from scipy.special import chdtrc, ndtri, stdtr, stdtrit
+from scipy.special import bdtrc, chdtrc, expit, ndtri, stdtr, stdtrit
 
 from celnav.analysis.metrics import chi_square_band
-from celnav.filters.colored import colored
-from celnav.filters.model import Sensor
+from celnav.filters.colored import augmented, colored
+from celnav.filters.model import Motion, Sensor
 from celnav.filters.records import epochs
 from celnav.filters.run import run
 from celnav.filters.sequential import Sequential
 from celnav.filters.track import Track
 from celnav.gaussian.checks import finite, integer, number, numbers, sequence
 from celnav.gaussian.linalg import FORMS, Array
-from celnav.gaussian.spaces import EUCLIDEAN
+from celnav.gaussian.spaces import EUCLIDEAN, wrap
 
 __all__ = [
     "Component",
     "Diagnosis",
     "Interval",
     "Model",
-    "Sensed",
-    "correlated",
+    "SensorConsistency",
+    "autocorrelation",
     "diagnose",
     "first_order",
-    "places",
+    "forgotten_wraps",
+    "grid_index",
 ]
 
-LEAST = 20  # samples of a component, below which nothing can be said
-SMALL = 1.1  # how much larger a deviation of a mean may be than white noise has it, for noise that is nearly white
+LEAST = 20  # samples of a component, and pairs of them, below which nothing can be said
+SMALL = 1.1  # ratio of the σ of a mean to that of white noise, for noise that is nearly white
 REACH = -3.5, 5.5  # of the inverse hyperbolic tangent of a coefficient
+SHARE = -14.0, 7.0  # of the logit of white noise's share of the variance
 EACH = 3  # components at most for each of which a coefficient of its own is estimated
+BETTER = 3.0  # of a log-likelihood, by which one explanation is better than another
+QUIET = 5  # innovations near 0 before one that jumps by a turn
+CHANCE = 1e-3  # of as many jumps by a turn, if they are jumps of any size
 
 Interval = tuple[float, float]
 
 
-class Coloring(NamedTuple):
-    """Noise ``V' = phi V + zeta`` of deviation ``sigma``, by restricted maximum likelihood, with intervals.
+class Mixture(NamedTuple):
+    """First-order noise plus white noise: ``phi``, and σ of both.
 
-    rest_p: Ljung and Box's p of what it leaves over: small where a first-order noise does not explain the correlation.
+    mean_sigma: σ of the mean of the samples, by generalized least squares. gain: of the
+    log-likelihood over first-order noise alone. p: Ljung and Box's p of its innovations.
+    """
+
+    phi: float
+    sigma: float
+    white_sigma: float
+    mean_sigma: float
+    gain: float
+    p: float
+
+
+class Coloring(NamedTuple):
+    """Noise ``V' = phi V + zeta`` with σ ``sigma``, by restricted maximum likelihood.
+
+    Intervals are those of the likelihood ratio. mean_sigma: σ of the mean of the samples for this
+    noise, by generalized least squares. p: Ljung and Box's p of its innovations: small where
+    first-order noise does not explain the correlation; then ``mixture`` is fitted too.
     """
 
     phi: float
     phi_interval: Interval
     sigma: float
     sigma_interval: Interval
-    rest_p: float
+    mean_sigma: float
+    p: float
+    mixture: Mixture | None
 
 
 class Component(NamedTuple):
-    """What is said of one component, in its own unit.
+    """Statistics of one component, in its own unit.
 
-    sensor: index. samples: that exist. rms: of residuals. claimed: rms of the deviations that are claimed, None if unknown.
-    bias, bias_interval: the mean. bias_p: the probability of one as far from 0 if there is none.
-    effective: independent samples that know a mean as well, of what is normalized by its claim.
-    size, size_band: mean square of what is normalized by its claim, None if unknown, and where it lies if the claim is right.
-    effective_squares: independent samples that know a mean square as well.
-    autocorrelation, band: ``(lags,)``, of lags 1, 2, ..., and the half width of the band in which one of white noise lies.
-    ljung_box, p: the statistic, and the probability of one as large if the noise is white.
-    coloring: what noise it would be, if it is not white; of a track that of the whitened innovations.
+    sensor: index. samples: that exist. step: s between its samples, None where they are irregular.
+    rms: of residuals. predicted: rms of the predicted σ, None if unknown.
+    bias, bias_interval: the mean. bias_p: probability of a mean as far from 0 if there is no bias.
+    effective: independent samples whose mean is as uncertain, of residuals over their predicted σ.
+    size, size_band: mean square of residuals over their predicted σ, None if unknown, and the band
+        in which it lies if the prediction is right.
+    effective_squares: independent samples whose mean square is as uncertain.
+    autocorrelation, band: ``(lags,)``, at lags of 1, 2, ... samples, and the half width of the band
+        of white noise; nan without pairs.
+    ljung_box, p: the statistic, and the probability of one as large if the noise is white; nan if
+        there are too few pairs of samples.
+    coloring: the first-order noise, if it is not white; of a track that of whitened innovations.
     """
 
     name: str
     sensor: int
     samples: int
+    step: float | None
     rms: float
-    claimed: float | None
+    predicted: float | None
     bias: float
     bias_interval: Interval
     bias_p: float
@@ -92,14 +124,16 @@ class Component(NamedTuple):
 
     @property
     def longer(self) -> float:
-        """How much larger the deviation of a mean is than white noise has it."""
+        """Ratio of the σ of its mean to that of white noise."""
         return float(np.sqrt(self.samples / self.effective))
 
 
-class Sensed(NamedTuple):
-    """The size of what a sensor leaves: NIS over its degrees of freedom, nan without claims, and where it lies if they are right.
+class SensorConsistency(NamedTuple):
+    """Size of a sensor's residuals.
 
-    squares, dof: ``(T,)`` of all runs together, whose ratio is that over time. shared: samples that vary as one, by correlation.
+    nis: over its degrees of freedom, nan without predicted σ. band: where it lies if consistent.
+    squares, dof: ``(T,)`` of all runs together, whose ratio is NIS per degree of freedom over time.
+    shared: correlated samples that vary as one.
     """
 
     names: tuple[str, ...]
@@ -111,30 +145,44 @@ class Sensed(NamedTuple):
 
 
 class Model(NamedTuple):
-    """The filter for colored noise that the data ask for: `celnav.colored` with ``Phi (m, m)`` and ``R (m, m)``.
+    """A filter for colored noise, fitted to the data: ``Phi (m, m)`` and ``R (m, m)``.
 
-    phi_interval, sigma_interval: ``(m, 2)``. gain: of the log-likelihood, over the filter that takes the noise for white.
-    white_gain: that of a filter for white noise with the most probable factors of Q and R, nan where Q is a function.
-    claims, white_claims: ``(n,)`` standard deviations at the end, of the new filter and of the old one. converged: of the search.
+    name: "colored", or "augmented" where samples are missing or the noises rule `celnav.colored`
+        out. Phi acts from epoch to epoch.
+    phi_interval, sigma_interval: ``(m, 2)``.
+    gain: of the log-likelihood, over the given filter, which assumes white noise.
+    white_gain: that of white noise with the most probable factors of Q and R; nan if not compared.
+    not_compared: why not.
+    predicted, white_predicted: ``(n,)`` standard deviations at the end, of both filters.
+    p: ``(m,)``, Ljung and Box's p of its innovations. converged: of the search.
     """
 
+    name: str
     Phi: Array
     R: Array
     phi_interval: Array
     sigma_interval: Array
     gain: float
     white_gain: float
-    claims: Array
-    white_claims: Array
+    not_compared: str
+    predicted: Array
+    white_predicted: Array
+    p: Array
     converged: bool
+
+    @property
+    def is_color(self) -> bool:
+        """Whether colored noise is more probable than other white noise."""
+        return self.gain > self.white_gain + BETTER
 
 
 class Diagnosis(NamedTuple):
-    """What a log says; ``print`` it for a page of words, `celnav.show.diagnosis.figure` draws it.
+    """Answers of a log; ``print`` it for a page, `celnav.show.diagnosis.figure` draws it.
 
-    times: ``(T,)`` s. step: seconds of a lag, None where times are irregular: a lag is then an epoch. runs: how many.
-    level: of all intervals and bands. components, sensors: what is said. model: the filter to take, where one is at hand.
-    why: why there is none.
+    times: ``(T,)`` s. step: s between epochs, None where they are irregular. runs: how many.
+    level: of all intervals and bands. components, sensors: statistics.
+    wraps: angles whose wrap seems forgotten, a sentence for each sensor.
+    model: the filter for colored noise, where it could be fitted. why: why it could not.
     """
 
     times: Array
@@ -142,13 +190,14 @@ class Diagnosis(NamedTuple):
     runs: int
     level: float
     components: tuple[Component, ...]
-    sensors: tuple[Sensed, ...]
+    sensors: tuple[SensorConsistency, ...]
+    wraps: tuple[str, ...]
     model: Model | None
     why: str
 
     @property
     def doubt(self) -> float:
-        """The least p of a component that is believed, for the level to be that of all of them together."""
+        """The least p of one component that is believed, for `level` to hold for all together."""
         return (1.0 - self.level) / len(self.components)
 
     def biased(self, component: Component) -> bool:
@@ -156,17 +205,21 @@ class Diagnosis(NamedTuple):
         return component.bias_p < self.doubt
 
     def white(self, component: Component) -> str:
-        """ "white", "nearly white" (detectably not, to little effect) or "colored"."""
+        """ "white", "nearly white" (detectably not, to little effect), "colored" or "unknown"."""
+        if np.isnan(component.p):
+            return "unknown"
         if component.p >= self.doubt:
             return "white"
         return "nearly white" if 1.0 / SMALL < component.longer < SMALL else "colored"
 
     @property
     def sound(self) -> bool:
-        """Whether everything is white or nearly so, without bias, and as large as claimed."""
-        quiet = all(self.white(c) != "colored" and not self.biased(c) for c in self.components)
-        return quiet and all(
-            np.isnan(s.nis) or s.band[0] <= s.nis <= s.band[1] for s in self.sensors
+        """Whether everything is white or nearly so, unbiased, and as large as predicted."""
+        quiet = all("white" in self.white(c) and not self.biased(c) for c in self.components)
+        return (
+            quiet
+            and not self.wraps
+            and all(np.isnan(s.nis) or s.band[0] <= s.nis <= s.band[1] for s in self.sensors)
         )
 
     def __str__(self) -> str:
@@ -176,24 +229,33 @@ class Diagnosis(NamedTuple):
 
 
 def diagnose(
-    residuals: Track | ArrayLike, times: ArrayLike | None = None, *, std: ArrayLike | None = None,
-    names: Sequence[str] | None = None, prior: Any = None, z: ArrayLike | None = None, u: Any = None, lags: int = 20,
+    residuals: Track | ArrayLike,
+    times: ArrayLike | None = None,
+    *,
+    std: ArrayLike | None = None,
+    names: Sequence[str] | None = None,
+    prior: Any = None,
+    z: Any = None,
+    u: Any = None,
+    lags: int = 20,
     level: float = 0.95,
-) -> Diagnosis:  # fmt: skip
-    """Whether innovations or residuals are white, without bias and as large as claimed; see `Diagnosis`.
+) -> Diagnosis:
+    """Whether innovations or residuals are white, unbiased and as large as predicted: `Diagnosis`.
 
-    residuals: a track, whose innovations are taken; or an array ``(T, ..., m)``, nan where something is missing, with ``times
-        (T,)`` s. All runs are taken for draws of the same noise.
-    std: claimed deviations, broadcast to the residuals; without them nothing is said of their size.
+    residuals: a track, whose innovations are used; or an array ``(T, ..., m)``, nan where missing,
+        with ``times (T,)`` s. All runs count as draws of the same noise.
+    std: predicted standard deviations, broadcast to the residuals; without them nothing is said of
+        the size.
     names: ``(m,)`` of the components.
-    prior, z, u: what the filter of a track was given: then the filter for colored noise that the data ask for is fitted, by the
-        likelihood, where the noise is not white.
-    lags: of the autocorrelation, as far as the data go. level: of intervals and bands.
+    prior, z, u: what the filter of a track was given: then a filter for colored noise is fitted, by
+        the likelihood, where the noise is not white.
+    lags: of the autocorrelation, in samples of a component, as far as the data go.
+    level: of intervals and bands.
 
     >>> print(celnav.analysis.diagnose.diagnose(track, prior=prior, z=z))
     """
     lags, level = integer("lags", lags, 1, 10_000), number("level", level, above=0.0, below=1.0)
-    filter, claimed = None, None
+    filter, predicted = None, None
     widths: tuple[int, ...] = ()
     if isinstance(residuals, Track):
         filter, t, widths = residuals.filter, residuals.times, residuals.sensors
@@ -201,35 +263,25 @@ def diagnose(
             raise ValueError(
                 "residuals: expected a track with innovations, got one without; run with keep='std'"
             )
-        x, w = (
-            np.where(residuals.used, rows, np.nan)
-            for rows in (residuals.innovation, residuals.whitened)
-        )
+        raw = residuals.innovation
+        x, w = (np.where(residuals.used, rows, np.nan) for rows in (raw, residuals.whitened))
     else:
-        x = numbers("residuals", residuals)
+        raw = x = numbers("residuals", residuals)
         if times is None:
             raise ValueError("times: expected them with an array of residuals, got None")
         t = finite("times", times, ("T",))
         if x.ndim < 2 or len(x) != len(t) or not x.size or np.isinf(x).any():
             raise ValueError(
-                f"residuals: expected shape ({len(t)}, ..., m) to go with the times, finite or nan, got {x.shape}"
+                f"residuals: expected shape ({len(t)}, ..., m) to go with the times, "
+                f"finite or nan, got {x.shape}"
             )
         if std is not None:
-            claimed = numbers("std", std)
-            if claimed.ndim > x.ndim or any(
-                k not in (1, n) for k, n in zip(claimed.shape[::-1], x.shape[::-1], strict=False)
-            ):
-                raise ValueError(
-                    f"std: expected deviations that go with residuals {x.shape}, got {claimed.shape}"
-                )
-            claimed = np.broadcast_to(claimed, x.shape)
-            if not ((claimed > 0.0) & (claimed < np.inf))[np.isfinite(x)].all():
-                raise ValueError("std: expected positive deviations wherever there is a residual")
-        w = x if claimed is None else x / claimed
+            predicted = _predicted(numbers("std", std), x)
+        w = x if predicted is None else x / predicted
     if (np.diff(t) <= 0.0).any():
         raise ValueError("times: expected them to increase")
     T, m = len(t), x.shape[-1]
-    x, w = x.reshape(T, -1, m), w.reshape(T, -1, m)
+    x, w, raw = (rows.reshape(T, -1, m) for rows in (x, w, raw))
     called = (
         [f"z{i}" for i in range(m)]
         if names is None
@@ -237,276 +289,451 @@ def diagnose(
     )
     if len(called) != m or not all(isinstance(name, str) for name in called):
         raise ValueError(
-            f"names: expected {m} words, one for each component, such as ['x', 'y'], got {names!r:.80}"
+            f"names: expected {m} words, one for each component, such as ['x', 'y'], "
+            f"got {names!r:.80}"
         )
-    place, step = places(t)
     widths = widths or (m,)
     sensor = np.repeat(range(len(widths)), widths)
-    scaled = claimed is not None or filter is not None
-    rms = None if claimed is None else claimed.reshape(T, -1, m)
-    found = tuple(
+    scaled = predicted is not None or filter is not None
+    sigma = None if predicted is None else predicted.reshape(T, -1, m)
+    components = tuple(
         _component(
             called[i],
             int(sensor[i]),
             x[..., i],
             w[..., i],
-            None if rms is None else rms[..., i],
+            None if sigma is None else sigma[..., i],
             scaled,
-            place,
+            t,
             lags,
             level,
         )
         for i in range(m)
     )
-    groups = tuple(
-        _sensed(w, np.flatnonzero(sensor == k), found, scaled, level) for k in range(len(widths))
+    sensors = tuple(
+        _sensor(w, np.flatnonzero(sensor == k), components, scaled, level)
+        for k in range(len(widths))
     )
-    diagnosis = Diagnosis(t, step, x.shape[1], level, found, groups, None, "")
-    if all(diagnosis.white(c) != "colored" for c in found):
+    wraps = forgotten_wraps(raw, widths, called, z)
+    diagnosis = Diagnosis(
+        t, grid_index(t)[1], x.shape[1], level, components, sensors, wraps, None, ""
+    )
+    if all(diagnosis.white(c) != "colored" for c in components):
         return diagnosis
-    model, why = _model(filter, prior, t, z, u, found, level)
+    if wraps:
+        return diagnosis._replace(why="wrap the angle first: the jumps alone make noise colored")
+    gaps = not np.isfinite(x).all()
+    model, why = _model(filter, prior, t, z, u, components, gaps, diagnosis.step, level)
     return diagnosis._replace(model=model, why=why)
 
 
-def places(t: Array) -> tuple[Array, float | None]:
-    """Places ``(T,)`` of epochs on a grid, whole numbers, and its interval; where there is none, their order."""
-    if len(t) < 3:
-        return np.arange(len(t)), None
+def _predicted(std: Array, x: Array) -> Array:
+    """Standard deviations, checked, of the shape of the residuals."""
+    if std.ndim > x.ndim or any(
+        k not in (1, n) for k, n in zip(std.shape[::-1], x.shape[::-1], strict=False)
+    ):
+        raise ValueError(
+            f"std: expected deviations that go with residuals {x.shape}, got {std.shape}"
+        )
+    std = np.broadcast_to(std, x.shape)
+    if not ((std > 0.0) & (std < np.inf))[np.isfinite(x)].all():
+        raise ValueError("std: expected positive deviations wherever there is a residual")
+    return std
+
+
+def grid_index(t: Array) -> tuple[Array, float | None]:
+    """Places ``(T,)`` of times on a grid, whole numbers, and its step; without a grid their order.
+
+    The step is near the usual interval or, where most samples are missing, near the least.
+    """
     d = np.diff(t)
-    steps = np.maximum(np.rint(d / np.median(d)), 1.0)
-    step = float((t[-1] - t[0]) / steps.sum())
-    on_grid = (np.abs(d - steps * step) < 0.1 * step).all()
-    return (
-        (np.concatenate([[0], np.cumsum(steps.astype(np.int64))]), step)
-        if on_grid
-        else (np.arange(len(t)), None)
-    )
+    for unit in (np.median(d), d.min()) if len(t) > 2 else ():
+        steps = np.maximum(np.rint(d / unit), 1.0)
+        step = float((t[-1] - t[0]) / steps.sum())
+        if (np.abs(d - steps * step) < 0.1 * step).all():
+            return np.concatenate([[0], np.cumsum(steps.astype(np.int64))]), step
+    return np.arange(len(t)), None
 
 
 def _products(x: Array, place: Array, lag: int) -> tuple[float, int]:
-    """Mean of products of samples ``(T, runs)`` a lag apart, and how many there are."""
-    there = np.minimum(np.searchsorted(place, place + lag), len(place) - 1)
-    both = place[there] == place + lag
-    products = x[both] * x[there[both]]
+    """Mean of products of samples ``(T, runs)`` a lag apart, nan if none, and their number."""
+    later = np.minimum(np.searchsorted(place, place + lag), len(place) - 1)
+    both = place[later] == place + lag
+    products = x[both] * x[later[both]]
     count = int(np.isfinite(products).sum())
-    return float(np.nansum(products)) / max(count, 1), count
+    return float(np.nansum(products)) / count if count else np.nan, count
 
 
-def correlated(x: Array, place: Array, lags: int) -> tuple[Array, Array, float, float]:
-    """Autocorrelation ``(lags,)`` about the mean and its numbers of pairs; variances of the means of x and of its square, times
-    their number and over those of one sample, for Gaussian noise."""
+def autocorrelation(x: Array, place: Array, lags: int) -> tuple[Array, Array, float, float]:
+    """Autocorrelation ``(lags,)`` of ``x (T, runs)`` about its mean, and its numbers of pairs.
+
+    Then the variances of the means of x and of its square, times the number of samples and over
+    those of one sample, for Gaussian noise. Lags without pairs, nan, have no part in them.
+    """
     N = int(np.isfinite(x).sum())
     centered = x - np.nanmean(x)
     variance = float(np.nanmean(centered**2))
-    rho, pairs = [1.0], [N]
-    most = max(lags, int(place[-1]) // 2) + 1
-
-    def value(lag: int) -> float:
-        while len(rho) <= lag:
-            product, count = _products(centered, place, len(rho))
-            rho.append(product / variance)
-            pairs.append(count)
-        return rho[lag]
-
-    end = 0
-    while (
-        end + 1 < most and value(end) + value(end + 1) > 0.0
-    ):  # sums of two, which of a stationary process are positive
-        end += 2
-    value(lags)
-    sums = np.array(rho[:end])
-    weights = np.array([N, *(2.0 * count for count in pairs[1:end])]) / N
-    longer = own = max(float(weights @ sums), 1.0 / N)
-    for _ in range(
-        20
-    ):  # the mean was taken off, which hides as much of each product as its own variance
+    rho, pairs, used, end = [1.0], [N], [0], 0  # the first `end` of the lags used are summed
+    for lag in range(1, max(lags, min(int(place[-1]) // 2, len(place))) + 1):
+        product, count = _products(centered, place, lag)
+        rho.append(product / variance)
+        pairs.append(count)
+        if count:
+            used.append(lag)
+        if end + 1 < len(used):  # sums of two are positive for a stationary process
+            if rho[used[end]] + rho[used[end + 1]] > 0.0:
+                end += 2
+            elif lag >= lags:
+                break
+    summed = used[: end if len(used) > 1 else 1]
+    sums = np.array(rho)[summed]
+    weights = np.where(np.array(summed) > 0, 2.0, 1.0) * np.array(pairs)[summed] / N
+    longer = plain = max(float(weights @ sums), 1.0 / N)
+    # The mean was subtracted, which hides as much of each product as its own variance.
+    for _ in range(20):
         shift = min(longer / N, 0.5)
-        longer = max(float(weights @ ((1.0 - shift) * sums + shift)), own)
-    squares = 1.0 + float(
-        weights[1:] @ np.maximum(sums[1:] ** 2 - 1.0 / np.maximum(pairs[1:end], 1), 0.0)
-    )
-    return np.array(rho[1 : lags + 1]), np.array(pairs[1 : lags + 1]), min(longer, N / 2.0), squares
+        longer = max(float(weights @ ((1.0 - shift) * sums + shift)), plain)
+    excess = np.maximum(sums[1:] ** 2 - 1.0 / np.array(pairs)[summed[1:]], 0.0)
+    squares = 1.0 + float(weights[1:] @ excess)
+    shown = slice(1, lags + 1)
+    return np.array(rho[shown]), np.array(pairs[shown]), min(longer, N / 2.0), squares
 
 
 def _ljung_box(rho: Array, pairs: Array, N: int, fitted: int = 0) -> tuple[float, float]:
-    statistic = float((rho**2 * pairs).sum() * (N + 2.0) / N)
+    """The statistic and its p, nan for too few pairs."""
+    if pairs.sum() < LEAST:
+        return np.nan, np.nan
+    statistic = float(np.nansum(rho**2 * pairs) * (N + 2.0) / N)
     return statistic, float(chdtrc(max(int((pairs > 0).sum()) - fitted, 1), statistic))
 
 
+def _whiteness(x: Array, place: Array, lags: int, fitted: int) -> float:
+    """Ljung and Box's p of innovations ``(T, runs)`` of a fitted model."""
+    rho, pairs, *_ = autocorrelation(x, place, lags)
+    return _ljung_box(rho, pairs, int(np.isfinite(x).sum()), fitted)[1]
+
+
 def _component(
-    name: str, sensor: int, x: Array, w: Array, claimed: Array | None, scaled: bool, place: Array, lags: int, level: float
-) -> Component:  # fmt: skip
+    name: str,
+    sensor: int,
+    x: Array,
+    w: Array,
+    sigma: Array | None,
+    scaled: bool,
+    t: Array,
+    lags: int,
+    level: float,
+) -> Component:
+    """Statistics of residuals ``x (T, runs)``, of ``w``, over their predicted σ, and of the σ."""
     there = np.isfinite(x)
     N = int(there.sum())
     if N < LEAST or np.ptp(x[there]) == 0.0:
         what = f"{N} samples" if N < LEAST else f"only {x[there][0]:g}"
         raise ValueError(
-            f"residuals: expected at least {LEAST} samples that vary of each component, got {what} of {name}"
+            f"residuals: expected at least {LEAST} samples that vary of each component, "
+            f"got {what} of {name}"
         )
+    sampled = there.any(1)
+    place, step = grid_index(t[sampled])
+    rms_sigma = None if sigma is None else float(np.sqrt(np.mean(sigma[there] ** 2)))
+    x, w = x[sampled], w[sampled]
     lags = max(1, min(lags, N // 5, int(place[-1]) // 2))
-    even = (
-        w if claimed is None else (x - np.nanmean(x)) / claimed
-    )  # a bias over a claim that changes is no noise
-    rho, pairs, shared, squares = correlated(even, place, lags)
-    *_, longer, _ = correlated(x, place, lags)
+    # A bias over a σ that changes is not noise.
+    even = w if sigma is None else (x - np.nanmean(x)) / sigma[sampled]
+    rho, pairs, shared, squares = autocorrelation(even, place, lags)
+    *_, longer, _ = autocorrelation(x, place, lags)
     statistic, p = _ljung_box(rho, pairs, N)
     mean, deviation = float(np.nanmean(x)), float(np.nanstd(x))
-    freedom, doubt = max(N / longer - 1.0, 1.0), deviation * float(np.sqrt(longer / N))
-    half = float(stdtrit(freedom, 0.5 + level / 2)) * doubt
-    z = float(ndtri(0.5 + level / 2))
+    freedom, mean_sigma = max(N / longer - 1.0, 1.0), deviation * float(np.sqrt(longer / N))
+    half = float(stdtrit(freedom, 0.5 + level / 2)) * mean_sigma
+    noise = w if sigma is None else x
     return Component(
-        name, sensor, N, float(np.sqrt(np.nanmean(x**2))),
-        None if claimed is None else float(np.sqrt(np.mean(claimed[there] ** 2))),
-        mean, (mean - half, mean + half), float(2.0 * stdtr(freedom, -abs(mean) / doubt)), N / shared,
-        float(np.nanmean(w**2)) if scaled else None, chi_square_band(1.0, N / squares, level), N / squares,
-        rho, z / np.sqrt(np.maximum(pairs, 1)), statistic, p,
-        first_order(w if claimed is None else x, place, lags, level) if p < 1.0 - level else None,
-    )  # fmt: skip
+        name=name,
+        sensor=sensor,
+        samples=N,
+        step=step,
+        rms=float(np.sqrt(np.nanmean(x**2))),
+        predicted=rms_sigma,
+        bias=mean,
+        bias_interval=(mean - half, mean + half),
+        bias_p=float(2.0 * stdtr(freedom, -abs(mean) / mean_sigma)),
+        effective=N / shared,
+        size=float(np.nanmean(w**2)) if scaled else None,
+        size_band=chi_square_band(1.0, N / squares, level),
+        effective_squares=N / squares,
+        autocorrelation=rho,
+        band=float(ndtri(0.5 + level / 2)) / np.sqrt(np.where(pairs > 0, pairs, np.nan)),
+        ljung_box=statistic,
+        p=p,
+        coloring=first_order(noise, place, lags, level) if p < 1.0 - level else None,
+    )
 
 
 def first_order(x: Array, place: Array, lags: int, level: float) -> Coloring:
-    """First-order noise about a mean, of samples ``(T, runs)`` at whole ``place (T,)``, gaps and all.
+    """First-order noise about a mean, from samples ``(T, runs)`` at whole ``place (T,)``.
 
-    By the exact likelihood, restricted to what does not depend on the mean; intervals are those of its ratio.
+    By the exact likelihood, gaps included, restricted to what does not depend on the mean; where
+    that leaves correlation, with white noise beside it. Intervals are of the likelihood ratio.
 
-    >>> found = celnav.analysis.diagnose.first_order(z[:, :1, 0], np.arange(len(z)), lags=5, level=0.95)
+    >>> place = np.arange(len(z))
+    >>> found = celnav.analysis.diagnose.first_order(z[:, :1, 0], place, lags=5, level=0.95)
     """
-    from scipy.optimize import brentq, minimize_scalar
+    from scipy.linalg import cholesky_banded, solve_banded
+    from scipy.optimize import brentq, minimize, minimize_scalar
 
-    there, rows = np.isfinite(x), np.arange(len(x))[:, None]
-    last = np.maximum.accumulate(np.where(there, rows, -1), 0)
-    before = np.concatenate([np.full_like(last[:1], -1), last[:-1]])[there]
-    at, run_of = np.nonzero(there)
-    here, first, N = x[there], before < 0, int(there.sum())
-    gap, past = (
-        np.where(first, 1, place[at] - place[before]),
-        np.where(first, 0.0, x[before, run_of]),
-    )
+    there = np.isfinite(x).T
+    run_of, at = np.nonzero(there)  # one run after the other
+    samples, N = x.T[there], int(there.sum())
+    first = np.diff(run_of, prepend=-1) > 0
+    gap = np.where(first, 1, np.diff(place[at], prepend=0))
+    before = np.where(first, 0.0, np.roll(samples, 1))
 
-    def parts(v: float) -> tuple[float, float, Array]:
-        """The cost of ``phi = tanh v``, the deviation, and what is left of each sample, of unit variance."""
+    def fit(v: float, logit: float = -np.inf) -> tuple[float, float, Array, float]:
+        """For ``phi = tanh v``, and white noise with that part of the variance: the cost, σ, the
+        innovations of unit variance, and σ of the mean."""
         a = np.where(first, 0.0, np.tanh(v) ** gap)
         scale = np.sqrt(1.0 - a * a)
-        left, weight = (here - a * past) / scale, (1.0 - a) / scale
+        rows = np.stack([samples - a * before, 1.0 - a], -1) / scale[:, None]
+        half_log_det, white = float(np.log(scale).sum()), float(expit(logit))
+        if white > 0.0:
+            # With B, the bidiagonal whitening of first-order noise alone, the covariance of B x is
+            # (1 - white) I + white B B', tridiagonal. Its Cholesky factor gives the innovations.
+            diagonal = 1.0 - white + white * (1.0 + a * a) / scale**2
+            below = -white * np.roll(a / scale, -1) / scale
+            factor = cholesky_banded(np.stack([diagonal, below]), lower=True)
+            rows = solve_banded((1, 0), factor, rows)
+            half_log_det += float(np.log(factor[0]).sum())
+        left, weight = rows.T
         information = float(weight @ weight)
         left = left - float(weight @ left) / information * weight
         variance = float(left @ left) / (N - 1)
-        cost = 0.5 * ((N - 1) * np.log(variance) + np.log(information)) + float(np.log(scale).sum())
-        return cost, float(np.sqrt(variance)), left / np.sqrt(variance)
+        cost = 0.5 * ((N - 1) * np.log(variance) + np.log(information)) + half_log_det
+        return cost, np.sqrt(variance), left / np.sqrt(variance), np.sqrt(variance / information)
+
+    def whiteness(innovations: Array, fitted: int) -> float:
+        rest = np.full(there.shape, np.nan)
+        rest[there] = innovations
+        return _whiteness(rest.T, place, lags, fitted)
 
     tried, half = np.linspace(*REACH, 37), 0.5 * float(ndtri(0.5 + level / 2)) ** 2
-    best = float(tried[int(np.argmin([parts(v)[0] for v in tried]))])
-    v = float(
-        minimize_scalar(
-            lambda v: parts(v)[0], bounds=(best - 0.25, best + 0.25), method="bounded"
-        ).x
-    )
-    least, sigma, left = parts(v)
+    best = float(tried[int(np.argmin([fit(v)[0] for v in tried]))])
+    near = max(best - 0.25, REACH[0]), min(best + 0.25, REACH[1])
+    v = float(minimize_scalar(lambda v: fit(v)[0], bounds=near, method="bounded").x)
+    least, sigma, innovations, mean_sigma = fit(v)
+    p, mixture = whiteness(innovations, 1), None
+    if p < 1.0 - level:
+        grid = [(v, logit) for v in np.linspace(*REACH, 10) for logit in np.linspace(*SHARE, 8)]
+        start: Any = min([(v, SHARE[0]), *grid], key=lambda each: fit(*each)[0])
+        found = minimize(  # type: ignore[call-overload]
+            lambda each: fit(*each)[0], start, method="Nelder-Mead", bounds=[REACH, SHARE]
+        )
+        cost, total, innovations, uncertainty = fit(*found.x)
+        share = float(expit(found.x[1]))
+        mixture = Mixture(
+            phi=float(np.tanh(found.x[0])),
+            sigma=float(total * np.sqrt(1.0 - share)),
+            white_sigma=float(total * np.sqrt(share)),
+            mean_sigma=float(uncertainty),
+            gain=max(float(least - cost), 0.0),  # it has first-order noise alone as a limit
+            p=whiteness(innovations, 2),
+        )
 
     def beyond(u: float) -> float:
-        return parts(u)[0] - least - half
+        return fit(u)[0] - least - half
 
     ends = [float(brentq(beyond, v, end)) if beyond(end) > 0.0 else end for end in REACH]
-    low, high = (float(np.hypot(np.log(parts(end)[1] / sigma), np.sqrt(half / N))) for end in ends)
-    rest = np.full(x.shape, np.nan)
-    rest[there] = left
-    rho, pairs, *_ = correlated(rest, place, lags)
-    p = _ljung_box(rho, pairs, N, fitted=1)[1]
-    interval = float(np.tanh(ends[0])), float(np.tanh(ends[1]))
+    low, high = (float(np.hypot(np.log(fit(end)[1] / sigma), np.sqrt(half / N))) for end in ends)
     return Coloring(
-        float(np.tanh(v)),
-        interval,
-        sigma,
-        (float(sigma * np.exp(-low)), float(sigma * np.exp(high))),
-        p,
+        phi=float(np.tanh(v)),
+        phi_interval=(float(np.tanh(ends[0])), float(np.tanh(ends[1]))),
+        sigma=float(sigma),
+        sigma_interval=(float(sigma * np.exp(-low)), float(sigma * np.exp(high))),
+        mean_sigma=float(mean_sigma),
+        p=p,
+        mixture=mixture,
     )
 
 
-def _sensed(
+def _sensor(
     w: Array, at: Array, components: Sequence[Component], scaled: bool, level: float
-) -> Sensed:
-    """Of the components of a sensor."""
+) -> SensorConsistency:
+    """Size of the components ``at`` of a sensor, of normalized residuals ``w (T, runs, m)``."""
     own = [components[i] for i in at]
-    square, dof = np.nansum(w[..., at] ** 2, (1, 2)), np.isfinite(w[..., at]).sum((1, 2))
+    squares, dof = np.nansum(w[..., at] ** 2, (1, 2)), np.isfinite(w[..., at]).sum((1, 2))
     # A sum of squares that are correlated varies as one of fewer.
     count = int(dof.sum())
     fewer = count**2 / sum(c.samples**2 / c.effective_squares for c in own)
-    nis = float(square.sum() / count) if scaled else np.nan
-    return Sensed(
-        tuple(c.name for c in own),
-        nis,
-        chi_square_band(1.0, fewer, level),
-        square,
-        dof,
-        count / fewer,
+    return SensorConsistency(
+        names=tuple(c.name for c in own),
+        nis=float(squares.sum() / count) if scaled else np.nan,
+        band=chi_square_band(1.0, fewer, level),
+        squares=squares,
+        dof=dof,
+        shared=count / fewer,
     )
 
 
+def forgotten_wraps(
+    x: Array, widths: Sequence[int], names: Sequence[str], z: Any = None, model: str = "Sensor"
+) -> tuple[str, ...]:
+    """A sentence for each model with angles that do not wrap: their innovations jump by turns.
+
+    x: ``(T, runs, m)`` of all models side by side. widths: how many components each has.
+    z: measurements, if known; those of an angle that wraps lie in [-pi, pi] or [0, 2 pi].
+    """
+    parts = [part for part in (z if isinstance(z, tuple) else (z,)) if part is not None]
+    columns = [
+        column
+        for part in parts
+        for column in np.moveaxis(numbers("z", part, (..., "T", "m")), -1, 0)
+    ]
+    known: Sequence[Array | None] = columns if len(columns) == x.shape[-1] else [None] * x.shape[-1]
+    counts = [_jumps(x[..., i], column) for i, column in enumerate(known)]
+    sentences, first = [], 0
+    for width in widths:
+        angles = np.flatnonzero(counts[first : first + width]).tolist()
+        if angles:
+            called = ", ".join(names[first + i] for i in angles)
+            jumps = sum(counts[first + i] for i in angles)
+            samples = int(np.isfinite(x[..., [first + i for i in angles]]).sum())
+            sentences.append(
+                f"{called}: {jumps} of {samples} samples jump by 2 pi, as those of an angle whose "
+                f"wrap is forgotten; the cure is celnav.{model}(..., space=celnav.angles({angles}))"
+            )
+        first += width
+    return tuple(sentences)
+
+
+def _jumps(x: Array, z: Array | None) -> int:
+    """How many innovations ``(T, runs)`` jump from near 0 to near turns; 0 if that may be chance.
+
+    Of a wrapped measurement z one is enough. Otherwise as many of the jumps must be turns as jumps
+    of any size almost never are.
+    """
+    x = x[np.isfinite(x).any(1)]
+    size = np.abs(x)
+    small = size[size < np.pi]
+    if len(x) <= QUIET or not len(small):
+        return 0
+    near = 4.0 * 1.4826 * float(np.median(small))
+    before = np.fmax.reduce(sliding_window_view(size, QUIET, 0)[:-1], -1)
+    jump = (before <= near) & (size[QUIET:] > np.pi)
+    turn = jump & (np.abs(wrap(x[QUIET:])) <= near)
+    jumps, turns = int(jump.sum()), int(turn.sum())
+    chance = float(bdtrc(turns - 1, jumps, min(near / np.pi, 1.0))) if turns else 1.0
+    if z is not None:
+        low, high = np.nanmin(z), np.nanmax(z)
+        wrapped = max(-np.pi - low, high - np.pi) < near or max(-low, high - 2.0 * np.pi) < near
+        chance = 0.0 if wrapped else 1.0
+    return turns if near < 0.5 * np.pi and 3 * turns >= jumps and chance < CHANCE else 0
+
+
 def _model(
-    filter: Any, prior: Any, t: Array, z: Any, u: Any, found: Sequence[Component], level: float
-) -> tuple[Model | None, str]:  # fmt: skip
+    filter: Any,
+    prior: Any,
+    t: Array,
+    z: Any,
+    u: Any,
+    components: Sequence[Component],
+    gaps: bool,
+    step: float | None,
+    level: float,
+) -> tuple[Model | None, str]:
     """The filter for colored noise, and why there is none."""
     from celnav.analysis.tuning import maximize_likelihood  # only a search needs what searches
 
     if filter is None:
         return None, ""
     sensors: Any = getattr(filter, "sensors", ())
-    noise = sensors[0].noise if len(sensors) == 1 else None
+    noise: Any = sensors[0].noise if len(sensors) == 1 else None
     flat = type(filter) is Sequential and all(
-        one.space == EUCLIDEAN for one in (filter.motion, *sensors)
+        model.space == EUCLIDEAN and not model.augment for model in (filter.motion, *sensors)
     )
-    if not (flat and isinstance(noise, np.ndarray) and noise.ndim == 2 and filter.gain is None):
+    constant = isinstance(noise, np.ndarray) and noise.ndim == 2
+    if not (flat and constant and filter.gain is None):
         return (
             None,
-            "celnav.colored is for one sensor of vectors with a constant R; celnav.augmented carries other noise in the state",
+            "celnav.colored is for one sensor of vectors with a constant R; celnav.augmented "
+            "carries other noise in the state",
         )
     if prior is None or z is None:
         return (
             None,
-            "diagnose(track, prior=prior, z=z) estimates Phi and R, and says what the filter for them would claim",
+            "diagnose(track, prior=prior, z=z) estimates Phi and R, and gives the σ that a filter "
+            "with them predicts",
         )
     sensor, motion, R, m = sensors[0], filter.motion, noise @ noise.T, len(noise)
     form = next(name for name, form in FORMS.items() if form is filter.form)
+    hooks = filter.hooks[0] if filter.hooks else ()
     own, data = m if m <= EACH else 1, epochs(t, z, u)
+    # Differences of measurements lose two for each that is missing, and their noise is constant.
+    through = callable(sensor.h) and callable(motion.noise)
+    make: Any = augmented if gaps or through else colored
+
+    def matrices(p: Array) -> tuple[Array, Array]:
+        phi, s = (np.broadcast_to(part, m) for part in (p[:own], p[own:]))
+        return np.diag(phi), R * s * s[:, None]
 
     def build(p: Array) -> tuple[Any, Any]:
-        phi, s = (np.broadcast_to(part, m) for part in (p[:own], p[own:]))
-        taken = Sensor(sensor.h, R * s * s[:, None], jacobian=sensor.jacobian)
-        hooks = filter.hooks[0] if filter.hooks else ()
-        return colored(motion, taken, np.diag(phi), rule=filter.rule, form=form, hooks=hooks), prior
+        Phi, cov = matrices(p)
+        noisy = Sensor(sensor.h, cov, jacobian=sensor.jacobian)
+        return make(motion, noisy, Phi, rule=filter.rule, form=form, hooks=hooks), prior
 
     def white(p: Array) -> tuple[Any, Any]:
-        moved = replace(motion, Q=None, sqrt_Q=p[0] * motion.noise)
-        return replace(
-            filter,
-            motion=moved,
-            sensors=(Sensor(sensor.h, p[1] ** 2 * R, jacobian=sensor.jacobian),),
-        ), prior
+        noisy = Sensor(sensor.h, p[1] ** 2 * R, jacobian=sensor.jacobian)
+        return replace(filter, motion=_louder(motion, p[0]), sensors=(noisy,)), prior
 
-    first = np.clip([c.autocorrelation[0] for c in found], 0.05, 0.95)
+    strides = [(c.step or 1.0) / (step or c.step or 1.0) for c in components]
+    first = np.array([np.nan_to_num(c.autocorrelation[0], nan=0.5) for c in components])
+    first = np.clip(first, 0.05, 0.95) ** (1.0 / np.maximum(strides, 1.0))
     start = np.concatenate([first if own == m else [first.mean()], np.ones(own)])
-    try:
-        with np.errstate(all="ignore"):  # a search goes far
+    other, not_compared = np.nan, ""
+    with np.errstate(all="ignore"):  # a search goes far
+        try:
             tuned = maximize_likelihood(
                 build, start, data, domain=[(-1.0, 1.0)] * own + ["positive"] * own
             )
-            constant = isinstance(motion.noise, np.ndarray)
-            other = (
-                maximize_likelihood(white, [1.0, 1.0], data).log_likelihood if constant else np.nan
+            fitted, given = (
+                run(*each, data) for each in (build(tuned.parameters), (filter, prior))
             )
-        tracks = [run(*each, data) for each in (build(tuned.parameters), (filter, prior))]
-    except (ValueError, ArithmeticError) as error:
-        return None, f"the filter for colored noise could not be fitted: {error}"
-    phi, s = (np.broadcast_to(part, m) for part in (tuned.parameters[:own], tuned.parameters[own:]))
+        except (ValueError, ArithmeticError) as error:
+            return None, f"the filter for colored noise could not be fitted: {error}"
+        try:
+            other = maximize_likelihood(white, [1.0, 1.0], data).log_likelihood
+        except (ValueError, ArithmeticError) as error:
+            not_compared = str(error)
+    Phi, cov = matrices(tuned.parameters)
     reach = float(ndtri(0.5 + level / 2)) * np.sqrt(tuned.covariance.diagonal())
     doubt, factor = (np.broadcast_to(part, m) for part in (reach[:own], np.exp(reach[own:])))
-    half, sigma = np.arctanh(phi), s * np.sqrt(R.diagonal())
-    claims, before = (
-        np.atleast_2d(track.std[-1]).mean(tuple(range(track.std.ndim - 2))) for track in tracks
-    )
-    known = tracks[1].log_likelihood.sum()
+    half, sigma = np.arctanh(Phi.diagonal()), np.sqrt(cov.diagonal())
+    n = given.std.shape[-1]
+    before = float(given.log_likelihood.sum())
+    innovations = np.where(fitted.used, fitted.whitened, np.nan).reshape(len(t), -1, m)
+    sampled = [np.isfinite(innovations[..., i]).any(1) for i in range(m)]
     return Model(
-        np.diag(phi), R * s * s[:, None], np.tanh(np.stack([half - 0.5 * doubt, half + 0.5 * doubt], -1)),
-        np.stack([sigma / factor, sigma * factor], -1), float(tracks[0].log_likelihood.sum() - known), float(other - known),
-        claims, before, tuned.converged,
-    ), ""  # fmt: skip
+        name=make.__name__,
+        Phi=Phi,
+        R=cov,
+        phi_interval=np.tanh(np.stack([half - 0.5 * doubt, half + 0.5 * doubt], -1)),
+        sigma_interval=np.stack([sigma / factor, sigma * factor], -1),
+        gain=float(fitted.log_likelihood.sum()) - before,
+        white_gain=other - before,
+        not_compared=not_compared,
+        predicted=fitted.std[-1, ..., :n].reshape(-1, n).mean(0),
+        white_predicted=given.std[-1].reshape(-1, n).mean(0),
+        p=np.array(
+            [
+                _whiteness(innovations[at, :, i], grid_index(t[at])[0], len(c.band), 1)
+                for i, (at, c) in enumerate(zip(sampled, components, strict=True))
+            ]
+        ),
+        converged=tuned.converged,
+    ), ""
+
+
+def _louder(motion: Motion, factor: float) -> Motion:
+    """A motion whose noise is a factor larger."""
+    noise: Any = motion.noise
+    if callable(noise):
+        return replace(motion, Q=None, sqrt_Q=lambda mean, epoch: factor * noise(mean, epoch))
+    return replace(motion, Q=None, sqrt_Q=factor * noise)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
 from typing import TYPE_CHECKING
 
@@ -9,39 +10,29 @@ import numpy as np
 
 __all__ = ["page"]
 
-TELLS = 3.0  # of a log-likelihood, that one explanation is better by
 WIDTH = 110
 
 if TYPE_CHECKING:
-    from celnav.analysis.diagnose import Component, Diagnosis, Model, Sensed
+    from celnav.analysis.diagnose import Component, Diagnosis, Model
 
 
 def page(found: Diagnosis) -> str:
-    """A table of the components, then what it means: size, bias, whiteness, and the noise that would explain it."""
+    """A table of the components, then size, bias, whiteness, and the noise that explains it."""
     T, t = len(found.times), found.times
-    spaced = (
-        "at irregular times: a lag is an epoch"
-        if found.step is None
-        else f"{found.step:.6g} s apart"
-    )
+    spaced = "at irregular times" if found.step is None else f"{found.step:.6g} s apart"
     runs = "one run" if found.runs == 1 else f"{found.runs} runs"
     missing = found.runs * T * len(found.components) - sum(c.samples for c in found.components)
     gaps = f"; {missing} components missing" if missing else ""
-    said = [("size", _size(sensor, found)) for sensor in found.sensors]
+    said = [("wrap", line) for line in found.wraps]
+    said += [("size", _size(k, found)) for k in range(len(found.sensors))]
     said += [("bias", line) for line in _bias(found)] + [("white", line) for line in _white(found)]
     if found.model is not None:
-        said += [("take", line) for line in _taken(found.model, found.level)]
+        said += [("model", line) for line in _fitted(found.model, found)]
     else:
-        said += [
-            ("noise", line)
-            for c in found.components
-            if found.white(c) == "colored"
-            for line in _noise(c, found)
-        ]
-        said += [("take", found.why)] if found.why else []
-    lines = [
-        textwrap.fill(f"{head:8} {line}", WIDTH, subsequent_indent=9 * " ") for head, line in said
-    ]
+        colored = [c for c in found.components if found.white(c) == "colored"]
+        said += [line for c in colored for line in _noise(c, found) if not found.wraps]
+        said += [("model", found.why)] if found.why else []
+    lines = [_filled(f"{head:8} {line}") for head, line in said]
     return "\n".join(
         [
             f"{runs}, {T} epochs over {t[-1] - t[0]:.6g} s, {spaced}{gaps}",
@@ -53,35 +44,40 @@ def page(found: Diagnosis) -> str:
     )
 
 
+def _filled(line: str) -> str:
+    """Lines of at most `WIDTH`, never broken between a number and its unit."""
+    kept = re.sub(r"(?<=\d) (?=%|s\b)", "\0", line)
+    filled = textwrap.fill(kept, WIDTH, subsequent_indent=9 * " ", break_on_hyphens=False)
+    return filled.replace("\0", " ")
+
+
 def _table(found: Diagnosis) -> list[str]:
-    lag, percent = (
-        "lag 1" if found.step is None else f"{found.step:.4g} s",
-        f"({100 * found.level:.3g} %)",
-    )
     rows = [
         [
             "component",
             "samples",
             "rms",
-            "claimed",
+            "predicted σ",
             "mean",
-            percent,
-            f"correlation at {lag}",
+            f"({100 * found.level:.3g} %)",
+            "lag 1",
+            "correlation at lag 1",
             "p if white",
         ]
     ]
     for c in found.components:
-        claimed, (low, high) = "-" if c.claimed is None else f"{c.claimed:.4g}", c.bias_interval
-        correlation = f"{c.autocorrelation[0]:.3f} (white: ±{c.band[0]:.3f})"
+        low, high = c.bias_interval
+        known = np.isfinite(c.band[0])
         rows.append(
             [
                 c.name,
                 str(c.samples),
                 f"{c.rms:.4g}",
-                claimed,
+                "-" if c.predicted is None else f"{c.predicted:.4g}",
                 f"{c.bias:.3g}",
                 f"{low:.3g} to {high:.3g}",
-                correlation,
+                _lag(c),
+                f"{c.autocorrelation[0]:.3f} (white: ±{c.band[0]:.3f})" if known else "no pairs",
                 _p(c.p),
             ]
         )
@@ -97,114 +93,181 @@ def _table(found: Diagnosis) -> list[str]:
     ]
 
 
+def _lag(c: Component) -> str:
+    return "1 sample" if c.step is None else f"{c.step:.4g} s"
+
+
+def _plain(x: float, digits: int) -> str:
+    return np.format_float_positional(x, precision=digits, unique=False, fractional=False, trim="-")
+
+
 def _p(p: float) -> str:
-    return "< 1e-15" if p < 1e-15 else f"{p:.2g}"
+    return "-" if np.isnan(p) else "< 1e-15" if p < 1e-15 else f"{p:.2g}"
 
 
-def _size(sensor: Sensed, found: Diagnosis) -> str:
-    names, (low, high) = ", ".join(sensor.names), sensor.band
+def _size(k: int, found: Diagnosis) -> str:
+    sensor = found.sensors[k]
+    names = ", ".join(sensor.names)
+    if np.isnan(sensor.nis):
+        return f"{names}: no predicted σ is given, so nothing is said of the size"
     sizes = [
         f"{c.name} {np.sqrt(c.size):.3g}"
         for c in found.components
-        if c.name in sensor.names and c.size is not None
+        if c.sensor == k and c.size is not None
     ]
-    if np.isnan(sensor.nis):
-        return f"{names}: no deviations are claimed, so nothing is said of it"
-    said = "" if low <= sensor.nis <= high else f"{np.sqrt(sensor.nis):.3g} times "
-    band = f"{low:.3g} to {high:.3g} ({100 * found.level:.3g} %, correlation counted) if claims are right"
     each = f" ({', '.join(sizes)})" if len(sizes) > 1 else ""
-    return f"{names}: {said}as large as claimed{each}; NIS over its degrees of freedom is {sensor.nis:.3g}, {band}"
+    low, high = sensor.band
+    return (
+        f"{names}: {_verdict(k, found)}{each}; NIS per degree of freedom is "
+        f"{_plain(sensor.nis, 3)}, expected {low:.3g} to {high:.3g} "
+        f"({100 * found.level:.3g} %, correlation counted)"
+    )
+
+
+def _verdict(k: int, found: Diagnosis) -> str:
+    """Small innovations that follow each other do not make a filter conservative."""
+    nis, (low, high) = found.sensors[k].nis, found.sensors[k].band
+    if low <= nis <= high:
+        return "as large as predicted"
+    white = all(found.white(c) != "colored" for c in found.components if c.sensor == k)
+    word = "overconfident, " if nis > high else "conservative, " if white else ""
+    return f"{word}{_plain(np.sqrt(nis), 3)} times as large as predicted"
 
 
 def _bias(found: Diagnosis) -> list[str]:
-    lines, clean = [], ", ".join(c.name for c in found.components if not found.biased(c))
-    for c in (c for c in found.components if found.biased(c)):
-        known = (
-            f"a mean of {c.samples} samples is known as one of {c.effective:.0f} independent ones"
-        )
-        low, high = c.bias_interval
-        lines.append(
-            f"{c.name}: {c.bias:.3g} ({low:.3g} to {high:.3g}), {abs(c.bias) / c.rms:.0%} of its rms; {known}"
-        )
-    return lines + ([f"{clean}: none to be seen"] if clean else [])
+    unbiased = ", ".join(c.name for c in found.components if not found.biased(c))
+    lines = [
+        f"{c.name}: {c.bias:.3g} ({c.bias_interval[0]:.3g} to {c.bias_interval[1]:.3g}), "
+        f"{abs(c.bias) / c.rms:.0%} of its rms; its {c.samples} samples count as {c.effective:.0f} "
+        "independent ones"
+        for c in found.components
+        if found.biased(c)
+    ]
+    return lines + ([f"{unbiased}: none detected"] if unbiased else [])
+
+
+ANSWERS = {
+    "white": "yes",
+    "nearly white": "nearly: detectably not, to little effect",
+    "colored": "no",
+}
 
 
 def _white(found: Diagnosis) -> list[str]:
-    lines, answers = (
-        [],
-        {
-            "white": "yes",
-            "nearly white": "nearly: detectably not, to little effect",
-            "colored": "no",
-        },
-    )
+    order = [*ANSWERS, "unknown"]
+    lines = []
     for verdict, c in sorted(
-        ((found.white(c), c) for c in found.components),
-        key=lambda pair: list(answers).index(pair[0]),
+        ((found.white(c), c) for c in found.components), key=lambda pair: order.index(pair[0])
     ):
+        lags = int(np.isfinite(c.band).sum())
+        if verdict == "unknown":
+            lines.append(
+                f"{c.name}: cannot tell: too few pairs of its samples lie within {len(c.band)} lags"
+                f" of {_lag(c)}; bias and size assume independent samples"
+            )
+            continue
         out = int((np.abs(c.autocorrelation) > c.band).sum())
-        test = f"Ljung-Box {c.ljung_box:.4g} of {len(c.band)} lags, p {_p(c.p)}; {out} lags beyond the band"
-        effect = (
-            ""
-            if verdict == "white"
-            else f"; a mean of it is {c.longer:.3g} times as uncertain as one of white noise"
+        test = (
+            f"Ljung-Box {_plain(c.ljung_box, 4)} of {lags} lags of {_lag(c)}, p {_p(c.p)}; "
+            f"{out} beyond the band"
         )
-        lines.append(f"{c.name}: {answers[verdict]} ({test}){effect}")
+        effect = f"; σ of its mean is {c.longer:.3g} times that of white noise"
+        lines.append(f"{c.name}: {ANSWERS[verdict]} ({test}){effect * (verdict != 'white')}")
     return lines
 
 
-def _noise(c: Component, found: Diagnosis) -> list[str]:
+def _noise(c: Component, found: Diagnosis) -> list[tuple[str, str]]:
+    """First-order noise, with white noise beside it where that is needed, and what follows."""
     fit, percent = c.coloring, f"{100 * found.level:.3g} %"
     assert fit is not None
     (low, high), (least, most) = fit.phi_interval, fit.sigma_interval
-    slow = found.step is not None and 0.0 < fit.phi < 1.0
-    time = f", a correlation time of {-found.step / np.log(fit.phi):.3g} s," if slow else ""  # type: ignore[operator]
-    rest = (
-        "leaves white noise over"
-        if fit.rest_p >= found.doubt
-        else "does not explain all: what it leaves over is not white"
-    )
-    lines = [f"{c.name}: a first-order noise {rest} (p {_p(fit.rest_p)})"]
-    if c.size is not None and c.claimed is None:  # innovations are not the noise itself
-        return [
-            f"{c.name}: Phi of the innovations is {fit.phi:.3f} ({low:.3f} to {high:.3f}, {percent}){time.rstrip(',')}",
-            *lines,
-        ]
-    R, sigma = f"{fit.sigma**2:.4g}", f"{fit.sigma:.4g} ({least:.4g} to {most:.4g})"
-    claim, white = (fit.sigma / np.sqrt(n) for n in (c.effective, c.samples))
-    take = f"celnav.colored(motion, sensor, Phi=[[{fit.phi:.3f}]]) with R=[[{R}]]"
-    return [
-        f"{c.name}: Phi = {fit.phi:.3f} ({low:.3f} to {high:.3f}, {percent}){time} and R = {R}, a deviation of {sigma}",
-        *lines,
-        f"{c.name}: take {take}: of the mean of these samples it would claim {claim:.3g} instead of {white:.3g}",
+    time = ""
+    if c.step is not None and 0.0 < fit.phi < 1.0:
+        time = f", a correlation time of {-c.step / np.log(fit.phi):.3g} s"
+    innovations = c.size is not None and c.predicted is None  # which are not the noise itself
+    size = "" if innovations else f", σ = {fit.sigma:.4g} ({least:.4g} to {most:.4g})"
+    of = "of its innovations " if innovations else ""
+    lines = [
+        f"Phi {of}from sample to sample = {fit.phi:.3f} ({low:.3f} to {high:.3f}, {percent})"
+        f"{time}{size}"
     ]
+    accepted, mixture = fit.p >= found.doubt, fit.mixture
+    lines.append(f"first-order noise is {_judged(fit.p, accepted)}")
+    if not accepted and mixture is not None:
+        lines.append(
+            f"with white noise beside it, it is {_judged(mixture.p, mixture.p >= found.doubt)}; "
+            f"the log-likelihood grows by {_plain(mixture.gain, 4)}"
+        )
+    said = [("noise", f"{c.name}: {line}") for line in lines]
+    return said if innovations else [*said, ("model", f"{c.name}: {_advice(c, found)}")]
 
 
-def _taken(model: Model, level: float) -> list[str]:
+def _judged(p: float, accepted: bool) -> str:
+    verdict, are = ("accepted", "are") if accepted else ("rejected", "are not")
+    return f"{verdict}: its innovations {are} white (p {_p(p)})"
+
+
+def _advice(c: Component, found: Diagnosis) -> str:
+    fit = c.coloring
+    assert fit is not None
+    white = f"white noise {fit.sigma / np.sqrt(c.samples):.3g}"
+    spaced = "" if c.step == found.step or c.step is None else f", an epoch each {c.step:.4g} s"
+    filter = f"celnav.colored(motion, sensor, Phi=[[{fit.phi:.3f}]])"
+    filter = f"{filter} with R=[[{fit.sigma**2:.4g}]]{spaced}"
+    mean = f"for the mean of these samples it predicts σ = {fit.mean_sigma:.3g}"
+    if fit.p >= found.doubt:
+        return f"suggested: {filter}; {mean}, {white}"
+    mixture = fit.mixture
+    if mixture is not None and mixture.p >= found.doubt:
+        driving = mixture.sigma**2 * (1.0 - mixture.phi**2)
+        return (
+            f"suggested: a state V' = {mixture.phi:.3f} V + zeta{spaced}, zeta of variance "
+            f"{driving:.4g} and V of {mixture.sigma**2:.4g}, measured as h(x) + V with "
+            f"R=[[{mixture.white_sigma**2:.4g}]]; for the mean of these samples it predicts σ = "
+            f"{mixture.mean_sigma:.3g}, the first-order noise alone {fit.mean_sigma:.3g}, {white}"
+        )
+    measured = f"{fit.sigma / np.sqrt(c.effective):.3g}"
+    return (
+        f"none suggested; {filter}: {mean}, {white}, the autocorrelation of the samples {measured}"
+    )
+
+
+def _fitted(model: Model, found: Diagnosis) -> list[str]:
+    """The filter fitted to the track's data, and how far it is to be believed."""
     phi, R = ", ".join(f"{x:.3f}" for x in model.Phi.diagonal()), model.R
-    plain = np.array_equal(R, np.diag(R.diagonal()))
+    diagonal = np.array_equal(R, np.diag(R.diagonal()))
     noise = (
         f"np.diag([{', '.join(f'{x:.4g}' for x in R.diagonal())}])"
-        if plain
-        else f"np.array({np.round(R, 12).tolist()})"
+        if diagonal
+        else f"np.array({[[float(f'{x:.4g}') for x in row] for row in R]})"
     )
-    claims, before = (
-        ", ".join(f"{x:.3g}" for x in part) for part in (model.claims, model.white_claims)
+    after, before = (
+        ", ".join(f"{x:.3g}" for x in part) for part in (model.predicted, model.white_predicted)
     )
     ends = [
         ", ".join(f"{a:.4g} to {b:.4g}" for a, b in part)
         for part in (model.phi_interval, model.sigma_interval)
     ]
-    told = model.gain > model.white_gain + TELLS
-    other = "it is color" if told else "these data do not tell color from wrong dynamics"
+    rest = not (model.p < found.doubt).any()
+    suggested = model.is_color and rest and model.converged
+    grows = f"the log-likelihood grows by {_plain(model.gain, 4)} with it"
+    if np.isnan(model.white_gain):
+        compared = f"{grows}; other Q and R alone were not compared ({model.not_compared})"
+    else:
+        verdict = (
+            "the noise is colored"
+            if model.is_color
+            else "these data do not distinguish color from wrong dynamics"
+        )
+        compared = f"{grows}, by {_plain(model.white_gain, 4)} with other Q and R alone: {verdict}"
     lines = [
-        f"celnav.colored(motion, sensor, Phi=np.diag([{phi}])) with R={noise}: at the end it would claim deviations of {claims} "
-        f"instead of {before}",
-        f"Phi lies in {ends[0]}, the deviations of its noise in {ends[1]} ({100 * level:.3g} %)",
-        f"the log-likelihood grows by {model.gain:.4g} with it, by {model.white_gain:.4g} with other Q and R alone: {other}",
+        f"{'suggested' if suggested else 'fitted, not suggested'}: "
+        f"celnav.{model.name}(motion, sensor, Phi=np.diag([{phi}])) with R={noise}; at the end it "
+        f"predicts σ = {after}, the given filter {before}",
+        f"Phi lies in {ends[0]}, σ of its noise in {ends[1]} ({100 * found.level:.3g} %)",
+        compared,
+        f"its innovations are {'white' if rest else 'still not white'} "
+        f"(p {', '.join(map(_p, model.p))})",
     ]
-    return (
-        lines
-        if model.converged
-        else [*lines, "the likelihood has no clear maximum there: take these numbers with care"]
-    )
+    doubt = "the likelihood has no clear maximum there, so these numbers are uncertain"
+    return lines if model.converged else [*lines, doubt]

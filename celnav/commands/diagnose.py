@@ -1,4 +1,4 @@
-"""``celnav diagnose``: whether residuals are white, without bias and as large as claimed, from a table of them."""
+"""``celnav diagnose``: are the residuals in a table white, unbiased and as large as predicted?"""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ EMPTY = ("", "nan", "null", "none", "na", "-")
 
 
 class Table(NamedTuple):
-    """Residuals ``(T, runs, m)`` at ``times (T,)``, and claimed deviations, where there are columns of them."""
+    """Residuals ``(T, runs, m)`` at ``times (T,)``, and their predicted σ where columns have it."""
 
     times: Array
     residuals: Array
@@ -84,11 +84,15 @@ def _plain(x: Any) -> Any:
 
 
 def read(path: Path, time: str | None = None, columns: Sequence[str] | None = None) -> Table:
-    """A table with a line of names, then one for each epoch (and run): a time that increases, a ``run`` if there are several, and
-    components; a component ``x`` may have its claimed deviation beside it, as ``std_x``. What is empty or nan is missing.
+    """A table with a line of names, then one for each epoch (and run).
 
-    time: the column of times; None: the first one of that name. columns: the components; None: those that have claims, or else all
-    that are numbers. InputError names the file, and the line where something is wrong.
+    A line has a time that increases, a ``run`` if there are several, and components. A component
+    ``x`` may have its predicted σ beside it, as ``std_x``. What is empty or nan is missing.
+
+    time: the column of times; None: the first one of that name.
+    columns: the components; None: those with a predicted σ, or else all that are numbers.
+
+    InputError names the file, and the line where something is wrong.
     """
     try:
         text = path.read_bytes().decode("utf-8-sig")

@@ -93,7 +93,7 @@ class Gradient:
             self.first or built[0],
         )
         lost = flown[0][:, TALLY.index("failed_at"), 0] >= 0.0
-        batch = () if built[1].mean.ndim == 1 and engine.batch == (1,) else engine.batch
+        batch = Engine(*built, data, "nothing", {}).batch  # without the axis that lifting adds
         gradient = np.stack([tally[:, 0, 1] for tally in flown], -1)
         return np.where(lost, np.nan, flown[0][:, 0, 0]).reshape(batch), gradient.reshape(
             *batch, len(x)

@@ -1,4 +1,4 @@
-"""The figure of a diagnosis: autocorrelations with their band, and the size of what each sensor leaves, over time."""
+"""The figure of a diagnosis: autocorrelations with their band, and NIS of each sensor over time."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from celnav.analysis.diagnose import Diagnosis, Sensed
+from celnav.analysis.diagnose import Diagnosis, SensorConsistency
 from celnav.analysis.metrics import chi_square_band
 from celnav.gaussian.linalg import Array
 from celnav.show import colors
@@ -33,44 +33,42 @@ BINS = 60  # means over time
 
 
 def figure(found: Diagnosis) -> Figure:
-    """A row for each sensor: how each component's samples follow each other, and NIS over its degrees of freedom, in bins of time.
+    """A row for each sensor: its autocorrelations, and NIS per degree of freedom in bins of time.
 
     >>> celnav.show.diagnosis.figure(celnav.analysis.diagnose.diagnose(track))
     """
     rows, percent = [], f"{100 * found.level:.3g} %"
-    for sensor in found.sensors:
-        own = [c for c in found.components if c.name in sensor.names]
-        lags = (found.step or 1.0) * np.arange(1, len(own[0].band) + 1)
-        items: list[Item] = [
-            _band(lags[: len(c.band)], c.band, f"{percent} band if white") for c in own[:1]
+    for k, sensor in enumerate(found.sensors):
+        components = [c for c in found.components if c.sensor == k]
+        regular = all(c.step is not None for c in components)
+        lags = [
+            (c.step or 1.0 if regular else 1.0) * np.arange(1, len(c.band) + 1) for c in components
         ]
-        for i, c in enumerate(own):
+        items: list[Item] = [_band(lags[0], components[0].band, f"{percent} band if white")]
+        for i, c in enumerate(components):
             look: dict[str, Any] = {
                 "marker": MARKS[i % len(MARKS)],
                 "markersize": 3.0,
                 "linewidth": 0.9,
                 "color": SHADES[i % len(SHADES)],
             }
-            items.append(
-                curve(lags[: len(c.band)], c.autocorrelation[: len(lags)], label=c.name, **look)
-            )
-        lag = f"lag ({'epochs' if found.step is None else 's'})"
-        rows.append([Panel("Is it white?", items, lag, "autocorrelation")])
+            items.append(curve(lags[i], c.autocorrelation, label=c.name, **look))
+        unit = "s" if regular else "samples"
+        rows.append([Panel("Is it white?", items, f"lag ({unit})", "autocorrelation")])
         if not np.isnan(sensor.nis):
+            means = size(
+                found.times - found.times[0],
+                sensor,
+                found.level,
+                f"{percent} band if as predicted",
+                "NIS / dof",
+            )
             rows[-1].append(
                 Panel(
-                    "Is it as large as claimed?",
-                    [
-                        size(
-                            found.times - found.times[0],
-                            sensor,
-                            found.level,
-                            f"{percent} band if as claimed",
-                            "NIS / dof",
-                        )
-                    ],
+                    "Is it as large as predicted?",
+                    [means],
                     "time since the first epoch (s)",
-                    "NIS over its degrees of freedom",
+                    "NIS per degree of freedom",
                 )
             )
     return panels(*rows, size=(4.0 + 4.0 * (len(rows[0]) - 1), 2.9 * len(rows) + 0.3))
@@ -86,24 +84,25 @@ def _band(lags: Array, half: Array, label: str) -> Item:
     return item
 
 
-def size(times: Array, sensor: Sensed, level: float, band: str, label: str) -> Item:
-    """Means of bins of as many epochs, each with the band of what it consists of."""
-    starts = np.linspace(0, len(times), min(BINS, len(times)) + 1).astype(int)[:-1]
-    squares, dof, t = (np.add.reduceat(x, starts) for x in (sensor.squares, sensor.dof, times))
-    many = np.diff([*starts, len(times)])
-    there = dof > 0
+def size(times: Array, sensor: SensorConsistency, level: float, band: str, label: str) -> Item:
+    """Means of bins of as many measured epochs, each with the band of what it consists of."""
+    measured = sensor.dof > 0
+    squares, dof, t = (x[measured] for x in (sensor.squares, sensor.dof, times))
+    starts = np.linspace(0, len(t), min(BINS, len(t)) + 1).astype(int)[:-1]
+    many = np.diff([*starts, len(t)])
+    squares, dof, t = (np.add.reduceat(x, starts) for x in (squares, dof, t))
     bands = [
         chi_square_band(1.0, d / min(sensor.shared, n), level)
-        for d, n in zip(dof[there], many[there], strict=True)
+        for d, n in zip(dof, many, strict=True)
     ]
     low, high = np.array(bands).reshape(-1, 2).T
-    middle = (t / many)[there]
+    middle = t / many
 
     def item(ax: Axes) -> None:
         ax.fill_between(middle, low, high, color=colors.SIGMA, alpha=0.3, linewidth=0.0, label=band)
         curve(
             middle,
-            squares[there] / dof[there],
+            squares / dof,
             color=colors.FAINT,
             marker=".",
             markersize=3.0,

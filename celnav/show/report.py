@@ -13,7 +13,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
-from celnav.analysis.diagnose import Interval, Sensed, correlated, places
+from celnav.analysis.diagnose import (
+    Interval,
+    SensorConsistency,
+    autocorrelation,
+    forgotten_wraps,
+    grid_index,
+)
 from celnav.analysis.metrics import bootstrap, chi_square_band
 from celnav.filters.model import Motion
 from celnav.filters.track import Track
@@ -60,6 +66,7 @@ class Report(NamedTuple):
     sensors: NIS over the degrees of freedom, what was not measured left out, with the band of a consistent filter.
     rejected: measured components of each sensor that did not take part.
     events: of all runs and epochs, see `celnav.filters.track.Track`. lost: ``(run, t)`` of runs without an estimate from there.
+    wraps: angles whose wrap seems forgotten, a sentence for each sensor, and for the motion.
     rms, claims: ``(T, n)``, over the runs.
 
     >>> track.report(truth).components[0].rmse
@@ -69,12 +76,13 @@ class Report(NamedTuple):
     runs: int
     level: float
     components: tuple[Component, ...]
-    nees: Sensed | None
+    nees: SensorConsistency | None
     within: float
-    sensors: tuple[Sensed, ...]
+    sensors: tuple[SensorConsistency, ...]
     rejected: tuple[int, ...]
     events: dict[str, int]
     lost: tuple[tuple[int, float], ...]
+    wraps: tuple[str, ...]
     rms: Array
     claims: Array
 
@@ -89,7 +97,7 @@ class Report(NamedTuple):
             *self._table(percent),
             "",
         ]
-        said = [("NEES", self._nees(percent))]
+        said = [("wrap", line) for line in self.wraps] + [("NEES", self._nees(percent))]
         for k, (sensor, rejected) in enumerate(zip(self.sensors, self.rejected, strict=True)):
             used = f"of {int(sensor.dof.sum())} components used" + (
                 f", {rejected} rejected" if rejected else ""
@@ -119,7 +127,14 @@ class Report(NamedTuple):
     def _table(self, percent: str) -> list[str]:
         many = self.runs > 1
         rows = [
-            ["component", "RMSE", *([percent] * many), "claimed", "mean error", f"inside {percent}"]
+            [
+                "component",
+                "RMSE",
+                *([percent] * many),
+                "predicted σ",
+                "mean error",
+                f"inside {percent}",
+            ]
         ]
         for c in self.components:
             between = [f"{c.interval[0]:.4g} to {c.interval[1]:.4g}"] * many
@@ -156,7 +171,7 @@ class Report(NamedTuple):
         percent, columns = f"{100 * self.level:.3g} %", 3 if len(self.components) > 4 else 2
         shown = [
             Panel("", [curve(self.times, self.rms[:, i], color=colors.ESTIMATE, label=said, linewidth=0.9),
-                       curve(self.times, self.claims[:, i], color=colors.SIGMA, label="claimed deviation", linestyle="--")],
+                       curve(self.times, self.claims[:, i], color=colors.SIGMA, label="predicted σ", linestyle="--")],
                   "time (s)", c.name)
             for i, c in enumerate(self.components[:MOST_PANELS])
         ]  # fmt: skip
@@ -235,6 +250,11 @@ def report(
     if track.belief is not None:
         judged, within = _consistency(error, track.sqrt_cov[from_here][..., :n, :n], times, level)
     sensors, rejected = _sensors(track, from_here, level)
+    wraps = forgotten_wraps(error, (n,), called, model="Motion")
+    if track.sensors:
+        innovation = track.innovation[from_here].reshape(len(times), -1, sum(track.sensors))
+        z_names = [f"z{i}" for i in range(innovation.shape[-1])]
+        wraps = forgotten_wraps(innovation, track.sensors, z_names) + wraps
     lost = np.flatnonzero(track.failed_at.ravel() >= 0)
     gone = np.isnan(track.mean.reshape(len(track.times), -1, track.mean.shape[-1])[:, lost]).any(-1)
     since = np.where(
@@ -243,7 +263,7 @@ def report(
     return Report(
         times, runs, level, components, judged, within, sensors, rejected,
         {what: int(count.sum()) for what, count in track.events.items()}, tuple(zip(lost.tolist(), since.tolist(), strict=True)),
-        rms, claims,
+        wraps, rms, claims,
     )  # fmt: skip
 
 
@@ -317,7 +337,7 @@ def _component(name: str, error: Array, std: Array, level: float) -> Component:
 
 def _consistency(
     error: Array, root: Array, times: Array, level: float
-) -> tuple[Sensed | None, float]:
+) -> tuple[SensorConsistency | None, float]:
     """NEES over the dimension, and how often the mean of the runs lies in its band at an epoch."""
     T, runs, n = error.shape
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -337,23 +357,24 @@ def _consistency(
     shared = _shared(every, times)
     total = int(count.sum())
     band = chi_square_band(1.0, n * max(total / shared, 1.0), level)
-    return Sensed(
+    return SensorConsistency(
         (f"NEES / {n}",), float(squares.sum() / total / n), band, squares, n * count, shared
     ), float(within)
 
 
 def _shared(every: Array, times: Array) -> float:
     """How many epochs vary as one: errors of a consistent filter follow each other, those of different runs do not."""
-    place, _ = places(times)
-    if len(times) < 4 or np.nanvar(every) == 0.0 or place[-1] < 2:
-        return float(len(times))
-    longer = correlated(every, place, 1)[2]
-    return min(max(longer, 1.0), float(len(times)))
+    seen = np.isfinite(every).any(-1)
+    place, _ = grid_index(times[seen])
+    if len(place) < 4 or np.nanvar(every) == 0.0 or place[-1] < 2:
+        return float(len(place))
+    longer = autocorrelation(every[seen], place, 1)[2]
+    return min(max(longer, 1.0), float(len(place)))
 
 
 def _sensors(
     track: Track, from_here: slice, level: float
-) -> tuple[tuple[Sensed, ...], tuple[int, ...]]:
+) -> tuple[tuple[SensorConsistency, ...], tuple[int, ...]]:
     """NIS over the degrees of freedom of each sensor; the innovations of a consistent filter are white."""
     found, rejected, first = [], [], 0
     for width in track.sensors:
@@ -372,7 +393,7 @@ def _sensors(
         band = chi_square_band(1.0, total, level) if total else (np.nan, np.nan)
         names = tuple(f"z{i}" for i in range(first, first + width))
         found.append(
-            Sensed(
+            SensorConsistency(
                 names, float(squares.sum() / total) if total else np.nan, band, squares, dof, 1.0
             )
         )
@@ -381,16 +402,16 @@ def _sensors(
     return tuple(found), tuple(rejected)
 
 
-def _ratio(judged: Sensed, percent: str) -> str:
-    """A ratio that is 1 if claims are right, with its band."""
+def _ratio(judged: SensorConsistency, percent: str) -> str:
+    """A ratio that is 1 for a consistent filter, with its band."""
     low, high = judged.band
     if np.isnan(judged.nis):
         return "nothing was used"
     said = (
         "consistent"
         if low <= judged.nis <= high
-        else "claims too little"
+        else "overconfident"
         if judged.nis > high
-        else "claims too much"
+        else "conservative"
     )
     return f"{judged.nis:.4g}, {said} ({percent} of consistent ones: {low:.4g} to {high:.4g})"

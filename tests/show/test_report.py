@@ -12,6 +12,7 @@ from scipy.stats import binom, chi2
 import celnav
 from celnav.filters.adaptive import gate
 from celnav.gaussian import attitude as at
+from celnav.gaussian.spaces import wrap
 from celnav.models import motion
 from celnav.models.gyro import Gyro
 
@@ -106,7 +107,7 @@ def test_a_consistent_filter_is_in_the_bands_as_often_as_they_say(runs):
     assert held[0] >= binom.ppf(1e-3, flights, 0.9)
 
 
-def test_a_filter_that_claims_too_little_is_told():
+def test_an_overconfident_filter_is_called_so():
     bold = celnav.ukf(
         MOTION,
         celnav.Sensor(RADAR.h, 0.25 * np.diag([25.0, np.radians(1.0) ** 2]), space=RADAR.space),
@@ -116,7 +117,7 @@ def test_a_filter_that_claims_too_little_is_told():
     found = track.report(truth)
     assert found.nees.nis > found.nees.band[1]
     assert found.sensors[0].nis > found.sensors[0].band[1]
-    assert "claims too little" in str(found)
+    assert "overconfident" in str(found)
     assert found.components[0].inside < 0.93
 
 
@@ -234,12 +235,63 @@ def test_one_run_one_truth_of_many_and_no_covariances(sound):
     assert track.report(truth[:, 0]).runs == 30
 
 
+def test_a_forgotten_wrap_of_a_sensor_or_of_the_state_is_said_by_name():
+    south = celnav.Gaussian([-300.0, -100.0, 0.0, 3.0], np.diag([100.0, 100.0, 1.0, 1.0]))
+    times = np.arange(200.0)
+    truth, z = celnav.simulate(MOTION, RADAR, south, times, runs=20, seed=3)
+    unwrapped = celnav.Sensor(RADAR.h, RADAR.R)
+    lost, sound = (
+        celnav.run(celnav.ekf(MOTION, sensor), south, times, z, on_failure="flag").report(truth)
+        for sensor in (unwrapped, RADAR)
+    )
+    (line,) = lost.wraps
+    assert line.startswith("z1: ")
+    assert line.endswith("the cure is celnav.Sensor(..., space=celnav.angles([1]))")
+    assert "wrap     z1: " in str(lost)
+    assert sound.wraps == ()
+    assert "wrap " not in str(sound)
+    turning = celnav.Motion([[1.0, 1.0], [0.0, 1.0]], np.diag([1e-5, 1e-7]))
+    compass, start = (
+        celnav.Sensor(np.eye(1, 2), [[0.01]]),
+        celnav.Gaussian([2.0, 0.02], np.diag([0.01, 1e-6])),
+    )
+    truth, z = celnav.simulate(turning, compass, start, times, runs=10, seed=3)
+    track = celnav.run(celnav.ukf(turning, compass), start, times, z)
+    assert track.report(truth).wraps == ()
+    truth[..., 0] = wrap(truth[..., 0])
+    (line,) = track.report(truth, names=["heading", "rate"]).wraps
+    assert line.startswith("heading: 10 of 2000 samples jump by 2 pi")
+    assert line.endswith("the cure is celnav.Motion(..., space=celnav.angles([0]))")
+
+
+def test_a_truth_that_is_known_now_and_then_counts_as_samples_of_its_own():
+    """At each tenth epoch, as if there were no other epochs."""
+    gps = celnav.Sensor(np.eye(2, 4), 100.0 * np.eye(2))
+    truth, z = celnav.simulate(MOTION, gps, PRIOR, np.arange(400.0), runs=1, seed=2)
+    track = celnav.run(celnav.ukf(MOTION, gps), PRIOR, np.arange(400.0), z, keep="cov")
+    some = np.full_like(truth, np.nan)
+    some[::10] = truth[::10]
+    sparse, alone = (
+        report.nees
+        for report in (
+            track.report(some),
+            celnav.run(
+                celnav.ukf(MOTION, gps), PRIOR, np.arange(400.0), z, keep="cov", every=10
+            ).report(truth[::10]),
+        )
+    )
+    assert sparse.nis == pytest.approx(alone.nis)
+    assert sparse.shared == pytest.approx(alone.shared)
+    assert sparse.shared > 1.0
+    assert sparse.band == pytest.approx(alone.band)
+
+
 def test_lost_runs_and_rejections_are_told():
     gated = celnav.ukf(MOTION, RADAR, GPS, hooks=[gate(2.0)])
     track, truth = flown(filter=gated)
     found = track.report(truth)
     assert sum(found.rejected) == found.events["rejected"] > 0
-    assert f"{found.rejected[0]} rejected" in str(found)
+    assert f"{found.rejected[0]} rejected" in str(found).replace("\n         ", " ")
     calls = celnav.Motion(
         lambda x, epoch: (
             np.where((epoch.k == 20) & (x[..., :1] > 700.0), np.nan, 1.0)
