@@ -66,6 +66,7 @@ def test_a_block_of_one_is_none_and_blocks_go_round():
     [
         (3.0, 0, r"error: expected at least one run, got shape \(\)"),
         ([], 0, r"error: expected at least one run, got shape \(0,\)"),
+        ([], 1, r"error: expected at least one run, got shape \(0,\)"),
         (np.ones((5, 0, 2)), 1, r"error: expected at least one run, got shape \(5, 0, 2\)"),
         (np.ones((5, 0, 2)), -2, r"error: expected at least one run, got shape \(5, 0, 2\)"),
         (np.ones((5, 4, 2)), 3, r"axis: expected an integer from -3 to 2, got 3"),
@@ -95,6 +96,7 @@ def test_the_rmse_is_the_length_over_the_runs(axis):
     np.testing.assert_allclose(high, found * np.sqrt(runs / chi2.ppf(0.05, runs)), rtol=1e-12)
     assert metrics.rmse(np.ones((0, 3, 2))).shape == (0, 2)
     assert metrics.rmse([3.0, 4.0], axis=0) == np.sqrt(12.5)
+    assert metrics.rmse([-3.0], axis=0) == 3.0
 
 
 def test_the_interval_of_a_positive_quantity_is_positive():
