@@ -184,15 +184,15 @@ def test_an_own_file_is_replaced_and_a_failure_leaves_it(tmp_path):
 
     def fail(out):
         out.curve("plots/a", TIMES, colors.TRUTH, "a")
-        raise Stop
+        raise Stop("here")
 
-    with pytest.raises(Stop):
+    with pytest.raises(Stop, match=r"^here$"):
         write(path, fail)
     assert path.read_bytes() == old
     with pytest.raises(ValueError, match=r"plots/a values: expected shape \(20,\), got \(3,\)"):
         write(path, lambda out: out.curve("plots/a", np.zeros(3), colors.TRUTH, "a"))
     assert path.read_bytes() == old
-    with pytest.raises(Stop):
+    with pytest.raises(Stop, match=r"^here$"):
         write(tmp_path / "new.rrd", fail)
     assert [p.name for p in tmp_path.iterdir()] == ["a.rrd"]
     write(path, lambda out: out.curve("plots/b", TIMES, colors.TRUTH, "b"))
