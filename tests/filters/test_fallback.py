@@ -59,7 +59,9 @@ def test_fallback_of_an_update(form):
             getattr(info, name)()[[0, 2]], getattr(lone_info, name)()[[0, 2]]
         )
         np.testing.assert_array_equal(getattr(info, name)()[1], getattr(other, name)()[1])
-    assert np.isfinite(info.log_likelihood).all()
+    likelihood = np.where([False, True, False], other.log_likelihood, lone_info.log_likelihood)
+    np.testing.assert_array_equal(info.log_likelihood, likelihood)
+    assert np.isfinite(likelihood).all()
 
 
 @FORMS
