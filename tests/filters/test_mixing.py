@@ -135,6 +135,21 @@ OFFSET, RATE, OWN = (
 RNG = np.random.default_rng(0)
 
 
+def test_mixing_is_noticed_where_a_model_is_defined_for_some_states_only():
+    """The first component is positive, the second negative: what runs are exchanged with must be so too."""
+    prior = celnav.Gaussian([[4.0, -9.0], [25.0, -1.0]], 1e-4 * EYE)
+
+    def roots(x):
+        return np.sqrt(x * [1.0, -1.0]) * [1.0, -1.0]
+
+    apart = filter_of(lambda x, e: 3.0 * roots(x) + 0.01 * OFFSET)
+    mixed = filter_of(lambda x, e: 3.0 * roots(x)[..., ::-1, :] + 0.01 * OFFSET)
+    found = celnav.run(apart, prior, EPOCHS[:2]).mean[1]
+    np.testing.assert_allclose(found, 3.0 * roots(prior.mean) + 0.01 * OFFSET, atol=1e-3)
+    with pytest.raises(ValueError, match="f: expected values of each run by itself"):
+        celnav.run(mixed, prior, EPOCHS[:2])
+
+
 @dataclass
 class Drag:
     rate: np.ndarray

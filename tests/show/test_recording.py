@@ -60,6 +60,34 @@ def covariances(rng, steps=len(TIMES)):
     return A @ A.mT
 
 
+class Log:
+    """A stream that keeps what is logged: components by name, of each entity."""
+
+    def __init__(self):
+        self.found = {}
+
+    def log(self, entity, style, **_options):
+        self.found[entity] = {
+            str(batch.component_descriptor()).split(":")[-1]: batch.as_arrow_array().to_pylist()
+            for batch in style.as_component_batches()
+        }
+
+    def send_columns(self, *_columns):
+        pass
+
+
+@pytest.mark.parametrize(("options", "seen"), [({}, True), ({"shown": False}, False)])
+def test_a_curve_is_seen_unless_it_is_to_be_hidden(options, seen):
+    log = Log()
+    recording.Recorder(log, TIMES).curve("plots/a", TIMES, "#112233", "speed", width=2.0, **options)
+    assert log.found["plots/a"] == {
+        "visible_series": [seen],
+        "names": ["speed"],
+        "widths": [2.0],
+        "colors": [0x112233FF],
+    }
+
+
 def test_ellipsoid_axes_rebuild_the_covariance():
     from scipy.spatial.transform import Rotation
 
