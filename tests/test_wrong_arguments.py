@@ -610,6 +610,16 @@ def test_what_may_be_meant_gives_the_same_numbers(name, tmp_path, monkeypatch):
     assert compared or silent or not any(True for x in arguments.values() for _ in other_forms(x))
 
 
+@pytest.mark.parametrize("name", ["gyro.Body", "gravity.Gravity", "rules.Rule", "pulsar.Timing"])
+def test_records_of_arrays_are_compared_by_identity(name, tmp_path):
+    """Arrays have no one truth: two of them are two keys of a table."""
+    call, _, arguments = resolve(name, tmp_path)
+    one, other = call(**arguments), call(**arguments)
+    assert one == one
+    assert one != other
+    assert {one: 1, other: 2}[one] == 1
+
+
 def test_what_only_looks_wrong_is_accepted():
     """Values of each run, of other shapes that broadcast, lazy sequences, missing ones."""
     each = orbit.Earth(mu=np.array([398600.0, 398601.0]))

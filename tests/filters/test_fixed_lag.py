@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from twice import assert_same, twice
@@ -447,6 +449,18 @@ THERE[10, 3, 1] = 0.4
         (
             lambda: FixedLag(MOTION, 3),
             r"filter: expected a filter, such as celnav.ukf\(motion, sensor\), got Motion",
+        ),
+        (
+            lambda: FixedLag(SimpleNamespace(step=FILTERS["ukf"].step), 3),
+            r"filter: expected a filter, such as celnav.ukf\(motion, sensor\), got SimpleNamespace",
+        ),
+        (
+            lambda: FixedLag(SimpleNamespace(start=FILTERS["ukf"].start), 3),
+            r"filter: expected a filter, such as celnav.ukf\(motion, sensor\), got SimpleNamespace",
+        ),
+        (
+            lambda: FixedLag(type(FILTERS["ukf"]), 3),
+            r"filter: expected a filter, such as celnav.ukf\(motion, sensor\), got",
         ),
         (
             lambda: FixedLag(FILTERS["ukf"], -1),

@@ -219,6 +219,26 @@ def test_a_boost_of_one_is_none_and_inflates_the_gain_only(form):
 
 
 @pytest.mark.parametrize(
+    "bias",
+    [
+        Gaussian(np.tile(B0, (3, 1)), M0),
+        Gaussian(B0, np.tile(M0, (3, 1, 1))),
+        Gaussian(np.tile(B0, (3, 1)), np.tile(M0, (3, 1, 1))),
+    ],
+    ids=["mean", "covariance", "both"],
+)
+def test_a_bias_of_each_run_goes_with_as_many_runs(bias):
+    filter = two_stage(MOTION, SEEN, GAMMA, bias)
+    found, expected = followed(filter, measured(3)), staged("square root", measured(3))
+    np.testing.assert_allclose(found.mean, expected.mean, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found.cov, expected.cov, rtol=0, atol=1e-12)
+    with pytest.raises(
+        ValueError, match=r"^bias: expected one, or one for each run, \(4,\), got \(3,\)$"
+    ):
+        filter.start(prior(4))
+
+
+@pytest.mark.parametrize(
     ("make", "name"),
     [
         (lambda: two_stage(MOTION, SEEN, [[np.nan]], BIAS), "Gamma"),

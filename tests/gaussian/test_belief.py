@@ -1,5 +1,7 @@
 """Beliefs in both forms: their parts against the covariance algebra written out, and what a Gaussian refuses."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -103,6 +105,16 @@ def test_both_ways_to_say_a_gaussian_and_both_forms_are_the_same_belief():
             np.testing.assert_allclose(belief.cov, P, rtol=1e-14)
             np.testing.assert_allclose(belief.sqrt_cov, np.linalg.cholesky(P), rtol=1e-14)
             np.testing.assert_allclose(belief.std, np.sqrt([2.0, 1.0]), rtol=1e-14)
+
+
+def test_a_mean_may_be_replaced():
+    """The root goes with the covariance: it is no argument of its own there."""
+    P = np.array([[2.0, 0.5], [0.5, 1.0]])
+    for prior in (Gaussian(np.zeros(2), P), Gaussian(np.zeros(2), sqrt_cov=np.linalg.cholesky(P))):
+        other = replace(prior, mean=np.array([1.0, -1.0]))
+        np.testing.assert_array_equal(other.mean, [1.0, -1.0])
+        np.testing.assert_allclose(other.cov, P, rtol=1e-14)
+        np.testing.assert_allclose(other.sqrt_cov, np.linalg.cholesky(P), rtol=1e-14)
 
 
 def test_means_and_covariances_may_have_batch_axes_of_their_own():

@@ -88,6 +88,26 @@ def test_a_curve_is_seen_unless_it_is_to_be_hidden(options, seen):
     }
 
 
+def test_a_globe_has_circles_every_fifteen_degrees():
+    """Eleven of latitude, no pole among them, and 24 halves from pole to pole, a little above the ground."""
+    log = Log()
+    recording.Recorder(log, TIMES).globe("earth", 6378.0)
+    assert log.found["earth"]["half_sizes"] == [[6378.0] * 3]
+    lines = [np.array(line) for line in log.found["earth/grid"]["strips"]]
+    for line in lines:
+        np.testing.assert_allclose(np.linalg.norm(line, axis=1), 1.003 * 6378.0, rtol=1e-6)
+    circles, halves = lines[:11], lines[11:]
+    heights = [np.degrees(np.arcsin(line[:, 2] / 1.003 / 6378.0)) for line in circles]
+    np.testing.assert_allclose(
+        np.stack(heights), np.tile(np.arange(-75.0, 90.0, 15.0)[:, None], (1, 121)), atol=1e-3
+    )
+    assert len(halves) == 24
+    middle = [np.degrees(np.arctan2(line[30, 1], line[30, 0])) % 360.0 for line in halves]
+    np.testing.assert_allclose(middle, np.arange(0.0, 360.0, 15.0), atol=1e-3)
+    for line in halves:
+        np.testing.assert_allclose(line[[0, -1], 2], 1.003 * 6378.0 * np.array([-1, 1]), rtol=1e-6)
+
+
 def test_ellipsoid_axes_rebuild_the_covariance():
     from scipy.spatial.transform import Rotation
 

@@ -162,7 +162,12 @@ def test_ratios_and_levels_are_those_of_the_runs(results):
     assert consistency("x", ("good", "kf"), at=slice(None))(results).value == pytest.approx(
         results.get("good", "kf/nees").mean()
     )
-    assert results.nees("good", "kf", -1, "nis").shape == (40,)
+    for what in ("nees", "nis"):
+        values = results.get("good", f"kf/{what}")
+        np.testing.assert_array_equal(results.nees("good", "kf", what=what), values[-1])
+        np.testing.assert_array_equal(results.nees("good", "kf", 2, what), values[2])
+        some = results.nees("good", "kf", slice(2, 5), what)
+        np.testing.assert_allclose(some, values[2:5].mean(0), rtol=1e-14)
 
 
 def test_a_table_is_in_its_band_or_of_its_level_or_neither(results):
