@@ -1,6 +1,7 @@
 """Recordings read back with pyarrow alone, and files that are whole or not there."""
 
 import contextlib
+import io
 import os
 import socket
 import subprocess
@@ -351,6 +352,41 @@ def test_the_viewer_draws_a_picture_without_a_screen(tmp_path):
     red, green, blue = np.moveaxis(drawn[50:-50, :, :3], -1, 0)
     orange = (red > green + 0.1) & (green > blue + 0.1)
     assert orange.any(0).sum() > 400  # the curve, thin as it is, from left to right
+
+
+def test_a_picture_is_of_the_recording_at_its_time_without_the_bar(tmp_path, monkeypatch):
+    """By a viewer that only listens, and a window of 900 rows, of which the upper 31 are its own."""
+    from PIL import Image
+
+    from celnav.show import picture
+
+    told = []
+
+    class Viewer:
+        def open(self, recording):
+            told.append(recording)
+
+        def set_time(self, timeline, *, duration, play_state):
+            told.append((timeline, duration, play_state))
+
+        def take_screenshot(self, max_size):
+            told.append(max_size)
+            rows = np.random.default_rng(0).integers(0, 255, (900, 40, 3), np.uint8)
+            rows[:31] = 7
+            out = io.BytesIO()
+            Image.fromarray(rows).save(out, "PNG")
+            return out.getvalue()
+
+    monkeypatch.setattr(picture, "_viewer", lambda: contextlib.nullcontext(Viewer()))
+    monkeypatch.setattr(picture.time, "sleep", lambda seconds: None)
+    monkeypatch.chdir(tmp_path)
+    picture.picture("a.rrd", tmp_path / "a.png", 2.5, width=300)
+    assert told[:2] == [str(tmp_path / "a.rrd"), ("t", 2.5, "paused")]
+    assert set(told[2:]) == {300}
+    drawn = np.asarray(Image.open(tmp_path / "a.png"))
+    np.testing.assert_array_equal(
+        drawn, np.random.default_rng(0).integers(0, 255, (900, 40, 3), np.uint8)[31:]
+    )
 
 
 def test_a_viewer_that_does_not_start_is_one_line(tmp_path, monkeypatch):
