@@ -493,8 +493,8 @@ def other_forms(value):
 
 
 def lively(call, arguments, name):
-    """Arguments that work, in which an array's numbers differ from each other, if the call takes such: a transposed matrix or a
-    wrong stride then gives another result."""
+    """Arguments that work, in which an array's numbers differ from each other, if the call takes
+    such: a transposed matrix or a wrong stride then gives another result."""
     value = arguments[name]
     if numeric(value) and np.ndim(value):
         array = np.array(value, float)
@@ -522,7 +522,7 @@ def copied(arguments):
 
 
 def numbers_in(result, seen=()):
-    """Every array, number and word in a result: in containers, records, and what its functions hold."""
+    """Every array, number and word in a result: in containers, records and functions."""
     if isinstance(result, np.ndarray | int | float | complex | np.generic):
         yield np.asarray(result)
     elif isinstance(result, str | bytes | type | None):

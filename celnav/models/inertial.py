@@ -194,7 +194,8 @@ def star_residuals(x: Array, attitude: Array, stars: Array) -> Array:
 def wahba_misalignment(z: Array, attitude: Array, stars: Array) -> Array:
     """Misalignment ``(..., 3)`` that fits measured star residuals ``z (..., 3 k)`` best: Wahba's problem, by SVD [Markley1988].
 
-    ``stars (..., k, 3)``: unit vectors. ValueError if all are parallel (``|r_i x r_j| < 1e-3``): a rotation about them is free.
+    ``stars (..., k, 3)``: unit vectors. ValueError if all are parallel (``|r_i x r_j| < 1e-3``):
+    a rotation about them is free.
     """
     directions = finite("stars", stars, (..., "k", 3))
     k, length = directions.shape[-2], np.linalg.norm(directions, axis=-1)

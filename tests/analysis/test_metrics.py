@@ -100,7 +100,7 @@ def test_the_rmse_is_the_length_over_the_runs(axis):
 
 
 def test_the_interval_of_a_positive_quantity_is_positive():
-    """Of few runs too, one of which is much worse than the others; that of a mean may well be negative."""
+    """Of few runs too, one of which is much worse; that of a mean may well be negative."""
     squares = np.array([0.01, 0.02, 0.01, 4.0])
     low, high = metrics.bootstrap(metrics.rms, squares)
     value = metrics.rms(squares)
@@ -115,7 +115,7 @@ def test_the_interval_of_a_positive_quantity_is_positive():
 
 @pytest.mark.parametrize("runs", [5, 10, 30])
 def test_intervals_of_an_rmse_cover_for_few_runs_too(runs):
-    """Of squares of Gaussian errors in 400 experiments: no fewer than four standard deviations below 90 %."""
+    """Of squares of Gaussian errors, in at least 90 % of 400 experiments."""
     squares = np.random.default_rng(runs).chisquare(1.0, (400, runs))
     found = [metrics.bootstrap(metrics.rms, one, resamples=200) for one in squares]
     assert min(low for low, _ in found) > 0.0

@@ -136,7 +136,7 @@ RNG = np.random.default_rng(0)
 
 
 def test_mixing_is_noticed_where_a_model_is_defined_for_some_states_only():
-    """The first component is positive, the second negative: what runs are exchanged with must be so too."""
+    """Here positive first and negative second components: runs are exchanged with such ones."""
     prior = celnav.Gaussian([[4.0, -9.0], [25.0, -1.0]], 1e-4 * EYE)
 
     def roots(x):
@@ -214,7 +214,7 @@ ALONE = {
 
 
 def assert_each_alone(track, made, prior, **tolerance):
-    """Means and covariances of each run are those of its own filter; ``made(i)``: filter and epochs of run i."""
+    """Each run is that of its own filter; ``made(i)``: filter and epochs of run i."""
     for i in range(2):
         filter, when = made(i)
         alone = celnav.run(filter, celnav.Gaussian(prior.mean[i], prior.cov), when, keep="cov")

@@ -145,8 +145,8 @@ class Fixed(NamedTuple):
 
 
 class Lagged:
-    """A first stage of constant gain K. It takes D times the last residual off the measurement, and Omega times the innovation
-    moves its prediction."""
+    """A first stage of constant gain K. It takes D times the last residual off the measurement,
+    and Omega times the innovation moves its prediction."""
 
     D = np.array([[0.6, 0.2, 0.0], [0.0, -0.4, 0.1], [0.3, 0.0, 0.5]])
     K = 0.2 * H.T
@@ -176,7 +176,7 @@ class Lagged:
 
 @pytest.mark.parametrize("omega", [False, True], ids=["", "Omega"])
 def test_the_sensitivity_is_the_derivative_where_measurements_are_differenced(omega):
-    """By a first stage that is linear: a bias that is there from the start, twice in each measurement through its lag."""
+    """By a linear first stage: the bias acts on a measurement directly and through the lag."""
     z, unit = measured(runs=1), np.array([0.7, -1.3])
     filter = TwoStage.of(Lagged(omega), GAMMA, BIAS)
     state = moved = filter.start(prior(1))

@@ -490,8 +490,8 @@ def test_operations_are_those_that_plain_python_does(result, monkeypatch):
                 each[name, roots, per] = own[name], other[name]
                 # What only the tape counts: choices of a sign, and of what is no root.
                 assert 1.0 < own[name] / other[name] < 1.25
-    # Each prediction takes as many operations as any other; factoring the whole joint covariance costs the AUKF as much in an
-    # update as in a prediction, for it has the same noise in both.
+    # Each prediction takes as many operations as any other. Factoring the whole joint covariance
+    # costs the AUKF as much in an update as in a prediction, for it has the same noise in both.
     for name, roots in product(benchmark.POINTWISE, study.ROOTS):
         for many, one in zip(each[name, roots, 25], each[name, roots, 1], strict=True):
             assert (many - one) % 24 == 0

@@ -350,8 +350,9 @@ def test_the_density_of_an_innovation_is_that_of_students_t(folder, data):
 
 
 def students_scale(far):
-    """The scale s of Student's t that is most probable for normal samples of deviation 1, of which a part is far away, and the
-    relative deviation of its estimate from one sample: ``E psi(u) = 0`` and ``sqrt(E psi^2) / E s dpsi/ds``."""
+    """The most probable scale s of Student's t for normal samples of deviation 1, of which a part is
+    far away, by ``E psi(u) = 0``; and the relative deviation of its estimate from one sample,
+    ``sqrt(E psi^2) / E s dpsi/ds``."""
     nu = settings.DOF
 
     def mean(function):
@@ -367,7 +368,7 @@ def students_scale(far):
 
 @pytest.mark.parametrize("kind", ["colored", "tails"])
 def test_likelihood_finds_what_made_the_fixes(folder, data, kind):
-    """Increments of errors within four deviations of what so few say; Student's t needs nothing left out."""
+    """Within four deviations of what so few say; Student's t needs nothing left out."""
     field = gravity.read(folder / "made.gfc", 2)
     found = settings.fitted(
         data if kind == "tails" else data.screened(), field, settings.Setting(3.0, 0.97, 3e-4), kind

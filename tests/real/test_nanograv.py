@@ -115,7 +115,8 @@ def test_noise_is_found_as_large_as_it_was_made(folder):
             + 2.0 * np.append(0.0, red)
         )
         found.append(arrivals.sized(late, np.full(len(K), 0.3), M, K))
-    # Fisher's information of the restricted likelihood: 0.5 tr(P V_i P V_j), where P leaves out what the model explains.
+    # Fisher's information of the restricted likelihood, 0.5 tr(P V_i P V_j): P leaves out what the
+    # model explains.
     V_inv = np.linalg.inv(0.25 * np.eye(len(K)) + 4.0 * K)
     P = V_inv - V_inv @ M @ np.linalg.solve(M.T @ V_inv @ M, M.T @ V_inv)
     slopes = P @ (2.0 * 0.4 * np.eye(len(K))), P @ (2.0 * 2.0 * K)
@@ -129,7 +130,7 @@ def test_noise_is_found_as_large_as_it_was_made(folder):
 
 # -- fixes ---------------------------------------------------------------------------------------------------------------------
 def test_fixes_of_made_arrivals_err_by_what_they_claim(folder):
-    """Within four deviations, by the joint law of all weeks: errors of the timing models are common to them."""
+    """Within four deviations, by the joint law of all weeks, which share the timing models."""
     out = nanograv.fixes(folder, [])
     nees = out["all/nees"][:, 0]
     assert len(nees) > 150

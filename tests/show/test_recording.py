@@ -90,7 +90,7 @@ def test_a_curve_is_seen_unless_it_is_to_be_hidden(options, seen):
 
 
 def test_a_globe_has_circles_every_fifteen_degrees():
-    """Eleven of latitude, no pole among them, and 24 halves from pole to pole, a little above the ground."""
+    """Eleven of latitude, and 24 halves from pole to pole, a little above the ground."""
     log = Log()
     recording.Recorder(log, TIMES).globe("earth", 6378.0)
     assert log.found["earth"]["half_sizes"] == [[6378.0] * 3]
@@ -355,7 +355,7 @@ def test_the_viewer_draws_a_picture_without_a_screen(tmp_path):
 
 
 def test_a_picture_is_of_the_recording_at_its_time_without_the_bar(tmp_path, monkeypatch):
-    """By a viewer that only listens, and a window of 900 rows, of which the upper 31 are its own."""
+    """By a viewer that only listens; 31 of the 900 rows of its window are its own."""
     from PIL import Image
 
     from celnav.show import picture

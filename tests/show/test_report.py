@@ -311,7 +311,7 @@ def test_a_track_without_deviations_is_refused():
         track.report(truth)
 
 
-# -- texts -------------------------------------------------------------------------------------------------------------------
+# -- texts -----------------------------------------------------------------------------------------
 def by_hand(sigma, runs, spoiled=False, **options):
     """The report of fixes and speeds at six epochs, with errors that are written here."""
     error = 0.5 * np.array(
